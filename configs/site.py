@@ -1,0 +1,73 @@
+"""A site: the field, the way to it and what must not be entered, in `map`."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from configs.strict import Config
+from geometry.geodesy import Datum
+
+Coordinate = Annotated[float, Field(ge=-20000.0, le=20000.0)]
+Point = tuple[Coordinate, Coordinate]
+Outline = Annotated[tuple[Point, ...], Field(min_length=3)]
+
+
+class DatumConfig(Config):
+    """Origin of `map` on WGS 84 with ellipsoid height."""
+
+    latitude_deg: float = Field(ge=-90.0, le=90.0)
+    longitude_deg: float = Field(ge=-180.0, le=180.0)
+    height_m: float = Field(ge=-500.0, le=9000.0)
+
+    @property
+    def datum(self) -> Datum:
+        """The same in radians, as a converter."""
+        import math
+
+        return Datum(math.radians(self.latitude_deg), math.radians(self.longitude_deg), self.height_m)
+
+
+class Pose2(Config):
+    """A place and heading (counter-clockwise from east)."""
+
+    x_m: Coordinate
+    y_m: Coordinate
+    heading_deg: float = Field(ge=-360.0, le=360.0)
+
+
+class Area(Config):
+    """A named area by its outline."""
+
+    name: str
+    outline_m: Outline
+
+
+class Lane(Config):
+    """A way driven along its centre line, first to last point or back."""
+
+    name: str
+    center_m: Annotated[tuple[Point, ...], Field(min_length=2)]
+    width_m: float = Field(gt=0.0, le=50.0)
+
+
+class Gate(Config):
+    """An opening in the fence between two posts."""
+
+    name: str
+    posts_m: tuple[Point, Point]
+
+
+class Site(Config):
+    """Everything surveyed; `boundary_m` is the field, `yard` where the machine starts, `is_fenced` the field's edge."""
+
+    name: str
+    version: int = Field(ge=1)
+    datum: DatumConfig
+    boundary_m: Outline
+    no_go: tuple[Area, ...] = ()
+    lanes: tuple[Lane, ...] = ()
+    gates: tuple[Gate, ...] = ()
+    yard: Area
+    start: Pose2
+    is_fenced: bool
+    shed: Area | None = None

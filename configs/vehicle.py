@@ -1,0 +1,202 @@
+"""A vehicle with its sensors, ours or the one that recorded a log, and what it carries behind it."""
+
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from configs.strict import Config
+from geometry.transforms import Float64, transform
+
+Length = Annotated[float, Field(gt=0.0, le=50.0)]
+Offset = Annotated[float, Field(ge=-50.0, le=50.0)]
+Seconds = Annotated[float, Field(ge=0.0, le=30.0)]
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+Kmh = Annotated[float, Field(gt=0.0, le=80.0)]
+
+
+class Mount(Config):
+    """Where a sensor sits: origin and fixed-axis roll, pitch and yaw in `base`."""
+
+    xyz_m: tuple[Offset, Offset, Offset]
+    rpy_deg: tuple[Degrees, Degrees, Degrees] = (0.0, 0.0, 0.0)
+
+    @property
+    def T_base_sensor(self) -> Float64:
+        """Pose of the sensor in base, (4, 4)."""
+        return transform(self.xyz_m, np.radians(self.rpy_deg))
+
+
+class Lidar(Config):
+    """A lidar: rings at the given elevations (lowest first), columns over the field of view."""
+
+    mount: Mount
+    elevation_deg: tuple[Degrees, ...] = Field(min_length=1, max_length=256)
+    columns: int = Field(ge=16, le=8192)
+    field_of_view_deg: float = Field(default=360.0, gt=0.0, le=360.0)
+    rate_hz: float = Field(gt=0.0, le=100.0)
+    range_m: tuple[float, float] = Field(description="nearest and farthest")
+    range_sigma_m: float = Field(ge=0.0, le=1.0)
+
+
+class Gnss(Config):
+    """An antenna; with `heading` a second one makes a baseline whose direction is measured."""
+
+    mount: Mount
+    has_heading: bool
+    rate_hz: float = Field(gt=0.0, le=100.0)
+    sigma_horizontal_m: float = Field(gt=0.0, le=10.0)
+    sigma_vertical_m: float = Field(gt=0.0, le=20.0)
+    sigma_heading_deg: float = Field(gt=0.0, le=10.0)
+
+
+class Imu(Config):
+    """An inertial unit; noise as densities and in-run bias instability."""
+
+    mount: Mount
+    rate_hz: float = Field(ge=10.0, le=2000.0)
+    gyro_noise_dps_rthz: float = Field(gt=0.0, le=10.0)
+    gyro_bias_dph: float = Field(ge=0.0, le=1000.0)
+    gyro_range_dps: float = Field(gt=0.0, le=10000.0)
+    accelerometer_noise_ug_rthz: float = Field(gt=0.0, le=10000.0)
+    accelerometer_bias_mg: float = Field(ge=0.0, le=1000.0)
+    accelerometer_range_g: float = Field(gt=0.0, le=1000.0)
+
+
+class Wheels(Config):
+    """Wheel speed and steering-angle sensor."""
+
+    rate_hz: float = Field(gt=0.0, le=1000.0)
+    speed_sigma_mps: float = Field(ge=0.0, le=1.0)
+    angle_sigma_deg: float = Field(ge=0.0, le=5.0)
+
+
+class Sensors(Config):
+    """All sensors by kind and name; the topic of a lidar `front` is `lidar/front`."""
+
+    lidar: dict[str, Lidar] = {}
+    gnss: dict[str, Gnss] = {}
+    imu: Imu | None = None
+    wheels: Wheels | None = None
+
+
+class Ackermann(Config):
+    """Front-wheel steering with the rear axle fixed."""
+
+    kind: Literal["ackermann"]
+    wheelbase_m: Length
+    track_m: Length
+    wheel_radius_m: Length
+    min_turning_radius_m: Length
+
+    @property
+    def max_curvature_radpm(self) -> float:
+        """Tightest curvature of the rear-axle centre."""
+        return 1.0 / self.min_turning_radius_m
+
+
+class ElectricWheel(Config):
+    """A motor on the steering wheel (BD-5.5.2a)."""
+
+    kind: Literal["electric_wheel"]
+    max_wheel_rpm: float = Field(gt=0.0, le=300.0)
+    wheel_turns_per_steer_rad: float = Field(gt=0.0, le=50.0)
+    dead_time_s: Seconds
+    lag_s: Seconds
+    backlash_deg: float = Field(ge=0.0, le=20.0, description="at the front wheels")
+
+
+class HydraulicValve(Config):
+    """A proportional valve on the steering cylinder (T14-4.5: 8 to 30 L/min)."""
+
+    kind: Literal["hydraulic_valve"]
+    max_flow_lpm: float = Field(ge=1.0, le=60.0)
+    cylinder_l_per_rad: float = Field(gt=0.0, le=5.0)
+    dead_band: float = Field(ge=0.0, lt=0.5, description="share of full command")
+    dead_time_s: Seconds
+    lag_s: Seconds
+
+
+class Brake(Config):
+    """What the brakes do (for prediction; what the supervisor counts on is in its own configuration)."""
+
+    dead_time_s: Seconds
+    build_up_s: Seconds
+    deceleration_mps2: float = Field(gt=0.0, le=12.0)
+
+
+class Body(Config):
+    """Extent of the bare machine about `base`."""
+
+    front_m: Length
+    rear_m: Length
+    width_m: Length
+    height_m: Length
+    mass_kg: float = Field(gt=0.0, le=100000.0)
+
+
+class Vehicle(Config):
+    """A machine: dimensions, drivetrain, actuators and sensors; none of it has a default."""
+
+    name: str = Field(min_length=1, max_length=60)
+    drivetrain: Ackermann
+    body: Body
+    steering: Annotated[ElectricWheel | HydraulicValve, Field(discriminator="kind")]
+    brake: Brake
+    max_speed_kmh: Kmh
+    acceleration_mps2: float = Field(gt=0.0, le=5.0)
+    sensors: Sensors
+
+
+class _Implement(Config):
+    name: str = Field(min_length=1, max_length=60)
+    working_width_m: Length
+    width_m: Length
+    lift_s: Seconds
+    lower_s: Seconds
+    uses_pto: bool
+
+    @model_validator(mode="after")
+    def _is_as_wide_as_it_works(self) -> "_Implement":
+        if self.width_m < self.working_width_m:
+            raise ValueError(f"width_m {self.width_m} is less than working_width_m {self.working_width_m}")
+        return self
+
+
+class MountedImplement(_Implement):
+    """Carried on the hitch; `working_point_m` and the ends are along x of `base` (behind is negative)."""
+
+    kind: Literal["mounted"]
+    working_point_m: Offset
+    front_end_m: Offset
+    rear_end_m: Offset
+
+
+class TrailedImplement(_Implement):
+    """Pulled on a drawbar from `hitch_m` along x of `base`; lengths are from the hitch backwards."""
+
+    kind: Literal["trailed"]
+    hitch_m: Offset
+    axle_length_m: Length
+    working_length_m: Length
+    total_length_m: Length
+
+
+Implement = Annotated[MountedImplement | TrailedImplement, Field(discriminator="kind")]
+
+
+class ImplementFile(Config):
+    """An implement as it stands in a file of `configs/implements/`."""
+
+    implement: Implement
+
+
+def kmh(speed_kmh: float) -> float:
+    """Metres per second."""
+    return speed_kmh / 3.6
+
+
+def deg(angle_deg: float) -> float:
+    """Radians."""
+    return math.radians(angle_deg)

@@ -1,0 +1,1 @@
+"""Transforms, angles, geodesy, polylines, polygons and the swept footprint: pure functions on arrays."""

@@ -1,0 +1,56 @@
+"""The message and the envelope in which it travels."""
+
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Float64 = npt.NDArray[np.float64]
+Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
+Int32 = npt.NDArray[np.int32]
+UInt16 = npt.NDArray[np.uint16]
+UInt8 = npt.NDArray[np.uint8]
+
+
+@cache
+def _array_dtypes(cls: type) -> tuple[tuple[str, np.dtype[Any]], ...]:
+    from typing import get_args, get_origin, get_type_hints
+
+    hints = get_type_hints(cls)
+    named = [(f.name, hints[f.name]) for f in fields(cls)]
+    return tuple((name, np.dtype(get_args(get_args(h)[1])[0])) for name, h in named if get_origin(h) is np.ndarray)
+
+
+@dataclass(frozen=True)
+class Record:
+    """A frozen part of a message; its arrays are made read-only and belong to it from then on.
+
+    Raises TypeError when an array has not the declared type.
+    """
+
+    def __post_init__(self) -> None:
+        for name, dtype in _array_dtypes(type(self)):
+            array = getattr(self, name)
+            if not isinstance(array, np.ndarray) or array.dtype != dtype:
+                raise TypeError(f"{type(self).__name__}.{name}: {getattr(array, 'dtype', type(array))}, not {dtype}")
+            array.flags.writeable = False
+
+
+@dataclass(frozen=True)
+class Message(Record):
+    """What a node reads or writes; `stamp_ns` is the time of measurement."""
+
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """A message on its way: `sequence` counts from 0 on its topic, `receive_ns` is when it was delivered."""
+
+    topic: str
+    sequence: int
+    receive_ns: int
+    message: Message

@@ -1,0 +1,78 @@
+"""Where the machine is, and how well that is known."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from geometry.transforms import interpolate
+from messages.message import Float64, Message
+
+
+@dataclass(frozen=True)
+class Odometry(Message):
+    """Continuous pose and motion of `base`; drifts but never steps.
+
+    `T_odom_base` (4, 4); `speed_mps` forward, `lateral_mps` left, `yaw_rate_radps`, `curvature_radpm` measured at the
+    steered wheels; `covariance` (6, 6) of the motion over the last second: rotation then translation, in `base`.
+    """
+
+    T_odom_base: Float64
+    speed_mps: float
+    lateral_mps: float
+    acceleration_mps2: float
+    yaw_rate_radps: float
+    curvature_radpm: float
+    covariance: Float64
+
+    def interpolate(self, other: "Odometry", stamp_ns: int) -> "Odometry":
+        """The pose at a time between two odometry messages; motion is taken from the nearer one."""
+        share = (stamp_ns - self.stamp_ns) / max(other.stamp_ns - self.stamp_ns, 1)
+        near = self if share < 0.5 else other
+        T = interpolate(self.T_odom_base, other.T_odom_base, share)
+        return Odometry(
+            stamp_ns, T, near.speed_mps, near.lateral_mps, near.acceleration_mps2, near.yaw_rate_radps,
+            near.curvature_radpm, near.covariance,
+        )  # fmt: skip
+
+
+class PositionSource(IntEnum):
+    """What the position rests on, from worst to best."""
+
+    NONE = 0
+    DEAD_RECKONING = 1
+    SINGLE = 2
+    UWB = 3
+    RTK_FLOAT = 4
+    RTK_FIXED = 5
+
+
+@dataclass(frozen=True)
+class MapPose(Message):
+    """The place of `odom` in `map`, and the trust in the pose that follows from it.
+
+    `T_map_odom` and `T_map_base` (4, 4) at `stamp_ns`; `covariance` (6, 6) of `T_map_base`, rotation then translation,
+    in `base` (gtsam's order); `protection_level_m` bounds the horizontal error at 1e-4 an hour or is infinite;
+    `gnss_age_s` is the age of the last accepted fix.
+    """
+
+    T_map_odom: Float64
+    T_map_base: Float64
+    covariance: Float64
+    source: PositionSource
+    protection_level_m: float
+    gnss_age_s: float
+    is_initialized: bool
+
+
+@dataclass(frozen=True)
+class LidarMotion(Message):
+    """Motion of `base` between two scans from lidar odometry, refused (`is_valid` false, with the reason) when degenerate.
+
+    `T_from_to` (4, 4) takes coordinates of base at `stamp_ns` to those of base at `from_stamp_ns`.
+    """
+
+    from_stamp_ns: int
+    T_from_to: Float64
+    covariance: Float64
+    is_valid: bool
+    reason: str
+    matched_points: int

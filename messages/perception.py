@@ -1,0 +1,105 @@
+"""What stands or moves around the machine, and how far each sensor can be trusted."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from messages.message import Float32, Float64, Int32, Message, Record, UInt8
+
+
+class ObstacleClass(StrEnum):
+    """Classes that evidence may allow; `UNKNOWN` is an obstacle all the same."""
+
+    UNKNOWN = "unknown"
+    PERSON = "person"
+    ANIMAL = "animal"
+    VEHICLE = "vehicle"
+    POLE = "pole"
+    MOUND = "mound"
+    DITCH = "ditch"
+
+
+@dataclass(frozen=True)
+class LidarGround(Message):
+    """Which returns of the scan `scan_stamp_ns` are not ground: `is_solid` (N,), in the order of its `points_m`.
+
+    `plane` (4,) is the ground about the machine in `base`: a x + b y + c z + d = 0 with unit normal, upwards.
+    """
+
+    scan_stamp_ns: int
+    is_solid: UInt8
+    plane: Float64
+
+
+@dataclass(frozen=True)
+class Obstacles(Message):
+    """What one sensor saw in one measurement, in `base` at `stamp_ns`.
+
+    K obstacles: `center_base_m` (K, 3), `size_m` (K, 3) and `yaw_rad` (K,) of the boxes; `nearest_base_m` (K, 3) the
+    return nearest to the machine's front; `velocity_mps` (K, 2) over ground in base axes, NaN where not measured;
+    `class_scores` (K, 7) in the order of `ObstacleClass`, rows sum to 1. The returns of obstacle k are
+    `indices[offsets[k]:offsets[k + 1]]`, into the `points_m` of the scan `scan_stamp_ns`; `points_base_m` (M, 3) are the
+    same returns in `base`, in that order.
+    """
+
+    sensor: str
+    scan_stamp_ns: int
+    center_base_m: Float64
+    size_m: Float64
+    yaw_rad: Float64
+    nearest_base_m: Float64
+    velocity_mps: Float64
+    class_scores: Float64
+    offsets: Int32
+    indices: Int32
+    points_base_m: Float32
+
+
+@dataclass(frozen=True)
+class Track(Record):
+    """One obstacle followed over time, in `odom`; `covariance` (4, 4) of position and velocity."""
+
+    id: int
+    label: ObstacleClass
+    confidence: float
+    p_odom_m: Float64
+    velocity_mps: Float64
+    covariance: Float64
+    size_m: Float64
+    yaw_rad: float
+    first_seen_ns: int
+    last_seen_ns: int
+    is_confirmed: bool
+    sensors: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Tracks(Message):
+    """All tracks alive, confirmed or not."""
+
+    tracks: tuple[Track, ...]
+
+
+class HealthState(StrEnum):
+    """Whether a sensor does what it must."""
+
+    GOOD = "good"
+    DEGRADED = "degraded"
+    BLIND = "blind"
+
+
+@dataclass(frozen=True)
+class SensorHealth(Message):
+    """How far one sensor can be trusted at this moment, by sector in `base`.
+
+    Sector k covers azimuths `edges_rad[k]` to `edges_rad[k + 1]` (left positive); within `proven_range_m[k]` an obstacle
+    would have been seen. 0 m means blind.
+    """
+
+    sensor: str
+    state: HealthState
+    reason: str
+    edges_rad: Float64
+    proven_range_m: Float64
+    dropped: int
+
+

@@ -1,0 +1,83 @@
+"""The path to drive and the state of the mission."""
+
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+from messages.message import Float64, Int32, Message, Record, UInt8
+
+
+class Leg(StrEnum):
+    """What a stretch of path is for."""
+
+    LANE = "lane"
+    HEADLAND = "headland"
+    SWATH = "swath"
+    TURN = "turn"
+    DETOUR = "detour"
+    DOCK = "dock"
+
+
+@dataclass(frozen=True)
+class Stretch(Record):
+    """A part of a path: points `first` up to and including `last`; `line` is the number of round or swath (-1 if none)."""
+
+    leg: Leg
+    line: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Path(Message):
+    """A path of `base` in `map` driven in one direction (+1 forward, -1 reverse), from standstill to standstill.
+
+    N points about 0.1 m apart: `p_map_m` (N, 2), `heading_rad` (N,) of the machine, `curvature_radpm` (N,) (left
+    positive, of the machine's forward motion), `s_m` (N,) arc length, `speed_mps` (N,) upper limit ≥ 0 (0 only at the
+    end), `is_work` (N,) 1 where the implement works. `is_last` ends the mission.
+    """
+
+    path_id: int
+    direction: int
+    p_map_m: Float64
+    heading_rad: Float64
+    curvature_radpm: Float64
+    s_m: Float64
+    speed_mps: Float64
+    is_work: UInt8
+    stretches: tuple[Stretch, ...]
+    stretch_index: Int32
+    is_last: bool
+
+
+class MissionState(IntEnum):
+    """Progress of the mission as a whole."""
+
+    WAITING = 0
+    DRIVING = 1
+    REPLANNING = 2
+    FINISHED = 3
+    ABORTED = 4
+
+
+@dataclass(frozen=True)
+class LeftOut(Record):
+    """A stretch that was not worked, with its reason and outline (N, 2)."""
+
+    reason: str
+    area_m2: float
+    outline_map_m: Float64
+
+
+@dataclass(frozen=True)
+class MissionStatus(Message):
+    """Where the mission stands; `path_s_m` is the place on path `path_id`, `left_out` what will not be worked."""
+
+    state: MissionState
+    leg: Leg
+    line: int
+    path_id: int
+    path_s_m: float
+    driven_m: float
+    total_m: float
+    text: str
+    left_out: tuple[LeftOut, ...]

@@ -1,0 +1,133 @@
+"""What sensors measure, each in the sensor's own frame."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+
+from messages.message import Float32, Float64, Message, UInt8, UInt16
+
+
+@dataclass(frozen=True)
+class LidarScan(Message):
+    """One sweep of a lidar; `stamp_ns` is its end.
+
+    A scan is either a range image (`ranges_mm` (rings, columns), 0 = no return, with `elevation_rad` (rings,) and
+    `azimuth_rad` (columns,)) or a list (`xyz_m` (N, 3)); the other arrays are then empty. `intensity` goes with the
+    returns in the order of `points_m`, or is empty. `offset_s` (columns,) or (N,) is the time of firing against
+    `stamp_ns` (≤ 0); empty means that all were fired at the stamp.
+    """
+
+    ranges_mm: UInt16
+    elevation_rad: Float64
+    azimuth_rad: Float64
+    xyz_m: Float32
+    intensity: UInt8
+    offset_s: Float32
+
+    @cached_property
+    def points_m(self) -> Float32:
+        """Returns in the sensor frame, (N, 3), row by row of the range image; clusters index into these."""
+        if self.ranges_mm.size == 0:
+            return self.xyz_m
+        ring, column = np.nonzero(self.ranges_mm)
+        range_m = self.ranges_mm[ring, column].astype(np.float32) * np.float32(1e-3)
+        el, az = self.elevation_rad, self.azimuth_rad
+        cos_el, sin_el = np.cos(el).astype(np.float32)[ring], np.sin(el).astype(np.float32)[ring]
+        cos_az, sin_az = np.cos(az).astype(np.float32)[column], np.sin(az).astype(np.float32)[column]
+        flat = range_m * cos_el
+        points = np.stack([flat * cos_az, flat * sin_az, range_m * sin_el], axis=1)
+        points.flags.writeable = False
+        return points
+
+    @cached_property
+    def point_offset_s(self) -> Float32:
+        """Time of each of `points_m` against the stamp, (N,)."""
+        if self.offset_s.size == 0:
+            return np.zeros(len(self.points_m), np.float32)
+        return self.offset_s if self.ranges_mm.size == 0 else self.offset_s[np.nonzero(self.ranges_mm)[1]]
+
+
+@dataclass(frozen=True)
+class CameraImage(Message):
+    """One picture, (height, width, 3) BGR as OpenCV has it."""
+
+    bgr: UInt8
+
+
+@dataclass(frozen=True)
+class RadarScan(Message):
+    """One radar cycle: per detection range, azimuth (left positive), Doppler (away positive) and radar cross-section."""
+
+    range_m: Float64
+    azimuth_rad: Float64
+    elevation_rad: Float64
+    doppler_mps: Float64
+    rcs_dbsm: Float64
+
+
+@dataclass(frozen=True)
+class UltrasonicRange(Message):
+    """One echo; `range_m` is NaN when nothing came back within the sensor's reach."""
+
+    range_m: float
+
+
+@dataclass(frozen=True)
+class ImuSample(Message):
+    """Specific force and turn rate in the IMU frame, (3,) each."""
+
+    acceleration_mps2: Float64
+    rate_radps: Float64
+
+
+class GnssSolution(IntEnum):
+    """How a position was computed, from worst to best."""
+
+    NONE = 0
+    SINGLE = 1
+    SBAS = 2
+    PPP = 3
+    RTK_FLOAT = 4
+    RTK_FIXED = 5
+
+
+@dataclass(frozen=True)
+class GnssFix(Message):
+    """Position of the antenna and, with two antennas, heading of the baseline (east = 0, counter-clockwise; NaN without).
+
+    `constellations` names what was used, such as "BDS" or "BDS+GPS"; `correction_age_s` is NaN without corrections.
+    """
+
+    latitude_rad: float
+    longitude_rad: float
+    height_m: float
+    sigma_enu_m: Float64
+    velocity_enu_mps: Float64
+    sigma_velocity_mps: float
+    heading_rad: float
+    sigma_heading_rad: float
+    solution: GnssSolution
+    satellites: int
+    hdop: float
+    correction_age_s: float
+    constellations: str
+
+
+@dataclass(frozen=True)
+class WheelSample(Message):
+    """Signed speed of the rear axle from its wheels and the angle of the front wheels (left positive)."""
+
+    speed_mps: float
+    steering_angle_rad: float
+
+
+@dataclass(frozen=True)
+class UwbRanges(Message):
+    """Ranges from one tag to anchors by name; an anchor not heard is left out."""
+
+    tag: str
+    anchors: tuple[str, ...]
+    range_m: Float64
+    quality: Float64

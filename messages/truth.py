@@ -1,0 +1,48 @@
+"""What really is: written by simulation or from labels, read by validation alone."""
+
+from dataclasses import dataclass
+
+from messages.message import Float64, Message, Record
+from messages.perception import ObstacleClass
+
+
+@dataclass(frozen=True)
+class TrueMachine(Message):
+    """The machine as it is: `T_map_base` (4, 4), signed speed, front-wheel angle, working point and implement state.
+
+    `p_implement_map_m` (3,) is the implement's working point; `hitch` 0 lowest to 1 highest; `contacts` and `exits` count since the
+    start.
+    """
+
+    T_map_base: Float64
+    speed_mps: float
+    acceleration_mps2: float
+    yaw_rate_radps: float
+    steering_angle_rad: float
+    p_implement_map_m: Float64
+    implement_yaw_rad: float
+    hitch: float
+    is_working: bool
+    contacts: int
+    exits: int
+
+
+@dataclass(frozen=True)
+class TrueObject(Record):
+    """One object: box centre and size, yaw and velocity in `map`; `role` is its name in the scenario ("" = scenery)."""
+
+    id: int
+    label: ObstacleClass
+    role: str
+    center_map_m: Float64
+    size_m: Float64
+    yaw_rad: float
+    velocity_mps: Float64
+    gap_m: float
+
+
+@dataclass(frozen=True)
+class TrueObjects(Message):
+    """All objects that count as obstacles; `gap_m` is edge to edge to the machine with its implement."""
+
+    objects: tuple[TrueObject, ...]
