@@ -17,7 +17,7 @@ class Work(Config):
     work_speed_kmh: Kmh
     turn_speed_kmh: Kmh
     lane_speed_kmh: Kmh
-    boundary_margin_m: float = Field(ge=0.0, le=5.0, description="between the sweep of machine and implement and the edge")
+    boundary_margin_m: float = Field(ge=0.0, le=5.0, description="between the swept area and the edge")
 
 
 class Mission(Config):

@@ -75,8 +75,8 @@ class Wheels(Config):
 class Sensors(Config):
     """All sensors by kind and name; the topic of a lidar `front` is `lidar/front`."""
 
-    lidar: dict[str, Lidar] = {}
-    gnss: dict[str, Gnss] = {}
+    lidar: dict[str, Lidar] = Field(default_factory=dict)
+    gnss: dict[str, Gnss] = Field(default_factory=dict)
     imu: Imu | None = None
     wheels: Wheels | None = None
 

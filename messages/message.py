@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -16,15 +16,14 @@ UInt8 = npt.NDArray[np.uint8]
 
 
 @cache
-def _array_dtypes(cls: type) -> tuple[tuple[str, np.dtype[Any]], ...]:
-    from typing import get_args, get_origin, get_type_hints
-
+def _array_dtypes(cls: type[Any]) -> tuple[tuple[str, np.dtype[Any]], ...]:
+    """Name and type of each array field; cached, since every construction asks."""
     hints = get_type_hints(cls)
     named = [(f.name, hints[f.name]) for f in fields(cls)]
     return tuple((name, np.dtype(get_args(get_args(h)[1])[0])) for name, h in named if get_origin(h) is np.ndarray)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Record:
     """A frozen part of a message; its arrays are made read-only and belong to it from then on.
 
@@ -32,7 +31,7 @@ class Record:
     """
 
     def __post_init__(self) -> None:
-        for name, dtype in _array_dtypes(type(self)):
+        for name, dtype in _array_dtypes(type(self)):  # type: ignore[arg-type]
             array = getattr(self, name)
             if not isinstance(array, np.ndarray) or array.dtype != dtype:
                 raise TypeError(f"{type(self).__name__}.{name}: {getattr(array, 'dtype', type(array))}, not {dtype}")

@@ -65,7 +65,7 @@ class MapPose(Message):
 
 @dataclass(frozen=True)
 class LidarMotion(Message):
-    """Motion of `base` between two scans from lidar odometry, refused (`is_valid` false, with the reason) when degenerate.
+    """Motion of `base` between two scans from lidar odometry; not valid, with the reason, when degenerate.
 
     `T_from_to` (4, 4) takes coordinates of base at `stamp_ns` to those of base at `from_stamp_ns`.
     """

@@ -37,8 +37,8 @@ class Obstacles(Message):
     K obstacles: `center_base_m` (K, 3), `size_m` (K, 3) and `yaw_rad` (K,) of the boxes; `nearest_base_m` (K, 3) the
     return nearest to the machine's front; `velocity_mps` (K, 2) over ground in base axes, NaN where not measured;
     `class_scores` (K, 7) in the order of `ObstacleClass`, rows sum to 1. The returns of obstacle k are
-    `indices[offsets[k]:offsets[k + 1]]`, into the `points_m` of the scan `scan_stamp_ns`; `points_base_m` (M, 3) are the
-    same returns in `base`, in that order.
+    `indices[offsets[k]:offsets[k + 1]]`, into the `points_m` of the scan `scan_stamp_ns`; `points_base_m` (M, 3)
+    are the same returns in `base`, in that order.
     """
 
     sensor: str
@@ -91,8 +91,8 @@ class HealthState(StrEnum):
 class SensorHealth(Message):
     """How far one sensor can be trusted at this moment, by sector in `base`.
 
-    Sector k covers azimuths `edges_rad[k]` to `edges_rad[k + 1]` (left positive); within `proven_range_m[k]` an obstacle
-    would have been seen. 0 m means blind.
+    Sector k covers azimuths `edges_rad[k]` to `edges_rad[k + 1]` (left positive); within `proven_range_m[k]` an
+    obstacle would have been seen. 0 m means blind.
     """
 
     sensor: str
@@ -101,5 +101,3 @@ class SensorHealth(Message):
     edges_rad: Float64
     proven_range_m: Float64
     dropped: int
-
-

@@ -19,7 +19,7 @@ class Leg(StrEnum):
 
 @dataclass(frozen=True)
 class Stretch(Record):
-    """A part of a path: points `first` up to and including `last`; `line` is the number of round or swath (-1 if none)."""
+    """A part of a path: points `first` up to and including `last`; `line` numbers round or swath (else -1)."""
 
     leg: Leg
     line: int

@@ -58,7 +58,7 @@ class CameraImage(Message):
 
 @dataclass(frozen=True)
 class RadarScan(Message):
-    """One radar cycle: per detection range, azimuth (left positive), Doppler (away positive) and radar cross-section."""
+    """One radar cycle: per detection range, azimuth (left positive), Doppler (away positive), cross-section."""
 
     range_m: Float64
     azimuth_rad: Float64
@@ -95,7 +95,7 @@ class GnssSolution(IntEnum):
 
 @dataclass(frozen=True)
 class GnssFix(Message):
-    """Position of the antenna and, with two antennas, heading of the baseline (east = 0, counter-clockwise; NaN without).
+    """Position of the antenna and, with two antennas, heading of the baseline (NaN without).
 
     `constellations` names what was used, such as "BDS" or "BDS+GPS"; `correction_age_s` is NaN without corrections.
     """

@@ -10,8 +10,8 @@ from messages.perception import ObstacleClass
 class TrueMachine(Message):
     """The machine as it is: `T_map_base` (4, 4), signed speed, front-wheel angle, working point and implement state.
 
-    `p_implement_map_m` (3,) is the implement's working point; `hitch` 0 lowest to 1 highest; `contacts` and `exits` count since the
-    start.
+    `p_implement_map_m` (3,) is the implement's working point; `hitch` 0 lowest to 1 highest; `contacts` and `exits`
+    count since the start.
     """
 
     T_map_base: Float64

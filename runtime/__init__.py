@@ -1,0 +1,1 @@
+"""Executor, bus, assembly and command line: what runs the nodes; imported by nobody."""

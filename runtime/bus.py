@@ -1,0 +1,112 @@
+"""Topics, sequence numbers and what each node finds in its inbox."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Protocol, TypeVar
+
+from messages.errors import WiringError
+from messages.message import Envelope, Message
+from messages.node import All, At, Node, Output
+from messages.topics import kind_of
+
+M = TypeVar("M", bound=Message)
+Sink = Callable[[Envelope], None]
+
+
+class _Interpolable(Protocol):
+    stamp_ns: int
+
+    def interpolate(self, other: "_Interpolable", stamp_ns: int) -> Message: ...
+
+
+class NodeInbox:
+    """One node's view of the topics it declared; reading another topic raises WiringError."""
+
+    def __init__(self, node: Node) -> None:
+        self.now_ns = 0
+        self._node = node.name
+        self._last: dict[str, Message | None] = dict.fromkeys(node.reads)
+        self._queues = {topic: deque[Message](maxlen=r.most) for topic, r in node.reads.items() if isinstance(r, All)}
+        self._histories = {topic: deque[Message]() for topic, r in node.reads.items() if isinstance(r, At)}
+        self._keep_ns = {topic: round(r.keep_s * 1e9) for topic, r in node.reads.items() if isinstance(r, At)}
+        ages = {topic: kind_of(topic).max_age_s for topic in node.reads}
+        self._max_age_ns = {topic: math.inf if math.isinf(age) else round(age * 1e9) for topic, age in ages.items()}
+
+    def put(self, envelope: Envelope) -> None:
+        """Take in what was delivered."""
+        topic, message = envelope.topic, envelope.message
+        self._last[topic] = message
+        if topic in self._queues:
+            self._queues[topic].append(message)
+        if topic in self._histories:
+            history = self._histories[topic]
+            if history and message.stamp_ns <= history[-1].stamp_ns:
+                history.clear()  # a clock that went back: what came before cannot be put in order with it
+            history.append(message)
+            while history[-1].stamp_ns - history[0].stamp_ns > self._keep_ns[topic]:
+                history.popleft()
+
+    def clear(self) -> None:
+        """Forget what `all` has shown."""
+        for queue in self._queues.values():
+            queue.clear()
+
+    def last(self, topic: str, kind: type[M]) -> M | None:
+        """The newest message however old."""
+        if topic not in self._last:
+            raise WiringError(f"node {self._node!r} reads {topic!r}, which it does not declare")
+        message = self._last[topic]
+        if message is not None and not isinstance(message, kind):
+            raise WiringError(f"node {self._node!r}: {topic!r} carries {type(message).__name__}, not {kind.__name__}")
+        return message
+
+    def latest(self, topic: str, kind: type[M]) -> M | None:
+        """The newest message, or None when there is none or it is older than its topic allows."""
+        message = self.last(topic, kind)
+        if message is None or abs(self.now_ns - message.stamp_ns) > self._max_age_ns[topic]:
+            return None
+        return message
+
+    def all(self, topic: str, kind: type[M]) -> tuple[M, ...]:
+        """Messages since the last step, oldest first."""
+        return tuple(m for m in self._queues[topic] if isinstance(m, kind))
+
+    def at(self, topic: str, kind: type[M], stamp_ns: int) -> M | None:
+        """The message interpolated to a time, or None when that time is not covered."""
+        after: _Interpolable | None = None
+        for message in reversed(self._histories[topic]):
+            if message.stamp_ns == stamp_ns:
+                return message if isinstance(message, kind) else None
+            if message.stamp_ns < stamp_ns:
+                found = message.interpolate(after, stamp_ns) if after is not None else None  # type: ignore[attr-defined]
+                return found if isinstance(found, kind) else None
+            after = message  # type: ignore[assignment]
+        return None
+
+
+class Bus:
+    """Delivers messages to inboxes and sinks in one order, numbering each topic from 0."""
+
+    def __init__(self, nodes: Iterable[Node], sinks: Iterable[Sink]) -> None:
+        self.inboxes = {node.name: NodeInbox(node) for node in nodes}
+        self._sinks = tuple(sinks)
+        self._sequence: dict[str, int] = {}
+        self._readers: dict[str, list[NodeInbox]] = {}
+        for node in nodes:
+            for topic in node.reads:
+                self._readers.setdefault(topic, []).append(self.inboxes[node.name])
+
+    def deliver(self, now_ns: int, outputs: Iterable[Output]) -> list[str]:
+        """Hand out messages; returns their topics."""
+        topics = []
+        for topic, message in outputs:
+            sequence = self._sequence.get(topic, 0)
+            self._sequence[topic] = sequence + 1
+            envelope = Envelope(topic, sequence, now_ns, message)
+            for inbox in self._readers.get(topic, ()):
+                inbox.put(envelope)
+            for sink in self._sinks:
+                sink(envelope)
+            topics.append(topic)
+        return topics

@@ -1,0 +1,153 @@
+"""One loop for all worlds: deliver what is due, then step whoever is due; a node is busy for its latency."""
+
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+
+from messages.errors import WiringError
+from messages.faults import Fault, Response, Severity
+from messages.node import Every, Node, On, Output, World
+from messages.topics import kind_of
+from runtime.bus import Bus, Sink
+
+FAULT_TOPIC = "fault/executor"
+
+
+@dataclass
+class _Seat:
+    """A node with its latency and what it waits for."""
+
+    node: Node
+    latency_ns: int
+    free_ns: int = 0
+    next_tick_ns: int = 0
+    triggered_ns: int | None = None
+    is_dead: bool = False
+    topics: frozenset[str] = field(default_factory=frozenset)
+
+    def due_ns(self) -> int | None:
+        """When the node steps next, as far as known now."""
+        if self.is_dead:
+            return None
+        if isinstance(self.node.runs, Every):
+            return max(self.next_tick_ns, self.free_ns)
+        return None if self.triggered_ns is None else max(self.triggered_ns, self.free_ns)
+
+    def take(self, now_ns: int) -> None:
+        """Note that the node steps now."""
+        self.free_ns = now_ns + self.latency_ns
+        self.triggered_ns = None
+        if isinstance(self.node.runs, Every):
+            period = self.node.runs.period_ns
+            self.next_tick_ns += ((now_ns - self.next_tick_ns) // period + 1) * period
+
+
+class Executor:
+    """Runs nodes in one world; `sinks` see every message in the order of delivery."""
+
+    def __init__(self, world: World, nodes: Sequence[tuple[Node, int]], sinks: Iterable[Sink]) -> None:
+        self.world = world
+        start_ns = world.next_ns() or 0
+        self.now_ns = start_ns
+        self._seats = [_Seat(node, latency_ns, next_tick_ns=start_ns) for node, latency_ns in nodes]
+        for seat in self._seats:
+            seat.topics = frozenset(seat.node.runs.topics) if isinstance(seat.node.runs, On) else frozenset()
+        self._bus = Bus([node for node, _ in nodes], sinks)
+        self._deliveries: list[tuple[int, int, list[Output]]] = []
+        self._scheduled = 0
+
+    def run(self, is_done: Callable[[], bool]) -> None:
+        """Go on until `is_done` or the world ends."""
+        while not is_done() and (now_ns := self._next_ns()) is not None:
+            self._advance(now_ns)
+
+    def _next_ns(self) -> int | None:
+        world_ns = self.world.next_ns()
+        if world_ns is None:
+            return None
+        times = [world_ns] + [due for seat in self._seats if (due := seat.due_ns()) is not None]
+        return min([*times, self._deliveries[0][0]]) if self._deliveries else min(times)
+
+    def _advance(self, now_ns: int) -> None:
+        self.now_ns = now_ns
+        if self.world.next_ns() == now_ns:
+            self._deliver(list(self.world.step(now_ns)))
+        while self._deliveries and self._deliveries[0][0] <= now_ns:
+            self._deliver(heappop(self._deliveries)[2])
+        for seat in self._seats:
+            due_ns = seat.due_ns()
+            if due_ns is not None and due_ns <= now_ns:
+                self._step(seat)
+
+    def _deliver(self, outputs: list[Output]) -> None:
+        topics = self._bus.deliver(self.now_ns, outputs)
+        for seat in self._seats:
+            if seat.triggered_ns is None and not seat.topics.isdisjoint(topics):
+                seat.triggered_ns = self.now_ns
+
+    def _step(self, seat: _Seat) -> None:
+        inbox = self._bus.inboxes[seat.node.name]
+        inbox.now_ns = self.now_ns
+        seat.take(self.now_ns)
+        try:
+            outputs = list(seat.node.step(self.now_ns, inbox))
+            self._check(seat.node, outputs)
+        except Exception:  # any failure of a node ends in a stop, not in a crash
+            seat.is_dead = True
+            outputs = [(FAULT_TOPIC, node_fault(self.now_ns, seat.node.name, traceback.format_exc()))]
+        inbox.clear()
+        if outputs:
+            self._scheduled += 1
+            heappush(self._deliveries, (self.now_ns + seat.latency_ns, self._scheduled, outputs))
+
+    @staticmethod
+    def _check(node: Node, outputs: list[Output]) -> None:
+        for topic, _ in outputs:
+            if topic not in node.writes:
+                raise WiringError(f"node {node.name!r} writes {topic!r}, which it does not declare")
+
+
+def node_fault(now_ns: int, name: str, text: str) -> Fault:
+    """The fault that a node's exception becomes."""
+    return Fault(
+        stamp_ns=now_ns,
+        code="node.exception",
+        source=name,
+        severity=Severity.ALARM,
+        is_latched=True,
+        response=Response.CONTROLLED_STOP,
+        is_active=True,
+        text_en=f"Program part {name} failed: {text}",
+        text_de=f"Programmteil {name} ausgefallen: {text}",
+    )
+
+
+def check_wiring(world: World, nodes: Sequence[tuple[Node, int]], cores: int) -> None:
+    """Refuse what cannot work: two writers, a read without a writer, no latency, more load than cores.
+
+    Raises WiringError that names topic and nodes.
+    """
+    writers: dict[str, str] = dict.fromkeys(world.writes, "world") | {FAULT_TOPIC: "executor"}
+    for node, latency_ns in nodes:
+        if latency_ns <= 0:
+            raise WiringError(f"node {node.name!r}: latency {latency_ns} ns must be above zero")
+        for topic in node.writes:
+            kind_of(topic)
+            if topic in writers:
+                raise WiringError(f"topic {topic!r} has two writers: {writers[topic]} and {node.name}")
+            writers[topic] = node.name
+    for node, _ in nodes:
+        triggers = node.runs.topics if isinstance(node.runs, On) else ()
+        if missing := [topic for topic in (*node.reads, *triggers) if topic not in writers]:
+            raise WiringError(f"node {node.name!r} reads {', '.join(missing)}, which nobody writes")
+    load = sum(_rate_hz(node) * latency_ns * 1e-9 for node, latency_ns in nodes)
+    if load > cores:
+        raise WiringError(f"the nodes need {load:.2f} cores by rate × latency, but {cores} are given")
+
+
+def _rate_hz(node: Node) -> float:
+    if isinstance(node.runs, Every):
+        return 1e9 / node.runs.period_ns
+    periods = [kind_of(topic).period_s for topic in node.runs.topics]
+    return sum(1.0 / period for period in periods if period > 0.0)
