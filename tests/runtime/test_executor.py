@@ -1,0 +1,160 @@
+"""The executor: order, latency, busy nodes, staleness, faults and wiring."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from messages.errors import WiringError
+from messages.faults import Fault
+from messages.message import Envelope
+from messages.motion import Odometry
+from messages.node import All, At, Every, Inbox, Latest, Node, On, Output, Read, Trigger, World
+from messages.sensors import ImuSample, WheelSample
+from runtime.executor import FAULT_TOPIC, Executor, check_wiring
+
+MS = 1_000_000
+
+
+class Wheels(World):
+    """Gives a wheel sample at each of the given times (ms)."""
+
+    writes = ("wheel",)
+
+    def __init__(self, times_ms: Sequence[int]) -> None:
+        self.times = list(times_ms)
+
+    def next_ns(self) -> int | None:
+        return self.times[0] * MS if self.times else None
+
+    def step(self, now_ns: int) -> Iterable[Output]:
+        self.times.pop(0)
+        return [("wheel", WheelSample(now_ns, now_ns / MS, 0.0))]
+
+
+@dataclass
+class Recorder(Node):
+    """Notes when it stepped and what it saw, and answers with an IMU sample."""
+
+    name: str
+    reads: dict[str, Read]
+    writes: tuple[str, ...]
+    runs: Trigger
+    fails_at_ns: int = -1
+
+    def __post_init__(self) -> None:
+        self.seen: list[tuple[int, tuple[float, ...]]] = []
+
+    def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
+        if now_ns == self.fails_at_ns:
+            raise RuntimeError("planted")
+        if isinstance(self.reads["wheel"], All):
+            speeds = tuple(m.speed_mps for m in inbox.all("wheel", WheelSample))
+        else:
+            message = inbox.latest("wheel", WheelSample)
+            speeds = () if message is None else (message.speed_mps,)
+        self.seen.append((now_ns // MS, speeds))
+        return [(topic, ImuSample(now_ns, np.zeros(3), np.zeros(3))) for topic in self.writes]
+
+
+def drive(times_ms: Sequence[int], nodes: list[tuple[Node, int]]) -> list[Envelope]:
+    log: list[Envelope] = []
+    Executor(Wheels(times_ms), nodes, [log.append]).run(lambda: False)
+    return log
+
+
+def test_output_appears_after_the_latency() -> None:
+    node = Recorder("a", {"wheel": Latest()}, ("imu",), On(("wheel",)))
+    log = drive([0, 10, 20], [(node, 3 * MS)])
+    assert [(e.topic, e.receive_ns // MS) for e in log] == [
+        ("wheel", 0), ("imu", 3), ("wheel", 10), ("imu", 13), ("wheel", 20), ("imu", 23),
+    ][: len(log)]  # fmt: skip
+    assert len(log) >= 5
+
+
+def test_busy_node_takes_only_the_newest() -> None:
+    node = Recorder("a", {"wheel": Latest()}, (), On(("wheel",)))
+    drive([0, 10, 20, 30, 60], [(node, 25 * MS)])
+    assert node.seen == [(0, (0.0,)), (25, (20.0,)), (50, (30.0,)), (75, (60.0,))][:3]
+
+
+def test_all_gives_each_message_once_and_no_more_than_asked() -> None:
+    node = Recorder("a", {"wheel": All(2)}, (), Every(30 * MS))
+    drive(range(0, 70, 10), [(node, MS)])
+    assert node.seen == [(0, (0.0,)), (30, (20.0, 30.0)), (60, (50.0, 60.0))]
+
+
+def test_delivery_precedes_steps_of_the_same_instant() -> None:
+    first = Recorder("first", {"wheel": Latest()}, (), Every(10 * MS))
+    drive([0, 10], [(first, MS)])
+    assert first.seen == [(0, (0.0,)), (10, (10.0,))]
+
+
+@pytest.mark.parametrize(("age_ms", "is_seen"), [(99, True), (100, True), (101, False), (200, False)])
+def test_staleness_follows_the_table(age_ms: int, is_seen: bool) -> None:
+    node = Recorder("a", {"wheel": Latest()}, (), Every(age_ms * MS))
+    drive([0, age_ms + 1], [(node, MS)])
+    assert bool(node.seen[1][1]) is is_seen
+
+
+def test_exception_becomes_a_fault_and_the_others_go_on() -> None:
+    bad = Recorder("bad", {"wheel": Latest()}, (), On(("wheel",)), fails_at_ns=10 * MS)
+    good = Recorder("good", {"wheel": Latest()}, (), On(("wheel",)))
+    log = drive([0, 10, 20, 30], [(bad, MS), (good, MS)])
+    faults = [e for e in log if e.topic == FAULT_TOPIC]
+    assert len(faults) == 1
+    assert isinstance(faults[0].message, Fault)
+    assert "planted" in faults[0].message.text_en
+    assert (len(bad.seen), len(good.seen)) == (1, 4)
+
+
+def test_sequence_numbers_count_from_zero_on_each_topic() -> None:
+    node = Recorder("a", {"wheel": Latest()}, ("imu",), On(("wheel",)))
+    log = drive([0, 10, 20], [(node, MS)])
+    assert [e.sequence for e in log if e.topic == "wheel"] == [0, 1, 2]
+
+
+def test_at_interpolates_and_refuses_what_it_does_not_cover() -> None:
+    def odometry(ms: int) -> Odometry:
+        T = np.eye(4)
+        T[0, 3] = ms
+        return Odometry(ms * MS, T, 1.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
+
+    class Drive(Wheels):
+        writes = ("wheel", "odom")
+
+        def step(self, now_ns: int) -> Iterable[Output]:
+            return [*super().step(now_ns), ("odom", odometry(now_ns // MS))]
+
+    places: list[tuple[float | None, ...]] = []
+
+    class Reader(Node):
+        name, reads, writes, runs = "r", {"odom": At(0.05)}, (), On(("wheel",))
+
+        def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
+            found = [inbox.at("odom", Odometry, now_ns + d * MS) for d in (-5, 0, 1, -60)]
+            places.append(tuple(None if m is None else round(float(m.T_odom_base[0, 3]), 6) for m in found))
+            return []
+
+    Executor(Drive([0, 10, 20, 80, 90]), [(Reader(), MS)], []).run(lambda: False)
+    assert places[2] == (15.0, 20.0, None, None)
+    assert places[4] == (85.0, 90.0, None, None)
+
+
+def test_wiring_refuses_what_cannot_work() -> None:
+    world = Wheels([0])
+    reader = Recorder("r", {"wheel": Latest()}, ("imu",), Every(10 * MS))
+    check_wiring(world, [(reader, 9 * MS)], cores=1)
+    twice = Recorder("w", {"wheel": Latest()}, ("wheel",), Every(10 * MS))
+    with pytest.raises(WiringError, match=r"'wheel' has two writers: world and w"):
+        check_wiring(world, [(twice, MS)], cores=1)
+    alone = Recorder("r", {"gnss/main": Latest()}, (), Every(10 * MS))
+    with pytest.raises(WiringError, match="gnss/main"):
+        check_wiring(world, [(alone, MS)], cores=1)
+    with pytest.raises(WiringError, match="latency 0 ns"):
+        check_wiring(world, [(reader, 0)], cores=1)
+    with pytest.raises(WiringError, match=r"1\.10 cores"):
+        check_wiring(world, [(reader, 11 * MS)], cores=1)
+    with pytest.raises(WiringError, match="its kind is not"):
+        check_wiring(world, [(Recorder("r", {"wheel": Latest()}, ("nonsense",), Every(MS)), 1)], cores=1)
