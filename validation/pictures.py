@@ -59,9 +59,8 @@ def _track(ax: Axes, record: DriveRecord, planned: Planned, summary: Summary) ->
     for number, stop in enumerate(summary.stops, 1):
         k = min(int(np.searchsorted(stamps, record.first_ns + round(stop.t_s * 1e9))), len(poses) - 1)
         ax.plot(poses[k, 0], poses[k, 1], "o", color=STOP, ms=7)
-        ax.annotate(
-            f"{number} {stop.role or stop.cause}", poses[k, :2], xytext=(6, 6), textcoords="offset points", color=STOP
-        )
+        label, at = f"{number} {stop.role or stop.cause}", (float(poses[k, 0]), float(poses[k, 1]))
+        ax.annotate(label, at, xytext=(6, 6), textcoords="offset points", color=STOP)
     ax.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
     ax.legend(loc="upper right")
 

@@ -70,7 +70,9 @@ class Summary:
         contact = float(self.contacts) if self.stops else None
         missing = 1.0 - self.coverage.share
         return (
-            judge("BD-5.2.3", swath and swath["sigma"], 0.025, "m", n, "sigma of the true error on the swaths"),
+            judge(
+                "BD-5.2.3", swath["sigma"] if swath else None, 0.025, "m", n, "sigma of the true error on the swaths"
+            ),
             judge("BD-5.2.4", contact, 0.0, "contacts", len(obstacle), "contacts over all encounters"),
             judge("demo-exits", float(self.exits), 0.0, "exits", 1, "machine or implement outside the site"),
             judge("demo-false-stops", float(len(self.unexpected)), 0.0, "stops", 1, "not announced by the scenario"),

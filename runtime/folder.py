@@ -1,0 +1,77 @@
+"""The run folder: command, resolved configuration, console, log, results, report."""
+
+import json
+import shlex
+import subprocess
+import sys
+from datetime import UTC, datetime
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from configs.strict import Config
+from messages.errors import HeadlandError
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+class RunFolder:
+    """`runs/<stamp>-<verb>/`; its `result.jsonl` counts as whole only with the end marker that `finish` writes.
+
+    Raises HeadlandError, and leaves nothing behind, when the folder cannot be made.
+    """
+
+    def __init__(self, verb: str, out: Path | None) -> None:
+        runs = Path("runs")
+        self.path = (out or _unused(runs, f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{verb}")).absolute()
+        if self.path.exists() and any(self.path.iterdir()):
+            raise HeadlandError(f"--out {self.path}: not empty; name another folder or remove it")
+        self._events = 0
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            (self.path / "command").write_text(shlex.join(sys.argv) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise HeadlandError(f"{self.path}: cannot write the run folder ({error})") from error
+        if out is None:
+            _point(runs / "latest", self.path)
+
+    def record(self, kind: str, values: dict[str, Any]) -> None:
+        """Append one record to `result.jsonl`."""
+        self._events += 1
+        with (self.path / "result.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"record": kind} | values) + "\n")
+
+    def finish(self) -> None:
+        """Write the end marker."""
+        self.record("end", {"records": self._events})
+
+
+def _unused(runs: Path, name: str) -> Path:
+    """A folder of that name, numbered when two runs begin within one second."""
+    candidates = (runs / (name if k == 0 else f"{name}-{k}") for k in range(1000))
+    return next(path for path in candidates if not path.exists())
+
+
+def _point(link: Path, target: Path) -> None:
+    fresh = link.with_name(f".{link.name}.{target.name}")
+    fresh.symlink_to(target.name)
+    fresh.replace(link)
+
+
+def versions() -> dict[str, str]:
+    """Commit (with `+changes` when the tree differs from it) and hash of the lock."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False)
+        return done.stdout.strip() if done.returncode == 0 else ""
+
+    commit = git("rev-parse", "HEAD") or "unknown"
+    changed = "+changes" if git("status", "--porcelain", "--untracked-files=no") else ""
+    return {"commit": commit + changed, "lock": sha256((ROOT / "requirements.txt").read_bytes()).hexdigest()}
+
+
+def resolved(**sections: Config) -> str:
+    """All configuration of a run as one YAML text."""
+    return yaml.safe_dump({k: v.model_dump(mode="json") for k, v in sections.items()}, sort_keys=False)
