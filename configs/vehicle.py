@@ -14,6 +14,8 @@ Offset = Annotated[float, Field(ge=-50.0, le=50.0)]
 Seconds = Annotated[float, Field(ge=0.0, le=30.0)]
 Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
 Kmh = Annotated[float, Field(gt=0.0, le=80.0)]
+Pixels = Annotated[int, Field(ge=16, le=16384)]
+Focal = Annotated[float, Field(gt=1.0, le=100000.0)]
 
 
 class Mount(Config):
@@ -38,6 +40,48 @@ class Lidar(Config):
     rate_hz: float = Field(gt=0.0, le=100.0)
     range_m: tuple[float, float] = Field(description="nearest and farthest")
     range_sigma_m: float = Field(ge=0.0, le=1.0)
+
+
+class Camera(Config):
+    """A camera: pinhole with Brown's distortion (k1, k2, p1, p2, k3; OpenCV's order), none in rectified pictures.
+
+    The mount is that of the body frame (x forward, y left, z up); the optical axis is its x.
+    """
+
+    mount: Mount
+    size_px: tuple[Pixels, Pixels] = Field(description="width and height")
+    focal_px: tuple[Focal, Focal]
+    center_px: tuple[float, float] = Field(description="principal point, from the centre of the first pixel")
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    rate_hz: float = Field(gt=0.0, le=120.0)
+
+    @model_validator(mode="after")
+    def _centre_lies_in_the_picture(self) -> "Camera":
+        if not (0.0 <= self.center_px[0] <= self.size_px[0] and 0.0 <= self.center_px[1] <= self.size_px[1]):
+            raise ValueError(f"center_px {self.center_px} lies outside size_px {self.size_px}")
+        return self
+
+
+class Radar(Config):
+    """A radar that gives detections: range, azimuth, Doppler, cross-section (BD-5.4.4)."""
+
+    mount: Mount
+    field_of_view_deg: float = Field(gt=0.0, le=180.0, description="full width in azimuth")
+    rate_hz: float = Field(gt=0.0, le=100.0)
+    range_m: tuple[float, float] = Field(description="nearest and farthest")
+    range_sigma_m: float = Field(gt=0.0, le=5.0)
+    azimuth_sigma_deg: float = Field(gt=0.0, le=10.0)
+    doppler_sigma_mps: float = Field(gt=0.0, le=5.0)
+
+
+class Ultrasonic(Config):
+    """An ultrasonic sensor: a cone along x of its mount, deaf below the first of `range_m` (BD-5.4.5)."""
+
+    mount: Mount
+    cone_deg: float = Field(gt=0.0, le=120.0, description="full opening")
+    rate_hz: float = Field(gt=0.0, le=100.0)
+    range_m: tuple[float, float] = Field(description="end of the dead zone and farthest")
+    range_sigma_m: float = Field(gt=0.0, le=1.0)
 
 
 class Gnss(Config):
@@ -76,6 +120,9 @@ class Sensors(Config):
     """All sensors by kind and name; the topic of a lidar `front` is `lidar/front`."""
 
     lidar: dict[str, Lidar] = Field(default_factory=dict)
+    camera: dict[str, Camera] = Field(default_factory=dict)
+    radar: dict[str, Radar] = Field(default_factory=dict)
+    ultrasonic: dict[str, Ultrasonic] = Field(default_factory=dict)
     gnss: dict[str, Gnss] = Field(default_factory=dict)
     imu: Imu | None = None
     wheels: Wheels | None = None
