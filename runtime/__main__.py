@@ -1,0 +1,72 @@
+"""The command line; what a verb needs is imported only when it is called."""
+
+import argparse
+import importlib
+import sys
+from pathlib import Path
+
+from messages.errors import HeadlandError
+
+EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
+
+
+def parser() -> argparse.ArgumentParser:
+    """All verbs with their options."""
+    top = argparse.ArgumentParser(prog="headland", description="Drives a farm machine with nobody on it.")
+    verbs = top.add_subparsers(dest="verb", required=True, metavar="VERB")
+
+    run = verbs.add_parser("run", help="drive a mission in simulation, from the yard and back")
+    _add_mission(run)
+    run.add_argument("--scenario", default=None, help="who else is about (default: demo, or empty with --field)")
+    run.add_argument("--seed", type=int, default=1, help="draws places, times and noise (default 1)")
+    run.add_argument("--out", type=Path, help="run folder (default runs/<stamp>-run)")
+    run.add_argument("--json", action="store_true", help="one object on standard output, progress on standard error")
+    run.add_argument("--without-obstacle-rules", action="store_true", help="ablation: show what the rules are for")
+    run.set_defaults(module="runtime.run")
+
+    plan = verbs.add_parser("plan", help="draw the plan for a field: picture, GeoJSON, length, area")
+    plan.add_argument("field", metavar="FIELD.geojson", help="field outline in WGS 84, holes are not entered")
+    _add_mission(plan, with_field=False)
+    plan.add_argument("--seed", type=int, default=1, help="of the sampling planner (default 1)")
+    plan.add_argument("--out", type=Path, help="run folder (default runs/<stamp>-plan)")
+    plan.add_argument("--json", action="store_true", help="one object on standard output")
+    plan.set_defaults(module="runtime.draw")
+
+    check = verbs.add_parser("check-log", help="say what is in a log, whole or cut off")
+    check.add_argument("log", type=Path, metavar="LOG")
+    check.add_argument("--json", action="store_true", help="one object on standard output")
+    check.set_defaults(module="runtime.check_log")
+
+    campaign = verbs.add_parser("campaign", help="drive many seeds and draw one table")
+    campaign.add_argument("what", choices=["demo", "ablation"], help="demo; or demo without the obstacle rules")
+    campaign.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds 1 to N (default 10)")
+    campaign.add_argument("--jobs", type=int, default=2, metavar="N", help="runs at a time (default 2)")
+    campaign.add_argument("--out", type=Path, help="folder; given again, what is whole in it is not driven again")
+    campaign.add_argument("--json", action="store_true", help="one object on standard output")
+    campaign.set_defaults(module="runtime.campaign")
+    return top
+
+
+def _add_mission(verb: argparse.ArgumentParser, with_field: bool = True) -> None:
+    if with_field:
+        verb.add_argument("--field", metavar="FILE.geojson", help="work this field instead of the mission's site")
+    verb.add_argument("--mission", default="demo", help="a file, or a name in configs/missions (default demo)")
+    verb.add_argument("--machine", help="a file, or a name in configs/machines (default: the mission's)")
+    verb.add_argument("--implement", help="a file, or a name in configs/implements (default: the mission's)")
+
+
+def main() -> int:
+    """Run the verb; errors of the user's making are one line on standard error and exit code 2."""
+    arguments = parser().parse_args()
+    try:
+        return int(importlib.import_module(arguments.module).main(arguments))
+    except HeadlandError as error:
+        sys.stderr.write(f"headland: {error}\n")
+        return EXIT_ERROR
+    except KeyboardInterrupt:
+        sys.stderr.write("headland: interrupted\n")
+        return EXIT_INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())
