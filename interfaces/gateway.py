@@ -1,0 +1,212 @@
+"""The gateway: the only way from the stack to the machine's bus, and it passes safe commands alone.
+
+It fails silent: before the supervisor has spoken, and while a person drives, it sends "leave as is"; 100 ms without a
+fresh safe command of a supervisor that had the machine are a stop at full brake.
+"""
+
+import math
+from collections.abc import Iterable
+
+import can
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Vehicle
+from interfaces.alarms import Alarm, Alarms
+from interfaces.engagement import Engagement, Phase, Steering
+from interfaces.incoming import Incoming
+from interfaces.isobus.address import AddressClaim
+from interfaces.isobus.frame import Frame
+from interfaces.isobus.heartbeat import GAP_NS
+from interfaces.isobus.name import AGRICULTURE, Name
+from interfaces.outgoing import Orders, Outgoing, Present, order
+from messages.command import CanFrame, CanFrames, SafeCommand
+from messages.faults import Response, Severity
+from messages.node import Every, Inbox, Latest, Node, Output
+
+STATE_PERIOD_NS = 20_000_000
+LOG_PERIOD_NS = 100_000_000
+MOST_FRAMES = 400  # in one step; a flooded bus must not hold the gateway up
+FASTEST_MPS = 30.0
+TIGHTEST_RADPM = 1.0
+HARDEST_MPS2 = 12.0
+_FUNCTION_NOT_AVAILABLE = 255
+
+_STOP, _ALARM = Response.CONTROLLED_STOP, Severity.ALARM
+SILENCE = Alarm("gateway.silence", _ALARM, _STOP, "No safe command reaches the machine: stopped",
+                "Kein sicherer Befehl erreicht die Maschine: angehalten")  # fmt: skip
+BAD_COMMAND = Alarm("gateway.bad_command", _ALARM, _STOP, "A safe command holds a value that cannot be sent",
+                    "Ein sicherer Befehl enthält einen Wert, der nicht gesendet werden kann")  # fmt: skip
+REFUSED = Alarm("gateway.steering_refused", _ALARM, _STOP, "The steering does not accept commands",
+                "Die Lenkung nimmt keine Befehle an")  # fmt: skip
+LOST = Alarm("gateway.steering_lost", _ALARM, _STOP, "The steering has given up automatic steering",
+             "Die Lenkung hat das automatische Lenken beendet")  # fmt: skip
+TRACTOR = Alarm("gateway.tractor_silent", _ALARM, _STOP, "The tractor's heartbeat is missing or wrong",
+                "Der Herzschlag des Traktors fehlt oder ist falsch")  # fmt: skip
+ADDRESS = Alarm("gateway.address", _ALARM, _STOP, "No address could be had on the machine's bus",
+                "Keine Adresse auf dem Maschinenbus erhalten")  # fmt: skip
+BUS = Alarm("gateway.bus", _ALARM, _STOP, "The machine's bus fails", "Der Maschinenbus ist gestört")
+
+
+class GatewayConfig(Config):
+    """Addresses, times and what is asked of the brakes when nobody is there to ask for less."""
+
+    period_s: float = Field(ge=0.005, le=0.02)
+    fastest_s: float = Field(ge=0.01, le=0.1, description="between two frames of one kind whose content changes")
+    address: int = Field(ge=0, le=247)
+    tractor_address: int = Field(ge=0, le=247)
+    name_identity: int = Field(ge=0, lt=1 << 21)
+    name_manufacturer: int = Field(ge=0, lt=1 << 11)
+    full_brake_mps2: float = Field(ge=2.5, le=HARDEST_MPS2)
+    pto_rpm: float = Field(ge=100.0, le=1500.0)
+    steering_wait_s: float = Field(ge=0.3, le=10.0, description="for the steering to accept the present value")
+    lost_grace_s: float = Field(ge=0.1, le=1.0, description="for the supervisor to react to a steering that gave up")
+
+
+class Gateway(Node):
+    """Speaks ISO 11783 with one tractor over `bus`, which the assembly opens and closes."""
+
+    def __init__(self, bus: can.BusABC, vehicle: Vehicle, config: GatewayConfig) -> None:
+        self.name = "gateway"
+        self.reads = {"safe_command": Latest()}
+        self.writes = ("machine", "can/rx", "can/tx", "fault/gateway")
+        self.runs = Every(round(config.period_s * 1e9))
+        self._bus, self._config = bus, config
+        self._claim = AddressClaim(_own_name(config), config.address)
+        self._incoming = Incoming(config.tractor_address)
+        self._engagement = Engagement()
+        self._outgoing = Outgoing(vehicle, config.tractor_address, round(config.fastest_s * 1e9))
+        self._alarms = Alarms(self.name)
+        self._started_ns: int | None = None
+        self._state_ns = self._log_ns = 0
+        self._received: list[CanFrame] = []
+        self._sent: list[CanFrame] = []
+        self._is_bus_failed = False
+
+    def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
+        """Take in what has come, decide, send what is due."""
+        self._is_bus_failed = False
+        if self._started_ns is None:
+            self._started_ns = now_ns
+            self._send(now_ns, self._claim.start(now_ns))
+        self._receive(now_ns)
+        self._answer_network(now_ns)
+        heard = inbox.latest("safe_command", SafeCommand)
+        command = heard if heard is not None and _is_sendable(heard, now_ns) else None
+        self._command(now_ns, command)
+        is_bad = heard is not None and command is None
+        return self._outputs(now_ns, self._alarm_states(now_ns, is_bad))
+
+    def _receive(self, now_ns: int) -> None:
+        own = self._config.address if (address := self._claim.address(now_ns)) is None else address
+        try:
+            for _ in range(MOST_FRAMES):
+                message = self._bus.recv(0)
+                if message is None:
+                    break
+                self._take(now_ns, own, message)
+        except can.CanError:
+            self._is_bus_failed = True
+
+    def _take(self, now_ns: int, own_address: int, message: can.Message) -> None:
+        if message.is_error_frame or message.is_remote_frame or not message.is_extended_id:
+            self._incoming.rejected += message.is_error_frame
+            return
+        data = bytes(message.data)
+        self._received.append(CanFrame(now_ns, message.arbitration_id, data))
+        self._incoming.take(now_ns, own_address, message.arbitration_id, data)
+
+    def _answer_network(self, now_ns: int) -> None:
+        incoming = self._incoming
+        answers = [self._claim.hear(now_ns, source, name) for source, name in incoming.claims]
+        if incoming.is_claim_requested:
+            answers.append(self._claim.answer_request())
+        incoming.claims, incoming.is_claim_requested = [], False
+        for frame in answers:
+            if frame is not None:
+                self._send(now_ns, frame)
+
+    def _command(self, now_ns: int, command: SafeCommand | None) -> None:
+        incoming = self._incoming
+        before = self._engagement.phase
+        phase = self._engagement.step(now_ns, command, Steering(incoming.steering, incoming.steering_ns))
+        address = self._claim.address(now_ns)
+        if address is None:
+            return
+        if phase is Phase.LOST and now_ns - self._engagement.since_ns > self._config.lost_grace_s * 1e9:
+            command = None
+        orders = order(phase, command, self._present(), self._config.full_brake_mps2, self._config.pto_rpm)
+        self._send_all(now_ns, address, orders, is_urgent=phase is not before)
+
+    def _send_all(self, now_ns: int, address: int, orders: Orders, is_urgent: bool) -> None:
+        for frame in self._outgoing.step(now_ns, address, orders, is_urgent):
+            self._send(now_ns, frame)
+
+    def _present(self) -> Present:
+        incoming = self._incoming
+        return Present(
+            incoming.steering.curvature_radpm if incoming.steering_ns else math.nan,
+            incoming.speed_mps,
+            incoming.hitch.position if incoming.hitch_ns else math.nan,
+        )
+
+    def _send(self, now_ns: int, frame: Frame) -> None:
+        message = can.Message(arbitration_id=frame.identifier, data=frame.data, is_extended_id=True)
+        try:
+            self._bus.send(message)
+        except can.CanError:
+            self._is_bus_failed = True
+            return
+        self._sent.append(CanFrame(now_ns, frame.identifier, frame.data))
+
+    def _alarm_states(self, now_ns: int, is_bad_command: bool) -> list[tuple[Alarm, bool]]:
+        phase, in_phase_ns = self._engagement.phase, now_ns - self._engagement.since_ns
+        started_ns = now_ns if self._started_ns is None else self._started_ns
+        is_started = now_ns - started_ns > GAP_NS
+        return [
+            (SILENCE, phase is Phase.SILENT),
+            (BAD_COMMAND, is_bad_command),
+            (REFUSED, phase is Phase.OFFERING and in_phase_ns > self._config.steering_wait_s * 1e9),
+            (LOST, phase is Phase.LOST),
+            (TRACTOR, is_started and not self._incoming.heartbeat.is_good(now_ns)),
+            (ADDRESS, self._claim.is_refused),
+            (BUS, self._is_bus_failed),
+        ]
+
+    def _outputs(self, now_ns: int, states: list[tuple[Alarm, bool]]) -> list[Output]:
+        outputs: list[Output] = [("fault/gateway", fault) for fault in self._alarms.update(now_ns, states)]
+        if now_ns - self._state_ns >= STATE_PERIOD_NS:
+            self._state_ns = now_ns
+            outputs.append(("machine", self._incoming.state(now_ns)))
+        if now_ns - self._log_ns >= LOG_PERIOD_NS:
+            self._log_ns = now_ns
+            outputs += [("can/rx", CanFrames(now_ns, "machine", tuple(self._received))),
+                        ("can/tx", CanFrames(now_ns, "machine", tuple(self._sent)))]  # fmt: skip
+            self._received, self._sent = [], []
+        return outputs
+
+
+def _own_name(config: GatewayConfig) -> Name:
+    return Name(
+        identity=config.name_identity,
+        manufacturer=config.name_manufacturer,
+        ecu_instance=0,
+        function_instance=0,
+        function=_FUNCTION_NOT_AVAILABLE,
+        device_class=0,
+        device_class_instance=0,
+        industry_group=AGRICULTURE,
+        self_configurable=1,
+    )
+
+
+def _is_sendable(command: SafeCommand, now_ns: int) -> bool:
+    """Whether every number fits into its frame and the stamp is not of the future."""
+    return (
+        command.stamp_ns <= now_ns
+        and abs(command.speed_mps) <= FASTEST_MPS
+        and abs(command.curvature_radpm) <= TIGHTEST_RADPM
+        and 0.0 <= command.deceleration_mps2 <= HARDEST_MPS2
+    )
+
+

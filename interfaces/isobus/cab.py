@@ -1,0 +1,64 @@
+"""What no standard covers (proprietary A, PGN 61184); `configs/can/headland.dbc` is the definition."""
+
+from dataclasses import dataclass
+
+from interfaces.isobus.values import BadFrame, Scale, decode_flag
+
+GROUP = 0xEF00
+AUXILIARY = 16
+HAND = 1
+CAB = 2
+LEAVE = 3
+
+_TORQUE_NM = Scale(0.01, -320.0, 2)
+_ANGLE_RAD = Scale(0.001, -32.0, 2)
+_RATE_RADPS = Scale(0.001, -32.0, 2)
+_PEDAL = Scale(0.004, 0.0, 1)
+_SUPPLY_V = Scale(0.05, 0.0, 2)
+
+
+@dataclass(frozen=True)
+class Hand:
+    """The steering wheel as the driver's hand moves it, left positive."""
+
+    torque_nm: float
+    angle_rad: float
+    rate_radps: float
+
+
+@dataclass(frozen=True)
+class Cab:
+    """Pedals 0 to 1, seat, emergency button, supply and what the machine itself has on."""
+
+    brake_pedal: float
+    clutch_pedal: float
+    supply_v: float
+    is_seat_occupied: bool
+    is_emergency_button_pressed: bool
+    is_park_brake_set: bool
+    is_horn_on: bool
+    is_beacon_on: bool
+
+
+def encode_auxiliary(
+    is_drive_enabled: bool | None, is_park_brake_set: bool | None, is_horn_on: bool | None, is_beacon_on: bool | None
+) -> bytes:
+    """Bytes 1–7 of the auxiliary command; None leaves as is."""
+    states = (is_drive_enabled, is_park_brake_set, is_horn_on, is_beacon_on)
+    packed = sum((LEAVE if state is None else int(state)) << 2 * k for k, state in enumerate(states))
+    return bytes([AUXILIARY, packed]) + b"\xff" * 5
+
+
+def decode_cab_state(data: bytes) -> Hand | Cab:
+    """One of the two groups of a frame whose seal was checked; raises BadFrame."""
+    if data[0] == HAND:
+        return Hand(_TORQUE_NM.decode(data, 2), _ANGLE_RAD.decode(data, 4), _RATE_RADPS.decode(data, 6))
+    if data[0] == CAB:
+        return _decode_cab(data)
+    raise BadFrame(f"group {data[0]} is not known")
+
+
+def _decode_cab(data: bytes) -> Cab:
+    pedals = _PEDAL.decode(data, 2), _PEDAL.decode(data, 3)
+    seat, button, park, horn = (decode_flag(data, 6, bit) for bit in (1, 3, 5, 7))
+    return Cab(*pedals, _SUPPLY_V.decode(data, 4), seat, button, park, horn, decode_flag(data, 7, 1))
