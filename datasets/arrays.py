@@ -1,0 +1,88 @@
+"""Arrays as bytes, with reversible filters that let the chunk's compression find what neighbours have in common.
+
+A filter is named in the log beside the data, so that any reader can undo it:
+
+- `""`: the array's bytes, row by row, little-endian.
+- `planes`: byte planes; first the lowest byte of every element, then the next, up to the highest.
+- `delta-planes`: each element less its left neighbour (first column: less zero) modulo 2^16, folded to 0, -1, 1, -2, …
+  as 0, 1, 2, 3, …, then byte planes. A range image becomes one plane of noise and one of almost nothing but zeros.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from messages.errors import LogError
+from messages.message import UInt8, UInt16
+
+Array = npt.NDArray[Any]
+# Below this a filter costs more time than its bytes are worth.
+MIN_FILTERED = 256
+KNOWN_DTYPES = frozenset({"<f8", "<f4", "<i8", "<i4", "<u2", "|u1", "|i1", "<i2", "<u4", "<u8", "|b1"})
+
+
+def filter_of(array: Array) -> str:
+    """The filter that suits an array, by type and shape alone."""
+    if array.size < MIN_FILTERED:
+        return ""
+    if array.dtype == np.uint16 and array.ndim == 2:
+        return "delta-planes"
+    return "planes" if array.dtype == np.float32 else ""
+
+
+def pack(array: Array, name: str) -> bytes:
+    """The bytes of an array through the filter `name`."""
+    if name == "delta-planes":
+        return _split(_fold(array))
+    return _split(array) if name == "planes" else array.tobytes()
+
+
+def unpack(data: bytes, dtype: str, shape: tuple[int, ...], name: str) -> Array:
+    """The array that `pack` was given, read-only; raises LogError when type, shape, filter and bytes do not agree."""
+    if dtype not in KNOWN_DTYPES:
+        raise LogError(f"array of type {dtype!r}: not one of {', '.join(sorted(KNOWN_DTYPES))}")
+    kind = np.dtype(dtype)
+    if math.prod(shape) * kind.itemsize != len(data):
+        raise LogError(f"array of shape {shape} and type {dtype}: {len(data)} bytes do not fill it")
+    undo = _UNDO.get(name)
+    if undo is None:
+        raise LogError(f"array filter {name!r}: not one of {', '.join(map(repr, _UNDO))}")
+    return undo(data, kind, shape)
+
+
+def _split(array: Array) -> bytes:
+    return np.ascontiguousarray(array.reshape(-1)).view(np.uint8).reshape(-1, array.itemsize).T.tobytes()
+
+
+def _merge(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
+    planes: UInt8 = np.frombuffer(data, np.uint8).reshape(kind.itemsize, -1)
+    return np.ascontiguousarray(planes.T).reshape(-1).view(kind).reshape(shape)
+
+
+def _fold(array: UInt16) -> UInt16:
+    step = array.copy()
+    step[:, 1:] -= array[:, :-1]
+    signed = step.view(np.int16)
+    return ((signed << 1) ^ (signed >> 15)).view(np.uint16)
+
+
+def _unfold(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
+    if kind != np.uint16 or len(shape) != 2:
+        raise LogError(f"array of shape {shape} and type {kind.str}: delta-planes is for images of <u2")
+    folded = _merge(data, kind, shape)
+    step = (folded >> 1) ^ (np.uint16(0) - (folded & np.uint16(1)))
+    return np.cumsum(step, axis=1, dtype=np.uint16)
+
+
+def _plain(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
+    return np.frombuffer(data, kind).reshape(shape)
+
+
+_UNDO: dict[str, Callable[[bytes, np.dtype[Any], tuple[int, ...]], Array]] = {
+    "": _plain,
+    "planes": _merge,
+    "delta-planes": _unfold,
+}

@@ -1,0 +1,138 @@
+"""Writing a log: MCAP, lz4, one channel a topic, and readable up to its last second whatever happens."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+from pydantic import Field
+
+from configs.strict import Config
+from datasets.codec import codec_of
+from datasets.digest import Digest
+from datasets.disk import MB, LogFile
+from datasets.schema import descriptor_set
+from datasets.viewer import Viewer
+from messages.message import Envelope
+from messages.topics import kind_of
+
+PROFILE = "headland"
+RECORDED = "/recorded/"
+END = "end"
+
+
+class LogConfig(Config):
+    """How often a log is closed off so that it can be read up to there, and how much room it leaves on the disk.
+
+    Times are in log time. A chunk ends after `flush_s` or `chunk_kib`, whichever is first, and then outlasts the death
+    of the process; every `sync_s` the disk is made to keep it over a power cut.
+    """
+
+    chunk_kib: int = Field(ge=16, le=65536)
+    flush_s: float = Field(gt=0.0, le=60.0)
+    sync_s: float = Field(gt=0.0, le=600.0)
+    min_free_mb: float = Field(ge=0.0, le=1e6)
+
+
+class LogWriter:
+    """One log from its first message to its end; raises LogError with path and free space when the disk refuses.
+
+    `metadata` (name → key → text: configuration, versions, calibration, conditions) stands before the first message, so
+    a cut log has it. `viewer` adds its `/view/...` topics; without one the log holds the messages alone. A log that was
+    not closed has no index and no end record: the reader calls it cut.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        metadata: Mapping[str, Mapping[str, str]],
+        config: LogConfig,
+        viewer: Viewer | None = None,
+    ) -> None:
+        self.path = path
+        self.messages = 0
+        self._viewer = viewer
+        self._digest = Digest()
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._logged: dict[str, bool] = {}
+        self._flush_ns, self._sync_ns = round(config.flush_s * 1e9), round(config.sync_s * 1e9)
+        self._flushed_at_ns: int | None = None
+        self._synced_at_ns = 0
+        self._file = LogFile(path, round(config.min_free_mb * MB))
+        untyped: Any = Writer
+        self._writer = untyped(self._file, chunk_size=config.chunk_kib * 1024, compression=CompressionType.LZ4)
+        self._writer.start(profile=PROFILE, library="headland")
+        for name, values in metadata.items():
+            self._writer.add_metadata(name, dict(values))
+
+    def write(self, envelope: Envelope) -> None:
+        """Append a message (unless the topic table says otherwise), and what viewers are shown of it."""
+        topic, message = envelope.topic, envelope.message
+        self._close_off(envelope.receive_ns)
+        if self._is_logged(topic):
+            codec = codec_of(type(message))
+            data = codec.encode(message)
+            channel = self._channels.get(topic) or self._open(topic, codec.name, codec.schema)
+            self._writer.add_message(channel, envelope.receive_ns, data, message.stamp_ns, envelope.sequence)
+            self._digest.add(topic, message.stamp_ns, data)
+            self.messages += 1
+        if self._viewer is not None:
+            self._show(envelope)
+
+    def digest(self) -> str:
+        """The digest over all messages so far, viewer topics left out."""
+        return self._digest.text()
+
+    def close(self) -> None:
+        """Write end record and index; only then is the log whole."""
+        try:
+            self._writer.add_metadata(END, {"messages": str(self.messages), "digest": self.digest()})
+            self._writer.finish()
+            self._file.sync()
+        finally:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _is_logged(self, topic: str) -> bool:
+        known = self._logged.get(topic)
+        if known is None:
+            known = self._logged[topic] = kind_of(topic.removeprefix(RECORDED)).is_logged
+        return known
+
+    def _show(self, envelope: Envelope) -> None:
+        assert self._viewer is not None
+        for topic, shown in self._viewer.show(envelope):
+            channel = self._channels.get(topic)
+            if channel is None:
+                channel = self._open(topic, shown.DESCRIPTOR.full_name, descriptor_set(shown.DESCRIPTOR.file))
+            data = shown.SerializeToString()
+            self._writer.add_message(channel, envelope.receive_ns, data, envelope.message.stamp_ns)
+
+    def _open(self, topic: str, name: str, schema: bytes) -> int:
+        if name not in self._schemas:
+            self._schemas[name] = self._writer.register_schema(name, SchemaEncoding.Protobuf, schema)
+        self._channels[topic] = self._writer.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
+        return self._channels[topic]
+
+    def _close_off(self, now_ns: int) -> None:
+        """End the chunk once its time has passed; a clock that jumps back ends it too."""
+        if self._flushed_at_ns is None:
+            self._flushed_at_ns = self._synced_at_ns = now_ns
+        if 0 <= now_ns - self._flushed_at_ns < self._flush_ns:
+            return
+        self._flushed_at_ns = now_ns
+        self._file.check_space()
+        self._writer.flush()
+        if not 0 <= now_ns - self._synced_at_ns < self._sync_ns:
+            self._synced_at_ns = now_ns
+            self._file.sync()

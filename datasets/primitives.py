@@ -1,0 +1,104 @@
+"""Foxglove's building blocks from arrays and transforms: pure functions, stateless."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from geometry.transforms import Float64, quaternion_of
+from messages.message import Float32
+
+Rgba = tuple[float, float, float, float]
+_LEVEL = Quaternion(w=1.0)
+# 1/128 m: finer than the lidar is true, and the bits below it, left zero, compress away.
+_GRID_PER_M = np.float32(128.0)
+
+
+def time_of(stamp_ns: int) -> Timestamp:
+    """A stamp as protobuf has it."""
+    return Timestamp(seconds=stamp_ns // 1_000_000_000, nanos=stamp_ns % 1_000_000_000)
+
+
+def frame(stamp_ns: int, parent: str, child: str, T_parent_child: Float64) -> FrameTransform:
+    """The pose of frame `child` in frame `parent`."""
+    x, y, z, w = quaternion_of(T_parent_child).tolist()
+    return FrameTransform(
+        timestamp=time_of(stamp_ns),
+        parent_frame_id=parent,
+        child_frame_id=child,
+        translation=_vector(T_parent_child[:3, 3].tolist()),
+        rotation=Quaternion(x=x, y=y, z=z, w=w),
+    )
+
+
+def cube(center_m: Sequence[float], size_m: Sequence[float], yaw_rad: float, rgba: Rgba) -> CubePrimitive:
+    """An upright box; a centre without height stands on the ground."""
+    z = center_m[2] if len(center_m) > 2 else 0.5 * size_m[2]
+    turn = Quaternion(z=math.sin(0.5 * yaw_rad), w=math.cos(0.5 * yaw_rad))
+    pose = Pose(position=_vector((center_m[0], center_m[1], z)), orientation=turn)
+    return CubePrimitive(pose=pose, size=_vector(size_m), color=_color(rgba))
+
+
+def line(points_m: npt.NDArray[np.floating], width_m: float, rgba: Rgba, is_closed: bool = False) -> LinePrimitive:
+    """A line through points (N, 2) or (N, 3); without height just above the ground."""
+    kind = LinePrimitive.LINE_LOOP if is_closed else LinePrimitive.LINE_STRIP
+    out = LinePrimitive(type=kind, thickness=width_m, pose=Pose(orientation=_LEVEL), color=_color(rgba))
+    rows = points_m.tolist()
+    out.points.extend([Point3(x=p[0], y=p[1], z=p[2] if len(p) > 2 else 0.1) for p in rows])
+    return out
+
+
+def text(words: str, at_m: Sequence[float], size_m: float, rgba: Rgba) -> TextPrimitive:
+    """Words that face the viewer."""
+    pose = Pose(position=_vector(at_m), orientation=_LEVEL)
+    return TextPrimitive(pose=pose, billboard=True, font_size=size_m, color=_color(rgba), text=words)
+
+
+def scene(
+    stamp_ns: int,
+    name: str,
+    frame_id: str,
+    cubes: Iterable[CubePrimitive] = (),
+    lines: Iterable[LinePrimitive] = (),
+    texts: Iterable[TextPrimitive] = (),
+) -> SceneUpdate:
+    """One thing to draw, in place of what had its name before; it moves with its frame."""
+    entity = SceneEntity(timestamp=time_of(stamp_ns), frame_id=frame_id, id=name, frame_locked=True)
+    entity.cubes.extend(cubes)
+    entity.lines.extend(lines)
+    entity.texts.extend(texts)
+    return SceneUpdate(entities=[entity])
+
+
+def cloud(stamp_ns: int, frame_id: str, points_m: Float32, most: int) -> PointCloud:
+    """Every k-th of the points (N, 3), so that at most `most` are left, on a grid of 8 mm."""
+    thin = points_m[:: max(1, math.ceil(len(points_m) / most))]
+    data = np.round(thin * _GRID_PER_M) / _GRID_PER_M
+    out = PointCloud(timestamp=time_of(stamp_ns), frame_id=frame_id, point_stride=12, data=data.tobytes())
+    out.pose.orientation.w = 1.0
+    for offset, axis in enumerate("xyz"):
+        out.fields.add(name=axis, offset=4 * offset, type=PackedElementField.FLOAT32)
+    return out
+
+
+def _vector(v: Sequence[float]) -> Vector3:
+    return Vector3(x=v[0], y=v[1], z=v[2])
+
+
+def _color(rgba: Rgba) -> Color:
+    return Color(r=rgba[0], g=rgba[1], b=rgba[2], a=rgba[3])

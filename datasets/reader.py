@@ -1,0 +1,126 @@
+"""Reading logs: whole or cut, ours or others', in the order in which messages arrived."""
+
+from collections.abc import Callable, Container, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from google.protobuf.message import DecodeError
+from mcap.records import Channel, Metadata, Schema, Statistics
+
+from datasets.codec import codec_for, proto_from
+from datasets.records import Damage, End, RawMessage, walk
+from datasets.schema import PACKAGE
+from messages.errors import LogError
+from messages.message import Envelope
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One message of a log, not yet decoded; `encoding` is how `data` is written, `schema` what describes it."""
+
+    topic: str
+    encoding: str
+    schema: Schema | None
+    sequence: int
+    receive_ns: int
+    stamp_ns: int
+    data: bytes
+
+
+@dataclass
+class LogScan:
+    """A pass over a log: iterate it, then ask what the pass found besides messages.
+
+    Damaged stretches are skipped and listed; messages whose channel was lost with them are counted in `orphans`.
+    """
+
+    path: Path
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    damages: list[Damage] = field(default_factory=list)
+    declared_messages: int | None = None
+    orphans: int = 0
+    is_ended: bool = False
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the log was closed and every byte of it could be read."""
+        return self.is_ended and not self.damages
+
+    def __iter__(self) -> Iterator[Entry]:
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, Channel] = {}
+        for record in walk(self.path):
+            if isinstance(record, RawMessage):
+                channel = channels.get(record.channel_id)
+                if channel is None:
+                    self.orphans += 1
+                    continue
+                yield Entry(
+                    channel.topic, channel.message_encoding, schemas.get(channel.schema_id), record.sequence,
+                    record.receive_ns, record.stamp_ns, record.data,
+                )  # fmt: skip
+            elif isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            else:
+                self._note(record)
+
+    def _note(self, record: Metadata | Statistics | Damage | End) -> None:
+        if isinstance(record, Metadata):
+            self.metadata[record.name] = record.metadata
+        elif isinstance(record, Damage):
+            self.damages.append(record)
+        elif isinstance(record, Statistics):
+            self.declared_messages = record.message_count
+        else:
+            self.is_ended = True
+
+
+def is_ours(entry: Entry) -> bool:
+    """Whether the entry is one of Headland's own messages."""
+    return entry.schema is not None and entry.schema.name.startswith(f"{PACKAGE}.")
+
+
+def decode(entry: Entry) -> Envelope:
+    """The message of an entry of ours; raises LogError."""
+    if entry.schema is None:
+        raise LogError(f"topic {entry.topic!r}: its messages have no schema")
+    message = codec_for(entry.schema.name, entry.schema.data).decode(entry.data)
+    return Envelope(entry.topic, entry.sequence, entry.receive_ns, message)
+
+
+def read_log(path: Path, topics: Container[str] | None = None) -> Iterator[Envelope]:
+    """Headland's own messages of a log (all topics, or those named), in log order; raises LogError."""
+    for entry in LogScan(path):
+        if is_ours(entry) and (topics is None or entry.topic in topics):
+            yield decode(entry)
+
+
+def read_metadata(path: Path) -> dict[str, dict[str, str]]:
+    """What a log says of itself: configuration, versions, calibration, conditions, and the end record if any."""
+    scan = LogScan(path)
+    for _ in scan:
+        pass
+    return scan.metadata
+
+
+class ProtobufDecoders:
+    """Decodes entries of any log by the schema embedded in it, knowing none of its types."""
+
+    def __init__(self) -> None:
+        self._parsers: dict[tuple[str, bytes], Callable[[bytes], Any]] = {}
+
+    def decode(self, entry: Entry) -> Any:
+        """The protobuf message; raises LogError when schema or bytes are wrong."""
+        schema = entry.schema
+        if schema is None or schema.encoding != "protobuf":
+            raise LogError(f"topic {entry.topic!r}: has no protobuf schema")
+        key = (schema.name, schema.data)
+        if key not in self._parsers:
+            self._parsers[key] = proto_from(schema.name, schema.data).FromString
+        try:
+            return self._parsers[key](entry.data)
+        except DecodeError as error:
+            raise LogError(f"topic {entry.topic!r}: a message is not a {schema.name} ({error})") from error

@@ -1,0 +1,135 @@
+"""What viewers are shown of each message, as Foxglove messages: pure functions, stateless."""
+
+import math
+
+import numpy as np
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+from configs.site import Site
+from configs.vehicle import Implement, MountedImplement, Vehicle
+from datasets.primitives import Rgba, cube, frame, line, scene, text, time_of
+from geometry.transforms import Float64, planar
+from messages.command import SupervisorState
+from messages.faults import Fault, Severity
+from messages.perception import ObstacleClass, Tracks
+from messages.plan import Path
+from messages.sensors import GnssFix
+from messages.truth import TrueObjects
+
+WHITE: Rgba = (1.0, 1.0, 1.0, 1.0)
+GREY: Rgba = (0.6, 0.6, 0.6, 0.6)
+GREEN: Rgba = (0.2, 0.7, 0.25, 0.8)
+BROWN: Rgba = (0.55, 0.4, 0.2, 0.8)
+RED: Rgba = (0.9, 0.1, 0.1, 0.9)
+BLUE: Rgba = (0.2, 0.5, 1.0, 0.9)
+YELLOW: Rgba = (1.0, 0.8, 0.1, 0.9)
+CLASS_COLORS: dict[ObstacleClass, Rgba] = {
+    ObstacleClass.PERSON: (1.0, 0.3, 0.2, 0.7),
+    ObstacleClass.ANIMAL: (1.0, 0.6, 0.1, 0.7),
+    ObstacleClass.VEHICLE: (0.3, 0.5, 1.0, 0.7),
+}
+MOST_HITS = 60
+# Points of a path lie 0.1 m apart; half a metre is enough for the eye.
+PATH_STEP = 5
+
+
+def implement_x_m(implement: Implement) -> float:
+    """The working point along x of `base`; a trailed implement is drawn straight behind: its angle is not measured."""
+    if isinstance(implement, MountedImplement):
+        return implement.working_point_m
+    return implement.hitch_m - implement.working_length_m
+
+
+def mounts(stamp_ns: int, vehicle: Vehicle, implement: Implement | None) -> list[FrameTransform]:
+    """Where the sensors and the implement sit on `base`; a sensor's frame has the name of its topic."""
+    sensors = vehicle.sensors
+    poses = {f"lidar/{name}": lidar.mount.T_base_sensor for name, lidar in sensors.lidar.items()}
+    poses |= {f"gnss/{name}": gnss.mount.T_base_sensor for name, gnss in sensors.gnss.items()}
+    if sensors.imu is not None:
+        poses["imu"] = sensors.imu.mount.T_base_sensor
+    if implement is not None:
+        poses["implement"] = planar(implement_x_m(implement), 0.0, 0.0)
+    return [frame(stamp_ns, "base", child, T) for child, T in poses.items()]
+
+
+def machine_scene(stamp_ns: int, vehicle: Vehicle) -> SceneUpdate:
+    """The machine as a box over its wheels."""
+    body = vehicle.body
+    low = 0.4
+    center = (0.5 * (body.front_m - body.rear_m), 0.0, 0.5 * (low + body.height_m))
+    box = cube(center, (body.front_m + body.rear_m, body.width_m, body.height_m - low), 0.0, GREEN)
+    return scene(stamp_ns, "machine", "base", [box])
+
+
+def implement_scene(stamp_ns: int, implement: Implement) -> SceneUpdate:
+    """The implement as a flat box about its working point."""
+    if isinstance(implement, MountedImplement):
+        front, rear = implement.front_end_m, implement.rear_end_m
+    else:
+        front, rear = implement.hitch_m, implement.hitch_m - implement.total_length_m
+    center = (0.5 * (front + rear) - implement_x_m(implement), 0.0, 0.5)
+    box = cube(center, (front - rear, implement.width_m, 0.8), 0.0, BROWN)
+    return scene(stamp_ns, "implement", "implement", [box])
+
+
+def site_scene(stamp_ns: int, site: Site) -> SceneUpdate:
+    """Boundary, yard, no-go areas and lanes."""
+    lines = [line(np.array(site.boundary_m), 0.15, GREEN, True), line(np.array(site.yard.outline_m), 0.1, GREY, True)]
+    lines += [line(np.array(area.outline_m), 0.15, RED, True) for area in site.no_go]
+    lines += [line(np.array(lane.center_m), 0.1, GREY) for lane in site.lanes]
+    return scene(stamp_ns, "site", "map", lines=lines)
+
+
+def tracks_scene(stamp_ns: int, message: Tracks) -> SceneUpdate:
+    """Tracks as boxes with class and speed; those not yet confirmed in grey."""
+    cubes, texts = [], []
+    for track in message.tracks:
+        p, size = track.p_odom_m.tolist(), track.size_m.tolist()
+        rgba = CLASS_COLORS.get(track.label, YELLOW) if track.is_confirmed else GREY
+        cubes.append(cube(p, size, track.yaw_rad, rgba))
+        if track.is_confirmed:
+            words = f"{track.label} {math.hypot(*track.velocity_mps[:2].tolist()):.1f} m/s"
+            texts.append(text(words, (p[0], p[1], size[2] + 0.8), 0.5, WHITE))
+    return scene(stamp_ns, "tracks", "odom", cubes, texts=texts)
+
+
+def truth_scene(stamp_ns: int, message: TrueObjects, frame_id: str) -> SceneUpdate:
+    """What is really there, in white outlines' stead: pale boxes."""
+    pale: Rgba = (1.0, 1.0, 1.0, 0.25)
+    cubes = [cube(o.center_map_m.tolist(), o.size_m.tolist(), o.yaw_rad, pale) for o in message.objects]
+    return scene(stamp_ns, "truth", frame_id, cubes)
+
+
+def field_scene(stamp_ns: int, state: SupervisorState, height_m: float) -> SceneUpdate:
+    """The protective field, the returns that stop the machine, and mode and reason above it."""
+    is_hit = len(state.hits_base_m) > 0
+    lines = [line(state.field_base_m, 0.12, RED if is_hit else BLUE, True)] if len(state.field_base_m) > 1 else []
+    hits = [cube(p, (0.15, 0.15, 0.15), 0.0, RED) for p in state.hits_base_m[:MOST_HITS].tolist()]
+    words = f"{state.mode}: {state.reason}" if state.reason else str(state.mode)
+    return scene(stamp_ns, "field", "base", hits, lines, [text(words, (0.0, 0.0, height_m + 1.0), 0.6, WHITE)])
+
+
+def path_scene(stamp_ns: int, path: Path) -> SceneUpdate:
+    """The path to drive."""
+    keep = np.unique(np.append(np.arange(0, len(path.p_map_m), PATH_STEP), max(len(path.p_map_m) - 1, 0)))
+    points: Float64 = path.p_map_m[keep] if len(path.p_map_m) else path.p_map_m
+    return scene(stamp_ns, "path", "map", lines=[line(points, 0.1, YELLOW)])
+
+
+def location(stamp_ns: int, fix: GnssFix, frame_id: str) -> LocationFix:
+    """The antenna on a street map."""
+    out = LocationFix(timestamp=time_of(stamp_ns), frame_id=frame_id, altitude=fix.height_m)
+    out.latitude, out.longitude = math.degrees(fix.latitude_rad), math.degrees(fix.longitude_rad)
+    out.position_covariance.extend(np.diag(fix.sigma_enu_m**2).ravel().tolist())
+    out.position_covariance_type = LocationFix.DIAGONAL_KNOWN
+    return out
+
+
+def log_line(stamp_ns: int, fault: Fault) -> Log:
+    """A fault as a line in the viewer's log panel."""
+    levels = {Severity.NOTICE: Log.INFO, Severity.WARNING: Log.WARNING, Severity.ALARM: Log.ERROR}
+    words = f"{fault.code}: {fault.text_en}" if fault.is_active else f"{fault.code}: over"
+    return Log(timestamp=time_of(stamp_ns), level=levels[fault.severity], message=words, name=fault.source)

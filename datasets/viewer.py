@@ -1,0 +1,125 @@
+"""The `/view/...` topics beside the messages, so that a log opens in Foxglove or Lichtblick as a picture.
+
+One tree of frames: map → odom → base → implement and sensors. Each topic has its own pace; what stands still comes
+again every few seconds, so that a viewer that jumps into the middle of a log has it.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from google.protobuf.message import Message as Proto
+from pydantic import Field
+
+from configs.site import Site
+from configs.strict import Config
+from configs.vehicle import Implement, Vehicle
+from datasets import scenes
+from datasets.primitives import cloud, frame
+from messages.command import SupervisorState
+from messages.faults import Fault
+from messages.message import Envelope
+from messages.motion import MapPose, Odometry
+from messages.perception import Tracks
+from messages.plan import Path
+from messages.sensors import GnssFix, LidarScan
+from messages.truth import TrueObjects
+
+Shown = tuple[str, Proto]
+# A period counts as over a little early, for messages of the same period jitter about it.
+SLACK = 0.9
+
+
+class ViewerConfig(Config):
+    """The pace of the viewer topics, and how many points of a scan they show."""
+
+    points: int = Field(ge=1, le=1_000_000)
+    cloud_s: float = Field(gt=0.0, le=60.0)
+    frames_s: float = Field(gt=0.0, le=60.0)
+    scene_s: float = Field(gt=0.0, le=60.0)
+    static_s: float = Field(gt=0.0, le=3600.0)
+
+
+class Viewer:
+    """Turns messages into viewer topics; without vehicle, implement or site those are left out."""
+
+    def __init__(
+        self, config: ViewerConfig, vehicle: Vehicle | None, implement: Implement | None, site: Site | None
+    ) -> None:
+        self._config = config
+        self._vehicle, self._implement, self._site = vehicle, implement, site
+        self._height_m = vehicle.body.height_m if vehicle is not None else 2.0
+        self._shown_at_ns: dict[str, int] = {}
+        self._ways: dict[type, Callable[[str, Any], Iterator[Shown]]] = {
+            LidarScan: self._show_scan,
+            Odometry: self._show_odometry,
+            MapPose: self._show_map_pose,
+            Tracks: self._show_tracks,
+            TrueObjects: self._show_truth,
+            SupervisorState: self._show_field,
+            Path: self._show_path,
+            GnssFix: self._show_fix,
+            Fault: self._show_fault,
+        }
+
+    def show(self, envelope: Envelope) -> Iterator[Shown]:
+        """What there is to show of this message now, as (topic, Foxglove message)."""
+        message = envelope.message
+        if self._is_due("static", message.stamp_ns, self._config.static_s):
+            yield from self._show_static(message.stamp_ns)
+        way = self._ways.get(type(message))
+        if way is not None and not envelope.topic.startswith("/"):
+            yield from way(envelope.topic, message)
+
+    def _is_due(self, name: str, stamp_ns: int, period_s: float) -> bool:
+        last = self._shown_at_ns.get(name)
+        if last is not None and 0 <= stamp_ns - last < SLACK * period_s * 1e9:
+            return False
+        self._shown_at_ns[name] = stamp_ns
+        return True
+
+    def _show_static(self, stamp_ns: int) -> Iterator[Shown]:
+        if self._vehicle is not None:
+            mounts = scenes.mounts(stamp_ns, self._vehicle, self._implement)
+            yield "/view/mounts", FrameTransforms(transforms=mounts)
+            yield "/view/machine", scenes.machine_scene(stamp_ns, self._vehicle)
+        if self._vehicle is not None and self._implement is not None:
+            yield "/view/implement", scenes.implement_scene(stamp_ns, self._implement)
+        if self._site is not None:
+            yield "/view/site", scenes.site_scene(stamp_ns, self._site)
+
+    def _show_scan(self, topic: str, scan: LidarScan) -> Iterator[Shown]:
+        if self._is_due(topic, scan.stamp_ns, self._config.cloud_s):
+            yield f"/view/{topic}", cloud(scan.stamp_ns, topic, scan.points_m, self._config.points)
+
+    def _show_odometry(self, topic: str, message: Odometry) -> Iterator[Shown]:
+        if topic == "odom" and self._is_due(topic, message.stamp_ns, self._config.frames_s):
+            one = frame(message.stamp_ns, "odom", "base", message.T_odom_base)
+            yield "/view/frames", FrameTransforms(transforms=[one])
+
+    def _show_map_pose(self, topic: str, message: MapPose) -> Iterator[Shown]:
+        if message.is_initialized and self._is_due(topic, message.stamp_ns, self._config.frames_s):
+            one = frame(message.stamp_ns, "map", "odom", message.T_map_odom)
+            yield "/view/frames", FrameTransforms(transforms=[one])
+
+    def _show_tracks(self, topic: str, message: Tracks) -> Iterator[Shown]:
+        if self._is_due(topic, message.stamp_ns, self._config.scene_s):
+            yield f"/view/{topic}", scenes.tracks_scene(message.stamp_ns, message)
+
+    def _show_truth(self, topic: str, message: TrueObjects) -> Iterator[Shown]:
+        if self._is_due(topic, message.stamp_ns, self._config.scene_s):
+            yield f"/view/{topic}", scenes.truth_scene(message.stamp_ns, message, topic.partition("/")[2] or "map")
+
+    def _show_field(self, topic: str, state: SupervisorState) -> Iterator[Shown]:
+        if self._is_due(topic, state.stamp_ns, self._config.scene_s):
+            yield "/view/field", scenes.field_scene(state.stamp_ns, state, self._height_m)
+
+    def _show_path(self, topic: str, path: Path) -> Iterator[Shown]:
+        yield f"/view/{topic}", scenes.path_scene(path.stamp_ns, path)
+
+    def _show_fix(self, topic: str, fix: GnssFix) -> Iterator[Shown]:
+        if self._is_due(topic, fix.stamp_ns, self._config.scene_s):
+            yield f"/view/{topic}", scenes.location(fix.stamp_ns, fix, topic)
+
+    def _show_fault(self, topic: str, fault: Fault) -> Iterator[Shown]:
+        yield "/view/log", scenes.log_line(fault.stamp_ns, fault)

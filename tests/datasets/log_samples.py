@@ -1,0 +1,54 @@
+"""Messages drawn at random for every class of the topic table, by its annotations."""
+
+from dataclasses import fields
+from enum import Enum
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from messages.message import Record
+
+INT64 = st.integers(-(2**63), 2**63 - 1)
+SHAPES = hnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=4)
+
+
+def arrays(dtype: np.dtype[Any]) -> st.SearchStrategy[np.ndarray]:
+    """Arrays of any bits, NaN payloads and negative zeros included."""
+    return SHAPES.flatmap(
+        lambda shape: st.binary(
+            min_size=int(np.prod(shape)) * dtype.itemsize, max_size=int(np.prod(shape)) * dtype.itemsize
+        ).map(lambda data: np.frombuffer(data, dtype).reshape(shape).copy())
+    )
+
+
+def values(hint: Any) -> st.SearchStrategy[Any]:
+    """Values of an annotation."""
+    if get_origin(hint) is np.ndarray:
+        return arrays(np.dtype(get_args(get_args(hint)[1])[0]))
+    if get_origin(hint) is tuple:
+        return st.lists(values(get_args(hint)[0]), max_size=3).map(tuple)
+    if issubclass(hint, Enum):
+        return st.sampled_from(hint)
+    if issubclass(hint, Record):
+        return records(hint)
+    plain = {bool: st.booleans(), int: INT64, float: st.floats(), bytes: st.binary(max_size=8)}
+    return plain.get(hint, st.text(st.characters(exclude_categories=["Cs"]), max_size=8))
+
+
+def records(cls: type[Record]) -> st.SearchStrategy[Any]:
+    """Instances of a message class or record."""
+    hints = get_type_hints(cls)
+    return st.builds(cls, **{f.name: values(hints[f.name]) for f in fields(cls)})
+
+
+def bits(value: Any) -> Any:
+    """A value as something that is equal only when all bits are."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, Record):
+        return type(value), *(bits(getattr(value, f.name)) for f in fields(value))
+    if isinstance(value, tuple):
+        return tuple(map(bits, value))
+    return (type(value), np.float64(value).tobytes()) if isinstance(value, float) else (type(value), value)

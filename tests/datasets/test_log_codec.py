@@ -1,0 +1,141 @@
+"""Every message of the topic table goes into bytes and comes back to the bit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from log_samples import arrays, bits, records
+
+from datasets import codec, schema
+from datasets.arrays import filter_of, pack, unpack
+from datasets.codec import classes, codec_for, codec_of
+from messages.errors import LogError
+from messages.message import Float64, Message, Record
+from messages.sensors import ImuSample, LidarScan
+
+EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
+
+
+@pytest.mark.parametrize("name", sorted(classes()))
+def test_every_message_comes_back_to_the_bit(name: str) -> None:
+    kind = classes()[name]
+
+    @EXAMPLES
+    @given(records(kind))
+    def check(message: Message) -> None:
+        own = codec_of(kind)
+        data = own.encode(message)
+        assert bits(own.decode(data)) == bits(message)
+        assert own.encode(own.decode(data)) == data
+        generic = codec.proto_from(own.name, own.schema).FromString(data)
+        assert generic.stamp_ns == message.stamp_ns
+        assert generic.SerializeToString(deterministic=True) == data
+
+    check()
+
+
+@EXAMPLES
+@given(st.sampled_from(["<f8", "<f4", "<u2", "|u1", "<i4"]).flatmap(lambda d: arrays(np.dtype(d))))
+def test_arrays_pass_every_filter_that_takes_them(array: np.ndarray) -> None:
+    names = ["", "planes"] + (["delta-planes"] if array.dtype == np.uint16 and array.ndim == 2 else [])
+    for name in names:
+        assert bits(unpack(pack(array, name), array.dtype.str, array.shape, name)) == bits(array)
+
+
+@pytest.mark.parametrize("dtype", ["<u2", "<f4"])
+def test_large_arrays_are_filtered_and_come_back(dtype: str) -> None:
+    rng = np.random.default_rng(1)
+    image = rng.integers(0, 256, 32 * 1024 * np.dtype(dtype).itemsize, np.uint8).view(dtype).reshape(32, 1024)
+    name = filter_of(image)
+    assert name != ""
+    assert bits(unpack(pack(image, name), dtype, image.shape, name)) == bits(image)
+    extremes = np.tile(np.array([0, 65535, 1, 32768, 32767, 0], np.uint16), (3, 100))
+    assert bits(unpack(pack(extremes, "delta-planes"), "<u2", extremes.shape, "delta-planes")) == bits(extremes)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "shape", "data", "name", "says"),
+    [
+        ("|O8", (1,), b"12345678", "", "type"),
+        ("<f8", (2,), b"12345678", "", "fill"),
+        ("<f8", (1,), b"12345678", "zip", "filter"),
+        ("<f8", (1, 1), b"12345678", "delta-planes", "images"),
+    ],
+)
+def test_a_wrong_array_is_refused(dtype: str, shape: tuple[int, ...], data: bytes, name: str, says: str) -> None:
+    with pytest.raises(LogError, match=says):
+        unpack(data, dtype, shape, name)
+
+
+@EXAMPLES
+@given(st.binary(max_size=60))
+def test_bytes_that_are_no_message_are_an_error_not_a_crash(data: bytes) -> None:
+    for kind in (ImuSample, LidarScan):
+        try:
+            codec_of(kind).decode(data)
+        except LogError as error:
+            said = str(error)
+        else:
+            continue
+        assert kind.__name__ in said
+
+
+def test_what_cannot_be_written_is_named() -> None:
+    bad = ImuSample(2**70, np.zeros(3), np.zeros(3))
+    with pytest.raises(LogError, match=r"headland\.v1\.ImuSample"):
+        codec_of(ImuSample).encode(bad)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part(Record):
+    names: tuple[str, ...]
+    place: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class _Whole(Message):
+    level: float | None
+    part: _Part | None
+    parts: tuple[_Part, ...]
+    rows: tuple[float, float]
+
+
+@EXAMPLES
+@given(records(_Part), st.none() | st.floats())
+def test_a_value_that_may_be_missing_comes_back_as_it_was(part: _Part, level: float | None) -> None:
+    for one in (None, part):
+        whole = _Whole(5, level, one, (part,) * 2, (0.0, -0.0))
+        assert bits(codec_of(_Whole).decode(codec_of(_Whole).encode(whole))) == bits(whole)
+
+
+def test_a_type_without_a_place_in_a_log_is_refused() -> None:
+    @dataclass(frozen=True, eq=False)
+    class Odd(Message):
+        table: dict[str, float]
+
+    with pytest.raises(TypeError, match="table"):
+        schema.fields_of(Odd)
+
+
+def test_a_log_of_another_version_is_read_by_name_or_refused_by_name() -> None:
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    own = codec_of(ImuSample)
+    sample = ImuSample(7, np.arange(3.0), np.ones(3))
+    files = FileDescriptorSet.FromString(own.schema)
+    body = files.file[-1].message_type[0]
+    for field in body.field:
+        field.number += 10
+    moved = files.SerializeToString()
+    proto = codec.proto_from(own.name, moved)()
+    own.fill(proto, sample)
+    assert bits(codec_for(own.name, moved).decode(proto.SerializeToString())) == bits(sample)
+    body.field[2].name = "turn"
+    with pytest.raises(LogError, match="rate_radps"):
+        codec_for(own.name, files.SerializeToString())
+    with pytest.raises(LogError, match="not a protobuf schema"):
+        codec_for(own.name, b"\xff\xff")
+    with pytest.raises(LogError, match="no such message"):
+        codec_for("headland.v1.Nothing", own.schema)
