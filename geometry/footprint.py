@@ -1,0 +1,84 @@
+"""What a rigid machine with its implement covers on the ground, at a pose and along a path."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from geometry.polyline import Float64
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A body in `base`: from `rear_m` to `front_m` along x, `width_m` across, centred."""
+
+    rear_m: float
+    front_m: float
+    width_m: float
+
+    @property
+    def corners_m(self) -> Float64:
+        """(4, 2), counter-clockwise from the rear right."""
+        h = self.width_m / 2.0
+        return np.array([[self.rear_m, -h], [self.front_m, -h], [self.front_m, h], [self.rear_m, h]])
+
+    def outline_m(self, step_m: float) -> Float64:
+        """Points (K, 2) round the outline, at most `step_m` apart."""
+        c = np.vstack([self.corners_m, self.corners_m[:1]])
+        sides = [
+            np.linspace(a, b, max(2, int(np.ceil(np.hypot(*(b - a)) / step_m)) + 1))[:-1]
+            for a, b in zip(c[:-1], c[1:], strict=True)
+        ]
+        return np.vstack(sides)
+
+
+Bodies = tuple[Rectangle, ...]
+
+
+def place(points_base_m: Float64, p_map_m: Float64, heading_rad: Float64) -> Float64:
+    """Points (K, 2) of `base` at N poses, as (N, K, 2) in `map`."""
+    c, s = np.cos(heading_rad)[:, None], np.sin(heading_rad)[:, None]
+    x, y = points_base_m[:, 0][None], points_base_m[:, 1][None]
+    return np.stack([p_map_m[:, :1] + c * x - s * y, p_map_m[:, 1:2] + s * x + c * y], axis=-1)
+
+
+def footprints(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> npt.NDArray[np.object_]:
+    """The bodies as polygons, (N, B)."""
+    columns = [shapely.polygons(place(b.corners_m, p_map_m, heading_rad)) for b in bodies]
+    return np.stack(columns, axis=1)
+
+
+def is_inside(bodies: Bodies, p_map_m: Float64, heading_rad: Float64, allowed: BaseGeometry) -> npt.NDArray[np.bool_]:
+    """For each pose whether every body lies wholly in `allowed`, (N,)."""
+    shapely.prepare(allowed)
+    return np.asarray(shapely.covers(allowed, footprints(bodies, p_map_m, heading_rad)).all(axis=1), np.bool_)
+
+
+def intrusion(outline_base_m: Float64, p_map_m: Float64, heading_rad: Float64, allowed: BaseGeometry) -> Float64:
+    """For each pose how far the outermost of the body points (K, 2) lies outside `allowed`, (N,); 0 when inside."""
+    points = place(outline_base_m, p_map_m, heading_rad)
+    flat = shapely.points(points.reshape(-1, 2))
+    shapely.prepare(allowed)
+    out = ~shapely.covers(allowed, flat)
+    distance = np.zeros(len(flat))
+    distance[out] = shapely.distance(flat[out], allowed)
+    return distance.reshape(points.shape[:2]).max(axis=1)
+
+
+def sweep(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> BaseGeometry:
+    """The area covered along the poses: the union of the hulls of each two neighbouring footprints."""
+    shapes = []
+    for body in bodies:
+        corners = place(body.corners_m, p_map_m, heading_rad)
+        pairs = np.concatenate([corners[:-1], corners[1:]], axis=1) if len(corners) > 1 else corners
+        shapes.append(shapely.union_all(shapely.convex_hull(shapely.multipoints(pairs))))
+    return shapely.union_all(shapes)
+
+
+def worked(left_m: Float64, right_m: Float64) -> BaseGeometry:
+    """The area between two edges that go side by side (N, 2), exact also where one end stands or goes back."""
+    quads = np.stack([left_m[:-1], left_m[1:], right_m[1:], right_m[:-1]], axis=1)
+    hulls = shapely.convex_hull(shapely.multipoints(quads))
+    return shapely.union_all(hulls)

@@ -1,0 +1,1 @@
+"""Headland rounds, swaths and their order."""

@@ -1,0 +1,118 @@
+"""Headland rounds: closed paths along the edge, pushed inwards where tail or corner would leave the field.
+
+A round starts as the field's outline moved in. Its outward corners become arcs the machine can drive, and so do its
+inward corners. Then it is driven: where a body leaves the allowed area, that place is pushed inwards, gently on the way
+to it since a sharp bend would swing the tail out again, and the round is made drivable anew, until nothing is outside.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import shapely
+from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from geometry.footprint import intrusion, is_inside
+from geometry.polygon import close_by, open_by, parts, ring_points, shrink
+from geometry.polyline import Float64, arc_length, headings, resample, smooth
+from messages.errors import FieldError
+from planning.ground import Ground, describe
+from planning.rig import Rig
+from planning.turn import STEP_M
+
+COARSE_M = 0.4
+PUSHES = 25
+LEAST_RING_M2 = 1.0
+
+
+@dataclass(frozen=True)
+class Round:
+    """One closed path of `base` (first point repeated), driven in its order; `number` counts from the edge, from 0.
+
+    Its corners are arcs: curvature becomes continuous when the whole path is smoothed (`planning/turn.py`).
+    """
+
+    number: int
+    points_m: Float64
+    is_around_obstacle: bool
+
+
+def rounds_of(ground: Ground, rig: Rig, count: int, overlap_m: float) -> list[Round]:
+    """All rounds from the edge inwards; raises FieldError when not even one fits."""
+    found: list[Round] = []
+    for k in range(count):
+        shape = shrink(ground.free, depth_m(ground, rig, overlap_m, k))
+        found += [r for part in parts(shape, LEAST_RING_M2) for r in _rounds_in(part, ground, rig, k)]
+    if not found:
+        x, y = ground.field.centroid.coords[0]
+        least = 2.0 * (depth_m(ground, rig, overlap_m, 0) + rig.radius_m)
+        raise FieldError(
+            f"field of {ground.field.area:.0f} m² about {describe(ground.site, x, y)} is too small for this machine: "
+            f"one round of {rig.working_width_m:g} m needs at least {least:.1f} m in every direction; use a narrower implement"
+        )
+    return found
+
+
+def depth_m(ground: Ground, rig: Rig, overlap_m: float, number: int) -> float:
+    """How far the middle of round `number` lies from the edge."""
+    first = ground.margin_m + rig.width_m / 2.0 + rig.config.edge_slack_m
+    return first + number * (rig.working_width_m - overlap_m)
+
+
+def _rounds_in(part: Polygon, ground: Ground, rig: Rig, number: int) -> list[Round]:
+    shape: BaseGeometry = part
+    for _ in range(PUSHES):
+        shape = open_by(close_by(shape, rig.radius_m), rig.radius_m)
+        pieces = parts(shape, LEAST_RING_M2)
+        raw = [(resample(ring, STEP_M), k > 0) for p in pieces for k, ring in enumerate(ring_points(p))]
+        rings = [smooth(ring, rig.config.smoothing_m, is_closed=True) for ring, _ in raw]
+        depths = [_outside(ring, ground, rig) for ring in rings]
+        if all(d.max() <= 0.0 for d in depths):
+            return [Round(number, ring, is_hole) for ring, is_hole in raw]
+        shape = _pushed(pieces, [ring for ring, _ in raw], depths)
+    worst = max(range(len(rings)), key=lambda k: depths[k].max())
+    x, y = rings[worst][int(np.argmax(depths[worst]))]
+    raise FieldError(f"round {number + 1} cannot be driven inside the field at {describe(ground.site, x, y)}")
+
+
+def _outside(ring: Float64, ground: Ground, rig: Rig) -> Float64:
+    heading = headings(ring, is_closed=True)
+    stride = max(1, int(COARSE_M / STEP_M))
+    outline = np.vstack([b.outline_m(0.5) for b in rig.bodies])
+    coarse = intrusion(outline, ring[::stride], heading[::stride], ground.inner)
+    out = np.repeat(coarse, stride)[: len(ring)]
+    if out.max() <= 0.0:
+        inside = is_inside(rig.bodies, ring, heading, ground.inner)
+        out = np.where(inside, 0.0, 0.01)
+    return out
+
+
+def _pushed(pieces: list[Polygon], rings: list[Float64], depths: list[Float64]) -> BaseGeometry:
+    outlines = []
+    for ring, depth in zip(rings, depths, strict=True):
+        heading = headings(ring, is_closed=True)
+        push = _spread(depth, arc_length(ring), is_left=np.gradient(heading) > -1e-3)
+        outlines.append(ring + push[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]))
+    out, k = [], 0
+    for piece in pieces:
+        holes = len(piece.interiors)
+        out.append(Polygon(outlines[k], outlines[k + 1 : k + 1 + holes]).buffer(0.0))
+        k += 1 + holes
+    return shapely.union_all(out)
+
+
+def _spread(depth: Float64, s: Float64, is_left: npt.NDArray[np.bool_]) -> Float64:
+    """How far to push each place: in full about a place that lies outside, falling smoothly to nothing.
+
+    In a left bend the tail swings out as the bend begins: the way to it is pushed. Round an inward corner (a right bend)
+    the implement's inner end cuts the corner: the whole bend is pushed, and further, since rounding takes some back.
+    """
+    total, out = s[-1], np.zeros(len(s))
+    for k in np.flatnonzero(depth > 0.0):
+        ahead = (s[k] - s + total / 2.0) % total - total / 2.0  # > 0: the place lies before the push
+        push, flat, after = (1.05, 1.0, 5.0) if is_left[k] else (1.5, 4.0, 12.0)
+        reach = np.where(ahead > 0.0, 12.0, after)
+        u = np.clip((np.abs(ahead) - flat) / reach, 0.0, 1.0)
+        out = np.maximum(out, (push * depth[k] + 0.005) * (0.5 + 0.5 * np.cos(np.pi * u)))
+    return np.asarray(out, np.float64)

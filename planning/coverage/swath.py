@@ -1,0 +1,96 @@
+"""Swaths: parallel strips over what the rounds leave, cut where it is cut."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from shapely.affinity import rotate
+from shapely.geometry import Polygon, box
+from shapely.geometry.base import BaseGeometry
+
+from geometry.polygon import edge_angles, parts
+from geometry.polyline import Float64
+from planning.curve import Pose
+
+LEAST_STRIP_M2 = 0.5
+TURN_COST_M = 20.0  # what one more swath costs in turns, as way
+
+
+@dataclass(frozen=True)
+class Swath:
+    """A straight line of the implement's working line, worked from one end to the other in either direction."""
+
+    number: int
+    a_m: Float64
+    b_m: Float64
+
+    @property
+    def length_m(self) -> float:
+        """From end to end."""
+        return float(np.hypot(*(self.b_m - self.a_m)))
+
+    def poses(self, is_reversed: bool, lead_m: float) -> tuple[Pose, Pose]:
+        """Poses of `base` at start and end of work; `lead_m` is how far `base` is ahead of the working line."""
+        first, last = (self.b_m, self.a_m) if is_reversed else (self.a_m, self.b_m)
+        heading = math.atan2(*(last - first)[::-1])
+        return Pose(*map(float, first), heading).ahead(lead_m), Pose(*map(float, last), heading).ahead(lead_m)
+
+
+def swaths_of(area: BaseGeometry, width_m: float, overlap_m: float, least_m: float, direction_rad: float | None) -> list[Swath]:
+    """Swaths that cover the area; without a direction the one of its edges that costs least.
+
+    `width_m` is worked by one swath; neighbours overlap by at least `overlap_m`.
+    """
+    if area.is_empty:
+        return []
+    angles = [direction_rad] if direction_rad is not None else _directions(area)
+    tried = [_along(area, width_m, overlap_m, least_m, angle) for angle in angles]
+    return min(tried, key=lambda swaths: round(sum(s.length_m + TURN_COST_M for s in swaths), 3))
+
+
+def _directions(area: BaseGeometry) -> list[float]:
+    angles: list[float] = []
+    for part in parts(area):
+        for angle, length in edge_angles(part)[:12]:
+            is_new = all(abs((angle - a + math.pi / 2) % math.pi - math.pi / 2) > math.radians(1.0) for a in angles)
+            if is_new and length > 3.0:
+                angles.append(angle)
+    return angles or [0.0]
+
+
+def _along(area: BaseGeometry, width_m: float, overlap_m: float, least_m: float, angle_rad: float) -> list[Swath]:
+    flat = rotate(area, -angle_rad, origin=(0.0, 0.0), use_radians=True)
+    pieces = [strip for part in parts(flat, LEAST_STRIP_M2) for strip in _strips(part, width_m, overlap_m, least_m)]
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    R = np.array([[c, -s], [s, c]])
+    return [Swath(k, R @ np.array([x0, y]), R @ np.array([x1, y])) for k, (x0, x1, y) in enumerate(pieces)]
+
+
+def _strips(part: Polygon, width_m: float, overlap_m: float, least_m: float) -> list[tuple[float, float, float]]:
+    """Start, end and height of the strips of a polygon along x, from below."""
+    x0, y0, x1, y1 = part.bounds
+    height = y1 - y0
+    count = max(1, math.ceil((height - overlap_m) / (width_m - overlap_m) - 1e-9))
+    pitch = (height - width_m) / (count - 1) if count > 1 else 0.0
+    middles = [y0 + width_m / 2.0 + k * pitch for k in range(count)] if count > 1 else [(y0 + y1) / 2.0]
+    found = []
+    for k, y in enumerate(middles):
+        # neighbours share the overlap: each strip is asked to cover up to the middle of it
+        reach = pitch / 2.0 + 1e-6 if count > 1 else width_m / 2.0
+        low = y0 if k == 0 else y - reach
+        high = y1 if k == count - 1 else y + reach
+        for piece in parts(part.intersection(box(x0 - 1.0, low, x1 + 1.0, high)), LEAST_STRIP_M2):
+            a, _, b, _ = piece.bounds
+            found.append(_at_least(a, b, least_m) + (y,))
+    return found
+
+
+def _at_least(a: float, b: float, least_m: float) -> tuple[float, float]:
+    more = max(0.0, least_m - (b - a)) / 2.0
+    return a - more, b + more
+
+
+def strip(swath: Swath, width_m: float) -> BaseGeometry:
+    """The area that a swath works."""
+    return shapely.LineString([swath.a_m, swath.b_m]).buffer(width_m / 2.0, cap_style="flat")

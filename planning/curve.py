@@ -1,0 +1,120 @@
+"""Dubins curves: all six words between two poses, and their points."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.polyline import Float64
+
+WORDS = ("LSL", "RSR", "LSR", "RSL", "RLR", "LRL")
+_TURN = {"L": 1.0, "S": 0.0, "R": -1.0}
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A place and heading in `map`."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+    def ahead(self, by_m: float) -> "Pose":
+        """The pose so far straight on."""
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return Pose(self.x_m + by_m * c, self.y_m + by_m * s, self.heading_rad)
+
+    def beside(self, by_m: float) -> "Pose":
+        """The pose so far to the left."""
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return Pose(self.x_m - by_m * s, self.y_m + by_m * c, self.heading_rad)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A word with the lengths of its three parts, from `start` at turning radius `radius_m`."""
+
+    start: Pose
+    word: str
+    lengths_m: tuple[float, float, float]
+    radius_m: float
+
+    @property
+    def length_m(self) -> float:
+        """Of the whole curve."""
+        return sum(self.lengths_m)
+
+
+def dubins(start: Pose, goal: Pose, radius_m: float) -> list[Curve]:
+    """All Dubins curves that exist between two poses, shortest first (Shkel & Lumelsky 2001, eq. 9 to 20)."""
+    dx, dy = goal.x_m - start.x_m, goal.y_m - start.y_m
+    d, theta = math.hypot(dx, dy) / radius_m, math.atan2(dy, dx)
+    a, b = start.heading_rad - theta, goal.heading_rad - theta
+    found = []
+    for word in WORDS:
+        parts = _parts(word, d, a, b)
+        if parts is not None:
+            t, p, q = (x * radius_m for x in parts)
+            found.append(Curve(start, word, (t, p, q), radius_m))
+    return sorted(found, key=lambda c: (c.length_m, c.word))
+
+
+def _parts(word: str, d: float, a: float, b: float) -> tuple[float, float, float] | None:
+    sa, ca, sb, cb = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
+    if word == "LSL":
+        p2, tangent = 2 + d * d - 2 * math.cos(a - b) + 2 * d * (sa - sb), math.atan2(cb - ca, d + sa - sb)
+        return None if p2 < 0 else (_turn(tangent - a), math.sqrt(p2), _turn(b - tangent))
+    if word == "RSR":
+        p2, tangent = 2 + d * d - 2 * math.cos(a - b) + 2 * d * (sb - sa), math.atan2(ca - cb, d - sa + sb)
+        return None if p2 < 0 else (_turn(a - tangent), math.sqrt(p2), _turn(tangent - b))
+    if word == "LSR":
+        p2 = -2 + d * d + 2 * math.cos(a - b) + 2 * d * (sa + sb)
+        if p2 < 0:
+            return None
+        p = math.sqrt(p2)
+        tangent = math.atan2(-ca - cb, d + sa + sb) - math.atan2(-2.0, p)
+        return _turn(tangent - a), p, _turn(tangent - b)
+    if word == "RSL":
+        p2 = -2 + d * d + 2 * math.cos(a - b) - 2 * d * (sa + sb)
+        if p2 < 0:
+            return None
+        p = math.sqrt(p2)
+        tangent = math.atan2(ca + cb, d - sa - sb) - math.atan2(2.0, p)
+        return _turn(a - tangent), p, _turn(b - tangent)
+    side = 1.0 if word == "RLR" else -1.0
+    cosine = (6 - d * d + 2 * math.cos(a - b) + side * 2 * d * (sa - sb)) / 8
+    if abs(cosine) > 1:
+        return None
+    p = 2 * math.pi - math.acos(cosine)
+    if word == "RLR":
+        t = _turn(a - math.atan2(ca - cb, d - sa + sb) + p / 2)
+        return t, p, _turn(a - b - t + p)
+    t = _turn(-a + math.atan2(-ca + cb, d + sa - sb) + p / 2)
+    return t, p, _turn(b - a - t + p)
+
+
+def _turn(angle_rad: float) -> float:
+    turn = angle_rad % (2 * math.pi)
+    return 0.0 if turn > 2 * math.pi - 1e-9 else turn
+
+
+def points_of(curve: Curve, step_m: float) -> Float64:
+    """Points (N, 2) of a curve from its first to its last, at most `step_m` apart."""
+    pose, out = curve.start, [np.array([[curve.start.x_m, curve.start.y_m]])]
+    for letter, length in zip(curve.word, curve.lengths_m, strict=True):
+        if length < 1e-9:
+            continue
+        s = np.linspace(0.0, length, max(2, int(math.ceil(length / step_m)) + 1))[1:]
+        x, y, heading = _along(pose, _TURN[letter] / curve.radius_m, s)
+        out.append(np.column_stack([x, y]))
+        pose = Pose(float(x[-1]), float(y[-1]), float(heading[-1]))
+    return np.vstack(out)
+
+
+def _along(pose: Pose, curvature: float, s: Float64) -> tuple[Float64, Float64, Float64]:
+    h = pose.heading_rad + curvature * s
+    if curvature == 0.0:
+        return pose.x_m + s * math.cos(pose.heading_rad), pose.y_m + s * math.sin(pose.heading_rad), h
+    x = pose.x_m + (np.sin(h) - math.sin(pose.heading_rad)) / curvature
+    y = pose.y_m - (np.cos(h) - math.cos(pose.heading_rad)) / curvature
+    return x, y, h

@@ -1,0 +1,67 @@
+"""Where the rig may be: field, lanes, gate and yard less fence, posts and no-go areas."""
+
+from dataclasses import dataclass
+
+import shapely
+from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from configs.site import Outline, Site
+from geometry.polygon import parts, polygon_of, shrink
+from messages.errors import FieldError
+
+
+@dataclass(frozen=True)
+class Ground:
+    """`field` as surveyed, `free` without no-go areas, `inner` free less the margin, `allowed` also lanes, gate and yard."""
+
+    site: Site
+    margin_m: float
+    field: Polygon
+    free: BaseGeometry
+    inner: BaseGeometry
+    allowed: BaseGeometry
+    fence: BaseGeometry
+
+
+def ground_of(site: Site, margin_m: float) -> Ground:
+    """The ground of a site with `margin_m` kept from every edge; raises FieldError."""
+    field = _area(site.boundary_m, f"field of site {site.name!r}")
+    barred = [_area(a.outline_m, f"no-go area {a.name!r}") for a in site.no_go]
+    if site.shed is not None:
+        barred.append(_area(site.shed.outline_m, "shed"))
+    no_go = shapely.union_all(barred)
+    lanes = [LineString(lane.center_m).buffer(lane.width_m / 2.0, cap_style="flat", join_style="mitre") for lane in site.lanes]
+    fence = field.exterior.difference(_openings(site, lanes))
+    free = field.difference(no_go)
+    ways = shapely.union_all([free, *lanes, _area(site.yard.outline_m, "yard")]).difference(no_go)
+    allowed = shrink(ways, margin_m).difference(fence.buffer(max(margin_m, 0.01)))
+    return Ground(site, margin_m, field, free, polygon_of(shrink(free, margin_m)), polygon_of(allowed), fence)
+
+
+def _openings(site: Site, lanes: list[Polygon]) -> BaseGeometry:
+    gates = [LineString(g.posts_m).buffer(0.5, cap_style="flat") for g in site.gates]
+    return shapely.union_all(gates if site.is_fenced else [*gates, *lanes])
+
+
+def _area(outline: Outline, what: str) -> Polygon:
+    polygon = Polygon(outline)
+    if not polygon.is_valid or polygon.area <= 0.0:
+        raise FieldError(f"{what}: {shapely.is_valid_reason(polygon)}; draw its outline without crossings")
+    return polygon
+
+
+def describe(site: Site, x_m: float, y_m: float) -> str:
+    """A place for people: map coordinates, latitude and longitude."""
+    import math
+
+    lat, lon, _ = site.datum.datum.to_ellipsoid(x_m, y_m, 0.0)
+    return f"x {x_m:.1f} m, y {y_m:.1f} m (latitude {math.degrees(lat):.6f}, longitude {math.degrees(lon):.6f})"
+
+
+def largest(shape: BaseGeometry) -> Polygon:
+    """The largest part of a shape (an empty polygon if none)."""
+    return max(parts(shape), key=lambda p: p.area, default=Polygon())
+
+
+__all__ = ["Ground", "MultiPolygon", "describe", "ground_of", "largest"]

@@ -1,0 +1,79 @@
+"""Machine and implement as the planner sees them: bodies, turning, working line and speeds."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from configs.mission import Work
+from configs.vehicle import ElectricWheel, Implement, MountedImplement, Vehicle, kmh
+from geometry.footprint import Bodies, Rectangle, place
+from geometry.polyline import Float64
+from messages.errors import FieldError
+from planning.configuration import PlannerConfig
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Numbers of machine with implement in SI; `working_x_m` is the working line along x of `base`."""
+
+    bodies: Bodies
+    working_x_m: float
+    working_width_m: float
+    radius_m: float
+    max_curvature_radpm: float
+    wheelbase_m: float
+    steer_rate_radps: float
+    acceleration_mps2: float
+    work_mps: float
+    turn_mps: float
+    lane_mps: float
+    config: PlannerConfig
+
+    @property
+    def width_m(self) -> float:
+        """Of the widest body."""
+        return max(b.width_m for b in self.bodies)
+
+    @property
+    def front_m(self) -> float:
+        """How far the rig reaches before `base`."""
+        return max(b.front_m for b in self.bodies)
+
+    @property
+    def rear_m(self) -> float:
+        """How far the rig reaches behind `base` (a negative x)."""
+        return min(b.rear_m for b in self.bodies)
+
+    def working_edges(self, p_map_m: Float64, heading_rad: Float64) -> tuple[Float64, Float64]:
+        """Left and right end of the working line at N poses, (N, 2) each."""
+        h = self.working_width_m / 2.0
+        ends = place(np.array([[self.working_x_m, h], [self.working_x_m, -h]]), p_map_m, heading_rad)
+        return ends[:, 0], ends[:, 1]
+
+
+def rig_of(vehicle: Vehicle, implement: Implement, work: Work, config: PlannerConfig) -> Rig:
+    """The rig of a mission; raises FieldError for an implement that cannot be planned for yet."""
+    if not isinstance(implement, MountedImplement):
+        raise FieldError(f"implement {implement.name!r} is {implement.kind}: only mounted ones can be planned for yet")
+    body, top = vehicle.body, kmh(vehicle.max_speed_kmh)
+    machine = Rectangle(-body.rear_m, body.front_m, body.width_m)
+    behind = Rectangle(implement.rear_end_m, implement.front_end_m, implement.width_m)
+    steering = vehicle.steering
+    if isinstance(steering, ElectricWheel):
+        rate = steering.max_wheel_rpm / 60.0 / steering.wheel_turns_per_steer_rad
+    else:
+        rate = steering.max_flow_lpm / 60.0 / steering.cylinder_l_per_rad
+    limit = vehicle.drivetrain.max_curvature_radpm
+    return Rig(
+        (machine, behind), implement.working_point_m, implement.working_width_m,
+        1.0 / (limit * config.curvature_share), limit, vehicle.drivetrain.wheelbase_m,
+        rate * config.steering_rate_share, vehicle.acceleration_mps2,
+        min(kmh(work.work_speed_kmh), top), min(kmh(work.turn_speed_kmh), top), min(kmh(work.lane_speed_kmh), top),
+        config,
+    )  # fmt: skip
+
+
+def corner_reach_m(rig: Rig) -> float:
+    """Greatest distance from the centre of the tightest turn to the outermost point of the rig."""
+    return max(math.hypot(rig.radius_m + b.width_m / 2.0, max(b.front_m, -b.rear_m)) for b in rig.bodies)
