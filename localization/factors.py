@@ -1,0 +1,70 @@
+"""Measurements as factors on the graph's variables.
+
+A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip S =
+(scale, drift): base moves `scale` times the wheels' speed forwards and `drift` times it to the left.
+"""
+
+from collections.abc import Callable
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, S, V, X
+
+from geometry.angles import wrap
+from geometry.transforms import Float64
+
+__all__ = ["B", "S", "V", "X", "gnss_factor", "heading_factor", "motion_factor", "wheel_factor"]
+
+Error = Callable[[gtsam.CustomFactor, gtsam.Values, "list[Float64] | None"], Float64]
+
+
+def skew(p: Float64) -> Float64:
+    """The matrix of the cross product with p (3,)."""
+    return np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
+
+
+def gnss_factor(key: int, p_map_m: Float64, arm_m: Float64, sigma_m: Float64) -> gtsam.GPSFactorArm:
+    """An antenna at `p_map_m`, `arm_m` from the IMU in `base` axes."""
+    return gtsam.GPSFactorArm(X(key), p_map_m, arm_m, gtsam.noiseModel.Diagonal.Sigmas(sigma_m))
+
+
+def heading_factor(key: int, heading_rad: float, sigma_rad: float) -> gtsam.CustomFactor:
+    """The direction of x of base, seen from above."""
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
+        R = values.atPose3(X(key)).rotation().matrix()
+        east, north = R[0, 0], R[1, 0]
+        if H is not None:
+            # d(R e_x) = R (ω × e_x) = ω_z R e_y - ω_y R e_z; the angle changes by its part across, over the length squared
+            across = np.array([-north, east]) / (east * east + north * north)
+            H[0] = np.array([[0.0, -(across @ R[:2, 2]), across @ R[:2, 1], 0.0, 0.0, 0.0]])
+        return np.array([wrap(float(np.arctan2(north, east)) - heading_rad)])
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Isotropic.Sigma(1, sigma_rad), [X(key)], error)
+
+
+def wheel_factor(start: int, end: int, columns: Float64, arm_m: Float64, sigma_m: Float64) -> gtsam.CustomFactor:
+    """The way of base between two keyframes as `columns` (3, 2) @ slip; `arm_m` is base seen from the IMU."""
+    arm_cross = -skew(arm_m)
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
+        first, last = values.atPose3(X(start)), values.atPose3(X(end))
+        R_start = first.rotation().matrix()
+        R_end = last.rotation().matrix()
+        way = R_start.T @ (last.translation() + R_end @ arm_m - first.translation())
+        if H is not None:
+            turn = R_start.T @ R_end
+            H[0] = np.hstack([skew(way), -np.eye(3)])
+            H[1] = np.hstack([turn @ arm_cross, turn])
+            H[2] = -columns
+        return way - arm_m - columns @ values.atVector(S(start))
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [X(start), X(end), S(start)], error)
+
+
+def motion_factor(start: int, end: int, T_start_end: Float64, covariance: Float64) -> gtsam.BetweenFactorPose3:
+    """A measured motion of the graph's body between two keyframes; covariance (6, 6) rotation then translation."""
+    model = gtsam.noiseModel.Robust.Create(
+        gtsam.noiseModel.mEstimator.Huber.Create(1.345), gtsam.noiseModel.Gaussian.Covariance(covariance)
+    )
+    return gtsam.BetweenFactorPose3(X(start), X(end), gtsam.Pose3(T_start_end), model)

@@ -1,0 +1,154 @@
+"""From measurements to keyframes: predicts, gates, hands the factors to the graph."""
+
+import math
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+
+from configs.vehicle import Imu, Vehicle
+from geometry.angles import wrap
+from geometry.transforms import Float64, invert
+from localization.alignment import AlignmentConfig, Level, Placed, pose_of
+from localization.factors import B, V, X, gnss_factor, heading_factor, motion_factor, skew, wheel_factor
+from localization.gnss import GnssConfig, GnssGate, Position, Refusal
+from localization.inertial import InertialConfig, InertialTrack, Steps
+from localization.preintegration import bias_sigmas, constant_bias, imu_parameters, normal_gravity, preintegrate
+from localization.smoother import Smoother, SmootherConfig, State
+from localization.wheels import WheelConfig, WheelTrack, displacement_columns
+
+GRAVITY_SIGMA_MPS2 = 0.02
+
+
+@dataclass(frozen=True)
+class Arms:
+    """Places in `base` axes seen from the IMU."""
+
+    antenna_m: Float64
+    base_m: Float64
+    T_base_body: Float64
+
+    @classmethod
+    def of(cls, imu: Imu, antenna_xyz_m: tuple[float, float, float]) -> "Arms":
+        """From the mounts."""
+        T = np.eye(4)
+        T[:3, 3] = imu.mount.xyz_m
+        return cls(np.array(antenna_xyz_m) - T[:3, 3], -T[:3, 3], T)
+
+
+class Fusion:
+    """Makes keyframes out of inertial steps, wheels, fixes and lidar motions."""
+
+    def __init__(
+        self, vehicle: Vehicle, gravity_at: tuple[float, float], inertial: InertialConfig, wheels: WheelConfig,
+        gnss: GnssConfig, smoother: SmootherConfig, alignment: AlignmentConfig,
+    ) -> None:  # fmt: skip
+        imu, main = vehicle.sensors.imu, vehicle.sensors.gnss["main"]
+        assert imu is not None, "checked by the localizer"
+        self.arms = Arms.of(imu, main.mount.xyz_m)
+        self._gravity = normal_gravity(*gravity_at)
+        self._parameters = imu_parameters(imu, inertial, self._gravity)
+        self._bias_sigmas = bias_sigmas(imu)
+        self._wheel_density = _wheel_density(vehicle)
+        self._wheels, self._alignment, self._gnss = wheels, alignment, gnss
+        self.gate = GnssGate(gnss)
+        self.smoother = Smoother(smoother)
+        self._waiting: list[object] = []
+
+    def start(self, stamp_ns: int, level: Level, placed: Placed) -> State:
+        """Begins the graph at a standstill."""
+        cfg = self._alignment
+        tilt, heading = math.radians(cfg.tilt_sigma_deg), math.radians(cfg.heading_sigma_deg)
+        pose_sigma = np.concatenate([[tilt, tilt, heading], placed.sigma_m])
+        accelerometer, gyro = self._bias_sigmas
+        bias_sigma = np.repeat([math.hypot(accelerometer, GRAVITY_SIGMA_MPS2), gyro], 3)
+        bias_sigma[:2] = accelerometer
+        slip_sigma = [self._wheels.scale_sigma, self._wheels.drift_sigma]
+        bias = np.concatenate([[0.0, 0.0, level.gravity_mps2 - self._gravity], level.gyro_bias_radps])
+        sigmas = np.concatenate([pose_sigma, np.full(3, cfg.velocity_sigma_mps), bias_sigma, slip_sigma])
+        T = pose_of(level, placed, self.arms.antenna_m)
+        state = State(stamp_ns, T, np.zeros(3), bias, np.array([1.0, 0.0]), np.diag(pose_sigma**2), sigmas)
+        return self.restart(state)
+
+    def restart(self, state: State) -> State:
+        """Begins the graph anew at a known state."""
+        self._waiting.clear()
+        self.smoother.start(state)
+        return state
+
+    def add_motion(self, start: int, end: int, T_base: Float64, covariance: Float64) -> None:
+        """Keeps a motion of base between two keyframes for the next update; covariance in base at its end."""
+        T = invert(self.arms.T_base_body) @ T_base @ self.arms.T_base_body
+        A = gtsam.Pose3(invert(self.arms.T_base_body)).AdjointMap()
+        self._waiting.append(motion_factor(start, end, T, A @ covariance @ A.T))
+
+    def keyframe(self, stamp_ns: int, track: InertialTrack, wheels: WheelTrack, position: Position | None) -> Refusal:
+        """Adds a keyframe with what was measured since the last; says what spoke against the fix.
+
+        Raises SmootherFailure when the graph had to be rebuilt at the last state.
+        """
+        last = self.smoother.state
+        assert last is not None, "start comes first"
+        steps = track.between(last.stamp_ns, stamp_ns)
+        inertial = preintegrate(self._parameters, last.bias, steps)
+        guess, key = self._predict(last, stamp_ns, inertial), self.smoother.next_key
+        factors, self._waiting = self._waiting, []
+        factors += self._wheel_factors(key, last, stamp_ns, steps, wheels)
+        refusal = Refusal.NONE
+        if position is not None:
+            refusal = self.gate.judge(position, *self._antenna(guess, (stamp_ns - last.stamp_ns) * 1e-9))
+            if refusal is Refusal.NONE:
+                factors += self._fix_factors(key, guess, position)
+        between = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), inertial)
+        root = math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
+        slip_sigma = root * np.array([self._wheels.scale_per_rts, self._wheels.drift_per_rts])
+        self.smoother.add(guess, between, slip_sigma, factors)
+        return refusal
+
+    def _predict(self, last: State, stamp_ns: int, inertial: gtsam.PreintegratedCombinedMeasurements) -> State:
+        start = gtsam.NavState(gtsam.Pose3(last.T_map_body), last.velocity_mps)
+        end = inertial.predict(start, constant_bias(last.bias))
+        return replace(
+            last, stamp_ns=stamp_ns, T_map_body=np.asarray(end.pose().matrix()), velocity_mps=np.asarray(end.velocity())
+        )
+
+    def _antenna(self, guess: State, dt_s: float) -> tuple[Float64, Float64]:
+        """Predicted antenna and its covariance (3, 3) in map."""
+        R = guess.T_map_body[:3, :3]
+        J = R @ np.hstack([-skew(self.arms.antenna_m), np.eye(3)])
+        growth = (self._alignment.velocity_sigma_mps * dt_s) ** 2 * np.eye(3)
+        p = guess.T_map_body[:3, 3] + R @ self.arms.antenna_m
+        return p, J @ guess.covariance @ J.T + growth
+
+    def _fix_factors(self, key: int, guess: State, position: Position) -> list[object]:
+        factors: list[object] = [gnss_factor(key, position.p_map_m, self.arms.antenna_m, position.sigma_m)]
+        if math.isfinite(position.heading_rad):
+            R = guess.T_map_body
+            off = wrap(position.heading_rad - math.atan2(R[1, 0], R[0, 0]))
+            sigma = math.hypot(position.heading_sigma_rad, math.sqrt(guess.covariance[2, 2]))
+            if abs(off) <= max(self._gnss.heading_gate_sigma * sigma, math.radians(self._gnss.heading_floor_deg)):
+                factors.append(heading_factor(key, position.heading_rad, position.heading_sigma_rad))
+        return factors
+
+    def _wheel_factors(
+        self, key: int, last: State, stamp_ns: int, steps: Steps, wheels: WheelTrack
+    ) -> list[object]:
+        cfg = self._wheels
+        if len(wheels) == 0 or stamp_ns - wheels.last_ns > cfg.largest_gap_s * 1e9:
+            return []
+        speed = wheels.speed_at(steps.middle_ns, last.stamp_ns)
+        columns = displacement_columns(steps, speed, last.bias[3:])
+        stands = float(np.max(np.abs(speed))) < cfg.standing_mps
+        along = math.hypot(self._wheel_density, cfg.longitudinal_m_per_rts)
+        density = np.array([along, cfg.lateral_m_per_rts, cfg.vertical_m_per_rts])
+        if stands:
+            density = np.full(3, cfg.standstill_m_per_rts)
+            columns = np.zeros((3, 2))
+        sigma = density * math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
+        return [wheel_factor(key - 1, key, columns, self.arms.base_m, sigma)]
+
+
+def _wheel_density(vehicle: Vehicle) -> float:
+    wheels = vehicle.sensors.wheels
+    assert wheels is not None, "checked by the localizer"
+    return wheels.speed_sigma_mps / math.sqrt(wheels.rate_hz)

@@ -1,0 +1,174 @@
+"""Which fixes to believe, and how far: each kind of solution with its own accuracy, tested against the prediction."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from geometry.geodesy import Datum
+from geometry.transforms import Float64
+from messages.motion import PositionSource
+from messages.sensors import GnssFix, GnssSolution
+
+Sigma = Field(gt=0.0, le=100.0)
+
+
+class SolutionConfig(Config):
+    """What one kind of solution is worth; a receiver that claims to be better is not believed."""
+
+    horizontal_m: float = Sigma
+    vertical_m: float = Sigma
+    slow_share: float = Field(ge=0.0, lt=1.0, description="share of sigma that wanders too slowly to average out")
+    correlation_s: float = Field(ge=0.0, le=600.0, description="0: the rest is white from fix to fix")
+    is_used: bool
+
+
+class GnssConfig(Config):
+    """Gates of fixes and the worth of each kind."""
+
+    rtk_fixed: SolutionConfig
+    rtk_float: SolutionConfig
+    ppp: SolutionConfig
+    sbas: SolutionConfig
+    single: SolutionConfig
+    gate_sigma: float = Field(gt=1.0, le=10.0)
+    gate_floor_m: float = Field(gt=0.0, le=1.0, description="innovation that is never refused by sigma alone")
+    heading_gate_sigma: float = Field(gt=1.0, le=10.0)
+    heading_floor_deg: float = Field(gt=0.0, le=10.0)
+    heading_sigma_deg: float = Field(gt=0.0, le=10.0, description="no heading is believed better than this")
+    least_satellites: int = Field(ge=4, le=30)
+    largest_correction_age_s: float = Field(gt=0.0, le=600.0)
+    probation_fixes: int = Field(ge=1, le=100, description="fixes that must agree after an outage or a better kind")
+    outage_s: float = Field(gt=0.0, le=60.0)
+
+    def of(self, solution: GnssSolution) -> SolutionConfig | None:
+        """The row for a kind of solution, None when it has none or is not to be used."""
+        rows = {
+            GnssSolution.RTK_FIXED: self.rtk_fixed, GnssSolution.RTK_FLOAT: self.rtk_float,
+            GnssSolution.PPP: self.ppp, GnssSolution.SBAS: self.sbas, GnssSolution.SINGLE: self.single,
+        }  # fmt: skip
+        row = rows.get(solution)
+        return row if row is not None and row.is_used else None
+
+
+class Refusal(StrEnum):
+    """Why a fix was not used."""
+
+    NONE = ""
+    GARBAGE = "not finite or impossible"
+    NO_SOLUTION = "no solution, or a kind not to be used"
+    FEW_SATELLITES = "too few satellites"
+    OLD_CORRECTIONS = "corrections too old"
+    PROBATION = "first fixes after an outage must agree"
+    OUTLIER = "contradicts the prediction"
+
+
+@dataclass(frozen=True)
+class Position:
+    """A fix in `map`: `sigma_m` (3,) for a single factor, `slow_m` (3,) what averaging does not take away."""
+
+    stamp_ns: int
+    p_map_m: Float64
+    sigma_m: Float64
+    slow_m: Float64
+    heading_rad: float
+    heading_sigma_rad: float
+    solution: GnssSolution
+
+
+def source_of(solution: GnssSolution) -> PositionSource:
+    """The position source that a solution makes."""
+    if solution is GnssSolution.RTK_FIXED:
+        return PositionSource.RTK_FIXED
+    return PositionSource.RTK_FLOAT if solution in (GnssSolution.RTK_FLOAT, GnssSolution.PPP) else PositionSource.SINGLE
+
+
+def is_sane(fix: GnssFix) -> bool:
+    """Whether place and sigmas are finite and on the earth (heading and velocity may be NaN: not measured)."""
+    place = (fix.latitude_rad, fix.longitude_rad, fix.height_m)
+    on_earth = abs(fix.latitude_rad) <= math.pi / 2 and abs(fix.longitude_rad) <= math.pi and abs(fix.height_m) < 2e4
+    sigmas = fix.sigma_enu_m.shape == (3,) and bool(np.all(np.isfinite(fix.sigma_enu_m) & (fix.sigma_enu_m >= 0.0)))
+    return all(map(math.isfinite, place)) and on_earth and sigmas
+
+
+def check(fix: GnssFix, config: GnssConfig) -> Refusal:
+    """What speaks against a fix by itself."""
+    if not is_sane(fix):
+        return Refusal.GARBAGE
+    if config.of(fix.solution) is None:
+        return Refusal.NO_SOLUTION
+    if fix.satellites < config.least_satellites:
+        return Refusal.FEW_SATELLITES
+    needs_corrections = fix.solution in (GnssSolution.RTK_FIXED, GnssSolution.RTK_FLOAT)
+    if needs_corrections and not fix.correction_age_s <= config.largest_correction_age_s:
+        return Refusal.OLD_CORRECTIONS
+    return Refusal.NONE
+
+
+def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) -> Position:
+    """A checked fix in `map`, with sigmas such that the graph gains no more information a second than there is.
+
+    A noise of correlation time τ, sampled at rate f, is worth one independent sample in 2 τ (for 2 τ f > 1).
+    """
+    row = config.of(fix.solution)
+    assert row is not None, "check comes first"
+    floor = np.array([row.horizontal_m, row.horizontal_m, row.vertical_m])
+    sigma = np.maximum(fix.sigma_enu_m, floor)
+    fast = sigma * math.sqrt(1.0 - row.slow_share**2) * math.sqrt(max(1.0, 2.0 * row.correlation_s * rate_hz))
+    heading_sigma = max(fix.sigma_heading_rad, math.radians(config.heading_sigma_deg))  # NaN sigma: stays NaN, not used
+    has_heading = math.isfinite(fix.heading_rad) and math.isfinite(fix.sigma_heading_rad)
+    p = np.array(datum.to_map(fix.latitude_rad, fix.longitude_rad, fix.height_m))
+    heading = fix.heading_rad if has_heading else math.nan
+    return Position(fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_sigma, fix.solution)
+
+
+def distance(innovation_m: Float64, covariance: Float64) -> float:
+    """Mahalanobis length of an innovation."""
+    return math.sqrt(max(0.0, float(innovation_m @ np.linalg.solve(covariance, innovation_m))))
+
+
+class GnssGate:
+    """Refuses what contradicts the prediction, and what comes back after an outage until it agrees with itself."""
+
+    def __init__(self, config: GnssConfig) -> None:
+        self._config = config
+        self._recent: deque[Float64] = deque(maxlen=config.probation_fixes)
+        self._trusted = GnssSolution.NONE
+        self._accepted_ns: int | None = None
+
+    def trust(self, position: Position) -> None:
+        """Starts from a fix that alignment has accepted."""
+        self._trusted, self._accepted_ns = position.solution, position.stamp_ns
+
+    def judge(self, position: Position, predicted_m: Float64, covariance: Float64) -> Refusal:
+        """Whether to use a fix, given where the antenna is predicted with which covariance (3, 3)."""
+        innovation = position.p_map_m - predicted_m
+        self._recent.append(innovation)
+        own = np.diag(position.sigma_m**2 + position.slow_m**2)
+        if self._is_new(position) and not self._agree(np.sqrt(np.diag(own)), covariance):
+            return Refusal.PROBATION
+        if not self.passes(innovation, covariance + own):
+            return Refusal.OUTLIER
+        self.trust(position)
+        return Refusal.NONE
+
+    def passes(self, innovation_m: Float64, covariance: Float64) -> bool:
+        """The gate alone."""
+        floor = self._config.gate_floor_m / self._config.gate_sigma
+        return distance(innovation_m, covariance + floor**2 * np.eye(3)) <= self._config.gate_sigma
+
+    def _is_new(self, position: Position) -> bool:
+        if self._accepted_ns is None or position.solution > self._trusted:
+            return True
+        return position.stamp_ns - self._accepted_ns > self._config.outage_s * 1e9
+
+    def _agree(self, sigma_m: Float64, covariance: Float64) -> bool:
+        """Whether the last innovations lie together as closely as their sigmas say."""
+        if len(self._recent) < self._config.probation_fixes:
+            return False
+        spread = np.ptp(np.array(self._recent), axis=0)
+        return bool(np.all(spread <= 2.0 * self._config.gate_sigma * sigma_m))

@@ -1,0 +1,180 @@
+"""The node that says where the machine is: continuous in `odom` at every step, fused in `map_pose`."""
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Vehicle
+from geometry.geodesy import Datum
+from localization.alarms import Alarms
+from localization.fusion import Fusion
+from localization.gnss import Refusal, check, position_of
+from localization.inertial import InertialTrack
+from localization.motion import Motion, MotionConfig
+from localization.placement import Placement, PlacementConfig
+from localization.preintegration import bias_sigmas
+from localization.wheels import WheelTrack
+from messages.errors import ConfigError
+from messages.motion import LidarMotion
+from messages.node import All, Every, Inbox, Node, Output, Read
+from messages.sensors import GnssFix, ImuSample, WheelSample
+
+IMU, WHEEL, GNSS, LIDAR_MOTION = "imu", "wheel", "gnss/main", "lidar_motion/front"
+
+
+class LocalizationConfig(Config):
+    """Section `localization` of the stack's configuration."""
+
+    period_s: float = Field(ge=0.005, le=0.1)
+    pose_period_s: float = Field(ge=0.02, le=1.0)
+    oldest_s: float = Field(gt=0.0, le=5.0, description="a sample older than this on arrival is dropped")
+    newest_s: float = Field(ge=0.0, le=1.0, description="a sample this far in the future is dropped")
+    gnss_silent_s: float = Field(gt=0.0, le=10.0)
+    motion: MotionConfig
+    placement: PlacementConfig
+
+
+class Localizer(Node):
+    """Fuses GNSS, inertial unit, wheels and lidar motion; `odom` stops when inertial unit or wheels are silent."""
+
+    def __init__(self, vehicle: Vehicle, datum: Datum, config: LocalizationConfig) -> None:
+        if "main" not in vehicle.sensors.gnss or vehicle.sensors.imu is None:
+            raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.gnss.main and sensors.imu")
+        self.name = "localizer"
+        self.reads: Mapping[str, Read] = {IMU: All(200), WHEEL: All(100), GNSS: All(20)}
+        if "front" in vehicle.sensors.lidar:
+            self.reads = {**self.reads, LIDAR_MOTION: All(20)}
+        self.writes = ("odom", "map_pose", "fault")
+        self.runs = Every(round(config.period_s * 1e9))
+        self._config, self._datum = config, datum
+        self._gnss_rate_hz = vehicle.sensors.gnss["main"].rate_hz
+        self._gyro_bias_sigma = bias_sigmas(vehicle.sensors.imu)[1]
+        place, gravity_at = config.placement, (datum.latitude_rad, datum.height_m)
+        self._motion = Motion(vehicle, config.motion, place.alignment)
+        fusion = Fusion(
+            vehicle, gravity_at, config.motion.inertial, config.motion.wheels, place.gnss, place.smoother, place.alignment
+        )
+        self._placement = Placement(place, fusion, self._motion)
+        self._alarms = Alarms(self.name)
+        self._now_ns: int | None = None
+        self._gnss_ns: int | None = None
+        self._posed_ns: int | None = None
+        self._gap_s: float | None = None
+        self._was_lost = False
+        self.dropped = 0
+
+    def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
+        """Takes what came, goes on, says where the machine is."""
+        self._follow_clock(now_ns)
+        self._take(now_ns, inbox)
+        if len(self._motion.track):
+            self._advance()
+        self._watch(now_ns)
+        outputs: list[Output] = [("fault", fault) for fault in self._alarms.take(now_ns)]
+        return [*self._poses(now_ns), *outputs]
+
+    def _follow_clock(self, now_ns: int) -> None:
+        """Forgets stamps when time itself jumps; a leap of more than a second cannot be told from a pause."""
+        previous, self._now_ns = self._now_ns, now_ns
+        if previous is None or 0 <= now_ns - previous <= 1_000_000_000:
+            return
+        gap_s = max(0.1, (now_ns - previous) * 1e-9)
+        self._alarms.note("clock.jumped", f"{(now_ns - previous) * 1e-9:+.3f} s")
+        self._forget_time(gap_s)
+        self._gnss_ns = self._posed_ns = None
+
+    def _forget_time(self, gap_s: float) -> None:
+        self._gap_s = gap_s if self._gap_s is None else self._gap_s + gap_s
+        self._motion.forget_time()
+        self._placement.forget_time()
+
+    def _take(self, now_ns: int, inbox: Inbox) -> None:
+        before = self.dropped
+        for wheel in inbox.all(WHEEL, WheelSample):
+            self.dropped += not (self._is_timely(wheel.stamp_ns, now_ns) and self._motion.add_wheels(wheel))
+        for sample in inbox.all(IMU, ImuSample):
+            self.dropped += not (self._is_timely(sample.stamp_ns, now_ns) and self._add_inertial(sample))
+        for fix in inbox.all(GNSS, GnssFix):
+            self.dropped += not (self._is_timely(fix.stamp_ns, now_ns) and self._add_fix(fix))
+        if LIDAR_MOTION in self.reads:
+            for motion in inbox.all(LIDAR_MOTION, LidarMotion):
+                self._placement.link.add(motion)
+        self._alarms.set("localization.garbage", self.dropped > before, f"{self.dropped} in all")
+
+    def _is_timely(self, stamp_ns: int, now_ns: int) -> bool:
+        return -self._config.oldest_s * 1e9 <= stamp_ns - now_ns <= self._config.newest_s * 1e9
+
+    def _add_inertial(self, sample: ImuSample) -> bool:
+        track = self._motion.track
+        if len(track) and sample.stamp_ns - track.last_ns > self._config.motion.inertial.largest_gap_s * 1e9:
+            self._forget_time((sample.stamp_ns - track.last_ns) * 1e-9)
+        return self._motion.add_inertial(sample)
+
+    def _add_fix(self, fix: GnssFix) -> bool:
+        self._gnss_ns = fix.stamp_ns
+        refusal = check(fix, self._config.placement.gnss)
+        if refusal is not Refusal.NONE:
+            return refusal is not Refusal.GARBAGE
+        position = position_of(fix, self._datum, self._config.placement.gnss, self._gnss_rate_hz)
+        self._motion.standstill.add(position)
+        if self._placement.is_initialized:
+            self._placement.add(position)
+        return True
+
+    def _advance(self) -> None:
+        motion, placement = self._motion, self._placement
+        if motion.reckoning is None:
+            level = motion.level()
+            if level is None:
+                return
+            motion.begin(level)
+        elif self._gap_s is not None:
+            motion.resume()
+            placement.resume(self._gap_s, motion.speed_mps)
+        self._gap_s = None
+        motion.advance()
+        if placement.is_initialized:
+            placement.advance()
+        else:
+            placement.start()
+        self._was_lost |= placement.is_initialized
+
+    def _watch(self, now_ns: int) -> None:
+        """Sets the alarms."""
+        motion, alarms = self._motion, self._alarms
+        alarms.set("imu.silent", self._is_silent(motion.track, now_ns, self._config.motion.inertial.largest_gap_s))
+        alarms.set("wheel.silent", self._is_silent(motion.wheels, now_ns, self._config.motion.wheels.largest_gap_s))
+        gnss_ns = self._gnss_ns if self._gnss_ns is not None else -(2**62)
+        alarms.set("gnss.silent", now_ns - gnss_ns > self._config.gnss_silent_s * 1e9)
+        alarms.set("gnss.refused", self._placement.is_refusing, "contradict the prediction")
+        is_lost = self._was_lost and not self._placement.is_initialized
+        alarms.set("localization.lost", is_lost)
+        alarms.set("gnss.no_heading", not self._placement.is_initialized and motion.standstill.lacks_heading)
+        for failure in self._placement.failures:
+            alarms.note("localization.rebuilt", failure)
+        self._placement.failures.clear()
+
+    def _poses(self, now_ns: int) -> list[Output]:
+        motion = self._motion
+        if motion.reckoning is None or self._alarms.is_on("imu.silent") or self._alarms.is_on("wheel.silent"):
+            return []
+        out: list[Output] = [("odom", motion.odometry(*self._calibration_sigmas()))]
+        period_ns = round(self._config.pose_period_s * 1e9)
+        if self._posed_ns is None or now_ns - self._posed_ns >= period_ns:
+            self._posed_ns = now_ns
+            out.append(("map_pose", self._placement.pose()))
+        return out
+
+    def _calibration_sigmas(self) -> tuple[float, "np.ndarray[tuple[int], np.dtype[np.float64]]"]:
+        state = self._placement.state
+        wheels = self._config.motion.wheels
+        if state is None:
+            return self._gyro_bias_sigma, np.array([wheels.scale_sigma, wheels.drift_sigma])
+        return float(state.sigmas[14]), state.sigmas[15:17]
+
+    @staticmethod
+    def _is_silent(track: InertialTrack | WheelTrack, now_ns: int, largest_gap_s: float) -> bool:
+        return len(track) == 0 or now_ns - track.last_ns > largest_gap_s * 1e9

@@ -1,0 +1,232 @@
+"""The fused side: where `odom` lies in `map`, from the graph's newest keyframe."""
+
+import math
+from collections import deque
+
+import numpy as np
+from dataclasses import replace
+from pydantic import Field
+
+from configs.strict import Config
+from geometry.transforms import Float64, invert
+from localization.alignment import AlignmentConfig
+from localization.dead_reckoning import Calibration
+from localization.fusion import Fusion
+from localization.gnss import GnssConfig, Position, Refusal, source_of
+from localization.integrity import IntegrityConfig, output_covariance, protection_level
+from localization.lidar_link import LidarLink, LidarLinkConfig, moved_to
+from localization.motion import Motion
+from localization.smoother import SmootherConfig, SmootherFailure, State
+from messages.motion import LidarMotion, MapPose, PositionSource
+
+
+class PlacementConfig(Config):
+    """What the fused pose needs."""
+
+    gnss: GnssConfig
+    smoother: SmootherConfig
+    alignment: AlignmentConfig
+    lidar_link: LidarLinkConfig
+    integrity: IntegrityConfig
+    resume_turn_radps: float = Field(gt=0.0, le=2.0, description="how fast the pose may have turned during a gap")
+    resume_share: float = Field(gt=0.0, le=2.0, description="part of the speed by which it may have moved otherwise")
+    longest_bridge_s: float = Field(gt=0.0, le=10.0, description="a longer gap while driving loses the position")
+    realign_s: float = Field(gt=0.0, le=600.0, description="refused for so long at standstill: start anew")
+
+
+class Placement:
+    """Owns the graph and turns its newest keyframe into `T_map_odom`."""
+
+    def __init__(self, config: PlacementConfig, fusion: Fusion, motion: Motion) -> None:
+        self._config, self._motion = config, motion
+        self.fusion = fusion
+        self.link = LidarLink(config.lidar_link)
+        self._queue: deque[Position] = deque()
+        self._T_map_odom = np.eye(4)
+        self._accepted: Position | None = None
+        self._accepted_ns = 0
+        self._refused_since_ns: int | None = None
+        self.is_initialized = False
+        self.failures: list[str] = []
+        self.refusals = 0
+        self.late = 0
+
+    @property
+    def state(self) -> State | None:
+        """The newest keyframe, None before the start."""
+        return self.fusion.smoother.state if self.is_initialized else None
+
+    @property
+    def is_refusing(self) -> bool:
+        """Whether the newest fixes have been refused."""
+        return self._refused_since_ns is not None
+
+    def add(self, position: Position) -> None:
+        """Takes a fix; it waits until inertial samples reach it."""
+        newest = self._queue[-1].stamp_ns if self._queue else self._newest_ns()
+        if position.stamp_ns <= newest:
+            self.late += 1
+            return
+        self._queue.append(position)
+
+    def _newest_ns(self) -> int:
+        state = self.state
+        return state.stamp_ns if state is not None else -(2**63)
+
+    def forget_time(self) -> None:
+        """Drops what waits."""
+        self._queue.clear()
+        self.link.clear()
+        self._refused_since_ns = None
+
+    def start(self) -> bool:
+        """Begins at a standstill when there are fixes with heading."""
+        still, level = self._motion.standstill, self._motion.level()
+        placed, newest = still.place(), still.newest
+        if level is None or placed is None or newest is None:
+            return False
+        stamp_ns = max(newest.stamp_ns, self._motion.track.first_ns)
+        if stamp_ns > self._motion.track.last_ns or self._motion.history.at(stamp_ns) is None:
+            return False
+        self.fusion.gate.trust(newest)
+        self._place(self.fusion.start(stamp_ns, level, placed))
+        self._accept(newest)
+        self.is_initialized = True
+        return True
+
+    def resume(self, gap_s: float, speed_mps: float) -> bool:
+        """Goes on after a gap at the newest inertial sample with a wider covariance; False when that is too wide."""
+        state = self.state
+        if state is None:
+            return False
+        if abs(speed_mps) > 0.05 and gap_s > self._config.longest_bridge_s:
+            self.is_initialized = False
+            return False
+        wider = np.repeat([self._config.resume_turn_radps * min(gap_s, 1.0), self._config.resume_share * abs(speed_mps) * gap_s], 3)
+        wider += 1e-3
+        T = self._T_map_odom @ self._odom_now() @ self.fusion.arms.T_base_body
+        velocity = T[:3, 0] * speed_mps
+        sigmas = state.sigmas.copy()
+        sigmas[6:9] = np.maximum(sigmas[6:9], 0.2)
+        again = replace(
+            state, stamp_ns=self._motion.stamp_ns, T_map_body=T, velocity_mps=velocity,
+            covariance=state.covariance + np.diag(wider**2), sigmas=sigmas,
+        )  # fmt: skip
+        self._place(self.fusion.restart(again))
+        return True
+
+    def _odom_now(self) -> Float64:
+        reckoning = self._motion.reckoning
+        assert reckoning is not None, "the pose is continuous before it is placed"
+        return reckoning.T_odom_base
+
+    def advance(self) -> None:
+        """Makes the keyframes that the samples so far allow."""
+        reach = self._motion.track.last_ns
+        while self._queue and self._queue[0].stamp_ns <= reach:
+            position = self._queue.popleft()
+            self._fill(position.stamp_ns)
+            self._keyframe(position.stamp_ns, position)
+        cfg = self._config.smoother
+        if not self._queue:
+            self._fill(reach - int((cfg.wait_s - cfg.period_s) * 1e9))
+
+    def _fill(self, until_ns: int) -> None:
+        """Keyframes without a fix up to somewhat before a time."""
+        period_ns = int(self._config.smoother.period_s * 1e9)
+        while until_ns - self._newest_ns() > 1.6 * period_ns:
+            self._keyframe(self._newest_ns() + period_ns, None)
+
+    def _keyframe(self, stamp_ns: int, position: Position | None) -> None:
+        motion = self._motion
+        self._add_spans()
+        before = self.state
+        try:
+            refusal = self.fusion.keyframe(stamp_ns, motion.track, motion.wheels, position)
+        except SmootherFailure as failure:
+            self._recover(stamp_ns, before, str(failure))
+            return
+        state = self.state
+        assert state is not None, "a keyframe was made"
+        self._place(state)
+        if position is not None:
+            self._count(position, refusal)
+
+    def _recover(self, stamp_ns: int, before: State | None, reason: str) -> None:
+        """Starts anew at a failed keyframe's time, where dead reckoning says."""
+        self.failures.append(reason)
+        odom = self._motion.history.at(stamp_ns)
+        assert before is not None, "keyframes follow a start"
+        if odom is None:
+            return
+        T = self._T_map_odom @ odom @ self.fusion.arms.T_base_body
+        widened = replace(before, stamp_ns=stamp_ns, T_map_body=T, covariance=4.0 * before.covariance, sigmas=2.0 * before.sigmas)
+        self._place(self.fusion.restart(widened))
+
+    def _add_spans(self) -> None:
+        smoother, tolerance_ns = self.fusion.smoother, int(self._config.lidar_link.tolerance_s * 1e9)
+        for span in self.link.take(self._newest_ns() + tolerance_ns // 2):
+            start, end = smoother.key_near(span.start_ns, tolerance_ns), smoother.key_near(span.end_ns, tolerance_ns)
+            if start is None or end is None or start[0] == end[0]:
+                continue
+            T = moved_to(span, self._motion.history, start[1], end[1])
+            if T is not None:
+                self.fusion.add_motion(start[0], end[0], T, self.link.covariance(span))
+
+    def _count(self, position: Position, refusal: Refusal) -> None:
+        if refusal is Refusal.NONE:
+            self._accept(position)
+            return
+        self.refusals += 1
+        if self._refused_since_ns is None:
+            self._refused_since_ns = position.stamp_ns
+        stands_ns = self._motion.standstill.since_ns
+        refused_ns = position.stamp_ns - max(self._refused_since_ns, stands_ns or self._motion.stamp_ns)
+        if refused_ns > self._config.realign_s * 1e9:
+            self.is_initialized = False
+
+    def _accept(self, position: Position) -> None:
+        self._accepted, self._accepted_ns = position, position.stamp_ns
+        self._refused_since_ns = None
+
+    def _place(self, state: State) -> None:
+        """Anchors `odom` at a keyframe and hands the calibration on to dead reckoning."""
+        motion = self._motion
+        odom = motion.history.at(state.stamp_ns)
+        if odom is None or motion.reckoning is None:
+            return
+        T_map_base = state.T_map_body @ invert(self.fusion.arms.T_base_body)
+        self._T_map_odom = T_map_base @ invert(odom)
+        calibration = Calibration(state.bias[3:], float(state.slip[0]), float(state.slip[1]))
+        motion.reckoning.correct(calibration, state.T_map_body[2, :3], odom)
+
+    def pose(self) -> MapPose:
+        """The message at the time of the newest `odom`."""
+        state, stamp_ns = self.state, self._motion.stamp_ns
+        if state is None:
+            covariance = np.eye(6) * 1e6
+            return MapPose(
+                stamp_ns, np.eye(4), self._odom_now().copy(), covariance, PositionSource.NONE, math.inf, math.inf, False
+            )
+        T = self._T_map_odom @ self._odom_now()
+        source, age_s = self._source(stamp_ns)
+        covariance = self._covariance(state, T, stamp_ns)
+        level = protection_level(covariance, T, source, self._config.integrity)
+        return MapPose(stamp_ns, self._T_map_odom.copy(), T, covariance, source, level, age_s, True)
+
+    def _source(self, stamp_ns: int) -> tuple[PositionSource, float]:
+        if self._accepted is None:
+            return PositionSource.DEAD_RECKONING, math.inf
+        age_s = max(0, stamp_ns - self._accepted_ns) * 1e-9
+        if age_s > self._config.integrity.outage_s:
+            return PositionSource.DEAD_RECKONING, age_s
+        return source_of(self._accepted.solution), age_s
+
+    def _covariance(self, state: State, T_map_base: Float64, stamp_ns: int) -> Float64:
+        slow = np.zeros(3) if self._accepted is None else self._accepted.slow_m
+        R = T_map_base[:3, :3]
+        age_s = (stamp_ns - state.stamp_ns) * 1e-9
+        T_base_body = self.fusion.arms.T_base_body
+        return output_covariance(
+            state.covariance, T_base_body, R.T @ np.diag(slow**2) @ R, age_s, self._motion.speed_mps, 1e-3
+        )

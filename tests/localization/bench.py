@@ -1,0 +1,98 @@
+"""Runs nodes on a list of messages as the executor would, and measures the result against the truth."""
+
+import dataclasses
+import time
+
+import numpy as np
+
+from configs.strict import CONFIGS, parse, read_yaml
+from localization.localizer import LocalizationConfig, Localizer
+from messages.faults import Fault
+from messages.motion import MapPose, Odometry
+from tests.localization.trajectory import DATUM, START_NS, Truth, tractor
+
+STEP_NS = 20_000_000
+
+
+def configuration() -> LocalizationConfig:
+    return parse(LocalizationConfig, read_yaml(CONFIGS / "stack.yaml")["localization"], "stack.yaml")
+
+
+class Box:
+    """An inbox filled by hand."""
+
+    def __init__(self, messages):
+        self._messages = messages
+
+    def all(self, topic, kind):
+        return tuple(m for name, m in self._messages if name == topic)
+
+    def latest(self, topic, kind):
+        found = self.all(topic, kind)
+        return found[-1] if found else None
+
+    last = latest
+
+    def at(self, topic, kind, stamp_ns):
+        return None
+
+
+@dataclasses.dataclass
+class Run:
+    """What came out: odometry, poses, faults, and the seconds of each step."""
+
+    odom: list[Odometry]
+    poses: list[MapPose]
+    faults: list[Fault]
+    step_s: np.ndarray
+    localizer: Localizer
+
+
+def run(messages, seconds=None, localizer=None, start_ns=START_NS) -> Run:
+    """Steps a localizer every 20 ms through messages (arrival, topic, message) in order of arrival."""
+    node = localizer or Localizer(tractor(), DATUM, configuration())
+    odom, poses, faults, times, k, now = [], [], [], [], 0, start_ns
+    end = messages[-1][0] if seconds is None else start_ns + int(seconds * 1e9)
+    while now <= end:
+        due = []
+        while k < len(messages) and messages[k][0] <= now:
+            due.append(messages[k][1:])
+            k += 1
+        start = time.perf_counter()
+        for topic, message in node.step(now, Box(due)):
+            {"odom": odom, "map_pose": poses, "fault": faults}[topic].append(message)
+        times.append(time.perf_counter() - start)
+        now += STEP_NS
+    return Run(odom, poses, faults, np.array(times), node)
+
+
+@dataclasses.dataclass
+class Errors:
+    """Fused 50 Hz pose against truth, in true base axes: along, across, up (m), turn (rad); NEES per pose."""
+
+    t_s: np.ndarray
+    p_m: np.ndarray
+    turn_rad: np.ndarray
+    nees: np.ndarray
+    level_m: np.ndarray
+
+
+def errors(result: Run, truth: Truth) -> Errors:
+    """Composes `T_map_odom @ T_odom_base` at each odometry message after the first pose."""
+    rows, k, poses = [], 0, [p for p in result.poses if p.is_initialized]
+    from scipy.spatial.transform import Rotation
+
+    for odom in result.odom:
+        while k + 1 < len(poses) and poses[k + 1].stamp_ns <= odom.stamp_ns:
+            k += 1
+        if not poses or poses[k].stamp_ns > odom.stamp_ns:
+            continue
+        T, T_true = poses[k].T_map_odom @ odom.T_odom_base, truth.at(odom.stamp_ns)
+        D = np.linalg.inv(T_true) @ T
+        turn = Rotation.from_matrix(D[:3, :3]).as_rotvec()
+        e = np.concatenate([turn, D[:3, 3]])
+        P = poses[k].covariance
+        rows.append([(odom.stamp_ns - START_NS) * 1e-9, *D[:3, 3], *turn, e[3:5] @ np.linalg.solve(P[3:5, 3:5], e[3:5]) / 2,
+                     e @ np.linalg.solve(P, e) / 6, poses[k].protection_level_m])
+    a = np.array(rows)
+    return Errors(a[:, 0], a[:, 1:4], a[:, 4:7], a[:, 7:9], a[:, 9])
