@@ -1,0 +1,514 @@
+"""The gateway on a virtual bus against a tractor that speaks by cantools."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import can
+import dbc
+import pytest
+
+from configs.strict import CONFIGS, load, parse, read_yaml
+from configs.vehicle import Vehicle
+from interfaces.gateway import Gateway, GatewayConfig
+from interfaces.isobus.checksum import seal
+from messages.command import CanFrames, MachineState, Mode, SafeCommand
+from messages.faults import Fault
+
+MS = 1_000_000
+TICK = 10 * MS
+START = 77_000 * MS
+VEHICLE = load(Vehicle, CONFIGS / "machines" / "tractor_e.yaml")
+CONFIG = parse(GatewayConfig, read_yaml(CONFIGS / "stack.yaml")["interfaces"]["gateway"], "stack.yaml")
+DRIVE = SafeCommand(
+    stamp_ns=0,
+    mode=Mode.AUTOMATIC,
+    is_drive_enabled=True,
+    speed_mps=2.0,
+    deceleration_mps2=0.0,
+    curvature_radpm=0.1,
+    is_implement_lowered=True,
+    is_pto_on=True,
+    is_park_brake_set=False,
+    is_horn_on=False,
+    is_beacon_on=True,
+    reason="",
+)
+HOLD = replace(DRIVE, mode=Mode.STANDBY, is_drive_enabled=False, speed_mps=0.0, deceleration_mps2=1.0)
+
+
+class Inbox:
+    def __init__(self, command, now_ns):
+        self.command, self.now_ns = command, now_ns
+
+    def latest(self, topic, kind):
+        assert topic == "safe_command"
+        command = self.command
+        return None if command is None or abs(self.now_ns - command.stamp_ns) > 100 * MS else command
+
+
+class Rig:
+    """Gateway, bus and tractor; `values` are what the tractor says, by message."""
+
+    def __init__(self, **changes):
+        self.bus = can.Bus(f"rig{id(self)}", interface="virtual")
+        self.tractor = can.Bus(f"rig{id(self)}", interface="virtual")
+        self.gateway = Gateway(self.bus, VEHICLE, CONFIG.model_copy(update=changes))
+        self.now_ns = START
+        self.sent: list[tuple[int, int, bytes]] = []
+        self.outputs = []
+        self.command = None
+        self.counter = 0
+        self.is_talking = True
+        self.values = {
+            "GuidanceMachineStatus": {
+                "EstimatedCurvature": -50,
+                "MechanicalLockout": 0,
+                "SteeringReady": 1,
+                "LimitStatus": 0,
+                "ExitCode": 0,
+            },
+            "WheelBasedSpeed": {"Speed": 0.0, "Direction": 1},
+            "RearHitchStatus": {"Position": 100, "InWork": 0, "LimitStatus": 0},
+            "RearPtoStatus": {"Speed": 0, "Engaged": 0, "LimitStatus": 0},
+        }
+        self.hand = {"Group": 1, "HandTorque": 0, "HandAngle": 0, "HandRate": 0}
+        self.cab = {
+            "Group": 2,
+            "BrakePedal": 0,
+            "ClutchPedal": 0,
+            "SupplyVoltage": 13.8,
+            "Seat": 0,
+            "EmergencyButton": 0,
+            "ParkBrakeState": 1,
+            "HornState": 0,
+            "BeaconState": 0,
+        }
+        self.beat = 250
+
+    def close(self):
+        self.bus.shutdown()
+        self.tractor.shutdown()
+
+    def send(self, name, data):
+        self.tractor.send(can.Message(arbitration_id=dbc.identifier(name), data=data, is_extended_id=True))
+
+    def talk(self):
+        for name, values in self.values.items():
+            self.send(name, dbc.encode(name, **values))
+        self.counter += 1
+        for values in (self.hand, self.cab):
+            body = dbc.encode("CabState", Counter=0, Checksum=0, **values)[:7]
+            self.send("CabState", seal(dbc.identifier("CabState"), body, self.counter))
+        self.beat = (self.beat + 1) % 251
+        self.send("HeartbeatTractor", bytes([self.beat]))
+
+    def step(self, command=None):
+        """One tick; a command is stamped now."""
+        if command is not None:
+            self.command = replace(command, stamp_ns=self.now_ns)
+        if self.is_talking and (self.now_ns - START) % (100 * MS) == 0:
+            self.talk()
+        self.outputs += self.gateway.step(self.now_ns, Inbox(self.command, self.now_ns))
+        while (m := self.tractor.recv(0)) is not None:
+            self.sent.append((self.now_ns, m.arbitration_id, bytes(m.data)))
+        self.now_ns += TICK
+
+    def forward(self, ms, command=None):
+        """Time passes; a command comes every 20 ms."""
+        for k in range(ms // 10):
+            self.step(command if k % 2 == 0 else None)
+
+    def read(self, name):
+        """All frames of one message: (time, values)."""
+        return [(t, dbc.decode(name, d)) for t, i, d in self.sent if i == dbc.identifier(name)]
+
+    def newest(self, name):
+        return self.read(name)[-1][1]
+
+    @property
+    def state(self):
+        return [m for topic, m in self.outputs if topic == "machine"][-1]
+
+    @property
+    def faults(self):
+        on = {}
+        for _, m in self.outputs:
+            if isinstance(m, Fault):
+                on[m.code] = m.is_active
+        return {code for code, is_active in on.items() if is_active}
+
+
+@pytest.fixture
+def rig():
+    rig = Rig()
+    yield rig
+    rig.close()
+
+
+def engaged(rig, command=DRIVE):
+    rig.forward(400, HOLD)
+    rig.forward(400, command)
+    return rig
+
+
+def is_released(rig):
+    return (
+        rig.newest("GuidanceSystemCommand")["Intent"] == 3
+        and rig.newest("MachineSelectedSpeedCommand")["SetPoint"] > 64.255
+        and rig.newest("ExternalBrakeRequest")["ControlMode"] == 0
+        and rig.newest("AuxiliaryCommand")["DriveEnable"] == 3
+        and rig.newest("HitchAndPtoCommands")["RearPtoEngage"] == 3
+        and rig.newest("StopAllImplements")["Permit"] == 3
+    )
+
+
+def is_stopped(rig):
+    return (
+        rig.newest("GuidanceSystemCommand")["Intent"] == 0
+        and rig.newest("MachineSelectedSpeedCommand")["SetPoint"] == 0
+        and rig.newest("ExternalBrakeRequest")["Acceleration"] == pytest.approx(-CONFIG.full_brake_mps2, abs=1e-3)
+        and rig.newest("ExternalBrakeRequest")["ControlMode"] == 2
+        and rig.newest("AuxiliaryCommand")["DriveEnable"] == 0
+        and rig.newest("HitchAndPtoCommands")["RearPtoEngage"] == 0
+        and rig.newest("StopAllImplements")["Permit"] == 0
+    )
+
+
+def test_it_claims_its_address_and_sends_nothing_else_for_250_ms(rig):
+    rig.forward(250, HOLD)
+    assert [i for _, i, _ in rig.sent] == [dbc.identifier("AddressClaimedGateway")]
+    rig.forward(20, HOLD)
+    assert len(rig.sent) > 5
+
+
+def test_without_a_supervisor_everything_is_left_as_it_is(rig):
+    rig.forward(1500)
+    assert is_released(rig)
+    assert not rig.faults
+
+
+def test_periods_and_counters(rig):
+    engaged(rig)
+    rig.sent.clear()
+    rig.forward(3000, DRIVE)
+    counts = {m.name: len(rig.read(m.name)) for m in dbc.database().messages if m.senders == ["Gateway"]}
+    assert counts["ExternalBrakeRequest"] == 150
+    for name in (
+        "GuidanceSystemCommand",
+        "MachineSelectedSpeedCommand",
+        "HitchAndPtoCommands",
+        "AuxiliaryCommand",
+        "HeartbeatGateway",
+    ):
+        assert counts[name] == 30, name
+    assert counts["StopAllImplements"] == 3
+    counters = [v["Counter"] for _, v in rig.read("ExternalBrakeRequest")]
+    assert {(b - a) % 16 for a, b in itertools.pairwise(counters)} == {1}
+    beats = [v["Sequence"] for _, v in rig.read("HeartbeatGateway")]
+    assert beats == list(range(beats[0], beats[0] + 30))
+
+
+def test_it_first_offers_the_present_value_and_waits_for_not_limited(rig):
+    rig.values["GuidanceMachineStatus"]["SteeringReady"] = 0
+    rig.values["WheelBasedSpeed"]["Speed"] = 0.5
+    engaged(rig)
+    guidance = rig.newest("GuidanceSystemCommand")
+    assert (guidance["Curvature"], guidance["Intent"]) == (-50, 1)
+    assert rig.newest("MachineSelectedSpeedCommand")["SetPoint"] == 0.5
+    assert rig.newest("HitchAndPtoCommands")["RearHitchPosition"] == 100
+    rig.values["GuidanceMachineStatus"]["SteeringReady"] = 1
+    rig.forward(600, DRIVE)
+    assert rig.newest("GuidanceSystemCommand")["Curvature"] == -100
+    assert rig.newest("MachineSelectedSpeedCommand")["SetPoint"] == 2.0
+    assert rig.newest("HitchAndPtoCommands")["RearHitchPosition"] == 0
+    assert rig.newest("HitchAndPtoCommands")["RearPtoEngage"] == 1
+
+
+@pytest.mark.parametrize("limit", [0, 1, 2, 3, 6, 7])
+def test_only_not_limited_counts_as_accepted(rig, limit):
+    rig.values["GuidanceMachineStatus"]["LimitStatus"] = limit
+    engaged(rig)
+    assert (rig.newest("GuidanceSystemCommand")["Curvature"] == -100) == (limit == 0)
+
+
+def test_a_steering_that_never_accepts_is_a_fault(rig):
+    rig.values["GuidanceMachineStatus"]["SteeringReady"] = 0
+    engaged(rig)
+    assert not rig.faults
+    rig.forward(2100, DRIVE)
+    assert rig.faults == {"gateway.steering_refused"}
+
+
+def test_the_command_is_slewed_by_what_the_wheels_can_do(rig):
+    engaged(rig, replace(DRIVE, curvature_radpm=0.0))
+    rig.sent.clear()
+    rig.forward(1200, replace(DRIVE, curvature_radpm=0.2))
+    read = [(t, -v["Curvature"] / 1000) for t, v in rig.read("GuidanceSystemCommand")]
+    rates = [(b[1] - a[1]) / ((b[0] - a[0]) * 1e-9) for a, b in itertools.pairwise(read)]
+    slowest = 90 / 60 / 3.2 / 2.55
+    assert max(rates[:-2]) <= slowest * (1 + (0.2 * 2.55) ** 2) + 0.02
+    assert rates[1] == pytest.approx(slowest, rel=0.1)
+    assert read[-1][1] == pytest.approx(0.2)
+
+
+def test_the_estimated_curvature_never_clamps_the_command(rig):
+    rig.values["GuidanceMachineStatus"]["EstimatedCurvature"] = -50
+    engaged(rig, replace(DRIVE, curvature_radpm=-0.2))
+    rig.forward(1500, replace(DRIVE, curvature_radpm=-0.2))
+    assert rig.newest("GuidanceSystemCommand")["Curvature"] == 200
+
+
+def test_reverse_is_told_by_the_direction(rig):
+    engaged(rig, replace(DRIVE, speed_mps=-1.25))
+    read = rig.newest("MachineSelectedSpeedCommand")
+    assert (read["SetPoint"], read["Direction"]) == (1.25, 0)
+
+
+@pytest.mark.parametrize("silence_ms", range(60, 150, 10))
+def test_100_ms_of_silence_stop(silence_ms):
+    rig = Rig()
+    engaged(rig)
+    rig.step(DRIVE)
+    rig.forward(silence_ms)
+    assert is_stopped(rig) == (silence_ms > 100)
+    assert ("gateway.silence" in rig.faults) == (silence_ms > 100)
+    rig.close()
+
+
+def test_the_stop_stays_until_commands_have_come_again_for_a_while(rig):
+    engaged(rig)
+    rig.forward(300)
+    rig.forward(140, DRIVE)
+    assert is_stopped(rig)
+    rig.forward(400, DRIVE)
+    assert rig.newest("AuxiliaryCommand")["DriveEnable"] == 1
+    assert not rig.faults
+
+
+def test_a_repeated_command_is_not_fresh(rig):
+    engaged(rig)
+    command = rig.command
+    for _ in range(12):
+        rig.command = command
+        rig.step()
+    assert is_stopped(rig)
+
+
+def test_a_command_of_the_future_is_not_taken(rig):
+    engaged(rig)
+    for _ in range(12):
+        rig.command = replace(DRIVE, stamp_ns=rig.now_ns + 30 * MS)
+        rig.step()
+    assert is_stopped(rig)
+    assert "gateway.bad_command" in rig.faults
+
+
+@pytest.mark.parametrize("field", ["speed_mps", "curvature_radpm", "deceleration_mps2"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
+def test_a_command_that_cannot_be_sent_stops(rig, field, value):
+    engaged(rig)
+    rig.forward(20, replace(DRIVE, **{field: value}))
+    assert is_stopped(rig)
+    assert "gateway.bad_command" in rig.faults
+
+
+def test_silence_while_a_person_drives_changes_nothing(rig):
+    engaged(rig, replace(HOLD, mode=Mode.MANUAL))
+    assert is_released(rig)
+    rig.forward(500)
+    assert is_released(rig)
+
+
+def test_manual_releases_at_once(rig):
+    engaged(rig)
+    rig.step(replace(DRIVE, mode=Mode.MANUAL))
+    assert is_released(rig)
+
+
+def test_drive_not_enabled_holds_with_the_brake_asked_for(rig):
+    engaged(rig)
+    rig.step(replace(HOLD, mode=Mode.OBSTACLE_STOP, deceleration_mps2=2.5))
+    assert rig.newest("ExternalBrakeRequest")["Acceleration"] == pytest.approx(-2.5, abs=1e-3)
+    assert rig.newest("GuidanceSystemCommand")["Intent"] == 0
+    assert rig.newest("MachineSelectedSpeedCommand")["SetPoint"] == 0
+    assert rig.newest("StopAllImplements")["Permit"] == 1
+    assert rig.newest("HitchAndPtoCommands")["RearPtoEngage"] == 3
+
+
+@pytest.mark.parametrize("mode", [Mode.EMERGENCY_STOP, Mode.FAULT_STOP])
+def test_an_emergency_stops_the_implement_too(rig, mode):
+    engaged(rig)
+    rig.step(replace(HOLD, mode=mode))
+    read = rig.newest("StopAllImplements")
+    assert (read["Permit"], read["TransitionCount"]) == (0, 1)
+
+
+def test_a_brake_request_leaves_within_one_step(rig):
+    engaged(rig)
+    rig.forward(10, DRIVE)
+    for _ in range(2):
+        rig.sent.clear()
+        rig.step(replace(DRIVE, deceleration_mps2=3.0))
+        assert rig.newest("ExternalBrakeRequest")["Acceleration"] == pytest.approx(-3.0, abs=1e-3)
+        rig.forward(50, DRIVE)
+
+
+@pytest.mark.parametrize(
+    "change", [{"SteeringReady": 0}, {"MechanicalLockout": 1}, {"LimitStatus": 1}, {"LimitStatus": 6}, {"ExitCode": 3}]
+)
+def test_a_steering_that_gives_up_is_not_fought(rig, change):
+    engaged(rig)
+    rig.values["GuidanceMachineStatus"] |= change
+    rig.forward(110, DRIVE)
+    assert rig.newest("GuidanceSystemCommand")["Intent"] == 0
+    assert rig.newest("MachineSelectedSpeedCommand")["SetPoint"] == 0
+    assert rig.newest("ExternalBrakeRequest")["ControlMode"] == 0
+    assert "gateway.steering_lost" in rig.faults
+    rig.forward(400, DRIVE)  # the supervisor does not react
+    assert is_stopped(rig)
+    rig.values["GuidanceMachineStatus"] |= {"SteeringReady": 1, "MechanicalLockout": 0, "LimitStatus": 0, "ExitCode": 0}
+    rig.forward(500, DRIVE)
+    assert is_stopped(rig)
+    rig.forward(100, HOLD)
+    rig.forward(700, DRIVE)
+    assert rig.newest("GuidanceSystemCommand")["Curvature"] == -100
+
+
+def test_a_steering_that_falls_silent_is_lost(rig):
+    engaged(rig)
+    del rig.values["GuidanceMachineStatus"]
+    rig.forward(420, DRIVE)
+    assert "gateway.steering_lost" in rig.faults
+
+
+def test_machine_state_carries_everything(rig):
+    rig.values = {
+        "GuidanceMachineStatus": {
+            "EstimatedCurvature": -125,
+            "MechanicalLockout": 0,
+            "SteeringReady": 1,
+            "LimitStatus": 3,
+            "ExitCode": 21,
+        },
+        "WheelBasedSpeed": {"Speed": 1.234, "Direction": 0},
+        "RearHitchStatus": {"Position": 20, "InWork": 1, "LimitStatus": 0},
+        "RearPtoStatus": {"Speed": 540, "Engaged": 1, "LimitStatus": 0},
+    }
+    rig.hand |= {"HandTorque": -3.5, "HandAngle": 0.5, "HandRate": -1.25}
+    rig.cab |= {
+        "BrakePedal": 40,
+        "SupplyVoltage": 12.55,
+        "Seat": 1,
+        "EmergencyButton": 1,
+        "HornState": 1,
+        "BeaconState": 1,
+    }
+    rig.forward(400, HOLD)
+    s = rig.state
+    then = START + 300 * MS
+    assert s.stamp_ns == START + 380 * MS
+    assert {s.motion_stamp_ns, s.steering_stamp_ns, s.implement_stamp_ns, s.cab_stamp_ns, s.heartbeat_stamp_ns} == {
+        then
+    }
+    assert (s.speed_mps, s.curvature_radpm) == (pytest.approx(-1.234), pytest.approx(0.125))
+    assert (s.is_steering_ready, s.steering_exit_code, s.steering_limit) == (True, 21, 3)
+    assert (s.hitch, s.is_hitch_in_work, s.is_pto_engaged) == (pytest.approx(0.2), True, True)
+    assert s.pto_radps == pytest.approx(540 * 2 * math.pi / 60)
+    assert (s.hand_torque_nm, s.hand_angle_rad, s.hand_rate_radps) == (
+        pytest.approx(-3.5),
+        pytest.approx(0.5),
+        pytest.approx(-1.25),
+    )
+    assert (s.brake_pedal, s.supply_v) == (pytest.approx(0.4), pytest.approx(12.55))
+    assert s.is_seat_occupied
+    assert s.is_emergency_button_pressed
+    assert s.is_park_brake_set
+    assert s.is_horn_on
+    assert s.is_beacon_on
+    assert s.rejected_frames == 0
+
+
+def test_machine_state_comes_every_20_ms_and_raw_frames_are_logged(rig):
+    engaged(rig)
+    states = [m.stamp_ns for _, m in rig.outputs if isinstance(m, MachineState)]
+    assert {b - a for a, b in itertools.pairwise(states)} == {20 * MS}
+    logged = [f for t, m in rig.outputs if isinstance(m, CanFrames) and t == "can/tx" for f in m.frames]
+    assert [(f.stamp_ns, f.identifier, f.data) for f in logged] == rig.sent[: len(logged)]
+    assert any(m.frames for t, m in rig.outputs if t == "can/rx")
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("GuidanceMachineStatus", b"\xff" * 8),
+        ("GuidanceMachineStatus", b"\x00" * 7),
+        ("WheelBasedSpeed", b"\xff" * 8),
+        ("RearHitchStatus", b"\xff" * 8),
+        ("RearPtoStatus", b"\xff" * 8),
+        ("CabState", b"\x01" + b"\x00" * 7),
+        ("CabState", b"\xff" * 8),
+        ("CabState", b""),
+        ("HeartbeatTractor", b"\xfe"),
+        ("HeartbeatTractor", b"\x01\x02"),
+    ],
+)
+def test_a_bad_frame_is_counted_and_changes_nothing(rig, name, data):
+    rig.forward(310, HOLD)
+    before = rig.gateway._incoming.state(0)
+    rig.send(name, data)
+    rig.step(HOLD)
+    after = rig.gateway._incoming.state(0)
+    assert after == replace(before, rejected_frames=1)
+
+
+def test_frames_of_others_and_to_others_are_not_taken(rig):
+    rig.forward(310, HOLD)
+    before = rig.gateway._incoming.state(0)
+    for identifier in (0x0CFE48F1, 0x0CAC2AF0, 0x0CACFFF1):
+        rig.tractor.send(can.Message(arbitration_id=identifier, data=b"\x00" * 8, is_extended_id=True))
+    rig.tractor.send(can.Message(arbitration_id=0x123, data=b"\x00", is_extended_id=False))
+    rig.step(HOLD)
+    assert rig.gateway._incoming.state(0) == before
+
+
+def test_a_silent_tractor_is_a_fault_and_its_groups_age(rig):
+    engaged(rig)
+    rig.is_talking = False
+    rig.forward(600, DRIVE)
+    assert "gateway.tractor_silent" in rig.faults
+    assert rig.state.stamp_ns - rig.state.motion_stamp_ns >= 500 * MS
+
+
+def test_it_gives_way_to_a_lower_name(rig):
+    rig.forward(400, HOLD)
+    rig.tractor.send(can.Message(arbitration_id=0x18EEFF1C, data=b"\x00" * 8, is_extended_id=True))
+    rig.forward(400, HOLD)
+    assert rig.sent[-1][1] & 0xFF == 128
+
+
+def test_a_request_for_claimed_addresses_is_answered(rig):
+    rig.forward(400, HOLD)
+    rig.sent.clear()
+    rig.tractor.send(can.Message(arbitration_id=0x18EAFFF0, data=b"\x00\xee\x00", is_extended_id=True))
+    rig.step(HOLD)
+    assert dbc.identifier("AddressClaimedGateway") in [i for _, i, _ in rig.sent]
+
+
+def test_a_failing_bus_is_a_fault_and_not_a_crash(rig):
+    engaged(rig)
+
+    def fail(*_):
+        raise can.CanOperationError("cable")
+
+    rig.bus.recv = rig.bus.send = fail
+    rig.forward(100, DRIVE)
+    assert "gateway.bus" in rig.faults
+
+
+def test_a_flooded_bus_does_not_hold_the_gateway_up(rig):
+    rig.forward(310, HOLD)
+    for _ in range(1000):
+        rig.tractor.send(can.Message(arbitration_id=0x18FFFFF0, data=b"", is_extended_id=True))
+    rig.step(HOLD)
+    assert rig.bus.recv(0) is not None
