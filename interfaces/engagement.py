@@ -1,10 +1,10 @@
 """Who has the machine: from the safe command and what the steering answers to the phase the gateway is in.
 
-    RELEASED ──enabled──► OFFERING ──not limited──► ACTIVE ──steering gave up──► LOST
-       ▲                   ▲   │                     │ │                          │
-     manual            enabled │ not enabled         │ │ silence                  │ not enabled
-       │                   │   ▼                     ▼ ▼                          ▼
-       └─────────────── HOLDING ◄────fresh again─── SILENT                     HOLDING
+RELEASED ──enabled──► OFFERING ──not limited──► ACTIVE ──steering gave up──► LOST
+   ▲                   ▲   │                     │ │                          │
+ manual            enabled │ not enabled         │ │ silence                  │ not enabled
+   │                   │   ▼                     ▼ ▼                          ▼
+   └─────────────── HOLDING ◄────fresh again─── SILENT                     HOLDING
 """
 
 from dataclasses import dataclass

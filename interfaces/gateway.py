@@ -208,5 +208,3 @@ def _is_sendable(command: SafeCommand, now_ns: int) -> bool:
         and abs(command.curvature_radpm) <= TIGHTEST_RADPM
         and 0.0 <= command.deceleration_mps2 <= HARDEST_MPS2
     )
-
-

@@ -1,7 +1,7 @@
 """What the machine is told: from phase and safe command to orders, and from orders to frames at their own periods."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from configs.vehicle import ElectricWheel, Vehicle
 from interfaces.engagement import Phase
@@ -52,35 +52,24 @@ class Orders:
 def order(phase: Phase, command: SafeCommand | None, present: Present, full_mps2: float, pto_rpm: float) -> Orders:
     """What to say in this phase; `full_mps2` is asked of the brakes when nobody is there to ask for less."""
     if phase is Phase.RELEASED:
-        return Orders()
+        return Orders(is_drive_enabled=False)  # our drive request; the driver's pedal is not ours to disable
     if command is None or phase is Phase.SILENT:
         return Orders(
             is_steering=False, curvature_radpm=present.curvature_radpm, speed_mps=0.0, deceleration_mps2=full_mps2,
             is_pto_on=False, is_implement_permitted=False, is_drive_enabled=False,
         )  # fmt: skip
-    held = _held(phase, command, present)
-    if phase is Phase.OFFERING:
-        gentle = _slower(present.speed_mps, command.speed_mps)
-        hitch = present.hitch if math.isfinite(present.hitch) else None
-        return replace(held, is_steering=True, speed_mps=gentle, hitch=hitch, is_drive_enabled=True)
-    if phase is Phase.ACTIVE:
-        return replace(
-            held, is_steering=True, is_accepted=True, curvature_radpm=command.curvature_radpm,
-            speed_mps=command.speed_mps, hitch=0.0 if command.is_implement_lowered else 1.0,
-            pto_rpm=pto_rpm if command.is_pto_on else None, is_pto_on=command.is_pto_on, is_drive_enabled=True,
-        )  # fmt: skip
-    return held
-
-
-def _held(phase: Phase, command: SafeCommand, present: Present) -> Orders:
+    is_active, is_offered = phase is Phase.ACTIVE, phase is Phase.OFFERING
     return Orders(
-        is_steering=False,
-        curvature_radpm=present.curvature_radpm,
-        speed_mps=0.0,
+        is_steering=is_active or is_offered,
+        is_accepted=is_active,
+        curvature_radpm=command.curvature_radpm if is_active else present.curvature_radpm,
+        speed_mps=_speed(phase, command.speed_mps, present.speed_mps),
         deceleration_mps2=command.deceleration_mps2,
-        is_pto_on=None if command.is_pto_on else False,
+        hitch=_hitch(phase, command.is_implement_lowered, present.hitch),
+        pto_rpm=pto_rpm if is_active and command.is_pto_on else None,
+        is_pto_on=None if command.is_pto_on and not is_active else command.is_pto_on,
         is_implement_permitted=phase is not Phase.LOST and command.mode not in _STOPS_IMPLEMENTS,
-        is_drive_enabled=False,
+        is_drive_enabled=is_active or is_offered,
         is_park_brake_set=command.is_park_brake_set,
         is_horn_on=command.is_horn_on,
         is_beacon_on=command.is_beacon_on,
@@ -103,10 +92,18 @@ def steering_rate(vehicle: Vehicle) -> float:
     return actuator.max_flow_lpm / 60.0 / actuator.cylinder_l_per_rad
 
 
-def _slower(present_mps: float, wanted_mps: float) -> float:
-    if present_mps * wanted_mps <= 0.0:
+def _speed(phase: Phase, wanted_mps: float, present_mps: float) -> float:
+    if phase is Phase.ACTIVE:
+        return wanted_mps
+    if phase is not Phase.OFFERING or present_mps * wanted_mps <= 0.0:
         return 0.0
     return math.copysign(min(abs(present_mps), abs(wanted_mps)), wanted_mps)
+
+
+def _hitch(phase: Phase, is_lowered: bool, present: float) -> float | None:
+    if phase is Phase.ACTIVE:
+        return 0.0 if is_lowered else 1.0
+    return present if phase is Phase.OFFERING and math.isfinite(present) else None
 
 
 class _Channel:
@@ -139,33 +136,45 @@ class Outgoing:
     """Keeps each message's period, counter and last content; brakes and steering go first."""
 
     def __init__(self, vehicle: Vehicle, tractor_address: int, fastest_ns: int) -> None:
-        self._fastest_ns = fastest_ns
         self._wheelbase_m, self._steering_radps = vehicle.drivetrain.wheelbase_m, steering_rate(vehicle)
-        self._brake = _Channel(brake.GROUP, tractor_address, BRAKE_PERIOD_NS, is_sealed=True)
-        self._guidance = _Channel(guidance.COMMAND_GROUP, tractor_address, CONTROL_PERIOD_NS)
-        self._auxiliary = _Channel(cab.GROUP, tractor_address, CONTROL_PERIOD_NS, is_sealed=True)
-        self._speed = _Channel(speed.COMMAND_GROUP, BROADCAST, CONTROL_PERIOD_NS)
-        self._implement = _Channel(implement.COMMAND_GROUP, BROADCAST, CONTROL_PERIOD_NS)
-        self._stop_all = _Channel(stop_all.GROUP, BROADCAST, STOP_ALL_PERIOD_NS)
+        self._channels = (
+            _Channel(brake.GROUP, tractor_address, BRAKE_PERIOD_NS, is_sealed=True),
+            _Channel(guidance.COMMAND_GROUP, tractor_address, CONTROL_PERIOD_NS),
+            _Channel(cab.GROUP, tractor_address, CONTROL_PERIOD_NS, is_sealed=True),
+            _Channel(speed.COMMAND_GROUP, BROADCAST, CONTROL_PERIOD_NS),
+            _Channel(implement.COMMAND_GROUP, BROADCAST, CONTROL_PERIOD_NS),
+            _Channel(stop_all.GROUP, BROADCAST, STOP_ALL_PERIOD_NS),
+        )
+        self._waits_ns = (0, fastest_ns, 0, fastest_ns, 0, 0)  # content of guidance and speed changes all the time
         self._heartbeat = _Channel(heartbeat.GROUP, BROADCAST, CONTROL_PERIOD_NS)
         self._beat, self._stop = heartbeat.Heartbeat(), stop_all.StopAll()
+        self._orders, self._bodies = Orders(), self._encode(Orders())
         self._curvature_radpm, self._stepped_ns = 0.0, 0
 
     def step(self, now_ns: int, own_address: int, orders: Orders, is_urgent: bool) -> list[Frame]:
         """The frames that are due; when `is_urgent` (the phase changed) nothing waits."""
-        fastest_ns = 0 if is_urgent else self._fastest_ns
-        bodies = [
-            (self._brake, brake.encode_request(orders.deceleration_mps2), 0),
-            (self._guidance, self._steer(now_ns, orders), fastest_ns),
-            (self._auxiliary, self._auxiliary_body(orders), 0),
-            (self._speed, _speed_body(orders), fastest_ns),
-            (self._implement, implement.encode_commands(orders.hitch, orders.pto_rpm, orders.is_pto_on), 0),
-            (self._stop_all, self._stop.encode(orders.is_implement_permitted), 0),
-        ]
-        frames = [c.frame(now_ns, own_address, body) for c, body, wait in bodies if c.is_due(now_ns, body, wait)]
+        if orders != self._orders:
+            self._orders, self._bodies = orders, self._encode(orders)
+        self._bodies[1] = self._steer(now_ns, orders)
+        frames = []
+        for channel, body, wait_ns in zip(self._channels, self._bodies, self._waits_ns, strict=True):
+            if channel.is_due(now_ns, body, 0 if is_urgent else wait_ns):
+                frames.append(channel.frame(now_ns, own_address, body))
         if self._heartbeat.is_due(now_ns, b"", CONTROL_PERIOD_NS):
             frames.append(self._heartbeat.frame(now_ns, own_address, self._beat.encode()))
         return frames
+
+    def _encode(self, orders: Orders) -> list[bytes]:
+        return [
+            brake.encode_request(orders.deceleration_mps2),
+            NOT_AVAILABLE,  # steering has its own time
+            cab.encode_auxiliary(
+                orders.is_drive_enabled, orders.is_park_brake_set, orders.is_horn_on, orders.is_beacon_on
+            ),
+            NOT_AVAILABLE if orders.speed_mps is None else speed.encode_command(orders.speed_mps),
+            implement.encode_commands(orders.hitch, orders.pto_rpm, orders.is_pto_on),
+            self._stop.encode(orders.is_implement_permitted),
+        ]
 
     def _steer(self, now_ns: int, orders: Orders) -> bytes:
         step_s, self._stepped_ns = (now_ns - self._stepped_ns) * 1e-9, now_ns
@@ -179,13 +188,3 @@ class Outgoing:
     def _slewed(self, orders: Orders, step_s: float) -> float:
         last, wanted = self._curvature_radpm, orders.curvature_radpm
         return slew_curvature(last, wanted, step_s, self._steering_radps, self._wheelbase_m)
-
-    @staticmethod
-    def _auxiliary_body(orders: Orders) -> bytes:
-        return cab.encode_auxiliary(
-            orders.is_drive_enabled, orders.is_park_brake_set, orders.is_horn_on, orders.is_beacon_on
-        )
-
-
-def _speed_body(orders: Orders) -> bytes:
-    return NOT_AVAILABLE if orders.speed_mps is None else speed.encode_command(orders.speed_mps)

@@ -1,8 +1,8 @@
 """Identifiers of extended frames: priority, parameter group and addresses (ISO 11783-3).
 
-    bits 28–26   25–16 and 15–8                            7–0
-    priority     PDU1: group, destination                  source
-                 PDU2 (format byte ≥ 240): group           source
+bits 28–26   25–16 and 15–8                            7–0
+priority     PDU1: group, destination                  source
+             PDU2 (format byte ≥ 240): group           source
 """
 
 from typing import NamedTuple

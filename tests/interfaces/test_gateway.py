@@ -157,7 +157,7 @@ def is_released(rig):
         rig.newest("GuidanceSystemCommand")["Intent"] == 3
         and rig.newest("MachineSelectedSpeedCommand")["SetPoint"] > 64.255
         and rig.newest("ExternalBrakeRequest")["ControlMode"] == 0
-        and rig.newest("AuxiliaryCommand")["DriveEnable"] == 3
+        and rig.newest("AuxiliaryCommand")["DriveEnable"] == 0
         and rig.newest("HitchAndPtoCommands")["RearPtoEngage"] == 3
         and rig.newest("StopAllImplements")["Permit"] == 3
     )
