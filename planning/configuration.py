@@ -22,3 +22,9 @@ class PlannerConfig(Config):
     least_swath_m: Metres
     edge_slack_m: float = Field(ge=0.0, le=0.5, description="more than the margin for the first round, for tail swing")
     sampling_iterations: int = Field(ge=100, le=1_000_000, description="of OMPL for one way, a count and never a time")
+
+
+class PlanningConfig(Config):
+    """Section `planning` of `configs/stack.yaml`."""
+
+    planner: PlannerConfig

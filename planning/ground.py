@@ -31,7 +31,10 @@ def ground_of(site: Site, margin_m: float) -> Ground:
     if site.shed is not None:
         barred.append(_area(site.shed.outline_m, "shed"))
     no_go = shapely.union_all(barred)
-    lanes = [LineString(lane.center_m).buffer(lane.width_m / 2.0, cap_style="flat", join_style="mitre") for lane in site.lanes]
+    lanes = [
+        LineString(lane.center_m).buffer(lane.width_m / 2.0, cap_style="flat", join_style="mitre")
+        for lane in site.lanes
+    ]
     fence = field.exterior.difference(_openings(site, lanes))
     free = field.difference(no_go)
     ways = shapely.union_all([free, *lanes, _area(site.yard.outline_m, "yard")]).difference(no_go)

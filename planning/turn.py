@@ -52,11 +52,11 @@ def is_free(points_m: Float64, space: Space) -> bool:
     return bool(is_inside(space.bodies, points[fine], heading[fine], space.allowed).all())
 
 
-def candidates(wanted: Wanted, radius_m: float) -> list[Float64]:
-    """Dubins ways with straight ends, shortest first; wider curves and longer straights come as they cost."""
-    found = [(run_out + c.length_m + line_up, k, run_out, c) for k, (run_out, line_up, c) in enumerate(_all(wanted, radius_m))]
+def candidates(wanted: Wanted, radius_m: float, most: int) -> Iterator[Float64]:
+    """Up to `most` Dubins ways with straight ends, shortest first; wider curves and longer straights come as they cost."""
+    found = [(run_out + c.length_m + line_up, k, c) for k, (run_out, line_up, c) in enumerate(_all(wanted, radius_m))]
     found.sort(key=lambda f: (round(f[0], 6), f[1]))
-    return [_way(wanted, run_out, curve) for _, _, run_out, curve in found]
+    return (_way(wanted, curve) for _, _, curve in found[:most])
 
 
 def _all(wanted: Wanted, radius_m: float) -> Iterator[tuple[float, float, Curve]]:
@@ -69,7 +69,7 @@ def _all(wanted: Wanted, radius_m: float) -> Iterator[tuple[float, float, Curve]
                     yield run_out, line_up, curve
 
 
-def _way(wanted: Wanted, run_out_m: float, curve: Curve) -> Float64:
+def _way(wanted: Wanted, curve: Curve) -> Float64:
     start, goal = wanted.start, wanted.goal
     ends = np.array([[start.x_m, start.y_m]]), np.array([[goal.x_m, goal.y_m]])
     return without_repeats(np.vstack([ends[0], points_of(curve, STEP_M), ends[1]]))
@@ -83,7 +83,4 @@ def shortest_length_m(wanted: Wanted, radius_m: float) -> float:
 
 def curve_between(wanted: Wanted, space: Space, most: int = 80) -> Float64 | None:
     """The shortest free one of the first `most` Dubins ways, (N, 2), or None."""
-    for way in candidates(wanted, space.radius_m)[:most]:
-        if is_free(way, space):
-            return way
-    return None
+    return next((way for way in candidates(wanted, space.radius_m, most) if is_free(way, space)), None)

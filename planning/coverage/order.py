@@ -1,56 +1,64 @@
 """In which order and direction swaths are driven so that the way between them is short."""
 
-from collections.abc import Callable
+import numpy as np
 
-Visit = tuple[int, bool]
-Cost = Callable[[Visit | None, Visit | None], float]  # None: where the tour comes from, or goes to
+from geometry.polyline import Float64
+
+Visit = tuple[int, bool]  # number of the swath, is it driven from b to a
+MANY = 25
 
 
-def order(count: int, cost: Cost) -> list[Visit]:
-    """The visits (number, is reversed) in a good order: the best greedy tour, then improved until nothing helps."""
+def order(cost_m: Float64) -> list[Visit]:
+    """The visits in a good order: the best greedy tours, improved until nothing helps.
+
+    `cost_m` (2n + 1, 2n + 1): way from the end of visit i to the start of visit j, where visit 2k drives swath k forwards
+    and 2k + 1 backwards; the last index is the place the tour comes from and goes to.
+    """
+    count = len(cost_m) // 2
     if count == 0:
         return []
-    starts: list[Visit] = [(k, r) for k in range(count) for r in (False, True)]
-    starts.sort(key=lambda v: (cost(None, v), v))
-    tours = [_improved(_greedy(count, first, cost), cost) for first in starts[:8]]
-    return min(tours, key=lambda t: (round(_length(t, cost), 6), t))
+    firsts = np.argsort(cost_m[-1, :-1], kind="stable")[: 8 if count <= MANY else 2]
+    tours = [_improved(_greedy(cost_m, int(first)), cost_m) for first in firsts]
+    best = min(tours, key=lambda t: (round(float(_lengths([t], cost_m)[0]), 6), t))
+    return [(v // 2, bool(v % 2)) for v in best]
 
 
-def _greedy(count: int, first: Visit, cost: Cost) -> list[Visit]:
-    tour, left = [first], [k for k in range(count) if k != first[0]]
+def _greedy(cost_m: Float64, first: int) -> list[int]:
+    tour, left = [first], [v for v in range(len(cost_m) - 1) if v // 2 != first // 2]
     while left:
-        last = tour[-1]
-        best = min(((k, r) for k in left for r in (False, True)), key=lambda v: (cost(last, v), v))
+        best = min(left, key=lambda v: (cost_m[tour[-1], v], v))
         tour.append(best)
-        left.remove(best[0])
+        left = [v for v in left if v // 2 != best // 2]
     return tour
 
 
-def _improved(tour: list[Visit], cost: Cost) -> list[Visit]:
-    length = _length(tour, cost)
+def _improved(tour: list[int], cost_m: Float64) -> list[int]:
+    length = float(_lengths([tour], cost_m)[0])
     while True:
-        better = min(((_length(t, cost), t) for t in _neighbours(tour)), default=(length, tour))
-        if better[0] > length - 1e-6:
+        tours = _neighbours(tour)
+        lengths = _lengths(tours, cost_m)
+        k = int(np.argmin(lengths))
+        if lengths[k] > length - 1e-6:
             return tour
-        length, tour = better
+        tour, length = tours[k], float(lengths[k])
 
 
-def _neighbours(tour: list[Visit]) -> list[list[Visit]]:
+def _neighbours(tour: list[int]) -> list[list[int]]:
     """Tours with a stretch reversed, turned round, or moved elsewhere."""
-    n, out = len(tour), []
+    n = len(tour)
+    out = [tour]
     for i in range(n):
         for j in range(i + 1, n + 1):
             middle = tour[i:j]
-            turned = [(k, not r) for k, r in reversed(middle)]
-            out.append(tour[:i] + turned + tour[j:])
-            out.append(tour[:i] + list(reversed(middle)) + tour[j:])
+            turned = [v ^ 1 for v in reversed(middle)]
+            out += [tour[:i] + turned + tour[j:], tour[:i] + middle[::-1] + tour[j:]]
             if j - i <= 3:
                 rest = tour[:i] + tour[j:]
-                for at in range(len(rest) + 1):
-                    out += [rest[:at] + m + rest[at:] for m in (middle, turned) if at != i]
+                out += [rest[:at] + m + rest[at:] for at in range(len(rest) + 1) for m in (middle, turned)]
     return out
 
 
-def _length(tour: list[Visit], cost: Cost) -> float:
-    ends = [None, *tour, None]
-    return sum(cost(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
+def _lengths(tours: list[list[int]], cost_m: Float64) -> Float64:
+    ends = np.full((len(tours), 1), len(cost_m) - 1)
+    stops = np.hstack([ends, np.array(tours), ends])
+    return np.asarray(cost_m[stops[:, :-1], stops[:, 1:]].sum(axis=1), np.float64)

@@ -37,7 +37,9 @@ class Swath:
         return Pose(*map(float, first), heading).ahead(lead_m), Pose(*map(float, last), heading).ahead(lead_m)
 
 
-def swaths_of(area: BaseGeometry, width_m: float, overlap_m: float, least_m: float, direction_rad: float | None) -> list[Swath]:
+def swaths_of(
+    area: BaseGeometry, width_m: float, overlap_m: float, least_m: float, direction_rad: float | None
+) -> list[Swath]:
     """Swaths that cover the area; without a direction the one of its edges that costs least.
 
     `width_m` is worked by one swath; neighbours overlap by at least `overlap_m`.

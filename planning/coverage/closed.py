@@ -1,0 +1,145 @@
+"""Driving the rounds: where each begins, and where it is left for the next.
+
+A round lies so near the edge that the tail would swing over it when the rig turned off a straight part. So it is left
+where it bends inwards anyway, and the rig goes on along it up to there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.polyline import Float64, arc_length
+from messages.plan import Leg
+from planning.curve import Pose
+from planning.turn import STEP_M, Wanted, curve_between, shortest_length_m
+from planning.ways import Piece, Ways
+
+EVERY = 25  # points of a round between two places tried, 2.5 m
+CLOSING = 3  # points by which a round works on over its own beginning
+MOST_CHECKED = 150
+MOST_LINKS = 14
+BEND_STRAIGHT_M = 1.0
+
+
+@dataclass(frozen=True)
+class Link:
+    """A free way that leaves a round at its point `leave` and enters the next at its point `enter`."""
+
+    leave: int
+    enter: int
+    points_m: Float64
+    length_m: float
+
+
+def drive_rounds(ways: Ways, start: Pose) -> tuple[list[Piece], Pose]:
+    """All rounds with the ways to them, and the pose at their end; raises FieldError."""
+    rings = [r.points_m[:-1] for r in ways.rounds]
+    entries = _entries(ways, start, rings[0])
+    pieces: list[Piece] = []
+    for number, ring in enumerate(rings):
+        line = ways.rounds[number].number
+        links = _links(ways, ring, rings[number + 1]) if number + 1 < len(rings) else []
+        entry, link = _best(entries, links, len(ring))
+        if not entries or (number + 1 < len(rings) and link is None):
+            entry, link = _by_search(ways, start, rings, number, entries)
+        pieces += [
+            Piece(Leg.TURN, line, entry.points_m, False),
+            Piece(Leg.HEADLAND, line, _loop(ring, entry.enter), True),
+        ]
+        if link is None:
+            return pieces, _pose(ring, entry.enter + CLOSING)
+        pieces.append(Piece(Leg.TURN, line, _part(ring, entry.enter + CLOSING, link.leave), False))
+        entries = [link]
+    raise AssertionError("the last round has no link")
+
+
+def _best(entries: list[Link], links: list[Link], count: int) -> tuple[Link, Link | None]:
+    if not links:
+        return (entries[0], None) if entries else (None, None)  # type: ignore[return-value]
+    pairs = [
+        (e.length_m + (k.leave - e.enter - CLOSING) % count * STEP_M + k.length_m, i, j)
+        for i, e in enumerate(entries)
+        for j, k in enumerate(links)
+    ]
+    if not pairs:
+        return None, None  # type: ignore[return-value]
+    _, i, j = min(pairs)
+    return entries[i], links[j]
+
+
+def _entries(ways: Ways, start: Pose, ring: Float64) -> list[Link]:
+    config, options = ways.rig.config, []
+    for k in range(0, len(ring), EVERY):
+        wanted = Wanted(start, _pose(ring, k), config.run_out_m, config.line_up_m)
+        options.append((shortest_length_m(wanted, ways.rig.radius_m), -1, k, wanted))
+    return _checked(ways, options)
+
+
+def _links(ways: Ways, ring: Float64, following: Float64) -> list[Link]:
+    options = []
+    for j in range(0, len(ring), EVERY):
+        pose = _pose(ring, j)
+        gaps = np.hypot(*(following[::EVERY] - ring[j]).T)
+        for k in np.flatnonzero(gaps < max(40.0, 1.5 * gaps.min())) * EVERY:
+            wanted = Wanted(pose, _pose(following, int(k)), BEND_STRAIGHT_M, ways.rig.config.line_up_m)
+            length = shortest_length_m(wanted, ways.rig.radius_m)
+            options.append((length, j, int(k), wanted))
+    return _checked(ways, options)
+
+
+def _checked(ways: Ways, options: list[tuple[float, int, int, Wanted]]) -> list[Link]:
+    """The shortest free ones, no two that leave at the same place."""
+    found: list[Link] = []
+    options.sort(key=lambda o: (round(o[0], 6), o[1], o[2]))
+    for _, leave, enter, wanted in options[:MOST_CHECKED]:
+        if leave >= 0 and any(link.leave == leave for link in found):
+            continue
+        way = curve_between(wanted, ways.space, 3)
+        if way is not None:
+            found.append(Link(leave, enter, way, float(arc_length(way)[-1])))
+        if len(found) == MOST_LINKS:
+            break
+    return found
+
+
+def _by_search(
+    ways: Ways, start: Pose, rings: list[Float64], number: int, entries: list[Link]
+) -> tuple[Link, Link | None]:
+    """As `_best`, but by thorough search, where no simple curve was free."""
+    config, ring = ways.rig.config, rings[number]
+    if not entries:
+        way = ways.demand(Wanted(start, _pose(ring, 0), config.run_out_m, config.line_up_m), "to the first round")
+        entries = [Link(-1, 0, way, float(arc_length(way)[-1]))]
+    entry = entries[0]
+    if number + 1 == len(rings):
+        return entry, None
+    leave, following = (entry.enter + CLOSING) % len(ring), rings[number + 1]
+    order = np.argsort(np.hypot(*(following[::EVERY] - ring[leave]).T), kind="stable") * EVERY
+    options = [
+        Wanted(_pose(ring, leave), _pose(following, int(k)), config.run_out_m, config.line_up_m) for k in order[:8]
+    ]
+    for wanted, k in zip(options, order, strict=False):
+        way = ways.find(wanted)
+        if way is not None:
+            return entry, Link(leave, int(k), way, float(arc_length(way)[-1]))
+    ways.demand(options[0], f"to round {ways.rounds[number + 1].number + 1}")
+    raise AssertionError
+
+
+def _pose(ring: Float64, k: int) -> Pose:
+    n = len(ring)
+    d = ring[(k + 1) % n] - ring[(k - 1) % n]
+    return Pose(float(ring[k % n, 0]), float(ring[k % n, 1]), float(np.arctan2(d[1], d[0])))
+
+
+def _loop(ring: Float64, k: int) -> Float64:
+    return (
+        np.vstack([ring[k:], ring[: k + CLOSING + 1]])
+        if k + CLOSING < len(ring)
+        else np.vstack([ring[k:], ring, ring[: k + CLOSING + 1 - len(ring)]])
+    )
+
+
+def _part(ring: Float64, first: int, last: int) -> Float64:
+    n = len(ring)
+    return ring[np.arange(first, first + (last - first) % n + 1) % n]

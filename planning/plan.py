@@ -1,0 +1,114 @@
+"""The plan of a whole mission, proven inside by the swept footprint."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from configs.mission import Work
+from configs.site import Site
+from configs.vehicle import Implement, Vehicle
+from geometry.footprint import is_inside, worked
+from geometry.polygon import parts, place_of, shrink
+from messages.errors import FieldError
+from messages.plan import Leg, Path
+from planning.configuration import PlannerConfig
+from planning.coverage.headland import Round, depth_m, rounds_of
+from planning.coverage.swath import Swath, swaths_of
+from planning.ground import Ground, describe, ground_of
+from planning.path import path_of
+from planning.rig import Rig, rig_of
+from planning.route import route
+from planning.ways import Ways
+
+PROOF_SLACK_M = 0.01  # planned with so much more margin than is then proven
+LEAST_UNCOVERED_M2 = 0.25
+
+
+@dataclass(frozen=True)
+class Uncovered:
+    """A part of the field that is not planned to be worked."""
+
+    reason: str
+    area_m2: float
+    place_map_m: tuple[float, float]
+    outline: BaseGeometry
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All paths of a mission and what they work; `planned_area` is the union of the planned strips in the field."""
+
+    paths: tuple[Path, ...]
+    planned_area: BaseGeometry
+    field_area_m2: float
+    planned_share: float
+    length_m: float
+    uncovered: tuple[Uncovered, ...]
+    swaths: tuple[Swath, ...]
+    rounds: tuple[Round, ...]
+    ground: Ground
+    rig: Rig
+
+
+def plan_mission(
+    site: Site, vehicle: Vehicle, implement: Implement, work: Work, config: PlannerConfig, seed: int
+) -> Plan:
+    """The plan of a mission; raises FieldError with the place when it cannot be driven wholly inside."""
+    rig = rig_of(vehicle, implement, work, config)
+    ground = ground_of(site, work.boundary_margin_m + PROOF_SLACK_M)
+    rounds = rounds_of(ground, rig, work.headland_rounds, work.overlap_m)
+    inside = depth_m(ground, rig, work.overlap_m, work.headland_rounds - 1) + rig.working_width_m / 2.0 - work.overlap_m
+    direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
+    swaths = swaths_of(
+        shrink(ground.free, inside), rig.working_width_m, work.overlap_m, config.least_swath_m, direction
+    )
+    pieces = route(Ways(ground, rig, rounds, seed), swaths)
+    paths = (path_of(pieces, rig, 1, True),)
+    proven = ground_of(site, work.boundary_margin_m)
+    prove_inside(paths, rig, proven)
+    area = worked_area(paths, rig).intersection(ground.free)
+    left = _uncovered(ground, area, rig)
+    length = sum(float(p.s_m[-1]) for p in paths)
+    share = area.area / ground.free.area
+    return Plan(paths, area, ground.free.area, share, length, left, tuple(swaths), tuple(rounds), ground, rig)
+
+
+def prove_inside(paths: Sequence[Path], rig: Rig, ground: Ground) -> None:
+    """Raise FieldError with the place where a body leaves the allowed area at any point of the paths."""
+    for path in paths:
+        inside = is_inside(rig.bodies, path.p_map_m, path.heading_rad, ground.allowed)
+        if not inside.all():
+            k = int(np.argmin(inside))
+            x, y = path.p_map_m[k]
+            leg = path.stretches[path.stretch_index[k]].leg
+            raise FieldError(
+                f"the {leg} way at {describe(ground.site, x, y)} leaves the field, lane or yard by the rig's sweep"
+            )
+
+
+def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
+    """What the working line passes over where the paths say that the implement works."""
+    shapes = []
+    for path in paths:
+        left, right = rig.working_edges(path.p_map_m, path.heading_rad)
+        is_work = path.is_work.astype(bool)
+        starts = np.flatnonzero(np.diff(np.concatenate([[0], is_work.astype(int)])) == 1)
+        ends = np.flatnonzero(np.diff(np.concatenate([is_work.astype(int), [0]])) == -1)
+        for a, b in zip(starts, ends, strict=True):
+            keep = np.unique(np.append(np.arange(a, b + 1, 2), b))
+            shapes.append(worked(left[keep], right[keep]))
+    return shapely.union_all(shapes).buffer(0.005, join_style="mitre").buffer(-0.005, join_style="mitre")
+
+
+def _uncovered(ground: Ground, area: BaseGeometry, rig: Rig) -> tuple[Uncovered, ...]:
+    rim = ground.free.difference(shrink(ground.free, ground.margin_m + rig.width_m - rig.working_width_m + 0.1))
+    missed = ground.free.difference(area)
+    found = [("edge margin", p) for p in parts(missed.intersection(rim), LEAST_UNCOVERED_M2)]
+    found += [("corner too tight to turn in", p) for p in parts(missed.difference(rim), LEAST_UNCOVERED_M2)]
+    return tuple(Uncovered(reason, p.area, place_of(p), p) for reason, p in found)
+
+
+__all__ = ["Leg", "Plan", "Uncovered", "plan_mission", "prove_inside", "worked_area"]

@@ -1,0 +1,142 @@
+"""The whole drive as pieces: from the yard along the lane, the rounds, the swaths, and back."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from shapely.geometry import Polygon
+
+from geometry.footprint import is_inside
+from geometry.polyline import Float64, arc_length, polyline, resample
+from messages.errors import FieldError
+from messages.plan import Leg
+from planning.coverage.closed import drive_rounds
+from planning.coverage.order import Visit, order
+from planning.coverage.swath import Swath
+from planning.curve import Pose
+from planning.ground import describe
+from planning.turn import STEP_M, Wanted, shortest_length_m
+from planning.ways import Piece, Ways
+
+REORDERINGS = 8
+NO_WAY_M = 1e4
+
+
+def route(ways: Ways, swaths: list[Swath]) -> list[Piece]:
+    """All pieces in order; raises FieldError with the place where it cannot go on."""
+    site, rig = ways.ground.site, ways.rig
+    start = Pose(site.start.x_m, site.start.y_m, np.radians(site.start.heading_deg))
+    pieces, pose = _way_in(ways, start)
+    found, pose = drive_rounds(ways, pose)
+    pieces += found
+    home, home_start = _way_home(ways)
+    for swath, is_reversed in _ordered(ways, pose, home_start, swaths):
+        first, last = swath.poses(is_reversed, -rig.working_x_m)
+        wanted = Wanted(pose, first, rig.config.run_out_m, rig.config.line_up_m)
+        pieces.append(Piece(Leg.TURN, swath.number, ways.demand(wanted, f"to swath {swath.number + 1}"), False))
+        pieces.append(Piece(Leg.SWATH, swath.number, _straight(first, last), True))
+        pose = last
+    leave = Wanted(pose, home_start, rig.config.run_out_m, 1.0)
+    return [*pieces, Piece(Leg.TURN, -1, ways.demand(leave, "back to the lane"), False), *home]
+
+
+def _straight(a: Pose, b: Pose) -> Float64:
+    return resample(np.array([[a.x_m, a.y_m], [b.x_m, b.y_m]]), STEP_M)
+
+
+def _way_in(ways: Ways, start: Pose) -> tuple[list[Piece], Pose]:
+    lane = lane_line(ways)
+    first, last = _end_poses(lane)
+    wanted = Wanted(start, first, 0.0, 0.0)
+    pieces = [Piece(Leg.LANE, -1, ways.demand(wanted, "out of the yard"), False)]
+    return [*pieces, Piece(Leg.LANE, -1, lane, False)], last
+
+
+def lane_line(ways: Ways) -> Float64:
+    """The middle of all lanes one after the other, with corners rounded."""
+    site = ways.ground.site
+    if not site.lanes:
+        raise FieldError(f"site {site.name!r} has no lane: draw one from the yard through the gate into the field")
+    return fillet(polyline([p for lane in site.lanes for p in lane.center_m]), ways.rig.radius_m)
+
+
+def fillet(points_m: Float64, radius_m: float) -> Float64:
+    """The polyline with its corners replaced by arcs of `radius_m` (smaller where an edge is too short)."""
+    out = [points_m[:1]]
+    for a, b, c in zip(points_m[:-2], points_m[1:-1], points_m[2:], strict=True):
+        u, v = (b - a) / np.hypot(*(b - a)), (c - b) / np.hypot(*(c - b))
+        turn = float(np.arctan2(u[0] * v[1] - u[1] * v[0], u @ v))
+        tangent = min(
+            radius_m * abs(np.tan(turn / 2.0)), 0.5 * float(np.hypot(*(b - a))), 0.5 * float(np.hypot(*(c - b)))
+        )
+        share = np.linspace(0.0, 1.0, max(2, int(abs(turn) * radius_m / STEP_M)))[:, None]
+        p0, p2 = b - tangent * u, b + tangent * v
+        normal = np.array([-u[1], u[0]]) * np.sign(turn)
+        r = tangent / max(abs(np.tan(turn / 2.0)), 1e-9)
+        angle = share[:, 0] * abs(turn)
+        arc = p0 + r * (np.sin(angle)[:, None] * u + (1.0 - np.cos(angle))[:, None] * normal)
+        out.append(arc if abs(turn) > 1e-6 else np.vstack([p0, p2]))
+    out.append(points_m[-1:])
+    return resample(np.vstack(out), STEP_M)
+
+
+def _end_poses(points_m: Float64) -> tuple[Pose, Pose]:
+    def pose(p: Float64, q: Float64, at: Float64) -> Pose:
+        return Pose(float(at[0]), float(at[1]), float(np.arctan2(q[1] - p[1], q[0] - p[0])))
+
+    return pose(points_m[0], points_m[1], points_m[0]), pose(points_m[-2], points_m[-1], points_m[-1])
+
+
+def _way_home(ways: Ways) -> tuple[list[Piece], Pose]:
+    lane = lane_line(ways)[::-1]
+    first, last = _end_poses(lane)
+    parked = _parking(ways, last)
+    way = np.vstack([lane, _straight(last, parked)[1:]])
+    return [Piece(Leg.LANE, -1, way, False)], first
+
+
+def _parking(ways: Ways, lane_end: Pose) -> Pose:
+    yard = Polygon(ways.ground.site.yard.outline_m)
+    for ahead in np.arange(0.5, 40.0, 0.5):
+        pose = lane_end.ahead(float(ahead))
+        p, h = np.array([[pose.x_m, pose.y_m]]), np.array([pose.heading_rad])
+        if is_inside(ways.rig.bodies, p, h, yard)[0] and is_inside(ways.rig.bodies, p, h, ways.ground.allowed)[0]:
+            return pose
+    where = describe(ways.ground.site, lane_end.x_m, lane_end.y_m)
+    raise FieldError(
+        f"the rig cannot stand in the yard straight on from the lane's end at {where}: make the yard deeper"
+    )
+
+
+def _ordered(ways: Ways, start: Pose, home: Pose, swaths: list[Swath]) -> list[tuple[Swath, bool]]:
+    """Swaths in the order that is short by real ways: where the guess was too short, it is corrected and tried again."""
+    visits = [s.poses(r, -ways.rig.working_x_m) for s in swaths for r in (False, True)]
+    starts, ends = [a for a, _ in visits] + [home], [b for _, b in visits] + [start]
+    config = ways.rig.config
+    cost = np.zeros((len(starts), len(starts)))
+    for i, end in enumerate(ends):
+        for j, first in enumerate(starts):
+            cost[i, j] = (
+                NO_WAY_M if i // 2 == j // 2 else shortest_length_m(_wanted(ways, end, first), ways.rig.radius_m)
+            )
+    cost[-1, -1] = 0.0
+    best: tuple[float, Sequence[Visit]] = (np.inf, [])
+    for _ in range(REORDERINGS):
+        tour = order(cost)
+        stops = [len(starts) - 1, *(2 * k + r for k, r in tour), len(starts) - 1]
+        real = [
+            ways.find(_wanted(ways, ends[i], starts[j]), is_thorough=False)
+            for i, j in zip(stops[:-1], stops[1:], strict=True)
+        ]
+        lengths = [NO_WAY_M if way is None else float(arc_length(way)[-1]) for way in real]
+        best = min(best, (sum(lengths), tour), key=lambda b: b[0])
+        guessed = [cost[i, j] for i, j in zip(stops[:-1], stops[1:], strict=True)]
+        for i, j, length in zip(stops[:-1], stops[1:], lengths, strict=True):
+            cost[i, j] = min(length, NO_WAY_M / 10) if length < NO_WAY_M else 150.0
+        if sum(lengths) < sum(guessed) + 0.5:
+            break
+    assert config.run_out_m >= 0.0
+    return [(swaths[k], r) for k, r in best[1]]
+
+
+def _wanted(ways: Ways, a: Pose, b: Pose) -> Wanted:
+    return Wanted(a, b, ways.rig.config.run_out_m, ways.rig.config.line_up_m)
