@@ -1,0 +1,40 @@
+"""COCO's 80 classes in the order of the networks trained on them, and which of them are obstacles of ours."""
+
+import numpy as np
+
+from messages.message import Float32, Float64
+from messages.perception import ObstacleClass
+
+COCO = (
+    "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
+    "fire hydrant", "stop sign", "parking meter", "bench", "bird", "cat", "dog", "horse", "sheep", "cow", "elephant",
+    "bear", "zebra", "giraffe", "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee", "skis", "snowboard",
+    "sports ball", "kite", "baseball bat", "baseball glove", "skateboard", "surfboard", "tennis racket", "bottle",
+    "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple", "sandwich", "orange", "broccoli",
+    "carrot", "hot dog", "pizza", "donut", "cake", "chair", "couch", "potted plant", "bed", "dining table", "toilet",
+    "tv", "laptop", "mouse", "remote", "keyboard", "cell phone", "microwave", "oven", "toaster", "sink",
+    "refrigerator", "book", "clock", "vase", "scissors", "teddy bear", "hair drier", "toothbrush",
+)  # fmt: skip
+
+# A bird leaves by itself and is no obstacle; aeroplane and boat do not stand in fields.
+MEMBERS: dict[ObstacleClass, tuple[str, ...]] = {
+    ObstacleClass.PERSON: ("person",),
+    ObstacleClass.ANIMAL: ("cat", "dog", "horse", "sheep", "cow", "elephant", "bear", "zebra", "giraffe"),
+    ObstacleClass.VEHICLE: ("bicycle", "car", "motorcycle", "bus", "train", "truck"),
+}
+GROUPS = tuple(MEMBERS)
+_COLUMNS = tuple(np.array([COCO.index(name) for name in MEMBERS[group]]) for group in GROUPS)
+_ORDER = tuple(ObstacleClass)
+
+
+def group_scores(scores: Float32) -> Float32:
+    """Scores (N, 80) of COCO's classes as those of `GROUPS`, (N, 3): the best of each group's members."""
+    return np.stack([scores[:, columns].max(axis=1) for columns in _COLUMNS], axis=1)
+
+
+def class_scores(group: int, score: float) -> Float64:
+    """Evidence (7,) in the order of `ObstacleClass`: what the network does not say for its class stays unknown."""
+    row = np.zeros(len(_ORDER))
+    row[_ORDER.index(GROUPS[group])] = score
+    row[_ORDER.index(ObstacleClass.UNKNOWN)] = 1.0 - score
+    return row
