@@ -1,0 +1,101 @@
+"""Who acts the scenario: each encounter's figure with its place, gait and whether it is there at all."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from geometry.transforms import apply, planar
+from messages.message import Float32, Float64
+from messages.perception import ObstacleClass
+from simulation.encounter import Stance, Walk, is_approaching, stance_at
+from simulation.figures import STRIDE_M, figure_mesh
+from simulation.meshes import Mesh
+from simulation.placement import Drawn, Standing
+from simulation.scenario import Encounter
+from simulation.terrain import Terrain
+
+APPEAR_BEFORE_M = 12.0  # before the trigger: seen waiting, but not standing where the machine worked before
+GONE_AT_M = 25.0
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure at a moment; `gait` is negative when it stands."""
+
+    id: int
+    label: ObstacleClass
+    role: str
+    p_map_m: tuple[float, float, float]
+    yaw_rad: float
+    velocity_mps: tuple[float, float]
+    gait: float
+
+    @cached_property
+    def local_mesh(self) -> Mesh:
+        """The mesh about the figure's own origin."""
+        return figure_mesh(self.label, self.gait)
+
+    def mesh_at(self, ago_s: float) -> Mesh:
+        """The mesh in `map` a moment ago."""
+        T = planar(
+            self.p_map_m[0] - ago_s * self.velocity_mps[0], self.p_map_m[1] - ago_s * self.velocity_mps[1], self.yaw_rad
+        )
+        T[2, 3] = self.p_map_m[2]
+        return self.local_mesh.moved(T)
+
+    @cached_property
+    def vertices_map_m(self) -> Float32:
+        """All corners in `map`, (N, 3)."""
+        return self.mesh_at(0.0).vertices_m
+
+    @cached_property
+    def footprint(self) -> BaseGeometry:
+        """Ground under the figure."""
+        return shapely.multipoints(self.vertices_map_m[:, :2].astype(float)).convex_hull
+
+    def box_m(self) -> tuple[Float64, Float64]:
+        """Centre in `map` and size along its own axes, (3,) each."""
+        vertices = self.local_mesh.vertices_m.astype(float)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        T = planar(self.p_map_m[0], self.p_map_m[1], self.yaw_rad)
+        T[2, 3] = self.p_map_m[2]
+        return apply(T, 0.5 * (low + high)[None])[0].astype(float), high - low
+
+
+class Actor:
+    """One encounter as it is played."""
+
+    def __init__(self, id: int, encounter: Encounter, drawn: Drawn, terrain: Terrain) -> None:
+        self._id, self._encounter, self._drawn, self._terrain = id, encounter, drawn, terrain
+        self._started_s: float | None = None
+        self._is_present = isinstance(drawn, Standing)
+        self._is_gone = False
+
+    def play(self, elapsed_s: float, front_map_m: Float64, heading_rad: float) -> Figure | None:
+        """The figure at this time, or None while it is not there."""
+        if isinstance(self._drawn, Standing):
+            return self._figure(Stance(self._drawn.p_map_m, self._drawn.heading_rad, 0.0, 0.0))
+        self._watch(self._drawn, elapsed_s, front_map_m, heading_rad)
+        if not self._is_present or self._is_gone:
+            return None
+        stance = stance_at(self._drawn, -1.0 if self._started_s is None else elapsed_s - self._started_s)
+        is_out = self._started_s is not None and elapsed_s - self._started_s > self._drawn.leave_s
+        is_far = math.dist(stance.p_map_m, front_map_m[:2]) > GONE_AT_M
+        self._is_gone = is_out and stance.speed_mps == 0.0 and is_far
+        return None if self._is_gone else self._figure(stance)
+
+    def _watch(self, walk: Walk, elapsed_s: float, front_map_m: Float64, heading_rad: float) -> None:
+        if self._started_s is None and is_approaching(walk.place, front_map_m, heading_rad, walk.trigger_m):
+            self._started_s = elapsed_s
+        within = walk.trigger_m + APPEAR_BEFORE_M
+        self._is_present = self._is_present or is_approaching(walk.place, front_map_m, heading_rad, within)
+
+    def _figure(self, stance: Stance) -> Figure:
+        label, (x, y) = self._encounter.label, stance.p_map_m
+        velocity = (stance.speed_mps * math.cos(stance.heading_rad), stance.speed_mps * math.sin(stance.heading_rad))
+        gait = stance.walked_m / STRIDE_M[label] % 1.0 if stance.speed_mps > 0.0 else -1.0
+        p = (x, y, self._terrain.height_m(x, y))
+        return Figure(self._id, label, self._encounter.name, p, stance.heading_rad, velocity, gait)

@@ -1,0 +1,123 @@
+"""The arithmetic of encounters: when somebody starts, where they are at a time, and that each run forces one stop.
+
+     lateral                       D = trigger distance of the machine's front
+from ├── o waiting                 walk-in time  t_in = way / walk
+     │    \\                        machine unslowed at v arrives at t_arr = D / v ≥ t_in + slack: it would hit them
+ 0 ──┼─────o stands ────── way     when they reach the swept edge, D − v·t_edge ≥ needed: it can still stop
+     │      \\                      they leave at slowest·t_arr + wait: it must have stopped, and has
+     └───────o out
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from messages.message import Float64
+from simulation.scenario import Crossing
+
+SWEPT_MARGIN_M = 1.0  # beside the implement: what a careful machine keeps free
+NEEDED_M = 12.0  # from the front when they step into the swept width; the stack needs less at 10 km/h
+SLOWEST = 1.15  # how much later than planned a machine that nobody slows may come
+OUT_BEYOND_M = 5.0  # they go this much farther aside than they came from
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where on the way: point and driving direction in `map`, and the speed driven there."""
+
+    p_map_m: tuple[float, float]
+    heading_rad: float
+    speed_mps: float
+    line: int
+
+
+@dataclass(frozen=True)
+class Walk:
+    """One crossing, drawn: three points in `map`, and times and distances that follow."""
+
+    place: Place
+    from_map_m: tuple[float, float]
+    out_map_m: tuple[float, float]
+    walk_mps: float
+    leave_mps: float
+    stand_s: float
+    trigger_m: float
+
+    @property
+    def in_s(self) -> float:
+        """Time from the start to the middle of the way."""
+        return math.dist(self.from_map_m, self.place.p_map_m) / self.walk_mps
+
+    @property
+    def leave_s(self) -> float:
+        """Time from the start to leaving the middle."""
+        return self.in_s + self.stand_s
+
+
+@dataclass(frozen=True)
+class Stance:
+    """Somebody at a moment: place and heading in `map`, speed, and way walked (for the gait)."""
+
+    p_map_m: tuple[float, float]
+    heading_rad: float
+    speed_mps: float
+    walked_m: float
+
+
+def trigger_distance_m(speed_mps: float, way_m: float, edge_m: float, walk_mps: float, slack_s: float) -> float:
+    """Distance of the machine's front at which they start: they stand before it could come, and it can still stop.
+
+    `way_m` is walked to the middle; `edge_m` of it lies within the swept width.
+    """
+    stands_before = speed_mps * (way_m / walk_mps + slack_s)
+    can_stop = speed_mps * (way_m - edge_m) / walk_mps + NEEDED_M
+    return max(stands_before, can_stop)
+
+
+def draw_walk(crossing: Crossing, place: Place, half_width_m: float, random: np.random.Generator) -> Walk:
+    """One crossing at a place; `half_width_m` of what the machine sweeps."""
+    side = 1.0 if random.random() < 0.5 else -1.0
+    lateral = half_width_m + random.uniform(*crossing.from_m)
+    oblique = math.radians(random.uniform(*crossing.oblique_deg))
+    walk, leave = random.uniform(*crossing.walk_mps), random.uniform(*crossing.leave_mps)
+    slack, wait = random.uniform(*crossing.slack_s), random.uniform(*crossing.wait_s)
+    way, edge = lateral / math.cos(oblique), (half_width_m + SWEPT_MARGIN_M) / math.cos(oblique)
+    trigger = trigger_distance_m(place.speed_mps, way, edge, walk, slack)
+    stand = SLOWEST * trigger / place.speed_mps + wait - way / walk
+    start = beside(place, lateral * math.tan(oblique), side * lateral)
+    out_lateral = lateral + OUT_BEYOND_M
+    out = beside(place, -out_lateral * math.tan(oblique), -side * out_lateral)
+    return Walk(place, start, out, walk, leave, stand, trigger)
+
+
+def beside(place: Place, ahead_m: float, left_m: float) -> tuple[float, float]:
+    """The point in `map` at an offset from a place."""
+    c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
+    return place.p_map_m[0] + ahead_m * c - left_m * s, place.p_map_m[1] + ahead_m * s + left_m * c
+
+
+def stance_at(walk: Walk, since_s: float) -> Stance:
+    """Where they are, a time after the start (negative: waiting)."""
+    middle = walk.place.p_map_m
+    if since_s < walk.leave_s:
+        return _on_line(walk.from_map_m, middle, since_s, walk.walk_mps)
+    return _on_line(middle, walk.out_map_m, since_s - walk.leave_s, walk.leave_mps)
+
+
+def _on_line(a: tuple[float, float], b: tuple[float, float], since_s: float, pace_mps: float) -> Stance:
+    """From a to b at a pace; standing at a before and at b after."""
+    length = math.dist(a, b)
+    way = min(max(since_s, 0.0) * pace_mps, length)
+    heading = math.atan2(b[1] - a[1], b[0] - a[0])
+    p = (a[0] + way * math.cos(heading), a[1] + way * math.sin(heading))
+    return Stance(p, heading, pace_mps if 0.0 < way < length else 0.0, way)
+
+
+def is_approaching(place: Place, front_map_m: Float64, heading_rad: float, within_m: float) -> bool:
+    """Whether a machine comes along this very way with its front at most `within_m` before the place."""
+    c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
+    dx, dy = place.p_map_m[0] - float(front_map_m[0]), place.p_map_m[1] - float(front_map_m[1])
+    ahead, aside = dx * c + dy * s, dy * c - dx * s
+    is_along = math.cos(heading_rad - place.heading_rad) > math.cos(math.radians(20.0))
+    return is_along and abs(aside) < 1.5 and 0.0 < ahead <= within_m

@@ -1,0 +1,55 @@
+"""The machine's way over the last moments: what sensors are sampled from."""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from geometry.transforms import transform
+from messages.message import Float64
+from simulation.terrain import Terrain
+
+
+class Track:
+    """Poses of base at a fixed step, newest last."""
+
+    def __init__(self, step_ns: int, keep_s: float) -> None:
+        self.step_ns = step_ns
+        self.last_ns = 0
+        self._poses: deque[Float64] = deque(maxlen=round(keep_s * 1e9 / step_ns) + 1)
+
+    def append(self, stamp_ns: int, T_map_base: Float64) -> None:
+        """Go on; the first pose fills the past, as the machine stood there."""
+        T_map_base.flags.writeable = False
+        self._poses.extend([T_map_base] * (1 if self._poses else self._poses.maxlen or 1))
+        self.last_ns = stamp_ns
+
+    def back(self, steps: int) -> Float64:
+        """The pose `steps` before the last, (4, 4)."""
+        return self._poses[-1 - steps]
+
+    def at(self, stamps_ns: Float64) -> Float64:
+        """Poses (N, 4, 4) at times within what is kept.
+
+        Matrices are blended: over one step of 5 ms at 0.6 rad/s a rotation is off by less than 2e-6.
+        """
+        ago = np.clip((self.last_ns - stamps_ns) / self.step_ns, 0.0, len(self._poses) - 1.000001)
+        whole = ago.astype(np.int64)
+        poses = np.stack([self._poses[-1 - k] for k in range(int(whole.max()) + 2)])
+        share = (ago - whole)[:, None, None]
+        return np.asarray((1.0 - share) * poses[whole] + share * poses[whole + 1])
+
+
+def stand_on(terrain: Terrain, x_m: float, y_m: float, yaw_rad: float, wheelbase_m: float, track_m: float) -> Float64:
+    """Pose of base with both rear wheels and the middle of the front axle (which swings) on the ground, (4, 4)."""
+    c, s, half = math.cos(yaw_rad), math.sin(yaw_rad), 0.5 * track_m
+    left = terrain.height_m(x_m - half * s, y_m + half * c)
+    right = terrain.height_m(x_m + half * s, y_m - half * c)
+    front_x, front_y = x_m + wheelbase_m * c, y_m + wheelbase_m * s
+    front = 0.5 * (
+        terrain.height_m(front_x - half * s, front_y + half * c)
+        + terrain.height_m(front_x + half * s, front_y - half * c)
+    )
+    rear = 0.5 * (left + right)
+    pitch = -math.atan2(front - rear, wheelbase_m)
+    return transform((x_m, y_m, rear), (math.atan2(left - right, track_m), pitch, yaw_rad))

@@ -1,0 +1,8 @@
+"""Random numbers: one generator a seed and user, so that a new sensor never changes what another one draws."""
+
+import numpy as np
+
+
+def generator(seed: int, name: str) -> np.random.Generator:
+    """The generator of `name` (such as "gnss/main") in the run of `seed`."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))))

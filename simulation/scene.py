@@ -1,0 +1,53 @@
+"""What rays hit: the still scene, built once, and the figures, built for every scan."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from messages.message import Float32
+from simulation.actors import Figure
+from simulation.figures import REFLECTIVITY
+from simulation.meshes import Mesh
+from simulation.scenery import Piece
+
+
+class Rays:
+    """Triangles that can be cast against; open3d is loaded with the first one."""
+
+    def __init__(self, meshes: list[Mesh], reflectivity: list[float]) -> None:
+        import open3d
+
+        self._core = open3d.core
+        self._scene: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
+        self._reflectivity = np.array([*reflectivity, 0.0], np.float32)
+        for mesh in meshes:
+            vertices = self._core.Tensor(np.array(mesh.vertices_m, np.float32))
+            self._scene.add_triangles(vertices, self._core.Tensor(mesh.triangles.astype(np.uint32)))
+
+    def cast(self, rays: Float32) -> tuple[Float32, Float32]:
+        """Distance (infinite where nothing is hit) and reflectivity times cosine of incidence, (N,) each.
+
+        `rays` (N, 6): origin and unit direction.
+        """
+        hits = self._scene.cast_rays(self._core.Tensor(rays), nthreads=1)
+        kind = np.minimum(hits["geometry_ids"].numpy(), len(self._reflectivity) - 1)
+        cosine = np.abs(np.einsum("ij,ij->i", hits["primitive_normals"].numpy(), rays[:, 3:]))
+        return hits["t_hit"].numpy(), self._reflectivity[kind] * cosine
+
+
+class Scene:
+    """Everything around the machine; `figures` are those present now."""
+
+    def __init__(self, pieces: list[Piece]) -> None:
+        self.figures: tuple[Figure, ...] = ()
+        self._pieces = pieces
+
+    @cached_property
+    def still(self) -> Rays:
+        """What never moves."""
+        return Rays([p.mesh for p in self._pieces], [p.reflectivity for p in self._pieces])
+
+    def moving(self, figures: list[Figure], ago_s: float) -> Rays:
+        """Some figures as they were a moment ago."""
+        return Rays([f.mesh_at(ago_s) for f in figures], [REFLECTIVITY[f.label] for f in figures])

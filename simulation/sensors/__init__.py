@@ -1,0 +1,1 @@
+"""Sensor models, one file each: a period, a topic and `sample(moment)`."""

@@ -1,0 +1,94 @@
+"""Satellite receiver: the antenna's place with errors that wander, the baseline's direction, states and outages."""
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Gnss
+from geometry.angles import wrap
+from geometry.geodesy import Datum
+from messages.message import Float64, Message
+from messages.sensors import GnssFix, GnssSolution
+from simulation.scenario import GnssEpisode
+from simulation.sensors.sensor import Moment, period_ns_of
+
+
+class GnssConfig(Config):
+    """How errors behave in time, and what the states other than RTK fixed are worth."""
+
+    latency_s: float = Field(ge=0.0, le=1.0)
+    wander_share: float = Field(ge=0.0, le=1.0, description="share of the variance that wanders; the rest is white")
+    wander_time_s: float = Field(gt=0.1, le=3600.0)
+    velocity_sigma_mps: float = Field(gt=0.0, le=5.0)
+    float_sigma_m: float = Field(gt=0.0, le=10.0)
+    single_sigma_m: float = Field(gt=0.0, le=50.0)
+
+
+class GnssModel:
+    """One receiver with its antenna (and a second one, ahead of it, when it measures heading)."""
+
+    def __init__(
+        self, name: str, gnss: Gnss, datum: Datum, episodes: tuple[GnssEpisode, ...], config: GnssConfig,
+        random: np.random.Generator,
+    ) -> None:  # fmt: skip
+        self.topic = f"gnss/{name}"
+        self.period_ns = period_ns_of(gnss.rate_hz)
+        self.latency_ns = round(config.latency_s * 1e9)
+        self._gnss, self._datum, self._episodes, self._config, self._random = gnss, datum, episodes, config, random
+        self._T_base_antenna = gnss.mount.T_base_sensor
+        self._wander = random.standard_normal(4)
+        self._corrected_s = 0.0
+
+    def sample(self, moment: Moment) -> Message:
+        """What the receiver says now; without a solution the place is NaN."""
+        solution = solution_at(self._episodes, moment.elapsed_s)
+        self._corrected_s = moment.elapsed_s if solution >= GnssSolution.RTK_FLOAT else self._corrected_s
+        errors = self._draw_errors()
+        if solution == GnssSolution.NONE:
+            return no_fix(moment.stamp_ns)
+        antenna = moment.track.back(0) @ self._T_base_antenna
+        before = moment.track.back(2) @ self._T_base_antenna
+        velocity = (antenna[:3, 3] - before[:3, 3]) / (2e-9 * moment.track.step_ns)
+        sigma = self._sigma_enu(solution)
+        latitude, longitude, height = self._datum.to_ellipsoid(*map(float, antenna[:3, 3] + sigma * errors[:3]))
+        heading_sigma = math.radians(self._gnss.sigma_heading_deg) if self._has_heading(solution) else math.nan
+        age = 1.0 if solution >= GnssSolution.RTK_FLOAT else moment.elapsed_s - self._corrected_s
+        return GnssFix(
+            moment.stamp_ns, latitude, longitude, height, sigma,
+            velocity + self._config.velocity_sigma_mps * self._random.standard_normal(3),
+            self._config.velocity_sigma_mps, wrap(math.atan2(antenna[1, 0], antenna[0, 0]) + heading_sigma * errors[3]),
+            heading_sigma, solution, 22 if solution > GnssSolution.SINGLE else 9, 0.7, age, "BDS+GPS",
+        )  # fmt: skip
+
+    def _has_heading(self, solution: GnssSolution) -> bool:
+        return self._gnss.has_heading and solution >= GnssSolution.RTK_FLOAT
+
+    def _sigma_enu(self, solution: GnssSolution) -> Float64:
+        scale = {
+            GnssSolution.RTK_FIXED: 1.0,
+            GnssSolution.RTK_FLOAT: self._config.float_sigma_m / self._gnss.sigma_horizontal_m,
+        }.get(solution, self._config.single_sigma_m / self._gnss.sigma_horizontal_m)
+        horizontal, vertical = self._gnss.sigma_horizontal_m * scale, self._gnss.sigma_vertical_m * scale
+        return np.array([horizontal, horizontal, vertical])
+
+    def _draw_errors(self) -> Float64:
+        """Unit errors of east, north, up and heading: a slow Gauss-Markov part and a white one."""
+        keep = math.exp(-self.period_ns * 1e-9 / self._config.wander_time_s)
+        self._wander = keep * self._wander + math.sqrt(1.0 - keep * keep) * self._random.standard_normal(4)
+        share = self._config.wander_share
+        return np.asarray(math.sqrt(share) * self._wander + math.sqrt(1.0 - share) * self._random.standard_normal(4))
+
+
+def solution_at(episodes: tuple[GnssEpisode, ...], elapsed_s: float) -> GnssSolution:
+    """The worst state that any episode asks for at this time; RTK fixed when none does."""
+    states = [GnssSolution[e.state.upper()] for e in episodes if e.from_s <= elapsed_s < e.from_s + e.for_s]
+    return min(states, default=GnssSolution.RTK_FIXED)
+
+
+def no_fix(stamp_ns: int) -> GnssFix:
+    """A receiver's word that it has no position."""
+    nan = math.nan
+    nans = np.full(3, nan)
+    return GnssFix(stamp_ns, nan, nan, nan, nans, nans.copy(), nan, nan, nan, GnssSolution.NONE, 0, nan, nan, "")

@@ -1,0 +1,77 @@
+"""Inertial unit: mean specific force and turn rate over the interval that ends at the stamp, in the IMU's frame."""
+
+import math
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from configs.strict import Config
+from configs.vehicle import Imu
+from geometry.transforms import invert
+from messages.message import Float64, Message
+from messages.sensors import ImuSample
+from simulation.drive import GRAVITY_MPS2
+from simulation.sensors.sensor import Moment, period_ns_of
+
+RADPS_PER_DPH = math.pi / 180.0 / 3600.0
+
+
+class ImuConfig(Config):
+    """What the vehicle's file does not say: vibration of the machine, and how biases wander."""
+
+    idle_mps2: float = Field(ge=0.0, le=5.0, description="sigma of vibration with the engine running")
+    idle_radps: float = Field(ge=0.0, le=1.0)
+    furrow_mps2_per_mps: float = Field(ge=0.0, le=5.0, description="vibration grows with speed")
+    furrow_radps_per_mps: float = Field(ge=0.0, le=1.0)
+    wander_share: float = Field(ge=0.0, le=1.0, description="bias change over the wander time, as share of the bias")
+    wander_time_s: float = Field(gt=1.0, le=1e5)
+
+
+class ImuModel:
+    """Exact in the mean: what it gives integrates back to the true motion, apart from its errors."""
+
+    def __init__(self, imu: Imu, config: ImuConfig, random: np.random.Generator) -> None:
+        self.topic = "imu"
+        self.period_ns = period_ns_of(imu.rate_hz)
+        self.latency_ns = 0
+        self._imu, self._config, self._random = imu, config, random
+        self._T_base_imu = imu.mount.T_base_sensor
+        dt_s = self.period_ns * 1e-9
+        self._bias_sigma = np.repeat(
+            [imu.accelerometer_bias_mg * 1e-3 * GRAVITY_MPS2, imu.gyro_bias_dph * RADPS_PER_DPH], 3
+        )
+        self._bias = self._bias_sigma * random.standard_normal(6)
+        self._wander = config.wander_share * self._bias_sigma * math.sqrt(dt_s / config.wander_time_s)
+        density = [imu.accelerometer_noise_ug_rthz * 1e-6 * GRAVITY_MPS2, math.radians(imu.gyro_noise_dps_rthz)]
+        self._sigma = np.repeat(density, 3) / math.sqrt(dt_s)
+        limits = [imu.accelerometer_range_g * GRAVITY_MPS2, math.radians(imu.gyro_range_dps)]
+        self._limit = np.repeat(limits, 3)
+        self._shake = np.zeros((2, 6))
+
+    def sample(self, moment: Moment) -> Message:
+        """The true mean over the last interval, with bias, vibration and noise, within the range."""
+        steps = self.period_ns // moment.track.step_ns
+        poses = [moment.track.back(k) @ self._T_base_imu for k in (steps, steps // 2, 0)]
+        truth = mean_motion(poses[0], poses[1], poses[2], self.period_ns * 1e-9)
+        self._bias = self._bias + self._wander * self._random.standard_normal(6)
+        noise = self._bias + self._sigma * self._random.standard_normal(6) + self._vibrate(moment.machine.speed_mps)
+        values = np.clip(truth + noise, -self._limit, self._limit)
+        return ImuSample(moment.stamp_ns, values[:3].copy(), values[3:].copy())
+
+    def _vibrate(self, speed_mps: float) -> Float64:
+        """A second difference of white noise: it shakes, but the machine goes nowhere by it."""
+        c, v = self._config, abs(speed_mps)
+        sigma = np.repeat([c.idle_mps2 + c.furrow_mps2_per_mps * v, c.idle_radps + c.furrow_radps_per_mps * v], 3)
+        white = sigma * self._random.standard_normal(6)
+        shake = (white - 2.0 * self._shake[1] + self._shake[0]) / math.sqrt(6.0)
+        self._shake = np.stack([self._shake[1], white])
+        return np.asarray(shake)
+
+
+def mean_motion(T_first: Float64, T_middle: Float64, T_last: Float64, interval_s: float) -> Float64:
+    """Specific force and turn rate (6,) in the sensor frame, from its poses at start, middle and end of an interval."""
+    velocity_change = (T_last[:3, 3] - 2.0 * T_middle[:3, 3] + T_first[:3, 3]) / (0.5 * interval_s) ** 2
+    force = T_middle[:3, :3].T @ (velocity_change + np.array([0.0, 0.0, GRAVITY_MPS2]))
+    turn = Rotation.from_matrix((invert(T_first) @ T_last)[:3, :3]).as_rotvec() / interval_s
+    return np.concatenate([force, turn])

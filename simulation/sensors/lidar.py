@@ -1,0 +1,149 @@
+"""Spinning lidar by ray casting: each column is fired at its own time from its own pose.
+
+Columns run from -fov/2 to +fov/2 (left positive) over one period that ends at the stamp. What the machine's own body
+hides is found once for each height of the implement; figures are cast only in the columns they can fill.
+"""
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Lidar, MountedImplement, TrailedImplement, Vehicle
+from geometry.transforms import invert
+from messages.message import Float32, Float64, Message
+from messages.sensors import LidarScan
+from simulation.actors import Figure
+from simulation.body import T_base_implement, implement_mesh, machine_mesh
+from simulation.scene import Rays
+from simulation.sensors.sensor import Moment, period_ns_of
+
+MAX_RANGE_M = 65.5  # of uint16 in mm
+BODY_REFLECTIVITY = 0.3
+LEVELS = 8  # heights of the hitch for which the body's shadow is kept
+
+
+class LidarConfig(Config):
+    """Errors of a lidar beyond its range noise."""
+
+    sight_m: float = Field(gt=1.0, le=500.0, description="where a square-on target of reflectivity 0.1 is lost")
+    dropout: float = Field(ge=0.0, le=0.5, description="share of returns lost for no reason")
+    dust: float = Field(ge=0.0, le=0.1, description="share of rays that hit dust near by")
+    dust_m: tuple[float, float]
+    step_mm: int = Field(ge=1, le=100, description="resolution of the range")
+
+
+class LidarModel:
+    """One lidar on one machine."""
+
+    def __init__(
+        self, name: str, lidar: Lidar, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, config: LidarConfig,
+        random: np.random.Generator,
+    ) -> None:  # fmt: skip
+        self.topic = f"lidar/{name}"
+        self.period_ns = period_ns_of(lidar.rate_hz)
+        self.latency_ns = 0
+        self._lidar, self._vehicle, self._implement, self._config, self._random = (
+            lidar,
+            vehicle,
+            implement,
+            config,
+            random,
+        )
+        self._T_base_lidar = lidar.mount.T_base_sensor
+        fov = math.radians(lidar.field_of_view_deg)
+        self._elevation = np.radians(np.array(lidar.elevation_deg, np.float64))
+        self._azimuth = fov * ((np.arange(lidar.columns) + 0.5) / lidar.columns - 0.5)
+        self._offset_s = (((np.arange(lidar.columns) + 1.0) / lidar.columns - 1.0) / lidar.rate_hz).astype(np.float32)
+        self._directions = directions_of(self._elevation, self._azimuth)
+        self._bodies: dict[tuple[int, int], tuple[Float32, Float32]] = {}
+
+    def sample(self, moment: Moment) -> Message:
+        """The sweep that ends now."""
+        rays = self._rays(moment)
+        distance, signal = (a.copy() for a in self._body(moment))
+        is_open = np.isinf(distance)
+        distance[is_open], signal[is_open] = moment.scene.still.cast(rays[is_open])
+        self._cast_figures(moment, rays, distance, signal)
+        return LidarScan(
+            moment.stamp_ns, self._measure(distance, signal).reshape(len(self._elevation), -1), self._elevation.copy(),
+            self._azimuth.copy(), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), self._offset_s.copy(),
+        )  # fmt: skip
+
+    def _rays(self, moment: Moment) -> Float32:
+        """Origin and direction of every ray in `map`, (rings × columns, 6)."""
+        stamps = moment.stamp_ns + self._offset_s.astype(np.float64) * 1e9
+        T_map_lidar = (moment.track.at(stamps) @ self._T_base_lidar).astype(np.float32)
+        rays = np.empty((*self._directions.shape[:2], 6), np.float32)
+        rays[..., :3] = T_map_lidar[:, :3, 3]
+        rays[..., 3:] = np.einsum("cij,rcj->rci", T_map_lidar[:, :3, :3], self._directions)
+        return rays.reshape(-1, 6)
+
+    def _body(self, moment: Moment) -> tuple[Float32, Float32]:
+        """Distance and signal of the machine's own body, infinite where the view is free."""
+        attached = moment.machine.attached
+        articulation = attached.yaw_rad - moment.machine.yaw_rad
+        key = (round(attached.hitch * LEVELS), round(math.degrees(articulation)))
+        if key not in self._bodies:
+            T_lidar_base = invert(self._T_base_lidar)
+            T_lidar_implement = T_lidar_base @ T_base_implement(self._implement, math.radians(key[1]))
+            body = Rays([machine_mesh(self._vehicle).moved(T_lidar_base)], [BODY_REFLECTIVITY])
+            tool = Rays(
+                [implement_mesh(self._implement, key[0] / LEVELS).moved(T_lidar_implement)], [BODY_REFLECTIVITY]
+            )
+            rays = np.zeros((self._directions[..., 0].size, 6), np.float32)
+            rays[:, 3:] = self._directions.reshape(-1, 3)
+            self._bodies[key] = nearest(body.cast(rays), tool.cast(rays))
+        return self._bodies[key]
+
+    def _cast_figures(self, moment: Moment, rays: Float32, distance: Float32, signal: Float32) -> None:
+        """Put figures in front of what stands behind them, in place; as they were in the middle of the sweep."""
+        origin = rays[0, :2].astype(np.float64)
+        near = [f for f in moment.scene.figures if math.dist(f.p_map_m[:2], origin) < self._lidar.range_m[1]]
+        if not near:
+            return
+        is_wanted = np.zeros(len(rays), bool)
+        for figure in near:
+            is_wanted |= is_towards(rays, figure)
+        scene = moment.scene.moving(near, 0.5 / self._lidar.rate_hz)
+        found = nearest((distance[is_wanted], signal[is_wanted]), scene.cast(rays[is_wanted]))
+        distance[is_wanted], signal[is_wanted] = found
+
+    def _measure(self, distance: Float32, signal: Float32) -> np.ndarray[tuple[int], np.dtype[np.uint16]]:
+        """Ranges as the sensor gives them: lost, noisy, dusty, in steps; 0 where nothing came back."""
+        config, random, n = self._config, self._random, len(distance)
+        with np.errstate(over="ignore", invalid="ignore"):
+            chance = 10.0 * signal * (config.sight_m / np.maximum(distance, 0.1)) ** 2
+        is_seen = random.random(n, np.float32) < np.minimum(chance, 1.0 - config.dropout)
+        is_dust = random.random(n, np.float32) < config.dust
+        noisy = distance + np.float32(self._lidar.range_sigma_m) * random.standard_normal(n, np.float32)
+        dusty = random.uniform(*config.dust_m, int(is_dust.sum())).astype(np.float32)
+        noisy[is_dust] = np.minimum(noisy[is_dust], dusty)
+        low, high = self._lidar.range_m
+        is_back = (is_seen | is_dust) & (noisy >= low) & (noisy <= min(high, MAX_RANGE_M))
+        steps = np.rint(np.where(is_back, noisy, 0.0) * (1000.0 / config.step_mm))
+        return np.asarray((steps * config.step_mm).astype(np.uint16))
+
+
+def directions_of(elevation_rad: Float64, azimuth_rad: Float64) -> Float32:
+    """Unit vectors of all rays in the sensor frame, (rings, columns, 3)."""
+    el, az = elevation_rad[:, None], azimuth_rad[None, :]
+    parts = [np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el) * np.ones_like(az)]
+    return np.stack(parts, axis=-1).astype(np.float32)
+
+
+def nearest(a: tuple[Float32, Float32], b: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
+    """Distance and signal of whichever is hit first."""
+    is_b = b[0] < a[0]
+    return np.where(is_b, b[0], a[0]), np.where(is_b, b[1], a[1])
+
+
+def is_towards(rays: Float32, figure: Figure) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which rays pass a ball round the figure, (N,)."""
+    corners = figure.vertices_map_m
+    center = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    radius = float(np.linalg.norm(corners - center, axis=1).max()) + 0.5
+    to = center - rays[:, :3]
+    along = np.einsum("ij,ij->i", to, rays[:, 3:])
+    return np.asarray((along > -radius) & (np.einsum("ij,ij->i", to, to) - along * along < radius * radius))

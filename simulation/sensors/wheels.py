@@ -1,0 +1,28 @@
+"""Wheel speed with slip, and the front-wheel angle with its constant zero error."""
+
+import math
+
+import numpy as np
+
+from configs.vehicle import Wheels
+from messages.message import Message
+from messages.sensors import WheelSample
+from simulation.sensors.sensor import Moment, period_ns_of
+
+
+class WheelModel:
+    """Standing wheels read exactly zero, as encoders do."""
+
+    def __init__(self, wheels: Wheels, random: np.random.Generator) -> None:
+        self.topic = "wheel"
+        self.period_ns = period_ns_of(wheels.rate_hz)
+        self.latency_ns = 0
+        self._wheels, self._random = wheels, random
+
+    def sample(self, moment: Moment) -> Message:
+        """Speed of the wheels' rims, which slip, and the measured angle."""
+        white = self._random.standard_normal(2)
+        speed = moment.machine.wheel_speed_mps
+        speed += float(white[0]) * self._wheels.speed_sigma_mps if speed != 0.0 else 0.0
+        angle = moment.machine.measured_angle_rad + float(white[1]) * math.radians(self._wheels.angle_sigma_deg)
+        return WheelSample(moment.stamp_ns, speed, angle)

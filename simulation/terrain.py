@@ -1,0 +1,101 @@
+"""The ground: smooth, seeded, flat in the yard, with grade along and side slope across the field.
+
+z │      ___          along the longest edge of the field (u) and across it (v), from the yard's middle:
+  │   __/             flat for a while, then a cosine whose steepest part has the grade asked for; waves of
+  │__/ yard           15 m and more on top (rolling ground), furrows only in the mesh (tyres bridge them)
+  └────────── u
+"""
+
+import math
+
+import numba
+import numpy as np
+from pydantic import Field
+from shapely import Polygon
+
+from configs.site import Site
+from configs.strict import Config
+from messages.message import Float64
+from simulation.randomness import generator
+
+
+class TerrainConfig(Config):
+    """Shape of the ground; lengths are of a whole cosine."""
+
+    grade: float = Field(ge=0.0, le=0.3)
+    grade_length_m: float = Field(gt=20.0, le=2000.0)
+    side_slope_deg: float = Field(ge=0.0, le=15.0)
+    side_length_m: float = Field(gt=20.0, le=2000.0)
+    flat_m: float = Field(ge=0.0, le=100.0, description="half width of the flat about the yard, along and across")
+    wave_m: float = Field(ge=0.0, le=0.2, description="height of each wave")
+    wave_length_m: tuple[float, float]
+    waves: int = Field(ge=0, le=20)
+    furrow_depth_m: float = Field(ge=0.0, le=0.2)
+    furrow_spacing_m: float = Field(gt=0.2, le=5.0)
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _height(x: float, y: float, profile: Float64, waves: Float64) -> float:
+    x0, y0, c, s, flat, rise_u, k_u, rise_v, k_v, zero = profile
+    u = (x - x0) * c + (y - y0) * s
+    v = (y - y0) * c - (x - x0) * s
+    z = 0.5 * rise_u * (1.0 - math.cos(k_u * max(abs(u) - flat, 0.0)))
+    z += 0.5 * rise_v * (1.0 - math.cos(k_v * max(abs(v) - flat, 0.0)))
+    for i in range(waves.shape[0]):
+        z += waves[i, 0] * math.sin(waves[i, 1] * x + waves[i, 2] * y + waves[i, 3])
+    return z - zero
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _heights(xy: Float64, profile: Float64, waves: Float64) -> Float64:
+    out = np.empty(xy.shape[0])
+    for i in range(xy.shape[0]):
+        out[i] = _height(xy[i, 0], xy[i, 1], profile, waves)
+    return out
+
+
+class Terrain:
+    """Height of the ground in `map`; 0 at the machine's start."""
+
+    def __init__(self, site: Site, config: TerrainConfig, seed: int) -> None:
+        self.config = config
+        self.axis_rad = longest_edge_rad(site.boundary_m)
+        yard = Polygon(site.yard.outline_m).centroid
+        tangent = math.tan(math.radians(config.side_slope_deg))
+        self._profile = np.array([
+            yard.x, yard.y, math.cos(self.axis_rad), math.sin(self.axis_rad), config.flat_m,
+            config.grade * config.grade_length_m / math.pi, 2.0 * math.pi / config.grade_length_m,
+            tangent * config.side_length_m / math.pi, 2.0 * math.pi / config.side_length_m, 0.0,
+        ])  # fmt: skip
+        self._waves = draw_waves(config, generator(seed, "terrain"))
+        self._profile[-1] = self.height_m(site.start.x_m, site.start.y_m)
+
+    def height_m(self, x_m: float, y_m: float) -> float:
+        """Height of the smooth ground, as tyres feel it."""
+        return float(_height(x_m, y_m, self._profile, self._waves))
+
+    def heights_m(self, xy_m: Float64) -> Float64:
+        """Heights of the smooth ground at (N, 2)."""
+        return np.asarray(_heights(np.ascontiguousarray(xy_m, np.float64), self._profile, self._waves))
+
+    def furrows_m(self, xy_m: Float64) -> Float64:
+        """Height of the furrows, which run along the longest edge, at (N, 2)."""
+        v = xy_m[:, 1] * math.cos(self.axis_rad) - xy_m[:, 0] * math.sin(self.axis_rad)
+        return 0.5 * self.config.furrow_depth_m * np.sin(2.0 * math.pi / self.config.furrow_spacing_m * v)
+
+
+def longest_edge_rad(outline_m: tuple[tuple[float, float], ...]) -> float:
+    """Direction of the longest edge of a closed outline."""
+    points = np.array(outline_m)
+    edges = np.roll(points, -1, axis=0) - points
+    dx, dy = edges[np.argmax(np.hypot(edges[:, 0], edges[:, 1]))]
+    return math.atan2(dy, dx)
+
+
+def draw_waves(config: TerrainConfig, random: np.random.Generator) -> Float64:
+    """Amplitude, wave vector and phase of each wave, (N, 4)."""
+    length = random.uniform(*config.wave_length_m, config.waves)
+    direction, phase = random.uniform(0.0, 2.0 * math.pi, (2, config.waves))
+    k = 2.0 * math.pi / length
+    amplitude = np.full(config.waves, config.wave_m)
+    return np.column_stack([amplitude, k * np.cos(direction), k * np.sin(direction), phase])

@@ -1,0 +1,166 @@
+"""The simulated world as the stack meets it: it goes on in steps, obeys the bus and gives what sensors measure."""
+
+import heapq
+from collections.abc import Iterable
+
+from pydantic import Field
+
+from configs.site import Site
+from configs.strict import Config
+from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
+from messages.command import OperatorOrder
+from messages.message import Message
+from messages.node import Output, World
+from messages.plan import Path
+from messages.topics import KINDS
+from simulation.actors import Actor
+from simulation.judge import Judge, JudgeConfig
+from simulation.machine import Machine, MachineConfig
+from simulation.motion import Track
+from simulation.placement import place_encounters
+from simulation.randomness import generator
+from simulation.scenario import Scenario
+from simulation.scene import Scene
+from simulation.scenery import SceneryConfig, build_scenery
+from simulation.sensors.gnss import GnssConfig, GnssModel
+from simulation.sensors.imu import ImuConfig, ImuModel
+from simulation.sensors.lidar import LidarConfig, LidarModel
+from simulation.sensors.sensor import Moment, Sensor
+from simulation.sensors.wheels import WheelModel
+from simulation.terrain import Terrain, TerrainConfig
+from simulation.tractor_bus import BusConfig, TractorBus, load_database
+from simulation.tractor_status import TractorStatus
+
+STEP_NS = 5_000_000  # of the dynamics
+TICK_NS = 10_000_000  # of bus and sensors: two steps
+TRACK_S = 0.25
+
+
+class SimulationConfig(Config):
+    """The section `simulation` of the stack's configuration."""
+
+    start_stamp_ns: int = Field(ge=0)
+    terrain: TerrainConfig
+    scenery: SceneryConfig
+    machine: MachineConfig
+    bus: BusConfig
+    lidar: LidarConfig
+    gnss: GnssConfig
+    imu: ImuConfig
+    judge: JudgeConfig
+
+
+class SimulationWorld(World):
+    """Deterministic: the same arguments and the same frames on the bus give the same messages, to the bit."""
+
+    def __init__(
+        self, site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario,
+        plan_paths: tuple[Path, ...], channel: str, seed: int, config: SimulationConfig,
+    ) -> None:  # fmt: skip
+        self._now_ns = self._start_ns = config.start_stamp_ns
+        self._terrain = Terrain(site, config.terrain, seed)
+        self.machine = Machine(
+            vehicle, implement, self._terrain, site.start, config.machine, STEP_NS * 1e-9, generator(seed, "machine")
+        )
+        self._vehicle, self._scenario = vehicle, scenario
+        self._track = Track(STEP_NS, TRACK_S)
+        self._track.append(self._now_ns, self.machine.T_map_base)
+        database = load_database()
+        brake = vehicle.brake.deceleration_mps2
+        self._bus = TractorBus(channel, database, vehicle.drivetrain.wheelbase_m, brake, config.bus)
+        self._status = TractorStatus(self.machine, self._bus, database, generator(seed, "cab"))
+        self._judge = Judge(site, vehicle, implement, config.judge)
+        self._actors = self._cast(plan_paths, 0.5 * max(implement.width_m, vehicle.body.width_m), seed)
+        self._scene = Scene(build_scenery(site, self._terrain, config.scenery, seed))
+        self._sensors = make_sensors(site, vehicle, implement, scenario, seed, config)
+        self._waiting: list[tuple[int, int, str, Message]] = []
+        self._sent = 0
+        self.writes = (*(s.topic for s in self._sensors), "order", "truth_machine", "truth_objects")
+
+    def next_ns(self) -> int | None:
+        """One tick on; the simulated world has no end."""
+        return self._now_ns + TICK_NS
+
+    def step(self, now_ns: int) -> Iterable[Output]:
+        """Go on to `now_ns` in ticks, and give what is received by then in order of its arrival."""
+        while self._now_ns + TICK_NS <= now_ns:
+            self._tick(self._now_ns + TICK_NS)
+        received = []
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            _, _, topic, message = heapq.heappop(self._waiting)
+            received.append((topic, message))
+        return received
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._bus.close()
+
+    def _tick(self, now_ns: int) -> None:
+        elapsed_ns = now_ns - self._start_ns
+        self._bus.receive(self._now_ns)
+        command = self._bus.command(self._now_ns)
+        for stamp_ns in range(self._now_ns + STEP_NS, now_ns + 1, STEP_NS):
+            self.machine.step(command)
+            self._track.append(stamp_ns, self.machine.T_map_base)
+        self._now_ns = now_ns
+        self._play(elapsed_ns * 1e-9)
+        self._measure(now_ns, elapsed_ns)
+        self._order(now_ns, elapsed_ns)
+        self._tell_truth(now_ns, elapsed_ns)
+        self._status.send(elapsed_ns)
+
+    def _cast(self, plan_paths: tuple[Path, ...], half_width_m: float, seed: int) -> list[Actor]:
+        encounters = self._scenario.encounters if plan_paths else ()
+        drawn = place_encounters(encounters, plan_paths, half_width_m, generator(seed, "scenario"))
+        return [Actor(k, e, d, self._terrain) for k, (e, d) in enumerate(zip(encounters, drawn, strict=True))]
+
+    def _play(self, elapsed_s: float) -> None:
+        T = self.machine.T_map_base
+        front = T[:3, 3] + self._vehicle.body.front_m * T[:3, 0]
+        figures = (actor.play(elapsed_s, front, self.machine.yaw_rad) for actor in self._actors)
+        self._scene.figures = tuple(f for f in figures if f is not None)
+
+    def _measure(self, now_ns: int, elapsed_ns: int) -> None:
+        moment = Moment(now_ns, elapsed_ns * 1e-9, self._track, self.machine, self._scene)
+        for sensor in self._sensors:
+            is_due = elapsed_ns // sensor.period_ns > (elapsed_ns - TICK_NS) // sensor.period_ns
+            message = sensor.sample(moment) if is_due else None
+            if message is not None:
+                self._put(now_ns + sensor.latency_ns, sensor.topic, message)
+
+    def _order(self, now_ns: int, elapsed_ns: int) -> None:
+        for sequence, order in enumerate(self._scenario.orders):
+            if elapsed_ns - TICK_NS < order.at_s * 1e9 <= elapsed_ns:
+                expires_ns = now_ns + round(order.expires_s * 1e9)
+                self._put(now_ns, "order", OperatorOrder(now_ns, order.code, "remote", sequence, expires_ns))
+
+    def _tell_truth(self, now_ns: int, elapsed_ns: int) -> None:
+        figures = self._scene.figures
+        if elapsed_ns % round(KINDS["truth_machine"].period_s * 1e9) == 0:
+            self._judge.look(self.machine, figures)
+            self._put(now_ns, "truth_machine", self._judge.machine_message(now_ns, self.machine))
+        if elapsed_ns % round(KINDS["truth_objects"].period_s * 1e9) == 0:
+            self._put(now_ns, "truth_objects", self._judge.objects_message(now_ns, self.machine, figures))
+
+    def _put(self, receive_ns: int, topic: str, message: Message) -> None:
+        self._sent += 1
+        heapq.heappush(self._waiting, (receive_ns, self._sent, topic, message))
+
+
+def make_sensors(
+    site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario, seed: int,
+    config: SimulationConfig,
+) -> list[Sensor]:  # fmt: skip
+    """All sensors of a vehicle, each with a generator of its own."""
+    found = vehicle.sensors
+    sensors: list[Sensor] = []
+    if found.imu is not None:
+        sensors.append(ImuModel(found.imu, config.imu, generator(seed, "imu")))
+    if found.wheels is not None:
+        sensors.append(WheelModel(found.wheels, generator(seed, "wheel")))
+    for name, gnss in found.gnss.items():
+        random = generator(seed, f"gnss/{name}")
+        sensors.append(GnssModel(name, gnss, site.datum.datum, scenario.gnss, config.gnss, random))
+    for name, lidar in found.lidar.items():
+        sensors.append(LidarModel(name, lidar, vehicle, implement, config.lidar, generator(seed, f"lidar/{name}")))
+    return sensors
