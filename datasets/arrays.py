@@ -4,8 +4,9 @@ A filter is named in the log beside the data, so that any reader can undo it:
 
 - `""`: the array's bytes, row by row, little-endian.
 - `planes`: byte planes; first the lowest byte of every element, then the next, up to the highest.
-- `delta-planes`: each element less its left neighbour (first column: less zero) modulo 2^16, folded to 0, -1, 1, -2, …
-  as 0, 1, 2, 3, …, then byte planes. A range image becomes one plane of noise and one of almost nothing but zeros.
+- `delta0-planes`, `delta1-planes`: the bits of each element, taken as an unsigned integer, less those of the element
+  before it along axis 0 or 1 (first: less zero), folded so that 0, -1, 1, -2, … become 0, 1, 2, 3, …, then byte planes.
+  A range image becomes one plane of noise and one of almost nothing but zeros.
 """
 
 import math
@@ -16,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from messages.errors import LogError
-from messages.message import UInt8, UInt16
+from messages.message import UInt8
 
 Array = npt.NDArray[Any]
 # Below this a filter costs more time than its bytes are worth.
@@ -29,14 +30,15 @@ def filter_of(array: Array) -> str:
     if array.size < MIN_FILTERED:
         return ""
     if array.dtype == np.uint16 and array.ndim == 2:
-        return "delta-planes"
-    return "planes" if array.dtype == np.float32 else ""
+        return "delta1-planes"
+    # neighbours in a list of points or indices are neighbours in space
+    return "delta0-planes" if array.dtype in (np.float32, np.int32) else ""
 
 
 def pack(array: Array, name: str) -> bytes:
     """The bytes of an array through the filter `name`."""
-    if name == "delta-planes":
-        return _split(_fold(array))
+    if name.startswith("delta"):
+        return _split(_fold(array, int(name[5])))
     return _split(array) if name == "planes" else array.tobytes()
 
 
@@ -62,19 +64,31 @@ def _merge(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
     return np.ascontiguousarray(planes.T).reshape(-1).view(kind).reshape(shape)
 
 
-def _fold(array: UInt16) -> UInt16:
-    step = array.copy()
-    step[:, 1:] -= array[:, :-1]
-    signed = step.view(np.int16)
-    return ((signed << 1) ^ (signed >> 15)).view(np.uint16)
+def _fold(array: Array, axis: int) -> Array:
+    bits = np.ascontiguousarray(array).view(_unsigned(array.dtype))
+    step = bits.copy()
+    if axis == 0:
+        step[1:] -= bits[:-1]
+    else:
+        step[:, 1:] -= bits[:, :-1]
+    signed = step.view(f"<i{array.itemsize}")
+    return (signed << 1) ^ (signed >> (8 * array.itemsize - 1))
 
 
-def _unfold(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
-    if kind != np.uint16 or len(shape) != 2:
-        raise LogError(f"array of shape {shape} and type {kind.str}: delta-planes is for images of <u2")
-    folded = _merge(data, kind, shape)
-    step = (folded >> 1) ^ (np.uint16(0) - (folded & np.uint16(1)))
-    return np.cumsum(step, axis=1, dtype=np.uint16)
+def _unfold(axis: int) -> Callable[[bytes, np.dtype[Any], tuple[int, ...]], Array]:
+    def undo(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
+        if kind.itemsize not in (2, 4) or len(shape) <= axis:
+            raise LogError(f"array of shape {shape} and type {kind.str}: has no differences along axis {axis}")
+        whole = _unsigned(kind)
+        folded = _merge(data, whole, shape)
+        step = (folded >> 1) ^ (whole.type(0) - (folded & whole.type(1)))
+        return np.cumsum(step, axis=axis, dtype=whole).view(kind)
+
+    return undo
+
+
+def _unsigned(kind: np.dtype[Any]) -> np.dtype[Any]:
+    return np.dtype(f"<u{kind.itemsize}")
 
 
 def _plain(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
@@ -84,5 +98,6 @@ def _plain(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
 _UNDO: dict[str, Callable[[bytes, np.dtype[Any], tuple[int, ...]], Array]] = {
     "": _plain,
     "planes": _merge,
-    "delta-planes": _unfold,
+    "delta0-planes": _unfold(0),
+    "delta1-planes": _unfold(1),
 }

@@ -1,4 +1,4 @@
-"""Writing a log: MCAP, lz4, one channel a topic, and readable up to its last second whatever happens."""
+"""Writing a log: MCAP, zstd, one channel a topic, and readable up to its last second whatever happens."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -63,7 +63,8 @@ class LogWriter:
         self._synced_at_ns = 0
         self._file = LogFile(path, round(config.min_free_mb * MB))
         untyped: Any = Writer
-        self._writer = untyped(self._file, chunk_size=config.chunk_kib * 1024, compression=CompressionType.LZ4)
+        # lz4 would save 3 ms of a second's logging, but its window of 64 kB misses what scans share: a third more bytes
+        self._writer = untyped(self._file, chunk_size=config.chunk_kib * 1024, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="headland")
         for name, values in metadata.items():
             self._writer.add_metadata(name, dict(values))

@@ -25,8 +25,8 @@ from messages.message import Float32
 
 Rgba = tuple[float, float, float, float]
 _LEVEL = Quaternion(w=1.0)
-# 1/128 m: finer than the lidar is true, and the bits below it, left zero, compress away.
-_GRID_PER_M = np.float32(128.0)
+# 1/64 m: as fine as a lidar is true, and the bits below it, left zero, compress away.
+_GRID_PER_M = np.float32(64.0)
 
 
 def time_of(stamp_ns: int) -> Timestamp:
@@ -86,7 +86,7 @@ def scene(
 
 
 def cloud(stamp_ns: int, frame_id: str, points_m: Float32, most: int) -> PointCloud:
-    """Every k-th of the points (N, 3), so that at most `most` are left, on a grid of 8 mm."""
+    """Every k-th of the points (N, 3), so that at most `most` are left, on a grid of 16 mm."""
     thin = points_m[:: max(1, math.ceil(len(points_m) / most))]
     data = np.round(thin * _GRID_PER_M) / _GRID_PER_M
     out = PointCloud(timestamp=time_of(stamp_ns), frame_id=frame_id, point_stride=12, data=data.tobytes())

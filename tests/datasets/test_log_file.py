@@ -1,0 +1,303 @@
+"""A log is written whole, read whole or cut, and refused with a reason when it is neither."""
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from log_samples import bits
+from mcap.reader import make_reader
+
+from configs.strict import CONFIGS, parse, read_yaml
+from datasets.log import LogConfig, LogWriter
+from datasets.reader import LogScan, read_log, read_metadata
+from datasets.summary import FrameTree, check_log, render_summary, summary_json
+from messages.errors import LogError
+from messages.message import Envelope
+from messages.sensors import ImuSample, LidarScan, WheelSample
+
+CONFIG = LogConfig(chunk_kib=16, flush_s=0.1, sync_s=1.0, min_free_mb=0.0)
+METADATA = {"configuration": {"stack": "a: 1"}, "versions": {"commit": "abc", "lock": "def"}}
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def envelopes(count: int = 100) -> Iterator[Envelope]:
+    """IMU and wheels at 100 Hz and a small scan now and then; samples are noise, so that they do not compress away."""
+    rng = np.random.default_rng(3)
+    for k in range(count):
+        t = 5_000_000_000 + k * 10_000_000
+        yield Envelope("imu", k, t + 1, ImuSample(t, rng.normal(size=3), rng.normal(size=3)))
+        yield Envelope("wheel", k, t + 2, WheelSample(t, *rng.normal(size=2).tolist()))
+        if k % 10 == 0:
+            image = rng.integers(0, 65535, (4, 100)).astype(np.uint16)
+            scan = LidarScan(
+                t, image, np.zeros(4), np.zeros(100), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8),
+                np.zeros(0, np.float32),
+            )  # fmt: skip
+            yield Envelope("lidar/front", k // 10, t + 3, scan)
+
+
+def full(envelope: Envelope) -> object:
+    """All of an envelope, to the bit."""
+    return envelope.topic, envelope.sequence, envelope.receive_ns, bits(envelope.message)
+
+
+def write(path: Path, config: LogConfig = CONFIG) -> str:
+    with LogWriter(path, METADATA, config) as log:
+        for envelope in envelopes():
+            log.write(envelope)
+    return log.digest()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "log.mcap"
+    write(path)
+    return path
+
+
+def test_a_whole_log_gives_back_what_went_in(whole: Path) -> None:
+    back = list(read_log(whole))
+    assert [full(e) for e in back] == [full(e) for e in envelopes()]
+    assert [e.topic for e in read_log(whole, {"lidar/front"})] == ["lidar/front"] * 10
+    assert read_metadata(whole)["versions"] == METADATA["versions"]
+
+
+def test_others_read_it_too(whole: Path) -> None:
+    with whole.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert sum(1 for _ in reader.iter_messages()) == 210
+        assert {m.name for m in reader.iter_metadata()} == {"configuration", "versions", "end"}
+
+
+def test_the_summary_counts_and_judges(whole: Path) -> None:
+    summary = check_log(whole)
+    assert summary.is_whole
+    assert (summary.problems, summary.lost_bytes, summary.messages, summary.undecoded) == ((), 0, 210, 0)
+    rows = {t.topic: t for t in summary.topics}
+    assert rows["imu"].count == 100
+    assert rows["imu"].rate_hz == pytest.approx(100.0)
+    assert rows["lidar/front"].longest_gap_s == pytest.approx(0.1)
+    assert summary.is_digest_right is True
+    assert summary_json(summary)["topics"][0]["rate_hz"] == pytest.approx(100.0)
+    text = render_summary(summary)
+    assert "whole" in text
+    assert "headland.v1.LidarScan" in text
+
+
+def test_two_logs_of_the_same_have_the_same_digest_and_another_has_not(tmp_path: Path) -> None:
+    first = write(tmp_path / "a.mcap")
+    assert first == write(tmp_path / "b.mcap", LogConfig(chunk_kib=64, flush_s=9.0, sync_s=9.0, min_free_mb=0.0))
+    with LogWriter(tmp_path / "c.mcap", METADATA, CONFIG) as log:
+        for envelope in list(envelopes())[::-1]:
+            log.write(envelope)
+    assert log.digest() != first
+
+
+def chunk_ends(path: Path) -> list[tuple[int, int]]:
+    """(end of chunk, messages up to it) of a whole log."""
+    with path.open("rb") as file:
+        indexes = make_reader(file).get_summary().chunk_indexes
+    out, count = [], 0
+    for index in sorted(indexes, key=lambda i: i.chunk_start_offset):
+        lengths = [index.message_index_length]
+        assert lengths[0] > 0
+        count += _messages_in(path, index.chunk_start_offset, index.chunk_length)
+        out.append((index.chunk_start_offset + index.chunk_length, count))
+    return out
+
+
+def _messages_in(path: Path, start: int, length: int) -> int:
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Chunk, Message
+    from mcap.stream_reader import breakup_chunk
+
+    with path.open("rb") as file:
+        file.seek(start + 9)
+        return sum(isinstance(r, Message) for r in breakup_chunk(Chunk.read(ReadDataStream(file))))
+
+
+def test_cut_anywhere_all_whole_chunks_are_read(whole: Path, tmp_path: Path) -> None:
+    data, ends = whole.read_bytes(), chunk_ends(whole)
+    assert len(ends) >= 9
+    cut = tmp_path / "cut.mcap"
+    borders = {b + d for b, _ in ends for d in (-1, 0, 1)} | {1, 7, 8, 9, 40, len(data) - 1, len(data) - 9}
+
+    @settings(max_examples=60, deadline=None, derandomize=True)
+    @given(st.integers(1, len(data) - 1))
+    def check(at: int) -> None:
+        cut.write_bytes(data[:at])
+        summary = check_log(cut)
+        assert not summary.is_whole
+        assert summary.messages == max((n for end, n in ends if end <= at), default=0)
+        assert summary.problems
+        assert [bits(e.message) for e in read_log(cut)] == [bits(e.message) for e in envelopes()][: summary.messages]
+
+    check()
+    for at in sorted(borders):
+        check.hypothesis.inner_test(at)
+
+
+def test_a_damaged_chunk_costs_itself_alone(whole: Path, tmp_path: Path) -> None:
+    data, ends = whole.read_bytes(), chunk_ends(whole)
+    broken = tmp_path / "broken.mcap"
+    per_chunk = [b[1] - a[1] for a, b in zip([(0, 0), *ends], ends, strict=False)]
+    for k in (3, 5):
+        middle = (ends[k - 1][0] + ends[k][0]) // 2
+        broken.write_bytes(data[:middle] + bytes([data[middle] ^ 0x5A]) + data[middle + 1 :])
+        summary = check_log(broken)
+        assert not summary.is_whole
+        assert summary.messages == 210 - per_chunk[k]
+        assert any("chunk" in p for p in summary.problems)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_any_changed_bytes_are_survived_and_reported(whole: Path, data: st.DataObject) -> None:
+    content = bytearray(whole.read_bytes())
+    at = data.draw(st.integers(8, len(content) - 9))
+    new = data.draw(st.binary(min_size=1, max_size=12))
+    content[at : at + len(new)] = new
+    path = whole.with_name("changed.mcap")
+    path.write_bytes(content)
+    assert check_log(path).messages <= 210
+    originals = {(e.topic, e.sequence): bits(e.message) for e in envelopes()}
+    for entry in LogScan(path):
+        assert entry.topic in {"imu", "wheel", "lidar/front"} or at < 3000
+    if bytes(content) == whole.read_bytes():
+        return
+    try:
+        for envelope in read_log(path):
+            assert bits(envelope.message) == originals[envelope.topic, envelope.sequence]
+    except LogError:
+        pass
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.binary(min_size=0, max_size=200), st.booleans())
+def test_garbage_is_no_log(tmp_path_factory: pytest.TempPathFactory, data: bytes, has_magic: bool) -> None:
+    path = tmp_path_factory.getbasetemp() / "garbage.mcap"
+    content = (b"\x89MCAP0\r\n" if has_magic else b"") + data
+    path.write_bytes(content)
+    if has_magic:
+        assert check_log(path).messages == 0
+        assert not check_log(path).is_whole
+    elif not b"\x89MCAP0\r\n".startswith(content) or not content:
+        with pytest.raises(LogError, match=r"garbage\.mcap"):
+            check_log(path)
+
+
+def test_what_is_not_there_or_empty_is_said(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"nothing\.mcap"):
+        check_log(tmp_path / "nothing.mcap")
+    (tmp_path / "empty.mcap").touch()
+    with pytest.raises(LogError, match="is empty"):
+        check_log(tmp_path / "empty.mcap")
+    with pytest.raises(LogError, match="cannot be read"):
+        check_log(tmp_path)
+
+
+def test_a_killed_process_leaves_all_but_its_last_moments(tmp_path: Path) -> None:
+    path = tmp_path / "killed.mcap"
+    code = (
+        "import os, sys, signal; sys.path[:0] = [sys.argv[2], sys.argv[2] + '/tests/datasets']\n"
+        "from test_log_file import *\n"
+        "log = LogWriter(Path(sys.argv[1]), METADATA, CONFIG)\n"
+        "for envelope in envelopes(): log.write(envelope)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(path), str(ROOT)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    summary = check_log(path)
+    assert not summary.is_whole
+    assert summary.span_s > 0.99 - 2 * CONFIG.flush_s
+    assert summary.lost_bytes == 0
+    assert summary.metadata["versions"] == METADATA["versions"]
+
+
+@pytest.mark.parametrize("room", [0, 10, 5000, 20000])
+def test_a_full_disk_is_named_and_leaves_a_readable_log(tmp_path: Path, room: int) -> None:
+    path = tmp_path / "full.mcap"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+    try:
+        with pytest.raises(LogError, match=r"full\.mcap.*MB free"):
+            write(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+    if room >= 5000:
+        summary = check_log(path)
+        assert not summary.is_whole
+        assert summary.lost_bytes == 0
+        assert summary.messages > 0
+    else:
+        assert path.stat().st_size <= room
+
+
+def test_a_device_without_room_and_a_disk_nearly_full_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="/dev/full"):
+        write(Path("/dev/full"))
+    free_mb = shutil.disk_usage(tmp_path).free / 1e6
+    greedy = CONFIG.model_copy(update={"min_free_mb": free_mb * 2})
+    with pytest.raises(LogError, match="are kept free"):
+        write(tmp_path / "log.mcap", greedy)
+    assert not (tmp_path / "log.mcap").exists()
+
+
+def test_a_log_is_never_overwritten_and_its_folder_must_be_there(tmp_path: Path) -> None:
+    write(tmp_path / "log.mcap")
+    size = (tmp_path / "log.mcap").stat().st_size
+    with pytest.raises(LogError, match="not overwritten"):
+        write(tmp_path / "log.mcap")
+    assert (tmp_path / "log.mcap").stat().st_size == size
+    with pytest.raises(LogError, match="cannot be made"):
+        write(tmp_path / "nowhere" / "log.mcap")
+
+
+def test_an_unknown_topic_or_one_not_logged(tmp_path: Path) -> None:
+    from messages.errors import WiringError
+    from messages.perception import LidarGround
+
+    wheel = WheelSample(1, 0.0, 0.0)
+    with LogWriter(tmp_path / "log.mcap", {}, CONFIG) as log:
+        with pytest.raises(WiringError, match="nonsense"):
+            log.write(Envelope("nonsense", 0, 1, wheel))
+        log.write(Envelope("ground/front", 0, 1, LidarGround(1, 1, np.zeros(1, np.uint8), np.zeros(4))))
+        log.write(Envelope("/recorded/wheel", 0, 1, wheel))
+    assert [e.topic for e in read_log(tmp_path / "log.mcap")] == ["/recorded/wheel"]
+
+
+def test_messages_lost_on_the_way_are_counted(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap", {}, CONFIG) as log:
+        for k in (0, 1, 2, 5, 6, 9):
+            log.write(Envelope("wheel", k, k + 1, WheelSample(k, 0.0, 0.0)))
+    assert check_log(tmp_path / "log.mcap").topics[0].missing == 4
+
+
+def test_trees_of_frames() -> None:
+    tree = FrameTree()
+    for parent, child in [("map", "odom"), ("odom", "base"), ("base", "imu"), ("base", "imu")]:
+        tree.add(parent, child)
+    assert tree.is_one_tree
+    tree.add("elsewhere", "camera")
+    assert not tree.is_one_tree
+    for extra in [("imu", "map"), ("map", "base"), ("base", "base")]:
+        tree = FrameTree()
+        for parent, child in [("map", "odom"), ("odom", "base"), ("base", "imu"), extra]:
+            tree.add(parent, child)
+        assert not tree.is_one_tree
+
+
+def test_the_stack_s_own_configuration_holds() -> None:
+    parse(LogConfig, read_yaml(CONFIGS / "stack.yaml")["datasets"]["log"], "log")
+    assert os.sep

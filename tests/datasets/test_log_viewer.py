@@ -1,0 +1,130 @@
+"""The viewer topics: Foxglove's own schemas, one tree of frames, each topic at its pace."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from benchmarks.log_write import seconds_of
+from configs.strict import CONFIGS, load, parse, read_yaml
+from configs.vehicle import ImplementFile, TrailedImplement, Vehicle
+from datasets import scenes
+from datasets.log import LogConfig, LogWriter
+from datasets.primitives import cloud
+from datasets.summary import check_log
+from datasets.viewer import Viewer, ViewerConfig
+from messages.faults import Fault, Response, Severity
+from messages.message import Envelope
+from messages.plan import Path as DrivePath
+
+SECONDS = 4
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load(Vehicle, CONFIGS / "machines" / "tractor_e.yaml")
+
+
+@pytest.fixture(scope="module")
+def log(vehicle: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    implement = load(ImplementFile, CONFIGS / "implements" / "harrow_6m.yaml").implement
+    section = read_yaml(CONFIGS / "stack.yaml")["datasets"]
+    viewer = Viewer(parse(ViewerConfig, section["viewer"], "viewer"), vehicle, implement, None)
+    path = tmp_path_factory.mktemp("view") / "log.mcap"
+    with LogWriter(path, {}, parse(LogConfig, section["log"], "log"), viewer) as writer:
+        for envelopes in seconds_of(SECONDS, vehicle):
+            for envelope in envelopes:
+                writer.write(envelope)
+    return path
+
+
+def test_the_log_is_one_tree_and_every_message_decodes(log: Path, vehicle: Vehicle) -> None:
+    summary = check_log(log)
+    assert summary.is_whole
+    assert summary.undecoded == 0
+    assert summary.is_one_tree is True
+    mounted = {f"lidar/{n}" for n in vehicle.sensors.lidar} | {f"gnss/{n}" for n in vehicle.sensors.gnss}
+    assert {"map", "odom", "base", "implement", "imu"} | mounted <= set(summary.frames)
+
+
+def test_every_message_decodes_for_foxglove_s_reader_in_a_frame_of_the_tree(log: Path) -> None:
+    frames, used, counts = set(check_log(log).frames), set(), Counter[str]()
+    with log.open("rb") as file:
+        for schema, channel, message, proto in make_reader(
+            file, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
+            if channel.topic.startswith("/view/"):
+                assert schema.name.startswith("foxglove.")
+                used |= {proto.frame_id} if hasattr(proto, "frame_id") else set()
+                used |= {e.frame_id for e in getattr(proto, "entities", ())}
+                counts[channel.topic] += 1
+                assert abs(message.log_time - message.publish_time) < 1e9
+    assert used <= frames
+    assert used >= {"map", "odom", "base", "implement", "lidar/front", "lidar/rear"}
+    assert counts["/view/lidar/front"] == pytest.approx(5 * SECONDS, abs=1)
+    assert counts["/view/field"] == pytest.approx(5 * SECONDS, abs=1)
+    assert counts["/view/mounts"] == 1
+
+
+def test_the_digest_does_not_know_of_viewers(log: Path, vehicle: Vehicle, tmp_path: Path) -> None:
+    with LogWriter(
+        tmp_path / "bare.mcap", {}, LogConfig(chunk_kib=64, flush_s=1.0, sync_s=9.0, min_free_mb=0.0)
+    ) as bare:
+        for envelopes in seconds_of(SECONDS, vehicle):
+            for envelope in envelopes:
+                bare.write(envelope)
+    assert bare.digest() == check_log(log).digest
+
+
+def test_a_thinned_cloud_keeps_to_its_number_and_place() -> None:
+    rng = np.random.default_rng(0)
+    for n, most, kept in [(0, 10, 0), (10, 10, 10), (11, 10, 6), (5000, 2000, 1667)]:
+        points = rng.uniform(-50, 50, (n, 3)).astype(np.float32)
+        proto = cloud(1, "lidar/front", points, most)
+        assert isinstance(proto, PointCloud)
+        back = np.frombuffer(proto.data, np.float32).reshape(-1, 3)
+        assert len(back) == kept
+        stride = -(-n // most) or 1
+        np.testing.assert_allclose(back, points[::stride], atol=0.5 / 64 + 1e-6)
+
+
+def test_a_trailed_implement_hangs_behind_its_hitch(vehicle: Vehicle) -> None:
+    implement = TrailedImplement(
+        kind="trailed", name="x", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
+        hitch_m=-1.0, axle_length_m=3.0, working_length_m=4.0, total_length_m=5.0,
+    )  # fmt: skip
+    mounts = {f.child_frame_id: f for f in scenes.mounts(7, vehicle, implement)}
+    assert mounts["implement"].translation.x == -5.0
+    assert mounts["lidar/rear"].rotation.z == pytest.approx(1.0)
+    box = scenes.implement_scene(7, implement).entities[0].cubes[0]
+    assert box.pose.position.x - 5.0 == pytest.approx(-3.5)
+    assert box.size.x == 5.0
+
+
+def test_a_path_is_thinned_but_ends_where_it_ends() -> None:
+    for n in (0, 1, 2, 6, 12):
+        xy = np.stack([np.arange(n) * 0.1, np.zeros(n)], 1)
+        zero = np.zeros(n)
+        path = DrivePath(1, 1, 1, xy, zero, zero, zero, zero, np.zeros(n, np.uint8), (), np.zeros(n, np.int32), True)
+        update = scenes.path_scene(1, path)
+        assert isinstance(update, SceneUpdate)
+        points = update.entities[0].lines[0].points
+        if n:
+            assert points[-1].x == pytest.approx(0.1 * (n - 1))
+
+
+def test_faults_reach_the_log_panel_and_recorded_topics_do_not() -> None:
+    section = read_yaml(CONFIGS / "stack.yaml")["datasets"]
+    viewer = Viewer(parse(ViewerConfig, section["viewer"], "viewer"), None, None, None)
+    fault = Fault(5, "lidar.silent", "front", Severity.ALARM, True, Response.CONTROLLED_STOP, True, "silent", "stumm")
+    ((topic, line),) = viewer.show(Envelope("fault", 0, 5, fault))
+    assert topic == "/view/log"
+    assert "lidar.silent" in line.message
+    assert list(viewer.show(Envelope("/recorded/fault", 0, 5, fault))) == []
+    assert FrameTransforms.DESCRIPTOR.full_name == "foxglove.FrameTransforms"
