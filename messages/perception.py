@@ -1,7 +1,9 @@
 """What stands or moves around the machine, and how far each sensor can be trusted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+
+import numpy as np
 
 from messages.message import Float32, Float64, Int32, Message, Record, UInt8
 
@@ -38,7 +40,8 @@ class Obstacles(Message):
     return nearest to the machine's front; `velocity_mps` (K, 2) over ground in base axes, NaN where not measured;
     `class_scores` (K, 7) in the order of `ObstacleClass`, rows sum to 1. The returns of obstacle k are
     `indices[offsets[k]:offsets[k + 1]]`, into the `points_m` of the scan `scan_stamp_ns`; `points_base_m` (M, 3)
-    are the same returns in `base`, in that order.
+    are the same returns in `base`, in that order. `sigma_m` (K, 2) of the centres, along and across each box's yaw
+    (which is then the line of sight), or empty where the boxes' own extent tells it.
     """
 
     sensor: str
@@ -52,6 +55,7 @@ class Obstacles(Message):
     offsets: Int32
     indices: Int32
     points_base_m: Float32
+    sigma_m: Float64 = field(default_factory=lambda: np.empty((0, 2)))
 
 
 @dataclass(frozen=True)
