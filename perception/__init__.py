@@ -1,0 +1,1 @@
+"""From raw returns and pictures to obstacles, tracks and the health of each sensor."""

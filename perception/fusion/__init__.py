@@ -1,0 +1,1 @@
+"""One list of tracks from the obstacles of all sensors."""

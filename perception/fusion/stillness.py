@@ -1,0 +1,78 @@
+"""What stands still is known by its place: cells of `odom` that have been occupied without a break for some time.
+
+The centre of a wall moves along the wall as its visible part does, so its track alone would give it a speed. The cells
+that it occupies do not move. A body of length L at speed v leaves a share of only 1 - v T / L of its cells occupied for
+longer than T, which bounds the speed.
+"""
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from messages.message import Float32, Float64, Int32, Int64
+from perception.kernels import kernel
+
+WIDTH = 640  # cells; the grid is a torus, so that it needs no moving
+
+
+class StillnessConfig(Config):
+    """Cells and times; `settle_s` and `gap_s` must span two scans of the slowest lidar."""
+
+    cell_m: float = Field(ge=0.05, le=1.0)
+    settle_s: float = Field(gt=0.0, le=5.0)
+    gap_s: float = Field(gt=0.0, le=5.0)
+    longest_m: float = Field(gt=0.0, le=50.0, description="length up to which something may be a moving body")
+    slack_mps: float = Field(ge=0.0, le=2.0)
+
+
+class Stillness:
+    """Since when each cell about the machine has been occupied."""
+
+    def __init__(self, config: StillnessConfig) -> None:
+        self._config = config
+        self._key = np.full(WIDTH * WIDTH, -1, np.int64)
+        self._since_ns = np.zeros(WIDTH * WIDTH, np.int64)
+        self._last_ns = np.zeros(WIDTH * WIDTH, np.int64)
+        self._mark = np.full(WIDTH * WIDTH, -1, np.int64)
+        self._marks = 0
+
+    def observe(self, points_odom_m: Float32, offsets: Int32, stamp_ns: int) -> Float64:
+        """Share (K,) of each cluster's cells occupied for longer than `settle_s`; the scan enters the memory."""
+        share = np.zeros(len(offsets) - 1)
+        c = self._config
+        self._marks += len(share)
+        _observe(
+            points_odom_m, offsets, stamp_ns, c.cell_m, round(c.settle_s * 1e9), round(c.gap_s * 1e9), self._marks,
+            self._key, self._since_ns, self._last_ns, self._mark, share,
+        )  # fmt: skip
+        return share
+
+    def fastest(self, share: Float64, length_m: Float64) -> Float64:
+        """The greatest speed (K,) that agrees with a share of old cells; infinite when most cells are new."""
+        c = self._config
+        bound = (1.0 - share) * np.minimum(length_m, c.longest_m) / c.settle_s + c.slack_mps
+        return np.where(share >= 0.5, bound, np.inf)
+
+
+@kernel
+def _observe(
+    points: Float32, offsets: Int32, stamp_ns: int, cell_m: float, settle_ns: int, gap_ns: int, mark: int,
+    key: Int64, since: Int64, last: Int64, marked: Int64, share: Float64,
+) -> None:  # fmt: skip
+    for k in range(share.shape[0]):
+        cells = old = 0
+        for i in range(offsets[k], offsets[k + 1]):
+            u, v = int(np.floor(points[i, 0] / cell_m)), int(np.floor(points[i, 1] / cell_m))
+            c = (u % WIDTH) * WIDTH + v % WIDTH
+            if marked[c] == mark + k:
+                continue
+            marked[c] = mark + k
+            name = u * 4294967296 + v
+            if key[c] != name or stamp_ns - last[c] > gap_ns or stamp_ns < since[c]:
+                key[c], since[c] = name, stamp_ns
+            last[c] = stamp_ns
+            cells += 1
+            if stamp_ns - since[c] >= settle_ns:
+                old += 1
+        if cells > 0:
+            share[k] = old / cells

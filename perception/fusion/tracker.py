@@ -1,0 +1,91 @@
+"""The node that keeps one list of obstacles from all sensors."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from messages.message import Int64
+from messages.motion import Odometry
+from messages.node import All, At, Inbox, Node, On, Output
+from messages.perception import Obstacles, Track, Tracks
+from perception.fusion.stillness import Stillness
+from perception.fusion.tracks import (
+    CLASSES,
+    TrackerConfig,
+    alive,
+    begin,
+    classify,
+    confirm,
+    doubt,
+    empty_table,
+    match,
+    move,
+    to_odom,
+    update,
+    velocities,
+)
+
+
+class Tracker(Node):
+    """Runs on every obstacles topic; without odometry at the time of a message that message is not used."""
+
+    def __init__(self, topics: Sequence[str], config: TrackerConfig) -> None:
+        self.name = "tracker"
+        self.reads = {topic: All(10) for topic in topics} | {"odom": At(1.0)}
+        self.writes = ("tracks",)
+        self.runs = On(tuple(topics))
+        self._topics = tuple(topics)
+        self._config = config
+        self._stillness = Stillness(config.stillness)
+        self._table = empty_table()
+        self._stamp_ns = 0
+        self._next_id = 1
+
+    def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
+        """Every new message enters in the order of its time; then all tracks are told."""
+        news = [(m.stamp_ns, i, m) for i, topic in enumerate(self._topics) for m in inbox.all(topic, Obstacles)]
+        used = False
+        for _, sensor, message in sorted(news, key=lambda n: n[:2]):
+            odom = inbox.at("odom", Odometry, message.stamp_ns) or inbox.latest("odom", Odometry)
+            if odom is not None:
+                self._absorb(message, odom, sensor)
+                used = True
+        return (("tracks", self._tell()),) if used else ()
+
+    def _absorb(self, message: Obstacles, odom: Odometry, sensor: int) -> None:
+        config, table = self._config, self._table
+        seen = to_odom(message, odom.T_odom_base, sensor, self._stillness, config)
+        move(table, (message.stamp_ns - self._stamp_ns) * 1e-9 if self._stamp_ns else 0.0, config)
+        self._stamp_ns = max(self._stamp_ns, message.stamp_ns)
+        tracks, rows = match(table, seen, config)
+        update(table, tracks, seen, rows, self._stillness, config)
+        doubt(table, self._missed(tracks, sensor), config)
+        confirm(table, config)
+        table = table.rows(alive(table, self._stamp_ns, config))
+        fresh = np.setdiff1d(np.arange(len(seen.yaw_rad)), rows)
+        self._table = table.below(begin(seen, fresh, self._next_id, config))
+        self._next_id += len(fresh)
+
+    def _missed(self, matched: Int64, sensor: int) -> Int64:
+        """Rows that this sensor has seen before and does not see now."""
+        mine = (self._table.sensors >> sensor) & 1 == 1
+        mine[matched] = False
+        return np.flatnonzero(mine).astype(np.int64)
+
+    def _tell(self) -> Tracks:
+        t = self._table
+        velocity = velocities(t, self._config)
+        label, confidence = classify(t, velocity)
+        names = [topic.partition("/")[2] for topic in self._topics]
+        return Tracks(
+            self._stamp_ns,
+            tuple(
+                Track(
+                    int(t.id[k]), CLASSES[label[k]], float(confidence[k]),
+                    np.array([t.x[k, 0], t.x[k, 1], t.height_m[k]]), velocity[k], t.P[k].copy(), t.size_m[k].copy(),
+                    float(t.yaw_rad[k]), int(t.first_ns[k]), int(t.last_ns[k]), bool(t.is_confirmed[k]),
+                    tuple(name for i, name in enumerate(names) if t.sensors[k] >> i & 1),
+                )
+                for k in range(len(t.id))
+            ),
+        )  # fmt: skip

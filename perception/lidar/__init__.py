@@ -1,0 +1,1 @@
+"""Lidar: ground, clusters, boxes, health, and the node that runs them on each scan."""

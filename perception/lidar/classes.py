@@ -1,0 +1,33 @@
+"""What a single cluster's shape says about its class; motion is weighed by the tracker."""
+
+import numpy as np
+import numpy.typing as npt
+
+from messages.message import Float64
+from messages.perception import ObstacleClass
+
+CLASSES = tuple(ObstacleClass)
+UNKNOWN_WEIGHT = 0.25  # an obstacle of no class keeps at least this much against the best match
+# class: (height, length, width) each as rise from, full from, full to, gone at, in metres. Bodies: standing to crouched
+# adults and children; hare to cow; quad bike to lorry; post to trunk; heaps of soil.
+SHAPES: dict[ObstacleClass, tuple[tuple[float, float, float, float], ...]] = {
+    ObstacleClass.PERSON: ((0.6, 1.1, 2.0, 2.3), (0.05, 0.2, 1.1, 1.9), (0.0, 0.1, 0.8, 1.1)),
+    ObstacleClass.ANIMAL: ((0.2, 0.4, 1.2, 1.7), (0.3, 0.7, 2.2, 3.0), (0.05, 0.15, 0.9, 1.2)),
+    ObstacleClass.VEHICLE: ((0.8, 1.3, 3.6, 4.5), (1.4, 2.4, 12.0, 20.0), (0.3, 0.9, 3.2, 4.0)),
+    ObstacleClass.POLE: ((0.8, 1.3, 9.0, 20.0), (0.0, 0.05, 0.35, 0.5), (0.0, 0.05, 0.3, 0.5)),
+    ObstacleClass.MOUND: ((0.15, 0.25, 0.9, 1.4), (1.0, 1.6, 8.0, 15.0), (0.4, 0.8, 6.0, 12.0)),
+}
+
+
+def class_scores(size_m: Float64, top_m: Float64) -> Float64:
+    """Scores (K, 7) in the order of `ObstacleClass`; sizes (K, 3) with the longer level side first, rows sum to 1."""
+    scores = np.zeros((len(size_m), len(CLASSES)))
+    scores[:, 0] = UNKNOWN_WEIGHT
+    for label, (height, length, width) in SHAPES.items():
+        fit = _trapezoid(top_m, *height) * _trapezoid(size_m[:, 0], *length) * _trapezoid(size_m[:, 1], *width)
+        scores[:, CLASSES.index(label)] = fit
+    return np.asarray(scores / scores.sum(axis=1, keepdims=True), np.float64)
+
+
+def _trapezoid(x: Float64, a: float, b: float, c: float, d: float) -> npt.NDArray[np.float64]:
+    return np.clip(np.minimum((x - a) / (b - a), (d - x) / (d - c)), 0.0, 1.0)

@@ -1,0 +1,80 @@
+"""Returns brought into `base` at the stamp, without those that are no measurement and those of the machine itself."""
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Implement, MountedImplement, Vehicle
+from messages.message import Float32, Float64, UInt8
+from messages.motion import Odometry
+from perception.kernels import kernel
+
+
+class MaskConfig(Config):
+    """How much is added to the machine's own bodies before returns inside them are dropped."""
+
+    margin_m: float = Field(ge=0.0, le=1.0)
+    implement_height_m: float = Field(gt=0.0, le=5.0)
+
+
+def own_boxes(vehicle: Vehicle, implement: Implement | None, config: MaskConfig) -> Float64:
+    """Machine and implement as boxes in `base`, (K, 2, 3): lowest and highest corner, margin included."""
+    body, m = vehicle.body, config.margin_m
+    half, top = body.width_m / 2 + m, body.height_m + m
+    boxes = [[[-body.rear_m - m, -half, -np.inf], [body.front_m + m, half, top]]]
+    if implement is not None:
+        front, rear = _implement_ends(implement)
+        half = implement.width_m / 2 + m
+        boxes.append([[rear - m, -half, -np.inf], [front + m, half, config.implement_height_m + m]])
+    return np.array(boxes, np.float64)
+
+
+def _implement_ends(implement: Implement) -> tuple[float, float]:
+    if isinstance(implement, MountedImplement):
+        return implement.front_end_m, implement.rear_end_m
+    return implement.hitch_m, implement.hitch_m - implement.total_length_m
+
+
+def motion_of(odom: Odometry | None) -> tuple[float, float, float]:
+    """Forward and left speed and yaw rate; standing when odometry is missing."""
+    return (0.0, 0.0, 0.0) if odom is None else (odom.speed_mps, odom.lateral_mps, odom.yaw_rate_radps)
+
+
+def to_base(
+    points_m: Float32, offset_s: Float32, T_base_sensor: Float64, motion: tuple[float, float, float], own: Float64
+) -> tuple[Float32, UInt8]:
+    """Returns in `base` at the stamp, (N, 3), and which of them may be used, (N,).
+
+    A return is not usable when a coordinate is not finite, when it lies at the sensor itself, or inside one of the
+    `own` boxes (K, 2, 3). `offset_s` (N,) is the time of firing against the stamp, `motion` as from `motion_of`.
+    """
+    out = np.empty((len(points_m), 3), np.float32)
+    usable = np.empty(len(points_m), np.uint8)
+    _to_base(points_m, offset_s, np.ascontiguousarray(T_base_sensor[:3]), np.array(motion), own, out, usable)
+    return out, usable
+
+
+@kernel
+def _to_base(
+    points: Float32, offset: Float32, T: Float64, motion: Float64, own: Float64, out: Float32, usable: UInt8
+) -> None:
+    for i in range(points.shape[0]):
+        px, py, pz = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
+        x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+        y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+        t = float(offset[i])
+        if t != 0.0:
+            # base as it was at t, seen from base at the stamp; the series is exact to 1e-6 rad within 0.3 rad
+            a = motion[2] * t
+            s, c = a * (1.0 - a * a / 6.0), 1.0 - a * a / 2.0 + a * a * a * a / 24.0
+            along, across = t * (1.0 - a * a / 6.0), t * a / 2.0
+            x, y = c * x - s * y, s * x + c * y
+            x += motion[0] * along - motion[1] * across
+            y += motion[0] * across + motion[1] * along
+        out[i, 0], out[i, 1], out[i, 2] = x, y, z
+        good = np.isfinite(x + y + z) and px * px + py * py + pz * pz > 1e-4
+        for k in range(own.shape[0]):
+            if own[k, 0, 0] < x < own[k, 1, 0] and own[k, 0, 1] < y < own[k, 1, 1] and own[k, 0, 2] < z < own[k, 1, 2]:
+                good = False
+        usable[i] = 1 if good else 0
