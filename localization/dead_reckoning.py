@@ -1,6 +1,5 @@
 """The continuous pose in `odom` from gyro and wheels; it drifts but never steps."""
 
-import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -10,6 +9,7 @@ from pydantic import Field
 from configs.strict import Config
 from geometry.transforms import Float64, interpolate
 from localization.inertial import Steps
+from localization.kernels import reckon
 
 
 class DeadReckoningConfig(Config):
@@ -22,24 +22,15 @@ class DeadReckoningConfig(Config):
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the graph knows about the sensors: gyro bias (3,), wheel scale and sideways drift."""
+    """What the graph knows about the sensors: gyro bias (3,) and slip (4,), see wheels.py."""
 
     gyro_bias_radps: Float64
-    scale: float
-    drift: float
+    slip: Float64
 
-
-def rotation(v_rad: Float64) -> Float64:
-    """The rotation by a rotation vector (3,): Rodrigues, with its series near zero."""
-    x, y, z = v_rad.tolist()
-    a2 = x * x + y * y + z * z
-    a = math.sqrt(a2)
-    s, c = (math.sin(a) / a, (1.0 - math.cos(a)) / a2) if a > 1e-6 else (1.0 - a2 / 6.0, 0.5 - a2 / 24.0)
-    return np.array([
-        [1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y],
-        [c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x],
-        [c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)],
-    ])  # fmt: skip
+    def motion(self, speed_mps: float, pull: Float64) -> tuple[float, float]:
+        """Speed of base forwards and to the left at a wheel speed and pull (2,)."""
+        scale, drift, per_pull, per_side = self.slip.tolist()
+        return (scale - per_pull * float(pull[0])) * speed_mps, (drift - per_side * float(pull[1])) * speed_mps
 
 
 class DeadReckoning:
@@ -48,55 +39,33 @@ class DeadReckoning:
     def __init__(self, config: DeadReckoningConfig, T_odom_base: Float64, calibration: Calibration) -> None:
         self._config = config
         self.T_odom_base = T_odom_base.copy()
-        self._goal = self._now = calibration
+        self._now, self._goal = _vector(calibration), _vector(calibration)
         self._tilt_odom = np.zeros(3)
 
     @property
     def calibration(self) -> Calibration:
         """What is applied at this moment."""
-        return self._now
+        return Calibration(self._now[:3].copy(), self._now[3:].copy())
 
     def correct(self, calibration: Calibration, up_base: Float64, T_odom_base: Float64) -> None:
         """Takes the graph's calibration and upward direction in base, seen when the pose was `T_odom_base`."""
-        self._goal = calibration
-        up_odom = T_odom_base[:3, :3] @ up_base
-        self._tilt_odom = np.cross(up_odom, [0.0, 0.0, 1.0])
+        self._goal = _vector(calibration)
+        x, y, _ = T_odom_base[:3, :3] @ up_base
+        self._tilt_odom = np.array([y, -x, 0.0])  # that direction crossed with upwards: turns the one to the other
 
-    def advance(self, steps: Steps, speed_mps: Float64) -> list[Float64]:
-        """Goes on by the steps with wheel speeds (n,); gives the pose after each."""
-        return [
-            self._step(dt, rate, speed)
-            for dt, rate, speed in zip(steps.dt_s.tolist(), steps.rate_radps, speed_mps.tolist(), strict=True)
-        ]
+    def advance(self, steps: Steps, speed_mps: Float64) -> Float64:
+        """Goes on by n steps with wheel speeds (n,); gives the pose after each, (n, 4, 4)."""
+        cfg = self._config
+        poses = reckon(
+            self.T_odom_base, steps.dt_s, steps.rate_radps, speed_mps, steps.pull, self._now, self._goal, self._tilt_odom,
+            cfg.slew_s, cfg.tilt_s, cfg.largest_tilt_rate_radps,
+        )  # fmt: skip
+        self.T_odom_base = poses[-1]
+        return poses
 
-    def _step(self, dt_s: float, rate_radps: Float64, speed_mps: float) -> Float64:
-        self._glide(dt_s)
-        now, T = self._now, self.T_odom_base
-        turn = (rate_radps - now.gyro_bias_radps) * dt_s
-        R = T[:3, :3]
-        way = np.array([now.scale * speed_mps * dt_s, now.drift * speed_mps * dt_s, 0.0])
-        out = np.eye(4)
-        out[:3, 3] = T[:3, 3] + R @ (way + 0.5 * np.cross(turn, way))
-        out[:3, :3] = self._tilt_step(dt_s) @ R @ rotation(turn)
-        self.T_odom_base = out
-        return out
 
-    def _glide(self, dt_s: float) -> None:
-        share = min(1.0, dt_s / self._config.slew_s)
-        now, goal = self._now, self._goal
-        self._now = Calibration(
-            now.gyro_bias_radps + share * (goal.gyro_bias_radps - now.gyro_bias_radps),
-            now.scale + share * (goal.scale - now.scale),
-            now.drift + share * (goal.drift - now.drift),
-        )
-
-    def _tilt_step(self, dt_s: float) -> Float64:
-        rate = self._tilt_odom / self._config.tilt_s
-        length = math.sqrt(float(rate @ rate))
-        if length > self._config.largest_tilt_rate_radps:
-            rate = rate * (self._config.largest_tilt_rate_radps / length)
-        self._tilt_odom = self._tilt_odom - rate * dt_s
-        return rotation(rate * dt_s)
+def _vector(calibration: Calibration) -> Float64:
+    return np.concatenate([calibration.gyro_bias_radps, calibration.slip])
 
 
 class PoseHistory:

@@ -1,7 +1,7 @@
 """Measurements as factors on the graph's variables.
 
-A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip S =
-(scale, drift): base moves `scale` times the wheels' speed forwards and `drift` times it to the left.
+A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip S (4,):
+scale, drift, slip per pull, crab per side force (see `displacement_columns` in wheels.py).
 """
 
 from collections.abc import Callable
@@ -44,7 +44,7 @@ def heading_factor(key: int, heading_rad: float, sigma_rad: float) -> gtsam.Cust
 
 
 def wheel_factor(start: int, end: int, columns: Float64, arm_m: Float64, sigma_m: Float64) -> gtsam.CustomFactor:
-    """The way of base between two keyframes as `columns` (3, 2) @ slip; `arm_m` is base seen from the IMU."""
+    """The way of base between two keyframes as `columns` (3, 4) @ slip; `arm_m` is base seen from the IMU."""
     arm_cross = -skew(arm_m)
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:

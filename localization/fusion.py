@@ -63,11 +63,10 @@ class Fusion:
         accelerometer, gyro = self._bias_sigmas
         bias_sigma = np.repeat([math.hypot(accelerometer, GRAVITY_SIGMA_MPS2), gyro], 3)
         bias_sigma[:2] = accelerometer
-        slip_sigma = [self._wheels.scale_sigma, self._wheels.drift_sigma]
         bias = np.concatenate([[0.0, 0.0, level.gravity_mps2 - self._gravity], level.gyro_bias_radps])
-        sigmas = np.concatenate([pose_sigma, np.full(3, cfg.velocity_sigma_mps), bias_sigma, slip_sigma])
+        sigmas = np.concatenate([pose_sigma, np.full(3, cfg.velocity_sigma_mps), bias_sigma, self._wheels.start_sigma])
         T = pose_of(level, placed, self.arms.antenna_m)
-        state = State(stamp_ns, T, np.zeros(3), bias, np.array([1.0, 0.0]), np.diag(pose_sigma**2), sigmas)
+        state = State(stamp_ns, T, np.zeros(3), bias, self._wheels.start, np.diag(pose_sigma**2), sigmas)
         return self.restart(state)
 
     def restart(self, state: State) -> State:
@@ -82,8 +81,12 @@ class Fusion:
         A = gtsam.Pose3(invert(self.arms.T_base_body)).AdjointMap()
         self._waiting.append(motion_factor(start, end, T, A @ covariance @ A.T))
 
-    def keyframe(self, stamp_ns: int, track: InertialTrack, wheels: WheelTrack, position: Position | None) -> Refusal:
-        """Adds a keyframe with what was measured since the last; says what spoke against the fix.
+    def keyframe(
+        self, stamp_ns: int, track: InertialTrack, wheels: WheelTrack, positions: list[Position]
+    ) -> list[Refusal]:
+        """Adds a keyframe with what was measured since the last; says what spoke against each of the fixes.
+
+        The fixes have been carried over to `stamp_ns`.
 
         Raises SmootherFailure when the graph had to be rebuilt at the last state.
         """
@@ -94,16 +97,14 @@ class Fusion:
         guess, key = self._predict(last, stamp_ns, inertial), self.smoother.next_key
         factors, self._waiting = self._waiting, []
         factors += self._wheel_factors(key, last, stamp_ns, steps, wheels)
-        refusal = Refusal.NONE
-        if position is not None:
-            refusal = self.gate.judge(position, *self._antenna(guess, (stamp_ns - last.stamp_ns) * 1e-9))
-            if refusal is Refusal.NONE:
-                factors += self._fix_factors(key, guess, position)
+        antenna = self._antenna(guess, (stamp_ns - last.stamp_ns) * 1e-9)
+        refusals = [self.gate.judge(position, *antenna) for position in positions]
+        for position, refusal in zip(positions, refusals, strict=True):
+            factors += self._fix_factors(key, guess, position) if refusal is Refusal.NONE else []
         between = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), inertial)
         root = math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
-        slip_sigma = root * np.array([self._wheels.scale_per_rts, self._wheels.drift_per_rts])
-        self.smoother.add(guess, between, slip_sigma, factors)
-        return refusal
+        self.smoother.add(guess, between, root * self._wheels.walk, factors)
+        return refusals
 
     def _predict(self, last: State, stamp_ns: int, inertial: gtsam.PreintegratedCombinedMeasurements) -> State:
         start = gtsam.NavState(gtsam.Pose3(last.T_map_body), last.velocity_mps)
@@ -143,7 +144,7 @@ class Fusion:
         density = np.array([along, cfg.lateral_m_per_rts, cfg.vertical_m_per_rts])
         if stands:
             density = np.full(3, cfg.standstill_m_per_rts)
-            columns = np.zeros((3, 2))
+            columns = np.zeros((3, 4))
         sigma = density * math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
         return [wheel_factor(key - 1, key, columns, self.arms.base_m, sigma)]
 

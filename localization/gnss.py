@@ -97,10 +97,10 @@ def is_sane(fix: GnssFix) -> bool:
 
 def check(fix: GnssFix, config: GnssConfig) -> Refusal:
     """What speaks against a fix by itself."""
+    if config.of(fix.solution) is None:  # a receiver without a position says so, and gives NaN for it
+        return Refusal.NO_SOLUTION
     if not is_sane(fix):
         return Refusal.GARBAGE
-    if config.of(fix.solution) is None:
-        return Refusal.NO_SOLUTION
     if fix.satellites < config.least_satellites:
         return Refusal.FEW_SATELLITES
     needs_corrections = fix.solution in (GnssSolution.RTK_FIXED, GnssSolution.RTK_FLOAT)

@@ -13,6 +13,7 @@ from localization.alarms import Alarms
 from localization.fusion import Fusion
 from localization.gnss import Refusal, check, position_of
 from localization.inertial import InertialTrack
+from localization.kernels import warm
 from localization.motion import Motion, MotionConfig
 from localization.placement import Placement, PlacementConfig
 from localization.preintegration import bias_sigmas
@@ -50,6 +51,7 @@ class Localizer(Node):
         self.writes = ("odom", "map_pose", "fault")
         self.runs = Every(round(config.period_s * 1e9))
         self._config, self._datum = config, datum
+        warm()
         self._gnss_rate_hz = vehicle.sensors.gnss["main"].rate_hz
         self._gyro_bias_sigma = bias_sigmas(vehicle.sensors.imu)[1]
         place, gravity_at = config.placement, (datum.latitude_rad, datum.height_m)
@@ -172,8 +174,8 @@ class Localizer(Node):
         state = self._placement.state
         wheels = self._config.motion.wheels
         if state is None:
-            return self._gyro_bias_sigma, np.array([wheels.scale_sigma, wheels.drift_sigma])
-        return float(state.sigmas[14]), state.sigmas[15:17]
+            return self._gyro_bias_sigma, wheels.start_sigma
+        return float(state.sigmas[14]), state.sigmas[15:19]
 
     @staticmethod
     def _is_silent(track: InertialTrack | WheelTrack, now_ns: int, largest_gap_s: float) -> bool:

@@ -38,7 +38,8 @@ class Motion:
         if imu is None or wheels is None:
             raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.imu and sensors.wheels")
         self._config = config
-        self.track, self.wheels = InertialTrack(imu), WheelTrack(config.wheels.largest_speed_mps)
+        self.track = InertialTrack(imu, config.inertial.pull_time_s)
+        self.wheels = WheelTrack(config.wheels.largest_speed_mps)
         self.standstill = Standstill(alignment)
         self.steering = Steering(config.steering, vehicle.drivetrain.wheelbase_m)
         self.history = PoseHistory(config.history_s)
@@ -53,14 +54,18 @@ class Motion:
     @property
     def speed_mps(self) -> float:
         """Forward speed over ground."""
-        scale = self.reckoning.calibration.scale if self.reckoning is not None else 1.0
-        return scale * self._speed
+        return self._velocity()[0]
+
+    def _velocity(self) -> tuple[float, float]:
+        if self.reckoning is None or not len(self.track):
+            return self._speed, 0.0
+        return self.reckoning.calibration.motion(self._speed, self.track.last[6:])
 
     def add_inertial(self, sample: ImuSample) -> bool:
         """Takes a sample; False when it was dropped."""
         if not self.track.add(sample):
             return False
-        self.standstill.watch(sample.stamp_ns, self.track.last[3:], abs(self._speed) > self._config.wheels.standing_mps)
+        self.standstill.watch(sample.stamp_ns, self.track.last[3:6], abs(self._speed) > self._config.wheels.standing_mps)
         return True
 
     def add_wheels(self, sample: WheelSample) -> bool:
@@ -86,7 +91,7 @@ class Motion:
     def begin(self, level: Level) -> None:
         """Starts `odom` level with yaw 0 where the machine stands."""
         pose = transform((0.0, 0.0, 0.0), (level.roll_rad, level.pitch_rad, 0.0))
-        calibration = Calibration(level.gyro_bias_radps, 1.0, 0.0)
+        calibration = Calibration(level.gyro_bias_radps, self._config.wheels.start)
         self.reckoning = DeadReckoning(self._config.dead_reckoning, pose, calibration)
         self.resume()
 
@@ -118,11 +123,10 @@ class Motion:
         self._rate = np.mean(steps.rate_radps, axis=0) - reckoning.calibration.gyro_bias_radps
 
     def odometry(self, bias_sigma_radps: float, slip_sigma: Float64) -> Odometry:
-        """The message for the newest sample, with what graph or data sheet say of bias and slip (2,)."""
+        """The message for the newest sample, with what graph or data sheet say of bias and slip (4,)."""
         reckoning = self.reckoning
         assert reckoning is not None, "begin comes first"
-        calibration = reckoning.calibration
-        speed, drift = calibration.scale * self._speed, calibration.drift * self._speed
+        speed, drift = self._velocity()
         return Odometry(
             self.stamp_ns, reckoning.T_odom_base.copy(), speed, drift, self._acceleration, float(self._rate[2]),
             self.steering.curvature(self._angle), self._covariance(bias_sigma_radps, slip_sigma),

@@ -2,13 +2,14 @@
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
-from dataclasses import replace
 from pydantic import Field
 
 from configs.strict import Config
-from geometry.transforms import Float64, invert
+from geometry.angles import wrap
+from geometry.transforms import Float64, invert, yaw_of
 from localization.alignment import AlignmentConfig
 from localization.dead_reckoning import Calibration
 from localization.fusion import Fusion
@@ -42,6 +43,7 @@ class Placement:
         self.fusion = fusion
         self.link = LidarLink(config.lidar_link)
         self._queue: deque[Position] = deque()
+        self._carried: list[Position] = []
         self._T_map_odom = np.eye(4)
         self._accepted: Position | None = None
         self._accepted_ns = 0
@@ -63,7 +65,7 @@ class Placement:
 
     def add(self, position: Position) -> None:
         """Takes a fix; it waits until inertial samples reach it."""
-        newest = self._queue[-1].stamp_ns if self._queue else self._newest_ns()
+        newest = max((fix.stamp_ns for fix in (*self._carried, *self._queue)), default=self._newest_ns())
         if position.stamp_ns <= newest:
             self.late += 1
             return
@@ -76,6 +78,7 @@ class Placement:
     def forget_time(self) -> None:
         """Drops what waits."""
         self._queue.clear()
+        self._carried.clear()
         self.link.clear()
         self._refused_since_ns = None
 
@@ -122,35 +125,49 @@ class Placement:
 
     def advance(self) -> None:
         """Makes the keyframes that the samples so far allow."""
-        reach = self._motion.track.last_ns
+        cfg, reach = self._config.smoother, self._motion.track.last_ns
+        period_ns = round(cfg.period_s * 1e9)
         while self._queue and self._queue[0].stamp_ns <= reach:
-            position = self._queue.popleft()
-            self._fill(position.stamp_ns)
-            self._keyframe(position.stamp_ns, position)
-        cfg = self._config.smoother
-        if not self._queue:
-            self._fill(reach - int((cfg.wait_s - cfg.period_s) * 1e9))
+            fix = self._queue.popleft()
+            self._fill(fix.stamp_ns - period_ns // 2)
+            self._carried.append(fix)
+            if fix.stamp_ns - self._newest_ns() >= 0.9 * period_ns:
+                self._keyframe(fix.stamp_ns)
+        self._fill(reach - round(cfg.wait_s * 1e9))
 
     def _fill(self, until_ns: int) -> None:
-        """Keyframes without a fix up to somewhat before a time."""
-        period_ns = int(self._config.smoother.period_s * 1e9)
-        while until_ns - self._newest_ns() > 1.6 * period_ns:
-            self._keyframe(self._newest_ns() + period_ns, None)
+        """Keyframes at the period up to a time."""
+        period_ns = round(self._config.smoother.period_s * 1e9)
+        while self.is_initialized and until_ns - self._newest_ns() >= period_ns:
+            self._keyframe(self._newest_ns() + period_ns)
 
-    def _keyframe(self, stamp_ns: int, position: Position | None) -> None:
+    def _keyframe(self, stamp_ns: int) -> None:
         motion = self._motion
+        fixes, self._carried = self._carried, []
         self._add_spans()
         before = self.state
         try:
-            refusal = self.fusion.keyframe(stamp_ns, motion.track, motion.wheels, position)
+            moved = [self._carry(fix, stamp_ns) for fix in fixes]
+            refusals = self.fusion.keyframe(stamp_ns, motion.track, motion.wheels, moved)
         except SmootherFailure as failure:
             self._recover(stamp_ns, before, str(failure))
             return
         state = self.state
         assert state is not None, "a keyframe was made"
         self._place(state)
-        if position is not None:
-            self._count(position, refusal)
+        for fix, refusal in zip(fixes, refusals, strict=True):
+            self._count(fix, refusal)
+
+    def _carry(self, fix: Position, stamp_ns: int) -> Position:
+        """A fix moved on to a keyframe by dead reckoning, over a fraction of a second."""
+        then, now = self._motion.history.at(fix.stamp_ns), self._motion.history.at(stamp_ns)
+        if then is None or now is None:
+            return fix
+        antenna = self.fusion.arms.antenna_m - self.fusion.arms.base_m
+        way = (now - then)[:3, :3] @ antenna + (now - then)[:3, 3]
+        turn = yaw_of(now) - yaw_of(then)
+        p = fix.p_map_m + self._T_map_odom[:3, :3] @ way
+        return replace(fix, p_map_m=p, heading_rad=wrap(fix.heading_rad + turn))
 
     def _recover(self, stamp_ns: int, before: State | None, reason: str) -> None:
         """Starts anew at a failed keyframe's time, where dead reckoning says."""
@@ -197,7 +214,7 @@ class Placement:
             return
         T_map_base = state.T_map_body @ invert(self.fusion.arms.T_base_body)
         self._T_map_odom = T_map_base @ invert(odom)
-        calibration = Calibration(state.bias[3:], float(state.slip[0]), float(state.slip[1]))
+        calibration = Calibration(state.bias[3:], state.slip)
         motion.reckoning.correct(calibration, state.T_map_body[2, :3], odom)
 
     def pose(self) -> MapPose:

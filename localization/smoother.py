@@ -13,7 +13,7 @@ from geometry.transforms import Float64
 from localization.factors import B, S, V, X
 from localization.preintegration import constant_bias
 
-POSE, VELOCITY, BIAS, SLIP = 6, 3, 6, 2
+POSE, VELOCITY, BIAS, SLIP = 6, 3, 6, 4
 
 
 class SmootherConfig(Config):
@@ -29,7 +29,7 @@ class SmootherConfig(Config):
 class State:
     """One keyframe; `T_map_body` has `base` axes and the IMU's origin.
 
-    `covariance` (6, 6) of the pose, rotation then translation in the body; `sigmas` (17,) of pose, velocity, bias, slip.
+    `covariance` (6, 6) of the pose, rotation then translation in the body; `sigmas` (19,) of pose, velocity, bias, slip.
     """
 
     stamp_ns: int
@@ -73,7 +73,7 @@ class Smoother:
         factors.add(gtsam.PriorFactorPose3(X(k), gtsam.Pose3(state.T_map_body), pose_noise))
         factors.add(gtsam.PriorFactorPoint3(V(k), state.velocity_mps, sigma(state.sigmas[6:9])))
         factors.add(gtsam.PriorFactorConstantBias(B(k), constant_bias(state.bias), sigma(state.sigmas[9:15])))
-        factors.add(gtsam.PriorFactorVector(S(k), state.slip, sigma(state.sigmas[15:17])))
+        factors.add(gtsam.PriorFactorVector(S(k), state.slip, sigma(state.sigmas[15:19])))
         self._update(k, state, factors)
         self.state = state
 
@@ -131,8 +131,7 @@ class Smoother:
     def _read(self, k: int, stamp_ns: int) -> State:
         graph = self._graph
         covariance = graph.marginalCovariance(X(k))
-        blocks = [covariance, *(graph.marginalCovariance(key(k)) for key in (V, B, S))]
-        sigmas = np.sqrt(np.concatenate([np.diag(block) for block in blocks]))
+        sigmas = self._sigmas(k, covariance)
         state = State(
             stamp_ns,
             np.asarray(graph.calculateEstimatePose3(X(k)).matrix()),
@@ -145,6 +144,14 @@ class Smoother:
         if not state.is_finite:
             raise ValueError("the solution is not finite")
         return state
+
+    def _sigmas(self, k: int, covariance: Float64) -> Float64:
+        """Those of the pose are new each time; the others change slowly and cost as much, so they take turns."""
+        sigmas = self.state.sigmas.copy() if self.state is not None else np.zeros(19)
+        sigmas[:6] = np.sqrt(np.diag(covariance))
+        key, part = ((V, slice(6, 9)), (B, slice(9, 15)), (S, slice(15, 19)))[k % 3]
+        sigmas[part] = np.sqrt(np.diag(self._graph.marginalCovariance(key(k))))
+        return sigmas
 
 
 def widened(state: State) -> State:

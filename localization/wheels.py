@@ -25,9 +25,29 @@ class WheelConfig(Config):
     scale_per_rts: float = Field(gt=0.0, le=0.5, description="how fast slip changes")
     drift_sigma: float = Field(gt=0.0, le=0.5, description="sideways speed over forward speed, at the start")
     drift_per_rts: float = Field(gt=0.0, le=0.5)
+    slip_per_pull: float = Field(ge=0.0, le=1.0, description="slip over forward force in units of weight, at the start")
+    slip_per_pull_sigma: float = Field(gt=0.0, le=1.0)
+    crab_per_side: float = Field(ge=0.0, le=1.0, description="slip angle over sideways force in units of weight")
+    crab_per_side_sigma: float = Field(gt=0.0, le=1.0)
+    softness_per_rts: float = Field(gt=0.0, le=0.1, description="how fast these two change with the ground")
     largest_speed_mps: float = Field(gt=0.0, le=50.0)
     standing_mps: float = Field(gt=0.0, le=0.5, description="below this the wheels stand")
     largest_gap_s: float = Field(gt=0.0, le=1.0)
+
+    @property
+    def start(self) -> Float64:
+        """Slip before anything is learnt: scale, drift, slip per pull, crab per side force."""
+        return np.array([1.0, 0.0, self.slip_per_pull, self.crab_per_side])
+
+    @property
+    def start_sigma(self) -> Float64:
+        """Its sigmas."""
+        return np.array([self.scale_sigma, self.drift_sigma, self.slip_per_pull_sigma, self.crab_per_side_sigma])
+
+    @property
+    def walk(self) -> Float64:
+        """How it wanders, per root second."""
+        return np.array([self.scale_per_rts, self.drift_per_rts, self.softness_per_rts, self.softness_per_rts])
 
 
 class WheelTrack:
@@ -72,13 +92,16 @@ class WheelTrack:
 
 
 def displacement_columns(steps: Steps, speed_mps: Float64, gyro_bias_radps: Float64) -> Float64:
-    """What one unit of scale and of sideways drift each move base, in base at the start, (3, 2).
+    """What each unit of slip moves base, in base at the start, (3, 4).
 
-    The way of base is `columns @ (scale, drift)`. Turns within one stretch are small, so their order is neglected:
+    The way of base is `columns @ (scale, drift, slip per pull, crab per side force)`: pulling makes it less than the
+    wheels', and a force to the left (a left bend, a slope whose left side is high) comes with a slide to the right. Turns within one stretch are small, so their order is neglected:
     the error is the way times half the product of two turn angles about different axes, below 0.1 mm in 0.1 s.
     """
     turn = (steps.rate_radps - gyro_bias_radps) * steps.dt_s[:, None]
     before = np.cumsum(turn, axis=0) - 0.5 * turn
     R = Rotation.from_rotvec(before).as_matrix()
     way = speed_mps * steps.dt_s
-    return np.stack([R[:, :, 0].T @ way, R[:, :, 1].T @ way], axis=1)
+    ahead, aside = R[:, :, 0].T, R[:, :, 1].T
+    pull, side = steps.pull[:, 0] * way, steps.pull[:, 1] * way
+    return np.stack([ahead @ way, aside @ way, -(ahead @ pull), -(aside @ side)], axis=1)

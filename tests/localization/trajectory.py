@@ -26,9 +26,12 @@ class Wrongs:
     seed: int = 1
     slip: float = 0.04
     slip_swing: float = 0.01
+    slip_per_pull: float = 0.3
     drift: float = 0.004
+    crab_per_side: float = 0.2
+    soil_side: float = 0.002
     steering_offset_rad: float = math.radians(0.3)
-    gnss_slow_share: float = 0.6
+    gnss_slow_share: float = 0.7
     gnss_slow_s: float = 60.0
     gnss_latency_s: float = 0.05
     furrow_m: float = 0.01
@@ -73,11 +76,10 @@ def drive(seconds: float, legs: list[tuple[float, float, float]] | None = None, 
     n = int(seconds / FINE_S) + 1
     t = np.arange(n) * FINE_S
     speed, curvature = _profile(legs if legs is not None else field(seconds), t)
-    swing = wrongs.drift * (1 + 0.2 * np.sin(t / 17.0))
-    T, yaw = _poses(t, speed, curvature, swing, wrongs.furrow_m)
+    T, yaw = _poses(t, speed, curvature, wrongs)
     v = tractor()
     imu = _imu(v, t, T, rng)
-    wheels = _wheels(v, t, speed, curvature, wrongs, rng)
+    wheels = _wheels(v, t, T, speed, curvature, wrongs, rng)
     fixes = _fixes(v, t, T, yaw, wrongs, rng)
     messages = sorted([*imu, *wheels, *fixes], key=lambda m: m[0])
     return Truth(T, speed, np.gradient(yaw, FINE_S), messages)
@@ -108,9 +110,13 @@ def _height(x, y, furrow_m):
     return z, zx, zy
 
 
-def _poses(t, speed, curvature, drift, furrow_m):
-    """Integrates on the surface; `speed` is along x of base, `drift` the share of it sideways."""
-    n = len(t)
+def _poses(t, speed, curvature, wrongs):
+    """Integrates on the surface; `speed` is along x of base, part of it sideways by side force and soil."""
+    n, furrow_m = len(t), wrongs.furrow_m
+    soil, rng = np.zeros(n), np.random.default_rng(wrongs.seed + 1000)
+    keep, white = math.exp(-FINE_S / 0.5), rng.normal(0, wrongs.soil_side, n)
+    for k in range(1, n):
+        soil[k] = keep * soil[k - 1] + math.sqrt(1 - keep**2) * white[k]
     xy = np.zeros((n, 2))
     yaw = np.zeros(n)
     turn = curvature * speed
@@ -119,7 +125,7 @@ def _poses(t, speed, curvature, drift, furrow_m):
     R = np.empty((n, 3, 3))
     x, y = 3.0, -2.0
     c, s = np.cos(yaw).tolist(), np.sin(yaw).tolist()
-    v, d = speed.tolist(), drift.tolist()
+    v, d = speed.tolist(), (wrongs.drift + soil - wrongs.crab_per_side * turn * speed / GRAVITY_MPS2).tolist()
 
     def velocity(k, x, y):
         _, zx, zy = _height_fast(x, y, furrow_m)
@@ -130,7 +136,9 @@ def _poses(t, speed, curvature, drift, furrow_m):
         nx, ny, nz = nx / nn, ny / nn, nz / nn
         fx, fy, fz = c[k] * ex, s[k] * ex, along * ex
         lx, ly = ny * fz - nz * fy, nz * fx - nx * fz
-        return v[k] * (fx + d[k] * lx), v[k] * (fy + d[k] * ly)
+        lz = nx * fy - ny * fx
+        share = d[k] - wrongs.crab_per_side * lz
+        return v[k] * (fx + share * lx), v[k] * (fy + share * ly)
 
     for k in range(n):
         xy[k] = x, y
@@ -169,25 +177,27 @@ def _imu(v, t, T, rng):
     p = T[:, :3, 3] + T[:, :3, :3] @ np.array(imu.mount.xyz_m)
     acceleration = np.gradient(np.gradient(p, FINE_S, axis=0), FINE_S, axis=0)
     force = np.einsum("nji,nj->ni", T[:, :3, :3], acceleration + [0, 0, GRAVITY_MPS2])
-    R = Rotation.from_matrix(T[:, :3, :3])
-    rate = np.zeros_like(force)
-    rate[1:-1] = (R[:-2].inv() * R[2:]).as_rotvec() / (2 * FINE_S)
-    every = int(1 / imu.rate_hz / FINE_S)
+    every = round(1 / imu.rate_hz / FINE_S)
     index = np.arange(5 * every, len(t) - 5, every)
+    R, before = T[index, :3, :3], T[index - every, :3, :3]
+    rate = Rotation.from_matrix(np.einsum("nji,njk->nik", before, R)).as_rotvec() * imu.rate_hz
+    total = np.cumsum(0.5 * (force[1:] + force[:-1]), axis=0)
+    force = (total[index - 1] - total[index - 1 - every]) / every
     m = len(index)
     bias_a = rng.normal(0, imu.accelerometer_bias_mg * 9.8e-3, 3)
     bias_g = rng.normal(0, math.radians(imu.gyro_bias_dph) / 3600, 3) + rng.normal(0, math.radians(0.05), 3)
     root = math.sqrt(imu.rate_hz)
-    force = force[index] + bias_a + rng.normal(0, imu.accelerometer_noise_ug_rthz * 9.8e-6 * root, (m, 3))
-    rate = rate[index] + bias_g + rng.normal(0, math.radians(imu.gyro_noise_dps_rthz) * root, (m, 3))
+    force = force + bias_a + rng.normal(0, imu.accelerometer_noise_ug_rthz * 9.8e-6 * root, (m, 3))
+    rate = rate + bias_g + rng.normal(0, math.radians(imu.gyro_noise_dps_rthz) * root, (m, 3))
     return [(_ns(t[k]) + 2_000_000, "imu", ImuSample(_ns(t[k]), f.copy(), w.copy())) for k, f, w in zip(index, force, rate)]
 
 
-def _wheels(v, t, speed, curvature, wrongs, rng):
+def _wheels(v, t, T, speed, curvature, wrongs, rng):
     wheels = v.sensors.wheels
     every = int(1 / wheels.rate_hz / FINE_S)
     index = np.arange(0, len(t) - 5, every)
-    slip = wrongs.slip + wrongs.slip_swing * np.sin(t / 11.0)
+    pull = np.gradient(speed, FINE_S) / GRAVITY_MPS2 + T[:, 2, 0]
+    slip = wrongs.slip + wrongs.slip_swing * np.sin(t / 11.0) + wrongs.slip_per_pull * pull
     out = []
     for k in index:
         angle = math.atan(v.drivetrain.wheelbase_m * curvature[k]) + wrongs.steering_offset_rad
