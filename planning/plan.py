@@ -23,7 +23,7 @@ from planning.rig import Rig, rig_of
 from planning.route import route
 from planning.ways import Ways
 
-PROOF_SLACK_M = 0.01  # planned with so much more margin than is then proven
+PROOF_SLACK_M = 0.02  # planned with so much more margin than is then proven
 LEAST_UNCOVERED_M2 = 0.25
 
 

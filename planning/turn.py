@@ -81,6 +81,13 @@ def shortest_length_m(wanted: Wanted, radius_m: float) -> float:
     return wanted.run_out_m + wanted.line_up_m + dubins(start, goal, radius_m)[0].length_m
 
 
-def curve_between(wanted: Wanted, space: Space, most: int = 80) -> Float64 | None:
-    """The shortest free one of the first `most` Dubins ways, (N, 2), or None."""
-    return next((way for way in candidates(wanted, space.radius_m, most) if is_free(way, space)), None)
+def curve_between(
+    wanted: Wanted, space: Space, most: int = 80, before: Float64 | None = None, after: Float64 | None = None
+) -> Float64 | None:
+    """The shortest free one of the first `most` Dubins ways, (N, 2), or None.
+
+    `before` and `after` are what is driven on either side, so that the joints are checked as they will be smoothed.
+    """
+    ends = [np.empty((0, 2)) if e is None else e for e in (before, after)]
+    ways = candidates(wanted, space.radius_m, most)
+    return next((way for way in ways if is_free(np.vstack([ends[0], way, ends[1]]), space)), None)

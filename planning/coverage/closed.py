@@ -16,6 +16,7 @@ from planning.ways import Piece, Ways
 
 EVERY = 25  # points of a round between two places tried, 2.5 m
 CLOSING = 3  # points by which a round works on over its own beginning
+JOINT = 50  # points of a round checked together with the way to or from it
 MOST_CHECKED = 150
 MOST_LINKS = 14
 BEND_STRAIGHT_M = 1.0
@@ -72,7 +73,7 @@ def _entries(ways: Ways, start: Pose, ring: Float64) -> list[Link]:
     for k in range(0, len(ring), EVERY):
         wanted = Wanted(start, _pose(ring, k), config.run_out_m, config.line_up_m)
         options.append((shortest_length_m(wanted, ways.rig.radius_m), -1, k, wanted))
-    return _checked(ways, options)
+    return _checked(ways, options, None, ring)
 
 
 def _links(ways: Ways, ring: Float64, following: Float64) -> list[Link]:
@@ -84,17 +85,20 @@ def _links(ways: Ways, ring: Float64, following: Float64) -> list[Link]:
             wanted = Wanted(pose, _pose(following, int(k)), BEND_STRAIGHT_M, ways.rig.config.line_up_m)
             length = shortest_length_m(wanted, ways.rig.radius_m)
             options.append((length, j, int(k), wanted))
-    return _checked(ways, options)
+    return _checked(ways, options, ring, following)
 
 
-def _checked(ways: Ways, options: list[tuple[float, int, int, Wanted]]) -> list[Link]:
+def _checked(
+    ways: Ways, options: list[tuple[float, int, int, Wanted]], ring: Float64 | None, following: Float64
+) -> list[Link]:
     """The shortest free ones, no two that leave at the same place."""
     found: list[Link] = []
     options.sort(key=lambda o: (round(o[0], 6), o[1], o[2]))
     for _, leave, enter, wanted in options[:MOST_CHECKED]:
         if leave >= 0 and any(link.leave == leave for link in found):
             continue
-        way = curve_between(wanted, ways.space, 3)
+        before = None if ring is None else _part(ring, leave - JOINT, leave)
+        way = curve_between(wanted, ways.space, 3, before, _part(following, enter, enter + JOINT))
         if way is not None:
             found.append(Link(leave, enter, way, float(arc_length(way)[-1])))
         if len(found) == MOST_LINKS:

@@ -51,7 +51,7 @@ def rounds_of(ground: Ground, rig: Rig, count: int, overlap_m: float) -> list[Ro
             f"field of {ground.field.area:.0f} m² about {describe(ground.site, x, y)} is too small for this machine: "
             f"one round of {rig.working_width_m:g} m needs at least {least:.1f} m in every direction; use a narrower implement"
         )
-    return found
+    return sorted(found, key=lambda r: (r.is_around_obstacle, r.number))
 
 
 def depth_m(ground: Ground, rig: Rig, overlap_m: float, number: int) -> float:
