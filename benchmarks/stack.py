@@ -1,0 +1,83 @@
+"""Where the time goes: wall seconds per simulated second of every node, the world and the log, against the budget.
+
+    PYTHONPATH=. .venv/bin/python benchmarks/stack.py [--seconds 60] [--seed 1]
+
+Also fails (exit code 1) when the whole is over 0.8 s a simulated second, or a node's 99th percentile over its latency.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from configs.strict import find, load
+from datasets.log import LogWriter
+from runtime.assembly import assemble
+from runtime.executor import Executor
+from runtime.setup import load_setup
+from simulation.scenario import Scenario
+
+LIMIT = 0.8
+
+
+def main() -> int:
+    """Drive the beginning of the demo with a clock about every step."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    spent: dict[str, list[float]] = defaultdict(list)
+    setup = load_setup("demo", None, None, None, arguments.seed)
+    scenario = load(Scenario, find("scenarios", "demo"))
+    with assemble(setup, scenario) as (world, nodes), tempfile.TemporaryDirectory() as folder:
+        with LogWriter(Path(folder) / "log.mcap", {}, setup.stack.datasets.log, setup.viewer()) as log:
+            for node, _ in nodes:
+                node.step = timed(node.step, spent[node.name])  # type: ignore[method-assign]
+            world.step = timed(world.step, spent["world"])  # type: ignore[method-assign]
+            executor = Executor(world, nodes, [timed(log.write, spent["log"])])
+            start_ns, began_s = executor.now_ns, time.perf_counter()
+            executor.run(lambda: executor.now_ns - start_ns > arguments.seconds * 1e9)
+            wall_s = time.perf_counter() - began_s
+    over = show(spent, dict((node.name, ns) for node, ns in nodes), wall_s, arguments.seconds)
+    return 1 if over or wall_s > LIMIT * arguments.seconds else 0
+
+
+def timed(function: Callable[..., Any], spent: list[float]) -> Callable[..., Any]:
+    """The function with every call's wall time noted; a generator's work counts too."""
+
+    def call(*arguments: Any) -> Any:
+        began_s = time.perf_counter()
+        result = function(*arguments)
+        result = list(result) if result is not None else None
+        spent.append(time.perf_counter() - began_s)
+        return result
+
+    return call
+
+
+def show(spent: dict[str, list[float]], latency_ns: dict[str, int], wall_s: float, simulated_s: float) -> list[str]:
+    """Print the table; returns the nodes over budget."""
+    sys.stdout.write(f"{'part':<20}{'s per sim s':>12}{'median ms':>11}{'p99 ms':>9}{'budget ms':>11}\n")
+    over = []
+    for name, times in sorted(spent.items(), key=lambda item: -sum(item[1])):
+        median, p99 = 1e3 * np.percentile(times, (50, 99))
+        budget = latency_ns.get(name, 0) / 1e6
+        is_over = 0 < budget < p99
+        over += [name] if is_over else []
+        mark = "  OVER" if is_over else ""
+        row = f"{sum(times) / simulated_s:>12.4f}{median:>11.3f}{p99:>9.2f}{budget or float('nan'):>11.1f}{mark}"
+        sys.stdout.write(f"{name:<20}{row}\n")
+    rest = wall_s - sum(map(sum, spent.values()))
+    sys.stdout.write(f"{'executor and bus':<20}{rest / simulated_s:>12.4f}\n")
+    sys.stdout.write(f"{'whole':<20}{wall_s / simulated_s:>12.4f}   limit {LIMIT}\n")
+    return over
+
+
+if __name__ == "__main__":
+    sys.exit(main())
