@@ -98,8 +98,8 @@ def letterbox(bgr: UInt8, size_px: tuple[int, int], network: Network) -> tuple[F
     width, height = max(1, int(bgr.shape[1] * scale)), max(1, int(bgr.shape[0] * scale))
     canvas = np.full((*size_px, 3), PADDING, np.uint8)
     canvas[:height, :width] = cv2.resize(bgr, (width, height), interpolation=cv2.INTER_LINEAR)
-    values = network.prepare(canvas.astype(np.float32))
-    return np.ascontiguousarray(values.transpose(2, 0, 1)[None]), scale
+    planes = np.ascontiguousarray(canvas.transpose(2, 0, 1)).astype(np.float32)
+    return network.prepare(planes)[None], scale
 
 
 def load_detector(path: Path, config: DetectorConfig) -> Detector:

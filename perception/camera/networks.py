@@ -24,7 +24,7 @@ class Network(ABC):
 
     @abstractmethod
     def prepare(self, bgr: Float32) -> Float32:
-        """The input's values (H, W, 3) from those of the picture, 0 to 255."""
+        """The input's values (3, H, W) from those of the picture, 0 to 255."""
 
     @abstractmethod
     def decode(self, outputs: Sequence[Float32]) -> Candidates:
@@ -105,7 +105,7 @@ class Nanodet(Network):
         return Nanodet(tuple(levels), tuple(places), classes.pop())
 
     def prepare(self, bgr: Float32) -> Float32:
-        return (bgr - NANODET_MEAN) / NANODET_STD
+        return (bgr - NANODET_MEAN[:, None, None]) / NANODET_STD[:, None, None]
 
     def decode(self, outputs: Sequence[Float32]) -> Candidates:
         corners, scores = [], []
