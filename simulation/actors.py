@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import shapely
+from shapely import MultiPoint
 from shapely.geometry.base import BaseGeometry
 
 from geometry.transforms import apply, planar
@@ -54,7 +54,7 @@ class Figure:
     @cached_property
     def footprint(self) -> BaseGeometry:
         """Ground under the figure."""
-        return shapely.multipoints(self.vertices_map_m[:, :2].astype(float)).convex_hull
+        return MultiPoint(self.vertices_map_m[:, :2].astype(float)).convex_hull
 
     def box_m(self) -> tuple[Float64, Float64]:
         """Centre in `map` and size along its own axes, (3,) each."""

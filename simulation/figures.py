@@ -61,12 +61,12 @@ def _hoof(x: float, y: float, swing_rad: float) -> Mesh:
 
 @cache
 def _vehicle(step: int) -> Mesh:
-    """A pick-up of 4.4 by 1.8 m, parked about its middle."""
+    """A small pick-up of 3.8 by 1.66 m, about its middle."""
     del step
-    parts = [box((-2.2, -0.88, 0.4), (2.2, 0.88, 0.95)), box((-0.5, -0.8, 0.95), (1.1, 0.8, 1.65))]
-    parts += [box((1.1, -0.85, 0.95), (2.0, 0.85, 1.08))]
-    for x in (1.4, -1.4):
-        parts += [limb((x, s * 0.9, 0.36), (x, s * 0.66, 0.36), 0.36, 12) for s in (1.0, -1.0)]
+    parts = [box((-1.9, -0.81, 0.4), (1.9, 0.81, 0.95)), box((-0.5, -0.74, 0.95), (1.0, 0.74, 1.65))]
+    parts += [box((1.0, -0.78, 0.95), (1.75, 0.78, 1.08))]
+    for x in (1.2, -1.2):
+        parts += [limb((x, s * 0.83, 0.34), (x, s * 0.62, 0.34), 0.34, 12) for s in (1.0, -1.0)]
     return join(parts)
 
 

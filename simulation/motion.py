@@ -15,25 +15,23 @@ class Track:
 
     def __init__(self, step_ns: int, keep_s: float) -> None:
         self.step_ns = step_ns
-        self.last_ns = 0
         self._poses: deque[Float64] = deque(maxlen=round(keep_s * 1e9 / step_ns) + 1)
 
-    def append(self, stamp_ns: int, T_map_base: Float64) -> None:
+    def append(self, T_map_base: Float64) -> None:
         """Go on; the first pose fills the past, as the machine stood there."""
         T_map_base.flags.writeable = False
         self._poses.extend([T_map_base] * (1 if self._poses else self._poses.maxlen or 1))
-        self.last_ns = stamp_ns
 
     def back(self, steps: int) -> Float64:
         """The pose `steps` before the last, (4, 4)."""
         return self._poses[-1 - steps]
 
-    def at(self, stamps_ns: Float64) -> Float64:
-        """Poses (N, 4, 4) at times within what is kept.
+    def before(self, ago_s: Float64) -> Float64:
+        """Poses (N, 4, 4) some time before the last, within what is kept.
 
         Matrices are blended: over one step of 5 ms at 0.6 rad/s a rotation is off by less than 2e-6.
         """
-        ago = np.clip((self.last_ns - stamps_ns) / self.step_ns, 0.0, len(self._poses) - 1.000001)
+        ago = np.clip(ago_s * (1e9 / self.step_ns), 0.0, len(self._poses) - 1.000001)
         whole = ago.astype(np.int64)
         poses = np.stack([self._poses[-1 - k] for k in range(int(whole.max()) + 2)])
         share = (ago - whole)[:, None, None]

@@ -1,5 +1,6 @@
 """What rays hit: the still scene, built once, and the figures, built for every scan."""
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +19,7 @@ class Rays:
     def __init__(self, meshes: list[Mesh], reflectivity: list[float]) -> None:
         import open3d
 
-        self._core = open3d.core
+        self._core: Any = open3d.core  # its stubs do not know arrays
         self._scene: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
         self._reflectivity = np.array([*reflectivity, 0.0], np.float32)
         for mesh in meshes:
@@ -39,14 +40,15 @@ class Rays:
 class Scene:
     """Everything around the machine; `figures` are those present now."""
 
-    def __init__(self, pieces: list[Piece]) -> None:
+    def __init__(self, build: Callable[[], list[Piece]]) -> None:
         self.figures: tuple[Figure, ...] = ()
-        self._pieces = pieces
+        self._build = build
 
     @cached_property
     def still(self) -> Rays:
-        """What never moves."""
-        return Rays([p.mesh for p in self._pieces], [p.reflectivity for p in self._pieces])
+        """What never moves, built when first asked for."""
+        pieces = self._build()
+        return Rays([p.mesh for p in pieces], [p.reflectivity for p in pieces])
 
     def moving(self, figures: list[Figure], ago_s: float) -> Rays:
         """Some figures as they were a moment ago."""

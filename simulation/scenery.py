@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -64,7 +65,7 @@ def surveyed_area(site: Site) -> BaseGeometry:
 
 def _turn(xy_m: Float64, angle_rad: float) -> Float64:
     c, s = math.cos(angle_rad), math.sin(angle_rad)
-    return xy_m @ np.array([[c, s], [-s, c]])
+    return np.asarray(xy_m @ np.array([[c, s], [-s, c]]))
 
 
 def ground_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
@@ -120,7 +121,7 @@ def fence_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
         points = [(p.x, p.y) for p in (line.interpolate(float(s)) for s in places)]
         parts += [_post(terrain, p, 0.06, config.fence_height_m) for p in points]
         parts += [_board(terrain, a, b, h * config.fence_height_m)
-                  for a, b in zip(points, points[1:], strict=False) for h in (0.45, 0.9)]  # fmt: skip
+                  for a, b in pairwise(points) for h in (0.45, 0.9)]  # fmt: skip
     return join(parts)
 
 
@@ -142,7 +143,7 @@ def shed_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
     outline = Polygon(site.shed.outline_m)
     corners = list(outline.exterior.coords)
     start = Point(site.start.x_m, site.start.y_m)
-    edges = list(zip(corners, corners[1:], strict=False))
+    edges = list(pairwise(corners))
     open_edge = min(range(len(edges)), key=lambda k: LineString(edges[k]).distance(start))
     floor = terrain.height_m(outline.centroid.x, outline.centroid.y)
     top = floor + config.shed_height_m

@@ -34,7 +34,7 @@ class TerrainConfig(Config):
     furrow_spacing_m: float = Field(gt=0.2, le=5.0)
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _height(x: float, y: float, profile: Float64, waves: Float64) -> float:
     x0, y0, c, s, flat, rise_u, k_u, rise_v, k_v, zero = profile
     u = (x - x0) * c + (y - y0) * s
@@ -43,10 +43,10 @@ def _height(x: float, y: float, profile: Float64, waves: Float64) -> float:
     z += 0.5 * rise_v * (1.0 - math.cos(k_v * max(abs(v) - flat, 0.0)))
     for i in range(waves.shape[0]):
         z += waves[i, 0] * math.sin(waves[i, 1] * x + waves[i, 2] * y + waves[i, 3])
-    return z - zero
+    return float(z - zero)
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _heights(xy: Float64, profile: Float64, waves: Float64) -> Float64:
     out = np.empty(xy.shape[0])
     for i in range(xy.shape[0]):

@@ -84,9 +84,9 @@ class TractorBus:
             if reader is None:
                 return True
             raw = message.decode(bytes(frame.data), decode_choices=False, scaling=False)
-        except (KeyError, ValueError, cantools.database.DecodeError):
+        except (KeyError, ValueError, cantools.database.errors.Error):
             return False
-        has_checksum = "Checksum" in raw  # type: ignore[operator]
+        has_checksum = "Checksum" in raw
         if has_checksum and not is_checksum_good(frame.arbitration_id, bytes(frame.data)):
             return False
         return reader(now_ns, raw)  # type: ignore[arg-type]
@@ -99,8 +99,10 @@ class TractorBus:
         return True
 
     def _read_speed(self, now_ns: int, raw: dict[str, int]) -> bool:
-        if raw["SetPoint"] > SPEED_MAX_RAW or raw["Direction"] > ON:
-            return False
+        if raw["SetPoint"] > SPEED_MAX_RAW or raw["Direction"] > ON:  # not available: nothing is asked
+            self._speed_mps = 0.0
+            self._speed.renew(now_ns)
+            return True
         limit = raw["Limit"] if raw["Limit"] <= SPEED_MAX_RAW else SPEED_MAX_RAW
         self._speed_mps = min(raw["SetPoint"], limit) * (1e-3 if raw["Direction"] == ON else -1e-3)
         self._speed.renew(now_ns)
@@ -180,7 +182,7 @@ def load_database() -> Database:
     path = CONFIGS / "can" / "headland.dbc"
     try:
         database = cantools.database.load_file(path)
-    except (OSError, ValueError, cantools.database.UnsupportedDatabaseFormatError) as error:
+    except (OSError, ValueError, cantools.database.errors.Error) as error:
         raise ConfigError(f"{path}: not a CAN database ({error})") from error
     if not isinstance(database, Database):
         raise ConfigError(f"{path}: not a CAN database")

@@ -13,6 +13,7 @@ from simulation.tractor_bus import TractorBus
 SUPPLY_V, SUPPLY_SIGMA_V = 13.8, 0.03
 CLEAR, COMMAND_TIMEOUT = 0, 5  # guidance exit codes
 LIMITED_HIGH, LIMITED_LOW = 2, 3
+AT_END_RAD = 0.01
 TRACTOR_NAME = {  # an agricultural tractor ECU: industry group 2, device class 1, function 134
     "Identity": 1, "Manufacturer": 0x7FF, "EcuInstance": 0, "FunctionInstance": 0, "Function": 134, "DeviceClass": 1,
     "DeviceClassInstance": 0, "IndustryGroup": 2, "SelfConfigurable": 0,
@@ -64,7 +65,7 @@ class TractorStatus:
     def _guidance(self) -> list[Mapping[str, int | float]]:
         steering, machine = self._machine.steering, self._machine
         curvature = math.tan(machine.measured_angle_rad) / machine.wheelbase_m
-        is_at_end = abs(steering.angle_rad) > 0.999 * steering.max_angle_rad
+        is_at_end = abs(steering.angle_rad) > steering.max_angle_rad - AT_END_RAD
         limit = (LIMITED_LOW if curvature > 0.0 else LIMITED_HIGH) if is_at_end else 0
         return [{
             "EstimatedCurvature": -curvature * 1e3, "MechanicalLockout": 0, "LimitStatus": limit,

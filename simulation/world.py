@@ -64,14 +64,14 @@ class SimulationWorld(World):
         )
         self._vehicle, self._scenario = vehicle, scenario
         self._track = Track(STEP_NS, TRACK_S)
-        self._track.append(self._now_ns, self.machine.T_map_base)
+        self._track.append(self.machine.T_map_base)
         database = load_database()
         brake = vehicle.brake.deceleration_mps2
         self._bus = TractorBus(channel, database, vehicle.drivetrain.wheelbase_m, brake, config.bus)
         self._status = TractorStatus(self.machine, self._bus, database, generator(seed, "cab"))
         self._judge = Judge(site, vehicle, implement, config.judge)
         self._actors = self._cast(plan_paths, 0.5 * max(implement.width_m, vehicle.body.width_m), seed)
-        self._scene = Scene(build_scenery(site, self._terrain, config.scenery, seed))
+        self._scene = Scene(lambda: build_scenery(site, self._terrain, config.scenery, seed))
         self._sensors = make_sensors(site, vehicle, implement, scenario, seed, config)
         self._waiting: list[tuple[int, int, str, Message]] = []
         self._sent = 0
@@ -91,6 +91,11 @@ class SimulationWorld(World):
             received.append((topic, message))
         return received
 
+    def warm(self) -> None:
+        """Load and build what the first scan would wait for."""
+        if self._vehicle.sensors.lidar:
+            _ = self._scene.still
+
     def close(self) -> None:
         """Leave the bus."""
         self._bus.close()
@@ -99,9 +104,9 @@ class SimulationWorld(World):
         elapsed_ns = now_ns - self._start_ns
         self._bus.receive(self._now_ns)
         command = self._bus.command(self._now_ns)
-        for stamp_ns in range(self._now_ns + STEP_NS, now_ns + 1, STEP_NS):
+        for _ in range(TICK_NS // STEP_NS):
             self.machine.step(command)
-            self._track.append(stamp_ns, self.machine.T_map_base)
+            self._track.append(self.machine.T_map_base)
         self._now_ns = now_ns
         self._play(elapsed_ns * 1e-9)
         self._measure(now_ns, elapsed_ns)

@@ -38,8 +38,8 @@ class LidarModel:
     """One lidar on one machine."""
 
     def __init__(
-        self, name: str, lidar: Lidar, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, config: LidarConfig,
-        random: np.random.Generator,
+        self, name: str, lidar: Lidar, vehicle: Vehicle, implement: MountedImplement | TrailedImplement,
+        config: LidarConfig, random: np.random.Generator,
     ) -> None:  # fmt: skip
         self.topic = f"lidar/{name}"
         self.period_ns = period_ns_of(lidar.rate_hz)
@@ -73,8 +73,7 @@ class LidarModel:
 
     def _rays(self, moment: Moment) -> Float32:
         """Origin and direction of every ray in `map`, (rings × columns, 6)."""
-        stamps = moment.stamp_ns + self._offset_s.astype(np.float64) * 1e9
-        T_map_lidar = (moment.track.at(stamps) @ self._T_base_lidar).astype(np.float32)
+        T_map_lidar = (moment.track.before(-self._offset_s.astype(np.float64)) @ self._T_base_lidar).astype(np.float32)
         rays = np.empty((*self._directions.shape[:2], 6), np.float32)
         rays[..., :3] = T_map_lidar[:, :3, 3]
         rays[..., 3:] = np.einsum("cij,rcj->rci", T_map_lidar[:, :3, :3], self._directions)
