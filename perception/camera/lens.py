@@ -46,7 +46,8 @@ class LensReport:
 def inspect(bgr: UInt8, horizon_row: float, config: LensConfig) -> LensReport:
     """The state of a picture (H, W, 3); only what lies below the horizon can be covered, for skies are flat."""
     grey = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-    half = np.asarray(cv2.pyrDown(grey), np.float32)
+    # in floats: rounding to grey levels would look like detail in a blurred picture
+    half = np.asarray(cv2.pyrDown(grey.astype(np.float32)), np.float32)
     quarter = np.asarray(cv2.pyrDown(half), np.float32)
     reason = _what_blinds(quarter, half, config)
     if reason:

@@ -1,6 +1,7 @@
 """Decoders against arithmetic by hand, files told apart, wrong files refused, real networks on real pictures."""
 
 import os
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -143,7 +144,7 @@ def test_views_cover_the_picture(width: int, height: int, widest: float) -> None
     views = split(width, height, widest)
     assert views[0][0] == 0
     assert views[-1][1] == width
-    for (a, b), (c, _) in zip(views, views[1:], strict=False):
+    for (a, b), (c, _) in pairwise(views):
         assert a < c < b
     assert len(views) == 1 or width > widest * height
 
