@@ -101,17 +101,25 @@ def _lon_lat(point: Any, path: Path) -> tuple[float, float]:
     if not (math.isfinite(longitude) and math.isfinite(latitude)):
         raise FieldError(f"{path}: point {_short(point)} is not a finite number; correct or remove it")
     if abs(latitude) > 90.0:
-        raise FieldError(f"{path}: latitude {latitude:g} is beyond ±90°; points are [longitude, latitude], in this order")
+        raise FieldError(
+            f"{path}: latitude {latitude:g} is beyond ±90°; points are [longitude, latitude], in this order"
+        )
     if abs(longitude) > 180.0:
-        raise FieldError(f"{path}: longitude {longitude:g} is beyond ±180°; points are [longitude, latitude] in degrees")
+        raise FieldError(
+            f"{path}: longitude {longitude:g} is beyond ±180°; points are [longitude, latitude] in degrees"
+        )
     return longitude, latitude
 
 
 def _check_closed(ring: LonLat, path: Path) -> None:
     if len(ring) < 4:
-        raise FieldError(f"{path}: a ring of {len(ring)} points has no area; it needs three corners and its first point again")
+        raise FieldError(
+            f"{path}: a ring of {len(ring)} points has no area; it needs three corners and its first point again"
+        )
     if ring[0] != ring[-1]:
-        raise FieldError(f"{path}: not closed: begins at {_at(ring[0])} and ends at {_at(ring[-1])}; repeat the first point at the end")
+        raise FieldError(
+            f"{path}: not closed: begins at {_at(ring[0])} and ends at {_at(ring[-1])}; repeat the first point at the end"
+        )
 
 
 def _datum(ring: LonLat) -> DatumConfig:
@@ -127,7 +135,9 @@ def _to_map(ring: LonLat, datum: Datum) -> list[tuple[float, float]]:
 
 def _check(polygon: Polygon, datum: Datum, path: Path) -> None:
     if not np.isfinite(polygon.bounds).all() or max(polygon.bounds[2:]) - min(polygon.bounds[:2]) > WIDEST_M:
-        raise FieldError(f"{path}: the field is wider than {WIDEST_M / 1000:g} km; points are [longitude, latitude] in degrees")
+        raise FieldError(
+            f"{path}: the field is wider than {WIDEST_M / 1000:g} km; points are [longitude, latitude] in degrees"
+        )
     if not polygon.is_valid:
         raise FieldError(f"{path}: {_invalid(polygon, datum)}; draw the outline without crossings")
     if polygon.area < LEAST_M2:

@@ -1,7 +1,7 @@
 """The plan of a whole mission, proven inside by the swept footprint."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -15,12 +15,13 @@ from geometry.polygon import parts, place_of, shrink
 from messages.errors import FieldError
 from messages.plan import Leg, Path
 from planning.configuration import PlannerConfig
-from planning.coverage.headland import Round, depth_m, rounds_of
-from planning.coverage.swath import Swath, swaths_of
+from planning.coverage.headland import Round, depth_m, ring_worked, rounds_of
+from planning.coverage.swath import Swath, remains, swaths_of, trimmed
 from planning.ground import Ground, describe, ground_of
 from planning.path import path_of
 from planning.rig import Rig, rig_of
 from planning.route import route
+from planning.turn import Space
 from planning.ways import Ways
 
 PROOF_SLACK_M = 0.02  # planned with so much more margin than is then proven
@@ -60,11 +61,7 @@ def plan_mission(
     rig = rig_of(vehicle, implement, work, config)
     ground = ground_of(site, work.boundary_margin_m + PROOF_SLACK_M)
     rounds = rounds_of(ground, rig, work.headland_rounds, work.overlap_m)
-    inside = depth_m(ground, rig, work.overlap_m, work.headland_rounds - 1) + rig.working_width_m / 2.0 - work.overlap_m
-    direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
-    swaths = swaths_of(
-        shrink(ground.free, inside), rig.working_width_m, work.overlap_m, config.least_swath_m, direction
-    )
+    swaths = _swaths(ground, rig, rounds, work)
     pieces = route(Ways(ground, rig, rounds, seed), swaths)
     paths = (path_of(pieces, rig, 1, True),)
     proven = ground_of(site, work.boundary_margin_m)
@@ -74,6 +71,19 @@ def plan_mission(
     length = sum(float(p.s_m[-1]) for p in paths)
     share = area.area / ground.free.area
     return Plan(paths, area, ground.free.area, share, length, left, tuple(swaths), tuple(rounds), ground, rig)
+
+
+def _swaths(ground: Ground, rig: Rig, rounds: list[Round], work: Work) -> list[Swath]:
+    depth = depth_m(ground, rig, work.overlap_m, work.headland_rounds - 1) + rig.working_width_m / 2.0 - work.overlap_m
+    inner = shrink(ground.free, depth)
+    worked_by_rounds = shapely.union_all([ring_worked(r, rig) for r in rounds])
+    area = shapely.union_all([inner, remains(ground.free, worked_by_rounds, inner, rig.working_width_m)])
+    direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
+    least = rig.config.least_swath_m
+    swaths = swaths_of(area, rig.working_width_m, work.overlap_m, least, direction)
+    space = Space(ground.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    kept = (trimmed(s, -rig.working_x_m, space, least) for s in swaths)
+    return [replace(s, number=k) for k, s in enumerate(s for s in kept if s is not None)]
 
 
 def prove_inside(paths: Sequence[Path], rig: Rig, ground: Ground) -> None:

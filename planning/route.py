@@ -19,24 +19,47 @@ from planning.ways import Piece, Ways
 
 REORDERINGS = 8
 NO_WAY_M = 1e4
+HOME_STRAIGHT_M = 1.0
 
 
 def route(ways: Ways, swaths: list[Swath]) -> list[Piece]:
     """All pieces in order; raises FieldError with the place where it cannot go on."""
-    site, rig = ways.ground.site, ways.rig
-    start = Pose(site.start.x_m, site.start.y_m, np.radians(site.start.heading_deg))
+    site = ways.ground.site
+    start = Pose(site.start.x_m, site.start.y_m, float(np.radians(site.start.heading_deg)))
     pieces, pose = _way_in(ways, start)
     found, pose = drive_rounds(ways, pose)
-    pieces += found
     home, home_start = _way_home(ways)
-    for swath, is_reversed in _ordered(ways, pose, home_start, swaths):
-        first, last = swath.poses(is_reversed, -rig.working_x_m)
-        wanted = Wanted(pose, first, rig.config.run_out_m, rig.config.line_up_m)
-        pieces.append(Piece(Leg.TURN, swath.number, ways.demand(wanted, f"to swath {swath.number + 1}"), False))
-        pieces.append(Piece(Leg.SWATH, swath.number, _straight(first, last), True))
-        pose = last
-    leave = Wanted(pose, home_start, rig.config.run_out_m, 1.0)
-    return [*pieces, Piece(Leg.TURN, -1, ways.demand(leave, "back to the lane"), False), *home]
+    return [*pieces, *found, *_drive_swaths(ways, pose, home_start, swaths), *home]
+
+
+def _drive_swaths(ways: Ways, start: Pose, home: Pose, swaths: list[Swath]) -> list[Piece]:
+    """The swaths and the way home; one that cannot be reached or left is dropped and shows as uncovered."""
+    while True:
+        pieces, stuck = _drive_tour(ways, start, home, _ordered(ways, start, home, swaths))
+        if stuck is None:
+            return pieces
+        swaths = [s for s in swaths if s is not stuck]
+
+
+def _drive_tour(
+    ways: Ways, start: Pose, home: Pose, tour: list[tuple[Swath, bool]]
+) -> tuple[list[Piece], Swath | None]:
+    """The pieces of a tour, or the swath that it cannot have."""
+    config, pose, at = ways.rig.config, start, None
+    pieces: list[Piece] = []
+    for swath, is_reversed in tour:
+        first, last = swath.poses(is_reversed, -ways.rig.working_x_m)
+        way = ways.find(_wanted(ways, pose, first))
+        if way is None:
+            is_trap = at is not None and ways.find(Wanted(pose, home, config.run_out_m, HOME_STRAIGHT_M)) is None
+            return [], at if is_trap else swath
+        pieces += [Piece(Leg.TURN, swath.number, way, False)]
+        pieces += [Piece(Leg.SWATH, swath.number, _straight(first, last), True)]
+        pose, at = last, swath
+    leave = Wanted(pose, home, config.run_out_m, HOME_STRAIGHT_M)
+    if at is not None and ways.find(leave) is None:
+        return [], at
+    return [*pieces, Piece(Leg.TURN, -1, ways.demand(leave, "back to the lane"), False)], None
 
 
 def _straight(a: Pose, b: Pose) -> Float64:
@@ -111,7 +134,6 @@ def _ordered(ways: Ways, start: Pose, home: Pose, swaths: list[Swath]) -> list[t
     """Swaths in the order that is short by real ways: where the guess was too short, it is corrected and tried again."""
     visits = [s.poses(r, -ways.rig.working_x_m) for s in swaths for r in (False, True)]
     starts, ends = [a for a, _ in visits] + [home], [b for _, b in visits] + [start]
-    config = ways.rig.config
     cost = np.zeros((len(starts), len(starts)))
     for i, end in enumerate(ends):
         for j, first in enumerate(starts):
@@ -134,7 +156,6 @@ def _ordered(ways: Ways, start: Pose, home: Pose, swaths: list[Swath]) -> list[t
             cost[i, j] = min(length, NO_WAY_M / 10) if length < NO_WAY_M else 150.0
         if sum(lengths) < sum(guessed) + 0.5:
             break
-    assert config.run_out_m >= 0.0
     return [(swaths[k], r) for k, r in best[1]]
 
 

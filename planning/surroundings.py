@@ -32,7 +32,9 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
             site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m)
             if _is_clear(site, outline.polygon):
                 return site
-    raise FieldError(f"field {outline.name!r}: no edge has room for a gate {gate_m:.1f} m wide; give a site with gate and lane")
+    raise FieldError(
+        f"field {outline.name!r}: no edge has room for a gate {gate_m:.1f} m wide; give a site with gate and lane"
+    )
 
 
 def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:

@@ -17,8 +17,10 @@ from planning.ways import Piece, Ways
 EVERY = 25  # points of a round between two places tried, 2.5 m
 CLOSING = 3  # points by which a round works on over its own beginning
 JOINT = 50  # points of a round checked together with the way to or from it
-MOST_CHECKED = 150
-MOST_LINKS = 14
+MOST_CHECKED = 100
+MOST_ENTRIES = 14
+MOST_ENTERED = 2
+NEAR_M = 25.0
 BEND_STRAIGHT_M = 1.0
 
 
@@ -72,37 +74,33 @@ def _entries(ways: Ways, start: Pose, ring: Float64) -> list[Link]:
     config, options = ways.rig.config, []
     for k in range(0, len(ring), EVERY):
         wanted = Wanted(start, _pose(ring, k), config.run_out_m, config.line_up_m)
-        options.append((shortest_length_m(wanted, ways.rig.radius_m), -1, k, wanted))
-    return _checked(ways, options, None, ring)
+        options.append((shortest_length_m(wanted, ways.rig.radius_m), k, wanted))
+    options.sort(key=lambda o: (round(o[0], 6), o[1]))
+    found: list[Link] = []
+    for _, k, wanted in options[:MOST_CHECKED]:
+        way = curve_between(wanted, ways.space, 3, None, _part(ring, k, k + JOINT))
+        if way is not None:
+            found.append(Link(-1, k, way, float(arc_length(way)[-1])))
+        if len(found) == MOST_ENTRIES:
+            break
+    return found
 
 
 def _links(ways: Ways, ring: Float64, following: Float64) -> list[Link]:
-    options = []
+    """From each place of the round the shortest free way to the next, where there is one."""
+    found = []
     for j in range(0, len(ring), EVERY):
-        pose = _pose(ring, j)
+        pose, before = _pose(ring, j), _part(ring, j - JOINT, j)
         gaps = np.hypot(*(following[::EVERY] - ring[j]).T)
-        for k in np.flatnonzero(gaps < max(40.0, 1.5 * gaps.min())) * EVERY:
+        options = []
+        for k in np.flatnonzero(gaps < max(NEAR_M, 1.5 * gaps.min())) * EVERY:
             wanted = Wanted(pose, _pose(following, int(k)), BEND_STRAIGHT_M, ways.rig.config.line_up_m)
-            length = shortest_length_m(wanted, ways.rig.radius_m)
-            options.append((length, j, int(k), wanted))
-    return _checked(ways, options, ring, following)
-
-
-def _checked(
-    ways: Ways, options: list[tuple[float, int, int, Wanted]], ring: Float64 | None, following: Float64
-) -> list[Link]:
-    """The shortest free ones, no two that leave at the same place."""
-    found: list[Link] = []
-    options.sort(key=lambda o: (round(o[0], 6), o[1], o[2]))
-    for _, leave, enter, wanted in options[:MOST_CHECKED]:
-        if leave >= 0 and any(link.leave == leave for link in found):
-            continue
-        before = None if ring is None else _part(ring, leave - JOINT, leave)
-        way = curve_between(wanted, ways.space, 3, before, _part(following, enter, enter + JOINT))
-        if way is not None:
-            found.append(Link(leave, enter, way, float(arc_length(way)[-1])))
-        if len(found) == MOST_LINKS:
-            break
+            options.append((round(shortest_length_m(wanted, ways.rig.radius_m), 6), int(k), wanted))
+        for _, k, wanted in sorted(options, key=lambda o: o[:2])[:MOST_ENTERED]:
+            way = curve_between(wanted, ways.space, 2, before, _part(following, k, k + JOINT))
+            if way is not None:
+                found.append(Link(j, k, way, float(arc_length(way)[-1])))
+                break
     return found
 
 

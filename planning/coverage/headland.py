@@ -13,7 +13,7 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geometry.footprint import intrusion, is_inside
+from geometry.footprint import intrusion, is_inside, worked
 from geometry.polygon import close_by, open_by, parts, ring_points, shrink
 from geometry.polyline import Float64, arc_length, headings, resample, smooth
 from messages.errors import FieldError
@@ -58,6 +58,14 @@ def depth_m(ground: Ground, rig: Rig, overlap_m: float, number: int) -> float:
     """How far the middle of round `number` lies from the edge."""
     first = ground.margin_m + rig.width_m / 2.0 + rig.config.edge_slack_m
     return first + number * (rig.working_width_m - overlap_m)
+
+
+def ring_worked(ring: Round, rig: Rig) -> BaseGeometry:
+    """The area that a round works."""
+    points = smooth(ring.points_m, rig.config.smoothing_m, is_closed=True)
+    left, right = rig.working_edges(points, headings(points, is_closed=True))
+    keep = np.unique(np.append(np.arange(0, len(points), 4), len(points) - 1))
+    return worked(left[keep], right[keep]).buffer(0.01)
 
 
 def _rounds_in(part: Polygon, ground: Ground, rig: Rig, number: int) -> list[Round]:

@@ -4,16 +4,20 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from shapely.affinity import rotate
-from shapely.geometry import Polygon, box
+from shapely.geometry import MultiPolygon, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from geometry.polygon import edge_angles, parts
+from geometry.polygon import edge_angles, grow, open_by, parts, polygon_of, shrink
 from geometry.polyline import Float64
 from planning.curve import Pose
+from planning.turn import Space, is_free
 
 LEAST_STRIP_M2 = 0.5
+REMAINS_RIM_M = 1.0
+REMAINS_THICK_M = 2.4
+REMAINS_LEAST_SQUARES = 0.6  # of the working width: less lies in corners that rounds leave, where no swath gets out of
+TRIM_M = 0.5
 TURN_COST_M = 20.0  # what one more swath costs in turns, as way
 
 
@@ -84,7 +88,7 @@ def _strips(part: Polygon, width_m: float, overlap_m: float, least_m: float) -> 
         high = y1 if k == count - 1 else y + reach
         for piece in parts(part.intersection(box(x0 - 1.0, low, x1 + 1.0, high)), LEAST_STRIP_M2):
             a, _, b, _ = piece.bounds
-            found.append(_at_least(a, b, least_m) + (y,))
+            found.append((*_at_least(a, b, least_m), y))
     return found
 
 
@@ -93,6 +97,22 @@ def _at_least(a: float, b: float, least_m: float) -> tuple[float, float]:
     return a - more, b + more
 
 
-def strip(swath: Swath, width_m: float) -> BaseGeometry:
-    """The area that a swath works."""
-    return shapely.LineString([swath.a_m, swath.b_m]).buffer(width_m / 2.0, cap_style="flat")
+def remains(free: BaseGeometry, worked: BaseGeometry, inner: BaseGeometry, width_m: float) -> BaseGeometry:
+    """What rounds and swaths would leave although a swath of its own is worth while there."""
+    left = shrink(free, REMAINS_RIM_M).difference(worked).difference(grow(inner, 0.05))
+    return polygon_of(MultiPolygon(parts(open_by(left, REMAINS_THICK_M / 2.0), REMAINS_LEAST_SQUARES * width_m**2)))
+
+
+def trimmed(swath: Swath, lead_m: float, space: Space, least_m: float) -> Swath | None:
+    """The longest part of a swath whose straight way is free, in steps of half a metre, or None."""
+    count = int(swath.length_m / TRIM_M)
+    along = (swath.b_m - swath.a_m) / max(swath.length_m, 1e-9)
+    cuts = [(i, k - i) for k in range(count) for i in range(k + 1)] if count <= 60 else [(0, 0)]
+    for first, last in cuts:
+        part = Swath(swath.number, swath.a_m + first * TRIM_M * along, swath.b_m - last * TRIM_M * along)
+        if part.length_m < least_m:
+            return None
+        ends = [part.poses(is_reversed, lead_m) for is_reversed in (False, True)]
+        if all(is_free(np.array([[a.x_m, a.y_m], [b.x_m, b.y_m]]), space) for a, b in ends[:1]):
+            return part
+    return None
