@@ -1,0 +1,44 @@
+"""The place of `odom` in `map` as steering sees it: follows the localizer without ever stepping while the machine moves."""
+
+import math
+
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import deg
+from control.planar import Planar, clamp
+
+
+class AnchorConfig(Config):
+    """How fast the machine may be moved on the map under the controller's feet."""
+
+    slew_mps: float = Field(gt=0.0, le=1.0)
+    slew_degps: float = Field(gt=0.0, le=20.0)
+
+
+class MapAnchor:
+    """Slews `T_map_odom` so that place and heading of `base` change by no more than the configured rates."""
+
+    def __init__(self, config: AnchorConfig) -> None:
+        self._slew_mps, self._slew_radps = config.slew_mps, deg(config.slew_degps)
+        self._T_map_odom: Planar | None = None
+
+    def update(self, T_map_odom: Planar, T_odom_base: Planar, elapsed_s: float, is_standing: bool) -> Planar:
+        """`T_map_base` to steer by; the first target, and any while standing, is taken whole."""
+        target = T_map_odom @ T_odom_base
+        if self._T_map_odom is None or is_standing:
+            self._T_map_odom = T_map_odom
+            return target
+        pose = _approach(
+            self._T_map_odom @ T_odom_base, target, self._slew_mps * elapsed_s, self._slew_radps * elapsed_s
+        )
+        self._T_map_odom = pose @ T_odom_base.inverse()
+        return pose
+
+
+def _approach(pose: Planar, target: Planar, most_m: float, most_rad: float) -> Planar:
+    dx, dy = target.x_m - pose.x_m, target.y_m - pose.y_m
+    distance = math.hypot(dx, dy)
+    share = min(1.0, most_m / distance) if distance > 0.0 else 0.0
+    turn = math.remainder(target.yaw_rad - pose.yaw_rad, 2.0 * math.pi)
+    return Planar(pose.x_m + share * dx, pose.y_m + share * dy, pose.yaw_rad + clamp(turn, most_rad))

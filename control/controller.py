@@ -1,0 +1,147 @@
+"""The controller: from the path and where the machine is to a wish."""
+
+from collections.abc import Iterable
+
+from configs.strict import Config
+from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
+from control.anchor import AnchorConfig, MapAnchor
+from control.driver import Driver, Sample, Steered
+from control.implement import ImplementControl, ImplementControlConfig
+from control.planar import planar_of
+from control.reference import Reference
+from control.slip import SlipConfig
+from control.speed import STANDING_MPS, SpeedConfig, SpeedControl, SpeedPlan
+from control.steering import SteeringConfig
+from control.tracking import TrackingConfig
+from geometry.angles import wrap
+from messages.command import MachineState, Mode, SafeCommand, Wish
+from messages.motion import MapPose, Odometry
+from messages.node import Every, Inbox, Latest, Node, Output
+from messages.plan import Path
+
+PERIOD_NS = 20_000_000
+NO_PATH = -1
+LIMITED_MPS = 0.05  # a permitted speed lower than the wish by more is not ours
+
+
+class ControlConfig(Config):
+    """Control as a whole."""
+
+    anchor: AnchorConfig
+    tracking: TrackingConfig
+    steering: SteeringConfig
+    slip: SlipConfig
+    speed: SpeedConfig
+    implement: ImplementControlConfig
+
+
+class Controller(Node):
+    """Follows each new path from its beginning to standstill at its end; without path or pose it wishes to stand."""
+
+    def __init__(self, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, config: ControlConfig) -> None:
+        self.name = "controller"
+        self.reads = {k: Latest() for k in ("path", "odom", "map_pose", "machine", "safe_command")}
+        self.writes = ("wish",)
+        self.runs = Every(PERIOD_NS)
+        self._config = config
+        self._anchor = MapAnchor(config.anchor)
+        self._driver = Driver(vehicle, config.tracking, config.steering, config.slip)
+        self._speed = SpeedControl(config.speed)
+        self._implement = ImplementControl(implement, config.implement)
+        self._path: Path | None = None
+        self._plan: SpeedPlan | None = None
+        self._last_ns: int | None = None
+        self._wished_mps = 0.0
+        self._curvature_radpm = 0.0
+
+    def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
+        """One wish."""
+        elapsed_s = 0.02 if self._last_ns is None else (now_ns - self._last_ns) * 1e-9
+        self._last_ns = now_ns
+        path = inbox.last("path", Path)
+        sample = self._sample(inbox, elapsed_s)
+        if path is None or sample is None:
+            return [("wish", self._stand(now_ns, path))]
+        if self._path is None or path.path_id != self._path.path_id:
+            self._start(path, sample)
+        return [("wish", self._drive(now_ns, path, sample, inbox, elapsed_s))]
+
+    def _sample(self, inbox: Inbox, elapsed_s: float) -> Sample | None:
+        odom, map_pose = inbox.latest("odom", Odometry), inbox.latest("map_pose", MapPose)
+        if odom is None or map_pose is None or not map_pose.is_initialized:
+            return None
+        is_standing = abs(odom.speed_mps) < STANDING_MPS and self._wished_mps == 0.0
+        T_map_odom, T_odom_base = planar_of(map_pose.T_map_odom), planar_of(odom.T_odom_base)
+        pose = self._anchor.update(T_map_odom, T_odom_base, elapsed_s, is_standing)
+        return Sample(odom.stamp_ns, pose, odom.speed_mps, odom.yaw_rate_radps, odom.curvature_radpm)
+
+    def _start(self, path: Path, sample: Sample) -> None:
+        self._path = path
+        self._plan = SpeedPlan(path, self._config.speed.braking_mps2)
+        self._driver.start(Reference(path, self._config.tracking.smoothing_radpm), sample.pose)
+        self._speed.start()
+        self._implement.start(path)
+
+    def _drive(self, now_ns: int, path: Path, sample: Sample, inbox: Inbox, elapsed_s: float) -> Wish:
+        assert self._plan is not None
+        is_steering, is_obeyed = self._obedience(inbox)
+        steered = self._driver.steer(now_ns, sample, is_steering)
+        forward_mps, s_m = path.direction * sample.speed_mps, steered.place.s_m
+        target_mps = self._speed.target_mps(self._plan, s_m, forward_mps, steered.offset_m)
+        wished_mps, acceleration_mps2 = self._speed.wish(target_mps, forward_mps, elapsed_s, is_obeyed)
+        self._work(now_ns, s_m, forward_mps, inbox)
+        self._wished_mps = path.direction * wished_mps
+        self._curvature_radpm = steered.curvature_radpm
+        return self._wish(now_ns, path, steered, acceleration_mps2, abs(sample.speed_mps) < STANDING_MPS)
+
+    def _obedience(self, inbox: Inbox) -> tuple[bool, bool]:
+        """Whether the machine steers, and also drives, as was wished."""
+        safe = inbox.latest("safe_command", SafeCommand)
+        if safe is None or not safe.is_drive_enabled or safe.mode is Mode.MANUAL:
+            return False, False
+        is_whole = abs(safe.speed_mps) >= abs(self._wished_mps) - LIMITED_MPS and safe.deceleration_mps2 == 0.0
+        return True, is_whole
+
+    def _work(self, now_ns: int, s_m: float, forward_mps: float, inbox: Inbox) -> None:
+        assert self._plan is not None
+        machine = inbox.latest("machine", MachineState)
+        hitch = 1.0 if machine is None or machine.implement_stamp_ns == 0 else machine.hitch
+        if machine is not None and machine.implement_stamp_ns:
+            self._implement.observe(machine.implement_stamp_ns, machine.hitch)
+        if self._speed.is_arrived:
+            self._implement.rest()
+        else:
+            self._implement.step(now_ns, self._plan, s_m, forward_mps, hitch)
+
+    def _wish(self, now_ns: int, path: Path, steered: Steered, acceleration_mps2: float, is_standing: bool) -> Wish:
+        turned = 0.0 if path.direction > 0 else 1.0  # errors are left of the machine, not of its motion
+        return Wish(
+            stamp_ns=now_ns,
+            speed_mps=self._wished_mps,
+            acceleration_mps2=acceleration_mps2,
+            curvature_radpm=self._curvature_radpm,
+            is_implement_lowered=self._implement.is_lowered,
+            is_pto_on=self._implement.is_pto_on,
+            path_id=path.path_id,
+            path_s_m=steered.place.s_m,
+            xte_m=steered.offset_m * (1.0 - 2.0 * turned),
+            heading_error_rad=wrap(steered.place.heading_error_rad),
+            is_finished=self._speed.is_arrived and is_standing,
+        )
+
+    def _stand(self, now_ns: int, path: Path | None) -> Wish:
+        """What is wished without path or pose: stand, wheels and implement as they are."""
+        self._wished_mps = 0.0
+        return Wish(
+            stamp_ns=now_ns,
+            speed_mps=0.0,
+            acceleration_mps2=-self._config.speed.holding_mps2,
+            curvature_radpm=self._curvature_radpm,
+            is_implement_lowered=self._implement.is_lowered,
+            is_pto_on=self._implement.is_pto_on,
+            path_id=NO_PATH if path is None else path.path_id,
+            path_s_m=0.0,
+            xte_m=0.0,
+            heading_error_rad=0.0,
+            is_finished=False,
+        )

@@ -1,0 +1,85 @@
+"""What the machine does other than its wheels say: it crabs on a slope, and its angle sensor has an error."""
+
+import math
+
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import deg
+from control.planar import Planar, clamp
+
+SLOWEST_MPS = 0.3
+
+
+class SlipConfig(Config):
+    """How fast slip and calibration are learned; both by distance, as they belong to ground and machine, not to time."""
+
+    crab_m: float = Field(gt=0.0, le=50.0)
+    crab_max_deg: float = Field(ge=0.0, le=15.0)
+    offset_sigma_radpm: float = Field(gt=0.0, le=0.1, description="of the curvature offset at the start")
+    gain_sigma: float = Field(gt=0.0, le=0.5)
+    noise_radpm: float = Field(gt=0.0, le=0.1, description="of one comparison of turn rate and wheel angle")
+    forget_m: float = Field(gt=1.0, le=10000.0, description="way over which the knowledge fades")
+
+
+class CrabEstimate:
+    """Angle from the heading to the way really driven, left positive."""
+
+    def __init__(self, config: SlipConfig) -> None:
+        self._length_m, self._most_rad = config.crab_m, deg(config.crab_max_deg)
+        self._last: Planar | None = None
+        self.crab_rad = 0.0
+
+    def update(self, pose: Planar, is_moving: bool) -> float:
+        """Take the next pose in `map`; returns the angle."""
+        if self._last is not None and is_moving:
+            along, across = _moved(self._last, pose)
+            change = (across - self.crab_rad * along) * math.copysign(1.0, along) / self._length_m
+            self.crab_rad = clamp(self.crab_rad + change, self._most_rad)
+        self._last = pose
+        return self.crab_rad
+
+
+def _moved(before: Planar, after: Planar) -> tuple[float, float]:
+    """The way from one pose to the next, along and across the heading between them."""
+    yaw = before.yaw_rad + 0.5 * math.remainder(after.yaw_rad - before.yaw_rad, 2.0 * math.pi)
+    c, s = math.cos(yaw), math.sin(yaw)
+    dx, dy = after.x_m - before.x_m, after.y_m - before.y_m
+    return c * dx + s * dy, c * dy - s * dx
+
+
+class SteeringCalibration:
+    """Gain and offset between measured and driven curvature: a Kalman filter on two constants that fade slowly."""
+
+    def __init__(self, config: SlipConfig) -> None:
+        self._config = config
+        self.gain, self.offset_radpm = 1.0, 0.0
+        self._start = (config.gain_sigma**2, config.offset_sigma_radpm**2)
+        self._p00, self._p01, self._p11 = self._start[0], 0.0, self._start[1]
+
+    def update(self, curvature_radpm: float, yaw_rate_radps: float, speed_mps: float, elapsed_s: float) -> None:
+        """Compare the wheels' curvature with the one driven; too slow says nothing."""
+        if abs(speed_mps) < SLOWEST_MPS:
+            return
+        self._forget(abs(speed_mps) * elapsed_s / self._config.forget_m)
+        h = curvature_radpm
+        a, b = self._p00 * h + self._p01, self._p01 * h + self._p11
+        variance = h * a + b + (self._config.noise_radpm / min(abs(speed_mps), 1.0)) ** 2
+        error = yaw_rate_radps / speed_mps - (self.gain * h + self.offset_radpm)
+        error = clamp(error, 3.0 * math.sqrt(variance))
+        self.gain = 1.0 + clamp(self.gain + a / variance * error - 1.0, 3.0 * self._config.gain_sigma)
+        self.offset_radpm = clamp(self.offset_radpm + b / variance * error, 3.0 * self._config.offset_sigma_radpm)
+        self._p00, self._p01, self._p11 = (
+            self._p00 - a * a / variance,
+            self._p01 - a * b / variance,
+            self._p11 - b * b / variance,
+        )
+
+    def wheels_for(self, curvature_radpm: float) -> float:
+        """What the wheels must be told so that this curvature is driven."""
+        return (curvature_radpm - self.offset_radpm) / self.gain
+
+    def _forget(self, share: float) -> None:
+        self._p00 += share * (self._start[0] - self._p00)
+        self._p11 += share * (self._start[1] - self._p11)
+        self._p01 *= 1.0 - share
