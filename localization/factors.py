@@ -13,7 +13,7 @@ from gtsam.symbol_shorthand import B, S, V, X
 from geometry.angles import wrap
 from geometry.transforms import Float64
 
-__all__ = ["B", "S", "V", "X", "gnss_factor", "heading_factor", "motion_factor", "wheel_factor"]
+__all__ = ["B", "S", "V", "X", "gnss_factor", "heading_factor", "motion_factor", "rest_factor", "wheel_factor"]
 
 Error = Callable[[gtsam.CustomFactor, gtsam.Values, "list[Float64] | None"], Float64]
 
@@ -60,6 +60,12 @@ def wheel_factor(start: int, end: int, columns: Float64, arm_m: Float64, sigma_m
         return way - arm_m - columns @ values.atVector(S(start))
 
     return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [X(start), X(end), S(start)], error)
+
+
+def rest_factor(start: int, end: int, sigma_rad: float, sigma_m: float) -> gtsam.BetweenFactorPose3:
+    """No motion between two keyframes, which also shows the gyro's bias."""
+    model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([sigma_rad, sigma_m], 3))
+    return gtsam.BetweenFactorPose3(X(start), X(end), gtsam.Pose3(), model)
 
 
 def motion_factor(start: int, end: int, T_start_end: Float64, covariance: Float64) -> gtsam.BetweenFactorPose3:

@@ -10,10 +10,10 @@ from configs.vehicle import Imu, Vehicle
 from geometry.angles import wrap
 from geometry.transforms import Float64, invert
 from localization.alignment import AlignmentConfig, Level, Placed, pose_of
-from localization.factors import B, V, X, gnss_factor, heading_factor, motion_factor, skew, wheel_factor
+from localization.factors import B, V, X, gnss_factor, heading_factor, motion_factor, rest_factor, skew, wheel_factor
 from localization.gnss import GnssConfig, GnssGate, Position, Refusal
 from localization.inertial import InertialConfig, InertialTrack, Steps
-from localization.preintegration import bias_sigmas, constant_bias, imu_parameters, normal_gravity, preintegrate
+from localization.preintegration import bias_sigmas, constant_bias, gyro_density, imu_parameters, normal_gravity, preintegrate
 from localization.smoother import Smoother, SmootherConfig, State
 from localization.wheels import WheelConfig, WheelTrack, displacement_columns
 
@@ -49,6 +49,7 @@ class Fusion:
         self._gravity = normal_gravity(*gravity_at)
         self._parameters = imu_parameters(imu, inertial, self._gravity)
         self._bias_sigmas = bias_sigmas(imu)
+        self._gyro_density = gyro_density(imu, inertial)
         self._wheel_density = _wheel_density(vehicle)
         self._wheels, self._alignment, self._gnss = wheels, alignment, gnss
         self.gate = GnssGate(gnss)
@@ -61,6 +62,7 @@ class Fusion:
         tilt, heading = math.radians(cfg.tilt_sigma_deg), math.radians(cfg.heading_sigma_deg)
         pose_sigma = np.concatenate([[tilt, tilt, heading], placed.sigma_m])
         accelerometer, gyro = self._bias_sigmas
+        gyro = math.hypot(gyro, self._gyro_density / math.sqrt(cfg.window_s))  # the mean of a short while, and its drift
         bias_sigma = np.repeat([math.hypot(accelerometer, GRAVITY_SIGMA_MPS2), gyro], 3)
         bias_sigma[:2] = accelerometer
         bias = np.concatenate([[0.0, 0.0, level.gravity_mps2 - self._gravity], level.gyro_bias_radps])
@@ -142,10 +144,9 @@ class Fusion:
         stands = float(np.max(np.abs(speed))) < cfg.standing_mps
         along = math.hypot(self._wheel_density, cfg.longitudinal_m_per_rts)
         density = np.array([along, cfg.lateral_m_per_rts, cfg.vertical_m_per_rts])
-        if stands:
-            density = np.full(3, cfg.standstill_m_per_rts)
-            columns = np.zeros((3, 4))
         sigma = density * math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
+        if stands:
+            return [rest_factor(key - 1, key, cfg.standstill_rad, cfg.standstill_m)]
         return [wheel_factor(key - 1, key, columns, self.arms.base_m, sigma)]
 
 
