@@ -1,0 +1,1 @@
+"""The supervisor: modes, stopping distance, protective field, rules. It alone builds safe commands."""

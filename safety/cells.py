@@ -1,0 +1,23 @@
+"""Hits: enough raised returns in one cell of odom in one scan, or some in each of two scans."""
+
+import numpy as np
+
+from messages.message import Float64, Int64
+
+BITS = 21  # cells of 0.5 m: a thousand kilometres each way
+
+
+def keys_of(points_odom_m: Float64, cell_m: float) -> Int64:
+    """The cell of each point (N, 3) as one number."""
+    cell = np.floor(points_odom_m / cell_m).astype(np.int64) + (1 << (BITS - 1))
+    return np.asarray((cell[:, 0] << (2 * BITS)) | (cell[:, 1] << BITS) | cell[:, 2])
+
+
+def confirm(keys: Int64, before: Int64, once: int, twice: int) -> tuple[np.ndarray, Int64]:
+    """Which points are hits, (N,) bool, and the cells to remember for the next scan, sorted.
+
+    `before` are the cells that had at least `twice` returns in the scan before.
+    """
+    cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    is_hit = (counts >= once) | ((counts >= twice) & np.isin(cells, before, assume_unique=True))
+    return is_hit[which], cells[counts >= twice]

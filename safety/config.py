@@ -1,0 +1,168 @@
+"""Values of the supervisor; none has a default."""
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from configs.strict import Config
+from configs.vehicle import Degrees, Kmh, Seconds, kmh
+from safety.stopping import Braking
+
+Metres = Annotated[float, Field(ge=0.0, le=100.0)]
+Acceleration = Annotated[float, Field(gt=0.0, le=12.0)]
+Speed = Annotated[float, Field(ge=0.0, le=20.0)]
+
+
+class BrakingConfig(Config):
+    """What the supervisor counts on, and how hard it asks."""
+
+    reaction_s: Seconds = Field(description="τ: sensing, confirming, deciding, bus and dead time of the brake")
+    build_up_s: Seconds
+    deceleration_mps2: Acceleration
+    least_deceleration_mps2: Acceleration = Field(description="on a grade that leaves less it cannot stop")
+    dead_time_s: Seconds = Field(description="share of τ that is left once braking is asked for")
+    controlled_mps2: Acceleration
+    full_mps2: Acceleration
+    hold_mps2: Acceleration
+
+    @property
+    def flat(self) -> Braking:
+        """The same for the formulas, on level ground."""
+        return Braking(self.reaction_s, self.build_up_s, self.deceleration_mps2)
+
+
+class FieldConfig(Config):
+    """The raw protective field."""
+
+    margin_m: Metres = Field(description="way left at standstill before what stands on the planned path")
+    arc_margin_m: Metres = Field(description="the same on the arc of the present steering, beside a planned path")
+    near_lateral_m: Metres
+    far_lateral_m: Metres
+    lateral_growth: float = Field(gt=0.0, le=1.0, description="lateral margin gained per metre of way")
+    lowest_m: Metres
+    lowest_per_m: float = Field(ge=0.0, le=0.2)
+    over_height_m: Metres
+    grade_change: float = Field(ge=0.0, le=0.15, description="by how much the ground may bend up or down per metre")
+    rise_cap_m: Metres = Field(description="no more than this of rising ground is believed")
+    ground_returns: int = Field(ge=1, le=50, description="the so-many-th lowest return of a patch is its ground")
+    ground_patch_m: float = Field(gt=0.5, le=10.0)
+    furrow_m: Metres = Field(description="depth below the wheels that is not yet falling ground")
+    mask_m: Metres
+    cell_m: float = Field(gt=0.05, le=2.0)
+    returns_once: int = Field(ge=1, le=50, description="returns in one cell in one scan that make a hit")
+    returns_twice: int = Field(ge=1, le=50, description="returns in one cell in each of two scans that make a hit")
+    hole_memory_s: float = Field(ge=0.0, le=600.0, description="how long a hit is kept where no beam can look")
+    step_m: float = Field(gt=0.05, le=2.0)
+    least_length_m: Metres
+    place_m: Metres = Field(description="farthest the pose may be from its place on the path")
+    place_deg: Degrees
+    blend_m: float = Field(gt=0.0, le=50.0)
+    sigma_factor: float = Field(ge=0.0, le=6.0)
+    slow_range_factor: float = Field(ge=1.0, le=5.0, description="proven range over S (BD-5.2.4: 2 in simple weather)")
+
+    @model_validator(mode="after")
+    def _margins_grow(self) -> "FieldConfig":
+        if self.far_lateral_m < self.near_lateral_m:
+            raise ValueError(f"far_lateral_m {self.far_lateral_m} is less than near_lateral_m {self.near_lateral_m}")
+        return self
+
+
+class ProvenConfig(Config):
+    """How far a lidar proves the field free, judged by its raw returns."""
+
+    cap_m: Metres
+    object_m: tuple[float, float] = Field(description="width and height of what must be seen")
+    object_returns: int = Field(ge=1, le=100)
+    beams_m: tuple[float, float] = Field(description="beams that meet level ground within this range must come back")
+    blind_share: float = Field(ge=0.0, lt=1.0)
+    good_share: float = Field(gt=0.0, le=1.0)
+    sectors: int = Field(ge=4, le=72)
+    look_deg: float = Field(gt=0.0, le=90.0, description="half angle about the direction of travel that must be proven")
+    frozen_scans: int = Field(ge=1, le=20, description="so many equal scans in a row are no scans")
+
+    @model_validator(mode="after")
+    def _shares_rise(self) -> "ProvenConfig":
+        if self.good_share <= self.blind_share:
+            raise ValueError(f"good_share {self.good_share} is not above blind_share {self.blind_share}")
+        return self
+
+
+class TrackedConfig(Config):
+    """The channel of tracked obstacles."""
+
+    moving_mps: Speed
+    moving_sigmas: float = Field(ge=0.0, le=10.0)
+    lateral_m: Metres
+    least_horizon_s: Seconds
+    most_horizon_s: Seconds
+    steps: int = Field(ge=2, le=50)
+    uncertainty_cap_m: Metres
+
+
+class LocalizationConfig(Config):
+    """When the pose is no longer good enough (BD-5.3d)."""
+
+    protection_slow_m: Metres
+    protection_stop_m: Metres
+    slow_kmh: Kmh
+    gnss_alarm_s: Seconds
+    gnss_stop_s: float = Field(gt=0.0, le=120.0, description="BD-5.3d: 120 s at most")
+
+    @property
+    def slow_mps(self) -> float:
+        """The reduced speed."""
+        return kmh(self.slow_kmh)
+
+
+class HandConfig(Config):
+    """Hand on the wheel (BD-5.5.2e): any one is enough."""
+
+    rate_dps: float = Field(gt=0.0, le=50.0)
+    angle_deg: float = Field(gt=0.0, le=30.0)
+    torque_nm: float = Field(gt=0.0, le=50.0, description="torque that counts as forced")
+    forced_s: float = Field(gt=0.0, le=1.0)
+
+
+class LimitsConfig(Config):
+    """Limits of single rules."""
+
+    speed_kmh: Kmh
+    supply_v: tuple[float, float] = Field(description="BD-5.6.1a: 9 to 36 V")
+    roll_deg: Degrees
+    pitch_deg: Degrees
+    brake_pedal: float = Field(gt=0.0, lt=1.0)
+    fence_margin_m: Metres
+    curvature_error_radpm: float = Field(gt=0.0, le=1.0)
+    curvature_late_s: Seconds = Field(description="steering must meet what was commanded within this time")
+    steering_grace_s: Seconds
+    brake_grace_s: Seconds
+    brake_share: float = Field(gt=0.0, le=1.0, description="share of the asked deceleration that must be felt")
+    group_age_s: Seconds = Field(description="greatest age of a group within the machine's state")
+
+
+class ModesConfig(Config):
+    """Times of the mode machine."""
+
+    start_warning_s: Seconds
+    resume_warning_s: Seconds
+    resume_clear_s: Seconds
+    resume_kmh: Kmh = Field(description="the way ahead must allow this speed before the machine resumes")
+    standstill_mps: Speed
+    creep_mps: Speed = Field(description="a lower allowed speed is no speed")
+    park_after_s: Seconds
+    authorities: tuple[str, ...] = Field(min_length=1)
+
+
+class SafetyConfig(Config):
+    """The supervisor's values."""
+
+    braking: BrakingConfig
+    field: FieldConfig
+    proven: ProvenConfig
+    tracked: TrackedConfig
+    localization: LocalizationConfig
+    hand: HandConfig
+    limits: LimitsConfig
+    modes: ModesConfig
+    jerk_mps3: float = Field(gt=0.0, le=50.0)
+    curvature_rate_radpms: float = Field(gt=0.0, le=5.0)

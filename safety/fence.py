@@ -1,0 +1,77 @@
+"""The geofence: where machine and implement may be, by crossing numbers alone (no geometry library in this channel)."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from configs.site import Lane, Site
+from messages.message import Float64
+
+GATE_DEPTH_M = 1.0  # to either side of the line between the posts
+LANE_OVERLAP_M = 1.0  # a lane reaches that far into what lies at its ends, so that no seam is outside
+
+
+@dataclass(frozen=True)
+class Fence:
+    """Polygons in `map`: a point may be in any of `allowed` and in none of `forbidden`; rings need not be closed."""
+
+    allowed: tuple[Float64, ...]
+    forbidden: tuple[Float64, ...] = ()
+
+    def holds(self, points_map_m: Float64) -> np.ndarray:
+        """Which points (N, 2) are where the machine may be, (N,) bool."""
+        inside = np.zeros(len(points_map_m), bool)
+        for ring in self.allowed:
+            inside |= is_within(points_map_m, ring)
+        for ring in self.forbidden:
+            inside &= ~is_within(points_map_m, ring)
+        return inside
+
+
+def fence_of(site: Site) -> Fence:
+    """The field, the yard, the lanes and the shed of a site, less its no-go areas."""
+    areas = [np.array(site.boundary_m), np.array(site.yard.outline_m)]
+    areas += [np.array(site.shed.outline_m)] if site.shed is not None else []
+    areas += [ring for lane in site.lanes for ring in lane_rings(lane)]
+    areas += [band(np.array(gate.posts_m), GATE_DEPTH_M) for gate in site.gates]
+    return Fence(tuple(areas), tuple(np.array(area.outline_m) for area in site.no_go))
+
+
+def lane_rings(lane: Lane) -> list[Float64]:
+    """A rectangle about each piece of a lane; inner ones overlap by half the width, so that bends are whole."""
+    center, half = np.array(lane.center_m), 0.5 * lane.width_m
+    rings = []
+    for k, (a, b) in enumerate(pairwise(center)):
+        along = (b - a) / max(math.hypot(*(b - a)), 1e-9)
+        before = LANE_OVERLAP_M if k == 0 else half
+        after = LANE_OVERLAP_M if k == len(center) - 2 else half
+        rings.append(band(np.array([a - before * along, b + after * along]), half))
+    return rings
+
+
+def band(line: Float64, half_m: float) -> Float64:
+    """A rectangle (4, 2) about the line between two points."""
+    along = (line[1] - line[0]) / max(math.hypot(*(line[1] - line[0])), 1e-9)
+    left = half_m * np.array([-along[1], along[0]])
+    return np.array([line[0] + left, line[0] - left, line[1] - left, line[1] + left])
+
+
+def is_within(points: Float64, ring: Float64) -> np.ndarray:
+    """Which points (N, 2) lie in a polygon (E, 2), by an odd number of edges crossed towards +x, (N,) bool."""
+    x, y = points[:, :1], points[:, 1:]
+    x0, y0 = ring[:, 0], ring[:, 1]
+    x1, y1 = np.roll(x0, -1), np.roll(y0, -1)
+    is_spanned = (y0 <= y) != (y1 <= y)
+    rise = np.where(y1 == y0, 1.0, y1 - y0)
+    is_right = x < x0 + (y - y0) / rise * (x1 - x0)
+    return np.asarray(np.count_nonzero(is_spanned & is_right, axis=1) % 2 == 1)
+
+
+def way_inside_m(fence: Fence, points_map_m: Float64, ways_m: Float64, spacing_m: float) -> float:
+    """How far the outline points (P, 2), reached after `ways_m` (P,), stay inside; infinite if all do."""
+    outside = ~fence.holds(points_map_m)
+    if not np.any(outside):
+        return math.inf
+    return max(0.0, float(ways_m[outside].min()) - spacing_m)

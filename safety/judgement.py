@@ -1,0 +1,107 @@
+"""All rules asked, and what follows from their answers together."""
+
+import math
+from dataclasses import dataclass
+
+from messages.command import RuleResult
+from messages.faults import Response
+from safety.config import FieldConfig
+from safety.rules import BLOCKING_RULES, RULES
+from safety.rules.fence import UNKNOWN as FENCE_UNKNOWN
+from safety.rules.hand import CODE as HAND
+from safety.rules.verdict import free
+from safety.situation import Situation
+
+NOTHING = free("")
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """`results` in the order of the rules.
+
+    `binding` is the most restrictive of all; `blocking` that of the rules on what lies ahead, which allow
+    `passable_mps`; `fault` the first that speaks against driving at all. `gap_m` is the least of both channels.
+    """
+
+    results: tuple[RuleResult, ...]
+    binding: RuleResult
+    blocking: RuleResult
+    fault: RuleResult
+    gap_m: float
+
+    @property
+    def allowed_mps(self) -> float:
+        """The highest speed that every rule allows."""
+        return self.binding.speed_limit_mps
+
+    @property
+    def passable_mps(self) -> float:
+        """The highest speed that the rules on what lies ahead allow."""
+        return self.blocking.speed_limit_mps
+
+    @property
+    def binding_is_obstacle(self) -> bool:
+        """Whether what lies ahead binds."""
+        return self.binding is self.blocking and self.blocking is not NOTHING
+
+    @property
+    def is_obstacle_inside(self) -> bool:
+        """Whether an obstacle lies inside the stopping distance."""
+        return self.blocking.response >= Response.CONTROLLED_STOP
+
+    @property
+    def is_emergency(self) -> bool:
+        """Whether a rule asks for an emergency stop."""
+        return self.fault.response is Response.EMERGENCY_STOP
+
+    @property
+    def is_hand(self) -> bool:
+        """Whether a hand is on the wheel."""
+        return any(result.code == HAND and result.response >= Response.CONTROLLED_STOP for result in self.results)
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether a rule asks for a stop that a person must end."""
+        return self.fault.response >= Response.CONTROLLED_STOP
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether nothing speaks against starting."""
+        return self.fault is NOTHING
+
+    @property
+    def notes(self) -> list[RuleResult]:
+        """What is to be told though it does not bind."""
+        return [result for result in self.results if result.response is Response.NONE and result.text]
+
+
+def judged(situation: Situation, disabled: frozenset[str]) -> Judgement:
+    """Every rule that is not disabled, asked."""
+    named = {name: rule(situation) for name, rule in RULES.items() if name not in disabled}
+    ahead = [result for name, result in named.items() if name in BLOCKING_RULES]
+    others = [result for name, result in named.items() if name not in BLOCKING_RULES]
+    against = [r for r in others if r.response >= Response.CONTROLLED_STOP or r.code == FENCE_UNKNOWN]
+    gaps = () if situation.gap is None else (situation.gap.main_m, situation.gap.arc_m)
+    return Judgement(
+        tuple(named.values()),
+        most_restrictive([*named.values()]),
+        most_restrictive(ahead),
+        most_restrictive(against),
+        min(*gaps, situation.threat.gap_m, math.inf),
+    )
+
+
+def most_restrictive(results: list[RuleResult]) -> RuleResult:
+    """The strongest response, then the lowest speed, then the first."""
+    return min(results, key=severity, default=NOTHING)
+
+
+def severity(result: RuleResult) -> tuple[bool, int, float]:
+    """Sorts the most restrictive first: a stop by its response, all else by its speed."""
+    is_stop = result.response >= Response.CONTROLLED_STOP
+    return not is_stop, -int(result.response) if is_stop else 0, result.speed_limit_mps
+
+
+def allowance_m(field: FieldConfig, range_sigma_m: float, position_sigma_m: float) -> float:
+    """What is added to the stopping distance: k·σ_range + σ_position + margin."""
+    return field.sigma_factor * range_sigma_m + position_sigma_m + field.margin_m

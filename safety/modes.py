@@ -1,0 +1,62 @@
+"""The mode machine as one table: what leads from where to where, and nothing else does.
+
+          AUTOMATIC order          START               warned               obstacle
+  MANUAL ───────────────► STANDBY ───────► START_WARNING ─────► AUTOMATIC ─────────► OBSTACLE_STOP
+    ▲                      ▲   ▲                 ▲                  │ done                │ clear for some seconds
+    │ hand, MANUAL order   │   │ RESET           └──────────────────┼─────────────────────┘
+    └── all but EMERGENCY  │   └─ FAULT_STOP, EMERGENCY_STOP        └─► FINISHED
+"""
+
+from enum import IntEnum
+
+from messages.command import Mode
+
+
+class Event(IntEnum):
+    """What can change the mode, the most urgent first; of several at once the first that the table knows counts."""
+
+    EMERGENCY = 0
+    HAND = 1
+    FAULT = 2
+    MANUAL = 3
+    PAUSE = 4
+    RESET = 5
+    AUTOMATIC = 6
+    DONE = 7
+    OBSTACLE = 8
+    START = 9
+    CLEAR = 10
+    WARNED = 11
+
+
+PERSON = frozenset({Event.MANUAL, Event.PAUSE, Event.RESET, Event.AUTOMATIC, Event.START})
+MOVING = frozenset({Mode.AUTOMATIC})
+WATCHED = frozenset({Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP})  # a fault here stops and stays
+
+_ENGAGED = {
+    Event.EMERGENCY: Mode.EMERGENCY_STOP,
+    Event.HAND: Mode.MANUAL,
+    Event.FAULT: Mode.FAULT_STOP,
+    Event.MANUAL: Mode.MANUAL,
+    Event.PAUSE: Mode.STANDBY,
+    Event.DONE: Mode.FINISHED,
+}
+_IDLE = {Event.EMERGENCY: Mode.EMERGENCY_STOP, Event.HAND: Mode.MANUAL, Event.MANUAL: Mode.MANUAL}
+
+TRANSITIONS: dict[Mode, dict[Event, Mode]] = {
+    Mode.MANUAL: {Event.EMERGENCY: Mode.EMERGENCY_STOP, Event.AUTOMATIC: Mode.STANDBY},
+    Mode.STANDBY: {**_IDLE, Event.START: Mode.START_WARNING},
+    Mode.START_WARNING: {**_ENGAGED, Event.OBSTACLE: Mode.OBSTACLE_STOP, Event.WARNED: Mode.AUTOMATIC},
+    Mode.AUTOMATIC: {**_ENGAGED, Event.OBSTACLE: Mode.OBSTACLE_STOP},
+    Mode.OBSTACLE_STOP: {**_ENGAGED, Event.CLEAR: Mode.START_WARNING},
+    Mode.FAULT_STOP: {**_IDLE, Event.RESET: Mode.STANDBY},
+    Mode.EMERGENCY_STOP: {Event.RESET: Mode.STANDBY},
+    Mode.FINISHED: {**_IDLE, Event.START: Mode.START_WARNING},
+}
+
+
+def next_mode(mode: Mode, events: frozenset[Event]) -> Mode:
+    """The mode after the most urgent event that means something in this one."""
+    row = TRANSITIONS[mode]
+    urgent = min((event for event in events if event in row), default=None)
+    return mode if urgent is None else row[urgent]

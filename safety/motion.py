@@ -1,0 +1,54 @@
+"""Where the machine was when a scan was taken: the last odometry, kept for a moment."""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from geometry.transforms import yaw_of
+from messages.message import Float64
+from messages.motion import Odometry
+
+KEEP_NS = 1_000_000_000
+
+
+def planar_of(T: Float64) -> Float64:
+    """Place and heading (x, y, yaw) of a pose."""
+    return np.array([T[0, 3], T[1, 3], yaw_of(T)])
+
+
+def to_frame(pose: Float64, xy: Float64) -> Float64:
+    """Points (N, 2) of a pose's own frame in the frame the pose is given in."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.column_stack([pose[0] + c * xy[:, 0] - s * xy[:, 1], pose[1] + s * xy[:, 0] + c * xy[:, 1]])
+
+
+def from_frame(pose: Float64, xy: Float64) -> Float64:
+    """Points (N, 2) of the frame a pose is given in, seen from the pose."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = xy[:, 0] - pose[0], xy[:, 1] - pose[1]
+    return np.column_stack([c * dx + s * dy, c * dy - s * dx])
+
+
+class Trail:
+    """Odometry of the last second, and the way driven."""
+
+    def __init__(self) -> None:
+        self.driven_m = 0.0
+        self._poses: deque[tuple[int, Float64]] = deque()
+
+    def add(self, odom: Odometry) -> None:
+        """Take the newest; one with an old stamp is left out."""
+        pose = planar_of(odom.T_odom_base)
+        if self._poses:
+            stamp_ns, before = self._poses[-1]
+            if odom.stamp_ns <= stamp_ns:
+                return
+            self.driven_m += math.hypot(pose[0] - before[0], pose[1] - before[1])
+        self._poses.append((odom.stamp_ns, pose))
+        while odom.stamp_ns - self._poses[0][0] > KEEP_NS:
+            self._poses.popleft()
+
+    def pose_at(self, stamp_ns: int) -> Float64:
+        """Place and heading in odom nearest in time; raises ValueError before the first odometry."""
+        return min(self._poses, key=lambda known: abs(known[0] - stamp_ns))[1]

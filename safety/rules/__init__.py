@@ -1,0 +1,43 @@
+"""The rules, one file each: `(situation) -> RuleResult`; the most restrictive wins, of equals the first here."""
+
+from collections.abc import Callable
+
+from messages.command import RuleResult
+from safety.rules import (
+    brake,
+    emergency,
+    fence,
+    hand,
+    localization,
+    obstacle,
+    proven,
+    reported,
+    silence,
+    speed,
+    steering,
+    supply,
+    tilt,
+    tracked,
+)
+from safety.situation import Situation
+
+Rule = Callable[[Situation], RuleResult]
+
+RULES: dict[str, Rule] = {
+    "emergency": emergency.judge,
+    "hand": hand.judge,
+    "reported": reported.judge,
+    "silence": silence.judge,
+    "supply": supply.judge,
+    "steering": steering.judge,
+    "brake": brake.judge,
+    "localization": localization.judge,
+    "tilt": tilt.judge,
+    "fence": fence.judge,
+    "obstacle": obstacle.judge,
+    "tracked": tracked.judge,
+    "proven": proven.judge,
+    "speed": speed.judge,
+}
+BLOCKING_RULES = frozenset({"obstacle", "tracked", "proven"})  # standing for one of these is an obstacle stop
+OBSTACLE_RULES = frozenset({"obstacle", "tracked"})  # what an ablation switches off

@@ -1,0 +1,26 @@
+"""The pose must be good enough for the work, and fixes must come (BD-5.2.6a, BD-5.3d: 120 s is the outer bound)."""
+
+from messages.command import RuleResult
+from messages.motion import PositionSource
+from safety.rules.verdict import free, limit, note, stop
+from safety.situation import Situation
+
+CODE = "localization"
+
+
+def judge(situation: Situation) -> RuleResult:
+    """Alarm at once without fixes, slow above one protection level, stop above the other or after the time."""
+    pose, config = situation.map_pose, situation.config.localization
+    if pose is None:
+        return free(CODE)
+    if not pose.is_initialized or pose.source is PositionSource.NONE:
+        return stop("localization.none", "no position yet")
+    if not pose.gnss_age_s <= config.gnss_stop_s and pose.source is not PositionSource.UWB:
+        return stop("localization.gnss_age", f"no fix for {pose.gnss_age_s:.0f} s")
+    if not pose.protection_level_m <= config.protection_stop_m:
+        return stop("localization.protection", f"position only within {pose.protection_level_m:.2f} m")
+    if pose.protection_level_m > config.protection_slow_m:
+        return limit(CODE, config.slow_mps, f"position only within {pose.protection_level_m:.2f} m")
+    if pose.gnss_age_s > config.gnss_alarm_s:
+        return note("localization.gnss_lost", f"no fix for {pose.gnss_age_s:.1f} s")
+    return free(CODE)

@@ -1,0 +1,14 @@
+"""Proven range: no faster than what is seen to be free allows (BD-5.2.4: twice the stopping distance)."""
+
+from messages.command import RuleResult
+from safety.rules.verdict import limit
+from safety.situation import Situation
+from safety.stopping import highest_speed
+
+
+def judge(situation: Situation) -> RuleResult:
+    """The lower of two speeds: S within the range over the factor, and the whole range needed within it."""
+    range_m, config = situation.proven_m, situation.config.field
+    twice = highest_speed(range_m / config.slow_range_factor, situation.braking, 0.0)
+    whole = highest_speed(range_m, situation.braking, situation.allowance_m)
+    return limit("range.proven", min(twice, whole), f"proven free for {range_m:.0f} m")

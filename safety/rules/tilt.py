@@ -1,0 +1,21 @@
+"""Roll and pitch limits: a slope or a wheel in a ditch that the machine must not go on over."""
+
+import math
+
+from geometry.transforms import rpy_of
+from messages.command import RuleResult
+from safety.rules.verdict import free, stop
+from safety.situation import Situation
+
+
+def judge(situation: Situation) -> RuleResult:
+    """Both limits belong to what is allowed."""
+    if situation.odom is None:
+        return free("tilt")
+    limits = situation.config.limits
+    roll_deg, pitch_deg = (abs(math.degrees(angle)) for angle in rpy_of(situation.odom.T_odom_base)[:2])
+    if not roll_deg <= limits.roll_deg:
+        return stop("tilt.roll", f"roll {roll_deg:.1f}°, at most {limits.roll_deg:g}°")
+    if not pitch_deg <= limits.pitch_deg:
+        return stop("tilt.pitch", f"pitch {pitch_deg:.1f}°, at most {limits.pitch_deg:g}°")
+    return free("tilt")

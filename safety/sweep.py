@@ -1,0 +1,134 @@
+"""The area that machine and implement will sweep, and how far they get before they touch something.
+
+     pose 0        pose 1        pose 2            a body at pose k owns its rectangle, lengthened in the direction
+    ┌──────┐      ┌──────┐      ┌──────┐           of travel by one step, so that nothing lies between two poses
+    └──────┘------└──────┘------└──────┘   ×       travel to contact = way to pose k + what is left to the point
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from messages.message import Float64
+from messages.plan import Path
+from safety.bodies import Rectangle, Shape, carriers, outline
+from safety.config import FieldConfig
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Bodies along a way: `s_m` (M,) from now on, each body with its carrier's poses (M, 3) in base now.
+
+    `lateral_m` (M,) is the margin to either side; `step_m` the spacing of `s_m`, `length_m` the whole way. `leads_m`
+    says how far each body's leading edge lies behind the foremost point; all 0 when ways count for each body itself.
+    """
+
+    direction: int
+    s_m: Float64
+    poses: Float64
+    bodies: tuple[tuple[Rectangle, Float64], ...]
+    leads_m: tuple[float, ...]
+    lateral_m: Float64
+    step_m: float
+    length_m: float
+
+
+def spaced(length_m: float, step_m: float) -> Float64:
+    """Places along a way, from 0 by `step_m`, at most 60 (longer ways get longer steps)."""
+    step = max(step_m, length_m / 60.0)
+    return np.arange(0.0, length_m + 0.5 * step, step)
+
+
+def arc_poses(curvature_radpm: float, direction: int, s_m: Float64) -> Float64:
+    """Poses (M, 3) of base on the circle of a curvature."""
+    signed = direction * s_m
+    turn = curvature_radpm * signed
+    half = 0.5 * turn
+    chord = signed * np.sinc(half / math.pi)
+    return np.column_stack([chord * np.cos(half), chord * np.sin(half), turn])
+
+
+def path_poses(path: Path, place_m: float, pose_map: Float64, s_m: Float64, blend_m: float) -> Float64:
+    """Poses (M, 3) of base now along a path from `place_m` on, for the present pose (3,: x, y, yaw in map).
+
+    The present deviation from the path is carried along and fades within `blend_m`.
+    """
+    at = np.clip(place_m + s_m, path.s_m[0], path.s_m[-1])
+    last = min(len(path.s_m), int(np.searchsorted(path.s_m, at[-1])) + 2)
+    first = max(0, int(np.searchsorted(path.s_m, at[0])) - 1)
+    s = path.s_m[first:last]
+    x = np.interp(at, s, path.p_map_m[first:last, 0]) - pose_map[0]
+    y = np.interp(at, s, path.p_map_m[first:last, 1]) - pose_map[1]
+    yaw = np.interp(at, s, np.unwrap(path.heading_rad[first:last])) - pose_map[2]
+    c, n = math.cos(pose_map[2]), math.sin(pose_map[2])
+    poses = np.column_stack([c * x + n * y, c * y - n * x, yaw])
+    poses[:, 2] -= 2.0 * math.pi * round(poses[0, 2] / (2.0 * math.pi))
+    return np.asarray(poses - poses[0] * np.maximum(0.0, 1.0 - s_m / blend_m)[:, None])
+
+
+def sweep_along(
+    shape: Shape,
+    direction: int,
+    s_m: Float64,
+    poses: Float64,
+    curvature_radpm: float,
+    field: FieldConfig,
+    is_from_foremost: bool,
+) -> Sweep:
+    """What is swept along poses of base; the margin to the sides grows with the way, as what is not known does.
+
+    `is_from_foremost`: gaps count from the foremost point of machine and implement, whichever body will touch.
+    """
+    lateral = np.minimum(field.far_lateral_m, field.near_lateral_m + field.lateral_growth * s_m)
+    step = float(s_m[1] - s_m[0]) if len(s_m) > 1 else field.step_m
+    bodies = carriers(shape, poses, curvature_radpm)
+    leads = shape.leads_m(direction) if is_from_foremost else (0.0,) * len(bodies)
+    return Sweep(direction, s_m, poses, bodies, leads, lateral, step, float(s_m[-1]))
+
+
+def contact_m(points_xy: Float64, sweep: Sweep, extra_m: Float64 | float = 0.0) -> Float64:
+    """Gap to each point (N, 2) in base now along the sweep, (N,), infinite without; `extra_m` widens all bodies."""
+    if len(points_xy) == 0:
+        return np.empty(0)
+    extra = np.broadcast_to(np.asarray(extra_m, np.float64), (len(points_xy),))[:, None]
+    travel = np.full(len(points_xy), np.inf)
+    for (body, poses), lead_m in zip(sweep.bodies, sweep.leads_m, strict=True):
+        way = _body_contact(points_xy, body, poses, sweep, extra)
+        travel = np.minimum(travel, np.maximum(way - lead_m, 0.0))
+    return travel
+
+
+def _body_contact(points_xy: Float64, body: Rectangle, poses: Float64, sweep: Sweep, extra: Float64) -> Float64:
+    dx, dy = points_xy[:, :1] - poses[:, 0], points_xy[:, 1:] - poses[:, 1]
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    ahead, across = sweep.direction * (c * dx + s * dy), np.abs(c * dy - s * dx)
+    front, rear = (body.front_m, body.rear_m) if sweep.direction > 0 else (-body.rear_m, -body.front_m)
+    left = ahead - (front + extra)
+    is_met = (left <= sweep.step_m) & (ahead >= rear - extra) & (across <= body.half_width_m + sweep.lateral_m + extra)
+    way = np.where(is_met, sweep.s_m + np.maximum(left, 0.0), np.inf).min(axis=1)
+    return np.where(way <= sweep.length_m, way, np.inf)
+
+
+def corners_along(sweep: Sweep, every_m: float) -> tuple[Float64, Float64]:
+    """Outline points (P, 2) in base now of all bodies at places about `every_m` apart, and their way (P,)."""
+    stride = max(1, round(every_m / sweep.step_m))
+    points, ways = [], []
+    for body, poses in sweep.bodies:
+        rim, some = outline(body), poses[::stride]
+        c, s = np.cos(some[:, 2])[:, None], np.sin(some[:, 2])[:, None]
+        x = some[:, :1] + c * rim[:, 0] - s * rim[:, 1]
+        y = some[:, 1:2] + s * rim[:, 0] + c * rim[:, 1]
+        points.append(np.column_stack([x.ravel(), y.ravel()]))
+        ways.append(np.repeat(sweep.s_m[::stride], len(rim)))
+    return np.concatenate(points), np.concatenate(ways)
+
+
+def outline_of(sweep: Sweep) -> Float64:
+    """A ring (M, 2) in base about the swept field, for the eye: left edge out, right edge back."""
+    lead = sweep.bodies[0][0].front_m if sweep.direction > 0 else sweep.bodies[0][0].rear_m
+    half = max(body.half_width_m for body, _ in sweep.bodies) + sweep.lateral_m
+    c, s = np.cos(sweep.poses[:, 2]), np.sin(sweep.poses[:, 2])
+    x, y = sweep.poses[:, 0] + lead * c, sweep.poses[:, 1] + lead * s
+    left, right = np.column_stack([x - half * s, y + half * c]), np.column_stack([x + half * s, y - half * c])
+    return np.concatenate([left, right[::-1]])

@@ -1,0 +1,76 @@
+"""The second channel: tracks that will enter the swept field while the machine still needs to stop."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from messages.message import Float64
+from messages.perception import ObstacleClass, Track, Tracks
+from safety.config import TrackedConfig
+from safety.motion import from_frame
+from safety.sweep import Sweep, contact_m
+
+
+@dataclass(frozen=True)
+class Threat:
+    """The nearest tracked obstacle in the way: its gap (infinite: none), class and id (-1: none)."""
+
+    gap_m: float
+    label: ObstacleClass
+    id: int
+
+
+NO_THREAT = Threat(math.inf, ObstacleClass.UNKNOWN, -1)
+
+
+def is_moving(track: Track, config: TrackedConfig) -> bool:
+    """Whether a track surely moves: a speed near 0, or not known well enough, does not count."""
+    speed = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
+    if not math.isfinite(speed):
+        return False
+    sigma = math.sqrt(max(0.0, float(np.max(np.diag(track.covariance)[2:4]))))
+    return speed >= config.moving_mps and speed >= config.moving_sigmas * sigma
+
+
+def predicted(track: Track, times_s: Float64, config: TrackedConfig) -> tuple[Float64, Float64]:
+    """Places (T, 2) in odom and how far the object reaches about them (T,), with what its velocity leaves open."""
+    places = track.p_odom_m[:2] + times_s[:, None] * track.velocity_mps[:2]
+    sigma = math.sqrt(max(0.0, float(np.max(np.diag(track.covariance)[2:4]))))
+    half = 0.5 * float(np.min(track.size_m[:2]))
+    return places, half + np.minimum(sigma * times_s, config.uncertainty_cap_m)
+
+
+def rim(track: Track) -> Float64:
+    """Points (9, 2) in odom on the box of a track that stands: corners, middles of the sides and centre."""
+    length, width = 0.5 * float(track.size_m[0]), 0.5 * float(track.size_m[1])
+    c, s = math.cos(track.yaw_rad), math.sin(track.yaw_rad)
+    local = np.array([(a * length, b * width) for a in (-1, 0, 1) for b in (-1, 0, 1)])
+    return np.column_stack([local[:, 0] * c - local[:, 1] * s, local[:, 0] * s + local[:, 1] * c]) + track.p_odom_m[:2]
+
+
+def threat_in(sweep: Sweep, tracks: Tracks | None, pose_odom: Float64, stop_s: float, config: TrackedConfig) -> Threat:
+    """The nearest threat of all confirmed tracks, for base at `pose_odom` (3,) in odom.
+
+    What moves counts where it will be until the machine can have stopped; what moves away or past never touches the
+    sweep. What stands counts by its box where the evidence gives it a class; the raw field sees the rest.
+    """
+    horizon_s = min(config.most_horizon_s, max(config.least_horizon_s, stop_s))
+    times_s = np.linspace(0.0, horizon_s, config.steps)
+    best = NO_THREAT
+    for track in () if tracks is None else tracks.tracks:
+        gap = _gap_to(sweep, track, pose_odom, times_s, config) if track.is_confirmed else math.inf
+        if gap < best.gap_m:
+            best = Threat(gap, track.label, track.id)
+    return best
+
+
+def _gap_to(sweep: Sweep, track: Track, pose_odom: Float64, times_s: Float64, config: TrackedConfig) -> float:
+    if not np.all(np.isfinite(track.p_odom_m[:2])):
+        return math.inf
+    if is_moving(track, config):
+        places, reach = predicted(track, times_s, config)
+        return float(np.min(contact_m(from_frame(pose_odom, places), sweep, reach + config.lateral_m)))
+    if track.label is ObstacleClass.UNKNOWN:
+        return math.inf
+    return float(np.min(contact_m(from_frame(pose_odom, rim(track)), sweep)))
