@@ -14,6 +14,7 @@ from localization.fusion import Fusion
 from localization.gnss import Refusal, check, position_of
 from localization.inertial import InertialTrack
 from localization.kernels import warm
+from localization.lidar_odometry import LidarOdometryConfig
 from localization.motion import Motion, MotionConfig
 from localization.placement import Placement, PlacementConfig
 from localization.preintegration import bias_sigmas
@@ -36,6 +37,7 @@ class LocalizationConfig(Config):
     gnss_silent_s: float = Field(gt=0.0, le=10.0)
     motion: MotionConfig
     placement: PlacementConfig
+    lidar_odometry: LidarOdometryConfig
 
 
 class Localizer(Node):
@@ -48,7 +50,7 @@ class Localizer(Node):
         self.reads: Mapping[str, Read] = {IMU: All(200), WHEEL: All(100), GNSS: All(20)}
         if "front" in vehicle.sensors.lidar:
             self.reads = {**self.reads, LIDAR_MOTION: All(20)}
-        self.writes = ("odom", "map_pose", "fault")
+        self.writes = ("odom", "map_pose", "fault/localizer")
         self.runs = Every(round(config.period_s * 1e9))
         self._config, self._datum = config, datum
         warm()
@@ -75,7 +77,7 @@ class Localizer(Node):
         if len(self._motion.track):
             self._advance()
         self._watch(now_ns)
-        outputs: list[Output] = [("fault", fault) for fault in self._alarms.take(now_ns)]
+        outputs: list[Output] = [("fault/localizer", fault) for fault in self._alarms.take(now_ns)]
         return [*self._poses(now_ns), *outputs]
 
     def _follow_clock(self, now_ns: int) -> None:
