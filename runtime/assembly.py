@@ -1,0 +1,79 @@
+"""Which nodes there are, and who is told what: the only place that knows every room."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+
+import can
+
+from control.controller import Controller
+from interfaces.gateway import Gateway
+from localization.lidar_odometry import LidarOdometry
+from localization.localizer import Localizer
+from messages.node import Node, World
+from perception.fusion.tracker import Tracker
+from perception.lidar.obstacles import LidarObstacles
+from planning.mission import MissionNode
+from runtime.executor import FAULT_TOPIC, check_wiring
+from runtime.setup import Setup
+from safety.fence import fence_of
+from safety.rules import OBSTACLE_RULES
+from safety.supervisor import Supervisor
+from simulation.scenario import Scenario
+from simulation.world import SimulationWorld
+
+FAULT_TOPICS = ("fault/localizer", "fault/gateway", FAULT_TOPIC)
+_CHANNELS = count()
+
+
+@contextmanager
+def assemble(
+    setup: Setup, scenario: Scenario, is_ablation: bool = False
+) -> Iterator[tuple[World, list[tuple[Node, int]]]]:
+    """The simulated world and the nodes with their latencies in ns, wired and checked; closes the bus afterwards.
+
+    Raises WiringError. With `is_ablation` the supervisor's obstacle rules are off.
+    """
+    channel = f"headland-{next(_CHANNELS)}"
+    world = SimulationWorld(
+        setup.site, setup.vehicle, setup.implement, scenario, setup.plan.paths, channel, setup.seed, setup.stack.simulation
+    )
+    with can.Bus(interface="virtual", channel=channel) as bus:
+        chain = [*_perceiving(setup), *_deciding(setup, is_ablation), Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway)]
+        nodes = [(node, latency_ns(setup, node.name)) for node in chain]
+        check_wiring(world, nodes, setup.stack.executor.cores)
+        yield world, nodes
+
+
+def latency_ns(setup: Setup, name: str) -> int:
+    """The latency that the configuration gives a node, by the longest key that its name begins with."""
+    table = setup.stack.executor.latency_ms
+    known = [key for key in table if name.startswith(key)]
+    return round(table[max(known, key=len)] * 1e6) if known else 0
+
+
+def _perceiving(setup: Setup) -> list[Node]:
+    """From sensors to tracks and pose."""
+    lidars = setup.vehicle.sensors.lidar
+    perception, localization = setup.stack.perception, setup.stack.localization
+    obstacles = [
+        LidarObstacles(name, lidar, setup.vehicle, setup.implement, perception.lidar) for name, lidar in lidars.items()
+    ]
+    return [
+        *obstacles,
+        Tracker([f"obstacles/{node.name}" for node in obstacles], perception.tracker),
+        LidarOdometry("front", lidars["front"], localization.lidar_odometry),
+        Localizer(setup.vehicle, setup.site.datum.datum, localization),
+    ]
+
+
+def _deciding(setup: Setup, is_ablation: bool) -> list[Node]:
+    """From tracks and pose to the safe command."""
+    disabled = OBSTACLE_RULES if is_ablation else frozenset()
+    return [
+        MissionNode(setup.plan, setup.site, setup.vehicle, setup.implement, setup.mission.work, setup.stack.planning),
+        Controller(setup.vehicle, setup.implement, setup.stack.control),
+        Supervisor(
+            setup.vehicle, setup.implement, setup.stack.safety, fence_of(setup.site), FAULT_TOPICS, disabled
+        ),
+    ]

@@ -1,0 +1,121 @@
+"""`headland campaign`: drive many seeds, several at a time, resumable, and draw one table."""
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from messages.errors import HeadlandError
+from runtime.folder import ROOT, RunFolder
+
+COLUMNS = (
+    "seed", "outcome", "simulated_s", "wall_s", "distance_m", "planned_share", "coverage", "xte_sigma_m", "xte_max_m",
+    "stops", "false_stops", "contacts", "exits",
+)  # fmt: skip
+DONE = ("finished", "docked")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One run of the campaign by its seed, in a folder of its own."""
+
+    seed: int
+    folder: Path
+    is_ablation: bool
+
+    @property
+    def result(self) -> dict[str, Any] | None:
+        """The object of `run --json` if this trial has ended, else None."""
+        try:
+            lines = (self.folder / "result.jsonl").read_text(encoding="utf-8").splitlines()
+        except OSError:
+            return None
+        records = [json.loads(line) for line in lines]
+        return records[-2]["result"] if records and records[-1]["record"] == "end" else None
+
+    def drive(self) -> dict[str, Any]:
+        """Run it in a process of its own unless it has ended already."""
+        if (found := self.result) is not None:
+            return found
+        if self.folder.exists():
+            self.folder.rename(
+                self.folder.with_name(f"{self.folder.name}-cut-{len(list(self.folder.parent.iterdir()))}")
+            )
+        words = [sys.executable, "-m", "runtime", "run", "--seed", str(self.seed), "--out", str(self.folder), "--json"]
+        extra = ["--without-obstacle-rules"] if self.is_ablation else []
+        done = subprocess.run([*words, *extra], capture_output=True, text=True, check=False, cwd=ROOT)
+        if (result := self.result) is None:
+            raise HeadlandError(f"seed {self.seed} did not end: {done.stderr.strip().splitlines()[-1:]}")
+        return result
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Drive what is missing; 0 when every trial is as wanted."""
+    if arguments.seeds < 1 or arguments.jobs < 1:
+        raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
+    is_ablation = arguments.what == "ablation"
+    top = arguments.out or RunFolder(f"campaign-{arguments.what}", None).path
+    top.mkdir(parents=True, exist_ok=True)
+    trials = [Trial(seed, (top / f"seed-{seed}").absolute(), is_ablation) for seed in range(1, arguments.seeds + 1)]
+    results = sorted(_drive_all(trials, arguments.jobs), key=lambda r: int(r["seed"]))
+    rows = [_row(result) for result in results]
+    (top / "table.html").write_text(_page(arguments.what, rows), encoding="utf-8")
+    good = sum(_is_as_wanted(result, is_ablation) for result in results)
+    if arguments.json:
+        sys.stdout.write(
+            json.dumps({"what": arguments.what, "good": good, "runs": results, "run_dir": str(top)}) + "\n"
+        )
+    else:
+        sys.stdout.write(f"{good} of {len(trials)} as wanted; table: {top / 'table.html'}\n")
+    return 0 if good == len(trials) else 1
+
+
+def _drive_all(trials: list[Trial], jobs: int) -> Iterator[dict[str, Any]]:
+    """Results as they come, with a line of progress each; one failed trial does not end the campaign."""
+    with ThreadPoolExecutor(jobs) as pool:  # each thread only waits for its process
+        waiting = {pool.submit(trial.drive): trial for trial in trials}
+        for number, future in enumerate(as_completed(waiting), 1):
+            seed = waiting[future].seed
+            try:
+                result = future.result()
+            except HeadlandError as error:
+                sys.stderr.write(f"[{number}/{len(trials)}] {error}\n")
+                continue
+            text = f"seed {seed}: {result['outcome']}, {len(result['stops'])} stops, {result['contacts']} contacts"
+            sys.stderr.write(f"[{number}/{len(trials)}] {text}, {result['wall_s']:.0f} s\n")
+            yield result
+
+
+def _is_as_wanted(result: dict[str, Any], is_ablation: bool) -> bool:
+    if is_ablation:
+        return int(result["contacts"]) == sum(result["expected_stops"].values())
+    are_stops = len(result["stops"]) == sum(result["expected_stops"].values())
+    return bool(are_stops and result["outcome"] in DONE and result["contacts"] == result["exits"] == 0)
+
+
+def _row(result: dict[str, Any]) -> dict[str, Any]:
+    xte = result["xte_m"] or {"sigma": None, "max_abs": None}
+    more = {"xte_sigma_m": xte["sigma"], "xte_max_m": xte["max_abs"], "stops": len(result["stops"])}
+    return {key: (result | more)[key] for key in COLUMNS}
+
+
+def _page(what: str, rows: list[dict[str, Any]]) -> str:
+    head = "".join(f"<th>{escape(name)}</th>" for name in COLUMNS)
+    body = "".join("<tr>" + "".join(f"<td>{_text(row[name])}</td>" for name in COLUMNS) + "</tr>" for row in rows)
+    style = "body{font:15px system-ui;margin:2rem}td,th{padding:.3rem .7rem;border-bottom:1px solid;text-align:right}"
+    title = (
+        f"<meta charset=utf-8><title>Headland campaign</title><style>{style}</style><h1>Campaign {escape(what)}</h1>"
+    )
+    return f"<!doctype html>{title}<table><tr>{head}</tr>{body}</table>"
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "—" if value is None else escape(str(value))

@@ -1,0 +1,90 @@
+"""`headland run`: drive a mission in simulation, judge its log, and write the report."""
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from typing import Any, TextIO
+
+from configs.strict import find, load
+from datasets.log import LogWriter
+from datasets.reader import read_log
+from messages.errors import HeadlandError
+from runtime.assembly import assemble
+from runtime.executor import Executor
+from runtime.folder import RunFolder, resolved, versions
+from runtime.progress import Progress
+from runtime.setup import Setup, load_setup
+from runtime.watch import EndOfDrive
+from simulation.scenario import Scenario
+from validation.pictures import draw_all
+from validation.record import TOPICS, collect
+from validation.report import render
+from validation.summary import Planned, summarize
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Drive; 0 when the mission finished without contact, exit or false stop, else 1."""
+    setup = load_setup(arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed)
+    scenario = load(Scenario, find("scenarios", arguments.scenario or ("empty" if arguments.field else "demo")))
+    folder = RunFolder("run", arguments.out)
+    try:
+        result = drive(setup, scenario, folder, sys.stderr, arguments.without_obstacle_rules)
+    except (HeadlandError, OSError) as error:
+        shutil.rmtree(folder.path)
+        raise HeadlandError(f"run given up, {folder.path} removed: {error}") from error
+    if arguments.json:
+        sys.stdout.write(json.dumps(result) + "\n")
+    else:
+        sys.stdout.write(f"{result['outcome']}; report: {folder.path / 'report.html'}\n")
+    is_good = result["outcome"] in ("finished", "docked")
+    return 0 if is_good and not (result["contacts"] or result["exits"] or result["false_stops"]) else 1
+
+
+def drive(
+    setup: Setup, scenario: Scenario, folder: RunFolder, console: TextIO, is_ablation: bool = False
+) -> dict[str, Any]:
+    """Drive one mission into a run folder; returns the object of `run --json`."""
+    began_s = time.monotonic()
+    config = resolved(
+        mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,
+        scenario=scenario,
+    )  # fmt: skip
+    (folder.path / "config.yaml").write_text(config, encoding="utf-8")
+    conditions = versions() | {"seed": str(setup.seed), "ablation": str(is_ablation)}
+    folder.record("conditions", conditions)
+    digest = _drive_into_log(setup, scenario, folder, {"run": conditions, "config": {"yaml": config}}, console, is_ablation)
+    record = collect(read_log(folder.path / "log.mcap", TOPICS))
+    planned = Planned(
+        setup.plan.planned_area, setup.plan.field_area_m2, setup.implement.working_width_m, scenario.expected_stops
+    )
+    summary = summarize(record, planned)
+    result = summary.as_dict | {
+        "seed": setup.seed,
+        "wall_s": round(time.monotonic() - began_s, 1),
+        "expected_stops": scenario.expected_stops,
+        "digest": digest,
+        "run_dir": str(folder.path),
+    }
+    for title, picture in (pictures := draw_all(record, planned, summary)).items():
+        (folder.path / f"{title.lower().replace(',', '').replace(' ', '-')}.png").write_bytes(picture)
+    (folder.path / "report.html").write_text(render(summary, result, pictures), encoding="utf-8")
+    for stop in summary.stops:
+        folder.record("stop", stop.as_dict)
+    folder.record("result", {"result": result})
+    folder.finish()
+    return result
+
+
+def _drive_into_log(
+    setup: Setup, scenario: Scenario, folder: RunFolder, metadata: dict[str, dict[str, str]], console: TextIO,
+    is_ablation: bool,
+) -> str:  # fmt: skip
+    """Assemble, run until the drive ends, and close the log; returns its digest."""
+    with assemble(setup, scenario, is_ablation) as (world, nodes), (folder.path / "console.log").open("w") as file:
+        end = EndOfDrive(setup.plan.length_m)
+        with LogWriter(folder.path / "log.mcap", metadata, setup.stack.datasets.log, setup.viewer()) as log:
+            sinks = (log.write, Progress((console, file)), end)
+            Executor(world, nodes, sinks).run(end.is_reached)
+            return log.digest()

@@ -1,0 +1,43 @@
+"""What a mission needs, loaded and checked before anything is written."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from configs.mission import Mission
+from configs.site import Site
+from configs.strict import CONFIGS, find, load
+from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
+from datasets.viewer import Viewer
+from planning.field import read_field
+from planning.plan import Plan, plan_mission
+from runtime.stack import StackConfig
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything that a run is made of, besides its world."""
+
+    mission: Mission
+    site: Site
+    vehicle: Vehicle
+    implement: MountedImplement | TrailedImplement
+    stack: StackConfig
+    plan: Plan
+    seed: int
+
+    def viewer(self) -> Viewer:
+        """What turns messages into topics that the usual viewers draw."""
+        return Viewer(self.stack.datasets.viewer, self.vehicle, self.implement, self.site)
+
+
+def load_setup(mission: str, machine: str | None, implement: str | None, field: str | None, seed: int) -> Setup:
+    """Load the named files and plan the mission; raises ConfigError or FieldError."""
+    chosen = load(Mission, find("missions", mission))
+    names = {"machine": machine or chosen.machine, "implement": implement or chosen.implement}
+    chosen = chosen.model_copy(update=names | ({"site": field} if field else {}))
+    vehicle = load(Vehicle, find("machines", chosen.machine))
+    carried = load(ImplementFile, find("implements", chosen.implement)).implement
+    stack = load(StackConfig, CONFIGS / "stack.yaml")
+    site = read_field(Path(field), vehicle, carried) if field else load(Site, find("sites", chosen.site))
+    plan = plan_mission(site, vehicle, carried, chosen.work, stack.planning.planner, seed)
+    return Setup(chosen, site, vehicle, carried, stack, plan, seed)

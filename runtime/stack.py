@@ -1,0 +1,50 @@
+"""The section of every room in `configs/stack.yaml`, put together."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from configs.strict import Config
+from control.controller import ControlConfig
+from datasets.log import LogConfig
+from datasets.viewer import ViewerConfig
+from interfaces.gateway import GatewayConfig
+from localization.localizer import LocalizationConfig
+from perception.configuration import PerceptionConfig
+from planning.configuration import PlanningConfig
+from safety.config import SafetyConfig
+from simulation.world import SimulationConfig
+
+
+class InterfacesConfig(Config):
+    """Section `interfaces`."""
+
+    gateway: GatewayConfig
+
+
+class DatasetsConfig(Config):
+    """Section `datasets`."""
+
+    log: LogConfig
+    viewer: ViewerConfig
+
+
+class ExecutorConfig(Config):
+    """Section `executor`: cores given, and how long each node may take; keys name nodes up to the first underscore."""
+
+    cores: int = Field(ge=1, le=64)
+    latency_ms: dict[str, Annotated[float, Field(gt=0.0, le=5000.0)]]
+
+
+class StackConfig(Config):
+    """The whole of `configs/stack.yaml`."""
+
+    executor: ExecutorConfig
+    interfaces: InterfacesConfig
+    perception: PerceptionConfig
+    datasets: DatasetsConfig
+    localization: LocalizationConfig
+    planning: PlanningConfig
+    control: ControlConfig
+    safety: SafetyConfig
+    simulation: SimulationConfig
