@@ -96,6 +96,10 @@ class LogWriter:
         finally:
             self._file.close()
 
+    def abandon(self) -> None:
+        """Let go of the log as it stands: readable up to its last chunk, and cut."""
+        self._file.close()
+
     def __enter__(self) -> Self:
         return self
 

@@ -1,0 +1,108 @@
+"""Foxglove's messages, as protobuf or JSON, to ours."""
+
+import base64
+import binascii
+import json
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from datasets.importers.clouds import list_scan, read_points, scan_of_points
+from datasets.importers.ros_messages import FIXED_SIGMA_M, NAN3, decode_picture, pose_matrix
+from geometry.transforms import Float64, apply
+from messages.errors import LogError
+from messages.message import Message
+from messages.sensors import CameraImage, GnssFix, GnssSolution, LidarScan
+
+# foxglove.PackedElementField.NumericType
+_POINT_TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<f4", 8: "<f8"}
+
+
+def from_json(data: bytes) -> Any:
+    """A JSON message with the attributes that its protobuf twin has; raises LogError."""
+    try:
+        out = json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
+        stamp = getattr(out, "timestamp", None)
+        if stamp is not None:
+            out.timestamp = SimpleNamespace(seconds=stamp.sec, nanos=stamp.nsec)
+        if isinstance(getattr(out, "data", None), str):
+            out.data = base64.b64decode(out.data, validate=True)
+    except (ValueError, AttributeError, TypeError, binascii.Error) as error:
+        raise LogError(f"not a Foxglove message in JSON ({error})") from error
+    return out
+
+
+def stamp_of(proto: Any, receive_ns: int) -> int:
+    """The message's time, or that of arrival when it has none."""
+    return int(proto.timestamp.seconds) * 1_000_000_000 + int(proto.timestamp.nanos) or receive_ns
+
+
+def scan_of_cloud(proto: Any, receive_ns: int) -> LidarScan:
+    """foxglove.PointCloud; its own pose is applied, so that the points are in its frame."""
+    fields = {f.name: (int(f.offset), _POINT_TYPES[f.type]) for f in proto.fields if f.type in _POINT_TYPES}
+    stride = int(proto.point_stride)
+    if stride <= 0:
+        raise LogError(f"point cloud with point_stride {stride}")
+    points = read_points(fields, stride, len(proto.data) // stride, proto.data)
+    scan = scan_of_points(points, stamp_of(proto, receive_ns))
+    T = _pose_of(proto)
+    if np.array_equal(T, np.eye(4)):
+        return scan
+    return list_scan(scan.stamp_ns, np.asarray(apply(T, scan.xyz_m), np.float32), scan.intensity, scan.offset_s)
+
+
+def _pose_of(proto: Any) -> Float64:
+    pose = getattr(proto, "pose", None)
+    if pose is None or not any((pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w)):
+        return np.eye(4)
+    return pose_matrix(pose.position, pose.orientation)
+
+
+def gnss_fix(proto: Any, receive_ns: int) -> GnssFix:
+    """foxglove.LocationFix; it does not say how it was computed, so only a sigma of an RTK fix is taken for one."""
+    variance = np.asarray(list(proto.position_covariance) or [np.nan] * 9, np.float64).reshape(3, 3).diagonal()
+    sigma_m = np.sqrt(variance) if proto.position_covariance_type else NAN3
+    is_fixed = bool(max(sigma_m[:2]) <= FIXED_SIGMA_M)
+    return GnssFix(
+        stamp_ns=stamp_of(proto, receive_ns),
+        latitude_rad=math.radians(proto.latitude),
+        longitude_rad=math.radians(proto.longitude),
+        height_m=float(proto.altitude),
+        sigma_enu_m=np.array(sigma_m),
+        velocity_enu_mps=NAN3.copy(),
+        sigma_velocity_mps=math.nan,
+        heading_rad=math.nan,
+        sigma_heading_rad=math.nan,
+        solution=GnssSolution.RTK_FIXED if is_fixed else GnssSolution.SINGLE,
+        satellites=-1,
+        hdop=math.nan,
+        correction_age_s=math.nan,
+        constellations="",
+    )
+
+
+def compressed_image(proto: Any, receive_ns: int) -> CameraImage:
+    """foxglove.CompressedImage."""
+    return CameraImage(stamp_of(proto, receive_ns), decode_picture(proto.data))
+
+
+TRANSLATIONS: dict[str, tuple[str, Callable[[Any, int], Message]]] = {
+    "foxglove.PointCloud": ("lidar", scan_of_cloud),
+    "foxglove.LocationFix": ("gnss", gnss_fix),
+    "foxglove.CompressedImage": ("camera", compressed_image),
+}
+TRANSFORMS = {"foxglove.FrameTransform", "foxglove.FrameTransforms"}
+
+
+def frame_of(proto: Any) -> str:
+    """The frame a message's data is in."""
+    return str(proto.frame_id)
+
+
+def edges_of(proto: Any) -> list[tuple[str, str, Float64]]:
+    """(parent, child, pose) of each transform."""
+    some = proto.transforms if hasattr(proto, "transforms") else (proto,)
+    return [(t.parent_frame_id, t.child_frame_id, pose_matrix(t.translation, t.rotation)) for t in some]

@@ -1,0 +1,82 @@
+"""MCAP files: Headland's own logs, and those of others with Foxglove's or ROS's messages."""
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from datasets.importers import foxglove_messages
+from datasets.importers.recording import Description, Ignored, Received, Recording, Sensor
+from datasets.importers.ros_messages import TRANSFORMS
+from datasets.importers.streams import Item, recording_of
+from datasets.reader import Entry, LogScan, ProtobufDecoders, is_ours, read_log
+from messages.errors import LogError
+
+
+@cache
+def ros_types(name: str) -> Any:
+    """rosbags' type store of a ROS distribution; that of ROS 1 lacks the transforms of tf2."""
+    store = get_typestore(Stores[name])
+    if TRANSFORMS not in store.types:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
+    return store
+
+
+def open_mcap(path: Path) -> Recording:
+    """An MCAP file, whole or cut; raises LogError."""
+    scan = LogScan(path)
+    has_ours = any(is_ours(entry) for entry in scan)
+    notes = tuple(f"byte {d.offset}: {d.reason}; {d.length} bytes lost" for d in scan.damages)
+    if has_ours:
+        return _own_log(path, notes)
+    return recording_of(path, "mcap", lambda: _items(path), notes)
+
+
+def _own_log(path: Path, notes: tuple[str, ...]) -> Recording:
+    """Ours: messages as they are; mounts come from the viewer's frames beside them."""
+    views = recording_of(path, "headland", lambda: _items(path))
+    types = {e.topic: e.schema.name for e in LogScan(path) if is_ours(e) and e.schema is not None}
+    sensors = tuple(Sensor(topic, topic, topic, name) for topic, name in types.items())
+    truth = next((topic.partition("/")[2] or "map" for topic in types if topic.startswith("truth_objects")), None)
+    ignored = tuple(Ignored(s.source, s.source_type, "for viewers") for s in views.description.sensors)
+    description = Description("headland", sensors, views.description.extrinsics, ignored, truth, notes)
+    return Recording(path, description, lambda: _own_messages(path))
+
+
+def _own_messages(path: Path) -> Iterator[Received]:
+    for envelope in read_log(path):
+        yield envelope.receive_ns, envelope.topic, envelope.message
+
+
+def _items(path: Path) -> Iterator[Item]:
+    decoders = ProtobufDecoders()
+    for entry in LogScan(path):
+        if not is_ours(entry):
+            name = entry.schema.name if entry.schema is not None else ""
+            yield Item(entry.topic, _type_name(entry.encoding, name), entry.receive_ns, _decoder(entry, decoders))
+
+
+def _type_name(encoding: str, name: str) -> str:
+    """ROS types as `package/msg/Type`, whether or not the schema says `msg`."""
+    if encoding in ("cdr", "ros1") and name.count("/") == 1:
+        return name.replace("/", "/msg/")
+    return {"tf/msg/tfMessage": TRANSFORMS}.get(name, name)
+
+
+def _decoder(entry: Entry, decoders: ProtobufDecoders) -> Callable[[], Any]:
+    if entry.encoding == "protobuf":
+        return lambda: decoders.decode(entry)
+    if entry.encoding == "json":
+        return lambda: foxglove_messages.from_json(entry.data)
+    name = _type_name(entry.encoding, entry.schema.name if entry.schema is not None else "")
+    if entry.encoding == "cdr":
+        return lambda: ros_types("ROS2_HUMBLE").deserialize_cdr(entry.data, name)
+    if entry.encoding == "ros1":
+        return lambda: ros_types("ROS1_NOETIC").deserialize_ros1(entry.data, name)
+    return lambda: _refuse(entry)
+
+
+def _refuse(entry: Entry) -> Any:
+    raise LogError(f"message encoding {entry.encoding!r} is not one of protobuf, json, cdr, ros1")

@@ -1,0 +1,136 @@
+"""PCD files (Point Cloud Library, version 0.7): ASCII, binary and compressed; one file or a folder of numbered ones."""
+
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from datasets.importers.clouds import read_points, scan_of_points
+from datasets.importers.recording import Description, Received, Recording, Sensor
+from messages.errors import LogError
+from messages.sensors import LidarScan
+
+TOPIC = "lidar/pcd"
+FRAME_NS = 100_000_000
+HEADER = re.compile(rb"\A(?:#[^\n]*\n)*(?:VERSION|FIELDS)\b")
+KINDS = {"F": "f", "U": "u", "I": "i"}
+NO_TIMES = "no time stamps: a scan's time is its place in the folder over 10 Hz"
+
+
+@dataclass(frozen=True)
+class _Header:
+    """`widths` are the bytes of each field, those that are not read included."""
+
+    fields: dict[str, tuple[int, str]]
+    widths: tuple[int, ...]
+    stride: int
+    count: int
+    storage: str
+    size: int
+
+
+def is_pcd(start: bytes) -> bool:
+    """Whether the first bytes are those of a PCD file."""
+    return HEADER.match(start) is not None
+
+
+def open_pcd(path: Path) -> Recording:
+    """A PCD file or a folder of them; raises LogError."""
+    files = sorted(path.glob("*.pcd")) if path.is_dir() else [path]
+    description = Description("pcd", (Sensor(TOPIC, "pcd", str(path), "pcd"),), notes=(NO_TIMES,))
+
+    def read() -> Iterator[Received]:
+        for place, file in enumerate(files):
+            yield place * FRAME_NS, TOPIC, read_pcd(file, place * FRAME_NS)
+
+    return Recording(path, description, read)
+
+
+def read_pcd(path: Path, stamp_ns: int) -> LidarScan:
+    """One scan; raises LogError naming the file."""
+    try:
+        data = path.read_bytes()
+        header = _read_header(data)
+        body = data[header.size :]
+        if header.storage == "ascii":
+            body = _from_text(header, body)
+        elif header.storage == "binary_compressed":
+            body = _from_columns(header, body)
+        elif header.storage != "binary":
+            raise LogError(f"DATA {header.storage} is not one of ascii, binary, binary_compressed")
+        points = read_points(header.fields, header.stride, header.count, body)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+    except (LogError, ValueError, KeyError, IndexError, struct.error) as error:
+        raise LogError(f"{path}: no PCD scan ({error})") from error
+    return scan_of_points(points, stamp_ns)
+
+
+def _read_header(data: bytes) -> _Header:
+    found = re.search(rb"^DATA[ \t]+(\w+)[ \t]*\r?\n", data, re.MULTILINE)
+    if found is None:
+        raise LogError("it has no DATA line")
+    lines = data[: found.start()].decode("ascii").splitlines()
+    rows = {w[0]: w[1:] for w in (line.split() for line in lines) if w and not w[0].startswith("#")}
+    counts = [int(c) for c in rows.get("COUNT", ["1"] * len(rows["FIELDS"]))]
+    widths = [int(size) * count for size, count in zip(rows["SIZE"], counts, strict=True)]
+    fields: dict[str, tuple[int, str]] = {}
+    for k, (name, kind) in enumerate(zip(rows["FIELDS"], rows["TYPE"], strict=True)):
+        if counts[k] == 1 and name != "_":
+            fields[name] = (sum(widths[:k]), f"<{KINDS[kind]}{widths[k]}")
+    count = int(rows["POINTS"][0])
+    return _Header(fields, tuple(widths), sum(widths), count, found.group(1).decode(), found.end())
+
+
+def _from_text(header: _Header, body: bytes) -> bytes:
+    kinds = np.dtype([(name, kind) for name, (_, kind) in header.fields.items()])
+    if kinds.itemsize != header.stride:
+        raise LogError("text with fields of more than one value is not read")
+    rows = [tuple(line.split()) for line in body.decode("ascii").splitlines() if line.strip()]
+    return np.array(rows[: header.count], kinds).tobytes()
+
+
+def _from_columns(header: _Header, body: bytes) -> bytes:
+    """Compressed data stands field by field; gives it point by point."""
+    packed, size = struct.unpack_from("<II", body)
+    if size != header.stride * header.count:
+        raise LogError(f"{size} bytes for {header.count} points of {header.stride}")
+    flat = np.frombuffer(unpack_lzf(body[8 : 8 + packed], size), np.uint8)
+    bounds = np.cumsum((0, *header.widths)).tolist()
+    out = np.empty((header.count, header.stride), np.uint8)
+    for start, end in pairwise(bounds):
+        out[:, start:end] = flat[start * header.count : end * header.count].reshape(header.count, end - start)
+    return out.tobytes()
+
+
+def unpack_lzf(data: bytes, size: int) -> bytes:
+    """LZF: runs of plain bytes, and references to what came before; raises LogError."""
+    out, at = bytearray(), 0
+    while at < len(data):
+        control, at = data[at], at + 1
+        if control < 32:
+            out += data[at : at + control + 1]
+            at += control + 1
+            continue
+        length = control >> 5
+        if length == 7:
+            length, at = length + data[at], at + 1
+        back = ((control & 31) << 8) + data[at] + 1
+        at += 1
+        _repeat(out, back, length + 2)
+    if len(out) != size:
+        raise LogError(f"unpacks to {len(out)} bytes instead of {size}")
+    return bytes(out)
+
+
+def _repeat(out: bytearray, back: int, length: int) -> None:
+    """Append `length` bytes that begin `back` bytes before the end; they may overlap what is being written."""
+    start = len(out) - back
+    if start < 0:
+        raise LogError("refers to bytes before its start")
+    piece = out[start : start + length]
+    out += (piece * (length // len(piece) + 1))[:length]
