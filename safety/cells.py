@@ -21,3 +21,10 @@ def confirm(keys: Int64, before: Int64, once: int, twice: int) -> tuple[np.ndarr
     cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
     is_hit = (counts >= once) | ((counts >= twice) & np.isin(cells, before, assume_unique=True))
     return is_hit[which], cells[counts >= twice]
+
+
+def thinned(points_m: Float64, grid_m: float) -> Float64:
+    """One of the points (N, 3) in each square of a grid seen from above, so that a wall costs no more than a post."""
+    square = np.floor(points_m[:, :2] / grid_m).astype(np.int64)
+    _, first = np.unique((square[:, 0] << BITS) + square[:, 1], return_index=True)
+    return points_m[first]

@@ -30,7 +30,7 @@ class Eye:
         self._slopes, self._density = expected_returns(lidar, config.proven)
         self._directions = tuple(d for d in (1, -1) if looks(lidar, shape, d))
         self._edges = edges(config.proven.sectors)
-        self._proven_m = np.zeros(config.proven.sectors)
+        self._proven_m = dict.fromkeys(self._directions, 0.0)
         self._cells: Int64 = np.empty(0, np.int64)
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._equal_scans = 0
@@ -41,10 +41,7 @@ class Eye:
 
     def proven_m(self, direction: int) -> float:
         """How far its last scan proves the field free in a direction of travel."""
-        if not self.looks(direction) or self._equal_scans >= self._config.proven.frozen_scans:
-            return 0.0
-        half_rad = math.radians(self._config.proven.look_deg)
-        return least_towards(self._edges, self._proven_m, direction, half_rad)
+        return 0.0 if self.is_frozen else self._proven_m.get(direction, 0.0)
 
     @property
     def is_frozen(self) -> bool:
@@ -66,7 +63,7 @@ class Eye:
         field = self._config.field
         near = within(xyz, box, self._shape.height_m + field.over_height_m)
         looked = deskew(xyz[:, near], scan.point_offset_s[near], motion)
-        looked = looked[:, raised_in(looked, box, self._config)]
+        looked = looked[:, raised(looked, box, field)]
         looked = looked[:, ~is_own(looked, self._shape, curvature_radpm, field.mask_m)]
         places = np.asarray(looked, np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, places[:2].T), places[2]])
@@ -80,7 +77,8 @@ class Eye:
         some = down_beams(xyz, origin, self._slopes)
         some = some[:, ~is_own(some, self._shape, curvature_radpm, self._config.field.mask_m)]
         share = shares(some, origin, self._density, proven.sectors)
-        self._proven_m = range_by_share(share, self.reach_m, proven)
+        ranges, half_rad = range_by_share(share, self.reach_m, proven), math.radians(proven.look_deg)
+        self._proven_m = {d: least_towards(self._edges, ranges, d, half_rad) for d in self._directions}
 
     def _remember(self, hits_odom: Float64, pose_odom: Float64, curvature_radpm: float, stamp_ns: int) -> None:
         """Keep for a while what went where no beam can look: the ground right before the bumper."""
@@ -97,16 +95,6 @@ class Eye:
         """Which points (3, N) lie below the lowest beam."""
         x, y, z = base - self._T_base_sensor[:3, 3:]
         return np.asarray(z < self._lowest_slope * np.hypot(x, y))
-
-
-def raised_in(xyz: np.ndarray, box: Box, config: SafetyConfig) -> np.ndarray:
-    """Which returns (3, N) stand above the ground; deskewing may have moved some out of the box, which are left out."""
-    x, y, z = xyz
-    slack_m = config.field.ground_patch_m
-    wide = Box((box.x_m[0] - slack_m, box.x_m[1] + slack_m), (box.y_m[0] - slack_m, box.y_m[1] + slack_m))
-    inside = (x > wide.x_m[0]) & (x < wide.x_m[1]) & (y > wide.y_m[0]) & (y < wide.y_m[1]) & np.isfinite(z)
-    index = np.flatnonzero(inside)
-    return np.asarray(index[raised(xyz[:, index], wide, config.field)])
 
 
 def is_same(scan: LidarScan, before: LidarScan | None) -> bool:

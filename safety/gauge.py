@@ -3,14 +3,12 @@
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
-from geometry.transforms import rpy_of
 from messages.command import MachineState, Mode, SafeCommand, Wish
 from messages.motion import MapPose, Odometry
 from messages.plan import Path
 from safety.config import SafetyConfig
 from safety.modes import WATCHED
+from safety.motion import tilt_of
 from safety.stopping import Braking, on_grade
 from safety.timer import Held, Window
 
@@ -61,7 +59,7 @@ class Gauge:
         self._fastest_mps = self._fastest_mps if speed is None else abs(speed)
         self._direction = direction_of(speed, path, wish, self._direction)
         if odom is not None:
-            self._pitch_rad = float(rpy_of(odom.T_odom_base)[1])
+            self._pitch_rad = tilt_of(odom.T_odom_base)[1]
         flat, least = self._config.braking.flat, self._config.braking.least_deceleration_mps2
         is_watched = mode in WATCHED
         return Measured(
@@ -110,7 +108,7 @@ def position_sigma_m(map_pose: MapPose | None) -> float:
     """Standard deviation of the horizontal position, 0 when there is none (another rule stops then)."""
     if map_pose is None:
         return 0.0
-    variance = float(np.max(np.diag(map_pose.covariance)[3:5]))
+    variance = max(float(map_pose.covariance[3, 3]), float(map_pose.covariance[4, 4]))
     return math.sqrt(variance) if variance > 0.0 else 0.0
 
 

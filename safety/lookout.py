@@ -16,6 +16,7 @@ from messages.plan import Path
 from messages.sensors import LidarScan
 from messages.topics import KINDS
 from safety.bodies import Shape
+from safety.cells import thinned
 from safety.config import SafetyConfig
 from safety.eye import Eye
 from safety.fence import Fence, way_inside_m
@@ -28,6 +29,7 @@ from safety.sweep import corners_along
 from safety.tracked import NO_THREAT, Threat, threat_in
 
 FENCE_SPACING_M = 0.5
+THIN_M = 0.05  # what a gap may be too long by
 REACH_TO_TRACK_M = 1.0  # a hit this near to a track's box belongs to it
 
 
@@ -145,7 +147,7 @@ class Lookout:
         self._looked_at_m = self.trail.driven_m
         if any(eye.stamp_ns is not None for eye in self.eyes):
             hits = [eye.hits_odom_m for eye in self.eyes]
-            self._gap = gap_in(way, np.concatenate([NOTHING, *hits]), pose_odom)
+            self._gap = gap_in(way, thinned(np.concatenate([NOTHING, *hits]), THIN_M), pose_odom)
         stop_s = stopping_time(speed_mps, braking)
         self._threat = threat_in(way.main, seen.tracks, pose_odom, stop_s, self._config.tracked)
         self._fence_m = self._inside_m(pose_in_map(seen.map_pose, odom), way, speed_mps, braking)

@@ -17,6 +17,11 @@ def planar_of(T: Float64) -> Float64:
     return np.array([T[0, 3], T[1, 3], yaw_of(T)])
 
 
+def tilt_of(T: Float64) -> tuple[float, float]:
+    """Roll and pitch of a pose (REP-103: pitch is positive nose down); NaN where the pose is no number."""
+    return math.atan2(T[2, 1], T[2, 2]), -math.asin(max(-1.0, min(1.0, T[2, 0]))) if T[2, 0] == T[2, 0] else math.nan
+
+
 def to_frame(pose: Float64, xy: Float64) -> Float64:
     """Points (N, 2) of a pose's own frame in the frame the pose is given in."""
     c, s = math.cos(pose[2]), math.sin(pose[2])

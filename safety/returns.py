@@ -59,15 +59,15 @@ def within(xyz: Float32, box: Box, top_m: float) -> np.ndarray:
 
 
 def raised(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
-    """Which returns (3, N), all within the box, stand above the ground, (N,) bool."""
+    """Which returns (3, N) stand above the ground, (N,) bool; deskewing may have moved some just out of the box."""
     x, y, z = xyz
     size = config.ground_patch_m
     x0, y0 = np.floor(box.x_m[0] / size), np.floor(box.y_m[0] / size)
     columns = int(np.floor(box.y_m[1] / size) - y0) + 1
     rows = int(np.floor(box.x_m[1] / size) - x0) + 1
     scale = np.float32(1.0 / size)
-    row, column = np.floor(x * scale).astype(np.int64) - int(x0), np.floor(y * scale).astype(np.int64) - int(y0)
-    patch = row * columns + column
+    row, column = (x * scale - np.float32(x0)).astype(np.int32), (y * scale - np.float32(y0)).astype(np.int32)
+    patch = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
     ground = patch_ground(patch, z, rows * columns, config.ground_returns)
     center_x = (np.repeat(np.arange(rows), columns) + x0 + 0.5) * size
     center_y = (np.tile(np.arange(columns), rows) + y0 + 0.5) * size
@@ -79,7 +79,7 @@ def raised(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
 def patch_ground(patch: np.ndarray, z: Float32, patches: int, order: int) -> Float64:
     """Height of the `order`-th lowest return of each patch, to 0.05 m; infinite where there are fewer."""
     level = np.clip((z - np.float32(HEIGHT_FROM_M)) * np.float32(1.0 / HEIGHT_STEP_M), 0, HEIGHT_STEPS - 1)
-    counts = np.bincount(patch * HEIGHT_STEPS + level.astype(np.int64), minlength=patches * HEIGHT_STEPS)
+    counts = np.bincount(patch * HEIGHT_STEPS + level.astype(np.int32), minlength=patches * HEIGHT_STEPS)
     below = np.cumsum(counts.reshape(patches, HEIGHT_STEPS), axis=1)
     found = np.argmax(below >= order, axis=1)
     height = HEIGHT_FROM_M + HEIGHT_STEP_M * (found + 0.5)

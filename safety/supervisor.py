@@ -65,11 +65,12 @@ class Supervisor(Node):
         sensors = vehicle.sensors
         self._lidars = tuple(sensors.lidar)
         own = ("imu",) * (sensors.imu is not None) + ("wheel",) * (sensors.wheels is not None)
-        self._watched = ("machine", *own, *(f"lidar/{name}" for name in self._lidars),
+        watched = ("machine", *own, *(f"lidar/{name}" for name in self._lidars),
                          "odom", "map_pose", "tracks", "wish")  # fmt: skip
+        self._watched = {topic: kind_of(topic).type for topic in watched}
         self._fault_topics = fault_topics
         self.reads: dict[str, Read] = {topic: Latest() for topic in (*self._watched, "path", "mission")}
-        self.reads |= {f"health/{name}": Latest() for name in self._lidars}
+        self.reads |= {f"health/lidar_{name}": Latest() for name in self._lidars}
         self.reads |= {topic: All(50) for topic in ("order", *fault_topics)}
         self.writes = ("safe_command", "supervisor", "fault/supervisor")
         self.runs = Every(PERIOD_NS)
@@ -117,16 +118,16 @@ class Supervisor(Node):
             inbox.latest("path", Path),
             inbox.latest("tracks", Tracks),
             {name: inbox.latest(f"lidar/{name}", LidarScan) for name in self._lidars},
-            {name: inbox.latest(f"health/{name}", SensorHealth) for name in self._lidars},
+            {name: inbox.latest(f"health/lidar_{name}", SensorHealth) for name in self._lidars},
         )
 
     def _ages(self, now_ns: int, inbox: Inbox, direction: int) -> list[Age]:
         """Ages of all that driving in this direction needs."""
         idle = {f"lidar/{eye.name}" for eye in self._lookout.eyes if not eye.looks(direction)}
         ages = []
-        for topic in self._watched:
+        for topic, kind in self._watched.items():
             if topic not in idle:
-                last = inbox.last(topic, kind_of(topic).type)
+                last = inbox.last(topic, kind)
                 ages.append(age_of(topic, None if last is None else last.stamp_ns, now_ns))
         return ages
 

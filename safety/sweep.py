@@ -93,20 +93,31 @@ def contact_m(points_xy: Float64, sweep: Sweep, extra_m: Float64 | float = 0.0) 
         return np.empty(0)
     extra = np.broadcast_to(np.asarray(extra_m, np.float64), (len(points_xy),))[:, None]
     travel = np.full(len(points_xy), np.inf)
+    carrier: Float64 | None = None
     for (body, poses), lead_m in zip(sweep.bodies, sweep.leads_m, strict=True):
-        way = _body_contact(points_xy, body, poses, sweep, extra)
+        if poses is not carrier:
+            carrier, (ahead, across) = poses, _seen_from(poses, points_xy, sweep.direction)
+        way = _body_contact(ahead, across, body, sweep, extra)
         travel = np.minimum(travel, np.maximum(way - lead_m, 0.0))
     return travel
 
 
-def _body_contact(points_xy: Float64, body: Rectangle, poses: Float64, sweep: Sweep, extra: Float64) -> Float64:
-    dx, dy = points_xy[:, :1] - poses[:, 0], points_xy[:, 1:] - poses[:, 1]
+def _seen_from(poses: Float64, points_xy: Float64, direction: int) -> tuple[Float64, Float64]:
+    """How far ahead in the direction of travel and how far aside each point (N,) is of each pose (M,), (N, M) each."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    ahead, across = sweep.direction * (c * dx + s * dy), np.abs(c * dy - s * dx)
+    forward, left = np.column_stack([c, s]), np.column_stack([-s, c])
+    ahead = points_xy @ forward.T - np.einsum("ij,ij->i", forward, poses[:, :2])
+    across = points_xy @ left.T - np.einsum("ij,ij->i", left, poses[:, :2])
+    return direction * ahead, np.abs(across)
+
+
+def _body_contact(ahead: Float64, across: Float64, body: Rectangle, sweep: Sweep, extra: Float64) -> Float64:
     front, rear = (body.front_m, body.rear_m) if sweep.direction > 0 else (-body.rear_m, -body.front_m)
     left = ahead - (front + extra)
     is_met = (left <= sweep.step_m) & (ahead >= rear - extra) & (across <= body.half_width_m + sweep.lateral_m + extra)
-    way = np.where(is_met, sweep.s_m + np.maximum(left, 0.0), np.inf).min(axis=1)
+    point, pose = np.nonzero(is_met)
+    way = np.full(len(ahead), np.inf)
+    np.minimum.at(way, point, sweep.s_m[pose] + np.maximum(left[point, pose], 0.0))
     return np.where(way <= sweep.length_m, way, np.inf)
 
 

@@ -29,17 +29,19 @@ class Window:
 
     def __init__(self, length_s: float) -> None:
         self._length_ns = round(length_s * 1e9)
-        self._values: deque[tuple[int, float]] = deque()
+        self._stamps: deque[int] = deque()
+        self._values: deque[float] = deque()
 
     def add(self, now_ns: int, value: float) -> None:
         """Take the newest."""
-        self._values.append((now_ns, value))
-        while now_ns - self._values[0][0] > self._length_ns:
+        self._stamps.append(now_ns)
+        self._values.append(value)
+        while now_ns - self._stamps[0] > self._length_ns:
+            self._stamps.popleft()
             self._values.popleft()
 
     def distance(self, value: float) -> float:
         """How far a value lies outside the range; 0 inside, or when nothing is known."""
         if not self._values:
             return 0.0
-        low, high = min(v for _, v in self._values), max(v for _, v in self._values)
-        return max(low - value, value - high, 0.0)
+        return max(min(self._values) - value, value - max(self._values), 0.0)

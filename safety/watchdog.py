@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 
 from messages.topics import kind_of
 
@@ -37,7 +38,12 @@ class Age:
 def age_of(topic: str, stamp_ns: int | None, now_ns: int) -> Age:
     """The age of a topic whose newest message has this stamp."""
     age_s = None if stamp_ns is None else (now_ns - stamp_ns) * 1e-9
-    return Age(topic, age_s, kind_of(topic).max_age_s)
+    return Age(topic, age_s, _max_age_s(topic))
+
+
+@cache
+def _max_age_s(topic: str) -> float:
+    return kind_of(topic).max_age_s
 
 
 def silent(ages: Iterable[Age]) -> tuple[str, ...]:

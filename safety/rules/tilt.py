@@ -2,8 +2,8 @@
 
 import math
 
-from geometry.transforms import rpy_of
 from messages.command import RuleResult
+from safety.motion import tilt_of
 from safety.rules.verdict import free, stop
 from safety.situation import Situation
 
@@ -13,7 +13,7 @@ def judge(situation: Situation) -> RuleResult:
     if situation.odom is None:
         return free("tilt")
     limits = situation.config.limits
-    roll_deg, pitch_deg = (abs(math.degrees(angle)) for angle in rpy_of(situation.odom.T_odom_base)[:2])
+    roll_deg, pitch_deg = (abs(math.degrees(angle)) for angle in tilt_of(situation.odom.T_odom_base))
     if not roll_deg <= limits.roll_deg:
         return stop("tilt.roll", f"roll {roll_deg:.1f}°, at most {limits.roll_deg:g}°")
     if not pitch_deg <= limits.pitch_deg:
