@@ -33,8 +33,7 @@ def group_scores(scores: Float32) -> Float32:
 
 
 def class_scores(group: int, score: float) -> Float64:
-    """Evidence (7,) in the order of `ObstacleClass`: what the network does not say for its class stays unknown."""
-    row = np.zeros(len(_ORDER))
+    """Evidence (7,) in the order of `ObstacleClass`: what the network does not give to its class may be any other."""
+    row = np.full(len(_ORDER), (1.0 - score) / (len(_ORDER) - 1))
     row[_ORDER.index(GROUPS[group])] = score
-    row[_ORDER.index(ObstacleClass.UNKNOWN)] = 1.0 - score
     return row

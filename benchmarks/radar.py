@@ -1,0 +1,221 @@
+# ruff: noqa: T201 (a command line)
+"""The radar pipeline on real recordings: one cycle of a Continental ARS548, and a minute of a Toyota's ACC radar.
+
+    python -m benchmarks.radar
+
+ARS548: the raw packets of a ROS 2 bag are decoded and compared, field by field, with the truth beside them; then the
+speed of the car follows from the Doppler alone, and standing and moving targets are told apart with it.
+Toyota: its radar gives tracks, not echoes; each cycle goes through the pipeline as a scan, with odometry from wheels
+and gyro. Reference is the device's own track over the second around: how fast its place over ground changes.
+"""
+
+import argparse
+import os
+import sqlite3
+import struct
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from configs.strict import load, parse, read_yaml
+from configs.vehicle import Mount, Radar, Vehicle
+from geometry.transforms import apply, planar
+from interfaces.radar.ars548 import INVALID, DetectionList, decode_detections, is_invalid, to_scan
+from messages.message import Float64
+from messages.motion import Odometry
+from messages.perception import Obstacles
+from messages.sensors import RadarScan
+from perception.radar.clusters import find_clusters
+from perception.radar.doppler import estimate_velocity, to_base, usable
+from perception.radar.obstacles import RadarConfig, RadarObstacles, warm
+
+ROOT = Path(__file__).parents[1]
+DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
+FIELDS = {
+    "azimuth_angle": "azimuth_rad", "azimuth_angle_std": "azimuth_sigma_rad", "elevation_angle": "elevation_rad",
+    "elevation_angle_std": "elevation_sigma_rad", "range": "range_m", "range_std": "range_sigma_m",
+    "range_rate": "doppler_mps", "range_rate_std": "doppler_sigma_mps", "rcs": "rcs_dbsm",
+    "measurement_id": "measurement", "raw_positive_predictive_value": "existence_percent",
+    "classification": "classification", "raw_multi_target_probability": "several_percent", "object_id": "object",
+    "raw_ambiguity_flag": "ambiguity_percent",
+}  # fmt: skip
+ARS548 = Radar(
+    mount=Mount(xyz_m=(3.872, 0.0, 0.641)), field_of_view_deg=120.0, rate_hz=20.0, range_m=(0.2, 300.0),
+    range_sigma_m=0.2, azimuth_sigma_deg=0.5, doppler_sigma_mps=0.25,
+)  # fmt: skip
+TOYOTA = Radar(
+    mount=Mount(xyz_m=(3.7, 0.0, 0.6)), field_of_view_deg=90.0, rate_hz=20.0, range_m=(1.0, 200.0),
+    range_sigma_m=0.3, azimuth_sigma_deg=0.5, doppler_sigma_mps=0.2,
+)  # fmt: skip
+
+
+def datagrams(bag: Path) -> Iterator[bytes]:
+    """UDP payloads in a bag of `nebula_msgs/NebulaPackets` (CDR, little-endian)."""
+    connection = sqlite3.connect(f"file:{bag}?mode=ro&immutable=1", uri=True)
+    for (data,) in connection.execute("SELECT data FROM messages ORDER BY id"):
+        (name,) = struct.unpack_from("<I", data, 12)
+        place = (16 + name + 3) // 4 * 4
+        (count,) = struct.unpack_from("<I", data, place)
+        place += 4
+        for _ in range(count):
+            (size,) = struct.unpack_from("<I", data, place + 8)
+            yield data[place + 12 : place + 12 + size]
+            place += (12 + size + 3) // 4 * 4
+    connection.close()
+
+
+def differences(cycle: DetectionList, truth: dict[str, Any]) -> list[str]:
+    """Where a decoded cycle is not what the truth says; numbers to the six digits that the truth has."""
+    rows, d = truth["detections"], cycle.detections
+    wrong = [] if len(rows) == len(d) else [f"{len(d)} detections, not {len(rows)}"]
+    for theirs, ours in FIELDS.items():
+        wanted = np.array([row[theirs] for row in rows], np.float64)
+        if len(wanted) == len(d) and not np.allclose(d[ours].astype(np.float64), wanted, rtol=1e-5, atol=1e-6):
+            wrong.append(theirs)
+    flags = {what: [bool(row[f"invalid_{what}"]) for row in rows] for what in INVALID}
+    wrong += [f"invalid_{what}" for what, told in flags.items() if told != is_invalid(d, what).tolist()]
+    origin = [truth["origin_pos"][k] for k in "xyz"]
+    head = [*cycle.mount[:3], *cycle.mount[4:], *cycle.doppler_limits_mps, *cycle.alignment_rad]
+    rest = [
+        truth[k] for k in ("origin_pitch", "origin_yaw", "ambiguity_free_velocity_min", "ambiguity_free_velocity_max")
+    ]
+    rest += [truth[k] for k in ("alignment_azimuth_correction", "alignment_elevation_correction")]
+    return wrong if np.allclose(head, origin + rest, rtol=1e-5) else [*wrong, "head"]
+
+
+def run_ars548(folder: Path, config: RadarConfig) -> bool:
+    """Print what one recorded cycle gives; whether it is decoded as the truth says."""
+    cycles = [c for c in map(decode_detections, datagrams(next(folder.glob("*/*.db3")))) if c is not None]
+    truth = yaml.load(next(folder.glob("*_detection.yaml")).read_text(), yaml.CSafeLoader)
+    wrong = differences(cycles[0], truth) if len(cycles) == 1 else [f"{len(cycles)} lists"]
+    print(f"ARS548: {len(cycles[0].detections)} detections, differs from the truth in: {', '.join(wrong) or 'nothing'}")
+    scan = to_scan(cycles[0], cycles[0].stamp_ns)
+    which = usable(scan, ARS548.range_m, np.radians(ARS548.field_of_view_deg) / 2)
+    velocity, agrees = estimate_velocity(scan, which, config.health.agree_mps)
+    T = ARS548.mount.T_base_sensor
+    warm()
+    start = time.perf_counter()
+    echoes = to_base(scan, which, T, np.append(velocity, 0.0))
+    clusters = find_clusters(echoes, np.radians(ARS548.azimuth_sigma_deg), config.clusters)
+    ms = (time.perf_counter() - start) * 1e3
+    moving = np.abs(clusters.radial_mps) > config.health.agree_mps
+    print(
+        f"  speed by Doppler {velocity[0]:.2f} m/s ahead, {velocity[1]:.2f} left; {agrees.mean():.0%} of echoes stand"
+    )
+    print(f"  {len(clusters)} targets, {int(moving.sum())} of them moving, {ms:.1f} ms")
+    return not wrong
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Cycles of the Toyota: scans, odometry at each, and the device's track number of each detection."""
+
+    scans: list[RadarScan]
+    odometry: list[Odometry]
+    tracks: list[Float64]
+
+
+def read_comma(folder: Path) -> Drive:
+    """The radar of a comma2k19 segment with odometry from wheel speed and gyro; a cycle ends with a pause of 20 ms."""
+    log = folder / "processed_log"
+    value, t = np.load(log / "CAN" / "radar" / "value"), np.load(log / "CAN" / "radar" / "t")
+    speed = np.load(log / "CAN" / "speed" / "value").ravel(), np.load(log / "CAN" / "speed" / "t")
+    gyro = np.load(log / "IMU" / "gyro" / "value"), np.load(log / "IMU" / "gyro" / "t")
+    drive, x, y, yaw, last = Drive([], [], []), 0.0, 0.0, 0.0, float(t[0])
+    for rows in np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) > 0.02) + 1):
+        now = float(t[rows[-1]])
+        v, turn = float(np.interp(now, speed[1], speed[0])), -float(np.interp(now, gyro[1], gyro[0][:, 2]))
+        middle = yaw + turn * (now - last) / 2
+        x, y, yaw = (
+            x + v * (now - last) * np.cos(middle),
+            y + v * (now - last) * np.sin(middle),
+            yaw + turn * (now - last),
+        )
+        last, stamp_ns = now, round(now * 1e9)
+        ahead, left, relative = value[rows, 0], value[rows, 1], value[rows, 2]
+        range_m, azimuth = np.hypot(ahead, left), np.arctan2(left, ahead)
+        level, rcs = np.zeros(len(rows)), np.full(len(rows), 10.0)  # it tells neither elevation nor cross-section
+        drive.scans.append(RadarScan(stamp_ns, range_m, azimuth, level, relative * np.cos(azimuth), rcs))
+        drive.odometry.append(Odometry(stamp_ns, planar(x, y, yaw), v, 0.0, 0.0, turn, 0.0, np.zeros((6, 6))))
+        drive.tracks.append(value[rows, 5])
+    return drive
+
+
+def reference(drive: Drive, window_s: float = 1.0) -> dict[tuple[int, float], tuple[float, float]]:
+    """Velocity in `odom` of each device track at each cycle, from its places within the window around."""
+    path: dict[float, list[tuple[int, float, Float64]]] = {}
+    for i, (scan, odom, tracks) in enumerate(zip(drive.scans, drive.odometry, drive.tracks, strict=True)):
+        level = np.zeros(len(tracks))
+        p = np.stack([scan.range_m * np.cos(scan.azimuth_rad), scan.range_m * np.sin(scan.azimuth_rad), level], axis=1)
+        places = apply(odom.T_odom_base @ TOYOTA.mount.T_base_sensor, p)
+        for track, place in zip(tracks, places, strict=True):
+            path.setdefault(float(track), []).append((i, scan.stamp_ns * 1e-9, place[:2]))
+    out = {}
+    for track, rows in path.items():
+        times, places = np.array([r[1] for r in rows]), np.array([r[2] for r in rows])
+        for i, now, _ in rows:
+            near = np.flatnonzero(np.abs(times - now) <= window_s / 2)
+            # a number is used again for another target: its places then jump
+            steps = np.hypot(*np.diff(places[near], axis=0).T)
+            if np.ptp(times[near]) > 0.9 * window_s and steps.max() < 3.0:
+                velocity = np.polyfit(times[near] - now, places[near], 1)[0]
+                out[(i, track)] = (float(velocity[0]), float(velocity[1]))
+    return out
+
+
+def run_comma(folder: Path, vehicle: Vehicle, config: RadarConfig) -> None:
+    """Print how the pipeline's targets agree with the device's tracks."""
+    drive = read_comma(folder)
+    node = RadarObstacles("front", TOYOTA, vehicle, config)
+    truth = reference(drive)
+    found, errors, still, moving, right, ms = 0, [], 0, 0, 0, []
+    for i, (scan, odom) in enumerate(zip(drive.scans, drive.odometry, strict=True)):
+        start = time.perf_counter()
+        obstacles = node.absorb(scan, odom)
+        ms.append((time.perf_counter() - start) * 1e3)
+        for k, track in enumerate(drive.tracks[i]):
+            if (i, float(track)) in truth:
+                velocity = np.array(truth[(i, float(track))])
+                row = _nearest(obstacles, scan, k)
+                stands = bool(np.hypot(*velocity) < 2.0)
+                still, moving, found = still + stands, moving + (not stands), found + (row is not None)
+                if row is not None and np.isfinite(obstacles.velocity_mps[row]).all():
+                    told = odom.T_odom_base[:2, :2] @ obstacles.velocity_mps[row]
+                    errors.append(np.hypot(*(told - velocity)))
+                    right += (np.hypot(*told) < 2.0) == stands
+    n, known = still + moving, len(errors)
+    print(
+        f"Toyota: {len(drive.scans)} cycles, {n} places of tracks at least 1 s old ({moving} moving, {still} standing)"
+    )
+    print(f"  {found / n:.1%} are told as obstacles, {known / n:.1%} with velocity; {np.median(ms):.2f} ms a cycle")
+    print(f"  error of velocity: median {np.median(errors):.2f}, 95 % {np.percentile(errors, 95):.2f} m/s")
+    print(f"  moving or standing told rightly: {right / max(known, 1):.1%}")
+
+
+def _nearest(obstacles: Obstacles, scan: RadarScan, k: int) -> int | None:
+    sensor = TOYOTA.mount.T_base_sensor[:2, 3]
+    p = sensor + scan.range_m[k] * np.array([np.cos(scan.azimuth_rad[k]), np.sin(scan.azimuth_rad[k])])
+    gap = np.hypot(*(obstacles.center_base_m[:, :2] - p).T)
+    return int(gap.argmin()) if len(gap) and gap.min() < 2.0 else None
+
+
+def run(data: Path) -> bool:
+    """Print everything; whether the ARS548 is decoded rightly."""
+    stack = read_yaml(ROOT / "configs" / "stack.yaml")
+    config = parse(RadarConfig, stack["perception"]["radar"], "stack.yaml: perception.radar")
+    vehicle = load(Vehicle, ROOT / "configs" / "machines" / "tractor_e.yaml")
+    good = run_ars548(data / "tier4-nebula" / "ars548", config)
+    run_comma(next((data / "comma2k19-example" / "Example_1").glob("*/40")), vehicle, config)
+    return good
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=DATA)
+    sys.exit(0 if run(parser.parse_args().data) else 1)

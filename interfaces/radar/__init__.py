@@ -1,0 +1,1 @@
+"""Radars by their own protocols, as `RadarScan`."""

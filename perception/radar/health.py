@@ -1,0 +1,69 @@
+"""The node that says how far one radar can be trusted, also when it falls silent."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from configs.vehicle import Radar
+from messages.motion import Odometry
+from messages.node import All, Every, Inbox, Latest, Node, Output
+from messages.perception import HealthState, SensorHealth
+from messages.sensors import RadarScan
+from perception.radar.doppler import is_well_formed, sensor_velocity, to_base, usable
+from perception.radar.obstacles import RadarConfig
+
+MOST_SCANS = 20
+
+
+class RadarHealth(Node):
+    """Looks at every cycle of the radar `name` and tells its state several times a second."""
+
+    def __init__(self, name: str, radar: Radar, config: RadarConfig) -> None:
+        self.name = f"radar_{name}_health"
+        self.reads = {f"radar/{name}": All(MOST_SCANS), "odom": Latest()}
+        self.writes = (f"health/radar_{name}",)
+        self.runs = Every(round(config.health.period_s * 1e9))
+        self._sensor, self._topic, self._radar, self._config = f"radar_{name}", f"radar/{name}", radar, config.health
+        yaw, half = math.radians(radar.mount.rpy_deg[2]), math.radians(radar.field_of_view_deg) / 2
+        self._edges = np.array([yaw - half, yaw + half])
+        self._last_ns: int | None = None
+        self._echo_ns: int | None = None  # when the world last answered, or did not have to
+        self._disagrees = False
+        self._dropped = 0
+
+    def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
+        """The state now."""
+        odom = inbox.latest("odom", Odometry)
+        for scan in inbox.all(self._topic, RadarScan):
+            self._look(scan, odom)
+        state, reason = self._judge(now_ns, odom)
+        proven = np.array([0.0 if state is HealthState.BLIND else self._config.proven_range_m])
+        health = SensorHealth(now_ns, self._sensor, state, reason, self._edges.copy(), proven, self._dropped)
+        return ((self.writes[0], health),)
+
+    def _look(self, scan: RadarScan, odom: Odometry | None) -> None:
+        if not is_well_formed(scan):
+            self._dropped += 1
+            return
+        self._last_ns = scan.stamp_ns
+        moves = odom is not None and abs(odom.speed_mps) > self._config.moving_mps
+        which = usable(scan, self._radar.range_m, math.radians(self._radar.field_of_view_deg) / 2)
+        if which.any() or not moves or self._echo_ns is None:
+            self._echo_ns = scan.stamp_ns
+        if odom is not None and moves and which.sum() >= self._config.agree_echoes:
+            T = self._radar.mount.T_base_sensor
+            radial = to_base(scan, which, T, sensor_velocity(odom, T)).radial_mps
+            self._disagrees = bool((np.abs(radial) <= self._config.agree_mps).mean() < self._config.agree_share)
+
+    def _judge(self, now_ns: int, odom: Odometry | None) -> tuple[HealthState, str]:
+        config = self._config
+        if self._last_ns is None or now_ns - self._last_ns > round(config.silent_s * 1e9):
+            return HealthState.BLIND, "no cycle any more" if self._last_ns is not None else "no cycle yet"
+        if odom is None:
+            return HealthState.BLIND, "no odometry: motion of targets unknown"
+        if self._echo_ns is not None and self._last_ns - self._echo_ns > round(config.blocked_s * 1e9):
+            return HealthState.BLIND, "no echo while moving: covered"
+        if self._disagrees:
+            return HealthState.DEGRADED, "Doppler does not fit the odometry"
+        return HealthState.GOOD, ""

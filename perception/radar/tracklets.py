@@ -1,0 +1,214 @@
+"""Targets followed over some cycles: clutter does not repeat, and the speed across the line of sight shows in time.
+
+State (x, y, vx, vy) in `odom`. A cycle measures range, bearing and the speed along the line of sight, each a number of
+its own with its own sigma, so that three scalar corrections do (no matrix is inverted).
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from pydantic import Field
+from scipy.optimize import linear_sum_assignment
+
+from configs.strict import Config
+from configs.vehicle import Radar
+from messages.message import Float64, Int64
+from perception.kernels import kernel
+from perception.radar.clusters import Clusters
+
+REFUSED = 1e9
+
+
+class TrackletConfig(Config):
+    """How targets move, what repeats, and when a velocity counts as measured."""
+
+    target_sigma_m: float = Field(gt=0.0, le=5.0, description="where on a target an echo comes from")
+    acceleration_mps2: float = Field(gt=0.0, le=20.0)
+    first_speed_mps: float = Field(gt=0.0, le=30.0, description="sigma across the line of sight of what is seen first")
+    gate_sigma: float = Field(gt=0.0, le=10.0)
+    confirm_hits: int = Field(ge=1, le=50)
+    confirm_s: float = Field(ge=0.0, le=5.0)
+    confirm_share: float = Field(gt=0.0, le=1.0, description="of the cycles since the first, that must have seen it")
+    forget_s: float = Field(gt=0.0, le=5.0)
+    velocity_sigma_mps: float = Field(gt=0.0, le=5.0, description="a velocity less certain than this is not given")
+
+
+@dataclass
+class Table:
+    """Tracklets as columns of T rows, in `odom`."""
+
+    x: Float64
+    P: Float64
+    first_ns: Int64
+    last_ns: Int64
+    hits: Int64
+    cycles: Int64
+
+    def rows(self, wanted: Int64) -> "Table":
+        """Only these rows."""
+        return Table(*(getattr(self, f.name)[wanted] for f in fields(self)))
+
+    def below(self, other: "Table") -> "Table":
+        """These rows, then those of another table."""
+        return Table(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Clusters of one cycle in `odom`: place (K, 2), line of sight (K, 2), speed along it (K,), sigmas (K,) along and
+    across of the place, and of the speed."""
+
+    p_m: Float64
+    sight: Float64
+    radial_mps: Float64
+    along_sigma_m: Float64
+    across_sigma_m: Float64
+    speed_sigma_mps: float
+
+
+def empty_table() -> Table:
+    """No tracklets."""
+    whole = np.zeros(0, np.int64)
+    return Table(np.zeros((0, 4)), np.zeros((0, 4, 4)), whole, whole, whole, whole)
+
+
+def sigmas(clusters: Clusters, radar: Radar, config: TrackletConfig) -> Float64:
+    """Sigma (K, 2) of the centres, along and across the line of sight."""
+    along = np.full(len(clusters), np.hypot(radar.range_sigma_m, config.target_sigma_m))
+    across = np.hypot(clusters.range_m * np.radians(radar.azimuth_sigma_deg), config.target_sigma_m)
+    return np.stack([along, across], axis=1)
+
+
+def to_odom(clusters: Clusters, sigma_m: Float64, radar: Radar, T_odom_base: Float64) -> Seen:
+    """Clusters as tracklets see them; the sight lines are level."""
+    turn = T_odom_base[:2, :2] / np.hypot(T_odom_base[0, 0], T_odom_base[1, 0])
+    p = clusters.p_m @ turn.T + T_odom_base[:2, 3]
+    return Seen(p, clusters.sight @ turn.T, clusters.radial_mps, sigma_m[:, 0], sigma_m[:, 1], radar.doppler_sigma_mps)
+
+
+def advance(table: Table, seen: Seen, stamp_ns: int, since_s: float, config: TrackletConfig) -> tuple[Table, Int64]:
+    """The tracklets after a cycle that began `since_s` after the one before, and the row (K,) of each cluster's own."""
+    table = table.rows(np.arange(len(table.hits)))
+    _predict(table.x, table.P, max(since_s, 0.0), config.acceleration_mps2)
+    table.cycles += 1
+    own, clusters = match(table, seen, config.gate_sigma)
+    _correct(table.x, table.P, own, clusters, seen)
+    table.hits[own] += 1
+    table.last_ns[own] = stamp_ns
+    fresh = np.setdiff1d(np.arange(len(seen.radial_mps)), clusters)
+    row_of = np.empty(len(seen.radial_mps), np.int64)
+    row_of[clusters], row_of[fresh] = own, len(table.hits) + np.arange(len(fresh))
+    table = table.below(begin(seen, fresh, stamp_ns, config))
+    kept = np.flatnonzero(stamp_ns - table.last_ns <= round(config.forget_s * 1e9))
+    place = np.cumsum(np.bincount(kept, minlength=len(table.hits))) - 1
+    return table.rows(kept), place[row_of].astype(np.int64)
+
+
+def match(table: Table, seen: Seen, gate_sigma: float) -> tuple[Int64, Int64]:
+    """Rows of tracklets and of clusters that belong together: least total distance within the gate."""
+    cost = np.empty((len(table.hits), len(seen.radial_mps)))
+    _distances(
+        table.x, table.P, seen.p_m, seen.sight, seen.radial_mps, seen.along_sigma_m, seen.across_sigma_m,
+        seen.speed_sigma_mps, cost,
+    )  # fmt: skip
+    cost[cost > gate_sigma**2] = REFUSED
+    rows, columns = linear_sum_assignment(cost)
+    good = cost[rows, columns] < REFUSED
+    return rows[good].astype(np.int64), columns[good].astype(np.int64)
+
+
+def begin(seen: Seen, which: Int64, stamp_ns: int, config: TrackletConfig) -> Table:
+    """New tracklets: known along the line of sight, open across it."""
+    n = len(which)
+    x, P = np.zeros((n, 4)), np.zeros((n, 4, 4))
+    u = seen.sight[which]
+    across = np.stack([-u[:, 1], u[:, 0]], axis=1)
+    x[:, :2], x[:, 2:] = seen.p_m[which], seen.radial_mps[which, None] * u
+    uu, aa = u[:, :, None] * u[:, None, :], across[:, :, None] * across[:, None, :]
+    P[:, :2, :2] = seen.along_sigma_m[which, None, None] ** 2 * uu + seen.across_sigma_m[which, None, None] ** 2 * aa
+    P[:, 2:, 2:] = seen.speed_sigma_mps**2 * uu + config.first_speed_mps**2 * aa
+    stamp = np.full(n, stamp_ns, np.int64)
+    return Table(x, P, stamp, stamp.copy(), np.ones(n, np.int64), np.ones(n, np.int64))
+
+
+def confirmed(table: Table, config: TrackletConfig) -> Int64:
+    """1 for each tracklet (T,) that lasted and repeated enough to be no clutter."""
+    lasted = table.last_ns - table.first_ns >= round(config.confirm_s * 1e9)
+    repeats = table.hits >= np.maximum(config.confirm_hits, config.confirm_share * table.cycles)
+    return np.asarray(lasted & repeats, np.int64)
+
+
+def velocities(table: Table, config: TrackletConfig) -> Float64:
+    """Velocity (T, 2) in `odom`; NaN as long as it is uncertain in any direction."""
+    S = table.P[:, 2:, 2:]
+    mean, half = (S[:, 0, 0] + S[:, 1, 1]) / 2, (S[:, 0, 0] - S[:, 1, 1]) / 2
+    worst = mean + np.hypot(half, S[:, 0, 1])
+    return np.where((worst <= config.velocity_sigma_mps**2)[:, None], table.x[:, 2:], np.nan)
+
+
+def _predict(x: Float64, P: Float64, dt_s: float, acceleration_mps2: float) -> None:
+    F, Q, q = np.eye(4), np.zeros((4, 4)), acceleration_mps2**2
+    F[0, 2] = F[1, 3] = dt_s
+    for i in (0, 1):
+        Q[i, i], Q[i, i + 2], Q[i + 2, i], Q[i + 2, i + 2] = q * dt_s**3 / 3, q * dt_s**2 / 2, q * dt_s**2 / 2, q * dt_s
+    x[:] = x @ F.T
+    P[:] = F @ P @ F.T + Q
+
+
+def _correct(x: Float64, P: Float64, rows: Int64, clusters: Int64, seen: Seen) -> None:
+    _correct_rows(
+        x, P, rows, clusters, seen.p_m, seen.sight, seen.radial_mps, seen.along_sigma_m, seen.across_sigma_m,
+        seen.speed_sigma_mps,
+    )  # fmt: skip
+
+
+@kernel
+def _distances(
+    x: Float64, P: Float64, p: Float64, sight: Float64, radial: Float64, along_sigma: Float64, across_sigma: Float64,
+    speed_sigma: float, cost: Float64,
+) -> None:  # fmt: skip
+    """Squared distance in sigmas, by range, bearing and speed along the line of sight, taken as independent."""
+    for i in range(x.shape[0]):
+        for j in range(p.shape[0]):
+            ux, uy = sight[j, 0], sight[j, 1]
+            dx, dy = p[j, 0] - x[i, 0], p[j, 1] - x[i, 1]
+            along, across = dx * ux + dy * uy, dy * ux - dx * uy
+            speed = radial[j] - x[i, 2] * ux - x[i, 3] * uy
+            a, b, c = P[i, 0, 0], P[i, 0, 1], P[i, 1, 1]
+            e, f, g = P[i, 2, 2], P[i, 2, 3], P[i, 3, 3]
+            s_along = along_sigma[j] ** 2 + a * ux * ux + 2.0 * b * ux * uy + c * uy * uy
+            s_across = across_sigma[j] ** 2 + a * uy * uy - 2.0 * b * ux * uy + c * ux * ux
+            s_speed = speed_sigma**2 + e * ux * ux + 2.0 * f * ux * uy + g * uy * uy
+            cost[i, j] = along * along / s_along + across * across / s_across + speed * speed / s_speed
+
+
+@kernel
+def _correct_rows(
+    x: Float64, P: Float64, rows: Int64, clusters: Int64, p: Float64, sight: Float64, radial: Float64,
+    along_sigma: Float64, across_sigma: Float64, speed_sigma: float,
+) -> None:  # fmt: skip
+    h, gain, before = np.empty(4), np.empty(4), np.empty(4)
+    for n in range(rows.shape[0]):
+        i, j = rows[n], clusters[n]
+        ux, uy = sight[j, 0], sight[j, 1]
+        for m in range(3):
+            h[:] = 0.0
+            if m == 0:
+                h[0], h[1], z, r = ux, uy, p[j, 0] * ux + p[j, 1] * uy, along_sigma[j] ** 2
+            elif m == 1:
+                h[0], h[1], z, r = -uy, ux, p[j, 1] * ux - p[j, 0] * uy, across_sigma[j] ** 2
+            else:
+                h[2], h[3], z, r = ux, uy, radial[j], speed_sigma**2
+            s, guess = r, 0.0
+            for a in range(4):
+                before[a] = 0.0
+                for b in range(4):
+                    before[a] += P[i, a, b] * h[b]
+                s += h[a] * before[a]
+                guess += h[a] * x[i, a]
+            for a in range(4):
+                gain[a] = before[a] / s
+                x[i, a] += gain[a] * (z - guess)
+            for a in range(4):
+                for b in range(4):
+                    P[i, a, b] -= gain[a] * before[b]
