@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 from shapely import MultiPoint
 from shapely.geometry.base import BaseGeometry
 
@@ -18,7 +19,7 @@ from simulation.scenario import Encounter
 from simulation.terrain import Terrain
 
 APPEAR_BEFORE_M = 12.0  # before the trigger: seen waiting, but not standing where the machine worked before
-GONE_AT_M = 25.0
+GONE_AT_M = 12.0  # they are outside the field by then, or far off on a large one
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,13 @@ class Figure:
         """Ground under the figure."""
         return MultiPoint(self.vertices_map_m[:, :2].astype(float)).convex_hull
 
+    @cached_property
+    def ball_m(self) -> tuple[Float64, float]:
+        """Centre in `map` (3,) and radius of a ball round the figure."""
+        corners = self.vertices_map_m.astype(np.float64)
+        center = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        return center, float(np.linalg.norm(corners - center, axis=1).max())
+
     def box_m(self) -> tuple[Float64, Float64]:
         """Centre in `map` and size along its own axes, (3,) each."""
         vertices = self.local_mesh.vertices_m.astype(float)
@@ -82,9 +90,8 @@ class Actor:
         if not self._is_present or self._is_gone:
             return None
         stance = stance_at(self._drawn, -1.0 if self._started_s is None else elapsed_s - self._started_s)
-        is_out = self._started_s is not None and elapsed_s - self._started_s > self._drawn.leave_s
-        is_far = math.dist(stance.p_map_m, front_map_m[:2]) > GONE_AT_M
-        self._is_gone = is_out and stance.speed_mps == 0.0 and is_far
+        is_out = self._started_s is not None and elapsed_s - self._started_s >= self._drawn.out_s
+        self._is_gone = is_out and math.dist(stance.p_map_m, front_map_m[:2]) > GONE_AT_M
         return None if self._is_gone else self._figure(stance)
 
     def _watch(self, walk: Walk, elapsed_s: float, front_map_m: Float64, heading_rad: float) -> None:

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from shapely import LineString, Polygon
 
 from messages.message import Float64
 from simulation.scenario import Crossing
@@ -19,7 +20,8 @@ from simulation.scenario import Crossing
 SWEPT_MARGIN_M = 1.0  # beside the implement: what a careful machine keeps free
 NEEDED_M = 12.0  # from the front when they step into the swept width; the stack needs less at 10 km/h
 SLOWEST = 1.15  # how much later than planned a machine that nobody slows may come
-OUT_BEYOND_M = 5.0  # they go this much farther aside than they came from
+OUTSIDE_M = 3.0  # they leave the field by this much, so that no later swath finds them
+LONGEST_OUT_S = 25.0  # or, on a large field, go as far as they come in this time
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,14 @@ class Place:
     heading_rad: float
     speed_mps: float
     line: int
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Where encounters are drawn: the field's outline in `map`, and half the width that the machine sweeps."""
+
+    field: Polygon
+    half_width_m: float
 
 
 @dataclass(frozen=True)
@@ -48,6 +58,11 @@ class Walk:
     def in_s(self) -> float:
         """Time from the start to the middle of the way."""
         return math.dist(self.from_map_m, self.place.p_map_m) / self.walk_mps
+
+    @property
+    def out_s(self) -> float:
+        """Time from the start to the end of the way out."""
+        return self.leave_s + math.dist(self.place.p_map_m, self.out_map_m) / self.leave_mps
 
     @property
     def leave_s(self) -> float:
@@ -75,9 +90,12 @@ def trigger_distance_m(speed_mps: float, way_m: float, edge_m: float, walk_mps: 
     return max(stands_before, can_stop)
 
 
-def draw_walk(crossing: Crossing, place: Place, half_width_m: float, random: np.random.Generator) -> Walk:
-    """One crossing at a place; `half_width_m` of what the machine sweeps."""
-    side = 1.0 if random.random() < 0.5 else -1.0
+def draw_walk(crossing: Crossing, place: Place, setting: Setting, random: np.random.Generator) -> Walk:
+    """One crossing at a place.
+
+    The side is drawn, unless one way out takes too long for the machine's next pass.
+    """
+    half_width_m = setting.half_width_m
     lateral = half_width_m + random.uniform(*crossing.from_m)
     oblique = math.radians(random.uniform(*crossing.oblique_deg))
     walk, leave = random.uniform(*crossing.walk_mps), random.uniform(*crossing.leave_mps)
@@ -85,10 +103,23 @@ def draw_walk(crossing: Crossing, place: Place, half_width_m: float, random: np.
     way, edge = lateral / math.cos(oblique), (half_width_m + SWEPT_MARGIN_M) / math.cos(oblique)
     trigger = trigger_distance_m(place.speed_mps, way, edge, walk, slack)
     stand = SLOWEST * trigger / place.speed_mps + wait - way / walk
-    start = beside(place, lateral * math.tan(oblique), side * lateral)
-    out_lateral = lateral + OUT_BEYOND_M
-    out = beside(place, -out_lateral * math.tan(oblique), -side * out_lateral)
+    out_ways = {side: way_out_m(place, -side * (0.5 * math.pi - oblique), setting.field) for side in (1.0, -1.0)}
+    side = 1.0 if random.random() < 0.5 else -1.0
+    if out_ways[side] > leave * LONGEST_OUT_S:
+        side = min(out_ways, key=lambda s: out_ways[s])
+    start = beside(place, -way * math.sin(oblique), side * lateral)
+    out_way = min(out_ways[side], leave * LONGEST_OUT_S)
+    out = beside(place, out_way * math.sin(oblique), -side * out_way * math.cos(oblique))
     return Walk(place, start, out, walk, leave, stand, trigger)
+
+
+def way_out_m(place: Place, turned_rad: float, field: Polygon) -> float:
+    """How far it is from a place to outside the field, in a direction against that of the way."""
+    far_m = 2.0 * field.length
+    angle = place.heading_rad + turned_rad
+    x, y = place.p_map_m
+    ray = LineString([(x, y), (x + far_m * math.cos(angle), y + far_m * math.sin(angle))])
+    return float(ray.intersection(field.buffer(OUTSIDE_M, join_style="mitre")).length)
 
 
 def beside(place: Place, ahead_m: float, left_m: float) -> tuple[float, float]:

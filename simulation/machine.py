@@ -12,7 +12,6 @@ from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from messages.message import Float64
 from simulation.drive import GRAVITY_MPS2, BrakeSystem, Drive, DriveConfig, advance_speed
 from simulation.implement import AttachedImplement, ImplementConfig
-from simulation.motion import stand_on
 from simulation.steering import Steering, SteeringConfig, clamp, follow_lag
 from simulation.terrain import Terrain
 
@@ -131,4 +130,4 @@ class Machine:
 
     def _stand(self) -> Float64:
         drivetrain = self._vehicle.drivetrain
-        return stand_on(self._terrain, self.x_m, self.y_m, self.yaw_rad, drivetrain.wheelbase_m, drivetrain.track_m)
+        return self._terrain.stand(self.x_m, self.y_m, self.yaw_rad, drivetrain.wheelbase_m, drivetrain.track_m)

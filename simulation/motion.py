@@ -1,13 +1,10 @@
 """The machine's way over the last moments: what sensors are sampled from."""
 
-import math
 from collections import deque
 
 import numpy as np
 
-from geometry.transforms import transform
 from messages.message import Float64
-from simulation.terrain import Terrain
 
 
 class Track:
@@ -36,18 +33,3 @@ class Track:
         poses = np.stack([self._poses[-1 - k] for k in range(int(whole.max()) + 2)])
         share = (ago - whole)[:, None, None]
         return np.asarray((1.0 - share) * poses[whole] + share * poses[whole + 1])
-
-
-def stand_on(terrain: Terrain, x_m: float, y_m: float, yaw_rad: float, wheelbase_m: float, track_m: float) -> Float64:
-    """Pose of base with both rear wheels and the middle of the front axle (which swings) on the ground, (4, 4)."""
-    c, s, half = math.cos(yaw_rad), math.sin(yaw_rad), 0.5 * track_m
-    left = terrain.height_m(x_m - half * s, y_m + half * c)
-    right = terrain.height_m(x_m + half * s, y_m - half * c)
-    front_x, front_y = x_m + wheelbase_m * c, y_m + wheelbase_m * s
-    front = 0.5 * (
-        terrain.height_m(front_x - half * s, front_y + half * c)
-        + terrain.height_m(front_x + half * s, front_y - half * c)
-    )
-    rear = 0.5 * (left + right)
-    pitch = -math.atan2(front - rear, wheelbase_m)
-    return transform((x_m, y_m, rear), (math.atan2(left - right, track_m), pitch, yaw_rad))

@@ -9,7 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from messages.errors import FieldError
 from messages.plan import Leg, Path, Stretch
-from simulation.encounter import Place, Walk, draw_walk
+from simulation.encounter import Place, Setting, Walk, draw_walk
 from simulation.scenario import Crossing, Encounter, Parked
 
 RUN_UP_M = 12.0  # straight way before the trigger: front, turning in and gaining work speed
@@ -75,13 +75,16 @@ def _longest_straight(path: Path, stretch: Stretch) -> Swath | None:
 
 
 def place_encounters(
-    encounters: tuple[Encounter, ...], paths: tuple[Path, ...], half_width_m: float, random: np.random.Generator
+    encounters: tuple[Encounter, ...],
+    paths: tuple[Path, ...],
+    setting: Setting,
+    random: np.random.Generator,
 ) -> list[Drawn]:
     """One place for each encounter, each on a swath of its own; raises FieldError when the plan has none."""
     swaths = find_swaths(paths)
     drawn: list[Drawn] = []
     for encounter in encounters:
-        found = next((d for _ in range(DRAWS) if (d := _draw(encounter, swaths, drawn, half_width_m, random))), None)
+        found = next((d for _ in range(DRAWS) if (d := _draw(encounter, swaths, drawn, setting, random))), None)
         if found is None:
             raise FieldError(f"encounter {encounter.name!r}: none of the {len(swaths)} planned swaths has room for it; "
                              "take a larger field or a scenario without it")  # fmt: skip
@@ -90,7 +93,11 @@ def place_encounters(
 
 
 def _draw(
-    encounter: Encounter, swaths: list[Swath], others: list[Drawn], half_width_m: float, random: np.random.Generator
+    encounter: Encounter,
+    swaths: list[Swath],
+    others: list[Drawn],
+    setting: Setting,
+    random: np.random.Generator,
 ) -> Drawn | None:
     """One try: None when it does not fit."""
     lines = [o.place.line for o in others]
@@ -100,16 +107,16 @@ def _draw(
     swath = free[int(random.integers(len(free)))]
     way = swath.length_m * random.uniform(*encounter.share)
     place = swath.place(way)
-    drawn = _draw_at(encounter, place, half_width_m, random)
+    drawn = _draw_at(encounter, place, setting, random)
     run_up = RUN_UP_M + (drawn.trigger_m if isinstance(drawn, Walk) else RUN_UP_M)
     fits = way >= run_up and swath.length_m - way >= RUN_OUT_M
     is_apart = all(ground_of(drawn).distance(ground_of(o)) >= APART_M for o in others)
     return drawn if fits and is_apart else None
 
 
-def _draw_at(encounter: Encounter, place: Place, half_width_m: float, random: np.random.Generator) -> Drawn:
+def _draw_at(encounter: Encounter, place: Place, setting: Setting, random: np.random.Generator) -> Drawn:
     if isinstance(encounter, Crossing):
-        return draw_walk(encounter, place, half_width_m, random)
+        return draw_walk(encounter, place, setting, random)
     return draw_standing(encounter, place, random)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from messages.message import Float32
 from simulation.actors import Figure
 from simulation.figures import REFLECTIVITY
+from simulation.kernels import signal_of
 from simulation.meshes import Mesh
 from simulation.scenery import Piece
 
@@ -32,9 +33,8 @@ class Rays:
         `rays` (N, 6): origin and unit direction.
         """
         hits = self._scene.cast_rays(self._core.Tensor(rays), nthreads=1)
-        kind = np.minimum(hits["geometry_ids"].numpy(), len(self._reflectivity) - 1)
-        cosine = np.abs(np.einsum("ij,ij->i", hits["primitive_normals"].numpy(), rays[:, 3:]))
-        return hits["t_hit"].numpy(), self._reflectivity[kind] * cosine
+        kind = np.minimum(hits["geometry_ids"].numpy(), len(self._reflectivity) - 1).astype(np.uint8)
+        return hits["t_hit"].numpy(), signal_of(rays, hits["primitive_normals"].numpy(), kind, self._reflectivity)
 
 
 class Scene:

@@ -8,7 +8,6 @@ z │      ___          along the longest edge of the field (u) and across it (v
 
 import math
 
-import numba
 import numpy as np
 from pydantic import Field
 from shapely import Polygon
@@ -16,6 +15,7 @@ from shapely import Polygon
 from configs.site import Site
 from configs.strict import Config
 from messages.message import Float64
+from simulation.kernels import height_at, heights_at, stand
 from simulation.randomness import generator
 
 
@@ -32,26 +32,6 @@ class TerrainConfig(Config):
     waves: int = Field(ge=0, le=20)
     furrow_depth_m: float = Field(ge=0.0, le=0.2)
     furrow_spacing_m: float = Field(gt=0.2, le=5.0)
-
-
-@numba.njit(cache=True)
-def _height(x: float, y: float, profile: Float64, waves: Float64) -> float:
-    x0, y0, c, s, flat, rise_u, k_u, rise_v, k_v, zero = profile
-    u = (x - x0) * c + (y - y0) * s
-    v = (y - y0) * c - (x - x0) * s
-    z = 0.5 * rise_u * (1.0 - math.cos(k_u * max(abs(u) - flat, 0.0)))
-    z += 0.5 * rise_v * (1.0 - math.cos(k_v * max(abs(v) - flat, 0.0)))
-    for i in range(waves.shape[0]):
-        z += waves[i, 0] * math.sin(waves[i, 1] * x + waves[i, 2] * y + waves[i, 3])
-    return float(z - zero)
-
-
-@numba.njit(cache=True)
-def _heights(xy: Float64, profile: Float64, waves: Float64) -> Float64:
-    out = np.empty(xy.shape[0])
-    for i in range(xy.shape[0]):
-        out[i] = _height(xy[i, 0], xy[i, 1], profile, waves)
-    return out
 
 
 class Terrain:
@@ -72,11 +52,15 @@ class Terrain:
 
     def height_m(self, x_m: float, y_m: float) -> float:
         """Height of the smooth ground, as tyres feel it."""
-        return float(_height(x_m, y_m, self._profile, self._waves))
+        return height_at(x_m, y_m, self._profile, self._waves)
 
     def heights_m(self, xy_m: Float64) -> Float64:
         """Heights of the smooth ground at (N, 2)."""
-        return np.asarray(_heights(np.ascontiguousarray(xy_m, np.float64), self._profile, self._waves))
+        return heights_at(np.ascontiguousarray(xy_m, np.float64), self._profile, self._waves)
+
+    def stand(self, x_m: float, y_m: float, yaw_rad: float, wheelbase_m: float, track_m: float) -> Float64:
+        """Pose of base with both rear wheels and the middle of the front axle (which swings) on the ground, (4, 4)."""
+        return stand(x_m, y_m, yaw_rad, wheelbase_m, track_m, self._profile, self._waves)
 
     def furrows_m(self, xy_m: Float64) -> Float64:
         """Height of the furrows, which run along the longest edge, at (N, 2)."""

@@ -4,6 +4,7 @@ import heapq
 from collections.abc import Iterable
 
 from pydantic import Field
+from shapely import Polygon
 
 from configs.site import Site
 from configs.strict import Config
@@ -14,6 +15,7 @@ from messages.node import Output, World
 from messages.plan import Path
 from messages.topics import KINDS
 from simulation.actors import Actor
+from simulation.encounter import Setting
 from simulation.judge import Judge, JudgeConfig
 from simulation.machine import Machine, MachineConfig
 from simulation.motion import Track
@@ -70,7 +72,8 @@ class SimulationWorld(World):
         self._bus = TractorBus(channel, database, vehicle.drivetrain.wheelbase_m, brake, config.bus)
         self._status = TractorStatus(self.machine, self._bus, database, generator(seed, "cab"))
         self._judge = Judge(site, vehicle, implement, config.judge)
-        self._actors = self._cast(plan_paths, 0.5 * max(implement.width_m, vehicle.body.width_m), seed)
+        setting = Setting(Polygon(site.boundary_m), 0.5 * max(implement.width_m, vehicle.body.width_m))
+        self._actors = self._cast(plan_paths, setting, seed)
         self._scene = Scene(lambda: build_scenery(site, self._terrain, config.scenery, seed))
         self._sensors = make_sensors(site, vehicle, implement, scenario, seed, config)
         self._waiting: list[tuple[int, int, str, Message]] = []
@@ -114,9 +117,9 @@ class SimulationWorld(World):
         self._tell_truth(now_ns, elapsed_ns)
         self._status.send(elapsed_ns)
 
-    def _cast(self, plan_paths: tuple[Path, ...], half_width_m: float, seed: int) -> list[Actor]:
+    def _cast(self, plan_paths: tuple[Path, ...], setting: Setting, seed: int) -> list[Actor]:
         encounters = self._scenario.encounters if plan_paths else ()
-        drawn = place_encounters(encounters, plan_paths, half_width_m, generator(seed, "scenario"))
+        drawn = place_encounters(encounters, plan_paths, setting, generator(seed, "scenario"))
         return [Actor(k, e, d, self._terrain) for k, (e, d) in enumerate(zip(encounters, drawn, strict=True))]
 
     def _play(self, elapsed_s: float) -> None:

@@ -4,11 +4,9 @@ import math
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from configs.strict import Config
 from configs.vehicle import Imu
-from geometry.transforms import invert
 from messages.message import Float64, Message
 from messages.sensors import ImuSample
 from simulation.drive import GRAVITY_MPS2
@@ -73,5 +71,11 @@ def mean_motion(T_first: Float64, T_middle: Float64, T_last: Float64, interval_s
     """Specific force and turn rate (6,) in the sensor frame, from its poses at start, middle and end of an interval."""
     velocity_change = (T_last[:3, 3] - 2.0 * T_middle[:3, 3] + T_first[:3, 3]) / (0.5 * interval_s) ** 2
     force = T_middle[:3, :3].T @ (velocity_change + np.array([0.0, 0.0, GRAVITY_MPS2]))
-    turn = Rotation.from_matrix((invert(T_first) @ T_last)[:3, :3]).as_rotvec() / interval_s
-    return np.concatenate([force, turn])
+    return np.concatenate([force, small_turn_rad(T_first[:3, :3].T @ T_last[:3, :3]) / interval_s])
+
+
+def small_turn_rad(R: Float64) -> Float64:
+    """Rotation vector (3,) of a turn below a quarter: its antisymmetric part is the axis times the sine."""
+    half = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = math.sqrt(float(half @ half))
+    return half if sine < 1e-12 else half * (math.asin(min(sine, 1.0)) / sine)

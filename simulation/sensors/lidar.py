@@ -14,8 +14,8 @@ from configs.vehicle import Lidar, MountedImplement, TrailedImplement, Vehicle
 from geometry.transforms import invert
 from messages.message import Float32, Float64, Message
 from messages.sensors import LidarScan
-from simulation.actors import Figure
 from simulation.body import T_base_implement, implement_mesh, machine_mesh
+from simulation.kernels import passes_ball, sweep_rays
 from simulation.scene import Rays
 from simulation.sensors.sensor import Moment, period_ns_of
 
@@ -61,23 +61,16 @@ class LidarModel:
 
     def sample(self, moment: Moment) -> Message:
         """The sweep that ends now."""
-        rays = self._rays(moment)
         distance, signal = (a.copy() for a in self._body(moment))
         is_open = np.isinf(distance)
-        distance[is_open], signal[is_open] = moment.scene.still.cast(rays[is_open])
-        self._cast_figures(moment, rays, distance, signal)
+        T_map_lidar = moment.track.before(-self._offset_s.astype(np.float64)) @ self._T_base_lidar
+        rays = sweep_rays(T_map_lidar, self._directions, is_open.reshape(len(self._elevation), -1).view(np.uint8))
+        found = moment.scene.still.cast(rays)
+        distance[is_open], signal[is_open] = self._put_figures(moment, rays, found)
         return LidarScan(
             moment.stamp_ns, self._measure(distance, signal).reshape(len(self._elevation), -1), self._elevation.copy(),
             self._azimuth.copy(), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), self._offset_s.copy(),
         )  # fmt: skip
-
-    def _rays(self, moment: Moment) -> Float32:
-        """Origin and direction of every ray in `map`, (rings × columns, 6)."""
-        T_map_lidar = (moment.track.before(-self._offset_s.astype(np.float64)) @ self._T_base_lidar).astype(np.float32)
-        rays = np.empty((*self._directions.shape[:2], 6), np.float32)
-        rays[..., :3] = T_map_lidar[:, :3, 3]
-        rays[..., 3:] = np.einsum("cij,rcj->rci", T_map_lidar[:, :3, :3], self._directions)
-        return rays.reshape(-1, 6)
 
     def _body(self, moment: Moment) -> tuple[Float32, Float32]:
         """Distance and signal of the machine's own body, infinite where the view is free."""
@@ -96,18 +89,21 @@ class LidarModel:
             self._bodies[key] = nearest(body.cast(rays), tool.cast(rays))
         return self._bodies[key]
 
-    def _cast_figures(self, moment: Moment, rays: Float32, distance: Float32, signal: Float32) -> None:
-        """Put figures in front of what stands behind them, in place; as they were in the middle of the sweep."""
+    def _put_figures(self, moment: Moment, rays: Float32, still: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
+        """Figures in front of what stands still, as they were in the middle of the sweep."""
         origin = rays[0, :2].astype(np.float64)
         near = [f for f in moment.scene.figures if math.dist(f.p_map_m[:2], origin) < self._lidar.range_m[1]]
         if not near:
-            return
+            return still
         is_wanted = np.zeros(len(rays), bool)
         for figure in near:
-            is_wanted |= is_towards(rays, figure)
+            center, radius = figure.ball_m
+            is_wanted |= passes_ball(rays, center, radius + 0.5).view(bool)
         scene = moment.scene.moving(near, 0.5 / self._lidar.rate_hz)
-        found = nearest((distance[is_wanted], signal[is_wanted]), scene.cast(rays[is_wanted]))
+        found = nearest((still[0][is_wanted], still[1][is_wanted]), scene.cast(rays[is_wanted]))
+        distance, signal = still[0].copy(), still[1].copy()
         distance[is_wanted], signal[is_wanted] = found
+        return distance, signal
 
     def _measure(self, distance: Float32, signal: Float32) -> np.ndarray[tuple[int], np.dtype[np.uint16]]:
         """Ranges as the sensor gives them: lost, noisy, dusty, in steps; 0 where nothing came back."""
@@ -136,13 +132,3 @@ def nearest(a: tuple[Float32, Float32], b: tuple[Float32, Float32]) -> tuple[Flo
     """Distance and signal of whichever is hit first."""
     is_b = b[0] < a[0]
     return np.where(is_b, b[0], a[0]), np.where(is_b, b[1], a[1])
-
-
-def is_towards(rays: Float32, figure: Figure) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which rays pass a ball round the figure, (N,)."""
-    corners = figure.vertices_map_m
-    center = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    radius = float(np.linalg.norm(corners - center, axis=1).max()) + 0.5
-    to = center - rays[:, :3]
-    along = np.einsum("ij,ij->i", to, rays[:, 3:])
-    return np.asarray((along > -radius) & (np.einsum("ij,ij->i", to, to) - along * along < radius * radius))

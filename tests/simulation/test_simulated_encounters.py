@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely import LineString, box
+from shapely import LineString, Point, Polygon, box
 from simulated_farm import SITE, Farm, flat, straight_paths
 
 from configs.strict import find, load, parse
 from messages.errors import ConfigError, FieldError
 from messages.perception import ObstacleClass
 from messages.plan import Leg, Stretch
-from simulation.encounter import NEEDED_M, SWEPT_MARGIN_M, Place, Walk, draw_walk, is_approaching, stance_at
+from simulation.encounter import NEEDED_M, SWEPT_MARGIN_M, Place, Setting, Walk, draw_walk, is_approaching, stance_at
 from simulation.placement import Standing, find_swaths, ground_of, place_encounters
 from simulation.randomness import generator
 from simulation.scenario import Scenario
@@ -21,12 +21,13 @@ from simulation.scenario import Scenario
 DEMO = load(Scenario, find("scenarios", "demo"))
 CROSSINGS = [e for e in DEMO.encounters if e.kind == "crossing"]
 HALF_M = 3.05
+SETTING = Setting(Polygon(SITE.boundary_m), HALF_M)
 seeds = st.integers(0, 2**31)
 
 
 def walk_of(name, seed, speed_mps=10 / 3.6, heading_rad=0.7):
     crossing = next(e for e in CROSSINGS if e.name == name)
-    return draw_walk(crossing, Place((30.0, 12.0), heading_rad, speed_mps, 1), HALF_M, np.random.default_rng(seed))
+    return draw_walk(crossing, Place((30.0, 12.0), heading_rad, speed_mps, 1), SETTING, np.random.default_rng(seed))
 
 
 def lateral_of(walk, p):
@@ -62,7 +63,11 @@ def test_machine_can_stop_when_they_step_in(name, seed):
 def test_they_wait_and_end_clear_of_the_machine(name, seed):
     walk = walk_of(name, seed)
     assert 7.0 <= abs(lateral_of(walk, walk.from_map_m)) <= 8.1
-    assert abs(lateral_of(walk, stance_at(walk, 1e4).p_map_m)) >= 12.0
+    end = stance_at(walk, walk.out_s).p_map_m
+    is_outside = 2.99 < SETTING.field.distance(Point(end)) < 4.3
+    assert is_outside or walk.out_s - walk.leave_s == pytest.approx(25.0)
+    assert walk.out_s - walk.leave_s < 25.01
+    assert abs(lateral_of(walk, end)) >= 12.0
     assert stance_at(walk, -3.0).speed_mps == stance_at(walk, 1e4).speed_mps == 0.0
     sides = lateral_of(walk, walk.from_map_m) * lateral_of(walk, walk.out_map_m)
     assert sides < 0.0
@@ -88,7 +93,7 @@ def test_scenario_states_its_stops():
 def test_places_are_apart_and_with_room(seed):
     paths = straight_paths()
     swaths = {s.line: s for s in find_swaths(paths)}
-    drawn = place_encounters(DEMO.encounters, paths, HALF_M, generator(seed, "scenario"))
+    drawn = place_encounters(DEMO.encounters, paths, SETTING, generator(seed, "scenario"))
     assert len({d.place.line for d in drawn}) == 3
     for d in drawn:
         way = math.dist(swaths[d.place.line].start_map_m, d.place.p_map_m)
@@ -103,7 +108,7 @@ def test_places_are_apart_and_with_room(seed):
 @pytest.mark.parametrize("seed", range(40))
 def test_parked_vehicle_leaves_the_next_swath_free(seed):
     """On swaths 5 m apart the 6.1 m harrow passes 1.95 m beside the middle of this one."""
-    (standing,) = place_encounters(DEMO.encounters[2:], straight_paths(), HALF_M, generator(seed, "scenario"))
+    (standing,) = place_encounters(DEMO.encounters[2:], straight_paths(), SETTING, generator(seed, "scenario"))
     assert isinstance(standing, Standing)
     turned = standing.heading_rad - standing.place.heading_rad
     aside = abs(lateral_of_standing(standing))
@@ -118,13 +123,15 @@ def lateral_of_standing(standing):
 
 
 def test_same_seed_same_places():
-    a, b, c = (place_encounters(DEMO.encounters, straight_paths(), HALF_M, generator(s, "scenario")) for s in (7, 7, 8))
+    a, b, c = (
+        place_encounters(DEMO.encounters, straight_paths(), SETTING, generator(s, "scenario")) for s in (7, 7, 8)
+    )
     assert a == b != c
 
 
 def test_too_small_a_plan_is_refused_by_name():
     with pytest.raises(FieldError, match="person"):
-        place_encounters(DEMO.encounters, straight_paths(length_m=20.0), HALF_M, generator(1, "scenario"))
+        place_encounters(DEMO.encounters, straight_paths(length_m=20.0), SETTING, generator(1, "scenario"))
 
 
 def test_only_swaths_driven_forward_count():

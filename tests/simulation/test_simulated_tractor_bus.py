@@ -150,7 +150,8 @@ def test_xbr_checksum_by_hand():
 @pytest.mark.parametrize(
     ("last", "sequence", "is_good"),
     [(None, 251, True), (None, 7, True), (251, 0, True), (251, 2, True), (251, 3, False), (251, 251, False),
-     (5, 5, False), (5, 6, True), (5, 8, True), (5, 9, False), (5, 4, False), (250, 0, True), (249, 1, True), (249, 2, False),
+     (5, 5, False), (5, 6, True), (5, 8, True), (5, 9, False), (5, 4, False), (250, 0, True), (249, 1, True),
+     (249, 2, False),
      (5, 251, True), (5, 254, False), (5, 255, False)],
 )  # fmt: skip
 def test_heartbeat_sequence(last, sequence, is_good):

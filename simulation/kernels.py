@@ -1,0 +1,103 @@
+"""Inner loops, compiled: ground height, wheels on the ground, and rays of a sweep."""
+
+import math
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+import numba
+import numpy as np
+
+from messages.message import Float32, Float64, UInt8
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def compiled(function: F) -> F:
+    """The function by numba: kept on disk, one thread, strict floating point; its type stays."""
+    return cast(F, numba.njit(cache=True)(function))
+
+
+@compiled
+def height_at(x: float, y: float, profile: Float64, waves: Float64) -> float:
+    """Height of the smooth ground; `profile` and `waves` as `simulation.terrain.Terrain` lays them out."""
+    x0, y0, c, s, flat, rise_u, k_u, rise_v, k_v, zero = profile
+    u = (x - x0) * c + (y - y0) * s
+    v = (y - y0) * c - (x - x0) * s
+    z = 0.5 * rise_u * (1.0 - math.cos(k_u * max(abs(u) - flat, 0.0)))
+    z += 0.5 * rise_v * (1.0 - math.cos(k_v * max(abs(v) - flat, 0.0)))
+    for i in range(waves.shape[0]):
+        z += waves[i, 0] * math.sin(waves[i, 1] * x + waves[i, 2] * y + waves[i, 3])
+    return float(z - zero)
+
+
+@compiled
+def heights_at(xy: Float64, profile: Float64, waves: Float64) -> Float64:
+    """Heights at (N, 2)."""
+    out = np.empty(xy.shape[0])
+    for i in range(xy.shape[0]):
+        out[i] = height_at(xy[i, 0], xy[i, 1], profile, waves)
+    return out
+
+
+@compiled
+def stand(x: float, y: float, yaw: float, wheelbase: float, track: float, profile: Float64, waves: Float64) -> Float64:
+    """Pose (4, 4) of a machine whose rear wheels and front axle's middle touch the ground."""
+    c, s, half = math.cos(yaw), math.sin(yaw), 0.5 * track
+    fx, fy = x + wheelbase * c, y + wheelbase * s
+    left = height_at(x - half * s, y + half * c, profile, waves)
+    right = height_at(x + half * s, y - half * c, profile, waves)
+    front = height_at(fx - half * s, fy + half * c, profile, waves)
+    front = 0.5 * (front + height_at(fx + half * s, fy - half * c, profile, waves))
+    rear = 0.5 * (left + right)
+    pitch, roll = -math.atan2(front - rear, wheelbase), math.atan2(left - right, track)
+    cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
+    T = np.eye(4)
+    T[0, 0], T[0, 1], T[0, 2], T[0, 3] = c * cp, c * sp * sr - s * cr, c * sp * cr + s * sr, x
+    T[1, 0], T[1, 1], T[1, 2], T[1, 3] = s * cp, s * sp * sr + c * cr, s * sp * cr - c * sr, y
+    T[2, 0], T[2, 1], T[2, 2], T[2, 3] = -sp, cp * sr, cp * cr, rear
+    return T
+
+
+@compiled
+def sweep_rays(T_map_lidar: Float64, directions: Float32, is_open: UInt8) -> Float32:
+    """Origin and direction (N, 6) in `map` of the open rays, ring by ring.
+
+    `T_map_lidar` (columns, 4, 4), `directions` (rings, columns, 3) in the sensor frame, `is_open` (rings, columns).
+    """
+    rays = np.empty((np.count_nonzero(is_open), 6), np.float32)
+    n = 0
+    for r in range(directions.shape[0]):
+        for k in range(directions.shape[1]):
+            if is_open[r, k]:
+                T = T_map_lidar[k]
+                for i in range(3):
+                    rays[n, i] = T[i, 3]
+                    d = directions[r, k]
+                    rays[n, 3 + i] = T[i, 0] * d[0] + T[i, 1] * d[1] + T[i, 2] * d[2]
+                n += 1
+    return rays
+
+
+@compiled
+def passes_ball(rays: Float32, center: Float64, radius: float) -> UInt8:
+    """Which rays (N, 6) come within `radius` of a point ahead of them."""
+    out = np.zeros(rays.shape[0], np.uint8)
+    for n in range(rays.shape[0]):
+        along = 0.0
+        square = 0.0
+        for i in range(3):
+            to = center[i] - rays[n, i]
+            along += to * rays[n, 3 + i]
+            square += to * to
+        out[n] = along > -radius and square - along * along < radius * radius
+    return out
+
+
+@compiled
+def signal_of(rays: Float32, normals: Float32, kind: UInt8, reflectivity: Float32) -> Float32:
+    """Reflectivity times cosine of incidence, (N,)."""
+    out = np.empty(rays.shape[0], np.float32)
+    for n in range(rays.shape[0]):
+        cosine = rays[n, 3] * normals[n, 0] + rays[n, 4] * normals[n, 1] + rays[n, 5] * normals[n, 2]
+        out[n] = reflectivity[kind[n]] * abs(cosine)
+    return out
