@@ -107,8 +107,11 @@ class Viewer:
             yield f"/view/{topic}", scenes.tracks_scene(message.stamp_ns, message)
 
     def _show_truth(self, topic: str, message: TrueObjects) -> Iterator[Shown]:
+        """True objects with an instance are in the frame of the lidar of that name, those without in `map`."""
         if self._is_due(topic, message.stamp_ns, self._config.scene_s):
-            yield f"/view/{topic}", scenes.truth_scene(message.stamp_ns, message, topic.partition("/")[2] or "map")
+            instance = topic.partition("/")[2]
+            frame_id = f"lidar/{instance}" if instance else "map"
+            yield f"/view/{topic}", scenes.truth_scene(message.stamp_ns, message, frame_id)
 
     def _show_field(self, topic: str, state: SupervisorState) -> Iterator[Shown]:
         if self._is_due(topic, state.stamp_ns, self._config.scene_s):

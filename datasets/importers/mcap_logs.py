@@ -1,6 +1,8 @@
 """MCAP files: Headland's own logs, and those of others with Foxglove's or ROS's messages."""
 
+import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -8,7 +10,7 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from datasets.importers import foxglove_messages
-from datasets.importers.recording import Description, Ignored, Received, Recording, Sensor
+from datasets.importers.recording import SOURCE, Description, Ignored, Received, Recording, Sensor, description_from
 from datasets.importers.ros_messages import TRANSFORMS
 from datasets.importers.streams import Item, recording_of
 from datasets.reader import Entry, LogScan, ProtobufDecoders, is_ours, read_log
@@ -30,19 +32,27 @@ def open_mcap(path: Path) -> Recording:
     has_ours = any(is_ours(entry) for entry in scan)
     notes = tuple(f"byte {d.offset}: {d.reason}; {d.length} bytes lost" for d in scan.damages)
     if has_ours:
-        return _own_log(path, notes)
+        return _own_log(path, scan.metadata, notes)
     return recording_of(path, "mcap", lambda: _items(path), notes)
 
 
-def _own_log(path: Path, notes: tuple[str, ...]) -> Recording:
-    """Ours: messages as they are; mounts come from the viewer's frames beside them."""
-    views = recording_of(path, "headland", lambda: _items(path))
+def _own_log(path: Path, metadata: dict[str, dict[str, str]], notes: tuple[str, ...]) -> Recording:
+    """Ours: messages as they are. An imported log knows what it came from; else mounts are in the viewer's frames."""
+    source = metadata.get(SOURCE)
+    try:
+        about = description_from(json.loads(source["description"])) if source is not None else _own_description(path)
+    except (ValueError, KeyError, TypeError) as error:
+        raise LogError(f"{path}: its record {SOURCE!r} is no description ({error})") from error
+    return Recording(path, replace(about, notes=about.notes + notes), lambda: _own_messages(path))
+
+
+def _own_description(path: Path) -> Description:
+    views = recording_of(path, "headland", lambda: _items(path)).description
     types = {e.topic: e.schema.name for e in LogScan(path) if is_ours(e) and e.schema is not None}
     sensors = tuple(Sensor(topic, topic, topic, name) for topic, name in types.items())
-    truth = next((topic.partition("/")[2] or "map" for topic in types if topic.startswith("truth_objects")), None)
-    ignored = tuple(Ignored(s.source, s.source_type, "for viewers") for s in views.description.sensors)
-    description = Description("headland", sensors, views.description.extrinsics, ignored, truth, notes)
-    return Recording(path, description, lambda: _own_messages(path))
+    ignored = tuple(Ignored(s.source, s.source_type, "for viewers") for s in views.sensors)
+    truth_frame = "map" if "truth_objects" in types else None
+    return Description("headland", sensors, views.extrinsics, ignored, truth_frame)
 
 
 def _own_messages(path: Path) -> Iterator[Received]:

@@ -6,9 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from geometry.transforms import Float64
 from messages.message import Message
 
+# The metadata record of an imported log that holds its description.
+SOURCE = "source"
 # receive_ns, topic, message
 Received = tuple[int, str, Message]
 
@@ -45,8 +49,8 @@ class Ignored:
 class Description:
     """What a recording is: nothing in it is guessed; the vehicle is unknown unless the recording says it.
 
-    `truth_frame` is the frame of the true objects: `map`, or that of a sensor when the recording has no pose (then each
-    message is in that frame at its stamp); None without truth. `notes` say what was assumed.
+    `truth_frame` is the frame of the true objects: `map`; or, when the recording has no pose, that of the lidar whose
+    name their topic has (each message in that frame at its stamp); None without truth. `notes` say what was assumed.
     """
 
     format: str
@@ -84,6 +88,20 @@ def describe(description: Description) -> dict[str, Any]:
         "truth_frame": description.truth_frame,
         "notes": list(description.notes),
     }
+
+
+def description_from(values: dict[str, Any]) -> Description:
+    """What `describe` was given."""
+    return Description(
+        format=values["format"],
+        sensors=tuple(Sensor(**s) for s in values["sensors"]),
+        extrinsics=tuple(
+            Extrinsic(e["parent"], e["child"], np.array(e["T_parent_child"], np.float64)) for e in values["extrinsics"]
+        ),
+        ignored=tuple(Ignored(**i) for i in values["ignored"]),
+        truth_frame=values["truth_frame"],
+        notes=tuple(values["notes"]),
+    )
 
 
 def numbered(sources: Iterable[tuple[str, str]]) -> dict[str, str]:

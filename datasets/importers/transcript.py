@@ -4,12 +4,10 @@ import json
 from collections import Counter
 from pathlib import Path
 
-from datasets.importers.recording import Recording, describe
+from datasets.importers.recording import SOURCE, Recording, describe
 from datasets.log import LogConfig, LogWriter
 from datasets.viewer import Viewer, ViewerConfig
 from messages.message import Envelope
-
-SOURCE = "source"
 
 
 def write_recording(recording: Recording, out: Path, log: LogConfig, viewer: ViewerConfig) -> dict[str, int]:

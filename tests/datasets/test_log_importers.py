@@ -27,7 +27,7 @@ from datasets.importers import kitti_labels
 from datasets.importers.formats import open_recording
 from datasets.importers.mcap_logs import ros_types
 from datasets.importers.pcd import read_pcd, unpack_lzf
-from datasets.importers.recording import numbered
+from datasets.importers.recording import describe, numbered
 from datasets.importers.transcript import write_recording
 from datasets.log import LogConfig, LogWriter
 from datasets.primitives import cloud, frame, time_of
@@ -370,6 +370,8 @@ def test_kitti_imported_is_a_log_of_ours(tmp_path: Path) -> None:
     summary = check_log(tmp_path / "kitti.mcap")
     assert summary.is_whole
     assert summary.undecoded == 0
+    again = open_recording(tmp_path / "kitti.mcap").description
+    assert describe(again) == describe(source.description)
     for (_, topic, message), envelope in zip(source.read(), read_log(tmp_path / "kitti.mcap"), strict=True):
         assert (topic, bits(message)) == (envelope.topic, bits(envelope.message))
 
