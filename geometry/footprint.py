@@ -1,6 +1,7 @@
 """What a rigid machine with its implement covers on the ground, at a pose and along a path."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -27,10 +28,7 @@ class Rectangle:
     def outline_m(self, step_m: float) -> Float64:
         """Points (K, 2) round the outline, at most `step_m` apart."""
         c = np.vstack([self.corners_m, self.corners_m[:1]])
-        sides = [
-            np.linspace(a, b, max(2, int(np.ceil(np.hypot(*(b - a)) / step_m)) + 1))[:-1]
-            for a, b in zip(c[:-1], c[1:], strict=True)
-        ]
+        sides = [np.linspace(a, b, max(2, int(np.ceil(np.hypot(*(b - a)) / step_m)) + 1))[:-1] for a, b in pairwise(c)]
         return np.vstack(sides)
 
 
@@ -46,7 +44,7 @@ def place(points_base_m: Float64, p_map_m: Float64, heading_rad: Float64) -> Flo
 
 def footprints(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> npt.NDArray[np.object_]:
     """The bodies as polygons, (N, B)."""
-    columns = [shapely.polygons(place(b.corners_m, p_map_m, heading_rad)) for b in bodies]
+    columns = [np.asarray(shapely.polygons(place(b.corners_m, p_map_m, heading_rad))) for b in bodies]
     return np.stack(columns, axis=1)
 
 
@@ -59,12 +57,12 @@ def is_inside(bodies: Bodies, p_map_m: Float64, heading_rad: Float64, allowed: B
 def intrusion(outline_base_m: Float64, p_map_m: Float64, heading_rad: Float64, allowed: BaseGeometry) -> Float64:
     """For each pose how far the outermost of the body points (K, 2) lies outside `allowed`, (N,); 0 when inside."""
     points = place(outline_base_m, p_map_m, heading_rad)
-    flat = shapely.points(points.reshape(-1, 2))
+    flat = np.asarray(shapely.points(points.reshape(-1, 2)))
     shapely.prepare(allowed)
     out = ~shapely.covers(allowed, flat)
     distance = np.zeros(len(flat))
     distance[out] = shapely.distance(flat[out], allowed)
-    return distance.reshape(points.shape[:2]).max(axis=1)
+    return np.asarray(distance.reshape(points.shape[:2]).max(axis=1), np.float64)
 
 
 def sweep(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> BaseGeometry:

@@ -24,6 +24,13 @@ def parts(shape: BaseGeometry, least_m2: float = 0.0) -> list[Polygon]:
     return sorted(found, key=lambda p: (p.bounds[0], p.bounds[1], p.area))
 
 
+def as_polygon(shape: BaseGeometry) -> Polygon:
+    """The shape, which must be one polygon; raises ValueError."""
+    if not isinstance(shape, Polygon):
+        raise ValueError(f"one polygon is needed, not {shape.geom_type}")
+    return shape
+
+
 def shrink(shape: BaseGeometry, by_m: float) -> BaseGeometry:
     """The shape without a rim of `by_m`: outward corners stay sharp, round inward ones the rim is round."""
     return shape.buffer(-by_m, quad_segs=ARC_SEGMENTS)

@@ -32,11 +32,11 @@ def at_length(points_m: Float64, s_m: Float64) -> Float64:
 def without_repeats(points_m: Float64, least_m: float = 1e-6) -> Float64:
     """The polyline without points nearer than `least_m` to the one before."""
     far = np.hypot(*np.diff(points_m, axis=0).T) > least_m
-    return points_m[np.concatenate([[True], far])]
+    return np.asarray(points_m[np.concatenate([[True], far])], np.float64)
 
 
 def headings(points_m: Float64, is_closed: bool = False) -> Float64:
-    """Unwrapped direction at each point, (N,), from its neighbours; a closed line repeats its first point at the end."""
+    """Unwrapped direction at each point, (N,), from its neighbours; a closed line ends where it begins."""
     if is_closed:
         ring = points_m[:-1]
         d = np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0)
@@ -59,7 +59,7 @@ def smooth(points_m: Float64, window_m: float, is_closed: bool = False) -> Float
     """
     n = len(points_m) - 1
     spacing = float(arc_length(points_m)[-1]) / max(n, 1)
-    half = int(round(window_m / max(spacing, 1e-9) / 2.0))
+    half = round(window_m / max(spacing, 1e-9) / 2.0)
     half = min(half, n // 2)
     if half < 1:
         return points_m

@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from configs.strict import Config
+from configs.vehicle import Kmh
 
 Metres = Annotated[float, Field(gt=0.0, le=50.0)]
 
@@ -24,7 +25,26 @@ class PlannerConfig(Config):
     sampling_iterations: int = Field(ge=100, le=1_000_000, description="of OMPL for one way, a count and never a time")
 
 
+class MissionConfig(Config):
+    """What the mission node does when something stays in the way."""
+
+    blocked_s: float = Field(
+        gt=0.0, le=600.0, description="stop before something that stands, until it is driven round"
+    )
+    blocked_alive_s: float = Field(gt=0.0, le=600.0, description="the same before a person or animal")
+    standing_mps: float = Field(gt=0.0, le=1.0)
+    clearance_m: Metres = Field(description="beside what is driven round; more than the supervisor's lateral margin")
+    rear_clearance_m: Metres = Field(description="behind the implement when backing up to where work goes on")
+    unseen_depth_m: float = Field(ge=0.0, le=20.0, description="how far something may reach behind what is seen of it")
+    look_m: Metres = Field(description="how far ahead on the path the cause of a stop is looked for")
+    most_reverse_m: Metres
+    reverse_kmh: Kmh
+    most_detours: int = Field(ge=0, le=100)
+    least_rest_m: float = Field(ge=0.0, le=100.0, description="a shorter rest of a line is not worth going back to")
+
+
 class PlanningConfig(Config):
     """Section `planning` of `configs/stack.yaml`."""
 
     planner: PlannerConfig
+    mission: MissionConfig

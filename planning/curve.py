@@ -104,7 +104,7 @@ def points_of(curve: Curve, step_m: float) -> Float64:
     for letter, length in zip(curve.word, curve.lengths_m, strict=True):
         if length < 1e-9:
             continue
-        s = np.linspace(0.0, length, max(2, int(math.ceil(length / step_m)) + 1))[1:]
+        s = np.linspace(0.0, length, max(2, math.ceil(length / step_m) + 1))[1:]
         x, y, heading = _along(pose, _TURN[letter] / curve.radius_m, s)
         out.append(np.column_stack([x, y]))
         pose = Pose(float(x[-1]), float(y[-1]), float(heading[-1]))

@@ -12,6 +12,7 @@ from shapely.geometry import Polygon
 
 from configs.site import DatumConfig
 from geometry.geodesy import Datum
+from geometry.polygon import as_polygon
 from messages.errors import FieldError
 
 LEAST_M2 = 100.0
@@ -38,7 +39,7 @@ def read_field(path: Path) -> FieldOutline:
     datum = _datum(rings[0])
     polygon = Polygon(_to_map(rings[0], datum.datum), [_to_map(r, datum.datum) for r in rings[1:]])
     _check(polygon, datum.datum, path)
-    return FieldOutline(name or path.stem, datum, shapely.remove_repeated_points(polygon, 0.01).normalize())
+    return FieldOutline(name or path.stem, datum, as_polygon(shapely.remove_repeated_points(polygon, 0.01).normalize()))
 
 
 def _content(path: Path) -> Any:
@@ -113,13 +114,9 @@ def _lon_lat(point: Any, path: Path) -> tuple[float, float]:
 
 def _check_closed(ring: LonLat, path: Path) -> None:
     if len(ring) < 4:
-        raise FieldError(
-            f"{path}: a ring of {len(ring)} points has no area; it needs three corners and its first point again"
-        )
+        raise FieldError(f"{path}: {len(ring)} points have no area; a ring has three corners and its first point again")
     if ring[0] != ring[-1]:
-        raise FieldError(
-            f"{path}: not closed: begins at {_at(ring[0])} and ends at {_at(ring[-1])}; repeat the first point at the end"
-        )
+        raise FieldError(f"{path}: not closed: {_at(ring[0])} is not the last point too; repeat it at the end")
 
 
 def _datum(ring: LonLat) -> DatumConfig:
@@ -135,9 +132,7 @@ def _to_map(ring: LonLat, datum: Datum) -> list[tuple[float, float]]:
 
 def _check(polygon: Polygon, datum: Datum, path: Path) -> None:
     if not np.isfinite(polygon.bounds).all() or max(polygon.bounds[2:]) - min(polygon.bounds[:2]) > WIDEST_M:
-        raise FieldError(
-            f"{path}: the field is wider than {WIDEST_M / 1000:g} km; points are [longitude, latitude] in degrees"
-        )
+        raise FieldError(f"{path}: wider than {WIDEST_M / 1000:g} km; points are [longitude, latitude] in degrees")
     if not polygon.is_valid:
         raise FieldError(f"{path}: {_invalid(polygon, datum)}; draw the outline without crossings")
     if polygon.area < LEAST_M2:

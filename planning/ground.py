@@ -1,19 +1,20 @@
 """Where the rig may be: field, lanes, gate and yard less fence, posts and no-go areas."""
 
+import math
 from dataclasses import dataclass
 
 import shapely
-from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from configs.site import Outline, Site
-from geometry.polygon import parts, polygon_of, shrink
+from geometry.polygon import polygon_of, shrink
 from messages.errors import FieldError
 
 
 @dataclass(frozen=True)
 class Ground:
-    """`field` as surveyed, `free` without no-go areas, `inner` free less the margin, `allowed` also lanes, gate and yard."""
+    """`field` as surveyed, `free` less no-go areas, `inner` and the margin, `allowed` with lanes, gate, yard."""
 
     site: Site
     margin_m: float
@@ -56,15 +57,5 @@ def _area(outline: Outline, what: str) -> Polygon:
 
 def describe(site: Site, x_m: float, y_m: float) -> str:
     """A place for people: map coordinates, latitude and longitude."""
-    import math
-
     lat, lon, _ = site.datum.datum.to_ellipsoid(x_m, y_m, 0.0)
     return f"x {x_m:.1f} m, y {y_m:.1f} m (latitude {math.degrees(lat):.6f}, longitude {math.degrees(lon):.6f})"
-
-
-def largest(shape: BaseGeometry) -> Polygon:
-    """The largest part of a shape (an empty polygon if none)."""
-    return max(parts(shape), key=lambda p: p.area, default=Polygon())
-
-
-__all__ = ["Ground", "MultiPolygon", "describe", "ground_of", "largest"]

@@ -1,20 +1,27 @@
 """Path messages from pieces: smoothed, with headings, curvature, speeds and stretches."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from geometry.polyline import Float64, arc_length, at_length, curvatures, headings, smooth
+from geometry.polyline import Float64, arc_length, at_length, curvatures, headings, project, smooth
 from messages.message import Int32, UInt8
 from messages.plan import Leg, Path, Stretch
-from planning.profile import speed_profile
+from planning.profile import speed_profile, speeding_up
 from planning.rig import Rig
 from planning.turn import STEP_M
 from planning.ways import Piece
 
+FADE_M = 5.0  # over which an offset from a new path is taken back
 
-def path_of(pieces: Sequence[Piece], rig: Rig, path_id: int, is_last: bool, direction: int = 1) -> Path:
-    """One path driven in one direction, from standstill to standstill."""
+
+def path_of(
+    pieces: Sequence[Piece], rig: Rig, path_id: int, is_last: bool, direction: int = 1, top_mps: float = np.inf
+) -> Path:
+    """One path driven in one direction, from standstill to standstill, nowhere faster than `top_mps`."""
     points, owner = _joined(pieces)
     raw_s = arc_length(points)
     spaced = np.linspace(0.0, raw_s[-1], max(2, int(np.ceil(raw_s[-1] / STEP_M)) + 1))
@@ -25,7 +32,7 @@ def path_of(pieces: Sequence[Piece], rig: Rig, path_id: int, is_last: bool, dire
     heading = travel if direction > 0 else travel + np.pi
     curvature = curvatures(heading, s) * direction
     index, stretches = _stretches(owner, pieces)
-    leg_speed = np.array([_leg_speed(piece.leg, rig) for piece in pieces])[owner]
+    leg_speed = np.array([min(_leg_speed(piece.leg, rig), top_mps) for piece in pieces])[owner]
     speed = speed_profile(s, curvature, leg_speed, rig)
     return Path(
         0,
@@ -41,6 +48,47 @@ def path_of(pieces: Sequence[Piece], rig: Rig, path_id: int, is_last: bool, dire
         index,
         is_last,
     )
+
+
+def rest_of(path: Path, from_m: float, p_map_m: Float64, path_id: int, rig: Rig) -> Path:
+    """What is left of a path from an arc length on, begun at the machine's present place and from standstill."""
+    first = min(int(np.searchsorted(path.s_m, from_m - STEP_M / 2.0)), len(path.s_m) - 3)
+    rest = spliced([(path, first, len(path.s_m))], path_id)
+    points = begun_at(rest.p_map_m, p_map_m)
+    first = len(rest.s_m) - len(points)
+    rest = spliced([(rest, first, len(rest.s_m))], path_id)
+    s = arc_length(points)
+    return replace(rest, p_map_m=points, s_m=s, speed_mps=speeding_up(rest.speed_mps, s, rig))
+
+
+def spliced(parts: Sequence[tuple[Path, int, int]], path_id: int) -> Path:
+    """Points `first` up to but not including `end` of each path, one after the other as one path."""
+    last = parts[-1][0]
+
+    def column(name: str) -> Any:
+        return np.concatenate([getattr(path, name)[first:end] for path, first, end in parts])
+
+    points = column("p_map_m")
+    labels = [path.stretches[k] for path, first, end in parts for k in path.stretch_index[first:end]]
+    starts = [k for k, t in enumerate(labels) if k == 0 or t is not labels[k - 1]]
+    ends = [*starts[1:], len(labels)]
+    stretches = tuple(Stretch(labels[a].leg, labels[a].line, a, b - 1) for a, b in zip(starts, ends, strict=True))
+    index = np.repeat(np.arange(len(starts), dtype=np.int32), np.diff([*starts, len(labels)])).astype(np.int32)
+    return Path(
+        0, path_id, parts[0][0].direction, points, column("heading_rad"), column("curvature_radpm"), arc_length(points),
+        column("speed_mps"), column("is_work"), stretches, index, last.is_last,
+    )  # fmt: skip
+
+
+def begun_at(points_m: Float64, p_map_m: Float64) -> Float64:
+    """The points from the place nearest to `p_map_m` on, drawn to it there; the offset fades over some metres."""
+    s, aside = project(points_m, p_map_m)
+    along = arc_length(points_m)
+    kept = points_m[min(int(np.searchsorted(along, s - 1e-9)), len(points_m) - 3) :]
+    way, heading = arc_length(kept), headings(kept)
+    share = np.clip(way / min(FADE_M, max(float(way[-1]), 1e-6)), 0.0, 1.0)
+    push = aside * (0.5 + 0.5 * np.cos(np.pi * share))
+    return np.asarray(kept + push[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]), np.float64)
 
 
 def _joined(pieces: Sequence[Piece]) -> tuple[Float64, Int32]:
@@ -60,7 +108,7 @@ def _even(points: Float64, owner: Int32) -> tuple[Float64, Int32]:
 def _stretches(owner: Int32, pieces: Sequence[Piece]) -> tuple[Int32, tuple[Stretch, ...]]:
     starts = np.concatenate([[0], np.flatnonzero(np.diff(owner)) + 1, [len(owner)]])
     stretches = []
-    for first, end in zip(starts[:-1], starts[1:], strict=True):
+    for first, end in pairwise(starts):
         piece = pieces[owner[first]]
         stretches.append(Stretch(piece.leg, piece.line, int(first), int(end) - 1))
     return np.repeat(np.arange(len(stretches), dtype=np.int32), np.diff(starts)).astype(np.int32), tuple(stretches)

@@ -13,7 +13,7 @@ from configs.vehicle import Implement, Vehicle
 from geometry.footprint import is_inside, worked
 from geometry.polygon import parts, place_of, shrink
 from messages.errors import FieldError
-from messages.plan import Leg, Path
+from messages.plan import Path
 from planning.configuration import PlannerConfig
 from planning.coverage.headland import Round, depth_m, ring_worked, rounds_of
 from planning.coverage.swath import Swath, remains, swaths_of, trimmed
@@ -119,6 +119,3 @@ def _uncovered(ground: Ground, area: BaseGeometry, rig: Rig) -> tuple[Uncovered,
     found = [("edge margin", p) for p in parts(missed.intersection(rim), LEAST_UNCOVERED_M2)]
     found += [("corner too tight to turn in", p) for p in parts(missed.difference(rim), LEAST_UNCOVERED_M2)]
     return tuple(Uncovered(reason, p.area, place_of(p), p) for reason, p in found)
-
-
-__all__ = ["Leg", "Plan", "Uncovered", "plan_mission", "prove_inside", "worked_area"]

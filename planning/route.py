@@ -1,6 +1,7 @@
 """The whole drive as pieces: from the yard along the lane, the rounds, the swaths, and back."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from shapely.geometry import Polygon
@@ -131,7 +132,7 @@ def _parking(ways: Ways, lane_end: Pose) -> Pose:
 
 
 def _ordered(ways: Ways, start: Pose, home: Pose, swaths: list[Swath]) -> list[tuple[Swath, bool]]:
-    """Swaths in the order that is short by real ways: where the guess was too short, it is corrected and tried again."""
+    """Swaths in an order that is short by real ways: a guess that was too short is corrected and tried again."""
     visits = [s.poses(r, -ways.rig.working_x_m) for s in swaths for r in (False, True)]
     starts, ends = [a for a, _ in visits] + [home], [b for _, b in visits] + [start]
     cost = np.zeros((len(starts), len(starts)))
@@ -145,13 +146,10 @@ def _ordered(ways: Ways, start: Pose, home: Pose, swaths: list[Swath]) -> list[t
     for _ in range(REORDERINGS):
         tour = order(cost)
         stops = [len(starts) - 1, *(2 * k + r for k, r in tour), len(starts) - 1]
-        real = [
-            ways.find(_wanted(ways, ends[i], starts[j]), is_thorough=False)
-            for i, j in zip(stops[:-1], stops[1:], strict=True)
-        ]
+        real = [ways.find(_wanted(ways, ends[i], starts[j]), is_thorough=False) for i, j in pairwise(stops)]
         lengths = [NO_WAY_M if way is None else float(arc_length(way)[-1]) for way in real]
         best = min(best, (sum(lengths), tour), key=lambda b: b[0])
-        guessed = [cost[i, j] for i, j in zip(stops[:-1], stops[1:], strict=True)]
+        guessed = [cost[i, j] for i, j in pairwise(stops)]
         for i, j, length in zip(stops[:-1], stops[1:], lengths, strict=True):
             cost[i, j] = min(length, NO_WAY_M / 10) if length < NO_WAY_M else 150.0
         if sum(lengths) < sum(guessed) + 0.5:

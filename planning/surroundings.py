@@ -10,6 +10,7 @@ from shapely.geometry.polygon import orient
 from configs.mission import Work
 from configs.site import Area, Gate, Lane, Point, Pose2, Site
 from configs.vehicle import Implement, Vehicle
+from geometry.polygon import as_polygon
 from geometry.polyline import Float64
 from messages.errors import FieldError
 from planning.field import FieldOutline
@@ -39,7 +40,7 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
 
 def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:
     """Edges of the outline, counter-clockwise, nearly straight ones joined, longest first."""
-    plain = orient(polygon.simplify(0.05), 1.0)
+    plain = orient(as_polygon(polygon.simplify(0.05)), 1.0)
     points = np.asarray(plain.exterior.coords)[:, :2]
     edges = [(points[k], points[k + 1]) for k in range(len(points) - 1)]
     return sorted(edges, key=lambda e: (-round(float(np.hypot(*(e[1] - e[0]))), 3), float(e[0][0]), float(e[0][1])))

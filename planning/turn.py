@@ -1,4 +1,4 @@
-"""Ways from pose to pose: Dubins curves first, by length, then sampled ones; each is proven free by its swept footprint."""
+"""Ways from pose to pose by Dubins curves, each proven free by the swept footprint of machine and implement."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ def is_free(points_m: Float64, space: Space) -> bool:
 
 
 def candidates(wanted: Wanted, radius_m: float, most: int) -> Iterator[Float64]:
-    """Up to `most` Dubins ways with straight ends, shortest first; wider curves and longer straights come as they cost."""
+    """Up to `most` Dubins ways with straight ends, shortest first, wider curves and longer straights among them."""
     found = [(run_out + c.length_m + line_up, k, c) for k, (run_out, line_up, c) in enumerate(_all(wanted, radius_m))]
     found.sort(key=lambda f: (round(f[0], 6), f[1]))
     return (_way(wanted, curve) for _, _, curve in found[:most])

@@ -42,9 +42,8 @@ def drive_rounds(ways: Ways, start: Pose) -> tuple[list[Piece], Pose]:
     for number, ring in enumerate(rings):
         line = ways.rounds[number].number
         links = _links(ways, ring, rings[number + 1]) if number + 1 < len(rings) else []
-        entry, link = _best(entries, links, len(ring))
-        if not entries or (number + 1 < len(rings) and link is None):
-            entry, link = _by_search(ways, start, rings, number, entries)
+        best = _best(entries, links, len(ring), number + 1 == len(rings))
+        entry, link = best if best is not None else _by_search(ways, start, rings, number, entries)
         pieces += [
             Piece(Leg.TURN, line, entry.points_m, False),
             Piece(Leg.HEADLAND, line, _loop(ring, entry.enter), True),
@@ -56,16 +55,17 @@ def drive_rounds(ways: Ways, start: Pose) -> tuple[list[Piece], Pose]:
     raise AssertionError("the last round has no link")
 
 
-def _best(entries: list[Link], links: list[Link], count: int) -> tuple[Link, Link | None]:
-    if not links:
-        return (entries[0], None) if entries else (None, None)  # type: ignore[return-value]
+def _best(entries: list[Link], links: list[Link], count: int, is_last: bool) -> tuple[Link, Link | None] | None:
+    """The entry and the link onwards that are shortest together, with the way along the round between them."""
+    if is_last:
+        return (entries[0], None) if entries else None
     pairs = [
         (e.length_m + (k.leave - e.enter - CLOSING) % count * STEP_M + k.length_m, i, j)
         for i, e in enumerate(entries)
         for j, k in enumerate(links)
     ]
     if not pairs:
-        return None, None  # type: ignore[return-value]
+        return None
     _, i, j = min(pairs)
     return entries[i], links[j]
 
@@ -93,9 +93,9 @@ def _links(ways: Ways, ring: Float64, following: Float64) -> list[Link]:
         pose, before = _pose(ring, j), _part(ring, j - JOINT, j)
         gaps = np.hypot(*(following[::EVERY] - ring[j]).T)
         options = []
-        for k in np.flatnonzero(gaps < max(NEAR_M, 1.5 * gaps.min())) * EVERY:
-            wanted = Wanted(pose, _pose(following, int(k)), BEND_STRAIGHT_M, ways.rig.config.line_up_m)
-            options.append((round(shortest_length_m(wanted, ways.rig.radius_m), 6), int(k), wanted))
+        for k in (np.flatnonzero(gaps < max(NEAR_M, 1.5 * gaps.min())) * EVERY).tolist():
+            wanted = Wanted(pose, _pose(following, k), BEND_STRAIGHT_M, ways.rig.config.line_up_m)
+            options.append((round(shortest_length_m(wanted, ways.rig.radius_m), 6), k, wanted))
         for _, k, wanted in sorted(options, key=lambda o: o[:2])[:MOST_ENTERED]:
             way = curve_between(wanted, ways.space, 2, before, _part(following, k, k + JOINT))
             if way is not None:
@@ -121,9 +121,9 @@ def _by_search(
         Wanted(_pose(ring, leave), _pose(following, int(k)), config.run_out_m, config.line_up_m) for k in order[:8]
     ]
     for wanted, k in zip(options, order, strict=False):
-        way = ways.find(wanted)
-        if way is not None:
-            return entry, Link(leave, int(k), way, float(arc_length(way)[-1]))
+        found = ways.find(wanted)
+        if found is not None:
+            return entry, Link(leave, int(k), found, float(arc_length(found)[-1]))
     ways.demand(options[0], f"to round {ways.rounds[number + 1].number + 1}")
     raise AssertionError
 

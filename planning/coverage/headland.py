@@ -49,7 +49,7 @@ def rounds_of(ground: Ground, rig: Rig, count: int, overlap_m: float) -> list[Ro
         least = 2.0 * (depth_m(ground, rig, overlap_m, 0) + rig.radius_m)
         raise FieldError(
             f"field of {ground.field.area:.0f} m² about {describe(ground.site, x, y)} is too small for this machine: "
-            f"one round of {rig.working_width_m:g} m needs at least {least:.1f} m in every direction; use a narrower implement"
+            f"one round of {rig.working_width_m:g} m needs at least {least:.1f} m each way; use a narrower implement"
         )
     return sorted(found, key=lambda r: (r.is_around_obstacle, r.number))
 
@@ -113,8 +113,8 @@ def _pushed(pieces: list[Polygon], rings: list[Float64], depths: list[Float64]) 
 def _spread(depth: Float64, s: Float64, is_left: npt.NDArray[np.bool_]) -> Float64:
     """How far to push each place: in full about a place that lies outside, falling smoothly to nothing.
 
-    In a left bend the tail swings out as the bend begins: the way to it is pushed. Round an inward corner (a right bend)
-    the implement's inner end cuts the corner: the whole bend is pushed, and further, since rounding takes some back.
+    In a left bend the tail swings out as the bend begins: the way to it is pushed. Round an inward corner (a right
+    bend) the implement's inner end cuts the corner: the whole bend is pushed, and more, for rounding takes some back.
     """
     total, out = s[-1], np.zeros(len(s))
     for k in np.flatnonzero(depth > 0.0):

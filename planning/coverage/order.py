@@ -11,8 +11,8 @@ MANY = 25
 def order(cost_m: Float64) -> list[Visit]:
     """The visits in a good order: the best greedy tours, improved until nothing helps.
 
-    `cost_m` (2n + 1, 2n + 1): way from the end of visit i to the start of visit j, where visit 2k drives swath k forwards
-    and 2k + 1 backwards; the last index is the place the tour comes from and goes to.
+    `cost_m` (2n + 1, 2n + 1): way from the end of visit i to the start of visit j, where visit 2k drives swath k
+    forwards and 2k + 1 backwards; the last index is the place the tour comes from and goes to.
     """
     count = len(cost_m) // 2
     if count == 0:

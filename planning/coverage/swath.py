@@ -38,7 +38,8 @@ class Swath:
         """Poses of `base` at start and end of work; `lead_m` is how far `base` is ahead of the working line."""
         first, last = (self.b_m, self.a_m) if is_reversed else (self.a_m, self.b_m)
         heading = math.atan2(*(last - first)[::-1])
-        return Pose(*map(float, first), heading).ahead(lead_m), Pose(*map(float, last), heading).ahead(lead_m)
+        ends = [Pose(float(p[0]), float(p[1]), heading).ahead(lead_m) for p in (first, last)]
+        return ends[0], ends[1]
 
 
 def swaths_of(

@@ -1,0 +1,222 @@
+"""The mission: publishes the path to drive, follows progress, and finds a way when something stays in the way."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from geometry.transforms import apply
+from messages.command import Mode, OperatorOrder, Order, SupervisorState, Wish
+from messages.message import Float64
+from messages.motion import MapPose, Odometry
+from messages.node import All, Every, Inbox, Latest, Node, Output, Read
+from messages.perception import Tracks
+from messages.plan import LeftOut, Leg, MissionState, MissionStatus, Path
+from planning.blockage import Blocked, Rejoin, Step, Trunk, blocked_again, settle, way_round
+from planning.configuration import MissionConfig
+from planning.detour import ground_without
+from planning.obstacles import ALIVE, Standing, first_in_way, from_hits, standing
+from planning.path import rest_of
+from planning.plan import Plan
+
+PERIOD_NS = 200_000_000
+BACK_CLEARANCE_M = 0.3
+SEEN_AGAIN_M = 3.0  # a standing track so near to what was driven round is the same thing
+
+
+class MissionNode(Node):
+    """Drives a plan: one path at a time, from Order.START to the end of the last."""
+
+    def __init__(self, plan: Plan, config: MissionConfig, seed: int) -> None:
+        self.name = "mission"
+        self.reads: dict[str, Read] = {
+            "odom": Latest(), "map_pose": Latest(), "wish": Latest(), "supervisor": Latest(), "tracks": Latest(),
+            "order": All(8),
+        }  # fmt: skip
+        self.writes = ("path", "mission")
+        self.runs = Every(PERIOD_NS)
+        self._plan, self._config, self._seed = plan, config, seed
+        self._state, self._text = MissionState.WAITING, "waiting for the start order"
+        self._steps: list[Step] = list(plan.paths)
+        self._path: Path | None = None
+        self._s_m, self._driven_m, self._total_m = 0.0, 0.0, plan.length_m
+        self._order_sequence = -1
+        self._last_id = max(p.path_id for p in plan.paths)
+        self._blocked_ns: int | None = None
+        self._detours = 0
+        self._left_out: tuple[LeftOut, ...] = ()
+
+    def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
+        """Start, follow, go on or find a way; the status goes out each time, a path when it is new."""
+        before = self._path
+        if self._state is MissionState.WAITING and self._is_started(now_ns, inbox):
+            self._state, self._text = MissionState.DRIVING, "driving"
+            self._next(inbox)
+        elif self._state in (MissionState.DRIVING, MissionState.REPLANNING):
+            self._follow(now_ns, inbox)
+        outputs: list[Output] = [("mission", self._status(now_ns))]
+        if self._path is not None and self._path is not before:
+            outputs.append(("path", replace(self._path, stamp_ns=now_ns)))
+        return outputs
+
+    def _is_started(self, now_ns: int, inbox: Inbox) -> bool:
+        is_started = False
+        for order in inbox.all("order", OperatorOrder):
+            is_new = order.sequence > self._order_sequence and now_ns <= order.expires_ns
+            self._order_sequence = max(self._order_sequence, order.sequence)
+            is_started = is_started or (is_new and order.order is Order.START)
+        return is_started
+
+    def _follow(self, now_ns: int, inbox: Inbox) -> None:
+        wish, path = inbox.latest("wish", Wish), self._path
+        if path is not None and wish is not None and wish.path_id == path.path_id:
+            self._s_m = float(np.clip(wish.path_s_m, 0.0, path.s_m[-1]))
+            if wish.is_finished:
+                self._finish_path(inbox)
+                return
+        self._watch(now_ns, inbox)
+
+    def _finish_path(self, inbox: Inbox) -> None:
+        assert self._path is not None
+        self._driven_m += float(self._path.s_m[-1])
+        self._blocked_ns = None
+        if self._path.is_last or not self._steps:
+            self._state, self._text, self._s_m = MissionState.FINISHED, "finished", float(self._path.s_m[-1])
+            self._driven_m -= self._s_m
+        else:
+            self._next(inbox)
+
+    def _next(self, inbox: Inbox) -> None:
+        """Take up the next step; a rejoining is settled now, by what is seen now."""
+        step = self._steps.pop(0)
+        if isinstance(step, Rejoin):
+            pose = inbox.latest("map_pose", MapPose)
+            if pose is None:
+                self._steps.insert(0, step)
+                return
+            self._steps = [*self._settled(step, pose, inbox), *self._steps]
+            self._next(inbox)
+            return
+        self._path, self._s_m, self._text = step, 0.0, "driving"
+        self._state = MissionState.DRIVING
+
+    def _settled(self, rejoin: Rejoin, pose: MapPose, inbox: Inbox) -> list[Path]:
+        found, cause = self._standing(pose, inbox), rejoin.blocked.cause
+        near = [o for o in found if o.outline.distance(cause.outline) < SEEN_AGAIN_M]
+        seen = min(near, key=lambda o: round(o.outline.distance(cause.outline), 3), default=cause)
+        ground = ground_without(self._plan.ground.allowed, [o.outline for o in found], BACK_CLEARANCE_M)
+        p = pose.T_map_base[:2, 3]
+        paths, missed = settle(rejoin, seen, p, ground, self._plan.rig, self._config, self._new_id)
+        if missed is not None:
+            self._left_out = (*self._left_out, missed)
+        self._total_m = self._driven_m + sum(float(p.s_m[-1]) for p in paths)
+        return paths
+
+    def _watch(self, now_ns: int, inbox: Inbox) -> None:
+        """Count how long an obstacle has stopped the machine; plan a way round when that is long enough."""
+        supervisor = inbox.latest("supervisor", SupervisorState)
+        if supervisor is None or supervisor.mode is not Mode.OBSTACLE_STOP:
+            self._blocked_ns = None
+            if self._state is MissionState.REPLANNING:
+                self._state, self._text = MissionState.DRIVING, "driving"
+            return
+        self._blocked_ns = now_ns if self._blocked_ns is None else self._blocked_ns
+        waited_s = (now_ns - self._blocked_ns) / 1e9
+        if waited_s < self._config.blocked_s:
+            return
+        pose, odom = inbox.latest("map_pose", MapPose), inbox.latest("odom", Odometry)
+        if pose is None or odom is None or abs(odom.speed_mps) > self._config.standing_mps:
+            return
+        found = self._standing(pose, inbox)
+        cause = self._cause(found, pose, supervisor)
+        if cause is None or (cause.label in ALIVE and waited_s < self._config.blocked_alive_s):
+            return
+        self._go_round(cause, found, pose)
+
+    def _standing(self, pose: MapPose, inbox: Inbox) -> list[Standing]:
+        tracks = inbox.latest("tracks", Tracks)
+        within = self._plan.ground.field.buffer(-0.5)
+        return standing(tracks, pose.T_map_odom, self._config.standing_mps, within)
+
+    def _cause(self, found: list[Standing], pose: MapPose, supervisor: SupervisorState) -> Standing | None:
+        path = self._path
+        assert path is not None
+        ahead = (path.s_m >= self._s_m) & (path.s_m <= self._s_m + self._config.look_m)
+        bodies = self._plan.rig.bodies
+        cause = first_in_way(found, bodies, path.p_map_m[ahead][::5], path.heading_rad[ahead][::5])
+        if cause is not None:
+            return cause
+        hits = np.asarray(supervisor.hits_base_m, np.float64)
+        return from_hits(np.asarray(apply(pose.T_map_base, hits)[:, :2], np.float64))
+
+    def _go_round(self, cause: Standing, found: list[Standing], pose: MapPose) -> None:
+        path, p = self._path, pose.T_map_base[:2, 3]
+        assert path is not None
+        self._detours += 1
+        if self._detours > self._config.most_detours:
+            self._abort(f"gave up after {self._config.most_detours} detours")
+            return
+        self._state, self._text = MissionState.REPLANNING, f"looking for a way round: {cause.label}"
+        self._blocked_ns = None
+        if path.direction < 0 and self._rejoin is None:
+            self._leave_back_up(p)
+            return
+        blocked = self._blocked(path, p, cause, tuple(o for o in found if o is not cause))
+        steps = way_round(blocked, self._plan, self._config, self._seed + self._detours, self._new_id)
+        if not steps:
+            x, y = cause.outline.centroid.coords[0]
+            self._abort(f"no way round {cause.label} at x {x:.1f} m, y {y:.1f} m")
+            return
+        later = self._steps if self._rejoin is None else self._steps[self._steps.index(self._rejoin) + 1 :]
+        self._take([*steps, *later])
+
+    def _leave_back_up(self, p_map_m: Float64) -> None:
+        """Something is behind while backing up to where work should go on: work goes on from here."""
+        rest = self._steps[0]
+        assert isinstance(rest, Path)
+        self._take([rest_of(rest, 0.0, p_map_m, self._new_id(), self._plan.rig), *self._steps[1:]])
+
+    def _blocked(self, path: Path, p_map_m: Float64, cause: Standing, others: tuple[Standing, ...]) -> Blocked:
+        if self._rejoin is not None:
+            return blocked_again(self._rejoin, path, self._s_m, p_map_m, cause, others)
+        return Blocked(path, self._s_m, Trunk(path, 0.0, 0.0), self._s_m, p_map_m, cause, others)
+
+    @property
+    def _rejoin(self) -> Rejoin | None:
+        """The rejoining that a detour still has before it."""
+        return next((s for s in self._steps if isinstance(s, Rejoin)), None)
+
+    def _take(self, steps: list[Step]) -> None:
+        """Leave the present path for others."""
+        self._driven_m += self._s_m
+        first, *self._steps = steps
+        assert isinstance(first, Path)
+        self._path, self._s_m = first, 0.0
+        self._state, self._text = MissionState.DRIVING, "driving round an obstacle"
+        self._total_m = self._driven_m + sum(_length_m(s) for s in steps)
+
+    def _abort(self, text: str) -> None:
+        self._state, self._text = MissionState.ABORTED, text
+
+    def _new_id(self) -> int:
+        self._last_id += 1
+        return self._last_id
+
+    def _status(self, now_ns: int) -> MissionStatus:
+        leg, line, path_id = Leg.LANE, -1, -1
+        if self._path is not None:
+            path_id = self._path.path_id
+            k = min(int(np.searchsorted(self._path.s_m, self._s_m)), len(self._path.s_m) - 1)
+            stretch = self._path.stretches[int(self._path.stretch_index[k])]
+            leg, line = stretch.leg, stretch.line
+        return MissionStatus(
+            now_ns, self._state, leg, line, path_id, self._s_m, self._driven_m + self._s_m, self._total_m, self._text,
+            self._left_out,
+        )  # fmt: skip
+
+
+def _length_m(step: Step) -> float:
+    """Way of a step; of a rejoining what is left of its line."""
+    if isinstance(step, Path):
+        return float(step.s_m[-1])
+    return float(step.blocked.line.s_m[-1]) - step.rejoin_m
