@@ -1,9 +1,10 @@
-"""Dead reckoning's inner loop, compiled."""
+"""Inner loops, compiled: dead reckoning and thinning of points."""
 
 import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from geometry.transforms import Float64
@@ -73,7 +74,36 @@ def reckon(
     return poses
 
 
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _first_in_voxel(points: Any, voxel_m: float, slots: Any) -> Any:
+    """Open addressing: `slots` (a power of two, larger than the points) holds indices, -1 is empty."""
+    kept, count, mask = np.empty(len(points), np.int64), 0, len(slots) - 1
+    cells = np.empty((len(points), 3), np.int64)
+    for i in range(len(points)):
+        for j in range(3):
+            cells[i, j] = math.floor(points[i, j] / voxel_m)
+        slot = (cells[i, 0] * 73856093 ^ cells[i, 1] * 19349669 ^ cells[i, 2] * 83492791) & mask
+        while slots[slot] >= 0:
+            k = slots[slot]
+            if cells[k, 0] == cells[i, 0] and cells[k, 1] == cells[i, 1] and cells[k, 2] == cells[i, 2]:
+                break
+            slot = (slot + 1) & mask
+        if slots[slot] < 0:
+            slots[slot] = i
+            kept[count] = i
+            count += 1
+    return kept[:count]
+
+
+def first_in_voxel(points_m: Float64, voxel_m: float) -> npt.NDArray[np.int64]:
+    """Indices of the first point of each cube of edge `voxel_m`, in order; points are (N, 3)."""
+    slots = np.full(1 << max(4, (2 * len(points_m)).bit_length()), -1, np.int64)
+    kept: npt.NDArray[np.int64] = _first_in_voxel(points_m, voxel_m, slots)
+    return kept
+
+
 def warm() -> None:
     """Compiles, or loads what an earlier run compiled."""
+    first_in_voxel(np.zeros((1, 3)), 1.0)
     one, still = np.ones(1), np.zeros(7)
     reckon(np.eye(4), one, np.zeros((1, 3)), one, np.zeros((1, 2)), still, still.copy(), np.zeros(3), 1.0, 1.0, 1.0)

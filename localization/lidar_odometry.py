@@ -20,6 +20,7 @@ class LidarOdometryConfig(Config):
     """Section `lidar_odometry` inside that of localization."""
 
     matching: MatchingConfig
+    period_s: float = Field(gt=0.0, le=2.0, description="scans that follow sooner are left out")
     longest_gap_s: float = Field(gt=0.0, le=10.0, description="between scans; a longer one starts a new map")
     margin_m: float = Field(ge=0.0, le=5.0, description="about the machine's body, whose returns go along with it")
     behind_m: float = Field(ge=0.0, le=30.0, description="this far back ...")
@@ -61,6 +62,8 @@ class LidarOdometry(Node):
 
     def _match(self, scan: LidarScan, ground: LidarGround, inbox: Inbox) -> list[LidarMotion]:
         stamp_ns, previous_ns = scan.stamp_ns, self._previous_ns
+        if previous_ns is not None and 0 < stamp_ns - previous_ns < 0.95e9 * self._config.period_s:
+            return []
         if previous_ns is None or not 0 < stamp_ns - previous_ns <= self._config.longest_gap_s * 1e9:
             self._matcher.reset()
             previous_ns, self._step = None, np.eye(4)

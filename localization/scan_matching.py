@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from kiss_icp.mapping import VoxelHashMap
 from kiss_icp.registration import Registration
-from kiss_icp.voxelization import voxel_down_sample
 from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from configs.strict import Config
 from geometry.transforms import Float64, invert
+from localization.kernels import first_in_voxel
 
 
 class MatchingConfig(Config):
@@ -26,6 +26,7 @@ class MatchingConfig(Config):
     voxel_m: float = Field(gt=0.05, le=5.0)
     points_per_voxel: int = Field(ge=1, le=100)
     most_points: int = Field(ge=50, le=20000, description="matched in one scan")
+    judged_points: int = Field(ge=10, le=20000, description="of which the geometry is looked at")
     iterations: int = Field(ge=1, le=500)
     convergence: float = Field(gt=0.0, le=0.1)
     kernel_m: float = Field(gt=0.0, le=5.0, description="a third of the greatest distance of partners")
@@ -65,13 +66,14 @@ def thinned(points_m: Float64, most: int) -> Float64:
     return points_m[:: max(1, math.ceil(len(points_m) / most))]
 
 
-def information_of(points_m: Float64, neighbours: int, texture_m: float) -> Float64:
+def information_of(points_m: Float64, cloud_m: Float64, neighbours: int, texture_m: float) -> Float64:
     """What points (N, 3) can tell of a motion about their origin: (6, 6), rotation then translation, for unit sigma.
 
-    Each point counts only in directions in which its neighbourhood is thin: on a wall across it, on a pole around it.
+    Each point counts only in directions in which its neighbourhood in the cloud (M, 3) that it comes from is thin: on a
+    wall across it, on a pole around it.
     """
-    _, near = cKDTree(points_m).query(points_m, k=min(neighbours, len(points_m)))
-    groups = points_m[near]
+    _, near = cKDTree(cloud_m, compact_nodes=False, balanced_tree=False).query(points_m, k=min(neighbours, len(cloud_m)))
+    groups = cloud_m[near]
     spread = groups - groups.mean(axis=1, keepdims=True)
     values, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", spread, spread) / groups.shape[1])
     weight = texture_m**2 / (texture_m**2 + np.maximum(values, 0.0))
@@ -122,15 +124,15 @@ class ScanMatcher:
         """Moves on by a first guess, matches points (N, 3) seen from the body now, and adds them to the map."""
         cfg = self._config
         guess = self.T_local_body @ T_previous_now
-        fine = voxel_down_sample(points_m, 0.5 * cfg.voxel_m) if len(points_m) else points_m
-        source = thinned(voxel_down_sample(fine, 0.75 * cfg.voxel_m), cfg.most_points) if len(fine) else fine
-        match = self._align(source, guess)
+        fine = points_m[first_in_voxel(points_m, 0.5 * cfg.voxel_m)]
+        source = thinned(fine[first_in_voxel(fine, 0.75 * cfg.voxel_m)], cfg.most_points)
+        match = self._align(source, fine, guess)
         self.T_local_body = _orthonormal(guess if match.reason else match.T_local_body)
         if len(fine):
             self._map.update(fine, self.T_local_body)
         return match
 
-    def _align(self, source: Float64, guess: Float64) -> Match:
+    def _align(self, source: Float64, fine: Float64, guess: Float64) -> Match:
         cfg, unknown = self._config, np.eye(6)
         if len(source) < cfg.least_points:
             return Match(guess, unknown, f"only {len(source)} points", len(source))
@@ -139,7 +141,8 @@ class ScanMatcher:
         T = self._registration.align_points_to_map(source, self._map, guess, 3.0 * cfg.kernel_m, cfg.kernel_m)
         if not bool(np.isfinite(T).all()):
             return Match(guess, unknown, "did not converge", len(source))
-        information = information_of(source, cfg.neighbours, cfg.texture_m)
+        part = thinned(source, cfg.judged_points)
+        information = information_of(part, fine, cfg.neighbours, cfg.texture_m) * (len(source) / len(part))
         covariance = covariance_of(information, cfg.point_sigma_m)
         return Match(T, covariance, refusal_of(T, guess, covariance, cfg), len(source))
 

@@ -8,7 +8,7 @@ import numpy as np
 from configs.strict import CONFIGS, parse, read_yaml
 from localization.localizer import LocalizationConfig, Localizer
 from messages.faults import Fault
-from messages.motion import MapPose, Odometry
+from messages.motion import LidarMotion, MapPose, Odometry
 from tests.localization.trajectory import DATUM, START_NS, Truth, tractor
 
 STEP_NS = 20_000_000
@@ -21,8 +21,8 @@ def configuration() -> LocalizationConfig:
 class Box:
     """An inbox filled by hand."""
 
-    def __init__(self, messages):
-        self._messages = messages
+    def __init__(self, messages, history=()):
+        self._messages, self._history = messages, history
 
     def all(self, topic, kind):
         return tuple(m for name, m in self._messages if name == topic)
@@ -34,6 +34,10 @@ class Box:
     last = latest
 
     def at(self, topic, kind, stamp_ns):
+        found = [m for name, m in self._history if name == topic]
+        for a, b in zip(found, found[1:]):
+            if a.stamp_ns <= stamp_ns <= b.stamp_ns:
+                return a.interpolate(b, stamp_ns)
         return None
 
 
@@ -46,11 +50,16 @@ class Run:
     faults: list[Fault]
     step_s: np.ndarray
     localizer: Localizer
+    motions: list[LidarMotion]
 
 
-def run(messages, seconds=None, localizer=None, start_ns=START_NS) -> Run:
-    """Steps a localizer every 20 ms through messages (arrival, topic, message) in order of arrival."""
+def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None) -> Run:
+    """Steps a localizer every 20 ms through messages (arrival, topic, message) in order of arrival.
+
+    `lidar` is a lidar odometry and a function that gives scan and ground for a time, or None; it runs at 10 Hz, 60 ms late.
+    """
     node = localizer or Localizer(tractor(), DATUM, configuration())
+    motions = []
     odom, poses, faults, times, k, now = [], [], [], [], 0, start_ns
     end = messages[-1][0] if seconds is None else start_ns + int(seconds * 1e9)
     while now <= end:
@@ -58,12 +67,24 @@ def run(messages, seconds=None, localizer=None, start_ns=START_NS) -> Run:
         while k < len(messages) and messages[k][0] <= now:
             due.append(messages[k][1:])
             k += 1
+        if lidar is not None and (now - start_ns) % 100_000_000 == 60_000_000:
+            due += _lidar_step(lidar, now - 60_000_000, odom)
+            motions += [m for _, m in due if isinstance(m, LidarMotion)]
         start = time.perf_counter()
         for topic, message in node.step(now, Box(due)):
-            {"odom": odom, "map_pose": poses, "fault": faults}[topic].append(message)
+            {"odom": odom, "map_pose": poses, "fault/localizer": faults}[topic].append(message)
         times.append(time.perf_counter() - start)
         now += STEP_NS
-    return Run(odom, poses, faults, np.array(times), node)
+    return Run(odom, poses, faults, np.array(times), node, motions)
+
+
+def _lidar_step(lidar, stamp_ns, odom):
+    node, look = lidar
+    pair = look(stamp_ns)
+    if pair is None:
+        return []
+    box = Box([("lidar/front", pair[0]), ("ground/front", pair[1])], [("odom", m) for m in odom[-60:]])
+    return list(node.step(stamp_ns + 60_000_000, box))
 
 
 @dataclasses.dataclass
