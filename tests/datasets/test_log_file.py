@@ -17,6 +17,7 @@ from log_samples import bits
 from mcap.reader import make_reader
 
 from configs.strict import CONFIGS, parse, read_yaml
+from datasets.digest import Digest
 from datasets.log import LogConfig, LogWriter
 from datasets.reader import LogScan, read_log, read_metadata
 from datasets.summary import FrameTree, check_log, render_summary, summary_json
@@ -157,6 +158,25 @@ def test_a_damaged_chunk_costs_itself_alone(whole: Path, tmp_path: Path) -> None
         assert not summary.is_whole
         assert summary.messages == 210 - per_chunk[k]
         assert any("chunk" in p for p in summary.problems)
+
+
+@pytest.mark.parametrize("length", [0, 7, 100, 10**6, 2**63])
+def test_a_wrong_length_costs_its_chunk_alone(whole: Path, tmp_path: Path, length: int) -> None:
+    data, ends = whole.read_bytes(), chunk_ends(whole)
+    with whole.open("rb") as file:
+        start = sorted(i.chunk_start_offset for i in make_reader(file).get_summary().chunk_indexes)[4]
+    path = tmp_path / "lost.mcap"
+    path.write_bytes(data[: start + 1] + length.to_bytes(8, "little") + data[start + 9 :])
+    assert check_log(path).messages == 210 - (ends[4][1] - ends[3][1])
+
+
+def test_the_digest_tells_topic_time_and_content_apart() -> None:
+    seen = set()
+    for topic, stamp, payload in [("a", 1, b"x"), ("b", 1, b"x"), ("a", 2, b"x"), ("a", 1, b"y"), ("ax", 1, b"")]:
+        digest = Digest()
+        digest.add(topic, stamp, payload)
+        seen.add(digest.text())
+    assert len(seen) == 5
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
