@@ -29,6 +29,7 @@ CLASSES = {
 # Areas of the picture that nobody labelled: they have no box.
 UNLABELLED = "DontCare"
 COLUMNS = 17
+_DETECTED = {"1": "Pedestrian", "2": "Car", "3": "Cyclist"}
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,24 @@ def _label(path: Path, number: int, words: list[str]) -> Label:
     if not all(map(math.isfinite, (h, w, length, x, y, z, turn))) or min(h, w, length) <= 0.0:
         raise LogError(f"{path}:{number}: box of size {h} x {w} x {length} at ({x}, {y}, {z})")
     return Label(*whole, (h, w, length), (x, y, z), turn)
+
+
+def read_detections(path: Path) -> list[tuple[float, Label]]:
+    """Another detector's results with their scores, as AB3DMOT keeps them: the label's `track` is the line's number.
+
+    A line is frame, kind (1 pedestrian, 2 car, 3 cyclist), four of the picture, score, height, width, length, bottom
+    centre, turn, alpha. Raises LogError with line and value.
+    """
+    found = []
+    for number, line in enumerate(_lines(path), start=1):
+        words = line.split(",")
+        try:
+            frame, kind = int(words[0]), _DETECTED[words[1]]
+            score, h, w, length, x, y, z, turn, _ = map(float, words[6:])
+        except (ValueError, KeyError, IndexError) as error:
+            raise LogError(f"{path}:{number}: not a detection: {line[:60]!r}") from error
+        found.append((score, Label(frame, number, kind, 0, 0, (h, w, length), (x, y, z), turn)))
+    return found
 
 
 def read_calibration(path: Path) -> Calibration:

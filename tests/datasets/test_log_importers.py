@@ -376,6 +376,16 @@ def test_kitti_imported_is_a_log_of_ours(tmp_path: Path) -> None:
         assert (topic, bits(message)) == (envelope.topic, bits(envelope.message))
 
 
+def test_another_detector_s_results(tmp_path: Path) -> None:
+    folder = data("kitti-tracking-truth") / "data" / "KITTI" / "detection"
+    (score, car), *_ = kitti_labels.read_detections(folder / "pointrcnn_Car_val" / "0000.txt")
+    assert (score, car.frame, car.name, car.size_hwl_m) == (8.2981, 0, "Car", (1.9605, 1.8137, 4.7549))
+    assert car.p_camera_m == (-4.5720, 1.8435, 13.5308)  # the van of the labels
+    (tmp_path / "bad.txt").write_text("0,2,1,2\n")
+    with pytest.raises(LogError, match=r"bad\.txt:1"):
+        kitti_labels.read_detections(tmp_path / "bad.txt")
+
+
 OXTS = (
     "49.0 8.4 112.0 0.01 -0.02 0.5 1.0 2.0 2.2 0.1 0.0 0.3 0.4 9.8 0.31 0.41 9.81 "
     "0.01 0.02 0.03 0.011 0.022 0.44 0.05 0.06 4 9 6 4 4"
