@@ -172,7 +172,7 @@ def reference(drive: Drive, window_s: float = 1.0) -> dict[tuple[int, float], tu
 def run_comma(folder: Path, vehicle: Vehicle, config: RadarConfig) -> None:
     """Print how the pipeline's targets agree with the device's tracks."""
     drive = read_comma(folder)
-    node = RadarObstacles("front", TOYOTA, vehicle, config)
+    node = RadarObstacles("front", TOYOTA, vehicle, None, config)
     truth = reference(drive)
     found, errors, still, moving, right, ms = 0, [], 0, 0, 0, []
     for i, (scan, odom) in enumerate(zip(drive.scans, drive.odometry, strict=True)):

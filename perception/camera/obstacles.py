@@ -3,11 +3,10 @@
 from collections.abc import Iterable
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from configs.strict import Config
-from configs.vehicle import Camera, Vehicle
+from configs.vehicle import Camera, Implement, Vehicle
 from messages.message import Float64, Int64, UInt8
 from messages.node import Inbox, Latest, Node, On, Output
 from messages.perception import Obstacles
@@ -17,8 +16,7 @@ from perception.camera.classes import class_scores, group_scores
 from perception.camera.detector import Detector, DetectorConfig
 from perception.camera.lens import LensConfig
 from perception.camera.ranging import Ranged, RangingConfig, View, place
-
-Bools = npt.NDArray[np.bool_]
+from perception.own_body import is_inside, own_outline
 
 
 class CameraConfig(Config):
@@ -39,12 +37,15 @@ class CameraObstacles(Node):
     Its state is in `health/camera_<name>`, which `CameraHealth` writes.
     """
 
-    def __init__(self, name: str, camera: Camera, vehicle: Vehicle, detector: Detector, config: CameraConfig) -> None:
+    def __init__(
+        self, name: str, camera: Camera, vehicle: Vehicle, implement: Implement | None, detector: Detector,
+        config: CameraConfig,
+    ) -> None:  # fmt: skip
         self.name = f"camera_{name}"
         self.reads = {f"camera/{name}": Latest()}
         self.writes = (f"obstacles/camera_{name}",)
         self.runs = On((f"camera/{name}",))
-        self._topic, self._view, self._vehicle = f"camera/{name}", View(camera), vehicle
+        self._topic, self._view, self._own = f"camera/{name}", View(camera), own_outline(vehicle, implement)
         self._detector, self._config = detector, config
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
@@ -52,13 +53,9 @@ class CameraObstacles(Node):
         image = inbox.last(self._topic, CameraImage)
         if image is None or not fits(image.bgr, self._view.camera):
             return ()
-        candidates = self._detector.detect(image.bgr)
-        return (
-            (
-                self.writes[0],
-                find_obstacles(candidates, image.stamp_ns, self.name, self._view, self._vehicle, self._config),
-            ),
-        )
+        found = self._detector.detect(image.bgr)
+        obstacles = find_obstacles(found, image.stamp_ns, self.name, self._view, self._own, self._config)
+        return ((self.writes[0], obstacles),)
 
 
 def fits(bgr: UInt8, camera: Camera) -> bool:
@@ -67,22 +64,16 @@ def fits(bgr: UInt8, camera: Camera) -> bool:
 
 
 def find_obstacles(
-    candidates: Candidates, stamp_ns: int, sensor: str, view: View, vehicle: Vehicle, config: CameraConfig
+    candidates: Candidates, stamp_ns: int, sensor: str, view: View, own: Float64, config: CameraConfig
 ) -> Obstacles:
-    """Candidates as obstacles of person, animal or vehicle on the ground; the machine's own parts are left out."""
+    """Candidates as obstacles of person, animal or vehicle on the ground; none in `own` (K, 2, 2)."""
     scores = group_scores(candidates.scores)
     boxes = pick(Candidates(candidates.corners_px, scores), config.detector.least_score, config.detector.most_iou)
     found = place(boxes, view, config.ranging)
-    apart = np.flatnonzero(~_is_own(found.foot_m, vehicle)).astype(np.int64)
+    apart = np.flatnonzero(~is_inside(found.foot_m, own)).astype(np.int64)
     rows = found.row[apart]
     classes = [class_scores(int(g), float(s)) for g, s in zip(boxes.label[rows], boxes.score[rows], strict=True)]
     return _message(found, apart, np.array(classes, np.float64).reshape(-1, 7), stamp_ns, sensor)
-
-
-def _is_own(foot_m: Float64, vehicle: Vehicle) -> Bools:
-    body = vehicle.body
-    inside_x = (foot_m[:, 0] > -body.rear_m) & (foot_m[:, 0] < body.front_m)
-    return np.asarray(inside_x & (np.abs(foot_m[:, 1]) < body.width_m / 2))
 
 
 def _message(found: Ranged, rows: Int64, classes: Float64, stamp_ns: int, sensor: str) -> Obstacles:

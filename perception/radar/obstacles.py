@@ -7,12 +7,13 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from configs.vehicle import Mount, Radar, Vehicle
+from configs.vehicle import Implement, Mount, Radar, Vehicle
 from messages.message import Float64
 from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import RadarScan
+from perception.own_body import is_inside, own_outline
 from perception.radar.clusters import ClusterConfig, Clusters, find_clusters
 from perception.radar.doppler import Bools, Echoes, is_well_formed, sensor_velocity, to_base, usable
 from perception.radar.tracklets import (
@@ -52,12 +53,15 @@ class RadarConfig(Config):
 class RadarObstacles(Node):
     """Runs on every cycle of the radar `name`; without odometry no target's motion is known and none is told."""
 
-    def __init__(self, name: str, radar: Radar, vehicle: Vehicle, config: RadarConfig) -> None:
+    def __init__(
+        self, name: str, radar: Radar, vehicle: Vehicle, implement: Implement | None, config: RadarConfig
+    ) -> None:
         self.name = f"radar_{name}"
         self.reads = {f"radar/{name}": Latest(), "odom": At(1.0)}
         self.writes = (f"obstacles/radar_{name}",)
         self.runs = On((f"radar/{name}",))
-        self._topic, self._radar, self._vehicle, self._config = f"radar/{name}", radar, vehicle, config
+        self._topic, self._radar, self._config = f"radar/{name}", radar, config
+        self._own = own_outline(vehicle, implement)
         self._table = empty_table()
         self._stamp_ns = 0
 
@@ -84,7 +88,7 @@ class RadarObstacles(Node):
         seen = to_odom(clusters, sigma, self._radar, odom.T_odom_base)
         self._table, row = advance(self._table, seen, scan.stamp_ns, since_s, config.tracklets)
         self._stamp_ns = scan.stamp_ns
-        told = (confirmed(self._table, config.tracklets)[row] > 0) & ~_is_own(clusters.p_m, self._vehicle)
+        told = (confirmed(self._table, config.tracklets)[row] > 0) & ~is_inside(clusters.p_m, self._own)
         turn = odom.T_odom_base[:2, :2] / math.hypot(odom.T_odom_base[0, 0], odom.T_odom_base[1, 0])
         velocity = velocities(self._table, config.tracklets)[row] @ turn
         return self._message(scan.stamp_ns, clusters, velocity, sigma, told)
@@ -123,9 +127,3 @@ def warm() -> None:
 def no_evidence(n: int) -> Float64:
     """Class scores (n, 7) that say nothing: each class as likely as any other."""
     return np.full((n, len(ObstacleClass)), 1.0 / len(ObstacleClass))
-
-
-def _is_own(p_base_m: Float64, vehicle: Vehicle) -> Bools:
-    body = vehicle.body
-    inside_x = (p_base_m[:, 0] > -body.rear_m) & (p_base_m[:, 0] < body.front_m)
-    return np.asarray(inside_x & (np.abs(p_base_m[:, 1]) < body.width_m / 2))

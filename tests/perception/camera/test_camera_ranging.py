@@ -16,6 +16,7 @@ from perception.camera.boxes import Boxes, Candidates
 from perception.camera.classes import COCO
 from perception.camera.obstacles import CameraConfig, find_obstacles
 from perception.camera.ranging import View, combine, place
+from perception.own_body import own_outline
 
 ROOT = Path(__file__).parents[3]
 CONFIG = parse(CameraConfig, read_yaml(ROOT / "configs" / "stack.yaml")["perception"]["camera"], "stack.yaml")
@@ -104,7 +105,7 @@ def test_obstacles_message() -> None:
     corners = np.array([person(cam, 10.0, -3.0), person(cam, 10.0, 3.0)], np.float32)
     scores = np.zeros((2, 80), np.float32)
     scores[0, COCO.index("person")], scores[1, COCO.index("bird")] = 0.8, 0.9
-    found = find_obstacles(Candidates(corners, scores), 7, "camera_x", View(cam), VEHICLE, CONFIG)
+    found = find_obstacles(Candidates(corners, scores), 7, "camera_x", View(cam), own_outline(VEHICLE, None), CONFIG)
     assert (found.stamp_ns, found.sensor, len(found.yaw_rad)) == (7, "camera_x", 1)
     order = list(ObstacleClass)
     assert found.class_scores[0, order.index(ObstacleClass.PERSON)] == pytest.approx(0.8, abs=1e-6)
@@ -121,7 +122,10 @@ def test_the_own_hood_is_no_obstacle() -> None:
     scores = np.zeros((1, 80), np.float32)
     scores[0, COCO.index("truck")] = 0.9
     hood = np.array([[*project(cam, (3.2, 0.8, 0.0)), *project(cam, (3.2, -0.8, 0.0))]], np.float32)
-    assert len(find_obstacles(Candidates(hood, scores), 0, "c", View(cam), VEHICLE, CONFIG).yaw_rad) == 0
+    assert (
+        len(find_obstacles(Candidates(hood, scores), 0, "c", View(cam), own_outline(VEHICLE, None), CONFIG).yaw_rad)
+        == 0
+    )
 
 
 @pytest.mark.parametrize("yaw", [0.0, 90.0, 180.0, -135.0])
