@@ -1,8 +1,11 @@
 """The section `perception` of the stack's configuration."""
 
 from configs.strict import Config
+from perception.camera.obstacles import CameraConfig
 from perception.fusion.tracks import TrackerConfig
 from perception.lidar.obstacles import LidarConfig
+from perception.radar.obstacles import RadarConfig
+from perception.ultrasonic.obstacles import UltrasonicConfig
 
 
 class PerceptionConfig(Config):
@@ -10,3 +13,6 @@ class PerceptionConfig(Config):
 
     lidar: LidarConfig
     tracker: TrackerConfig
+    camera: CameraConfig
+    radar: RadarConfig
+    ultrasonic: UltrasonicConfig

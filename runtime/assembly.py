@@ -36,10 +36,21 @@ def assemble(
     """
     channel = f"headland-{next(_CHANNELS)}"
     world = SimulationWorld(
-        setup.site, setup.vehicle, setup.implement, scenario, setup.plan.paths, channel, setup.seed, setup.stack.simulation
+        setup.site,
+        setup.vehicle,
+        setup.implement,
+        scenario,
+        setup.plan.paths,
+        channel,
+        setup.seed,
+        setup.stack.simulation,
     )
     with can.Bus(interface="virtual", channel=channel) as bus:
-        chain = [*_perceiving(setup), *_deciding(setup, is_ablation), Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway)]
+        chain = [
+            *_perceiving(setup),
+            *_deciding(setup, is_ablation),
+            Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway),
+        ]
         nodes = [(node, latency_ns(setup, node.name)) for node in chain]
         check_wiring(world, nodes, setup.stack.executor.cores)
         yield world, nodes
@@ -62,7 +73,7 @@ def _perceiving(setup: Setup) -> list[Node]:
     return [
         *obstacles,
         Tracker([f"obstacles/{node.name}" for node in obstacles], perception.tracker),
-        LidarOdometry("front", lidars["front"], localization.lidar_odometry),
+        LidarOdometry(setup.vehicle, "front", localization.lidar_odometry),
         Localizer(setup.vehicle, setup.site.datum.datum, localization),
     ]
 
@@ -71,9 +82,7 @@ def _deciding(setup: Setup, is_ablation: bool) -> list[Node]:
     """From tracks and pose to the safe command."""
     disabled = OBSTACLE_RULES if is_ablation else frozenset()
     return [
-        MissionNode(setup.plan, setup.site, setup.vehicle, setup.implement, setup.mission.work, setup.stack.planning),
+        MissionNode(setup.plan, setup.stack.planning.mission, setup.seed),
         Controller(setup.vehicle, setup.implement, setup.stack.control),
-        Supervisor(
-            setup.vehicle, setup.implement, setup.stack.safety, fence_of(setup.site), FAULT_TOPICS, disabled
-        ),
+        Supervisor(setup.vehicle, setup.implement, setup.stack.safety, fence_of(setup.site), FAULT_TOPICS, disabled),
     ]

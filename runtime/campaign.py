@@ -93,10 +93,12 @@ def _drive_all(trials: list[Trial], jobs: int) -> Iterator[dict[str, Any]]:
 
 
 def _is_as_wanted(result: dict[str, Any], is_ablation: bool) -> bool:
+    expected: int = sum(result["expected_stops"].values())
+    contacts, exits = int(result["contacts"]), int(result["exits"])
     if is_ablation:
-        return int(result["contacts"]) == sum(result["expected_stops"].values())
-    are_stops = len(result["stops"]) == sum(result["expected_stops"].values())
-    return bool(are_stops and result["outcome"] in DONE and result["contacts"] == result["exits"] == 0)
+        return contacts == expected
+    is_done, stops = str(result["outcome"]) in DONE, len(result["stops"])
+    return is_done and stops == expected and contacts == exits == 0
 
 
 def _row(result: dict[str, Any]) -> dict[str, Any]:

@@ -54,7 +54,9 @@ def drive(
     (folder.path / "config.yaml").write_text(config, encoding="utf-8")
     conditions = versions() | {"seed": str(setup.seed), "ablation": str(is_ablation)}
     folder.record("conditions", conditions)
-    digest = _drive_into_log(setup, scenario, folder, {"run": conditions, "config": {"yaml": config}}, console, is_ablation)
+    digest = _drive_into_log(
+        setup, scenario, folder, {"run": conditions, "config": {"yaml": config}}, console, is_ablation
+    )
     record = collect(read_log(folder.path / "log.mcap", TOPICS))
     planned = Planned(
         setup.plan.planned_area, setup.plan.field_area_m2, setup.implement.working_width_m, scenario.expected_stops

@@ -10,6 +10,7 @@ from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, V
 from datasets.viewer import Viewer
 from planning.field import read_field
 from planning.plan import Plan, plan_mission
+from planning.surroundings import site_around
 from runtime.stack import StackConfig
 
 
@@ -38,6 +39,10 @@ def load_setup(mission: str, machine: str | None, implement: str | None, field: 
     vehicle = load(Vehicle, find("machines", chosen.machine))
     carried = load(ImplementFile, find("implements", chosen.implement)).implement
     stack = load(StackConfig, CONFIGS / "stack.yaml")
-    site = read_field(Path(field), vehicle, carried) if field else load(Site, find("sites", chosen.site))
+    site = (
+        site_around(read_field(Path(field)), vehicle, carried, chosen.work)
+        if field
+        else load(Site, find("sites", chosen.site))
+    )
     plan = plan_mission(site, vehicle, carried, chosen.work, stack.planning.planner, seed)
     return Setup(chosen, site, vehicle, carried, stack, plan, seed)

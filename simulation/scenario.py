@@ -93,6 +93,6 @@ class Scenario(Config):
     encounters: tuple[Encounter, ...] = ()
 
     @property
-    def expected_stops(self) -> tuple[ObstacleClass, ...]:
-        """The cause of each stop that the encounters must force, in the order of the file, not of time."""
-        return tuple(e.label for e in self.encounters for _ in range(e.stops))
+    def expected_stops(self) -> dict[str, int]:
+        """How many stops each encounter must force, by its name."""
+        return {e.name: e.stops for e in self.encounters}
