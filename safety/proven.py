@@ -38,7 +38,7 @@ def looks(lidar: Lidar, shape: Shape, direction: int) -> bool:
     """Whether a lidar looks in a direction of travel past the machine's own body."""
     x, _, z = lidar.mount.xyz_m
     away = math.radians(lidar.mount.rpy_deg[2]) - (0.0 if direction > 0 else math.pi)
-    is_turned_there = abs(math.remainder(away, TURN_RAD)) < math.radians(0.5 * lidar.field_of_view_deg)
+    is_turned_there = abs(math.remainder(away, TURN_RAD)) <= math.radians(0.5 * lidar.field_of_view_deg) + 1e-9
     machine = shape.rigid[0]
     is_at_that_end = direction * (x - 0.5 * (machine.front_m + machine.rear_m)) > 0.0
     return is_turned_there and (is_at_that_end or z >= shape.height_m - 0.1)

@@ -77,12 +77,12 @@ def raised(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
 
 
 def patch_ground(patch: np.ndarray, z: Float32, patches: int, order: int) -> Float64:
-    """Height of the `order`-th lowest return of each patch, to 0.05 m; infinite where there are fewer."""
+    """Height of the `order`-th lowest return of each patch, rounded down to 0.05 m; infinite where there are fewer."""
     level = np.clip((z - np.float32(HEIGHT_FROM_M)) * np.float32(1.0 / HEIGHT_STEP_M), 0, HEIGHT_STEPS - 1)
     counts = np.bincount(patch * HEIGHT_STEPS + level.astype(np.int32), minlength=patches * HEIGHT_STEPS)
     below = np.cumsum(counts.reshape(patches, HEIGHT_STEPS), axis=1)
     found = np.argmax(below >= order, axis=1)
-    height = HEIGHT_FROM_M + HEIGHT_STEP_M * (found + 0.5)
+    height = HEIGHT_FROM_M + HEIGHT_STEP_M * found
     return np.where(below[:, -1] >= order, height, np.inf)
 
 

@@ -1,0 +1,294 @@
+"""A world of synthetic messages around the supervisor: flat ground seen by the real lidars, boxes put on it."""
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path as File
+from typing import Any
+
+import numpy as np
+
+from configs.vehicle import Lidar, Vehicle
+from geometry.transforms import planar, transform
+from messages.command import MachineState, Mode, OperatorOrder, Order, Wish
+from messages.message import Message
+from messages.motion import MapPose, Odometry, PositionSource
+from messages.perception import Tracks
+from messages.plan import Leg, MissionState, MissionStatus, Path, Stretch
+from messages.sensors import ImuSample, LidarScan, WheelSample
+from messages.topics import kind_of
+from safety.config import SafetyConfig
+from safety.field import Gap
+from safety.situation import Situation
+from safety.supervisor import Supervisor
+from safety.tracked import NO_THREAT
+
+ROOT = File(__file__).parents[2]
+START_NS = 5_000_000_000
+STEP_NS = 20_000_000
+NO_BYTES = np.empty(0, np.uint8)
+
+
+class SyntheticInbox:
+    """The semantic of messages.node.Inbox: stale by the topic table, `all` since the last step."""
+
+    def __init__(self) -> None:
+        self.now_ns = START_NS
+        self.messages: dict[str, Message] = {}
+        self.queues: dict[str, list[Message]] = {}
+
+    def put(self, topic: str, message: Message) -> None:
+        self.messages[topic] = message
+        self.queues.setdefault(topic, []).append(message)
+
+    def last(self, topic: str, kind: type) -> Any:
+        return self.messages.get(topic)
+
+    def latest(self, topic: str, kind: type) -> Any:
+        message = self.messages.get(topic)
+        limit = kind_of(topic).max_age_s
+        if message is None or abs(self.now_ns - message.stamp_ns) > limit * 1e9:
+            return None
+        return message
+
+    def all(self, topic: str, kind: type) -> Any:
+        return tuple(self.queues.get(topic, ()))
+
+    def at(self, topic: str, kind: type, stamp_ns: int) -> Any:
+        raise AssertionError("the supervisor reads nothing at a time")
+
+
+def put_box(points: np.ndarray, origin: np.ndarray, center: tuple[float, float], size: tuple[float, float, float]):
+    """Where rays from `origin` to points (N, 3) meet an upright box standing at `center`, nearest first."""
+    low = np.array([center[0] - size[0] / 2, center[1] - size[1] / 2, 0.0])
+    high = np.array([center[0] + size[0] / 2, center[1] + size[1] / 2, size[2]])
+    way = points - origin
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t0, t1 = (low - origin) / way, (high - origin) / way
+    enter, leave = np.minimum(t0, t1).max(axis=1), np.maximum(t0, t1).min(axis=1)
+    hit = (enter <= leave) & (enter > 0.0) & (enter < 1.0)
+    out = points.copy()
+    out[hit] = origin + way[hit] * enter[hit, None]
+    return out
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright box standing in odom (= map): centre and length, width, height."""
+
+    x_m: float
+    y_m: float
+    size_m: tuple[float, float, float] = (0.5, 0.5, 1.7)
+
+
+def scan_of(
+    lidar: Lidar, stamp_ns: int, pose: tuple[float, float, float], boxes: tuple[Box, ...], rng: np.random.Generator,
+    slope: float = 0.0, shape_boxes: tuple[Box, ...] = (),
+) -> LidarScan:  # fmt: skip
+    """A scan over level ground (or one that rises by `slope` ahead of x = 3 of base) with boxes on it."""
+    el = np.radians(np.asarray(lidar.elevation_deg))
+    fov = math.radians(lidar.field_of_view_deg)
+    az = -fov / 2 + fov * (np.arange(lidar.columns) + 0.5) / lidar.columns
+    T_base_sensor = lidar.mount.T_base_sensor
+    flat = np.cos(el)[:, None]
+    rays = np.stack([flat * np.cos(az), flat * np.sin(az), np.sin(el)[:, None] * np.ones_like(az)], axis=-1)
+    rays = rays.reshape(-1, 3) @ T_base_sensor[:3, :3].T
+    origin = T_base_sensor[:3, 3]
+    far = lidar.range_m[1]
+    with np.errstate(divide="ignore"):
+        down = np.where(rays[:, 2] < -1e-6, -origin[2] / rays[:, 2], np.inf)
+        if slope:
+            # z = slope * (x - 3) for x > 3
+            bent = (slope * (origin[0] - 3.0) - origin[2]) / (rays[:, 2] - slope * rays[:, 0])
+            bent = np.where(bent > 0.0, bent, np.inf)
+            x = origin[0] + np.where(np.isfinite(bent), bent, 0.0) * rays[:, 0]
+            down = np.where((x > 3.0) & (rays[:, 0] > 0.05), bent, down)
+    reach = np.minimum(down, 1000.0)
+    points = origin + rays * reach[:, None]
+    T_odom_base = planar(*pose)
+    for box in boxes:
+        local = T_odom_base[:3, :3].T @ (np.array([box.x_m, box.y_m, 0.0]) - T_odom_base[:3, 3])
+        points = put_box(points, origin, (local[0], local[1]), box.size_m)
+    for box in shape_boxes:
+        points = put_box(points, origin, (box.x_m, box.y_m), box.size_m)
+    range_m = np.linalg.norm(points - origin, axis=1)
+    range_m += rng.normal(0.0, lidar.range_sigma_m, len(range_m))
+    range_m[(range_m > far) | (range_m < lidar.range_m[0])] = 0.0
+    ranges = np.round(range_m * 1000.0).astype(np.uint16).reshape(len(el), len(az))
+    return LidarScan(stamp_ns, ranges, el, az, np.empty((0, 3), np.float32), NO_BYTES, np.empty(0, np.float32))
+
+
+def straight_path(path_id: int = 1, length_m: float = 100.0, start: tuple[float, float] = (0.0, 0.0),
+                  direction: int = 1, curvature: float = 0.0, speed_mps: float = 3.0) -> Path:  # fmt: skip
+    """A straight or circular path from `start` with the machine heading east at its beginning."""
+    s = np.arange(0.0, length_m + 0.05, 0.1)
+    way = direction * s
+    heading = curvature * way
+    half = 0.5 * heading
+    chord = way * np.sinc(half / math.pi)
+    p = np.column_stack([start[0] + chord * np.cos(half), start[1] + chord * np.sin(half)])
+    n = len(s)
+    stretch = Stretch(Leg.SWATH, 1, 0, n - 1)
+    return Path(
+        START_NS, path_id, direction, p, heading, np.full(n, curvature), s, np.full(n, speed_mps),
+        np.ones(n, np.uint8), (stretch,), np.zeros(n, np.int32), False,
+    )  # fmt: skip
+
+
+def machine_state(stamp_ns: int, **changes: Any) -> MachineState:
+    """A healthy machine at standstill."""
+    state = MachineState(
+        stamp_ns=stamp_ns, motion_stamp_ns=stamp_ns, steering_stamp_ns=stamp_ns, implement_stamp_ns=stamp_ns,
+        cab_stamp_ns=stamp_ns, heartbeat_stamp_ns=stamp_ns, speed_mps=0.0, curvature_radpm=0.0, is_steering_ready=True,
+        steering_exit_code=0, steering_limit=0, hitch=0.0, is_hitch_in_work=True, pto_radps=0.0, is_pto_engaged=False,
+        is_park_brake_set=False, is_horn_on=False, is_beacon_on=False, brake_pedal=0.0, hand_torque_nm=0.0,
+        hand_rate_radps=0.0, hand_angle_rad=0.0, is_seat_occupied=False, is_emergency_button_pressed=False,
+        supply_v=13.8, rejected_frames=0,
+    )  # fmt: skip
+    return replace(state, **changes)
+
+
+@dataclass
+class World:
+    """Drives a supervisor through simulated time; the machine follows its commands."""
+
+    supervisor: Supervisor
+    vehicle: Vehicle
+    path: Path
+    inbox: SyntheticInbox = field(default_factory=SyntheticInbox)
+    boxes: tuple[Box, ...] = ()
+    shape_boxes: tuple[Box, ...] = ()
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+    speed_mps: float = 0.0
+    wish_mps: float = 2.78
+    curvature: float | None = None
+    slope: float = 0.0
+    pitch_rad: float = 0.0
+    roll_rad: float = 0.0
+    tracks: tuple = ()
+    mute: set[str] = field(default_factory=set)
+    machine_changes: dict[str, Any] = field(default_factory=dict)
+    pose_changes: dict[str, Any] = field(default_factory=dict)
+    odom_changes: dict[str, Any] = field(default_factory=dict)
+    wish_changes: dict[str, Any] = field(default_factory=dict)
+    mission: MissionState = MissionState.DRIVING
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
+    command: Any = None
+    state: Any = None
+    faults: list = field(default_factory=list)
+    history: list = field(default_factory=list)
+    steps: int = 0
+    sequence: int = 0
+    is_obedient: bool = True
+    place_m: float = 0.0
+    acceleration: float = 0.0
+
+    @property
+    def mode(self) -> str:
+        return str(self.supervisor.mode)
+
+    def order(self, order: Order, authority: str = "operator", expires_s: float = 10.0, sequence: int | None = None):
+        self.sequence += 1
+        number = self.sequence if sequence is None else sequence
+        now = self.inbox.now_ns + STEP_NS
+        self.inbox.put("order", OperatorOrder(now, order, authority, number, now + round(expires_s * 1e9)))
+
+    def put(self, topic: str, message: Message) -> None:
+        if topic not in self.mute and topic.partition("/")[0] not in self.mute:
+            self.inbox.put(topic, message)
+
+    def put_all(self) -> None:
+        now, pose = self.inbox.now_ns, (self.x_m, self.y_m, self.yaw_rad)
+        T = planar(*pose)
+        T[:3, :3] = T[:3, :3] @ transform((0, 0, 0), (self.roll_rad, self.pitch_rad, 0.0))[:3, :3]
+        curvature = self.curvature if self.curvature is not None else float(self.path.curvature_radpm[0])
+        self.put("imu", ImuSample(now, np.zeros(3), np.zeros(3)))
+        self.put("wheel", WheelSample(now, self.speed_mps, 0.0))
+        turn = self.speed_mps * curvature
+        odom = Odometry(now, T, self.speed_mps, 0.0, self.acceleration, turn, curvature, np.eye(6) * 1e-4)
+        self.put("odom", replace(odom, **self.odom_changes))
+        changes = {"speed_mps": self.speed_mps, "curvature_radpm": curvature,
+                   "is_park_brake_set": bool(self.command and self.command.is_park_brake_set), **self.machine_changes}
+        self.put("machine", machine_state(now, **changes))
+        if self.steps % 5 == 0:
+            pose_message = MapPose(now, np.eye(4), T.copy(), np.eye(6) * 1e-4, PositionSource.RTK_FIXED, 0.1, 0.1, True)
+            self.put("map_pose", replace(pose_message, **self.pose_changes))
+            self.put("tracks", Tracks(now, self.tracks))
+            for name, lidar in self.vehicle.sensors.lidar.items():
+                scan = scan_of(lidar, now, pose, self.boxes, self.rng, self.slope, self.shape_boxes)
+                self.put(f"lidar/{name}", scan)
+        if self.steps % 10 == 0:
+            status = MissionStatus(now, self.mission, Leg.SWATH, 1, self.path.path_id, self.place_m, 0.0, 1.0, "", ())
+            self.put("mission", status)
+        wish = Wish(now, self.path.direction * self.wish_mps, 0.0, curvature, True, True, self.path.path_id,
+                    self.place_m, 0.0, 0.0, False)
+        self.put("wish", replace(wish, **self.wish_changes))
+        if self.steps == 0 or self.inbox.messages.get("path") is not self.path:
+            self.put("path", self.path)
+
+    def move(self) -> None:
+        dt = STEP_NS * 1e-9
+        before = self.speed_mps
+        if self.is_obedient and self.command is not None:
+            target = self.command.speed_mps
+            up = 0.6 if abs(target) > abs(self.speed_mps) else max(0.5, min(4.0, self.command.deceleration_mps2))
+            if abs(target) <= abs(self.speed_mps) and self.command.deceleration_mps2 > 0.0 and abs(target) == 0.0:
+                up = min(4.0, max(self.command.deceleration_mps2, 0.5))
+            self.speed_mps += max(-up * dt, min(up * dt, target - self.speed_mps))
+        self.acceleration = (self.speed_mps - before) / dt
+        curvature = self.curvature if self.curvature is not None else float(self.path.curvature_radpm[0])
+        way = self.speed_mps * dt
+        self.yaw_rad += 0.5 * curvature * way
+        self.x_m += way * math.cos(self.yaw_rad)
+        self.y_m += way * math.sin(self.yaw_rad)
+        self.yaw_rad += 0.5 * curvature * way
+        self.place_m = max(0.0, self.place_m + way * self.path.direction)
+
+    def step(self, count: int = 1) -> "World":
+        for _ in range(count):
+            self.inbox.now_ns += STEP_NS
+            self.put_all()
+            for topic, message in self.supervisor.step(self.inbox.now_ns, self.inbox):
+                if topic == "safe_command":
+                    self.command = message
+                elif topic == "supervisor":
+                    self.state = message
+                else:
+                    self.faults.append(message)
+            self.history.append((self.mode, self.command))
+            self.inbox.queues = {}
+            self.steps += 1
+            self.move()
+        return self
+
+    def run(self, seconds: float) -> "World":
+        return self.step(round(seconds * 50))
+
+    def start(self) -> "World":
+        """Through the start warning into automatic mode."""
+        self.run(0.2)
+        self.order(Order.START)
+        return self.run(3.2)
+
+
+def situation_of(config: SafetyConfig, **changes: Any) -> Situation:
+    """A moment at which no rule objects."""
+    T = transform((0.0, 0.0, 0.0), (changes.pop("roll_rad", 0.0), changes.pop("pitch_rad", 0.0), 0.0))
+    pose = MapPose(START_NS, np.eye(4), np.eye(4), np.eye(6) * 1e-4, PositionSource.RTK_FIXED, 0.1, 0.1, True)
+    good = Situation(
+        now_ns=START_NS, config=config, mode=Mode.AUTOMATIC, direction=1, speed_mps=2.0, is_speed_known=True,
+        max_speed_mps=8.0, braking=config.braking.flat, allowance_m=2.1,
+        odom=Odometry(START_NS, T, 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), machine=machine_state(START_NS),
+        map_pose=replace(pose, **changes.pop("pose", {})),
+        wish=Wish(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False), silent=(), frozen=(), faults=(),
+        gap=Gap(math.inf, math.inf, np.empty((0, 3))), is_planned=True, threat=NO_THREAT, proven_m=40.0,
+        fence_m=math.inf, position_sigma_m=0.01, hand_forced_s=0.0, steering_off_s=0.0, steering_lost_s=0.0,
+        brake_weak_s=0.0,
+    )  # fmt: skip
+    return replace(good, **changes)
+
+
+def around(limit: float, step: float, count: int = 5) -> list[float]:
+    """The limit and `count` steps to either side."""
+    return [limit + k * step for k in range(-count, count + 1)]

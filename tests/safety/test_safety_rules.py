@@ -1,0 +1,217 @@
+"""Each rule at its limit."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from safety_world import START_NS, around, machine_state, situation_of
+
+from messages.faults import Fault, Response, Severity
+from messages.motion import PositionSource
+from messages.perception import ObstacleClass
+from safety.config import SafetyConfig
+from safety.field import Gap
+from safety.judgement import judged
+from safety.rules import RULES
+from safety.stopping import stopping_distance
+from safety.tracked import Threat
+
+NONE, LIMIT, STOP, EMERGENCY = Response.NONE, Response.LIMIT, Response.CONTROLLED_STOP, Response.EMERGENCY_STOP
+
+
+def ask(rule: str, config: SafetyConfig, **changes: Any) -> tuple[Response, str, float]:
+    result = RULES[rule](situation_of(config, **changes))
+    return result.response, result.code, result.speed_limit_mps
+
+
+def with_machine(**changes: Any) -> dict[str, Any]:
+    return {"machine": machine_state(START_NS, **changes)}
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_nothing_is_wrong(rule: str, config: SafetyConfig) -> None:
+    response, _, limit = ask(rule, config)
+    assert response <= LIMIT
+    assert limit >= 8.0
+
+
+@pytest.mark.parametrize("rule", ["emergency", "hand", "supply", "steering", "localization", "tilt"])
+def test_what_is_missing_is_the_watchdogs_matter(rule: str, config: SafetyConfig) -> None:
+    assert ask(rule, config, machine=None, map_pose=None, odom=None)[0] is NONE
+
+
+def test_emergency_button_and_pedal(config: SafetyConfig) -> None:
+    pressed = ask("emergency", config, **with_machine(is_emergency_button_pressed=True))
+    assert pressed[:2] == (EMERGENCY, "emergency.button")
+    for pedal in around(0.05, 0.004):
+        expected = EMERGENCY if pedal >= 0.05 else NONE
+        assert ask("emergency", config, **with_machine(brake_pedal=pedal))[0] is expected, pedal
+    assert ask("emergency", config, **with_machine(brake_pedal=math.nan))[:2] == (EMERGENCY, "emergency.pedal")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_hand_on_the_wheel(config: SafetyConfig, sign: int) -> None:
+    for rate in around(50.0, 0.125):
+        expected = STOP if rate >= 50.0 else NONE
+        assert ask("hand", config, **with_machine(hand_rate_radps=sign * math.radians(rate)))[0] is expected, rate
+    for angle in around(30.0, 0.1):
+        expected = STOP if angle > 30.0 + 1e-9 else NONE
+        assert ask("hand", config, **with_machine(hand_angle_rad=sign * math.radians(angle)))[0] is expected, angle
+    for forced in around(1.0, 0.02):
+        assert ask("hand", config, hand_forced_s=forced)[0] is (STOP if forced > 1.0 else NONE), forced
+    assert ask("hand", config, **with_machine(hand_rate_radps=math.nan))[0] is STOP
+    assert ask("hand", config, **with_machine(hand_angle_rad=math.nan))[0] is STOP
+
+
+def fault(response: Response, code: str = "x.y") -> Fault:
+    return Fault(START_NS, code, "part", Severity.ALARM, False, response, True, "broken", "kaputt")
+
+
+@pytest.mark.parametrize("response", list(Response))
+def test_reported_faults(config: SafetyConfig, response: Response) -> None:
+    faults = (fault(NONE, "a"), fault(response, "b"), fault(NONE, "c"))
+    got = ask("reported", config, faults=faults)
+    assert got[:2] == (response, "b" if response else "a")
+    assert got[2] == (math.inf if response is NONE else pytest.approx(5 / 3.6) if response is LIMIT else 0.0)
+
+
+def test_silence(config: SafetyConfig) -> None:
+    assert ask("silence", config, silent=("imu", "odom"))[:2] == (STOP, "imu.silent")
+    assert ask("silence", config, silent=("wish",))[:2] == (STOP, "wish.silent")
+    assert ask("silence", config, silent=("wish",), speed_mps=0.0) == (LIMIT, "wish.silent", 0.0)
+    assert ask("silence", config, frozen=("lidar/front",))[:2] == (STOP, "lidar/front.frozen")
+    assert ask("silence", config, machine=None)[0] is NONE
+
+
+@pytest.mark.parametrize("group", ["heartbeat", "motion", "steering", "cab"])
+def test_silent_group_of_the_machine(config: SafetyConfig, group: str) -> None:
+    for age_ms in around(350, 1):
+        changes = {f"{group}_stamp_ns": START_NS - round(age_ms * 1e6)}
+        expected = (STOP, f"machine.{group}.silent") if age_ms > 350 else (NONE, "silence")
+        assert ask("silence", config, **with_machine(**changes))[:2] == expected, age_ms
+
+
+def test_supply(config: SafetyConfig) -> None:
+    for volts in around(9.0, 0.05):
+        assert ask("supply", config, **with_machine(supply_v=volts))[0] is (NONE if volts >= 9.0 else STOP), volts
+    for volts in around(36.0, 0.05):
+        assert ask("supply", config, **with_machine(supply_v=volts))[0] is (NONE if volts <= 36.0 else STOP), volts
+    assert ask("supply", config, **with_machine(supply_v=math.nan))[0] is STOP
+
+
+def test_steering(config: SafetyConfig) -> None:
+    for held in around(0.4, 0.02):
+        expected = STOP if held > 0.4 else NONE
+        assert ask("steering", config, steering_off_s=held)[0] is expected, held
+        expected = STOP if held > 0.4 else LIMIT
+        assert ask("steering", config, steering_lost_s=held, **with_machine(is_steering_ready=False))[0] is expected
+    assert ask("steering", config, **with_machine(is_steering_ready=False)) == (LIMIT, "steering.not_ready", 0.0)
+
+
+def test_brake(config: SafetyConfig) -> None:
+    for held in around(0.8, 0.02):
+        assert ask("brake", config, brake_weak_s=held)[0] is (EMERGENCY if held > 0.8 else NONE), held
+
+
+def test_localization(config: SafetyConfig) -> None:
+    for level in around(0.5, 0.01):
+        expected = STOP if level > 0.5 else LIMIT
+        assert ask("localization", config, pose={"protection_level_m": level})[0] is expected, level
+    for level in around(0.3, 0.01):
+        expected = LIMIT if level > 0.3 else NONE
+        assert ask("localization", config, pose={"protection_level_m": level})[0] is expected, level
+    for age in around(120.0, 0.1):
+        expected = (STOP, "localization.gnss_age") if age > 120.0 else (NONE, "localization.gnss_lost")
+        assert ask("localization", config, pose={"gnss_age_s": age})[:2] == expected, age
+    for age in around(1.0, 0.02):
+        expected = "localization.gnss_lost" if age > 1.0 else "localization"
+        assert ask("localization", config, pose={"gnss_age_s": age})[1] == expected, age
+    for bad in ({"is_initialized": False}, {"source": PositionSource.NONE}, {"protection_level_m": math.nan},
+                {"gnss_age_s": math.nan}, {"protection_level_m": math.inf}):  # fmt: skip
+        assert ask("localization", config, pose=bad)[0] is STOP, bad
+    shed = {"gnss_age_s": 500.0, "source": PositionSource.UWB}
+    assert ask("localization", config, pose=shed)[0] is NONE
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("axis", ["roll", "pitch"])
+def test_tilt(config: SafetyConfig, axis: str, sign: int) -> None:
+    for angle in around(15.0, 0.1):
+        got = ask("tilt", config, **{f"{axis}_rad": sign * math.radians(angle - 1e-9)})
+        assert got[:2] == ((STOP, f"tilt.{axis}") if angle > 15.0 + 1e-6 else (NONE, "tilt")), angle
+    broken = replace(situation_of(config).odom, T_odom_base=np.full((4, 4), np.nan))
+    assert ask("tilt", config, odom=broken)[0] is STOP
+
+
+def test_fence(config: SafetyConfig) -> None:
+    assert ask("fence", config, fence_m=None) == (LIMIT, "fence.unknown", 0.0)
+    assert ask("fence", config, fence_m=0.0)[:2] == (STOP, "fence.outside")
+    for way in around(0.2, 0.01):
+        response, _, limit = ask("fence", config, fence_m=way)
+        assert response is LIMIT
+        assert (limit > 0.0) == (way > 0.2), way
+    speeds = [ask("fence", config, fence_m=way)[2] for way in (0.5, 1.0, 3.0, 9.0)]
+    assert speeds == sorted(speeds)
+
+
+def gap(main: float, arc: float = math.inf) -> dict[str, Any]:
+    return {"gap": Gap(main, arc, np.zeros((1, 3)))}
+
+
+def test_obstacle(config: SafetyConfig) -> None:
+    assert ask("obstacle", config, gap=None) == (LIMIT, "obstacle.unseen", 0.0)
+    stopping = stopping_distance(2.0, config.braking.flat)
+    for main in around(stopping, 0.01):
+        expected = STOP if main < stopping else LIMIT
+        assert ask("obstacle", config, **gap(main))[0] is expected, main
+        assert ask("obstacle", config, **gap(math.inf, main))[0] is expected, main
+    assert ask("obstacle", config, speed_mps=0.0, **gap(0.5)) == (LIMIT, "obstacle.raw", 0.0)
+    for main in around(2.1, 0.02):
+        assert (ask("obstacle", config, speed_mps=0.0, **gap(main))[2] > 0.0) == (main > 2.1), main
+    assert 0.0 < ask("obstacle", config, **gap(20.0, 4.0))[2] < ask("obstacle", config, **gap(20.0))[2]
+
+
+def test_tracked(config: SafetyConfig) -> None:
+    stopping = stopping_distance(2.0, config.braking.flat)
+    for away in around(stopping, 0.01):
+        expected = STOP if away < stopping else LIMIT
+        assert ask("tracked", config, threat=Threat(away, ObstacleClass.PERSON, 3))[0] is expected, away
+    standing = ask("tracked", config, speed_mps=0.0, threat=Threat(0.5, ObstacleClass.PERSON, 3))
+    assert standing == (LIMIT, "obstacle.tracked", 0.0)
+
+
+def test_proven_range(config: SafetyConfig) -> None:
+    assert ask("proven", config, proven_m=0.0)[2] == 0.0
+    assert ask("proven", config, proven_m=40.0)[2] * 3.6 == pytest.approx(29.5, abs=0.5)
+    speeds = [ask("proven", config, proven_m=r)[2] for r in np.arange(0.0, 40.0, 0.5)]
+    assert speeds == sorted(speeds)
+
+
+def test_speed(config: SafetyConfig) -> None:
+    assert ask("speed", config) == (LIMIT, "speed.limit", 8.0)
+
+
+def test_most_restrictive_wins(config: SafetyConfig) -> None:
+    near = {**gap(5.0), "threat": Threat(4.0, ObstacleClass.PERSON, 1)}
+    slow = judged(situation_of(config, **near), frozenset())
+    assert slow.binding.code == "obstacle.tracked"
+    assert slow.gap_m == 4.0
+    assert slow.binding_is_obstacle
+    assert slow.is_ready
+    assert not slow.is_fault
+    hand = judged(situation_of(config, hand_forced_s=2.0, silent=("odom",), **near), frozenset())
+    assert (hand.binding.code, hand.is_hand, hand.is_fault, hand.is_ready) == ("hand.wheel", True, True, False)
+    worst = judged(situation_of(config, brake_weak_s=2.0, silent=("odom",)), frozenset())
+    assert (worst.binding.code, worst.is_emergency) == ("brake.weak", True)
+    blind = judged(situation_of(config, gap=None, fence_m=None), frozenset())
+    assert (blind.gap_m, blind.is_ready) == (math.inf, False)
+
+
+def test_disabled_rules_do_not_speak(config: SafetyConfig) -> None:
+    near = {**gap(1.0), "threat": Threat(1.0, ObstacleClass.PERSON, 1)}
+    free = judged(situation_of(config, **near), frozenset({"obstacle", "tracked"}))
+    assert free.binding.code == "speed.limit"
+    every = judged(situation_of(config, **near), frozenset(RULES))
+    assert (every.results, every.allowed_mps, every.binding_is_obstacle) == ((), math.inf, False)

@@ -1,0 +1,219 @@
+"""The swept area: contact against brute force, margins at their boundary, curves, reverse, trailed implements."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safety_world import around, straight_path
+
+from configs.vehicle import TrailedImplement, Vehicle
+from safety.bodies import Drawbar, Rectangle, Shape, carriers, outline, shape_of, steady_angle, trailer_poses
+from safety.config import SafetyConfig
+from safety.field import box_of, is_at, look_ahead_m, place_on, way_ahead
+from safety.sweep import Sweep, arc_poses, contact_m, corners_along, outline_of, path_poses, spaced, sweep_along
+
+SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
+WAGON = TrailedImplement(
+    kind="trailed", name="wagon", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
+    hitch_m=-1.2, axle_length_m=4.0, working_length_m=4.0, total_length_m=5.5,
+)  # fmt: skip
+
+
+@pytest.fixture
+def shape(vehicle: Vehicle, implement) -> Shape:
+    return shape_of(vehicle, implement)
+
+
+def arc(
+    shape: Shape, config: SafetyConfig, curvature: float, length: float, direction: int = 1, foremost: bool = False
+) -> Sweep:
+    s = spaced(length, 0.25)
+    return sweep_along(shape, direction, s, arc_poses(curvature, direction, s), curvature, config.field, foremost)
+
+
+def test_straight_contact_of_machine_and_implement(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.0, 20.0)
+    ways = contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [10.0, 4.0], [-3.0, 0.0], [30.0, 0.0]]), sweep)
+    assert ways[:2] == pytest.approx([6.5, 11.1])  # the machine's front at 3.5, the implement's at -1.1
+    assert np.all(np.isinf(ways[2:]))
+
+
+def test_gap_from_the_foremost_point(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.0, 20.0, foremost=True)
+    ways = contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), sweep)
+    assert ways == pytest.approx([6.5, 6.5, 0.0])
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_lateral_boundary(shape: Shape, config: SafetyConfig, side: int) -> None:
+    sweep = arc(shape, config, 0.0, 20.0)
+    edge = 3.05 + config.field.far_lateral_m
+    for y in around(edge, 0.01):
+        is_met = np.isfinite(contact_m(np.array([[12.0, side * y]]), sweep)[0])
+        assert is_met == (y <= edge + 1e-9), y
+
+
+def test_margin_grows_with_the_way(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.0, 10.0)
+    assert sweep.lateral_m[0] == config.field.near_lateral_m
+    assert sweep.lateral_m[-1] == config.field.far_lateral_m
+    assert np.all(np.diff(sweep.lateral_m) >= 0.0)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_reverse_leads_with_the_implement(shape: Shape, config: SafetyConfig, direction: int) -> None:
+    sweep = arc(shape, config, 0.0, 10.0, direction, foremost=True)
+    point = np.array([[6.0, 0.0]]) if direction > 0 else np.array([[-6.0, 0.0]])
+    assert contact_m(point, sweep)[0] == pytest.approx(2.5 if direction > 0 else 3.6)
+    assert np.isinf(contact_m(-point, sweep)[0])
+    assert shape.foremost_m(direction) == pytest.approx(3.5 if direction > 0 else -2.4)
+
+
+def brute_contact(point: np.ndarray, shape: Shape, curvature: float, direction: int, length: float) -> float:
+    """First place, in steps of 5 mm, at which a bare body covers the point."""
+    s = np.arange(0.0, length, 0.005)
+    best = math.inf
+    for body, poses in carriers(shape, arc_poses(curvature, direction, s), curvature):
+        c, n = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        dx, dy = point[0] - poses[:, 0], point[1] - poses[:, 1]
+        x, y = c * dx + n * dy, c * dy - n * dx
+        inside = (x >= body.rear_m) & (x <= body.front_m) & (np.abs(y) <= body.half_width_m)
+        if inside.any():
+            best = min(best, float(s[np.argmax(inside)]))
+    return best
+
+
+@given(st.floats(-8.0, 12.0), st.floats(-8.0, 8.0), st.floats(-0.21, 0.21), st.sampled_from([1, -1]), st.booleans())
+@SETTINGS
+def test_contact_is_never_later_than_the_bodies_own(x, y, curvature, direction, is_trailed):
+    shape = SHAPES[is_trailed]
+    truth = brute_contact(np.array([x, y]), shape, curvature, direction, 7.0)
+    sweep = arc(shape, CONFIG, curvature, 7.0, direction)
+    found = contact_m(np.array([[x, y]]), sweep)[0]
+    if math.isfinite(truth):
+        assert found <= truth + 0.02
+
+
+@pytest.fixture(autouse=True)
+def _shapes(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
+    global CONFIG
+    CONFIG = config
+    SHAPES[False], SHAPES[True] = shape_of(vehicle, implement), shape_of(vehicle, WAGON)
+
+
+SHAPES: dict[bool, Shape] = {}
+CONFIG: SafetyConfig
+
+
+def test_swing_out_of_the_implement(shape: Shape, config: SafetyConfig) -> None:
+    """Turning left, the right rear corner swings out beyond the straight sweep; the point lies beside it."""
+    point = np.array([[-1.0, -3.3]])
+    assert np.isinf(contact_m(point, arc(shape, config, 0.0, 4.0))[0])
+    assert np.isfinite(contact_m(point, arc(shape, config, 0.2, 4.0))[0])
+
+
+def test_trailed_implement(vehicle: Vehicle) -> None:
+    shape = shape_of(vehicle, WAGON)
+    assert shape.foremost_m(-1) == pytest.approx(-6.7)
+    assert shape.leads_m(1) == pytest.approx((0.0, 4.7))
+    assert shape_of(vehicle, None).trailed is None
+    assert len(shape_of(vehicle, None).rigid) == 1
+    drawbar = Drawbar(-1.2, 4.0)
+    assert steady_angle(drawbar, 0.0) == 0.0
+    s = np.arange(0.0, 30.0, 0.05)
+    follow = trailer_poses(drawbar, arc_poses(0.1, 1, s), 0.0)
+    behind = follow[-1, 2] - (0.1 * s[-1])
+    assert behind == pytest.approx(steady_angle(drawbar, 0.1), abs=0.02)
+    assert math.isfinite(steady_angle(drawbar, 2.0))
+
+
+def test_arc_poses_are_on_a_circle() -> None:
+    poses = arc_poses(0.2, 1, np.array([0.0, 5.0 * math.pi / 2]))
+    assert poses[1] == pytest.approx([5.0, 5.0, math.pi / 2])
+    assert arc_poses(0.0, -1, np.array([2.0]))[0] == pytest.approx([-2.0, 0.0, 0.0])
+
+
+def test_long_ways_get_longer_steps() -> None:
+    assert len(spaced(300.0, 0.25)) <= 62
+    assert spaced(0.25, 0.25) == pytest.approx([0.0, 0.25])
+
+
+def test_path_poses_start_at_the_machine_and_join_the_path() -> None:
+    path = straight_path()
+    poses = path_poses(path, 10.0, np.array([10.0, 0.4, 0.1]), np.arange(0.0, 8.0, 0.5), 5.0)
+    assert poses[0] == pytest.approx([0.0, 0.0, 0.0])
+    c, s = math.cos(0.1), math.sin(0.1)
+    expected = [c * 7.5 + s * -0.4, c * -0.4 - s * 7.5, -0.1]
+    assert poses[-1] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("turns", [1, -1, 3])
+def test_headings_of_other_turns_do_not_matter(turns: int) -> None:
+    path = straight_path(curvature=0.1)
+    poses = path_poses(path, 3.0, np.array([*path.p_map_m[30], 0.3 + turns * 2 * math.pi]), np.array([0.0, 1.0]), 5.0)
+    assert poses[1, 2] == pytest.approx(0.1, abs=1e-6)
+
+
+def test_place_on_the_path(config: SafetyConfig, vehicle: Vehicle) -> None:
+    path = straight_path(7)
+    assert place_on(None, None) is None
+    assert place_on(straight_path(1, 0.0), None) is None
+    place = place_on(path, None)
+    assert place is not None
+    assert place.s_m == 0.0
+    for offset in around(1.0, 0.01):
+        assert is_at(place, np.array([0.0, offset, 0.0]), config.field) == (offset <= 1.0), offset
+    for turn in around(20.0, 0.1):
+        at = is_at(place, np.array([0.0, 0.0, math.radians(turn - 1e-9)]), config.field)
+        assert at == (turn <= 20.0 + 1e-6), turn
+
+
+def test_way_without_a_place_is_the_arc(config: SafetyConfig, shape: Shape) -> None:
+    place = place_on(straight_path(), None)
+    pose = np.zeros(3)
+    planned = way_ahead(place, pose, 0.1, 1, 10.0, 3.0, shape, config.field)
+    assert planned.is_planned
+    assert planned.arc is not None
+    for other in (way_ahead(None, pose, 0.1, 1, 10.0, 3.0, shape, config.field),
+                  way_ahead(place, None, 0.1, 1, 10.0, 3.0, shape, config.field),
+                  way_ahead(place, np.array([0.0, 3.0, 0.0]), 0.1, 1, 10.0, 3.0, shape, config.field)):  # fmt: skip
+        assert not other.is_planned
+        assert other.arc is None
+        assert other.main.poses[-1, 2] > 0.1
+
+
+def test_field_ends_with_the_path(config: SafetyConfig, shape: Shape) -> None:
+    way = way_ahead(place_on(straight_path(1, 3.0), None), np.zeros(3), 0.0, 1, 20.0, 1.0, shape, config.field)
+    assert way.main.length_m == pytest.approx(3.0, abs=0.4)
+    assert np.isinf(contact_m(np.array([[8.0, 0.0]]), way.main)[0])
+
+
+def test_look_ahead_has_a_floor(config: SafetyConfig) -> None:
+    assert look_ahead_m(0.0, config.braking.flat, config.field, 2.0) == config.field.least_length_m
+    assert look_ahead_m(5.0, config.braking.flat, config.field, 2.0) > 10.0
+
+
+def test_box_and_outline_hold_the_sweep(config: SafetyConfig, shape: Shape) -> None:
+    way = way_ahead(None, None, 0.2, 1, 8.0, 3.0, shape, config.field)
+    box = box_of(way, 0.0)
+    points, ways = corners_along(way.main, 0.5)
+    assert np.all((points[:, 0] >= box.x_m[0]) & (points[:, 0] <= box.x_m[1]))
+    assert np.all((points[:, 1] >= box.y_m[0]) & (points[:, 1] <= box.y_m[1]))
+    assert ways.max() <= way.main.length_m
+    assert outline_of(way.main).shape == (2 * len(way.main.s_m), 2)
+    assert outline_of(arc(shape, config, 0.0, 3.0, -1))[0, 0] < 0.0
+    assert len(outline(Rectangle(-1.0, 1.0, 1.0))) == 8
+
+
+@given(st.lists(st.tuples(st.floats(-5.0, 15.0), st.floats(-6.0, 6.0)), min_size=1, max_size=20))
+@SETTINGS
+def test_more_points_never_lengthen_the_gap(points: list[tuple[float, float]]) -> None:
+    sweep = arc(SHAPES[False], CONFIG, 0.05, 10.0)
+    gaps = [contact_m(np.array(points[: k + 1]), sweep).min() for k in range(len(points))]
+    assert all(b <= a for a, b in pairwise(gaps))
+    wider = contact_m(np.array(points), sweep, 0.5)
+    assert np.all(wider <= contact_m(np.array(points), sweep) + 1e-9)
+    assert len(contact_m(np.empty((0, 2)), sweep)) == 0
