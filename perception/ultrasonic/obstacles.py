@@ -73,7 +73,7 @@ class UltrasonicObstacles(Node):
         travel = last.travel_m + speed * (message.stamp_ns - last.stamp_ns) * 1e-9 if last is not None else 0.0
         echo = Echo(message.stamp_ns, message.range_m, travel)
         self._echoes.append(echo)
-        told = repeated_range(self._echoes, self._config.echoes)
+        told = repeated_range(tuple(self._echoes), self._config.echoes)
         if told is not None:
             self._near = Near(echo.stamp_ns, told, travel)
 
