@@ -1,1 +1,1 @@
-"""Where the machine is: one fixed-lag graph over GNSS, IMU, wheels and lidar odometry, and the dead reckoning between."""
+"""Where the machine is: one fixed-lag graph over GNSS, IMU, wheels and lidar odometry, with dead reckoning between."""

@@ -22,7 +22,9 @@ ALARMS = {
     "gnss.silent": Alarm(Severity.WARNING, Response.NONE, "No GNSS fixes come in", "Keine GNSS-Positionen"),
     "gnss.refused": Alarm(Severity.WARNING, Response.NONE, "GNSS fixes are refused", "GNSS-Positionen verworfen"),
     "gnss.no_heading": Alarm(*STOP, "No heading from GNSS: cannot start", "Kein GNSS-Kurs: Start nicht möglich"),
-    "localization.lost": Alarm(*STOP, "Position lost; stand still to find it", "Position verloren; bitte stehen bleiben"),
+    "localization.lost": Alarm(
+        *STOP, "Position lost; stand still to find it", "Position verloren; bitte stehen bleiben"
+    ),
     "localization.rebuilt": Alarm(*NOTICE, "Position graph was rebuilt", "Positionsgraph neu aufgebaut"),
     "localization.garbage": Alarm(*NOTICE, "Sensor values dropped", "Messwerte verworfen"),
     "clock.jumped": Alarm(Severity.WARNING, Response.NONE, "The clock jumped", "Die Uhr ist gesprungen"),

@@ -15,7 +15,9 @@ from localization.kernels import reckon
 class DeadReckoningConfig(Config):
     """How slowly corrections from the graph enter."""
 
-    slew_s: float = Field(gt=0.0, le=60.0, description="time constant with which bias, scale and drift follow the graph")
+    slew_s: float = Field(
+        gt=0.0, le=60.0, description="time constant with which bias, scale and drift follow the graph"
+    )
     tilt_s: float = Field(gt=0.0, le=600.0, description="time constant with which roll and pitch follow the graph")
     largest_tilt_rate_radps: float = Field(gt=0.0, le=0.1)
 
@@ -57,8 +59,8 @@ class DeadReckoning:
         """Goes on by n steps with wheel speeds (n,); gives the pose after each, (n, 4, 4)."""
         cfg = self._config
         poses = reckon(
-            self.T_odom_base, steps.dt_s, steps.rate_radps, speed_mps, steps.pull, self._now, self._goal, self._tilt_odom,
-            cfg.slew_s, cfg.tilt_s, cfg.largest_tilt_rate_radps,
+            self.T_odom_base, steps.dt_s, steps.rate_radps, speed_mps, steps.pull, self._now, self._goal,
+            self._tilt_odom, cfg.slew_s, cfg.tilt_s, cfg.largest_tilt_rate_radps,
         )  # fmt: skip
         self.T_odom_base = poses[-1]
         return poses

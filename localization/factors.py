@@ -1,7 +1,7 @@
 """Measurements as factors on the graph's variables.
 
-A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip S (4,):
-scale, drift, slip per pull, crab per side force (see `displacement_columns` in wheels.py).
+A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip
+S (4,): scale, drift, slip per pull, crab per side force (see `displacement_columns` in wheels.py).
 """
 
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def heading_factor(key: int, heading_rad: float, sigma_rad: float) -> gtsam.Cust
         R = values.atPose3(X(key)).rotation().matrix()
         east, north = R[0, 0], R[1, 0]
         if H is not None:
-            # d(R e_x) = R (ω × e_x) = ω_z R e_y - ω_y R e_z; the angle changes by its part across, over the length squared
+            # d(R e_x) = R (ω × e_x) = ω_z R e_y - ω_y R e_z; its part across over the length squared turns the angle
             across = np.array([-north, east]) / (east * east + north * north)
             H[0] = np.array([[0.0, -(across @ R[:2, 2]), across @ R[:2, 1], 0.0, 0.0, 0.0]])
         return np.array([wrap(float(np.arctan2(north, east)) - heading_rad)])

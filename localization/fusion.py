@@ -13,7 +13,14 @@ from localization.alignment import AlignmentConfig, Level, Placed, pose_of
 from localization.factors import B, V, X, gnss_factor, heading_factor, motion_factor, rest_factor, skew, wheel_factor
 from localization.gnss import GnssConfig, GnssGate, Position, Refusal
 from localization.inertial import InertialConfig, InertialTrack, Steps
-from localization.preintegration import bias_sigmas, constant_bias, gyro_density, imu_parameters, normal_gravity, preintegrate
+from localization.preintegration import (
+    bias_sigmas,
+    constant_bias,
+    gyro_density,
+    imu_parameters,
+    normal_gravity,
+    preintegrate,
+)
 from localization.smoother import Smoother, SmootherConfig, State
 from localization.wheels import WheelConfig, WheelTrack, displacement_columns
 
@@ -54,7 +61,7 @@ class Fusion:
         self._wheels, self._alignment, self._gnss = wheels, alignment, gnss
         self.gate = GnssGate(gnss)
         self.smoother = Smoother(smoother)
-        self._waiting: list[object] = []
+        self._waiting: list[gtsam.NonlinearFactor] = []
 
     def start(self, stamp_ns: int, level: Level, placed: Placed) -> State:
         """Begins the graph at a standstill."""
@@ -62,7 +69,9 @@ class Fusion:
         tilt, heading = math.radians(cfg.tilt_sigma_deg), math.radians(cfg.heading_sigma_deg)
         pose_sigma = np.concatenate([[tilt, tilt, heading], placed.sigma_m])
         accelerometer, gyro = self._bias_sigmas
-        gyro = math.hypot(gyro, self._gyro_density / math.sqrt(cfg.window_s))  # the mean of a short while, and its drift
+        gyro = math.hypot(
+            gyro, self._gyro_density / math.sqrt(cfg.window_s)
+        )  # the mean of a short while, and its drift
         bias_sigma = np.repeat([math.hypot(accelerometer, GRAVITY_SIGMA_MPS2), gyro], 3)
         bias_sigma[:2] = accelerometer
         bias = np.concatenate([[0.0, 0.0, level.gravity_mps2 - self._gravity], level.gyro_bias_radps])
@@ -123,8 +132,10 @@ class Fusion:
         p = guess.T_map_body[:3, 3] + R @ self.arms.antenna_m
         return p, J @ guess.covariance @ J.T + growth
 
-    def _fix_factors(self, key: int, guess: State, position: Position) -> list[object]:
-        factors: list[object] = [gnss_factor(key, position.p_map_m, self.arms.antenna_m, position.sigma_m)]
+    def _fix_factors(self, key: int, guess: State, position: Position) -> list[gtsam.NonlinearFactor]:
+        factors: list[gtsam.NonlinearFactor] = [
+            gnss_factor(key, position.p_map_m, self.arms.antenna_m, position.sigma_m)
+        ]
         if math.isfinite(position.heading_rad):
             R = guess.T_map_body
             off = wrap(position.heading_rad - math.atan2(R[1, 0], R[0, 0]))
@@ -135,7 +146,7 @@ class Fusion:
 
     def _wheel_factors(
         self, key: int, last: State, stamp_ns: int, steps: Steps, wheels: WheelTrack
-    ) -> list[object]:
+    ) -> list[gtsam.NonlinearFactor]:
         cfg = self._wheels
         if len(wheels) == 0 or stamp_ns - wheels.last_ns > cfg.largest_gap_s * 1e9:
             return []

@@ -30,7 +30,7 @@ class InertialConfig(Config):
 
 @dataclass(frozen=True)
 class Steps:
-    """A stretch of time cut into n steps: length (n,), middle against the start (n,), mean specific force and rate (n, 3).
+    """A stretch of time cut into n steps: length and middle against the start (n,), mean force and rate (n, 3).
 
     `pull` (n, 2) is the smoothed specific force forwards and to the left, in units of weight: what the tyres give.
     """
@@ -107,7 +107,11 @@ class InertialTrack:
             values.append(self._values[-1])
         at, time_ns = np.array(values), np.array(edges, np.int64) - start_ns
         return Steps(
-            np.diff(time_ns) * 1e-9, 0.5 * (time_ns[1:] + time_ns[:-1]), at[:, :3].copy(), at[:, 3:6].copy(), at[:, 6:].copy()
+            np.diff(time_ns) * 1e-9,
+            0.5 * (time_ns[1:] + time_ns[:-1]).astype(np.float64),
+            at[:, :3].copy(),
+            at[:, 3:6].copy(),
+            at[:, 6:].copy(),
         )
 
     def _first_after(self, stamp_ns: int) -> int:

@@ -49,7 +49,9 @@ def output_covariance(
     return 0.5 * (out + out.T)
 
 
-def protection_level(covariance: Float64, T_map_base: Float64, source: PositionSource, config: IntegrityConfig) -> float:
+def protection_level(
+    covariance: Float64, T_map_base: Float64, source: PositionSource, config: IntegrityConfig
+) -> float:
     """Bound of the horizontal error, metres: the factor times the larger half axis of the ellipse, and the floor."""
     R = T_map_base[:3, :3]
     flat = (R @ covariance[3:, 3:] @ R.T)[:2, :2]

@@ -36,7 +36,19 @@ def _multiply(A: Any, B: Any) -> Any:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _reckon(T: Any, dt: Any, rate: Any, speed: Any, pull: Any, now: Any, goal: Any, tilt: Any, slew: float, tilt_s: float, most: float) -> Any:
+def _reckon(
+    T: Any,
+    dt: Any,
+    rate: Any,
+    speed: Any,
+    pull: Any,
+    now: Any,
+    goal: Any,
+    tilt: Any,
+    slew: float,
+    tilt_s: float,
+    most: float,
+) -> Any:
     out = np.empty((dt.size, 4, 4))
     R, p = T[:3, :3].copy(), T[:3, 3].copy()
     for k in range(dt.size):
@@ -60,13 +72,13 @@ def _reckon(T: Any, dt: Any, rate: Any, speed: Any, pull: Any, now: Any, goal: A
 
 
 def reckon(
-    T: Float64, dt_s: Float64, rate_radps: Float64, speed_mps: Float64, pull: Float64, now: Float64, goal: Float64, tilt_rad: Float64,
-    slew_s: float, tilt_s: float, largest_tilt_rate_radps: float,
+    T: Float64, dt_s: Float64, rate_radps: Float64, speed_mps: Float64, pull: Float64, now: Float64, goal: Float64,
+    tilt_rad: Float64, slew_s: float, tilt_s: float, largest_tilt_rate_radps: float,
 ) -> Float64:  # fmt: skip
     """Poses (n, 4, 4) after each of n steps from T.
 
-    `now` and `goal` (7,) are gyro bias and slip (see wheels.py): `now` glides to `goal` in place; `tilt_rad` (3,) is the turn in
-    the outer frame still to be made, reduced in place.
+    `now` and `goal` (7,) are gyro bias and slip (see wheels.py): `now` glides to `goal` in place; `tilt_rad` (3,) is
+    the turn in the outer frame still to be made, reduced in place.
     """
     poses: Float64 = _reckon(
         T, dt_s, rate_radps, speed_mps, pull, now, goal, tilt_rad, slew_s, tilt_s, largest_tilt_rate_radps

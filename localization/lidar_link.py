@@ -15,7 +15,9 @@ class LidarLinkConfig(Config):
     """Spans of lidar odometry. Errors of matching against one local map do not add up from scan to scan."""
 
     span_s: float = Field(gt=0.0, le=10.0)
-    tolerance_s: float = Field(gt=0.0, le=0.5, description="from a scan to the nearest keyframe, bridged by dead reckoning")
+    tolerance_s: float = Field(
+        gt=0.0, le=0.5, description="from a scan to the nearest keyframe, bridged by dead reckoning"
+    )
     rotation_sigma_deg: float = Field(gt=0.0, le=10.0, description="a span is not believed better than this")
     translation_sigma_m: float = Field(gt=0.0, le=1.0)
     translation_sigma_share: float = Field(ge=0.0, le=0.5, description="of the way")
@@ -36,7 +38,11 @@ def is_sane(motion: LidarMotion) -> bool:
     if not motion.is_valid or motion.from_stamp_ns >= motion.stamp_ns:
         return False
     T, covariance = motion.T_from_to, motion.covariance
-    return T.shape == (4, 4) and covariance.shape == (6, 6) and bool(np.isfinite(T).all() and np.isfinite(covariance).all())
+    return (
+        T.shape == (4, 4)
+        and covariance.shape == (6, 6)
+        and bool(np.isfinite(T).all() and np.isfinite(covariance).all())
+    )
 
 
 class LidarLink:
@@ -82,10 +88,8 @@ class LidarLink:
         return np.diag(np.maximum(np.diag(span.covariance), floor))
 
 
-def moved_to(
-    span: Span, history: PoseHistory, start_ns: int, end_ns: int
-) -> Float64 | None:
-    """The span's motion carried over to two keyframes near its ends by dead reckoning, None when that is not covered."""
+def moved_to(span: Span, history: PoseHistory, start_ns: int, end_ns: int) -> Float64 | None:
+    """The span's motion carried over to two keyframes near its ends by dead reckoning; None when not covered."""
     poses = [history.at(t) for t in (start_ns, span.start_ns, span.end_ns, end_ns)]
     if any(p is None for p in poses):
         return None

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 
 from configs.strict import Config
@@ -91,13 +92,20 @@ class LidarOdometry(Node):
         p = apply(self._T_base_lidar, seen)
         use = (range2 > near**2) & (range2 < far**2) & ~self._is_own(p)
         kept = p[use]
-        return deskew(np.asarray(kept, np.float64), scan.point_offset_s[solid][use].astype(np.float64), sweep, self._sweep_s)
+        return deskew(
+            np.asarray(kept, np.float64), scan.point_offset_s[solid][use].astype(np.float64), sweep, self._sweep_s
+        )
 
-    def _is_own(self, p_base_m: np.ndarray) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+    def _is_own(self, p_base_m: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
         cfg, body = self._config, self._body
         x, y = p_base_m[:, 0], np.abs(p_base_m[:, 1])
-        on_body = (x < body.front_m + cfg.margin_m) & (x > -body.rear_m - cfg.margin_m) & (y < 0.5 * body.width_m + cfg.margin_m)
-        return on_body | ((x < 0.0) & (x > -cfg.behind_m) & (y < cfg.behind_half_width_m))
+        on_body = (
+            (x < body.front_m + cfg.margin_m)
+            & (x > -body.rear_m - cfg.margin_m)
+            & (y < 0.5 * body.width_m + cfg.margin_m)
+        )
+        behind = (x < 0.0) & (x > -cfg.behind_m) & (y < cfg.behind_half_width_m)
+        return np.asarray(on_body | behind)
 
 
 def _message(stamp_ns: int, previous_ns: int, T_previous_local: Float64, result: Match) -> LidarMotion:

@@ -1,14 +1,13 @@
 """The node that says where the machine is: continuous in `odom` at every step, fused in `map_pose`."""
 
-import math
 from collections.abc import Iterable, Mapping
 
-import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Vehicle
 from geometry.geodesy import Datum
+from geometry.transforms import Float64
 from localization.alarms import Alarms
 from localization.fusion import Fusion
 from localization.gnss import Refusal, check, position_of
@@ -59,7 +58,13 @@ class Localizer(Node):
         place, gravity_at = config.placement, (datum.latitude_rad, datum.height_m)
         self._motion = Motion(vehicle, config.motion, place.alignment)
         fusion = Fusion(
-            vehicle, gravity_at, config.motion.inertial, config.motion.wheels, place.gnss, place.smoother, place.alignment
+            vehicle,
+            gravity_at,
+            config.motion.inertial,
+            config.motion.wheels,
+            place.gnss,
+            place.smoother,
+            place.alignment,
         )
         self._placement = Placement(place, fusion, self._motion)
         self._alarms = Alarms(self.name)
@@ -172,7 +177,7 @@ class Localizer(Node):
             out.append(("map_pose", self._placement.pose()))
         return out
 
-    def _calibration_sigmas(self) -> tuple[float, "np.ndarray[tuple[int], np.dtype[np.float64]]"]:
+    def _calibration_sigmas(self) -> tuple[float, Float64]:
         state = self._placement.state
         wheels = self._config.motion.wheels
         if state is None:

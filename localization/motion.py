@@ -65,7 +65,9 @@ class Motion:
         """Takes a sample; False when it was dropped."""
         if not self.track.add(sample):
             return False
-        self.standstill.watch(sample.stamp_ns, self.track.last[3:6], abs(self._speed) > self._config.wheels.standing_mps)
+        self.standstill.watch(
+            sample.stamp_ns, self.track.last[3:6], abs(self._speed) > self._config.wheels.standing_mps
+        )
         return True
 
     def add_wheels(self, sample: WheelSample) -> bool:

@@ -18,7 +18,7 @@ from localization.integrity import IntegrityConfig, output_covariance, protectio
 from localization.lidar_link import LidarLink, LidarLinkConfig, moved_to
 from localization.motion import Motion
 from localization.smoother import SmootherConfig, SmootherFailure, State
-from messages.motion import LidarMotion, MapPose, PositionSource
+from messages.motion import MapPose, PositionSource
 
 
 class PlacementConfig(Config):
@@ -105,7 +105,9 @@ class Placement:
         if abs(speed_mps) > 0.05 and gap_s > self._config.longest_bridge_s:
             self.is_initialized = False
             return False
-        wider = np.repeat([self._config.resume_turn_radps * min(gap_s, 1.0), self._config.resume_share * abs(speed_mps) * gap_s], 3)
+        wider = np.repeat(
+            [self._config.resume_turn_radps * min(gap_s, 1.0), self._config.resume_share * abs(speed_mps) * gap_s], 3
+        )
         wider += 1e-3
         T = self._T_map_odom @ self._odom_now() @ self.fusion.arms.T_base_body
         velocity = T[:3, 0] * speed_mps
@@ -177,7 +179,9 @@ class Placement:
         if odom is None:
             return
         T = self._T_map_odom @ odom @ self.fusion.arms.T_base_body
-        widened = replace(before, stamp_ns=stamp_ns, T_map_body=T, covariance=4.0 * before.covariance, sigmas=2.0 * before.sigmas)
+        widened = replace(
+            before, stamp_ns=stamp_ns, T_map_body=T, covariance=4.0 * before.covariance, sigmas=2.0 * before.sigmas
+        )
         self._place(self.fusion.restart(widened))
 
     def _add_spans(self) -> None:

@@ -42,7 +42,7 @@ class MatchingConfig(Config):
 
 @dataclass(frozen=True)
 class Match:
-    """A pose in the map of matching, its covariance (rotation, translation in the body) and why it is refused ("": it is not)."""
+    """A pose in the map of matching, its covariance (rotation, translation in the body); `reason` why it is refused."""
 
     T_local_body: Float64
     covariance: Float64
@@ -54,7 +54,7 @@ def deskew(points_m: Float64, offset_s: Float64, T_start_end: Float64, duration_
     """Points (N, 3) seen `offset_s` (≤ 0) against the end of a motion at constant twist, as seen at its end."""
     turn = Rotation.from_matrix(T_start_end[:3, :3]).as_rotvec()
     share = offset_s / duration_s
-    # the twist is small: turn and way may be taken one after the other (error: their product halved, below 1 cm at 60 m)
+    # turn and way may be taken one after the other: the error is half their product, a few millimetres
     way = T_start_end[:3, :3].T @ T_start_end[:3, 3]
     a = share[:, None] * turn
     p = points_m + np.cross(a, points_m) + 0.5 * np.cross(a, np.cross(a, points_m))
@@ -72,7 +72,9 @@ def information_of(points_m: Float64, cloud_m: Float64, neighbours: int, texture
     Each point counts only in directions in which its neighbourhood in the cloud (M, 3) that it comes from is thin: on a
     wall across it, on a pole around it.
     """
-    _, near = cKDTree(cloud_m, compact_nodes=False, balanced_tree=False).query(points_m, k=min(neighbours, len(cloud_m)))
+    _, near = cKDTree(cloud_m, compact_nodes=False, balanced_tree=False).query(
+        points_m, k=min(neighbours, len(cloud_m))
+    )
     groups = cloud_m[near]
     spread = groups - groups.mean(axis=1, keepdims=True)
     values, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", spread, spread) / groups.shape[1])

@@ -29,7 +29,7 @@ class SmootherConfig(Config):
 class State:
     """One keyframe; `T_map_body` has `base` axes and the IMU's origin.
 
-    `covariance` (6, 6) of the pose, rotation then translation in the body; `sigmas` (19,) of pose, velocity, bias, slip.
+    `covariance` (6, 6) of the pose, rotation then translation in the body; `sigmas` (19,): pose, velocity, bias, slip.
     """
 
     stamp_ns: int
@@ -89,14 +89,22 @@ class Smoother:
         """The key that the next keyframe will have."""
         return self._index + 1
 
-    def add(self, guess: State, inertial: gtsam.CombinedImuFactor, slip_sigma: Float64, factors: Sequence[object]) -> State:
+    def add(
+        self,
+        guess: State,
+        inertial: gtsam.CombinedImuFactor,
+        slip_sigma: Float64,
+        factors: Sequence[gtsam.NonlinearFactor],
+    ) -> State:
         """Adds the keyframe `next_key` at `guess`; raises SmootherFailure when the graph had to be rebuilt."""
         last = self.state
         assert last is not None, "start comes first"
         k = self._index + 1
         graph = gtsam.NonlinearFactorGraph()
         graph.add(inertial)
-        graph.add(gtsam.BetweenFactorVector(S(k - 1), S(k), np.zeros(SLIP), gtsam.noiseModel.Diagonal.Sigmas(slip_sigma)))
+        graph.add(
+            gtsam.BetweenFactorVector(S(k - 1), S(k), np.zeros(SLIP), gtsam.noiseModel.Diagonal.Sigmas(slip_sigma))
+        )
         for factor in factors:
             graph.add(factor)
         try:

@@ -89,15 +89,16 @@ class WheelTrack:
             low -= 1
         picked = range(low, len(self._stamps))
         stamps = np.array([self._stamps[k] - origin_ns for k in picked], np.float64)
-        return np.interp(stamp_ns, stamps, np.array([self._speeds[k] for k in picked]))
+        return np.asarray(np.interp(stamp_ns, stamps, np.array([self._speeds[k] for k in picked])))
 
 
 def displacement_columns(steps: Steps, speed_mps: Float64, gyro_bias_radps: Float64) -> Float64:
     """What each unit of slip moves base, in base at the start, (3, 4).
 
     The way of base is `columns @ (scale, drift, slip per pull, crab per side force)`: pulling makes it less than the
-    wheels', and a force to the left (a left bend, a slope whose left side is high) comes with a slide to the right. Turns within one stretch are small, so their order is neglected:
-    the error is the way times half the product of two turn angles about different axes, below 0.1 mm in 0.1 s.
+    wheels', and a force to the left (a left bend, a slope whose left side is high) comes with a slide to the right.
+    Turns within one stretch are small, so their order is neglected: the error is the way times half the product of two
+    turn angles about different axes, below 0.1 mm in 0.2 s.
     """
     turn = (steps.rate_radps - gyro_bias_radps) * steps.dt_s[:, None]
     before = np.cumsum(turn, axis=0) - 0.5 * turn

@@ -1,6 +1,7 @@
 """Runs nodes on a list of messages as the executor would, and measures the result against the truth."""
 
 import dataclasses
+import itertools
 import time
 
 import numpy as np
@@ -35,7 +36,7 @@ class Box:
 
     def at(self, topic, kind, stamp_ns):
         found = [m for name, m in self._history if name == topic]
-        for a, b in zip(found, found[1:]):
+        for a, b in itertools.pairwise(found):
             if a.stamp_ns <= stamp_ns <= b.stamp_ns:
                 return a.interpolate(b, stamp_ns)
         return None
@@ -56,7 +57,7 @@ class Run:
 def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None) -> Run:
     """Steps a localizer every 20 ms through messages (arrival, topic, message) in order of arrival.
 
-    `lidar` is a lidar odometry and a function that gives scan and ground for a time, or None; it runs at 10 Hz, 60 ms late.
+    `lidar` is a lidar odometry and a function that gives scan and ground for a time, or None; 10 Hz, 60 ms late.
     """
     node = localizer or Localizer(tractor(), DATUM, configuration())
     motions = []
@@ -113,7 +114,15 @@ def errors(result: Run, truth: Truth) -> Errors:
         turn = Rotation.from_matrix(D[:3, :3]).as_rotvec()
         e = np.concatenate([turn, D[:3, 3]])
         P = poses[k].covariance
-        rows.append([(odom.stamp_ns - START_NS) * 1e-9, *D[:3, 3], *turn, e[3:5] @ np.linalg.solve(P[3:5, 3:5], e[3:5]) / 2,
-                     e @ np.linalg.solve(P, e) / 6, poses[k].protection_level_m])
+        rows.append(
+            [
+                (odom.stamp_ns - START_NS) * 1e-9,
+                *D[:3, 3],
+                *turn,
+                e[3:5] @ np.linalg.solve(P[3:5, 3:5], e[3:5]) / 2,
+                e @ np.linalg.solve(P, e) / 6,
+                poses[k].protection_level_m,
+            ]
+        )
     a = np.array(rows)
     return Errors(a[:, 0], a[:, 1:4], a[:, 4:7], a[:, 7:9], a[:, 9])

@@ -16,14 +16,18 @@ def yard(seed: int = 5) -> np.ndarray:
     across = np.column_stack([75 + rng.normal(0, 0.1, 3000), rng.uniform(-60, 60, 3000), rng.uniform(0.4, 2.0, 3000)])
     foot = rng.uniform([-30, -50], [110, 28], (60, 2))
     turn = rng.uniform(0, 2 * np.pi, (60, 70))
-    posts = np.stack([foot[:, :1] + 0.15 * np.cos(turn), foot[:, 1:] + 0.15 * np.sin(turn), rng.uniform(0.4, 3, (60, 70))], -1)
+    posts = np.stack(
+        [foot[:, :1] + 0.15 * np.cos(turn), foot[:, 1:] + 0.15 * np.sin(turn), rng.uniform(0.4, 3, (60, 70))], -1
+    )
     return np.concatenate([hedge, across, posts.reshape(-1, 3)])
 
 
 def corridor() -> np.ndarray:
     """A single straight hedge: nothing tells how far one has gone along it."""
     rng = np.random.default_rng(7)
-    return np.column_stack([rng.uniform(-300, 300, 60000), 8 + rng.normal(0, 0.03, 60000), rng.uniform(0.4, 2.0, 60000)])
+    return np.column_stack(
+        [rng.uniform(-300, 300, 60000), 8 + rng.normal(0, 0.03, 60000), rng.uniform(0.4, 2.0, 60000)]
+    )
 
 
 def scan(truth: Truth, stamp_ns: int, world: np.ndarray, rng: np.random.Generator) -> tuple[LidarScan, LidarGround]:

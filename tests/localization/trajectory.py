@@ -92,7 +92,9 @@ def _profile(legs, t):
     for width_s in (1.5, 0.8):  # machines neither jump in speed nor in steering
         w = int(width_s / FINE_S)
         kernel = np.full(w, 1.0 / w)
-        speed, curvature = (np.convolve(np.pad(x, (w - 1, 0), mode="edge"), kernel, "valid") for x in (speed, curvature))
+        speed, curvature = (
+            np.convolve(np.pad(x, (w - 1, 0), mode="edge"), kernel, "valid") for x in (speed, curvature)
+        )
     return speed, curvature
 
 
@@ -169,14 +171,14 @@ def _height_fast(x, y, furrow_m):
 
 
 def _ns(t):
-    return START_NS + int(round(t * 1e9))
+    return START_NS + round(t * 1e9)
 
 
 def _imu(v, t, T, rng):
     imu = v.sensors.imu
     p = T[:, :3, 3] + T[:, :3, :3] @ np.array(imu.mount.xyz_m)
     acceleration = np.gradient(np.gradient(p, FINE_S, axis=0), FINE_S, axis=0)
-    force = np.einsum("nji,nj->ni", T[:, :3, :3], acceleration + [0, 0, GRAVITY_MPS2])
+    force = np.einsum("nji,nj->ni", T[:, :3, :3], acceleration + np.array([0, 0, GRAVITY_MPS2]))
     every = round(1 / imu.rate_hz / FINE_S)
     index = np.arange(5 * every, len(t) - 5, every)
     R, before = T[index, :3, :3], T[index - every, :3, :3]
@@ -189,7 +191,10 @@ def _imu(v, t, T, rng):
     root = math.sqrt(imu.rate_hz)
     force = force + bias_a + rng.normal(0, imu.accelerometer_noise_ug_rthz * 9.8e-6 * root, (m, 3))
     rate = rate + bias_g + rng.normal(0, math.radians(imu.gyro_noise_dps_rthz) * root, (m, 3))
-    return [(_ns(t[k]) + 2_000_000, "imu", ImuSample(_ns(t[k]), f.copy(), w.copy())) for k, f, w in zip(index, force, rate)]
+    return [
+        (_ns(t[k]) + 2_000_000, "imu", ImuSample(_ns(t[k]), f.copy(), w.copy()))
+        for k, f, w in zip(index, force, rate, strict=True)
+    ]
 
 
 def _wheels(v, t, T, speed, curvature, wrongs, rng):
@@ -202,7 +207,9 @@ def _wheels(v, t, T, speed, curvature, wrongs, rng):
     for k in index:
         angle = math.atan(v.drivetrain.wheelbase_m * curvature[k]) + wrongs.steering_offset_rad
         noisy = speed[k] * (1 + slip[k]) + (rng.normal(0, wheels.speed_sigma_mps) if speed[k] > 1e-3 else 0.0)
-        sample = WheelSample(_ns(t[k]), float(noisy), float(angle + rng.normal(0, math.radians(wheels.angle_sigma_deg))))
+        sample = WheelSample(
+            _ns(t[k]), float(noisy), float(angle + rng.normal(0, math.radians(wheels.angle_sigma_deg)))
+        )
         out.append((_ns(t[k]) + 3_000_000, "wheel", sample))
     return out
 
@@ -223,8 +230,20 @@ def _fixes(v, t, T, yaw, wrongs, rng):
         lat, lon, h = DATUM.to_ellipsoid(*(antenna[k] + sigma * noise))
         heading = yaw[k] + rng.normal(0, math.radians(gnss.sigma_heading_deg))
         fix = GnssFix(
-            _ns(t[k]), lat, lon, h, sigma.copy(), velocity[k] + rng.normal(0, 0.03, 3), 0.03,
-            math.remainder(heading, 2 * math.pi), math.radians(gnss.sigma_heading_deg), GnssSolution.RTK_FIXED, 18, 0.8, 1.0, "BDS+GPS",
+            _ns(t[k]),
+            lat,
+            lon,
+            h,
+            sigma.copy(),
+            velocity[k] + rng.normal(0, 0.03, 3),
+            0.03,
+            math.remainder(heading, 2 * math.pi),
+            math.radians(gnss.sigma_heading_deg),
+            GnssSolution.RTK_FIXED,
+            18,
+            0.8,
+            1.0,
+            "BDS+GPS",
         )
         out.append((_ns(t[k]) + int(wrongs.gnss_latency_s * 1e9), "gnss/main", fix))
     return out
