@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from functools import cache
 
 import can
 import cantools
@@ -177,6 +178,7 @@ def switch(raw: int, present: bool) -> bool:
     return raw == ON if raw in (0, 1) else present
 
 
+@cache
 def load_database() -> Database:
     """The DBC that both sides of the bus are written against; raises ConfigError."""
     path = CONFIGS / "can" / "headland.dbc"

@@ -89,7 +89,7 @@ def _site_on_grade():
 
 
 @given(st.floats(-5, 5), st.floats(-3, 3), st.floats(0, 10))
-@settings(derandomize=True, max_examples=200)
+@settings(derandomize=True, max_examples=100)
 def test_friction_never_reverses_motion(speed, drive, friction):
     after = advance_speed(speed, drive, friction, 0.005)
     if abs(drive) <= friction:
@@ -98,7 +98,7 @@ def test_friction_never_reverses_motion(speed, drive, friction):
 
 
 @given(st.floats(-10, 10), st.floats(-10, 10))
-@settings(derandomize=True, max_examples=200)
+@settings(derandomize=True, max_examples=100)
 def test_ramp_is_limited_and_arrives(value, target):
     step = ramp(value, target, 0.6, 1.0, 0.01)
     assert abs(step) <= 0.01 + 1e-12
