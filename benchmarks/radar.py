@@ -100,6 +100,7 @@ def run_ars548(folder: Path, config: RadarConfig) -> bool:
     velocity, agrees = estimate_velocity(scan, which, config.health.agree_mps)
     T = ARS548.mount.T_base_sensor
     warm()
+    find_clusters(to_base(scan, which, T, np.zeros(3)), 0.01, config.clusters)
     start = time.perf_counter()
     echoes = to_base(scan, which, T, np.append(velocity, 0.0))
     clusters = find_clusters(echoes, np.radians(ARS548.azimuth_sigma_deg), config.clusters)

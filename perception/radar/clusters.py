@@ -46,31 +46,37 @@ def find_clusters(echoes: Echoes, azimuth_sigma_rad: float, config: ClusterConfi
         echoes.range_m, echoes.azimuth_rad, echoes.radial_mps, config.join_range_m, config.join_across_m,
         config.join_bearing_sigma * azimuth_sigma_rad, config.join_doppler_mps, label,
     )  # fmt: skip
-    rows = [
-        m for m in (np.flatnonzero(label == i) for i in range(k)) if echoes.rcs_dbsm[m].max() >= config.least_rcs_dbsm
-    ]
-    return _describe(echoes, rows)
+    order = np.argsort(label, kind="stable")
+    starts = np.searchsorted(label[order], np.arange(k))
+    strongest = np.maximum.reduceat(echoes.rcs_dbsm[order], starts) if k else np.zeros(0)
+    return _describe(
+        echoes, order, starts, strongest, np.flatnonzero(strongest >= config.least_rcs_dbsm).astype(np.int64)
+    )
 
 
-def _describe(echoes: Echoes, rows: list[Int64]) -> Clusters:
-    n = len(rows)
-    out = Clusters(
-        np.empty((n, 2)), np.empty((n, 3)), np.empty((n, 2)), np.empty(n), np.empty(n), np.empty((n, 2)), np.empty(n),
-        np.array([len(m) for m in rows], np.int64),
+def _describe(echoes: Echoes, order: Int64, starts: Int64, strongest: Float64, kept: Int64) -> Clusters:
+    """All clusters at once: the members of cluster k are `order[starts[k]:starts[k + 1]]`."""
+    if len(starts) == 0:
+        no, none, whole = np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64)
+        return Clusters(no, np.zeros((0, 3)), no, none, none, no, none, whole)
+    count = np.diff(np.append(starts, len(order)))
+    # strong echoes tell place and speed best
+    weight = 10.0 ** (0.1 * np.clip(echoes.rcs_dbsm[order], -40.0, 40.0))
+    weight /= np.repeat(np.add.reduceat(weight, starts), count)
+    p, range_m = echoes.p_base_m[order], echoes.range_m[order]
+    sight = np.add.reduceat(weight[:, None] * echoes.sight[order], starts)
+    sight /= np.hypot(sight[:, 0], sight[:, 1])[:, None]
+    ahead = np.repeat(sight, count, axis=0)
+    along, across = (p[:, :2] * ahead).sum(axis=1), p[:, 1] * ahead[:, 0] - p[:, 0] * ahead[:, 1]
+    extent = [np.maximum.reduceat(x, starts) - np.minimum.reduceat(x, starts) for x in (along, across)]
+    # by range within each cluster, so that the first of each is its nearest
+    nearest = np.lexsort((range_m, np.repeat(np.arange(len(starts)), count)))[starts]
+    radial = np.add.reduceat(weight * echoes.radial_mps[order], starts)
+    return Clusters(
+        np.add.reduceat(weight[:, None] * p[:, :2], starts)[kept], p[nearest][kept], sight[kept],
+        np.add.reduceat(weight * range_m, starts)[kept], radial[kept],
+        np.stack(extent, axis=1)[kept], strongest[kept], count[kept].astype(np.int64),
     )  # fmt: skip
-    for k, members in enumerate(rows):
-        # strong echoes tell place and speed best
-        weight = 10.0 ** (0.1 * np.clip(echoes.rcs_dbsm[members], -40.0, 40.0))
-        weight /= weight.sum()
-        sight = weight @ echoes.sight[members]
-        sight /= np.hypot(*sight)
-        p = echoes.p_base_m[members]
-        along, across = p[:, :2] @ sight, p[:, :2] @ np.array([-sight[1], sight[0]])
-        out.p_m[k], out.sight[k] = weight @ p[:, :2], sight
-        out.nearest_m[k] = p[np.argmin(echoes.range_m[members])]
-        out.range_m[k], out.radial_mps[k] = weight @ echoes.range_m[members], weight @ echoes.radial_mps[members]
-        out.extent_m[k], out.rcs_dbsm[k] = (np.ptp(along), np.ptp(across)), echoes.rcs_dbsm[members].max()
-    return out
 
 
 @kernel
