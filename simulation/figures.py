@@ -6,7 +6,7 @@ from functools import cache
 from messages.perception import ObstacleClass
 from simulation.meshes import Mesh, box, ellipsoid, join, limb
 
-STRIDE_M = {ObstacleClass.PERSON: 1.4, ObstacleClass.ANIMAL: 1.6}  # way of one whole gait cycle
+STRIDE_M = {ObstacleClass.PERSON: 1.3, ObstacleClass.ANIMAL: 1.6}  # way of one whole gait cycle
 GAIT_STEPS = 16
 REFLECTIVITY = {ObstacleClass.PERSON: 0.35, ObstacleClass.ANIMAL: 0.30, ObstacleClass.VEHICLE: 0.5}
 
@@ -20,7 +20,7 @@ def figure_mesh(label: ObstacleClass, gait: float) -> Mesh:
 @cache
 def _person(step: int) -> Mesh:
     """An adult of 1.75 m."""
-    swing = 0.45 * math.sin(2.0 * math.pi * step / GAIT_STEPS) if step >= 0 else 0.0
+    swing = 0.36 * math.sin(2.0 * math.pi * step / GAIT_STEPS) if step >= 0 else 0.0
     parts = [ellipsoid((0.0, 0.0, 1.62), (0.19, 0.16, 0.25)), limb((0.0, 0.0, 1.52), (0.0, 0.0, 1.42), 0.06)]
     parts += [ellipsoid((0.0, 0.0, 1.17), (0.27, 0.42, 0.62)), box((-0.12, -0.16, 0.82), (0.12, 0.16, 1.0))]
     for side in (1.0, -1.0):

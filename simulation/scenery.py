@@ -69,14 +69,16 @@ def _turn(xy_m: Float64, angle_rad: float) -> Float64:
 
 
 def ground_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
-    """The ground, with furrows in the field; its grid lies along the furrows and is fine across them in the field alone."""
+    """The ground with its furrows; the grid lies along them and is fine across them in the field alone."""
     corners = _turn(shapely.get_coordinates(surveyed_area(site)), -terrain.axis_rad)
     low, high = corners.min(axis=0) - config.margin_m, corners.max(axis=0) + config.margin_m
     across = _turn(np.array(site.boundary_m), -terrain.axis_rad)[:, 1]
     along_m, across_m = config.grid_m
     u = np.arange(low[0], high[0] + along_m, along_m)
     fine = np.arange(across.min(), across.max() + across_m, across_m)
-    v = np.concatenate([np.arange(low[1], fine[0], along_m), fine, np.arange(fine[-1] + along_m, high[1] + along_m, along_m)])
+    v = np.concatenate(
+        [np.arange(low[1], fine[0], along_m), fine, np.arange(fine[-1] + along_m, high[1] + along_m, along_m)]
+    )
     xy = _turn(np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2), terrain.axis_rad)
     z = terrain.heights_m(xy)
     is_field = shapely.contains_xy(Polygon(site.boundary_m), xy)
