@@ -47,7 +47,8 @@ def test_solids_are_closed():
 
 @pytest.mark.parametrize(
     ("label", "low", "high"),
-    [(ObstacleClass.PERSON, (0.2, 0.4, 1.6), (1.0, 0.7, 1.85)), (ObstacleClass.ANIMAL, (1.2, 0.25, 1.1), (1.7, 0.5, 1.4)),
+    [(ObstacleClass.PERSON, (0.2, 0.4, 1.6), (1.0, 0.7, 1.85)),
+     (ObstacleClass.ANIMAL, (1.2, 0.25, 1.1), (1.7, 0.5, 1.4)),
      (ObstacleClass.VEHICLE, (3.7, 1.6, 1.6), (3.9, 1.7, 1.7))],
 )  # fmt: skip
 @pytest.mark.parametrize("gait", [-1.0, *(k / GAIT_STEPS for k in range(GAIT_STEPS))])
