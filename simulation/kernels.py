@@ -101,3 +101,13 @@ def signal_of(rays: Float32, normals: Float32, kind: UInt8, reflectivity: Float3
         cosine = rays[n, 3] * normals[n, 0] + rays[n, 4] * normals[n, 1] + rays[n, 5] * normals[n, 2]
         out[n] = reflectivity[kind[n]] * abs(cosine)
     return out
+
+
+def warm() -> None:
+    """Compile or load every kernel, so that no step waits for it."""
+    profile, waves, one = np.zeros(10), np.zeros((1, 4)), np.zeros((1, 6), np.float32)
+    heights_at(np.zeros((1, 2)), profile, waves)
+    stand(0.0, 0.0, 0.0, 1.0, 1.0, profile, waves)
+    sweep_rays(np.eye(4)[None], np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.uint8))
+    passes_ball(one, np.zeros(3), 1.0)
+    signal_of(one, np.zeros((1, 3), np.float32), np.zeros(1, np.uint8), np.zeros(1, np.float32))

@@ -17,6 +17,7 @@ from messages.topics import KINDS
 from simulation.actors import Actor
 from simulation.encounter import Setting
 from simulation.judge import Judge, JudgeConfig
+from simulation.kernels import warm
 from simulation.machine import Machine, MachineConfig
 from simulation.motion import Track
 from simulation.placement import place_encounters
@@ -96,6 +97,7 @@ class SimulationWorld(World):
 
     def warm(self) -> None:
         """Load and build what the first scan would wait for."""
+        warm()
         if self._vehicle.sensors.lidar:
             _ = self._scene.still
 
