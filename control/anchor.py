@@ -1,4 +1,4 @@
-"""The place of `odom` in `map` as steering sees it: follows the localizer without ever stepping while the machine moves."""
+"""The place of `odom` in `map` as steering sees it: it follows the localizer but never steps while moving."""
 
 import math
 

@@ -13,7 +13,6 @@ from control.slip import SlipConfig
 from control.speed import STANDING_MPS, SpeedConfig, SpeedControl, SpeedPlan
 from control.steering import SteeringConfig
 from control.tracking import TrackingConfig
-from geometry.angles import wrap
 from messages.command import MachineState, Mode, SafeCommand, Wish
 from messages.motion import MapPose, Odometry
 from messages.node import Every, Inbox, Latest, Node, Output
@@ -21,7 +20,7 @@ from messages.plan import Path
 
 PERIOD_NS = 20_000_000
 NO_PATH = -1
-LIMITED_MPS = 0.05  # a permitted speed lower than the wish by more is not ours
+LIMITED_MPS, LIMITED_MPS2 = 0.05, 0.05  # a speed lower, or a braking harder, than the wish by more is not ours
 
 
 class ControlConfig(Config):
@@ -43,7 +42,7 @@ class Controller(Node):
         self.reads = {k: Latest() for k in ("path", "odom", "map_pose", "machine", "safe_command")}
         self.writes = ("wish",)
         self.runs = Every(PERIOD_NS)
-        self._config = config
+        self._config, self._vehicle = config, vehicle
         self._anchor = MapAnchor(config.anchor)
         self._driver = Driver(vehicle, config.tracking, config.steering, config.slip)
         self._speed = SpeedControl(config.speed)
@@ -51,7 +50,7 @@ class Controller(Node):
         self._path: Path | None = None
         self._plan: SpeedPlan | None = None
         self._last_ns: int | None = None
-        self._wished_mps = 0.0
+        self._wished_mps = self._braking_mps2 = 0.0
         self._curvature_radpm = 0.0
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
@@ -77,8 +76,9 @@ class Controller(Node):
 
     def _start(self, path: Path, sample: Sample) -> None:
         self._path = path
-        self._plan = SpeedPlan(path, self._config.speed.braking_mps2)
-        self._driver.start(Reference(path, self._config.tracking.smoothing_radpm), sample.pose)
+        reference = Reference(path, self._config.tracking.smoothing_radpm)
+        self._plan = SpeedPlan(path, reference, self._vehicle, self._config.speed)
+        self._driver.start(reference, sample.pose)
         self._speed.start()
         self._implement.start(path)
 
@@ -90,7 +90,7 @@ class Controller(Node):
         target_mps = self._speed.target_mps(self._plan, s_m, forward_mps, steered.offset_m)
         wished_mps, acceleration_mps2 = self._speed.wish(target_mps, forward_mps, elapsed_s, is_obeyed)
         self._work(now_ns, s_m, forward_mps, inbox)
-        self._wished_mps = path.direction * wished_mps
+        self._wished_mps, self._braking_mps2 = path.direction * wished_mps, -acceleration_mps2
         self._curvature_radpm = steered.curvature_radpm
         return self._wish(now_ns, path, steered, acceleration_mps2, abs(sample.speed_mps) < STANDING_MPS)
 
@@ -99,8 +99,8 @@ class Controller(Node):
         safe = inbox.latest("safe_command", SafeCommand)
         if safe is None or not safe.is_drive_enabled or safe.mode is Mode.MANUAL:
             return False, False
-        is_whole = abs(safe.speed_mps) >= abs(self._wished_mps) - LIMITED_MPS and safe.deceleration_mps2 == 0.0
-        return True, is_whole
+        is_faster = abs(safe.speed_mps) >= abs(self._wished_mps) - LIMITED_MPS
+        return True, is_faster and safe.deceleration_mps2 <= self._braking_mps2 + LIMITED_MPS2
 
     def _work(self, now_ns: int, s_m: float, forward_mps: float, inbox: Inbox) -> None:
         assert self._plan is not None
@@ -125,7 +125,7 @@ class Controller(Node):
             path_id=path.path_id,
             path_s_m=steered.place.s_m,
             xte_m=steered.offset_m * (1.0 - 2.0 * turned),
-            heading_error_rad=wrap(steered.place.heading_error_rad),
+            heading_error_rad=steered.heading_error_rad,
             is_finished=self._speed.is_arrived and is_standing,
         )
 

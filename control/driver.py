@@ -1,12 +1,13 @@
 """Steering along one reference: place on the path, prediction, law and calibration brought together."""
 
+import math
 from dataclasses import dataclass
 
 from configs.vehicle import Vehicle
 from control.planar import Planar, clamp
 from control.reference import Place, Reference
 from control.slip import CrabEstimate, SlipConfig, SteeringCalibration
-from control.steering import Motion, SteeringConfig, SteeringModel
+from control.steering import Motion, SteeringConfig, SteeringModel, steering_rate
 from control.tracking import Law, OffsetIntegral, TrackingConfig
 from geometry.angles import wrap
 
@@ -28,6 +29,7 @@ class Steered:
 
     place: Place
     offset_m: float
+    heading_error_rad: float
     curvature_radpm: float
 
 
@@ -37,6 +39,7 @@ class Driver:
     def __init__(self, vehicle: Vehicle, tracking: TrackingConfig, steering: SteeringConfig, slip: SlipConfig) -> None:
         self._config = tracking
         self._min_radius_m = vehicle.drivetrain.min_turning_radius_m
+        self._rate_radpmps = steering_rate(vehicle) / vehicle.drivetrain.wheelbase_m
         self._most_radpm = vehicle.drivetrain.max_curvature_radpm
         self._model = SteeringModel(vehicle, steering)
         self._crab, self._calibration = CrabEstimate(slip), SteeringCalibration(slip)
@@ -63,7 +66,8 @@ class Driver:
         wanted, arrival = self._wanted(now_ns, reference, sample, hidden_m)
         command = clamp(self._model.lead(arrival, self._calibration.wheels_for(wanted)), self._most_radpm)
         self._model.command(now_ns, command)
-        return Steered(place, place.offset_m + reference.deviation_m(self._near), command)
+        offset_m = place.offset_m + reference.deviation_m(self._near)
+        return Steered(place, offset_m, wrap(place.heading_error_rad - self._crab.crab_rad), command)
 
     def _wanted(self, now_ns: int, reference: Reference, sample: Sample, hidden_m: float) -> tuple[float, float]:
         """Curvature to drive when the command takes hold, and the wheels' curvature when it arrives."""
@@ -72,7 +76,7 @@ class Driver:
         motion = Motion(sample.speed_mps, calibration.gain, calibration.offset_radpm, self._crab.crab_rad)
         ahead = self._model.predict(now_ns, sample.stamp_ns, sample.pose, motion)
         place, _ = self._place(reference, ahead.pose, self._near)
-        law = Law.at(self._config, abs(sample.speed_mps), self._min_radius_m)
+        law = Law.at(self._config, abs(sample.speed_mps), self._min_radius_m, self._rate_radpmps)
         travelled = law.curvature(place.offset_m + hidden_m, place.heading_error_rad, place.curvature_radpm)
         return clamp(sign * travelled, self._most_radpm), ahead.curvature_radpm
 
@@ -86,9 +90,9 @@ class Driver:
         self._last_ns = sample.stamp_ns
         self._model.measure(sample.stamp_ns, sample.curvature_radpm, is_obeyed)
         self._crab.update(sample.pose, abs(sample.speed_mps) > 0.1)
-        self._calibration.update(sample.curvature_radpm, sample.yaw_rate_radps, sample.speed_mps, elapsed_s)
+        self._calibration.update(self._model.curvature_radpm, sample.yaw_rate_radps, sample.speed_mps, elapsed_s)
         return elapsed_s
 
 
 def _travel_heading(heading_rad: float, direction: int) -> float:
-    return heading_rad if direction > 0 else wrap(heading_rad + 3.141592653589793)
+    return heading_rad if direction > 0 else wrap(heading_rad + math.pi)

@@ -12,6 +12,8 @@ from control.planar import clamp
 from control.speed import SpeedPlan
 from messages.plan import Path
 
+HALF_PERIOD_S = 0.01  # decided once a period: half of it too early or too late
+
 
 class ImplementControlConfig(Config):
     """When the implement counts as in work, and how its answers are learned."""
@@ -106,7 +108,7 @@ class ImplementControl:
     def _is_due(self, edge: Edge, plan: SpeedPlan, s_m: float, speed_mps: float, hitch: float) -> bool:
         if edge.s_m <= s_m:
             return True
-        return plan.time_s(s_m, edge.s_m, speed_mps) <= self._lead_s(edge.is_lowering, hitch)
+        return plan.time_s(s_m, edge.s_m, speed_mps) <= self._lead_s(edge.is_lowering, hitch) + HALF_PERIOD_S
 
     def _lead_s(self, is_lowering: bool, hitch: float) -> float:
         extra_s = (self._down if is_lowering else self._up).extra_s

@@ -66,6 +66,11 @@ class Reference:
         """How far left of the path the smoothed one lies there."""
         return self._deviation[near]
 
+    def steering_rates(self, wheelbase_m: float) -> tuple[Float64, Float64]:
+        """Arc length, (M,), and how fast the front wheels turn there by the way, in rad/m."""
+        angle = np.arctan(wheelbase_m * np.array(self._curvature))
+        return self._s, np.abs(np.gradient(angle, self._step_m))
+
     def find(self, x_m: float, y_m: float, heading_rad: float, within_m: float) -> int:
         """The nearest point within the first metres that is driven in about this direction, else the first."""
         most = max(1, min(len(self._x), round(within_m / self._step_m)))
@@ -77,13 +82,21 @@ class Reference:
         return best
 
     def _fill(self, raw: Float64, p: Float64) -> None:
+        self._x: list[float]
+        self._y: list[float]
+        self._heading: list[float]
+        self._curvature: list[float]
+        self._deviation: list[float]
+        beyond = (len(p) - len(raw)) // 2
+        inner = slice(beyond, beyond + len(raw))
         tangent = np.gradient(p, self._step_m, axis=0)
-        heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+        turned = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+        p, heading, curvature = p[inner], turned[inner], np.gradient(turned, self._step_m)[inner]
         normal = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
         self._x, self._y = p[:, 0].tolist(), p[:, 1].tolist()
         self._heading = heading.tolist()
         self._cos, self._sin = np.cos(heading).tolist(), np.sin(heading).tolist()
-        self._curvature = np.gradient(heading, self._step_m).tolist()
+        self._curvature = curvature.tolist()
         self._deviation = np.sum((p - raw) * normal, axis=1).tolist()
 
     def _end_headings(self, path: Path) -> tuple[float, float]:
@@ -115,17 +128,16 @@ class Reference:
 def smooth(
     p_m: Float64, step_m: float, cutoff_radpm: float, headings: tuple[float, float], curvatures: tuple[float, float]
 ) -> Float64:
-    """The points (N, 2) without what turns faster than `cutoff_radpm`, shifted nowhere.
+    """The points (N, 2) without what turns faster than `cutoff_radpm`, shifted nowhere; with as many more at both ends.
 
     Third-order Butterworth forth and back: 1 / (1 + (ω/ω₀)⁶) is what a controller that weighs offset against rate of
     curvature would drive (the optimum with full preview), and it leaves straights and circles as they are.
     """
     count = math.ceil(EXTENSION_M / step_m)
-    before = _arc(p_m[0], headings[0], curvatures[0], -step_m * np.arange(count, 0, -1))
-    after = _arc(p_m[-1], headings[1], curvatures[1], step_m * np.arange(1, count + 1))
+    before = _arc(p_m[0], headings[0], curvatures[0], np.arange(-count, 0, dtype=np.float64) * step_m)
+    after = _arc(p_m[-1], headings[1], curvatures[1], np.arange(1, count + 1, dtype=np.float64) * step_m)
     b, a = butter(3, min(cutoff_radpm * step_m / math.pi, 0.99))
-    smoothed = filtfilt(b, a, np.vstack([before, p_m, after]), axis=0)
-    return np.asarray(smoothed[count : count + len(p_m)], np.float64)
+    return np.asarray(filtfilt(b, a, np.vstack([before, p_m, after]), axis=0), np.float64)
 
 
 def _arc(p_m: Float64, heading_rad: float, curvature_radpm: float, s_m: Float64) -> Float64:

@@ -12,12 +12,13 @@ SLOWEST_MPS = 0.3
 
 
 class SlipConfig(Config):
-    """How fast slip and calibration are learned; both by distance, as they belong to ground and machine, not to time."""
+    """How fast slip and calibration are learned; by distance, as they belong to ground and machine, not time."""
 
     crab_m: float = Field(gt=0.0, le=50.0)
     crab_max_deg: float = Field(ge=0.0, le=15.0)
     offset_sigma_radpm: float = Field(gt=0.0, le=0.1, description="of the curvature offset at the start")
     gain_sigma: float = Field(gt=0.0, le=0.5)
+    gain_from_radpm: float = Field(gt=0.0, le=1.0, description="the gain shows in curves alone")
     noise_radpm: float = Field(gt=0.0, le=0.1, description="of one comparison of turn rate and wheel angle")
     forget_m: float = Field(gt=1.0, le=10000.0, description="way over which the knowledge fades")
 
@@ -62,10 +63,10 @@ class SteeringCalibration:
         if abs(speed_mps) < SLOWEST_MPS:
             return
         self._forget(abs(speed_mps) * elapsed_s / self._config.forget_m)
-        h = curvature_radpm
+        h = curvature_radpm if abs(curvature_radpm) > self._config.gain_from_radpm else 0.0  # noise shows no gain
         a, b = self._p00 * h + self._p01, self._p01 * h + self._p11
         variance = h * a + b + (self._config.noise_radpm / min(abs(speed_mps), 1.0)) ** 2
-        error = yaw_rate_radps / speed_mps - (self.gain * h + self.offset_radpm)
+        error = yaw_rate_radps / speed_mps - (self.gain * curvature_radpm + self.offset_radpm)
         error = clamp(error, 3.0 * math.sqrt(variance))
         self.gain = 1.0 + clamp(self.gain + a / variance * error - 1.0, 3.0 * self._config.gain_sigma)
         self.offset_radpm = clamp(self.offset_radpm + b / variance * error, 3.0 * self._config.offset_sigma_radpm)

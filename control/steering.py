@@ -1,4 +1,4 @@
-"""The steering as it answers: dead time, a lag, a limited rate; and where the machine will be when a command takes hold."""
+"""The steering as it answers (dead time, lag, limited rate), and where the machine is when a command takes hold."""
 
 import math
 from collections import deque
@@ -8,7 +8,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import ElectricWheel, Vehicle
-from control.planar import Planar, clamp
+from control.planar import Planar
 
 STEP_S = 0.02
 
@@ -46,6 +46,7 @@ class SteeringModel:
     def __init__(self, vehicle: Vehicle, config: SteeringConfig) -> None:
         self._dead_ns = round((config.pipeline_s + vehicle.steering.dead_time_s) * 1e9)
         self._lag_s, self._quick_s, self._correction = config.lag_s, config.quickened_lag_s, config.correction
+        self._step_share = 1.0 - math.exp(-STEP_S / config.lag_s)
         self._wheelbase_m = vehicle.drivetrain.wheelbase_m
         self._steering_radps = steering_rate(vehicle)
         self._commands: deque[tuple[int, float]] = deque(maxlen=64)
@@ -98,8 +99,13 @@ class SteeringModel:
         return self._commands[0][1] if self._commands else self.curvature_radpm
 
     def _follow(self, curvature: float, target: float, step_s: float) -> float:
-        rate = self._steering_radps * (1.0 + (self._wheelbase_m * curvature) ** 2) / self._wheelbase_m
-        return curvature + clamp((target - curvature) * (1.0 - math.exp(-step_s / self._lag_s)), rate * step_s)
+        """Curvature after a step: κ = tan δ / L, so the wheels' rate is worth more the further they are turned."""
+        share = self._step_share if step_s == STEP_S else 1.0 - math.exp(-step_s / self._lag_s)
+        change = (target - curvature) * share
+        most = self._steering_radps * (1.0 / self._wheelbase_m + self._wheelbase_m * curvature * curvature) * step_s
+        if change > most:
+            return curvature + most
+        return curvature - most if change < -most else curvature + change
 
 
 def steering_rate(vehicle: Vehicle) -> float:

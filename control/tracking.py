@@ -33,6 +33,11 @@ class TrackingConfig(Config):
     heading_decay_m: float = Field(gt=0.2, le=20.0)
     heading_decay_s: float = Field(gt=0.0, le=5.0)
     landing_share: float = Field(ge=1.0, le=10.0, description="landing radius over the least turning radius")
+    landing_m: float = Field(
+        gt=0.1, le=10.0, description="way in which the steering must reach the landing's curvature"
+    )
+    correction_m: float = Field(gt=0.1, le=10.0, description="way over which the steering may turn to correct, or")
+    correction_s: float = Field(gt=0.05, le=5.0, description="time: more makes it swing at its limited rate")
     approach_deg: float = Field(gt=5.0, le=80.0)
     integral_m: float = Field(gt=1.0, le=1000.0)
     integral_max_m: float = Field(ge=0.0, le=0.5)
@@ -49,15 +54,17 @@ class Law:
     heading_decay_m: float
     landing_radius_m: float
     approach_rad: float
+    correction_radpm: float
 
     @classmethod
-    def at(cls, config: TrackingConfig, speed_mps: float, min_radius_m: float) -> "Law":
-        """The law's lengths at a speed."""
+    def at(cls, config: TrackingConfig, speed_mps: float, min_radius_m: float, rate_radpmps: float) -> "Law":
+        """The law's lengths at a speed, for a steering that changes curvature by `rate_radpmps` at most."""
         return cls(
             max(config.offset_decay_m, config.offset_decay_s * speed_mps),
             max(config.heading_decay_m, config.heading_decay_s * speed_mps),
-            config.landing_share * min_radius_m,
+            max(config.landing_share * min_radius_m, speed_mps / (rate_radpmps * config.landing_m)),
             deg(config.approach_deg),
+            rate_radpmps * max(config.correction_s, config.correction_m / max(speed_mps, 0.1)),
         )
 
     def approach(self, offset_m: float) -> tuple[float, float]:
@@ -79,7 +86,8 @@ class Law:
         shrink = max(1.0 - offset_m * path_radpm, 0.2)  # beyond the path's own centre there is no place on it
         forward = path_radpm * math.cos(heading_error_rad) / shrink
         error_rad = clamp(heading_error_rad - wanted_rad, 0.5 * math.pi)
-        return forward + slope * math.sin(heading_error_rad) - error_rad / self.heading_decay_m
+        correction = slope * math.sin(heading_error_rad) - error_rad / self.heading_decay_m
+        return forward + clamp(correction, self.correction_radpm)
 
 
 class OffsetIntegral:

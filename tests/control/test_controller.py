@@ -1,0 +1,96 @@
+"""The controller as a node: what it wishes when something is missing, and that it does the same twice."""
+
+import math
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+from plant import CONFIG, IMPLEMENT, VEHICLE, Inbox, Plant, path_along
+
+from configs.strict import parse
+from control.controller import NO_PATH, ControlConfig, Controller
+from control.planar import Planar, planar_of
+from geometry.transforms import invert, planar
+from messages.command import Wish
+from messages.errors import ConfigError
+from messages.topics import kind_of
+
+
+def test_its_topics_are_in_the_table():
+    controller = Controller(VEHICLE, IMPLEMENT, CONFIG)
+    assert [kind_of(t).type for t in controller.writes] == [Wish]
+    for topic in controller.reads:
+        kind_of(topic)
+
+
+def test_without_anything_it_wishes_to_stand():
+    (topic, wish), = Controller(VEHICLE, IMPLEMENT, CONFIG).step(1, Inbox())  # fmt: skip
+    assert topic == "wish"
+    assert (wish.speed_mps, wish.path_id, wish.is_finished) == (0.0, NO_PATH, False)
+    assert wish.acceleration_mps2 < 0.0
+
+
+@pytest.mark.parametrize("missing", ["odom", "map_pose"])
+def test_without_a_pose_it_wishes_to_stand_and_goes_on_after(missing):
+    plant = Plant()
+    path = path_along(np.zeros(300), 2.0)
+    plant.run(path, stop=lambda p, _: p.x > 10.0)
+    del plant.inbox.messages[missing]
+    (_, wish), = plant.controller.step(plant.now_ns, plant.inbox)  # fmt: skip
+    assert (wish.speed_mps, wish.is_finished) == (0.0, False)
+    track = plant.run(path)
+    assert track.wishes[-1].is_finished
+
+
+def test_a_pose_that_is_not_initialized_is_none():
+    plant = Plant()
+    plant.inbox.messages["path"] = path_along(np.zeros(100))
+    plant.sense()
+    pose = plant.inbox.messages["map_pose"]
+    plant.inbox.messages["map_pose"] = replace(pose, is_initialized=False)
+    (_, wish), = plant.controller.step(plant.now_ns, plant.inbox)  # fmt: skip
+    assert wish.speed_mps == 0.0
+
+
+def test_paths_follow_one_another():
+    plant = Plant()
+    plant.run(path_along(np.zeros(120), 2.0, path_id=1))
+    assert plant.wish.is_finished
+    back = path_along(np.zeros(100), 1.0, start=(12.0, 0.0, 0.0), direction=-1, path_id=2)
+    track = plant.run(back)
+    assert track.wishes[-1].path_id == 2
+    assert track.wishes[-1].is_finished
+    assert min(w.speed_mps for w in track.wishes) == pytest.approx(-1.0, abs=0.15)
+    assert plant.x == pytest.approx(2.0, abs=0.06)
+
+
+def test_errors_are_left_of_the_machine_in_both_directions():
+    for direction, start in ((1, (0.0, 0.0, 0.0)), (-1, (30.0, 0.0, 0.0))):
+        path = path_along(np.zeros(300), 1.0, start=start, direction=direction)
+        plant = Plant(x=start[0], y=0.2, yaw=math.radians(3.0))
+        plant.inbox.messages["path"] = path
+        wish = plant.control()
+        assert wish.xte_m == pytest.approx(0.2, abs=0.03)
+        assert wish.heading_error_rad == pytest.approx(math.radians(3.0), abs=0.005)
+
+
+def test_twice_the_same():
+    path = path_along(0.1 * np.sin(np.arange(150) * 0.05), 2.0)
+    first, second = (Plant(seed=3).run(path).wishes for _ in range(2))
+    assert [astuple(w) for w in first] == [astuple(w) for w in second]
+
+
+def test_level_poses_agree_with_transforms():
+    a, b = Planar(1.0, -2.0, 2.5), Planar(-3.0, 0.5, 1.5)
+    T_a, T_b = (planar(*p) for p in (a, b))
+    assert np.allclose(a @ b, planar_of(T_a @ T_b))
+    assert np.allclose(a.inverse(), planar_of(invert(T_a)))
+    assert np.allclose(a @ a.inverse(), (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("value", [math.nan, -1.0, 0.0, 1e9])
+def test_a_senseless_value_is_named(value):
+    values = CONFIG.model_dump()
+    values["tracking"]["offset_decay_m"] = value
+    with pytest.raises(ConfigError, match="offset_decay_m"):
+        parse(ControlConfig, values, "here")
