@@ -86,8 +86,9 @@ def join(found: list[Candidates], views: list[tuple[int, int]], width: int) -> C
         cut = (corners[:, 0] <= left + 2) & (left > 0) | (corners[:, 2] >= right - 2) & (right < width)
         others = [c.corners_px for j, c in enumerate(found) if abs(i - j) == 1]
         other = np.concatenate([*others, np.empty((0, 4), np.float32)]).astype(np.float64)
-        common = intersection(corners, other).max(axis=1, initial=0.0)
-        stays = ~(cut & (common >= 0.7 * area(corners)))
+        common = np.zeros(len(corners))
+        common[cut] = intersection(corners[cut], other).max(axis=1, initial=0.0)
+        stays = np.flatnonzero(~(cut & (common >= 0.7 * area(corners))))
         kept.append(Candidates(candidates.corners_px[stays], candidates.scores[stays]))
     return Candidates(np.concatenate([c.corners_px for c in kept]), np.concatenate([c.scores for c in kept]))
 
