@@ -125,7 +125,8 @@ class SpeedControl:
     def wish(self, target_mps: float, speed_mps: float, elapsed_s: float, is_obeyed: bool) -> tuple[float, float]:
         """Speed to ask for and acceleration (≤ 0 asks the brakes) for a target and the measured speed."""
         self._learn(target_mps, speed_mps, elapsed_s, is_obeyed)
-        asked = max(0.0, target_mps + self._missing_mps) if target_mps > 0.0 else 0.0
+        least_mps = min(target_mps, self._config.creep_mps)  # what was learned at speed must not stop it
+        asked = max(least_mps, target_mps + self._missing_mps) if target_mps > 0.0 else 0.0
         return asked, -self._braking_mps2(target_mps, speed_mps)
 
     def _learn(self, target_mps: float, speed_mps: float, elapsed_s: float, is_obeyed: bool) -> None:
