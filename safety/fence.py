@@ -10,6 +10,7 @@ from configs.site import Lane, Site
 from messages.message import Float64
 
 GATE_DEPTH_M = 1.0  # to either side of the line between the posts
+OUTSIDE_M = -1.0
 LANE_OVERLAP_M = 1.0  # a lane reaches that far into what lies at its ends, so that no seam is outside
 
 
@@ -70,8 +71,9 @@ def is_within(points: Float64, ring: Float64) -> np.ndarray:
 
 
 def way_inside_m(fence: Fence, points_map_m: Float64, ways_m: Float64, spacing_m: float) -> float:
-    """How far the outline points (P, 2), reached after `ways_m` (P,), stay inside; infinite if all do."""
+    """How far the outline points (P, 2), reached after `ways_m` (P,), stay inside; infinite: all do, -1: outside now."""
     outside = ~fence.holds(points_map_m)
     if not np.any(outside):
         return math.inf
-    return max(0.0, float(ways_m[outside].min()) - spacing_m)
+    first_m = float(ways_m[outside].min())
+    return OUTSIDE_M if first_m <= 0.0 else max(0.0, first_m - spacing_m)

@@ -90,7 +90,7 @@ class Gauge:
             return False
         felt = -math.copysign(odom.acceleration_mps2, odom.acceleration_mps2 * odom.speed_mps)
         asked = command.deceleration_mps2
-        return asked >= BRAKE_ASKED_MPS2 and not felt >= self._config.limits.brake_share * asked
+        return asked >= BRAKE_ASKED_MPS2 and felt < self._config.limits.brake_share * asked
 
 
 def direction_of(speed_mps: float | None, path: Path | None, wish: Wish | None, before: int) -> int:

@@ -28,7 +28,7 @@ from safety.stopping import Braking, stopping_distance, stopping_time
 from safety.sweep import corners_along
 from safety.tracked import NO_THREAT, Threat, threat_in
 
-FENCE_SPACING_M = 0.5
+FENCE_SPACING_M = 0.2
 THIN_M = 0.05  # what a gap may be too long by
 REACH_TO_TRACK_M = 1.0  # a hit this near to a track's box belongs to it
 
@@ -88,11 +88,11 @@ class Lookout:
         return Threat(max(0.0, self._threat.gap_m - driven_m), self._threat.label, self._threat.id)
 
     def fence_m(self) -> float | None:
-        """The way that stays inside the geofence; None when the place is not known."""
+        """The way that stays inside the geofence; None when the place is not known, below 0 when it is outside."""
         if self._fence is None:
             return math.inf
-        if self._fence_m is None:
-            return None
+        if self._fence_m is None or self._fence_m < 0.0:
+            return self._fence_m
         return max(0.0, self._fence_m - (self.trail.driven_m - self._looked_at_m))
 
     def proven_m(self, now_ns: int, direction: int, health: Mapping[str, SensorHealth | None]) -> float:
@@ -124,7 +124,7 @@ class Lookout:
         return way_ahead(
             place if is_along else None,
             pose_in_map(seen.map_pose, odom),
-            odom.curvature_radpm if math.isfinite(odom.curvature_radpm) else 0.0,
+            odom.curvature_radpm,
             direction,
             look_ahead_m(speed_mps, braking, config, allowance_m),
             arc_length_m(speed_mps, braking, config),

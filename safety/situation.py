@@ -17,7 +17,8 @@ class Situation:
 
     `direction` is that of travel (+1 forward), `speed_mps` ≥ 0 the highest that any source measures, `braking` that on
     this grade. `gap` is None when no lidar has looked yet; `proven_m` is the proven range ahead; `fence_m` the way that
-    stays inside (None: not known). Times of held conditions are in seconds, 0 when the condition does not hold.
+    stays inside (None: not known; below 0: outside now). Times of held conditions are in seconds, 0 when
+    the condition does not hold.
     """
 
     now_ns: int

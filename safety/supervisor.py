@@ -13,6 +13,7 @@ import numpy as np
 
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle, kmh
 from messages.command import MachineState, Mode, OperatorOrder, RuleResult, SupervisorState, Wish
+from messages.errors import ConfigError
 from messages.faults import Fault
 from messages.motion import MapPose, Odometry
 from messages.node import All, Every, Inbox, Latest, Node, Output, Read
@@ -31,6 +32,7 @@ from safety.lookout import Lookout, Seen
 from safety.modes import WATCHED, Event, next_mode
 from safety.orders import Orders
 from safety.reports import Reports
+from safety.rules import RULES
 from safety.rules.verdict import emergency, note
 from safety.situation import Situation
 from safety.stopping import required_range, stopping_distance
@@ -61,6 +63,9 @@ class Supervisor(Node):
         fault_topics: tuple[str, ...],
         disabled_rules: frozenset[str] = frozenset(),
     ) -> None:
+        unknown = sorted(disabled_rules - RULES.keys())
+        if unknown:
+            raise ConfigError(f"disabled_rules: no rule {unknown[0]!r}; there are {', '.join(RULES)}")
         self.name = "supervisor"
         sensors = vehicle.sensors
         self._lidars = tuple(sensors.lidar)
@@ -82,7 +87,7 @@ class Supervisor(Node):
         self._gauge, self._commander = Gauge(config), Commander(vehicle, config)
         self._orders, self._reports, self._alarms = Orders(config.modes.authorities), Reports(), Alarms()
         self._latched: RuleResult | None = None
-        self._cause = ""
+        self._cause, self._is_urgent = "", False
         self._clear, self._warned = Held(), Held()
         self._warning_s = config.modes.start_warning_s
         self._state_ns: int | None = None
@@ -112,8 +117,8 @@ class Supervisor(Node):
 
     def _see(self, inbox: Inbox) -> Seen:
         return Seen(
-            inbox.latest("odom", Odometry),
-            inbox.latest("map_pose", MapPose),
+            whole_odom(inbox.latest("odom", Odometry)),
+            whole_pose(inbox.latest("map_pose", MapPose)),
             inbox.latest("wish", Wish),
             inbox.latest("path", Path),
             inbox.latest("tracks", Tracks),
@@ -239,6 +244,9 @@ class Supervisor(Node):
     def _moment(self, situation: Situation, measured: Measured, judgement: Judgement, reason: str) -> Moment:
         curvature = None if situation.machine is None else situation.machine.curvature_radpm
         gap = judgement.gap_m if judgement.binding_is_obstacle or self.mode is Mode.OBSTACLE_STOP else math.inf
+        is_stopping = self.mode is Mode.OBSTACLE_STOP and situation.is_moving
+        self._is_urgent = judgement.is_obstacle_inside or (self._is_urgent and is_stopping)
+        gap = 0.0 if self._is_urgent else gap  # once inside the stopping distance: all the brakes to the end
         return Moment(
             situation.now_ns, self.mode, reason, situation.wish, situation.machine, measured.speed_mps, curvature,
             judgement.allowed_mps, gap, situation.braking,
@@ -277,6 +285,19 @@ class Supervisor(Node):
             hits_base_m=hits[::stride].astype(np.float32),
             field_base_m=np.empty((0, 2)) if way is None else outline_of(way.main),
         )
+
+
+def whole_odom(odom: Odometry | None) -> Odometry | None:
+    """Odometry without a value that is no number, or None."""
+    if odom is None:
+        return None
+    motion = odom.speed_mps + odom.yaw_rate_radps + odom.curvature_radpm + odom.acceleration_mps2
+    return odom if math.isfinite(motion) and np.isfinite(odom.T_odom_base).all() else None
+
+
+def whole_pose(pose: MapPose | None) -> MapPose | None:
+    """A pose in map without a value that is no number, or None; an infinite protection level is a value."""
+    return pose if pose is not None and np.isfinite(pose.T_map_odom).all() else None
 
 
 LATCHING = frozenset({Mode.FAULT_STOP, Mode.EMERGENCY_STOP, Mode.MANUAL})

@@ -6,6 +6,7 @@ from functools import cache
 
 from messages.topics import kind_of
 
+ROUNDING_S = 1e-9
 LATE_SHARE = 0.6  # of the greatest age: a message this late is on its way to silence
 
 UPSTREAM: dict[str, tuple[str, ...]] = {
@@ -27,12 +28,12 @@ class Age:
     @property
     def is_stale(self) -> bool:
         """Too old, never come, or from a future that cannot be."""
-        return self.age_s is None or abs(self.age_s) > self.max_age_s
+        return self.age_s is None or abs(self.age_s) > self.max_age_s + ROUNDING_S
 
     @property
     def is_late(self) -> bool:
         """Older than it should be, if not yet too old."""
-        return self.age_s is None or abs(self.age_s) > LATE_SHARE * self.max_age_s
+        return self.age_s is None or abs(self.age_s) > LATE_SHARE * self.max_age_s + ROUNDING_S
 
 
 def age_of(topic: str, stamp_ns: int | None, now_ns: int) -> Age:

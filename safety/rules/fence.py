@@ -17,7 +17,7 @@ def judge(situation: Situation) -> RuleResult:
         return limit(UNKNOWN, 0.0, "place within the field not known")
     if math.isinf(way_m):
         return free(CODE)
-    if way_m <= 0.0:
+    if way_m < 0.0:
         return stop("fence.outside", "machine or implement outside the allowed area")
     speed = highest_speed(way_m, situation.braking, situation.config.limits.fence_margin_m)
     return limit(CODE, speed, f"edge of the allowed area in {way_m:.1f} m")

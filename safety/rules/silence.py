@@ -13,6 +13,8 @@ def judge(situation: Situation) -> RuleResult:
         return stop(f"{topic}.silent", f"no message on {topic} within its greatest age")
     if situation.frozen:
         return stop(f"{situation.frozen[0]}.frozen", f"{situation.frozen[0]} repeats the same scan")
+    if situation.odom is None or situation.map_pose is None:
+        return stop("odom.invalid" if situation.odom is None else "map_pose.invalid", "a pose that is no number")
     group = silent_group(situation)
     return stop(f"machine.{group}.silent", f"the machine's {group} frames are missing") if group else free("silence")
 

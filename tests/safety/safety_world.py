@@ -1,5 +1,6 @@
 """A world of synthetic messages around the supervisor: flat ground seen by the real lidars, boxes put on it."""
 
+import functools
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path as File
@@ -80,11 +81,9 @@ class Box:
     size_m: tuple[float, float, float] = (0.5, 0.5, 1.7)
 
 
-def scan_of(
-    lidar: Lidar, stamp_ns: int, pose: tuple[float, float, float], boxes: tuple[Box, ...], rng: np.random.Generator,
-    slope: float = 0.0, shape_boxes: tuple[Box, ...] = (),
-) -> LidarScan:  # fmt: skip
-    """A scan over level ground (or one that rises by `slope` ahead of x = 3 of base) with boxes on it."""
+@functools.cache
+def _bare_ground(lidar: Lidar, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Elevations, azimuths, origin in base, and where each ray meets the ground (or goes on to 1 km)."""
     el = np.radians(np.asarray(lidar.elevation_deg))
     fov = math.radians(lidar.field_of_view_deg)
     az = -fov / 2 + fov * (np.arange(lidar.columns) + 0.5) / lidar.columns
@@ -93,7 +92,6 @@ def scan_of(
     rays = np.stack([flat * np.cos(az), flat * np.sin(az), np.sin(el)[:, None] * np.ones_like(az)], axis=-1)
     rays = rays.reshape(-1, 3) @ T_base_sensor[:3, :3].T
     origin = T_base_sensor[:3, 3]
-    far = lidar.range_m[1]
     with np.errstate(divide="ignore"):
         down = np.where(rays[:, 2] < -1e-6, -origin[2] / rays[:, 2], np.inf)
         if slope:
@@ -104,9 +102,21 @@ def scan_of(
             down = np.where((x > 3.0) & (rays[:, 0] > 0.05), bent, down)
     reach = np.minimum(down, 1000.0)
     points = origin + rays * reach[:, None]
+    return el, az, origin, points
+
+
+def scan_of(
+    lidar: Lidar, stamp_ns: int, pose: tuple[float, float, float], boxes: tuple[Box, ...], rng: np.random.Generator,
+    slope: float = 0.0, shape_boxes: tuple[Box, ...] = (),
+) -> LidarScan:  # fmt: skip
+    """A scan over level ground (or one that rises by `slope` ahead of x = 3 of base) with boxes on it."""
+    el, az, origin, points = _bare_ground(lidar, slope)
+    far = lidar.range_m[1]
     T_odom_base = planar(*pose)
     for box in boxes:
         local = T_odom_base[:3, :3].T @ (np.array([box.x_m, box.y_m, 0.0]) - T_odom_base[:3, 3])
+        if abs(local[0]) > 30.0:
+            continue
         points = put_box(points, origin, (local[0], local[1]), box.size_m)
     for box in shape_boxes:
         points = put_box(points, origin, (box.x_m, box.y_m), box.size_m)
@@ -183,6 +193,7 @@ class World:
     is_obedient: bool = True
     place_m: float = 0.0
     acceleration: float = 0.0
+    is_plain: bool = False
 
     @property
     def mode(self) -> str:

@@ -83,6 +83,8 @@ def test_silence(config: SafetyConfig) -> None:
     assert ask("silence", config, silent=("wish",), speed_mps=0.0) == (LIMIT, "wish.silent", 0.0)
     assert ask("silence", config, frozen=("lidar/front",))[:2] == (STOP, "lidar/front.frozen")
     assert ask("silence", config, machine=None)[0] is NONE
+    assert ask("silence", config, odom=None)[:2] == (STOP, "odom.invalid")
+    assert ask("silence", config, map_pose=None)[:2] == (STOP, "map_pose.invalid")
 
 
 @pytest.mark.parametrize("group", ["heartbeat", "motion", "steering", "cab"])
@@ -147,7 +149,8 @@ def test_tilt(config: SafetyConfig, axis: str, sign: int) -> None:
 
 def test_fence(config: SafetyConfig) -> None:
     assert ask("fence", config, fence_m=None) == (LIMIT, "fence.unknown", 0.0)
-    assert ask("fence", config, fence_m=0.0)[:2] == (STOP, "fence.outside")
+    assert ask("fence", config, fence_m=-1.0)[:2] == (STOP, "fence.outside")
+    assert ask("fence", config, fence_m=0.0) == (LIMIT, "fence", 0.0)
     for way in around(0.2, 0.01):
         response, _, limit = ask("fence", config, fence_m=way)
         assert response is LIMIT

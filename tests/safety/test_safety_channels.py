@@ -1,0 +1,222 @@
+"""Tracked obstacles, geofence, and the arithmetic of the command."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from safety_world import START_NS, around, straight_path
+
+from configs.site import Area, DatumConfig, Gate, Lane, Pose2, Site
+from configs.vehicle import Vehicle
+from messages.command import Wish
+from messages.perception import ObstacleClass, Track, Tracks
+from safety.bodies import shape_of
+from safety.config import SafetyConfig
+from safety.drive import allowed_slowing, eased, rising, slowing, steered, stopping, target_speed
+from safety.fence import Fence, fence_of, is_within, way_inside_m
+from safety.gauge import direction_of, is_forced, position_sigma_m
+from safety.lookout import class_at
+from safety.motion import Trail, from_frame, tilt_of, to_frame
+from safety.stopping import Braking
+from safety.sweep import Sweep, arc_poses, spaced, sweep_along
+from safety.tracked import NO_THREAT, is_moving, threat_in
+
+from safety_world import machine_state  # isort: skip
+
+NOMINAL = Braking(0.6, 0.4, 2.5)
+HERE = np.zeros(3)
+
+
+def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0, sigma: float = 0.1, label=ObstacleClass.PERSON,
+          size=(0.5, 0.5, 1.7), is_confirmed: bool = True) -> Track:  # fmt: skip
+    covariance = np.diag([0.01, 0.01, sigma**2, sigma**2])
+    return Track(1, label, 0.9, np.array([x, y, 0.8]), np.array([vx, vy, 0.0]), covariance, np.array(size), 0.0,
+                 START_NS, START_NS, is_confirmed, ("lidar/front",))  # fmt: skip
+
+
+@pytest.fixture
+def sweep(vehicle: Vehicle, implement, config: SafetyConfig) -> Sweep:
+    s = spaced(14.0, 0.4)
+    return sweep_along(shape_of(vehicle, implement), 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
+
+
+def gap(sweep: Sweep, config: SafetyConfig, *tracks: Track, stop_s: float = 2.0) -> float:
+    return threat_in(sweep, Tracks(START_NS, tracks), HERE, stop_s, config.tracked).gap_m
+
+
+def test_who_will_step_into_the_way_counts(sweep: Sweep, config: SafetyConfig) -> None:
+    assert gap(sweep, config, track(10.0, 5.0, vy=-1.4)) == pytest.approx(6.5, abs=0.8)
+    assert math.isinf(gap(sweep, config, track(10.0, 5.0, vy=1.4)))
+    assert math.isinf(gap(sweep, config, track(10.0, 5.0)))
+    assert math.isinf(gap(sweep, config, track(10.0, 8.0, vy=-1.0)))
+    assert gap(sweep, config, track(10.0, 8.0, vy=-1.0), stop_s=4.5) < 8.0
+
+
+def test_who_goes_along_or_away_does_not(sweep: Sweep, config: SafetyConfig) -> None:
+    assert math.isinf(gap(sweep, config, track(10.0, 4.5, vx=1.4)))
+    assert math.isinf(gap(sweep, config, track(-8.0, 0.0, vx=-1.4)))
+    assert math.isinf(gap(sweep, config, track(10.0, 5.0, vy=-0.3)))
+
+
+def test_who_comes_towards_the_machine_is_nearer_than_he_stands(sweep: Sweep, config: SafetyConfig) -> None:
+    standing, coming = (gap(sweep, config, track(10.0, 0.0, vx=v)) for v in (0.0, -1.4))
+    assert standing == pytest.approx(6.25, abs=0.1)
+    assert coming == pytest.approx(10 - 3.5 - 2.8 - 0.25 - 0.3 - 0.2, abs=0.2)
+
+
+def test_what_stands_counts_by_its_class(sweep: Sweep, config: SafetyConfig) -> None:
+    for label in ObstacleClass:
+        assert math.isinf(gap(sweep, config, track(9.0, 0.0, label=label))) == (label is ObstacleClass.UNKNOWN)
+    assert math.isinf(gap(sweep, config, track(9.0, 0.0, is_confirmed=False)))
+    assert math.isinf(gap(sweep, config, track(math.nan, 0.0)))
+    assert gap(sweep, config, track(9.0, 0.0), track(7.0, 0.0)) == pytest.approx(3.25, abs=0.1)
+    turned = replace(track(10.0, 4.5, size=(4.0, 1.0, 1.5), label=ObstacleClass.VEHICLE), yaw_rad=math.pi / 2)
+    assert math.isfinite(gap(sweep, config, turned))
+    assert math.isinf(gap(sweep, config, replace(turned, yaw_rad=0.0, p_odom_m=np.array([10.0, 5.0, 0.5]))))
+
+
+def test_no_tracks_no_threat(sweep: Sweep, config: SafetyConfig) -> None:
+    assert threat_in(sweep, None, HERE, 2.0, config.tracked) == NO_THREAT
+
+
+def test_moving_needs_speed_and_certainty(config: SafetyConfig) -> None:
+    for speed in around(0.4, 0.01):
+        assert is_moving(track(0, 0, vx=speed), config.tracked) == (speed >= 0.4), speed
+    for sigma in around(0.5, 0.01):
+        assert is_moving(track(0, 0, vx=1.0, sigma=sigma), config.tracked) == (sigma <= 0.5 + 1e-12), sigma
+    assert not is_moving(track(0, 0, vx=math.nan), config.tracked)
+
+
+def test_class_of_the_cause() -> None:
+    tracks = Tracks(START_NS, (track(9.0, 0.0, label=ObstacleClass.ANIMAL), track(5.0, 0.0, is_confirmed=False)))
+    assert class_at(np.array([[8.8, 0.1]]), tracks) is ObstacleClass.ANIMAL
+    assert class_at(np.array([[5.0, 0.1]]), tracks) is ObstacleClass.UNKNOWN
+
+
+L_SHAPE = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 4.0), (4.0, 4.0), (4.0, 10.0), (0.0, 10.0)])
+
+
+def test_point_in_polygon() -> None:
+    for x in around(4.0, 0.01):
+        assert is_within(np.array([[x, 7.0]]), L_SHAPE)[0] == (x < 4.0), x
+        assert is_within(np.array([[7.0, x]]), L_SHAPE)[0] == (x < 4.0), x
+        assert is_within(np.array([[x, 7.0]]), L_SHAPE[::-1])[0] == (x < 4.0), x
+    grid = np.stack(np.meshgrid(np.arange(-0.95, 11.0, 0.5), np.arange(-0.95, 11.0, 0.5)), -1).reshape(-1, 2)
+    inside = (grid > 0).all(1) & (grid < 10).all(1) & ~((grid > 4).all(1))
+    assert np.array_equal(is_within(grid, L_SHAPE), inside)
+
+
+@pytest.fixture
+def site() -> Site:
+    return Site(
+        name="s", version=1, datum=DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=100.0),
+        boundary_m=((0.0, 0.0), (50.0, 0.0), (50.0, 50.0), (0.0, 50.0)),
+        no_go=(Area(name="pond", outline_m=((20.0, 20.0), (25.0, 20.0), (25.0, 25.0))),),
+        lanes=(Lane(name="lane", center_m=((-30.0, -20.0), (10.0, -20.0), (10.0, 0.0)), width_m=8.0),),
+        gates=(Gate(name="gate", posts_m=((6.0, 0.0), (14.0, 0.0))),),
+        yard=Area(name="yard", outline_m=((-60.0, -40.0), (-30.0, -40.0), (-30.0, 0.0), (-60.0, 0.0))),
+        start=Pose2(x_m=-45.0, y_m=-20.0, heading_deg=0.0), is_fenced=True,
+        shed=Area(name="shed", outline_m=((-80.0, -40.0), (-60.0, -40.0), (-60.0, -20.0), (-80.0, -20.0))),
+    )  # fmt: skip
+
+
+def test_fence_of_a_site(site: Site) -> None:
+    fence = fence_of(site)
+    inside = [(5, 5), (-45, -20), (-29.9, -20), (-30.0, -20), (10, -1), (10, 0), (10, 0.9), (13, -22), (-70, -30)]
+    outside = [(22, 21), (-10, -10), (51, 10), (10, -25), (15, -23), (-61, -10)]
+    assert fence.holds(np.array(inside, float)).all()
+    assert not fence.holds(np.array(outside, float)).any()
+    assert not fence_of(site.model_copy(update={"shed": None})).holds(np.array([[-70.0, -30.0]])).any()
+
+
+def test_way_inside() -> None:
+    fence = Fence((L_SHAPE,))
+    points = np.array([(x, 2.0) for x in np.arange(5.0, 15.0, 0.5)])
+    ways = np.arange(0.0, 10.0, 0.5)
+    assert way_inside_m(fence, points, ways, 0.5) == pytest.approx(4.5)
+    assert way_inside_m(fence, points[:5], ways[:5], 0.5) == math.inf
+    assert way_inside_m(fence, points[-5:], ways[:5], 0.5) == -1.0
+    assert way_inside_m(fence, points[-5:], ways[1:6], 1.0) == 0.0
+
+
+def wish(speed: float = 2.0, acceleration: float = 0.0, curvature: float = 0.0) -> Wish:
+    return Wish(START_NS, speed, acceleration, curvature, True, True, 1, 0.0, 0.0, 0.0, False)
+
+
+def test_target_speed() -> None:
+    assert target_speed(None, 5.0, 0.0, 0.1) == 0.0
+    assert target_speed(wish(math.nan), 5.0, 0.0, 0.1) == 0.0
+    assert target_speed(wish(2.0), 5.0, 0.0, 0.1) == 2.0
+    assert target_speed(wish(-2.0), 1.0, 0.0, 0.1) == -1.0
+    assert target_speed(wish(-2.0), 1.0, 1.0, 0.1) == 0.0
+    for allowed in around(0.1, 0.01):
+        assert (target_speed(wish(2.0), allowed, 0.0, 0.1) > 0.0) == (allowed >= 0.1), allowed
+
+
+def test_rising_is_limited_and_falling_is_not() -> None:
+    assert rising(2.0, 1.0, 1.0, 0.1) == pytest.approx(1.1)
+    assert rising(-2.0, -1.0, -1.0, 0.1) == pytest.approx(-1.1)
+    assert rising(0.5, 1.0, 1.0, 0.1) == 0.5
+    assert rising(0.0, 1.0, 1.0, 0.1) == 0.0
+    assert rising(2.0, 0.0, 1.5, 0.1) == pytest.approx(1.6)
+    assert rising(2.0, -1.0, -1.0, 0.1) == pytest.approx(0.1)
+
+
+def test_slowing(config: SafetyConfig) -> None:
+    braking = config.braking
+    assert slowing(wish(), 3.0, 2.0, math.inf, NOMINAL, braking) == 0.0
+    assert slowing(wish(acceleration=-0.7), 3.0, 2.0, math.inf, NOMINAL, braking) == 0.7
+    assert slowing(wish(acceleration=math.nan), 3.0, 2.0, math.inf, NOMINAL, braking) == 0.0
+    assert slowing(None, 3.0, 2.0, math.inf, NOMINAL, braking) == 0.0
+    assert slowing(wish(acceleration=-99.0), 3.0, 2.0, math.inf, NOMINAL, braking) == braking.full_mps2
+    for over in around(0.05, 0.01):
+        asked = slowing(wish(), 2.0, 2.0 + over, math.inf, NOMINAL, braking)
+        assert (asked > 0.0) == (over > 0.05 + 1e-9), over
+    assert slowing(wish(), 0.0, 3.0, 1.5, NOMINAL, braking) == braking.full_mps2
+    assert slowing(wish(), 2.0, 2.2, 20.0, NOMINAL, braking) < 2.0
+    assert allowed_slowing(2.0, Braking(0.6, 0.4, 0.0)) == 0.0
+
+
+def test_stopping_and_easing(config: SafetyConfig) -> None:
+    assert stopping(2.0, math.inf, config.braking) == config.braking.controlled_mps2
+    assert stopping(3.0, 2.0, config.braking) == pytest.approx(9.0 / 2.0 / 1.1)
+    assert eased(1.0, 0.0, 1.5, 0.06) == 0.06
+    assert eased(1.6, 0.0, 1.5, 0.06) == 1.6
+    assert eased(0.2, 1.0, 1.5, 0.06) == 0.2
+
+
+def test_steered() -> None:
+    assert steered(None, 0.1, 0.2, 0.01) == 0.1
+    assert steered(wish(curvature=math.nan), 0.1, 0.2, 0.01) == 0.1
+    assert steered(wish(curvature=9.0), 0.1, 0.2, 1.0) == 0.2
+    assert steered(wish(curvature=-9.0), 0.1, 0.2, 0.01) == pytest.approx(0.09)
+
+
+def test_direction() -> None:
+    back = straight_path(direction=-1)
+    assert direction_of(0.5, back, None, -1) == 1
+    assert direction_of(-0.5, None, None, 1) == -1
+    assert direction_of(0.05, back, wish(2.0), 1) == -1
+    assert direction_of(None, straight_path(), None, -1) == 1
+    assert direction_of(0.0, None, wish(-1.0), 1) == -1
+    assert direction_of(0.0, None, wish(1.0), -1) == 1
+    assert direction_of(0.0, None, wish(0.0), -1) == -1
+    assert direction_of(0.0, None, None, -1) == -1
+
+
+def test_hand_force_and_sigma() -> None:
+    for torque in around(2.0, 0.1):
+        assert is_forced(machine_state(0, hand_torque_nm=-torque), 2.0) == (torque >= 2.0 - 1e-12), torque
+    assert is_forced(machine_state(0, hand_torque_nm=math.nan), 2.0)
+    assert not is_forced(None, 2.0)
+    assert position_sigma_m(None) == 0.0
+
+
+def test_frames_and_trail() -> None:
+    pose = np.array([3.0, -2.0, 0.7])
+    points = np.array([[1.0, 2.0], [-4.0, 0.5]])
+    assert from_frame(pose, to_frame(pose, points)) == pytest.approx(points)
+    assert all(math.isnan(angle) or angle == 0.0 for angle in tilt_of(np.full((4, 4), np.nan)))
+    with pytest.raises(ValueError, match="empty"):
+        Trail().pose_at(0)
