@@ -5,12 +5,12 @@ import itertools
 import time
 
 import numpy as np
+from localization_drive import DATUM, START_NS, Truth, tractor
 
 from configs.strict import CONFIGS, parse, read_yaml
 from localization.localizer import LocalizationConfig, Localizer
 from messages.faults import Fault
 from messages.motion import LidarMotion, MapPose, Odometry
-from tests.localization.trajectory import DATUM, START_NS, Truth, tractor
 
 STEP_NS = 20_000_000
 

@@ -104,7 +104,7 @@ def _height(x, y, furrow_m):
     z = 0.6 * np.sin(k * x) + 0.5 * np.cos(k * y * 0.8) + 0.035 * y
     zx = 0.6 * k * np.cos(k * x)
     zy = -0.5 * k * 0.8 * np.sin(k * y * 0.8) + 0.035
-    for length, phase in ((3.1, 0.3), (7.7, 1.1)):
+    for length, phase in ((6.3, 0.3), (17.0, 1.1)):
         q = 2 * np.pi / length
         z = z + furrow_m * np.sin(q * (x + 0.4 * y) + phase)
         zx = zx + furrow_m * q * np.cos(q * (x + 0.4 * y) + phase)
@@ -163,7 +163,7 @@ def _height_fast(x, y, furrow_m):
     k = 2 * math.pi / 120.0
     zx = 0.6 * k * math.cos(k * x)
     zy = -0.5 * k * 0.8 * math.sin(k * y * 0.8) + 0.035
-    for length, phase in ((3.1, 0.3), (7.7, 1.1)):
+    for length, phase in ((6.3, 0.3), (17.0, 1.1)):
         q = 2 * math.pi / length
         slope = furrow_m * q * math.cos(q * (x + 0.4 * y) + phase)
         zx, zy = zx + slope, zy + 0.4 * slope
