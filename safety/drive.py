@@ -28,12 +28,11 @@ def allowed_slowing(speed_mps: float, braking: Braking) -> float:
 
 
 def target_speed(wish: Wish | None, allowed_mps: float, measured_mps: float, creep_mps: float) -> float:
-    """The signed wish within what is allowed; 0 when too little is left, the wish is no number or turns round."""
-    if wish is None or not math.isfinite(wish.speed_mps):
+    """The signed wish within what is allowed; 0 when too little is allowed, the wish is no number or turns round."""
+    if wish is None or not math.isfinite(wish.speed_mps) or allowed_mps < creep_mps:
         return 0.0
-    size = min(abs(wish.speed_mps), allowed_mps)
     is_turning_round = wish.speed_mps * measured_mps < 0.0 and abs(measured_mps) > 2.0 * creep_mps
-    return 0.0 if size < creep_mps or is_turning_round else math.copysign(size, wish.speed_mps)
+    return 0.0 if is_turning_round else math.copysign(min(abs(wish.speed_mps), allowed_mps), wish.speed_mps)
 
 
 def rising(target_mps: float, before_mps: float, measured_mps: float, step_mps: float) -> float:

@@ -150,6 +150,8 @@ def test_target_speed() -> None:
     assert target_speed(wish(2.0), 5.0, 0.0, 0.1) == 2.0
     assert target_speed(wish(-2.0), 1.0, 0.0, 0.1) == -1.0
     assert target_speed(wish(-2.0), 1.0, 1.0, 0.1) == 0.0
+    assert target_speed(wish(0.03), 5.0, 0.0, 0.1) == 0.03  # control's own last centimetres
+    assert math.copysign(1.0, target_speed(wish(0.0), 5.0, 0.0, 0.1)) == 1.0
     for allowed in around(0.1, 0.01):
         assert (target_speed(wish(2.0), allowed, 0.0, 0.1) > 0.0) == (allowed >= 0.1), allowed
 
