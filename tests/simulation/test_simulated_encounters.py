@@ -164,13 +164,13 @@ def test_bad_encounter_is_refused(change):
         parse(Scenario, values, "test")
 
 
-def drive_into(encounter, seed):
+def drive_into(encounter, seed, seconds=21.0):
     """An unslowed machine on a swath with one encounter."""
     scenario = DEMO.model_copy(update={"encounters": (encounter,)})
     paths = straight_paths(count=1, length_m=60.0)
     config = flat(machine={"tyres": {"angle_zero_deg": 0.0, "soil_side_mps2": 0.0}})
     farm = Farm(scenario=scenario, paths=paths, seed=seed, config=config)
-    farm.get_going(10 / 3.6, seconds=21.0)
+    farm.get_going(10 / 3.6, seconds=seconds)
     truths = [m for t, m in farm.outputs if t == "truth_objects"]
     machine = [m for t, m in farm.outputs if t == "truth_machine"][-1]
     farm.close()
@@ -188,7 +188,7 @@ def test_ablation_ends_in_one_contact(encounter):
 
 
 def test_truth_box_and_gap():
-    truths, _ = drive_into(DEMO.encounters[2], 3)
+    truths, _ = drive_into(DEMO.encounters[2], 3, 1.0)
     first = truths[0].objects[0]
     assert first.size_m == pytest.approx([3.8, 1.66, 1.65], abs=0.03)
     assert first.velocity_mps == pytest.approx([0.0, 0.0, 0.0])
@@ -200,7 +200,7 @@ def test_leaving_the_field_is_counted_once_a_leaving():
     farm = Farm()
     farm.curvature_radpm = 0.0
     farm.get_going(5.0)
-    farm.drive(16.0)
+    farm.drive(14.0)
     machine = [m for t, m in farm.outputs if t == "truth_machine"]
     farm.close()
     counts = [m.exits for m in machine]

@@ -101,7 +101,7 @@ def test_hitch_moves_no_faster_than_it_can(hitch, target):
 def test_trailer_follows_on_a_smaller_circle():
     farm = Farm(implement=TRAILER, config=flat(machine={"tyres": {"soil_side_mps2": 0.0}}))
     farm.curvature_radpm = 0.1
-    farm.get_going(1.5, seconds=40.0)
+    farm.get_going(1.5, seconds=25.0)
     m = farm.machine
     farm.close()
     radius = m.speed_mps / m.yaw_rate_radps
