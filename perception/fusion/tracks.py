@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
@@ -68,11 +69,16 @@ class Table:
 
 @dataclass(frozen=True)
 class Detections:
-    """One sensor's obstacles in `odom`, K rows; `still` is the share of old cells, `velocity_mps` may be NaN."""
+    """One sensor's obstacles in `odom`, K rows; `R` (K, 2, 2) is the noise of their centres.
+
+    `still` is the share of cells occupied for long, `velocity_mps` may be NaN, `has_returns` holds for lidars.
+    """
 
     stamp_ns: int
     sensor: int
     p_m: Float64
+    R: Float64
+    has_returns: npt.NDArray[np.bool_]
     size_m: Float64
     yaw_rad: Float64
     velocity_mps: Float64
@@ -88,12 +94,18 @@ def to_odom(
     yaw = yaw_of(T_odom_base)
     c, s = np.cos(yaw), np.sin(yaw)
     counts = np.diff(obstacles.offsets).astype(np.float64)
-    worth = np.minimum(counts, config.most_returns)
+    # a lidar's returns are evidence by their number; a radar or camera tells one thing by one detection
+    is_lidar = np.full(len(counts), obstacles.sensor.startswith("lidar"))
+    worth = np.minimum(counts, config.most_returns) ** 1.5 * config.most_returns**-0.5
     points = apply(T_odom_base, obstacles.points_base_m)
+    center = np.asarray(apply(T_odom_base, obstacles.center_base_m), np.float64)
+    R = box_noise(obstacles.size_m, obstacles.yaw_rad + yaw, config.position_sigma_m, config.size_share)
+    if len(obstacles.sigma_m):
+        R = box_noise(obstacles.sigma_m, obstacles.yaw_rad + yaw, 0.0, 1.0)
     return Detections(
-        obstacles.stamp_ns, sensor, np.asarray(apply(T_odom_base, obstacles.center_base_m), np.float64), obstacles.size_m,
+        obstacles.stamp_ns, sensor, center, R, is_lidar, obstacles.size_m,
         (obstacles.yaw_rad + yaw + np.pi / 2) % np.pi - np.pi / 2,
-        obstacles.velocity_mps @ np.array([[c, s], [-s, c]]), np.where(counts > 0, worth, config.other_returns),
+        obstacles.velocity_mps @ np.array([[c, s], [-s, c]]), np.where(is_lidar, worth, config.other_returns),
         np.log(np.maximum(obstacles.class_scores, 0.01)),
         stillness.observe(points.astype(np.float32), obstacles.offsets, obstacles.stamp_ns),
     )  # fmt: skip
@@ -112,9 +124,8 @@ def empty_table() -> Table:
 def begin(seen: Detections, rows: Int64, first_id: int, config: TrackerConfig) -> Table:
     """New tracks from detections that belong to none."""
     n = len(rows)
-    R = box_noise(seen.size_m[rows], seen.yaw_rad[rows], config.position_sigma_m, config.size_share)
     x, P = np.zeros((n, 4)), np.zeros((n, 4, 4))
-    x[:, :2], P[:, :2, :2] = seen.p_m[rows, :2], R
+    x[:, :2], P[:, :2, :2] = seen.p_m[rows, :2], seen.R[rows]
     measured = np.isfinite(seen.velocity_mps[rows]).all(axis=1)
     x[measured, 2:] = seen.velocity_mps[rows][measured]
     sigma = np.where(measured, config.velocity_sigma_mps, config.first_speed_mps)
@@ -135,8 +146,7 @@ def move(table: Table, dt_s: float, config: TrackerConfig) -> None:
 
 def match(table: Table, seen: Detections, config: TrackerConfig) -> tuple[Int64, Int64]:
     """Rows of tracks and of detections that belong together: least total cost within the gate."""
-    R = box_noise(seen.size_m, seen.yaw_rad, config.position_sigma_m, config.size_share)
-    d2, cost = distances(table.x, table.P, np.ascontiguousarray(seen.p_m[:, :2]), R)
+    d2, cost = distances(table.x, table.P, np.ascontiguousarray(seen.p_m[:, :2]), seen.R)
     cost = np.where(d2 <= config.gate_sigma**2, cost, REFUSED)
     tracks, detections = linear_sum_assignment(cost)
     good = cost[tracks, detections] < REFUSED
@@ -148,13 +158,15 @@ def update(
 ) -> None:
     """Tracks corrected in place by the detections matched to them."""
     x, P = table.x[tracks], table.P[tracks]
-    R = box_noise(seen.size_m[rows], seen.yaw_rad[rows], config.position_sigma_m, config.size_share)
-    correct(x, P, seen.p_m[rows, :2], R, 0)
+    correct(x, P, seen.p_m[rows, :2], seen.R[rows], 0)
     _correct_velocity(x, P, seen, rows, stillness, config)
     table.x[tracks], table.P[tracks] = x, P
-    table.height_m[tracks] = seen.p_m[rows, 2]
-    table.size_m[tracks] += 0.5 * (seen.size_m[rows] - table.size_m[tracks])
-    table.yaw_rad[tracks] = seen.yaw_rad[rows]
+    # only returns measure a box: radar and cameras guess it
+    boxed = seen.has_returns[rows] | (table.sensors[tracks] == 1 << seen.sensor)
+    theirs, mine = tracks[boxed], rows[boxed]
+    table.height_m[theirs] = seen.p_m[mine, 2]
+    table.size_m[theirs] += 0.5 * (seen.size_m[mine] - table.size_m[theirs])
+    table.yaw_rad[theirs] = seen.yaw_rad[mine]
     table.returns[tracks] = np.minimum(table.returns[tracks] + seen.returns[rows], 20.0 * config.most_returns)
     table.evidence[tracks] = config.class_memory * table.evidence[tracks] + seen.log_scores[rows]
     table.last_ns[tracks] = seen.stamp_ns

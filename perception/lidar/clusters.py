@@ -24,6 +24,8 @@ class ClusterConfig(Config):
     join_m: float = Field(gt=0.0, le=2.0)
     join_growth: float = Field(ge=0.0, le=0.1, description="added per metre of distance, m/m")
     min_returns: int = Field(ge=1, le=50)
+    least_fill: float = Field(ge=0.0, le=1.0, description="returns over beams that cross the outline")
+    sure_returns: int = Field(ge=1, le=1000, description="so many need not fill their outline: wire, twigs")
     least_height_m: float = Field(gt=0.0, le=1.0, description="a cluster that is nowhere higher is uneven ground")
     overhead_m: float = Field(ge=0.0, le=3.0, description="above the machine's height, from where nothing matters")
     least_top_m: float = Field(gt=0.0, le=5.0, description="what stands this high is taken whole before a low machine")
@@ -44,55 +46,72 @@ def keep(clusters: Clusters, wanted: npt.NDArray[np.bool_]) -> Clusters:
     return Clusters(offsets, clusters.indices[np.repeat(wanted, sizes)])
 
 
-def find_clusters(points_base_m: Float32, level: UInt8, center_m: Float64, config: ClusterConfig) -> Clusters:
-    """Clusters of returns (N, 3) in `base`; `level` (N,): 2 solid, 1 low (joins what stands in its cell), 0 neither."""
+def new_board(config: ClusterConfig) -> Int32:
+    """An empty grid to number cells on, kept from scan to scan since clearing it costs more than using it."""
     width = 2 * math.ceil(config.reach_m / config.cell_m) + 1
-    cell = np.empty(len(points_base_m), np.int32)
-    cells, centroid = _occupy(points_base_m, level, center_m, width, config.cell_m, cell)
-    label, count = _join(cells, centroid, center_m, width, config.cell_m, config.join_m, config.join_growth)
-    offsets, indices = _gather(cell, label, count, config.min_returns)
+    return np.full((width, width), -1, np.int32)
+
+
+def find_clusters(
+    points_base_m: Float32, level: UInt8, center_m: Float64, config: ClusterConfig, board: Int32
+) -> Clusters:
+    """Clusters of returns (N, 3) in `base`; `level` (N,): 2 solid, 1 low (joins what stands in its cell), 0 neither.
+
+    `board` is from `new_board`; it is clean again afterwards.
+    """
+    width = board.shape[0]
+    number = board.reshape(-1)
+    cell = np.full(len(points_base_m), -1, np.int32)
+    cells = _occupy(points_base_m, level, center_m, width, config.cell_m, number, cell)
+    centroid = _middles(points_base_m, level, cell, len(cells))
+    label, count = _join(cells, number, centroid, center_m, width, config.cell_m, config.join_m, config.join_growth)
+    number[cells] = -1
+    offsets, indices = _gather(cell, level, label, count, config.min_returns)
     return Clusters(offsets, indices)
 
 
 @kernel
 def _occupy(
-    points: Float32, level: UInt8, center: Float64, width: int, cell_m: float, cell: Int32
-) -> tuple[Int32, Float64]:
-    """Occupied cells (K,) of the grid in the order found, their mean returns (K, 2); `cell` (N,) gets k or -1."""
-    n = points.shape[0]
-    number = np.full(width * width, -1, np.int32)
-    keys = np.empty(n, np.int32)
-    total = np.zeros((n, 3))
-    half, k = width // 2, 0
-    for i in range(n):
-        cell[i] = -1
-        if level[i] != 2:
-            continue
-        u = math.floor((points[i, 0] - center[0]) / cell_m + 0.5) + half
-        v = math.floor((points[i, 1] - center[1]) / cell_m + 0.5) + half
-        if u < 0 or v < 0 or u >= width or v >= width:
-            continue
-        key = u * width + v
-        if number[key] < 0:
-            number[key] = k
-            keys[k] = key
-            k += 1
-        c = number[key]
-        cell[i] = c
-        total[c, 0] += points[i, 0]
-        total[c, 1] += points[i, 1]
-        total[c, 2] += 1.0
-    for i in range(n):
-        if level[i] != 1:
-            continue
-        u = math.floor((points[i, 0] - center[0]) / cell_m + 0.5) + half
-        v = math.floor((points[i, 1] - center[1]) / cell_m + 0.5) + half
-        if 0 <= u < width and 0 <= v < width:
-            cell[i] = number[u * width + v]
-    centroid = np.empty((k, 2))
-    for c in range(k):
-        centroid[c, 0], centroid[c, 1] = total[c, 0] / total[c, 2], total[c, 1] / total[c, 2]
-    return keys[:k].copy(), centroid
+    points: Float32, level: UInt8, center: Float64, width: int, cell_m: float, number: Int32, cell: Int32
+) -> Int32:
+    """Places (K,) of occupied cells in the order found; `number` (width²,) and `cell` (N,) get k where -1 stood."""
+    n, k = points.shape[0], 0
+    keys, solid = np.empty(n, np.int32), np.zeros(n, np.int32)
+    u0 = np.float32(width // 2 + 0.5 - center[0] / cell_m)
+    v0 = np.float32(width // 2 + 0.5 - center[1] / cell_m)
+    scale, end = np.float32(1.0 / cell_m), np.float32(width)
+    for wanted in (2, 1):
+        for i in range(n):
+            if level[i] != wanted:
+                continue
+            u, v = points[i, 0] * scale + u0, points[i, 1] * scale + v0
+            if not (0.0 <= u < end and 0.0 <= v < end):
+                continue
+            key = int(u) * width + int(v)
+            c = number[key]
+            if wanted == 1:
+                # one return alone may be noise, and would make an object of the ground below it
+                cell[i] = c if c >= 0 and solid[c] > 1 else -1
+                continue
+            if c < 0:
+                c = number[key] = k
+                keys[k] = key
+                k += 1
+            cell[i] = c
+            solid[c] += 1
+    return keys[:k].copy()
+
+
+@kernel
+def _middles(points: Float32, level: UInt8, cell: Int32, count: int) -> Float64:
+    """Mean of the solid returns of each cell, (K, 2)."""
+    total = np.zeros((count, 3))
+    for i in range(points.shape[0]):
+        if level[i] == 2 and cell[i] >= 0:
+            total[cell[i], 0] += points[i, 0]
+            total[cell[i], 1] += points[i, 1]
+            total[cell[i], 2] += 1.0
+    return total[:, :2] / total[:, 2:]
 
 
 @kernel
@@ -105,13 +124,11 @@ def _root(parent: Int32, k: int) -> int:
 
 @kernel
 def _join(
-    keys: Int32, centroid: Float64, center: Float64, width: int, cell_m: float, join_m: float, growth: float
-) -> tuple[Int32, int]:
+    keys: Int32, number: Int32, centroid: Float64, center: Float64, width: int, cell_m: float, join_m: float,
+    growth: float,
+) -> tuple[Int32, int]:  # fmt: skip
     """Label (K,) of each cell, numbered in the order of the cells, and how many labels there are."""
     n = keys.shape[0]
-    number = np.full(width * width, -1, np.int32)
-    for k in range(n):
-        number[keys[k]] = k
     parent = np.arange(n).astype(np.int32)
     for k in range(n):
         x, y = centroid[k, 0], centroid[k, 1]
@@ -143,17 +160,19 @@ def _join(
 
 
 @kernel
-def _gather(cell: Int32, label: Int32, count: int, min_returns: int) -> tuple[Int32, Int32]:
-    """Offsets and indices of the clusters with enough returns, in the order of their labels."""
-    size = np.zeros(count, np.int32)
+def _gather(cell: Int32, level: UInt8, label: Int32, count: int, min_returns: int) -> tuple[Int32, Int32]:
+    """Offsets and indices of the clusters with enough solid returns, in the order of their labels."""
+    size, solid = np.zeros(count, np.int32), np.zeros(count, np.int32)
     for i in range(cell.shape[0]):
         if cell[i] >= 0:
             size[label[cell[i]]] += 1
+            if level[i] == 2:
+                solid[label[cell[i]]] += 1
     offsets = np.zeros(count + 1, np.int32)
     kept = np.full(count, -1, np.int32)
     k = 0
     for c in range(count):
-        if size[c] >= min_returns:
+        if solid[c] >= min_returns:
             kept[c] = k
             offsets[k + 1] = offsets[k] + size[c]
             k += 1

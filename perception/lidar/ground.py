@@ -19,12 +19,14 @@ from pydantic import Field
 from configs.strict import Config
 from messages.message import Float32, Float64, Int32, UInt8
 from perception.kernels import kernel
+from perception.lidar.grid import Grid, heights_above, sort_into_cells
 
 LAYER_M = 0.05  # height resolution of the search for the lowest dense layer
 LAYERS = 5  # so many make the thickness of ground: furrows, stubble, noise
 LOOK_BACK = 4  # bins before a cell that predict it
 LOOK_ASIDE = 3  # sectors to either side that do
-TABLE_M = 0.25  # resolution of the table from range to bin
+ASIDE_WEIGHT = 1.0 / (1.0 + np.arange(-LOOK_ASIDE, LOOK_ASIDE + 1.0) ** 2)
+BLUR = 1.0 / (1.0 + np.arange(-2.0, 3.0)[:, None] ** 2 + 2.0 * np.arange(-1.0, 2.0)[None] ** 2)  # sectors by bins
 
 
 class GroundConfig(Config):
@@ -42,52 +44,27 @@ class GroundConfig(Config):
 
 
 @dataclass(frozen=True)
-class Grid:
-    """The polar grid about a sensor: `bin_table` maps range / TABLE_M to fractional bins, `range_m` are bin centres."""
-
-    sectors: int
-    bins: int
-    bin_table: Float64
-    range_m: Float64
-
-
-def build_grid(config: GroundConfig) -> Grid:
-    """The grid that a configuration describes; bin b starts where its share of log range says."""
-    ranges = np.arange(0.0, config.reach_m + 2 * TABLE_M, TABLE_M)
-    growth = max(config.bin_growth, 1e-6)
-    table = np.log1p(growth * ranges / config.first_bin_m) / math.log1p(growth)
-    bins = int(table[-2]) + 1
-    centers = config.first_bin_m / growth * (np.exp((np.arange(bins) + 0.5) * math.log1p(growth)) - 1.0)
-    return Grid(round(360.0 / config.sector_deg), bins, table, centers)
-
-
-@dataclass(frozen=True)
 class Ground:
     """Ground below the returns: `height_m` (N,) of each above it (NaN: not used), and the cells it came from.
 
+    `turn` (N,) is each return's direction from the sensor in sectors, counter-clockwise from straight behind.
     `cell_height_m` and `cell_weight` (sectors, bins): height of the ground in `base`, and how well it was seen
     (0 = carried on from elsewhere).
     """
 
     height_m: Float32
+    turn: Float32
     cell_height_m: Float64
     cell_weight: Float64
 
 
 def find_ground(points_base_m: Float32, usable: UInt8, center_m: Float64, grid: Grid, config: GroundConfig) -> Ground:
     """The ground below returns (N, 3) in `base`, seen by a sensor that stands at `center_m` (2,)."""
-    n = len(points_base_m)
-    place = np.empty((n, 2), np.float32)
-    starts = np.zeros(grid.sectors * grid.bins + 1, np.int32)
-    z = np.empty(n, np.float32)
-    _sort_into_cells(points_base_m, usable, center_m, grid.bin_table, grid.sectors, grid.bins, place, starts, z)
-    height = np.zeros((grid.sectors, grid.bins))
-    weight = np.zeros((grid.sectors, grid.bins))
+    place, starts, z = sort_into_cells(points_base_m, usable, center_m, grid)
+    height, weight = np.zeros((2, grid.sectors, grid.bins))
     _propagate(z, starts, grid.range_m, config.max_slope, config.step_m, height, weight)
     smooth = _smooth(height, weight, grid.range_m, config.step_m)
-    above = np.empty(n, np.float32)
-    _heights(points_base_m, place, smooth, above)
-    return Ground(above, smooth, weight)
+    return Ground(heights_above(points_base_m, place, smooth), place[:, 0], smooth, weight)
 
 
 def fit_plane(ground: Ground, center_m: Float64, grid: Grid, radius_m: float) -> Float64:
@@ -109,63 +86,15 @@ def fit_plane(ground: Ground, center_m: Float64, grid: Grid, radius_m: float) ->
 
 
 @kernel
-def _angle(y: float, x: float) -> float:
-    """atan2 to 2e-4 rad, several times faster: it only picks a sector."""
-    ax, ay = abs(x), abs(y)
-    big = max(ax, ay)
-    a = min(ax, ay) / big if big > 0.0 else 0.0
-    s = a * a
-    r = ((-0.0464964749 * s + 0.15931422) * s - 0.327622764) * s * a + a
-    if ay > ax:
-        r = 0.5 * math.pi - r
-    if x < 0.0:
-        r = math.pi - r
-    return -r if y < 0.0 else r
-
-
-@kernel
-def _sort_into_cells(
-    points: Float32, usable: UInt8, center: Float64, bin_table: Float64, sectors: int, bins: int,
-    place: Float32, starts: Int32, z: Float32,
-) -> None:  # fmt: skip
-    """Fractional sector and bin of each return (bin -1: outside) and the heights sorted by cell."""
-    n = points.shape[0]
-    cells = np.empty(n, np.int32)
-    limit = (bin_table.shape[0] - 2) * TABLE_M
-    for i in range(n):
-        cells[i] = -1
-        place[i, 1] = -1.0
-        if usable[i] == 0:
-            continue
-        x, y = points[i, 0] - center[0], points[i, 1] - center[1]
-        r = math.sqrt(x * x + y * y)
-        if r >= limit:
-            continue
-        k = int(r / TABLE_M)
-        b = bin_table[k] + (r / TABLE_M - k) * (bin_table[k + 1] - bin_table[k])
-        s = (_angle(y, x) + math.pi) * (sectors / (2.0 * math.pi))
-        place[i, 0], place[i, 1] = s, b
-        cells[i] = min(int(s), sectors - 1) * bins + min(int(b), bins - 1)
-        starts[cells[i] + 1] += 1
-    for c in range(starts.shape[0] - 1):
-        starts[c + 1] += starts[c]
-    fill = starts[:-1].copy()
-    for i in range(n):
-        if cells[i] >= 0:
-            z[fill[cells[i]]] = points[i, 2]
-            fill[cells[i]] += 1
-
-
-@kernel
 def _propagate(
     z: Float32, starts: Int32, range_m: Float64, max_slope: float, step_m: float, height: Float64, weight: Float64
 ) -> None:
     sectors, bins = height.shape
     seen = np.zeros(sectors)  # range up to which each sector's chain rests on returns
-    trust = np.zeros((sectors, bins))
+    trust, slope = np.zeros((sectors, bins)), np.zeros((sectors, bins))
     for b in range(bins):
         for s in range(sectors):
-            predicted = _predict(height, trust, range_m, s, b, max_slope)
+            predicted, slope[s, b] = _predict(height, slope, trust, range_m, s, b, max_slope)
             gap = range_m[b] - seen[s]
             reach = min(step_m + max_slope * gap, 1.0)
             c = s * bins + b
@@ -179,25 +108,30 @@ def _propagate(
 
 
 @kernel
-def _predict(height: Float64, trust: Float64, range_m: Float64, s: int, b: int, max_slope: float) -> float:
-    """Height at a cell by the plane through the cells before it; the machine's plane is their prior."""
+def _predict(
+    height: Float64, slope: Float64, trust: Float64, range_m: Float64, s: int, b: int, max_slope: float
+) -> tuple[float, float]:
+    """Height and slope at a cell by the line through the cells before it; their own slopes are its prior."""
     sectors = height.shape[0]
-    w_sum, x_sum, h_sum, xx, xh = 1e-6, 0.0, 0.0, 0.0, 0.0
+    w_sum, x_sum, h_sum, xx, xh, prior = 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(max(0, b - LOOK_BACK), b):
         x = range_m[j] - range_m[b]
         for d in range(-LOOK_ASIDE, LOOK_ASIDE + 1):
-            k = (s + d) % sectors
-            w = trust[k, j] / (1.0 + d * d)
+            k = s + d
+            if not 0 <= k < sectors:
+                k %= sectors
+            w = trust[k, j] * ASIDE_WEIGHT[d + LOOK_ASIDE]
             w_sum += w
             x_sum += w * x
             h_sum += w * height[k, j]
             xx += w * x * x
             xh += w * x * height[k, j]
+            prior += w * slope[k, j]
     spread = xx - x_sum * x_sum / w_sum
-    # 4 m² of prior at slope 0: two cells alone do not tilt the ground
-    slope = (xh - x_sum * h_sum / w_sum) / (spread + 4.0)
-    slope = min(max(slope, -max_slope), max_slope)
-    return (h_sum - slope * x_sum) / w_sum
+    # worth 4 m²: two cells alone do not tilt the ground; slowly level, where nothing is seen for long
+    tilt = (xh - x_sum * h_sum / w_sum + 4.0 * 0.97 * prior / w_sum) / (spread + 4.0)
+    tilt = min(max(tilt, -max_slope), max_slope)
+    return (h_sum - tilt * x_sum) / w_sum, tilt
 
 
 @kernel
@@ -248,37 +182,20 @@ def _smooth(height: Float64, weight: Float64, range_m: Float64, step_m: float) -
     sectors, bins = height.shape
     surface = height.copy()
     for turn in range(2):
-        before = surface.copy()
+        before, trusted = surface.copy(), weight.copy()
+        if turn > 0:
+            off = ((height - before) / (0.5 * step_m)) ** 2
+            trusted /= 1.0 + off * off
         for s in range(sectors):
             for b in range(bins):
                 w_sum, h_sum = 1e-3, 1e-3 * before[s, b]
                 for d in range(-2, 3):
-                    k = (s + d) % sectors
+                    k = s + d
+                    if not 0 <= k < sectors:
+                        k %= sectors
                     for j in range(max(0, b - 1), min(bins, b + 2)):
-                        w = weight[k, j] / (1.0 + d * d + 2 * (j - b) * (j - b))
-                        off = (height[k, j] - before[k, j]) / step_m
-                        if turn > 0:
-                            w /= 1.0 + off * off * off * off * 16.0
+                        w = trusted[k, j] * BLUR[d + 2, j - b + 1]
                         w_sum += w
                         h_sum += w * height[k, j]
                 surface[s, b] = h_sum / w_sum
     return surface
-
-
-@kernel
-def _heights(points: Float32, place: Float32, surface: Float64, above: Float32) -> None:
-    """Height of each return above the surface, bilinear between cell centres; NaN outside the grid."""
-    sectors, bins = surface.shape
-    for i in range(points.shape[0]):
-        if place[i, 1] < 0.0:
-            above[i] = np.nan
-            continue
-        s, b = place[i, 0] - 0.5, max(place[i, 1] - 0.5, 0.0)
-        j = min(int(b), bins - 2)
-        v = min(b - j, 1.0)
-        k = math.floor(s)
-        u = s - k
-        k0, k1 = k % sectors, (k + 1) % sectors
-        near = (1.0 - u) * surface[k0, j] + u * surface[k1, j]
-        far = (1.0 - u) * surface[k0, j + 1] + u * surface[k1, j + 1]
-        above[i] = points[i, 2] - ((1.0 - v) * near + v * far)

@@ -16,8 +16,10 @@ from configs.vehicle import Lidar
 from messages.message import Float32, Float64, Int64, UInt8
 from messages.perception import HealthState
 from perception.kernels import kernel
+from perception.lidar.grid import ENOUGH
 
 RANGES_M = np.arange(1.0, 201.0)
+STEEPEST, STEPS = 2.0, 2000.0  # tangent up to which rings are told apart, and steps a unit of it
 OWN_SHELL_M = 1.5  # the box round the machine is larger than the machine: a sensor on the hood stands inside it
 
 
@@ -36,13 +38,13 @@ class HealthConfig(Config):
 class Expectation:
     """What a healthy lidar returns over flat ground, by sector and ring.
 
-    `edges_rad` (S + 1,) about the sensor in `base`; `ring_middle` (R - 1,) splits elevations (as tangents);
+    `edges_rad` (S + 1,) about the sensor in `base`; `ring_table` gives the ring by steps of the tangent of elevation;
     `ground_m` (S, R) level range of the ground (infinite: looks up, or too far); `beams` (S, R) expected returns;
     `target_returns` (200,) on the target at RANGES_M; `nominal_m` (S,) the proven range when all is well.
     """
 
     edges_rad: Float64
-    ring_middle: Float64
+    ring_table: Int64
     ground_m: Float64
     beams: Float64
     target_returns: Float64
@@ -65,9 +67,11 @@ def expect(lidar: Lidar, own: Float64, config: HealthConfig) -> Expectation:
     beams = lidar.columns * (360.0 / lidar.field_of_view_deg) / sectors * seen[:, None] * np.isfinite(ground)
     returns = _target_returns(lidar, order, T[2, 3], config)
     tangents = np.tan(order)
-    fresh = Expectation(edges, (tangents[:-1] + tangents[1:]) / 2, ground, beams, returns, np.zeros(sectors))
+    steps = np.arange(-STEEPEST, STEEPEST, 1.0 / STEPS) + 0.5 / STEPS
+    table = np.searchsorted((tangents[:-1] + tangents[1:]) / 2, steps).astype(np.int64)
+    fresh = Expectation(edges, table, ground, beams, returns, np.zeros(sectors))
     nominal = proven_range(fresh, beams, config, lidar.range_m[1])
-    return Expectation(edges, fresh.ring_middle, ground, beams, returns, nominal)
+    return Expectation(edges, table, ground, beams, returns, nominal)
 
 
 def _wrap(angle: Float64) -> Float64:
@@ -97,51 +101,61 @@ def _target_returns(lidar: Lidar, order: Float64, height_m: float, config: Healt
     return np.asarray(columns * rings, np.float64)
 
 
-def count_beams(
-    points_m: Float32, points_base_m: Float32, usable: UInt8, center_m: Float64, seen: Expectation
-) -> Float64:
-    """Usable returns by sector and ring, (S, R)."""
+def count_beams(points_m: Float32, turn: Float32, turns: int, usable: UInt8, seen: Expectation) -> Float64:
+    """Usable returns by sector and ring, (S, R); `turn` (N,) is each one's direction in `turns` parts of the turn."""
     counts = np.zeros(seen.ground_m.shape, np.int64)
-    _count(points_m, points_base_m, usable, center_m, seen.ring_middle, counts)
-    return counts.astype(np.float64)
+    stride = max(1, len(points_m) // ENOUGH)
+    _count(points_m, turn, turns, usable, stride, seen.ring_table, counts)
+    return counts.astype(np.float64) * stride
 
 
 @kernel
-def _count(points: Float32, base: Float32, usable: UInt8, center: Float64, middle: Float64, counts: Int64) -> None:
+def _count(points: Float32, turn: Float32, turns: int, usable: UInt8, stride: int, table: Int64, counts: Int64) -> None:
     sectors = counts.shape[0]
-    for i in range(points.shape[0]):
+    share = np.float32(sectors / turns)
+    for i in range(0, points.shape[0], stride):
         if usable[i] == 0:
             continue
-        tangent = points[i, 2] / math.sqrt(points[i, 0] * points[i, 0] + points[i, 1] * points[i, 1] + 1e-12)
-        ring = np.searchsorted(middle, tangent)
-        azimuth = math.atan2(base[i, 1] - center[1], base[i, 0] - center[0])
-        counts[min(int((azimuth + math.pi) / (2 * math.pi) * sectors), sectors - 1), ring] += 1
+        flat = math.sqrt(points[i, 0] * points[i, 0] + points[i, 1] * points[i, 1])
+        tangent = points[i, 2] / max(flat, np.float32(1e-6))
+        steep = min(max(tangent, np.float32(-STEEPEST)), np.float32(STEEPEST))
+        k = min(int((steep + np.float32(STEEPEST)) * np.float32(STEPS)), table.shape[0] - 1)
+        counts[min(int(turn[i] * share), sectors - 1), table[k]] += 1
 
 
 def proven_range(seen: Expectation, counts: Float64, config: HealthConfig, reach_m: float) -> Float64:
     """Range (S,) within which the target would have been seen."""
     proven = np.zeros(len(counts))
-    for s in range(len(counts)):
-        rings = np.flatnonzero(seen.beams[s] > 0.5)
-        if len(rings):
-            parts = seen.ground_m[s, rings], counts[s, rings], seen.beams[s, rings]
-            proven[s] = _proven_in_sector(*parts, seen, config, reach_m)
+    least = config.target_returns
+    _proven(seen.ground_m, counts, seen.beams, seen.target_returns, config.silent_share, least, reach_m, proven)
     return proven
 
 
-def _proven_in_sector(
-    ground_m: Float64, counts: Float64, beams: Float64, seen: Expectation, config: HealthConfig, reach_m: float
-) -> float:
-    order = np.argsort(ground_m, kind="stable")
-    kernel3 = np.ones(3)
-    # elevations of a real lidar are off their table by part of a ring: neighbours are counted together
-    share = np.convolve(counts[order], kernel3, "same") / np.convolve(beams[order], kernel3, "same")
-    silent = np.flatnonzero(share < config.silent_share)
-    reached = reach_m if len(silent) == 0 else float(ground_m[order][silent[0]]) if silent[0] > 0 else 0.0
-    kept = share[: silent[0]] if len(silent) else share
-    mean = float(min(1.0, kept.mean())) if len(kept) else 0.0
-    enough = np.flatnonzero(seen.target_returns * mean >= config.target_returns)
-    return min(reached, float(RANGES_M[enough[-1]]) if len(enough) else 0.0)
+@kernel
+def _proven(
+    ground: Float64, counts: Float64, beams: Float64, target: Float64, silent: float, least: float, reach_m: float,
+    proven: Float64,
+) -> None:  # fmt: skip
+    """Rings are ordered by elevation, so that their ground lies ever farther out."""
+    rings = ground.shape[1]
+    for s in range(ground.shape[0]):
+        reached, shares, good = reach_m, 0.0, 0
+        for r in range(rings):
+            if beams[s, r] < 0.5:
+                continue
+            # elevations of a real lidar are off their table by part of a ring: neighbours are counted together
+            first, last = max(0, r - 1), min(rings, r + 2)
+            share = counts[s, first:last].sum() / max(beams[s, first:last].sum(), 1e-9)
+            if share < silent:
+                reached = ground[s, r] if good > 0 else 0.0
+                break
+            shares += min(share, 1.0)
+            good += 1
+        if good == 0:
+            continue
+        for k in range(target.shape[0]):
+            if target[k] * shares / good >= least and RANGES_M[k] <= reached:
+                proven[s] = RANGES_M[k]
 
 
 def judge(proven_m: Float64, nominal_m: Float64, config: HealthConfig) -> tuple[HealthState, str]:

@@ -15,8 +15,10 @@ from messages.sensors import LidarScan
 from perception.kernels import kernel
 from perception.lidar.boxes import describe
 from perception.lidar.classes import class_scores
-from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, keep
-from perception.lidar.ground import Grid, Ground, GroundConfig, build_grid, find_ground, fit_plane
+from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, keep, new_board
+from perception.lidar.evidence import beams_of, expected_returns
+from perception.lidar.grid import Grid, build_grid
+from perception.lidar.ground import Ground, GroundConfig, find_ground, fit_plane
 from perception.lidar.health import HealthConfig, count_beams, expect, judge, proven_range
 from perception.lidar.points import MaskConfig, motion_of, own_boxes, to_base
 
@@ -105,9 +107,12 @@ class Pipeline:
         self._T: Float64 = lidar.mount.T_base_sensor
         self._center = self._T[:2, 3].copy()
         self._own = own_boxes(vehicle, implement, config.mask)
-        self._grid: Grid = build_grid(config.ground)
+        g = config.ground
+        self._grid: Grid = build_grid(g.sector_deg, g.first_bin_m, g.bin_growth, g.reach_m)
         self._front = (vehicle.body.front_m, vehicle.body.width_m / 2)
         self._top_m = max(vehicle.body.height_m, config.clusters.least_top_m) + config.clusters.overhead_m
+        self._board = new_board(config.clusters)
+        self._beams = beams_of(lidar)
         self.expectation = expect(lidar, self._own, config.health)
 
     def run(
@@ -120,19 +125,22 @@ class Pipeline:
         solid = np.empty(len(points), np.uint8)
         g = self.config.ground
         _levels(points, ground.height_m, self._center, g.solid_m, g.solid_growth, g.foot_m, self._top_m, level, solid)
-        clusters = find_clusters(points, level, self._center, self.config.clusters)
+        clusters = find_clusters(points, level, self._center, self.config.clusters, self._board)
         plane = fit_plane(ground, self._center, self._grid, self.config.plane_radius_m)
         return (
             LidarGround(scan.stamp_ns, scan.stamp_ns, solid, plane),
             self._obstacles(scan.stamp_ns, sensor, clusters, points, ground, level),
-            self._health(scan, points, usable, sensor, dropped),
+            self._health(scan, ground, usable, sensor, dropped),
         )
 
     def _obstacles(
         self, stamp_ns: int, sensor: str, found: Clusters, points: Float32, ground: Ground, level: UInt8
     ) -> Obstacles:
         boxes = describe(found, points, ground.height_m, level, self._front)
-        high = boxes.top_m >= self.config.clusters.least_height_m
+        limits, counts = self.config.clusters, np.diff(found.offsets)
+        expected = expected_returns(self._beams, boxes.center_m, boxes.size_m, boxes.yaw_rad)
+        filled = (counts >= limits.least_fill * expected) | (counts >= limits.sure_returns)
+        high = filled & (boxes.top_m >= limits.least_height_m)
         kept = keep(found, high)
         size, yaw = boxes.size_m[high], boxes.yaw_rad[high]
         return Obstacles(
@@ -141,9 +149,9 @@ class Pipeline:
             points[kept.indices],
         )  # fmt: skip
 
-    def _health(self, scan: LidarScan, points: Float32, usable: UInt8, sensor: str, dropped: int) -> SensorHealth:
+    def _health(self, scan: LidarScan, ground: Ground, usable: UInt8, sensor: str, dropped: int) -> SensorHealth:
         seen, config = self.expectation, self.config.health
-        counts = count_beams(scan.points_m, points, usable, self._center, seen)
+        counts = count_beams(scan.points_m, ground.turn, self._grid.sectors, usable, seen)
         proven = proven_range(seen, counts, config, self._reach_m)
         state, reason = judge(proven, seen.nominal_m, config)
         return SensorHealth(scan.stamp_ns, sensor, state, reason, seen.edges_rad.copy(), proven, dropped)

@@ -50,31 +50,37 @@ def to_base(
     """
     out = np.empty((len(points_m), 3), np.float32)
     usable = np.empty(len(points_m), np.uint8)
-    _to_base(points_m, offset_s, np.ascontiguousarray(T_base_sensor[:3]), np.array(motion), own, out, usable)
+    reach = float(np.hypot(*np.abs(own[:, :, :2]).max(axis=(0, 1)))) if len(own) else 0.0
+    T = T_base_sensor[:3].astype(np.float32)
+    _to_base(points_m, offset_s, T, np.array(motion), own.astype(np.float32), np.float32(reach**2), out, usable)
     return out, usable
 
 
 @kernel
 def _to_base(
-    points: Float32, offset: Float32, T: Float64, motion: Float64, own: Float64, out: Float32, usable: UInt8
-) -> None:
+    points: Float32, offset: Float32, T: Float32, motion: Float64, own: Float32, reach2: np.float32,
+    out: Float32, usable: UInt8,
+) -> None:  # fmt: skip
     for i in range(points.shape[0]):
-        px, py, pz = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
         y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
         z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+        # before the motion is taken out: the machine's own parts move along with the sensor
+        good = True
+        near = x * x + y * y < reach2
+        for k in range(own.shape[0] if near else 0):
+            if own[k, 0, 0] < x < own[k, 1, 0] and own[k, 0, 1] < y < own[k, 1, 1] and own[k, 0, 2] < z < own[k, 1, 2]:
+                good = False
         t = float(offset[i])
         if t != 0.0:
             # base as it was at t, seen from base at the stamp; the series is exact to 1e-6 rad within 0.3 rad
             a = motion[2] * t
             s, c = a * (1.0 - a * a / 6.0), 1.0 - a * a / 2.0 + a * a * a * a / 24.0
             along, across = t * (1.0 - a * a / 6.0), t * a / 2.0
-            x, y = c * x - s * y, s * x + c * y
-            x += motion[0] * along - motion[1] * across
-            y += motion[0] * across + motion[1] * along
+            u = c * x - s * y + motion[0] * along - motion[1] * across
+            v = s * x + c * y + motion[0] * across + motion[1] * along
+            x, y = np.float32(u), np.float32(v)
         out[i, 0], out[i, 1], out[i, 2] = x, y, z
-        good = np.isfinite(x + y + z) and px * px + py * py + pz * pz > 1e-4
-        for k in range(own.shape[0]):
-            if own[k, 0, 0] < x < own[k, 1, 0] and own[k, 0, 1] < y < own[k, 1, 1] and own[k, 0, 2] < z < own[k, 1, 2]:
-                good = False
+        good = good and np.isfinite(x + y + z) and px * px + py * py + pz * pz > 1e-4
         usable[i] = 1 if good else 0

@@ -1,0 +1,242 @@
+"""How obstacles are judged against labels: the strict rule, pasted objects, gaps, latencies and false stops."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from time import perf_counter, thread_time
+
+import numpy as np
+
+from benchmarks.perception_kitti_data import (
+    BUMPER_M, FRAMES, LIDAR_XYZ_M, PERIOD_NS, START_NS, Label, car, configs, frame, labels, scan_of, sensor,
+)  # fmt: skip
+from geometry.transforms import invert
+from messages.message import Float32, Float64, Message
+from messages.motion import Odometry
+from messages.perception import LidarGround, Obstacles, Tracks
+from perception.fusion.tracker import Tracker
+from perception.lidar.obstacles import LidarObstacles
+
+HALF_WIDTH_M = 1.4
+SCAN, OBSTACLES, GROUND = "lidar/top", "obstacles/lidar_top", "ground/top"
+
+
+class Feed:
+    """An inbox with one message a topic, new and fresh."""
+
+    def __init__(self, **messages: Message) -> None:
+        self._messages = messages
+
+    def last(self, topic, kind):  # type: ignore[no-untyped-def]
+        """The message of a topic."""
+        return self._messages.get(topic.replace("/", "__"))
+
+    latest = last
+
+    def at(self, topic, kind, stamp_ns):  # type: ignore[no-untyped-def]
+        """The same, whatever the time."""
+        return self.last(topic, kind)
+
+    def all(self, topic, kind):  # type: ignore[no-untyped-def]
+        """The message as the only one."""
+        return tuple(m for m in (self.last(topic, kind),) if m is not None)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the node said of one scan, and how long it took."""
+
+    points_m: Float32
+    obstacles: Obstacles
+    ground: LidarGround
+    wall_s: float
+
+
+@cache
+def new_node() -> LidarObstacles:
+    """The node for the recording car, set up once."""
+    return LidarObstacles("top", sensor(), car(), None, configs()[0])
+
+
+def perceive(points_m: Float32, stamp_ns: int = START_NS) -> Result:
+    """One scan through the node's own pipeline."""
+    node, scan = new_node(), scan_of(points_m, stamp_ns)
+    start = perf_counter()
+    ground, obstacles, _ = node._pipeline.run(scan, None, node.name, 0)
+    return Result(scan.points_m, obstacles, ground, perf_counter() - start)
+
+
+@dataclass(frozen=True)
+class Score:
+    """The strict rule's two shares for one object, with its returns and the distance of its nearest one."""
+
+    returns: int
+    edge_m: float
+    share: float
+    near: float
+
+    @property
+    def counts(self) -> bool:
+        """One cluster holds half of the box, and half of that cluster lies about the box."""
+        return self.share >= 0.5 and self.near >= 0.5
+
+
+def strict(points_m: Float32, obstacles: Obstacles, label: Label) -> Score:
+    """The score of the cluster with most returns in the box."""
+    inside = label.contains(points_m)
+    n = int(inside.sum())
+    edge = float(np.hypot(points_m[inside, 0], points_m[inside, 1]).min()) if n else np.inf
+    sizes = np.diff(obstacles.offsets)
+    hits = np.bincount(np.repeat(np.arange(len(sizes)), sizes), inside[obstacles.indices], len(sizes))
+    if n == 0 or len(sizes) == 0 or hits.max() == 0:
+        return Score(n, edge, 0.0, 0.0)
+    k = int(hits.argmax())
+    own = points_m[obstacles.indices[obstacles.offsets[k] : obstacles.offsets[k + 1]]]
+    return Score(n, edge, float(hits[k]) / n, float(label.contains(own, 0.5).mean()))
+
+
+def thin(points_m: Float32, share: float, rng: np.random.Generator) -> Float32:
+    """A random share of the returns."""
+    return points_m if share >= 1.0 else points_m[rng.random(len(points_m)) < share]
+
+
+def recall(share: float = 1.0, seed: int = 0, least: int = 10) -> Iterator[tuple[int, Label, Score]]:
+    """Frame, label and score of each object that has enough returns before thinning."""
+    rng = np.random.default_rng(seed)
+    for number in range(FRAMES):
+        whole = frame(number)
+        points = thin(whole, share, rng)
+        result = perceive(points)
+        for label in labels().get(number, ()):
+            inside = label.contains(whole)
+            if inside.sum() >= least:
+                score = strict(points, result.obstacles, label)
+                edge = float(np.hypot(whole[inside, 0], whole[inside, 1]).min())
+                yield number, label, Score(score.returns, edge, score.share, score.near)
+
+
+def gap_errors() -> Float64:
+    """Reported less true gap before the bumper for each labelled object that was found."""
+    errors = []
+    for number in range(FRAMES):
+        result = perceive(frame(number))
+        for label in labels().get(number, ()):
+            inside = label.contains(result.points_m)
+            o = result.obstacles
+            sizes = np.diff(o.offsets)
+            hits = np.bincount(np.repeat(np.arange(len(sizes)), sizes), inside[o.indices], len(sizes))
+            if inside.sum() < 10 or hits.max() < 0.5 * inside.sum():
+                continue
+            # what stands: ground returns at the foot of the box are no part of the object
+            true = result.points_m[inside & (result.ground.is_solid == 1)]
+            errors.append(_gap(o.nearest_base_m[hits.argmax()] - LIDAR_XYZ_M) - min(_gap(p) for p in true))
+    return np.array(errors)
+
+
+def _gap(p_lidar_m: Float64 | Float32) -> float:
+    aside = max(abs(float(p_lidar_m[1])) - car().body.width_m / 2, 0.0)
+    return float(np.hypot(float(p_lidar_m[0]) - BUMPER_M, aside))
+
+
+@cache
+def poses() -> tuple[Float64, ...]:
+    """`T_odom_base` of each frame by KISS-ICP, since the recording has no speed."""
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.config.config import MappingConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    config = KISSConfig(mapping=MappingConfig(voxel_size=0.5))
+    config.data.max_range, config.data.deskew = 60.0, False
+    config.registration.max_num_threads = 1
+    icp = KissICP(config)
+    T = np.eye(4)
+    T[:3, 3] = LIDAR_XYZ_M
+    found = []
+    for number in range(FRAMES):
+        icp.register_frame(frame(number).astype(np.float64), np.zeros(0))
+        found.append(T @ icp.last_pose @ invert(T))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The recording driven through both nodes: one entry a scan used."""
+
+    numbers: tuple[int, ...]
+    results: tuple[Result, ...]
+    tracks: tuple[Tracks, ...]
+    tracker_s: tuple[float, ...]
+
+
+def drive(numbers: Sequence[int], change: Callable[[int, Float32], Float32] = lambda _, p: p) -> Drive:
+    """Frames in their order, each changed first, through node and tracker at the frames' own times."""
+    tracker = Tracker([OBSTACLES], configs()[1])
+    results, told, walls = [], [], []
+    for number in numbers:
+        stamp = START_NS + number * PERIOD_NS
+        result = perceive(change(number, frame(number)), stamp)
+        odom = Odometry(stamp, poses()[number], 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
+        start = perf_counter()
+        told.append(dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odom)))["tracks"])
+        walls.append(perf_counter() - start)
+        results.append(result)
+    return Drive(tuple(numbers), tuple(results), tuple(told), tuple(walls))
+
+
+def latencies(run: Drive) -> dict[int, tuple[int, float]]:
+    """By object: frame of the first scan with ten returns, and seconds from it until a confirmed track stands there."""
+    first: dict[int, int] = {}
+    found: dict[int, tuple[int, float]] = {}
+    for number, result, tracks in zip(run.numbers, run.results, run.tracks, strict=True):
+        for label in labels().get(number, ()):
+            inside = label.contains(result.points_m)
+            if inside.sum() >= 10:
+                first.setdefault(label.id, number)
+            if label.id in first and label.id not in found and _is_tracked(tracks, label, poses()[number]):
+                found[label.id] = (first[label.id], (number - first[label.id]) * PERIOD_NS * 1e-9)
+    return {k: found.get(k, (f, np.inf)) for k, f in first.items()}
+
+
+def _is_tracked(tracks: Tracks, label: Label, T_odom_base: Float64) -> bool:
+    T = invert(T_odom_base)
+    at = [(T @ [*t.p_odom_m, 1.0])[:3] - LIDAR_XYZ_M for t in tracks.tracks if t.is_confirmed]
+    return len(at) > 0 and bool(label.contains(np.array(at, np.float32), 0.5).any())
+
+
+def false_stops(run: Drive, half_width_m: float = HALF_WIDTH_M) -> list[tuple[int, int, float]]:
+    """Frame, track and distance of confirmed tracks in the volume driven through later, away from all labels."""
+    found = []
+    for number, result, tracks in zip(run.numbers, run.results, run.tracks, strict=True):
+        T = poses()[number]
+        later = np.array([(invert(T) @ poses()[n])[:2, 3] for n in range(number, FRAMES)])
+        o = result.obstacles
+        p_odom = o.center_base_m @ T[:3, :3].T + T[:3, 3]
+        for track in tracks.tracks:
+            if not track.is_confirmed or len(p_odom) == 0:
+                continue
+            k = int(np.hypot(*(p_odom[:, :2] - track.p_odom_m[:2]).T).argmin())
+            points = o.points_base_m[o.offsets[k] : o.offsets[k + 1]]
+            inside = _in_way(points, later, half_width_m)
+            lidar = points[inside] - np.array(LIDAR_XYZ_M, np.float32)
+            near = np.zeros(len(lidar), bool)
+            for label in labels().get(number, ()):
+                near |= label.contains(lidar, 0.5)
+            if (~near).sum() >= 3:
+                found.append((number, track.id, float(lidar[~near, 0].min())))
+    return found
+
+
+def _in_way(points_m: Float32, later_m: Float64, half_width_m: float) -> np.ndarray:
+    """Which points the front of the car swept: ahead of the bumper now, within the half width of the way of its axle."""
+    front = car().body.front_m
+    inside = np.zeros(len(points_m), bool)
+    for a, b in zip(later_m[:-1], later_m[1:], strict=True):
+        along = b - a
+        length = float(np.hypot(*along))
+        if length < 0.02:
+            continue
+        u = along / length
+        d = points_m[:, :2] - a
+        s, aside = d @ u, np.abs(d[:, 0] * u[1] - d[:, 1] * u[0])
+        inside |= (s > front) & (s < front + length) & (aside < half_width_m)
+    return inside & (points_m[:, 0] > front)

@@ -1,0 +1,124 @@
+"""The polar grid about a sensor: where each return lies in it, and heights read from it."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from messages.message import Float32, Float64, Int32, UInt8
+from perception.kernels import kernel
+
+TABLE_M = 0.25  # resolution of the table from range to bin
+TINY, QUARTER, HALF = np.float32(1e-6), np.float32(0.5 * math.pi), np.float32(math.pi)
+C3, C5, C7 = np.float32(-0.327622764), np.float32(0.15931422), np.float32(-0.0464964749)
+ENOUGH = 40_000  # returns that tell the ground of a whole scan; of more, every second, third … is asked
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Sectors by bins: `bin_table` maps range / TABLE_M to fractional bins, `range_m` are bin centres."""
+
+    sectors: int
+    bins: int
+    bin_table: Float64
+    range_m: Float64
+
+
+def build_grid(sector_deg: float, first_bin_m: float, bin_growth: float, reach_m: float) -> Grid:
+    """The grid whose bins are `first_bin_m` wide at the sensor and widen by `bin_growth` a metre."""
+    ranges = np.arange(0.0, reach_m + 2 * TABLE_M, TABLE_M)
+    growth = max(bin_growth, 1e-6)
+    table = np.log1p(growth * ranges / first_bin_m) / math.log1p(growth)
+    bins = int(table[-2]) + 1
+    centers = first_bin_m / growth * (np.exp((np.arange(bins) + 0.5) * math.log1p(growth)) - 1.0)
+    return Grid(round(360.0 / sector_deg), bins, table, centers)
+
+
+def sort_into_cells(
+    points_base_m: Float32, usable: UInt8, center_m: Float64, grid: Grid
+) -> tuple[Float32, Int32, Float32]:
+    """Fractional sector and bin (N, 2) of each return (bin -1: outside), and heights sorted by cell.
+
+    The heights of cell c are `z[starts[c]:starts[c + 1]]`, c = sector * bins + bin.
+    """
+    n = len(points_base_m)
+    place = np.empty((n, 2), np.float32)
+    starts = np.zeros(grid.sectors * grid.bins + 1, np.int32)
+    z = np.empty(n, np.float32)
+    center, table = center_m.astype(np.float32), grid.bin_table.astype(np.float32)
+    _sort_into_cells(points_base_m, usable, center, table, grid.sectors, grid.bins, place, starts, z)
+    return place, starts, z
+
+
+@kernel
+def _angle(y: np.float32, x: np.float32) -> np.float32:
+    """atan2 to 2e-4 rad, several times faster: it only picks a sector."""
+    ax, ay = abs(x), abs(y)
+    a = min(ax, ay) / max(ax, ay, TINY)
+    s = a * a
+    r = ((C7 * s + C5) * s + C3) * s * a + a
+    if ay > ax:
+        r = QUARTER - r
+    if x < 0.0:
+        r = HALF - r
+    return -r if y < 0.0 else r
+
+
+@kernel
+def _sort_into_cells(
+    points: Float32, usable: UInt8, center: Float32, bin_table: Float32, sectors: int, bins: int,
+    place: Float32, starts: Int32, z: Float32,
+) -> None:  # fmt: skip
+    n = points.shape[0]
+    cells = np.full(n, -1, np.int32)
+    limit, steps = np.float32((bin_table.shape[0] - 2) * TABLE_M), np.float32(1.0 / TABLE_M)
+    scale, end = np.float32(sectors / (2.0 * math.pi)), np.float32(sectors - 1e-3)
+    stride = max(1, n // ENOUGH)
+    for i in range(n):
+        place[i, 0], place[i, 1] = 0.0, -1.0
+        if usable[i] == 0:
+            continue
+        x, y = points[i, 0] - center[0], points[i, 1] - center[1]
+        # rounding must not leave the turn
+        s = min(max((_angle(y, x) + HALF) * scale, np.float32(0.0)), end)
+        place[i, 0] = s
+        r = math.sqrt(x * x + y * y)
+        if r >= limit:
+            continue
+        k = int(r * steps)
+        b = bin_table[k] + (r * steps - np.float32(k)) * (bin_table[k + 1] - bin_table[k])
+        place[i, 1] = b
+        if i % stride == 0:
+            cells[i] = min(int(s), sectors - 1) * bins + min(int(b), bins - 1)
+            starts[cells[i] + 1] += 1
+    for c in range(starts.shape[0] - 1):
+        starts[c + 1] += starts[c]
+    fill = starts[:-1].copy()
+    for i in range(0, n, stride):
+        if cells[i] >= 0:
+            z[fill[cells[i]]] = points[i, 2]
+            fill[cells[i]] += 1
+
+
+def heights_above(points_base_m: Float32, place: Float32, surface_m: Float64) -> Float32:
+    """Height (N,) of each return above a surface (sectors, bins), bilinear between cell centres; NaN outside."""
+    above = np.empty(len(points_base_m), np.float32)
+    # one sector more at either end closes the turn without a modulo
+    closed = np.concatenate([surface_m[-1:], surface_m, surface_m[:1]]).astype(np.float32)
+    _heights(points_base_m, place, closed, above)
+    return above
+
+
+@kernel
+def _heights(points: Float32, place: Float32, surface: Float32, above: Float32) -> None:
+    bins, one, half = surface.shape[1], np.float32(1.0), np.float32(0.5)
+    for i in range(points.shape[0]):
+        if place[i, 1] < 0.0:
+            above[i] = np.nan
+            continue
+        s, b = place[i, 0] + half, max(place[i, 1] - half, np.float32(0.0))
+        k, j = int(s), min(int(b), bins - 2)
+        u, v = s - np.float32(k), min(b - np.float32(j), one)
+        near = (one - u) * surface[k, j] + u * surface[k + 1, j]
+        far = (one - u) * surface[k, j + 1] + u * surface[k + 1, j + 1]
+        above[i] = points[i, 2] - ((one - v) * near + v * far)
