@@ -8,7 +8,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Vehicle
-from geometry.transforms import Float64, apply, invert
+from geometry.transforms import Float64, apply, interpolate, invert
 from localization.scan_matching import Match, MatchingConfig, ScanMatcher, deskew
 from messages.errors import ConfigError
 from messages.motion import LidarMotion, Odometry
@@ -46,7 +46,7 @@ class LidarOdometry(Node):
         self._matcher = ScanMatcher(config.matching)
         self._waiting: dict[int, LidarScan] = {}
         self._previous_ns: int | None = None
-        self._step = np.eye(4)
+        self._step, self._step_ns = np.eye(4), 1
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """Matches each scan whose ground has become known."""
@@ -73,14 +73,15 @@ class LidarOdometry(Node):
         sweep = self._odom_between(inbox, stamp_ns - round(self._sweep_s * 1e9), stamp_ns)
         result = self._matcher.match(self._points(scan, ground, sweep), guess)
         self._step = invert(before) @ self._matcher.T_local_body
+        self._step_ns = stamp_ns - (previous_ns if previous_ns is not None else stamp_ns - 1)
         self._previous_ns = stamp_ns
         return [] if previous_ns is None else [_message(stamp_ns, previous_ns, invert(before), result)]
 
     def _odom_between(self, inbox: Inbox, start_ns: int, end_ns: int) -> Float64:
-        """Motion by dead reckoning; as far as in the step before where that is not known."""
+        """Motion by dead reckoning; as fast as in the step before where that is not known."""
         start, end = inbox.at("odom", Odometry, start_ns), inbox.at("odom", Odometry, end_ns)
         if start is None or end is None:
-            return self._step
+            return interpolate(np.eye(4), self._step, (end_ns - start_ns) / self._step_ns)
         return np.asarray(invert(start.T_odom_base) @ end.T_odom_base)
 
     def _points(self, scan: LidarScan, ground: LidarGround, sweep: Float64) -> Float64:
