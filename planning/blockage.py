@@ -12,7 +12,17 @@ from geometry.footprint import is_inside
 from geometry.polyline import Float64
 from messages.plan import LeftOut, Leg, Path
 from planning.configuration import MissionConfig
-from planning.detour import Detour, extent_m, ground_without, left_out, part_of, plan_detour, pose_at, resume_s_m
+from planning.detour import (
+    STRAIGHT_M,
+    Detour,
+    extent_m,
+    ground_without,
+    left_out,
+    part_of,
+    plan_detour,
+    pose_at,
+    resume_s_m,
+)
 from planning.obstacles import Standing, deepened
 from planning.path import begun_at, path_of, rest_of, spliced
 from planning.plan import Plan
@@ -122,7 +132,7 @@ def settle(
     rig: Rig,
     config: MissionConfig,
     new_id: NewId,
-) -> tuple[list[Path], LeftOut | None]:
+) -> tuple[list[Path], tuple[LeftOut, ...]]:
     """Back up to just behind the obstacle, as it is now seen, where work is worth it; then on; and what is left out."""
     line, stopped_m = rejoin.blocked.line, rejoin.blocked.stopped_m
     s_m = resume_s_m(line, rejoin.rejoin_m, seen.outline, stopped_m, rig, config)
@@ -134,11 +144,9 @@ def settle(
     else:
         s_m = rejoin.rejoin_m
     paths.append(rest_of(line, s_m, p_map_m, new_id(), rig))
-    outline = left_out(line, stopped_m, s_m, rig)
-    if len(outline) < 3:
-        return paths, None
-    area = Polygon(outline).buffer(0.0).area
-    return paths, LeftOut(f"{seen.label} stands on the line", float(area), outline)
+    reason = f"{seen.label} stands on the line"
+    outlines = left_out(line, stopped_m, s_m, rig)
+    return paths, tuple(LeftOut(reason, float(Polygon(o).buffer(0.0).area), o) for o in outlines)
 
 
 def _is_worth(path: Path, s_m: float, rejoin_s_m: float, config: MissionConfig) -> bool:
@@ -163,25 +171,32 @@ def _bypass(blocked: Blocked, allowed: BaseGeometry, plan: Plan, config: Mission
     path, tail_m, rig = blocked.trunk.path, blocked.trunk.tail_m, plan.rig
     space = Space(allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     here = int(path.stretch_index[min(int(np.searchsorted(path.s_m, blocked.s_m)), len(path.s_m) - 1)])
-    _, past, _, _ = extent_m(path, blocked.s_m, blocked.cause.outline)
+    _, past, _, _ = extent_m(path, blocked.s_m, blocked.cause.outline, rig.width_m)
     ahead = [t for t in path.stretches[here + 1 :] if t.leg in (Leg.SWATH, Leg.HEADLAND, Leg.LANE)]
-    for stretch in [t for t in ahead if path.s_m[t.first] > max(past, tail_m)][:BYPASS_STRETCHES]:
-        s = float(path.s_m[stretch.first])
-        for back in BYPASS_BACK_M:
-            if back > min(config.most_reverse_m, blocked.s_m):
-                continue
-            wanted = Wanted(pose_at(path, blocked.s_m - back), pose_at(path, s), 1.0, rig.config.line_up_m)
-            way = _any_way(wanted, space, plan, seed)
+    aims = [float(path.s_m[t.first]) for t in ahead if path.s_m[t.first] > max(past, tail_m)][:BYPASS_STRETCHES]
+    backs = [b for b in BYPASS_BACK_M if b <= min(config.most_reverse_m, blocked.s_m)]
+    line_up = rig.config.line_up_m
+    options = [
+        (s, b, Wanted(pose_at(path, blocked.s_m - b), pose_at(path, s), STRAIGHT_M, line_up))
+        for s in aims
+        for b in backs
+    ]
+    rings = [r.points_m for r in plan.rounds]
+    searches: tuple[Callable[[Wanted], Float64 | None], ...] = (
+        lambda w: curve_between(w, space, 20), lambda w: along_rounds(w, space, rings)
+    )  # fmt: skip
+    for search in searches:
+        for s, back, wanted in options:
+            way = search(wanted)
             if way is not None:
-                points = part_of(path, blocked.s_m, blocked.s_m - back) if back > 0.0 else np.empty((0, 2))
-                return Detour(points, way, blocked.s_m - back, s)
+                return _bypass_by(path, blocked.s_m, back, way, s)
+    for s, back, wanted in options[-1:]:
+        way = sampled(wanted, space, seed, rig.config.sampling_iterations)
+        if way is not None:
+            return _bypass_by(path, blocked.s_m, back, way, s)
     return None
 
 
-def _any_way(wanted: Wanted, space: Space, plan: Plan, seed: int) -> Float64 | None:
-    way = curve_between(wanted, space, 30)
-    if way is None:
-        way = along_rounds(wanted, space, [r.points_m for r in plan.rounds])
-    if way is None:
-        way = sampled(wanted, space, seed, plan.rig.config.sampling_iterations)
-    return way
+def _bypass_by(path: Path, s_m: float, back_m: float, way: Float64, rejoin_m: float) -> Detour:
+    points = part_of(path, s_m, s_m - back_m) if back_m > 0.0 else np.empty((0, 2))
+    return Detour(points, way, s_m - back_m, rejoin_m)

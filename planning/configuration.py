@@ -35,7 +35,7 @@ class MissionConfig(Config):
     standing_mps: float = Field(gt=0.0, le=1.0)
     clearance_m: Metres = Field(description="beside what is driven round; more than the supervisor's lateral margin")
     rear_clearance_m: Metres = Field(description="behind the implement when backing up to where work goes on")
-    unseen_depth_m: float = Field(ge=0.0, le=20.0, description="how far something may reach behind what is seen of it")
+    unseen_depth_m: float = Field(ge=0.0, le=20.0, description="least depth of what is seen from one side")
     look_m: Metres = Field(description="how far ahead on the path the cause of a stop is looked for")
     most_reverse_m: Metres
     reverse_kmh: Kmh

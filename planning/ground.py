@@ -11,6 +11,8 @@ from configs.site import Outline, Site
 from geometry.polygon import polygon_of, shrink
 from messages.errors import FieldError
 
+GATE_DEPTH_M = 1.2  # a fence stands that far outside the field at most
+
 
 @dataclass(frozen=True)
 class Ground:
@@ -44,7 +46,7 @@ def ground_of(site: Site, margin_m: float) -> Ground:
 
 
 def _openings(site: Site, lanes: list[Polygon]) -> BaseGeometry:
-    gates = [LineString(g.posts_m).buffer(0.5, cap_style="flat") for g in site.gates]
+    gates = [LineString(g.posts_m).buffer(GATE_DEPTH_M, cap_style="flat") for g in site.gates]
     return shapely.union_all(gates if site.is_fenced else [*gates, *lanes])
 
 

@@ -21,6 +21,7 @@ from planning.plan import Plan
 
 PERIOD_NS = 200_000_000
 BACK_CLEARANCE_M = 0.3
+EDGE_M = 0.4
 SEEN_AGAIN_M = 3.0  # a standing track so near to what was driven round is the same thing
 
 
@@ -45,6 +46,7 @@ class MissionNode(Node):
         self._blocked_ns: int | None = None
         self._detours = 0
         self._left_out: tuple[LeftOut, ...] = ()
+        self._ground = plan.ground.allowed.buffer(-EDGE_M)  # what stands beyond is fence or hedge
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """Start, follow, go on or find a way; the status goes out each time, a path when it is new."""
@@ -107,8 +109,7 @@ class MissionNode(Node):
         ground = ground_without(self._plan.ground.allowed, [o.outline for o in found], BACK_CLEARANCE_M)
         p = pose.T_map_base[:2, 3]
         paths, missed = settle(rejoin, seen, p, ground, self._plan.rig, self._config, self._new_id)
-        if missed is not None:
-            self._left_out = (*self._left_out, missed)
+        self._left_out = (*self._left_out, *missed)
         self._total_m = self._driven_m + sum(float(p.s_m[-1]) for p in paths)
         return paths
 
@@ -135,8 +136,7 @@ class MissionNode(Node):
 
     def _standing(self, pose: MapPose, inbox: Inbox) -> list[Standing]:
         tracks = inbox.latest("tracks", Tracks)
-        within = self._plan.ground.field.buffer(-0.5)
-        return standing(tracks, pose.T_map_odom, self._config.standing_mps, within)
+        return standing(tracks, pose.T_map_odom, self._config.standing_mps, self._ground)
 
     def _cause(self, found: list[Standing], pose: MapPose, supervisor: SupervisorState) -> Standing | None:
         path = self._path

@@ -64,10 +64,11 @@ def first_in_way(found: Sequence[Standing], bodies: Bodies, p_map_m: Float64, he
     return min(met, key=lambda s: (way.project(s.outline.centroid), s.outline.centroid.x), default=None)
 
 
-def deepened(outline: Polygon, from_m: Float64, by_m: float) -> Polygon:
-    """The outline prolonged away from a viewer, who has not seen what lies behind its face."""
-    centre = np.array(outline.centroid.coords[0])
-    away = centre - from_m
-    away = away / max(float(np.hypot(*away)), 1e-9) * by_m
-    moved = translate(outline, *away)
+def deepened(outline: Polygon, from_m: Float64, least_m: float) -> Polygon:
+    """The outline prolonged away from a viewer, who may have seen its face only, to `least_m` in all."""
+    away = np.array(outline.centroid.coords[0]) - from_m
+    away = away / max(float(np.hypot(*away)), 1e-9)
+    seen = np.asarray(outline.exterior.coords) @ away
+    by_m = max(0.0, least_m - float(np.ptp(seen)))
+    moved = translate(outline, *(away * by_m))
     return as_polygon(shapely.union(outline, moved).convex_hull)

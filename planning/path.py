@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.polyline import Float64, arc_length, at_length, curvatures, headings, project, smooth
+from geometry.polyline import Float64, arc_length, at_length, curvatures, extend, headings, project, smooth
 from messages.message import Int32, UInt8
 from messages.plan import Leg, Path, Stretch
 from planning.profile import speed_profile, speeding_up
@@ -16,18 +16,23 @@ from planning.turn import STEP_M
 from planning.ways import Piece
 
 FADE_M = 5.0  # over which an offset from a new path is taken back
+LEAST_SPACING_M = 0.02
+BEFORE_M = 0.5
 
 
 def path_of(
     pieces: Sequence[Piece], rig: Rig, path_id: int, is_last: bool, direction: int = 1, top_mps: float = np.inf
 ) -> Path:
-    """One path driven in one direction, from standstill to standstill, nowhere faster than `top_mps`."""
+    """One path driven in one direction, from standstill to standstill, nowhere faster than `top_mps`.
+
+    Ways back follow what was smoothed already; to smooth them again would turn their ends.
+    """
     points, owner = _joined(pieces)
     raw_s = arc_length(points)
     spaced = np.linspace(0.0, raw_s[-1], max(2, int(np.ceil(raw_s[-1] / STEP_M)) + 1))
     owner = owner[np.clip(np.searchsorted(raw_s, spaced - 1e-9), 0, len(owner) - 1)]
-    smoothed = smooth(at_length(points, spaced), rig.config.smoothing_m)
-    p, owner = _even(smoothed, owner)
+    spread = at_length(points, spaced)
+    p, owner = _even(smooth(spread, rig.config.smoothing_m) if direction > 0 else spread, owner)
     s, travel = arc_length(p), headings(p)
     heading = travel if direction > 0 else travel + np.pi
     curvature = curvatures(heading, s) * direction
@@ -81,10 +86,16 @@ def spliced(parts: Sequence[tuple[Path, int, int]], path_id: int) -> Path:
 
 
 def begun_at(points_m: Float64, p_map_m: Float64) -> Float64:
-    """The points from the place nearest to `p_map_m` on, drawn to it there; the offset fades over some metres."""
-    s, aside = project(points_m, p_map_m)
-    along = arc_length(points_m)
-    kept = points_m[min(int(np.searchsorted(along, s - 1e-9)), len(points_m) - 3) :]
+    """The points from the place nearest to `p_map_m` on, drawn to it there; the offset fades over some metres.
+
+    The machine may also stand a little before the first point.
+    """
+    longer = extend(points_m, BEFORE_M, 0.0)
+    s, aside = project(longer, p_map_m)
+    following = int(np.searchsorted(arc_length(longer), s + LEAST_SPACING_M))
+    first = min(max(following - 2, 0), len(points_m) - 3)
+    kept = points_m[first:].copy()
+    kept[0] = at_length(longer, np.array([s]))[0]
     way, heading = arc_length(kept), headings(kept)
     share = np.clip(way / min(FADE_M, max(float(way[-1]), 1e-6)), 0.0, 1.0)
     push = aside * (0.5 + 0.5 * np.cos(np.pi * share))

@@ -1,0 +1,102 @@
+"""A plan as a picture and as GeoJSON."""
+
+import json
+import math
+from pathlib import Path as FilePath
+from typing import Any
+
+import shapely
+from shapely.geometry import mapping
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import transform
+
+from configs.site import Site
+from geometry.polygon import parts
+from messages.plan import Leg
+from planning.plan import Plan
+
+COLOURS = {
+    Leg.LANE: "#404040", Leg.HEADLAND: "#1f5fa8", Leg.SWATH: "#1a7f37", Leg.TURN: "#d9822b", Leg.DETOUR: "#8a2be2",
+    Leg.DOCK: "#8a2be2",
+}  # fmt: skip
+
+
+def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
+    """Write a PNG: field, lanes, gate and yard, planned strips, and the way by legs."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 9), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes: Any = figure.add_subplot()
+    axes.set_aspect("equal")
+    for shape in parts(plan.planned_area):
+        _fill(axes, shape, "#cfe8cf")
+    for shape in (site.yard, *((site.shed,) if site.shed else ())):
+        axes.fill(*zip(*shape.outline_m, strict=True), color="#e6e0d4")
+    axes.plot(*zip(*site.boundary_m, site.boundary_m[0], strict=True), color="black", linewidth=1.5)
+    for area in site.no_go:
+        axes.fill(*zip(*area.outline_m, strict=True), color="#9cc4e4")
+    for gate in site.gates:
+        axes.plot(*zip(*gate.posts_m, strict=True), "s", color="#b22222", markersize=4)
+    shown: set[Leg] = set()
+    for path in plan.paths:
+        for t in path.stretches:
+            label = None if t.leg in shown else str(t.leg)
+            shown.add(t.leg)
+            line = path.p_map_m[t.first : t.last + 2]
+            axes.plot(line[:, 0], line[:, 1], color=COLOURS[t.leg], linewidth=1.0, label=label)
+    axes.set_title(
+        f"{site.name}: {plan.length_m:.0f} m, {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha planned"
+    )
+    axes.set_xlabel("east in m")
+    axes.set_ylabel("north in m")
+    axes.legend(loc="upper right", fontsize=8)
+    figure.savefig(file, format="png", dpi=110)
+
+
+def _fill(axes: Any, shape: shapely.Polygon, colour: str) -> None:
+    """A polygon with its holes left open."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    rings = [shape.exterior, *shape.interiors]
+    outline = Outline.make_compound_path(*(Outline(list(ring.coords)) for ring in rings))
+    axes.add_patch(PathPatch(outline, facecolor=colour, edgecolor="none"))
+
+
+def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
+    """A FeatureCollection in longitude and latitude: planned strips, each stretch of the way, and what is uncovered."""
+    datum = site.datum.datum
+
+    def degrees(x: float, y: float) -> tuple[float, float]:
+        latitude, longitude, _ = datum.to_ellipsoid(x, y, 0.0)
+        return round(math.degrees(longitude), 8), round(math.degrees(latitude), 8)
+
+    def feature(shape: BaseGeometry, **properties: Any) -> dict[str, Any]:
+        return {"type": "Feature", "properties": properties, "geometry": mapping(transform(_each(degrees), shape))}
+
+    found = [feature(plan.planned_area, kind="planned", area_m2=round(plan.planned_area.area, 1))]
+    for path in plan.paths:
+        for t in path.stretches:
+            points = path.p_map_m[t.first : t.last + 2]
+            if len(points) > 1:
+                found.append(feature(shapely.LineString(points), kind="way", leg=str(t.leg), line=t.line))
+    found += [
+        feature(u.outline, kind="uncovered", reason=u.reason, area_m2=round(u.area_m2, 1)) for u in plan.uncovered
+    ]
+    return {"type": "FeatureCollection", "name": site.name, "features": found}
+
+
+def write_geojson(plan: Plan, site: Site, file: FilePath) -> None:
+    """Write `plan_to_geojson` to a file."""
+    file.write_text(json.dumps(plan_to_geojson(plan, site)) + "\n", encoding="utf-8")
+
+
+def _each(degrees: Any) -> Any:
+    def convert(xs: Any, ys: Any, zs: Any = None) -> Any:
+        if isinstance(xs, float | int):
+            return degrees(xs, ys)
+        return tuple(zip(*(degrees(x, y) for x, y in zip(xs, ys, strict=True)), strict=True))
+
+    return convert
