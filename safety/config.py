@@ -93,6 +93,7 @@ class TrackedConfig(Config):
     moving_mps: Speed
     moving_sigmas: float = Field(ge=0.0, le=10.0)
     lateral_m: Metres
+    own_m: Metres = Field(description="a track this near to machine or implement is their own")
     least_horizon_s: Seconds
     most_horizon_s: Seconds
     steps: int = Field(ge=2, le=50)

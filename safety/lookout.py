@@ -149,7 +149,9 @@ class Lookout:
             hits = [eye.hits_odom_m for eye in self.eyes]
             self._gap = gap_in(way, thinned(np.concatenate([NOTHING, *hits]), THIN_M), pose_odom)
         stop_s = stopping_time(speed_mps, braking)
-        self._threat = threat_in(way.main, seen.tracks, pose_odom, stop_s, self._config.tracked)
+        self._threat = threat_in(
+            way.main, self._shape, seen.tracks, pose_odom, odom.curvature_radpm, stop_s, self._config.tracked
+        )
         self._fence_m = self._inside_m(pose_in_map(seen.map_pose, odom), way, speed_mps, braking)
 
     def _inside_m(self, pose_map: Float64 | None, way: Way, speed_mps: float, braking: Braking) -> float | None:

@@ -7,8 +7,10 @@ import numpy as np
 
 from messages.message import Float64
 from messages.perception import ObstacleClass, Track, Tracks
+from safety.bodies import Shape
 from safety.config import TrackedConfig
 from safety.motion import from_frame
+from safety.returns import is_own
 from safety.sweep import Sweep, contact_m
 
 
@@ -49,7 +51,27 @@ def rim(track: Track) -> Float64:
     return np.column_stack([local[:, 0] * c - local[:, 1] * s, local[:, 0] * s + local[:, 1] * c]) + track.p_odom_m[:2]
 
 
-def threat_in(sweep: Sweep, tracks: Tracks | None, pose_odom: Float64, stop_s: float, config: TrackedConfig) -> Threat:
+def is_before(track: Track, shape: Shape, pose_odom: Float64, curvature: float, direction: int, own_m: float) -> bool:
+    """Whether a track lies before some leading edge and is not the machine's own implement, tracked by mistake.
+
+    Whatever comes from behind or lies beside the rear is not met by driving on; standing would not help it.
+    """
+    place = from_frame(pose_odom, track.p_odom_m[None, :2])
+    half = 0.5 * float(np.max(track.size_m[:2]))
+    last_edge_m = direction * shape.foremost_m(direction) - max(shape.leads_m(direction))
+    is_ahead = direction * float(place[0, 0]) + half >= last_edge_m
+    return is_ahead and not bool(is_own(np.vstack([place.T, [[0.0]]]), shape, curvature, own_m)[0])
+
+
+def threat_in(
+    sweep: Sweep,
+    shape: Shape,
+    tracks: Tracks | None,
+    pose_odom: Float64,
+    curvature_radpm: float,
+    stop_s: float,
+    config: TrackedConfig,
+) -> Threat:
     """The nearest threat of all confirmed tracks, for base at `pose_odom` (3,) in odom.
 
     What moves counts where it will be until the machine can have stopped; what moves away or past never touches the
@@ -59,15 +81,17 @@ def threat_in(sweep: Sweep, tracks: Tracks | None, pose_odom: Float64, stop_s: f
     times_s = np.linspace(0.0, horizon_s, config.steps)
     best = NO_THREAT
     for track in () if tracks is None else tracks.tracks:
-        gap = _gap_to(sweep, track, pose_odom, times_s, config) if track.is_confirmed else math.inf
+        if not track.is_confirmed or not np.all(np.isfinite(track.p_odom_m[:2])):
+            continue
+        if not is_before(track, shape, pose_odom, curvature_radpm, sweep.direction, config.own_m):
+            continue
+        gap = _gap_to(sweep, track, pose_odom, times_s, config)
         if gap < best.gap_m:
             best = Threat(gap, track.label, track.id)
     return best
 
 
 def _gap_to(sweep: Sweep, track: Track, pose_odom: Float64, times_s: Float64, config: TrackedConfig) -> float:
-    if not np.all(np.isfinite(track.p_odom_m[:2])):
-        return math.inf
     if is_moving(track, config):
         places, reach = predicted(track, times_s, config)
         return float(np.min(contact_m(from_frame(pose_odom, places), sweep, reach + config.lateral_m)))

@@ -11,7 +11,7 @@ from configs.site import Area, DatumConfig, Gate, Lane, Pose2, Site
 from configs.vehicle import Vehicle
 from messages.command import Wish
 from messages.perception import ObstacleClass, Track, Tracks
-from safety.bodies import shape_of
+from safety.bodies import Shape, shape_of
 from safety.config import SafetyConfig
 from safety.drive import allowed_slowing, eased, rising, slowing, steered, stopping, target_speed
 from safety.fence import Fence, fence_of, is_within, way_inside_m
@@ -26,6 +26,7 @@ from safety_world import machine_state  # isort: skip
 
 NOMINAL = Braking(0.6, 0.4, 2.5)
 HERE = np.zeros(3)
+SHAPES: list[Shape] = []
 
 
 def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0, sigma: float = 0.1, label=ObstacleClass.PERSON,
@@ -38,11 +39,12 @@ def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0, sigma: float = 0
 @pytest.fixture
 def sweep(vehicle: Vehicle, implement, config: SafetyConfig) -> Sweep:
     s = spaced(14.0, 0.4)
-    return sweep_along(shape_of(vehicle, implement), 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
+    SHAPES[:] = [shape_of(vehicle, implement)]
+    return sweep_along(SHAPES[0], 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
 
 
 def gap(sweep: Sweep, config: SafetyConfig, *tracks: Track, stop_s: float = 2.0) -> float:
-    return threat_in(sweep, Tracks(START_NS, tracks), HERE, stop_s, config.tracked).gap_m
+    return threat_in(sweep, SHAPES[0], Tracks(START_NS, tracks), HERE, 0.0, stop_s, config.tracked).gap_m
 
 
 def test_who_will_step_into_the_way_counts(sweep: Sweep, config: SafetyConfig) -> None:
@@ -57,6 +59,16 @@ def test_who_goes_along_or_away_does_not(sweep: Sweep, config: SafetyConfig) -> 
     assert math.isinf(gap(sweep, config, track(10.0, 4.5, vx=1.4)))
     assert math.isinf(gap(sweep, config, track(-8.0, 0.0, vx=-1.4)))
     assert math.isinf(gap(sweep, config, track(10.0, 5.0, vy=-0.3)))
+
+
+def test_the_own_implement_and_what_follows_do_not_count(sweep: Sweep, config: SafetyConfig) -> None:
+    for x in around(-1.1, 0.02):
+        beside = track(x - 0.05 + 1e-6, 4.2, vx=0.5, vy=-1.5, size=(0.1, 0.1, 1.0))
+        assert math.isfinite(gap(sweep, config, beside)) == (x >= -1.1 - 1e-9), x
+    assert math.isinf(gap(sweep, config, track(-2.6, 0.9, vx=2.3, sigma=0.7)))
+    for y in around(3.45, 0.02):
+        near = track(-1.1, y + 1e-6, vx=1.0, vy=-1.5, size=(0.1, 0.1, 0.1))
+        assert math.isfinite(gap(sweep, config, near)) == (y >= 3.45 - 1e-9), y
 
 
 def test_who_comes_towards_the_machine_is_nearer_than_he_stands(sweep: Sweep, config: SafetyConfig) -> None:
@@ -77,7 +89,7 @@ def test_what_stands_counts_by_its_class(sweep: Sweep, config: SafetyConfig) -> 
 
 
 def test_no_tracks_no_threat(sweep: Sweep, config: SafetyConfig) -> None:
-    assert threat_in(sweep, None, HERE, 2.0, config.tracked) == NO_THREAT
+    assert threat_in(sweep, SHAPES[0], None, HERE, 0.0, 2.0, config.tracked) == NO_THREAT
 
 
 def test_moving_needs_speed_and_certainty(config: SafetyConfig) -> None:
