@@ -1,7 +1,7 @@
 """Which nodes there are, and who is told what: the only place that knows every room."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from itertools import count
 
 import can
@@ -45,7 +45,8 @@ def assemble(
         setup.seed,
         setup.stack.simulation,
     )
-    with can.Bus(interface="virtual", channel=channel) as bus:
+    world.warm()
+    with closing(world), can.Bus(interface="virtual", channel=channel) as bus:
         chain = [
             *_perceiving(setup),
             *_deciding(setup, is_ablation),
