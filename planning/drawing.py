@@ -46,9 +46,7 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
             shown.add(t.leg)
             line = path.p_map_m[t.first : t.last + 2]
             axes.plot(line[:, 0], line[:, 1], color=COLOURS[t.leg], linewidth=1.0, label=label)
-    axes.set_title(
-        f"{site.name}: {plan.length_m:.0f} m, {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha planned"
-    )
+    axes.set_title(f"{site.name}: {plan.length_m:.0f} m, {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha")
     axes.set_xlabel("east in m")
     axes.set_ylabel("north in m")
     axes.legend(loc="upper right", fontsize=8)
@@ -66,7 +64,7 @@ def _fill(axes: Any, shape: shapely.Polygon, colour: str) -> None:
 
 
 def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
-    """A FeatureCollection in longitude and latitude: planned strips, each stretch of the way, and what is uncovered."""
+    """A FeatureCollection in longitude and latitude: planned strips, stretches of the way, what is uncovered."""
     datum = site.datum.datum
 
     def degrees(x: float, y: float) -> tuple[float, float]:

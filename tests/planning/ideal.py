@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from shapely.geometry import Polygon
+from shapely.geometry import Point, Polygon
 
 from geometry.footprint import footprints, sweep
 from geometry.polyline import Float64
-from geometry.transforms import planar, yaw_of
+from geometry.transforms import planar
 from messages.command import Mode, OperatorOrder, Order, SupervisorState, Wish
 from messages.message import Message
 from messages.motion import MapPose, Odometry, PositionSource
@@ -18,7 +18,7 @@ from messages.plan import MissionState, MissionStatus, Path
 from planning.mission import MissionNode
 from planning.plan import Plan
 
-STEP_NS = 200_000_000
+STEP_NS = 1_000_000_000  # coarser than the node's own period, for speed
 STOP_GAP_M = 2.5  # as a supervisor leaves between foremost point and obstacle
 CLEAR_S = 3.0
 
@@ -59,7 +59,7 @@ class Ideal:
     worked: list[tuple[Path, float, float]] = field(default_factory=list)
     status: MissionStatus | None = None
     least_gap_m: float = np.inf
-    shift_m: float = 0.0  # how far beside the path the driver is
+    stood_s: float = 0.0
 
     def run(self, seconds: float, until: str = "") -> None:
         start = self.plan.paths[0]
@@ -87,7 +87,9 @@ class Ideal:
         gap = float(np.hypot(*(path.p_map_m[0] - self.pose[:2])))
         turn = abs(float(np.angle(np.exp(1j * (path.heading_rad[0] - self.pose[2])))))
         assert gap < 0.06, f"path {path.path_id} starts {gap:.2f} m from the machine"
-        assert turn < np.radians(3.0), f"path {path.path_id} starts {np.degrees(turn):.1f} deg from the machine's heading"
+        assert turn < np.radians(3.0), (
+            f"path {path.path_id} starts {np.degrees(turn):.1f} deg from the machine's heading"
+        )
         self.path, self.s_m = path, 0.0
         self.paths.append(path)
 
@@ -101,6 +103,7 @@ class Ideal:
         elif is_blocked:
             self.is_stopped, self.clear_s = True, 0.0
         if self.is_stopped:
+            self.stood_s += dt
             return
         limit = float(np.interp(self.s_m, self.path.s_m, self.path.speed_mps))
         before, self.s_m = self.s_m, min(self.s_m + max(limit, 0.2) * dt, float(self.path.s_m[-1]))
@@ -116,15 +119,20 @@ class Ideal:
         x, y = (float(np.interp(s, path.s_m, path.p_map_m[:, k])) for k in range(2))
         self.pose = np.array([x, y, heading])
         self.trail.append(self.pose)
+        if not self._is_near():
+            return
         bodies = footprints(self.plan.rig.bodies, self.pose[None, :2], self.pose[2:])[0]
         for _, outline in self.obstacles.values():
             self.least_gap_m = min(self.least_gap_m, *(body.distance(outline) for body in bodies))
+
+    def _is_near(self) -> bool:
+        return any(outline.distance(Point(self.pose[:2])) < 15.0 for _, outline in self.obstacles.values())
 
     def _is_blocked(self) -> bool:
         path = self.path
         assert path is not None
         ahead = (path.s_m >= self.s_m) & (path.s_m <= self.s_m + STOP_GAP_M)
-        if np.count_nonzero(ahead) < 2 or not self.obstacles:
+        if np.count_nonzero(ahead) < 2 or not self._is_near():
             return False
         area = sweep(self.plan.rig.bodies, path.p_map_m[ahead], path.heading_rad[ahead]).buffer(0.3)
         return any(area.intersects(outline) for _, outline in self.obstacles.values())
@@ -136,15 +144,18 @@ class Ideal:
             "map_pose": MapPose(now, np.eye(4), T, zero, PositionSource.RTK_FIXED, 0.03, 0.0, True),
             "odom": Odometry(now, T, speed, 0.0, 0.0, 0.0, 0.0, zero),
             "tracks": Tracks(now, tuple(self._track(now, k) for k in sorted(self.obstacles))),
-            "supervisor": SupervisorState(
-                now, Mode.OBSTACLE_STOP if self.is_stopped else Mode.AUTOMATIC, "", (), ObstacleClass.UNKNOWN, np.inf, 0.0,
-                0.0, 40.0, 0.0, np.empty((0, 3), np.float32), np.empty((0, 2)),
-            ),
-        }  # fmt: skip
+            "supervisor": self._supervisor(now),
+        }
         if self.path is not None:
             is_finished = self.s_m >= self.path.s_m[-1] - 1e-6
             found["wish"] = Wish(now, 1.0, 0.0, 0.0, False, False, self.path.path_id, self.s_m, 0.0, 0.0, is_finished)
         return found
+
+    def _supervisor(self, now: int) -> SupervisorState:
+        mode = Mode.OBSTACLE_STOP if self.is_stopped else Mode.AUTOMATIC
+        hits, outline = np.empty((0, 3), np.float32), np.empty((0, 2))
+        unknown = ObstacleClass.UNKNOWN
+        return SupervisorState(now, mode, "", (), unknown, np.inf, 0.0, 0.0, 40.0, 0.0, hits, outline)
 
     def _track(self, now: int, key: int) -> Track:
         label, outline = self.obstacles[key]
@@ -154,8 +165,3 @@ class Ideal:
         size = np.array([*np.hypot(*sides.T), 1.6])
         yaw = float(np.arctan2(sides[0, 1], sides[0, 0]))
         return Track(key, label, 0.9, centre, np.zeros(3), np.eye(4) * 0.01, size, yaw, 0, now, True, ("lidar",))
-
-
-def heading_of(T: Float64) -> float:
-    """Of a pose."""
-    return yaw_of(T)

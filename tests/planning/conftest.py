@@ -1,0 +1,42 @@
+"""The demo's parts, and its plan (made once)."""
+
+import pytest
+
+from configs.mission import Mission
+from configs.site import Site
+from configs.strict import CONFIGS, find, load, parse, read_yaml
+from configs.vehicle import ImplementFile, MountedImplement, Vehicle
+from planning.configuration import PlanningConfig
+from planning.plan import Plan, plan_mission
+
+
+@pytest.fixture(scope="session")
+def planning() -> PlanningConfig:
+    return parse(PlanningConfig, read_yaml(CONFIGS / "stack.yaml")["planning"], "stack.yaml: planning")
+
+
+@pytest.fixture(scope="session")
+def mission() -> Mission:
+    return load(Mission, find("missions", "demo"))
+
+
+@pytest.fixture(scope="session")
+def site() -> Site:
+    return load(Site, find("sites", "demo"))
+
+
+@pytest.fixture(scope="session")
+def vehicle() -> Vehicle:
+    return load(Vehicle, find("machines", "tractor_e"))
+
+
+@pytest.fixture(scope="session")
+def harrow() -> MountedImplement:
+    found = load(ImplementFile, find("implements", "harrow_6m")).implement
+    assert isinstance(found, MountedImplement)
+    return found
+
+
+@pytest.fixture(scope="session")
+def plan(site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig) -> Plan:
+    return plan_mission(site, vehicle, harrow, mission.work, planning.planner, 0)

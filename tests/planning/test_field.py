@@ -1,0 +1,134 @@
+"""Fields from GeoJSON: good ones are read, each bad one is refused with its value or place."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from shapely.geometry import Polygon
+
+from configs.mission import Mission
+from configs.vehicle import MountedImplement, Vehicle
+from messages.errors import FieldError
+from planning.field import read_field
+from planning.surroundings import site_around
+
+DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[3] / "shared" / "data"))
+M = 1e-5  # degrees of latitude: about 1.1 m
+SQUARE = [[6.0, 51.0], [6.0 + 100 * M, 51.0], [6.0 + 100 * M, 51.0 + 70 * M], [6.0, 51.0 + 70 * M], [6.0, 51.0]]
+
+
+def write(folder: Path, content: Any) -> Path:
+    path = folder / "field.geojson"
+    path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
+    return path
+
+
+def polygon(*rings: Any) -> dict[str, Any]:
+    return {"type": "Polygon", "coordinates": list(rings)}
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        lambda g: g,
+        lambda g: {"type": "Feature", "properties": None, "geometry": g},
+        lambda g: {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, "geometry": g}]},
+        lambda g: {"type": "MultiPolygon", "coordinates": [g["coordinates"]]},
+        lambda g: {"type": "GeometryCollection", "geometries": [g]},
+    ],
+)
+def test_all_wrappings_give_the_same_field(tmp_path: Path, wrap: Any) -> None:
+    outline = read_field(write(tmp_path, wrap(polygon(SQUARE))))
+    assert outline.polygon.area == pytest.approx(70.2 * 77.9, rel=0.01)
+    assert outline.datum.latitude_deg == pytest.approx(51.0)
+
+
+def test_a_hole_becomes_a_no_go_area(
+    tmp_path: Path, vehicle: Vehicle, harrow: MountedImplement, mission: Mission
+) -> None:
+    hole = [[6.0 + a * M, 51.0 + b * M] for a, b in ((40, 30), (60, 30), (60, 40), (40, 40), (40, 30))]
+    outline = read_field(write(tmp_path, polygon(SQUARE, hole)))
+    site = site_around(outline, vehicle, harrow, mission.work)
+    assert len(site.no_go) == 1
+    assert Polygon(site.no_go[0].outline_m).area == pytest.approx(14.0 * 11.1, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("{", "not valid JSON"),
+        ("", "not valid JSON"),
+        ("[]", "list where a Polygon"),
+        ("null", "NoneType where a Polygon"),
+        ({"type": "Point", "coordinates": [6.0, 51.0]}, "Point where a Polygon"),
+        ({"type": "LineString", "coordinates": SQUARE}, "LineString where a Polygon"),
+        ({"type": "FeatureCollection", "features": []}, "no polygon"),
+        ({"type": "FeatureCollection"}, "None where a list"),
+        (polygon(), "empty"),
+        (polygon([]), "empty"),
+        (polygon(SQUARE[:-1]), "not closed"),
+        (polygon(SQUARE[:2] + SQUARE[:1]), "3 points have no area"),
+        (polygon([SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3], SQUARE[0]]), "crosses itself at longitude 6.0"),
+        (polygon([*SQUARE[:2], [6.0, 90.001], SQUARE[0]]), "latitude 90.001 is beyond"),
+        (polygon([*SQUARE[:2], [6.0, -91], SQUARE[0]]), "latitude -91 is beyond"),
+        (polygon([*SQUARE[:2], [180.1, 51.0], SQUARE[0]]), "longitude 180.1 is beyond"),
+        (polygon([*SQUARE[:2], [float("nan"), 51.0], SQUARE[0]]), "not a finite number"),
+        (polygon([*SQUARE[:2], [float("inf"), 51.0], SQUARE[0]]), "not a finite number"),
+        (polygon([*SQUARE[:2], ["6", 51.0], SQUARE[0]]), "is not [longitude, latitude]"),
+        (polygon([*SQUARE[:2], [True, 51.0], SQUARE[0]]), "is not [longitude, latitude]"),
+        (polygon([*SQUARE[:2], [6.0], SQUARE[0]]), "is not [longitude, latitude]"),
+        (polygon([*SQUARE[:2], 6.0, SQUARE[0]]), "is not [longitude, latitude]"),
+        (polygon([*SQUARE[:2], [10**400, 51.0], SQUARE[0]]), "not a finite number"),
+        (polygon([[6.0, 51.0], [6.00001, 51.0], [6.0, 51.00001], [6.0, 51.0]]), "too small"),
+        (polygon([[0, 0], [10, 0], [10, 10], [0, 10], [0, 0]]), "wider than 5 km"),
+        ({"type": "MultiPolygon", "coordinates": [[SQUARE], [SQUARE]]}, "2 fields"),
+    ],
+)
+def test_bad_field_is_refused(tmp_path: Path, content: Any, words: str) -> None:
+    with pytest.raises(FieldError) as refused:
+        read_field(write(tmp_path, content))
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("latitude", [89.9999, 90.0, -90.0])
+def test_poles_are_no_error_of_range(tmp_path: Path, latitude: float) -> None:
+    """At ± 90° the number is legal: what is wrong there is the shape."""
+    bad = polygon([[0, latitude - 1e-3], [1e-3, latitude - 1e-3], [0, latitude], [0, latitude - 1e-3]])
+    if latitude < 0:
+        bad = polygon([[0, latitude + 1e-3], [1e-3, latitude + 1e-3], [0, latitude], [0, latitude + 1e-3]])
+    with pytest.raises(FieldError) as refused:
+        read_field(write(tmp_path, bad))
+    assert "beyond" not in str(refused.value)
+
+
+def test_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FieldError, match="cannot be read"):
+        read_field(tmp_path / "none.geojson")
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"no recordings at {DATA}")
+class TestRealParcels:
+    folder = DATA / "fields2cover" / "data"
+
+    def test_the_parcel(self, vehicle: Vehicle, harrow: MountedImplement, mission: Mission) -> None:
+        outline = read_field(self.folder / "test.json")
+        assert outline.name == "test parcel"
+        assert outline.polygon.area == pytest.approx(35955, abs=5)
+        site = site_around(outline, vehicle, harrow, mission.work)
+        field, yard = Polygon(site.boundary_m), Polygon(site.yard.outline_m)
+        assert not field.intersects(yard)
+        posts = np.array(site.gates[0].posts_m)
+        assert np.hypot(*(posts[1] - posts[0])) > harrow.width_m + 2 * mission.work.boundary_margin_m
+        assert max(field.exterior.distance(Polygon([*posts, posts[0]]).centroid), 0.0) < 0.1
+
+    @pytest.mark.parametrize(
+        "name", ["strips.geojson", "swaths.geojson", "test_ring.json", "test_2_cell.json", "test1.xml"]
+    )
+    def test_the_others_are_refused_in_words(self, name: str) -> None:
+        with pytest.raises(FieldError) as refused:
+            read_field(self.folder / name)
+        assert name in str(refused.value)

@@ -1,0 +1,103 @@
+"""The mission node with an ideal driver: order, progress, detours and what they leave out."""
+
+import numpy as np
+import pytest
+from shapely.affinity import rotate, translate
+from shapely.geometry import Polygon, box
+
+from geometry.footprint import is_inside
+from messages.command import OperatorOrder, Order
+from messages.perception import ObstacleClass
+from messages.plan import Leg, MissionState, MissionStatus, Path
+from planning.configuration import MissionConfig, PlanningConfig
+from planning.mission import MissionNode
+from planning.plan import Plan
+from tests.planning.ideal import Box, Ideal
+
+SECOND = 1_000_000_000
+
+
+@pytest.fixture
+def config(planning: PlanningConfig) -> MissionConfig:
+    return planning.mission
+
+
+def status_of(outputs: object) -> tuple[MissionStatus, list[Path]]:
+    found = list(outputs)  # type: ignore[call-overload]
+    paths = [m for topic, m in found if topic == "path"]
+    return next(m for topic, m in found if topic == "mission"), paths
+
+
+@pytest.mark.parametrize(("expires", "starts"), [(0, True), (1, True), (-1, False)])
+def test_starts_on_an_order_that_still_holds(plan: Plan, config: MissionConfig, expires: int, starts: bool) -> None:
+    node, now = MissionNode(plan, config, 0), 7 * SECOND
+    waiting, none = status_of(node.step(now, Box({})))
+    assert waiting.state is MissionState.WAITING
+    assert none == []
+    order = OperatorOrder(now, Order.START, "page", 1, now + expires)
+    status, paths = status_of(node.step(now, Box({}, (order,))))
+    assert (status.state is MissionState.DRIVING) is starts
+    assert [p.stamp_ns for p in paths] == [now] * starts
+
+
+def test_other_orders_and_old_sequences_do_not_start(plan: Plan, config: MissionConfig) -> None:
+    node, now = MissionNode(plan, config, 0), 7 * SECOND
+    others = tuple(
+        OperatorOrder(now, o, "page", k, now + SECOND) for k, o in enumerate(Order, 1) if o is not Order.START
+    )  # fmt: skip
+    assert status_of(node.step(now, Box({}, others)))[0].state is MissionState.WAITING
+    late = OperatorOrder(now, Order.START, "page", 1, now + SECOND)
+    assert status_of(node.step(now, Box({}, (late,))))[0].state is MissionState.WAITING
+
+
+def test_drives_the_plan_to_its_end(plan: Plan, config: MissionConfig) -> None:
+    drive = Ideal(plan, MissionNode(plan, config, 0))
+    drive.run(1200)
+    assert drive.status is not None
+    assert drive.status.state is MissionState.FINISHED
+    assert drive.status.driven_m == pytest.approx(plan.length_m)
+    assert [p.path_id for p in drive.paths] == [1]
+    assert drive.status.left_out == ()
+
+
+def car(x: float, y: float, degrees: float) -> Polygon:
+    return translate(rotate(box(-2.2, -0.9, 2.2, 0.9), degrees), x, y)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "degrees"),
+    [(45, 25, 2), (30, 15, -3), (42, 3.5, 0), (76, 46, 45)],
+    ids=["swath", "next", "edge", "corner"],
+)
+def test_drives_round_what_stays(plan: Plan, config: MissionConfig, x: float, y: float, degrees: float) -> None:
+    outline = car(x, y, degrees)
+    drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.VEHICLE, outline)})
+    drive.run(2000)
+    assert drive.status is not None
+    assert drive.status.state is MissionState.FINISHED
+    assert drive.least_gap_m > 0.5
+    poses = np.array(drive.trail)
+    assert is_inside(plan.rig.bodies, poses[:, :2], poses[:, 2], plan.ground.allowed.buffer(0.05)).all()
+    assert {p.direction for p in drive.paths} == {1, -1}
+    assert any(t.leg is Leg.DETOUR for p in drive.paths for t in p.stretches)
+    (missed,) = drive.status.left_out
+    rectangle = np.asarray(Polygon(missed.outline_map_m).minimum_rotated_rectangle.exterior.coords)
+    assert np.hypot(*np.diff(rectangle[:3], axis=0).T).max() < 4.4 + 12.0
+    assert drive.status.total_m == pytest.approx(drive.status.driven_m, abs=1.0)
+    assert sum(p.is_last for p in drive.paths) == 2  # the plan's path, and what is left of it
+
+
+def test_a_person_is_waited_for(plan: Plan, config: MissionConfig) -> None:
+    outline = box(44.7, 24.7, 45.3, 25.3)
+    drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.PERSON, outline)})
+    drive.run(10_000, until="driving round an obstacle")
+    stopped_s = config.blocked_alive_s
+    assert drive.stood_s == pytest.approx(stopped_s, abs=3.0)
+
+
+def test_gives_up_in_words_when_the_lane_is_blocked(plan: Plan, config: MissionConfig) -> None:
+    drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.VEHICLE, car(20, -12, 90))})
+    drive.run(300)
+    assert drive.status is not None
+    assert drive.status.state is MissionState.ABORTED
+    assert "no way round vehicle at x 20.0 m, y -12.0 m" in drive.status.text

@@ -1,0 +1,191 @@
+"""Plans of fields of several shapes, proven inside by a check of its own, and what is refused."""
+
+import math
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import LineString, Polygon, box
+
+from configs.mission import Mission, Work
+from configs.site import Area, Gate, Site
+from configs.vehicle import MountedImplement, Vehicle
+from messages.errors import FieldError
+from messages.plan import Leg, Path
+from planning.configuration import PlanningConfig
+from planning.curve import Pose
+from planning.drawing import draw_plan, plan_to_geojson
+from planning.plan import Plan, plan_mission
+from planning.sampling import sampled
+from planning.turn import Space, Wanted, is_free
+
+SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
+    "L": (((0, 0), (80, 0), (80, 40), (45, 40), (45, 70), (0, 70)), ()),
+    "trapezoid": (((0, 0), (80, 0), (66, 45), (10, 45)), ()),
+    "pond": (
+        ((0, 0), (90, 0), (90, 70), (0, 70)),
+        (Area(name="pond", outline_m=((46, 38), (52, 37), (53, 42), (47, 43))),),
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=["demo", *SHAPES])
+def shaped(
+    request: pytest.FixtureRequest, plan: Plan, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission,
+    planning: PlanningConfig,
+) -> tuple[Site, Plan]:  # fmt: skip
+    if request.param == "demo":
+        return site, plan
+    boundary, no_go = SHAPES[request.param]
+    other = site.model_copy(update={"boundary_m": boundary, "no_go": no_go})
+    return other, plan_mission(other, vehicle, harrow, mission.work, planning.planner, 0)
+
+
+def body_shapes(vehicle: Vehicle, harrow: MountedImplement, path: Path) -> list[shapely.Polygon]:
+    """All bodies at all points, by shapely's own affine transforms and not by the planner's."""
+    from shapely.affinity import affine_transform
+
+    b, half = vehicle.body, harrow.width_m / 2
+    base = [
+        box(-b.rear_m, -b.width_m / 2, b.front_m, b.width_m / 2),
+        box(harrow.rear_end_m, -half, harrow.front_end_m, half),
+    ]
+    found = []
+    for (x, y), h in zip(path.p_map_m, path.heading_rad, strict=True):
+        c, s = math.cos(h), math.sin(h)
+        found += [affine_transform(shape, [c, -s, s, c, x, y]) for shape in base]
+    return found
+
+
+def test_machine_and_implement_stay_inside(
+    shaped: tuple[Site, Plan], vehicle: Vehicle, harrow: MountedImplement
+) -> None:
+    site, plan = shaped
+    field = Polygon(site.boundary_m)
+    lanes = [LineString(lane.center_m).buffer(lane.width_m / 2, cap_style="flat") for lane in site.lanes]
+    ground = shapely.union_all([field, Polygon(site.yard.outline_m), *lanes])
+    ground = ground.difference(shapely.union_all([Polygon(a.outline_m) for a in site.no_go]))
+    gate = LineString(site.gates[0].posts_m).buffer(0.01)
+    fence = field.exterior.difference(gate)
+    shapely.prepare(ground)
+    bodies = np.array(body_shapes(vehicle, harrow, plan.paths[0]))
+    assert shapely.covers(ground, bodies).all()
+    assert shapely.distance(bodies, fence).min() > 0.09
+
+
+def test_path_is_well_formed(shaped: tuple[Site, Plan]) -> None:
+    site, plan = shaped
+    (path,) = plan.paths
+    gaps = np.hypot(*np.diff(path.p_map_m, axis=0).T)
+    assert gaps.max() < 0.105
+    assert gaps.min() > 0.09
+    assert np.diff(path.s_m) == pytest.approx(gaps)
+    heading = np.unwrap(path.heading_rad)
+    travel = np.arctan2(*np.diff(path.p_map_m, axis=0).T[::-1])
+    assert np.abs(np.angle(np.exp(1j * (travel - heading[:-1])))).max() < 0.02
+    assert np.abs(path.curvature_radpm).max() < 1 / 4.6
+    assert np.abs(np.diff(path.curvature_radpm)).max() < 0.03
+    assert path.speed_mps[-1] == 0
+    assert path.speed_mps[:-1].min() > 0
+    v2 = np.diff(path.speed_mps**2) / (2 * gaps)
+    assert v2.max() < 0.61
+    assert v2.min() > -0.51
+    assert path.p_map_m[0] == pytest.approx([site.start.x_m, site.start.y_m])
+    assert Polygon(site.yard.outline_m).contains(shapely.Point(path.p_map_m[-1]))
+    assert path.is_last
+
+
+def test_stretches_cover_the_path(shaped: tuple[Site, Plan]) -> None:
+    (path,) = shaped[1].paths
+    assert path.stretches[0].first == 0
+    assert path.stretches[-1].last == len(path.s_m) - 1
+    for k, (a, b) in enumerate(zip(path.stretches[:-1], path.stretches[1:], strict=True)):
+        assert b.first == a.last + 1
+        assert (path.stretch_index[a.first : a.last + 1] == k).all()
+    work = path.is_work.astype(bool)
+    legs = np.array([path.stretches[k].leg for k in path.stretch_index])
+    assert (np.isin(legs, [Leg.SWATH, Leg.HEADLAND]) <= work).all()
+    extra = work & ~np.isin(legs, [Leg.SWATH, Leg.HEADLAND])
+    assert extra.sum() <= 2 * len(path.stretches)
+
+
+def test_swaths_are_straight_and_begun_straight(shaped: tuple[Site, Plan]) -> None:
+    (path,) = shaped[1].paths
+    for t in path.stretches:
+        if t.leg is Leg.SWATH:
+            before = slice(max(0, t.first - 15), t.last)
+            assert np.abs(path.curvature_radpm[before]).max() < 0.01
+
+
+def test_shares(shaped: tuple[Site, Plan]) -> None:
+    site, plan = shaped
+    free = Polygon(site.boundary_m).area - sum(Polygon(a.outline_m).area for a in site.no_go)
+    assert plan.field_area_m2 == pytest.approx(free)
+    assert plan.planned_share > 0.94
+    listed = sum(u.area_m2 for u in plan.uncovered)
+    assert plan.planned_area.area + listed == pytest.approx(free, rel=0.003)
+    assert plan.length_m == pytest.approx(float(plan.paths[0].s_m[-1]))
+
+
+def test_demo_reaches_its_bar(plan: Plan) -> None:
+    assert plan.planned_share >= 0.95
+    assert len(plan.rounds) == 2
+    assert plan.length_m < 1050
+
+
+def test_same_input_same_plan(
+    plan: Plan, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    again = plan_mission(site, vehicle, harrow, mission.work, planning.planner, 0).paths[0]
+    for name in ("p_map_m", "heading_rad", "curvature_radpm", "s_m", "speed_mps", "is_work", "stretch_index"):
+        assert getattr(again, name).tobytes() == getattr(plan.paths[0], name).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"boundary_m": ((0, 0), (15, 0), (15, 15), (0, 15))}, "too small for this machine"),
+        ({"boundary_m": ((0, 0), (80, 0), (0, 50), (80, 50))}, "Self-intersection"),
+        ({"gates": (Gate(name="narrow", posts_m=((17.5, 0), (22.5, 0))),)}, "widen gate"),
+        ({"lanes": ()}, "no lane"),
+        ({"yard": Area(name="yard", outline_m=((16, -33), (24, -33), (24, -25), (16, -25)))}, "yard"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused_with_its_place(
+    change: dict[str, object], words: str, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission,
+    planning: PlanningConfig,
+) -> None:  # fmt: skip
+    with pytest.raises(FieldError, match=words):
+        plan_mission(site.model_copy(update=change), vehicle, harrow, mission.work, planning.planner, 0)
+
+
+def test_given_direction_is_kept(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    work = Work(**{**mission.work.model_dump(), "swath_direction_deg": 90.0, "headland_rounds": 2})
+    plan = plan_mission(site, vehicle, harrow, work, planning.planner, 0)
+    assert all(abs(s.a_m[0] - s.b_m[0]) < 1e-6 for s in plan.swaths)
+    assert len(plan.swaths) > 8
+
+
+def test_picture_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None:
+    draw_plan(plan, site, tmp_path / "plan.png")
+    assert (tmp_path / "plan.png").read_bytes()[:4] == b"\x89PNG"
+    content = plan_to_geojson(plan, site)
+    lon, lat = content["features"][0]["geometry"]["coordinates"][0][0]
+    assert abs(lon - site.datum.longitude_deg) < 0.002
+    assert abs(lat - site.datum.latitude_deg) < 0.002
+    assert sum(f["properties"].get("leg") == "swath" for f in content["features"]) == len(plan.swaths)
+
+
+def test_sampling_finds_the_same_way_round_a_corner_again(plan: Plan) -> None:
+    ell = Polygon([(0, 0), (60, 0), (60, 22), (24, 22), (24, 60), (0, 60)])
+    space = Space(ell, plan.rig.bodies, plan.rig.radius_m, plan.rig.config.smoothing_m)
+    wanted = Wanted(Pose(50, 11, math.pi), Pose(12, 50, math.pi / 2), 1.0, 2.0)
+    way, again = (sampled(wanted, space, 7, 3000) for _ in range(2))
+    assert way is not None
+    assert again is not None
+    assert way.tobytes() == again.tobytes()
+    assert is_free(way, space)
+    assert sampled(Wanted(Pose(50, 11, 0), Pose(12, 80, 0), 1.0, 1.0), space, 7, 200) is None
