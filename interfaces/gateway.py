@@ -78,20 +78,23 @@ class Gateway(Node):
         self._outgoing = Outgoing(vehicle, config.tractor_address, round(config.fastest_s * 1e9))
         self._alarms = Alarms(self.name)
         self._started_ns: int | None = None
-        self._state_ns = self._log_ns = 0
+        self._heard: SafeCommand | None = None
+        self._stepped_ns = self._state_ns = self._log_ns = 0
         self._received: list[CanFrame] = []
         self._sent: list[CanFrame] = []
         self._is_bus_failed = False
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """Take in what has come, decide, send what is due."""
-        self._is_bus_failed = False
+        """Take in what has come, decide, send what is due; between two commands every other call has nothing to do."""
+        heard = inbox.latest("safe_command", SafeCommand)
+        if heard is self._heard and now_ns - self._stepped_ns < STATE_PERIOD_NS:
+            return []
+        self._heard, self._stepped_ns, self._is_bus_failed = heard, now_ns, False
         if self._started_ns is None:
             self._started_ns = now_ns
             self._send(now_ns, self._claim.start(now_ns))
         self._receive(now_ns)
         self._answer_network(now_ns)
-        heard = inbox.latest("safe_command", SafeCommand)
         command = heard if heard is not None and _is_sendable(heard, now_ns) else None
         self._command(now_ns, command)
         is_bad = heard is not None and command is None
@@ -152,6 +155,7 @@ class Gateway(Node):
 
     def _send(self, now_ns: int, frame: Frame) -> None:
         message = can.Message(arbitration_id=frame.identifier, data=frame.data, is_extended_id=True)
+        message.data = frame.data  # type: ignore[assignment]  # bytes: the virtual bus copies a bytearray slowly
         try:
             self._bus.send(message)
         except can.CanError:
