@@ -48,7 +48,9 @@ def car() -> Vehicle:
             "kind": "ackermann", "wheelbase_m": 2.71, "track_m": 1.55, "wheel_radius_m": 0.32,
             "min_turning_radius_m": 5.7,
         },
-        "body": {"front_m": LIDAR_XYZ_M[0] + BUMPER_M, "rear_m": 1.1, "width_m": 1.82, "height_m": 1.52, "mass_kg": 1600},
+        "body": {
+            "front_m": LIDAR_XYZ_M[0] + BUMPER_M, "rear_m": 1.1, "width_m": 1.82, "height_m": 1.52, "mass_kg": 1600,
+        },
         "steering": {
             "kind": "electric_wheel", "max_wheel_rpm": 60, "wheel_turns_per_steer_rad": 2.6, "dead_time_s": 0.05,
             "lag_s": 0.1, "backlash_deg": 0.1,
@@ -95,7 +97,7 @@ def frame(number: int) -> Float32:
 
 @dataclass(frozen=True)
 class Label:
-    """A labelled box: `T_box_lidar` (4, 4) takes lidar coordinates to the box's (x along, y left, z up from its bottom)."""
+    """A labelled box: `T_box_lidar` (4, 4) takes lidar coordinates to the box's (x along, z up from its bottom)."""
 
     id: int
     name: str

@@ -1,14 +1,27 @@
 """How obstacles are judged against labels: the strict rule, pasted objects, gaps, latencies and false stops."""
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from time import perf_counter, thread_time
+from time import perf_counter
+from typing import TypeVar
 
 import numpy as np
 
 from benchmarks.perception_kitti_data import (
-    BUMPER_M, FRAMES, LIDAR_XYZ_M, PERIOD_NS, START_NS, Label, car, configs, frame, labels, scan_of, sensor,
+    BUMPER_M,
+    FRAMES,
+    LIDAR_XYZ_M,
+    PERIOD_NS,
+    START_NS,
+    Label,
+    car,
+    configs,
+    frame,
+    labels,
+    scan_of,
+    sensor,
 )  # fmt: skip
 from geometry.transforms import invert
 from messages.message import Float32, Float64, Message
@@ -17,6 +30,7 @@ from messages.perception import LidarGround, Obstacles, Tracks
 from perception.fusion.tracker import Tracker
 from perception.lidar.obstacles import LidarObstacles
 
+M = TypeVar("M", bound=Message)
 HALF_WIDTH_M = 1.4
 SCAN, OBSTACLES, GROUND = "lidar/top", "obstacles/lidar_top", "ground/top"
 
@@ -25,21 +39,25 @@ class Feed:
     """An inbox with one message a topic, new and fresh."""
 
     def __init__(self, **messages: Message) -> None:
-        self._messages = messages
+        self._messages = {name.replace("__", "/"): message for name, message in messages.items()}
 
-    def last(self, topic, kind):  # type: ignore[no-untyped-def]
+    def last(self, topic: str, kind: type[M]) -> M | None:
         """The message of a topic."""
-        return self._messages.get(topic.replace("/", "__"))
+        message = self._messages.get(topic)
+        return message if isinstance(message, kind) else None
 
-    latest = last
+    def latest(self, topic: str, kind: type[M]) -> M | None:
+        """The same: nothing is stale."""
+        return self.last(topic, kind)
 
-    def at(self, topic, kind, stamp_ns):  # type: ignore[no-untyped-def]
+    def at(self, topic: str, kind: type[M], stamp_ns: int) -> M | None:
         """The same, whatever the time."""
         return self.last(topic, kind)
 
-    def all(self, topic, kind):  # type: ignore[no-untyped-def]
+    def all(self, topic: str, kind: type[M]) -> tuple[M, ...]:
         """The message as the only one."""
-        return tuple(m for m in (self.last(topic, kind),) if m is not None)
+        message = self.last(topic, kind)
+        return () if message is None else (message,)
 
 
 @dataclass(frozen=True)
@@ -100,10 +118,12 @@ def thin(points_m: Float32, share: float, rng: np.random.Generator) -> Float32:
     return points_m if share >= 1.0 else points_m[rng.random(len(points_m)) < share]
 
 
-def recall(share: float = 1.0, seed: int = 0, least: int = 10) -> Iterator[tuple[int, Label, Score]]:
+def recall(
+    share: float = 1.0, seed: int = 0, least: int = 10, numbers: Sequence[int] = range(FRAMES)
+) -> Iterator[tuple[int, Label, Score]]:
     """Frame, label and score of each object that has enough returns before thinning."""
     rng = np.random.default_rng(seed)
-    for number in range(FRAMES):
+    for number in numbers:
         whole = frame(number)
         points = thin(whole, share, rng)
         result = perceive(points)
@@ -171,14 +191,18 @@ class Drive:
 def drive(numbers: Sequence[int], change: Callable[[int, Float32], Float32] = lambda _, p: p) -> Drive:
     """Frames in their order, each changed first, through node and tracker at the frames' own times."""
     tracker = Tracker([OBSTACLES], configs()[1])
-    results, told, walls = [], [], []
+    results: list[Result] = []
+    told: list[Tracks] = []
+    walls: list[float] = []
     for number in numbers:
         stamp = START_NS + number * PERIOD_NS
         result = perceive(change(number, frame(number)), stamp)
         odom = Odometry(stamp, poses()[number], 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
         start = perf_counter()
-        told.append(dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odom)))["tracks"])
+        out = dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odom)))["tracks"]
         walls.append(perf_counter() - start)
+        assert isinstance(out, Tracks)
+        told.append(out)
         results.append(result)
     return Drive(tuple(numbers), tuple(results), tuple(told), tuple(walls))
 
@@ -227,10 +251,10 @@ def false_stops(run: Drive, half_width_m: float = HALF_WIDTH_M) -> list[tuple[in
 
 
 def _in_way(points_m: Float32, later_m: Float64, half_width_m: float) -> np.ndarray:
-    """Which points the front of the car swept: ahead of the bumper now, within the half width of the way of its axle."""
+    """Which points the front of the car swept: ahead of the bumper now, within the half width of its axle's way."""
     front = car().body.front_m
     inside = np.zeros(len(points_m), bool)
-    for a, b in zip(later_m[:-1], later_m[1:], strict=True):
+    for a, b in itertools.pairwise(later_m):
         along = b - a
         length = float(np.hypot(*along))
         if length < 0.02:

@@ -21,7 +21,8 @@ class StillnessConfig(Config):
     cell_m: float = Field(ge=0.05, le=1.0)
     settle_s: float = Field(gt=0.0, le=5.0)
     gap_s: float = Field(gt=0.0, le=5.0)
-    longest_m: float = Field(gt=0.0, le=50.0, description="length up to which something may be a moving body")
+    body_m: float = Field(gt=0.0, le=50.0, description="no more of a length than this is taken for that of a body")
+    longest_m: float = Field(gt=0.0, le=100.0, description="what is longer is a wall, hedge or fence")
     slack_mps: float = Field(ge=0.0, le=2.0)
 
 
@@ -50,7 +51,8 @@ class Stillness:
     def fastest(self, share: Float64, length_m: Float64) -> Float64:
         """The greatest speed (K,) that agrees with a share of old cells; infinite when most cells are new."""
         c = self._config
-        bound = (1.0 - share) * np.minimum(length_m, c.longest_m) / c.settle_s + c.slack_mps
+        bound = (1.0 - share) * np.minimum(length_m, c.body_m) / c.settle_s + c.slack_mps
+        bound = np.where(length_m > c.longest_m, 0.0, bound)
         return np.where(share >= 0.5, bound, np.inf)
 
 

@@ -23,6 +23,7 @@ from perception.fusion.tracks import (
     to_odom,
     update,
     velocities,
+    warm,
 )
 
 
@@ -40,6 +41,7 @@ class Tracker(Node):
         self._table = empty_table()
         self._stamp_ns = 0
         self._next_id = 1
+        warm(config)
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """Every new message enters in the order of its time; then all tracks are told."""

@@ -111,6 +111,12 @@ def to_odom(
     )  # fmt: skip
 
 
+def warm(config: TrackerConfig) -> None:
+    """Compile or load all kernels at start-up, so that no message waits for it."""
+    distances(np.zeros((1, 4)), np.eye(4)[None].copy(), np.zeros((1, 2)), np.eye(2)[None].copy())
+    Stillness(config.stillness).observe(np.zeros((1, 3), np.float32), np.array([0, 1], np.int32), 0)
+
+
 def empty_table() -> Table:
     """No tracks."""
     whole = np.zeros(0, np.int64)

@@ -45,6 +45,7 @@ class LidarObstacles(Node):
         self.runs = On((f"lidar/{name}",))
         self._scan_topic, self._lidar, self._config = f"lidar/{name}", lidar, config
         self._pipeline = Pipeline(lidar, vehicle, implement, config)
+        self._pipeline.warm()
         self._dropped = 0
         self._last: LidarScan | None = None
 
@@ -114,6 +115,13 @@ class Pipeline:
         self._board = new_board(config.clusters)
         self._beams = beams_of(lidar)
         self.expectation = expect(lidar, self._own, config.health)
+
+    def warm(self) -> None:
+        """Compile or load all kernels at start-up, with and without times of firing, so that no scan waits for it."""
+        none, two = np.zeros(0, np.float64), np.array([[9.0, 0.0, 1.0], [9.0, 0.1, 1.0]], np.float32)
+        for offset_s in (np.zeros(0, np.float32), np.zeros(2, np.float32)):
+            image, intensity = np.zeros((0, 0), np.uint16), np.zeros(0, np.uint8)
+            self.run(LidarScan(0, image, none.copy(), none.copy(), two.copy(), intensity, offset_s), None, "", 0)
 
     def run(
         self, scan: LidarScan, odom: Odometry | None, sensor: str, dropped: int

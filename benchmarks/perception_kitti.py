@@ -1,0 +1,159 @@
+"""The bars of lidar perception on KITTI: recall, latency, false stops, gap, thinning, noise, pasted people, speed.
+
+    python -m benchmarks.perception_kitti
+
+The stack's own configuration with the recording car's sensor model and mount. Each line ends with its bar.
+"""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, the others' libraries too
+
+from collections.abc import Callable
+from importlib import import_module
+from time import perf_counter, thread_time
+
+import numpy as np
+from scipy.stats import beta
+
+from benchmarks.perception_kitti_data import DATA, FRAMES, Label, detections, frame, has_frames, labels
+from benchmarks.perception_pasting import paste_trials
+from benchmarks.perception_scoring import (
+    Drive,
+    drive,
+    false_stops,
+    gap_errors,
+    latencies,
+    perceive,
+    recall,
+    thin,
+)
+from messages.message import Float32
+
+NOISE = 2000
+
+
+def lower_bound(good: int, n: int) -> float:
+    """One-sided exact (Clopper-Pearson) 95 % bound."""
+    return 0.0 if good == 0 else float(beta.ppf(0.05, good, n - good + 1))
+
+
+def say(name: str, value: str, bar: str) -> None:
+    """One line of the table."""
+
+
+def show_recall() -> None:
+    """Bar 1 by range, and PointRCNN by the same rule with its boxes as clusters."""
+    rows = list(recall())
+    for low, high, bar in ((0, 30, "100 %"), (30, 40, ">= 98 %"), (40, 80, "-")):
+        those = [s.counts for _, _, s in rows if low <= s.edge_m < high]
+        say(f"strict recall, {low} to {high} m", f"{sum(those)} of {len(those)}", bar)
+    hits = [_network_counts(number, label) for number, label, _ in rows]
+    say("PointRCNN by the same rule", f"{sum(hits)} of {len(hits)}", "not above ours")
+    for seed in range(3):
+        those = [s.counts for _, _, s in recall(0.25, seed)]
+        say(f"75 % of returns removed, seed {seed}", f"{sum(those)} of {len(those)}", ">= 93 %")
+
+
+def _network_counts(number: int, label: Label) -> bool:
+    points = frame(number)
+    inside = label.contains(points)
+    for box in detections().get(number, ()):
+        own = box.contains(points)
+        if own.any() and (own & inside).sum() >= 0.5 * inside.sum() and label.contains(points[own], 0.5).mean() >= 0.5:
+            return True
+    return False
+
+
+def show_drives() -> None:
+    """Bars 2, 3 and the noise of bar 6, at 10 Hz and at 2.5 Hz."""
+    changes: dict[str, Callable[[int, Float32], Float32]] = {
+        "as recorded": lambda _, p: p,
+        "a quarter of the returns": lambda n, p: thin(p, 0.25, np.random.default_rng(n)),
+        f"{NOISE} noise returns": add_noise,
+    }
+    for name, change in changes.items():
+        for step in (1, 4):
+            run = drive(range(0, FRAMES, step), change)
+            late = [s for k, (first, s) in latencies(run).items() if _could_be_confirmed(run, k, first, step)]
+            say(
+                f"{name}, {10 / step:g} Hz: latency",
+                f"{max(late):.1f} s at most of {len(late)}",
+                "<= 0.3 s or one scan",
+            )
+            wrong = {track for _, track, _ in false_stops(run)}
+            say(f"{name}, {10 / step:g} Hz: false stops", str(len(wrong)), "0")
+
+
+def _could_be_confirmed(run: Drive, object_id: int, first: int, step: int) -> bool:
+    """Whether labels go on long enough: two more scans, and 0.3 s."""
+    last = max(n for n in run.numbers if any(label.id == object_id for label in labels().get(n, ())))
+    return last - first >= max(3, step)
+
+
+def add_noise(number: int, points_m: Float32) -> Float32:
+    """Returns at random ranges and directions, most of them near the car, from the ground to the height of a van."""
+    rng = np.random.default_rng(1000 + number)
+    r, a = rng.uniform(2.0, 60.0, NOISE), rng.uniform(-np.pi, np.pi, NOISE)
+    noise = np.column_stack([r * np.cos(a), r * np.sin(a), rng.uniform(-1.7, 1.0, NOISE)])
+    return np.concatenate([points_m, noise.astype(np.float32)])
+
+
+def show_gap_and_pastes() -> None:
+    """Bar 5 and the pasted objects of bar 6."""
+    errors = np.abs(gap_errors())
+    say("gap to true nearest return, median", f"{np.median(errors):.3f} m", "<= 0.10 m")
+    say("gap to true nearest return, 95 %", f"{np.quantile(errors, 0.95):.3f} m", "<= 0.30 m")
+    for name, height, bar in (("people and cyclists", None, ">= 95 %"), ("things 0.5 m high", 0.5, ">= 90 %")):
+        good = sum(paste_trials(200, height))
+        say(f"200 {name} on free ground", f"{good / 2:.1f} %, bound {100 * lower_bound(good, 200):.1f} %", bar)
+
+
+def show_speed() -> None:
+    """Bar 9: wall and processor time of the whole node for 124 k returns, and others' ground and clusters."""
+    paths = sorted((DATA / "kitti-patchworkpp" / "data").glob("*.bin"))
+    scans = [np.fromfile(p, np.float32).reshape(-1, 4)[:, :3].copy() for p in paths] * 5
+    walls, cores = [], []
+    for scan in scans:
+        start = thread_time()
+        walls.append(perceive(scan).wall_s)
+        cores.append(thread_time() - start)
+    say(f"{len(scans[0])} returns to obstacles, median", f"{1e3 * np.median(walls):.1f} ms wall", "<= 10 ms")
+    say("  the same, processor time", f"{1e3 * np.median(cores):.1f} ms", "")
+    others = _others(scans[: len(paths)])
+    if others is None:
+        say("pypatchworkpp + open3d DBSCAN", "pypatchworkpp is not installed (pip install pypatchworkpp)", ">= 3 x")
+    else:
+        say("pypatchworkpp + open3d DBSCAN", f"{1e3 * others:.0f} ms, {others / np.median(walls):.1f} x", ">= 3 x")
+
+
+def _others(scans: list[Float32]) -> float | None:
+    try:
+        pypatchworkpp = import_module("pypatchworkpp")
+    except ImportError:
+        return None
+    import open3d
+
+    judge = pypatchworkpp.patchworkpp(pypatchworkpp.Parameters())
+    walls = []
+    for scan in scans:
+        start = perf_counter()
+        judge.estimateGround(scan)
+        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(judge.getNonground().astype(np.float64)))
+        cloud.cluster_dbscan(0.5, 5)
+        walls.append(perf_counter() - start)
+    return float(np.median(walls))
+
+
+def main() -> None:
+    """All bars, one line each."""
+    if not has_frames():
+        raise SystemExit(f"no recording under {DATA}; HEADLAND_DATA names another place")
+    show_recall()
+    show_drives()
+    show_gap_and_pastes()
+    show_speed()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""Real scans: a part of the bars that benchmarks/perception_kitti.py prints whole."""
+
+import numpy as np
+import pytest
+
+from benchmarks.perception_kitti import add_noise
+from benchmarks.perception_kitti_data import DATA, frame, has_frames, labels
+from benchmarks.perception_pasting import paste_trials
+from benchmarks.perception_scoring import perceive, recall, strict, thin
+from lidar_scenes import TRACKER_CONFIG, Feed, odometry
+from messages.perception import Tracks
+from perception.fusion.tracker import Tracker
+
+pytestmark = pytest.mark.skipif(not has_frames(), reason=f"no KITTI frames under {DATA}")
+SOME = range(0, 40, 8)
+
+
+def test_every_object_to_40_m_is_one_cluster():
+    scores = [s for _, _, s in recall(numbers=SOME)]
+    assert len(scores) > 12
+    assert all(s.counts for s in scores if s.edge_m < 40.0)
+
+
+def test_a_quarter_of_the_returns_is_enough():
+    scores = [s.counts for _, _, s in recall(0.25, numbers=SOME)]
+    assert sum(scores) >= 0.93 * len(scores)
+
+
+def test_nothing_is_an_obstacle_when_everything_is():
+    """The rule itself: one cluster of all returns finds no object."""
+    result = perceive(frame(0))
+    o = result.obstacles
+    whole = type(o)(
+        **{
+            **vars(o),
+            "offsets": np.array([0, len(o.indices)], np.int32),
+        }
+    )
+    assert not any(strict(result.points_m, whole, label).counts for label in labels()[0])
+
+
+def test_people_put_on_free_ground():
+    assert sum(paste_trials(20)) >= 19
+    assert sum(paste_trials(20, 0.5)) >= 18
+
+
+def test_noise_confirms_nothing_that_is_not_there_without_it():
+    tracker = Tracker(["obstacles/lidar_top"], TRACKER_CONFIG)
+    for i in range(4):
+        # the same road, the car standing, with other noise every time
+        points = add_noise(i, thin(frame(0), 0.5, np.random.default_rng(i)))
+        stamp = 10**12 + i * 10**8
+        result = perceive(points, stamp)
+        told = dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odometry(stamp))))["tracks"]
+    assert isinstance(told, Tracks)
+    real = perceive(frame(0)).obstacles.points_base_m[:, :2]
+    for track in told.tracks:
+        if track.is_confirmed and np.hypot(*track.p_odom_m[:2]) < 40.0:
+            assert np.hypot(*(real - track.p_odom_m[:2]).T).min() < 1.0

@@ -1,0 +1,222 @@
+"""The tracker at 10 Hz and 2.5 Hz: confirmation in seconds, speed, identity, walls, noise and several sensors."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lidar_scenes import TRACKER_CONFIG, Feed, odometry
+
+from geometry.transforms import planar
+from messages.perception import ObstacleClass, Obstacles
+from perception.fusion.kalman import box_noise, correct, distances, predict
+from perception.fusion.tracker import Tracker
+
+START = 5_000_000_000
+NS = 1_000_000_000
+LIDAR = "obstacles/lidar_front"
+RADAR = "obstacles/radar_front"
+
+
+def message(stamp_ns, centers, sizes=(0.4, 0.4, 1.7), returns=30, yaw=0.0, sensor="lidar_front", velocity=None, seed=0):
+    """Obstacles in `base` with returns spread over their boxes."""
+    centers = np.asarray(centers, float).reshape(-1, 3)
+    k = len(centers)
+    sizes = np.broadcast_to(np.asarray(sizes, float), (k, 3)).copy()
+    yaws = np.broadcast_to(np.asarray(yaw, float), (k,)).copy()
+    rng = np.random.default_rng(seed)
+    local = rng.uniform(-0.5, 0.5, (k, returns, 3)) * sizes[:, None]
+    c, s = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
+    points = local.copy()
+    points[..., 0], points[..., 1] = c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]
+    points = (points + centers[:, None]).reshape(-1, 3).astype(np.float32)
+    scores = np.full((k, 7), 0.4 / 6)
+    scores[:, 1] = 0.6
+    speeds = np.full((k, 2), np.nan) if velocity is None else np.broadcast_to(velocity, (k, 2)).astype(float)
+    return Obstacles(
+        stamp_ns, sensor, stamp_ns, centers.copy(), sizes, yaws, centers.copy(), speeds.copy(), scores,
+        (np.arange(k + 1) * returns).astype(np.int32), np.arange(k * returns, dtype=np.int32), points,
+    )  # fmt: skip
+
+
+def run(tracker, scans, topic=LIDAR, poses=None):
+    """Feeds (stamp, message) and gives the tracks told after each."""
+    told = []
+    for i, m in enumerate(scans):
+        odom = odometry(m.stamp_ns, T=None if poses is None else poses[i])
+        feed = Feed(odom=odom)
+        feed.topics[topic] = (m,)
+        told.append(dict(tracker.step(m.stamp_ns, feed))["tracks"])
+    return told
+
+
+def new_tracker(*topics):
+    return Tracker(topics or (LIDAR,), TRACKER_CONFIG)
+
+
+def stamps(rate_hz, seconds):
+    return [START + round(i * NS / rate_hz) for i in range(int(seconds * rate_hz) + 1)]
+
+
+RATES = pytest.mark.parametrize("rate_hz", [20.0, 10.0, 5.0, 2.5])
+
+
+@RATES
+def test_confirmed_in_time_whatever_the_rate(rate_hz):
+    told = run(new_tracker(), [message(t, [[12.0, 1.0, 0.9]], returns=10, seed=t) for t in stamps(rate_hz, 2.0)])
+    first = next(i for i, t in enumerate(told) if t.tracks[0].is_confirmed)
+    assert (told[first].stamp_ns - START) / NS <= max(0.3, 1.0 / rate_hz) + 1e-9
+    assert first >= 1
+    assert {t.id for m in told for t in m.tracks} == {1}
+
+
+@RATES
+@pytest.mark.parametrize("speed", [(1.4, 0.0), (0.0, -1.5), (-5.0, 2.0)])
+def test_speed_of_what_walks_or_rides(rate_hz, speed):
+    v = np.array([*speed, 0.0])
+    rng = np.random.default_rng(1)
+    scans = [
+        message(t, [[20.0, 3.0, 0.9] + v * (t - START) / NS + [*rng.normal(0, 0.05, 2), 0.0]], seed=i)
+        for i, t in enumerate(stamps(rate_hz, 3.0))
+    ]
+    last = run(new_tracker(), scans)[-1].tracks
+    assert len(last) == 1
+    assert last[0].velocity_mps == pytest.approx(speed, abs=0.4)
+    assert last[0].is_confirmed
+
+
+@RATES
+def test_what_stands_has_no_speed_while_the_machine_drives(rate_hz):
+    """The visible 20 m of a long fence move along with the machine."""
+    poses = [planar(2.8 * (t - START) / NS, 0.0, 0.0) for t in stamps(rate_hz, 4.0)]
+    rng = np.random.default_rng(2)
+    scans = []
+    for i, t in enumerate(stamps(rate_hz, 4.0)):
+        fence = message(t, [[12.0, 4.0, 1.0]], (20.0, 0.2, 1.5), returns=600, seed=i)
+        pole = np.array([30.0 - poses[i][0, 3], -3.0, 1.0]) + np.array([*rng.normal(0, 0.03, 2), 0.0])
+        scans.append(_joined(t, fence, message(t, [pole], (0.2, 0.2, 2.0), seed=i)))
+    told = run(new_tracker(), scans, poses=poses)
+    assert len(told[-1].tracks) == 2
+    for tracks in told[round(2.0 * rate_hz) :]:
+        assert np.hypot(*np.array([t.velocity_mps for t in tracks.tracks]).T).max() < 0.8
+
+
+def _joined(stamp_ns, a, b):
+    def stack(name):
+        return np.concatenate([getattr(a, name), getattr(b, name)])
+
+    return Obstacles(
+        stamp_ns, a.sensor, stamp_ns, stack("center_base_m"), stack("size_m"), stack("yaw_rad"),
+        stack("nearest_base_m"), stack("velocity_mps"), stack("class_scores"),
+        np.concatenate([a.offsets, b.offsets[1:] + a.offsets[-1]]).astype(np.int32),
+        np.concatenate([a.indices, b.indices + a.offsets[-1]]).astype(np.int32), stack("points_base_m"),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 2.5])
+def test_noise_is_never_confirmed(rate_hz):
+    rng = np.random.default_rng(3)
+    scans = []
+    for t in stamps(rate_hz, 10.0):
+        places = np.column_stack([rng.uniform(-40, 40, (20, 2)), np.ones(20)])
+        scans.append(message(t, places, (0.4, 0.3, 0.5), returns=3, seed=t))
+    assert not any(t.is_confirmed for m in run(new_tracker(), scans) for t in m.tracks)
+
+
+def test_one_scan_confirms_nothing_and_what_is_gone_is_forgotten():
+    tracker = new_tracker()
+    empty = np.zeros((0, 3))
+    scans = [message(t, [[12.0, 1.0, 0.9]] if t < START + NS else empty) for t in stamps(10, 3.0)]
+    told = run(tracker, scans)
+    assert not told[0].tracks[0].is_confirmed
+    assert told[10].tracks[0].is_confirmed
+    gone = next(m.stamp_ns for m in told if m.stamp_ns > START + NS and not m.tracks)
+    assert (gone - START) / NS == pytest.approx(0.9 + TRACKER_CONFIG.forget_s, abs=0.21)
+
+
+def test_two_that_cross_keep_their_names():
+    scans = []
+    for t in stamps(10, 4.0):
+        s = (t - START) / NS
+        scans.append(message(t, [[10.0 + 0.6, -3.0 + 1.5 * s, 0.9], [10.0 - 0.6, 3.0 - 1.5 * s, 0.9]], seed=t))
+    told = run(new_tracker(), scans)
+    assert [t.id for t in told[-1].tracks] == [1, 2]
+    assert told[-1].tracks[0].p_odom_m[1] > 2.0
+
+
+def test_a_gap_of_half_a_second_keeps_the_track():
+    times = [t for t in stamps(10, 3.0) if not START + 1.2 * NS < t < START + 1.8 * NS]
+    told = run(new_tracker(), [message(t, [[12.0, 1.5 * (t - START) / NS, 0.9]], seed=t) for t in times])
+    assert {t.id for m in told for t in m.tracks} == {1}
+
+
+def test_a_second_sensor_joins_and_its_velocity_counts():
+    tracker = new_tracker(LIDAR, RADAR)
+    for i, t in enumerate(stamps(10, 1.0)):
+        feed = Feed(odom=odometry(t))
+        feed.topics[LIDAR] = (message(t, [[15.0 - 4.0 * i * 0.1, 0.0, 0.9]], seed=i),)
+        feed.topics[RADAR] = (
+            message(t + 1, [[15.0 - 4.0 * i * 0.1, 0.1, 0.9]], returns=1, sensor="radar_front", velocity=(-4.0, 0.0)),
+        )
+        told = dict(tracker.step(t, feed))["tracks"]
+    assert len(told.tracks) == 1
+    assert told.tracks[0].sensors == ("lidar_front", "radar_front")
+    assert told.tracks[0].velocity_mps == pytest.approx((-4.0, 0.0), abs=0.4)
+
+
+def test_class_by_shape_and_speed():
+    told = run(new_tracker(), [message(t, [[12.0, 1.0, 0.9]], seed=t) for t in stamps(10, 1.0)])
+    assert told[-1].tracks[0].label is ObstacleClass.PERSON
+    assert told[-1].tracks[0].confidence > 0.9
+
+
+def test_without_odometry_nothing_is_told():
+    feed = Feed()
+    feed.topics[LIDAR] = (message(START, [[12.0, 1.0, 0.9]]),)
+    assert list(new_tracker().step(START, feed)) == []
+
+
+def test_no_obstacles_give_an_empty_list():
+    assert run(new_tracker(), [message(START, np.zeros((0, 3)))])[0].tracks == ()
+
+
+def test_tracks_live_in_odom_whatever_way_the_machine_points():
+    poses = [planar(3.0, -2.0, 0.3 * i) for i in range(11)]
+    scans = []
+    for i, t in enumerate(stamps(10, 1.0)):
+        p = np.linalg.inv(poses[i]) @ [20.0, 5.0, 0.9, 1.0]
+        scans.append(message(t, [p[:3]], seed=i))
+    last = run(new_tracker(), scans, poses=poses)[-1].tracks
+    assert len(last) == 1
+    assert last[0].p_odom_m == pytest.approx([20.0, 5.0, 0.9], abs=0.1)
+    assert last[0].velocity_mps == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_two_trackers_agree_to_the_bit():
+    scans = [message(t, [[12.0, 1.0, 0.9], [15.0, -3.0, 0.9]], seed=t) for t in stamps(10, 1.0)]
+    a, b = run(new_tracker(), scans)[-1], run(new_tracker(), scans)[-1]
+    assert [t.covariance.tobytes() for t in a.tracks] == [t.covariance.tobytes() for t in b.tracks]
+
+
+@settings(derandomize=True, max_examples=40, deadline=None)
+@given(st.lists(st.floats(0.05, 1.0), min_size=1, max_size=8), st.floats(0.1, 20.0), st.floats(-3.0, 3.0))
+def test_covariances_stay_symmetric_and_positive(steps, length, yaw):
+    x, P = np.zeros((1, 4)), np.diag([1.0, 1.0, 16.0, 16.0])[None].copy()
+    R = box_noise(np.array([[length, 0.3, 1.0]]), np.array([yaw]), 0.1, 0.2)
+    for dt in steps:
+        predict(x, P, dt, 2.0)
+        d2, _ = distances(x, P, np.array([[0.1, 0.0]]), R)
+        assert d2[0, 0] >= 0.0
+        correct(x, P, np.array([[0.1, 0.0]]), R, 0)
+    assert pytest.approx(P[0].T) == P[0]
+    assert np.linalg.eigvalsh(P[0]).min() > 0.0
+
+
+@pytest.mark.parametrize("whole", [0.5, 2.0])
+def test_splitting_a_step_of_time_changes_nothing(whole):
+    a, b = (np.array([[1.0, 2.0, 3.0, -1.0]]) for _ in range(2))
+    P, Q = (np.eye(4)[None].copy() for _ in range(2))
+    predict(a, P, whole, 2.0)
+    for _ in range(5):
+        predict(b, Q, whole / 5, 2.0)
+    assert a == pytest.approx(b)
+    assert pytest.approx(Q) == P
