@@ -1,0 +1,56 @@
+"""Drives the whole stack in simulated time until something holds."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from configs.strict import find, load
+from messages.faults import Fault
+from messages.message import Envelope, Message
+from runtime.assembly import assemble
+from runtime.executor import FAULT_TOPIC, Executor
+from runtime.setup import Setup
+from simulation.scenario import Scenario
+
+M = TypeVar("M", bound=Message)
+
+
+class Drive:
+    """A drive that is watched; `newest` holds the last message of each topic."""
+
+    def __init__(self) -> None:
+        self.newest: dict[str, Message] = {}
+        self.modes: list[str] = []
+        self.failure: str | None = None
+
+    def __call__(self, envelope: Envelope) -> None:
+        self.newest[envelope.topic] = envelope.message
+        if envelope.topic == FAULT_TOPIC and isinstance(envelope.message, Fault):
+            self.failure = envelope.message.text_en
+        mode = getattr(envelope.message, "mode", None) if envelope.topic == "supervisor" else None
+        if mode is not None and mode.value not in self.modes[-1:]:
+            self.modes.append(mode.value)
+
+    def last(self, topic: str, kind: type[M]) -> M:
+        message = self.newest[topic]
+        assert isinstance(message, kind)
+        return message
+
+
+def forward(
+    setup: Setup, until: Callable[[Drive], bool], timeout_s: float, scenario: str = "empty", *,
+    sinks: tuple[Any, ...] = (), is_ablation: bool = False,
+) -> Drive:  # fmt: skip
+    """Go on until `until`; a node's exception or the time limit fails the test with its own text."""
+    drive = Drive()
+    with assemble(setup, load(Scenario, find("scenarios", scenario)), is_ablation) as (world, nodes):
+        executor = Executor(world, nodes, (drive, *sinks))
+        start_ns = executor.now_ns
+
+        def is_over() -> bool:
+            return drive.failure is not None or until(drive) or executor.now_ns - start_ns > timeout_s * 1e9
+
+        executor.run(is_over)
+        seconds = (executor.now_ns - start_ns) * 1e-9
+    assert drive.failure is None, drive.failure
+    assert until(drive), f"not reached within {seconds:.0f} s; modes {drive.modes}, topics {sorted(drive.newest)}"
+    return drive
