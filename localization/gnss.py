@@ -40,6 +40,7 @@ class GnssConfig(Config):
     heading_gate_sigma: float = Field(gt=1.0, le=10.0)
     heading_floor_deg: float = Field(gt=0.0, le=10.0)
     heading_sigma_deg: float = Field(gt=0.0, le=10.0, description="no heading is believed better than this")
+    heading_slow_share: float = Field(ge=0.0, lt=1.0, description="as slow_share of a solution")
     least_satellites: int = Field(ge=4, le=30)
     largest_correction_age_s: float = Field(gt=0.0, le=600.0)
     probation_fixes: int = Field(ge=1, le=100, description="fixes that must agree after an outage or a better kind")
@@ -77,6 +78,7 @@ class Position:
     slow_m: Float64
     heading_rad: float
     heading_sigma_rad: float
+    heading_slow_rad: float
     solution: GnssSolution
 
 
@@ -123,7 +125,9 @@ def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) 
     has_heading = math.isfinite(fix.heading_rad) and math.isfinite(fix.sigma_heading_rad)
     p = np.array(datum.to_map(fix.latitude_rad, fix.longitude_rad, fix.height_m))
     heading = fix.heading_rad if has_heading else math.nan
-    return Position(fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_sigma, fix.solution)
+    share = config.heading_slow_share
+    heading_fast, heading_slow = heading_sigma * math.sqrt(1.0 - share**2), heading_sigma * share
+    return Position(fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution)
 
 
 def distance(innovation_m: Float64, covariance: Float64) -> float:

@@ -248,6 +248,9 @@ class Placement:
         R = T_map_base[:3, :3]
         age_s = (stamp_ns - state.stamp_ns) * 1e-9
         T_base_body = self.fusion.arms.T_base_body
-        return output_covariance(
+        out = output_covariance(
             state.covariance, T_base_body, R.T @ np.diag(slow**2) @ R, age_s, self._motion.speed_mps, 1e-3
         )
+        if self._accepted is not None and math.isfinite(self._accepted.heading_rad):
+            out[2, 2] += self._accepted.heading_slow_rad**2
+        return out

@@ -47,7 +47,9 @@ def test_the_antenna_on_a_slope_is_brought_down_to_the_ground():
 
 def fixes(headings, spread_m=0.0):
     return [
-        Position(k, np.array([k % 2 * spread_m, 0, 0]), np.full(3, 0.01), np.zeros(3), h, 0.002, GnssSolution.RTK_FIXED)
+        Position(
+            k, np.array([k % 2 * spread_m, 0, 0]), np.full(3, 0.01), np.zeros(3), h, 0.002, 0.0, GnssSolution.RTK_FIXED
+        )
         for k, h in enumerate(headings)
     ]
 

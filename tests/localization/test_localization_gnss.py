@@ -22,7 +22,14 @@ GOOD = GnssFix(
 
 def position(offset_m=0.0, k=0, solution=GnssSolution.RTK_FIXED):
     return Position(
-        START_NS + k * 100_000_000, np.array([offset_m, 0, 0]), np.full(3, 0.006), np.full(3, 0.005), NAN, NAN, solution
+        START_NS + k * 100_000_000,
+        np.array([offset_m, 0, 0]),
+        np.full(3, 0.006),
+        np.full(3, 0.005),
+        NAN,
+        NAN,
+        NAN,
+        solution,
     )
 
 

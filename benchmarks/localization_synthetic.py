@@ -1,0 +1,91 @@
+"""Accuracy, honesty and time of the localizer on synthetic drives: RTK throughout, and 30 s without GNSS.
+
+`python benchmarks/localization_synthetic.py [SEEDS]`; the drives are those of tests/localization, not the simulator's.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "localization")]
+
+from localization_bench import Errors, configuration, errors, run  # noqa: E402
+from localization_drive import START_NS, Truth, Wrongs, drive, tractor  # noqa: E402
+from localization_surroundings import scan, yard  # noqa: E402
+
+from localization.lidar_odometry import LidarOdometry  # noqa: E402
+from messages.perception import LidarGround  # noqa: E402
+from messages.sensors import LidarScan  # noqa: E402
+
+LEGS = [(5.0, 0.0, 0.0), (14.0, 2.78, 0.0), (11.8, 1.6, 1 / 6), (60.0, 2.78, 0.0)]
+CUT_S, CUT_FOR_S = 42.0, 30.0
+
+
+def main(seeds: int) -> None:
+    """Prints one line a seed and the means."""
+    whole: list[Errors] = []
+    step_ms: list[float] = []
+    for seed in range(1, seeds + 1):
+        truth = drive(75, legs=LEGS, wrongs=Wrongs(seed=seed, gnss_slow_s=30.0, slip_swing=0.003))
+        began = time.thread_time()
+        result = run(truth.messages)
+        step_ms.append((time.thread_time() - began) / len(result.step_s) * 1e3)
+        whole.append(errors(result, truth))
+        cut = [m for m in truth.messages if m[1] != "gnss/main" or m[2].stamp_ns < START_NS + int(CUT_S * 1e9)]
+        print(f"seed {seed}: {_rtk(whole[-1])}, {step_ms[-1]:.2f} ms a step (CPU)")
+        print("   no GNSS, no lidar:", _outage(errors(run(cut), truth)))
+        timed = _Timed(LidarOdometry(tractor(), "front", configuration().lidar_odometry))
+        with_lidar = errors(run(cut, lidar=(timed, _look(truth))), truth)
+        print("   no GNSS, lidar:   ", _outage(with_lidar), f"{timed.ms:.1f} ms a matched scan (CPU)", flush=True)
+    joined = Errors(*(np.concatenate([getattr(e, name) for e in whole]) for name in Errors.__dataclass_fields__))
+    print(f"all: {_rtk(joined)}, {np.mean(step_ms):.2f} ms a step")
+
+
+def _look(truth: Truth) -> Callable[[int], tuple[LidarScan, LidarGround] | None]:
+    world, rng = yard(), np.random.default_rng(0)
+    return lambda stamp_ns: scan(truth, stamp_ns, world, rng) if stamp_ns > START_NS + 200_000_000 else None
+
+
+class _Timed:
+    """A lidar odometry that knows how long a scan took."""
+
+    def __init__(self, node: LidarOdometry) -> None:
+        self._node, self._spent, self._matched = node, 0.0, 0
+
+    def step(self, now_ns, inbox):  # type: ignore[no-untyped-def]
+        began = time.thread_time()
+        out = list(self._node.step(now_ns, inbox))
+        self._spent += time.thread_time() - began
+        self._matched += len(out)
+        return out
+
+    @property
+    def ms(self) -> float:
+        return 1e3 * self._spent / max(self._matched, 1)
+
+
+def _rtk(e: Errors) -> str:
+    m = e.t_s > 10
+    along, across, up = 100 * np.sqrt(np.mean(e.p_m[m] ** 2, axis=0))
+    yaw = np.degrees(np.sqrt(np.mean(e.turn_rad[m, 2] ** 2)))
+    return (
+        f"RMSE along {along:.2f} across {across:.2f} up {up:.2f} cm, across σ {100 * e.p_m[m, 1].std():.2f} cm, "
+        f"yaw {yaw:.3f}°, NEES xy {e.nees[m, 0].mean():.2f} six {e.nees[m, 1].mean():.2f}"
+    )
+
+
+def _outage(e: Errors) -> str:
+    said = []
+    for after_s in (5.0, 10.0, 20.0, CUT_FOR_S - 0.5):
+        k = int(np.argmin(np.abs(e.t_s - CUT_S - after_s)))
+        along, across, _ = 100 * e.p_m[k]
+        said.append(f"{after_s:.0f} s: along {along:.1f} across {across:.1f} (PL {100 * e.level_m[k]:.0f}) cm")
+    return "; ".join(said)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
