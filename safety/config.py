@@ -93,6 +93,8 @@ class TrackedConfig(Config):
     moving_mps: Speed
     moving_sigmas: float = Field(ge=0.0, le=10.0)
     lateral_m: Metres
+    known_s: Seconds = Field(description="a velocity is believed once the track is that old")
+    compact_m: Metres = Field(description="longest side of what may move without having a class")
     own_m: Metres = Field(description="a track this near to machine or implement is their own")
     least_horizon_s: Seconds
     most_horizon_s: Seconds

@@ -71,7 +71,7 @@ def is_within(points: Float64, ring: Float64) -> np.ndarray:
 
 
 def way_inside_m(fence: Fence, points_map_m: Float64, ways_m: Float64, spacing_m: float) -> float:
-    """How far the outline points (P, 2), reached after `ways_m` (P,), stay inside; infinite: all do, -1: outside now."""
+    """How far the outline points (P, 2), reached after `ways_m` (P,), stay inside; infinite: all do, -1: outside."""
     outside = ~fence.holds(points_map_m)
     if not np.any(outside):
         return math.inf

@@ -84,7 +84,7 @@ def way_ahead(
     config: FieldConfig,
 ) -> Way:
     """The sweeps from here on; `pose_map` (3,) or None when it is not known."""
-    arc_s = spaced(arc_length_m, 0.5 * config.step_m)
+    arc_s = spaced(arc_length_m, 0.25 * config.step_m)
     arc = arc_poses(curvature_radpm, direction, arc_s)
     if place is not None and pose_map is not None and is_at(place, pose_map, config):
         lead_m = max(shape.leads_m(direction))

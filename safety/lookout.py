@@ -28,7 +28,7 @@ from safety.stopping import Braking, stopping_distance, stopping_time
 from safety.sweep import corners_along
 from safety.tracked import NO_THREAT, Threat, threat_in
 
-FENCE_SPACING_M = 0.2
+FENCE_SPACING_M = 0.1
 THIN_M = 0.05  # what a gap may be too long by
 REACH_TO_TRACK_M = 1.0  # a hit this near to a track's box belongs to it
 

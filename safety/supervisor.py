@@ -43,6 +43,7 @@ from safety.watchdog import Age, age_of, silent
 PERIOD_NS = 20_000_000
 STATE_NS = 100_000_000
 MOST_HITS = 300
+BOUND_MPS = 0.02  # a limit this little below the wish is not told as its reason
 ABLATION = note("safety.ablation", "obstacle rules switched off for a trial")
 ORDERED = emergency("order.emergency_stop", "emergency stop ordered")
 
@@ -236,7 +237,8 @@ class Supervisor(Node):
             return self._cause
         if self.mode is Mode.AUTOMATIC:
             wished = 0.0 if situation.wish is None else abs(situation.wish.speed_mps)
-            return judgement.binding.code if judgement.allowed_mps < wished or situation.wish is None else ""
+            is_bound = judgement.allowed_mps < wished - BOUND_MPS or situation.wish is None
+            return judgement.binding.code if is_bound else ""
         if self.mode is Mode.STANDBY and not judgement.is_ready:
             return judgement.fault.code
         return str(self.mode)

@@ -27,7 +27,15 @@ NO_THREAT = Threat(math.inf, ObstacleClass.UNKNOWN, -1)
 
 
 def is_moving(track: Track, config: TrackedConfig) -> bool:
-    """Whether a track surely moves: a speed near 0, or not known well enough, does not count."""
+    """Whether a track surely moves: a speed near 0, or not known well or long enough, does not count.
+
+    The seen part of a fence or hedge grows and shrinks as the machine passes, which looks like motion of its middle:
+    what has no class must be compact.
+    """
+    if track.last_seen_ns - track.first_seen_ns < config.known_s * 1e9:
+        return False
+    if track.label is ObstacleClass.UNKNOWN and float(np.max(track.size_m[:2])) > config.compact_m:
+        return False
     speed = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
     if not math.isfinite(speed):
         return False
@@ -54,13 +62,14 @@ def rim(track: Track) -> Float64:
 def is_before(track: Track, shape: Shape, pose_odom: Float64, curvature: float, direction: int, own_m: float) -> bool:
     """Whether a track lies before some leading edge and is not the machine's own implement, tracked by mistake.
 
-    Whatever comes from behind or lies beside the rear is not met by driving on; standing would not help it.
+    Whatever comes from behind or lies beside the rear is not met by driving on; standing would not help it. Between
+    the foremost and the last leading edge, only what has a class counts: there fences pass, piece by piece.
     """
     place = from_frame(pose_odom, track.p_odom_m[None, :2])
-    half = 0.5 * float(np.max(track.size_m[:2]))
-    last_edge_m = direction * shape.foremost_m(direction) - max(shape.leads_m(direction))
-    is_ahead = direction * float(place[0, 0]) + half >= last_edge_m
-    return is_ahead and not bool(is_own(np.vstack([place.T, [[0.0]]]), shape, curvature, own_m)[0])
+    ahead_m = direction * float(place[0, 0]) + 0.5 * float(np.max(track.size_m[:2]))
+    foremost_m = direction * shape.foremost_m(direction)
+    edge_m = foremost_m if track.label is ObstacleClass.UNKNOWN else foremost_m - max(shape.leads_m(direction))
+    return ahead_m >= edge_m and not bool(is_own(np.vstack([place.T, [[0.0]]]), shape, curvature, own_m)[0])
 
 
 def threat_in(

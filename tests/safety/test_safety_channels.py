@@ -33,7 +33,7 @@ def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0, sigma: float = 0
           size=(0.5, 0.5, 1.7), is_confirmed: bool = True) -> Track:  # fmt: skip
     covariance = np.diag([0.01, 0.01, sigma**2, sigma**2])
     return Track(1, label, 0.9, np.array([x, y, 0.8]), np.array([vx, vy, 0.0]), covariance, np.array(size), 0.0,
-                 START_NS, START_NS, is_confirmed, ("lidar/front",))  # fmt: skip
+                 START_NS - 10**9, START_NS, is_confirmed, ("lidar/front",))  # fmt: skip
 
 
 @pytest.fixture
@@ -65,6 +65,8 @@ def test_the_own_implement_and_what_follows_do_not_count(sweep: Sweep, config: S
     for x in around(-1.1, 0.02):
         beside = track(x - 0.05 + 1e-6, 4.2, vx=0.5, vy=-1.5, size=(0.1, 0.1, 1.0))
         assert math.isfinite(gap(sweep, config, beside)) == (x >= -1.1 - 1e-9), x
+    assert math.isinf(gap(sweep, config, track(1.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
+    assert math.isfinite(gap(sweep, config, track(4.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
     assert math.isinf(gap(sweep, config, track(-2.6, 0.9, vx=2.3, sigma=0.7)))
     for y in around(3.45, 0.02):
         near = track(-1.1, y + 1e-6, vx=1.0, vy=-1.5, size=(0.1, 0.1, 0.1))
@@ -98,6 +100,13 @@ def test_moving_needs_speed_and_certainty(config: SafetyConfig) -> None:
     for sigma in around(0.5, 0.01):
         assert is_moving(track(0, 0, vx=1.0, sigma=sigma), config.tracked) == (sigma <= 0.5 + 1e-12), sigma
     assert not is_moving(track(0, 0, vx=math.nan), config.tracked)
+    for age_ms in around(500, 1):
+        young = replace(track(0, 0, vx=1.0), first_seen_ns=START_NS - round(age_ms * 1e6))
+        assert is_moving(young, config.tracked) == (age_ms >= 500), age_ms
+    for size in around(2.0, 0.01):
+        hedge = track(0, 0, vx=1.0, size=(0.2, size, 1.0), label=ObstacleClass.UNKNOWN)
+        assert is_moving(hedge, config.tracked) == (size <= 2.0), size
+        assert is_moving(replace(hedge, label=ObstacleClass.VEHICLE), config.tracked)
 
 
 def test_class_of_the_cause() -> None:

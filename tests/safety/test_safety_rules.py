@@ -151,10 +151,11 @@ def test_fence(config: SafetyConfig) -> None:
     assert ask("fence", config, fence_m=None) == (LIMIT, "fence.unknown", 0.0)
     assert ask("fence", config, fence_m=-1.0)[:2] == (STOP, "fence.outside")
     assert ask("fence", config, fence_m=0.0) == (LIMIT, "fence", 0.0)
-    for way in around(0.2, 0.01):
+    margin = config.limits.fence_margin_m
+    for way in around(margin, 0.008):
         response, _, limit = ask("fence", config, fence_m=way)
         assert response is LIMIT
-        assert (limit > 0.0) == (way > 0.2), way
+        assert (limit > 0.0) == (way > margin), way
     speeds = [ask("fence", config, fence_m=way)[2] for way in (0.5, 1.0, 3.0, 9.0)]
     assert speeds == sorted(speeds)
 

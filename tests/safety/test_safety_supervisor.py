@@ -411,7 +411,7 @@ def test_outside_the_fence_is_a_fault(world: World) -> None:
 
 def person(x: float, y: float, vy: float) -> Track:
     return Track(7, ObstacleClass.PERSON, 0.9, np.array([x, y, 0.8]), np.array([0.0, vy, 0.0]), np.eye(4) * 0.01,
-                 np.array([0.5, 0.5, 1.7]), 0.0, START_NS, START_NS, True, ("lidar/front",))  # fmt: skip
+                 np.array([0.5, 0.5, 1.7]), 0.0, START_NS, START_NS + 10**9, True, ("lidar/front",))  # fmt: skip
 
 
 def test_someone_about_to_step_into_the_way(world: World) -> None:
