@@ -36,7 +36,7 @@ class Reference:
         self._first_m = float(path.s_m[0])
         count = max(2, round(self.length_m / SPACING_M) + 1)
         self._s = np.linspace(path.s_m[0], path.s_m[-1], count)
-        self._step_m = max(self.length_m / (count - 1), 1e-6)
+        self._step_m = self.length_m / (count - 1) if self.length_m > 0.01 else SPACING_M
         raw = np.stack([np.interp(self._s, path.s_m, path.p_map_m[:, k]) for k in (0, 1)], axis=1)
         self._fill(
             raw, smooth(raw, self._step_m, smoothing_radpm, self._end_headings(path), self._end_curvatures(path))

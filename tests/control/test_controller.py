@@ -94,3 +94,13 @@ def test_a_senseless_value_is_named(value):
     values["tracking"]["offset_decay_m"] = value
     with pytest.raises(ConfigError, match="offset_decay_m"):
         parse(ControlConfig, values, "here")
+
+
+@pytest.mark.parametrize("points", [1, 2, 4])
+def test_a_path_of_hardly_any_length_is_soon_finished(points):
+    whole = path_along(np.zeros(20), 1.0)
+    short = {k: getattr(whole, k)[:points] for k in ("p_map_m", "heading_rad", "curvature_radpm", "s_m", "is_work")}
+    path = replace(whole, **short, speed_mps=np.append(np.full(points - 1, 0.3), 0.0))
+    track = Plant().run(path, until_s=30.0)
+    assert track.wishes[-1].is_finished
+    assert abs(track.x_m[-1] - path.s_m[-1]) < 0.05
