@@ -54,7 +54,7 @@ class Senses:
 class Actuators:
     """How the machine answers."""
 
-    bus_s: float = 0.04
+    bus_s: float = 0.03
     dead_s: float = 0.06
     loop_s: float = 0.286
     motor_s: float = 0.08
