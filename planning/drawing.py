@@ -1,17 +1,17 @@
 """A plan as a picture and as GeoJSON."""
 
 import json
-import math
 from pathlib import Path as FilePath
 from typing import Any
 
+import numpy as np
 import shapely
 from shapely.geometry import mapping
 from shapely.geometry.base import BaseGeometry
-from shapely.ops import transform
 
 from configs.site import Site
 from geometry.polygon import parts
+from geometry.polyline import Float64
 from messages.plan import Leg
 from planning.plan import Plan
 
@@ -67,12 +67,12 @@ def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
     """A FeatureCollection in longitude and latitude: planned strips, stretches of the way, what is uncovered."""
     datum = site.datum.datum
 
-    def degrees(x: float, y: float) -> tuple[float, float]:
-        latitude, longitude, _ = datum.to_ellipsoid(x, y, 0.0)
-        return round(math.degrees(longitude), 8), round(math.degrees(latitude), 8)
+    def degrees(points: Float64) -> Float64:
+        found = [datum.to_ellipsoid(float(x), float(y), 0.0)[:2] for x, y in points]
+        return np.asarray(np.round(np.degrees(np.array(found)[:, ::-1]), 8), np.float64)
 
     def feature(shape: BaseGeometry, **properties: Any) -> dict[str, Any]:
-        return {"type": "Feature", "properties": properties, "geometry": mapping(transform(_each(degrees), shape))}
+        return {"type": "Feature", "properties": properties, "geometry": mapping(shapely.transform(shape, degrees))}
 
     found = [feature(plan.planned_area, kind="planned", area_m2=round(plan.planned_area.area, 1))]
     for path in plan.paths:
@@ -89,12 +89,3 @@ def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
 def write_geojson(plan: Plan, site: Site, file: FilePath) -> None:
     """Write `plan_to_geojson` to a file."""
     file.write_text(json.dumps(plan_to_geojson(plan, site)) + "\n", encoding="utf-8")
-
-
-def _each(degrees: Any) -> Any:
-    def convert(xs: Any, ys: Any, zs: Any = None) -> Any:
-        if isinstance(xs, float | int):
-            return degrees(xs, ys)
-        return tuple(zip(*(degrees(x, y) for x, y in zip(xs, ys, strict=True)), strict=True))
-
-    return convert

@@ -13,6 +13,8 @@ from messages.errors import FieldError
 
 GATE_DEPTH_M = 1.2  # a fence stands that far outside the field at most
 
+POST_M = 0.1  # half the thickness of a gate post
+
 
 @dataclass(frozen=True)
 class Ground:
@@ -41,7 +43,8 @@ def ground_of(site: Site, margin_m: float) -> Ground:
     fence = field.exterior.difference(_openings(site, lanes))
     free = field.difference(no_go)
     ways = shapely.union_all([free, *lanes, _area(site.yard.outline_m, "yard")]).difference(no_go)
-    allowed = shrink(ways, margin_m).difference(fence.buffer(max(margin_m, 0.01)))
+    posts = shapely.MultiPoint([p for gate in site.gates for p in gate.posts_m]).buffer(POST_M + margin_m)
+    allowed = shrink(ways, margin_m).difference(fence.buffer(max(margin_m, 0.01))).difference(posts)
     return Ground(site, margin_m, field, free, polygon_of(shrink(free, margin_m)), polygon_of(allowed), fence)
 
 

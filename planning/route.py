@@ -7,7 +7,7 @@ import numpy as np
 from shapely.geometry import Polygon
 
 from geometry.footprint import is_inside
-from geometry.polyline import Float64, arc_length, polyline, resample
+from geometry.polyline import Float64, arc_length, headings, polyline, resample
 from messages.errors import FieldError
 from messages.plan import Leg
 from planning.coverage.closed import drive_rounds
@@ -71,8 +71,19 @@ def _way_in(ways: Ways, start: Pose) -> tuple[list[Piece], Pose]:
     lane = lane_line(ways)
     first, last = _end_poses(lane)
     wanted = Wanted(start, first, 0.0, 0.0)
+    _check_lane(ways, lane)
     pieces = [Piece(Leg.LANE, -1, ways.demand(wanted, "out of the yard"), False)]
     return [*pieces, Piece(Leg.LANE, -1, lane, False)], last
+
+
+def _check_lane(ways: Ways, lane: Float64) -> None:
+    for way, heading in ((lane, headings(lane)), (lane, headings(lane) + np.pi)):
+        inside = is_inside(ways.rig.bodies, way, heading, ways.ground.allowed)
+        if not inside.all():
+            where = describe(ways.ground.site, *map(float, way[int(np.argmin(inside))]))
+            raise FieldError(
+                f"a rig {ways.rig.width_m:g} m wide does not fit on the lane at {where}: widen gate or lane"
+            )
 
 
 def lane_line(ways: Ways) -> Float64:

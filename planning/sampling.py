@@ -120,7 +120,8 @@ def _state(states: Any, pose: list[float]) -> Any:
     state = states.allocState()
     state.setX(pose[0])
     state.setY(pose[1])
-    state.setYaw(math.remainder(pose[2], 2.0 * math.pi))
+    yaw = math.remainder(pose[2], 2.0 * math.pi)
+    state.setYaw(yaw if yaw < math.pi else -math.pi)  # OMPL's angles end before π: a start at π would be no start
     return state
 
 

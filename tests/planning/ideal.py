@@ -66,7 +66,7 @@ class Ideal:
         if self.path is None:
             self.pose = np.array([*start.p_map_m[0], start.heading_rad[0]])
         now = 5_000_000_000
-        order = OperatorOrder(now, Order.START, "test", 1, now + 10**9)
+        order = OperatorOrder(now, Order.START, "test", 1, now + 60 * 10**9)
         for k in range(int(seconds * 1e9) // STEP_NS):
             now += STEP_NS
             for topic, message in self.node.step(now, Box(self._messages(now), (order,) if k == 2 else ())):

@@ -66,8 +66,12 @@ def car(x: float, y: float, degrees: float) -> Polygon:
 
 @pytest.mark.parametrize(
     ("x", "y", "degrees"),
-    [(45, 25, 2), (30, 15, -3), (42, 3.5, 0), (76, 46, 45)],
-    ids=["swath", "next", "edge", "corner"],
+    [
+        pytest.param(45, 25, 2, id="swath"),
+        pytest.param(30, 15, -3, id="next", marks=pytest.mark.slow),
+        pytest.param(42, 3.5, 0, id="edge", marks=pytest.mark.slow),
+        pytest.param(76, 46, 45, id="corner", marks=pytest.mark.slow),
+    ],
 )
 def test_drives_round_what_stays(plan: Plan, config: MissionConfig, x: float, y: float, degrees: float) -> None:
     outline = car(x, y, degrees)
@@ -87,6 +91,7 @@ def test_drives_round_what_stays(plan: Plan, config: MissionConfig, x: float, y:
     assert sum(p.is_last for p in drive.paths) == 2  # the plan's path, and what is left of it
 
 
+@pytest.mark.slow
 def test_a_person_is_waited_for(plan: Plan, config: MissionConfig) -> None:
     outline = box(44.7, 24.7, 45.3, 25.3)
     drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.PERSON, outline)})
@@ -95,6 +100,7 @@ def test_a_person_is_waited_for(plan: Plan, config: MissionConfig) -> None:
     assert drive.stood_s == pytest.approx(stopped_s, abs=3.0)
 
 
+@pytest.mark.slow
 def test_gives_up_in_words_when_the_lane_is_blocked(plan: Plan, config: MissionConfig) -> None:
     drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.VEHICLE, car(20, -12, 90))})
     drive.run(300)
