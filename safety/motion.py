@@ -7,7 +7,7 @@ import numpy as np
 
 from geometry.transforms import yaw_of
 from messages.message import Float64
-from messages.motion import Odometry
+from messages.motion import MapPose, Odometry
 
 KEEP_NS = 1_000_000_000
 
@@ -20,6 +20,19 @@ def planar_of(T: Float64) -> Float64:
 def tilt_of(T: Float64) -> tuple[float, float]:
     """Roll and pitch of a pose (REP-103: pitch is positive nose down); NaN where the pose is no number."""
     return math.atan2(T[2, 1], T[2, 2]), -math.asin(max(-1.0, min(1.0, T[2, 0]))) if T[2, 0] == T[2, 0] else math.nan
+
+
+def whole_odom(odom: Odometry | None) -> Odometry | None:
+    """Odometry without a value that is no number, or None."""
+    if odom is None:
+        return None
+    motion = odom.speed_mps + odom.yaw_rate_radps + odom.curvature_radpm + odom.acceleration_mps2
+    return odom if math.isfinite(motion) and np.isfinite(odom.T_odom_base).all() else None
+
+
+def whole_pose(pose: MapPose | None) -> MapPose | None:
+    """A pose in map without a value that is no number, or None; an infinite protection level is a value."""
+    return pose if pose is not None and np.isfinite(pose.T_map_odom).all() else None
 
 
 def to_frame(pose: Float64, xy: Float64) -> Float64:

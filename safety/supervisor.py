@@ -30,6 +30,7 @@ from safety.gauge import Gauge, Measured
 from safety.judgement import Judgement, allowance_m, judged
 from safety.lookout import Lookout, Seen
 from safety.modes import WATCHED, Event, next_mode
+from safety.motion import whole_odom, whole_pose
 from safety.orders import Orders
 from safety.reports import Reports
 from safety.rules import RULES
@@ -287,19 +288,6 @@ class Supervisor(Node):
             hits_base_m=hits[::stride].astype(np.float32),
             field_base_m=np.empty((0, 2)) if way is None else outline_of(way.main),
         )
-
-
-def whole_odom(odom: Odometry | None) -> Odometry | None:
-    """Odometry without a value that is no number, or None."""
-    if odom is None:
-        return None
-    motion = odom.speed_mps + odom.yaw_rate_radps + odom.curvature_radpm + odom.acceleration_mps2
-    return odom if math.isfinite(motion) and np.isfinite(odom.T_odom_base).all() else None
-
-
-def whole_pose(pose: MapPose | None) -> MapPose | None:
-    """A pose in map without a value that is no number, or None; an infinite protection level is a value."""
-    return pose if pose is not None and np.isfinite(pose.T_map_odom).all() else None
 
 
 LATCHING = frozenset({Mode.FAULT_STOP, Mode.EMERGENCY_STOP, Mode.MANUAL})
