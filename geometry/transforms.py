@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 Float64 = npt.NDArray[np.float64]
 
@@ -12,7 +11,12 @@ Float64 = npt.NDArray[np.float64]
 def transform(p_m: npt.ArrayLike, rpy_rad: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Float64:
     """The pose at `p_m` (3,) with roll, pitch and yaw (REP-103: turned about x, then y, then z, fixed axes)."""
     T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy_rad, float)).as_matrix()
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
+    T[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
     T[:3, 3] = p_m
     return T
 
@@ -34,7 +38,7 @@ def invert(T: Float64) -> Float64:
 def apply(T: Float64, points_m: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """Points (N, 3) taken through `T`, in the points' own float type."""
     R, t = T[:3, :3].astype(points_m.dtype), T[:3, 3].astype(points_m.dtype)
-    return points_m @ R.T + t
+    return np.asarray(points_m @ R.T + t)
 
 
 def yaw_of(T: Float64) -> float:
@@ -48,16 +52,45 @@ def rpy_of(T: Float64) -> Float64:
 
 
 def quaternion_of(T: Float64) -> Float64:
-    """Orientation as (x, y, z, w), w ≥ 0."""
-    q = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
-    return np.asarray(q, np.float64)
+    """Orientation as (x, y, z, w), w ≥ 0 (Shepperd 1978: divides by the largest component alone)."""
+    (a, b, c), (d, e, f), (g, h, i) = T[:3, :3].tolist()
+    trace = a + e + i
+    squares = (1.0 + 2.0 * a - trace, 1.0 + 2.0 * e - trace, 1.0 + 2.0 * i - trace, 1.0 + trace)
+    k = squares.index(max(squares))
+    rows = (
+        (squares[0], b + d, c + g, h - f),
+        (b + d, squares[1], f + h, c - g),
+        (c + g, f + h, squares[2], d - b),
+        (h - f, c - g, d - b, squares[3]),
+    )
+    half = 0.5 / math.sqrt(squares[k])
+    scale = half if rows[k][3] >= 0.0 else -half
+    return np.array([scale * value for value in rows[k]])
+
+
+def rotation_vector(R: Float64) -> Float64:
+    """Axis times angle (3,) of a rotation (3, 3), angle in [0, π]."""
+    x, y, z, w = quaternion_of(R).tolist()
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
+    return np.array([scale * x, scale * y, scale * z])
+
+
+def rotation(vector: Float64) -> Float64:
+    """The rotation (3, 3) of an axis times angle (3,) (Rodrigues)."""
+    x, y, z = vector.tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle < 1e-6:
+        return np.eye(3) + K + 0.5 * K @ K
+    half = math.sin(0.5 * angle) / angle
+    return np.eye(3) + (math.sin(angle) / angle) * K + 2.0 * half * half * K @ K
 
 
 def interpolate(T_a: Float64, T_b: Float64, share: float) -> Float64:
     """The pose between two, at `share` 0 (a) to 1 (b): straight in position, shortest turn in orientation."""
-    R_a = Rotation.from_matrix(T_a[:3, :3])
-    turn = (R_a.inv() * Rotation.from_matrix(T_b[:3, :3])).as_rotvec()
     T = np.eye(4)
-    T[:3, :3] = (R_a * Rotation.from_rotvec(share * turn)).as_matrix()
+    R_a = T_a[:3, :3]
+    T[:3, :3] = R_a @ rotation(share * rotation_vector(R_a.T @ T_b[:3, :3]))
     T[:3, 3] = (1.0 - share) * T_a[:3, 3] + share * T_b[:3, 3]
     return T
