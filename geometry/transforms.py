@@ -63,9 +63,8 @@ def quaternion_of(T: Float64) -> Float64:
         (c + g, f + h, squares[2], d - b),
         (h - f, c - g, d - b, squares[3]),
     )
-    half = 0.5 / math.sqrt(squares[k])
-    scale = half if rows[k][3] >= 0.0 else -half
-    return np.array([scale * value for value in rows[k]])
+    half = math.copysign(0.5 / math.sqrt(squares[k]), rows[k][3])
+    return np.array([half * value for value in rows[k]])
 
 
 def rotation_vector(R: Float64) -> Float64:

@@ -25,7 +25,8 @@ class Fence:
         """Which points (N, 2) are where the machine may be, (N,) bool."""
         inside = np.zeros(len(points_map_m), bool)
         for ring in self.allowed:
-            inside |= is_within(points_map_m, ring)
+            left = np.flatnonzero(~inside)  # most points lie in the first ring, the field
+            inside[left] = is_within(points_map_m[left], ring)
         for ring in self.forbidden:
             inside &= ~is_within(points_map_m, ring)
         return inside
@@ -62,8 +63,8 @@ def band(line: Float64, half_m: float) -> Float64:
 def is_within(points: Float64, ring: Float64) -> np.ndarray:
     """Which points (N, 2) lie in a polygon (E, 2), by an odd number of edges crossed towards +x, (N,) bool."""
     x, y = points[:, :1], points[:, 1:]
-    x0, y0 = ring[:, 0], ring[:, 1]
-    x1, y1 = np.roll(x0, -1), np.roll(y0, -1)
+    x0, y0 = ring.T
+    x1, y1 = np.concatenate([ring[1:], ring[:1]]).T
     is_spanned = (y0 <= y) != (y1 <= y)
     rise = np.where(y1 == y0, 1.0, y1 - y0)
     is_right = x < x0 + (y - y0) / rise * (x1 - x0)
