@@ -6,6 +6,7 @@ The stack's own configuration with the recording car's sensor model and mount. E
 """
 
 import os
+import sys
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, the others' libraries too
 
@@ -40,6 +41,8 @@ def lower_bound(good: int, n: int) -> float:
 
 def say(name: str, value: str, bar: str) -> None:
     """One line of the table."""
+    sys.stdout.write(f"{name:<46} {value:<44} {bar}\n")
+    sys.stdout.flush()
 
 
 def show_recall() -> None:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lidar_scenes import FRONT, LIDAR_CONFIG, box, cast, listed
 
 from perception.lidar.grid import build_grid
 from perception.lidar.ground import find_ground, fit_plane
-from lidar_scenes import FRONT, LIDAR_CONFIG, box, cast, listed
 
 CONFIG = LIDAR_CONFIG.ground
 GRID = build_grid(CONFIG.sector_deg, CONFIG.first_bin_m, CONFIG.bin_growth, CONFIG.reach_m)
@@ -51,7 +51,7 @@ def test_furrows_are_ground_and_a_box_on_them_keeps_its_height(share):
 def test_ghosts_below_the_ground_do_not_drag_it_down():
     rng = np.random.default_rng(1)
     ghosts = np.stack([rng.uniform(5, 25, 300), rng.uniform(-5, 5, 300), rng.uniform(-3.0, -0.3, 300)], axis=1)
-    points, ground = ground_of(cast(), ghosts)
+    _points, ground = ground_of(cast(), ghosts)
     real = np.abs(ground.height_m[:-300])
     assert np.quantile(real, 0.99) < 0.1
     assert (ground.height_m[-300:] < -0.2).all()

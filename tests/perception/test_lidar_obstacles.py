@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from lidar_scenes import FRONT, LIDAR_CONFIG, VEHICLE, Feed, box, cast, listed, odometry, person
 
 from configs.vehicle import Lidar
 from messages.perception import HealthState
 from perception.lidar.obstacles import LidarObstacles
-from lidar_scenes import FRONT, LIDAR_CONFIG, VEHICLE, Feed, box, cast, listed, odometry, person
 
 SECOND = 1_000_000_000
 
