@@ -45,6 +45,7 @@ class FieldConfig(Config):
     grade_change: float = Field(ge=0.0, le=0.15, description="by how much the ground may bend up or down per metre")
     rise_cap_m: Metres = Field(description="no more than this of rising ground is believed")
     ground_returns: int = Field(ge=1, le=50, description="the so-many-th lowest return of a patch is its ground")
+    ground_share: float = Field(ge=0.0, le=0.1, description="or this share of its returns, where that is more")
     ground_patch_m: float = Field(gt=0.5, le=10.0)
     furrow_m: Metres = Field(description="depth below the wheels that is not yet falling ground")
     mask_m: Metres

@@ -68,7 +68,7 @@ def raised(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
     scale = np.float32(1.0 / size)
     row, column = (x * scale - np.float32(x0)).astype(np.int32), (y * scale - np.float32(y0)).astype(np.int32)
     patch = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
-    ground = patch_ground(patch, z, rows * columns, config.ground_returns)
+    ground = patch_ground(patch, z, rows * columns, config.ground_returns, config.ground_share)
     center_x = (np.repeat(np.arange(rows), columns) + x0 + 0.5) * size
     center_y = (np.tile(np.arange(columns), rows) + y0 + 0.5) * size
     lift = bend(ground, np.hypot(center_x - WHEELS_X_M, center_y), config).astype(np.float32)
@@ -76,12 +76,16 @@ def raised(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
     return np.asarray(z > lift[patch] + np.float32(config.lowest_m) + np.float32(config.lowest_per_m) * distance)
 
 
-def patch_ground(patch: np.ndarray, z: Float32, patches: int, order: int) -> Float64:
-    """Height of the `order`-th lowest return of each patch, rounded down to 0.05 m; infinite where there are fewer."""
+def patch_ground(patch: np.ndarray, z: Float32, patches: int, order: int, share: float) -> Float64:
+    """Height of the `order`-th lowest return of each patch, rounded down to 0.05 m; infinite where there are fewer.
+
+    Where returns are dense a share of them stands for `order`: mirrors (wet ground, paint) put ghosts below the ground.
+    """
     level = np.clip((z - np.float32(HEIGHT_FROM_M)) * np.float32(1.0 / HEIGHT_STEP_M), 0, HEIGHT_STEPS - 1)
     counts = np.bincount(patch * HEIGHT_STEPS + level.astype(np.int32), minlength=patches * HEIGHT_STEPS)
     below = np.cumsum(counts.reshape(patches, HEIGHT_STEPS), axis=1)
-    found = np.argmax(below >= order, axis=1)
+    needed = np.maximum(order, share * below[:, -1:])
+    found = np.argmax(below >= needed, axis=1)
     height = HEIGHT_FROM_M + HEIGHT_STEP_M * found
     return np.where(below[:, -1] >= order, height, np.inf)
 
