@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
 from benchmarks.perception_kitti import add_noise
 from benchmarks.perception_kitti_data import DATA, frame, has_frames, labels
 from benchmarks.perception_pasting import paste_trials
 from benchmarks.perception_scoring import perceive, recall, strict, thin
-from lidar_scenes import TRACKER_CONFIG, Feed, odometry
 from messages.perception import Tracks
 from perception.fusion.tracker import Tracker
 
