@@ -36,6 +36,7 @@ class MissionConfig(Config):
     clearance_m: Metres = Field(description="beside what is driven round; more than the supervisor's lateral margin")
     rear_clearance_m: Metres = Field(description="behind the implement when backing up to where work goes on")
     unseen_depth_m: float = Field(ge=0.0, le=20.0, description="least depth of what is seen from one side")
+    join_m: Metres = Field(description="standing things nearer to each other than this are one")
     look_m: Metres = Field(description="how far ahead on the path the cause of a stop is looked for")
     most_reverse_m: Metres
     reverse_kmh: Kmh

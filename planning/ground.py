@@ -45,7 +45,8 @@ def ground_of(site: Site, margin_m: float) -> Ground:
     ways = shapely.union_all([free, *lanes, _area(site.yard.outline_m, "yard")]).difference(no_go)
     posts = shapely.MultiPoint([p for gate in site.gates for p in gate.posts_m]).buffer(POST_M + margin_m)
     allowed = shrink(ways, margin_m).difference(fence.buffer(max(margin_m, 0.01))).difference(posts)
-    return Ground(site, margin_m, field, free, polygon_of(shrink(free, margin_m)), polygon_of(allowed), fence)
+    inner = shrink(free, margin_m).difference(posts)
+    return Ground(site, margin_m, field, free, polygon_of(inner), polygon_of(allowed), fence)
 
 
 def _openings(site: Site, lanes: list[Polygon]) -> BaseGeometry:

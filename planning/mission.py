@@ -15,7 +15,7 @@ from messages.plan import LeftOut, Leg, MissionState, MissionStatus, Path
 from planning.blockage import Blocked, Rejoin, Step, Trunk, blocked_again, settle, way_round
 from planning.configuration import MissionConfig
 from planning.detour import ground_without
-from planning.obstacles import ALIVE, Standing, first_in_way, from_hits, standing
+from planning.obstacles import ALIVE, Standing, first_in_way, from_hits, joined, standing
 from planning.path import rest_of
 from planning.plan import Plan
 
@@ -105,7 +105,7 @@ class MissionNode(Node):
     def _settled(self, rejoin: Rejoin, pose: MapPose, inbox: Inbox) -> list[Path]:
         found, cause = self._standing(pose, inbox), rejoin.blocked.cause
         near = [o for o in found if o.outline.distance(cause.outline) < SEEN_AGAIN_M]
-        seen = min(near, key=lambda o: round(o.outline.distance(cause.outline), 3), default=cause)
+        seen = joined([cause, *near], SEEN_AGAIN_M)[0]  # its far side shows only from here
         ground = ground_without(self._plan.ground.allowed, [o.outline for o in found], BACK_CLEARANCE_M)
         p = pose.T_map_base[:2, 3]
         paths, missed = settle(rejoin, seen, p, ground, self._plan.rig, self._config, self._new_id)
@@ -136,7 +136,7 @@ class MissionNode(Node):
 
     def _standing(self, pose: MapPose, inbox: Inbox) -> list[Standing]:
         tracks = inbox.latest("tracks", Tracks)
-        return standing(tracks, pose.T_map_odom, self._config.standing_mps, self._ground)
+        return standing(tracks, pose.T_map_odom, self._config.standing_mps, self._ground, self._config.join_m)
 
     def _cause(self, found: list[Standing], pose: MapPose, supervisor: SupervisorState) -> Standing | None:
         path = self._path

@@ -26,15 +26,35 @@ class Standing:
     outline: Polygon
 
 
-def standing(tracks: Tracks | None, T_map_odom: Float64, slowest_mps: float, within: BaseGeometry) -> list[Standing]:
-    """Confirmed tracks slower than `slowest_mps` whose middle lies in an area, in order of their id."""
-    found = []
+def standing(
+    tracks: Tracks | None, T_map_odom: Float64, slowest_mps: float, within: BaseGeometry, join_m: float
+) -> list[Standing]:
+    """What stands in an area: confirmed tracks slower than `slowest_mps`, those within `join_m` as one thing."""
+    found: list[Standing] = []
     for track in sorted(tracks.tracks if tracks is not None else (), key=lambda t: t.id):
         if track.is_confirmed and float(np.hypot(*track.velocity_mps[:2])) < slowest_mps:
             outline = box_of(track, T_map_odom)
             if outline.centroid.within(within):
                 found.append(Standing(track.label, outline))
-    return found
+    return joined(found, join_m)
+
+
+def joined(found: Sequence[Standing], join_m: float) -> list[Standing]:
+    """Things nearer to each other than `join_m` as one, called by what its largest part is.
+
+    A sensor may see the wheels, the bed and the cab of a vehicle as three things.
+    """
+    groups: list[list[Standing]] = []
+    for thing in found:
+        near = [g for g in groups if any(o.outline.distance(thing.outline) < join_m for o in g)]
+        groups = [g for g in groups if g not in near] + [[thing, *(o for g in near for o in g)]]
+    return [_as_one(group) for group in groups]
+
+
+def _as_one(group: Sequence[Standing]) -> Standing:
+    largest = max(group, key=lambda s: round(s.outline.area, 6))
+    hull = as_polygon(shapely.union_all([s.outline for s in group]).convex_hull)
+    return largest if len(group) == 1 else Standing(largest.label, hull)
 
 
 def box_of(track: Track, T_map_odom: Float64) -> Polygon:

@@ -19,6 +19,7 @@ LANE_M = 25.0
 INTO_FIELD_M = 6.0
 GATE_SPARE_M = 1.6  # beside the widest body, both sides together, more than the margins
 YARD_DEPTH_M = 24.0
+POSTS_OUT_M = 0.5  # a fence stands outside what is worked
 PLACES = (0.5, 0.35, 0.65, 0.2, 0.8)
 
 
@@ -68,7 +69,7 @@ def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float)
         boundary_m=tuple((float(x), float(y)) for x, y in outline.polygon.exterior.coords[:-1]),
         no_go=no_go,
         lanes=(Lane(name="lane", center_m=(at(0.0, near + 4.0), at(0.0, -INTO_FIELD_M)), width_m=gate_m),),
-        gates=(Gate(name="gate", posts_m=(at(-half, 0.0), at(half, 0.0))),),
+        gates=(Gate(name="gate", posts_m=(at(-half, POSTS_OUT_M), at(half, POSTS_OUT_M))),),
         yard=Area(name="yard", outline_m=(at(-wide, near), at(-wide, far), at(wide, far), at(wide, near))),
         start=Pose2(x_m=start[0], y_m=start[1], heading_deg=heading),
         is_fenced=False,

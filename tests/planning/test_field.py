@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shapely.geometry import Polygon
+from shapely.geometry import Point, Polygon
 
 from configs.mission import Mission
-from configs.vehicle import MountedImplement, Vehicle
+from configs.strict import find, load
+from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from messages.errors import FieldError
+from planning.configuration import PlanningConfig
 from planning.field import read_field
+from planning.plan import plan_mission
 from planning.surroundings import site_around
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -123,7 +126,17 @@ class TestRealParcels:
         assert not field.intersects(yard)
         posts = np.array(site.gates[0].posts_m)
         assert np.hypot(*(posts[1] - posts[0])) > harrow.width_m + 2 * mission.work.boundary_margin_m
-        assert max(field.exterior.distance(Polygon([*posts, posts[0]]).centroid), 0.0) < 0.1
+        assert field.exterior.distance(Point(posts.mean(axis=0))) == pytest.approx(0.5, abs=0.01)
+
+    @pytest.mark.slow
+    def test_the_parcel_is_planned_with_12_m(
+        self, vehicle: Vehicle, mission: Mission, planning: PlanningConfig
+    ) -> None:
+        wide = load(ImplementFile, find("implements", "harrow_12m")).implement
+        site = site_around(read_field(self.folder / "test.json"), vehicle, wide, mission.work)
+        plan = plan_mission(site, vehicle, wide, mission.work, planning.planner, 0)
+        assert plan.planned_share > 0.985
+        assert plan.length_m < 4000
 
     @pytest.mark.parametrize(
         "name", ["strips.geojson", "swaths.geojson", "test_ring.json", "test_2_cell.json", "test1.xml"]
