@@ -1,0 +1,47 @@
+"""Detection ranges, recall, and how sure a count makes us."""
+
+from collections.abc import Iterable, Sequence
+
+from scipy.stats import beta, chi2
+
+IN_A_ROW = 3
+Flag = tuple[float, bool]
+
+
+def range_without_failure(flags: Iterable[Flag]) -> float | None:
+    """The greatest range of (range, found) below which none was lost; None when the nearest already was."""
+    best = None
+    for range_m, is_found in sorted(flags, key=lambda f: (f[0], f[1])):
+        if not is_found:
+            break
+        best = range_m
+    return best
+
+
+def confirmed(flags: Sequence[Flag]) -> list[Flag]:
+    """The same in order of time, found only where it and the two before were; the first two cannot tell."""
+    return [
+        (flags[k][0], all(found for _, found in flags[k - IN_A_ROW + 1 : k + 1])) for k in range(IN_A_ROW - 1, len(flags))
+    ]
+
+
+def lost_from(flags: Iterable[Flag]) -> float | None:
+    """The least range at which something was lost; None when nothing was."""
+    return min((range_m for range_m, is_found in flags if not is_found), default=None)
+
+
+def share_bounds(count: int, of: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Clopper and Pearson's exact bounds of a share."""
+    tail = 0.5 * (1.0 - confidence)
+    low = 0.0 if count == 0 else float(beta.ppf(tail, count, of - count + 1))
+    high = 1.0 if count >= of else float(beta.ppf(1.0 - tail, count + 1, of - count))
+    return low, high
+
+
+def rate_bounds(count: int, time: float, confidence: float = 0.95) -> tuple[float, float | None]:
+    """Exact bounds of a rate of independent events (Garwood, what Clopper and Pearson's become for rare ones)."""
+    if time <= 0.0:
+        return 0.0, None
+    tail = 0.5 * (1.0 - confidence)
+    low = 0.0 if count == 0 else 0.5 * float(chi2.ppf(tail, 2 * count)) / time
+    return low, 0.5 * float(chi2.ppf(1.0 - tail, 2 * count + 2)) / time
