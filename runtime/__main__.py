@@ -44,6 +44,23 @@ def parser() -> argparse.ArgumentParser:
     campaign.add_argument("--out", type=Path, help="folder; given again, what is whole in it is not driven again")
     campaign.add_argument("--json", action="store_true", help="one object on standard output")
     campaign.set_defaults(module="runtime.campaign")
+    validate = verbs.add_parser("validate", help="judge recorded logs: would this stack have stopped?")
+    validate.add_argument("log", type=Path, nargs="+", metavar="LOG", help="MCAP, ROS bag, KITTI folder, PCD folder")
+    validate.add_argument("--vehicle", type=Path, metavar="FILE", help="who recorded them: dimensions, lidars, mounts")
+    validate.add_argument("--conditions", type=Path, metavar="FILE", help="default validation/conditions/obstacle_stop.yaml")
+    validate.add_argument("--truth", type=Path, metavar="PATH", help="KITTI's labels, or a sidecar (.jsonl)")
+    validate.add_argument("--out", type=Path, help="run folder; given again, logs judged in it are not judged again")
+    validate.add_argument("--json", action="store_true", help="one object on standard output, progress on standard error")
+    validate.add_argument("--jobs", type=int, metavar="N", help="logs at a time (default: all cores)")
+    validate.add_argument("--scheduler", metavar="ADDRESS", help="judge on this Dask cluster")
+    validate.set_defaults(module="runtime.validate")
+
+    bring = verbs.add_parser("import", help="write a recording of another format as a log of ours")
+    bring.add_argument("source", type=Path, metavar="SOURCE")
+    bring.add_argument("--out", type=Path, required=True, metavar="LOG.mcap")
+    bring.add_argument("--truth", type=Path, metavar="PATH", help="KITTI's labels, or a sidecar (.jsonl)")
+    bring.add_argument("--json", action="store_true", help="one object on standard output")
+    bring.set_defaults(module="runtime.import_log")
     return top
 
 

@@ -1,0 +1,26 @@
+"""`headland import`: any recording that is known here, written down as a log of ours."""
+
+import argparse
+import json
+import sys
+
+from configs.strict import CONFIGS, load
+from datasets.importers.transcript import write_recording
+from runtime.sidecar import open_with_truth
+from runtime.stack import StackConfig
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Write the log; raises LogError, and then leaves nothing behind."""
+    stack = load(StackConfig, CONFIGS / "stack.yaml").datasets
+    recording = open_with_truth(arguments.source, arguments.truth, "any")
+    counts = write_recording(recording, arguments.out, stack.log, stack.viewer)
+    result = {"source": str(arguments.source), "format": recording.description.format, "log": str(arguments.out),
+              "messages": counts, "notes": list(recording.description.notes)}  # fmt: skip
+    if arguments.json:
+        sys.stdout.write(json.dumps(result) + "\n")
+        return 0
+    for topic, count in sorted(counts.items()):
+        sys.stdout.write(f"{topic:<40}{count:>9}\n")
+    sys.stdout.write(f"{recording.description.format}: {sum(counts.values())} messages in {arguments.out}\n")
+    return 0
