@@ -42,14 +42,13 @@ def smoothed(points_m: Float64, smoothing_m: float) -> tuple[Float64, Float64]:
 
 
 def is_free(points_m: Float64, space: Space) -> bool:
-    """Whether the bodies stay in the allowed area on the smoothed way, checked every 0.2 m."""
+    """Whether the bodies stay in the allowed area on the smoothed way, checked every 0.1 m."""
     points, heading = smoothed(points_m, space.smoothing_m)
     coarse = slice(None, None, 10)
     corners = np.vstack([b.corners_m for b in space.bodies])
     if intrusion(corners, points[coarse], heading[coarse], space.allowed).max() > 0.0:
         return False
-    fine = slice(None, None, 2)
-    return bool(is_inside(space.bodies, points[fine], heading[fine], space.allowed).all())
+    return bool(is_inside(space.bodies, points, heading, space.allowed).all())
 
 
 def candidates(wanted: Wanted, radius_m: float, most: int) -> Iterator[Float64]:
