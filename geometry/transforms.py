@@ -79,11 +79,11 @@ def rotation(vector: Float64) -> Float64:
     """The rotation (3, 3) of an axis times angle (3,) (Rodrigues)."""
     x, y, z = vector.tolist()
     angle = math.sqrt(x * x + y * y + z * z)
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-6:
-        return np.eye(3) + K + 0.5 * K @ K
-    half = math.sin(0.5 * angle) / angle
-    return np.eye(3) + (math.sin(angle) / angle) * K + 2.0 * half * half * K @ K
+    sine = 1.0 if angle < 1e-9 else math.sin(angle) / angle
+    half = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
+    K: Float64 = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    R: Float64 = np.eye(3) + sine * K + (2.0 * half * half) * (K @ K)
+    return R
 
 
 def interpolate(T_a: Float64, T_b: Float64, share: float) -> Float64:

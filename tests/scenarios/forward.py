@@ -47,7 +47,7 @@ def forward(
         start_ns = executor.now_ns
 
         def is_over() -> bool:
-            return drive.failure is not None or until(drive) or executor.now_ns - start_ns > timeout_s * 1e9
+            return until(drive) or drive.failure is not None or executor.now_ns - start_ns > timeout_s * 1e9
 
         executor.run(is_over)
         seconds = (executor.now_ns - start_ns) * 1e-9

@@ -1,0 +1,117 @@
+"""The whole stack in closed loop, for as long as a test may take; the demo mission itself is the campaign's."""
+
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from forward import Drive, forward
+
+from messages.command import Mode, SafeCommand, Wish
+from messages.node import Inbox, Output
+from messages.truth import TrueMachine
+from runtime.setup import Setup, load_setup
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def setup() -> Setup:
+    return load_setup("demo", None, None, None, 1)
+
+
+def speed(drive: Drive) -> float:
+    return drive.last("truth_machine", TrueMachine).speed_mps
+
+
+def test_leaves_the_yard_after_the_start_warning(setup: Setup) -> None:
+    drive = forward(setup, lambda d: "wish" in d.newest and d.last("wish", Wish).path_s_m > 12.0, 25.0)
+    assert drive.modes == ["standby", "start_warning", "automatic"]
+    truth, wish = drive.last("truth_machine", TrueMachine), drive.last("wish", Wish)
+    assert speed(drive) > 1.5
+    assert abs(wish.xte_m) < 0.05
+    assert abs(truth.T_map_base[0, 3] - 20.0) < 0.08  # the lane runs north along x = 20 m
+
+
+@pytest.mark.parametrize("name", ["lidar_front", "localizer"])
+def test_a_node_that_fails_stops_the_machine(setup: Setup, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import runtime.assembly as assembly
+
+    real = assembly._perceiving, assembly._deciding
+
+    def breaking(build):  # type: ignore[no-untyped-def]
+        def built(*arguments):  # type: ignore[no-untyped-def]
+            nodes = build(*arguments)
+            for node in nodes:
+                if node.name == name:
+                    node.step = fail_after(node.step, 9.0)
+            return nodes
+
+        return built
+
+    monkeypatch.setattr(assembly, "_perceiving", breaking(real[0]))
+    monkeypatch.setattr(assembly, "_deciding", breaking(real[1]))
+
+    def stands(d: Drive) -> bool:
+        assert d.failure is None or "planted" in d.failure
+        d.failure = None
+        is_stopped = "safe_command" in d.newest and d.last("safe_command", SafeCommand).mode is Mode.FAULT_STOP
+        return is_stopped and abs(speed(d)) < 0.02
+
+    drive = forward(setup, stands, 20.0)
+    assert "automatic" in drive.modes
+    assert drive.last("safe_command", SafeCommand).reason == "node.exception"
+
+
+def fail_after(step, seconds: float):  # type: ignore[no-untyped-def]
+    first: list[int] = []
+
+    def failing(now_ns: int, inbox: Inbox) -> Iterable[Output]:
+        first[:] = first or [now_ns]
+        if now_ns - first[0] > seconds * 1e9:
+            raise RuntimeError("planted")
+        return step(now_ns, inbox)  # type: ignore[no-any-return]
+
+    return failing
+
+
+DIGEST = """
+import sys
+sys.path[:0] = [{root!r}, {root!r} + "/tests/scenarios"]
+from pathlib import Path
+from forward import forward
+from datasets.log import LogWriter
+from runtime.setup import load_setup
+setup = load_setup("demo", None, None, None, {seed})
+with LogWriter(Path(sys.argv[1]), {{}}, setup.stack.datasets.log, None) as log:
+    forward(setup, lambda d: "wish" in d.newest and d.newest["wish"].path_s_m > 2.0, 20.0, sinks=(log.write,))
+    print(log.digest())
+"""
+
+
+def digest_of(seed: int, folder: Path, name: str) -> str:
+    program = DIGEST.format(root=str(ROOT), seed=seed)
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(folder / name)], capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
+
+
+def test_one_seed_gives_one_digest_in_two_processes(tmp_path: Path) -> None:
+    first, again, other = (digest_of(s, tmp_path, f"{k}.mcap") for k, s in enumerate((1, 1, 2)))
+    assert len(first) == 32
+    assert first == again
+    assert first != other
+
+
+def test_no_command_moves_the_machine_before_the_order(setup: Setup) -> None:
+    places: list[np.ndarray] = []
+
+    def note(envelope) -> None:  # type: ignore[no-untyped-def]
+        if isinstance(envelope.message, TrueMachine):
+            places.append(envelope.message.T_map_base[:2, 3])
+
+    forward(setup, lambda d: "start_warning" in d.modes, 6.0, sinks=(note,))
+    assert np.ptp(places, axis=0).max() < 0.01
