@@ -23,6 +23,7 @@ class Threat:
     id: int
 
 
+REACH_M = 15.0  # farther than any body, margin and uncertainty reach from base
 NO_THREAT = Threat(math.inf, ObstacleClass.UNKNOWN, -1)
 
 
@@ -72,6 +73,17 @@ def is_before(track: Track, shape: Shape, pose_odom: Float64, curvature: float, 
     return ahead_m >= edge_m and not bool(is_own(np.vstack([place.T, [[0.0]]]), shape, curvature, own_m)[0])
 
 
+def is_within_reach(track: Track, pose_odom: Float64, length_m: float, horizon_s: float) -> bool:
+    """Whether a track with a finite place could touch a sweep of this length within the horizon, by distance alone.
+
+    A fenced field has hundreds of tracks, and all but a few are beyond this circle.
+    """
+    (x, y), (vx, vy) = track.p_odom_m[:2].tolist(), track.velocity_mps[:2].tolist()
+    moved_m = math.hypot(vx, vy) * horizon_s
+    far_m = math.hypot(x - pose_odom[0], y - pose_odom[1]) - math.hypot(*track.size_m[:2].tolist())
+    return math.isfinite(x + y) and not far_m > length_m + REACH_M + moved_m
+
+
 def threat_in(
     sweep: Sweep,
     shape: Shape,
@@ -90,7 +102,7 @@ def threat_in(
     times_s = np.linspace(0.0, horizon_s, config.steps)
     best = NO_THREAT
     for track in () if tracks is None else tracks.tracks:
-        if not track.is_confirmed or not np.all(np.isfinite(track.p_odom_m[:2])):
+        if not track.is_confirmed or not is_within_reach(track, pose_odom, sweep.length_m, horizon_s):
             continue
         if not is_before(track, shape, pose_odom, curvature_radpm, sweep.direction, config.own_m):
             continue
