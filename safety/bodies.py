@@ -1,9 +1,9 @@
 """Machine and implement as rectangles, and where a trailed implement goes.
 
-          front_m ┌──┐ 0 = base        each rectangle lies in the frame of its carrier:
-                  │  │                 `base`, or the hitch of a trailed implement (x forward, y left)
-         ┌────────┴──┴────────┐
-         └────────────────────┘ rear_m
+ front_m ┌──┐ 0 = base        each rectangle lies in the frame of its carrier:
+         │  │                 `base`, or the hitch of a trailed implement (x forward, y left)
+┌────────┴──┴────────┐
+└────────────────────┘ rear_m
 """
 
 import math

@@ -1,10 +1,10 @@
 """The mode machine as one table: what leads from where to where, and nothing else does.
 
-          AUTOMATIC order          START               warned               obstacle
-  MANUAL ───────────────► STANDBY ───────► START_WARNING ─────► AUTOMATIC ─────────► OBSTACLE_STOP
-    ▲                      ▲   ▲                 ▲                  │ done                │ clear for some seconds
-    │ hand, MANUAL order   │   │ RESET           └──────────────────┼─────────────────────┘
-    └── all but EMERGENCY  │   └─ FAULT_STOP, EMERGENCY_STOP        └─► FINISHED
+        AUTOMATIC order          START               warned               obstacle
+MANUAL ───────────────► STANDBY ───────► START_WARNING ─────► AUTOMATIC ─────────► OBSTACLE_STOP
+  ▲                      ▲   ▲                 ▲                  │ done                │ clear for some seconds
+  │ hand, MANUAL order   │   │ RESET           └──────────────────┼─────────────────────┘
+  └── all but EMERGENCY  │   └─ FAULT_STOP, EMERGENCY_STOP        └─► FINISHED
 """
 
 from enum import IntEnum

@@ -1,9 +1,9 @@
 """The supervisor: reads what others say, asks the rules, keeps the mode, and alone builds the safe command.
 
-    messages ─► lookout (field, tracks, proven range, fence) ─┐
-            └─► watchdog, timers ─────────────────────────────┼─► situation ─► rules ─► most restrictive
-    orders ─► events ─► mode table ◄──────────────────────────┘                             │
-                            └──────────────────────────────────────► safe command ◄─────────┘
+messages ─► lookout (field, tracks, proven range, fence) ─┐
+        └─► watchdog, timers ─────────────────────────────┼─► situation ─► rules ─► most restrictive
+orders ─► events ─► mode table ◄──────────────────────────┘                             │
+                        └──────────────────────────────────────► safe command ◄─────────┘
 """
 
 import math

@@ -1,8 +1,8 @@
 """The area that machine and implement will sweep, and how far they get before they touch something.
 
-     pose 0        pose 1        pose 2            a body at pose k owns its rectangle, lengthened in the direction
-    ┌──────┐      ┌──────┐      ┌──────┐           of travel by one step, so that nothing lies between two poses
-    └──────┘------└──────┘------└──────┘   ×       travel to contact = way to pose k + what is left to the point
+ pose 0        pose 1        pose 2            a body at pose k owns its rectangle, lengthened in the direction
+┌──────┐      ┌──────┐      ┌──────┐           of travel by one step, so that nothing lies between two poses
+└──────┘------└──────┘------└──────┘   ×       travel to contact = way to pose k + what is left to the point
 """
 
 import math

@@ -1,6 +1,7 @@
 """The second channel: tracks that will enter the swept field while the machine still needs to stop."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,18 +31,19 @@ NO_THREAT = Threat(math.inf, ObstacleClass.UNKNOWN, -1)
 def is_moving(track: Track, config: TrackedConfig) -> bool:
     """Whether a track surely moves: a speed near 0, or not known well or long enough, does not count.
 
-    The seen part of a fence or hedge grows and shrinks as the machine passes, which looks like motion of its middle:
-    what has no class must be compact.
+    The seen part of a fence, hedge or vehicle grows and shrinks as the machine passes, which looks like motion of its
+    middle: what has no class must be compact, and what is long must be faster.
     """
     if track.last_seen_ns - track.first_seen_ns < config.known_s * 1e9:
         return False
-    if track.label is ObstacleClass.UNKNOWN and float(np.max(track.size_m[:2])) > config.compact_m:
+    is_long = float(np.max(track.size_m[:2])) > config.compact_m
+    if track.label is ObstacleClass.UNKNOWN and is_long:
         return False
     speed = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
     if not math.isfinite(speed):
         return False
     sigma = math.sqrt(max(0.0, float(np.max(np.diag(track.covariance)[2:4]))))
-    return speed >= config.moving_mps and speed >= config.moving_sigmas * sigma
+    return speed >= (config.long_moving_mps if is_long else config.moving_mps) and speed >= config.moving_sigmas * sigma
 
 
 def predicted(track: Track, times_s: Float64, config: TrackedConfig) -> tuple[Float64, Float64]:
@@ -60,16 +62,20 @@ def rim(track: Track) -> Float64:
     return np.column_stack([local[:, 0] * c - local[:, 1] * s, local[:, 0] * s + local[:, 1] * c]) + track.p_odom_m[:2]
 
 
-def is_before(track: Track, shape: Shape, pose_odom: Float64, curvature: float, direction: int, own_m: float) -> bool:
+def is_before(
+    track: Track, moves: bool, shape: Shape, pose_odom: Float64, curvature: float, direction: int, own_m: float
+) -> bool:
     """Whether a track lies before some leading edge and is not the machine's own implement, tracked by mistake.
 
     Whatever comes from behind or lies beside the rear is not met by driving on; standing would not help it. Between
-    the foremost and the last leading edge, only what has a class counts: there fences pass, piece by piece.
+    the foremost and the last leading edge, only what has a class and moves counts: what stands there is in the raw
+    field if it is in the way at all.
     """
     place = from_frame(pose_odom, track.p_odom_m[None, :2])
     ahead_m = direction * float(place[0, 0]) + 0.5 * float(np.max(track.size_m[:2]))
     foremost_m = direction * shape.foremost_m(direction)
-    edge_m = foremost_m if track.label is ObstacleClass.UNKNOWN else foremost_m - max(shape.leads_m(direction))
+    counts_beside = moves and track.label is not ObstacleClass.UNKNOWN
+    edge_m = foremost_m - max(shape.leads_m(direction)) if counts_beside else foremost_m
     return ahead_m >= edge_m and not bool(is_own(np.vstack([place.T, [[0.0]]]), shape, curvature, own_m)[0])
 
 
@@ -82,6 +88,22 @@ def is_within_reach(track: Track, pose_odom: Float64, length_m: float, horizon_s
     moved_m = math.hypot(vx, vy) * horizon_s
     far_m = math.hypot(x - pose_odom[0], y - pose_odom[1]) - math.hypot(*track.size_m[:2].tolist())
     return math.isfinite(x + y) and not far_m > length_m + REACH_M + moved_m
+
+
+def is_part_of(track: Track, standing: Sequence[Track], part_m: float) -> bool:
+    """Whether the middle of a track lies on, or within `part_m` of, the box of a larger one that stands.
+
+    A vehicle passed closely is seen in pieces, whose middles wander. Who steps out from beside it is in the raw field.
+    """
+    for other in standing:
+        if other.id == track.id or float(np.max(other.size_m[:2])) <= float(np.max(track.size_m[:2])):
+            continue
+        c, s = math.cos(other.yaw_rad), math.sin(other.yaw_rad)
+        dx, dy = (track.p_odom_m[:2] - other.p_odom_m[:2]).tolist()
+        along, across = abs(c * dx + s * dy), abs(c * dy - s * dx)
+        if along <= 0.5 * other.size_m[0] + part_m and across <= 0.5 * other.size_m[1] + part_m:
+            return True
+    return False
 
 
 def threat_in(
@@ -101,19 +123,23 @@ def threat_in(
     horizon_s = min(config.most_horizon_s, max(config.least_horizon_s, stop_s))
     times_s = np.linspace(0.0, horizon_s, config.steps)
     best = NO_THREAT
-    for track in () if tracks is None else tracks.tracks:
-        if not track.is_confirmed or not is_within_reach(track, pose_odom, sweep.length_m, horizon_s):
+    confirmed = [t for t in (() if tracks is None else tracks.tracks) if t.is_confirmed]
+    near = [t for t in confirmed if is_within_reach(t, pose_odom, sweep.length_m, horizon_s)]
+    standing = [t for t in near if float(np.max(t.size_m[:2])) >= config.carrier_m and not is_moving(t, config)]
+    for track in near:
+        moves = is_moving(track, config) and not is_part_of(track, standing, config.part_m)
+        if not is_before(track, moves, shape, pose_odom, curvature_radpm, sweep.direction, config.own_m):
             continue
-        if not is_before(track, shape, pose_odom, curvature_radpm, sweep.direction, config.own_m):
-            continue
-        gap = _gap_to(sweep, track, pose_odom, times_s, config)
+        gap = _gap_to(sweep, track, moves, pose_odom, times_s, config)
         if gap < best.gap_m:
             best = Threat(gap, track.label, track.id)
     return best
 
 
-def _gap_to(sweep: Sweep, track: Track, pose_odom: Float64, times_s: Float64, config: TrackedConfig) -> float:
-    if is_moving(track, config):
+def _gap_to(
+    sweep: Sweep, track: Track, moves: bool, pose_odom: Float64, times_s: Float64, config: TrackedConfig
+) -> float:
+    if moves:
         places, reach = predicted(track, times_s, config)
         return float(np.min(contact_m(from_frame(pose_odom, places), sweep, reach + config.lateral_m)))
     if track.label is ObstacleClass.UNKNOWN:
