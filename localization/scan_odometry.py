@@ -1,4 +1,8 @@
-"""Odometry from the scans of one lidar alone, for logs that have no speed: KISS-ICP with its constant-velocity guess."""
+"""Odometry from the scans of one lidar alone, for logs that have no speed: KISS-ICP with its constant-velocity guess.
+
+Ground is left out: the rings of a lidar lie on level ground the same way wherever it is, so that matching them says
+that the machine stands.
+"""
 
 import math
 from collections.abc import Iterable
@@ -16,7 +20,10 @@ from geometry.transforms import Float64, apply, invert
 from localization.scan_matching import deskew
 from messages.motion import Odometry
 from messages.node import All, Inbox, Node, On, Output
+from messages.perception import LidarGround
 from messages.sensors import LidarScan
+
+LEAST_POINTS = 100  # fewer that stand cannot hold the machine: then all are matched
 
 
 class ScanOdometryConfig(Config):
@@ -37,9 +44,11 @@ class ScanOdometry(Node):
     def __init__(self, sensor: str, lidar: Lidar, body: Body, config: ScanOdometryConfig) -> None:
         self.name = f"scan_odometry_{sensor}"
         self._scan = f"lidar/{sensor}"
-        self.reads = {self._scan: All(50)}
+        self._ground = f"ground/{sensor}"
+        self.reads = {self._scan: All(50), self._ground: All(50)}
         self.writes = ("odom",)
-        self.runs = On((self._scan,))
+        self.runs = On((self._ground,))
+        self._waiting: dict[int, LidarScan] = {}
         self._config, self._body = config, body
         self._T_base_lidar = lidar.mount.T_base_sensor
         self._sweep_s = 1.0 / lidar.rate_hz
@@ -51,15 +60,21 @@ class ScanOdometry(Node):
         self._T_odom_base = np.eye(4)
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """Matches every new scan."""
-        return [("odom", self._match(scan)) for scan in inbox.all(self._scan, LidarScan) if self._is_next(scan)]
+        """Matches every new scan whose ground has become known."""
+        self._waiting |= {scan.stamp_ns: scan for scan in inbox.all(self._scan, LidarScan)}
+        out: list[Output] = []
+        for ground in inbox.all(self._ground, LidarGround):
+            scan = self._waiting.pop(ground.scan_stamp_ns, None)
+            if scan is not None and self._is_next(scan):
+                out.append(("odom", self._match(scan, ground)))
+        return out
 
     def _is_next(self, scan: LidarScan) -> bool:
         return self._last_ns is None or scan.stamp_ns > self._last_ns
 
-    def _match(self, scan: LidarScan) -> Odometry:
+    def _match(self, scan: LidarScan, ground: LidarGround) -> Odometry:
         dt_s = 0.0 if self._last_ns is None else (scan.stamp_ns - self._last_ns) * 1e-9
-        points = self._points(scan)
+        points = self._points(scan, ground)
         before = self._T_odom_base
         if dt_s == 0.0 or dt_s > self._config.longest_gap_s:
             self._restart(scan.stamp_ns, points, dt_s)
@@ -88,12 +103,14 @@ class ScanOdometry(Node):
             stamp_ns, self._T_odom_base.copy(), speed, lateral, 0.0, turn, curvature, np.full((6, 6), np.nan)
         )
 
-    def _points(self, scan: LidarScan) -> Float64:
+    def _points(self, scan: LidarScan, ground: LidarGround) -> Float64:
         """Returns in base at the stamp, the machine's own left out, the motion of the sweep taken out."""
         near, far = self._config.range_m
         seen = scan.points_m.astype(np.float64)
         distance = np.linalg.norm(seen, axis=1)
         use = np.isfinite(distance) & (distance > near) & (distance < far)
+        solid = use & (ground.is_solid == 1) if len(ground.is_solid) == len(use) else use
+        use = solid if np.count_nonzero(solid) >= LEAST_POINTS else use
         p = np.asarray(apply(self._T_base_lidar, seen[use]), np.float64)
         body = self._body
         own = (p[:, 0] < body.front_m) & (p[:, 0] > -body.rear_m) & (np.abs(p[:, 1]) < 0.5 * body.width_m + 0.1)
@@ -116,13 +133,13 @@ def begun(first_m: Float64, second_m: Float64, dt_s: float, config: ScanOdometry
 
     Nothing is known of the speed then; at 2.5 Hz a car is metres further on, out of reach of a guess at rest.
     """
-    tree, best, most = cKDTree(first_m[::4]), None, -1.0
+    tree, best, most = cKDTree(first_m[::2]), None, -1.0
     for speed in config.first_speeds_mps:
         icp = new_icp(config)
         icp.register_frame(first_m, np.zeros(0))
         icp.last_delta = planar_step(np.array([speed, 0.0, 0.0]), dt_s)
         icp.register_frame(second_m, np.zeros(0))
-        some = np.asarray(apply(icp.last_pose, second_m[::16]), np.float64)
+        some = np.asarray(apply(icp.last_pose, second_m[::4]), np.float64)
         explained = float(np.mean(tree.query(some, distance_upper_bound=config.partner_m)[0] < config.partner_m))
         if explained > most:
             best, most = icp, explained

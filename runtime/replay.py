@@ -208,6 +208,8 @@ def find_source(recording: Recording, found: Survey, machine: Machine, config: R
 def _child_pose(recording: Recording, machine: Machine, topic: str) -> np.ndarray | None:
     """Pose of base in the frame that an odometry follows, or None when it is not known."""
     about = recording.description
+    if topic == "odom" and about.format == "headland":
+        return np.eye(4)
     frame = next((s.frame for s in about.sensors if s.topic == topic), "")
     frames = {s.topic: s.frame for s in about.sensors}
     for name, lidar_topic in machine.lidars.items():
@@ -283,7 +285,9 @@ def trajectory_before(prepared: Prepared) -> Trajectory:
 def _matched(prepared: Prepared) -> list[Odometry]:
     vehicle = prepared.machine.vehicle
     name, topic = next(iter(prepared.machine.lidars.items()))
-    node = ScanOdometry(name, vehicle.sensors.lidar[name], vehicle.body, prepared.config.replay.scan_odometry)
+    lidar, stack = vehicle.sensors.lidar[name], prepared.config.stack
+    ground = LidarObstacles(name, lidar, vehicle, None, stack.perception.lidar)
+    node = ScanOdometry(name, lidar, vehicle.body, prepared.config.replay.scan_odometry)
     out: list[Odometry] = []
 
     def take(envelope: Envelope) -> None:
@@ -293,9 +297,8 @@ def _matched(prepared: Prepared) -> list[Odometry]:
 
     scans = ((r, f"lidar/{name}", m) for r, t, m in prepared.recording.read() if t == topic)
     ends = ((r, t, m) for r, t, m in with_end(scans))
-    Executor(ReplayWorld(in_order(ends), ()), [(node, _latency_ns(prepared, "lidar_odometry"))], [take]).run(
-        lambda: False
-    )
+    nodes = [(ground, _latency_ns(prepared, ground.name)), (node, _latency_ns(prepared, "lidar_odometry"))]
+    Executor(ReplayWorld(in_order(ends), ()), nodes, [take]).run(lambda: False)
     return out
 
 

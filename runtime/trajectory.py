@@ -22,8 +22,8 @@ LEAST_POSES = 3
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses (N, 4, 4) of base in a continuous frame at rising stamps (N,), and motion (N, 4): forward, left, turn a
-    second, and forward acceleration."""
+    """Poses (N, 4, 4) of base in a continuous frame at rising stamps (N,), and motion (N, 5): forward, left, turn a
+    second, forward acceleration, and the standard deviation of the forward speed."""
 
     stamps_ns: Int64
     poses: Float64
@@ -69,9 +69,9 @@ def steps_of(poses: Float64) -> Float64:
 
 
 def motion_of(stamps_ns: Int64, poses: Float64) -> Float64:
-    """Rates (N, 4) by a parabola through the poses about each: matching is good to 2 cm, a tenth of a second apart that
-    would be 0.3 m/s of noise."""
-    out = np.zeros((len(poses), 4))
+    """Rates (N, 5) by a parabola through the poses about each: matching is good to 2 cm, a tenth of a second apart that
+    would be 0.3 m/s of noise. What the parabolas leave says how well the speed is known."""
+    out, spread, rests = np.zeros((len(poses), 5)), np.zeros(len(poses)), []
     if len(poses) < 2:
         return out
     t = (stamps_ns - stamps_ns[0]) * 1e-9
@@ -81,9 +81,15 @@ def motion_of(stamps_ns: Int64, poses: Float64) -> Float64:
         first, last = np.searchsorted(t, [t[k] - half_s, t[k] + half_s])
         first, last = min(first, max(0, last - LEAST_POSES)), max(last, min(len(t), first + LEAST_POSES))
         degree = min(2, last - first - 1)
-        fit = np.polynomial.polynomial.polyfit(t[first:last] - t[k], summed[first:last], degree)
+        design = np.vander(t[first:last] - t[k], degree + 1, increasing=True)
+        fit = np.linalg.lstsq(design, summed[first:last], rcond=None)[0]
         out[k, :3] = fit[1]
         out[k, 3] = 2.0 * fit[2, 0] if degree == 2 else 0.0
+        spread[k] = np.linalg.pinv(design.T @ design)[1, 1]
+        free = last - first - degree - 1
+        if free > 0:
+            rests.append(float(np.sum((summed[first:last, 0] - design @ fit[:, 0]) ** 2)) / free)
+    out[:, 4] = np.sqrt(spread * (float(np.median(rests)) if rests else 0.0))
     return out
 
 
@@ -114,9 +120,10 @@ def odometry_of(trajectory: Trajectory) -> list[Odometry]:
 
 
 def _odometry(stamp_ns: int, T: Float64, motion: Float64) -> Odometry:
-    speed, lateral, turn, acceleration = motion.tolist()
+    speed, lateral, turn, acceleration, sigma = motion.tolist()
     curvature = turn / speed if abs(speed) > 0.5 else 0.0
-    return Odometry(stamp_ns, T, speed, lateral, acceleration, turn, curvature, np.diag(np.full(6, 1e-4)))
+    covariance = np.diag([1e-4, 1e-4, 1e-4, max(1e-4, sigma**2), 1e-4, 1e-4])
+    return Odometry(stamp_ns, T, speed, lateral, acceleration, turn, curvature, covariance)
 
 
 def map_pose_of(odom: Odometry) -> MapPose:

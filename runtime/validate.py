@@ -90,9 +90,9 @@ def _tasks(arguments: argparse.Namespace, folder: Path) -> list[Task]:
         while name in named:
             name, number = f"{log.name}-{number}", number + 1
         named[name] = log
-    tasks = []
+    tasks, commit = [], versions()["commit"]
     for name, log in named.items():
-        key = _key(log, arguments)
+        key = _key(log, commit, arguments)
         tasks.append(Task(name, log.absolute(), _absolute(arguments.truth), arguments.vehicle, arguments.conditions,
                           folder / "logs" / name, key))  # fmt: skip
     return tasks
@@ -102,9 +102,9 @@ def _absolute(path: Path | None) -> Path | None:
     return None if path is None else path.absolute()
 
 
-def _key(log: Path, arguments: argparse.Namespace) -> str:
+def _key(log: Path, commit: str, arguments: argparse.Namespace) -> str:
     """What a judgement depends on: the log's files, the conditions, the vehicle, the code."""
-    parts = [versions()["commit"], str(arguments.truth), _text(arguments.conditions or FILE)]
+    parts = [commit, str(arguments.truth), _text(arguments.conditions or FILE)]
     parts.append(_text(arguments.vehicle) if arguments.vehicle is not None else "")
     files = sorted(log.rglob("*")) if log.is_dir() else [log]
     parts += [f"{p}:{p.stat().st_size}:{p.stat().st_mtime_ns}" for p in files if p.is_file()]

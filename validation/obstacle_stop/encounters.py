@@ -175,7 +175,7 @@ def was_hidden(rows: list[Sighting], entered_ns: int, conditions: Conditions) ->
 
 def moment_of(sighting: Sighting, seen: Observation, conditions: Conditions) -> Moment:
     """Gap and needs at one sighting."""
-    speed = abs(seen.motion.speed_at(sighting.stamp_ns))
+    speed = seen.motion.fastest_at(sighting.stamp_ns)
     stopping = stopping_m(speed, conditions.braking.reaction_s, conditions.braking)
     return Moment(sighting.stamp_ns, gap_of(sighting), speed, stopping, stopping + allowance_at(sighting.stamp_ns, seen))
 
@@ -223,7 +223,7 @@ def perceived(log: str, seen: Observation, conditions: Conditions) -> list[Encou
             continue
         moments = []
         for r in rows:
-            speed = abs(seen.motion.speed_at(r.stamp_ns))
+            speed = seen.motion.fastest_at(r.stamp_ns)
             s = stopping_m(speed, conditions.braking.reaction_s, conditions.braking)
             moments.append(Moment(r.stamp_ns, r.gap_m, speed, s, s + allowance_at(r.stamp_ns, seen)))
         entry, least = moments[0], min(moments, key=lambda m: m.margin_m)

@@ -9,8 +9,6 @@ from validation.obstacle_stop.observation import Observation, Sighting
 from validation.obstacle_stop.ranges import confirmed
 from validation.obstacle_stop.stops import Stop, find_stops
 
-MOVING_MPS = 0.1
-
 
 def judge_log(log: str, seen: Observation, has_truth: bool, conditions: Conditions) -> dict[str, Any]:
     """What one log shows; kept as it is until all logs are put together."""
@@ -23,6 +21,7 @@ def judge_log(log: str, seen: Observation, has_truth: bool, conditions: Conditio
         "encounters": [e.as_dict for e in encounters],
         "stops": [s.as_dict for s in stops],
         "recall": recall_rows(seen, conditions) if has_truth else [],
+        "confirmation": confirmation(seen),
         "reach": reach(seen, conditions),
         "hours": (seen.last_ns - seen.first_ns) * 1e-9 / 3600.0,
         "driven_m": round(seen.driven_m, 2),
@@ -46,6 +45,15 @@ def recall_rows(seen: Observation, conditions: Conditions) -> list[dict[str, Any
     return [
         {"class": label, "from_m": edges[k], "to_m": edges[k + 1], "n": n, "found": hit[(label, k)]}
         for (label, k), n in sorted(total.items())
+    ]
+
+
+def confirmation(seen: Observation) -> list[dict[str, Any]]:
+    """By object: seconds from the first scan with enough returns until a confirmed track was told, null when never."""
+    told = seen.confirmed_ns
+    return [
+        {"id": i, "after_s": round((told[i] - first_ns) * 1e-9, 4) if i in told else None}
+        for i, first_ns in sorted(seen.countable_ns.items())
     ]
 
 

@@ -1,5 +1,6 @@
 """What is gathered from a replay: how each true object was seen at each scan, and what the supervisor asked for."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,6 +9,7 @@ from geometry.transforms import yaw_of
 from messages.message import Float64
 
 NO_GAP = float("inf")
+STILL_MPS = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +106,9 @@ class Motion:
     poses: list[Float64] = field(default_factory=list)
     speeds_mps: list[float] = field(default_factory=list)
     turns_radps: list[float] = field(default_factory=list)
+    sigmas_mps: list[float] = field(default_factory=list)
 
-    def add(self, stamp_ns: int, T_odom_base: Float64, speed_mps: float, turn_radps: float) -> None:
+    def add(self, stamp_ns: int, T_odom_base: Float64, speed_mps: float, turn_radps: float, variance: float) -> None:
         """Take the next; one whose stamp does not rise is left out."""
         if self.stamps_ns and stamp_ns <= self.stamps_ns[-1]:
             return
@@ -113,6 +116,7 @@ class Motion:
         self.poses.append(np.array([T_odom_base[0, 3], T_odom_base[1, 3], yaw_of(T_odom_base)]))
         self.speeds_mps.append(speed_mps)
         self.turns_radps.append(turn_radps)
+        self.sigmas_mps.append(math.sqrt(variance) if variance > 0.0 else 0.0)
 
     def index(self, stamp_ns: int) -> int | None:
         """The nearest in time within 0.2 s, or None."""
@@ -128,10 +132,18 @@ class Motion:
         k = self.index(stamp_ns)
         return 0.0 if k is None else self.speeds_mps[k]
 
+    def fastest_at(self, stamp_ns: int) -> float:
+        """How fast it may have been at a time: one standard deviation above what was measured, 0 when not known."""
+        k = self.index(stamp_ns)
+        return 0.0 if k is None else abs(self.speeds_mps[k]) + (self.sigmas_mps[k] if abs(self.speeds_mps[k]) > STILL_MPS else 0.0)
+
 
 @dataclass
 class Observation:
-    """All of a log that the judgement rests on; times are stamps, `first_ns` to `last_ns` those judged."""
+    """All of a log that the judgement rests on; times are stamps, `first_ns` to `last_ns` those judged.
+
+    `countable_ns`: by object the first scan with enough returns; `confirmed_ns`: when a confirmed track there was told.
+    """
 
     sightings: dict[int, list[Sighting]] = field(default_factory=dict)
     asked: list[Asked] = field(default_factory=list)
@@ -143,6 +155,8 @@ class Observation:
     last_ns: int = 0
     scenes: dict[tuple[int, str], Scene] = field(default_factory=dict)
     driven_m: float = 0.0
+    countable_ns: dict[int, int] = field(default_factory=dict)
+    confirmed_ns: dict[int, int] = field(default_factory=dict)
 
     @property
     def period_s(self) -> float:

@@ -23,6 +23,7 @@ RULES = ("obstacle.raw", "obstacle.tracked")
 TOLERANCE_MPS = 0.05  # the supervisor lets a speed lie this much above what it allows
 STOP_MPS = 0.3
 FARTHEST_M = 90.0
+BEHIND_M = 3.0
 VISIBLE = 3  # returns or beams that show that a place can be seen
 EVERY_POINT = 12
 WAITING = 6
@@ -42,11 +43,14 @@ class Observer:
         self._wish: Wish | None = None
         self._T_map_odom = np.eye(4)
         self._boxes: tuple[int, list[Box]] = (0, [])
+        self._least: dict[int, float] = {}
         self._looked: tuple[int, Float32] = (0, np.empty((0, 3), np.float32))
 
     def __call__(self, envelope: Envelope) -> None:
         """Take note of a message."""
         message, kind = envelope.message, envelope.topic.partition("/")[0]
+        if kind == "":
+            return  # what was recorded of nodes that now run again
         if isinstance(message, LidarScan):
             self._wait(envelope.topic.partition("/")[2], message)
         elif isinstance(message, Obstacles):
@@ -58,12 +62,14 @@ class Observer:
             self._ask(message)
         elif isinstance(message, Tracks) and kind == "tracks":
             self._track(message)
+            self._confirm(message, envelope.receive_ns)
         else:
             self._remember(kind, message)
 
     def _remember(self, kind: str, message: object) -> None:
         if isinstance(message, Odometry) and kind == "odom":
-            self._out.motion.add(message.stamp_ns, message.T_odom_base, message.speed_mps, message.yaw_rate_radps)
+            speed, turn, variance = message.speed_mps, message.yaw_rate_radps, float(message.covariance[3, 3])
+            self._out.motion.add(message.stamp_ns, message.T_odom_base, speed, turn, variance)
         elif isinstance(message, TrueObjects):
             self._truths.append(message)
         elif isinstance(message, TrueMachine):
@@ -113,6 +119,8 @@ class Observer:
             sighting = self._sight(scan.stamp_ns, points, T[:3, 3], box, tube, obstacles, out.motion.poses[k])
             if sighting is not None:
                 out.sightings.setdefault(box.id, []).append(sighting)
+                if sighting.returns >= self._conditions.recall.least_returns:
+                    out.countable_ns.setdefault(box.id, scan.stamp_ns)
                 self._picture(sighting, tube)
 
     def _is_judged(self, stamp_ns: int) -> bool:
@@ -155,6 +163,8 @@ class Observer:
         self, stamp_ns: int, points: Float32, origin: Float64, box: Box, tube: Tube | None, obstacles: Obstacles | None,
         pose: Float64,
     ) -> Sighting | None:  # fmt: skip
+        if is_under(box, self._setting):
+            return None
         about = near(points, box, 0.1)
         mine = about[box.contains(points[about])]
         foot = min(self._conditions.truth.foot_m, 0.4 * float(box.size_m[2])) - 0.5 * float(box.size_m[2])
@@ -230,6 +240,18 @@ class Observer:
                 one = Seen(track.id, track.label.value, tracks.stamp_ns, gap, track.is_confirmed)
                 self._out.seen.setdefault(track.id, []).append(one)
 
+    def _confirm(self, tracks: Tracks, told_ns: int) -> None:
+        """Notes when a confirmed track first stood at a true object."""
+        stamp_ns, boxes = self._boxes
+        k = self._out.motion.index(stamp_ns) if stamp_ns else None
+        sure = [t.p_odom_m[:2] for t in tracks.tracks if t.is_confirmed]
+        if k is None or not sure or abs(tracks.stamp_ns - stamp_ns) > 50_000_000:
+            return
+        xy = from_odom(self._out.motion.poses[k], np.array(sure))
+        for box in boxes:
+            if box.id not in self._out.confirmed_ns and box.away_m(xy).min() <= self._conditions.truth.near_m:
+                self._out.confirmed_ns[box.id] = told_ns
+
     def _picture(self, sighting: Sighting, tube: Tube | None) -> None:
         """Keeps the moments of entering and of the least gap."""
         if tube is None or not is_in_tube(sighting, self._conditions.tube.least_returns):
@@ -237,8 +259,9 @@ class Observer:
         scenes, key = self._out.scenes, (sighting.id, "least")
         if (sighting.id, "entry") not in scenes:
             scenes[(sighting.id, "entry")] = scenes[key] = self._scene(sighting, tube)
-        elif gap_of(sighting) < min(gap_of(s) for s in self._out.sightings[sighting.id][:-1]):
+        elif gap_of(sighting) < self._least.get(sighting.id, NO_GAP):
             scenes[key] = self._scene(sighting, tube)
+        self._least[sighting.id] = min(gap_of(sighting), self._least.get(sighting.id, NO_GAP))
 
     def _scene(self, sighting: Sighting, tube: Tube) -> Scene:
         boxes = tuple((box.role, box.corners_m()) for box in self._boxes[1])
@@ -246,6 +269,13 @@ class Observer:
         high = points[(points[:, 2] > 0.2) & (np.hypot(points[:, 0], points[:, 1]) < 60.0)]
         t_s = (sighting.stamp_ns - self._out.scans[0]) * 1e-9
         return Scene(t_s, high[:, :2], tube.outline_m(), boxes, np.empty((0, 2)))
+
+
+def is_under(box: Box, setting: Setting) -> bool:
+    """Whether the vehicle's own body stands where the object should be: a log may be driven through what is put in it."""
+    x, y = box.center_m[:2]
+    reach = 0.5 * float(box.size_m[:2].min())
+    return bool(-BEHIND_M < x < setting.front_m + reach and abs(y) < 0.5 * setting.width_m + reach)
 
 
 def is_in_tube(sighting: Sighting, least_returns: int) -> bool:

@@ -47,7 +47,7 @@ def encounter_picture(encounter: dict[str, Any], seen: Observation, front_m: flo
 
 
 def _from_above(ax: Axes, scene: Scene, role: str, front_m: float, width_m: float) -> None:
-    ax.plot(-scene.points_m[:, 1], scene.points_m[:, 0], ",", color=POINT)
+    ax.plot(-scene.points_m[:, 1], scene.points_m[:, 0], ".", color=POINT, ms=1.2, mew=0)
     ax.fill(-scene.tube_m[:, 1], scene.tube_m[:, 0], color=TUBE, alpha=0.15, lw=0)
     half = 0.5 * width_m
     ax.fill([-half, half, half, -half], [-1.0, -1.0, front_m, front_m], color=OWN)
