@@ -1,0 +1,102 @@
+"""Whole logs, replayed and judged: what must come out of each."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from recorded_drive import VEHICLE, drive, vehicle_file
+
+from configs.strict import CONFIGS
+from messages.errors import ConfigError, LogError
+from runtime.replay import load_configuration, prepare, replay
+from validation.obstacle_stop.conditions import load_conditions
+from validation.obstacle_stop.judgement import judge_log
+from validation.obstacle_stop.observer import Observer
+from validation.obstacle_stop.totals import put_together
+
+CONDITIONS = load_conditions(None)
+CONFIGURATION = load_configuration(CONDITIONS)
+
+
+def judged(log: Path, folder: Path) -> dict:
+    """The result of one log."""
+    prepared = prepare(log, None, vehicle_file(folder), CONFIGURATION)
+    setting = prepared.setting(log.name)
+    observer = Observer(setting, CONDITIONS)
+    replay(prepared, [observer])
+    return put_together([judge_log(log.name, observer.finish(), setting.truth_frame is not None, CONDITIONS)], CONDITIONS)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0], ids=["right bend", "left bend"])
+def test_a_person_round_a_bend_is_stopped_for(tmp_path: Path, side: float) -> None:
+    log = drive(tmp_path / "bend.mcap", (22.7, side * 8.9), seconds=3.6, curvature_radpm=side * 0.03)
+    result = judged(log, tmp_path)
+    assert [e["outcome"] for e in result["encounters"]] == ["in time"]
+    assert result["state"] == "passed"
+    assert result["encounters"][0]["margin_m"] > 0.0
+    assert result["false_stops"] == 0
+
+
+def test_a_person_taken_out_of_the_scans_is_missed(tmp_path: Path) -> None:
+    result = judged(drive(tmp_path / "gone.mcap", (20.0, 0.3), seconds=3.0, is_person_hidden=True), tmp_path)
+    assert [e["outcome"] for e in result["encounters"]] == ["missed"]
+    assert result["state"] == "failed"
+    assert result["missed"] == 1
+
+
+def test_a_person_beside_the_way_is_no_encounter(tmp_path: Path) -> None:
+    result = judged(drive(tmp_path / "beside.mcap", (20.0, 3.0), seconds=2.5), tmp_path)
+    assert (result["encounters"], result["stops"], result["state"]) == ([], [], "not_shown")
+
+
+def test_without_truth_stops_are_told_and_misses_not_shown(tmp_path: Path) -> None:
+    result = judged(drive(tmp_path / "blind.mcap", (20.0, 0.3), seconds=2.5, has_truth=False), tmp_path)
+    assert (result["state"], result["missed"], result["false_stops"]) == ("not_shown", None, None)
+    assert result["stops"]
+    assert result["encounters"][0]["outcome"] == "not shown"
+    assert result["encounters"][0]["first_range_m"] > 8.0
+
+
+def test_scans_alone_tell_speed(tmp_path: Path) -> None:
+    log = drive(tmp_path / "scans.mcap", (24.0, 0.3), seconds=2.5, has_odometry=False)
+    assert prepare(log, None, vehicle_file(tmp_path), CONFIGURATION).source.kind == "scans"
+    (encounter,) = judged(log, tmp_path)["encounters"]
+    assert encounter["entry_speed_mps"] == pytest.approx(6.0, abs=0.8)
+    assert encounter["outcome"] == "in time"
+
+
+def test_missing_values_are_asked_for_by_name(tmp_path: Path) -> None:
+    log = drive(tmp_path / "a.mcap", None, seconds=0.3)
+    with pytest.raises(ConfigError, match=r"--vehicle FILE; it needs body\.front_m, .*mount\.xyz_m"):
+        prepare(log, None, None, CONFIGURATION)
+    file = tmp_path / "half.yaml"
+    file.write_text(VEHICLE.replace("mount: {xyz_m: [1.0, 0.0, 1.8]}", "").replace("width_m: 1.8, ", ""))
+    with pytest.raises(ConfigError, match=r"lacks body\.width_m, sensors\.lidar\.points\.mount\.xyz_m\. Nothing"):
+        prepare(log, None, file, CONFIGURATION)
+
+
+def test_a_log_without_lidar_says_so(tmp_path: Path) -> None:
+    file = tmp_path / "can.log"
+    file.write_text("(1.000000) can0 123#0011\n")
+    with pytest.raises(LogError, match="no lidar in it"):
+        prepare(file, None, None, CONFIGURATION)
+
+
+def test_bad_logs_do_not_end_a_run_and_good_ones_are_kept(tmp_path: Path) -> None:
+    good = drive(tmp_path / "good.mcap", None, seconds=0.6)
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    (tmp_path / "none.log").write_text("(1.000000) can0 123#0011\n")
+    logs = [str(good), str(tmp_path / "empty.mcap"), str(tmp_path / "none.log")]
+    words = [sys.executable, "-m", "runtime", "validate", *logs, "--vehicle", str(vehicle_file(tmp_path))]
+    words += ["--out", str(tmp_path / "out"), "--json", "--jobs", "1"]
+    first = subprocess.run(words, capture_output=True, text=True, cwd=CONFIGS.parent)
+    second = subprocess.run(words, capture_output=True, text=True, cwd=CONFIGS.parent)
+    one, two = json.loads(first.stdout), json.loads(second.stdout)
+    assert first.returncode == 2, first.stderr
+    assert [f["log"] for f in one["failed_to_read"]] == ["empty.mcap", "none.log"]
+    assert "1 of 3 judged before" in second.stderr
+    assert one == two
+    last = (tmp_path / "out" / "result.jsonl").read_text().splitlines()[-1]
+    assert json.loads(last)["record"] == "end"
