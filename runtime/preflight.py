@@ -1,23 +1,20 @@
 """What a log has, what judging it needs, and whose it is: the table before anything is judged."""
 
-import json
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from pydantic import Field
 
-from configs.strict import CONFIGS, Config, parse, read_yaml
+from configs.strict import CONFIGS, parse, read_yaml
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
-from datasets.importers.recording import Description, Received, Recording
+from datasets.importers.recording import Description, Recording
 from datasets.reader import read_metadata
 from geometry.transforms import Float64, invert, rpy_of
 from messages.errors import ConfigError, LogError
 from messages.message import Message
-from messages.sensors import LidarScan, WheelSample
+from messages.sensors import WheelSample
 
 EXAMPLE = """\
 name: a name
@@ -48,12 +45,6 @@ BODY = ("front_m", "rear_m", "width_m", "height_m")
 LIDAR = ("mount.xyz_m", "elevation_deg", "columns", "rate_hz", "range_m", "range_sigma_m")
 BASE_FRAMES = ("base", "base_link", "base_footprint")
 CHILD_FRAMES = (*BASE_FRAMES, "")
-
-
-class ReplayVehicles(Config):
-    """Formats that say whose log it is."""
-
-    vehicles: dict[str, str] = Field(default_factory=dict)
 
 
 @dataclass
@@ -131,7 +122,7 @@ def survey(recording: Recording) -> Survey:
 
 @dataclass(frozen=True)
 class Machine:
-    """Who recorded the log; `lidars` maps the vehicle's lidars to the log's topics, `notes` say what was taken whence."""
+    """Who recorded the log; `lidars` maps the vehicle's lidars to its topics, `notes` say what was taken whence."""
 
     vehicle: Vehicle
     implement: MountedImplement | TrailedImplement | None
@@ -140,7 +131,7 @@ class Machine:
 
 
 def find_machine(recording: Recording, found: Survey, file: Path | None, by_format: dict[str, str]) -> Machine:
-    """From `--vehicle`, from the log's own configuration or from its format; raises ConfigError naming what is missing."""
+    """From `--vehicle`, the log's own configuration or its format; raises ConfigError naming what is missing."""
     topics = sorted(topic for topic in found.streams if topic.startswith("lidar/"))
     if file is None and recording.description.format == "headland":
         own = _own_machine(recording.path, topics)
@@ -182,9 +173,7 @@ def _own_machine(path: Path, topics: list[str]) -> Machine | None:
     return Machine(_with_lidars(vehicle, tuple(lidars)), implement, lidars, ("machine: the log's own configuration",))
 
 
-def _machine_from(
-    values: dict[str, Any], about: Description, topics: list[str], where: str, is_given: bool
-) -> Machine:
+def _machine_from(values: dict[str, Any], about: Description, topics: list[str], where: str, is_given: bool) -> Machine:
     lidars = dict((values.get("sensors") or {}).get("lidar") or {})
     names, notes = _matched(lidars, topics)
     mounts = mounts_of(about)
@@ -299,18 +288,3 @@ def render(values: dict[str, Any]) -> str:
     lines.append(f"  can be judged: {', '.join(values['judged']) or 'nothing'}")
     lines += [f"  not shown: {text}" for text in values["not_shown"]]
     return "\n".join(lines) + "\n"
-
-
-def shifted(received: Iterator[Received], clock_ns: int) -> Iterator[Received]:
-    """The stream on the clock of its stamps."""
-    return ((receive_ns - clock_ns, topic, message) for receive_ns, topic, message in received)
-
-
-def scans_of(recording: Recording, topic: str) -> Iterator[LidarScan]:
-    """The scans of one lidar."""
-    return (m for _, t, m in recording.read() if t == topic and isinstance(m, LidarScan))
-
-
-def as_json(values: dict[str, Any]) -> str:
-    """The preflight on one line."""
-    return json.dumps(values)

@@ -38,8 +38,8 @@ def open_with_truth(path: Path, truth: Path | None, source: str) -> Recording:
 
 
 def _takes_labels(path: Path) -> bool:
-    """Logs that carry their own truth are not given KITTI's."""
-    return open_recording(path).description.format.startswith("kitti")
+    """Only folders of KITTI take its labels; given with many logs, the others go without."""
+    return path.is_dir() and open_recording(path).description.format.startswith("kitti")
 
 
 def _with_sidecar(recording: Recording, file: Path) -> Recording:

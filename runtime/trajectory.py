@@ -98,7 +98,9 @@ def is_steady(messages: list[Odometry], most_m: float) -> bool:
     for before, after in pairwise(messages):
         dt_s = (after.stamp_ns - before.stamp_ns) * 1e-9
         way_m = float(np.linalg.norm(after.T_odom_base[:2, 3] - before.T_odom_base[:2, 3]))
-        told_m = 0.5 * (math.hypot(before.speed_mps, before.lateral_mps) + math.hypot(after.speed_mps, after.lateral_mps))
+        told_m = 0.5 * (
+            math.hypot(before.speed_mps, before.lateral_mps) + math.hypot(after.speed_mps, after.lateral_mps)
+        )
         if dt_s < 1.0 and math.isfinite(told_m) and abs(way_m - told_m * dt_s) > most_m:
             return False
     return True
@@ -129,7 +131,14 @@ def _odometry(stamp_ns: int, T: Float64, motion: Float64) -> Odometry:
 def map_pose_of(odom: Odometry) -> MapPose:
     """`map` is `odom`: a recorded way needs no other."""
     return MapPose(
-        odom.stamp_ns, np.eye(4), odom.T_odom_base.copy(), np.zeros((6, 6)), PositionSource.DEAD_RECKONING, 0.0, 0.0, True
+        odom.stamp_ns,
+        np.eye(4),
+        odom.T_odom_base.copy(),
+        np.zeros((6, 6)),
+        PositionSource.DEAD_RECKONING,
+        0.0,
+        0.0,
+        True,
     )
 
 

@@ -17,6 +17,7 @@ from datasets.log import LogWriter
 from messages.errors import HeadlandError
 from messages.message import Envelope
 from runtime.folder import RunFolder, resolved, versions
+from runtime.verdict_tables import line, tell, write_table
 from validation.obstacle_stop.conditions import FILE, load_conditions
 
 EXIT = {"passed": 0, "failed": 1, "not_shown": 2}
@@ -52,7 +53,7 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
-        _tell(result, results)
+        tell(result)
     if len(tasks) == 1 and result["failed_to_read"]:
         raise HeadlandError(result["failed_to_read"][0]["reason"])
     return EXIT[result["state"]]
@@ -129,7 +130,7 @@ def _judge_all(tasks: list[Task], arguments: argparse.Namespace) -> dict[str, di
         sys.stderr.write(f"{len(done)} of {len(tasks)} judged before\n")
     for task, values in _run(waiting, arguments):
         done[task.name] = values
-        sys.stderr.write(f"[{len(done)}/{len(tasks)}] {task.name}: {_line(values)}\n")
+        sys.stderr.write(f"[{len(done)}/{len(tasks)}] {task.name}: {line(values)}\n")
     return done
 
 
@@ -171,12 +172,12 @@ def _on_cluster(tasks: list[Task], address: str) -> Iterator[tuple[Task, dict[st
     except ImportError as error:
         raise HeadlandError("--scheduler needs the package distributed, which is not installed") from error
     try:
-        client = Client(address, timeout="10s")
+        client = Client(address, timeout="10s")  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TimeoutError) as error:
         raise HeadlandError(f"--scheduler {address}: no scheduler answers ({error})") from error
     with client:
         futures = {client.submit(judge_task, task, pure=False): task for task in tasks}
-        for future in completed(list(futures)):
+        for future in completed(list(futures)):  # type: ignore[no-untyped-call]
             yield futures[future], _result_of(future.result, futures[future])
 
 
@@ -211,7 +212,8 @@ def _judge(task: Task) -> dict[str, Any]:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     from runtime.preflight import render
-    from runtime.replay import load_configuration, prepare, replay
+    from runtime.prepared import load_configuration, prepare
+    from runtime.replay import replay
     from validation.obstacle_stop.judgement import judge_log
     from validation.obstacle_stop.observer import Observer
     from validation.obstacle_stop.pictures import encounter_picture
@@ -260,61 +262,3 @@ def _finish(folder: RunFolder, results: list[dict[str, Any]], conditions: Any) -
     folder.record("result", {"result": result})
     folder.finish()
     return result
-
-
-def write_table(path: Path, name: str, rows: list[dict[str, Any]]) -> None:
-    """Rows as Parquet, with the same columns in every run, empty or not."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    schema = pa.schema([(key, getattr(pa, kind)()) for key, kind in COLUMNS[name].items()])
-    flat = [{k: _flat(row.get(k)) for k in COLUMNS[name]} for row in rows]
-    parquet.write_table(pa.Table.from_pylist(flat, schema=schema), path)
-
-
-def _flat(value: Any) -> Any:
-    return ",".join(map(str, value)) if isinstance(value, list) else value
-
-
-_METRES = dict.fromkeys(
-    ("entered_s", "decided_s", "gap_m", "stopping_m", "required_m", "margin_m", "entry_gap_m", "entry_speed_mps",
-     "entry_stopping_m", "least_margin_m", "relative_speed_mps", "first_range_m", "confirmed_range_m", "asked_s",
-     "asked_after_s"), "float64")  # fmt: skip
-COLUMNS: dict[str, dict[str, str]] = {
-    "encounters": {"log": "string", "id": "int64", "class": "string", "role": "string", "outcome": "string"}
-    | _METRES | {"is_stop_asked": "bool_"},
-    "stops": {"log": "string", "t_s": "float64", "until_s": "float64", "reason": "string", "class": "string",
-              "gap_m": "float64", "objects": "string", "is_stop": "bool_", "is_false": "bool_"},
-    "recall": {"class": "string", "from_m": "float64", "to_m": "float64", "n": "int64", "found": "int64",
-               "recall": "float64", "low": "float64", "high": "float64"},
-}  # fmt: skip
-
-
-def _line(values: dict[str, Any]) -> str:
-    """One log in a few words."""
-    if "failed" in values:
-        return f"failed to read: {values['failed'].splitlines()[0]}"
-    outcomes = [e["outcome"] for e in values["encounters"]]
-    told = ", ".join(f"{outcomes.count(o)} {o}" for o in dict.fromkeys(outcomes)) or "no encounter"
-    return f"{told}; {len(values['stops'])} times braking asked"
-
-
-def _tell(result: dict[str, Any], results: list[dict[str, Any]]) -> None:
-    """The table for the eye."""
-    from validation.obstacle_stop.report import counted
-
-    out = sys.stdout
-    head = ("log", "object", "outcome", "entered", "gap", "S", "needed", "margin", "first range")
-    out.write(f"{head[0]:<24}{head[1]:<16}{head[2]:<11}" + "".join(f"{h:>12}" for h in head[3:]) + "\n")
-    for e in result["encounters"]:
-        numbers = [e[k] for k in ("entered_s", "gap_m", "stopping_m", "required_m", "margin_m", "first_range_m")]
-        text = "".join(f"{'—' if n is None else format(n, '.2f'):>12}" for n in numbers)
-        out.write(f"{e['log'][:23]:<24}{e['role'][:15]:<16}{e['outcome']:<11}{text}\n")
-    for failed in result["failed_to_read"]:
-        out.write(f"failed to read: {failed['reason']}\n")
-    out.write(f"missed: {counted(result['missed_share'], 100.0, '%')}\n")
-    out.write(f"false stops: {counted(result['false_stops_per_hour'], 1.0, '/h')}\n")
-    safe = ", ".join(f"{k}: {'not shown' if v is None else format(v, '.1f')} km/h" for k, v in result["safe_speed_kmh"].items())
-    out.write(f"highest safe speed {safe}\n{result['state'].replace('_', ' ')}; report: {result['run_dir']}/report.html\n")
-
-

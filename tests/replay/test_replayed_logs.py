@@ -10,7 +10,8 @@ from recorded_drive import VEHICLE, drive, vehicle_file
 
 from configs.strict import CONFIGS
 from messages.errors import ConfigError, LogError
-from runtime.replay import load_configuration, prepare, replay
+from runtime.prepared import load_configuration, prepare
+from runtime.replay import replay
 from validation.obstacle_stop.conditions import load_conditions
 from validation.obstacle_stop.judgement import judge_log
 from validation.obstacle_stop.observer import Observer
@@ -26,7 +27,9 @@ def judged(log: Path, folder: Path) -> dict:
     setting = prepared.setting(log.name)
     observer = Observer(setting, CONDITIONS)
     replay(prepared, [observer])
-    return put_together([judge_log(log.name, observer.finish(), setting.truth_frame is not None, CONDITIONS)], CONDITIONS)
+    return put_together(
+        [judge_log(log.name, observer.finish(), setting.truth_frame is not None, CONDITIONS)], CONDITIONS
+    )
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0], ids=["right bend", "left bend"])

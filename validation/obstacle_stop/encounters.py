@@ -1,11 +1,11 @@
 """Encounters: objects that entered the tube, and how each went.
 
-                 entered the tube inside S?
-                 ├─ at the log's start ────────────────► censored (or missed, when nothing is said for a second)
-                 ├─ hidden before, in the tube all along ► occluded
-                 ├─ from the side ──────────────────────► cut-in inside the stopping distance
-    asked? ──────┤ no: asked while it could still stop? ─► in time, else late
-    never ───────┴─ needed, or never seen within 10 m ──► missed; else in time (nothing had to be asked)
+             entered the tube inside S?
+             ├─ at the log's start ────────────────► censored (or missed, when nothing is said for a second)
+             ├─ hidden before, in the tube all along ► occluded
+             ├─ from the side ──────────────────────► cut-in inside the stopping distance
+asked? ──────┤ no: asked while it could still stop? ─► in time, else late
+never ───────┴─ needed, or never seen within 10 m ──► missed; else in time (nothing had to be asked)
 """
 
 import math
@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from validation.obstacle_stop.conditions import Conditions
+from validation.obstacle_stop.looks import gap_of, is_in_tube
 from validation.obstacle_stop.observation import Asked, Observation, Sighting
-from validation.obstacle_stop.observer import gap_of, is_in_tube
 from validation.obstacle_stop.ranges import confirmed, range_without_failure
 from validation.obstacle_stop.stopping import stopping_m
 
@@ -177,7 +177,9 @@ def moment_of(sighting: Sighting, seen: Observation, conditions: Conditions) -> 
     """Gap and needs at one sighting."""
     speed = seen.motion.fastest_at(sighting.stamp_ns)
     stopping = stopping_m(speed, conditions.braking.reaction_s, conditions.braking)
-    return Moment(sighting.stamp_ns, gap_of(sighting), speed, stopping, stopping + allowance_at(sighting.stamp_ns, seen))
+    return Moment(
+        sighting.stamp_ns, gap_of(sighting), speed, stopping, stopping + allowance_at(sighting.stamp_ns, seen)
+    )
 
 
 def allowance_at(stamp_ns: int, seen: Observation) -> float:

@@ -28,14 +28,16 @@ def without(scan: LidarScan, box: Box, T_base_lidar: Float64) -> LidarScan:
     ranges = scan.ranges_mm.copy()
     for r in np.unique(ring[mine]).tolist():
         ranges[r, column[mine & (ring == r)]] = behind(scan.ranges_mm[r], np.sort(column[mine & (ring == r)]))
-    fresh = replace(scan, ranges_mm=ranges, intensity=np.zeros(0, np.uint8))
-    return fresh
+    return replace(scan, ranges_mm=ranges, intensity=np.zeros(0, np.uint8))
 
 
 def behind(row_mm: np.ndarray, columns: np.ndarray) -> int:
     """What the beams beside a gap in a ring measure: the farther of both sides, 0 (nothing came back) without any."""
     n = len(row_mm)
-    beside = [int(row_mm[(columns[0] - k) % n]) for k in (2, 3, 4)], [int(row_mm[(columns[-1] + k) % n]) for k in (2, 3, 4)]
+    beside = (
+        [int(row_mm[(columns[0] - k) % n]) for k in (2, 3, 4)],
+        [int(row_mm[(columns[-1] + k) % n]) for k in (2, 3, 4)],
+    )
     medians = [sorted(values)[1] for values in beside]
     return max(medians)
 

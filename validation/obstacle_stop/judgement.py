@@ -63,8 +63,7 @@ def countable(seen: Observation, conditions: Conditions) -> list[Sighting]:
 
 
 def reach(seen: Observation, conditions: Conditions) -> dict[str, float | None]:
-    """The nearest range at which an object in the camera's or truth's view was lost for three scans, and the farthest at
-    which one was found."""
+    """The nearest range at which an object was not held for three scans, and the farthest at which one was."""
     flags = []
     for rows in seen.sightings.values():
         mine = [s for s in sorted(rows, key=lambda s: s.stamp_ns) if s.returns >= conditions.recall.least_returns]
@@ -76,6 +75,10 @@ def reach(seen: Observation, conditions: Conditions) -> dict[str, float | None]:
 
 def broken(log: str, encounters: list[Encounter], stops: list[Stop], conditions: Conditions) -> list[str]:
     """Which of the conditions' must-stop and must-not-stop were not kept."""
-    stopped = {i for stop in stops if stop.is_stop for i in stop.objects} | {e.id for e in encounters if e.is_stop_asked}
+    stopped = {i for stop in stops if stop.is_stop for i in stop.objects} | {
+        e.id for e in encounters if e.is_stop_asked
+    }
     out = [f"no stop for object {i}: {why}" for i, why in named(conditions.must_stop, log).items() if i not in stopped]
-    return out + [f"stop for object {i}: {why}" for i, why in named(conditions.must_not_stop, log).items() if i in stopped]
+    return out + [
+        f"stop for object {i}: {why}" for i, why in named(conditions.must_not_stop, log).items() if i in stopped
+    ]

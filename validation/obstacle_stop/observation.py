@@ -17,7 +17,7 @@ class Setting:
     """What the judge must know of who recorded the log.
 
     `T_base_lidar` by the lidar's name; `truth_frame` is `map` (by the true machine's pose) or a lidar's name;
-    `view_rad` is the labelled half angle about straight ahead of that lidar, π without limit. `width_m` is the machine's.
+    `view_rad` is the labelled half angle about straight ahead of that lidar, π without limit; `width_m` the machine's.
     """
 
     log: str
@@ -89,7 +89,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Seen:
-    """One perceived obstacle in the tube, for logs without truth: a track, its gap, class and whether it is confirmed."""
+    """One perceived obstacle in the tube, for logs without truth: a track with its gap and class."""
 
     id: int
     label: str
@@ -135,7 +135,11 @@ class Motion:
     def fastest_at(self, stamp_ns: int) -> float:
         """How fast it may have been at a time: one standard deviation above what was measured, 0 when not known."""
         k = self.index(stamp_ns)
-        return 0.0 if k is None else abs(self.speeds_mps[k]) + (self.sigmas_mps[k] if abs(self.speeds_mps[k]) > STILL_MPS else 0.0)
+        return (
+            0.0
+            if k is None
+            else abs(self.speeds_mps[k]) + (self.sigmas_mps[k] if abs(self.speeds_mps[k]) > STILL_MPS else 0.0)
+        )
 
 
 @dataclass

@@ -16,6 +16,8 @@ from messages.sensors import LidarScan
 from messages.truth import TrueMachine, TrueObjects
 from validation.obstacle_stop.boxes import Box, beams_at, box_of, near, towards
 from validation.obstacle_stop.conditions import Conditions
+from validation.obstacle_stop.frames import deskewed, from_odom, in_map, inside_ring, to_odom
+from validation.obstacle_stop.looks import edge_m, found, gap_of, is_in_tube, is_under
 from validation.obstacle_stop.observation import NO_GAP, Asked, Motion, Observation, Scene, Seen, Setting, Sighting
 from validation.obstacle_stop.tube import Tube, tube_of
 
@@ -23,7 +25,6 @@ RULES = ("obstacle.raw", "obstacle.tracked")
 TOLERANCE_MPS = 0.05  # the supervisor lets a speed lie this much above what it allows
 STOP_MPS = 0.3
 FARTHEST_M = 90.0
-BEHIND_M = 3.0
 VISIBLE = 3  # returns or beams that show that a place can be seen
 EVERY_POINT = 12
 WAITING = 6
@@ -135,9 +136,7 @@ class Observer:
         place = self._wish.path_s_m if is_mine and self._wish is not None else float(self._path.s_m[0])
         setting = self._setting
         pose = in_map(self._T_map_odom, motion.poses[k])
-        return tube_of(
-            self._path, place, pose, setting.front_m, setting.half_width_m, self._conditions.tube.reach_m
-        )
+        return tube_of(self._path, place, pose, setting.front_m, setting.half_width_m, self._conditions.tube.reach_m)
 
     def _boxes_at(self, stamp_ns: int) -> list[Box] | None:
         """True boxes in base at a time; None when there is no truth young enough."""
@@ -269,82 +268,3 @@ class Observer:
         high = points[(points[:, 2] > 0.2) & (np.hypot(points[:, 0], points[:, 1]) < 60.0)]
         t_s = (sighting.stamp_ns - self._out.scans[0]) * 1e-9
         return Scene(t_s, high[:, :2], tube.outline_m(), boxes, np.empty((0, 2)))
-
-
-def is_under(box: Box, setting: Setting) -> bool:
-    """Whether the vehicle's own body stands where the object should be: a log may be driven through what is put in it."""
-    x, y = box.center_m[:2]
-    reach = 0.5 * float(box.size_m[:2].min())
-    return bool(-BEHIND_M < x < setting.front_m + reach and abs(y) < 0.5 * setting.width_m + reach)
-
-
-def is_in_tube(sighting: Sighting, least_returns: int) -> bool:
-    """Whether the object is in the tube: by its returns, or, where its returns are gone, by beams that pass through."""
-    if sighting.inside >= least_returns:
-        return True
-    return sighting.solid < least_returns <= sighting.through and math.isfinite(sighting.box_gap_m)
-
-
-def gap_of(sighting: Sighting) -> float:
-    """Gap to its nearest return in the tube, or to its box when it has too few."""
-    return sighting.gap_m if math.isfinite(sighting.gap_m) else sighting.box_gap_m
-
-
-def found(mine: np.ndarray, points: Float32, box: Box, obstacles: Obstacles | None, near_m: float) -> tuple[bool, bool]:
-    """Whether one cluster holds half of the box's returns (their indices), and whether it is about as large as it."""
-    sizes = np.diff(obstacles.offsets) if obstacles is not None else np.empty(0, np.int64)
-    if obstacles is None or not len(mine) or not len(sizes):
-        return False, False
-    is_mine = np.zeros(len(points), bool)
-    is_mine[mine] = True
-    hits = np.bincount(np.repeat(np.arange(len(sizes)), sizes), is_mine[obstacles.indices], len(sizes))
-    k = int(hits.argmax())
-    if hits[k] < 0.5 * len(mine):
-        return False, False
-    own = points[obstacles.indices[obstacles.offsets[k] : obstacles.offsets[k + 1]]]
-    return True, bool(box.contains(own, near_m).mean() >= 0.5)
-
-
-def edge_m(points_m: Float32 | Float64, setting: Setting) -> float:
-    """Level distance of the nearest point from the vehicle's front edge."""
-    ahead = np.maximum(points_m[:, 0] - setting.front_m, 0.0)
-    aside = np.maximum(np.abs(points_m[:, 1]) - 0.5 * setting.width_m, 0.0)
-    return float(np.hypot(ahead, aside).min())
-
-
-def deskewed(scan: LidarScan, T_base_lidar: Float64, speed_mps: float, turn_radps: float) -> Float32:
-    """Returns (N, 3) in base as they would be had all been taken at the stamp, to first order."""
-    p = scan.points_m @ T_base_lidar[:3, :3].T.astype(np.float32) + T_base_lidar[:3, 3].astype(np.float32)
-    dt = scan.point_offset_s
-    turn = dt * np.float32(turn_radps)
-    x, y = p[:, 0] - turn * p[:, 1] + dt * np.float32(speed_mps), p[:, 1] + turn * p[:, 0]
-    return np.column_stack([x, y, p[:, 2]]).astype(np.float32)
-
-
-def to_odom(pose: Float64, xy_m: Float64) -> Float64:
-    """Points (N, 2) of base at a pose (3,) in odom."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    return np.column_stack([pose[0] + c * xy_m[:, 0] - s * xy_m[:, 1], pose[1] + s * xy_m[:, 0] + c * xy_m[:, 1]])
-
-
-def from_odom(pose: Float64, xy_m: Float64) -> Float64:
-    """Points (N, 2) of odom seen from base at a pose (3,)."""
-    c, s, d = math.cos(pose[2]), math.sin(pose[2]), xy_m - pose[:2]
-    return np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]])
-
-
-def in_map(T_map_odom: Float64, pose: Float64) -> Float64:
-    """A pose (3,) of odom in map."""
-    yaw = math.atan2(T_map_odom[1, 0], T_map_odom[0, 0])
-    xy = to_odom(np.array([T_map_odom[0, 3], T_map_odom[1, 3], yaw]), pose[None, :2])[0]
-    return np.array([xy[0], xy[1], pose[2] + yaw])
-
-
-def inside_ring(xy_m: Float64, ring_m: Float64) -> np.ndarray:
-    """Which points (N, 2) lie in a ring (K, 2): even-odd rule."""
-    inside = np.zeros(len(xy_m), bool)
-    for a, b in zip(ring_m, np.roll(ring_m, -1, axis=0), strict=True):
-        crosses = (a[1] > xy_m[:, 1]) != (b[1] > xy_m[:, 1])
-        rise = b[1] - a[1] if b[1] != a[1] else 1.0
-        inside ^= crosses & (xy_m[:, 0] < a[0] + (xy_m[:, 1] - a[1]) / rise * (b[0] - a[0]))
-    return inside

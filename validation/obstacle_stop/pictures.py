@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from validation.obstacle_stop.looks import gap_of, is_in_tube
 from validation.obstacle_stop.observation import Observation, Scene, Sighting
-from validation.obstacle_stop.observer import gap_of, is_in_tube
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,9 +32,13 @@ def draw(paint: Callable[[Sequence[Axes]], None], columns: int, size: tuple[floa
     return out.getvalue()
 
 
-def encounter_picture(encounter: dict[str, Any], seen: Observation, front_m: float, width_m: float, least: int) -> bytes:
+def encounter_picture(
+    encounter: dict[str, Any], seen: Observation, front_m: float, width_m: float, least: int
+) -> bytes:
     """From above at entering and at the least gap, and gap against S over time."""
-    scenes = [seen.scenes[key] for key in ((encounter["id"], "entry"), (encounter["id"], "least")) if key in seen.scenes]
+    scenes = [
+        seen.scenes[key] for key in ((encounter["id"], "entry"), (encounter["id"], "least")) if key in seen.scenes
+    ]
     rows = [s for s in seen.sightings.get(encounter["id"], []) if is_in_tube(s, least)]
 
     def paint(axes: Sequence[Axes]) -> None:

@@ -21,7 +21,8 @@ def range_without_failure(flags: Iterable[Flag]) -> float | None:
 def confirmed(flags: Sequence[Flag]) -> list[Flag]:
     """The same in order of time, found only where it and the two before were; the first two cannot tell."""
     return [
-        (flags[k][0], all(found for _, found in flags[k - IN_A_ROW + 1 : k + 1])) for k in range(IN_A_ROW - 1, len(flags))
+        (flags[k][0], all(found for _, found in flags[k - IN_A_ROW + 1 : k + 1]))
+        for k in range(IN_A_ROW - 1, len(flags))
     ]
 
 

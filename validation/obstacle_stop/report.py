@@ -32,6 +32,8 @@ def render(result: Mapping[str, Any], preflights: list[dict[str, Any]], pictures
         parts.append(table(RECALL, result["recall"]))
     if result["failed_to_read"]:
         parts.append("<h2>Failed to read</h2>" + table(("log", "reason"), result["failed_to_read"]))
+    if result["damaged"]:
+        parts.append("<h2>Damaged</h2>" + table(("log", "reason"), result["damaged"]))
     parts += [f"<h2>{escape(title)}</h2>{_image(title, png)}" for title, png in pictures.items()]
     parts += [_preflight(values) for values in preflights]
     head = f'<meta charset="utf-8"><title>Headland: obstacle stops</title><style>{STYLE}</style>'

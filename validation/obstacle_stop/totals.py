@@ -42,8 +42,14 @@ def put_together(logs: Sequence[dict[str, Any]], conditions: Conditions) -> dict
         "recall": recall(with_truth),
         "broken": [text for log in read for text in log["broken"]],
         "failed_to_read": [{"log": log["log"], "reason": log["failed"]} for log in logs if "failed" in log],
+        "damaged": [{"log": log["log"], "reason": note} for log in read for note in damages(log)],
         "logs": len(logs),
     }
+
+
+def damages(log: dict[str, Any]) -> list[str]:
+    """What of a log was lost before it could be read."""
+    return [note for note in log.get("preflight", {}).get("notes", []) if note.startswith("byte ")]
 
 
 def state_of(

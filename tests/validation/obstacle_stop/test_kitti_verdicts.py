@@ -14,7 +14,8 @@ from messages.command import SupervisorState
 from messages.faults import Response
 from messages.message import Envelope
 from messages.perception import Obstacles, Tracks
-from runtime.replay import Prepared, load_configuration, prepare, replay
+from runtime.prepared import Prepared, load_configuration, prepare
+from runtime.replay import replay
 from validation.obstacle_stop.conditions import load_conditions
 from validation.obstacle_stop.judgement import judge_log
 from validation.obstacle_stop.observer import Observer
@@ -77,7 +78,9 @@ def test_everything_is_an_obstacle_fails() -> None:
     def change(e: Envelope) -> Envelope:
         if not isinstance(e.message, SupervisorState):
             return e
-        rules = tuple(replace(r, response=Response.CONTROLLED_STOP, speed_limit_mps=0.0, text="!") for r in e.message.rules)
+        rules = tuple(
+            replace(r, response=Response.CONTROLLED_STOP, speed_limit_mps=0.0, text="!") for r in e.message.rules
+        )
         hits = np.array([[6.0, 0.0, 0.5]], np.float32)
         return replace(e, message=replace(e.message, rules=rules, gap_m=2.0, hits_base_m=hits))
 
@@ -88,7 +91,9 @@ def test_nothing_is_an_obstacle_fails() -> None:
     def change(e: Envelope) -> Envelope | None:
         if isinstance(e.message, SupervisorState):
             rules = tuple(replace(r, response=Response.NONE, speed_limit_mps=math.inf) for r in e.message.rules)
-            return replace(e, message=replace(e.message, rules=rules, gap_m=math.inf, hits_base_m=np.empty((0, 3), np.float32)))
+            return replace(
+                e, message=replace(e.message, rules=rules, gap_m=math.inf, hits_base_m=np.empty((0, 3), np.float32))
+            )
         return None if isinstance(e.message, Obstacles | Tracks) else e
 
     failed = bars(judged(change))

@@ -8,7 +8,7 @@ import pytest
 from runtime.trajectory import Trajectory, carried_on, motion_of, stages_of
 from validation.obstacle_stop.boxes import Box, beams_at
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.observer import inside_ring
+from validation.obstacle_stop.frames import inside_ring
 from validation.obstacle_stop.ranges import confirmed, range_without_failure, rate_bounds, share_bounds
 from validation.obstacle_stop.stopping import safe_speed_mps, stopping_m
 from validation.obstacle_stop.tube import Tube, places
@@ -63,7 +63,9 @@ def test_gaps_count_from_the_front_and_end_at_the_half_width() -> None:
 def test_beams_tell_hidden_from_gone() -> None:
     box = Box(1, "person", "p", np.array([10.0, 0.0, 1.0]), np.array([1.0, 1.0, 2.0]), 0.3)
     origin = np.array([0.0, 0.0, 1.0])
-    points = np.array([[20.0, 0.0, 1.0], [5.0, 0.0, 1.0], [10.0, 0.0, 1.0], [20.0, 9.0, 1.0], [-20.0, 0.0, 1.0]], np.float32)
+    points = np.array(
+        [[20.0, 0.0, 1.0], [5.0, 0.0, 1.0], [10.0, 0.0, 1.0], [20.0, 9.0, 1.0], [-20.0, 0.0, 1.0]], np.float32
+    )
     assert beams_at(points, origin, box) == (1, 1)
 
 

@@ -1,0 +1,85 @@
+# ruff: noqa: T201 (a command line)
+"""Many logs, one table: cuts of KITTI and bad logs among them, on processes and on a local Dask cluster.
+
+    python -m benchmarks.validate_kitti [--logs 100] [--frames 6]
+
+Prints the bars of KITTI's first forty frames, the time of a log, and whether both ways gave the same table (bar 10).
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
+LOG, TRUTH = DATA / "kitti-seq-pcd", DATA / "kitti-tracking-truth"
+
+
+def validate(logs: list[Path], *words: str) -> tuple[dict[str, Any], float]:
+    """The object of `--json`, and how long it took."""
+    start = time.monotonic()
+    command = [sys.executable, "-m", "runtime", "validate", *map(str, logs), "--truth", str(TRUTH), "--json", *words]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    if not done.stdout:
+        raise SystemExit(done.stderr)
+    return json.loads(done.stdout), time.monotonic() - start
+
+
+def cuts(folder: Path, count: int, frames: int) -> list[Path]:
+    """Stretches of KITTI as folders of links; three bad logs stand in for the last."""
+    out = []
+    for k in range(count - 3):
+        path = folder / f"cut-{k:03d}"
+        (path / "frames").mkdir(parents=True)
+        for number in range(k % (40 - frames), k % (40 - frames) + frames):
+            (path / "frames" / f"{number:06d}.npz").symlink_to(LOG / "frames" / f"{number:06d}.npz")
+        out.append(path)
+    subprocess.run(
+        [sys.executable, "-m", "runtime", "import", str(out[0]), "--out", str(folder / "whole.mcap")],
+        cwd=ROOT, check=True, capture_output=True,
+    )  # fmt: skip
+    whole = (folder / "whole.mcap").read_bytes()
+    (folder / "truncated.mcap").write_bytes(whole[: len(whole) // 2])
+    (folder / "empty.mcap").write_bytes(b"")
+    (folder / "nolidar.log").write_text("(1.000000) can0 123#0011\n")
+    return [*out, folder / "truncated.mcap", folder / "empty.mcap", folder / "nolidar.log"]
+
+
+def table(result: dict[str, Any]) -> dict[str, Any]:
+    """What must not depend on where it was computed."""
+    return {k: v for k, v in result.items() if k != "run_dir"}
+
+
+def main() -> None:
+    """Print all of it."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--logs", type=int, default=100)
+    parser.add_argument("--frames", type=int, default=6)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        one, wall_s = validate([LOG], "--out", str(folder / "one"))
+        print(f"40 frames (3.9 s of driving) in {wall_s:.1f} s: {one['state']}")
+        for e in one["encounters"]:
+            keys = ("role", "outcome", "entered_s", "gap_m", "stopping_m", "margin_m", "asked_after_s")
+            print({k: e[k] for k in keys})
+        print({k: one[k] for k in ("missed", "false_stops", "safe_speed_kmh")})
+        logs = cuts(folder, arguments.logs, arguments.frames)
+        mine, wall_s = validate(logs, "--jobs", "2", "--out", str(folder / "processes"))
+        print(f"{len(logs)} logs on 2 processes in {wall_s:.0f} s; failed to read: {mine['failed_to_read']}")
+        print(f"damaged: {mine['damaged']}")
+        from distributed import LocalCluster
+
+        with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:  # type: ignore[no-untyped-call]
+            theirs, wall_s = validate(logs, "--scheduler", cluster.scheduler_address, "--out", str(folder / "cluster"))
+        print(f"{len(logs)} logs on a cluster of 2 in {wall_s:.0f} s; same table: {table(mine) == table(theirs)}")
+
+
+if __name__ == "__main__":
+    main()
