@@ -10,7 +10,8 @@ from pydantic import Field
 
 from configs.strict import CONFIGS, Config, load
 from datasets.importers.recording import Recording
-from datasets.reader import read_metadata
+from datasets.reader import LogScan, read_metadata
+from datasets.records import MAGIC
 from geometry.geodesy import Datum
 from localization.scan_odometry import ScanOdometryConfig
 from messages.motion import Odometry
@@ -71,6 +72,7 @@ class Prepared:
     truth_topic: str | None
     clock_ns: int
     config: Configuration
+    damages: tuple[str, ...]
 
     @property
     def half_width_m(self) -> float:
@@ -101,7 +103,7 @@ class Prepared:
         needed |= {self.truth_topic: "truth"} if self.truth_topic else {"truth_objects": "truth"}
         needed |= dict.fromkeys(self.source.topic.split(), "speed and way") if self.source.topic else {}
         needed |= {"path": "planned way", "wish": "place on it"} if self.is_planned else {}
-        notes = [*self.recording.description.notes, *self.machine.notes, self.source.note]
+        notes = [*self.recording.description.notes, *self.damages, *self.machine.notes, self.source.note]
         if self.clock_ns:
             notes.append(f"times of reception run {self.clock_ns * 1e-9:+.1f} s against the stamps: shifted by that")
         has_truth = self.truth_topic is not None
@@ -132,7 +134,19 @@ def prepare(path: FilePath, truth: FilePath | None, vehicle: FilePath | None, co
     return Prepared(
         recording, found, machine, find_source(recording, found, machine, config.replay), is_own,
         truths[0] if truths else None, found.clock_ns(config.replay.clock_s), config,
+        damages_of(path),
     )  # fmt: skip
+
+
+def damages_of(path: FilePath) -> tuple[str, ...]:
+    """What of an MCAP file was lost; nothing for other formats, whose readers refuse what is cut."""
+    if not path.is_file() or path.open("rb").read(len(MAGIC)) != MAGIC:
+        return ()
+    scan = LogScan(path)
+    for _ in scan:
+        pass
+    lost = tuple(f"byte {d.offset}: {d.reason}; {d.length} bytes lost" for d in scan.damages)
+    return lost if lost or scan.is_ended else (f"byte {path.stat().st_size}: the log was not closed",)
 
 
 def find_source(recording: Recording, found: Survey, machine: Machine, config: ReplayConfig) -> Source:

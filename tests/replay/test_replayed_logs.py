@@ -103,3 +103,12 @@ def test_bad_logs_do_not_end_a_run_and_good_ones_are_kept(tmp_path: Path) -> Non
     assert one == two
     last = (tmp_path / "out" / "result.jsonl").read_text().splitlines()[-1]
     assert json.loads(last)["record"] == "end"
+
+
+def test_a_cut_log_is_judged_as_far_as_it_goes_and_said_to_be_cut(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "whole.mcap", None, seconds=3.0).read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) // 2])
+    prepared = prepare(cut, None, vehicle_file(tmp_path), CONFIGURATION)
+    assert any(note.startswith("byte ") for note in prepared.preflight()["notes"])
+    assert 0.5 < prepared.found.span_s < 2.9
