@@ -32,7 +32,7 @@ def is_moving(track: Track, config: TrackedConfig) -> bool:
     """Whether a track surely moves: a speed near 0, or not known well or long enough, does not count.
 
     The seen part of a fence, hedge or vehicle grows and shrinks as the machine passes, which looks like motion of its
-    middle: what has no class must be compact, and what is long must be faster.
+    middle: what has no class must be compact, and what is long or a vehicle must be faster.
     """
     if track.last_seen_ns - track.first_seen_ns < config.known_s * 1e9:
         return False
@@ -43,7 +43,9 @@ def is_moving(track: Track, config: TrackedConfig) -> bool:
     if not math.isfinite(speed):
         return False
     sigma = math.sqrt(max(0.0, float(np.max(np.diag(track.covariance)[2:4]))))
-    return speed >= (config.long_moving_mps if is_long else config.moving_mps) and speed >= config.moving_sigmas * sigma
+    is_machine = is_long or track.label is ObstacleClass.VEHICLE
+    least_mps = config.long_moving_mps if is_machine else config.moving_mps
+    return speed >= max(least_mps, config.moving_sigmas * sigma)
 
 
 def predicted(track: Track, times_s: Float64, config: TrackedConfig) -> tuple[Float64, Float64]:
