@@ -94,11 +94,24 @@ def test_no_tracks_no_threat(sweep: Sweep, config: SafetyConfig) -> None:
     assert threat_in(sweep, SHAPES[0], None, HERE, 0.0, 2.0, config.tracked) == NO_THREAT
 
 
+def test_a_piece_of_what_stands_does_not_move(sweep: Sweep, config: SafetyConfig) -> None:
+    car = track(9.0, 5.0, size=(4.0, 1.8, 1.6), label=ObstacleClass.VEHICLE)
+    piece = track(9.5, 4.2, vy=-1.5, size=(0.4, 0.1, 0.5), label=ObstacleClass.PERSON)
+    assert math.isfinite(gap(sweep, config, replace(piece, id=8)))
+    assert math.isinf(gap(sweep, config, car, replace(piece, id=8)))
+    walker = replace(piece, id=8, p_odom_m=np.array([9.5, 3.5, 0.9]))
+    assert math.isfinite(gap(sweep, config, car, walker))
+
+
 def test_moving_needs_speed_and_certainty(config: SafetyConfig) -> None:
     for speed in around(0.4, 0.01):
         assert is_moving(track(0, 0, vx=speed), config.tracked) == (speed >= 0.4), speed
-    for sigma in around(0.5, 0.01):
-        assert is_moving(track(0, 0, vx=1.0, sigma=sigma), config.tracked) == (sigma <= 0.5 + 1e-12), sigma
+    greatest = 1.0 / config.tracked.moving_sigmas
+    for sigma in around(greatest, 0.01):
+        assert is_moving(track(0, 0, vx=1.0, sigma=sigma), config.tracked) == (sigma <= greatest + 1e-12), sigma
+    for speed in around(config.tracked.long_moving_mps, 0.01):
+        car = track(0, 0, vx=speed, label=ObstacleClass.VEHICLE)
+        assert is_moving(car, config.tracked) == (speed >= config.tracked.long_moving_mps), speed
     assert not is_moving(track(0, 0, vx=math.nan), config.tracked)
     for age_ms in around(500, 1):
         young = replace(track(0, 0, vx=1.0), first_seen_ns=START_NS - round(age_ms * 1e6))
