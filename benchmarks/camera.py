@@ -1,4 +1,3 @@
-# ruff: noqa: T201 (a command line)
 """How well the camera's detector finds people: AP50 and recall on Penn-Fudan and COCO128, by the stack's own decoder.
 
     python -m benchmarks.camera [--model FILE]

@@ -1,4 +1,3 @@
-# ruff: noqa: T201 (a command line)
 """The radar pipeline on real recordings: one cycle of a Continental ARS548, and a minute of a Toyota's ACC radar.
 
     python -m benchmarks.radar

@@ -35,16 +35,19 @@ def main() -> int:
     spent: dict[str, list[float]] = defaultdict(list)
     setup = load_setup("demo", None, None, None, arguments.seed)
     scenario = load(Scenario, find("scenarios", "demo"))
-    with assemble(setup, scenario) as (world, nodes), tempfile.TemporaryDirectory() as folder:
-        with LogWriter(Path(folder) / "log.mcap", {}, setup.stack.datasets.log, setup.viewer()) as log:
-            for node, _ in nodes:
-                node.step = timed(node.step, spent[node.name])  # type: ignore[method-assign]
-            world.step = timed(world.step, spent["world"])  # type: ignore[method-assign]
-            executor = Executor(world, nodes, [timed(log.write, spent["log"])])
-            start_ns, began_s = executor.now_ns, time.perf_counter()
-            executor.run(lambda: executor.now_ns - start_ns > arguments.seconds * 1e9)
-            wall_s = time.perf_counter() - began_s
-    over = show(spent, dict((node.name, ns) for node, ns in nodes), wall_s, arguments.seconds)
+    with (
+        assemble(setup, scenario) as (world, nodes),
+        tempfile.TemporaryDirectory() as folder,
+        LogWriter(Path(folder) / "log.mcap", {}, setup.stack.datasets.log, setup.viewer()) as log,
+    ):
+        for node, _ in nodes:
+            node.step = timed(node.step, spent[node.name])  # type: ignore[method-assign]
+        world.step = timed(world.step, spent["world"])  # type: ignore[method-assign]
+        executor = Executor(world, nodes, [timed(log.write, spent["log"])])
+        start_ns, began_s = executor.now_ns, time.perf_counter()
+        executor.run(lambda: executor.now_ns - start_ns > arguments.seconds * 1e9)
+        wall_s = time.perf_counter() - began_s
+    over = show(spent, {node.name: ns for node, ns in nodes}, wall_s, arguments.seconds)
     return 1 if over or wall_s > LIMIT * arguments.seconds else 0
 
 

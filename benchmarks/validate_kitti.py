@@ -1,4 +1,3 @@
-# ruff: noqa: T201 (a command line)
 """Many logs, one table: cuts of KITTI and bad logs among them, on processes and on a local Dask cluster.
 
     python -m benchmarks.validate_kitti [--logs 100] [--frames 6]

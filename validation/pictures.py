@@ -22,7 +22,7 @@ SWATH, OTHER, STOP, SIGMA = "#2f7d32", "#90a4ae", "#c62828", "#ffb300"
 def draw_all(record: DriveRecord, planned: Planned, summary: Summary) -> dict[str, bytes]:
     """Title → PNG of every picture."""
     return {
-        "Track over plan": _draw(lambda axes: _track(axes[0], record, planned, summary), 1, 6.5),
+        "Track over plan": _draw(lambda axes: _track(axes[0], record, planned, summary), 1, 10.0),
         "Cross-track error": _draw(lambda axes: _cross_track(axes, record, summary), 2, 4.5),
         "Speed, stops and their causes": _draw(lambda axes: _speed(axes[0], record, summary), 1, 3.5),
         "Localization error against its stated sigma": _draw(lambda axes: _position(axes, record, summary), 2, 4.5),
@@ -49,8 +49,9 @@ def _track(ax: Axes, record: DriveRecord, planned: Planned, summary: Summary) ->
     for polygon in getattr(planned.area, "geoms", [planned.area]):
         if isinstance(polygon, Polygon):
             ax.fill(*np.array(polygon.exterior.coords).T, color="#e8f5e9", zorder=0)
+    first = next(iter(record.paths.values()), None)
     for path in record.paths.values():
-        ax.plot(*path.p_map_m.T, color=OTHER, lw=2.5, label="plan" if path.path_id == 0 else None)
+        ax.plot(*path.p_map_m.T, color=OTHER, lw=2.5, label="plan" if path is first else None)
     poses = true_poses(record.truth)
     ax.plot(poses[:, 0], poses[:, 1], color=SWATH, lw=0.9, label="driven")
     for piece in summary.coverage.uncovered:

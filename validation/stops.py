@@ -10,6 +10,7 @@ from messages.truth import TrueMachine, TrueObject, TrueObjects
 from validation.record import DriveRecord, stamps_of
 
 STOPS = (Mode.OBSTACLE_STOP, Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
+ONE_EPISODE_NS = 1_000_000_000  # a cause out of sight for less is still the same
 NEAR_M = 1.5  # a hit this near to an object's centre or box belongs to it
 
 
@@ -45,10 +46,15 @@ def find_stops(record: DriveRecord) -> list[Stop]:
 
 
 def _describe(record: DriveRecord, states: list[SupervisorState], entry: int) -> Stop:
-    """Cause, first range and margin: the first state with the same reason began the stop."""
+    """Cause, first range and margin: the stop began with the first state for a reason of the same kind."""
     state, first = states[entry], entry
-    while first > 0 and states[first - 1].reason == state.reason:
-        first -= 1
+    kind = state.reason.partition(".")[0]
+    since_ns = state.stamp_ns
+    for k in range(entry, -1, -1):
+        if since_ns - states[k].stamp_ns > ONE_EPISODE_NS:
+            break
+        if states[k].reason.partition(".")[0] == kind:
+            first, since_ns = k, states[k].stamp_ns
     last = entry
     while last + 1 < len(states) and states[last + 1].mode is state.mode:
         last += 1

@@ -42,5 +42,3 @@ def thin(vehicle: Vehicle) -> Vehicle:
 def world(config, thin, implement, fence) -> World:
     supervisor = Supervisor(thin, implement, config, fence, ("fault/executor",))
     return World(supervisor, thin, straight_path(), is_plain=True)
-
-

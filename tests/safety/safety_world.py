@@ -219,8 +219,12 @@ class World:
         turn = self.speed_mps * curvature
         odom = Odometry(now, T, self.speed_mps, 0.0, self.acceleration, turn, curvature, np.eye(6) * 1e-4)
         self.put("odom", replace(odom, **self.odom_changes))
-        changes = {"speed_mps": self.speed_mps, "curvature_radpm": curvature,
-                   "is_park_brake_set": bool(self.command and self.command.is_park_brake_set), **self.machine_changes}
+        changes = {
+            "speed_mps": self.speed_mps,
+            "curvature_radpm": curvature,
+            "is_park_brake_set": bool(self.command and self.command.is_park_brake_set),
+            **self.machine_changes,
+        }
         self.put("machine", machine_state(now, **changes))
         if self.steps % 5 == 0:
             pose_message = MapPose(now, np.eye(4), T.copy(), np.eye(6) * 1e-4, PositionSource.RTK_FIXED, 0.1, 0.1, True)
@@ -232,8 +236,19 @@ class World:
         if self.steps % 10 == 0:
             status = MissionStatus(now, self.mission, Leg.SWATH, 1, self.path.path_id, self.place_m, 0.0, 1.0, "", ())
             self.put("mission", status)
-        wish = Wish(now, self.path.direction * self.wish_mps, 0.0, curvature, True, True, self.path.path_id,
-                    self.place_m, 0.0, 0.0, False)
+        wish = Wish(
+            now,
+            self.path.direction * self.wish_mps,
+            0.0,
+            curvature,
+            True,
+            True,
+            self.path.path_id,
+            self.place_m,
+            0.0,
+            0.0,
+            False,
+        )
         self.put("wish", replace(wish, **self.wish_changes))
         if self.steps == 0 or self.inbox.messages.get("path") is not self.path:
             self.put("path", self.path)
