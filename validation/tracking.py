@@ -8,6 +8,7 @@ from messages.message import Float64, Int64
 from messages.plan import Leg, Path
 from validation.record import DriveRecord, stamps_of, true_poses
 
+STANDING_MPS = 0.05  # a stop would count the same place over and over
 SEARCH_M = 2.0  # the place on the path is known from the wish to better than this
 
 
@@ -53,7 +54,8 @@ def measure_cross_track(record: DriveRecord) -> CrossTrack:
         at = min(int(np.searchsorted(path.s_m, wish.path_s_m)), len(path.s_m) - 1)
         leg = path.stretches[path.stretch_index[at]].leg
         xte = lateral_offset(path, poses[k, 0], poses[k, 1], wish.path_s_m)
-        rows.append((machine.stamp_ns, xte, leg, float(path.is_work[at] and machine.is_working)))
+        is_work = path.is_work[at] and machine.is_working and abs(machine.speed_mps) > STANDING_MPS
+        rows.append((machine.stamp_ns, xte, leg, float(is_work)))
     stamps, errors, legs, work = zip(*rows, strict=True) if rows else ((), (), (), ())
     return CrossTrack(np.array(stamps, np.int64), np.array(errors, float), tuple(legs), np.array(work, float))
 
