@@ -14,6 +14,7 @@ from simulation.sensors.gnss import solution_at
 from simulation.sensors.imu import mean_motion
 
 G = 9.80665
+FENCE_M = 30.0 + CONFIG.scenery.fence_offset_m  # the field ends at 30 m to either side
 
 
 def of(outputs, topic):
@@ -229,7 +230,7 @@ def test_lidar_finds_the_fence_where_it_stands(scans):
     points = apply(vehicle.sensors.lidar["front"].mount.T_base_sensor, scan.points_m)
     left = points[(points[:, 1] > 28.0) & (points[:, 2] > 0.3) & (np.abs(points[:, 0]) < 30.0)]
     assert len(left) > 50
-    assert np.median(left[:, 1]) == pytest.approx(30.5, abs=0.06)
+    assert np.median(left[:, 1]) == pytest.approx(FENCE_M, abs=0.06)
 
 
 def test_lidar_rays_are_fired_from_where_the_machine_then_was():
@@ -251,10 +252,10 @@ def test_lidar_rays_are_fired_from_where_the_machine_then_was():
         found.append(apply(poses[int(stamp)] @ mount, scan.points_m[here].astype(float)))
     points = np.concatenate(found)
     fence = points[
-        (np.abs(np.abs(points[:, 1]) - 30.5) < 1.5) & (points[:, 2] > 0.4) & (np.abs(points[:, 0] - 10) < 25)
+        (np.abs(np.abs(points[:, 1]) - FENCE_M) < 1.5) & (points[:, 2] > 0.4) & (np.abs(points[:, 0] - 10) < 25)
     ]
     assert len(fence) > 50
-    assert np.percentile(np.abs(np.abs(fence[:, 1]) - 30.5), 80) < 0.08
+    assert np.percentile(np.abs(np.abs(fence[:, 1]) - FENCE_M), 80) < 0.08
 
 
 def test_same_seed_same_bytes_other_seed_other_bytes():
