@@ -1,0 +1,241 @@
+"""The localizer's UWB part on real ranges: RMSE of causal positions beside the data sets' own results.
+
+    python -m benchmarks.uwb [--only hanyang|plaza|tuc] [--config configs/uwb.yaml]
+
+One configuration for all; every estimate uses only what was measured until then; nothing is aligned afterwards.
+- Hanyang (no odometry in the folder, IMU missing: constant velocity): the start's position is given, as to the authors'
+  ESKF; tag 1.0 m up, as in their analysis. The window is theirs: from x > 49.3 m to the return at x <= 12 m; "whole" is
+  the entire run. The authors' results are scored from their files with the same truth at the same times.
+- Plaza1: start's pose given (the way map and truth are tied), wheels and gyro, scale and bias of the radios unknown.
+- TUC labyrinth: place known to 0.3 m from the first ranges alone, heading unknown, wheels only.
+"""
+
+import argparse
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+from scipy.optimize import least_squares
+
+from configs.strict import CONFIGS, load
+from geometry.transforms import Float64
+from localization.uwb import Step, UwbConfig, UwbLocalizer, headings
+
+DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[2] / "shared" / "data"))
+HANYANG = ("LOS/Trajectory_A/Case_1", "LOS/Trajectory_A/Case_2", "NLOS/Trajectory_A/Case_1", "NLOS/Trajectory_A/Case_2")
+PLAZA_BAR_M = 0.6
+HANYANG_START_M, TAG_M, BUNDLE_NS = (-2.5775, -4.25), 1.0, 100_000_000
+# Sensors as the data sets describe them or as such sensors are: Plaza fibre gyro and wheel encoders; TUC's file says
+# 0.01 m/s a wheel.
+PLAZA_WHEEL, PLAZA_SIDE, PLAZA_TURN_ROOT_S = 0.03, 0.01, 0.002
+TUC_WHEEL_MPS = 0.01
+
+
+@dataclass(frozen=True)
+class Track:
+    """Stamps (n,) in seconds and positions (n, 2)."""
+
+    t_s: Float64
+    p_m: Float64
+
+    def between(self, first_s: float, last_s: float) -> "Track":
+        """The part from first to last."""
+        m = (self.t_s >= first_s) & (self.t_s <= last_s)
+        return Track(self.t_s[m], self.p_m[m])
+
+
+def errors_m(estimate: Track, truth: Track) -> Float64:
+    """Distance to the truth, linear between its points."""
+    there = [np.interp(estimate.t_s, truth.t_s, truth.p_m[:, i]) for i in (0, 1)]
+    return np.asarray(np.hypot(*(estimate.p_m.T - np.array(there))))
+
+
+def rms(e: Float64) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(e**2)))
+
+
+def hanyang(folder: Path, config: UwbConfig) -> Track:
+    """Ranges of 0.1 s in one keyframe, each with its age."""
+    files = {n: np.loadtxt(folder / f"A{n}.csv", delimiter=",", skiprows=1, dtype=np.float64) for n in (3, 5, 9, 12)}
+    stamps = {n: _column(folder / f"A{n}.csv", 1) for n in files}
+    anchors = {str(n): rows[0, 3:6] for n, rows in files.items()}
+    heard = sorted((int(s), str(n), float(r)) for n in files for s, r in zip(stamps[n], files[n][:, 6], strict=True))
+    localizer = UwbLocalizer(config, anchors, TAG_M, has_odometry=False)
+    begin_ns = heard[0][0] - 1
+    localizer.start(begin_ns, [np.array([*HANYANG_START_M, 0.0, 0.0])], np.array([0.1, 0.1, 0.1, 0.1]))
+    times, places = [], []
+    for bundle in _bundles(heard):
+        stamp_ns = bundle[-1][0]
+        age_s = np.array([(stamp_ns - b[0]) * 1e-9 for b in bundle])
+        state = localizer.add(stamp_ns, None, [b[1] for b in bundle], np.array([b[2] for b in bundle]), age_s)
+        times.append(stamp_ns * 1e-9)
+        places.append(state.x[:2])
+    return Track(np.array(times), np.array(places))
+
+
+def _column(path: Path, i: int) -> list[int]:
+    return [int(line.split(",")[i]) for line in path.read_text().splitlines()[1:]]
+
+
+def _bundles(heard: list[tuple[int, str, float]]) -> Iterator[list[tuple[int, str, float]]]:
+    bundle: list[tuple[int, str, float]] = []
+    for one in heard:
+        if bundle and one[0] - bundle[0][0] >= BUNDLE_NS:
+            yield bundle
+            bundle = []
+        bundle.append(one)
+    yield bundle
+
+
+def hanyang_track(path: Path) -> Track:
+    """One of the folder's csv files with stamp, x, y."""
+    rows = np.loadtxt(path, delimiter=",", skiprows=1, usecols=(0, 1, 2))
+    return Track(rows[:, 0] * 1e-9, rows[:, 1:])
+
+
+def authors_window(truth: Track) -> tuple[float, float]:
+    """Seconds between which their analysis counts (localization_error_analysis.py, trajectory A)."""
+    x, y = truth.p_m.T
+    first = int(np.argmax((x > 49.3) & (y > -5.0)))
+    last = first + int(np.argmax((x[first:] <= 12.0) & (y[first:] > 3.4)))
+    return float(truth.t_s[first]), float(truth.t_s[last])
+
+
+def plaza(path: Path, config: UwbConfig) -> tuple[Track, Track]:
+    """Estimate at every range, and truth."""
+    mat = loadmat(path)
+    truth, odometry, ranges = mat["GT"], mat["DR"], mat["TD"]
+    anchors = {str(int(i)): np.array([x, y, 0.0]) for i, x, y in mat["TL"]}
+    localizer = UwbLocalizer(config, anchors, 0.0)
+    t_s = float(truth[0, 0])
+    localizer.start(int(t_s * 1e9), [truth[0, 1:4]], np.array([0.05, 0.05, 0.02]))
+    ends = odometry[:, 0]
+    times, places = [], []
+    for stamp_s in np.unique(ranges[ranges[:, 0] > t_s, 0]):
+        now = ranges[ranges[:, 0] == stamp_s]
+        step = plaza_step(_between(odometry, ends, t_s, stamp_s), stamp_s - t_s)
+        state = localizer.add(int(stamp_s * 1e9), step, [str(int(i)) for i in now[:, 2]], now[:, 3])
+        t_s = float(stamp_s)
+        times.append(t_s)
+        places.append(state.x[:2])
+    return Track(np.array(times), np.array(places)), Track(truth[:, 0], truth[:, 1:3])
+
+
+def _between(odometry: Float64, ends: Float64, first_s: float, last_s: float) -> Float64:
+    """Increments (n, 2) from first to last; an increment is spread evenly over the time since the one before."""
+    i, j = np.searchsorted(ends, [first_s, last_s], side="right")
+    rows = odometry[i : j + 1]
+    begin = np.concatenate([[ends[i - 1] if i else first_s], rows[:-1, 0]])
+    share = (np.minimum(rows[:, 0], last_s) - np.maximum(begin, first_s)) / np.maximum(rows[:, 0] - begin, 1e-9)
+    return np.asarray(rows[:, 1:3] * np.clip(share, 0.0, 1.0)[:, None])
+
+
+def plaza_step(increments: Float64, dt_s: float) -> Step:
+    """Way and turn of increments (n, 2) of distance and turn."""
+    forward, left, turn = compose(increments[:, 0], increments[:, 1])
+    way = float(np.sum(np.abs(increments[:, 0])))
+    sigma = PLAZA_TURN_ROOT_S * np.sqrt(dt_s) + 0.01 * float(np.sum(np.abs(increments[:, 1])))
+    return Step(forward, left, turn, 0.005 + PLAZA_WHEEL * way, 0.005 + PLAZA_SIDE * way, float(sigma))
+
+
+def compose(way_m: Float64, turn_rad: Float64) -> tuple[float, float, float]:
+    """Forward, left and turn of a chain of small arcs."""
+    end = np.cumsum(turn_rad)
+    middle = end - 0.5 * turn_rad
+    return float(way_m @ np.cos(middle)), float(way_m @ np.sin(middle)), float(end[-1]) if len(end) else 0.0
+
+
+def tuc(folder: Path, config: UwbConfig) -> tuple[Track, Track]:
+    """Estimate at every range from the fourth on, and truth."""
+    lines = [line.split() for line in (folder / "Indoor_UWB_Input.txt").read_text().splitlines()]
+    ranges = [(float(v[1]), v[6], float(v[2])) for v in lines if v[0] == "range2"]
+    wheels = np.array([[float(x) for x in v[1:4]] + [float(v[5])] for v in lines if v[0] == "odom2diff"])
+    anchors = {v[6]: np.array([float(v[4]), float(v[5]), 0.0]) for v in lines if v[0] == "range2"}
+    truth = np.array([[float(x) for x in line.split()[1:4]] for line in (folder / "Indoor_UWB_GT.txt").open()])
+    first = ranges[:4]
+    where = least_squares(
+        lambda p: [np.hypot(*(p - anchors[n][:2])) - r for _, n, r in first],
+        np.mean([a[:2] for a in anchors.values()], axis=0), loss="soft_l1", f_scale=0.1,
+    ).x
+    localizer = UwbLocalizer(config, anchors, 0.0)
+    t_s = first[-1][0]
+    localizer.start(int(t_s * 1e9), headings(*where, 8), np.array([0.3, 0.3, 0.4]))
+    times, places = [], []
+    for stamp_s, name, range_m in ranges[4:]:
+        step = tuc_step(wheels[(wheels[:, 0] > t_s) & (wheels[:, 0] <= stamp_s)], stamp_s - t_s)
+        state = localizer.add(int(stamp_s * 1e9), step, [name], np.array([range_m]))
+        t_s = stamp_s
+        times.append(t_s)
+        places.append(state.x[:2])
+    return Track(np.array(times), np.array(places)), Track(truth[:, 0], truth[:, 1:])
+
+
+def tuc_step(wheels: Float64, dt_s: float) -> Step:
+    """One step of right and left wheel speed."""
+    # The readme calls the columns right and left and 0.0785 m the distance; only left and right with twice that
+    # (0.0785 from the middle to a wheel) give the driven path: 0.07 m from the truth, else 0.9 m.
+    left, right, gauge = wheels[-1, 1:] * np.array([1.0, 1.0, 2.0])
+    forward, side, turn = compose(np.array([0.5 * (right + left) * dt_s]), np.array([(right - left) / gauge * dt_s]))
+    sigma = TUC_WHEEL_MPS * dt_s
+    return Step(forward, side, turn, sigma, sigma, sigma * np.sqrt(2.0) / gauge)
+
+
+def report_hanyang(config: UwbConfig) -> None:
+    """A table of the four runs in the authors' window and whole."""
+    better = 0
+    print("Hanyang, RMSE in m     authors' window: ours   LS     ESKF  | whole: ours   LS     ESKF  | ms/keyframe")
+    for run in HANYANG:
+        folder = DATA / "hanyang-outdoor-uwb" / run
+        began = time.thread_time()
+        ours = hanyang(folder, config)
+        cpu_ms = (time.thread_time() - began) / len(ours.t_s) * 1e3
+        truth = hanyang_track(folder / "trajectory.csv")
+        tracks = (ours, hanyang_track(folder / "LS.csv"), hanyang_track(folder / "ESKF.csv"))
+        parts = (authors_window(truth), (float(truth.t_s[0]), float(truth.t_s[-1])))
+        window, whole = ([rms(errors_m(t.between(*part), truth)) for t in tracks] for part in parts)
+        better += window[0] < min(window[1:])
+        cells = [f"{v:6.3f}" for v in (*window, *whole)]
+        print(f"  {run:36s} {' '.join(cells[:3])}  |       {' '.join(cells[3:])}  | {cpu_ms:.2f}", flush=True)
+    print(f"  better than both in {better} of {len(HANYANG)} (bar: 3)")
+
+
+def report_plaza(config: UwbConfig) -> None:
+    """RMSE over all ranges from the first on."""
+    began = time.thread_time()
+    ours, truth = plaza(DATA / "plaza" / "Plaza1_.mat", config)
+    cpu_ms = (time.thread_time() - began) / len(ours.t_s) * 1e3
+    e = errors_m(ours, truth)
+    tail = e[ours.t_s > ours.t_s[0] + 120.0]
+    print(f"Plaza1: RMSE {rms(e):.3f} m (bar {PLAZA_BAR_M}), after 120 s {rms(tail):.3f} m, largest {e.max():.2f} m, "
+          f"{len(e)} ranges, {cpu_ms:.2f} ms each")
+
+
+def report_tuc(config: UwbConfig) -> None:
+    """RMSE over all ranges from the fifth on."""
+    ours, truth = tuc(DATA / "tuc-labyrinth-uwb" / "datasets" / "Indoor_UWB", config)
+    e = errors_m(ours, truth)
+    print(f"TUC labyrinth: RMSE {rms(e):.3f} m, largest {e.max():.3f} m, {len(e)} ranges, start's heading unknown")
+
+
+REPORTS = {"hanyang": report_hanyang, "plaza": report_plaza, "tuc": report_tuc}
+
+
+def main() -> None:
+    """Prints what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--only", choices=sorted(REPORTS))
+    parser.add_argument("--config", type=Path, default=CONFIGS / "uwb.yaml")
+    options = parser.parse_args()
+    config = load(UwbConfig, options.config)
+    for name, report in REPORTS.items():
+        if options.only in (None, name):
+            report(config)
+
+
+if __name__ == "__main__":
+    main()
