@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from messages.message import Float32, Float64, Message, UInt8, UInt16
+from messages.message import Float32, Float64, Int64, Message, UInt8, UInt16
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class LidarScan(Message):
         """Returns in the sensor frame, (N, 3), row by row of the range image; clusters index into these."""
         if self.ranges_mm.size == 0:
             return self.xyz_m
-        ring, column = np.nonzero(self.ranges_mm)
-        range_m = self.ranges_mm[ring, column].astype(np.float32) * np.float32(1e-3)
-        el, az = self.elevation_rad, self.azimuth_rad
-        cos_el, sin_el = np.cos(el).astype(np.float32)[ring], np.sin(el).astype(np.float32)[ring]
-        cos_az, sin_az = np.cos(az).astype(np.float32)[column], np.sin(az).astype(np.float32)[column]
-        flat = range_m * cos_el
-        points = np.stack([flat * cos_az, flat * sin_az, range_m * sin_el], axis=1)
+        range_m = self.ranges_mm.astype(np.float32) * np.float32(1e-3)
+        el, az = self.elevation_rad[:, None], self.azimuth_rad
+        flat = range_m * np.cos(el).astype(np.float32)
+        points = np.empty((len(self._returns), 3), np.float32)
+        points[:, 0] = (flat * np.cos(az).astype(np.float32)).ravel()[self._returns]
+        points[:, 1] = (flat * np.sin(az).astype(np.float32)).ravel()[self._returns]
+        points[:, 2] = (range_m * np.sin(el).astype(np.float32)).ravel()[self._returns]
         points.flags.writeable = False
         return points
 
@@ -46,7 +46,14 @@ class LidarScan(Message):
         """Time of each of `points_m` against the stamp, (N,)."""
         if self.offset_s.size == 0:
             return np.zeros(len(self.points_m), np.float32)
-        return self.offset_s if self.ranges_mm.size == 0 else self.offset_s[np.nonzero(self.ranges_mm)[1]]
+        if self.ranges_mm.size == 0:
+            return self.offset_s
+        return np.broadcast_to(self.offset_s, self.ranges_mm.shape).ravel()[self._returns]
+
+    @cached_property
+    def _returns(self) -> Int64:
+        """Where in the range image, row by row, something came back, (N,)."""
+        return np.flatnonzero(self.ranges_mm != 0)  # of bool: a third of the time that np.nonzero of numbers takes
 
 
 @dataclass(frozen=True)
