@@ -26,6 +26,8 @@ class Fence:
         inside = np.zeros(len(points_map_m), bool)
         for ring in self.allowed:
             left = np.flatnonzero(~inside)  # most points lie in the first ring, the field
+            if len(left) == 0:
+                break
             inside[left] = is_within(points_map_m[left], ring)
         for ring in self.forbidden:
             inside &= ~is_within(points_map_m, ring)
@@ -62,13 +64,13 @@ def band(line: Float64, half_m: float) -> Float64:
 
 def is_within(points: Float64, ring: Float64) -> np.ndarray:
     """Which points (N, 2) lie in a polygon (E, 2), by an odd number of edges crossed towards +x, (N,) bool."""
-    x, y = points[:, :1], points[:, 1:]
-    x0, y0 = ring.T
-    x1, y1 = np.concatenate([ring[1:], ring[:1]]).T
+    x, y = points.T
+    x0, y0 = ring.T[:, :, None]  # edges by points: there are fewer edges
+    x1, y1 = np.concatenate([ring[1:], ring[:1]]).T[:, :, None]
     is_spanned = (y0 <= y) != (y1 <= y)
     rise = np.where(y1 == y0, 1.0, y1 - y0)
     is_right = x < x0 + (y - y0) / rise * (x1 - x0)
-    return np.asarray(np.count_nonzero(is_spanned & is_right, axis=1) % 2 == 1)
+    return np.asarray(np.logical_xor.reduce(is_spanned & is_right, axis=0))
 
 
 def way_inside_m(fence: Fence, points_map_m: Float64, ways_m: Float64, spacing_m: float) -> float:

@@ -83,10 +83,10 @@ def least_towards(edges_rad: Float64, range_m: Float64, direction: int, half_rad
     """The least of the ranges whose sector meets the cone about the direction of travel; 0 when none does."""
     center = 0.0 if direction > 0 else math.pi
     middle = 0.5 * (edges_rad[:-1] + edges_rad[1:])
-    reach = 0.5 * np.diff(edges_rad) + half_rad
+    reach = 0.5 * (edges_rad[1:] - edges_rad[:-1]) + half_rad
     away = np.abs(np.remainder(middle - center + math.pi, TURN_RAD) - math.pi)
     is_met = away < reach - 1e-9
-    return float(np.min(range_m[is_met])) if np.any(is_met) else 0.0
+    return float(range_m[is_met].min()) if is_met.any() else 0.0
 
 
 def shrink(range_m: float, health: SensorHealth | None, direction: int, half_rad: float) -> float:

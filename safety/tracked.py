@@ -28,6 +28,21 @@ REACH_M = 15.0  # farther than any body, margin and uncertainty reach from base
 NO_THREAT = Threat(math.inf, ObstacleClass.UNKNOWN, -1)
 
 
+def larger(a: float, b: float) -> float:
+    """The larger of two numbers, and NaN when either is, unlike `max`."""
+    return a if a >= b or a != a else b
+
+
+def length_m(track: Track) -> float:
+    """The longer side of a track's box."""
+    return larger(float(track.size_m[0]), float(track.size_m[1]))
+
+
+def velocity_sigma_mps(track: Track) -> float:
+    """Standard deviation of the less certain component of its velocity."""
+    return math.sqrt(max(0.0, larger(float(track.covariance[2, 2]), float(track.covariance[3, 3]))))
+
+
 def is_moving(track: Track, config: TrackedConfig) -> bool:
     """Whether a track surely moves: a speed near 0, or not known well or long enough, does not count.
 
@@ -36,13 +51,13 @@ def is_moving(track: Track, config: TrackedConfig) -> bool:
     """
     if track.last_seen_ns - track.first_seen_ns < config.known_s * 1e9:
         return False
-    is_long = float(np.max(track.size_m[:2])) > config.compact_m
+    is_long = length_m(track) > config.compact_m
     if track.label is ObstacleClass.UNKNOWN and is_long:
         return False
     speed = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
     if not math.isfinite(speed):
         return False
-    sigma = math.sqrt(max(0.0, float(np.max(np.diag(track.covariance)[2:4]))))
+    sigma = velocity_sigma_mps(track)
     is_machine = is_long or track.label is ObstacleClass.VEHICLE
     least_mps = config.long_moving_mps if is_machine else config.moving_mps
     return speed >= max(least_mps, config.moving_sigmas * sigma)
@@ -51,7 +66,7 @@ def is_moving(track: Track, config: TrackedConfig) -> bool:
 def predicted(track: Track, times_s: Float64, config: TrackedConfig) -> tuple[Float64, Float64]:
     """Places (T, 2) in odom and how far the object reaches about them (T,), with what its velocity leaves open."""
     places = track.p_odom_m[:2] + times_s[:, None] * track.velocity_mps[:2]
-    sigma = math.sqrt(max(0.0, float(np.max(np.diag(track.covariance)[2:4]))))
+    sigma = velocity_sigma_mps(track)
     half = 0.5 * float(np.min(track.size_m[:2]))
     return places, half + np.minimum(sigma * times_s, config.uncertainty_cap_m)
 
@@ -74,7 +89,7 @@ def is_before(
     field if it is in the way at all.
     """
     place = from_frame(pose_odom, track.p_odom_m[None, :2])
-    ahead_m = direction * float(place[0, 0]) + 0.5 * float(np.max(track.size_m[:2]))
+    ahead_m = direction * float(place[0, 0]) + 0.5 * length_m(track)
     foremost_m = direction * shape.foremost_m(direction)
     counts_beside = moves and track.label is not ObstacleClass.UNKNOWN
     edge_m = foremost_m - max(shape.leads_m(direction)) if counts_beside else foremost_m
@@ -98,7 +113,7 @@ def is_part_of(track: Track, standing: Sequence[Track], part_m: float) -> bool:
     A vehicle passed closely is seen in pieces, whose middles wander. Who steps out from beside it is in the raw field.
     """
     for other in standing:
-        if other.id == track.id or float(np.max(other.size_m[:2])) <= float(np.max(track.size_m[:2])):
+        if other.id == track.id or length_m(other) <= length_m(track):
             continue
         c, s = math.cos(other.yaw_rad), math.sin(other.yaw_rad)
         dx, dy = (track.p_odom_m[:2] - other.p_odom_m[:2]).tolist()
@@ -126,10 +141,13 @@ def threat_in(
     times_s = np.linspace(0.0, horizon_s, config.steps)
     best = NO_THREAT
     confirmed = [t for t in (() if tracks is None else tracks.tracks) if t.is_confirmed]
-    near = [t for t in confirmed if is_within_reach(t, pose_odom, sweep.length_m, horizon_s)]
-    standing = [t for t in near if float(np.max(t.size_m[:2])) >= config.carrier_m and not is_moving(t, config)]
-    for track in near:
-        moves = is_moving(track, config) and not is_part_of(track, standing, config.part_m)
+    reached = [t for t in confirmed if is_within_reach(t, pose_odom, sweep.length_m, horizon_s)]
+    near = [(track, is_moving(track, config)) for track in reached]
+    standing = [track for track, moves in near if length_m(track) >= config.carrier_m and not moves]
+    for track, seems_moving in near:
+        moves = seems_moving and not is_part_of(track, standing, config.part_m)
+        if not moves and track.label is ObstacleClass.UNKNOWN:
+            continue  # left to the raw field
         if not is_before(track, moves, shape, pose_odom, curvature_radpm, sweep.direction, config.own_m):
             continue
         gap = _gap_to(sweep, track, moves, pose_odom, times_s, config)
@@ -144,6 +162,4 @@ def _gap_to(
     if moves:
         places, reach = predicted(track, times_s, config)
         return float(np.min(contact_m(from_frame(pose_odom, places), sweep, reach + config.lateral_m)))
-    if track.label is ObstacleClass.UNKNOWN:
-        return math.inf
     return float(np.min(contact_m(from_frame(pose_odom, rim(track)), sweep)))
