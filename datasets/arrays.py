@@ -37,6 +37,8 @@ def filter_of(array: Array) -> str:
 
 def pack(array: Array, name: str) -> bytes:
     """The bytes of an array through the filter `name`."""
+    if not name:
+        return array.tobytes()
     if name.startswith("delta"):
         return _split(_fold(array, int(name[5])))
     return _split(array) if name == "planes" else array.tobytes()

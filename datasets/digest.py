@@ -13,8 +13,7 @@ class Digest:
     def add(self, topic: str, stamp_ns: int, payload: bytes) -> None:
         """Take in one message; lengths go in too, so that no two sequences look alike."""
         name = topic.encode()
-        self._hash.update(struct.pack("<IqQ", len(name), stamp_ns, len(payload)))
-        self._hash.update(name)
+        self._hash.update(struct.pack("<IqQ", len(name), stamp_ns, len(payload)) + name)
         self._hash.update(payload)
 
     def text(self) -> str:

@@ -25,22 +25,23 @@ class _Seat:
     triggered_ns: int | None = None
     is_dead: bool = False
     topics: frozenset[str] = field(default_factory=frozenset)
+    period_ns: int | None = None  # None: it waits for topics
 
     def due_ns(self) -> int | None:
         """When the node steps next, as far as known now."""
         if self.is_dead:
             return None
-        if isinstance(self.node.runs, Every):
-            return max(self.next_tick_ns, self.free_ns)
-        return None if self.triggered_ns is None else max(self.triggered_ns, self.free_ns)
+        asked_ns = self.triggered_ns if self.period_ns is None else self.next_tick_ns
+        if asked_ns is None:
+            return None
+        return asked_ns if asked_ns > self.free_ns else self.free_ns
 
     def take(self, now_ns: int) -> None:
         """Note that the node steps now."""
         self.free_ns = now_ns + self.latency_ns
         self.triggered_ns = None
-        if isinstance(self.node.runs, Every):
-            period = self.node.runs.period_ns
-            self.next_tick_ns += ((now_ns - self.next_tick_ns) // period + 1) * period
+        if self.period_ns is not None:
+            self.next_tick_ns += ((now_ns - self.next_tick_ns) // self.period_ns + 1) * self.period_ns
 
 
 class Executor:
@@ -53,6 +54,7 @@ class Executor:
         self._seats = [_Seat(node, latency_ns, next_tick_ns=start_ns) for node, latency_ns in nodes]
         for seat in self._seats:
             seat.topics = frozenset(seat.node.runs.topics) if isinstance(seat.node.runs, On) else frozenset()
+            seat.period_ns = seat.node.runs.period_ns if isinstance(seat.node.runs, Every) else None
         self._bus = Bus([node for node, _ in nodes], sinks)
         self._deliveries: list[tuple[int, int, list[Output]]] = []
         self._scheduled = 0

@@ -33,7 +33,7 @@ class ImuModel:
         self.topic = "imu"
         self.period_ns = period_ns_of(imu.rate_hz)
         self.latency_ns = 0
-        self._imu, self._config, self._random = imu, config, random
+        self._imu, self._random = imu, random
         self._T_base_imu = imu.mount.T_base_sensor
         dt_s = self.period_ns * 1e-9
         self._bias_sigma = np.repeat(
@@ -45,7 +45,9 @@ class ImuModel:
         self._sigma = np.repeat(density, 3) / math.sqrt(dt_s)
         limits = [imu.accelerometer_range_g * GRAVITY_MPS2, math.radians(imu.gyro_range_dps)]
         self._limit = np.repeat(limits, 3)
-        self._shake = np.zeros((2, 6))
+        self._idle = np.repeat([config.idle_mps2, config.idle_radps], 3)
+        self._furrow_per_mps = np.repeat([config.furrow_mps2_per_mps, config.furrow_radps_per_mps], 3)
+        self._white, self._white_before = np.zeros(6), np.zeros(6)
 
     def sample(self, moment: Moment) -> Message:
         """The true mean over the last interval, with bias, vibration and noise, within the range."""
@@ -54,23 +56,22 @@ class ImuModel:
         truth = mean_motion(poses[0], poses[1], poses[2], self.period_ns * 1e-9)
         self._bias = self._bias + self._wander * self._random.standard_normal(6)
         noise = self._bias + self._sigma * self._random.standard_normal(6) + self._vibrate(moment.machine.speed_mps)
-        values = np.clip(truth + noise, -self._limit, self._limit)
+        values = np.minimum(np.maximum(truth + noise, -self._limit), self._limit)
         return ImuSample(moment.stamp_ns, values[:3].copy(), values[3:].copy())
 
     def _vibrate(self, speed_mps: float) -> Float64:
         """A second difference of white noise: it shakes, but the machine goes nowhere by it."""
-        c, v = self._config, abs(speed_mps)
-        sigma = np.repeat([c.idle_mps2 + c.furrow_mps2_per_mps * v, c.idle_radps + c.furrow_radps_per_mps * v], 3)
-        white = sigma * self._random.standard_normal(6)
-        shake = (white - 2.0 * self._shake[1] + self._shake[0]) / math.sqrt(6.0)
-        self._shake = np.stack([self._shake[1], white])
+        white = (self._idle + self._furrow_per_mps * abs(speed_mps)) * self._random.standard_normal(6)
+        shake = (white - 2.0 * self._white + self._white_before) / math.sqrt(6.0)
+        self._white, self._white_before = white, self._white
         return np.asarray(shake)
 
 
 def mean_motion(T_first: Float64, T_middle: Float64, T_last: Float64, interval_s: float) -> Float64:
     """Specific force and turn rate (6,) in the sensor frame, from its poses at start, middle and end of an interval."""
     velocity_change = (T_last[:3, 3] - 2.0 * T_middle[:3, 3] + T_first[:3, 3]) / (0.5 * interval_s) ** 2
-    force = T_middle[:3, :3].T @ (velocity_change + np.array([0.0, 0.0, GRAVITY_MPS2]))
+    velocity_change[2] += GRAVITY_MPS2
+    force = T_middle[:3, :3].T @ velocity_change
     return np.concatenate([force, small_turn_rad(T_first[:3, :3].T @ T_last[:3, :3]) / interval_s])
 
 
