@@ -160,7 +160,9 @@ def tuc(folder: Path, config: UwbConfig) -> tuple[Track, Track]:
     first = ranges[:4]
     where = least_squares(
         lambda p: [np.hypot(*(p - anchors[n][:2])) - r for _, n, r in first],
-        np.mean([a[:2] for a in anchors.values()], axis=0), loss="soft_l1", f_scale=0.1,
+        np.mean([a[:2] for a in anchors.values()], axis=0),
+        loss="soft_l1",
+        f_scale=0.1,
     ).x
     localizer = UwbLocalizer(config, anchors, 0.0)
     t_s = first[-1][0]
@@ -211,8 +213,10 @@ def report_plaza(config: UwbConfig) -> None:
     cpu_ms = (time.thread_time() - began) / len(ours.t_s) * 1e3
     e = errors_m(ours, truth)
     tail = e[ours.t_s > ours.t_s[0] + 120.0]
-    print(f"Plaza1: RMSE {rms(e):.3f} m (bar {PLAZA_BAR_M}), after 120 s {rms(tail):.3f} m, largest {e.max():.2f} m, "
-          f"{len(e)} ranges, {cpu_ms:.2f} ms each")
+    print(
+        f"Plaza1: RMSE {rms(e):.3f} m (bar {PLAZA_BAR_M}), after 120 s {rms(tail):.3f} m, largest {e.max():.2f} m, "
+        f"{len(e)} ranges, {cpu_ms:.2f} ms each"
+    )
 
 
 def report_tuc(config: UwbConfig) -> None:

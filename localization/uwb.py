@@ -67,7 +67,7 @@ class Step:
 
 @dataclass(frozen=True)
 class UwbState:
-    """`x` is (x, y, yaw) with odometry, else (x, y, vx, vy); `covariance` belongs to it; scale and bias by anchor row."""
+    """`x` is (x, y, yaw) with odometry, else (x, y, vx, vy), with its covariance; scale and bias by anchor row."""
 
     stamp_ns: int
     x: Float64
@@ -80,7 +80,11 @@ class UwbLocalizer:
     """The filter for one tag; anchors are {name: (x, y, z)} in `map`, the tag stands `arm_m` ahead and left of base."""
 
     def __init__(
-        self, config: UwbConfig, anchors: Mapping[str, Float64], height_m: float, arm_m: tuple[float, float] = (0.0, 0.0),
+        self,
+        config: UwbConfig,
+        anchors: Mapping[str, Float64],
+        height_m: float,
+        arm_m: tuple[float, float] = (0.0, 0.0),
         has_odometry: bool = True,
     ) -> None:
         if not anchors:
@@ -113,14 +117,15 @@ class UwbLocalizer:
         none, width = Ranges(*(np.zeros(0, t) for t in (np.int64, np.int64, float, float))), 7 if first else 1
         common, information = np.zeros(len(self._walk)), np.linalg.inv(known)
         self._windows = [
-            Window(common, x[None], np.zeros((0, width)), none, information, np.concatenate([common, x])) for x in starts
+            Window(common, x[None], np.zeros((0, width)), none, information, np.concatenate([common, x]))
+            for x in starts
         ]
         self._burden, self._stamps_ns = [0.0] * len(starts), [stamp_ns]
 
     def add(
         self, stamp_ns: int, step: Step | None, names: Sequence[str], range_m: Float64, age_s: Float64 | None = None
     ) -> UwbState:
-        """One keyframe with the ranges heard since the last; unknown anchors and ranges not finite or <= 0 are left out.
+        """One keyframe with the ranges heard since the last; unknown anchors and ranges not in (0, inf) are left out.
 
         `step` is needed with odometry; `age_s` (how long before the keyframe a range was taken) only counts without.
         """
@@ -157,9 +162,7 @@ class UwbLocalizer:
     def _choose(self) -> None:
         """Drops what is clearly worse than the best; the best stands first."""
         best = min(self._burden)
-        kept = sorted(
-            ((b, i) for i, b in enumerate(self._burden) if b - best <= GIVE_UP), key=lambda pair: pair
-        )
+        kept = sorted(((b, i) for i, b in enumerate(self._burden) if b - best <= GIVE_UP), key=lambda pair: pair)
         self._windows = [self._windows[i] for _, i in kept]
         self._burden = [b - best for b, _ in kept]
 
@@ -182,13 +185,21 @@ class UwbLocalizer:
 
 
 def _row(step: Step, dt_s: float) -> Float64:
-    return np.array([
-        step.forward_m, step.left_m, step.turn_rad, dt_s, step.sigma_forward_m, step.sigma_left_m, step.sigma_turn_rad,
-    ])
+    return np.array(
+        [
+            step.forward_m,
+            step.left_m,
+            step.turn_rad,
+            dt_s,
+            step.sigma_forward_m,
+            step.sigma_left_m,
+            step.sigma_turn_rad,
+        ]
+    )
 
 
 def alike(count: int, common: float, each: float) -> Float64:
-    """Covariance of `count` equal things: what they have in common, and what each has of its own (standard deviations)."""
+    """Covariance of `count` equal things: standard deviations of what they share and of what is each one's own."""
     return np.full((count, count), common**2) + np.eye(count) * each**2
 
 

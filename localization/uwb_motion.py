@@ -35,7 +35,7 @@ class Motion(Protocol):
         """The whitened residuals of n steps."""
 
     def tag(self, x: Float64, age_s: Float64, arm_m: Float64) -> tuple[Float64, Float64]:
-        """Position (n, 2) of a tag `arm_m` from the keyframe's origin, `age_s` before it, and derivative (n, 2, size)."""
+        """Position (n, 2) of a tag `arm_m` from the keyframe's origin, `age_s` before it; derivative (n, 2, size)."""
 
 
 class Odometry:
@@ -52,9 +52,13 @@ class Odometry:
         angle = x[2] + 0.5 * extra[1] * step[3]
         c, s = np.cos(angle), np.sin(angle)
         way = (1.0 + extra[0]) * step[:2]
-        return np.array([
-            x[0] + c * way[0] - s * way[1], x[1] + s * way[0] + c * way[1], x[2] + step[2] + extra[1] * step[3],
-        ])
+        return np.array(
+            [
+                x[0] + c * way[0] - s * way[1],
+                x[1] + s * way[0] + c * way[1],
+                x[2] + step[2] + extra[1] * step[3],
+            ]
+        )
 
     def linear(self, first: Float64, last: Float64, extra: Float64, steps: Float64) -> Linear:
         """The way in the first keyframe's axes, turned on by half of what the gyro's bias adds; yaw is not wrapped."""
@@ -85,7 +89,7 @@ class Odometry:
 
 
 class Velocity:
-    """Position and velocity (x, y, vx, vy), driven by white acceleration of a density in m²/s³; a step is (duration_s,)."""
+    """Position and velocity (x, y, vx, vy), under white acceleration of a density in m²/s³; a step is (duration_s,)."""
 
     size, extra = 4, 0
 

@@ -138,7 +138,7 @@ def covariance(scene: Scene, window: Window) -> Float64:
 
 
 def drop_oldest(scene: Scene, window: Window, walk: Float64) -> Window:
-    """Marginalises keyframe 0; `walk` (c, c) is the covariance by which the common unknowns may have changed meanwhile."""
+    """Marginalises keyframe 0; `walk` (c, c) is how far the common unknowns may have changed meanwhile."""
     c, size = len(window.common), scene.motion.size
     r = window.ranges
     mine = r.keyframe == 0
@@ -160,8 +160,10 @@ def append(window: Window, x: Float64, step: Float64, new: Ranges) -> Window:
     """One more keyframe at the guess `x`, with its ranges (their `keyframe` is overwritten)."""
     n, r = len(window.x), window.ranges
     ranges = Ranges(
-        np.concatenate([r.keyframe, np.full(len(new.range_m), n, np.int64)]), np.concatenate([r.anchor, new.anchor]),
-        np.concatenate([r.range_m, new.range_m]), np.concatenate([r.age_s, new.age_s]),
+        np.concatenate([r.keyframe, np.full(len(new.range_m), n, np.int64)]),
+        np.concatenate([r.anchor, new.anchor]),
+        np.concatenate([r.range_m, new.range_m]),
+        np.concatenate([r.age_s, new.age_s]),
     )
     return replace(window, x=np.vstack([window.x, x]), steps=np.vstack([window.steps, step]), ranges=ranges)
 

@@ -1,0 +1,242 @@
+"""The UWB part: derivatives, calibration, outliers, unknown heading, wrong input, and real ranges where they are."""
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+
+from benchmarks import uwb as benchmark
+from configs.strict import CONFIGS, load
+from geometry.transforms import Float64
+from localization.factors import X
+from localization.uwb import Step, UwbConfig, UwbLocalizer, alike, headings
+from localization.uwb_factor import range_factor
+from localization.uwb_motion import Motion, Odometry, Velocity
+from localization.uwb_window import (
+    Gauge,
+    Ranges,
+    Scene,
+    Window,
+    covariance,
+    drop_oldest,
+    motion_rows,
+    range_rows,
+    range_weight,
+    solve,
+)
+from messages.errors import FieldError
+
+CONFIG = load(UwbConfig, CONFIGS / "uwb.yaml")
+ANCHORS = {
+    "a": np.array([0.0, 0.0, 2.0]),
+    "b": np.array([30.0, 0.0, 2.5]),
+    "c": np.array([30.0, 20.0, 2.0]),
+    "d": np.array([0.0, 20.0, 3.0]),
+}
+WHERE = np.array(list(ANCHORS.values()))
+GAUGE = Gauge(0.1, 2.5, 4.0)
+ARM = (1.2, -0.3)
+Drive = list[tuple[int, Step, Float64]]
+
+
+def window(motion: Motion, n: int = 4) -> Window:
+    """A window with nothing at its optimum."""
+    rng = np.random.default_rng(3)
+    c, x = motion.extra + 8, rng.normal(0.0, 1.0, (n, motion.size))
+    x[:, :2] += 8.0
+    steps = np.abs(rng.normal(1.0, 0.2, (n - 1, 7 if motion.extra else 1)))
+    i = np.arange(3 * n)
+    far = np.hypot(np.hypot(*(x[i % n, :2] - WHERE[i % 4, :2]).T), 1.0 - WHERE[i % 4, 2]) + rng.normal(0.0, 0.1, 3 * n)
+    ranges = Ranges(i % n, i % 4, far, np.zeros(3 * n) if motion.extra else 0.01 * i)
+    common = rng.normal(0.0, 0.02, c)
+    return Window(common, x, steps, ranges, np.eye(c + motion.size) * 50.0, np.concatenate([common, x[0]]))
+
+
+def scene(motion: Motion) -> Scene:
+    """The anchors with a tag that has an arm where a heading allows it."""
+    return Scene(motion, WHERE, np.array(ARM if motion.extra else (0.0, 0.0)), 1.0, GAUGE)
+
+
+def moved(w: Window, d: Float64) -> Window:
+    c = len(w.common)
+    return Window(w.common + d[:c], w.x + d[c:].reshape(w.x.shape), w.steps, w.ranges, w.prior, w.prior_mean)
+
+
+@pytest.mark.parametrize("motion", [Odometry(), Velocity(0.2)])
+@pytest.mark.parametrize("rows", [range_rows, motion_rows])
+def test_derivatives_are_those_of_differences(motion: Motion, rows: object) -> None:
+    w, s = window(motion), scene(motion)
+    _, J = rows(s, w)  # type: ignore[operator]
+    for i, unit in enumerate(np.eye(J.shape[1]) * 1e-6):
+        high, low = rows(s, moved(w, unit))[0], rows(s, moved(w, -unit))[0]  # type: ignore[operator]
+        np.testing.assert_allclose(J[:, i], (high - low) / 2e-6, rtol=1e-5, atol=1e-4)
+
+
+def test_velocity_whitens_to_the_covariance_of_white_acceleration() -> None:
+    T, q = 0.7, 0.3
+    K = Velocity(q).linear(np.zeros((1, 4)), np.zeros((1, 4)), np.zeros(0), np.array([[T]])).last[0]
+    Q = q * np.array([[T**3 / 3, T**2 / 2], [T**2 / 2, T]])
+    np.testing.assert_allclose(np.linalg.inv(K.T @ K), np.kron(Q, np.eye(2)), atol=1e-12)
+
+
+@pytest.mark.parametrize("motion", [Odometry(), Velocity(0.2)])
+def test_predict_leaves_no_residual(motion: Motion) -> None:
+    step = np.array([1.0, 0.2, 0.3, 0.5, 0.1, 0.1, 0.1]) if motion.extra else np.array([0.5])
+    x, extra = np.arange(1.0, 1.0 + motion.size), np.array([0.02, 0.01])[: motion.extra]
+    last = motion.predict(x, extra, step)
+    np.testing.assert_allclose(motion.linear(x[None], last[None], extra, step[None]).r, 0.0, atol=1e-9)
+
+
+def test_marginalising_keeps_what_a_linear_window_knows() -> None:
+    """At the optimum the covariance of what remains is the same with and without the oldest keyframe."""
+    motion, wide = Velocity(0.2), Gauge(0.1, 1e6, 1e6)
+    s = Scene(motion, WHERE, np.zeros(2), 1.0, wide)
+    w = solve(s, window(motion), 30)
+    less = drop_oldest(s, w, np.zeros((8, 8)))
+    np.testing.assert_allclose(covariance(s, less), covariance(s, w), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(solve(s, less, 5).x, w.x[1:], atol=1e-6)
+    walked = covariance(s, drop_oldest(s, w, np.eye(8) * 1e-2))
+    assert np.all(np.diag(walked)[:8] > np.diag(covariance(s, w))[:8])
+
+
+def test_a_late_range_weighs_less_than_an_early_one() -> None:
+    w = range_weight(np.array([0.0, 2.5, -2.5, -4.0, 100.0]), GAUGE)
+    assert w[[0, 1, 3]] == pytest.approx([1.0, 0.5, 0.5])
+    assert w[4] < 1e-3 < w[1] < w[2]
+
+
+def drive(
+    seconds: float, scale: float = 1.03, bias_m: float = 0.3, late: float = 0.0, seed: int = 0
+) -> tuple[Drive, Float64]:
+    """A circle of 6 m at 1.5 m/s, four ranges every 0.2 s; `late` is the share of ranges 1 to 6 m too long."""
+    rng, out, truth = np.random.default_rng(seed), [], []
+    for k in range(1, int(seconds * 5)):
+        t, turn = k * 0.2, 0.2 * 1.5 / 6.0
+        yaw = 1.5 / 6.0 * t + np.pi / 2
+        p = np.array([15.0 + 6.0 * np.cos(yaw - np.pi / 2), 10.0 + 6.0 * np.sin(yaw - np.pi / 2)])
+        c, s = np.cos(yaw), np.sin(yaw)
+        tag = np.array([p[0] + c * ARM[0] - s * ARM[1], p[1] + s * ARM[0] + c * ARM[1], 1.0])
+        ranges = scale * np.linalg.norm(tag - WHERE, axis=1) + bias_m + rng.normal(0.0, 0.05, 4)
+        ranges += (rng.uniform(size=4) < late) * rng.uniform(1.0, 6.0, 4)
+        chord = 2 * 6.0 * np.sin(turn / 2)
+        step = Step(chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn + rng.normal(0, 1e-3), 0.01, 0.01, 2e-3)
+        out.append((k * 200_000_000, step, ranges))
+        truth.append([*p, yaw])
+    return out, np.array(truth)
+
+
+def follow(measured: Drive, starts: list[Float64], sigma: Float64) -> tuple[UwbLocalizer, Float64]:
+    """The localizer after a drive, and where it was all along."""
+    localizer = UwbLocalizer(CONFIG, ANCHORS, 1.0, ARM)
+    localizer.start(0, starts, sigma)
+    return localizer, np.array([localizer.add(t, s, list(ANCHORS), r).x for t, s, r in measured])
+
+
+START = [np.array([21.0, 10.0, np.pi / 2])]
+KNOWN = np.array([0.05, 0.05, 0.02])
+
+
+def test_scale_and_bias_are_learned() -> None:
+    measured, truth = drive(40.0)
+    localizer, x = follow(measured, START, KNOWN)
+    assert localizer.state is not None
+    np.testing.assert_allclose(x[-50:, :2], truth[-50:, :2], atol=0.12)
+    distance = np.linalg.norm(np.array([15.0, 10.0, 1.0]) - WHERE, axis=1)
+    learned = localizer.state.scale * distance + localizer.state.bias_m
+    np.testing.assert_allclose(learned, 1.03 * distance + 0.3, atol=0.1)
+    assert 0.05 <= localizer.range_sigma_m < 0.1
+
+
+def test_a_fifth_of_the_ranges_too_long_costs_little() -> None:
+    measured, truth = drive(40.0, late=0.2, seed=1)
+    _, x = follow(measured, START, KNOWN)
+    assert np.sqrt(np.mean(np.sum((x[50:, :2] - truth[50:, :2]) ** 2, axis=1))) < 0.15
+
+
+def test_unknown_heading_is_found() -> None:
+    measured, truth = drive(20.0, scale=1.0, bias_m=0.0, seed=2)
+    _, x = follow(measured, headings(21.0, 10.0, 8), np.array([0.2, 0.2, 0.4]))
+    assert abs(np.angle(np.exp(1j * (x[-1, 2] - truth[-1, 2])))) < 0.03
+    np.testing.assert_allclose(x[-1, :2], truth[-1, :2], atol=0.15)
+
+
+def test_two_runs_are_equal_to_the_bit() -> None:
+    measured, _ = drive(8.0, late=0.2)
+    assert np.array_equal(follow(measured, START, KNOWN)[1], follow(measured, START, KNOWN)[1])
+
+
+def test_bad_ranges_are_left_out() -> None:
+    measured, _ = drive(3.0)
+    good, bad = (UwbLocalizer(CONFIG, ANCHORS, 1.0, ARM) for _ in range(2))
+    good.start(0, START, KNOWN)
+    bad.start(0, START, KNOWN)
+    wrong = np.array([np.nan, np.inf, 0.0, -1.0, 5.0])
+    for t, s, r in measured:
+        one = good.add(t, s, list(ANCHORS), r)
+        two = bad.add(t, s, [*ANCHORS, "a", "b", "c", "d", "nobody"], np.concatenate([r, wrong]))
+        assert np.array_equal(one.x, two.x)
+
+
+def test_no_ranges_is_dead_reckoning_that_knows_less() -> None:
+    measured, _ = drive(20.0)
+    localizer, _ = follow(measured[:50], START, KNOWN)
+    before = localizer.state
+    for t, s, _ in measured[50:90]:
+        localizer.add(t, s, [], np.zeros(0))
+    assert before is not None
+    assert localizer.state is not None
+    assert np.trace(localizer.state.covariance[:2, :2]) > np.trace(before.covariance[:2, :2])
+
+
+def test_wrong_use_is_refused() -> None:
+    with pytest.raises(FieldError, match="anchors"):
+        UwbLocalizer(CONFIG, {}, 1.0)
+    with pytest.raises(FieldError, match="arm_m"):
+        UwbLocalizer(CONFIG, ANCHORS, 1.0, (0.1, 0.0), has_odometry=False)
+    localizer = UwbLocalizer(CONFIG, ANCHORS, 1.0, has_odometry=False)
+    localizer.start(5, [np.zeros(4)], np.ones(4))
+    with pytest.raises(FieldError, match="stamp_ns"):
+        localizer.add(5, None, [], np.zeros(0))
+
+
+def test_alike() -> None:
+    np.testing.assert_allclose(alike(2, 3.0, 4.0), [[25.0, 9.0], [9.0, 25.0]])
+
+
+def test_range_factor_has_the_derivative_of_its_error() -> None:
+    pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 2.0), np.array([3.0, 4.0, 1.0]))
+    factor = range_factor(1, WHERE[1], np.array([1.2, -0.3, 2.1]), 20.0, (1.02, 0.2), 0.5)
+    values = gtsam.Values()
+    values.insert(X(1), pose)
+    weight = np.sqrt(1.0 / (1.0 + (plain(factor, pose) / 2.5) ** 2))
+    J = factor.linearize(values).jacobian()[0][0] / weight
+    for i, unit in enumerate(np.eye(6) * 1e-6):
+        slope = (plain(factor, pose.retract(unit)) - plain(factor, pose.retract(-unit))) / 2e-6
+        assert J[i] == pytest.approx(slope, abs=1e-5)
+
+
+def plain(factor: gtsam.CustomFactor, pose: gtsam.Pose3) -> float:
+    values = gtsam.Values()
+    values.insert(X(1), pose)
+    return float(factor.unwhitenedError(values)[0] / 0.5)
+
+
+def folder(name: str) -> Path:
+    """A data set's folder, or the test is skipped."""
+    path: Path = benchmark.DATA / name
+    if not path.is_dir():
+        pytest.skip(f"{path} is not there")
+    return path
+
+
+def test_labyrinth() -> None:
+    ours, truth = benchmark.tuc(folder("tuc-labyrinth-uwb") / "datasets" / "Indoor_UWB", CONFIG)
+    assert benchmark.rms(benchmark.errors_m(ours, truth)) < 0.10
+
+
+def test_authors_score_is_reproduced() -> None:
+    run = folder("hanyang-outdoor-uwb") / benchmark.HANYANG[0]
+    truth = benchmark.hanyang_track(run / "trajectory.csv")
+    part = benchmark.hanyang_track(run / "LS.csv").between(*benchmark.authors_window(truth))
+    assert benchmark.rms(benchmark.errors_m(part, truth)) == pytest.approx(1.0383547, abs=2e-3)
