@@ -81,6 +81,7 @@ class Actor:
         self._started_s: float | None = None
         self._is_present = isinstance(drawn, Standing)
         self._is_gone = False
+        self._last: Figure | None = None
 
     def play(self, elapsed_s: float, front_map_m: Float64, heading_rad: float) -> Figure | None:
         """The figure at this time, or None while it is not there."""
@@ -105,4 +106,8 @@ class Actor:
         velocity = (stance.speed_mps * math.cos(stance.heading_rad), stance.speed_mps * math.sin(stance.heading_rad))
         gait = stance.walked_m / STRIDE_M[label] % 1.0 if stance.speed_mps > 0.0 else -1.0
         p = (x, y, self._terrain.height_m(x, y))
-        return Figure(self._id, label, self._encounter.name, p, stance.heading_rad, velocity, gait)
+        figure = Figure(self._id, label, self._encounter.name, p, stance.heading_rad, velocity, gait)
+        # one that stands stays the same figure, whose shapes are known already
+        if self._last is None or figure != self._last:
+            self._last = figure
+        return self._last

@@ -36,9 +36,8 @@ class Judge:
         shapely.prepare(self._allowed)
         self._was_inside = True
 
-    def look(self, machine: Machine, figures: tuple[Figure, ...]) -> None:
-        """Count what has come about since the last look."""
-        outline = self.outline(machine)
+    def look(self, outline: BaseGeometry, figures: tuple[Figure, ...]) -> None:
+        """Count what has come about since the last look, by the ground covered now."""
         is_inside = bool(self._allowed.covers(outline))
         self.exits += int(self._was_inside and not is_inside)
         self._was_inside = is_inside
@@ -64,9 +63,8 @@ class Judge:
             machine.attached.is_working, len(self.touched), self.exits,
         )  # fmt: skip
 
-    def objects_message(self, stamp_ns: int, machine: Machine, figures: tuple[Figure, ...]) -> TrueObjects:
-        """The objects as they are."""
-        outline = self.outline(machine)
+    def objects_message(self, stamp_ns: int, outline: BaseGeometry, figures: tuple[Figure, ...]) -> TrueObjects:
+        """The objects as they are, with their gaps to the ground covered now."""
         objects = []
         for f in figures:
             center, size = f.box_m()

@@ -145,12 +145,16 @@ class SimulationWorld(World):
                 self._put(now_ns, "order", OperatorOrder(now_ns, order.code, "remote", sequence, expires_ns))
 
     def _tell_truth(self, now_ns: int, elapsed_ns: int) -> None:
-        figures = self._scene.figures
-        if elapsed_ns % round(KINDS["truth_machine"].period_s * 1e9) == 0:
-            self._judge.look(self.machine, figures)
+        topics = ("truth_machine", "truth_objects")
+        due = [topic for topic in topics if elapsed_ns % round(KINDS[topic].period_s * 1e9) == 0]
+        if not due:
+            return
+        outline, figures = self._judge.outline(self.machine), self._scene.figures
+        if "truth_machine" in due:
+            self._judge.look(outline, figures)
             self._put(now_ns, "truth_machine", self._judge.machine_message(now_ns, self.machine))
-        if elapsed_ns % round(KINDS["truth_objects"].period_s * 1e9) == 0:
-            self._put(now_ns, "truth_objects", self._judge.objects_message(now_ns, self.machine, figures))
+        if "truth_objects" in due:
+            self._put(now_ns, "truth_objects", self._judge.objects_message(now_ns, outline, figures))
 
     def _put(self, receive_ns: int, topic: str, message: Message) -> None:
         self._sent += 1
