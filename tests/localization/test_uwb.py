@@ -48,7 +48,7 @@ def window(motion: Motion, n: int = 4) -> Window:
     steps = np.abs(rng.normal(1.0, 0.2, (n - 1, 7 if motion.extra else 1)))
     i = np.arange(3 * n)
     far = np.hypot(np.hypot(*(x[i % n, :2] - WHERE[i % 4, :2]).T), 1.0 - WHERE[i % 4, 2]) + rng.normal(0.0, 0.1, 3 * n)
-    ranges = Ranges(i % n, i % 4, far, np.zeros(3 * n) if motion.extra else 0.01 * i)
+    ranges = Ranges(i % n, i % 4, far, np.array(0.0 if motion.extra else 0.01) * i)
     common = rng.normal(0.0, 0.02, c)
     return Window(common, x, steps, ranges, np.eye(c + motion.size) * 50.0, np.concatenate([common, x[0]]))
 
