@@ -21,10 +21,11 @@ class Work(Config):
 
 
 class Mission(Config):
-    """A mission by the names of its parts in `configs/`."""
+    """A mission by the names of its parts in `configs/`; with `bay` it starts docked there and ends so."""
 
     name: str
     site: str
     machine: str
     implement: str
     work: Work
+    bay: str | None = None

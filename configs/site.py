@@ -6,6 +6,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.geodesy import Datum
+from messages.errors import ConfigError
 
 Coordinate = Annotated[float, Field(ge=-20000.0, le=20000.0)]
 Point = tuple[Coordinate, Coordinate]
@@ -57,8 +58,47 @@ class Gate(Config):
     posts_m: tuple[Point, Point]
 
 
+class Post(Config):
+    """An upright that carries the roof, round."""
+
+    at_m: Point
+    radius_m: float = Field(gt=0.0, le=2.0)
+
+
+class Bay(Config):
+    """A place in the shed, free over `width_m`; `dock` is the pose of `base` when docked, heading out of the bay."""
+
+    name: str
+    dock: Pose2
+    width_m: float = Field(gt=0.5, le=20.0)
+
+
+class Shed(Config):
+    """The machine shed: walls by the middle of their thickness, posts, bays, and UWB anchors in `map`.
+
+    `outline_m` is the roof: below it there is no sky. The floor is level at height 0 of `map`, as is the yard.
+    """
+
+    name: str
+    outline_m: Outline
+    height_m: float = Field(gt=1.0, le=30.0)
+    walls_m: tuple[Annotated[tuple[Point, ...], Field(min_length=2)], ...] = ()
+    wall_thickness_m: float = Field(default=0.15, gt=0.0, le=2.0)
+    posts: tuple[Post, ...] = ()
+    bays: tuple[Bay, ...] = ()
+    anchors: dict[str, tuple[Coordinate, Coordinate, Coordinate]] = Field(default_factory=dict)
+
+    def bay(self, name: str) -> Bay:
+        """A bay by its name; raises ConfigError."""
+        found = [bay for bay in self.bays if bay.name == name]
+        if not found:
+            known = ", ".join(bay.name for bay in self.bays) or "none"
+            raise ConfigError(f"bay {name!r}: shed {self.name!r} has no such bay (there are: {known})")
+        return found[0]
+
+
 class Site(Config):
-    """Everything surveyed; `boundary_m` is the field, `yard` where the machine starts, `is_fenced` the field's edge."""
+    """Everything surveyed; `boundary_m` is the field, `is_fenced` its edge, `start` in the yard heads for the lane."""
 
     name: str
     version: int = Field(ge=1)
@@ -70,4 +110,4 @@ class Site(Config):
     yard: Area
     start: Pose2
     is_fenced: bool
-    shed: Area | None = None
+    shed: Shed | None = None

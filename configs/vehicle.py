@@ -84,6 +84,15 @@ class Ultrasonic(Config):
     range_sigma_m: float = Field(gt=0.0, le=1.0)
 
 
+class Uwb(Config):
+    """An ultra-wideband tag that measures ranges to the anchors of the site."""
+
+    mount: Mount
+    rate_hz: float = Field(gt=0.0, le=100.0)
+    range_sigma_m: float = Field(gt=0.0, le=2.0)
+    range_m: tuple[float, float] = Field(description="nearest and farthest")
+
+
 class Gnss(Config):
     """An antenna; with `heading` a second one makes a baseline whose direction is measured."""
 
@@ -124,6 +133,7 @@ class Sensors(Config):
     radar: dict[str, Radar] = Field(default_factory=dict)
     ultrasonic: dict[str, Ultrasonic] = Field(default_factory=dict)
     gnss: dict[str, Gnss] = Field(default_factory=dict)
+    uwb: dict[str, Uwb] = Field(default_factory=dict)
     imu: Imu | None = None
     wheels: Wheels | None = None
 
@@ -211,13 +221,35 @@ class _Implement(Config):
         return self
 
 
+class Fold(Config):
+    """How an implement folds for transport: its width then, and how long either way takes at standstill."""
+
+    width_m: Length
+    duration_s: Seconds
+
+
 class MountedImplement(_Implement):
-    """Carried on the hitch; `working_point_m` and the ends are along x of `base` (behind is negative)."""
+    """Carried on the hitch; `working_point_m` and the ends are along x of `base` (behind is negative).
+
+    `fold` None means that it cannot be folded. `ultrasonic` are sensors on the implement, mounts in `base`.
+    """
 
     kind: Literal["mounted"]
     working_point_m: Offset
     front_end_m: Offset
     rear_end_m: Offset
+    fold: Fold | None = None
+    ultrasonic: dict[str, Ultrasonic] = Field(default_factory=dict)
+
+    @property
+    def ends_m(self) -> tuple[float, float]:
+        """Front and rear end along x of `base`."""
+        return self.front_end_m, self.rear_end_m
+
+    @property
+    def folded(self) -> "MountedImplement":
+        """The same, folded for transport; itself where it does not fold."""
+        return self if self.fold is None else self.model_copy(update={"width_m": self.fold.width_m})
 
 
 class TrailedImplement(_Implement):
@@ -229,8 +261,21 @@ class TrailedImplement(_Implement):
     working_length_m: Length
     total_length_m: Length
 
+    @property
+    def ends_m(self) -> tuple[float, float]:
+        """Front and rear end along x of `base`, straight behind."""
+        return self.hitch_m, self.hitch_m - self.total_length_m
+
+    @property
+    def folded(self) -> "TrailedImplement":
+        """Itself: it does not fold."""
+        return self
+
 
 Implement = Annotated[MountedImplement | TrailedImplement, Field(discriminator="kind")]
+
+
+FOLDED = 0.99  # of `MachineState.fold`: locked in transport position
 
 
 class ImplementFile(Config):

@@ -26,6 +26,7 @@ class Wish(Message):
     xte_m: float
     heading_error_rad: float
     is_finished: bool
+    is_implement_folded: bool = False
 
 
 class Mode(StrEnum):
@@ -60,6 +61,7 @@ class SafeCommand(Message):
     is_horn_on: bool
     is_beacon_on: bool
     reason: str
+    is_implement_folded: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,8 @@ class MachineState(Message):
 
     Each group has the time of its last good frame (0 = never): `motion_stamp_ns` (wheel-based speed),
     `steering_stamp_ns` (estimated curvature), `implement_stamp_ns` (hitch and PTO), `cab_stamp_ns` (hand wheel, pedals,
-    seat, supply), `heartbeat_stamp_ns`. `hitch` is 0 lowest to 1 highest. `rejected_frames` counts bad frames.
+    seat, supply), `heartbeat_stamp_ns`. `hitch` is 0 lowest to 1 highest, `fold` 0 at working to 1 at transport width
+    (of the implement's group). `rejected_frames` counts bad frames.
     """
 
     motion_stamp_ns: int
@@ -150,6 +153,7 @@ class MachineState(Message):
     is_emergency_button_pressed: bool
     supply_v: float
     rejected_frames: int
+    fold: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Where the machine is, and how well that is known."""
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -51,7 +52,7 @@ class MapPose(Message):
 
     `T_map_odom` and `T_map_base` (4, 4) at `stamp_ns`; `covariance` (6, 6) of `T_map_base`, rotation then translation,
     in `base` (gtsam's order); `protection_level_m` bounds the horizontal error at 1e-4 an hour or is infinite;
-    `gnss_age_s` is the age of the last accepted fix.
+    `gnss_age_s` and `uwb_age_s` are the ages of the last accepted fix and UWB range (infinite: none yet).
     """
 
     T_map_odom: Float64
@@ -61,6 +62,7 @@ class MapPose(Message):
     protection_level_m: float
     gnss_age_s: float
     is_initialized: bool
+    uwb_age_s: float = math.inf
 
 
 @dataclass(frozen=True)

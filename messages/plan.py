@@ -33,7 +33,8 @@ class Path(Message):
 
     N points about 0.1 m apart: `p_map_m` (N, 2), `heading_rad` (N,) of the machine, `curvature_radpm` (N,) (left
     positive, of the machine's forward motion), `s_m` (N,) arc length, `speed_mps` (N,) upper limit ≥ 0 (0 only at the
-    end), `is_work` (N,) 1 where the implement works. `is_last` ends the mission.
+    end), `is_work` (N,) 1 where the implement works. `is_last` ends the mission. `is_folded`: the implement is brought
+    into transport width before the path is driven (else into working width).
     """
 
     path_id: int
@@ -47,6 +48,7 @@ class Path(Message):
     stretches: tuple[Stretch, ...]
     stretch_index: Int32
     is_last: bool
+    is_folded: bool = False
 
 
 class MissionState(IntEnum):

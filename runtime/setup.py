@@ -8,6 +8,7 @@ from configs.site import Site
 from configs.strict import CONFIGS, find, load
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from datasets.viewer import Viewer
+from messages.errors import ConfigError
 from planning.field import read_field
 from planning.plan import Plan, plan_mission
 from planning.surroundings import site_around
@@ -38,6 +39,7 @@ def load_setup(mission: str, machine: str | None, implement: str | None, field: 
     chosen = chosen.model_copy(update=names | ({"site": field} if field else {}))
     vehicle = load(Vehicle, find("machines", chosen.machine))
     carried = load(ImplementFile, find("implements", chosen.implement)).implement
+    vehicle = carrying(vehicle, carried)
     stack = load(StackConfig, CONFIGS / "stack.yaml")
     site = (
         site_around(read_field(Path(field)), vehicle, carried, chosen.work)
@@ -46,3 +48,15 @@ def load_setup(mission: str, machine: str | None, implement: str | None, field: 
     )
     plan = plan_mission(site, vehicle, carried, chosen.work, stack.planning.planner, seed)
     return Setup(chosen, site, vehicle, carried, stack, plan, seed)
+
+
+def carrying(vehicle: Vehicle, implement: MountedImplement | TrailedImplement) -> Vehicle:
+    """The vehicle with the sensors that its implement brings; raises ConfigError when both use one name."""
+    if not isinstance(implement, MountedImplement) or not implement.ultrasonic:
+        return vehicle
+    own = vehicle.sensors.ultrasonic
+    twice = sorted(own.keys() & implement.ultrasonic.keys())
+    if twice:
+        raise ConfigError(f"ultrasonic {twice[0]!r} is on {vehicle.name!r} and on {implement.name!r}; rename one")
+    sensors = vehicle.sensors.model_copy(update={"ultrasonic": own | implement.ultrasonic})
+    return vehicle.model_copy(update={"sensors": sensors})

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from safety_world import START_NS, around, straight_path
 
-from configs.site import Area, DatumConfig, Gate, Lane, Pose2, Site
+from configs.site import Area, DatumConfig, Gate, Lane, Pose2, Shed, Site
 from configs.vehicle import Vehicle
 from messages.command import Wish
 from messages.perception import ObstacleClass, Track, Tracks
@@ -151,7 +151,9 @@ def site() -> Site:
         gates=(Gate(name="gate", posts_m=((6.0, 0.0), (14.0, 0.0))),),
         yard=Area(name="yard", outline_m=((-60.0, -40.0), (-30.0, -40.0), (-30.0, 0.0), (-60.0, 0.0))),
         start=Pose2(x_m=-45.0, y_m=-20.0, heading_deg=0.0), is_fenced=True,
-        shed=Area(name="shed", outline_m=((-80.0, -40.0), (-60.0, -40.0), (-60.0, -20.0), (-80.0, -20.0))),
+        shed=Shed(
+            name="shed", height_m=4.0, outline_m=((-80.0, -40.0), (-60.0, -40.0), (-60.0, -20.0), (-80.0, -20.0))
+        ),
     )  # fmt: skip
 
 
