@@ -2,8 +2,9 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from configs.site import Pose2
 from configs.strict import Config
 from configs.vehicle import Kmh
 
@@ -20,12 +21,33 @@ class Work(Config):
     boundary_margin_m: float = Field(ge=0.0, le=5.0, description="between the swept area and the edge")
 
 
+class Spread(Config):
+    """How far from a pose the seed may draw another."""
+
+    distance_m: float = Field(ge=0.0, le=50.0)
+    heading_deg: float = Field(ge=0.0, le=180.0)
+
+
 class Mission(Config):
-    """A mission by the names of its parts in `configs/`; with `bay` it starts docked there and ends so."""
+    """A mission by the names of its parts in `configs/`; with `bay` it starts docked there and ends so.
+
+    `start` lets it begin elsewhere with the implement unfolded, drawn by the seed within `spread` of it. Without `work`
+    it docks and does nothing else.
+    """
 
     name: str
     site: str
     machine: str
     implement: str
-    work: Work
+    work: Work | None = None
     bay: str | None = None
+    start: Pose2 | None = None
+    spread: Spread | None = None
+
+    @model_validator(mode="after")
+    def _has_something_to_do(self) -> "Mission":
+        if self.work is None and (self.bay is None or self.start is None):
+            raise ValueError("a mission without work needs a bay to dock in and a start")
+        if self.work is not None and self.start is not None:
+            raise ValueError("start: a mission with work starts docked or where its site says")
+        return self

@@ -70,6 +70,7 @@ def _add_mission(verb: argparse.ArgumentParser, with_field: bool = True) -> None
     verb.add_argument("--mission", default="demo", help="a file, or a name in configs/missions (default demo)")
     verb.add_argument("--machine", help="a file, or a name in configs/machines (default: the mission's)")
     verb.add_argument("--implement", help="a file, or a name in configs/implements (default: the mission's)")
+    verb.add_argument("--bay", metavar="NAME", help="begin and end docked in this bay of the shed")
 
 
 def main() -> int:

@@ -13,7 +13,9 @@ from runtime.setup import load_setup
 
 def main(arguments: argparse.Namespace) -> int:
     """Plan and draw; a field that cannot be worked raises FieldError before anything is written."""
-    setup = load_setup(arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed)
+    setup = load_setup(
+        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
+    )
     folder, plan = RunFolder("plan", arguments.out), setup.plan
     result = {
         "length_m": round(plan.length_m, 1),

@@ -26,7 +26,9 @@ from validation.summary import Planned, summarize
 
 def main(arguments: argparse.Namespace) -> int:
     """Drive; 0 when the mission finished without contact, exit or false stop, else 1."""
-    setup = load_setup(arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed)
+    setup = load_setup(
+        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
+    )
     scenario = load(Scenario, find("scenarios", arguments.scenario or ("empty" if arguments.field else "demo")))
     folder = RunFolder("run", arguments.out)
     try:

@@ -1,10 +1,13 @@
 """What a mission needs, loaded and checked before anything is written."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from configs.mission import Mission
-from configs.site import Site
+import numpy as np
+
+from configs.mission import Mission, Spread
+from configs.site import Bay, Pose2, Site
 from configs.strict import CONFIGS, find, load
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from datasets.viewer import Viewer
@@ -14,10 +17,12 @@ from planning.plan import Plan, plan_mission
 from planning.surroundings import site_around
 from runtime.stack import StackConfig
 
+START_STREAM = 0x5747  # of random numbers, apart from those of world and planner
+
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything that a run is made of, besides its world."""
+    """Everything that a run is made of, besides its world; at `start` it stands when the run begins."""
 
     mission: Mission
     site: Site
@@ -26,28 +31,69 @@ class Setup:
     stack: StackConfig
     plan: Plan
     seed: int
+    start: Pose2
+    is_folded: bool
 
     def viewer(self) -> Viewer:
         """What turns messages into topics that the usual viewers draw."""
         return Viewer(self.stack.datasets.viewer, self.vehicle, self.implement, self.site)
 
 
-def load_setup(mission: str, machine: str | None, implement: str | None, field: str | None, seed: int) -> Setup:
-    """Load the named files and plan the mission; raises ConfigError or FieldError."""
+def load_setup(
+    mission: str, machine: str | None, implement: str | None, field: str | None, seed: int, bay: str | None = None
+) -> Setup:
+    """Load the named files and plan the mission, docking in `bay` where given; raises ConfigError or FieldError."""
     chosen = load(Mission, find("missions", mission))
-    names = {"machine": machine or chosen.machine, "implement": implement or chosen.implement}
+    names = {"machine": machine or chosen.machine, "implement": implement or chosen.implement, "bay": bay or chosen.bay}
     chosen = chosen.model_copy(update=names | ({"site": field} if field else {}))
     vehicle = load(Vehicle, find("machines", chosen.machine))
     carried = load(ImplementFile, find("implements", chosen.implement)).implement
     vehicle = carrying(vehicle, carried)
     stack = load(StackConfig, CONFIGS / "stack.yaml")
-    site = (
-        site_around(read_field(Path(field)), vehicle, carried, chosen.work)
-        if field
-        else load(Site, find("sites", chosen.site))
-    )
+    site = _site(chosen, field, vehicle, carried)
+    start, is_folded = start_of(chosen, site, seed)
+    assert chosen.work is not None
     plan = plan_mission(site, vehicle, carried, chosen.work, stack.planning.planner, seed)
-    return Setup(chosen, site, vehicle, carried, stack, plan, seed)
+    return Setup(chosen, site, vehicle, carried, stack, plan, seed, start, is_folded)
+
+
+def start_of(mission: Mission, site: Site, seed: int) -> tuple[Pose2, bool]:
+    """Where the machine stands at first, and whether folded: docked, at the site's start, or as the seed draws it."""
+    if mission.start is not None:
+        return _drawn(mission.start, mission.spread, seed), False
+    if mission.bay is None:
+        return site.start, False
+    return bay_of(site, mission.bay).dock, True
+
+
+def bay_of(site: Site, name: str) -> Bay:
+    """A bay of the site's shed; raises ConfigError."""
+    if site.shed is None:
+        raise ConfigError(f"bay {name!r}: site {site.name!r} has no shed")
+    return site.shed.bay(name)
+
+
+def _drawn(pose: Pose2, spread: Spread | None, seed: int) -> Pose2:
+    """A pose evenly drawn from the disc and the headings about another."""
+    if spread is None:
+        return pose
+    share, angle, turn = np.random.default_rng([seed, START_STREAM]).uniform(size=3)
+    away = spread.distance_m * math.sqrt(share)
+    return Pose2(
+        x_m=pose.x_m + away * math.cos(2.0 * math.pi * angle),
+        y_m=pose.y_m + away * math.sin(2.0 * math.pi * angle),
+        heading_deg=pose.heading_deg + spread.heading_deg * (2.0 * turn - 1.0),
+    )
+
+
+def _site(
+    mission: Mission, field: str | None, vehicle: Vehicle, implement: MountedImplement | TrailedImplement
+) -> Site:
+    if field is None:
+        return load(Site, find("sites", mission.site))
+    if mission.work is None:
+        raise ConfigError(f"mission {mission.name!r} has no work to do on the field {field}; name another mission")
+    return site_around(read_field(Path(field)), vehicle, implement, mission.work)
 
 
 def carrying(vehicle: Vehicle, implement: MountedImplement | TrailedImplement) -> Vehicle:
