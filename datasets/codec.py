@@ -5,7 +5,7 @@ Reflection on every message would cost ten times as much as the encoding itself,
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from enum import Enum
 from functools import cache
 from typing import Any
@@ -71,7 +71,8 @@ def classes() -> dict[str, type[Message]]:
 def codec_for(name: str, schema: bytes) -> Codec:
     """The codec for a schema found in a log, which may be of another version than ours.
 
-    Fields are matched by name and type; raises LogError when the class is unknown here or a field is not in the log.
+    Fields are matched by name and type; one that the log has not gets its default. Raises LogError when the class is
+    unknown here, a field has another type, or one without default is missing.
     """
     cls = classes().get(name)
     if cls is None:
@@ -80,9 +81,11 @@ def codec_for(name: str, schema: bytes) -> Codec:
     if schema == own.schema:
         return own
     proto = proto_from(name, schema)
-    for lacking in _differences(own.proto.DESCRIPTOR, proto.DESCRIPTOR):
-        raise LogError(f"schema {name!r} was written by another version: {lacking}")
-    return Codec(name, schema, proto, own.fill, own.build)
+    try:
+        lacking = frozenset(_lacking(cls, own.proto.DESCRIPTOR, proto.DESCRIPTOR))
+    except ValueError as error:
+        raise LogError(f"schema {name!r} was written by another version: {error}") from error
+    return Codec(name, schema, proto, own.fill, _build_of(cls, lacking))
 
 
 def proto_from(name: str, schema: bytes) -> type[Any]:
@@ -101,15 +104,26 @@ def proto_from(name: str, schema: bytes) -> type[Any]:
         raise LogError(f"schema {name!r}: not a protobuf schema ({error})") from error
 
 
-def _differences(ours: Any, theirs: Any, where: str = "") -> Iterator[str]:
+def _lacking(cls: type[Record] | None, ours: Any, theirs: Any, where: str = "") -> Iterator[str]:
+    """Fields of ours (dotted below a record's) that the log has not and that have a default; ValueError for others."""
+    kinds = {kind.name: kind for kind in fields_of(cls)} if cls is not None else {}
+    optional = _with_default(cls) if cls is not None else frozenset()
     for field in ours.fields:
         other = theirs.fields_by_name.get(field.name)
-        if other is None:
-            yield f"field {where + field.name!r} is not in the log"
+        if other is None and field.name in optional:
+            yield where + field.name
+        elif other is None:
+            raise ValueError(f"field {where + field.name!r} is not in the log")
         elif (other.type, other.is_repeated) != (field.type, field.is_repeated):
-            yield f"field {where + field.name!r} has another type"
+            raise ValueError(f"field {where + field.name!r} has another type")
         elif field.message_type is not None:
-            yield from _differences(field.message_type, other.message_type, f"{where}{field.name}.")
+            inner = kinds[field.name].type if field.name in kinds else None
+            record = inner if inner is not None and issubclass(inner, Record) else None
+            yield from _lacking(record, field.message_type, other.message_type, f"{where}{field.name}.")
+
+
+def _with_default(cls: type[Record]) -> frozenset[str]:
+    return frozenset(f.name for f in fields(cls) if f.default is not MISSING or f.default_factory is not MISSING)
 
 
 def _fill_array(proto: Any, array: Array) -> None:
@@ -153,24 +167,26 @@ def _fill_lines(kind: FieldKind) -> list[str]:
     return [f"if m.{name} is not None:", *(f"    {line}" for line in lines)] if kind.is_optional else lines
 
 
-@once
-def _build_of(cls: type[Record]) -> Build:
+def _build_of(cls: type[Record], lacking: frozenset[str] = frozenset()) -> Build:
+    """`lacking` names the fields, dotted below a record's, that are left to their defaults."""
     scope: dict[str, Any] = {"cls": cls}
     values = []
     for kind in fields_of(cls):
-        scope[f"_build_{kind.name}"] = _builder(kind)
-        values.append(_build_text(kind))
+        if kind.name not in lacking:
+            below = frozenset(n.removeprefix(f"{kind.name}.") for n in lacking if n.startswith(f"{kind.name}."))
+            scope[f"_build_{kind.name}"] = _builder(kind, below)
+            values.append(f"{kind.name}={_build_text(kind)}")
     exec(compile(f"def build(p): return cls({', '.join(values)})", f"<build {cls.__name__}>", "exec"), scope)
     build: Build = scope["build"]
     return build
 
 
-def _builder(kind: FieldKind) -> Build | None:
+def _builder(kind: FieldKind, lacking: frozenset[str] = frozenset()) -> Build | None:
     if issubclass(kind.type, np.ndarray):
         return _build_array
     if issubclass(kind.type, Enum):
         return kind.type
-    return _build_of(kind.type) if issubclass(kind.type, Record) else None
+    return _build_of(kind.type, lacking) if issubclass(kind.type, Record) else None
 
 
 def _build_text(kind: FieldKind) -> str:

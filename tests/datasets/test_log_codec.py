@@ -1,6 +1,6 @@
 """Every message of the topic table goes into bytes and comes back to the bit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from datasets.arrays import filter_of, pack, unpack
 from datasets.codec import classes, codec_for, codec_of
 from messages.errors import LogError
 from messages.message import Float64, Message, Record
+from messages.motion import MapPose, PositionSource
 from messages.sensors import ImuSample, LidarScan
 
 EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
@@ -141,3 +142,16 @@ def test_a_log_of_another_version_is_read_by_name_or_refused_by_name() -> None:
         codec_for(own.name, b"\xff\xff")
     with pytest.raises(LogError, match="no such message"):
         codec_for("headland.v1.Nothing", own.schema)
+
+
+def test_a_field_with_a_default_may_be_missing_in_an_older_log() -> None:
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    pose = MapPose(7, np.eye(4), np.eye(4), np.eye(6), PositionSource.SINGLE, 1.0, 2.0, True)
+    own = codec_of(MapPose)
+    files = FileDescriptorSet.FromString(own.schema)
+    body = next(m for file in files.file for m in file.message_type if m.name == "MapPose")
+    body.field.remove(next(f for f in body.field if f.name == "uwb_age_s"))
+    old = codec.proto_from(own.name, files.SerializeToString())
+    data = old.FromString(own.encode(replace(pose, uwb_age_s=3.0))).SerializeToString()
+    assert bits(codec_for(own.name, files.SerializeToString()).decode(data)) == bits(pose)
