@@ -3,9 +3,11 @@
 import math
 from collections.abc import Iterable, Sequence
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
@@ -21,7 +23,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from geometry.transforms import Float64, quaternion_of
-from messages.message import Float32
+from messages.message import Float32, UInt8
 
 Rgba = tuple[float, float, float, float]
 _LEVEL = Quaternion(w=1.0)
@@ -94,6 +96,12 @@ def cloud(stamp_ns: int, frame_id: str, points_m: Float32, most: int) -> PointCl
     for offset, axis in enumerate("xyz"):
         out.fields.add(name=axis, offset=4 * offset, type=PackedElementField.FLOAT32)
     return out
+
+
+def picture(stamp_ns: int, frame_id: str, bgr: UInt8, quality: int) -> CompressedImage:
+    """A picture (H, W, 3) as JPEG; a picture without pixels has no data."""
+    data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes() if bgr.size else b""
+    return CompressedImage(timestamp=time_of(stamp_ns), frame_id=frame_id, data=data, format="jpeg")
 
 
 def _vector(v: Sequence[float]) -> Vector3:

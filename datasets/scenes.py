@@ -46,8 +46,10 @@ def implement_x_m(implement: Implement) -> float:
 def mounts(stamp_ns: int, vehicle: Vehicle, implement: Implement | None) -> list[FrameTransform]:
     """Where the sensors and the implement sit on `base`; a sensor's frame has the name of its topic."""
     sensors = vehicle.sensors
-    poses = {f"lidar/{name}": lidar.mount.T_base_sensor for name, lidar in sensors.lidar.items()}
-    poses |= {f"gnss/{name}": gnss.mount.T_base_sensor for name, gnss in sensors.gnss.items()}
+    kinds = ("lidar", "camera", "radar", "ultrasonic", "gnss", "uwb")
+    poses = {
+        f"{kind}/{name}": one.mount.T_base_sensor for kind in kinds for name, one in getattr(sensors, kind).items()
+    }
     if sensors.imu is not None:
         poses["imu"] = sensors.imu.mount.T_base_sensor
     if implement is not None:

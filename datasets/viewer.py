@@ -15,14 +15,14 @@ from configs.site import Site
 from configs.strict import Config
 from configs.vehicle import Implement, Vehicle
 from datasets import scenes
-from datasets.primitives import cloud, frame
+from datasets.primitives import cloud, frame, picture
 from messages.command import SupervisorState
 from messages.faults import Fault
 from messages.message import Envelope
 from messages.motion import MapPose, Odometry
 from messages.perception import Tracks
 from messages.plan import Path
-from messages.sensors import GnssFix, LidarScan
+from messages.sensors import CameraImage, GnssFix, LidarScan
 from messages.truth import TrueObjects
 
 Shown = tuple[str, Proto]
@@ -38,6 +38,8 @@ class ViewerConfig(Config):
     frames_s: float = Field(gt=0.0, le=60.0)
     scene_s: float = Field(gt=0.0, le=60.0)
     static_s: float = Field(gt=0.0, le=3600.0)
+    image_s: float = Field(gt=0.0, le=60.0)
+    image_quality: int = Field(ge=1, le=100, description="of JPEG")
 
 
 class Viewer:
@@ -52,6 +54,7 @@ class Viewer:
         self._shown_at_ns: dict[str, int] = {}
         self._ways: dict[type, Callable[[str, Any], Iterator[Shown]]] = {
             LidarScan: self._show_scan,
+            CameraImage: self._show_image,
             Odometry: self._show_odometry,
             MapPose: self._show_map_pose,
             Tracks: self._show_tracks,
@@ -91,6 +94,10 @@ class Viewer:
     def _show_scan(self, topic: str, scan: LidarScan) -> Iterator[Shown]:
         if self._is_due(topic, scan.stamp_ns, self._config.cloud_s):
             yield f"/view/{topic}", cloud(scan.stamp_ns, topic, scan.points_m, self._config.points)
+
+    def _show_image(self, topic: str, image: CameraImage) -> Iterator[Shown]:
+        if self._is_due(topic, image.stamp_ns, self._config.image_s):
+            yield f"/view/{topic}", picture(image.stamp_ns, topic, image.bgr, self._config.image_quality)
 
     def _show_odometry(self, topic: str, message: Odometry) -> Iterator[Shown]:
         if topic == "odom" and self._is_due(topic, message.stamp_ns, self._config.frames_s):

@@ -3,8 +3,19 @@
 import numpy as np
 import numpy.typing as npt
 
-from configs.vehicle import Implement, MountedImplement, Vehicle
+from configs.vehicle import FOLDED, Implement, Vehicle
+from messages.command import MachineState
 from messages.message import Float64
+
+
+def is_folded(machine: MachineState | None) -> bool:
+    """Whether the implement is known to be folded; as long as nobody says so it counts as wide."""
+    return machine is not None and machine.fold >= FOLDED
+
+
+def own_outlines(vehicle: Vehicle, implement: Implement | None) -> tuple[Float64, Float64]:
+    """`own_outline` with the implement unfolded and folded, to be chosen from by `is_folded`."""
+    return own_outline(vehicle, implement), own_outline(vehicle, implement and implement.folded)
 
 
 def own_outline(vehicle: Vehicle, implement: Implement | None, margin_m: float = 0.0) -> Float64:
@@ -13,10 +24,7 @@ def own_outline(vehicle: Vehicle, implement: Implement | None, margin_m: float =
     half = body.width_m / 2 + m
     outline = [[[-body.rear_m - m, -half], [body.front_m + m, half]]]
     if implement is not None:
-        if isinstance(implement, MountedImplement):
-            rear, front = implement.rear_end_m, implement.front_end_m
-        else:
-            rear, front = implement.hitch_m - implement.total_length_m, implement.hitch_m
+        front, rear = implement.ends_m
         half = implement.width_m / 2 + m
         outline.append([[rear - m, -half], [front + m, half]])
     return np.array(outline, np.float64)

@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import math
 import sys
 from pathlib import Path
 
@@ -21,6 +22,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--seed", type=int, default=1, help="draws places, times and noise (default 1)")
     run.add_argument("--out", type=Path, help="run folder (default runs/<stamp>-run)")
     run.add_argument("--json", action="store_true", help="one object on standard output, progress on standard error")
+    run.add_argument("--model", type=Path, metavar="FILE", help="ONNX file of the cameras' detector (YOLOX, NanoDet)")
     run.add_argument("--without-obstacle-rules", action="store_true", help="ablation: show what the rules are for")
     run.set_defaults(module="runtime.run")
 
@@ -49,6 +51,7 @@ def parser() -> argparse.ArgumentParser:
     validate.add_argument("--vehicle", type=Path, metavar="FILE", help="who recorded them: dimensions, lidars, mounts")
     validate.add_argument("--conditions", type=Path, metavar="FILE", help="default: validation/conditions/")
     validate.add_argument("--truth", type=Path, metavar="PATH", help="KITTI's labels, or a sidecar (.jsonl)")
+    validate.add_argument("--without", metavar="NAME", help="judge as if this object of the truth had not been seen")
     validate.add_argument("--out", type=Path, help="run folder; given again, logs judged in it are not judged again")
     validate.add_argument("--json", action="store_true", help="one object on standard output")
     validate.add_argument("--jobs", type=int, metavar="N", help="logs at a time (default: all cores)")
@@ -59,6 +62,8 @@ def parser() -> argparse.ArgumentParser:
     bring.add_argument("source", type=Path, metavar="SOURCE")
     bring.add_argument("--out", type=Path, required=True, metavar="LOG.mcap")
     bring.add_argument("--truth", type=Path, metavar="PATH", help="KITTI's labels, or a sidecar (.jsonl)")
+    bring.add_argument("--from", dest="start", type=float, default=0.0, metavar="S", help="seconds after its start")
+    bring.add_argument("--to", dest="end", type=float, default=math.inf, metavar="S", help="seconds after its start")
     bring.add_argument("--json", action="store_true", help="one object on standard output")
     bring.set_defaults(module="runtime.import_log")
     return top

@@ -11,10 +11,9 @@ from interfaces.gateway import Gateway
 from localization.lidar_odometry import LidarOdometry
 from localization.localizer import Localizer
 from messages.node import Node, World
-from perception.fusion.tracker import Tracker
-from perception.lidar.obstacles import LidarObstacles
 from planning.mission import MissionNode
 from runtime.executor import FAULT_TOPIC, check_wiring
+from runtime.perceiving import perceiving
 from runtime.setup import Setup
 from safety.fence import fence_of
 from safety.rules import OBSTACLE_RULES
@@ -44,6 +43,8 @@ def assemble(
         channel,
         setup.seed,
         setup.stack.simulation,
+        setup.start,
+        setup.is_folded,
     )
     world.warm()
     with closing(world), can.Bus(interface="virtual", channel=channel) as bus:
@@ -52,28 +53,16 @@ def assemble(
             *_deciding(setup, is_ablation),
             Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway),
         ]
-        nodes = [(node, latency_ns(setup, node.name)) for node in chain]
+        nodes = [(node, setup.stack.executor.latency_ns(node.name)) for node in chain]
         check_wiring(world, nodes, setup.stack.executor.cores)
         yield world, nodes
 
 
-def latency_ns(setup: Setup, name: str) -> int:
-    """The latency that the configuration gives a node, by the longest key that its name begins with."""
-    table = setup.stack.executor.latency_ms
-    known = [key for key in table if name.startswith(key)]
-    return round(table[max(known, key=len)] * 1e6) if known else 0
-
-
 def _perceiving(setup: Setup) -> list[Node]:
     """From sensors to tracks and pose."""
-    lidars = setup.vehicle.sensors.lidar
-    perception, localization = setup.stack.perception, setup.stack.localization
-    obstacles = [
-        LidarObstacles(name, lidar, setup.vehicle, setup.implement, perception.lidar) for name, lidar in lidars.items()
-    ]
+    localization = setup.stack.localization
     return [
-        *obstacles,
-        Tracker([f"obstacles/{node.name}" for node in obstacles], perception.tracker),
+        *perceiving(setup.vehicle, setup.implement, setup.stack.perception),
         LidarOdometry(setup.vehicle, "front", localization.lidar_odometry),
         Localizer(setup.vehicle, setup.site.datum.datum, localization),
     ]

@@ -15,7 +15,7 @@ from runtime.assembly import assemble
 from runtime.executor import Executor
 from runtime.folder import RunFolder, resolved, versions
 from runtime.progress import Progress
-from runtime.setup import Setup, load_setup
+from runtime.setup import Setup, load_setup, with_model
 from runtime.watch import EndOfDrive
 from simulation.scenario import Scenario
 from validation.pictures import draw_all
@@ -29,6 +29,7 @@ def main(arguments: argparse.Namespace) -> int:
     setup = load_setup(
         arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
     )
+    setup = with_model(setup, arguments.model)
     scenario = load(Scenario, find("scenarios", arguments.scenario or ("empty" if arguments.field else "demo")))
     folder = RunFolder("run", arguments.out)
     try:

@@ -1,7 +1,7 @@
 """What a mission needs, loaded and checked before anything is written."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +55,19 @@ def load_setup(
     assert chosen.work is not None
     plan = plan_mission(site, vehicle, carried, chosen.work, stack.planning.planner, seed)
     return Setup(chosen, site, vehicle, carried, stack, plan, seed, start, is_folded)
+
+
+def with_model(setup: Setup, model: Path | None) -> Setup:
+    """The same with the cameras' detector from this file, where one is given; raises ConfigError when there is none."""
+    if model is None:
+        return setup
+    if not model.is_file():
+        raise ConfigError(f"{model}: no such model file")
+    perception = setup.stack.perception
+    detector = perception.camera.detector.model_copy(update={"model": str(model.resolve())})
+    camera = perception.camera.model_copy(update={"detector": detector})
+    stack = setup.stack.model_copy(update={"perception": perception.model_copy(update={"camera": camera})})
+    return replace(setup, stack=stack)
 
 
 def start_of(mission: Mission, site: Site, seed: int) -> tuple[Pose2, bool]:

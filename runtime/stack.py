@@ -35,6 +35,11 @@ class ExecutorConfig(Config):
     cores: int = Field(ge=1, le=64)
     latency_ms: dict[str, Annotated[float, Field(gt=0.0, le=5000.0)]]
 
+    def latency_ns(self, name: str) -> int:
+        """The latency of a node, by the longest key that its name begins with; 0, which wiring refuses, without one."""
+        known = [key for key in self.latency_ms if name.startswith(key)]
+        return round(self.latency_ms[max(known, key=len)] * 1e6) if known else 0
+
 
 class StackConfig(Config):
     """The whole of `configs/stack.yaml`."""

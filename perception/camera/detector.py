@@ -26,8 +26,9 @@ PADDING = 114  # grey beside the picture, as in training (YOLOX data_augment.py,
 
 
 class DetectorConfig(Config):
-    """What of a network's candidates is believed."""
+    """The model's file, and what of a network's candidates is believed."""
 
+    model: str | None = Field(default=None, description="an ONNX file; without one the camera proves nothing")
     least_score: float = Field(gt=0.0, lt=1.0)
     most_iou: float = Field(gt=0.0, lt=1.0, description="boxes of a class that overlap more are one thing")
     widest_view: float = Field(ge=1.0, le=4.0, description="width over height from which a picture is split in views")

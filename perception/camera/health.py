@@ -22,7 +22,7 @@ class CameraHealth(Node):
     """
 
     def __init__(self, name: str, camera: Camera, has_model: bool, config: CameraConfig) -> None:
-        self.name = f"camera_{name}_health"
+        self.name = f"health_camera_{name}"
         self.reads = {f"camera/{name}": Latest(), "odom": Latest()}
         if has_model:
             self.reads[f"obstacles/camera_{name}"] = Latest()

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Camera, Implement, Vehicle
+from messages.command import MachineState
 from messages.message import Float64, Int64, UInt8
 from messages.node import Inbox, Latest, Node, On, Output
 from messages.perception import Obstacles
@@ -16,7 +17,7 @@ from perception.camera.classes import class_scores, group_scores
 from perception.camera.detector import Detector, DetectorConfig
 from perception.camera.lens import LensConfig
 from perception.camera.ranging import Ranged, RangingConfig, View, place
-from perception.own_body import is_inside, own_outline
+from perception.own_body import is_folded, is_inside, own_outlines
 
 
 class CameraConfig(Config):
@@ -42,10 +43,10 @@ class CameraObstacles(Node):
         config: CameraConfig,
     ) -> None:  # fmt: skip
         self.name = f"camera_{name}"
-        self.reads = {f"camera/{name}": Latest()}
+        self.reads = {f"camera/{name}": Latest(), "machine": Latest()}
         self.writes = (f"obstacles/camera_{name}",)
         self.runs = On((f"camera/{name}",))
-        self._topic, self._view, self._own = f"camera/{name}", View(camera), own_outline(vehicle, implement)
+        self._topic, self._view, self._own = f"camera/{name}", View(camera), own_outlines(vehicle, implement)
         self._detector, self._config = detector, config
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
@@ -54,7 +55,8 @@ class CameraObstacles(Node):
         if image is None or not fits(image.bgr, self._view.camera):
             return ()
         found = self._detector.detect(image.bgr)
-        obstacles = find_obstacles(found, image.stamp_ns, self.name, self._view, self._own, self._config)
+        own = self._own[is_folded(inbox.latest("machine", MachineState))]
+        obstacles = find_obstacles(found, image.stamp_ns, self.name, self._view, own, self._config)
         return ((self.writes[0], obstacles),)
 
 

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Lidar, Vehicle
+from messages.command import MachineState
 from messages.message import Float32, Float64, UInt8
 from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
@@ -19,8 +20,9 @@ from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, ke
 from perception.lidar.evidence import beams_of, expected_returns
 from perception.lidar.grid import Grid, build_grid
 from perception.lidar.ground import Ground, GroundConfig, find_ground, fit_plane
-from perception.lidar.health import HealthConfig, count_beams, expect, judge, proven_range
+from perception.lidar.health import Expectation, HealthConfig, count_beams, expect, judge, proven_range
 from perception.lidar.points import MaskConfig, motion_of, own_boxes, to_base
+from perception.own_body import is_folded
 
 
 class LidarConfig(Config):
@@ -40,7 +42,7 @@ class LidarObstacles(Node):
         self, name: str, lidar: Lidar, vehicle: Vehicle, implement: Implement | None, config: LidarConfig
     ) -> None:
         self.name = f"lidar_{name}"
-        self.reads = {f"lidar/{name}": Latest(), "odom": At(1.0)}
+        self.reads = {f"lidar/{name}": Latest(), "odom": At(1.0), "machine": Latest()}
         self.writes = (f"ground/{name}", f"obstacles/lidar_{name}", f"health/lidar_{name}")
         self.runs = On((f"lidar/{name}",))
         self._scan_topic, self._lidar, self._config = f"lidar/{name}", lidar, config
@@ -60,7 +62,8 @@ class LidarObstacles(Node):
             self._dropped += 1
             return ((self.writes[2], self._blind(scan.stamp_ns, wrong)),)
         odom = inbox.at("odom", Odometry, scan.stamp_ns) or inbox.latest("odom", Odometry)
-        ground, obstacles, health = self._pipeline.run(scan, odom, self.name, self._dropped)
+        folded = is_folded(inbox.latest("machine", MachineState))
+        ground, obstacles, health = self._pipeline.run(scan, odom, self.name, self._dropped, folded)
         if health.state is HealthState.BLIND:
             return ((self.writes[2], health),)
         return ((self.writes[0], ground), (self.writes[1], obstacles), (self.writes[2], health))
@@ -79,7 +82,7 @@ class LidarObstacles(Node):
         return ""
 
     def _blind(self, stamp_ns: int, reason: str) -> SensorHealth:
-        edges = self._pipeline.expectation.edges_rad
+        edges = self._pipeline.expectations[0].edges_rad
         return SensorHealth(
             stamp_ns, self.name, HealthState.BLIND, reason, edges.copy(), np.zeros(len(edges) - 1), self._dropped
         )
@@ -107,14 +110,15 @@ class Pipeline:
         self.config, self._reach_m = config, lidar.range_m[1]
         self._T: Float64 = lidar.mount.T_base_sensor
         self._center = self._T[:2, 3].copy()
-        self._own = own_boxes(vehicle, implement, config.mask)
+        carried = (implement, implement and implement.folded)
+        self._own = tuple(own_boxes(vehicle, one, config.mask) for one in carried)
         g = config.ground
         self._grid: Grid = build_grid(g.sector_deg, g.first_bin_m, g.bin_growth, g.reach_m)
         self._front = (vehicle.body.front_m, vehicle.body.width_m / 2)
         self._top_m = max(vehicle.body.height_m, config.clusters.least_top_m) + config.clusters.overhead_m
         self._board = new_board(config.clusters)
         self._beams = beams_of(lidar)
-        self.expectation = expect(lidar, self._own, config.health)
+        self.expectations = tuple(expect(lidar, own, config.health) for own in self._own)
 
     def warm(self) -> None:
         """Compile or load all kernels at start-up, with and without times of firing, so that no scan waits for it."""
@@ -124,10 +128,11 @@ class Pipeline:
             self.run(LidarScan(0, image, none.copy(), none.copy(), two.copy(), intensity, offset_s), None, "", 0)
 
     def run(
-        self, scan: LidarScan, odom: Odometry | None, sensor: str, dropped: int
+        self, scan: LidarScan, odom: Odometry | None, sensor: str, dropped: int, is_folded: bool = False
     ) -> tuple[LidarGround, Obstacles, SensorHealth]:
         """The three messages of a well-formed scan."""
-        points, usable = to_base(scan.points_m, scan.point_offset_s, self._T, motion_of(odom), self._own)
+        own, seen = self._own[is_folded], self.expectations[is_folded]
+        points, usable = to_base(scan.points_m, scan.point_offset_s, self._T, motion_of(odom), own)
         ground = find_ground(points, usable, self._center, self._grid, self.config.ground)
         level = np.empty(len(points), np.uint8)
         solid = np.empty(len(points), np.uint8)
@@ -138,7 +143,7 @@ class Pipeline:
         return (
             LidarGround(scan.stamp_ns, scan.stamp_ns, solid, plane),
             self._obstacles(scan.stamp_ns, sensor, clusters, points, ground, level),
-            self._health(scan, ground, usable, sensor, dropped),
+            self._health(scan, ground, usable, seen, sensor, dropped),
         )
 
     def _obstacles(
@@ -157,8 +162,10 @@ class Pipeline:
             points[kept.indices],
         )  # fmt: skip
 
-    def _health(self, scan: LidarScan, ground: Ground, usable: UInt8, sensor: str, dropped: int) -> SensorHealth:
-        seen, config = self.expectation, self.config.health
+    def _health(
+        self, scan: LidarScan, ground: Ground, usable: UInt8, seen: Expectation, sensor: str, dropped: int
+    ) -> SensorHealth:
+        config = self.config.health
         counts = count_beams(scan.points_m, ground.turn, self._grid.sectors, usable, seen)
         proven = proven_range(seen, counts, config, self._reach_m)
         state, reason = judge(proven, seen.nominal_m, config)

@@ -4,10 +4,11 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from configs.vehicle import Implement, MountedImplement, Vehicle
+from configs.vehicle import Implement, Vehicle
 from messages.message import Float32, Float64, UInt8
 from messages.motion import Odometry
 from perception.kernels import kernel
+from perception.own_body import own_outline
 
 
 class MaskConfig(Config):
@@ -19,20 +20,10 @@ class MaskConfig(Config):
 
 def own_boxes(vehicle: Vehicle, implement: Implement | None, config: MaskConfig) -> Float64:
     """Machine and implement as boxes in `base`, (K, 2, 3): lowest and highest corner, margin included."""
-    body, m = vehicle.body, config.margin_m
-    half, top = body.width_m / 2 + m, body.height_m + m
-    boxes = [[[-body.rear_m - m, -half, -np.inf], [body.front_m + m, half, top]]]
-    if implement is not None:
-        front, rear = _implement_ends(implement)
-        half = implement.width_m / 2 + m
-        boxes.append([[rear - m, -half, -np.inf], [front + m, half, config.implement_height_m + m]])
-    return np.array(boxes, np.float64)
-
-
-def _implement_ends(implement: Implement) -> tuple[float, float]:
-    if isinstance(implement, MountedImplement):
-        return implement.front_end_m, implement.rear_end_m
-    return implement.hitch_m, implement.hitch_m - implement.total_length_m
+    flat = own_outline(vehicle, implement, config.margin_m)
+    top = np.array([vehicle.body.height_m, config.implement_height_m])[: len(flat)] + config.margin_m
+    heights = np.stack([np.full(len(flat), -np.inf), top], axis=1)
+    return np.asarray(np.concatenate([flat, heights[:, :, None]], axis=2), np.float64)
 
 
 def motion_of(odom: Odometry | None) -> tuple[float, float, float]:

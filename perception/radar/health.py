@@ -20,7 +20,7 @@ class RadarHealth(Node):
     """Looks at every cycle of the radar `name` and tells its state several times a second."""
 
     def __init__(self, name: str, radar: Radar, config: RadarConfig) -> None:
-        self.name = f"radar_{name}_health"
+        self.name = f"health_radar_{name}"
         self.reads = {f"radar/{name}": All(MOST_SCANS), "odom": Latest()}
         self.writes = (f"health/radar_{name}",)
         self.runs = Every(round(config.health.period_s * 1e9))

@@ -8,12 +8,13 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Mount, Radar, Vehicle
+from messages.command import MachineState
 from messages.message import Float64
 from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import RadarScan
-from perception.own_body import is_inside, own_outline
+from perception.own_body import is_folded, is_inside, own_outlines
 from perception.radar.clusters import ClusterConfig, Clusters, find_clusters
 from perception.radar.doppler import Bools, Echoes, is_well_formed, sensor_velocity, to_base, usable
 from perception.radar.tracklets import (
@@ -57,13 +58,14 @@ class RadarObstacles(Node):
         self, name: str, radar: Radar, vehicle: Vehicle, implement: Implement | None, config: RadarConfig
     ) -> None:
         self.name = f"radar_{name}"
-        self.reads = {f"radar/{name}": Latest(), "odom": At(1.0)}
+        self.reads = {f"radar/{name}": Latest(), "odom": At(1.0), "machine": Latest()}
         self.writes = (f"obstacles/radar_{name}",)
         self.runs = On((f"radar/{name}",))
         self._topic, self._radar, self._config = f"radar/{name}", radar, config
-        self._own = own_outline(vehicle, implement)
+        self._own = own_outlines(vehicle, implement)
         self._table = empty_table()
         self._stamp_ns = 0
+        warm()
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """What repeats in the newest cycle."""
@@ -73,9 +75,10 @@ class RadarObstacles(Node):
         odom = inbox.at("odom", Odometry, scan.stamp_ns) or inbox.latest("odom", Odometry)
         if odom is None:
             return ()
-        return ((self.writes[0], self.absorb(scan, odom)),)
+        folded = is_folded(inbox.latest("machine", MachineState))
+        return ((self.writes[0], self.absorb(scan, odom, folded)),)
 
-    def absorb(self, scan: RadarScan, odom: Odometry) -> Obstacles:
+    def absorb(self, scan: RadarScan, odom: Odometry, is_folded: bool = False) -> Obstacles:
         """The obstacles of a cycle, with what the cycles before it tell."""
         if scan.stamp_ns < self._stamp_ns:  # time ran back: what is known belongs to another run
             self._table = empty_table()
@@ -88,7 +91,7 @@ class RadarObstacles(Node):
         seen = to_odom(clusters, sigma, self._radar, odom.T_odom_base)
         self._table, row = advance(self._table, seen, scan.stamp_ns, since_s, config.tracklets)
         self._stamp_ns = scan.stamp_ns
-        told = (confirmed(self._table, config.tracklets)[row] > 0) & ~is_inside(clusters.p_m, self._own)
+        told = (confirmed(self._table, config.tracklets)[row] > 0) & ~is_inside(clusters.p_m, self._own[is_folded])
         turn = odom.T_odom_base[:2, :2] / math.hypot(odom.T_odom_base[0, 0], odom.T_odom_base[1, 0])
         velocity = velocities(self._table, config.tracklets)[row] @ turn
         return self._message(scan.stamp_ns, clusters, velocity, sigma, told)

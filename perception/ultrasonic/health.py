@@ -21,7 +21,7 @@ class UltrasonicHealth(Node):
     """Listens to every measurement of the sensor `name` and tells its state several times a second."""
 
     def __init__(self, name: str, sensor: Ultrasonic, config: UltrasonicConfig) -> None:
-        self.name = f"ultrasonic_{name}_health"
+        self.name = f"health_ultrasonic_{name}"
         self.reads = {f"ultrasonic/{name}": All(MOST_ECHOES), "odom": Latest()}
         self.writes = (f"health/ultrasonic_{name}",)
         self.runs = Every(round(config.health.period_s * 1e9))

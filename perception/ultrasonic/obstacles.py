@@ -9,12 +9,13 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Ultrasonic, Vehicle
+from messages.command import MachineState
 from messages.message import Float64
 from messages.motion import Odometry
-from messages.node import All, At, Inbox, Node, On, Output
+from messages.node import All, At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import UltrasonicRange
-from perception.own_body import is_inside, own_outline
+from perception.own_body import is_folded, is_inside, own_outlines
 from perception.ultrasonic.echoes import Echo, EchoConfig, Near, axis_speed, held_range, is_range, repeated_range
 
 
@@ -48,11 +49,11 @@ class UltrasonicObstacles(Node):
         self, name: str, sensor: Ultrasonic, vehicle: Vehicle, implement: Implement | None, config: UltrasonicConfig
     ) -> None:
         self.name = f"ultrasonic_{name}"
-        self.reads = {f"ultrasonic/{name}": All(config.echoes.window), "odom": At(1.0)}
+        self.reads = {f"ultrasonic/{name}": All(config.echoes.window), "odom": At(1.0), "machine": Latest()}
         self.writes = (f"obstacles/ultrasonic_{name}",)
         self.runs = On((f"ultrasonic/{name}",))
         self._topic, self._sensor, self._config = f"ultrasonic/{name}", sensor, config
-        self._own = own_outline(vehicle, implement)
+        self._own = own_outlines(vehicle, implement)
         self._echoes: deque[Echo] = deque(maxlen=config.echoes.window)
         self._near: Near | None = None
 
@@ -62,7 +63,8 @@ class UltrasonicObstacles(Node):
         for message in messages:
             odom = inbox.at("odom", Odometry, message.stamp_ns) or inbox.latest("odom", Odometry)
             self._listen(message, odom)
-        return ((self.writes[0], self._tell()),) if messages else ()
+        own = self._own[is_folded(inbox.latest("machine", MachineState))]
+        return ((self.writes[0], self._tell(own)),) if messages else ()
 
     def _listen(self, message: UltrasonicRange, odom: Odometry | None) -> None:
         last = self._echoes[-1] if self._echoes else None
@@ -77,7 +79,7 @@ class UltrasonicObstacles(Node):
         if told is not None:
             self._near = Near(echo.stamp_ns, told, travel)
 
-    def _tell(self) -> Obstacles:
+    def _tell(self, outline: Float64) -> Obstacles:
         now, near = self._echoes[-1], self._near
         told = near.range_m if near is not None and near.stamp_ns == now.stamp_ns else None
         range_m = told if told is not None else held_range(near, now, self._sensor, self._config.echoes)
@@ -85,7 +87,7 @@ class UltrasonicObstacles(Node):
         if range_m is None or range_m > reach:
             return boxes_message(now.stamp_ns, self.name, np.empty((0, 10)))
         box = cone_box(range_m, self._sensor, self._config)
-        own = is_inside(box[None, :2], self._own)[0]
+        own = is_inside(box[None, :2], outline)[0]
         return boxes_message(now.stamp_ns, self.name, np.empty((0, 10)) if own else box[None])
 
 
