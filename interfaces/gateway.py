@@ -6,6 +6,7 @@ fresh safe command of a supervisor that had the machine are a stop at full brake
 
 import math
 from collections.abc import Iterable
+from typing import Protocol
 
 import can
 from pydantic import Field
@@ -63,10 +64,20 @@ class GatewayConfig(Config):
     lost_grace_s: float = Field(ge=0.1, le=1.0, description="for the supervisor to react to a steering that gave up")
 
 
+class CanBus(Protocol):
+    """What the gateway needs of a bus of python-can."""
+
+    def send(self, msg: can.Message) -> None:
+        """Send one frame; raises CanError."""
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame, or None after the time-out; raises CanError."""
+
+
 class Gateway(Node):
     """Speaks ISO 11783 with one tractor over `bus`, which the assembly opens and closes."""
 
-    def __init__(self, bus: can.BusABC, vehicle: Vehicle, config: GatewayConfig) -> None:
+    def __init__(self, bus: CanBus, vehicle: Vehicle, config: GatewayConfig) -> None:
         self.name = "gateway"
         self.reads = {"safe_command": Latest()}
         self.writes = ("machine", "can/rx", "can/tx", "fault/gateway")

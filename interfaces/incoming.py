@@ -30,6 +30,7 @@ class Incoming:
         self.pto, self.pto_ns = implement.PtoStatus(0.0, False, 7), 0
         self.hand, self.hand_ns = _NO_HAND, 0
         self.cab, self.cab_ns = _NO_CAB, 0
+        self.fold, self.fold_ns = 0.0, 0
         self._heartbeat_ns = 0
         self._seals: dict[int, SealCheck] = {}
         self._readers: dict[int, Callable[[int, int, bytes], None]] = {
@@ -55,12 +56,16 @@ class Incoming:
             self.rejected += 1
 
     def state(self, now_ns: int) -> MachineState:
-        """The newest values of all groups; a group of two frames is as old as the older one."""
+        """The newest values of all groups; a group of several frames is as old as the oldest one.
+
+        The fold counts once it was heard: an implement that does not fold never tells it and is as wide as ever.
+        """
+        implement_ns = min(self.hitch_ns, self.pto_ns)
         return MachineState(
             stamp_ns=now_ns,
             motion_stamp_ns=self.motion_ns,
             steering_stamp_ns=self.steering_ns,
-            implement_stamp_ns=min(self.hitch_ns, self.pto_ns),
+            implement_stamp_ns=min(implement_ns, self.fold_ns) if self.fold_ns else implement_ns,
             cab_stamp_ns=min(self.hand_ns, self.cab_ns),
             heartbeat_stamp_ns=self._heartbeat_ns,
             speed_mps=self.speed_mps,
@@ -83,6 +88,7 @@ class Incoming:
             is_emergency_button_pressed=self.cab.is_emergency_button_pressed,
             supply_v=self.cab.supply_v,
             rejected_frames=self.rejected,
+            fold=self.fold,
         )
 
     def _read_network(self, group: int, source: int, data: bytes) -> None:
@@ -109,6 +115,8 @@ class Incoming:
         state = cab.decode_cab_state(data)
         if isinstance(state, cab.Hand):
             self.hand, self.hand_ns = state, now_ns
+        elif isinstance(state, cab.Fold):
+            self.fold, self.fold_ns = state.position, now_ns
         else:
             self.cab, self.cab_ns = state, now_ns
 

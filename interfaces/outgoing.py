@@ -47,6 +47,7 @@ class Orders:
     is_park_brake_set: bool | None = None
     is_horn_on: bool | None = None
     is_beacon_on: bool | None = None
+    is_folded: bool | None = None
 
 
 def order(phase: Phase, command: SafeCommand | None, present: Present, full_mps2: float, pto_rpm: float) -> Orders:
@@ -73,6 +74,7 @@ def order(phase: Phase, command: SafeCommand | None, present: Present, full_mps2
         is_park_brake_set=command.is_park_brake_set,
         is_horn_on=command.is_horn_on,
         is_beacon_on=command.is_beacon_on,
+        is_folded=command.is_implement_folded if is_active else None,
     )
 
 
@@ -169,7 +171,11 @@ class Outgoing:
             brake.encode_request(orders.deceleration_mps2),
             NOT_AVAILABLE,  # steering has its own time
             cab.encode_auxiliary(
-                orders.is_drive_enabled, orders.is_park_brake_set, orders.is_horn_on, orders.is_beacon_on
+                orders.is_drive_enabled,
+                orders.is_park_brake_set,
+                orders.is_horn_on,
+                orders.is_beacon_on,
+                orders.is_folded,
             ),
             NOT_AVAILABLE if orders.speed_mps is None else speed.encode_command(orders.speed_mps),
             implement.encode_commands(orders.hitch, orders.pto_rpm, orders.is_pto_on),

@@ -11,6 +11,7 @@ from messages.message import Float64
 from simulation.steering import clamp, follow_lag
 
 WORKING_BELOW = 0.1  # hitch: 0 lowest, 1 highest
+RAISED_ABOVE = 0.95  # from here on wings may turn
 RADPS_PER_RPM = 2.0 * math.pi / 60.0
 
 
@@ -25,16 +26,17 @@ class ImplementConfig(Config):
 
 
 class AttachedImplement:
-    """Hitch, shaft and, behind a drawbar, the implement's own heading."""
+    """Hitch, shaft, folding wings and, behind a drawbar, the implement's own heading."""
 
     def __init__(
-        self, implement: MountedImplement | TrailedImplement, config: ImplementConfig, yaw_rad: float, dt_s: float,
-        random: np.random.Generator,
+        self, implement: MountedImplement | TrailedImplement, config: ImplementConfig, yaw_rad: float, is_folded: bool,
+        dt_s: float, random: np.random.Generator,
     ) -> None:  # fmt: skip
         self.hitch = 1.0
         self.pto_radps = 0.0
         self.yaw_rad = yaw_rad
         self.implement = implement
+        self.fold = float(is_folded and can_fold(implement))
         self._config, self._dt_s, self._random = config, dt_s, random
         self._draft_change = 0.0
 
@@ -53,6 +55,17 @@ class AttachedImplement:
         white = float(self._random.standard_normal()) * self._config.draft_variation
         self._draft_change = share * self._draft_change + math.sqrt(1.0 - share * share) * white
 
+    def turn_wings(self, is_folded: bool) -> None:
+        """Fold or unfold for one time step, unless it cannot be or is not raised."""
+        if isinstance(self.implement, MountedImplement) and self.implement.fold and self.hitch > RAISED_ABOVE:
+            change = self._dt_s / max(self.implement.fold.duration_s, self._dt_s)
+            self.fold += clamp(float(is_folded) - self.fold, -change, change)
+
+    @property
+    def present(self) -> MountedImplement | TrailedImplement:
+        """The implement as wide as it is now."""
+        return folded_to(self.implement, self.fold)
+
     def draft_n(self) -> float:
         """Force against the motion."""
         change = max(0.0, 1.0 + self._draft_change)
@@ -67,6 +80,19 @@ class AttachedImplement:
         angle = yaw_rad - self.yaw_rad
         cross = speed_mps * math.sin(angle) + side * math.cos(angle)
         self.yaw_rad += cross / self.implement.axle_length_m * self._dt_s
+
+
+def can_fold(implement: MountedImplement | TrailedImplement) -> bool:
+    """Whether it has wings that turn."""
+    return isinstance(implement, MountedImplement) and implement.fold is not None
+
+
+def folded_to(implement: MountedImplement | TrailedImplement, fold: float) -> MountedImplement | TrailedImplement:
+    """The implement with its width between working (0) and transport (1)."""
+    if fold <= 0.0 or implement.folded is implement:
+        return implement
+    width_m = (1.0 - fold) * implement.width_m + fold * implement.folded.width_m
+    return implement.model_copy(update={"width_m": width_m})
 
 
 def move_hitch(hitch: float, target: float, lift_s: float, lower_s: float, dt_s: float) -> float:

@@ -48,7 +48,7 @@ class Judge:
     def outline(self, machine: Machine) -> BaseGeometry:
         """Ground covered by machine and implement."""
         base = (machine.x_m, machine.y_m, machine.yaw_rad)
-        implement = implement_outline_m(self._implement, base, machine.attached.yaw_rad)
+        implement = implement_outline_m(machine.attached.present, base, machine.attached.yaw_rad)
         return machine_outline_m(self._vehicle, base).union(implement)
 
     def machine_message(self, stamp_ns: int, machine: Machine) -> TrueMachine:

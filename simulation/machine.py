@@ -38,7 +38,7 @@ class MachineConfig(Config):
 
 @dataclass(frozen=True)
 class Command:
-    """What the ECUs ask of the actuators; None releases the steering or holds the hitch; `speed_mps` is signed."""
+    """What the ECUs ask of the actuators; None releases the steering or holds hitch or fold; `speed_mps` is signed."""
 
     steering_angle_rad: float | None = None
     speed_mps: float = 0.0
@@ -46,6 +46,7 @@ class Command:
     brake_mps2: float = 0.0
     is_park_brake_set: bool = True
     hitch: float | None = None
+    is_folded: bool | None = None
     is_pto_on: bool = False
 
 
@@ -54,7 +55,7 @@ class Machine:
 
     def __init__(
         self, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, terrain: Terrain, start: Pose2,
-        config: MachineConfig, dt_s: float, random: np.random.Generator,
+        is_folded: bool, config: MachineConfig, dt_s: float, random: np.random.Generator,
     ) -> None:  # fmt: skip
         self.x_m, self.y_m, self.yaw_rad = start.x_m, start.y_m, math.radians(start.heading_deg)
         self.speed_mps = self.acceleration_mps2 = self.lateral_mps = self.yaw_rate_radps = 0.0
@@ -65,7 +66,7 @@ class Machine:
         self.steering = Steering(vehicle.steering, vehicle.drivetrain, config.steering, dt_s)
         self.drive = Drive(config.drive, vehicle.acceleration_mps2, dt_s)
         self.brakes = BrakeSystem(vehicle.brake, dt_s)
-        self.attached = AttachedImplement(implement, config.implement, self.yaw_rad, dt_s, random)
+        self.attached = AttachedImplement(implement, config.implement, self.yaw_rad, is_folded, dt_s, random)
         self._vehicle, self._terrain, self._config, self._dt_s, self._random = vehicle, terrain, config, dt_s, random
         self._slip_front_rad = self._slip_rear_rad = self._soil_mps2 = 0.0
         self.T_map_base = self._stand()
@@ -79,6 +80,8 @@ class Machine:
         """One time step."""
         self.steering.step(command.steering_angle_rad, self.measured_angle_rad)
         self.attached.step(command.hitch, command.is_pto_on)
+        if self.speed_mps == 0.0 and command.is_folded is not None:
+            self.attached.turn_wings(command.is_folded)
         self._step_speed(command)
         self._step_sideways()
         self._step_pose()

@@ -48,6 +48,7 @@ class TractorBus:
         self._hitch: float | None = None
         self._wants_pto = self._wants_drive = False
         self._wants_park_brake = True
+        self._wants_folded: bool | None = None
         self._guidance = Deadline(config.guidance_timeout_s)
         self._others = [Deadline(config.command_timeout_s) for _ in range(3)]
         self._speed, self._brake, self._auxiliary = self._others
@@ -124,6 +125,7 @@ class TractorBus:
         self._wants_park_brake = switch(raw["ParkBrake"], self._wants_park_brake)
         self.is_horn_on = switch(raw["Horn"], self.is_horn_on)
         self.is_beacon_on = switch(raw["Beacon"], self.is_beacon_on)
+        self._wants_folded = raw["Fold"] == ON if raw["Fold"] in (0, ON) else None
         self._auxiliary.renew(now_ns)
         return True
 
@@ -169,6 +171,7 @@ class TractorBus:
             brake_mps2=self._brake_mps2 if self._brake.is_met(now_ns) else 0.0,
             is_park_brake_set=self._wants_park_brake,
             hitch=self._hitch if can_work else None,
+            is_folded=self._wants_folded if can_work and self._auxiliary.is_met(now_ns) else None,
             is_pto_on=self._wants_pto and can_work,
         )
 

@@ -7,6 +7,7 @@ import numpy as np
 from cantools.database.can import Database, Message
 
 from simulation.bus_guards import HEARTBEAT_LAST, HEARTBEAT_START, xbr_checksum
+from simulation.implement import can_fold
 from simulation.machine import Machine
 from simulation.tractor_bus import TractorBus
 
@@ -14,6 +15,7 @@ SUPPLY_V, SUPPLY_SIGMA_V = 13.8, 0.03
 CLEAR, COMMAND_TIMEOUT = 0, 5  # guidance exit codes
 LIMITED_HIGH, LIMITED_LOW = 2, 3
 AT_END_RAD = 0.01
+FOLD_EVERY = 5  # of the cab's frames
 TRACTOR_NAME = {  # an agricultural tractor ECU: industry group 2, device class 1, function 134
     "Identity": 1, "Manufacturer": 0x7FF, "EcuInstance": 0, "FunctionInstance": 0, "Function": 134, "DeviceClass": 1,
     "DeviceClassInstance": 0, "IndustryGroup": 2, "SelfConfigurable": 0,
@@ -42,7 +44,8 @@ class TractorStatus:
 
     def __init__(self, machine: Machine, bus: TractorBus, database: Database, random: np.random.Generator) -> None:
         self._machine, self._bus, self._random = machine, bus, random
-        self._counters = [0, 0]
+        self._counters = [0, 0, 0]
+        self._cab_frames = 0
         self._heartbeat = HEARTBEAT_START
         self._is_claimed = False
         frames: dict[str, Callable[[], list[Mapping[str, int | float]]]] = {
@@ -94,7 +97,15 @@ class TractorStatus:
             "ParkBrakeState": int(self._machine.park_brake > 0.95), "HornState": int(self._bus.is_horn_on),
             "BeaconState": int(self._bus.is_beacon_on),
         }  # fmt: skip
-        return [{**hand, "Counter": self._count(0)}, {**cab, "Counter": self._count(1)}]
+        return [{**hand, "Counter": self._count(0)}, {**cab, "Counter": self._count(1)}, *self._fold()]
+
+    def _fold(self) -> list[Mapping[str, int | float]]:
+        """From an implement that folds, each fifth time."""
+        self._cab_frames += 1
+        attached = self._machine.attached
+        if self._cab_frames % FOLD_EVERY != 1 or not can_fold(attached.implement):
+            return []
+        return [{"Group": 3, "FoldPosition": 100.0 * attached.fold, "Counter": self._count(2)}]
 
     def _beat(self) -> list[Mapping[str, int | float]]:
         sequence = self._heartbeat

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pydantic import Field
 from shapely import Polygon
 
-from configs.site import Site
+from configs.site import Pose2, Site
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from messages.command import OperatorOrder
@@ -58,13 +58,14 @@ class SimulationWorld(World):
 
     def __init__(
         self, site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario,
-        plan_paths: tuple[Path, ...], channel: str, seed: int, config: SimulationConfig,
+        plan_paths: tuple[Path, ...], channel: str, seed: int, config: SimulationConfig, start: Pose2, is_folded: bool,
     ) -> None:  # fmt: skip
         self._now_ns = self._start_ns = config.start_stamp_ns
         self._terrain = Terrain(site, config.terrain, seed)
         self.machine = Machine(
-            vehicle, implement, self._terrain, site.start, config.machine, STEP_NS * 1e-9, generator(seed, "machine")
-        )
+            vehicle, implement, self._terrain, start, is_folded, config.machine, STEP_NS * 1e-9,
+            generator(seed, "machine"),
+        )  # fmt: skip
         self._vehicle, self._scenario = vehicle, scenario
         self._track = Track(STEP_NS, TRACK_S)
         self._track.append(self.machine.T_map_base)

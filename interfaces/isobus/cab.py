@@ -8,12 +8,14 @@ GROUP = 0xEF00
 AUXILIARY = 16
 HAND = 1
 CAB = 2
+FOLD = 3
 LEAVE = 3
 
 _TORQUE_NM = Scale(0.01, -320.0, 2)
 _ANGLE_RAD = Scale(0.001, -32.0, 2)
 _RATE_RADPS = Scale(0.001, -32.0, 2)
 _PEDAL = Scale(0.004, 0.0, 1)
+_POSITION = Scale(0.004, 0.0, 1)
 _SUPPLY_V = Scale(0.05, 0.0, 2)
 
 
@@ -40,21 +42,35 @@ class Cab:
     is_beacon_on: bool
 
 
+@dataclass(frozen=True)
+class Fold:
+    """How far the implement is folded: 0 at working to 1 at transport width."""
+
+    position: float
+
+
 def encode_auxiliary(
-    is_drive_enabled: bool | None, is_park_brake_set: bool | None, is_horn_on: bool | None, is_beacon_on: bool | None
-) -> bytes:
+    is_drive_enabled: bool | None, is_park_brake_set: bool | None, is_horn_on: bool | None, is_beacon_on: bool | None,
+    is_folded: bool | None,
+) -> bytes:  # fmt: skip
     """Bytes 1–7 of the auxiliary command; None leaves as is."""
     states = (is_drive_enabled, is_park_brake_set, is_horn_on, is_beacon_on)
-    packed = sum((LEAVE if state is None else int(state)) << 2 * k for k, state in enumerate(states))
-    return bytes([AUXILIARY, packed]) + b"\xff" * 5
+    packed = sum(_two_bits(state) << 2 * k for k, state in enumerate(states))
+    return bytes([AUXILIARY, packed, 0xFC | _two_bits(is_folded)]) + b"\xff" * 4
 
 
-def decode_cab_state(data: bytes) -> Hand | Cab:
-    """One of the two groups of a frame whose seal was checked; raises BadFrame."""
+def _two_bits(state: bool | None) -> int:
+    return LEAVE if state is None else int(state)
+
+
+def decode_cab_state(data: bytes) -> Hand | Cab | Fold:
+    """One of the three groups of a frame whose seal was checked; raises BadFrame."""
     if data[0] == HAND:
         return Hand(_TORQUE_NM.decode(data, 2), _ANGLE_RAD.decode(data, 4), _RATE_RADPS.decode(data, 6))
     if data[0] == CAB:
         return _decode_cab(data)
+    if data[0] == FOLD:
+        return Fold(_POSITION.decode(data, 2))
     raise BadFrame(f"group {data[0]} is not known")
 
 

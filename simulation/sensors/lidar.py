@@ -1,7 +1,7 @@
 """Spinning lidar by ray casting: each column is fired at its own time from its own pose.
 
 Columns run from -fov/2 to +fov/2 (left positive) over one period that ends at the stamp. What the machine's own body
-hides is found once for each height of the implement; figures are cast only in the columns they can fill.
+hides is found once for each height and fold of the implement; figures are cast only in the columns they can fill.
 """
 
 import math
@@ -15,13 +15,14 @@ from geometry.transforms import invert
 from messages.message import Float32, Float64, Message
 from messages.sensors import LidarScan
 from simulation.body import T_base_implement, implement_mesh, machine_mesh
+from simulation.implement import folded_to
 from simulation.kernels import passes_ball, sweep_rays
 from simulation.scene import Rays
 from simulation.sensors.sensor import Moment, period_ns_of
 
 MAX_RANGE_M = 65.5  # of uint16 in mm
 BODY_REFLECTIVITY = 0.3
-LEVELS = 8  # heights of the hitch for which the body's shadow is kept
+LEVELS = 8  # heights of the hitch, and folds, for which the body's shadow is kept
 
 
 class LidarConfig(Config):
@@ -57,7 +58,7 @@ class LidarModel:
         self._azimuth = fov * ((np.arange(lidar.columns) + 0.5) / lidar.columns - 0.5)
         self._offset_s = (((np.arange(lidar.columns) + 1.0) / lidar.columns - 1.0) / lidar.rate_hz).astype(np.float32)
         self._directions = directions_of(self._elevation, self._azimuth)
-        self._bodies: dict[tuple[int, int], tuple[Float32, Float32]] = {}
+        self._bodies: dict[tuple[int, int, int], tuple[Float32, Float32]] = {}
 
     def sample(self, moment: Moment) -> Message:
         """The sweep that ends now."""
@@ -76,14 +77,13 @@ class LidarModel:
         """Distance and signal of the machine's own body, infinite where the view is free."""
         attached = moment.machine.attached
         articulation = attached.yaw_rad - moment.machine.yaw_rad
-        key = (round(attached.hitch * LEVELS), round(math.degrees(articulation)))
+        key = (round(attached.hitch * LEVELS), round(math.degrees(articulation)), round(attached.fold * LEVELS))
         if key not in self._bodies:
             T_lidar_base = invert(self._T_base_lidar)
             T_lidar_implement = T_lidar_base @ T_base_implement(self._implement, math.radians(key[1]))
             body = Rays([machine_mesh(self._vehicle).moved(T_lidar_base)], [BODY_REFLECTIVITY])
-            tool = Rays(
-                [implement_mesh(self._implement, key[0] / LEVELS).moved(T_lidar_implement)], [BODY_REFLECTIVITY]
-            )
+            shape = implement_mesh(folded_to(self._implement, key[2] / LEVELS), key[0] / LEVELS)
+            tool = Rays([shape.moved(T_lidar_implement)], [BODY_REFLECTIVITY])
             rays = np.zeros((self._directions[..., 0].size, 6), np.float32)
             rays[:, 3:] = self._directions.reshape(-1, 3)
             self._bodies[key] = nearest(body.cast(rays), tool.cast(rays))

@@ -84,6 +84,7 @@ class Rig:
             "HornState": 0,
             "BeaconState": 0,
         }
+        self.fold = None
         self.beat = 250
 
     def close(self):
@@ -97,7 +98,7 @@ class Rig:
         for name, values in self.values.items():
             self.send(name, dbc.encode(name, **values))
         self.counter += 1
-        for values in (self.hand, self.cab):
+        for values in (self.hand, self.cab) if self.fold is None else (self.hand, self.cab, self.fold):
             body = dbc.encode("CabState", Counter=0, Checksum=0, **values)[:7]
             self.send("CabState", seal(dbc.identifier("CabState"), body, self.counter))
         self.beat = (self.beat + 1) % 251
@@ -427,6 +428,30 @@ def test_machine_state_carries_everything(rig):
     assert s.is_horn_on
     assert s.is_beacon_on
     assert s.rejected_frames == 0
+
+
+def test_the_fold_is_commanded_while_active_alone(rig):
+    rig.forward(400, replace(HOLD, is_implement_folded=True))
+    assert rig.newest("AuxiliaryCommand")["Fold"] == 3
+    rig.forward(400, replace(DRIVE, is_implement_folded=True))
+    assert rig.newest("AuxiliaryCommand")["Fold"] == 1
+    rig.forward(200, DRIVE)
+    assert rig.newest("AuxiliaryCommand")["Fold"] == 0
+    rig.forward(300)
+    assert rig.newest("AuxiliaryCommand")["Fold"] == 3
+
+
+def test_the_fold_is_told_and_its_silence_ages_the_implement(rig):
+    rig.forward(400, HOLD)
+    assert rig.state.fold == 0.0
+    rig.fold = {"Group": 3, "FoldPosition": 99.2}
+    rig.forward(400, HOLD)
+    assert rig.state.fold == pytest.approx(0.992)
+    last_ns = rig.state.implement_stamp_ns
+    rig.fold = None
+    rig.forward(400, HOLD)
+    assert rig.state.fold == pytest.approx(0.992)
+    assert rig.state.implement_stamp_ns == last_ns < rig.state.cab_stamp_ns
 
 
 def test_machine_state_comes_every_20_ms_and_raw_frames_are_logged(rig):

@@ -1,5 +1,6 @@
 """Our codec against cantools over the whole range of every value, reserved bits and missing values included."""
 
+import itertools
 import math
 
 import dbc
@@ -295,26 +296,28 @@ def test_counter_goes_on_by_one_to_three(step):
 
 @pytest.mark.parametrize(
     "states",
-    [
-        (a, b, c, d)
-        for a in (None, False, True)
-        for b in (None, False, True)
-        for c in (None, False, True)
-        for d in (None, False, True)
-    ],
+    list(itertools.product((None, False, True), repeat=5)),
 )
 def test_auxiliary_command_in_all_states(states):
     identifier = dbc.identifier("AuxiliaryCommand")
     data = seal(identifier, cab.encode_auxiliary(*states), 5)
     read = dbc.decode("AuxiliaryCommand", data)
     wanted = [3 if state is None else int(state) for state in states]
-    assert [read[k] for k in ("DriveEnable", "ParkBrake", "Horn", "Beacon")] == wanted
+    assert [read[k] for k in ("DriveEnable", "ParkBrake", "Horn", "Beacon", "Fold")] == wanted
     assert (read["Group"], read["Counter"], read["Checksum"]) == (16, 5, second_checksum(identifier, data))
     assert_reserved_are_ones("AuxiliaryCommand", data)
 
 
 def cab_frame(**values) -> bytes:
     return dbc.encode("CabState", Counter=0, Checksum=0, **values)
+
+
+def test_fold_over_the_whole_range():
+    for raw in RAW_8:
+        assert cab.decode_cab_state(cab_frame(Group=3, FoldPosition=0.4 * raw)).position == pytest.approx(0.004 * raw)
+    for raw in NOT_8:
+        with pytest.raises(BadFrame):
+            cab.decode_cab_state(with_raw(cab_frame(Group=3, FoldPosition=0), 2, raw, 1))
 
 
 def test_hand_over_the_whole_range():
@@ -371,7 +374,7 @@ def test_each_state_of_the_cab_stands_alone(signal, field):
             cab.decode_cab_state(cab_state(**{signal: state}))
 
 
-@pytest.mark.parametrize("group", [0, 3, 16, 255])
+@pytest.mark.parametrize("group", [0, 4, 16, 255])
 def test_an_unknown_group_is_bad(group):
     with pytest.raises(BadFrame, match="group"):
         cab.decode_cab_state(bytes([group]) + b"\x00" * 7)

@@ -51,11 +51,17 @@ def machine_file(name="tractor_e", sensors=()):
 class Farm:
     """World and gateway on one bus; `drive` goes on in time while the gateway says what its attributes hold."""
 
-    def __init__(self, vehicle=None, config=None, scenario=EMPTY, paths=(), seed=1, site=SITE, implement=IMPLEMENT):
+    def __init__(
+        self, vehicle=None, config=None, scenario=EMPTY, paths=(), seed=1, site=SITE, implement=IMPLEMENT, start=None,
+        is_folded=False,
+    ):  # fmt: skip
         channel = f"farm-{next(_CHANNELS)}"
         self.vehicle = vehicle or machine_file()
         config = config or flat()
-        self.world = SimulationWorld(site, self.vehicle, implement, scenario, paths, channel, seed, config)
+        start = start or site.start
+        self.world = SimulationWorld(
+            site, self.vehicle, implement, scenario, paths, channel, seed, config, start, is_folded
+        )
         self.machine = self.world.machine
         self.start_ns = self.now_ns = config.start_stamp_ns
         self.bus = can.Bus(interface="virtual", channel=channel)
@@ -65,6 +71,7 @@ class Farm:
         self.silent = set()
         self.speed_mps, self.curvature_radpm, self.brake_mps2 = 0.0, 0.0, 0.0
         self.is_lowered, self.is_pto_on, self.is_drive_enabled, self.permit = False, False, True, 1
+        self.is_folded = None
         self._beats, self._counts = 250, 0
 
     def close(self):
@@ -97,6 +104,7 @@ class Farm:
         counter = self._counts % 16
         self.send("ExternalBrakeRequest", {"Acceleration": acceleration, "ControlMode": mode, "Counter": counter})
         switches = {"DriveEnable": int(self.is_drive_enabled), "ParkBrake": 0, "Horn": 0, "Beacon": 1}
+        switches["Fold"] = 3 if self.is_folded is None else int(self.is_folded)
         self.send("AuxiliaryCommand", {"Group": 16, **switches, "Counter": counter})
         if self._counts % 5 == 1:
             hitch = 0 if self.is_lowered else 250

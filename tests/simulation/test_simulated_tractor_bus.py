@@ -117,11 +117,12 @@ def test_rubbish_moves_nothing(farm, identifier, data):
 def test_status_frames_come_at_their_periods(farm):
     farm.drive(2.0)
     for name, period_ms, groups in [
-        ("GuidanceMachineStatus", 100, 1),
-        ("WheelBasedSpeed", 100, 1),
-        ("CabState", 20, 2),
+        ("GuidanceMachineStatus", 100, (None,)),
+        ("WheelBasedSpeed", 100, (None,)),
+        ("CabState", 20, (1, 2)),
+        ("CabState", 100, (3,)),
     ]:
-        stamps = [stamp for stamp, _ in farm.frames[name]][::groups]
+        stamps = [stamp for stamp, values in farm.frames[name] if values.get("Group") in groups][:: len(groups)]
         assert {b - a for a, b in itertools.pairwise(stamps)} == {period_ms * 1_000_000}
     beats = [values["Sequence"] for _, values in farm.frames["HeartbeatTractor"]]
     assert beats[:3] == [251, 0, 1]
