@@ -2,9 +2,11 @@
 
 import argparse
 import json
+import math
 import sys
 
 from configs.strict import CONFIGS, load
+from datasets.importers.excerpt import excerpt
 from datasets.importers.transcript import write_recording
 from runtime.sidecar import open_with_truth
 from runtime.stack import StackConfig
@@ -14,6 +16,8 @@ def main(arguments: argparse.Namespace) -> int:
     """Write the log; raises LogError, and then leaves nothing behind."""
     stack = load(StackConfig, CONFIGS / "stack.yaml").datasets
     recording = open_with_truth(arguments.source, arguments.truth, "any")
+    if arguments.start > 0.0 or arguments.end != math.inf:
+        recording = excerpt(recording, arguments.start, arguments.end)
     counts = write_recording(recording, arguments.out, stack.log, stack.viewer)
     result = {"source": str(arguments.source), "format": recording.description.format, "log": str(arguments.out),
               "messages": counts, "notes": list(recording.description.notes)}  # fmt: skip

@@ -185,11 +185,10 @@ def child_pose(recording: Recording, machine: Machine, topic: str) -> np.ndarray
 def datum_of(path: FilePath) -> Datum | None:
     import yaml
 
-    from configs.site import Site
+    from configs.site import DatumConfig
     from configs.strict import parse
 
     text = read_metadata(path).get("config", {}).get("yaml")
     config = yaml.safe_load(text) if text is not None else None
-    if not isinstance(config, dict) or "site" not in config:
-        return None
-    return parse(Site, config["site"], f"{path}: site").datum.datum
+    site = config.get("site") if isinstance(config, dict) else None
+    return parse(DatumConfig, site["datum"], f"{path}: site.datum").datum if isinstance(site, dict) else None

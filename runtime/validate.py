@@ -33,6 +33,7 @@ class Task:
     truth: Path | None
     vehicle: Path | None
     conditions: Path | None
+    without: str | None
     folder: Path
     key: str
 
@@ -95,7 +96,7 @@ def _tasks(arguments: argparse.Namespace, folder: Path) -> list[Task]:
     for name, log in named.items():
         key = _key(log, commit, arguments)
         tasks.append(Task(name, log.absolute(), _absolute(arguments.truth), arguments.vehicle, arguments.conditions,
-                          folder / "logs" / name, key))  # fmt: skip
+                          arguments.without, folder / "logs" / name, key))  # fmt: skip
     return tasks
 
 
@@ -105,7 +106,7 @@ def _absolute(path: Path | None) -> Path | None:
 
 def _key(log: Path, commit: str, arguments: argparse.Namespace) -> str:
     """What a judgement depends on: the log's files, the conditions, the vehicle, the code."""
-    parts = [commit, str(arguments.truth), _text(arguments.conditions or FILE)]
+    parts = [commit, str(arguments.truth), str(arguments.without), _text(arguments.conditions or FILE)]
     parts.append(_text(arguments.vehicle) if arguments.vehicle is not None else "")
     files = sorted(log.rglob("*")) if log.is_dir() else [log]
     parts += [f"{p}:{p.stat().st_size}:{p.stat().st_mtime_ns}" for p in files if p.is_file()]
@@ -211,6 +212,7 @@ def _judge(task: Task) -> dict[str, Any]:
     """Replay and judge; heavy imports only here."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    from runtime.erased import erase
     from runtime.preflight import render
     from runtime.prepared import load_configuration, prepare
     from runtime.replay import replay
@@ -220,6 +222,8 @@ def _judge(task: Task) -> dict[str, Any]:
 
     conditions = load_conditions(task.conditions)
     prepared = prepare(task.log, task.truth, task.vehicle, load_configuration(conditions))
+    if task.without is not None:
+        prepared = erase(prepared, task.without)
     preflight = prepared.preflight()
     sys.stderr.write(render(preflight))
     setting = prepared.setting(task.name)

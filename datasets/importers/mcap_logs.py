@@ -16,6 +16,8 @@ from datasets.importers.streams import Item, recording_of
 from datasets.reader import Entry, LogScan, ProtobufDecoders, is_ours, read_log
 from messages.errors import LogError
 
+OWN = "headland"  # the format of a log of ours that was not imported
+
 
 @cache
 def ros_types(name: str) -> Any:
@@ -47,12 +49,12 @@ def _own_log(path: Path, metadata: dict[str, dict[str, str]], notes: tuple[str, 
 
 
 def _own_description(path: Path) -> Description:
-    views = recording_of(path, "headland", lambda: _items(path)).description
+    views = recording_of(path, OWN, lambda: _items(path)).description
     types = {e.topic: e.schema.name for e in LogScan(path) if is_ours(e) and e.schema is not None}
     sensors = tuple(Sensor(topic, topic, topic, name) for topic, name in types.items())
     ignored = tuple(Ignored(s.source, s.source_type, "for viewers") for s in views.sensors)
     truth_frame = "map" if "truth_objects" in types else None
-    return Description("headland", sensors, views.extrinsics, ignored, truth_frame)
+    return Description(OWN, sensors, views.extrinsics, ignored, truth_frame)
 
 
 def _own_messages(path: Path) -> Iterator[Received]:

@@ -4,8 +4,10 @@ import json
 from collections import Counter
 from pathlib import Path
 
+from datasets.importers.mcap_logs import OWN
 from datasets.importers.recording import SOURCE, Recording, describe
-from datasets.log import LogConfig, LogWriter
+from datasets.log import END, LogConfig, LogWriter
+from datasets.reader import read_metadata
 from datasets.viewer import Viewer, ViewerConfig
 from messages.message import Envelope
 
@@ -13,10 +15,13 @@ from messages.message import Envelope
 def write_recording(recording: Recording, out: Path, log: LogConfig, viewer: ViewerConfig) -> dict[str, int]:
     """Write all messages of a recording to the new log `out`; gives their number by topic.
 
-    The description goes with it as metadata `source`. Raises LogError, and then leaves nothing behind.
+    The description goes with it as metadata `source`; a log of ours keeps what it said of itself. Raises LogError, and
+    then leaves nothing behind.
     """
     about = describe(recording.description)
-    metadata = {SOURCE: {"path": str(recording.path), "description": json.dumps(about)}}
+    own = read_metadata(recording.path) if recording.description.format == OWN and recording.path.is_file() else {}
+    metadata = {name: values for name, values in own.items() if name != END}
+    metadata[SOURCE] = {"path": str(recording.path), "description": json.dumps(about)}
     counts: Counter[str] = Counter()
     writer = LogWriter(out, metadata, log, Viewer(viewer, None, None, None))
     try:

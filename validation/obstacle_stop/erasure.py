@@ -1,29 +1,42 @@
-"""An object taken out of scans: its returns replaced by what stands behind it, so that a miss can be provoked."""
+"""An object taken out of what sensors measured: what stands behind it takes its place, so that a miss is provoked.
+
+lidar       each beam goes on to what its neighbours beside the object meet
+camera      each row of the object's rectangle runs from its left to its right neighbour
+radar       its detections go
+ultrasonic  its echo goes
+"""
 
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
-from messages.message import Float64
-from messages.sensors import LidarScan
+from configs.vehicle import Camera, Radar, Ultrasonic
+from geometry.transforms import apply, invert
+from messages.message import Float64, UInt8
+from messages.sensors import CameraImage, LidarScan, RadarScan, UltrasonicRange
 from validation.obstacle_stop.boxes import Box
 
-MARGIN_M = 0.3
+MARGIN_M = 0.5  # limbs, what both move within a scan, and the spread of a radar's detections
+RECTANGLE_PX = 12
+BESIDE_PX = 6
 
 
 def without(scan: LidarScan, box: Box, T_base_lidar: Float64) -> LidarScan:
     """The scan without the box's returns: each beam goes on to the ground behind, or to nothing.
 
-    Beside a range image's own neighbours nothing is known of what is behind; the median of the nearest columns to the
-    left and right of the box in the same ring stands for it.
+    Nothing is known of what is behind; the median of the nearest columns to the left and right of the box in the same
+    ring stands for it.
     """
     points = scan.points_m @ T_base_lidar[:3, :3].T.astype(np.float32) + T_base_lidar[:3, 3].astype(np.float32)
-    mine = box.contains(points, MARGIN_M)
+    # the ground about the feet belongs to nobody
+    foot_m = box.center_m[2] - 0.5 * box.size_m[2] + 0.05
+    mine = box.contains(points, MARGIN_M) & (points[:, 2] > foot_m)
     if not mine.any():
         return scan
     if scan.ranges_mm.size == 0:
-        return _thinned(scan, ~mine)
+        return _turned(scan, mine)
     ring, column = np.nonzero(scan.ranges_mm)
     ranges = scan.ranges_mm.copy()
     for r in np.unique(ring[mine]).tolist():
@@ -42,10 +55,9 @@ def behind(row_mm: np.ndarray, columns: np.ndarray) -> int:
     return max(medians)
 
 
-def _thinned(scan: LidarScan, keep: np.ndarray) -> LidarScan:
+def _turned(scan: LidarScan, gone: np.ndarray) -> LidarScan:
     """A list of points cannot show what is behind: its beams are turned to the ground far off instead of lost."""
     xyz = scan.xyz_m.copy()
-    gone = ~keep
     direction = xyz[gone] / np.maximum(np.linalg.norm(xyz[gone], axis=1, keepdims=True), 1e-6)
     xyz[gone] = direction * np.where(np.abs(direction[:, 2:]) > 1e-3, far_m(direction), 60.0)
     return replace(scan, xyz_m=xyz.astype(np.float32))
@@ -56,3 +68,62 @@ def far_m(direction: np.ndarray, height_m: float = 1.7, most_m: float = 60.0) ->
     down = np.where(direction[:, 2:] < -math.sin(math.radians(0.5)), -direction[:, 2:], np.nan)
     way = np.nan_to_num(height_m / down, nan=most_m)
     return np.minimum(way, most_m)
+
+
+def radar_without(scan: RadarScan, box: Box, radar: Radar) -> RadarScan:
+    """The cycle without the detections at the box, level: a radar's elevation is not to be trusted."""
+    level = scan.range_m * np.cos(scan.elevation_rad)
+    p = np.column_stack([level * np.cos(scan.azimuth_rad), level * np.sin(scan.azimuth_rad), np.zeros(len(level))])
+    at = np.asarray(apply(radar.mount.T_base_sensor, p)[:, :2], np.float64)
+    keep = box.away_m(at) > MARGIN_M
+    columns = ("range_m", "azimuth_rad", "elevation_rad", "doppler_mps", "rcs_dbsm")
+    return replace(scan, **{name: getattr(scan, name)[keep] for name in columns})
+
+
+def echo_without(echo: UltrasonicRange, box: Box, sensor: Ultrasonic) -> UltrasonicRange:
+    """No echo where it came from the box: it stands in the cone at that distance."""
+    p = apply(invert(sensor.mount.T_base_sensor), np.column_stack([box.footprint_m(), np.full(25, box.center_m[2])]))
+    away = np.hypot(p[:, 0], p[:, 1])
+    is_in_cone = np.abs(np.arctan2(p[:, 1], p[:, 0])) <= 0.5 * math.radians(sensor.cone_deg) + np.arctan2(
+        MARGIN_M, away
+    )
+    near, far = (f(away, initial=i, where=is_in_cone) for f, i in ((np.min, np.inf), (np.max, -np.inf)))
+    is_mine = near - MARGIN_M <= echo.range_m <= far + MARGIN_M
+    return replace(echo, range_m=math.nan) if is_mine else echo
+
+
+def picture_without(image: CameraImage, box: Box, camera: Camera) -> CameraImage:
+    """The picture with the object's rectangle filled from what is beside it."""
+    corners = rectangle(box, camera)
+    if corners is None:
+        return image
+    left, top, right, bottom = corners
+    bgr: UInt8 = image.bgr.copy()
+    part = bgr[top:bottom]
+    sides = [part[:, max(left - BESIDE_PX, 0) : left], part[:, right : right + BESIDE_PX]]
+    means = [side.mean(axis=1) if side.shape[1] else None for side in sides]
+    one, two = (m if m is not None else means[1 - k] for k, m in enumerate(means))
+    if one is None or two is None:
+        return image  # it fills the picture: nothing of what is behind can be told
+    share = np.linspace(0.0, 1.0, right - left)[None, :, None]
+    part[:, left:right] = np.round(one[:, None] * (1.0 - share) + two[:, None] * share).astype(np.uint8)
+    return CameraImage(image.stamp_ns, bgr)
+
+
+def rectangle(box: Box, camera: Camera) -> tuple[int, int, int, int] | None:
+    """Left, top, right and bottom pixel about a box, grown a little; None when it is not in the picture."""
+    x, y, z = (np.array([-0.5, 0.5]) * side for side in box.size_m)
+    c, s = math.cos(box.yaw_rad), math.sin(box.yaw_rad)
+    corners = box.center_m + np.array([(c * a - s * b, s * a + c * b, h) for a in x for b in y for h in z])
+    body = apply(invert(camera.mount.T_base_sensor), corners)
+    if body[:, 0].min() < 0.1:
+        return None
+    optical = np.column_stack([-body[:, 1], -body[:, 2], body[:, 0]])
+    (fx, fy), (cx, cy) = camera.focal_px, camera.center_px
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    zero = np.zeros(3)
+    pixels = cv2.projectPoints(optical, zero, zero, K, np.array(camera.distortion))[0].reshape(-1, 2)
+    low, high = pixels.min(axis=0) - RECTANGLE_PX, pixels.max(axis=0) + RECTANGLE_PX
+    left, top = (int(v) for v in np.clip(low, 0, camera.size_px))
+    right, bottom = (int(v) for v in np.clip(high, 0, camera.size_px))
+    return (left, top, right, bottom) if left < right and top < bottom else None

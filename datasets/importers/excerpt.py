@@ -1,0 +1,39 @@
+"""A stretch of a recording, as if it had been recorded alone."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from datasets.importers.recording import Received, Recording
+from messages.errors import LogError
+from messages.message import Message
+
+HELD = ("path",)  # what comes once and holds until the next
+
+
+def excerpt(recording: Recording, from_s: float, to_s: float) -> Recording:
+    """Its messages from `from_s` to `to_s` after its first; the paths given before come first, since they still hold.
+
+    Raises LogError when that is no stretch of time.
+    """
+    if not 0.0 <= from_s < to_s:
+        raise LogError(f"from {from_s} s to {to_s} s is no stretch of a recording")
+    note = f"from {from_s:g} s to {'its end' if math.isinf(to_s) else f'{to_s:g} s'} of the recording"
+    about = replace(recording.description, notes=(*recording.description.notes, note))
+    return Recording(recording.path, about, lambda: _between(recording, from_s, to_s))
+
+
+def _between(recording: Recording, from_s: float, to_s: float) -> Iterator[Received]:
+    begin_ns: int | None = None
+    held: list[tuple[str, Message]] = []
+    for receive_ns, topic, message in recording.read():
+        begin_ns = receive_ns if begin_ns is None else begin_ns
+        at_s = (receive_ns - begin_ns) * 1e-9
+        if at_s > to_s:
+            return
+        if at_s >= from_s:
+            yield from ((receive_ns, t, m) for t, m in held)
+            held.clear()
+            yield receive_ns, topic, message
+        elif topic in HELD:
+            held.append((topic, message))
