@@ -7,12 +7,15 @@ A filter is named in the log beside the data, so that any reader can undo it:
 - `delta0-planes`, `delta1-planes`: the bits of each element, taken as an unsigned integer, less those of the element
   before it along axis 0 or 1 (first: less zero), folded so that 0, -1, 1, -2, … become 0, 1, 2, 3, …, then byte planes.
   A range image becomes one plane of noise and one of almost nothing but zeros.
+- `png`: a picture (rows, columns, 3) as PNG, which loses nothing.
+- `sent`: the same as the camera sent it, JPEG or PNG; what decoding gives is the array.
 """
 
 import math
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -22,6 +25,7 @@ from messages.message import UInt8
 Array = npt.NDArray[Any]
 # Below this a filter costs more time than its bytes are worth.
 MIN_FILTERED = 256
+PNG, SENT = "png", "sent"
 KNOWN_DTYPES = frozenset({"<f8", "<f4", "<i8", "<i4", "<u2", "|u1", "|i1", "<i2", "<u4", "<u8", "|b1"})
 
 
@@ -31,6 +35,8 @@ def filter_of(array: Array) -> str:
         return ""
     if array.dtype == np.uint16 and array.ndim == 2:
         return "delta1-planes"
+    if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
+        return "png"
     # neighbours in a list of points or indices are neighbours in space
     return "delta0-planes" if array.dtype in (np.float32, np.int32) else ""
 
@@ -39,6 +45,8 @@ def pack(array: Array, name: str) -> bytes:
     """The bytes of an array through the filter `name`."""
     if not name:
         return array.tobytes()
+    if name == PNG:
+        return bytes(cv2.imencode(".png", array, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
     if name.startswith("delta"):
         return _split(_fold(array, int(name[5])))
     return _split(array) if name == "planes" else array.tobytes()
@@ -48,13 +56,23 @@ def unpack(data: bytes, dtype: str, shape: tuple[int, ...], name: str) -> Array:
     """The array that `pack` was given, read-only; raises LogError when type, shape, filter and bytes do not agree."""
     if dtype not in KNOWN_DTYPES:
         raise LogError(f"array of type {dtype!r}: not one of {', '.join(sorted(KNOWN_DTYPES))}")
+    if name in (PNG, SENT):
+        return _picture(data, dtype, shape)
     kind = np.dtype(dtype)
     if math.prod(shape) * kind.itemsize != len(data):
         raise LogError(f"array of shape {shape} and type {dtype}: {len(data)} bytes do not fill it")
     undo = _UNDO.get(name)
     if undo is None:
-        raise LogError(f"array filter {name!r}: not one of {', '.join(map(repr, _UNDO))}")
+        raise LogError(f"array filter {name!r}: not one of {', '.join(map(repr, (*_UNDO, PNG, SENT)))}")
     return undo(data, kind, shape)
+
+
+def _picture(data: bytes, dtype: str, shape: tuple[int, ...]) -> Array:
+    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    if bgr is None or bgr.shape != shape or dtype != "|u1":
+        found = "no picture" if bgr is None else f"a picture of shape {bgr.shape}"
+        raise LogError(f"array of shape {shape} and type {dtype}: its {len(data)} bytes are {found}")
+    return np.asarray(bgr)
 
 
 def _split(array: Array) -> bytes:

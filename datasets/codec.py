@@ -16,10 +16,11 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
 
-from datasets.arrays import Array, filter_of, pack, unpack
+from datasets.arrays import SENT, Array, filter_of, pack, unpack
 from datasets.schema import PACKAGE, FieldKind, descriptors_of, fields_of, once, proto_of
 from messages.errors import LogError
 from messages.message import Message, Record
+from messages.sensors import CameraImage
 from messages.topics import KINDS
 
 Fill = Callable[[Any, Any], None]
@@ -58,7 +59,11 @@ class Codec:
 @once
 def codec_of(cls: type[Message]) -> Codec:
     """The codec of a message class."""
-    return Codec(f"{PACKAGE}.{cls.__name__}", descriptors_of(cls), proto_of(cls), _fill_of(cls), _build_of(cls))
+    return Codec(f"{PACKAGE}.{cls.__name__}", descriptors_of(cls), proto_of(cls), *_ways_of(cls, frozenset()))
+
+
+def _ways_of(cls: type[Message], lacking: frozenset[str]) -> tuple[Fill, Build]:
+    return (_fill_image, _build_image) if cls is CameraImage else (_fill_of(cls), _build_of(cls, lacking))
 
 
 @cache
@@ -85,7 +90,7 @@ def codec_for(name: str, schema: bytes) -> Codec:
         lacking = frozenset(_lacking(cls, own.proto.DESCRIPTOR, proto.DESCRIPTOR))
     except ValueError as error:
         raise LogError(f"schema {name!r} was written by another version: {error}") from error
-    return Codec(name, schema, proto, own.fill, _build_of(cls, lacking))
+    return Codec(name, schema, proto, *_ways_of(cls, lacking))
 
 
 def proto_from(name: str, schema: bytes) -> type[Any]:
@@ -137,6 +142,20 @@ def _fill_array(proto: Any, array: Array) -> None:
 
 def _build_array(proto: Any) -> Array:
     return unpack(proto.data, proto.dtype, tuple(proto.shape), proto.filter)
+
+
+def _fill_image(proto: Any, image: CameraImage) -> None:
+    """What the camera sent stands for the picture: 30 times smaller, and decoding it gives the same bits."""
+    proto.stamp_ns = image.stamp_ns
+    if not image.encoded:
+        _fill_array(proto.bgr, image.bgr)
+        return
+    proto.bgr.dtype, proto.bgr.filter, proto.bgr.data = image.bgr.dtype.str, SENT, image.encoded
+    proto.bgr.shape.extend(image.bgr.shape)
+
+
+def _build_image(proto: Any) -> CameraImage:
+    return CameraImage(proto.stamp_ns, _build_array(proto.bgr), proto.bgr.data if proto.bgr.filter == SENT else b"")
 
 
 @once

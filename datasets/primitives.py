@@ -23,8 +23,10 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from geometry.transforms import Float64, quaternion_of
-from messages.message import Float32, UInt8
+from messages.message import Float32
+from messages.sensors import CameraImage
 
+PNG_MAGIC = b"\x89PNG"
 Rgba = tuple[float, float, float, float]
 _LEVEL = Quaternion(w=1.0)
 # 1/64 m: as fine as a lidar is true, and the bits below it, left zero, compress away.
@@ -98,10 +100,13 @@ def cloud(stamp_ns: int, frame_id: str, points_m: Float32, most: int) -> PointCl
     return out
 
 
-def picture(stamp_ns: int, frame_id: str, bgr: UInt8, quality: int) -> CompressedImage:
-    """A picture (H, W, 3) as JPEG; a picture without pixels has no data."""
-    data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes() if bgr.size else b""
-    return CompressedImage(timestamp=time_of(stamp_ns), frame_id=frame_id, data=data, format="jpeg")
+def picture(image: CameraImage, frame_id: str, quality: int) -> CompressedImage:
+    """A picture as the camera sent it, else as JPEG; a picture without pixels has no data."""
+    data = image.encoded
+    if not data and image.bgr.size:
+        data = cv2.imencode(".jpg", image.bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+    kind = "png" if data.startswith(PNG_MAGIC) else "jpeg"
+    return CompressedImage(timestamp=time_of(image.stamp_ns), frame_id=frame_id, data=data, format=kind)
 
 
 def _vector(v: Sequence[float]) -> Vector3:

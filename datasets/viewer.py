@@ -97,7 +97,7 @@ class Viewer:
 
     def _show_image(self, topic: str, image: CameraImage) -> Iterator[Shown]:
         if self._is_due(topic, image.stamp_ns, self._config.image_s):
-            yield f"/view/{topic}", picture(image.stamp_ns, topic, image.bgr, self._config.image_quality)
+            yield f"/view/{topic}", picture(image, topic, self._config.image_quality)
 
     def _show_odometry(self, topic: str, message: Odometry) -> Iterator[Shown]:
         if topic == "odom" and self._is_due(topic, message.stamp_ns, self._config.frames_s):

@@ -58,9 +58,14 @@ class LidarScan(Message):
 
 @dataclass(frozen=True)
 class CameraImage(Message):
-    """One picture, (height, width, 3) BGR as OpenCV has it."""
+    """One picture, (height, width, 3) BGR as OpenCV has it.
+
+    `encoded` is the JPEG or PNG that the camera sent, where it sent one: `bgr` is then what decoding it gives, to the
+    bit, and a log keeps `encoded` alone.
+    """
 
     bgr: UInt8
+    encoded: bytes = b""
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def gnss_fix(proto: Any, receive_ns: int) -> GnssFix:
 
 def compressed_image(proto: Any, receive_ns: int) -> CameraImage:
     """foxglove.CompressedImage."""
-    return CameraImage(stamp_of(proto, receive_ns), decode_picture(proto.data))
+    return CameraImage(stamp_of(proto, receive_ns), decode_picture(proto.data), bytes(proto.data))
 
 
 TRANSLATIONS: dict[str, tuple[str, Callable[[Any, int], Message]]] = {

@@ -140,7 +140,8 @@ def ultrasonic_range(ros: Any, receive_ns: int) -> UltrasonicRange:
 
 def compressed_image(ros: Any, receive_ns: int) -> CameraImage:
     """sensor_msgs/CompressedImage."""
-    return CameraImage(stamp_of(ros, receive_ns), decode_picture(_bytes(ros)))
+    data = _bytes(ros)
+    return CameraImage(stamp_of(ros, receive_ns), decode_picture(data), data)
 
 
 def decode_picture(data: bytes) -> Any:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +15,7 @@ from datasets.codec import classes, codec_for, codec_of
 from messages.errors import LogError
 from messages.message import Float64, Message, Record
 from messages.motion import MapPose, PositionSource
-from messages.sensors import ImuSample, LidarScan
+from messages.sensors import CameraImage, ImuSample, LidarScan
 
 EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
 
@@ -155,3 +156,20 @@ def test_a_field_with_a_default_may_be_missing_in_an_older_log() -> None:
     old = codec.proto_from(own.name, files.SerializeToString())
     data = old.FromString(own.encode(replace(pose, uwb_age_s=3.0))).SerializeToString()
     assert bits(codec_for(own.name, files.SerializeToString()).decode(data)) == bits(pose)
+
+
+@pytest.mark.parametrize("ending", [".jpg", ".png"])
+def test_a_picture_comes_back_as_the_camera_sent_it(ending: str) -> None:
+    rough = np.random.default_rng(1).integers(0, 256, (72, 128, 3), np.uint8)
+    sent = cv2.imencode(ending, cv2.GaussianBlur(rough, (9, 9), 3.0))[1].tobytes()
+    bgr = cv2.imdecode(np.frombuffer(sent, np.uint8), cv2.IMREAD_COLOR)
+    own = codec_of(CameraImage)
+    for image in (CameraImage(5, bgr, sent), CameraImage(6, bgr.copy())):
+        data = own.encode(image)
+        assert bits(own.decode(data)) == bits(image)
+        assert own.encode(own.decode(data)) == data
+    assert len(own.encode(CameraImage(5, bgr, sent))) < len(sent) + 100
+    with pytest.raises(LogError, match="a picture of shape"):
+        own.decode(own.encode(CameraImage(5, bgr[:-1].copy(), sent)))
+    with pytest.raises(LogError, match="no picture"):
+        own.decode(own.encode(CameraImage(5, bgr, b"sent")))
