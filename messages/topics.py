@@ -25,7 +25,7 @@ class Kind:
 
 KINDS: dict[str, Kind] = {
     "lidar": Kind(sensors.LidarScan, 0.1, 0.35),
-    "camera": Kind(sensors.CameraImage, 0.5, 1.5, is_logged=False),  # 5 MB/s: the viewer's topic has it as JPEG
+    "camera": Kind(sensors.CameraImage, 0.5, 1.5),
     "radar": Kind(sensors.RadarScan, 0.05, 0.25),
     "ultrasonic": Kind(sensors.UltrasonicRange, 0.1, 0.35),
     "imu": Kind(sensors.ImuSample, 0.01, 0.1),
