@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from configs.strict import Config
 from configs.vehicle import Kmh
@@ -44,8 +44,34 @@ class MissionConfig(Config):
     least_rest_m: float = Field(ge=0.0, le=100.0, description="a shorter rest of a line is not worth going back to")
 
 
+class DockingConfig(Config):
+    """The way into a bay of the shed and out of it."""
+
+    speed_kmh: Kmh = Field(le=1.8, description="in both directions; design.md: docking is no faster")
+    bay_clearance_m: float = Field(ge=0.02, le=2.0, description="to either side in the bay, on the run-in")
+    clearance_m: float = Field(ge=0.02, le=5.0, description="from shed and edge of the yard everywhere else")
+    apart_m: float = Field(ge=0.02, le=5.0, description="from what stands in the yard; no less than clearance_m")
+    standing_slack_m: float = Field(ge=0.0, le=0.2, description="what a start near a bound may lose of its clearance")
+    run_in_m: float = Field(ge=0.0, le=20.0, description="straight before the rear end reaches the roof")
+    ramp_m: float = Field(gt=0.1, le=5.0, description="over which a step of curvature is spread while driving")
+    ramp_slack_m: float = Field(ge=0.0, le=1.0, description="by which the ramps may move a way, for the first look")
+    least_run_m: float = Field(ge=0.0, le=10.0, description="way from one cusp to the next")
+    cusp_cost_m: float = Field(ge=0.0, le=50.0, description="way that a cusp less is worth")
+    sampling_iterations: int = Field(ge=100, le=1_000_000, description="of OMPL, a count and never a time")
+    uwb_age_s: float = Field(gt=0.0, le=10.0, description="older ranges: the machine does not dock")
+    uwb_wait_s: float = Field(ge=0.0, le=60.0, description="standing, until that is given up")
+    blocked_s: float = Field(gt=0.0, le=600.0, description="stop on the way out of the bay until it is given up")
+
+    @model_validator(mode="after")
+    def _keeps_more_from_what_stands(self) -> "DockingConfig":
+        if self.apart_m < self.clearance_m:
+            raise ValueError(f"apart_m {self.apart_m} is less than clearance_m {self.clearance_m}")
+        return self
+
+
 class PlanningConfig(Config):
     """Section `planning` of `configs/stack.yaml`."""
 
     planner: PlannerConfig
+    docking: DockingConfig
     mission: MissionConfig

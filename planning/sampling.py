@@ -83,7 +83,7 @@ def search(task: dict[str, Any]) -> list[list[float]]:
     shapely.prepare(allowed)
     bodies = tuple(Rectangle(*b) for b in task["bodies"])
     states = base.DubinsStateSpace(float(task["radius_m"]))
-    states.setBounds(_bounds(base, allowed.bounds))
+    states.setBounds(bounds_in(base, allowed.bounds))
     information = base.SpaceInformation(states)
 
     def is_valid(state: Any) -> bool:
@@ -94,12 +94,12 @@ def search(task: dict[str, Any]) -> list[list[float]]:
     information.setStateValidityCheckingResolution(VALID_EVERY_M / states.getMaximumExtent())
     information.setup()
     problem = base.ProblemDefinition(information)
-    ends = [_state(states, pose) for pose in task["poses"]]
+    ends = [state_at(states, pose) for pose in task["poses"]]
     problem.setStartAndGoalStates(*ends)
     planner = geometric.RRTConnect(information)
     planner.setProblemDefinition(problem)
     planner.setup()
-    planner.solve(base.PlannerTerminationCondition(_counter(int(task["iterations"]))))
+    planner.solve(base.PlannerTerminationCondition(counter(int(task["iterations"]))))
     if not problem.hasExactSolution():
         return []
     path = problem.getSolutionPath()
@@ -108,7 +108,8 @@ def search(task: dict[str, Any]) -> list[list[float]]:
     return [[float(s.getX()), float(s.getY()), float(s.getYaw())] for s in found]
 
 
-def _bounds(base: Any, bounds: tuple[float, float, float, float]) -> Any:
+def bounds_in(base: Any, bounds: tuple[float, float, float, float]) -> Any:
+    """OMPL's box of (west, south, east, north)."""
     box = base.RealVectorBounds(2)
     for k in range(2):
         box.setLow(k, bounds[k])
@@ -116,7 +117,8 @@ def _bounds(base: Any, bounds: tuple[float, float, float, float]) -> Any:
     return box
 
 
-def _state(states: Any, pose: list[float]) -> Any:
+def state_at(states: Any, pose: list[float]) -> Any:
+    """OMPL's state at (x, y, heading)."""
     state = states.allocState()
     state.setX(pose[0])
     state.setY(pose[1])
@@ -125,7 +127,8 @@ def _state(states: Any, pose: list[float]) -> Any:
     return state
 
 
-def _counter(most: int) -> Any:
+def counter(most: int) -> Any:
+    """What ends a search after so many questions."""
     asked = 0
 
     def is_over() -> bool:

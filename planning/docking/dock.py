@@ -1,0 +1,122 @@
+"""The way into a bay in reverse, and out of it, from any pose in the yard."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from shapely.geometry import Polygon
+
+from configs.site import Bay, Pose2, Site
+from configs.vehicle import kmh
+from geometry.footprint import footprints
+from geometry.polyline import Float64
+from messages.errors import FieldError
+from messages.plan import Leg, Path, Stretch
+from planning.configuration import DockingConfig
+from planning.curve import Pose
+from planning.docking.clearance import bounds_of, clearance_m, nearest_place, yard_of
+from planning.docking.sampling import sampled
+from planning.docking.search import Space, Wanted, free_word, least_clearance_m
+from planning.docking.steered import Run, runs_of
+from planning.docking.words import Segment
+from planning.ground import describe
+from planning.profile import speed_profile
+from planning.rig import Rig
+
+
+@dataclass(frozen=True)
+class Docking:
+    """A dock to reach with the folded `rig`, planned anew from wherever the machine stands."""
+
+    site: Site
+    rig: Rig
+    bay: Bay
+    config: DockingConfig
+    seed: int
+
+
+def pose_of(pose: Pose2) -> Pose:
+    """A pose of a site in radians."""
+    return Pose(pose.x_m, pose.y_m, math.radians(pose.heading_deg))
+
+
+def plan_docking(start: Pose, docking: Docking, first_id: int, outlines: Sequence[Polygon] = ()) -> tuple[Path, ...]:
+    """Paths from standing at `start` to standing in the dock, the last in reverse and the end of the mission.
+
+    They keep clear of walls, posts, the edge of the yard and `outlines`; raises FieldError with reason and place.
+    """
+    runs = _runs(start, docking, outlines)
+    return tuple(_path(run, docking, first_id + k, run is runs[-1]) for k, run in enumerate(runs))
+
+
+def plan_undocking(docking: Docking, first_id: int) -> tuple[Path, ...]:
+    """Paths out of the dock to the start of the site: a way from there into the dock, driven the other way."""
+    runs = [_turned(run) for run in reversed(_runs(pose_of(docking.site.start), docking, ()))]
+    return tuple(_path(run, docking, first_id + k, False) for k, run in enumerate(runs))
+
+
+def _runs(start: Pose, docking: Docking, outlines: Sequence[Polygon]) -> list[Run]:
+    wanted, space = _wanted(start, docking), _space(start, docking, outlines)
+    _check_run_in(wanted, space, docking)
+    runs = free_word(wanted, space) or sampled(wanted, space, docking.seed)
+    if runs is None:
+        x, y = start.x_m, start.y_m
+        raise FieldError(
+            f"no way into bay {docking.bay.name!r} from {describe(docking.site, x, y)} that keeps {space.apart_m:.2f} m"
+            " from shed, yard edge and what stands there: make room in the yard or start elsewhere"
+        )
+    return runs
+
+
+def _wanted(start: Pose, docking: Docking) -> Wanted:
+    """The run-in reaches from the dock to where the rear end is still before the roof, and `run_in_m` further."""
+    shed, dock = docking.site.shed, pose_of(docking.bay.dock)
+    assert shed is not None
+    roof = np.array(shed.outline_m) - [dock.x_m, dock.y_m]
+    depth_m = float((roof @ [math.cos(dock.heading_rad), math.sin(dock.heading_rad)]).max())
+    return Wanted(start, dock, depth_m - docking.rig.rear_m + docking.config.run_in_m)
+
+
+def _space(start: Pose, docking: Docking, outlines: Sequence[Polygon]) -> Space:
+    site, rig, config = docking.site, docking.rig, docking.config
+    assert site.shed is not None
+    bounds = bounds_of(site, site.shed, outlines, config.apart_m - config.clearance_m)
+    p, heading = np.array([[start.x_m, start.y_m]]), np.array([start.heading_rad])
+    stands_m = float(clearance_m(bounds, rig.bodies, p, heading)[0])
+    is_inside = bool(shapely.covers(yard_of(site, site.shed), footprints(rig.bodies, p, heading)).all())
+    if not is_inside or stands_m < config.bay_clearance_m:
+        x, y = nearest_place(bounds, p[0])
+        how = f"only {max(stands_m, 0.0):.2f} m from" if is_inside else "not within"
+        raise FieldError(f"the machine stands {how} the bounds of yard and shed at {describe(site, x, y)}: move it")
+    return Space(bounds, rig.bodies, rig.radius_m, min(config.clearance_m, stands_m - config.standing_slack_m), config)
+
+
+def _check_run_in(wanted: Wanted, space: Space, docking: Docking) -> None:
+    """The last straight part is the same for every way: what is wrong with it is said by its place."""
+    first = wanted.dock.ahead(wanted.run_in_m)
+    (run,) = runs_of((Segment(-wanted.run_in_m, 0.0),), first, space.config.ramp_m)
+    apart_m, p = least_clearance_m([run], space)
+    if apart_m < space.config.bay_clearance_m:
+        x, y = nearest_place(space.bounds, p)
+        raise FieldError(
+            f"bay {docking.bay.name!r} leaves {max(apart_m, 0.0):.2f} m beside a rig {docking.rig.width_m:g} m wide at "
+            f"{describe(docking.site, x, y)}, less than {space.config.bay_clearance_m:g} m: clear it or take another"
+        )
+
+
+def _turned(run: Run) -> Run:
+    return Run(
+        -run.direction, run.p_map_m[::-1], run.heading_rad[::-1], run.curvature_radpm[::-1], run.s_m[-1] - run.s_m[::-1]
+    )
+
+
+def _path(run: Run, docking: Docking, path_id: int, is_last: bool) -> Path:
+    count = len(run.s_m)
+    speed = speed_profile(run.s_m, run.curvature_radpm, np.full(count, kmh(docking.config.speed_kmh)), docking.rig)
+    heading: Float64 = np.asarray(np.pi - (np.pi - run.heading_rad) % (2.0 * np.pi), np.float64)
+    return Path(
+        0, path_id, run.direction, run.p_map_m, heading, run.curvature_radpm, run.s_m, speed,
+        np.zeros(count, np.uint8), (Stretch(Leg.DOCK, -1, 0, count - 1),), np.zeros(count, np.int32), is_last, True,
+    )  # fmt: skip
