@@ -15,6 +15,7 @@ from simulation.body import implement_outline_m, machine_outline_m
 from simulation.implement import working_point_m
 from simulation.machine import Machine
 from simulation.scenery import surveyed_area
+from simulation.shed import shed_solids
 
 
 class JudgeConfig(Config):
@@ -24,10 +25,15 @@ class JudgeConfig(Config):
 
 
 class Judge:
-    """Counts contacts once an object and exits once a leaving."""
+    """Counts contacts once an object (a figure, or a wall or post by -1 and down) and exits once a leaving."""
 
     def __init__(
-        self, site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, config: JudgeConfig
+        self,
+        site: Site,
+        vehicle: Vehicle,
+        implement: MountedImplement | TrailedImplement,
+        seed: int,
+        config: JudgeConfig,
     ) -> None:
         self.exits = 0
         self.touched: tuple[int, ...] = ()
@@ -35,15 +41,19 @@ class Judge:
         self._allowed = allowed_area(site).buffer(config.tolerance_m)
         shapely.prepare(self._allowed)
         self._was_inside = True
+        self._solids = [] if site.shed is None else [s.ground for s in shed_solids(site.shed, seed)]
+        self._built = shapely.union_all(self._solids)
+        shapely.prepare(self._built)
 
     def look(self, outline: BaseGeometry, figures: tuple[Figure, ...]) -> None:
         """Count what has come about since the last look, by the ground covered now."""
         is_inside = bool(self._allowed.covers(outline))
         self.exits += int(self._was_inside and not is_inside)
         self._was_inside = is_inside
-        for figure in figures:
-            if figure.id not in self.touched and outline.intersects(figure.footprint):
-                self.touched = (*self.touched, figure.id)
+        hit = [figure.id for figure in figures if outline.intersects(figure.footprint)]
+        if self._built.intersects(outline):
+            hit += [-1 - k for k, solid in enumerate(self._solids) if solid.intersects(outline)]
+        self.touched += tuple(id for id in hit if id not in self.touched)
 
     def outline(self, machine: Machine) -> BaseGeometry:
         """Ground covered by machine and implement."""

@@ -20,14 +20,21 @@ def compiled(function: F) -> F:
 @compiled
 def height_at(x: float, y: float, profile: Float64, waves: Float64) -> float:
     """Height of the smooth ground; `profile` and `waves` as `simulation.terrain.Terrain` lays them out."""
-    x0, y0, c, s, flat, rise_u, k_u, rise_v, k_v, zero = profile
+    x0, y0, c, s, flat, rise_u, k_u, rise_v, k_v, zero, west, south, east, north, blend = profile
+    share = 1.0
+    if blend > 0.0:
+        share = math.hypot(max(west - x, x - east, 0.0), max(south - y, y - north, 0.0)) / blend
+        if share == 0.0:
+            return 0.0
+        share = min(share, 1.0)
+        share = share * share * (3.0 - 2.0 * share)
     u = (x - x0) * c + (y - y0) * s
     v = (y - y0) * c - (x - x0) * s
     z = 0.5 * rise_u * (1.0 - math.cos(k_u * max(abs(u) - flat, 0.0)))
     z += 0.5 * rise_v * (1.0 - math.cos(k_v * max(abs(v) - flat, 0.0)))
     for i in range(waves.shape[0]):
         z += waves[i, 0] * math.sin(waves[i, 1] * x + waves[i, 2] * y + waves[i, 3])
-    return float(z - zero)
+    return float(share * (z - zero))
 
 
 @compiled
@@ -105,7 +112,7 @@ def signal_of(rays: Float32, normals: Float32, kind: UInt8, reflectivity: Float3
 
 def warm() -> None:
     """Compile or load every kernel, so that no step waits for it."""
-    profile, waves, one = np.zeros(10), np.zeros((1, 4)), np.zeros((1, 6), np.float32)
+    profile, waves, one = np.zeros(15), np.zeros((1, 4)), np.zeros((1, 6), np.float32)
     heights_at(np.zeros((1, 2)), profile, waves)
     stand(0.0, 0.0, 0.0, 1.0, 1.0, profile, waves)
     sweep_rays(np.eye(4)[None], np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.uint8))

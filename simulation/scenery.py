@@ -10,12 +10,15 @@ from pydantic import Field
 from shapely import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from configs.site import Site
+from configs.site import Shed, Site
 from configs.strict import Config
 from messages.message import Float64
 from simulation.meshes import Mesh, ellipsoid, grid, join, limb
 from simulation.randomness import generator
+from simulation.shed import roof_mesh, shed_solids, solids_mesh
 from simulation.terrain import Terrain
+
+SHED_REFLECTIVITY = {"wall": 0.5, "post": 0.4, "mast": 0.4, "store": 0.35}
 
 
 class SceneryConfig(Config):
@@ -28,7 +31,6 @@ class SceneryConfig(Config):
     fence_offset_m: float = Field(ge=0.0, le=10.0, description="outside the boundary")
     fence_height_m: float = Field(gt=0.2, le=3.0)
     fence_bay_m: float = Field(gt=0.5, le=20.0, description="from post to post")
-    shed_height_m: float = Field(gt=1.0, le=20.0)
     trees: int = Field(ge=0, le=100)
 
 
@@ -52,7 +54,7 @@ def build_scenery(site: Site, terrain: Terrain, config: SceneryConfig, seed: int
         posts = [_post(terrain, p, 0.12, config.fence_height_m + 0.3) for g in site.gates for p in g.posts_m]
         pieces.append(Piece("gate", join(posts), 0.4))
     if site.shed is not None:
-        pieces.append(Piece("shed", shed_mesh(site, terrain, config), 0.5))
+        pieces += shed_pieces(site.shed, seed)
     trees = tree_meshes(site, terrain, config, seed)
     return pieces + ([Piece("trees", join(trees), 0.3)] if trees else [])
 
@@ -143,29 +145,11 @@ def _board(terrain: Terrain, a: tuple[float, float], b: tuple[float, float], hei
     return Mesh(np.concatenate([low, high]).astype(np.float32), np.array([[0, 1, 2], [1, 3, 2]], np.int32))
 
 
-def shed_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
-    """Walls on all sides but the one that faces the start, and a flat roof."""
-    assert site.shed is not None
-    outline = Polygon(site.shed.outline_m)
-    corners = list(outline.exterior.coords)
-    start = Point(site.start.x_m, site.start.y_m)
-    edges = list(pairwise(corners))
-    open_edge = min(range(len(edges)), key=lambda k: LineString(edges[k]).distance(start))
-    floor = terrain.height_m(outline.centroid.x, outline.centroid.y)
-    top = floor + config.shed_height_m
-    walls = [_wall(a, b, floor - 0.5, top) for k, (a, b) in enumerate(edges) if k != open_edge]
-    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(outline))
-    roof = np.array([c for t in triangles for c in t.exterior.coords[:3]])
-    slab = Mesh(
-        np.column_stack([roof[:, :2], np.full(len(roof), top)]).astype(np.float32),
-        np.arange(len(roof), dtype=np.int32).reshape(-1, 3),
-    )
-    return join([*walls, slab])
-
-
-def _wall(a: tuple[float, ...], b: tuple[float, ...], low_m: float, high_m: float) -> Mesh:
-    corners = np.array([[*a[:2], low_m], [*b[:2], low_m], [*a[:2], high_m], [*b[:2], high_m]], np.float32)
-    return Mesh(corners, np.array([[0, 1, 2], [1, 3, 2]], np.int32))
+def shed_pieces(shed: Shed, seed: int) -> list[Piece]:
+    """The shed, a piece of each kind."""
+    solids = shed_solids(shed, seed)
+    found = [(kind, solids_mesh(solids, kind), shine) for kind, shine in SHED_REFLECTIVITY.items()]
+    return [Piece("roof", roof_mesh(shed), 0.5), *(Piece(kind, mesh, r) for kind, mesh, r in found if mesh is not None)]
 
 
 def tree_meshes(site: Site, terrain: Terrain, config: SceneryConfig, seed: int) -> list[Mesh]:

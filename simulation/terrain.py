@@ -3,7 +3,7 @@
 z │      ___          along the longest edge of the field (u) and across it (v), from the yard's middle:
   │   __/             flat for a while, then a cosine whose steepest part has the grade asked for; waves of
   │__/ yard           15 m and more on top (rolling ground), furrows only in the mesh (tyres bridge them)
-  └────────── u
+  └────────── u      shed and yard are level at height 0, and so is a box about both; beyond it blends
 """
 
 import math
@@ -27,6 +27,7 @@ class TerrainConfig(Config):
     side_slope_deg: float = Field(ge=0.0, le=15.0)
     side_length_m: float = Field(gt=20.0, le=2000.0)
     flat_m: float = Field(ge=0.0, le=100.0, description="half width of the flat about the yard, along and across")
+    blend_m: float = Field(gt=0.0, le=100.0, description="from the level of shed and yard to the ground")
     wave_m: float = Field(ge=0.0, le=0.2, description="height of each wave")
     wave_length_m: tuple[float, float]
     waves: int = Field(ge=0, le=20)
@@ -35,7 +36,7 @@ class TerrainConfig(Config):
 
 
 class Terrain:
-    """Height of the ground in `map`; 0 at the machine's start."""
+    """Height of the ground in `map`; 0 at the site's start, and all about a shed and its yard."""
 
     def __init__(self, site: Site, config: TerrainConfig, seed: int) -> None:
         self.config = config
@@ -46,9 +47,13 @@ class Terrain:
             yard.x, yard.y, math.cos(self.axis_rad), math.sin(self.axis_rad), config.flat_m,
             config.grade * config.grade_length_m / math.pi, 2.0 * math.pi / config.grade_length_m,
             tangent * config.side_length_m / math.pi, 2.0 * math.pi / config.side_length_m, 0.0,
+            *([0.0] * 5),
         ])  # fmt: skip
         self._waves = draw_waves(config, generator(seed, "terrain"))
-        self._profile[-1] = self.height_m(site.start.x_m, site.start.y_m)
+        self._profile[9] = self.height_m(site.start.x_m, site.start.y_m)
+        if site.shed is not None:
+            level = Polygon(site.shed.outline_m).union(Polygon(site.yard.outline_m)).bounds
+            self._profile[10:] = [*level, config.blend_m]
 
     def height_m(self, x_m: float, y_m: float) -> float:
         """Height of the smooth ground, as tyres feel it."""

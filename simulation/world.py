@@ -73,7 +73,7 @@ class SimulationWorld(World):
         brake = vehicle.brake.deceleration_mps2
         self._bus = TractorBus(channel, database, vehicle.drivetrain.wheelbase_m, brake, config.bus)
         self._status = TractorStatus(self.machine, self._bus, database, generator(seed, "cab"))
-        self._judge = Judge(site, vehicle, implement, config.judge)
+        self._judge = Judge(site, vehicle, implement, seed, config.judge)
         setting = Setting(Polygon(site.boundary_m), 0.5 * max(implement.width_m, vehicle.body.width_m))
         self._actors = self._cast(plan_paths, setting, seed)
         self._scene = Scene(lambda: build_scenery(site, self._terrain, config.scenery, seed))
