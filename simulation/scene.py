@@ -45,10 +45,14 @@ class Scene:
         self._build = build
 
     @cached_property
-    def still(self) -> Rays:
+    def pieces(self) -> list[Piece]:
         """What never moves, built when first asked for."""
-        pieces = self._build()
-        return Rays([p.mesh for p in pieces], [p.reflectivity for p in pieces])
+        return self._build()
+
+    @cached_property
+    def still(self) -> Rays:
+        """The same, to be cast against."""
+        return Rays([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces])
 
     def moving(self, figures: list[Figure], ago_s: float) -> Rays:
         """Some figures as they were a moment ago."""

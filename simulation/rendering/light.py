@@ -1,0 +1,81 @@
+"""Sun and sky: drawn once a run, from low sun to overcast."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from messages.message import Float64
+
+SILHOUETTE = 2048  # columns round the horizon
+
+
+class SkyConfig(Config):
+    """Bounds from which a day is drawn."""
+
+    sun_deg: tuple[float, float] = Field(description="lowest and highest elevation of the sun")
+    overcast: tuple[float, float] = Field(description="share of the sun's light that clouds spread over the sky")
+    haze_m: tuple[float, float] = Field(description="way on which haze takes 63 % of the contrast")
+    skyline_deg: tuple[float, float] = Field(description="height of woods and hills far off")
+
+
+@dataclass(frozen=True)
+class Light:
+    """What all pictures of a run have in common; colours are linear RGB.
+
+    `to_sun` unit (3,) in `map`; `sun`, `sky` (ambient from above), `zenith` and `horizon` (3,); `skyline` (SILHOUETTE,)
+    the tangent of the height of what stands far off, by azimuth from -pi.
+    """
+
+    to_sun: Float64
+    sun: Float64
+    sky: Float64
+    zenith: Float64
+    horizon: Float64
+    clouds: float
+    haze_m: float
+    skyline: Float64
+
+    def packed(self) -> Float64:
+        """All numbers but the skyline as the shading kernel takes them, (17,)."""
+        parts = [self.to_sun, self.sun, self.sky, self.zenith, self.horizon, [self.clouds, self.haze_m]]
+        return np.concatenate([np.asarray(p, np.float64) for p in parts])
+
+
+def draw_light(config: SkyConfig, random: np.random.Generator) -> Light:
+    """The light of one day."""
+    azimuth, elevation = random.uniform(-math.pi, math.pi), math.radians(random.uniform(*config.sun_deg))
+    overcast, haze = random.uniform(*config.overcast), random.uniform(*config.haze_m)
+    to_sun = np.array([math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth),
+                       math.sin(elevation)])  # fmt: skip
+    # a low sun comes a longer way through the air, which takes the blue first
+    air = 1.0 / max(math.sin(elevation), 0.1)
+    direct = np.exp(-np.array([0.10, 0.16, 0.30]) * air) * 3.2
+    grey = np.array([0.62, 0.64, 0.68])
+    blue = np.array([0.30, 0.48, 0.85])
+    power = 0.35 + 0.65 * math.sin(elevation)
+    zenith = (1.0 - overcast) * blue * (0.5 + 0.5 * power) + overcast * grey * power
+    horizon = (1.0 - overcast) * np.array([0.75, 0.86, 1.0]) * (0.5 + 0.5 * power) + overcast * 1.1 * grey * power
+    sky = 0.75 * zenith + 0.25 * horizon + overcast * 0.35 * power
+    skyline = draw_skyline(config, random)
+    sun = direct * (1.0 - overcast) ** 1.5
+    return Light(to_sun, sun, sky, zenith, horizon, 0.15 + 0.85 * overcast, haze, skyline)
+
+
+def draw_skyline(config: SkyConfig, random: np.random.Generator) -> Float64:
+    """Woods with their crowns and gaps, on low hills."""
+    low, high = (math.tan(math.radians(d)) for d in config.skyline_deg)
+    azimuth = np.linspace(0.0, 2.0 * math.pi, SILHOUETTE, endpoint=False)
+    hills, woods, crowns = np.zeros(SILHOUETTE), np.zeros(SILHOUETTE), np.zeros(SILHOUETTE)
+    for k in range(1, 6):
+        hills += np.sin(k * azimuth + random.uniform(0.0, 2.0 * math.pi)) / k
+    for k in range(5, 30):
+        woods += np.sin(k * azimuth + random.uniform(0.0, 2.0 * math.pi)) / math.sqrt(k)
+    for k in range(80, 420, 3):
+        crowns += np.sin(k * azimuth + random.uniform(0.0, 2.0 * math.pi)) / math.sqrt(k)
+    span = high - low
+    wood = np.clip(woods, 0.0, 1.0)
+    height = low + 0.35 * span * np.clip(0.5 + 0.3 * hills, 0.0, 1.0) + 0.5 * span * wood * (1.0 + 0.15 * crowns)
+    return np.asarray(np.maximum(height, 0.0), np.float64)

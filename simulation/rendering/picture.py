@@ -1,0 +1,103 @@
+"""From a scene to a picture: what is near is drawn, first as the sun sees it, then as the camera does.
+
+    triangles near ──► sun's picture (what is not in it lies in shadow) ──┐
+                  └──► depth and owner of each pixel ─────────────────────┴──► light, texture ──► BGR
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from messages.message import Float32, Float64, Int32, UInt8
+from simulation.rendering.light import Light
+from simulation.rendering.raster import fill, project, project_parallel
+from simulation.rendering.shading import shade
+from simulation.rendering.surface import Cells, Material, Surface, merge
+from simulation.rendering.textures import textures
+
+CELL_M = 8.0
+SHADOW_PX, SHADOW_PER_M = 640, 16.0
+SHADOW_AHEAD_M, METER_STEP = 15.0, 16
+R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+NO_ROOF = np.array([0.0, 0.0, -1.0, -1.0, 0.0])
+
+
+@dataclass(frozen=True)
+class Eye:
+    """A pinhole: pose of the body frame in `map` (4, 4), focal lengths and centre in pixels, size (width, height)."""
+
+    T_map_camera: Float64
+    intrinsics: Float64
+    size_px: tuple[int, int]
+
+    @property
+    def R(self) -> Float64:
+        """From `map` to the optical frame, (3, 3)."""
+        return np.ascontiguousarray((self.T_map_camera[:3, :3] @ R_BODY_OPTICAL).T)
+
+
+class Stage:
+    """What stands still, sorted; and the buffers that every picture uses again."""
+
+    def __init__(self, still: Surface, roof: Float64 | None, ground_m: float, reach_m: float) -> None:
+        self._still, self._cells, self._reach_m, self._ground_m = still, Cells(still, CELL_M), reach_m, ground_m
+        self._roof = NO_ROOF if roof is None else roof
+        self._casts = (still.materials != Material.SOIL) & (still.materials != Material.GRASS)
+        self._casts &= (still.materials != Material.GRAVEL) & (still.cuts != 1)
+        self._shadow: Float32 = np.zeros((SHADOW_PX, SHADOW_PX), np.float32)
+        self._shadow_owner: Int32 = np.zeros((SHADOW_PX, SHADOW_PX), np.int32)
+        self._uncut: UInt8 = np.zeros(0, np.uint8)
+
+    def look(
+        self, eye: Eye, moving: list[Surface], feet: Float64, light: Light, gain: float | None, curve: UInt8
+    ) -> tuple[UInt8, float, float]:
+        """The picture (H, W, 3), its mean brightness and the gain used; without a gain one is found for it."""
+        everything = merge([self._still, *moving])
+        n = len(self._still.triangles)
+        extra = np.arange(n, len(everything.triangles), dtype=np.int32)
+        origin, R = eye.T_map_camera[:3, 3].copy(), eye.R
+        ahead = eye.T_map_camera[:2, 0] / np.linalg.norm(eye.T_map_camera[:2, 0])
+        middle = origin + SHADOW_AHEAD_M * np.append(ahead, -0.15)
+        L = self._light_up(everything, extra, middle, light)
+        width, height = eye.size_px
+        half = math.atan(0.5 * width / eye.intrinsics[0]) + 0.35
+        seen = np.concatenate([extra, self._cells.near(origin, self._reach_m, ahead, min(half, 1.5))])
+        w, owner = np.zeros((height, width), np.float32), np.zeros((height, width), np.int32)
+        screen, which = project(everything.vertices_m, everything.triangles, seen, R, origin, eye.intrinsics, width, height)
+        fill(screen, which, w, owner, everything.cuts, R, origin, eye.intrinsics)
+        bgr = np.empty((height, width, 3), np.uint8)
+
+        def paint(gain: float, step: int) -> float:
+            return shade(
+                bgr, w, owner, everything.vertices_m, everything.normals, everything.colors, everything.triangles,
+                everything.materials, R, origin, eye.intrinsics, light.packed(), light.skyline, textures().values,
+                self._shadow, L, middle, SHADOW_PER_M, feet, self._roof, self._ground_m, gain, curve, step,
+            )  # fmt: skip
+
+        if gain is None:
+            gain = 1.0
+            for _ in range(4):
+                gain *= metered(paint(gain, METER_STEP))
+        return bgr, paint(gain, 1), gain
+
+    def _light_up(self, everything: Surface, extra: Int32, middle: Float64, light: Light) -> Float64:
+        """Draw the sun's picture; gives the directions (3, 3) of its columns, its rows and its rays."""
+        across = np.cross([0.0, 0.0, 1.0], light.to_sun)
+        across /= np.linalg.norm(across)
+        L = np.stack([across, np.cross(light.to_sun, across), light.to_sun])
+        near = self._cells.near(middle, 0.75 * SHADOW_PX / SHADOW_PER_M)
+        casting = np.concatenate([extra, near[self._casts[near]]])
+        self._shadow[:] = 0.0
+        screen, which = project_parallel(
+            everything.vertices_m, everything.triangles, casting, L, middle, SHADOW_PER_M, SHADOW_PX
+        )
+        if len(self._uncut) < len(everything.cuts):
+            self._uncut = np.zeros(len(everything.cuts) + 100_000, np.uint8)
+        fill(screen, which, self._shadow, self._shadow_owner, self._uncut, L, middle, np.ones(4))
+        return L
+
+
+def metered(mean: float, target: float = 0.24) -> float:
+    """What to multiply the gain with, so that the mean brightness comes near its target."""
+    return float(np.clip(target / max(mean, 1e-4), 0.1, 8.0) ** 0.9)

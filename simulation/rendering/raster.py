@@ -1,0 +1,163 @@
+"""Triangles to a buffer of what is nearest: in perspective (a camera) and parallel (the sun), by the same filling.
+
+`w` grows towards the viewer and is linear on the screen: 1 / depth in perspective, height along the sun's rays in
+parallel. A buffer holds the greatest w of each pixel and the triangle it is of; 0 means that nothing is there.
+"""
+
+import math
+
+import numpy as np
+
+from messages.message import Float32, Float64, Int32, UInt8
+from simulation.kernels import compiled
+
+NEAR_M = 0.15
+
+
+@compiled
+def project(
+    vertices: Float32, triangles: Int32, wanted: Int32, R: Float64, origin: Float64, intrinsics: Float64,
+    width: int, height: int,
+) -> tuple[Float32, Int32]:  # fmt: skip
+    """Corners (T, 3, 3) on the screen (x, y in pixels, w) of the triangles in view, and which they are, (T,).
+
+    `wanted` are rows of `triangles`; `R` (3, 3) takes `map` to x right, y down, z ahead; `intrinsics` fx, fy, cx, cy.
+    One that reaches behind the viewer is cut and may become two.
+    """
+    out = np.empty((2 * wanted.shape[0], 3, 3), np.float32)
+    which = np.empty(2 * wanted.shape[0], np.int32)
+    fx, fy, cx, cy = intrinsics
+    n = 0
+    p = np.empty((3, 3))
+    q = np.empty((4, 3))
+    for k in range(wanted.shape[0]):
+        t = wanted[k]
+        for i in range(3):
+            v = triangles[t, i]
+            dx, dy, dz = vertices[v, 0] - origin[0], vertices[v, 1] - origin[1], vertices[v, 2] - origin[2]
+            for j in range(3):
+                p[i, j] = R[j, 0] * dx + R[j, 1] * dy + R[j, 2] * dz
+        if max(p[0, 2], p[1, 2], p[2, 2]) < NEAR_M:
+            continue
+        m = 0
+        for i in range(3):
+            a, b = p[i], p[(i + 1) % 3]
+            if a[2] >= NEAR_M:
+                q[m] = a
+                m += 1
+            if (a[2] >= NEAR_M) != (b[2] >= NEAR_M):
+                f = (NEAR_M - a[2]) / (b[2] - a[2])
+                for j in range(3):
+                    q[m, j] = a[j] + f * (b[j] - a[j])
+                m += 1
+        low_x, high_x, low_y, high_y = 1e9, -1e9, 1e9, -1e9
+        for i in range(m):
+            w = 1.0 / q[i, 2]
+            q[i, 0] = fx * q[i, 0] * w + cx
+            q[i, 1] = fy * q[i, 1] * w + cy
+            q[i, 2] = w
+            low_x, high_x = min(low_x, q[i, 0]), max(high_x, q[i, 0])
+            low_y, high_y = min(low_y, q[i, 1]), max(high_y, q[i, 1])
+        if high_x < 0.0 or high_y < 0.0 or low_x > width - 1 or low_y > height - 1:
+            continue
+        for i in range(m - 2):
+            out[n, 0] = q[0]
+            out[n, 1] = q[i + 1]
+            out[n, 2] = q[i + 2]
+            which[n] = t
+            n += 1
+    return out[:n], which[:n]
+
+
+@compiled
+def project_parallel(
+    vertices: Float32, triangles: Int32, wanted: Int32, R: Float64, origin: Float64, per_m: float, size: int
+) -> tuple[Float32, Int32]:
+    """The same from the sun: `origin` is in the middle of a square screen, `w` 100 m plus height above it."""
+    out = np.empty((wanted.shape[0], 3, 3), np.float32)
+    which = np.empty(wanted.shape[0], np.int32)
+    n = 0
+    for k in range(wanted.shape[0]):
+        t = wanted[k]
+        low_x, high_x, low_y, high_y = 1e9, -1e9, 1e9, -1e9
+        for i in range(3):
+            v = triangles[t, i]
+            dx, dy, dz = vertices[v, 0] - origin[0], vertices[v, 1] - origin[1], vertices[v, 2] - origin[2]
+            x = (R[0, 0] * dx + R[0, 1] * dy + R[0, 2] * dz) * per_m + 0.5 * size
+            y = (R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz) * per_m + 0.5 * size
+            out[n, i, 0], out[n, i, 1] = x, y
+            out[n, i, 2] = 100.0 + R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz
+            low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
+        if high_x >= 0.0 and high_y >= 0.0 and low_x <= size - 1 and low_y <= size - 1:
+            which[n] = t
+            n += 1
+    return out[:n], which[:n]
+
+
+@compiled
+def fill(
+    screen: Float32, which: Int32, w: Float32, owner: Int32, cuts: UInt8, R: Float64, origin: Float64,
+    intrinsics: Float64,
+) -> None:  # fmt: skip
+    """Draw triangles into `w` and `owner` (H, W); of those that `cuts` marks, leaves or blades alone are there."""
+    height, width = w.shape
+    fx, fy, cx, cy = intrinsics
+    for k in range(screen.shape[0]):
+        x0, y0, w0 = float(screen[k, 0, 0]), float(screen[k, 0, 1]), float(screen[k, 0, 2])
+        x1, y1, w1 = float(screen[k, 1, 0]), float(screen[k, 1, 1]), float(screen[k, 1, 2])
+        x2, y2, w2 = float(screen[k, 2, 0]), float(screen[k, 2, 1]), float(screen[k, 2, 2])
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        if abs(area) < 1e-9:
+            continue
+        per = 1.0 / area
+        # w and the shares of the corners are linear on the screen
+        b_x, b_y = (y2 - y0) * per, (x0 - x2) * per
+        c_x, c_y = (y0 - y1) * per, (x1 - x0) * per
+        w_x, w_y = b_x * (w1 - w0) + c_x * (w2 - w0), b_y * (w1 - w0) + c_y * (w2 - w0)
+        top, bottom = max(0, math.ceil(min(y0, y1, y2))), min(height - 1, math.floor(max(y0, y1, y2)))
+        left, right = max(0, math.ceil(min(x0, x1, x2))), min(width - 1, math.floor(max(x0, x1, x2)))
+        cut = cuts[which[k]]
+        for y in range(top, bottom + 1):
+            b0 = b_x * (left - x0) + b_y * (y - y0)
+            c0 = c_x * (left - x0) + c_y * (y - y0)
+            # the columns in which all three shares are positive
+            first, last = float(left), float(right)
+            first, last = _narrow(b0, b_x, left, first, last)
+            first, last = _narrow(c0, c_x, left, first, last)
+            first, last = _narrow(1.0 - b0 - c0, -b_x - c_x, left, first, last)
+            value = w0 + w_x * (math.ceil(first) - x0) + w_y * (y - y0)
+            for x in range(math.ceil(first), math.floor(last) + 1):
+                if value > w[y, x]:
+                    is_there = True
+                    if cut:
+                        z = 1.0 / value
+                        u, v = (x - cx) / fx * z, (y - cy) / fy * z
+                        is_there = _is_leaf(
+                            origin[0] + R[0, 0] * u + R[1, 0] * v + R[2, 0] * z,
+                            origin[1] + R[0, 1] * u + R[1, 1] * v + R[2, 1] * z,
+                            origin[2] + R[0, 2] * u + R[1, 2] * v + R[2, 2] * z, cut,
+                        )  # fmt: skip
+                    if is_there:
+                        w[y, x] = value
+                        owner[y, x] = which[k]
+                value += w_x
+
+
+@compiled
+def _narrow(start: float, step: float, left: int, first: float, last: float) -> tuple[float, float]:
+    """The part of columns `first` to `last` in which start + step (x - left) >= 0."""
+    if abs(step) < 1e-12:
+        return (first, last) if start >= 0.0 else (1.0, 0.0)
+    zero = left - start / step
+    return (max(first, zero), last) if step > 0.0 else (first, min(last, zero))
+
+
+@compiled
+def _is_leaf(x: float, y: float, z: float, cut: int) -> bool:
+    """Whether there is plant here: blades that stand in a row (1), or clusters of leaves (2)."""
+    if cut == 1:
+        s = 37.0 * (x + y) + 3.0 * math.sin(9.0 * (x - y)) + 20.0 * z * math.sin(5.3 * (x + y))
+        return math.sin(s) + 0.5 * math.sin(2.7 * s + 1.0) > -0.1
+    s = math.sin(7.3 * x + 2.1 * z) * math.sin(6.7 * y - 1.7 * z) + math.sin(8.1 * z + 1.3 * x + 0.9 * y)
+    s += 0.6 * math.sin(23.0 * x + 5.0 * y) * math.sin(21.0 * z - 7.0 * y)
+    return s > -0.9

@@ -1,0 +1,140 @@
+"""A camera: the scene as lit by the sun, through a lens with its distortion, with automatic exposure and noise.
+
+Pictures are drawn through a pinhole wide enough for the lens, and then bent as Brown's model bends them.
+"""
+
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from configs.site import Site
+from configs.strict import Config
+from configs.vehicle import Camera, Vehicle
+from geometry.transforms import planar
+from messages.message import Float32, Float64, Message, UInt8
+from messages.sensors import CameraImage
+from simulation.body import machine_mesh
+from simulation.figures import gait_step
+from simulation.randomness import generator
+from simulation.rendering.light import SkyConfig, draw_light
+from simulation.rendering.looks import MACHINE, figure_surface, palette, still_surface
+from simulation.rendering.picture import Eye, Stage, metered
+from simulation.rendering.shading import add_noise
+from simulation.rendering.surface import Surface, surface_of
+from simulation.scenario import CameraEpisode
+from simulation.sensors.sensor import Moment, period_ns_of
+
+NOISE = 1 << 20  # prepared noise; its length is prime to that of a row, so that no pattern stands still
+MUD = np.array([38, 52, 64], np.uint8)  # BGR
+
+
+class CameraConfig(Config):
+    """Light of the day and errors of the camera."""
+
+    latency_s: float = Field(ge=0.0, le=1.0, description="from exposure to delivery")
+    sky: SkyConfig
+    reach_m: float = Field(ge=20.0, le=1000.0, description="to which ground and scenery are drawn")
+    sharpness_px: float = Field(ge=0.0, le=5.0, description="sigma of what lens and sensor blur")
+    noise: float = Field(ge=0.0, le=20.0, description="sigma in grey levels of 255")
+    blurred_px: float = Field(ge=2.0, le=50.0, description="sigma while the lens is blurred")
+    exposure: float = Field(gt=0.02, le=0.8, description="mean brightness that the exposure aims at")
+
+
+class CameraModel:
+    """One camera on one machine."""
+
+    def __init__(
+        self, name: str, camera: Camera, vehicle: Vehicle, site: Site, episodes: tuple[CameraEpisode, ...], seed: int,
+        config: CameraConfig,
+    ) -> None:  # fmt: skip
+        self.topic = f"camera/{name}"
+        self.period_ns = period_ns_of(camera.rate_hz)
+        self.latency_ns = round(config.latency_s * 1e9)
+        self._camera, self._site, self._episodes, self._seed, self._config = camera, site, episodes, seed, config
+        self._light = draw_light(config.sky, generator(seed, "sky"))  # one sky over all cameras
+        self._random = generator(seed, f"camera/{name}")
+        self._noise = (config.noise * self._random.standard_normal(NOISE - 3)).astype(np.float32)
+        self._machine = surface_of(machine_mesh(vehicle), np.array(MACHINE[0]), MACHINE[1], is_flat=True)
+        self._lens = Lens(camera)
+        self._curve = tone_curve()
+        self._stage: Stage | None = None
+        self._gain: float | None = None
+
+    def sample(self, moment: Moment) -> Message:
+        """The picture taken now."""
+        T_map_base = moment.track.back(0)
+        eye = Eye(T_map_base @ self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
+        figures = [f for f in moment.scene.figures if "camera" in f.seen_by]
+        moving = [self._machine.moved(T_map_base)]
+        feet = np.zeros((len(figures), 3))
+        for k, f in enumerate(figures):
+            looks = palette(self._seed, f.id)
+            T_map_figure = planar(f.p_map_m[0], f.p_map_m[1], f.yaw_rad)
+            T_map_figure[2, 3] = f.p_map_m[2]
+            moving.append(figure_surface(f.label, gait_step(f.gait), looks).moved(T_map_figure))
+            feet[k] = *f.p_map_m[:2], 0.4 * f.ball_m[1]
+        bgr, mean, gain = self._on_stage(moment).look(eye, moving, feet, self._light, self._gain, self._curve)
+        self._gain = gain * metered(mean, self._config.exposure)
+        return CameraImage(moment.stamp_ns, self._develop(bgr, moment.elapsed_s))
+
+    def _on_stage(self, moment: Moment) -> Stage:
+        if self._stage is None:
+            still = still_surface(moment.scene.pieces, self._site, self._seed)
+            self._stage = Stage(still, roof_of(self._site), float(still.vertices_m[:, 2].min()), self._config.reach_m)
+        return self._stage
+
+    def _develop(self, bgr: UInt8, elapsed_s: float) -> UInt8:
+        """What lens and sensor make of it."""
+        states = [e.state for e in self._episodes if e.from_s <= elapsed_s < e.from_s + e.for_s]
+        bgr = self._lens.bend(bgr)
+        sigma = self._config.blurred_px if "blurred" in states else self._config.sharpness_px
+        if "blocked" in states:
+            bgr = np.empty_like(bgr)
+            bgr[:] = MUD
+        elif sigma > 0.0:
+            bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), sigma), np.uint8)
+        out = np.empty_like(bgr)
+        add_noise(bgr, self._noise, int(self._random.integers(len(self._noise))), out)
+        return out
+
+
+class Lens:
+    """A pinhole that sees all that the lens sees, and where each pixel of the lens finds itself in it."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.size_px = camera.size_px
+        (fx, fy), (cx, cy) = camera.focal_px, camera.center_px
+        self.intrinsics: Float64 = np.array([fx, fy, cx, cy])
+        self._maps: tuple[Float32, Float32] | None = None
+        if any(camera.distortion):
+            width, height = camera.size_px
+            y, x = np.mgrid[0:height, 0:width].astype(np.float64)
+            K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+            flat = cv2.undistortPoints(np.stack([x, y], -1).reshape(-1, 1, 2), K, np.array(camera.distortion))
+            place = flat.reshape(height, width, 2) * [fx, fy]
+            low, high = np.floor(place.min(axis=(0, 1))), np.ceil(place.max(axis=(0, 1)))
+            self.intrinsics = np.array([fx, fy, -low[0], -low[1]])
+            self.size_px = int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
+            place = (place - low).astype(np.float32)
+            self._maps = np.ascontiguousarray(place[..., 0]), np.ascontiguousarray(place[..., 1])
+
+    def bend(self, bgr: UInt8) -> UInt8:
+        """The lens's picture from that of the pinhole."""
+        return bgr if self._maps is None else np.asarray(cv2.remap(bgr, *self._maps, cv2.INTER_LINEAR), np.uint8)
+
+
+def tone_curve() -> UInt8:
+    """Grey levels (4096,) for brightness 0 to 1: sRGB, and soft in the lights."""
+    x = np.arange(4096) / 4095.0
+    x = x * (1.0 + 0.35 * x) / (1.0 + 0.35 * x * x)
+    srgb = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1.0 / 2.4) - 0.055)
+    return np.asarray(np.clip(np.rint(255.0 * srgb), 0, 255), np.uint8)
+
+
+def roof_of(site: Site) -> Float64 | None:
+    """Low and high corner of the shed's roof and its height, (5,)."""
+    if site.shed is None:
+        return None
+    outline = np.array(site.shed.outline_m)
+    return np.concatenate([outline.min(axis=0), outline.max(axis=0), [site.shed.height_m]])
