@@ -15,7 +15,7 @@ from simulation.encounter import Stance, Walk, is_approaching, stance_at
 from simulation.figures import STRIDE_M, figure_mesh
 from simulation.meshes import Mesh
 from simulation.placement import Drawn, Standing
-from simulation.scenario import Encounter
+from simulation.scenario import ALL_SENSORS, Encounter
 from simulation.terrain import Terrain
 
 APPEAR_BEFORE_M = 12.0  # before the trigger: seen waiting, but not standing where the machine worked before
@@ -33,6 +33,7 @@ class Figure:
     yaw_rad: float
     velocity_mps: tuple[float, float]
     gait: float
+    seen_by: tuple[str, ...] = ALL_SENSORS
 
     @cached_property
     def local_mesh(self) -> Mesh:
@@ -83,30 +84,31 @@ class Actor:
         self._is_gone = False
         self._last: Figure | None = None
 
-    def play(self, elapsed_s: float, front_map_m: Float64, heading_rad: float) -> Figure | None:
-        """The figure at this time, or None while it is not there."""
+    def play(self, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> Figure | None:
+        """The figure at this time, or None while it is not there; a machine's tip comes from a heading."""
         if isinstance(self._drawn, Standing):
             return self._figure(Stance(self._drawn.p_map_m, self._drawn.heading_rad, 0.0, 0.0))
-        self._watch(self._drawn, elapsed_s, front_map_m, heading_rad)
+        self._watch(self._drawn, elapsed_s, tip_map_m, heading_rad)
         if not self._is_present or self._is_gone:
             return None
         stance = stance_at(self._drawn, -1.0 if self._started_s is None else elapsed_s - self._started_s)
         is_out = self._started_s is not None and elapsed_s - self._started_s >= self._drawn.out_s
-        self._is_gone = is_out and math.dist(stance.p_map_m, front_map_m[:2]) > GONE_AT_M
+        self._is_gone = is_out and math.dist(stance.p_map_m, tip_map_m[:2]) > GONE_AT_M
         return None if self._is_gone else self._figure(stance)
 
-    def _watch(self, walk: Walk, elapsed_s: float, front_map_m: Float64, heading_rad: float) -> None:
-        if self._started_s is None and is_approaching(walk.place, front_map_m, heading_rad, walk.trigger_m):
+    def _watch(self, walk: Walk, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> None:
+        if self._started_s is None and is_approaching(walk.place, tip_map_m, heading_rad, walk.trigger_m):
             self._started_s = elapsed_s
         within = walk.trigger_m + APPEAR_BEFORE_M
-        self._is_present = self._is_present or is_approaching(walk.place, front_map_m, heading_rad, within)
+        self._is_present = self._is_present or is_approaching(walk.place, tip_map_m, heading_rad, within)
 
     def _figure(self, stance: Stance) -> Figure:
         label, (x, y) = self._encounter.label, stance.p_map_m
         velocity = (stance.speed_mps * math.cos(stance.heading_rad), stance.speed_mps * math.sin(stance.heading_rad))
         gait = stance.walked_m / STRIDE_M[label] % 1.0 if stance.speed_mps > 0.0 else -1.0
         p = (x, y, self._terrain.height_m(x, y))
-        figure = Figure(self._id, label, self._encounter.name, p, stance.heading_rad, velocity, gait)
+        name, seen_by = self._encounter.name, self._encounter.seen_by
+        figure = Figure(self._id, label, name, p, stance.heading_rad, velocity, gait, seen_by)
         # one that stands stays the same figure, whose shapes are known already
         if self._last is None or figure != self._last:
             self._last = figure

@@ -9,18 +9,23 @@ from ├── o waiting                 walk-in time  t_in = way / walk
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from shapely import LineString, Polygon
 
+from configs.site import Pose2
+from messages.errors import FieldError
 from messages.message import Float64
-from simulation.scenario import Crossing
+from simulation.scenario import Bystander, Crossing
 
 SWEPT_MARGIN_M = 1.0  # beside the implement: what a careful machine keeps free
 NEEDED_M = 12.0  # from the front when they step into the swept width; the stack needs less at 10 km/h
 SLOWEST = 1.15  # how much later than planned a machine that nobody slows may come
 OUTSIDE_M = 3.0  # they leave the field by this much, so that no later swath finds them
+BYSTANDER_OUT_M = 8.0  # so far aside of a docking machine they go
+OFF_FIELD = -1  # line of a place on no swath
 LONGEST_OUT_S = 25.0  # or, on a large field, go as far as they come in this time
 
 
@@ -36,10 +41,11 @@ class Place:
 
 @dataclass(frozen=True)
 class Setting:
-    """Where encounters are drawn: the field's outline in `map`, and half the width that the machine sweeps."""
+    """Where encounters are drawn: the field's outline in `map`, half the width that the machine sweeps, and bays."""
 
     field: Polygon
     half_width_m: float
+    docks: Mapping[str, Pose2] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -113,6 +119,22 @@ def draw_walk(crossing: Crossing, place: Place, setting: Setting, random: np.ran
     return Walk(place, start, out, walk, leave, stand, trigger)
 
 
+def draw_bystander(bystander: Bystander, setting: Setting, random: np.random.Generator) -> Walk:
+    """Somebody before a bay, on the way of a machine that backs in; raises FieldError when there is no such bay."""
+    dock = setting.docks.get(bystander.bay)
+    if dock is None:
+        raise FieldError(f"encounter {bystander.name!r}: the site has no bay {bystander.bay!r}")
+    heading = math.radians(dock.heading_deg)
+    at_dock = Place((dock.x_m, dock.y_m), heading, 0.0, OFF_FIELD)
+    p = beside(at_dock, random.uniform(*bystander.ahead_m), random.uniform(*bystander.aside_m))
+    place = Place(p, heading + math.pi, 0.0, OFF_FIELD)  # the way leads into the bay
+    side = 1.0 if random.random() < 0.5 else -1.0
+    walk, stand = random.uniform(*bystander.walk_mps), random.uniform(*bystander.stand_s)
+    start = beside(place, 0.0, side * random.uniform(*bystander.from_m))
+    return Walk(place, start, beside(place, 0.0, -side * BYSTANDER_OUT_M), walk, walk, stand,
+                random.uniform(*bystander.trigger_m))  # fmt: skip
+
+
 def way_out_m(place: Place, turned_rad: float, field: Polygon) -> float:
     """How far it is from a place to outside the field, in a direction against that of the way."""
     far_m = 2.0 * field.length
@@ -145,10 +167,10 @@ def _on_line(a: tuple[float, float], b: tuple[float, float], since_s: float, pac
     return Stance(p, heading, pace_mps if 0.0 < way < length else 0.0, way)
 
 
-def is_approaching(place: Place, front_map_m: Float64, heading_rad: float, within_m: float) -> bool:
-    """Whether a machine comes along this very way with its front at most `within_m` before the place."""
+def is_approaching(place: Place, tip_map_m: Float64, heading_rad: float, within_m: float) -> bool:
+    """Whether a machine comes along this very way with its foremost end at most `within_m` before the place."""
     c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
-    dx, dy = place.p_map_m[0] - float(front_map_m[0]), place.p_map_m[1] - float(front_map_m[1])
+    dx, dy = place.p_map_m[0] - float(tip_map_m[0]), place.p_map_m[1] - float(tip_map_m[1])
     ahead, aside = dx * c + dy * s, dy * c - dx * s
     is_along = math.cos(heading_rad - place.heading_rad) > math.cos(math.radians(20.0))
     return is_along and abs(aside) < 1.5 and 0.0 < ahead <= within_m

@@ -9,8 +9,8 @@ from shapely.geometry.base import BaseGeometry
 
 from messages.errors import FieldError
 from messages.plan import Leg, Path, Stretch
-from simulation.encounter import Place, Setting, Walk, draw_walk
-from simulation.scenario import Crossing, Encounter, Parked
+from simulation.encounter import Place, Setting, Walk, draw_bystander, draw_walk
+from simulation.scenario import Bystander, Crossing, Encounter, Parked
 
 RUN_UP_M = 12.0  # straight way before the trigger: front, turning in and gaining work speed
 RUN_OUT_M = 8.0  # straight way behind, so that a stop or detour does not touch the turn
@@ -80,10 +80,13 @@ def place_encounters(
     setting: Setting,
     random: np.random.Generator,
 ) -> list[Drawn]:
-    """One place for each encounter, each on a swath of its own; raises FieldError when the plan has none."""
+    """One place for each encounter, each on a swath of its own or before its bay; FieldError where there is none."""
     swaths = find_swaths(paths)
     drawn: list[Drawn] = []
     for encounter in encounters:
+        if isinstance(encounter, Bystander):
+            drawn.append(draw_bystander(encounter, setting, random))
+            continue
         found = next((d for _ in range(DRAWS) if (d := _draw(encounter, swaths, drawn, setting, random))), None)
         if found is None:
             raise FieldError(f"encounter {encounter.name!r}: none of the {len(swaths)} planned swaths has room for it; "
@@ -93,7 +96,7 @@ def place_encounters(
 
 
 def _draw(
-    encounter: Encounter,
+    encounter: Crossing | Parked,
     swaths: list[Swath],
     others: list[Drawn],
     setting: Setting,
@@ -114,7 +117,7 @@ def _draw(
     return drawn if fits and is_apart else None
 
 
-def _draw_at(encounter: Encounter, place: Place, setting: Setting, random: np.random.Generator) -> Drawn:
+def _draw_at(encounter: Crossing | Parked, place: Place, setting: Setting, random: np.random.Generator) -> Drawn:
     if isinstance(encounter, Crossing):
         return draw_walk(encounter, place, setting, random)
     return draw_standing(encounter, place, random)

@@ -41,10 +41,14 @@ class GnssEpisode(Config):
     state: Literal["none", "single", "rtk_float"]
 
 
+SensorKind = Literal["lidar", "camera", "radar", "ultrasonic"]
+ALL_SENSORS: tuple[SensorKind, ...] = ("lidar", "camera", "radar", "ultrasonic")
+
+
 class _Encounter(Config):
     name: str = Field(min_length=1, max_length=40)
     stops: int = Field(ge=0, le=1, description="how many stops this must cause, stated beforehand")
-    share: Range = Field(description="where along its swath, 0 start to 1 end")
+    seen_by: tuple[SensorKind, ...] = Field(default=ALL_SENSORS, description="sensors that see it; to others it is air")
 
 
 class Crossing(_Encounter):
@@ -54,6 +58,7 @@ class Crossing(_Encounter):
     """
 
     kind: Literal["crossing"]
+    share: Range = Field(description="where along its swath, 0 start to 1 end")
     figure: Literal["person", "animal"]
     from_m: Range = Field(description="how far aside they wait")
     oblique_deg: Range = Field(description="their way against straight across")
@@ -72,6 +77,7 @@ class Parked(_Encounter):
     """A vehicle that stays on a swath."""
 
     kind: Literal["parked"]
+    share: Range = Field(description="where along its swath, 0 start to 1 end")
     aside_m: Range
     turned_deg: Range = Field(description="against the direction of the swath")
 
@@ -81,7 +87,30 @@ class Parked(_Encounter):
         return ObstacleClass.VEHICLE
 
 
-Encounter = Annotated[Crossing | Parked, Field(discriminator="kind")]
+class Bystander(_Encounter):
+    """Somebody who comes before a bay while the machine backs towards it, stands there a while and walks off.
+
+    The place lies `ahead_m` of the bay's dock pose along its heading; they come from `from_m` aside (0: they stand
+    there from the first) when the machine's rear is `trigger_m` away from them, and leave to the other side.
+    """
+
+    kind: Literal["standing"]
+    figure: Literal["person", "animal"]
+    bay: str
+    ahead_m: Range
+    aside_m: Range
+    from_m: Range
+    trigger_m: Range
+    walk_mps: Range
+    stand_s: Range
+
+    @property
+    def label(self) -> ObstacleClass:
+        """What it truly is."""
+        return ObstacleClass(self.figure)
+
+
+Encounter = Annotated[Crossing | Parked | Bystander, Field(discriminator="kind")]
 
 
 class Scenario(Config):

@@ -54,6 +54,10 @@ class Scene:
         """The same, to be cast against."""
         return Rays([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces])
 
+    def seen_by(self, kind: str) -> list[Figure]:
+        """The figures that sensors of a kind see."""
+        return [f for f in self.figures if kind in f.seen_by]
+
     def moving(self, figures: list[Figure], ago_s: float) -> Rays:
         """Some figures as they were a moment ago."""
         return Rays([f.mesh_at(ago_s) for f in figures], [REFLECTIVITY[f.label] for f in figures])

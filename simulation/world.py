@@ -1,6 +1,7 @@
 """The simulated world as the stack meets it: it goes on in steps, obeys the bus and gives what sensors measure."""
 
 import heapq
+import math
 from collections.abc import Iterable
 
 from pydantic import Field
@@ -22,7 +23,7 @@ from simulation.machine import Machine, MachineConfig
 from simulation.motion import Track
 from simulation.placement import place_encounters
 from simulation.randomness import generator
-from simulation.scenario import Scenario
+from simulation.scenario import Bystander, Scenario
 from simulation.scene import Scene
 from simulation.scenery import SceneryConfig, build_scenery
 from simulation.sensors.gnss import GnssConfig, GnssModel
@@ -67,6 +68,7 @@ class SimulationWorld(World):
             generator(seed, "machine"),
         )  # fmt: skip
         self._vehicle, self._scenario = vehicle, scenario
+        self._ends_m = vehicle.body.front_m, min(-vehicle.body.rear_m, implement.ends_m[1])
         self._track = Track(STEP_NS, TRACK_S)
         self._track.append(self.machine.T_map_base)
         database = load_database()
@@ -74,7 +76,8 @@ class SimulationWorld(World):
         self._bus = TractorBus(channel, database, vehicle.drivetrain.wheelbase_m, brake, config.bus)
         self._status = TractorStatus(self.machine, self._bus, database, generator(seed, "cab"))
         self._judge = Judge(site, vehicle, implement, seed, config.judge)
-        setting = Setting(Polygon(site.boundary_m), 0.5 * max(implement.width_m, vehicle.body.width_m))
+        docks = {} if site.shed is None else {bay.name: bay.dock for bay in site.shed.bays}
+        setting = Setting(Polygon(site.boundary_m), 0.5 * max(implement.width_m, vehicle.body.width_m), docks)
         self._actors = self._cast(plan_paths, setting, seed)
         self._scene = Scene(lambda: build_scenery(site, self._terrain, config.scenery, seed))
         self._sensors = make_sensors(site, vehicle, implement, scenario, seed, config)
@@ -121,14 +124,16 @@ class SimulationWorld(World):
         self._status.send(elapsed_ns)
 
     def _cast(self, plan_paths: tuple[Path, ...], setting: Setting, seed: int) -> list[Actor]:
-        encounters = self._scenario.encounters if plan_paths else ()
+        is_field = bool(plan_paths)  # without a plan nobody is on the field
+        encounters = tuple(e for e in self._scenario.encounters if is_field or isinstance(e, Bystander))
         drawn = place_encounters(encounters, plan_paths, setting, generator(seed, "scenario"))
         return [Actor(k, e, d, self._terrain) for k, (e, d) in enumerate(zip(encounters, drawn, strict=True))]
 
     def _play(self, elapsed_s: float) -> None:
-        T = self.machine.T_map_base
-        front = T[:3, 3] + self._vehicle.body.front_m * T[:3, 0]
-        figures = (actor.play(elapsed_s, front, self.machine.yaw_rad) for actor in self._actors)
+        T, is_reversing = self.machine.T_map_base, self.machine.speed_mps < 0.0
+        tip = T[:3, 3] + self._ends_m[is_reversing] * T[:3, 0]
+        heading = self.machine.yaw_rad + math.pi * is_reversing
+        figures = (actor.play(elapsed_s, tip, heading) for actor in self._actors)
         self._scene.figures = tuple(f for f in figures if f is not None)
 
     def _measure(self, now_ns: int, elapsed_ns: int) -> None:

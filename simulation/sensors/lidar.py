@@ -92,7 +92,8 @@ class LidarModel:
     def _put_figures(self, moment: Moment, rays: Float32, still: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
         """Figures in front of what stands still, as they were in the middle of the sweep."""
         origin = rays[0, :2].astype(np.float64)
-        near = [f for f in moment.scene.figures if math.dist(f.p_map_m[:2], origin) < self._lidar.range_m[1]]
+        seen = moment.scene.seen_by("lidar")
+        near = [f for f in seen if math.dist(f.p_map_m[:2], origin) < self._lidar.range_m[1]]
         if not near:
             return still
         is_wanted = np.zeros(len(rays), bool)

@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon, box
-from simulated_farm import SITE, Farm, flat, straight_paths
+from simulated_farm import SITE, Farm, flat, machine_file, straight_paths
 
+from configs.site import Pose2, Site
 from configs.strict import find, load, parse
+from geometry.transforms import apply
 from messages.errors import ConfigError, FieldError
 from messages.plan import Leg, Stretch
 from simulation.encounter import NEEDED_M, SWEPT_MARGIN_M, Place, Setting, Walk, draw_walk, is_approaching, stance_at
@@ -211,3 +213,64 @@ def test_leaving_the_field_is_counted_once_a_leaving():
     assert LineString([(0, 0), (96, 0)]).within(
         box(*np.array(SITE.boundary_m).min(0), *np.array(SITE.boundary_m).max(0))
     )
+
+
+BYSTANDER = load(Scenario, find("scenarios", "docking_person")).encounters[0]
+
+
+def back_in(encounter, seconds=30.0, sensors=()):
+    """An unslowed machine that backs straight into the wide bay, from 22 m before the dock."""
+    shed_site = load(Site, find("sites", "demo"))
+    dock = shed_site.shed.bay("wide").dock
+    start = Pose2(x_m=dock.x_m + 22.0, y_m=dock.y_m, heading_deg=dock.heading_deg)
+    scenario = DEMO.model_copy(update={"encounters": (encounter,)})
+    config = flat(machine={"tyres": {"angle_zero_deg": 0.0, "soil_side_mps2": 0.0}})
+    farm = Farm(site=shed_site, start=start, is_folded=True, scenario=scenario, config=config, seed=5,
+                vehicle=machine_file(sensors=sensors))  # fmt: skip
+    farm.get_going(-0.5, seconds=seconds)
+    truths = [m for t, m in farm.outputs if t == "truth_objects"]
+    farm.close()
+    return farm, truths
+
+
+def test_bystander_comes_behind_a_machine_that_backs_in():
+    farm, truths = back_in(BYSTANDER)
+    figures = [m.objects[0] for m in truths if m.objects]
+    assert figures[0].gap_m > 6.0
+    places = np.array([f.center_map_m[:2] for f in figures])
+    assert 3.0 <= np.ptp(places[:, 1]) <= 4.1
+    dock = load(Site, find("sites", "demo")).shed.bay("wide").dock
+    assert 7.4 < places[-1, 0] - dock.x_m < 9.1
+    assert [m for t, m in farm.outputs if t == "truth_machine"][-1].contacts == 1
+
+
+def test_bystander_is_not_there_while_the_machine_leaves():
+    shed_site = load(Site, find("sites", "demo"))
+    scenario = DEMO.model_copy(update={"encounters": (BYSTANDER,)})
+    farm = Farm(site=shed_site, start=shed_site.shed.bay("wide").dock, is_folded=True, scenario=scenario, config=flat())
+    farm.get_going(1.0, seconds=20.0)
+    farm.close()
+    assert not any(m.objects for t, m in farm.outputs if t == "truth_objects")
+
+
+def test_bystander_needs_its_bay():
+    with pytest.raises(FieldError, match="'wide'"):
+        place_encounters((BYSTANDER,), (), SETTING, generator(1, "scenario"))
+
+
+@pytest.mark.parametrize("seen_by", [("lidar",), ("radar", "camera")])
+def test_who_is_seen_by_others_is_air_to_the_lidar(seen_by):
+    farm, truths = back_in(BYSTANDER.model_copy(update={"seen_by": seen_by}), seconds=21.0, sensors=("lidar",))
+    scan = [m for t, m in farm.outputs if t == "lidar/rear"][-1]
+    mount = farm.vehicle.sensors.lidar["rear"].mount.T_base_sensor
+    points = apply(farm.machine.T_map_base @ mount, scan.points_m.astype(float))
+    person = truths[-1].objects[0].center_map_m[:2]
+    near = (np.hypot(*(points[:, :2] - person).T) < 0.5) & (points[:, 2] > 0.3)
+    assert (near.sum() > 5) == ("lidar" in seen_by)
+
+
+def test_unknown_sensor_is_refused():
+    values = DEMO.model_dump()
+    values["encounters"] = [{**values["encounters"][0], "seen_by": ["nose"]}]
+    with pytest.raises(ConfigError, match="seen_by"):
+        parse(Scenario, values, "test")
