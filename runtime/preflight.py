@@ -1,5 +1,6 @@
 """What a log has, what judging it needs, and whose it is: the table before anything is judged."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -134,14 +135,15 @@ def find_machine(recording: Recording, found: Survey, file: Path | None, by_form
     """From `--vehicle`, the log's own configuration or its format; raises ConfigError naming what is missing."""
     topics = sorted(topic for topic in found.streams if topic.startswith("lidar/"))
     if file is None and recording.description.format == "headland":
-        own = _own_machine(recording.path, topics)
+        own = _own_machine(recording.path, sorted(found.streams))
         if own is not None:
             return own
     known = by_format.get(recording.description.format)
     if file is None and known is not None:
         file = CONFIGS / "vehicles" / f"{known}.yaml"
     values = _values(file)
-    return _machine_from(values, recording.description, topics, str(file or "--vehicle"), file is not None)
+    where = str(file or "--vehicle")
+    return _machine_from(values, recording.description, found.streams, topics, where, file is not None)
 
 
 def _values(file: Path | None) -> dict[str, Any]:
@@ -170,10 +172,12 @@ def _own_machine(path: Path, topics: list[str]) -> Machine | None:
     lidars = {name: f"lidar/{name}" for name in vehicle.sensors.lidar if f"lidar/{name}" in topics}
     if not lidars:
         raise LogError(f"{path}: none of the machine's lidars ({', '.join(vehicle.sensors.lidar)}) is in the log")
-    return Machine(_with_lidars(vehicle, tuple(lidars)), implement, lidars, ("machine: the log's own configuration",))
+    return Machine(_heard(vehicle, lidars, topics), implement, lidars, ("machine: the log's own configuration",))
 
 
-def _machine_from(values: dict[str, Any], about: Description, topics: list[str], where: str, is_given: bool) -> Machine:
+def _machine_from(
+    values: dict[str, Any], about: Description, found: Iterable[str], topics: list[str], where: str, is_given: bool
+) -> Machine:
     lidars = dict((values.get("sensors") or {}).get("lidar") or {})
     names, notes = _matched(lidars, topics)
     mounts = mounts_of(about)
@@ -190,6 +194,7 @@ def _machine_from(values: dict[str, Any], about: Description, topics: list[str],
     body = {"mass_kg": 1000.0} | dict(values["body"])
     name = values.get("name") or "recorded vehicle"
     vehicle = parse(Vehicle, IDLE | values | {"name": name, "body": body, "sensors": sensors}, where)
+    vehicle = _heard(vehicle, names, sorted(found))
     return Machine(vehicle, None, names, (f"vehicle: {where}", *notes))
 
 
@@ -225,9 +230,13 @@ def _ask(where: str, missing: list[str], lidar: str, is_given: bool) -> str:
     return f"{begin} {', '.join(missing)}. Nothing of this is guessed. Such a file looks like this:\n{example}"
 
 
-def _with_lidars(vehicle: Vehicle, names: tuple[str, ...]) -> Vehicle:
-    lidar = {name: vehicle.sensors.lidar[name] for name in names}
-    return vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"lidar": lidar})})
+def _heard(vehicle: Vehicle, lidars: dict[str, str], topics: list[str]) -> Vehicle:
+    """The vehicle with those of its obstacle sensors that the log has: nobody waits for the others."""
+    sensors: dict[str, Any] = {"lidar": {name: vehicle.sensors.lidar[name] for name in lidars}}
+    for kind in ("camera", "radar", "ultrasonic"):
+        own = getattr(vehicle.sensors, kind)
+        sensors[kind] = {name: own[name] for name in own if f"{kind}/{name}" in topics}
+    return vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update=sensors)})
 
 
 def mounts_of(about: Description) -> dict[str, dict[str, Any]]:

@@ -16,7 +16,7 @@ from geometry.geodesy import Datum
 from localization.scan_odometry import ScanOdometryConfig
 from messages.motion import Odometry
 from runtime.preflight import CHILD_FRAMES, Machine, Survey, find_machine, pose_between, rows_of, survey
-from runtime.stack import StackConfig
+from runtime.stack import StackConfig, with_detector
 from runtime.trajectory import (
     is_steady,
 )
@@ -44,11 +44,10 @@ class Configuration:
     conditions: Conditions
 
 
-def load_configuration(conditions: Conditions) -> Configuration:
-    """The stack's own files, nothing of them changed; raises ConfigError."""
-    return Configuration(
-        load(StackConfig, CONFIGS / "stack.yaml"), load(ReplayConfig, CONFIGS / "replay.yaml"), conditions
-    )
+def load_configuration(conditions: Conditions, model: FilePath | None = None) -> Configuration:
+    """The stack's own files, with the cameras' detector from `model` where one is given; raises ConfigError."""
+    stack = with_detector(load(StackConfig, CONFIGS / "stack.yaml"), model)
+    return Configuration(stack, load(ReplayConfig, CONFIGS / "replay.yaml"), conditions)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from datasets.importers.recording import Received
+from localization.lidar_map import LidarMap
 from localization.lidar_odometry import LidarOdometry
 from localization.localizer import Localizer
 from localization.scan_odometry import ScanOdometry
@@ -17,10 +18,10 @@ from messages.message import Envelope
 from messages.motion import Odometry
 from messages.node import Node, Output, World
 from messages.topics import KINDS
-from perception.fusion.tracker import Tracker
 from perception.lidar.obstacles import LidarObstacles
 from runtime.bus import Sink
 from runtime.executor import FAULT_TOPIC, Executor
+from runtime.perceiving import perceiving
 from runtime.prepared import Prepared, child_pose, datum_of
 from runtime.shadow import Shadow
 from runtime.trajectory import (
@@ -32,8 +33,8 @@ from runtime.trajectory import (
 )
 
 RECOMPUTED = {
-    "odom", "map_pose", "lidar_motion", "ground", "obstacles", "tracks", "health", "supervisor", "safe_command",
-    "fault",
+    "odom", "map_pose", "lidar_motion", "lidar_pose", "ground", "obstacles", "tracks", "health", "supervisor",
+    "safe_command", "fault",
 }  # fmt: skip
 RECORDED = "/recorded/"
 POSES_EVERY = 5  # of the odometry at 50 Hz
@@ -128,7 +129,8 @@ def _matched(prepared: Prepared) -> list[Odometry]:
 
     scans = ((r, f"lidar/{name}", m) for r, t, m in prepared.recording.read() if t == topic)
     ends = ((r, t, m) for r, t, m in with_end(scans))
-    nodes = [(ground, _latency_ns(prepared, ground.name)), (node, _latency_ns(prepared, "lidar_odometry"))]
+    latency_ns = stack.executor.latency_ns
+    nodes = [(ground, latency_ns(ground.name)), (node, latency_ns("lidar_odometry"))]
     Executor(ReplayWorld(in_order(ends), ()), nodes, [take]).run(lambda: False)
     return out
 
@@ -178,20 +180,17 @@ def _wish(odom: Odometry, path_id: int, s_m: float) -> Wish:
 def nodes_for(prepared: Prepared) -> list[tuple[Node, int]]:
     """The nodes that this log can feed, with their latencies."""
     stack, machine = prepared.config.stack, prepared.machine
-    vehicle, implement = machine.vehicle, machine.implement
-    eyes: list[Node] = [
-        LidarObstacles(name, lidar, vehicle, implement, stack.perception.lidar)
-        for name, lidar in vehicle.sensors.lidar.items()
-    ]
-    nodes = [*eyes, Tracker([f"obstacles/{eye.name}" for eye in eyes], stack.perception.tracker)]
+    vehicle = machine.vehicle
+    nodes = perceiving(vehicle, machine.implement, stack.perception)
     if prepared.source.kind == "localizer":
         datum = datum_of(prepared.recording.path)
         assert datum is not None, "find_source has looked"
         if "front" in vehicle.sensors.lidar:
             nodes.append(LidarOdometry(vehicle, "front", stack.localization.lidar_odometry))
+            nodes.append(LidarMap(vehicle, machine.implement, None, stack.localization.lidar_map))
         nodes.append(Localizer(vehicle, datum, stack.localization))
     nodes.append(shadow_for(prepared))
-    return [(node, _latency_ns(prepared, node.name)) for node in nodes]
+    return [(node, stack.executor.latency_ns(node.name)) for node in nodes]
 
 
 def shadow_for(prepared: Prepared) -> Shadow:
@@ -202,10 +201,3 @@ def shadow_for(prepared: Prepared) -> Shadow:
     return Shadow(
         prepared.machine.vehicle, prepared.machine.implement, safety.model_copy(update={"braking": braking}), half
     )
-
-
-def _latency_ns(prepared: Prepared, name: str) -> int:
-    """The latency that the stack gives a node, by the longest key that its name begins with."""
-    table = prepared.config.stack.executor.latency_ms
-    known = [key for key in table if name.startswith(key)]
-    return round(table[max(known, key=len)] * 1e6)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from configs.mission import Mission, Spread
-from configs.site import Bay, Pose2, Site
+from configs.site import Pose2, Site
 from configs.strict import CONFIGS, find, load
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from datasets.viewer import Viewer
@@ -15,7 +15,7 @@ from messages.errors import ConfigError
 from planning.field import read_field
 from planning.plan import Plan, plan_mission
 from planning.surroundings import site_around
-from runtime.stack import StackConfig
+from runtime.stack import StackConfig, with_detector
 
 START_STREAM = 0x5747  # of random numbers, apart from those of world and planner
 
@@ -52,22 +52,13 @@ def load_setup(
     stack = load(StackConfig, CONFIGS / "stack.yaml")
     site = _site(chosen, field, vehicle, carried)
     start, is_folded = start_of(chosen, site, seed)
-    assert chosen.work is not None
-    plan = plan_mission(site, vehicle, carried, chosen.work, stack.planning.planner, seed)
+    plan = plan_mission(chosen, site, vehicle, carried, stack.planning, start, seed)
     return Setup(chosen, site, vehicle, carried, stack, plan, seed, start, is_folded)
 
 
 def with_model(setup: Setup, model: Path | None) -> Setup:
     """The same with the cameras' detector from this file, where one is given; raises ConfigError when there is none."""
-    if model is None:
-        return setup
-    if not model.is_file():
-        raise ConfigError(f"{model}: no such model file")
-    perception = setup.stack.perception
-    detector = perception.camera.detector.model_copy(update={"model": str(model.resolve())})
-    camera = perception.camera.model_copy(update={"detector": detector})
-    stack = setup.stack.model_copy(update={"perception": perception.model_copy(update={"camera": camera})})
-    return replace(setup, stack=stack)
+    return replace(setup, stack=with_detector(setup.stack, model))
 
 
 def start_of(mission: Mission, site: Site, seed: int) -> tuple[Pose2, bool]:
@@ -76,14 +67,7 @@ def start_of(mission: Mission, site: Site, seed: int) -> tuple[Pose2, bool]:
         return _drawn(mission.start, mission.spread, seed), False
     if mission.bay is None:
         return site.start, False
-    return bay_of(site, mission.bay).dock, True
-
-
-def bay_of(site: Site, name: str) -> Bay:
-    """A bay of the site's shed; raises ConfigError."""
-    if site.shed is None:
-        raise ConfigError(f"bay {name!r}: site {site.name!r} has no shed")
-    return site.shed.bay(name)
+    return site.bay(mission.bay).dock, True
 
 
 def _drawn(pose: Pose2, spread: Spread | None, seed: int) -> Pose2:

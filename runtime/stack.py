@@ -1,5 +1,6 @@
 """The section of every room in `configs/stack.yaml`, put together."""
 
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
@@ -10,6 +11,7 @@ from datasets.log import LogConfig
 from datasets.viewer import ViewerConfig
 from interfaces.gateway import GatewayConfig
 from localization.localizer import LocalizationConfig
+from messages.errors import ConfigError
 from perception.configuration import PerceptionConfig
 from planning.configuration import PlanningConfig
 from safety.config import SafetyConfig
@@ -53,3 +55,14 @@ class StackConfig(Config):
     control: ControlConfig
     safety: SafetyConfig
     simulation: SimulationConfig
+
+
+def with_detector(stack: StackConfig, model: Path | None) -> StackConfig:
+    """The same with the cameras' detector from this file, where one is given; raises ConfigError when there is none."""
+    if model is None:
+        return stack
+    if not model.is_file():
+        raise ConfigError(f"{model}: no such model file")
+    detector = stack.perception.camera.detector.model_copy(update={"model": str(model.resolve())})
+    camera = stack.perception.camera.model_copy(update={"detector": detector})
+    return stack.model_copy(update={"perception": stack.perception.model_copy(update={"camera": camera})})

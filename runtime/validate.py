@@ -34,6 +34,7 @@ class Task:
     vehicle: Path | None
     conditions: Path | None
     without: str | None
+    model: Path | None
     folder: Path
     key: str
 
@@ -96,7 +97,7 @@ def _tasks(arguments: argparse.Namespace, folder: Path) -> list[Task]:
     for name, log in named.items():
         key = _key(log, commit, arguments)
         tasks.append(Task(name, log.absolute(), _absolute(arguments.truth), arguments.vehicle, arguments.conditions,
-                          arguments.without, folder / "logs" / name, key))  # fmt: skip
+                          arguments.without, _absolute(arguments.model), folder / "logs" / name, key))  # fmt: skip
     return tasks
 
 
@@ -106,7 +107,13 @@ def _absolute(path: Path | None) -> Path | None:
 
 def _key(log: Path, commit: str, arguments: argparse.Namespace) -> str:
     """What a judgement depends on: the log's files, the conditions, the vehicle, the code."""
-    parts = [commit, str(arguments.truth), str(arguments.without), _text(arguments.conditions or FILE)]
+    parts = [
+        commit,
+        str(arguments.truth),
+        str(arguments.without),
+        str(arguments.model),
+        _text(arguments.conditions or FILE),
+    ]
     parts.append(_text(arguments.vehicle) if arguments.vehicle is not None else "")
     files = sorted(log.rglob("*")) if log.is_dir() else [log]
     parts += [f"{p}:{p.stat().st_size}:{p.stat().st_mtime_ns}" for p in files if p.is_file()]
@@ -221,7 +228,7 @@ def _judge(task: Task) -> dict[str, Any]:
     from validation.obstacle_stop.pictures import encounter_picture
 
     conditions = load_conditions(task.conditions)
-    prepared = prepare(task.log, task.truth, task.vehicle, load_configuration(conditions))
+    prepared = prepare(task.log, task.truth, task.vehicle, load_configuration(conditions, task.model))
     if task.without is not None:
         prepared = erase(prepared, task.without)
     preflight = prepared.preflight()
