@@ -51,6 +51,7 @@ def parser() -> argparse.ArgumentParser:
     validate.add_argument("--vehicle", type=Path, metavar="FILE", help="who recorded them: dimensions, lidars, mounts")
     validate.add_argument("--conditions", type=Path, metavar="FILE", help="default: validation/conditions/")
     validate.add_argument("--truth", type=Path, metavar="PATH", help="KITTI's labels, or a sidecar (.jsonl)")
+    validate.add_argument("--model", type=Path, metavar="FILE", help="ONNX file of the cameras' detector")
     validate.add_argument("--without", metavar="NAME", help="judge as if this object of the truth had not been seen")
     validate.add_argument("--out", type=Path, help="run folder; given again, logs judged in it are not judged again")
     validate.add_argument("--json", action="store_true", help="one object on standard output")
