@@ -111,3 +111,9 @@ class Site(Config):
     start: Pose2
     is_fenced: bool
     shed: Shed | None = None
+
+    def bay(self, name: str) -> Bay:
+        """A bay of the shed by its name; raises ConfigError."""
+        if self.shed is None:
+            raise ConfigError(f"bay {name!r}: site {self.name!r} has no shed")
+        return self.shed.bay(name)

@@ -60,7 +60,8 @@ class DockingConfig(Config):
     sampling_iterations: int = Field(ge=100, le=1_000_000, description="of OMPL, a count and never a time")
     uwb_age_s: float = Field(gt=0.0, le=10.0, description="older ranges: the machine does not dock")
     uwb_wait_s: float = Field(ge=0.0, le=60.0, description="standing, until that is given up")
-    blocked_s: float = Field(gt=0.0, le=600.0, description="stop on the way out of the bay until it is given up")
+    uwb_lost_s: float = Field(gt=0.0, le=60.0, description="silence on the way into the bay, until that is given up")
+    blocked_s: float = Field(gt=0.0, le=600.0, description="stop before what no other way leads round, until given up")
 
     @model_validator(mode="after")
     def _keeps_more_from_what_stands(self) -> "DockingConfig":

@@ -7,6 +7,7 @@ import numpy as np
 
 from geometry.transforms import apply
 from messages.command import Mode, OperatorOrder, Order, SupervisorState, Wish
+from messages.errors import FieldError
 from messages.message import Float64
 from messages.motion import MapPose, Odometry
 from messages.node import All, Every, Inbox, Latest, Node, Output, Read
@@ -15,6 +16,8 @@ from messages.plan import LeftOut, Leg, MissionState, MissionStatus, Path
 from planning.blockage import Blocked, Rejoin, Step, Trunk, blocked_again, settle, way_round
 from planning.configuration import MissionConfig
 from planning.detour import ground_without
+from planning.docking.dock import Docking, plan_docking
+from planning.docking.homing import silence, standing_at, way_in
 from planning.obstacles import ALIVE, Standing, first_in_way, from_hits, joined, standing
 from planning.path import rest_of
 from planning.plan import Plan
@@ -38,12 +41,15 @@ class MissionNode(Node):
         self.runs = Every(PERIOD_NS)
         self._plan, self._config, self._seed = plan, config, seed
         self._state, self._text = MissionState.WAITING, "waiting for the start order"
-        self._steps: list[Step] = list(plan.paths)
+        self._steps: list[Step | Docking] = [*plan.given, *([plan.docking] if plan.docking else [])]
+        self._homing: Docking | None = None  # once the way into the dock has begun
+        self._between_ns: int | None = None  # since when a path has ended and the next is not there
         self._path: Path | None = None
         self._s_m, self._driven_m, self._total_m = 0.0, 0.0, plan.length_m
         self._order_sequence = -1
         self._last_id = max(p.path_id for p in plan.paths)
         self._blocked_ns: int | None = None
+        self._again_ns = 0  # when to look again for another way into the dock
         self._detours = 0
         self._left_out: tuple[LeftOut, ...] = ()
         self._ground = plan.ground.allowed.buffer(-EDGE_M)  # what stands beyond is fence or hedge
@@ -52,8 +58,8 @@ class MissionNode(Node):
         """Start, follow, go on or find a way; the status goes out each time, a path when it is new."""
         before = self._path
         if self._state is MissionState.WAITING and self._is_started(now_ns, inbox):
-            self._state, self._text = MissionState.DRIVING, "driving"
-            self._next(inbox)
+            self._state, self._between_ns = MissionState.DRIVING, now_ns
+            self._next(now_ns, inbox)
         elif self._state in (MissionState.DRIVING, MissionState.REPLANNING):
             self._follow(now_ns, inbox)
         outputs: list[Output] = [("mission", self._status(now_ns))]
@@ -70,37 +76,64 @@ class MissionNode(Node):
         return is_started
 
     def _follow(self, now_ns: int, inbox: Inbox) -> None:
+        if self._between_ns is not None:
+            self._next(now_ns, inbox)
+            return
         wish, path = inbox.latest("wish", Wish), self._path
         if path is not None and wish is not None and wish.path_id == path.path_id:
             self._s_m = float(np.clip(wish.path_s_m, 0.0, path.s_m[-1]))
             if wish.is_finished:
-                self._finish_path(inbox)
+                self._finish_path(now_ns, inbox)
+                return
+        if self._homing is not None:
+            pose = inbox.latest("map_pose", MapPose)
+            reason = None if pose is None else silence(pose, self._homing.config.uwb_lost_s)
+            if reason is not None:
+                self._abort(reason)
                 return
         self._watch(now_ns, inbox)
 
-    def _finish_path(self, inbox: Inbox) -> None:
+    def _finish_path(self, now_ns: int, inbox: Inbox) -> None:
         assert self._path is not None
-        self._driven_m += float(self._path.s_m[-1])
-        self._blocked_ns = None
-        if self._path.is_last or not self._steps:
-            self._state, self._text, self._s_m = MissionState.FINISHED, "finished", float(self._path.s_m[-1])
-            self._driven_m -= self._s_m
+        self._blocked_ns, self._s_m = None, float(self._path.s_m[-1])
+        if self._steps:
+            self._between_ns = now_ns
+            self._next(now_ns, inbox)
         else:
-            self._next(inbox)
+            self._state, self._text = MissionState.FINISHED, "finished"
 
-    def _next(self, inbox: Inbox) -> None:
-        """Take up the next step; a rejoining is settled now, by what is seen now."""
-        step = self._steps.pop(0)
-        if isinstance(step, Rejoin):
+    def _next(self, now_ns: int, inbox: Inbox) -> None:
+        """Take up the next step; a rejoining, or the way into the dock, is settled now, by what is seen now."""
+        step = self._steps[0]
+        if not isinstance(step, Path):
             pose = inbox.latest("map_pose", MapPose)
             if pose is None:
-                self._steps.insert(0, step)
                 return
-            self._steps = [*self._settled(step, pose, inbox), *self._steps]
-            self._next(inbox)
-            return
-        self._path, self._s_m, self._text = step, 0.0, "driving"
-        self._state = MissionState.DRIVING
+            if isinstance(step, Docking):
+                paths = self._way_in(now_ns, step, pose, inbox)
+            else:
+                paths = self._settled(step, pose, inbox)
+            if not paths:
+                return
+            self._steps[:1] = paths
+        self._take(self._steps, "driving")
+
+    def _way_in(self, now_ns: int, docking: Docking, pose: MapPose, inbox: Inbox) -> list[Path]:
+        """The paths into the dock from where the machine stands; none while UWB is silent, which ends in aborting."""
+        reason = silence(pose, docking.config.uwb_age_s)
+        if reason is not None:
+            self._text = reason
+            if self._between_ns is not None and now_ns - self._between_ns > docking.config.uwb_wait_s * 1e9:
+                self._abort(reason)
+            return []
+        outlines = [o.outline for o in self._standing(pose, inbox)]
+        try:
+            paths = way_in(pose, docking, self._last_id + 1, outlines)
+        except FieldError as error:
+            self._abort(str(error))
+            return []
+        self._homing, self._last_id = docking, self._last_id + len(paths)
+        return list(paths)
 
     def _settled(self, rejoin: Rejoin, pose: MapPose, inbox: Inbox) -> list[Path]:
         found, cause = self._standing(pose, inbox), rejoin.blocked.cause
@@ -110,7 +143,6 @@ class MissionNode(Node):
         p = pose.T_map_base[:2, 3]
         paths, missed = settle(rejoin, seen, p, ground, self._plan.rig, self._config, self._new_id)
         self._left_out = (*self._left_out, *missed)
-        self._total_m = self._driven_m + sum(float(p.s_m[-1]) for p in paths)
         return paths
 
     def _watch(self, now_ns: int, inbox: Inbox) -> None:
@@ -123,7 +155,7 @@ class MissionNode(Node):
             return
         self._blocked_ns = now_ns if self._blocked_ns is None else self._blocked_ns
         waited_s = (now_ns - self._blocked_ns) / 1e9
-        if waited_s < self._config.blocked_s:
+        if waited_s < self._config.blocked_s or now_ns < self._again_ns:
             return
         pose, odom = inbox.latest("map_pose", MapPose), inbox.latest("odom", Odometry)
         if pose is None or odom is None or abs(odom.speed_mps) > self._config.standing_mps:
@@ -132,7 +164,11 @@ class MissionNode(Node):
         cause = self._cause(found, pose, supervisor)
         if cause is None or (cause.label in ALIVE and waited_s < self._config.blocked_alive_s):
             return
-        self._go_round(cause, found, pose)
+        if self._path is not None and self._path.is_folded:
+            self._again_ns = now_ns + round(self._config.blocked_s * 1e9)
+            self._go_round_in_yard(cause, found, pose, waited_s)
+        else:
+            self._go_round(cause, found, pose)
 
     def _standing(self, pose: MapPose, inbox: Inbox) -> list[Standing]:
         tracks = inbox.latest("tracks", Tracks)
@@ -142,7 +178,8 @@ class MissionNode(Node):
         path = self._path
         assert path is not None
         ahead = (path.s_m >= self._s_m) & (path.s_m <= self._s_m + self._config.look_m)
-        bodies = self._plan.rig.bodies
+        rig = self._plan.docking.rig if path.is_folded and self._plan.docking is not None else self._plan.rig
+        bodies = rig.bodies
         cause = first_in_way(found, bodies, path.p_map_m[ahead][::5], path.heading_rad[ahead][::5])
         if cause is not None:
             return cause
@@ -168,13 +205,32 @@ class MissionNode(Node):
             self._abort(f"no way round {cause.label} at x {x:.1f} m, y {y:.1f} m")
             return
         later = self._steps if self._rejoin is None else self._steps[self._steps.index(self._rejoin) + 1 :]
-        self._take([*steps, *later])
+        self._take([*steps, *later], "driving round an obstacle")
+
+    def _go_round_in_yard(self, cause: Standing, found: list[Standing], pose: MapPose, waited_s: float) -> None:
+        """Into the dock by another way if there is one; if not, or on the way out, wait and give up in the end."""
+        if self._homing is not None:
+            outlines = [cause.outline, *(o.outline for o in found if o is not cause)]
+            try:
+                paths = plan_docking(standing_at(pose), self._homing, self._last_id + 1, outlines)
+            except FieldError as error:
+                reason = str(error)
+            else:
+                self._last_id += len(paths)
+                self._take(list(paths), "driving round an obstacle")
+                return
+        else:
+            reason = "there is one way out of the bay"
+        if self._plan.docking is not None and waited_s >= self._plan.docking.config.blocked_s:
+            x, y = cause.outline.centroid.coords[0]
+            self._abort(f"{cause.label} in the way at x {x:.1f} m, y {y:.1f} m: {reason}")
 
     def _leave_back_up(self, p_map_m: Float64) -> None:
         """Something is behind while backing up to where work should go on: work goes on from here."""
         rest = self._steps[0]
         assert isinstance(rest, Path)
-        self._take([rest_of(rest, 0.0, p_map_m, self._new_id(), self._plan.rig), *self._steps[1:]])
+        steps = [rest_of(rest, 0.0, p_map_m, self._new_id(), self._plan.rig), *self._steps[1:]]
+        self._take(steps, "driving round an obstacle")
 
     def _blocked(self, path: Path, p_map_m: Float64, cause: Standing, others: tuple[Standing, ...]) -> Blocked:
         if self._rejoin is not None:
@@ -186,14 +242,22 @@ class MissionNode(Node):
         """The rejoining that a detour still has before it."""
         return next((s for s in self._steps if isinstance(s, Rejoin)), None)
 
-    def _take(self, steps: list[Step]) -> None:
-        """Leave the present path for others."""
+    def _take(self, steps: list[Step | Docking], text: str) -> None:
+        """Leave the present path, at its end or before, for others."""
         self._driven_m += self._s_m
         first, *self._steps = steps
         assert isinstance(first, Path)
-        self._path, self._s_m = first, 0.0
-        self._state, self._text = MissionState.DRIVING, "driving round an obstacle"
-        self._total_m = self._driven_m + sum(_length_m(s) for s in steps)
+        self._path, self._s_m, self._between_ns, self._blocked_ns = first, 0.0, None, None
+        self._state, self._text = MissionState.DRIVING, text
+        self._total_m = self._driven_m + sum(self._length_m(s) for s in steps)
+
+    def _length_m(self, step: Step | Docking) -> float:
+        """Way of a step: of a rejoining what is left of its line, of docking what was planned at first."""
+        if isinstance(step, Path):
+            return float(step.s_m[-1])
+        if isinstance(step, Docking):
+            return sum(float(p.s_m[-1]) for p in self._plan.homing)
+        return float(step.blocked.line.s_m[-1]) - step.rejoin_m
 
     def _abort(self, text: str) -> None:
         self._state, self._text = MissionState.ABORTED, text
@@ -213,10 +277,3 @@ class MissionNode(Node):
             now_ns, self._state, leg, line, path_id, self._s_m, self._driven_m + self._s_m, self._total_m, self._text,
             self._left_out,
         )  # fmt: skip
-
-
-def _length_m(step: Step) -> float:
-    """Way of a step; of a rejoining what is left of its line."""
-    if isinstance(step, Path):
-        return float(step.s_m[-1])
-    return float(step.blocked.line.s_m[-1]) - step.rejoin_m

@@ -5,18 +5,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
+from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from configs.mission import Work
-from configs.site import Site
+from configs.mission import Mission, Work
+from configs.site import Pose2, Site
 from configs.vehicle import Implement, Vehicle
 from geometry.footprint import is_inside, worked
 from geometry.polygon import parts, place_of, shrink
 from messages.errors import FieldError
 from messages.plan import Path
-from planning.configuration import PlannerConfig
+from planning.configuration import PlannerConfig, PlanningConfig
 from planning.coverage.headland import Round, depth_m, ring_worked, rounds_of
 from planning.coverage.swath import Swath, remains, swaths_of, trimmed
+from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking, pose_of
 from planning.ground import Ground, describe, ground_of
 from planning.path import path_of
 from planning.rig import Rig, rig_of
@@ -40,7 +42,11 @@ class Uncovered:
 
 @dataclass(frozen=True)
 class Plan:
-    """All paths of a mission and what they work; `planned_area` is the union of the planned strips in the field."""
+    """All paths of a mission and what they work; `planned_area` is the union of the planned strips in the field.
+
+    The last of the paths, `homing`, lead into the dock from where the machine should stand by then: a proof that there
+    is a way. It is planned anew, by `docking`, from where the machine does stand.
+    """
 
     paths: tuple[Path, ...]
     planned_area: BaseGeometry
@@ -52,12 +58,48 @@ class Plan:
     rounds: tuple[Round, ...]
     ground: Ground
     rig: Rig
+    docking: Docking | None = None
+    homing: tuple[Path, ...] = ()
+
+    @property
+    def given(self) -> tuple[Path, ...]:
+        """The paths that are driven as planned: all but those into the dock."""
+        return self.paths[: len(self.paths) - len(self.homing)]
 
 
 def plan_mission(
+    mission: Mission,
+    site: Site,
+    vehicle: Vehicle,
+    implement: Implement,
+    config: PlanningConfig,
+    start: Pose2,
+    seed: int,
+) -> Plan:
+    """The plan of a mission that begins at `start`: the field, and with a bay the ways out of it and back into it.
+
+    Raises FieldError with the place when it cannot be driven.
+    """
+    if mission.work is None:
+        plan = _nothing_planned(site, rig_of(vehicle, implement.folded, None, config.planner))
+    else:
+        plan = plan_field(site, vehicle, implement, mission.work, config.planner, seed)
+    if mission.bay is None:
+        return plan
+    rig = rig_of(vehicle, implement.folded, mission.work, config.planner)
+    docking = Docking(site, rig, site.bay(mission.bay), config.docking, seed)
+    out = plan_undocking(docking, 1) if mission.start is None else ()
+    given = [*out, *(replace(p, path_id=len(out) + 1 + k, is_last=False) for k, p in enumerate(plan.paths))]
+    stands = end_of(given[-1]) if given else pose_of(start)
+    homing = plan_docking(stands, docking, len(given) + 1)
+    paths = (*given, *homing)
+    return replace(plan, paths=paths, length_m=_length_m(paths), docking=docking, homing=homing)
+
+
+def plan_field(
     site: Site, vehicle: Vehicle, implement: Implement, work: Work, config: PlannerConfig, seed: int
 ) -> Plan:
-    """The plan of a mission; raises FieldError with the place when it cannot be driven wholly inside."""
+    """The plan of a field and the way there and back; raises FieldError where it cannot be driven wholly inside."""
     rig = rig_of(vehicle, implement, work, config)
     ground = ground_of(site, work.boundary_margin_m + PROOF_SLACK_M)
     rounds = rounds_of(ground, rig, work.headland_rounds, work.overlap_m)
@@ -68,9 +110,17 @@ def plan_mission(
     prove_inside(paths, rig, proven)
     area = worked_area(paths, rig).intersection(ground.free)
     left = _uncovered(ground, area, rig)
-    length = sum(float(p.s_m[-1]) for p in paths)
     share = area.area / ground.free.area
-    return Plan(paths, area, ground.free.area, share, length, left, tuple(swaths), tuple(rounds), ground, rig)
+    return Plan(paths, area, ground.free.area, share, _length_m(paths), left, tuple(swaths), tuple(rounds), ground, rig)
+
+
+def _nothing_planned(site: Site, rig: Rig) -> Plan:
+    ground = ground_of(site, PROOF_SLACK_M)
+    return Plan((), Polygon(), ground.free.area, 0.0, 0.0, (), (), (), ground, rig)
+
+
+def _length_m(paths: Sequence[Path]) -> float:
+    return sum(float(p.s_m[-1]) for p in paths)
 
 
 def _swaths(ground: Ground, rig: Rig, rounds: list[Round], work: Work) -> list[Swath]:

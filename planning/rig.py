@@ -52,8 +52,8 @@ class Rig:
         return ends[:, 0], ends[:, 1]
 
 
-def rig_of(vehicle: Vehicle, implement: Implement, work: Work, config: PlannerConfig) -> Rig:
-    """The rig of a mission; raises FieldError for an implement that cannot be planned for yet."""
+def rig_of(vehicle: Vehicle, implement: Implement, work: Work | None, config: PlannerConfig) -> Rig:
+    """The rig of a mission, without work as fast as it can; raises FieldError for an implement not planned for yet."""
     if not isinstance(implement, MountedImplement):
         raise FieldError(f"implement {implement.name!r} is {implement.kind}: only mounted ones can be planned for yet")
     body, top = vehicle.body, kmh(vehicle.max_speed_kmh)
@@ -64,13 +64,14 @@ def rig_of(vehicle: Vehicle, implement: Implement, work: Work, config: PlannerCo
         rate = steering.max_wheel_rpm / 60.0 / steering.wheel_turns_per_steer_rad
     else:
         rate = steering.max_flow_lpm / 60.0 / steering.cylinder_l_per_rad
+    speeds = (work.work_speed_kmh, work.turn_speed_kmh, work.lane_speed_kmh) if work is not None else (math.inf,) * 3
+    work_mps, turn_mps, lane_mps = (min(kmh(speed_kmh), top) for speed_kmh in speeds)
     limit = vehicle.drivetrain.max_curvature_radpm
     return Rig(
         (machine, behind), implement.working_point_m, implement.working_width_m,
         1.0 / (limit * config.curvature_share), limit, vehicle.drivetrain.wheelbase_m,
         rate * config.steering_rate_share, vehicle.acceleration_mps2,
-        min(kmh(work.work_speed_kmh), top), min(kmh(work.turn_speed_kmh), top), min(kmh(work.lane_speed_kmh), top),
-        config,
+        work_mps, turn_mps, lane_mps, config,
     )  # fmt: skip
 
 

@@ -42,6 +42,11 @@ def pose_of(pose: Pose2) -> Pose:
     return Pose(pose.x_m, pose.y_m, math.radians(pose.heading_deg))
 
 
+def end_of(path: Path) -> Pose:
+    """Where a path ends."""
+    return Pose(float(path.p_map_m[-1, 0]), float(path.p_map_m[-1, 1]), float(path.heading_rad[-1]))
+
+
 def plan_docking(start: Pose, docking: Docking, first_id: int, outlines: Sequence[Polygon] = ()) -> tuple[Path, ...]:
     """Paths from standing at `start` to standing in the dock, the last in reverse and the end of the mission.
 

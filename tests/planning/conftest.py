@@ -7,7 +7,7 @@ from configs.site import Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from planning.configuration import PlanningConfig
-from planning.plan import Plan, plan_mission
+from planning.plan import Plan, plan_field
 
 
 @pytest.fixture(scope="session")
@@ -39,4 +39,4 @@ def harrow() -> MountedImplement:
 
 @pytest.fixture(scope="session")
 def plan(site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig) -> Plan:
-    return plan_mission(site, vehicle, harrow, mission.work, planning.planner, 0)
+    return plan_field(site, vehicle, harrow, mission.work, planning.planner, 0)

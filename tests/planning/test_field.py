@@ -15,7 +15,7 @@ from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from messages.errors import FieldError
 from planning.configuration import PlanningConfig
 from planning.field import read_field
-from planning.plan import plan_mission
+from planning.plan import plan_field
 from planning.surroundings import site_around
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -134,7 +134,7 @@ class TestRealParcels:
     ) -> None:
         wide = load(ImplementFile, find("implements", "harrow_12m")).implement
         site = site_around(read_field(self.folder / "test.json"), vehicle, wide, mission.work)
-        plan = plan_mission(site, vehicle, wide, mission.work, planning.planner, 0)
+        plan = plan_field(site, vehicle, wide, mission.work, planning.planner, 0)
         assert plan.planned_share > 0.985
         assert plan.length_m < 4000
 
