@@ -17,6 +17,10 @@ GERMAN = {
     "steering.not_following": "Lenkung folgt nicht",
     "steering.not_ready": "Lenkung nicht bereit",
     "brake.weak": "Bremse wirkt zu schwach",
+    "brake.test_failed": "Bremsprobe nicht bestanden",
+    "clock.step": "Uhr ist gesprungen",
+    "machine.implement.silent": "Keine Nachricht vom Anbaugerät",
+    "localization.uwb_lost": "Kein UWB im Schuppen",
     "localization.none": "Keine Position",
     "localization.gnss_age": "Zu lange keine GNSS-Position",
     "localization.gnss_lost": "GNSS-Korrekturen ausgefallen",
@@ -31,7 +35,8 @@ GERMAN = {
 def german(code: str, text_en: str) -> str:
     """The text for the German operator; codes made from topics are put together here."""
     subject, _, state = code.rpartition(".")
-    states = {"silent": f"Keine Nachricht von {subject}", "frozen": f"{subject} liefert immer dasselbe Bild"}
+    states = {"silent": f"Keine Nachricht von {subject}", "frozen": f"{subject} liefert immer dasselbe Bild",
+              "blind": f"{subject} ist blind"}  # fmt: skip
     return GERMAN.get(code) or states.get(state) or f"{code}: {text_en}"
 
 

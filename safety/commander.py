@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from configs.vehicle import Vehicle
+from configs.vehicle import FOLDED, Vehicle
 from messages.command import MachineState, Mode, SafeCommand, Wish
 from safety.config import SafetyConfig
 from safety.drive import Speed, eased, rising, slowing, steered, stopping, target_speed
@@ -27,6 +27,12 @@ class Moment:
     allowed_mps: float
     gap_m: float
     braking: Braking
+    has_driver: bool
+
+    @property
+    def is_drivers(self) -> bool:
+        """Whether the machine is a driver's; in manual mode with the seat empty it is nobody's and must stand."""
+        return self.mode is Mode.MANUAL and self.has_driver
 
 
 class Commander:
@@ -41,6 +47,7 @@ class Commander:
         self._has_stopped = True
         self._is_parked = True
         self._mode = Mode.STANDBY
+        self._is_folded: bool | None = None
 
     def command(self, moment: Moment) -> SafeCommand:
         """The safe command for now."""
@@ -51,6 +58,7 @@ class Commander:
         speed = self._speed(moment, dt_s) if is_enabled else Speed(0.0, self._disabled_brake(moment))
         is_parked = self._park(moment, speed, standing_s)
         is_lowered, is_pto_on = self._implement(moment)
+        is_folded = self._fold(moment, standing_s, is_lowered)
         self.last = SafeCommand(
             stamp_ns=moment.now_ns,
             mode=moment.mode,
@@ -64,6 +72,7 @@ class Commander:
             is_horn_on=moment.mode is Mode.START_WARNING,
             is_beacon_on=moment.mode in BEACON,
             reason=moment.reason,
+            is_implement_folded=is_folded,
         )
         return self.last
 
@@ -108,8 +117,11 @@ class Commander:
         return max(self._config.braking.hold_mps2, 0.0 if is_standing else moving_mps2)
 
     def _disabled_brake(self, moment: Moment) -> float:
-        """Full in an emergency; under a driver's hands until the first standstill, then the pedals are the driver's."""
-        if moment.mode is Mode.MANUAL:
+        """Full in an emergency; under a driver's hands until the first standstill, then the pedals are the driver's.
+
+        With nobody on the seat it holds on: whoever touched the wheel from outside does not brake the machine.
+        """
+        if moment.is_drivers:
             return 0.0 if self._has_stopped else self._config.braking.controlled_mps2
         is_standing = self._standing_since_ns is not None
         if moment.mode is Mode.EMERGENCY_STOP and not is_standing:
@@ -119,7 +131,7 @@ class Commander:
     def _park(self, moment: Moment, speed: Speed, standing_s: float) -> bool:
         """Set after some standing, released to drive; while nobody knows the speed it stays as it is."""
         is_leaving = moment.mode is Mode.AUTOMATIC and speed.speed_mps != 0.0
-        if moment.mode is Mode.MANUAL or is_leaving:
+        if moment.is_drivers or is_leaving:
             self._is_parked = False
         elif standing_s > self._config.modes.park_after_s:
             self._is_parked = True
@@ -147,10 +159,22 @@ class Commander:
         machine, wish = moment.machine, moment.wish
         was_lowered = self.last.is_implement_lowered if self.last is not None else False
         was_on = self.last.is_pto_on if self.last is not None else False
+        is_folded = machine is not None and not machine.fold <= 1.0 - FOLDED
         if moment.mode is Mode.AUTOMATIC and wish is not None:
-            return wish.is_implement_lowered, wish.is_pto_on
+            return wish.is_implement_lowered and not is_folded, wish.is_pto_on and not is_folded
         if moment.mode in WATCHED:
             return was_lowered and (wish is None or wish.is_implement_lowered), was_on and (
                 wish is None or wish.is_pto_on
             )
         return machine.is_hitch_in_work if machine is not None else was_lowered, False
+
+    def _fold(self, moment: Moment, standing_s: float, is_lowered: bool) -> bool:
+        """As wished while driving by itself, standing, with the hitch raised; else as commanded last, or found."""
+        machine, wish = moment.machine, moment.wish
+        if self._is_folded is None and machine is not None:
+            self._is_folded = machine.fold >= 0.5
+        is_raised = machine is not None and not machine.is_hitch_in_work and not is_lowered
+        is_still = standing_s >= self._config.modes.fold_after_s
+        if moment.mode is Mode.AUTOMATIC and wish is not None and is_raised and is_still:
+            self._is_folded = wish.is_implement_folded
+        return bool(self._is_folded)

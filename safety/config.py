@@ -106,6 +106,95 @@ class TrackedConfig(Config):
     uncertainty_cap_m: Metres
 
 
+class RadarConfig(Config):
+    """What of a radar's detections counts in the raw field."""
+
+    cycles: int = Field(ge=1, le=50, description="cycles that are remembered")
+    memory_s: Seconds
+    near_m: Metres = Field(description="detections this near to each other are one thing")
+    standing_cycles: int = Field(ge=1, le=50)
+    moving_cycles: int = Field(ge=1, le=50)
+    moving_mps: Speed
+    standing_rcs_dbsm: float = Field(ge=-60.0, le=60.0)
+    moving_rcs_dbsm: float = Field(ge=-60.0, le=60.0)
+    standing_cap_m: Metres
+    moving_cap_m: Metres
+    aside_sigmas: float = Field(ge=0.0, le=6.0, description="a hit counts when its bearing surely lies in the way")
+    frozen_cycles: int = Field(ge=1, le=100)
+
+    @model_validator(mode="after")
+    def _cycles_are_kept(self) -> "RadarConfig":
+        if max(self.standing_cycles, self.moving_cycles) > self.cycles:
+            raise ValueError(f"cycles {self.cycles} are fewer than are needed for a hit")
+        return self
+
+
+class UltrasonicConfig(Config):
+    """What of an ultrasonic sensor's echoes counts in the raw field."""
+
+    window: int = Field(ge=1, le=50)
+    repeats: int = Field(ge=1, le=50)
+    gate_m: Metres
+    fastest_mps: Speed
+    ground_share: float = Field(gt=0.0, le=1.0, description="of the range at which the axis meets the ground")
+    memory_s: Seconds
+    dead_margin_m: Metres
+    hold_s: Seconds = Field(description="how long what went into the dead zone is kept")
+    most_kmh: Kmh = Field(description="faster, an echo comes too late to matter")
+    arc_share: float = Field(gt=0.0, le=1.0, description="of the arc that must lie in the way")
+
+    @model_validator(mode="after")
+    def _window_holds_repeats(self) -> "UltrasonicConfig":
+        if self.repeats > self.window:
+            raise ValueError(f"repeats {self.repeats} do not fit a window of {self.window}")
+        return self
+
+
+class SensingConfig(Config):
+    """What the others prove when one kind of sensor that the machine carries is lost in the direction of travel."""
+
+    without_radar_m: Metres
+    without_camera_m: Metres
+    without_ultrasonic_m: Metres
+
+    def without_m(self, kind: str) -> float:
+        """The range that is still proven without sensors of a kind."""
+        return {
+            "radar": self.without_radar_m,
+            "camera": self.without_camera_m,
+            "ultrasonic": self.without_ultrasonic_m,
+        }[kind]
+
+
+class DockingConfig(Config):
+    """The field in and before the shed, where walls stand within every other margin."""
+
+    speed_kmh: float = Field(gt=0.0, le=1.8)
+    unheard_kmh: float = Field(gt=0.0, le=1.8, description="with an ultrasonic sensor lost")
+    near_m: Metres = Field(description="about the roof")
+    margin_m: Metres
+    arc_margin_m: Metres
+    lateral_m: Metres
+    explained_m: Metres = Field(description="what is seen this near to a surveyed surface is that surface")
+    clearance_m: Metres = Field(description="kept from surveyed surfaces beyond what the pose leaves open")
+    sigmas: float = Field(ge=1.0, le=6.0)
+    protection_stop_m: Metres
+    uwb_age_s: Seconds
+
+
+class BrakeTestConfig(Config):
+    """The brake is tried once before the first metre is over."""
+
+    speed_kmh: float = Field(gt=0.5, le=5.0, description="highest speed before the brake is tried")
+    brake_kmh: float = Field(gt=0.2, le=5.0, description="speed at which it is tried")
+
+    @model_validator(mode="after")
+    def _is_reached(self) -> "BrakeTestConfig":
+        if self.brake_kmh >= self.speed_kmh:
+            raise ValueError(f"brake_kmh {self.brake_kmh} is never reached at speed_kmh {self.speed_kmh}")
+        return self
+
+
 class LocalizationConfig(Config):
     """When the pose is no longer good enough (BD-5.3d)."""
 
@@ -145,6 +234,7 @@ class LimitsConfig(Config):
     brake_grace_s: Seconds
     brake_share: float = Field(gt=0.0, le=1.0, description="share of the asked deceleration that must be felt")
     group_age_s: Seconds = Field(description="greatest age of a group within the machine's state")
+    clock_step_s: Seconds = Field(description="a step of the clock beyond the period that is no delay any more")
 
 
 class ModesConfig(Config):
@@ -157,6 +247,8 @@ class ModesConfig(Config):
     standstill_mps: Speed
     creep_mps: Speed = Field(description="a lower allowed speed is no speed")
     park_after_s: Seconds
+    fold_after_s: Seconds = Field(description="standstill before the implement folds")
+    seat_empty_s: Seconds = Field(description="a driver's seat empty for so long has no driver")
     authorities: tuple[str, ...] = Field(min_length=1)
 
 
@@ -167,9 +259,26 @@ class SafetyConfig(Config):
     field: FieldConfig
     proven: ProvenConfig
     tracked: TrackedConfig
+    radar: RadarConfig
+    ultrasonic: UltrasonicConfig
+    sensing: SensingConfig
+    docking: DockingConfig
+    brake_test: BrakeTestConfig
     localization: LocalizationConfig
     hand: HandConfig
     limits: LimitsConfig
     modes: ModesConfig
     jerk_mps3: float = Field(gt=0.0, le=50.0)
     curvature_rate_radpms: float = Field(gt=0.0, le=5.0)
+
+    @property
+    def docked(self) -> "SafetyConfig":
+        """The same with the docking field in place of the open one."""
+        near = self.docking
+        margins = {
+            "margin_m": near.margin_m,
+            "arc_margin_m": near.arc_margin_m,
+            "near_lateral_m": near.lateral_m,
+            "far_lateral_m": near.lateral_m,
+        }
+        return self.model_copy(update={"field": self.field.model_copy(update=margins)})

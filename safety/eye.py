@@ -16,7 +16,10 @@ from safety.returns import Box, Motion, deskew, is_own, raised, to_base, within
 
 
 class Eye:
-    """Takes scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground."""
+    """Takes scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground.
+
+    `shape` masks the machine itself; whoever knows the fold sets it.
+    """
 
     def __init__(self, name: str, lidar: Lidar, shape: Shape, config: SafetyConfig) -> None:
         self.name = name
@@ -24,7 +27,7 @@ class Eye:
         self.scan: LidarScan | None = None
         self.hits_odom_m: Float64 = np.empty((0, 3))
         self.reach_m = reach_m(lidar, config.field, config.proven)
-        self._shape, self._config = shape, config
+        self.shape, self._config = shape, config
         self._T_base_sensor = lidar.mount.T_base_sensor
         self._lowest_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_returns(lidar, config.proven)
@@ -61,10 +64,10 @@ class Eye:
         xyz = to_base(scan.points_m, self._T_base_sensor)
         self._judge_reach(xyz, curvature_radpm)
         field = self._config.field
-        near = within(xyz, box, self._shape.height_m + field.over_height_m)
+        near = within(xyz, box, self.shape.height_m + field.over_height_m)
         looked = deskew(xyz[:, near], scan.point_offset_s[near], motion)
         looked = looked[:, raised(looked, box, field)]
-        looked = looked[:, ~is_own(looked, self._shape, curvature_radpm, field.mask_m)]
+        looked = looked[:, ~is_own(looked, self.shape, curvature_radpm, field.mask_m)]
         places = np.asarray(looked, np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, places[:2].T), places[2]])
         is_hit, self._cells = confirm(
@@ -75,7 +78,7 @@ class Eye:
     def _judge_reach(self, xyz: np.ndarray, curvature_radpm: float) -> None:
         proven, origin = self._config.proven, self._T_base_sensor[:3, 3]
         some = down_beams(xyz, origin, self._slopes)
-        some = some[:, ~is_own(some, self._shape, curvature_radpm, self._config.field.mask_m)]
+        some = some[:, ~is_own(some, self.shape, curvature_radpm, self._config.field.mask_m)]
         share = shares(some, origin, self._density, proven.sectors)
         ranges, half_rad = range_by_share(share, self.reach_m, proven), math.radians(proven.look_deg)
         self._proven_m = {d: least_towards(self._edges, ranges, d, half_rad) for d in self._directions}
@@ -85,7 +88,7 @@ class Eye:
         old, seen_ns = self._kept
         base = np.vstack([from_frame(pose_odom, old[:, :2]).T, old[:, 2]])
         is_young = stamp_ns - seen_ns < self._config.field.hole_memory_s * 1e9
-        is_outside = ~is_own(base, self._shape, curvature_radpm, self._config.field.mask_m)
+        is_outside = ~is_own(base, self.shape, curvature_radpm, self._config.field.mask_m)
         keep = is_young & is_outside & self._is_in_hole(base)
         self.hits_odom_m = np.concatenate([hits_odom, old[keep]])
         stamps = np.concatenate([np.full(len(hits_odom), stamp_ns, np.int64), seen_ns[keep]])

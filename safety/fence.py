@@ -6,11 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from configs.site import Lane, Site
+from configs.site import Bay, Lane, Shed, Site
 from messages.message import Float64
 
 GATE_DEPTH_M = 1.0  # to either side of the line between the posts
 OUTSIDE_M = -1.0
+APRON_M, APRON_ASIDE_M = 4.0, 2.0  # before a bay, and to either side of it: where the machine turns into it
+ROOF_EDGE_M = 0.1  # the apron reaches that far under the roof, to the posts
 LANE_OVERLAP_M = 1.0  # a lane reaches that far into what lies at its ends, so that no seam is outside
 
 
@@ -35,9 +37,9 @@ class Fence:
 
 
 def fence_of(site: Site) -> Fence:
-    """The field, the yard, the lanes and the shed of a site, less its no-go areas."""
+    """The field, the yard, the lanes and the bays of a site, less its no-go areas."""
     areas = [np.array(site.boundary_m), np.array(site.yard.outline_m)]
-    areas += [np.array(site.shed.outline_m)] if site.shed is not None else []
+    areas += [ring for bay in site.shed.bays for ring in bay_rings(site.shed, bay)] if site.shed is not None else []
     areas += [ring for lane in site.lanes for ring in lane_rings(lane)]
     areas += [band(np.array(gate.posts_m), GATE_DEPTH_M) for gate in site.gates]
     return Fence(tuple(areas), tuple(np.array(area.outline_m) for area in site.no_go))
@@ -53,6 +55,29 @@ def lane_rings(lane: Lane) -> list[Float64]:
         after = LANE_OVERLAP_M if k == len(center) - 2 else half
         rings.append(band(np.array([a - before * along, b + after * along]), half))
     return rings
+
+
+def bay_rings(shed: Shed, bay: Bay) -> tuple[Float64, Float64]:
+    """A bay from the back wall to the roof's edge, free width, and the apron before it, wider."""
+    dock, heading = np.array([bay.dock.x_m, bay.dock.y_m]), math.radians(bay.dock.heading_deg)
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    roof = np.array(shed.outline_m)
+    edge = dock + way_across(dock, ahead, roof) * ahead
+    back = dock - (way_across(dock, -ahead, roof) - 0.5 * shed.wall_thickness_m) * ahead
+    apron = np.array([edge - ROOF_EDGE_M * ahead, edge + APRON_M * ahead])
+    return band(np.array([back, edge]), 0.5 * bay.width_m), band(apron, 0.5 * bay.width_m + APRON_ASIDE_M)
+
+
+def way_across(start: Float64, ahead: Float64, ring: Float64) -> float:
+    """The way from a point inside a polygon (E, 2) to its edge in a direction (unit vector); 0 when it meets none."""
+    side = np.roll(ring, -1, axis=0) - ring
+    to_corner = ring - start
+    across = ahead[0] * side[:, 1] - ahead[1] * side[:, 0]
+    slanted = np.abs(across) > 1e-9
+    way = (to_corner[slanted, 0] * side[slanted, 1] - to_corner[slanted, 1] * side[slanted, 0]) / across[slanted]
+    share = (to_corner[slanted, 0] * ahead[1] - to_corner[slanted, 1] * ahead[0]) / across[slanted]
+    met = way[(way > 0.0) & (share >= 0.0) & (share <= 1.0)]
+    return float(met.min(initial=math.inf)) if len(met) else 0.0
 
 
 def band(line: Float64, half_m: float) -> Float64:

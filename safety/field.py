@@ -12,7 +12,7 @@ import numpy as np
 
 from messages.command import Wish
 from messages.message import Float64
-from messages.plan import Path
+from messages.plan import Leg, Path
 from safety.bodies import Shape
 from safety.config import FieldConfig
 from safety.motion import from_frame
@@ -55,6 +55,14 @@ def place_on(path: Path | None, wish: Wish | None) -> Place | None:
         return None
     is_followed = wish is not None and wish.path_id == path.path_id and math.isfinite(wish.path_s_m)
     return Place(path, wish.path_s_m if is_followed and wish is not None else float(path.s_m[0]))
+
+
+def leg_at(place: Place) -> Leg:
+    """What the stretch of path at a place is for."""
+    path = place.path
+    index = min(int(np.searchsorted(path.s_m, place.s_m)), len(path.s_m) - 1)
+    leg: Leg = path.stretches[int(path.stretch_index[index])].leg
+    return leg
 
 
 def is_at(place: Place, pose_map: Float64, config: FieldConfig) -> bool:
@@ -120,13 +128,13 @@ def corner_points(sweep: Sweep) -> list[Float64]:
     return points
 
 
-def gap_in(way: Way, hits_odom_m: Float64, pose_odom: Float64) -> Gap:
-    """The gaps to hits (N, 3) in odom, seen from base at `pose_odom` (3,)."""
+def gap_in(way: Way, hits_odom_m: Float64, pose_odom: Float64, aside_m: Float64 | float = 0.0) -> Gap:
+    """The gaps to hits (N, 3) in odom, seen from base at `pose_odom` (3,); `aside_m` as in `contact_m`."""
     if len(hits_odom_m) == 0:
         return Gap(math.inf, math.inf, NOTHING)
     xy = from_frame(pose_odom, hits_odom_m[:, :2])
-    main = contact_m(xy, way.main)
-    arc = contact_m(xy, way.arc) if way.arc is not None else np.full(len(xy), np.inf)
+    main = contact_m(xy, way.main, 0.0, aside_m)
+    arc = contact_m(xy, way.arc, 0.0, aside_m) if way.arc is not None else np.full(len(xy), np.inf)
     cause = np.minimum(main, arc) < np.inf
     hits = np.column_stack([xy, hits_odom_m[:, 2]])[cause]
     return Gap(float(main.min()), float(arc.min()), hits)

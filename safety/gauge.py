@@ -18,7 +18,10 @@ DIRECTION_MPS = 0.1
 
 @dataclass(frozen=True)
 class Measured:
-    """Signed speed (None: not known), the highest that any source gives, direction, braking here, held conditions."""
+    """Signed speed (None: not known), the highest that any source gives, direction, braking here, held conditions.
+
+    `has_driver`: someone sits on the seat, or did until a moment ago.
+    """
 
     speed_mps: float | None
     fastest_mps: float
@@ -29,6 +32,7 @@ class Measured:
     steering_off_s: float
     steering_lost_s: float
     brake_weak_s: float
+    has_driver: bool
 
 
 class Gauge:
@@ -40,6 +44,7 @@ class Gauge:
         self._fastest_mps = 0.0
         self._pitch_rad = 0.0
         self._curvatures = Window(config.limits.curvature_late_s)
+        self._has_driver, self._seat_empty = False, Held()
         self._hand, self._steering_off, self._steering_lost, self._brake = Held(), Held(), Held(), Held()
 
     def measure(
@@ -72,7 +77,16 @@ class Gauge:
             self._steering_off.update(now_ns, is_watched and self._is_off(now_ns, machine, command)),
             self._steering_lost.update(now_ns, is_watched and self._is_lost(machine)),
             self._brake.update(now_ns, self._is_weak(odom, command)),
+            self._is_driven(now_ns, machine),
         )
+
+    def _is_driven(self, now_ns: int, machine: MachineState | None) -> bool:
+        """Whether there is a driver; what the seat says no more is as it was."""
+        if machine is not None:
+            empty_s = self._seat_empty.update(now_ns, not machine.is_seat_occupied)
+            is_gone = empty_s > self._config.modes.seat_empty_s
+            self._has_driver = machine.is_seat_occupied or (self._has_driver and not is_gone)
+        return self._has_driver
 
     def _is_off(self, now_ns: int, machine: MachineState | None, command: SafeCommand | None) -> bool:
         """Whether the steering is where no command of the last moments would have it."""

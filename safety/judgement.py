@@ -1,6 +1,7 @@
 """All rules asked, and what follows from their answers together."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from messages.command import RuleResult
@@ -17,17 +18,22 @@ NOTHING = free("")
 
 @dataclass(frozen=True)
 class Judgement:
-    """`results` in the order of the rules.
+    """The results by rule, in their order.
 
     `binding` is the most restrictive of all; `blocking` that of the rules on what lies ahead, which allow
     `passable_mps`; `fault` the first that speaks against driving at all. `gap_m` is the least of both channels.
     """
 
-    results: tuple[RuleResult, ...]
+    named: Mapping[str, RuleResult]
     binding: RuleResult
     blocking: RuleResult
     fault: RuleResult
     gap_m: float
+
+    @property
+    def results(self) -> tuple[RuleResult, ...]:
+        """What every rule said."""
+        return tuple(self.named.values())
 
     @property
     def allowed_mps(self) -> float:
@@ -71,8 +77,12 @@ class Judgement:
 
     @property
     def notes(self) -> list[RuleResult]:
-        """What is to be told though it does not bind."""
-        return [result for result in self.results if result.response is Response.NONE and result.text]
+        """What is to be told though it does not bind: a lost sensor, and what its rule only wants said."""
+        return [
+            result
+            for name, result in self.named.items()
+            if result.text and (result.response is Response.NONE or name == "sensing")
+        ]
 
 
 def judged(situation: Situation, disabled: frozenset[str]) -> Judgement:
@@ -83,7 +93,7 @@ def judged(situation: Situation, disabled: frozenset[str]) -> Judgement:
     against = [r for r in others if r.response >= Response.CONTROLLED_STOP or r.code == FENCE_UNKNOWN]
     gaps = () if situation.gap is None else (situation.gap.main_m, situation.gap.arc_m)
     return Judgement(
-        tuple(named.values()),
+        named,
         most_restrictive([*named.values()]),
         most_restrictive(ahead),
         most_restrictive(against),

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from messages.command import MachineState, Mode, Wish
 from messages.faults import Fault
 from messages.motion import MapPose, Odometry
+from safety.brake_test import Phase
 from safety.config import SafetyConfig
 from safety.field import Gap
+from safety.sensing import Lost
 from safety.stopping import Braking
 from safety.tracked import Threat
 
@@ -17,8 +19,10 @@ class Situation:
 
     `direction` is that of travel (+1 forward), `speed_mps` ≥ 0 the highest that any source measures, `braking` that on
     this grade. `gap` is None when no lidar has looked yet; `proven_m` is the proven range ahead; `fence_m` the way that
-    stays inside (None: not known; below 0: outside now). Times of held conditions are in seconds, 0 when
-    the condition does not hold.
+    stays inside (None: not known; below 0: outside now). Times of held conditions are in seconds, 0 when the condition
+    does not hold. `fold` of an implement that `is_foldable` is None when it is not known; `clock_step_s` is by how much
+    the clock jumped since the last step. `lost` are sensors beside the lidars that do not see the way. `is_docking`:
+    the docking field counts, whose values `config` then has; `survey_m` is the way that stays clear of surveyed walls.
     """
 
     now_ns: int
@@ -47,6 +51,14 @@ class Situation:
     steering_off_s: float
     steering_lost_s: float
     brake_weak_s: float
+    is_foldable: bool
+    fold: float | None
+    clock_step_s: float
+    brake_test: Phase
+    lost: tuple[Lost, ...]
+    is_docking: bool
+    is_under_roof: bool
+    survey_m: float
 
     @property
     def is_moving(self) -> bool:

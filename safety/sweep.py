@@ -87,17 +87,23 @@ def sweep_along(
     return Sweep(direction, s_m, poses, bodies, leads, lateral, step, float(s_m[-1]))
 
 
-def contact_m(points_xy: Float64, sweep: Sweep, extra_m: Float64 | float = 0.0) -> Float64:
-    """Gap to each point (N, 2) in base now along the sweep, (N,), infinite without; `extra_m` widens all bodies."""
+def contact_m(
+    points_xy: Float64, sweep: Sweep, extra_m: Float64 | float = 0.0, aside_m: Float64 | float = 0.0
+) -> Float64:
+    """Gap to each point (N, 2) in base now along the sweep, (N,), infinite without.
+
+    `extra_m` lengthens and widens all bodies; `aside_m` widens (below 0: narrows) their margins to the sides.
+    """
     if len(points_xy) == 0:
         return np.empty(0)
     extra = np.broadcast_to(np.asarray(extra_m, np.float64), (len(points_xy),))[:, None]
+    beside = extra + np.broadcast_to(np.asarray(aside_m, np.float64), (len(points_xy),))[:, None]
     travel = np.full(len(points_xy), np.inf)
     carrier: Float64 | None = None
     for (body, poses), lead_m in zip(sweep.bodies, sweep.leads_m, strict=True):
         if poses is not carrier:
             carrier, (ahead, across) = poses, _seen_from(poses, points_xy, sweep.direction)
-        way = _body_contact(ahead, across, body, sweep, extra)
+        way = _body_contact(ahead, across, body, sweep, extra, beside)
         travel = np.minimum(travel, np.maximum(way - lead_m, 0.0))
     return travel
 
@@ -111,10 +117,12 @@ def _seen_from(poses: Float64, points_xy: Float64, direction: int) -> tuple[Floa
     return direction * ahead, np.abs(across)
 
 
-def _body_contact(ahead: Float64, across: Float64, body: Rectangle, sweep: Sweep, extra: Float64) -> Float64:
+def _body_contact(
+    ahead: Float64, across: Float64, body: Rectangle, sweep: Sweep, extra: Float64, beside: Float64
+) -> Float64:
     front, rear = (body.front_m, body.rear_m) if sweep.direction > 0 else (-body.rear_m, -body.front_m)
     left = ahead - (front + extra)
-    is_met = (left <= sweep.step_m) & (ahead >= rear - extra) & (across <= body.half_width_m + sweep.lateral_m + extra)
+    is_met = (left <= sweep.step_m) & (ahead >= rear - extra) & (across <= body.half_width_m + sweep.lateral_m + beside)
     point, pose = np.nonzero(is_met)
     way = np.full(len(ahead), np.inf)
     np.minimum.at(way, point, sweep.s_m[pose] + np.maximum(left[point, pose], 0.0))

@@ -1,7 +1,7 @@
 """The second channel: tracks that will enter the swept field while the machine still needs to stop."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ class Threat:
     id: int
 
 
+Explained = Callable[[Float64], np.ndarray]
 REACH_M = 15.0  # farther than any body, margin and uncertainty reach from base
 NO_THREAT = Threat(math.inf, ObstacleClass.UNKNOWN, -1)
 
@@ -123,6 +124,13 @@ def is_part_of(track: Track, standing: Sequence[Track], part_m: float) -> bool:
     return False
 
 
+def is_part_of_walls(track: Track, is_explained: Explained, compact_m: float) -> bool:
+    """Whether a track is what is surveyed: its middle lies there, or it is a long box of unknown or mixed make."""
+    if not math.isfinite(float(track.p_odom_m[0] + track.p_odom_m[1])):
+        return False
+    return length_m(track) > compact_m or bool(is_explained(track.p_odom_m[None, :2])[0])
+
+
 def threat_in(
     sweep: Sweep,
     shape: Shape,
@@ -131,16 +139,21 @@ def threat_in(
     curvature_radpm: float,
     stop_s: float,
     config: TrackedConfig,
+    is_explained: Explained | None = None,
 ) -> Threat:
     """The nearest threat of all confirmed tracks, for base at `pose_odom` (3,) in odom.
 
     What moves counts where it will be until the machine can have stopped; what moves away or past never touches the
     sweep. What stands counts by its box where the evidence gives it a class; the raw field sees the rest.
+    `is_explained` says of places (N, 2) in odom which are surveyed walls: tracks there, and boxes long enough to be
+    made of several walls, are left to the raw field too.
     """
     horizon_s = min(config.most_horizon_s, max(config.least_horizon_s, stop_s))
     times_s = np.linspace(0.0, horizon_s, config.steps)
     best = NO_THREAT
     confirmed = [t for t in (() if tracks is None else tracks.tracks) if t.is_confirmed]
+    if is_explained is not None:
+        confirmed = [t for t in confirmed if not is_part_of_walls(t, is_explained, config.compact_m)]
     reached = [t for t in confirmed if is_within_reach(t, pose_odom, sweep.length_m, horizon_s)]
     near = [(track, is_moving(track, config)) for track in reached]
     standing = [track for track, moves in near if length_m(track) >= config.carrier_m and not moves]

@@ -5,17 +5,21 @@ from collections.abc import Callable
 from messages.command import RuleResult
 from safety.rules import (
     brake,
+    clock,
     emergency,
     fence,
+    fold,
     hand,
     localization,
     obstacle,
     proven,
     reported,
+    sensing,
     silence,
     speed,
     steering,
     supply,
+    survey,
     tilt,
     tracked,
 )
@@ -26,6 +30,7 @@ Rule = Callable[[Situation], RuleResult]
 RULES: dict[str, Rule] = {
     "emergency": emergency.judge,
     "hand": hand.judge,
+    "clock": clock.judge,
     "reported": reported.judge,
     "silence": silence.judge,
     "supply": supply.judge,
@@ -34,10 +39,13 @@ RULES: dict[str, Rule] = {
     "localization": localization.judge,
     "tilt": tilt.judge,
     "fence": fence.judge,
+    "fold": fold.judge,
     "obstacle": obstacle.judge,
     "tracked": tracked.judge,
     "proven": proven.judge,
+    "sensing": sensing.judge,
+    "survey": survey.judge,
     "speed": speed.judge,
 }
-BLOCKING_RULES = frozenset({"obstacle", "tracked", "proven"})  # standing for one of these is an obstacle stop
+BLOCKING_RULES = frozenset({"obstacle", "tracked", "proven", "sensing"})  # to stand for one is an obstacle stop
 OBSTACLE_RULES = frozenset({"obstacle", "tracked"})  # what an ablation switches off

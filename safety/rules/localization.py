@@ -9,7 +9,10 @@ CODE = "localization"
 
 
 def judge(situation: Situation) -> RuleResult:
-    """Alarm at once without fixes, slow above one protection level, stop above the other or after the time."""
+    """Alarm at once without fixes, slow above one protection level, stop above the other or after the time.
+
+    Under the roof there is no sky: the place rests on UWB, and must be known better.
+    """
     pose, config = situation.map_pose, situation.config.localization
     if pose is None:
         return free(CODE)
@@ -17,10 +20,14 @@ def judge(situation: Situation) -> RuleResult:
         return stop("localization.none", "no position yet")
     if not pose.gnss_age_s <= config.gnss_stop_s and pose.source is not PositionSource.UWB:
         return stop("localization.gnss_age", f"no fix for {pose.gnss_age_s:.0f} s")
-    if not pose.protection_level_m <= config.protection_stop_m:
+    docking = situation.config.docking
+    if situation.is_under_roof and not pose.uwb_age_s <= docking.uwb_age_s:
+        return stop("localization.uwb_lost", f"no UWB range for {pose.uwb_age_s:.1f} s in the shed")
+    most_m = docking.protection_stop_m if situation.is_under_roof else config.protection_stop_m
+    if not pose.protection_level_m <= most_m:
         return stop("localization.protection", f"position only within {pose.protection_level_m:.2f} m")
     if pose.protection_level_m > config.protection_slow_m:
         return limit(CODE, config.slow_mps, f"position only within {pose.protection_level_m:.2f} m")
-    if pose.gnss_age_s > config.gnss_alarm_s:
+    if pose.gnss_age_s > config.gnss_alarm_s and not situation.is_under_roof:
         return note("localization.gnss_lost", f"no fix for {pose.gnss_age_s:.1f} s")
     return free(CODE)

@@ -17,6 +17,7 @@ from messages.perception import Tracks
 from messages.plan import Leg, MissionState, MissionStatus, Path, Stretch
 from messages.sensors import ImuSample, LidarScan, WheelSample
 from messages.topics import kind_of
+from safety.brake_test import Phase
 from safety.config import SafetyConfig
 from safety.field import Gap
 from safety.situation import Situation
@@ -194,6 +195,11 @@ class World:
     place_m: float = 0.0
     acceleration: float = 0.0
     is_plain: bool = False
+    tries_brake: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.tries_brake:
+            self.supervisor._brake_test.phase = Phase.PASSED
 
     @property
     def mode(self) -> str:
@@ -310,7 +316,8 @@ def situation_of(config: SafetyConfig, **changes: Any) -> Situation:
         wish=Wish(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False), silent=(), frozen=(), faults=(),
         gap=Gap(math.inf, math.inf, np.empty((0, 3))), is_planned=True, threat=NO_THREAT, proven_m=40.0,
         fence_m=math.inf, position_sigma_m=0.01, hand_forced_s=0.0, steering_off_s=0.0, steering_lost_s=0.0,
-        brake_weak_s=0.0,
+        brake_weak_s=0.0, is_foldable=False, fold=0.0, clock_step_s=0.0, brake_test=Phase.PASSED, lost=(),
+        is_docking=False, is_under_roof=False, survey_m=math.inf,
     )  # fmt: skip
     return replace(good, **changes)
 

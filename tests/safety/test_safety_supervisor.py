@@ -298,7 +298,7 @@ def test_something_is_wrong_with_the_machine(world: World, changes: dict[str, An
 @pytest.mark.parametrize("changes", [{"hand_rate_radps": 1.0}, {"hand_angle_rad": 1.0}])
 def test_hand_takes_over_within_one_step(world: World, changes: dict[str, float]) -> None:
     driving(world)
-    world.machine_changes = changes
+    world.machine_changes = {"is_seat_occupied": True, **changes}
     world.step(1)
     assert world.mode == Mode.MANUAL
     assert not world.command.is_drive_enabled
