@@ -18,6 +18,7 @@ from runtime.setup import Setup
 from safety.fence import fence_of
 from safety.rules import OBSTACLE_RULES
 from safety.supervisor import Supervisor
+from safety.survey import survey_of
 from simulation.scenario import Scenario
 from simulation.world import SimulationWorld
 
@@ -74,5 +75,20 @@ def _deciding(setup: Setup, is_ablation: bool) -> list[Node]:
     return [
         MissionNode(setup.plan, setup.stack.planning.mission, setup.seed),
         Controller(setup.vehicle, setup.implement, setup.stack.control),
-        Supervisor(setup.vehicle, setup.implement, setup.stack.safety, fence_of(setup.site), FAULT_TOPICS, disabled),
+        Supervisor(
+            setup.vehicle,
+            setup.implement,
+            setup.stack.safety,
+            fence_of(setup.site),
+            FAULT_TOPICS,
+            disabled,
+            survey_of(setup.site),
+            idle_of(setup),
+        ),
     ]
+
+
+def idle_of(setup: Setup) -> frozenset[str]:
+    """Cameras without a model detect nothing: the supervisor does not count on them, and does not miss them."""
+    has_model = setup.stack.perception.camera.detector.model is not None
+    return frozenset() if has_model else frozenset(f"camera_{name}" for name in setup.vehicle.sensors.camera)
