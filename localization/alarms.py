@@ -22,6 +22,8 @@ ALARMS = {
     "gnss.silent": Alarm(Severity.WARNING, Response.NONE, "No GNSS fixes come in", "Keine GNSS-Positionen"),
     "gnss.refused": Alarm(Severity.WARNING, Response.NONE, "GNSS fixes are refused", "GNSS-Positionen verworfen"),
     "gnss.no_heading": Alarm(*STOP, "No heading from GNSS: cannot start", "Kein GNSS-Kurs: Start nicht möglich"),
+    "localization.not_docked": Alarm(*STOP, "Not known to stand at the dock", "Stand am Stellplatz nicht bestätigt"),
+    "uwb.refused": Alarm(Severity.WARNING, Response.NONE, "UWB ranges are refused", "UWB-Abstände verworfen"),
     "localization.lost": Alarm(
         *STOP, "Position lost; stand still to find it", "Position verloren; bitte stehen bleiben"
     ),

@@ -1,19 +1,32 @@
 """Measurements as factors on the graph's variables.
 
 A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip
-S (4,): scale, drift, slip per pull, crab per side force (see `displacement_columns` in wheels.py).
+S (4,): scale, drift, slip per pull, crab per side force (see `displacement_columns` in wheels.py); where UWB is heard
+also C, scale and bias of every anchor (see uwb_factor.py).
 """
 
 from collections.abc import Callable
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, S, V, X
+from gtsam.symbol_shorthand import B, C, S, V, X
 
 from geometry.angles import wrap
 from geometry.transforms import Float64
 
-__all__ = ["B", "S", "V", "X", "gnss_factor", "heading_factor", "motion_factor", "rest_factor", "wheel_factor"]
+__all__ = [
+    "B",
+    "C",
+    "S",
+    "V",
+    "X",
+    "gnss_factor",
+    "heading_factor",
+    "motion_factor",
+    "pose_factor",
+    "rest_factor",
+    "wheel_factor",
+]
 
 Error = Callable[[gtsam.CustomFactor, gtsam.Values, "list[Float64] | None"], Float64]
 
@@ -70,7 +83,15 @@ def rest_factor(start: int, end: int, sigma_rad: float, sigma_m: float) -> gtsam
 
 def motion_factor(start: int, end: int, T_start_end: Float64, covariance: Float64) -> gtsam.BetweenFactorPose3:
     """A measured motion of the graph's body between two keyframes; covariance (6, 6) rotation then translation."""
-    model = gtsam.noiseModel.Robust.Create(
+    return gtsam.BetweenFactorPose3(X(start), X(end), gtsam.Pose3(T_start_end), _huber(covariance))
+
+
+def pose_factor(key: int, T_map_body: Float64, covariance: Float64) -> gtsam.PriorFactorPose3:
+    """A measured pose of the graph's body; covariance (6, 6) rotation then translation, in the body."""
+    return gtsam.PriorFactorPose3(X(key), gtsam.Pose3(T_map_body), _huber(covariance))
+
+
+def _huber(covariance: Float64) -> gtsam.noiseModel.Robust:
+    return gtsam.noiseModel.Robust.Create(
         gtsam.noiseModel.mEstimator.Huber.Create(1.345), gtsam.noiseModel.Gaussian.Covariance(covariance)
     )
-    return gtsam.BetweenFactorPose3(X(start), X(end), gtsam.Pose3(T_start_end), model)

@@ -1,6 +1,7 @@
 """From measurements to keyframes: predicts, gates, hands the factors to the graph."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -10,7 +11,19 @@ from configs.vehicle import Imu, Vehicle
 from geometry.angles import wrap
 from geometry.transforms import Float64, invert
 from localization.alignment import AlignmentConfig, Level, Placed, pose_of
-from localization.factors import B, V, X, gnss_factor, heading_factor, motion_factor, rest_factor, skew, wheel_factor
+from localization.factors import (
+    B,
+    C,
+    V,
+    X,
+    gnss_factor,
+    heading_factor,
+    motion_factor,
+    pose_factor,
+    rest_factor,
+    skew,
+    wheel_factor,
+)
 from localization.gnss import GnssConfig, GnssGate, Position, Refusal
 from localization.inertial import InertialConfig, InertialTrack, Steps
 from localization.preintegration import (
@@ -21,7 +34,10 @@ from localization.preintegration import (
     normal_gravity,
     preintegrate,
 )
+from localization.ranging import Heard, Ranging
+from localization.sighting import Sighting, SightingConfig, agrees
 from localization.smoother import Smoother, SmootherConfig, State
+from localization.uwb_factor import ranges_factor
 from localization.wheels import WheelConfig, WheelTrack, displacement_columns
 
 GRAVITY_SIGMA_MPS2 = 0.02
@@ -48,7 +64,8 @@ class Fusion:
 
     def __init__(
         self, vehicle: Vehicle, gravity_at: tuple[float, float], inertial: InertialConfig, wheels: WheelConfig,
-        gnss: GnssConfig, smoother: SmootherConfig, alignment: AlignmentConfig,
+        gnss: GnssConfig, smoother: SmootherConfig, alignment: AlignmentConfig, sighting: SightingConfig,
+        ranging: Ranging | None,
     ) -> None:  # fmt: skip
         imu, main = vehicle.sensors.imu, vehicle.sensors.gnss["main"]
         assert imu is not None, "checked by the localizer"
@@ -62,12 +79,19 @@ class Fusion:
         self.gate = GnssGate(gnss)
         self.smoother = Smoother(smoother)
         self._waiting: list[gtsam.NonlinearFactor] = []
+        self.ranging, self._sighting = ranging, sighting
+        self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
 
     def start(self, stamp_ns: int, level: Level, placed: Placed) -> State:
-        """Begins the graph at a standstill."""
+        """Begins the graph at a standstill, where fixes say."""
         cfg = self._alignment
         tilt, heading = math.radians(cfg.tilt_sigma_deg), math.radians(cfg.heading_sigma_deg)
         pose_sigma = np.concatenate([[tilt, tilt, heading], placed.sigma_m])
+        return self.start_at(stamp_ns, level, pose_of(level, placed, self.arms.antenna_m), pose_sigma)
+
+    def start_at(self, stamp_ns: int, level: Level, T_map_body: Float64, pose_sigma: Float64) -> State:
+        """Begins the graph at a standstill, at a pose known to sigmas (6,), rotation then translation."""
+        cfg = self._alignment
         accelerometer, gyro = self._bias_sigmas
         gyro = math.hypot(
             gyro, self._gyro_density / math.sqrt(cfg.window_s)
@@ -76,13 +100,13 @@ class Fusion:
         bias_sigma[:2] = accelerometer
         bias = np.concatenate([[0.0, 0.0, level.gravity_mps2 - self._gravity], level.gyro_bias_radps])
         sigmas = np.concatenate([pose_sigma, np.full(3, cfg.velocity_sigma_mps), bias_sigma, self._wheels.start_sigma])
-        T = pose_of(level, placed, self.arms.antenna_m)
-        state = State(stamp_ns, T, np.zeros(3), bias, self._wheels.start, np.diag(pose_sigma**2), sigmas)
+        state = State(stamp_ns, T_map_body, np.zeros(3), bias, self._wheels.start, np.diag(pose_sigma**2), sigmas)
         return self.restart(state)
 
     def restart(self, state: State) -> State:
         """Begins the graph anew at a known state."""
         self._waiting.clear()
+        self._calibrated = None
         self.smoother.start(state)
         return state
 
@@ -93,11 +117,12 @@ class Fusion:
         self._waiting.append(motion_factor(start, end, T, A @ covariance @ A.T))
 
     def keyframe(
-        self, stamp_ns: int, track: InertialTrack, wheels: WheelTrack, positions: list[Position]
-    ) -> list[Refusal]:
+        self, stamp_ns: int, track: InertialTrack, wheels: WheelTrack, positions: list[Position],
+        heard: Heard | None = None, sightings: Sequence[Sighting] = (),
+    ) -> list[Refusal]:  # fmt: skip
         """Adds a keyframe with what was measured since the last; says what spoke against each of the fixes.
 
-        The fixes have been carried over to `stamp_ns`.
+        Fixes, ranges and sightings have been carried over to `stamp_ns`.
 
         Raises SmootherFailure when the graph had to be rebuilt at the last state.
         """
@@ -112,10 +137,46 @@ class Fusion:
         refusals = [self.gate.judge(position, *antenna) for position in positions]
         for position, refusal in zip(positions, refusals, strict=True):
             factors += self._fix_factors(key, guess, position) if refusal is Refusal.NONE else []
+        factors += self._sighting_factors(key, guess, sightings)
+        ranged = self._range_factors(key, guess, heard) if heard is not None else []
         between = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), inertial)
         root = math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
-        self.smoother.add(guess, between, root * self._wheels.walk, factors)
+        if not ranged or self.ranging is None:
+            self.smoother.add(guess, between, root * self._wheels.walk, factors)
+            return refusals
+        ranging = self.ranging
+        self.smoother.add(guess, between, root * self._wheels.walk, factors + ranged, ranging.calibration)
+        ranging.calibration, ranging.calibration_covariance = self.smoother.calibration(key)
+        self._calibrated = key, stamp_ns
         return refusals
+
+    def _sighting_factors(self, key: int, guess: State, sightings: Sequence[Sighting]) -> list[gtsam.NonlinearFactor]:
+        T_base_body = self.arms.T_base_body
+        A = gtsam.Pose3(invert(T_base_body)).AdjointMap()
+        seen = [Sighting(s.T_map_base @ T_base_body, A @ s.covariance @ A.T) for s in sightings]
+        return [
+            pose_factor(key, s.T_map_base, s.covariance)
+            for s in seen
+            if agrees(s, guess.T_map_body, guess.covariance, self._sighting)
+        ]
+
+    def _range_factors(self, key: int, guess: State, heard: Heard) -> list[gtsam.NonlinearFactor]:
+        """Those that agree, with the calibration's own link to the keyframe before, or to what was known then."""
+        ranging = self.ranging
+        assert ranging is not None, "who hears has anchors"
+        kept = ranging.judge(heard, guess.T_map_body, guess.covariance)
+        if not ranging.accept(guess.stamp_ns, heard, kept):
+            return []
+        factors: list[gtsam.NonlinearFactor]
+        before, gaussian = self._calibrated, gtsam.noiseModel.Gaussian.Covariance
+        if before is not None and self.smoother.holds(before[0]):
+            walk = np.diag(ranging.walk * (guess.stamp_ns - before[1]) * 1e-9)
+            factors = [gtsam.BetweenFactorVector(C(before[0]), C(key), np.zeros(len(walk)), gaussian(walk))]
+        else:
+            known = gaussian(ranging.calibration_covariance)
+            factors = [gtsam.PriorFactorVector(C(key), ranging.calibration, known)]
+        factors.append(ranges_factor(key, ranging.anchors_map_m, kept.arms_m, kept.rows, kept.range_m, kept.sigma_m))
+        return factors
 
     def _predict(self, last: State, stamp_ns: int, inertial: gtsam.PreintegratedCombinedMeasurements) -> State:
         start = gtsam.NavState(gtsam.Pose3(last.T_map_body), last.velocity_mps)

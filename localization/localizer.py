@@ -4,24 +4,28 @@ from collections.abc import Iterable, Mapping
 
 from pydantic import Field
 
+from configs.site import Pose2, Shed
 from configs.strict import Config
 from configs.vehicle import Vehicle
 from geometry.geodesy import Datum
 from geometry.transforms import Float64
 from localization.alarms import Alarms
+from localization.docked import Docked
 from localization.fusion import Fusion
 from localization.gnss import Refusal, check, position_of
 from localization.inertial import InertialTrack
 from localization.kernels import warm
+from localization.lidar_map import LIDAR_POSE, LidarMapConfig
 from localization.lidar_odometry import LidarOdometryConfig
 from localization.motion import Motion, MotionConfig
 from localization.placement import Placement, PlacementConfig
 from localization.preintegration import bias_sigmas
+from localization.ranging import Ranging
 from localization.wheels import WheelTrack
 from messages.errors import ConfigError
-from messages.motion import LidarMotion
+from messages.motion import LidarMotion, LidarPose
 from messages.node import All, Every, Inbox, Node, Output, Read
-from messages.sensors import GnssFix, ImuSample, WheelSample
+from messages.sensors import GnssFix, ImuSample, UwbRanges, WheelSample
 
 IMU, WHEEL, GNSS, LIDAR_MOTION = "imu", "wheel", "gnss/main", "lidar_motion/front"
 
@@ -37,18 +41,28 @@ class LocalizationConfig(Config):
     motion: MotionConfig
     placement: PlacementConfig
     lidar_odometry: LidarOdometryConfig
+    lidar_map: LidarMapConfig
 
 
 class Localizer(Node):
-    """Fuses GNSS, inertial unit, wheels and lidar motion; `odom` stops when inertial unit or wheels are silent."""
+    """Fuses GNSS, inertial unit, wheels, UWB and lidars; `odom` stops when inertial unit or wheels are silent.
 
-    def __init__(self, vehicle: Vehicle, datum: Datum, config: LocalizationConfig) -> None:
+    `start` is the surveyed pose at which the machine was left; it is believed once UWB ranges agree with it.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, datum: Datum, config: LocalizationConfig, shed: Shed | None = None,
+        start: Pose2 | None = None,
+    ) -> None:  # fmt: skip
         if "main" not in vehicle.sensors.gnss or vehicle.sensors.imu is None:
             raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.gnss.main and sensors.imu")
         self.name = "localizer"
         self.reads: Mapping[str, Read] = {IMU: All(200), WHEEL: All(100), GNSS: All(20)}
         if "front" in vehicle.sensors.lidar:
-            self.reads = {**self.reads, LIDAR_MOTION: All(20)}
+            self.reads = {**self.reads, LIDAR_MOTION: All(20), LIDAR_POSE: All(20)}
+        tags = vehicle.sensors.uwb if shed is not None and shed.anchors else {}
+        self._uwb = tuple(f"uwb/{tag}" for tag in tags)
+        self.reads = {**self.reads, **dict.fromkeys(self._uwb, All(20))}
         self.writes = ("odom", "map_pose", "fault/localizer")
         self.runs = Every(round(config.period_s * 1e9))
         self._config, self._datum = config, datum
@@ -57,6 +71,7 @@ class Localizer(Node):
         self._gyro_bias_sigma = bias_sigmas(vehicle.sensors.imu)[1]
         place, gravity_at = config.placement, (datum.latitude_rad, datum.height_m)
         self._motion = Motion(vehicle, config.motion, place.alignment)
+        self._ranging = Ranging(place.ranging, tags, shed.anchors) if shed is not None and tags else None
         fusion = Fusion(
             vehicle,
             gravity_at,
@@ -65,8 +80,10 @@ class Localizer(Node):
             place.gnss,
             place.smoother,
             place.alignment,
+            place.sighting,
+            self._ranging,
         )
-        self._placement = Placement(place, fusion, self._motion)
+        self._placement = Placement(place, fusion, self._motion, Docked(start, shed, place.docked))
         self._alarms = Alarms(self.name)
         self._now_ns: int | None = None
         self._gnss_ns: int | None = None
@@ -111,6 +128,11 @@ class Localizer(Node):
         if LIDAR_MOTION in self.reads:
             for motion in inbox.all(LIDAR_MOTION, LidarMotion):
                 self._placement.link.add(motion)
+            for pose in inbox.all(LIDAR_POSE, LidarPose):
+                self._placement.sightings.add(pose)
+        for topic in self._uwb:
+            for heard in inbox.all(topic, UwbRanges):
+                self.dropped += not (self._is_timely(heard.stamp_ns, now_ns) and self._add_ranges(heard))
         self._alarms.set("localization.garbage", self.dropped > before, f"{self.dropped} in all")
 
     def _is_timely(self, stamp_ns: int, now_ns: int) -> bool:
@@ -121,6 +143,9 @@ class Localizer(Node):
         if len(track) and sample.stamp_ns - track.last_ns > self._config.motion.inertial.largest_gap_s * 1e9:
             self._forget_time((sample.stamp_ns - track.last_ns) * 1e-9)
         return self._motion.add_inertial(sample)
+
+    def _add_ranges(self, heard: UwbRanges) -> bool:
+        return self._ranging is not None and self._ranging.add(heard)
 
     def _add_fix(self, fix: GnssFix) -> bool:
         self._gnss_ns = fix.stamp_ns
@@ -161,6 +186,9 @@ class Localizer(Node):
         alarms.set("gnss.refused", self._placement.is_refusing, "contradict the prediction")
         is_lost = self._was_lost and not self._placement.is_initialized
         alarms.set("localization.lost", is_lost)
+        alarms.set("uwb.refused", self._ranging is not None and self._ranging.is_refusing)
+        doubt = "" if self._placement.is_initialized else self._placement.doubt
+        alarms.set("localization.not_docked", bool(doubt), doubt)
         alarms.set("gnss.no_heading", not self._placement.is_initialized and motion.standstill.lacks_heading)
         for failure in self._placement.failures:
             alarms.note("localization.rebuilt", failure)

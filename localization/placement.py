@@ -12,11 +12,14 @@ from geometry.angles import wrap
 from geometry.transforms import Float64, invert, yaw_of
 from localization.alignment import AlignmentConfig
 from localization.dead_reckoning import Calibration
+from localization.docked import Docked, DockedConfig
 from localization.fusion import Fusion
 from localization.gnss import GnssConfig, Position, Refusal, source_of
 from localization.integrity import IntegrityConfig, output_covariance, protection_level
 from localization.lidar_link import LidarLink, LidarLinkConfig, moved_to
 from localization.motion import Motion
+from localization.ranging import Heard, RangingConfig
+from localization.sighting import SightingConfig, Sightings
 from localization.smoother import SmootherConfig, SmootherFailure, State
 from messages.motion import MapPose, PositionSource
 
@@ -28,6 +31,9 @@ class PlacementConfig(Config):
     smoother: SmootherConfig
     alignment: AlignmentConfig
     lidar_link: LidarLinkConfig
+    sighting: SightingConfig
+    ranging: RangingConfig
+    docked: DockedConfig
     integrity: IntegrityConfig
     resume_turn_radps: float = Field(gt=0.0, le=2.0, description="how fast the pose may have turned during a gap")
     resume_share: float = Field(gt=0.0, le=2.0, description="part of the speed by which it may have moved otherwise")
@@ -38,10 +44,10 @@ class PlacementConfig(Config):
 class Placement:
     """Owns the graph and turns its newest keyframe into `T_map_odom`."""
 
-    def __init__(self, config: PlacementConfig, fusion: Fusion, motion: Motion) -> None:
-        self._config, self._motion = config, motion
+    def __init__(self, config: PlacementConfig, fusion: Fusion, motion: Motion, docked: Docked) -> None:
+        self._config, self._motion, self._docked = config, motion, docked
         self.fusion = fusion
-        self.link = LidarLink(config.lidar_link)
+        self.link, self.sightings = LidarLink(config.lidar_link), Sightings(config.sighting)
         self._queue: deque[Position] = deque()
         self._carried: list[Position] = []
         self._T_map_odom = np.eye(4)
@@ -50,6 +56,7 @@ class Placement:
         self._refused_since_ns: int | None = None
         self.is_initialized = False
         self.failures: list[str] = []
+        self.doubt = ""
         self.refusals = 0
         self.late = 0
 
@@ -64,7 +71,9 @@ class Placement:
         return self._refused_since_ns is not None
 
     def add(self, position: Position) -> None:
-        """Takes a fix; it waits until inertial samples reach it."""
+        """Takes a fix; it waits until inertial samples reach it. Beside the shed UWB knows better."""
+        if self._is_ranged(position.stamp_ns) and self._docked.is_shaded(position.p_map_m):
+            return
         newest = max((fix.stamp_ns for fix in (*self._carried, *self._queue)), default=self._newest_ns())
         if position.stamp_ns <= newest:
             self.late += 1
@@ -80,10 +89,32 @@ class Placement:
         self._queue.clear()
         self._carried.clear()
         self.link.clear()
+        self.sightings.clear()
+        if self.fusion.ranging is not None:
+            self.fusion.ranging.clear()
         self._refused_since_ns = None
 
     def start(self) -> bool:
-        """Begins at a standstill when there are fixes with heading."""
+        """Begins at a standstill: at the dock when ranges confirm it, else when there are fixes with heading."""
+        return self._start_docked() or self._start_fixed()
+
+    def _start_docked(self) -> bool:
+        motion, ranging = self._motion, self.fusion.ranging
+        level, still_ns, stamp_ns = motion.level(), motion.standstill.since_ns, motion.track.last_ns
+        if ranging is None or self._docked.start is None or level is None or still_ns is None:
+            return False
+        T_base_body = self.fusion.arms.T_base_body
+        T = self._docked.pose_of(level) @ T_base_body
+        sigmas = self._docked.sigmas(math.radians(self._config.alignment.tilt_sigma_deg))
+        self.doubt = ranging.disagreement(ranging.since(still_ns, invert(T_base_body)), T, np.diag(sigmas**2))
+        if self.doubt or motion.history.at(stamp_ns) is None:
+            return False
+        ranging.begin(stamp_ns)
+        self._place(self.fusion.start_at(stamp_ns, level, T, sigmas))
+        self.is_initialized = True
+        return True
+
+    def _start_fixed(self) -> bool:
         still, level = self._motion.standstill, self._motion.level()
         placed, newest = still.place(), still.newest
         if level is None or placed is None or newest is None:
@@ -150,7 +181,10 @@ class Placement:
         before = self.state
         try:
             moved = [self._carry(fix, stamp_ns) for fix in fixes]
-            refusals = self.fusion.keyframe(stamp_ns, motion.track, motion.wheels, moved)
+            refusals = self.fusion.keyframe(
+                stamp_ns, motion.track, motion.wheels, moved, self._heard(stamp_ns),
+                self.sightings.take(stamp_ns, motion.history),
+            )  # fmt: skip
         except SmootherFailure as failure:
             self._recover(stamp_ns, before, str(failure))
             return
@@ -159,6 +193,17 @@ class Placement:
         self._place(state)
         for fix, refusal in zip(fixes, refusals, strict=True):
             self._count(fix, refusal)
+
+    def _heard(self, stamp_ns: int) -> Heard | None:
+        ranging = self.fusion.ranging
+        if ranging is None:
+            return None
+        return ranging.take(stamp_ns, self._motion.history, invert(self.fusion.arms.T_base_body))
+
+    def _is_ranged(self, stamp_ns: int) -> bool:
+        """Whether UWB holds the position."""
+        ranging = self.fusion.ranging
+        return self.is_initialized and ranging is not None and ranging.is_alive(stamp_ns)
 
     def _carry(self, fix: Position, stamp_ns: int) -> Position:
         """A fix moved on to a keyframe by dead reckoning, over a fraction of a second."""
@@ -231,26 +276,35 @@ class Placement:
             )
         T = self._T_map_odom @ self._odom_now()
         source, age_s = self._source(stamp_ns)
-        covariance = self._covariance(state, T, stamp_ns)
+        covariance = self._covariance(state, T, stamp_ns, source)
         level = protection_level(covariance, T, source, self._config.integrity)
-        return MapPose(stamp_ns, self._T_map_odom.copy(), T, covariance, source, level, age_s, True)
+        ranging = self.fusion.ranging
+        uwb_age_s = ranging.age_s(stamp_ns) if ranging is not None else math.inf
+        return MapPose(stamp_ns, self._T_map_odom.copy(), T, covariance, source, level, age_s, True, uwb_age_s)
 
     def _source(self, stamp_ns: int) -> tuple[PositionSource, float]:
-        if self._accepted is None:
-            return PositionSource.DEAD_RECKONING, math.inf
-        age_s = max(0, stamp_ns - self._accepted_ns) * 1e-9
-        if age_s > self._config.integrity.outage_s:
-            return PositionSource.DEAD_RECKONING, age_s
-        return source_of(self._accepted.solution), age_s
+        fixed, age_s = PositionSource.DEAD_RECKONING, math.inf
+        if self._accepted is not None:
+            age_s = max(0, stamp_ns - self._accepted_ns) * 1e-9
+            if age_s <= self._config.integrity.outage_s:
+                fixed = source_of(self._accepted.solution)
+        is_held = fixed is not PositionSource.RTK_FIXED and self._is_ranged(stamp_ns)
+        return (PositionSource.UWB if is_held else fixed), age_s
 
-    def _covariance(self, state: State, T_map_base: Float64, stamp_ns: int) -> Float64:
-        slow = np.zeros(3) if self._accepted is None else self._accepted.slow_m
+    def _covariance(self, state: State, T_map_base: Float64, stamp_ns: int, source: PositionSource) -> Float64:
+        slow, turn_rad = self._slow(source)
         R = T_map_base[:3, :3]
         age_s = (stamp_ns - state.stamp_ns) * 1e-9
         T_base_body = self.fusion.arms.T_base_body
         out = output_covariance(
             state.covariance, T_base_body, R.T @ np.diag(slow**2) @ R, age_s, self._motion.speed_mps, 1e-3
         )
-        if self._accepted is not None and math.isfinite(self._accepted.heading_rad):
-            out[2, 2] += self._accepted.heading_slow_rad**2
+        out[2, 2] += turn_rad**2
         return out
+
+    def _slow(self, source: PositionSource) -> tuple[Float64, float]:
+        """The part of the error in place (3,) and heading that no averaging removes."""
+        fix, cfg = self._accepted, self._config.sighting
+        if source is PositionSource.UWB or fix is None:
+            return np.full(3, cfg.slow_m), math.radians(cfg.slow_deg)
+        return fix.slow_m, fix.heading_slow_rad if math.isfinite(fix.heading_rad) else 0.0

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.transforms import Float64
-from localization.factors import B, S, V, X
+from localization.factors import B, C, S, V, X
 from localization.preintegration import constant_bias
 
 POSE, VELOCITY, BIAS, SLIP = 6, 3, 6, 4
@@ -84,6 +84,15 @@ class Smoother:
         best = min(near, default=None)
         return (best[1], best[2]) if best is not None and best[0] <= tolerance_ns else None
 
+    def holds(self, key: int) -> bool:
+        """Whether a keyframe is well within the lag, so that a factor may tie to it."""
+        newest = next(reversed(self._stamps.values()), 0)
+        return key in self._stamps and self._stamps[key] >= newest - int((self._config.lag_s - 0.5) * 1e9)
+
+    def calibration(self, key: int) -> tuple[Float64, Float64]:
+        """The anchors' scale and bias at a keyframe that was added with them, and their covariance."""
+        return self._graph.calculateEstimateVector(C(key)), self._graph.marginalCovariance(C(key))
+
     @property
     def next_key(self) -> int:
         """The key that the next keyframe will have."""
@@ -95,8 +104,12 @@ class Smoother:
         inertial: gtsam.CombinedImuFactor,
         slip_sigma: Float64,
         factors: Sequence[gtsam.NonlinearFactor],
+        calibration: Float64 | None = None,
     ) -> State:
-        """Adds the keyframe `next_key` at `guess`; raises SmootherFailure when the graph had to be rebuilt."""
+        """Adds the keyframe `next_key` at `guess`, with a `calibration` of the anchors where `factors` speak of one.
+
+        Raises SmootherFailure when the graph had to be rebuilt.
+        """
         last = self.state
         assert last is not None, "start comes first"
         k = self._index + 1
@@ -108,7 +121,7 @@ class Smoother:
         for factor in factors:
             graph.add(factor)
         try:
-            self._update(k, guess, graph)
+            self._update(k, guess, graph, calibration)
             state = self._read(k, guess.stamp_ns)
         except (RuntimeError, IndexError, ValueError) as error:
             self.start(widened(last))
@@ -123,14 +136,20 @@ class Smoother:
         parameters.setRelinearizeThreshold(self._config.relinearize_threshold)
         return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, parameters)
 
-    def _update(self, k: int, state: State, factors: gtsam.NonlinearFactorGraph) -> None:
+    def _update(
+        self, k: int, state: State, factors: gtsam.NonlinearFactorGraph, calibration: Float64 | None = None
+    ) -> None:
         time_s = (state.stamp_ns - self._origin_ns) * 1e-9
         values = gtsam.Values()
         values.insert(X(k), gtsam.Pose3(state.T_map_body))
         values.insert(V(k), np.asarray(state.velocity_mps, np.float64))
         values.insert(B(k), constant_bias(state.bias))
         values.insert(S(k), np.asarray(state.slip, np.float64))
-        self._graph.update(factors, values, {X(k): time_s, V(k): time_s, B(k): time_s, S(k): time_s})
+        keys = [X(k), V(k), B(k), S(k)]
+        if calibration is not None:
+            values.insert(C(k), calibration)
+            keys.append(C(k))
+        self._graph.update(factors, values, dict.fromkeys(keys, time_s))
         self._stamps[k] = state.stamp_ns
         limit_ns = state.stamp_ns - int(self._config.lag_s * 1e9)
         while self._stamps and next(iter(self._stamps.values())) < limit_ns:

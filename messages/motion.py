@@ -66,6 +66,21 @@ class MapPose(Message):
 
 
 @dataclass(frozen=True)
+class LidarPose(Message):
+    """Pose of `base` in `map` from matching scans with what is known to stand there; not valid, with the reason.
+
+    `T_map_base` (4, 4); `covariance` (6, 6) rotation then translation, in `base`: roll, pitch and, but for a level
+    floor, height are not seen, and it says so.
+    """
+
+    T_map_base: Float64
+    covariance: Float64
+    is_valid: bool
+    reason: str
+    matched_points: int
+
+
+@dataclass(frozen=True)
 class LidarMotion(Message):
     """Motion of `base` between two scans from lidar odometry; not valid, with the reason, when degenerate.
 

@@ -37,6 +37,7 @@ KINDS: dict[str, Kind] = {
     "odom": Kind(motion.Odometry, 0.02, 0.1),
     "map_pose": Kind(motion.MapPose, 0.1, 0.5),
     "lidar_motion": Kind(motion.LidarMotion, 0.1, 0.5),
+    "lidar_pose": Kind(motion.LidarPose, 0.2, 0.5),
     "ground": Kind(perception.LidarGround, 0.1, 0.5, is_logged=False),
     "obstacles": Kind(perception.Obstacles, 0.1, 0.5),
     "tracks": Kind(perception.Tracks, 0.1, 0.5),

@@ -6,8 +6,10 @@ from itertools import count
 
 import can
 
+from configs.site import Pose2
 from control.controller import Controller
 from interfaces.gateway import Gateway
+from localization.lidar_map import LidarMap
 from localization.lidar_odometry import LidarOdometry
 from localization.localizer import Localizer
 from messages.node import Node, World
@@ -65,7 +67,8 @@ def _perceiving(setup: Setup) -> list[Node]:
     return [
         *perceiving(setup.vehicle, setup.implement, setup.stack.perception),
         LidarOdometry(setup.vehicle, "front", localization.lidar_odometry),
-        Localizer(setup.vehicle, setup.site.datum.datum, localization),
+        LidarMap(setup.vehicle, setup.implement, setup.site.shed, localization.lidar_map),
+        Localizer(setup.vehicle, setup.site.datum.datum, localization, setup.site.shed, _dock(setup)),
     ]
 
 
@@ -82,6 +85,14 @@ def _deciding(setup: Setup, is_ablation: bool) -> list[Node]:
             fence_of(setup.site),
             FAULT_TOPICS,
             disabled,
+def _dock(setup: Setup) -> Pose2 | None:
+    """Where the machine was left in the shed, None when it was left outside."""
+    mission, shed = setup.mission, setup.site.shed
+    if shed is None or mission.bay is None or mission.start is not None:
+        return None
+    return shed.bay(mission.bay).dock
+
+
             survey_of(setup.site),
             idle_of(setup),
         ),

@@ -10,7 +10,7 @@ from localization_drive import DATUM, START_NS, Truth, tractor
 from configs.strict import CONFIGS, parse, read_yaml
 from localization.localizer import LocalizationConfig, Localizer
 from messages.faults import Fault
-from messages.motion import LidarMotion, MapPose, Odometry
+from messages.motion import LidarMotion, LidarPose, MapPose, Odometry
 
 STEP_NS = 20_000_000
 
@@ -52,16 +52,19 @@ class Run:
     step_s: np.ndarray
     localizer: Localizer
     motions: list[LidarMotion]
+    sightings: list[LidarPose] = dataclasses.field(default_factory=list)
 
 
-def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None) -> Run:
+def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None, lidar_map=None) -> Run:
     """Steps a localizer every 20 ms through messages (arrival, topic, message) in order of arrival.
 
     `lidar` is a lidar odometry and a function that gives scan and ground for a time, or None; 10 Hz, 60 ms late.
+    `lidar_map` is that node and a function that gives {sensor: (scan, ground)} for a time; 5 Hz, 80 ms late.
     """
     node = localizer or Localizer(tractor(), DATUM, configuration())
     motions = []
     odom, poses, faults, times, k, now = [], [], [], [], 0, start_ns
+    sightings = []
     end = messages[-1][0] if seconds is None else start_ns + int(seconds * 1e9)
     while now <= end:
         due = []
@@ -71,12 +74,23 @@ def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None) -
         if lidar is not None and (now - start_ns) % 100_000_000 == 60_000_000:
             due += _lidar_step(lidar, now - 60_000_000, odom)
             motions += [m for _, m in due if isinstance(m, LidarMotion)]
-        start = time.perf_counter()
+        if lidar_map is not None and (now - start_ns) % 200_000_000 == 80_000_000:
+            due += _map_step(lidar_map, now - 80_000_000, odom, poses)
+            sightings += [m for _, m in due if isinstance(m, LidarPose)]
+        start = time.thread_time()
         for topic, message in node.step(now, Box(due)):
             {"odom": odom, "map_pose": poses, "fault/localizer": faults}[topic].append(message)
-        times.append(time.perf_counter() - start)
+        times.append(time.thread_time() - start)
         now += STEP_NS
-    return Run(odom, poses, faults, np.array(times), node, motions)
+    return Run(odom, poses, faults, np.array(times), node, motions, sightings)
+
+
+def _map_step(lidar_map, stamp_ns, odom, poses):
+    node, look = lidar_map
+    seen = look(stamp_ns) or {}
+    due = [(f"{kind}/{s}", m) for s, pair in seen.items() for kind, m in zip(("lidar", "ground"), pair, strict=True)]
+    due += [("map_pose", poses[-1])] if poses else []
+    return list(node.step(stamp_ns + 80_000_000, Box(due, [("odom", m) for m in odom[-60:]])))
 
 
 def _lidar_step(lidar, stamp_ns, odom):

@@ -70,13 +70,16 @@ def field(seconds: float, stand_s: float = 4.0, speed_mps: float = 10 / 3.6) -> 
     return legs
 
 
-def drive(seconds: float, legs: list[tuple[float, float, float]] | None = None, wrongs: Wrongs = Wrongs()) -> Truth:
-    """The whole drive with its sensors' messages in order of arrival."""
+def drive(
+    seconds: float, legs: list[tuple[float, float, float]] | None = None, wrongs: Wrongs = Wrongs(),
+    begin: tuple[float, float, float] = (3.0, -2.0, 0.4), is_flat: bool = False,
+) -> Truth:  # fmt: skip
+    """The whole drive from a pose (x, y, yaw) with its sensors' messages in order of arrival."""
     rng = np.random.default_rng(wrongs.seed)
     n = int(seconds / FINE_S) + 1
     t = np.arange(n) * FINE_S
     speed, curvature = _profile(legs if legs is not None else field(seconds), t)
-    T, yaw = _poses(t, speed, curvature, wrongs)
+    T, yaw = _poses(t, speed, curvature, wrongs, begin, 0.0 if is_flat else 1.0)
     v = tractor()
     imu = _imu(v, t, T, rng)
     wheels = _wheels(v, t, T, speed, curvature, wrongs, rng)
@@ -112,7 +115,7 @@ def _height(x, y, furrow_m):
     return z, zx, zy
 
 
-def _poses(t, speed, curvature, wrongs):
+def _poses(t, speed, curvature, wrongs, begin, hills):
     """Integrates on the surface; `speed` is along x of base, part of it sideways by side force and soil."""
     n, furrow_m = len(t), wrongs.furrow_m
     soil, rng = np.zeros(n), np.random.default_rng(wrongs.seed + 1000)
@@ -123,14 +126,14 @@ def _poses(t, speed, curvature, wrongs):
     yaw = np.zeros(n)
     turn = curvature * speed
     yaw[1:] = np.cumsum(0.5 * (turn[1:] + turn[:-1]) * FINE_S)
-    yaw += 0.4
+    yaw += begin[2]
     R = np.empty((n, 3, 3))
-    x, y = 3.0, -2.0
+    x, y = begin[:2]
     c, s = np.cos(yaw).tolist(), np.sin(yaw).tolist()
     v, d = speed.tolist(), (wrongs.drift + soil - wrongs.crab_per_side * turn * speed / GRAVITY_MPS2).tolist()
 
     def velocity(k, x, y):
-        _, zx, zy = _height_fast(x, y, furrow_m)
+        _, zx, zy = (hills * h for h in _height_fast(x, y, furrow_m))
         along = c[k] * zx + s[k] * zy
         ex = 1.0 / math.sqrt(1.0 + along * along)
         nx, ny, nz = -zx, -zy, 1.0
@@ -148,7 +151,7 @@ def _poses(t, speed, curvature, wrongs):
             ax, ay = velocity(k, x, y)
             bx, by = velocity(k + 1, x + ax * FINE_S, y + ay * FINE_S)
             x, y = x + 0.5 * (ax + bx) * FINE_S, y + 0.5 * (ay + by) * FINE_S
-    z, zx, zy = _height(xy[:, 0], xy[:, 1], furrow_m)
+    z, zx, zy = (hills * h for h in _height(xy[:, 0], xy[:, 1], furrow_m))
     forward = np.stack([np.cos(yaw), np.sin(yaw), np.cos(yaw) * zx + np.sin(yaw) * zy], axis=1)
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
     up = np.stack([-zx, -zy, np.ones(n)], axis=1)
@@ -206,7 +209,7 @@ def _wheels(v, t, T, speed, curvature, wrongs, rng):
     out = []
     for k in index:
         angle = math.atan(v.drivetrain.wheelbase_m * curvature[k]) + wrongs.steering_offset_rad
-        noisy = speed[k] * (1 + slip[k]) + (rng.normal(0, wheels.speed_sigma_mps) if speed[k] > 1e-3 else 0.0)
+        noisy = speed[k] * (1 + slip[k]) + (rng.normal(0, wheels.speed_sigma_mps) if abs(speed[k]) > 1e-3 else 0.0)
         sample = WheelSample(
             _ns(t[k]), float(noisy), float(angle + rng.normal(0, math.radians(wheels.angle_sigma_deg)))
         )

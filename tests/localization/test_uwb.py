@@ -9,9 +9,9 @@ import pytest
 from benchmarks import uwb as benchmark
 from configs.strict import CONFIGS, load
 from geometry.transforms import Float64
-from localization.factors import X
+from localization.factors import C, X
 from localization.uwb import Step, UwbConfig, UwbLocalizer, alike, headings
-from localization.uwb_factor import range_factor
+from localization.uwb_factor import ranges_factor
 from localization.uwb_motion import Motion, Odometry, Velocity
 from localization.uwb_window import (
     Gauge,
@@ -204,22 +204,32 @@ def test_alike() -> None:
     np.testing.assert_allclose(alike(2, 3.0, 4.0), [[25.0, 9.0], [9.0, 25.0]])
 
 
-def test_range_factor_has_the_derivative_of_its_error() -> None:
+def test_ranges_factor_has_the_derivatives_of_its_error() -> None:
     pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 2.0), np.array([3.0, 4.0, 1.0]))
-    factor = range_factor(1, WHERE[1], np.array([1.2, -0.3, 2.1]), 20.0, (1.02, 0.2), 0.5)
+    rows, arms = np.array([1, 3]), np.array([[1.2, -0.3, 2.1], [0.2, 0.4, 2.0]])
+    factor = ranges_factor(1, WHERE, arms, rows, np.array([20.0, 15.0]), np.array([0.5, 0.2]))
+    calibration = np.array([0.01, -0.02, 0.0, 0.02, 0.1, 0.2, -0.1, 0.05])
     values = gtsam.Values()
     values.insert(X(1), pose)
-    weight = np.sqrt(1.0 / (1.0 + (plain(factor, pose) / 2.5) ** 2))
-    J = factor.linearize(values).jacobian()[0][0] / weight
+    values.insert(C(1), calibration)
+    gaussian = factor.linearize(values)
+    J = dict(zip((X(1), C(1)), np.split(gaussian.jacobian()[0], [6], axis=1), strict=True))
+    assert list(gaussian.keys()) == [X(1), C(1)]
     for i, unit in enumerate(np.eye(6) * 1e-6):
-        slope = (plain(factor, pose.retract(unit)) - plain(factor, pose.retract(-unit))) / 2e-6
-        assert J[i] == pytest.approx(slope, abs=1e-5)
+        slope = (
+            plain(factor, pose.retract(unit), calibration) - plain(factor, pose.retract(-unit), calibration)
+        ) / 2e-6
+        np.testing.assert_allclose(J[X(1)][:, i], slope, atol=1e-5)
+    for i, unit in enumerate(np.eye(8) * 1e-6):
+        slope = (plain(factor, pose, calibration + unit) - plain(factor, pose, calibration - unit)) / 2e-6
+        np.testing.assert_allclose(J[C(1)][:, i], slope, atol=1e-5)
 
 
-def plain(factor: gtsam.CustomFactor, pose: gtsam.Pose3) -> float:
+def plain(factor: gtsam.CustomFactor, pose: gtsam.Pose3, calibration: Float64) -> Float64:
     values = gtsam.Values()
     values.insert(X(1), pose)
-    return float(factor.unwhitenedError(values)[0] / 0.5)
+    values.insert(C(1), calibration)
+    return np.asarray(factor.unwhitenedError(values)) / np.array([0.5, 0.2])
 
 
 def folder(name: str) -> Path:

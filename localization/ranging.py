@@ -1,0 +1,182 @@
+"""UWB ranges on their way into the graph: checked, brought to a keyframe, and rid of what came round a corner."""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Uwb
+from geometry.transforms import Float64, apply, invert
+from localization.dead_reckoning import PoseHistory
+from localization.uwb import alike
+from localization.uwb_factor import expected_ranges
+from localization.uwb_window import Gauge, range_weight
+from messages.message import Int64
+from messages.sensors import UwbRanges
+
+KEEP = 60
+
+
+class RangingConfig(Config):
+    """Weighing of ranges and what is known of their scale and bias before the first one; see `UwbConfig`."""
+
+    sigma_factor: float = Field(ge=1.0, le=20.0, description="on the data sheet's sigma: errors that last for a while")
+    late_sigmas: float = Field(gt=0.0, le=100.0, description="residual at which a range too long counts half")
+    early_sigmas: float = Field(gt=0.0, le=100.0, description="the same for one too short")
+    least_weight: float = Field(gt=0.0, le=1.0, description="a range that would count less is left out")
+    scale_sigma: float = Field(ge=0.0, le=0.5, description="of all anchors together")
+    scale_each_sigma: float = Field(gt=0.0, le=0.5)
+    scale_walk: float = Field(gt=0.0, le=0.1, description="per root second")
+    bias_sigma_m: float = Field(ge=0.0, le=20.0)
+    bias_each_sigma_m: float = Field(gt=0.0, le=20.0)
+    bias_walk_m: float = Field(gt=0.0, le=1.0, description="per root second")
+    least_anchors: int = Field(ge=2, le=20, description="that must agree at one keyframe, or at the start")
+    agreeing_share: float = Field(gt=0.0, le=1.0, description="of the anchors heard at the start")
+    silent_s: float = Field(gt=0.0, le=10.0, description="without agreeing ranges for longer UWB holds no position")
+
+
+@dataclass(frozen=True)
+class Heard:
+    """n ranges brought to one time: anchor by row, arm of the tag (n, 3) from the body, metres and sigmas."""
+
+    rows: Int64
+    arms_m: Float64
+    range_m: Float64
+    sigma_m: Float64
+
+    def only(self, weight: Float64) -> "Heard":
+        """Those with a weight above zero, their sigmas grown by it."""
+        use = weight > 0.0
+        sigma = self.sigma_m[use] / np.sqrt(weight[use])
+        return Heard(self.rows[use], self.arms_m[use], self.range_m[use], sigma)
+
+
+def consistent(residual_m: Float64, covariance: Float64, gauge: Gauge, least: float) -> Float64:
+    """Weights (n,) of measured minus expected ranges with a joint covariance (n, n); 0 for those left out.
+
+    Each is judged against all the others (Baarda's data snooping), the worst goes, and the rest is judged anew: a pose
+    or a scale that is not known well moves all ranges together and condemns none of them.
+    """
+    use, weight = np.arange(len(residual_m)), np.zeros(len(residual_m))
+    while len(use):
+        information = np.linalg.inv(covariance[np.ix_(use, use)])
+        off = (information @ residual_m[use]) / np.sqrt(np.diag(information))
+        w = range_weight(off, gauge)
+        worst = int(np.argmin(w))
+        if w[worst] >= least:
+            weight[use] = w
+            return weight
+        use = np.delete(use, worst)
+    return weight
+
+
+class Ranging:
+    """Holds ranges until a keyframe takes them, and what the graph has learned of scale and bias by anchor."""
+
+    def __init__(
+        self, config: RangingConfig, tags: Mapping[str, Uwb], anchors: Mapping[str, tuple[float, float, float]]
+    ) -> None:
+        self.config, self._tags = config, tags
+        self.anchors_map_m = np.array(list(anchors.values()), np.float64).reshape(-1, 3)
+        self._row = {name: i for i, name in enumerate(anchors)}
+        self._waiting: deque[UwbRanges] = deque(maxlen=KEEP)
+        self._gauge = Gauge(1.0, config.late_sigmas, config.early_sigmas)
+        a = len(anchors)
+        self.calibration = np.zeros(2 * a)
+        self.calibration_covariance = np.zeros((2 * a, 2 * a))
+        self.calibration_covariance[:a, :a] = alike(a, config.scale_sigma, config.scale_each_sigma)
+        self.calibration_covariance[a:, a:] = alike(a, config.bias_sigma_m, config.bias_each_sigma_m)
+        self.walk = np.repeat(np.square([config.scale_walk, config.bias_walk_m]), a)
+        self.accepted_ns: int | None = None
+        self.is_refusing = False
+
+    def add(self, heard: UwbRanges) -> bool:
+        """Takes what one tag heard; False when the message makes no sense."""
+        if heard.tag not in self._tags or len(heard.anchors) != len(heard.range_m):
+            return False
+        self._waiting.append(heard)
+        return True
+
+    def clear(self) -> None:
+        """Forgets what waits, as after a clock that jumped."""
+        self._waiting.clear()
+        self.accepted_ns = None
+
+    def age_s(self, stamp_ns: int) -> float:
+        """Age of the last ranges that agreed, infinite when there are none."""
+        return math.inf if self.accepted_ns is None else max(0, stamp_ns - self.accepted_ns) * 1e-9
+
+    def is_alive(self, stamp_ns: int) -> bool:
+        """Whether enough ranges agreed a moment ago."""
+        return self.age_s(stamp_ns) <= self.config.silent_s
+
+    def begin(self, stamp_ns: int) -> None:
+        """Starts from a pose that has been compared with all ranges so far."""
+        self._waiting.clear()
+        self.accepted_ns = stamp_ns
+
+    def take(self, stamp_ns: int, history: PoseHistory, T_body_base: Float64) -> Heard | None:
+        """What was heard up to a time, seen from the body then; None when nothing was."""
+        now, parts = history.at(stamp_ns), []
+        while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
+            heard = self._waiting.popleft()
+            then = history.at(heard.stamp_ns)
+            if now is not None and then is not None:
+                parts.append(self._brought(heard, T_body_base @ invert(now) @ then))
+        return _joined(parts)
+
+    def since(self, stamp_ns: int, T_body_base: Float64) -> Heard | None:
+        """The mean of every pair of tag and anchor since a time at which the machine stood; nothing is taken away."""
+        parts = [self._brought(h, T_body_base) for h in self._waiting if h.stamp_ns >= stamp_ns]
+        heard = _joined(parts)
+        if heard is None:
+            return None
+        pairs = np.column_stack([heard.rows, heard.arms_m])
+        _, first, group, count = np.unique(pairs, axis=0, return_index=True, return_inverse=True, return_counts=True)
+        middle = np.array([np.median(heard.range_m[group.ravel() == g]) for g in range(len(first))])
+        return Heard(heard.rows[first], heard.arms_m[first], middle, heard.sigma_m[first] / np.sqrt(count))
+
+    def _brought(self, heard: UwbRanges, T_body_then: Float64) -> Heard:
+        tag = self._tags[heard.tag]
+        low, high = tag.range_m
+        good = [i for i, n in enumerate(heard.anchors) if n in self._row and low <= heard.range_m[i] <= high]
+        arm = np.asarray(apply(T_body_then, np.array([tag.mount.xyz_m], np.float64)), np.float64)
+        rows = np.array([self._row[heard.anchors[i]] for i in good], np.int64)
+        sigma = np.full(len(good), tag.range_sigma_m * self.config.sigma_factor)
+        return Heard(rows, np.repeat(arm, len(good), axis=0), np.asarray(heard.range_m, np.float64)[good], sigma)
+
+    def judge(self, heard: Heard, T_map_body: Float64, covariance: Float64) -> Heard:
+        """What agrees with a pose, known to a covariance (6, 6), and with itself."""
+        expected, J, K = expected_ranges(T_map_body, self.calibration, self.anchors_map_m, heard.arms_m, heard.rows)
+        S = J @ covariance @ J.T + K @ self.calibration_covariance @ K.T + np.diag(heard.sigma_m**2)
+        return heard.only(consistent(heard.range_m - expected, S, self._gauge, self.config.least_weight))
+
+    def accept(self, stamp_ns: int, heard: Heard, kept: Heard) -> bool:
+        """Whether enough anchors agree to be used; counts as UWB's sign of life."""
+        enough = len(np.unique(kept.rows)) >= min(self.config.least_anchors, len(self._row))
+        if enough:
+            self.accepted_ns = stamp_ns
+        self.is_refusing = not enough and len(np.unique(heard.rows)) >= self.config.least_anchors
+        return enough
+
+    def disagreement(self, heard: Heard | None, T_map_body: Float64, covariance: Float64) -> str:
+        """Why ranges at standstill do not confirm a pose, "" when they do."""
+        if heard is None:
+            return "no UWB ranges"
+        kept, there = self.judge(heard, T_map_body, covariance), len(np.unique(heard.rows))
+        agreeing = len(np.unique(kept.rows))
+        if agreeing >= self.config.least_anchors and agreeing >= self.config.agreeing_share * there:
+            return ""
+        return f"{agreeing} of {there} UWB anchors agree with the dock"
+
+
+def _joined(parts: list[Heard]) -> Heard | None:
+    parts = [p for p in parts if len(p.rows)]
+    if not parts:
+        return None
+    columns = ([getattr(p, name) for p in parts] for name in Heard.__dataclass_fields__)
+    return Heard(*(np.concatenate(c) for c in columns))
