@@ -72,6 +72,14 @@ def _perceiving(setup: Setup) -> list[Node]:
     ]
 
 
+def _dock(setup: Setup) -> Pose2 | None:
+    """Where the machine was left in the shed, None when it was left outside."""
+    mission, shed = setup.mission, setup.site.shed
+    if shed is None or mission.bay is None or mission.start is not None:
+        return None
+    return shed.bay(mission.bay).dock
+
+
 def _deciding(setup: Setup, is_ablation: bool) -> list[Node]:
     """From tracks and pose to the safe command."""
     disabled = OBSTACLE_RULES if is_ablation else frozenset()
@@ -85,14 +93,6 @@ def _deciding(setup: Setup, is_ablation: bool) -> list[Node]:
             fence_of(setup.site),
             FAULT_TOPICS,
             disabled,
-def _dock(setup: Setup) -> Pose2 | None:
-    """Where the machine was left in the shed, None when it was left outside."""
-    mission, shed = setup.mission, setup.site.shed
-    if shed is None or mission.bay is None or mission.start is not None:
-        return None
-    return shed.bay(mission.bay).dock
-
-
             survey_of(setup.site),
             idle_of(setup),
         ),
