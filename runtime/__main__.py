@@ -40,9 +40,14 @@ def parser() -> argparse.ArgumentParser:
     check.set_defaults(module="runtime.check_log")
 
     campaign = verbs.add_parser("campaign", help="drive many seeds and draw one table")
-    campaign.add_argument("what", choices=["demo", "ablation"], help="demo; or demo without the obstacle rules")
+    campaign.add_argument(
+        "what", choices=["demo", "ablation", "faults"],
+        help="demo; demo without the obstacle rules; or whatever can break, broken in every situation",
+    )  # fmt: skip
     campaign.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds 1 to N (default 10)")
     campaign.add_argument("--jobs", type=int, default=2, metavar="N", help="runs at a time (default 2)")
+    campaign.add_argument("--only", metavar="REGEX", help="of faults: cells such as swath-imu-off whose name matches")
+    campaign.add_argument("--situations", metavar="NAMES", help="of faults: turn,swath,obstacle,docking (default all)")
     campaign.add_argument("--out", type=Path, help="folder; given again, what is whole in it is not driven again")
     campaign.add_argument("--json", action="store_true", help="one object on standard output")
     campaign.set_defaults(module="runtime.campaign")

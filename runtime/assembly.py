@@ -21,7 +21,11 @@ from safety.fence import fence_of
 from safety.rules import OBSTACLE_RULES
 from safety.supervisor import Supervisor
 from safety.survey import survey_of
+from simulation.faults.broken import FaultyNode, SteppingClock
+from simulation.faults.frames import FaultyBus
+from simulation.faults.injection import Injection
 from simulation.scenario import Scenario
+from simulation.tractor_bus import load_database
 from simulation.world import SimulationWorld
 
 FAULT_TOPICS = ("fault/localizer", "fault/gateway", FAULT_TOPIC)
@@ -30,11 +34,12 @@ _CHANNELS = count()
 
 @contextmanager
 def assemble(
-    setup: Setup, scenario: Scenario, is_ablation: bool = False
+    setup: Setup, scenario: Scenario, is_ablation: bool = False, injection: Injection | None = None
 ) -> Iterator[tuple[World, list[tuple[Node, int]]]]:
     """The simulated world and the nodes with their latencies in ns, wired and checked; closes the bus afterwards.
 
-    Raises WiringError. With `is_ablation` the supervisor's obstacle rules are off.
+    Raises WiringError. With `is_ablation` the supervisor's obstacle rules are off. `injection` breaks what its faults
+    say; the executor must have it as its tap.
     """
     channel = f"headland-{next(_CHANNELS)}"
     world = SimulationWorld(
@@ -54,11 +59,19 @@ def assemble(
         chain = [
             *_perceiving(setup),
             *_deciding(setup, is_ablation),
-            Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway),
+            Gateway(
+                bus if injection is None else FaultyBus(bus, injection, load_database()),
+                setup.vehicle,
+                setup.stack.interfaces.gateway,
+            ),
         ]
         nodes = [(node, setup.stack.executor.latency_ns(node.name)) for node in chain]
         check_wiring(world, nodes, setup.stack.executor.cores)
-        yield world, nodes
+        if injection is None:
+            yield world, nodes
+        else:
+            injection.refuse_unknown([*world.writes, *(topic for node in chain for topic in node.writes)])
+            yield SteppingClock(world, injection), [(FaultyNode(node, injection), ns) for node, ns in nodes]
 
 
 def _perceiving(setup: Setup) -> list[Node]:

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Protocol, TypeVar
 
-from messages.errors import WiringError
+from messages.errors import LogError, WiringError
 from messages.message import Envelope, Message
 from messages.node import All, At, Node, Output
 from messages.topics import kind_of
@@ -86,11 +86,15 @@ class NodeInbox:
 
 
 class Bus:
-    """Delivers messages to inboxes and sinks in one order, numbering each topic from 0."""
+    """Delivers messages to inboxes and sinks in one order, numbering each topic from 0.
+
+    A sink that raises LogError is shown no more; `lost` has the errors.
+    """
 
     def __init__(self, nodes: Iterable[Node], sinks: Iterable[Sink]) -> None:
         self.inboxes = {node.name: NodeInbox(node) for node in nodes}
-        self._sinks = tuple(sinks)
+        self.sinks = list(sinks)
+        self.lost: list[LogError] = []
         self._sequence: dict[str, int] = {}
         self._readers: dict[str, list[NodeInbox]] = {}
         for node in nodes:
@@ -106,7 +110,14 @@ class Bus:
             envelope = Envelope(topic, sequence, now_ns, message)
             for inbox in self._readers.get(topic, ()):
                 inbox.put(envelope)
-            for sink in self._sinks:
-                sink(envelope)
+            self._show(envelope)
             topics.append(topic)
         return topics
+
+    def _show(self, envelope: Envelope) -> None:
+        for sink in self.sinks:
+            try:
+                sink(envelope)
+            except LogError as error:
+                self.sinks = [other for other in self.sinks if other is not sink]
+                self.lost.append(error)

@@ -57,6 +57,10 @@ class Trial:
 
 def main(arguments: argparse.Namespace) -> int:
     """Drive what is missing; 0 when every trial is as wanted."""
+    if arguments.what == "faults":
+        from runtime.faults import campaign as faults
+
+        return faults.main(arguments)
     if arguments.seeds < 1 or arguments.jobs < 1:
         raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
     is_ablation = arguments.what == "ablation"

@@ -4,6 +4,7 @@ import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
+from typing import Protocol
 
 from messages.errors import WiringError
 from messages.faults import Fault, Response, Severity
@@ -12,6 +13,19 @@ from messages.topics import kind_of
 from runtime.bus import Bus, Sink
 
 FAULT_TOPIC = "fault/executor"
+
+
+class Tap(Protocol):
+    """What every message passes on its way to its readers; it may change, drop or hold back."""
+
+    def next_ns(self) -> int | None:
+        """When something that was held back comes next."""
+
+    def due(self, now_ns: int) -> list[Output]:
+        """What was held back until now."""
+
+    def pass_on(self, now_ns: int, outputs: list[Output]) -> list[Output]:
+        """What comes now of what was sent now."""
 
 
 @dataclass
@@ -43,12 +57,22 @@ class _Seat:
         if self.period_ns is not None:
             self.next_tick_ns += ((now_ns - self.next_tick_ns) // self.period_ns + 1) * self.period_ns
 
+    def wake(self, now_ns: int) -> None:
+        """Begin anew at a time that lies before what the clock has shown."""
+        self.free_ns = self.next_tick_ns = now_ns
+
 
 class Executor:
-    """Runs nodes in one world; `sinks` see every message in the order of delivery."""
+    """Runs nodes in one world; `sinks` see every message in the order of delivery.
 
-    def __init__(self, world: World, nodes: Sequence[tuple[Node, int]], sinks: Iterable[Sink]) -> None:
+    A node that raises is not asked again, nor is a sink that cannot write (`lost`): either is a fault that stops.
+    """
+
+    def __init__(
+        self, world: World, nodes: Sequence[tuple[Node, int]], sinks: Iterable[Sink], tap: Tap | None = None
+    ) -> None:
         self.world = world
+        self._tap = tap
         start_ns = world.next_ns() or 0
         self.now_ns = start_ns
         self._seats = [_Seat(node, latency_ns, next_tick_ns=start_ns) for node, latency_ns in nodes]
@@ -60,19 +84,31 @@ class Executor:
         self._scheduled = 0
 
     def run(self, is_done: Callable[[], bool]) -> None:
-        """Go on until `is_done` or the world ends."""
+        """Go on until `is_done` or the world ends; raises LogError at the end when a sink could not write."""
         while not is_done() and (now_ns := self._next_ns()) is not None:
             self._advance(now_ns)
+        if self._bus.lost:
+            raise self._bus.lost[0]
+
+    def watch(self, sink: Sink) -> None:
+        """Show every message to one sink more, from now on."""
+        self._bus.sinks.append(sink)
 
     def _next_ns(self) -> int | None:
         world_ns = self.world.next_ns()
         if world_ns is None:
             return None
         times = [world_ns] + [due for seat in self._seats if (due := seat.due_ns()) is not None]
+        held_ns = None if self._tap is None else self._tap.next_ns()
+        times += [] if held_ns is None else [held_ns]
         return min([*times, self._deliveries[0][0]]) if self._deliveries else min(times)
 
     def _advance(self, now_ns: int) -> None:
+        if now_ns < self.now_ns:
+            self._step_back(now_ns)
         self.now_ns = now_ns
+        if self._tap is not None:
+            self._hand_out(self._tap.due(now_ns))
         if self.world.next_ns() == now_ns:
             self._deliver(list(self.world.step(now_ns)))
         while self._deliveries and self._deliveries[0][0] <= now_ns:
@@ -82,8 +118,20 @@ class Executor:
             if due_ns is not None and due_ns <= now_ns:
                 self._step(seat)
 
+    def _step_back(self, now_ns: int) -> None:
+        """The clock went back: nobody waits for the time it has shown, and what was to come then comes now."""
+        for seat in self._seats:
+            seat.wake(now_ns)
+        self._deliveries = [(now_ns, number, outputs) for _, number, outputs in sorted(self._deliveries)]
+
     def _deliver(self, outputs: list[Output]) -> None:
+        self._hand_out(outputs if self._tap is None else self._tap.pass_on(self.now_ns, outputs))
+
+    def _hand_out(self, outputs: list[Output]) -> None:
+        lost = len(self._bus.lost)
         topics = self._bus.deliver(self.now_ns, outputs)
+        if len(self._bus.lost) > lost:
+            self._schedule(self.now_ns, [(FAULT_TOPIC, log_fault(self.now_ns, str(self._bus.lost[-1])))])
         for seat in self._seats:
             if seat.triggered_ns is None and not seat.topics.isdisjoint(topics):
                 seat.triggered_ns = self.now_ns
@@ -100,8 +148,11 @@ class Executor:
             outputs = [(FAULT_TOPIC, node_fault(self.now_ns, seat.node.name, traceback.format_exc()))]
         inbox.clear()
         if outputs:
-            self._scheduled += 1
-            heappush(self._deliveries, (self.now_ns + seat.latency_ns, self._scheduled, outputs))
+            self._schedule(self.now_ns + seat.latency_ns, outputs)
+
+    def _schedule(self, due_ns: int, outputs: list[Output]) -> None:
+        self._scheduled += 1
+        heappush(self._deliveries, (due_ns, self._scheduled, outputs))
 
     @staticmethod
     def _check(node: Node, outputs: list[Output]) -> None:
@@ -112,16 +163,26 @@ class Executor:
 
 def node_fault(now_ns: int, name: str, text: str) -> Fault:
     """The fault that a node's exception becomes."""
+    words = f"Program part {name} failed: {text}", f"Programmteil {name} ausgefallen: {text}"
+    return _stopping(now_ns, "node.exception", name, *words)
+
+
+def log_fault(now_ns: int, text: str) -> Fault:
+    """The fault that a log which cannot be written becomes: nobody drives unrecorded."""
+    return _stopping(now_ns, "log.failed", "log", f"The log fails: {text}", f"Das Protokoll ist gestört: {text}")
+
+
+def _stopping(now_ns: int, code: str, source: str, text_en: str, text_de: str) -> Fault:
     return Fault(
         stamp_ns=now_ns,
-        code="node.exception",
-        source=name,
+        code=code,
+        source=source,
         severity=Severity.ALARM,
         is_latched=True,
         response=Response.CONTROLLED_STOP,
         is_active=True,
-        text_en=f"Program part {name} failed: {text}",
-        text_de=f"Programmteil {name} ausgefallen: {text}",
+        text_en=text_en,
+        text_de=text_de,
     )
 
 

@@ -7,6 +7,7 @@ from pydantic import AfterValidator, Field
 from configs.strict import Config
 from messages.command import Order
 from messages.perception import ObstacleClass
+from simulation.faults.config import InjectedFault
 
 
 def _is_rising(value: tuple[float, float]) -> tuple[float, float]:
@@ -39,6 +40,14 @@ class GnssEpisode(Config):
     from_s: float = Field(ge=0.0, le=1e6)
     for_s: float = Field(gt=0.0, le=1e6)
     state: Literal["none", "single", "rtk_float"]
+
+
+class CameraEpisode(Config):
+    """A time in which something lies on the lens of every camera."""
+
+    from_s: float = Field(ge=0.0, le=1e6)
+    for_s: float = Field(gt=0.0, le=1e6)
+    state: Literal["blocked", "blurred"]
 
 
 SensorKind = Literal["lidar", "camera", "radar", "ultrasonic"]
@@ -119,7 +128,9 @@ class Scenario(Config):
     name: str
     orders: tuple[ScenarioOrder, ...]
     gnss: tuple[GnssEpisode, ...] = ()
+    camera: tuple[CameraEpisode, ...] = ()
     encounters: tuple[Encounter, ...] = ()
+    faults: tuple[InjectedFault, ...] = ()
 
     @property
     def expected_stops(self) -> dict[str, int]:

@@ -1,0 +1,91 @@
+"""What may be broken, how and when; amounts are those of `configs/faults.yaml`."""
+
+from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from configs.strict import Config
+
+
+class FaultKind(StrEnum):
+    """How a device, a node or the clock is broken."""
+
+    OFF = "off"
+    FROZEN = "frozen"  # the last value for ever, under new stamps and counters
+    REPEATED = "repeated"  # the last message for ever, stamp and all
+    OUT_OF_ORDER = "out_of_order"  # each second message comes before the one it follows
+    DELAYED = "delayed"  # by twice the greatest age
+    SLOW = "slow"  # one message in three times the greatest age
+    NOISY = "noisy"
+    OFFSET = "offset"
+    NAN = "nan"  # no number; not available where the format has no NaN
+    GARBAGE = "garbage"
+    WRONG_UNIT = "wrong_unit"
+    RAISES = "raises"
+    HANGS = "hangs"
+    AHEAD = "ahead"  # by an hour
+    BEHIND = "behind"
+    FULL = "full"  # the disk
+
+
+MEASURED = tuple(FaultKind)[:11]
+OF_NODES = (FaultKind.RAISES, FaultKind.HANGS)
+OF_WHOLE = {"clock": (FaultKind.AHEAD, FaultKind.BEHIND), "log": (FaultKind.FULL,)}
+
+
+def kinds_of(topic: str) -> tuple[FaultKind, ...]:
+    """The faults that a topic can have."""
+    if topic in OF_WHOLE:
+        return OF_WHOLE[topic]
+    return OF_NODES if topic.startswith("node/") else MEASURED
+
+
+class InjectedFault(Config):
+    """One fault of a scenario; times count from the start of the run."""
+
+    topic: str = Field(min_length=1, max_length=60)
+    kind: FaultKind
+    from_s: float = Field(ge=0.0, le=1e6)
+    for_s: float = Field(gt=0.0, le=1e6)
+
+    @model_validator(mode="after")
+    def _fits(self) -> "InjectedFault":
+        if self.kind not in (known := kinds_of(self.topic)):
+            raise ValueError(f"{self.topic!r} cannot be {self.kind.value!r}; it can be {', '.join(known)}")
+        return self
+
+    def is_on(self, elapsed_ns: int) -> bool:
+        """Whether it holds so long after the start."""
+        return round(self.from_s * 1e9) <= elapsed_ns < round((self.from_s + self.for_s) * 1e9)
+
+
+Amount = Annotated[float, Field(ge=-1e9, le=1e9)]
+
+
+class FieldErrors(Config):
+    """How wrong one field becomes: sigma of the noise, what is added, and the factor of a wrong unit."""
+
+    noise: float = Field(gt=0.0, le=1e9)
+    offset: Amount
+    factor: Amount
+
+
+class CampaignConfig(Config):
+    """What the campaign watches, and what it expects of the stack."""
+
+    window_s: float = Field(gt=0.0, le=120.0)
+    standing_s: float = Field(gt=0.0, le=10.0)
+    largest_error_m: float = Field(gt=0.0, le=5.0)
+    needed: tuple[str, ...]
+    silent_kinds: frozenset[FaultKind]
+    bridged: dict[str, Annotated[float, Field(gt=0.0, le=120.0)]]
+    names: dict[str, tuple[str, ...]]
+
+
+class FaultsConfig(Config):
+    """`configs/faults.yaml`: fields by kind of topic, signals by message of the DBC, and the campaign."""
+
+    messages: dict[str, dict[str, FieldErrors]]
+    frames: dict[str, dict[str, FieldErrors]]
+    campaign: CampaignConfig

@@ -1,0 +1,110 @@
+"""Frames as a broken device gives them, changed on their way from the machine's bus to the gateway."""
+
+from collections import deque
+from typing import Any
+
+import can
+import numpy as np
+from cantools.database.can import Database, Message
+
+from messages.errors import ConfigError
+from simulation.bus_guards import xbr_checksum
+from simulation.faults.config import FaultKind, FieldErrors
+from simulation.faults.injection import Injection
+from simulation.faults.stream import Stream
+
+PREFIX = "can/"
+MAX_AGE_NS = 300_000_000  # time-out of speeds and heartbeat (ISO 11783-7)
+GUARDS = ("Counter", "Checksum")
+
+
+class FaultyBus:
+    """What the gateway needs of a bus, in front of the real one: frames of a broken device come changed, or not."""
+
+    def __init__(self, bus: can.BusABC, injection: Injection, database: Database) -> None:
+        self._bus, self._injection, self._database = bus, injection, database
+        self._streams: dict[tuple[int, FaultKind], Stream[can.Message]] = {}
+        self._ready: deque[can.Message] = deque()
+        self._later: list[tuple[int, can.Message]] = []
+
+    def send(self, msg: can.Message) -> None:
+        """What the gateway says is not touched."""
+        self._bus.send(msg)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame that has come."""
+        while (frame := self._bus.recv(0)) is not None:
+            self._take(frame)
+        now_ns = self._injection.now_ns
+        self._ready.extend(frame for due_ns, frame in self._later if due_ns <= now_ns)
+        self._later = [(due_ns, frame) for due_ns, frame in self._later if due_ns > now_ns]
+        return self._ready.popleft() if self._ready else None
+
+    def _take(self, frame: can.Message) -> None:
+        try:
+            message = self._database.get_message_by_frame_id(frame.arbitration_id)
+        except KeyError:
+            self._ready.append(frame)
+            return
+        kinds = self._injection.kinds(PREFIX + message.name)
+        if not kinds:
+            self._ready.append(frame)
+            return
+        group = frame.data[0] if message.is_multiplexed() and frame.data else 0  # each group ticks for itself
+        key = (frame.arbitration_id << 8 | group, kinds[0])
+        if key not in self._streams:
+            self._streams[key] = self._stream(message, kinds[0])
+        self._later += self._streams[key].pass_on(self._injection.now_ns, frame)
+
+    def _stream(self, message: Message, kind: FaultKind) -> Stream[can.Message]:
+        errors = self._injection.config.frames.get(message.name)
+        if errors is None:
+            raise ConfigError(f"faults.yaml: frames has no {message.name!r}")
+        random = self._injection.generator(f"{PREFIX}{message.name}")
+        return Stream(
+            kind,
+            MAX_AGE_NS,
+            lambda last, new: with_data(new, sealed(message, _counted(message, bytes(last.data), bytes(new.data)))),
+            lambda k, frame: with_data(frame, distorted(k, message, bytes(frame.data), errors, random)),
+        )
+
+
+def distorted(
+    kind: FaultKind, message: Message, data: bytes, errors: dict[str, FieldErrors], random: np.random.Generator
+) -> bytes:
+    """The frame with its signals broken, sealed as the device would; garbage is garbage."""
+    if kind is FaultKind.GARBAGE:
+        return random.bytes(len(data))
+    raw: dict[str, Any] = dict(message.decode(data, decode_choices=False, scaling=False))  # type: ignore[arg-type]
+    for name in [name for name in errors if name in raw]:
+        signal = message.get_signal_by_name(name)
+        ones = (1 << signal.length) - 1
+        if kind is FaultKind.NAN:
+            raw[name] = ones
+            continue
+        factor, offset = float(signal.scale), float(signal.offset)
+        value = raw[name] * factor + offset
+        wrong = value + errors[name].noise * random.standard_normal() if kind is FaultKind.NOISY else value
+        wrong = value + errors[name].offset if kind is FaultKind.OFFSET else wrong
+        wrong = value * errors[name].factor if kind is FaultKind.WRONG_UNIT else wrong
+        highest = (0xFB << (signal.length - 8)) - 1 if signal.length >= 8 else ones
+        raw[name] = int(np.clip(round((wrong - offset) / factor), 0, highest))
+    return sealed(message, message.encode(raw, scaling=False, padding=True, strict=False))
+
+
+def sealed(message: Message, data: bytes) -> bytes:
+    """The frame with the checksum that its content asks for, where it has one."""
+    if GUARDS[1] not in {signal.name for signal in message.signals}:
+        return data
+    return data[:7] + bytes([data[7] & 0x0F | xbr_checksum(message.frame_id, data) << 4])
+
+
+def _counted(message: Message, last: bytes, new: bytes) -> bytes:
+    """The content of `last` with the counter of `new`, where there is one."""
+    has_counter = GUARDS[0] in {signal.name for signal in message.signals}
+    return last[:7] + new[7:] if has_counter else last
+
+
+def with_data(frame: can.Message, data: bytes) -> can.Message:
+    """A frame like this one with other content."""
+    return can.Message(timestamp=frame.timestamp, arbitration_id=frame.arbitration_id, data=data, is_extended_id=True)

@@ -1,0 +1,228 @@
+"""What broken devices give: every kind on messages and on frames, and who may be broken how."""
+
+import math
+
+import can
+import numpy as np
+import pytest
+
+from configs.strict import CONFIGS, load
+from interfaces.incoming import Incoming
+from messages.errors import ConfigError, LogError
+from messages.message import Envelope
+from messages.sensors import GnssFix, GnssSolution, ImuSample, LidarScan, WheelSample
+from messages.topics import KINDS
+from simulation.faults.config import MEASURED, FaultKind, FaultsConfig, InjectedFault, kinds_of
+from simulation.faults.frames import FaultyBus
+from simulation.faults.injection import HOUR_NS, Injection
+from simulation.tractor_bus import load_database
+from simulation.tractor_status import Frame
+
+MS = 1_000_000
+START = 1_700_000_000_000 * MS
+CONFIG = load(FaultsConfig, CONFIGS / "faults.yaml")
+
+
+def wheel(k: int) -> WheelSample:
+    return WheelSample(START + 20 * k * MS, 2.0 + 0.001 * k, 0.1)
+
+
+def come(kind: FaultKind, n: int = 40, from_s: float = 0.2, for_s: float = 0.4) -> list[tuple[int, WheelSample]]:
+    """Wheel samples every 20 ms through one fault, with the time of their coming (ms)."""
+    injection = Injection([InjectedFault(topic="wheel", kind=kind, from_s=from_s, for_s=for_s)], CONFIG, START, 1)
+    got = []
+    for k in range(n):
+        now_ns = START + 20 * k * MS
+        got += [((now_ns - START) // MS, m) for _, m in injection.due(now_ns)]
+        got += [((now_ns - START) // MS, m) for _, m in injection.pass_on(now_ns, [("wheel", wheel(k))])]
+    return got
+
+
+@pytest.mark.parametrize("kind", MEASURED)
+def test_before_and_after_its_time_nothing_is_wrong(kind: FaultKind) -> None:
+    whole = [wheel(k) for k in range(40)]
+    got = [m for t, m in come(kind) if t < 200 or t >= 600]
+    for k in (*range(10), *range(30, 40)):
+        assert any(m.stamp_ns == whole[k].stamp_ns and m.speed_mps == whole[k].speed_mps for m in got), k
+
+
+def within(kind: FaultKind) -> list[tuple[int, WheelSample]]:
+    return [(t, m) for t, m in come(kind) if 200 <= t < 600]
+
+
+def test_off_is_silence() -> None:
+    assert within(FaultKind.OFF) == []
+
+
+def test_frozen_renews_the_stamp_and_repeated_does_not() -> None:
+    frozen, repeated = within(FaultKind.FROZEN), within(FaultKind.REPEATED)
+    assert {m.speed_mps for _, m in frozen} == {m.speed_mps for _, m in repeated} == {2.010}
+    assert [m.stamp_ns for _, m in frozen] == [START + t * MS for t, _ in frozen]
+    assert {m.stamp_ns for _, m in repeated} == {START + 200 * MS}
+
+
+def test_out_of_order_swaps_pairs_and_loses_none() -> None:
+    numbers = [round((m.speed_mps - 2.0) * 1000) for _, m in within(FaultKind.OUT_OF_ORDER)]
+    assert numbers[:6] == [11, 10, 13, 12, 15, 14]
+
+
+def test_delayed_comes_by_twice_its_greatest_age_late() -> None:
+    late = [(t - (m.stamp_ns - START) // MS) for t, m in come(FaultKind.DELAYED) if m.stamp_ns >= START + 200 * MS]
+    assert max(late) == round(2000 * KINDS["wheel"].max_age_s)
+
+
+def test_slow_leaves_gaps_of_more_than_its_greatest_age() -> None:
+    times = [t for t, _ in within(FaultKind.SLOW)]
+    assert min(np.diff(times)) >= 3000 * KINDS["wheel"].max_age_s - 20
+
+
+def test_values_are_broken_as_the_table_says() -> None:
+    assert all(math.isnan(m.speed_mps) for _, m in within(FaultKind.NAN))
+    assert within(FaultKind.OFFSET)[0][1].speed_mps == pytest.approx(2.010 + 0.5)
+    assert within(FaultKind.WRONG_UNIT)[0][1].speed_mps == pytest.approx(2.010 * 3.6)
+    noisy = np.array([m.speed_mps for _, m in within(FaultKind.NOISY)])
+    assert 0.2 < noisy.std() < 1.0
+    assert len({m.speed_mps for _, m in within(FaultKind.GARBAGE)}) > 15
+
+
+def scan() -> LidarScan:
+    ranges = np.array([[0, 5000, 65535]], np.uint16)
+    return LidarScan(START, ranges, np.zeros(1), np.zeros(3), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8),
+                     np.zeros(3, np.float32))  # fmt: skip
+
+
+SAMPLES = {
+    "lidar/front": scan(),
+    "imu": ImuSample(START, np.zeros(3), np.zeros(3)),
+    "gnss/main": GnssFix(
+        START, 0.9, 0.1, 24.0, np.ones(3), np.zeros(3), 0.1, 1.0, 0.01, GnssSolution.RTK_FIXED, 20, 0.8, 1.0, "BDS"
+    ),
+    "wheel": wheel(0),
+}
+
+
+@pytest.mark.parametrize("topic", SAMPLES)
+@pytest.mark.parametrize("kind", MEASURED)
+def test_every_kind_gives_messages_of_the_same_type(topic: str, kind: FaultKind) -> None:
+    injection = Injection([InjectedFault(topic=topic, kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1)
+    outputs = [output for k in range(5) for output in injection.pass_on(START + k * MS, [(topic, SAMPLES[topic])])]
+    assert all(type(message) is type(SAMPLES[topic]) for _, message in outputs)
+    again = Injection([InjectedFault(topic=topic, kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1)
+    assert repr(outputs) == repr(
+        [o for k in range(5) for o in again.pass_on(START + k * MS, [(topic, SAMPLES[topic])])]
+    )
+
+
+def test_a_lidar_says_no_number_as_no_return_and_stays_within_its_range() -> None:
+    for kind, expected in ((FaultKind.NAN, [0, 0, 0]), (FaultKind.OFFSET, [0, 6000, 65535]),
+                           (FaultKind.WRONG_UNIT, [0, 500, 6554])):  # fmt: skip
+        injection = Injection([InjectedFault(topic="lidar/front", kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1)
+        (_, message), *_ = injection.pass_on(START, [("lidar/front", scan())])
+        assert isinstance(message, LidarScan)
+        assert message.ranges_mm.tolist() == [expected]
+
+
+def test_what_cannot_be_broken_is_refused() -> None:
+    with pytest.raises(ConfigError, match="nobody"):
+        Injection([], CONFIG, START, 1).refuse_unknown([]) or Injection(
+            [InjectedFault(topic="lidar/nobody", kind=FaultKind.OFF, from_s=0, for_s=1)], CONFIG, START, 1
+        ).refuse_unknown(["lidar/front"])
+    with pytest.raises(ValueError, match="cannot be"):
+        InjectedFault(topic="imu", kind=FaultKind.RAISES, from_s=0, for_s=1)
+    with pytest.raises(ConfigError, match="no field"):
+        Injection([InjectedFault(topic="odom", kind=FaultKind.NAN, from_s=0, for_s=1)], CONFIG, START, 1)
+    assert kinds_of("node/localizer") == (FaultKind.RAISES, FaultKind.HANGS)
+
+
+def test_clock_and_disk() -> None:
+    faults = [InjectedFault(topic="clock", kind=FaultKind.BEHIND, from_s=1.0, for_s=1.0),
+              InjectedFault(topic="log", kind=FaultKind.FULL, from_s=0.0, for_s=1.0)]  # fmt: skip
+    injection = Injection(faults, CONFIG, START, 1)
+    assert [injection.clock_error_ns(START + t * MS) for t in (999, 1000, 1999, 2000)] == [0, -HOUR_NS, -HOUR_NS, 0]
+    with pytest.raises(LogError):
+        injection(Envelope("wheel", 0, START, wheel(0)))
+
+
+class Rig:
+    """A tractor's frames, through a faulty bus, read as the gateway reads them."""
+
+    VALUES = {  # noqa: RUF012
+        "WheelBasedSpeed": {"Speed": 2.0, "Direction": 1},
+        "GuidanceMachineStatus": {"EstimatedCurvature": -50.0, "MechanicalLockout": 0, "SteeringReady": 1,
+                                  "LimitStatus": 0, "ExitCode": 0},
+        "RearHitchStatus": {"Position": 80.0, "InWork": 1, "LimitStatus": 0},
+        "RearPtoStatus": {"Speed": 540.0, "Engaged": 1, "LimitStatus": 0},
+        "HeartbeatTractor": {"Sequence": 0},
+        "CabState": {"Group": 2, "BrakePedal": 0, "ClutchPedal": 0, "SupplyVoltage": 13.8, "Seat": 0,
+                     "EmergencyButton": 0, "ParkBrakeState": 0, "HornState": 0, "BeaconState": 0},
+    }  # fmt: skip
+
+    def __init__(self, name: str, kind: FaultKind) -> None:
+        channel = f"faults{id(self)}"
+        self.near, self.far = can.Bus(channel, interface="virtual"), can.Bus(channel, interface="virtual")
+        fault = InjectedFault(topic=f"can/{name}", kind=kind, from_s=0.5, for_s=60.0)
+        self.injection = Injection([fault], CONFIG, START, 1)
+        self.bus = FaultyBus(self.near, self.injection, load_database())
+        self.frame = Frame(load_database().get_message_by_name(name))
+        self.incoming, self.name, self.count = Incoming(240), name, 0
+        self.got: list[bytes] = []
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 10)):
+            self.count += 1
+            self.injection.now_ns = START + self.count * 100 * MS
+            values = dict(self.VALUES[self.name])
+            values |= {"Counter": self.count & 15} if self.name == "CabState" else {}
+            values |= {"Sequence": self.count} if self.name == "HeartbeatTractor" else {}
+            data = self.frame.encode(values)
+            self.far.send(can.Message(arbitration_id=self.frame.identifier, data=data, is_extended_id=True))
+            while (frame := self.bus.recv(0)) is not None:
+                self.got.append(bytes(frame.data))
+                self.incoming.take(self.injection.now_ns, 28, frame.arbitration_id, bytes(frame.data))
+
+    def close(self) -> None:
+        self.near.shutdown()
+        self.far.shutdown()
+
+
+@pytest.mark.parametrize("name", Rig.VALUES)
+@pytest.mark.parametrize("kind", MEASURED)
+def test_frames_break_only_when_they_should(name: str, kind: FaultKind) -> None:
+    rig = Rig(name, kind)
+    try:
+        rig.run(0.4)
+        assert rig.incoming.rejected == 0
+        assert len(rig.got) == 4
+        rig.run(2.0)
+    finally:
+        rig.close()
+    after = rig.got[4:]
+    assert len(after) == {FaultKind.OFF: 0, FaultKind.DELAYED: 14, FaultKind.SLOW: 3}.get(kind, 20)
+    if kind is FaultKind.NAN and name != "HeartbeatTractor":
+        fresh = {"WheelBasedSpeed": rig.incoming.motion_ns, "GuidanceMachineStatus": rig.incoming.steering_ns,
+                 "RearHitchStatus": rig.incoming.hitch_ns, "RearPtoStatus": rig.incoming.pto_ns,
+                 "CabState": rig.incoming.cab_ns}[name]  # fmt: skip
+        assert fresh == START + 400 * MS
+
+
+def test_a_frozen_sensor_behind_a_living_computer_keeps_counting() -> None:
+    rig = Rig("CabState", FaultKind.FROZEN)
+    rig.run(3.0)
+    rig.close()
+    assert rig.incoming.rejected == 0
+    assert len({data[7] for data in rig.got[5:]}) == 16
+
+
+def test_repeated_frames_are_refused_where_they_count() -> None:
+    for name in ("CabState", "HeartbeatTractor"):
+        rig = Rig(name, FaultKind.REPEATED)
+        rig.run(3.0)
+        rig.close()
+        assert rig.incoming.rejected >= 20
+
+
+def test_a_wrong_speed_is_a_speed() -> None:
+    rig = Rig("WheelBasedSpeed", FaultKind.WRONG_UNIT)
+    rig.run(1.0)
+    rig.close()
+    assert rig.incoming.speed_mps == pytest.approx(7.2)
