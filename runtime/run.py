@@ -5,12 +5,17 @@ import json
 import shutil
 import sys
 import time
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, TextIO
 
+from configs.site import Bay
 from configs.strict import find, load
+from configs.vehicle import Vehicle
 from datasets.log import LogWriter
 from datasets.reader import read_log
 from messages.errors import HeadlandError
+from messages.message import Envelope
 from runtime.assembly import assemble
 from runtime.executor import Executor
 from runtime.folder import RunFolder, resolved, versions
@@ -18,9 +23,12 @@ from runtime.progress import Progress
 from runtime.setup import Setup, load_setup, with_model
 from runtime.watch import EndOfDrive
 from simulation.scenario import Scenario
+from validation.detections import Detections, Look, range_rows, share_rows
+from validation.docking import bodies_of, docking_drive
 from validation.pictures import draw_all
-from validation.record import TOPICS, collect
+from validation.record import TOPICS, DriveRecord, collect
 from validation.report import render
+from validation.sensing_pictures import detections_picture, docking_picture, shares_picture
 from validation.summary import Planned, summarize
 
 
@@ -60,9 +68,10 @@ def drive(
     digest = _drive_into_log(
         setup, scenario, folder, {"run": conditions, "config": {"yaml": config}}, console, is_ablation
     )
-    record = collect(read_log(folder.path / "log.mcap", TOPICS))
+    record, looks = read_drive(folder.path / "log.mcap", setup.vehicle)
+    bay = None if setup.mission.bay is None else setup.site.bay(setup.mission.bay)
     planned = Planned(
-        setup.plan.planned_area, setup.plan.field_area_m2, setup.implement.working_width_m, scenario.expected_stops
+        setup.plan.planned_area, setup.plan.field_area_m2, setup.implement.working_width_m, scenario.expected_stops, bay
     )
     summary = summarize(record, planned)
     result = summary.as_dict | {
@@ -72,9 +81,12 @@ def drive(
         "digest": digest,
         "run_dir": str(folder.path),
     }
-    for title, picture in (pictures := draw_all(record, planned, summary)).items():
+    pictures = draw_all(record, planned, summary) | _sensing_pictures(record, looks, setup, bay)
+    for title, picture in pictures.items():
         (folder.path / f"{title.lower().replace(',', '').replace(' ', '-')}.png").write_bytes(picture)
-    (folder.path / "report.html").write_text(render(summary, result, pictures), encoding="utf-8")
+    ranges = range_rows(looks)
+    (folder.path / "report.html").write_text(render(summary, result, pictures, ranges), encoding="utf-8")
+    folder.record("ranges", {"ranges": ranges, "shares": share_rows(looks)})
     for stop in summary.stops:
         folder.record("stop", stop.as_dict)
     folder.record("result", {"result": result})
@@ -93,3 +105,28 @@ def _drive_into_log(
             sinks = (log.write, Progress((console, file)), end)
             Executor(world, nodes, sinks).run(end.is_reached)
             return log.digest()
+
+
+def read_drive(path: Path, vehicle: Vehicle) -> tuple[DriveRecord, list[Look]]:
+    """What the measures need of a log, and every sensor's looks at the scenario's objects."""
+    detections = Detections(vehicle)
+
+    def shown() -> Iterator[Envelope]:
+        for envelope in read_log(path, detections.topics.union(TOPICS)):
+            detections(envelope)
+            yield envelope
+
+    return collect(shown()), detections.looks
+
+
+def _sensing_pictures(record: DriveRecord, looks: list[Look], setup: Setup, bay: Bay | None) -> dict[str, bytes]:
+    """Detections beside the truth, and the docking where there was one."""
+    found = {
+        "Detections near by": detections_picture(looks, record.first_ns),
+        "Detections over range": shares_picture(looks),
+    }
+    poses, speed_mps = docking_drive(record)
+    if bay is not None and setup.site.shed is not None and len(poses):
+        bodies = bodies_of(setup.vehicle, setup.implement)
+        found["Docking"] = docking_picture(setup.site.shed, bay, poses, speed_mps, bodies)
+    return {title: png for title, png in found.items() if png is not None}

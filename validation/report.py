@@ -17,8 +17,10 @@ td.n{text-align:right;font-variant-numeric:tabular-nums} img{width:100%;border:1
 """
 
 
-def render(summary: Summary, result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """The page; `result` is the object of `run --json`."""
+def render(
+    summary: Summary, result: Mapping[str, Any], pictures: Mapping[str, bytes], ranges: list[dict[str, Any]]
+) -> str:
+    """The page; `result` is the object of `run --json`, `ranges` what `detections.range_rows` gives."""
     parts = [
         f"<h1>Headland: mission {escape(str(result['outcome']))}</h1>",
         f"<p class=sub>seed {result['seed']} · log digest <code>{escape(str(result['digest']))}</code></p>",
@@ -26,6 +28,7 @@ def render(summary: Summary, result: Mapping[str, Any], pictures: Mapping[str, b
         "<h2>Verdicts</h2>" + _verdicts(summary),
         "<h2>Stops</h2>" + _stops(summary),
         "<h2>Planned but not worked</h2>" + _uncovered(summary),
+        "<h2>Detections beside the truth</h2>" + _ranges(ranges),
     ]
     for title, png in pictures.items():
         data = base64.b64encode(png).decode()
@@ -57,6 +60,9 @@ def _facts(result: Mapping[str, Any]) -> str:
         "planned share of the field": f"{100 * result['planned_share']:.1f} %",
         "coverage of what was due": f"{100 * result['coverage']:.2f} %",
         "cross-track error on the swaths (σ, mean, max)": ", ".join(f"{100 * v:.1f} cm" for v in xte.values()) or "—",
+        "dock error": f"{100 * result['dock_error_m']:.1f} cm, {result['dock_error_deg']:.2f}°"
+        if result["dock_error_m"] is not None
+        else "—",
         "contacts, exits, false stops": f"{result['contacts']}, {result['exits']}, {result['false_stops']}",
     }
     return _table(("figure", "value"), list(shown.items()))
@@ -81,3 +87,10 @@ def _stops(summary: Summary) -> str:
 def _uncovered(summary: Summary) -> str:
     rows: list[tuple[object, ...]] = [(u.reason, u.area_m2, u.x_m, u.y_m) for u in summary.coverage.uncovered]
     return _table(("reason", "m²", "east (m)", "north (m)"), rows) if rows else "<p>Nothing.</p>"
+
+
+def _ranges(ranges: list[dict[str, Any]]) -> str:
+    header = ("sensor", "class", "looks", "told", "farthest (m)", "always told within (m)")
+    keys = ("sensor", "class", "looks", "found", "farthest_m", "held_from_m")
+    rows = [tuple(row[key] for key in keys) for row in ranges]
+    return _table(header, rows) if rows else "<p>No object of the scenario was in view of a sensor.</p>"

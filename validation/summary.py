@@ -1,13 +1,16 @@
 """All measures of one drive, as `run --json` gives them and the report shows them."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
+from configs.site import Bay
 from messages.plan import Leg, MissionState
 from validation.coverage import Coverage, measure_coverage, worked_area
+from validation.docking import Docking, measure_docking
 from validation.positioning import PositionError, measure_position
 from validation.record import DriveRecord, true_poses
 from validation.stops import Stop, false_stops, find_stops
@@ -17,12 +20,16 @@ from validation.verdict import Verdict, judge
 
 @dataclass(frozen=True)
 class Planned:
-    """What the plan promised, from the log's metadata; widths in metres, `expected_stops` by the scenario's roles."""
+    """What the plan promised, from the log's metadata; widths in metres, `expected_stops` by the scenario's roles.
+
+    `bay` is where the mission is to end; None ends it in the yard.
+    """
 
     area: BaseGeometry
     field_area_m2: float
     working_width_m: float
     expected_stops: dict[str, int]
+    bay: Bay | None = None
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,7 @@ class Summary:
     contacts: int
     exits: int
     simulated_s: float
+    docking: Docking | None = None
 
     @property
     def as_dict(self) -> dict[str, Any]:
@@ -57,8 +65,8 @@ class Summary:
             "false_stops": len(self.unexpected),
             "contacts": self.contacts,
             "exits": self.exits,
-            "dock_error_m": None,
-            "dock_error_deg": None,
+            "dock_error_m": None if self.docking is None else round(self.docking.error_m, 4),
+            "dock_error_deg": None if self.docking is None else round(abs(math.degrees(self.docking.error_rad)), 3),
         }
 
     @property
@@ -68,7 +76,9 @@ class Summary:
         n = len(self.cross_track.on(Leg.SWATH))
         obstacle = [s.margin_m for s in self.stops if s.role]
         contact = float(self.contacts) if self.stops else None
-        missing = 1.0 - self.coverage.share
+        missing, is_planned = 1.0 - self.coverage.share, int(self.coverage.planned_m2 > 0.0)
+        dock, docks = self.docking, int(self.docking is not None)
+        off, turned = (None, None) if dock is None else (dock.error_m, abs(math.degrees(dock.error_rad)))
         return (
             judge(
                 "BD-5.2.3", swath["sigma"] if swath else None, 0.025, "m", n, "sigma of the true error on the swaths"
@@ -76,7 +86,16 @@ class Summary:
             judge("BD-5.2.4", contact, 0.0, "contacts", len(obstacle), "contacts over all encounters"),
             judge("demo-exits", float(self.exits), 0.0, "exits", 1, "machine or implement outside the site"),
             judge("demo-false-stops", float(len(self.unexpected)), 0.0, "stops", 1, "not announced by the scenario"),
-            judge("demo-coverage", missing, 0.01, "share", 1, "planned area neither worked nor listed as left out"),
+            judge(
+                "demo-coverage",
+                missing,
+                0.01,
+                "share",
+                is_planned,
+                "planned area neither worked nor listed as left out",
+            ),
+            judge("dock-error", off, 0.10, "m", docks, "true distance from the dock pose at the end"),
+            judge("dock-heading", turned, 2.0, "°", docks, "true heading against the dock pose at the end"),
         )
 
 
@@ -88,7 +107,7 @@ def summarize(record: DriveRecord, planned: Planned) -> Summary:
     left_out = mission[-1].left_out if mission else ()
     poses = true_poses(truth)
     return Summary(
-        outcome=_outcome(mission[-1].state if mission else MissionState.WAITING),
+        outcome=_outcome(mission[-1].state if mission else MissionState.WAITING, planned.bay is not None),
         distance_m=float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()) if len(poses) > 1 else 0.0,
         planned_share=planned.area.area / planned.field_area_m2 if planned.field_area_m2 else 0.0,
         coverage=measure_coverage(planned.area, worked, left_out),
@@ -99,10 +118,11 @@ def summarize(record: DriveRecord, planned: Planned) -> Summary:
         contacts=truth[-1].contacts if truth else 0,
         exits=truth[-1].exits if truth else 0,
         simulated_s=record.seconds,
+        docking=measure_docking(record, planned.bay),
     )
 
 
-def _outcome(state: MissionState) -> str:
+def _outcome(state: MissionState, has_bay: bool) -> str:
     if state is MissionState.FINISHED:
-        return "finished"
+        return "docked" if has_bay else "finished"
     return "aborted" if state is MissionState.ABORTED else "stopped"
