@@ -7,6 +7,7 @@ from itertools import count
 import can
 
 from configs.site import Pose2
+from configs.strict import CONFIGS, load
 from control.controller import Controller
 from interfaces.gateway import Gateway
 from localization.lidar_map import LidarMap
@@ -22,6 +23,7 @@ from safety.rules import OBSTACLE_RULES
 from safety.supervisor import Supervisor
 from safety.survey import survey_of
 from simulation.faults.broken import FaultyNode, SteppingClock
+from simulation.faults.config import FaultsConfig
 from simulation.faults.frames import FaultyBus
 from simulation.faults.injection import Injection
 from simulation.scenario import Scenario
@@ -72,6 +74,14 @@ def assemble(
         else:
             injection.refuse_unknown([*world.writes, *(topic for node in chain for topic in node.writes)])
             yield SteppingClock(world, injection), [(FaultyNode(node, injection), ns) for node, ns in nodes]
+
+
+def planted(setup: Setup, scenario: Scenario) -> Injection | None:
+    """The faults that a scenario states, or None; raises ConfigError when one cannot be."""
+    if not scenario.faults:
+        return None
+    config = load(FaultsConfig, CONFIGS / "faults.yaml")
+    return Injection(scenario.faults, config, setup.stack.simulation.start_stamp_ns, setup.seed)
 
 
 def _perceiving(setup: Setup) -> list[Node]:

@@ -16,7 +16,7 @@ from datasets.log import LogWriter
 from datasets.reader import read_log
 from messages.errors import HeadlandError
 from messages.message import Envelope
-from runtime.assembly import assemble
+from runtime.assembly import assemble, planted
 from runtime.executor import Executor
 from runtime.folder import RunFolder, resolved, versions
 from runtime.progress import Progress
@@ -99,11 +99,15 @@ def _drive_into_log(
     is_ablation: bool,
 ) -> str:  # fmt: skip
     """Assemble, run until the drive ends, and close the log; returns its digest."""
-    with assemble(setup, scenario, is_ablation) as (world, nodes), (folder.path / "console.log").open("w") as file:
+    faults = planted(setup, scenario)
+    with (
+        assemble(setup, scenario, is_ablation, faults) as (world, nodes),
+        (folder.path / "console.log").open("w") as file,
+    ):
         end = EndOfDrive(setup.plan.length_m)
         with LogWriter(folder.path / "log.mcap", metadata, setup.stack.datasets.log, setup.viewer()) as log:
             sinks = (log.write, Progress((console, file)), end)
-            Executor(world, nodes, sinks).run(end.is_reached)
+            Executor(world, nodes, sinks if faults is None else (*sinks, faults), faults).run(end.is_reached)
             return log.digest()
 
 
