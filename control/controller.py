@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from control.anchor import AnchorConfig, MapAnchor
+from control.departure import Departure, DepartureConfig
 from control.driver import Driver, Sample, Steered
 from control.implement import ImplementControl, ImplementControlConfig
 from control.planar import planar_of
@@ -31,6 +32,7 @@ class ControlConfig(Config):
     steering: SteeringConfig
     slip: SlipConfig
     speed: SpeedConfig
+    departure: DepartureConfig
     implement: ImplementControlConfig
 
 
@@ -47,6 +49,7 @@ class Controller(Node):
         self._driver = Driver(vehicle, config.tracking, config.steering, config.slip)
         self._speed = SpeedControl(config.speed)
         self._implement = ImplementControl(implement, config.implement)
+        self._departure = Departure(implement, config.departure)
         self._path: Path | None = None
         self._plan: SpeedPlan | None = None
         self._last_ns: int | None = None
@@ -57,6 +60,7 @@ class Controller(Node):
         """One wish."""
         elapsed_s = 0.02 if self._last_ns is None else (now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
+        self._departure.observe(inbox.latest("machine", MachineState))
         path = inbox.last("path", Path)
         sample = self._sample(inbox, elapsed_s)
         if path is None or sample is None:
@@ -81,6 +85,7 @@ class Controller(Node):
         self._driver.start(reference, sample.pose)
         self._speed.start()
         self._implement.start(path)
+        self._departure.start(path.is_folded)
 
     def _drive(self, now_ns: int, path: Path, sample: Sample, inbox: Inbox, elapsed_s: float) -> Wish:
         assert self._plan is not None
@@ -88,6 +93,8 @@ class Controller(Node):
         steered = self._driver.steer(now_ns, sample, is_steering)
         forward_mps, s_m = path.direction * sample.speed_mps, steered.place.s_m
         target_mps = self._speed.target_mps(self._plan, s_m, forward_mps, steered.offset_m)
+        if self._departure.is_held(sample, steered.curvature_radpm, is_steering, elapsed_s):
+            target_mps = 0.0
         wished_mps, acceleration_mps2 = self._speed.wish(target_mps, forward_mps, elapsed_s, is_obeyed)
         self._work(now_ns, s_m, forward_mps, inbox)
         self._wished_mps, self._braking_mps2 = path.direction * wished_mps, -acceleration_mps2
@@ -127,6 +134,7 @@ class Controller(Node):
             xte_m=steered.offset_m * (1.0 - 2.0 * turned),
             heading_error_rad=steered.heading_error_rad,
             is_finished=self._speed.is_arrived and is_standing,
+            is_implement_folded=self._departure.is_folded,
         )
 
     def _stand(self, now_ns: int, path: Path | None) -> Wish:
@@ -144,4 +152,5 @@ class Controller(Node):
             xte_m=0.0,
             heading_error_rad=0.0,
             is_finished=False,
+            is_implement_folded=self._departure.is_folded,
         )

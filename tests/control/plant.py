@@ -108,6 +108,7 @@ class Plant:
         self.soil = 0.0
         self.map_error = np.zeros(2)
         self.hitch = 1.0
+        self.fold = 0.0
         self.is_enabled = True
         self.track = Track()
         self.jump = (0.0, 0.0)
@@ -159,6 +160,9 @@ class Plant:
             self.speed = math.copysign(max(0.0, abs(self.speed) - brake * DT_S), self.speed)
         step = DT_S / (IMPLEMENT.lower_s if is_lowered else IMPLEMENT.lift_s)
         self.hitch = max(0.0, self.hitch - step) if is_lowered else min(1.0, self.hitch + step)
+        if abs(self.speed) < 0.01 and self.is_enabled:
+            change = DT_S / IMPLEMENT.fold.duration_s
+            self.fold = min(max(self.fold + (change if w.is_implement_folded else -change), 0.0), 1.0)
         self.roll()
 
     def turn_wheels(self, wanted_rad):
@@ -203,13 +207,13 @@ class Plant:
             self.inbox.messages["map_pose"] = MapPose(
                 self.now_ns, T_map_odom, shift @ T_map_base, np.eye(6), PositionSource.RTK_FIXED, 0.1, 0.1, True
             )
-            self.inbox.messages["machine"] = machine_state(self.now_ns, self.hitch, self.speed)
+            self.inbox.messages["machine"] = machine_state(self.now_ns, self.hitch, self.speed, self.fold)
 
 
-def machine_state(now_ns, hitch, speed):
+def machine_state(now_ns, hitch, speed, fold=0.0):
     return MachineState(
         now_ns, now_ns, now_ns, now_ns, now_ns, now_ns, speed, 0.0, True, 0, 0, hitch, hitch < 0.1, 56.0, True, False,
-        False, True, 0.0, 0.0, 0.0, 0.0, False, False, 13.8, 0,
+        False, True, 0.0, 0.0, 0.0, 0.0, False, False, 13.8, 0, fold,
     )  # fmt: skip
 
 
