@@ -1,12 +1,12 @@
 """What rays hit: the still scene, built once, and the figures, built for every scan."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from messages.message import Float32
+from messages.message import Float32, Float64, UInt8
 from simulation.actors import Figure
 from simulation.figures import REFLECTIVITY
 from simulation.kernels import signal_of
@@ -32,9 +32,18 @@ class Rays:
 
         `rays` (N, 6): origin and unit direction.
         """
+        distance, kind, normals = self._hit(rays)
+        return distance, signal_of(rays, normals, kind, self._reflectivity)
+
+    def strike(self, rays: Float32) -> tuple[Float32, UInt8, Float32]:
+        """Distance (infinite where nothing is hit), number of the mesh (their count: none) and cosine, (N,) each."""
+        distance, kind, normals = self._hit(rays)
+        return distance, kind, np.abs(np.einsum("ij,ij->i", rays[:, 3:], normals))
+
+    def _hit(self, rays: Float32) -> tuple[Float32, UInt8, Float32]:
         hits = self._scene.cast_rays(self._core.Tensor(rays), nthreads=1)
         kind = np.minimum(hits["geometry_ids"].numpy(), len(self._reflectivity) - 1).astype(np.uint8)
-        return hits["t_hit"].numpy(), signal_of(rays, hits["primitive_normals"].numpy(), kind, self._reflectivity)
+        return hits["t_hit"].numpy(), kind, hits["primitive_normals"].numpy()
 
 
 class Scene:
@@ -53,6 +62,10 @@ class Scene:
     def still(self) -> Rays:
         """The same, to be cast against."""
         return Rays([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces])
+
+    def table(self, values: Mapping[str, float], otherwise: float) -> Float64:
+        """A value for each number that `still.strike` gives, by the names of pieces; the last is for nothing."""
+        return np.array([*(values.get(p.name, otherwise) for p in self.pieces), otherwise])
 
     def seen_by(self, kind: str) -> list[Figure]:
         """The figures that sensors of a kind see."""

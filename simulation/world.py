@@ -29,7 +29,10 @@ from simulation.scenery import SceneryConfig, build_scenery
 from simulation.sensors.gnss import GnssConfig, GnssModel
 from simulation.sensors.imu import ImuConfig, ImuModel
 from simulation.sensors.lidar import LidarConfig, LidarModel
+from simulation.sensors.radar import RadarConfig, RadarModel
 from simulation.sensors.sensor import Moment, Sensor
+from simulation.sensors.ultrasonic import UltrasonicConfig, UltrasonicModel
+from simulation.sensors.uwb import UwbConfig, UwbModel
 from simulation.sensors.wheels import WheelModel
 from simulation.terrain import Terrain, TerrainConfig
 from simulation.tractor_bus import BusConfig, TractorBus, load_database
@@ -49,6 +52,9 @@ class SimulationConfig(Config):
     machine: MachineConfig
     bus: BusConfig
     lidar: LidarConfig
+    radar: RadarConfig
+    ultrasonic: UltrasonicConfig
+    uwb: UwbConfig
     gnss: GnssConfig
     imu: ImuConfig
     judge: JudgeConfig
@@ -102,7 +108,8 @@ class SimulationWorld(World):
     def warm(self) -> None:
         """Load and build what the first scan would wait for."""
         warm()
-        if self._vehicle.sensors.lidar:
+        found = self._vehicle.sensors
+        if found.lidar or found.radar or found.ultrasonic or found.uwb:
             _ = self._scene.still
 
     def close(self) -> None:
@@ -180,7 +187,26 @@ def make_sensors(
         sensors.append(WheelModel(found.wheels, generator(seed, "wheel")))
     for name, gnss in found.gnss.items():
         random = generator(seed, f"gnss/{name}")
-        sensors.append(GnssModel(name, gnss, site.datum.datum, scenario.gnss, config.gnss, random))
+        sensors.append(GnssModel(name, gnss, site.datum.datum, site.shed, scenario.gnss, config.gnss, random))
     for name, lidar in found.lidar.items():
         sensors.append(LidarModel(name, lidar, vehicle, implement, config.lidar, generator(seed, f"lidar/{name}")))
-    return sensors
+    for name, radar in found.radar.items():
+        sensors.append(RadarModel(name, radar, config.radar, generator(seed, f"radar/{name}")))
+    for name, tag in found.uwb.items():
+        anchors = {} if site.shed is None else site.shed.anchors
+        sensors.append(UwbModel(name, tag, anchors, config.uwb, generator(seed, f"uwb/{name}")))
+    return sensors + make_ultrasonics(vehicle, implement, seed, config.ultrasonic)
+
+
+def make_ultrasonics(
+    vehicle: Vehicle, implement: MountedImplement | TrailedImplement, seed: int, config: UltrasonicConfig
+) -> list[Sensor]:
+    """The ultrasonic sensors of a vehicle with those that its implement carries; who looks the same way is heard."""
+    found = vehicle.sensors.ultrasonic
+    carried = implement.ultrasonic if isinstance(implement, MountedImplement) else {}
+    axes = {name: sensor.mount.T_base_sensor[:3, 0] for name, sensor in found.items()}
+    neighbours = {name: sum(float(x @ axes[other]) > 0.0 for other in axes) - 1 for name, x in axes.items()}
+    return [
+        UltrasonicModel(name, s, neighbours[name], name in carried, config, generator(seed, f"ultrasonic/{name}"))
+        for name, s in found.items()
+    ]

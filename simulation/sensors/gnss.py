@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 from pydantic import Field
+from shapely import Point, Polygon
 
+from configs.site import Shed
 from configs.strict import Config
 from configs.vehicle import Gnss
 from geometry.angles import wrap
@@ -24,31 +26,57 @@ class GnssConfig(Config):
     velocity_sigma_mps: float = Field(gt=0.0, le=5.0)
     float_sigma_m: float = Field(gt=0.0, le=10.0)
     single_sigma_m: float = Field(gt=0.0, le=50.0)
+    near_shed_m: float = Field(ge=0.0, le=50.0, description="so near a shed reflections allow float alone")
+    search_s: float = Field(ge=0.0, le=600.0, description="from free sky to the first position after a roof")
+    fix_s: float = Field(ge=0.0, le=600.0, description="from free sky to fixed ambiguities after roof or reflections")
+
+
+class Sky:
+    """What the receiver can reach by where its antenna is, and was."""
+
+    def __init__(self, shed: Shed | None, config: GnssConfig) -> None:
+        self._roof = None if shed is None else Polygon(shed.outline_m)
+        self._config = config
+        self._covered_s = self._reflected_s = -math.inf
+
+    def allows(self, x_m: float, y_m: float, elapsed_s: float) -> GnssSolution:
+        """The best state now."""
+        away = math.inf if self._roof is None else self._roof.distance(Point(x_m, y_m))
+        if away == 0.0:
+            self._covered_s = elapsed_s
+        if away < self._config.near_shed_m:
+            self._reflected_s = elapsed_s
+        if elapsed_s - self._covered_s < self._config.search_s or away == 0.0:
+            return GnssSolution.NONE
+        is_fixed = away >= self._config.near_shed_m and elapsed_s - self._reflected_s >= self._config.fix_s
+        return GnssSolution.RTK_FIXED if is_fixed else GnssSolution.RTK_FLOAT
 
 
 class GnssModel:
     """One receiver with its antenna (and a second one, ahead of it, when it measures heading)."""
 
     def __init__(
-        self, name: str, gnss: Gnss, datum: Datum, episodes: tuple[GnssEpisode, ...], config: GnssConfig,
-        random: np.random.Generator,
+        self, name: str, gnss: Gnss, datum: Datum, shed: Shed | None, episodes: tuple[GnssEpisode, ...],
+        config: GnssConfig, random: np.random.Generator,
     ) -> None:  # fmt: skip
         self.topic = f"gnss/{name}"
         self.period_ns = period_ns_of(gnss.rate_hz)
         self.latency_ns = round(config.latency_s * 1e9)
         self._gnss, self._datum, self._episodes, self._config, self._random = gnss, datum, episodes, config, random
         self._T_base_antenna = gnss.mount.T_base_sensor
+        self._sky = Sky(shed, config)
         self._wander = random.standard_normal(4)
         self._corrected_s = 0.0
 
     def sample(self, moment: Moment) -> Message:
         """What the receiver says now; without a solution the place is NaN."""
-        solution = solution_at(self._episodes, moment.elapsed_s)
+        antenna = moment.track.back(0) @ self._T_base_antenna
+        sky = self._sky.allows(float(antenna[0, 3]), float(antenna[1, 3]), moment.elapsed_s)
+        solution = min(sky, solution_at(self._episodes, moment.elapsed_s))
         self._corrected_s = moment.elapsed_s if solution >= GnssSolution.RTK_FLOAT else self._corrected_s
         errors = self._draw_errors()
         if solution == GnssSolution.NONE:
             return no_fix(moment.stamp_ns)
-        antenna = moment.track.back(0) @ self._T_base_antenna
         before = moment.track.back(2) @ self._T_base_antenna
         velocity = (antenna[:3, 3] - before[:3, 3]) / (2e-9 * moment.track.step_ns)
         sigma = self._sigma_enu(solution)

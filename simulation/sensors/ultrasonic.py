@@ -1,0 +1,126 @@
+"""Ultrasonic sensor: the first echo in its cone that is loud enough, beyond the dead zone.
+
+loudness = strength of the target × beam pattern × (reach / range)²; 1 is just heard. A smooth wall mirrors the sound
+away when it is met obliquely, cloth and fur swallow most of it, and level ground sends nothing back.
+"""
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Ultrasonic
+from messages.message import Float32, Float64, Message
+from messages.perception import ObstacleClass
+from messages.sensors import UltrasonicRange
+from simulation.body import LIFT_M
+from simulation.sensors.radar import directions, rays_from
+from simulation.sensors.sensor import Moment, period_ns_of
+
+STRENGTH = {"wall": 1.5, "roof": 1.5, "store": 1.0, "post": 0.7, "mast": 0.4, "gate": 0.6, "fence": 0.5, "trees": 0.3,
+            "crop": 0.02, "ground": 0.0}  # fmt: skip
+SOFT = {ObstacleClass.PERSON: 0.5, ObstacleClass.ANIMAL: 0.3, ObstacleClass.VEHICLE: 1.2}
+SMOOTH = ("wall", "roof")
+MIRROR_DEG, ROUGH = 25.0, 0.1  # a corrugated wall is heard so far off its normal, and a tenth beyond
+EDGE = 0.5  # of the loudness on the axis, at the edge of the cone
+COLUMNS, ROWS = 31, 5
+NEAR_M = 0.1
+
+
+class UltrasonicConfig(Config):
+    """What the vehicle's file does not say of an ultrasonic sensor."""
+
+    latency_s: float = Field(ge=0.0, le=0.5)
+    flicker: float = Field(ge=0.0, le=1.0, description="sigma of the loudness, as a share")
+    miss: float = Field(ge=0.0, le=0.5, description="share of measurements without any echo for no reason")
+    cross_talk: float = Field(ge=0.0, le=0.5, description="share with a stray pulse, for each neighbour")
+    sound_sigma: float = Field(ge=0.0, le=0.1, description="of the speed of sound, after compensation")
+
+
+class UltrasonicModel:
+    """One sensor; `neighbours` others look the same way, and one that `is_carried` rises with the implement."""
+
+    def __init__(
+        self, name: str, sensor: Ultrasonic, neighbours: int, is_carried: bool, config: UltrasonicConfig,
+        random: np.random.Generator,
+    ) -> None:  # fmt: skip
+        self.topic = f"ultrasonic/{name}"
+        self.period_ns = period_ns_of(sensor.rate_hz)
+        self.latency_ns = round(config.latency_s * 1e9)
+        self._sensor, self._is_carried, self._config, self._random = sensor, is_carried, config, random
+        self._stray = config.cross_talk * neighbours
+        self._scale = 1.0 + config.sound_sigma * float(random.standard_normal())
+        self._half = math.radians(0.5 * sensor.cone_deg)
+        self._u = cone_rays(self._half)
+        self._beam = np.power(EDGE, (np.arccos(np.clip(self._u[:, 0], -1.0, 1.0)) / self._half) ** 2)
+
+    def sample(self, moment: Moment) -> Message:
+        """The first echo heard, or NaN."""
+        near, far = self._sensor.range_m
+        T = self._pose(moment)
+        range_m, loudness = (
+            np.concatenate(pair) for pair in zip(self._still(moment, T), self._figures(moment, T), strict=True)
+        )
+        flicker = 1.0 + self._config.flicker * self._random.standard_normal(len(range_m))
+        is_heard = (loudness * flicker * (far / np.maximum(range_m, near)) ** 2 >= 1.0) & (range_m >= near)
+        is_lost = self._random.random() < self._config.miss
+        first = float(range_m[is_heard].min()) if is_heard.any() and not is_lost else math.inf
+        measured = first * self._scale + self._sensor.range_sigma_m * float(self._random.standard_normal())
+        stray, chance = self._random.uniform(near, far), self._random.random()
+        measured = min(measured, stray) if chance < self._stray else measured
+        return UltrasonicRange(moment.stamp_ns, max(measured, near) if measured <= far else math.nan)
+
+    def _pose(self, moment: Moment) -> Float64:
+        T = moment.track.back(0) @ self._sensor.mount.T_base_sensor
+        if self._is_carried:  # the mount is that of the raised implement
+            T = T.copy()
+            T[2, 3] -= LIFT_M * (1.0 - moment.machine.attached.hitch)
+        return T
+
+    def _still(self, moment: Moment, T: Float64) -> tuple[Float64, Float64]:
+        """Range and loudness at unit distance of what stands still, ray by ray."""
+        distance, kind, cosine = moment.scene.still.strike(rays_from(T[:3, 3], self._u @ T[:3, :3].T))
+        strength = moment.scene.table(STRENGTH, 0.0)[kind]
+        is_smooth = moment.scene.table(dict.fromkeys(SMOOTH, 1.0), 0.0)[kind] > 0.0
+        off = np.degrees(np.arccos(np.minimum(cosine, 1.0))) / MIRROR_DEG
+        mirrored = np.where(is_smooth, np.maximum(np.exp(-(off**2)), ROUGH), 1.0)
+        return distance.astype(np.float64), strength * mirrored * self._beam
+
+    def _figures(self, moment: Moment, T: Float64) -> tuple[Float64, Float64]:
+        """The same of each figure's nearest point in the cone."""
+        far = self._sensor.range_m[1]
+        found: list[tuple[float, float]] = []
+        for figure in moment.scene.seen_by("ultrasonic"):
+            if math.dist(figure.p_map_m[:2], T[:2, 3]) > far + 3.0:
+                continue
+            echo = self._nearest(figure.vertices_map_m, T)
+            if echo is not None and not self._is_hidden(moment, T, echo):
+                loudness = SOFT.get(figure.label, 0.5) * EDGE ** ((math.acos(echo[0] / echo[3]) / self._half) ** 2)
+                found.append((echo[3], loudness))
+        pairs = np.array(found).reshape(-1, 2)
+        return pairs[:, 0], pairs[:, 1]
+
+    def _nearest(self, vertices_map_m: Float32, T: Float64) -> tuple[float, float, float, float] | None:
+        """Place in the sensor's frame and range of the nearest corner in the cone."""
+        p = (vertices_map_m - T[:3, 3]) @ T[:3, :3]
+        r = np.linalg.norm(p, axis=1)
+        inside = np.flatnonzero(p[:, 0] >= r * math.cos(self._half))
+        if len(inside) == 0:
+            return None
+        k = int(inside[np.argmin(r[inside])])
+        return float(p[k, 0]), float(p[k, 1]), float(p[k, 2]), max(float(r[k]), 1e-3)
+
+    def _is_hidden(self, moment: Moment, T: Float64, echo: tuple[float, float, float, float]) -> bool:
+        u = np.array([echo[:3]]) / echo[3]
+        distance, _, _ = moment.scene.still.strike(rays_from(T[:3, 3], u @ T[:3, :3].T))
+        return bool(distance[0] < echo[3] - NEAR_M)
+
+
+def cone_rays(half_rad: float) -> Float64:
+    """Unit vectors (N, 3) within a cone about x, denser sideways, where posts are."""
+    azimuth, elevation = np.meshgrid(
+        np.linspace(-half_rad, half_rad, COLUMNS), np.linspace(-half_rad, half_rad, ROWS), indexing="ij"
+    )
+    u = directions(azimuth.ravel(), elevation.ravel())
+    return np.asarray(u[u[:, 0] >= math.cos(half_rad) - 1e-9])

@@ -1,0 +1,90 @@
+"""UWB tag: ranges to the anchors, late where something stands between, with scale and bias of the radios."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Uwb
+from messages.message import Float64, Message
+from messages.sensors import UwbRanges
+from simulation.sensors.sensor import Moment, period_ns_of
+
+CLEAR_M = 0.3  # an anchor sits on its wall or mast, which is not between
+THIN = ("post", "mast", "fence", "gate", "crop")
+
+
+class UwbConfig(Config):
+    """Errors of the radios."""
+
+    latency_s: float = Field(ge=0.0, le=0.5)
+    scale_sigma: float = Field(ge=0.0, le=0.1, description="of all ranges of a tag together")
+    bias_sigma_m: float = Field(ge=0.0, le=1.0, description="of each anchor, constant")
+    post_bias_m: float = Field(ge=0.0, le=5.0, description="mean delay round a post")
+    wall_bias_m: float = Field(ge=0.0, le=5.0, description="mean delay through or round a wall or vehicle")
+    late_time_s: float = Field(gt=0.0, le=60.0, description="over which such a delay wanders")
+    dropout: float = Field(ge=0.0, le=0.9, description="share of ranges lost in line of sight")
+    wall_dropout: float = Field(ge=0.0, le=0.99, description="share lost behind a wall")
+
+
+class UwbModel:
+    """One tag; `quality` 1 is all power in the first path, less the more comes later."""
+
+    def __init__(
+        self, name: str, uwb: Uwb, anchors: Mapping[str, tuple[float, float, float]], config: UwbConfig,
+        random: np.random.Generator,
+    ) -> None:  # fmt: skip
+        self.topic = f"uwb/{name}"
+        self.period_ns = period_ns_of(uwb.rate_hz)
+        self.latency_ns = round(config.latency_s * 1e9)
+        self._tag, self._uwb, self._config, self._random = name, uwb, config, random
+        self._names = tuple(anchors)
+        self._anchors_m = np.array([anchors[n] for n in self._names], np.float64).reshape(-1, 3)
+        self._scale = 1.0 + config.scale_sigma * float(random.standard_normal())
+        self._bias_m = config.bias_sigma_m * random.standard_normal(len(self._names))
+        self._wander = random.standard_normal(len(self._names))
+
+    def sample(self, moment: Moment) -> Message:
+        """The ranges heard now."""
+        config, random, n = self._config, self._random, len(self._names)
+        tag = (moment.track.back(0) @ self._uwb.mount.T_base_sensor)[:3, 3]
+        to = self._anchors_m - tag
+        true_m = np.linalg.norm(to, axis=1)
+        hindrance = self._between(moment, tag, to, true_m)  # 0 free, 1 thin, 2 thick
+        keep = math.exp(-self.period_ns * 1e-9 / config.late_time_s)
+        self._wander = keep * self._wander + math.sqrt(1.0 - keep * keep) * random.standard_normal(n)
+        late = np.array([0.0, config.post_bias_m, config.wall_bias_m])[hindrance] * np.exp(0.5 * self._wander)
+        spread = self._uwb.range_sigma_m * np.array([1.0, 1.5, 2.5])[hindrance] * random.standard_normal(n)
+        range_m = self._scale * true_m + self._bias_m + late + spread
+        quality = np.array([0.9, 0.6, 0.3])[hindrance] + 0.05 * random.standard_normal(n)
+        lost = np.array([config.dropout, config.dropout, config.wall_dropout])[hindrance]
+        low, high = self._uwb.range_m
+        heard = np.flatnonzero((random.random(n) >= lost) & (range_m >= low) & (range_m <= high))
+        names = tuple(self._names[k] for k in heard)
+        return UwbRanges(moment.stamp_ns, self._tag, names, range_m[heard], np.clip(quality[heard], 0.0, 1.0))
+
+    def _between(
+        self, moment: Moment, tag: Float64, to: Float64, true_m: Float64
+    ) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """What hinders each range, (N,): cast from the anchor, whose own wall is left out, and figures from above."""
+        u = to / np.maximum(true_m, 1e-6)[:, None]
+        start = self._anchors_m - CLEAR_M * u
+        rays = np.hstack([start, -u]).astype(np.float32)
+        distance, kind, _ = moment.scene.still.strike(rays)
+        is_thin = moment.scene.table(dict.fromkeys(THIN, 1.0), 0.0)[kind] > 0.0
+        hindrance = np.where(distance < true_m - 2.0 * CLEAR_M, np.where(is_thin, 1, 2), 0)
+        for figure in moment.scene.figures:
+            center, radius = figure.ball_m
+            for k in range(len(true_m)):
+                if hindrance[k] == 0 and is_between(center, 0.7 * radius, tag, self._anchors_m[k]):
+                    hindrance[k] = 2 if radius > 1.5 else 1
+        return np.asarray(hindrance, np.int64)
+
+
+def is_between(center_m: Float64, radius_m: float, a_m: Float64, b_m: Float64) -> bool:
+    """Whether the line from a to b passes a ball."""
+    way = b_m - a_m
+    share = float(np.clip((center_m - a_m) @ way / max(float(way @ way), 1e-9), 0.0, 1.0))
+    return float(np.linalg.norm(a_m + share * way - center_m)) < radius_m
