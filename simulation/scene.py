@@ -1,28 +1,29 @@
 """What rays hit: the still scene, built once, and the figures, built for every scan."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from messages.message import Float32, Float64, UInt8
+from messages.message import Float32, UInt8
 from simulation.actors import Figure
 from simulation.figures import REFLECTIVITY
 from simulation.kernels import signal_of
 from simulation.meshes import Mesh
-from simulation.scenery import Piece
+from simulation.scenery import KINDS, Piece
 
 
 class Rays:
     """Triangles that can be cast against; open3d is loaded with the first one."""
 
-    def __init__(self, meshes: list[Mesh], reflectivity: list[float]) -> None:
+    def __init__(self, meshes: list[Mesh], reflectivity: list[float], kinds: tuple[int, ...] = ()) -> None:
         import open3d
 
         self._core: Any = open3d.core  # its stubs do not know arrays
         self._scene: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
         self._reflectivity = np.array([*reflectivity, 0.0], np.float32)
+        self._kinds = np.array([*kinds, len(KINDS)], np.uint8)
         for mesh in meshes:
             vertices = self._core.Tensor(np.array(mesh.vertices_m, np.float32))
             self._scene.add_triangles(vertices, self._core.Tensor(mesh.triangles.astype(np.uint32)))
@@ -36,9 +37,9 @@ class Rays:
         return distance, signal_of(rays, normals, kind, self._reflectivity)
 
     def strike(self, rays: Float32) -> tuple[Float32, UInt8, Float32]:
-        """Distance (infinite where nothing is hit), number of the mesh (their count: none) and cosine, (N,) each."""
-        distance, kind, normals = self._hit(rays)
-        return distance, kind, np.abs(np.einsum("ij,ij->i", rays[:, 3:], normals))
+        """Distance (infinite: nothing hit), place in KINDS (their count: nothing) and cosine of incidence, (N,)."""
+        distance, mesh, normals = self._hit(rays)
+        return distance, self._kinds[mesh], np.abs(np.einsum("ij,ij->i", rays[:, 3:], normals))
 
     def _hit(self, rays: Float32) -> tuple[Float32, UInt8, Float32]:
         hits = self._scene.cast_rays(self._core.Tensor(rays), nthreads=1)
@@ -61,11 +62,8 @@ class Scene:
     @cached_property
     def still(self) -> Rays:
         """The same, to be cast against."""
-        return Rays([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces])
-
-    def table(self, values: Mapping[str, float], otherwise: float) -> Float64:
-        """A value for each number that `still.strike` gives, by the names of pieces; the last is for nothing."""
-        return np.array([*(values.get(p.name, otherwise) for p in self.pieces), otherwise])
+        kinds = tuple(KINDS.index(p.name) for p in self.pieces)
+        return Rays([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces], kinds)
 
     def seen_by(self, kind: str) -> list[Figure]:
         """The figures that sensors of a kind see."""

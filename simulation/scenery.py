@@ -1,6 +1,7 @@
 """What stands still: ground, crop rows, fence with its gate, shed and trees, as meshes with their reflectivity."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,6 +19,7 @@ from simulation.randomness import generator
 from simulation.shed import roof_mesh, shed_solids, solids_mesh
 from simulation.terrain import Terrain
 
+KINDS = ("ground", "crop", "fence", "gate", "roof", "wall", "post", "mast", "store", "trees")
 SHED_REFLECTIVITY = {"wall": 0.5, "post": 0.4, "mast": 0.4, "store": 0.35}
 
 
@@ -36,11 +38,16 @@ class SceneryConfig(Config):
 
 @dataclass(frozen=True)
 class Piece:
-    """A mesh in `map` of one material."""
+    """A mesh in `map` of one material; `name` is one of KINDS."""
 
     name: str
     mesh: Mesh
     reflectivity: float
+
+
+def by_kind(values: Mapping[str, float], otherwise: float = 0.0) -> Float64:
+    """A value for each of KINDS and, last, for nothing at all."""
+    return np.array([*(values.get(kind, otherwise) for kind in KINDS), otherwise])
 
 
 def build_scenery(site: Site, terrain: Terrain, config: SceneryConfig, seed: int) -> list[Piece]:

@@ -19,14 +19,15 @@ from messages.perception import ObstacleClass
 from messages.sensors import RadarScan
 from simulation.actors import Figure
 from simulation.scene import Scene
+from simulation.scenery import by_kind
 from simulation.sensors.sensor import Moment, period_ns_of
 
 # backscatter of rough surfaces in dB (times cosine of incidence and area), and what a smooth one adds square on
 ROUGH_DB = {"ground": -14.0, "crop": -15.0, "fence": -4.0, "gate": 0.0, "wall": -10.0, "roof": -10.0, "post": 2.0,
             "mast": 0.0, "store": -3.0, "trees": -9.0}  # fmt: skip
 MIRROR_DB = {"wall": 25.0, "roof": 25.0, "store": 10.0}
+ROUGH, MIRROR = by_kind(ROUGH_DB), by_kind(MIRROR_DB)
 MIRROR_DEG = 6.0
-LOST_DB = -60.0
 NEAR_M = 0.3  # a body hides nothing of itself
 DEEPEST_M = 1.0  # of one ray's patch on the ground, along the ray
 
@@ -71,6 +72,7 @@ class RadarConfig(Config):
 
     latency_s: float = Field(ge=0.0, le=0.5)
     sight_m: float = Field(gt=5.0, le=300.0, description="range at which 0 dBsm is detected every third time")
+    least_dbsm: float = Field(ge=-60.0, le=0.0, description="what is weaker is not told, however near")
     ray_deg: float = Field(gt=0.2, le=10.0, description="between the rays of the fan, level")
     rows_deg: tuple[float, ...] = Field(min_length=1, max_length=9, description="elevations of the fan")
     elevation_deg: float = Field(gt=1.0, le=45.0, description="half of the view in elevation")
@@ -134,7 +136,7 @@ class RadarModel:
         is_hit = (distance >= near) & (distance <= far)
         r, cosine = distance[is_hit].astype(np.float64), np.maximum(cosine[is_hit].astype(np.float64), 1e-3)
         patch = r * step * np.minimum(r * tall / cosine, DEEPEST_M)
-        rough, mirror = scene.table(ROUGH_DB, LOST_DB)[kind[is_hit]], scene.table(MIRROR_DB, 0.0)[kind[is_hit]]
+        rough, mirror = ROUGH[kind[is_hit]], MIRROR[kind[is_hit]]
         off_deg = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
         rcs = rough + 10.0 * np.log10(cosine * patch) + mirror * np.exp(-((off_deg / MIRROR_DEG) ** 2))
         return Hits(u[is_hit] * r[:, None], -(u_map[is_hit] @ velocity_mps), rcs)
@@ -174,7 +176,9 @@ class RadarModel:
         rcs = hits.rcs_dbsm + 10.0 * np.log10(random.exponential(1.0, len(r)) + 1e-9)
         level_db = rcs + 40.0 * np.log10(config.sight_m / np.maximum(r, 0.1))
         is_in = (np.abs(azimuth) <= self._half) & (np.abs(elevation) <= math.radians(config.elevation_deg))
-        found = np.flatnonzero((level_db > 0.0) & is_in & (random.random(len(r)) >= config.miss))
+        found = np.flatnonzero(
+            (level_db > 0.0) & (rcs > config.least_dbsm) & is_in & (random.random(len(r)) >= config.miss)
+        )
         found = self._resolve(found, r, azimuth, hits.doppler_mps, level_db)
         detections = np.column_stack([r, azimuth, elevation, hits.doppler_mps, rcs])[found]
         detections = np.vstack([detections, self._ghosts(detections), self._clutter()])

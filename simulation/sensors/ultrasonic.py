@@ -15,13 +15,14 @@ from messages.message import Float32, Float64, Message
 from messages.perception import ObstacleClass
 from messages.sensors import UltrasonicRange
 from simulation.body import LIFT_M
+from simulation.scenery import by_kind
 from simulation.sensors.radar import directions, rays_from
 from simulation.sensors.sensor import Moment, period_ns_of
 
 STRENGTH = {"wall": 1.5, "roof": 1.5, "store": 1.0, "post": 0.7, "mast": 0.4, "gate": 0.6, "fence": 0.5, "trees": 0.3,
             "crop": 0.02, "ground": 0.0}  # fmt: skip
 SOFT = {ObstacleClass.PERSON: 0.5, ObstacleClass.ANIMAL: 0.3, ObstacleClass.VEHICLE: 1.2}
-SMOOTH = ("wall", "roof")
+LOUDNESS, IS_SMOOTH = by_kind(STRENGTH), by_kind({"wall": 1.0, "roof": 1.0}) > 0.0
 MIRROR_DEG, ROUGH = 25.0, 0.1  # a corrugated wall is heard so far off its normal, and a tenth beyond
 EDGE = 0.5  # of the loudness on the axis, at the edge of the cone
 COLUMNS, ROWS = 31, 5
@@ -81,11 +82,9 @@ class UltrasonicModel:
     def _still(self, moment: Moment, T: Float64) -> tuple[Float64, Float64]:
         """Range and loudness at unit distance of what stands still, ray by ray."""
         distance, kind, cosine = moment.scene.still.strike(rays_from(T[:3, 3], self._u @ T[:3, :3].T))
-        strength = moment.scene.table(STRENGTH, 0.0)[kind]
-        is_smooth = moment.scene.table(dict.fromkeys(SMOOTH, 1.0), 0.0)[kind] > 0.0
         off = np.degrees(np.arccos(np.minimum(cosine, 1.0))) / MIRROR_DEG
-        mirrored = np.where(is_smooth, np.maximum(np.exp(-(off**2)), ROUGH), 1.0)
-        return distance.astype(np.float64), strength * mirrored * self._beam
+        mirrored = np.where(IS_SMOOTH[kind], np.maximum(np.exp(-(off**2)), ROUGH), 1.0)
+        return distance.astype(np.float64), LOUDNESS[kind] * mirrored * self._beam
 
     def _figures(self, moment: Moment, T: Float64) -> tuple[Float64, Float64]:
         """The same of each figure's nearest point in the cone."""

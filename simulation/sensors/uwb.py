@@ -10,10 +10,11 @@ from configs.strict import Config
 from configs.vehicle import Uwb
 from messages.message import Float64, Message
 from messages.sensors import UwbRanges
+from simulation.scenery import by_kind
 from simulation.sensors.sensor import Moment, period_ns_of
 
 CLEAR_M = 0.3  # an anchor sits on its wall or mast, which is not between
-THIN = ("post", "mast", "fence", "gate", "crop")
+IS_THIN = by_kind(dict.fromkeys(("post", "mast", "fence", "gate", "crop"), 1.0)) > 0.0
 
 
 class UwbConfig(Config):
@@ -73,8 +74,7 @@ class UwbModel:
         start = self._anchors_m - CLEAR_M * u
         rays = np.hstack([start, -u]).astype(np.float32)
         distance, kind, _ = moment.scene.still.strike(rays)
-        is_thin = moment.scene.table(dict.fromkeys(THIN, 1.0), 0.0)[kind] > 0.0
-        hindrance = np.where(distance < true_m - 2.0 * CLEAR_M, np.where(is_thin, 1, 2), 0)
+        hindrance = np.where(distance < true_m - 2.0 * CLEAR_M, np.where(IS_THIN[kind], 1, 2), 0)
         for figure in moment.scene.figures:
             center, radius = figure.ball_m
             for k in range(len(true_m)):
