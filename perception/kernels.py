@@ -9,5 +9,8 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 def kernel(function: F) -> F:
-    """The function compiled by numba; neither `parallel` nor `fastmath`, so that two runs agree to the bit."""
-    return cast(F, numba.njit(cache=True, nogil=True)(function))
+    """The function compiled by numba; neither `parallel` nor `fastmath`, so that two runs agree to the bit.
+
+    Division by zero gives infinity, as in numpy: a loop that might raise there cannot use the processor's vectors.
+    """
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))

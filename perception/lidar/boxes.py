@@ -42,23 +42,24 @@ def describe(
 @kernel
 def _upright(offsets: Int32, indices: Int32, points: Float32, center: Float64, size: Float64, yaw: Float64) -> None:
     """The box of least area over all directions of edges between neighbouring extreme returns."""
-    cosine = np.cos(np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS))
-    sine = np.sin(np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS))
+    turn = np.arange(HALF) * (2.0 * math.pi / DIRECTIONS)
+    cosine = np.concatenate((np.cos(turn), -np.cos(turn)))
+    sine = np.concatenate((np.sin(turn), -np.sin(turn)))
+    far, extreme = np.empty(DIRECTIONS), np.empty(DIRECTIONS, np.int64)
     hull = np.empty((DIRECTIONS, 2))
     for k in range(offsets.shape[0] - 1):
         z_low, z_high = np.inf, -np.inf
-        far = np.full(DIRECTIONS, -np.inf)
+        far[:] = -np.inf
         for i in indices[offsets[k] : offsets[k + 1]]:
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            x, y, z = float(points[i, 0]), float(points[i, 1]), points[i, 2]
             z_low, z_high = min(z_low, z), max(z_high, z)
-            for d in range(HALF):
+            for d in range(DIRECTIONS):
                 along = cosine[d] * x + sine[d] * y
-                if along > far[d]:
-                    far[d] = along
-                    hull[d, 0], hull[d, 1] = x, y
-                if -along > far[d + HALF]:
-                    far[d + HALF] = -along
-                    hull[d + HALF, 0], hull[d + HALF, 1] = x, y
+                is_farther = along > far[d]
+                far[d] = along if is_farther else far[d]
+                extreme[d] = i if is_farther else extreme[d]
+        for d in range(DIRECTIONS):
+            hull[d, 0], hull[d, 1] = points[extreme[d], 0], points[extreme[d], 1]
         _least_area(hull, k, center, size, yaw)
         center[k, 2], size[k, 2] = (z_low + z_high) / 2.0, max(z_high - z_low, LEAST_SIZE_M)
 

@@ -62,8 +62,7 @@ def find_clusters(
     width = board.shape[0]
     number = board.reshape(-1)
     cell = np.full(len(points_base_m), -1, np.int32)
-    cells = _occupy(points_base_m, level, center_m, width, config.cell_m, number, cell)
-    centroid = _middles(points_base_m, level, cell, len(cells))
+    cells, centroid = _occupy(points_base_m, level, center_m, width, config.cell_m, number, cell)
     label, count = _join(cells, number, centroid, center_m, width, config.cell_m, config.join_m, config.join_growth)
     number[cells] = -1
     offsets, indices = _gather(cell, level, label, count, config.min_returns)
@@ -71,47 +70,50 @@ def find_clusters(
 
 
 @kernel
-def _occupy(
-    points: Float32, level: UInt8, center: Float64, width: int, cell_m: float, number: Int32, cell: Int32
-) -> Int32:
-    """Places (K,) of occupied cells in the order found; `number` (width²,) and `cell` (N,) get k where -1 stood."""
-    n, k = points.shape[0], 0
-    keys, solid = np.empty(n, np.int32), np.zeros(n, np.int32)
-    u0 = np.float32(width // 2 + 0.5 - center[0] / cell_m)
-    v0 = np.float32(width // 2 + 0.5 - center[1] / cell_m)
-    scale, end = np.float32(1.0 / cell_m), np.float32(width)
-    for wanted in (2, 1):
-        for i in range(n):
-            if level[i] != wanted:
-                continue
-            u, v = points[i, 0] * scale + u0, points[i, 1] * scale + v0
-            if not (0.0 <= u < end and 0.0 <= v < end):
-                continue
-            key = int(u) * width + int(v)
-            c = number[key]
-            if wanted == 1:
-                # one return alone may be noise, and would make an object of the ground below it
-                cell[i] = c if c >= 0 and solid[c] > 1 else -1
-                continue
-            if c < 0:
-                c = number[key] = k
-                keys[k] = key
-                k += 1
-            cell[i] = c
-            solid[c] += 1
-    return keys[:k].copy()
+def _where(level: UInt8, wanted: int) -> Int32:
+    """Where a level stands, ascending; without branches, which returns in no order make costly."""
+    places, n = np.empty(level.shape[0] + 1, np.int32), 0
+    for i in range(level.shape[0]):
+        places[n] = i
+        n += level[i] == wanted
+    return places[:n]
 
 
 @kernel
-def _middles(points: Float32, level: UInt8, cell: Int32, count: int) -> Float64:
-    """Mean of the solid returns of each cell, (K, 2)."""
-    total = np.zeros((count, 3))
-    for i in range(points.shape[0]):
-        if level[i] == 2 and cell[i] >= 0:
-            total[cell[i], 0] += points[i, 0]
-            total[cell[i], 1] += points[i, 1]
-            total[cell[i], 2] += 1.0
-    return total[:, :2] / total[:, 2:]
+def _occupy(
+    points: Float32, level: UInt8, center: Float64, width: int, cell_m: float, number: Int32, cell: Int32
+) -> tuple[Int32, Float64]:
+    """Places (K,) of occupied cells in the order found, and means (K, 2) of their solid returns.
+
+    `number` (width²,) and `cell` (N,) get k where -1 stood.
+    """
+    u0 = np.float32(width // 2 + 0.5 - center[0] / cell_m)
+    v0 = np.float32(width // 2 + 0.5 - center[1] / cell_m)
+    scale, end = np.float32(1.0 / cell_m), np.float32(width)
+    solids, k = _where(level, 2), 0
+    keys, total = np.empty(solids.shape[0], np.int32), np.empty((solids.shape[0], 3))
+    for i in solids:
+        u, v = points[i, 0] * scale + u0, points[i, 1] * scale + v0
+        if not (0.0 <= u < end and 0.0 <= v < end):
+            continue
+        key = int(u) * width + int(v)
+        c = number[key]
+        if c < 0:
+            c = number[key] = k
+            keys[k], total[k] = key, 0.0
+            k += 1
+        cell[i] = c
+        total[c, 0] += points[i, 0]
+        total[c, 1] += points[i, 1]
+        total[c, 2] += 1.0
+    for i in _where(level, 1):
+        u, v = points[i, 0] * scale + u0, points[i, 1] * scale + v0
+        if 0.0 <= u < end and 0.0 <= v < end:
+            c = number[int(u) * width + int(v)]
+            # one return alone may be noise, and would make an object of the ground below it
+            if c >= 0 and total[c, 2] > 1.0:
+                cell[i] = c
+    return keys[:k].copy(), total[:k, :2] / total[:k, 2:]
 
 
 @kernel
@@ -135,18 +137,19 @@ def _join(
         reach = join_m + growth * math.hypot(x - center[0], y - center[1])
         steps = math.ceil(reach / cell_m)
         u, v = keys[k] // width, keys[k] % width
-        for du in range(min(steps, width - 1 - u) + 1):
-            for dv in range(-min(steps, v), min(steps, width - 1 - v) + 1):
-                if du == 0 and dv <= 0:
-                    continue
-                j = number[(u + du) * width + v + dv]
-                if j < 0:
+        own = _root(parent, k)
+        for w in range(u, min(u + steps, width - 1) + 1):
+            first = v + 1 if w == u else max(v - steps, 0)
+            for place in range(w * width + first, w * width + min(v + steps, width - 1) + 1):
+                j = number[place]
+                if j < 0 or parent[j] == own:
                     continue
                 dx, dy = centroid[j, 0] - x, centroid[j, 1] - y
                 if dx * dx + dy * dy <= reach * reach:
-                    a, b = _root(parent, k), _root(parent, j)
-                    if a != b:
-                        parent[max(a, b)] = min(a, b)
+                    other = _root(parent, j)
+                    if other != own:
+                        parent[max(own, other)] = own = min(own, other)
+                    parent[j] = own
     label = np.empty(n, np.int32)
     count = 0
     for k in range(n):
@@ -163,11 +166,14 @@ def _join(
 def _gather(cell: Int32, level: UInt8, label: Int32, count: int, min_returns: int) -> tuple[Int32, Int32]:
     """Offsets and indices of the clusters with enough solid returns, in the order of their labels."""
     size, solid = np.zeros(count, np.int32), np.zeros(count, np.int32)
+    members, n = np.empty(cell.shape[0] + 1, np.int32), 0
     for i in range(cell.shape[0]):
-        if cell[i] >= 0:
-            size[label[cell[i]]] += 1
-            if level[i] == 2:
-                solid[label[cell[i]]] += 1
+        members[n] = i
+        n += cell[i] >= 0
+    for i in members[:n]:
+        c = label[cell[i]]
+        size[c] += 1
+        solid[c] += level[i] == 2
     offsets = np.zeros(count + 1, np.int32)
     kept = np.full(count, -1, np.int32)
     k = 0
@@ -178,9 +184,9 @@ def _gather(cell: Int32, level: UInt8, label: Int32, count: int, min_returns: in
             k += 1
     fill = offsets[: k + 1].copy()
     indices = np.empty(offsets[k], np.int32)
-    for i in range(cell.shape[0]):
-        if cell[i] >= 0 and kept[label[cell[i]]] >= 0:
-            c = kept[label[cell[i]]]
+    for i in members[:n]:
+        c = kept[label[cell[i]]]
+        if c >= 0:
             indices[fill[c]] = i
             fill[c] += 1
     return offsets[: k + 1].copy(), indices

@@ -9,7 +9,7 @@ from messages.message import Float32, Float64, Int32, UInt8
 from perception.kernels import kernel
 
 TABLE_M = 0.25  # resolution of the table from range to bin
-ZERO = np.float32(0.0)
+ZERO, ONE = np.float32(0.0), np.float32(1.0)
 TINY, QUARTER, HALF = np.float32(1e-6), np.float32(0.5 * math.pi), np.float32(math.pi)
 C3, C5, C7 = np.float32(-0.327622764), np.float32(0.15931422), np.float32(-0.0464964749)
 ENOUGH = 40_000  # returns that tell the ground of a whole scan; of more, every second, third … is asked
@@ -43,7 +43,7 @@ def sort_into_cells(
     The heights of cell c are `z[starts[c]:starts[c + 1]]`, c = sector * bins + bin.
     """
     n = len(points_base_m)
-    place = np.empty((n, 2), np.float32)
+    place = np.empty((n, 2), np.float32, order="F")
     starts = np.zeros(grid.sectors * grid.bins + 1, np.int32)
     z = np.empty(n, np.float32)
     center, table = center_m.astype(np.float32), grid.bin_table.astype(np.float32)
@@ -82,13 +82,14 @@ def _sort_into_cells(
     # rounding must not leave the turn
     end = np.float32(sectors - 1e-3)
     for i in range(n):
-        r, s = place[i, 1], place[i, 0]
-        if usable[i] == 0 or not r < limit:
-            place[i, 0], place[i, 1] = s if usable[i] and 0.0 <= s < end else ZERO, -1.0
-            continue
-        place[i, 0] = s if s < end else end
-        k = int(r * steps)
-        place[i, 1] = bin_table[k] + (r * steps - np.float32(k)) * (bin_table[k + 1] - bin_table[k])
+        s, r = place[i, 0], place[i, 1]
+        inside = usable[i] != 0 and r < limit
+        kept = s if usable[i] != 0 and ZERO <= s < end else ZERO
+        place[i, 0] = min(s, end) if inside else kept
+        at = r * steps if inside else ZERO
+        k = np.uint32(at)
+        b = bin_table[k] + (at - np.float32(k)) * (bin_table[k + 1] - bin_table[k])
+        place[i, 1] = b if inside else -ONE
     for j in range((n + stride - 1) // stride):
         s, b = place[j * stride, 0], place[j * stride, 1]
         if b >= 0.0:
@@ -108,20 +109,19 @@ def heights_above(points_base_m: Float32, place: Float32, surface_m: Float64) ->
     above = np.empty(len(points_base_m), np.float32)
     # one sector more at either end closes the turn without a modulo
     closed = np.concatenate([surface_m[-1:], surface_m, surface_m[:1]]).astype(np.float32)
-    _heights(points_base_m, place, closed, above)
+    _heights(points_base_m, place, closed.reshape(-1), surface_m.shape[1], above)
     return above
 
 
 @kernel
-def _heights(points: Float32, place: Float32, surface: Float32, above: Float32) -> None:
-    bins, one, half = surface.shape[1], np.float32(1.0), np.float32(0.5)
+def _heights(points: Float32, place: Float32, surface: Float32, bins: int, above: Float32) -> None:
+    one, half, last, width = np.float32(1.0), np.float32(0.5), np.uint32(bins - 2), np.uint32(bins)
     for i in range(points.shape[0]):
-        if place[i, 1] < 0.0:
-            above[i] = np.nan
-            continue
-        s, b = place[i, 0] + half, max(place[i, 1] - half, np.float32(0.0))
-        k, j = int(s), min(int(b), bins - 2)
+        s, b = place[i, 0] + half, max(place[i, 1] - half, ZERO)
+        k, j = np.uint32(s), min(np.uint32(b), last)
         u, v = s - np.float32(k), min(b - np.float32(j), one)
-        near = (one - u) * surface[k, j] + u * surface[k + 1, j]
-        far = (one - u) * surface[k, j + 1] + u * surface[k + 1, j + 1]
-        above[i] = points[i, 2] - ((one - v) * near + v * far)
+        c = k * width + j
+        near = (one - u) * surface[c] + u * surface[c + width]
+        far = (one - u) * surface[c + np.uint32(1)] + u * surface[c + width + np.uint32(1)]
+        h = points[i, 2] - ((one - v) * near + v * far)
+        above[i] = h if place[i, 1] >= ZERO else np.float32(np.nan)

@@ -22,6 +22,7 @@ from perception.kernels import kernel
 from perception.lidar.grid import Grid, heights_above, sort_into_cells
 
 LAYER_M = 0.05  # height resolution of the search for the lowest dense layer
+MOST_LAYERS = 64
 LAYERS = 5  # so many make the thickness of ground: furrows, stubble, noise
 LOOK_BACK = 4  # bins before a cell that predict it
 LOOK_ASIDE = 3  # sectors to either side that do
@@ -91,42 +92,53 @@ def _propagate(
 ) -> None:
     sectors, bins = height.shape
     seen = np.zeros(sectors)  # range up to which each sector's chain rests on returns
-    trust, slope = np.zeros((sectors, bins)), np.zeros((sectors, bins))
+    trust, slope = np.zeros(sectors), np.zeros(sectors)
+    sums = np.zeros((bins, 3, sectors))
+    counts = np.zeros(MOST_LAYERS + LAYERS, np.int32)
     for b in range(bins):
         for s in range(sectors):
-            predicted, slope[s, b] = _predict(height, slope, trust, range_m, s, b, max_slope)
+            predicted, slope[s] = _predict(sums, range_m, s, b, max_slope)
             gap = range_m[b] - seen[s]
             reach = min(step_m + max_slope * gap, 1.0)
             c = s * bins + b
-            low, count = _lowest_layer(z, starts[c], starts[c + 1], predicted - reach - step_m, predicted + reach)
+            low, count = _lowest_layer(
+                z, starts[c], starts[c + 1], predicted - reach - step_m, predicted + reach, counts
+            )
             height[s, b] = predicted
-            trust[s, b] = 0.02
+            trust[s] = 0.02
             if count > 0:
                 height[s, b] = low
-                weight[s, b] = trust[s, b] = count / (count + 2.0)
+                weight[s, b] = trust[s] = count / (count + 2.0)
                 seen[s] = range_m[b]
+        _sum_aside(trust, height[:, b], slope, sums[b])
 
 
 @kernel
-def _predict(
-    height: Float64, slope: Float64, trust: Float64, range_m: Float64, s: int, b: int, max_slope: float
-) -> tuple[float, float]:
-    """Height and slope at a cell by the line through the cells before it; their own slopes are its prior."""
-    sectors = height.shape[0]
-    w_sum, x_sum, h_sum, xx, xh, prior = 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(max(0, b - LOOK_BACK), b):
-        x = range_m[j] - range_m[b]
+def _sum_aside(trust: Float64, height: Float64, slope: Float64, sums: Float64) -> None:
+    """Per sector, over itself and its neighbours by `ASIDE_WEIGHT`: trust, trust times height, trust times slope."""
+    sectors = trust.shape[0]
+    for s in range(sectors):
         for d in range(-LOOK_ASIDE, LOOK_ASIDE + 1):
             k = s + d
-            if not 0 <= k < sectors:
-                k %= sectors
-            w = trust[k, j] * ASIDE_WEIGHT[d + LOOK_ASIDE]
-            w_sum += w
-            x_sum += w * x
-            h_sum += w * height[k, j]
-            xx += w * x * x
-            xh += w * x * height[k, j]
-            prior += w * slope[k, j]
+            k += sectors if k < 0 else (-sectors if k >= sectors else 0)
+            w = trust[k] * ASIDE_WEIGHT[d + LOOK_ASIDE]
+            sums[0, s] += w
+            sums[1, s] += w * height[k]
+            sums[2, s] += w * slope[k]
+
+
+@kernel
+def _predict(sums: Float64, range_m: Float64, s: int, b: int, max_slope: float) -> tuple[float, float]:
+    """Height and slope at a cell by the line through the cells before it; their own slopes are its prior."""
+    w_sum, x_sum, h_sum, xx, xh, prior = 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(max(0, b - LOOK_BACK), b):
+        x, w, h = range_m[j] - range_m[b], sums[j, 0, s], sums[j, 1, s]
+        w_sum += w
+        x_sum += w * x
+        h_sum += h
+        xx += w * x * x
+        xh += h * x
+        prior += sums[j, 2, s]
     spread = xx - x_sum * x_sum / w_sum
     # worth 4 m²: two cells alone do not tilt the ground; slowly level, where nothing is seen for long
     tilt = (xh - x_sum * h_sum / w_sum + 4.0 * 0.97 * prior / w_sum) / (spread + 4.0)
@@ -135,13 +147,16 @@ def _predict(
 
 
 @kernel
-def _lowest_layer(z: Float32, first: int, last: int, low: float, high: float) -> tuple[float, int]:
+def _lowest_layer(z: Float32, first: int, last: int, low: float, high: float, counts: Int32) -> tuple[float, int]:
     """Mean and count of the lowest dense layer of returns that starts between two heights; count 0 when there is none.
 
-    Dense is a third of the densest layer, so that a few ghosts below the ground do not pass for it.
+    Dense is a third of the densest layer, so that a few ghosts below the ground do not pass for it. `counts` is room
+    to count in.
     """
-    span = min(int((high - low) / LAYER_M) + 1, 64)
-    counts = np.zeros(64 + LAYERS, np.int32)
+    if first == last:
+        return 0.0, 0
+    span = min(int((high - low) / LAYER_M) + 1, MOST_LAYERS)
+    counts[: span + LAYERS] = 0
     for i in range(first, last):
         k = math.floor((z[i] - low) / LAYER_M)
         if 0 <= k < span + LAYERS:

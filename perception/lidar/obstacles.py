@@ -8,7 +8,7 @@ from pydantic import Field
 from configs.strict import Config
 from configs.vehicle import Implement, Lidar, Vehicle
 from messages.command import MachineState
-from messages.message import Float32, Float64, UInt8
+from messages.message import Float32, Float64, Int32, UInt8
 from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
@@ -159,7 +159,7 @@ class Pipeline:
         return Obstacles(
             stamp_ns, sensor, stamp_ns, boxes.center_m[high], size, yaw, boxes.nearest_m[high],
             np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high]), kept.offsets, kept.indices,
-            points[kept.indices],
+            _picked(points, kept.indices),
         )  # fmt: skip
 
     def _health(
@@ -170,6 +170,16 @@ class Pipeline:
         proven = proven_range(seen, counts, config, self._reach_m)
         state, reason = judge(proven, seen.nominal_m, config)
         return SensorHealth(scan.stamp_ns, sensor, state, reason, seen.edges_rad.copy(), proven, dropped)
+
+
+@kernel
+def _picked(points: Float32, indices: Int32) -> Float32:
+    """`points[indices]`, row by row: from columns numpy takes it five times as long."""
+    out = np.empty((indices.shape[0], 3), np.float32)
+    for n in range(indices.shape[0]):
+        i = indices[n]
+        out[n, 0], out[n, 1], out[n, 2] = points[i, 0], points[i, 1], points[i, 2]
+    return out
 
 
 @kernel

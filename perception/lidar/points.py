@@ -34,44 +34,49 @@ def motion_of(odom: Odometry | None) -> tuple[float, float, float]:
 def to_base(
     points_m: Float32, offset_s: Float32, T_base_sensor: Float64, motion: tuple[float, float, float], own: Float64
 ) -> tuple[Float32, UInt8]:
-    """Returns in `base` at the stamp, (N, 3), and which of them may be used, (N,).
+    """Returns in `base` at the stamp, (N, 3) laid out by columns, and which of them may be used, (N,).
 
     A return is not usable when a coordinate is not finite, when it lies at the sensor itself, or inside one of the
     `own` boxes (K, 2, 3). `offset_s` (N,) is the time of firing against the stamp, `motion` as from `motion_of`.
     """
-    out = np.empty((len(points_m), 3), np.float32)
+    out = np.empty((len(points_m), 3), np.float32, order="F")  # loops over columns use the processor's vectors
     usable = np.empty(len(points_m), np.uint8)
     reach = float(np.hypot(*np.abs(own[:, :, :2]).max(axis=(0, 1)))) if len(own) else 0.0
     T = T_base_sensor[:3].astype(np.float32)
-    _to_base(points_m, offset_s, T, np.array(motion), own.astype(np.float32), np.float32(reach**2), out, usable)
+    # before the motion is taken out: the machine's own parts move along with the sensor
+    _turn(points_m, T, own.astype(np.float32), np.float32(reach**2), out, usable)
+    if offset_s.any():
+        _take_back(offset_s, np.array(motion), out)
     return out, usable
 
 
 @kernel
-def _to_base(
-    points: Float32, offset: Float32, T: Float32, motion: Float64, own: Float32, reach2: np.float32,
-    out: Float32, usable: UInt8,
-) -> None:  # fmt: skip
+def _turn(points: Float32, T: Float32, own: Float32, reach2: np.float32, out: Float32, usable: UInt8) -> None:
+    near, count = np.empty(points.shape[0] + 1, np.int32), 0
+    a, b, c, d, e, f, g, h, k = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2]
+    x0, y0, z0 = T[0, 3], T[1, 3], T[2, 3]
     for i in range(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-        y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-        # before the motion is taken out: the machine's own parts move along with the sensor
-        good = True
-        near = x * x + y * y < reach2
-        for k in range(own.shape[0] if near else 0):
-            if own[k, 0, 0] < x < own[k, 1, 0] and own[k, 0, 1] < y < own[k, 1, 1] and own[k, 0, 2] < z < own[k, 1, 2]:
-                good = False
-        t = float(offset[i])
-        if t != 0.0:
-            # base as it was at t, seen from base at the stamp; the series is exact to 1e-6 rad within 0.3 rad
-            a = motion[2] * t
-            s, c = a * (1.0 - a * a / 6.0), 1.0 - a * a / 2.0 + a * a * a * a / 24.0
-            along, across = t * (1.0 - a * a / 6.0), t * a / 2.0
-            u = c * x - s * y + motion[0] * along - motion[1] * across
-            v = s * x + c * y + motion[0] * across + motion[1] * along
-            x, y = np.float32(u), np.float32(v)
+        x, y, z = a * px + b * py + c * pz + x0, d * px + e * py + f * pz + y0, g * px + h * py + k * pz + z0
         out[i, 0], out[i, 1], out[i, 2] = x, y, z
-        good = good and np.isfinite(x + y + z) and px * px + py * py + pz * pz > 1e-4
-        usable[i] = 1 if good else 0
+        usable[i] = np.isfinite(x + y + z) & (px * px + py * py + pz * pz > 1e-4)
+        near[count] = i
+        count += x * x + y * y < reach2
+    for i in near[:count]:
+        x, y, z = out[i, 0], out[i, 1], out[i, 2]
+        for n in range(own.shape[0]):
+            if own[n, 0, 0] < x < own[n, 1, 0] and own[n, 0, 1] < y < own[n, 1, 1] and own[n, 0, 2] < z < own[n, 1, 2]:
+                usable[i] = 0
+
+
+@kernel
+def _take_back(offset: Float32, motion: Float64, out: Float32) -> None:
+    """`base` as it was at the time of firing, seen from `base` at the stamp."""
+    for i in range(out.shape[0]):
+        x, y, t = out[i, 0], out[i, 1], float(offset[i])
+        # the series is exact to 1e-6 rad within 0.3 rad
+        a = motion[2] * t
+        s, c = a * (1.0 - a * a / 6.0), 1.0 - a * a / 2.0 + a * a * a * a / 24.0
+        along, across = t * (1.0 - a * a / 6.0), t * a / 2.0
+        out[i, 0] = c * x - s * y + motion[0] * along - motion[1] * across
+        out[i, 1] = s * x + c * y + motion[0] * across + motion[1] * along
