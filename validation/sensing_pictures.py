@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 SHOWN_M = 30.0
 APART_S = 20.0  # looks further apart in time are of two meetings
+PAUSE_S = 1.0
 LENGTH_M = 12.0
 TRUE, WALL, DRIVEN, REVERSED, DOCK, LAST = "#90a4ae", "#5d4037", "#2f7d32", "#c62828", "#5c6bc0", "#1b2a1e"
 
@@ -55,7 +56,9 @@ def _over_time(ax: Axes, looks: list[Look], sensors: list[str], first_ns: int) -
     for k, sensor in enumerate(sensors):
         mine = [look for look in looks if look.sensor == sensor]
         t = np.array([(look.stamp_ns - first_ns) * 1e-9 for look in mine])
-        ax.plot(t, [look.range_m for look in mine], "-", color=TRUE, lw=0.8, zorder=1)
+        pauses = np.flatnonzero(np.diff(t) > PAUSE_S) + 1
+        true = np.insert(np.array([look.range_m for look in mine]), pauses, np.nan)
+        ax.plot(np.insert(t, pauses, np.nan), true, "-", color=TRUE, lw=0.8, zorder=1)
         ax.plot(t, [look.found_m for look in mine], ".", color=f"C{k % 10}", ms=3, label=sensor, zorder=2)
 
 
