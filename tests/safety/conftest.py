@@ -5,7 +5,7 @@ import pytest
 from safety_world import ROOT, World, straight_path
 
 from configs.strict import load, parse, read_yaml
-from configs.vehicle import ImplementFile, Vehicle
+from configs.vehicle import Camera, ImplementFile, Mount, Radar, Ultrasonic, Vehicle
 from safety.config import SafetyConfig
 from safety.fence import Fence
 from safety.supervisor import Supervisor
@@ -42,3 +42,28 @@ def thin(vehicle: Vehicle) -> Vehicle:
 def world(config, thin, implement, fence) -> World:
     supervisor = Supervisor(thin, implement, config, fence, ("fault/executor",))
     return World(supervisor, thin, straight_path(), is_plain=True)
+
+
+@pytest.fixture(scope="session")
+def full(thin: Vehicle) -> Vehicle:
+    """The thin machine with a radar and a camera in front, and ultrasonic sensors in front and behind."""
+    around = Radar(
+        mount=Mount(xyz_m=(3.5, 0.0, 0.8)), field_of_view_deg=120.0, rate_hz=25.0, range_m=(0.5, 60.0),
+        range_sigma_m=0.15, azimuth_sigma_deg=1.0, doppler_sigma_mps=0.1,
+    )  # fmt: skip
+    ultrasonic = {
+        name: Ultrasonic(mount=Mount(xyz_m=(x, y, 0.7), rpy_deg=(0.0, 0.0, yaw)), cone_deg=60.0, rate_hz=10.0,
+                         range_m=(0.25, 4.5), range_sigma_m=0.01)
+        for name, x, y, yaw in (("left", 3.5, 0.6, 0.0), ("right", 3.5, -0.6, 0.0), ("rear", -2.4, 0.0, 180.0))
+    }  # fmt: skip
+    camera = Camera(mount=Mount(xyz_m=(3.2, 0.0, 2.2)), size_px=(1280, 720), focal_px=(900.0, 900.0),
+                    center_px=(640.0, 360.0), rate_hz=2.0)  # fmt: skip
+    more = {"radar": {"front": around}, "ultrasonic": ultrasonic, "camera": {"front": camera}}
+    lidars = {n: lidar.model_copy(update={"columns": lidar.columns // 2}) for n, lidar in thin.sensors.lidar.items()}
+    return thin.model_copy(update={"sensors": thin.sensors.model_copy(update=more | {"lidar": lidars})})
+
+
+@pytest.fixture
+def seeing(config, full, implement, fence) -> World:
+    """A world around that machine."""
+    return World(Supervisor(full, implement, config, fence, ("fault/executor",)), full, straight_path())

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from configs.vehicle import Lidar, Vehicle
+from configs.vehicle import Lidar, Mount, Radar, Ultrasonic, Vehicle
 from geometry.transforms import planar, transform
 from messages.command import MachineState, Mode, OperatorOrder, Order, Wish
 from messages.message import Message
 from messages.motion import MapPose, Odometry, PositionSource
-from messages.perception import Tracks
+from messages.perception import HealthState, SensorHealth, Tracks
 from messages.plan import Leg, MissionState, MissionStatus, Path, Stretch
-from messages.sensors import ImuSample, LidarScan, WheelSample
+from messages.sensors import ImuSample, LidarScan, RadarScan, UltrasonicRange, WheelSample
 from messages.topics import kind_of
 from safety.brake_test import Phase
 from safety.config import SafetyConfig
@@ -158,6 +158,67 @@ def machine_state(stamp_ns: int, **changes: Any) -> MachineState:
     return replace(state, **changes)
 
 
+@dataclass(frozen=True)
+class Target:
+    """Something at a place in odom that moves along x and y, as radar (by its cross-section) or ultrasonic sees it."""
+
+    x_m: float
+    y_m: float
+    vx_mps: float = 0.0
+    vy_mps: float = 0.0
+    rcs_dbsm: float = -3.0
+    is_heard: bool = False
+
+
+def healthy(stamp_ns: int, sensor: str, state: HealthState = HealthState.GOOD, reason: str = "") -> SensorHealth:
+    """A health that covers every direction."""
+    edges = np.array([-math.pi, math.pi])
+    return SensorHealth(stamp_ns, sensor, state, reason, edges, np.array([40.0]), 0)
+
+
+def in_sensor(world: "World", mount: Mount, target: Target) -> tuple[np.ndarray, np.ndarray]:
+    """Place in the sensor's frame, and velocity against the sensor, of a target 1 m above the ground."""
+    T = planar(world.x_m, world.y_m, world.yaw_rad) @ mount.T_base_sensor
+    place = T[:3, :3].T @ (np.array([target.x_m, target.y_m, 1.0]) - T[:3, 3])
+    own = world.speed_mps * np.array([math.cos(world.yaw_rad), math.sin(world.yaw_rad), 0.0])
+    return place, T[:3, :3].T @ (np.array([target.vx_mps, target.vy_mps, 0.0]) - own)
+
+
+def radar_scan(world: "World", radar: Radar, now_ns: int) -> RadarScan:
+    """Detections of the targets with noise, and weak clutter anywhere in view."""
+    rng, rows = world.rng, []
+    for target in world.targets:
+        place, velocity = in_sensor(world, radar.mount, target)
+        range_m, azimuth = float(np.linalg.norm(place)), math.atan2(place[1], place[0])
+        if (
+            abs(azimuth) > math.radians(radar.field_of_view_deg / 2)
+            or not radar.range_m[0] <= range_m <= radar.range_m[1]
+        ):
+            continue
+        noise = rng.normal(0.0, [radar.range_sigma_m, math.radians(radar.azimuth_sigma_deg), radar.doppler_sigma_mps])
+        doppler = float(velocity @ place) / range_m
+        rows.append((range_m + noise[0], azimuth + noise[1], 0.0, doppler + noise[2], target.rcs_dbsm))
+    for _ in range(world.clutter):
+        azimuth = rng.uniform(-0.5, 0.5)
+        rows.append(
+            (rng.uniform(1.0, 40.0), azimuth, 0.0, -world.speed_mps * math.cos(azimuth), rng.uniform(-25.0, -8.0))
+        )
+    columns = np.array(rows).reshape(-1, 5).T
+    return RadarScan(now_ns, *(column.copy() for column in columns))
+
+
+def echo_of(world: "World", sensor: Ultrasonic) -> float:
+    """Range of the nearest target that ultrasonic hears in its cone, NaN without."""
+    half, near = math.radians(sensor.cone_deg / 2), math.nan
+    for target in world.targets:
+        place, _ = in_sensor(world, sensor.mount, target)
+        range_m = math.hypot(place[0], place[1])
+        is_in = target.is_heard and abs(math.atan2(place[1], place[0])) <= half
+        if is_in and sensor.range_m[0] <= range_m <= sensor.range_m[1] and not near < range_m:
+            near = range_m
+    return near + world.rng.normal(0.0, sensor.range_sigma_m)
+
+
 @dataclass
 class World:
     """Drives a supervisor through simulated time; the machine follows its commands."""
@@ -196,6 +257,10 @@ class World:
     acceleration: float = 0.0
     is_plain: bool = False
     tries_brake: bool = False
+    targets: tuple[Target, ...] = ()
+    clutter: int = 0
+    fold: float = 0.0
+    folds: bool = False
 
     def __post_init__(self) -> None:
         if not self.tries_brake:
@@ -229,6 +294,7 @@ class World:
             "speed_mps": self.speed_mps,
             "curvature_radpm": curvature,
             "is_park_brake_set": bool(self.command and self.command.is_park_brake_set),
+            "fold": self.fold,
             **self.machine_changes,
         }
         self.put("machine", machine_state(now, **changes))
@@ -239,6 +305,7 @@ class World:
             for name, lidar in self.vehicle.sensors.lidar.items():
                 scan = scan_of(lidar, now, pose, self.boxes, self.rng, self.slope, self.shape_boxes)
                 self.put(f"lidar/{name}", scan)
+        self.put_others(now)
         if self.steps % 10 == 0:
             status = MissionStatus(now, self.mission, Leg.SWATH, 1, self.path.path_id, self.place_m, 0.0, 1.0, "", ())
             self.put("mission", status)
@@ -259,6 +326,19 @@ class World:
         if self.steps == 0 or self.inbox.messages.get("path") is not self.path:
             self.put("path", self.path)
 
+    def put_others(self, now: int) -> None:
+        """Radars at 25 Hz, ultrasonic sensors and healths at 10 Hz."""
+        sensors = self.vehicle.sensors
+        if self.steps % 2 == 0:
+            for name, radar in sensors.radar.items():
+                self.put(f"radar/{name}", radar_scan(self, radar, now))
+        if self.steps % 5 == 0:
+            for name, sensor in sensors.ultrasonic.items():
+                self.put(f"ultrasonic/{name}", UltrasonicRange(now, echo_of(self, sensor)))
+            for kind in ("radar", "ultrasonic", "camera"):
+                for name in getattr(sensors, kind):
+                    self.put(f"health/{kind}_{name}", healthy(now, f"{kind}_{name}"))
+
     def move(self) -> None:
         dt = STEP_NS * 1e-9
         before = self.speed_mps
@@ -270,6 +350,8 @@ class World:
             self.speed_mps += max(-up * dt, min(up * dt, target - self.speed_mps))
         self.acceleration = (self.speed_mps - before) / dt
         curvature = self.curvature if self.curvature is not None else float(self.path.curvature_radpm[0])
+        if self.folds and self.command is not None:
+            self.fold = min(1.0, max(0.0, self.fold + (dt / 8.0 if self.command.is_implement_folded else -dt / 8.0)))
         way = self.speed_mps * dt
         self.yaw_rad += 0.5 * curvature * way
         self.x_m += way * math.cos(self.yaw_rad)
