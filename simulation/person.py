@@ -16,7 +16,7 @@ HIP_DEG = (22.0, 18.0, 10.0, 1.0, -7.0, -12.0, -5.0, 9.0, 19.0, 23.0, 22.0)
 KNEE_DEG = (5.0, 16.0, 14.0, 8.0, 6.0, 12.0, 34.0, 56.0, 50.0, 16.0, 5.0)
 ANKLE_DEG = (0.0, -4.0, 4.0, 8.0, 9.0, 2.0, -16.0, -8.0, 0.0, 2.0, 0.0)
 THIGH_M, SHANK_M, HIP_M = 0.43, 0.41, 0.92
-UPPER_ARM_M, FOREARM_M, SHOULDER_M = 0.29, 0.25, 1.415
+UPPER_ARM_M, FOREARM_M, SHOULDER_M = 0.29, 0.25, 1.41
 
 TROUSERS: Keys = (
     (0.0, 0.0, 0.80, 0.04, 0.08), (0.0, 0.0, 0.83, 0.09, 0.15), (-0.005, 0.0, 0.90, 0.118, 0.175),
@@ -25,8 +25,9 @@ TROUSERS: Keys = (
 JACKET: Keys = (
     (0.0, 0.0, 0.915, 0.115, 0.170), (0.0, 0.0, 0.92, 0.129, 0.186), (0.0, 0.0, 0.99, 0.122, 0.176),
     (0.0, 0.0, 1.08, 0.113, 0.164), (0.0, 0.0, 1.18, 0.118, 0.174), (0.005, 0.0, 1.28, 0.125, 0.190),
-    (0.0, 0.0, 1.37, 0.115, 0.197), (-0.005, 0.0, 1.42, 0.098, 0.186), (-0.008, 0.0, 1.455, 0.080, 0.145),
-    (-0.008, 0.0, 1.48, 0.068, 0.095), (-0.005, 0.0, 1.51, 0.066, 0.068), (0.0, 0.0, 1.512, 0.03, 0.03),
+    (0.0, 0.0, 1.36, 0.116, 0.198), (-0.004, 0.0, 1.41, 0.100, 0.200), (-0.008, 0.0, 1.437, 0.084, 0.176),
+    (-0.008, 0.0, 1.462, 0.072, 0.125), (-0.006, 0.0, 1.485, 0.066, 0.080), (-0.005, 0.0, 1.51, 0.063, 0.064),
+    (0.0, 0.0, 1.512, 0.03, 0.03),
 )  # fmt: skip
 NECK: Keys = ((-0.01, 0.0, 1.44, 0.058, 0.06), (0.0, 0.0, 1.50, 0.056, 0.055), (0.01, 0.0, 1.58, 0.058, 0.055))
 HEAD: Keys = (
@@ -114,7 +115,7 @@ def _arm(side: float, share: float | None, sides: int, more: int) -> list[Part]:
     swing = math.radians(2.0) if share is None else math.radians(-20.0 * math.cos(2.0 * math.pi * share) - 2.0)
     bend = math.radians(14.0) if share is None else math.radians(22.0 - 12.0 * math.cos(2.0 * math.pi * share))
     aside = math.radians(7.0)
-    shoulder = np.array([-0.005, 0.190 * side, SHOULDER_M])
+    shoulder = np.array([-0.005, 0.182 * side, SHOULDER_M])
 
     def way(angle: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
         return np.array([math.sin(angle), side * math.sin(aside), -math.cos(angle)])
@@ -127,8 +128,8 @@ def _arm(side: float, share: float | None, sides: int, more: int) -> list[Part]:
         p = a + f * (b - a)
         return (float(p[0]), float(p[1]), float(p[2]), x, y)
 
-    sleeve = (on(shoulder, elbow, -0.20, 0.035, 0.03), on(shoulder, elbow, -0.14, 0.056, 0.045),
-              on(shoulder, elbow, 0.02, 0.068, 0.058), on(shoulder, elbow, 0.35, 0.060, 0.054),
+    sleeve = (on(shoulder, elbow, -0.13, 0.030, 0.02), on(shoulder, elbow, -0.08, 0.052, 0.036),
+              on(shoulder, elbow, 0.06, 0.066, 0.054), on(shoulder, elbow, 0.35, 0.060, 0.054),
               on(shoulder, elbow, 0.9, 0.049, 0.046), on(elbow, wrist, 0.1, 0.048, 0.045),
               on(elbow, wrist, 0.5, 0.045, 0.042), on(elbow, wrist, 0.97, 0.036, 0.034),
               on(elbow, wrist, 0.98, 0.015, 0.015))  # fmt: skip

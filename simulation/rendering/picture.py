@@ -14,12 +14,13 @@ from simulation.rendering.light import Light
 from simulation.rendering.raster import fill, project, project_parallel
 from simulation.rendering.shading import shade
 from simulation.rendering.surface import Cells, Material, Surface, merge
-from simulation.rendering.textures import textures
+from simulation.rendering.textures import texture_layers, textures
 
 CELL_M = 8.0
 SHADOW_PX, SHADOW_PER_M = 640, 16.0
 SHADOW_AHEAD_M, METER_STEP = 15.0, 16
 R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+LAYERS = texture_layers()
 NO_ROOF = np.array([0.0, 0.0, -1.0, -1.0, 0.0])
 
 
@@ -61,7 +62,7 @@ class Stage:
         middle = origin + SHADOW_AHEAD_M * np.append(ahead, -0.15)
         L = self._light_up(everything, extra, middle, light)
         width, height = eye.size_px
-        half = math.atan(0.5 * width / eye.intrinsics[0]) + 0.35
+        half = math.atan(0.5 * width / eye.intrinsics[0]) + 0.03
         seen = np.concatenate([extra, self._cells.near(origin, self._reach_m, ahead, min(half, 1.5))])
         w, owner = np.zeros((height, width), np.float32), np.zeros((height, width), np.int32)
         screen, which = project(everything.vertices_m, everything.triangles, seen, R, origin, eye.intrinsics, width, height)
@@ -72,7 +73,7 @@ class Stage:
             return shade(
                 bgr, w, owner, everything.vertices_m, everything.normals, everything.colors, everything.triangles,
                 everything.materials, R, origin, eye.intrinsics, light.packed(), light.skyline, textures().values,
-                self._shadow, L, middle, SHADOW_PER_M, feet, self._roof, self._ground_m, gain, curve, step,
+                LAYERS, self._shadow, L, middle, SHADOW_PER_M, feet, self._roof, self._ground_m, gain, curve, step,
             )  # fmt: skip
 
         if gain is None:

@@ -5,16 +5,24 @@ parallel. A buffer holds the greatest w of each pixel and the triangle it is of;
 """
 
 import math
+from collections.abc import Callable
+from typing import TypeVar, cast
 
+import numba
 import numpy as np
 
 from messages.message import Float32, Float64, Int32, UInt8
-from simulation.kernels import compiled
 
+F = TypeVar("F", bound=Callable[..., object])
 NEAR_M = 0.15
 
 
-@compiled
+def painted(function: F) -> F:
+    """The function by numba: kept on disk, one thread, strict; only that a division by zero gives infinity."""
+    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+
+
+@painted
 def project(
     vertices: Float32, triangles: Int32, wanted: Int32, R: Float64, origin: Float64, intrinsics: Float64,
     width: int, height: int,
@@ -29,47 +37,62 @@ def project(
     fx, fy, cx, cy = intrinsics
     n = 0
     p = np.empty((3, 3))
-    q = np.empty((4, 3))
     for k in range(wanted.shape[0]):
         t = wanted[k]
+        nearest, farthest = 1e9, -1e9
+        low_x, high_x, low_y, high_y = 1e9, -1e9, 1e9, -1e9
         for i in range(3):
             v = triangles[t, i]
             dx, dy, dz = vertices[v, 0] - origin[0], vertices[v, 1] - origin[1], vertices[v, 2] - origin[2]
-            for j in range(3):
-                p[i, j] = R[j, 0] * dx + R[j, 1] * dy + R[j, 2] * dz
-        if max(p[0, 2], p[1, 2], p[2, 2]) < NEAR_M:
+            x = R[0, 0] * dx + R[0, 1] * dy + R[0, 2] * dz
+            y = R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz
+            z = R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz
+            p[i, 0], p[i, 1], p[i, 2] = x, y, z
+            nearest, farthest = min(nearest, z), max(farthest, z)
+            w = 1.0 / max(z, NEAR_M)
+            x, y = fx * x * w + cx, fy * y * w + cy
+            out[n, i, 0], out[n, i, 1], out[n, i, 2] = x, y, w
+            low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
+        if farthest < NEAR_M:
             continue
-        m = 0
-        for i in range(3):
-            a, b = p[i], p[(i + 1) % 3]
-            if a[2] >= NEAR_M:
-                q[m] = a
-                m += 1
-            if (a[2] >= NEAR_M) != (b[2] >= NEAR_M):
-                f = (NEAR_M - a[2]) / (b[2] - a[2])
-                for j in range(3):
-                    q[m, j] = a[j] + f * (b[j] - a[j])
-                m += 1
-        low_x, high_x, low_y, high_y = 1e9, -1e9, 1e9, -1e9
-        for i in range(m):
-            w = 1.0 / q[i, 2]
-            q[i, 0] = fx * q[i, 0] * w + cx
-            q[i, 1] = fy * q[i, 1] * w + cy
-            q[i, 2] = w
-            low_x, high_x = min(low_x, q[i, 0]), max(high_x, q[i, 0])
-            low_y, high_y = min(low_y, q[i, 1]), max(high_y, q[i, 1])
-        if high_x < 0.0 or high_y < 0.0 or low_x > width - 1 or low_y > height - 1:
-            continue
-        for i in range(m - 2):
-            out[n, 0] = q[0]
-            out[n, 1] = q[i + 1]
-            out[n, 2] = q[i + 2]
+        if nearest < NEAR_M:
+            pieces = _cut(p, out[n : n + 2], fx, fy, cx, cy)
+            which[n : n + pieces] = t
+            n += pieces
+        # one that lies between two rows or columns of pixels shows nowhere
+        elif high_x >= 0.0 and high_y >= 0.0 and low_x <= width - 1 and low_y <= height - 1 and (
+            math.ceil(low_x) <= high_x and math.ceil(low_y) <= high_y
+        ):  # fmt: skip
             which[n] = t
             n += 1
     return out[:n], which[:n]
 
 
-@compiled
+@painted
+def _cut(p: Float64, out: Float32, fx: float, fy: float, cx: float, cy: float) -> int:
+    """The part before the viewer of a triangle by its corners (3, 3) in the optical frame, as one or two triangles."""
+    q = np.empty((4, 3))
+    m = 0
+    for i in range(3):
+        j = (i + 1) % 3
+        if p[i, 2] >= NEAR_M:
+            q[m, 0], q[m, 1], q[m, 2] = p[i, 0], p[i, 1], p[i, 2]
+            m += 1
+        if (p[i, 2] >= NEAR_M) != (p[j, 2] >= NEAR_M):
+            f = (NEAR_M - p[i, 2]) / (p[j, 2] - p[i, 2])
+            for k in range(3):
+                q[m, k] = p[i, k] + f * (p[j, k] - p[i, k])
+            m += 1
+    for i in range(m):
+        w = 1.0 / q[i, 2]
+        q[i, 0], q[i, 1], q[i, 2] = fx * q[i, 0] * w + cx, fy * q[i, 1] * w + cy, w
+    for i in range(m - 2):
+        for k in range(3):
+            out[i, 0, k], out[i, 1, k], out[i, 2, k] = q[0, k], q[i + 1, k], q[i + 2, k]
+    return m - 2
+
+
+@painted
 def project_parallel(
     vertices: Float32, triangles: Int32, wanted: Int32, R: Float64, origin: Float64, per_m: float, size: int
 ) -> tuple[Float32, Int32]:
@@ -94,7 +117,7 @@ def project_parallel(
     return out[:n], which[:n]
 
 
-@compiled
+@painted
 def fill(
     screen: Float32, which: Int32, w: Float32, owner: Int32, cuts: UInt8, R: Float64, origin: Float64,
     intrinsics: Float64,
@@ -106,27 +129,43 @@ def fill(
         x0, y0, w0 = float(screen[k, 0, 0]), float(screen[k, 0, 1]), float(screen[k, 0, 2])
         x1, y1, w1 = float(screen[k, 1, 0]), float(screen[k, 1, 1]), float(screen[k, 1, 2])
         x2, y2, w2 = float(screen[k, 2, 0]), float(screen[k, 2, 1]), float(screen[k, 2, 2])
+        top, bottom = max(0, math.ceil(min(y0, y1, y2))), min(height - 1, math.floor(max(y0, y1, y2)))
+        left, right = max(0, math.ceil(min(x0, x1, x2))), min(width - 1, math.floor(max(x0, x1, x2)))
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if abs(area) < 1e-9:
+        if top > bottom or left > right or abs(area) < 1e-9:
             continue
         per = 1.0 / area
         # w and the shares of the corners are linear on the screen
         b_x, b_y = (y2 - y0) * per, (x0 - x2) * per
         c_x, c_y = (y0 - y1) * per, (x1 - x0) * per
+        a_x = -b_x - c_x
         w_x, w_y = b_x * (w1 - w0) + c_x * (w2 - w0), b_y * (w1 - w0) + c_y * (w2 - w0)
-        top, bottom = max(0, math.ceil(min(y0, y1, y2))), min(height - 1, math.floor(max(y0, y1, y2)))
-        left, right = max(0, math.ceil(min(x0, x1, x2))), min(width - 1, math.floor(max(x0, x1, x2)))
+        # a share grows to the right (then its zero is the first column) or falls (then the last); level ones are rare
+        b_zero, c_zero = 1.0 / (b_x if b_x != 0.0 else 1e-12), 1.0 / (c_x if c_x != 0.0 else 1e-12)
+        a_zero = 1.0 / (a_x if a_x != 0.0 else 1e-12)
         cut = cuts[which[k]]
         for y in range(top, bottom + 1):
             b0 = b_x * (left - x0) + b_y * (y - y0)
             c0 = c_x * (left - x0) + c_y * (y - y0)
-            # the columns in which all three shares are positive
             first, last = float(left), float(right)
-            first, last = _narrow(b0, b_x, left, first, last)
-            first, last = _narrow(c0, c_x, left, first, last)
-            first, last = _narrow(1.0 - b0 - c0, -b_x - c_x, left, first, last)
-            value = w0 + w_x * (math.ceil(first) - x0) + w_y * (y - y0)
-            for x in range(math.ceil(first), math.floor(last) + 1):
+            zero = left - b0 * b_zero
+            if b_zero > 0.0:
+                first = max(first, zero)
+            else:
+                last = min(last, zero)
+            zero = left - c0 * c_zero
+            if c_zero > 0.0:
+                first = max(first, zero)
+            else:
+                last = min(last, zero)
+            zero = left - (1.0 - b0 - c0) * a_zero
+            if a_zero > 0.0:
+                first = max(first, zero)
+            else:
+                last = min(last, zero)
+            start = math.ceil(first)
+            value = w0 + w_x * (start - x0) + w_y * (y - y0)
+            for x in range(start, math.floor(last) + 1):
                 if value > w[y, x]:
                     is_there = True
                     if cut:
@@ -143,16 +182,7 @@ def fill(
                 value += w_x
 
 
-@compiled
-def _narrow(start: float, step: float, left: int, first: float, last: float) -> tuple[float, float]:
-    """The part of columns `first` to `last` in which start + step (x - left) >= 0."""
-    if abs(step) < 1e-12:
-        return (first, last) if start >= 0.0 else (1.0, 0.0)
-    zero = left - start / step
-    return (max(first, zero), last) if step > 0.0 else (first, min(last, zero))
-
-
-@compiled
+@painted
 def _is_leaf(x: float, y: float, z: float, cut: int) -> bool:
     """Whether there is plant here: blades that stand in a row (1), or clusters of leaves (2)."""
     if cut == 1:

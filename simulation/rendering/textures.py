@@ -1,16 +1,19 @@
-"""Textures made of noise, each with its ever coarser copies, all in one flat array; the mean of each is 1."""
+"""Textures made of noise, each with its ever coarser copies, all in one flat array; the mean of each is `UNIT`."""
 
 from dataclasses import dataclass
 from functools import cache
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
-from messages.message import Float32, Float64
+from messages.message import Float32, Float64, UInt8
 from simulation.randomness import generator
 
+Int8 = npt.NDArray[np.int8]
 SIDE = 512
 LEVELS = 8
+UNIT = 64.0  # stands for 1
 SOIL, GRASS, GRAIN, CLOUD = range(4)
 
 
@@ -18,7 +21,7 @@ SOIL, GRASS, GRAIN, CLOUD = range(4)
 class Textures:
     """`values` (K, n) of all levels behind each other; level l is a square of SIDE >> l from `starts`."""
 
-    values: Float32
+    values: UInt8
 
 
 @cache
@@ -31,7 +34,7 @@ def textures() -> Textures:
     grain = _layers(random, ((6, 0.6), (20, 0.8), (60, 0.9), (200, 0.9)), 1.0)
     cloud = _layers(random, ((3, 1.0), (6, 0.8), (12, 0.5), (28, 0.3), (70, 0.15)), 1.0)
     planes = [_scaled(soil + 1.2 * clods, 0.34), _scaled(grass, 0.36), _scaled(grain, 0.28), _scaled(cloud, 0.5)]
-    return Textures(np.stack([_pyramid(plane) for plane in planes]))
+    return Textures(np.rint(np.stack([_pyramid(plane) for plane in planes]) * UNIT).clip(0, 255).astype(np.uint8))
 
 
 def _layers(random: np.random.Generator, layers: tuple[tuple[int, float], ...], stretch: float) -> Float64:
@@ -58,3 +61,22 @@ def _pyramid(plane: Float32) -> Float32:
         side = levels[-1].shape[0] // 2
         levels.append(np.asarray(cv2.resize(levels[-1], (side, side), interpolation=cv2.INTER_AREA), np.float32))
     return np.concatenate([level.ravel() for level in levels])
+
+
+def texture_layers() -> Float64:
+    """For each `Material` two layers: texture (-1: none), texels per metre, and how u and v run through space.
+
+    u = scale (x + along (y + z)), v = scale stretch (z + across (y - 0.4 x)); the sixth number is the strength.
+    """
+    table = np.full((11, 2, 6), -1.0)
+    # on the ground v must run along y alone, so that it does not stretch on slopes: across is large, stretch small
+    flat = 1e4
+    table[1] = [[SOIL, 150.0, 0.3, flat, 1.0 / flat, 1.0], [SOIL, 17.0, -0.2, flat, 1.0 / flat, 0.9]]
+    table[2] = [[GRASS, 110.0, 0.3, flat, 1.0 / flat, 1.0], [CLOUD, 10.0, -0.2, flat, 1.0 / flat, 0.4]]
+    table[3] = [[GRAIN, 90.0, 0.3, flat, 1.0 / flat, 1.0], [SOIL, 14.0, -0.2, flat, 1.0 / flat, 0.4]]
+    table[4, 0] = [GRASS, 60.0, 0.4, 0.8, 1.0, 1.7]
+    table[5, 0] = [GRAIN, 26.0, 0.5, 0.0, 7.0, 1.0]
+    table[6, 0] = [GRAIN, 24.0, 0.5, 0.0, 0.4, 0.4]
+    table[9, 0] = [GRAIN, 70.0, 0.5, 0.7, 1.0, 0.16]
+    table[10, 0] = [GRASS, 90.0, 0.4, 0.5, 1.0, 0.4]
+    return table

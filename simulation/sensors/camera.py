@@ -4,6 +4,8 @@ Pictures are drawn through a pinhole wide enough for the lens, and then bent as 
 """
 
 
+import math
+
 import cv2
 import numpy as np
 from pydantic import Field
@@ -12,7 +14,7 @@ from configs.site import Site
 from configs.strict import Config
 from configs.vehicle import Camera, Vehicle
 from geometry.transforms import planar
-from messages.message import Float32, Float64, Message, UInt8
+from messages.message import Float64, Message, UInt8
 from messages.sensors import CameraImage
 from simulation.body import machine_mesh
 from simulation.figures import gait_step
@@ -21,11 +23,12 @@ from simulation.rendering.light import SkyConfig, draw_light
 from simulation.rendering.looks import MACHINE, figure_surface, palette, still_surface
 from simulation.rendering.picture import Eye, Stage, metered
 from simulation.rendering.shading import add_noise
-from simulation.rendering.surface import Surface, surface_of
+from simulation.rendering.surface import surface_of
+from simulation.rendering.textures import Int8
 from simulation.scenario import CameraEpisode
 from simulation.sensors.sensor import Moment, period_ns_of
 
-NOISE = 1 << 20  # prepared noise; its length is prime to that of a row, so that no pattern stands still
+NOISE = 1 << 18  # places at which a picture's noise may begin in what is prepared
 MUD = np.array([38, 52, 64], np.uint8)  # BGR
 
 
@@ -35,7 +38,7 @@ class CameraConfig(Config):
     latency_s: float = Field(ge=0.0, le=1.0, description="from exposure to delivery")
     sky: SkyConfig
     reach_m: float = Field(ge=20.0, le=1000.0, description="to which ground and scenery are drawn")
-    sharpness_px: float = Field(ge=0.0, le=5.0, description="sigma of what lens and sensor blur")
+    resolution: float = Field(ge=0.3, le=1.0, description="lines that lens and colour filter resolve, per line of pixels")
     noise: float = Field(ge=0.0, le=20.0, description="sigma in grey levels of 255")
     blurred_px: float = Field(ge=2.0, le=50.0, description="sigma while the lens is blurred")
     exposure: float = Field(gt=0.02, le=0.8, description="mean brightness that the exposure aims at")
@@ -54,9 +57,9 @@ class CameraModel:
         self._camera, self._site, self._episodes, self._seed, self._config = camera, site, episodes, seed, config
         self._light = draw_light(config.sky, generator(seed, "sky"))  # one sky over all cameras
         self._random = generator(seed, f"camera/{name}")
-        self._noise = (config.noise * self._random.standard_normal(NOISE - 3)).astype(np.float32)
+        self._noise = draw_noise(camera.size_px, config.noise, self._random)
         self._machine = surface_of(machine_mesh(vehicle), np.array(MACHINE[0]), MACHINE[1], is_flat=True)
-        self._lens = Lens(camera)
+        self._lens = Lens(camera, config.resolution)
         self._curve = tone_curve()
         self._stage: Stage | None = None
         self._gain: float | None = None
@@ -65,7 +68,7 @@ class CameraModel:
         """The picture taken now."""
         T_map_base = moment.track.back(0)
         eye = Eye(T_map_base @ self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
-        figures = [f for f in moment.scene.figures if "camera" in f.seen_by]
+        figures = moment.scene.seen_by("camera")
         moving = [self._machine.moved(T_map_base)]
         feet = np.zeros((len(figures), 3))
         for k, f in enumerate(figures):
@@ -88,40 +91,50 @@ class CameraModel:
         """What lens and sensor make of it."""
         states = [e.state for e in self._episodes if e.from_s <= elapsed_s < e.from_s + e.for_s]
         bgr = self._lens.bend(bgr)
-        sigma = self._config.blurred_px if "blurred" in states else self._config.sharpness_px
         if "blocked" in states:
             bgr = np.empty_like(bgr)
             bgr[:] = MUD
-        elif sigma > 0.0:
-            bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), sigma), np.uint8)
+        elif "blurred" in states:
+            bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), self._config.blurred_px), np.uint8)
         out = np.empty_like(bgr)
-        add_noise(bgr, self._noise, int(self._random.integers(len(self._noise))), out)
+        add_noise(bgr, self._noise, int(self._random.integers(NOISE)), out)
         return out
 
 
 class Lens:
-    """A pinhole that sees all that the lens sees, and where each pixel of the lens finds itself in it."""
+    """A pinhole that sees all that the lens sees, as finely as the lens resolves, and how its picture becomes that of
+    the lens."""
 
-    def __init__(self, camera: Camera) -> None:
-        self.size_px = camera.size_px
-        (fx, fy), (cx, cy) = camera.focal_px, camera.center_px
-        self.intrinsics: Float64 = np.array([fx, fy, cx, cy])
-        self._maps: tuple[Float32, Float32] | None = None
+    def __init__(self, camera: Camera, resolution: float) -> None:
+        self._camera = camera
+        (fx, fy), (cx, cy), (width, height) = camera.focal_px, camera.center_px, camera.size_px
+        self._maps: tuple[UInt8, UInt8] | None = None
+        # numbers of pixels count from their middles
+        self.size_px = math.ceil(width * resolution), math.ceil(height * resolution)
+        scale = np.array([self.size_px[0] / width, self.size_px[1] / height])
+        self.intrinsics: Float64 = np.concatenate([scale * [fx, fy], scale * [cx + 0.5, cy + 0.5] - 0.5])
         if any(camera.distortion):
-            width, height = camera.size_px
             y, x = np.mgrid[0:height, 0:width].astype(np.float64)
             K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
             flat = cv2.undistortPoints(np.stack([x, y], -1).reshape(-1, 1, 2), K, np.array(camera.distortion))
-            place = flat.reshape(height, width, 2) * [fx, fy]
+            place = flat.reshape(height, width, 2) * self.intrinsics[:2]
             low, high = np.floor(place.min(axis=(0, 1))), np.ceil(place.max(axis=(0, 1)))
-            self.intrinsics = np.array([fx, fy, -low[0], -low[1]])
+            self.intrinsics[2:] = -low
             self.size_px = int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
             place = (place - low).astype(np.float32)
-            self._maps = np.ascontiguousarray(place[..., 0]), np.ascontiguousarray(place[..., 1])
+            self._maps = cv2.convertMaps(place[..., 0], place[..., 1], cv2.CV_16SC2)  # type: ignore[assignment]
 
     def bend(self, bgr: UInt8) -> UInt8:
         """The lens's picture from that of the pinhole."""
-        return bgr if self._maps is None else np.asarray(cv2.remap(bgr, *self._maps, cv2.INTER_LINEAR), np.uint8)
+        if self._maps is not None:
+            return np.asarray(cv2.remap(bgr, *self._maps, cv2.INTER_LINEAR), np.uint8)
+        return np.asarray(cv2.resize(bgr, self._camera.size_px, interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def draw_noise(size_px: tuple[int, int], sigma: float, random: np.random.Generator) -> Int8:
+    """Noise in grey levels for a picture that begins at any of `NOISE` places."""
+    level = sigma * random.standard_normal(3 * size_px[0] * size_px[1] + NOISE, np.float32)
+    return np.asarray(np.clip(np.rint(level), -127, 127).astype(np.int8))
 
 
 def tone_curve() -> UInt8:

@@ -1,0 +1,205 @@
+"""How well the camera's detector finds what the simulation shows: recall by distance, and false persons.
+
+    python -m benchmarks.camera_simulated [--model FILE] [--worlds N] [--out FOLDER]
+
+Each world has a day, clothes and terrain of its own (seed); in it stand one figure or none, at 4 to 20 m from the camera
+and anywhere across the picture, in field, lane and yard, walking or standing at any heading. Found means a box of its
+class with IoU of at least 0.5, from the score that the stack believes.
+"""
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.camera import MODEL, configured, grouped
+from configs.site import Site
+from configs.strict import CONFIGS, find, load, parse, read_yaml
+from configs.vehicle import Camera, Mount, Vehicle
+from geometry.transforms import apply, invert
+from messages.message import Float64, UInt8
+from messages.perception import ObstacleClass
+from perception.camera.boxes import Boxes, iou, pick
+from perception.camera.classes import GROUPS
+from perception.camera.detector import Detector, load_detector
+from simulation.actors import Figure
+from simulation.machine import Machine
+from simulation.motion import Track
+from simulation.scene import Scene
+from simulation.scenery import build_scenery
+from simulation.sensors.camera import CameraModel
+from simulation.sensors.sensor import Moment
+from simulation.terrain import Terrain
+from simulation.world import SimulationConfig
+
+CAMERA = Camera(
+    mount=Mount(xyz_m=(1.6, 0.0, 2.75), rpy_deg=(0.0, 8.0, 0.0)), size_px=(1280, 720), focal_px=(800.0, 800.0),
+    center_px=(639.5, 359.5), distortion=(-0.05, 0.01, 0.0, 0.0, 0.0), rate_hz=2.0,
+)  # fmt: skip
+NEAR_M, FAR_M, BAR_M = 4.0, 20.0, (5.0, 15.0)
+BAR, AIM = 0.80, 0.95
+ORDER = (ObstacleClass.PERSON, ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.PERSON, None,
+         ObstacleClass.PERSON, ObstacleClass.VEHICLE, ObstacleClass.PERSON)  # fmt: skip
+WHEELBASE_M, TRACK_M = 2.55, 1.9
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture, the figure in it (None: nobody), its distance from the camera and its box (4,) in the picture."""
+
+    bgr: UInt8
+    label: ObstacleClass | None
+    distance_m: float
+    corners_px: Float64
+
+
+class _Still:
+    """A machine that stands, as far as a camera knows it."""
+
+    def __init__(self, T_map_base: Float64) -> None:
+        self.track = Track(5_000_000, 0.02)
+        self.track.append(T_map_base)
+
+
+def shots(seed: int, camera: Camera = CAMERA, order: tuple[ObstacleClass | None, ...] = ORDER) -> Iterator[Shot]:
+    """The pictures of one world."""
+    config = parse(SimulationConfig, read_yaml(CONFIGS / "stack.yaml")["simulation"], "stack.yaml")
+    site, vehicle = load(Site, find("sites", "demo")), load(Vehicle, find("machines", "tractor_e"))
+    terrain = Terrain(site, config.terrain, seed)
+    scene = Scene(lambda: build_scenery(site, terrain, config.scenery, seed))
+    model = CameraModel("front", camera, vehicle, site, (), seed, config.camera)
+    random = np.random.default_rng([seed, 7])
+    machine: Machine = None  # type: ignore[assignment]  # a camera does not look at it
+    for k, label in enumerate(order):
+        T_map_base = draw_pose(terrain, random)
+        figure, distance_m = draw_figure(100 * seed + k, label, T_map_base, terrain, camera, random)
+        scene.figures = () if figure is None else (figure,)
+        still = _Still(T_map_base)
+        message = model.sample(Moment(k, float(k), still.track, machine, scene))
+        box = np.zeros(4) if figure is None else box_of(figure, T_map_base, camera)
+        yield Shot(message.bgr, label, distance_m, box)
+
+
+def draw_pose(terrain: Terrain, random: np.random.Generator) -> Float64:
+    """Somewhere in the field, before the gate or in the yard."""
+    kind = random.integers(5)
+    if kind < 3:
+        x, y, yaw = random.uniform(12.0, 68.0), random.uniform(12.0, 38.0), random.uniform(-math.pi, math.pi)
+    elif kind == 3:
+        x, y, yaw = random.uniform(18.0, 22.0), random.uniform(-30.0, -20.0), random.normal(0.5 * math.pi, 0.15)
+    else:
+        x, y, yaw = random.uniform(10.0, 30.0), random.uniform(-47.0, -32.0), random.uniform(-math.pi, math.pi)
+    return terrain.stand(x, y, yaw, WHEELBASE_M, TRACK_M)
+
+
+def draw_figure(
+    id: int, label: ObstacleClass | None, T_map_base: Float64, terrain: Terrain, camera: Camera,
+    random: np.random.Generator,
+) -> tuple[Figure | None, float]:  # fmt: skip
+    """Somebody before the camera, wholly in the picture, and how far."""
+    if label is None:
+        return None, math.nan
+    while True:
+        distance, bearing = random.uniform(NEAR_M, FAR_M), math.radians(random.uniform(-36.0, 36.0))
+        gait = -1.0 if random.random() < 0.4 else float(random.random())
+        yaw = float(random.uniform(-math.pi, math.pi))
+        ahead, left = distance * math.cos(bearing), distance * math.sin(bearing)
+        p = T_map_base @ np.array([camera.mount.xyz_m[0] + ahead, left, 0.0, 1.0])
+        place = (float(p[0]), float(p[1]), terrain.height_m(float(p[0]), float(p[1])))
+        figure = Figure(id, label, "", place, yaw, (0.0, 0.0), gait)
+        low, high = box_of(figure, T_map_base, camera).reshape(2, 2)
+        if (low >= 0.0).all() and (high < camera.size_px).all():
+            return figure, float(distance)
+
+
+def box_of(figure: Figure, T_map_base: Float64, camera: Camera) -> Float64:
+    """Left, top, right and bottom of a figure in the picture, hidden or not."""
+    T_camera_map = invert(T_map_base @ camera.mount.T_base_sensor)
+    body = apply(T_camera_map, figure.vertices_map_m.astype(np.float64))
+    optical = np.stack([-body[:, 1], -body[:, 2], body[:, 0]], axis=1)
+    (fx, fy), (cx, cy) = camera.focal_px, camera.center_px
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    pixels, _ = cv2.projectPoints(optical, np.zeros(3), np.zeros(3), K, np.array(camera.distortion))
+    flat = np.asarray(pixels, np.float64).reshape(-1, 2)
+    return np.concatenate([flat.min(axis=0), flat.max(axis=0)])
+
+
+def found(shot: Shot, detector: Detector) -> tuple[bool, Boxes]:
+    """Whether the shot's figure is found, and all boxes of the stack's classes."""
+    config = detector.config
+    boxes = pick(grouped(detector.detect(shot.bgr)), config.least_score, config.most_iou)
+    if shot.label is None:
+        return False, boxes
+    mine = boxes.corners_px[boxes.label == GROUPS.index(shot.label)]
+    return bool((iou(shot.corners_px[None], mine) >= 0.5).any()), boxes
+
+
+def run(model: Path, worlds: int, out: Path | None) -> bool:
+    """Print everything; whether persons are found as often as asked."""
+    detector = load_detector(model, configured())
+    rows: list[tuple[Shot, bool, int, int]] = []
+    drawing_s = 0.0
+    for seed in range(1, worlds + 1):
+        pictures = shots(seed)
+        for k in range(len(ORDER)):
+            start = time.process_time()
+            shot = next(pictures)
+            drawing_s += time.process_time() - start if k > 1 else 0.0
+            is_found, boxes = found(shot, detector)
+            people = int((boxes.label == GROUPS.index(ObstacleClass.PERSON)).sum())
+            false = people - int(is_found and shot.label is ObstacleClass.PERSON)
+            rows.append((Shot(shot.bgr[:0], shot.label, shot.distance_m, shot.corners_px), is_found, false, seed))
+            if out is not None:
+                save(out, seed, k, shot, is_found, boxes)
+    print(f"{model.name}, {len(rows)} pictures of {worlds} worlds, {drawing_s / worlds / (len(ORDER) - 2) * 1e3:.0f} ms each")
+    for label in GROUPS:
+        print_label(label, [(s.distance_m, f) for s, f, _, _ in rows if s.label is label])
+    print_false(rows)
+    wanted = [f for s, f, _, _ in rows if s.label is ObstacleClass.PERSON and BAR_M[0] <= s.distance_m < BAR_M[1]]
+    share = float(np.mean(wanted))
+    print(f"person at {BAR_M[0]:.0f} to {BAR_M[1]:.0f} m: {sum(wanted)}/{len(wanted)} = {share:.3f} (bar {BAR}, aim {AIM})")
+    return share >= BAR
+
+
+def print_label(label: ObstacleClass, trials: list[tuple[float, bool]]) -> None:
+    """Print recall a metre (people) or four (others)."""
+    width = 1.0 if label is ObstacleClass.PERSON else 4.0
+    print(f"{label}: distance, found of shown")
+    for low in np.arange(NEAR_M, FAR_M, width):
+        hits = [f for d, f in trials if low <= d < low + width]
+        if hits:
+            print(f"  {low:4.0f} to {low + width:2.0f} m  {sum(hits):3d}/{len(hits):3d}  {np.mean(hits):.2f}")
+
+
+def print_false(rows: list[tuple[Shot, bool, int, int]]) -> None:
+    """Print how many persons were found where none is."""
+    for name, mine in (("without anybody", [r for r in rows if r[0].label is None]),
+                       ("with animal or vehicle", [r for r in rows if r[0].label not in (None, ObstacleClass.PERSON)]),
+                       ("with a person", [r for r in rows if r[0].label is ObstacleClass.PERSON])):  # fmt: skip
+        print(f"false persons in pictures {name}: {sum(r[2] for r in mine)} in {len(mine)}")
+
+
+def save(folder: Path, seed: int, k: int, shot: Shot, is_found: bool, boxes: Boxes) -> None:
+    """Keep a picture with the true box (white) and those found (red)."""
+    bgr = shot.bgr.copy()
+    for corners, color in [(shot.corners_px, (255, 255, 255)), *((c, (0, 0, 255)) for c in boxes.corners_px)]:
+        left, top, right, bottom = (int(c) for c in corners)
+        cv2.rectangle(bgr, (left, top), (right, bottom), color, 1)
+    folder.mkdir(parents=True, exist_ok=True)
+    name = f"{'found' if is_found else 'missed' if shot.label else 'empty'}-{shot.label or 'none'}-{seed}-{k}.jpg"
+    cv2.imwrite(str(folder / name), bgr)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--model", type=Path, default=MODEL)
+    parser.add_argument("--worlds", type=int, default=60)
+    parser.add_argument("--out", type=Path, help="folder for the pictures with their boxes")
+    arguments = parser.parse_args()
+    sys.exit(0 if run(arguments.model, arguments.worlds, arguments.out) else 1)
