@@ -26,6 +26,7 @@ from simulation.randomness import generator
 from simulation.scenario import Bystander, Scenario
 from simulation.scene import Scene
 from simulation.scenery import SceneryConfig, build_scenery
+from simulation.sensors.camera import CameraConfig, CameraModel
 from simulation.sensors.gnss import GnssConfig, GnssModel
 from simulation.sensors.imu import ImuConfig, ImuModel
 from simulation.sensors.lidar import LidarConfig, LidarModel
@@ -52,6 +53,7 @@ class SimulationConfig(Config):
     machine: MachineConfig
     bus: BusConfig
     lidar: LidarConfig
+    camera: CameraConfig
     radar: RadarConfig
     ultrasonic: UltrasonicConfig
     uwb: UwbConfig
@@ -190,6 +192,8 @@ def make_sensors(
         sensors.append(GnssModel(name, gnss, site.datum.datum, site.shed, scenario.gnss, config.gnss, random))
     for name, lidar in found.lidar.items():
         sensors.append(LidarModel(name, lidar, vehicle, implement, config.lidar, generator(seed, f"lidar/{name}")))
+    for name, camera in found.camera.items():
+        sensors.append(CameraModel(name, camera, vehicle, site, scenario.camera, seed, config.camera))
     for name, radar in found.radar.items():
         sensors.append(RadarModel(name, radar, config.radar, generator(seed, f"radar/{name}")))
     for name, tag in found.uwb.items():
