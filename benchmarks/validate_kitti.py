@@ -1,8 +1,9 @@
 """Many logs, one table: cuts of KITTI and bad logs among them, on processes and on a local Dask cluster.
 
-    python -m benchmarks.validate_kitti [--logs 100] [--frames 6]
+    python -m benchmarks.validate_kitti [--logs 100] [--frames 6] [--demo LOG.mcap]
 
 Prints the bars of KITTI's first forty frames, the time of a log, and whether both ways gave the same table (bar 10).
+With a log of the demo every fourth log is cut from its first minute of driving past somebody.
 """
 
 import argparse
@@ -30,20 +31,40 @@ def validate(logs: list[Path], *words: str) -> tuple[dict[str, Any], float]:
     return json.loads(done.stdout), time.monotonic() - start
 
 
-def cuts(folder: Path, count: int, frames: int) -> list[Path]:
-    """Stretches of KITTI as folders of links; three bad logs stand in for the last."""
-    out = []
-    for k in range(count - 3):
+def bring(source: Path, out: Path, *words: str) -> Path:
+    """A recording, or a part of it, as a log of ours."""
+    command = [sys.executable, "-m", "runtime", "import", str(source), "--out", str(out), *words]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    return out
+
+
+def demo_cuts(folder: Path, demo: Path, count: int, seconds: float) -> list[Path]:
+    """Stretches of a log of the demo, from when braking is first asked for on."""
+    from datasets.reader import read_log
+    from messages.command import Mode, SupervisorState
+
+    states = (e for e in read_log(demo, {"supervisor"}) if isinstance(e.message, SupervisorState))
+    first = next(states)
+    stops = (e.receive_ns for e in states if e.message.mode is Mode.OBSTACLE_STOP)  # type: ignore[attr-defined]
+    begin_s = (next(stops) - first.receive_ns) * 1e-9 - 8.0
+    near = bring(demo, folder / "near.mcap", "--from", str(begin_s), "--to", str(begin_s + count * 0.5 + seconds))
+    times = [0.5 * k for k in range(count)]
+    return [
+        bring(near, folder / f"demo-{k:03d}.mcap", "--from", str(t), "--to", str(t + seconds))
+        for k, t in enumerate(times)
+    ]
+
+
+def cuts(folder: Path, count: int, frames: int, demo: Path | None) -> list[Path]:
+    """Stretches of KITTI as folders of links, and of the demo; three bad logs stand in for the last."""
+    out = demo_cuts(folder, demo, count // 4, 0.1 * frames + 0.5) if demo is not None else []
+    for k in range(count - 3 - len(out)):
         path = folder / f"cut-{k:03d}"
         (path / "frames").mkdir(parents=True)
         for number in range(k % (40 - frames), k % (40 - frames) + frames):
             (path / "frames" / f"{number:06d}.npz").symlink_to(LOG / "frames" / f"{number:06d}.npz")
         out.append(path)
-    subprocess.run(
-        [sys.executable, "-m", "runtime", "import", str(out[0]), "--out", str(folder / "whole.mcap")],
-        cwd=ROOT, check=True, capture_output=True,
-    )  # fmt: skip
-    whole = (folder / "whole.mcap").read_bytes()
+    whole = bring(out[-1], folder / "whole.mcap").read_bytes()
     (folder / "truncated.mcap").write_bytes(whole[: len(whole) // 2])
     (folder / "empty.mcap").write_bytes(b"")
     (folder / "nolidar.log").write_text("(1.000000) can0 123#0011\n")
@@ -60,6 +81,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--logs", type=int, default=100)
     parser.add_argument("--frames", type=int, default=6)
+    parser.add_argument("--demo", type=Path)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -69,7 +91,7 @@ def main() -> None:
             keys = ("role", "outcome", "entered_s", "gap_m", "stopping_m", "margin_m", "asked_after_s")
             print({k: e[k] for k in keys})
         print({k: one[k] for k in ("missed", "false_stops", "safe_speed_kmh")})
-        logs = cuts(folder, arguments.logs, arguments.frames)
+        logs = cuts(folder, arguments.logs, arguments.frames, arguments.demo)
         mine, wall_s = validate(logs, "--jobs", "2", "--out", str(folder / "processes"))
         print(f"{len(logs)} logs on 2 processes in {wall_s:.0f} s; failed to read: {mine['failed_to_read']}")
         print(f"damaged: {mine['damaged']}")

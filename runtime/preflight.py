@@ -114,7 +114,8 @@ def survey(recording: Recording) -> Survey:
         if isinstance(message, WheelSample) and abs(message.speed_mps) > 0.02 and out.moved_ns is None:
             out.moved_ns = receive_ns
     if out.first_ns is None:
-        raise LogError(f"{recording.path}: holds no message that is read here")
+        unread = ", ".join(f"{i.source} ({i.source_type})" for i in recording.description.ignored) or "nothing"
+        raise LogError(f"{recording.path}: holds no message that is read here, but {unread}")
     if not any(topic.startswith("lidar/") for topic in out.streams):
         known = ", ".join(sorted(out.streams)) or "none"
         raise LogError(f"{recording.path}: no lidar in it, nothing can be judged (topics: {known})")

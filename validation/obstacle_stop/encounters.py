@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from validation.obstacle_stop.conditions import Conditions
-from validation.obstacle_stop.looks import gap_of, is_in_tube
+from validation.obstacle_stop.looks import ahead, gap_of, is_in_tube
 from validation.obstacle_stop.observation import Asked, Observation, Sighting
 from validation.obstacle_stop.ranges import confirmed, range_without_failure
 from validation.obstacle_stop.stopping import stopping_m
@@ -121,7 +121,7 @@ def _encounter(log: str, rows: list[Sighting], seen: Observation, conditions: Co
         decided = least if asked is None else moment_at(moments, asked.stamp_ns)
     elif outcome is Outcome.MISSED:
         decided = least
-    countable = [s for s in rows if s.returns >= conditions.recall.least_returns]
+    countable = ahead(rows, conditions.recall.least_returns)
     asked_s = None if asked is None else seen.time_s(asked.stamp_ns)
     entered_s = seen.time_s(entry.stamp_ns)
     return Encounter(

@@ -5,6 +5,7 @@ from typing import Any
 
 from validation.obstacle_stop.conditions import Conditions, named
 from validation.obstacle_stop.encounters import Encounter, find_encounters, perceived
+from validation.obstacle_stop.looks import ahead
 from validation.obstacle_stop.observation import Observation, Sighting
 from validation.obstacle_stop.ranges import confirmed
 from validation.obstacle_stop.stops import Stop, find_stops
@@ -63,10 +64,10 @@ def countable(seen: Observation, conditions: Conditions) -> list[Sighting]:
 
 
 def reach(seen: Observation, conditions: Conditions) -> dict[str, float | None]:
-    """The nearest range at which an object was not held for three scans, and the farthest at which one was."""
+    """The nearest range at which an object ahead was not held for three scans, and the farthest at which one was."""
     flags = []
     for rows in seen.sightings.values():
-        mine = [s for s in sorted(rows, key=lambda s: s.stamp_ns) if s.returns >= conditions.recall.least_returns]
+        mine = sorted(ahead(rows, conditions.recall.least_returns), key=lambda s: s.stamp_ns)
         flags += confirmed([(s.edge_m, s.is_seen) for s in mine])
     lost = [r for r, is_found in flags if not is_found]
     held = [r for r, is_found in flags if is_found]

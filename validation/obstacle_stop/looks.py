@@ -10,6 +10,12 @@ from validation.obstacle_stop.boxes import Box
 from validation.obstacle_stop.observation import Setting, Sighting
 
 BEHIND_M = 3.0
+AHEAD_RAD = math.radians(45.0)  # BD-5.4.1b: the region on the working path is 90 degrees wide
+
+
+def ahead(rows: list[Sighting], least_returns: int) -> list[Sighting]:
+    """The sightings in the region on the working path that have enough returns: what detection ranges rest on."""
+    return [s for s in rows if abs(s.bearing_rad) <= AHEAD_RAD and s.returns >= least_returns]
 
 
 def is_under(box: Box, setting: Setting) -> bool:
@@ -32,7 +38,7 @@ def gap_of(sighting: Sighting) -> float:
 
 
 def found(mine: np.ndarray, points: Float32, box: Box, obstacles: Obstacles | None, near_m: float) -> tuple[bool, bool]:
-    """Whether one cluster holds half of the box's returns (their indices), and whether it is about as large as it."""
+    """Whether clusters hold half of the box's returns (their indices), and whether one does that is as large as it."""
     sizes = np.diff(obstacles.offsets) if obstacles is not None else np.empty(0, np.int64)
     if obstacles is None or not len(mine) or not len(sizes):
         return False, False
@@ -40,8 +46,9 @@ def found(mine: np.ndarray, points: Float32, box: Box, obstacles: Obstacles | No
     is_mine[mine] = True
     hits = np.bincount(np.repeat(np.arange(len(sizes)), sizes), is_mine[obstacles.indices], len(sizes))
     k = int(hits.argmax())
+    is_seen = bool(hits.sum() >= 0.5 * len(mine))
     if hits[k] < 0.5 * len(mine):
-        return False, False
+        return is_seen, False
     own = points[obstacles.indices[obstacles.offsets[k] : obstacles.offsets[k + 1]]]
     return True, bool(box.contains(own, near_m).mean() >= 0.5)
 

@@ -46,8 +46,9 @@ class Sighting:
 
     `returns` in its box, `solid` of them off its foot, `inside` of these in the tube; `gap_m` to the nearest of these,
     `box_gap_m` to the box itself (infinite: not in the tube). Beams that go on behind it are `through`, those that end
-    before it `before`. `edge_m` is the level distance from the vehicle's front; `is_seen`: one cluster holds half of
-    the box's returns; `is_strict`: and half of that cluster lies about the box.
+    before it `before`. `edge_m` is the level distance from the vehicle's front, `bearing_rad` where its middle is
+    seen from there; `is_seen`: clusters hold half of the box's returns; `is_strict`: one does, and half of that cluster
+    lies about the box.
     """
 
     id: int
@@ -62,6 +63,7 @@ class Sighting:
     through: int
     before: int
     edge_m: float
+    bearing_rad: float
     is_seen: bool
     is_strict: bool
     center_odom_m: Float64

@@ -179,7 +179,8 @@ class Observer:
         edge = edge_m(solid if len(solid) else box.footprint_m(), self._setting)
         return Sighting(
             box.id, box.label, box.role, stamp_ns, len(mine), len(solid), int(np.isfinite(gaps).sum()),
-            float(gaps.min(initial=NO_GAP)), box_gap, through, before, edge, is_seen, is_strict,
+            float(gaps.min(initial=NO_GAP)), box_gap, through, before, edge,
+            math.atan2(box.center_m[1], box.center_m[0] - self._setting.front_m), is_seen, is_strict,
             to_odom(pose, box.center_m[None, :2])[0],
         )  # fmt: skip
 
