@@ -60,15 +60,18 @@ class Ideal:
     status: MissionStatus | None = None
     least_gap_m: float = np.inf
     stood_s: float = 0.0
+    now_ns: int = 5_000_000_000
+    uwb_age_s: float = 0.1
+    end_error_m: float = 0.0  # by which it stands short of the end of each path
 
     def run(self, seconds: float, until: str = "") -> None:
         start = self.plan.paths[0]
-        if self.path is None:
+        if not self.pose.any():
             self.pose = np.array([*start.p_map_m[0], start.heading_rad[0]])
-        now = 5_000_000_000
+        now = self.now_ns
         order = OperatorOrder(now, Order.START, "test", 1, now + 60 * 10**9)
         for k in range(int(seconds * 1e9) // STEP_NS):
-            now += STEP_NS
+            now = self.now_ns = now + STEP_NS
             for topic, message in self.node.step(now, Box(self._messages(now), (order,) if k == 2 else ())):
                 if topic == "path":
                     assert isinstance(message, Path)
@@ -106,11 +109,16 @@ class Ideal:
             self.stood_s += dt
             return
         limit = float(np.interp(self.s_m, self.path.s_m, self.path.speed_mps))
-        before, self.s_m = self.s_m, min(self.s_m + max(limit, 0.2) * dt, float(self.path.s_m[-1]))
+        before, self.s_m = self.s_m, min(self.s_m + max(limit, 0.2) * dt, self._end_m)
         for s in np.arange(before, self.s_m, 0.1):
             self._place(float(s))
         self._place(self.s_m)
         self.worked.append((self.path, before, self.s_m))
+
+    @property
+    def _end_m(self) -> float:
+        assert self.path is not None
+        return float(self.path.s_m[-1]) - self.end_error_m
 
     def _place(self, s: float) -> None:
         path = self.path
@@ -141,13 +149,13 @@ class Ideal:
         T, zero = planar(*self.pose), np.zeros((6, 6))
         speed = 0.0 if self.is_stopped or self.path is None else 1.0
         found: dict[str, Message] = {
-            "map_pose": MapPose(now, np.eye(4), T, zero, PositionSource.RTK_FIXED, 0.03, 0.0, True),
+            "map_pose": MapPose(now, np.eye(4), T, zero, PositionSource.RTK_FIXED, 0.03, 0.0, True, self.uwb_age_s),
             "odom": Odometry(now, T, speed, 0.0, 0.0, 0.0, 0.0, zero),
             "tracks": Tracks(now, tuple(self._track(now, k) for k in sorted(self.obstacles))),
             "supervisor": self._supervisor(now),
         }
         if self.path is not None:
-            is_finished = self.s_m >= self.path.s_m[-1] - 1e-6
+            is_finished = self.s_m >= self._end_m - 1e-6
             found["wish"] = Wish(now, 1.0, 0.0, 0.0, False, False, self.path.path_id, self.s_m, 0.0, 0.0, is_finished)
         return found
 

@@ -5,13 +5,16 @@ import pytest
 from shapely.affinity import rotate, translate
 from shapely.geometry import Polygon, box
 
+from configs.mission import Mission
+from configs.site import Pose2, Site
+from configs.vehicle import MountedImplement, Vehicle
 from geometry.footprint import is_inside
 from messages.command import OperatorOrder, Order
 from messages.perception import ObstacleClass
 from messages.plan import Leg, MissionState, MissionStatus, Path
 from planning.configuration import MissionConfig, PlanningConfig
 from planning.mission import MissionNode
-from planning.plan import Plan
+from planning.plan import Plan, plan_mission
 from tests.planning.ideal import Box, Ideal
 
 SECOND = 1_000_000_000
@@ -107,3 +110,96 @@ def test_gives_up_in_words_when_the_lane_is_blocked(plan: Plan, config: MissionC
     assert drive.status is not None
     assert drive.status.state is MissionState.ABORTED
     assert "no way round vehicle at x 20.0 m, y -12.0 m" in drive.status.text
+
+
+# docking
+
+
+@pytest.fixture
+def docking(site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig) -> Plan:
+    start = Pose2(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
+    mission = Mission(name="dock", site="demo", machine="m", implement="i", bay="wide", start=start)
+    return plan_mission(mission, site, vehicle, harrow, planning, start, 0)
+
+
+def test_docks_from_where_the_machine_stands(docking: Plan, config: MissionConfig) -> None:
+    drive = Ideal(docking, MissionNode(docking, config, 0))
+    start = docking.paths[0]
+    drive.pose = np.array([*start.p_map_m[0] + [0.4, -0.3], start.heading_rad[0] + 0.1])
+    drive.run(300)
+    assert drive.status is not None
+    assert drive.status.state is MissionState.FINISHED
+    assert drive.pose[:2] == pytest.approx([-5.9, -39.84], abs=1e-3)
+    assert all(p.is_folded for p in drive.paths)
+    assert [p.is_last for p in drive.paths] == [False] * (len(drive.paths) - 1) + [True]
+    assert drive.status.leg is Leg.DOCK
+    assert drive.status.driven_m == pytest.approx(drive.status.total_m)
+
+
+@pytest.mark.parametrize(("age_s", "docks"), [(0.9, True), (1.0, True), (1.01, False), (np.inf, False)])
+def test_without_uwb_it_does_not_dock_but_says_why(
+    docking: Plan, config: MissionConfig, age_s: float, docks: bool
+) -> None:
+    drive = Ideal(docking, MissionNode(docking, config, 0), uwb_age_s=age_s)
+    drive.run(30 if not docks else 200)
+    assert drive.status is not None
+    assert (drive.status.state is MissionState.FINISHED) is docks
+    if not docks:
+        assert drive.status.state is MissionState.ABORTED
+        assert "no UWB range" in drive.status.text
+        assert drive.paths == []
+
+
+def test_uwb_lost_on_the_way_in_ends_it(docking: Plan, config: MissionConfig) -> None:
+    drive = Ideal(docking, MissionNode(docking, config, 0))
+    drive.run(20)
+    assert drive.status is not None
+    assert drive.status.state is MissionState.DRIVING
+    drive.uwb_age_s = 5.1
+    drive.run(3)
+    assert drive.status.state is MissionState.ABORTED
+    assert "no UWB range for 5.1 s" in drive.status.text
+
+
+def test_another_way_into_the_dock_is_found(docking: Plan, config: MissionConfig) -> None:
+    way = docking.paths[-1]
+    x, y = way.p_map_m[len(way.s_m) // 3]
+    node = MissionNode(docking, config, 0)
+    drive = Ideal(docking, node)
+    drive.run(4)
+    drive.obstacles = {1: (ObstacleClass.VEHICLE, box(x - 0.4, y - 0.4, x + 0.4, y + 0.4))}
+    drive.run(400)
+    assert drive.status is not None
+    assert drive.status.state is MissionState.FINISHED
+    assert drive.least_gap_m > 0.5
+    assert drive.stood_s >= config.blocked_s
+
+
+def test_what_stays_in_the_bay_is_waited_for_and_then_named(docking: Plan, config: MissionConfig) -> None:
+    drive = Ideal(docking, MissionNode(docking, config, 0))
+    drive.run(4)
+    drive.obstacles = {1: (ObstacleClass.UNKNOWN, box(3.0, -40.3, 4.0, -39.3))}
+    drive.run(400)
+    assert drive.status is not None
+    assert drive.status.state is MissionState.ABORTED
+    assert "unknown in the way at x 3.5 m, y -39.8 m: bay 'wide' leaves 0.00 m" in drive.status.text
+    assert docking.docking is not None
+    assert drive.stood_s >= docking.docking.config.blocked_s
+
+
+def test_from_bay_to_bay(
+    plan: Plan, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    bayed = mission.model_copy(update={"bay": "narrow"})
+    whole = plan_mission(bayed, site, vehicle, harrow, planning, site.bay("narrow").dock, 0)
+    assert [p.is_folded for p in whole.given] == [True, False]
+    assert whole.length_m == pytest.approx(plan.length_m + sum(p.s_m[-1] for p in (whole.paths[0], *whole.homing)))
+    drive = Ideal(whole, MissionNode(whole, planning.mission, 0), end_error_m=0.02)
+    drive.run(1500)
+    assert drive.status is not None
+    assert drive.status.state is MissionState.FINISHED
+    assert drive.pose == pytest.approx([-5.9 + 0.02, -43.68, 0.0], abs=2e-3)
+    folded = [p.is_folded for p in drive.paths]
+    assert folded == [True, False] + [True] * (len(folded) - 2)
+    assert [p.path_id for p in drive.paths][:2] == [1, 2]
+    assert len({p.path_id for p in drive.paths}) == len(drive.paths)
