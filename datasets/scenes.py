@@ -1,6 +1,7 @@
 """What viewers are shown of each message, as Foxglove messages: pure functions, stateless."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -8,15 +9,16 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from configs.site import Site
-from configs.vehicle import Implement, MountedImplement, Vehicle
+from configs.site import Shed, Site
+from configs.vehicle import Implement, MountedImplement, Ultrasonic, Vehicle
 from datasets.primitives import Rgba, cube, frame, line, scene, text, time_of
-from geometry.transforms import Float64, planar
+from geometry.transforms import Float64, apply, planar
 from messages.command import SupervisorState
 from messages.faults import Fault, Severity
+from messages.message import Float32
 from messages.perception import ObstacleClass, Tracks
 from messages.plan import Path
-from messages.sensors import GnssFix
+from messages.sensors import GnssFix, RadarScan, UltrasonicRange
 from messages.truth import TrueObjects
 
 WHITE: Rgba = (1.0, 1.0, 1.0, 1.0)
@@ -34,6 +36,8 @@ CLASS_COLORS: dict[ObstacleClass, Rgba] = {
 MOST_HITS = 60
 # Points of a path lie 0.1 m apart; half a metre is enough for the eye.
 PATH_STEP = 5
+BAY_MARK_M = 3.0
+ARC_POINTS = 7
 
 
 def implement_x_m(implement: Implement) -> float:
@@ -83,6 +87,48 @@ def site_scene(stamp_ns: int, site: Site) -> SceneUpdate:
     lines += [line(np.array(area.outline_m), 0.15, RED, True) for area in site.no_go]
     lines += [line(np.array(lane.center_m), 0.1, GREY) for lane in site.lanes]
     return scene(stamp_ns, "site", "map", lines=lines)
+
+
+def shed_scene(stamp_ns: int, shed: Shed) -> SceneUpdate:
+    """Roof, walls and posts, the free width of each bay at its dock pose, and the UWB anchors."""
+    lines = [line(lifted(shed.outline_m, shed.height_m), 0.05, GREY, True)]
+    for wall in shed.walls_m:
+        lines += [line(lifted(wall, z), shed.wall_thickness_m, BROWN) for z in (0.1, 0.5 * shed.height_m)]
+    posts = [cube((*post.at_m,), (2.0 * post.radius_m,) * 2 + (shed.height_m,), 0.0, BROWN) for post in shed.posts]
+    anchors = [cube(p, (0.2, 0.2, 0.2), 0.0, BLUE) for p in shed.anchors.values()]
+    texts = [text(name, (x, y, z + 0.4), 0.4, WHITE) for name, (x, y, z) in shed.anchors.items()]
+    for bay in shed.bays:
+        T = planar(bay.dock.x_m, bay.dock.y_m, math.radians(bay.dock.heading_deg))
+        mark = np.array([[0.0, -0.5, 0.0], [0.0, 0.5, 0.0], [BAY_MARK_M, 0.0, 0.0]]) * [1.0, bay.width_m, 1.0]
+        lines.append(line(np.asarray(apply(T, mark))[:, :2], 0.08, GREEN, True))
+        texts.append(text(f"bay {bay.name}", (bay.dock.x_m, bay.dock.y_m, 0.5), 0.5, WHITE))
+    return scene(stamp_ns, "shed", "map", [*posts, *anchors], lines, texts)
+
+
+def lifted(outline_m: Sequence[tuple[float, float]], z_m: float) -> Float64:
+    """Points (N, 3) of an outline at a height."""
+    return np.array([(x, y, z_m) for x, y in outline_m])
+
+
+def radar_points(scan: RadarScan) -> Float32:
+    """Detections (N, 3) in the radar's frame."""
+    level = scan.range_m * np.cos(scan.elevation_rad)
+    columns = (
+        level * np.cos(scan.azimuth_rad),
+        level * np.sin(scan.azimuth_rad),
+        scan.range_m * np.sin(scan.elevation_rad),
+    )
+    return np.column_stack(columns).astype(np.float32)
+
+
+def echo_scene(echo: UltrasonicRange, topic: str, sensor: Ultrasonic) -> SceneUpdate:
+    """The arc on which the echo lies, yellow; the whole cone in grey when nothing came back."""
+    is_echo = math.isfinite(echo.range_m)
+    angles = np.radians(np.linspace(-0.5, 0.5, ARC_POINTS) * sensor.cone_deg)
+    reach = echo.range_m if is_echo else sensor.range_m[1]
+    arc = reach * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(ARC_POINTS)])
+    ring = np.vstack([np.zeros((1, 3)), arc])
+    return scene(echo.stamp_ns, topic, topic, lines=[line(ring, 0.04, YELLOW if is_echo else GREY, True)])
 
 
 def tracks_scene(stamp_ns: int, message: Tracks) -> SceneUpdate:

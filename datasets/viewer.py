@@ -13,16 +13,16 @@ from pydantic import Field
 
 from configs.site import Site
 from configs.strict import Config
-from configs.vehicle import Implement, Vehicle
+from configs.vehicle import FOLDED, Implement, Vehicle
 from datasets import scenes
 from datasets.primitives import cloud, frame, picture
-from messages.command import SupervisorState
+from messages.command import MachineState, SupervisorState
 from messages.faults import Fault
 from messages.message import Envelope
 from messages.motion import MapPose, Odometry
 from messages.perception import Tracks
 from messages.plan import Path
-from messages.sensors import CameraImage, GnssFix, LidarScan
+from messages.sensors import CameraImage, GnssFix, LidarScan, RadarScan, UltrasonicRange
 from messages.truth import TrueObjects
 
 Shown = tuple[str, Proto]
@@ -52,9 +52,13 @@ class Viewer:
         self._vehicle, self._implement, self._site = vehicle, implement, site
         self._height_m = vehicle.body.height_m if vehicle is not None else 2.0
         self._shown_at_ns: dict[str, int] = {}
+        self._is_folded = False
         self._ways: dict[type, Callable[[str, Any], Iterator[Shown]]] = {
             LidarScan: self._show_scan,
             CameraImage: self._show_image,
+            RadarScan: self._show_radar,
+            UltrasonicRange: self._show_echo,
+            MachineState: self._note_fold,
             Odometry: self._show_odometry,
             MapPose: self._show_map_pose,
             Tracks: self._show_tracks,
@@ -87,9 +91,12 @@ class Viewer:
             yield "/view/mounts", FrameTransforms(transforms=mounts)
             yield "/view/machine", scenes.machine_scene(stamp_ns, self._vehicle)
         if self._vehicle is not None and self._implement is not None:
-            yield "/view/implement", scenes.implement_scene(stamp_ns, self._implement)
+            carried = self._implement.folded if self._is_folded else self._implement
+            yield "/view/implement", scenes.implement_scene(stamp_ns, carried)
         if self._site is not None:
             yield "/view/site", scenes.site_scene(stamp_ns, self._site)
+            if self._site.shed is not None:
+                yield "/view/shed", scenes.shed_scene(stamp_ns, self._site.shed)
 
     def _show_scan(self, topic: str, scan: LidarScan) -> Iterator[Shown]:
         if self._is_due(topic, scan.stamp_ns, self._config.cloud_s):
@@ -98,6 +105,23 @@ class Viewer:
     def _show_image(self, topic: str, image: CameraImage) -> Iterator[Shown]:
         if self._is_due(topic, image.stamp_ns, self._config.image_s):
             yield f"/view/{topic}", picture(image, topic, self._config.image_quality)
+
+    def _show_radar(self, topic: str, scan: RadarScan) -> Iterator[Shown]:
+        if self._is_due(topic, scan.stamp_ns, self._config.cloud_s):
+            yield f"/view/{topic}", cloud(scan.stamp_ns, topic, scenes.radar_points(scan), self._config.points)
+
+    def _show_echo(self, topic: str, echo: UltrasonicRange) -> Iterator[Shown]:
+        sensors = self._vehicle.sensors.ultrasonic if self._vehicle is not None else {}
+        sensor = sensors.get(topic.partition("/")[2])
+        if sensor is not None and self._is_due(topic, echo.stamp_ns, self._config.scene_s):
+            yield f"/view/{topic}", scenes.echo_scene(echo, topic, sensor)
+
+    def _note_fold(self, topic: str, state: MachineState) -> Iterator[Shown]:
+        """The implement is drawn anew when it has folded or unfolded."""
+        if (state.fold >= FOLDED) != self._is_folded:
+            self._is_folded = not self._is_folded
+            self._shown_at_ns.pop("static", None)
+        return iter(())
 
     def _show_odometry(self, topic: str, message: Odometry) -> Iterator[Shown]:
         if topic == "odom" and self._is_due(topic, message.stamp_ns, self._config.frames_s):

@@ -2,7 +2,9 @@
 
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -12,16 +14,18 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from benchmarks.log_write import seconds_of
+from configs.site import Site
 from configs.strict import CONFIGS, load, parse, read_yaml
-from configs.vehicle import ImplementFile, TrailedImplement, Vehicle
+from configs.vehicle import ImplementFile, Mount, TrailedImplement, Ultrasonic, Vehicle
 from datasets import scenes
 from datasets.log import LogConfig, LogWriter
 from datasets.primitives import cloud
 from datasets.summary import check_log
 from datasets.viewer import Viewer, ViewerConfig
 from messages.faults import Fault, Response, Severity
-from messages.message import Envelope
+from messages.message import Envelope, Message
 from messages.plan import Path as DrivePath
+from messages.sensors import CameraImage, RadarScan, UltrasonicRange
 
 SECONDS = 4
 
@@ -128,3 +132,49 @@ def test_faults_reach_the_log_panel_and_recorded_topics_do_not() -> None:
     assert "lidar.silent" in line.message
     assert list(viewer.show(Envelope("/recorded/fault", 0, 5, fault))) == []
     assert FrameTransforms.DESCRIPTOR.full_name == "foxglove.FrameTransforms"
+
+
+def shown(message: Message, topic: str, vehicle: Vehicle | None = None, site: Site | None = None) -> dict[str, Any]:
+    section = read_yaml(CONFIGS / "stack.yaml")["datasets"]
+    implement = load(ImplementFile, CONFIGS / "implements" / "harrow_6m.yaml").implement
+    viewer = Viewer(parse(ViewerConfig, section["viewer"], "viewer"), vehicle, implement, site)
+    return dict(viewer.show(Envelope(topic, 0, message.stamp_ns, message)))
+
+
+def test_radar_detections_lie_where_they_were_measured() -> None:
+    scan = RadarScan(
+        5, *(np.array(v) for v in ([10.0, 20.0], [np.pi / 2, 0.0], [0.0, np.pi / 6], [0.0, 1.0], [0.0, 0.0]))
+    )
+    proto = shown(scan, "radar/front")["/view/radar/front"]
+    assert proto.frame_id == "radar/front"
+    back = np.frombuffer(proto.data, np.float32).reshape(-1, 3)
+    np.testing.assert_allclose(back, [[0.0, 10.0, 0.0], [17.3205, 0.0, 10.0]], atol=0.01)
+
+
+@pytest.mark.parametrize(("range_m", "reach_m"), [(1.5, 1.5), (float("nan"), 4.0)])
+def test_an_echo_is_an_arc_and_silence_the_whole_cone(vehicle: Vehicle, range_m: float, reach_m: float) -> None:
+    one = Ultrasonic(
+        mount=Mount(xyz_m=(3.3, 0.0, 0.8)), cone_deg=60.0, rate_hz=10.0, range_m=(0.2, 4.0), range_sigma_m=0.02
+    )
+    heard = vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"ultrasonic": {"left": one}})})
+    proto = shown(UltrasonicRange(5, range_m), "ultrasonic/left", heard)["/view/ultrasonic/left"]
+    points = np.array([(p.x, p.y) for p in proto.entities[0].lines[0].points])
+    np.testing.assert_allclose(np.hypot(*points[1:].T), reach_m)
+    np.testing.assert_allclose(np.degrees(np.arctan2(points[[1, -1], 1], points[[1, -1], 0])), [-30.0, 30.0])
+    assert "/view/ultrasonic/left" not in shown(UltrasonicRange(5, range_m), "ultrasonic/left")
+
+
+def test_the_shed_is_drawn_with_what_stands_in_it(vehicle: Vehicle) -> None:
+    site = load(Site, CONFIGS / "sites" / "demo.yaml")
+    assert site.shed is not None
+    entity = shown(UltrasonicRange(5, 1.0), "ultrasonic/none", vehicle, site)["/view/shed"].entities[0]
+    assert len(entity.cubes) == len(site.shed.posts) + len(site.shed.anchors)
+    assert {t.text for t in entity.texts} == {*site.shed.anchors, *(f"bay {bay.name}" for bay in site.shed.bays)}
+
+
+def test_a_picture_is_shown_as_it_was_sent() -> None:
+    bgr = np.full((8, 8, 3), 90, np.uint8)
+    sent = cv2.imencode(".png", bgr)[1].tobytes()
+    proto = shown(CameraImage(5, bgr, sent), "camera/front")["/view/camera/front"]
+    assert (proto.data, proto.format, proto.frame_id) == (sent, "png", "camera/front")
+    assert shown(CameraImage(5, bgr.copy()), "camera/front")["/view/camera/front"].format == "jpeg"
