@@ -112,6 +112,17 @@ def _learnt(x: float, y: float, cell_m: float, total: Any, thin2: float, out: An
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _goes_on(
+    x: float, y: float, z: float, dx: float, dy: float, ux: float, uy: float, cell_m: float, keys: Any
+) -> bool:
+    """Whether the next cell along (ux, uy), either way, shows something too: a piece of a wall, not a post."""
+    for way in (-cell_m, cell_m):
+        if keys[_slot(keys, _key(x + way * ux, y + way * uy, z, dx, dy, cell_m))] != EMPTY:
+            return True
+    return False
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def _gather(A: Any, b: Any, row: Any, variance: float, lx: float, ly: float, bound2: float) -> None:
     """Adds one residual (normal, distance) with Cauchy's weight; (lx, ly) is the point seen from base, in map axes."""
     w = 1.0 / (variance * (1.0 + row[2] * row[2] / (variance * bound2)))
@@ -145,6 +156,10 @@ def _normal(
         if keys[k] == EMPTY or seen[k, 0] < least or sums[k, 0] < 2 * least:
             continue
         directions = _learnt(x, y, cell_m, sums[k], thin * thin, out)
+        if directions == 2 and _goes_on(
+            x, y, points[i, 2], ex - x, ey - y, -out[0, 1], out[0, 0], cell_m, keys
+        ):  # fmt: skip
+            directions = 1
         for j in range(directions):
             _gather(A, b, out[j], var + out[j, 3], lx, ly, bound2)
         found += directions > 0

@@ -106,10 +106,14 @@ class Placement:
         T_base_body = self.fusion.arms.T_base_body
         T = self._docked.pose_of(level) @ T_base_body
         sigmas = self._docked.sigmas(math.radians(self._config.alignment.tilt_sigma_deg))
-        self.doubt = ranging.disagreement(ranging.since(still_ns, invert(T_base_body)), T, np.diag(sigmas**2))
+        heard = ranging.since(still_ns, invert(T_base_body))
+        if heard is None:
+            self.doubt = "no UWB ranges"
+            return False
+        self.doubt = ranging.disagreement(heard, T, np.diag(sigmas**2))
         if self.doubt or motion.history.at(stamp_ns) is None:
             return False
-        ranging.begin(stamp_ns)
+        ranging.begin(stamp_ns, heard, T)
         self._place(self.fusion.start_at(stamp_ns, level, T, sigmas))
         self.is_initialized = True
         return True

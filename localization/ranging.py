@@ -36,13 +36,15 @@ class RangingConfig(Config):
     bias_walk_m: float = Field(gt=0.0, le=1.0, description="per root second")
     least_anchors: int = Field(ge=2, le=20, description="that must agree at one keyframe, or at the start")
     agreeing_share: float = Field(gt=0.0, le=1.0, description="of the anchors heard at the start")
+    memory: int = Field(ge=1, le=1000, description="ranges of one anchor over which lateness is told from noise")
     silent_s: float = Field(gt=0.0, le=10.0, description="without agreeing ranges for longer UWB holds no position")
 
 
 @dataclass(frozen=True)
 class Heard:
-    """n ranges brought to one time: anchor by row, arm of the tag (n, 3) from the body, metres and sigmas."""
+    """n ranges brought to one time: pair of tag and anchor, anchor, arm (n, 3) from the body, metres and sigmas."""
 
+    pairs: Int64
     rows: Int64
     arms_m: Float64
     range_m: Float64
@@ -52,7 +54,7 @@ class Heard:
         """Those with a weight above zero, their sigmas grown by it."""
         use = weight > 0.0
         sigma = self.sigma_m[use] / np.sqrt(weight[use])
-        return Heard(self.rows[use], self.arms_m[use], self.range_m[use], sigma)
+        return Heard(self.pairs[use], self.rows[use], self.arms_m[use], self.range_m[use], sigma)
 
 
 def consistent(residual_m: Float64, covariance: Float64, gauge: Gauge, least: float) -> Float64:
@@ -80,7 +82,7 @@ class Ranging:
     def __init__(
         self, config: RangingConfig, tags: Mapping[str, Uwb], anchors: Mapping[str, tuple[float, float, float]]
     ) -> None:
-        self.config, self._tags = config, tags
+        self.config, self._tags, self._number = config, tags, {tag: i for i, tag in enumerate(tags)}
         self.anchors_map_m = np.array(list(anchors.values()), np.float64).reshape(-1, 3)
         self._row = {name: i for i, name in enumerate(anchors)}
         self._waiting: deque[UwbRanges] = deque(maxlen=KEEP)
@@ -91,6 +93,7 @@ class Ranging:
         self.calibration_covariance[:a, :a] = alike(a, config.scale_sigma, config.scale_each_sigma)
         self.calibration_covariance[a:, a:] = alike(a, config.bias_sigma_m, config.bias_each_sigma_m)
         self.walk = np.repeat(np.square([config.scale_walk, config.bias_walk_m]), a)
+        self._mean, self._count = np.zeros(a * len(tags)), np.zeros(a * len(tags))
         self.accepted_ns: int | None = None
         self.is_refusing = False
 
@@ -114,8 +117,10 @@ class Ranging:
         """Whether enough ranges agreed a moment ago."""
         return self.age_s(stamp_ns) <= self.config.silent_s
 
-    def begin(self, stamp_ns: int) -> None:
-        """Starts from a pose that has been compared with all ranges so far."""
+    def begin(self, stamp_ns: int, heard: Heard, T_map_body: Float64) -> None:
+        """Starts from a pose that has been compared with the mean of all ranges so far."""
+        expected = expected_ranges(T_map_body, self.calibration, self.anchors_map_m, heard.arms_m, heard.rows)[0]
+        self._mean[heard.pairs], self._count[heard.pairs] = heard.range_m - expected, self.config.memory
         self._waiting.clear()
         self.accepted_ns = stamp_ns
 
@@ -135,10 +140,10 @@ class Ranging:
         heard = _joined(parts)
         if heard is None:
             return None
-        pairs = np.column_stack([heard.rows, heard.arms_m])
-        _, first, group, count = np.unique(pairs, axis=0, return_index=True, return_inverse=True, return_counts=True)
-        middle = np.array([np.median(heard.range_m[group.ravel() == g]) for g in range(len(first))])
-        return Heard(heard.rows[first], heard.arms_m[first], middle, heard.sigma_m[first] / np.sqrt(count))
+        pairs, first, count = np.unique(heard.pairs, return_index=True, return_counts=True)
+        middle = np.array([np.median(heard.range_m[heard.pairs == pair]) for pair in pairs])
+        sigma = heard.sigma_m[first] / np.sqrt(count)
+        return Heard(pairs, heard.rows[first], heard.arms_m[first], middle, sigma)
 
     def _brought(self, heard: UwbRanges, T_body_then: Float64) -> Heard:
         tag = self._tags[heard.tag]
@@ -147,13 +152,25 @@ class Ranging:
         arm = np.asarray(apply(T_body_then, np.array([tag.mount.xyz_m], np.float64)), np.float64)
         rows = np.array([self._row[heard.anchors[i]] for i in good], np.int64)
         sigma = np.full(len(good), tag.range_sigma_m * self.config.sigma_factor)
-        return Heard(rows, np.repeat(arm, len(good), axis=0), np.asarray(heard.range_m, np.float64)[good], sigma)
+        pairs = rows + self._number[heard.tag] * len(self._row)
+        return Heard(pairs, rows, np.repeat(arm, len(good), axis=0), np.asarray(heard.range_m, np.float64)[good], sigma)
 
     def judge(self, heard: Heard, T_map_body: Float64, covariance: Float64) -> Heard:
-        """What agrees with a pose, known to a covariance (6, 6), and with itself."""
+        """What agrees with a pose, known to a covariance (6, 6), and with itself: now, and in the mean of late.
+
+        A delay behind a wall hides in the noise of one range, but not in that of many.
+        """
         expected, J, K = expected_ranges(T_map_body, self.calibration, self.anchors_map_m, heard.arms_m, heard.rows)
-        S = J @ covariance @ J.T + K @ self.calibration_covariance @ K.T + np.diag(heard.sigma_m**2)
-        return heard.only(consistent(heard.range_m - expected, S, self._gauge, self.config.least_weight))
+        residual, least = heard.range_m - expected, self.config.least_weight
+        known = J @ covariance @ J.T + K @ self.calibration_covariance @ K.T
+        weight = consistent(residual, known + np.diag(heard.sigma_m**2), self._gauge, least)
+        for pair, r in zip(heard.pairs.tolist(), residual.tolist(), strict=True):
+            self._count[pair] = min(self._count[pair] + 1.0, self.config.memory)
+            self._mean[pair] += (r - self._mean[pair]) / self._count[pair]
+        pairs, first, group = np.unique(heard.pairs, return_index=True, return_inverse=True)
+        settled = known[np.ix_(first, first)] + np.diag(heard.sigma_m[first] ** 2 / self._count[pairs])
+        lasting = consistent(self._mean[pairs], settled, self._gauge, least)
+        return heard.only(np.minimum(weight, lasting[group]))
 
     def accept(self, stamp_ns: int, heard: Heard, kept: Heard) -> bool:
         """Whether enough anchors agree to be used; counts as UWB's sign of life."""
@@ -163,10 +180,9 @@ class Ranging:
         self.is_refusing = not enough and len(np.unique(heard.rows)) >= self.config.least_anchors
         return enough
 
-    def disagreement(self, heard: Heard | None, T_map_body: Float64, covariance: Float64) -> str:
-        """Why ranges at standstill do not confirm a pose, "" when they do."""
-        if heard is None:
-            return "no UWB ranges"
+    def disagreement(self, heard: Heard, T_map_body: Float64, covariance: Float64) -> str:
+        """Why the mean of ranges at standstill does not confirm a pose, "" when it does."""
+        self._count[:] = 0.0
         kept, there = self.judge(heard, T_map_body, covariance), len(np.unique(heard.rows))
         agreeing = len(np.unique(kept.rows))
         if agreeing >= self.config.least_anchors and agreeing >= self.config.agreeing_share * there:

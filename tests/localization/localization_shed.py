@@ -5,7 +5,8 @@ import functools
 import math
 
 import numpy as np
-from localization_drive import START_NS, Truth, drive, tractor
+import shapely
+from localization_drive import START_NS, Truth, Wrongs, drive, tractor
 
 from configs.site import Shed, Site
 from configs.strict import find, load
@@ -83,13 +84,12 @@ def messages(truth: Truth, radio: Radio | None = Radio(), seed: int = 1) -> list
     return sorted(kept + (ranges(truth, radio, seed) if radio is not None else []), key=lambda m: m[0])
 
 
-def out_and_in(dock, way_s: float = 32.0, seed: int = 1) -> Truth:
-    """From a dock straight out into the yard at 0.5 m/s, and back in reverse to about where it began."""
-    from localization_drive import Wrongs
-
+def out_and_in(dock, way_s: float = 32.0, seed: int = 1, speed_mps: float = 0.5) -> Truth:
+    """From a dock straight out into the yard, and back in reverse to about where it began."""
     wrongs = Wrongs(seed=seed, slip=0.005, slip_swing=0.0, slip_per_pull=0.05, soil_side=0.001, furrow_m=0.0)
-    legs = [(5.0, 0.0, 0.0), (way_s / 2, 0.5, 0.0), (way_s / 2, 0.5, 0.08), (3.0, 0.0, 0.0)]
-    legs += [(way_s / 2, -0.5, 0.08), (way_s / 2, -0.5, 0.0), (5.0, 0.0, 0.0)]
+    v, part_s = speed_mps, way_s / 2
+    legs = [(5.0, 0.0, 0.0), (part_s, v, 0.0), (part_s, v, 0.08), (2.0, 0.0, 0.0)]
+    legs += [(part_s, -v, 0.08), (part_s, -v, 0.0), (3.0, 0.0, 0.0)]
     pose = (dock.x_m, dock.y_m, math.radians(dock.heading_deg))
     return drive(sum(leg[0] for leg in legs), legs=legs, wrongs=wrongs, begin=pose, is_flat=True)
 
@@ -97,8 +97,6 @@ def out_and_in(dock, way_s: float = 32.0, seed: int = 1) -> Truth:
 @functools.cache
 def _walls() -> tuple[np.ndarray, np.ndarray]:
     """Faces as segments (M, 2, 2), 7.5 cm to either side of the middle of each wall, and posts (K, 3)."""
-    import shapely
-
     walls = shapely.union_all([shapely.LineString(w).buffer(0.075, cap_style="flat") for w in shed().walls_m])
     ring = np.array(walls.exterior.coords)
     posts = np.array([[*p.at_m, p.radius_m] for p in shed().posts])
@@ -124,7 +122,7 @@ def look(truth: Truth, stamp_ns: int, sensor: str, rng: np.random.Generator) -> 
     d = _cast(origin, np.column_stack([np.cos(angle), np.sin(angle)]))
     elevation = np.radians([e for e in lidar.elevation_deg if -30 < e < 10])
     flat, el = np.meshgrid(d, elevation)
-    z = T_lidar[2, 3] + flat * np.tan(el)
+    z = T_lidar[2, 3] + np.where(np.isfinite(flat), flat, 0.0) * np.tan(el)
     hit = np.isfinite(flat) & (z > 0.2) & (z < 4.0)
     r = flat[hit] / np.cos(el[hit]) + rng.normal(0, 0.015, int(hit.sum()))
     az = np.broadcast_to(azimuth, flat.shape)[hit]
