@@ -16,6 +16,7 @@ from messages.plan import Path
 
 STANDING_MPS = 0.03
 LEARN_FROM_MPS = 0.2
+STUCK_SHARE = 0.8  # of the target that a sound loop would have reached
 STUCK_MPS2 = 0.1  # a machine that does not start is asked for more, slowly
 
 
@@ -136,7 +137,7 @@ class SpeedControl:
         if not is_obeyed:
             self._model_mps = min(self._model_mps, speed_mps)
             return
-        is_stuck = speed_mps < STANDING_MPS and self._model_mps > STANDING_MPS
+        is_stuck = speed_mps < STANDING_MPS and self._model_mps > max(STUCK_SHARE * target_mps, STANDING_MPS)
         is_steady = abs(target_mps - self._model_mps) < 0.05 and target_mps > LEARN_FROM_MPS
         if is_stuck:
             self._missing_mps = clamp(self._missing_mps + STUCK_MPS2 * elapsed_s, config.integral_max_mps)

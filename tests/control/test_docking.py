@@ -1,0 +1,52 @@
+"""The way into the dock as planned, driven by the closed loop: forward, cusp, and in reverse to the centimetre."""
+
+import math
+
+import numpy as np
+import pytest
+from plant import IMPLEMENT, VEHICLE, Actuators, Ground, Plant, Senses, Track, true_offsets
+
+from configs.site import Site
+from configs.strict import CONFIGS, find, load, parse, read_yaml
+from configs.vehicle import kmh
+from planning.configuration import PlanningConfig
+from planning.curve import Pose
+from planning.docking.dock import Docking, plan_docking
+from planning.rig import rig_of
+
+SITE = load(Site, find("sites", "demo"))
+PLANNING = parse(PlanningConfig, read_yaml(CONFIGS / "stack.yaml")["planning"], "stack.yaml")
+YARD = Ground(side_slope_deg=0.5, understeer=0.01, soil_radpm=0.001)
+
+
+@pytest.mark.parametrize(("bay", "start", "speed_gain"), [
+    ("wide", Pose(18.0, -31.0, math.radians(-75.0)), 0.94),
+    ("wide", Pose(20.0, -28.5, math.radians(-110.0)), 1.05),
+    ("narrow", Pose(22.0, -31.0, math.radians(-90.0)), 0.97),
+])  # fmt: skip
+def test_it_ends_in_the_dock(bay, start, speed_gain):
+    rig = rig_of(VEHICLE, IMPLEMENT.folded, None, PLANNING.planner)
+    docking = Docking(SITE, rig, SITE.bay(bay), PLANNING.docking, 0)
+    senses, actuators = Senses(map_m=0.002, angle_zero_deg=-0.3), Actuators(speed_gain=speed_gain)
+    plant = Plant(x=start.x_m, y=start.y_m, yaw=start.heading_rad, ground=YARD, senses=senses, actuators=actuators)
+    plant.fold = 1.0
+    for path in plan_docking(start, docking, 1):
+        before = len(plant.track.x_m)
+        track = plant.run(path)
+        assert track.wishes[-1].is_finished
+        driven = Track(x_m=track.x_m[before:], y_m=track.y_m[before:])
+        offsets, _ = true_offsets(driven, path)
+        assert np.abs(offsets).max() < 0.03
+        assert np.abs(track.speed_mps[before:]).max() <= 1.1 * kmh(PLANNING.docking.speed_kmh) * max(speed_gain, 1.0)
+        settle(plant)
+    dock = docking.bay.dock
+    assert abs(plant.x - dock.x_m) <= 0.02
+    assert abs(plant.y - dock.y_m) <= 0.03
+    assert abs(math.degrees(math.remainder(plant.yaw - math.radians(dock.heading_deg), 2 * math.pi))) <= 0.5
+
+
+def settle(plant):
+    for _ in range(50):
+        plant.control()
+        plant.move()
+        plant.now_ns += 20_000_000
