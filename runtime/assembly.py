@@ -9,7 +9,7 @@ import can
 from configs.site import Pose2
 from configs.strict import CONFIGS, load
 from control.controller import Controller
-from interfaces.gateway import Gateway
+from interfaces.gateway import CanBus, Gateway
 from localization.lidar_map import LidarMap
 from localization.lidar_odometry import LidarOdometry
 from localization.localizer import Localizer
@@ -44,28 +44,18 @@ def assemble(
     say; the executor must have it as its tap.
     """
     channel = f"headland-{next(_CHANNELS)}"
-    world = SimulationWorld(
-        setup.site,
-        setup.vehicle,
-        setup.implement,
-        scenario,
-        setup.plan.paths,
-        channel,
-        setup.seed,
-        setup.stack.simulation,
-        setup.start,
-        setup.is_folded,
-    )
-    world.warm()
-    with closing(world), can.Bus(interface="virtual", channel=channel) as bus:
+    with (
+        can.Bus(interface="virtual", channel=channel) as bus,
+        can.Bus(interface="virtual", channel=channel) as tractor,
+        closing(simulated(setup, scenario, tractor)) as world,
+    ):
+        heard = bus if injection is None else FaultyBus(bus, injection, load_database())
         chain = [
-            *_perceiving(setup),
-            *_deciding(setup, is_ablation),
-            Gateway(
-                bus if injection is None else FaultyBus(bus, injection, load_database()),
-                setup.vehicle,
-                setup.stack.interfaces.gateway,
-            ),
+            *seeing(setup),
+            *locating(setup),
+            *planning(setup),
+            *steering(setup),
+            *guarding(setup, heard, is_ablation),
         ]
         nodes = [(node, setup.stack.executor.latency_ns(node.name)) for node in chain]
         check_wiring(world, nodes, setup.stack.executor.cores)
@@ -76,6 +66,24 @@ def assemble(
             yield SteppingClock(world, injection), [(FaultyNode(node, injection), ns) for node, ns in nodes]
 
 
+def simulated(setup: Setup, scenario: Scenario, bus: can.BusABC) -> SimulationWorld:
+    """The simulated world with its machine on this bus, ready for the first scan."""
+    world = SimulationWorld(
+        setup.site,
+        setup.vehicle,
+        setup.implement,
+        scenario,
+        setup.plan.paths,
+        bus,
+        setup.seed,
+        setup.stack.simulation,
+        setup.start,
+        setup.is_folded,
+    )
+    world.warm()
+    return world
+
+
 def planted(setup: Setup, scenario: Scenario) -> Injection | None:
     """The faults that a scenario states, or None; raises ConfigError when one cannot be."""
     if not scenario.faults:
@@ -84,11 +92,15 @@ def planted(setup: Setup, scenario: Scenario) -> Injection | None:
     return Injection(scenario.faults, config, setup.stack.simulation.start_stamp_ns, setup.seed)
 
 
-def _perceiving(setup: Setup) -> list[Node]:
-    """From sensors to tracks and pose."""
+def seeing(setup: Setup) -> list[Node]:
+    """From sensors to tracks."""
+    return perceiving(setup.vehicle, setup.implement, setup.stack.perception)
+
+
+def locating(setup: Setup) -> list[Node]:
+    """From sensors to the pose."""
     localization = setup.stack.localization
     return [
-        *perceiving(setup.vehicle, setup.implement, setup.stack.perception),
         LidarOdometry(setup.vehicle, "front", localization.lidar_odometry),
         LidarMap(setup.vehicle, setup.implement, setup.site.shed, localization.lidar_map),
         Localizer(setup.vehicle, setup.site.datum.datum, localization, setup.site.shed, _dock(setup)),
@@ -103,12 +115,20 @@ def _dock(setup: Setup) -> Pose2 | None:
     return shed.bay(mission.bay).dock
 
 
-def _deciding(setup: Setup, is_ablation: bool) -> list[Node]:
-    """From tracks and pose to the safe command."""
+def planning(setup: Setup) -> list[Node]:
+    """From tracks and pose to the path."""
+    return [MissionNode(setup.plan, setup.stack.planning.mission, setup.seed)]
+
+
+def steering(setup: Setup) -> list[Node]:
+    """From path and pose to the wish."""
+    return [Controller(setup.vehicle, setup.implement, setup.stack.control)]
+
+
+def guarding(setup: Setup, bus: CanBus, is_ablation: bool) -> list[Node]:
+    """From the wish to the machine's bus."""
     disabled = OBSTACLE_RULES if is_ablation else frozenset()
     return [
-        MissionNode(setup.plan, setup.stack.planning.mission, setup.seed),
-        Controller(setup.vehicle, setup.implement, setup.stack.control),
         Supervisor(
             setup.vehicle,
             setup.implement,
@@ -119,6 +139,7 @@ def _deciding(setup: Setup, is_ablation: bool) -> list[Node]:
             survey_of(setup.site),
             idle_of(setup),
         ),
+        Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway),
     ]
 
 

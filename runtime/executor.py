@@ -164,15 +164,16 @@ class Executor:
 def node_fault(now_ns: int, name: str, text: str) -> Fault:
     """The fault that a node's exception becomes."""
     words = f"Program part {name} failed: {text}", f"Programmteil {name} ausgefallen: {text}"
-    return _stopping(now_ns, "node.exception", name, *words)
+    return stopping_fault(now_ns, "node.exception", name, *words)
 
 
 def log_fault(now_ns: int, text: str) -> Fault:
     """The fault that a log which cannot be written becomes: nobody drives unrecorded."""
-    return _stopping(now_ns, "log.failed", "log", f"The log fails: {text}", f"Das Protokoll ist gestört: {text}")
+    return stopping_fault(now_ns, "log.failed", "log", f"The log fails: {text}", f"Das Protokoll ist gestört: {text}")
 
 
-def _stopping(now_ns: int, code: str, source: str, text_en: str, text_de: str) -> Fault:
+def stopping_fault(now_ns: int, code: str, source: str, text_en: str, text_de: str) -> Fault:
+    """A fault of the runtime's own: nothing but a stop is safe, and a person must see it."""
     return Fault(
         stamp_ns=now_ns,
         code=code,

@@ -34,14 +34,14 @@ class TractorBus:
     """
 
     def __init__(
-        self, channel: str, database: Database, wheelbase_m: float, full_brake_mps2: float, config: BusConfig
+        self, bus: can.BusABC, database: Database, wheelbase_m: float, full_brake_mps2: float, config: BusConfig
     ) -> None:
         self.rejected_frames = 0
         self.is_safe_state = False
         self.is_horn_on = self.is_beacon_on = False
         self.is_steering_ready = False
         self._wheelbase_m, self._full_brake_mps2 = wheelbase_m, full_brake_mps2
-        self._bus = can.Bus(interface="virtual", channel=channel)
+        self._bus = bus
         self._dbc = database
         self._curvature_radpm: float | None = None
         self._speed_mps = self._brake_mps2 = 0.0

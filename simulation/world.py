@@ -4,6 +4,7 @@ import heapq
 import math
 from collections.abc import Iterable
 
+import can
 from pydantic import Field
 from shapely import Polygon
 
@@ -63,11 +64,15 @@ class SimulationConfig(Config):
 
 
 class SimulationWorld(World):
-    """Deterministic: the same arguments and the same frames on the bus give the same messages, to the bit."""
+    """Deterministic: the same arguments and the same frames on the bus give the same messages, to the bit.
+
+    `bus` is the tractor's end of its bus; the world closes it.
+    """
 
     def __init__(
         self, site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario,
-        plan_paths: tuple[Path, ...], channel: str, seed: int, config: SimulationConfig, start: Pose2, is_folded: bool,
+        plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int, config: SimulationConfig, start: Pose2,
+        is_folded: bool,
     ) -> None:  # fmt: skip
         self._now_ns = self._start_ns = config.start_stamp_ns
         self._terrain = Terrain(site, config.terrain, seed)
@@ -81,7 +86,7 @@ class SimulationWorld(World):
         self._track.append(self.machine.T_map_base)
         database = load_database()
         brake = vehicle.brake.deceleration_mps2
-        self._bus = TractorBus(channel, database, vehicle.drivetrain.wheelbase_m, brake, config.bus)
+        self._bus = TractorBus(bus, database, vehicle.drivetrain.wheelbase_m, brake, config.bus)
         self._status = TractorStatus(self.machine, self._bus, database, generator(seed, "cab"))
         self._judge = Judge(site, vehicle, implement, seed, config.judge)
         docks = {} if site.shed is None else {bay.name: bay.dock for bay in site.shed.bays}
@@ -113,6 +118,13 @@ class SimulationWorld(World):
         found = self._vehicle.sensors
         if found.lidar or found.radar or found.ultrasonic or found.uwb:
             _ = self._scene.still
+        for sensor in self._sensors:
+            if isinstance(sensor, CameraModel):
+                sensor.warm(self._scene)
+
+    def add(self, actor: Actor) -> None:
+        """One actor more, from now on."""
+        self._actors.append(actor)
 
     def close(self) -> None:
         """Leave the bus."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from messages.errors import WiringError
-from messages.faults import Fault
+from messages.errors import LogError, WiringError
+from messages.faults import Fault, Response
 from messages.message import Envelope
 from messages.motion import Odometry
 from messages.node import All, At, Every, Inbox, Latest, Node, On, Output, Read, Trigger, World
@@ -158,3 +158,54 @@ def test_wiring_refuses_what_cannot_work() -> None:
         check_wiring(world, [(reader, 11 * MS)], cores=1)
     with pytest.raises(WiringError, match="its kind is not"):
         check_wiring(world, [(Recorder("r", {"wheel": Latest()}, ("nonsense",), Every(MS)), 1)], cores=1)
+
+
+class Tape:
+    """A tap that holds every second message back by 15 ms and a sink that fails at the third."""
+
+    def __init__(self) -> None:
+        self.held: list[tuple[int, Output]] = []
+        self.count = 0
+
+    def next_ns(self) -> int | None:
+        return min((due for due, _ in self.held), default=None)
+
+    def due(self, now_ns: int) -> list[Output]:
+        come = [output for due, output in self.held if due <= now_ns]
+        self.held = [(due, output) for due, output in self.held if due > now_ns]
+        return come
+
+    def pass_on(self, now_ns: int, outputs: list[Output]) -> list[Output]:
+        self.count += 1
+        if self.count % 2:
+            return outputs
+        self.held += [(now_ns + 15 * MS, output) for output in outputs]
+        return []
+
+
+def test_a_tap_may_hold_messages_back() -> None:
+    seen: list[Envelope] = []
+    Executor(Wheels([10, 20, 30, 50]), [], (seen.append,), Tape()).run(lambda: False)
+    assert [(e.receive_ns // MS, e.message.stamp_ns // MS) for e in seen] == [(10, 10), (30, 30), (35, 20)]
+
+
+def test_a_log_that_fails_is_a_fault_that_stops_and_an_error_at_the_end() -> None:
+    seen: list[Envelope] = []
+
+    def full(envelope: Envelope) -> None:
+        if envelope.receive_ns >= 20 * MS:
+            raise LogError("full")
+
+    with pytest.raises(LogError, match="full"):
+        Executor(Wheels([10, 20, 30, 40]), [], (full, seen.append)).run(lambda: False)
+    faults = [e.message for e in seen if isinstance(e.message, Fault)]
+    assert [(f.code, f.source, f.response) for f in faults] == [("log.failed", "log", Response.CONTROLLED_STOP)]
+    assert seen[-1].receive_ns == 40 * MS
+
+
+def test_a_clock_that_steps_back_leaves_nobody_waiting() -> None:
+    node = Recorder("node", {"wheel": Latest()}, ("imu",), Every(10 * MS))
+    hour = 3_600_000
+    executor = Executor(Wheels([hour, hour + 10, hour + 20, 10, 20, 30, 40]), [(node, 5 * MS)], ())
+    executor.run(lambda: False)
+    assert [t for t, _ in node.seen] == [hour, hour + 10, hour + 20, 10, 20, 30, 40]

@@ -6,9 +6,10 @@ from typing import Any, TypeVar
 from configs.strict import find, load
 from messages.faults import Fault
 from messages.message import Envelope, Message
-from runtime.assembly import assemble
+from runtime.assembly import assemble, planted
 from runtime.executor import FAULT_TOPIC, Executor
 from runtime.setup import Setup
+from simulation.faults.config import InjectedFault
 from simulation.scenario import Scenario
 
 M = TypeVar("M", bound=Message)
@@ -38,12 +39,14 @@ class Drive:
 
 def forward(
     setup: Setup, until: Callable[[Drive], bool], timeout_s: float, scenario: str = "empty", *,
-    sinks: tuple[Any, ...] = (), is_ablation: bool = False,
+    sinks: tuple[Any, ...] = (), is_ablation: bool = False, faults: tuple[InjectedFault, ...] = (),
 ) -> Drive:  # fmt: skip
     """Go on until `until`; a node's exception or the time limit fails the test with its own text."""
     drive = Drive()
-    with assemble(setup, load(Scenario, find("scenarios", scenario)), is_ablation) as (world, nodes):
-        executor = Executor(world, nodes, (drive, *sinks))
+    chosen = load(Scenario, find("scenarios", scenario)).model_copy(update={"faults": faults})
+    injection = planted(setup, chosen)
+    with assemble(setup, chosen, is_ablation, injection) as (world, nodes):
+        executor = Executor(world, nodes, (drive, *sinks), injection)
         start_ns = executor.now_ns
 
         def is_over() -> bool:

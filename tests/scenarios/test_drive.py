@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +9,9 @@ import pytest
 from forward import Drive, forward
 
 from messages.command import Mode, SafeCommand, Wish
-from messages.node import Inbox, Output
 from messages.truth import TrueMachine
 from runtime.setup import Setup, load_setup
+from simulation.faults.config import FaultKind, InjectedFault
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -35,46 +34,25 @@ def test_leaves_the_yard_after_the_start_warning(setup: Setup) -> None:
     assert abs(truth.T_map_base[0, 3] - 20.0) < 0.08  # the lane runs north along x = 20 m
 
 
-@pytest.mark.parametrize("name", ["lidar_front", "localizer"])
-def test_a_node_that_fails_stops_the_machine(setup: Setup, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    import runtime.assembly as assembly
-
-    real = assembly._perceiving, assembly._deciding
-
-    def breaking(build):  # type: ignore[no-untyped-def]
-        def built(*arguments):  # type: ignore[no-untyped-def]
-            nodes = build(*arguments)
-            for node in nodes:
-                if node.name == name:
-                    node.step = fail_after(node.step, 9.0)
-            return nodes
-
-        return built
-
-    monkeypatch.setattr(assembly, "_perceiving", breaking(real[0]))
-    monkeypatch.setattr(assembly, "_deciding", breaking(real[1]))
-
+@pytest.mark.parametrize(
+    ("topic", "kind", "reason"),
+    [
+        ("node/localizer", FaultKind.RAISES, "node.exception"),
+        ("node/localizer", FaultKind.HANGS, "odom.silent"),
+        ("lidar/front", FaultKind.OFF, "lidar/front.silent"),
+    ],
+)
+def test_what_fails_stops_the_machine_and_is_named(setup: Setup, topic: str, kind: FaultKind, reason: str) -> None:
     def stands(d: Drive) -> bool:
         assert d.failure is None or "planted" in d.failure
         d.failure = None
         is_stopped = "safe_command" in d.newest and d.last("safe_command", SafeCommand).mode is Mode.FAULT_STOP
         return is_stopped and abs(speed(d)) < 0.02
 
-    drive = forward(setup, stands, 20.0)
+    faults = (InjectedFault(topic=topic, kind=kind, from_s=8.0, for_s=60.0),)
+    drive = forward(setup, stands, 20.0, faults=faults)
     assert "automatic" in drive.modes
-    assert drive.last("safe_command", SafeCommand).reason == "node.exception"
-
-
-def fail_after(step, seconds: float):  # type: ignore[no-untyped-def]
-    first: list[int] = []
-
-    def failing(now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        first[:] = first or [now_ns]
-        if now_ns - first[0] > seconds * 1e9:
-            raise RuntimeError("planted")
-        return step(now_ns, inbox)  # type: ignore[no-any-return]
-
-    return failing
+    assert drive.last("safe_command", SafeCommand).reason == reason
 
 
 DIGEST = """

@@ -56,11 +56,12 @@ class Farm:
         is_folded=False,
     ):  # fmt: skip
         channel = f"farm-{next(_CHANNELS)}"
+        tractor = can.Bus(interface="virtual", channel=channel)
         self.vehicle = vehicle or machine_file()
         config = config or flat()
         start = start or site.start
         self.world = SimulationWorld(
-            site, self.vehicle, implement, scenario, paths, channel, seed, config, start, is_folded
+            site, self.vehicle, implement, scenario, paths, tractor, seed, config, start, is_folded
         )
         self.machine = self.world.machine
         self.start_ns = self.now_ns = config.start_stamp_ns

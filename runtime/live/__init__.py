@@ -1,0 +1,6 @@
+"""The stack against the wall clock, in processes of its own: `headland live` and `headland shadow --bus`.
+
+machine (simulation) ──sensors──► perception ──tracks──► planning     each ──► is a ring in shared memory that its
+    ▲   └──────sensors──────────► localization ─pose──►  (mission)    writer never waits for, and all rings ──► log
+    └─ CAN, udp_multicast ──────► safety: supervisor and gateway
+"""

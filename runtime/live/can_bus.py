@@ -1,0 +1,46 @@
+"""The machine's bus as one process sees it: without the echo of its own frames, and without what is no frame."""
+
+from collections import deque
+from collections.abc import Callable
+
+import can
+
+ECHOES = 400
+
+
+class SharedBus(can.BusABC):
+    """A bus over a network: what others put on it that is no frame is counted and dropped."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        super().__init__(bus.channel_info)
+        self.dropped = 0
+        self.listener: Callable[[can.Message], None] | None = None
+        self._bus = bus
+        self._sent: deque[tuple[int, bytes]] = deque(maxlen=ECHOES)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send one frame; raises CanError."""
+        self._sent.append((msg.arbitration_id, bytes(msg.data)))
+        self._bus.send(msg, timeout)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame of another; None when there is none now."""
+        while True:
+            try:
+                frame = self._bus.recv(timeout)
+            except can.CanOperationError:
+                self.dropped += 1
+                continue
+            if frame is None:
+                return None
+            sent = (frame.arbitration_id, bytes(frame.data))
+            if sent not in self._sent:
+                if self.listener is not None:
+                    self.listener(frame)
+                return frame
+            self._sent.remove(sent)
+
+    def shutdown(self) -> None:
+        """Leave the bus."""
+        super().shutdown()
+        self._bus.shutdown()

@@ -1,0 +1,68 @@
+"""How long from an obstacle in view to the brake frame on the bus, by the stamps of scans and frames."""
+
+import json
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import can
+
+from messages.node import Output, World
+from messages.sensors import LidarScan
+from runtime.live.can_bus import SharedBus
+from simulation.popup import PopUp
+from simulation.randomness import generator
+from simulation.terrain import Terrain
+
+BRAKE_GROUP = 0x04  # format byte of the external brake request
+FULL_SCALE_MPS2, PER_MPS2 = 15.687, 2048.0
+LEAST_MPS2 = 1.0  # asked of the brakes: more than any slowing for a curve
+AHEAD_M = 3.5  # inside the stopping distance at work speed, and more than the machine then needs
+
+
+class Reactions(World):
+    """The simulated world with somebody who pops up again and again; writes one line a time to `reactions.jsonl`."""
+
+    def __init__(self, world: Any, bus: SharedBus, start: Any) -> None:
+        self.writes = world.writes
+        self._world, self._limit = world, start.reactions
+        self._path = start.folder / "reactions.jsonl"
+        setup = start.setup
+        self._front = next(
+            f"lidar/{name}" for name, one in setup.vehicle.sensors.lidar.items() if one.mount.xyz_m[0] > 0
+        )
+        terrain = Terrain(setup.site, setup.stack.simulation.terrain, setup.seed)
+        self._popup = PopUp(world.machine, terrain, generator(setup.seed, "popup"), AHEAD_M)
+        world.add(self._popup)
+        self._appeared: float | None = None  # in wall time, as frames are stamped
+        self._seen: float | None = None
+        self._count = 0
+        bus.listener = self._hear
+
+    def next_ns(self) -> int | None:
+        """As the world has it; the end once enough was measured."""
+        return None if self._count >= self._limit and self._popup.figure is None else self._world.next_ns()
+
+    def step(self, now_ns: int) -> Iterable[Output]:
+        """Go on, and note who came into view."""
+        before = self._popup.count
+        outputs = list(self._world.step(now_ns))
+        if self._popup.count > before:
+            self._appeared, self._seen = time.time(), None
+        if self._appeared is not None and self._seen is None:
+            scans = [m for topic, m in outputs if topic == self._front and isinstance(m, LidarScan)]
+            self._seen = time.time() if scans else None
+        return outputs
+
+    def _hear(self, frame: can.Message) -> None:
+        if self._appeared is None or frame.arbitration_id >> 16 & 0xFF != BRAKE_GROUP or len(frame.data) != 8:
+            return
+        asked_mps2 = FULL_SCALE_MPS2 - int.from_bytes(frame.data[:2], "little") / PER_MPS2
+        if asked_mps2 < LEAST_MPS2:
+            return
+        self._count += 1
+        seen_s = None if self._seen is None else frame.timestamp - self._seen
+        row = {"appeared_to_frame_s": frame.timestamp - self._appeared, "scan_to_frame_s": seen_s}
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        self._appeared = None
