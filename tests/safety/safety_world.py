@@ -303,8 +303,9 @@ class World:
             self.put("map_pose", replace(pose_message, **self.pose_changes))
             self.put("tracks", Tracks(now, self.tracks))
             for name, lidar in self.vehicle.sensors.lidar.items():
-                scan = scan_of(lidar, now, pose, self.boxes, self.rng, self.slope, self.shape_boxes)
-                self.put(f"lidar/{name}", scan)
+                if f"lidar/{name}" not in self.mute:
+                    scan = scan_of(lidar, now, pose, self.boxes, self.rng, self.slope, self.shape_boxes)
+                    self.put(f"lidar/{name}", scan)
         self.put_others(now)
         if self.steps % 10 == 0:
             status = MissionStatus(now, self.mission, Leg.SWATH, 1, self.path.path_id, self.place_m, 0.0, 1.0, "", ())
