@@ -8,6 +8,7 @@ from messages.message import Int64
 from messages.motion import Odometry
 from messages.node import All, At, Inbox, Node, On, Output
 from messages.perception import Obstacles, Track, Tracks
+from perception.fusion.detections import to_odom
 from perception.fusion.stillness import Stillness
 from perception.fusion.tracks import (
     CLASSES,
@@ -18,9 +19,12 @@ from perception.fusion.tracks import (
     confirm,
     doubt,
     empty_table,
+    hosts_of,
     match,
     move,
-    to_odom,
+    not_explained,
+    not_parts,
+    prolong,
     update,
     velocities,
     warm,
@@ -36,6 +40,10 @@ class Tracker(Node):
         self.writes = ("tracks",)
         self.runs = On(tuple(topics))
         self._topics = tuple(topics)
+        self._lidars, self._cameras = (
+            sum(1 << i for i, topic in enumerate(topics) if topic.startswith(f"obstacles/{kind}"))
+            for kind in ("lidar", "camera")
+        )
         self._config = config
         self._stillness = Stillness(config.stillness)
         self._table = empty_table()
@@ -56,15 +64,19 @@ class Tracker(Node):
 
     def _absorb(self, message: Obstacles, odom: Odometry, sensor: int) -> None:
         config, table = self._config, self._table
-        seen = to_odom(message, odom.T_odom_base, sensor, self._stillness, config)
+        seen = to_odom(message, odom.T_odom_base, sensor, self._stillness, config.kinds, config.noise)
         move(table, (message.stamp_ns - self._stamp_ns) * 1e-9 if self._stamp_ns else 0.0, config)
         self._stamp_ns = max(self._stamp_ns, message.stamp_ns)
         tracks, rows = match(table, seen, config)
         update(table, tracks, seen, rows, self._stillness, config)
-        doubt(table, self._missed(tracks, sensor), config)
+        doubt(table, self._missed(tracks, sensor), seen.kind, config)
         confirm(table, config)
-        table = table.rows(alive(table, self._stamp_ns, config))
-        fresh = np.setdiff1d(np.arange(len(seen.yaw_rad)), rows)
+        prolong(table, tracks, seen)
+        table = table.rows(alive(table, self._stamp_ns))
+        hosts = hosts_of(table, self._lidars, config)
+        rows = np.setdiff1d(np.arange(len(seen.yaw_rad)), rows).astype(np.int64)
+        fresh = not_explained(seen, rows, hosts, config)
+        table = table.rows(not_parts(table, hosts, self._lidars, self._cameras, config))
         self._table = table.below(begin(seen, fresh, self._next_id, config))
         self._next_id += len(fresh)
 

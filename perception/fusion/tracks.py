@@ -8,34 +8,33 @@ from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
 from configs.strict import Config
-from geometry.transforms import apply, yaw_of
 from messages.message import Float64, Int64
-from messages.perception import ObstacleClass, Obstacles
-from perception.fusion.kalman import box_noise, correct, distances, predict
+from messages.perception import ObstacleClass
+from perception.fusion.detections import Detections, KindConfig, KindsConfig, NoiseConfig
+from perception.fusion.kalman import correct, distances, predict
+from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, is_piece, is_same
 from perception.fusion.stillness import Stillness, StillnessConfig
 
 CLASSES = tuple(ObstacleClass)
 REFUSED = 1e9
+PART, SLOWLY = 0.6, 0.05  # a vehicle's detection shorter than this share of it is a piece, and shrinks it slowly
 FASTEST_MPS = {ObstacleClass.PERSON: 4.0, ObstacleClass.POLE: 0.7, ObstacleClass.MOUND: 0.7, ObstacleClass.DITCH: 0.7}
 
 
 class TrackerConfig(Config):
     """Noise, gate, and what it takes to confirm and to forget."""
 
-    position_sigma_m: float = Field(gt=0.0, le=2.0)
-    size_share: float = Field(ge=0.0, le=1.0, description="of a box's side, added to the sigma of its centre")
+    noise: NoiseConfig
     velocity_sigma_mps: float = Field(gt=0.0, le=5.0, description="of a velocity that a sensor measures")
     still_sigma_mps: float = Field(gt=0.0, le=5.0, description="of the bound on speed that old cells give")
     first_speed_mps: float = Field(gt=0.0, le=20.0, description="sigma of the speed of what is seen first")
     acceleration_mps2: float = Field(gt=0.0, le=10.0)
     gate_sigma: float = Field(gt=0.0, le=10.0)
     confirm_s: float = Field(ge=0.0, le=2.0)
-    confirm_returns: float = Field(ge=0.0, le=200.0, description="summed over scans, each up to `most_returns`")
-    most_returns: float = Field(gt=0.0, le=200.0)
-    other_returns: float = Field(gt=0.0, le=200.0, description="worth of a detection by a sensor without returns")
-    doubt_share: float = Field(ge=0.0, le=1.0, description="of `most_returns`, lost with each scan that misses")
-    forget_new_s: float = Field(gt=0.0, le=10.0)
-    forget_s: float = Field(gt=0.0, le=10.0)
+    confirm_returns: float = Field(ge=0.0, le=200.0, description="worth of detections, summed")
+    doubt_share: float = Field(ge=0.0, le=1.0, description="of its worth, lost when a sensor misses what it saw")
+    kinds: KindsConfig
+    parts: PartsConfig
     moving_sigma: float = Field(gt=0.0, le=10.0, description="a slower speed than this is given as none")
     class_memory: float = Field(ge=0.0, lt=1.0, description="of the evidence, kept from one detection to the next")
     stillness: StillnessConfig
@@ -55,6 +54,7 @@ class Table:
     evidence: Float64
     first_ns: Int64
     last_ns: Int64
+    until_ns: Int64
     is_confirmed: Int64
     sensors: Int64
 
@@ -65,50 +65,6 @@ class Table:
     def below(self, other: "Table") -> "Table":
         """These rows, then those of another table."""
         return Table(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
-
-
-@dataclass(frozen=True)
-class Detections:
-    """One sensor's obstacles in `odom`, K rows; `R` (K, 2, 2) is the noise of their centres.
-
-    `still` is the share of cells occupied for long, `velocity_mps` may be NaN, `has_returns` holds for lidars.
-    """
-
-    stamp_ns: int
-    sensor: int
-    p_m: Float64
-    R: Float64
-    has_returns: npt.NDArray[np.bool_]
-    size_m: Float64
-    yaw_rad: Float64
-    velocity_mps: Float64
-    returns: Float64
-    log_scores: Float64
-    still: Float64
-
-
-def to_odom(
-    obstacles: Obstacles, T_odom_base: Float64, sensor: int, stillness: Stillness, config: TrackerConfig
-) -> Detections:
-    """Obstacles of one message as detections; the stillness of their cells is looked up and remembered."""
-    yaw = yaw_of(T_odom_base)
-    c, s = np.cos(yaw), np.sin(yaw)
-    counts = np.diff(obstacles.offsets).astype(np.float64)
-    # a lidar's returns are evidence by their number; a radar or camera tells one thing by one detection
-    is_lidar = np.full(len(counts), obstacles.sensor.startswith("lidar"))
-    worth = np.minimum(counts, config.most_returns) ** 1.5 * config.most_returns**-0.5
-    points = apply(T_odom_base, obstacles.points_base_m)
-    center = np.asarray(apply(T_odom_base, obstacles.center_base_m), np.float64)
-    R = box_noise(obstacles.size_m, obstacles.yaw_rad + yaw, config.position_sigma_m, config.size_share)
-    if len(obstacles.sigma_m):
-        R = box_noise(obstacles.sigma_m, obstacles.yaw_rad + yaw, 0.0, 1.0)
-    return Detections(
-        obstacles.stamp_ns, sensor, center, R, is_lidar, obstacles.size_m,
-        (obstacles.yaw_rad + yaw + np.pi / 2) % np.pi - np.pi / 2,
-        obstacles.velocity_mps @ np.array([[c, s], [-s, c]]), np.where(is_lidar, worth, config.other_returns),
-        np.log(np.maximum(obstacles.class_scores, 0.01)),
-        stillness.observe(points.astype(np.float32), obstacles.offsets, obstacles.stamp_ns),
-    )  # fmt: skip
 
 
 def warm(config: TrackerConfig) -> None:
@@ -123,7 +79,7 @@ def empty_table() -> Table:
     none = np.zeros(0)
     return Table(
         whole, np.zeros((0, 4)), np.zeros((0, 4, 4)), none, np.zeros((0, 3)), none, none, np.zeros((0, len(CLASSES))),
-        whole, whole, whole, whole,
+        whole, whole, whole, whole, whole,
     )  # fmt: skip
 
 
@@ -139,7 +95,8 @@ def begin(seen: Detections, rows: Int64, first_id: int, config: TrackerConfig) -
     stamp = np.full(n, seen.stamp_ns, np.int64)
     return Table(
         np.arange(first_id, first_id + n), x, P, seen.p_m[rows, 2], seen.size_m[rows], seen.yaw_rad[rows],
-        seen.returns[rows], seen.log_scores[rows], stamp, stamp.copy(), np.zeros(n, np.int64),
+        seen.returns[rows], seen.log_scores[rows], stamp, stamp.copy(), stamp + _ns(seen.kind.forget_new_s),
+        np.zeros(n, np.int64),
         np.full(n, 1 << seen.sensor, np.int64),
     )  # fmt: skip
 
@@ -153,10 +110,21 @@ def move(table: Table, dt_s: float, config: TrackerConfig) -> None:
 def match(table: Table, seen: Detections, config: TrackerConfig) -> tuple[Int64, Int64]:
     """Rows of tracks and of detections that belong together: least total cost within the gate."""
     d2, cost = distances(table.x, table.P, np.ascontiguousarray(seen.p_m[:, :2]), seen.R)
-    cost = np.where(d2 <= config.gate_sigma**2, cost, REFUSED)
+    gate = config.gate_sigma if seen.is_lidar else config.parts.gate_sigma
+    cost = np.where((d2 <= gate**2) & _agrees(table, seen, config), cost, REFUSED)
     tracks, detections = linear_sum_assignment(cost)
     good = cost[tracks, detections] < REFUSED
     return tracks[good].astype(np.int64), detections[good].astype(np.int64)
+
+
+def _agrees(table: Table, seen: Detections, config: TrackerConfig) -> npt.NDArray[np.bool_]:
+    """Whether measured velocity and body fit the tracks, (T, K); what is not known does not disagree."""
+    if seen.is_lidar:
+        return np.ones((len(table.id), len(seen.yaw_rad)), np.bool_)
+    S = np.maximum(table.P[:, 2, 2], table.P[:, 3, 3]) + config.velocity_sigma_mps**2
+    apart = np.linalg.norm(table.x[:, None, 2:] - seen.velocity_mps, axis=2)
+    too_large = table.size_m[:, :1] > config.parts.largest * seen.body_m
+    return np.asarray(~(apart > config.gate_sigma * np.sqrt(S)[:, None]) & ~too_large)
 
 
 def update(
@@ -164,17 +132,22 @@ def update(
 ) -> None:
     """Tracks corrected in place by the detections matched to them."""
     x, P = table.x[tracks], table.P[tracks]
-    correct(x, P, seen.p_m[rows, :2], seen.R[rows], 0)
+    is_part = is_vehicle(table.evidence[tracks]) & (seen.size_m[rows, 0] < PART * table.size_m[tracks, 0])
+    R = seen.R[rows]
+    R[is_part] += np.eye(2) * (PART * table.size_m[tracks[is_part], 0] / 2)[:, None, None] ** 2
+    correct(x, P, seen.p_m[rows, :2], R, 0)
     _correct_velocity(x, P, seen, rows, stillness, config)
     table.x[tracks], table.P[tracks] = x, P
     # only returns measure a box: radar and cameras guess it
-    boxed = seen.has_returns[rows] | (table.sensors[tracks] == 1 << seen.sensor)
-    theirs, mine = tracks[boxed], rows[boxed]
+    boxed = (table.sensors[tracks] == 1 << seen.sensor) | seen.is_lidar
+    theirs, mine, pace = tracks[boxed], rows[boxed], np.where(is_part[boxed], SLOWLY, 0.5)
     table.height_m[theirs] = seen.p_m[mine, 2]
-    table.size_m[theirs] += 0.5 * (seen.size_m[mine] - table.size_m[theirs])
-    table.yaw_rad[theirs] = seen.yaw_rad[mine]
-    table.returns[tracks] = np.minimum(table.returns[tracks] + seen.returns[rows], 20.0 * config.most_returns)
-    table.evidence[tracks] = config.class_memory * table.evidence[tracks] + seen.log_scores[rows]
+    table.size_m[theirs] += pace[:, None] * (seen.size_m[mine] - table.size_m[theirs])
+    table.yaw_rad[theirs] = np.where(is_part[boxed], table.yaw_rad[theirs], seen.yaw_rad[mine])
+    worth, told = np.minimum(seen.returns[rows], seen.kind.worth), np.ptp(seen.log_scores[rows], axis=1) > 0.0
+    table.returns[tracks] = np.minimum(table.returns[tracks] + worth, 10.0 * config.confirm_returns)
+    classed, by = tracks[told & ~is_part], rows[told & ~is_part]  # neither an echo nor a piece tells what its owner is
+    table.evidence[classed] = config.class_memory * table.evidence[classed] + seen.log_scores[by]
     table.last_ns[tracks] = seen.stamp_ns
     table.sensors[tracks] |= 1 << seen.sensor
 
@@ -203,17 +176,64 @@ def confirm(table: Table, config: TrackerConfig) -> None:
     table.is_confirmed |= (lasted & (table.returns >= config.confirm_returns)).astype(np.int64)
 
 
-def doubt(table: Table, missed: Int64, config: TrackerConfig) -> None:
-    """Unconfirmed tracks that a scan missed lose evidence, in place."""
-    lost = config.doubt_share * config.most_returns * (table.is_confirmed[missed] == 0)
-    table.returns[missed] -= lost
+def doubt(table: Table, missed: Int64, kind: KindConfig, config: TrackerConfig) -> None:
+    """Unconfirmed tracks that a sensor missed lose evidence, in place."""
+    table.returns[missed] -= config.doubt_share * kind.worth * (table.is_confirmed[missed] == 0)
 
 
-def alive(table: Table, stamp_ns: int, config: TrackerConfig) -> Int64:
+def prolong(table: Table, tracks: Int64, seen: Detections) -> None:
+    """Tracks just seen are kept as long as the sensor that saw them may miss them, in place."""
+    keep = np.where(table.is_confirmed[tracks] > 0, _ns(seen.kind.forget_s), _ns(seen.kind.forget_new_s))
+    table.until_ns[tracks] = np.maximum(table.until_ns[tracks], seen.stamp_ns + keep)
+
+
+def alive(table: Table, stamp_ns: int) -> Int64:
     """Rows of the tracks that are not to be forgotten."""
-    age_s = (stamp_ns - table.last_ns) * 1e-9
-    limit = np.where(table.is_confirmed > 0, config.forget_s, config.forget_new_s)
-    return np.flatnonzero((age_s <= limit) & (table.returns > 0.0)).astype(np.int64)
+    return np.flatnonzero((stamp_ns <= table.until_ns) & (table.returns > 0.0)).astype(np.int64)
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)
+
+
+def is_vehicle(evidence: Float64) -> npt.NDArray[np.bool_]:
+    """Whether a vehicle is what evidence (T, 7) speaks for most, (T,)."""
+    return np.asarray(evidence.argmax(axis=1) == VEHICLE) if len(evidence) else np.zeros(0, np.bool_)
+
+
+def hosts_of(table: Table, lidars: int, config: TrackerConfig) -> Hosts:
+    """Confirmed tracks that lidars (bits of `sensors`) have seen."""
+    row = np.flatnonzero((table.is_confirmed > 0) & (table.sensors & lidars != 0)).astype(np.int64)
+    theirs = table.rows(row)
+    return Hosts(
+        row, theirs.x[:, :2], theirs.size_m, theirs.yaw_rad, velocities(theirs, config), is_vehicle(theirs.evidence)
+    )
+
+
+def not_explained(seen: Detections, rows: Int64, hosts: Hosts, config: TrackerConfig) -> Int64:
+    """Of these detections those that are of no thing a track stands for."""
+    p = seen.p_m[rows, :2]
+    if seen.is_lidar:
+        found = is_piece(p, seen.size_m[rows, 0], hosts, config.parts)
+    else:
+        found = is_same(p, seen.R[rows], seen.velocity_mps[rows], seen.body_m[rows], hosts, config.parts)
+    return rows[~found.any(axis=1)]
+
+
+def not_parts(table: Table, hosts: Hosts, lidars: int, cameras: int, config: TrackerConfig) -> Int64:
+    """Rows of tracks that are no part of another one; their sensors go to the track that they are of, in place."""
+    by_lidar = table.sensors & lidars != 0
+    velocity = np.where((np.trace(table.P[:, 2:, 2:], axis1=1, axis2=2) < 1.0)[:, None], table.x[:, 2:], np.nan)
+    body = np.where(table.sensors & cameras != 0, table.size_m[:, 0], np.nan)
+    found = np.where(
+        by_lidar[:, None],
+        is_piece(table.x[:, :2], table.size_m[:, 0], hosts, config.parts),
+        is_same(table.x[:, :2], table.P[:, :2, :2], velocity, body, hosts, config.parts),
+    )
+    found[hosts.row, np.arange(len(hosts.row))] = False
+    part, host = np.nonzero(found)
+    np.bitwise_or.at(table.sensors, hosts.row[host], table.sensors[part])
+    return np.flatnonzero(~found.any(axis=1)).astype(np.int64)
 
 
 def velocities(table: Table, config: TrackerConfig) -> Float64:

@@ -130,7 +130,7 @@ def test_one_scan_confirms_nothing_and_what_is_gone_is_forgotten():
     assert not told[0].tracks[0].is_confirmed
     assert told[10].tracks[0].is_confirmed
     gone = next(m.stamp_ns for m in told if m.stamp_ns > START + NS and not m.tracks)
-    assert (gone - START) / NS == pytest.approx(0.9 + TRACKER_CONFIG.forget_s, abs=0.21)
+    assert (gone - START) / NS == pytest.approx(0.9 + TRACKER_CONFIG.kinds.lidar.forget_s, abs=0.21)
 
 
 def test_two_that_cross_keep_their_names():
