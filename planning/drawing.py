@@ -9,10 +9,12 @@ import shapely
 from shapely.geometry import mapping
 from shapely.geometry.base import BaseGeometry
 
-from configs.site import Site
+from configs.site import Shed, Site
+from geometry.footprint import footprints
 from geometry.polygon import parts
 from geometry.polyline import Float64
 from messages.plan import Leg
+from planning.docking.dock import Docking
 from planning.plan import Plan
 
 COLOURS = {
@@ -22,7 +24,7 @@ COLOURS = {
 
 
 def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
-    """Write a PNG: field, lanes, gate and yard, planned strips, and the way by legs."""
+    """Write a PNG: field, lanes, gate, yard and shed, planned strips, and the way by legs."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -32,8 +34,9 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
     axes.set_aspect("equal")
     for shape in parts(plan.planned_area):
         _fill(axes, shape, "#cfe8cf")
-    for shape in (site.yard, *((site.shed,) if site.shed else ())):
-        axes.fill(*zip(*shape.outline_m, strict=True), color="#e6e0d4")
+    axes.fill(*zip(*site.yard.outline_m, strict=True), color="#e6e0d4")
+    if site.shed is not None:
+        _draw_shed(axes, site.shed, plan.docking)
     axes.plot(*zip(*site.boundary_m, site.boundary_m[0], strict=True), color="black", linewidth=1.5)
     for area in site.no_go:
         axes.fill(*zip(*area.outline_m, strict=True), color="#9cc4e4")
@@ -51,6 +54,22 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
     axes.set_ylabel("north in m")
     axes.legend(loc="upper right", fontsize=8)
     figure.savefig(file, format="png", dpi=110)
+
+
+def _draw_shed(axes: Any, shed: Shed, docking: Docking | None) -> None:
+    """Roof, walls, posts and bays, and in its bay the rig as it stands docked."""
+    axes.fill(*zip(*shed.outline_m, strict=True), color="#d3cab8")
+    for wall in shed.walls_m:
+        axes.plot(*zip(*wall, strict=True), color="black", linewidth=2.0)
+    for post in shed.posts:
+        axes.plot(*post.at_m, "o", color="black", markersize=2)
+    for bay in shed.bays:
+        axes.annotate(bay.name, (bay.dock.x_m, bay.dock.y_m), ha="center", va="center", fontsize=6)
+    if docking is not None:
+        dock = docking.bay.dock
+        pose = np.array([[dock.x_m, dock.y_m]]), np.radians([dock.heading_deg])
+        for body in footprints(docking.rig.bodies, *pose)[0]:
+            axes.plot(*body.exterior.xy, color=COLOURS[Leg.DOCK], linewidth=0.8)
 
 
 def _fill(axes: Any, shape: shapely.Polygon, colour: str) -> None:

@@ -1,0 +1,88 @@
+"""How long the first plan into the dock takes, from seeded starts about the lane's end, for each bay.
+
+    python -m benchmarks.docking [--seeds 40]
+
+Starts are drawn as for `./headland run --mission dock --seed N`. Bar of issue 4: the first plan in less than 0.5 s.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from dataclasses import dataclass
+
+from configs.mission import Mission
+from configs.site import Site
+from configs.strict import CONFIGS, find, load, parse, read_yaml
+from configs.vehicle import ImplementFile, Vehicle
+from messages.errors import FieldError
+from messages.plan import Path
+from planning.configuration import PlanningConfig
+from planning.docking.dock import Docking, plan_docking, pose_of
+from planning.rig import rig_of
+from runtime.setup import start_of
+
+BAR_S = 0.5
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One plan: how long it took, its paths, or why there are none."""
+
+    took_s: float
+    paths: tuple[Path, ...]
+    refusal: str
+
+
+def dockings() -> tuple[Mission, list[Docking]]:
+    """The mission of docking alone, and each bay of its site."""
+    mission = load(Mission, find("missions", "dock"))
+    site, vehicle = load(Site, find("sites", mission.site)), load(Vehicle, find("machines", mission.machine))
+    planning = parse(PlanningConfig, read_yaml(CONFIGS / "stack.yaml")["planning"], "stack.yaml: planning")
+    implement = load(ImplementFile, find("implements", mission.implement)).implement
+    rig = rig_of(vehicle, implement.folded, None, planning.planner)
+    bays = () if site.shed is None else site.shed.bays
+    return mission, [Docking(site, rig, bay, planning.docking, 0) for bay in bays]
+
+
+def trial(docking: Docking, mission: Mission, seed: int) -> Trial:
+    """Plan from the start that a seed draws."""
+    start, _ = start_of(mission, docking.site, seed)
+    began_s = time.perf_counter()
+    try:
+        paths, refusal = plan_docking(pose_of(start), docking, 1), ""
+    except FieldError as error:
+        paths, refusal = (), str(error)
+    return Trial(time.perf_counter() - began_s, paths, refusal)
+
+
+def line(docking: Docking, trials: list[Trial]) -> str:
+    """One bay in words."""
+    took = [1e3 * t.took_s for t in trials]
+    planned = [t.paths for t in trials if t.paths]
+    cusps = [len(paths) - 1 for paths in planned]
+    lengths = [sum(float(p.s_m[-1]) for p in paths) for paths in planned]
+    return (
+        f"{docking.bay.name:8} {len(planned)} of {len(trials)} planned, median {statistics.median(took):.0f} ms, "
+        f"max {max(took):.0f} ms; cusps {min(cusps)} to {max(cusps)}, way {min(lengths):.0f} to {max(lengths):.0f} m"
+    )
+
+
+def main() -> int:
+    """Print a line a bay, and what was refused; 1 when a plan took longer than the bar."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=40)
+    count = parser.parse_args().seeds
+    mission, found = dockings()
+    slowest_s = 0.0
+    for docking in found:
+        trials = [trial(docking, mission, seed) for seed in range(1, count + 1)]
+        slowest_s = max(slowest_s, *(t.took_s for t in trials))
+        sys.stdout.write(line(docking, trials) + "\n")
+        for refusal in sorted({t.refusal for t in trials} - {""}):
+            sys.stdout.write(f"         refused: {refusal}\n")
+    return int(slowest_s > BAR_S)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
