@@ -195,7 +195,8 @@ class RadarModel:
             doppler / (4.0 * self._radar.doppler_sigma_mps),
         ])[found])  # fmt: skip
         order = np.argsort(-level_db[found], kind="stable")
-        _, first = np.unique(cells[order], axis=0, return_index=True)
+        numbers = (cells[order] + 1000.0) @ np.array([1e8, 1e4, 1.0])  # cells are within a thousand of 0
+        _, first = np.unique(numbers, return_index=True)
         return np.asarray(found[order[np.sort(first)]])
 
     def _ghosts(self, detections: Float64) -> Float64:

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from simulated_farm import CONFIG, Farm, flat, machine_file
+from simulated_farm import CONFIG, IMPLEMENT, Farm, flat, machine_file
 
 from configs.site import Pose2, Site
 from configs.strict import find, load
 from messages.perception import ObstacleClass
 from messages.sensors import GnssSolution
+from runtime.setup import carrying
 from simulation.actors import Figure
 from simulation.sensors.gnss import Sky
 from simulation.sensors.uwb import is_between
@@ -235,3 +236,16 @@ def test_carried_sensors_rise_with_the_implement():
     farm.machine.attached.hitch = 0.0
     assert model._pose(moment)[2, 3] == pytest.approx(level - 0.6)
     farm.close()
+
+
+def test_rear_sensors_hear_who_stands_behind_the_raised_harrow():
+    behind = figure(20.0, YARD.y_m - 2.4 - 1.5)
+    vehicle = carrying(machine_file(), IMPLEMENT)
+    farm = Farm(vehicle=vehicle, site=SITE, start=YARD, is_folded=True, config=flat())
+    farm.world._play = lambda elapsed_s: setattr(farm.world._scene, "figures", (behind,))
+    outputs = farm.drive(2.0)
+    farm.close()
+    for name in ("rear_left", "rear_right"):
+        found = np.array([m.range_m for m in of(outputs, f"ultrasonic/{name}")])
+        assert np.isfinite(found).mean() > 0.8
+        assert np.nanmedian(found) == pytest.approx(1.45, abs=0.25)
