@@ -2,15 +2,16 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.angles import wrap
 from geometry.geodesy import Datum
-from geometry.transforms import Float64
+from geometry.transforms import Float64, yaw_of
 from messages.motion import PositionSource
 from messages.sensors import GnssFix, GnssSolution
 
@@ -128,6 +129,14 @@ def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) 
     share = config.heading_slow_share
     heading_fast, heading_slow = heading_sigma * math.sqrt(1.0 - share**2), heading_sigma * share
     return Position(fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution)
+
+
+def carried(fix: Position, T_then: Float64, T_now: Float64, arm_m: Float64, T_map_odom: Float64) -> Position:
+    """A fix moved on from one pose of base in odom to another, over a fraction of a second; `arm_m` is in base."""
+    way = (T_now - T_then)[:3, :3] @ arm_m + (T_now - T_then)[:3, 3]
+    turn = yaw_of(T_now) - yaw_of(T_then)
+    p = fix.p_map_m + T_map_odom[:3, :3] @ way
+    return replace(fix, p_map_m=p, heading_rad=wrap(fix.heading_rad + turn))
 
 
 def distance(innovation_m: Float64, covariance: Float64) -> float:

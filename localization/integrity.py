@@ -7,6 +7,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.transforms import Float64
+from localization.gnss import Position, source_of
+from localization.sighting import SightingConfig
 from messages.motion import PositionSource
 
 Metres = Field(ge=0.0, le=100.0)
@@ -30,6 +32,19 @@ class IntegrityConfig(Config):
             PositionSource.SINGLE: self.single_m, PositionSource.UWB: self.uwb_m,
             PositionSource.RTK_FLOAT: self.rtk_float_m, PositionSource.RTK_FIXED: self.rtk_fixed_m,
         }[source]  # fmt: skip
+
+
+def position_source(fix: Position | None, age_s: float, is_ranged: bool, outage_s: float) -> PositionSource:
+    """What the position rests on: fixed ambiguities, else UWB where it holds, else the last fix for a while."""
+    fixed = PositionSource.DEAD_RECKONING if fix is None or age_s > outage_s else source_of(fix.solution)
+    return PositionSource.UWB if is_ranged and fixed is not PositionSource.RTK_FIXED else fixed
+
+
+def slow_part(source: PositionSource, fix: Position | None, sighting: SightingConfig) -> tuple[Float64, float]:
+    """The part of the error in place (3,) and heading that no averaging removes."""
+    if source is PositionSource.UWB or fix is None:
+        return np.full(3, sighting.slow_m), math.radians(sighting.slow_deg)
+    return fix.slow_m, fix.heading_slow_rad if math.isfinite(fix.heading_rad) else 0.0
 
 
 def output_covariance(

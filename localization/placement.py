@@ -8,17 +8,22 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from geometry.angles import wrap
-from geometry.transforms import Float64, invert, yaw_of
+from geometry.transforms import Float64, invert
 from localization.alignment import AlignmentConfig
 from localization.dead_reckoning import Calibration
 from localization.docked import Docked, DockedConfig
 from localization.fusion import Fusion
-from localization.gnss import GnssConfig, Position, Refusal, source_of
-from localization.integrity import IntegrityConfig, output_covariance, protection_level
+from localization.gnss import GnssConfig, Position, Refusal, carried
+from localization.integrity import (
+    IntegrityConfig,
+    output_covariance,
+    position_source,
+    protection_level,
+    slow_part,
+)
 from localization.lidar_link import LidarLink, LidarLinkConfig, moved_to
 from localization.motion import Motion
-from localization.ranging import Heard, RangingConfig
+from localization.ranging import RangingConfig
 from localization.sighting import SightingConfig, Sightings
 from localization.smoother import SmootherConfig, SmootherFailure, State
 from messages.motion import MapPose, PositionSource
@@ -56,7 +61,7 @@ class Placement:
         self._refused_since_ns: int | None = None
         self.is_initialized = False
         self.failures: list[str] = []
-        self.doubt = ""
+        self.doubt, self._was_placed = "", False
         self.refusals = 0
         self.late = 0
 
@@ -95,8 +100,13 @@ class Placement:
         self._refused_since_ns = None
 
     def start(self) -> bool:
-        """Begins at a standstill: at the dock when ranges confirm it, else when there are fixes with heading."""
-        return self._start_docked() or self._start_fixed()
+        """Begins at a standstill: at the dock when ranges confirm it, else when there are fixes with heading.
+
+        Once placed it may be anywhere: only fixes find it again.
+        """
+        self.is_initialized = (not self._was_placed and self._start_docked()) or self._start_fixed()
+        self._was_placed |= self.is_initialized
+        return self.is_initialized
 
     def _start_docked(self) -> bool:
         motion, ranging = self._motion, self.fusion.ranging
@@ -115,7 +125,6 @@ class Placement:
             return False
         ranging.begin(stamp_ns, heard, T)
         self._place(self.fusion.start_at(stamp_ns, level, T, sigmas))
-        self.is_initialized = True
         return True
 
     def _start_fixed(self) -> bool:
@@ -129,7 +138,6 @@ class Placement:
         self.fusion.gate.trust(newest)
         self._place(self.fusion.start(stamp_ns, level, placed))
         self._accept(newest)
-        self.is_initialized = True
         return True
 
     def resume(self, gap_s: float, speed_mps: float) -> bool:
@@ -182,11 +190,12 @@ class Placement:
         motion = self._motion
         fixes, self._carried = self._carried, []
         self._add_spans()
-        before = self.state
+        before, ranging, T_body_base = self.state, self.fusion.ranging, invert(self.fusion.arms.T_base_body)
+        heard = ranging.take(stamp_ns, motion.history, T_body_base) if ranging is not None else None
         try:
             moved = [self._carry(fix, stamp_ns) for fix in fixes]
             refusals = self.fusion.keyframe(
-                stamp_ns, motion.track, motion.wheels, moved, self._heard(stamp_ns),
+                stamp_ns, motion.track, motion.wheels, moved, heard,
                 self.sightings.take(stamp_ns, motion.history),
             )  # fmt: skip
         except SmootherFailure as failure:
@@ -197,12 +206,6 @@ class Placement:
         self._place(state)
         for fix, refusal in zip(fixes, refusals, strict=True):
             self._count(fix, refusal)
-
-    def _heard(self, stamp_ns: int) -> Heard | None:
-        ranging = self.fusion.ranging
-        if ranging is None:
-            return None
-        return ranging.take(stamp_ns, self._motion.history, invert(self.fusion.arms.T_base_body))
 
     def _is_ranged(self, stamp_ns: int) -> bool:
         """Whether UWB holds the position."""
@@ -215,10 +218,7 @@ class Placement:
         if then is None or now is None:
             return fix
         antenna = self.fusion.arms.antenna_m - self.fusion.arms.base_m
-        way = (now - then)[:3, :3] @ antenna + (now - then)[:3, 3]
-        turn = yaw_of(now) - yaw_of(then)
-        p = fix.p_map_m + self._T_map_odom[:3, :3] @ way
-        return replace(fix, p_map_m=p, heading_rad=wrap(fix.heading_rad + turn))
+        return carried(fix, then, now, antenna, self._T_map_odom)
 
     def _recover(self, stamp_ns: int, before: State | None, reason: str) -> None:
         """Starts anew at a failed keyframe's time, where dead reckoning says."""
@@ -279,24 +279,16 @@ class Placement:
                 stamp_ns, np.eye(4), self._odom_now().copy(), covariance, PositionSource.NONE, math.inf, math.inf, False
             )
         T = self._T_map_odom @ self._odom_now()
-        source, age_s = self._source(stamp_ns)
+        age_s = math.inf if self._accepted is None else max(0, stamp_ns - self._accepted_ns) * 1e-9
+        source = position_source(self._accepted, age_s, self._is_ranged(stamp_ns), self._config.integrity.outage_s)
         covariance = self._covariance(state, T, stamp_ns, source)
         level = protection_level(covariance, T, source, self._config.integrity)
         ranging = self.fusion.ranging
         uwb_age_s = ranging.age_s(stamp_ns) if ranging is not None else math.inf
         return MapPose(stamp_ns, self._T_map_odom.copy(), T, covariance, source, level, age_s, True, uwb_age_s)
 
-    def _source(self, stamp_ns: int) -> tuple[PositionSource, float]:
-        fixed, age_s = PositionSource.DEAD_RECKONING, math.inf
-        if self._accepted is not None:
-            age_s = max(0, stamp_ns - self._accepted_ns) * 1e-9
-            if age_s <= self._config.integrity.outage_s:
-                fixed = source_of(self._accepted.solution)
-        is_held = fixed is not PositionSource.RTK_FIXED and self._is_ranged(stamp_ns)
-        return (PositionSource.UWB if is_held else fixed), age_s
-
     def _covariance(self, state: State, T_map_base: Float64, stamp_ns: int, source: PositionSource) -> Float64:
-        slow, turn_rad = self._slow(source)
+        slow, turn_rad = slow_part(source, self._accepted, self._config.sighting)
         R = T_map_base[:3, :3]
         age_s = (stamp_ns - state.stamp_ns) * 1e-9
         T_base_body = self.fusion.arms.T_base_body
@@ -305,10 +297,3 @@ class Placement:
         )
         out[2, 2] += turn_rad**2
         return out
-
-    def _slow(self, source: PositionSource) -> tuple[Float64, float]:
-        """The part of the error in place (3,) and heading that no averaging removes."""
-        fix, cfg = self._accepted, self._config.sighting
-        if source is PositionSource.UWB or fix is None:
-            return np.full(3, cfg.slow_m), math.radians(cfg.slow_deg)
-        return fix.slow_m, fix.heading_slow_rad if math.isfinite(fix.heading_rad) else 0.0

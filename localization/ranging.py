@@ -158,17 +158,19 @@ class Ranging:
     def judge(self, heard: Heard, T_map_body: Float64, covariance: Float64) -> Heard:
         """What agrees with a pose, known to a covariance (6, 6), and with itself: now, and in the mean of late.
 
-        A delay behind a wall hides in the noise of one range, but not in that of many.
+        A small delay behind a wall hides in the noise of one range, but not in that of many; a large one shows at once
+        and stays out of the mean.
         """
         expected, J, K = expected_ranges(T_map_body, self.calibration, self.anchors_map_m, heard.arms_m, heard.rows)
         residual, least = heard.range_m - expected, self.config.least_weight
         known = J @ covariance @ J.T + K @ self.calibration_covariance @ K.T
         weight = consistent(residual, known + np.diag(heard.sigma_m**2), self._gauge, least)
-        for pair, r in zip(heard.pairs.tolist(), residual.tolist(), strict=True):
+        for pair, r in zip(heard.pairs[weight > 0.0].tolist(), residual[weight > 0.0].tolist(), strict=True):
             self._count[pair] = min(self._count[pair] + 1.0, self.config.memory)
             self._mean[pair] += (r - self._mean[pair]) / self._count[pair]
         pairs, first, group = np.unique(heard.pairs, return_index=True, return_inverse=True)
-        settled = known[np.ix_(first, first)] + np.diag(heard.sigma_m[first] ** 2 / self._count[pairs])
+        white = heard.sigma_m[first] ** 2 / np.maximum(self._count[pairs], 1.0)
+        settled = known[np.ix_(first, first)] + np.diag(white)
         lasting = consistent(self._mean[pairs], settled, self._gauge, least)
         return heard.only(np.minimum(weight, lasting[group]))
 

@@ -73,8 +73,10 @@ def test_the_source_says_what_holds_the_position() -> None:
     assert math.isinf(placed[0].gnss_age_s)
     for p in placed:
         free = is_open(truth, p.stamp_ns)
-        assert p.uwb_age_s < 0.95  # keyframes wait 0.3 s for fixes and are 0.2 s apart
         assert p.source in ((PositionSource.RTK_FIXED, PositionSource.UWB) if free else tuple(PositionSource)[3:])
+    ages = np.array([p.uwb_age_s for p in placed])
+    assert np.quantile(ages, 0.95) < 0.9  # keyframes wait 0.3 s for fixes and are 0.2 s apart
+    assert np.max(ages) < 1.9  # four anchors of six behind something
     sources = {p.source for p in placed}
     assert sources == {PositionSource.UWB, PositionSource.RTK_FIXED}
     assert placed[-1].source is PositionSource.UWB
@@ -153,7 +155,7 @@ def test_mirrored_fixes_beside_the_shed_do_not_pull() -> None:
             return entry
         return arrival, topic, replace(message, latitude_rad=message.latitude_rad + 0.12 / 6.37e6)
 
-    truth = out_and_in(NARROW, way_s=14.0, speed_mps=0.7)
+    truth = out_and_in(NARROW, way_s=10.0, speed_mps=0.8)
     assert any(m[1] == "gnss/main" and mirrored(m) is not m for m in messages(truth))
     e = errors(driven(truth, change=mirrored), truth)
     assert np.max(np.linalg.norm(e.p_m[e.t_s > 6, :2], axis=1)) < 0.03
@@ -247,10 +249,10 @@ def test_the_two_faces_of_a_thin_wall_do_not_mix() -> None:
 def test_a_full_table_forgets_what_is_far() -> None:
     small = CONFIG.lidar_map.surfaces.model_copy(update={"slots": 10, "keep_m": 30.0})
     surfaces = SurfaceMap(small, None)
-    for k in range(40):
+    for k in range(12):
         for _ in range(3):
             surfaces.learn(lone_wall(200), np.array([25.0 * k, 0.0, 0.0]))
-    assert surfaces.match(lone_wall(200), np.array([25.0 * 39, 0.05, 0.0]))[2] > 100
+    assert surfaces.match(lone_wall(200), np.array([25.0 * 11, 0.05, 0.0]))[2] > 100
     assert surfaces.match(lone_wall(200), np.zeros(3))[2] == 0
 
 
