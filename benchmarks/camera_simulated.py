@@ -2,7 +2,7 @@
 
     python -m benchmarks.camera_simulated [--model FILE] [--worlds N] [--out FOLDER]
 
-Each world has a day, clothes and terrain of its own (seed); in it stand one figure or none, at 4 to 20 m from the camera
+Each world has a day, clothes and terrain of its own (seed); in it stand one figure or none, 4 to 20 m from the camera
 and anywhere across the picture, in field, lane and yard, walking or standing at any heading. Found means a box of its
 class with IoU of at least 0.5, from the score that the stack believes.
 """
@@ -157,13 +157,15 @@ def run(model: Path, worlds: int, out: Path | None) -> bool:
             rows.append((Shot(shot.bgr[:0], shot.label, shot.distance_m, shot.corners_px), is_found, false, seed))
             if out is not None:
                 save(out, seed, k, shot, is_found, boxes)
-    print(f"{model.name}, {len(rows)} pictures of {worlds} worlds, {drawing_s / worlds / (len(ORDER) - 2) * 1e3:.0f} ms each")
+    each_ms = drawing_s / worlds / (len(ORDER) - 2) * 1e3
+    print(f"{model.name}, {len(rows)} pictures of {worlds} worlds, {each_ms:.0f} ms each to draw")
     for label in GROUPS:
         print_label(label, [(s.distance_m, f) for s, f, _, _ in rows if s.label is label])
     print_false(rows)
     wanted = [f for s, f, _, _ in rows if s.label is ObstacleClass.PERSON and BAR_M[0] <= s.distance_m < BAR_M[1]]
     share = float(np.mean(wanted))
-    print(f"person at {BAR_M[0]:.0f} to {BAR_M[1]:.0f} m: {sum(wanted)}/{len(wanted)} = {share:.3f} (bar {BAR}, aim {AIM})")
+    at = f"person at {BAR_M[0]:.0f} to {BAR_M[1]:.0f} m"
+    print(f"{at}: {sum(wanted)}/{len(wanted)} = {share:.3f} (bar {BAR}, aim {AIM})")
     return share >= BAR
 
 

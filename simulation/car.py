@@ -23,7 +23,8 @@ WHEEL_M, ARCH_M = 0.32, 0.35
 def car(is_fine: bool) -> tuple[Part, ...]:
     """All parts."""
     sides, more = (40, 3) if is_fine else (24, 1)
-    parts = [Part(tube(BODY, sides, 12 * more, power=4.5, axis=(1.0, 0.0, 0.0)), "paint"), Part(tube(CABIN, sides, 4 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "glass"),
+    parts = [Part(tube(BODY, sides, 12 * more, power=4.5, axis=(1.0, 0.0, 0.0)), "paint"),
+             Part(tube(CABIN, sides, 4 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "glass"),
              Part(tube(ROOF, sides, 5 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "paint")]  # fmt: skip
     for x in (1.2, -1.2):
         for s in (1.0, -1.0):
@@ -40,7 +41,8 @@ def disc(center: tuple[float, float, float], half_width: float, radius: float, s
     """A wheel about an axle across the car."""
     x, y, z = center
     keys = ((x, y - half_width, z, 0.9 * radius, 0.9 * radius), (x, y - 0.8 * half_width, z, radius, radius),
-            (x, y + 0.8 * half_width, z, radius, radius), (x, y + half_width, z, 0.9 * radius, 0.9 * radius))  # fmt: skip
+            (x, y + 0.8 * half_width, z, radius, radius),
+            (x, y + half_width, z, 0.9 * radius, 0.9 * radius))  # fmt: skip
     return tube(keys, sides, 4, aside=(1.0, 0.0, 0.0))
 
 
@@ -66,7 +68,11 @@ def _trim() -> list[Part]:
              slab(1.885, 0.0, 0.60, 0.36, 0.045, "eyes")]  # fmt: skip
     for s in (1.0, -1.0):
         parts += [slab(1.83, 0.58 * s, 0.62, 0.13, 0.06, "lamp"), slab(-1.87, 0.62 * s, 0.76, 0.08, 0.11, "tail")]
-        mirror = ((0.72, 0.72 * s, 1.02, 0.06, 0.04), (0.70, 0.78 * s, 1.04, 0.06, 0.07), (0.70, 0.83 * s, 1.04, 0.02, 0.02))
+        mirror = (
+            (0.72, 0.72 * s, 1.02, 0.06, 0.04),
+            (0.70, 0.78 * s, 1.04, 0.06, 0.07),
+            (0.70, 0.83 * s, 1.04, 0.02, 0.02),
+        )
         parts.append(Part(tube(mirror, 10, 4, aside=(1.0, 0.0, 0.0)), "paint"))
         door = ((-0.39, 0.819 * s, 0.40, 0.006, 0.004), (-0.39, 0.819 * s, 0.90, 0.006, 0.004))
         parts.append(Part(tube(door, 6, 3), "eyes"))

@@ -1,6 +1,6 @@
-"""An adult of 1.75 m in work clothes: head with hair and face, torso, arms with hands, legs and shoes, walking or standing.
+"""An adult of 1.75 m in work clothes: head with hair and face, torso, arms with hands, legs and shoes.
 
-Proportions follow DIN 33402-2 (50 % of men), angles of the gait those of Winter (1991): hip, knee and ankle over a stride.
+Proportions follow DIN 33402-2 (50 % of men), angles of the gait Winter (1991): hip, knee and ankle over a stride.
 """
 
 import math
@@ -134,5 +134,9 @@ def _arm(side: float, share: float | None, sides: int, more: int) -> list[Part]:
               on(elbow, wrist, 0.5, 0.045, 0.042), on(elbow, wrist, 0.97, 0.036, 0.034),
               on(elbow, wrist, 0.98, 0.015, 0.015))  # fmt: skip
     hand = (on(wrist, tip, -0.1, 0.024, 0.018), on(wrist, tip, 0.15, 0.030, 0.020), on(wrist, tip, 0.4, 0.042, 0.019),
-            on(wrist, tip, 0.7, 0.036, 0.017), on(wrist, tip, 0.95, 0.022, 0.013), on(wrist, tip, 1.0, 0.006, 0.005))  # fmt: skip
-    return [Part(tube(sleeve, max(sides - 2, 8), 8 * more), "jacket"), Part(tube(hand, max(sides // 2, 6), 5 * more), "skin")]
+            on(wrist, tip, 0.7, 0.036, 0.017), on(wrist, tip, 0.95, 0.022, 0.013),
+            on(wrist, tip, 1.0, 0.006, 0.005))  # fmt: skip
+    return [
+        Part(tube(sleeve, max(sides - 2, 8), 8 * more), "jacket"),
+        Part(tube(hand, max(sides // 2, 6), 5 * more), "skin"),
+    ]

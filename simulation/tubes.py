@@ -1,10 +1,10 @@
 """Smooth bodies from cross-sections along a line, at two levels of detail that lie within 2 cm of each other.
 
-    keys:  x, y, z of the middle,  half the size across (up or ahead),  half the size along `aside`
-        _____
-       /  |  \\        a section is |u|^p + |v|^p = 1: p 2 an ellipse, more towards a rectangle
-      |---+---| u     keys are joined by monotone cubics (no overshoot), so a few of them make a smooth limb
-       \\__|__/
+keys:  x, y, z of the middle,  half the size across (up or ahead),  half the size along `aside`
+    _____
+   /  |  \\        a section is |u|^p + |v|^p = 1: p 2 an ellipse, more towards a rectangle
+  |---+---| u     keys are joined by monotone cubics (no overshoot), so a few of them make a smooth limb
+   \\__|__/
 """
 
 import math

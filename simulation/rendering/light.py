@@ -26,7 +26,7 @@ class Light:
     """What all pictures of a run have in common; colours are linear RGB.
 
     `to_sun` unit (3,) in `map`; `sun`, `sky` (ambient from above), `zenith` and `horizon` (3,); `skyline` (SILHOUETTE,)
-    the tangent of the height of what stands far off, by azimuth from -pi.
+    the tangent of the height of what stands far off, by azimuth from -pi; `drift` (2,) which clouds are there.
     """
 
     to_sun: Float64
@@ -36,11 +36,13 @@ class Light:
     horizon: Float64
     clouds: float
     haze_m: float
+    drift: Float64
     skyline: Float64
 
     def packed(self) -> Float64:
-        """All numbers but the skyline as the shading kernel takes them, (17,)."""
-        parts = [self.to_sun, self.sun, self.sky, self.zenith, self.horizon, [self.clouds, self.haze_m]]
+        """All numbers but the skyline as the shading kernel takes them, (19,)."""
+        parts = [self.to_sun, self.sun, self.sky, self.zenith, self.horizon, [self.clouds, self.haze_m],
+                 self.drift]  # fmt: skip
         return np.concatenate([np.asarray(p, np.float64) for p in parts])
 
 
@@ -60,8 +62,9 @@ def draw_light(config: SkyConfig, random: np.random.Generator) -> Light:
     horizon = (1.0 - overcast) * np.array([0.75, 0.86, 1.0]) * (0.5 + 0.5 * power) + overcast * 1.1 * grey * power
     sky = 0.75 * zenith + 0.25 * horizon + overcast * 0.35 * power
     skyline = draw_skyline(config, random)
-    sun = direct * (1.0 - overcast) ** 1.5
-    return Light(to_sun, sun, sky, zenith, horizon, 0.15 + 0.85 * overcast, haze, skyline)
+    sun = direct * (1.0 - overcast)
+    drift = random.uniform(0.0, 512.0, 2)
+    return Light(to_sun, sun, sky, zenith, horizon, overcast, haze, drift, skyline)
 
 
 def draw_skyline(config: SkyConfig, random: np.random.Generator) -> Float64:
@@ -76,6 +79,6 @@ def draw_skyline(config: SkyConfig, random: np.random.Generator) -> Float64:
     for k in range(80, 420, 3):
         crowns += np.sin(k * azimuth + random.uniform(0.0, 2.0 * math.pi)) / math.sqrt(k)
     span = high - low
-    wood = np.clip(woods, 0.0, 1.0)
-    height = low + 0.35 * span * np.clip(0.5 + 0.3 * hills, 0.0, 1.0) + 0.5 * span * wood * (1.0 + 0.15 * crowns)
+    wood = 0.25 + 0.75 * np.clip(1.5 * woods, 0.0, 1.0)
+    height = low + 0.3 * span * np.clip(0.5 + 0.3 * hills, 0.0, 1.0) + 0.45 * span * wood * (1.0 + 0.10 * crowns)
     return np.asarray(np.maximum(height, 0.0), np.float64)

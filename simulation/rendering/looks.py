@@ -22,15 +22,15 @@ SOIL, GRASS_A, GRASS_B, GRAVEL = (0.145, 0.095, 0.058), (0.09, 0.125, 0.03), (0.
 PIECES: dict[str, tuple[Look, int]] = {
     "crop": (((0.075, 0.15, 0.03), Material.LEAF), 1),
     "fence": (((0.26, 0.19, 0.12), Material.WOOD), 0),
-    "gate": (((0.20, 0.14, 0.09), Material.WOOD), 0),
+    "gate": (((0.20, 0.14, 0.09), Material.BARK), 0),
     "roof": (((0.22, 0.23, 0.24), Material.METAL), 0),
-    "wall": (((0.20, 0.26, 0.22), Material.METAL), 0),
-    "post": (((0.24, 0.18, 0.12), Material.WOOD), 0),
+    "wall": (((0.25, 0.28, 0.26), Material.METAL), 0),
+    "post": (((0.24, 0.18, 0.12), Material.BARK), 0),
     "mast": (((0.40, 0.40, 0.41), Material.SMOOTH), 0),
     "store": (((0.28, 0.20, 0.12), Material.WOOD), 0),
     "trees": (((0.05, 0.085, 0.022), Material.LEAF), 2),
     "crowns": (((0.05, 0.085, 0.022), Material.LEAF), 2),
-    "trunks": (((0.11, 0.085, 0.06), Material.WOOD), 0),
+    "trunks": (((0.11, 0.085, 0.06), Material.BARK), 0),
 }
 OTHER: tuple[Look, int] = (((0.35, 0.33, 0.30), Material.SMOOTH), 0)
 MACHINE: Look = ((0.03, 0.16, 0.045), Material.GLOSS)

@@ -1,7 +1,7 @@
 """From a scene to a picture: what is near is drawn, first as the sun sees it, then as the camera does.
 
-    triangles near ──► sun's picture (what is not in it lies in shadow) ──┐
-                  └──► depth and owner of each pixel ─────────────────────┴──► light, texture ──► BGR
+triangles near ──► sun's picture (what is not in it lies in shadow) ──┐
+              └──► depth and owner of each pixel ─────────────────────┴──► light, texture ──► BGR
 """
 
 import math
@@ -13,10 +13,11 @@ from messages.message import Float32, Float64, Int32, UInt8
 from simulation.rendering.light import Light
 from simulation.rendering.raster import fill, project, project_parallel
 from simulation.rendering.shading import shade
-from simulation.rendering.surface import Cells, Material, Surface, merge
+from simulation.rendering.surface import Cells, Material, Surface, arrays_of, merge
 from simulation.rendering.textures import texture_layers, textures
 
 CELL_M = 8.0
+SPARE = 50_000  # triangles of what moves for which room is made at once
 SHADOW_PX, SHADOW_PER_M = 640, 16.0
 SHADOW_AHEAD_M, METER_STEP = 15.0, 16
 R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -49,23 +50,24 @@ class Stage:
         self._shadow: Float32 = np.zeros((SHADOW_PX, SHADOW_PX), np.float32)
         self._shadow_owner: Int32 = np.zeros((SHADOW_PX, SHADOW_PX), np.int32)
         self._uncut: UInt8 = np.zeros(0, np.uint8)
+        self._all = still
 
     def look(
         self, eye: Eye, moving: list[Surface], feet: Float64, light: Light, gain: float | None, curve: UInt8
     ) -> tuple[UInt8, float, float]:
         """The picture (H, W, 3), its mean brightness and the gain used; without a gain one is found for it."""
-        everything = merge([self._still, *moving])
-        n = len(self._still.triangles)
-        extra = np.arange(n, len(everything.triangles), dtype=np.int32)
+        everything, extra = self._with(moving)
         origin, R = eye.T_map_camera[:3, 3].copy(), eye.R
         ahead = eye.T_map_camera[:2, 0] / np.linalg.norm(eye.T_map_camera[:2, 0])
         middle = origin + SHADOW_AHEAD_M * np.append(ahead, -0.15)
-        L = self._light_up(everything, extra, middle, light)
+        S = self._light_up(everything, extra, middle, light)
         width, height = eye.size_px
         half = math.atan(0.5 * width / eye.intrinsics[0]) + 0.03
         seen = np.concatenate([extra, self._cells.near(origin, self._reach_m, ahead, min(half, 1.5))])
         w, owner = np.zeros((height, width), np.float32), np.zeros((height, width), np.int32)
-        screen, which = project(everything.vertices_m, everything.triangles, seen, R, origin, eye.intrinsics, width, height)
+        screen, which = project(
+            everything.vertices_m, everything.triangles, seen, R, origin, eye.intrinsics, width, height
+        )
         fill(screen, which, w, owner, everything.cuts, R, origin, eye.intrinsics)
         bgr = np.empty((height, width, 3), np.uint8)
 
@@ -73,7 +75,7 @@ class Stage:
             return shade(
                 bgr, w, owner, everything.vertices_m, everything.normals, everything.colors, everything.triangles,
                 everything.materials, R, origin, eye.intrinsics, light.packed(), light.skyline, textures().values,
-                LAYERS, self._shadow, L, middle, SHADOW_PER_M, feet, self._roof, self._ground_m, gain, curve, step,
+                LAYERS, self._shadow, S, feet, self._roof, self._ground_m, gain, curve, step,
             )  # fmt: skip
 
         if gain is None:
@@ -82,8 +84,22 @@ class Stage:
                 gain *= metered(paint(gain, METER_STEP))
         return bgr, paint(gain, 1), gain
 
+    def _with(self, moving: list[Surface]) -> tuple[Surface, Int32]:
+        """All triangles, the moving ones behind those that stand still, and which these are."""
+        added = merge(moving)
+        n, m = len(self._still.vertices_m), len(self._still.triangles)
+        vertices, triangles = n + len(added.vertices_m), m + len(added.triangles)
+        if vertices > len(self._all.vertices_m) or triangles > len(self._all.triangles):
+            room = Surface(*(np.zeros((len(a) + SPARE, *a.shape[1:]), a.dtype) for a in arrays_of(added)))
+            self._all = merge([self._still, room])
+        whole = self._all
+        whole.vertices_m[n:vertices], whole.normals[n:vertices] = added.vertices_m, added.normals
+        whole.colors[n:vertices], whole.triangles[m:triangles] = added.colors, added.triangles + np.int32(n)
+        whole.materials[m:triangles], whole.cuts[m:triangles] = added.materials, added.cuts
+        return whole, np.arange(m, triangles, dtype=np.int32)
+
     def _light_up(self, everything: Surface, extra: Int32, middle: Float64, light: Light) -> Float64:
-        """Draw the sun's picture; gives the directions (3, 3) of its columns, its rows and its rays."""
+        """Draw the sun's picture round a point; gives what takes `map` to its columns, rows and w, (3, 4)."""
         across = np.cross([0.0, 0.0, 1.0], light.to_sun)
         across /= np.linalg.norm(across)
         L = np.stack([across, np.cross(light.to_sun, across), light.to_sun])
@@ -93,10 +109,12 @@ class Stage:
         screen, which = project_parallel(
             everything.vertices_m, everything.triangles, casting, L, middle, SHADOW_PER_M, SHADOW_PX
         )
-        if len(self._uncut) < len(everything.cuts):
-            self._uncut = np.zeros(len(everything.cuts) + 100_000, np.uint8)
+        if len(self._uncut) != len(everything.cuts):
+            self._uncut = np.zeros_like(everything.cuts)
         fill(screen, which, self._shadow, self._shadow_owner, self._uncut, L, middle, np.ones(4))
-        return L
+        scale = np.array([SHADOW_PER_M, SHADOW_PER_M, 1.0])
+        offset = np.array([0.5 * SHADOW_PX, 0.5 * SHADOW_PX, 100.0]) - scale * (L @ middle)
+        return np.column_stack([scale[:, None] * L, offset])
 
 
 def metered(mean: float, target: float = 0.24) -> float:

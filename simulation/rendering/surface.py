@@ -23,6 +23,7 @@ class Material(IntEnum):
     GLASS = 8
     CLOTH = 9
     FUR = 10
+    BARK = 11
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,12 @@ def merge(surfaces: list[Surface]) -> Surface:
         np.concatenate([s.colors for s in surfaces]), np.concatenate(triangles).astype(np.int32),
         np.concatenate([s.materials for s in surfaces]), np.concatenate([s.cuts for s in surfaces]),
     )  # fmt: skip
+
+
+def arrays_of(surface: Surface) -> tuple[Float32, Float32, Float32, Int32, UInt8, UInt8]:
+    """All arrays, in the order of the fields."""
+    s = surface
+    return s.vertices_m, s.normals, s.colors, s.triangles, s.materials, s.cuts
 
 
 class Cells:

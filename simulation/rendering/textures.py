@@ -52,7 +52,7 @@ def _layers(random: np.random.Generator, layers: tuple[tuple[int, float], ...], 
 
 def _scaled(plane: Float64, deviation: float) -> Float32:
     """About 1 with this deviation, nowhere below 0.1."""
-    return np.maximum(1.0 + deviation * (plane - plane.mean()) / plane.std(), 0.1).astype(np.float32)
+    return np.asarray(np.maximum(1.0 + deviation * (plane - plane.mean()) / plane.std(), 0.1), np.float32)
 
 
 def _pyramid(plane: Float32) -> Float32:
@@ -68,7 +68,7 @@ def texture_layers() -> Float64:
 
     u = scale (x + along (y + z)), v = scale stretch (z + across (y - 0.4 x)); the sixth number is the strength.
     """
-    table = np.full((11, 2, 6), -1.0)
+    table = np.full((12, 2, 6), -1.0)
     # on the ground v must run along y alone, so that it does not stretch on slopes: across is large, stretch small
     flat = 1e4
     table[1] = [[SOIL, 150.0, 0.3, flat, 1.0 / flat, 1.0], [SOIL, 17.0, -0.2, flat, 1.0 / flat, 0.9]]
@@ -76,7 +76,8 @@ def texture_layers() -> Float64:
     table[3] = [[GRAIN, 90.0, 0.3, flat, 1.0 / flat, 1.0], [SOIL, 14.0, -0.2, flat, 1.0 / flat, 0.4]]
     table[4, 0] = [GRASS, 60.0, 0.4, 0.8, 1.0, 1.7]
     table[5, 0] = [GRAIN, 26.0, 0.5, 0.0, 7.0, 1.0]
-    table[6, 0] = [GRAIN, 24.0, 0.5, 0.0, 0.4, 0.4]
+    table[6, 0] = [GRAIN, 24.0, 0.5, 0.0, 0.4, 0.25]
     table[9, 0] = [GRAIN, 70.0, 0.5, 0.7, 1.0, 0.16]
     table[10, 0] = [GRASS, 90.0, 0.4, 0.5, 1.0, 0.4]
+    table[11, 0] = [GRAIN, 120.0, 0.0, 6.0, 0.16, 1.0]
     return table

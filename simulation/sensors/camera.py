@@ -3,7 +3,6 @@
 Pictures are drawn through a pinhole wide enough for the lens, and then bent as Brown's model bends them.
 """
 
-
 import math
 
 import cv2
@@ -14,7 +13,7 @@ from configs.site import Site
 from configs.strict import Config
 from configs.vehicle import Camera, Vehicle
 from geometry.transforms import planar
-from messages.message import Float64, Message, UInt8
+from messages.message import Float64, UInt8
 from messages.sensors import CameraImage
 from simulation.body import machine_mesh
 from simulation.figures import gait_step
@@ -26,6 +25,7 @@ from simulation.rendering.shading import add_noise
 from simulation.rendering.surface import surface_of
 from simulation.rendering.textures import Int8
 from simulation.scenario import CameraEpisode
+from simulation.scene import Scene
 from simulation.sensors.sensor import Moment, period_ns_of
 
 NOISE = 1 << 18  # places at which a picture's noise may begin in what is prepared
@@ -38,7 +38,9 @@ class CameraConfig(Config):
     latency_s: float = Field(ge=0.0, le=1.0, description="from exposure to delivery")
     sky: SkyConfig
     reach_m: float = Field(ge=20.0, le=1000.0, description="to which ground and scenery are drawn")
-    resolution: float = Field(ge=0.3, le=1.0, description="lines that lens and colour filter resolve, per line of pixels")
+    resolution: float = Field(
+        ge=0.3, le=1.0, description="lines that lens and colour filter resolve, per line of pixels"
+    )
     noise: float = Field(ge=0.0, le=20.0, description="sigma in grey levels of 255")
     blurred_px: float = Field(ge=2.0, le=50.0, description="sigma while the lens is blurred")
     exposure: float = Field(gt=0.02, le=0.8, description="mean brightness that the exposure aims at")
@@ -64,7 +66,7 @@ class CameraModel:
         self._stage: Stage | None = None
         self._gain: float | None = None
 
-    def sample(self, moment: Moment) -> Message:
+    def sample(self, moment: Moment) -> CameraImage:
         """The picture taken now."""
         T_map_base = moment.track.back(0)
         eye = Eye(T_map_base @ self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
@@ -76,14 +78,20 @@ class CameraModel:
             T_map_figure = planar(f.p_map_m[0], f.p_map_m[1], f.yaw_rad)
             T_map_figure[2, 3] = f.p_map_m[2]
             moving.append(figure_surface(f.label, gait_step(f.gait), looks).moved(T_map_figure))
-            feet[k] = *f.p_map_m[:2], 0.4 * f.ball_m[1]
-        bgr, mean, gain = self._on_stage(moment).look(eye, moving, feet, self._light, self._gain, self._curve)
+            feet[k] = *f.p_map_m[:2], (0.4 * f.ball_m[1]) ** -2
+        bgr, mean, gain = self._on_stage(moment.scene).look(eye, moving, feet, self._light, self._gain, self._curve)
         self._gain = gain * metered(mean, self._config.exposure)
         return CameraImage(moment.stamp_ns, self._develop(bgr, moment.elapsed_s))
 
-    def _on_stage(self, moment: Moment) -> Stage:
+    def warm(self, scene: Scene) -> None:
+        """Build what stands still, and load what draws."""
+        eye = Eye(self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
+        bgr, _, _ = self._on_stage(scene).look(eye, [self._machine], np.zeros((0, 3)), self._light, None, self._curve)
+        add_noise(bgr, self._noise, 0, np.empty_like(bgr))
+
+    def _on_stage(self, scene: Scene) -> Stage:
         if self._stage is None:
-            still = still_surface(moment.scene.pieces, self._site, self._seed)
+            still = still_surface(scene.pieces, self._site, self._seed)
             self._stage = Stage(still, roof_of(self._site), float(still.vertices_m[:, 2].min()), self._config.reach_m)
         return self._stage
 
@@ -122,7 +130,7 @@ class Lens:
             self.intrinsics[2:] = -low
             self.size_px = int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
             place = (place - low).astype(np.float32)
-            self._maps = cv2.convertMaps(place[..., 0], place[..., 1], cv2.CV_16SC2)  # type: ignore[assignment]
+            self._maps = cv2.convertMaps(place[..., 0], place[..., 1], cv2.CV_16SC2)
 
     def bend(self, bgr: UInt8) -> UInt8:
         """The lens's picture from that of the pinhole."""
