@@ -67,7 +67,8 @@ class Drive:
         forward = np.sign(self.watch.truth.speed_mps)
         lidars = self.setup.vehicle.sensors.lidar.items()
         looks = {name: np.cos(np.radians(one.mount.rpy_deg[2])) * forward > 0.0 for name, one in lidars}
-        return tuple(f"lidar/{name}" for name, does in looks.items() if not does)
+        away = [name for name, does in looks.items() if not does]
+        return tuple(topic for name in away for topic in (f"lidar/{name}", f"node/lidar_{name}"))
 
 
 def main(arguments: argparse.Namespace) -> int:

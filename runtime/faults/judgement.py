@@ -27,8 +27,9 @@ class Cell:
     def is_needed(self, config: CampaignConfig, idle: Iterable[str]) -> bool:
         """Whether the machine must stop; `idle` are sensors that this situation does without."""
         family = self.topic if self.topic.startswith("can/") else self.topic.partition("/")[0]
-        is_known = family in config.needed and self.topic not in idle
-        return is_known and self.kind in config.silent_kinds
+        is_known = family in config.needed and self.topic not in idle and not self.topic.startswith(config.spare)
+        cannot_tell = self.kind is FaultKind.REPEATED and self.topic in config.uncounted
+        return is_known and self.kind in config.silent_kinds and not cannot_tell
 
     @property
     def max_age_s(self) -> float:

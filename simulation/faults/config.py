@@ -79,6 +79,8 @@ class CampaignConfig(Config):
     largest_error_m: float = Field(gt=0.0, le=5.0)
     needed: tuple[str, ...]
     silent_kinds: frozenset[FaultKind]
+    spare: tuple[str, ...]
+    uncounted: frozenset[str]
     bridged: dict[str, Annotated[float, Field(gt=0.0, le=120.0)]]
     names: dict[str, tuple[str, ...]]
 

@@ -1,0 +1,268 @@
+"""Mutated frames, NMEA lines, configuration files and log bytes: no crash, and nothing wrong is accepted.
+
+    .venv/bin/python benchmarks/fuzz.py [--count 1000000] [--seed 1]
+
+What is printed at the end are the numbers tried, refused and accepted. A crash ends it with its trace; so does what is
+accepted and cannot be right: a value outside what its format can hold, a frame or line whose checksum does not fit, a
+configuration beyond its bounds, a message that nobody wrote.
+"""
+
+import argparse
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from configs.mission import Mission
+from configs.site import Site
+from configs.strict import CONFIGS, Config, load, parse
+from datasets.log import LogConfig, LogWriter
+from datasets.reader import read_log
+from interfaces.gnss.nmea import NmeaReader
+from interfaces.gnss.sentence import BadSentence
+from interfaces.gnss.sentence import parse as parse_sentence
+from interfaces.incoming import Incoming
+from interfaces.isobus.checksum import checksum, seal
+from messages.errors import HeadlandError
+from messages.message import Envelope
+from messages.sensors import GnssFix, WheelSample
+from simulation.scenario import Scenario
+
+MS = 1_000_000
+OWN, TRACTOR = 28, 240
+FRAMES = (  # identifier and content of what a tractor sends; the cab's two are sealed
+    (0x0CAC00F0 | OWN << 8, bytes.fromhex("807d150000ffffff")),
+    (0x0CFE48F0, bytes.fromhex("d00700000000fffd")),
+    (0x0CFE45F0, bytes.fromhex("c840ffffffffffff")),
+    (0x0CFE43F0, bytes.fromhex("e010ffff40ffffff")),
+    (0x0CF0E4F0, bytes([7])),
+    (0x0CEF00F0 | OWN << 8, seal(0x0CEF00F0 | OWN << 8, bytes.fromhex("01007d007d007d"), 3)),
+    (0x0CEF00F0 | OWN << 8, seal(0x0CEF00F0 | OWN << 8, bytes.fromhex("020000ff1401c0")[:7], 4)),
+)
+LINES = (
+    "GNGGA,101112.30,5130.69000,N,00603.75000,E,4,21,0.7,24.100,M,46.500,M,1.2,0001",
+    "GNRMC,101112.30,A,5130.69000,N,00603.75000,E,5.40,090.00,211126,,,R",
+    "GNGST,101112.30,0.01,,,,0.008,0.009,0.015",
+    "GNVTG,90.0,T,,M,5.40,N,10.0,K,R",
+    "GNHDT,90.5,T",
+)
+FILES: tuple[tuple[type[Config], str], ...] = (
+    (Mission, "missions/demo.yaml"), (Scenario, "scenarios/demo.yaml"), (Site, "sites/demo.yaml"),
+)  # fmt: skip
+
+
+class Wrong(AssertionError):
+    """Something was accepted that cannot be right."""
+
+
+@dataclass
+class Count:
+    """What became of the inputs of one kind."""
+
+    tried: int = 0
+    accepted: int = 0
+
+    def add(self, is_accepted: bool) -> None:
+        self.tried += 1
+        self.accepted += is_accepted
+
+
+def mutated(data: bytes, random: np.random.Generator) -> bytes:
+    """Data with one to four changes: a bit, a byte, a cut, a doubling, a swap."""
+    broken = bytearray(data)
+    for _ in range(int(random.integers(1, 5))):
+        if not broken:
+            return bytes(random.bytes(3))
+        k, how = int(random.integers(len(broken))), int(random.integers(6))
+        if how == 0:
+            broken[k] ^= 1 << int(random.integers(8))
+        elif how == 1:
+            broken[k] = int(random.integers(256))
+        elif how == 2:
+            del broken[k : k + int(random.integers(1, 9))]
+        elif how == 3:
+            broken[k:k] = broken[k : k + int(random.integers(1, 9))]
+        elif how == 4:
+            broken[k:k] = random.bytes(int(random.integers(1, 5)))
+        else:
+            other = int(random.integers(len(broken)))
+            broken[k], broken[other] = broken[other], broken[k]
+    return bytes(broken)
+
+
+def fuzz_frames(count: int, random: np.random.Generator) -> Count:
+    """Frames on the machine's bus, into what the gateway reads them with."""
+    result, incoming, now_ns = Count(), Incoming(TRACTOR), 0
+    for _ in range(count):
+        identifier, data = FRAMES[int(random.integers(len(FRAMES)))]
+        data = mutated(data, random)[:8]
+        if random.random() < 0.2:
+            identifier ^= 1 << int(random.integers(29))
+        now_ns += MS
+        rejected = incoming.rejected
+        incoming.take(now_ns, OWN, identifier, data)
+        _check_state(incoming.state(now_ns), (identifier, data))
+        is_cab = now_ns in (incoming.cab_ns, incoming.hand_ns, incoming.fold_ns)
+        if is_cab and checksum(identifier, data) != data[7] >> 4:
+            raise Wrong(f"frame {identifier:08x} {data.hex()} was taken against its checksum")
+        incoming.claims, incoming.is_claim_requested = [], False
+        result.add(incoming.rejected == rejected)
+    return result
+
+
+BOUNDS = {
+    "speed_mps": 64.3, "curvature_radpm": 8.1, "hitch": 1.01, "fold": 1.01, "pto_radps": 850.0, "brake_pedal": 1.01,
+    "hand_torque_nm": 323.0, "hand_rate_radps": 33.0, "hand_angle_rad": 33.0, "supply_v": 3213.0,
+}  # fmt: skip
+
+
+def _check_state(state: object, given: object) -> None:
+    for name, bound in BOUNDS.items():
+        value = getattr(state, name)
+        if not abs(value) <= bound:
+            raise Wrong(f"{given}: {name} = {value}")
+
+
+def fuzz_lines(count: int, random: np.random.Generator) -> Count:
+    """Lines of a receiver, whole epochs at a time."""
+    result, nmea = Count(), NmeaReader("HDT", 0, 0.002)
+    for k in range(count):
+        line = mutated(_line(LINES[int(random.integers(len(LINES)))]), random)
+        if random.random() < 0.3:  # what a checksum cannot find must be found by what the fields may hold
+            line = _line(mutated(line[1:-5], random).decode("latin-1"))
+        for fix in nmea.take(k * MS, line + b"\r\n"):
+            _check_fix(fix, line)
+        try:
+            sentence = parse_sentence(line)
+        except BadSentence:
+            result.add(False)
+            continue
+        if not sentence.formatter.isalpha():
+            raise Wrong(f"{line!r} was taken as {sentence}")
+        result.add(True)
+    return result
+
+
+def _line(body: str) -> bytes:
+    data, total = body.encode("latin-1"), 0
+    for byte in data:
+        total ^= byte
+    return b"$" + data + f"*{total:02X}".encode()
+
+
+def _check_fix(fix: GnssFix, line: bytes) -> None:
+    place = abs(fix.latitude_rad) <= 0.5 * math.pi and abs(fix.longitude_rad) <= math.pi and abs(fix.height_m) < 2e5
+    is_empty = fix.solution == 0 and math.isnan(fix.latitude_rad)
+    sigmas = [*fix.sigma_enu_m, fix.hdop, fix.correction_age_s]
+    is_speed = not np.hypot(*fix.velocity_enu_mps[:2]) > 210.0
+    if not (place or is_empty or fix.solution == 0) or any(s < 0.0 for s in sigmas) or not is_speed:
+        raise Wrong(f"{line!r} became {fix}")
+
+
+def fuzz_files(count: int, random: np.random.Generator) -> Count:
+    """Configuration files: refused with an error of ours, or within all bounds."""
+    result = Count()
+    texts = [(cls, (CONFIGS / name).read_bytes()) for cls, name in FILES]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "file.yaml"
+        for _ in range(count):
+            cls, text = texts[int(random.integers(len(texts)))]
+            path.write_bytes(mutated(text, random))
+            try:
+                config = load(cls, path)
+            except HeadlandError:
+                result.add(False)
+                continue
+            _check_config(config, path.read_bytes())
+            result.add(True)
+    return result
+
+
+def _check_config(config: Config, text: bytes) -> None:
+    """Every number finite, and the whole valid again when read from what it says."""
+    for value in _leaves(config.model_dump()):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise Wrong(f"{text!r}: {value} in a configuration")
+    again = parse(type(config), yaml.safe_load(yaml.safe_dump(config.model_dump(mode="json"))), "again")
+    if again != config:
+        raise Wrong(f"{text!r}: does not say what it holds")
+
+
+def _leaves(value: object) -> Iterator[object]:
+    if isinstance(value, dict):
+        for inner in value.values():
+            yield from _leaves(inner)
+    elif isinstance(value, list | tuple):
+        for inner in value:
+            yield from _leaves(inner)
+    else:
+        yield value
+
+
+def fuzz_logs(count: int, random: np.random.Generator) -> Count:
+    """Bytes of a log: what is read of it is what was written."""
+    result = Count()
+    with tempfile.TemporaryDirectory() as folder:
+        whole, path = Path(folder) / "whole.mcap", Path(folder) / "log.mcap"
+        config = LogConfig(chunk_kib=16, flush_s=0.1, sync_s=100.0, min_free_mb=0.0)
+        with LogWriter(whole, {"about": {"seed": "1"}}, config) as log:
+            for k in range(30):
+                log.write(Envelope("wheel", k, 20 * k * MS, WheelSample(20 * k * MS, 0.1 * k, -0.01 * k)))
+        written = {_plain(envelope) for envelope in read_log(whole)}
+        data = whole.read_bytes()
+        for _ in range(count):
+            path.write_bytes(mutated(data, random))
+            try:
+                found = {_plain(envelope) for envelope in read_log(path)}
+            except HeadlandError:
+                result.add(False)
+                continue
+            if not found <= written:
+                raise Wrong(f"{path.read_bytes().hex()}: {(found - written).pop()} was never written")
+            result.add(found == written)
+    return result
+
+
+def _plain(envelope: Envelope) -> tuple[object, ...]:
+    message = envelope.message
+    values = tuple(getattr(message, f.name) for f in fields(message))
+    return (envelope.topic, envelope.sequence, envelope.receive_ns, *values)
+
+
+Fuzz = Callable[[int, np.random.Generator], Count]
+KINDS: dict[
+    str, tuple[Fuzz, float]
+] = {  # with its share of the count: a file takes a thousand times as long as a frame
+    "frames": (fuzz_frames, 0.5),
+    "lines": (fuzz_lines, 0.35),
+    "files": (fuzz_files, 0.05),
+    "logs": (fuzz_logs, 0.1),
+}
+
+
+def main() -> None:
+    """Run all kinds and print the counts."""
+    words = argparse.ArgumentParser(description="mutated inputs: no crash, nothing wrong accepted")
+    words.add_argument("--count", type=int, default=1_000_000, help="of all kinds together")
+    words.add_argument("--seed", type=int, default=1)
+    arguments = words.parse_args()
+    total = 0
+    for k, (name, (fuzz, share)) in enumerate(KINDS.items()):
+        began_s = time.monotonic()
+        found = fuzz(round(arguments.count * share), np.random.default_rng([arguments.seed, k]))
+        total += found.tried
+        told = f"{found.tried} tried, {found.tried - found.accepted} refused, {found.accepted} accepted as right"
+        print(f"{name}: {told}; {time.monotonic() - began_s:.0f} s")
+    print(f"{total} mutated inputs: no crash, nothing wrong accepted")
+
+
+if __name__ == "__main__":
+    main()
