@@ -258,3 +258,9 @@ def test_frames_and_trail() -> None:
     assert all(math.isnan(angle) or angle == 0.0 for angle in tilt_of(np.full((4, 4), np.nan)))
     with pytest.raises(ValueError, match="empty"):
         Trail().pose_at(0)
+
+
+def test_a_larger_thing_that_moves_is_no_piece_of_a_smaller_that_stands(sweep: Sweep, config: SafetyConfig) -> None:
+    stands = replace(track(10.0, 5.2, label=ObstacleClass.UNKNOWN, size=(1.6, 1.6, 1.5)), id=2)
+    comes = track(10.0, 5.0, vy=-1.8, label=ObstacleClass.VEHICLE, size=(3.0, 1.7, 1.5))
+    assert gap(sweep, config, stands, comes) < 9.0

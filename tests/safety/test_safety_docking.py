@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from safety_world import ROOT, Box, World, around, situation_of, straight_path
+from safety_world import ROOT, Box, Target, World, around, situation_of, straight_path
 
 from configs.site import Pose2, Site
 from configs.strict import load
@@ -17,9 +17,11 @@ from messages.plan import Leg, Path, Stretch
 from safety.config import SafetyConfig
 from safety.fence import bay_rings, fence_of, is_within, way_across
 from safety.rules import RULES
+from safety.sensing import Lost
 from safety.supervisor import Supervisor
 from safety.survey import Survey, survey_of
 from safety.sweep import arc_poses, spaced, sweep_along
+from safety.tracked import is_part_of_walls
 
 REAR_M = 2.4
 DOCK_KMH = 1.8
@@ -203,6 +205,28 @@ def test_tracks_of_walls_are_no_obstacles_but_people_are(shed_world: World, site
     shed_world.run(1.5)
     assert shed_world.mode == Mode.OBSTACLE_STOP
     assert shed_world.state.cause_class is ObstacleClass.PERSON
+
+
+def test_an_ultrasonic_sensor_lost_at_the_dock_slows_further(config: SafetyConfig) -> None:
+    lost = (Lost("ultrasonic", "ultrasonic/rear.silent", ""),)
+    assert RULES["sensing"](docking_situation(config, lost=lost)).speed_limit_mps == pytest.approx(0.25)
+    radar = (Lost("radar", "radar/front.silent", ""),)
+    assert RULES["sensing"](docking_situation(config, lost=radar)).speed_limit_mps > 0.5
+
+
+def test_echoes_of_surveyed_walls_are_explained(shed_world: World, config, full, implement, site, survey) -> None:
+    world = at_shed(World(Supervisor(full, implement, config, fence_of(site), (), survey=survey), full,
+                          straight_path()), site, "wide", -1)  # fmt: skip
+    world.targets = (Target(-8.9, -40.0, rcs_dbsm=-60.0, is_heard=True),)
+    drive_in(world)
+    assert world.mode == Mode.AUTOMATIC
+    assert world.x_m == pytest.approx(-5.9, abs=0.1)
+
+
+def test_a_track_nowhere_is_no_wall() -> None:
+    nowhere = Track(1, ObstacleClass.PERSON, 0.9, np.full(3, math.nan), np.zeros(3), np.eye(4), np.ones(3), 0.0, 0, 1,
+                    True, ())  # fmt: skip
+    assert not is_part_of_walls(nowhere, lambda points: np.ones(len(points), bool), 2.0)
 
 
 def test_distances_to_what_is_surveyed(survey: Survey) -> None:

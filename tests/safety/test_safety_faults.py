@@ -8,19 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from safety_world import ROOT, START_NS, World, around, situation_of
+from safety_world import ROOT, START_NS, World, around, situation_of, straight_path
 
 from configs.strict import parse, read_yaml
 from messages.command import Mode, Order
 from messages.errors import ConfigError
 from messages.faults import Response
-from messages.perception import ObstacleClass
+from messages.perception import ObstacleClass, Track
 from safety.brake_test import BrakeTest, Phase
 from safety.config import BrakeTestConfig, ProvenConfig, SafetyConfig
 from safety.field import Gap
-from safety.rules import RULES
+from safety.rules import OBSTACLE_RULES, RULES
 from safety.sensing import Lost
 from safety.stopping import on_grade, stopping_distance
+from safety.supervisor import Observation, Supervisor
 from safety.tracked import Threat
 from safety.watchdog import age_of, silent
 
@@ -267,3 +268,29 @@ def test_values_that_contradict_each_other_are_refused(kind, section: str, chang
     values = getattr(CONFIG, section).model_dump() | changes
     with pytest.raises(ConfigError, match=r"never reached|good_share"):
         parse(kind, values, "test")
+
+
+def test_a_supervisor_that_looks_on_keeps_its_mode_and_commands_nothing(config, thin, implement, fence) -> None:
+    not_judged = frozenset(RULES) - OBSTACLE_RULES
+    observer = Supervisor(thin, implement, config, fence, (), not_judged, observation=Observation(False))
+    assert observer.writes == ("supervisor",)
+    world = World(observer, thin, straight_path())
+    world.run(0.4)
+    assert world.mode == Mode.AUTOMATIC
+    assert world.command is None
+    assert world.supervisor._lookout.way.arc is None
+    assert len(world.state.hits_base_m) == 0
+    person = Track(4, ObstacleClass.PERSON, 0.9, np.array([6.0, 0.0, 0.8]), np.zeros(3), np.eye(4) * 0.01,
+                   np.array([0.5, 0.5, 1.7]), 0.0, START_NS, START_NS, True, ("camera_front",))  # fmt: skip
+    world.tracks = (person,)
+    world.order(Order.MANUAL)
+    world.run(0.4)
+    assert world.mode == Mode.AUTOMATIC
+    assert world.state.hits_base_m[:, 0].mean() == pytest.approx(6.0, abs=0.1)
+
+
+def test_before_any_lidar_has_looked_nothing_is_free(world: World) -> None:
+    world.mute |= {"lidar/front", "lidar/rear"}
+    world.run(0.4)
+    assert world.supervisor._lookout.gap() is None
+    assert "obstacle.unseen" in {rule.code for rule in world.state.rules}
