@@ -169,12 +169,12 @@ class Commander:
         return machine.is_hitch_in_work if machine is not None else was_lowered, False
 
     def _fold(self, moment: Moment, standing_s: float, is_lowered: bool) -> bool:
-        """As wished while driving by itself, standing, with the hitch raised; else as commanded last, or found."""
+        """As wished while driving by itself, standing, with the hitch raised; else as commanded last, or measured."""
         machine, wish = moment.machine, moment.wish
-        if self._is_folded is None and machine is not None:
-            self._is_folded = machine.fold >= 0.5
         is_raised = machine is not None and not machine.is_hitch_in_work and not is_lowered
         is_still = standing_s >= self._config.modes.fold_after_s
         if moment.mode is Mode.AUTOMATIC and wish is not None and is_raised and is_still:
             self._is_folded = wish.is_implement_folded
-        return bool(self._is_folded)
+        if self._is_folded is None:
+            return machine is not None and machine.fold >= 0.5
+        return self._is_folded
