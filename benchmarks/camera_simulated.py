@@ -67,8 +67,11 @@ class _Still:
         self.track.append(T_map_base)
 
 
-def shots(seed: int, camera: Camera = CAMERA, order: tuple[ObstacleClass | None, ...] = ORDER) -> Iterator[Shot]:
-    """The pictures of one world."""
+def shots(
+    seed: int, camera: Camera = CAMERA, order: tuple[ObstacleClass | None, ...] = ORDER,
+    between_m: tuple[float, float] = (NEAR_M, FAR_M),
+) -> Iterator[Shot]:  # fmt: skip
+    """The pictures of one world, with figures at these distances."""
     config = parse(SimulationConfig, read_yaml(CONFIGS / "stack.yaml")["simulation"], "stack.yaml")
     site, vehicle = load(Site, find("sites", "demo")), load(Vehicle, find("machines", "tractor_e"))
     terrain = Terrain(site, config.terrain, seed)
@@ -78,7 +81,7 @@ def shots(seed: int, camera: Camera = CAMERA, order: tuple[ObstacleClass | None,
     machine: Machine = None  # type: ignore[assignment]  # a camera does not look at it
     for k, label in enumerate(order):
         T_map_base = draw_pose(terrain, random)
-        figure, distance_m = draw_figure(100 * seed + k, label, T_map_base, terrain, camera, random)
+        figure, distance_m = draw_figure(100 * seed + k, label, between_m, T_map_base, terrain, camera, random)
         scene.figures = () if figure is None else (figure,)
         still = _Still(T_map_base)
         message = model.sample(Moment(k, float(k), still.track, machine, scene))
@@ -99,14 +102,14 @@ def draw_pose(terrain: Terrain, random: np.random.Generator) -> Float64:
 
 
 def draw_figure(
-    id: int, label: ObstacleClass | None, T_map_base: Float64, terrain: Terrain, camera: Camera,
-    random: np.random.Generator,
+    id: int, label: ObstacleClass | None, between_m: tuple[float, float], T_map_base: Float64, terrain: Terrain,
+    camera: Camera, random: np.random.Generator,
 ) -> tuple[Figure | None, float]:  # fmt: skip
     """Somebody before the camera, wholly in the picture, and how far."""
     if label is None:
         return None, math.nan
     while True:
-        distance, bearing = random.uniform(NEAR_M, FAR_M), math.radians(random.uniform(-36.0, 36.0))
+        distance, bearing = random.uniform(*between_m), math.radians(random.uniform(-36.0, 36.0))
         gait = -1.0 if random.random() < 0.4 else float(random.random())
         yaw = float(random.uniform(-math.pi, math.pi))
         ahead, left = distance * math.cos(bearing), distance * math.sin(bearing)

@@ -22,19 +22,18 @@ WHEEL_M, ARCH_M = 0.32, 0.35
 @cache
 def car(is_fine: bool) -> tuple[Part, ...]:
     """All parts."""
-    sides, more = (40, 3) if is_fine else (24, 1)
+    sides, more = (40, 3) if is_fine else (20, 1)
     parts = [Part(tube(BODY, sides, 12 * more, power=4.5, axis=(1.0, 0.0, 0.0)), "paint"),
              Part(tube(CABIN, sides, 4 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "glass"),
              Part(tube(ROOF, sides, 5 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "paint")]  # fmt: skip
     for x in (1.2, -1.2):
         for s in (1.0, -1.0):
-            parts += [Part(disc((x, 0.717 * s, WHEEL_M + 0.035), 0.10, ARCH_M, 20), "eyes"),
-                      Part(disc((x, 0.73 * s, WHEEL_M), 0.10, WHEEL_M, 20), "rubber")]  # fmt: skip
+            parts += [Part(disc((x, 0.717 * s, WHEEL_M + 0.035), 0.10, ARCH_M, 16), "eyes"),
+                      Part(disc((x, 0.73 * s, WHEEL_M), 0.10, WHEEL_M, 16), "rubber")]  # fmt: skip
             if is_fine:
                 parts.append(Part(disc((x, 0.824 * s, WHEEL_M), 0.01, 0.19, 16), "rim"))
-    if is_fine:
-        parts += _pillars() + _trim()
-    return tuple(parts)
+    parts += _pillars() + _mirrors(more)
+    return tuple(parts + _trim() if is_fine else parts)
 
 
 def disc(center: tuple[float, float, float], half_width: float, radius: float, sides: int) -> Mesh:
@@ -50,32 +49,37 @@ def _pillars() -> list[Part]:
     """Painted posts at the corners and between the doors, on the glass."""
     posts = []
     for s in (1.0, -1.0):
-        for (x0, y0), (x1, y1), half in (((0.98, 0.70), (0.35, 0.585), 0.035), ((-0.35, 0.745), (-0.40, 0.625), 0.045),
-                                         ((-1.62, 0.70), (-1.40, 0.585), 0.09)):  # fmt: skip
-            ends = ((x0, y0 * s, 0.94, half, 0.02), (x0, y0 * s, 0.95, half, 0.02), (x1, y1 * s, 1.52, half, 0.02),
-                    (x1, y1 * s, 1.53, half, 0.02))  # fmt: skip
-            posts.append(Part(tube(ends, 8, 6), "paint"))
+        for (x0, y0), (x1, y1), half in (((0.83, 0.65), (0.27, 0.525), 0.03), ((-0.36, 0.755), (-0.44, 0.615), 0.045),
+                                         ((-1.55, 0.665), (-1.34, 0.54), 0.07)):  # fmt: skip
+            ends = ((x0, y0 * s, 0.93, half, 0.018), (x0, y0 * s, 0.94, half, 0.018), (x1, y1 * s, 1.50, half, 0.018),
+                    (x1, y1 * s, 1.51, half, 0.018))  # fmt: skip
+            posts.append(Part(tube(ends, 8, 4), "paint"))
     return posts
 
 
-def _trim() -> list[Part]:
-    def slab(x: float, y: float, z: float, half_y: float, half_z: float, region: str) -> Part:
-        keys = ((x - 0.02, y, z, half_z, half_y), (x - 0.019, y, z, half_z, half_y), (x + 0.02, y, z, half_z, half_y))
-        return Part(tube(keys, 16, 3, power=4.0), region)
-
-    parts = [slab(1.885, 0.0, 0.36, 0.55, 0.08, "eyes"), slab(-1.885, 0.0, 0.36, 0.6, 0.08, "eyes"),
-             slab(1.90, 0.0, 0.46, 0.24, 0.05, "white"), slab(-1.90, 0.0, 0.62, 0.24, 0.055, "white"),
-             slab(1.885, 0.0, 0.60, 0.36, 0.045, "eyes")]  # fmt: skip
+def _mirrors(more: int) -> list[Part]:
+    found = []
     for s in (1.0, -1.0):
-        parts += [slab(1.83, 0.58 * s, 0.62, 0.13, 0.06, "lamp"), slab(-1.87, 0.62 * s, 0.76, 0.08, 0.11, "tail")]
-        mirror = (
-            (0.72, 0.72 * s, 1.02, 0.06, 0.04),
-            (0.70, 0.78 * s, 1.04, 0.06, 0.07),
-            (0.70, 0.83 * s, 1.04, 0.02, 0.02),
-        )
-        parts.append(Part(tube(mirror, 10, 4, aside=(1.0, 0.0, 0.0)), "paint"))
-        door = ((-0.39, 0.819 * s, 0.40, 0.006, 0.004), (-0.39, 0.819 * s, 0.90, 0.006, 0.004))
-        parts.append(Part(tube(door, 6, 3), "eyes"))
-        handle = ((-0.30, 0.822 * s, 0.80, 0.012, 0.01), (-0.12, 0.822 * s, 0.80, 0.012, 0.01))
-        parts.append(Part(tube(handle, 6, 3), "eyes"))
+        keys = ((0.72, 0.70 * s, 1.00, 0.04, 0.04), (0.70, 0.77 * s, 1.03, 0.06, 0.07),
+                (0.70, 0.82 * s, 1.03, 0.05, 0.06), (0.70, 0.83 * s, 1.03, 0.02, 0.02))  # fmt: skip
+        found.append(Part(tube(keys, 8, 4 * more, axis=(0.0, s, 0.0), aside=(1.0, 0.0, 0.0)), "paint"))
+    return found
+
+
+def _slab(x: float, y: float, z: float, half_y: float, half_z: float, region: str) -> Part:
+    """A plate on the front or the rear."""
+    keys = ((x - 0.02, y, z, half_z, half_y), (x - 0.019, y, z, half_z, half_y), (x + 0.02, y, z, half_z, half_y))
+    return Part(tube(keys, 16, 3, power=4.0), region)
+
+
+def _trim() -> list[Part]:
+    """What only the eye sees: bumpers, plates, grille, lamps, the line of the door and its handle."""
+    parts = [_slab(1.875, 0.0, 0.40, 0.50, 0.05, "eyes"), _slab(-1.87, 0.0, 0.44, 0.55, 0.05, "eyes"),
+             _slab(1.885, 0.0, 0.47, 0.24, 0.045, "white"), _slab(-1.885, 0.0, 0.62, 0.24, 0.055, "white"),
+             _slab(1.875, 0.0, 0.58, 0.36, 0.035, "eyes")]  # fmt: skip
+    for s in (1.0, -1.0):
+        parts += [_slab(1.82, 0.54 * s, 0.60, 0.12, 0.055, "lamp"), _slab(-1.855, 0.58 * s, 0.72, 0.07, 0.09, "tail")]
+        door = ((-0.39, 0.815 * s, 0.42, 0.006, 0.004), (-0.39, 0.815 * s, 0.76, 0.006, 0.004))
+        handle = ((-0.30, 0.812 * s, 0.74, 0.012, 0.01), (-0.12, 0.812 * s, 0.74, 0.012, 0.01))
+        parts += [Part(tube(door, 6, 3), "eyes"), Part(tube(handle, 6, 3), "eyes")]
     return parts

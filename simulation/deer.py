@@ -28,7 +28,7 @@ HEAD: Keys = (
 def deer(step: int, is_fine: bool) -> tuple[Part, ...]:
     """All parts at a step of the gait (a trot: legs move crosswise), standing below 0."""
     sides, more = (20, 3) if is_fine else (10, 1)
-    parts = [Part(tube(BODY, sides, 8 * more), "coat"), Part(tube(NECK, sides, 5 * more), "coat"),
+    parts = [Part(tube(BODY, sides, 9 * more, axis=(1.0, 0.0, 0.0)), "coat"), Part(tube(NECK, sides, 5 * more), "coat"),
              Part(tube(HEAD, sides, 6 * more), "coat"),
              Part(blob((-0.515, 0.0, 0.73), (0.03, 0.085, 0.10), 10, 6), "white")]  # fmt: skip
     for side in (1.0, -1.0):

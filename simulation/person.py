@@ -52,8 +52,9 @@ def person(step: int, is_fine: bool) -> tuple[Part, ...]:
     """All parts at a step of the gait, standing below 0; its lowest sole is on the ground."""
     sides, more = (24, 3) if is_fine else (10, 1)
     trunk = [
-        Part(tube(TROUSERS, sides, 5 * more + 1), "trousers"), Part(tube(JACKET, sides, 9 * more, power=2.3), "jacket"),
-        Part(tube(HEAD, sides, 8 * more), "skin"), Part(tube(HAIR, sides, 6 * more), "hair"),
+        Part(tube(TROUSERS, sides, 5 * more + 1), "trousers"),
+        Part(tube(JACKET, sides, 11 * more, power=2.3), "jacket"), Part(tube(HEAD, sides, 8 * more), "skin"),
+        Part(tube(HAIR, sides, 6 * more), "hair"),
     ]  # fmt: skip
     if is_fine:
         trunk += [Part(tube(NECK, sides, 4), "skin"), *_face()]
@@ -70,11 +71,11 @@ def person(step: int, is_fine: bool) -> tuple[Part, ...]:
 
 def _face() -> list[Part]:
     """Eyes, brows, nose, mouth and ears, on a head that looks ahead."""
-    parts = [Part(blob((0.108, 0.0, 1.605), (0.022, 0.014, 0.026), 10, 7), "skin"),
+    parts = [Part(blob((0.104, 0.0, 1.605), (0.020, 0.014, 0.026), 10, 7), "skin"),
              Part(blob((0.098, 0.0, 1.562), (0.008, 0.024, 0.006), 10, 5), "lips")]  # fmt: skip
     for s in (1.0, -1.0):
         parts += [Part(blob((0.099, 0.032 * s, 1.637), (0.008, 0.014, 0.007), 10, 5), "eyes"),
-                  Part(blob((0.102, 0.032 * s, 1.657), (0.008, 0.020, 0.005), 10, 5), "hair"),
+                  Part(blob((0.100, 0.032 * s, 1.657), (0.008, 0.020, 0.005), 10, 5), "hair"),
                   Part(blob((0.005, 0.076 * s, 1.62), (0.022, 0.010, 0.032), 10, 7), "skin")]  # fmt: skip
     return parts
 
