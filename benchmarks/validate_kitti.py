@@ -16,6 +16,15 @@ import time
 from pathlib import Path
 from typing import Any
 
+from configs.strict import CONFIGS, load
+from datasets.importers.excerpt import excerpt
+from datasets.importers.formats import open_recording
+from datasets.importers.recording import Recording
+from datasets.importers.transcript import write_recording
+from datasets.reader import read_log
+from messages.command import Mode, SupervisorState
+from runtime.stack import StackConfig
+
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
 LOG, TRUTH = DATA / "kitti-seq-pcd", DATA / "kitti-tracking-truth"
@@ -31,28 +40,22 @@ def validate(logs: list[Path], *words: str) -> tuple[dict[str, Any], float]:
     return json.loads(done.stdout), time.monotonic() - start
 
 
-def bring(source: Path, out: Path, *words: str) -> Path:
+def bring(recording: Recording, out: Path) -> Path:
     """A recording, or a part of it, as a log of ours."""
-    command = [sys.executable, "-m", "runtime", "import", str(source), "--out", str(out), *words]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    stack = load(StackConfig, CONFIGS / "stack.yaml").datasets
+    write_recording(recording, out, stack.log, stack.viewer)
     return out
 
 
 def demo_cuts(folder: Path, demo: Path, count: int, seconds: float) -> list[Path]:
-    """Stretches of a log of the demo, from when braking is first asked for on."""
-    from datasets.reader import read_log
-    from messages.command import Mode, SupervisorState
-
-    states = (e for e in read_log(demo, {"supervisor"}) if isinstance(e.message, SupervisorState))
-    first = next(states)
-    stops = (e.receive_ns for e in states if e.message.mode is Mode.OBSTACLE_STOP)  # type: ignore[attr-defined]
-    begin_s = (next(stops) - first.receive_ns) * 1e-9 - 8.0
-    near = bring(demo, folder / "near.mcap", "--from", str(begin_s), "--to", str(begin_s + count * 0.5 + seconds))
+    """Stretches of a log of the demo, from shortly before its first obstacle stop on."""
+    states = [e for e in read_log(demo, {"supervisor"}) if isinstance(e.message, SupervisorState)]
+    stop_ns = next(e.receive_ns for e in states if getattr(e.message, "mode", None) is Mode.OBSTACLE_STOP)
+    begin_s = max(0.0, (stop_ns - states[0].receive_ns) * 1e-9 - 8.0)
+    end_s = begin_s + 0.5 * count + seconds
+    near = open_recording(bring(excerpt(open_recording(demo), begin_s, end_s), folder / "near.mcap"))
     times = [0.5 * k for k in range(count)]
-    return [
-        bring(near, folder / f"demo-{k:03d}.mcap", "--from", str(t), "--to", str(t + seconds))
-        for k, t in enumerate(times)
-    ]
+    return [bring(excerpt(near, t, t + seconds), folder / f"demo-{k:03d}.mcap") for k, t in enumerate(times)]
 
 
 def cuts(folder: Path, count: int, frames: int, demo: Path | None) -> list[Path]:
@@ -64,7 +67,7 @@ def cuts(folder: Path, count: int, frames: int, demo: Path | None) -> list[Path]
         for number in range(k % (40 - frames), k % (40 - frames) + frames):
             (path / "frames" / f"{number:06d}.npz").symlink_to(LOG / "frames" / f"{number:06d}.npz")
         out.append(path)
-    whole = bring(out[-1], folder / "whole.mcap").read_bytes()
+    whole = bring(open_recording(out[-1]), folder / "whole.mcap").read_bytes()
     (folder / "truncated.mcap").write_bytes(whole[: len(whole) // 2])
     (folder / "empty.mcap").write_bytes(b"")
     (folder / "nolidar.log").write_text("(1.000000) can0 123#0011\n")

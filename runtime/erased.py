@@ -25,12 +25,14 @@ def erase(prepared: Prepared, name: str) -> Prepared:
     things: list[tuple[int, TrueObject]] = []
     machines: list[TrueMachine] = []
     known: set[str] = set()
-    for _, topic, message in prepared.recording.read():
+    for topic, message in prepared.found.truth:
         if isinstance(message, TrueObjects) and topic == prepared.truth_topic:
             known |= {thing.role or thing.label.value for thing in message.objects}
             things += [(message.stamp_ns, t) for t in message.objects if name in (t.role, t.label.value, str(t.id))]
         elif isinstance(message, TrueMachine):
             machines.append(message)
+    things.sort(key=lambda o: o[0])
+    machines.sort(key=lambda m: m.stamp_ns)
     if not things:
         raise LogError(f"--without {name}: the truth has no such object (it has {', '.join(sorted(known)) or 'none'})")
     lidars = {n: lidar.mount.T_base_sensor for n, lidar in prepared.machine.vehicle.sensors.lidar.items()}

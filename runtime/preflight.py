@@ -16,6 +16,7 @@ from geometry.transforms import Float64, invert, rpy_of
 from messages.errors import ConfigError, LogError
 from messages.message import Message
 from messages.sensors import WheelSample
+from messages.truth import TrueMachine, TrueObjects
 
 EXAMPLE = """\
 name: a name
@@ -44,6 +45,7 @@ IDLE: dict[str, Any] = {
 }  # fmt: skip
 BODY = ("front_m", "rear_m", "width_m", "height_m")
 LIDAR = ("mount.xyz_m", "elevation_deg", "columns", "rate_hz", "range_m", "range_sigma_m")
+LONGEST_PAUSE_NS = 3600 * 10**9
 BASE_FRAMES = ("base", "base_link", "base_footprint")
 CHILD_FRAMES = (*BASE_FRAMES, "")
 
@@ -83,7 +85,7 @@ class Survey:
     first_ns: int | None = None
     last_ns: int = 0
     moved_ns: int | None = None
-    lidar_ns: list[int] = field(default_factory=list)
+    truth: list[tuple[str, Message]] = field(default_factory=list)
 
     @property
     def span_s(self) -> float:
@@ -108,6 +110,13 @@ def survey(recording: Recording) -> Survey:
     """Read a log once; raises LogError when it holds nothing or no lidar."""
     out = Survey()
     for receive_ns, topic, message in recording.read():
+        if out.first_ns is not None and abs(receive_ns - out.last_ns) > LONGEST_PAUSE_NS:
+            raise LogError(
+                f"{recording.path}: topic {topic!r} was received at {receive_ns} ns, "
+                f"{(receive_ns - out.last_ns) * 1e-9:+.0f} s against the message before; no clock does that"
+            )
+        if isinstance(message, TrueMachine | TrueObjects):
+            out.truth.append((topic, message))
         out.first_ns = receive_ns if out.first_ns is None else min(out.first_ns, receive_ns)
         out.last_ns = max(out.last_ns, receive_ns)
         out.streams.setdefault(topic, Stream(topic)).add(receive_ns, message)
@@ -267,34 +276,3 @@ def pose_between(about: Description, parent: str, child: str) -> Float64 | None:
                 known[other] = known[frame] @ T
                 queue.append(other)
     return known.get(child) if parent in links or parent == child else None
-
-
-def rows_of(found: Survey, needed: dict[str, str]) -> list[dict[str, Any]]:
-    """The table: one row a topic that is needed or there, with what it is needed for ("" = not used)."""
-    rows = []
-    for topic in sorted({*needed, *found.streams}):
-        stream = found.streams.get(topic)
-        rows.append({
-            "topic": topic,
-            "needed_for": needed.get(topic, ""),
-            "found": stream is not None,
-            "count": 0 if stream is None else stream.count,
-            "rate_hz": None if stream is None or stream.rate_hz is None else round(stream.rate_hz, 2),
-            "longest_gap_s": None if stream is None else round(stream.longest_gap_s, 3),
-        })  # fmt: skip
-    return rows
-
-
-def render(values: dict[str, Any]) -> str:
-    """The preflight as text."""
-    lines = [f"{values['log']}: {values['format']}, {values['span_s']:.1f} s"]
-    lines.append(f"  {'topic':<30}{'needed for':<26}{'count':>8}{'Hz':>9}{'gap s':>9}")
-    for row in values["topics"]:
-        rate = "—" if row["rate_hz"] is None else f"{row['rate_hz']:.2f}"
-        gap = "—" if row["longest_gap_s"] is None else f"{row['longest_gap_s']:.2f}"
-        count = str(row["count"]) if row["found"] else "missing"
-        lines.append(f"  {row['topic']:<30}{row['needed_for']:<26}{count:>8}{rate:>9}{gap:>9}")
-    lines += [f"  {note}" for note in values["notes"]]
-    lines.append(f"  can be judged: {', '.join(values['judged']) or 'nothing'}")
-    lines += [f"  not shown: {text}" for text in values["not_shown"]]
-    return "\n".join(lines) + "\n"

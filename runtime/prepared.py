@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from configs.strict import CONFIGS, Config, load
+from configs.site import Pose2, Site
+from configs.strict import CONFIGS, Config, load, parse
 from datasets.importers.recording import Recording
 from datasets.reader import LogScan, read_metadata
 from datasets.records import MAGIC
-from geometry.geodesy import Datum
 from localization.scan_odometry import ScanOdometryConfig
 from messages.motion import Odometry
-from runtime.preflight import CHILD_FRAMES, Machine, Survey, find_machine, pose_between, rows_of, survey
+from runtime.preflight import CHILD_FRAMES, Machine, Survey, find_machine, pose_between, survey
+from runtime.preflight_table import rows_of
 from runtime.stack import StackConfig, with_detector
 from runtime.trajectory import (
     is_steady,
@@ -60,6 +61,14 @@ class Source:
 
 
 @dataclass(frozen=True)
+class Place:
+    """The site of a log of ours, and the pose at which the machine was left in its shed (None: outside)."""
+
+    site: Site
+    dock: Pose2 | None
+
+
+@dataclass(frozen=True)
 class Prepared:
     """A log looked through: what it is, whose, and how it will be replayed."""
 
@@ -72,6 +81,7 @@ class Prepared:
     clock_ns: int
     config: Configuration
     damages: tuple[str, ...]
+    place: Place | None
 
     @property
     def half_width_m(self) -> float:
@@ -129,11 +139,12 @@ def prepare(path: FilePath, truth: FilePath | None, vehicle: FilePath | None, co
     found = survey(recording)
     machine = find_machine(recording, found, vehicle, config.replay.vehicles)
     is_own = recording.description.format == "headland" and {"path", "wish"} <= found.streams.keys()
+    place = place_of(path) if recording.description.format == "headland" else None
     truths = [t for t in found.streams if t.partition("/")[0] == "truth_objects"]
     return Prepared(
-        recording, found, machine, find_source(recording, found, machine, config.replay), is_own,
+        recording, found, machine, find_source(recording, found, machine, place, config.replay), is_own,
         truths[0] if truths else None, found.clock_ns(config.replay.clock_s), config,
-        damages_of(path),
+        damages_of(path), place,
     )  # fmt: skip
 
 
@@ -148,12 +159,14 @@ def damages_of(path: FilePath) -> tuple[str, ...]:
     return lost if lost or scan.is_ended else (f"byte {path.stat().st_size}: the log was not closed",)
 
 
-def find_source(recording: Recording, found: Survey, machine: Machine, config: ReplayConfig) -> Source:
+def find_source(
+    recording: Recording, found: Survey, machine: Machine, place: Place | None, config: ReplayConfig
+) -> Source:
     """The best odometry that the log allows."""
     streams, sensors = found.streams, machine.vehicle.sensors
     own = {"imu", "wheel", "gnss/main"} <= streams.keys()
     if own and sensors.imu is not None and sensors.wheels is not None and "main" in sensors.gnss:
-        if found.stood_s >= config.standing_s and datum_of(recording.path) is not None:
+        if found.stood_s >= config.standing_s and place is not None:
             return Source("localizer", "imu wheel gnss/main", "odometry: recomputed by the localizer")
         if {"odom", "map_pose"} <= streams.keys():
             note = "odometry: the log's own, since the machine does not stand at its start and the localizer needs that"
@@ -181,13 +194,15 @@ def child_pose(recording: Recording, machine: Machine, topic: str) -> np.ndarray
     return np.eye(4) if frame in CHILD_FRAMES else None
 
 
-def datum_of(path: FilePath) -> Datum | None:
+def place_of(path: FilePath) -> Place | None:
+    """The place that a log's own configuration names, or None; raises ConfigError for one that cannot be."""
     import yaml
 
-    from configs.site import DatumConfig
-    from configs.strict import parse
-
-    text = read_metadata(path).get("config", {}).get("yaml")
+    text = read_metadata(path).get("config", {}).get("yaml") if path.is_file() else None
     config = yaml.safe_load(text) if text is not None else None
-    site = config.get("site") if isinstance(config, dict) else None
-    return parse(DatumConfig, site["datum"], f"{path}: site.datum").datum if isinstance(site, dict) else None
+    if not isinstance(config, dict) or not isinstance(config.get("site"), dict):
+        return None
+    site = parse(Site, config["site"], f"{path}: site")
+    mission = config.get("mission") or {}
+    is_left_in_shed = site.shed is not None and mission.get("bay") is not None and mission.get("start") is None
+    return Place(site, site.bay(mission["bay"]).dock if is_left_in_shed else None)

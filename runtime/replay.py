@@ -22,7 +22,7 @@ from perception.lidar.obstacles import LidarObstacles
 from runtime.bus import Sink
 from runtime.executor import FAULT_TOPIC, Executor
 from runtime.perceiving import perceiving
-from runtime.prepared import Prepared, child_pose, datum_of
+from runtime.prepared import Prepared, child_pose
 from runtime.shadow import Shadow
 from runtime.trajectory import (
     Trajectory,
@@ -31,12 +31,16 @@ from runtime.trajectory import (
     stages_of,
     trajectory_of,
 )
+from safety.survey import survey_of
 
 RECOMPUTED = {
     "odom", "map_pose", "lidar_motion", "lidar_pose", "ground", "obstacles", "tracks", "health", "supervisor",
     "safe_command", "fault",
 }  # fmt: skip
 RECORDED = "/recorded/"
+TRUTH = ("truth_machine", "truth_objects")
+TRUTH_AHEAD_NS = 250_000_000
+REORDER_NS = 300_000_000  # scans that came out of order are matched in order all the same
 POSES_EVERY = 5  # of the odometry at 50 Hz
 
 
@@ -68,7 +72,8 @@ def replay(prepared: Prepared, sinks: Iterable[Sink]) -> None:
         made = made_stream(trajectory_before(prepared), prepared.config.replay.beyond_m)
     nodes = nodes_for(prepared)
     stream = recorded_stream(prepared)
-    world = ReplayWorld(in_order(heapq.merge(made, stream, key=lambda r: r[0])), ())
+    streams = (truth_ahead(prepared), made, stream)
+    world = ReplayWorld(in_order(heapq.merge(*streams, key=lambda r: r[0])), ())
     Executor(world, nodes, [_refuse_failure, *sinks]).run(lambda: False)
 
 
@@ -85,12 +90,22 @@ def in_order(stream: Iterator[Received]) -> Iterator[Received]:
         yield last_ns, topic, message
 
 
+def truth_ahead(prepared: Prepared) -> list[Received]:
+    """All truth in order of its stamps, a little early: it may have come late, and a judge must have it in time."""
+    found = prepared.found
+    first_ns, last_ns = (found.first_ns or 0) - prepared.clock_ns - TRUTH_AHEAD_NS, found.last_ns - prepared.clock_ns
+    timed = ((min(max(m.stamp_ns - TRUTH_AHEAD_NS, first_ns), last_ns), topic, m) for topic, m in found.truth)
+    return sorted(timed, key=lambda r: (r[0], r[2].stamp_ns))
+
+
 def recorded_stream(prepared: Prepared) -> Iterator[Received]:
     """The log's messages under the names that the nodes read; what is recomputed comes back under `/recorded/`."""
     names = {topic: f"lidar/{name}" for name, topic in prepared.machine.lidars.items()}
     kept = set(prepared.source.topic.split()) if prepared.source.kind == "record" else set()
     for receive_ns, topic, message in prepared.recording.read():
         kind = topic.partition("/")[0]
+        if kind in TRUTH:
+            continue
         is_input = kind in KINDS and (kind not in RECOMPUTED or topic in kept)
         is_input = (
             is_input and (kind != "lidar" or topic in names) and (kind not in ("path", "wish") or prepared.is_planned)
@@ -110,7 +125,7 @@ def trajectory_before(prepared: Prepared) -> Trajectory:
     else:
         trajectory = trajectory_of(_matched(prepared), np.eye(4), False)
     if len(trajectory.stamps_ns) < 2:
-        raise LogError(f"{prepared.recording.path}: fewer than two poses, no way can be told")
+        raise LogError(f"{prepared.recording.path}: fewer than two poses with stamps of their own, no way can be told")
     return trajectory
 
 
@@ -127,12 +142,22 @@ def _matched(prepared: Prepared) -> list[Odometry]:
         if isinstance(envelope.message, Odometry):
             out.append(envelope.message)
 
-    scans = ((r, f"lidar/{name}", m) for r, t, m in prepared.recording.read() if t == topic)
-    ends = ((r, t, m) for r, t, m in with_end(scans))
+    scans = ((m.stamp_ns, f"lidar/{name}", m) for _, t, m in prepared.recording.read() if t == topic)
+    ends = with_end(sorted_within(scans, REORDER_NS))
     latency_ns = stack.executor.latency_ns
     nodes = [(ground, latency_ns(ground.name)), (node, latency_ns("lidar_odometry"))]
     Executor(ReplayWorld(in_order(ends), ()), nodes, [take]).run(lambda: False)
     return out
+
+
+def sorted_within(stream: Iterator[Received], most_ns: int) -> Iterator[Received]:
+    """The stream in order of time, where nothing comes later than `most_ns` after what it belongs before."""
+    waiting: list[tuple[int, int, Received]] = []
+    for number, received in enumerate(stream):
+        heapq.heappush(waiting, (received[0], number, received))
+        while waiting[0][0] < received[0] - most_ns:
+            yield heapq.heappop(waiting)[2]
+    yield from (heapq.heappop(waiting)[2] for _ in range(len(waiting)))
 
 
 def with_end(stream: Iterator[Received]) -> Iterator[Received]:
@@ -183,21 +208,34 @@ def nodes_for(prepared: Prepared) -> list[tuple[Node, int]]:
     vehicle = machine.vehicle
     nodes = perceiving(vehicle, machine.implement, stack.perception)
     if prepared.source.kind == "localizer":
-        datum = datum_of(prepared.recording.path)
-        assert datum is not None, "find_source has looked"
-        if "front" in vehicle.sensors.lidar:
-            nodes.append(LidarOdometry(vehicle, "front", stack.localization.lidar_odometry))
-            nodes.append(LidarMap(vehicle, machine.implement, None, stack.localization.lidar_map))
-        nodes.append(Localizer(vehicle, datum, stack.localization))
+        nodes += locating(prepared)
     nodes.append(shadow_for(prepared))
     return [(node, stack.executor.latency_ns(node.name)) for node in nodes]
+
+
+def locating(prepared: Prepared) -> list[Node]:
+    """From sensors to the pose, for a machine of ours at its own place."""
+    vehicle, implement, place = prepared.machine.vehicle, prepared.machine.implement, prepared.place
+    config, nodes = prepared.config.stack.localization, list[Node]()
+    assert place is not None, "find_source has looked"
+    if "front" in vehicle.sensors.lidar:
+        nodes.append(LidarOdometry(vehicle, "front", config.lidar_odometry))
+    if "front" in vehicle.sensors.lidar and implement is not None:
+        nodes.append(LidarMap(vehicle, implement, place.site.shed, config.lidar_map))
+    return [*nodes, Localizer(vehicle, place.site.datum.datum, config, place.site.shed, place.dock)]
 
 
 def shadow_for(prepared: Prepared) -> Shadow:
     """The supervisor with the braking of the conditions."""
     values, safety = prepared.config.conditions.braking, prepared.config.stack.safety
     braking = safety.braking.model_copy(update=values.model_dump())
-    half = None if prepared.is_planned else prepared.half_width_m
+    vehicle, place = prepared.machine.vehicle, prepared.place
+    is_blind = prepared.config.stack.perception.camera.detector.model is None
     return Shadow(
-        prepared.machine.vehicle, prepared.machine.implement, safety.model_copy(update={"braking": braking}), half
+        vehicle,
+        prepared.machine.implement,
+        safety.model_copy(update={"braking": braking}),
+        None if prepared.is_planned else prepared.half_width_m,
+        None if place is None else survey_of(place.site),
+        frozenset(f"camera_{name}" for name in vehicle.sensors.camera if is_blind),
     )

@@ -4,6 +4,7 @@ from configs.vehicle import Implement, Vehicle
 from safety.config import SafetyConfig
 from safety.rules import OBSTACLE_RULES, RULES
 from safety.supervisor import Observation, Supervisor
+from safety.survey import Survey
 
 NOT_JUDGED = frozenset(RULES) - OBSTACLE_RULES  # hand, machine, bus, fence: a log driven by hand has none of it
 
@@ -13,11 +14,18 @@ class Shadow(Supervisor):
 
     `half_width_m` is that of the way judged when a person drove: it takes the place of the body's width and of the
     field's margins to the sides, and the arc of the present steering (which stands for a steering that fails) is left
-    out. None judges machine and implement as they are, beside their planned path.
+    out. None judges machine and implement as they are, beside their planned path. `survey` is the shed, `idle` names
+    sensors that detect nothing.
     """
 
     def __init__(
-        self, vehicle: Vehicle, implement: Implement | None, config: SafetyConfig, half_width_m: float | None
+        self,
+        vehicle: Vehicle,
+        implement: Implement | None,
+        config: SafetyConfig,
+        half_width_m: float | None,
+        survey: Survey | None = None,
+        idle: frozenset[str] = frozenset(),
     ) -> None:
         if half_width_m is not None:
             vehicle = vehicle.model_copy(
@@ -27,4 +35,4 @@ class Shadow(Supervisor):
                 update={"field": config.field.model_copy(update={"near_lateral_m": 0.0, "far_lateral_m": 0.0})}
             )
         observation = Observation(is_arc_judged=half_width_m is None)
-        super().__init__(vehicle, implement, config, None, (), NOT_JUDGED, observation=observation)
+        super().__init__(vehicle, implement, config, None, (), NOT_JUDGED, survey, idle, observation)

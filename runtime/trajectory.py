@@ -33,10 +33,10 @@ class Trajectory:
 def trajectory_of(messages: list[Odometry], T_child_base: Float64, is_level_known: bool) -> Trajectory:
     """From odometry of some frame fixed to the vehicle; without gravity in it, its steps are laid out on a plane.
 
-    A pose that is no number, or whose stamp does not rise, is left out.
+    They are taken in the order of their stamps; a pose that is no number, or comes twice, is left out.
     """
     kept: list[Odometry] = []
-    for message in messages:
+    for message in sorted(messages, key=lambda m: m.stamp_ns):
         if np.isfinite(message.T_odom_base).all() and (not kept or message.stamp_ns > kept[-1].stamp_ns):
             kept.append(message)
     stamps = np.array([m.stamp_ns for m in kept], np.int64)
@@ -95,7 +95,7 @@ def motion_of(stamps_ns: Int64, poses: Float64) -> Float64:
 
 def is_steady(messages: list[Odometry], most_m: float) -> bool:
     """Whether the poses go where the speeds say; GNSS without corrections jumps."""
-    for before, after in pairwise(messages):
+    for before, after in pairwise(sorted(messages, key=lambda m: m.stamp_ns)):
         dt_s = (after.stamp_ns - before.stamp_ns) * 1e-9
         way_m = float(np.linalg.norm(after.T_odom_base[:2, 3] - before.T_odom_base[:2, 3]))
         told_m = 0.5 * (

@@ -220,7 +220,7 @@ def _judge(task: Task) -> dict[str, Any]:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     from runtime.erased import erase
-    from runtime.preflight import render
+    from runtime.preflight_table import render
     from runtime.prepared import load_configuration, prepare
     from runtime.replay import replay
     from validation.obstacle_stop.judgement import judge_log

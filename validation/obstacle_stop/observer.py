@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,7 +29,16 @@ FARTHEST_M = 90.0
 VISIBLE = 3  # returns or beams that show that a place can be seen
 EVERY_POINT = 12
 WAITING = 6
-KEPT_TRUTHS = 40
+KEPT_TRUTHS = 100
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """A scan whose obstacles have not come, and the way that held when it came."""
+
+    scan: LidarScan
+    path: Path | None
+    wish: Wish | None
 
 
 class Observer:
@@ -37,7 +47,7 @@ class Observer:
     def __init__(self, setting: Setting, conditions: Conditions) -> None:
         self._setting, self._conditions = setting, conditions
         self._out = Observation()
-        self._scans: dict[tuple[str, int], LidarScan] = {}
+        self._scans: dict[tuple[str, int], _Waiting] = {}
         self._truths: deque[TrueObjects] = deque(maxlen=KEPT_TRUTHS)
         self._machines: deque[TrueMachine] = deque(maxlen=KEPT_TRUTHS)
         self._path: Path | None = None
@@ -56,9 +66,9 @@ class Observer:
             self._wait(envelope.topic.partition("/")[2], message)
         elif isinstance(message, Obstacles):
             name = message.sensor.removeprefix("lidar_")
-            scan = self._scans.pop((name, message.scan_stamp_ns), None)
-            if scan is not None:
-                self._look(name, scan, message)
+            waiting = self._scans.pop((name, message.scan_stamp_ns), None)
+            if waiting is not None:
+                self._look(name, waiting, message)
         elif isinstance(message, SupervisorState):
             self._ask(message)
         elif isinstance(message, Tracks) and kind == "tracks":
@@ -84,8 +94,8 @@ class Observer:
 
     def finish(self) -> Observation:
         """What was seen; scans that perception never answered count as looked at and nothing found."""
-        for (name, _), scan in sorted(self._scans.items(), key=lambda item: item[0][1]):
-            self._look(name, scan, None)
+        for (name, _), waiting in sorted(self._scans.items(), key=lambda item: item[0][1]):
+            self._look(name, waiting, None)
         self._scans.clear()
         out = self._out
         out.first_ns, out.last_ns = (min(out.scans), max(out.scans)) if out.scans else (0, 0)
@@ -94,21 +104,21 @@ class Observer:
         return out
 
     def _wait(self, name: str, scan: LidarScan) -> None:
-        self._scans[(name, scan.stamp_ns)] = scan
+        self._scans[(name, scan.stamp_ns)] = _Waiting(scan, self._path, self._wish)
         mine = sorted(stamp for other, stamp in self._scans if other == name)
         for stamp_ns in mine[:-WAITING]:
             self._look(name, self._scans.pop((name, stamp_ns)), None)
 
-    def _look(self, name: str, scan: LidarScan, obstacles: Obstacles | None) -> None:
+    def _look(self, name: str, waiting: _Waiting, obstacles: Obstacles | None) -> None:
         """All true objects in one scan."""
-        out, setting = self._out, self._setting
+        out, setting, scan = self._out, self._setting, waiting.scan
         out.scans.append(scan.stamp_ns)
         k = out.motion.index(scan.stamp_ns)
         if k is None or name not in setting.T_base_lidar or not len(scan.points_m):
             return
         T = setting.T_base_lidar[name]
         points = deskewed(scan, T, out.motion.speeds_mps[k], out.motion.turns_radps[k])
-        tube = self._tube(out.motion, k)
+        tube = self._tube(out.motion, k, waiting.path, waiting.wish)
         self._looked = (scan.stamp_ns, points[::EVERY_POINT])
         boxes = self._boxes_at(scan.stamp_ns)
         if boxes is None or not self._is_judged(scan.stamp_ns):
@@ -128,15 +138,14 @@ class Observer:
         first_ns = self._out.scans[0]
         return self._conditions.is_judged(self._setting.log, (stamp_ns - first_ns) * 1e-9)
 
-    def _tube(self, motion: Motion, k: int) -> Tube | None:
+    def _tube(self, motion: Motion, k: int, path: Path | None, wish: Wish | None) -> Tube | None:
         """The tube at an odometry; None without a path, or when it is driven backwards."""
-        if self._path is None or self._path.direction < 0 or len(self._path.s_m) < 2:
+        if path is None or path.direction < 0 or len(path.s_m) < 2:
             return None
-        is_mine = self._wish is not None and self._wish.path_id == self._path.path_id
-        place = self._wish.path_s_m if is_mine and self._wish is not None else float(self._path.s_m[0])
+        place = wish.path_s_m if wish is not None and wish.path_id == path.path_id else float(path.s_m[0])
         setting = self._setting
         pose = in_map(self._T_map_odom, motion.poses[k])
-        return tube_of(self._path, place, pose, setting.front_m, setting.half_width_m, self._conditions.tube.reach_m)
+        return tube_of(path, place, pose, setting.front_m, setting.half_width_m, self._conditions.tube.reach_m)
 
     def _boxes_at(self, stamp_ns: int) -> list[Box] | None:
         """True boxes in base at a time; None when there is no truth young enough."""
@@ -231,7 +240,7 @@ class Observer:
         """What was perceived in the tube, for logs without truth."""
         motion = self._out.motion
         k = motion.index(tracks.stamp_ns)
-        tube = self._tube(motion, k) if k is not None else None
+        tube = self._tube(motion, k, self._path, self._wish) if k is not None else None
         if k is None or tube is None or not tracks.tracks:
             return
         xy = from_odom(motion.poses[k], np.array([t.p_odom_m[:2] for t in tracks.tracks]))
