@@ -54,7 +54,7 @@ class RadarEye:
         least = np.where(is_moving, self._config.moving_rcs_dbsm, self._config.standing_rcs_dbsm)
         cap = np.where(is_moving, self._config.moving_cap_m, self._config.standing_cap_m)
         counts = (rcs >= least) & (range_m <= cap) & (base[:, 2] >= self._low_m) & (base[:, 2] <= self._high_m)
-        counts &= ~is_own(base.T, shape, odom.curvature_radpm, self._mask_m)
+        counts[counts] = ~is_own(base[counts].T, shape, odom.curvature_radpm, self._mask_m)
         places = np.column_stack([to_frame(pose_odom, base[:, :2]), base[:, 2], is_moving, range_m])[counts]
         self._cycles.append((scan.stamp_ns, places))
         self.hits = confirmed([p for ns, p in self._cycles if scan.stamp_ns - ns <= self._config.memory_s * 1e9],
@@ -66,7 +66,8 @@ def confirmed(cycles: list[Float64], config: RadarConfig, sigma_rad: float) -> F
     every = np.concatenate([NONE, *cycles])
     if len(every) == 0:
         return np.empty((0, 4))
-    near = np.hypot(every[:, None, 0] - every[None, :, 0], every[:, None, 1] - every[None, :, 1]) <= config.near_m
+    x, y = every[:, 0], every[:, 1]
+    near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 <= config.near_m**2
     ends = np.cumsum([0, *(len(cycle) for cycle in cycles)])
     seen = sum(near[:, a:b].any(axis=1).astype(np.int64) for a, b in pairwise(ends))
     needed = np.where(every[:, 3] > 0.0, config.moving_cycles, config.standing_cycles)

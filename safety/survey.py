@@ -47,6 +47,9 @@ class Survey:
 
     def is_near(self, pose_map: Float64, near_m: float) -> bool:
         """Whether a pose is under the roof or within `near_m` of its edge."""
+        middle, reach_m = self._circle
+        if math.hypot(pose_map[0] - middle[0], pose_map[1] - middle[1]) > reach_m + near_m:
+            return False
         point = pose_map[None, :2]
         if is_within(point, self.roof)[0]:
             return True
@@ -65,6 +68,11 @@ class Survey:
         near = np.hypot(*xy.T) <= REACH_M
         bare = replace(sweep, lateral_m=np.zeros_like(sweep.lateral_m))
         return float(np.min(contact_m(xy[near], bare, discs[near, 2] + clearance_m), initial=math.inf))
+
+    @cached_property
+    def _circle(self) -> tuple[Float64, float]:
+        middle = self.roof.mean(axis=0)
+        return middle, float(np.hypot(*(self.roof - middle).T).max())
 
     @cached_property
     def _discs(self) -> Float64:
