@@ -49,7 +49,8 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
             shown.add(t.leg)
             line = path.p_map_m[t.first : t.last + 2]
             axes.plot(line[:, 0], line[:, 1], color=COLOURS[t.leg], linewidth=1.0, label=label)
-    axes.set_title(f"{site.name}: {plan.length_m:.0f} m, {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha")
+    worked = f", {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha" if plan.planned_share > 0.0 else ""
+    axes.set_title(f"{site.name}: {plan.length_m:.0f} m{worked}")
     axes.set_xlabel("east in m")
     axes.set_ylabel("north in m")
     axes.legend(loc="upper right", fontsize=8)
@@ -93,7 +94,9 @@ def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
     def feature(shape: BaseGeometry, **properties: Any) -> dict[str, Any]:
         return {"type": "Feature", "properties": properties, "geometry": mapping(shapely.transform(shape, degrees))}
 
-    found = [feature(plan.planned_area, kind="planned", area_m2=round(plan.planned_area.area, 1))]
+    found = []
+    if not plan.planned_area.is_empty:
+        found.append(feature(plan.planned_area, kind="planned", area_m2=round(plan.planned_area.area, 1)))
     for path in plan.paths:
         for t in path.stretches:
             points = path.p_map_m[t.first : t.last + 2]

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from planning.docking.clearance import Bounds, clearance_m
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking, pose_of
 from planning.docking.steered import led_to, runs_of
 from planning.docking.words import Segment, cusps, length_m, words
+from planning.drawing import draw_plan, plan_to_geojson
 from planning.plan import plan_mission
 from planning.rig import rig_of
 
@@ -295,7 +297,7 @@ def test_a_bay_may_just_be_wide_enough(
 
 
 def test_a_mission_of_docking_alone(
-    site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig, tmp_path: FilePath
 ) -> None:
     start = Pose2(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
     mission = Mission(name="dock", site="demo", machine="m", implement="i", bay="wide", start=start)
@@ -304,6 +306,10 @@ def test_a_mission_of_docking_alone(
     assert plan.paths == plan.homing
     assert plan.paths[0].p_map_m[0] == pytest.approx([20.0, -30.0])
     assert plan.planned_share == 0.0
+    draw_plan(plan, site, tmp_path / "plan.png")
+    assert (tmp_path / "plan.png").stat().st_size > 10_000
+    legs = {f["properties"].get("leg") for f in plan_to_geojson(plan, site)["features"]}
+    assert legs == {"dock"}
 
 
 @pytest.mark.parametrize("missing", [{"bay": None}, {"start": None}])
