@@ -64,6 +64,14 @@ def parser() -> argparse.ArgumentParser:
     live.add_argument("--json", action="store_true", help="one object on standard output, progress on standard error")
     live.set_defaults(module="runtime.live.command")
 
+    shadow = verbs.add_parser("shadow", help="listen to a machine's bus, log it, and send nothing")
+    shadow.add_argument("--bus", required=True, metavar="CHANNEL", help="by python-can's name, such as can0")
+    shadow.add_argument("--interface", default="socketcan", help="python-can's interface (default socketcan)")
+    shadow.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after so many seconds")
+    shadow.add_argument("--out", type=Path, help="run folder (default runs/<stamp>-shadow)")
+    shadow.add_argument("--json", action="store_true", help="one object on standard output")
+    shadow.set_defaults(module="runtime.live.listen")
+
     validate = verbs.add_parser("validate", help="judge recorded logs: would this stack have stopped?")
     validate.add_argument("log", type=Path, nargs="+", metavar="LOG", help="MCAP, ROS bag, KITTI folder, PCD folder")
     validate.add_argument("--vehicle", type=Path, metavar="FILE", help="who recorded them: dimensions, lidars, mounts")

@@ -45,7 +45,7 @@ class Cell:
         if self.topic.startswith("node/"):
             node = self.topic.removeprefix("node/")
             own = [w if "/" in w else f"{w}." for w in writes.get(node, ())]
-            return (f"({node})", f"{node}.", *own, *(("machine.", "gateway.") if node == "gateway" else ()))
+            return (f"({node})", f"{node}.", *own, *config.names.get(self.topic, ()))
         kind = self.topic.partition("/")[0]
         return (self.topic, *config.names.get(self.topic, ()), *config.names.get(kind, ()))
 

@@ -28,7 +28,7 @@ from runtime.live.ring import RingReader, make_ring
 from runtime.live.wire import unpack
 from runtime.progress import Progress
 from runtime.setup import load_setup
-from runtime.watch import EndOfDrive
+from runtime.watch import LATCHED, EndOfDrive
 from simulation.scenario import Scenario
 
 WATCHED = (
@@ -103,8 +103,9 @@ class _Drive:
             if dead := [name for name, process in self._processes.items() if not process.is_alive()]:
                 return self._after({"died": dead[0]})
         state = self._watch.state
-        return {"outcome": "over" if state is None else state.mode.value, "is_good": state is not None,
-                "told": self._watch.told, "simulated_s": self._watch.seconds}  # fmt: skip
+        is_good = breaking is None and state is not None and state.mode not in LATCHED
+        return {"outcome": "over" if state is None else state.mode.value, "is_good": is_good,
+                "told": self._watch.told, "simulated_s": round(self._watch.seconds, 2)}  # fmt: skip
 
     def _break(self, name: str, how: str) -> dict[str, Any]:
         os.kill(self._processes[name].pid or 0, SIGNALS[how])
