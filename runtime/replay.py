@@ -93,7 +93,7 @@ def in_order(stream: Iterator[Received]) -> Iterator[Received]:
 def truth_ahead(prepared: Prepared) -> list[Received]:
     """All truth in order of its stamps, a little early: it may have come late, and a judge must have it in time."""
     found = prepared.found
-    first_ns, last_ns = (found.first_ns or 0) - prepared.clock_ns - TRUTH_AHEAD_NS, found.last_ns - prepared.clock_ns
+    first_ns, last_ns = (found.first_ns or 0) - prepared.clock_ns, found.last_ns - prepared.clock_ns
     timed = ((min(max(m.stamp_ns - TRUTH_AHEAD_NS, first_ns), last_ns), topic, m) for topic, m in found.truth)
     return sorted(timed, key=lambda r: (r[0], r[2].stamp_ns))
 
