@@ -74,11 +74,11 @@ def _slab(x: float, y: float, z: float, half_y: float, half_z: float, region: st
 
 def _trim() -> list[Part]:
     """What only the eye sees: bumpers, plates, grille, lamps, the line of the door and its handle."""
-    parts = [_slab(1.875, 0.0, 0.40, 0.50, 0.05, "eyes"), _slab(-1.87, 0.0, 0.44, 0.55, 0.05, "eyes"),
-             _slab(1.885, 0.0, 0.47, 0.24, 0.045, "white"), _slab(-1.885, 0.0, 0.62, 0.24, 0.055, "white"),
-             _slab(1.875, 0.0, 0.58, 0.36, 0.035, "eyes")]  # fmt: skip
+    parts = [_slab(1.885, 0.0, 0.40, 0.45, 0.04, "eyes"), _slab(-1.885, 0.0, 0.44, 0.50, 0.04, "eyes"),
+             _slab(1.895, 0.0, 0.47, 0.24, 0.04, "white"), _slab(-1.895, 0.0, 0.62, 0.24, 0.05, "white"),
+             _slab(1.885, 0.0, 0.56, 0.36, 0.03, "eyes")]  # fmt: skip
     for s in (1.0, -1.0):
-        parts += [_slab(1.82, 0.54 * s, 0.60, 0.12, 0.055, "lamp"), _slab(-1.855, 0.58 * s, 0.72, 0.07, 0.09, "tail")]
+        parts += [_slab(1.868, 0.52 * s, 0.58, 0.11, 0.045, "lamp"), _slab(-1.885, 0.54 * s, 0.70, 0.07, 0.08, "tail")]
         door = ((-0.39, 0.815 * s, 0.42, 0.006, 0.004), (-0.39, 0.815 * s, 0.76, 0.006, 0.004))
         handle = ((-0.30, 0.812 * s, 0.74, 0.012, 0.01), (-0.12, 0.812 * s, 0.74, 0.012, 0.01))
         parts += [Part(tube(door, 6, 3), "eyes"), Part(tube(handle, 6, 3), "eyes")]

@@ -9,7 +9,7 @@ from simulation.rendering.raster import painted
 from simulation.rendering.textures import CLOUD, GRAIN, GRASS, LEVELS, SIDE, UNIT, Int8
 
 FURTHEST = LEVELS - 1
-SHADOW_BIAS_M = 0.05
+SHADOW_BIAS_M, OFF_M = 0.04, 0.06  # along the sun and off the surface: about a cell of the sun's picture
 BLOCK = 8  # columns between which the sky is blended
 WOODS_M, MEADOWS_M = 350.0, 500.0  # how far off they count as being
 SOFT = 0.45  # of the ambient light is left where something stands close above the ground
@@ -207,7 +207,7 @@ def shade(
                         cosine = 0.35 + 0.65 * abs(cosine)  # leaves let light through
                     direct = 0.0
                     if cosine > 0.0:
-                        direct = grain * cosine * sunlit(px, py, pz, S, shadow)
+                        direct = grain * cosine * sunlit(px + OFF_M * nx, py + OFF_M * ny, pz + OFF_M * nz, S, shadow)
                     free = open_sky(kind, px, py, pz, roof, feet)
                     up, back = grain * free * (0.5 + 0.5 * nz), grain * free * (0.5 - 0.5 * nz)
                     share = 1.0 / (to_whole[0] * dx + to_whole[1] * dy + to_whole[2] * dz + 1e-12)
