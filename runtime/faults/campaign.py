@@ -38,7 +38,7 @@ from simulation.scenario import Scenario
 
 NOT_BROKEN = ("order", "truth_machine", "truth_objects")
 LIMIT_S = 600.0  # of simulated time, on the way to a situation
-CELL_LIMIT_S = 300.0  # of wall time
+CELL_LIMIT_S = 900.0  # of wall time
 SEED = 1
 
 

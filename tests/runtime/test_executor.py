@@ -209,3 +209,10 @@ def test_a_clock_that_steps_back_leaves_nobody_waiting() -> None:
     executor = Executor(Wheels([hour, hour + 10, hour + 20, 10, 20, 30, 40]), [(node, 5 * MS)], ())
     executor.run(lambda: False)
     assert [t for t, _ in node.seen] == [hour, hour + 10, hour + 20, 10, 20, 30, 40]
+
+
+def test_a_clock_that_steps_ahead_is_not_lived_through() -> None:
+    node = Recorder("node", {"wheel": Latest()}, ("imu",), Every(10 * MS))
+    hour = 3_600_000
+    Executor(Wheels([10, 20, hour, hour + 10]), [(node, 5 * MS)], ()).run(lambda: False)
+    assert [t for t, _ in node.seen] == [10, 20, hour, hour + 10]
