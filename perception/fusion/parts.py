@@ -66,6 +66,15 @@ def is_same(
     return np.asarray(inside & ~(apart > config.agree_mps) & ~(hosts.size_m[:, 0] > config.largest * body_m[:, None]))
 
 
+def middle_of(middle_m: Float64, place_m: Float64, room_m: Float64, yaw_rad: Float64) -> Float64:
+    """Middles (K, 2) moved as little as puts each place (K, 2) within `room_m` (K, 2) about them, along these yaws."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    d, half = place_m - middle_m, np.maximum(room_m, 0.0) / 2
+    along, across = c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]
+    along, across = along - np.clip(along, -half[:, 0], half[:, 0]), across - np.clip(across, -half[:, 1], half[:, 1])
+    return np.asarray(middle_m + np.stack([c * along - s * across, s * along + c * across], axis=1))
+
+
 class Hosts:
     """Tracks of lidars as boxes, H rows: `row` in the table, place, size, yaw, velocity, and which are vehicles."""
 

@@ -8,6 +8,7 @@ from messages.message import Int64
 from messages.motion import Odometry
 from messages.node import All, At, Inbox, Node, On, Output
 from messages.perception import Obstacles, Track, Tracks
+from messages.topics import kind_of
 from perception.fusion.detections import to_odom
 from perception.fusion.stillness import Stillness
 from perception.fusion.tracks import (
@@ -20,6 +21,7 @@ from perception.fusion.tracks import (
     doubt,
     empty_table,
     hosts_of,
+    left_over,
     match,
     move,
     not_explained,
@@ -47,20 +49,29 @@ class Tracker(Node):
         self._config = config
         self._stillness = Stillness(config.stillness)
         self._table = empty_table()
-        self._stamp_ns = 0
+        self._stamp_ns, self._told_ns = 0, 0
+        self._period_ns = round(kind_of("tracks").period_s * 1e9)
         self._next_id = 1
         warm(config)
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """Every new message enters in the order of its time; then all tracks are told."""
+        """New messages enter in the order of their times; with a lidar's scan, or in time, all tracks are told."""
         news = [(m.stamp_ns, i, m) for i, topic in enumerate(self._topics) for m in inbox.all(topic, Obstacles)]
-        used = False
-        for _, sensor, message in sorted(news, key=lambda n: n[:2]):
+        is_due = False
+        for stamp_ns, sensor, message in sorted(news, key=lambda n: n[:2]):
             odom = inbox.at("odom", Odometry, message.stamp_ns) or inbox.latest("odom", Odometry)
-            if odom is not None:
+            if odom is not None and not self._is_quiet(message, sensor):
                 self._absorb(message, odom, sensor)
-                used = True
-        return (("tracks", self._tell()),) if used else ()
+                is_due |= self._lidars >> sensor & 1 == 1 or stamp_ns - self._told_ns >= self._period_ns
+        if not is_due:
+            return ()
+        self._told_ns = self._stamp_ns
+        return (("tracks", self._tell()),)
+
+    def _is_quiet(self, message: Obstacles, sensor: int) -> bool:
+        """Whether a message changes nothing: it is empty, and nothing that its sensor saw waits to be confirmed."""
+        mine = self._table.is_confirmed[self._table.sensors >> sensor & 1 == 1]
+        return not len(message.yaw_rad) and bool(mine.all()) and message.stamp_ns - self._told_ns < self._period_ns
 
     def _absorb(self, message: Obstacles, odom: Odometry, sensor: int) -> None:
         config, table = self._config, self._table
@@ -68,15 +79,17 @@ class Tracker(Node):
         move(table, (message.stamp_ns - self._stamp_ns) * 1e-9 if self._stamp_ns else 0.0, config)
         self._stamp_ns = max(self._stamp_ns, message.stamp_ns)
         tracks, rows = match(table, seen, config)
-        update(table, tracks, seen, rows, self._stillness, config)
+        update(table, tracks, seen, rows, self._stillness, self._lidars, config)
         doubt(table, self._missed(tracks, sensor), seen.kind, config)
         confirm(table, config)
         prolong(table, tracks, seen)
         table = table.rows(alive(table, self._stamp_ns))
-        hosts = hosts_of(table, self._lidars, config)
-        rows = np.setdiff1d(np.arange(len(seen.yaw_rad)), rows).astype(np.int64)
-        fresh = not_explained(seen, rows, hosts, config)
-        table = table.rows(not_parts(table, hosts, self._lidars, self._cameras, config))
+        fresh = left_over(len(seen.yaw_rad), rows)
+        if seen.is_lidar or len(fresh):
+            hosts = hosts_of(table, self._lidars, config)
+            fresh = not_explained(seen, fresh, hosts, config)
+            if seen.is_lidar:
+                table = table.rows(not_parts(table, hosts, self._lidars, self._cameras, config))
         self._table = table.below(begin(seen, fresh, self._next_id, config))
         self._next_id += len(fresh)
 

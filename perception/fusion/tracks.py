@@ -12,12 +12,13 @@ from messages.message import Float64, Int64
 from messages.perception import ObstacleClass
 from perception.fusion.detections import Detections, KindConfig, KindsConfig, NoiseConfig
 from perception.fusion.kalman import correct, distances, predict
-from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, is_piece, is_same
+from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, is_piece, is_same, middle_of
 from perception.fusion.stillness import Stillness, StillnessConfig
 
 CLASSES = tuple(ObstacleClass)
 REFUSED = 1e9
-PART, SLOWLY = 0.6, 0.05  # a vehicle's detection shorter than this share of it is a piece, and shrinks it slowly
+PART, SLOWLY = 0.6, 0.01  # a vehicle's detection shorter than this share of it is a piece, and shrinks it slowly
+ANYWHERE = 0.29  # 1 / √12: the sigma of an even share over a box
 FASTEST_MPS = {ObstacleClass.PERSON: 4.0, ObstacleClass.POLE: 0.7, ObstacleClass.MOUND: 0.7, ObstacleClass.DITCH: 0.7}
 
 
@@ -128,14 +129,18 @@ def _agrees(table: Table, seen: Detections, config: TrackerConfig) -> npt.NDArra
 
 
 def update(
-    table: Table, tracks: Int64, seen: Detections, rows: Int64, stillness: Stillness, config: TrackerConfig
+    table: Table, tracks: Int64, seen: Detections, rows: Int64, stillness: Stillness, lidars: int, config: TrackerConfig
 ) -> None:
-    """Tracks corrected in place by the detections matched to them."""
+    """Tracks corrected in place by the detections matched to them; `lidars` are the bits of lidars in `sensors`."""
     x, P = table.x[tracks], table.P[tracks]
     is_part = is_vehicle(table.evidence[tracks]) & (seen.size_m[rows, 0] < PART * table.size_m[tracks, 0])
-    R = seen.R[rows]
-    R[is_part] += np.eye(2) * (PART * table.size_m[tracks[is_part], 0] / 2)[:, None, None] ** 2
-    correct(x, P, seen.p_m[rows, :2], R, 0)
+    z, R = seen.p_m[rows, :2].copy(), seen.R[rows]
+    # a piece, or an echo from somewhere on a box, tells of its middle only that the box must reach there
+    on = is_part | (~np.bool_(seen.is_lidar) & (table.sensors[tracks] & lidars != 0))
+    own = np.where(is_part[on, None], seen.size_m[rows[on], :2], 0.0)
+    z[on] = middle_of(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
+    R[on] += np.eye(2) * (ANYWHERE * table.size_m[tracks[on], 0])[:, None, None] ** 2
+    correct(x, P, z, R, 0)
     _correct_velocity(x, P, seen, rows, stillness, config)
     table.x[tracks], table.P[tracks] = x, P
     # only returns measure a box: radar and cameras guess it
@@ -201,6 +206,13 @@ def is_vehicle(evidence: Float64) -> npt.NDArray[np.bool_]:
     return np.asarray(evidence.argmax(axis=1) == VEHICLE) if len(evidence) else np.zeros(0, np.bool_)
 
 
+def left_over(count: int, matched: Int64) -> Int64:
+    """Which of `count` rows are not among the matched ones."""
+    is_left = np.ones(count, np.bool_)
+    is_left[matched] = False
+    return np.flatnonzero(is_left).astype(np.int64)
+
+
 def hosts_of(table: Table, lidars: int, config: TrackerConfig) -> Hosts:
     """Confirmed tracks that lidars (bits of `sensors`) have seen."""
     row = np.flatnonzero((table.is_confirmed > 0) & (table.sensors & lidars != 0)).astype(np.int64)
@@ -239,7 +251,8 @@ def not_parts(table: Table, hosts: Hosts, lidars: int, cameras: int, config: Tra
 def velocities(table: Table, config: TrackerConfig) -> Float64:
     """Velocity (T, 2) where it is more than its own uncertainty makes of standing things, else 0."""
     v, S = table.x[:, 2:], table.P[:, 2:, 2:]
-    d2 = np.einsum("ti,tij,tj->t", v, np.linalg.inv(S), v) if len(v) else np.zeros(0)
+    a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
+    d2 = (c * v[:, 0] ** 2 - 2.0 * b * v[:, 0] * v[:, 1] + a * v[:, 1] ** 2) / (a * c - b * b)
     return np.where((d2 >= config.moving_sigma**2)[:, None], v, 0.0)
 
 

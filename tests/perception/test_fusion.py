@@ -1,0 +1,206 @@
+"""Several sensors, one list: what one of them alone shows, what they show together, and what is no thing of its own."""
+
+import numpy as np
+import pytest
+from lidar_scenes import TRACKER_CONFIG, Feed, odometry
+
+from messages.perception import ObstacleClass, Obstacles
+from perception.camera.classes import class_scores
+from perception.fusion.tracker import Tracker
+
+START, NS = 5_000_000_000, 1_000_000_000
+TOPICS = tuple(f"obstacles/{kind}_front" for kind in ("lidar", "camera", "radar", "ultrasonic"))
+EVEN = np.full(7, 1.0 / 7.0)
+
+
+def seen(
+    kind, stamp_ns, places, size=(0.5, 0.5, 1.7), sigma=(0.2, 0.2), velocity=None, scores=EVEN, returns=0, yaw=0.0
+):
+    """Things at places (K, 2) in `base`, as a sensor of a kind tells them."""
+    xy = np.asarray(places, float).reshape(-1, 2)
+    k = len(xy)
+    center = np.column_stack([xy, np.full(k, 0.9)])
+    box = np.broadcast_to(np.asarray(size, float), (k, 3)).copy()
+    yaws = np.broadcast_to(np.asarray(yaw, float), (k,)).copy()
+    rng = np.random.default_rng(stamp_ns % 1000)
+    points = rng.uniform(-0.5, 0.5, (k, returns, 3)) * box[:, None]
+    c, s = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
+    x, y = points[..., 0].copy(), points[..., 1].copy()
+    points[..., 0], points[..., 1] = c * x - s * y, s * x + c * y
+    points = (points + center[:, None]).reshape(-1, 3).astype(np.float32)
+    speeds = np.full((k, 2), np.nan) if velocity is None else np.broadcast_to(velocity, (k, 2)).astype(float).copy()
+    sigmas = np.empty((0, 2)) if kind == "lidar" else np.broadcast_to(np.asarray(sigma, float), (k, 2)).copy()
+    return Obstacles(
+        stamp_ns, f"{kind}_front", stamp_ns, center, box, yaws, center.copy(), speeds,
+        np.broadcast_to(scores, (k, 7)).copy(), (np.arange(k + 1) * returns).astype(np.int32),
+        np.arange(k * returns, dtype=np.int32), points, sigmas,
+    )  # fmt: skip
+
+
+def shape(label, share=0.6):
+    row = np.full(7, (1.0 - share) / 6.0)
+    row[tuple(ObstacleClass).index(label)] = share
+    return row
+
+
+def picture(stamp_ns, places, score, range_error_m=0.0, group=0, size=(0.5, 0.5, 1.7)):
+    """What a camera makes of them: sharp across, blurred along the line of sight."""
+    xy = np.asarray(places, float).reshape(-1, 2)
+    away = np.hypot(*xy.T)
+    xy = xy * (1.0 + range_error_m / away)[:, None]
+    sigma = np.column_stack([0.012 * away**2, 0.01 * away])
+    return seen(
+        "camera", stamp_ns, xy, size, sigma, scores=class_scores(group, score), yaw=np.arctan2(xy[:, 1], xy[:, 0])
+    )
+
+
+def run(make, seconds, rate_hz=100.0):
+    """Feeds what `make(t, stamp_ns)` gives at 100 Hz; (time, tracks) of each answer."""
+    tracker, told = Tracker(TOPICS, TRACKER_CONFIG), []
+    for i in range(round(seconds * rate_hz) + 1):
+        t, stamp = i / rate_hz, START + round(i * NS / rate_hz)
+        feed = Feed(odom=odometry(stamp))
+        for message in make(i, stamp):
+            feed.topics[f"obstacles/{message.sensor}"] = (message,)
+        told += [(t, tracks) for _, tracks in tracker.step(stamp, feed)]
+    return told
+
+
+def confirmed_s(told):
+    return next((t for t, tracks in told if any(x.is_confirmed for x in tracks.tracks)), None)
+
+
+ALONE = {
+    "camera": (0.6, lambda i, s: [picture(s, [[15.0, 1.0]], 0.7, (-1) ** i * 0.8)] if i % 50 == 0 else []),
+    "radar": (0.5, lambda i, s: [seen("radar", s, [[20.0, -2.0]])] if i % 5 == 0 else []),
+    "ultrasonic": (0.3, lambda i, s: [seen("ultrasonic", s, [[5.0, 0.5]])] if i % 10 == 0 else []),
+    "lidar": (0.3, lambda i, s: [seen("lidar", s, [[15.0, 1.0]], returns=20)] if i % 10 == 0 else []),
+}
+
+
+@pytest.mark.parametrize("kind", ALONE)
+def test_one_sensor_alone_confirms_in_time_and_keeps_it(kind):
+    limit, make = ALONE[kind]
+    told = run(make, 4.0)
+    assert confirmed_s(told) <= limit
+    assert {x.id for _, tracks in told for x in tracks.tracks} == {1}
+    assert told[-1][1].tracks[0].sensors == (f"{kind}_front",)
+    assert told[-1][1].tracks[0].label is (ObstacleClass.PERSON if kind == "camera" else ObstacleClass.UNKNOWN)
+    assert np.hypot(*told[-1][1].tracks[0].velocity_mps) == 0.0
+
+
+@pytest.mark.parametrize(("score", "least_s", "most_s"), [(0.36, 9.0, 99.0), (0.45, 1.9, 3.1), (0.6, 0.0, 0.6)])
+def test_a_weak_score_takes_more_pictures(score, least_s, most_s):
+    when = confirmed_s(run(lambda i, s: [picture(s, [[12.0, 0.0]], score)] if i % 50 == 0 else [], 4.0))
+    assert least_s <= (99.0 if when is None else when) <= most_s
+
+
+def test_false_boxes_and_echoes_that_do_not_stay_confirm_nothing():
+    rng = np.random.default_rng(4)
+
+    def make(i, stamp):
+        out = []
+        if i % 50 == 0:  # a sure box every second somewhere
+            out.append(picture(stamp, rng.uniform([5, -10], [30, 10], (int(i % 100 == 0), 2)), 0.8))
+        if i % 5 == 0:
+            out.append(seen("radar", stamp, rng.uniform([5, -20], [50, 20], (2, 2)), velocity=rng.normal(0, 3, 2)))
+        return out
+
+    assert confirmed_s(run(make, 60.0)) is None
+
+
+@pytest.mark.parametrize("error_m", [-2.0, -0.7, 0.7, 2.0])
+def test_a_camera_s_range_error_makes_no_second_person(error_m):
+    def make(i, stamp):
+        p = [[14.0, -3.0 + 1.4 * i / 100.0]]
+        out = [seen("lidar", stamp, p, scores=shape(ObstacleClass.POLE), returns=30)] if i % 10 == 0 else []
+        return out + ([picture(stamp, p, 0.8, error_m)] if i % 50 == 7 else [])
+
+    told = run(make, 4.0)
+    assert {x.id for _, tracks in told for x in tracks.tracks if x.is_confirmed} == {1}
+    last = told[-1][1].tracks
+    assert [x.sensors for x in last] == [("lidar_front", "camera_front")]
+    assert last[0].velocity_mps == pytest.approx((0.0, 1.4), abs=0.4)
+
+
+def fence(stamp):
+    return seen("lidar", stamp, [[15.0, 0.0]], (20.0, 0.3, 1.2), returns=400, yaw=np.pi / 2)
+
+
+def test_echoes_of_a_fence_are_of_the_fence():
+    rng = np.random.default_rng(5)
+
+    def make(i, stamp):
+        out = [fence(stamp)] if i % 10 == 0 else []
+        places = np.column_stack([np.full(6, 15.0), np.linspace(-9, 9, 6)]) + rng.normal(0, 0.2, (6, 2))
+        return out + ([seen("radar", stamp, places, velocity=(0.0, 0.0))] if i % 5 == 0 and i > 20 else [])
+
+    last = run(make, 3.0)[-1][1].tracks
+    assert [x.sensors for x in last if x.is_confirmed] == [("lidar_front", "radar_front")]
+
+
+@pytest.mark.parametrize("kind", ["camera", "radar"])
+def test_who_walks_along_a_fence_is_not_of_the_fence(kind):
+    def make(i, stamp):
+        p = [[14.6, -4.0 + 1.4 * i / 100.0]]
+        out = [fence(stamp)] if i % 10 == 0 else []
+        if kind == "camera" and i % 50 == 0:
+            out.append(picture(stamp, p, 0.8))
+        if kind == "radar" and i % 5 == 0:
+            out.append(seen("radar", stamp, p, velocity=(0.0, 1.4)))
+        return out
+
+    told = run(make, 4.0)
+    theirs = [x for x in told[-1][1].tracks if x.is_confirmed and f"{kind}_front" in x.sensors and x.size_m[0] < 5.0]
+    assert len(theirs) == 1
+    assert theirs[0].p_odom_m[:2] == pytest.approx((14.6, 1.6), abs=0.8)
+
+
+def car(stamp, pieces):
+    """A car at 8 m, whole, or the pieces of it that are seen from near."""
+    if not pieces:
+        return seen("lidar", stamp, [[8.0, 0.0]], (4.2, 1.8, 1.5), scores=shape(ObstacleClass.VEHICLE), returns=300)
+    places = [[8.9, 0.1], [6.6, 0.5], [7.6, -0.4]][:pieces]
+    return seen("lidar", stamp, places, (1.0, 0.4, 0.5), scores=shape(ObstacleClass.PERSON), returns=40)
+
+
+def test_pieces_of_a_vehicle_are_the_vehicle_and_who_steps_out_is_not():
+    def make(i, stamp):
+        if i % 10:
+            return []
+        message = car(stamp, 0 if i < 100 else 1 + i // 10 % 3)
+        if i < 250:
+            return [message]
+        beside = [[8.0, 1.8 + 1.2 * (i - 250) / 100.0]]
+        return [message] if i < 250 else [_with(message, seen("lidar", stamp, beside, returns=30))]
+
+    told = run(make, 3.5)
+    before = [tracks for t, tracks in told if 1.0 < t < 2.5]
+    assert {x.id for tracks in before for x in tracks.tracks} == {1}
+    for tracks in before:
+        assert tracks.tracks[0].label is ObstacleClass.VEHICLE
+        assert tracks.tracks[0].p_odom_m[:2] == pytest.approx((8.0, 0.0), abs=1.2)
+        assert np.hypot(*tracks.tracks[0].velocity_mps) < 0.5
+    assert sum(x.is_confirmed for x in told[-1][1].tracks) == 2
+
+
+def _with(a, b):
+    def both(name):
+        return np.concatenate([getattr(a, name), getattr(b, name)])
+
+    return Obstacles(
+        a.stamp_ns, a.sensor, a.stamp_ns, both("center_base_m"), both("size_m"), both("yaw_rad"),
+        both("nearest_base_m"), both("velocity_mps"), both("class_scores"),
+        np.concatenate([a.offsets, b.offsets[1:] + a.offsets[-1]]).astype(np.int32),
+        np.concatenate([a.indices, b.indices + a.offsets[-1]]).astype(np.int32), both("points_base_m"),
+    )  # fmt: skip
+
+
+def test_echoes_do_not_blur_a_class():
+    def make(i, stamp):
+        p = [[14.0, 0.0]]
+        out = [seen("lidar", stamp, p, scores=shape(ObstacleClass.PERSON), returns=30)] if i % 10 == 0 else []
+        return out + ([seen("radar", stamp, p)] if i % 5 == 2 else [])
+
+    last = run(make, 2.0)[-1][1].tracks
+    assert [(x.label, x.confidence > 0.9) for x in last] == [(ObstacleClass.PERSON, True)]
