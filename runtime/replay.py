@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from datasets.importers.clouds import list_scan
 from datasets.importers.recording import Received
 from localization.lidar_map import LidarMap
 from localization.lidar_odometry import LidarOdometry
@@ -17,6 +18,7 @@ from messages.faults import Fault
 from messages.message import Envelope
 from messages.motion import Odometry
 from messages.node import Node, Output, World
+from messages.sensors import LidarScan
 from messages.topics import KINDS
 from perception.lidar.obstacles import LidarObstacles
 from runtime.bus import Sink
@@ -112,7 +114,17 @@ def recorded_stream(prepared: Prepared) -> Iterator[Received]:
         )
         # what is measured cannot have come before it was measured: clocks of sensors run a little apart
         at_ns = max(receive_ns - prepared.clock_ns, message.stamp_ns if is_input else 0)
+        message = finite(message) if isinstance(message, LidarScan) else message
         yield at_ns, names.get(topic, topic) if is_input else f"{RECORDED}{topic}", message
+
+
+def finite(scan: LidarScan) -> LidarScan:
+    """The scan without points that are no numbers, as importers give it."""
+    is_real = np.isfinite(scan.xyz_m).all(axis=1)
+    if is_real.all():
+        return scan
+    times = scan.offset_s[is_real] if len(scan.offset_s) else None
+    return list_scan(scan.stamp_ns, scan.xyz_m[is_real], offset_s=times)
 
 
 def trajectory_before(prepared: Prepared) -> Trajectory:

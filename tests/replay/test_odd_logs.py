@@ -1,0 +1,187 @@
+"""Logs as the world makes them: other rates, points that are no numbers, messages out of order, bags of others."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from recorded_drive import LIDAR_X_M, VEHICLE, drive, vehicle_file
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from configs.strict import CONFIGS, load
+from datasets.log import LogWriter
+from datasets.reader import read_log
+from geometry.transforms import quaternion_of
+from messages.errors import ConfigError, LogError
+from messages.message import Envelope
+from messages.motion import Odometry
+from messages.sensors import LidarScan
+from runtime.prepared import load_configuration, prepare
+from runtime.replay import replay
+from runtime.stack import StackConfig
+from validation.obstacle_stop.conditions import load_conditions
+from validation.obstacle_stop.judgement import judge_log
+from validation.obstacle_stop.observer import Observer
+from validation.obstacle_stop.totals import put_together
+
+CONDITIONS = load_conditions(None)
+CONFIGURATION = load_configuration(CONDITIONS)
+LOG = load(StackConfig, CONFIGS / "stack.yaml").datasets.log
+Envelopes = list[Envelope]
+ROS2 = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def judged(log: Path, vehicle: Path) -> dict:
+    prepared = prepare(log, None, vehicle, CONFIGURATION)
+    setting = prepared.setting("x")
+    observer = Observer(setting, CONDITIONS)
+    replay(prepared, [observer])
+    has_truth = setting.truth_frame is not None
+    return put_together([judge_log("x", observer.finish(), has_truth, CONDITIONS)], CONDITIONS)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds towards a person."""
+    return drive(tmp_path_factory.mktemp("odd") / "log.mcap", (20.0, 0.3), seconds=2.0)
+
+
+def changed(log: Path, out: Path, change: Callable[[Envelopes], Envelopes]) -> Path:
+    with LogWriter(out, {}, LOG) as writer:
+        for envelope in change(list(read_log(log))):
+            writer.write(envelope)
+    return out
+
+
+def as_points(envelope: Envelope) -> Envelope:
+    """A scan as a list, with points that are no numbers."""
+    scan = envelope.message
+    if not isinstance(scan, LidarScan):
+        return envelope
+    xyz, rng = scan.points_m.copy(), np.random.default_rng(envelope.sequence)
+    xyz[rng.random(len(xyz)) < 0.1] = np.nan
+    xyz[rng.random(len(xyz)) < 0.02] = np.inf
+    none = np.zeros(0)
+    points = xyz[:0] if envelope.sequence % 9 == 5 else xyz
+    return replace(envelope, message=LidarScan(
+        scan.stamp_ns, np.zeros((0, 0), np.uint16), none, none.copy(), points, np.zeros(0, np.uint8),
+        np.zeros(0, np.float32),
+    ))  # fmt: skip
+
+
+def shuffled(envelopes: Envelopes) -> Envelopes:
+    rng = np.random.default_rng(1)
+    return sorted(envelopes, key=lambda e: e.receive_ns + rng.normal(0.0, 6e7))
+
+
+ODD: dict[str, Callable[[Envelopes], Envelopes]] = {
+    "not numbers": lambda es: [as_points(e) for e in es],
+    "out of order": shuffled,
+    "twice": lambda es: [e for e in es for _ in range(1 + (e.sequence % 4 == 1))],
+    "another clock": lambda es: [replace(e, receive_ns=e.receive_ns + 5 * 10**12) for e in es],
+    "late truth": lambda es: sorted(es, key=lambda e: e.receive_ns + 4e8 * e.topic.startswith("truth")),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_what_is_odd_changes_no_verdict(log: Path, tmp_path: Path, name: str) -> None:
+    result = judged(changed(log, tmp_path / "odd.mcap", ODD[name]), vehicle_file(tmp_path))
+    (encounter,) = result["encounters"]
+    assert (encounter["outcome"], result["false_stops"], len(result["stops"])) == ("in time", 0, 1)
+    assert encounter["gap_m"] == pytest.approx(13.3, abs=0.4)
+
+
+@pytest.mark.parametrize(("period_s", "seconds"), [(0.4, 3.2), (0.05, 2.0)])
+def test_scans_may_come_at_other_rates(tmp_path: Path, period_s: float, seconds: float) -> None:
+    slow = drive(tmp_path / "rate.mcap", (22.0, 0.3), seconds=seconds, period_s=period_s)
+    assert [e["outcome"] for e in judged(slow, vehicle_file(tmp_path))["encounters"]] == ["in time"]
+
+
+def test_somebody_inside_at_the_start_is_censored_and_standing_is_no_danger(tmp_path: Path) -> None:
+    inside = judged(drive(tmp_path / "in.mcap", (8.0, 0.3), seconds=1.0), vehicle_file(tmp_path))
+    assert ([e["outcome"] for e in inside["encounters"]], inside["state"]) == (["censored"], "not_shown")
+    standing = judged(drive(tmp_path / "s.mcap", (9.0, 0.3), seconds=1.0, speed_mps=0.0), vehicle_file(tmp_path))
+    assert [(e["outcome"], e["is_stop_asked"]) for e in standing["encounters"]] == [("in time", False)]
+
+
+def test_a_clock_that_jumps_is_named(log: Path, tmp_path: Path) -> None:
+    jump = changed(log, tmp_path / "j.mcap", lambda es: [replace(es[0], receive_ns=0), *es[1:]])
+    with pytest.raises(LogError, match=r"\+1700000000 s against the message before"):
+        prepare(jump, None, vehicle_file(tmp_path), CONFIGURATION)
+
+
+def write_bag(path: Path, log: Path, has_mount: bool) -> Path:
+    """The drive as a ROS 2 bag: point clouds, odometry and, if wanted, where the lidar sits."""
+    kind: dict[str, Any] = ROS2.types
+
+    def header(stamp_ns: int, frame: str) -> Any:
+        time = kind["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+        return kind["std_msgs/msg/Header"](time, frame)
+
+    def vector(xyz: Any, name: str = "Vector3") -> Any:
+        return kind[f"geometry_msgs/msg/{name}"](*map(float, xyz))
+
+    def cloud(scan: LidarScan) -> Any:
+        field = kind["sensor_msgs/msg/PointField"]
+        fields = [field(name, 4 * k, 7, 1) for k, name in enumerate("xyz")]
+        data, n = np.frombuffer(scan.points_m.tobytes(), np.uint8), len(scan.points_m)
+        return kind["sensor_msgs/msg/PointCloud2"](
+            header(scan.stamp_ns, "lidar_top"), 1, n, fields, False, 12, 12 * n, data, True
+        )
+
+    def odometry(odom: Odometry) -> Any:
+        turn = vector(quaternion_of(odom.T_odom_base), "Quaternion")
+        pose = kind["geometry_msgs/msg/Pose"](vector(odom.T_odom_base[:3, 3], "Point"), turn)
+        twist = kind["geometry_msgs/msg/Twist"](
+            vector((odom.speed_mps, 0.0, 0.0)), vector((0.0, 0.0, odom.yaw_rate_radps))
+        )
+        many = np.zeros(36)
+        return kind["nav_msgs/msg/Odometry"](
+            header(odom.stamp_ns, "odom"), "base_link", kind["geometry_msgs/msg/PoseWithCovariance"](pose, many),
+            kind["geometry_msgs/msg/TwistWithCovariance"](twist, many),
+        )  # fmt: skip
+
+    with Writer(path, version=9) as bag:
+        named = {
+            name: bag.add_connection(topic, name, typestore=ROS2)
+            for topic, name in (
+                ("/top/points", "sensor_msgs/msg/PointCloud2"), ("/odometry", "nav_msgs/msg/Odometry"),
+                ("/tf_static", "tf2_msgs/msg/TFMessage"),
+            )
+        }  # fmt: skip
+        rows = [(e.receive_ns, e.message) for e in read_log(log, {"odom", "lidar/points"})]
+        if has_mount:
+            level = vector((0.0, 0.0, 0.0, 1.0), "Quaternion")
+            seat = kind["geometry_msgs/msg/Transform"](vector((LIDAR_X_M, 0.0, 1.8)), level)
+            fixed = kind["geometry_msgs/msg/TransformStamped"](header(0, "base_link"), "lidar_top", seat)
+            message = kind["tf2_msgs/msg/TFMessage"]([fixed])
+            connection = named["tf2_msgs/msg/TFMessage"]
+            bag.write(connection, rows[0][0], ROS2.serialize_cdr(message, connection.msgtype))
+        for receive_ns, ours in rows:
+            message = cloud(ours) if isinstance(ours, LidarScan) else odometry(ours)
+            connection = named[
+                "sensor_msgs/msg/PointCloud2" if isinstance(ours, LidarScan) else "nav_msgs/msg/Odometry"
+            ]
+            bag.write(connection, receive_ns, ROS2.serialize_cdr(message, connection.msgtype))
+    return path
+
+
+def test_a_ros_2_bag_is_judged_once_its_vehicle_is_known(log: Path, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", log, has_mount=True)
+    with pytest.raises(ConfigError, match=r"--vehicle FILE; it needs body\.front_m.*top_points\.elevation_deg"):
+        prepare(bag, None, None, CONFIGURATION)
+    file = tmp_path / "car.yaml"
+    file.write_text(VEHICLE.replace(f"      mount: {{xyz_m: [{LIDAR_X_M}, 0.0, 1.8]}}\n", ""))
+    prepared = prepare(bag, None, file, CONFIGURATION)
+    (lidar,) = prepared.machine.vehicle.sensors.lidar.values()
+    assert lidar.mount.xyz_m == pytest.approx((LIDAR_X_M, 0.0, 1.8))
+    assert prepared.source.topic.startswith("odom/")
+    result = judged(bag, file)
+    assert (result["state"], result["missed"], len(result["stops"])) == ("not_shown", None, 1)
+    assert result["encounters"][0]["entry_speed_mps"] == pytest.approx(6.0, abs=0.05)
+    bare = write_bag(tmp_path / "bare", log, has_mount=False)
+    with pytest.raises(ConfigError, match=r"lacks sensors\.lidar\.points\.mount\.xyz_m\. Nothing of this is guessed"):
+        prepare(bare, None, file, CONFIGURATION)
