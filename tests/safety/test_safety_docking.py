@@ -238,6 +238,7 @@ def test_near_the_shed(survey: Survey) -> None:
     for x in around(9.0, 0.001):
         assert survey.is_near(np.array([x, -40.0, 0.0]), 8.0) == (x <= 9.0 + 1e-9), x
     assert survey.is_near(np.array([-5.0, -40.0, 0.0]), 0.0)
+    assert not survey.is_near(np.array([60.0, 20.0, 0.0]), 8.0)
     assert survey_of(load(Site, ROOT / "configs/sites/demo.yaml").model_copy(update={"shed": None})) is None
 
 
