@@ -18,7 +18,9 @@ def parser() -> argparse.ArgumentParser:
 
     run = verbs.add_parser("run", help="drive a mission in simulation, from the yard and back")
     _add_mission(run)
-    run.add_argument("--scenario", default=None, help="who else is about (default: demo, or empty with --field)")
+    run.add_argument(
+        "--scenario", default=None, help="who else is about (default: demo; with --field or no work: empty)"
+    )
     run.add_argument("--seed", type=int, default=1, help="draws places, times and noise (default 1)")
     run.add_argument("--out", type=Path, help="run folder (default runs/<stamp>-run)")
     run.add_argument("--json", action="store_true", help="one object on standard output, progress on standard error")
@@ -41,8 +43,9 @@ def parser() -> argparse.ArgumentParser:
 
     campaign = verbs.add_parser("campaign", help="drive many seeds and draw one table")
     campaign.add_argument(
-        "what", choices=["demo", "ablation", "faults"],
-        help="demo; demo without the obstacle rules; or whatever can break, broken in every situation",
+        "what", choices=["demo", "ablation", "dock", "faults"],
+        help="demo; demo without the obstacle rules; docking alone, into each bay; or whatever can break, broken in "
+        "every situation",
     )  # fmt: skip
     campaign.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds 1 to N (default 10)")
     campaign.add_argument("--jobs", type=int, default=2, metavar="N", help="runs at a time (default 2)")
@@ -55,7 +58,9 @@ def parser() -> argparse.ArgumentParser:
     live = verbs.add_parser("live", help="the same stack against the wall clock, each part in a process of its own")
     live.add_argument("--world", choices=["simulation"], required=True, help="who is driven: the simulated machine")
     _add_mission(live)
-    live.add_argument("--scenario", default=None, help="who else is about (default: demo, or empty with --field)")
+    live.add_argument(
+        "--scenario", default=None, help="who else is about (default: demo; with --field or no work: empty)"
+    )
     live.add_argument("--seed", type=int, default=1, help="draws places, times and noise (default 1)")
     live.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after so many seconds")
     live.add_argument("--break", dest="break_", metavar="PROCESS:SIGNAL:S", help="such as safety:KILL:20 (or STOP)")

@@ -15,19 +15,22 @@ from messages.errors import HeadlandError
 from runtime.folder import ROOT, RunFolder
 
 COLUMNS = (
-    "seed", "outcome", "simulated_s", "wall_s", "distance_m", "planned_share", "coverage", "xte_sigma_m", "xte_max_m",
-    "stops", "false_stops", "contacts", "exits",
+    "trial", "outcome", "simulated_s", "wall_s", "distance_m", "planned_share", "coverage", "xte_sigma_m", "xte_max_m",
+    "stops", "false_stops", "contacts", "exits", "dock_error_m", "dock_error_deg",
 )  # fmt: skip
+BAYS = ("wide", "narrow")
+REFUSED = 2  # exit code of a run that was not begun
 DONE = ("finished", "docked")
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One run of the campaign by its seed, in a folder of its own."""
+    """One run of the campaign in a folder of its own: what is said to `run`, and whether it may refuse."""
 
-    seed: int
+    name: str
     folder: Path
-    is_ablation: bool
+    words: tuple[str, ...]
+    may_refuse: bool = False
 
     @property
     def result(self) -> dict[str, Any] | None:
@@ -47,12 +50,31 @@ class Trial:
             self.folder.rename(
                 self.folder.with_name(f"{self.folder.name}-cut-{len(list(self.folder.parent.iterdir()))}")
             )
-        words = [sys.executable, "-m", "runtime", "run", "--seed", str(self.seed), "--out", str(self.folder), "--json"]
-        extra = ["--without-obstacle-rules"] if self.is_ablation else []
-        done = subprocess.run([*words, *extra], capture_output=True, text=True, check=False, cwd=ROOT)
-        if (result := self.result) is None:
-            raise HeadlandError(f"seed {self.seed} did not end: {done.stderr.strip().splitlines()[-1:]}")
-        return result
+        words = [sys.executable, "-m", "runtime", "run", *self.words, "--out", str(self.folder), "--json"]
+        done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
+        if (result := self.result) is not None:
+            return result
+        reason = " ".join(done.stderr.strip().splitlines()[-1:])
+        if self.may_refuse and done.returncode == REFUSED:
+            return {"outcome": f"refused: {reason}"}
+        raise HeadlandError(f"{self.name} did not end: {reason}")
+
+
+def trials_of(what: str, seeds: int, top: Path) -> list[Trial]:
+    """All runs of a campaign; docking goes into each bay by each seed."""
+
+    def trial(name: str, *words: str, may_refuse: bool = False) -> Trial:
+        return Trial(name, (top / name).absolute(), words, may_refuse)
+
+    numbers = range(1, seeds + 1)
+    if what == "dock":
+        return [
+            trial(f"{bay}-{k}", "--mission", "dock", "--bay", bay, "--seed", str(k), may_refuse=True)
+            for k in numbers
+            for bay in BAYS
+        ]
+    extra = ["--without-obstacle-rules"] if what == "ablation" else []
+    return [trial(f"seed-{k}", "--seed", str(k), *extra) for k in numbers]
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -63,14 +85,14 @@ def main(arguments: argparse.Namespace) -> int:
         return faults.main(arguments)
     if arguments.seeds < 1 or arguments.jobs < 1:
         raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
-    is_ablation = arguments.what == "ablation"
     top = arguments.out or RunFolder(f"campaign-{arguments.what}", None).path
     top.mkdir(parents=True, exist_ok=True)
-    trials = [Trial(seed, (top / f"seed-{seed}").absolute(), is_ablation) for seed in range(1, arguments.seeds + 1)]
-    results = sorted(_drive_all(trials, arguments.jobs), key=lambda r: int(r["seed"]))
+    trials = trials_of(arguments.what, arguments.seeds, top)
+    found = {trial.name: result for trial, result in _drive_all(trials, arguments.jobs)}
+    results = [{"trial": trial.name, **found[trial.name]} for trial in trials if trial.name in found]
     rows = [_row(result) for result in results]
     (top / "table.html").write_text(_page(arguments.what, rows), encoding="utf-8")
-    good = sum(_is_as_wanted(result, is_ablation) for result in results)
+    good = sum(_is_as_wanted(result, arguments.what) for result in results)
     if arguments.json:
         sys.stdout.write(
             json.dumps({"what": arguments.what, "good": good, "runs": results, "run_dir": str(top)}) + "\n"
@@ -80,35 +102,45 @@ def main(arguments: argparse.Namespace) -> int:
     return 0 if good == len(trials) else 1
 
 
-def _drive_all(trials: list[Trial], jobs: int) -> Iterator[dict[str, Any]]:
+def _drive_all(trials: list[Trial], jobs: int) -> Iterator[tuple[Trial, dict[str, Any]]]:
     """Results as they come, with a line of progress each; one failed trial does not end the campaign."""
     with ThreadPoolExecutor(jobs) as pool:  # each thread only waits for its process
         waiting = {pool.submit(trial.drive): trial for trial in trials}
         for number, future in enumerate(as_completed(waiting), 1):
-            seed = waiting[future].seed
+            trial = waiting[future]
             try:
                 result = future.result()
             except HeadlandError as error:
                 sys.stderr.write(f"[{number}/{len(trials)}] {error}\n")
                 continue
-            text = f"seed {seed}: {result['outcome']}, {len(result['stops'])} stops, {result['contacts']} contacts"
-            sys.stderr.write(f"[{number}/{len(trials)}] {text}, {result['wall_s']:.0f} s\n")
-            yield result
+            sys.stderr.write(f"[{number}/{len(trials)}] {trial.name}: {_told(result)}\n")
+            yield trial, result
 
 
-def _is_as_wanted(result: dict[str, Any], is_ablation: bool) -> bool:
+def _told(result: dict[str, Any]) -> str:
+    if "stops" not in result:
+        return str(result["outcome"])
+    dock = "" if result["dock_error_m"] is None else f", {100.0 * result['dock_error_m']:.1f} cm from the dock"
+    ends = f"{len(result['stops'])} stops, {result['contacts']} contacts{dock}"
+    return f"{result['outcome']}, {ends}, {result['wall_s']:.0f} s"
+
+
+def _is_as_wanted(result: dict[str, Any], what: str) -> bool:
+    if "stops" not in result:
+        return True
     expected: int = sum(result["expected_stops"].values())
     contacts, exits = int(result["contacts"]), int(result["exits"])
-    if is_ablation:
+    if what == "ablation":
         return contacts == expected
     is_done, stops = str(result["outcome"]) in DONE, len(result["stops"])
     return is_done and stops == expected and contacts == exits == 0
 
 
 def _row(result: dict[str, Any]) -> dict[str, Any]:
-    xte = result["xte_m"] or {"sigma": None, "max_abs": None}
-    more = {"xte_sigma_m": xte["sigma"], "xte_max_m": xte["max_abs"], "stops": len(result["stops"])}
-    return {key: (result | more)[key] for key in COLUMNS}
+    xte = result.get("xte_m") or {"sigma": None, "max_abs": None}
+    more = {"xte_sigma_m": xte["sigma"], "xte_max_m": xte["max_abs"]}
+    more |= {"stops": len(result["stops"])} if "stops" in result else {}
+    return {key: (result | more).get(key) for key in COLUMNS}
 
 
 def _page(what: str, rows: list[dict[str, Any]]) -> str:

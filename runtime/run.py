@@ -38,7 +38,8 @@ def main(arguments: argparse.Namespace) -> int:
         arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
     )
     setup = with_model(setup, arguments.model)
-    scenario = load(Scenario, find("scenarios", arguments.scenario or ("empty" if arguments.field else "demo")))
+    is_demo = arguments.field is None and setup.mission.work is not None
+    scenario = load(Scenario, find("scenarios", arguments.scenario or ("demo" if is_demo else "empty")))
     folder = RunFolder("run", arguments.out)
     try:
         result = drive(setup, scenario, folder, sys.stderr, arguments.without_obstacle_rules)
