@@ -26,6 +26,7 @@ class Threat:
 
 Explained = Callable[[Float64], np.ndarray]
 REACH_M = 15.0  # farther than any body, margin and uncertainty reach from base
+FIXED = frozenset({ObstacleClass.POLE, ObstacleClass.MOUND, ObstacleClass.DITCH})
 NO_THREAT = Threat(math.inf, ObstacleClass.UNKNOWN, -1)
 
 
@@ -48,7 +49,8 @@ def is_moving(track: Track, config: TrackedConfig) -> bool:
     """Whether a track surely moves: a speed near 0, or not known well or long enough, does not count.
 
     The seen part of a fence, hedge or vehicle grows and shrinks as the machine passes, which looks like motion of its
-    middle: what has no class must be compact, and what is long or a vehicle must be faster.
+    middle: what has no class must be compact, and what is long or a vehicle must be faster. A pole or mound faster than
+    any walker is a wall seen from place to place, with its edge taken for one thing.
     """
     if track.last_seen_ns - track.first_seen_ns < config.known_s * 1e9:
         return False
@@ -57,6 +59,8 @@ def is_moving(track: Track, config: TrackedConfig) -> bool:
         return False
     speed = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
     if not math.isfinite(speed):
+        return False
+    if track.label in FIXED and speed > config.walker_mps:
         return False
     sigma = velocity_sigma_mps(track)
     is_machine = is_long or track.label is ObstacleClass.VEHICLE

@@ -113,6 +113,10 @@ def test_moving_needs_speed_and_certainty(config: SafetyConfig) -> None:
         car = track(0, 0, vx=speed, label=ObstacleClass.VEHICLE)
         assert is_moving(car, config.tracked) == (speed >= config.tracked.long_moving_mps), speed
     assert not is_moving(track(0, 0, vx=math.nan), config.tracked)
+    for speed in (1.0, 2.9, 3.0, 3.1, 7.0):
+        pole = replace(track(0, 0, vx=speed), label=ObstacleClass.POLE)
+        assert is_moving(pole, config.tracked) == (speed <= config.tracked.walker_mps), speed
+        assert is_moving(replace(pole, label=ObstacleClass.PERSON), config.tracked)
     for age_ms in around(500, 1):
         young = replace(track(0, 0, vx=1.0), first_seen_ns=START_NS - round(age_ms * 1e6))
         assert is_moving(young, config.tracked) == (age_ms >= 500), age_ms
