@@ -65,7 +65,8 @@ def line(docking: Docking, trials: list[Trial]) -> str:
     lengths = [sum(float(p.s_m[-1]) for p in paths) for paths in planned]
     return (
         f"{docking.bay.name:8} {len(planned)} of {len(trials)} planned, median {statistics.median(took):.0f} ms, "
-        f"max {max(took):.0f} ms (processor {statistics.median(busy):.0f} and {max(busy):.0f} ms); cusps {min(cusps)} to {max(cusps)}, way {min(lengths):.0f} to {max(lengths):.0f} m"
+        f"max {max(took):.0f} ms (processor {statistics.median(busy):.0f} and {max(busy):.0f} ms); "
+        f"cusps {min(cusps)} to {max(cusps)}, way {min(lengths):.0f} to {max(lengths):.0f} m"
     )
 
 
