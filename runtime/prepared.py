@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from configs.site import Pose2, Site
+from configs.site import DatumConfig, Pose2, Shed
 from configs.strict import CONFIGS, Config, load, parse
 from datasets.importers.recording import Recording
 from datasets.reader import LogScan, read_metadata
 from datasets.records import MAGIC
+from geometry.geodesy import Datum
 from localization.scan_odometry import ScanOdometryConfig
+from messages.errors import ConfigError
 from messages.motion import Odometry
 from runtime.preflight import CHILD_FRAMES, Machine, Survey, find_machine, pose_between, survey
 from runtime.preflight_table import rows_of
@@ -62,10 +64,12 @@ class Source:
 
 @dataclass(frozen=True)
 class Place:
-    """The site of a log of ours, and the pose at which the machine was left in its shed (None: outside)."""
+    """Where a log of ours was recorded: `dock` is where the machine was left in the shed (None: outside)."""
 
-    site: Site
+    datum: Datum
+    shed: Shed | None
     dock: Pose2 | None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,7 @@ class Prepared:
         needed |= dict.fromkeys(self.source.topic.split(), "speed and way") if self.source.topic else {}
         needed |= {"path": "planned way", "wish": "place on it"} if self.is_planned else {}
         notes = [*self.recording.description.notes, *self.damages, *self.machine.notes, self.source.note]
+        notes += [] if self.place is None else self.place.notes
         if self.clock_ns:
             notes.append(f"times of reception run {self.clock_ns * 1e-9:+.1f} s against the stamps: shifted by that")
         has_truth = self.truth_topic is not None
@@ -195,14 +200,19 @@ def child_pose(recording: Recording, machine: Machine, topic: str) -> np.ndarray
 
 
 def place_of(path: FilePath) -> Place | None:
-    """The place that a log's own configuration names, or None; raises ConfigError for one that cannot be."""
+    """The place that a log's own configuration names, or None; raises ConfigError for a datum that cannot be."""
     import yaml
 
     text = read_metadata(path).get("config", {}).get("yaml") if path.is_file() else None
     config = yaml.safe_load(text) if text is not None else None
-    if not isinstance(config, dict) or not isinstance(config.get("site"), dict):
+    site = config.get("site") if isinstance(config, dict) else None
+    if not isinstance(site, dict):
         return None
-    site = parse(Site, config["site"], f"{path}: site")
-    mission = config.get("mission") or {}
-    is_left_in_shed = site.shed is not None and mission.get("bay") is not None and mission.get("start") is None
-    return Place(site, site.bay(mission["bay"]).dock if is_left_in_shed else None)
+    datum = parse(DatumConfig, site.get("datum"), f"{path}: site.datum").datum
+    mission = (config or {}).get("mission") or {}
+    try:
+        shed = None if site.get("shed") is None else parse(Shed, site["shed"], f"{path}: site.shed")
+    except ConfigError as error:
+        return Place(datum, None, None, (f"shed left out, since another version wrote it: {error}",))
+    is_left_there = shed is not None and mission.get("bay") is not None and mission.get("start") is None
+    return Place(datum, shed, shed.bay(mission["bay"]).dock if shed is not None and is_left_there else None)

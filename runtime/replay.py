@@ -33,7 +33,7 @@ from runtime.trajectory import (
     stages_of,
     trajectory_of,
 )
-from safety.survey import survey_of
+from safety.survey import surveyed
 
 RECOMPUTED = {
     "odom", "map_pose", "lidar_motion", "lidar_pose", "ground", "obstacles", "tracks", "health", "supervisor",
@@ -233,8 +233,8 @@ def locating(prepared: Prepared) -> list[Node]:
     if "front" in vehicle.sensors.lidar:
         nodes.append(LidarOdometry(vehicle, "front", config.lidar_odometry))
     if "front" in vehicle.sensors.lidar and implement is not None:
-        nodes.append(LidarMap(vehicle, implement, place.site.shed, config.lidar_map))
-    return [*nodes, Localizer(vehicle, place.site.datum.datum, config, place.site.shed, place.dock)]
+        nodes.append(LidarMap(vehicle, implement, place.shed, config.lidar_map))
+    return [*nodes, Localizer(vehicle, place.datum, config, place.shed, place.dock)]
 
 
 def shadow_for(prepared: Prepared) -> Shadow:
@@ -248,6 +248,6 @@ def shadow_for(prepared: Prepared) -> Shadow:
         prepared.machine.implement,
         safety.model_copy(update={"braking": braking}),
         None if prepared.is_planned else prepared.half_width_m,
-        None if place is None else survey_of(place.site),
+        None if place is None or place.shed is None else surveyed(place.shed),
         frozenset(f"camera_{name}" for name in vehicle.sensors.camera if is_blind),
     )

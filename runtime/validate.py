@@ -202,7 +202,7 @@ def judge_task(task: Task) -> dict[str, Any]:
     try:
         values = _judge(task)
     except HeadlandError as error:
-        values = {"log": task.name, "failed": str(error)}
+        values = {"log": task.name, "failed": "; ".join([str(error), *_damages(task.log)])}
     except Exception as error:  # a log may break what read it in any way; the others must go on
         where = traceback.format_exc().strip().splitlines()[-3:]
         values = {"log": task.name, "failed": f"{task.log}: {error!r} ({' '.join(where)})"}
@@ -213,6 +213,16 @@ def judge_task(task: Task) -> dict[str, Any]:
         fresh.write_text(json.dumps(values), encoding="utf-8")
         fresh.replace(task.folder / "result.json")
     return values
+
+
+def _damages(log: Path) -> tuple[str, ...]:
+    """What of it was lost, which may be why it could not be judged."""
+    from runtime.prepared import damages_of
+
+    try:
+        return damages_of(log)
+    except HeadlandError:
+        return ()
 
 
 def _judge(task: Task) -> dict[str, Any]:
