@@ -119,9 +119,17 @@ def _turned(run: Run) -> Run:
 
 def _path(run: Run, docking: Docking, path_id: int, is_last: bool) -> Path:
     count = len(run.s_m)
-    speed = speed_profile(run.s_m, run.curvature_radpm, np.full(count, kmh(docking.config.speed_kmh)), docking.rig)
+    speed = speed_profile(run.s_m, run.curvature_radpm, _limit_mps(run, docking), docking.rig)
     heading: Float64 = np.asarray(np.pi - (np.pi - run.heading_rad) % (2.0 * np.pi), np.float64)
     return Path(
         0, path_id, run.direction, run.p_map_m, heading, run.curvature_radpm, run.s_m, speed,
         np.zeros(count, np.uint8), (Stretch(Leg.DOCK, -1, 0, count - 1),), np.zeros(count, np.int32), is_last, True,
     )  # fmt: skip
+
+
+def _limit_mps(run: Run, docking: Docking) -> Float64:
+    """Docking speed, but faster forward where the shed is far, (N,)."""
+    slow, fast = kmh(docking.config.speed_kmh), kmh(docking.config.yard_kmh)
+    assert docking.site.shed is not None
+    apart_m = shapely.distance(Polygon(docking.site.shed.outline_m), shapely.points(run.p_map_m))
+    return np.where((run.direction > 0) & (apart_m > docking.config.yard_m), fast, slow)
