@@ -143,6 +143,7 @@ class UltrasonicConfig(Config):
     hold_s: Seconds = Field(description="how long what went into the dead zone is kept")
     most_kmh: Kmh = Field(description="faster, an echo comes too late to matter")
     arc_share: float = Field(gt=0.0, le=1.0, description="of the arc that must lie in the way")
+    answer_m: Metres = Field(description="a thing that a lidar follows, this near to the arc, answered")
 
     @model_validator(mode="after")
     def _window_holds_repeats(self) -> "UltrasonicConfig":

@@ -9,7 +9,7 @@ import numpy as np
 from configs.vehicle import Sensors, kmh
 from messages.message import Float64
 from messages.motion import Odometry
-from messages.perception import SensorHealth
+from messages.perception import SensorHealth, Tracks
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
 from messages.topics import KINDS
 from safety.bodies import Shape
@@ -22,7 +22,7 @@ from safety.proven import shrink
 from safety.radar import RadarEye
 from safety.returns import Box, Motion
 from safety.tracked import Explained
-from safety.ultrasonic import Ear
+from safety.ultrasonic import Ear, is_answered
 
 THIN_M = 0.05  # what a gap may be too long by
 
@@ -85,13 +85,17 @@ class Senses:
             if scan is not None:
                 eye.take(scan, trail.pose_at(scan.stamp_ns), motion, odom.curvature_radpm, box)
 
-    def gap(self, way: Way, pose_odom: Float64, speed_mps: float, is_explained: Explained | None) -> Gap | None:
+    def gap(
+        self, way: Way, pose_odom: Float64, speed_mps: float, is_explained: Explained | None, tracks: Tracks | None
+    ) -> Gap | None:
         """The gaps to all that any of them has confirmed; None before any lidar has looked."""
         if not any(eye.stamp_ns is not None for eye in self.eyes):
             return None
         gaps = [self._points_gap(way, pose_odom, is_explained)]
         if speed_mps <= kmh(self._config.ultrasonic.most_kmh):
-            gaps += [self._arc_gap(ear, way, pose_odom, is_explained) for ear in self.ears if len(ear.arc_odom_m)]
+            near_m = self._config.ultrasonic.answer_m
+            heard = [e for e in self.ears if len(e.arc_odom_m) and not is_answered(e.arc_odom_m, tracks, near_m)]
+            gaps += [self._arc_gap(ear, way, pose_odom, is_explained) for ear in heard]
         hits = np.concatenate([gap.hits_base_m for gap in gaps])
         return Gap(min(gap.main_m for gap in gaps), min(gap.arc_m for gap in gaps), hits)
 

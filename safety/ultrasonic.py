@@ -13,11 +13,13 @@ import numpy as np
 from configs.vehicle import Ultrasonic
 from messages.message import Float64
 from messages.motion import Odometry
+from messages.perception import Tracks
 from messages.sensors import UltrasonicRange
 from safety.config import UltrasonicConfig
 from safety.motion import to_frame
 
 ARC_POINTS = 7
+NARROW_M = 1.0  # the middle of a wider box may be empty: two sides of a fence, seen as one thing
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,24 @@ def arc_of(range_m: float, sensor: Ultrasonic, T: Float64) -> Float64:
     angle = np.linspace(-half, half, ARC_POINTS)
     local = range_m * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(ARC_POINTS)])
     return np.asarray((local @ T[:3, :3].T + T[:3, 3])[:, :2])
+
+
+def is_answered(arc_odom_m: Float64, tracks: Tracks | None, near_m: float) -> bool:
+    """Whether an echo from somewhere on an arc (N, 2) is that of a thing which a lidar sees and follows.
+
+    Where on the arc it stands is then known, and whether it is in the way is for the lidar to say: a fence beside the
+    machine answers from the far end of the cone.
+    """
+    for track in () if tracks is None else tracks.tracks:
+        is_narrow = float(np.min(track.size_m[:2])) <= NARROW_M
+        if not (is_narrow and track.is_confirmed) or not any(name.startswith("lidar") for name in track.sensors):
+            continue
+        c, s = math.cos(track.yaw_rad), math.sin(track.yaw_rad)
+        away = arc_odom_m - track.p_odom_m[:2]
+        along, across = np.abs(away @ [c, s]), np.abs(away @ [-s, c])
+        if ((along <= 0.5 * track.size_m[0] + near_m) & (across <= 0.5 * track.size_m[1] + near_m)).any():
+            return True
+    return False
 
 
 def ground_m(T: Float64) -> float:

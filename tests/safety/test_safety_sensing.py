@@ -14,14 +14,14 @@ from configs.vehicle import Vehicle
 from messages.command import Mode, Order
 from messages.errors import ConfigError
 from messages.motion import Odometry
-from messages.perception import HealthState, ObstacleClass, Track
+from messages.perception import HealthState, ObstacleClass, Track, Tracks
 from messages.sensors import RadarScan, UltrasonicRange
 from safety.bodies import shape_of
 from safety.config import RadarConfig, SafetyConfig, UltrasonicConfig
 from safety.radar import RadarEye
 from safety.sensing import companions_of, lost_of
 from safety.supervisor import Supervisor
-from safety.ultrasonic import Ear, ground_m
+from safety.ultrasonic import NARROW_M, Ear, ground_m, is_answered
 
 FRONT_M = 3.5
 LOST = {
@@ -295,6 +295,27 @@ def listen(full: Vehicle, config: SafetyConfig, ranges: list[float], speed_mps: 
         pose = np.array([speed_mps * 0.1 * k, 0.0, 0.0])
         ear.take(UltrasonicRange(START_NS + k * 100_000_000, range_m), pose, replace(STILL, speed_mps=speed_mps))
     return ear
+
+
+@pytest.mark.parametrize(
+    ("y", "width", "sensor", "is_confirmed", "is_known"),
+    [
+        (1.2, 0.2, "lidar_front", True, True),
+        (1.2, 0.2, "ultrasonic_left", True, False),  # the echo does not answer for itself
+        (1.2, 0.2, "lidar_front", False, False),
+        (2.6, 0.2, "lidar_front", True, False),
+        (1.2, NARROW_M, "lidar_front", True, True),
+        (1.2, NARROW_M + 0.01, "lidar_front", True, False),
+    ],
+)
+def test_what_a_lidar_follows_answers_an_echo(
+    y: float, width: float, sensor: str, is_confirmed: bool, is_known: bool
+) -> None:
+    fence = Track(1, ObstacleClass.UNKNOWN, 0.9, np.array([3.0, y, 0.6]), np.zeros(3), np.eye(4) * 0.01,
+                  np.array([8.0, width, 1.2]), 0.0, 0, START_NS, is_confirmed, (sensor,))  # fmt: skip
+    arc = np.array([[3.0, 0.0], [2.9, 0.5], [2.6, 1.0]])
+    assert is_answered(arc, Tracks(START_NS, (fence,)), 0.3) == is_known
+    assert not is_answered(arc, None, 0.3)
 
 
 def test_echoes_must_repeat(full: Vehicle, config: SafetyConfig) -> None:
