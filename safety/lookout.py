@@ -178,7 +178,7 @@ class Lookout:
         self._looked_at_m = self.trail.driven_m
         sigma_m = self._config.docking.sigmas * position_sigma_m(seen.map_pose)
         is_explained = self._explaining(pose_odom, pose_map, sigma_m)
-        self._gap = self.senses.gap(way, pose_odom, speed_mps, is_explained)
+        self._gap = self.senses.gap(way, pose_odom, speed_mps, is_explained, seen.tracks)
         stop_s = stopping_time(speed_mps, braking)
         self._threat = threat_in(
             way.main, self._shape, seen.tracks, pose_odom, odom.curvature_radpm, stop_s, self._config.tracked,
