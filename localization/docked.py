@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -20,6 +21,7 @@ class DockedConfig(Config):
     heading_sigma_deg: float = Field(gt=0.0, le=20.0)
     height_sigma_m: float = Field(gt=0.0, le=1.0)
     roof_margin_m: float = Field(ge=0.0, le=30.0, description="about the roof, where fixes suffer from it")
+    ranging_margin_m: float = Field(ge=0.0, le=200.0, description="about the roof, where ranges enter the graph always")
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,18 @@ class Docked:
 
     def is_shaded(self, p_map_m: Float64) -> bool:
         """Whether a place is under the roof or so near that it hides much of the sky or mirrors it."""
-        if self.shed is None:
-            return False
-        roof = shapely.Polygon(self.shed.outline_m)
-        return bool(roof.distance(shapely.Point(p_map_m[:2])) <= self.config.roof_margin_m)
+        return self._roof_m(p_map_m) <= self.config.roof_margin_m
+
+    def is_near(self, p_map_m: Float64) -> bool:
+        """Whether a place is so near to the shed that ranges must have been learnt to know before fixes end."""
+        return self._roof_m(p_map_m) <= self.config.ranging_margin_m
+
+    @cached_property
+    def _roof(self) -> shapely.Polygon:
+        roof = shapely.Polygon() if self.shed is None else shapely.Polygon(self.shed.outline_m)
+        shapely.prepare(roof)
+        return roof
+
+    def _roof_m(self, p_map_m: Float64) -> float:
+        """How far the roof is, infinite where there is none."""
+        return math.inf if self.shed is None else float(shapely.distance(self._roof, shapely.Point(p_map_m[:2])))

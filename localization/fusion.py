@@ -118,11 +118,11 @@ class Fusion:
 
     def keyframe(
         self, stamp_ns: int, track: InertialTrack, wheels: WheelTrack, positions: list[Position],
-        heard: Heard | None = None, sightings: Sequence[Sighting] = (),
+        heard: Heard | None = None, sightings: Sequence[Sighting] = (), needs_ranges: bool = True,
     ) -> list[Refusal]:  # fmt: skip
         """Adds a keyframe with what was measured since the last; says what spoke against each of the fixes.
 
-        Fixes, ranges and sightings have been carried over to `stamp_ns`.
+        Fixes, ranges and sightings have been carried over to `stamp_ns`; ranges that it does not need are only judged.
 
         Raises SmootherFailure when the graph had to be rebuilt at the last state.
         """
@@ -138,7 +138,7 @@ class Fusion:
         for position, refusal in zip(positions, refusals, strict=True):
             factors += self._fix_factors(key, guess, position) if refusal is Refusal.NONE else []
         factors += self._sighting_factors(key, guess, sightings)
-        ranged = self._range_factors(key, guess, heard) if heard is not None else []
+        ranged = self._range_factors(key, guess, heard, needs_ranges) if heard is not None else []
         between = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), inertial)
         root = math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
         if not ranged or self.ranging is None:
@@ -160,20 +160,20 @@ class Fusion:
             if agrees(s, guess.T_map_body, guess.covariance, self._sighting)
         ]
 
-    def _range_factors(self, key: int, guess: State, heard: Heard) -> list[gtsam.NonlinearFactor]:
+    def _range_factors(self, key: int, guess: State, heard: Heard, is_needed: bool) -> list[gtsam.NonlinearFactor]:
         """Those that agree, with the calibration's own link to the keyframe before, or to what was known then."""
         ranging = self.ranging
         assert ranging is not None, "who hears has anchors"
         kept = ranging.judge(heard, guess.T_map_body, guess.covariance)
-        if not ranging.accept(guess.stamp_ns, heard, kept):
+        if not ranging.accept(guess.stamp_ns, heard, kept) or not is_needed:
             return []
         factors: list[gtsam.NonlinearFactor]
         before, gaussian = self._calibrated, gtsam.noiseModel.Gaussian.Covariance
+        walk = np.diag(ranging.walk * (0 if before is None else guess.stamp_ns - before[1]) * 1e-9)
         if before is not None and self.smoother.holds(before[0]):
-            walk = np.diag(ranging.walk * (guess.stamp_ns - before[1]) * 1e-9)
             factors = [gtsam.BetweenFactorVector(C(before[0]), C(key), np.zeros(len(walk)), gaussian(walk))]
         else:
-            known = gaussian(ranging.calibration_covariance)
+            known = gaussian(ranging.calibration_covariance + walk)
             factors = [gtsam.PriorFactorVector(C(key), ranging.calibration, known)]
         factors.append(ranges_factor(key, ranging.anchors_map_m, kept.arms_m, kept.rows, kept.range_m, kept.sigma_m))
         return factors

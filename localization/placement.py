@@ -27,6 +27,7 @@ from localization.ranging import RangingConfig
 from localization.sighting import SightingConfig, Sightings
 from localization.smoother import SmootherConfig, SmootherFailure, State
 from messages.motion import MapPose, PositionSource
+from messages.sensors import GnssSolution
 
 
 class PlacementConfig(Config):
@@ -196,7 +197,7 @@ class Placement:
             moved = [self._carry(fix, stamp_ns) for fix in fixes]
             refusals = self.fusion.keyframe(
                 stamp_ns, motion.track, motion.wheels, moved, heard,
-                self.sightings.take(stamp_ns, motion.history),
+                self.sightings.take(stamp_ns, motion.history), self._needs_ranges(stamp_ns),
             )  # fmt: skip
         except SmootherFailure as failure:
             self._recover(stamp_ns, before, str(failure))
@@ -206,6 +207,14 @@ class Placement:
         self._place(state)
         for fix, refusal in zip(fixes, refusals, strict=True):
             self._count(fix, refusal)
+
+    def _needs_ranges(self, stamp_ns: int) -> bool:
+        """Whether ranges are worth their unknowns: far from the shed they add nothing to fixed ambiguities."""
+        fix, state, outage_ns = self._accepted, self.state, self._config.integrity.outage_s * 1e9
+        is_fixed = fix is not None and fix.solution is GnssSolution.RTK_FIXED and not self.is_refusing
+        if not is_fixed or state is None or stamp_ns - self._accepted_ns > outage_ns:
+            return True
+        return self._docked.is_near(state.T_map_body[:3, 3])
 
     def _is_ranged(self, stamp_ns: int) -> bool:
         """Whether UWB holds the position."""

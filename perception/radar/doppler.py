@@ -37,7 +37,8 @@ def is_well_formed(scan: RadarScan) -> bool:
 
 def usable(scan: RadarScan, range_m: tuple[float, float], half_view_rad: float) -> Bools:
     """Which detections (N,) are measurements within the sensor's reach; elevation alone may be missing (NaN)."""
-    finite = np.isfinite(np.stack([scan.range_m, scan.azimuth_rad, scan.doppler_mps, scan.rcs_dbsm])).all(axis=0)
+    finite = np.isfinite(scan.range_m) & np.isfinite(scan.azimuth_rad)
+    finite &= np.isfinite(scan.doppler_mps) & np.isfinite(scan.rcs_dbsm)
     near, far = range_m
     with np.errstate(invalid="ignore"):
         inside = (scan.range_m >= near) & (scan.range_m <= far) & (np.abs(scan.azimuth_rad) <= half_view_rad)
@@ -46,9 +47,10 @@ def usable(scan: RadarScan, range_m: tuple[float, float], half_view_rad: float) 
 
 def sight_lines(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:
     """Unit vectors (N, 3) in the sensor's frame; a missing elevation counts as level."""
-    elevation = np.nan_to_num(elevation_rad, nan=0.0)
-    flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation)], axis=1)
+    elevation = np.where(np.isfinite(elevation_rad), elevation_rad, 0.0)
+    lines, flat = np.empty((len(elevation), 3)), np.cos(elevation)
+    lines[:, 0], lines[:, 1], lines[:, 2] = flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation)
+    return lines
 
 
 def sensor_velocity(odom: Odometry, T_base_sensor: Float64) -> Float64:

@@ -10,7 +10,7 @@ from messages.motion import Odometry
 from messages.node import All, Every, Inbox, Latest, Node, Output
 from messages.perception import HealthState, SensorHealth
 from messages.sensors import RadarScan
-from perception.radar.doppler import is_well_formed, sensor_velocity, to_base, usable
+from perception.radar.doppler import Bools, is_well_formed, sensor_velocity, to_base, usable
 from perception.radar.obstacles import RadarConfig
 
 MOST_SCANS = 20
@@ -27,6 +27,7 @@ class RadarHealth(Node):
         self._sensor, self._topic, self._radar, self._config = f"radar_{name}", f"radar/{name}", radar, config.health
         yaw, half = math.radians(radar.mount.rpy_deg[2]), math.radians(radar.field_of_view_deg) / 2
         self._edges = np.array([yaw - half, yaw + half])
+        self._T_base_radar = radar.mount.T_base_sensor
         self._last_ns: int | None = None
         self._echo_ns: int | None = None  # when the world last answered, or did not have to
         self._disagrees = False
@@ -35,26 +36,33 @@ class RadarHealth(Node):
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """The state now."""
         odom = inbox.latest("odom", Odometry)
-        for scan in inbox.all(self._topic, RadarScan):
-            self._look(scan, odom)
+        votes = [scan for scan in inbox.all(self._topic, RadarScan) if self._look(scan, odom)]
+        if votes and odom is not None:
+            self._disagrees = self._is_outvoted(votes[-1], odom)
         state, reason = self._judge(now_ns, odom)
         proven = np.array([0.0 if state is HealthState.BLIND else self._config.proven_range_m])
         health = SensorHealth(now_ns, self._sensor, state, reason, self._edges.copy(), proven, self._dropped)
         return ((self.writes[0], health),)
 
-    def _look(self, scan: RadarScan, odom: Odometry | None) -> None:
+    def _look(self, scan: RadarScan, odom: Odometry | None) -> bool:
+        """Note a cycle; true when it has echoes enough to vote on the odometry."""
         if not is_well_formed(scan):
             self._dropped += 1
-            return
+            return False
         self._last_ns = scan.stamp_ns
         moves = odom is not None and abs(odom.speed_mps) > self._config.moving_mps
-        which = usable(scan, self._radar.range_m, math.radians(self._radar.field_of_view_deg) / 2)
-        if which.any() or not moves or self._echo_ns is None:
+        echoes = int(np.count_nonzero(self._usable(scan)))
+        if echoes or not moves or self._echo_ns is None:
             self._echo_ns = scan.stamp_ns
-        if odom is not None and moves and which.sum() >= self._config.agree_echoes:
-            T = self._radar.mount.T_base_sensor
-            radial = to_base(scan, which, T, sensor_velocity(odom, T)).radial_mps
-            self._disagrees = bool((np.abs(radial) <= self._config.agree_mps).mean() < self._config.agree_share)
+        return moves and echoes >= self._config.agree_echoes
+
+    def _usable(self, scan: RadarScan) -> Bools:
+        return usable(scan, self._radar.range_m, math.radians(self._radar.field_of_view_deg) / 2)
+
+    def _is_outvoted(self, scan: RadarScan, odom: Odometry) -> bool:
+        T = self._T_base_radar
+        radial = to_base(scan, self._usable(scan), T, sensor_velocity(odom, T)).radial_mps
+        return bool((np.abs(radial) <= self._config.agree_mps).mean() < self._config.agree_share)
 
     def _judge(self, now_ns: int, odom: Odometry | None) -> tuple[HealthState, str]:
         config = self._config

@@ -62,7 +62,7 @@ class RadarObstacles(Node):
         self.writes = (f"obstacles/radar_{name}",)
         self.runs = On((f"radar/{name}",))
         self._topic, self._radar, self._config = f"radar/{name}", radar, config
-        self._own = own_outlines(vehicle, implement)
+        self._own, self._T_base_radar = own_outlines(vehicle, implement), radar.mount.T_base_sensor
         self._table = empty_table()
         self._stamp_ns = 0
         warm()
@@ -82,7 +82,7 @@ class RadarObstacles(Node):
         """The obstacles of a cycle, with what the cycles before it tell."""
         if scan.stamp_ns < self._stamp_ns:  # time ran back: what is known belongs to another run
             self._table = empty_table()
-        T, config = self._radar.mount.T_base_sensor, self._config
+        T, config = self._T_base_radar, self._config
         which = usable(scan, self._radar.range_m, math.radians(self._radar.field_of_view_deg) / 2)
         echoes = to_base(scan, which, T, sensor_velocity(odom, T))
         clusters = find_clusters(echoes, math.radians(self._radar.azimuth_sigma_deg), config.clusters)

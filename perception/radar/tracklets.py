@@ -95,10 +95,12 @@ def advance(table: Table, seen: Seen, stamp_ns: int, since_s: float, config: Tra
     _correct(table.x, table.P, own, clusters, seen)
     table.hits[own] += 1
     table.last_ns[own] = stamp_ns
-    fresh = np.setdiff1d(np.arange(len(seen.radial_mps)), clusters)
+    is_fresh = np.ones(len(seen.radial_mps), np.bool_)
+    is_fresh[clusters] = False
+    fresh = np.flatnonzero(is_fresh)
     row_of = np.empty(len(seen.radial_mps), np.int64)
     row_of[clusters], row_of[fresh] = own, len(table.hits) + np.arange(len(fresh))
-    table = table.below(begin(seen, fresh, stamp_ns, config))
+    table = table.below(begin(seen, fresh, stamp_ns, config)) if len(fresh) else table
     kept = np.flatnonzero(stamp_ns - table.last_ns <= round(config.forget_s * 1e9))
     place = np.cumsum(np.bincount(kept, minlength=len(table.hits))) - 1
     return table.rows(kept), place[row_of].astype(np.int64)

@@ -53,7 +53,8 @@ class UltrasonicObstacles(Node):
         self.writes = (f"obstacles/ultrasonic_{name}",)
         self.runs = On((f"ultrasonic/{name}",))
         self._topic, self._sensor, self._config = f"ultrasonic/{name}", sensor, config
-        self._own = own_outlines(vehicle, implement)
+        self._own, self._T_base_sensor = own_outlines(vehicle, implement), sensor.mount.T_base_sensor
+        self._reach_m = min(sensor.range_m[1], ground_range(sensor) * config.ground_share)
         self._echoes: deque[Echo] = deque(maxlen=config.echoes.window)
         self._near: Near | None = None
 
@@ -61,17 +62,24 @@ class UltrasonicObstacles(Node):
         """What stands in the cone at the newest measurement."""
         messages = [m for m in inbox.all(self._topic, UltrasonicRange) if is_range(m.range_m, self._sensor)]
         for message in messages:
-            odom = inbox.at("odom", Odometry, message.stamp_ns) or inbox.latest("odom", Odometry)
-            self._listen(message, odom)
+            self._listen(message, self._odom_at(message, inbox))
         own = self._own[is_folded(inbox.latest("machine", MachineState))]
         return ((self.writes[0], self._tell(own)),) if messages else ()
+
+    def _odom_at(self, message: UltrasonicRange, inbox: Inbox) -> Odometry | None:
+        """The motion at a measurement; while nothing is heard nor remembered nobody asks how far the sensor came."""
+        near, hold_ns = self._near, round(self._config.echoes.hold_s * 1e9)
+        is_known = near is not None and message.stamp_ns - near.stamp_ns <= hold_ns
+        if not is_known and math.isnan(message.range_m) and all(math.isnan(e.range_m) for e in self._echoes):
+            return None
+        return inbox.at("odom", Odometry, message.stamp_ns) or inbox.latest("odom", Odometry)
 
     def _listen(self, message: UltrasonicRange, odom: Odometry | None) -> None:
         last = self._echoes[-1] if self._echoes else None
         if last is not None and message.stamp_ns <= last.stamp_ns:  # time ran back: another run
             self._echoes.clear()
             self._near, last = None, None
-        speed = axis_speed(odom, self._sensor.mount.T_base_sensor) if odom is not None else 0.0
+        speed = axis_speed(odom, self._T_base_sensor) if odom is not None else 0.0
         travel = last.travel_m + speed * (message.stamp_ns - last.stamp_ns) * 1e-9 if last is not None else 0.0
         echo = Echo(message.stamp_ns, message.range_m, travel)
         self._echoes.append(echo)
@@ -83,8 +91,7 @@ class UltrasonicObstacles(Node):
         now, near = self._echoes[-1], self._near
         told = near.range_m if near is not None and near.stamp_ns == now.stamp_ns else None
         range_m = told if told is not None else held_range(near, now, self._sensor, self._config.echoes)
-        reach = min(self._sensor.range_m[1], ground_range(self._sensor) * self._config.ground_share)
-        if range_m is None or range_m > reach:
+        if range_m is None or range_m > self._reach_m:
             return boxes_message(now.stamp_ns, self.name, np.empty((0, 10)))
         box = cone_box(range_m, self._sensor, self._config)
         own = is_inside(box[None, :2], outline)[0]

@@ -109,8 +109,8 @@ class RadarModel:
         self._T_base_radar = radar.mount.T_base_sensor
         self._half = math.radians(0.5 * radar.field_of_view_deg)
         columns = max(1, round(radar.field_of_view_deg / config.ray_deg))
-        self._azimuth = 2.0 * self._half * ((np.arange(columns) + 0.5) / columns - 0.5)
-        self._rows = np.radians(config.rows_deg)
+        azimuth, rows = 2.0 * self._half * ((np.arange(columns) + 0.5) / columns - 0.5), np.radians(config.rows_deg)
+        self._fan = np.tile(azimuth, len(rows)), np.repeat(rows, columns)
         angles = np.radians([radar.azimuth_sigma_deg, config.elevation_sigma_deg])
         self._sigma = np.array([radar.range_sigma_m, *angles, radar.doppler_sigma_mps, config.rcs_sigma_db])
 
@@ -125,10 +125,10 @@ class RadarModel:
 
     def _still(self, scene: Scene, T: Float64, velocity_mps: Float64) -> Hits:
         """A jittered fan of rays against what stands still; each ray is a patch as large as the fan is coarse."""
-        n, step = len(self._azimuth) * len(self._rows), math.radians(self._config.ray_deg)
-        azimuth = np.tile(self._azimuth, len(self._rows)) + step * self._random.uniform(-0.5, 0.5, n)
-        tall = math.radians(2.0 * self._config.elevation_deg) / len(self._rows)
-        elevation = np.repeat(self._rows, len(self._azimuth)) + tall * self._random.uniform(-0.5, 0.5, n)
+        n, step = len(self._fan[0]), math.radians(self._config.ray_deg)
+        azimuth = self._fan[0] + step * self._random.uniform(-0.5, 0.5, n)
+        tall = math.radians(2.0 * self._config.elevation_deg) / len(self._config.rows_deg)
+        elevation = self._fan[1] + tall * self._random.uniform(-0.5, 0.5, n)
         u = directions(azimuth, elevation)
         u_map = u @ T[:3, :3].T
         distance, kind, cosine = scene.still.strike(rays_from(T[:3, 3], u_map))
@@ -137,8 +137,9 @@ class RadarModel:
         r, cosine = distance[is_hit].astype(np.float64), np.maximum(cosine[is_hit].astype(np.float64), 1e-3)
         patch = r * step * np.minimum(r * tall / cosine, DEEPEST_M)
         rough, mirror = ROUGH[kind[is_hit]], MIRROR[kind[is_hit]]
-        off_deg = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
-        rcs = rough + 10.0 * np.log10(cosine * patch) + mirror * np.exp(-((off_deg / MIRROR_DEG) ** 2))
+        rcs, shiny = rough + 10.0 * np.log10(cosine * patch), np.flatnonzero(mirror)
+        off_deg = np.degrees(np.arccos(np.minimum(cosine[shiny], 1.0)))
+        rcs[shiny] += mirror[shiny] * np.exp(-((off_deg / MIRROR_DEG) ** 2))
         return Hits(u[is_hit] * r[:, None], -(u_map[is_hit] @ velocity_mps), rcs)
 
     def _figures(self, scene: Scene, T: Float64, velocity_mps: Float64) -> list[Hits]:
@@ -217,13 +218,16 @@ class RadarModel:
 
 def directions(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:
     """Unit vectors (N, 3)."""
-    flat = np.cos(elevation_rad)
-    return np.column_stack([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation_rad)])
+    flat, u = np.cos(elevation_rad), np.empty((len(elevation_rad), 3))
+    u[:, 0], u[:, 1], u[:, 2] = flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation_rad)
+    return u
 
 
 def rays_from(origin_m: Float64, u: Float64) -> Float32:
     """Rays (N, 6) from one point."""
-    return np.hstack([np.broadcast_to(origin_m, u.shape), u]).astype(np.float32)
+    rays = np.empty((len(u), 6), np.float32)
+    rays[:, :3], rays[:, 3:] = origin_m, u
+    return rays
 
 
 def is_hidden(figure: Figure, others: list[Figure], T_map_sensor: Float64) -> bool:

@@ -50,6 +50,7 @@ class UltrasonicModel:
         self.period_ns = period_ns_of(sensor.rate_hz)
         self.latency_ns = round(config.latency_s * 1e9)
         self._sensor, self._is_carried, self._config, self._random = sensor, is_carried, config, random
+        self._T_base_sensor = sensor.mount.T_base_sensor
         self._stray = config.cross_talk * neighbours
         self._scale = 1.0 + config.sound_sigma * float(random.standard_normal())
         self._half = math.radians(0.5 * sensor.cone_deg)
@@ -73,7 +74,7 @@ class UltrasonicModel:
         return UltrasonicRange(moment.stamp_ns, max(measured, near) if measured <= far else math.nan)
 
     def _pose(self, moment: Moment) -> Float64:
-        T = moment.track.back(0) @ self._sensor.mount.T_base_sensor
+        T = moment.track.back(0) @ self._T_base_sensor
         if self._is_carried:  # the mount is that of the raised implement
             T = T.copy()
             T[2, 3] -= LIFT_M * (1.0 - moment.machine.attached.hitch)
@@ -82,6 +83,8 @@ class UltrasonicModel:
     def _still(self, moment: Moment, T: Float64) -> tuple[Float64, Float64]:
         """Range and loudness at unit distance of what stands still, ray by ray."""
         distance, kind, cosine = moment.scene.still.strike(rays_from(T[:3, 3], self._u @ T[:3, :3].T))
+        if not (LOUDNESS[kind] > 0.0).any():
+            return distance.astype(np.float64), np.zeros(len(distance))
         off = np.degrees(np.arccos(np.minimum(cosine, 1.0))) / MIRROR_DEG
         mirrored = np.where(IS_SMOOTH[kind], np.maximum(np.exp(-(off**2)), ROUGH), 1.0)
         return distance.astype(np.float64), LOUDNESS[kind] * mirrored * self._beam
