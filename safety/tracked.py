@@ -68,6 +68,11 @@ def is_moving(track: Track, config: TrackedConfig) -> bool:
     return speed >= max(least_mps, config.moving_sigmas * sigma)
 
 
+def is_lost(track: Track, stamp_ns: int, config: TrackedConfig) -> bool:
+    """Whether a track without class is only carried on: pieces of clutter taken for one thing part again at once."""
+    return track.label is ObstacleClass.UNKNOWN and stamp_ns - track.last_seen_ns > config.unseen_s * 1e9
+
+
 def predicted(track: Track, times_s: Float64, config: TrackedConfig) -> tuple[Float64, Float64]:
     """Places (T, 2) in odom and how far the object reaches about them (T,), with what its velocity leaves open."""
     places = track.p_odom_m[:2] + times_s[:, None] * track.velocity_mps[:2]
@@ -159,7 +164,8 @@ def threat_in(
     if is_explained is not None:
         confirmed = [t for t in confirmed if not is_part_of_walls(t, is_explained, config.compact_m)]
     reached = [t for t in confirmed if is_within_reach(t, pose_odom, sweep.length_m, horizon_s)]
-    near = [(track, is_moving(track, config)) for track in reached]
+    stamp_ns = 0 if tracks is None else tracks.stamp_ns
+    near = [(track, is_moving(track, config) and not is_lost(track, stamp_ns, config)) for track in reached]
     standing = [track for track, moves in near if length_m(track) >= config.carrier_m and not moves]
     for track, seems_moving in near:
         moves = seems_moving and not is_part_of(track, standing, config.part_m)

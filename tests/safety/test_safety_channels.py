@@ -1,5 +1,6 @@
 """Tracked obstacles, geofence, and the arithmetic of the command."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -101,6 +102,15 @@ def test_a_piece_of_what_stands_does_not_move(sweep: Sweep, config: SafetyConfig
     assert math.isinf(gap(sweep, config, car, replace(piece, id=8)))
     walker = replace(piece, id=8, p_odom_m=np.array([9.5, 3.5, 0.9]))
     assert math.isfinite(gap(sweep, config, car, walker))
+
+
+def test_what_has_no_class_must_be_seen_to_count_as_moving(sweep: Sweep, config: SafetyConfig) -> None:
+    for label, unseen_ms in itertools.product((ObstacleClass.UNKNOWN, ObstacleClass.PERSON), (0, 240, 250, 260, 900)):
+        crossing = track(7.0, 3.0, vy=-1.5, label=label)
+        tracks = Tracks(crossing.last_seen_ns + unseen_ms * 1_000_000, (crossing,))
+        threat = threat_in(sweep, SHAPES[0], tracks, np.zeros(3), 0.0, 4.0, config.tracked)
+        counts = label is ObstacleClass.PERSON or unseen_ms <= 250
+        assert (threat != NO_THREAT) == counts, (label, unseen_ms)
 
 
 def test_moving_needs_speed_and_certainty(config: SafetyConfig) -> None:
