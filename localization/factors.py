@@ -5,6 +5,7 @@ S (4,): scale, drift, slip per pull, crab per side force (see `displacement_colu
 also C, scale and bias of every anchor (see uwb_factor.py).
 """
 
+import math
 from collections.abc import Callable
 
 import gtsam
@@ -44,35 +45,37 @@ def gnss_factor(key: int, p_map_m: Float64, arm_m: Float64, sigma_m: Float64) ->
 def heading_factor(key: int, heading_rad: float, sigma_rad: float) -> gtsam.CustomFactor:
     """The direction of x of base, seen from above."""
 
+    pose = X(key)
+
     def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
-        R = values.atPose3(X(key)).rotation().matrix()
-        east, north = R[0, 0], R[1, 0]
+        (east, b, c), (north, e, f), _ = values.atPose3(pose).rotation().matrix().tolist()
         if H is not None:
             # d(R e_x) = R (ω × e_x) = ω_z R e_y - ω_y R e_z; its part across over the length squared turns the angle
-            across = np.array([-north, east]) / (east * east + north * north)
-            H[0] = np.array([[0.0, -(across @ R[:2, 2]), across @ R[:2, 1], 0.0, 0.0, 0.0]])
-        return np.array([wrap(float(np.arctan2(north, east)) - heading_rad)])
+            length2 = east * east + north * north
+            H[0] = np.array([[0.0, (north * c - east * f) / length2, (east * e - north * b) / length2, 0.0, 0.0, 0.0]])
+        return np.array([wrap(math.atan2(north, east) - heading_rad)])
 
-    return gtsam.CustomFactor(gtsam.noiseModel.Isotropic.Sigma(1, sigma_rad), [X(key)], error)
+    return gtsam.CustomFactor(gtsam.noiseModel.Isotropic.Sigma(1, sigma_rad), [pose], error)
 
 
 def wheel_factor(start: int, end: int, columns: Float64, arm_m: Float64, sigma_m: Float64) -> gtsam.CustomFactor:
     """The way of base between two keyframes as `columns` (3, 4) @ slip; `arm_m` is base seen from the IMU."""
-    arm_cross = -skew(arm_m)
+    before, after, slip = X(start), X(end), S(start)
+    by_slip, by_turn = -columns, np.hstack([-skew(arm_m), np.eye(3)])
+    by_start = np.hstack([np.zeros((3, 3)), -np.eye(3)])
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
-        first, last = values.atPose3(X(start)), values.atPose3(X(end))
-        R_start = first.rotation().matrix()
-        R_end = last.rotation().matrix()
-        way = R_start.T @ (last.translation() + R_end @ arm_m - first.translation())
+        first, last = values.atPose3(before).matrix(), values.atPose3(after).matrix()
+        back = first[:3, :3].T
+        way = back @ (last[:3, 3] + last[:3, :3] @ arm_m - first[:3, 3])
         if H is not None:
-            turn = R_start.T @ R_end
-            H[0] = np.hstack([skew(way), -np.eye(3)])
-            H[1] = np.hstack([turn @ arm_cross, turn])
-            H[2] = -columns
-        return way - arm_m - columns @ values.atVector(S(start))
+            H[0] = by_start.copy()
+            H[0][:, :3] = skew(way)
+            H[1] = back @ last[:3, :3] @ by_turn
+            H[2] = by_slip
+        return way - arm_m - columns @ values.atVector(slip)
 
-    return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [X(start), X(end), S(start)], error)
+    return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [before, after, slip], error)
 
 
 def rest_factor(start: int, end: int, sigma_rad: float, sigma_m: float) -> gtsam.BetweenFactorPose3:

@@ -114,8 +114,28 @@ def first_in_voxel(points_m: Float64, voxel_m: float) -> npt.NDArray[np.int64]:
     return kept
 
 
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _moved_back(points: Any, share: Any, turn: Any, way: Any) -> Any:
+    out = np.empty((len(points), 3))
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        a, b, c = share[i] * turn[0], share[i] * turn[1], share[i] * turn[2]
+        u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
+        out[i, 0] = x + u + 0.5 * (b * w - c * v) + share[i] * way[0]
+        out[i, 1] = y + v + 0.5 * (c * u - a * w) + share[i] * way[1]
+        out[i, 2] = z + w + 0.5 * (a * v - b * u) + share[i] * way[2]
+    return out
+
+
+def moved_back(points_m: Float64, share: Float64, turn_rad: Float64, way_m: Float64) -> Float64:
+    """Points (N, 3) after shares (N,) of a small turn (3,), to second order, and of a way (3,)."""
+    moved: Float64 = _moved_back(points_m, share, turn_rad, way_m)
+    return moved
+
+
 def warm() -> None:
     """Compiles, or loads what an earlier run compiled."""
     first_in_voxel(np.zeros((1, 3)), 1.0)
+    moved_back(np.zeros((1, 3)), np.zeros(1), np.zeros(3), np.zeros(3))
     one, still = np.ones(1), np.zeros(7)
     reckon(np.eye(4), one, np.zeros((1, 3)), one, np.zeros((1, 2)), still, still.copy(), np.zeros(3), 1.0, 1.0, 1.0)

@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from configs.strict import Config
-from geometry.transforms import Float64, invert
-from localization.kernels import first_in_voxel
+from geometry.transforms import Float64, invert, rotation_vector
+from localization.kernels import first_in_voxel, moved_back
 
 
 class MatchingConfig(Config):
@@ -52,13 +52,9 @@ class Match:
 
 def deskew(points_m: Float64, offset_s: Float64, T_start_end: Float64, duration_s: float) -> Float64:
     """Points (N, 3) seen `offset_s` (≤ 0) against the end of a motion at constant twist, as seen at its end."""
-    turn = Rotation.from_matrix(T_start_end[:3, :3]).as_rotvec()
-    share = offset_s / duration_s
     # turn and way may be taken one after the other: the error is half their product, a few millimetres
-    way = T_start_end[:3, :3].T @ T_start_end[:3, 3]
-    a = share[:, None] * turn
-    p = points_m + np.cross(a, points_m) + 0.5 * np.cross(a, np.cross(a, points_m))
-    return p + share[:, None] * way
+    turn, way = rotation_vector(T_start_end[:3, :3]), T_start_end[:3, :3].T @ T_start_end[:3, 3]
+    return moved_back(points_m, offset_s / duration_s, turn, way)
 
 
 def thinned(points_m: Float64, most: int) -> Float64:
@@ -86,7 +82,7 @@ def information_of(points_m: Float64, cloud_m: Float64, neighbours: int, texture
     A[:, 0, 1], A[:, 0, 2], A[:, 1, 0] = z, -y, -z
     A[:, 1, 2], A[:, 2, 0], A[:, 2, 1] = x, y, -x
     A[:, 0, 3] = A[:, 1, 4] = A[:, 2, 5] = 1.0
-    return np.asarray(np.einsum("nia,nij,njb->ab", A, W, A, optimize=True))
+    return np.asarray((W @ A).reshape(-1, 6).T @ A.reshape(-1, 6))
 
 
 def covariance_of(information: Float64, sigma_m: float) -> Float64:
@@ -102,7 +98,7 @@ def refusal_of(match_T: Float64, guess_T: Float64, covariance: Float64, config: 
     if math.degrees(math.sqrt(covariance[2, 2])) > config.largest_yaw_sigma_deg:
         return "degenerate: heading"
     off = invert(guess_T) @ match_T
-    turn = Rotation.from_matrix(off[:3, :3]).magnitude()
+    turn = float(np.linalg.norm(rotation_vector(off[:3, :3])))
     if float(np.linalg.norm(off[:3, 3])) > config.largest_step_m or math.degrees(turn) > config.largest_turn_deg:
         return "far from dead reckoning"
     return ""
