@@ -65,9 +65,9 @@ class Eye:
         self._judge_reach(xyz, curvature_radpm)
         field = self._config.field
         near = within(xyz, box, self.shape.height_m + field.over_height_m)
-        looked = deskew(xyz[:, near], scan.point_offset_s[near], motion)
-        looked = looked[:, raised(looked, box, field)]
-        looked = looked[:, ~is_own(looked, self.shape, curvature_radpm, field.mask_m)]
+        looked = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
+        looked = looked.compress(raised(looked, box, field), axis=1)
+        looked = looked.compress(~is_own(looked, self.shape, curvature_radpm, field.mask_m), axis=1)
         places = np.asarray(looked, np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, places[:2].T), places[2]])
         is_hit, self._cells = confirm(
@@ -78,7 +78,7 @@ class Eye:
     def _judge_reach(self, xyz: np.ndarray, curvature_radpm: float) -> None:
         proven, origin = self._config.proven, self._T_base_sensor[:3, 3]
         some = down_beams(xyz, origin, self._slopes)
-        some = some[:, ~is_own(some, self.shape, curvature_radpm, self._config.field.mask_m)]
+        some = some.compress(~is_own(some, self.shape, curvature_radpm, self._config.field.mask_m), axis=1)
         share = shares(some, origin, self._density, proven.sectors)
         ranges, half_rad = range_by_share(share, self.reach_m, proven), math.radians(proven.look_deg)
         self._proven_m = {d: least_towards(self._edges, ranges, d, half_rad) for d in self._directions}

@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from configs.site import Bay, Lane, Shed, Site
 from messages.message import Float64
+from safety.returns import Box
 
 GATE_DEPTH_M = 1.0  # to either side of the line between the posts
 OUTSIDE_M = -1.0
@@ -22,6 +24,20 @@ class Fence:
 
     allowed: tuple[Float64, ...]
     forbidden: tuple[Float64, ...] = ()
+
+    def holds_box(self, box: Box) -> bool:
+        """Whether all of a box in map is surely where the machine may be: no ring's side comes near it."""
+        x_low, x_high, y_low, y_high = self._sides
+        meets = (x_low <= box.x_m[1]) & (x_high >= box.x_m[0]) & (y_low <= box.y_m[1]) & (y_high >= box.y_m[0])
+        return not meets.any() and bool(self.holds(np.array([[box.x_m[0], box.y_m[0]]]))[0])
+
+    @cached_property
+    def _sides(self) -> Float64:
+        """The boxes about all sides, (4, S)."""
+        pairs = [np.stack([ring, np.roll(ring, -1, axis=0)]) for ring in (*self.allowed, *self.forbidden)]
+        ends = np.concatenate([np.empty((2, 0, 2)), *pairs], axis=1)
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        return np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
 
     def holds(self, points_map_m: Float64) -> np.ndarray:
         """Which points (N, 2) are where the machine may be, (N,) bool."""

@@ -113,19 +113,12 @@ def arc_length_m(speed_mps: float, braking: Braking, config: FieldConfig) -> flo
 
 def box_of(way: Way, slack_m: float) -> Box:
     """The area of base that holds all sweeps, with some slack for motion and neighbouring ground."""
-    points = [corner for sweep in (way.main, way.arc) if sweep is not None for corner in corner_points(sweep)]
-    xy = np.concatenate(points)
-    low, high = xy.min(axis=0) - slack_m, xy.max(axis=0) + slack_m
-    return Box((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
-
-
-def corner_points(sweep: Sweep) -> list[Float64]:
-    """Points (K, 2) whose hull holds the sweep: circles about the carriers by the reach of their bodies."""
-    points = []
-    for body, poses in sweep.bodies:
-        reach = math.hypot(max(abs(body.front_m), abs(body.rear_m)), body.half_width_m) + float(sweep.lateral_m[-1])
-        points += [poses[:, :2] - reach, poses[:, :2] + reach]
-    return points
+    main = way.main.box
+    arc = main if way.arc is None else way.arc.box
+    return Box(
+        (min(main.x_m[0], arc.x_m[0]) - slack_m, max(main.x_m[1], arc.x_m[1]) + slack_m),
+        (min(main.y_m[0], arc.y_m[0]) - slack_m, max(main.y_m[1], arc.y_m[1]) + slack_m),
+    )
 
 
 def gap_in(way: Way, hits_odom_m: Float64, pose_odom: Float64, aside_m: Float64 | float = 0.0) -> Gap:

@@ -215,10 +215,12 @@ class Lookout:
         reach_m = min(60.0, stopping_distance(speed_mps, braking)) + self._config.limits.fence_margin_m + 1.0
         inside_m = math.inf
         for sweep in (way.main,) if way.arc is None else (way.main, way.arc):
-            points, ways = corners_along(sweep, FENCE_SPACING_M)
-            near = ways <= reach_m
+            near = sweep.until(reach_m)
+            if self._fence.holds_box(near.box.seen_from(pose_map)):
+                continue
+            points, ways = corners_along(near, FENCE_SPACING_M)
             spacing_m = max(FENCE_SPACING_M, sweep.step_m)
-            inside_m = min(inside_m, way_inside_m(self._fence, to_frame(pose_map, points[near]), ways[near], spacing_m))
+            inside_m = min(inside_m, way_inside_m(self._fence, to_frame(pose_map, points), ways, spacing_m))
         return inside_m
 
 

@@ -48,6 +48,13 @@ def from_frame(pose: Float64, xy: Float64) -> Float64:
     return np.column_stack([c * dx + s * dy, c * dy - s * dx])
 
 
+def seen_from(pose: Float64, x_m: float, y_m: float) -> tuple[float, float]:
+    """As `from_frame`, of one point."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = x_m - float(pose[0]), y_m - float(pose[1])
+    return c * dx + s * dy, c * dy - s * dx
+
+
 class Trail:
     """Odometry of the last second, and the way driven."""
 
@@ -69,4 +76,12 @@ class Trail:
 
     def pose_at(self, stamp_ns: int) -> Float64:
         """Place and heading in odom nearest in time; raises ValueError before the first odometry."""
-        return min(self._poses, key=lambda known: abs(known[0] - stamp_ns))[1]
+        if not self._poses:
+            raise ValueError("the trail is empty")
+        best_ns, best = None, self._poses[-1][1]
+        for known_ns, pose in reversed(self._poses):  # stamps rise, and what is asked for is young
+            away_ns = abs(known_ns - stamp_ns)
+            if best_ns is not None and away_ns > best_ns:
+                break
+            best_ns, best = away_ns, pose
+        return best

@@ -58,7 +58,8 @@ def down_beams(xyz: Float32, origin_m: Float64, slopes: tuple[float, float]) -> 
     some = xyz[:, ::EVERY]
     x, y, z = (some[row] - np.float32(origin_m[row]) for row in range(3))
     flat = np.sqrt(x * x + y * y)
-    return np.asarray(some[:, (z >= slopes[0] * flat) & (z <= slopes[1] * flat) & (flat > NEAREST_M)])
+    is_down = (z >= slopes[0] * flat) & (z <= slopes[1] * flat) & (flat > NEAREST_M)
+    return np.asarray(some.compress(is_down, axis=1))
 
 
 def shares(xyz: Float32, origin_m: Float64, density: float, sectors: int) -> Float64:
@@ -81,12 +82,13 @@ def edges(sectors: int) -> Float64:
 
 def least_towards(edges_rad: Float64, range_m: Float64, direction: int, half_rad: float) -> float:
     """The least of the ranges whose sector meets the cone about the direction of travel; 0 when none does."""
-    center = 0.0 if direction > 0 else math.pi
-    middle = 0.5 * (edges_rad[:-1] + edges_rad[1:])
-    reach = 0.5 * (edges_rad[1:] - edges_rad[:-1]) + half_rad
-    away = np.abs(np.remainder(middle - center + math.pi, TURN_RAD) - math.pi)
-    is_met = away < reach - 1e-9
-    return float(range_m[is_met].min()) if is_met.any() else 0.0
+    center, edges = 0.0 if direction > 0 else math.pi, edges_rad.tolist()  # most sensors have one sector: no arrays
+    met = [
+        within_m
+        for low, high, within_m in zip(edges[:-1], edges[1:], range_m.tolist(), strict=True)
+        if abs((0.5 * (low + high) - center + math.pi) % TURN_RAD - math.pi) < 0.5 * (high - low) + half_rad - 1e-9
+    ]
+    return math.nan if any(map(math.isnan, met)) else min(met, default=0.0)
 
 
 def shrink(range_m: float, health: SensorHealth | None, direction: int, half_rad: float) -> float:

@@ -6,6 +6,7 @@ what its lowest returns show, but never by more than the ground can bend from th
 return of a patch can only fall when returns are added: more returns never make an obstacle vanish.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,15 @@ class Box:
 
     x_m: tuple[float, float]
     y_m: tuple[float, float]
+
+    def seen_from(self, pose: Float64) -> "Box":
+        """A box that holds this one, in the frame in which its own is at a pose (3,)."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        x, y = 0.5 * (self.x_m[0] + self.x_m[1]), 0.5 * (self.y_m[0] + self.y_m[1])
+        half_x, half_y = self.x_m[1] - x, self.y_m[1] - y
+        wide, deep = abs(c) * half_x + abs(s) * half_y, abs(s) * half_x + abs(c) * half_y
+        x, y = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+        return Box((x - wide, x + wide), (y - deep, y + deep))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from messages.message import Float64
 from messages.plan import Path
 from safety.bodies import Rectangle, Shape, carriers, outline
 from safety.config import FieldConfig
+from safety.returns import Box
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,25 @@ class Sweep:
     lateral_m: Float64
     step_m: float
     length_m: float
+
+    @cached_property
+    def box(self) -> Box:
+        """Holds all bodies: circles about the carriers by the reach of their bodies and the margin."""
+        low, high = np.full(2, np.inf), np.full(2, -np.inf)
+        for body, poses in self.bodies:
+            end_m = max(abs(body.front_m), abs(body.rear_m))
+            reach = math.hypot(end_m, body.half_width_m) + float(self.lateral_m[-1])
+            low = np.minimum(low, poses[:, :2].min(axis=0) - reach)
+            high = np.maximum(high, poses[:, :2].max(axis=0) + reach)
+        return Box((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
+
+    def until(self, way_m: float) -> "Sweep":
+        """Its part up to a way."""
+        last = max(1, int(np.searchsorted(self.s_m, way_m, side="right")))
+        s_m, poses, lateral_m = self.s_m[:last], self.poses[:last], self.lateral_m[:last]
+        bodies = tuple((body, places[:last]) for body, places in self.bodies)
+        length_m = float(s_m[-1])
+        return replace(self, s_m=s_m, poses=poses, bodies=bodies, lateral_m=lateral_m, length_m=length_m)
 
 
 def spaced(length_m: float, step_m: float) -> Float64:
@@ -60,11 +81,17 @@ def path_poses(path: Path, place_m: float, pose_map: Float64, s_m: Float64, blen
     s = path.s_m[first:last]
     x = np.interp(at, s, path.p_map_m[first:last, 0]) - pose_map[0]
     y = np.interp(at, s, path.p_map_m[first:last, 1]) - pose_map[1]
-    yaw = np.interp(at, s, np.unwrap(path.heading_rad[first:last])) - pose_map[2]
+    yaw = np.interp(at, s, unwrapped(path.heading_rad[first:last])) - pose_map[2]
     c, n = math.cos(pose_map[2]), math.sin(pose_map[2])
     poses = np.column_stack([c * x + n * y, c * y - n * x, yaw])
     poses[:, 2] -= 2.0 * math.pi * round(poses[0, 2] / (2.0 * math.pi))
     return np.asarray(poses - poses[0] * np.maximum(0.0, 1.0 - s_m / blend_m)[:, None])
+
+
+def unwrapped(heading_rad: Float64) -> Float64:
+    """Headings without jumps of a whole turn; there is seldom one to take out."""
+    is_smooth = bool((np.abs(heading_rad[1:] - heading_rad[:-1]) < math.pi).all())
+    return heading_rad if is_smooth else np.unwrap(heading_rad)
 
 
 def sweep_along(
@@ -94,10 +121,27 @@ def contact_m(
 
     `extra_m` lengthens and widens all bodies; `aside_m` widens (below 0: narrows) their margins to the sides.
     """
-    if len(points_xy) == 0:
-        return np.empty(0)
-    extra = np.broadcast_to(np.asarray(extra_m, np.float64), (len(points_xy),))[:, None]
-    beside = extra + np.broadcast_to(np.asarray(aside_m, np.float64), (len(points_xy),))[:, None]
+    travel = np.full(len(points_xy), np.inf)
+    near = np.flatnonzero(_is_near(points_xy, sweep, extra_m, aside_m))
+    if len(near):
+        extra, aside = (np.broadcast_to(np.asarray(m, np.float64), len(travel))[near] for m in (extra_m, aside_m))
+        travel[near] = _contact_near(points_xy[near], sweep, extra[:, None], (extra + aside)[:, None])
+    return travel
+
+
+def _is_near(points_xy: Float64, sweep: Sweep, extra_m: Float64 | float, aside_m: Float64 | float) -> np.ndarray:
+    """Which points could touch at all, (N,) bool: nearly all hits lie beside, and are done with here.
+
+    What is no number is not left out here.
+    """
+    slack = sweep.step_m + 2.0 * extra_m + np.maximum(aside_m, 0.0)
+    (x_low, x_high), (y_low, y_high) = sweep.box.x_m, sweep.box.y_m
+    x, y = points_xy[:, 0], points_xy[:, 1]
+    is_beyond = (x < x_low - slack) | (x > x_high + slack) | (y < y_low - slack) | (y > y_high + slack)
+    return np.asarray(~is_beyond)
+
+
+def _contact_near(points_xy: Float64, sweep: Sweep, extra: Float64, beside: Float64) -> Float64:
     travel = np.full(len(points_xy), np.inf)
     carrier: Float64 | None = None
     for (body, poses), lead_m in zip(sweep.bodies, sweep.leads_m, strict=True):

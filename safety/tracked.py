@@ -10,7 +10,7 @@ from messages.message import Float64
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.bodies import Shape
 from safety.config import TrackedConfig
-from safety.motion import from_frame
+from safety.motion import from_frame, seen_from
 from safety.returns import is_own
 from safety.sweep import Sweep, contact_m
 
@@ -98,12 +98,12 @@ def is_before(
     the foremost and the last leading edge, only what has a class and moves counts: what stands there is in the raw
     field if it is in the way at all.
     """
-    place = from_frame(pose_odom, track.p_odom_m[None, :2])
-    ahead_m = direction * float(place[0, 0]) + 0.5 * length_m(track)
+    x, y = seen_from(pose_odom, *track.p_odom_m[:2].tolist())
+    ahead_m = direction * x + 0.5 * length_m(track)
     foremost_m = direction * shape.foremost_m(direction)
     counts_beside = moves and track.label is not ObstacleClass.UNKNOWN
     edge_m = foremost_m - max(shape.leads_m(direction)) if counts_beside else foremost_m
-    return ahead_m >= edge_m and not bool(is_own(np.vstack([place.T, [[0.0]]]), shape, curvature, own_m)[0])
+    return ahead_m >= edge_m and not bool(is_own(np.array([[x], [y], [0.0]]), shape, curvature, own_m)[0])
 
 
 def is_within_reach(track: Track, pose_odom: Float64, length_m: float, horizon_s: float) -> bool:

@@ -18,7 +18,8 @@ from safety.drive import allowed_slowing, eased, rising, slowing, steered, stopp
 from safety.fence import Fence, fence_of, is_within, way_inside_m
 from safety.gauge import direction_of, is_forced, position_sigma_m
 from safety.lookout import class_at
-from safety.motion import Trail, from_frame, tilt_of, to_frame
+from safety.motion import Trail, from_frame, seen_from, tilt_of, to_frame
+from safety.returns import Box
 from safety.stopping import Braking
 from safety.sweep import Sweep, arc_poses, spaced, sweep_along
 from safety.tracked import NO_THREAT, is_moving, threat_in
@@ -263,6 +264,30 @@ def test_hand_force_and_sigma() -> None:
     assert is_forced(machine_state(0, hand_torque_nm=math.nan), 2.0)
     assert not is_forced(None, 2.0)
     assert position_sigma_m(None) == 0.0
+
+
+def test_box_that_the_fence_holds() -> None:
+    fence = Fence((L_SHAPE,), (np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]]),))
+    for x in np.arange(-2.0, 12.0, 0.37):
+        for y in np.arange(-2.0, 12.0, 0.41):
+            corners = np.array([[x, y], [x + 0.5, y], [x, y + 0.9], [x + 0.5, y + 0.9]])
+            if fence.holds_box(Box((x, x + 0.5), (y, y + 0.9))):
+                assert fence.holds(corners).all(), (x, y)
+    assert fence.holds_box(Box((2.1, 2.6), (2.1, 3.0)))
+    assert not fence.holds_box(Box((1.4, 1.6), (1.4, 1.6)))  # all of it in what is forbidden
+    assert not fence.holds_box(Box((1.9, 2.6), (1.4, 1.6)))
+    assert not Fence(()).holds_box(Box((0.0, 1.0), (0.0, 1.0)))
+
+
+def test_box_from_elsewhere_holds_the_box() -> None:
+    box, pose = Box((-3.0, 5.0), (-1.0, 2.0)), np.array([3.0, -2.0, 2.3])
+    corners = np.array([[x, y] for x in box.x_m for y in box.y_m])
+    seen, moved = box.seen_from(pose), to_frame(pose, corners)
+    assert (seen.x_m, seen.y_m) == (
+        pytest.approx((moved[:, 0].min(), moved[:, 0].max())),
+        pytest.approx((moved[:, 1].min(), moved[:, 1].max())),
+    )
+    assert seen_from(pose, 1.5, -4.0) == tuple(from_frame(pose, np.array([[1.5, -4.0]]))[0])
 
 
 def test_frames_and_trail() -> None:

@@ -47,6 +47,16 @@ def test_gap_from_the_foremost_point(shape: Shape, config: SafetyConfig) -> None
     assert ways == pytest.approx([6.5, 6.5, 0.0])
 
 
+def test_places_that_are_no_numbers_hide_nothing(shape: Shape, config: SafetyConfig) -> None:
+    s = spaced(20.0, 0.25)
+    poses = arc_poses(0.0, 1, s)
+    poses[-1] = np.nan
+    sweep = sweep_along(shape, 1, s, poses, 0.0, config.field, False)
+    ways = contact_m(np.array([[10.0, 0.0], [np.nan, 0.0], [10.0, 2.0]]), sweep, np.array([0.0, 0.0, np.nan]))
+    assert ways[0] == pytest.approx(6.5)
+    assert np.all(np.isinf(ways[1:]))
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_lateral_boundary(shape: Shape, config: SafetyConfig, side: int) -> None:
     sweep = arc(shape, config, 0.0, 20.0)
@@ -155,6 +165,15 @@ def test_headings_of_other_turns_do_not_matter(turns: int) -> None:
     path = straight_path(curvature=0.1)
     poses = path_poses(path, 3.0, np.array([*path.p_map_m[30], 0.3 + turns * 2 * math.pi]), np.array([0.0, 1.0]), 5.0)
     assert poses[1, 2] == pytest.approx(0.1, abs=1e-6)
+
+
+def test_part_of_a_sweep_is_what_is_swept_until_there(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.1, 20.0)
+    points, ways = corners_along(sweep, 0.1)
+    for way_m in (0.0, 4.9, 5.0, 5.1, 30.0):
+        part_points, part_ways = corners_along(sweep.until(way_m), 0.1)
+        assert sorted(map(tuple, part_points)) == sorted(map(tuple, points[ways <= way_m])), way_m
+        assert part_ways.max() == sweep.until(way_m).length_m
 
 
 def test_place_on_the_path(config: SafetyConfig, vehicle: Vehicle) -> None:
