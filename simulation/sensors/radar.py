@@ -233,7 +233,7 @@ def rays_from(origin_m: Float64, u: Float64) -> Float32:
 def is_hidden(figure: Figure, others: list[Figure], T_map_sensor: Float64) -> bool:
     """Whether another figure stands between it and the sensor, seen from above."""
     eye = T_map_sensor[:2, 3]
-    line = LineString([eye, figure.p_map_m[:2]])
+    line = LineString(np.stack([eye, figure.p_map_m[:2]]))
     away = math.dist(eye, figure.p_map_m[:2])
     nearer = [f for f in others if f is not figure and math.dist(eye, f.p_map_m[:2]) < away]
     return any(line.intersects(f.footprint) for f in nearer)

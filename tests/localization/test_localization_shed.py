@@ -12,6 +12,7 @@ from localization_drive import DATUM, START_NS, Wrongs, drive
 from localization_shed import Radio, harrow, is_open, look, messages, out_and_in, ranges, shed, tagged
 
 from configs.site import Pose2
+from localization.docked import Docked
 from localization.lidar_map import LidarMap
 from localization.localizer import Localizer
 from localization.ranging import Ranging, consistent
@@ -175,6 +176,18 @@ def test_without_a_shed_nothing_of_uwb_is_read() -> None:
     node = Localizer(tagged(), DATUM, CONFIG)
     assert not [t for t in node.reads if t.startswith("uwb")]
     assert "uwb/roof" in Localizer(tagged(), DATUM, CONFIG, shed()).reads
+
+
+@pytest.mark.parametrize(
+    ("away_m", "is_shaded", "is_near"),
+    [(2.9, True, True), (3.1, False, True), (14.9, False, True), (15.1, False, False)],
+)
+def test_a_roof_spoils_fixes_and_ranges_serve_farther_about_it(away_m, is_shaded, is_near) -> None:
+    docked = Docked(None, shed(), CONFIG.placement.docked)
+    east, south = np.array(shed().outline_m).max(axis=0)[0], np.array(shed().outline_m).mean(axis=0)[1]
+    place = np.array([east + away_m, south, 1.0])
+    assert (docked.is_shaded(place), docked.is_near(place)) == (is_shaded, is_near)
+    assert not Docked(None, None, docked.config).is_near(place)
 
 
 def test_ranges_that_make_no_sense_are_dropped() -> None:
