@@ -111,6 +111,7 @@ def _ground(mesh: Mesh, site: Site, seed: int) -> Surface:
     for _ in range(8):
         k, phase = random.uniform(-0.6, 0.6, 2), random.uniform(0.0, 6.28)
         patches += np.sin(xy @ k + phase) / 8.0
+    patches += 0.25 * random.standard_normal(len(xy))
     in_field, on_gravel = _inside(Polygon(site.boundary_m), xy), _inside(_gravelled(site), xy)
     blend = np.clip(0.5 + patches, 0.0, 1.0)[:, None]
     colors = (1.0 - blend) * np.array(GRASS_A) + blend * np.array(GRASS_B)

@@ -22,6 +22,11 @@ def painted(function: F) -> F:
     return cast(F, numba.njit(cache=True, error_model="numpy")(function))
 
 
+def within(function: F) -> F:
+    """A part of such a function, made one with it: a call would hand over each array as seven numbers."""
+    return cast(F, numba.njit(cache=True, error_model="numpy", inline="always")(function))
+
+
 @painted
 def project(
     vertices: Float32, triangles: Int32, wanted: Int32, R: Float64, origin: Float64, intrinsics: Float64,
@@ -148,21 +153,9 @@ def fill(
             b0 = b_x * (left - x0) + b_y * (y - y0)
             c0 = c_x * (left - x0) + c_y * (y - y0)
             first, last = float(left), float(right)
-            zero = left - b0 * b_zero
-            if b_zero > 0.0:
-                first = max(first, zero)
-            else:
-                last = min(last, zero)
-            zero = left - c0 * c_zero
-            if c_zero > 0.0:
-                first = max(first, zero)
-            else:
-                last = min(last, zero)
-            zero = left - (1.0 - b0 - c0) * a_zero
-            if a_zero > 0.0:
-                first = max(first, zero)
-            else:
-                last = min(last, zero)
+            first, last = _within(first, last, left - b0 * b_zero, b_zero)
+            first, last = _within(first, last, left - c0 * c_zero, c_zero)
+            first, last = _within(first, last, left - (1.0 - b0 - c0) * a_zero, a_zero)
             start = math.ceil(first)
             value = w0 + w_x * (start - x0) + w_y * (y - y0)
             for x in range(start, math.floor(last) + 1):
@@ -170,16 +163,31 @@ def fill(
                     is_there = True
                     if cut:
                         z = 1.0 / value
-                        u, v = (x - cx) / fx * z, (y - cy) / fy * z
-                        is_there = _is_leaf(
-                            origin[0] + R[0, 0] * u + R[1, 0] * v + R[2, 0] * z,
-                            origin[1] + R[0, 1] * u + R[1, 1] * v + R[2, 1] * z,
-                            origin[2] + R[0, 2] * u + R[1, 2] * v + R[2, 2] * z, cut,
-                        )  # fmt: skip
+                        is_there = _is_plant((x - cx) / fx * z, (y - cy) / fy * z, z, R, origin, cut)
                     if is_there:
                         w[y, x] = value
                         owner[y, x] = which[k]
                 value += w_x
+
+
+@within
+def _within(first: float, last: float, zero: float, per: float) -> tuple[float, float]:
+    """The columns from `first` to `last` where a share that is zero at `zero` and grows as `per` is not below it."""
+    if per > 0.0:
+        return max(first, zero), last
+    return first, min(last, zero)
+
+
+@within
+def _is_plant(x: float, y: float, z: float, R: Float64, origin: Float64, cut: int) -> bool:
+    """The same as `_is_leaf` for a point as the viewer has it: x right, y down, z ahead."""
+    return bool(
+        _is_leaf(
+            origin[0] + R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
+            origin[1] + R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
+            origin[2] + R[0, 2] * x + R[1, 2] * y + R[2, 2] * z, cut,
+        )
+    )  # fmt: skip
 
 
 @painted

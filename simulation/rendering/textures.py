@@ -1,5 +1,6 @@
 """Textures made of noise, each with its ever coarser copies, all in one flat array; the mean of each is `UNIT`."""
 
+import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -9,6 +10,7 @@ import numpy.typing as npt
 
 from messages.message import Float32, Float64, UInt8
 from simulation.randomness import generator
+from simulation.rendering.raster import within
 
 Int8 = npt.NDArray[np.int8]
 SIDE = 512
@@ -63,21 +65,53 @@ def _pyramid(plane: Float32) -> Float32:
     return np.concatenate([level.ravel() for level in levels])
 
 
+@within
+def coarse(scale: float, wide: float) -> tuple[int, int, float]:
+    """The level for pixels `wide` metres wide of a texture with `scale` texels a metre: its start, its side less one
+    and its texels a metre."""
+    start, side = 0, SIDE
+    while scale * wide > 1.4 and side > SIDE >> (LEVELS - 1):
+        start += side * side
+        side >>= 1
+        scale *= 0.5
+    return start, side - 1, scale
+
+
+@within
+def nearest(planes: UInt8, which: int, start: int, mask: int, u: float, v: float) -> float:
+    """The texel at (u, v) of a level."""
+    i, j = math.floor(u) & mask, math.floor(v) & mask
+    return float(planes[which, np.uint32(start + j * (mask + 1) + i)] * (1.0 / UNIT))
+
+
+@within
+def smooth(planes: UInt8, which: int, start: int, mask: int, u: float, v: float) -> float:
+    """The four texels around (u, v) of a level, blended."""
+    i, j = math.floor(u), math.floor(v)
+    f, g = u - i, v - j
+    a, b = start + (j & mask) * (mask + 1), start + ((j + 1) & mask) * (mask + 1)
+    i, k = i & mask, (i + 1) & mask
+    low = planes[which, np.uint32(a + i)] * (1.0 - f) + planes[which, np.uint32(a + k)] * f
+    high = planes[which, np.uint32(b + i)] * (1.0 - f) + planes[which, np.uint32(b + k)] * f
+    return float((low * (1.0 - g) + high * g) * (1.0 / UNIT))
+
+
 def texture_layers() -> Float64:
-    """For each `Material` two layers: texture (-1: none), texels per metre, and how u and v run through space.
+    """For each `Material` its texture (-1: none), texels per metre, and how u and v run through space.
 
     u = scale (x + along (y + z)), v = scale stretch (z + across (y - 0.4 x)); the sixth number is the strength.
+    A texel is no larger than a pixel some metres off, for the nearest is taken.
     """
-    table = np.full((12, 2, 6), -1.0)
+    table = np.full((12, 6), -1.0)
     # on the ground v must run along y alone, so that it does not stretch on slopes: across is large, stretch small
     flat = 1e4
-    table[1] = [[SOIL, 150.0, 0.3, flat, 1.0 / flat, 1.0], [SOIL, 17.0, -0.2, flat, 1.0 / flat, 0.9]]
-    table[2] = [[GRASS, 110.0, 0.3, flat, 1.0 / flat, 1.0], [CLOUD, 10.0, -0.2, flat, 1.0 / flat, 0.4]]
-    table[3] = [[GRAIN, 90.0, 0.3, flat, 1.0 / flat, 1.0], [SOIL, 14.0, -0.2, flat, 1.0 / flat, 0.4]]
-    table[4, 0] = [GRASS, 60.0, 0.4, 0.8, 1.0, 1.7]
-    table[5, 0] = [GRAIN, 26.0, 0.5, 0.0, 7.0, 1.0]
-    table[6, 0] = [GRAIN, 24.0, 0.5, 0.0, 0.4, 0.25]
-    table[9, 0] = [GRAIN, 70.0, 0.5, 0.7, 1.0, 0.16]
-    table[10, 0] = [GRASS, 90.0, 0.4, 0.5, 1.0, 0.4]
-    table[11, 0] = [GRAIN, 120.0, 0.0, 6.0, 0.16, 1.0]
+    table[1] = [SOIL, 75.0, 0.3, flat, 1.0 / flat, 1.6]
+    table[2] = [GRASS, 90.0, 0.3, flat, 1.0 / flat, 1.2]
+    table[3] = [GRAIN, 80.0, 0.3, flat, 1.0 / flat, 1.3]
+    table[4] = [GRASS, 60.0, 0.4, 0.8, 1.0, 1.7]
+    table[5] = [GRAIN, 60.0, 0.5, 0.0, 4.0, 1.0]
+    table[6] = [GRAIN, 60.0, 0.5, 0.0, 0.4, 0.25]
+    table[9] = [GRAIN, 100.0, 0.5, 0.7, 1.0, 0.16]
+    table[10] = [GRASS, 100.0, 0.4, 0.5, 1.0, 0.4]
+    table[11] = [GRAIN, 120.0, 0.0, 6.0, 0.16, 1.0]
     return table

@@ -79,20 +79,20 @@ class CameraModel:
             T_map_figure[2, 3] = f.p_map_m[2]
             moving.append(figure_surface(f.label, gait_step(f.gait), looks).moved(T_map_figure))
             feet[k] = *f.p_map_m[:2], (0.4 * f.ball_m[1]) ** -2
-        bgr, mean, gain = self._on_stage(moment.scene).look(eye, moving, feet, self._light, self._gain, self._curve)
+        bgr, mean, gain = self._on_stage(moment.scene).look(eye, moving, feet, self._gain, self._curve)
         self._gain = gain * metered(mean, self._config.exposure)
         return CameraImage(moment.stamp_ns, self._develop(bgr, moment.elapsed_s))
 
     def warm(self, scene: Scene) -> None:
         """Build what stands still, and load what draws."""
         eye = Eye(self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
-        bgr, _, _ = self._on_stage(scene).look(eye, [self._machine], np.zeros((0, 3)), self._light, None, self._curve)
+        bgr, _, _ = self._on_stage(scene).look(eye, [self._machine], np.zeros((0, 3)), None, self._curve)
         add_noise(bgr, self._noise, 0, np.empty_like(bgr))
 
     def _on_stage(self, scene: Scene) -> Stage:
         if self._stage is None:
             still = still_surface(scene.pieces, self._site, self._seed)
-            self._stage = Stage(still, roof_of(self._site), float(still.vertices_m[:, 2].min()), self._config.reach_m)
+            self._stage = Stage(still, roof_of(self._site), self._light, self._config.reach_m)
         return self._stage
 
     def _develop(self, bgr: UInt8, elapsed_s: float) -> UInt8:
@@ -122,10 +122,13 @@ class Lens:
         scale = np.array([self.size_px[0] / width, self.size_px[1] / height])
         self.intrinsics: Float64 = np.concatenate([scale * [fx, fy], scale * [cx + 0.5, cy + 0.5] - 0.5])
         if any(camera.distortion):
-            y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-            K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+            # the lens's picture, as small as the drawn one
+            y, x = np.mgrid[0 : self.size_px[1], 0 : self.size_px[0]].astype(np.float64)
+            K = np.array(
+                [[scale[0] * fx, 0.0, self.intrinsics[2]], [0.0, scale[1] * fy, self.intrinsics[3]], [0, 0, 1]]
+            )
             flat = cv2.undistortPoints(np.stack([x, y], -1).reshape(-1, 1, 2), K, np.array(camera.distortion))
-            place = flat.reshape(height, width, 2) * self.intrinsics[:2]
+            place = flat.reshape(*x.shape, 2) * self.intrinsics[:2]
             low, high = np.floor(place.min(axis=(0, 1))), np.ceil(place.max(axis=(0, 1)))
             self.intrinsics[2:] = -low
             self.size_px = int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
@@ -135,7 +138,7 @@ class Lens:
     def bend(self, bgr: UInt8) -> UInt8:
         """The lens's picture from that of the pinhole."""
         if self._maps is not None:
-            return np.asarray(cv2.remap(bgr, *self._maps, cv2.INTER_LINEAR), np.uint8)
+            bgr = np.asarray(cv2.remap(bgr, *self._maps, cv2.INTER_LINEAR), np.uint8)
         return np.asarray(cv2.resize(bgr, self._camera.size_px, interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
