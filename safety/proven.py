@@ -83,12 +83,16 @@ def edges(sectors: int) -> Float64:
 def least_towards(edges_rad: Float64, range_m: Float64, direction: int, half_rad: float) -> float:
     """The least of the ranges whose sector meets the cone about the direction of travel; 0 when none does."""
     center, edges = 0.0 if direction > 0 else math.pi, edges_rad.tolist()  # most sensors have one sector: no arrays
-    met = [
-        within_m
-        for low, high, within_m in zip(edges[:-1], edges[1:], range_m.tolist(), strict=True)
-        if abs((0.5 * (low + high) - center + math.pi) % TURN_RAD - math.pi) < 0.5 * (high - low) + half_rad - 1e-9
-    ]
-    return math.nan if any(map(math.isnan, met)) else min(met, default=0.0)
+    least_m: float | None = None
+    for low, high, within_m in zip(edges[:-1], edges[1:], range_m.tolist(), strict=True):
+        if least_m is not None and within_m >= least_m:
+            continue
+        away = abs((0.5 * (low + high) - center + math.pi) % TURN_RAD - math.pi)
+        if away < 0.5 * (high - low) + half_rad - 1e-9:
+            if math.isnan(within_m):
+                return math.nan
+            least_m = within_m
+    return 0.0 if least_m is None else least_m
 
 
 def shrink(range_m: float, health: SensorHealth | None, direction: int, half_rad: float) -> float:
