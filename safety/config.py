@@ -94,6 +94,7 @@ class TrackedConfig(Config):
     moving_mps: Speed
     long_moving_mps: Speed = Field(description="the same for vehicles and what is longer than `compact_m`")
     walker_mps: Speed = Field(description="what is fixed by its class and seems faster than this stands")
+    longest_m: Metres = Field(description="no machine is longer; what is and stands counts in the raw field alone")
     unseen_s: Seconds = Field(description="unseen for longer, what has no class does not count as moving")
     moving_sigmas: float = Field(ge=0.0, le=10.0)
     carrier_m: Metres = Field(description="longest side from which on what stands may be seen in pieces")

@@ -169,8 +169,8 @@ def threat_in(
     standing = [track for track, moves in near if length_m(track) >= config.carrier_m and not moves]
     for track, seems_moving in near:
         moves = seems_moving and not is_part_of(track, standing, config.part_m)
-        if not moves and track.label is ObstacleClass.UNKNOWN:
-            continue  # left to the raw field
+        if not moves and (track.label is ObstacleClass.UNKNOWN or length_m(track) > config.longest_m):
+            continue  # left to the raw field: no class, or a fence or hedge, whose box covers free ground
         if not is_before(track, moves, shape, pose_odom, curvature_radpm, sweep.direction, config.own_m):
             continue
         gap = _gap_to(sweep, track, moves, pose_odom, times_s, config)

@@ -105,6 +105,13 @@ def test_a_piece_of_what_stands_does_not_move(sweep: Sweep, config: SafetyConfig
     assert math.isfinite(gap(sweep, config, car, walker))
 
 
+def test_a_standing_box_longer_than_any_machine_is_left_to_the_raw_field(sweep: Sweep, config: SafetyConfig) -> None:
+    for long in (3.0, 11.9, 12.0, 12.1, 17.0):
+        fence = track(8.0, 0.0, label=ObstacleClass.VEHICLE, size=(long, 1.5, 1.5))
+        threat = threat_in(sweep, SHAPES[0], Tracks(START_NS, (fence,)), np.zeros(3), 0.0, 4.0, config.tracked)
+        assert (threat != NO_THREAT) == (long <= config.tracked.longest_m), long
+
+
 def test_what_has_no_class_must_be_seen_to_count_as_moving(sweep: Sweep, config: SafetyConfig) -> None:
     for label, unseen_ms in itertools.product((ObstacleClass.UNKNOWN, ObstacleClass.PERSON), (0, 240, 250, 260, 900)):
         crossing = track(7.0, 3.0, vy=-1.5, label=label)
