@@ -8,7 +8,6 @@ from plant import IMPLEMENT, VEHICLE, Actuators, Ground, Plant, Senses, Track, t
 
 from configs.site import Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
-from configs.vehicle import kmh
 from planning.configuration import PlanningConfig
 from planning.curve import Pose
 from planning.docking.dock import Docking, plan_docking
@@ -37,7 +36,7 @@ def test_it_ends_in_the_dock(bay, start, speed_gain):
         driven = Track(x_m=track.x_m[before:], y_m=track.y_m[before:])
         offsets, _ = true_offsets(driven, path)
         assert np.abs(offsets).max() < 0.03
-        assert np.abs(track.speed_mps[before:]).max() <= 1.15 * kmh(PLANNING.docking.speed_kmh)  # the supervisor cuts
+        assert np.abs(track.speed_mps[before:]).max() <= 1.15 * path.speed_mps.max()  # the supervisor cuts
         settle(plant)
     dock = docking.bay.dock
     assert abs(plant.x - dock.x_m) <= 0.02
