@@ -67,9 +67,9 @@ def _look_by_name(truth: Truth) -> Callable[[int], dict[str, tuple[LidarScan, Li
 
 
 class _Timed:
-    """A lidar odometry that knows how long a scan took."""
+    """A node on lidar that knows how long its steps took."""
 
-    def __init__(self, node: LidarOdometry) -> None:
+    def __init__(self, node: LidarOdometry | LidarMap) -> None:
         self._node, self._spent, self._matched = node, 0.0, 0
 
     def step(self, now_ns, inbox):  # type: ignore[no-untyped-def]

@@ -8,9 +8,10 @@ from ├── o waiting                 walk-in time  t_in = way / walk
      └───────o out
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from shapely import LineString, Polygon
@@ -45,7 +46,7 @@ class Setting:
 
     field: Polygon
     half_width_m: float
-    docks: Mapping[str, Pose2] = field(default_factory=dict)
+    docks: Mapping[str, Pose2] = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from simulation.sensors.sensor import Moment, period_ns_of
 
 NOISE = 1 << 18  # places at which a picture's noise may begin in what is prepared
 MUD = np.array([38, 52, 64], np.uint8)  # BGR
+JPEG_QUALITY = 60  # of what the camera sends: 70 to 100 KB a picture
 
 
 class CameraConfig(Config):
@@ -67,7 +68,7 @@ class CameraModel:
         self._gain: float | None = None
 
     def sample(self, moment: Moment) -> CameraImage:
-        """The picture taken now."""
+        """The picture taken now, as what decoding the sent JPEG gives."""
         T_map_base = moment.track.back(0)
         eye = Eye(T_map_base @ self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
         figures = moment.scene.seen_by("camera")
@@ -81,7 +82,8 @@ class CameraModel:
             feet[k] = *f.p_map_m[:2], (0.4 * f.ball_m[1]) ** -2
         bgr, mean, gain = self._on_stage(moment.scene).look(eye, moving, feet, self._gain, self._curve)
         self._gain = gain * metered(mean, self._config.exposure)
-        return CameraImage(moment.stamp_ns, self._develop(bgr, moment.elapsed_s))
+        _, jpeg = cv2.imencode(".jpg", self._develop(bgr, moment.elapsed_s), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
+        return CameraImage(moment.stamp_ns, np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8), jpeg.tobytes())
 
     def warm(self, scene: Scene) -> None:
         """Build what stands still, and load what draws."""
