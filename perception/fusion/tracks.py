@@ -36,6 +36,7 @@ class TrackerConfig(Config):
     doubt_share: float = Field(ge=0.0, le=1.0, description="of its worth, lost when a sensor misses what it saw")
     kinds: KindsConfig
     parts: PartsConfig
+    lost_s: float = Field(gt=0.0, le=10.0, description="seen again after longer, its way since tells no speed")
     moving_sigma: float = Field(gt=0.0, le=10.0, description="a slower speed than this is given as none")
     class_memory: float = Field(ge=0.0, lt=1.0, description="of the evidence, kept from one detection to the next")
     stillness: StillnessConfig
@@ -133,6 +134,10 @@ def update(
 ) -> None:
     """Tracks corrected in place by the detections matched to them; `lidars` are the bits of lidars in `sensors`."""
     x, P = table.x[tracks], table.P[tracks]
+    # after long out of sight another piece of clutter may stand for it
+    was_lost = seen.stamp_ns - table.last_ns[tracks] > _ns(config.lost_s)
+    P[was_lost, :2, 2:] = P[was_lost, 2:, :2] = 0.0
+    P[was_lost, 2:, 2:] = np.eye(2) * config.first_speed_mps**2
     is_part = is_vehicle(table.evidence[tracks]) & (seen.size_m[rows, 0] < PART * table.size_m[tracks, 0])
     z, R = seen.p_m[rows, :2].copy(), seen.R[rows]
     # a piece, or an echo from somewhere on a box, tells of its middle only that the box must reach there
@@ -140,6 +145,8 @@ def update(
     own = np.where(is_part[on, None], seen.size_m[rows[on], :2], 0.0)
     z[on] = middle_of(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
     R[on] += np.eye(2) * (ANYWHERE * table.size_m[tracks[on], 0])[:, None, None] ** 2
+    if seen.is_lidar:
+        R += config.noise.of_motion(seen.size_m[rows], seen.yaw_rad[rows])
     correct(x, P, z, R, 0)
     _correct_velocity(x, P, seen, rows, stillness, config)
     table.x[tracks], table.P[tracks] = x, P

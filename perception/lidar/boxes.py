@@ -1,4 +1,9 @@
-"""What a cluster looks like: upright box of least area, height, and the return nearest to the machine's front."""
+"""What a cluster looks like: upright box that fits it most closely, height, and the return nearest to the front.
+
+Two sides of a vehicle make an L, whose boxes of least area lie along its sides and across its corner alike. The returns
+lie on the sides, so a box counts by how close they lie to its edges (Zhang et al., Efficient L-Shape Fitting, IV 2017),
+over its area, lest it claim free ground.
+"""
 
 import math
 from dataclasses import dataclass
@@ -12,6 +17,10 @@ from perception.lidar.clusters import Clusters
 DIRECTIONS = 16  # extreme returns are kept in so many directions; 11° off costs 2 % of a side
 HALF = DIRECTIONS // 2
 LEAST_SIZE_M = 0.05
+EDGE_M = 0.1  # a return nearer to an edge than this is on it
+MOST_RETURNS = 128  # of a cluster that are asked how close they lie to the edges
+SIDES = 30  # fewer returns show no sides, and
+BODY_M = 10.0  # what is longer is no vehicle: of both the box of least area is taken
 
 
 @dataclass(frozen=True)
@@ -41,12 +50,12 @@ def describe(
 
 @kernel
 def _upright(offsets: Int32, indices: Int32, points: Float32, center: Float64, size: Float64, yaw: Float64) -> None:
-    """The box of least area over all directions of edges between neighbouring extreme returns."""
+    """The closest box over all directions of edges between neighbouring extreme returns."""
     turn = np.arange(HALF) * (2.0 * math.pi / DIRECTIONS)
     cosine = np.concatenate((np.cos(turn), -np.cos(turn)))
     sine = np.concatenate((np.sin(turn), -np.sin(turn)))
     far, extreme = np.empty(DIRECTIONS), np.empty(DIRECTIONS, np.int64)
-    hull = np.empty((DIRECTIONS, 2))
+    hull, some = np.empty((DIRECTIONS, 2)), np.empty((MOST_RETURNS, 2))
     for k in range(offsets.shape[0] - 1):
         z_low, z_high = np.inf, -np.inf
         far[:] = -np.inf
@@ -60,13 +69,20 @@ def _upright(offsets: Int32, indices: Int32, points: Float32, center: Float64, s
                 extreme[d] = i if is_farther else extreme[d]
         for d in range(DIRECTIONS):
             hull[d, 0], hull[d, 1] = points[extreme[d], 0], points[extreme[d], 1]
-        _least_area(hull, k, center, size, yaw)
+        count, n = offsets[k + 1] - offsets[k], 0
+        for j in range(0, count, 1 + (count - 1) // MOST_RETURNS):
+            i = indices[offsets[k] + j]
+            some[n, 0], some[n, 1] = points[i, 0], points[i, 1]
+            n += 1
+        _closest(hull, some[:n], k, center, size, yaw)
         center[k, 2], size[k, 2] = (z_low + z_high) / 2.0, max(z_high - z_low, LEAST_SIZE_M)
 
 
 @kernel
-def _least_area(hull: Float64, k: int, center: Float64, size: Float64, yaw: Float64) -> None:
-    best = np.inf
+def _closest(hull: Float64, some: Float64, k: int, center: Float64, size: Float64, yaw: Float64) -> None:
+    """Box `k` about the convex hull with `some` (N, 2) of the returns."""
+    has_sides = some.shape[0] >= SIDES and _width(hull) <= BODY_M
+    best = 0.0
     for d in range(DIRECTIONS):
         e = (d + 1) % DIRECTIONS
         ex, ey = hull[e, 0] - hull[d, 0], hull[e, 1] - hull[d, 1]
@@ -80,13 +96,35 @@ def _least_area(hull: Float64, k: int, center: Float64, size: Float64, yaw: Floa
             u, v = c * hull[j, 0] + s * hull[j, 1], -s * hull[j, 0] + c * hull[j, 1]
             u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
         du, dv = max(u1 - u0, LEAST_SIZE_M), max(v1 - v0, LEAST_SIZE_M)
-        if du * dv < best - 1e-9:
-            best = du * dv
+        worth = 1.0 / (du * dv)
+        if has_sides:
+            worth *= _closeness(some, c, s, u0, u1, v0, v1)
+        if worth > best * (1.0 + 1e-9):
+            best = worth
             u, v = (u0 + u1) / 2.0, (v0 + v1) / 2.0
             center[k, 0], center[k, 1] = c * u - s * v, s * u + c * v
             turned = 0.0 if du >= dv else math.pi / 2.0  # the longer side is the length
             size[k, 0], size[k, 1] = max(du, dv), min(du, dv)
             yaw[k] = _half_turn(math.atan2(s, c) + turned)
+
+
+@kernel
+def _width(hull: Float64) -> float:
+    """The greatest distance between opposite extreme returns."""
+    most = 0.0
+    for d in range(HALF):
+        most = max(most, math.hypot(hull[d, 0] - hull[d + HALF, 0], hull[d, 1] - hull[d + HALF, 1]))
+    return most
+
+
+@kernel
+def _closeness(some: Float64, c: float, s: float, u0: float, u1: float, v0: float, v1: float) -> float:
+    """Sum over returns of one over their distance to the nearest edge."""
+    total = 0.0
+    for i in range(some.shape[0]):
+        u, v = c * some[i, 0] + s * some[i, 1], -s * some[i, 0] + c * some[i, 1]
+        total += 1.0 / max(min(u - u0, u1 - u, v - v0, v1 - v), EDGE_M)
+    return total
 
 
 @kernel
