@@ -44,8 +44,10 @@ def load_setup(
 ) -> Setup:
     """Load the named files and plan the mission, docking in `bay` where given; raises ConfigError or FieldError."""
     chosen = load(Mission, find("missions", mission))
+    # a field drawn by itself has no shed
+    chosen = chosen.model_copy(update={"site": field, "bay": None} if field else {})
     names = {"machine": machine or chosen.machine, "implement": implement or chosen.implement, "bay": bay or chosen.bay}
-    chosen = chosen.model_copy(update=names | ({"site": field} if field else {}))
+    chosen = chosen.model_copy(update=names)
     vehicle = load(Vehicle, find("machines", chosen.machine))
     carried = load(ImplementFile, find("implements", chosen.implement)).implement
     vehicle = carrying(vehicle, carried)

@@ -35,7 +35,7 @@ SCENARIO = parse(
 
 def crossing(path: Path) -> Path:
     """Drive along one straight line in the demo's field, from standing until after the stop; gives the log."""
-    setup = on_a_line(load_setup("demo", None, None, None, 1))
+    setup = on_a_line(load_setup("yard", None, None, None, 1))
     config = resolved(
         mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,
         scenario=SCENARIO,

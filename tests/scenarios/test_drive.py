@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def setup() -> Setup:
-    return load_setup("demo", None, None, None, 1)
+    return load_setup("yard", None, None, None, 1)
 
 
 def speed(drive: Drive) -> float:
@@ -62,7 +62,7 @@ from pathlib import Path
 from forward import forward
 from datasets.log import LogWriter
 from runtime.setup import load_setup
-setup = load_setup("demo", None, None, None, {seed})
+setup = load_setup("yard", None, None, None, {seed})
 with LogWriter(Path(sys.argv[1]), {{}}, setup.stack.datasets.log, None) as log:
     forward(setup, lambda d: "wish" in d.newest and d.newest["wish"].path_s_m > 2.0, 20.0, sinks=(log.write,))
     print(log.digest())
