@@ -1,10 +1,12 @@
 """Writing a log: MCAP, zstd, one channel a topic, and readable up to its last second whatever happens."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 from pydantic import Field
@@ -14,13 +16,16 @@ from datasets.codec import codec_of
 from datasets.digest import Digest
 from datasets.disk import MB, LogFile
 from datasets.schema import descriptor_set
+from datasets.thread import LogThread
 from datasets.viewer import Viewer
-from messages.message import Envelope
+from messages.message import Envelope, Message
+from messages.perception import Obstacles
 from messages.topics import kind_of
 
 PROFILE = "headland"
 RECORDED = "/recorded/"
 END = "end"
+NO_POINTS = np.empty((0, 3), np.float32)
 
 
 class LogConfig(Config):
@@ -41,7 +46,8 @@ class LogWriter:
 
     `metadata` (name → key → text: configuration, versions, calibration, conditions) stands before the first message, so
     a cut log has it. `viewer` adds its `/view/...` topics; without one the log holds the messages alone. A log that was
-    not closed has no index and no end record: the reader calls it cut.
+    not closed has no index and no end record: the reader calls it cut. Chunks are compressed and written by a thread:
+    what the disk refuses is raised by a later call.
     """
 
     def __init__(
@@ -60,31 +66,34 @@ class LogWriter:
         self._logged: dict[str, bool] = {}
         self._flush_ns, self._sync_ns = round(config.flush_s * 1e9), round(config.sync_s * 1e9)
         self._flushed_at_ns: int | None = None
+        self._held_bytes, self._chunk_bytes = 0, config.chunk_kib * 1024
         self._synced_at_ns = 0
         self._file = LogFile(path, round(config.min_free_mb * MB))
         untyped: Any = Writer
         # lz4 would save 3 ms of a second's logging, but its window of 64 kB misses what scans share: a third more bytes
-        self._writer = untyped(self._file, chunk_size=config.chunk_kib * 1024, compression=CompressionType.ZSTD)
+        self._writer = untyped(self._file, chunk_size=self._chunk_bytes, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="headland")
         for name, values in metadata.items():
             self._writer.add_metadata(name, dict(values))
+        self._thread = LogThread()
 
     def write(self, envelope: Envelope) -> None:
         """Append a message (unless the topic table says otherwise), and what viewers are shown of it."""
-        topic, message = envelope.topic, envelope.message
+        topic, message = envelope.topic, logged(envelope.message)
         self._close_off(envelope.receive_ns)
         if self._is_logged(topic):
             codec = codec_of(type(message))
             data = codec.encode(message)
             channel = self._channels.get(topic) or self._open(topic, codec.name, codec.schema)
-            self._writer.add_message(channel, envelope.receive_ns, data, message.stamp_ns, envelope.sequence)
-            self._digest.add(topic, message.stamp_ns, data)
+            self._add(channel, envelope.receive_ns, data, message.stamp_ns, envelope.sequence)
+            self._thread.later(self._digest.add, topic, message.stamp_ns, data)
             self.messages += 1
         if self._viewer is not None:
             self._show(envelope)
 
     def digest(self) -> str:
         """The digest over all messages so far, viewer topics left out."""
+        self._thread.settle()
         return self._digest.text()
 
     def close(self) -> None:
@@ -94,10 +103,11 @@ class LogWriter:
             self._writer.finish()
             self._file.sync()
         finally:
-            self._file.close()
+            self.abandon()
 
     def abandon(self) -> None:
         """Let go of the log as it stands: readable up to its last chunk, and cut."""
+        self._thread.stop()
         self._file.close()
 
     def __enter__(self) -> Self:
@@ -121,9 +131,20 @@ class LogWriter:
             if channel is None:
                 channel = self._open(topic, shown.DESCRIPTOR.full_name, descriptor_set(shown.DESCRIPTOR.file))
             data = shown.SerializeToString()
-            self._writer.add_message(channel, envelope.receive_ns, data, envelope.message.stamp_ns)
+            self._add(channel, envelope.receive_ns, data, envelope.message.stamp_ns, 0)
+
+    def _add(self, channel: int, receive_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
+        self._thread.later(self._writer.add_message, channel, receive_ns, data, stamp_ns, sequence)
+        self._held_bytes += len(data)
+        if self._held_bytes > self._chunk_bytes:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        self._held_bytes = 0
+        self._thread.hand_over()
 
     def _open(self, topic: str, name: str, schema: bytes) -> int:
+        self._thread.settle()  # only then does the writer know which numbers are taken
         if name not in self._schemas:
             self._schemas[name] = self._writer.register_schema(name, SchemaEncoding.Protobuf, schema)
         self._channels[topic] = self._writer.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
@@ -137,7 +158,13 @@ class LogWriter:
             return
         self._flushed_at_ns = now_ns
         self._file.check_space()
-        self._writer.flush()
+        self._thread.later(self._writer.flush)
         if not 0 <= now_ns - self._synced_at_ns < self._sync_ns:
             self._synced_at_ns = now_ns
-            self._file.sync()
+            self._thread.later(self._file.sync)
+        self._hand_over()
+
+
+def logged(message: Message) -> Message:
+    """What a log keeps of a message: the points of obstacles stand in the scan already, a quarter of all bytes."""
+    return replace(message, points_base_m=NO_POINTS) if isinstance(message, Obstacles) else message

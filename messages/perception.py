@@ -40,8 +40,8 @@ class Obstacles(Message):
     return nearest to the machine's front; `velocity_mps` (K, 2) over ground in base axes, NaN where not measured;
     `class_scores` (K, 7) in the order of `ObstacleClass`, rows sum to 1. The returns of obstacle k are
     `indices[offsets[k]:offsets[k + 1]]`, into the `points_m` of the scan `scan_stamp_ns`; `points_base_m` (M, 3)
-    are the same returns in `base`, in that order. `sigma_m` (K, 2) of the centres, along and across each box's yaw
-    (which is then the line of sight), or empty where the boxes' own extent tells it.
+    are the same returns in `base`, in that order (a log leaves them to its scans). `sigma_m` (K, 2) of the centres,
+    along and across each box's yaw (which is then the line of sight), or empty where the boxes' own extent tells it.
     """
 
     sensor: str

@@ -30,7 +30,7 @@ from simulation.sensors.sensor import Moment, period_ns_of
 
 NOISE = 1 << 18  # places at which a picture's noise may begin in what is prepared
 MUD = np.array([38, 52, 64], np.uint8)  # BGR
-JPEG_QUALITY = 60  # of what the camera sends: 70 to 100 KB a picture
+JPEG_QUALITY = 40  # of what the camera sends: 50 to 65 KB a picture
 
 
 class CameraConfig(Config):

@@ -30,6 +30,8 @@ ROUGH, MIRROR = by_kind(ROUGH_DB), by_kind(MIRROR_DB)
 MIRROR_DEG = 6.0
 NEAR_M = 0.3  # a body hides nothing of itself
 DEEPEST_M = 1.0  # of one ray's patch on the ground, along the ray
+# steps per m, rad, rad, m/s and dB in which detections are told: a tenth of their errors
+STEPS = np.array([128.0, 2048.0, 2048.0, 128.0, 16.0])
 
 
 @dataclass(frozen=True)
@@ -184,6 +186,7 @@ class RadarModel:
         detections = np.column_stack([r, azimuth, elevation, hits.doppler_mps, rcs])[found]
         detections = np.vstack([detections, self._ghosts(detections), self._clutter()])
         detections = detections + self._sigma * random.standard_normal(detections.shape)
+        detections = np.round(detections * STEPS) / STEPS
         low, high = self._radar.range_m
         is_out = (detections[:, 0] >= low) & (detections[:, 0] <= high) & (np.abs(detections[:, 1]) <= self._half)
         return RadarScan(stamp_ns, *(np.ascontiguousarray(column) for column in detections[is_out].T))

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from datasets.reader import LogScan, read_log, read_metadata
 from datasets.summary import FrameTree, check_log, render_summary, summary_json
 from messages.errors import LogError
 from messages.message import Envelope
+from messages.perception import Obstacles
 from messages.sensors import ImuSample, LidarScan, WheelSample
 
 CONFIG = LogConfig(chunk_kib=16, flush_s=0.1, sync_s=1.0, min_free_mb=0.0)
@@ -240,7 +242,7 @@ def test_a_killed_process_leaves_all_but_its_last_moments(tmp_path: Path) -> Non
     assert done.returncode == -signal.SIGKILL
     summary = check_log(path)
     assert not summary.is_whole
-    assert summary.span_s > 0.99 - 2 * CONFIG.flush_s
+    assert summary.span_s > 0.99 - 3 * CONFIG.flush_s  # what was coming, and what was being written
     assert summary.lost_bytes == 0
     assert summary.metadata["versions"] == {"commit": "abc"}
 
@@ -284,6 +286,19 @@ def test_a_log_is_never_overwritten_and_its_folder_must_be_there(tmp_path: Path)
     assert (tmp_path / "log.mcap").stat().st_size == size
     with pytest.raises(LogError, match="cannot be made"):
         write(tmp_path / "nowhere" / "log.mcap")
+
+
+def test_a_log_leaves_to_the_scan_the_points_of_obstacles(tmp_path: Path) -> None:
+    k, m = (1, 3), np.ones((4, 3), np.float32)
+    obstacles = Obstacles(
+        1, "lidar_front", 1, np.ones(k), np.ones(k), np.ones(1), np.ones(k), np.ones((1, 2)), np.ones((1, 7)),
+        np.array([0, 4], np.int32), np.arange(4, dtype=np.int32), m,
+    )  # fmt: skip
+    with LogWriter(tmp_path / "log.mcap", {}, CONFIG) as log:
+        log.write(Envelope("obstacles/lidar_front", 0, 1, obstacles))
+    (back,) = (e.message for e in read_log(tmp_path / "log.mcap"))
+    assert bits(back) == bits(replace(obstacles, points_base_m=np.empty((0, 3), np.float32)))
+    assert len(obstacles.points_base_m) == 4
 
 
 def test_an_unknown_topic_or_one_not_logged(tmp_path: Path) -> None:
