@@ -5,7 +5,10 @@ that it occupies do not move. A body of length L at speed v leaves a share of on
 longer than T, which bounds the speed.
 """
 
+import math
+
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 
 from configs.strict import Config
@@ -24,6 +27,8 @@ class StillnessConfig(Config):
     body_m: float = Field(gt=0.0, le=50.0, description="no more of a length than this is taken for that of a body")
     longest_m: float = Field(gt=0.0, le=100.0, description="what is longer is a wall, hedge or fence")
     slack_mps: float = Field(ge=0.0, le=2.0)
+    trail_s: float = Field(gt=0.0, le=5.0, description="the way of so long behind a body must be found empty")
+    trail_share: float = Field(gt=0.0, le=1.0, description="occupied, of that way, that shows that nothing moved")
 
 
 class Stillness:
@@ -55,6 +60,15 @@ class Stillness:
         bound = np.where(length_m > c.longest_m, 0.0, bound)
         return np.where(share >= 0.5, bound, np.inf)
 
+    def is_refuted(self, p_m: Float64, velocity_mps: Float64, size_m: Float64, stamp_ns: int) -> npt.NDArray[np.bool_]:
+        """Whether bodies (T,) cannot have come their way, since what they should have left is still occupied."""
+        refuted = np.zeros(len(p_m), np.bool_)
+        c = self._config
+        _look_behind(
+            p_m, velocity_mps, size_m, stamp_ns, c.cell_m, c.trail_s, c.trail_share, self._key, self._last_ns, refuted
+        )
+        return refuted
+
 
 @kernel
 def _observe(
@@ -78,3 +92,27 @@ def _observe(
                 old += 1
         if cells > 0:
             share[k] = old / cells
+
+
+@kernel
+def _look_behind(
+    p: Float64, velocity: Float64, size: Float64, stamp_ns: int, cell_m: float, trail_s: float, most: float,
+    key: Int64, last: Int64, refuted: npt.NDArray[np.bool_],
+) -> None:  # fmt: skip
+    for k in range(p.shape[0]):
+        speed = math.hypot(velocity[k, 0], velocity[k, 1])
+        if speed == 0.0:
+            continue
+        # two cells of slack: the box is cut to whole cells, and limbs reach out of it
+        tail = math.hypot(size[k, 0], size[k, 1]) / 2.0 + 2.0 * cell_m
+        looks = stays = 0
+        for i in range(int(speed * trail_s / (0.5 * cell_m))):
+            behind = tail + 0.5 * cell_m * i
+            x, y = p[k, 0] - velocity[k, 0] / speed * behind, p[k, 1] - velocity[k, 1] / speed * behind
+            u, v = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
+            c = (u % WIDTH) * WIDTH + v % WIDTH
+            left_s = (behind - tail + 2.0 * cell_m) / speed
+            looks += 1
+            if key[c] == u * 4294967296 + v and (stamp_ns - last[c]) * 1e-9 < left_s:
+                stays += 1
+        refuted[k] = looks > 0 and stays >= most * looks

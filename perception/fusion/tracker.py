@@ -13,6 +13,8 @@ from perception.fusion.detections import to_odom
 from perception.fusion.stillness import Stillness
 from perception.fusion.tracks import (
     CLASSES,
+    POLE,
+    TALLEST_M,
     TrackerConfig,
     alive,
     begin,
@@ -21,6 +23,7 @@ from perception.fusion.tracks import (
     doubt,
     empty_table,
     hosts_of,
+    is_body,
     left_over,
     match,
     move,
@@ -102,7 +105,10 @@ class Tracker(Node):
     def _tell(self) -> Tracks:
         t = self._table
         velocity = velocities(t, self._config)
+        stays = self._stillness.is_refuted(t.x[:, :2], velocity, t.size_m, self._stamp_ns)
+        velocity[stays & ~is_body(t.evidence)] = 0.0
         label, confidence = classify(t, velocity)
+        velocity[(label == POLE) & (t.size_m[:, 2] > TALLEST_M)] = 0.0
         names = [topic.partition("/")[2] for topic in self._topics]
         return Tracks(
             self._stamp_ns,

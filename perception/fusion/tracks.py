@@ -16,6 +16,8 @@ from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, is_piece, is_sa
 from perception.fusion.stillness import Stillness, StillnessConfig
 
 CLASSES = tuple(ObstacleClass)
+BODIES = [CLASSES.index(label) for label in (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE)]
+POLE, TALLEST_M = CLASSES.index(ObstacleClass.POLE), 2.0  # what is slim and higher is nobody who walks
 REFUSED = 1e9
 PART, SLOWLY = 0.6, 0.01  # a vehicle's detection shorter than this share of it is a piece, and shrinks it slowly
 ANYWHERE = 0.29  # 1 / √12: the sigma of an even share over a box
@@ -72,7 +74,9 @@ class Table:
 def warm(config: TrackerConfig) -> None:
     """Compile or load all kernels at start-up, so that no message waits for it."""
     distances(np.zeros((1, 4)), np.eye(4)[None].copy(), np.zeros((1, 2)), np.eye(2)[None].copy())
-    Stillness(config.stillness).observe(np.zeros((1, 3), np.float32), np.array([0, 1], np.int32), 0)
+    stillness = Stillness(config.stillness)
+    stillness.observe(np.zeros((1, 3), np.float32), np.array([0, 1], np.int32), 0)
+    stillness.is_refuted(np.zeros((1, 2)), np.ones((1, 2)), np.ones((1, 3)), 0)
 
 
 def empty_table() -> Table:
@@ -211,6 +215,11 @@ def _ns(seconds: float) -> int:
 def is_vehicle(evidence: Float64) -> npt.NDArray[np.bool_]:
     """Whether a vehicle is what evidence (T, 7) speaks for most, (T,)."""
     return np.asarray(evidence.argmax(axis=1) == VEHICLE) if len(evidence) else np.zeros(0, np.bool_)
+
+
+def is_body(evidence: Float64) -> npt.NDArray[np.bool_]:
+    """Whether evidence (T, 7) speaks most for something that moves by itself, (T,)."""
+    return np.asarray(np.isin(evidence.argmax(axis=1), BODIES)) if len(evidence) else np.zeros(0, np.bool_)
 
 
 def left_over(count: int, matched: Int64) -> Int64:

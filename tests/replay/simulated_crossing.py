@@ -1,23 +1,17 @@
 """A short drive of the whole stack towards a person who walks across, as a log of ours."""
 
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from configs.site import Pose2
 from configs.strict import parse
 from datasets.log import LogWriter
 from messages.message import Envelope
-from messages.plan import Leg, Stretch
-from messages.plan import Path as DrivePath
 from runtime.assembly import assemble
 from runtime.executor import Executor
 from runtime.folder import resolved
-from runtime.setup import Setup, load_setup
+from runtime.setup import load_setup
 from simulation.scenario import Scenario
+from tests.scenarios.straight import on_a_line
 
-LENGTH_M = 50.0
 SECONDS = 27.0
 SCENARIO = parse(
     Scenario,
@@ -35,7 +29,7 @@ SCENARIO = parse(
 
 def crossing(path: Path) -> Path:
     """Drive along one straight line in the demo's field, from standing until after the stop; gives the log."""
-    setup = on_a_line(load_setup("yard", None, None, None, 1))
+    setup = on_a_line(load_setup("yard", None, None, None, 1), 50.0, 10.0)
     config = resolved(
         mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,
         scenario=SCENARIO,
@@ -52,16 +46,3 @@ def crossing(path: Path) -> Path:
         executor.run(lambda: executor.now_ns >= end_ns)
     assert not failures, failures[0].message
     return path
-
-
-def on_a_line(setup: Setup) -> Setup:
-    """The same, with one straight path through the field instead of its plan."""
-    s = np.arange(0.0, LENGTH_M + 0.05, 0.1)
-    n = len(s)
-    path = DrivePath(
-        0, 0, 1, np.column_stack([15.0 + s, np.full(n, 25.0)]), np.zeros(n), np.zeros(n), s,
-        np.append(np.full(n - 1, 10.0 / 3.6), 0.0), np.ones(n, np.uint8), (Stretch(Leg.SWATH, 0, 0, n - 1),),
-        np.zeros(n, np.int32), True,
-    )  # fmt: skip
-    plan = replace(setup.plan, paths=(path,), length_m=LENGTH_M)
-    return replace(setup, plan=plan, start=Pose2(x_m=15.0, y_m=25.0, heading_deg=0.0))

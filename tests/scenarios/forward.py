@@ -38,12 +38,13 @@ class Drive:
 
 
 def forward(
-    setup: Setup, until: Callable[[Drive], bool], timeout_s: float, scenario: str = "empty", *,
+    setup: Setup, until: Callable[[Drive], bool], timeout_s: float, scenario: Scenario | str = "empty", *,
     sinks: tuple[Any, ...] = (), is_ablation: bool = False, faults: tuple[InjectedFault, ...] = (),
 ) -> Drive:  # fmt: skip
     """Go on until `until`; a node's exception or the time limit fails the test with its own text."""
     drive = Drive()
-    chosen = load(Scenario, find("scenarios", scenario)).model_copy(update={"faults": faults})
+    named = load(Scenario, find("scenarios", scenario)) if isinstance(scenario, str) else scenario
+    chosen = named.model_copy(update={"faults": (*named.faults, *faults)})
     injection = planted(setup, chosen)
     with assemble(setup, chosen, is_ablation, injection) as (world, nodes):
         executor = Executor(world, nodes, (drive, *sinks), injection)
