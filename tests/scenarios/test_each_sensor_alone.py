@@ -1,0 +1,67 @@
+"""No sensor is an ornament: whoever only one of them sees, the machine stops for."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from forward import Drive, forward
+
+from configs.strict import parse
+from geometry.transforms import apply
+from messages.command import SafeCommand
+from messages.motion import MapPose
+from messages.perception import Tracks
+from messages.truth import TrueMachine, TrueObjects
+from runtime.setup import load_setup, with_model
+from simulation.scenario import Scenario
+from tests.scenarios.straight import on_a_line
+
+DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+YOLOX = DATA / "onnx-detectors" / "yolox-nano" / "model" / "yolox_nano.onnx"
+
+
+def walker(kind: str) -> Scenario:
+    """A person whom only this kind of sensor sees walks to the middle of the way, stands, and leaves late."""
+    return parse(
+        Scenario,
+        {
+            "name": kind, "orders": [{"at_s": 3.0, "order": "start", "expires_s": 5.0}],
+            "encounters": [{
+                "kind": "crossing", "name": "person", "figure": "person", "stops": 1, "seen_by": [kind],
+                "share": [0.65, 0.66], "from_m": [3.0, 3.1], "oblique_deg": [0.0, 1.0], "walk_mps": [1.2, 1.3],
+                "leave_mps": [1.2, 1.3], "slack_s": [1.5, 1.6], "wait_s": [30.0, 31.0],
+            }],
+        },
+        kind,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("kind", "length_m", "speed_kmh"),
+    [("lidar", 50.0, 10.0), ("radar", 50.0, 10.0), ("camera", 50.0, 10.0), ("ultrasonic", 40.0, 2.0)],
+)
+def test_the_machine_stops_before_a_person_whom_one_sensor_sees(kind: str, length_m: float, speed_kmh: float) -> None:
+    if kind == "camera" and not YOLOX.is_file():
+        pytest.skip(f"no {YOLOX}")
+    setup = on_a_line(load_setup("yard", None, None, None, 1), length_m, speed_kmh)
+    setup = with_model(setup, YOLOX if kind == "camera" else None)
+
+    def stands(drive: Drive) -> bool:
+        if "safe_command" not in drive.newest:
+            return False
+        reason = drive.last("safe_command", SafeCommand).reason
+        return reason.startswith("obstacle.") and drive.last("truth_machine", TrueMachine).speed_mps < 0.05
+
+    drive = forward(setup, stands, 60.0, walker(kind))
+    assert drive.last("truth_machine", TrueMachine).contacts == 0
+    (person,) = (o for o in drive.last("truth_objects", TrueObjects).objects if o.role == "person")
+    assert 0.3 < person.gap_m < 5.0
+    T_map_odom = drive.last("map_pose", MapPose).T_map_odom
+    seen_by = [
+        name.partition("_")[0]
+        for track in drive.last("tracks", Tracks).tracks
+        if np.linalg.norm((apply(T_map_odom, track.p_odom_m) - person.center_map_m)[:2]) < 1.0
+        for name in track.sensors
+    ]
+    assert set(seen_by) == {kind}
