@@ -30,12 +30,13 @@ class Entry:
 
 @dataclass
 class LogScan:
-    """A pass over a log: iterate it, then ask what the pass found besides messages.
+    """A pass over a log (all topics, or those named): iterate it, then ask what the pass found besides messages.
 
     Damaged stretches are skipped and listed; messages whose channel was lost with them are counted in `orphans`.
     """
 
     path: Path
+    topics: Container[str] | None = None
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     damages: list[Damage] = field(default_factory=list)
     declared_messages: int | None = None
@@ -55,6 +56,8 @@ class LogScan:
                 channel = channels.get(record.channel_id)
                 if channel is None:
                     self.orphans += 1
+                    continue
+                if self.topics is not None and channel.topic not in self.topics:
                     continue
                 yield Entry(
                     channel.topic, channel.message_encoding, schemas.get(channel.schema_id), record.sequence,
@@ -93,14 +96,14 @@ def decode(entry: Entry) -> Envelope:
 
 def read_log(path: Path, topics: Container[str] | None = None) -> Iterator[Envelope]:
     """Headland's own messages of a log (all topics, or those named), in log order; raises LogError."""
-    for entry in LogScan(path):
-        if is_ours(entry) and (topics is None or entry.topic in topics):
+    for entry in LogScan(path, topics):
+        if is_ours(entry):
             yield decode(entry)
 
 
 def read_metadata(path: Path) -> dict[str, dict[str, str]]:
     """What a log says of itself: configuration, versions, calibration, conditions, and the end record if any."""
-    scan = LogScan(path)
+    scan = LogScan(path, ())
     for _ in scan:
         pass
     return scan.metadata
