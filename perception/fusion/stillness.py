@@ -103,7 +103,7 @@ def _look_behind(
         speed = math.hypot(velocity[k, 0], velocity[k, 1])
         if speed == 0.0:
             continue
-        # two cells of slack: the box is cut to whole cells, and limbs reach out of it
+        # two cells of slack: the nearer end of a cell was left later, and limbs reach out of the box
         tail = math.hypot(size[k, 0], size[k, 1]) / 2.0 + 2.0 * cell_m
         looks = stays = 0
         for i in range(int(speed * trail_s / (0.5 * cell_m))):
@@ -111,8 +111,6 @@ def _look_behind(
             x, y = p[k, 0] - velocity[k, 0] / speed * behind, p[k, 1] - velocity[k, 1] / speed * behind
             u, v = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
             c = (u % WIDTH) * WIDTH + v % WIDTH
-            left_s = (behind - tail + 2.0 * cell_m) / speed
             looks += 1
-            if key[c] == u * 4294967296 + v and (stamp_ns - last[c]) * 1e-9 < left_s:
-                stays += 1
+            stays += key[c] == u * 4294967296 + v and (stamp_ns - last[c]) * 1e-9 * speed < behind - tail
         refuted[k] = looks > 0 and stays >= most * looks

@@ -94,6 +94,20 @@ def test_box_of_a_turned_rectangle(yaw, length, ratio, x, y):
     assert corner.max() <= boxes.size_m[0, 0] / 2 + 0.02 * length + 0.01
 
 
+@pytest.mark.parametrize("turn_deg", range(-40, 50, 10))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_two_seen_sides_of_a_vehicle_lie_on_its_box(turn_deg, sign):
+    rng = np.random.default_rng(abs(turn_deg))
+    u, v = np.r_[rng.uniform(-2.0, 2.0, 200), np.full(60, 2.0)], np.r_[np.full(200, 0.8), rng.uniform(-0.8, 0.8, 60)]
+    turn, v = np.radians(turn_deg), sign * v
+    c, s = np.cos(turn), np.sin(turn)
+    points = np.column_stack([10.0 + c * u - s * v, 3.0 + s * u + c * v, np.full(260, 0.5)])
+    boxes = one((points + rng.normal(0.0, 0.02, points.shape)).astype(np.float32))
+    apart = (boxes.yaw_rad[0] - turn + np.pi / 2) % np.pi - np.pi / 2
+    assert abs(np.degrees(apart)) < 4.0
+    assert boxes.size_m[0, :2] == pytest.approx([4.0, 1.6], abs=0.3)
+
+
 def test_lone_returns_have_a_box():
     boxes = one([[5.0, 1.0, 1.0]])
     assert boxes.size_m[0] == pytest.approx([0.05, 0.05, 0.05])

@@ -1,5 +1,7 @@
 """The tracker at 10 Hz and 2.5 Hz: confirmation in seconds, speed, identity, walls, noise and several sensors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -147,6 +149,45 @@ def test_a_gap_of_half_a_second_keeps_the_track():
     times = [t for t in stamps(10, 3.0) if not START + 1.2 * NS < t < START + 1.8 * NS]
     told = run(new_tracker(), [message(t, [[12.0, 1.5 * (t - START) / NS, 0.9]], seed=t) for t in times])
     assert {t.id for m in told for t in m.tracks} == {1}
+
+
+def test_what_takes_the_place_of_the_lost_gives_it_no_speed():
+    there = [message(t, [[10.0, 3.0, 0.1]], (0.2, 0.1, 0.1)) for t in stamps(10.0, 0.5)]
+    elsewhere = message(there[-1].stamp_ns + round(0.7 * NS), [[10.4, 3.4, 0.1]], (0.2, 0.1, 0.1))
+    told = run(new_tracker(), [*there, elsewhere])
+    assert np.hypot(*told[-1].tracks[0].velocity_mps) == 0.0
+
+
+@pytest.mark.parametrize(("width_m", "told_mps"), [(0.08, 0.0), (1.5, 3.0)])
+def test_a_strip_that_slides_along_itself_may_be_a_fence_and_a_body_moves(width_m, told_mps):
+    scans = [message(t, [[10.0 + 3.0 * (t - START) / NS, 4.0, 0.6]], (3.0, width_m, 1.2)) for t in stamps(10.0, 1.0)]
+    told = run(new_tracker(), scans)
+    assert told[-1].tracks[0].velocity_mps[0] == pytest.approx(told_mps, abs=0.6)
+
+
+@pytest.mark.parametrize("is_left_empty", [True, False])
+def test_what_is_still_where_it_would_have_come_from_has_not_moved(is_left_empty):
+    def scan(i, t):
+        moving = [10.0 + 0.3 * i, 4.0, 1.0]
+        behind = [[moving[0] - 1.2 - 0.3 * k, 4.0, 1.0] for k in range(8)]
+        centers = [moving] if is_left_empty else [moving, *behind]
+        scores = np.full((len(centers), 7), 1.0 / 7.0)
+        return replace(message(t, centers, (0.4, 0.3, 1.2)), class_scores=scores)
+
+    told = run(new_tracker(), [scan(i, t) for i, t in enumerate(stamps(10.0, 1.0))])
+    foremost = max(told[-1].tracks, key=lambda k: k.p_odom_m[0])
+    assert np.hypot(*foremost.velocity_mps) == pytest.approx(3.0 if is_left_empty else 0.0, abs=0.6)
+
+
+def test_no_pole_as_high_as_a_post_moves():
+    def scan(t, height_m):
+        pole = np.full((1, 7), 0.02)
+        pole[0, 4] = 0.88
+        return replace(message(t, [[10.0 + 1.5 * (t - START) / NS, 4.0, 1.0]], (0.1, 0.1, height_m)), class_scores=pole)
+
+    for height_m, told_mps in ((1.7, 1.5), (2.9, 0.0)):
+        told = run(new_tracker(), [scan(t, height_m) for t in stamps(10.0, 1.5)])
+        assert np.hypot(*told[-1].tracks[0].velocity_mps) == pytest.approx(told_mps, abs=0.4)
 
 
 def test_a_second_sensor_joins_and_its_velocity_counts():
