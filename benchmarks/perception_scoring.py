@@ -62,12 +62,11 @@ class Feed:
 
 @dataclass(frozen=True)
 class Result:
-    """What the node said of one scan, and how long it took."""
+    """What the node said of one scan."""
 
     points_m: Float32
     obstacles: Obstacles
     ground: LidarGround
-    wall_s: float
 
 
 @cache
@@ -79,9 +78,8 @@ def new_node() -> LidarObstacles:
 def perceive(points_m: Float32, stamp_ns: int = START_NS) -> Result:
     """One scan through the node's own pipeline."""
     node, scan = new_node(), scan_of(points_m, stamp_ns)
-    start = perf_counter()
     ground, obstacles, _ = node._pipeline.run(scan, None, node.name, 0)
-    return Result(scan.points_m, obstacles, ground, perf_counter() - start)
+    return Result(scan.points_m, obstacles, ground)
 
 
 @dataclass(frozen=True)

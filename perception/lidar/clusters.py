@@ -61,7 +61,7 @@ def find_clusters(
     """
     width = board.shape[0]
     number = board.reshape(-1)
-    cell = np.full(len(points_base_m), -1, np.int32)
+    cell = np.empty(len(points_base_m), np.int32)
     cells, centroid = _occupy(points_base_m, level, center_m, width, config.cell_m, number, cell)
     label, count = _join(cells, number, centroid, center_m, width, config.cell_m, config.join_m, config.join_growth)
     number[cells] = -1
@@ -85,18 +85,21 @@ def _occupy(
 ) -> tuple[Int32, Float64]:
     """Places (K,) of occupied cells in the order found, and means (K, 2) of their solid returns.
 
-    `number` (width²,) and `cell` (N,) get k where -1 stood.
+    `number` (width²,) gets k where -1 stood, `cell` (N,) gets k, or -1 for what lies in none of them.
     """
     u0 = np.float32(width // 2 + 0.5 - center[0] / cell_m)
     v0 = np.float32(width // 2 + 0.5 - center[1] / cell_m)
     scale, end = np.float32(1.0 / cell_m), np.float32(width)
-    solids, k = _where(level, 2), 0
-    keys, total = np.empty(solids.shape[0], np.int32), np.empty((solids.shape[0], 3))
-    for i in solids:
+    for i in range(points.shape[0]):
         u, v = points[i, 0] * scale + u0, points[i, 1] * scale + v0
-        if not (0.0 <= u < end and 0.0 <= v < end):
+        inside = (level[i] > 0) & (u >= 0.0) & (u < end) & (v >= 0.0) & (v < end)
+        cell[i] = int(u) * width + int(v) if inside else -1
+    solids, k = _where(level, 2), 0
+    keys, total = np.empty(solids.shape[0], np.int32), np.empty((solids.shape[0] + 1, 3))
+    for i in solids:
+        key = cell[i]
+        if key < 0:
             continue
-        key = int(u) * width + int(v)
         c = number[key]
         if c < 0:
             c = number[key] = k
@@ -107,12 +110,9 @@ def _occupy(
         total[c, 1] += points[i, 1]
         total[c, 2] += 1.0
     for i in _where(level, 1):
-        u, v = points[i, 0] * scale + u0, points[i, 1] * scale + v0
-        if 0.0 <= u < end and 0.0 <= v < end:
-            c = number[int(u) * width + int(v)]
-            # one return alone may be noise, and would make an object of the ground below it
-            if c >= 0 and total[c, 2] > 1.0:
-                cell[i] = c
+        c = number[cell[i]] if cell[i] >= 0 else -1
+        # one return alone may be noise, and would make an object of the ground below it
+        cell[i] = c if c >= 0 and total[c, 2] > 1.0 else -1
     return keys[:k].copy(), total[:k, :2] / total[:k, 2:]
 
 
@@ -131,25 +131,31 @@ def _join(
 ) -> tuple[Int32, int]:  # fmt: skip
     """Label (K,) of each cell, numbered in the order of the cells, and how many labels there are."""
     n = keys.shape[0]
-    parent = np.arange(n).astype(np.int32)
+    parent = np.arange(n + 1).astype(np.int32)  # the last stands for the empty cell -1
+    farthest = math.ceil((join_m + growth * width * cell_m) / cell_m)  # more than ever comes
+    near = np.empty((farthest + 1) * (2 * farthest + 1), np.int32)
     for k in range(n):
         x, y = centroid[k, 0], centroid[k, 1]
         reach = join_m + growth * math.hypot(x - center[0], y - center[1])
         steps = math.ceil(reach / cell_m)
         u, v = keys[k] // width, keys[k] % width
-        own = _root(parent, k)
+        own = parent[n] = _root(parent, k)
+        count = 0
+        # gathered first, without branches: which of them are occupied cannot be foretold
         for w in range(u, min(u + steps, width - 1) + 1):
             first = v + 1 if w == u else max(v - steps, 0)
             for place in range(w * width + first, w * width + min(v + steps, width - 1) + 1):
-                j = number[place]
-                if j < 0 or parent[j] == own:
-                    continue
-                dx, dy = centroid[j, 0] - x, centroid[j, 1] - y
-                if dx * dx + dy * dy <= reach * reach:
-                    other = _root(parent, j)
-                    if other != own:
-                        parent[max(own, other)] = own = min(own, other)
-                    parent[j] = own
+                near[count] = number[place]
+                count += parent[number[place]] != own
+        for j in near[:count]:
+            if parent[j] == own:
+                continue
+            dx, dy = centroid[j, 0] - x, centroid[j, 1] - y
+            if dx * dx + dy * dy <= reach * reach:
+                other = _root(parent, j)
+                if other != own:
+                    parent[max(own, other)] = own = min(own, other)
+                parent[j] = own
     label = np.empty(n, np.int32)
     count = 0
     for k in range(n):

@@ -81,7 +81,8 @@ def fit_plane(ground: Ground, center_m: Float64, grid: Grid, radius_m: float) ->
     A = np.stack([x, y, np.ones_like(x)], axis=1)
     # a prior of one well-seen cell at 3 m keeps the fit defined
     prior = np.diag([9.0, 9.0, 1.0])
-    slope_x, slope_y, offset = np.linalg.solve((A.T * w) @ A + prior, (A.T * w) @ ground.cell_height_m[:, near].ravel())
+    Aw = A.T * w
+    slope_x, slope_y, offset = np.linalg.solve(Aw @ A + prior, Aw @ ground.cell_height_m[:, near].ravel())
     plane = np.array([-slope_x, -slope_y, 1.0, -offset])
     return np.asarray(plane / np.linalg.norm(plane[:3]), np.float64)
 
@@ -195,22 +196,21 @@ def _mean_between(z: Float32, first: int, last: int, low: float, high: float) ->
 def _smooth(height: Float64, weight: Float64, range_m: Float64, step_m: float) -> Float64:
     """Each cell by its neighbours; a second round refuses those that stand off the first round's surface."""
     sectors, bins = height.shape
-    surface = height.copy()
+    surface, w_sum, h_sum = height.copy(), np.empty(bins), np.empty(bins)
     for turn in range(2):
         before, trusted = surface.copy(), weight.copy()
         if turn > 0:
             off = ((height - before) / (0.5 * step_m)) ** 2
             trusted /= 1.0 + off * off
         for s in range(sectors):
-            for b in range(bins):
-                w_sum, h_sum = 1e-3, 1e-3 * before[s, b]
-                for d in range(-2, 3):
-                    k = s + d
-                    if not 0 <= k < sectors:
-                        k %= sectors
-                    for j in range(max(0, b - 1), min(bins, b + 2)):
-                        w = trusted[k, j] * BLUR[d + 2, j - b + 1]
-                        w_sum += w
-                        h_sum += w * height[k, j]
-                surface[s, b] = h_sum / w_sum
+            w_sum[:], h_sum[:] = 1e-3, 1e-3 * before[s]
+            for d in range(-2, 3):
+                k = (s + d) % sectors
+                for j in range(-1, 2):
+                    # innermost over bins: the processor's vectors take several at once
+                    for b in range(max(0, -j), min(bins, bins - j)):
+                        w = trusted[k, b + j] * BLUR[d + 2, j + 1]
+                        w_sum[b] += w
+                        h_sum[b] += w * height[k, b + j]
+            surface[s] = h_sum / w_sum
     return surface

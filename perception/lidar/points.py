@@ -41,18 +41,16 @@ def to_base(
     """
     out = np.empty((len(points_m), 3), np.float32, order="F")  # loops over columns use the processor's vectors
     usable = np.empty(len(points_m), np.uint8)
-    reach = float(np.hypot(*np.abs(own[:, :, :2]).max(axis=(0, 1)))) if len(own) else 0.0
     T = T_base_sensor[:3].astype(np.float32)
     # before the motion is taken out: the machine's own parts move along with the sensor
-    _turn(points_m, T, own.astype(np.float32), np.float32(reach**2), out, usable)
+    _turn(points_m, T, own.astype(np.float32), out, usable)
     if offset_s.any():
         _take_back(offset_s, np.array(motion), out)
     return out, usable
 
 
 @kernel
-def _turn(points: Float32, T: Float32, own: Float32, reach2: np.float32, out: Float32, usable: UInt8) -> None:
-    near, count = np.empty(points.shape[0] + 1, np.int32), 0
+def _turn(points: Float32, T: Float32, own: Float32, out: Float32, usable: UInt8) -> None:
     a, b, c, d, e, f, g, h, k = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2]
     x0, y0, z0 = T[0, 3], T[1, 3], T[2, 3]
     for i in range(points.shape[0]):
@@ -60,13 +58,13 @@ def _turn(points: Float32, T: Float32, own: Float32, reach2: np.float32, out: Fl
         x, y, z = a * px + b * py + c * pz + x0, d * px + e * py + f * pz + y0, g * px + h * py + k * pz + z0
         out[i, 0], out[i, 1], out[i, 2] = x, y, z
         usable[i] = np.isfinite(x + y + z) & (px * px + py * py + pz * pz > 1e-4)
-        near[count] = i
-        count += x * x + y * y < reach2
-    for i in near[:count]:
-        x, y, z = out[i, 0], out[i, 1], out[i, 2]
-        for n in range(own.shape[0]):
-            if own[n, 0, 0] < x < own[n, 1, 0] and own[n, 0, 1] < y < own[n, 1, 1] and own[n, 0, 2] < z < own[n, 1, 2]:
-                usable[i] = 0
+    for n in range(own.shape[0]):
+        x0, y0, z0 = own[n, 0, 0], own[n, 0, 1], own[n, 0, 2]
+        x1, y1, z1 = own[n, 1, 0], own[n, 1, 1], own[n, 1, 2]
+        for i in range(points.shape[0]):
+            x, y, z = out[i, 0], out[i, 1], out[i, 2]
+            is_own = (x0 < x) & (x < x1) & (y0 < y) & (y < y1) & (z0 < z) & (z < z1)
+            usable[i] = 0 if is_own else usable[i]
 
 
 @kernel
