@@ -186,7 +186,9 @@ class Localizer(Node):
         alarms.set("gnss.refused", self._placement.is_refusing, "contradict the prediction")
         is_lost = self._was_lost and not self._placement.is_initialized
         alarms.set("localization.lost", is_lost)
-        alarms.set("uwb.refused", self._ranging is not None and self._ranging.is_refusing)
+        # far from the shed few ranges come through, and beside good fixes nobody needs them
+        is_needed = alarms.is_on("gnss.silent") or alarms.is_on("gnss.refused")
+        alarms.set("uwb.refused", is_needed and self._ranging is not None and self._ranging.is_refusing)
         doubt = "" if self._placement.is_initialized else self._placement.doubt
         alarms.set("localization.not_docked", bool(doubt), doubt)
         alarms.set("gnss.no_heading", not self._placement.is_initialized and motion.standstill.lacks_heading)
