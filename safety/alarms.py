@@ -13,6 +13,7 @@ GERMAN = {
     "order.emergency_stop": "Not-Halt befohlen",
     "hand.wheel": "Hand am Lenkrad: Fahrer übernimmt",
     "wish.silent": "Regelung schweigt",
+    "mission.silent": "Auftragssteuerung schweigt",
     "supply.voltage": "Versorgungsspannung außerhalb der Grenzen",
     "steering.not_following": "Lenkung folgt nicht",
     "steering.not_ready": "Lenkung nicht bereit",

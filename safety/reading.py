@@ -30,8 +30,8 @@ class Reading:
         self._sensors, self._config = sensors, config
         self._companions = companions_of(sensors, idle)
         own = ("imu",) * (sensors.imu is not None) + ("wheel",) * (sensors.wheels is not None)
-        lidars = (f"lidar/{name}" for name in sensors.lidar)
-        watched = ("machine", *own, *lidars, "odom", "map_pose", "tracks", "wish")
+        lidars = [topic for name in sensors.lidar for topic in (f"lidar/{name}", f"health/lidar_{name}")]
+        watched = ("machine", *own, *lidars, "odom", "map_pose", "tracks", "wish", "mission")
         self._watched: dict[str, type[Message]] = {topic: kind_of(topic).type for topic in watched}
         self._health = {f"lidar_{name}": f"health/lidar_{name}" for name in sensors.lidar}
         self._health |= {one.label: one.health_topic for one in self._companions}
@@ -40,7 +40,7 @@ class Reading:
     def reads(self) -> dict[str, Read]:
         """All of it."""
         heard = (one.topic for one in self._companions if one.kind != "camera")
-        return {topic: Latest() for topic in (*self._watched, "path", "mission", *heard, *self._health.values())}
+        return {topic: Latest() for topic in (*self._watched, "path", *heard, *self._health.values())}
 
     def see(self, inbox: Inbox, machine: MachineState | None) -> Seen:
         """What came."""
@@ -65,7 +65,8 @@ class Reading:
 
     def ages(self, now_ns: int, inbox: Inbox, lookout: Lookout, direction: int) -> list[Age]:
         """Ages of all that driving in this direction cannot do without."""
-        idle = {f"lidar/{eye.name}" for eye in lookout.senses.eyes if not eye.looks(direction)}
+        away = [eye.name for eye in lookout.senses.eyes if not eye.looks(direction)]
+        idle = {topic for name in away for topic in (f"lidar/{name}", f"health/lidar_{name}")}
         ages = []
         for topic, kind in self._watched.items():
             if topic not in idle:

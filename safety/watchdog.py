@@ -12,7 +12,8 @@ LATE_SHARE = 0.6  # of the greatest age: a message this late is on its way to si
 UPSTREAM: dict[str, tuple[str, ...]] = {
     "odom": ("imu", "wheel", "machine"),
     "map_pose": ("imu", "wheel", "odom"),
-    "tracks": ("lidar", "odom"),
+    "tracks": ("lidar", "health", "odom"),
+    "health": ("odom",),
     "wish": ("imu", "wheel", "machine", "odom", "map_pose"),
 }
 
@@ -60,9 +61,10 @@ def silent(ages: Iterable[Age]) -> tuple[str, ...]:
 
 def cause_of(topic: str, known: Mapping[str, Age]) -> str:
     """The farthest upstream topic that is late too, or the topic itself."""
-    kind = topic.partition("/")[0]
-    for above in UPSTREAM.get(kind, ()):
-        late = next((t for t, age in known.items() if t.partition("/")[0] == above and age.is_late), None)
+    kind, _, name = topic.partition("/")
+    sensor = (name.replace("_", "/", 1),) if kind == "health" else ()  # health/lidar_front tells of lidar/front
+    for above in (*sensor, *UPSTREAM.get(kind, ())):
+        late = next((t for t, age in known.items() if above in (t, t.partition("/")[0]) and age.is_late), None)
         if late is not None:
             return cause_of(late, known)
     return topic

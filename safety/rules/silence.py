@@ -4,12 +4,17 @@ from messages.command import MachineState, RuleResult
 from safety.rules.verdict import free, limit, stop
 from safety.situation import Situation
 
+LEADING = frozenset({"wish", "mission"})
+
 
 def judge(situation: Situation) -> RuleResult:
-    """Stop on the first silent source; control may be silent while the machine stands (it has nothing to say yet)."""
+    """Stop on the first silent source; while the machine stands, those that lead it need not speak.
+
+    Control then has nothing to say yet, and the mission may take its time to plan a way round.
+    """
     for topic in situation.silent:
-        if topic == "wish" and not situation.is_moving:
-            return limit("wish.silent", 0.0, "no wish from control")
+        if topic in LEADING and not situation.is_moving:
+            return limit(f"{topic}.silent", 0.0, f"no message on {topic}")
         return stop(f"{topic}.silent", f"no message on {topic} within its greatest age")
     if situation.frozen:
         return stop(f"{situation.frozen[0]}.frozen", f"{situation.frozen[0]} repeats the same scan")

@@ -336,7 +336,7 @@ class World:
         if self.steps % 5 == 0:
             for name, sensor in sensors.ultrasonic.items():
                 self.put(f"ultrasonic/{name}", UltrasonicRange(now, echo_of(self, sensor)))
-            for kind in ("radar", "ultrasonic", "camera"):
+            for kind in ("lidar", "radar", "ultrasonic", "camera"):
                 for name in getattr(sensors, kind):
                     self.put(f"health/{kind}_{name}", healthy(now, f"{kind}_{name}"))
 

@@ -143,7 +143,8 @@ FINE, LATE, STALE = 0.01, 0.08, 0.2
 
 
 def blamed(**ages_s: float) -> tuple[str, ...]:
-    order_of = ("machine", "imu", "wheel", "lidar/front", "odom", "map_pose", "tracks", "wish")
+    sensors = ("machine", "imu", "wheel", "lidar/rear", "lidar/front", "health/lidar_front")
+    order_of = (*sensors, "odom", "map_pose", "tracks", "wish")
     return silent([Age(topic, ages_s.get(topic.replace("/", "_"), FINE), 0.1) for topic in order_of])
 
 
@@ -156,6 +157,11 @@ def test_the_cause_is_blamed() -> None:
     assert blamed(wish=STALE, odom=LATE, wheel=LATE) == ("wheel",)
     assert blamed(tracks=STALE, lidar_front=LATE) == ("lidar/front",)
     assert blamed(tracks=STALE) == ("tracks",)
+    assert blamed(health_lidar_front=STALE) == ("health/lidar_front",)
+    assert blamed(health_lidar_front=STALE, lidar_front=LATE) == ("lidar/front",)
+    assert blamed(health_lidar_front=STALE, lidar_rear=LATE) == ("health/lidar_front",)
+    assert blamed(health_lidar_front=STALE, odom=LATE, imu=LATE) == ("imu",)
+    assert blamed(tracks=STALE, health_lidar_front=LATE) == ("health/lidar_front",)
     assert blamed(lidar_front=STALE, odom=STALE) == ("lidar/front", "odom")
     assert blamed(machine=STALE, wish=STALE) == ("machine",)
 

@@ -81,6 +81,8 @@ def test_silence(config: SafetyConfig) -> None:
     assert ask("silence", config, silent=("imu", "odom"))[:2] == (STOP, "imu.silent")
     assert ask("silence", config, silent=("wish",))[:2] == (STOP, "wish.silent")
     assert ask("silence", config, silent=("wish",), speed_mps=0.0) == (LIMIT, "wish.silent", 0.0)
+    assert ask("silence", config, silent=("mission",))[:2] == (STOP, "mission.silent")
+    assert ask("silence", config, silent=("mission",), speed_mps=0.0) == (LIMIT, "mission.silent", 0.0)
     assert ask("silence", config, frozen=("lidar/front",))[:2] == (STOP, "lidar/front.frozen")
     assert ask("silence", config, machine=None)[0] is NONE
     assert ask("silence", config, odom=None)[:2] == (STOP, "odom.invalid")

@@ -236,6 +236,7 @@ def test_a_silent_rear_lidar_matters_only_in_reverse(world: World) -> None:
 
 TOPICS = {"imu": "imu.silent", "wheel": "wheel.silent", "lidar/front": "lidar/front.silent", "odom": "odom.silent",
           "map_pose": "map_pose.silent", "machine": "machine.silent", "wish": "wish.silent", "tracks": "tracks.silent",
+          "health/lidar_front": "health/lidar_front.silent", "mission": "mission.silent",
           }  # fmt: skip
 
 
