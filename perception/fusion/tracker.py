@@ -109,13 +109,16 @@ class Tracker(Node):
         velocity[stays & ~is_body(t.evidence)] = 0.0
         label, confidence = classify(t, velocity)
         velocity[(label == POLE) & (t.size_m[:, 2] > TALLEST_M)] = 0.0
+        # what is not known to move is where it was seen last, and its uncertain speed takes it nowhere
+        unseen_s = np.where(velocity.any(axis=1), 0.0, (self._stamp_ns - t.last_ns) * 1e-9)
+        p = t.x[:, :2] - t.x[:, 2:] * unseen_s[:, None]
         names = [topic.partition("/")[2] for topic in self._topics]
         return Tracks(
             self._stamp_ns,
             tuple(
                 Track(
                     int(t.id[k]), CLASSES[label[k]], float(confidence[k]),
-                    np.array([t.x[k, 0], t.x[k, 1], t.height_m[k]]), velocity[k], t.P[k].copy(), t.size_m[k].copy(),
+                    np.array([p[k, 0], p[k, 1], t.height_m[k]]), velocity[k], t.P[k].copy(), t.size_m[k].copy(),
                     float(t.yaw_rad[k]), int(t.first_ns[k]), int(t.last_ns[k]), bool(t.is_confirmed[k]),
                     tuple(name for i, name in enumerate(names) if t.sensors[k] >> i & 1),
                 )

@@ -46,7 +46,10 @@ class TrackerConfig(Config):
 
 @dataclass
 class Table:
-    """Tracks as columns of T rows, so that all are moved and matched at once; state and size in `odom`."""
+    """Tracks as columns of T rows, so that all are moved and matched at once; state and size in `odom`.
+
+    `moving_ns` is since when they have moved at every detection (0: they do not), `boxed_ns` when a box was measured.
+    """
 
     id: Int64
     x: Float64
@@ -59,6 +62,8 @@ class Table:
     first_ns: Int64
     last_ns: Int64
     until_ns: Int64
+    moving_ns: Int64
+    boxed_ns: Int64
     is_confirmed: Int64
     sensors: Int64
 
@@ -85,7 +90,7 @@ def empty_table() -> Table:
     none = np.zeros(0)
     return Table(
         whole, np.zeros((0, 4)), np.zeros((0, 4, 4)), none, np.zeros((0, 3)), none, none, np.zeros((0, len(CLASSES))),
-        whole, whole, whole, whole, whole,
+        whole, whole, whole, whole, whole, whole, whole,
     )  # fmt: skip
 
 
@@ -102,8 +107,7 @@ def begin(seen: Detections, rows: Int64, first_id: int, config: TrackerConfig) -
     return Table(
         np.arange(first_id, first_id + n), x, P, seen.p_m[rows, 2], seen.size_m[rows], seen.yaw_rad[rows],
         seen.returns[rows], seen.log_scores[rows], stamp, stamp.copy(), stamp + _ns(seen.kind.forget_new_s),
-        np.zeros(n, np.int64),
-        np.full(n, 1 << seen.sensor, np.int64),
+        np.zeros(n, np.int64), stamp.copy(), np.zeros(n, np.int64), np.full(n, 1 << seen.sensor, np.int64),
     )  # fmt: skip
 
 
@@ -154,8 +158,11 @@ def update(
     correct(x, P, z, R, 0)
     _correct_velocity(x, P, seen, rows, stillness, config)
     table.x[tracks], table.P[tracks] = x, P
+    since = table.moving_ns[tracks]
+    table.moving_ns[tracks] = np.where(_is_moving(x, P, config), np.where(since > 0, since, seen.stamp_ns), 0)
     # only returns measure a box: radar and cameras guess it
     boxed = (table.sensors[tracks] == 1 << seen.sensor) | seen.is_lidar
+    table.boxed_ns[tracks[boxed]] = seen.stamp_ns
     theirs, mine, pace = tracks[boxed], rows[boxed], np.where(is_part[boxed], SLOWLY, 0.5)
     table.height_m[theirs] = seen.p_m[mine, 2]
     table.size_m[theirs] += pace[:, None] * (seen.size_m[mine] - table.size_m[theirs])
@@ -230,12 +237,18 @@ def left_over(count: int, matched: Int64) -> Int64:
 
 
 def hosts_of(table: Table, lidars: int, config: TrackerConfig) -> Hosts:
-    """Confirmed tracks that lidars (bits of `sensors`) have seen."""
-    row = np.flatnonzero((table.is_confirmed > 0) & (table.sensors & lidars != 0)).astype(np.int64)
+    """Confirmed tracks that lidars (bits of `sensors`) see."""
+    row = np.flatnonzero((table.is_confirmed > 0) & by_lidar(table, lidars, config)).astype(np.int64)
     theirs = table.rows(row)
     return Hosts(
         row, theirs.x[:, :2], theirs.size_m, theirs.yaw_rad, velocities(theirs, config), is_vehicle(theirs.evidence)
     )
+
+
+def by_lidar(table: Table, lidars: int, config: TrackerConfig) -> npt.NDArray[np.bool_]:
+    """Whether a lidar has measured the boxes (T,) of late; others alone may have kept a track since."""
+    is_fresh = table.last_ns - table.boxed_ns <= _ns(config.lost_s)
+    return np.asarray((table.sensors & lidars != 0) & is_fresh)
 
 
 def not_explained(seen: Detections, rows: Int64, hosts: Hosts, config: TrackerConfig) -> Int64:
@@ -250,11 +263,10 @@ def not_explained(seen: Detections, rows: Int64, hosts: Hosts, config: TrackerCo
 
 def not_parts(table: Table, hosts: Hosts, lidars: int, cameras: int, config: TrackerConfig) -> Int64:
     """Rows of tracks that are no part of another one; their sensors go to the track that they are of, in place."""
-    by_lidar = table.sensors & lidars != 0
     velocity = np.where((np.trace(table.P[:, 2:, 2:], axis1=1, axis2=2) < 1.0)[:, None], table.x[:, 2:], np.nan)
     body = np.where(table.sensors & cameras != 0, table.size_m[:, 0], np.nan)
     found = np.where(
-        by_lidar[:, None],
+        by_lidar(table, lidars, config)[:, None],
         is_piece(table.x[:, :2], table.size_m[:, 0], hosts, config.parts),
         is_same(table.x[:, :2], table.P[:, :2, :2], velocity, body, hosts, config.parts),
     )
@@ -265,11 +277,17 @@ def not_parts(table: Table, hosts: Hosts, lidars: int, cameras: int, config: Tra
 
 
 def velocities(table: Table, config: TrackerConfig) -> Float64:
-    """Velocity (T, 2) where it is more than its own uncertainty makes of standing things, else 0."""
-    v, S = table.x[:, 2:], table.P[:, 2:, 2:]
+    """Velocity (T, 2) of what has moved for as long as confirming takes, else 0: one jump is no motion."""
+    lasted = (table.moving_ns > 0) & (table.last_ns - table.moving_ns >= _ns(config.confirm_s))
+    return np.where((lasted & _is_moving(table.x, table.P, config))[:, None], table.x[:, 2:], 0.0)
+
+
+def _is_moving(x: Float64, P: Float64, config: TrackerConfig) -> npt.NDArray[np.bool_]:
+    """Whether velocities (T,) are more than their own uncertainty makes of standing things."""
+    v, S = x[:, 2:], P[:, 2:, 2:]
     a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
     d2 = (c * v[:, 0] ** 2 - 2.0 * b * v[:, 0] * v[:, 1] + a * v[:, 1] ** 2) / (a * c - b * b)
-    return np.where((d2 >= config.moving_sigma**2)[:, None], v, 0.0)
+    return np.asarray(d2 >= config.moving_sigma**2)
 
 
 def classify(table: Table, velocity_mps: Float64) -> tuple[Int64, Float64]:
