@@ -19,6 +19,13 @@ STOP, NOTICE = (Severity.ALARM, Response.CONTROLLED_STOP), (Severity.NOTICE, Res
 ALARMS = {
     "imu.silent": Alarm(*STOP, "Inertial unit is silent", "Inertialsensor schweigt"),
     "wheel.silent": Alarm(*STOP, "Wheel speed is silent", "Raddrehzahl schweigt"),
+    "imu.frozen": Alarm(*STOP, "Inertial unit repeats itself", "Inertialsensor wiederholt denselben Messwert"),
+    "imu.noisy": Alarm(*STOP, "Inertial unit is too noisy", "Inertialsensor rauscht zu stark"),
+    "imu.implausible": Alarm(*STOP, "Inertial unit is implausible", "Inertialsensor unplausibel"),
+    "wheel.implausible": Alarm(*STOP, "Wheel speed or angle is implausible", "Raddrehzahl oder Lenkwinkel unplausibel"),
+    "imu_or_wheel.implausible": Alarm(
+        *STOP, "Inertial unit and wheels contradict each other", "Inertialsensor und Räder widersprechen sich"
+    ),
     "gnss.silent": Alarm(Severity.WARNING, Response.NONE, "No GNSS fixes come in", "Keine GNSS-Positionen"),
     "gnss.refused": Alarm(Severity.WARNING, Response.NONE, "GNSS fixes are refused", "GNSS-Positionen verworfen"),
     "gnss.no_heading": Alarm(*STOP, "No heading from GNSS: cannot start", "Kein GNSS-Kurs: Start nicht möglich"),

@@ -1,5 +1,6 @@
 """The node that says where the machine is: continuous in `odom` at every step, fused in `map_pose`."""
 
+import math
 from collections.abc import Iterable, Mapping
 
 from pydantic import Field
@@ -19,6 +20,7 @@ from localization.lidar_map import LIDAR_POSE, LidarMapConfig
 from localization.lidar_odometry import LidarOdometryConfig
 from localization.motion import Motion, MotionConfig
 from localization.placement import Placement, PlacementConfig
+from localization.plausibility import CODES
 from localization.preintegration import bias_sigmas
 from localization.ranging import Ranging
 from localization.wheels import WheelTrack
@@ -154,6 +156,8 @@ class Localizer(Node):
             return refusal is not Refusal.GARBAGE
         position = position_of(fix, self._datum, self._config.placement.gnss, self._gnss_rate_hz)
         self._motion.standstill.add(position)
+        ground_mps = math.copysign(math.hypot(*fix.velocity_enu_mps[:2].tolist()), self._motion.speed_mps)
+        self._motion.plausibility.refer(fix.stamp_ns, position.heading_rad, ground_mps)
         if self._placement.is_initialized:
             self._placement.add(position)
         return True
@@ -181,6 +185,11 @@ class Localizer(Node):
         motion, alarms = self._motion, self._alarms
         alarms.set("imu.silent", self._is_silent(motion.track, now_ns, self._config.motion.inertial.largest_gap_s))
         alarms.set("wheel.silent", self._is_silent(motion.wheels, now_ns, self._config.motion.wheels.largest_gap_s))
+        if alarms.is_on("imu.silent") or alarms.is_on("wheel.silent"):
+            motion.plausibility.clear()
+        doubt = motion.plausibility.judge(now_ns)
+        for code in CODES:
+            alarms.set(code, doubt is not None and doubt.code == code, "" if doubt is None else doubt.detail)
         gnss_ns = self._gnss_ns if self._gnss_ns is not None else -(2**62)
         alarms.set("gnss.silent", now_ns - gnss_ns > self._config.gnss_silent_s * 1e9)
         alarms.set("gnss.refused", self._placement.is_refusing, "contradict the prediction")
@@ -189,8 +198,8 @@ class Localizer(Node):
         # far from the shed few ranges come through, and beside good fixes nobody needs them
         is_needed = alarms.is_on("gnss.silent") or alarms.is_on("gnss.refused")
         alarms.set("uwb.refused", is_needed and self._ranging is not None and self._ranging.is_refusing)
-        doubt = "" if self._placement.is_initialized else self._placement.doubt
-        alarms.set("localization.not_docked", bool(doubt), doubt)
+        reason = "" if self._placement.is_initialized else self._placement.doubt
+        alarms.set("localization.not_docked", bool(reason), reason)
         alarms.set("gnss.no_heading", not self._placement.is_initialized and motion.standstill.lacks_heading)
         for failure in self._placement.failures:
             alarms.note("localization.rebuilt", failure)

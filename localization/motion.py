@@ -11,6 +11,7 @@ from geometry.transforms import Float64, transform
 from localization.alignment import AlignmentConfig, Level, Standstill
 from localization.dead_reckoning import Calibration, DeadReckoning, DeadReckoningConfig, PoseHistory
 from localization.inertial import InertialConfig, InertialTrack, Steps
+from localization.plausibility import Plausibility, PlausibilityConfig
 from localization.preintegration import gyro_density
 from localization.steering import Steering, SteeringConfig
 from localization.wheels import WheelConfig, WheelTrack
@@ -26,6 +27,7 @@ class MotionConfig(Config):
     wheels: WheelConfig
     dead_reckoning: DeadReckoningConfig
     steering: SteeringConfig
+    plausibility: PlausibilityConfig
     history_s: float = Field(gt=1.0, le=60.0)
     acceleration_time_s: float = Field(gt=0.0, le=5.0, description="smoothing of the forward acceleration")
 
@@ -42,6 +44,7 @@ class Motion:
         self.wheels = WheelTrack(config.wheels.largest_speed_mps)
         self.standstill = Standstill(alignment)
         self.steering = Steering(config.steering, vehicle.drivetrain.wheelbase_m)
+        self.plausibility = Plausibility(config.plausibility)
         self.history = PoseHistory(config.history_s)
         self.reckoning: DeadReckoning | None = None
         self.stamp_ns = 0
@@ -65,6 +68,7 @@ class Motion:
         """Takes a sample; False when it was dropped."""
         if not self.track.add(sample):
             return False
+        self.plausibility.inertial.add(self.track.last[:6])
         self.standstill.watch(
             sample.stamp_ns, self.track.last[3:6], abs(self._speed) > self._config.wheels.standing_mps
         )
@@ -84,6 +88,7 @@ class Motion:
         self.track.clear()
         self.wheels.clear()
         self.history.clear()
+        self.plausibility.clear()
         self.standstill.reset()
 
     def level(self) -> Level | None:
@@ -112,10 +117,11 @@ class Motion:
         ends = self.stamp_ns + np.rint(np.cumsum(steps.dt_s) * 1e9).astype(np.int64)
         for end_ns, pose in zip(ends.tolist(), self.reckoning.advance(steps, speed), strict=True):
             self.history.add(end_ns, pose)
-        self._smooth(steps)
         self.stamp_ns = self.track.last_ns
+        self._note(steps)
 
-    def _smooth(self, steps: Steps) -> None:
+    def _note(self, steps: Steps) -> None:
+        """Smooths the motion of these steps, and compares what unit and wheels say of it."""
         reckoning = self.reckoning
         assert reckoning is not None, "called by advance"
         up_x = float(reckoning.T_odom_base[2, 0])
@@ -123,6 +129,8 @@ class Motion:
         forward = float(np.mean(steps.acceleration_mps2[:, 0])) - 9.81 * up_x
         self._acceleration += min(1.0, dt / self._config.acceleration_time_s) * (forward - self._acceleration)
         self._rate = np.mean(steps.rate_radps, axis=0) - reckoning.calibration.gyro_bias_radps
+        rate, curvature = float(self._rate[2]), self.steering.curvature(self._angle)
+        self.plausibility.advance(self.stamp_ns, dt, (rate, forward), (self.speed_mps, curvature))
 
     def odometry(self, bias_sigma_radps: float, slip_sigma: Float64) -> Odometry:
         """The message for the newest sample, with what graph or data sheet say of bias and slip (4,)."""
