@@ -187,7 +187,8 @@ def run_cell(drive: Drive, cell: Cell) -> Outcome:
     names = {topic: Cell(cell.situation, topic, cell.kind).names(config, writes) for topic in drive.topics()}
     own = names.pop(cell.topic)
     devices = {topic: called for topic, called in names.items() if not topic.startswith("node/")}
-    return judge(cell, seen, config, own, devices, cell.is_needed(config, drive.idle()))
+    max_age_s = cell.max_age_s(writes) if cell.is_needed(config, drive.idle()) else None
+    return judge(cell, seen, config, own, devices, max_age_s)
 
 
 def _keep_log(drive: Drive, path: Path) -> None:

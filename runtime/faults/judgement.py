@@ -1,6 +1,6 @@
 """Whether one fault in one situation was met as it must be."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -8,7 +8,7 @@ from messages.topics import KINDS, kind_of
 from simulation.faults.config import CampaignConfig, FaultKind
 from simulation.faults.frames import MAX_AGE_NS
 
-NODE_AGE_S = 0.5  # of what the slowest of the watched nodes writes
+WHOLE_AGE_S = 0.5  # of the clock and the log, which are no topics
 
 
 @dataclass(frozen=True)
@@ -31,16 +31,15 @@ class Cell:
         cannot_tell = self.kind is FaultKind.REPEATED and self.topic in config.uncounted
         return is_known and self.kind in config.silent_kinds and not cannot_tell
 
-    @property
-    def max_age_s(self) -> float:
-        """How old the last good message may become before it counts as missing."""
+    def max_age_s(self, writes: Mapping[str, tuple[str, ...]]) -> float:
+        """How old the last good message may become before it counts as missing: of a node, the first that does."""
         if self.topic.startswith("can/"):
             return MAX_AGE_NS * 1e-9
-        if self.topic.startswith("node/") or self.topic.partition("/")[0] not in KINDS:
-            return NODE_AGE_S
-        return kind_of(self.topic).max_age_s
+        if self.topic.startswith("node/"):
+            return min(kind_of(topic).max_age_s for topic in writes[self.topic.removeprefix("node/")])
+        return kind_of(self.topic).max_age_s if self.topic.partition("/")[0] in KINDS else WHOLE_AGE_S
 
-    def names(self, config: CampaignConfig, writes: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
+    def names(self, config: CampaignConfig, writes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
         """By what the stack may call it; `writes` are the topics of each node."""
         if self.topic.startswith("node/"):
             node = self.topic.removeprefix("node/")
@@ -93,10 +92,11 @@ class Seen:
 
 def judge(
     cell: Cell, seen: Seen, config: CampaignConfig, names: tuple[str, ...], others: dict[str, tuple[str, ...]],
-    is_needed: bool,
+    max_age_s: float | None,
 ) -> Outcome:  # fmt: skip
-    """The outcome; `others` are the names of all other devices."""
-    allowed_m = seen.speed_mps * cell.max_age_s + seen.stopping_m if is_needed else None
+    """The outcome; `others` are the names of all other devices, `max_age_s` None means that it need not stop."""
+    is_needed = max_age_s is not None
+    allowed_m = None if max_age_s is None else seen.speed_mps * max_age_s + seen.stopping_m
     is_named = any(name in text for name in names for text in (seen.reason, *seen.told))
     blamed = [topic for topic, called in others.items() if any(name in seen.reason for name in called)]
     blames_other = bool(blamed) and not is_named
