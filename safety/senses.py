@@ -119,16 +119,15 @@ class Senses:
         is_enough = len(gap.hits_base_m) >= self._config.ultrasonic.arc_share * max(len(arc), 1)
         return gap if is_enough else gap_in(way, arc[:0], pose_odom)
 
-    def proven_m(self, now_ns: int, direction: int, health: Mapping[str, SensorHealth | None]) -> float:
-        """The proven range in a direction: of the lidar that sees farthest there, each shrunk by its own health."""
+    def proven_m(self, now_ns: int, direction: int, health: Mapping[str, SensorHealth | None]) -> dict[str, float]:
+        """The proven range of each lidar that looks in a direction and is not silent, shrunk by its own health."""
         half_rad = math.radians(self._config.proven.look_deg)
         oldest_ns = now_ns - round(KINDS["lidar"].max_age_s * 1e9)
-        ranges = [
-            shrink(eye.proven_m(direction), health.get(f"lidar_{eye.name}"), direction, half_rad)
+        return {
+            f"lidar/{eye.name}": shrink(eye.proven_m(direction), health.get(f"lidar_{eye.name}"), direction, half_rad)
             for eye in self.eyes
-            if eye.stamp_ns is not None and eye.stamp_ns >= oldest_ns
-        ]
-        return max(ranges, default=0.0)
+            if eye.looks(direction) and eye.stamp_ns is not None and eye.stamp_ns >= oldest_ns
+        }
 
 
 def is_newer(stamp_ns: int, taken_ns: int | None) -> bool:

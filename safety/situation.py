@@ -18,11 +18,12 @@ class Situation:
     """Everything is a value: a message that is missing or stale is None, and a rule must say what follows from that.
 
     `direction` is that of travel (+1 forward), `speed_mps` ≥ 0 the highest that any source measures, `braking` that on
-    this grade. `gap` is None when no lidar has looked yet; `proven_m` is the proven range ahead; `fence_m` the way that
-    stays inside (None: not known; below 0: outside now). Times of held conditions are in seconds, 0 when the condition
-    does not hold. `fold` of an implement that `is_foldable` is None when it is not known; `clock_step_s` is by how much
-    the clock jumped since the last step. `lost` are sensors beside the lidars that do not see the way. `is_docking`:
-    the docking field counts, whose values `config` then has; `survey_m` is the way that stays clear of surveyed walls.
+    this grade. `gap` is None when no lidar has looked yet; `proven_m` is the proven range ahead, `blind` the lidars
+    that look there and prove nothing; `fence_m` the way that stays inside (None: not known; below 0: outside now).
+    Times of held conditions are in seconds, 0 when the condition does not hold. `fold` of an implement that
+    `is_foldable` is None when it is not known; `clock_step_s` is by how much the clock jumped since the last step.
+    `lost` are sensors beside the lidars that do not see the way. `is_docking`: the docking field counts, whose values
+    `config` then has; `survey_m` is the way that stays clear of surveyed walls.
     """
 
     now_ns: int
@@ -45,6 +46,7 @@ class Situation:
     is_planned: bool
     threat: Threat
     proven_m: float
+    blind: tuple[str, ...]
     fence_m: float | None
     position_sigma_m: float
     hand_forced_s: float

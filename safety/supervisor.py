@@ -147,6 +147,7 @@ class Supervisor(Node):
     ) -> Situation:
         lookout, config, direction = self._lookout, self._lookout.config, measured.direction
         eyes = [eye for eye in lookout.senses.eyes if eye.looks(direction)]
+        proven_m = lookout.senses.proven_m(now_ns, direction, seen.health)
         return Situation(
             now_ns=now_ns,
             config=config,
@@ -167,7 +168,8 @@ class Supervisor(Node):
             gap=lookout.gap(),
             is_planned=lookout.way is not None and lookout.way.is_planned,
             threat=lookout.threat(),
-            proven_m=lookout.senses.proven_m(now_ns, direction, seen.health),
+            proven_m=max(proven_m.values(), default=0.0),
+            blind=tuple(topic for topic, range_m in proven_m.items() if range_m <= 0.0),
             fence_m=lookout.fence_m(),
             position_sigma_m=measured.position_sigma_m,
             hand_forced_s=measured.hand_forced_s,

@@ -397,7 +397,7 @@ def situation_of(config: SafetyConfig, **changes: Any) -> Situation:
         odom=Odometry(START_NS, T, 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), machine=machine_state(START_NS),
         map_pose=replace(pose, **changes.pop("pose", {})),
         wish=Wish(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False), silent=(), frozen=(), faults=(),
-        gap=Gap(math.inf, math.inf, np.empty((0, 3))), is_planned=True, threat=NO_THREAT, proven_m=40.0,
+        gap=Gap(math.inf, math.inf, np.empty((0, 3))), is_planned=True, threat=NO_THREAT, proven_m=40.0, blind=(),
         fence_m=math.inf, position_sigma_m=0.01, hand_forced_s=0.0, steering_off_s=0.0, steering_lost_s=0.0,
         brake_weak_s=0.0, is_foldable=False, fold=0.0, clock_step_s=0.0, brake_test=Phase.PASSED, lost=(),
         is_docking=False, is_under_roof=False, survey_m=math.inf,

@@ -189,7 +189,9 @@ def test_tracked(config: SafetyConfig) -> None:
 
 
 def test_proven_range(config: SafetyConfig) -> None:
-    assert ask("proven", config, proven_m=0.0)[2] == 0.0
+    assert ask("proven", config, proven_m=0.0) == (LIMIT, "range.proven", 0.0)
+    assert ask("proven", config, proven_m=0.0, blind=("lidar/front",)) == (LIMIT, "lidar/front.blind", 0.0)
+    assert ask("proven", config, proven_m=5.0, blind=("lidar/front",))[1] == "range.proven"  # another lidar sees
     assert ask("proven", config, proven_m=40.0)[2] * 3.6 == pytest.approx(29.5, abs=0.5)
     speeds = [ask("proven", config, proven_m=r)[2] for r in np.arange(0.0, 40.0, 0.5)]
     assert speeds == sorted(speeds)

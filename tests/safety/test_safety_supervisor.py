@@ -273,6 +273,21 @@ def test_a_frozen_lidar_stops(world: World) -> None:
     assert world.command.reason == "lidar/front.frozen"
 
 
+def test_a_lidar_of_few_returns_stops_and_is_named(world: World) -> None:
+    driving(world)
+    scan = world.inbox.messages["lidar/front"]
+    world.mute.add("lidar/front")
+    for _ in range(150):
+        if world.steps % 5 == 0:
+            ranges_mm = np.zeros_like(scan.ranges_mm)
+            ranges_mm[-1, world.steps % ranges_mm.shape[1]] = 30_000
+            dirty = replace(scan, stamp_ns=world.inbox.now_ns + STEP_NS, ranges_mm=ranges_mm)
+            world.inbox.put("lidar/front", dirty)
+        world.step()
+    assert world.speed_mps == 0.0
+    assert (world.mode, world.state.reason) == (Mode.OBSTACLE_STOP, "lidar/front.blind")
+
+
 @pytest.mark.parametrize(("changes", "mode", "reason"), [
     ({"supply_v": 8.9}, Mode.FAULT_STOP, "supply.voltage"),
     ({"heartbeat_stamp_ns": 0}, Mode.FAULT_STOP, "machine.heartbeat.silent"),
