@@ -170,6 +170,7 @@ def run_cell(drive: Drive, cell: Cell) -> Outcome:
     truth, state = watch.truth, watch.state
     assert truth is not None
     assert state is not None
+    idle = drive.idle()  # now: a machine that stands looks nowhere
     elapsed_s = (drive.executor.now_ns - drive.setup.stack.simulation.start_stamp_ns) * 1e-9
     injection.plant(InjectedFault(topic=cell.topic, kind=cell.kind, from_s=elapsed_s, for_s=1e6))
     watch.mark()
@@ -187,7 +188,7 @@ def run_cell(drive: Drive, cell: Cell) -> Outcome:
     names = {topic: Cell(cell.situation, topic, cell.kind).names(config, writes) for topic in drive.topics()}
     own = names.pop(cell.topic)
     devices = {topic: called for topic, called in names.items() if not topic.startswith("node/")}
-    max_age_s = cell.max_age_s(writes) if cell.is_needed(config, drive.idle()) else None
+    max_age_s = cell.max_age_s(writes) if cell.is_needed(config, idle) else None
     return judge(cell, seen, config, own, devices, max_age_s)
 
 
