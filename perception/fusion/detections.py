@@ -45,10 +45,9 @@ class NoiseConfig(Config):
     strip_m: float = Field(gt=0.0, le=20.0, description="what is as long and thin may be a piece of a fence or wall")
     strip_ratio: float = Field(gt=0.0, lt=1.0, description="most width of such a strip over its length")
 
-    def of_motion(self, size_m: Float64, yaw_rad: Float64) -> Float64:
-        """What (K, 2, 2) to add before boxes tell how they move: a strip ends where sight does, not where it does."""
-        is_strip = (size_m[:, 0] >= self.strip_m) & (size_m[:, 1] <= self.strip_ratio * size_m[:, 0])
-        return box_noise(np.where(is_strip[:, None], size_m[:, :2], 0.0) * (1.0, 0.0), yaw_rad, 0.0, 1.0)
+    def is_strip(self, size_m: Float64) -> npt.NDArray[np.bool_]:
+        """Which boxes (K,) may be strips: they end where sight does, and their middles tell no motion."""
+        return np.asarray((size_m[:, 0] >= self.strip_m) & (size_m[:, 1] <= self.strip_ratio * size_m[:, 0]))
 
 
 @dataclass(frozen=True)

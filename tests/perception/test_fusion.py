@@ -127,6 +127,19 @@ def fence(stamp):
     return seen("lidar", stamp, [[15.0, 0.0]], (20.0, 0.3, 1.2), returns=400, yaw=np.pi / 2)
 
 
+def test_an_echo_keeps_no_piece_of_a_fence_that_lidar_sees_whole():
+    def make(i, stamp):
+        piece = seen("lidar", stamp, [[15.0, -5.0]], (1.7, 0.2, 1.2), returns=60, yaw=np.pi / 2)
+        out = [fence(stamp)] if i % 10 == 0 else []
+        out += [piece] if i % 10 == 5 and i < 100 else []
+        return out + ([seen("radar", stamp, [[15.0, -5.0]], velocity=(0.0, 0.0))] if i % 5 == 0 else [])
+
+    told = run(make, 4.0)
+    before = [tracks for t, tracks in told if t < 1.0][-1]
+    assert len([k for k in before.tracks if k.is_confirmed]) == 2
+    assert [k.size_m[0] for k in told[-1][1].tracks if k.is_confirmed] == pytest.approx([20.0], abs=0.5)
+
+
 def test_echoes_of_a_fence_are_of_the_fence():
     rng = np.random.default_rng(5)
 

@@ -158,6 +158,16 @@ def test_what_takes_the_place_of_the_lost_gives_it_no_speed():
     assert np.hypot(*told[-1].tracks[0].velocity_mps) == 0.0
 
 
+def test_one_jump_is_no_motion_and_what_jumped_stays_where_it_was_seen():
+    tracker = new_tracker()
+    scans = [message(t, [[10.0, 3.0, 0.9]]) for t in stamps(10.0, 0.1)]
+    run(tracker, [*scans, message(scans[-1].stamp_ns + NS // 10, [[10.7, 3.0, 0.9]])])
+    told = run(tracker, [message(tracker._stamp_ns + i * NS // 10, []) for i in range(1, 4)])
+    for track in (k for tracks in told for k in tracks.tracks):
+        assert np.hypot(*track.velocity_mps) == 0.0
+        assert track.p_odom_m[0] == pytest.approx(10.7, abs=0.15)
+
+
 @pytest.mark.parametrize(("width_m", "told_mps"), [(0.08, 0.0), (1.5, 3.0)])
 def test_a_strip_that_slides_along_itself_may_be_a_fence_and_a_body_moves(width_m, told_mps):
     scans = [message(t, [[10.0 + 3.0 * (t - START) / NS, 4.0, 0.6]], (3.0, width_m, 1.2)) for t in stamps(10.0, 1.0)]
