@@ -30,10 +30,10 @@ from perception.fusion.tracks import (
     not_explained,
     not_parts,
     prolong,
-    update,
     velocities,
     warm,
 )
+from perception.fusion.update import update
 
 
 class Tracker(Node):

@@ -11,17 +11,14 @@ from configs.strict import Config
 from messages.message import Float64, Int64
 from messages.perception import ObstacleClass
 from perception.fusion.detections import Detections, KindConfig, KindsConfig, NoiseConfig
-from perception.fusion.kalman import correct, distances, predict
-from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, is_piece, is_same, middle_of
+from perception.fusion.kalman import distances, predict
+from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, is_piece, is_same
 from perception.fusion.stillness import Stillness, StillnessConfig
 
 CLASSES = tuple(ObstacleClass)
 BODIES = [CLASSES.index(label) for label in (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE)]
 POLE, TALLEST_M = CLASSES.index(ObstacleClass.POLE), 2.0  # what is slim and higher is nobody who walks
 REFUSED = 1e9
-PART, SLOWLY = 0.6, 0.01  # a vehicle's detection shorter than this share of it is a piece, and shrinks it slowly
-ANYWHERE = 0.29  # 1 / √12: the sigma of an even share over a box
-NEAR_MIDDLE = 0.25  # of the sigma of a piece of scenery: what is not as near belongs to it by its box alone
 FASTEST_MPS = {ObstacleClass.PERSON: 4.0, ObstacleClass.POLE: 0.7, ObstacleClass.MOUND: 0.7, ObstacleClass.DITCH: 0.7}
 
 
@@ -107,7 +104,7 @@ def begin(seen: Detections, rows: Int64, first_id: int, config: TrackerConfig) -
     stamp = np.full(n, seen.stamp_ns, np.int64)
     return Table(
         np.arange(first_id, first_id + n), x, P, seen.p_m[rows, 2], seen.size_m[rows], seen.yaw_rad[rows],
-        seen.returns[rows], seen.log_scores[rows], stamp, stamp.copy(), stamp + _ns(seen.kind.forget_new_s),
+        seen.returns[rows], seen.log_scores[rows], stamp, stamp.copy(), stamp + nanoseconds(seen.kind.forget_new_s),
         np.zeros(n, np.int64), stamp.copy(), np.zeros(n, np.int64), np.full(n, 1 << seen.sensor, np.int64),
     )  # fmt: skip
 
@@ -138,83 +135,6 @@ def _agrees(table: Table, seen: Detections, config: TrackerConfig) -> npt.NDArra
     return np.asarray(~(apart > config.gate_sigma * np.sqrt(S)[:, None]) & ~too_large)
 
 
-def update(
-    table: Table, tracks: Int64, seen: Detections, rows: Int64, stillness: Stillness, lidars: int, config: TrackerConfig
-) -> None:
-    """Tracks corrected in place by the detections matched to them; `lidars` are the bits of lidars in `sensors`."""
-    x, P = table.x[tracks], table.P[tracks]
-    is_part = is_vehicle(table.evidence[tracks]) & (seen.size_m[rows, 0] < PART * table.size_m[tracks, 0])
-    fixed = ~is_part & _is_scenery(seen, rows, config)
-    _forget_way(x, P, seen, rows, fixed, seen.stamp_ns - table.last_ns[tracks] > _ns(config.lost_s), config)
-    z, R = seen.p_m[rows, :2].copy(), seen.R[rows]
-    # a piece, or an echo from somewhere on a box, tells of its middle only that the box must reach there
-    on = is_part | (~np.bool_(seen.is_lidar) & (table.sensors[tracks] & lidars != 0))
-    own = np.where(is_part[on, None], seen.size_m[rows[on], :2], 0.0)
-    z[on] = middle_of(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
-    R[on] += np.eye(2) * (ANYWHERE * table.size_m[tracks[on], 0])[:, None, None] ** 2
-    correct(x, P, z, R, 0)
-    _correct_velocity(x, P, seen, rows, stillness, config)
-    table.x[tracks], table.P[tracks] = x, P
-    since = table.moving_ns[tracks]
-    table.moving_ns[tracks] = np.where(_is_moving(x, P, config), np.where(since > 0, since, seen.stamp_ns), 0)
-    # only returns measure a box: radar and cameras guess it
-    boxed = (table.sensors[tracks] == 1 << seen.sensor) | seen.is_lidar
-    table.boxed_ns[tracks[boxed]] = seen.stamp_ns
-    is_first = np.bool_(seen.is_lidar) & (table.sensors[tracks] & lidars == 0)  # till now others guessed
-    pace = np.where(is_part, SLOWLY, np.where(is_first | fixed, 1.0, 0.5))[boxed]
-    theirs, mine = tracks[boxed], rows[boxed]
-    table.height_m[theirs] = seen.p_m[mine, 2]
-    table.size_m[theirs] += pace[:, None] * (seen.size_m[mine] - table.size_m[theirs])
-    table.yaw_rad[theirs] = np.where(is_part[boxed], table.yaw_rad[theirs], seen.yaw_rad[mine])
-    worth, told = np.minimum(seen.returns[rows], seen.kind.worth), np.ptp(seen.log_scores[rows], axis=1) > 0.0
-    table.returns[tracks] = np.minimum(table.returns[tracks] + worth, 10.0 * config.confirm_returns)
-    classed, by = tracks[told & ~is_part], rows[told & ~is_part]  # neither an echo nor a piece tells what its owner is
-    table.evidence[classed] = config.class_memory * table.evidence[classed] + seen.log_scores[by]
-    table.last_ns[tracks] = seen.stamp_ns
-    table.sensors[tracks] |= 1 << seen.sensor
-
-
-def _is_scenery(seen: Detections, rows: Int64, config: TrackerConfig) -> npt.NDArray[np.bool_]:
-    """Whether what a lidar sees is likely a piece of a fence or wall, (K,)."""
-    size = seen.size_m[rows]
-    return np.asarray(
-        np.bool_(seen.is_lidar) & (config.noise.is_strip(size) | (size[:, 0] > config.stillness.longest_m))
-    )
-
-
-def _forget_way(
-    x: Float64,
-    P: Float64,
-    seen: Detections,
-    rows: Int64,
-    fixed: npt.NDArray[np.bool_],
-    was_lost: npt.NDArray[np.bool_],
-    config: TrackerConfig,
-) -> None:
-    """Scenery is where it is seen, and its middle moves with the view; for what was lost other clutter may stand."""
-    x[fixed, :2], P[fixed, :2, :2] = seen.p_m[rows[fixed], :2], NEAR_MIDDLE**2 * seen.R[rows[fixed]]
-    P[fixed | was_lost, :2, 2:] = P[fixed | was_lost, 2:, :2] = 0.0
-    P[was_lost, 2:, 2:] = np.eye(2) * config.first_speed_mps**2
-
-
-def _correct_velocity(
-    x: Float64, P: Float64, seen: Detections, rows: Int64, stillness: Stillness, config: TrackerConfig
-) -> None:
-    """By the velocity that the sensor measured, or by what old cells allow."""
-    speed = np.hypot(x[:, 2], x[:, 3])
-    most = stillness.fastest(seen.still[rows], seen.size_m[rows, 0])
-    allowed = x[:, 2:] * np.minimum(1.0, most / np.maximum(speed, 1e-9))[:, None]
-    measured = np.isfinite(seen.velocity_mps[rows]).all(axis=1)
-    for which, z, sigma in (
-        (measured, seen.velocity_mps[rows], config.velocity_sigma_mps),
-        (~measured & np.isfinite(most), allowed, config.still_sigma_mps),
-    ):
-        if which.any():
-            xs, Ps = x[which], P[which]
-            correct(xs, Ps, z[which], np.broadcast_to(np.eye(2) * sigma**2, (len(xs), 2, 2)), 2)
-            x[which], P[which] = xs, Ps
-
-
 def confirm(table: Table, config: TrackerConfig) -> None:
     """Tracks that lasted long enough and gathered enough returns are confirmed, in place and for good."""
     lasted = table.last_ns - table.first_ns >= round(config.confirm_s * 1e9)
@@ -228,7 +148,9 @@ def doubt(table: Table, missed: Int64, kind: KindConfig, config: TrackerConfig) 
 
 def prolong(table: Table, tracks: Int64, seen: Detections) -> None:
     """Tracks just seen are kept as long as the sensor that saw them may miss them, in place."""
-    keep = np.where(table.is_confirmed[tracks] > 0, _ns(seen.kind.forget_s), _ns(seen.kind.forget_new_s))
+    keep = np.where(
+        table.is_confirmed[tracks] > 0, nanoseconds(seen.kind.forget_s), nanoseconds(seen.kind.forget_new_s)
+    )
     table.until_ns[tracks] = np.maximum(table.until_ns[tracks], seen.stamp_ns + keep)
 
 
@@ -237,7 +159,8 @@ def alive(table: Table, stamp_ns: int) -> Int64:
     return np.flatnonzero((stamp_ns <= table.until_ns) & (table.returns > 0.0)).astype(np.int64)
 
 
-def _ns(seconds: float) -> int:
+def nanoseconds(seconds: float) -> int:
+    """A time as stamps count it."""
     return round(seconds * 1e9)
 
 
@@ -269,7 +192,7 @@ def hosts_of(table: Table, lidars: int, config: TrackerConfig) -> Hosts:
 
 def by_lidar(table: Table, lidars: int, config: TrackerConfig) -> npt.NDArray[np.bool_]:
     """Whether a lidar has measured the boxes (T,) of late; others alone may have kept a track since."""
-    is_fresh = table.last_ns - table.boxed_ns <= _ns(config.lost_s)
+    is_fresh = table.last_ns - table.boxed_ns <= nanoseconds(config.lost_s)
     return np.asarray((table.sensors & lidars != 0) & is_fresh)
 
 
@@ -300,11 +223,11 @@ def not_parts(table: Table, hosts: Hosts, lidars: int, cameras: int, config: Tra
 
 def velocities(table: Table, config: TrackerConfig) -> Float64:
     """Velocity (T, 2) of what has moved for as long as confirming takes, else 0: one jump is no motion."""
-    lasted = (table.moving_ns > 0) & (table.last_ns - table.moving_ns >= _ns(config.confirm_s))
-    return np.where((lasted & _is_moving(table.x, table.P, config))[:, None], table.x[:, 2:], 0.0)
+    lasted = (table.moving_ns > 0) & (table.last_ns - table.moving_ns >= nanoseconds(config.confirm_s))
+    return np.where((lasted & is_moving(table.x, table.P, config))[:, None], table.x[:, 2:], 0.0)
 
 
-def _is_moving(x: Float64, P: Float64, config: TrackerConfig) -> npt.NDArray[np.bool_]:
+def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> npt.NDArray[np.bool_]:
     """Whether velocities (T,) are more than their own uncertainty makes of standing things."""
     v, S = x[:, 2:], P[:, 2:, 2:]
     a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
