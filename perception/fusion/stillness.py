@@ -71,6 +71,13 @@ class Stillness:
 
 
 @kernel
+def _cell(x: float, y: float, cell_m: float) -> tuple[int, int]:
+    """Where on the torus a place is kept, and which of the cells kept there it is."""
+    u, v = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
+    return (u % WIDTH) * WIDTH + v % WIDTH, u * 4294967296 + v
+
+
+@kernel
 def _observe(
     points: Float32, offsets: Int32, stamp_ns: int, cell_m: float, settle_ns: int, gap_ns: int, mark: int,
     key: Int64, since: Int64, last: Int64, marked: Int64, share: Float64,
@@ -78,12 +85,10 @@ def _observe(
     for k in range(share.shape[0]):
         cells = old = 0
         for i in range(offsets[k], offsets[k + 1]):
-            u, v = int(np.floor(points[i, 0] / cell_m)), int(np.floor(points[i, 1] / cell_m))
-            c = (u % WIDTH) * WIDTH + v % WIDTH
+            c, name = _cell(points[i, 0], points[i, 1], cell_m)
             if marked[c] == mark + k:
                 continue
             marked[c] = mark + k
-            name = u * 4294967296 + v
             if key[c] != name or stamp_ns - last[c] > gap_ns or stamp_ns < since[c]:
                 key[c], since[c] = name, stamp_ns
             last[c] = stamp_ns
@@ -109,8 +114,7 @@ def _look_behind(
         for i in range(int(speed * trail_s / (0.5 * cell_m))):
             behind = tail + 0.5 * cell_m * i
             x, y = p[k, 0] - velocity[k, 0] / speed * behind, p[k, 1] - velocity[k, 1] / speed * behind
-            u, v = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
-            c = (u % WIDTH) * WIDTH + v % WIDTH
+            c, name = _cell(x, y, cell_m)
             looks += 1
-            stays += key[c] == u * 4294967296 + v and (stamp_ns - last[c]) * 1e-9 * speed < behind - tail
+            stays += key[c] == name and (stamp_ns - last[c]) * 1e-9 * speed < behind - tail
         refuted[k] = looks > 0 and stays >= most * looks
