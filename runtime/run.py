@@ -13,7 +13,7 @@ from configs.site import Bay
 from configs.strict import find, load
 from configs.vehicle import Vehicle
 from datasets.log import LogWriter
-from datasets.reader import read_log
+from datasets.reader import LogScan, decode, is_ours
 from messages.errors import HeadlandError
 from messages.message import Envelope
 from runtime.assembly import assemble, planted
@@ -117,9 +117,11 @@ def read_drive(path: Path, vehicle: Vehicle) -> tuple[DriveRecord, list[Look]]:
     detections = Detections(vehicle)
 
     def shown() -> Iterator[Envelope]:
-        for envelope in read_log(path, detections.topics.union(TOPICS)):
-            detections(envelope)
-            yield envelope
+        for entry in LogScan(path, detections.topics.union(TOPICS)):
+            if is_ours(entry) and detections.needs(entry.topic):
+                envelope = decode(entry)
+                detections(envelope)
+                yield envelope
 
     return collect(shown()), detections.looks
 

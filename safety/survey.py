@@ -35,15 +35,14 @@ class Survey:
 
     def away_m(self, points_map: Float64) -> Float64:
         """Distance of points (N, 2) from the nearest surface, (N,); below 0 inside wall or post."""
-        away = np.full(len(points_map), np.inf)
-        for x0, y0, x1, y1 in self.walls:
-            along = np.array([x1 - x0, y1 - y0])
-            from_start = points_map - (x0, y0)
-            share = np.clip(from_start @ along / max(float(along @ along), 1e-9), 0.0, 1.0)
-            away = np.minimum(away, np.hypot(*(from_start - share[:, None] * along).T) - self.half_thickness_m)
-        for x, y, radius in self.posts:
-            away = np.minimum(away, np.hypot(points_map[:, 0] - x, points_map[:, 1] - y) - radius)
-        return away
+        x, y = points_map[:, :1], points_map[:, 1:]  # by segments and posts: there are few of these
+        x0, y0, x1, y1 = self.walls.T
+        ahead, aside = x1 - x0, y1 - y0
+        share = ((x - x0) * ahead + (y - y0) * aside) / np.maximum(ahead * ahead + aside * aside, 1e-9)
+        share = np.clip(share, 0.0, 1.0)
+        wall = np.hypot(x - x0 - share * ahead, y - y0 - share * aside).min(axis=1, initial=np.inf)
+        post = (np.hypot(x - self.posts[:, 0], y - self.posts[:, 1]) - self.posts[:, 2]).min(axis=1, initial=np.inf)
+        return np.asarray(np.minimum(wall - self.half_thickness_m, post))
 
     def is_near(self, pose_map: Float64, near_m: float) -> bool:
         """Whether a pose is under the roof or within `near_m` of its edge."""

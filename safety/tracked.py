@@ -133,11 +133,14 @@ def is_part_of(track: Track, standing: Sequence[Track], part_m: float) -> bool:
     return False
 
 
-def is_part_of_walls(track: Track, is_explained: Explained, compact_m: float) -> bool:
-    """Whether a track is what is surveyed: its middle lies there, or it is a long box of unknown or mixed make."""
-    if not math.isfinite(float(track.p_odom_m[0] + track.p_odom_m[1])):
-        return False
-    return length_m(track) > compact_m or bool(is_explained(track.p_odom_m[None, :2])[0])
+def without_walls(tracks: list[Track], is_explained: Explained, compact_m: float) -> list[Track]:
+    """The tracks that are not what is surveyed: their middle does not lie there, and they are no long boxes of unknown
+    or mixed make. Their places are finite."""
+    compact = [track for track in tracks if length_m(track) <= compact_m]
+    if not compact:
+        return compact
+    is_wall = is_explained(np.array([track.p_odom_m[:2] for track in compact]))
+    return [track for track, known in zip(compact, is_wall, strict=True) if not known]
 
 
 def threat_in(
@@ -161,9 +164,9 @@ def threat_in(
     times_s = np.linspace(0.0, horizon_s, config.steps)
     best = NO_THREAT
     confirmed = [t for t in (() if tracks is None else tracks.tracks) if t.is_confirmed]
-    if is_explained is not None:
-        confirmed = [t for t in confirmed if not is_part_of_walls(t, is_explained, config.compact_m)]
     reached = [t for t in confirmed if is_within_reach(t, pose_odom, sweep.length_m, horizon_s)]
+    if is_explained is not None:
+        reached = without_walls(reached, is_explained, config.compact_m)
     stamp_ns = 0 if tracks is None else tracks.stamp_ns
     near = [(track, is_moving(track, config) and not is_lost(track, stamp_ns, config)) for track in reached]
     standing = [track for track, moves in near if length_m(track) >= config.carrier_m and not moves]

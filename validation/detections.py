@@ -12,7 +12,7 @@ from configs.vehicle import Vehicle
 from geometry.transforms import invert
 from messages.message import Envelope, Float64
 from messages.perception import Obstacles
-from messages.truth import TrueMachine, TrueObjects
+from messages.truth import TrueMachine, TrueObject, TrueObjects
 from validation.obstacle_stop.boxes import Box, box_of
 from validation.obstacle_stop.ranges import range_without_failure, share_bounds
 
@@ -87,6 +87,11 @@ class Detections:
         """What it must be shown of a log."""
         return frozenset({"truth_machine", "truth_objects", *(f"obstacles/{name}" for name in self._views)})
 
+    def needs(self, topic: str) -> bool:
+        """Whether the next message of a topic can tell of anything: most objects are far from a short sight."""
+        view = self._views.get(topic.partition("/")[2]) if topic.startswith("obstacles/") else None
+        return view is None or any(is_within_reach(thing, view) for truth in self._truths for thing in truth.objects)
+
     def __call__(self, envelope: Envelope) -> None:
         """Take note of a message."""
         message = envelope.message
@@ -104,11 +109,18 @@ class Detections:
             return
         view, T_base_map = self._views[told.sensor], invert(machine.T_map_base)
         for thing in truth.objects:
+            if not is_within_reach(thing, view):
+                continue
             box = box_of(thing, T_base_map)
-            range_m = view.range_of(box) if thing.role else math.inf
+            range_m = view.range_of(box)
             if math.isfinite(range_m):
                 found = found_range(told, box, view)
                 self.looks.append(Look(told.sensor, told.stamp_ns, thing.role, thing.label.value, range_m, found))
+
+
+def is_within_reach(thing: TrueObject, view: View) -> bool:
+    """Whether an object of the scenario may be in a sensor's reach: sensors are within the machine's outline."""
+    return bool(thing.role) and thing.gap_m <= view.reach_m
 
 
 def found_range(told: Obstacles, box: Box, view: View) -> float:

@@ -21,7 +21,7 @@ from safety.sensing import Lost
 from safety.supervisor import Supervisor
 from safety.survey import Survey, survey_of
 from safety.sweep import arc_poses, spaced, sweep_along
-from safety.tracked import is_part_of_walls
+from safety.tracked import without_walls
 
 REAR_M = 2.4
 DOCK_KMH = 1.8
@@ -223,10 +223,14 @@ def test_echoes_of_surveyed_walls_are_explained(shed_world: World, config, full,
     assert world.x_m == pytest.approx(-5.9, abs=0.1)
 
 
-def test_a_track_nowhere_is_no_wall() -> None:
-    nowhere = Track(1, ObstacleClass.PERSON, 0.9, np.full(3, math.nan), np.zeros(3), np.eye(4), np.ones(3), 0.0, 0, 1,
-                    True, ())  # fmt: skip
-    assert not is_part_of_walls(nowhere, lambda points: np.ones(len(points), bool), 2.0)
+def test_tracks_of_what_is_surveyed_are_left_out() -> None:
+    def track(id: int, x_m: float, length_m: float) -> Track:
+        size, place = np.array([length_m, 0.5, 1.0]), np.array([x_m, 0.0, 0.0])
+        return Track(id, ObstacleClass.PERSON, 0.9, place, np.zeros(3), np.eye(4), size, 0.0, 0, 1, True, ())
+
+    tracks = [track(1, 1.0, 0.5), track(2, 9.0, 0.5), track(3, 1.0, 5.0)]
+    left = without_walls(tracks, lambda points: points[:, 0] > 5.0, 2.0)
+    assert [t.id for t in left] == [1]
 
 
 def test_distances_to_what_is_surveyed(survey: Survey) -> None:
