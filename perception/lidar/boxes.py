@@ -52,15 +52,15 @@ def describe(
 def _upright(offsets: Int32, indices: Int32, points: Float32, center: Float64, size: Float64, yaw: Float64) -> None:
     """The closest box over all directions of edges between neighbouring extreme returns."""
     turn = np.arange(HALF) * (2.0 * math.pi / DIRECTIONS)
-    cosine = np.concatenate((np.cos(turn), -np.cos(turn)))
-    sine = np.concatenate((np.sin(turn), -np.sin(turn)))
-    far, extreme = np.empty(DIRECTIONS), np.empty(DIRECTIONS, np.int64)
+    cosine = np.concatenate((np.cos(turn), -np.cos(turn))).astype(np.float32)
+    sine = np.concatenate((np.sin(turn), -np.sin(turn))).astype(np.float32)
+    far, extreme = np.empty(DIRECTIONS, np.float32), np.empty(DIRECTIONS, np.int32)
     hull, some = np.empty((DIRECTIONS, 2)), np.empty((MOST_RETURNS, 2))
     for k in range(offsets.shape[0] - 1):
         z_low, z_high = np.inf, -np.inf
         far[:] = -np.inf
         for i in indices[offsets[k] : offsets[k + 1]]:
-            x, y, z = float(points[i, 0]), float(points[i, 1]), points[i, 2]
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
             z_low, z_high = min(z_low, z), max(z_high, z)
             for d in range(DIRECTIONS):
                 along = cosine[d] * x + sine[d] * y

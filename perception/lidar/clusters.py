@@ -89,11 +89,11 @@ def _occupy(
     """
     u0 = np.float32(width // 2 + 0.5 - center[0] / cell_m)
     v0 = np.float32(width // 2 + 0.5 - center[1] / cell_m)
-    scale, end = np.float32(1.0 / cell_m), np.float32(width)
+    scale, end, span = np.float32(1.0 / cell_m), np.float32(width), np.int32(width)
     for i in range(points.shape[0]):
         u, v = points[i, 0] * scale + u0, points[i, 1] * scale + v0
         inside = (level[i] > 0) & (u >= 0.0) & (u < end) & (v >= 0.0) & (v < end)
-        cell[i] = int(u) * width + int(v) if inside else -1
+        cell[i] = np.int32(u) * span + np.int32(v) if inside else np.int32(-1)
     solids, k = _where(level, 2), 0
     keys, total = np.empty(solids.shape[0], np.int32), np.empty((solids.shape[0] + 1, 3))
     for i in solids:

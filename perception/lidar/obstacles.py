@@ -115,7 +115,9 @@ class Pipeline:
         g = config.ground
         self._grid: Grid = build_grid(g.sector_deg, g.first_bin_m, g.bin_growth, g.reach_m)
         self._front = (vehicle.body.front_m, vehicle.body.width_m / 2)
-        self._top_m = max(vehicle.body.height_m, config.clusters.least_top_m) + config.clusters.overhead_m
+        top_m = max(vehicle.body.height_m, config.clusters.least_top_m) + config.clusters.overhead_m
+        heights = (np.float32(m) for m in (g.solid_m, g.solid_growth, g.foot_m, top_m))
+        self._limits = (self._center.astype(np.float32), *heights)
         self._board = new_board(config.clusters)
         self._beams = beams_of(lidar)
         self.expectations = tuple(expect(lidar, own, config.health) for own in self._own)
@@ -136,8 +138,7 @@ class Pipeline:
         ground = find_ground(points, usable, self._center, self._grid, self.config.ground)
         level = np.empty(len(points), np.uint8)
         solid = np.empty(len(points), np.uint8)
-        g = self.config.ground
-        _levels(points, ground.height_m, self._center, g.solid_m, g.solid_growth, g.foot_m, self._top_m, level, solid)
+        _levels(points, ground.height_m, *self._limits, level, solid)
         clusters = find_clusters(points, level, self._center, self.config.clusters, self._board)
         plane = fit_plane(ground, self._center, self._grid, self.config.plane_radius_m)
         return (
@@ -184,19 +185,16 @@ def _picked(points: Float32, indices: Int32) -> Float32:
 
 @kernel
 def _levels(
-    points: Float32, above: Float32, center: Float64, solid_m: float, growth: float, foot_m: float, top_m: float,
-    level: UInt8, solid: UInt8,
+    points: Float32, above: Float32, center: Float32, solid_m: np.float32, growth: np.float32, foot_m: np.float32,
+    top_m: np.float32, level: UInt8, solid: UInt8,
 ) -> None:  # fmt: skip
-    """What each return is to the clusters (2 stands, 1 at its feet, 0 nothing), and whether it is off the ground."""
+    """What each return is to the clusters (2 stands, 1 at its feet, 0 nothing), and whether it is off the ground.
+
+    Without branches, and true of no height that is NaN.
+    """
     for i in range(points.shape[0]):
-        h = above[i]
-        level[i] = solid[i] = 0
-        if not np.isfinite(h):
-            continue
-        x, y = points[i, 0] - center[0], points[i, 1] - center[1]
-        least = solid_m + growth * np.sqrt(x * x + y * y)
-        if h >= least:
-            solid[i] = 1
-            level[i] = 2 if h < top_m else 0
-        elif h >= -foot_m:
-            level[i] = 1
+        h, x, y = above[i], points[i, 0] - center[0], points[i, 1] - center[1]
+        is_solid = np.uint8(h >= solid_m + growth * np.sqrt(x * x + y * y))
+        solid[i] = is_solid
+        level[i] = np.uint8(2) * is_solid if h < top_m else np.uint8(0)
+        level[i] += np.uint8(h >= -foot_m) - is_solid
