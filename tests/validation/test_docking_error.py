@@ -105,6 +105,21 @@ def told(stamp_ns: int, sensor: str, at_m: list[tuple[float, float]]) -> Obstacl
     )  # fmt: skip
 
 
+def test_a_short_sight_is_not_asked_while_everybody_is_far() -> None:
+    watch = Detections(VEHICLE)
+    person = TrueObject(
+        1, ObstacleClass.PERSON, "person", np.array([112.0, 0.0, 0.9]), np.ones(3), 0.0, np.zeros(2), gap_m=8.0
+    )
+    near, other, short = "obstacles/lidar_front", "truth_machine", "obstacles/ultrasonic_front_middle"
+    assert not watch.needs(near)
+    watch(Envelope("truth_objects", 0, 0, TrueObjects(0, (replace(person, role=""),))))
+    assert not watch.needs(near)
+    watch(Envelope("truth_objects", 1, 1, TrueObjects(1, (person,))))
+    assert (watch.needs(near), watch.needs(other), watch.needs(short)) == (True, True, False)
+    watch(Envelope("truth_objects", 2, 2, TrueObjects(2, (replace(person, gap_m=4.0),))))
+    assert watch.needs(short)
+
+
 def test_looks_are_counted_where_the_sensor_sees_and_told_where_something_stands() -> None:
     watch = Detections(VEHICLE)
     assert "lidar_front" in views_of(VEHICLE)
