@@ -47,8 +47,9 @@ class MissionConfig(Config):
 class DockingConfig(Config):
     """The way into a bay of the shed and out of it."""
 
-    speed_kmh: Kmh = Field(le=1.8, description="at the shed and in reverse; design.md: docking is no faster")
+    speed_kmh: Kmh = Field(le=1.8, description="at the shed; design.md: docking is no faster")
     yard_kmh: Kmh = Field(description="forward, farther than `yard_m` from the roof")
+    yard_reverse_kmh: Kmh = Field(description="the same in reverse")
     yard_m: float = Field(ge=0.0, le=50.0, description="more than that of the supervisor's docking field")
     bay_clearance_m: float = Field(ge=0.02, le=2.0, description="to either side in the bay, on the run-in")
     clearance_m: float = Field(ge=0.02, le=5.0, description="from shed and edge of the yard everywhere else")

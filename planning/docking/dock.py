@@ -128,8 +128,9 @@ def _path(run: Run, docking: Docking, path_id: int, is_last: bool) -> Path:
 
 
 def _limit_mps(run: Run, docking: Docking) -> Float64:
-    """Docking speed, but faster forward where the shed is far, (N,)."""
-    slow, fast = kmh(docking.config.speed_kmh), kmh(docking.config.yard_kmh)
-    assert docking.site.shed is not None
-    apart_m = shapely.distance(Polygon(docking.site.shed.outline_m), shapely.points(run.p_map_m))
-    return np.where((run.direction > 0) & (apart_m > docking.config.yard_m), fast, slow)
+    """Docking speed, but faster where the shed is far, (N,)."""
+    config, shed = docking.config, docking.site.shed
+    assert shed is not None
+    fast = config.yard_kmh if run.direction > 0 else config.yard_reverse_kmh
+    apart_m = shapely.distance(Polygon(shed.outline_m), shapely.points(run.p_map_m))
+    return np.where(apart_m > config.yard_m, kmh(fast), kmh(config.speed_kmh))
