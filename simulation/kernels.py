@@ -6,8 +6,11 @@ from typing import TypeVar, cast
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
-from messages.message import Float32, Float64, UInt8
+from messages.message import Float32, Float64, UInt8, UInt16
+
+UInt32 = npt.NDArray[np.uint32]
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -66,6 +69,19 @@ def stand(x: float, y: float, yaw: float, wheelbase: float, track: float, profil
 
 
 @compiled
+def blend_poses(poses: Float64, ago: Float64) -> Float64:
+    """Poses (N, 4, 4) some steps `ago` (N,) before the first of `poses`, each of which is a step before the last."""
+    out = np.empty((ago.shape[0], 4, 4))
+    for n in range(ago.shape[0]):
+        k = int(ago[n])
+        share = ago[n] - k
+        for i in range(4):
+            for j in range(4):
+                out[n, i, j] = (1.0 - share) * poses[k, i, j] + share * poses[k + 1, i, j]
+    return out
+
+
+@compiled
 def sweep_rays(T_map_lidar: Float64, directions: Float32, is_open: UInt8) -> Float32:
     """Origin and direction (N, 6) in `map` of the open rays, ring by ring.
 
@@ -101,12 +117,32 @@ def passes_ball(rays: Float32, center: Float64, radius: float) -> UInt8:
 
 
 @compiled
-def signal_of(rays: Float32, normals: Float32, kind: UInt8, reflectivity: Float32) -> Float32:
-    """Reflectivity times cosine of incidence, (N,)."""
-    out = np.empty(rays.shape[0], np.float32)
+def signal_of(rays: Float32, normals: Float32, mesh: UInt32, reflectivity: Float32) -> Float32:
+    """Reflectivity times cosine of incidence, (N,); a `mesh` beyond the last of `reflectivity` counts as that."""
+    out, last = np.empty(rays.shape[0], np.float32), np.uint32(reflectivity.shape[0] - 1)
     for n in range(rays.shape[0]):
         cosine = rays[n, 3] * normals[n, 0] + rays[n, 4] * normals[n, 1] + rays[n, 5] * normals[n, 2]
-        out[n] = reflectivity[kind[n]] * abs(cosine)
+        out[n] = reflectivity[min(mesh[n], last)] * abs(cosine)
+    return out
+
+
+@compiled
+def ranges_mm(
+    distance: Float32, signal: Float32, luck: Float32, dust_m: Float32, noise: Float32, numbers: Float32
+) -> UInt16:
+    """Ranges (N,) as a lidar gives them, 0 where nothing came back.
+
+    A return is seen by `luck`; `dust_m` is infinite where there is none. `numbers`: sight, greatest chance, sigma,
+    least and greatest range, all in metres, and steps a metre and mm a step.
+    """
+    sight, most, sigma, low, high, per_m, step_mm = numbers
+    out = np.empty(distance.shape[0], np.uint16)
+    for n in range(distance.shape[0]):  # without branches, which chance would mislead
+        share = sight / max(distance[n], np.float32(0.1))
+        chance = min(np.float32(10.0) * signal[n] * (share * share), most)
+        range_m = min(distance[n] + sigma * noise[n], dust_m[n])
+        is_back = ((luck[n] < chance) | (dust_m[n] < np.inf)) & (range_m >= low) & (range_m <= high)
+        out[n] = np.uint16(np.rint((range_m if is_back else np.float32(0.0)) * per_m) * step_mm)
     return out
 
 
@@ -117,4 +153,6 @@ def warm() -> None:
     stand(0.0, 0.0, 0.0, 1.0, 1.0, profile, waves)
     sweep_rays(np.eye(4)[None], np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.uint8))
     passes_ball(one, np.zeros(3), 1.0)
-    signal_of(one, np.zeros((1, 3), np.float32), np.zeros(1, np.uint8), np.zeros(1, np.float32))
+    signal_of(one, np.zeros((1, 3), np.float32), np.zeros(1, np.uint32), np.zeros(1, np.float32))
+    blend_poses(np.zeros((2, 4, 4)), np.zeros(1))
+    ranges_mm(one[0], one[0], one[0], one[0], one[0], np.zeros(7, np.float32))

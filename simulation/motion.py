@@ -5,6 +5,7 @@ from collections import deque
 import numpy as np
 
 from messages.message import Float64
+from simulation.kernels import blend_poses
 
 
 class Track:
@@ -29,7 +30,4 @@ class Track:
         Matrices are blended: over one step of 5 ms at 0.6 rad/s a rotation is off by less than 2e-6.
         """
         ago = np.clip(ago_s * (1e9 / self.step_ns), 0.0, len(self._poses) - 1.000001)
-        whole = ago.astype(np.int64)
-        poses = np.stack([self._poses[-1 - k] for k in range(int(whole.max()) + 2)])
-        share = (ago - whole)[:, None, None]
-        return np.asarray((1.0 - share) * poses[whole] + share * poses[whole + 1])
+        return blend_poses(np.stack([self._poses[-1 - k] for k in range(int(ago.max()) + 2)]), ago)

@@ -9,7 +9,7 @@ import numpy as np
 from messages.message import Float32, UInt8
 from simulation.actors import Figure
 from simulation.figures import REFLECTIVITY
-from simulation.kernels import signal_of
+from simulation.kernels import UInt32, signal_of
 from simulation.meshes import Mesh
 from simulation.scenery import KINDS, Piece
 
@@ -33,18 +33,19 @@ class Rays:
 
         `rays` (N, 6): origin and unit direction.
         """
-        distance, kind, normals = self._hit(rays)
-        return distance, signal_of(rays, normals, kind, self._reflectivity)
+        distance, mesh, normals = self._hit(rays)
+        return distance, signal_of(rays, normals, mesh, self._reflectivity)
 
     def strike(self, rays: Float32) -> tuple[Float32, UInt8, Float32]:
         """Distance (infinite: nothing hit), place in KINDS (their count: nothing) and cosine of incidence, (N,)."""
         distance, mesh, normals = self._hit(rays)
-        return distance, self._kinds[mesh], np.abs(np.einsum("ij,ij->i", rays[:, 3:], normals))
+        kinds = self._kinds[np.minimum(mesh, len(self._kinds) - 1)]
+        return distance, kinds, np.abs(np.einsum("ij,ij->i", rays[:, 3:], normals))
 
-    def _hit(self, rays: Float32) -> tuple[Float32, UInt8, Float32]:
-        hits = self._scene.cast_rays(self._core.Tensor(rays), nthreads=1)
-        kind = np.minimum(hits["geometry_ids"].numpy(), len(self._reflectivity) - 1).astype(np.uint8)
-        return hits["t_hit"].numpy(), kind, hits["primitive_normals"].numpy()
+    def _hit(self, rays: Float32) -> tuple[Float32, UInt32, Float32]:
+        """Distance, number of the mesh (the greatest there is: nothing hit) and normal."""
+        hits = self._scene.cast_rays(self._core.Tensor.from_numpy(rays), nthreads=1)
+        return hits["t_hit"].numpy(), hits["geometry_ids"].numpy(), hits["primitive_normals"].numpy()
 
 
 class Scene:

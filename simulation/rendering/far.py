@@ -48,7 +48,8 @@ def draw_panorama(light: Float64, skyline: Float64, planes: UInt8) -> Float32:
             dy = turn if turn < 1.0 else 2.0 - turn
             dx = 1.0 - abs(dy) if turn < 1.0 else abs(dy) - 1.0
             n = 1.0 / math.sqrt(dx * dx + dy * dy + rise * rise)
-            out[i, j] = far_color(dx * n, dy * n, rise * n, light, skyline, planes)
+            # number by number: numba takes seconds to compile setting a row to a tuple
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = far_color(dx * n, dy * n, rise * n, light, skyline, planes)
     return out
 
 

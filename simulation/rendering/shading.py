@@ -38,7 +38,9 @@ def shade(
     height, width = owner.shape
     ray, flow, room, normal = np.zeros((2, 3)), np.zeros((FLOWS, 2)), np.zeros((6, 3)), np.zeros(3)
     here, there = np.zeros(4), np.zeros(4)
-    row, back = np.zeros((width, 3), np.float32), BACK * (light[6:9] + light[2] * light[3:6])
+    row, back = np.zeros((width, 3), np.float32), np.zeros(3)
+    for k in range(3):
+        back[k] = BACK[k] * (light[6 + k] + light[2] * light[3 + k])
     levels, pixel, total = np.zeros((width, 3), np.int32), 1.0 / intrinsics[0], 0
     for y in range(height):
         for k in range(3):

@@ -12,11 +12,11 @@ from pydantic import Field
 from configs.strict import Config
 from configs.vehicle import Lidar, MountedImplement, TrailedImplement, Vehicle
 from geometry.transforms import invert
-from messages.message import Float32, Float64, Message
+from messages.message import Float32, Float64, Message, UInt16
 from messages.sensors import LidarScan
 from simulation.body import T_base_implement, implement_mesh, machine_mesh
 from simulation.implement import folded_to
-from simulation.kernels import passes_ball, sweep_rays
+from simulation.kernels import passes_ball, ranges_mm, sweep_rays
 from simulation.scene import Rays
 from simulation.sensors.sensor import Moment, period_ns_of
 
@@ -58,16 +58,21 @@ class LidarModel:
         self._azimuth = fov * ((np.arange(lidar.columns) + 0.5) / lidar.columns - 0.5)
         self._offset_s = (((np.arange(lidar.columns) + 1.0) / lidar.columns - 1.0) / lidar.rate_hz).astype(np.float32)
         self._directions = directions_of(self._elevation, self._azimuth)
+        (low, high), step_mm = lidar.range_m, config.step_mm
+        numbers = [config.sight_m, 1.0 - config.dropout, lidar.range_sigma_m, low, min(high, MAX_RANGE_M),
+                   1000.0 / step_mm, step_mm]  # fmt: skip
+        self._numbers = np.array(numbers, np.float32)
         self._bodies: dict[tuple[int, int, int], tuple[Float32, Float32]] = {}
 
     def sample(self, moment: Moment) -> Message:
         """The sweep that ends now."""
         distance, signal = (a.copy() for a in self._body(moment))
         is_open = np.isinf(distance)
+        open_rays = np.flatnonzero(is_open)
         T_map_lidar = moment.track.before(-self._offset_s.astype(np.float64)) @ self._T_base_lidar
         rays = sweep_rays(T_map_lidar, self._directions, is_open.reshape(len(self._elevation), -1).view(np.uint8))
         found = moment.scene.still.cast(rays)
-        distance[is_open], signal[is_open] = self._put_figures(moment, rays, found)
+        distance[open_rays], signal[open_rays] = self._put_figures(moment, rays, found)
         return LidarScan(
             moment.stamp_ns, self._measure(distance, signal).reshape(len(self._elevation), -1), self._elevation.copy(),
             self._azimuth.copy(), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), self._offset_s.copy(),
@@ -106,20 +111,14 @@ class LidarModel:
         distance[is_wanted], signal[is_wanted] = found
         return distance, signal
 
-    def _measure(self, distance: Float32, signal: Float32) -> np.ndarray[tuple[int], np.dtype[np.uint16]]:
+    def _measure(self, distance: Float32, signal: Float32) -> UInt16:
         """Ranges as the sensor gives them: lost, noisy, dusty, in steps; 0 where nothing came back."""
-        config, random, n = self._config, self._random, len(distance)
-        with np.errstate(over="ignore", invalid="ignore"):
-            chance = 10.0 * signal * (config.sight_m / np.maximum(distance, 0.1)) ** 2
-        is_seen = random.random(n, np.float32) < np.minimum(chance, 1.0 - config.dropout)
-        is_dust = random.random(n, np.float32) < config.dust
-        noisy = distance + np.float32(self._lidar.range_sigma_m) * random.standard_normal(n, np.float32)
-        dusty = random.uniform(*config.dust_m, int(is_dust.sum())).astype(np.float32)
-        noisy[is_dust] = np.minimum(noisy[is_dust], dusty)
-        low, high = self._lidar.range_m
-        is_back = (is_seen | is_dust) & (noisy >= low) & (noisy <= min(high, MAX_RANGE_M))
-        steps = np.rint(np.where(is_back, noisy, 0.0) * (1000.0 / config.step_mm))
-        return np.asarray((steps * config.step_mm).astype(np.uint16))
+        random, n = self._random, len(distance)
+        luck = random.random(n, np.float32)
+        is_dust = random.random(n, np.float32) < self._config.dust
+        noise, dust_m = random.standard_normal(n, np.float32), np.full(n, np.inf, np.float32)
+        dust_m[is_dust] = random.uniform(*self._config.dust_m, np.count_nonzero(is_dust))
+        return ranges_mm(distance, signal, luck, dust_m, noise, self._numbers)
 
 
 def directions_of(elevation_rad: Float64, azimuth_rad: Float64) -> Float32:
