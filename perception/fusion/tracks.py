@@ -16,7 +16,7 @@ from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, explained
 from perception.fusion.stillness import Stillness, StillnessConfig
 
 CLASSES = tuple(ObstacleClass)
-BODIES = [CLASSES.index(label) for label in (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE)]
+BODIES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE))
 POLE, TALLEST_M = CLASSES.index(ObstacleClass.POLE), 2.0  # what is slim and higher is nobody who walks
 REFUSED = 1e9
 SPEEDS_MPS = {ObstacleClass.PERSON: 4.0, ObstacleClass.POLE: 0.7, ObstacleClass.MOUND: 0.7, ObstacleClass.DITCH: 0.7}
@@ -183,7 +183,7 @@ def is_vehicle(evidence: Float64) -> npt.NDArray[np.bool_]:
 
 def is_body(evidence: Float64) -> npt.NDArray[np.bool_]:
     """Whether evidence (T, 7) speaks most for something that moves by itself, (T,)."""
-    return np.asarray(np.isin(evidence.argmax(axis=1), BODIES)) if len(evidence) else np.zeros(0, np.bool_)
+    return np.asarray(BODIES[evidence.argmax(axis=1)]) if len(evidence) else np.zeros(0, np.bool_)
 
 
 def left_over(count: int, matched: Int64) -> Int64:
