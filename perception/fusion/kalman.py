@@ -7,6 +7,8 @@ import numpy as np
 from messages.message import Float64
 from perception.kernels import kernel
 
+EYE = np.eye(4)
+
 
 def predict(x: Float64, P: Float64, dt_s: float, acceleration_mps2: float) -> None:
     """States (T, 4) and covariances (T, 4, 4) moved on in place by `dt_s`."""
@@ -50,12 +52,11 @@ def _distances(x: Float64, P: Float64, z: Float64, R: Float64, d2: Float64, cost
 
 
 def correct(x: Float64, P: Float64, z: Float64, R: Float64, first: int) -> None:
-    """States (T, 4) and covariances corrected in place by `z` (T, 2), of components `first`, `first` + 1."""
-    H = np.zeros((2, 4))
-    H[0, first] = H[1, first + 1] = 1.0
-    PHt = P[:, :, first : first + 2]
-    K = PHt @ np.linalg.inv(P[:, first : first + 2, first : first + 2] + R)
-    x += (K @ (z - x[:, first : first + 2])[:, :, None])[:, :, 0]
-    I_KH = np.eye(4) - K @ H
+    """States (T, 4) and covariances corrected in place by `z` (T, 2), noise `R`, of components `first`, `first` + 1."""
+    own = slice(first, first + 2)
+    K = P[:, :, own] @ np.linalg.inv(P[:, own, own] + R)
+    x += (K @ (z - x[:, own])[:, :, None])[:, :, 0]
+    I_KH = np.zeros(P.shape) + EYE
+    I_KH[:, :, own] -= K
     # Joseph's form keeps P symmetric and positive over hours
     P[:] = I_KH @ P @ I_KH.transpose(0, 2, 1) + K @ R @ K.transpose(0, 2, 1)

@@ -5,6 +5,8 @@ the others they tell less sharply where things are: what may as well be within t
            sees is taken for that, unless it moves otherwise or is a body too small for so large a box
 """
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
@@ -12,6 +14,7 @@ from pydantic import Field
 from configs.strict import Config
 from messages.message import Float64, Int64
 from messages.perception import ObstacleClass
+from perception.kernels import kernel
 
 VEHICLE = tuple(ObstacleClass).index(ObstacleClass.VEHICLE)
 Bools = npt.NDArray[np.bool_]
@@ -26,44 +29,48 @@ class PartsConfig(Config):
     largest: float = Field(ge=1.0, le=20.0, description="a box against the body that a camera sees in it")
 
 
-def offsets(p_m: Float64, hosts_m: Float64, yaw_rad: Float64) -> Float64:
-    """Places (K, 2) against the middles (H, 2) of boxes with these yaws, along and across them, (K, H, 2)."""
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    d = p_m[:, None, :] - hosts_m
-    return np.stack([c * d[..., 0] + s * d[..., 1], c * d[..., 1] - s * d[..., 0]], axis=2)
+def explained(
+    p_m: Float64, S: Float64, velocity_mps: Float64, body_m: Float64, size_m: Float64, is_lidar: Bools, hosts: "Hosts",
+    config: PartsConfig,
+) -> Bools:  # fmt: skip
+    """Whether what is seen (K,) is of what already has a track, (K, H): a piece of a vehicle, or may be the same.
 
-
-def spreads(S: Float64, yaw_rad: Float64) -> Float64:
-    """Sigma (K, H, 2) of covariances (K, 2, 2) along and across boxes with these yaws (H,)."""
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    a, b, d = S[:, None, 0, 0], S[:, None, 0, 1], S[:, None, 1, 1]
-    along, across = c * c * a + 2.0 * c * s * b + s * s * d, s * s * a - 2.0 * c * s * b + c * c * d
-    return np.sqrt(np.maximum(np.stack([along, across], axis=2), 0.0))
-
-
-def is_within(p_m: Float64, hosts_m: Float64, size_m: Float64, yaw_rad: Float64, more_m: Float64 | float) -> Bools:
-    """Whether places (K, 2) lie in boxes grown by `more_m` to each side, (K, H)."""
-    away = np.abs(offsets(p_m, hosts_m, yaw_rad))
-    return np.asarray((away <= 0.5 * size_m[:, :2] + more_m).all(axis=2))
-
-
-def is_piece(p_m: Float64, length_m: Float64, hosts: "Hosts", config: PartsConfig) -> Bools:
-    """Whether lidar clusters (K,) are pieces of vehicles, (K, H)."""
-    inside = is_within(p_m, hosts.p_m, hosts.size_m, hosts.yaw_rad, config.margin_m)
-    return np.asarray(inside & (length_m[:, None] < hosts.size_m[:, 0]) & hosts.is_vehicle)
-
-
-def is_same(
-    p_m: Float64, S: Float64, velocity_mps: Float64, body_m: Float64, hosts: "Hosts", config: PartsConfig
-) -> Bools:
-    """Whether what others than lidars tell (K,) may be what a lidar sees, (K, H).
-
-    `S` (K, 2, 2) are the covariances of the places; `velocity_mps` (K, 2) and `body_m` (K,) are NaN where not known.
+    Only the first two columns of places `p_m` (K, ..) and the first block of their covariances `S` are used;
+    `velocity_mps` (K, 2) and `body_m` (K,) are NaN where not known; `is_lidar` (K,) tells which rule applies.
     """
-    more = config.margin_m + config.gate_sigma * spreads(S, hosts.yaw_rad)
-    inside = is_within(p_m, hosts.p_m, hosts.size_m, hosts.yaw_rad, more)
-    apart = np.linalg.norm(velocity_mps[:, None, :] - hosts.velocity_mps, axis=2)
-    return np.asarray(inside & ~(apart > config.agree_mps) & ~(hosts.size_m[:, 0] > config.largest * body_m[:, None]))
+    found = np.empty((len(p_m), len(hosts.row)), np.bool_)
+    _explain(
+        p_m, S, velocity_mps, body_m, size_m, is_lidar,
+        hosts.p_m, hosts.size_m, hosts.cosine, hosts.sine, hosts.velocity_mps, hosts.is_vehicle,
+        config.margin_m, config.gate_sigma, config.agree_mps, config.largest, found,
+    )  # fmt: skip
+    return found
+
+
+@kernel
+def _explain(
+    p: Float64, S: Float64, velocity: Float64, body: Float64, size: Float64, is_lidar: Bools,
+    hosts_p: Float64, hosts_size: Float64, cosine: Float64, sine: Float64, hosts_velocity: Float64, is_vehicle: Bools,
+    margin: float, gate: float, agree: float, largest: float, found: Bools,
+) -> None:  # fmt: skip
+    for i in range(found.shape[0]):
+        a, b, d = S[i, 0, 0], S[i, 0, 1], S[i, 1, 1]
+        for j in range(found.shape[1]):
+            c, s = cosine[j], sine[j]
+            dx, dy = p[i, 0] - hosts_p[j, 0], p[i, 1] - hosts_p[j, 1]
+            along, across = abs(c * dx + s * dy), abs(c * dy - s * dx)
+            half, broad = 0.5 * hosts_size[j, 0], 0.5 * hosts_size[j, 1]
+            if is_lidar[i]:
+                inside = along <= half + margin and across <= broad + margin
+                found[i, j] = inside and is_vehicle[j] and size[i, 0] < hosts_size[j, 0]
+                continue
+            # sigmas of the place along and across the box
+            u = math.sqrt(max(c * c * a + 2.0 * c * s * b + s * s * d, 0.0))
+            v = math.sqrt(max(s * s * a - 2.0 * c * s * b + c * c * d, 0.0))
+            inside = along <= half + (margin + gate * u) and across <= broad + (margin + gate * v)
+            vx, vy = velocity[i, 0] - hosts_velocity[j, 0], velocity[i, 1] - hosts_velocity[j, 1]
+            differs = math.sqrt(vx * vx + vy * vy) > agree or hosts_size[j, 0] > largest * body[i]
+            found[i, j] = inside and not differs
 
 
 def middle_of(middle_m: Float64, place_m: Float64, room_m: Float64, yaw_rad: Float64) -> Float64:
@@ -82,4 +89,5 @@ class Hosts:
         self, row: Int64, p_m: Float64, size_m: Float64, yaw_rad: Float64, velocity_mps: Float64, is_vehicle: Bools
     ) -> None:
         self.row, self.p_m, self.size_m = row, p_m, size_m
-        self.yaw_rad, self.velocity_mps, self.is_vehicle = yaw_rad, velocity_mps, is_vehicle
+        self.cosine, self.sine = np.cos(yaw_rad), np.sin(yaw_rad)
+        self.velocity_mps, self.is_vehicle = velocity_mps, is_vehicle

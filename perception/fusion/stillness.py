@@ -61,7 +61,10 @@ class Stillness:
         return np.where(share >= 0.5, bound, np.inf)
 
     def is_refuted(self, p_m: Float64, velocity_mps: Float64, size_m: Float64, stamp_ns: int) -> npt.NDArray[np.bool_]:
-        """Whether bodies (T,) cannot have come their way, since what they should have left is still occupied."""
+        """Whether bodies (T,) cannot have come their way, since what they should have left is still occupied.
+
+        Of `p_m` (T, ..) only the first two columns are used.
+        """
         refuted = np.zeros(len(p_m), np.bool_)
         c = self._config
         _look_behind(

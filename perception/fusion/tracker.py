@@ -82,7 +82,8 @@ class Tracker(Node):
         move(table, (message.stamp_ns - self._stamp_ns) * 1e-9 if self._stamp_ns else 0.0, config)
         self._stamp_ns = max(self._stamp_ns, message.stamp_ns)
         tracks, rows = match(table, seen, config)
-        update(table, tracks, seen, rows, self._stillness, self._lidars, config)
+        if len(tracks):
+            update(table, tracks, seen, rows, self._stillness, self._lidars, config)
         doubt(table, self._missed(tracks, sensor), seen.kind, config)
         confirm(table, config)
         prolong(table, tracks, seen)
@@ -105,23 +106,28 @@ class Tracker(Node):
     def _tell(self) -> Tracks:
         t = self._table
         velocity = velocities(t, self._config)
-        stays = self._stillness.is_refuted(t.x[:, :2], velocity, t.size_m, self._stamp_ns)
+        stays = self._stillness.is_refuted(t.x, velocity, t.size_m, self._stamp_ns)
         velocity[stays & ~is_body(t.evidence)] = 0.0
         label, confidence = classify(t, velocity)
         velocity[(label == POLE) & (t.size_m[:, 2] > TALLEST_M)] = 0.0
         # what is not known to move is where it was seen last, and its uncertain speed takes it nowhere
         unseen_s = np.where(velocity.any(axis=1), 0.0, (self._stamp_ns - t.last_ns) * 1e-9)
         p = t.x[:, :2] - t.x[:, 2:] * unseen_s[:, None]
-        names = [topic.partition("/")[2] for topic in self._topics]
+        places = np.concatenate([p, t.height_m[:, None]], axis=1)
+        names = {bits: self._names(bits) for bits in set(t.sensors.tolist())}
+        columns = zip(
+            t.id.tolist(), label.tolist(), confidence.tolist(), places, velocity, t.P.copy(), t.size_m.copy(),
+            t.yaw_rad.tolist(), t.first_ns.tolist(), t.last_ns.tolist(), t.is_confirmed.tolist(), t.sensors.tolist(),
+            strict=True,
+        )  # fmt: skip
         return Tracks(
             self._stamp_ns,
             tuple(
-                Track(
-                    int(t.id[k]), CLASSES[label[k]], float(confidence[k]),
-                    np.array([p[k, 0], p[k, 1], t.height_m[k]]), velocity[k], t.P[k].copy(), t.size_m[k].copy(),
-                    float(t.yaw_rad[k]), int(t.first_ns[k]), int(t.last_ns[k]), bool(t.is_confirmed[k]),
-                    tuple(name for i, name in enumerate(names) if t.sensors[k] >> i & 1),
-                )
-                for k in range(len(t.id))
+                Track(number, CLASSES[best], sure, place, speed, P, size, yaw, first, last, confirmed > 0, names[bits])
+                for number, best, sure, place, speed, P, size, yaw, first, last, confirmed, bits in columns
             ),
-        )  # fmt: skip
+        )
+
+    def _names(self, bits: int) -> tuple[str, ...]:
+        """Names of the sensors that `bits` stand for."""
+        return tuple(topic.partition("/")[2] for i, topic in enumerate(self._topics) if bits >> i & 1)

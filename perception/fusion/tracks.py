@@ -12,14 +12,15 @@ from messages.message import Float64, Int64
 from messages.perception import ObstacleClass
 from perception.fusion.detections import Detections, KindConfig, KindsConfig, NoiseConfig
 from perception.fusion.kalman import distances, predict
-from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, is_piece, is_same
+from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, explained
 from perception.fusion.stillness import Stillness, StillnessConfig
 
 CLASSES = tuple(ObstacleClass)
-BODIES = [CLASSES.index(label) for label in (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE)]
+BODIES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE))
 POLE, TALLEST_M = CLASSES.index(ObstacleClass.POLE), 2.0  # what is slim and higher is nobody who walks
 REFUSED = 1e9
-FASTEST_MPS = {ObstacleClass.PERSON: 4.0, ObstacleClass.POLE: 0.7, ObstacleClass.MOUND: 0.7, ObstacleClass.DITCH: 0.7}
+SPEEDS_MPS = {ObstacleClass.PERSON: 4.0, ObstacleClass.POLE: 0.7, ObstacleClass.MOUND: 0.7, ObstacleClass.DITCH: 0.7}
+FASTEST_MPS = np.array([SPEEDS_MPS.get(label, np.inf) for label in CLASSES])
 
 
 class TrackerConfig(Config):
@@ -66,20 +67,31 @@ class Table:
     sensors: Int64
 
     def rows(self, wanted: Int64) -> "Table":
-        """Only these rows."""
-        return Table(*(getattr(self, f.name)[wanted] for f in fields(self)))
+        """Only these rows, in ascending order; the table itself when they are all of it."""
+        if len(wanted) == len(self.id):
+            return self
+        return Table(*(getattr(self, name)[wanted] for name in COLUMNS))
 
     def below(self, other: "Table") -> "Table":
         """These rows, then those of another table."""
-        return Table(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
+        if not len(other.id):
+            return self
+        return Table(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in COLUMNS))
+
+
+COLUMNS = tuple(f.name for f in fields(Table))
 
 
 def warm(config: TrackerConfig) -> None:
     """Compile or load all kernels at start-up, so that no message waits for it."""
     distances(np.zeros((1, 4)), np.eye(4)[None].copy(), np.zeros((1, 2)), np.eye(2)[None].copy())
     stillness = Stillness(config.stillness)
-    stillness.observe(np.zeros((1, 3), np.float32), np.array([0, 1], np.int32), 0)
-    stillness.is_refuted(np.zeros((1, 2)), np.ones((1, 2)), np.ones((1, 3)), 0)
+    offsets = np.array([0, 1], np.int32)
+    offsets.flags.writeable = False  # as in messages: kernels are compiled for each kind of array
+    stillness.observe(np.zeros((1, 3), np.float32), offsets, 0)
+    table = empty_table()
+    stillness.is_refuted(table.x, velocities(table, config), table.size_m, 0)
+    not_parts(table, hosts_of(table, 0, config), 0, 0, config)
 
 
 def empty_table() -> Table:
@@ -171,7 +183,7 @@ def is_vehicle(evidence: Float64) -> npt.NDArray[np.bool_]:
 
 def is_body(evidence: Float64) -> npt.NDArray[np.bool_]:
     """Whether evidence (T, 7) speaks most for something that moves by itself, (T,)."""
-    return np.asarray(np.isin(evidence.argmax(axis=1), BODIES)) if len(evidence) else np.zeros(0, np.bool_)
+    return np.asarray(BODIES[evidence.argmax(axis=1)]) if len(evidence) else np.zeros(0, np.bool_)
 
 
 def left_over(count: int, matched: Int64) -> Int64:
@@ -184,10 +196,10 @@ def left_over(count: int, matched: Int64) -> Int64:
 def hosts_of(table: Table, lidars: int, config: TrackerConfig) -> Hosts:
     """Confirmed tracks that lidars (bits of `sensors`) see."""
     row = np.flatnonzero((table.is_confirmed > 0) & by_lidar(table, lidars, config)).astype(np.int64)
-    theirs = table.rows(row)
     return Hosts(
-        row, theirs.x[:, :2], theirs.size_m, theirs.yaw_rad, velocities(theirs, config), is_vehicle(theirs.evidence)
-    )
+        row, table.x[row], table.size_m[row], table.yaw_rad[row], velocities(table, config)[row],
+        is_vehicle(table.evidence[row]),
+    )  # fmt: skip
 
 
 def by_lidar(table: Table, lidars: int, config: TrackerConfig) -> npt.NDArray[np.bool_]:
@@ -198,23 +210,19 @@ def by_lidar(table: Table, lidars: int, config: TrackerConfig) -> npt.NDArray[np
 
 def not_explained(seen: Detections, rows: Int64, hosts: Hosts, config: TrackerConfig) -> Int64:
     """Of these detections those that are of no thing a track stands for."""
-    p = seen.p_m[rows, :2]
-    if seen.is_lidar:
-        found = is_piece(p, seen.size_m[rows, 0], hosts, config.parts)
-    else:
-        found = is_same(p, seen.R[rows], seen.velocity_mps[rows], seen.body_m[rows], hosts, config.parts)
+    found = explained(
+        seen.p_m[rows], seen.R[rows], seen.velocity_mps[rows], seen.body_m[rows], seen.size_m[rows],
+        np.full(len(rows), seen.is_lidar), hosts, config.parts,
+    )  # fmt: skip
     return rows[~found.any(axis=1)]
 
 
 def not_parts(table: Table, hosts: Hosts, lidars: int, cameras: int, config: TrackerConfig) -> Int64:
     """Rows of tracks that are no part of another one; their sensors go to the track that they are of, in place."""
-    velocity = np.where((np.trace(table.P[:, 2:, 2:], axis1=1, axis2=2) < 1.0)[:, None], table.x[:, 2:], np.nan)
+    velocity = np.where((table.P[:, 2, 2] + table.P[:, 3, 3] < 1.0)[:, None], table.x[:, 2:], np.nan)
     body = np.where(table.sensors & cameras != 0, table.size_m[:, 0], np.nan)
-    found = np.where(
-        by_lidar(table, lidars, config)[:, None],
-        is_piece(table.x[:, :2], table.size_m[:, 0], hosts, config.parts),
-        is_same(table.x[:, :2], table.P[:, :2, :2], velocity, body, hosts, config.parts),
-    )
+    is_lidar = by_lidar(table, lidars, config)
+    found = explained(table.x, table.P, velocity, body, table.size_m, is_lidar, hosts, config.parts)
     found[hosts.row, np.arange(len(hosts.row))] = False
     part, host = np.nonzero(found)
     np.bitwise_or.at(table.sensors, hosts.row[host], table.sensors[part])
@@ -240,8 +248,7 @@ def classify(table: Table, velocity_mps: Float64) -> tuple[Int64, Float64]:
     speed = np.hypot(velocity_mps[:, 0], velocity_mps[:, 1])
     log = table.evidence - table.evidence.max(axis=1, keepdims=True, initial=-np.inf) if len(speed) else table.evidence
     share = np.exp(log)
-    for label, fastest in FASTEST_MPS.items():
-        share[:, CLASSES.index(label)] *= np.where(speed > fastest, 0.01, 1.0)
+    share *= np.where(speed[:, None] > FASTEST_MPS, 0.01, 1.0)
     share /= share.sum(axis=1, keepdims=True)
     best = share.argmax(axis=1).astype(np.int64)
     return best, share[np.arange(len(best)), best]

@@ -19,16 +19,19 @@ def update(
     table: Table, tracks: Int64, seen: Detections, rows: Int64, stillness: Stillness, lidars: int, config: TrackerConfig
 ) -> None:
     """Tracks corrected in place by the detections matched to them; `lidars` are the bits of lidars in `sensors`."""
-    x, P = table.x[tracks], table.P[tracks]
-    is_part = is_vehicle(table.evidence[tracks]) & (seen.size_m[rows, 0] < PART * table.size_m[tracks, 0])
-    fixed = ~is_part & _is_scenery(seen, rows, config)
-    _forget_way(x, P, seen, rows, fixed, seen.stamp_ns - table.last_ns[tracks] > nanoseconds(config.lost_s), config)
-    z, R = seen.p_m[rows, :2].copy(), seen.R[rows]
+    x, P, size = table.x[tracks], table.P[tracks], seen.size_m[rows]
+    is_part = is_vehicle(table.evidence[tracks]) & (size[:, 0] < PART * table.size_m[tracks, 0])
+    fixed = ~is_part & _is_scenery(size, config) if seen.is_lidar else np.zeros(len(rows), np.bool_)
+    was_lost = seen.stamp_ns - table.last_ns[tracks] > nanoseconds(config.lost_s)
+    if fixed.any() or was_lost.any():
+        _forget_way(x, P, seen, rows, fixed, was_lost, config)
+    z, R = seen.p_m[rows, :2], seen.R[rows]
     # a piece, or an echo from somewhere on a box, tells of its middle only that the box must reach there
     on = is_part | (~np.bool_(seen.is_lidar) & (table.sensors[tracks] & lidars != 0))
-    own = np.where(is_part[on, None], seen.size_m[rows[on], :2], 0.0)
-    z[on] = middle_of(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
-    R[on] += np.eye(2) * (ANYWHERE * table.size_m[tracks[on], 0])[:, None, None] ** 2
+    if on.any():
+        own = np.where(is_part[on, None], size[on, :2], 0.0)
+        z[on] = middle_of(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
+        R[on] += np.eye(2) * (ANYWHERE * table.size_m[tracks[on], 0])[:, None, None] ** 2
     correct(x, P, z, R, 0)
     _correct_velocity(x, P, seen, rows, stillness, config)
     table.x[tracks], table.P[tracks] = x, P
@@ -41,22 +44,19 @@ def update(
     pace = np.where(is_part, SLOWLY, np.where(is_first | fixed, 1.0, 0.5))[boxed]
     theirs, mine = tracks[boxed], rows[boxed]
     table.height_m[theirs] = seen.p_m[mine, 2]
-    table.size_m[theirs] += pace[:, None] * (seen.size_m[mine] - table.size_m[theirs])
+    table.size_m[theirs] += pace[:, None] * (size[boxed] - table.size_m[theirs])
     table.yaw_rad[theirs] = np.where(is_part[boxed], table.yaw_rad[theirs], seen.yaw_rad[mine])
-    worth, told = np.minimum(seen.returns[rows], seen.kind.worth), np.ptp(seen.log_scores[rows], axis=1) > 0.0
+    worth, scores = np.minimum(seen.returns[rows], seen.kind.worth), seen.log_scores[rows]
     table.returns[tracks] = np.minimum(table.returns[tracks] + worth, 10.0 * config.confirm_returns)
-    classed, by = tracks[told & ~is_part], rows[told & ~is_part]  # neither an echo nor a piece tells what its owner is
-    table.evidence[classed] = config.class_memory * table.evidence[classed] + seen.log_scores[by]
+    told = (scores.max(axis=1) > scores.min(axis=1)) & ~is_part  # neither an echo nor a piece tells what its owner is
+    table.evidence[tracks[told]] = config.class_memory * table.evidence[tracks[told]] + scores[told]
     table.last_ns[tracks] = seen.stamp_ns
     table.sensors[tracks] |= 1 << seen.sensor
 
 
-def _is_scenery(seen: Detections, rows: Int64, config: TrackerConfig) -> npt.NDArray[np.bool_]:
+def _is_scenery(size_m: Float64, config: TrackerConfig) -> npt.NDArray[np.bool_]:
     """Whether what a lidar sees is likely a piece of a fence or wall, (K,)."""
-    size = seen.size_m[rows]
-    return np.asarray(
-        np.bool_(seen.is_lidar) & (config.noise.is_strip(size) | (size[:, 0] > config.stillness.longest_m))
-    )
+    return np.asarray(config.noise.is_strip(size_m) | (size_m[:, 0] > config.stillness.longest_m))
 
 
 def _forget_way(
@@ -81,12 +81,13 @@ def _correct_velocity(
     speed = np.hypot(x[:, 2], x[:, 3])
     most = stillness.fastest(seen.still[rows], seen.size_m[rows, 0])
     allowed = x[:, 2:] * np.minimum(1.0, most / np.maximum(speed, 1e-9))[:, None]
-    measured = np.isfinite(seen.velocity_mps[rows]).all(axis=1)
+    velocity = seen.velocity_mps[rows]
+    measured = np.isfinite(velocity).all(axis=1)
     for which, z, sigma in (
-        (measured, seen.velocity_mps[rows], config.velocity_sigma_mps),
+        (measured, velocity, config.velocity_sigma_mps),
         (~measured & np.isfinite(most), allowed, config.still_sigma_mps),
     ):
         if which.any():
             xs, Ps = x[which], P[which]
-            correct(xs, Ps, z[which], np.broadcast_to(np.eye(2) * sigma**2, (len(xs), 2, 2)), 2)
+            correct(xs, Ps, z[which], np.eye(2) * sigma**2, 2)
             x[which], P[which] = xs, Ps

@@ -93,58 +93,70 @@ def _propagate(
 ) -> None:
     sectors, bins = height.shape
     seen = np.zeros(sectors)  # range up to which each sector's chain rests on returns
-    trust, slope = np.zeros(sectors), np.zeros(sectors)
-    sums = np.zeros((bins, 3, sectors))
+    trust, slope, predicted = np.zeros(sectors), np.zeros(sectors), np.zeros(sectors)
+    around = np.arange(-LOOK_ASIDE, sectors + LOOK_ASIDE) % sectors
+    sums, fit = np.zeros((bins, 3, sectors)), np.empty((6, sectors))
     counts = np.zeros(MOST_LAYERS + LAYERS, np.int32)
     for b in range(bins):
+        _predict(sums, range_m, b, max_slope, fit, predicted, slope)
         for s in range(sectors):
-            predicted, slope[s] = _predict(sums, range_m, s, b, max_slope)
             gap = range_m[b] - seen[s]
             reach = min(step_m + max_slope * gap, 1.0)
             c = s * bins + b
             low, count = _lowest_layer(
-                z, starts[c], starts[c + 1], predicted - reach - step_m, predicted + reach, counts
+                z, starts[c], starts[c + 1], predicted[s] - reach - step_m, predicted[s] + reach, counts
             )
-            height[s, b] = predicted
+            height[s, b] = predicted[s]
             trust[s] = 0.02
             if count > 0:
                 height[s, b] = low
                 weight[s, b] = trust[s] = count / (count + 2.0)
                 seen[s] = range_m[b]
-        _sum_aside(trust, height[:, b], slope, sums[b])
+        _sum_aside(trust[around], height[:, b][around], slope[around], sums[b])
 
 
 @kernel
 def _sum_aside(trust: Float64, height: Float64, slope: Float64, sums: Float64) -> None:
-    """Per sector, over itself and its neighbours by `ASIDE_WEIGHT`: trust, trust times height, trust times slope."""
-    sectors = trust.shape[0]
-    for s in range(sectors):
-        for d in range(-LOOK_ASIDE, LOOK_ASIDE + 1):
-            k = s + d
-            k += sectors if k < 0 else (-sectors if k >= sectors else 0)
-            w = trust[k] * ASIDE_WEIGHT[d + LOOK_ASIDE]
+    """Per sector, over itself and its neighbours by `ASIDE_WEIGHT`: trust, trust times height, trust times slope.
+
+    The sectors at either end of `sums` have their neighbours across the turn before and after their own rows.
+    """
+    for d in range(2 * LOOK_ASIDE + 1):
+        # innermost over sectors: the processor's vectors take several at once
+        for s in range(sums.shape[1]):
+            w = trust[s + d] * ASIDE_WEIGHT[d]
             sums[0, s] += w
-            sums[1, s] += w * height[k]
-            sums[2, s] += w * slope[k]
+            sums[1, s] += w * height[s + d]
+            sums[2, s] += w * slope[s + d]
 
 
 @kernel
-def _predict(sums: Float64, range_m: Float64, s: int, b: int, max_slope: float) -> tuple[float, float]:
-    """Height and slope at a cell by the line through the cells before it; their own slopes are its prior."""
-    w_sum, x_sum, h_sum, xx, xh, prior = 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0
+def _predict(
+    sums: Float64, range_m: Float64, b: int, max_slope: float, fit: Float64, height: Float64, slope: Float64
+) -> None:
+    """Height and slope at the cells of bin `b` by the lines through those before it; their own slopes are the prior.
+
+    `fit` (6, sectors) is room to sum in.
+    """
+    fit[:] = 0.0
+    fit[0] = 1e-6
     for j in range(max(0, b - LOOK_BACK), b):
-        x, w, h = range_m[j] - range_m[b], sums[j, 0, s], sums[j, 1, s]
-        w_sum += w
-        x_sum += w * x
-        h_sum += h
-        xx += w * x * x
-        xh += h * x
-        prior += sums[j, 2, s]
-    spread = xx - x_sum * x_sum / w_sum
-    # worth 4 m²: two cells alone do not tilt the ground; slowly level, where nothing is seen for long
-    tilt = (xh - x_sum * h_sum / w_sum + 4.0 * 0.97 * prior / w_sum) / (spread + 4.0)
-    tilt = min(max(tilt, -max_slope), max_slope)
-    return (h_sum - tilt * x_sum) / w_sum, tilt
+        x = range_m[j] - range_m[b]
+        for s in range(height.shape[0]):
+            w, h = sums[j, 0, s], sums[j, 1, s]
+            fit[0, s] += w
+            fit[1, s] += w * x
+            fit[2, s] += h
+            fit[3, s] += w * x * x
+            fit[4, s] += h * x
+            fit[5, s] += sums[j, 2, s]
+    for s in range(height.shape[0]):
+        w_sum, x_sum, h_sum, xx, xh, prior = fit[0, s], fit[1, s], fit[2, s], fit[3, s], fit[4, s], fit[5, s]
+        spread = xx - x_sum * x_sum / w_sum
+        # worth 4 m²: two cells alone do not tilt the ground; slowly level, where nothing is seen for long
+        tilt = (xh - x_sum * h_sum / w_sum + 4.0 * 0.97 * prior / w_sum) / (spread + 4.0)
+        slope[s] = min(max(tilt, -max_slope), max_slope)
+        height[s] = (h_sum - slope[s] * x_sum) / w_sum
 
 
 @kernel
@@ -162,9 +174,10 @@ def _lowest_layer(z: Float32, first: int, last: int, low: float, high: float, co
         k = math.floor((z[i] - low) / LAYER_M)
         if 0 <= k < span + LAYERS:
             counts[k] += 1
-    best = 0
-    for k in range(span):
-        best = max(best, _layer(counts, k))
+    best = n = _layer(counts, 0)
+    for k in range(1, span):
+        n += counts[k + LAYERS - 1] - counts[k - 1]
+        best = max(best, n)
     if best == 0:
         return 0.0, 0
     for k in range(span):
