@@ -101,8 +101,7 @@ class Senses:
 
     def _points_gap(self, way: Way, pose_odom: Float64, is_explained: Explained | None) -> Gap:
         """Lidars and radars; what cannot be touched is left out first, with whole squares of the thinning kept."""
-        step_m = way.main.step_m if way.arc is None else max(way.main.step_m, way.arc.step_m)
-        near = box_of(way, step_m + 2.0 * THIN_M)
+        near = touched_box(way)
         hits = np.concatenate([np.empty((0, 3)), *(eye.hits_odom_m for eye in self.eyes)])
         seen = thinned(hits.compress(near.holds(from_frame(pose_odom, hits[:, :2])), axis=0), THIN_M)
         echoes = np.concatenate([np.empty((0, 4)), *(radar.hits for radar in self.radars)])
@@ -115,11 +114,13 @@ class Senses:
 
     def _arc_gap(self, ear: Ear, way: Way, pose_odom: Float64, is_explained: Explained | None) -> Gap:
         """An arc counts when enough of it lies in the way, and no surveyed wall could have answered."""
+        if not touched_box(way).holds(from_frame(pose_odom, ear.arc_odom_m)).any():
+            return FREE
+        if is_explained is not None and is_explained(ear.arc_odom_m).any():
+            return FREE
         arc = np.column_stack([ear.arc_odom_m, np.full(len(ear.arc_odom_m), self._config.field.lowest_m)])
         gap = gap_in(way, arc, pose_odom)
-        is_enough = 0 < len(gap.hits_base_m) >= self._config.ultrasonic.arc_share * len(arc)
-        is_wall = is_enough and is_explained is not None and is_explained(ear.arc_odom_m).any()
-        return gap if is_enough and not is_wall else FREE
+        return gap if len(gap.hits_base_m) >= self._config.ultrasonic.arc_share * len(arc) else FREE
 
     def proven_m(self, now_ns: int, direction: int, health: Mapping[str, SensorHealth | None]) -> dict[str, float]:
         """The proven range of each lidar that looks in a direction and is not silent, shrunk by its own health."""
@@ -130,6 +131,12 @@ class Senses:
             for eye in self.eyes
             if eye.looks(direction) and eye.stamp_ns is not None and eye.stamp_ns >= oldest_ns
         }
+
+
+def touched_box(way: Way) -> Box:
+    """The area of base that can be touched at all, wider by more than a square of the thinning."""
+    step_m = way.main.step_m if way.arc is None else max(way.main.step_m, way.arc.step_m)
+    return box_of(way, step_m + 2.0 * THIN_M)
 
 
 def is_newer(stamp_ns: int, taken_ns: int | None) -> bool:
