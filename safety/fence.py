@@ -15,6 +15,7 @@ GATE_DEPTH_M = 1.0  # to either side of the line between the posts
 OUTSIDE_M = -1.0
 APRON_M, APRON_ASIDE_M = 4.0, 2.0  # before a bay, and to either side of it: where the machine turns into it
 ROOF_EDGE_M = 0.1  # the apron reaches that far under the roof, to the posts
+SURELY_BESIDE_M = 1e-6  # beside a polygon by more, a point is not in it however its crossings are rounded
 LANE_OVERLAP_M = 1.0  # a lane reaches that far into what lies at its ends, so that no seam is outside
 
 
@@ -26,30 +27,66 @@ class Fence:
     forbidden: tuple[Float64, ...] = ()
 
     def holds_box(self, box: Box) -> bool:
-        """Whether all of a box in map is surely where the machine may be: no ring's side comes near it."""
-        x_low, x_high, y_low, y_high = self._sides
-        meets = (x_low <= box.x_m[1]) & (x_high >= box.x_m[0]) & (y_low <= box.y_m[1]) & (y_high >= box.y_m[0])
-        return not meets.any() and bool(self.holds(np.array([[box.x_m[0], box.y_m[0]]]))[0])
+        """Whether all of a box in map is surely where the machine may be: in one ring, with no side of it near."""
+        if any(ring.may_meet(box) for ring in self._forbidden):
+            return False
+        corner = np.array([[box.x_m[0], box.y_m[0]]])
+        rings = (ring for ring in self._allowed if ring.may_meet(box) and not ring.has_side_at(box))
+        return any(bool(is_within(corner, ring.corners)[0]) for ring in rings)
 
     @cached_property
-    def _sides(self) -> Float64:
-        """The boxes about all sides, (4, S)."""
-        pairs = [np.stack([ring, np.roll(ring, -1, axis=0)]) for ring in (*self.allowed, *self.forbidden)]
-        ends = np.concatenate([np.empty((2, 0, 2)), *pairs], axis=1)
-        low, high = ends.min(axis=0), ends.max(axis=0)
-        return np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
+    def _allowed(self) -> tuple["Ring", ...]:
+        return tuple(Ring(corners) for corners in self.allowed)
+
+    @cached_property
+    def _forbidden(self) -> tuple["Ring", ...]:
+        return tuple(Ring(corners) for corners in self.forbidden)
 
     def holds(self, points_map_m: Float64) -> np.ndarray:
         """Which points (N, 2) are where the machine may be, (N,) bool."""
         inside = np.zeros(len(points_map_m), bool)
-        for ring in self.allowed:
-            left = np.flatnonzero(~inside)  # most points lie in the first ring, the field
+        if len(points_map_m) == 0:
+            return inside
+        box = box_about(points_map_m)
+        for ring in self._allowed:
+            if not ring.may_meet(box):
+                continue
+            left = np.flatnonzero(~inside)  # most points lie in one ring
             if len(left) == 0:
                 break
-            inside[left] = is_within(points_map_m[left], ring)
-        for ring in self.forbidden:
-            inside &= ~is_within(points_map_m, ring)
+            inside[left] = is_within(points_map_m[left], ring.corners)
+        for ring in self._forbidden:
+            if ring.may_meet(box):
+                inside &= ~is_within(points_map_m, ring.corners)
         return inside
+
+
+class Ring:
+    """A polygon (E, 2) with the boxes about it and about its sides."""
+
+    def __init__(self, corners: Float64) -> None:
+        self.corners = corners
+        ends = np.stack([corners, np.roll(corners, -1, axis=0)])
+        self._low, self._high = ends.min(axis=0).T, ends.max(axis=0).T
+        self._box = box_about(corners)
+
+    def may_meet(self, box: Box) -> bool:
+        """Whether any of a box may lie in the polygon; what is no number may."""
+        own, near = self._box, SURELY_BESIDE_M
+        is_beside = box.x_m[1] < own.x_m[0] - near or box.x_m[0] > own.x_m[1] + near
+        return not (is_beside or box.y_m[1] < own.y_m[0] - near or box.y_m[0] > own.y_m[1] + near)
+
+    def has_side_at(self, box: Box) -> bool:
+        """Whether the box about any side meets a box."""
+        (x_low, y_low), (x_high, y_high) = self._low, self._high
+        meets = (x_low <= box.x_m[1]) & (x_high >= box.x_m[0]) & (y_low <= box.y_m[1]) & (y_high >= box.y_m[0])
+        return bool(meets.any())
+
+
+def box_about(points: Float64) -> Box:
+    """The box about points (N, 2), at least one."""
+    (x_low, y_low), (x_high, y_high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return Box((x_low, x_high), (y_low, y_high))
 
 
 def fence_of(site: Site) -> Fence:

@@ -41,6 +41,9 @@ class Gap:
     hits_base_m: Float64
 
 
+FREE = Gap(math.inf, math.inf, NOTHING)
+
+
 @dataclass(frozen=True)
 class Place:
     """A path and the place on it where the machine should be."""
@@ -124,7 +127,7 @@ def box_of(way: Way, slack_m: float) -> Box:
 def gap_in(way: Way, hits_odom_m: Float64, pose_odom: Float64, aside_m: Float64 | float = 0.0) -> Gap:
     """The gaps to hits (N, 3) in odom, seen from base at `pose_odom` (3,); `aside_m` as in `contact_m`."""
     if len(hits_odom_m) == 0:
-        return Gap(math.inf, math.inf, NOTHING)
+        return FREE
     xy = from_frame(pose_odom, hits_odom_m[:, :2])
     main = contact_m(xy, way.main, 0.0, aside_m)
     arc = contact_m(xy, way.arc, 0.0, aside_m) if way.arc is not None else np.full(len(xy), np.inf)

@@ -26,6 +26,12 @@ class Box:
     x_m: tuple[float, float]
     y_m: tuple[float, float]
 
+    def holds(self, xy: Float64) -> np.ndarray:
+        """Which points (N, 2) lie in it, (N,) bool; what is no number is not left out."""
+        (x_low, x_high), (y_low, y_high) = self.x_m, self.y_m
+        x, y = xy[:, 0], xy[:, 1]
+        return np.asarray(~((x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)))
+
     def seen_from(self, pose: Float64) -> "Box":
         """A box that holds this one, in the frame in which its own is at a pose (3,)."""
         c, s = math.cos(pose[2]), math.sin(pose[2])

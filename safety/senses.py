@@ -16,8 +16,8 @@ from safety.bodies import Shape
 from safety.cells import thinned
 from safety.config import SafetyConfig
 from safety.eye import Eye
-from safety.field import Gap, Way, gap_in
-from safety.motion import Trail
+from safety.field import FREE, Gap, Way, box_of, gap_in
+from safety.motion import Trail, from_frame
 from safety.proven import shrink
 from safety.radar import RadarEye
 from safety.returns import Box, Motion
@@ -100,8 +100,10 @@ class Senses:
         return Gap(min(gap.main_m for gap in gaps), min(gap.arc_m for gap in gaps), hits)
 
     def _points_gap(self, way: Way, pose_odom: Float64, is_explained: Explained | None) -> Gap:
-        """Lidars and radars."""
-        seen = thinned(np.concatenate([np.empty((0, 3)), *(eye.hits_odom_m for eye in self.eyes)]), THIN_M)
+        """Lidars and radars; what cannot be touched is left out first, with whole squares of the thinning kept."""
+        near = touched_box(way)
+        hits = np.concatenate([np.empty((0, 3)), *(eye.hits_odom_m for eye in self.eyes)])
+        seen = thinned(hits.compress(near.holds(from_frame(pose_odom, hits[:, :2])), axis=0), THIN_M)
         echoes = np.concatenate([np.empty((0, 4)), *(radar.hits for radar in self.radars)])
         aside = np.concatenate([np.zeros(len(seen)), -self._config.radar.aside_sigmas * echoes[:, 3]])
         hits = np.concatenate([seen, echoes[:, :3]])
@@ -112,12 +114,13 @@ class Senses:
 
     def _arc_gap(self, ear: Ear, way: Way, pose_odom: Float64, is_explained: Explained | None) -> Gap:
         """An arc counts when enough of it lies in the way, and no surveyed wall could have answered."""
-        arc = np.column_stack([ear.arc_odom_m, np.full(len(ear.arc_odom_m), self._config.field.lowest_m)])
+        if not touched_box(way).holds(from_frame(pose_odom, ear.arc_odom_m)).any():
+            return FREE
         if is_explained is not None and is_explained(ear.arc_odom_m).any():
-            arc = arc[:0]
+            return FREE
+        arc = np.column_stack([ear.arc_odom_m, np.full(len(ear.arc_odom_m), self._config.field.lowest_m)])
         gap = gap_in(way, arc, pose_odom)
-        is_enough = len(gap.hits_base_m) >= self._config.ultrasonic.arc_share * max(len(arc), 1)
-        return gap if is_enough else gap_in(way, arc[:0], pose_odom)
+        return gap if len(gap.hits_base_m) >= self._config.ultrasonic.arc_share * len(arc) else FREE
 
     def proven_m(self, now_ns: int, direction: int, health: Mapping[str, SensorHealth | None]) -> dict[str, float]:
         """The proven range of each lidar that looks in a direction and is not silent, shrunk by its own health."""
@@ -128,6 +131,12 @@ class Senses:
             for eye in self.eyes
             if eye.looks(direction) and eye.stamp_ns is not None and eye.stamp_ns >= oldest_ns
         }
+
+
+def touched_box(way: Way) -> Box:
+    """The area of base that can be touched at all, wider by more than a square of the thinning."""
+    step_m = way.main.step_m if way.arc is None else max(way.main.step_m, way.arc.step_m)
+    return box_of(way, step_m + 2.0 * THIN_M)
 
 
 def is_newer(stamp_ns: int, taken_ns: int | None) -> bool:

@@ -117,6 +117,14 @@ def is_within_reach(track: Track, pose_odom: Float64, length_m: float, horizon_s
     return math.isfinite(x + y) and not far_m > length_m + REACH_M + moved_m
 
 
+def is_beside(track: Track, pose_odom: Float64, sweep: Sweep) -> bool:
+    """Whether the circle about a track's box surely lies beside the box about a sweep; its place is finite."""
+    x, y = seen_from(pose_odom, *track.p_odom_m[:2].tolist())
+    reach_m = math.hypot(*track.size_m[:2].tolist()) + sweep.step_m
+    (x_low, x_high), (y_low, y_high) = sweep.box.x_m, sweep.box.y_m
+    return x < x_low - reach_m or x > x_high + reach_m or y < y_low - reach_m or y > y_high + reach_m
+
+
 def is_part_of(track: Track, standing: Sequence[Track], part_m: float) -> bool:
     """Whether the middle of a track lies on, or within `part_m` of, the box of a larger one that stands.
 
@@ -174,6 +182,8 @@ def threat_in(
         moves = seems_moving and not is_part_of(track, standing, config.part_m)
         if not moves and (track.label is ObstacleClass.UNKNOWN or length_m(track) > config.longest_m):
             continue  # left to the raw field: no class, or a fence or hedge, whose box covers free ground
+        if not moves and is_beside(track, pose_odom, sweep):
+            continue
         if not is_before(track, moves, shape, pose_odom, curvature_radpm, sweep.direction, config.own_m):
             continue
         gap = _gap_to(sweep, track, moves, pose_odom, times_s, config)

@@ -13,7 +13,7 @@ import numpy as np
 from configs.vehicle import Ultrasonic
 from messages.message import Float64
 from messages.motion import Odometry
-from messages.perception import Tracks
+from messages.perception import Track, Tracks
 from messages.sensors import UltrasonicRange
 from safety.config import UltrasonicConfig
 from safety.motion import to_frame
@@ -100,9 +100,13 @@ def is_answered(arc_odom_m: Float64, tracks: Tracks | None, near_m: float) -> bo
     Where on the arc it stands is then known, and whether it is in the way is for the lidar to say: a fence beside the
     machine answers from the far end of the cone.
     """
+    x, y = arc_odom_m.mean(axis=0).tolist()
+    reach_m = float(np.hypot(*(arc_odom_m - (x, y)).T).max()) + 2.0 * near_m  # more than the diagonal of `near_m`
     for track in () if tracks is None else tracks.tracks:
+        if is_beyond(track, x, y, reach_m) or not track.is_confirmed:
+            continue
         is_narrow = float(np.min(track.size_m[:2])) <= NARROW_M
-        if not (is_narrow and track.is_confirmed) or not any(name.startswith("lidar") for name in track.sensors):
+        if not is_narrow or not any(name.startswith("lidar") for name in track.sensors):
             continue
         c, s = math.cos(track.yaw_rad), math.sin(track.yaw_rad)
         away = arc_odom_m - track.p_odom_m[:2]
@@ -110,6 +114,12 @@ def is_answered(arc_odom_m: Float64, tracks: Tracks | None, near_m: float) -> bo
         if ((along <= 0.5 * track.size_m[0] + near_m) & (across <= 0.5 * track.size_m[1] + near_m)).any():
             return True
     return False
+
+
+def is_beyond(track: Track, x_m: float, y_m: float, reach_m: float) -> bool:
+    """Whether the box of a track surely lies farther than a reach from a place in odom, by distance alone."""
+    (x, y), (length, width) = track.p_odom_m[:2].tolist(), track.size_m[:2].tolist()
+    return math.hypot(x - x_m, y - y_m) > reach_m + math.hypot(length, width)
 
 
 def ground_m(T: Float64) -> float:
