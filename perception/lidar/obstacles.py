@@ -116,8 +116,10 @@ class Pipeline:
         self._grid: Grid = build_grid(g.sector_deg, g.first_bin_m, g.bin_growth, g.reach_m)
         self._front = (vehicle.body.front_m, vehicle.body.width_m / 2)
         top_m = max(vehicle.body.height_m, config.clusters.least_top_m) + config.clusters.overhead_m
-        heights = (np.float32(m) for m in (g.solid_m, g.solid_growth, g.foot_m, top_m))
-        self._limits = (self._center.astype(np.float32), *heights)
+        self._limits = (
+            self._center.astype(np.float32), np.float32(g.solid_m), np.float32(g.solid_growth), np.float32(g.foot_m),
+            np.float32(top_m),
+        )  # fmt: skip
         self._board = new_board(config.clusters)
         self._beams = beams_of(lidar)
         self.expectations = tuple(expect(lidar, own, config.health) for own in self._own)
