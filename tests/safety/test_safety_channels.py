@@ -284,6 +284,9 @@ def test_box_that_the_fence_holds() -> None:
     assert not fence.holds_box(Box((1.4, 1.6), (1.4, 1.6)))  # all of it in what is forbidden
     assert not fence.holds_box(Box((1.9, 2.6), (1.4, 1.6)))
     assert not Fence(()).holds_box(Box((0.0, 1.0), (0.0, 1.0)))
+    gate = np.array([[2.0, 2.0], [2.4, 2.0], [2.4, 4.0], [2.0, 4.0]])  # another ring's side crosses the box
+    assert Fence((gate, L_SHAPE)).holds_box(Box((2.1, 2.6), (2.1, 3.0)))
+    assert not Fence((gate,)).holds_box(Box((2.1, 2.6), (2.1, 3.0)))
 
 
 def test_box_from_elsewhere_holds_the_box() -> None:
