@@ -125,7 +125,7 @@ class LidarMap(Node):
 
     def _match(self, stamp_ns: int, points: Float64, T_guess: Float64) -> LidarPose:
         cfg, guess = self._config, _flat(T_guess)
-        part = points[:: max(1, math.ceil(len(points) / cfg.most_points))]
+        part = np.ascontiguousarray(points[:: max(1, math.ceil(len(points) / cfg.most_points))])
         pose, covariance, found = self._map.match(part, guess)
         reason = _refusal(pose - guess, covariance, found, cfg)
         T = np.asarray(planar(pose[0] - guess[0], pose[1] - guess[1], 0.0) @ _turned(T_guess, pose[2] - guess[2]))
