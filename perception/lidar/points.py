@@ -10,6 +10,8 @@ from messages.motion import Odometry
 from perception.kernels import kernel
 from perception.own_body import own_outline
 
+ZERO, NEAREST = np.float32(0.0), np.float32(1e-4)  # m²: nearer returns lie at the sensor itself
+
 
 class MaskConfig(Config):
     """How much is added to the machine's own bodies before returns inside them are dropped."""
@@ -43,7 +45,7 @@ def to_base(
     usable = np.empty(len(points_m), np.uint8)
     T = T_base_sensor[:3].astype(np.float32)
     # before the motion is taken out: the machine's own parts move along with the sensor
-    _turn(points_m, T, own.astype(np.float32), out, usable)
+    _turn(np.ascontiguousarray(points_m), T, own.astype(np.float32), out, usable)
     if offset_s.any():
         _take_back(offset_s, np.array(motion), out)
     return out, usable
@@ -51,18 +53,24 @@ def to_base(
 
 @kernel
 def _turn(points: Float32, T: Float32, own: Float32, out: Float32, usable: UInt8) -> None:
+    """One thing a loop, over columns: so each of them uses the processor's vectors."""
     a, b, c, d, e, f, g, h, k = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2]
     x0, y0, z0 = T[0, 3], T[1, 3], T[2, 3]
+    row, xs, ys, zs = points.reshape(-1), out[:, 0], out[:, 1], out[:, 2]
     for i in range(points.shape[0]):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        x, y, z = a * px + b * py + c * pz + x0, d * px + e * py + f * pz + y0, g * px + h * py + k * pz + z0
-        out[i, 0], out[i, 1], out[i, 2] = x, y, z
-        usable[i] = np.isfinite(x + y + z) & (px * px + py * py + pz * pz > 1e-4)
+        px, py, pz = row[3 * i], row[3 * i + 1], row[3 * i + 2]
+        xs[i] = a * px + b * py + c * pz + x0
+        ys[i] = d * px + e * py + f * pz + y0
+        zs[i] = g * px + h * py + k * pz + z0
+    for i in range(points.shape[0]):
+        x, y, z, total = xs[i] - x0, ys[i] - y0, zs[i] - z0, xs[i] + ys[i] + zs[i]
+        # infinite less infinite is NaN, which equals nothing
+        usable[i] = (total - total == ZERO) & (x * x + y * y + z * z > NEAREST)
     for n in range(own.shape[0]):
         x0, y0, z0 = own[n, 0, 0], own[n, 0, 1], own[n, 0, 2]
         x1, y1, z1 = own[n, 1, 0], own[n, 1, 1], own[n, 1, 2]
         for i in range(points.shape[0]):
-            x, y, z = out[i, 0], out[i, 1], out[i, 2]
+            x, y, z = xs[i], ys[i], zs[i]
             is_own = (x0 < x) & (x < x1) & (y0 < y) & (y < y1) & (z0 < z) & (z < z1)
             usable[i] = 0 if is_own else usable[i]
 
