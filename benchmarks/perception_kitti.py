@@ -114,24 +114,22 @@ def show_gap_and_pastes() -> None:
 
 
 def show_speed() -> None:
-    """Bar 9: processor time of the whole node for 124 k returns, and of others' ground and clusters in turn with it."""
+    """Bar 9: processor time of the whole node for 124 k returns, and of others' ground and clusters, each in a pass."""
     paths = sorted((DATA / "kitti-patchworkpp" / "data").glob("*.bin"))
     scans = [np.fromfile(p, np.float32).reshape(-1, 4) for p in paths]
     others = _others()
-    ours_s, others_s = [], []
-    for _ in range(5):
-        for scan in scans:
-            points = scan[:, :3].copy()
-            ours_s.append(_processor_s(partial(perceive, points)))
-            if others is not None:
-                others_s.append(_processor_s(partial(others, scan)))
-    ours = float(np.median(ours_s))
+    points = [scan[:, :3].copy() for scan in scans]
+    ours = _median_s(perceive, points)
     say(f"{len(scans[0])} returns to obstacles, median", f"{1e3 * ours:.1f} ms on one core", "<= 10 ms")
     if others is None:
         say("pypatchworkpp + open3d DBSCAN", "pypatchworkpp is not installed: not shown", ">= 3 x")
     else:
-        theirs = float(np.median(others_s))
+        theirs = _median_s(others, scans)
         say("pypatchworkpp + open3d DBSCAN", f"{1e3 * theirs:.0f} ms, {theirs / ours:.0f} x", ">= 3 x")
+
+
+def _median_s(work: Callable[[Float32], object], scans: list[Float32]) -> float:
+    return float(np.median([_processor_s(partial(work, scan)) for _ in range(5) for scan in scans]))
 
 
 def _processor_s(work: Callable[[], object]) -> float:

@@ -52,21 +52,23 @@ def describe(
 def _upright(offsets: Int32, indices: Int32, points: Float32, center: Float64, size: Float64, yaw: Float64) -> None:
     """The closest box over all directions of edges between neighbouring extreme returns."""
     turn = np.arange(HALF) * (2.0 * math.pi / DIRECTIONS)
-    cosine = np.concatenate((np.cos(turn), -np.cos(turn))).astype(np.float32)
-    sine = np.concatenate((np.sin(turn), -np.sin(turn))).astype(np.float32)
-    far, extreme = np.empty(DIRECTIONS, np.float32), np.empty(DIRECTIONS, np.int32)
+    cosine, sine = np.cos(turn).astype(np.float32), np.sin(turn).astype(np.float32)
+    least, most = np.empty(HALF, np.float32), np.empty(HALF, np.float32)
+    extreme = np.empty(DIRECTIONS, np.int32)
     hull, some = np.empty((DIRECTIONS, 2)), np.empty((MOST_RETURNS, 2))
     for k in range(offsets.shape[0] - 1):
         z_low, z_high = np.inf, -np.inf
-        far[:] = -np.inf
+        least[:], most[:] = np.inf, -np.inf
         for i in indices[offsets[k] : offsets[k + 1]]:
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             z_low, z_high = min(z_low, z), max(z_high, z)
-            for d in range(DIRECTIONS):
+            for d in range(HALF):
                 along = cosine[d] * x + sine[d] * y
-                is_farther = along > far[d]
-                far[d] = along if is_farther else far[d]
-                extreme[d] = i if is_farther else extreme[d]
+                is_ahead, is_behind = along > most[d], along < least[d]
+                most[d] = along if is_ahead else most[d]
+                extreme[d] = i if is_ahead else extreme[d]
+                least[d] = along if is_behind else least[d]
+                extreme[d + HALF] = i if is_behind else extreme[d + HALF]
         for d in range(DIRECTIONS):
             hull[d, 0], hull[d, 1] = points[extreme[d], 0], points[extreme[d], 1]
         count, n = offsets[k + 1] - offsets[k], 0
@@ -81,8 +83,7 @@ def _upright(offsets: Int32, indices: Int32, points: Float32, center: Float64, s
 @kernel
 def _closest(hull: Float64, some: Float64, k: int, center: Float64, size: Float64, yaw: Float64) -> None:
     """Box `k` about the convex hull with `some` (N, 2) of the returns."""
-    has_sides = some.shape[0] >= SIDES and _width(hull) <= BODY_M
-    best = 0.0
+    axis, low, high = np.empty((2, DIRECTIONS)), np.empty((2, DIRECTIONS)), np.empty((2, DIRECTIONS))
     for d in range(DIRECTIONS):
         e = (d + 1) % DIRECTIONS
         ex, ey = hull[e, 0] - hull[d, 0], hull[e, 1] - hull[d, 1]
@@ -95,13 +96,17 @@ def _closest(hull: Float64, some: Float64, k: int, center: Float64, size: Float6
         for j in range(DIRECTIONS):
             u, v = c * hull[j, 0] + s * hull[j, 1], -s * hull[j, 0] + c * hull[j, 1]
             u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
-        du, dv = max(u1 - u0, LEAST_SIZE_M), max(v1 - v0, LEAST_SIZE_M)
-        worth = 1.0 / (du * dv)
-        if has_sides:
-            worth *= _closeness(some, c, s, u0, u1, v0, v1)
-        if worth > best * (1.0 + 1e-9):
-            best = worth
-            u, v = (u0 + u1) / 2.0, (v0 + v1) / 2.0
+        axis[0, d], axis[1, d] = c, s
+        low[0, d], low[1, d], high[0, d], high[1, d] = u0, v0, u1, v1
+    has_sides = some.shape[0] >= SIDES and _width(hull) <= BODY_M
+    worth = _closeness(some, axis, low, high) if has_sides else np.ones(DIRECTIONS)
+    best = 0.0
+    for d in range(DIRECTIONS):
+        du, dv = max(high[0, d] - low[0, d], LEAST_SIZE_M), max(high[1, d] - low[1, d], LEAST_SIZE_M)
+        worth[d] *= 1.0 / (du * dv)
+        if worth[d] > best * (1.0 + 1e-9):
+            best = worth[d]
+            c, s, u, v = axis[0, d], axis[1, d], (low[0, d] + high[0, d]) / 2.0, (low[1, d] + high[1, d]) / 2.0
             center[k, 0], center[k, 1] = c * u - s * v, s * u + c * v
             turned = 0.0 if du >= dv else math.pi / 2.0  # the longer side is the length
             size[k, 0], size[k, 1] = max(du, dv), min(du, dv)
@@ -118,12 +123,16 @@ def _width(hull: Float64) -> float:
 
 
 @kernel
-def _closeness(some: Float64, c: float, s: float, u0: float, u1: float, v0: float, v1: float) -> float:
-    """Sum over returns of one over their distance to the nearest edge."""
-    total = 0.0
+def _closeness(some: Float64, axis: Float64, low: Float64, high: Float64) -> Float64:
+    """Of each box (16,), by its axis and corners: the sum over returns of one over their way to the nearest edge."""
+    total = np.zeros(DIRECTIONS)
     for i in range(some.shape[0]):
-        u, v = c * some[i, 0] + s * some[i, 1], -s * some[i, 0] + c * some[i, 1]
-        total += 1.0 / max(min(u - u0, u1 - u, v - v0, v1 - v), EDGE_M)
+        x, y = some[i, 0], some[i, 1]
+        # innermost over boxes: the processor's vectors take several at once
+        for d in range(DIRECTIONS):
+            u, v = axis[0, d] * x + axis[1, d] * y, -axis[1, d] * x + axis[0, d] * y
+            near = min(min(u - low[0, d], high[0, d] - u), min(v - low[1, d], high[1, d] - v))
+            total[d] += 1.0 / max(near, EDGE_M)
     return total
 
 
