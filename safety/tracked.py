@@ -144,7 +144,7 @@ def is_part_of(track: Track, standing: Sequence[Track], part_m: float) -> bool:
 def without_walls(tracks: list[Track], is_explained: Explained, compact_m: float) -> list[Track]:
     """The tracks that are not what is surveyed: their middle does not lie there, and they are no long boxes of unknown
     or mixed make. Their places are finite."""
-    compact = [track for track in tracks if length_m(track) <= compact_m]
+    compact = [track for track in tracks if not length_m(track) > compact_m]  # a size that is no number is no wall's
     if not compact:
         return compact
     is_wall = is_explained(np.array([track.p_odom_m[:2] for track in compact]))

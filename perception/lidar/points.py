@@ -8,9 +8,10 @@ from configs.vehicle import Implement, Vehicle
 from messages.message import Float32, Float64, UInt8
 from messages.motion import Odometry
 from perception.kernels import kernel
+from perception.lidar.grid import ZERO
 from perception.own_body import own_outline
 
-ZERO, NEAREST = np.float32(0.0), np.float32(1e-4)  # m²: nearer returns lie at the sensor itself
+NEAREST = np.float32(1e-4)  # m²: nearer returns lie at the sensor itself
 
 
 class MaskConfig(Config):

@@ -228,9 +228,9 @@ def test_tracks_of_what_is_surveyed_are_left_out() -> None:
         size, place = np.array([length_m, 0.5, 1.0]), np.array([x_m, 0.0, 0.0])
         return Track(id, ObstacleClass.PERSON, 0.9, place, np.zeros(3), np.eye(4), size, 0.0, 0, 1, True, ())
 
-    tracks = [track(1, 1.0, 0.5), track(2, 9.0, 0.5), track(3, 1.0, 5.0)]
+    tracks = [track(1, 1.0, 0.5), track(2, 9.0, 0.5), track(3, 1.0, 5.0), track(4, 1.0, math.nan)]
     left = without_walls(tracks, lambda points: points[:, 0] > 5.0, 2.0)
-    assert [t.id for t in left] == [1]
+    assert [t.id for t in left] == [1, 4]
 
 
 def test_distances_to_what_is_surveyed(survey: Survey) -> None:
