@@ -13,8 +13,6 @@ from perception.fusion.detections import to_odom
 from perception.fusion.stillness import Stillness
 from perception.fusion.tracks import (
     CLASSES,
-    POLE,
-    TALLEST_M,
     TrackerConfig,
     alive,
     begin,
@@ -24,6 +22,7 @@ from perception.fusion.tracks import (
     empty_table,
     hosts_of,
     is_body,
+    is_upright,
     left_over,
     match,
     move,
@@ -109,7 +108,7 @@ class Tracker(Node):
         stays = self._stillness.is_refuted(t.x, velocity, t.size_m, self._stamp_ns)
         velocity[stays & ~is_body(t.evidence)] = 0.0
         label, confidence = classify(t, velocity)
-        velocity[(label == POLE) & (t.size_m[:, 2] > TALLEST_M)] = 0.0
+        velocity[is_upright(t.size_m, label)] = 0.0
         # what is not known to move is where it was seen last, and its uncertain speed takes it nowhere
         unseen_s = np.where(velocity.any(axis=1), 0.0, (self._stamp_ns - t.last_ns) * 1e-9)
         p = t.x[:, :2] - t.x[:, 2:] * unseen_s[:, None]

@@ -17,7 +17,8 @@ from perception.fusion.stillness import Stillness, StillnessConfig
 
 CLASSES = tuple(ObstacleClass)
 BODIES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE))
-POLE, TALLEST_M = CLASSES.index(ObstacleClass.POLE), 2.0  # what is slim and higher is nobody who walks
+UNKNOWN, POLE = CLASSES.index(ObstacleClass.UNKNOWN), CLASSES.index(ObstacleClass.POLE)
+SLIM_M, TALLEST_M = 0.3, 2.0  # what is as slim and higher is nobody who walks
 REFUSED = 1e9
 SPEEDS_MPS = {ObstacleClass.PERSON: 4.0, ObstacleClass.POLE: 0.7, ObstacleClass.MOUND: 0.7, ObstacleClass.DITCH: 0.7}
 FASTEST_MPS = np.array([SPEEDS_MPS.get(label, np.inf) for label in CLASSES])
@@ -47,7 +48,8 @@ class TrackerConfig(Config):
 class Table:
     """Tracks as columns of T rows, so that all are moved and matched at once; state and size in `odom`.
 
-    `moving_ns` is since when they have moved at every detection (0: they do not), `boxed_ns` when a box was measured.
+    `moving_ns` is since when they have moved at every detection (0: they do not), `moved_from_m` where they then were,
+    `has_moved` whether they have since come as far as their speed says, `boxed_ns` when a box was measured.
     """
 
     id: Int64
@@ -62,6 +64,8 @@ class Table:
     last_ns: Int64
     until_ns: Int64
     moving_ns: Int64
+    moved_from_m: Float64
+    has_moved: Int64
     boxed_ns: Int64
     is_confirmed: Int64
     sensors: Int64
@@ -100,7 +104,7 @@ def empty_table() -> Table:
     none = np.zeros(0)
     return Table(
         whole, np.zeros((0, 4)), np.zeros((0, 4, 4)), none, np.zeros((0, 3)), none, none, np.zeros((0, len(CLASSES))),
-        whole, whole, whole, whole, whole, whole, whole,
+        whole, whole, whole, whole, np.zeros((0, 2)), whole, whole, whole, whole,
     )  # fmt: skip
 
 
@@ -117,7 +121,8 @@ def begin(seen: Detections, rows: Int64, first_id: int, config: TrackerConfig) -
     return Table(
         np.arange(first_id, first_id + n), x, P, seen.p_m[rows, 2], seen.size_m[rows], seen.yaw_rad[rows],
         seen.returns[rows], seen.log_scores[rows], stamp, stamp.copy(), stamp + nanoseconds(seen.kind.forget_new_s),
-        np.zeros(n, np.int64), stamp.copy(), np.zeros(n, np.int64), np.full(n, 1 << seen.sensor, np.int64),
+        np.zeros(n, np.int64), x[:, :2].copy(), np.zeros(n, np.int64), stamp.copy(), np.zeros(n, np.int64),
+        np.full(n, 1 << seen.sensor, np.int64),
     )  # fmt: skip
 
 
@@ -231,8 +236,8 @@ def not_parts(table: Table, hosts: Hosts, lidars: int, cameras: int, config: Tra
 
 def velocities(table: Table, config: TrackerConfig) -> Float64:
     """Velocity (T, 2) of what has moved for as long as confirming takes, else 0: one jump is no motion."""
-    lasted = (table.moving_ns > 0) & (table.last_ns - table.moving_ns >= nanoseconds(config.confirm_s))
-    return np.where((lasted & is_moving(table.x, table.P, config))[:, None], table.x[:, 2:], 0.0)
+    moves = (table.has_moved > 0) & is_moving(table.x, table.P, config)
+    return np.where(moves[:, None], table.x[:, 2:], 0.0)
 
 
 def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> npt.NDArray[np.bool_]:
@@ -241,6 +246,12 @@ def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> npt.NDArray[np.b
     a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
     d2 = (c * v[:, 0] ** 2 - 2.0 * b * v[:, 0] * v[:, 1] + a * v[:, 1] ** 2) / (a * c - b * b)
     return np.asarray(d2 >= config.moving_sigma**2)
+
+
+def is_upright(size_m: Float64, label: Int64) -> npt.NDArray[np.bool_]:
+    """Which tracks (T,) are posts, or edges of walls: where a wall's face is seen end on, that edge runs along it."""
+    is_slim = (label == POLE) | (label == UNKNOWN) & (size_m[:, 0] <= SLIM_M)
+    return np.asarray(is_slim & (size_m[:, 2] > TALLEST_M))
 
 
 def classify(table: Table, velocity_mps: Float64) -> tuple[Int64, Float64]:

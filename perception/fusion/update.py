@@ -12,6 +12,7 @@ from perception.fusion.tracks import Table, TrackerConfig, is_moving, is_vehicle
 
 PART, SLOWLY = 0.6, 0.01  # a vehicle's detection shorter than this share of it is a piece, and shrinks it slowly
 ANYWHERE = 0.29  # 1 / √12: the sigma of an even share over a box
+ON_ITS_WAY = 0.5  # of the way that its speed should have taken it: what has come less far has only jumped
 NEAR_MIDDLE = 0.25  # of the sigma of a piece of scenery: what is not as near belongs to it by its box alone
 
 
@@ -35,8 +36,7 @@ def update(
     correct(x, P, z, R, 0)
     _correct_velocity(x, P, seen, rows, stillness, config)
     table.x[tracks], table.P[tracks] = x, P
-    since = table.moving_ns[tracks]
-    table.moving_ns[tracks] = np.where(is_moving(x, P, config), np.where(since > 0, since, seen.stamp_ns), 0)
+    _watch_motion(table, tracks, z, seen.stamp_ns, config)
     # only returns measure a box: radar and cameras guess it
     boxed = (table.sensors[tracks] == 1 << seen.sensor) | seen.is_lidar
     table.boxed_ns[tracks[boxed]] = seen.stamp_ns
@@ -52,6 +52,19 @@ def update(
     table.evidence[tracks[told]] = config.class_memory * table.evidence[tracks[told]] + scores[told]
     table.last_ns[tracks] = seen.stamp_ns
     table.sensors[tracks] |= 1 << seen.sensor
+
+
+def _watch_motion(table: Table, tracks: Int64, z: Float64, stamp_ns: int, config: TrackerConfig) -> None:
+    """Who seems to move must come as far as that speed takes it; who does not is watched anew, in place."""
+    x, since, has_moved = table.x[tracks], table.moving_ns[tracks], table.has_moved[tracks] > 0
+    moves, dt_ns = is_moving(x, table.P[tracks], config), stamp_ns - since
+    way = ((z - table.moved_from_m[tracks]) * x[:, 2:]).sum(axis=1)
+    due = (since > 0) & (dt_ns >= nanoseconds(config.confirm_s))
+    came = due & (way >= ON_ITS_WAY * dt_ns * 1e-9 * (x[:, 2:] ** 2).sum(axis=1))
+    starts = moves & ~has_moved & ((since == 0) | (due & ~came))
+    table.has_moved[tracks] = moves & (has_moved | came)
+    table.moving_ns[tracks] = np.where(starts, stamp_ns, np.where(moves, since, 0))
+    table.moved_from_m[tracks[starts]] = z[starts]
 
 
 def _is_scenery(size_m: Float64, config: TrackerConfig) -> npt.NDArray[np.bool_]:

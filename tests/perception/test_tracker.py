@@ -200,6 +200,24 @@ def test_no_pole_as_high_as_a_post_moves():
         assert np.hypot(*told[-1].tracks[0].velocity_mps) == pytest.approx(told_mps, abs=0.4)
 
 
+def test_the_edge_of_a_wall_seen_end_on_runs_along_it_and_nothing_moves():
+    def scan(t, width_m, height_m):
+        seen = message(t, [[10.0 + 6.0 * (t - START) / NS, 4.0, 1.3]], (width_m, 0.05, height_m))
+        return replace(seen, class_scores=np.full((1, 7), 1 / 7))
+
+    for width_m, height_m, told_mps in ((0.1, 2.6, 0.0), (0.1, 1.7, 6.0), (0.6, 2.6, 6.0)):
+        told = run(new_tracker(), [scan(t, width_m, height_m) for t in stamps(10.0, 1.5)])
+        assert np.hypot(*told[-1].tracks[0].velocity_mps) == pytest.approx(told_mps, abs=0.4)
+
+
+@pytest.mark.parametrize(("hold", "jump_m"), [(3, 1.0), (4, 1.0), (6, 1.0)])
+def test_what_jumps_to_and_fro_between_two_views_of_it_goes_nowhere(hold, jump_m):
+    places = [[10.0 + jump_m * (i // hold % 2), 4.0, 0.5] for i in range(31)]
+    scans = [message(t, [p], (1.0, 0.5, 0.2)) for t, p in zip(stamps(10.0, 3.0), places, strict=True)]
+    for told in run(new_tracker(), scans):
+        assert all(np.hypot(*track.velocity_mps) == 0.0 for track in told.tracks)
+
+
 def test_a_second_sensor_joins_and_its_velocity_counts():
     tracker = new_tracker(LIDAR, RADAR)
     for i, t in enumerate(stamps(10, 1.0)):
