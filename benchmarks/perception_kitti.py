@@ -1,8 +1,7 @@
 """The bars of lidar perception on KITTI: recall, latency, false stops, gap, thinning, noise, pasted people, speed.
 
-    MALLOC_TRIM_THRESHOLD_=268435456 MALLOC_MMAP_THRESHOLD_=33554432 python -m benchmarks.perception_kitti
+    python -m benchmarks.perception_kitti
 
-Memory is kept as `./headland` keeps it: fetched anew at every scan it costs 700 page faults, 4 to 7 ms.
 The stack's own configuration with the recording car's sensor model and mount. Each line ends with its bar.
 """
 
