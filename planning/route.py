@@ -10,7 +10,7 @@ from geometry.footprint import is_inside
 from geometry.polyline import Float64, arc_length, headings, polyline, resample
 from messages.errors import FieldError
 from messages.plan import Leg
-from planning.coverage.closed import drive_rounds
+from planning.coverage.closed import JOINT, drive_rounds, pose_at
 from planning.coverage.order import Visit, order
 from planning.coverage.swath import Swath
 from planning.curve import Pose
@@ -19,6 +19,7 @@ from planning.turn import STEP_M, Wanted, shortest_length_m
 from planning.ways import Piece, Ways
 
 REORDERINGS = 8
+GO_ON = 25  # points of the last round between two places where leaving it is tried, 2.5 m
 NO_WAY_M = 1e4
 HOME_STRAIGHT_M = 1.0
 
@@ -28,39 +29,59 @@ def route(ways: Ways, swaths: list[Swath]) -> list[Piece]:
     site = ways.ground.site
     start = Pose(site.start.x_m, site.start.y_m, float(np.radians(site.start.heading_deg)))
     pieces, pose = _way_in(ways, start)
-    found, pose = drive_rounds(ways, pose)
+    found, rest = drive_rounds(ways, pose)
     home, home_start = _way_home(ways)
-    return [*pieces, *found, *_drive_swaths(ways, pose, home_start, swaths), *home]
+    return [*pieces, *found, *_after_rounds(ways, rest, home_start, swaths), *home]
 
 
-def _drive_swaths(ways: Ways, start: Pose, home: Pose, swaths: list[Swath]) -> list[Piece]:
-    """The swaths and the way home; one that cannot be reached or left is dropped and shows as uncovered."""
+def _after_rounds(ways: Ways, rest: Float64, home: Pose, swaths: list[Swath]) -> list[Piece]:
+    """Swaths and way home, and before them as much more of the last round as it takes until it can be left."""
+    for k in range(JOINT, len(rest) - 1, GO_ON):
+        pose, driven = pose_at(rest, k), rest[k - JOINT : k + 1]
+        if k > JOINT and ways.find(_leave(ways, pose, home), is_thorough=False, before=driven) is None:
+            continue
+        pieces = _drive_swaths(ways, pose, driven, home, swaths)
+        if pieces is not None:
+            return [*([Piece(Leg.TURN, -1, rest[JOINT : k + 1], False)] if k > JOINT else []), *pieces]
+    ways.demand(_leave(ways, pose_at(rest, JOINT), home), "back to the lane")
+    raise AssertionError
+
+
+def _drive_swaths(ways: Ways, start: Pose, driven: Float64, home: Pose, swaths: list[Swath]) -> list[Piece] | None:
+    """The swaths and the way home; one that cannot be reached or left is dropped and shows as uncovered.
+
+    None where `start`, to which `driven` leads, cannot be left itself.
+    """
     while True:
-        pieces, stuck = _drive_tour(ways, start, home, _ordered(ways, start, home, swaths))
-        if stuck is None:
+        pieces, stuck = _drive_tour(ways, start, driven, home, _ordered(ways, start, home, swaths))
+        if pieces is not None or stuck is None:
             return pieces
         swaths = [s for s in swaths if s is not stuck]
 
 
+def _leave(ways: Ways, pose: Pose, home: Pose) -> Wanted:
+    return Wanted(pose, home, ways.rig.config.run_out_m, HOME_STRAIGHT_M)
+
+
 def _drive_tour(
-    ways: Ways, start: Pose, home: Pose, tour: list[tuple[Swath, bool]]
-) -> tuple[list[Piece], Swath | None]:
-    """The pieces of a tour, or the swath that it cannot have."""
-    config, pose, at = ways.rig.config, start, None
+    ways: Ways, start: Pose, driven: Float64, home: Pose, tour: list[tuple[Swath, bool]]
+) -> tuple[list[Piece] | None, Swath | None]:
+    """The pieces of a tour, or None and the swath that it cannot have."""
+    pose, at = start, None
     pieces: list[Piece] = []
     for swath, is_reversed in tour:
         first, last = swath.poses(is_reversed, -ways.rig.working_x_m)
-        way = ways.find(_wanted(ways, pose, first))
+        way = ways.find(_wanted(ways, pose, first), before=driven if at is None else None)
         if way is None:
-            is_trap = at is not None and ways.find(Wanted(pose, home, config.run_out_m, HOME_STRAIGHT_M)) is None
-            return [], at if is_trap else swath
+            is_trap = at is not None and ways.find(_leave(ways, pose, home)) is None
+            return None, at if is_trap else swath
         pieces += [Piece(Leg.TURN, swath.number, way, False)]
         pieces += [Piece(Leg.SWATH, swath.number, _straight(first, last), True)]
         pose, at = last, swath
-    leave = Wanted(pose, home, config.run_out_m, HOME_STRAIGHT_M)
-    if at is not None and ways.find(leave) is None:
-        return [], at
-    return [*pieces, Piece(Leg.TURN, -1, ways.demand(leave, "back to the lane"), False)], None
+    way = ways.find(_leave(ways, pose, home), before=driven if at is None else None)
+    if way is None:
+        return None, at
+    return [*pieces, Piece(Leg.TURN, -1, way, False)], None
 
 
 def _straight(a: Pose, b: Pose) -> Float64:

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from geometry.polyline import Float64
 from messages.errors import FieldError
 from messages.plan import Leg
@@ -10,7 +12,7 @@ from planning.ground import Ground, describe
 from planning.rig import Rig
 from planning.sampling import sampled
 from planning.transit import along_rounds
-from planning.turn import Space, Wanted, curve_between
+from planning.turn import Space, Wanted, curve_between, is_free
 
 
 @dataclass(frozen=True)
@@ -33,11 +35,14 @@ class Ways:
     seed: int
     known: dict[tuple[Wanted, bool], Float64 | None] = field(default_factory=dict)
 
-    def find(self, wanted: Wanted, is_thorough: bool = True) -> Float64 | None:
-        """A free way or None; a thorough search goes along the rounds and then samples."""
+    def find(self, wanted: Wanted, is_thorough: bool = True, before: Float64 | None = None) -> Float64 | None:
+        """A free way or None; a thorough search goes along the rounds and then samples.
+
+        `before` leads to the start where that is no straight line: the joint is checked as it will be smoothed.
+        """
         key = (wanted, is_thorough)
         if key not in self.known:
-            self.known[key] = self._search(wanted, is_thorough)
+            self.known[key] = self._search(wanted, is_thorough, before)
         return self.known[key]
 
     @property
@@ -45,12 +50,14 @@ class Ways:
         """Where the rig may be in this plan."""
         return Space(self.ground.allowed, self.rig.bodies, self.rig.radius_m, self.rig.config.smoothing_m)
 
-    def _search(self, wanted: Wanted, is_thorough: bool) -> Float64 | None:
-        way = curve_between(wanted, self.space)
+    def _search(self, wanted: Wanted, is_thorough: bool, before: Float64 | None) -> Float64 | None:
+        way = curve_between(wanted, self.space, before=before)
         if way is None and is_thorough:
             way = along_rounds(wanted, self.space, [r.points_m for r in self.rounds])
         if way is None and is_thorough:
             way = sampled(wanted, self.space, self.seed, self.rig.config.sampling_iterations)
+        if way is not None and before is not None and not is_free(np.vstack([before, way]), self.space):
+            return None
         return way
 
     def demand(self, wanted: Wanted, what: str) -> Float64:

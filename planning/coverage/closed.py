@@ -34,8 +34,8 @@ class Link:
     length_m: float
 
 
-def drive_rounds(ways: Ways, start: Pose) -> tuple[list[Piece], Pose]:
-    """All rounds with the ways to them, and the pose at their end; raises FieldError."""
+def drive_rounds(ways: Ways, start: Pose) -> tuple[list[Piece], Float64]:
+    """All rounds with the ways to them, and the last round once more (N, 2) from before its end; raises FieldError."""
     rings = [r.points_m[:-1] for r in ways.rounds]
     entries = _entries(ways, start, rings[0])
     pieces: list[Piece] = []
@@ -49,7 +49,7 @@ def drive_rounds(ways: Ways, start: Pose) -> tuple[list[Piece], Pose]:
             Piece(Leg.HEADLAND, line, _loop(ring, entry.enter), True),
         ]
         if link is None:
-            return pieces, _pose(ring, entry.enter + CLOSING)
+            return pieces, np.roll(ring, JOINT - entry.enter - CLOSING, axis=0)
         pieces.append(Piece(Leg.TURN, line, _part(ring, entry.enter + CLOSING, link.leave), False))
         entries = [link]
     raise AssertionError("the last round has no link")
@@ -73,7 +73,7 @@ def _best(entries: list[Link], links: list[Link], count: int, is_last: bool) -> 
 def _entries(ways: Ways, start: Pose, ring: Float64) -> list[Link]:
     config, options = ways.rig.config, []
     for k in range(0, len(ring), EVERY):
-        wanted = Wanted(start, _pose(ring, k), config.run_out_m, config.line_up_m)
+        wanted = Wanted(start, pose_at(ring, k), config.run_out_m, config.line_up_m)
         options.append((shortest_length_m(wanted, ways.rig.radius_m), k, wanted))
     options.sort(key=lambda o: (round(o[0], 6), o[1]))
     found: list[Link] = []
@@ -90,11 +90,11 @@ def _links(ways: Ways, ring: Float64, following: Float64) -> list[Link]:
     """From each place of the round the shortest free way to the next, where there is one."""
     found = []
     for j in range(0, len(ring), EVERY):
-        pose, before = _pose(ring, j), _part(ring, j - JOINT, j)
+        pose, before = pose_at(ring, j), _part(ring, j - JOINT, j)
         gaps = np.hypot(*(following[::EVERY] - ring[j]).T)
         options = []
         for k in (np.flatnonzero(gaps < max(NEAR_M, 1.5 * gaps.min())) * EVERY).tolist():
-            wanted = Wanted(pose, _pose(following, k), BEND_STRAIGHT_M, ways.rig.config.line_up_m)
+            wanted = Wanted(pose, pose_at(following, k), BEND_STRAIGHT_M, ways.rig.config.line_up_m)
             options.append((round(shortest_length_m(wanted, ways.rig.radius_m), 6), k, wanted))
         for _, k, wanted in sorted(options, key=lambda o: o[:2])[:MOST_ENTERED]:
             way = curve_between(wanted, ways.space, 2, before, _part(following, k, k + JOINT))
@@ -110,7 +110,7 @@ def _by_search(
     """As `_best`, but by thorough search, where no simple curve was free."""
     config, ring = ways.rig.config, rings[number]
     if not entries:
-        way = ways.demand(Wanted(start, _pose(ring, 0), config.run_out_m, config.line_up_m), "to the first round")
+        way = ways.demand(Wanted(start, pose_at(ring, 0), config.run_out_m, config.line_up_m), "to the first round")
         entries = [Link(-1, 0, way, float(arc_length(way)[-1]))]
     entry = entries[0]
     if number + 1 == len(rings):
@@ -118,7 +118,7 @@ def _by_search(
     leave, following = (entry.enter + CLOSING) % len(ring), rings[number + 1]
     order = np.argsort(np.hypot(*(following[::EVERY] - ring[leave]).T), kind="stable") * EVERY
     options = [
-        Wanted(_pose(ring, leave), _pose(following, int(k)), config.run_out_m, config.line_up_m) for k in order[:8]
+        Wanted(pose_at(ring, leave), pose_at(following, int(k)), config.run_out_m, config.line_up_m) for k in order[:8]
     ]
     for wanted, k in zip(options, order, strict=False):
         found = ways.find(wanted)
@@ -128,7 +128,8 @@ def _by_search(
     raise AssertionError
 
 
-def _pose(ring: Float64, k: int) -> Pose:
+def pose_at(ring: Float64, k: int) -> Pose:
+    """The pose at a point of a round."""
     n = len(ring)
     d = ring[(k + 1) % n] - ring[(k - 1) % n]
     return Pose(float(ring[k % n, 0]), float(ring[k % n, 1]), float(np.arctan2(d[1], d[0])))

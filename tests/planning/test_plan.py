@@ -27,10 +27,15 @@ SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
         ((0, 0), (90, 0), (90, 70), (0, 70)),
         (Area(name="pond", outline_m=((46, 38), (52, 37), (53, 42), (47, 43))),),
     ),
+    "narrow about a pond": (  # the round about it ends where nothing can be turned into
+        ((0, 0), (80, 0), (80, 58), (0, 58)),
+        (Area(name="pond", outline_m=((38, 26), (47, 25), (48, 31), (43, 35), (37, 32))),),
+    ),
 }
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("pond", "narrow about a pond")]
 
 
-@pytest.fixture(scope="module", params=["demo", "L", "trapezoid", pytest.param("pond", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["demo", "L", "trapezoid", *SLOW])
 def shaped(
     request: pytest.FixtureRequest,
     plan: Plan,
