@@ -11,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 from geometry.transforms import apply, planar
 from messages.message import Float32, Float64
 from messages.perception import ObstacleClass
-from simulation.encounter import Stance, Walk, is_approaching, stance_at
+from simulation.encounter import OFF_FIELD, Stance, Walk, stance_at, way_to
 from simulation.figures import STRIDE_M, figure_mesh
 from simulation.meshes import Mesh
 from simulation.placement import Drawn, Standing
@@ -19,6 +19,7 @@ from simulation.scenario import ALL_SENSORS, Encounter
 from simulation.terrain import Terrain
 
 APPEAR_BEFORE_M = 12.0  # before the trigger: seen waiting, but not standing where the machine worked before
+COME_M = 6.0  # before the trigger the machine must be on this way: one that drives round something on the next is not
 GONE_AT_M = 12.0  # they are outside the field by then, or far off on a large one
 
 
@@ -82,6 +83,7 @@ class Actor:
         self._started_s: float | None = None
         self._is_present = isinstance(drawn, Standing)
         self._is_gone = False
+        self._came_m = 0.0  # how far before the place the machine came on to this way
         self._last: Figure | None = None
 
     def play(self, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> Figure | None:
@@ -97,10 +99,13 @@ class Actor:
         return None if self._is_gone else self._figure(stance)
 
     def _watch(self, walk: Walk, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> None:
-        if self._started_s is None and is_approaching(walk.place, tip_map_m, heading_rad, walk.trigger_m):
+        way_m = way_to(walk.place, tip_map_m, heading_rad)
+        self._came_m = max(self._came_m, way_m) if math.isfinite(way_m) else 0.0
+        if self._came_m < walk.trigger_m + COME_M and walk.place.line != OFF_FIELD:
+            return
+        if self._started_s is None and way_m <= walk.trigger_m:
             self._started_s = elapsed_s
-        within = walk.trigger_m + APPEAR_BEFORE_M
-        self._is_present = self._is_present or is_approaching(walk.place, tip_map_m, heading_rad, within)
+        self._is_present = self._is_present or way_m <= walk.trigger_m + APPEAR_BEFORE_M
 
     def _figure(self, stance: Stance) -> Figure:
         label, (x, y) = self._encounter.label, stance.p_map_m

@@ -168,10 +168,10 @@ def _on_line(a: tuple[float, float], b: tuple[float, float], since_s: float, pac
     return Stance(p, heading, pace_mps if 0.0 < way < length else 0.0, way)
 
 
-def is_approaching(place: Place, tip_map_m: Float64, heading_rad: float, within_m: float) -> bool:
-    """Whether a machine comes along this very way with its foremost end at most `within_m` before the place."""
+def way_to(place: Place, tip_map_m: Float64, heading_rad: float) -> float:
+    """How far a machine's foremost end still has to the place along this very way; infinite when it is not on it."""
     c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
     dx, dy = place.p_map_m[0] - float(tip_map_m[0]), place.p_map_m[1] - float(tip_map_m[1])
     ahead, aside = dx * c + dy * s, dy * c - dx * s
     is_along = math.cos(heading_rad - place.heading_rad) > math.cos(math.radians(20.0))
-    return is_along and abs(aside) < 1.5 and 0.0 < ahead <= within_m
+    return ahead if is_along and abs(aside) < 1.5 and ahead > 0.0 else math.inf

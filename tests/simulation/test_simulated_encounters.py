@@ -14,10 +14,12 @@ from configs.strict import find, load, parse
 from geometry.transforms import apply
 from messages.errors import ConfigError, FieldError
 from messages.plan import Leg, Stretch
-from simulation.encounter import NEEDED_M, SWEPT_MARGIN_M, Place, Setting, Walk, draw_walk, is_approaching, stance_at
+from simulation.actors import Actor
+from simulation.encounter import NEEDED_M, SWEPT_MARGIN_M, Place, Setting, Walk, draw_walk, stance_at, way_to
 from simulation.placement import Standing, find_swaths, ground_of, place_encounters
 from simulation.randomness import generator
 from simulation.scenario import Scenario
+from simulation.terrain import Terrain
 
 DEMO = load(Scenario, find("scenarios", "demo"))
 CROSSINGS = [e for e in DEMO.encounters if e.kind == "crossing"]
@@ -153,7 +155,18 @@ def test_only_swaths_driven_forward_count():
 )  # fmt: skip
 def test_approach(x, y, heading_deg, is_seen):
     place = Place((0.0, 0.0), 0.0, 2.78, 0)
-    assert is_approaching(place, np.array([x, y, 0.0]), math.radians(heading_deg), 20.0) == is_seen
+    assert (way_to(place, np.array([x, y, 0.0]), math.radians(heading_deg)) <= 20.0) == is_seen
+
+
+@pytest.mark.parametrize(("comes_from_m", "starts"), [(8.0, True), (4.0, False)])
+def test_who_only_drives_round_something_on_the_next_way_starts_nobody(comes_from_m, starts):
+    walk = walk_of("person", 0)
+    actor = Actor(0, DEMO.encounters[0], walk, Terrain(SITE, flat().terrain, 0))
+    (x, y), heading = walk.place.p_map_m, walk.place.heading_rad
+    ways = np.arange(walk.trigger_m + comes_from_m, 1.0, -0.1)
+    tips = np.column_stack([x - ways * math.cos(heading), y - ways * math.sin(heading), np.zeros(len(ways))])
+    figures = [actor.play(0.036 * k, tip, heading) for k, tip in enumerate(tips)]
+    assert any(f is not None and f.gait >= 0.0 for f in figures) == any(f is not None for f in figures) == starts
 
 
 @pytest.mark.parametrize(
