@@ -1,6 +1,6 @@
 """How well the camera's detector finds people: AP50 and recall on Penn-Fudan and COCO128, by the stack's own decoder.
 
-    python -m benchmarks.camera [--model FILE]
+    ./headland benchmark camera [--model FILE]
 
 AP50 is COCO's: all-point precision envelope read at 101 recalls, IoU 0.5, best detections first, crowds neither hit nor
 miss. "80 classes" is the mean over the COCO classes that occur in the images; "obstacles" scores person, animal and

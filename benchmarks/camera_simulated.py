@@ -1,6 +1,6 @@
 """How well the camera's detector finds what the simulation shows: recall by distance, and false persons.
 
-    python -m benchmarks.camera_simulated [--model FILE] [--worlds N] [--out FOLDER]
+    ./headland benchmark camera_simulated [--model FILE] [--worlds N] [--out FOLDER]
 
 Each world has a day, clothes and terrain of its own (seed); in it stand one figure or none, 4 to 20 m from the camera
 and anywhere across the picture, in field, lane and yard, walking or standing at any heading. Found means a box of its

@@ -1,6 +1,6 @@
 """How long the first plan into the dock takes, from seeded starts about the lane's end, for each bay.
 
-    python -m benchmarks.docking [--seeds 40]
+    ./headland benchmark docking [--seeds 40]
 
 Starts are drawn as for `./headland run --mission dock --seed N`. Bar of issue 4: the first plan in less than 0.5 s.
 """

@@ -1,6 +1,6 @@
 """Mutated frames, NMEA lines, configuration files and log bytes: no crash, and nothing wrong is accepted.
 
-    .venv/bin/python benchmarks/fuzz.py [--count 1000000] [--seed 1]
+    ./headland benchmark fuzz [--count 1000000] [--seed 1]
 
 What is printed at the end are the numbers tried, refused and accepted. A crash ends it with its trace; so does what is
 accepted and cannot be right: a value outside what its format can hold, a frame or line whose checksum does not fit, a

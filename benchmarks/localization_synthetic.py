@@ -1,6 +1,6 @@
 """Accuracy, honesty and time of the localizer on synthetic drives: RTK throughout, and 30 s without GNSS.
 
-`python benchmarks/localization_synthetic.py [SEEDS]`; the drives are those of tests/localization, not the simulator's.
+`./headland benchmark localization_synthetic [SEEDS]`; the drives are those of tests/localization, not the simulator's.
 """
 
 import sys

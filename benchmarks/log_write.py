@@ -1,6 +1,6 @@
 """Cost of logging: milliseconds and bytes per simulated second, with lidar noise as the sensors have it.
 
-.venv/bin/python -m benchmarks.log_write [SECONDS]
+./headland benchmark log_write [SECONDS]
 """
 
 import sys

@@ -1,6 +1,6 @@
 """The bars of lidar perception on KITTI: recall, latency, false stops, gap, thinning, noise, pasted people, speed.
 
-    python -m benchmarks.perception_kitti
+    ./headland benchmark perception_kitti
 
 The stack's own configuration with the recording car's sensor model and mount. Each line ends with its bar.
 """

@@ -1,6 +1,6 @@
 """The radar pipeline on real recordings: one cycle of a Continental ARS548, and a minute of a Toyota's ACC radar.
 
-    python -m benchmarks.radar
+    ./headland benchmark radar
 
 ARS548: the raw packets of a ROS 2 bag are decoded and compared, field by field, with the truth beside them; then the
 speed of the car follows from the Doppler alone, and standing and moving targets are told apart with it.

@@ -1,6 +1,6 @@
 """Where the time goes: wall seconds per simulated second of every node, the world and the log, against the budget.
 
-    PYTHONPATH=. .venv/bin/python benchmarks/stack.py [--seconds 60] [--seed 1]
+    ./headland benchmark stack [--seconds 60] [--seed 1]
 
 Also fails (exit code 1) when the whole is over 0.8 s a simulated second, or a node's 99th percentile over its latency.
 """

@@ -1,6 +1,6 @@
 """The localizer's UWB part on real ranges: RMSE of causal positions beside the data sets' own results.
 
-    python -m benchmarks.uwb [--only hanyang|plaza|tuc] [--config configs/uwb.yaml]
+    ./headland benchmark uwb [--only hanyang|plaza|tuc] [--config configs/uwb.yaml]
 
 One configuration for all; every estimate uses only what was measured until then; nothing is aligned afterwards.
 - Hanyang (no odometry in the folder, IMU missing: constant velocity): the start's position is given, as to the authors'

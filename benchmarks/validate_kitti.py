@@ -1,6 +1,6 @@
 """Many logs, one table: cuts of KITTI and bad logs among them, on processes and on a local Dask cluster.
 
-    python -m benchmarks.validate_kitti [--logs 100] [--frames 6] [--demo LOG.mcap]
+    ./headland benchmark validate_kitti [--logs 100] [--frames 6] [--demo LOG.mcap]
 
 Prints the bars of KITTI's first forty frames, the time of a log, and whether both ways gave the same table (bar 10).
 With a log of the demo every fourth log is cut from its first minute of driving past somebody.

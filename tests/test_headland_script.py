@@ -158,6 +158,17 @@ def test_checks_run_before_all_tests_only(project: Project) -> None:
     assert out.count("FAILED") == 3
 
 
+def test_benchmarks_are_called_by_name(project: Project) -> None:
+    shutil.copytree(ROOT / "benchmarks", project.root / "benchmarks")
+    assert project.run("benchmark", "stack", "--seconds", "9")[0] == 0
+    assert project.calls()[-1] == "python -m benchmarks.stack"
+    for name in ([], ["nonsense"], ["perception_scoring"], ["--help"]):
+        code, _, err = project.run("benchmark", *name)
+        assert code == 2
+        assert "camera_simulated docking" in err
+        assert "perception_scoring " not in err.partition("one of")[2]
+
+
 def test_no_tracked_file_names_a_registry_host() -> None:
     hosts = {"org": ["pypi", "pythonhosted", "npmjs", "golang", "maven", "deb.debian", "security.debian"]}
     hosts |= {"com": ["archive.ubuntu", "security.ubuntu"], "sh": ["astral"], "io": ["crates"]}
