@@ -10,7 +10,7 @@ from geometry.footprint import is_inside
 from geometry.polyline import Float64, arc_length, headings, polyline, resample
 from messages.errors import FieldError
 from messages.plan import Leg
-from planning.coverage.closed import JOINT, drive_rounds, pose_at
+from planning.coverage.closed import EVERY, JOINT, drive_rounds, pose_at
 from planning.coverage.order import Visit, order
 from planning.coverage.swath import Swath
 from planning.curve import Pose
@@ -19,7 +19,6 @@ from planning.turn import STEP_M, Wanted, shortest_length_m
 from planning.ways import Piece, Ways
 
 REORDERINGS = 8
-GO_ON = 25  # points of the last round between two places where leaving it is tried, 2.5 m
 NO_WAY_M = 1e4
 HOME_STRAIGHT_M = 1.0
 
@@ -36,7 +35,7 @@ def route(ways: Ways, swaths: list[Swath]) -> list[Piece]:
 
 def _after_rounds(ways: Ways, rest: Float64, home: Pose, swaths: list[Swath]) -> list[Piece]:
     """Swaths and way home, and before them as much more of the last round as it takes until it can be left."""
-    for k in range(JOINT, len(rest) - 1, GO_ON):
+    for k in range(JOINT, len(rest) - 1, EVERY):
         pose, driven = pose_at(rest, k), rest[k - JOINT : k + 1]
         if k > JOINT and ways.find(_leave(ways, pose, home), is_thorough=False, before=driven) is None:
             continue

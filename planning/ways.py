@@ -52,9 +52,10 @@ class Ways:
 
     def _search(self, wanted: Wanted, is_thorough: bool, before: Float64 | None) -> Float64 | None:
         way = curve_between(wanted, self.space, before=before)
-        if way is None and is_thorough:
-            way = along_rounds(wanted, self.space, [r.points_m for r in self.rounds])
-        if way is None and is_thorough:
+        if way is not None or not is_thorough:
+            return way
+        way = along_rounds(wanted, self.space, [r.points_m for r in self.rounds])
+        if way is None:
             way = sampled(wanted, self.space, self.seed, self.rig.config.sampling_iterations)
         if way is not None and before is not None and not is_free(np.vstack([before, way]), self.space):
             return None

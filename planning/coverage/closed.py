@@ -35,7 +35,10 @@ class Link:
 
 
 def drive_rounds(ways: Ways, start: Pose) -> tuple[list[Piece], Float64]:
-    """All rounds with the ways to them, and the last round once more (N, 2) from before its end; raises FieldError."""
+    """All rounds with the ways to them, and the last one's points (N, 2), begun `JOINT` before its end.
+
+    Raises FieldError.
+    """
     rings = [r.points_m[:-1] for r in ways.rounds]
     entries = _entries(ways, start, rings[0])
     pieces: list[Piece] = []
