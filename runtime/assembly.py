@@ -66,7 +66,7 @@ def assemble(
             yield SteppingClock(world, injection), [(FaultyNode(node, injection), ns) for node, ns in nodes]
 
 
-def simulated(setup: Setup, scenario: Scenario, bus: can.BusABC) -> SimulationWorld:
+def simulated(setup: Setup, scenario: Scenario, bus: can.BusABC, paints_aside: bool = False) -> SimulationWorld:
     """The simulated world with its machine on this bus, ready for the first scan."""
     world = SimulationWorld(
         setup.site,
@@ -79,6 +79,7 @@ def simulated(setup: Setup, scenario: Scenario, bus: can.BusABC) -> SimulationWo
         setup.stack.simulation,
         setup.start,
         setup.is_folded,
+        paints_aside,
     )
     world.warm()
     return world

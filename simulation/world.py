@@ -3,6 +3,7 @@
 import heapq
 import math
 from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import can
 from pydantic import Field
@@ -15,6 +16,7 @@ from messages.command import OperatorOrder
 from messages.message import Message
 from messages.node import Output, World
 from messages.plan import Path
+from messages.sensors import CameraImage
 from messages.topics import KINDS
 from simulation.actors import Actor
 from simulation.encounter import Setting
@@ -39,6 +41,8 @@ from simulation.sensors.wheels import WheelModel
 from simulation.terrain import Terrain, TerrainConfig
 from simulation.tractor_bus import BusConfig, TractorBus, load_database
 from simulation.tractor_status import TractorStatus
+
+Sent = Message | Future[CameraImage]
 
 STEP_NS = 5_000_000  # of the dynamics
 TICK_NS = 10_000_000  # of bus and sensors: two steps
@@ -66,13 +70,14 @@ class SimulationConfig(Config):
 class SimulationWorld(World):
     """Deterministic: the same arguments and the same frames on the bus give the same messages, to the bit.
 
-    `bus` is the tractor's end of its bus; the world closes it.
+    `bus` is the tractor's end of its bus; the world closes it. `paints_aside` has a thread paint the cameras' pictures
+    until they are delivered: the same pictures, but in a process that must not fork.
     """
 
     def __init__(
         self, site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario,
         plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int, config: SimulationConfig, start: Pose2,
-        is_folded: bool,
+        is_folded: bool, paints_aside: bool = False,
     ) -> None:  # fmt: skip
         self._now_ns = self._start_ns = config.start_stamp_ns
         self._terrain = Terrain(site, config.terrain, seed)
@@ -94,7 +99,8 @@ class SimulationWorld(World):
         self._actors = self._cast(plan_paths, setting, seed)
         self._scene = Scene(lambda: build_scenery(site, self._terrain, config.scenery, seed))
         self._sensors = make_sensors(site, vehicle, implement, scenario, seed, config)
-        self._waiting: list[tuple[int, int, str, Message]] = []
+        self._painter = ThreadPoolExecutor(1) if paints_aside else None
+        self._waiting: list[tuple[int, int, str, Sent]] = []
         self._sent = 0
         self.writes = (*(s.topic for s in self._sensors), "order", "truth_machine", "truth_objects")
 
@@ -109,7 +115,7 @@ class SimulationWorld(World):
         received = []
         while self._waiting and self._waiting[0][0] <= now_ns:
             _, _, topic, message = heapq.heappop(self._waiting)
-            received.append((topic, message))
+            received.append((topic, message.result() if isinstance(message, Future) else message))
         return received
 
     def warm(self) -> None:
@@ -129,6 +135,8 @@ class SimulationWorld(World):
     def close(self) -> None:
         """Leave the bus."""
         self._bus.close()
+        if self._painter is not None:
+            self._painter.shutdown()
 
     def _tick(self, now_ns: int) -> None:
         elapsed_ns = now_ns - self._start_ns
@@ -161,9 +169,14 @@ class SimulationWorld(World):
         moment = Moment(now_ns, elapsed_ns * 1e-9, self._track, self.machine, self._scene)
         for sensor in self._sensors:
             is_due = elapsed_ns // sensor.period_ns > (elapsed_ns - TICK_NS) // sensor.period_ns
-            message = sensor.sample(moment) if is_due else None
+            message = self._sample(sensor, moment) if is_due else None
             if message is not None:
                 self._put(now_ns + sensor.latency_ns, sensor.topic, message)
+
+    def _sample(self, sensor: Sensor, moment: Moment) -> Sent | None:
+        if self._painter is not None and isinstance(sensor, CameraModel):
+            return self._painter.submit(sensor.paint, sensor.expose(moment))
+        return sensor.sample(moment)
 
     def _order(self, now_ns: int, elapsed_ns: int) -> None:
         for sequence, order in enumerate(self._scenario.orders):
@@ -183,7 +196,7 @@ class SimulationWorld(World):
         if "truth_objects" in due:
             self._put(now_ns, "truth_objects", self._judge.objects_message(now_ns, outline, figures))
 
-    def _put(self, receive_ns: int, topic: str, message: Message) -> None:
+    def _put(self, receive_ns: int, topic: str, message: Sent) -> None:
         self._sent += 1
         heapq.heappush(self._waiting, (receive_ns, self._sent, topic, message))
 

@@ -107,7 +107,7 @@ def _machine(start: Start) -> Iterator[World]:
     from runtime.live.reactions import Reactions
 
     bus = SharedBus(open_bus(start.config.can))
-    with closing(assembly.simulated(start.setup, start.scenario, bus)) as world:
+    with closing(assembly.simulated(start.setup, start.scenario, bus, paints_aside=True)) as world:
         yield Reactions(world, bus, start) if start.reactions else world
 
 

@@ -19,7 +19,7 @@ NEAR_M = 0.15
 
 def painted(function: F) -> F:
     """The function by numba: kept on disk, one thread, strict; only that a division by zero gives infinity."""
-    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def within(function: F) -> F:

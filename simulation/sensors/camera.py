@@ -4,6 +4,7 @@ Pictures are drawn through a pinhole wide enough for the lens, and then bent as 
 """
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from configs.vehicle import Camera, Vehicle
 from geometry.transforms import planar
 from messages.message import Float64, UInt8
 from messages.sensors import CameraImage
+from simulation.actors import Figure
 from simulation.body import machine_mesh
 from simulation.figures import gait_step
 from simulation.randomness import generator
@@ -47,6 +49,17 @@ class CameraConfig(Config):
     exposure: float = Field(gt=0.02, le=0.8, description="mean brightness that the exposure aims at")
 
 
+@dataclass(frozen=True)
+class Exposure:
+    """What a picture is painted from: nothing of it changes when the world goes on."""
+
+    stamp_ns: int
+    elapsed_s: float
+    T_map_base: Float64
+    figures: list[Figure]
+    stage: Stage
+
+
 class CameraModel:
     """One camera on one machine."""
 
@@ -69,9 +82,17 @@ class CameraModel:
 
     def sample(self, moment: Moment) -> CameraImage:
         """The picture taken now, as what decoding the sent JPEG gives."""
-        T_map_base = moment.track.back(0)
+        return self.paint(self.expose(moment))
+
+    def expose(self, moment: Moment) -> Exposure:
+        """What is to be painted."""
+        figures, stage = moment.scene.seen_by("camera"), self._on_stage(moment.scene)
+        return Exposure(moment.stamp_ns, moment.elapsed_s, moment.track.back(0), figures, stage)
+
+    def paint(self, exposure: Exposure) -> CameraImage:
+        """The picture; one after the other, in the order in which they were taken."""
+        T_map_base, figures = exposure.T_map_base, exposure.figures
         eye = Eye(T_map_base @ self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
-        figures = moment.scene.seen_by("camera")
         moving = [self._machine.moved(T_map_base)]
         feet = np.zeros((len(figures), 3))
         for k, f in enumerate(figures):
@@ -80,10 +101,11 @@ class CameraModel:
             T_map_figure[2, 3] = f.p_map_m[2]
             moving.append(figure_surface(f.label, gait_step(f.gait), looks).moved(T_map_figure))
             feet[k] = *f.p_map_m[:2], (0.4 * f.ball_m[1]) ** -2
-        bgr, mean, gain = self._on_stage(moment.scene).look(eye, moving, feet, self._gain, self._curve)
+        bgr, mean, gain = exposure.stage.look(eye, moving, feet, self._gain, self._curve)
         self._gain = gain * metered(mean, self._config.exposure)
-        _, jpeg = cv2.imencode(".jpg", self._develop(bgr, moment.elapsed_s), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
-        return CameraImage(moment.stamp_ns, np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8), jpeg.tobytes())
+        _, jpeg = cv2.imencode(".jpg", self._develop(bgr, exposure.elapsed_s), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
+        sent = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
+        return CameraImage(exposure.stamp_ns, sent, jpeg.tobytes())
 
     def warm(self, scene: Scene) -> None:
         """Build what stands still, and load what draws."""
