@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import can
+import numpy as np
 from pydantic import Field
 from shapely import Polygon
 
@@ -123,7 +124,9 @@ class SimulationWorld(World):
         warm()
         found = self._vehicle.sensors
         if found.lidar or found.radar or found.ultrasonic or found.uwb:
-            _ = self._scene.still
+            self._scene.still.cast(
+                np.array([[0.0, 0.0, 50.0, 0.0, 0.0, 1.0]], np.float32)
+            )  # open3d sorts at the first cast
         for sensor in self._sensors:
             if isinstance(sensor, CameraModel):
                 sensor.warm(self._scene)
