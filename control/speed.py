@@ -50,12 +50,12 @@ class SpeedPlan:
 
     def __init__(self, path: Path, reference: Reference, vehicle: Vehicle, config: SpeedConfig) -> None:
         self.end_m = float(path.s_m[-1])
-        self._braking_mps2 = braking_mps2 = config.braking_mps2
+        self._braking_mps2 = config.braking_mps2
         limits = np.minimum(path.speed_mps, steerable_mps(path, reference, vehicle, config.steering_share))
         limits[-1] = limits[-2] if len(limits) > 1 else 0.0  # the end has its own rule
         gaps = np.diff(path.s_m)
-        for k in range(len(limits) - 2, -1, -1):
-            limits[k] = min(limits[k], math.sqrt(limits[k + 1] ** 2 + 2.0 * braking_mps2 * gaps[k]))
+        lost = 2.0 * config.braking_mps2 * (path.s_m - path.s_m[0])  # of v² by braking softly up to there
+        limits = np.sqrt(np.maximum(np.minimum.accumulate((limits**2 + lost)[::-1])[::-1] - lost, 0.0))
         times = np.concatenate([[0.0], np.cumsum(gaps / np.maximum(0.5 * (limits[1:] + limits[:-1]), 0.05))])
         self._s: list[float] = path.s_m.tolist()
         self._limits: list[float] = limits.tolist()

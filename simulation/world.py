@@ -124,9 +124,8 @@ class SimulationWorld(World):
         warm()
         found = self._vehicle.sensors
         if found.lidar or found.radar or found.ultrasonic or found.uwb:
-            self._scene.still.cast(
-                np.array([[0.0, 0.0, 50.0, 0.0, 0.0, 1.0]], np.float32)
-            )  # open3d sorts at the first cast
+            up = np.array([[0.0, 0.0, 50.0, 0.0, 0.0, 1.0]], np.float32)
+            self._scene.still.cast(up)  # open3d sorts its triangles at the first one
         for sensor in self._sensors:
             if isinstance(sensor, CameraModel):
                 sensor.warm(self._scene)
