@@ -108,9 +108,11 @@ def _machine(start: Start) -> Iterator[World]:
     from runtime import assembly
     from runtime.live.can_bus import SharedBus
     from runtime.live.reactions import Reactions
+    from simulation.rendering.looks import warm_figures
 
     bus = SharedBus(open_bus(start.config.can))
     with closing(assembly.simulated(start.setup, start.scenario, bus, paints_aside=True)) as world:
+        warm_figures()
         yield Reactions(world, bus, start) if start.reactions else world
 
 
