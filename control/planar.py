@@ -1,7 +1,10 @@
 """Level poses in plain floats: what runs fifty times a second on single numbers is faster without arrays."""
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, cast
+
+import numpy as np
 
 from geometry.angles import wrap
 from geometry.transforms import yaw_of
@@ -30,6 +33,11 @@ class Planar(NamedTuple):
 def planar_of(T: Float64) -> Planar:
     """The level part of a transform (4, 4)."""
     return Planar(float(T[0, 3]), float(T[1, 3]), yaw_of(T))
+
+
+def singly(values: Float64) -> Sequence[float]:
+    """The same numbers, to be asked for one by one as plain floats: no copy, and nearly as fast as a list."""
+    return cast(Sequence[float], np.ascontiguousarray(values).data)
 
 
 def clamp(value: float, limit: float) -> float:

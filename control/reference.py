@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import butter, filtfilt
 
+from control.planar import singly
 from geometry.angles import wrap
 from messages.message import Float64
 from messages.plan import Path
@@ -82,22 +83,17 @@ class Reference:
         return best
 
     def _fill(self, raw: Float64, p: Float64) -> None:
-        self._x: list[float]
-        self._y: list[float]
-        self._heading: list[float]
-        self._curvature: list[float]
-        self._deviation: list[float]
         beyond = (len(p) - len(raw)) // 2
         inner = slice(beyond, beyond + len(raw))
         tangent = np.gradient(p, self._step_m, axis=0)
         turned = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
         p, heading, curvature = p[inner], turned[inner], np.gradient(turned, self._step_m)[inner]
         normal = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
-        self._x, self._y = p[:, 0].tolist(), p[:, 1].tolist()
-        self._heading = heading.tolist()
-        self._cos, self._sin = np.cos(heading).tolist(), np.sin(heading).tolist()
-        self._curvature = curvature.tolist()
-        self._deviation = np.sum((p - raw) * normal, axis=1).tolist()
+        self._x, self._y = singly(p[:, 0]), singly(p[:, 1])
+        self._heading = singly(heading)
+        self._cos, self._sin = singly(np.cos(heading)), singly(np.sin(heading))
+        self._curvature = singly(curvature)
+        self._deviation = singly(np.sum((p - raw) * normal, axis=1))
 
     def _end_headings(self, path: Path) -> tuple[float, float]:
         turn = 0.0 if path.direction > 0 else math.pi

@@ -2,13 +2,14 @@
 
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
 
 import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Kmh, Vehicle, kmh
-from control.planar import clamp
+from control.planar import clamp, singly
 from control.reference import Reference
 from control.steering import steering_rate
 from messages.message import Float64
@@ -57,9 +58,7 @@ class SpeedPlan:
         lost = 2.0 * config.braking_mps2 * (path.s_m - path.s_m[0])  # of v² by braking softly up to there
         limits = np.sqrt(np.maximum(np.minimum.accumulate((limits**2 + lost)[::-1])[::-1] - lost, 0.0))
         times = np.concatenate([[0.0], np.cumsum(gaps / np.maximum(0.5 * (limits[1:] + limits[:-1]), 0.05))])
-        self._s: list[float] = path.s_m.tolist()
-        self._limits: list[float] = limits.tolist()
-        self._times: list[float] = times.tolist()
+        self._s, self._limits, self._times = singly(path.s_m), singly(limits), singly(times)
 
     def limit_mps(self, s_m: float) -> float:
         """The limit at a place, the end left aside."""
@@ -82,7 +81,7 @@ class SpeedPlan:
             return math.inf
         return planned_s * max(self.limit_mps(from_m), 0.05) / abs(speed_mps)
 
-    def _at(self, values: list[float], s_m: float) -> float:
+    def _at(self, values: Sequence[float], s_m: float) -> float:
         k = min(max(bisect_right(self._s, s_m) - 1, 0), len(self._s) - 2) if len(self._s) > 1 else 0
         if len(self._s) < 2:
             return values[0]
