@@ -7,7 +7,7 @@ from messages.command import MachineState, Wish
 from messages.message import Message
 from messages.motion import MapPose, Odometry
 from messages.node import Inbox, Latest, Read
-from messages.perception import SensorHealth, Tracks
+from messages.perception import Obstacles, SensorHealth, Tracks
 from messages.plan import Path
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
 from messages.topics import kind_of
@@ -40,7 +40,8 @@ class Reading:
     def reads(self) -> dict[str, Read]:
         """All of it."""
         heard = (one.topic for one in self._companions if one.kind != "camera")
-        return {topic: Latest() for topic in (*self._watched, "path", *heard, *self._health.values())}
+        told = (one.obstacles_topic for one in self._companions)
+        return {topic: Latest() for topic in (*self._watched, "path", *heard, *told, *self._health.values())}
 
     def see(self, inbox: Inbox, machine: MachineState | None) -> Seen:
         """What came."""
@@ -74,14 +75,21 @@ class Reading:
                 ages.append(age_of(topic, None if last is None else last.stamp_ns, now_ns))
         return ages
 
-    def lost(self, seen: Seen, lookout: Lookout, direction: int) -> tuple[Lost, ...]:
-        """Radars, cameras and ultrasonic sensors that do not see the way."""
+    def lost(self, now_ns: int, inbox: Inbox, seen: Seen, lookout: Lookout, direction: int) -> tuple[Lost, ...]:
+        """Radars, cameras and ultrasonic sensors that do not see the way, or of which nobody tells what they see."""
         silent = {f"radar_{name}" for name, scan in seen.measured.radars.items() if scan is None}
         silent |= {f"ultrasonic_{name}" for name, echo in seen.measured.echoes.items() if echo is None}
         frozen = {f"radar_{radar.name}" for radar in lookout.senses.radars if radar.is_frozen}
         half_rad = math.radians(self._config.proven.look_deg)
         found = (
-            lost_of(one, one.label not in silent, one.label in frozen, seen.health[one.label], direction, half_rad)
+            lost_of(
+                one, one.label not in silent, one.label in frozen, self._is_told(one, now_ns, inbox),
+                seen.health[one.label], direction, half_rad,
+            )
             for one in self._companions
-        )
+        )  # fmt: skip
         return tuple(lost for lost in found if lost is not None)
+
+    def _is_told(self, one: Companion, now_ns: int, inbox: Inbox) -> bool:
+        last = inbox.last(one.obstacles_topic, Obstacles)
+        return last is not None and abs(now_ns - last.stamp_ns) <= one.told_s * 1e9

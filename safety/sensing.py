@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from configs.vehicle import Camera, Mount, Radar, Sensors, Ultrasonic
 from messages.perception import HealthState, SensorHealth
+from messages.topics import kind_of
 from safety.proven import shrink
 
 AHEAD_RAD = math.radians(60.0)  # a sensor turned farther away from the direction of travel is not missed there
@@ -28,6 +29,16 @@ class Companion:
     def label(self) -> str:
         """As health and obstacles name it."""
         return f"{self.kind}_{self.name}"
+
+    @property
+    def obstacles_topic(self) -> str:
+        """Where what was made of its measurements is."""
+        return f"obstacles/{self.label}"
+
+    @property
+    def told_s(self) -> float:
+        """How old what was made of them may become: who measures seldom tells seldom."""
+        return max(kind_of(self.topic).max_age_s, kind_of(self.obstacles_topic).max_age_s)
 
     @property
     def health_topic(self) -> str:
@@ -59,15 +70,18 @@ def companions_of(sensors: Sensors, idle: frozenset[str]) -> tuple[Companion, ..
 
 
 def lost_of(
-    one: Companion, is_heard: bool, is_frozen: bool, health: SensorHealth | None, direction: int, half_rad: float
-) -> Lost | None:
-    """How a sensor is lost in a direction, if so; a sensor whose health nobody tells is."""
+    one: Companion, is_heard: bool, is_frozen: bool, is_told: bool, health: SensorHealth | None, direction: int,
+    half_rad: float,
+) -> Lost | None:  # fmt: skip
+    """How a sensor is lost in a direction, if so; a sensor whose obstacles or health nobody tells is."""
     if not one.looks(direction):
         return None
     if not is_heard:
         return Lost(one.kind, f"{one.topic}.silent", f"no message on {one.topic} within its greatest age")
     if is_frozen:
         return Lost(one.kind, f"{one.topic}.frozen", f"{one.topic} repeats the same measurement")
+    if not is_told:
+        return Lost(one.kind, f"{one.obstacles_topic}.silent", f"nobody tells what {one.topic} sees")
     if health is None:
         return Lost(one.kind, f"{one.health_topic}.silent", f"nobody tells the health of {one.topic}")
     if health.state is HealthState.BLIND or shrink(math.inf, health, direction, half_rad) <= 0.0:

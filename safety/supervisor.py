@@ -180,7 +180,7 @@ class Supervisor(Node):
             fold=seen.fold,
             clock_step_s=clock_step_s,
             brake_test=self._brake_test.update(self.mode, measured.speed_mps, lookout.trail.driven_m),
-            lost=self._reading.lost(seen, lookout, direction),
+            lost=self._reading.lost(now_ns, inbox, seen, lookout, direction),
             is_docking=lookout.is_docking,
             is_under_roof=lookout.is_under_roof,
             survey_m=lookout.survey_m(),

@@ -13,7 +13,7 @@ from geometry.transforms import planar, transform
 from messages.command import MachineState, Mode, OperatorOrder, Order, Wish
 from messages.message import Message
 from messages.motion import MapPose, Odometry, PositionSource
-from messages.perception import HealthState, SensorHealth, Tracks
+from messages.perception import HealthState, Obstacles, SensorHealth, Tracks
 from messages.plan import Leg, MissionState, MissionStatus, Path, Stretch
 from messages.sensors import ImuSample, LidarScan, RadarScan, UltrasonicRange, WheelSample
 from messages.topics import kind_of
@@ -176,6 +176,15 @@ def healthy(stamp_ns: int, sensor: str, state: HealthState = HealthState.GOOD, r
     return SensorHealth(stamp_ns, sensor, state, reason, edges, np.array([40.0]), 0)
 
 
+def nothing_seen(stamp_ns: int, sensor: str) -> Obstacles:
+    """A sensor that sees nothing."""
+    empty, none = np.empty((0, 3)), np.empty(0, np.int32)
+    return Obstacles(
+        stamp_ns, sensor, stamp_ns, empty, empty, np.empty(0), empty, np.empty((0, 2)), np.empty((0, 7)),
+        np.zeros(1, np.int32), none, np.empty((0, 3), np.float32),
+    )  # fmt: skip
+
+
 def in_sensor(world: "World", mount: Mount, target: Target) -> tuple[np.ndarray, np.ndarray]:
     """Place in the sensor's frame, and velocity against the sensor, of a target 1 m above the ground."""
     T = planar(world.x_m, world.y_m, world.yaw_rad) @ mount.T_base_sensor
@@ -328,14 +337,19 @@ class World:
             self.put("path", self.path)
 
     def put_others(self, now: int) -> None:
-        """Radars at 25 Hz, ultrasonic sensors and healths at 10 Hz."""
+        """Radars at 25 Hz, ultrasonic sensors and healths at 10 Hz, cameras at 2 Hz, and what each of them sees."""
         sensors = self.vehicle.sensors
         if self.steps % 2 == 0:
             for name, radar in sensors.radar.items():
                 self.put(f"radar/{name}", radar_scan(self, radar, now))
+                self.put(f"obstacles/radar_{name}", nothing_seen(now, f"radar_{name}"))
+        if self.steps % 25 == 0:
+            for name in sensors.camera:
+                self.put(f"obstacles/camera_{name}", nothing_seen(now, f"camera_{name}"))
         if self.steps % 5 == 0:
             for name, sensor in sensors.ultrasonic.items():
                 self.put(f"ultrasonic/{name}", UltrasonicRange(now, echo_of(self, sensor)))
+                self.put(f"obstacles/ultrasonic_{name}", nothing_seen(now, f"ultrasonic_{name}"))
             for kind in ("lidar", "radar", "ultrasonic", "camera"):
                 for name in getattr(sensors, kind):
                     self.put(f"health/{kind}_{name}", healthy(now, f"{kind}_{name}"))

@@ -28,6 +28,8 @@ LOST = {
     "radar/front": "radar/front.silent", "ultrasonic/left": "ultrasonic/left.silent",
     "health/radar_front": "health/radar_front.silent", "health/camera_front": "health/camera_front.silent",
     "health/ultrasonic_right": "health/ultrasonic_right.silent",
+    "obstacles/radar_front": "obstacles/radar_front.silent", "obstacles/camera_front": "obstacles/camera_front.silent",
+    "obstacles/ultrasonic_left": "obstacles/ultrasonic_left.silent",
 }  # fmt: skip
 
 
@@ -166,6 +168,17 @@ def test_a_lost_sensor_slows_and_is_named_alone(seeing: World, config: SafetyCon
     assert seeing.speed_mps == pytest.approx(2.78, abs=0.05)
 
 
+@pytest.mark.parametrize(("label", "told_s"), [("radar_front", 0.5), ("ultrasonic_left", 0.5), ("camera_front", 1.5)])
+def test_what_a_sensor_sees_may_be_as_old_as_the_sensor_is_slow(seeing: World, label: str, told_s: float) -> None:
+    driving(seeing, 2.78)
+    topic = f"obstacles/{label}"
+    seeing.mute.add(topic)
+    while seeing.command.reason == "":
+        seeing.step(1)
+    last_ns = seeing.inbox.messages[topic].stamp_ns
+    assert told_s < (seeing.command.stamp_ns - last_ns) * 1e-9 < told_s + 0.021
+
+
 @pytest.mark.parametrize(("kind", "kmh"), [("radar", 7.5), ("camera", 6.7), ("ultrasonic", 3.6)])
 def test_a_blind_sensor_slows_to_what_the_others_prove(seeing: World, kind: str, kmh: float) -> None:
     name = {"radar": "front", "camera": "front", "ultrasonic": "left"}[kind]
@@ -235,6 +248,8 @@ def test_what_is_read_follows_from_the_machine(config, thin, full: Vehicle, impl
     assert many - few == {
         "radar/front", "ultrasonic/left", "ultrasonic/right", "ultrasonic/rear", "health/radar_front",
         "health/ultrasonic_left", "health/ultrasonic_right", "health/ultrasonic_rear", "health/camera_front",
+        "obstacles/radar_front", "obstacles/ultrasonic_left", "obstacles/ultrasonic_right",
+        "obstacles/ultrasonic_rear", "obstacles/camera_front",
     }  # fmt: skip
 
 
@@ -242,13 +257,13 @@ def test_lost_by_sector(full: Vehicle) -> None:
     camera = next(one for one in companions_of(full.sensors, frozenset()) if one.kind == "camera")
     half = math.radians(30.0)
     fine = healthy(START_NS, "camera_front")
-    assert lost_of(camera, True, False, fine, 1, half) is None
+    assert lost_of(camera, True, False, True, fine, 1, half) is None
     edges = np.radians([-40.0, -10.0, 10.0, 40.0])
     partly = replace(fine, edges_rad=edges, proven_range_m=np.array([15.0, 0.0, 15.0]))
-    lost = lost_of(camera, True, False, partly, 1, half)
+    lost = lost_of(camera, True, False, True, partly, 1, half)
     assert lost is not None
     assert lost.code == "camera/front.blind"
-    assert lost_of(camera, True, False, partly, -1, half) is None
+    assert lost_of(camera, True, False, True, partly, -1, half) is None
 
 
 STILL = Odometry(START_NS, np.eye(4), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
