@@ -71,8 +71,8 @@ class SimulationConfig(Config):
 class SimulationWorld(World):
     """Deterministic: the same arguments and the same frames on the bus give the same messages, to the bit.
 
-    `bus` is the tractor's end of its bus; the world closes it. `paints_aside` has a thread paint the cameras' pictures
-    until they are delivered: the same pictures, but in a process that must not fork.
+    `bus` is the tractor's end of its bus; the world closes it. `paints_aside` has a thread paint the cameras' pictures:
+    the same ones, but they come when they are painted, and the process must not fork.
     """
 
     def __init__(
@@ -116,7 +116,12 @@ class SimulationWorld(World):
         received = []
         while self._waiting and self._waiting[0][0] <= now_ns:
             _, _, topic, message = heapq.heappop(self._waiting)
-            received.append((topic, message.result() if isinstance(message, Future) else message))
+            if not isinstance(message, Future):
+                received.append((topic, message))
+            elif message.done():
+                received.append((topic, message.result()))
+            else:  # a picture that is late must not make the rest of the world so
+                self._put(now_ns + TICK_NS, topic, message)
         return received
 
     def warm(self) -> None:
