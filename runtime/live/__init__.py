@@ -4,3 +4,8 @@ machine (simulation) ──sensors──► perception ──tracks──► pla
     ▲   └──────sensors──────────► localization ─pose──►  (mission)    writer never waits for, and all rings ──► log
     └─ CAN, udp_multicast ──────► safety: supervisor and gateway
 """
+
+import os
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[_name] = "1"  # before any of them is loaded: more processes than cores as it is

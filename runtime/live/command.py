@@ -10,8 +10,8 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from multiprocessing.context import SpawnProcess
+from collections.abc import Iterator, Mapping
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from runtime.live.process import Start, run_process, started_at
 from runtime.live.ring import RingReader, make_ring
 from runtime.live.wire import unpack
 from runtime.progress import Progress
-from runtime.setup import load_setup
+from runtime.setup import Setup, load_setup
 from runtime.watch import LATCHED, EndOfDrive
 from simulation.scenario import Scenario
 
@@ -46,64 +46,73 @@ GRACE_S = 10.0  # for a process to close what it has open
 AFTER_S = 10.0  # watched after a process was broken
 OUTSIDE_S = 0.5  # gateway's and tractor's time-outs, which lie outside the stopping distance
 
+Broken = tuple[str, str, float]  # which process, by which signal, after how many seconds
+
 
 def main(arguments: argparse.Namespace) -> int:
     """Drive; 0 when the mission ended well, or when the machine stood in time after what was broken."""
-    config = load(LiveConfig, CONFIGS / "live.yaml")
-    breaking = _breaking(arguments.break_)
+    broken = _broken(arguments.break_)
     setup = load_setup(arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed)
-    setup = started_at(setup, time.time_ns())
     scenario = load(Scenario, find("scenarios", arguments.scenario or ("empty" if arguments.field else "demo")))
     folder = RunFolder("live", arguments.out)
+    result = drive(setup, scenario, folder, broken, arguments.for_s, arguments.reactions)
+    sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _told(result))
+    return 0 if result["is_good"] else 1
+
+
+def drive(
+    setup: Setup, scenario: Scenario, folder: RunFolder, broken: Broken | None, for_s: float | None, reactions: int
+) -> dict[str, Any]:
+    """Start all processes, drive, and stop them; gives the result, which is in the folder too."""
+    config = load(LiveConfig, CONFIGS / "live.yaml")
+    setup = started_at(setup, time.time_ns())
     text = resolved(mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement,
                     stack=setup.stack, scenario=scenario, live=config)  # fmt: skip
     (folder.path / "config.yaml").write_text(text, encoding="utf-8")
     conditions = versions() | {"seed": str(setup.seed)}
     folder.record("conditions", conditions)
     with _rings(config) as rings:
-        context = multiprocessing.get_context("spawn")
+        context = multiprocessing.get_context("fork")  # what all need is loaded once, and no thread runs yet
         barrier, zero = context.Barrier(len(ROLES) + 1), context.Value("q", 0, lock=False)
         starts = [
             Start(role, setup, scenario, config, folder.path, rings, {"run": conditions, "config": {"yaml": text}},
-                  arguments.reactions, barrier, zero)
+                  reactions, barrier, zero)
             for role in ROLES
         ]  # fmt: skip
         processes = {s.role: context.Process(target=run_process, args=(s,), name=s.role) for s in starts}
         try:
             _start(processes, barrier, zero, config)
             with (folder.path / "console.log").open("w") as file:
-                drive = _Drive(processes, rings, setup.plan.length_m, Progress((sys.stderr, file)))
-                result = drive.run(breaking, arguments.for_s)
+                result = _Drive(processes, rings, setup.plan.length_m, Progress((sys.stderr, file))).run(broken, for_s)
         finally:
             _stop(processes)
     result |= {"reactions": _reactions(folder.path / "reactions.jsonl"), "run_dir": str(folder.path)}
     result |= _log_end(folder.path / "log.mcap", setup.stack.simulation.start_stamp_ns)
     folder.record("result", {"result": result})
     folder.finish()
-    sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _told(result))
-    return 0 if result["is_good"] else 1
+    return result
 
 
 class _Drive:
     """The drive as the parent sees it, through the others' rings."""
 
     def __init__(
-        self, processes: dict[str, SpawnProcess], rings: dict[str, Path], length_m: float, progress: Progress
+        self, processes: Mapping[str, BaseProcess], rings: dict[str, Path], length_m: float, progress: Progress
     ) -> None:
         self._processes = processes
         self._readers = [RingReader(path) for path in rings.values()]
         self._watch, self._end, self._progress = Watch(), EndOfDrive(length_m), progress
 
-    def run(self, breaking: tuple[str, str, float] | None, for_s: float | None) -> dict[str, Any]:
+    def run(self, broken: Broken | None, for_s: float | None) -> dict[str, Any]:
         """Until the drive is over, `for_s` have passed, or the machine has had its time after what was broken."""
         while not self._end.is_reached() and (for_s is None or self._watch.seconds < for_s):
             self._listen()
-            if breaking is not None and self._watch.seconds >= breaking[2]:
-                return self._break(*breaking[:2])
+            if broken is not None and self._watch.seconds >= broken[2]:
+                return self._break(*broken[:2])
             if dead := [name for name, process in self._processes.items() if not process.is_alive()]:
                 return self._after({"died": dead[0]})
         state = self._watch.state
-        is_good = breaking is None and state is not None and state.mode not in LATCHED
+        is_good = broken is None and state is not None and state.mode not in LATCHED
         return {"outcome": "over" if state is None else state.mode.value, "is_good": is_good,
                 "told": self._watch.told, "simulated_s": round(self._watch.seconds, 2)}  # fmt: skip
 
@@ -116,6 +125,7 @@ class _Drive:
         watch, truth, state = self._watch, self._watch.truth, self._watch.state
         speed = abs(truth.speed_mps) if truth is not None else 0.0
         stopping_m = state.stopping_m if state is not None else 0.0
+        at_s = watch.seconds
         watch.mark()
         began_s = time.monotonic()
         while time.monotonic() - began_s < AFTER_S and watch.still_s < 1.0:
@@ -125,7 +135,8 @@ class _Drive:
         stood = watch.still_s >= 1.0 or about.get("broken") == "machine"
         return about | {
             "speed_mps": round(speed, 3), "travel_m": round(watch.travel_m, 3), "allowed_m": round(allowed_m, 3),
-            "reason": watch.reason, "told": watch.told, "outcome": "stopped" if stood else "not stopped",
+            "until_s": round(at_s + watch.seconds, 2), "reason": watch.reason, "told": watch.told,
+            "outcome": "stopped" if stood else "not stopped",
             "is_good": is_seen and stood and watch.travel_m <= allowed_m,
         }  # fmt: skip
 
@@ -140,7 +151,7 @@ class _Drive:
         time.sleep(0.005)
 
 
-def _start(processes: dict[str, SpawnProcess], barrier: Any, zero: Any, config: LiveConfig) -> None:
+def _start(processes: Mapping[str, BaseProcess], barrier: Any, zero: Any, config: LiveConfig) -> None:
     """Start all and wait until all are warm; raises HeadlandError when one does not get there."""
     for process in processes.values():
         process.start()
@@ -155,7 +166,7 @@ def _start(processes: dict[str, SpawnProcess], barrier: Any, zero: Any, config: 
     barrier.wait(config.start_s)
 
 
-def _stop(processes: dict[str, SpawnProcess]) -> None:
+def _stop(processes: Mapping[str, BaseProcess]) -> None:
     """End all; who does not listen is killed."""
     alive = [process for process in processes.values() if process.pid is not None and process.is_alive()]
     for process in alive:
@@ -183,7 +194,7 @@ def _rings(config: LiveConfig) -> Iterator[dict[str, Path]]:
         shutil.rmtree(folder)
 
 
-def _breaking(text: str | None) -> tuple[str, str, float] | None:
+def _broken(text: str | None) -> Broken | None:
     """NAME:SIGNAL:SECONDS, such as perception:KILL:20; raises HeadlandError."""
     if text is None:
         return None

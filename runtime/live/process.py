@@ -1,7 +1,6 @@
 """What each process of `headland live` is and does."""
 
 import gc
-import os
 import signal
 import sys
 import traceback
@@ -12,11 +11,19 @@ from multiprocessing.synchronize import Barrier
 from pathlib import Path
 from typing import Any
 
+from datasets.log import LogWriter
 from messages.errors import HeadlandError, LogError
 from messages.node import Node, World
+from runtime import assembly
+from runtime.live.can_bus import SharedBus
 from runtime.live.clock import Clock
 from runtime.live.config import LiveConfig, open_bus
+from runtime.live.loop import Line, LiveExecutor, Nothing
+from runtime.live.reactions import Reactions
 from runtime.live.ring import RingReader, RingWriter
+from runtime.setup import Setup
+from simulation.rendering.looks import warm_figures
+from simulation.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -24,8 +31,8 @@ class Start:
     """What a process is given at its start; `zero_ns` is set by the parent between the two meetings at `barrier`."""
 
     role: str
-    setup: Any  # runtime.setup.Setup; imported only where it is used, since that takes seconds
-    scenario: Any
+    setup: Setup
+    scenario: Scenario
     config: LiveConfig
     folder: Path
     rings: dict[str, Path]
@@ -40,8 +47,6 @@ def run_process(start: Start) -> None:
     is_over: list[int] = []
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's matter
     signal.signal(signal.SIGTERM, lambda number, frame: is_over.append(number))
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ[name] = "1"
     try:
         _live(start, is_over)
     except HeadlandError as error:
@@ -53,8 +58,6 @@ def run_process(start: Start) -> None:
 
 
 def _live(start: Start, is_over: list[int]) -> None:
-    from runtime.live.loop import Line, LiveExecutor
-
     others = {name: RingReader(path) for name, path in start.rings.items() if name != start.role}
     line = Line(RingWriter(start.rings[start.role]), others, start.config.silent_s if start.role == "safety" else {})
     with _parts(start) as (world, nodes, sinks):
@@ -72,22 +75,15 @@ def _live(start: Start, is_over: list[int]) -> None:
 
 @contextmanager
 def _parts(start: Start) -> Iterator[tuple[World, list[Node], list[Any]]]:
-    """World, nodes and sinks of a process; heavy imports only where they are needed."""
-    from runtime.live.loop import Nothing
-
+    """World, nodes and sinks of a process."""
     if start.role == "machine":
         with _machine(start) as world:
             yield world, [], []
     elif start.role == "log":
-        from datasets.log import LogWriter
-
         config = start.setup.stack.datasets.log
         with LogWriter(start.folder / "log.mcap", start.metadata, config, start.setup.viewer()) as log:
             yield Nothing(), [], [log.write]
     elif start.role == "safety":
-        from runtime import assembly
-        from runtime.live.can_bus import SharedBus
-
         with closing_bus(SharedBus(open_bus(start.config.can))) as bus:
             yield Nothing(), assembly.guarding(start.setup, bus, is_ablation=False), []
     else:
@@ -96,20 +92,15 @@ def _parts(start: Start) -> Iterator[tuple[World, list[Node], list[Any]]]:
 
 def _stack_nodes(start: Start) -> list[Node]:
     """Those that neither see nor touch the machine's bus; control goes with the pose, which it follows at its rate."""
-    from runtime.assembly import locating, planning, seeing, steering
-
     if start.role == "perception":
-        return seeing(start.setup)
-    return planning(start.setup) if start.role == "planning" else [*locating(start.setup), *steering(start.setup)]
+        return assembly.seeing(start.setup)
+    if start.role == "planning":
+        return assembly.planning(start.setup)
+    return [*assembly.locating(start.setup), *assembly.steering(start.setup)]
 
 
 @contextmanager
 def _machine(start: Start) -> Iterator[World]:
-    from runtime import assembly
-    from runtime.live.can_bus import SharedBus
-    from runtime.live.reactions import Reactions
-    from simulation.rendering.looks import warm_figures
-
     bus = SharedBus(open_bus(start.config.can))
     with closing(assembly.simulated(start.setup, start.scenario, bus, paints_aside=True)) as world:
         warm_figures()
@@ -125,7 +116,7 @@ def closing_bus(bus: Any) -> Iterator[Any]:
         bus.shutdown()
 
 
-def started_at(setup: Any, start_stamp_ns: int) -> Any:
+def started_at(setup: Setup, start_stamp_ns: int) -> Setup:
     """The same set-up with its world's clock beginning at this time."""
     simulation = setup.stack.simulation.model_copy(update={"start_stamp_ns": start_stamp_ns})
     return replace(setup, stack=setup.stack.model_copy(update={"simulation": simulation}))
