@@ -25,17 +25,19 @@ from datasets.log import LogWriter
 from messages.errors import HeadlandError, LogError
 from messages.message import Envelope
 from messages.node import Node, World
-from runtime.assembly import assemble
+from runtime.assembly import assemble, idle_of
 from runtime.executor import Executor
 from runtime.faults.judgement import Cell, Outcome, Seen, judge
 from runtime.faults.table import write_tables
 from runtime.faults.watch import SITUATIONS, Watch
 from runtime.folder import RunFolder
 from runtime.setup import Setup, load_setup
+from safety.sensing import companions_of
 from simulation.faults.config import FaultsConfig, InjectedFault, kinds_of
 from simulation.faults.injection import Injection
 from simulation.scenario import Scenario
 
+EYES = ("lidar", "radar", "camera", "ultrasonic")
 NOT_BROKEN = ("order", "truth_machine", "truth_objects")
 LIMIT_S = 600.0  # of simulated time, on the way to a situation
 CELL_LIMIT_S = 900.0  # of wall time
@@ -62,13 +64,17 @@ class Drive:
         return [*sensors, *frames, *(f"node/{node.name}" for node, _ in self.nodes), "clock", "log"]
 
     def idle(self) -> tuple[str, ...]:
-        """Lidars that look away from the direction of travel."""
+        """Sensors that look away from the direction of travel or detect nothing, with their nodes."""
         assert self.watch.truth is not None
-        forward = np.sign(self.watch.truth.speed_mps)
-        lidars = self.setup.vehicle.sensors.lidar.items()
-        looks = {name: np.cos(np.radians(one.mount.rpy_deg[2])) * forward > 0.0 for name, one in lidars}
-        away = [name for name, does in looks.items() if not does]
-        return tuple(topic for name in away for topic in (f"lidar/{name}", f"node/lidar_{name}"))
+        sensors, direction = self.setup.vehicle.sensors, int(np.sign(self.watch.truth.speed_mps))
+        looking = [one for one in companions_of(sensors, idle_of(self.setup)) if one.looks(direction)]
+        seeing = {one.topic for one in looking}
+        for name, lidar in sensors.lidar.items():
+            seeing |= {f"lidar/{name}"} if np.cos(np.radians(lidar.mount.rpy_deg[2])) * direction > 0.0 else set()
+        every = [topic for topic in self.world.writes if topic.partition("/")[0] in EYES]
+        away = [topic for topic in every if topic not in seeing]
+        nodes = [f"node/{prefix}{topic.replace('/', '_', 1)}" for topic in away for prefix in ("", "health_")]
+        return (*away, *nodes)
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -189,7 +195,7 @@ def run_cell(drive: Drive, cell: Cell) -> Outcome:
     own = names.pop(cell.topic)
     devices = {topic: called for topic, called in names.items() if not topic.startswith("node/")}
     max_age_s = cell.max_age_s(writes) if cell.is_needed(config, idle) else None
-    return judge(cell, seen, config, own, devices, max_age_s)
+    return judge(cell, seen, config, own, devices, max_age_s, cell.is_missed(config, idle))
 
 
 def _keep_log(drive: Drive, path: Path) -> None:

@@ -27,9 +27,19 @@ class Cell:
     def is_needed(self, config: CampaignConfig, idle: Iterable[str]) -> bool:
         """Whether the machine must stop; `idle` are sensors that this situation does without."""
         family = self.topic if self.topic.startswith("can/") else self.topic.partition("/")[0]
-        is_known = family in config.needed and self.topic not in idle and not self.topic.startswith(config.spare)
+        is_spare = self.topic.startswith(config.spare) or self._is_of(config.missed)
+        is_known = family in config.needed and self.topic not in idle and not is_spare
         cannot_tell = self.kind is FaultKind.REPEATED and self.topic in config.uncounted
         return is_known and self.kind in config.silent_kinds and not cannot_tell
+
+    def is_missed(self, config: CampaignConfig, idle: Iterable[str]) -> bool:
+        """Whether the machine must say that it does without it; nonsense may look like nothing seen."""
+        is_silent = self.kind in config.silent_kinds - {FaultKind.NAN, FaultKind.GARBAGE}
+        return is_silent and self._is_of(config.missed) and self.topic not in idle
+
+    def _is_of(self, families: tuple[str, ...]) -> bool:
+        """Whether it is a sensor of these families, or makes obstacles or health of one."""
+        return self.topic.removeprefix("node/").removeprefix("health_").startswith(families)
 
     def max_age_s(self, writes: Mapping[str, tuple[str, ...]]) -> float:
         """How old the last good message may become before it counts as missing: of a node, the first that does."""
@@ -92,7 +102,7 @@ class Seen:
 
 def judge(
     cell: Cell, seen: Seen, config: CampaignConfig, names: tuple[str, ...], others: dict[str, tuple[str, ...]],
-    max_age_s: float | None,
+    max_age_s: float | None, is_missed: bool,
 ) -> Outcome:  # fmt: skip
     """The outcome; `others` are the names of all other devices, `max_age_s` None means that it need not stop."""
     is_needed = max_age_s is not None
@@ -112,6 +122,7 @@ def judge(
         f"left the path by {seen.error_m:.2f} m": seen.error_m > config.largest_error_m,
         "blames " + ", ".join(blamed): blames_other,
         "not named": is_needed and seen.stopped_s is not None and not is_named and not is_obstacle,
+        "not missed": is_missed and not is_named and not is_obstacle,
     }
     wrong = "; ".join(text for text, holds in complaints.items() if holds)
     has_stopped = seen.stopped_s is not None

@@ -80,6 +80,7 @@ class CampaignConfig(Config):
     needed: tuple[str, ...]
     silent_kinds: frozenset[FaultKind]
     spare: tuple[str, ...]
+    missed: tuple[str, ...]
     uncounted: frozenset[str]
     bridged: dict[str, Annotated[float, Field(gt=0.0, le=120.0)]]
     names: dict[str, tuple[str, ...]]

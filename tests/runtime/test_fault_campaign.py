@@ -16,7 +16,7 @@ OTHERS = {"wheel": ("wheel",)}
 
 
 def wrong(seen: Seen, max_age_s: float | None = 0.1) -> str:
-    return judge(CELL, seen, CONFIG, ("imu",), OTHERS, max_age_s).wrong
+    return judge(CELL, seen, CONFIG, ("imu",), OTHERS, max_age_s, False).wrong
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,7 @@ def test_the_age_that_counts(topic: str, age_s: float) -> None:
 
 
 def test_a_right_cell() -> None:
-    outcome = judge(CELL, GOOD, CONFIG, ("imu",), OTHERS, 0.1)
+    outcome = judge(CELL, GOOD, CONFIG, ("imu",), OTHERS, 0.1, False)
     assert (outcome.is_right, outcome.is_named, outcome.allowed_m) == (True, True, pytest.approx(1.2))
 
 
@@ -53,9 +53,28 @@ def test_what_need_not_stop_may_go_on() -> None:
     assert wrong(replace(GOOD, stopped_s=None, reason="", told=()), None) == ""
 
 
+@pytest.mark.parametrize(
+    ("topic", "kind", "needed", "missed"),
+    [("lidar/front", "off", True, False), ("lidar/rear", "off", False, False), ("node/lidar_front", "hangs", True, False),
+     ("radar/front", "off", False, True), ("radar/front", "garbage", False, False),
+     ("node/radar_front", "hangs", False, True), ("node/health_radar_front", "hangs", False, True),
+     ("node/health_camera_front", "hangs", False, False), ("node/lidar_map", "hangs", False, False),
+     ("node/mission", "hangs", True, False), ("imu", "noisy", False, False)],
+)  # fmt: skip
+def test_what_must_stop_and_what_must_be_missed(topic: str, kind: str, needed: bool, missed: bool) -> None:
+    cell, idle = Cell("turn", topic, FaultKind(kind)), ("lidar/rear", "node/health_camera_front")
+    assert (cell.is_needed(CONFIG, idle), cell.is_missed(CONFIG, idle)) == (needed, missed)
+
+
+def test_what_must_be_missed_must_be_named() -> None:
+    silent = replace(GOOD, stopped_s=None, reason="", told=("range.proven",))
+    assert judge(CELL, silent, CONFIG, ("imu",), OTHERS, None, True).wrong == "not missed"
+    assert judge(CELL, replace(silent, told=("imu.silent",)), CONFIG, ("imu",), OTHERS, None, True).wrong == ""
+
+
 def test_gnss_must_be_done_without_for_a_while() -> None:
     cell = Cell("turn", "gnss/main", FaultKind.OFF)
     for stopped_s in (4.9, 5.1):
         seen = replace(GOOD, stopped_s=stopped_s, reason="gnss.silent")
         wanted = "" if stopped_s > 5.0 else "stopped too early"
-        assert judge(cell, seen, CONFIG, ("gnss",), OTHERS, None).wrong == wanted
+        assert judge(cell, seen, CONFIG, ("gnss",), OTHERS, None, False).wrong == wanted
