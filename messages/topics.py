@@ -43,7 +43,7 @@ KINDS: dict[str, Kind] = {
     "tracks": Kind(perception.Tracks, 0.1, 0.5),
     "health": Kind(perception.SensorHealth, 0.1, 0.5),
     "path": Kind(plan.Path, 0.0, NEVER_STALE_S),
-    "mission": Kind(plan.MissionStatus, 0.2, 1.0),
+    "mission": Kind(plan.MissionStatus, 0.2, 0.5),
     "wish": Kind(command.Wish, 0.02, 0.1),
     "safe_command": Kind(command.SafeCommand, 0.02, 0.1),
     "supervisor": Kind(command.SupervisorState, 0.1, 0.3),
