@@ -1,10 +1,14 @@
 """A short run of what `benchmarks/fuzz.py` does a million times, and that it can fail."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from benchmarks import fuzz
+from configs.strict import read_yaml
 from interfaces.isobus.checksum import SealCheck
+from messages.errors import ConfigError
 
 
 @pytest.mark.parametrize(("name", "count"), [("frames", 5000), ("lines", 3000), ("files", 60), ("logs", 200)])
@@ -12,6 +16,13 @@ def test_no_crash_and_nothing_wrong_is_accepted(name: str, count: int) -> None:
     found = fuzz.KINDS[name][0](count, np.random.default_rng(7))
     assert found.tried == count
     assert 0 < found.accepted < count
+
+
+@pytest.mark.parametrize("text", ["{a: 1}: 2", "? [a, b]\n: 1", "a: 1\na: 2"])
+def test_yaml_whose_keys_are_none_is_refused_by_name(tmp_path: Path, text: str) -> None:
+    (file := tmp_path / "file.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=r"file\.yaml: not valid YAML"):
+        read_yaml(file)
 
 
 def test_a_reader_that_looks_at_no_checksum_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

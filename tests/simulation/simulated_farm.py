@@ -53,7 +53,7 @@ class Farm:
 
     def __init__(
         self, vehicle=None, config=None, scenario=EMPTY, paths=(), seed=1, site=SITE, implement=IMPLEMENT, start=None,
-        is_folded=False,
+        is_folded=False, paints_aside=False,
     ):  # fmt: skip
         channel = f"farm-{next(_CHANNELS)}"
         tractor = can.Bus(interface="virtual", channel=channel)
@@ -61,7 +61,7 @@ class Farm:
         config = config or flat()
         start = start or site.start
         self.world = SimulationWorld(
-            site, self.vehicle, implement, scenario, paths, tractor, seed, config, start, is_folded
+            site, self.vehicle, implement, scenario, paths, tractor, seed, config, start, is_folded, paints_aside
         )
         self.machine = self.world.machine
         self.start_ns = self.now_ns = config.start_stamp_ns

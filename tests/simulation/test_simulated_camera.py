@@ -1,11 +1,12 @@
 """The simulated camera: what it draws is where it should be, a real network finds it, and the lens may be bad."""
 
 import dataclasses
+from concurrent.futures import Future
 
 import numpy as np
 import open3d
 import pytest
-from simulated_farm import CONFIG
+from simulated_farm import CONFIG, Farm, machine_file
 
 from benchmarks.camera import MODEL, configured
 from benchmarks.camera_simulated import CAMERA, box_of, found, shots
@@ -64,6 +65,31 @@ def photographer():
 def nobody():
     """The first picture of a photographer without anybody: exposure and noise are those of any other's first."""
     return Photographer().take()
+
+
+def test_a_picture_is_of_the_moment_it_was_taken_at():
+    at_once = Photographer().take(figure := somebody(8.0))
+    later = Photographer()
+    later.scene.figures = (figure,)
+    exposure = later.model.expose(Moment(0, 0.0, later.track, None, later.scene))
+    later.scene.figures = ()
+    later.track.append(TERRAIN.stand(40.0, 25.0, 1.3, 2.55, 1.9))
+    assert np.array_equal(later.model.paint(exposure).bgr, at_once)
+
+
+def test_pictures_painted_aside_are_the_same_and_hold_nothing_up():
+    def pictures(paints_aside):
+        farm = Farm(vehicle=machine_file(sensors=("camera", "imu")), paints_aside=paints_aside)
+        given = farm.drive(2.0)
+        waiting = [message for *_, message in farm.world._waiting if isinstance(message, Future)]
+        farm.close()
+        assert sum(topic == "imu" for topic, _ in given) == 200
+        taken = [message for topic, message in given if topic == "camera/front"]
+        return {image.stamp_ns: image.bgr for image in (*taken, *(future.result() for future in waiting))}
+
+    at_once, aside = pictures(False), pictures(True)
+    assert len(at_once) >= 3
+    assert all(np.array_equal(aside[stamp_ns], bgr) for stamp_ns, bgr in at_once.items())
 
 
 def changed(a, b):
