@@ -110,8 +110,8 @@ def before_obstacle(watch: Watch) -> bool:
 
 
 def docking(watch: Watch) -> bool:
-    """Back into the bay."""
-    return _on(watch, Leg.DOCK) and watch.truth is not None and watch.truth.speed_mps < -0.2
+    """Back into the bay, at docking speed: who still gains speed drives farther than that speed tells."""
+    return _on(watch, Leg.DOCK) and watch.truth is not None and watch.truth.speed_mps < -0.42
 
 
 def _on(watch: Watch, leg: Leg) -> bool:
