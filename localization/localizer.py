@@ -156,11 +156,17 @@ class Localizer(Node):
             return refusal is not Refusal.GARBAGE
         position = position_of(fix, self._datum, self._config.placement.gnss, self._gnss_rate_hz)
         self._motion.standstill.add(position)
-        ground_mps = math.copysign(math.hypot(*fix.velocity_enu_mps[:2].tolist()), self._motion.speed_mps)
-        self._motion.plausibility.refer(fix.stamp_ns, position.heading_rad, ground_mps)
+        self._motion.plausibility.refer(fix.stamp_ns, position.heading_rad, self._ground_mps(fix, position.heading_rad))
         if self._placement.is_initialized:
             self._placement.add(position)
         return True
+
+    def _ground_mps(self, fix: GnssFix, heading_rad: float) -> float:
+        """Speed over ground, backwards below 0: by the two antennas where they tell the heading, else by the wheels."""
+        east_mps, north_mps = fix.velocity_enu_mps[:2].tolist()
+        forward_mps = east_mps * math.cos(heading_rad) + north_mps * math.sin(heading_rad)
+        sign = forward_mps if math.isfinite(forward_mps) else self._motion.speed_mps
+        return math.copysign(math.hypot(east_mps, north_mps), sign)
 
     def _advance(self) -> None:
         motion, placement = self._motion, self._placement

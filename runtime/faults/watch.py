@@ -110,8 +110,10 @@ def before_obstacle(watch: Watch) -> bool:
 
 
 def docking(watch: Watch) -> bool:
-    """Back into the bay, at docking speed: who still gains speed drives farther than that speed tells."""
-    return _on(watch, Leg.DOCK) and watch.truth is not None and watch.truth.speed_mps < -0.42
+    """Back into the bay, where the speed of docking holds."""
+    if not _on(watch, Leg.DOCK) or watch.state is None or watch.truth is None:
+        return False
+    return watch.truth.speed_mps < -0.4 and any(rule.code == "speed.dock" for rule in watch.state.rules)
 
 
 def _on(watch: Watch, leg: Leg) -> bool:
