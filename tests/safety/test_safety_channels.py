@@ -210,6 +210,10 @@ def test_target_speed() -> None:
     assert target_speed(wish(-2.0), 1.0, 1.0, 0.1) == 0.0
     assert target_speed(wish(0.03), 5.0, 0.0, 0.1) == 0.03  # control's own last centimetres
     assert math.copysign(1.0, target_speed(wish(0.0), 5.0, 0.0, 0.1)) == 1.0
+    assert target_speed(wish(2.0), 5.0, 1.0, 0.1) == 2.0
+    assert target_speed(wish(0.4), 5.0, 1.0, 0.1) == 0.4
+    assert target_speed(wish(-2.0), 1.0, 0.2, 0.1) == -1.0  # creeping, it may turn round
+    assert target_speed(wish(-2.0), 1.0, 0.21, 0.1) == 0.0
     for allowed in around(0.1, 0.01):
         assert (target_speed(wish(2.0), allowed, 0.0, 0.1) > 0.0) == (allowed >= 0.1), allowed
 
@@ -221,6 +225,8 @@ def test_rising_is_limited_and_falling_is_not() -> None:
     assert rising(0.0, 1.0, 1.0, 0.1) == 0.0
     assert rising(2.0, 0.0, 1.5, 0.1) == pytest.approx(1.6)
     assert rising(2.0, -1.0, -1.0, 0.1) == pytest.approx(0.1)
+    assert rising(2.0, 1.0, 0.0, 0.1) == pytest.approx(1.1)  # of a machine that is slow to follow
+    assert rising(1.0, 1.0, 1.0, 0.1) == 1.0
 
 
 def test_slowing(config: SafetyConfig) -> None:
@@ -234,7 +240,15 @@ def test_slowing(config: SafetyConfig) -> None:
         asked = slowing(wish(), 2.0, 2.0 + over, math.inf, NOMINAL, braking)
         assert (asked > 0.0) == (over > 0.05 + 1e-9), over
     assert slowing(wish(), 0.0, 3.0, 1.5, NOMINAL, braking) == braking.full_mps2
+    assert slowing(wish(), 0.0, 0.05, math.inf, NOMINAL, braking) == 0.0
     assert slowing(wish(), 2.0, 2.2, 20.0, NOMINAL, braking) < 2.0
+    by_curve = allowed_slowing(2.2, NOMINAL)
+    assert slowing(wish(), 2.0, 2.2, math.inf, NOMINAL, braking) == pytest.approx(by_curve + 0.4)  # gone in 0.5 s
+
+
+def test_slowing_along_the_curve() -> None:
+    assert allowed_slowing(2.0, NOMINAL) == pytest.approx(2.0 / (0.6 + 0.2 + 0.8))
+    assert allowed_slowing(2.0, Braking(0.6, 0.5, 0.8)) == pytest.approx(2.0 / (0.6 + 0.25 + 2.5))
     assert allowed_slowing(2.0, Braking(0.6, 0.4, 0.0)) == 0.0
 
 
@@ -242,6 +256,7 @@ def test_stopping_and_easing(config: SafetyConfig) -> None:
     assert stopping(2.0, math.inf, config.braking) == config.braking.controlled_mps2
     assert stopping(3.0, 2.0, config.braking) == pytest.approx(9.0 / 2.0 / 1.1)
     assert eased(1.0, 0.0, 1.5, 0.06) == 0.06
+    assert eased(1.5, 0.0, 1.5, 0.06) == 0.06
     assert eased(1.6, 0.0, 1.5, 0.06) == 1.6
     assert eased(0.2, 1.0, 1.5, 0.06) == 0.2
 

@@ -108,6 +108,12 @@ def test_orders_without_authority_order_or_time_are_refused(kind: Order) -> None
     assert orders.events(0, [order(kind, 0, "remote")])
 
 
+def test_an_order_counts_from_number_0_to_the_moment_it_expires() -> None:
+    orders = Orders(("operator",))
+    assert orders.events(0, [order(Order.PAUSE, -1)]) == frozenset()
+    assert orders.events(100, [order(Order.PAUSE, 0)]) == {Event.PAUSE}
+
+
 def test_emergency_stop_is_taken_from_anyone() -> None:
     orders = Orders(("operator",))
     stop = order(Order.EMERGENCY_STOP, -5, "passer-by", -1)
@@ -212,6 +218,7 @@ def test_german_texts() -> None:
 
 def test_held_and_window() -> None:
     held = Held()
+    assert not held.is_held
     assert [held.update(k * 10**9, k >= 2) for k in range(5)] == [0.0, 0.0, 0.0, 1.0, 2.0]
     assert held.is_held
     assert held.update(1, True) == 0.0  # the clock went back: counted anew
@@ -222,3 +229,5 @@ def test_held_and_window() -> None:
         window.add(k * 10**9, float(k))
     assert [window.distance(v) for v in (2.0, 3.0, 4.0, 5.0)] == [1.0, 0.0, 0.0, 1.0]
     assert math.isnan(window.distance(math.nan))
+    window.add(4 * 10**9 + 1, 6.0)  # the value of 3 s is too old by a nanosecond
+    assert [window.distance(v) for v in (3.0, 5.0)] == [1.0, 0.0]

@@ -53,6 +53,7 @@ def test_standing_and_brakeless() -> None:
     no_brake = Braking(0.6, 0.4, 0.0)
     assert stopping_distance(0.0, NOMINAL) == 0.0
     assert stopping_time(0.0, NOMINAL) == 0.6
+    assert stopping_time(0.0, no_brake) == 0.6
     assert stopping_distance(-1.0, NOMINAL) == 0.0
     assert math.isinf(stopping_distance(0.1, no_brake))
     assert math.isinf(stopping_time(0.1, no_brake))
@@ -112,6 +113,9 @@ def test_grade() -> None:
 
 def test_needed_deceleration() -> None:
     assert needed_deceleration(0.0, 1.0, 0.3, 6.0) == 0.0
+    assert needed_deceleration(0.0, 0.0, 0.3, 6.0) == 0.0
+    assert needed_deceleration(0.5, 0.65, 0.3, 6.0) == pytest.approx(0.25)
+    assert needed_deceleration(2.0, 1.4, 0.3, 6.0) == pytest.approx(2.5)
     assert needed_deceleration(2.0, 0.6, 0.3, 6.0) == 6.0
     assert needed_deceleration(2.0, 2.6, 0.3, 6.0) == pytest.approx(1.0)
     assert needed_deceleration(2.0, 0.7, 0.3, 6.0) == 6.0
