@@ -144,8 +144,8 @@ def test_brake(config: SafetyConfig) -> None:
 
 def test_localization(config: SafetyConfig) -> None:
     for level in around(0.5, 0.01):
-        expected = STOP if level > 0.5 else LIMIT
-        assert ask("localization", config, pose={"protection_level_m": level})[0] is expected, level
+        expected = (STOP, "localization.protection") if level > 0.5 else (LIMIT, "localization")
+        assert ask("localization", config, pose={"protection_level_m": level})[:2] == expected, level
     for level in around(0.3, 0.01):
         expected = LIMIT if level > 0.3 else NONE
         assert ask("localization", config, pose={"protection_level_m": level})[0] is expected, level
@@ -158,6 +158,8 @@ def test_localization(config: SafetyConfig) -> None:
     for bad in ({"is_initialized": False}, {"source": PositionSource.NONE}, {"protection_level_m": math.nan},
                 {"gnss_age_s": math.nan}, {"protection_level_m": math.inf}):  # fmt: skip
         assert ask("localization", config, pose=bad)[0] is STOP, bad
+    for bad in ({"is_initialized": False}, {"source": PositionSource.NONE}):
+        assert ask("localization", config, pose=bad)[1] == "localization.none"
     shed = {"gnss_age_s": 500.0, "source": PositionSource.UWB}
     assert ask("localization", config, pose=shed)[0] is NONE
 
@@ -168,6 +170,8 @@ def test_tilt(config: SafetyConfig, axis: str, sign: int) -> None:
     for angle in around(15.0, 0.1):
         got = ask("tilt", config, **{f"{axis}_rad": sign * math.radians(angle - 1e-9)})
         assert got[:2] == ((STOP, f"tilt.{axis}") if angle > 15.0 + 1e-6 else (NONE, "tilt")), angle
+    level = config.model_copy(update={"limits": config.limits.model_copy(update={f"{axis}_deg": 0.0})})
+    assert ask("tilt", level)[0] is NONE  # at the limit itself
     broken = replace(situation_of(config).odom, T_odom_base=np.full((4, 4), np.nan))
     assert ask("tilt", config, odom=broken)[0] is STOP
 
@@ -196,6 +200,7 @@ def test_obstacle(config: SafetyConfig) -> None:
         expected = STOP if main < stopping else LIMIT
         assert ask("obstacle", config, **gap(main))[0] is expected, main
         assert ask("obstacle", config, **gap(math.inf, main))[0] is expected, main
+    assert ask("obstacle", config, **gap(1.0))[1] == "obstacle.raw"
     assert ask("obstacle", config, speed_mps=0.0, **gap(0.5)) == (LIMIT, "obstacle.raw", 0.0)
     for main in around(2.1, 0.02):
         assert (ask("obstacle", config, speed_mps=0.0, **gap(main))[2] > 0.0) == (main > 2.1), main
@@ -215,7 +220,8 @@ def test_tracked(config: SafetyConfig) -> None:
 def test_proven_range(config: SafetyConfig) -> None:
     assert ask("proven", config, proven_m=0.0) == (LIMIT, "range.proven", 0.0)
     assert ask("proven", config, proven_m=0.0, blind=("lidar/front",)) == (LIMIT, "lidar/front.blind", 0.0)
-    assert ask("proven", config, proven_m=5.0, blind=("lidar/front",))[1] == "range.proven"  # another lidar sees
+    for seen_m in (0.5, 5.0):  # by another lidar
+        assert ask("proven", config, proven_m=seen_m, blind=("lidar/front",))[1] == "range.proven"
     assert ask("proven", config, proven_m=40.0)[2] * 3.6 == pytest.approx(29.5, abs=0.5)
     speeds = [ask("proven", config, proven_m=r)[2] for r in np.arange(0.0, 40.0, 0.5)]
     assert speeds == sorted(speeds)
@@ -239,6 +245,12 @@ def test_fold(config: SafetyConfig) -> None:
 
 def test_speed(config: SafetyConfig) -> None:
     assert ask("speed", config) == (LIMIT, "speed.limit", 8.0)
+    assert ask("speed", config, is_docking=True) == (LIMIT, "speed.dock", 0.5)
+
+
+def test_survey(config: SafetyConfig) -> None:
+    assert ask("survey", config, survey_m=0.0) == (LIMIT, "dock.wall", 0.0)
+    assert ask("survey", config, survey_m=2.0)[2] == highest_speed(2.0, config.braking.flat, 0.0)
 
 
 def test_most_restrictive_wins(config: SafetyConfig) -> None:
