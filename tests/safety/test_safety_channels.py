@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from safety_world import START_NS, around, straight_path
 
-from configs.site import Area, DatumConfig, Gate, Lane, Pose2, Shed, Site
+from configs.site import Area, Bay, DatumConfig, Gate, Lane, Pose2, Shed, Site
 from configs.vehicle import Vehicle
 from messages.command import Wish
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.bodies import Shape, shape_of
 from safety.config import SafetyConfig
 from safety.drive import allowed_slowing, eased, rising, slowing, steered, stopping, target_speed
-from safety.fence import Fence, fence_of, is_within, way_inside_m
+from safety.fence import Fence, band, bay_rings, box_about, fence_of, is_within, lane_rings, way_across, way_inside_m
 from safety.gauge import direction_of, is_forced, position_sigma_m
 from safety.lookout import class_at
 from safety.motion import Trail, from_frame, seen_from, tilt_of, to_frame
@@ -186,6 +186,43 @@ def test_fence_of_a_site(site: Site) -> None:
     assert fence.holds(np.array(inside, float)).all()
     assert not fence.holds(np.array(outside, float)).any()
     assert not fence_of(site.model_copy(update={"shed": None})).holds(np.array([[-70.0, -30.0]])).any()
+
+
+def corners_of(box: Box) -> tuple[float, ...]:
+    return (*box.x_m, *box.y_m)
+
+
+def test_rings_of_a_lane_overlap_in_its_bends_and_at_its_ends() -> None:
+    lane = Lane(name="lane", center_m=((0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (10.5, 6.0)), width_m=4.0)
+    boxes = [corners_of(box_about(ring)) for ring in lane_rings(lane)]
+    expected = [(-1.0, 12.0, -2.0, 2.0), (8.0, 12.0, -2.0, 8.0), (8.0, 11.5, 4.0, 8.0)]
+    assert np.array(boxes) == pytest.approx(np.array(expected))
+    (alone,) = lane_rings(lane.model_copy(update={"center_m": ((0.0, 0.0), (10.0, 0.0))}))
+    assert corners_of(box_about(alone)) == pytest.approx((-1.0, 11.0, -2.0, 2.0))
+
+
+def test_band_about_a_short_line() -> None:
+    ring = band(np.array([(0.0, 0.0), (0.3, 0.4)]), 1.0)
+    assert ring == pytest.approx(np.array([(-0.8, 0.6), (0.8, -0.6), (1.1, -0.2), (-0.5, 1.0)]))
+
+
+def test_rings_of_a_bay() -> None:
+    bay = Bay(name="bay", dock=Pose2(x_m=5.0, y_m=3.0, heading_deg=90.0), width_m=3.0)
+    shed = Shed(name="shed", height_m=4.0, outline_m=((0.0, 0.0), (10.0, 0.0), (10.0, 8.0), (0.0, 8.0)), bays=(bay,))
+    within, apron = (corners_of(box_about(ring)) for ring in bay_rings(shed, bay))
+    assert within == pytest.approx((3.5, 6.5, 0.075, 8.0))
+    assert apron == pytest.approx((1.5, 8.5, 7.9, 12.0))
+
+
+@pytest.mark.parametrize("size", [1.0, 0.05])
+def test_way_across_leads_to_the_first_side(size: float) -> None:
+    ring, start = size * L_SHAPE, size * np.array([2.0, 3.0])
+    for angle in np.arange(0.01, 2 * math.pi, 0.07):
+        ahead = np.array([math.cos(angle), math.sin(angle)])
+        way = way_across(start, ahead, ring)
+        assert is_within(start + np.linspace(0.0, way - 1e-6, 200)[:, None] * ahead, ring).all(), angle
+        assert not is_within((start + (way + 1e-6) * ahead)[None], ring)[0], angle
+    assert way_across(start, np.array([1.0, 0.0]), ring) == pytest.approx(8.0 * size)
 
 
 def test_way_inside() -> None:

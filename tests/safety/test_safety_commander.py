@@ -92,6 +92,19 @@ def test_gentle_braking_grows_by_3_per_s(bench: Bench) -> None:
     assert bench.show().deceleration_mps2 == pytest.approx(0.24)
 
 
+def test_gentle_braking_grows_from_nothing(bench: Bench) -> None:
+    gentle = replace(WISH, acceleration_mps2=-0.7)
+    assert bench.show(mode=Mode.AUTOMATIC, measured_mps=1.0, wish=gentle).deceleration_mps2 == 0.0
+
+
+def test_the_brakes_hold_as_configured(vehicle: Vehicle, config: SafetyConfig) -> None:
+    weak = config.model_copy(update={"braking": config.braking.model_copy(update={"hold_mps2": 0.5})})
+    bench = Bench(vehicle, weak)
+    for _ in range(20):
+        command = bench.show(mode=Mode.OBSTACLE_STOP, gap_m=0.0)
+    assert command.deceleration_mps2 == 0.5
+
+
 def test_at_standstill_the_brakes_hold(bench: Bench) -> None:
     bench.show(1.0, mode=Mode.AUTOMATIC, wish=replace(WISH, speed_mps=0.0))
     for _ in range(20):

@@ -160,6 +160,8 @@ def test_localization(config: SafetyConfig) -> None:
         assert ask("localization", config, pose=bad)[0] is STOP, bad
     for bad in ({"is_initialized": False}, {"source": PositionSource.NONE}):
         assert ask("localization", config, pose=bad)[1] == "localization.none"
+    lost = ask("localization", config, is_under_roof=True, pose={"uwb_age_s": 9.0})
+    assert lost[:2] == (STOP, "localization.uwb_lost")
     shed = {"gnss_age_s": 500.0, "source": PositionSource.UWB}
     assert ask("localization", config, pose=shed)[0] is NONE
 
@@ -240,7 +242,8 @@ def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SafetyConfig
 def test_fold(config: SafetyConfig) -> None:
     assert ask("fold", config, is_foldable=True, fold=None)[:2] == (STOP, "machine.implement.silent")
     assert ask("fold", config, is_foldable=True, fold=0.5) == (LIMIT, "fold", 0.0)
-    assert ask("fold", config, is_foldable=False, fold=None) == (NONE, "fold", math.inf)
+    for changes in ({"is_foldable": False, "fold": None}, {"is_foldable": True, "fold": 1.0}):
+        assert ask("fold", config, **changes) == (NONE, "fold", math.inf)
 
 
 def test_speed(config: SafetyConfig) -> None:
