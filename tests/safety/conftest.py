@@ -12,6 +12,15 @@ from safety.config import SafetyConfig
 from safety.fence import Fence
 from safety.supervisor import Supervisor
 
+DRIVES = {"world", "seeing", "thin", "full"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tells the tests that drive a machine through a world, which a mutation run leaves out."""
+    for item in items:
+        if DRIVES & set(getattr(item, "fixturenames", ())):
+            item.add_marker("drive")
+
 
 @pytest.fixture(scope="session")
 def config() -> SafetyConfig:

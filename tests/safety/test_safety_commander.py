@@ -75,6 +75,11 @@ def test_no_speed_below_the_creep(bench: Bench) -> None:
         assert (command.deceleration_mps2 > 0.0) == (allowed < 0.1), allowed
 
 
+def test_a_limit_below_the_creep_is_none_at_all(bench: Bench) -> None:
+    by_curve = 2.0 / (0.6 + 0.2 + 0.8)
+    assert bench.driving(2.0).show(allowed_mps=0.09).deceleration_mps2 == pytest.approx(by_curve + 2.0 / 0.5)
+
+
 def test_braking_to_a_limit(bench: Bench) -> None:
     bench.driving(2.0).show(0.1)
     assert bench.show(allowed_mps=1.0, measured_mps=2.0).deceleration_mps2 > 3.0
@@ -151,7 +156,7 @@ def test_brakes_are_a_drivers_after_the_first_standstill(bench: Bench) -> None:
 
 
 def test_park_brake_after_1500_ms(bench: Bench) -> None:
-    assert not bench.driving().show(mode=Mode.STANDBY, measured_mps=0.06).is_park_brake_set
+    assert bench.driving().show(mode=Mode.STANDBY, measured_mps=0.06).is_park_brake_set is False
     assert not bench.show(measured_mps=0.0).is_park_brake_set
     assert not bench.show(1.5).is_park_brake_set
     assert bench.show(0.001).is_park_brake_set
@@ -162,9 +167,9 @@ def test_park_brake_after_1500_ms(bench: Bench) -> None:
     assert not bench.show(1.5).is_park_brake_set
     assert bench.show().is_park_brake_set
     assert bench.show(mode=Mode.AUTOMATIC, wish=replace(WISH, speed_mps=0.0)).is_park_brake_set
-    assert not bench.show(wish=WISH).is_park_brake_set
+    assert bench.show(wish=WISH).is_park_brake_set is False
     assert bench.show(2.0, mode=Mode.MANUAL).is_park_brake_set
-    assert not bench.show(has_driver=True).is_park_brake_set
+    assert bench.show(has_driver=True).is_park_brake_set is False
 
 
 def test_steering_is_wished_held_or_measured(bench: Bench) -> None:
