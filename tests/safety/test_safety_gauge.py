@@ -17,6 +17,9 @@ from safety.stopping import on_grade
 
 COMMAND = SafeCommand(START_NS, Mode.AUTOMATIC, True, 2.0, 0.0, 0.0, False, False, False, False, True, "")
 
+AHEAD = Wish(START_NS, 0.5, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
+BACK = replace(AHEAD, speed_mps=-0.5)
+
 
 def odometry(speed_mps: float = 2.0, acceleration_mps2: float = 0.0, pitch_rad: float = 0.0) -> Odometry:
     T = transform((0.0, 0.0, 0.0), (0.0, pitch_rad, 0.0))
@@ -68,16 +71,17 @@ def test_direction_stays_when_nothing_tells_it(bench: Bench) -> None:
     assert back.direction == -1
     assert bench.show(odom=odometry(0.0), machine={"speed_mps": 0.0}).direction == -1
     assert bench.show(path=straight_path()).direction == 1
+    assert bench.show(path=None, wish=BACK).direction == -1
 
 
 def test_direction_is_that_of_motion_above_10_cm_per_s() -> None:
-    wish = Wish(START_NS, 0.5, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
     back = straight_path(direction=-1)
     for speed in around(0.1, 0.01):
-        assert direction_of(speed, back, wish, -1) == (1 if speed > 0.1 else -1), speed
-    assert direction_of(-0.2, straight_path(), wish, 1) == -1
-    assert direction_of(0.0, None, wish, -1) == 1
-    assert direction_of(0.0, None, replace(wish, speed_mps=-0.5), 1) == -1
+        assert direction_of(speed, back, AHEAD, -1) == (1 if speed > 0.1 else -1), speed
+    assert direction_of(-0.2, straight_path(), AHEAD, 1) == -1
+    assert direction_of(0.0, None, AHEAD, -1) == 1
+    assert direction_of(0.0, None, BACK, 1) == -1
+    assert direction_of(0.0, None, replace(AHEAD, speed_mps=0.0), 1) == 1
 
 
 def test_braking_is_that_of_the_slope_in_the_direction_of_travel(bench: Bench, config: SafetyConfig) -> None:
@@ -89,10 +93,11 @@ def test_braking_is_that_of_the_slope_in_the_direction_of_travel(bench: Bench, c
     assert bench.show(odom=odometry(-2.0, pitch_rad=-0.1)).braking.deceleration_mps2 < 2.0
 
 
-def test_sigma_is_that_of_the_worse_axis() -> None:
+def test_sigma_is_that_of_the_worse_axis(bench: Bench) -> None:
     pose = MapPose(START_NS, np.eye(4), np.eye(4), np.diag([9.0, 9.0, 9.0, 0.04, 0.01, 9.0]),
                    PositionSource.RTK_FIXED, 0.1, 0.1, True)  # fmt: skip
     assert position_sigma_m(pose) == pytest.approx(0.2)
+    assert bench.show(map_pose=pose).position_sigma_m == pytest.approx(0.2)
     assert position_sigma_m(replace(pose, covariance=np.diag([9, 9, 9, 0.01, 0.04, 9.0]))) == pytest.approx(0.2)
     assert position_sigma_m(replace(pose, covariance=np.zeros((6, 6)))) == 0.0
     assert position_sigma_m(replace(pose, covariance=-np.eye(6))) == 0.0

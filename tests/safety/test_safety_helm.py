@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from safety_world import START_NS, around, machine_state, situation_of
 
+from configs.vehicle import kmh
 from messages.command import Mode, OperatorOrder, Order
 from messages.faults import Fault, Response, Severity
 from messages.plan import Leg, MissionState, MissionStatus
@@ -17,6 +18,7 @@ from safety.helm import Helm, guarded
 from safety.judgement import Judgement, judged
 from safety.modes import Event
 from safety.reports import Reports
+from safety.rules.verdict import limit
 from safety.situation import Situation
 from safety.stopping import required_range
 
@@ -134,10 +136,25 @@ def test_an_obstacle_on_the_way_stops_a_standing_machine_that_would_go(bench: Be
 
 
 def test_creep_is_enough_to_go_on(config: SafetyConfig) -> None:
-    limit = required_range(config.modes.creep_mps, config.braking.flat, 2.1)
-    for way in around(limit, 0.002):
+    least = required_range(config.modes.creep_mps, config.braking.flat, 2.1)
+    for way in around(least, 0.002):
         bench = Bench(config).driving()
-        assert (bench.show(**STANDING, **near(way + 1e-6)) is Mode.AUTOMATIC) == (way >= limit - 1e-9), way
+        assert (bench.show(**STANDING, **near(way + 1e-6)) is Mode.AUTOMATIC) == (way >= least - 1e-9), way
+
+
+def test_at_the_limits_themselves(bench: Bench) -> None:
+    def show(after_s: float, allowed_mps: float) -> Mode:
+        bench.now_ns += round(after_s * 1e9)
+        situation = situation_of(bench.config, now_ns=bench.now_ns, **STANDING)
+        blocking = limit("obstacle.raw", allowed_mps, "ahead")
+        bench.helm.steer((), situation, replace(judged(situation, frozenset()), blocking=blocking), None)
+        return bench.helm.mode
+
+    bench.driving()
+    assert show(0.02, 0.1) is Mode.AUTOMATIC
+    assert show(0.02, 0.09) is Mode.OBSTACLE_STOP
+    show(0.02, kmh(1.8))
+    assert show(2.5, kmh(1.8)) is Mode.START_WARNING
 
 
 ASKED = frozenset({Event.RESET, Event.START, Event.PAUSE})
@@ -188,7 +205,7 @@ def test_manual_mode_is_told_by_the_hand_or_the_order(bench: Bench) -> None:
 
 def test_a_limit_is_told_when_it_is_2_cm_per_s_below_the_wish(bench: Bench) -> None:
     bench.driving()
-    for speed, reason in ((2.0, ""), (1.9801, ""), (1.9799, "speed.limit"), (1.0, "speed.limit")):
+    for speed, reason in ((2.0, ""), (2.0 - 0.02, ""), (1.9799, "speed.limit"), (1.0, "speed.limit")):
         bench.show(max_speed_mps=speed)
         assert bench.reason == reason, speed
     wish = bench.situation.wish
