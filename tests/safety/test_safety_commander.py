@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from safety_world import START_NS, around, machine_state
 
-from configs.vehicle import Vehicle
+from configs.vehicle import FOLDED, Vehicle
 from messages.command import Mode, SafeCommand, Wish
 from safety.commander import Commander, Moment
 from safety.config import SafetyConfig
@@ -202,7 +202,8 @@ def test_implement_and_pto(bench: Bench) -> None:
         return command.is_implement_lowered, command.is_pto_on
 
     lowered, running = (replace(WISH, is_implement_lowered=a, is_pto_on=not a) for a in (True, False))
-    assert asked(machine=machine_state(START_NS)) == (True, False)
+    assert asked(mode=Mode.START_WARNING, machine=None) == (False, False)  # before anything is known
+    assert asked(mode=Mode.STANDBY, machine=machine_state(START_NS)) == (True, False)
     assert asked(mode=Mode.AUTOMATIC, machine=UP, wish=lowered) == (True, False)
     assert asked(wish=running) == (False, True)
     assert asked(wish=WISH) == (True, True)
@@ -214,7 +215,7 @@ def test_implement_and_pto(bench: Bench) -> None:
     assert asked(mode=Mode.FAULT_STOP) == (False, False)
     assert asked(mode=Mode.AUTOMATIC) == (True, True)
     assert asked(mode=Mode.FAULT_STOP, machine=None) == (True, False)
-    for fold in (*around(0.01, 0.001), math.nan):
+    for fold in (*around(0.01, 0.001), 1.0 - FOLDED, math.nan):
         is_open = fold <= 0.01 + 1e-9
         assert asked(mode=Mode.AUTOMATIC, machine=replace(UP, fold=fold)) == (is_open, is_open), fold
 
