@@ -9,16 +9,19 @@ import pytest
 from safety_world import START_NS, around, straight_path
 
 from configs.site import Area, Bay, DatumConfig, Gate, Lane, Pose2, Shed, Site
-from configs.vehicle import Vehicle
+from configs.vehicle import FOLDED, Vehicle
+from geometry.transforms import planar
 from messages.command import Wish
+from messages.motion import MapPose, Odometry, PositionSource
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.bodies import Shape, shape_of
 from safety.config import SafetyConfig
 from safety.drive import allowed_slowing, eased, rising, slowing, steered, stopping, target_speed
 from safety.fence import Fence, band, bay_rings, box_about, fence_of, is_within, lane_rings, way_across, way_inside_m
+from safety.folding import fold_of, is_between, shapes_of
 from safety.gauge import direction_of, is_forced, position_sigma_m
 from safety.lookout import class_at
-from safety.motion import Trail, from_frame, seen_from, tilt_of, to_frame
+from safety.motion import Trail, from_frame, seen_from, tilt_of, to_frame, whole_odom, whole_pose
 from safety.returns import Box
 from safety.stopping import Braking
 from safety.sweep import Sweep, arc_poses, spaced, sweep_along
@@ -359,6 +362,57 @@ def test_frames_and_trail() -> None:
     assert all(math.isnan(angle) or angle == 0.0 for angle in tilt_of(np.full((4, 4), np.nan)))
     with pytest.raises(ValueError, match="empty"):
         Trail().pose_at(0)
+
+
+def odometry(stamp_ms: int, x_m: float, y_m: float, **changes: float) -> Odometry:
+    T = planar(x_m, y_m, 0.5)
+    return replace(Odometry(stamp_ms * 10**6, T, 1.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), **changes)
+
+
+def test_the_trail_adds_up_the_way_of_whatever_is_newer() -> None:
+    trail = Trail()
+    assert trail.driven_m == 0.0
+    for stamp, x, y in ((0, 1.0, 2.0), (500, 4.0, 6.0), (500, 9.0, 9.0), (400, 9.0, 9.0), (1000, 4.0, 5.0)):
+        trail.add(odometry(stamp, x, y))
+    assert trail.driven_m == 6.0
+    assert tuple(trail.pose_at(0)) == pytest.approx((1.0, 2.0, 0.5))
+    for stamp, y in ((-100, 2.0), (249, 2.0), (251, 6.0), (749, 6.0), (751, 5.0), (2000, 5.0)):
+        assert trail.pose_at(stamp * 10**6)[1] == y, stamp
+    trail.add(odometry(1001, 4.0, 5.0))  # what is more than a second old is forgotten
+    assert trail.pose_at(0)[1] == 6.0
+
+
+def test_what_is_no_number_is_no_odometry_and_no_pose() -> None:
+    good = odometry(0, 1.0, 2.0)
+    assert whole_odom(good) is good
+    for name in ("speed_mps", "yaw_rate_radps", "curvature_radpm", "acceleration_mps2"):
+        assert whole_odom(replace(good, **{name: math.nan})) is None, name
+    assert whole_odom(replace(good, T_odom_base=np.full((4, 4), np.nan))) is None
+    assert whole_odom(None) is None
+    pose = MapPose(0, np.eye(4), np.eye(4), np.eye(6), PositionSource.RTK_FIXED, math.inf, 0.1, True)
+    assert whole_pose(pose) is pose
+    assert whole_pose(replace(pose, T_map_odom=np.full((4, 4), np.nan))) is None
+    assert whole_pose(None) is None
+
+
+def test_shapes_of_a_fold(vehicle: Vehicle, implement) -> None:
+    shapes = shapes_of(vehicle, implement)
+    assert (shapes.wide, shapes.narrow) == (shape_of(vehicle, implement), shape_of(vehicle, implement.folded))
+    assert shapes.is_foldable
+    for fold in (None, 0.0, *around(FOLDED, 0.001), 1.0):
+        is_narrow = fold is not None and fold >= FOLDED
+        assert shapes.at(fold) is (shapes.narrow if is_narrow else shapes.wide), fold
+    bare = shapes_of(vehicle, None)
+    assert (bare.wide, bare.is_foldable) == (shape_of(vehicle, None), False)
+
+
+def test_fold_as_old_as_its_group_may_be() -> None:
+    for age_ms in around(350, 1):
+        machine = machine_state(START_NS, fold=0.5, implement_stamp_ns=START_NS - round(age_ms * 1e6))
+        assert fold_of(machine, 0.35) == (0.5 if age_ms <= 350 else None), age_ms
+    assert fold_of(None, 0.35) is None
+    for fold, between in ((1.0 - FOLDED, False), (FOLDED, False), (0.5, True), (0.011, True), (0.989, True)):
+        assert is_between(fold) == between, fold
 
 
 def test_a_larger_thing_that_moves_is_no_piece_of_a_smaller_that_stands(sweep: Sweep, config: SafetyConfig) -> None:

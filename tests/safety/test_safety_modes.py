@@ -203,7 +203,14 @@ def test_alarms_come_one_a_second_cause_first() -> None:
     for k in range(150):
         told += [(k, f.code, f.is_active) for f in alarms.update(k * 20_000_000, wanted)]
     assert told == [(0, "imu.silent", True), (50, "odom.silent", True), (100, "localization.gnss_lost", True)]
+    (first,) = Alarms().update(7, wanted[:1])
+    assert first == Fault(7, "imu.silent", "supervisor", Severity.ALARM, True, Response.CONTROLLED_STOP, True, "text",
+                          "Keine Nachricht von imu")  # fmt: skip
+    (warning,) = Alarms().update(7, [result("odd.code", Response.LIMIT)])
+    assert (warning.severity, warning.is_latched, warning.response) == (Severity.WARNING, False, Response.LIMIT)
+    assert warning.text_de == "odd.code: text"
     over = alarms.update(3_000_000_000, wanted[:1])
+    assert {f.stamp_ns for f in over} == {3_000_000_000}
     assert [(f.code, f.is_active, f.severity) for f in over] == [
         ("odom.silent", False, Severity.ALARM), ("localization.gnss_lost", False, Severity.WARNING),
     ]  # fmt: skip
@@ -212,6 +219,8 @@ def test_alarms_come_one_a_second_cause_first() -> None:
 def test_german_texts() -> None:
     assert german("lidar/front.silent", "x") == "Keine Nachricht von lidar/front"
     assert german("lidar/front.frozen", "x") == "lidar/front liefert immer dasselbe Bild"
+    assert german("radar/front.blind", "x") == "radar/front ist blind"
+    assert german("a.b.silent", "x") == "Keine Nachricht von a.b"
     assert german("hand.wheel", "x").startswith("Hand am Lenkrad")
     assert german("odd.code", "odd text") == "odd.code: odd text"
 
