@@ -17,7 +17,18 @@ from messages.perception import ObstacleClass, Track, Tracks
 from safety.bodies import Shape, shape_of
 from safety.config import SafetyConfig
 from safety.drive import allowed_slowing, eased, rising, slowing, steered, stopping, target_speed
-from safety.fence import Fence, band, bay_rings, box_about, fence_of, is_within, lane_rings, way_across, way_inside_m
+from safety.fence import (
+    Fence,
+    Ring,
+    band,
+    bay_rings,
+    box_about,
+    fence_of,
+    is_within,
+    lane_rings,
+    way_across,
+    way_inside_m,
+)
 from safety.folding import fold_of, is_between, shapes_of
 from safety.gauge import direction_of, is_forced, position_sigma_m
 from safety.lookout import class_at
@@ -164,6 +175,21 @@ def test_point_in_polygon() -> None:
     grid = np.stack(np.meshgrid(np.arange(-0.95, 11.0, 0.5), np.arange(-0.95, 11.0, 0.5)), -1).reshape(-1, 2)
     inside = (grid > 0).all(1) & (grid < 10).all(1) & ~((grid > 4).all(1))
     assert np.array_equal(is_within(grid, L_SHAPE), inside)
+    assert is_within(np.array([[2.0, 4.0]]), L_SHAPE)[0]  # at the height of two corners
+    for y in around(3.0, 0.01):
+        assert is_within(np.array([[4.0, y]]), np.array([(0.0, 0.0), (10.0, 0.0), (0.0, 5.0)]))[0] == (y < 3.0), y
+    assert Fence((L_SHAPE,)).holds(np.array([[1.0, 1.0]])).tolist() == [True]
+    assert Fence((L_SHAPE,)).holds(np.empty((0, 2))).tolist() == []
+
+
+def test_a_ring_may_be_left_out_a_millionth_of_a_metre_beside_it() -> None:
+    ring = Ring(L_SHAPE)
+    for away, may_meet in ((0.0, True), (0.9e-6, True), (1.1e-6, False)):
+        for x, y in (((10.0 + away, 11.0), (1.0, 2.0)), ((-1.0, -away), (1.0, 2.0)),
+                     ((1.0, 2.0), (10.0 + away, 11.0)), ((1.0, 2.0), (-1.0, -away))):  # fmt: skip
+            assert ring.may_meet(Box(x, y)) == may_meet, (x, y)
+            assert ring.has_side_at(Box(x, y)) == (away == 0.0), (x, y)
+    assert not ring.has_side_at(Box((1.0, 2.0), (1.0, 2.0)))
 
 
 @pytest.fixture
@@ -360,6 +386,10 @@ def test_frames_and_trail() -> None:
     points = np.array([[1.0, 2.0], [-4.0, 0.5]])
     assert from_frame(pose, to_frame(pose, points)) == pytest.approx(points)
     assert all(math.isnan(angle) or angle == 0.0 for angle in tilt_of(np.full((4, 4), np.nan)))
+    for sine in (-1.0 - 1e-9, 1.0 + 1e-9):  # rounded
+        upright = np.eye(4)
+        upright[2, 0] = sine
+        assert tilt_of(upright)[1] == pytest.approx(-math.copysign(math.pi / 2, sine))
     with pytest.raises(ValueError, match="empty"):
         Trail().pose_at(0)
 
@@ -376,7 +406,7 @@ def test_the_trail_adds_up_the_way_of_whatever_is_newer() -> None:
         trail.add(odometry(stamp, x, y))
     assert trail.driven_m == 6.0
     assert tuple(trail.pose_at(0)) == pytest.approx((1.0, 2.0, 0.5))
-    for stamp, y in ((-100, 2.0), (249, 2.0), (251, 6.0), (749, 6.0), (751, 5.0), (2000, 5.0)):
+    for stamp, y in ((-100, 2.0), (249, 2.0), (250, 2.0), (251, 6.0), (749, 6.0), (751, 5.0), (2000, 5.0)):
         assert trail.pose_at(stamp * 10**6)[1] == y, stamp
     trail.add(odometry(1001, 4.0, 5.0))  # what is more than a second old is forgotten
     assert trail.pose_at(0)[1] == 6.0
@@ -402,6 +432,8 @@ def test_shapes_of_a_fold(vehicle: Vehicle, implement) -> None:
     for fold in (None, 0.0, *around(FOLDED, 0.001), 1.0):
         is_narrow = fold is not None and fold >= FOLDED
         assert shapes.at(fold) is (shapes.narrow if is_narrow else shapes.wide), fold
+    stiff = implement.model_copy(update={"fold": None})
+    assert not shapes_of(vehicle, stiff).is_foldable
     bare = shapes_of(vehicle, None)
     assert (bare.wide, bare.is_foldable) == (shape_of(vehicle, None), False)
 
