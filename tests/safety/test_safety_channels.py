@@ -175,7 +175,8 @@ def test_point_in_polygon() -> None:
     grid = np.stack(np.meshgrid(np.arange(-0.95, 11.0, 0.5), np.arange(-0.95, 11.0, 0.5)), -1).reshape(-1, 2)
     inside = (grid > 0).all(1) & (grid < 10).all(1) & ~((grid > 4).all(1))
     assert np.array_equal(is_within(grid, L_SHAPE), inside)
-    assert is_within(np.array([[2.0, 4.0]]), L_SHAPE)[0]  # at the height of two corners
+    diamond = np.array([(0.0, -5.0), (5.0, 0.0), (0.0, 5.0), (-5.0, 0.0)])
+    assert is_within(np.array([[0.0, 0.0], [6.0, 0.0]]), diamond).tolist() == [True, False]  # at the height of corners
     for y in around(3.0, 0.01):
         assert is_within(np.array([[4.0, y]]), np.array([(0.0, 0.0), (10.0, 0.0), (0.0, 5.0)]))[0] == (y < 3.0), y
     assert Fence((L_SHAPE,)).holds(np.array([[1.0, 1.0]])).tolist() == [True]
