@@ -1,4 +1,5 @@
 .PHONY: lock test mutants format clean
+export PATH := $(PATH):$(CURDIR)/.uv/bin
 
 lock: # resolve each requirements*.in anew; LOCK=--upgrade takes newer versions
 	for name in requirements requirements-mutants; do \
