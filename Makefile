@@ -1,9 +1,9 @@
 .PHONY: lock test mutants format clean
-export PATH := $(PATH):$(CURDIR)/.uv/bin
+uv := $(or $(shell command -v uv),.uv/bin/uv)
 
 lock: # resolve each requirements*.in anew; LOCK=--upgrade takes newer versions
 	for name in requirements requirements-mutants; do \
-	  uv pip compile --quiet --generate-hashes --universal --python-version 3.11 --no-emit-index-url --no-emit-find-links \
+	  $(uv) pip compile --quiet --generate-hashes --universal --python-version 3.11 --no-emit-index-url --no-emit-find-links \
 	    --custom-compile-command "make lock" $(LOCK) $$name.in -o $$name.txt || exit; \
 	done
 
@@ -11,7 +11,7 @@ test:
 	./headland test
 
 mutants: # run what is left of the mutants of safety/; tests/safety/mutants.py says what ONLY=... may be
-	uv pip install --quiet --python .venv/bin/python --target .mutants --require-hashes --no-build -r requirements-mutants.txt
+	$(uv) pip install --quiet --python .venv/bin/python --target .mutants --require-hashes --no-build -r requirements-mutants.txt
 	PYTHONPATH=$(CURDIR)/.mutants PYTHONSAFEPATH=1 .venv/bin/python tests/safety/mutants.py $(ONLY)
 
 format:
