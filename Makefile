@@ -1,16 +1,23 @@
-.PHONY: lock test format clean
+.PHONY: lock test mutants format clean
+uv := $(or $(shell command -v uv),.uv/bin/uv)
 
-lock: # resolve requirements.in anew; LOCK=--upgrade takes newer versions
-	uv pip compile --quiet --generate-hashes --universal --python-version 3.11 --no-emit-index-url --no-emit-find-links \
-	  --custom-compile-command "make lock" $(LOCK) requirements.in -o requirements.txt
+lock: # resolve each requirements*.in anew; LOCK=--upgrade takes newer versions
+	for name in requirements requirements-mutants; do \
+	  $(uv) pip compile --quiet --generate-hashes --universal --python-version 3.11 --no-emit-index-url --no-emit-find-links \
+	    --custom-compile-command "make lock" $(LOCK) $$name.in -o $$name.txt || exit; \
+	done
 
 test:
 	./headland test
+
+mutants: # run what is left of the mutants of safety/; tests/safety/mutants.py says what ONLY=... may be
+	$(uv) pip install --quiet --python .venv/bin/python --target .mutants --require-hashes --no-build -r requirements-mutants.txt
+	PYTHONPATH=$(CURDIR)/.mutants PYTHONSAFEPATH=1 .venv/bin/python tests/safety/mutants.py $(ONLY)
 
 format:
 	.venv/bin/python -m ruff check --fix
 	.venv/bin/python -m ruff format
 
 clean: # all that set-up and the checks made; runs/ is yours
-	rm -rf .venv .uv .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage
+	rm -rf .venv .uv .mutants mutants .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

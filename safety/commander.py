@@ -100,10 +100,10 @@ class Commander:
     def _speed(self, moment: Moment, dt_s: float) -> Speed:
         modes, braking = self._config.modes, self._config.braking
         measured = 0.0 if moment.measured_mps is None else moment.measured_mps
-        before = self.last if self.last is not None else None
+        before = self.last
         brake_before = 0.0 if before is None else before.deceleration_mps2
         if moment.mode is not Mode.AUTOMATIC:
-            asked = self._standstill_brake(moment, stopping(abs(measured), moment.gap_m, braking))
+            asked = self._standstill_brake(stopping(abs(measured), moment.gap_m, braking))
             if moment.mode is Mode.FAULT_STOP:  # what has failed has had its time already
                 return Speed(0.0, asked)
             return Speed(0.0, eased(asked, brake_before, braking.controlled_mps2, self._config.jerk_mps3 * dt_s))
@@ -111,10 +111,10 @@ class Commander:
         out = rising(target, 0.0 if before is None else before.speed_mps, measured, self._acceleration_mps2 * dt_s)
         limit = moment.allowed_mps if moment.allowed_mps >= modes.creep_mps else 0.0
         asked = slowing(moment.wish, limit, abs(measured), moment.gap_m, moment.braking, braking)
-        asked = self._standstill_brake(moment, asked) if target == 0.0 else asked
+        asked = self._standstill_brake(asked) if target == 0.0 else asked
         return Speed(out, eased(asked, brake_before, braking.controlled_mps2, self._config.jerk_mps3 * dt_s))
 
-    def _standstill_brake(self, moment: Moment, moving_mps2: float) -> float:
+    def _standstill_brake(self, moving_mps2: float) -> float:
         is_standing = self._standing_since_ns is not None
         return max(self._config.braking.hold_mps2, 0.0 if is_standing else moving_mps2)
 

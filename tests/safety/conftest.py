@@ -1,5 +1,6 @@
 """The supervisor's configuration, a machine, and a world around it."""
 
+import inspect
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,15 @@ from configs.vehicle import Camera, ImplementFile, Mount, Radar, Ultrasonic, Veh
 from safety.config import SafetyConfig
 from safety.fence import Fence
 from safety.supervisor import Supervisor
+
+DRIVES = {"world", "seeing", "shed_world", "thin"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tells the tests that drive a machine through a world, which a mutation run leaves out."""
+    for item in items:
+        if isinstance(item, pytest.Function) and DRIVES & inspect.signature(item.function).parameters.keys():
+            item.add_marker("drive")
 
 
 @pytest.fixture(scope="session")

@@ -8,17 +8,31 @@ import numpy as np
 import pytest
 from safety_world import START_NS, around, straight_path
 
-from configs.site import Area, DatumConfig, Gate, Lane, Pose2, Shed, Site
-from configs.vehicle import Vehicle
+from configs.site import Area, Bay, DatumConfig, Gate, Lane, Pose2, Shed, Site
+from configs.vehicle import FOLDED, Vehicle
+from geometry.transforms import planar
 from messages.command import Wish
+from messages.motion import MapPose, Odometry, PositionSource
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.bodies import Shape, shape_of
 from safety.config import SafetyConfig
 from safety.drive import allowed_slowing, eased, rising, slowing, steered, stopping, target_speed
-from safety.fence import Fence, fence_of, is_within, way_inside_m
+from safety.fence import (
+    Fence,
+    Ring,
+    band,
+    bay_rings,
+    box_about,
+    fence_of,
+    is_within,
+    lane_rings,
+    way_across,
+    way_inside_m,
+)
+from safety.folding import fold_of, is_between, shapes_of
 from safety.gauge import direction_of, is_forced, position_sigma_m
 from safety.lookout import class_at
-from safety.motion import Trail, from_frame, seen_from, tilt_of, to_frame
+from safety.motion import Trail, from_frame, seen_from, tilt_of, to_frame, whole_odom, whole_pose
 from safety.returns import Box
 from safety.stopping import Braking
 from safety.sweep import Sweep, arc_poses, spaced, sweep_along
@@ -161,6 +175,22 @@ def test_point_in_polygon() -> None:
     grid = np.stack(np.meshgrid(np.arange(-0.95, 11.0, 0.5), np.arange(-0.95, 11.0, 0.5)), -1).reshape(-1, 2)
     inside = (grid > 0).all(1) & (grid < 10).all(1) & ~((grid > 4).all(1))
     assert np.array_equal(is_within(grid, L_SHAPE), inside)
+    diamond = np.array([(0.0, -5.0), (5.0, 0.0), (0.0, 5.0), (-5.0, 0.0)])
+    assert is_within(np.array([[0.0, 0.0], [6.0, 0.0]]), diamond).tolist() == [True, False]  # at the height of corners
+    for y in around(3.0, 0.01):
+        assert is_within(np.array([[4.0, y]]), np.array([(0.0, 0.0), (10.0, 0.0), (0.0, 5.0)]))[0] == (y < 3.0), y
+    assert Fence((L_SHAPE,)).holds(np.array([[1.0, 1.0]])).tolist() == [True]
+    assert Fence((L_SHAPE,)).holds(np.empty((0, 2))).tolist() == []
+
+
+def test_a_ring_may_be_left_out_a_millionth_of_a_metre_beside_it() -> None:
+    ring = Ring(L_SHAPE)
+    for away, may_meet in ((0.0, True), (0.9e-6, True), (1.1e-6, False)):
+        for x, y in (((10.0 + away, 11.0), (1.0, 2.0)), ((-1.0, -away), (1.0, 2.0)),
+                     ((1.0, 2.0), (10.0 + away, 11.0)), ((1.0, 2.0), (-1.0, -away))):  # fmt: skip
+            assert ring.may_meet(Box(x, y)) == may_meet, (x, y)
+            assert ring.has_side_at(Box(x, y)) == (away == 0.0), (x, y)
+    assert not ring.has_side_at(Box((1.0, 2.0), (1.0, 2.0)))
 
 
 @pytest.fixture
@@ -188,6 +218,43 @@ def test_fence_of_a_site(site: Site) -> None:
     assert not fence_of(site.model_copy(update={"shed": None})).holds(np.array([[-70.0, -30.0]])).any()
 
 
+def corners_of(box: Box) -> tuple[float, ...]:
+    return (*box.x_m, *box.y_m)
+
+
+def test_rings_of_a_lane_overlap_in_its_bends_and_at_its_ends() -> None:
+    lane = Lane(name="lane", center_m=((0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (10.5, 6.0)), width_m=4.0)
+    boxes = [corners_of(box_about(ring)) for ring in lane_rings(lane)]
+    expected = [(-1.0, 12.0, -2.0, 2.0), (8.0, 12.0, -2.0, 8.0), (8.0, 11.5, 4.0, 8.0)]
+    assert np.array(boxes) == pytest.approx(np.array(expected))
+    (alone,) = lane_rings(lane.model_copy(update={"center_m": ((0.0, 0.0), (10.0, 0.0))}))
+    assert corners_of(box_about(alone)) == pytest.approx((-1.0, 11.0, -2.0, 2.0))
+
+
+def test_band_about_a_short_line() -> None:
+    ring = band(np.array([(0.0, 0.0), (0.3, 0.4)]), 1.0)
+    assert ring == pytest.approx(np.array([(-0.8, 0.6), (0.8, -0.6), (1.1, -0.2), (-0.5, 1.0)]))
+
+
+def test_rings_of_a_bay() -> None:
+    bay = Bay(name="bay", dock=Pose2(x_m=5.0, y_m=3.0, heading_deg=90.0), width_m=3.0)
+    shed = Shed(name="shed", height_m=4.0, outline_m=((0.0, 0.0), (10.0, 0.0), (10.0, 8.0), (0.0, 8.0)), bays=(bay,))
+    within, apron = (corners_of(box_about(ring)) for ring in bay_rings(shed, bay))
+    assert within == pytest.approx((3.5, 6.5, 0.075, 8.0))
+    assert apron == pytest.approx((1.5, 8.5, 7.9, 12.0))
+
+
+@pytest.mark.parametrize("size", [1.0, 0.05])
+def test_way_across_leads_to_the_first_side(size: float) -> None:
+    ring, start = size * L_SHAPE, size * np.array([2.0, 3.0])
+    for angle in np.arange(0.01, 2 * math.pi, 0.07):
+        ahead = np.array([math.cos(angle), math.sin(angle)])
+        way = way_across(start, ahead, ring)
+        assert is_within(start + np.linspace(0.0, way - 1e-6, 200)[:, None] * ahead, ring).all(), angle
+        assert not is_within((start + (way + 1e-6) * ahead)[None], ring)[0], angle
+    assert way_across(start, np.array([1.0, 0.0]), ring) == pytest.approx(8.0 * size)
+
+
 def test_way_inside() -> None:
     fence = Fence((L_SHAPE,))
     points = np.array([(x, 2.0) for x in np.arange(5.0, 15.0, 0.5)])
@@ -210,6 +277,10 @@ def test_target_speed() -> None:
     assert target_speed(wish(-2.0), 1.0, 1.0, 0.1) == 0.0
     assert target_speed(wish(0.03), 5.0, 0.0, 0.1) == 0.03  # control's own last centimetres
     assert math.copysign(1.0, target_speed(wish(0.0), 5.0, 0.0, 0.1)) == 1.0
+    assert target_speed(wish(2.0), 5.0, 1.0, 0.1) == 2.0
+    assert target_speed(wish(0.4), 5.0, 1.0, 0.1) == 0.4
+    assert target_speed(wish(-2.0), 1.0, 0.2, 0.1) == -1.0  # creeping, it may turn round
+    assert target_speed(wish(-2.0), 1.0, 0.21, 0.1) == 0.0
     for allowed in around(0.1, 0.01):
         assert (target_speed(wish(2.0), allowed, 0.0, 0.1) > 0.0) == (allowed >= 0.1), allowed
 
@@ -221,6 +292,8 @@ def test_rising_is_limited_and_falling_is_not() -> None:
     assert rising(0.0, 1.0, 1.0, 0.1) == 0.0
     assert rising(2.0, 0.0, 1.5, 0.1) == pytest.approx(1.6)
     assert rising(2.0, -1.0, -1.0, 0.1) == pytest.approx(0.1)
+    assert rising(2.0, 1.0, 0.0, 0.1) == pytest.approx(1.1)  # of a machine that is slow to follow
+    assert rising(1.0, 1.0, 1.0, 0.1) == 1.0
 
 
 def test_slowing(config: SafetyConfig) -> None:
@@ -234,7 +307,15 @@ def test_slowing(config: SafetyConfig) -> None:
         asked = slowing(wish(), 2.0, 2.0 + over, math.inf, NOMINAL, braking)
         assert (asked > 0.0) == (over > 0.05 + 1e-9), over
     assert slowing(wish(), 0.0, 3.0, 1.5, NOMINAL, braking) == braking.full_mps2
+    assert slowing(wish(), 0.0, 0.05, math.inf, NOMINAL, braking) == 0.0
     assert slowing(wish(), 2.0, 2.2, 20.0, NOMINAL, braking) < 2.0
+    by_curve = allowed_slowing(2.2, NOMINAL)
+    assert slowing(wish(), 2.0, 2.2, math.inf, NOMINAL, braking) == pytest.approx(by_curve + 0.4)  # gone in 0.5 s
+
+
+def test_slowing_along_the_curve() -> None:
+    assert allowed_slowing(2.0, NOMINAL) == pytest.approx(2.0 / (0.6 + 0.2 + 0.8))
+    assert allowed_slowing(2.0, Braking(0.6, 0.5, 0.8)) == pytest.approx(2.0 / (0.6 + 0.25 + 2.5))
     assert allowed_slowing(2.0, Braking(0.6, 0.4, 0.0)) == 0.0
 
 
@@ -242,6 +323,7 @@ def test_stopping_and_easing(config: SafetyConfig) -> None:
     assert stopping(2.0, math.inf, config.braking) == config.braking.controlled_mps2
     assert stopping(3.0, 2.0, config.braking) == pytest.approx(9.0 / 2.0 / 1.1)
     assert eased(1.0, 0.0, 1.5, 0.06) == 0.06
+    assert eased(1.5, 0.0, 1.5, 0.06) == 0.06
     assert eased(1.6, 0.0, 1.5, 0.06) == 1.6
     assert eased(0.2, 1.0, 1.5, 0.06) == 0.2
 
@@ -305,8 +387,65 @@ def test_frames_and_trail() -> None:
     points = np.array([[1.0, 2.0], [-4.0, 0.5]])
     assert from_frame(pose, to_frame(pose, points)) == pytest.approx(points)
     assert all(math.isnan(angle) or angle == 0.0 for angle in tilt_of(np.full((4, 4), np.nan)))
+    for sine in (-1.0 - 1e-9, 1.0 + 1e-9):  # rounded
+        upright = np.eye(4)
+        upright[2, 0] = sine
+        assert tilt_of(upright)[1] == pytest.approx(-math.copysign(math.pi / 2, sine))
     with pytest.raises(ValueError, match="empty"):
         Trail().pose_at(0)
+
+
+def odometry(stamp_ms: int, x_m: float, y_m: float, **changes: float) -> Odometry:
+    T = planar(x_m, y_m, 0.5)
+    return replace(Odometry(stamp_ms * 10**6, T, 1.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), **changes)
+
+
+def test_the_trail_adds_up_the_way_of_whatever_is_newer() -> None:
+    trail = Trail()
+    assert trail.driven_m == 0.0
+    for stamp, x, y in ((0, 1.0, 2.0), (500, 4.0, 6.0), (500, 9.0, 9.0), (400, 9.0, 9.0), (1000, 4.0, 5.0)):
+        trail.add(odometry(stamp, x, y))
+    assert trail.driven_m == 6.0
+    assert tuple(trail.pose_at(0)) == pytest.approx((1.0, 2.0, 0.5))
+    for stamp, y in ((-100, 2.0), (249, 2.0), (250, 2.0), (251, 6.0), (749, 6.0), (751, 5.0), (2000, 5.0)):
+        assert trail.pose_at(stamp * 10**6)[1] == y, stamp
+    trail.add(odometry(1001, 4.0, 5.0))  # what is more than a second old is forgotten
+    assert trail.pose_at(0)[1] == 6.0
+
+
+def test_what_is_no_number_is_no_odometry_and_no_pose() -> None:
+    good = odometry(0, 1.0, 2.0)
+    assert whole_odom(good) is good
+    for name in ("speed_mps", "yaw_rate_radps", "curvature_radpm", "acceleration_mps2"):
+        assert whole_odom(replace(good, **{name: math.nan})) is None, name
+    assert whole_odom(replace(good, T_odom_base=np.full((4, 4), np.nan))) is None
+    assert whole_odom(None) is None
+    pose = MapPose(0, np.eye(4), np.eye(4), np.eye(6), PositionSource.RTK_FIXED, math.inf, 0.1, True)
+    assert whole_pose(pose) is pose
+    assert whole_pose(replace(pose, T_map_odom=np.full((4, 4), np.nan))) is None
+    assert whole_pose(None) is None
+
+
+def test_shapes_of_a_fold(vehicle: Vehicle, implement) -> None:
+    shapes = shapes_of(vehicle, implement)
+    assert (shapes.wide, shapes.narrow) == (shape_of(vehicle, implement), shape_of(vehicle, implement.folded))
+    assert shapes.is_foldable
+    for fold in (None, 0.0, *around(FOLDED, 0.001), 1.0):
+        is_narrow = fold is not None and fold >= FOLDED
+        assert shapes.at(fold) is (shapes.narrow if is_narrow else shapes.wide), fold
+    stiff = implement.model_copy(update={"fold": None})
+    assert not shapes_of(vehicle, stiff).is_foldable
+    bare = shapes_of(vehicle, None)
+    assert (bare.wide, bare.is_foldable) == (shape_of(vehicle, None), False)
+
+
+def test_fold_as_old_as_its_group_may_be() -> None:
+    for age_ms in around(350, 1):
+        machine = machine_state(START_NS, fold=0.5, implement_stamp_ns=START_NS - round(age_ms * 1e6))
+        assert fold_of(machine, 0.35) == (0.5 if age_ms <= 350 else None), age_ms
+    assert fold_of(None, 0.35) is None
+    for fold, between in ((1.0 - FOLDED, False), (FOLDED, False), (0.5, True), (0.011, True), (0.989, True)):
+        assert is_between(fold) == between, fold
 
 
 def test_a_larger_thing_that_moves_is_no_piece_of_a_smaller_that_stands(sweep: Sweep, config: SafetyConfig) -> None:

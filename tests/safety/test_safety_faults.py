@@ -75,9 +75,17 @@ def test_brake_trial_at_its_limit(config: SafetyConfig) -> None:
         assert test.update(Mode.AUTOMATIC, 0.45, 0.0) is Phase.BRAKE
         assert test.update(Mode.AUTOMATIC, 0.2, 0.1) is Phase.BRAKE
         assert test.update(Mode.AUTOMATIC, 0.0, left) is (Phase.PASSED if left <= way_m + 1e-9 else Phase.FAILED)
+    late = BrakeTest(config)
+    late.update(Mode.AUTOMATIC, 0.45, 7.0)  # not in the first metres of a day
+    assert late.update(Mode.AUTOMATIC, 0.0, 7.0 + way_m - 1e-6) is Phase.PASSED
     for speed in around(config.brake_test.brake_kmh / 3.6, 1e-3):
         is_fast = speed >= config.brake_test.brake_kmh / 3.6 - 1e-12
         assert (BrakeTest(config).update(Mode.AUTOMATIC, -speed, 0.0) is Phase.BRAKE) == is_fast
+    for speed in around(config.modes.standstill_mps, 0.01):
+        test = BrakeTest(config)
+        test.update(Mode.AUTOMATIC, 0.45, 0.0)
+        is_still = speed <= config.modes.standstill_mps
+        assert test.update(Mode.AUTOMATIC, speed, 0.1) is (Phase.PASSED if is_still else Phase.BRAKE), speed
     broken = BrakeTest(config)
     broken.update(Mode.AUTOMATIC, 0.45, 0.0)
     assert broken.update(Mode.OBSTACLE_STOP, 0.3, 0.1) is Phase.CREEP
@@ -89,6 +97,7 @@ def test_what_the_brake_trial_asks_for() -> None:
     assert asked[Phase.BRAKE].speed_limit_mps == 0.0
     assert math.isinf(asked[Phase.PASSED].speed_limit_mps)
     assert asked[Phase.FAILED].response is Response.EMERGENCY_STOP
+    assert [asked[phase].code for phase in Phase] == ["brake.test", "brake.test", "brake.weak", "brake.test_failed"]
 
 
 def test_a_hand_on_the_wheel_with_nobody_on_the_seat_leaves_the_machine_braked_and_parked(world: World) -> None:

@@ -108,6 +108,12 @@ def test_orders_without_authority_order_or_time_are_refused(kind: Order) -> None
     assert orders.events(0, [order(kind, 0, "remote")])
 
 
+def test_an_order_counts_from_number_0_to_the_moment_it_expires() -> None:
+    orders = Orders(("operator",))
+    assert orders.events(0, [order(Order.PAUSE, -1)]) == frozenset()
+    assert orders.events(100, [order(Order.PAUSE, 0)]) == {Event.PAUSE}
+
+
 def test_emergency_stop_is_taken_from_anyone() -> None:
     orders = Orders(("operator",))
     stop = order(Order.EMERGENCY_STOP, -5, "passer-by", -1)
@@ -197,7 +203,14 @@ def test_alarms_come_one_a_second_cause_first() -> None:
     for k in range(150):
         told += [(k, f.code, f.is_active) for f in alarms.update(k * 20_000_000, wanted)]
     assert told == [(0, "imu.silent", True), (50, "odom.silent", True), (100, "localization.gnss_lost", True)]
+    (first,) = Alarms().update(7, wanted[:1])
+    assert first == Fault(7, "imu.silent", "supervisor", Severity.ALARM, True, Response.CONTROLLED_STOP, True, "text",
+                          "Keine Nachricht von imu")  # fmt: skip
+    (warning,) = Alarms().update(7, [result("odd.code", Response.LIMIT)])
+    assert (warning.severity, warning.is_latched, warning.response) == (Severity.WARNING, False, Response.LIMIT)
+    assert warning.text_de == "odd.code: text"
     over = alarms.update(3_000_000_000, wanted[:1])
+    assert {f.stamp_ns for f in over} == {3_000_000_000}
     assert [(f.code, f.is_active, f.severity) for f in over] == [
         ("odom.silent", False, Severity.ALARM), ("localization.gnss_lost", False, Severity.WARNING),
     ]  # fmt: skip
@@ -206,12 +219,15 @@ def test_alarms_come_one_a_second_cause_first() -> None:
 def test_german_texts() -> None:
     assert german("lidar/front.silent", "x") == "Keine Nachricht von lidar/front"
     assert german("lidar/front.frozen", "x") == "lidar/front liefert immer dasselbe Bild"
+    assert german("radar/front.blind", "x") == "radar/front ist blind"
+    assert german("a.b.silent", "x") == "Keine Nachricht von a.b"
     assert german("hand.wheel", "x").startswith("Hand am Lenkrad")
     assert german("odd.code", "odd text") == "odd.code: odd text"
 
 
 def test_held_and_window() -> None:
     held = Held()
+    assert not held.is_held
     assert [held.update(k * 10**9, k >= 2) for k in range(5)] == [0.0, 0.0, 0.0, 1.0, 2.0]
     assert held.is_held
     assert held.update(1, True) == 0.0  # the clock went back: counted anew
@@ -222,3 +238,5 @@ def test_held_and_window() -> None:
         window.add(k * 10**9, float(k))
     assert [window.distance(v) for v in (2.0, 3.0, 4.0, 5.0)] == [1.0, 0.0, 0.0, 1.0]
     assert math.isnan(window.distance(math.nan))
+    window.add(4 * 10**9 + 1, 6.0)  # the value of 3 s is too old by a nanosecond
+    assert [window.distance(v) for v in (3.0, 5.0)] == [1.0, 0.0]

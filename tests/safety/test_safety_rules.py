@@ -11,18 +11,31 @@ from safety_world import START_NS, around, machine_state, situation_of
 from messages.faults import Fault, Response, Severity
 from messages.motion import PositionSource
 from messages.perception import ObstacleClass
+from safety.brake_test import Phase
 from safety.config import SafetyConfig
 from safety.field import Gap
-from safety.judgement import judged
+from safety.judgement import allowance_m, judged
 from safety.rules import RULES
-from safety.stopping import stopping_distance
+from safety.sensing import Lost
+from safety.stopping import highest_speed, stopping_distance
 from safety.tracked import Threat
 
 NONE, LIMIT, STOP, EMERGENCY = Response.NONE, Response.LIMIT, Response.CONTROLLED_STOP, Response.EMERGENCY_STOP
 
 
+FREE = {
+    "emergency": "emergency.button", "hand": "hand.wheel", "clock": "clock.step", "reported": "reported",
+    "silence": "silence", "supply": "supply.voltage", "steering": "steering", "brake": "brake.weak",
+    "localization": "localization", "tilt": "tilt", "fence": "fence", "fold": "fold", "obstacle": "obstacle.raw",
+    "tracked": "obstacle.tracked", "proven": "range.proven", "sensing": "sensing", "survey": "dock.wall",
+    "speed": "speed.limit",
+}  # fmt: skip
+
+
 def ask(rule: str, config: SafetyConfig, **changes: Any) -> tuple[Response, str, float]:
     result = RULES[rule](situation_of(config, **changes))
+    assert isinstance(result.text, str)
+    assert result.text or result.response is NONE
     return result.response, result.code, result.speed_limit_mps
 
 
@@ -32,14 +45,21 @@ def with_machine(**changes: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("rule", RULES)
 def test_nothing_is_wrong(rule: str, config: SafetyConfig) -> None:
-    response, _, limit = ask(rule, config)
+    response, code, limit = ask(rule, config)
     assert response <= LIMIT
     assert limit >= 8.0
+    assert code == FREE[rule]
 
 
-@pytest.mark.parametrize("rule", ["emergency", "hand", "supply", "steering", "localization", "tilt"])
+@pytest.mark.parametrize("rule", ["emergency", "hand", "supply", "steering", "localization", "tilt", "fold"])
 def test_what_is_missing_is_the_watchdogs_matter(rule: str, config: SafetyConfig) -> None:
-    assert ask(rule, config, machine=None, map_pose=None, odom=None)[0] is NONE
+    missing = ask(rule, config, machine=None, map_pose=None, odom=None, is_foldable=True)
+    assert missing == (NONE, FREE[rule], math.inf)
+
+
+def test_clock(config: SafetyConfig) -> None:
+    for step in around(0.0, 0.6):
+        assert ask("clock", config, clock_step_s=step)[:2] == (STOP if step else NONE, "clock.step"), step
 
 
 def test_emergency_button_and_pedal(config: SafetyConfig) -> None:
@@ -61,8 +81,9 @@ def test_hand_on_the_wheel(config: SafetyConfig, sign: int) -> None:
         assert ask("hand", config, **with_machine(hand_angle_rad=sign * math.radians(angle)))[0] is expected, angle
     for forced in around(1.0, 0.02):
         assert ask("hand", config, hand_forced_s=forced)[0] is (STOP if forced > 1.0 else NONE), forced
-    assert ask("hand", config, **with_machine(hand_rate_radps=math.nan))[0] is STOP
-    assert ask("hand", config, **with_machine(hand_angle_rad=math.nan))[0] is STOP
+    assert ask("hand", config, **with_machine(hand_rate_radps=math.nan))[:2] == (STOP, "hand.wheel")
+    assert ask("hand", config, **with_machine(hand_angle_rad=math.nan))[:2] == (STOP, "hand.wheel")
+    assert ask("hand", config, hand_forced_s=2.0)[:2] == (STOP, "hand.wheel")
 
 
 def fault(response: Response, code: str = "x.y") -> Fault:
@@ -102,27 +123,29 @@ def test_supply(config: SafetyConfig) -> None:
         assert ask("supply", config, **with_machine(supply_v=volts))[0] is (NONE if volts >= 9.0 else STOP), volts
     for volts in around(36.0, 0.05):
         assert ask("supply", config, **with_machine(supply_v=volts))[0] is (NONE if volts <= 36.0 else STOP), volts
-    assert ask("supply", config, **with_machine(supply_v=math.nan))[0] is STOP
+    assert ask("supply", config, **with_machine(supply_v=math.nan))[:2] == (STOP, "supply.voltage")
 
 
 def test_steering(config: SafetyConfig) -> None:
     for held in around(0.4, 0.02):
-        expected = STOP if held > 0.4 else NONE
-        assert ask("steering", config, steering_off_s=held)[0] is expected, held
-        expected = STOP if held > 0.4 else LIMIT
-        assert ask("steering", config, steering_lost_s=held, **with_machine(is_steering_ready=False))[0] is expected
+        expected = (STOP, "steering.not_following") if held > 0.4 else (NONE, "steering")
+        assert ask("steering", config, steering_off_s=held)[:2] == expected, held
+        expected = (STOP if held > 0.4 else LIMIT, "steering.not_ready")
+        assert ask("steering", config, steering_lost_s=held, **with_machine(is_steering_ready=False))[:2] == expected
     assert ask("steering", config, **with_machine(is_steering_ready=False)) == (LIMIT, "steering.not_ready", 0.0)
 
 
 def test_brake(config: SafetyConfig) -> None:
     for held in around(0.8, 0.02):
-        assert ask("brake", config, brake_weak_s=held)[0] is (EMERGENCY if held > 0.8 else NONE), held
+        assert ask("brake", config, brake_weak_s=held)[:2] == (EMERGENCY if held > 0.8 else NONE, "brake.weak"), held
+    for phase in (Phase.CREEP, Phase.BRAKE, Phase.FAILED):
+        assert ask("brake", config, brake_test=phase)[1].startswith("brake.test"), phase
 
 
 def test_localization(config: SafetyConfig) -> None:
     for level in around(0.5, 0.01):
-        expected = STOP if level > 0.5 else LIMIT
-        assert ask("localization", config, pose={"protection_level_m": level})[0] is expected, level
+        expected = (STOP, "localization.protection") if level > 0.5 else (LIMIT, "localization")
+        assert ask("localization", config, pose={"protection_level_m": level})[:2] == expected, level
     for level in around(0.3, 0.01):
         expected = LIMIT if level > 0.3 else NONE
         assert ask("localization", config, pose={"protection_level_m": level})[0] is expected, level
@@ -135,6 +158,10 @@ def test_localization(config: SafetyConfig) -> None:
     for bad in ({"is_initialized": False}, {"source": PositionSource.NONE}, {"protection_level_m": math.nan},
                 {"gnss_age_s": math.nan}, {"protection_level_m": math.inf}):  # fmt: skip
         assert ask("localization", config, pose=bad)[0] is STOP, bad
+    for bad in ({"is_initialized": False}, {"source": PositionSource.NONE}):
+        assert ask("localization", config, pose=bad)[1] == "localization.none"
+    lost = ask("localization", config, is_under_roof=True, pose={"uwb_age_s": 9.0})
+    assert lost[:2] == (STOP, "localization.uwb_lost")
     shed = {"gnss_age_s": 500.0, "source": PositionSource.UWB}
     assert ask("localization", config, pose=shed)[0] is NONE
 
@@ -145,6 +172,8 @@ def test_tilt(config: SafetyConfig, axis: str, sign: int) -> None:
     for angle in around(15.0, 0.1):
         got = ask("tilt", config, **{f"{axis}_rad": sign * math.radians(angle - 1e-9)})
         assert got[:2] == ((STOP, f"tilt.{axis}") if angle > 15.0 + 1e-6 else (NONE, "tilt")), angle
+    level = config.model_copy(update={"limits": config.limits.model_copy(update={f"{axis}_deg": 0.0})})
+    assert ask("tilt", level)[0] is NONE  # at the limit itself
     broken = replace(situation_of(config).odom, T_odom_base=np.full((4, 4), np.nan))
     assert ask("tilt", config, odom=broken)[0] is STOP
 
@@ -173,6 +202,7 @@ def test_obstacle(config: SafetyConfig) -> None:
         expected = STOP if main < stopping else LIMIT
         assert ask("obstacle", config, **gap(main))[0] is expected, main
         assert ask("obstacle", config, **gap(math.inf, main))[0] is expected, main
+    assert ask("obstacle", config, **gap(1.0))[1] == "obstacle.raw"
     assert ask("obstacle", config, speed_mps=0.0, **gap(0.5)) == (LIMIT, "obstacle.raw", 0.0)
     for main in around(2.1, 0.02):
         assert (ask("obstacle", config, speed_mps=0.0, **gap(main))[2] > 0.0) == (main > 2.1), main
@@ -184,6 +214,7 @@ def test_tracked(config: SafetyConfig) -> None:
     for away in around(stopping, 0.01):
         expected = STOP if away < stopping else LIMIT
         assert ask("tracked", config, threat=Threat(away, ObstacleClass.PERSON, 3))[0] is expected, away
+    assert ask("tracked", config, threat=Threat(1.0, ObstacleClass.PERSON, 3))[:2] == (STOP, "obstacle.tracked")
     standing = ask("tracked", config, speed_mps=0.0, threat=Threat(0.5, ObstacleClass.PERSON, 3))
     assert standing == (LIMIT, "obstacle.tracked", 0.0)
 
@@ -191,14 +222,38 @@ def test_tracked(config: SafetyConfig) -> None:
 def test_proven_range(config: SafetyConfig) -> None:
     assert ask("proven", config, proven_m=0.0) == (LIMIT, "range.proven", 0.0)
     assert ask("proven", config, proven_m=0.0, blind=("lidar/front",)) == (LIMIT, "lidar/front.blind", 0.0)
-    assert ask("proven", config, proven_m=5.0, blind=("lidar/front",))[1] == "range.proven"  # another lidar sees
+    for seen_m in (0.5, 5.0):  # by another lidar
+        assert ask("proven", config, proven_m=seen_m, blind=("lidar/front",))[1] == "range.proven"
     assert ask("proven", config, proven_m=40.0)[2] * 3.6 == pytest.approx(29.5, abs=0.5)
     speeds = [ask("proven", config, proven_m=r)[2] for r in np.arange(0.0, 40.0, 0.5)]
     assert speeds == sorted(speeds)
 
 
+def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SafetyConfig) -> None:
+    flat = config.braking.flat
+    for kind, half_m, whole_m in (("radar", 2.5, 5.0), ("camera", 2.15, 4.3), ("ultrasonic", 1.5, 3.0)):
+        lost = (Lost(kind, f"{kind}.lost", "lost"),)
+        speed = min(highest_speed(half_m, flat, 0.0), highest_speed(whole_m, flat, 2.1))
+        assert ask("sensing", config, lost=lost) == (LIMIT, f"{kind}.lost", speed), kind
+        close = min(highest_speed(half_m, flat, 0.0), highest_speed(whole_m, flat, 0.1))
+        assert ask("sensing", config, lost=lost, allowance_m=0.1)[2] == close, kind
+
+
+def test_fold(config: SafetyConfig) -> None:
+    assert ask("fold", config, is_foldable=True, fold=None)[:2] == (STOP, "machine.implement.silent")
+    assert ask("fold", config, is_foldable=True, fold=0.5) == (LIMIT, "fold", 0.0)
+    for changes in ({"is_foldable": False, "fold": None}, {"is_foldable": True, "fold": 1.0}):
+        assert ask("fold", config, **changes) == (NONE, "fold", math.inf)
+
+
 def test_speed(config: SafetyConfig) -> None:
     assert ask("speed", config) == (LIMIT, "speed.limit", 8.0)
+    assert ask("speed", config, is_docking=True) == (LIMIT, "speed.dock", 0.5)
+
+
+def test_survey(config: SafetyConfig) -> None:
+    assert ask("survey", config, survey_m=0.0) == (LIMIT, "dock.wall", 0.0)
+    assert ask("survey", config, survey_m=2.0)[2] == highest_speed(2.0, config.braking.flat, 0.0)
 
 
 def test_most_restrictive_wins(config: SafetyConfig) -> None:
@@ -213,8 +268,17 @@ def test_most_restrictive_wins(config: SafetyConfig) -> None:
     assert (hand.binding.code, hand.is_hand, hand.is_fault, hand.is_ready) == ("hand.wheel", True, True, False)
     worst = judged(situation_of(config, brake_weak_s=2.0, silent=("odom",)), frozenset())
     assert (worst.binding.code, worst.is_emergency) == ("brake.weak", True)
+    for main, arc in ((3.0, 5.0), (5.0, 3.0)):
+        either = judged(situation_of(config, speed_mps=0.0, **near | gap(main, arc)), frozenset())
+        assert either.gap_m == 3.0
+    inside = judged(situation_of(config, fence_m=None, **gap(1.0)), frozenset())  # both allow nothing
+    assert inside.binding.code == "obstacle.raw"
     blind = judged(situation_of(config, gap=None, fence_m=None), frozenset())
     assert (blind.gap_m, blind.is_ready) == (math.inf, False)
+
+
+def test_allowance(config: SafetyConfig) -> None:
+    assert allowance_m(config.field, 0.02, 0.01) == pytest.approx(3.0 * 0.02 + 0.01 + 2.0)
 
 
 def test_disabled_rules_do_not_speak(config: SafetyConfig) -> None:

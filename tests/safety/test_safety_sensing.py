@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from safety_world import START_NS, Target, World, healthy, straight_path
+from safety_world import START_NS, Target, World, around, healthy, straight_path
 
 from configs.strict import parse
-from configs.vehicle import Vehicle
+from configs.vehicle import Mount, Vehicle
 from messages.command import Mode, Order
 from messages.errors import ConfigError
 from messages.motion import Odometry
@@ -19,7 +19,7 @@ from messages.sensors import RadarScan, UltrasonicRange
 from safety.bodies import shape_of
 from safety.config import RadarConfig, SafetyConfig, UltrasonicConfig
 from safety.radar import RadarEye
-from safety.sensing import companions_of, lost_of
+from safety.sensing import Companion, companions_of, lost_of
 from safety.supervisor import Supervisor
 from safety.ultrasonic import NARROW_M, Ear, ground_m, is_answered
 
@@ -264,6 +264,43 @@ def test_lost_by_sector(full: Vehicle) -> None:
     assert lost is not None
     assert lost.code == "camera/front.blind"
     assert lost_of(camera, True, False, True, partly, -1, half) is None
+    near = replace(fine, proven_range_m=np.array([0.5]))
+    assert lost_of(camera, True, False, True, near, 1, half) is None
+
+
+def test_how_a_sensor_is_lost(full: Vehicle) -> None:
+    rear = next(one for one in companions_of(full.sensors, frozenset()) if one.name == "rear")
+    fine = healthy(START_NS, "ultrasonic_rear")
+    blind = replace(fine, state=HealthState.BLIND, reason="dust")
+    for is_heard, is_frozen, is_told, health, code in (
+        (False, True, False, None, "ultrasonic/rear.silent"),
+        (True, True, False, None, "ultrasonic/rear.frozen"),
+        (True, False, False, None, "obstacles/ultrasonic_rear.silent"),
+        (True, False, True, None, "health/ultrasonic_rear.silent"),
+        (True, False, True, blind, "ultrasonic/rear.blind"),
+    ):
+        lost = lost_of(rear, is_heard, is_frozen, is_told, health, -1, 0.5)
+        assert lost is not None
+        assert (lost.kind, lost.code) == ("ultrasonic", code)
+        assert "ultrasonic/rear" in lost.text
+        assert lost_of(rear, is_heard, is_frozen, is_told, health, 1, 0.5) is None
+
+
+def test_a_sensor_looks_where_it_is_turned_by_no_more_than_60_degrees() -> None:
+    for direction, ahead_deg in ((1, 0.0), (-1, 180.0), (-1, -180.0)):
+        for away_deg in (-120.0, *around(-60.0, 0.1), 0.0, *around(60.0, 0.1), 120.0):
+            mount = Mount(xyz_m=(0.0, 0.0, 1.0), rpy_deg=(0.0, 0.0, ahead_deg + away_deg))
+            expected = abs(away_deg) <= 60.0 + 1e-9
+            if abs(abs(away_deg) - 60.0) > 1e-6 or ahead_deg == 0.0:  # a half turn is not exact in radians
+                assert Companion("radar", "front", mount).looks(direction) == expected, (direction, away_deg)
+
+
+def test_companions_are_all_but_the_idle(full: Vehicle) -> None:
+    known = {(one.kind, one.name): one.mount for one in companions_of(full.sensors, frozenset({"camera_front"}))}
+    assert known == {
+        ("radar", "front"): full.sensors.radar["front"].mount,
+        **{("ultrasonic", name): one.mount for name, one in full.sensors.ultrasonic.items()},
+    }
 
 
 STILL = Odometry(START_NS, np.eye(4), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -53,6 +54,7 @@ def test_standing_and_brakeless() -> None:
     no_brake = Braking(0.6, 0.4, 0.0)
     assert stopping_distance(0.0, NOMINAL) == 0.0
     assert stopping_time(0.0, NOMINAL) == 0.6
+    assert stopping_time(0.0, no_brake) == 0.6
     assert stopping_distance(-1.0, NOMINAL) == 0.0
     assert math.isinf(stopping_distance(0.1, no_brake))
     assert math.isinf(stopping_time(0.1, no_brake))
@@ -62,6 +64,19 @@ def test_standing_and_brakeless() -> None:
 @pytest.mark.parametrize(("range_m", "speed"), [(math.inf, math.inf), (math.nan, 0.0), (-math.inf, 0.0), (0.0, 0.0)])
 def test_ends_of_the_range(range_m: float, speed: float) -> None:
     assert highest_speed(range_m, NOMINAL, 0.0) == speed
+
+
+def test_the_highest_speed_needs_no_more_than_the_range() -> None:
+    for range_m in np.linspace(0.01, 60.0, 500):
+        assert stopping_distance(highest_speed(range_m, NOMINAL, 0.0), NOMINAL) <= range_m
+
+
+def test_range_for_what_comes_towards_the_machine() -> None:
+    way_m, time_s = stopping_distance(2.0, NOMINAL), stopping_time(2.0, NOMINAL)
+    assert required_range(2.0, NOMINAL, 1.0) == way_m + 1.0
+    assert required_range(2.0, NOMINAL, 1.0, 1.5) == pytest.approx(way_m + 1.0 + 1.5 * time_s)
+    assert required_range(2.0, NOMINAL, 1.0, -1.5) == way_m + 1.0  # who goes away may stop
+    assert math.isinf(required_range(2.0, Braking(0.6, 0.4, 0.0), 1.0))
 
 
 def test_allowance_is_the_range_for_standing() -> None:
@@ -102,6 +117,7 @@ def test_steeper_downhill_is_never_faster(range_m: float, slope: float, more: fl
 
 
 def test_grade() -> None:
+    assert on_grade(Braking(0.6, 0.4, 0.5), 0.0, 0.5).deceleration_mps2 == 0.5
     downhill = math.atan(0.08)
     assert on_grade(NOMINAL, downhill, 0.5).deceleration_mps2 == pytest.approx(2.5 - 9.80665 * math.sin(downhill))
     assert on_grade(NOMINAL, -downhill, 0.5).deceleration_mps2 == 2.5
@@ -112,6 +128,9 @@ def test_grade() -> None:
 
 def test_needed_deceleration() -> None:
     assert needed_deceleration(0.0, 1.0, 0.3, 6.0) == 0.0
+    assert needed_deceleration(0.0, 0.0, 0.3, 6.0) == 0.0
+    assert needed_deceleration(0.5, 0.65, 0.3, 6.0) == pytest.approx(0.25)
+    assert needed_deceleration(2.0, 1.4, 0.3, 6.0) == pytest.approx(2.5)
     assert needed_deceleration(2.0, 0.6, 0.3, 6.0) == 6.0
     assert needed_deceleration(2.0, 2.6, 0.3, 6.0) == pytest.approx(1.0)
     assert needed_deceleration(2.0, 0.7, 0.3, 6.0) == 6.0

@@ -1,5 +1,6 @@
 """The swept area: contact against brute force, margins at their boundary, curves, reverse, trailed implements."""
 
+import itertools
 import math
 from itertools import pairwise
 
@@ -13,7 +14,18 @@ from configs.vehicle import TrailedImplement, Vehicle
 from safety.bodies import Drawbar, Rectangle, Shape, carriers, outline, shape_of, steady_angle, trailer_poses
 from safety.config import SafetyConfig
 from safety.field import box_of, is_at, look_ahead_m, place_on, way_ahead
-from safety.sweep import Sweep, arc_poses, contact_m, corners_along, outline_of, path_poses, spaced, sweep_along
+from safety.motion import to_frame
+from safety.sweep import (
+    Sweep,
+    arc_poses,
+    contact_m,
+    corners_along,
+    outline_of,
+    path_poses,
+    spaced,
+    sweep_along,
+    unwrapped,
+)
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
 WAGON = TrailedImplement(
@@ -80,6 +92,82 @@ def test_reverse_leads_with_the_implement(shape: Shape, config: SafetyConfig, di
     assert contact_m(point, sweep)[0] == pytest.approx(2.5 if direction > 0 else 3.6)
     assert np.isinf(contact_m(-point, sweep)[0])
     assert shape.foremost_m(direction) == pytest.approx(3.5 if direction > 0 else -2.4)
+
+
+def test_outline_is_as_wide_as_the_widest_body_from_the_leading_end_on(shape: Shape, config: SafetyConfig) -> None:
+    for direction, lead in ((1, 3.5), (-1, -1.0)):
+        sweep = arc(shape, config, 0.15, 6.0, direction)
+        half = 3.05 + sweep.lateral_m
+        sides = [[(lead, side * width) for width in half] for side in (1, -1)]
+        left, right = (
+            np.array([to_frame(pose, np.array([p]))[0] for pose, p in zip(sweep.poses, side, strict=True)])
+            for side in sides
+        )
+        assert outline_of(sweep) == pytest.approx(np.concatenate([left, right[::-1]])), direction
+
+
+def test_corners_are_those_of_the_bodies_at_every_other_place(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.15, 6.0)
+    points, ways = corners_along(sweep, 0.5)
+    expected = [to_frame(pose, outline(body)) for body, poses in sweep.bodies for pose in poses[::2]]
+    assert points == pytest.approx(np.concatenate(expected))
+    assert ways == pytest.approx(np.concatenate([np.repeat(sweep.s_m[::2], 8) for _ in sweep.bodies]))
+
+
+@pytest.mark.parametrize("curvature", [0.2, -0.2])
+def test_in_a_bend_the_outer_end_of_a_body_is_late_by_a_share_of_a_step_at_most(
+    shape: Shape, config: SafetyConfig, curvature: float
+) -> None:
+    sweep = arc(shape, config, curvature, 7.0)
+    for x, y in itertools.product(np.arange(-4.0, 10.0, 1.3), np.arange(-8.0, 9.0, 1.7)):
+        bare, found = brute_contact(np.array([x, y]), shape, curvature, 1, 7.0), contact_m(np.array([[x, y]]), sweep)[0]
+        assert found <= bare + 0.5 * sweep.step_m, (x, y)
+
+
+def test_bodies_are_widened_narrowed_and_lengthened(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.0, 20.0)
+    for extra, aside in ((0.0, 5.0), (0.0, -0.2), (0.5, -0.2), (5.0, 0.0)):
+        edge = 3.05 + config.field.far_lateral_m + extra + aside
+        for y in around(edge, 0.01):
+            is_met = np.isfinite(contact_m(np.array([[12.0, y]]), sweep, extra, aside)[0])
+            assert is_met == (y <= edge + 1e-9), (extra, aside, y)
+        assert contact_m(np.array([[10.0, 0.0]]), sweep, extra, aside)[0] == pytest.approx(6.5 - extra)
+        for x, y in ((23.4 + extra, 0.0), (-2.3 - extra, 0.0)):
+            assert np.isfinite(contact_m(np.array([[x, y]]), sweep, extra, aside)[0]), (extra, aside, x)
+    assert contact_m(np.array([[10, 0]]), sweep, 1, 0)[0] == pytest.approx(5.5)
+
+
+def test_a_path_is_followed_to_its_ends_and_a_deviation_fades() -> None:
+    path, s = straight_path(length_m=10.0), spaced(5.0, 0.5)
+    assert path_poses(path, 0.0, np.zeros(3), s, 5.0)[:, 0] == pytest.approx(s)
+    assert path_poses(path, 8.0, np.array([8.0, 0.0, 0.0]), s, 5.0)[:, 0] == pytest.approx(np.minimum(s, 2.0))
+    beside = path_poses(path, 0.0, np.array([0.0, 1.0, 0.0]), s, 5.0)
+    assert beside[:, 1] == pytest.approx(-s / 5.0)
+    assert path_poses(path, 0.0, np.array([0.0, 1.0, 0.0]), s, 2.0)[:, 1] == pytest.approx(-np.minimum(1.0, s / 2.0))
+
+
+def test_a_part_of_a_sweep_is_cut_off_everywhere(shape: Shape, config: SafetyConfig) -> None:
+    whole = arc(shape, config, 0.1, 6.0)
+    part = whole.until(2.1)
+    assert (part.length_m, len(part.s_m)) == (2.0, 9)
+    assert part.poses == pytest.approx(whole.poses[:9])
+    assert part.lateral_m == pytest.approx(whole.lateral_m[:9])
+    assert all(len(places) == 9 for _, places in part.bodies)
+    assert whole.until(0.0).length_m == 0.0
+
+
+def test_a_way_longer_than_60_steps_gets_longer_steps(shape: Shape, config: SafetyConfig) -> None:
+    assert len(spaced(120.0, 0.4)) == 61
+    for count, step in ((1, config.field.step_m), (2, 0.3), (3, 0.3)):
+        s = 0.3 * np.arange(count) + 1.0
+        poses = np.column_stack([s, 0 * s, 0 * s])
+        assert sweep_along(shape, 1, s, poses, 0.0, config.field, True).step_m == pytest.approx(step)
+
+
+def test_headings_are_without_jumps() -> None:
+    smooth = np.array([3.0, 3.1, 3.2])
+    assert unwrapped(smooth) is smooth
+    assert unwrapped(np.array([3.0, 3.1, 3.2 - 2 * math.pi])) == pytest.approx(smooth)
 
 
 def brute_contact(point: np.ndarray, shape: Shape, curvature: float, direction: int, length: float) -> float:
