@@ -154,7 +154,8 @@ def test_checks_run_before_all_tests_only(project: Project) -> None:
     assert (code, out.count("== ")) == (0, 1)
     code, out, _ = project.run("test", VERB_EXIT="1")
     assert code == 1
-    assert [line for line in out.splitlines() if line.startswith("== ")][-1] == "== pytest"
+    headlines = [line for line in out.splitlines() if line.startswith("== ")]
+    assert headlines[-2:] == ["== pytest, every branch of safety/", "== pytest"]
     assert out.count("FAILED") == 3
 
 

@@ -413,3 +413,22 @@ def test_start_with_a_lost_sensor(seeing: World) -> None:
     seeing.run(6.0)
     assert seeing.command.reason == "ultrasonic/left.silent"
     assert 0.5 < seeing.speed_mps < 1.1
+
+
+def test_an_echo_that_a_surveyed_wall_may_have_given_does_not_count(seeing: World) -> None:
+    driving(seeing, 0.8)
+    seeing.targets = (Target(seeing.x_m + 9.0, 0.0, rcs_dbsm=-60.0, is_heard=True),)
+    seeing.run(12.0)
+    lookout = seeing.supervisor._lookout
+    assert lookout.way is not None
+    arcs = [ear.arc_odom_m for ear in lookout.senses.ears if len(ear.arc_odom_m)]
+
+    def gap_m(is_wall: np.ndarray) -> float:
+        pose = np.array([seeing.x_m, seeing.y_m, seeing.yaw_rad])
+        found = lookout.senses.gap(lookout.way, pose, 0.5, lambda points: is_wall[: len(points)], None)
+        return math.inf if found is None else found.main_m
+
+    longest = max(len(arc) for arc in arcs)
+    one = np.arange(longest) == 0  # the wall need but touch the arc
+    assert gap_m(np.zeros(longest, bool)) < 4.0
+    assert gap_m(one) == math.inf
