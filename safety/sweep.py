@@ -144,28 +144,38 @@ def _is_near(points_xy: Float64, sweep: Sweep, extra_m: Float64 | float, aside_m
 def _contact_near(points_xy: Float64, sweep: Sweep, extra: Float64, beside: Float64) -> Float64:
     travel = np.full(len(points_xy), np.inf)
     carrier: Float64 | None = None
+    closing: Float64 = np.ones((1, 1))
     for (body, poses), lead_m in zip(sweep.bodies, sweep.leads_m, strict=True):
         if poses is not carrier:
-            carrier, (ahead, across) = poses, _seen_from(poses, points_xy, sweep.direction)
-        way = _body_contact(ahead, across, body, sweep, extra, beside)
+            carrier, (ahead, left) = poses, _seen_from(poses, points_xy, sweep.direction)
+            closing, across = _closing(poses, left, sweep), np.abs(left)
+        way = _body_contact(ahead, across, closing, body, sweep, extra, beside)
         travel = np.minimum(travel, np.maximum(way - lead_m, 0.0))
     return travel
 
 
 def _seen_from(poses: Float64, points_xy: Float64, direction: int) -> tuple[Float64, Float64]:
-    """How far ahead in the direction of travel and how far aside each point (N,) is of each pose (M,), (N, M) each."""
+    """How far ahead in the direction of travel and how far to the left each point (N,) is of each pose (M,), (N, M)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     forward, left = np.column_stack([c, s]), np.column_stack([-s, c])
     ahead = points_xy @ forward.T - np.einsum("ij,ij->i", forward, poses[:, :2])
     across = points_xy @ left.T - np.einsum("ij,ij->i", left, poses[:, :2])
-    return direction * ahead, np.abs(across)
+    return direction * ahead, across
+
+
+def _closing(poses: Float64, left: Float64, sweep: Sweep) -> Float64:
+    """The way that a body's part beside each point makes on the way of base, (N, M): more on the outside of a bend."""
+    if len(poses) < 2:
+        return np.ones_like(left)
+    turns = np.diff(unwrapped(poses[:, 2])) / sweep.step_m
+    return np.maximum(1.0, 1.0 - sweep.direction * np.append(turns, turns[-1]) * left)
 
 
 def _body_contact(
-    ahead: Float64, across: Float64, body: Rectangle, sweep: Sweep, extra: Float64, beside: Float64
+    ahead: Float64, across: Float64, closing: Float64, body: Rectangle, sweep: Sweep, extra: Float64, beside: Float64
 ) -> Float64:
     front, rear = (body.front_m, body.rear_m) if sweep.direction > 0 else (-body.rear_m, -body.front_m)
-    left = ahead - (front + extra)
+    left = (ahead - (front + extra)) / closing
     is_met = (left <= sweep.step_m) & (ahead >= rear - extra) & (across <= body.half_width_m + sweep.lateral_m + beside)
     point, pose = np.nonzero(is_met)
     way = np.full(len(ahead), np.inf)

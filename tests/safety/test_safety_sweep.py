@@ -114,14 +114,16 @@ def test_corners_are_those_of_the_bodies_at_every_other_place(shape: Shape, conf
     assert ways == pytest.approx(np.concatenate([np.repeat(sweep.s_m[::2], 8) for _ in sweep.bodies]))
 
 
+@pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("curvature", [0.2, -0.2])
-def test_in_a_bend_the_outer_end_of_a_body_is_late_by_a_share_of_a_step_at_most(
-    shape: Shape, config: SafetyConfig, curvature: float
+def test_in_a_bend_the_outer_end_of_a_body_is_not_late(
+    shape: Shape, config: SafetyConfig, curvature: float, direction: int
 ) -> None:
-    sweep = arc(shape, config, curvature, 7.0)
-    for x, y in itertools.product(np.arange(-4.0, 10.0, 1.3), np.arange(-8.0, 9.0, 1.7)):
-        bare, found = brute_contact(np.array([x, y]), shape, curvature, 1, 7.0), contact_m(np.array([[x, y]]), sweep)[0]
-        assert found <= bare + 0.5 * sweep.step_m, (x, y)
+    """It moves farther than base does: by 60 % beside a harrow of 6 m in the tightest bend."""
+    sweep = arc(shape, config, curvature, 7.0, direction)
+    for x, y in itertools.product(np.arange(-10.0, 10.0, 1.3), np.arange(-8.0, 9.0, 1.7)):
+        bare = brute_contact(np.array([x, y]), shape, curvature, direction, sweep.length_m)
+        assert contact_m(np.array([[x, y]]), sweep)[0] <= bare + 0.01, (x, y)
 
 
 def test_bodies_are_widened_narrowed_and_lengthened(shape: Shape, config: SafetyConfig) -> None:
@@ -188,11 +190,9 @@ def brute_contact(point: np.ndarray, shape: Shape, curvature: float, direction: 
 @SETTINGS
 def test_contact_is_never_later_than_the_bodies_own(x, y, curvature, direction, is_trailed):
     shape = SHAPES[is_trailed]
-    truth = brute_contact(np.array([x, y]), shape, curvature, direction, 7.0)
     sweep = arc(shape, CONFIG, curvature, 7.0, direction)
-    found = contact_m(np.array([[x, y]]), sweep)[0]
-    if math.isfinite(truth):
-        assert found <= truth + 0.02
+    truth = brute_contact(np.array([x, y]), shape, curvature, direction, sweep.length_m)
+    assert contact_m(np.array([[x, y]]), sweep)[0] <= truth + 0.02
 
 
 @pytest.fixture(autouse=True)
