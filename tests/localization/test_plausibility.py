@@ -183,6 +183,12 @@ def test_an_offset_is_found_and_the_right_device_blamed(topic, field, factor, of
     assert after_s <= 1.3
 
 
+def test_wheels_that_turn_the_sign_of_a_slow_speed_are_blamed():
+    ((code, after_s),) = broken(lambda m: replace(m, speed_mps=m.speed_mps + 0.5), "wheel", speed_mps=-0.3)
+    assert code == "wheel.implausible"
+    assert after_s <= 1.3
+
+
 def test_without_gnss_both_are_named():
     def shift(m):
         return replace(m, speed_mps=m.speed_mps + 0.5)
