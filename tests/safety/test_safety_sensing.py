@@ -423,8 +423,8 @@ def test_an_echo_that_a_surveyed_wall_may_have_given_does_not_count(seeing: Worl
     assert lookout.way is not None
     arcs = [ear.arc_odom_m for ear in lookout.senses.ears if len(ear.arc_odom_m)]
 
-    def gap_m(is_wall: np.ndarray) -> float:
-        pose = np.array([seeing.x_m, seeing.y_m, seeing.yaw_rad])
+    def gap_m(is_wall: np.ndarray, turned_rad: float = 0.0) -> float:
+        pose = np.array([seeing.x_m, seeing.y_m, seeing.yaw_rad + turned_rad])
         found = lookout.senses.gap(lookout.way, pose, 0.5, lambda points: is_wall[: len(points)], None)
         return math.inf if found is None else found.main_m
 
@@ -432,3 +432,4 @@ def test_an_echo_that_a_surveyed_wall_may_have_given_does_not_count(seeing: Worl
     one = np.arange(longest) == 0  # the wall need but touch the arc
     assert gap_m(np.zeros(longest, bool)) < 4.0
     assert gap_m(one) == math.inf
+    assert gap_m(np.zeros(longest, bool), math.pi) == math.inf  # it lies behind

@@ -155,7 +155,9 @@ def test_a_part_of_a_sweep_is_cut_off_everywhere(shape: Shape, config: SafetyCon
     assert part.poses == pytest.approx(whole.poses[:9])
     assert part.lateral_m == pytest.approx(whole.lateral_m[:9])
     assert all(len(places) == 9 for _, places in part.bodies)
-    assert whole.until(0.0).length_m == 0.0
+    here = whole.until(0.0)
+    assert here.length_m == 0.0
+    assert contact_m(np.array([[0.0, 0.0], [8.0, 0.0]]), here).tolist() == [0.0, math.inf]
 
 
 def test_a_way_longer_than_60_steps_gets_longer_steps(shape: Shape, config: SafetyConfig) -> None:
