@@ -144,7 +144,6 @@ def _is_near(points_xy: Float64, sweep: Sweep, extra_m: Float64 | float, aside_m
 def _contact_near(points_xy: Float64, sweep: Sweep, extra: Float64, beside: Float64) -> Float64:
     travel = np.full(len(points_xy), np.inf)
     carrier: Float64 | None = None
-    closing: Float64 = np.ones((1, 1))
     for (body, poses), lead_m in zip(sweep.bodies, sweep.leads_m, strict=True):
         if poses is not carrier:
             carrier, (ahead, left) = poses, _seen_from(poses, points_xy, sweep.direction)
@@ -165,10 +164,8 @@ def _seen_from(poses: Float64, points_xy: Float64, direction: int) -> tuple[Floa
 
 def _closing(poses: Float64, left: Float64, sweep: Sweep) -> Float64:
     """The way that a body's part beside each point makes on the way of base, (N, M): more on the outside of a bend."""
-    if len(poses) < 2:
-        return np.ones_like(left)
-    turns = np.diff(unwrapped(poses[:, 2])) / sweep.step_m
-    return np.maximum(1.0, 1.0 - sweep.direction * np.append(turns, turns[-1]) * left)
+    turns = np.append(np.diff(unwrapped(poses[:, 2])), 0.0) / sweep.step_m
+    return np.maximum(1.0, 1.0 - sweep.direction * turns * left)
 
 
 def _body_contact(

@@ -10,7 +10,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
@@ -83,10 +83,11 @@ def drive(
         try:
             _start(processes, barrier, zero, config)
             with (folder.path / "console.log").open("w") as file:
-                result = _Drive(processes, rings, setup.plan.length_m, Progress((sys.stderr, file))).run(broken, for_s)
+                watched = _Drive(processes, rings, setup.plan.length_m, Progress((sys.stderr, file)))
+                result = watched.run(broken, for_s, lambda: 0 < reactions <= len(_measured(folder.path)))
         finally:
             _stop(processes)
-    result |= {"reactions": _reactions(folder.path / "reactions.jsonl"), "run_dir": str(folder.path)}
+    result |= {"reactions": _reactions(folder.path), "run_dir": str(folder.path)}
     result |= _log_end(folder.path / "log.mcap", setup.stack.simulation.start_stamp_ns)
     folder.record("result", {"result": result})
     folder.finish()
@@ -103,9 +104,9 @@ class _Drive:
         self._readers = [RingReader(path) for path in rings.values()]
         self._watch, self._end, self._progress = Watch(), EndOfDrive(length_m), progress
 
-    def run(self, broken: Broken | None, for_s: float | None) -> dict[str, Any]:
-        """Until the drive is over, `for_s` have passed, or the machine has had its time after what was broken."""
-        while not self._end.is_reached() and (for_s is None or self._watch.seconds < for_s):
+    def run(self, broken: Broken | None, for_s: float | None, is_enough: Callable[[], bool]) -> dict[str, Any]:
+        """Until the drive is over or long enough, or the machine has had its time after what was broken."""
+        while not self._end.is_reached() and (for_s is None or self._watch.seconds < for_s) and not is_enough():
             self._listen()
             if broken is not None and self._watch.seconds >= broken[2]:
                 return self._break(*broken[:2])
@@ -207,11 +208,17 @@ def _broken(text: str | None) -> Broken | None:
         raise HeadlandError(f"--break {text}: {parts[2]!r} is no time") from error
 
 
-def _reactions(path: Path) -> dict[str, Any] | None:
+def _measured(folder: Path) -> list[str]:
+    """A line for each reaction."""
+    path = folder / "reactions.jsonl"
+    return path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+
+
+def _reactions(folder: Path) -> dict[str, Any] | None:
     """Percentiles of what was measured."""
-    if not path.is_file():
+    rows = [json.loads(line) for line in _measured(folder)]
+    if not rows:
         return None
-    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     found: dict[str, Any] = {"n": len(rows)}
     for name in ("appeared_to_frame_s", "scan_to_frame_s"):
         values = [row[name] for row in rows if row[name] is not None]

@@ -13,6 +13,7 @@ from runtime.live.can_bus import SharedBus
 from simulation.popup import PopUp
 from simulation.randomness import generator
 from simulation.terrain import Terrain
+from simulation.world import SimulationWorld
 
 BRAKE_GROUP = 0x04  # format byte of the external brake request
 FULL_SCALE_MPS2, PER_MPS2 = 15.687, 2048.0
@@ -23,9 +24,9 @@ AHEAD_M = 3.5  # inside the stopping distance at work speed, and more than the m
 class Reactions(World):
     """The simulated world with somebody who pops up again and again; writes one line a time to `reactions.jsonl`."""
 
-    def __init__(self, world: Any, bus: SharedBus, start: Any) -> None:
+    def __init__(self, world: SimulationWorld, bus: SharedBus, start: Any) -> None:
         self.writes = world.writes
-        self._world, self._limit = world, start.reactions
+        self._world = world
         self._path = start.folder / "reactions.jsonl"
         setup = start.setup
         self._front = next(
@@ -40,8 +41,8 @@ class Reactions(World):
         bus.listener = self._hear
 
     def next_ns(self) -> int | None:
-        """As the world has it; the end once enough was measured."""
-        return None if self._count >= self._limit and self._popup.figure is None else self._world.next_ns()
+        """As the world has it."""
+        return self._world.next_ns()
 
     def step(self, now_ns: int) -> Iterable[Output]:
         """Go on, and note who came into view."""

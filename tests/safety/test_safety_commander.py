@@ -51,6 +51,14 @@ def test_the_first_command_leaves_everything_as_it_is(bench: Bench) -> None:
     assert bench.commander.last is command
 
 
+def test_a_fault_stop_brakes_at_once_and_an_obstacle_stop_gently(bench: Bench, config: SafetyConfig) -> None:
+    bench.driving()
+    gentle = bench.show(mode=Mode.OBSTACLE_STOP)
+    assert (gentle.speed_mps, gentle.deceleration_mps2) == (0.0, pytest.approx(config.jerk_mps3 * STEP_S))
+    hard = bench.show(mode=Mode.FAULT_STOP)
+    assert (hard.speed_mps, hard.deceleration_mps2) == (0.0, config.braking.controlled_mps2)
+
+
 @pytest.mark.parametrize("mode", Mode)
 def test_lights_horn_and_drive_of_each_mode(bench: Bench, mode: Mode) -> None:
     engaged = mode in (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
