@@ -20,7 +20,7 @@ from runtime.live.config import ROLES
 from runtime.setup import Setup, load_setup
 from simulation.scenario import Scenario
 
-AT_S = 12.0  # by then the machine drives at full speed
+ORDER_S, AT_S = 0.5, 10.0  # the start waits until all is ready; by then the machine drives at full speed
 READABLE_S = 1.0
 FAST_MPS, ATTEMPTS = 2.0, 5
 FIELD = [[6.0, 51.5], [6.0022, 51.5], [6.0022, 51.5003], [6.0, 51.5003], [6.0, 51.5]]
@@ -56,6 +56,8 @@ def main() -> None:
     feature = {"type": "Feature", "properties": {}, "geometry": polygon}
     field.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}), encoding="utf-8")
     setup, scenario = load_setup("demo", None, None, str(field), 1), load(Scenario, find("scenarios", "empty"))
+    orders = tuple(order.model_copy(update={"at_s": ORDER_S}) for order in scenario.orders)
+    scenario = scenario.model_copy(update={"orders": orders})
     roles = (arguments.only,) if arguments.only else ROLES
     good = 0
     trials = [(role, signal, k) for k in range(arguments.times) for role in roles for signal in SIGNALS]
