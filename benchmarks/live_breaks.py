@@ -20,7 +20,7 @@ from runtime.live.config import ROLES
 from runtime.setup import Setup, load_setup
 from simulation.scenario import Scenario
 
-ORDER_S, AT_S = 0.5, 10.0  # the start waits until all is ready; by then the machine drives at full speed
+ORDER_S, AT_S = 0.5, 11.0  # the start waits until all is ready; by then the machine drives at full speed
 READABLE_S = 1.0
 FAST_MPS, ATTEMPTS = 2.0, 5
 FIELD = [[6.0, 51.5], [6.0022, 51.5], [6.0022, 51.5003], [6.0, 51.5003], [6.0, 51.5]]
@@ -38,7 +38,7 @@ def broken_drive(setup: Setup, scenario: Scenario, folder: Path, broken: Broken)
         result = drive(setup, scenario, RunFolder("live", folder / str(attempt)), broken, None, 0)
         if "broken" in result and result["speed_mps"] > FAST_MPS:
             return result
-        print(f"{folder.name}: had stopped before; {result['reason']}", flush=True)
+        print(f"{folder.name}: not at full speed; {result['reason']}", flush=True)
     raise SystemExit(f"{ATTEMPTS} drives were stopped before {broken[0]} could be broken: this computer is too busy")
 
 
