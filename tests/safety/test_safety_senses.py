@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from safety_world import NO_BYTES, START_NS, healthy
 
-from configs.vehicle import Lidar, Mount, Vehicle
+from configs.vehicle import Lidar, Mount, TrailedImplement, Vehicle
 from messages.motion import Odometry
 from messages.perception import ObstacleClass, Track, Tracks
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
@@ -90,6 +90,16 @@ def test_a_cell_with_few_returns_counts_the_second_time_and_not_of_the_same_scan
     first, second, third = (few(whole, START_NS + k, 2) for k in range(3))
     assert [take(eye, one) for one in (first, second, second, third)] == [0, 2, 0, 2]
     assert [take(eye, few(whole, 9, count)) for count in (3, 1, 3, 3)] == [3, 0, 0, 3]
+
+
+def test_the_own_trailer_is_masked_by_the_bend_it_is_in(lidar: Lidar, vehicle: Vehicle, config: SafetyConfig) -> None:
+    wagon = TrailedImplement(
+        kind="trailed", name="wagon", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
+        hitch_m=-1.2, axle_length_m=4.0, working_length_m=4.0, total_length_m=5.5,
+    )  # fmt: skip
+    for curvature, count in ((0.0, 0), (0.2, 4)):
+        eye = Eye("rear", lidar, shape_of(vehicle, wagon), config)
+        assert take(eye, scan((-6.3, 0.2, 1.5)), curvature=curvature) == count, curvature
 
 
 def test_equal_scans_are_counted_from_the_second_on(eye: Eye, config: SafetyConfig) -> None:
@@ -195,6 +205,18 @@ def test_what_is_heard_is_news_while_it_is_or_was_in_the_way(senses: Senses, tra
     assert not hear(23, None, 0.3)
     assert hear(24, None, math.nan)
     assert not hear(23)
+
+
+def test_news_of_one_is_not_undone_by_another(full: Vehicle, config: SafetyConfig, trail: Trail) -> None:
+    radar = full.sensors.radar["front"]
+    sensors = full.sensors.model_copy(update={"radar": {"front": radar, "rear": radar}})
+    for is_radar in (True, False):
+        senses = Senses(sensors, SMALL, config)
+        senses.radars[0].hits = np.zeros((5 * is_radar, 4))
+        senses.ears[0].arc_odom_m = np.zeros((7 * (not is_radar), 2))
+        radars = {name: radar_scan(START_NS) for name in ("front", "rear")}
+        echoes = {name: UltrasonicRange(START_NS, math.nan) for name in ("left", "right")}
+        assert senses.hear(came(radars=radars, echoes=echoes), trail, odometry()), is_radar
 
 
 def test_what_is_heard_lies_where_the_machine_was(senses: Senses, trail: Trail) -> None:
