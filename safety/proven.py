@@ -96,8 +96,8 @@ def least_towards(edges_rad: Float64, range_m: Float64, direction: int, half_rad
 
 
 def shrink(range_m: float, health: SensorHealth | None, direction: int, half_rad: float) -> float:
-    """The range after what a sensor's health says; a health that does not cover the direction takes nothing away."""
+    """The range after what a sensor's health says; 0 where that does not cover the direction, or is no number."""
     if health is None or len(health.proven_range_m) == 0:
         return range_m
     said = least_towards(health.edges_rad, health.proven_range_m, direction, half_rad)
-    return min(range_m, said if math.isfinite(said) else range_m) if not math.isnan(said) else 0.0
+    return 0.0 if math.isnan(said) else min(range_m, said)

@@ -141,6 +141,12 @@ def test_steered_to_the_end_of_a_controlled_stop_and_no_further(bench: Bench, mo
     assert command.deceleration_mps2 == 1.5
 
 
+def test_a_fault_stop_brakes_at_once_and_another_stop_gently(bench: Bench) -> None:
+    assert bench.driving(2.0).show(mode=Mode.FAULT_STOP).deceleration_mps2 == 1.5
+    bench.driving(2.0)
+    assert bench.show(mode=Mode.OBSTACLE_STOP).deceleration_mps2 < 0.1
+
+
 def test_not_enabled_before_it_was_engaged(bench: Bench) -> None:
     assert not bench.show(mode=Mode.FAULT_STOP, measured_mps=1.0).is_drive_enabled
     assert not bench.driving().show(mode=Mode.EMERGENCY_STOP).is_drive_enabled
