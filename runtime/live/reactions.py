@@ -37,7 +37,6 @@ class Reactions(World):
         world.add(self._popup)
         self._appeared: float | None = None  # in wall time, as frames are stamped
         self._seen: float | None = None
-        self._count = 0
         bus.listener = self._hear
 
     def next_ns(self) -> int | None:
@@ -61,7 +60,6 @@ class Reactions(World):
         asked_mps2 = FULL_SCALE_MPS2 - int.from_bytes(frame.data[:2], "little") / PER_MPS2
         if asked_mps2 < LEAST_MPS2:
             return
-        self._count += 1
         seen_s = None if self._seen is None else frame.timestamp - self._seen
         row = {"appeared_to_frame_s": frame.timestamp - self._appeared, "scan_to_frame_s": seen_s}
         with self._path.open("a", encoding="utf-8") as file:

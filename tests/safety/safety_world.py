@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from configs.vehicle import Lidar, Mount, Radar, Ultrasonic, Vehicle
+from configs.vehicle import Lidar, Mount, Radar, TrailedImplement, Ultrasonic, Vehicle
 from geometry.transforms import planar, transform
 from messages.command import MachineState, Mode, OperatorOrder, Order, Wish
 from messages.message import Message
@@ -28,6 +28,10 @@ ROOT = File(__file__).parents[2]
 START_NS = 5_000_000_000
 STEP_NS = 20_000_000
 NO_BYTES = np.empty(0, np.uint8)
+WAGON = TrailedImplement(
+    kind="trailed", name="wagon", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
+    hitch_m=-1.2, axle_length_m=4.0, working_length_m=4.0, total_length_m=5.5,
+)  # fmt: skip
 
 
 class SyntheticInbox:

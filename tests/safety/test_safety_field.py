@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from safety_world import START_NS, around, straight_path
+from safety_world import WAGON as NARROW_WAGON
 
-from configs.vehicle import TrailedImplement, Vehicle
+from configs.vehicle import Vehicle
 from messages.command import Wish
 from messages.plan import Leg, Path, Stretch
 from safety.bodies import (
@@ -45,10 +46,7 @@ from safety.returns import Box
 from safety.stopping import required_range, stopping_distance
 from safety.sweep import Sweep, arc_poses, path_poses, spaced, sweep_along
 
-WAGON = TrailedImplement(
-    kind="trailed", name="wagon", working_width_m=3.0, width_m=3.2, lift_s=1.0, lower_s=1.0, uses_pto=False,
-    hitch_m=-1.2, axle_length_m=4.0, working_length_m=4.0, total_length_m=5.5,
-)  # fmt: skip
+WAGON = NARROW_WAGON.model_copy(update={"width_m": 3.2})
 
 
 @pytest.fixture

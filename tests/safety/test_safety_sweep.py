@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from safety_world import around, straight_path
+from safety_world import WAGON, around, straight_path
 
-from configs.vehicle import TrailedImplement, Vehicle
+from configs.vehicle import Vehicle
 from safety.bodies import Drawbar, Rectangle, Shape, carriers, outline, shape_of, steady_angle, trailer_poses
 from safety.config import SafetyConfig
 from safety.field import box_of, is_at, look_ahead_m, place_on, way_ahead
@@ -28,10 +28,6 @@ from safety.sweep import (
 )
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
-WAGON = TrailedImplement(
-    kind="trailed", name="wagon", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
-    hitch_m=-1.2, axle_length_m=4.0, working_length_m=4.0, total_length_m=5.5,
-)  # fmt: skip
 
 
 @pytest.fixture

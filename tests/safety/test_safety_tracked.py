@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from safety_world import START_NS, around
+from safety_world import START_NS, WAGON, around
 
-from configs.vehicle import TrailedImplement, Vehicle
+from configs.vehicle import Vehicle
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.bodies import Shape, shape_of
 from safety.config import SafetyConfig
@@ -28,10 +28,6 @@ from safety.tracked import (
     without_walls,
 )
 
-WAGON = TrailedImplement(
-    kind="trailed", name="wagon", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
-    hitch_m=-1.2, axle_length_m=4.0, working_length_m=4.0, total_length_m=5.5,
-)  # fmt: skip
 HERE = np.zeros(3)
 
 
