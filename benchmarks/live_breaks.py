@@ -2,9 +2,9 @@
 
     ./headland benchmark live_breaks [--times 10] [--only NAME] [--out FOLDER]
 
-A row is good when the machine stands within its stopping distance and the outside time-outs (as `headland live --break`
-judges it), and when the log can be read up to its last second. A drive that a busy computer has stopped before anything
-was broken says nothing: it is told and driven again. Wants two cores of its own.
+A row is good when the machine stands within its stopping distance (as `headland live --break` judges it), and when
+the log can be read up to its last second. A drive that a busy computer has stopped before anything was broken says
+nothing: it is told and driven again. Wants two cores of its own.
 """
 
 import argparse

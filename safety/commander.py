@@ -103,9 +103,10 @@ class Commander:
         before = self.last
         brake_before = 0.0 if before is None else before.deceleration_mps2
         if moment.mode is not Mode.AUTOMATIC:
-            asked = self._standstill_brake(stopping(abs(measured), moment.gap_m, braking))
-            if moment.mode is Mode.FAULT_STOP:  # what has failed has had its time already
-                return Speed(0.0, asked)
+            asked = stopping(abs(measured), moment.gap_m, braking)
+            if moment.mode is Mode.FAULT_STOP:  # what has failed has had its time: at once, and all that S counts on
+                return Speed(0.0, self._standstill_brake(max(asked, braking.deceleration_mps2)))
+            asked = self._standstill_brake(asked)
             return Speed(0.0, eased(asked, brake_before, braking.controlled_mps2, self._config.jerk_mps3 * dt_s))
         target = target_speed(moment.wish, moment.allowed_mps, measured, modes.creep_mps)
         out = rising(target, 0.0 if before is None else before.speed_mps, measured, self._acceleration_mps2 * dt_s)

@@ -8,7 +8,7 @@ from messages.topics import KINDS, kind_of
 from simulation.faults.config import CampaignConfig, FaultKind
 from simulation.faults.frames import MAX_AGE_NS
 
-WHOLE_AGE_S = 0.5  # of the clock and the log, which are no topics
+WHOLE_AGE_S = 0.4  # of the clock and the log, which are no topics
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ class Outcome:
     speed_mps: float
     travel_m: float | None
     allowed_m: float | None
+    stopping_m: float
     stopped_s: float | None
     error_m: float
     contacts: int
@@ -128,6 +129,6 @@ def judge(
     has_stopped = seen.stopped_s is not None
     return Outcome(
         cell.situation, cell.topic, cell.kind.value, seen.speed_mps, seen.travel_m if has_stopped else None, allowed_m,
-        seen.stopped_s, seen.error_m, seen.contacts, seen.exits, seen.reason, ", ".join(seen.told), is_named,
-        blames_other, not wrong, wrong,
+        seen.stopping_m, seen.stopped_s, seen.error_m, seen.contacts, seen.exits, seen.reason, ", ".join(seen.told),
+        is_named, blames_other, not wrong, wrong,
     )  # fmt: skip

@@ -6,9 +6,9 @@ from typing import Any
 
 COLUMNS = {
     "situation": "string", "topic": "string", "fault": "string", "speed_mps": "float64", "travel_m": "float64",
-    "allowed_m": "float64", "stopped_s": "float64", "error_m": "float64", "contacts": "int64", "exits": "int64",
-    "reason": "string", "told": "string", "is_named": "bool_", "blames_other": "bool_", "is_right": "bool_",
-    "wrong": "string",
+    "allowed_m": "float64", "stopping_m": "float64", "stopped_s": "float64", "error_m": "float64", "contacts": "int64",
+    "exits": "int64", "reason": "string", "told": "string", "is_named": "bool_", "blames_other": "bool_",
+    "is_right": "bool_", "wrong": "string",
 }  # fmt: skip
 STYLE = (
     "body{font:15px system-ui;margin:2rem}td,th{padding:.25rem .6rem;border-bottom:1px solid #ccc;text-align:left}"
@@ -40,10 +40,12 @@ def sums(rows: list[dict[str, Any]]) -> str:
     stopped = [row for row in rows if row["travel_m"] is not None]
     late = [row for row in stopped if row["allowed_m"] is not None and row["travel_m"] > row["allowed_m"]]
     needed = [row for row in stopped if row["allowed_m"] is not None]
+    within = sum(row["travel_m"] <= row["stopping_m"] for row in needed)
     named = sum(bool(row["is_named"]) for row in needed)
     return (
         f"{sum(bool(row['is_right']) for row in rows)} of {len(rows)} cells right; {len(late)} stopped late; "
         f"{sum(row['contacts'] for row in rows)} contacts, {sum(row['exits'] for row in rows)} exits; "
+        f"{within} of {len(needed)} needed stops within the stopping distance alone; "
         f"device named in {named} of {len(needed)} needed stops; "
         f"another blamed alone in {sum(bool(row['blames_other']) for row in rows)}"
     )

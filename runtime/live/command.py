@@ -45,7 +45,6 @@ SIGNALS = {"KILL": signal.SIGKILL, "STOP": signal.SIGSTOP}
 GRACE_S = 10.0  # for a process to close what it has open
 AFTER_S = 10.0  # watched after a process was broken
 UNSEEN_S = 2.0  # the same when it was the machine, whose motion nobody tells any more
-OUTSIDE_S = 0.5  # gateway's and tractor's time-outs, which lie outside the stopping distance
 
 Broken = tuple[str, str, float]  # which process, by which signal, after how many seconds
 
@@ -132,13 +131,12 @@ class _Drive:
         began_s, is_gone = time.monotonic(), about.get("broken") == "machine"
         while time.monotonic() - began_s < (UNSEEN_S if is_gone else AFTER_S) and watch.still_s < 1.0:
             self._listen()
-        allowed_m = stopping_m + OUTSIDE_S * speed
         is_seen, stood = is_gone or watch.seconds > 0.0, is_gone or watch.still_s >= 1.0
         return about | {
-            "speed_mps": round(speed, 3), "travel_m": round(watch.travel_m, 3), "allowed_m": round(allowed_m, 3),
+            "speed_mps": round(speed, 3), "travel_m": round(watch.travel_m, 3), "allowed_m": round(stopping_m, 3),
             "until_s": round(at_s + watch.seconds, 2), "reason": watch.reason, "told": watch.told,
             "outcome": "stopped" if stood else "not stopped",
-            "is_good": is_seen and stood and watch.travel_m <= allowed_m,
+            "is_good": is_seen and stood and watch.travel_m <= stopping_m,
         }  # fmt: skip
 
     def _listen(self) -> None:

@@ -21,8 +21,8 @@ def wrong(seen: Seen, max_age_s: float | None = 0.1) -> str:
 
 @pytest.mark.parametrize(
     ("topic", "age_s"),
-    [("imu", 0.1), ("lidar/front", 0.35), ("node/mission", 0.5), ("node/localizer", 0.1), ("can/CabState", 0.3),
-     ("log", 0.5)],
+    [("imu", 0.1), ("lidar/front", 0.35), ("node/mission", 0.4), ("node/localizer", 0.1), ("can/CabState", 0.3),
+     ("log", 0.4)],
 )  # fmt: skip
 def test_the_age_that_counts(topic: str, age_s: float) -> None:
     assert Cell("turn", topic, FaultKind.OFF).max_age_s(WRITES) == pytest.approx(age_s)

@@ -51,12 +51,14 @@ def test_the_first_command_leaves_everything_as_it_is(bench: Bench) -> None:
     assert bench.commander.last is command
 
 
-def test_a_fault_stop_brakes_at_once_and_an_obstacle_stop_gently(bench: Bench, config: SafetyConfig) -> None:
+def test_a_fault_stop_brakes_at_once_and_hard_and_an_obstacle_stop_gently(bench: Bench, config: SafetyConfig) -> None:
     bench.driving()
     gentle = bench.show(mode=Mode.OBSTACLE_STOP)
     assert (gentle.speed_mps, gentle.deceleration_mps2) == (0.0, pytest.approx(config.jerk_mps3 * STEP_S))
     hard = bench.show(mode=Mode.FAULT_STOP)
-    assert (hard.speed_mps, hard.deceleration_mps2) == (0.0, config.braking.controlled_mps2)
+    assert (hard.speed_mps, hard.deceleration_mps2) == (0.0, config.braking.deceleration_mps2)
+    near = bench.show(mode=Mode.FAULT_STOP, gap_m=0.4)
+    assert near.deceleration_mps2 == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -139,12 +141,6 @@ def test_steered_to_the_end_of_a_controlled_stop_and_no_further(bench: Bench, mo
         assert command.is_drive_enabled == is_enabled, speed
         assert command.speed_mps == 0.0
     assert command.deceleration_mps2 == 1.5
-
-
-def test_a_fault_stop_brakes_at_once_and_another_stop_gently(bench: Bench) -> None:
-    assert bench.driving(2.0).show(mode=Mode.FAULT_STOP).deceleration_mps2 == 1.5
-    bench.driving(2.0)
-    assert bench.show(mode=Mode.OBSTACLE_STOP).deceleration_mps2 < 0.1
 
 
 def test_not_enabled_before_it_was_engaged(bench: Bench) -> None:
