@@ -168,7 +168,7 @@ def test_a_lost_sensor_slows_and_is_named_alone(seeing: World, config: SafetyCon
     assert seeing.speed_mps == pytest.approx(2.78, abs=0.05)
 
 
-@pytest.mark.parametrize(("label", "told_s"), [("radar_front", 0.5), ("ultrasonic_left", 0.5), ("camera_front", 1.5)])
+@pytest.mark.parametrize(("label", "told_s"), [("radar_front", 0.4), ("ultrasonic_left", 0.4), ("camera_front", 1.5)])
 def test_what_a_sensor_sees_may_be_as_old_as_the_sensor_is_slow(seeing: World, label: str, told_s: float) -> None:
     driving(seeing, 2.78)
     topic = f"obstacles/{label}"
