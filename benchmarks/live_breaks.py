@@ -38,7 +38,7 @@ def broken_drive(setup: Setup, scenario: Scenario, folder: Path, broken: Broken)
         result = drive(setup, scenario, RunFolder("live", folder / str(attempt)), broken, None, 0)
         if "broken" in result and result["speed_mps"] > FAST_MPS:
             return result
-        print(f"{folder.name}: not at full speed; {result['reason']}", flush=True)
+        print(f"{folder.name}: not at full speed; {result['outcome']} ({', '.join(result['told'][-1:])})", flush=True)
     raise SystemExit(f"{ATTEMPTS} drives were stopped before {broken[0]} could be broken: this computer is too busy")
 
 

@@ -52,7 +52,7 @@ class Survey:
         point = pose_map[None, :2]
         if is_within(point, self.roof)[0]:
             return True
-        edges = replace(self, walls=edges_of(self.roof), half_thickness_m=0.0, posts=np.empty((0, 3)))
+        edges = replace(self, walls=edges_of(self.roof), half_thickness_m=0.0, posts=self.posts[:0])
         return float(edges.away_m(point)[0]) <= near_m
 
     def is_under_roof(self, sweep: Sweep, pose_map: Float64) -> bool:
