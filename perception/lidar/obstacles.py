@@ -132,7 +132,7 @@ class Pipeline:
         """Compile or load all kernels at start-up, with and without times of firing, so that no scan waits for it."""
         np.empty(KEPT_BYTES, np.uint8)  # and given back
         none, two = np.zeros(0, np.float64), np.array([[9.0, 0.0, 1.0], [9.0, 0.1, 1.0]], np.float32)
-        for offset_s in (np.zeros(0, np.float32), np.zeros(2, np.float32)):
+        for offset_s in (np.zeros(0, np.float32), np.full(2, -0.05, np.float32)):
             image, intensity = np.zeros((0, 0), np.uint16), np.zeros(0, np.uint8)
             self.run(LidarScan(0, image, none.copy(), none.copy(), two.copy(), intensity, offset_s), None, "", 0)
 

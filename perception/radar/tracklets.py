@@ -83,7 +83,8 @@ def to_odom(clusters: Clusters, sigma_m: Float64, radar: Radar, T_odom_base: Flo
     """Clusters as tracklets see them; the sight lines are level."""
     turn = T_odom_base[:2, :2] / np.hypot(T_odom_base[0, 0], T_odom_base[1, 0])
     p = clusters.p_m @ turn.T + T_odom_base[:2, 3]
-    return Seen(p, clusters.sight @ turn.T, clusters.radial_mps, sigma_m[:, 0], sigma_m[:, 1], radar.doppler_sigma_mps)
+    along, across = np.ascontiguousarray(sigma_m.T)  # columns of one row are laid out like rows: kernels of two kinds
+    return Seen(p, clusters.sight @ turn.T, clusters.radial_mps, along, across, radar.doppler_sigma_mps)
 
 
 def advance(table: Table, seen: Seen, stamp_ns: int, since_s: float, config: TrackletConfig) -> tuple[Table, Int64]:
