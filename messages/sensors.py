@@ -48,7 +48,9 @@ class LidarScan(Message):
             return np.zeros(len(self.points_m), np.float32)
         if self.ranges_mm.size == 0:
             return self.offset_s
-        return np.broadcast_to(self.offset_s, self.ranges_mm.shape).ravel()[self._returns]
+        offsets = np.broadcast_to(self.offset_s, self.ranges_mm.shape).ravel()[self._returns]
+        offsets.flags.writeable = False
+        return offsets
 
     @cached_property
     def _returns(self) -> Int64:
