@@ -177,8 +177,8 @@ def line(name: str, results: list[Judged], label: int, score: float) -> float:
 
 def configured() -> DetectorConfig:
     """What of the detections the stack believes."""
-    stack = read_yaml(Path(__file__).parents[1] / "configs" / "stack.yaml")
-    return parse(DetectorConfig, stack["perception"]["camera"]["detector"], "stack.yaml: perception.camera.detector")
+    perception = read_yaml(Path(__file__).parents[1] / "configs/stack/perception.yaml")
+    return parse(DetectorConfig, perception["camera"]["detector"], "stack/perception.yaml: camera.detector")
 
 
 def run(model: Path, data: Path) -> bool:

@@ -28,14 +28,14 @@ from messages.perception import ObstacleClass
 from perception.camera.boxes import Boxes, iou, pick
 from perception.camera.classes import GROUPS
 from perception.camera.detector import Detector, load_detector
-from simulation.actors import Figure
-from simulation.machine import Machine
-from simulation.motion import Track
-from simulation.scene import Scene
-from simulation.scenery import build_scenery
+from simulation.actors.actors import Figure
+from simulation.environment.scene import Scene
+from simulation.environment.scenery import build_scenery
+from simulation.environment.terrain import Terrain
+from simulation.machine.machine import Machine
+from simulation.machine.pose_buffer import Track
 from simulation.sensors.camera import CameraModel
 from simulation.sensors.sensor import Moment
-from simulation.terrain import Terrain
 from simulation.world import SimulationConfig
 
 CAMERA = Camera(
@@ -72,7 +72,7 @@ def shots(
     between_m: tuple[float, float] = (NEAR_M, FAR_M),
 ) -> Iterator[Shot]:  # fmt: skip
     """The pictures of one world, with figures at these distances."""
-    config = parse(SimulationConfig, read_yaml(CONFIGS / "stack.yaml")["simulation"], "stack.yaml")
+    config = parse(SimulationConfig, read_yaml(CONFIGS / "stack/simulation.yaml"), "stack/simulation.yaml")
     site, vehicle = load(Site, find("sites", "demo")), load(Vehicle, find("machines", "tractor_e"))
     terrain = Terrain(site, config.terrain, seed)
     scene = Scene(lambda: build_scenery(site, terrain, config.scenery, seed))

@@ -17,7 +17,7 @@ from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import ImplementFile, Vehicle
 from messages.errors import FieldError
 from messages.plan import Path
-from planning.configuration import PlanningConfig
+from planning.config import PlanningConfig
 from planning.docking.dock import Docking, plan_docking, pose_of
 from planning.rig import rig_of
 from runtime.setup import start_of
@@ -39,7 +39,7 @@ def dockings() -> tuple[Mission, list[Docking]]:
     """The mission of docking alone, and each bay of its site."""
     mission = load(Mission, find("missions", "dock"))
     site, vehicle = load(Site, find("sites", mission.site)), load(Vehicle, find("machines", mission.machine))
-    planning = parse(PlanningConfig, read_yaml(CONFIGS / "stack.yaml")["planning"], "stack.yaml: planning")
+    planning = parse(PlanningConfig, read_yaml(CONFIGS / "stack/planning.yaml"), "stack/planning.yaml")
     implement = load(ImplementFile, find("implements", mission.implement)).implement
     rig = rig_of(vehicle, implement.folded, None, planning.planner)
     bays = () if site.shed is None else site.shed.bays

@@ -26,10 +26,10 @@ from configs.site import Site
 from configs.strict import CONFIGS, Config, load, parse
 from datasets.log import LogConfig, LogWriter
 from datasets.reader import read_log
+from interfaces.can_receiver import Incoming
 from interfaces.gnss.nmea import NmeaReader
 from interfaces.gnss.sentence import BadSentence
 from interfaces.gnss.sentence import parse as parse_sentence
-from interfaces.incoming import Incoming
 from interfaces.isobus.checksum import checksum, seal
 from messages.errors import HeadlandError
 from messages.message import Envelope
@@ -119,8 +119,9 @@ def fuzz_frames(count: int, random: np.random.Generator) -> Count:
 
 
 BOUNDS = {
-    "speed_mps": 64.3, "curvature_radpm": 8.1, "hitch": 1.01, "fold": 1.01, "pto_radps": 850.0, "brake_pedal": 1.01,
-    "hand_torque_nm": 323.0, "hand_rate_radps": 33.0, "hand_angle_rad": 33.0, "supply_v": 3213.0,
+    "speed_mps": 64.3, "curvature_radpm": 8.1, "hitch": 1.01, "fold_position": 1.01, "pto_radps": 850.0,
+    "brake_pedal": 1.01,
+    "driver_torque_nm": 323.0, "driver_rate_radps": 33.0, "driver_angle_rad": 33.0, "supply_v": 3213.0,
 }  # fmt: skip
 
 
@@ -238,7 +239,7 @@ def _plain(envelope: Envelope) -> tuple[object, ...]:
 
 
 Fuzz = Callable[[int, np.random.Generator], Count]
-KINDS: dict[
+INPUT_KINDS: dict[
     str, tuple[Fuzz, float]
 ] = {  # with its share of the count: a file takes a thousand times as long as a frame
     "frames": (fuzz_frames, 0.5),
@@ -255,7 +256,7 @@ def main() -> None:
     words.add_argument("--seed", type=int, default=1)
     arguments = words.parse_args()
     total = 0
-    for k, (name, (fuzz, share)) in enumerate(KINDS.items()):
+    for k, (name, (fuzz, share)) in enumerate(INPUT_KINDS.items()):
         began_s = time.monotonic()
         found = fuzz(round(arguments.count * share), np.random.default_rng([arguments.seed, k]))
         total += found.tried

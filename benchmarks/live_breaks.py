@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from configs.strict import find, load
-from runtime.folder import RunFolder
 from runtime.live.command import SIGNALS, Broken, drive
 from runtime.live.config import ROLES
+from runtime.run_folder import RunFolder
 from runtime.setup import Setup, load_setup
 from simulation.scenario import Scenario
 
@@ -56,8 +56,8 @@ def main() -> None:
     feature = {"type": "Feature", "properties": {}, "geometry": polygon}
     field.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}), encoding="utf-8")
     setup, scenario = load_setup("demo", None, None, str(field), 1), load(Scenario, find("scenarios", "empty"))
-    orders = tuple(order.model_copy(update={"at_s": ORDER_S}) for order in scenario.orders)
-    scenario = scenario.model_copy(update={"orders": orders})
+    orders = tuple(order.model_copy(update={"at_s": ORDER_S}) for order in scenario.operator_commands)
+    scenario = scenario.model_copy(update={"operator_commands": orders})
     roles = (arguments.only,) if arguments.only else ROLES
     good = 0
     trials = [(role, signal, k) for k in range(arguments.times) for role in roles for signal in SIGNALS]

@@ -6,22 +6,17 @@
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "localization")]
-
-from localization_bench import Errors, configuration, errors, run  # noqa: E402
-from localization_drive import START_NS, Truth, Wrongs, drive, tractor  # noqa: E402
-from localization_shed import harrow  # noqa: E402
-from localization_surroundings import scan, yard  # noqa: E402
-
-from localization.lidar_map import LidarMap  # noqa: E402
-from localization.lidar_odometry import LidarOdometry  # noqa: E402
-from messages.perception import LidarGround  # noqa: E402
-from messages.sensors import LidarScan  # noqa: E402
+from localization.lidar.lidar_odometry import LidarOdometryNode
+from localization.lidar.map_localization import LidarMap
+from messages.perception import LidarGround
+from messages.sensors import LidarScan
+from tests.localization.localization_bench import Errors, configuration, errors, run
+from tests.localization.localization_drive import START_NS, Truth, Wrongs, drive, tractor
+from tests.localization.localization_shed import harrow
+from tests.localization.localization_surroundings import scan, yard
 
 LEGS = [(5.0, 0.0, 0.0), (14.0, 2.78, 0.0), (11.8, 1.6, 1 / 6), (60.0, 2.78, 0.0)]
 CUT_S, CUT_FOR_S = 42.0, 30.0
@@ -40,11 +35,11 @@ def main(seeds: int) -> None:
         cut = [m for m in truth.messages if m[1] != "gnss/main" or m[2].stamp_ns < START_NS + int(CUT_S * 1e9)]
         print(f"seed {seed}: {_rtk(whole[-1])}, {step_ms[-1]:.2f} ms a step (CPU)")
         print("   no GNSS, no lidar:", _outage(errors(run(cut), truth)))
-        timed = _Timed(LidarOdometry(tractor(), "front", configuration().lidar_odometry))
+        timed = _Timed(LidarOdometryNode(tractor(), "front", configuration().lidar_odometry))
         with_lidar = errors(run(cut, lidar=(timed, _look(truth))), truth)
         print("   no GNSS, lidar:   ", _outage(with_lidar), f"{timed.ms:.1f} ms a matched scan (CPU)", flush=True)
         mapped = _Timed(LidarMap(tractor(), harrow(), None, configuration().lidar_map))
-        timed = _Timed(LidarOdometry(tractor(), "front", configuration().lidar_odometry))
+        timed = _Timed(LidarOdometryNode(tractor(), "front", configuration().lidar_odometry))
         both = run(cut, lidar=(timed, _look(truth)), lidar_map=(mapped, _look_by_name(truth)))
         print("   no GNSS, and map: ", _outage(errors(both, truth)), f"{mapped.ms:.1f} ms a look (CPU)", flush=True)
     joined = Errors(*(np.concatenate([getattr(e, name) for e in whole]) for name in Errors.__dataclass_fields__))
@@ -69,7 +64,7 @@ def _look_by_name(truth: Truth) -> Callable[[int], dict[str, tuple[LidarScan, Li
 class _Timed:
     """A node on lidar that knows how long its steps took."""
 
-    def __init__(self, node: LidarOdometry | LidarMap) -> None:
+    def __init__(self, node: LidarOdometryNode | LidarMap) -> None:
         self._node, self._spent, self._matched = node, 0.0, 0
 
     def step(self, now_ns, inbox):  # type: ignore[no-untyped-def]

@@ -115,10 +115,10 @@ def frames(t: int, rng: Rng) -> Message:
     return command.CanFrames(t, "can0", tuple(command.CanFrame(t, 0x18FEF100 + i, rng.bytes(8)) for i in range(6)))
 
 
-def wish(t: int, rng: Rng) -> Message:
+def control_command(t: int, rng: Rng) -> Message:
     """What control wants."""
     x = rng.normal(size=6).tolist()
-    return command.Wish(t, x[0], x[1], x[2], True, True, 3, x[3], x[4], x[5], False)
+    return command.ControlCommand(t, x[0], x[1], x[2], True, True, 3, x[3], x[4], x[5], False)
 
 
 def safe_command(t: int, rng: Rng) -> Message:
@@ -170,13 +170,16 @@ def fix(t: int, rng: Rng) -> Message:
 
 def mission(t: int, rng: Rng) -> Message:
     """Where it stands."""
-    return plan.MissionStatus(t, plan.MissionState.DRIVING, plan.Leg.SWATH, 4, 3, 12.0, 800.0, 1500.0, "swath 4", ())
+    return plan.MissionStatus(
+        t, plan.MissionState.DRIVING, plan.PathSectionType.SWATH, 4, 3, 12.0, 800.0, 1500.0, "swath 4", ()
+    )
 
 
 # topic, rate in Hz, what makes it
 STREAMS = (
     ("imu", 100, imu), ("wheel", 50, wheel), ("machine", 50, machine), ("can/can0", 50, frames), ("odom", 50, odometry),
-    ("wish", 50, wish), ("safe_command", 50, safe_command), ("gnss/main", 10, fix), ("map_pose", 10, map_pose),
+    ("control_command", 50, control_command), ("safe_command", 50, safe_command), ("gnss/main", 10, fix),
+    ("map_pose", 10, map_pose),
     ("obstacles/front", 10, obstacles), ("tracks", 10, tracks), ("supervisor", 10, supervisor),
     ("health/front", 10, health), ("health/rear", 10, health), ("mission", 5, mission),
     ("truth_machine", 20, true_machine), ("truth_objects", 10, true_objects),
@@ -211,7 +214,7 @@ def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     vehicle = load(Vehicle, CONFIGS / "machines" / "tractor_e.yaml")
     implement = load(ImplementFile, CONFIGS / "implements" / "harrow_6m.yaml").implement
-    section = read_yaml(CONFIGS / "stack.yaml")["datasets"]
+    section = read_yaml(CONFIGS / "stack/datasets.yaml")
     log, view = parse(LogConfig, section["log"], "log"), parse(ViewerConfig, section["viewer"], "viewer")
     with TemporaryDirectory() as folder:
         for viewer in (None, Viewer(view, vehicle, implement, None)):

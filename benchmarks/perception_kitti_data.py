@@ -70,7 +70,7 @@ def sensor() -> Lidar:
 
 def configs() -> tuple[LidarConfig, TrackerConfig]:
     """The stack's own configuration, nothing of it changed."""
-    section = read_yaml(CONFIGS / "stack.yaml")["perception"]
+    section = read_yaml(CONFIGS / "stack/perception.yaml")
     return parse(LidarConfig, section["lidar"], "lidar"), parse(TrackerConfig, section["tracker"], "tracker")
 
 

@@ -146,7 +146,7 @@ def gap_errors() -> Float64:
             if inside.sum() < 10 or hits.max() < 0.5 * inside.sum():
                 continue
             # what stands: ground returns at the foot of the box are no part of the object
-            true = result.points_m[inside & (result.ground.is_solid == 1)]
+            true = result.points_m[inside & (result.ground.is_obstacle_point == 1)]
             errors.append(_gap(o.nearest_base_m[hits.argmax()] - LIDAR_XYZ_M) - min(_gap(p) for p in true))
     return np.array(errors)
 

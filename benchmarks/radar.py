@@ -207,8 +207,8 @@ def _nearest(obstacles: Obstacles, scan: RadarScan, k: int) -> int | None:
 
 def run(data: Path) -> bool:
     """Print everything; whether the ARS548 is decoded rightly."""
-    stack = read_yaml(ROOT / "configs" / "stack.yaml")
-    config = parse(RadarConfig, stack["perception"]["radar"], "stack.yaml: perception.radar")
+    perception = read_yaml(ROOT / "configs/stack/perception.yaml")
+    config = parse(RadarConfig, perception["radar"], "stack/perception.yaml: radar")
     vehicle = load(Vehicle, ROOT / "configs" / "machines" / "tractor_e.yaml")
     good = run_ars548(data / "tier4-nebula" / "ars548", config)
     run_comma(next((data / "comma2k19-example" / "Example_1").glob("*/40")), vehicle, config)

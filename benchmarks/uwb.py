@@ -25,7 +25,7 @@ from scipy.optimize import least_squares
 
 from configs.strict import CONFIGS, load
 from geometry.transforms import Float64
-from localization.uwb import Step, UwbConfig, UwbLocalizer, headings
+from localization.uwb.tag_smoother import Step, UwbConfig, UwbLocalizer, headings
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[2] / "shared" / "data"))
 HANYANG = ("LOS/Trajectory_A/Case_1", "LOS/Trajectory_A/Case_2", "NLOS/Trajectory_A/Case_1", "NLOS/Trajectory_A/Case_2")

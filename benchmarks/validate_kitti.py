@@ -16,14 +16,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from configs.strict import CONFIGS, load
 from datasets.importers.excerpt import excerpt
 from datasets.importers.formats import open_recording
 from datasets.importers.recording import Recording
-from datasets.importers.transcript import write_recording
+from datasets.importers.write_recording import write_recording
 from datasets.reader import read_log
 from messages.command import Mode, SupervisorState
-from runtime.stack import StackConfig
+from runtime.stack import load_stack
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
@@ -42,7 +41,7 @@ def validate(logs: list[Path], *words: str) -> tuple[dict[str, Any], float]:
 
 def bring(recording: Recording, out: Path) -> Path:
     """A recording, or a part of it, as a log of ours."""
-    stack = load(StackConfig, CONFIGS / "stack.yaml").datasets
+    stack = load_stack().datasets
     write_recording(recording, out, stack.log, stack.viewer)
     return out
 
@@ -91,7 +90,7 @@ def main() -> None:
         one, wall_s = validate([LOG], "--out", str(folder / "one"))
         print(f"40 frames (3.9 s of driving) in {wall_s:.1f} s: {one['state']}")
         for e in one["encounters"]:
-            keys = ("role", "outcome", "entered_s", "gap_m", "stopping_m", "margin_m", "asked_after_s")
+            keys = ("role", "outcome", "entered_s", "clearance_m", "stopping_distance_m", "margin_m", "asked_after_s")
             print({k: e[k] for k in keys})
         print({k: one[k] for k in ("missed", "false_stops", "safe_speed_kmh")})
         logs = cuts(folder, arguments.logs, arguments.frames, arguments.demo)

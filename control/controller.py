@@ -4,17 +4,17 @@ from collections.abc import Iterable
 
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
-from control.anchor import AnchorConfig, MapAnchor
-from control.departure import Departure, DepartureConfig
-from control.driver import Driver, Sample, Steered
 from control.implement import ImplementControl, ImplementControlConfig
+from control.lateral_controller import Driver, Sample, Steered
+from control.longitudinal_controller import STANDING_MPS, SpeedConfig, SpeedControl, SpeedPlan
 from control.planar import planar_of
+from control.pose_smoothing import AnchorConfig, MapAnchor
 from control.reference import Reference
 from control.slip import SlipConfig
-from control.speed import STANDING_MPS, SpeedConfig, SpeedControl, SpeedPlan
+from control.start_conditions import Departure, DepartureConfig
 from control.steering import SteeringConfig
-from control.tracking import TrackingConfig
-from messages.command import MachineState, Mode, SafeCommand, Wish
+from control.tracking_law import TrackingConfig
+from messages.command import ControlCommand, MachineState, Mode, SafeCommand
 from messages.motion import MapPose, Odometry
 from messages.node import Every, Inbox, Latest, Node, Output
 from messages.plan import Path
@@ -42,7 +42,7 @@ class Controller(Node):
     def __init__(self, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, config: ControlConfig) -> None:
         self.name = "controller"
         self.reads = {k: Latest() for k in ("path", "odom", "map_pose", "machine", "safe_command")}
-        self.writes = ("wish",)
+        self.writes = ("control_command",)
         self.runs = Every(PERIOD_NS)
         self._config, self._vehicle = config, vehicle
         self._anchor = MapAnchor(config.anchor)
@@ -64,10 +64,10 @@ class Controller(Node):
         path = inbox.last("path", Path)
         sample = self._sample(inbox, elapsed_s)
         if path is None or sample is None:
-            return [("wish", self._stand(now_ns, path))]
+            return [("control_command", self._stand(now_ns, path))]
         if self._path is None or path.path_id != self._path.path_id:
             self._start(path, sample)
-        return [("wish", self._drive(now_ns, path, sample, inbox, elapsed_s))]
+        return [("control_command", self._drive(now_ns, path, sample, inbox, elapsed_s))]
 
     def _sample(self, inbox: Inbox, elapsed_s: float) -> Sample | None:
         odom, map_pose = inbox.latest("odom", Odometry), inbox.latest("map_pose", MapPose)
@@ -85,9 +85,9 @@ class Controller(Node):
         self._driver.start(reference, sample.pose)
         self._speed.start()
         self._implement.start(path)
-        self._departure.start(path.is_folded)
+        self._departure.start(path.is_transport)
 
-    def _drive(self, now_ns: int, path: Path, sample: Sample, inbox: Inbox, elapsed_s: float) -> Wish:
+    def _drive(self, now_ns: int, path: Path, sample: Sample, inbox: Inbox, elapsed_s: float) -> ControlCommand:
         assert self._plan is not None
         is_steering, is_obeyed = self._obedience(inbox)
         steered = self._driver.steer(now_ns, sample, is_steering)
@@ -95,7 +95,7 @@ class Controller(Node):
         target_mps = self._speed.target_mps(self._plan, s_m, forward_mps, steered.offset_m)
         if self._departure.is_held(sample, steered.curvature_radpm, is_steering, elapsed_s):
             target_mps = 0.0
-        wished_mps, acceleration_mps2 = self._speed.wish(target_mps, forward_mps, elapsed_s, is_obeyed)
+        wished_mps, acceleration_mps2 = self._speed.control_command(target_mps, forward_mps, elapsed_s, is_obeyed)
         self._work(now_ns, s_m, forward_mps, inbox)
         self._wished_mps, self._braking_mps2 = path.direction * wished_mps, -acceleration_mps2
         self._curvature_radpm = steered.curvature_radpm
@@ -120,9 +120,11 @@ class Controller(Node):
         else:
             self._implement.step(now_ns, self._plan, s_m, forward_mps, hitch)
 
-    def _wish(self, now_ns: int, path: Path, steered: Steered, acceleration_mps2: float, is_standing: bool) -> Wish:
+    def _wish(
+        self, now_ns: int, path: Path, steered: Steered, acceleration_mps2: float, is_standing: bool
+    ) -> ControlCommand:
         turned = 0.0 if path.direction > 0 else 1.0  # errors are left of the machine, not of its motion
-        return Wish(
+        return ControlCommand(
             stamp_ns=now_ns,
             speed_mps=self._wished_mps,
             acceleration_mps2=acceleration_mps2,
@@ -137,10 +139,10 @@ class Controller(Node):
             is_implement_folded=self._departure.is_folded,
         )
 
-    def _stand(self, now_ns: int, path: Path | None) -> Wish:
+    def _stand(self, now_ns: int, path: Path | None) -> ControlCommand:
         """What is wished without path or pose: stand, wheels and implement as they are."""
         self._wished_mps = 0.0
-        return Wish(
+        return ControlCommand(
             stamp_ns=now_ns,
             speed_mps=0.0,
             acceleration_mps2=-self._config.speed.holding_mps2,

@@ -8,8 +8,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement
+from control.longitudinal_controller import SpeedPlan
 from control.planar import clamp
-from control.speed import SpeedPlan
 from messages.plan import Path
 
 HALF_PERIOD_S = 0.01  # decided once a period: half of it too early or too late
@@ -36,7 +36,7 @@ class Edge:
 
 def edges_of(path: Path) -> tuple[Edge, ...]:
     """The places along the path, each between the last point before and the first after it."""
-    work = path.is_work.astype(bool)
+    work = path.is_working.astype(bool)
     edges = [Edge(-math.inf, True)] if work[0] else []
     for k in np.flatnonzero(work[1:] != work[:-1]).tolist():
         # work is marked from the last point before it to the first after it: the true edge is one gap further in
@@ -87,7 +87,7 @@ class ImplementControl:
     def start(self, path: Path) -> None:
         """A new path begins."""
         self._edges, self._next = edges_of(path), 0
-        self.is_lowered = bool(path.is_work[0])
+        self.is_lowered = bool(path.is_working[0])
 
     def observe(self, stamp_ns: int, hitch: float) -> None:
         """Take the hitch's measured height."""

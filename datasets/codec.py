@@ -19,9 +19,9 @@ from google.protobuf.message_factory import GetMessageClass
 from datasets.arrays import SENT, Array, filter_of, pack, unpack
 from datasets.schema import PACKAGE, FieldKind, descriptors_of, fields_of, once, proto_of
 from messages.errors import LogError
-from messages.message import Message, Record
+from messages.message import Message, MessagePart
 from messages.sensors import CameraImage
-from messages.topics import KINDS
+from messages.topics import TOPICS
 
 Fill = Callable[[Any, Any], None]
 Build = Callable[[Any], Any]
@@ -69,7 +69,7 @@ def _ways_of(cls: type[Message], lacking: frozenset[str]) -> tuple[Fill, Build]:
 @cache
 def classes() -> dict[str, type[Message]]:
     """All message classes of the topic table by schema name."""
-    return {f"{PACKAGE}.{row.type.__name__}": row.type for row in KINDS.values()}
+    return {f"{PACKAGE}.{row.type.__name__}": row.type for row in TOPICS.values()}
 
 
 @cache
@@ -109,7 +109,7 @@ def proto_from(name: str, schema: bytes) -> type[Any]:
         raise LogError(f"schema {name!r}: not a protobuf schema ({error})") from error
 
 
-def _lacking(cls: type[Record] | None, ours: Any, theirs: Any, where: str = "") -> Iterator[str]:
+def _lacking(cls: type[MessagePart] | None, ours: Any, theirs: Any, where: str = "") -> Iterator[str]:
     """Fields of ours (dotted below a record's) that the log has not and that have a default; ValueError for others."""
     kinds = {kind.name: kind for kind in fields_of(cls)} if cls is not None else {}
     optional = _with_default(cls) if cls is not None else frozenset()
@@ -123,11 +123,11 @@ def _lacking(cls: type[Record] | None, ours: Any, theirs: Any, where: str = "") 
             raise ValueError(f"field {where + field.name!r} has another type")
         elif field.message_type is not None:
             inner = kinds[field.name].type if field.name in kinds else None
-            record = inner if inner is not None and issubclass(inner, Record) else None
+            record = inner if inner is not None and issubclass(inner, MessagePart) else None
             yield from _lacking(record, field.message_type, other.message_type, f"{where}{field.name}.")
 
 
-def _with_default(cls: type[Record]) -> frozenset[str]:
+def _with_default(cls: type[MessagePart]) -> frozenset[str]:
     return frozenset(f.name for f in fields(cls) if f.default is not MISSING or f.default_factory is not MISSING)
 
 
@@ -159,7 +159,7 @@ def _build_image(proto: Any) -> CameraImage:
 
 
 @once
-def _fill_of(cls: type[Record]) -> Fill:
+def _fill_of(cls: type[MessagePart]) -> Fill:
     scope: dict[str, Any] = {"_fill_array": _fill_array}
     lines = ["def fill(p, m):"]
     for kind in fields_of(cls):
@@ -173,11 +173,11 @@ def _fill_of(cls: type[Record]) -> Fill:
 def _filler(kind: FieldKind) -> Fill | None:
     if issubclass(kind.type, np.ndarray):
         return _fill_array
-    return _fill_of(kind.type) if issubclass(kind.type, Record) else None
+    return _fill_of(kind.type) if issubclass(kind.type, MessagePart) else None
 
 
 def _fill_lines(kind: FieldKind) -> list[str]:
-    name, is_message = kind.name, issubclass(kind.type, (np.ndarray, Record))
+    name, is_message = kind.name, issubclass(kind.type, (np.ndarray, MessagePart))
     if kind.is_repeated and is_message:
         return [f"for x in m.{name}: _fill_{name}(p.{name}.add(), x)"]
     if kind.is_repeated:
@@ -186,7 +186,7 @@ def _fill_lines(kind: FieldKind) -> list[str]:
     return [f"if m.{name} is not None:", *(f"    {line}" for line in lines)] if kind.is_optional else lines
 
 
-def _build_of(cls: type[Record], lacking: frozenset[str] = frozenset()) -> Build:
+def _build_of(cls: type[MessagePart], lacking: frozenset[str] = frozenset()) -> Build:
     """`lacking` names the fields, dotted below a record's, that are left to their defaults."""
     scope: dict[str, Any] = {"cls": cls}
     values = []
@@ -205,7 +205,7 @@ def _builder(kind: FieldKind, lacking: frozenset[str] = frozenset()) -> Build | 
         return _build_array
     if issubclass(kind.type, Enum):
         return kind.type
-    return _build_of(kind.type, lacking) if issubclass(kind.type, Record) else None
+    return _build_of(kind.type, lacking) if issubclass(kind.type, MessagePart) else None
 
 
 def _build_text(kind: FieldKind) -> str:

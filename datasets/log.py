@@ -16,11 +16,11 @@ from datasets.codec import codec_of
 from datasets.digest import Digest
 from datasets.disk import MB, LogFile
 from datasets.schema import descriptor_set
-from datasets.thread import LogThread
 from datasets.viewer import Viewer
+from datasets.writer_thread import LogThread
 from messages.message import Envelope, Message
 from messages.perception import Obstacles
-from messages.topics import kind_of
+from messages.topics import spec_of
 
 PROFILE = "headland"
 RECORDED = "/recorded/"
@@ -121,7 +121,7 @@ class LogWriter:
     def _is_logged(self, topic: str) -> bool:
         known = self._logged.get(topic)
         if known is None:
-            known = self._logged[topic] = kind_of(topic.removeprefix(RECORDED)).is_logged
+            known = self._logged[topic] = spec_of(topic.removeprefix(RECORDED)).is_logged
         return known
 
     def _show(self, envelope: Envelope) -> None:

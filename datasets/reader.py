@@ -32,7 +32,7 @@ class Entry:
 class LogScan:
     """A pass over a log (all topics, or those named): iterate it, then ask what the pass found besides messages.
 
-    Damaged stretches are skipped and listed; messages whose channel was lost with them are counted in `orphans`.
+    Damaged sections are skipped and listed; messages whose channel was lost with them are counted in `orphans`.
     """
 
     path: Path

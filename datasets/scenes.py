@@ -153,9 +153,13 @@ def truth_scene(stamp_ns: int, message: TrueObjects, frame_id: str) -> SceneUpda
 
 def field_scene(stamp_ns: int, state: SupervisorState, height_m: float) -> SceneUpdate:
     """The protective field, the returns that stop the machine, and mode and reason above it."""
-    is_hit = len(state.hits_base_m) > 0
-    lines = [line(state.field_base_m, 0.12, RED if is_hit else BLUE, True)] if len(state.field_base_m) > 1 else []
-    hits = [cube(p, (0.15, 0.15, 0.15), 0.0, RED) for p in state.hits_base_m[:MOST_HITS].tolist()]
+    is_hit = len(state.triggering_points_base_m) > 0
+    lines = (
+        [line(state.protective_field_base_m, 0.12, RED if is_hit else BLUE, True)]
+        if len(state.protective_field_base_m) > 1
+        else []
+    )
+    hits = [cube(p, (0.15, 0.15, 0.15), 0.0, RED) for p in state.triggering_points_base_m[:MOST_HITS].tolist()]
     words = f"{state.mode}: {state.reason}" if state.reason else str(state.mode)
     return scene(stamp_ns, "field", "base", hits, lines, [text(words, (0.0, 0.0, height_m + 1.0), 0.6, WHITE)])
 

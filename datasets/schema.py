@@ -1,7 +1,8 @@
 """Message dataclasses as protobuf types: `headland.v1.<Class>`, made from the class's own annotations.
 
-float → double, int → sint64, bool, str and bytes as they are, StrEnum → string, IntEnum → enum, a Record → a message,
-a tuple → repeated, an array → `headland.v1.Array`, `X | None` → optional. Fields are numbered as the class has them.
+float → double, int → sint64, bool, str and bytes as they are, StrEnum → string, IntEnum → enum, a MessagePart → a
+message, a tuple → repeated, an array → `headland.v1.Array`, `X | None` → optional. Fields are numbered as the class
+has them.
 """
 
 import re
@@ -17,7 +18,7 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
-from messages.message import Record
+from messages.message import MessagePart
 
 PACKAGE = "headland.v1"
 ARRAY = f"{PACKAGE}.Array"
@@ -42,7 +43,7 @@ def once(function: Callable[[K], V]) -> Callable[[K], V]:
 
 @dataclass(frozen=True)
 class FieldKind:
-    """One field: its element type (a scalar, enum, Record, or np.ndarray) and whether it repeats or may be None."""
+    """One field: element type (scalar, enum, MessagePart or np.ndarray), whether it repeats, whether it may be None."""
 
     name: str
     type: type
@@ -51,21 +52,21 @@ class FieldKind:
 
 
 @once
-def fields_of(cls: type[Record]) -> tuple[FieldKind, ...]:
+def fields_of(cls: type[MessagePart]) -> tuple[FieldKind, ...]:
     """The fields of a message class as they are logged; raises TypeError for a type that has no place there."""
     hints = get_type_hints(cls)
     return tuple(_kind(cls, f.name, hints[f.name]) for f in fields(cls))
 
 
 @once
-def proto_of(cls: type[Record]) -> type[Any]:
+def proto_of(cls: type[MessagePart]) -> type[Any]:
     """The protobuf class of a message class."""
     _add(cls)
     return GetMessageClass(_POOL.FindMessageTypeByName(f"{PACKAGE}.{cls.__name__}"))
 
 
 @once
-def descriptors_of(cls: type[Record]) -> bytes:
+def descriptors_of(cls: type[MessagePart]) -> bytes:
     """The serialized FileDescriptorSet that an MCAP schema record carries: the class and all it needs."""
     return descriptor_set(proto_of(cls).DESCRIPTOR.file)
 
@@ -94,7 +95,7 @@ def _kind(cls: type, name: str, hint: Any) -> FieldKind:
         (hint,) = set(get_args(hint)) - {...}
     if get_origin(hint) is np.ndarray:
         hint = np.ndarray
-    if not isinstance(hint, type) or not issubclass(hint, (*_SCALARS, Enum, Record, np.ndarray)):
+    if not isinstance(hint, type) or not issubclass(hint, (*_SCALARS, Enum, MessagePart, np.ndarray)):
         raise TypeError(f"{cls.__name__}.{name}: {hint} has no place in a log")
     if is_optional and is_repeated:
         raise TypeError(f"{cls.__name__}.{name}: a tuple that may be None has no place in a log")
@@ -102,7 +103,7 @@ def _kind(cls: type, name: str, hint: Any) -> FieldKind:
 
 
 @once
-def _add(cls: type[Record]) -> str:
+def _add(cls: type[MessagePart]) -> str:
     """Add the class's file to the pool, after those it needs; gives the file's name."""
     file = FileDescriptorProto(name=f"headland/v1/{cls.__name__}.proto", package=PACKAGE, syntax="proto3")
     body = file.message_type.add(name=cls.__name__)

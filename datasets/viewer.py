@@ -118,7 +118,7 @@ class Viewer:
 
     def _note_fold(self, topic: str, state: MachineState) -> Iterator[Shown]:
         """The implement is drawn anew when it has folded or unfolded."""
-        if (state.fold >= FOLDED) != self._is_folded:
+        if (state.fold_position >= FOLDED) != self._is_folded:
             self._is_folded = not self._is_folded
             self._shown_at_ns.pop("static", None)
         return iter(())

@@ -13,7 +13,7 @@ class Alarm:
     severity: Severity
     response: Response
     text_en: str
-    text_de: str
+    text_zh: str
 
 
 class Alarms:
@@ -40,5 +40,5 @@ class Alarms:
             response=alarm.response,
             is_active=is_on,
             text_en=alarm.text_en,
-            text_de=alarm.text_de,
+            text_zh=alarm.text_zh,
         )

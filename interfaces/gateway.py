@@ -14,13 +14,13 @@ from pydantic import Field
 from configs.strict import Config
 from configs.vehicle import Vehicle
 from interfaces.alarms import Alarm, Alarms
+from interfaces.can_receiver import Incoming
+from interfaces.can_transmitter import Orders, Outgoing, Present, order
 from interfaces.engagement import Engagement, Phase, Steering
-from interfaces.incoming import Incoming
 from interfaces.isobus.address import AddressClaim
 from interfaces.isobus.frame import Frame
 from interfaces.isobus.heartbeat import GAP_NS
 from interfaces.isobus.name import AGRICULTURE, Name
-from interfaces.outgoing import Orders, Outgoing, Present, order
 from messages.command import CanFrame, CanFrames, SafeCommand
 from messages.faults import Response, Severity
 from messages.node import Every, Inbox, Latest, Node, Output

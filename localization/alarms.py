@@ -12,7 +12,7 @@ class Alarm:
     severity: Severity
     response: Response
     text_en: str
-    text_de: str
+    text_zh: str
 
 
 STOP, NOTICE = (Severity.ALARM, Response.CONTROLLED_STOP), (Severity.NOTICE, Response.NONE)
@@ -72,5 +72,5 @@ class Alarms:
         alarm, more = ALARMS[code], f" ({detail})" if detail else ""
         return Fault(
             now_ns, code, self._source, alarm.severity, False, alarm.response, is_active,
-            alarm.text_en + more, alarm.text_de + more,
+            alarm.text_en + more, alarm.text_zh + more,
         )  # fmt: skip

@@ -7,8 +7,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.transforms import Float64
-from localization.gnss import Position, source_of
-from localization.sighting import SightingConfig
+from localization.gnss_gate import Position, source_of
+from localization.lidar.pose_measurement import SightingConfig
 from messages.motion import PositionSource
 
 Metres = Field(ge=0.0, le=100.0)

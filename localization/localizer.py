@@ -11,25 +11,25 @@ from configs.vehicle import Vehicle
 from geometry.geodesy import Datum
 from geometry.transforms import Float64
 from localization.alarms import Alarms
-from localization.docked import Docked
-from localization.fusion import Fusion
-from localization.gnss import Refusal, check, position_of
-from localization.inertial import InertialTrack
-from localization.kernels import warm
-from localization.lidar_map import LIDAR_POSE, LidarMapConfig
-from localization.lidar_odometry import LidarOdometryConfig
-from localization.motion import Motion, MotionConfig
-from localization.placement import Placement, PlacementConfig
-from localization.plausibility import CODES
-from localization.preintegration import bias_sigmas
-from localization.ranging import Ranging
-from localization.wheels import WheelTrack
+from localization.dead_reckoning.imu_track import InertialTrack
+from localization.dead_reckoning.kernels import warm
+from localization.dead_reckoning.plausibility import CODES
+from localization.dead_reckoning.wheel_track import WheelTrack
+from localization.dock_prior import Docked
+from localization.gnss_gate import Refusal, check, position_of
+from localization.graph.imu_preintegration import bias_sigmas
+from localization.graph.keyframes import Fusion
+from localization.lidar.lidar_odometry import LidarOdometryConfig
+from localization.lidar.map_localization import LIDAR_POSE, LidarMapConfig
+from localization.map_alignment import Placement, PlacementConfig
+from localization.odometry import Motion, MotionConfig
+from localization.uwb.range_gate import Ranging
 from messages.errors import ConfigError
-from messages.motion import LidarMotion, LidarPose
+from messages.motion import LidarLocalization, LidarOdometry
 from messages.node import All, Every, Inbox, Node, Output, Read
 from messages.sensors import GnssFix, ImuSample, UwbRanges, WheelSample
 
-IMU, WHEEL, GNSS, LIDAR_MOTION = "imu", "wheel", "gnss/main", "lidar_motion/front"
+IMU, WHEEL, GNSS, LIDAR_MOTION = "imu", "wheel", "gnss/main", "lidar_odometry/front"
 
 
 class LocalizationConfig(Config):
@@ -128,9 +128,9 @@ class Localizer(Node):
         for fix in inbox.all(GNSS, GnssFix):
             self.dropped += not (self._is_timely(fix.stamp_ns, now_ns) and self._add_fix(fix))
         if LIDAR_MOTION in self.reads:
-            for motion in inbox.all(LIDAR_MOTION, LidarMotion):
+            for motion in inbox.all(LIDAR_MOTION, LidarOdometry):
                 self._placement.link.add(motion)
-            for pose in inbox.all(LIDAR_POSE, LidarPose):
+            for pose in inbox.all(LIDAR_POSE, LidarLocalization):
                 self._placement.sightings.add(pose)
         for topic in self._uwb:
             for heard in inbox.all(topic, UwbRanges):

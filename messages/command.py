@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
 from messages.faults import Response
-from messages.message import Float32, Float64, Message, Record
+from messages.message import Float32, Float64, Message, MessagePart
 from messages.perception import ObstacleClass
 
 
 @dataclass(frozen=True)
-class Wish(Message):
+class ControlCommand(Message):
     """What control would do: nothing of it reaches the machine unless the supervisor lets it.
 
     `speed_mps` is signed (reverse negative), `acceleration_mps2` its wanted change (≤ 0 brakes), `curvature_radpm` left
@@ -65,7 +65,7 @@ class SafeCommand(Message):
 
 
 @dataclass(frozen=True)
-class RuleResult(Record):
+class RuleResult(MessagePart):
     """What one rule says at this moment: `speed_limit_mps` (infinite = no objection) and what to do about it."""
 
     code: str
@@ -78,25 +78,26 @@ class RuleResult(Record):
 class SupervisorState(Message):
     """Why the safe command is what it is.
 
-    `gap_m` is the free way to the nearest cause in the swept field (infinite if none), `stopping_m` = S alone,
-    `required_m` the full range needed at the present speed, `proven_range_m` how far the field is proven free;
-    `hits_base_m` (N, 3) are the points that caused it, `field_base_m` (M, 2) the outline of the swept field.
+    `clearance_m` is the free way to the nearest cause in the swept field (infinite if none), `stopping_distance_m` =
+    S alone, `required_range_m` the full range needed at the present speed, `detection_range_m` how far the field is
+    proven free; `triggering_points_base_m` (N, 3) are the points that caused it, `protective_field_base_m` (M, 2) the
+    outline of the swept field.
     """
 
     mode: Mode
     reason: str
     rules: tuple[RuleResult, ...]
-    cause_class: ObstacleClass
-    gap_m: float
-    stopping_m: float
-    required_m: float
-    proven_range_m: float
+    obstacle_class: ObstacleClass
+    clearance_m: float
+    stopping_distance_m: float
+    required_range_m: float
+    detection_range_m: float
     resume_in_s: float
-    hits_base_m: Float32
-    field_base_m: Float64
+    triggering_points_base_m: Float32
+    protective_field_base_m: Float64
 
 
-class Order(IntEnum):
+class OperatorCommandKind(IntEnum):
     """What a person may ask of the machine."""
 
     START = 0
@@ -109,10 +110,10 @@ class Order(IntEnum):
 
 
 @dataclass(frozen=True)
-class OperatorOrder(Message):
+class OperatorCommand(Message):
     """An order of a person, on the machine or remote; void after `expires_ns` or when `sequence` does not rise."""
 
-    order: Order
+    kind: OperatorCommandKind
     authority: str
     sequence: int
     expires_ns: int
@@ -124,8 +125,8 @@ class MachineState(Message):
 
     Each group has the time of its last good frame (0 = never): `motion_stamp_ns` (wheel-based speed),
     `steering_stamp_ns` (estimated curvature), `implement_stamp_ns` (hitch and PTO), `cab_stamp_ns` (hand wheel, pedals,
-    seat, supply), `heartbeat_stamp_ns`. `hitch` is 0 lowest to 1 highest, `fold` 0 at working to 1 at transport width
-    (of the implement's group). `rejected_frames` counts bad frames.
+    seat, supply), `heartbeat_stamp_ns`. `hitch` is 0 lowest to 1 highest, `fold_position` 0 at working to 1 at
+    transport width (of the implement's group). `rejected_frames` counts bad frames.
     """
 
     motion_stamp_ns: int
@@ -146,18 +147,18 @@ class MachineState(Message):
     is_horn_on: bool
     is_beacon_on: bool
     brake_pedal: float
-    hand_torque_nm: float
-    hand_rate_radps: float
-    hand_angle_rad: float
+    driver_torque_nm: float
+    driver_rate_radps: float
+    driver_angle_rad: float
     is_seat_occupied: bool
     is_emergency_button_pressed: bool
     supply_v: float
     rejected_frames: int
-    fold: float = 0.0
+    fold_position: float = 0.0
 
 
 @dataclass(frozen=True)
-class CanFrame(Record):
+class CanFrame(MessagePart):
     """One extended frame; `stamp_ns` is when it was sent or received."""
 
     stamp_ns: int

@@ -27,7 +27,7 @@ class Response(IntEnum):
 class Fault(Message):
     """Something wrong in `source` (a node or sensor), or right again (`is_active` false).
 
-    `code` is dotted, such as "lidar.silent"; `text_en` and `text_de` are for the operator.
+    `code` is dotted, such as "lidar.silent"; `text_en` and `text_zh` are for the operator.
     """
 
     code: str
@@ -37,4 +37,4 @@ class Fault(Message):
     response: Response
     is_active: bool
     text_en: str
-    text_de: str
+    text_zh: str

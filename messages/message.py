@@ -24,7 +24,7 @@ def _array_dtypes(cls: type[Any]) -> tuple[tuple[str, np.dtype[Any]], ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class MessagePart:
     """A frozen part of a message; its arrays are made read-only and belong to it from then on.
 
     Raises TypeError when an array has not the declared type.
@@ -39,7 +39,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Message(Record):
+class Message(MessagePart):
     """What a node reads or writes; `stamp_ns` is the time of measurement."""
 
     stamp_ns: int

@@ -66,7 +66,7 @@ class MapPose(Message):
 
 
 @dataclass(frozen=True)
-class LidarPose(Message):
+class LidarLocalization(Message):
     """Pose of `base` in `map` from matching scans with what is known to stand there; not valid, with the reason.
 
     `T_map_base` (4, 4); `covariance` (6, 6) rotation then translation, in `base`: roll, pitch and, but for a level
@@ -81,7 +81,7 @@ class LidarPose(Message):
 
 
 @dataclass(frozen=True)
-class LidarMotion(Message):
+class LidarOdometry(Message):
     """Motion of `base` between two scans from lidar odometry; not valid, with the reason, when degenerate.
 
     `T_from_to` (4, 4) takes coordinates of base at `stamp_ns` to those of base at `from_stamp_ns`.

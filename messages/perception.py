@@ -5,7 +5,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from messages.message import Float32, Float64, Int32, Message, Record, UInt8
+from messages.message import Float32, Float64, Int32, Message, MessagePart, UInt8
 
 
 class ObstacleClass(StrEnum):
@@ -22,13 +22,14 @@ class ObstacleClass(StrEnum):
 
 @dataclass(frozen=True)
 class LidarGround(Message):
-    """Which returns of the scan `scan_stamp_ns` are not ground: `is_solid` (N,), in the order of its `points_m`.
+    """Which returns of the scan `scan_stamp_ns` are not ground: `is_obstacle_point` (N,), in the order of its
+    `points_m`.
 
     `plane` (4,) is the ground about the machine in `base`: a x + b y + c z + d = 0 with unit normal, upwards.
     """
 
     scan_stamp_ns: int
-    is_solid: UInt8
+    is_obstacle_point: UInt8
     plane: Float64
 
 
@@ -59,7 +60,7 @@ class Obstacles(Message):
 
 
 @dataclass(frozen=True)
-class Track(Record):
+class Track(MessagePart):
     """One obstacle followed over time, in `odom`; `covariance` (4, 4) of position and velocity."""
 
     id: int
@@ -95,13 +96,13 @@ class HealthState(StrEnum):
 class SensorHealth(Message):
     """How far one sensor can be trusted at this moment, by sector in `base`.
 
-    Sector k covers azimuths `edges_rad[k]` to `edges_rad[k + 1]` (left positive); within `proven_range_m[k]` an
-    obstacle would have been seen. 0 m means blind.
+    Sector k covers azimuths `sector_edges_rad[k]` to `sector_edges_rad[k + 1]` (left positive); within
+    `detection_range_m[k]` an obstacle would have been seen. 0 m means blind.
     """
 
     sensor: str
     state: HealthState
     reason: str
-    edges_rad: Float64
-    proven_range_m: Float64
-    dropped: int
+    sector_edges_rad: Float64
+    detection_range_m: Float64
+    rejected_count: int

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
-from messages.message import Float64, Int32, Message, Record, UInt8
+from messages.message import Float64, Int32, Message, MessagePart, UInt8
 
 
-class Leg(StrEnum):
-    """What a stretch of path is for."""
+class PathSectionType(StrEnum):
+    """Purpose of a path section."""
 
     LANE = "lane"
     HEADLAND = "headland"
@@ -18,10 +18,10 @@ class Leg(StrEnum):
 
 
 @dataclass(frozen=True)
-class Stretch(Record):
+class PathSection(MessagePart):
     """A part of a path: points `first` up to and including `last`; `line` numbers round or swath (else -1)."""
 
-    leg: Leg
+    section_type: PathSectionType
     line: int
     first: int
     last: int
@@ -33,8 +33,8 @@ class Path(Message):
 
     N points about 0.1 m apart: `p_map_m` (N, 2), `heading_rad` (N,) of the machine, `curvature_radpm` (N,) (left
     positive, of the machine's forward motion), `s_m` (N,) arc length, `speed_mps` (N,) upper limit ≥ 0 (0 only at the
-    end), `is_work` (N,) 1 where the implement works. `is_last` ends the mission. `is_folded`: the implement is brought
-    into transport width before the path is driven (else into working width).
+    end), `is_working` (N,) 1 where the implement works. `is_last` ends the mission. `is_transport`: the implement is
+    brought into transport width before the path is driven (else into working width).
     """
 
     path_id: int
@@ -44,11 +44,11 @@ class Path(Message):
     curvature_radpm: Float64
     s_m: Float64
     speed_mps: Float64
-    is_work: UInt8
-    stretches: tuple[Stretch, ...]
-    stretch_index: Int32
+    is_working: UInt8
+    sections: tuple[PathSection, ...]
+    section_index: Int32
     is_last: bool
-    is_folded: bool = False
+    is_transport: bool = False
 
 
 class MissionState(IntEnum):
@@ -62,8 +62,8 @@ class MissionState(IntEnum):
 
 
 @dataclass(frozen=True)
-class LeftOut(Record):
-    """A stretch that was not worked, with its reason and outline (N, 2)."""
+class UncoveredArea(MessagePart):
+    """Area that is not worked, with reason and outline (N, 2)."""
 
     reason: str
     area_m2: float
@@ -72,14 +72,14 @@ class LeftOut(Record):
 
 @dataclass(frozen=True)
 class MissionStatus(Message):
-    """Where the mission stands; `path_s_m` is the place on path `path_id`, `left_out` what will not be worked."""
+    """State of the mission; `path_s_m` is the position on path `path_id`, `uncovered_areas` will not be worked."""
 
     state: MissionState
-    leg: Leg
+    section_type: PathSectionType
     line: int
     path_id: int
     path_s_m: float
     driven_m: float
     total_m: float
     text: str
-    left_out: tuple[LeftOut, ...]
+    uncovered_areas: tuple[UncoveredArea, ...]

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from messages.message import Float64, Message, Record
+from messages.message import Float64, Message, MessagePart
 from messages.perception import ObstacleClass
 
 
@@ -10,8 +10,8 @@ from messages.perception import ObstacleClass
 class TrueMachine(Message):
     """The machine as it is: `T_map_base` (4, 4), signed speed, front-wheel angle, working point and implement state.
 
-    `p_implement_map_m` (3,) is the implement's working point; `hitch` 0 lowest to 1 highest; `contacts` and `exits`
-    count since the start.
+    `p_implement_map_m` (3,) is the implement's working point; `hitch` 0 lowest to 1 highest; `contacts` and
+    `zone_exits` count since the start.
     """
 
     T_map_base: Float64
@@ -24,11 +24,11 @@ class TrueMachine(Message):
     hitch: float
     is_working: bool
     contacts: int
-    exits: int
+    zone_exits: int
 
 
 @dataclass(frozen=True)
-class TrueObject(Record):
+class TrueObject(MessagePart):
     """One object: box centre and size, yaw and velocity in `map`; `role` is its name in the scenario ("" = scenery)."""
 
     id: int
@@ -38,11 +38,11 @@ class TrueObject(Record):
     size_m: Float64
     yaw_rad: float
     velocity_mps: Float64
-    gap_m: float
+    clearance_m: float
 
 
 @dataclass(frozen=True)
 class TrueObjects(Message):
-    """All objects that count as obstacles; `gap_m` is edge to edge to the machine with its implement."""
+    """All objects that count as obstacles; `clearance_m` is edge to edge to the machine with its implement."""
 
     objects: tuple[TrueObject, ...]

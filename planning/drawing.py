@@ -13,13 +13,14 @@ from configs.site import Shed, Site
 from geometry.footprint import footprints
 from geometry.polygon import parts
 from geometry.polyline import Float64
-from messages.plan import Leg
+from messages.plan import PathSectionType
 from planning.docking.dock import Docking
 from planning.plan import Plan
 
 COLOURS = {
-    Leg.LANE: "#404040", Leg.HEADLAND: "#1f5fa8", Leg.SWATH: "#1a7f37", Leg.TURN: "#d9822b", Leg.DETOUR: "#8a2be2",
-    Leg.DOCK: "#8a2be2",
+    PathSectionType.LANE: "#404040", PathSectionType.HEADLAND: "#1f5fa8", PathSectionType.SWATH: "#1a7f37",
+    PathSectionType.TURN: "#d9822b", PathSectionType.DETOUR: "#8a2be2",
+    PathSectionType.DOCK: "#8a2be2",
 }  # fmt: skip
 
 
@@ -42,13 +43,13 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
         axes.fill(*zip(*area.outline_m, strict=True), color="#9cc4e4")
     for gate in site.gates:
         axes.plot(*zip(*gate.posts_m, strict=True), "s", color="#b22222", markersize=4)
-    shown: set[Leg] = set()
+    shown: set[PathSectionType] = set()
     for path in plan.paths:
-        for t in path.stretches:
-            label = None if t.leg in shown else str(t.leg)
-            shown.add(t.leg)
+        for t in path.sections:
+            label = None if t.section_type in shown else str(t.section_type)
+            shown.add(t.section_type)
             line = path.p_map_m[t.first : t.last + 2]
-            axes.plot(line[:, 0], line[:, 1], color=COLOURS[t.leg], linewidth=1.0, label=label)
+            axes.plot(line[:, 0], line[:, 1], color=COLOURS[t.section_type], linewidth=1.0, label=label)
     worked = f", {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha" if plan.planned_share > 0.0 else ""
     axes.set_title(f"{site.name}: {plan.length_m:.0f} m{worked}")
     axes.set_xlabel("east in m")
@@ -70,7 +71,7 @@ def _draw_shed(axes: Any, shed: Shed, docking: Docking | None) -> None:
         dock = docking.bay.dock
         pose = np.array([[dock.x_m, dock.y_m]]), np.radians([dock.heading_deg])
         for body in footprints(docking.rig.bodies, *pose)[0]:
-            axes.plot(*body.exterior.xy, color=COLOURS[Leg.DOCK], linewidth=0.8)
+            axes.plot(*body.exterior.xy, color=COLOURS[PathSectionType.DOCK], linewidth=0.8)
 
 
 def _fill(axes: Any, shape: shapely.Polygon, colour: str) -> None:
@@ -84,7 +85,7 @@ def _fill(axes: Any, shape: shapely.Polygon, colour: str) -> None:
 
 
 def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
-    """A FeatureCollection in longitude and latitude: planned strips, stretches of the way, what is uncovered."""
+    """A FeatureCollection in longitude and latitude: planned strips, sections of the way, what is uncovered."""
     datum = site.datum.datum
 
     def degrees(points: Float64) -> Float64:
@@ -98,10 +99,12 @@ def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
     if not plan.planned_area.is_empty:
         found.append(feature(plan.planned_area, kind="planned", area_m2=round(plan.planned_area.area, 1)))
     for path in plan.paths:
-        for t in path.stretches:
+        for t in path.sections:
             points = path.p_map_m[t.first : t.last + 2]
             if len(points) > 1:
-                found.append(feature(shapely.LineString(points), kind="way", leg=str(t.leg), line=t.line))
+                found.append(
+                    feature(shapely.LineString(points), kind="way", section_type=str(t.section_type), line=t.line)
+                )
     found += [
         feature(u.outline, kind="uncovered", reason=u.reason, area_m2=round(u.area_m2, 1)) for u in plan.uncovered
     ]

@@ -6,21 +6,21 @@ from dataclasses import replace
 import numpy as np
 
 from geometry.transforms import apply
-from messages.command import Mode, OperatorOrder, Order, SupervisorState, Wish
+from messages.command import ControlCommand, Mode, OperatorCommand, OperatorCommandKind, SupervisorState
 from messages.errors import FieldError
 from messages.message import Float64
 from messages.motion import MapPose, Odometry
 from messages.node import All, Every, Inbox, Latest, Node, Output, Read
 from messages.perception import Tracks
-from messages.plan import LeftOut, Leg, MissionState, MissionStatus, Path
-from planning.blockage import Blocked, Rejoin, Step, Trunk, blocked_again, settle, way_round
-from planning.configuration import MissionConfig
-from planning.detour import ground_without
+from messages.plan import MissionState, MissionStatus, Path, PathSectionType, UncoveredArea
+from planning.config import MissionConfig
 from planning.docking.dock import Docking, plan_docking
-from planning.docking.homing import silence, standing_at, way_in
-from planning.obstacles import ALIVE, Standing, first_in_way, from_hits, joined, standing
+from planning.docking.dock_approach import silence, standing_at, way_in
 from planning.path import rest_of
 from planning.plan import Plan
+from planning.recovery.detour import ground_without
+from planning.recovery.obstacle_recovery import Blocked, Rejoin, Step, Trunk, blocked_again, settle, way_round
+from planning.recovery.static_obstacles import ALIVE, Standing, first_in_way, from_hits, joined, standing
 
 PERIOD_NS = 200_000_000
 BACK_CLEARANCE_M = 0.3
@@ -29,13 +29,14 @@ SEEN_AGAIN_M = 3.0  # a standing track so near to what was driven round is the s
 
 
 class MissionNode(Node):
-    """Drives a plan: one path at a time, from Order.START to the end of the last."""
+    """Drives a plan: one path at a time, from OperatorCommandKind.START to the end of the last."""
 
     def __init__(self, plan: Plan, config: MissionConfig, seed: int) -> None:
         self.name = "mission"
         self.reads: dict[str, Read] = {
-            "odom": Latest(), "map_pose": Latest(), "wish": Latest(), "supervisor": Latest(), "tracks": Latest(),
-            "order": All(8),
+            "odom": Latest(), "map_pose": Latest(), "control_command": Latest(), "supervisor": Latest(),
+            "tracks": Latest(),
+            "operator_command": All(8),
         }  # fmt: skip
         self.writes = ("path", "mission")
         self.runs = Every(PERIOD_NS)
@@ -51,7 +52,7 @@ class MissionNode(Node):
         self._blocked_ns: int | None = None
         self._again_ns = 0  # when to look again for another way into the dock
         self._detours = 0
-        self._left_out: tuple[LeftOut, ...] = ()
+        self._left_out: tuple[UncoveredArea, ...] = ()
         self._ground = plan.ground.allowed.buffer(-EDGE_M)  # what stands beyond is fence or hedge
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
@@ -69,20 +70,20 @@ class MissionNode(Node):
 
     def _is_started(self, now_ns: int, inbox: Inbox) -> bool:
         is_started = False
-        for order in inbox.all("order", OperatorOrder):
+        for order in inbox.all("operator_command", OperatorCommand):
             is_new = order.sequence > self._order_sequence and now_ns <= order.expires_ns
             self._order_sequence = max(self._order_sequence, order.sequence)
-            is_started = is_started or (is_new and order.order is Order.START)
+            is_started = is_started or (is_new and order.kind is OperatorCommandKind.START)
         return is_started
 
     def _follow(self, now_ns: int, inbox: Inbox) -> None:
         if self._between_ns is not None:
             self._next(now_ns, inbox)
             return
-        wish, path = inbox.latest("wish", Wish), self._path
-        if path is not None and wish is not None and wish.path_id == path.path_id:
-            self._s_m = float(np.clip(wish.path_s_m, 0.0, path.s_m[-1]))
-            if wish.is_finished:
+        control_command, path = inbox.latest("control_command", ControlCommand), self._path
+        if path is not None and control_command is not None and control_command.path_id == path.path_id:
+            self._s_m = float(np.clip(control_command.path_s_m, 0.0, path.s_m[-1]))
+            if control_command.is_finished:
                 self._finish_path(now_ns, inbox)
                 return
         if self._homing is not None:
@@ -164,7 +165,7 @@ class MissionNode(Node):
         cause = self._cause(found, pose, supervisor)
         if cause is None or (cause.label in ALIVE and waited_s < self._config.blocked_alive_s):
             return
-        if self._path is not None and self._path.is_folded:
+        if self._path is not None and self._path.is_transport:
             self._again_ns = now_ns + round(self._config.blocked_s * 1e9)
             self._go_round_in_yard(cause, found, pose, waited_s)
         else:
@@ -178,12 +179,12 @@ class MissionNode(Node):
         path = self._path
         assert path is not None
         ahead = (path.s_m >= self._s_m) & (path.s_m <= self._s_m + self._config.look_m)
-        rig = self._plan.docking.rig if path.is_folded and self._plan.docking is not None else self._plan.rig
+        rig = self._plan.docking.rig if path.is_transport and self._plan.docking is not None else self._plan.rig
         bodies = rig.bodies
         cause = first_in_way(found, bodies, path.p_map_m[ahead][::5], path.heading_rad[ahead][::5])
         if cause is not None:
             return cause
-        hits = np.asarray(supervisor.hits_base_m, np.float64)
+        hits = np.asarray(supervisor.triggering_points_base_m, np.float64)
         return from_hits(np.asarray(apply(pose.T_map_base, hits)[:, :2], np.float64))
 
     def _go_round(self, cause: Standing, found: list[Standing], pose: MapPose) -> None:
@@ -267,13 +268,14 @@ class MissionNode(Node):
         return self._last_id
 
     def _status(self, now_ns: int) -> MissionStatus:
-        leg, line, path_id = Leg.LANE, -1, -1
+        section_type, line, path_id = PathSectionType.LANE, -1, -1
         if self._path is not None:
             path_id = self._path.path_id
             k = min(int(np.searchsorted(self._path.s_m, self._s_m)), len(self._path.s_m) - 1)
-            stretch = self._path.stretches[int(self._path.stretch_index[k])]
-            leg, line = stretch.leg, stretch.line
+            section = self._path.sections[int(self._path.section_index[k])]
+            section_type, line = section.section_type, section.line
         return MissionStatus(
-            now_ns, self._state, leg, line, path_id, self._s_m, self._driven_m + self._s_m, self._total_m, self._text,
+            now_ns, self._state, section_type, line, path_id, self._s_m, self._driven_m + self._s_m, self._total_m,
+            self._text,
             self._left_out,
         )  # fmt: skip

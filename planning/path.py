@@ -1,4 +1,4 @@
-"""Path messages from pieces: smoothed, with headings, curvature, speeds and stretches."""
+"""Path messages from pieces: smoothed, with headings, curvature, speeds and sections."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,11 +9,11 @@ import numpy as np
 
 from geometry.polyline import Float64, arc_length, at_length, curvatures, extend, headings, project, smooth
 from messages.message import Int32, UInt8
-from messages.plan import Leg, Path, Stretch
+from messages.plan import Path, PathSection, PathSectionType
 from planning.profile import speed_profile, speeding_up
 from planning.rig import Rig
-from planning.turn import STEP_M
-from planning.ways import Piece
+from planning.turns.connector import Piece
+from planning.turns.turn import STEP_M
 
 FADE_M = 5.0  # over which an offset from a new path is taken back
 LEAST_SPACING_M = 0.02
@@ -36,9 +36,9 @@ def path_of(
     s, travel = arc_length(p), headings(p)
     heading = travel if direction > 0 else travel + np.pi
     curvature = curvatures(heading, s) * direction
-    index, stretches = _stretches(owner, pieces)
-    leg_speed = np.array([min(_leg_speed(piece.leg, rig), top_mps) for piece in pieces])[owner]
-    speed = speed_profile(s, curvature, leg_speed, rig)
+    index, sections = _stretches(owner, pieces)
+    section_speed = np.array([min(_section_speed(piece.section_type, rig), top_mps) for piece in pieces])[owner]
+    speed = speed_profile(s, curvature, section_speed, rig)
     return Path(
         0,
         path_id,
@@ -49,7 +49,7 @@ def path_of(
         s,
         speed,
         _work(owner, pieces),
-        stretches,
+        sections,
         index,
         is_last,
     )
@@ -74,14 +74,16 @@ def spliced(parts: Sequence[tuple[Path, int, int]], path_id: int) -> Path:
         return np.concatenate([getattr(path, name)[first:end] for path, first, end in parts])
 
     points = column("p_map_m")
-    labels = [path.stretches[k] for path, first, end in parts for k in path.stretch_index[first:end]]
+    labels = [path.sections[k] for path, first, end in parts for k in path.section_index[first:end]]
     starts = [k for k, t in enumerate(labels) if k == 0 or t is not labels[k - 1]]
     ends = [*starts[1:], len(labels)]
-    stretches = tuple(Stretch(labels[a].leg, labels[a].line, a, b - 1) for a, b in zip(starts, ends, strict=True))
+    sections = tuple(
+        PathSection(labels[a].section_type, labels[a].line, a, b - 1) for a, b in zip(starts, ends, strict=True)
+    )
     index = np.repeat(np.arange(len(starts), dtype=np.int32), np.diff([*starts, len(labels)])).astype(np.int32)
     return Path(
         0, path_id, parts[0][0].direction, points, column("heading_rad"), column("curvature_radpm"), arc_length(points),
-        column("speed_mps"), column("is_work"), stretches, index, last.is_last,
+        column("speed_mps"), column("is_working"), sections, index, last.is_last,
     )  # fmt: skip
 
 
@@ -116,29 +118,29 @@ def _even(points: Float64, owner: Int32) -> tuple[Float64, Int32]:
     return at_length(points, spaced), owner[nearest]
 
 
-def _stretches(owner: Int32, pieces: Sequence[Piece]) -> tuple[Int32, tuple[Stretch, ...]]:
+def _stretches(owner: Int32, pieces: Sequence[Piece]) -> tuple[Int32, tuple[PathSection, ...]]:
     starts = np.concatenate([[0], np.flatnonzero(np.diff(owner)) + 1, [len(owner)]])
-    stretches = []
+    sections = []
     for first, end in pairwise(starts):
         piece = pieces[owner[first]]
-        stretches.append(Stretch(piece.leg, piece.line, int(first), int(end) - 1))
-    return np.repeat(np.arange(len(stretches), dtype=np.int32), np.diff(starts)).astype(np.int32), tuple(stretches)
+        sections.append(PathSection(piece.section_type, piece.line, int(first), int(end) - 1))
+    return np.repeat(np.arange(len(sections), dtype=np.int32), np.diff(starts)).astype(np.int32), tuple(sections)
 
 
 def _work(owner: Int32, pieces: Sequence[Piece]) -> UInt8:
     """1 where the implement works, from the last point before work to the first after it."""
-    work = np.array([p.is_work for p in pieces], np.uint8)[owner]
+    work = np.array([p.is_working for p in pieces], np.uint8)[owner]
     wider = work.copy()
     wider[:-1] |= work[1:]
     wider[1:] |= work[:-1]
     return wider
 
 
-def _leg_speed(leg: Leg, rig: Rig) -> float:
+def _section_speed(section_type: PathSectionType, rig: Rig) -> float:
     """A turn's straight ends are driven at working speed: its curves are slower by the profile."""
-    if leg in (Leg.SWATH, Leg.HEADLAND, Leg.TURN):
+    if section_type in (PathSectionType.SWATH, PathSectionType.HEADLAND, PathSectionType.TURN):
         return rig.work_mps
-    return rig.lane_mps if leg is Leg.LANE else rig.turn_mps
+    return rig.lane_mps if section_type is PathSectionType.LANE else rig.turn_mps
 
 
 def _wrapped(angle: Float64) -> Float64:

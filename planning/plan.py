@@ -15,16 +15,16 @@ from geometry.footprint import is_inside, worked
 from geometry.polygon import parts, place_of, shrink
 from messages.errors import FieldError
 from messages.plan import Path
-from planning.configuration import PlannerConfig, PlanningConfig
+from planning.config import PlannerConfig, PlanningConfig
 from planning.coverage.headland import Round, depth_m, ring_worked, rounds_of
+from planning.coverage.route import route
 from planning.coverage.swath import Swath, remains, swaths_of, trimmed
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking, pose_of
-from planning.ground import Ground, describe, ground_of
+from planning.field.drivable_area import Ground, describe, ground_of
 from planning.path import path_of
 from planning.rig import Rig, rig_of
-from planning.route import route
-from planning.turn import Space
-from planning.ways import Ways
+from planning.turns.connector import Ways
+from planning.turns.turn import Space
 
 PROOF_SLACK_M = 0.02  # planned with so much more margin than is then proven
 LEAST_UNCOVERED_M2 = 0.25
@@ -143,9 +143,10 @@ def prove_inside(paths: Sequence[Path], rig: Rig, ground: Ground) -> None:
         if not inside.all():
             k = int(np.argmin(inside))
             x, y = path.p_map_m[k]
-            leg = path.stretches[path.stretch_index[k]].leg
+            section_type = path.sections[path.section_index[k]].section_type
             raise FieldError(
-                f"the {leg} way at {describe(ground.site, x, y)} leaves the field, lane or yard by the rig's sweep"
+                f"the {section_type} way at {describe(ground.site, x, y)} leaves the field, lane or yard "
+                "by the rig's sweep"
             )
 
 
@@ -154,9 +155,9 @@ def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
     shapes = []
     for path in paths:
         left, right = rig.working_edges(path.p_map_m, path.heading_rad)
-        is_work = path.is_work.astype(bool)
-        starts = np.flatnonzero(np.diff(np.concatenate([[0], is_work.astype(int)])) == 1)
-        ends = np.flatnonzero(np.diff(np.concatenate([is_work.astype(int), [0]])) == -1)
+        is_working = path.is_working.astype(bool)
+        starts = np.flatnonzero(np.diff(np.concatenate([[0], is_working.astype(int)])) == 1)
+        ends = np.flatnonzero(np.diff(np.concatenate([is_working.astype(int), [0]])) == -1)
         for a, b in zip(starts, ends, strict=True):
             keep = np.unique(np.append(np.arange(a, b + 1, 2), b))
             shapes.append(worked(left[keep], right[keep]))

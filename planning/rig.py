@@ -10,7 +10,7 @@ from configs.vehicle import ElectricWheel, Implement, MountedImplement, Vehicle,
 from geometry.footprint import Bodies, Rectangle, place
 from geometry.polyline import Float64
 from messages.errors import FieldError
-from planning.configuration import PlannerConfig
+from planning.config import PlannerConfig
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import shapely
 
 from geometry.footprint import Rectangle, is_inside
 from geometry.polyline import Float64, without_repeats
-from planning.curve import Pose, dubins, points_of
-from planning.turn import STEP_M, Space, Wanted, is_free
+from planning.turns.dubins import Pose, dubins, points_of
+from planning.turns.turn import STEP_M, Space, Wanted, is_free
 
 ROOT = Path(__file__).resolve().parents[1]
 WAIT_S = 120.0  # only against a worker that hangs: iterations end the search

@@ -26,7 +26,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--json", action="store_true", help="one object on standard output, progress on standard error")
     run.add_argument("--model", type=Path, metavar="FILE", help="ONNX file of the cameras' detector (YOLOX, NanoDet)")
     run.add_argument("--without-obstacle-rules", action="store_true", help="ablation: show what the rules are for")
-    run.set_defaults(module="runtime.run")
+    run.set_defaults(module="runtime.commands.run")
 
     plan = verbs.add_parser("plan", help="draw the plan for a field: picture, GeoJSON, length, area")
     plan.add_argument("field", metavar="FIELD.geojson", help="field outline in WGS 84, holes are not entered")
@@ -34,12 +34,12 @@ def parser() -> argparse.ArgumentParser:
     plan.add_argument("--seed", type=int, default=1, help="of the sampling planner (default 1)")
     plan.add_argument("--out", type=Path, help="run folder (default runs/<stamp>-plan)")
     plan.add_argument("--json", action="store_true", help="one object on standard output")
-    plan.set_defaults(module="runtime.draw")
+    plan.set_defaults(module="runtime.commands.plan")
 
     check = verbs.add_parser("check-log", help="say what is in a log, whole or cut off")
     check.add_argument("log", type=Path, metavar="LOG")
     check.add_argument("--json", action="store_true", help="one object on standard output")
-    check.set_defaults(module="runtime.check_log")
+    check.set_defaults(module="runtime.commands.inspect_log")
 
     campaign = verbs.add_parser("campaign", help="drive many seeds and draw one table")
     campaign.add_argument(
@@ -53,7 +53,7 @@ def parser() -> argparse.ArgumentParser:
     campaign.add_argument("--situations", metavar="NAMES", help="of faults: turn,swath,obstacle,docking (default all)")
     campaign.add_argument("--out", type=Path, help="folder; given again, what is whole in it is not driven again")
     campaign.add_argument("--json", action="store_true", help="one object on standard output")
-    campaign.set_defaults(module="runtime.campaign")
+    campaign.set_defaults(module="runtime.commands.campaign")
 
     live = verbs.add_parser("live", help="the same stack against the wall clock, each part in a process of its own")
     live.add_argument("--world", choices=["simulation"], required=True, help="who is driven: the simulated machine")
@@ -75,7 +75,7 @@ def parser() -> argparse.ArgumentParser:
     shadow.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after so many seconds")
     shadow.add_argument("--out", type=Path, help="run folder (default runs/<stamp>-shadow)")
     shadow.add_argument("--json", action="store_true", help="one object on standard output")
-    shadow.set_defaults(module="runtime.live.listen")
+    shadow.set_defaults(module="runtime.live.shadow")
 
     validate = verbs.add_parser("validate", help="judge recorded logs: would this stack have stopped?")
     validate.add_argument("log", type=Path, nargs="+", metavar="LOG", help="MCAP, ROS bag, KITTI folder, PCD folder")
@@ -88,7 +88,7 @@ def parser() -> argparse.ArgumentParser:
     validate.add_argument("--json", action="store_true", help="one object on standard output")
     validate.add_argument("--jobs", type=int, metavar="N", help="logs at a time (default: all cores)")
     validate.add_argument("--scheduler", metavar="ADDRESS", help="judge on this Dask cluster")
-    validate.set_defaults(module="runtime.validate")
+    validate.set_defaults(module="runtime.commands.validate")
 
     bring = verbs.add_parser("import", help="write a recording of another format as a log of ours")
     bring.add_argument("source", type=Path, metavar="SOURCE")
@@ -97,7 +97,7 @@ def parser() -> argparse.ArgumentParser:
     bring.add_argument("--from", dest="start", type=float, default=0.0, metavar="S", help="seconds after its start")
     bring.add_argument("--to", dest="end", type=float, default=math.inf, metavar="S", help="seconds after its start")
     bring.add_argument("--json", action="store_true", help="one object on standard output")
-    bring.set_defaults(module="runtime.import_log")
+    bring.set_defaults(module="runtime.commands.import_log")
     return top
 
 

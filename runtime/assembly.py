@@ -10,24 +10,24 @@ from configs.site import Pose2
 from configs.strict import CONFIGS, load
 from control.controller import Controller
 from interfaces.gateway import CanBus, Gateway
-from localization.lidar_map import LidarMap
-from localization.lidar_odometry import LidarOdometry
+from localization.lidar.lidar_odometry import LidarOdometryNode
+from localization.lidar.map_localization import LidarMap
 from localization.localizer import Localizer
 from messages.node import Node, World
 from planning.mission import MissionNode
 from runtime.executor import FAULT_TOPIC, check_wiring
-from runtime.perceiving import perceiving
+from runtime.perception_nodes import perceiving
 from runtime.setup import Setup
-from safety.fence import fence_of
 from safety.rules import OBSTACLE_RULES
 from safety.supervisor import Supervisor
-from safety.survey import survey_of
-from simulation.faults.broken import FaultyNode, SteppingClock
+from safety.zones.geofence import fence_of
+from safety.zones.known_structure import survey_of
 from simulation.faults.config import FaultsConfig
 from simulation.faults.frames import FaultyBus
 from simulation.faults.injection import Injection
+from simulation.faults.node_faults import FaultyNode, SteppingClock
+from simulation.machine.tractor_bus import load_database
 from simulation.scenario import Scenario
-from simulation.tractor_bus import load_database
 from simulation.world import SimulationWorld
 
 FAULT_TOPICS = ("fault/localizer", "fault/gateway", FAULT_TOPIC)
@@ -102,7 +102,7 @@ def locating(setup: Setup) -> list[Node]:
     """From sensors to the pose."""
     localization = setup.stack.localization
     return [
-        LidarOdometry(setup.vehicle, "front", localization.lidar_odometry),
+        LidarOdometryNode(setup.vehicle, "front", localization.lidar_odometry),
         LidarMap(setup.vehicle, setup.implement, setup.site.shed, localization.lidar_map),
         Localizer(setup.vehicle, setup.site.datum.datum, localization, setup.site.shed, _dock(setup)),
     ]

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 from messages.errors import LogError, WiringError
 from messages.message import Envelope, Message
 from messages.node import All, At, Node, Output
-from messages.topics import kind_of
+from messages.topics import spec_of
 
 M = TypeVar("M", bound=Message)
 Sink = Callable[[Envelope], None]
@@ -30,7 +30,7 @@ class NodeInbox:
         self._queues = {topic: deque[Message](maxlen=r.most) for topic, r in node.reads.items() if isinstance(r, All)}
         self._histories = {topic: deque[Message]() for topic, r in node.reads.items() if isinstance(r, At)}
         self._keep_ns = {topic: round(r.keep_s * 1e9) for topic, r in node.reads.items() if isinstance(r, At)}
-        ages = {topic: kind_of(topic).max_age_s for topic in node.reads}
+        ages = {topic: spec_of(topic).max_age_s for topic in node.reads}
         self._max_age_ns = {topic: math.inf if math.isinf(age) else round(age * 1e9) for topic, age in ages.items()}
 
     def put(self, envelope: Envelope) -> None:

@@ -9,7 +9,7 @@ from typing import Protocol
 from messages.errors import WiringError
 from messages.faults import Fault, Response, Severity
 from messages.node import Every, Node, On, Output, World
-from messages.topics import kind_of
+from messages.topics import spec_of
 from runtime.bus import Bus, Sink
 
 FAULT_TOPIC = "fault/executor"
@@ -175,7 +175,7 @@ def log_fault(now_ns: int, text: str) -> Fault:
     return stopping_fault(now_ns, "log.failed", "log", f"The log fails: {text}", f"Das Protokoll ist gestört: {text}")
 
 
-def stopping_fault(now_ns: int, code: str, source: str, text_en: str, text_de: str) -> Fault:
+def stopping_fault(now_ns: int, code: str, source: str, text_en: str, text_zh: str) -> Fault:
     """A fault of the runtime's own: nothing but a stop is safe, and a person must see it."""
     return Fault(
         stamp_ns=now_ns,
@@ -186,7 +186,7 @@ def stopping_fault(now_ns: int, code: str, source: str, text_en: str, text_de: s
         response=Response.CONTROLLED_STOP,
         is_active=True,
         text_en=text_en,
-        text_de=text_de,
+        text_zh=text_zh,
     )
 
 
@@ -200,7 +200,7 @@ def check_wiring(world: World, nodes: Sequence[tuple[Node, int]], cores: int) ->
         if latency_ns <= 0:
             raise WiringError(f"node {node.name!r}: latency {latency_ns} ns must be above zero")
         for topic in node.writes:
-            kind_of(topic)
+            spec_of(topic)
             if topic in writers:
                 raise WiringError(f"topic {topic!r} has two writers: {writers[topic]} and {node.name}")
             writers[topic] = node.name
@@ -216,5 +216,5 @@ def check_wiring(world: World, nodes: Sequence[tuple[Node, int]], cores: int) ->
 def _rate_hz(node: Node) -> float:
     if isinstance(node.runs, Every):
         return 1e9 / node.runs.period_ns
-    periods = [kind_of(topic).period_s for topic in node.runs.topics]
+    periods = [spec_of(topic).period_s for topic in node.runs.topics]
     return sum(1.0 / period for period in periods if period > 0.0)

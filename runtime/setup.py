@@ -8,14 +8,14 @@ import numpy as np
 
 from configs.mission import Mission, Spread
 from configs.site import Pose2, Site
-from configs.strict import CONFIGS, find, load
+from configs.strict import find, load
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from datasets.viewer import Viewer
 from messages.errors import ConfigError
-from planning.field import read_field
+from planning.field.field import read_field
+from planning.field.site_generation import site_around
 from planning.plan import Plan, plan_mission
-from planning.surroundings import site_around
-from runtime.stack import StackConfig, with_detector
+from runtime.stack import StackConfig, load_stack, with_detector
 
 START_STREAM = 0x5747  # of random numbers, apart from those of world and planner
 
@@ -51,7 +51,7 @@ def load_setup(
     vehicle = load(Vehicle, find("machines", chosen.machine))
     carried = load(ImplementFile, find("implements", chosen.implement)).implement
     vehicle = carrying(vehicle, carried)
-    stack = load(StackConfig, CONFIGS / "stack.yaml")
+    stack = load_stack()
     site = _site(chosen, field, vehicle, carried)
     start, is_folded = start_of(chosen, site, seed)
     plan = plan_mission(chosen, site, vehicle, carried, stack.planning, start, seed)

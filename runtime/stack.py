@@ -1,19 +1,19 @@
-"""The section of every room in `configs/stack.yaml`, put together."""
+"""The stack configuration: one file of `configs/stack/` per folder, one field of `StackConfig` each."""
 
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
-from configs.strict import Config
+from configs.strict import CONFIGS, Config, parse, read_yaml
 from control.controller import ControlConfig
 from datasets.log import LogConfig
 from datasets.viewer import ViewerConfig
 from interfaces.gateway import GatewayConfig
 from localization.localizer import LocalizationConfig
 from messages.errors import ConfigError
-from perception.configuration import PerceptionConfig
-from planning.configuration import PlanningConfig
+from perception.config import PerceptionConfig
+from planning.config import PlanningConfig
 from safety.config import SafetyConfig
 from simulation.world import SimulationConfig
 
@@ -44,7 +44,7 @@ class ExecutorConfig(Config):
 
 
 class StackConfig(Config):
-    """The whole of `configs/stack.yaml`."""
+    """All of `configs/stack/`."""
 
     executor: ExecutorConfig
     interfaces: InterfacesConfig
@@ -55,6 +55,12 @@ class StackConfig(Config):
     control: ControlConfig
     safety: SafetyConfig
     simulation: SimulationConfig
+
+
+def load_stack() -> StackConfig:
+    """The stack configuration as shipped; raises ConfigError that names file, key and value."""
+    sections = {name: read_yaml(CONFIGS / "stack" / f"{name}.yaml") for name in StackConfig.model_fields}
+    return parse(StackConfig, sections, str(CONFIGS / "stack"))
 
 
 def with_detector(stack: StackConfig, model: Path | None) -> StackConfig:

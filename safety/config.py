@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from configs.strict import Config
 from configs.vehicle import Degrees, Kmh, Seconds, kmh
-from safety.stopping import Braking
+from safety.stopping_distance import Braking
 
 Metres = Annotated[float, Field(ge=0.0, le=100.0)]
 Acceleration = Annotated[float, Field(gt=0.0, le=12.0)]

@@ -10,30 +10,30 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle, kmh
-from messages.command import MachineState, Mode, OperatorOrder, SupervisorState
+from messages.command import MachineState, Mode, OperatorCommand, SupervisorState
 from messages.errors import ConfigError
 from messages.faults import Fault
 from messages.node import All, Every, Inbox, Node, Output, Read
 from messages.plan import MissionStatus
-from safety.alarms import Alarms
-from safety.brake_test import BrakeTest
-from safety.commander import Commander, Moment
+from safety.collision_monitor import Lookout, Seen
 from safety.config import SafetyConfig
-from safety.fence import Fence
-from safety.folding import shapes_of
-from safety.gauge import Gauge, Measured
-from safety.helm import Helm
-from safety.judgement import Judgement, allowance_m, judged
-from safety.lookout import Lookout, Seen
+from safety.inputs import Reading
+from safety.mode_machine import Helm
 from safety.modes import WATCHED
-from safety.reading import Reading
-from safety.reports import Reports
+from safety.monitors.brake_test import BrakeTest
+from safety.monitors.fault_memory import Reports
+from safety.monitors.vehicle import Gauge, Measured
+from safety.monitors.watchdog import silent
+from safety.output.alarms import Alarms
+from safety.output.command_builder import Commander, Moment
+from safety.output.supervisor_state import state_of
 from safety.rules import RULES
-from safety.rules.verdict import note
-from safety.situation import Situation
-from safety.survey import Survey
-from safety.told import state_of
-from safety.watchdog import silent
+from safety.rules.arbitration import Judgement, allowance_m, judged
+from safety.rules.results import note
+from safety.rules.situation import Situation
+from safety.zones.footprint_by_fold import shapes_of
+from safety.zones.geofence import Fence
+from safety.zones.known_structure import Survey
 
 PERIOD_NS = 20_000_000
 STATE_NS = 100_000_000
@@ -78,7 +78,9 @@ class Supervisor(Node):
         self._sensors = sensors = vehicle.sensors
         self._reading = Reading(sensors, idle, config)
         self._fault_topics = fault_topics
-        self.reads: dict[str, Read] = self._reading.reads | {topic: All(50) for topic in ("order", *fault_topics)}
+        self.reads: dict[str, Read] = self._reading.reads | {
+            topic: All(50) for topic in ("operator_command", *fault_topics)
+        }
         self.writes = ("safe_command", "supervisor", "fault/supervisor") if observation is None else ("supervisor",)
         self.runs = Every(PERIOD_NS)
         self._config, self._disabled, self._observation = config, disabled_rules, observation
@@ -106,7 +108,7 @@ class Supervisor(Node):
         machine = inbox.latest("machine", MachineState)
         seen = self._reading.see(inbox, machine)
         measured = self._gauge.measure(
-            now_ns, self.mode, seen.odom, machine, seen.map_pose, seen.path, seen.wish, self._commander.last
+            now_ns, self.mode, seen.odom, machine, seen.map_pose, seen.path, seen.control_command, self._commander.last
         )
         field = self._lookout.config.field
         allowance = allowance_m(field, self._range_sigma_m, measured.position_sigma_m)
@@ -114,7 +116,7 @@ class Supervisor(Node):
         situation = self._situation(now_ns, inbox, seen, machine, measured, clock_step_s)
         judgement = judged(situation, self._disabled)
         mission = inbox.latest("mission", MissionStatus)
-        self._helm.steer(inbox.all("order", OperatorOrder), situation, judgement, mission)
+        self._helm.steer(inbox.all("operator_command", OperatorCommand), situation, judgement, mission)
         reason = self._helm.reason(situation, judgement)
         command = self._commander.command(self._moment(situation, measured, judgement, reason))
         outputs: list[Output] = [("safe_command", command)]
@@ -161,7 +163,7 @@ class Supervisor(Node):
             odom=seen.odom,
             machine=machine,
             map_pose=seen.map_pose,
-            wish=seen.wish,
+            control_command=seen.control_command,
             silent=silent(self._reading.ages(now_ns, inbox, lookout, direction)),
             frozen=tuple(f"lidar/{eye.name}" for eye in eyes if eye.is_frozen),
             faults=self._reports.active,
@@ -188,10 +190,11 @@ class Supervisor(Node):
 
     def _moment(self, situation: Situation, measured: Measured, judgement: Judgement, reason: str) -> Moment:
         curvature = None if situation.machine is None else situation.machine.curvature_radpm
-        gap_m = self._helm.braking_gap_m(situation, judgement)
+        clearance_m = self._helm.braking_gap_m(situation, judgement)
         return Moment(
-            situation.now_ns, self.mode, reason, situation.wish, situation.machine, measured.speed_mps, curvature,
-            judgement.allowed_mps, gap_m, situation.braking, measured.has_driver,
+            situation.now_ns, self.mode, reason, situation.control_command, situation.machine, measured.speed_mps,
+            curvature,
+            judgement.allowed_mps, clearance_m, situation.braking, measured.has_driver,
         )  # fmt: skip
 
     def _tell(self, now_ns: int, judgement: Judgement) -> list[Fault]:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from configs.strict import Config
-from messages.command import Order
+from messages.command import OperatorCommandKind
 from messages.perception import ObstacleClass
 from simulation.faults.config import InjectedFault
 
@@ -18,20 +18,20 @@ def _is_rising(value: tuple[float, float]) -> tuple[float, float]:
 
 Bound = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Range = Annotated[tuple[Bound, Bound], AfterValidator(_is_rising)]
-OrderName = Literal["start", "pause", "resume", "emergency_stop", "reset", "manual", "automatic"]
+CommandName = Literal["start", "pause", "resume", "emergency_stop", "reset", "manual", "automatic"]
 
 
-class ScenarioOrder(Config):
+class ScenarioCommand(Config):
     """A person presses something."""
 
     at_s: float = Field(ge=0.0, le=1e6)
-    order: OrderName
+    command: CommandName
     expires_s: float = Field(gt=0.0, le=600.0)
 
     @property
-    def code(self) -> Order:
-        """The order as it travels."""
-        return Order[self.order.upper()]
+    def code(self) -> OperatorCommandKind:
+        """The command as it is sent."""
+        return OperatorCommandKind[self.command.upper()]
 
 
 class GnssEpisode(Config):
@@ -126,7 +126,7 @@ class Scenario(Config):
     """What happens around the machine; the same seed draws the same places, times and speeds."""
 
     name: str
-    orders: tuple[ScenarioOrder, ...]
+    operator_commands: tuple[ScenarioCommand, ...]
     gnss: tuple[GnssEpisode, ...] = ()
     camera: tuple[CameraEpisode, ...] = ()
     encounters: tuple[Encounter, ...] = ()

@@ -13,23 +13,26 @@ from shapely import Polygon
 from configs.site import Pose2, Site
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
-from messages.command import OperatorOrder
+from messages.command import OperatorCommand
 from messages.message import Message
 from messages.node import Output, World
 from messages.plan import Path
 from messages.sensors import CameraImage
-from messages.topics import KINDS
-from simulation.actors import Actor
-from simulation.encounter import Setting
-from simulation.judge import Judge, JudgeConfig
+from messages.topics import TOPICS
+from simulation.actors.actors import Actor
+from simulation.actors.encounter import Setting
+from simulation.actors.placement import place_encounters
+from simulation.environment.scene import Scene
+from simulation.environment.scenery import SceneryConfig, build_scenery
+from simulation.environment.terrain import Terrain, TerrainConfig
+from simulation.ground_truth import Judge, JudgeConfig
 from simulation.kernels import warm
-from simulation.machine import Machine, MachineConfig
-from simulation.motion import Track
-from simulation.placement import place_encounters
+from simulation.machine.machine import Machine, MachineConfig
+from simulation.machine.pose_buffer import Track
+from simulation.machine.tractor_bus import BusConfig, TractorBus, load_database
+from simulation.machine.tractor_status import TractorStatus
 from simulation.randomness import generator
 from simulation.scenario import Bystander, Scenario
-from simulation.scene import Scene
-from simulation.scenery import SceneryConfig, build_scenery
 from simulation.sensors.camera import CameraConfig, CameraModel
 from simulation.sensors.gnss import GnssConfig, GnssModel
 from simulation.sensors.imu import ImuConfig, ImuModel
@@ -39,9 +42,6 @@ from simulation.sensors.sensor import Moment, Sensor
 from simulation.sensors.ultrasonic import UltrasonicConfig, UltrasonicModel
 from simulation.sensors.uwb import UwbConfig, UwbModel
 from simulation.sensors.wheels import WheelModel
-from simulation.terrain import Terrain, TerrainConfig
-from simulation.tractor_bus import BusConfig, TractorBus, load_database
-from simulation.tractor_status import TractorStatus
 
 Sent = Message | Future[CameraImage]
 
@@ -103,7 +103,7 @@ class SimulationWorld(World):
         self._painter = ThreadPoolExecutor(1) if paints_aside else None
         self._waiting: list[tuple[int, int, str, Sent]] = []
         self._sent = 0
-        self.writes = (*(s.topic for s in self._sensors), "order", "truth_machine", "truth_objects")
+        self.writes = (*(s.topic for s in self._sensors), "operator_command", "truth_machine", "truth_objects")
 
     def next_ns(self) -> int | None:
         """One tick on; the simulated world has no end."""
@@ -186,14 +186,16 @@ class SimulationWorld(World):
         return sensor.sample(moment)
 
     def _order(self, now_ns: int, elapsed_ns: int) -> None:
-        for sequence, order in enumerate(self._scenario.orders):
+        for sequence, order in enumerate(self._scenario.operator_commands):
             if elapsed_ns - TICK_NS < order.at_s * 1e9 <= elapsed_ns:
                 expires_ns = now_ns + round(order.expires_s * 1e9)
-                self._put(now_ns, "order", OperatorOrder(now_ns, order.code, "remote", sequence, expires_ns))
+                self._put(
+                    now_ns, "operator_command", OperatorCommand(now_ns, order.code, "remote", sequence, expires_ns)
+                )
 
     def _tell_truth(self, now_ns: int, elapsed_ns: int) -> None:
         topics = ("truth_machine", "truth_objects")
-        due = [topic for topic in topics if elapsed_ns % round(KINDS[topic].period_s * 1e9) == 0]
+        due = [topic for topic in topics if elapsed_ns % round(TOPICS[topic].period_s * 1e9) == 0]
         if not due:
             return
         outline, figures = self._judge.outline(self.machine), self._scene.figures

@@ -23,7 +23,10 @@ class Project:
         for name in ("headland", "requirements.txt", "requirements-uv.txt"):
             shutil.copy(ROOT / name, self.root)
         self.put("ldconfig", f'printf "%s => here\\n" {LIBRARIES}')
-        self.put("venv-python", NOTE + 'echo "$PWD|$PYTHONPATH"; [ "$2" = runtime.kernels ] || exit "${VERB_EXIT:-0}"')
+        self.put(
+            "venv-python",
+            NOTE + 'echo "$PWD|$PYTHONPATH"; [ "$2" = runtime.commands.warm_up ] || exit "${VERB_EXIT:-0}"',
+        )
         self.put("uv", NOTE + UV)
 
     def put(self, name: str, body: str) -> None:
@@ -57,7 +60,7 @@ case $1 in
   pip) [ -z "${SYNC_FAILS:-}" ] && sleep "${SYNC_SECONDS:-0}" ;;
 esac
 """
-VENV, SYNC, CHECK, VERB = "uv venv --quiet", "uv pip sync", "python -m runtime.kernels", "python -m runtime"
+VENV, SYNC, CHECK, VERB = "uv venv --quiet", "uv pip sync", "python -m runtime.commands.warm_up", "python -m runtime"
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from datasets.importers.clouds import list_scan, read_points, scan_of_points
+from datasets.importers.point_clouds import list_scan, read_points, scan_of_points
 from datasets.importers.ros_messages import FIXED_SIGMA_M, NAN3, decode_picture, pose_matrix
 from geometry.transforms import Float64, apply
 from messages.errors import LogError

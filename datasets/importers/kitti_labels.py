@@ -149,7 +149,7 @@ def _true_object(label: Label, T_lidar_camera: Float64) -> TrueObject:
         size_m=np.array([length, w, h]),
         yaw_rad=math.atan2(ahead[1], ahead[0]),
         velocity_mps=np.full(2, np.nan),
-        gap_m=math.nan,
+        clearance_m=math.nan,
     )
 
 

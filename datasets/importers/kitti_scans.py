@@ -9,7 +9,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from datasets.importers.clouds import list_scan
+from datasets.importers.point_clouds import list_scan
 from messages.errors import LogError
 from messages.sensors import LidarScan
 

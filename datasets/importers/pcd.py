@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.importers.clouds import read_points, scan_of_points
+from datasets.importers.point_clouds import read_points, scan_of_points
 from datasets.importers.recording import Description, Received, Recording, Sensor
 from messages.errors import LogError
 from messages.sensors import LidarScan
@@ -17,7 +17,7 @@ from messages.sensors import LidarScan
 TOPIC = "lidar/pcd"
 FRAME_NS = 100_000_000
 HEADER = re.compile(rb"\A(?:#[^\n]*\n)*(?:VERSION|FIELDS)\b")
-KINDS = {"F": "f", "U": "u", "I": "i"}
+TOPICS = {"F": "f", "U": "u", "I": "i"}
 NO_TIMES = "no time stamps: a scan's time is its place in the folder over 10 Hz"
 
 
@@ -81,7 +81,7 @@ def _read_header(data: bytes) -> _Header:
     fields: dict[str, tuple[int, str]] = {}
     for k, (name, kind) in enumerate(zip(rows["FIELDS"], rows["TYPE"], strict=True)):
         if counts[k] == 1 and name != "_":
-            fields[name] = (sum(widths[:k]), f"<{KINDS[kind]}{widths[k]}")
+            fields[name] = (sum(widths[:k]), f"<{TOPICS[kind]}{widths[k]}")
     count = int(rows["POINTS"][0])
     return _Header(fields, tuple(widths), sum(widths), count, found.group(1).decode(), found.end())
 

@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from datasets.importers.clouds import list_scan, read_points, scan_of_points
+from datasets.importers.point_clouds import list_scan, read_points, scan_of_points
 from geometry.transforms import Float64
 from messages.errors import LogError
 from messages.message import Message

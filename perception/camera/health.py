@@ -10,7 +10,7 @@ from messages.motion import Odometry
 from messages.node import Every, Inbox, Latest, Node, Output
 from messages.perception import HealthState, Obstacles, SensorHealth
 from messages.sensors import CameraImage
-from perception.camera.lens import LensReport, inspect
+from perception.camera.image_quality import LensReport, inspect
 from perception.camera.obstacles import CameraConfig, fits
 from perception.camera.ranging import View
 
@@ -69,7 +69,7 @@ class CameraHealth(Node):
         return LensReport(HealthState.BLIND, reason, np.zeros(self._config.lens.sectors, np.uint8))
 
     def _tell(self, now_ns: int, report: LensReport) -> SensorHealth:
-        proven = proven_range(report.sees, self._config.lens.proven_range_m)
+        proven = proven_range(report.sees, self._config.lens.detection_range_m)
         return SensorHealth(
             now_ns, self._sensor, report.state, report.reason, self._edges.copy(), proven, self._dropped
         )

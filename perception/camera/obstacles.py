@@ -15,9 +15,9 @@ from messages.sensors import CameraImage
 from perception.camera.boxes import Candidates, pick
 from perception.camera.classes import class_scores, group_scores
 from perception.camera.detector import Detector, DetectorConfig
-from perception.camera.lens import LensConfig
+from perception.camera.image_quality import LensConfig
 from perception.camera.ranging import Ranged, RangingConfig, View, place
-from perception.own_body import is_folded, is_inside, own_outlines
+from perception.self_filter import is_folded, is_inside, own_outlines
 
 
 class CameraConfig(Config):

@@ -11,7 +11,7 @@ from geometry.transforms import apply, yaw_of
 from messages.message import Float64
 from messages.perception import Obstacles
 from perception.fusion.kalman import box_noise
-from perception.fusion.stillness import Stillness
+from perception.fusion.static_occupancy import Stillness
 
 
 class KindConfig(Config):

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from geometry.jit import kernel
 from messages.message import Float64
-from perception.kernels import kernel
 
 EYE = np.eye(4)
 

@@ -8,9 +8,9 @@ from messages.message import Int64
 from messages.motion import Odometry
 from messages.node import All, At, Inbox, Node, On, Output
 from messages.perception import Obstacles, Track, Tracks
-from messages.topics import kind_of
+from messages.topics import spec_of
 from perception.fusion.detections import to_odom
-from perception.fusion.stillness import Stillness
+from perception.fusion.static_occupancy import Stillness
 from perception.fusion.tracks import (
     CLASSES,
     TrackerConfig,
@@ -52,7 +52,7 @@ class Tracker(Node):
         self._stillness = Stillness(config.stillness)
         self._table = empty_table()
         self._stamp_ns, self._told_ns = 0, 0
-        self._period_ns = round(kind_of("tracks").period_s * 1e9)
+        self._period_ns = round(spec_of("tracks").period_s * 1e9)
         self._next_id = 1
         warm(config)
 

@@ -11,9 +11,9 @@ from configs.strict import Config
 from messages.message import Float64, Int64
 from messages.perception import ObstacleClass
 from perception.fusion.detections import Detections, KindConfig, KindsConfig, NoiseConfig
+from perception.fusion.fragments import VEHICLE, Hosts, PartsConfig, explained
 from perception.fusion.kalman import distances, predict
-from perception.fusion.parts import VEHICLE, Hosts, PartsConfig, explained
-from perception.fusion.stillness import Stillness, StillnessConfig
+from perception.fusion.static_occupancy import Stillness, StillnessConfig
 
 CLASSES = tuple(ObstacleClass)
 BODIES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE))

@@ -5,9 +5,9 @@ import numpy.typing as npt
 
 from messages.message import Float64, Int64
 from perception.fusion.detections import Detections
+from perception.fusion.fragments import middle_of
 from perception.fusion.kalman import correct
-from perception.fusion.parts import middle_of
-from perception.fusion.stillness import Stillness
+from perception.fusion.static_occupancy import Stillness
 from perception.fusion.tracks import Table, TrackerConfig, is_moving, is_vehicle, nanoseconds
 
 PART, SLOWLY = 0.6, 0.01  # a vehicle's detection shorter than this share of it is a piece, and shrinks it slowly

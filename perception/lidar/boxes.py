@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geometry.jit import kernel
 from messages.message import Float32, Float64, Int32, UInt8
-from perception.kernels import kernel
 from perception.lidar.clusters import Clusters
 
 DIRECTIONS = 16  # extreme returns are kept in so many directions; 11° off costs 2 % of a side

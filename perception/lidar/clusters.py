@@ -12,8 +12,8 @@ import numpy.typing as npt
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.jit import kernel
 from messages.message import Float32, Float64, Int32, UInt8
-from perception.kernels import kernel
 
 
 class ClusterConfig(Config):

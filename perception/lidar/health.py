@@ -13,9 +13,9 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Lidar
+from geometry.jit import kernel
 from messages.message import Float32, Float64, Int64, UInt8
 from messages.perception import HealthState
-from perception.kernels import kernel
 from perception.lidar.grid import ENOUGH
 
 RANGES_M = np.arange(1.0, 201.0)
@@ -38,12 +38,12 @@ class HealthConfig(Config):
 class Expectation:
     """What a healthy lidar returns over flat ground, by sector and ring.
 
-    `edges_rad` (S + 1,) about the sensor in `base`; `ring_table` gives the ring by steps of the tangent of elevation;
-    `ground_m` (S, R) level range of the ground (infinite: looks up, or too far); `beams` (S, R) expected returns;
-    `target_returns` (200,) on the target at RANGES_M; `nominal_m` (S,) the proven range when all is well.
+    `sector_edges_rad` (S + 1,) about the sensor in `base`; `ring_table` gives the ring by steps of the tangent of
+    elevation; `ground_m` (S, R) level range of the ground (infinite: looks up, or too far); `beams` (S, R) expected
+    returns; `target_returns` (200,) on the target at RANGES_M; `nominal_m` (S,) the proven range when all is well.
     """
 
-    edges_rad: Float64
+    sector_edges_rad: Float64
     ring_table: Int64
     ground_m: Float64
     beams: Float64

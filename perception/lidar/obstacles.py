@@ -7,13 +7,13 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Lidar, Vehicle
+from geometry.jit import kernel
 from messages.command import MachineState
 from messages.message import Float32, Float64, Int32, UInt8
 from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
 from messages.sensors import LidarScan
-from perception.kernels import kernel
 from perception.lidar.boxes import describe
 from perception.lidar.classes import class_scores
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, keep, new_board
@@ -22,7 +22,7 @@ from perception.lidar.grid import Grid, build_grid
 from perception.lidar.ground import Ground, GroundConfig, find_ground, fit_plane
 from perception.lidar.health import Expectation, HealthConfig, count_beams, expect, judge, proven_range
 from perception.lidar.points import MaskConfig, motion_of, own_boxes, to_base
-from perception.own_body import is_folded
+from perception.self_filter import is_folded
 
 # A block of this size, given back once, has glibc keep what later scans give back (mallopt(3): it raises the threshold
 # of trimming to twice that); else 700 pages are fetched anew at every scan, which costs 1 to 5 ms.
@@ -86,7 +86,7 @@ class LidarObstacles(Node):
         return ""
 
     def _blind(self, stamp_ns: int, reason: str) -> SensorHealth:
-        edges = self._pipeline.expectations[0].edges_rad
+        edges = self._pipeline.expectations[0].sector_edges_rad
         return SensorHealth(
             stamp_ns, self.name, HealthState.BLIND, reason, edges.copy(), np.zeros(len(edges) - 1), self._dropped
         )
@@ -177,7 +177,7 @@ class Pipeline:
         counts = count_beams(scan.points_m, ground.turn, self._grid.sectors, usable, seen)
         proven = proven_range(seen, counts, config, self._reach_m)
         state, reason = judge(proven, seen.nominal_m, config)
-        return SensorHealth(scan.stamp_ns, sensor, state, reason, seen.edges_rad.copy(), proven, dropped)
+        return SensorHealth(scan.stamp_ns, sensor, state, reason, seen.sector_edges_rad.copy(), proven, dropped)
 
 
 @kernel
@@ -201,7 +201,7 @@ def _levels(
     """
     for i in range(points.shape[0]):
         h, x, y = above[i], points[i, 0] - center[0], points[i, 1] - center[1]
-        is_solid = np.uint8(h >= solid_m + growth * np.sqrt(x * x + y * y))
-        solid[i] = is_solid
-        level[i] = np.uint8(2) * is_solid if h < top_m else np.uint8(0)
-        level[i] += np.uint8(h >= -foot_m) - is_solid
+        is_obstacle_point = np.uint8(h >= solid_m + growth * np.sqrt(x * x + y * y))
+        solid[i] = is_obstacle_point
+        level[i] = np.uint8(2) * is_obstacle_point if h < top_m else np.uint8(0)
+        level[i] += np.uint8(h >= -foot_m) - is_obstacle_point

@@ -5,11 +5,11 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Vehicle
+from geometry.jit import kernel
 from messages.message import Float32, Float64, UInt8
 from messages.motion import Odometry
-from perception.kernels import kernel
 from perception.lidar.grid import ZERO
-from perception.own_body import own_outline
+from perception.self_filter import own_outline
 
 NEAREST = np.float32(1e-4)  # m²: nearer returns lie at the sensor itself
 

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.jit import kernel
 from messages.message import Float64, Int64
-from perception.kernels import kernel
 from perception.radar.doppler import Echoes
 
 

@@ -40,7 +40,7 @@ class RadarHealth(Node):
         if votes and odom is not None:
             self._disagrees = self._is_outvoted(votes[-1], odom)
         state, reason = self._judge(now_ns, odom)
-        proven = np.array([0.0 if state is HealthState.BLIND else self._config.proven_range_m])
+        proven = np.array([0.0 if state is HealthState.BLIND else self._config.detection_range_m])
         health = SensorHealth(now_ns, self._sensor, state, reason, self._edges.copy(), proven, self._dropped)
         return ((self.writes[0], health),)
 

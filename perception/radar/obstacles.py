@@ -14,7 +14,6 @@ from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import RadarScan
-from perception.own_body import is_folded, is_inside, own_outlines
 from perception.radar.clusters import ClusterConfig, Clusters, find_clusters
 from perception.radar.doppler import Bools, Echoes, is_well_formed, sensor_velocity, to_base, usable
 from perception.radar.tracklets import (
@@ -26,6 +25,7 @@ from perception.radar.tracklets import (
     to_odom,
     velocities,
 )
+from perception.self_filter import is_folded, is_inside, own_outlines
 
 
 class HealthConfig(Config):
@@ -37,7 +37,7 @@ class HealthConfig(Config):
     agree_mps: float = Field(gt=0.0, le=5.0, description="to a standing world, by Doppler and odometry")
     agree_share: float = Field(ge=0.0, le=1.0, description="of the echoes, below which mount or odometry is wrong")
     agree_echoes: int = Field(ge=2, le=1000, description="so many echoes at least make a vote")
-    proven_range_m: float = Field(gt=0.0, le=300.0)
+    detection_range_m: float = Field(gt=0.0, le=300.0)
     period_s: float = Field(gt=0.0, le=1.0)
 
 

@@ -12,8 +12,8 @@ from scipy.optimize import linear_sum_assignment
 
 from configs.strict import Config
 from configs.vehicle import Radar
+from geometry.jit import kernel
 from messages.message import Float64, Int64
-from perception.kernels import kernel
 from perception.radar.clusters import Clusters
 
 REFUSED = 1e9

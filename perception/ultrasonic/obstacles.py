@@ -15,7 +15,7 @@ from messages.motion import Odometry
 from messages.node import All, At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import UltrasonicRange
-from perception.own_body import is_folded, is_inside, own_outlines
+from perception.self_filter import is_folded, is_inside, own_outlines
 from perception.ultrasonic.echoes import Echo, EchoConfig, Near, axis_speed, held_range, is_range, repeated_range
 
 

@@ -17,9 +17,9 @@ from geometry.footprint import intrusion, is_inside, worked
 from geometry.polygon import close_by, open_by, parts, ring_points, shrink
 from geometry.polyline import Float64, arc_length, headings, resample, smooth
 from messages.errors import FieldError
-from planning.ground import Ground, describe
+from planning.field.drivable_area import Ground, describe
 from planning.rig import Rig
-from planning.turn import STEP_M
+from planning.turns.turn import STEP_M
 
 COARSE_M = 0.4
 PUSHES = 25
@@ -30,7 +30,7 @@ LEAST_RING_M2 = 1.0
 class Round:
     """One closed path of `base` (first point repeated), driven in its order; `number` counts from the edge, from 0.
 
-    Its corners are arcs: curvature becomes continuous when the whole path is smoothed (`planning/turn.py`).
+    Its corners are arcs: curvature becomes continuous when the whole path is smoothed (`planning/turns/turn.py`).
     """
 
     number: int

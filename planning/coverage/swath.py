@@ -10,8 +10,8 @@ from shapely.geometry.base import BaseGeometry
 
 from geometry.polygon import edge_angles, grow, open_by, parts, polygon_of, shrink
 from geometry.polyline import Float64
-from planning.curve import Pose
-from planning.turn import Space, is_free
+from planning.turns.dubins import Pose
+from planning.turns.turn import Space, is_free
 
 LEAST_STRIP_M2 = 0.5
 REMAINS_RIM_M = 1.0

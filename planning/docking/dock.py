@@ -13,17 +13,17 @@ from configs.vehicle import kmh
 from geometry.footprint import footprints
 from geometry.polyline import Float64
 from messages.errors import FieldError
-from messages.plan import Leg, Path, Stretch
-from planning.configuration import DockingConfig
-from planning.curve import Pose
+from messages.plan import Path, PathSection, PathSectionType
+from planning.config import DockingConfig
 from planning.docking.clearance import bounds_of, clearance_m, nearest_place, yard_of
+from planning.docking.curvature_ramps import Run, runs_of
+from planning.docking.reeds_shepp import Segment
 from planning.docking.sampling import sampled
 from planning.docking.search import Space, Wanted, free_word, least_clearance_m
-from planning.docking.steered import Run, runs_of
-from planning.docking.words import Segment
-from planning.ground import describe
+from planning.field.drivable_area import describe
 from planning.profile import speed_profile
 from planning.rig import Rig
+from planning.turns.dubins import Pose
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,8 @@ def _path(run: Run, docking: Docking, path_id: int, is_last: bool) -> Path:
     heading: Float64 = np.asarray(np.pi - (np.pi - run.heading_rad) % (2.0 * np.pi), np.float64)
     return Path(
         0, path_id, run.direction, run.p_map_m, heading, run.curvature_radpm, run.s_m, speed,
-        np.zeros(count, np.uint8), (Stretch(Leg.DOCK, -1, 0, count - 1),), np.zeros(count, np.int32), is_last, True,
+        np.zeros(count, np.uint8), (PathSection(PathSectionType.DOCK, -1, 0, count - 1),), np.zeros(count, np.int32),
+        is_last, True,
     )  # fmt: skip
 
 

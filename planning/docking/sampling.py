@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from geometry.footprint import Rectangle
-from planning.curve import Pose
 from planning.docking.clearance import Bounds, clearance_m
+from planning.docking.curvature_ramps import Run, runs_of
+from planning.docking.reeds_shepp import Segment, Way, words
 from planning.docking.search import Space, Wanted, free_runs, joined
-from planning.docking.steered import Run, runs_of
-from planning.docking.words import Segment, Way, words
 from planning.sampling import WAIT_S, bounds_in, counter, state_at
+from planning.turns.dubins import Pose
 
 ROOT = Path(__file__).resolve().parents[2]
 VALID_EVERY_M = 0.4

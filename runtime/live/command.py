@@ -20,15 +20,15 @@ import numpy as np
 from configs.strict import CONFIGS, find, load
 from messages.errors import HeadlandError
 from messages.message import Envelope
-from runtime.faults.watch import Watch
-from runtime.folder import RunFolder, resolved, versions
+from runtime.commands.end_of_run import LATCHED, EndOfDrive
+from runtime.commands.progress import Progress
+from runtime.fault_injection.situations import Watch
 from runtime.live.config import ROLES, LiveConfig
 from runtime.live.process import Start, run_process, started_at
 from runtime.live.ring import RingReader, make_ring
-from runtime.live.wire import unpack
-from runtime.progress import Progress
+from runtime.live.serialization import unpack
+from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, load_setup
-from runtime.watch import LATCHED, EndOfDrive
 from simulation.scenario import Scenario
 
 WATCHED = (
@@ -125,7 +125,7 @@ class _Drive:
         """What becomes of the machine when a process is gone."""
         watch, truth, state = self._watch, self._watch.truth, self._watch.state
         speed = abs(truth.speed_mps) if truth is not None else 0.0
-        stopping_m = state.stopping_m if state is not None else 0.0
+        stopping_distance_m = state.stopping_distance_m if state is not None else 0.0
         at_s = watch.seconds
         watch.mark()
         began_s, is_gone = time.monotonic(), about.get("broken") == "machine"
@@ -133,10 +133,11 @@ class _Drive:
             self._listen()
         is_seen, stood = is_gone or watch.seconds > 0.0, is_gone or watch.still_s >= 1.0
         return about | {
-            "speed_mps": round(speed, 3), "travel_m": round(watch.travel_m, 3), "allowed_m": round(stopping_m, 3),
+            "speed_mps": round(speed, 3), "travel_m": round(watch.travel_m, 3),
+            "allowed_m": round(stopping_distance_m, 3),
             "until_s": round(at_s + watch.seconds, 2), "reason": watch.reason, "told": watch.told,
             "outcome": "stopped" if stood else "not stopped",
-            "is_good": is_seen and stood and watch.travel_m <= stopping_m,
+            "is_good": is_seen and stood and watch.travel_m <= stopping_distance_m,
         }  # fmt: skip
 
     def _listen(self) -> None:

@@ -18,11 +18,11 @@ from runtime import assembly
 from runtime.live.can_bus import SharedBus
 from runtime.live.clock import Clock
 from runtime.live.config import LiveConfig, open_bus
-from runtime.live.loop import Line, LiveExecutor, Nothing
+from runtime.live.live_executor import Line, LiveExecutor, Nothing
 from runtime.live.reactions import Reactions
 from runtime.live.ring import RingReader, RingWriter
 from runtime.setup import Setup
-from simulation.rendering.looks import warm_figures
+from simulation.rendering.materials import warm_figures
 from simulation.scenario import Scenario
 
 

@@ -10,9 +10,9 @@ import can
 from messages.node import Output, World
 from messages.sensors import LidarScan
 from runtime.live.can_bus import SharedBus
-from simulation.popup import PopUp
+from simulation.actors.popup import PopUp
+from simulation.environment.terrain import Terrain
 from simulation.randomness import generator
-from simulation.terrain import Terrain
 from simulation.world import SimulationWorld
 
 BRAKE_GROUP = 0x04  # format byte of the external brake request

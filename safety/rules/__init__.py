@@ -5,47 +5,49 @@ from collections.abc import Callable
 from messages.command import RuleResult
 from safety.rules import (
     brake,
-    clock,
-    emergency,
-    fence,
-    fold,
-    hand,
+    clock_step,
+    detection_range,
+    driver_override,
+    emergency_stop,
+    geofence,
+    implement_fold,
     localization,
-    obstacle,
-    proven,
-    reported,
-    sensing,
-    silence,
-    speed,
+    message_timeout,
+    protective_field,
+    reported_fault,
+    sensor_loss,
+    speed_limit,
     steering,
-    supply,
-    survey,
+    supply_voltage,
     tilt,
-    tracked,
+    tracked_obstacle,
+    wall_clearance,
 )
-from safety.situation import Situation
+from safety.rules.situation import Situation
 
 Rule = Callable[[Situation], RuleResult]
 
 RULES: dict[str, Rule] = {
-    "emergency": emergency.judge,
-    "hand": hand.judge,
-    "clock": clock.judge,
-    "reported": reported.judge,
-    "silence": silence.judge,
-    "supply": supply.judge,
+    "emergency_stop": emergency_stop.judge,
+    "driver_override": driver_override.judge,
+    "clock_step": clock_step.judge,
+    "reported_fault": reported_fault.judge,
+    "message_timeout": message_timeout.judge,
+    "supply_voltage": supply_voltage.judge,
     "steering": steering.judge,
     "brake": brake.judge,
     "localization": localization.judge,
     "tilt": tilt.judge,
-    "fence": fence.judge,
-    "fold": fold.judge,
-    "obstacle": obstacle.judge,
-    "tracked": tracked.judge,
-    "proven": proven.judge,
-    "sensing": sensing.judge,
-    "survey": survey.judge,
-    "speed": speed.judge,
+    "geofence": geofence.judge,
+    "implement_fold": implement_fold.judge,
+    "protective_field": protective_field.judge,
+    "tracked_obstacle": tracked_obstacle.judge,
+    "detection_range": detection_range.judge,
+    "sensor_loss": sensor_loss.judge,
+    "wall_clearance": wall_clearance.judge,
+    "speed_limit": speed_limit.judge,
 }
-BLOCKING_RULES = frozenset({"obstacle", "tracked", "proven", "sensing"})  # to stand for one is an obstacle stop
-OBSTACLE_RULES = frozenset({"obstacle", "tracked"})  # what an ablation switches off
+BLOCKING_RULES = frozenset(
+    {"protective_field", "tracked_obstacle", "detection_range", "sensor_loss"}
+)  # to stand for one is an obstacle stop
+OBSTACLE_RULES = frozenset({"protective_field", "tracked_obstacle"})  # what an ablation switches off

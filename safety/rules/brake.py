@@ -2,9 +2,9 @@
 
 from configs.vehicle import kmh
 from messages.command import RuleResult
-from safety.brake_test import Phase
-from safety.rules.verdict import emergency, free, limit
-from safety.situation import Situation
+from safety.monitors.brake_test import Phase
+from safety.rules.results import emergency, free, limit
+from safety.rules.situation import Situation
 
 WEAK, TEST = "brake.weak", "brake.test"
 

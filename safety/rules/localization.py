@@ -2,8 +2,8 @@
 
 from messages.command import RuleResult
 from messages.motion import PositionSource
-from safety.rules.verdict import free, limit, note, stop
-from safety.situation import Situation
+from safety.rules.results import free, limit, note, stop
+from safety.rules.situation import Situation
 
 CODE = "localization"
 

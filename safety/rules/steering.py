@@ -1,8 +1,8 @@
 """Steering must be ready and do what it is told."""
 
 from messages.command import RuleResult
-from safety.rules.verdict import free, limit, stop
-from safety.situation import Situation
+from safety.rules.results import free, limit, stop
+from safety.rules.situation import Situation
 
 
 def judge(situation: Situation) -> RuleResult:

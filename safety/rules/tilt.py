@@ -3,9 +3,9 @@
 import math
 
 from messages.command import RuleResult
-from safety.motion import tilt_of
-from safety.rules.verdict import free, stop
-from safety.situation import Situation
+from safety.pose_history import tilt_of
+from safety.rules.results import free, stop
+from safety.rules.situation import Situation
 
 
 def judge(situation: Situation) -> RuleResult:

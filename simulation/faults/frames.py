@@ -8,10 +8,10 @@ import numpy as np
 from cantools.database.can import Database, Message
 
 from messages.errors import ConfigError
-from simulation.bus_guards import xbr_checksum
 from simulation.faults.config import FaultKind, FieldErrors
 from simulation.faults.injection import Injection
 from simulation.faults.stream import Stream
+from simulation.machine.ecu_checks import xbr_checksum
 
 PREFIX = "can/"
 MAX_AGE_NS = 300_000_000  # time-out of speeds and heartbeat (ISO 11783-7)

@@ -7,7 +7,7 @@ import numpy as np
 from messages.errors import ConfigError, LogError
 from messages.message import Envelope, Message
 from messages.node import Output
-from messages.topics import kind_of
+from messages.topics import spec_of
 from simulation import randomness
 from simulation.faults.config import OF_WHOLE, FaultKind, FaultsConfig, InjectedFault
 from simulation.faults.measurement import distorted, renewed
@@ -37,7 +37,7 @@ class Injection:
     def plant(self, fault: InjectedFault) -> None:
         """Add a fault; raises ConfigError for a kind of topic that there is not, or whose fields nobody described."""
         if fault.topic not in OF_WHOLE and not fault.topic.startswith(OF_DEVICES):
-            kind_of(fault.topic)
+            spec_of(fault.topic)
             if fault.topic.partition("/")[0] not in self.config.messages and fault.kind not in STREAM_KINDS:
                 raise ConfigError(
                     f"fault {fault.kind.value!r} on {fault.topic!r}: faults.yaml describes no field of it"
@@ -102,7 +102,7 @@ class Injection:
 
     def _stream(self, topic: str, kind: FaultKind) -> Stream[Message]:
         if (topic, kind) not in self._streams:
-            row, random = kind_of(topic), self.generator(topic)
+            row, random = spec_of(topic), self.generator(topic)
             errors = self.config.messages.get(topic.partition("/")[0], {})
             max_age_ns = round(row.max_age_s * 1e9) if np.isfinite(row.max_age_s) else MAX_AGE_NS
             self._streams[topic, kind] = Stream(

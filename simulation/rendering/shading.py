@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from messages.message import Float32, Float64, Int32, UInt8
-from simulation.rendering.far import far_run, place_of
 from simulation.rendering.raster import painted, within
+from simulation.rendering.skybox import far_run, place_of
 from simulation.rendering.textures import Int8, coarse, nearest
 
 SHADOW_BIAS_M, OFF_M = 0.04, 0.06  # along the sun and off the surface: about a cell of the sun's picture

@@ -16,18 +16,18 @@ from configs.vehicle import Camera, Vehicle
 from geometry.transforms import planar
 from messages.message import Float64, UInt8
 from messages.sensors import CameraImage
-from simulation.actors import Figure
-from simulation.body import machine_mesh
-from simulation.figures import gait_step
+from simulation.actors.actor_meshes import gait_step
+from simulation.actors.actors import Figure
+from simulation.environment.scene import Scene
+from simulation.machine.body import machine_mesh
 from simulation.randomness import generator
 from simulation.rendering.light import SkyConfig, draw_light
-from simulation.rendering.looks import MACHINE, figure_surface, palette, still_surface
-from simulation.rendering.picture import Eye, Stage, metered
+from simulation.rendering.materials import MACHINE, figure_surface, palette, still_surface
+from simulation.rendering.renderer import Eye, Stage, metered
+from simulation.rendering.scene_mesh import surface_of
 from simulation.rendering.shading import add_noise
-from simulation.rendering.surface import surface_of
 from simulation.rendering.textures import Int8
 from simulation.scenario import CameraEpisode
-from simulation.scene import Scene
 from simulation.sensors.sensor import Moment, period_ns_of
 
 NOISE = 1 << 18  # places at which a picture's noise may begin in what is prepared

@@ -9,7 +9,7 @@ from configs.strict import Config
 from configs.vehicle import Imu
 from messages.message import Float64, Message
 from messages.sensors import ImuSample
-from simulation.drive import GRAVITY_MPS2
+from simulation.machine.drivetrain import GRAVITY_MPS2
 from simulation.sensors.sensor import Moment, period_ns_of
 
 RADPS_PER_DPH = math.pi / 180.0 / 3600.0

@@ -14,10 +14,10 @@ from configs.vehicle import Lidar, MountedImplement, TrailedImplement, Vehicle
 from geometry.transforms import invert
 from messages.message import Float32, Float64, Message, UInt16
 from messages.sensors import LidarScan
-from simulation.body import T_base_implement, implement_mesh, machine_mesh
-from simulation.implement import folded_to
+from simulation.environment.scene import Rays
 from simulation.kernels import passes_ball, ranges_mm, sweep_rays
-from simulation.scene import Rays
+from simulation.machine.body import T_base_implement, implement_mesh, machine_mesh
+from simulation.machine.implement import folded_to
 from simulation.sensors.sensor import Moment, period_ns_of
 
 MAX_RANGE_M = 65.5  # of uint16 in mm

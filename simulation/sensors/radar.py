@@ -17,9 +17,9 @@ from configs.vehicle import Radar
 from messages.message import Float32, Float64, Message
 from messages.perception import ObstacleClass
 from messages.sensors import RadarScan
-from simulation.actors import Figure
-from simulation.scene import Scene
-from simulation.scenery import by_kind
+from simulation.actors.actors import Figure
+from simulation.environment.scene import Scene
+from simulation.environment.scenery import by_kind
 from simulation.sensors.sensor import Moment, period_ns_of
 
 # backscatter of rough surfaces in dB (times cosine of incidence and area), and what a smooth one adds square on

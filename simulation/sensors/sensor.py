@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from messages.message import Message
-from simulation.machine import Machine
-from simulation.motion import Track
-from simulation.scene import Scene
+from simulation.environment.scene import Scene
+from simulation.machine.machine import Machine
+from simulation.machine.pose_buffer import Track
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from configs.vehicle import Ultrasonic
 from messages.message import Float32, Float64, Message
 from messages.perception import ObstacleClass
 from messages.sensors import UltrasonicRange
-from simulation.body import LIFT_M
-from simulation.scenery import by_kind
+from simulation.environment.scenery import by_kind
+from simulation.machine.body import LIFT_M
 from simulation.sensors.radar import directions, rays_from
 from simulation.sensors.sensor import Moment, period_ns_of
 

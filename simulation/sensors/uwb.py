@@ -10,7 +10,7 @@ from configs.strict import Config
 from configs.vehicle import Uwb
 from messages.message import Float64, Message
 from messages.sensors import UwbRanges
-from simulation.scenery import by_kind
+from simulation.environment.scenery import by_kind
 from simulation.sensors.sensor import Moment, period_ns_of
 
 CLEAR_M = 0.3  # an anchor sits on its wall or mast, which is not between

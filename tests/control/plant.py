@@ -15,11 +15,11 @@ from control.controller import ControlConfig, Controller
 from geometry.transforms import invert, planar
 from messages.command import MachineState, Mode, SafeCommand
 from messages.motion import MapPose, Odometry, PositionSource
-from messages.plan import Leg, Path, Stretch
+from messages.plan import Path, PathSection, PathSectionType
 
 VEHICLE = load(Vehicle, CONFIGS / "machines" / "tractor_e.yaml")
 IMPLEMENT = load(ImplementFile, CONFIGS / "implements" / "harrow_6m.yaml").implement
-CONFIG = parse(ControlConfig, read_yaml(CONFIGS / "stack.yaml")["control"], "stack.yaml")
+CONFIG = parse(ControlConfig, read_yaml(CONFIGS / "stack/control.yaml"), "stack/control.yaml")
 DT_S = 0.01
 TICK_NS = 10_000_000
 BASE_NS = 5_000_000_000
@@ -117,32 +117,36 @@ class Plant:
         self.inbox.messages["path"] = path
         end_ns = self.now_ns + round(until_s * 1e9)
         while self.now_ns < end_ns:
-            wish = None
+            control_command = None
             if (self.now_ns - BASE_NS) % (2 * TICK_NS) == 0:
-                wish = self.control()
+                control_command = self.control()
             self.move()
             self.now_ns += TICK_NS
-            if wish is not None and (wish.is_finished or (stop is not None and stop(self, wish))):
+            if control_command is not None and (
+                control_command.is_finished or (stop is not None and stop(self, control_command))
+            ):
                 break
         return self.track
 
     def control(self):
         self.sense()
-        wish = self.controller.step(self.now_ns, self.inbox)[0][1]
+        control_command = self.controller.step(self.now_ns, self.inbox)[0][1]
         self.inbox.messages["safe_command"] = SafeCommand(
-            self.now_ns, Mode.AUTOMATIC, self.is_enabled, wish.speed_mps if self.is_enabled else 0.0,
-            max(0.0, -wish.acceleration_mps2), wish.curvature_radpm, wish.is_implement_lowered, wish.is_pto_on,
+            self.now_ns, Mode.AUTOMATIC, self.is_enabled, control_command.speed_mps if self.is_enabled else 0.0,
+            max(0.0, -control_command.acceleration_mps2), control_command.curvature_radpm,
+            control_command.is_implement_lowered, control_command.is_pto_on,
             False, False, True, "",
         )  # fmt: skip
-        self.wish = wish
+        self.control_command = control_command
         t = self.track
         for values, value in ((t.t_s, self.now_ns * 1e-9), (t.x_m, self.x), (t.y_m, self.y), (t.yaw_rad, self.yaw),
-                              (t.speed_mps, self.speed), (t.hitch, self.hitch), (t.wishes, wish)):  # fmt: skip
+                              (t.speed_mps, self.speed), (t.hitch, self.hitch), (t.wishes,
+                              control_command)):  # fmt: skip
             values.append(value)
-        return wish
+        return control_command
 
     def move(self):
-        a, w = self.act, self.wish
+        a, w = self.act, self.control_command
         brake = max(0.0, -w.acceleration_mps2) if self.is_enabled else 3.0
         self.commands.append(
             (w.curvature_radpm, w.speed_mps if self.is_enabled else 0.0, brake, w.is_implement_lowered)
@@ -234,11 +238,11 @@ def path_along(curvatures, speed_mps=2.78, start=(0.0, 0.0, 0.0), direction=1, w
     speed = np.minimum(speed_mps, np.sqrt(2 * 0.5 * np.maximum(s[-1] - s, 0.0)))
     speed = np.minimum(speed, np.sqrt(0.3**2 + 2 * 0.5 * s))
     speed[-1] = 0.0
-    is_work = np.zeros(n, np.uint8) if work is None else np.asarray(work, np.uint8)
+    is_working = np.zeros(n, np.uint8) if work is None else np.asarray(work, np.uint8)
     machine = np.array(headings) + (0.0 if direction > 0 else math.pi)
     return Path(
         0, path_id, direction, np.array(points), machine, direction * np.array([*curvatures, curvatures[-1]], float), s,
-        speed, is_work, (Stretch(Leg.SWATH, 0, 0, n - 1),), np.zeros(n, np.int32), True,
+        speed, is_working, (PathSection(PathSectionType.SWATH, 0, 0, n - 1),), np.zeros(n, np.int32), True,
     )  # fmt: skip
 
 

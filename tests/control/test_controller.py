@@ -5,29 +5,29 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from plant import CONFIG, IMPLEMENT, VEHICLE, Inbox, Plant, path_along
 
 from configs.strict import parse
 from control.controller import NO_PATH, ControlConfig, Controller
 from control.planar import Planar, planar_of
 from geometry.transforms import invert, planar
-from messages.command import Wish
+from messages.command import ControlCommand
 from messages.errors import ConfigError
-from messages.topics import kind_of
+from messages.topics import spec_of
+from tests.control.plant import CONFIG, IMPLEMENT, VEHICLE, Inbox, Plant, path_along
 
 
 def test_its_topics_are_in_the_table():
     controller = Controller(VEHICLE, IMPLEMENT, CONFIG)
-    assert [kind_of(t).type for t in controller.writes] == [Wish]
+    assert [spec_of(t).type for t in controller.writes] == [ControlCommand]
     for topic in controller.reads:
-        kind_of(topic)
+        spec_of(topic)
 
 
 def test_without_anything_it_wishes_to_stand():
-    (topic, wish), = Controller(VEHICLE, IMPLEMENT, CONFIG).step(1, Inbox())  # fmt: skip
-    assert topic == "wish"
-    assert (wish.speed_mps, wish.path_id, wish.is_finished) == (0.0, NO_PATH, False)
-    assert wish.acceleration_mps2 < 0.0
+    (topic, control_command), = Controller(VEHICLE, IMPLEMENT, CONFIG).step(1, Inbox())  # fmt: skip
+    assert topic == "control_command"
+    assert (control_command.speed_mps, control_command.path_id, control_command.is_finished) == (0.0, NO_PATH, False)
+    assert control_command.acceleration_mps2 < 0.0
 
 
 @pytest.mark.parametrize("missing", ["odom", "map_pose"])
@@ -36,8 +36,8 @@ def test_without_a_pose_it_wishes_to_stand_and_goes_on_after(missing):
     path = path_along(np.zeros(300), 2.0)
     plant.run(path, stop=lambda p, _: p.x > 10.0)
     del plant.inbox.messages[missing]
-    (_, wish), = plant.controller.step(plant.now_ns, plant.inbox)  # fmt: skip
-    assert (wish.speed_mps, wish.is_finished) == (0.0, False)
+    (_, control_command), = plant.controller.step(plant.now_ns, plant.inbox)  # fmt: skip
+    assert (control_command.speed_mps, control_command.is_finished) == (0.0, False)
     track = plant.run(path)
     assert track.wishes[-1].is_finished
 
@@ -48,14 +48,14 @@ def test_a_pose_that_is_not_initialized_is_none():
     plant.sense()
     pose = plant.inbox.messages["map_pose"]
     plant.inbox.messages["map_pose"] = replace(pose, is_initialized=False)
-    (_, wish), = plant.controller.step(plant.now_ns, plant.inbox)  # fmt: skip
-    assert wish.speed_mps == 0.0
+    (_, control_command), = plant.controller.step(plant.now_ns, plant.inbox)  # fmt: skip
+    assert control_command.speed_mps == 0.0
 
 
 def test_paths_follow_one_another():
     plant = Plant()
     plant.run(path_along(np.zeros(120), 2.0, path_id=1))
-    assert plant.wish.is_finished
+    assert plant.control_command.is_finished
     back = path_along(np.zeros(100), 1.0, start=(12.0, 0.0, 0.0), direction=-1, path_id=2)
     track = plant.run(back)
     assert track.wishes[-1].path_id == 2
@@ -69,9 +69,9 @@ def test_errors_are_left_of_the_machine_in_both_directions():
         path = path_along(np.zeros(300), 1.0, start=start, direction=direction)
         plant = Plant(x=start[0], y=0.2, yaw=math.radians(3.0))
         plant.inbox.messages["path"] = path
-        wish = plant.control()
-        assert wish.xte_m == pytest.approx(0.2, abs=0.03)
-        assert wish.heading_error_rad == pytest.approx(math.radians(3.0), abs=0.005)
+        control_command = plant.control()
+        assert control_command.xte_m == pytest.approx(0.2, abs=0.03)
+        assert control_command.heading_error_rad == pytest.approx(math.radians(3.0), abs=0.005)
 
 
 def test_twice_the_same():
@@ -99,7 +99,7 @@ def test_a_senseless_value_is_named(value):
 @pytest.mark.parametrize("points", [1, 2, 4])
 def test_a_path_of_hardly_any_length_is_soon_finished(points):
     whole = path_along(np.zeros(20), 1.0)
-    short = {k: getattr(whole, k)[:points] for k in ("p_map_m", "heading_rad", "curvature_radpm", "s_m", "is_work")}
+    short = {k: getattr(whole, k)[:points] for k in ("p_map_m", "heading_rad", "curvature_radpm", "s_m", "is_working")}
     path = replace(whole, **short, speed_mps=np.append(np.full(points - 1, 0.3), 0.0))
     track = Plant().run(path, until_s=30.0)
     assert track.wishes[-1].is_finished

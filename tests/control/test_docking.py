@@ -4,17 +4,17 @@ import math
 
 import numpy as np
 import pytest
-from plant import IMPLEMENT, VEHICLE, Actuators, Ground, Plant, Senses, Track, true_offsets
 
 from configs.site import Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
-from planning.configuration import PlanningConfig
-from planning.curve import Pose
+from planning.config import PlanningConfig
 from planning.docking.dock import Docking, plan_docking
 from planning.rig import rig_of
+from planning.turns.dubins import Pose
+from tests.control.plant import IMPLEMENT, VEHICLE, Actuators, Ground, Plant, Senses, Track, true_offsets
 
 SITE = load(Site, find("sites", "demo"))
-PLANNING = parse(PlanningConfig, read_yaml(CONFIGS / "stack.yaml")["planning"], "stack.yaml")
+PLANNING = parse(PlanningConfig, read_yaml(CONFIGS / "stack/planning.yaml"), "stack/planning.yaml")
 YARD = Ground(side_slope_deg=0.5, understeer=0.01, soil_radpm=0.001)
 
 

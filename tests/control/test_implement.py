@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from plant import CONFIG, IMPLEMENT, Ground, Plant, path_along
 
 from control.implement import ImplementControl, edges_of
+from tests.control.plant import CONFIG, IMPLEMENT, Ground, Plant, path_along
 
 STEP_M = 0.1
 
@@ -49,18 +49,18 @@ class Slow:
         move = self.plant.move
 
         def late():
-            self.plant.wish = _with_hitch(self.plant.wish, queue)
+            self.plant.control_command = _with_hitch(self.plant.control_command, queue)
             move()
 
         self.plant.move = late
         return self.plant.run(path)
 
 
-def _with_hitch(wish, queue):
+def _with_hitch(control_command, queue):
     from dataclasses import replace
 
-    queue.append(self_wish := getattr(wish, "wanted", wish.is_implement_lowered))
-    changed = replace(wish, is_implement_lowered=queue.pop(0))
+    queue.append(self_wish := getattr(control_command, "wanted", control_command.is_implement_lowered))
+    changed = replace(control_command, is_implement_lowered=queue.pop(0))
     object.__setattr__(changed, "wanted", self_wish)
     return changed
 
@@ -100,7 +100,7 @@ def test_nothing_changes_while_the_machine_stands_before_the_edge():
     plant.is_enabled = False
     plant.run(path, until_s=8.0)
     assert plant.x < 9.5
-    assert not plant.wish.is_implement_lowered
+    assert not plant.control_command.is_implement_lowered
     plant.is_enabled = True
     down, _ = crossings(plant.run(path))
     assert down == pytest.approx(9.95, abs=0.3)  # it was still speeding up

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from plant import path_along
 
 from control.reference import Reference
+from tests.control.plant import path_along
 
 
 def along(path, reference, offset_m=0.0):

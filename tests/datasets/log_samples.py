@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from messages.message import Record
+from messages.message import MessagePart
 from messages.sensors import CameraImage
 
 INT64 = st.integers(-(2**63), 2**63 - 1)
@@ -32,13 +32,13 @@ def values(hint: Any) -> st.SearchStrategy[Any]:
         return st.lists(values(get_args(hint)[0]), max_size=3).map(tuple)
     if issubclass(hint, Enum):
         return st.sampled_from(hint)
-    if issubclass(hint, Record):
+    if issubclass(hint, MessagePart):
         return records(hint)
     plain = {bool: st.booleans(), int: INT64, float: st.floats(), bytes: st.binary(max_size=8)}
     return plain.get(hint, st.text(st.characters(exclude_categories=["Cs"]), max_size=8))
 
 
-def records(cls: type[Record]) -> st.SearchStrategy[Any]:
+def records(cls: type[MessagePart]) -> st.SearchStrategy[Any]:
     """Instances of a message class or record."""
     hints = get_type_hints(cls)
     if cls is CameraImage:  # what was sent is no bytes of any kind, see test_log_codec.py
@@ -50,7 +50,7 @@ def bits(value: Any) -> Any:
     """A value as something that is equal only when all bits are."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
-    if isinstance(value, Record):
+    if isinstance(value, MessagePart):
         return type(value), *(bits(getattr(value, f.name)) for f in fields(value))
     if isinstance(value, tuple):
         return tuple(map(bits, value))

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from log_samples import arrays, bits, records
 
 from datasets import codec, schema
 from datasets.arrays import filter_of, pack, unpack
 from datasets.codec import classes, codec_for, codec_of
 from messages.errors import LogError
-from messages.message import Float64, Message, Record
+from messages.message import Float64, Message, MessagePart
 from messages.motion import MapPose, PositionSource
 from messages.sensors import CameraImage, ImuSample, LidarScan
+from tests.datasets.log_samples import arrays, bits, records
 
 EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
 
@@ -93,7 +93,7 @@ def test_what_cannot_be_written_is_named() -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part(Record):
+class _Part(MessagePart):
     names: tuple[str, ...]
     place: Float64
 

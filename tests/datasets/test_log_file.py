@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from log_samples import bits
 from mcap.reader import make_reader
 
 from configs.strict import CONFIGS, parse, read_yaml
@@ -26,6 +25,7 @@ from messages.errors import LogError
 from messages.message import Envelope
 from messages.perception import Obstacles
 from messages.sensors import ImuSample, LidarScan, WheelSample
+from tests.datasets.log_samples import bits
 
 CONFIG = LogConfig(chunk_kib=16, flush_s=0.1, sync_s=1.0, min_free_mb=0.0)
 METADATA = {"configuration": {"stack": "a: 1"}, "versions": {"commit": "abc", "lock": "def"}}
@@ -336,5 +336,5 @@ def test_trees_of_frames() -> None:
 
 
 def test_the_stack_s_own_configuration_holds() -> None:
-    parse(LogConfig, read_yaml(CONFIGS / "stack.yaml")["datasets"]["log"], "log")
+    parse(LogConfig, read_yaml(CONFIGS / "stack/datasets.yaml")["log"], "log")
     assert os.sep

@@ -15,7 +15,6 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from log_samples import bits
 from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from rosbags.rosbag1 import Writer as Bag1
@@ -28,7 +27,7 @@ from datasets.importers.formats import open_recording
 from datasets.importers.mcap_logs import ros_types
 from datasets.importers.pcd import read_pcd, unpack_lzf
 from datasets.importers.recording import describe, numbered
-from datasets.importers.transcript import write_recording
+from datasets.importers.write_recording import write_recording
 from datasets.log import LogConfig, LogWriter
 from datasets.primitives import cloud, frame, time_of
 from datasets.reader import read_log, read_metadata
@@ -41,10 +40,11 @@ from messages.message import Envelope
 from messages.motion import Odometry
 from messages.sensors import GnssFix, GnssSolution, ImuSample, LidarScan, WheelSample
 from messages.truth import TrueObject, TrueObjects
+from tests.datasets.log_samples import bits
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 LOG = LogConfig(chunk_kib=256, flush_s=1.0, sync_s=9.0, min_free_mb=0.0)
-VIEW = parse(ViewerConfig, read_yaml(CONFIGS / "stack.yaml")["datasets"]["viewer"], "viewer")
+VIEW = parse(ViewerConfig, read_yaml(CONFIGS / "stack/datasets.yaml")["viewer"], "viewer")
 NS = 1_000_000_000
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 ROS1 = ros_types("ROS1_NOETIC")

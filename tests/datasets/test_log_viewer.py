@@ -38,7 +38,7 @@ def vehicle() -> Vehicle:
 @pytest.fixture(scope="module")
 def log(vehicle: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Path:
     implement = load(ImplementFile, CONFIGS / "implements" / "harrow_6m.yaml").implement
-    section = read_yaml(CONFIGS / "stack.yaml")["datasets"]
+    section = read_yaml(CONFIGS / "stack/datasets.yaml")
     viewer = Viewer(parse(ViewerConfig, section["viewer"], "viewer"), vehicle, implement, None)
     path = tmp_path_factory.mktemp("view") / "log.mcap"
     with LogWriter(path, {}, parse(LogConfig, section["log"], "log"), viewer) as writer:
@@ -58,7 +58,7 @@ def test_the_log_is_one_tree_and_every_message_decodes(log: Path, vehicle: Vehic
 
 
 def test_every_message_decodes_for_foxglove_s_reader_in_a_frame_of_the_tree(log: Path) -> None:
-    cloud_s = read_yaml(CONFIGS / "stack.yaml")["datasets"]["viewer"]["cloud_s"]
+    cloud_s = read_yaml(CONFIGS / "stack/datasets.yaml")["viewer"]["cloud_s"]
     frames, used, counts = set(check_log(log).frames), set(), Counter[str]()
     with log.open("rb") as file:
         for schema, channel, message, proto in make_reader(
@@ -125,7 +125,7 @@ def test_a_path_is_thinned_but_ends_where_it_ends() -> None:
 
 
 def test_faults_reach_the_log_panel_and_recorded_topics_do_not() -> None:
-    section = read_yaml(CONFIGS / "stack.yaml")["datasets"]
+    section = read_yaml(CONFIGS / "stack/datasets.yaml")
     viewer = Viewer(parse(ViewerConfig, section["viewer"], "viewer"), None, None, None)
     fault = Fault(5, "lidar.silent", "front", Severity.ALARM, True, Response.CONTROLLED_STOP, True, "silent", "stumm")
     ((topic, line),) = viewer.show(Envelope("fault", 0, 5, fault))
@@ -136,7 +136,7 @@ def test_faults_reach_the_log_panel_and_recorded_topics_do_not() -> None:
 
 
 def shown(message: Message, topic: str, vehicle: Vehicle | None = None, site: Site | None = None) -> dict[str, Any]:
-    section = read_yaml(CONFIGS / "stack.yaml")["datasets"]
+    section = read_yaml(CONFIGS / "stack/datasets.yaml")
     implement = load(ImplementFile, CONFIGS / "implements" / "harrow_6m.yaml").implement
     viewer = Viewer(parse(ViewerConfig, section["viewer"], "viewer"), vehicle, implement, site)
     return dict(viewer.show(Envelope(topic, 0, message.stamp_ns, message)))

@@ -13,7 +13,7 @@ from messages.errors import ConfigError
 
 @pytest.mark.parametrize(("name", "count"), [("frames", 5000), ("lines", 3000), ("files", 60), ("logs", 200)])
 def test_no_crash_and_nothing_wrong_is_accepted(name: str, count: int) -> None:
-    found = fuzz.KINDS[name][0](count, np.random.default_rng(7))
+    found = fuzz.INPUT_KINDS[name][0](count, np.random.default_rng(7))
     assert found.tried == count
     assert 0 < found.accepted < count
 

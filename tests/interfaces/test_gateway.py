@@ -5,7 +5,6 @@ import math
 from dataclasses import replace
 
 import can
-import dbc
 import pytest
 
 from configs.strict import CONFIGS, load, parse, read_yaml
@@ -14,12 +13,13 @@ from interfaces.gateway import Gateway, GatewayConfig
 from interfaces.isobus.checksum import seal
 from messages.command import CanFrames, MachineState, Mode, SafeCommand
 from messages.faults import Fault
+from tests.interfaces import dbc
 
 MS = 1_000_000
 TICK = 10 * MS
 START = 77_000 * MS
 VEHICLE = load(Vehicle, CONFIGS / "machines" / "tractor_e.yaml")
-CONFIG = parse(GatewayConfig, read_yaml(CONFIGS / "stack.yaml")["interfaces"]["gateway"], "stack.yaml")
+CONFIG = parse(GatewayConfig, read_yaml(CONFIGS / "stack/interfaces.yaml")["gateway"], "stack/interfaces.yaml")
 DRIVE = SafeCommand(
     stamp_ns=0,
     mode=Mode.AUTOMATIC,
@@ -416,7 +416,7 @@ def test_machine_state_carries_everything(rig):
     assert (s.is_steering_ready, s.steering_exit_code, s.steering_limit) == (True, 21, 3)
     assert (s.hitch, s.is_hitch_in_work, s.is_pto_engaged) == (pytest.approx(0.2), True, True)
     assert s.pto_radps == pytest.approx(540 * 2 * math.pi / 60)
-    assert (s.hand_torque_nm, s.hand_angle_rad, s.hand_rate_radps) == (
+    assert (s.driver_torque_nm, s.driver_angle_rad, s.driver_rate_radps) == (
         pytest.approx(-3.5),
         pytest.approx(0.5),
         pytest.approx(-1.25),
@@ -443,14 +443,14 @@ def test_the_fold_is_commanded_while_active_alone(rig):
 
 def test_the_fold_is_told_and_its_silence_ages_the_implement(rig):
     rig.forward(400, HOLD)
-    assert rig.state.fold == 0.0
+    assert rig.state.fold_position == 0.0
     rig.fold = {"Group": 3, "FoldPosition": 99.2}
     rig.forward(400, HOLD)
-    assert rig.state.fold == pytest.approx(0.992)
+    assert rig.state.fold_position == pytest.approx(0.992)
     last_ns = rig.state.implement_stamp_ns
     rig.fold = None
     rig.forward(400, HOLD)
-    assert rig.state.fold == pytest.approx(0.992)
+    assert rig.state.fold_position == pytest.approx(0.992)
     assert rig.state.implement_stamp_ns == last_ns < rig.state.cab_stamp_ns
 
 

@@ -3,7 +3,6 @@
 import itertools
 import math
 
-import dbc
 import pytest
 
 from interfaces.isobus import brake, cab, guidance, implement, speed, stop_all
@@ -11,6 +10,7 @@ from interfaces.isobus.checksum import SealCheck, checksum, seal
 from interfaces.isobus.frame import decode_identifier, encode_identifier
 from interfaces.isobus.heartbeat import Heartbeat
 from interfaces.isobus.values import NOT_AVAILABLE, BadFrame, Scale
+from tests.interfaces import dbc
 
 ENDS_16 = [0, 1, 2, 3, 4, 5, 255, 256, 257, 32126, 32127, 32128, 32129, 32130]
 LAST_16 = list(range(0xFAFF - 5, 0xFAFF + 1))

@@ -1,6 +1,5 @@
 """Heartbeat, NAME and address claim."""
 
-import dbc
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,6 +8,7 @@ from interfaces.isobus.address import SELF_CONFIGURED, AddressClaim, encode_clai
 from interfaces.isobus.frame import NULL_ADDRESS, decode_identifier
 from interfaces.isobus.heartbeat import HeartbeatCheck
 from interfaces.isobus.name import AGRICULTURE, TRACTOR_ECU, Name
+from tests.interfaces import dbc
 
 MS = 1_000_000
 

@@ -5,18 +5,18 @@ import itertools
 import time
 
 import numpy as np
-from localization_drive import DATUM, START_NS, Truth, tractor
 
 from configs.strict import CONFIGS, parse, read_yaml
 from localization.localizer import LocalizationConfig, Localizer
 from messages.faults import Fault
-from messages.motion import LidarMotion, LidarPose, MapPose, Odometry
+from messages.motion import LidarLocalization, LidarOdometry, MapPose, Odometry
+from tests.localization.localization_drive import DATUM, START_NS, Truth, tractor
 
 STEP_NS = 20_000_000
 
 
 def configuration() -> LocalizationConfig:
-    return parse(LocalizationConfig, read_yaml(CONFIGS / "stack.yaml")["localization"], "stack.yaml")
+    return parse(LocalizationConfig, read_yaml(CONFIGS / "stack/localization.yaml"), "stack/localization.yaml")
 
 
 class Box:
@@ -51,8 +51,8 @@ class Run:
     faults: list[Fault]
     step_s: np.ndarray
     localizer: Localizer
-    motions: list[LidarMotion]
-    sightings: list[LidarPose] = dataclasses.field(default_factory=list)
+    motions: list[LidarOdometry]
+    sightings: list[LidarLocalization] = dataclasses.field(default_factory=list)
 
 
 def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None, lidar_map=None) -> Run:
@@ -73,10 +73,10 @@ def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None, l
             k += 1
         if lidar is not None and (now - start_ns) % 100_000_000 == 60_000_000:
             due += _lidar_step(lidar, now - 60_000_000, odom)
-            motions += [m for _, m in due if isinstance(m, LidarMotion)]
+            motions += [m for _, m in due if isinstance(m, LidarOdometry)]
         if lidar_map is not None and (now - start_ns) % 200_000_000 == 80_000_000:
             due += _map_step(lidar_map, now - 80_000_000, odom, poses)
-            sightings += [m for _, m in due if isinstance(m, LidarPose)]
+            sightings += [m for _, m in due if isinstance(m, LidarLocalization)]
         start = time.thread_time()
         for topic, message in node.step(now, Box(due)):
             {"odom": odom, "map_pose": poses, "fault/localizer": faults}[topic].append(message)

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import shapely
-from localization_drive import START_NS, Truth, Wrongs, drive, tractor
 
 from configs.site import Shed, Site
 from configs.strict import find, load
@@ -14,6 +13,7 @@ from configs.vehicle import ImplementFile, Mount, Uwb, Vehicle
 from geometry.transforms import invert
 from messages.perception import LidarGround
 from messages.sensors import LidarScan, UwbRanges
+from tests.localization.localization_drive import START_NS, Truth, Wrongs, drive, tractor
 
 TAG = "roof"
 

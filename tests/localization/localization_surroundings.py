@@ -1,12 +1,12 @@
 """A hedge, a fence, posts and trees as points in `map`, and what a turning lidar sees of them."""
 
 import numpy as np
-from localization_drive import START_NS, Truth, tractor
 from scipy.spatial.transform import Rotation
 
 from geometry.transforms import invert
 from messages.perception import LidarGround
 from messages.sensors import LidarScan
+from tests.localization.localization_drive import START_NS, Truth, tractor
 
 
 def yard(seed: int = 5) -> np.ndarray:

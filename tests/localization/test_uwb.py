@@ -9,11 +9,11 @@ import pytest
 from benchmarks import uwb as benchmark
 from configs.strict import CONFIGS, load
 from geometry.transforms import Float64
-from localization.factors import C, X
-from localization.uwb import Step, UwbConfig, UwbLocalizer, alike, headings
-from localization.uwb_factor import ranges_factor
-from localization.uwb_motion import Motion, Odometry, Velocity
-from localization.uwb_window import (
+from localization.graph.factors import C, X
+from localization.graph.uwb_factor import ranges_factor
+from localization.uwb.motion_models import Motion, Odometry, Velocity
+from localization.uwb.tag_smoother import Step, UwbConfig, UwbLocalizer, alike, headings
+from localization.uwb.window import (
     Gauge,
     Ranges,
     Scene,

@@ -9,9 +9,9 @@ from messages.sensors import LidarScan
 from perception.fusion.tracks import TrackerConfig
 from perception.lidar.obstacles import LidarConfig
 
-SECTION = read_yaml(CONFIGS / "stack.yaml")["perception"]
-LIDAR_CONFIG = parse(LidarConfig, SECTION["lidar"], "stack.yaml: perception.lidar")
-TRACKER_CONFIG = parse(TrackerConfig, SECTION["tracker"], "stack.yaml: perception.tracker")
+SECTION = read_yaml(CONFIGS / "stack/perception.yaml")
+LIDAR_CONFIG = parse(LidarConfig, SECTION["lidar"], "stack/perception.yaml: lidar")
+TRACKER_CONFIG = parse(TrackerConfig, SECTION["tracker"], "stack/perception.yaml: tracker")
 VEHICLE = load(Vehicle, find("machines", "tractor_e"))
 FRONT = VEHICLE.sensors.lidar["front"]
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
 from messages.perception import ObstacleClass, Obstacles
 from perception.camera.classes import class_scores
 from perception.fusion.tracker import Tracker
+from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
 START, NS = 5_000_000_000, 1_000_000_000
 TOPICS = tuple(f"obstacles/{kind}_front" for kind in ("lidar", "camera", "radar", "ultrasonic"))

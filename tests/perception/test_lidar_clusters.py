@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lidar_scenes import LIDAR_CONFIG
 
 from perception.lidar.boxes import describe
 from perception.lidar.clusters import Clusters, find_clusters, keep, new_board
+from tests.perception.lidar_scenes import LIDAR_CONFIG
 
 CONFIG = LIDAR_CONFIG.clusters
 ORIGIN = np.zeros(2)

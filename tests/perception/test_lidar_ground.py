@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lidar_scenes import FRONT, LIDAR_CONFIG, box, cast, listed
 
 from perception.lidar.grid import build_grid
 from perception.lidar.ground import find_ground, fit_plane
+from tests.perception.lidar_scenes import FRONT, LIDAR_CONFIG, box, cast, listed
 
 CONFIG = LIDAR_CONFIG.ground
 GRID = build_grid(CONFIG.sector_deg, CONFIG.first_bin_m, CONFIG.bin_growth, CONFIG.reach_m)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
 from benchmarks.perception_kitti import add_noise
 from benchmarks.perception_kitti_data import DATA, frame, has_frames, labels
@@ -10,6 +9,7 @@ from benchmarks.perception_pasting import paste_trials
 from benchmarks.perception_scoring import perceive, recall, strict, thin
 from messages.perception import Tracks
 from perception.fusion.tracker import Tracker
+from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
 pytestmark = pytest.mark.skipif(not has_frames(), reason=f"no KITTI frames under {DATA}")
 SOME = range(0, 40, 8)

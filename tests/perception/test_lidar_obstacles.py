@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from lidar_scenes import FRONT, LIDAR_CONFIG, VEHICLE, Feed, box, cast, listed, odometry, person
 
 from configs.vehicle import Lidar
 from messages.perception import HealthState
 from perception.lidar.obstacles import LidarObstacles
+from tests.perception.lidar_scenes import FRONT, LIDAR_CONFIG, VEHICLE, Feed, box, cast, listed, odometry, person
 
 SECOND = 1_000_000_000
 
@@ -64,7 +64,7 @@ def test_two_persons_a_metre_apart_and_one_by_a_wall(node):
 def test_bare_ground_holds_nothing(node, slope):
     ground, obstacles, health = step(node, cast(slope=slope, furrow_m=0.1))
     assert len(obstacles.yaw_rad) == 0
-    assert ground.is_solid.mean() < 0.002
+    assert ground.is_obstacle_point.mean() < 0.002
     assert health.state is not HealthState.BLIND
 
 
@@ -75,7 +75,7 @@ def test_indices_name_the_returns_of_the_scan(node):
     assert o.offsets[-1] == len(o.indices) == len(o.points_base_m)
     assert scan.points_m[o.indices] + FRONT.mount.T_base_sensor[:3, 3] == pytest.approx(o.points_base_m, abs=1e-4)
     assert len(np.unique(o.indices)) == len(o.indices)
-    assert len(ground.is_solid) == len(scan.points_m)
+    assert len(ground.is_obstacle_point) == len(scan.points_m)
     assert o.class_scores.sum(axis=1) == pytest.approx(1.0)
     assert np.isnan(o.velocity_mps).all()
 
@@ -120,8 +120,8 @@ def test_a_scan_that_is_no_measurement_is_never_all_clear(node, spoil):
     assert ground is None
     assert obstacles is None
     assert health.state is HealthState.BLIND
-    assert (health.proven_range_m == 0.0).all()
-    assert health.dropped == (spoil not in ("empty", "zeros"))
+    assert (health.detection_range_m == 0.0).all()
+    assert health.rejected_count == (spoil not in ("empty", "zeros"))
     assert health.reason
 
 
@@ -147,7 +147,7 @@ def test_a_frozen_lidar_and_one_whose_time_stands_still_are_blind(node):
     assert step(node, again)[2].state is HealthState.BLIND
     fresh = cast([person(10, 0)], seed=1, stamp_ns=2 * SECOND)
     assert step(node, fresh)[2].state is HealthState.BLIND
-    assert step(node, cast([person(10, 0)], seed=2, stamp_ns=3 * SECOND))[2].dropped == 2
+    assert step(node, cast([person(10, 0)], seed=2, stamp_ns=3 * SECOND))[2].rejected_count == 2
 
 
 def test_dirt_shrinks_the_range_of_its_sectors_alone(node):
@@ -156,9 +156,9 @@ def test_dirt_shrinks_the_range_of_its_sectors_alone(node):
         return mm
 
     health = step(node, cast(extra=dirt))[2]
-    middle = (health.edges_rad[:-1] + health.edges_rad[1:]) / 2
-    ahead = health.proven_range_m[np.abs(middle) < np.radians(8)]
-    aside = health.proven_range_m[(np.abs(middle) > np.radians(30)) & (np.abs(middle) < np.radians(80))]
+    middle = (health.sector_edges_rad[:-1] + health.sector_edges_rad[1:]) / 2
+    ahead = health.detection_range_m[np.abs(middle) < np.radians(8)]
+    aside = health.detection_range_m[(np.abs(middle) > np.radians(30)) & (np.abs(middle) < np.radians(80))]
     assert health.state is HealthState.DEGRADED
     assert (ahead == 0.0).all()
     assert (aside >= 40.0).all()
@@ -170,7 +170,7 @@ def test_fog_shrinks_the_range(node):
         return mm
 
     health = step(node, cast(extra=fog))[2]
-    ahead = health.proven_range_m[np.abs((health.edges_rad[:-1] + health.edges_rad[1:]) / 2) < 1.0]
+    ahead = health.detection_range_m[np.abs((health.sector_edges_rad[:-1] + health.sector_edges_rad[1:]) / 2) < 1.0]
     assert health.state is HealthState.DEGRADED
     assert ((ahead > 8.0) & (ahead < 20.0)).all()
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from lidar_scenes import LIDAR_CONFIG, VEHICLE
 
 from configs.strict import find, load
 from configs.vehicle import ImplementFile
 from geometry.transforms import apply, planar, transform
 from perception.lidar.points import own_boxes, to_base
+from tests.perception.lidar_scenes import LIDAR_CONFIG, VEHICLE
 
 NOWHERE = np.zeros((0, 2, 3))
 STILL = (0.0, 0.0, 0.0)

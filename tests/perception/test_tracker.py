@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
 from geometry.transforms import planar
 from messages.perception import ObstacleClass, Obstacles
 from perception.fusion.kalman import box_noise, correct, distances, predict
 from perception.fusion.tracker import Tracker
+from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
 START = 5_000_000_000
 NS = 1_000_000_000

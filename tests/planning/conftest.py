@@ -6,13 +6,13 @@ from configs.mission import Mission
 from configs.site import Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import ImplementFile, MountedImplement, Vehicle
-from planning.configuration import PlanningConfig
+from planning.config import PlanningConfig
 from planning.plan import Plan, plan_field
 
 
 @pytest.fixture(scope="session")
 def planning() -> PlanningConfig:
-    return parse(PlanningConfig, read_yaml(CONFIGS / "stack.yaml")["planning"], "stack.yaml: planning")
+    return parse(PlanningConfig, read_yaml(CONFIGS / "stack/planning.yaml"), "stack/planning.yaml")
 
 
 @pytest.fixture(scope="session")

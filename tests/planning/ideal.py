@@ -10,7 +10,7 @@ from shapely.geometry import Point, Polygon
 from geometry.footprint import footprints, sweep
 from geometry.polyline import Float64
 from geometry.transforms import planar
-from messages.command import Mode, OperatorOrder, Order, SupervisorState, Wish
+from messages.command import ControlCommand, Mode, OperatorCommand, OperatorCommandKind, SupervisorState
 from messages.message import Message
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.perception import ObstacleClass, Track, Tracks
@@ -36,7 +36,7 @@ class Box:
     last = latest
 
     def all(self, topic: str, kind: type) -> tuple[Any, ...]:
-        return self.orders if topic == "order" else ()
+        return self.orders if topic == "operator_command" else ()
 
     def at(self, topic: str, kind: type, stamp_ns: int) -> Any:
         return self.messages.get(topic)
@@ -69,7 +69,7 @@ class Ideal:
         if not self.pose.any():
             self.pose = np.array([*start.p_map_m[0], start.heading_rad[0]])
         now = self.now_ns
-        order = OperatorOrder(now, Order.START, "test", 1, now + 60 * 10**9)
+        order = OperatorCommand(now, OperatorCommandKind.START, "test", 1, now + 60 * 10**9)
         for k in range(int(seconds * 1e9) // STEP_NS):
             now = self.now_ns = now + STEP_NS
             for topic, message in self.node.step(now, Box(self._messages(now), (order,) if k == 2 else ())):
@@ -156,7 +156,9 @@ class Ideal:
         }
         if self.path is not None:
             is_finished = self.s_m >= self._end_m - 1e-6
-            found["wish"] = Wish(now, 1.0, 0.0, 0.0, False, False, self.path.path_id, self.s_m, 0.0, 0.0, is_finished)
+            found["control_command"] = ControlCommand(
+                now, 1.0, 0.0, 0.0, False, False, self.path.path_id, self.s_m, 0.0, 0.0, is_finished
+            )
         return found
 
     def _supervisor(self, now: int) -> SupervisorState:

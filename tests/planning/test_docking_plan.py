@@ -18,16 +18,16 @@ from configs.site import Pose2, Site
 from configs.vehicle import MountedImplement, Vehicle
 from geometry.footprint import Rectangle
 from messages.errors import FieldError
-from messages.plan import Leg, Path
-from planning.configuration import PlanningConfig
-from planning.curve import Pose
+from messages.plan import Path, PathSectionType
+from planning.config import PlanningConfig
 from planning.docking.clearance import Bounds, clearance_m
+from planning.docking.curvature_ramps import led_to, runs_of
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking, pose_of
-from planning.docking.steered import led_to, runs_of
-from planning.docking.words import Segment, cusps, length_m, words
+from planning.docking.reeds_shepp import Segment, cusps, length_m, words
 from planning.drawing import draw_plan, plan_to_geojson
 from planning.plan import plan_mission
 from planning.rig import rig_of
+from planning.turns.dubins import Pose
 
 POSES = st.builds(Pose, st.floats(-20, 20), st.floats(-20, 20), st.floats(-7, 7))
 LANE_END = Pose(20.0, -30.0, -math.pi / 2)
@@ -188,8 +188,8 @@ def test_its_paths_are_well_formed(docking: Docking) -> None:
     for start in starts(6):
         paths = plan_docking(start, docking, 1)
         for path in paths:
-            assert path.is_folded
-            assert path.stretches[0].leg is Leg.DOCK
+            assert path.is_transport
+            assert path.sections[0].section_type is PathSectionType.DOCK
             assert docking.site.shed is not None
             roof = Polygon(docking.site.shed.outline_m)
             is_slow = shapely.distance(roof, shapely.points(path.p_map_m)) <= 9.0
@@ -311,8 +311,8 @@ def test_a_mission_of_docking_alone(
     assert plan.planned_share == 0.0
     draw_plan(plan, site, tmp_path / "plan.png")
     assert (tmp_path / "plan.png").stat().st_size > 10_000
-    legs = {f["properties"].get("leg") for f in plan_to_geojson(plan, site)["features"]}
-    assert legs == {"dock"}
+    section_types = {f["properties"].get("section_type") for f in plan_to_geojson(plan, site)["features"]}
+    assert section_types == {"dock"}
 
 
 @pytest.mark.parametrize("missing", [{"bay": None}, {"start": None}])

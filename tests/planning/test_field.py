@@ -13,10 +13,10 @@ from configs.mission import Mission
 from configs.strict import find, load
 from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from messages.errors import FieldError
-from planning.configuration import PlanningConfig
-from planning.field import read_field
+from planning.config import PlanningConfig
+from planning.field.field import read_field
+from planning.field.site_generation import site_around
 from planning.plan import plan_field
-from planning.surroundings import site_around
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[3] / "shared" / "data"))
 M = 1e-5  # degrees of latitude: about 1.1 m

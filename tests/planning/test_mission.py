@@ -9,10 +9,10 @@ from configs.mission import Mission
 from configs.site import Pose2, Site
 from configs.vehicle import MountedImplement, Vehicle
 from geometry.footprint import is_inside
-from messages.command import OperatorOrder, Order
+from messages.command import OperatorCommand, OperatorCommandKind
 from messages.perception import ObstacleClass
-from messages.plan import Leg, MissionState, MissionStatus, Path
-from planning.configuration import MissionConfig, PlanningConfig
+from messages.plan import MissionState, MissionStatus, Path, PathSectionType
+from planning.config import MissionConfig, PlanningConfig
 from planning.mission import MissionNode
 from planning.plan import Plan, plan_mission
 from tests.planning.ideal import Box, Ideal
@@ -37,7 +37,7 @@ def test_starts_on_an_order_that_still_holds(plan: Plan, config: MissionConfig, 
     waiting, none = status_of(node.step(now, Box({})))
     assert waiting.state is MissionState.WAITING
     assert none == []
-    order = OperatorOrder(now, Order.START, "page", 1, now + expires)
+    order = OperatorCommand(now, OperatorCommandKind.START, "page", 1, now + expires)
     status, paths = status_of(node.step(now, Box({}, (order,))))
     assert (status.state is MissionState.DRIVING) is starts
     assert [p.stamp_ns for p in paths] == [now] * starts
@@ -46,10 +46,11 @@ def test_starts_on_an_order_that_still_holds(plan: Plan, config: MissionConfig, 
 def test_other_orders_and_old_sequences_do_not_start(plan: Plan, config: MissionConfig) -> None:
     node, now = MissionNode(plan, config, 0), 7 * SECOND
     others = tuple(
-        OperatorOrder(now, o, "page", k, now + SECOND) for k, o in enumerate(Order, 1) if o is not Order.START
+        OperatorCommand(now, o, "page", k, now + SECOND) for k, o in enumerate(OperatorCommandKind,
+        1) if o is not OperatorCommandKind.START
     )  # fmt: skip
     assert status_of(node.step(now, Box({}, others)))[0].state is MissionState.WAITING
-    late = OperatorOrder(now, Order.START, "page", 1, now + SECOND)
+    late = OperatorCommand(now, OperatorCommandKind.START, "page", 1, now + SECOND)
     assert status_of(node.step(now, Box({}, (late,))))[0].state is MissionState.WAITING
 
 
@@ -60,7 +61,7 @@ def test_drives_the_plan_to_its_end(plan: Plan, config: MissionConfig) -> None:
     assert drive.status.state is MissionState.FINISHED
     assert drive.status.driven_m == pytest.approx(plan.length_m)
     assert [p.path_id for p in drive.paths] == [1]
-    assert drive.status.left_out == ()
+    assert drive.status.uncovered_areas == ()
 
 
 def car(x: float, y: float, degrees: float) -> Polygon:
@@ -86,8 +87,8 @@ def test_drives_round_what_stays(plan: Plan, config: MissionConfig, x: float, y:
     poses = np.array(drive.trail)
     assert is_inside(plan.rig.bodies, poses[:, :2], poses[:, 2], plan.ground.allowed.buffer(0.05)).all()
     assert {p.direction for p in drive.paths} == {1, -1}
-    assert any(t.leg is Leg.DETOUR for p in drive.paths for t in p.stretches)
-    (missed,) = drive.status.left_out
+    assert any(t.section_type is PathSectionType.DETOUR for p in drive.paths for t in p.sections)
+    (missed,) = drive.status.uncovered_areas
     rectangle = np.asarray(Polygon(missed.outline_map_m).minimum_rotated_rectangle.exterior.coords)
     assert np.hypot(*np.diff(rectangle[:3], axis=0).T).max() < 4.4 + 12.0
     assert drive.status.total_m == pytest.approx(drive.status.driven_m, abs=1.0)
@@ -130,9 +131,9 @@ def test_docks_from_where_the_machine_stands(docking: Plan, config: MissionConfi
     assert drive.status is not None
     assert drive.status.state is MissionState.FINISHED
     assert drive.pose[:2] == pytest.approx([-5.9, -39.84], abs=1e-3)
-    assert all(p.is_folded for p in drive.paths)
+    assert all(p.is_transport for p in drive.paths)
     assert [p.is_last for p in drive.paths] == [False] * (len(drive.paths) - 1) + [True]
-    assert drive.status.leg is Leg.DOCK
+    assert drive.status.section_type is PathSectionType.DOCK
     assert drive.status.driven_m == pytest.approx(drive.status.total_m)
 
 
@@ -192,14 +193,14 @@ def test_from_bay_to_bay(
 ) -> None:
     bayed = mission.model_copy(update={"bay": "narrow"})
     whole = plan_mission(bayed, site, vehicle, harrow, planning, site.bay("narrow").dock, 0)
-    assert [p.is_folded for p in whole.given] == [True, False]
+    assert [p.is_transport for p in whole.given] == [True, False]
     assert whole.length_m == pytest.approx(plan.length_m + sum(p.s_m[-1] for p in (whole.paths[0], *whole.homing)))
     drive = Ideal(whole, MissionNode(whole, planning.mission, 0), end_error_m=0.02)
     drive.run(1500)
     assert drive.status is not None
     assert drive.status.state is MissionState.FINISHED
     assert drive.pose == pytest.approx([-5.9 + 0.02, -43.68, 0.0], abs=2e-3)
-    folded = [p.is_folded for p in drive.paths]
+    folded = [p.is_transport for p in drive.paths]
     assert folded == [True, False] + [True] * (len(folded) - 2)
     assert [p.path_id for p in drive.paths][:2] == [1, 2]
     assert len({p.path_id for p in drive.paths}) == len(drive.paths)

@@ -12,13 +12,13 @@ from configs.mission import Mission, Work
 from configs.site import Area, Gate, Site
 from configs.vehicle import MountedImplement, Vehicle
 from messages.errors import FieldError
-from messages.plan import Leg, Path
-from planning.configuration import PlanningConfig
-from planning.curve import Pose
+from messages.plan import Path, PathSectionType
+from planning.config import PlanningConfig
 from planning.drawing import draw_plan, plan_to_geojson
 from planning.plan import Plan, plan_field
 from planning.sampling import sampled
-from planning.turn import Space, Wanted, is_free
+from planning.turns.dubins import Pose
+from planning.turns.turn import Space, Wanted, is_free
 
 SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
     "L": (((0, 0), (80, 0), (80, 40), (45, 40), (45, 70), (0, 70)), ()),
@@ -107,22 +107,22 @@ def test_path_is_well_formed(shaped: tuple[Site, Plan]) -> None:
 
 def test_stretches_cover_the_path(shaped: tuple[Site, Plan]) -> None:
     (path,) = shaped[1].paths
-    assert path.stretches[0].first == 0
-    assert path.stretches[-1].last == len(path.s_m) - 1
-    for k, (a, b) in enumerate(zip(path.stretches[:-1], path.stretches[1:], strict=True)):
+    assert path.sections[0].first == 0
+    assert path.sections[-1].last == len(path.s_m) - 1
+    for k, (a, b) in enumerate(zip(path.sections[:-1], path.sections[1:], strict=True)):
         assert b.first == a.last + 1
-        assert (path.stretch_index[a.first : a.last + 1] == k).all()
-    work = path.is_work.astype(bool)
-    legs = np.array([path.stretches[k].leg for k in path.stretch_index])
-    assert (np.isin(legs, [Leg.SWATH, Leg.HEADLAND]) <= work).all()
-    extra = work & ~np.isin(legs, [Leg.SWATH, Leg.HEADLAND])
-    assert extra.sum() <= 2 * len(path.stretches)
+        assert (path.section_index[a.first : a.last + 1] == k).all()
+    work = path.is_working.astype(bool)
+    section_types = np.array([path.sections[k].section_type for k in path.section_index])
+    assert (np.isin(section_types, [PathSectionType.SWATH, PathSectionType.HEADLAND]) <= work).all()
+    extra = work & ~np.isin(section_types, [PathSectionType.SWATH, PathSectionType.HEADLAND])
+    assert extra.sum() <= 2 * len(path.sections)
 
 
 def test_swaths_are_straight_and_begun_straight(shaped: tuple[Site, Plan]) -> None:
     (path,) = shaped[1].paths
-    for t in path.stretches:
-        if t.leg is Leg.SWATH:
+    for t in path.sections:
+        if t.section_type is PathSectionType.SWATH:
             before = slice(max(0, t.first - 15), t.last - 8)
             assert np.abs(path.curvature_radpm[before]).max() < 0.01
 
@@ -147,7 +147,7 @@ def test_same_input_same_plan(
     plan: Plan, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
     again = plan_field(site, vehicle, harrow, mission.work, planning.planner, 0).paths[0]
-    for name in ("p_map_m", "heading_rad", "curvature_radpm", "s_m", "speed_mps", "is_work", "stretch_index"):
+    for name in ("p_map_m", "heading_rad", "curvature_radpm", "s_m", "speed_mps", "is_working", "section_index"):
         assert getattr(again, name).tobytes() == getattr(plan.paths[0], name).tobytes()
 
 
@@ -185,7 +185,7 @@ def test_picture_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None
     lon, lat = content["features"][0]["geometry"]["coordinates"][0][0]
     assert abs(lon - site.datum.longitude_deg) < 0.002
     assert abs(lat - site.datum.latitude_deg) < 0.002
-    assert sum(f["properties"].get("leg") == "swath" for f in content["features"]) == len(plan.swaths)
+    assert sum(f["properties"].get("section_type") == "swath" for f in content["features"]) == len(plan.swaths)
 
 
 def test_sampling_finds_the_same_way_round_a_corner_again(plan: Plan) -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from configs.strict import CONFIGS, load
 from datasets.log import LogWriter
 from geometry.transforms import planar
 from messages.message import Envelope
@@ -13,7 +12,7 @@ from messages.motion import Odometry
 from messages.perception import ObstacleClass
 from messages.sensors import LidarScan
 from messages.truth import TrueMachine, TrueObject, TrueObjects
-from runtime.stack import StackConfig
+from runtime.stack import load_stack
 
 START_NS = 1_700_000_000_000_000_000
 ELEVATION_DEG = (-25, -21, -18, -16, -14, -12, -10, -8.5, -7, -6, -5, -4.2, -3.4, -2.7, -2, -1.3, -0.6, 0, 1, 2.5, 5, 8)
@@ -76,7 +75,7 @@ def drive(
 ) -> Path:
     """Write the log of a drive at constant speed and curvature; a hidden person is in the truth alone."""
     rng = np.random.default_rng(1)
-    stack = load(StackConfig, CONFIGS / "stack.yaml").datasets
+    stack = load_stack().datasets
     boxes = list(HOUSES)
     if person is not None and not is_person_hidden:
         boxes.append((*person, 0.5, 0.5, 1.75))

@@ -7,7 +7,7 @@ from datasets.log import LogWriter
 from messages.message import Envelope
 from runtime.assembly import assemble
 from runtime.executor import Executor
-from runtime.folder import resolved
+from runtime.run_folder import resolved
 from runtime.setup import load_setup
 from simulation.scenario import Scenario
 from tests.scenarios.straight import on_a_line
@@ -16,7 +16,7 @@ SECONDS = 27.0
 SCENARIO = parse(
     Scenario,
     {
-        "name": "crossing", "orders": [{"at_s": 3.0, "order": "start", "expires_s": 5.0}],
+        "name": "crossing", "operator_commands": [{"at_s": 3.0, "command": "start", "expires_s": 5.0}],
         "encounters": [{
             "kind": "crossing", "name": "person", "figure": "person", "stops": 1, "share": [0.72, 0.74],
             "from_m": [4.0, 4.1], "oblique_deg": [0.0, 1.0], "walk_mps": [1.4, 1.5], "leave_mps": [1.4, 1.5],

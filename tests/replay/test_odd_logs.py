@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_drive import LIDAR_X_M, VEHICLE, drive, vehicle_file
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from configs.strict import CONFIGS, load
 from datasets.log import LogWriter
 from datasets.reader import read_log
 from geometry.transforms import quaternion_of
@@ -19,17 +17,18 @@ from messages.errors import ConfigError, LogError
 from messages.message import Envelope
 from messages.motion import Odometry
 from messages.sensors import LidarScan
-from runtime.prepared import load_configuration, prepare
-from runtime.replay import replay
-from runtime.stack import StackConfig
+from runtime.replay.prepare import load_configuration, prepare
+from runtime.replay.replay import replay
+from runtime.stack import load_stack
+from tests.replay.recorded_drive import LIDAR_X_M, VEHICLE, drive, vehicle_file
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.judgement import judge_log
+from validation.obstacle_stop.evaluation import judge_log
 from validation.obstacle_stop.observer import Observer
 from validation.obstacle_stop.totals import put_together
 
 CONDITIONS = load_conditions(None)
 CONFIGURATION = load_configuration(CONDITIONS)
-LOG = load(StackConfig, CONFIGS / "stack.yaml").datasets.log
+LOG = load_stack().datasets.log
 Envelopes = list[Envelope]
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 
@@ -91,7 +90,7 @@ def test_what_is_odd_changes_no_verdict(log: Path, tmp_path: Path, name: str) ->
     result = judged(changed(log, tmp_path / "odd.mcap", ODD[name]), vehicle_file(tmp_path))
     (encounter,) = result["encounters"]
     assert (encounter["outcome"], result["false_stops"], len(result["stops"])) == ("in time", 0, 1)
-    assert encounter["gap_m"] == pytest.approx(13.3, abs=0.4)
+    assert encounter["clearance_m"] == pytest.approx(13.3, abs=0.4)
 
 
 @pytest.mark.parametrize(("period_s", "seconds"), [(0.4, 3.2), (0.05, 2.0)])

@@ -3,14 +3,14 @@
 from pathlib import Path
 
 import pytest
-from simulated_crossing import crossing
 
 from messages.errors import LogError
-from runtime.erased import erase
-from runtime.prepared import Prepared, load_configuration, prepare
-from runtime.replay import replay
+from runtime.replay.object_removal import erase
+from runtime.replay.prepare import Prepared, load_configuration, prepare
+from runtime.replay.replay import replay
+from tests.replay.simulated_crossing import crossing
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.judgement import judge_log
+from validation.obstacle_stop.evaluation import judge_log
 from validation.obstacle_stop.observer import Observer
 from validation.obstacle_stop.totals import put_together
 

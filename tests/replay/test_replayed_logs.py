@@ -6,14 +6,14 @@ import sys
 from pathlib import Path
 
 import pytest
-from recorded_drive import VEHICLE, drive, vehicle_file
 
 from configs.strict import CONFIGS
 from messages.errors import ConfigError, LogError
-from runtime.prepared import load_configuration, prepare
-from runtime.replay import replay
+from runtime.replay.prepare import load_configuration, prepare
+from runtime.replay.replay import replay
+from tests.replay.recorded_drive import VEHICLE, drive, vehicle_file
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.judgement import judge_log
+from validation.obstacle_stop.evaluation import judge_log
 from validation.obstacle_stop.observer import Observer
 from validation.obstacle_stop.totals import put_together
 

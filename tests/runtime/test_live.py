@@ -19,10 +19,10 @@ from messages.sensors import LidarScan, WheelSample
 from runtime.live.can_bus import SharedBus
 from runtime.live.clock import Clock
 from runtime.live.config import LiveConfig
-from runtime.live.listen import Listener
-from runtime.live.loop import Line, LiveExecutor, Nothing
+from runtime.live.live_executor import Line, LiveExecutor, Nothing
 from runtime.live.ring import RingReader, RingWriter, make_ring
-from runtime.live.wire import pack, unpack
+from runtime.live.serialization import pack, unpack
+from runtime.live.shadow import Listener
 
 ROOT = Path(__file__).resolve().parents[2]
 NUMBERS = itertools.count()

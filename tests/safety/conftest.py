@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from safety_world import ROOT, World, straight_path
 
 from configs.strict import load, parse, read_yaml
 from configs.vehicle import Camera, ImplementFile, Mount, Radar, Ultrasonic, Vehicle
 from safety.config import SafetyConfig
-from safety.fence import Fence
 from safety.supervisor import Supervisor
+from safety.zones.geofence import Fence
+from tests.safety.safety_world import ROOT, World, straight_path
 
 DRIVES = {"world", "seeing", "shed_world", "thin"}
 
@@ -25,7 +25,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def config() -> SafetyConfig:
-    return parse(SafetyConfig, read_yaml(ROOT / "configs/stack.yaml")["safety"], "stack.yaml safety")
+    return parse(SafetyConfig, read_yaml(ROOT / "configs/stack/safety.yaml"), "stack/safety.yaml")
 
 
 @pytest.fixture(scope="session")

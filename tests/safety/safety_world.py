@@ -10,19 +10,19 @@ import numpy as np
 
 from configs.vehicle import Lidar, Mount, Radar, TrailedImplement, Ultrasonic, Vehicle
 from geometry.transforms import planar, transform
-from messages.command import MachineState, Mode, OperatorOrder, Order, Wish
+from messages.command import ControlCommand, MachineState, Mode, OperatorCommand, OperatorCommandKind
 from messages.message import Message
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.perception import HealthState, Obstacles, SensorHealth, Tracks
-from messages.plan import Leg, MissionState, MissionStatus, Path, Stretch
+from messages.plan import MissionState, MissionStatus, Path, PathSection, PathSectionType
 from messages.sensors import ImuSample, LidarScan, RadarScan, UltrasonicRange, WheelSample
-from messages.topics import kind_of
-from safety.brake_test import Phase
+from messages.topics import spec_of
 from safety.config import SafetyConfig
-from safety.field import Gap
-from safety.situation import Situation
+from safety.monitors.brake_test import Phase
+from safety.rules.situation import Situation
 from safety.supervisor import Supervisor
-from safety.tracked import NO_THREAT
+from safety.zones.protective_field import Gap
+from safety.zones.tracked_obstacles import NO_THREAT
 
 ROOT = File(__file__).parents[2]
 START_NS = 5_000_000_000
@@ -51,7 +51,7 @@ class SyntheticInbox:
 
     def latest(self, topic: str, kind: type) -> Any:
         message = self.messages.get(topic)
-        limit = kind_of(topic).max_age_s
+        limit = spec_of(topic).max_age_s
         if message is None or abs(self.now_ns - message.stamp_ns) > limit * 1e9:
             return None
         return message
@@ -142,10 +142,10 @@ def straight_path(path_id: int = 1, length_m: float = 100.0, start: tuple[float,
     chord = way * np.sinc(half / math.pi)
     p = np.column_stack([start[0] + chord * np.cos(half), start[1] + chord * np.sin(half)])
     n = len(s)
-    stretch = Stretch(Leg.SWATH, 1, 0, n - 1)
+    section = PathSection(PathSectionType.SWATH, 1, 0, n - 1)
     return Path(
         START_NS, path_id, direction, p, heading, np.full(n, curvature), s, np.full(n, speed_mps),
-        np.ones(n, np.uint8), (stretch,), np.zeros(n, np.int32), False,
+        np.ones(n, np.uint8), (section,), np.zeros(n, np.int32), False,
     )  # fmt: skip
 
 
@@ -155,8 +155,8 @@ def machine_state(stamp_ns: int, **changes: Any) -> MachineState:
         stamp_ns=stamp_ns, motion_stamp_ns=stamp_ns, steering_stamp_ns=stamp_ns, implement_stamp_ns=stamp_ns,
         cab_stamp_ns=stamp_ns, heartbeat_stamp_ns=stamp_ns, speed_mps=0.0, curvature_radpm=0.0, is_steering_ready=True,
         steering_exit_code=0, steering_limit=0, hitch=0.0, is_hitch_in_work=True, pto_radps=0.0, is_pto_engaged=False,
-        is_park_brake_set=False, is_horn_on=False, is_beacon_on=False, brake_pedal=0.0, hand_torque_nm=0.0,
-        hand_rate_radps=0.0, hand_angle_rad=0.0, is_seat_occupied=False, is_emergency_button_pressed=False,
+        is_park_brake_set=False, is_horn_on=False, is_beacon_on=False, brake_pedal=0.0, driver_torque_nm=0.0,
+        driver_rate_radps=0.0, driver_angle_rad=0.0, is_seat_occupied=False, is_emergency_button_pressed=False,
         supply_v=13.8, rejected_frames=0,
     )  # fmt: skip
     return replace(state, **changes)
@@ -283,11 +283,17 @@ class World:
     def mode(self) -> str:
         return str(self.supervisor.mode)
 
-    def order(self, order: Order, authority: str = "operator", expires_s: float = 10.0, sequence: int | None = None):
+    def order(
+        self,
+        order: OperatorCommandKind,
+        authority: str = "operator",
+        expires_s: float = 10.0,
+        sequence: int | None = None,
+    ):
         self.sequence += 1
         number = self.sequence if sequence is None else sequence
         now = self.inbox.now_ns + STEP_NS
-        self.inbox.put("order", OperatorOrder(now, order, authority, number, now + round(expires_s * 1e9)))
+        self.inbox.put("operator_command", OperatorCommand(now, order, authority, number, now + round(expires_s * 1e9)))
 
     def put(self, topic: str, message: Message) -> None:
         if topic not in self.mute and topic.partition("/")[0] not in self.mute:
@@ -307,7 +313,7 @@ class World:
             "speed_mps": self.speed_mps,
             "curvature_radpm": curvature,
             "is_park_brake_set": bool(self.command and self.command.is_park_brake_set),
-            "fold": self.fold,
+            "fold_position": self.fold,
             **self.machine_changes,
         }
         self.put("machine", machine_state(now, **changes))
@@ -321,9 +327,11 @@ class World:
                     self.put(f"lidar/{name}", scan)
         self.put_others(now)
         if self.steps % 10 == 0:
-            status = MissionStatus(now, self.mission, Leg.SWATH, 1, self.path.path_id, self.place_m, 0.0, 1.0, "", ())
+            status = MissionStatus(
+                now, self.mission, PathSectionType.SWATH, 1, self.path.path_id, self.place_m, 0.0, 1.0, "", ()
+            )
             self.put("mission", status)
-        wish = Wish(
+        control_command = ControlCommand(
             now,
             self.path.direction * self.wish_mps,
             0.0,
@@ -336,7 +344,7 @@ class World:
             0.0,
             False,
         )
-        self.put("wish", replace(wish, **self.wish_changes))
+        self.put("control_command", replace(control_command, **self.wish_changes))
         if self.steps == 0 or self.inbox.messages.get("path") is not self.path:
             self.put("path", self.path)
 
@@ -401,7 +409,7 @@ class World:
     def start(self) -> "World":
         """Through the start warning into automatic mode."""
         self.run(0.2)
-        self.order(Order.START)
+        self.order(OperatorCommandKind.START)
         return self.run(3.2)
 
 
@@ -414,7 +422,8 @@ def situation_of(config: SafetyConfig, **changes: Any) -> Situation:
         max_speed_mps=8.0, braking=config.braking.flat, allowance_m=2.1,
         odom=Odometry(START_NS, T, 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), machine=machine_state(START_NS),
         map_pose=replace(pose, **changes.pop("pose", {})),
-        wish=Wish(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False), silent=(), frozen=(), faults=(),
+        control_command=ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False), silent=(),
+        frozen=(), faults=(),
         gap=Gap(math.inf, math.inf, np.empty((0, 3))), is_planned=True, threat=NO_THREAT, proven_m=40.0, blind=(),
         fence_m=math.inf, position_sigma_m=0.01, hand_forced_s=0.0, steering_off_s=0.0, steering_lost_s=0.0,
         brake_weak_s=0.0, is_foldable=False, fold=0.0, clock_step_s=0.0, brake_test=Phase.PASSED, lost=(),

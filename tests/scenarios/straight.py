@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from configs.site import Pose2
-from messages.plan import Leg, Path, Stretch
+from messages.plan import Path, PathSection, PathSectionType
 from runtime.setup import Setup
 
 
@@ -15,7 +15,8 @@ def on_a_line(setup: Setup, length_m: float, speed_kmh: float) -> Setup:
     n = len(s)
     path = Path(
         0, 0, 1, np.column_stack([15.0 + s, np.full(n, 25.0)]), np.zeros(n), np.zeros(n), s,
-        np.append(np.full(n - 1, speed_kmh / 3.6), 0.0), np.ones(n, np.uint8), (Stretch(Leg.SWATH, 0, 0, n - 1),),
+        np.append(np.full(n - 1, speed_kmh / 3.6), 0.0), np.ones(n, np.uint8), (PathSection(PathSectionType.SWATH, 0,
+        0, n - 1),),
         np.zeros(n, np.int32), True,
     )  # fmt: skip
     plan = replace(setup.plan, paths=(path,), length_m=length_m)

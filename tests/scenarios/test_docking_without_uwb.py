@@ -1,12 +1,12 @@
 """Without UWB nobody knows where the bay is to the centimetre: the machine does not go in, and says why."""
 
 import numpy as np
-from forward import Drive, forward
 
 from messages.plan import MissionState, MissionStatus
 from messages.truth import TrueMachine
 from runtime.setup import load_setup
 from simulation.faults.config import FaultKind, InjectedFault
+from tests.scenarios.forward import Drive, forward
 
 
 def test_without_uwb_the_machine_stops_before_the_shed_and_says_why() -> None:

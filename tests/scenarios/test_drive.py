@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forward import Drive, forward
 
-from messages.command import Mode, SafeCommand, Wish
+from messages.command import ControlCommand, Mode, SafeCommand
 from messages.truth import TrueMachine
 from runtime.setup import Setup, load_setup
 from simulation.faults.config import FaultKind, InjectedFault
+from tests.scenarios.forward import Drive, forward
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,11 +26,15 @@ def speed(drive: Drive) -> float:
 
 
 def test_leaves_the_yard_after_the_start_warning(setup: Setup) -> None:
-    drive = forward(setup, lambda d: "wish" in d.newest and d.last("wish", Wish).path_s_m > 12.0, 25.0)
+    drive = forward(
+        setup,
+        lambda d: "control_command" in d.newest and d.last("control_command", ControlCommand).path_s_m > 12.0,
+        25.0,
+    )
     assert drive.modes == ["standby", "start_warning", "automatic"]
-    truth, wish = drive.last("truth_machine", TrueMachine), drive.last("wish", Wish)
+    truth, control_command = drive.last("truth_machine", TrueMachine), drive.last("control_command", ControlCommand)
     assert speed(drive) > 1.5
-    assert abs(wish.xte_m) < 0.05
+    assert abs(control_command.xte_m) < 0.05
     assert abs(truth.T_map_base[0, 3] - 20.0) < 0.08  # the lane runs north along x = 20 m
 
 
@@ -57,14 +61,17 @@ def test_what_fails_stops_the_machine_and_is_named(setup: Setup, topic: str, kin
 
 DIGEST = """
 import sys
-sys.path[:0] = [{root!r}, {root!r} + "/tests/scenarios"]
+sys.path.insert(0, {root!r})
 from pathlib import Path
-from forward import forward
+from tests.scenarios.forward import forward
 from datasets.log import LogWriter
 from runtime.setup import load_setup
 setup = load_setup("yard", None, None, None, {seed})
 with LogWriter(Path(sys.argv[1]), {{}}, setup.stack.datasets.log, None) as log:
-    forward(setup, lambda d: "wish" in d.newest and d.newest["wish"].path_s_m > 2.0, 20.0, sinks=(log.write,))
+    forward(
+        setup, lambda d: "control_command" in d.newest and d.newest["control_command"].path_s_m > 2.0, 20.0,
+        sinks=(log.write,),
+    )
     print(log.digest())
 """
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forward import Drive, forward
 
 from configs.strict import parse
 from geometry.transforms import apply
@@ -15,6 +14,7 @@ from messages.perception import Tracks
 from messages.truth import TrueMachine, TrueObjects
 from runtime.setup import load_setup, with_model
 from simulation.scenario import Scenario
+from tests.scenarios.forward import Drive, forward
 from tests.scenarios.straight import on_a_line
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
@@ -26,7 +26,7 @@ def walker(kind: str) -> Scenario:
     return parse(
         Scenario,
         {
-            "name": kind, "orders": [{"at_s": 3.0, "order": "start", "expires_s": 5.0}],
+            "name": kind, "operator_commands": [{"at_s": 3.0, "command": "start", "expires_s": 5.0}],
             "encounters": [{
                 "kind": "crossing", "name": "person", "figure": "person", "stops": 1, "seen_by": [kind],
                 "share": [0.65, 0.66], "from_m": [3.0, 3.1], "oblique_deg": [0.0, 1.0], "walk_mps": [1.2, 1.3],
@@ -51,12 +51,15 @@ def test_the_machine_stops_before_a_person_whom_one_sensor_sees(kind: str, lengt
         if "safe_command" not in drive.newest:
             return False
         reason = drive.last("safe_command", SafeCommand).reason
-        return reason.startswith("obstacle.") and drive.last("truth_machine", TrueMachine).speed_mps < 0.05
+        return (
+            reason.startswith(("protective_field", "tracked_obstacle"))
+            and drive.last("truth_machine", TrueMachine).speed_mps < 0.05
+        )
 
     drive = forward(setup, stands, 60.0, walker(kind))
     assert drive.last("truth_machine", TrueMachine).contacts == 0
     (person,) = (o for o in drive.last("truth_objects", TrueObjects).objects if o.role == "person")
-    assert 0.3 < person.gap_m < 5.0
+    assert 0.3 < person.clearance_m < 5.0
     T_map_odom = drive.last("map_pose", MapPose).T_map_odom
     seen_by = [
         name.partition("_")[0]

@@ -1,7 +1,6 @@
 """A small farm and a gateway of cantools alone (nothing of interfaces/), to drive the simulated tractor in tests."""
 
 import itertools
-from pathlib import Path as File
 
 import can
 import numpy as np
@@ -9,14 +8,14 @@ import numpy as np
 from configs.site import Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import ImplementFile, Vehicle
-from messages.plan import Leg, Path, Stretch
+from messages.plan import Path, PathSection, PathSectionType
+from simulation.machine.tractor_bus import load_database
 from simulation.scenario import Scenario
-from simulation.tractor_bus import load_database
 from simulation.world import SimulationConfig, SimulationWorld
 
 _CHANNELS = itertools.count()
 IMPLEMENT = load(ImplementFile, find("implements", "harrow_6m")).implement
-CONFIG = parse(SimulationConfig, read_yaml(File(CONFIGS / "stack.yaml"))["simulation"], "stack.yaml")
+CONFIG = parse(SimulationConfig, read_yaml(CONFIGS / "stack/simulation.yaml"), "stack/simulation.yaml")
 EMPTY = load(Scenario, find("scenarios", "empty"))
 SITE = parse(
     Site,
@@ -153,7 +152,7 @@ def straight_paths(count=5, length_m=56.0, spacing_m=5.0, speed_mps=10.0 / 3.6):
         n = len(s)
         paths.append(Path(
             0, line, 1, np.column_stack([x, np.full(n, line * spacing_m)]), np.full(n, heading), np.zeros(n), s.copy(),
-            np.full(n, speed_mps), np.ones(n, np.uint8), (Stretch(Leg.SWATH, line, 0, n - 1),),
+            np.full(n, speed_mps), np.ones(n, np.uint8), (PathSection(PathSectionType.SWATH, line, 0, n - 1),),
             np.zeros(n, np.int32), line == count - 1,
         ))  # fmt: skip
     return tuple(paths)

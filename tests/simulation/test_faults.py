@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from configs.strict import CONFIGS, load
-from interfaces.incoming import Incoming
+from interfaces.can_receiver import Incoming
 from messages.errors import ConfigError, LogError
 from messages.message import Envelope
 from messages.sensors import GnssFix, GnssSolution, ImuSample, LidarScan, WheelSample
-from messages.topics import KINDS
+from messages.topics import TOPICS
 from simulation.faults.config import MEASURED, FaultKind, FaultsConfig, InjectedFault, kinds_of
 from simulation.faults.frames import FaultyBus
 from simulation.faults.injection import HOUR_NS, Injection
-from simulation.tractor_bus import load_database
-from simulation.tractor_status import Frame
+from simulation.machine.tractor_bus import load_database
+from simulation.machine.tractor_status import Frame
 
 MS = 1_000_000
 START = 1_700_000_000_000 * MS
@@ -68,12 +68,12 @@ def test_out_of_order_swaps_pairs_and_loses_none() -> None:
 
 def test_delayed_comes_by_twice_its_greatest_age_late() -> None:
     late = [(t - (m.stamp_ns - START) // MS) for t, m in come(FaultKind.DELAYED) if m.stamp_ns >= START + 200 * MS]
-    assert max(late) == round(2000 * KINDS["wheel"].max_age_s)
+    assert max(late) == round(2000 * TOPICS["wheel"].max_age_s)
 
 
 def test_slow_leaves_gaps_of_more_than_its_greatest_age() -> None:
     times = [t for t, _ in within(FaultKind.SLOW)]
-    assert min(np.diff(times)) >= 3000 * KINDS["wheel"].max_age_s - 20
+    assert min(np.diff(times)) >= 3000 * TOPICS["wheel"].max_age_s - 20
 
 
 def test_values_are_broken_as_the_table_says() -> None:

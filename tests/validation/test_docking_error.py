@@ -13,13 +13,13 @@ from configs.vehicle import ImplementFile, Vehicle
 from geometry.transforms import planar
 from messages.message import Envelope, Message
 from messages.perception import ObstacleClass, Obstacles
-from messages.plan import Leg, MissionState, MissionStatus, Path, Stretch
+from messages.plan import MissionState, MissionStatus, Path, PathSection, PathSectionType
 from messages.truth import TrueMachine, TrueObject, TrueObjects
-from validation.detections import Detections, Look, range_rows, share_rows, views_of
-from validation.docking import bodies_of, docking_drive, measure_docking
-from validation.record import DriveRecord, collect
-from validation.sensing_pictures import detections_picture, docking_picture, meeting, shares_picture
-from validation.summary import Planned, summarize
+from validation.drive.detections import Detections, Look, range_rows, share_rows, views_of
+from validation.drive.docking import bodies_of, docking_drive, measure_docking
+from validation.drive.record import DriveRecord, collect
+from validation.drive.sensing_figures import detections_picture, docking_picture, meeting, shares_picture
+from validation.drive.summary import Planned, summarize
 
 SITE = load(Site, find("sites", "demo"))
 VEHICLE = load(Vehicle, find("machines", "tractor_e"))
@@ -33,11 +33,11 @@ def machine(t_ns: int, x_m: float, y_m: float, yaw_rad: float, speed_mps: float 
     )
 
 
-def path(t_ns: int, number: int, leg: Leg) -> Path:
+def path(t_ns: int, number: int, section_type: PathSectionType) -> Path:
     s = np.arange(3.0)
     return Path(
         t_ns, number, 1, np.outer(s, [1.0, 0.0]), np.zeros(3), np.zeros(3), s, np.ones(3), np.zeros(3, np.uint8),
-        (Stretch(leg, -1, 0, 2),), np.zeros(3, np.int32), False,
+        (PathSection(section_type, -1, 0, 2),), np.zeros(3, np.int32), False,
     )  # fmt: skip
 
 
@@ -47,15 +47,16 @@ def docked(bay: Bay, along_m: float, left_m: float, turned_deg: float, state: Mi
     c, s = math.cos(heading), math.sin(heading)
     x, y = bay.dock.x_m + c * along_m - s * left_m, bay.dock.y_m + s * along_m + c * left_m
     rows: list[tuple[str, Message]] = [
-        ("path", path(0, 0, Leg.DOCK)), ("truth_machine", machine(1, x, y, heading, 0.5)),
-        ("path", path(2, 1, Leg.LANE)), ("truth_machine", machine(3, x + 20.0 * c, y + 20.0 * s, heading, 2.0)),
-        ("path", path(4, 2, Leg.DOCK)), ("path", path(5, 3, Leg.DOCK)),
+        ("path", path(0, 0, PathSectionType.DOCK)), ("truth_machine", machine(1, x, y, heading, 0.5)),
+        ("path", path(2, 1, PathSectionType.LANE)), ("truth_machine", machine(3, x + 20.0 * c, y + 20.0 * s, heading,
+        2.0)),
+        ("path", path(4, 2, PathSectionType.DOCK)), ("path", path(5, 3, PathSectionType.DOCK)),
     ]  # fmt: skip
     for k in range(10):
         away = 0.5 * (9 - k)
         yaw = heading + math.radians(turned_deg)
         rows.append(("truth_machine", machine(6 + k, x + away * c, y + away * s, yaw, -0.5 if k < 9 else 0.0)))
-    rows.append(("mission", MissionStatus(20, state, Leg.DOCK, -1, 3, 0.0, 0.0, 0.0, "", ())))
+    rows.append(("mission", MissionStatus(20, state, PathSectionType.DOCK, -1, 3, 0.0, 0.0, 0.0, "", ())))
     return collect(Envelope(topic, i, m.stamp_ns + 1, m) for i, (topic, m) in enumerate(rows))
 
 
@@ -108,7 +109,7 @@ def told(stamp_ns: int, sensor: str, at_m: list[tuple[float, float]]) -> Obstacl
 def test_a_short_sight_is_not_asked_while_everybody_is_far() -> None:
     watch = Detections(VEHICLE)
     person = TrueObject(
-        1, ObstacleClass.PERSON, "person", np.array([112.0, 0.0, 0.9]), np.ones(3), 0.0, np.zeros(2), gap_m=8.0
+        1, ObstacleClass.PERSON, "person", np.array([112.0, 0.0, 0.9]), np.ones(3), 0.0, np.zeros(2), clearance_m=8.0
     )
     near, other, short = "obstacles/lidar_front", "truth_machine", "obstacles/ultrasonic_front_middle"
     assert not watch.needs(near)
@@ -116,7 +117,7 @@ def test_a_short_sight_is_not_asked_while_everybody_is_far() -> None:
     assert not watch.needs(near)
     watch(Envelope("truth_objects", 1, 1, TrueObjects(1, (person,))))
     assert (watch.needs(near), watch.needs(other), watch.needs(short)) == (True, True, False)
-    watch(Envelope("truth_objects", 2, 2, TrueObjects(2, (replace(person, gap_m=4.0),))))
+    watch(Envelope("truth_objects", 2, 2, TrueObjects(2, (replace(person, clearance_m=4.0),))))
     assert watch.needs(short)
 
 

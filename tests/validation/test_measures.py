@@ -7,19 +7,19 @@ import pytest
 from shapely import box
 
 from geometry.transforms import planar
-from messages.command import Mode, SupervisorState, Wish
+from messages.command import ControlCommand, Mode, SupervisorState
 from messages.errors import LogError
 from messages.message import Envelope, Message
 from messages.motion import MapPose, PositionSource
 from messages.perception import ObstacleClass
-from messages.plan import LeftOut, Leg, MissionState, MissionStatus, Path, Stretch
+from messages.plan import MissionState, MissionStatus, Path, PathSection, PathSectionType, UncoveredArea
 from messages.truth import TrueMachine, TrueObject, TrueObjects
-from validation.coverage import measure_coverage, worked_area
-from validation.positioning import measure_position
-from validation.record import DriveRecord, collect
-from validation.stops import false_stops, find_stops
-from validation.summary import Planned, summarize
-from validation.tracking import measure_cross_track, statistics
+from validation.drive.coverage import measure_coverage, worked_area
+from validation.drive.positioning import measure_position
+from validation.drive.record import DriveRecord, collect
+from validation.drive.stops import false_stops, find_stops
+from validation.drive.summary import Planned, summarize
+from validation.drive.tracking import measure_cross_track, statistics
 from validation.verdict import State, judge
 
 STEP_NS = 50_000_000
@@ -31,7 +31,8 @@ def straight_path(heading_rad: float, length_m: float = 60.0) -> Path:
     n = len(s)
     return Path(
         1, 0, 1, np.outer(s, [math.cos(heading_rad), math.sin(heading_rad)]), np.full(n, heading_rad), np.zeros(n), s,
-        np.full(n, SPEED_MPS), np.ones(n, np.uint8), (Stretch(Leg.SWATH, 0, 0, n - 1),), np.zeros(n, np.int32), True,
+        np.full(n, SPEED_MPS), np.ones(n, np.uint8), (PathSection(PathSectionType.SWATH, 0, 0, n - 1),), np.zeros(n,
+        np.int32), True,
     )  # fmt: skip
 
 
@@ -60,7 +61,7 @@ def drive(heading_rad: float, offset_m: float, seconds: float = 20.0) -> DriveRe
     for k in range(1, int(seconds * 1e9 / STEP_NS)):
         t_ns, s_m = k * STEP_NS, SPEED_MPS * k * STEP_NS * 1e-9
         x, y = along * s_m + across * offset_m
-        rows.append(("wish", Wish(t_ns, 2.0, 0.0, 0.0, True, True, 0, s_m, 0.0, 0.0, False)))
+        rows.append(("control_command", ControlCommand(t_ns, 2.0, 0.0, 0.0, True, True, 0, s_m, 0.0, 0.0, False)))
         rows.append(("truth_machine", machine(t_ns, x, y, heading_rad)))
     return collect(Envelope(topic, i, m.stamp_ns, m) for i, (topic, m) in enumerate(rows))
 
@@ -68,7 +69,7 @@ def drive(heading_rad: float, offset_m: float, seconds: float = 20.0) -> DriveRe
 @pytest.mark.parametrize("heading_rad", [0.0, 1.0, 2.5, -2.0])
 @pytest.mark.parametrize("offset_m", [-0.03, 0.0, 0.05])
 def test_cross_track_is_signed_left_positive(heading_rad: float, offset_m: float) -> None:
-    found = statistics(measure_cross_track(drive(heading_rad, offset_m)).on(Leg.SWATH))
+    found = statistics(measure_cross_track(drive(heading_rad, offset_m)).on(PathSectionType.SWATH))
     assert found is not None
     assert found["mean"] == pytest.approx(offset_m, abs=1e-9)
     assert found["sigma"] == pytest.approx(0.0, abs=1e-9)
@@ -77,7 +78,7 @@ def test_cross_track_is_signed_left_positive(heading_rad: float, offset_m: float
 
 def test_nothing_driven_gives_no_statistics() -> None:
     track = measure_cross_track(drive(0.0, 0.0))
-    assert statistics(track.on(Leg.HEADLAND)) is None
+    assert statistics(track.on(PathSectionType.HEADLAND)) is None
 
 
 def test_worked_area_and_coverage_list_what_is_missing() -> None:
@@ -89,20 +90,20 @@ def test_worked_area_and_coverage_list_what_is_missing() -> None:
     coverage = measure_coverage(planned, worked, ())
     assert coverage.share == pytest.approx((record.truth[-1].T_map_base[0, 3] - 1.0) / 49.0, rel=1e-6)
     assert [piece.reason for piece in coverage.uncovered] == ["not worked"]
-    gone = LeftOut("parked vehicle", 72.0, np.array([[38.0, -4.0], [51.0, -4.0], [51.0, 4.0], [38.0, 4.0]]))
+    gone = UncoveredArea("parked vehicle", 72.0, np.array([[38.0, -4.0], [51.0, -4.0], [51.0, 4.0], [38.0, 4.0]]))
     listed = measure_coverage(planned, worked, (gone,))
     assert listed.share == pytest.approx(1.0)
     assert [piece.reason for piece in listed.uncovered] == ["parked vehicle"]
 
 
-def supervisor(t_ns: int, mode: Mode, reason: str, gap_m: float, hits: np.ndarray) -> SupervisorState:
+def supervisor(t_ns: int, mode: Mode, reason: str, clearance_m: float, hits: np.ndarray) -> SupervisorState:
     return SupervisorState(
         t_ns,
         mode,
         reason,
         (),
         ObstacleClass.PERSON,
-        gap_m,
+        clearance_m,
         2.3,
         5.0,
         30.0,
@@ -133,14 +134,14 @@ def with_stop(role: str, place_m: tuple[float, float]) -> DriveRecord:
         gap = max(8.0 - 0.5 * (k - 10), 3.0) if is_limited else math.inf
         rows.append(("truth_machine", machine(t_ns, 0.0, 0.0, 0.0)))
         rows.append(("truth_objects", TrueObjects(t_ns, (thing,))))
-        reason = "obstacle.raw" if is_limited else ""
+        reason = "protective_field" if is_limited else ""
         rows.append(("supervisor", supervisor(t_ns, mode, reason, gap, hits if is_limited else hits[:0])))
     return collect(Envelope(topic, i, m.stamp_ns, m) for i, (topic, m) in enumerate(rows))
 
 
 def test_stop_knows_cause_first_range_and_true_margin() -> None:
     (stop,) = find_stops(with_stop("person", (5.2, 0.3)))
-    assert (stop.role, stop.cause, stop.label) == ("person", "obstacle.raw", "person")
+    assert (stop.role, stop.cause, stop.label) == ("person", "protective_field", "person")
     assert stop.t_s == pytest.approx(1.9)
     assert stop.range_m == pytest.approx(8.0)
     assert stop.margin_m == pytest.approx(1.7)
@@ -179,7 +180,7 @@ def test_position_error_is_split_along_and_across() -> None:
 
 def test_summary_of_a_whole_drive() -> None:
     record = drive(0.0, 0.02)
-    status = MissionStatus(1, MissionState.FINISHED, Leg.SWATH, 0, 0, 40.0, 40.0, 40.0, "done", ())
+    status = MissionStatus(1, MissionState.FINISHED, PathSectionType.SWATH, 0, 0, 40.0, 40.0, 40.0, "done", ())
     record.messages["mission"].append(status)
     planned = Planned(box(1.0, -3.0, 39.0, 3.0), 240.0, 6.0, {"person": 1})
     summary = summarize(record, planned)

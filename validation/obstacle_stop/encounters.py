@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from validation.obstacle_stop.conditions import Conditions
-from validation.obstacle_stop.looks import ahead, gap_of, is_in_tube
 from validation.obstacle_stop.observation import Asked, Observation, Sighting
 from validation.obstacle_stop.ranges import confirmed, range_without_failure
-from validation.obstacle_stop.stopping import stopping_m
+from validation.obstacle_stop.stopping import stopping_distance_m
+from validation.obstacle_stop.visibility import ahead, gap_of, is_in_tube
 
 EARLY_NS = 1_000_000_000  # a tracked obstacle may be answered before it enters
 START_S = 0.25
@@ -41,9 +41,10 @@ class Outcome(StrEnum):
 class Encounter:
     """One object in the tube.
 
-    `gap_m`, `stopping_m` (S alone), `required_m` and `margin_m` (gap − S) are of one moment, `decided_s`: that of
-    entering for cut-in, occluded, missed and censored, of the asking when a stop was asked, else of the least margin.
-    Those of entering stand beside it. `asked_after_s` counts from entering; ranges are from the vehicle's front.
+    `clearance_m`, `stopping_distance_m` (S alone), `required_range_m` and `margin_m` (gap − S) are of one moment,
+    `decided_s`: that of entering for cut-in, occluded, missed and censored, of the asking when a stop was asked, else
+    of the least margin. Those of entering stand beside it. `asked_after_s` counts from entering; ranges are from the
+    vehicle's front.
     """
 
     log: str
@@ -53,9 +54,9 @@ class Encounter:
     outcome: Outcome
     entered_s: float
     decided_s: float
-    gap_m: float
-    stopping_m: float
-    required_m: float
+    clearance_m: float
+    stopping_distance_m: float
+    required_range_m: float
     margin_m: float
     entry_gap_m: float
     entry_speed_mps: float
@@ -88,15 +89,15 @@ class Moment:
     """An object in the tube at one scan: gap, S, whole range needed."""
 
     stamp_ns: int
-    gap_m: float
+    clearance_m: float
     speed_mps: float
-    stopping_m: float
-    required_m: float
+    stopping_distance_m: float
+    required_range_m: float
 
     @property
     def margin_m(self) -> float:
         """What is left beyond S."""
-        return self.gap_m - self.stopping_m
+        return self.clearance_m - self.stopping_distance_m
 
 
 def find_encounters(log: str, seen: Observation, conditions: Conditions) -> list[Encounter]:
@@ -126,8 +127,9 @@ def _encounter(log: str, rows: list[Sighting], seen: Observation, conditions: Co
     entered_s = seen.time_s(entry.stamp_ns)
     return Encounter(
         log, rows[0].id, rows[0].label, rows[0].role, outcome, entered_s, seen.time_s(decided.stamp_ns),
-        decided.gap_m, decided.stopping_m, decided.required_m, decided.margin_m, entry.gap_m, entry.speed_mps,
-        entry.stopping_m, least.margin_m, relative_speed(moments),
+        decided.clearance_m, decided.stopping_distance_m, decided.required_range_m, decided.margin_m,
+        entry.clearance_m, entry.speed_mps,
+        entry.stopping_distance_m, least.margin_m, relative_speed(moments),
         range_without_failure([(s.edge_m, s.is_seen) for s in countable]),
         range_without_failure(confirmed([(s.edge_m, s.is_seen) for s in countable])),
         asked_s, None if asked_s is None else asked_s - entered_s,
@@ -140,7 +142,7 @@ def judge(
 ) -> Outcome:
     """How it went; see the sketch above."""
     entry = moments[0]
-    is_inside = entry.gap_m < entry.stopping_m
+    is_inside = entry.clearance_m < entry.stopping_distance_m
     after_s = math.inf if asked is None else (asked.stamp_ns - entry.stamp_ns) * 1e-9
     if is_inside and seen.time_s(entry.stamp_ns) <= START_S:
         return Outcome.CENSORED if after_s <= conditions.grace_s else Outcome.MISSED
@@ -156,13 +158,13 @@ def judge(
     if asked.stamp_ns < entry.stamp_ns:
         return Outcome.IN_TIME
     then = moment_at(moments, asked.stamp_ns)
-    left_m = stopping_m(then.speed_mps, conditions.braking.dead_time_s, conditions.braking)
-    return Outcome.IN_TIME if then.gap_m >= left_m else Outcome.LATE
+    left_m = stopping_distance_m(then.speed_mps, conditions.braking.dead_time_s, conditions.braking)
+    return Outcome.IN_TIME if then.clearance_m >= left_m else Outcome.LATE
 
 
 def is_overlooked(rows: list[Sighting], moments: list[Moment], conditions: Conditions) -> bool:
     """Whether perception never showed it though it came nearer than what must be recognized."""
-    near_m = min(m.gap_m - max(m.required_m, conditions.recognition_m) for m in moments)
+    near_m = min(m.clearance_m - max(m.required_range_m, conditions.recognition_m) for m in moments)
     return near_m < 0.0 and not any(s.is_seen for s in rows)
 
 
@@ -176,7 +178,7 @@ def was_hidden(rows: list[Sighting], entered_ns: int, conditions: Conditions) ->
 def moment_of(sighting: Sighting, seen: Observation, conditions: Conditions) -> Moment:
     """Gap and needs at one sighting."""
     speed = seen.motion.fastest_at(sighting.stamp_ns)
-    stopping = stopping_m(speed, conditions.braking.reaction_s, conditions.braking)
+    stopping = stopping_distance_m(speed, conditions.braking.reaction_s, conditions.braking)
     return Moment(
         sighting.stamp_ns, gap_of(sighting), speed, stopping, stopping + allowance_at(sighting.stamp_ns, seen)
     )
@@ -191,7 +193,7 @@ def allowance_at(stamp_ns: int, seen: Observation) -> float:
 def moment_at(moments: list[Moment], stamp_ns: int) -> Moment:
     """The encounter at any time, straight between its scans."""
     stamps = np.array([m.stamp_ns for m in moments], np.float64)
-    rows = np.array([(m.gap_m, m.speed_mps, m.stopping_m, m.required_m) for m in moments])
+    rows = np.array([(m.clearance_m, m.speed_mps, m.stopping_distance_m, m.required_range_m) for m in moments])
     at = [float(np.interp(float(stamp_ns), stamps, rows[:, k])) for k in range(4)]
     return Moment(min(max(stamp_ns, moments[0].stamp_ns), moments[-1].stamp_ns), at[0], at[1], at[2], at[3])
 
@@ -214,7 +216,7 @@ def relative_speed(moments: list[Moment]) -> float | None:
     if len(some) < 2:
         return None
     t = np.array([(m.stamp_ns - some[0].stamp_ns) * 1e-9 for m in some])
-    return -float(np.polynomial.polynomial.polyfit(t, np.array([m.gap_m for m in some]), 1)[1])
+    return -float(np.polynomial.polynomial.polyfit(t, np.array([m.clearance_m for m in some]), 1)[1])
 
 
 def perceived(log: str, seen: Observation, conditions: Conditions) -> list[Encounter]:
@@ -226,22 +228,23 @@ def perceived(log: str, seen: Observation, conditions: Conditions) -> list[Encou
         moments = []
         for r in rows:
             speed = seen.motion.fastest_at(r.stamp_ns)
-            s = stopping_m(speed, conditions.braking.reaction_s, conditions.braking)
-            moments.append(Moment(r.stamp_ns, r.gap_m, speed, s, s + allowance_at(r.stamp_ns, seen)))
+            s = stopping_distance_m(speed, conditions.braking.reaction_s, conditions.braking)
+            moments.append(Moment(r.stamp_ns, r.clearance_m, speed, s, s + allowance_at(r.stamp_ns, seen)))
         entry, least = moments[0], min(moments, key=lambda m: m.margin_m)
-        first = max(r.gap_m for r in rows)
-        sure = max(r.gap_m for r in rows if r.is_confirmed)
+        first = max(r.clearance_m for r in rows)
+        sure = max(r.clearance_m for r in rows if r.is_confirmed)
         stops = [
             a for a in seen.asked
-            if a.is_braking and abs(a.gap_m - moment_at(moments, a.stamp_ns).gap_m) < 2.0
+            if a.is_braking and abs(a.clearance_m - moment_at(moments, a.stamp_ns).clearance_m) < 2.0
             and moments[0].stamp_ns <= a.stamp_ns <= moments[-1].stamp_ns
         ]  # fmt: skip
         asked_s = seen.time_s(stops[0].stamp_ns) if stops else None
         entered_s = seen.time_s(entry.stamp_ns)
         out.append(Encounter(
             log, rows[0].id, rows[-1].label, f"track {rows[0].id}", Outcome.NOT_SHOWN, entered_s,
-            seen.time_s(least.stamp_ns), least.gap_m, least.stopping_m, least.required_m, least.margin_m, entry.gap_m,
-            entry.speed_mps, entry.stopping_m, least.margin_m, relative_speed(moments), first, sure, asked_s,
+            seen.time_s(least.stamp_ns), least.clearance_m, least.stopping_distance_m, least.required_range_m,
+            least.margin_m, entry.clearance_m,
+            entry.speed_mps, entry.stopping_distance_m, least.margin_m, relative_speed(moments), first, sure, asked_s,
             None if asked_s is None else asked_s - entered_s, any(a.is_stop for a in stops),
         ))  # fmt: skip
     return sorted(out, key=lambda e: (e.entered_s, e.id))

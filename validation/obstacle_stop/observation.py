@@ -44,11 +44,11 @@ class Scene:
 class Sighting:
     """One true object in one scan.
 
-    `returns` in its box, `solid` of them off its foot, `inside` of these in the tube; `gap_m` to the nearest of these,
-    `box_gap_m` to the box itself (infinite: not in the tube). Beams that go on behind it are `through`, those that end
-    before it `before`. `edge_m` is the level distance from the vehicle's front, `bearing_rad` where its middle is
-    seen from there; `is_seen`: clusters hold half of the box's returns; `is_strict`: one does, and half of that cluster
-    lies about the box.
+    `returns` in its box, `solid` of them off its foot, `inside` of these in the tube; `clearance_m` to the nearest of
+    these, `box_gap_m` to the box itself (infinite: not in the tube). Beams that go on behind it are `through`, those
+    that end before it `before`. `edge_m` is the level distance from the vehicle's front, `bearing_rad` where its
+    middle is seen from there; `is_seen`: clusters hold half of the box's returns; `is_strict`: one does, and half of
+    that cluster lies about the box.
     """
 
     id: int
@@ -58,7 +58,7 @@ class Sighting:
     returns: int
     solid: int
     inside: int
-    gap_m: float
+    clearance_m: float
     box_gap_m: float
     through: int
     before: int
@@ -79,7 +79,7 @@ class Asked:
 
     stamp_ns: int
     reason: str
-    gap_m: float
+    clearance_m: float
     allowance_m: float
     is_braking: bool
     is_stop: bool
@@ -96,7 +96,7 @@ class Seen:
     id: int
     label: str
     stamp_ns: int
-    gap_m: float
+    clearance_m: float
     is_confirmed: bool
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.transforms import invert
-from messages.command import SupervisorState, Wish
+from messages.command import ControlCommand, SupervisorState
 from messages.faults import Response
 from messages.message import Envelope, Float32, Float64
 from messages.motion import MapPose, Odometry
@@ -17,12 +17,12 @@ from messages.sensors import LidarScan
 from messages.truth import TrueMachine, TrueObjects
 from validation.obstacle_stop.boxes import Box, beams_at, box_of, near, towards
 from validation.obstacle_stop.conditions import Conditions
+from validation.obstacle_stop.driving_corridor import Tube, tube_of
 from validation.obstacle_stop.frames import deskewed, from_odom, in_map, inside_ring, to_odom
-from validation.obstacle_stop.looks import edge_m, found, gap_of, is_in_tube, is_under
 from validation.obstacle_stop.observation import NO_GAP, Asked, Motion, Observation, Scene, Seen, Setting, Sighting
-from validation.obstacle_stop.tube import Tube, tube_of
+from validation.obstacle_stop.visibility import edge_m, found, gap_of, is_in_tube, is_under
 
-RULES = ("obstacle.raw", "obstacle.tracked")
+RULES = ("protective_field", "tracked_obstacle")
 TOLERANCE_MPS = 0.05  # the supervisor lets a speed lie this much above what it allows
 STOP_MPS = 0.3
 FARTHEST_M = 90.0
@@ -38,7 +38,7 @@ class _Waiting:
 
     scan: LidarScan
     path: Path | None
-    wish: Wish | None
+    control_command: ControlCommand | None
 
 
 class Observer:
@@ -51,7 +51,7 @@ class Observer:
         self._truths: deque[TrueObjects] = deque(maxlen=KEPT_TRUTHS)
         self._machines: deque[TrueMachine] = deque(maxlen=KEPT_TRUTHS)
         self._path: Path | None = None
-        self._wish: Wish | None = None
+        self._wish: ControlCommand | None = None
         self._T_map_odom = np.eye(4)
         self._boxes: tuple[int, list[Box]] = (0, [])
         self._least: dict[int, float] = {}
@@ -89,7 +89,7 @@ class Observer:
             self._T_map_odom = message.T_map_odom
         elif isinstance(message, Path) and kind == "path":
             self._path = message
-        elif isinstance(message, Wish) and kind == "wish":
+        elif isinstance(message, ControlCommand) and kind == "control_command":
             self._wish = message
 
     def finish(self) -> Observation:
@@ -118,7 +118,7 @@ class Observer:
             return
         T = setting.T_base_lidar[name]
         points = deskewed(scan, T, out.motion.speeds_mps[k], out.motion.turns_radps[k])
-        tube = self._tube(out.motion, k, waiting.path, waiting.wish)
+        tube = self._tube(out.motion, k, waiting.path, waiting.control_command)
         self._looked = (scan.stamp_ns, points[::EVERY_POINT])
         boxes = self._boxes_at(scan.stamp_ns)
         if boxes is None or not self._is_judged(scan.stamp_ns):
@@ -138,11 +138,15 @@ class Observer:
         first_ns = self._out.scans[0]
         return self._conditions.is_judged(self._setting.log, (stamp_ns - first_ns) * 1e-9)
 
-    def _tube(self, motion: Motion, k: int, path: Path | None, wish: Wish | None) -> Tube | None:
+    def _tube(self, motion: Motion, k: int, path: Path | None, control_command: ControlCommand | None) -> Tube | None:
         """The tube at an odometry; None without a path, or when it is driven backwards."""
         if path is None or path.direction < 0 or len(path.s_m) < 2:
             return None
-        place = wish.path_s_m if wish is not None and wish.path_id == path.path_id else float(path.s_m[0])
+        place = (
+            control_command.path_s_m
+            if control_command is not None and control_command.path_id == path.path_id
+            else float(path.s_m[0])
+        )
         setting = self._setting
         pose = in_map(self._T_map_odom, motion.poses[k])
         return tube_of(path, place, pose, setting.front_m, setting.half_width_m, self._conditions.tube.reach_m)
@@ -201,23 +205,23 @@ class Observer:
         wished = speed if self._wish is None else max(speed, abs(self._wish.speed_mps))
         binding = [r for r in state.rules if r.code in RULES and r.speed_limit_mps < wished - TOLERANCE_MPS]
         stops = [r for r in binding if r.response >= Response.CONTROLLED_STOP or r.speed_limit_mps < STOP_MPS]
-        hits = state.hits_base_m.astype(np.float64)
+        hits = state.triggering_points_base_m.astype(np.float64)
         touched, is_lonely = self._causes(k, hits) if binding and k is not None else ((), False)
         odom = to_odom(out.motion.poses[k], hits[:1, :2])[0] if k is not None and len(hits) else None
         out.asked.append(Asked(
-            state.stamp_ns, (stops or binding)[0].code if binding else "", state.gap_m,
-            state.required_m - state.stopping_m, bool(binding), bool(stops), touched, is_lonely, odom,
-            state.cause_class.value,
+            state.stamp_ns, (stops or binding)[0].code if binding else "", state.clearance_m,
+            state.required_range_m - state.stopping_distance_m, bool(binding), bool(stops), touched, is_lonely, odom,
+            state.obstacle_class.value,
         ))  # fmt: skip
 
-    def _causes(self, k: int, hits_base_m: Float64) -> tuple[tuple[int, ...], bool]:
+    def _causes(self, k: int, triggering_points_base_m: Float64) -> tuple[tuple[int, ...], bool]:
         """Ids of the true objects at the hits, and whether truth is complete at some hit and nothing stands there."""
         stamp_ns, boxes = self._boxes
         then = self._out.motion.index(stamp_ns) if stamp_ns else None
-        if then is None or not len(hits_base_m):
+        if then is None or not len(triggering_points_base_m):
             return (), False
         poses = self._out.motion.poses
-        odom = to_odom(poses[k], hits_base_m[:, :2])
+        odom = to_odom(poses[k], triggering_points_base_m[:, :2])
         seen = from_odom(poses[then], odom)
         reach = self._conditions.truth.near_m
         away = np.array([box.away_m(seen) for box in boxes]).reshape(len(boxes), len(seen))

@@ -5,14 +5,15 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-from validation.obstacle_stop.pictures import recall_picture
-from validation.report import STYLE
+from validation.drive.report import STYLE
+from validation.obstacle_stop.figures import recall_picture
 
 ENCOUNTER = (
-    "log", "role", "class", "outcome", "entered_s", "gap_m", "stopping_m", "required_m", "margin_m", "entry_speed_mps",
+    "log", "role", "class", "outcome", "entered_s", "clearance_m", "stopping_distance_m", "required_range_m",
+    "margin_m", "entry_speed_mps",
     "relative_speed_mps", "first_range_m", "confirmed_range_m", "asked_after_s",
 )  # fmt: skip
-STOP = ("log", "t_s", "until_s", "reason", "class", "gap_m", "objects", "is_stop", "is_false")
+STOP = ("log", "t_s", "until_s", "reason", "class", "clearance_m", "objects", "is_stop", "is_false")
 TOPIC = ("topic", "needed_for", "found", "count", "rate_hz", "longest_gap_s")
 RECALL = ("class", "from_m", "to_m", "n", "found", "recall", "low", "high")
 

@@ -5,7 +5,7 @@ import math
 from validation.obstacle_stop.conditions import BrakingValues
 
 
-def stopping_m(speed_mps: float, reaction_s: float, braking: BrakingValues) -> float:
+def stopping_distance_m(speed_mps: float, reaction_s: float, braking: BrakingValues) -> float:
     """S at a speed, with this much dead time before the brake begins to act."""
     v, a, t_b = abs(speed_mps), braking.deceleration_mps2, braking.build_up_s
     if v < 0.5 * a * t_b:
@@ -18,7 +18,7 @@ def safe_speed_mps(range_m: float, factor: float, braking: BrakingValues) -> flo
     low, high = 0.0, 100.0
     for _ in range(50):
         middle = 0.5 * (low + high)
-        if factor * stopping_m(middle, braking.reaction_s, braking) <= range_m:
+        if factor * stopping_distance_m(middle, braking.reaction_s, braking) <= range_m:
             low = middle
         else:
             high = middle

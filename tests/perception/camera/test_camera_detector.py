@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from onnx_files import write
 
 from messages.errors import ConfigError
 from perception.camera.boxes import Boxes, Candidates, iou, pick
 from perception.camera.classes import COCO, class_scores, group_scores
 from perception.camera.detector import DetectorConfig, join, letterbox, load_detector, split
 from perception.camera.networks import Nanodet, Yolox, expectation, recognize
+from tests.perception.camera.onnx_files import write
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[4] / "shared" / "data"))
 YOLOX = DATA / "onnx-detectors" / "yolox-nano" / "model" / "yolox_nano.onnx"

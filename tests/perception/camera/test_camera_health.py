@@ -14,13 +14,13 @@ from messages.motion import Odometry
 from messages.perception import HealthState, Obstacles, SensorHealth
 from messages.sensors import CameraImage
 from perception.camera.health import CameraHealth
-from perception.camera.lens import inspect
+from perception.camera.image_quality import inspect
 from perception.camera.obstacles import CameraConfig
 from runtime.bus import NodeInbox
 
 ROOT = Path(__file__).parents[3]
 DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
-CONFIG = parse(CameraConfig, read_yaml(ROOT / "configs" / "stack.yaml")["perception"]["camera"], "stack.yaml")
+CONFIG = parse(CameraConfig, read_yaml(ROOT / "configs/stack/perception.yaml")["camera"], "stack/perception.yaml")
 CAMERA = Camera(
     mount=Mount(xyz_m=(2.0, 0.0, 2.6), rpy_deg=(0.0, 8.0, 0.0)), size_px=(640, 480), focal_px=(400.0, 400.0),
     center_px=(320.0, 240.0), rate_hz=2.0,
@@ -108,15 +108,15 @@ class Bench:
 
 def test_good_pictures_prove_the_configured_range() -> None:
     health = Bench().see(S, field())
-    assert (health.state, health.sensor, health.dropped) == (HealthState.GOOD, "camera_front", 0)
-    assert (health.proven_range_m == CONFIG.lens.proven_range_m).all()
-    assert len(health.edges_rad) == len(health.proven_range_m) + 1
+    assert (health.state, health.sensor, health.rejected_count) == (HealthState.GOOD, "camera_front", 0)
+    assert (health.detection_range_m == CONFIG.lens.detection_range_m).all()
+    assert len(health.sector_edges_rad) == len(health.detection_range_m) + 1
 
 
 def test_without_model_nothing_is_proven() -> None:
     health = Bench(has_model=False).see(S, field())
     assert (health.state, health.reason) == (HealthState.BLIND, "no model: nothing is detected")
-    assert not health.proven_range_m.any()
+    assert not health.detection_range_m.any()
     assert Bench(has_model=False).see(S, field() // 12).reason == "picture is dark"
 
 
@@ -128,7 +128,7 @@ def test_silence_of_camera_and_of_detector() -> None:
     assert bench.health(limit).state is HealthState.GOOD
     late = bench.health(limit + 1)
     assert (late.state, late.reason) == (HealthState.BLIND, "no picture any more")
-    assert not late.proven_range_m.any()
+    assert not late.detection_range_m.any()
     deaf = Bench()
     deaf.put("camera/front", CameraImage(S, field()))
     assert deaf.health(S).reason == "detector does not answer"
@@ -146,4 +146,8 @@ def test_pictures_of_the_wrong_size_are_counted() -> None:
     bench = Bench()
     for i, shape in enumerate(((480, 640), (480, 640, 4), (720, 1280, 3), (0, 0, 3))):
         health = bench.see((i + 1) * S, np.zeros(shape, np.uint8))
-        assert (health.state, health.reason, health.dropped) == (HealthState.BLIND, "picture has the wrong size", i + 1)
+        assert (health.state, health.reason, health.rejected_count) == (
+            HealthState.BLIND,
+            "picture has the wrong size",
+            i + 1,
+        )

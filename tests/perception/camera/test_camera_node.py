@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from onnx_files import write
 
 from configs.strict import load, parse, read_yaml
 from configs.vehicle import Camera, ImplementFile, Mount, Vehicle
@@ -13,11 +12,12 @@ from messages.perception import Obstacles
 from messages.sensors import CameraImage
 from perception.camera.detector import load_detector
 from perception.camera.obstacles import CameraConfig, CameraObstacles
-from perception.own_body import is_inside, own_outline
+from perception.self_filter import is_inside, own_outline
 from runtime.bus import NodeInbox
+from tests.perception.camera.onnx_files import write
 
 ROOT = Path(__file__).parents[3]
-CONFIG = parse(CameraConfig, read_yaml(ROOT / "configs" / "stack.yaml")["perception"]["camera"], "stack.yaml")
+CONFIG = parse(CameraConfig, read_yaml(ROOT / "configs/stack/perception.yaml")["camera"], "stack/perception.yaml")
 VEHICLE = load(Vehicle, ROOT / "configs" / "machines" / "tractor_e.yaml")
 HARROW = load(ImplementFile, ROOT / "configs" / "implements" / "harrow_6m.yaml").implement
 CAMERA = Camera(

@@ -16,10 +16,10 @@ from perception.camera.boxes import Boxes, Candidates
 from perception.camera.classes import COCO
 from perception.camera.obstacles import CameraConfig, find_obstacles
 from perception.camera.ranging import View, combine, place
-from perception.own_body import own_outline
+from perception.self_filter import own_outline
 
 ROOT = Path(__file__).parents[3]
-CONFIG = parse(CameraConfig, read_yaml(ROOT / "configs" / "stack.yaml")["perception"]["camera"], "stack.yaml")
+CONFIG = parse(CameraConfig, read_yaml(ROOT / "configs/stack/perception.yaml")["camera"], "stack/perception.yaml")
 VEHICLE = load(Vehicle, ROOT / "configs" / "machines" / "tractor_e.yaml")
 
 

@@ -23,7 +23,7 @@ from perception.radar.obstacles import RadarConfig, RadarObstacles
 from runtime.bus import NodeInbox
 
 ROOT = Path(__file__).parents[3]
-CONFIG = parse(RadarConfig, read_yaml(ROOT / "configs" / "stack.yaml")["perception"]["radar"], "stack.yaml")
+CONFIG = parse(RadarConfig, read_yaml(ROOT / "configs/stack/perception.yaml")["radar"], "stack/perception.yaml")
 VEHICLE = load(Vehicle, ROOT / "configs" / "machines" / "tractor_e.yaml")
 RADAR = Radar(
     mount=Mount(xyz_m=(3.4, 0.3, 0.9), rpy_deg=(0.0, 0.0, 10.0)), field_of_view_deg=120.0, rate_hz=20.0,
@@ -244,8 +244,8 @@ def test_health_of_a_radar() -> None:
         return bench.health(stamp_ns)
 
     good = cycle(2 * S, 2.0, [echo(odometry(S, v=2.0), p, (0.0, 0.0)) for p in world])
-    assert (good.state, good.proven_range_m.tolist()) == (HealthState.GOOD, [CONFIG.health.proven_range_m])
-    assert good.edges_rad[1] - good.edges_rad[0] == pytest.approx(math.radians(120))
+    assert (good.state, good.detection_range_m.tolist()) == (HealthState.GOOD, [CONFIG.health.detection_range_m])
+    assert good.sector_edges_rad[1] - good.sector_edges_rad[0] == pytest.approx(math.radians(120))
     off = cycle(3 * S, 2.0, [echo(odometry(S, v=4.0), p, (0.0, 0.0)) for p in world])
     assert (off.state, off.reason) == (HealthState.DEGRADED, "Doppler does not fit the odometry")
     cycle(4 * S, 2.0, [echo(odometry(S, v=2.0), p, (0.0, 0.0)) for p in world])
@@ -253,9 +253,9 @@ def test_health_of_a_radar() -> None:
     assert cycle(limit, 2.0, []).state is HealthState.GOOD
     covered = cycle(limit + 1, 2.0, [])
     assert (covered.state, covered.reason) == (HealthState.BLIND, "no echo while moving: covered")
-    assert not covered.proven_range_m.any()
+    assert not covered.detection_range_m.any()
     assert cycle(limit + S, 0.0, []).state is HealthState.GOOD  # standing, nothing need be there
     bench.put("radar/front", RadarScan(limit + S, *(np.zeros(n) for n in (2, 2, 2, 3, 2))))
-    assert bench.health(limit + S).dropped == 1
+    assert bench.health(limit + S).rejected_count == 1
     silent = bench.health(limit + S + round(CONFIG.health.silent_s * S) + 1)
     assert (silent.state, silent.reason) == (HealthState.BLIND, "no cycle any more")

@@ -20,7 +20,9 @@ from perception.ultrasonic.obstacles import UltrasonicConfig, UltrasonicObstacle
 from runtime.bus import NodeInbox
 
 ROOT = Path(__file__).parents[3]
-CONFIG = parse(UltrasonicConfig, read_yaml(ROOT / "configs" / "stack.yaml")["perception"]["ultrasonic"], "stack.yaml")
+CONFIG = parse(
+    UltrasonicConfig, read_yaml(ROOT / "configs/stack/perception.yaml")["ultrasonic"], "stack/perception.yaml"
+)
 VEHICLE = load(Vehicle, ROOT / "configs" / "machines" / "tractor_e.yaml")
 HARROW: Implement = load(ImplementFile, ROOT / "configs" / "implements" / "harrow_6m.yaml").implement
 REAR = Ultrasonic(
@@ -202,11 +204,11 @@ def test_nothing_heard_is_clear_but_silence_is_blind() -> None:
     assert (first.state, first.reason) == (HealthState.BLIND, "sends nothing yet")
     for _ in range(40):
         clear = bench.health(NAN, speed_mps=-0.5)
-    assert (clear.state, clear.proven_range_m.tolist()) == (HealthState.GOOD, [REAR.range_m[1]])
+    assert (clear.state, clear.detection_range_m.tolist()) == (HealthState.GOOD, [REAR.range_m[1]])
     states = [bench.health(None).state for _ in range(5)]
     assert states == [HealthState.GOOD] * 3 + [HealthState.BLIND] * 2
-    assert not bench.health(None).proven_range_m.any()
-    assert math.degrees(clear.edges_rad[1] - clear.edges_rad[0]) == pytest.approx(REAR.cone_deg)
+    assert not bench.health(None).detection_range_m.any()
+    assert math.degrees(clear.sector_edges_rad[1] - clear.sector_edges_rad[0]) == pytest.approx(REAR.cone_deg)
 
 
 def test_a_stuck_number_is_told_when_moving() -> None:
@@ -224,6 +226,6 @@ def test_cross_talk_and_nonsense_are_told() -> None:
         health = bench.health(float(rng.uniform(0.3, 4.0)))
     assert (health.state, health.reason) == (HealthState.DEGRADED, "echoes do not repeat: cross-talk")
     for k in range(3):
-        assert bench.health(math.inf).dropped == k + 1
+        assert bench.health(math.inf).rejected_count == k + 1
     steady = Bench(UltrasonicHealth("rear", REAR, CONFIG))
     assert all(steady.health(2.0 + float(rng.normal(0, 0.02))).state is HealthState.GOOD for _ in range(40))

@@ -14,10 +14,10 @@ from messages.command import SupervisorState
 from messages.faults import Response
 from messages.message import Envelope
 from messages.perception import Obstacles, Tracks
-from runtime.prepared import Prepared, load_configuration, prepare
-from runtime.replay import replay
+from runtime.replay.prepare import Prepared, load_configuration, prepare
+from runtime.replay.replay import replay
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.judgement import judge_log
+from validation.obstacle_stop.evaluation import judge_log
 from validation.obstacle_stop.observer import Observer
 from validation.obstacle_stop.totals import put_together
 
@@ -58,8 +58,8 @@ def bars(result: dict) -> list[str]:
     told = {row["id"]: row["after_s"] for row in result["confirmation"]}
     checks = {
         "van": van is not None and abs(van["margin_m"] - 4.1) <= 0.4 and van["asked_s"] is None,
-        "cyclist": cyclist is not None and cyclist["outcome"] == "cut-in" and abs(cyclist["gap_m"] - 4.9) <= 0.6
-        and abs(cyclist["stopping_m"] - 6.1) <= 0.5 and 3.2 <= cyclist["entered_s"] <= 3.9,
+        "cyclist": cyclist is not None and cyclist["outcome"] == "cut-in" and abs(cyclist["clearance_m"] - 4.9) <= 0.6
+        and abs(cyclist["stopping_distance_m"] - 6.1) <= 0.5 and 3.2 <= cyclist["entered_s"] <= 3.9,
         "asked": cyclist is not None and cyclist["asked_after_s"] is not None and cyclist["asked_after_s"] <= 0.1,
         "others": set(by_id) == {0, 1} and all(set(s["objects"]) <= {1} for s in result["stops"]),
         "false stops": result["false_stops"] == 0,
@@ -82,7 +82,7 @@ def test_everything_is_an_obstacle_fails() -> None:
             replace(r, response=Response.CONTROLLED_STOP, speed_limit_mps=0.0, text="!") for r in e.message.rules
         )
         hits = np.array([[6.0, 0.0, 0.5]], np.float32)
-        return replace(e, message=replace(e.message, rules=rules, gap_m=2.0, hits_base_m=hits))
+        return replace(e, message=replace(e.message, rules=rules, clearance_m=2.0, triggering_points_base_m=hits))
 
     assert "false stops" in bars(judged(change))
 
@@ -92,7 +92,10 @@ def test_nothing_is_an_obstacle_fails() -> None:
         if isinstance(e.message, SupervisorState):
             rules = tuple(replace(r, response=Response.NONE, speed_limit_mps=math.inf) for r in e.message.rules)
             return replace(
-                e, message=replace(e.message, rules=rules, gap_m=math.inf, hits_base_m=np.empty((0, 3), np.float32))
+                e,
+                message=replace(
+                    e.message, rules=rules, clearance_m=math.inf, triggering_points_base_m=np.empty((0, 3), np.float32)
+                ),
             )
         return None if isinstance(e.message, Obstacles | Tracks) else e
 

@@ -5,30 +5,32 @@ import math
 import numpy as np
 import pytest
 
-from runtime.trajectory import Trajectory, carried_on, motion_of, stages_of
+from runtime.replay.trajectory import Trajectory, carried_on, motion_of, stages_of
 from validation.obstacle_stop.boxes import Box, beams_at
 from validation.obstacle_stop.conditions import load_conditions
+from validation.obstacle_stop.driving_corridor import Tube, places
 from validation.obstacle_stop.frames import inside_ring
 from validation.obstacle_stop.ranges import confirmed, range_without_failure, rate_bounds, share_bounds
-from validation.obstacle_stop.stopping import safe_speed_mps, stopping_m
-from validation.obstacle_stop.tube import Tube, places
+from validation.obstacle_stop.stopping import safe_speed_mps, stopping_distance_m
 
 BRAKING = load_conditions(None).braking
 
 
 @pytest.mark.parametrize(("kmh", "s_m"), [(7.0, 2.3), (15.0, 6.8), (30.0, 20.5)])
 def test_stopping_distances_of_the_requirements(kmh: float, s_m: float) -> None:
-    assert stopping_m(kmh / 3.6, 0.6, BRAKING) == pytest.approx(s_m, abs=0.06)
+    assert stopping_distance_m(kmh / 3.6, 0.6, BRAKING) == pytest.approx(s_m, abs=0.06)
 
 
 def test_stopping_distance_is_continuous_where_the_brake_is_just_built_up() -> None:
     knee = 0.5 * BRAKING.deceleration_mps2 * BRAKING.build_up_s
-    assert stopping_m(knee - 1e-9, 0.6, BRAKING) == pytest.approx(stopping_m(knee + 1e-9, 0.6, BRAKING), abs=1e-6)
+    assert stopping_distance_m(knee - 1e-9, 0.6, BRAKING) == pytest.approx(
+        stopping_distance_m(knee + 1e-9, 0.6, BRAKING), abs=1e-6
+    )
 
 
 def test_safe_speed_inverts_the_stopping_distance() -> None:
     v = safe_speed_mps(40.0, 2.0, BRAKING)
-    assert 2.0 * stopping_m(v, 0.6, BRAKING) == pytest.approx(40.0, abs=1e-6)
+    assert 2.0 * stopping_distance_m(v, 0.6, BRAKING) == pytest.approx(40.0, abs=1e-6)
     assert v * 3.6 == pytest.approx(29.6, abs=0.5)
 
 

@@ -1,0 +1,1 @@
+"""Odometry from IMU, wheels and steering."""

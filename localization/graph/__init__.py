@@ -1,0 +1,1 @@
+"""The fixed-lag factor graph: keyframes, factors, smoother."""

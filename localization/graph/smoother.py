@@ -1,0 +1,186 @@
+"""The fixed-lag graph: keyframes go in, the newest state with its covariance comes out."""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from geometry.transforms import Float64
+from localization.graph.factors import B, C, S, V, X
+from localization.graph.imu_preintegration import constant_bias
+
+POSE, VELOCITY, BIAS, SLIP = 6, 3, 6, 4
+
+
+class SmootherConfig(Config):
+    """Size and tuning of the graph."""
+
+    lag_s: float = Field(gt=0.2, le=60.0)
+    period_s: float = Field(gt=0.0, le=1.0, description="between keyframes when no fix comes")
+    wait_s: float = Field(ge=0.0, le=1.0, description="how late a fix may be before a keyframe is made without it")
+    relinearize_threshold: float = Field(gt=0.0, le=1.0)
+
+
+@dataclass(frozen=True)
+class State:
+    """One keyframe; `T_map_body` has `base` axes and the IMU's origin.
+
+    `covariance` (6, 6) of the pose, rotation then translation in the body; `sigmas` (19,): pose, velocity, bias, slip.
+    """
+
+    stamp_ns: int
+    T_map_body: Float64
+    velocity_mps: Float64
+    bias: Float64
+    slip: Float64
+    covariance: Float64
+    sigmas: Float64
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether nothing in it is NaN or infinite and no variance is negative."""
+        parts = (self.T_map_body, self.velocity_mps, self.bias, self.slip, self.covariance, self.sigmas)
+        return all(bool(np.all(np.isfinite(p))) for p in parts) and bool(np.all(np.diag(self.covariance) > 0.0))
+
+
+class SmootherFailure(Exception):
+    """The graph could not be solved; it has been built anew from the last good state."""
+
+
+class Smoother:
+    """gtsam's incremental fixed-lag smoother, rebuilt from the last good state whenever it fails."""
+
+    def __init__(self, config: SmootherConfig) -> None:
+        self._config = config
+        self._index = 0
+        self._origin_ns = 0
+        self._stamps: OrderedDict[int, int] = OrderedDict()
+        self._graph = self._new_graph()
+        self.state: State | None = None
+
+    def start(self, state: State) -> None:
+        """Begins a new graph at `state`, with its covariance and sigmas as priors."""
+        self._graph, self._origin_ns = self._new_graph(), state.stamp_ns
+        self._stamps.clear()
+        self._index += 1
+        k, sigma = self._index, gtsam.noiseModel.Diagonal.Sigmas
+        factors = gtsam.NonlinearFactorGraph()
+        pose_noise = gtsam.noiseModel.Gaussian.Covariance(state.covariance)
+        factors.add(gtsam.PriorFactorPose3(X(k), gtsam.Pose3(state.T_map_body), pose_noise))
+        factors.add(gtsam.PriorFactorPoint3(V(k), state.velocity_mps, sigma(state.sigmas[6:9])))
+        factors.add(gtsam.PriorFactorConstantBias(B(k), constant_bias(state.bias), sigma(state.sigmas[9:15])))
+        factors.add(gtsam.PriorFactorVector(S(k), state.slip, sigma(state.sigmas[15:19])))
+        self._update(k, state, factors)
+        self.state = state
+
+    def key_near(self, stamp_ns: int, tolerance_ns: int) -> tuple[int, int] | None:
+        """Key and stamp of the keyframe nearest to a time, well within the lag."""
+        oldest = next(reversed(self._stamps.values()), 0) - int((self._config.lag_s - 0.5) * 1e9)
+        near = [(abs(s - stamp_ns), k, s) for k, s in self._stamps.items() if s >= oldest]
+        best = min(near, default=None)
+        return (best[1], best[2]) if best is not None and best[0] <= tolerance_ns else None
+
+    def holds(self, key: int) -> bool:
+        """Whether a keyframe is well within the lag, so that a factor may tie to it."""
+        newest = next(reversed(self._stamps.values()), 0)
+        return key in self._stamps and self._stamps[key] >= newest - int((self._config.lag_s - 0.5) * 1e9)
+
+    def calibration(self, key: int) -> tuple[Float64, Float64]:
+        """The anchors' scale and bias at a keyframe that was added with them, and their covariance."""
+        return self._graph.calculateEstimateVector(C(key)), self._graph.marginalCovariance(C(key))
+
+    @property
+    def next_key(self) -> int:
+        """The key that the next keyframe will have."""
+        return self._index + 1
+
+    def add(
+        self,
+        guess: State,
+        inertial: gtsam.CombinedImuFactor,
+        slip_sigma: Float64,
+        factors: Sequence[gtsam.NonlinearFactor],
+        calibration: Float64 | None = None,
+    ) -> State:
+        """Adds the keyframe `next_key` at `guess`, with a `calibration` of the anchors where `factors` speak of one.
+
+        Raises SmootherFailure when the graph had to be rebuilt.
+        """
+        last = self.state
+        assert last is not None, "start comes first"
+        k = self._index + 1
+        graph = gtsam.NonlinearFactorGraph()
+        graph.add(inertial)
+        graph.add(
+            gtsam.BetweenFactorVector(S(k - 1), S(k), np.zeros(SLIP), gtsam.noiseModel.Diagonal.Sigmas(slip_sigma))
+        )
+        for factor in factors:
+            graph.add(factor)
+        try:
+            self._update(k, guess, graph, calibration)
+            state = self._read(k, guess.stamp_ns)
+        except (RuntimeError, IndexError, ValueError) as error:
+            self.start(widened(last))
+            raise SmootherFailure(str(error).splitlines()[0] if str(error) else "unknown") from error
+        self._index, self.state = k, state
+        return state
+
+    def _new_graph(self) -> gtsam.IncrementalFixedLagSmoother:
+        parameters = gtsam.ISAM2Params()
+        parameters.findUnusedFactorSlots = True
+        parameters.relinearizeSkip = 1
+        parameters.setRelinearizeThreshold(self._config.relinearize_threshold)
+        return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, parameters)
+
+    def _update(
+        self, k: int, state: State, factors: gtsam.NonlinearFactorGraph, calibration: Float64 | None = None
+    ) -> None:
+        time_s = (state.stamp_ns - self._origin_ns) * 1e-9
+        values = gtsam.Values()
+        values.insert(X(k), gtsam.Pose3(state.T_map_body))
+        values.insert(V(k), np.asarray(state.velocity_mps, np.float64))
+        values.insert(B(k), constant_bias(state.bias))
+        values.insert(S(k), np.asarray(state.slip, np.float64))
+        keys = [X(k), V(k), B(k), S(k)]
+        if calibration is not None:
+            values.insert(C(k), calibration)
+            keys.append(C(k))
+        self._graph.update(factors, values, dict.fromkeys(keys, time_s))
+        self._stamps[k] = state.stamp_ns
+        limit_ns = state.stamp_ns - int(self._config.lag_s * 1e9)
+        while self._stamps and next(iter(self._stamps.values())) < limit_ns:
+            self._stamps.popitem(last=False)
+
+    def _read(self, k: int, stamp_ns: int) -> State:
+        graph = self._graph
+        covariance = graph.marginalCovariance(X(k))
+        sigmas = self._sigmas(k, covariance)
+        state = State(
+            stamp_ns,
+            np.asarray(graph.calculateEstimatePose3(X(k)).matrix()),
+            np.asarray(graph.calculateEstimateVector(V(k))),
+            np.asarray(graph.calculateEstimateConstantBias(B(k)).vector()),
+            np.asarray(graph.calculateEstimateVector(S(k))),
+            0.5 * (covariance + covariance.T),
+            sigmas,
+        )
+        if not state.is_finite:
+            raise ValueError("the solution is not finite")
+        return state
+
+    def _sigmas(self, k: int, covariance: Float64) -> Float64:
+        """Those of the pose are new each time; the others change slowly and cost as much, so they take turns."""
+        sigmas = self.state.sigmas.copy() if self.state is not None else np.zeros(19)
+        sigmas[:6] = np.sqrt(np.diag(covariance))
+        key, part = ((V, slice(6, 9)), (B, slice(9, 15)), (S, slice(15, 19)))[k % 3]
+        sigmas[part] = np.sqrt(np.diag(self._graph.marginalCovariance(key(k))))
+        return sigmas
+
+
+def widened(state: State) -> State:
+    """The state with twice the sigmas, for a graph built anew whose correlations are lost."""
+    return replace(state, covariance=4.0 * state.covariance, sigmas=2.0 * state.sigmas)

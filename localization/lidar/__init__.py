@@ -1,0 +1,1 @@
+"""Lidar odometry and localization in a lidar map."""

@@ -1,0 +1,1 @@
+"""UWB ranges: gating and the tag smoother."""

@@ -1,0 +1,37 @@
+"""Where the machine and what it carries stand themselves: what is seen there is no obstacle."""
+
+import numpy as np
+import numpy.typing as npt
+
+from configs.vehicle import FOLDED, Implement, Vehicle
+from messages.command import MachineState
+from messages.message import Float64
+
+
+def is_folded(machine: MachineState | None) -> bool:
+    """Whether the implement is known to be folded; as long as nobody says so it counts as wide."""
+    return machine is not None and machine.fold_position >= FOLDED
+
+
+def own_outlines(vehicle: Vehicle, implement: Implement | None) -> tuple[Float64, Float64]:
+    """`own_outline` with the implement unfolded and folded, to be chosen from by `is_folded`."""
+    return own_outline(vehicle, implement), own_outline(vehicle, implement and implement.folded)
+
+
+def own_outline(vehicle: Vehicle, implement: Implement | None, margin_m: float = 0.0) -> Float64:
+    """Machine and implement from above as rectangles in `base`, (K, 2, 2): lowest and highest corner."""
+    body, m = vehicle.body, margin_m
+    half = body.width_m / 2 + m
+    outline = [[[-body.rear_m - m, -half], [body.front_m + m, half]]]
+    if implement is not None:
+        front, rear = implement.ends_m
+        half = implement.width_m / 2 + m
+        outline.append([[rear - m, -half], [front + m, half]])
+    return np.array(outline, np.float64)
+
+
+def is_inside(p_base_m: Float64, outline: Float64) -> npt.NDArray[np.bool_]:
+    """Whether points (N, 2) lie in any of the rectangles (K, 2, 2)."""
+    p = p_base_m[:, None, :2]
+    within = np.logical_and(p > outline[:, 0], p < outline[:, 1])
+    return np.asarray(np.any(np.all(within, axis=2), axis=1))

@@ -1,0 +1,1 @@
+"""The field: boundary, drivable area, generated site."""

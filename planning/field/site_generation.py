@@ -1,0 +1,89 @@
+"""Gate, lane and yard for a bare field, outside its longest edge."""
+
+import math
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, Polygon
+from shapely.geometry.polygon import orient
+
+from configs.mission import Work
+from configs.site import Area, Gate, Lane, Point, Pose2, Site
+from configs.vehicle import Implement, Vehicle
+from geometry.polygon import as_polygon
+from geometry.polyline import Float64
+from messages.errors import FieldError
+from planning.field.field import FieldOutline
+
+LANE_M = 25.0
+INTO_FIELD_M = 6.0
+GATE_SPARE_M = 1.6  # beside the widest body, both sides together, more than the margins
+YARD_DEPTH_M = 24.0
+POSTS_OUT_M = 0.5  # a fence stands outside what is worked
+PLACES = (0.5, 0.35, 0.65, 0.2, 0.8)
+
+
+def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
+    """The site of a bare field; raises FieldError when gate and yard find no place outside any edge."""
+    widest = max(vehicle.body.width_m, implement.width_m)
+    gate_m = widest + 2.0 * work.boundary_margin_m + GATE_SPARE_M
+    for a, b in _edges(outline.polygon):
+        for share in PLACES:
+            if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
+                continue
+            site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m)
+            if _is_clear(site, outline.polygon):
+                return site
+    raise FieldError(
+        f"field {outline.name!r}: no edge has room for a gate {gate_m:.1f} m wide; give a site with gate and lane"
+    )
+
+
+def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:
+    """Edges of the outline, counter-clockwise, nearly straight ones joined, longest first."""
+    plain = orient(as_polygon(polygon.simplify(0.05)), 1.0)
+    points = np.asarray(plain.exterior.coords)[:, :2]
+    edges = [(points[k], points[k + 1]) for k in range(len(points) - 1)]
+    return sorted(edges, key=lambda e: (-round(float(np.hypot(*(e[1] - e[0]))), 3), float(e[0][0]), float(e[0][1])))
+
+
+def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float) -> Site:
+    out = np.array([along[1], -along[0]])  # the field lies left of its edge
+
+    def at(sideways: float, outwards: float) -> Point:
+        x, y = middle + sideways * along + outwards * out
+        return round(float(x), 3), round(float(y), 3)
+
+    half, wide = gate_m / 2.0, gate_m / 2.0 + 6.0
+    near, far = LANE_M, LANE_M + YARD_DEPTH_M
+    start = at(0.0, far - 8.0)
+    heading = math.degrees(math.atan2(-out[1], -out[0]))
+    no_go = tuple(
+        Area(name=f"no-go area {k + 1}", outline_m=tuple((float(x), float(y)) for x, y in ring.coords[:-1]))
+        for k, ring in enumerate(outline.polygon.interiors)
+    )
+    return Site(
+        name=outline.name,
+        version=1,
+        datum=outline.datum,
+        boundary_m=tuple((float(x), float(y)) for x, y in outline.polygon.exterior.coords[:-1]),
+        no_go=no_go,
+        lanes=(Lane(name="lane", center_m=(at(0.0, near + 4.0), at(0.0, -INTO_FIELD_M)), width_m=gate_m),),
+        gates=(Gate(name="gate", posts_m=(at(-half, POSTS_OUT_M), at(half, POSTS_OUT_M))),),
+        yard=Area(name="yard", outline_m=(at(-wide, near), at(-wide, far), at(wide, far), at(wide, near))),
+        start=Pose2(x_m=start[0], y_m=start[1], heading_deg=heading),
+        is_fenced=False,
+    )
+
+
+def _is_clear(site: Site, field: Polygon) -> bool:
+    """Whether lane and yard lie outside the field (but for the lane's end) and the lane's end in it."""
+    full = Polygon(field.exterior)
+    lane = LineString(site.lanes[0].center_m)
+    start, end = (np.array(p) for p in (lane.coords[0], lane.coords[-1]))
+    edge = end - (end - start) / np.hypot(*(end - start)) * INTO_FIELD_M
+    outside = LineString([start, edge - (end - start) / np.hypot(*(end - start)) * 0.5])
+    corridor = outside.buffer(site.lanes[0].width_m / 2.0, cap_style="flat")
+    inside = LineString([edge, end]).buffer(site.lanes[0].width_m / 2.0 - 0.05, cap_style="flat")
+    beyond = shapely.union_all([corridor, Polygon(site.yard.outline_m)])
+    return not beyond.intersects(full) and bool(field.buffer(0.5).covers(inside))

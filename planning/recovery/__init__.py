@@ -1,0 +1,1 @@
+"""Replanning around static obstacles."""

@@ -1,0 +1,1 @@
+"""Connections between path sections: Dubins curves, turns, headland transit."""

@@ -1,0 +1,50 @@
+"""`headland plan`: the plan of a field alone, as picture, GeoJSON and figures."""
+
+import argparse
+import json
+import shutil
+import sys
+
+from messages.errors import HeadlandError
+from planning.drawing import draw_plan, write_geojson
+from runtime.run_folder import RunFolder, resolved, versions
+from runtime.setup import load_setup
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Plan and draw; a field that cannot be worked raises FieldError before anything is written."""
+    setup = load_setup(
+        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
+    )
+    folder, plan = RunFolder("plan", arguments.out), setup.plan
+    result = {
+        "length_m": round(plan.length_m, 1),
+        "field_m2": round(plan.field_area_m2, 1),
+        "planned_m2": round(plan.planned_area.area, 1),
+        "planned_share": round(plan.planned_share, 4),
+        "swaths": len(plan.swaths),
+        "rounds": len(plan.rounds),
+        "uncovered": [
+            {"reason": u.reason, "area_m2": round(u.area_m2, 2), "place_m": u.place_map_m} for u in plan.uncovered
+        ],
+        "run_dir": str(folder.path),
+    }
+    try:
+        folder.record("conditions", versions() | {"seed": str(setup.seed)})
+        config = resolved(mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement)
+        (folder.path / "config.yaml").write_text(config, encoding="utf-8")
+        draw_plan(plan, setup.site, folder.path / "plan.png")
+        write_geojson(plan, setup.site, folder.path / "plan.geojson")
+        folder.record("result", {"result": result})
+        folder.finish()
+    except OSError as error:
+        shutil.rmtree(folder.path)
+        raise HeadlandError(f"{folder.path}: cannot be written ({error}); removed") from error
+    if arguments.json:
+        sys.stdout.write(json.dumps(result) + "\n")
+    else:
+        share = 100.0 * plan.planned_share
+        sys.stdout.write(
+            f"{plan.length_m:.0f} m of way, {share:.1f} % of {plan.field_area_m2:.0f} m² planned: {folder.path}\n"
+        )
+    return 0

@@ -1,0 +1,139 @@
+"""`headland run`: drive a mission in simulation, judge its log, and write the report."""
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+from configs.site import Bay
+from configs.strict import find, load
+from configs.vehicle import Vehicle
+from datasets.log import LogWriter
+from datasets.reader import LogScan, decode, is_ours
+from messages.errors import HeadlandError
+from messages.message import Envelope
+from runtime.assembly import assemble, planted
+from runtime.commands.end_of_run import EndOfDrive
+from runtime.commands.progress import Progress
+from runtime.executor import Executor
+from runtime.run_folder import RunFolder, resolved, versions
+from runtime.setup import Setup, load_setup, with_model
+from simulation.scenario import Scenario
+from validation.drive.detections import Detections, Look, range_rows, share_rows
+from validation.drive.docking import bodies_of, docking_drive
+from validation.drive.figures import draw_all
+from validation.drive.record import TOPICS, DriveRecord, collect
+from validation.drive.report import render
+from validation.drive.sensing_figures import detections_picture, docking_picture, shares_picture
+from validation.drive.summary import Planned, summarize
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Drive; 0 when the mission finished without contact, exit or false stop, else 1."""
+    setup = load_setup(
+        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
+    )
+    setup = with_model(setup, arguments.model)
+    is_demo = arguments.field is None and setup.mission.work is not None
+    scenario = load(Scenario, find("scenarios", arguments.scenario or ("demo" if is_demo else "empty")))
+    folder = RunFolder("run", arguments.out)
+    try:
+        result = drive(setup, scenario, folder, sys.stderr, arguments.without_obstacle_rules)
+    except (HeadlandError, OSError) as error:
+        shutil.rmtree(folder.path)
+        raise HeadlandError(f"run given up, {folder.path} removed: {error}") from error
+    if arguments.json:
+        sys.stdout.write(json.dumps(result) + "\n")
+    else:
+        sys.stdout.write(f"{result['outcome']}; report: {folder.path / 'report.html'}\n")
+    is_good = result["outcome"] in ("finished", "docked")
+    return 0 if is_good and not (result["contacts"] or result["zone_exits"] or result["false_stops"]) else 1
+
+
+def drive(
+    setup: Setup, scenario: Scenario, folder: RunFolder, console: TextIO, is_ablation: bool = False
+) -> dict[str, Any]:
+    """Drive one mission into a run folder; returns the object of `run --json`."""
+    began_s = time.monotonic()
+    config = resolved(
+        mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,
+        scenario=scenario,
+    )  # fmt: skip
+    (folder.path / "config.yaml").write_text(config, encoding="utf-8")
+    conditions = versions() | {"seed": str(setup.seed), "ablation": str(is_ablation)}
+    folder.record("conditions", conditions)
+    digest = _drive_into_log(
+        setup, scenario, folder, {"run": conditions, "config": {"yaml": config}}, console, is_ablation
+    )
+    record, looks = read_drive(folder.path / "log.mcap", setup.vehicle)
+    bay = None if setup.mission.bay is None else setup.site.bay(setup.mission.bay)
+    planned = Planned(
+        setup.plan.planned_area, setup.plan.field_area_m2, setup.implement.working_width_m, scenario.expected_stops, bay
+    )
+    summary = summarize(record, planned)
+    result = summary.as_dict | {
+        "seed": setup.seed,
+        "wall_s": round(time.monotonic() - began_s, 1),
+        "expected_stops": scenario.expected_stops,
+        "digest": digest,
+        "run_dir": str(folder.path),
+    }
+    pictures = draw_all(record, planned, summary) | _sensing_pictures(record, looks, setup, bay)
+    for title, picture in pictures.items():
+        (folder.path / f"{title.lower().replace(',', '').replace(' ', '-')}.png").write_bytes(picture)
+    ranges = range_rows(looks)
+    (folder.path / "report.html").write_text(render(summary, result, pictures, ranges), encoding="utf-8")
+    folder.record("ranges", {"ranges": ranges, "shares": share_rows(looks)})
+    for stop in summary.stops:
+        folder.record("stop", stop.as_dict)
+    folder.record("result", {"result": result})
+    folder.finish()
+    return result
+
+
+def _drive_into_log(
+    setup: Setup, scenario: Scenario, folder: RunFolder, metadata: dict[str, dict[str, str]], console: TextIO,
+    is_ablation: bool,
+) -> str:  # fmt: skip
+    """Assemble, run until the drive ends, and close the log; returns its digest."""
+    faults = planted(setup, scenario)
+    with (
+        assemble(setup, scenario, is_ablation, faults) as (world, nodes),
+        (folder.path / "console.log").open("w") as file,
+    ):
+        end = EndOfDrive(setup.plan.length_m)
+        with LogWriter(folder.path / "log.mcap", metadata, setup.stack.datasets.log, setup.viewer()) as log:
+            sinks = (log.write, Progress((console, file)), end)
+            Executor(world, nodes, sinks if faults is None else (*sinks, faults), faults).run(end.is_reached)
+            return log.digest()
+
+
+def read_drive(path: Path, vehicle: Vehicle) -> tuple[DriveRecord, list[Look]]:
+    """What the measures need of a log, and every sensor's looks at the scenario's objects."""
+    detections = Detections(vehicle)
+
+    def shown() -> Iterator[Envelope]:
+        for entry in LogScan(path, detections.topics.union(TOPICS)):
+            if is_ours(entry) and detections.needs(entry.topic):
+                envelope = decode(entry)
+                detections(envelope)
+                yield envelope
+
+    return collect(shown()), detections.looks
+
+
+def _sensing_pictures(record: DriveRecord, looks: list[Look], setup: Setup, bay: Bay | None) -> dict[str, bytes]:
+    """Detections beside the truth, and the docking where there was one."""
+    found = {
+        "Detections near by": detections_picture(looks, record.first_ns),
+        "Detections over range": shares_picture(looks),
+    }
+    poses, speed_mps = docking_drive(record)
+    if bay is not None and setup.site.shed is not None and len(poses):
+        bodies = bodies_of(setup.vehicle, setup.implement)
+        found["Docking"] = docking_picture(setup.site.shed, bay, poses, speed_mps, bodies)
+    return {title: png for title, png in found.items() if png is not None}

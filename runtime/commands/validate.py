@@ -1,0 +1,285 @@
+"""`headland validate`: would the stack have stopped? Recorded logs replayed, judged and put into one table."""
+
+import argparse
+import base64
+import json
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from datasets.log import LogWriter
+from messages.errors import HeadlandError
+from messages.message import Envelope
+from runtime.run_folder import RunFolder, resolved, versions
+from validation.obstacle_stop.conditions import FILE, load_conditions
+from validation.obstacle_stop.tables import line, tell, write_table
+
+EXIT = {"passed": 0, "failed": 1, "not_shown": 2}
+NOT_LOGGED = ("lidar", "camera", "obstacles", "ground", "recorded", "imu", "wheel", "gnss", "can")
+
+
+@dataclass(frozen=True)
+class Task:
+    """One log to judge; everything a worker needs, as plain values."""
+
+    name: str
+    log: Path
+    truth: Path | None
+    vehicle: Path | None
+    conditions: Path | None
+    without: str | None
+    model: Path | None
+    folder: Path
+    key: str
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Judge all logs; 0 passed, 1 failed, 2 not shown."""
+    if arguments.jobs is not None and arguments.jobs < 1:
+        raise HeadlandError(f"--jobs {arguments.jobs}: must be at least 1")
+    conditions = load_conditions(arguments.conditions)
+    folder = _folder(arguments.out)
+    tasks = _tasks(arguments, folder.path)
+    (folder.path / "config.yaml").write_text(resolved(conditions=conditions), encoding="utf-8")
+    folder.record("conditions", versions() | {"conditions": conditions.model_dump(mode="json")}
+                  | {"logs": [str(task.log) for task in tasks]})  # fmt: skip
+    done = _judge_all(tasks, arguments)
+    results = [done[task.name] for task in tasks]
+    result = _finish(folder, results, conditions)
+    if arguments.json:
+        sys.stdout.write(json.dumps(result) + "\n")
+    else:
+        tell(result)
+    if len(tasks) == 1 and result["failed_to_read"]:
+        raise HeadlandError(result["failed_to_read"][0]["reason"])
+    return EXIT[result["state"]]
+
+
+class _ResumedFolder(RunFolder):
+    """A run folder that may hold logs judged before; what was put together from them is made anew."""
+
+    def __init__(self, out: Path) -> None:
+        strange = [p.name for p in out.iterdir() if p.name not in RESULTS and not p.name.endswith(".png")]
+        if strange:
+            raise HeadlandError(f"--out {out}: holds {strange[0]}, which is not of such a run; name another folder")
+        for path in out.iterdir():
+            if path.is_file():
+                path.unlink()
+        self.path = out.absolute()
+        self._events = 0
+
+
+RESULTS = {"logs", "result.jsonl", "report.html", "encounters.parquet", "stops.parquet", "recall.parquet",
+           "config.yaml", "command", "console.log"}  # fmt: skip
+
+
+def _folder(out: Path | None) -> RunFolder:
+    if out is not None and out.is_dir() and any(out.iterdir()):
+        return _ResumedFolder(out)
+    return RunFolder("validate", out)
+
+
+def _tasks(arguments: argparse.Namespace, folder: Path) -> list[Task]:
+    """One task a log, each with a name of its own."""
+    named: dict[str, Path] = {}
+    for log in arguments.log:
+        name, number = log.name or log.absolute().name, 2
+        while name in named:
+            name, number = f"{log.name}-{number}", number + 1
+        named[name] = log
+    tasks, commit = [], versions()["commit"]
+    for name, log in named.items():
+        key = _key(log, commit, arguments)
+        tasks.append(Task(name, log.absolute(), _absolute(arguments.truth), arguments.vehicle, arguments.conditions,
+                          arguments.without, _absolute(arguments.model), folder / "logs" / name, key))  # fmt: skip
+    return tasks
+
+
+def _absolute(path: Path | None) -> Path | None:
+    return None if path is None else path.absolute()
+
+
+def _key(log: Path, commit: str, arguments: argparse.Namespace) -> str:
+    """What a judgement depends on: the log's files, the conditions, the vehicle, the code."""
+    parts = [
+        commit,
+        str(arguments.truth),
+        str(arguments.without),
+        str(arguments.model),
+        _text(arguments.conditions or FILE),
+    ]
+    parts.append(_text(arguments.vehicle) if arguments.vehicle is not None else "")
+    files = sorted(log.rglob("*")) if log.is_dir() else [log]
+    parts += [f"{p}:{p.stat().st_size}:{p.stat().st_mtime_ns}" for p in files if p.is_file()]
+    return sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else str(path)
+
+
+def _judge_all(tasks: list[Task], arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Results by name, told on standard error as they come."""
+    done: dict[str, dict[str, Any]] = {}
+    waiting = []
+    for task in tasks:
+        kept = _kept(task)
+        if kept is None:
+            waiting.append(task)
+        else:
+            done[task.name] = kept
+    if done:
+        sys.stderr.write(f"{len(done)} of {len(tasks)} judged before\n")
+    for task, values in _run(waiting, arguments):
+        done[task.name] = values
+        sys.stderr.write(f"[{len(done)}/{len(tasks)}] {task.name}: {line(values)}\n")
+    return done
+
+
+def _kept(task: Task) -> dict[str, Any] | None:
+    """The result of this very judgement from a run before, or None."""
+    try:
+        values = json.loads((task.folder / "result.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return values if isinstance(values, dict) and values.get("key") == task.key else None
+
+
+def _run(tasks: list[Task], arguments: argparse.Namespace) -> Iterator[tuple[Task, dict[str, Any]]]:
+    jobs = min(arguments.jobs or len(os.sched_getaffinity(0)), len(tasks))
+    if arguments.scheduler is not None:
+        yield from _on_cluster(tasks, arguments.scheduler)
+    elif jobs <= 1:
+        for task in tasks:
+            yield task, judge_task(task)
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=_spawning()) as pool:
+            futures = {pool.submit(judge_task, task): task for task in tasks}
+            for future in as_completed(futures):
+                yield futures[future], _result_of(future.result, futures[future])
+
+
+def _spawning() -> Any:
+    """Fresh processes: threads of the libraries that are loaded here do not survive a fork."""
+    import multiprocessing
+
+    return multiprocessing.get_context("spawn")
+
+
+def _on_cluster(tasks: list[Task], address: str) -> Iterator[tuple[Task, dict[str, Any]]]:
+    """The same on a Dask cluster; results come back as values, so that no disk need be shared but for the logs."""
+    try:
+        from distributed import Client
+        from distributed import as_completed as completed
+    except ImportError as error:
+        raise HeadlandError("--scheduler needs the package distributed, which is not installed") from error
+    try:
+        client = Client(address, timeout="10s")  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TimeoutError) as error:
+        raise HeadlandError(f"--scheduler {address}: no scheduler answers ({error})") from error
+    with client:
+        futures = {client.submit(judge_task, task, pure=False): task for task in tasks}
+        for future in completed(list(futures)):  # type: ignore[no-untyped-call]
+            yield futures[future], _result_of(future.result, futures[future])
+
+
+def _result_of(get: Callable[[], Any], task: Task) -> dict[str, Any]:
+    """A worker's result; one that died is a log that failed."""
+    try:
+        return dict(get())
+    except Exception as error:  # whatever kills a worker must not end the run
+        return {"log": task.name, "failed": f"{task.log}: the worker died ({error!r})"}
+
+
+def judge_task(task: Task) -> dict[str, Any]:
+    """Judge one log in this process; what is wrong with it is said in the result."""
+    try:
+        values = _judge(task)
+    except HeadlandError as error:
+        values = {"log": task.name, "failed": "; ".join([str(error), *_damages(task.log)])}
+    except Exception as error:  # a log may break what read it in any way; the others must go on
+        where = traceback.format_exc().strip().splitlines()[-3:]
+        values = {"log": task.name, "failed": f"{task.log}: {error!r} ({' '.join(where)})"}
+    values["key"] = task.key
+    if "failed" not in values:
+        task.folder.mkdir(parents=True, exist_ok=True)
+        fresh = task.folder / "result.json.new"
+        fresh.write_text(json.dumps(values), encoding="utf-8")
+        fresh.replace(task.folder / "result.json")
+    return values
+
+
+def _damages(log: Path) -> tuple[str, ...]:
+    """What of it was lost, which may be why it could not be judged."""
+    from runtime.replay.prepare import damages_of
+
+    try:
+        return damages_of(log)
+    except HeadlandError:
+        return ()
+
+
+def _judge(task: Task) -> dict[str, Any]:
+    """Replay and judge; heavy imports only here."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    from runtime.replay.log_inspection_table import render
+    from runtime.replay.object_removal import erase
+    from runtime.replay.prepare import load_configuration, prepare
+    from runtime.replay.replay import replay
+    from validation.obstacle_stop.evaluation import judge_log
+    from validation.obstacle_stop.figures import encounter_picture
+    from validation.obstacle_stop.observer import Observer
+
+    conditions = load_conditions(task.conditions)
+    prepared = prepare(task.log, task.truth, task.vehicle, load_configuration(conditions, task.model))
+    if task.without is not None:
+        prepared = erase(prepared, task.without)
+    preflight = prepared.preflight()
+    sys.stderr.write(render(preflight))
+    setting = prepared.setting(task.name)
+    observer = Observer(setting, conditions)
+    task.folder.mkdir(parents=True, exist_ok=True)
+    path = task.folder / "replay.mcap"
+    path.unlink(missing_ok=True)
+    about = {"replay": {"log": str(task.log), "preflight": json.dumps(preflight)}}
+    with LogWriter(path, about, prepared.config.stack.datasets.log) as log:
+
+        def keep(envelope: Envelope) -> None:
+            if envelope.topic.lstrip("/").partition("/")[0] not in NOT_LOGGED:
+                log.write(envelope)
+
+        replay(prepared, [observer, keep])
+    seen = observer.finish()
+    values = judge_log(task.name, seen, setting.truth_frame is not None, conditions)
+    pictures = {}
+    for encounter in values["encounters"]:
+        if setting.truth_frame is not None:
+            png = encounter_picture(encounter, seen, setting.front_m, setting.width_m, conditions.tube.least_returns)
+            pictures[f"{task.name}: {encounter['role']}, {encounter['outcome']}"] = base64.b64encode(png).decode()
+    return values | {"preflight": preflight, "digest": log.digest(), "pictures": pictures}
+
+
+def _finish(folder: RunFolder, results: list[dict[str, Any]], conditions: Any) -> dict[str, Any]:
+    """Tables, report and records of all logs."""
+    from validation.obstacle_stop.report import render
+    from validation.obstacle_stop.totals import put_together
+
+    result = put_together(results, conditions) | {"run_dir": str(folder.path)}
+    for name in ("encounters", "stops", "recall"):
+        write_table(folder.path / f"{name}.parquet", name, result[name])
+    pictures = {t: base64.b64decode(png) for values in results for t, png in values.get("pictures", {}).items()}
+    preflights = [values["preflight"] for values in results if "preflight" in values]
+    (folder.path / "report.html").write_text(render(result, preflights, pictures), encoding="utf-8")
+    for values in results:
+        kept = {k: v for k, v in values.items() if k not in ("pictures", "key")}
+        folder.record("log", kept)
+    folder.record("result", {"result": result})
+    folder.finish()
+    return result

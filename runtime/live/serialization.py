@@ -1,0 +1,27 @@
+"""Messages as records: the topic, then the message as it stands in a log."""
+
+from collections.abc import Container
+
+from datasets.codec import codec_of
+from messages.errors import LogError, WiringError
+from messages.node import Output
+from messages.topics import spec_of
+
+
+def pack(output: Output) -> bytes:
+    """The record of a message."""
+    topic, message = output
+    name = topic.encode()
+    return bytes([len(name)]) + name + codec_of(type(message)).encode(message)
+
+
+def unpack(record: bytes, wanted: Container[str] | None) -> Output | None:
+    """The message of a record, or None when nobody here wants its topic or it is none."""
+    end = 1 + record[0]
+    try:
+        topic = record[1:end].decode()
+        if wanted is not None and topic not in wanted:
+            return None
+        return topic, codec_of(spec_of(topic).type).decode(record[end:])
+    except (UnicodeDecodeError, LogError, WiringError):
+        return None

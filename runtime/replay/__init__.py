@@ -1,0 +1,1 @@
+"""Recorded logs run through the stack."""

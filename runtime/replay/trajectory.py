@@ -1,0 +1,200 @@
+"""Where the vehicle of a log really went: its motion smoothed, and the way that its base took later as paths."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from geometry.transforms import interpolate, invert, yaw_of
+from messages.message import Float64, Int64
+from messages.motion import MapPose, Odometry, PositionSource
+from messages.plan import Path, PathSection, PathSectionType
+
+ODOM_NS = 20_000_000
+STEP_M = 0.25
+REVERSE_MPS = -0.2
+CURVE_S = 1.0  # of the end of a log, whose mean curvature it is carried on with
+CURVE_M = 0.5  # in less way than this there is no curvature to take a mean of
+SMOOTH_S = 0.5
+LEAST_POSES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses (N, 4, 4) of base in a continuous frame at rising stamps (N,), and motion (N, 5): forward, left, turn a
+    second, forward acceleration, and the standard deviation of the forward speed."""
+
+    stamps_ns: Int64
+    poses: Float64
+    motion: Float64
+
+
+def trajectory_of(messages: list[Odometry], T_child_base: Float64, is_level_known: bool) -> Trajectory:
+    """From odometry of some frame fixed to the vehicle; without gravity in it, its steps are laid out on a plane.
+
+    They are taken in the order of their stamps; a pose that is no number, or comes twice, is left out.
+    """
+    kept: list[Odometry] = []
+    for message in sorted(messages, key=lambda m: m.stamp_ns):
+        if np.isfinite(message.T_odom_base).all() and (not kept or message.stamp_ns > kept[-1].stamp_ns):
+            kept.append(message)
+    stamps = np.array([m.stamp_ns for m in kept], np.int64)
+    poses = np.array([m.T_odom_base @ T_child_base for m in kept]).reshape(-1, 4, 4)
+    poses = poses if is_level_known else flattened(poses)
+    return Trajectory(stamps, poses, motion_of(stamps, poses))
+
+
+def flattened(poses: Float64) -> Float64:
+    """The same steps on a plane: matching of scans knows no gravity, and its tilt drifts."""
+    out = [np.eye(4)] * len(poses)
+    for k, (before, after) in enumerate(pairwise(poses)):
+        step = invert(before) @ after
+        yaw = yaw_of(step)
+        flat = np.eye(4)
+        flat[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+        flat[:2, 3] = step[:2, 3]
+        out[k + 1] = out[k] @ flat
+    return np.array(out).reshape(-1, 4, 4)
+
+
+def steps_of(poses: Float64) -> Float64:
+    """Forward, left and turn (N, 3) summed since the first pose, each step seen from its own middle heading."""
+    yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
+    d, middle = np.diff(poses[:, :2, 3], axis=0), 0.5 * (yaw[1:] + yaw[:-1])
+    c, s = np.cos(middle), np.sin(middle)
+    steps = np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]])
+    summed = np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return np.column_stack([summed, yaw - yaw[0]])
+
+
+def motion_of(stamps_ns: Int64, poses: Float64) -> Float64:
+    """Rates (N, 5) by a parabola through the poses about each: matching is good to 2 cm, a tenth of a second apart that
+    would be 0.3 m/s of noise. What the parabolas leave says how well the speed is known."""
+    out, spread, rests = np.zeros((len(poses), 5)), np.zeros(len(poses)), []
+    if len(poses) < 2:
+        return out
+    t = (stamps_ns - stamps_ns[0]) * 1e-9
+    half_s = max(SMOOTH_S, 1.6 * float(np.median(np.diff(t))))
+    summed = steps_of(poses)
+    for k in range(len(t)):
+        first, last = np.searchsorted(t, [t[k] - half_s, t[k] + half_s])
+        first, last = min(first, max(0, last - LEAST_POSES)), max(last, min(len(t), first + LEAST_POSES))
+        degree = min(2, last - first - 1)
+        design = np.vander(t[first:last] - t[k], degree + 1, increasing=True)
+        fit = np.linalg.lstsq(design, summed[first:last], rcond=None)[0]
+        out[k, :3] = fit[1]
+        out[k, 3] = 2.0 * fit[2, 0] if degree == 2 else 0.0
+        spread[k] = np.linalg.pinv(design.T @ design)[1, 1]
+        free = last - first - degree - 1
+        if free > 0:
+            rests.append(float(np.sum((summed[first:last, 0] - design @ fit[:, 0]) ** 2)) / free)
+    out[:, 4] = np.sqrt(spread * (float(np.median(rests)) if rests else 0.0))
+    return out
+
+
+def is_steady(messages: list[Odometry], most_m: float) -> bool:
+    """Whether the poses go where the speeds say; GNSS without corrections jumps."""
+    for before, after in pairwise(sorted(messages, key=lambda m: m.stamp_ns)):
+        dt_s = (after.stamp_ns - before.stamp_ns) * 1e-9
+        way_m = float(np.linalg.norm(after.T_odom_base[:2, 3] - before.T_odom_base[:2, 3]))
+        told_m = 0.5 * (
+            math.hypot(before.speed_mps, before.lateral_mps) + math.hypot(after.speed_mps, after.lateral_mps)
+        )
+        if dt_s < 1.0 and math.isfinite(told_m) and abs(way_m - told_m * dt_s) > most_m:
+            return False
+    return True
+
+
+def odometry_of(trajectory: Trajectory) -> list[Odometry]:
+    """Odometry at 50 Hz and at every pose, in order of time."""
+    stamps = trajectory.stamps_ns
+    grid = np.arange(stamps[0], stamps[-1], ODOM_NS, dtype=np.int64)
+    wanted = np.union1d(grid, stamps)
+    after = np.clip(np.searchsorted(stamps, wanted), 1, len(stamps) - 1) if len(stamps) > 1 else np.zeros(1, np.int64)
+    out = []
+    for stamp_ns, k in zip(wanted.tolist(), after.tolist(), strict=True):
+        share = (stamp_ns - stamps[k - 1]) / max(int(stamps[k] - stamps[k - 1]), 1) if len(stamps) > 1 else 0.0
+        T = interpolate(trajectory.poses[k - 1], trajectory.poses[k], float(share)) if len(stamps) > 1 else np.eye(4)
+        motion = (1.0 - share) * trajectory.motion[k - 1] + share * trajectory.motion[k]
+        out.append(_odometry(stamp_ns, T, motion))
+    return out
+
+
+def _odometry(stamp_ns: int, T: Float64, motion: Float64) -> Odometry:
+    speed, lateral, turn, acceleration, sigma = motion.tolist()
+    curvature = turn / speed if abs(speed) > 0.5 else 0.0
+    covariance = np.diag([1e-4, 1e-4, 1e-4, max(1e-4, sigma**2), 1e-4, 1e-4])
+    return Odometry(stamp_ns, T, speed, lateral, acceleration, turn, curvature, covariance)
+
+
+def map_pose_of(odom: Odometry) -> MapPose:
+    """`map` is `odom`: a recorded way needs no other."""
+    return MapPose(
+        odom.stamp_ns,
+        np.eye(4),
+        odom.T_odom_base.copy(),
+        np.zeros((6, 6)),
+        PositionSource.DEAD_RECKONING,
+        0.0,
+        0.0,
+        True,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A stretch driven forwards: its path, and the places (K,) on it at stamps (K,)."""
+
+    path: Path
+    stamps_ns: Int64
+    s_m: Float64
+
+
+def stages_of(trajectory: Trajectory, beyond_m: float) -> list[Stage]:
+    """The way really taken, cut where the vehicle went back; the last is carried on past the log's end."""
+    is_forward = trajectory.motion[:, 0] > REVERSE_MPS
+    edges = np.flatnonzero(np.diff(is_forward.astype(int))) + 1
+    runs = [run for run in np.split(np.arange(len(is_forward)), edges) if len(run) > 1 and is_forward[run[0]]]
+    out = []
+    for number, run in enumerate(runs):
+        is_last = run[-1] == len(is_forward) - 1
+        out.append(_stage(trajectory, run, number, beyond_m if is_last else 0.0))
+    return out
+
+
+def _stage(trajectory: Trajectory, run: Int64, number: int, beyond_m: float) -> Stage:
+    stamps, poses = trajectory.stamps_ns[run], trajectory.poses[run]
+    summed = steps_of(poses)
+    s = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(summed[:, 0]), 0.0))])
+    yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
+    rows = np.column_stack([s, poses[:, 0, 3], poses[:, 1, 3], yaw])
+    rows = rows[np.concatenate([[True], np.diff(s) > 1e-3])]
+    rows = np.vstack([rows, carried_on(rows[-1], _last_curvature(stamps, s, yaw), beyond_m)])
+    if len(rows) < 2:
+        rows = np.vstack([rows, carried_on(rows[-1], 0.0, STEP_M)])
+    grid = np.append(np.arange(0.0, rows[-1, 0], STEP_M), rows[-1, 0])
+    grid = grid[np.concatenate([[True], np.diff(grid) > 1e-6])]
+    x, y, heading = (np.interp(grid, rows[:, 0], rows[:, k]) for k in (1, 2, 3))
+    n = len(grid)
+    path = Path(
+        int(stamps[0]), number, 1, np.column_stack([x, y]), heading, np.gradient(heading, grid), grid, np.ones(n),
+        np.zeros(n, np.uint8), (PathSection(PathSectionType.LANE, -1, 0, n - 1),), np.zeros(n, np.int32), False,
+    )  # fmt: skip
+    return Stage(path, stamps, s)
+
+
+def _last_curvature(stamps: Int64, s: Float64, yaw: Float64) -> float:
+    """Mean curvature of the last second; 0 where it has no way to speak of."""
+    first = int(np.searchsorted(stamps, stamps[-1] - round(CURVE_S * 1e9)))
+    way_m = float(s[-1] - s[first])
+    return float(yaw[-1] - yaw[first]) / way_m if way_m >= CURVE_M else 0.0
+
+
+def carried_on(row: Float64, curvature_radpm: float, way_m: float) -> Float64:
+    """Rows (K, 4: way, x, y, heading) on the circle from a row on."""
+    ds = np.arange(STEP_M, way_m + 0.5 * STEP_M, STEP_M)
+    turn = curvature_radpm * ds
+    chord = ds * np.sinc(turn / (2.0 * math.pi))
+    x, y = row[1] + chord * np.cos(row[3] + 0.5 * turn), row[2] + chord * np.sin(row[3] + 0.5 * turn)
+    return np.column_stack([row[0] + ds, x, y, row[3] + turn])

@@ -1,0 +1,95 @@
+"""What the supervisor reads: which topics follow from the machine's sensors, and what of them is missing."""
+
+import math
+
+from configs.vehicle import Sensors
+from messages.command import ControlCommand, MachineState
+from messages.message import Message
+from messages.motion import MapPose, Odometry
+from messages.node import Inbox, Latest, Read
+from messages.perception import Obstacles, SensorHealth, Tracks
+from messages.plan import Path
+from messages.sensors import LidarScan, RadarScan, UltrasonicRange
+from messages.topics import spec_of
+from safety.collision_monitor import Lookout, Seen
+from safety.config import SafetyConfig
+from safety.monitors.sensors import Companion, Lost, companions_of, lost_of
+from safety.monitors.watchdog import Age, age_of
+from safety.obstacle_sources import Measurements
+from safety.pose_history import whole_odom, whole_pose
+from safety.zones.footprint_by_fold import fold_of
+
+
+class Reading:
+    """Topics of the sensors that a machine carries; `idle` as in `Supervisor`.
+
+    A camera's pictures are not read: they say nothing here that its health does not.
+    """
+
+    def __init__(self, sensors: Sensors, idle: frozenset[str], config: SafetyConfig) -> None:
+        self._sensors, self._config = sensors, config
+        self._companions = companions_of(sensors, idle)
+        own = ("imu",) * (sensors.imu is not None) + ("wheel",) * (sensors.wheels is not None)
+        lidars = [topic for name in sensors.lidar for topic in (f"lidar/{name}", f"health/lidar_{name}")]
+        watched = ("machine", *own, *lidars, "odom", "map_pose", "tracks", "control_command", "mission")
+        self._watched: dict[str, type[Message]] = {topic: spec_of(topic).type for topic in watched}
+        self._health = {f"lidar_{name}": f"health/lidar_{name}" for name in sensors.lidar}
+        self._health |= {one.label: one.health_topic for one in self._companions}
+
+    @property
+    def reads(self) -> dict[str, Read]:
+        """All of it."""
+        heard = (one.topic for one in self._companions if one.kind != "camera")
+        told = (one.obstacles_topic for one in self._companions)
+        return {topic: Latest() for topic in (*self._watched, "path", *heard, *told, *self._health.values())}
+
+    def see(self, inbox: Inbox, machine: MachineState | None) -> Seen:
+        """What came."""
+        measurements = Measurements(
+            {name: inbox.latest(f"lidar/{name}", LidarScan) for name in self._sensors.lidar},
+            {one.name: inbox.latest(one.topic, RadarScan) for one in self._of("radar")},
+            {one.name: inbox.latest(one.topic, UltrasonicRange) for one in self._of("ultrasonic")},
+        )
+        return Seen(
+            whole_odom(inbox.latest("odom", Odometry)),
+            whole_pose(inbox.latest("map_pose", MapPose)),
+            inbox.latest("control_command", ControlCommand),
+            inbox.latest("path", Path),
+            inbox.latest("tracks", Tracks),
+            fold_of(machine, self._config.limits.group_age_s),
+            measurements,
+            {name: inbox.latest(topic, SensorHealth) for name, topic in self._health.items()},
+        )
+
+    def _of(self, kind: str) -> list[Companion]:
+        return [one for one in self._companions if one.kind == kind]
+
+    def ages(self, now_ns: int, inbox: Inbox, lookout: Lookout, direction: int) -> list[Age]:
+        """Ages of all that driving in this direction cannot do without."""
+        away = [eye.name for eye in lookout.senses.eyes if not eye.looks(direction)]
+        idle = {topic for name in away for topic in (f"lidar/{name}", f"health/lidar_{name}")}
+        ages = []
+        for topic, kind in self._watched.items():
+            if topic not in idle:
+                last = inbox.last(topic, kind)
+                ages.append(age_of(topic, None if last is None else last.stamp_ns, now_ns))
+        return ages
+
+    def lost(self, now_ns: int, inbox: Inbox, seen: Seen, lookout: Lookout, direction: int) -> tuple[Lost, ...]:
+        """Radars, cameras and ultrasonic sensors that do not see the way, or of which nobody tells what they see."""
+        silent = {f"radar_{name}" for name, scan in seen.measured.radars.items() if scan is None}
+        silent |= {f"ultrasonic_{name}" for name, echo in seen.measured.echoes.items() if echo is None}
+        frozen = {f"radar_{radar.name}" for radar in lookout.senses.radars if radar.is_frozen}
+        half_rad = math.radians(self._config.proven.look_deg)
+        found = (
+            lost_of(
+                one, one.label not in silent, one.label in frozen, self._is_told(one, now_ns, inbox),
+                seen.health[one.label], direction, half_rad,
+            )
+            for one in self._companions
+        )  # fmt: skip
+        return tuple(lost for lost in found if lost is not None)
+
+    def _is_told(self, one: Companion, now_ns: int, inbox: Inbox) -> bool:
+        last = inbox.last(one.obstacles_topic, Obstacles)
+        return last is not None and abs(now_ns - last.stamp_ns) <= one.told_s * 1e9

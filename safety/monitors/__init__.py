@@ -1,0 +1,1 @@
+"""Monitors: vehicle, sensors, message time-outs, brake proof test, operator commands."""

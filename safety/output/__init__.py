@@ -1,0 +1,1 @@
+"""What the supervisor writes: safe command, supervisor state, alarms."""

@@ -1,0 +1,97 @@
+"""From what is allowed to what is commanded: speed, brake, curvature and park brake."""
+
+import math
+from dataclasses import dataclass
+
+from messages.command import ControlCommand
+from safety.config import BrakingConfig
+from safety.stopping_distance import Braking, needed_deceleration
+
+TOLERANCE_MPS = 0.05  # measured speed may be this much above what is allowed before the brake is asked for
+CORRECTION_S = 0.5  # time in which an excess of speed is to be gone
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Signed speed commanded and deceleration asked of the brakes."""
+
+    speed_mps: float
+    deceleration_mps2: float
+
+
+def allowed_slowing(speed_mps: float, braking: Braking) -> float:
+    """Deceleration along the curve v(gap) at a speed: from dv/dt = −v / (dS/dv), dS/dv = τ + t_b/2 + v/a."""
+    if braking.deceleration_mps2 <= 0.0:
+        return 0.0
+    dead_s = braking.reaction_s + 0.5 * braking.build_up_s
+    return speed_mps / (dead_s + speed_mps / braking.deceleration_mps2)
+
+
+def target_speed(
+    control_command: ControlCommand | None, allowed_mps: float, measured_mps: float, creep_mps: float
+) -> float:
+    """The signed wish within what is allowed; 0 when too little is allowed, the wish is no number or turns round."""
+    if control_command is None or not math.isfinite(control_command.speed_mps) or allowed_mps < creep_mps:
+        return 0.0
+    is_turning_round = control_command.speed_mps * measured_mps < 0.0 and abs(measured_mps) > 2.0 * creep_mps
+    return (
+        0.0
+        if is_turning_round
+        else math.copysign(min(abs(control_command.speed_mps), allowed_mps), control_command.speed_mps)
+    )
+
+
+def rising(target_mps: float, before_mps: float, measured_mps: float, step_mps: float) -> float:
+    """The target, but never more than a step above what was commanded before; falling is free."""
+    if target_mps == 0.0:
+        return 0.0
+    sign = math.copysign(1.0, target_mps)
+    start = max(before_mps * sign, min(measured_mps * sign, abs(target_mps)), 0.0)
+    return sign * min(abs(target_mps), start + step_mps)
+
+
+def slowing(
+    control_command: ControlCommand | None,
+    allowed_mps: float,
+    measured_mps: float,
+    clearance_m: float,
+    braking: Braking,
+    config: BrakingConfig,
+) -> float:
+    """Deceleration asked of the brakes while driving: the wish's own, or what the limit needs, at most full."""
+    asked = (
+        max(0.0, -control_command.acceleration_mps2)
+        if control_command is not None and math.isfinite(control_command.acceleration_mps2)
+        else 0.0
+    )
+    excess = measured_mps - allowed_mps
+    if excess <= TOLERANCE_MPS:
+        return min(asked, config.full_mps2)
+    needed = allowed_slowing(measured_mps, braking) + excess / CORRECTION_S
+    if math.isfinite(clearance_m):
+        needed = max(needed, needed_deceleration(measured_mps, clearance_m, config.dead_time_s, config.full_mps2))
+    return min(max(asked, needed), config.full_mps2)
+
+
+def stopping(measured_mps: float, clearance_m: float, config: BrakingConfig) -> float:
+    """Deceleration of a controlled stop: comfortable, or what a gap needs."""
+    if not math.isfinite(clearance_m):
+        return config.controlled_mps2
+    needed = needed_deceleration(measured_mps, clearance_m, config.dead_time_s, config.full_mps2)
+    return max(config.controlled_mps2, needed)
+
+
+def eased(asked_mps2: float, before_mps2: float, gentle_mps2: float, step_mps2: float) -> float:
+    """Braking that grows no faster than a step while it is gentle; hard braking is not delayed."""
+    return asked_mps2 if asked_mps2 > gentle_mps2 else min(asked_mps2, before_mps2 + step_mps2)
+
+
+def steered(control_command: ControlCommand | None, before_radpm: float, most_radpm: float, step_radpm: float) -> float:
+    """The wished curvature within the machine's limit and rate; without a wish the one before is held."""
+    wanted = (
+        before_radpm
+        if control_command is None or not math.isfinite(control_command.curvature_radpm)
+        else control_command.curvature_radpm
+    )
+    wanted = max(-most_radpm, min(most_radpm, wanted))
+    return before_radpm + max(-step_radpm, min(step_radpm, wanted - before_radpm))

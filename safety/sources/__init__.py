@@ -1,0 +1,1 @@
+"""Obstacle sources: lidar, radar and ultrasonic returns for the raw protective field."""

@@ -1,0 +1,125 @@
+"""From a scan to the returns that stand above the ground: no tracker, no classifier, no ground from perception.
+
+The plane through the wheels is the ground; a return counts from 0.25 m + 2 % of its distance above it. Slopes bend:
+over 8 % in ten metres the ground itself would reach that height. So each patch of 3 m may lift (or lower) the plane by
+what its lowest returns show, but never by more than the ground can bend from the wheels to there. The n-th lowest
+return of a patch can only fall when returns are added: more returns never make an obstacle vanish.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from messages.message import Float32, Float64
+from safety.config import FieldConfig
+from safety.zones.footprint import Shape, is_inside, trailer_poses
+
+HEIGHT_STEP_M, HEIGHT_STEPS, HEIGHT_FROM_M = 0.05, 80, -2.0
+WHEELS_X_M, WHEELS_REACH_M = 1.3, 2.0  # about the middle between the axles the wheels themselves are the plane
+
+
+@dataclass(frozen=True)
+class Box:
+    """Area of base that is looked at."""
+
+    x_m: tuple[float, float]
+    y_m: tuple[float, float]
+
+    def holds(self, xy: Float64) -> np.ndarray:
+        """Which points (N, 2) lie in it, (N,) bool; what is no number is not left out."""
+        (x_low, x_high), (y_low, y_high) = self.x_m, self.y_m
+        x, y = xy[:, 0], xy[:, 1]
+        return np.asarray(~((x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)))
+
+    def seen_from(self, pose: Float64) -> "Box":
+        """A box that holds this one, in the frame in which its own is at a pose (3,)."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        x, y = 0.5 * (self.x_m[0] + self.x_m[1]), 0.5 * (self.y_m[0] + self.y_m[1])
+        half_x, half_y = self.x_m[1] - x, self.y_m[1] - y
+        wide, deep = abs(c) * half_x + abs(s) * half_y, abs(s) * half_x + abs(c) * half_y
+        x, y = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+        return Box((x - wide, x + wide), (y - deep, y + deep))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Speed along x and yaw rate of base while a scan was taken."""
+
+    speed_mps: float
+    yaw_rate_radps: float
+
+
+def to_base(points_m: Float32, T_base_sensor: Float64) -> Float32:
+    """Returns (N, 3) of the sensor as rows x, y, z of base, (3, N)."""
+    out = T_base_sensor[:3, :3].astype(np.float32) @ points_m.T
+    out += T_base_sensor[:3, 3:].astype(np.float32)
+    return np.asarray(out)
+
+
+def deskew(xyz: Float32, offset_s: Float32, motion: Motion) -> Float32:
+    """Returns (3, N) as they would be had all been taken at the stamp.
+
+    First order in the motion: at 30 km/h and 0.5 rad/s within 0.1 s the error at 20 m is below 0.03 m.
+    """
+    turn = offset_s * np.float32(motion.yaw_rate_radps)
+    x = xyz[0] - turn * xyz[1] + offset_s * np.float32(motion.speed_mps)
+    return np.stack([x, xyz[1] + turn * xyz[0], xyz[2]])
+
+
+def within(xyz: Float32, box: Box, top_m: float) -> np.ndarray:
+    """Indices of the returns in the box and below the top."""
+    x, y, z = xyz
+    inside = (x > box.x_m[0]) & (x < box.x_m[1]) & (y > box.y_m[0]) & (y < box.y_m[1]) & (z < top_m)
+    return np.flatnonzero(inside)
+
+
+def raised(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
+    """Which returns (3, N) stand above the ground, (N,) bool; deskewing may have moved some just out of the box."""
+    x, y, z = xyz
+    size = config.ground_patch_m
+    x0, y0 = np.floor(box.x_m[0] / size), np.floor(box.y_m[0] / size)
+    columns = int(np.floor(box.y_m[1] / size) - y0) + 1
+    rows = int(np.floor(box.x_m[1] / size) - x0) + 1
+    scale = np.float32(1.0 / size)
+    row, column = (x * scale - np.float32(x0)).astype(np.int32), (y * scale - np.float32(y0)).astype(np.int32)
+    patch = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
+    ground = patch_ground(patch, z, rows * columns, config.ground_returns, config.ground_share)
+    center_x = (np.repeat(np.arange(rows), columns) + x0 + 0.5) * size
+    center_y = (np.tile(np.arange(columns), rows) + y0 + 0.5) * size
+    lift = bend(ground, np.hypot(center_x - WHEELS_X_M, center_y), config).astype(np.float32)
+    distance = np.sqrt(x * x + y * y)
+    return np.asarray(z > lift[patch] + np.float32(config.lowest_m) + np.float32(config.lowest_per_m) * distance)
+
+
+def patch_ground(patch: np.ndarray, z: Float32, patches: int, order: int, share: float) -> Float64:
+    """Height of the `order`-th lowest return of each patch, rounded down to 0.05 m; infinite where there are fewer.
+
+    Where returns are dense a share of them stands for `order`: mirrors (wet ground, paint) put ghosts below the ground.
+    """
+    level = np.clip((z - np.float32(HEIGHT_FROM_M)) * np.float32(1.0 / HEIGHT_STEP_M), 0, HEIGHT_STEPS - 1)
+    counts = np.bincount(patch * HEIGHT_STEPS + level.astype(np.int32), minlength=patches * HEIGHT_STEPS)
+    below = np.cumsum(counts.reshape(patches, HEIGHT_STEPS), axis=1)
+    needed = np.maximum(order, share * below[:, -1:])
+    found = np.argmax(below >= needed, axis=1)
+    height = HEIGHT_FROM_M + HEIGHT_STEP_M * found
+    return np.where(below[:, -1] >= order, height, np.inf)
+
+
+def bend(ground_m: Float64, distance_m: Float64, config: FieldConfig) -> Float64:
+    """What is believed of ground that rises or falls against the plane through the wheels, at a distance from them."""
+    reach = config.grade_change * np.maximum(0.0, distance_m - WHEELS_REACH_M)
+    fallen = np.minimum(ground_m + config.furrow_m, 0.0)
+    return np.clip(np.where(ground_m > 0.0, ground_m, fallen), -reach, np.minimum(reach, config.rise_cap_m))
+
+
+def is_own(xyz: Float32 | Float64, shape: Shape, curvature_radpm: float, margin_m: float) -> np.ndarray:
+    """Which returns (3, N) lie on machine or implement, (N,) bool."""
+    own = np.zeros(xyz.shape[1], bool)
+    for body in shape.rigid:
+        own |= is_inside(body, xyz[0], xyz[1], margin_m)
+    if shape.trailed is not None and shape.drawbar is not None:
+        x, y, yaw = trailer_poses(shape.drawbar, np.zeros((1, 3)), curvature_radpm)[0]
+        c, s, dx, dy = np.cos(yaw), np.sin(yaw), xyz[0] - x, xyz[1] - y
+        own |= is_inside(shape.trailed, c * dx + s * dy, c * dy - s * dx, margin_m)
+    return own

@@ -1,0 +1,1 @@
+"""Protective field, swept area, footprint, geofence and known structure."""

@@ -1,0 +1,160 @@
+"""The geofence: where machine and implement may be, by crossing numbers alone (no geometry library in this channel)."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from configs.site import Bay, Lane, Shed, Site
+from messages.message import Float64
+from safety.sources.ground_filter import Box
+
+GATE_DEPTH_M = 1.0  # to either side of the line between the posts
+OUTSIDE_M = -1.0
+APRON_M, APRON_ASIDE_M = 4.0, 2.0  # before a bay, and to either side of it: where the machine turns into it
+ROOF_EDGE_M = 0.1  # the apron reaches that far under the roof, to the posts
+SURELY_BESIDE_M = 1e-6  # beside a polygon by more, a point is not in it however its crossings are rounded
+LANE_OVERLAP_M = 1.0  # a lane reaches that far into what lies at its ends, so that no seam is outside
+
+
+@dataclass(frozen=True)
+class Fence:
+    """Polygons in `map`: a point may be in any of `allowed` and in none of `forbidden`; rings need not be closed."""
+
+    allowed: tuple[Float64, ...]
+    forbidden: tuple[Float64, ...] = ()
+
+    def holds_box(self, box: Box) -> bool:
+        """Whether all of a box in map is surely where the machine may be: in one ring, with no side of it near."""
+        if any(ring.may_meet(box) for ring in self._forbidden):
+            return False
+        corner = np.array([[box.x_m[0], box.y_m[0]]])
+        rings = (ring for ring in self._allowed if ring.may_meet(box) and not ring.has_side_at(box))
+        return any(bool(is_within(corner, ring.corners)[0]) for ring in rings)
+
+    @cached_property
+    def _allowed(self) -> tuple["Ring", ...]:
+        return tuple(Ring(corners) for corners in self.allowed)
+
+    @cached_property
+    def _forbidden(self) -> tuple["Ring", ...]:
+        return tuple(Ring(corners) for corners in self.forbidden)
+
+    def holds(self, points_map_m: Float64) -> np.ndarray:
+        """Which points (N, 2) are where the machine may be, (N,) bool."""
+        inside = np.zeros(len(points_map_m), bool)
+        if len(points_map_m) == 0:
+            return inside
+        box = box_about(points_map_m)
+        for ring in self._allowed:
+            if not ring.may_meet(box):
+                continue
+            left = np.flatnonzero(~inside)  # most points lie in one ring
+            if len(left) == 0:
+                break
+            inside[left] = is_within(points_map_m[left], ring.corners)
+        for ring in self._forbidden:
+            if ring.may_meet(box):
+                inside &= ~is_within(points_map_m, ring.corners)
+        return inside
+
+
+class Ring:
+    """A polygon (E, 2) with the boxes about it and about its sides."""
+
+    def __init__(self, corners: Float64) -> None:
+        self.corners = corners
+        ends = np.stack([corners, np.roll(corners, -1, axis=0)])
+        self._low, self._high = ends.min(axis=0).T, ends.max(axis=0).T
+        self._box = box_about(corners)
+
+    def may_meet(self, box: Box) -> bool:
+        """Whether any of a box may lie in the polygon; what is no number may."""
+        own, near = self._box, SURELY_BESIDE_M
+        is_beside = box.x_m[1] < own.x_m[0] - near or box.x_m[0] > own.x_m[1] + near
+        return not (is_beside or box.y_m[1] < own.y_m[0] - near or box.y_m[0] > own.y_m[1] + near)
+
+    def has_side_at(self, box: Box) -> bool:
+        """Whether the box about any side meets a box."""
+        (x_low, y_low), (x_high, y_high) = self._low, self._high
+        meets = (x_low <= box.x_m[1]) & (x_high >= box.x_m[0]) & (y_low <= box.y_m[1]) & (y_high >= box.y_m[0])
+        return bool(meets.any())
+
+
+def box_about(points: Float64) -> Box:
+    """The box about points (N, 2), at least one."""
+    (x_low, y_low), (x_high, y_high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return Box((x_low, x_high), (y_low, y_high))
+
+
+def fence_of(site: Site) -> Fence:
+    """The field, the yard, the lanes and the bays of a site, less its no-go areas."""
+    areas = [np.array(site.boundary_m), np.array(site.yard.outline_m)]
+    areas += [ring for bay in site.shed.bays for ring in bay_rings(site.shed, bay)] if site.shed is not None else []
+    areas += [ring for lane in site.lanes for ring in lane_rings(lane)]
+    areas += [band(np.array(gate.posts_m), GATE_DEPTH_M) for gate in site.gates]
+    return Fence(tuple(areas), tuple(np.array(area.outline_m) for area in site.no_go))
+
+
+def lane_rings(lane: Lane) -> list[Float64]:
+    """A rectangle about each piece of a lane; inner ones overlap by half the width, so that bends are whole."""
+    center, half = np.array(lane.center_m), 0.5 * lane.width_m
+    rings = []
+    for k, (a, b) in enumerate(pairwise(center)):
+        along = (b - a) / max(math.hypot(*(b - a)), 1e-9)
+        before = LANE_OVERLAP_M if k == 0 else half
+        after = LANE_OVERLAP_M if k == len(center) - 2 else half
+        rings.append(band(np.array([a - before * along, b + after * along]), half))
+    return rings
+
+
+def bay_rings(shed: Shed, bay: Bay) -> tuple[Float64, Float64]:
+    """A bay from the back wall to the roof's edge, free width, and the apron before it, wider."""
+    dock, heading = np.array([bay.dock.x_m, bay.dock.y_m]), math.radians(bay.dock.heading_deg)
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    roof = np.array(shed.outline_m)
+    edge = dock + way_across(dock, ahead, roof) * ahead
+    back = dock - (way_across(dock, -ahead, roof) - 0.5 * shed.wall_thickness_m) * ahead
+    apron = np.array([edge - ROOF_EDGE_M * ahead, edge + APRON_M * ahead])
+    return band(np.array([back, edge]), 0.5 * bay.width_m), band(apron, 0.5 * bay.width_m + APRON_ASIDE_M)
+
+
+def way_across(start: Float64, ahead: Float64, ring: Float64) -> float:
+    """The way from a point inside a polygon (E, 2) to its edge in a direction (unit vector); 0 when it meets none."""
+    side = np.roll(ring, -1, axis=0) - ring
+    to_corner = ring - start
+    across = ahead[0] * side[:, 1] - ahead[1] * side[:, 0]
+    slanted = np.abs(across) > 1e-9
+    way = (to_corner[slanted, 0] * side[slanted, 1] - to_corner[slanted, 1] * side[slanted, 0]) / across[slanted]
+    share = (to_corner[slanted, 0] * ahead[1] - to_corner[slanted, 1] * ahead[0]) / across[slanted]
+    met = way[(way > 0.0) & (share >= 0.0) & (share <= 1.0)]
+    return float(met.min(initial=math.inf)) if len(met) else 0.0
+
+
+def band(line: Float64, half_m: float) -> Float64:
+    """A rectangle (4, 2) about the line between two points."""
+    along = (line[1] - line[0]) / max(math.hypot(*(line[1] - line[0])), 1e-9)
+    left = half_m * np.array([-along[1], along[0]])
+    return np.array([line[0] + left, line[0] - left, line[1] - left, line[1] + left])
+
+
+def is_within(points: Float64, ring: Float64) -> np.ndarray:
+    """Which points (N, 2) lie in a polygon (E, 2), by an odd number of edges crossed towards +x, (N,) bool."""
+    x, y = points.T
+    x0, y0 = ring.T[:, :, None]  # edges by points: there are fewer edges
+    x1, y1 = np.concatenate([ring[1:], ring[:1]]).T[:, :, None]
+    is_spanned = (y0 <= y) != (y1 <= y)
+    rise = np.where(y1 == y0, 1.0, y1 - y0)
+    is_right = x < x0 + (y - y0) / rise * (x1 - x0)
+    return np.asarray(np.logical_xor.reduce(is_spanned & is_right, axis=0))
+
+
+def way_inside_m(fence: Fence, points_map_m: Float64, ways_m: Float64, spacing_m: float) -> float:
+    """How far the outline points (P, 2), reached after `ways_m` (P,), stay inside; infinite: all do, -1: outside."""
+    outside = ~fence.holds(points_map_m)
+    if not np.any(outside):
+        return math.inf
+    first_m = float(ways_m[outside].min())
+    return OUTSIDE_M if first_m <= 0.0 else max(0.0, first_m - spacing_m)

@@ -1,0 +1,109 @@
+"""The surveyed shed: what is known to stand in it explains returns, and must itself stay clear of what is swept.
+
+          roof outline
+┌───────────────────────┐ wall     returns within a tolerance of wall or post are explained;
+│  ·    bay         ·   · posts    the swept bodies, widened by what the pose leaves open,
+└───────────────────────┘          must not reach the surface of either
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from configs.site import Shed, Site
+from messages.message import Float64
+from safety.pose_history import from_frame, to_frame
+from safety.zones.geofence import is_within
+from safety.zones.swept_area import Sweep, contact_m, corners_along
+
+SPACING_M = 0.15  # of the discs that stand for a wall: between two, its surface lies 0.04 m further out
+REACH_M = 15.0  # discs farther from base than this touch no sweep of docking
+OUTLINE_M = 0.5  # spacing of the places whose outline is looked at under the roof
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Walls as segments (S, 4: ends) of one thickness, posts (P, 3: x, y, radius) and the roof (R, 2), in map."""
+
+    walls: Float64
+    half_thickness_m: float
+    posts: Float64
+    roof: Float64
+
+    def away_m(self, points_map: Float64) -> Float64:
+        """Distance of points (N, 2) from the nearest surface, (N,); below 0 inside wall or post."""
+        x, y = points_map[:, :1], points_map[:, 1:]  # by segments and posts: there are few of these
+        x0, y0, x1, y1 = self.walls.T
+        ahead, aside = x1 - x0, y1 - y0
+        share = ((x - x0) * ahead + (y - y0) * aside) / np.maximum(ahead * ahead + aside * aside, 1e-9)
+        share = np.clip(share, 0.0, 1.0)
+        wall = np.hypot(x - x0 - share * ahead, y - y0 - share * aside).min(axis=1, initial=np.inf)
+        post = (np.hypot(x - self.posts[:, 0], y - self.posts[:, 1]) - self.posts[:, 2]).min(axis=1, initial=np.inf)
+        return np.asarray(np.minimum(wall - self.half_thickness_m, post))
+
+    def is_near(self, pose_map: Float64, near_m: float) -> bool:
+        """Whether a pose is under the roof or within `near_m` of its edge."""
+        middle, reach_m = self._circle
+        if math.hypot(pose_map[0] - middle[0], pose_map[1] - middle[1]) > reach_m + near_m:
+            return False
+        point = pose_map[None, :2]
+        if is_within(point, self.roof)[0]:
+            return True
+        edges = replace(self, walls=edges_of(self.roof), half_thickness_m=0.0, posts=self.posts[:0])
+        return float(edges.away_m(point)[0]) <= near_m
+
+    def is_under_roof(self, sweep: Sweep, pose_map: Float64) -> bool:
+        """Whether any body is under the roof anywhere on the way."""
+        points, _ = corners_along(sweep, OUTLINE_M)
+        return bool(is_within(to_frame(pose_map, points), self.roof).any())
+
+    def clear_m(self, sweep: Sweep, pose_map: Float64, clearance_m: float) -> float:
+        """The way until a body comes within `clearance_m` of wall or post; infinite when none does."""
+        discs = self._discs
+        xy = from_frame(pose_map, discs[:, :2])
+        near = np.hypot(*xy.T) <= REACH_M
+        bare = replace(sweep, lateral_m=np.zeros_like(sweep.lateral_m))
+        return float(np.min(contact_m(xy[near], bare, discs[near, 2] + clearance_m), initial=math.inf))
+
+    @cached_property
+    def _circle(self) -> tuple[Float64, float]:
+        middle = self.roof.mean(axis=0)
+        return middle, float(np.hypot(*(self.roof - middle).T).max())
+
+    @cached_property
+    def _discs(self) -> Float64:
+        walls = [discs_along(wall, self.half_thickness_m) for wall in self.walls]
+        return np.concatenate([self.posts, *walls])
+
+
+def survey_of(site: Site) -> Survey | None:
+    """The shed of a site; None without one."""
+    return None if site.shed is None else surveyed(site.shed)
+
+
+def surveyed(shed: Shed) -> Survey:
+    """Walls, posts and roof of a shed."""
+    walls = [(*a, *b) for line in shed.walls_m for a, b in pairwise(line)]
+    posts = [(*post.at_m, post.radius_m) for post in shed.posts]
+    return Survey(
+        np.array(walls, np.float64).reshape(-1, 4),
+        0.5 * shed.wall_thickness_m,
+        np.array(posts, np.float64).reshape(-1, 3),
+        np.array(shed.outline_m),
+    )
+
+
+def edges_of(ring: Float64) -> Float64:
+    """The sides of a polygon (R, 2) as segments (R, 4)."""
+    return np.column_stack([ring, np.roll(ring, -1, axis=0)])
+
+
+def discs_along(wall: Float64, radius_m: float) -> Float64:
+    """Discs (K, 3: x, y, radius) whose union is a wall (4,) from end to end."""
+    count = max(2, math.ceil(math.hypot(wall[2] - wall[0], wall[3] - wall[1]) / SPACING_M) + 1)
+    share = np.linspace(0.0, 1.0, count)[:, None]
+    centers = wall[:2] + share * (wall[2:] - wall[:2])
+    return np.column_stack([centers, np.full(count, radius_m)])

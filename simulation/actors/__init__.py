@@ -1,0 +1,1 @@
+"""People, animals and vehicles and their encounters with the machine."""

@@ -1,0 +1,39 @@
+"""People, animals and vehicles as meshes about their own origin: on the ground, facing x; limbs move with the gait.
+
+What lidar, radar and ultrasonic meet is the same body as what cameras see, with fewer triangles.
+"""
+
+from functools import cache
+
+from messages.perception import ObstacleClass
+from simulation.actors.car import car
+from simulation.actors.deer import deer
+from simulation.actors.person import STEPS, person
+from simulation.environment.lofting import Part
+from simulation.environment.meshes import Mesh, join
+
+STRIDE_M = {ObstacleClass.PERSON: 1.3, ObstacleClass.ANIMAL: 1.6}  # way of one whole gait cycle
+GAIT_STEPS = STEPS
+REFLECTIVITY = {ObstacleClass.PERSON: 0.35, ObstacleClass.ANIMAL: 0.30, ObstacleClass.VEHICLE: 0.5}
+
+
+def figure_mesh(label: ObstacleClass, gait: float) -> Mesh:
+    """The mesh at a place in the gait cycle (0 to 1), in `GAIT_STEPS` steps; a negative gait means standing."""
+    return _joined(label, gait_step(gait))
+
+
+def gait_step(gait: float) -> int:
+    """The step of a place in the gait cycle; -1 for standing."""
+    return -1 if gait < 0.0 else int(gait % 1.0 * GAIT_STEPS)
+
+
+def figure_parts(label: ObstacleClass, step: int, is_fine: bool) -> tuple[Part, ...]:
+    """The parts at a step of the gait, by what they are of."""
+    if label is ObstacleClass.PERSON:
+        return person(step, is_fine)
+    return deer(step, is_fine) if label is ObstacleClass.ANIMAL else car(is_fine)
+
+
+@cache
+def _joined(label: ObstacleClass, step: int) -> Mesh:
+    return join([part.mesh for part in figure_parts(label, step, False)])

@@ -1,0 +1,1 @@
+"""Terrain, scenery, shed and the scene that sensors scan."""

@@ -1,0 +1,75 @@
+"""What rays hit: the still scene, built once, and the figures, built for every scan."""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from messages.message import Float32, UInt8
+from simulation.actors.actor_meshes import REFLECTIVITY
+from simulation.actors.actors import Figure
+from simulation.environment.meshes import Mesh
+from simulation.environment.scenery import SURFACE_KINDS, Piece
+from simulation.kernels import UInt32, signal_of
+
+
+class Rays:
+    """Triangles that can be cast against; open3d is loaded with the first one."""
+
+    def __init__(self, meshes: list[Mesh], reflectivity: list[float], kinds: tuple[int, ...] = ()) -> None:
+        import open3d
+
+        self._core: Any = open3d.core  # its stubs do not know arrays
+        self._scene: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
+        self._reflectivity = np.array([*reflectivity, 0.0], np.float32)
+        self._kinds = np.array([*kinds, len(SURFACE_KINDS)], np.uint8)
+        for mesh in meshes:
+            vertices = self._core.Tensor(np.array(mesh.vertices_m, np.float32))
+            self._scene.add_triangles(vertices, self._core.Tensor(mesh.triangles.astype(np.uint32)))
+
+    def cast(self, rays: Float32) -> tuple[Float32, Float32]:
+        """Distance (infinite where nothing is hit) and reflectivity times cosine of incidence, (N,) each.
+
+        `rays` (N, 6): origin and unit direction.
+        """
+        distance, mesh, normals = self._hit(rays)
+        return distance, signal_of(rays, normals, mesh, self._reflectivity)
+
+    def strike(self, rays: Float32) -> tuple[Float32, UInt8, Float32]:
+        """Distance (infinite: no hit), index into SURFACE_KINDS (its length: no hit) and cosine of incidence, (N,)."""
+        distance, mesh, normals = self._hit(rays)
+        kinds = self._kinds[np.minimum(mesh, len(self._kinds) - 1)]
+        return distance, kinds, np.abs(np.einsum("ij,ij->i", rays[:, 3:], normals))
+
+    def _hit(self, rays: Float32) -> tuple[Float32, UInt32, Float32]:
+        """Distance, number of the mesh (the greatest there is: nothing hit) and normal."""
+        hits = self._scene.cast_rays(self._core.Tensor.from_numpy(rays), nthreads=1)
+        return hits["t_hit"].numpy(), hits["geometry_ids"].numpy(), hits["primitive_normals"].numpy()
+
+
+class Scene:
+    """Everything around the machine; `figures` are those present now."""
+
+    def __init__(self, build: Callable[[], list[Piece]]) -> None:
+        self.figures: tuple[Figure, ...] = ()
+        self._build = build
+
+    @cached_property
+    def pieces(self) -> list[Piece]:
+        """What never moves, built when first asked for."""
+        return self._build()
+
+    @cached_property
+    def still(self) -> Rays:
+        """The same, to be cast against."""
+        kinds = tuple(SURFACE_KINDS.index(p.name) for p in self.pieces)
+        return Rays([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces], kinds)
+
+    def seen_by(self, kind: str) -> list[Figure]:
+        """The figures that sensors of a kind see."""
+        return [f for f in self.figures if kind in f.seen_by]
+
+    def moving(self, figures: list[Figure], ago_s: float) -> Rays:
+        """Some figures as they were a moment ago."""
+        return Rays([f.mesh_at(ago_s) for f in figures], [REFLECTIVITY[f.label] for f in figures])

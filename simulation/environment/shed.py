@@ -1,0 +1,133 @@
+"""The shed as solids on the level floor at height 0: walls, posts, masts of the anchors outside, and what is stored.
+
+Bays stay free; where a part of the floor belongs to none, pallets, crates and shelves stand, drawn from the seed.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from shapely import LineString, Point, Polygon
+from shapely.affinity import rotate, translate
+from shapely.geometry.base import BaseGeometry
+
+from configs.site import Bay, Shed
+from geometry.polygon import parts
+from messages.message import Float64
+from simulation.environment.meshes import Mesh, join
+from simulation.randomness import generator
+
+MAST_M = 0.06
+BESIDE_BAY_M = 0.3  # kept free beside a bay
+LEAST_STORE_M = 0.6  # half the width of a floor that is worth storing on
+STORED_M = ((1.2, 0.8, 0.2, 1.6), (0.8, 0.6, 0.5, 1.1), (2.4, 0.5, 1.8, 2.2))  # length, width, lowest and highest top
+FLOOR_PER_PIECE_M2 = 3.0
+TRIES = 20
+ROOF_M = 0.1
+
+
+@dataclass(frozen=True)
+class Solid:
+    """An upright body by its ground in `map` and the height of its top; `kind` is wall, post, mast or store."""
+
+    kind: str
+    ground: Polygon
+    top_m: float
+
+    @property
+    def mesh(self) -> Mesh:
+        """Its surface."""
+        return prism(self.ground, 0.0, self.top_m)
+
+
+def shed_solids(shed: Shed, seed: int) -> list[Solid]:
+    """Everything in and about the shed that a machine can run into."""
+    walls = [w for line in shed.walls_m for w in parts(_wall(shed, line))]
+    posts = [Point(p.at_m).buffer(p.radius_m, quad_segs=3) for p in shed.posts]
+    outside = [a for a in shed.anchors.values() if not Polygon(shed.outline_m).covers(Point(a[:2]))]
+    return [
+        *(Solid("wall", w, shed.height_m) for w in walls),
+        *(Solid("post", p, shed.height_m) for p in posts),
+        *(Solid("mast", Point(a[:2]).buffer(MAST_M, quad_segs=2), a[2] - 0.05) for a in outside),
+        *(Solid("store", ground, top) for ground, top in store(shed, seed)),
+    ]
+
+
+def _wall(shed: Shed, line: tuple[tuple[float, float], ...]) -> BaseGeometry:
+    return LineString(line).buffer(0.5 * shed.wall_thickness_m, cap_style="square", join_style="mitre")
+
+
+def store_floor(shed: Shed) -> list[Polygon]:
+    """The parts of the floor that belong to no bay and are wide enough to store on."""
+    walls = [_wall(shed, line).buffer(0.05) for line in shed.walls_m]
+    bays = [bay_ground(shed, bay).buffer(BESIDE_BAY_M) for bay in shed.bays]
+    free = Polygon(shed.outline_m).difference(shapely.union_all([*walls, *bays]))
+    return [p for p in parts(free) if not p.buffer(-LEAST_STORE_M).is_empty]
+
+
+def bay_ground(shed: Shed, bay: Bay) -> Polygon:
+    """The bay's width along its heading, through the whole shed."""
+    reach = Polygon(shed.outline_m).length
+    angle, x, y = math.radians(bay.dock.heading_deg), bay.dock.x_m, bay.dock.y_m
+    ahead = (reach * math.cos(angle), reach * math.sin(angle))
+    line = LineString([(x - ahead[0], y - ahead[1]), (x + ahead[0], y + ahead[1])])
+    return line.buffer(0.5 * bay.width_m, cap_style="flat")
+
+
+def store(shed: Shed, seed: int) -> list[tuple[Polygon, float]]:
+    """Ground and top of what is stored: along the shed, apart from each other."""
+    random = generator(seed, "store")
+    heading_deg = shed.bays[0].dock.heading_deg if shed.bays else 0.0
+    placed: list[tuple[Polygon, float]] = []
+    for floor in store_floor(shed):
+        for _ in range(round(floor.area / FLOOR_PER_PIECE_M2)):
+            length, width, low, high = STORED_M[int(random.integers(len(STORED_M)))]
+            top = float(random.uniform(low, high))
+            taken = shapely.union_all([g for g, _ in placed])
+            found = _put(floor.difference(taken.buffer(0.1)), floor.bounds, (length, width), heading_deg, random)
+            placed += [(found, top)] if found is not None else []
+    return placed
+
+
+def _put(
+    free: BaseGeometry, bounds: tuple[float, ...], size_m: tuple[float, float], heading_deg: float,
+    random: np.random.Generator,
+) -> Polygon | None:  # fmt: skip
+    shape = shapely.box(-0.5 * size_m[0], -0.5 * size_m[1], 0.5 * size_m[0], 0.5 * size_m[1])
+    for _ in range(TRIES):
+        x, y = random.uniform(bounds[:2], bounds[2:])
+        moved = translate(rotate(shape, heading_deg + random.uniform(-5.0, 5.0)), x, y)
+        if free.covers(moved):
+            return Polygon(moved.exterior)
+    return None
+
+
+def solids_mesh(solids: list[Solid], kind: str) -> Mesh | None:
+    """All solids of one kind as one mesh."""
+    meshes = [s.mesh for s in solids if s.kind == kind]
+    return join(meshes) if meshes else None
+
+
+def roof_mesh(shed: Shed) -> Mesh:
+    """A flat roof over the outline."""
+    return prism(Polygon(shed.outline_m), shed.height_m, shed.height_m + ROOF_M)
+
+
+def prism(ground: Polygon, low_m: float, high_m: float) -> Mesh:
+    """An upright body over a ground without holes, with floor and top."""
+    ring = np.asarray(shapely.geometry.polygon.orient(ground).exterior.coords)[:-1, :2]
+    n, k = len(ring), np.arange(len(ring))
+    corners = np.concatenate([np.column_stack([ring, np.full(n, z)]) for z in (low_m, high_m)])
+    after = (k + 1) % n
+    sides = np.concatenate([np.stack([k, after, after + n], axis=1), np.stack([k, after + n, k + n], axis=1)])
+    lid = _lid(ground, ring)
+    return Mesh(corners.astype(np.float32), np.concatenate([sides, lid[:, ::-1], lid + n]).astype(np.int32))
+
+
+def _lid(ground: Polygon, ring: Float64) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """Triangles (M, 3) over the corners of a ring, counter-clockwise."""
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(ground))
+    points = np.array([np.asarray(shapely.geometry.polygon.orient(t).exterior.coords)[:3, :2] for t in triangles])
+    distance = np.abs(points[:, :, None, :] - ring[None, None]).sum(axis=-1)
+    return np.asarray(distance.argmin(axis=-1))

@@ -1,0 +1,92 @@
+"""What really happened: contacts, leaving the surveyed area, and the truth messages."""
+
+import numpy as np
+import shapely
+from pydantic import Field
+from shapely import LineString, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from configs.site import Site
+from configs.strict import Config
+from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
+from messages.truth import TrueMachine, TrueObject, TrueObjects
+from simulation.actors.actors import Figure
+from simulation.environment.scenery import surveyed_area
+from simulation.environment.shed import shed_solids
+from simulation.machine.body import implement_outline_m, machine_outline_m
+from simulation.machine.implement import working_point_m
+from simulation.machine.machine import Machine
+
+
+class JudgeConfig(Config):
+    """Bounds of what counts."""
+
+    tolerance_m: float = Field(ge=0.0, le=0.1, description="of a boundary")
+
+
+class Judge:
+    """Counts contacts once an object (a figure, or a wall or post by -1 and down) and zone_exits once a leaving."""
+
+    def __init__(
+        self,
+        site: Site,
+        vehicle: Vehicle,
+        implement: MountedImplement | TrailedImplement,
+        seed: int,
+        config: JudgeConfig,
+    ) -> None:
+        self.zone_exits = 0
+        self.touched: tuple[int, ...] = ()
+        self._vehicle, self._implement = vehicle, implement
+        self._allowed = allowed_area(site).buffer(config.tolerance_m)
+        shapely.prepare(self._allowed)
+        self._was_inside = True
+        self._solids = [] if site.shed is None else [s.ground for s in shed_solids(site.shed, seed)]
+        self._built = shapely.union_all(self._solids)
+        shapely.prepare(self._built)
+
+    def look(self, outline: BaseGeometry, figures: tuple[Figure, ...]) -> None:
+        """Count what has come about since the last look, by the ground covered now."""
+        is_inside = bool(self._allowed.covers(outline))
+        self.zone_exits += int(self._was_inside and not is_inside)
+        self._was_inside = is_inside
+        hit = [figure.id for figure in figures if outline.intersects(figure.footprint)]
+        if self._built.intersects(outline):
+            hit += [-1 - k for k, solid in enumerate(self._solids) if solid.intersects(outline)]
+        self.touched += tuple(id for id in hit if id not in self.touched)
+
+    def outline(self, machine: Machine) -> BaseGeometry:
+        """Ground covered by machine and implement."""
+        base = (machine.x_m, machine.y_m, machine.yaw_rad)
+        implement = implement_outline_m(machine.attached.present, base, machine.attached.yaw_rad)
+        return machine_outline_m(self._vehicle, base).union(implement)
+
+    def machine_message(self, stamp_ns: int, machine: Machine) -> TrueMachine:
+        """The machine as it is."""
+        base = (machine.x_m, machine.y_m, machine.yaw_rad)
+        point = working_point_m(self._implement, base, machine.attached.yaw_rad)
+        T = machine.T_map_base
+        height = T[2, 3] + (point - T[:2, 3]) @ T[:2, :2] @ T[2, :2]
+        return TrueMachine(
+            stamp_ns, T.copy(), machine.speed_mps, machine.acceleration_mps2, machine.yaw_rate_radps,
+            machine.steering.angle_rad, np.array([*point, height]), machine.attached.yaw_rad, machine.attached.hitch,
+            machine.attached.is_working, len(self.touched), self.zone_exits,
+        )  # fmt: skip
+
+    def objects_message(self, stamp_ns: int, outline: BaseGeometry, figures: tuple[Figure, ...]) -> TrueObjects:
+        """The objects as they are, with their gaps to the ground covered now."""
+        objects = []
+        for f in figures:
+            center, size = f.box_m()
+            gap = float(outline.distance(f.footprint))
+            velocity = np.array([*f.velocity_mps, 0.0])
+            objects.append(TrueObject(f.id, f.label, f.role, center, size, f.yaw_rad, velocity, gap))
+        return TrueObjects(stamp_ns, tuple(objects))
+
+
+def allowed_area(site: Site) -> BaseGeometry:
+    """Where machine and implement may be: surveyed area, gates and shed, without what must not be entered."""
+    gates = [LineString(gate.posts_m).buffer(1.0, cap_style="flat") for gate in site.gates]
+    shed = [] if site.shed is None else [Polygon(site.shed.outline_m)]
+    area = shapely.union_all([surveyed_area(site), *gates, *shed])
+    return area.difference(shapely.union_all([Polygon(a.outline_m) for a in site.no_go]))

@@ -1,0 +1,1 @@
+"""The simulated machine: body, drivetrain, steering, implement and its bus."""

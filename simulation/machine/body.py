@@ -1,0 +1,70 @@
+"""Shape of the machine and its implement as sensors see it, and as outlines on the ground."""
+
+import math
+
+from shapely import Polygon
+
+from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
+from geometry.transforms import planar
+from messages.message import Float64
+from simulation.environment.meshes import Mesh, box, join, limb
+from simulation.machine.implement import extent_m, origin_m
+
+LIFT_M, FRAME_M = 0.6, 0.9  # how far the hitch lifts, and how high the implement's frame stands when lowered
+
+
+def machine_mesh(vehicle: Vehicle) -> Mesh:
+    """Hood, cab, ballast, mudguards and wheels within the body's extent, in `base`."""
+    b, d = vehicle.body, vehicle.drivetrain
+    wheel, front = d.wheel_radius_m, 0.62 * d.wheel_radius_m
+    half = 0.5 * b.width_m
+    cab_front = 0.45 * d.wheelbase_m
+    parts = [
+        box((-b.rear_m, -0.35, 0.4), (b.front_m - 0.3, 0.35, 0.9)),  # frame
+        box((cab_front, -0.42, 0.9), (b.front_m - 0.25, 0.42, 0.57 * b.height_m)),  # hood
+        box((b.front_m - 0.25, -0.4, 0.55), (b.front_m, 0.4, 1.0)),  # ballast
+        box((-0.8, -0.75, 1.0), (cab_front, 0.75, b.height_m)),  # cab
+    ]
+    parts += [box((-0.8, s * half - 0.25 * (1 + s), 2.0 * wheel), (0.7, s * half + 0.25 * (1 - s), 2.0 * wheel + 0.06))
+              for s in (1, -1)]  # fmt: skip
+    for s in (1.0, -1.0):
+        parts.append(limb((0.0, s * half, wheel), (0.0, s * (half - 0.45), wheel), wheel, 16))
+        x = d.wheelbase_m
+        parts.append(limb((x, s * 0.5 * d.track_m, front), (x, s * (0.5 * d.track_m - 0.35), front), front, 16))
+    return join(parts)
+
+
+def implement_mesh(implement: MountedImplement | TrailedImplement, hitch: float) -> Mesh:
+    """The implement's frame as a box at its height of lift, about its origin."""
+    (ahead, behind), half = extent_m(implement), 0.5 * implement.width_m
+    low = 0.05 + LIFT_M * hitch
+    frame = box((behind, -half, low), (ahead, half, low + FRAME_M))
+    return join([frame, box((ahead, -0.25, 0.4), (0.0, 0.25, 0.6))])
+
+
+def machine_outline_m(vehicle: Vehicle, base: tuple[float, float, float]) -> Polygon:
+    """Ground covered by the bare machine at (x, y, yaw)."""
+    half = 0.5 * vehicle.body.width_m
+    return _rectangle(base, vehicle.body.front_m, -vehicle.body.rear_m, half)
+
+
+def implement_outline_m(
+    implement: MountedImplement | TrailedImplement, base: tuple[float, float, float], yaw_rad: float
+) -> Polygon:
+    """Ground covered by the implement at its own heading."""
+    origin = origin_m(implement, base)
+    ahead, behind = extent_m(implement)
+    return _rectangle((float(origin[0]), float(origin[1]), yaw_rad), ahead, behind, 0.5 * implement.width_m)
+
+
+def _rectangle(pose: tuple[float, float, float], ahead_m: float, behind_m: float, half_m: float) -> Polygon:
+    x, y, yaw = pose
+    c, s = math.cos(yaw), math.sin(yaw)
+    corners = [(ahead_m, half_m), (behind_m, half_m), (behind_m, -half_m), (ahead_m, -half_m)]
+    return Polygon([(x + u * c - v * s, y + u * s + v * c) for u, v in corners])
+
+
+def T_base_implement(implement: MountedImplement | TrailedImplement, articulation_rad: float) -> Float64:
+    """Pose of the implement's origin in `base`, (4, 4), for its heading against the machine's."""
+    offset = 0.0 if isinstance(implement, MountedImplement) else implement.hitch_m
+    return planar(offset, 0.0, articulation_rad)

@@ -1,0 +1,91 @@
+"""Propulsion with the tractor's own speed loop, and the brakes."""
+
+import math
+
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Brake
+from simulation.machine.steering import DelayLine, clamp, follow_lag
+
+GRAVITY_MPS2 = 9.80665
+
+
+class DriveConfig(Config):
+    """A continuously variable drive and its speed loop; accelerations are forces over the machine's mass."""
+
+    gain_per_s: float = Field(gt=0.0, le=20.0)
+    integral_per_s2: float = Field(ge=0.0, le=20.0)
+    lag_s: float = Field(ge=0.0, le=5.0)
+    slowing_mps2: float = Field(gt=0.0, le=5.0, description="how fast the loop lowers its speed")
+    max_traction_mps2: float = Field(gt=0.0, le=10.0)
+    holding_mps2: float = Field(ge=0.0, le=10.0, description="what the drive holds at standstill")
+    rolling_mps2: float = Field(ge=0.0, le=2.0)
+    slip_per_pull: float = Field(ge=0.0, le=1.0, description="slip over traction in units of weight")
+    max_slip: float = Field(ge=0.0, le=0.5)
+    park_brake_mps2: float = Field(gt=0.0, le=10.0)
+    park_brake_s: float = Field(ge=0.0, le=5.0, description="time to set or release")
+
+
+class Drive:
+    """The tractor's speed loop: follows a set point of wheel speed with limited acceleration."""
+
+    def __init__(self, config: DriveConfig, acceleration_mps2: float, dt_s: float) -> None:
+        self.traction_mps2 = 0.0
+        self._config, self._acceleration_mps2, self._dt_s = config, acceleration_mps2, dt_s
+        self._reference_mps = 0.0
+        self._integral_mps2 = 0.0
+
+    def step(self, set_point_mps: float, wheel_speed_mps: float, is_enabled: bool) -> float:
+        """Traction for the next time step as an acceleration; a disabled drive neither pulls nor holds."""
+        wanted = self._loop(set_point_mps, wheel_speed_mps) if is_enabled else self._release(wheel_speed_mps)
+        self.traction_mps2 = follow_lag(self.traction_mps2, wanted, self._config.lag_s, self._dt_s)
+        return self.traction_mps2
+
+    def _release(self, wheel_speed_mps: float) -> float:
+        self._reference_mps, self._integral_mps2 = wheel_speed_mps, 0.0
+        return 0.0
+
+    def _loop(self, set_point_mps: float, wheel_speed_mps: float) -> float:
+        change = ramp(
+            self._reference_mps, set_point_mps, self._acceleration_mps2, self._config.slowing_mps2, self._dt_s
+        )
+        self._reference_mps += change
+        error = self._reference_mps - wheel_speed_mps
+        wanted = change / self._dt_s + self._config.gain_per_s * error + self._integral_mps2
+        limit = self._config.max_traction_mps2
+        if abs(wanted) < limit or wanted * error < 0.0:  # no wind-up against the limit
+            self._integral_mps2 += self._config.integral_per_s2 * error * self._dt_s
+        return clamp(wanted, -limit, limit)
+
+
+def ramp(value: float, target: float, up_per_s: float, down_per_s: float, dt_s: float) -> float:
+    """Change of a value in one step towards its target: `up` away from zero, `down` towards it."""
+    is_rising = abs(target) > abs(value) and target * value >= 0.0
+    step = (up_per_s if is_rising else down_per_s) * dt_s
+    return clamp(target - value, -step, step)
+
+
+class BrakeSystem:
+    """Brakes: after the dead time they build up linearly to what is asked, at most to what they can."""
+
+    def __init__(self, brake: Brake, dt_s: float) -> None:
+        self.deceleration_mps2 = 0.0
+        self._brake, self._dt_s = brake, dt_s
+        self._delay = DelayLine(brake.dead_time_s, dt_s)
+
+    def step(self, wanted_mps2: float) -> float:
+        """Deceleration by the brakes for the next time step."""
+        target = clamp(self._delay.step(wanted_mps2), 0.0, self._brake.deceleration_mps2)
+        step = self._brake.deceleration_mps2 * self._dt_s / max(self._brake.build_up_s, self._dt_s)
+        self.deceleration_mps2 += clamp(target - self.deceleration_mps2, -step, step)
+        return self.deceleration_mps2
+
+
+def advance_speed(speed_mps: float, drive_mps2: float, friction_mps2: float, dt_s: float) -> float:
+    """Speed after a step under a signed drive and a friction that opposes motion and holds at standstill."""
+    if speed_mps == 0.0:
+        beyond = max(abs(drive_mps2) - friction_mps2, 0.0)
+        return math.copysign(beyond, drive_mps2) * dt_s if beyond > 0.0 else 0.0
+    after = speed_mps + (drive_mps2 - math.copysign(friction_mps2, speed_mps)) * dt_s
+    return 0.0 if after * speed_mps <= 0.0 and abs(drive_mps2) <= friction_mps2 else after

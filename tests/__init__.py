@@ -1,0 +1,1 @@
+"""Tests, by folder of the code they test."""

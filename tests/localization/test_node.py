@@ -1,0 +1,265 @@
+"""The whole node on synthetic drives: accuracy, honesty, and what happens when things break."""
+
+import dataclasses
+import functools
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from localization.graph.smoother import Smoother
+from localization.localizer import Localizer
+from messages.faults import Response
+from messages.motion import PositionSource
+from messages.sensors import GnssSolution
+from tests.localization.localization_bench import Run, configuration, errors, run
+from tests.localization.localization_drive import DATUM, START_NS, Wrongs, drive, tractor
+
+
+@functools.cache
+def long_drive():
+    truth = drive(38, wrongs=Wrongs(seed=3))
+    return truth, run(truth.messages)
+
+
+@functools.cache
+def short_truth():
+    return drive(14, legs=[(4.0, 0.0, 0.0), (100.0, 2.0, 0.0)], wrongs=Wrongs(seed=4))
+
+
+def at(seconds):
+    return START_NS + int(seconds * 1e9)
+
+
+def edited(truth, change):
+    """Messages with each (arrival, topic, message) passed through `change`, which gives another or None."""
+    return [m for m in map(change, truth.messages) if m is not None]
+
+
+def fix_between(start_s, end_s, change):
+    """An edit of the fixes of a stretch of time."""
+
+    def edit(entry):
+        arrival, topic, message = entry
+        if topic != "gnss/main" or not at(start_s) <= message.stamp_ns < at(end_s):
+            return entry
+        message = change(message)
+        return None if message is None else (arrival, topic, message)
+
+    return edit
+
+
+def codes(result: Run):
+    return [(f.code, f.is_active) for f in result.faults]
+
+
+def jump(result: Run):
+    """The largest step of `odom` beyond what its own speed explains."""
+    a = result.odom
+    way = np.array([np.linalg.norm(y.T_odom_base[:3, 3] - x.T_odom_base[:3, 3]) for x, y in itertools.pairwise(a)])
+    dt = np.diff([m.stamp_ns for m in a]) * 1e-9
+    return float(np.max(way - np.array([abs(m.speed_mps) for m in a[1:]]) * np.minimum(dt, 0.05)))
+
+
+def test_accuracy_and_honesty_under_rtk():
+    truth, result = long_drive()
+    e = errors(result, truth)
+    m = e.t_s > 10
+    assert np.all(np.std(e.p_m[m, 1]) < 0.010)
+    assert np.sqrt(np.mean(e.p_m[m, :2] ** 2)) < 0.012
+    assert np.degrees(np.std(e.turn_rad[m, 2])) < 0.1
+    assert np.degrees(np.max(np.abs(e.turn_rad[m, :2]))) < 0.25
+    assert 0.2 < np.mean(e.nees[m, 0]) < 2.5
+    assert np.all(np.linalg.norm(e.p_m[m, :2], axis=1) < e.level_m[m])
+    assert np.all(e.level_m[m] < 0.12)
+    assert result.localizer.dropped == 0
+
+
+def test_odom_is_continuous_at_fifty_hertz():
+    _, result = long_drive()
+    stamps = np.diff([m.stamp_ns for m in result.odom])
+    assert set(stamps) == {20_000_000}
+    assert jump(result) < 2e-3
+    assert np.allclose(result.odom[0].T_odom_base[:2, 3], 0.0)
+
+
+def test_motion_is_that_of_the_machine():
+    truth, result = long_drive()
+    k = [round((m.stamp_ns - START_NS) * 1e-9 / 0.002) for m in result.odom]
+    m = np.array([o.stamp_ns > at(15) for o in result.odom])
+    speed = np.array([o.speed_mps for o in result.odom]) - truth.speed_mps[k]
+    assert np.sqrt(np.mean(speed[m] ** 2)) < 0.05
+    rate = np.array([o.yaw_rate_radps for o in result.odom]) - truth.yaw_rate_radps[k]
+    assert np.sqrt(np.mean(rate[m] ** 2)) < 0.005
+
+
+def test_the_same_input_gives_the_same_output_to_the_bit():
+    first, second = (run(short_truth().messages) for _ in range(2))
+    for a, b in ((first.odom, second.odom), (first.poses, second.poses)):
+        assert len(a) == len(b) > 50
+        for x, y in zip(a, b, strict=True):
+            assert all(np.array_equal(u, v, equal_nan=u.dtype.kind == "f") for u, v in map(pair, pairs(x, y)))
+
+
+def pairs(x, y):
+    return [(getattr(x, f.name), getattr(y, f.name)) for f in dataclasses.fields(x)]
+
+
+def pair(uv):
+    return np.asarray(uv[0]), np.asarray(uv[1])
+
+
+def test_no_heading_no_start():
+    silent = fix_between(0, 99, lambda f: replace(f, heading_rad=math.nan, sigma_heading_rad=math.nan))
+    result = run(edited(short_truth(), silent), seconds=6)
+    assert not any(p.is_initialized for p in result.poses)
+    assert all(p.source is PositionSource.NONE and math.isinf(p.protection_level_m) for p in result.poses)
+    assert ("gnss.no_heading", True) in codes(result)
+    assert len(result.odom) > 100
+
+
+def test_a_machine_that_never_stood_is_not_placed():
+    truth = drive(6, legs=[(100.0, 2.0, 0.0)])
+    result = run(truth.messages)
+    assert result.odom == []
+    assert result.poses == []
+
+
+@pytest.mark.parametrize("offset_m", [0.15, 0.5])
+def test_a_jump_of_a_fixed_solution_is_refused(offset_m):
+    away = offset_m / 6.37e6
+    truth = short_truth()
+    result = run(edited(truth, fix_between(10, 11, lambda f: replace(f, latitude_rad=f.latitude_rad + away))))
+    e = errors(result, truth)
+    assert np.max(np.linalg.norm(e.p_m[e.t_s > 8, :2], axis=1)) < 0.05
+    assert ("gnss.refused", True) in codes(result)
+    assert ("gnss.refused", False) in codes(result)
+
+
+def test_without_gnss_it_dead_reckons_and_says_so():
+    truth = short_truth()
+    result = run(edited(truth, fix_between(9, 99, lambda f: None)))
+    e = errors(result, truth)
+    level = e.level_m[e.t_s > 10]
+    assert np.all(np.diff(level[::50]) > 0)
+    assert level[-1] > level[0] + 0.05
+    assert np.all(np.linalg.norm(e.p_m[:, :2], axis=1) < e.level_m)
+    assert abs(e.p_m[-1, 1]) < 0.06
+    assert result.poses[-1].source is PositionSource.DEAD_RECKONING
+    assert result.poses[-1].gnss_age_s == pytest.approx(14 - 9, abs=0.3)
+
+
+def test_float_after_fixed_does_not_spoil_the_pose():
+    def worse(f):
+        up = np.array([0.2, 0.2, 0.4])
+        return replace(f, solution=GnssSolution.RTK_FLOAT, sigma_enu_m=up, latitude_rad=f.latitude_rad + 0.2 / 6.37e6)
+
+    truth = short_truth()
+    result = run(edited(truth, fix_between(9, 99, worse)))
+    e = errors(result, truth)
+    assert np.max(np.linalg.norm(e.p_m[e.t_s > 9, :2], axis=1)) < 0.12
+    assert result.poses[-1].source is PositionSource.RTK_FLOAT
+    assert result.poses[-1].protection_level_m > 0.4
+
+
+def test_garbage_is_dropped_and_counted():
+    rng = np.random.default_rng(0)
+
+    def spoil(entry):
+        arrival, topic, message = entry
+        if rng.random() > 0.03 or message.stamp_ns < at(6):
+            return entry
+        if topic == "imu":
+            return arrival, topic, replace(message, rate_radps=np.array([math.nan, 0, 0]))
+        if topic == "wheel":
+            return arrival, topic, replace(message, speed_mps=math.inf)
+        return arrival, topic, replace(message, latitude_rad=math.nan)
+
+    truth = short_truth()
+    result = run(edited(truth, spoil))
+    e = errors(result, truth)
+    assert result.localizer.dropped > 20
+    assert np.max(np.linalg.norm(e.p_m[:, :2], axis=1)) < 0.06
+    assert ("localization.garbage", True) in codes(result)
+
+
+@pytest.mark.parametrize("topic", ["imu", "wheel"])
+def test_a_silent_sensor_silences_odom(topic):
+    truth = short_truth()
+    result = run([m for m in truth.messages if m[1] != topic or not at(10) < m[0] < at(10.6)])
+    quiet = [m for m in result.odom if at(10.15) < m.stamp_ns < at(10.58)]
+    assert quiet == []
+    fault = next(f for f in result.faults if f.code == f"{topic}.silent" and f.stamp_ns > at(5))
+    assert fault.response is Response.CONTROLLED_STOP
+    assert fault.stamp_ns < at(10.15)
+    assert (f"{topic}.silent", False) in codes(result)
+    assert result.odom[-1].stamp_ns > at(13.9)
+    e = errors(result, truth)
+    assert np.max(np.linalg.norm(e.p_m[e.t_s > 12, :2], axis=1)) < 0.1
+
+
+@pytest.mark.parametrize("hours", [-1, 1])
+def test_a_clock_that_jumps_is_survived(hours):
+    leap = round(hours * 3600e9)
+    truth = drive(14, legs=[(8.0, 0.0, 0.0), (100.0, 2.0, 0.0)], wrongs=Wrongs(seed=4))
+    early = [m for m in truth.messages if m[0] < at(6)]
+    late = [(a + leap, t, replace(m, stamp_ns=m.stamp_ns + leap)) for a, t, m in truth.messages if a >= at(6)]
+    first = run(early, seconds=6)
+    second = run(late, localizer=first.localizer, start_ns=at(6) + leap)
+    assert ("clock.jumped", True) in codes(second)
+    moved = dataclasses.replace(
+        second,
+        odom=[replace(o, stamp_ns=o.stamp_ns - leap) for o in second.odom],
+        poses=[replace(p, stamp_ns=p.stamp_ns - leap) for p in second.poses],
+    )
+    e = errors(moved, truth)
+    assert len(second.odom) > 350
+    assert np.max(np.linalg.norm(e.p_m[e.t_s > 7, :2], axis=1)) < 0.06
+
+
+def test_stamps_of_one_sensor_an_hour_off_are_dropped():
+    truth = short_truth()
+    off = fix_between(9, 12, lambda f: replace(f, stamp_ns=f.stamp_ns + 3_600_000_000_000))
+    result = run(edited(truth, off))
+    e = errors(result, truth)
+    assert result.localizer.dropped == 30
+    assert np.max(np.linalg.norm(e.p_m[:, :2], axis=1)) < 0.06
+
+
+def test_a_graph_that_fails_is_rebuilt(monkeypatch):
+    update, calls = Smoother._update, []
+
+    def failing(self, *arguments):
+        calls.append(1)
+        if len(calls) in (30, 45):
+            raise RuntimeError("Indeterminate linear system")
+        update(self, *arguments)
+
+    monkeypatch.setattr(Smoother, "_update", failing)
+    truth = short_truth()
+    result = run(truth.messages)
+    e = errors(result, truth)
+    assert codes(result).count(("localization.rebuilt", True)) == 2
+    assert np.max(np.linalg.norm(e.p_m[:, :2], axis=1)) < 0.06
+    assert jump(result) < 2e-3
+
+
+def test_a_wrong_place_is_given_up_at_standstill():
+    away = 5.0 / 6.37e6
+    truth = drive(31, legs=[(40.0, 0.0, 0.0)])
+    result = run(edited(truth, fix_between(6, 99, lambda f: replace(f, latitude_rad=f.latitude_rad + away))))
+    moved = result.poses[-1].T_map_base[:2, 3] - result.poses[40].T_map_base[:2, 3]
+    assert moved == pytest.approx([0.0, 5.0], abs=0.05)
+    assert ("localization.lost", True) in codes(result)
+    assert jump(result) < 2e-3
+
+
+def test_an_unfit_vehicle_is_refused():
+    from messages.errors import ConfigError
+
+    v = tractor()
+    bare = v.model_copy(update={"sensors": v.sensors.model_copy(update={"wheels": None})})
+    with pytest.raises(ConfigError, match=r"sensors\.wheels"):
+        Localizer(bare, DATUM, configuration())

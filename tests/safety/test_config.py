@@ -1,0 +1,51 @@
+"""The supervisor's values: none missing, none out of its bounds."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from configs.strict import parse, read_yaml
+from messages.errors import ConfigError
+from safety.config import SafetyConfig
+from tests.safety.safety_world import ROOT
+
+
+def values() -> dict[str, Any]:
+    return read_yaml(ROOT / "configs/stack/safety.yaml")
+
+
+def keys(tree: dict[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    for key, value in tree.items():
+        yield (*above, key)
+        if isinstance(value, dict):
+            yield from keys(value, (*above, key))
+
+
+def changed(path: tuple[str, ...], value: Any) -> dict[str, Any]:
+    tree = values()
+    branch = tree
+    for key in path[:-1]:
+        branch = branch[key]
+    if value is None:
+        del branch[path[-1]]
+    else:
+        branch[path[-1]] = value
+    return tree
+
+
+@pytest.mark.parametrize("path", list(keys(values())), ids=".".join)
+def test_no_value_has_a_default(path: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError, match=path[-1]):
+        parse(SafetyConfig, changed(path, None), "stack/safety.yaml")
+
+
+@pytest.mark.parametrize(("path", "bad"), [
+    (("field", "far_lateral_m"), 0.05), (("proven", "good_share"), 0.2), (("braking", "deceleration_mps2"), 0.0),
+    (("localization", "gnss_stop_s"), 120.1), (("hand", "rate_dps"), 50.1), (("hand", "angle_deg"), 30.1),
+    (("hand", "forced_s"), 1.01), (("field", "margin_m"), float("nan")), (("field", "slow_range_factor"), 0.9),
+    (("modes", "authorities"), []), (("field", "extra"), 1.0),
+])  # fmt: skip
+def test_bad_values_are_named(path: tuple[str, ...], bad: Any) -> None:
+    with pytest.raises(ConfigError, match=path[-1]):
+        parse(SafetyConfig, changed(path, bad), "stack/safety.yaml")

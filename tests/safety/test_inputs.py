@@ -1,0 +1,272 @@
+"""What the supervisor reads and tells: topics, ages, lost sensors, and its state."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from configs.vehicle import Vehicle
+from geometry.transforms import planar
+from messages.command import ControlCommand
+from messages.message import Message
+from messages.motion import MapPose, Odometry, PositionSource
+from messages.node import Latest
+from messages.perception import HealthState, ObstacleClass, Track, Tracks
+from messages.sensors import RadarScan, UltrasonicRange
+from messages.topics import spec_of
+from safety.collision_monitor import Seen
+from safety.config import SafetyConfig
+from safety.inputs import Reading
+from safety.obstacle_sources import Measurements
+from safety.output.supervisor_state import state_of, threat_outline
+from safety.rules.arbitration import Judgement
+from safety.stopping_distance import required_range, stopping_distance
+from safety.zones.footprint import shape_of
+from safety.zones.protective_field import Gap, Way
+from safety.zones.swept_area import arc_poses, outline_of, spaced, sweep_along
+from safety.zones.tracked_obstacles import Threat
+from tests.safety.safety_world import (
+    START_NS,
+    SyntheticInbox,
+    healthy,
+    machine_state,
+    nothing_seen,
+    situation_of,
+    straight_path,
+)
+
+NOW_NS = START_NS + 10_000_000_000
+ULTRASONIC = ("left", "right", "rear")
+OWN = ("machine", "imu", "wheel", "lidar/front", "health/lidar_front", "lidar/rear", "health/lidar_rear", "odom",
+       "map_pose", "tracks", "control_command", "mission")  # fmt: skip
+
+
+@pytest.fixture
+def reading(full: Vehicle, config: SafetyConfig) -> Reading:
+    return Reading(full.sensors, frozenset(), config)
+
+
+def stamped(stamp_ns: int = NOW_NS) -> Any:
+    return SimpleNamespace(stamp_ns=stamp_ns)
+
+
+def lookout(*away: str, frozen: tuple[str, ...] = ()) -> Any:
+    """Two lidars, of which some look away, and a radar."""
+    eyes = [
+        SimpleNamespace(name=name, looks=lambda direction, name=name: name not in away or direction != 1)
+        for name in ("front", "rear")
+    ]
+    radars = [SimpleNamespace(name="front", is_frozen="front" in frozen)]
+    return SimpleNamespace(senses=SimpleNamespace(eyes=eyes, radars=radars))
+
+
+def test_all_of_the_machines_sensors_are_read(reading: Reading) -> None:
+    others = ("radar_front", "camera_front", *(f"ultrasonic_{name}" for name in ULTRASONIC))
+    heard = ("radar/front", *(f"ultrasonic/{name}" for name in ULTRASONIC))
+    told = [f"{kind}/{label}" for kind in ("obstacles", "health") for label in others]
+    assert reading.reads == dict.fromkeys((*OWN, "path", *heard, *told), Latest())
+
+
+def test_what_the_machine_lacks_is_not_waited_for(full: Vehicle, config: SafetyConfig) -> None:
+    bare = full.sensors.model_copy(update={"imu": None, "wheels": None, "radar": {}, "ultrasonic": {}})
+    reads = Reading(bare, frozenset({"camera_front"}), config).reads
+    assert set(reads) == {*OWN, "path"} - {"imu", "wheel"}
+
+
+def odometry(**changes: Any) -> Odometry:
+    return replace(Odometry(NOW_NS, np.eye(4), 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), **changes)
+
+
+def test_what_came_is_seen_by_name(reading: Reading) -> None:
+    inbox, machine = SyntheticInbox(), machine_state(NOW_NS, fold_position=0.7)
+    inbox.now_ns = NOW_NS
+    pose = MapPose(NOW_NS, np.eye(4), np.eye(4), np.eye(6), PositionSource.RTK_FIXED, 0.1, 0.1, True)
+    control_command = ControlCommand(NOW_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
+    path = replace(straight_path(), stamp_ns=NOW_NS)
+    came: dict[str, Any] = {
+        "odom": odometry(), "map_pose": pose, "control_command": control_command, "path": path,
+        "tracks": Tracks(NOW_NS, ()),
+        "lidar/front": stamped(), "radar/front": stamped(), "ultrasonic/rear": stamped(),
+        "health/lidar_rear": healthy(NOW_NS, "lidar_rear"), "health/camera_front": healthy(NOW_NS, "camera_front"),
+    }  # fmt: skip
+    inbox.messages.update(came)
+    seen = reading.see(inbox, machine)
+    assert seen == Seen(
+        came["odom"], pose, control_command, path, came["tracks"], 0.7,
+        Measurements({"front": came["lidar/front"], "rear": None}, {"front": came["radar/front"]},
+                     {"left": None, "right": None, "rear": came["ultrasonic/rear"]}),
+        {"lidar_front": None, "lidar_rear": came["health/lidar_rear"], "radar_front": None,
+         "camera_front": came["health/camera_front"], "ultrasonic_left": None, "ultrasonic_right": None,
+         "ultrasonic_rear": None},
+    )  # fmt: skip
+    inbox.messages["odom"] = odometry(speed_mps=math.nan)
+    inbox.messages["map_pose"] = replace(pose, T_map_odom=np.full((4, 4), math.nan))
+    broken = reading.see(inbox, replace(machine, implement_stamp_ns=0))
+    assert (broken.odom, broken.map_pose, broken.fold) == (None, None, None)
+
+
+def test_ages_are_of_all_that_the_direction_needs(reading: Reading) -> None:
+    inbox = SyntheticInbox()
+    inbox.messages.update({"lidar/front": stamped(NOW_NS - 300_000_000), "odom": stamped(NOW_NS)})
+    ages = {age.topic: age for age in reading.ages(NOW_NS, inbox, lookout(), 1)}
+    assert tuple(ages) == OWN
+    assert ages["lidar/front"].age_s == pytest.approx(0.3)
+    assert ages["odom"].age_s == 0.0
+    assert not ages["odom"].is_late
+    assert ages["imu"].is_late
+    few = [age.topic for age in reading.ages(NOW_NS, inbox, lookout("rear"), 1)]
+    assert few == [topic for topic in OWN if topic not in ("lidar/rear", "health/lidar_rear")]
+
+
+def all_well(reading: Reading) -> tuple[SyntheticInbox, Seen]:
+    inbox = SyntheticInbox()
+    inbox.now_ns = NOW_NS
+    for topic in reading.reads:
+        if topic.startswith("health/"):
+            inbox.messages[topic] = healthy(NOW_NS, topic.partition("/")[2])
+        if topic.startswith("obstacles/"):
+            inbox.messages[topic] = nothing_seen(NOW_NS, topic.partition("/")[2])
+    some = np.ones(1)
+    inbox.messages["radar/front"] = RadarScan(NOW_NS, some, some, some, some, some)
+    inbox.messages |= {f"ultrasonic/{name}": UltrasonicRange(NOW_NS, 1.0) for name in ULTRASONIC}
+    return inbox, reading.see(inbox, None)
+
+
+def lost(reading: Reading, inbox: SyntheticInbox, direction: int = 1, frozen: tuple[str, ...] = ()) -> list[str]:
+    seen = reading.see(inbox, None)
+    return [one.code for one in reading.lost(NOW_NS, inbox, seen, lookout(frozen=frozen), direction)]
+
+
+def test_nothing_is_lost_when_all_tell(reading: Reading) -> None:
+    inbox, _ = all_well(reading)
+    assert lost(reading, inbox) == lost(reading, inbox, -1) == []
+
+
+@pytest.mark.parametrize(("topic", "direction", "code"), [
+    ("radar/front", 1, "radar/front.silent"), ("ultrasonic/left", 1, "ultrasonic/left.silent"),
+    ("ultrasonic/rear", -1, "ultrasonic/rear.silent"), ("health/camera_front", 1, "health/camera_front.silent"),
+    ("obstacles/camera_front", 1, "obstacles/camera_front.silent"),
+])  # fmt: skip
+def test_who_does_not_tell_is_lost_where_it_looks(reading: Reading, topic: str, direction: int, code: str) -> None:
+    inbox, _ = all_well(reading)
+    del inbox.messages[topic]
+    assert lost(reading, inbox, direction) == [code]
+    assert lost(reading, inbox, -direction) == []
+
+
+def test_a_frozen_radar_and_a_blind_sector_are_lost(reading: Reading, config: SafetyConfig) -> None:
+    inbox, _ = all_well(reading)
+    assert lost(reading, inbox, frozen=("front",)) == ["radar/front.frozen"]
+    half_rad = math.radians(config.proven.look_deg)
+    for rim, is_lost in ((half_rad - 0.01, True), (half_rad + 0.01, False)):
+        edges, ranges = np.array([-math.pi, rim, 3.0]), np.array([30.0, 0.0])
+        inbox.messages["health/radar_front"] = replace(
+            healthy(NOW_NS, ""), sector_edges_rad=edges, detection_range_m=ranges
+        )
+        assert (lost(reading, inbox) == ["radar/front.blind"]) == is_lost, rim
+    inbox.messages["health/radar_front"] = healthy(NOW_NS, "", HealthState.BLIND)
+    assert lost(reading, inbox) == ["radar/front.blind"]
+
+
+@pytest.mark.parametrize(("label", "told_s"), [("radar_front", 0.4), ("camera_front", 1.5)])
+def test_what_was_told_may_be_as_old_as_its_sensor_is_slow(reading: Reading, label: str, told_s: float) -> None:
+    inbox, _ = all_well(reading)
+    for age_s, is_told in ((told_s, True), (-told_s, True), (told_s + 1e-9, False), (-told_s - 1e-9, False)):
+        inbox.messages[f"obstacles/{label}"] = nothing_seen(NOW_NS - round(age_s * 1e9), label)
+        assert (lost(reading, inbox) == []) == is_told, age_s
+
+
+def test_each_kind_that_is_lost_leaves_its_own_range(config: SafetyConfig) -> None:
+    left = [config.sensing.without_m(kind) for kind in ("radar", "camera", "ultrasonic")]
+    assert left == [5.0, 4.3, 3.0]
+
+
+def track(id: int, x: float = 9.0) -> Track:
+    return Track(id, ObstacleClass.PERSON, 0.9, np.array([x, 1.0, 0.8]), np.zeros(3), np.eye(4),
+                 np.array([2.0, 1.0, 1.7]), math.pi / 2, 0, NOW_NS, True, ("lidar_front",))  # fmt: skip
+
+
+def test_a_threats_box_is_told_in_base() -> None:
+    odom = odometry(T_odom_base=planar(5.0, 1.0, math.pi / 2))
+    tracks = Tracks(NOW_NS, (track(3, 40.0), track(4), track(5, 50.0)))
+    found = threat_outline(4, tracks, odom)
+    expected = {(along, across, 0.8) for along in (-1.0, 0.0, 1.0) for across in (-4.5, -4.0, -3.5)}
+    assert {tuple(np.round(point, 9) + 0.0) for point in found} == expected
+    for id, known, odometry_ in ((6, tracks, odom), (4, None, odom), (4, tracks, None)):
+        assert threat_outline(id, known, odometry_).shape == (0, 3)
+
+
+def way_of(vehicle: Vehicle, config: SafetyConfig) -> Way:
+    s = spaced(6.0, 0.4)
+    return Way(sweep_along(shape_of(vehicle, None), 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True), None, True)
+
+
+def test_the_state_tells_why(vehicle: Vehicle, config: SafetyConfig) -> None:
+    hits = np.arange(9.0).reshape(3, 3)
+    situation = situation_of(
+        config, gap=Gap(5.0, 6.0, hits), threat=Threat(4.0, ObstacleClass.PERSON, 4), proven_m=33.0
+    )
+    tracks = Tracks(NOW_NS, (track(4),))
+    seen: Any = SimpleNamespace(odom=odometry(), tracks=tracks)
+    way = way_of(vehicle, config)
+    asked = []
+
+    def cause(*args: Any) -> ObstacleClass:
+        asked.append(args)
+        return ObstacleClass.ANIMAL
+
+    judgement: Any = SimpleNamespace(results=("some", "rules"), clearance_m=4.5)
+    looking: Any = SimpleNamespace(way=way, cause=cause)
+
+    def told(has_threat: bool, gap: Gap | None = situation.gap, looking: Any = looking) -> Any:
+        known: Judgement = judgement
+        return state_of(replace(situation, gap=gap), seen, looking, known, "why", 1.5, has_threat)
+
+    state = told(False)
+    assert (state.stamp_ns, state.mode, state.reason, state.rules) == (
+        START_NS,
+        situation.mode,
+        "why",
+        ("some", "rules"),
+    )
+    assert (state.obstacle_class, asked) == (ObstacleClass.ANIMAL, [(seen.odom, tracks)])
+    assert (state.clearance_m, state.resume_in_s, state.detection_range_m) == (4.5, 1.5, 33.0)
+    assert state.stopping_distance_m == pytest.approx(stopping_distance(2.0, situation.braking))
+    assert state.required_range_m == pytest.approx(required_range(2.0, situation.braking, 2.1))
+    assert state.triggering_points_base_m.dtype == np.float32
+    assert state.triggering_points_base_m.tolist() == hits.tolist()
+    assert state.protective_field_base_m == pytest.approx(outline_of(way.main))
+    assert told(True).triggering_points_base_m == pytest.approx(
+        np.concatenate([hits, threat_outline(4, tracks, seen.odom)])
+    )
+    assert told(False, None).triggering_points_base_m.shape == (0, 3)
+    assert told(False, looking=SimpleNamespace(way=None, cause=cause)).protective_field_base_m.shape == (0, 2)
+
+
+@pytest.mark.parametrize(("count", "every"), [(1, 1), (300, 1), (301, 2), (600, 2), (601, 3)])
+def test_at_most_300_hits_are_told(config: SafetyConfig, count: int, every: int) -> None:
+    hits = np.column_stack([np.arange(float(count)), np.zeros(count), np.zeros(count)])
+    seen: Any = SimpleNamespace(odom=None, tracks=None)
+    looking: Any = SimpleNamespace(way=None, cause=lambda odom, tracks: ObstacleClass.UNKNOWN)
+    judgement: Any = SimpleNamespace(results=(), clearance_m=4.5)
+    state = state_of(situation_of(config, gap=Gap(1.0, 1.0, hits)), seen, looking, judgement, "", 0.0, False)
+    assert state.triggering_points_base_m[:, 0].tolist() == list(range(0, count, every))
+
+
+def test_each_topic_is_read_as_its_kind(reading: Reading) -> None:
+    asked: set[tuple[str, type[Message]]] = set()
+
+    class Asked(SyntheticInbox):
+        def last(self, topic: str, kind: type) -> Any:
+            asked.add((topic, kind))
+
+        latest = last
+
+    inbox = Asked()
+    seen = reading.see(inbox, None)
+    reading.ages(NOW_NS, inbox, lookout(), 1)
+    reading.lost(NOW_NS, inbox, seen, lookout(), 1)
+    assert asked == {(topic, spec_of(topic).type) for topic in reading.reads}

@@ -1,0 +1,273 @@
+"""The helm alone, fed with moments made by hand."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from configs.vehicle import kmh
+from messages.command import Mode, OperatorCommand, OperatorCommandKind
+from messages.faults import Fault, Response, Severity
+from messages.plan import MissionState, MissionStatus, PathSectionType
+from safety.config import SafetyConfig
+from safety.mode_machine import Helm, guarded
+from safety.modes import Event
+from safety.monitors.fault_memory import Reports
+from safety.rules.arbitration import Judgement, judged
+from safety.rules.results import limit
+from safety.rules.situation import Situation
+from safety.stopping_distance import required_range
+from safety.zones.protective_field import Gap
+from tests.safety.safety_world import START_NS, around, machine_state, situation_of
+
+STANDING: dict[str, Any] = {"speed_mps": 0.0}
+FAULTY: dict[str, Any] = {"silent": ("imu",)}
+PRESSED = {"machine": machine_state(START_NS, is_emergency_button_pressed=True)}
+
+
+def near(main_m: float) -> dict[str, Any]:
+    return {"gap": Gap(main_m, math.inf, np.empty((0, 3)))}
+
+
+def mission(state: MissionState) -> MissionStatus:
+    return MissionStatus(START_NS, state, PathSectionType.SWATH, 1, 1, 0.0, 0.0, 1.0, "", ())
+
+
+class Bench:
+    """A helm, and the moment it was last shown."""
+
+    def __init__(self, config: SafetyConfig, is_held: bool = False) -> None:
+        self.config, self.reports, self.now_ns, self.sequence = config, Reports(), START_NS, 0
+        self.helm = Helm(config.modes, self.reports, is_held)
+        self.situation: Situation = situation_of(config)
+        self.judgement: Judgement = judged(self.situation, frozenset())
+
+    def show(
+        self, *orders: OperatorCommandKind, after_s: float = 0.02, state: MissionState | None = None, **changes: Any
+    ) -> Mode:
+        """The mode after a moment; all is well in it but the changes."""
+        self.now_ns += round(after_s * 1e9)
+        self.situation = situation_of(self.config, now_ns=self.now_ns, mode=self.helm.mode, **changes)
+        self.judgement = judged(self.situation, frozenset())
+        given = tuple(self.order(kind) for kind in orders)
+        self.helm.steer(given, self.situation, self.judgement, None if state is None else mission(state))
+        return self.helm.mode
+
+    def order(self, kind: OperatorCommandKind) -> OperatorCommand:
+        self.sequence += 1
+        return OperatorCommand(self.now_ns, kind, "operator", self.sequence, self.now_ns + 10**12)
+
+    def driving(self) -> "Bench":
+        self.show(OperatorCommandKind.START, **STANDING)
+        self.show(**STANDING)
+        assert self.show(after_s=3.0, **STANDING) is Mode.AUTOMATIC
+        return self
+
+    @property
+    def reason(self) -> str:
+        return self.helm.reason(self.situation, self.judgement)
+
+    @property
+    def clearance_m(self) -> float:
+        return self.helm.braking_gap_m(self.situation, self.judgement)
+
+
+@pytest.fixture
+def bench(config: SafetyConfig) -> Bench:
+    return Bench(config)
+
+
+def test_a_start_is_warned_of_for_3_s(bench: Bench) -> None:
+    assert (bench.helm.mode, bench.reason) == (Mode.STANDBY, "standby")
+    assert bench.show(OperatorCommandKind.START, **STANDING) is Mode.START_WARNING
+    assert bench.reason == "start_warning"
+    assert bench.show(**STANDING) is Mode.START_WARNING
+    assert bench.show(after_s=2.999, **STANDING) is Mode.START_WARNING
+    assert bench.show(after_s=0.001, **STANDING) is Mode.AUTOMATIC
+    assert bench.reason == ""
+
+
+def test_clear_for_2500_ms_and_warned_for_1500_it_goes_on(bench: Bench) -> None:
+    bench.driving()
+    assert bench.show(**near(1.0)) is Mode.OBSTACLE_STOP
+    assert bench.reason == "protective_field"
+    assert bench.show(**STANDING) is Mode.OBSTACLE_STOP
+    assert bench.helm.resume_in_s(bench.now_ns) == 2.5
+    bench.show(after_s=2.0, **STANDING)
+    assert bench.helm.resume_in_s(bench.now_ns) == pytest.approx(0.5)
+    bench.show(**STANDING, **near(1.0))
+    assert bench.helm.resume_in_s(bench.now_ns) == 2.5
+    assert bench.helm.resume_in_s(bench.now_ns + 10**9) == 2.5
+    bench.show(**STANDING)
+    assert bench.show(after_s=2.499, **STANDING) is Mode.OBSTACLE_STOP
+    assert bench.helm.resume_in_s(bench.now_ns + 10**9) == 0.0
+    assert bench.show(after_s=0.001, **STANDING) is Mode.START_WARNING
+    assert bench.helm.resume_in_s(bench.now_ns) == 0.0
+    bench.show(**STANDING)
+    assert bench.show(after_s=1.499, **STANDING) is Mode.START_WARNING
+    assert bench.show(after_s=0.001, **STANDING) is Mode.AUTOMATIC
+    bench.show(OperatorCommandKind.PAUSE, **STANDING)
+    bench.show(OperatorCommandKind.START, **STANDING)
+    bench.show(**STANDING)
+    assert bench.show(after_s=2.9, **STANDING) is Mode.START_WARNING  # the whole time again
+
+
+def test_what_is_clear_allows_1800_metres_an_hour(config: SafetyConfig) -> None:
+    for way in around(required_range(0.5, config.braking.flat, 2.1) + 1e-6, 0.005):
+        bench = Bench(config).driving()
+        bench.show(**near(1.0))
+        bench.show(**STANDING, **near(way))
+        is_clear = bench.show(after_s=2.5, **STANDING, **near(way)) is Mode.START_WARNING
+        assert is_clear == (way > required_range(0.5, config.braking.flat, 2.1)), way
+
+
+def test_an_obstacle_on_the_way_stops_a_standing_machine_that_would_go(bench: Bench) -> None:
+    bench.driving()
+    control_command = bench.situation.control_command
+    assert control_command is not None
+    for nothing in (None, replace(control_command, speed_mps=0.0)):
+        assert bench.show(**STANDING, **near(1.0), control_command=nothing) is Mode.AUTOMATIC
+    way = required_range(2.0, bench.config.braking.flat, 0.0) + 0.05  # within the margin, not inside the distance
+    assert bench.show(**near(way), allowance_m=way) is Mode.AUTOMATIC
+    assert bench.show(**STANDING, **near(2.1 + 0.062)) is Mode.OBSTACLE_STOP
+    assert bench.show(OperatorCommandKind.PAUSE, **STANDING) is Mode.STANDBY
+    assert bench.show(OperatorCommandKind.START, **STANDING) is Mode.START_WARNING
+    assert bench.show(**STANDING, **near(1.0), control_command=None) is Mode.OBSTACLE_STOP
+
+
+def test_creep_is_enough_to_go_on(config: SafetyConfig) -> None:
+    least = required_range(config.modes.creep_mps, config.braking.flat, 2.1)
+    for way in around(least, 0.002):
+        bench = Bench(config).driving()
+        assert (bench.show(**STANDING, **near(way + 1e-6)) is Mode.AUTOMATIC) == (way >= least - 1e-9), way
+
+
+def test_at_the_limits_themselves(bench: Bench) -> None:
+    def show(after_s: float, allowed_mps: float) -> Mode:
+        bench.now_ns += round(after_s * 1e9)
+        situation = situation_of(bench.config, now_ns=bench.now_ns, **STANDING)
+        blocking = limit("protective_field", allowed_mps, "ahead")
+        bench.helm.steer((), situation, replace(judged(situation, frozenset()), blocking=blocking), None)
+        return bench.helm.mode
+
+    bench.driving()
+    assert show(0.02, 0.1) is Mode.AUTOMATIC
+    assert show(0.02, 0.09) is Mode.OBSTACLE_STOP
+    show(0.02, kmh(1.8))
+    assert show(2.5, kmh(1.8)) is Mode.START_WARNING
+
+
+ASKED = frozenset({Event.RESET, Event.START, Event.PAUSE})
+
+
+@pytest.mark.parametrize(("changes", "left"), [
+    ({}, ASKED),
+    ({"speed_mps": 0.05}, ASKED),
+    ({"speed_mps": 0.06}, {Event.PAUSE}),
+    ({"is_speed_known": False}, {Event.PAUSE}),
+    (FAULTY, {Event.PAUSE, Event.RESET}),
+    (PRESSED, {Event.PAUSE}),
+])  # fmt: skip
+def test_what_may_be_ordered_now(config: SafetyConfig, changes: dict[str, Any], left: set[Event]) -> None:
+    situation = situation_of(config, **STANDING | changes)
+    assert guarded(ASKED, situation, judged(situation, frozenset())) == left
+
+
+def test_a_fault_is_kept_until_reset(bench: Bench) -> None:
+    bench.show(**STANDING, **FAULTY)
+    assert (bench.helm.mode, bench.reason, bench.helm.latched) == (Mode.STANDBY, "imu.silent", None)
+    bench.driving()
+    assert bench.show(**FAULTY) is Mode.FAULT_STOP
+    bench.show(**STANDING, brake_weak_s=0.0, silent=("odom",))
+    assert bench.reason == "imu.silent"  # what came first
+    assert bench.show(OperatorCommandKind.RESET, **STANDING) is Mode.STANDBY
+    assert (bench.reason, bench.helm.latched) == ("standby", None)
+
+
+def test_an_emergency_stop_is_told_by_what_began_it(bench: Bench) -> None:
+    bench.driving()
+    assert bench.show(OperatorCommandKind.EMERGENCY_STOP) is Mode.EMERGENCY_STOP
+    assert bench.reason == "operator_command.emergency_stop"
+    bench.show(OperatorCommandKind.RESET, **STANDING)
+    assert bench.show(**STANDING, **PRESSED) is Mode.EMERGENCY_STOP
+    bench.show(OperatorCommandKind.EMERGENCY_STOP, **STANDING)
+    assert bench.reason == "emergency_stop.button"
+
+
+def test_manual_mode_is_told_by_the_hand_or_the_order(bench: Bench) -> None:
+    bench.driving()
+    assert bench.show(hand_forced_s=2.0) is Mode.MANUAL
+    assert bench.reason == "driver_override"
+    bench.show(OperatorCommandKind.AUTOMATIC, **STANDING)
+    assert bench.show(OperatorCommandKind.MANUAL, **STANDING) is Mode.MANUAL
+    assert (bench.reason, bench.helm.latched) == ("manual", None)
+
+
+def test_a_limit_is_told_when_it_is_2_cm_per_s_below_the_wish(bench: Bench) -> None:
+    bench.driving()
+    for speed, reason in ((2.0, ""), (2.0 - 0.02, ""), (1.9799, "speed_limit"), (1.0, "speed_limit")):
+        bench.show(max_speed_mps=speed)
+        assert bench.reason == reason, speed
+    control_command = bench.situation.control_command
+    assert control_command is not None
+    bench.show(max_speed_mps=1.0, control_command=replace(control_command, speed_mps=-2.0))
+    assert bench.reason == "speed_limit"
+    bench.show(control_command=None)
+    assert bench.reason == "speed_limit"
+
+
+def test_the_brakes_keep_to_the_gap_of_what_binds(bench: Bench) -> None:
+    bench.driving()
+    bench.show(**near(20.0), max_speed_mps=1.0)
+    assert math.isinf(bench.clearance_m)
+    bench.show(**near(5.0))
+    assert bench.clearance_m == 5.0
+    bench.show(**near(1.0))
+    assert bench.clearance_m == 0.0
+    bench.show(**near(30.0), max_speed_mps=1.0)
+    assert bench.clearance_m == 0.0  # all the brakes to the end, even when it is gone
+    bench.show(**STANDING, **near(30.0), max_speed_mps=1.0)
+    assert bench.clearance_m == 30.0
+    bench.show(**near(30.0), max_speed_mps=1.0)
+    assert bench.clearance_m == 30.0
+
+
+@pytest.mark.parametrize("state", MissionState)
+def test_finished_is_a_mission_that_is_over_and_a_machine_that_stands(
+    config: SafetyConfig, state: MissionState
+) -> None:
+    bench = Bench(config).driving()
+    assert bench.show(state=state) is Mode.AUTOMATIC
+    is_over = state in (MissionState.FINISHED, MissionState.ABORTED)
+    assert bench.show(state=state, **STANDING) is (Mode.FINISHED if is_over else Mode.AUTOMATIC)
+    bench.show(**STANDING)
+    assert bench.helm.mode is (Mode.FINISHED if is_over else Mode.AUTOMATIC)  # the start was followed once
+
+
+def test_a_start_that_waits_does_not_outlive_a_clock_step(bench: Bench) -> None:
+    bench.show(OperatorCommandKind.START, **STANDING, **FAULTY)
+    bench.show(**STANDING, **FAULTY, clock_step_s=-1.0)
+    assert bench.show(**STANDING) is Mode.STANDBY
+    bench.show(OperatorCommandKind.START, **STANDING, **FAULTY)
+    assert bench.show(**STANDING) is Mode.START_WARNING
+
+
+@pytest.mark.parametrize("stop", [FAULTY, PRESSED, {"hand_forced_s": 2.0}])
+def test_who_ends_a_stop_has_seen_the_faults_that_ended(bench: Bench, stop: dict[str, Any]) -> None:
+    response = Response.CONTROLLED_STOP
+    fault = Fault(0, "a", "part", Severity.ALARM, True, response, True, "broken", "kaputt")
+    bench.reports.take([fault, replace(fault, is_active=False)])
+    bench.driving().show(OperatorCommandKind.PAUSE, **STANDING)
+    assert bench.reports.active == (fault,)
+    bench.driving().show(**stop)
+    assert bench.reports.active == (fault,)
+    assert bench.show(OperatorCommandKind.RESET, OperatorCommandKind.AUTOMATIC, **STANDING) is Mode.STANDBY
+    assert bench.reports.active == ()
+
+
+def test_held_it_stays_in_automatic_mode(config: SafetyConfig) -> None:
+    bench = Bench(config, is_held=True)
+    assert bench.show(OperatorCommandKind.EMERGENCY_STOP, OperatorCommandKind.MANUAL, **FAULTY) is Mode.AUTOMATIC
+    assert bench.helm.latched is None

@@ -1,0 +1,252 @@
+"""The mode machine, explored whole; orders; the watchdog; alarms and reports."""
+
+import math
+from itertools import chain, combinations
+
+import pytest
+
+from messages.command import Mode, OperatorCommand, OperatorCommandKind, RuleResult
+from messages.faults import Fault, Response, Severity
+from safety.modes import PERSON, TRANSITIONS, Event, next_mode
+from safety.monitors.fault_memory import Reports
+from safety.monitors.operator_commands import Orders
+from safety.monitors.timers import Held, Window
+from safety.monitors.watchdog import Age, age_of, silent
+from safety.output.alarms import Alarms, german
+from tests.safety.safety_world import START_NS, around
+
+STOPPED = (Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
+ENGAGED = (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
+
+
+def test_every_mode_and_event_is_meant() -> None:
+    """The whole table, written a second time: what is not here changes nothing."""
+    e, m = Event, Mode
+    engaged = {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.FAULT: m.FAULT_STOP, e.MANUAL: m.MANUAL,
+               e.PAUSE: m.STANDBY, e.DONE: m.FINISHED}  # fmt: skip
+    expected = {
+        m.MANUAL: {e.EMERGENCY: m.EMERGENCY_STOP, e.AUTOMATIC: m.STANDBY},
+        m.STANDBY: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.START: m.START_WARNING},
+        m.START_WARNING: engaged | {e.OBSTACLE: m.OBSTACLE_STOP, e.WARNED: m.AUTOMATIC},
+        m.AUTOMATIC: engaged | {e.OBSTACLE: m.OBSTACLE_STOP},
+        m.OBSTACLE_STOP: engaged | {e.CLEAR: m.START_WARNING},
+        m.FAULT_STOP: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.RESET: m.STANDBY},
+        m.EMERGENCY_STOP: {e.RESET: m.STANDBY},
+        m.FINISHED: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.START: m.START_WARNING},
+    }
+    for mode in Mode:
+        for event in Event:
+            assert next_mode(mode, frozenset({event})) is expected[mode].get(event, mode), (mode, event)
+
+
+def every_set() -> list[frozenset[Event]]:
+    return [frozenset(s) for s in chain.from_iterable(combinations(Event, n) for n in range(len(Event) + 1))]
+
+
+def test_several_events_at_once_explored() -> None:
+    """All 4 096 sets in all modes: the result is that of one of the set's own events, and never bolder than needed."""
+    for mode in Mode:
+        for events in every_set():
+            after = next_mode(mode, events)
+            alone = {next_mode(mode, frozenset({event})) for event in events} | {mode}
+            assert after in alone
+            if Event.EMERGENCY in events:
+                assert after is Mode.EMERGENCY_STOP or mode is Mode.EMERGENCY_STOP
+            if mode in ENGAGED and events & {Event.FAULT, Event.HAND}:
+                assert after not in ENGAGED
+
+
+def test_no_way_from_fault_or_emergency_to_motion_without_a_person() -> None:
+    """Walks every sequence of events that no person gives, from every mode in which the machine must wait."""
+    unattended = [event for event in Event if event not in PERSON]
+    for start in (*STOPPED, Mode.MANUAL, Mode.STANDBY, Mode.FINISHED):
+        reached, frontier = {start}, [start]
+        while frontier:
+            mode = frontier.pop()
+            for event in unattended:
+                after = next_mode(mode, frozenset({event}))
+                if after not in reached:
+                    reached.add(after)
+                    frontier.append(after)
+        assert not reached & set(ENGAGED), start
+
+
+def test_from_a_stop_it_takes_a_reset_and_then_a_start() -> None:
+    for mode in STOPPED:
+        assert Event.START not in TRANSITIONS[mode]
+        for events in every_set():
+            assert next_mode(mode, events) not in ENGAGED
+
+
+def test_from_emergency_only_a_reset_leads_away() -> None:
+    assert set(TRANSITIONS[Mode.EMERGENCY_STOP]) == {Event.RESET}
+
+
+def order(
+    kind: OperatorCommandKind, sequence: int = 0, authority: str = "operator", expires_ns: int = 100
+) -> OperatorCommand:
+    return OperatorCommand(0, kind, authority, sequence, expires_ns)
+
+
+def test_each_order_is_its_event() -> None:
+    expected = {OperatorCommandKind.START: Event.START, OperatorCommandKind.RESUME: Event.START,
+    OperatorCommandKind.PAUSE: Event.PAUSE,
+                OperatorCommandKind.EMERGENCY_STOP: Event.EMERGENCY, OperatorCommandKind.RESET: Event.RESET,
+                OperatorCommandKind.MANUAL: Event.MANUAL,
+                OperatorCommandKind.AUTOMATIC: Event.AUTOMATIC}  # fmt: skip
+    for kind in OperatorCommandKind:
+        assert Orders(("operator",)).events(0, [order(kind)]) == {expected[kind]}
+
+
+@pytest.mark.parametrize("kind", [k for k in OperatorCommandKind if k is not OperatorCommandKind.EMERGENCY_STOP])
+def test_orders_without_authority_order_or_time_are_refused(kind: OperatorCommandKind) -> None:
+    orders = Orders(("operator", "remote"))
+    assert orders.events(0, [order(kind, authority="passer-by")]) == frozenset()
+    assert orders.events(101, [order(kind)]) == frozenset()
+    assert orders.events(0, [order(kind, 5)])
+    orders.forget_start()
+    for sequence in range(6):
+        assert orders.events(0, [order(kind, sequence)]) == frozenset(), sequence
+    assert orders.refused == 8
+    assert orders.events(0, [order(kind, 6)])
+    assert orders.events(0, [order(kind, 0, "remote")])
+
+
+def test_an_order_counts_from_number_0_to_the_moment_it_expires() -> None:
+    orders = Orders(("operator",))
+    assert orders.events(0, [order(OperatorCommandKind.PAUSE, -1)]) == frozenset()
+    assert orders.events(100, [order(OperatorCommandKind.PAUSE, 0)]) == {Event.PAUSE}
+
+
+def test_emergency_stop_is_taken_from_anyone() -> None:
+    orders = Orders(("operator",))
+    stop = order(OperatorCommandKind.EMERGENCY_STOP, -5, "passer-by", -1)
+    assert orders.events(1000, [stop, stop]) == {Event.EMERGENCY}
+
+
+def test_a_start_waits_until_it_expires_or_another_order_comes() -> None:
+    orders = Orders(("operator",))
+    assert orders.events(0, [order(OperatorCommandKind.START, 1)]) == {Event.START}
+    for now in around(100, 1):
+        assert orders.events(int(now), []) == ({Event.START} if now <= 100 else frozenset()), now
+    for other in (
+        OperatorCommandKind.PAUSE,
+        OperatorCommandKind.RESET,
+        OperatorCommandKind.MANUAL,
+        OperatorCommandKind.AUTOMATIC,
+        OperatorCommandKind.EMERGENCY_STOP,
+    ):
+        orders = Orders(("operator",))
+        orders.events(0, [order(OperatorCommandKind.START, 1)])
+        assert Event.START not in orders.events(1, [order(other, 2)])
+        assert orders.events(2, []) == frozenset()
+
+
+def test_age_at_its_limit() -> None:
+    for age_ms in around(100, 1):
+        age = age_of("odom", START_NS, START_NS + round(age_ms * 1e6))
+        assert age.is_stale == (age_ms > 100), age_ms
+        assert age_of("odom", START_NS + round(age_ms * 1e6), START_NS).is_stale == (age_ms > 100)
+    for age_ms in around(60, 1):
+        assert age_of("odom", START_NS, START_NS + round(age_ms * 1e6)).is_late == (age_ms > 60), age_ms
+    never = age_of("path", None, START_NS)
+    assert never.is_stale
+    assert never.is_late
+    assert not age_of("path", 0, START_NS).is_stale
+
+
+FINE, LATE, STALE = 0.01, 0.08, 0.2
+
+
+def blamed(**ages_s: float) -> tuple[str, ...]:
+    sensors = ("machine", "imu", "wheel", "lidar/rear", "lidar/front", "health/lidar_front")
+    order_of = (*sensors, "odom", "map_pose", "tracks", "control_command")
+    return silent([Age(topic, ages_s.get(topic.replace("/", "_"), FINE), 0.1) for topic in order_of])
+
+
+def test_the_cause_is_blamed() -> None:
+    assert blamed() == ()
+    assert blamed(odom=STALE) == ("odom",)
+    assert blamed(odom=STALE, imu=LATE) == ("imu",)
+    assert blamed(odom=STALE, imu=STALE, control_command=STALE, map_pose=STALE) == ("imu",)
+    assert blamed(control_command=STALE, odom=LATE) == ("odom",)
+    assert blamed(control_command=STALE, odom=LATE, wheel=LATE) == ("wheel",)
+    assert blamed(tracks=STALE, lidar_front=LATE) == ("lidar/front",)
+    assert blamed(tracks=STALE) == ("tracks",)
+    assert blamed(health_lidar_front=STALE) == ("health/lidar_front",)
+    assert blamed(health_lidar_front=STALE, lidar_front=LATE) == ("lidar/front",)
+    assert blamed(health_lidar_front=STALE, lidar_rear=LATE) == ("health/lidar_front",)
+    assert blamed(health_lidar_front=STALE, odom=LATE, imu=LATE) == ("imu",)
+    assert blamed(tracks=STALE, health_lidar_front=LATE) == ("health/lidar_front",)
+    assert blamed(lidar_front=STALE, odom=STALE) == ("lidar/front", "odom")
+    assert blamed(machine=STALE, control_command=STALE) == ("machine",)
+
+
+def fault(code: str, is_active: bool = True, is_latched: bool = False) -> Fault:
+    stop = Response.CONTROLLED_STOP
+    return Fault(0, code, "part", Severity.ALARM, is_latched, stop, is_active, "broken", "kaputt")
+
+
+def test_reports_begin_end_and_stay() -> None:
+    reports = Reports()
+    reports.take([fault("a"), fault("b", is_latched=True), fault("c", is_active=False)])
+    assert [f.code for f in reports.active] == ["a", "b"]
+    reports.reset()
+    assert len(reports.active) == 2
+    reports.take([fault("a", False), fault("b", False, True)])
+    assert [f.code for f in reports.active] == ["b"]
+    reports.take([fault("b", True, True)])
+    reports.reset()
+    assert [f.code for f in reports.active] == ["b"]
+    reports.take([fault("b", False, True)])
+    reports.reset()
+    assert reports.active == ()
+
+
+def result(code: str, response: Response = Response.CONTROLLED_STOP) -> RuleResult:
+    return RuleResult(code, response, 0.0, "text")
+
+
+def test_alarms_come_one_a_second_cause_first() -> None:
+    alarms, told = Alarms(), []
+    wanted = [result("imu.silent"), result("odom.silent"), result("localization.gnss_lost", Response.NONE)]
+    for k in range(150):
+        told += [(k, f.code, f.is_active) for f in alarms.update(k * 20_000_000, wanted)]
+    assert told == [(0, "imu.silent", True), (50, "odom.silent", True), (100, "localization.gnss_lost", True)]
+    (first,) = Alarms().update(7, wanted[:1])
+    assert first == Fault(7, "imu.silent", "supervisor", Severity.ALARM, True, Response.CONTROLLED_STOP, True, "text",
+                          "Keine Nachricht von imu")  # fmt: skip
+    (warning,) = Alarms().update(7, [result("odd.code", Response.LIMIT)])
+    assert (warning.severity, warning.is_latched, warning.response) == (Severity.WARNING, False, Response.LIMIT)
+    assert warning.text_zh == "odd.code: text"
+    over = alarms.update(3_000_000_000, wanted[:1])
+    assert {f.stamp_ns for f in over} == {3_000_000_000}
+    assert [(f.code, f.is_active, f.severity) for f in over] == [
+        ("odom.silent", False, Severity.ALARM), ("localization.gnss_lost", False, Severity.WARNING),
+    ]  # fmt: skip
+
+
+def test_german_texts() -> None:
+    assert german("lidar/front.silent", "x") == "Keine Nachricht von lidar/front"
+    assert german("lidar/front.frozen", "x") == "lidar/front liefert immer dasselbe Bild"
+    assert german("radar/front.blind", "x") == "radar/front ist blind"
+    assert german("a.b.silent", "x") == "Keine Nachricht von a.b"
+    assert german("driver_override", "x").startswith("Hand am Lenkrad")
+    assert german("odd.code", "odd text") == "odd.code: odd text"
+
+
+def test_held_and_window() -> None:
+    held = Held()
+    assert not held.is_held
+    assert [held.update(k * 10**9, k >= 2) for k in range(5)] == [0.0, 0.0, 0.0, 1.0, 2.0]
+    assert held.is_held
+    assert held.update(1, True) == 0.0  # the clock went back: counted anew
+    assert held.update(2, False) == 0.0
+    window = Window(1.0)
+    assert window.distance(3.0) == 0.0
+    for k in range(5):
+        window.add(k * 10**9, float(k))
+    assert [window.distance(v) for v in (2.0, 3.0, 4.0, 5.0)] == [1.0, 0.0, 0.0, 1.0]
+    assert math.isnan(window.distance(math.nan))
+    window.add(4 * 10**9 + 1, 6.0)  # the value of 3 s is too old by a nanosecond
+    assert [window.distance(v) for v in (3.0, 5.0)] == [1.0, 0.0]

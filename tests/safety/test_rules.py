@@ -1,0 +1,314 @@
+"""Each rule at its limit."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from messages.faults import Fault, Response, Severity
+from messages.motion import PositionSource
+from messages.perception import ObstacleClass
+from safety.config import SafetyConfig
+from safety.monitors.brake_test import Phase
+from safety.monitors.sensors import Lost
+from safety.rules import RULES
+from safety.rules.arbitration import allowance_m, judged
+from safety.stopping_distance import highest_speed, stopping_distance
+from safety.zones.protective_field import Gap
+from safety.zones.tracked_obstacles import Threat
+from tests.safety.safety_world import START_NS, around, machine_state, situation_of
+
+NONE, LIMIT, STOP, EMERGENCY = Response.NONE, Response.LIMIT, Response.CONTROLLED_STOP, Response.EMERGENCY_STOP
+
+
+FREE = {
+    "emergency_stop": "emergency_stop.button", "driver_override": "driver_override", "clock_step": "clock_step",
+    "reported_fault": "reported_fault",
+    "message_timeout": "message_timeout", "supply_voltage": "supply_voltage", "steering": "steering",
+    "brake": "brake.weak",
+    "localization": "localization", "tilt": "tilt", "geofence": "geofence", "implement_fold": "implement_fold",
+    "protective_field": "protective_field",
+    "tracked_obstacle": "tracked_obstacle", "detection_range": "detection_range.limit", "sensor_loss": "sensor_loss",
+    "wall_clearance": "wall_clearance",
+    "speed_limit": "speed_limit",
+}  # fmt: skip
+
+
+def ask(rule: str, config: SafetyConfig, **changes: Any) -> tuple[Response, str, float]:
+    result = RULES[rule](situation_of(config, **changes))
+    assert isinstance(result.text, str)
+    assert result.text or result.response is NONE
+    return result.response, result.code, result.speed_limit_mps
+
+
+def with_machine(**changes: Any) -> dict[str, Any]:
+    return {"machine": machine_state(START_NS, **changes)}
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_nothing_is_wrong(rule: str, config: SafetyConfig) -> None:
+    response, code, limit = ask(rule, config)
+    assert response <= LIMIT
+    assert limit >= 8.0
+    assert code == FREE[rule]
+
+
+@pytest.mark.parametrize(
+    "rule",
+    ["emergency_stop", "driver_override", "supply_voltage", "steering", "localization", "tilt", "implement_fold"],
+)
+def test_what_is_missing_is_the_watchdogs_matter(rule: str, config: SafetyConfig) -> None:
+    missing = ask(rule, config, machine=None, map_pose=None, odom=None, is_foldable=True)
+    assert missing == (NONE, FREE[rule], math.inf)
+
+
+def test_clock(config: SafetyConfig) -> None:
+    for step in around(0.0, 0.6):
+        assert ask("clock_step", config, clock_step_s=step)[:2] == (STOP if step else NONE, "clock_step"), step
+
+
+def test_emergency_button_and_pedal(config: SafetyConfig) -> None:
+    pressed = ask("emergency_stop", config, **with_machine(is_emergency_button_pressed=True))
+    assert pressed[:2] == (EMERGENCY, "emergency_stop.button")
+    for pedal in around(0.05, 0.004):
+        expected = EMERGENCY if pedal >= 0.05 else NONE
+        assert ask("emergency_stop", config, **with_machine(brake_pedal=pedal))[0] is expected, pedal
+    assert ask("emergency_stop", config, **with_machine(brake_pedal=math.nan))[:2] == (
+        EMERGENCY,
+        "emergency_stop.pedal",
+    )
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_hand_on_the_wheel(config: SafetyConfig, sign: int) -> None:
+    for rate in around(50.0, 0.125):
+        expected = STOP if rate >= 50.0 else NONE
+        assert (
+            ask("driver_override", config, **with_machine(driver_rate_radps=sign * math.radians(rate)))[0] is expected
+        ), rate
+    for angle in around(30.0, 0.1):
+        expected = STOP if angle > 30.0 + 1e-9 else NONE
+        assert (
+            ask("driver_override", config, **with_machine(driver_angle_rad=sign * math.radians(angle)))[0] is expected
+        ), angle
+    for forced in around(1.0, 0.02):
+        assert ask("driver_override", config, hand_forced_s=forced)[0] is (STOP if forced > 1.0 else NONE), forced
+    assert ask("driver_override", config, **with_machine(driver_rate_radps=math.nan))[:2] == (STOP, "driver_override")
+    assert ask("driver_override", config, **with_machine(driver_angle_rad=math.nan))[:2] == (STOP, "driver_override")
+    assert ask("driver_override", config, hand_forced_s=2.0)[:2] == (STOP, "driver_override")
+
+
+def fault(response: Response, code: str = "x.y") -> Fault:
+    return Fault(START_NS, code, "part", Severity.ALARM, False, response, True, "broken", "kaputt")
+
+
+@pytest.mark.parametrize("response", list(Response))
+def test_reported_faults(config: SafetyConfig, response: Response) -> None:
+    faults = (fault(NONE, "a"), fault(response, "b"), fault(NONE, "c"))
+    got = ask("reported_fault", config, faults=faults)
+    assert got[:2] == (response, "b" if response else "a")
+    assert got[2] == (math.inf if response is NONE else pytest.approx(5 / 3.6) if response is LIMIT else 0.0)
+
+
+def test_silence(config: SafetyConfig) -> None:
+    assert ask("message_timeout", config, silent=("imu", "odom"))[:2] == (STOP, "imu.silent")
+    assert ask("message_timeout", config, silent=("control_command",))[:2] == (STOP, "control_command.silent")
+    assert ask("message_timeout", config, silent=("control_command",), speed_mps=0.0) == (
+        LIMIT,
+        "control_command.silent",
+        0.0,
+    )
+    assert ask("message_timeout", config, silent=("mission",))[:2] == (STOP, "mission.silent")
+    assert ask("message_timeout", config, silent=("mission",), speed_mps=0.0) == (LIMIT, "mission.silent", 0.0)
+    assert ask("message_timeout", config, frozen=("lidar/front",))[:2] == (STOP, "lidar/front.frozen")
+    assert ask("message_timeout", config, machine=None)[0] is NONE
+    assert ask("message_timeout", config, odom=None)[:2] == (STOP, "odom.invalid")
+    assert ask("message_timeout", config, map_pose=None)[:2] == (STOP, "map_pose.invalid")
+
+
+@pytest.mark.parametrize("group", ["heartbeat", "motion", "steering", "cab"])
+def test_silent_group_of_the_machine(config: SafetyConfig, group: str) -> None:
+    for age_ms in around(350, 1):
+        changes = {f"{group}_stamp_ns": START_NS - round(age_ms * 1e6)}
+        expected = (STOP, f"machine.{group}.silent") if age_ms > 350 else (NONE, "message_timeout")
+        assert ask("message_timeout", config, **with_machine(**changes))[:2] == expected, age_ms
+
+
+def test_supply(config: SafetyConfig) -> None:
+    for volts in around(9.0, 0.05):
+        assert ask("supply_voltage", config, **with_machine(supply_v=volts))[0] is (NONE if volts >= 9.0 else STOP), (
+            volts
+        )
+    for volts in around(36.0, 0.05):
+        assert ask("supply_voltage", config, **with_machine(supply_v=volts))[0] is (NONE if volts <= 36.0 else STOP), (
+            volts
+        )
+    assert ask("supply_voltage", config, **with_machine(supply_v=math.nan))[:2] == (STOP, "supply_voltage")
+
+
+def test_steering(config: SafetyConfig) -> None:
+    for held in around(0.4, 0.02):
+        expected = (STOP, "steering.not_following") if held > 0.4 else (NONE, "steering")
+        assert ask("steering", config, steering_off_s=held)[:2] == expected, held
+        expected = (STOP if held > 0.4 else LIMIT, "steering.not_ready")
+        assert ask("steering", config, steering_lost_s=held, **with_machine(is_steering_ready=False))[:2] == expected
+    assert ask("steering", config, **with_machine(is_steering_ready=False)) == (LIMIT, "steering.not_ready", 0.0)
+
+
+def test_brake(config: SafetyConfig) -> None:
+    for held in around(0.8, 0.02):
+        assert ask("brake", config, brake_weak_s=held)[:2] == (EMERGENCY if held > 0.8 else NONE, "brake.weak"), held
+    for phase in (Phase.CREEP, Phase.BRAKE, Phase.FAILED):
+        assert ask("brake", config, brake_test=phase)[1].startswith("brake.test"), phase
+
+
+def test_localization(config: SafetyConfig) -> None:
+    for level in around(0.5, 0.01):
+        expected = (STOP, "localization.protection") if level > 0.5 else (LIMIT, "localization")
+        assert ask("localization", config, pose={"protection_level_m": level})[:2] == expected, level
+    for level in around(0.3, 0.01):
+        expected = LIMIT if level > 0.3 else NONE
+        assert ask("localization", config, pose={"protection_level_m": level})[0] is expected, level
+    for age in around(120.0, 0.1):
+        expected = (STOP, "localization.gnss_age") if age > 120.0 else (NONE, "localization.gnss_lost")
+        assert ask("localization", config, pose={"gnss_age_s": age})[:2] == expected, age
+    for age in around(1.0, 0.02):
+        expected = "localization.gnss_lost" if age > 1.0 else "localization"
+        assert ask("localization", config, pose={"gnss_age_s": age})[1] == expected, age
+    for bad in ({"is_initialized": False}, {"source": PositionSource.NONE}, {"protection_level_m": math.nan},
+                {"gnss_age_s": math.nan}, {"protection_level_m": math.inf}):  # fmt: skip
+        assert ask("localization", config, pose=bad)[0] is STOP, bad
+    for bad in ({"is_initialized": False}, {"source": PositionSource.NONE}):
+        assert ask("localization", config, pose=bad)[1] == "localization.none"
+    lost = ask("localization", config, is_under_roof=True, pose={"uwb_age_s": 9.0})
+    assert lost[:2] == (STOP, "localization.uwb_lost")
+    shed = {"gnss_age_s": 500.0, "source": PositionSource.UWB}
+    assert ask("localization", config, pose=shed)[0] is NONE
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("axis", ["roll", "pitch"])
+def test_tilt(config: SafetyConfig, axis: str, sign: int) -> None:
+    for angle in around(15.0, 0.1):
+        got = ask("tilt", config, **{f"{axis}_rad": sign * math.radians(angle - 1e-9)})
+        assert got[:2] == ((STOP, f"tilt.{axis}") if angle > 15.0 + 1e-6 else (NONE, "tilt")), angle
+    level = config.model_copy(update={"limits": config.limits.model_copy(update={f"{axis}_deg": 0.0})})
+    assert ask("tilt", level)[0] is NONE  # at the limit itself
+    broken = replace(situation_of(config).odom, T_odom_base=np.full((4, 4), np.nan))
+    assert ask("tilt", config, odom=broken)[0] is STOP
+
+
+def test_fence(config: SafetyConfig) -> None:
+    assert ask("geofence", config, fence_m=None) == (LIMIT, "geofence.unknown", 0.0)
+    assert ask("geofence", config, fence_m=-1.0)[:2] == (STOP, "geofence.outside")
+    assert ask("geofence", config, fence_m=0.0) == (LIMIT, "geofence", 0.0)
+    margin = config.limits.fence_margin_m
+    for way in around(margin, 0.008):
+        response, _, limit = ask("geofence", config, fence_m=way)
+        assert response is LIMIT
+        assert (limit > 0.0) == (way > margin), way
+    speeds = [ask("geofence", config, fence_m=way)[2] for way in (0.5, 1.0, 3.0, 9.0)]
+    assert speeds == sorted(speeds)
+
+
+def gap(main: float, arc: float = math.inf) -> dict[str, Any]:
+    return {"gap": Gap(main, arc, np.zeros((1, 3)))}
+
+
+def test_obstacle(config: SafetyConfig) -> None:
+    assert ask("protective_field", config, gap=None) == (LIMIT, "protective_field.no_scan", 0.0)
+    stopping = stopping_distance(2.0, config.braking.flat)
+    for main in around(stopping, 0.01):
+        expected = STOP if main < stopping else LIMIT
+        assert ask("protective_field", config, **gap(main))[0] is expected, main
+        assert ask("protective_field", config, **gap(math.inf, main))[0] is expected, main
+    assert ask("protective_field", config, **gap(1.0))[1] == "protective_field"
+    assert ask("protective_field", config, speed_mps=0.0, **gap(0.5)) == (LIMIT, "protective_field", 0.0)
+    for main in around(2.1, 0.02):
+        assert (ask("protective_field", config, speed_mps=0.0, **gap(main))[2] > 0.0) == (main > 2.1), main
+    assert 0.0 < ask("protective_field", config, **gap(20.0, 4.0))[2] < ask("protective_field", config, **gap(20.0))[2]
+
+
+def test_tracked(config: SafetyConfig) -> None:
+    stopping = stopping_distance(2.0, config.braking.flat)
+    for away in around(stopping, 0.01):
+        expected = STOP if away < stopping else LIMIT
+        assert ask("tracked_obstacle", config, threat=Threat(away, ObstacleClass.PERSON, 3))[0] is expected, away
+    assert ask("tracked_obstacle", config, threat=Threat(1.0, ObstacleClass.PERSON, 3))[:2] == (
+        STOP,
+        "tracked_obstacle",
+    )
+    standing = ask("tracked_obstacle", config, speed_mps=0.0, threat=Threat(0.5, ObstacleClass.PERSON, 3))
+    assert standing == (LIMIT, "tracked_obstacle", 0.0)
+
+
+def test_proven_range(config: SafetyConfig) -> None:
+    assert ask("detection_range", config, proven_m=0.0) == (LIMIT, "detection_range.limit", 0.0)
+    assert ask("detection_range", config, proven_m=0.0, blind=("lidar/front",)) == (LIMIT, "lidar/front.blind", 0.0)
+    for seen_m in (0.5, 5.0):  # by another lidar
+        assert ask("detection_range", config, proven_m=seen_m, blind=("lidar/front",))[1] == "detection_range.limit"
+    assert ask("detection_range", config, proven_m=40.0)[2] * 3.6 == pytest.approx(29.5, abs=0.5)
+    speeds = [ask("detection_range", config, proven_m=r)[2] for r in np.arange(0.0, 40.0, 0.5)]
+    assert speeds == sorted(speeds)
+
+
+def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SafetyConfig) -> None:
+    flat = config.braking.flat
+    for kind, half_m, whole_m in (("radar", 2.5, 5.0), ("camera", 2.15, 4.3), ("ultrasonic", 1.5, 3.0)):
+        lost = (Lost(kind, f"{kind}.lost", "lost"),)
+        speed = min(highest_speed(half_m, flat, 0.0), highest_speed(whole_m, flat, 2.1))
+        assert ask("sensor_loss", config, lost=lost) == (LIMIT, f"{kind}.lost", speed), kind
+        close = min(highest_speed(half_m, flat, 0.0), highest_speed(whole_m, flat, 0.1))
+        assert ask("sensor_loss", config, lost=lost, allowance_m=0.1)[2] == close, kind
+
+
+def test_fold(config: SafetyConfig) -> None:
+    assert ask("implement_fold", config, is_foldable=True, fold=None)[:2] == (STOP, "machine.implement.silent")
+    assert ask("implement_fold", config, is_foldable=True, fold=0.5) == (LIMIT, "implement_fold", 0.0)
+    for changes in ({"is_foldable": False, "fold": None}, {"is_foldable": True, "fold": 1.0}):
+        assert ask("implement_fold", config, **changes) == (NONE, "implement_fold", math.inf)
+
+
+def test_speed(config: SafetyConfig) -> None:
+    assert ask("speed_limit", config) == (LIMIT, "speed_limit", 8.0)
+    assert ask("speed_limit", config, is_docking=True) == (LIMIT, "speed_limit.docking", 0.5)
+
+
+def test_survey(config: SafetyConfig) -> None:
+    assert ask("wall_clearance", config, survey_m=0.0) == (LIMIT, "wall_clearance", 0.0)
+    assert ask("wall_clearance", config, survey_m=2.0)[2] == highest_speed(2.0, config.braking.flat, 0.0)
+
+
+def test_most_restrictive_wins(config: SafetyConfig) -> None:
+    near = {**gap(5.0), "threat": Threat(4.0, ObstacleClass.PERSON, 1)}
+    slow = judged(situation_of(config, **near), frozenset())
+    assert slow.binding.code == "tracked_obstacle"
+    assert slow.clearance_m == 4.0
+    assert slow.binding_is_obstacle
+    assert slow.is_ready
+    assert not slow.is_fault
+    hand = judged(situation_of(config, hand_forced_s=2.0, silent=("odom",), **near), frozenset())
+    assert (hand.binding.code, hand.is_hand, hand.is_fault, hand.is_ready) == ("driver_override", True, True, False)
+    worst = judged(situation_of(config, brake_weak_s=2.0, silent=("odom",)), frozenset())
+    assert (worst.binding.code, worst.is_emergency) == ("brake.weak", True)
+    for main, arc in ((3.0, 5.0), (5.0, 3.0)):
+        either = judged(situation_of(config, speed_mps=0.0, **near | gap(main, arc)), frozenset())
+        assert either.clearance_m == 3.0
+    inside = judged(situation_of(config, fence_m=None, **gap(1.0)), frozenset())  # both allow nothing
+    assert inside.binding.code == "protective_field"
+    blind = judged(situation_of(config, gap=None, fence_m=None), frozenset())
+    assert (blind.clearance_m, blind.is_ready) == (math.inf, False)
+
+
+def test_allowance(config: SafetyConfig) -> None:
+    assert allowance_m(config.field, 0.02, 0.01) == pytest.approx(3.0 * 0.02 + 0.01 + 2.0)
+
+
+def test_disabled_rules_do_not_speak(config: SafetyConfig) -> None:
+    near = {**gap(1.0), "threat": Threat(1.0, ObstacleClass.PERSON, 1)}
+    free = judged(situation_of(config, **near), frozenset({"protective_field", "tracked_obstacle"}))
+    assert free.binding.code == "speed_limit"
+    every = judged(situation_of(config, **near), frozenset(RULES))
+    assert (every.results, every.allowed_mps, every.binding_is_obstacle) == ((), math.inf, False)

@@ -1,0 +1,435 @@
+"""Radar, ultrasonic sensors and camera: each alone stops the machine, and each is missed when it is lost."""
+
+import copy
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from configs.strict import parse
+from configs.vehicle import Mount, Vehicle
+from messages.command import Mode, OperatorCommandKind
+from messages.errors import ConfigError
+from messages.motion import Odometry
+from messages.perception import HealthState, ObstacleClass, Track, Tracks
+from messages.sensors import RadarScan, UltrasonicRange
+from safety.config import RadarConfig, SafetyConfig, UltrasonicConfig
+from safety.monitors.sensors import Companion, companions_of, lost_of
+from safety.sources.radar import RadarEye
+from safety.sources.ultrasonic import NARROW_M, Ear, ground_m, is_answered
+from safety.supervisor import Supervisor
+from safety.zones.footprint import shape_of
+from tests.safety.safety_world import START_NS, Target, World, around, healthy, straight_path
+
+FRONT_M = 3.5
+LOST = {
+    "radar/front": "radar/front.silent", "ultrasonic/left": "ultrasonic/left.silent",
+    "health/radar_front": "health/radar_front.silent", "health/camera_front": "health/camera_front.silent",
+    "health/ultrasonic_right": "health/ultrasonic_right.silent",
+    "obstacles/radar_front": "obstacles/radar_front.silent", "obstacles/camera_front": "obstacles/camera_front.silent",
+    "obstacles/ultrasonic_left": "obstacles/ultrasonic_left.silent",
+}  # fmt: skip
+
+
+STARTED: dict[str, World] = {}
+
+
+def driving(world: World, speed_mps: float) -> World:
+    """In automatic mode and at speed; the start of the usual world is driven once and copied."""
+    is_usual = world.steps == 0 and not world.clutter and "health/camera_front" in world.supervisor.reads
+    if is_usual and "usual" in STARTED:
+        world.__dict__.update(copy.deepcopy(STARTED["usual"]).__dict__)
+    else:
+        world.start()
+        STARTED.update({"usual": copy.deepcopy(world)} if is_usual else {})
+    world.wish_mps = speed_mps
+    assert world.mode == Mode.AUTOMATIC
+    world.speed_mps = speed_mps
+    world.command = replace(world.command, speed_mps=speed_mps)
+    world.supervisor._commander.last = world.command
+    return world.run(0.3)
+
+
+def limit_of(world: World, code: str) -> float:
+    return next((rule.speed_limit_mps for rule in world.state.rules if rule.code == code), math.inf)
+
+
+def test_with_all_sensors_good_nothing_slows(seeing: World) -> None:
+    driving(seeing, 2.78).run(1.0)
+    assert seeing.command.reason == ""
+    assert seeing.speed_mps == pytest.approx(2.78, abs=0.02)
+    assert seeing.faults == []
+
+
+def test_radar_alone_stops_before_someone_who_stands(seeing: World) -> None:
+    driving(seeing, 2.78)
+    seeing.targets = (Target(seeing.x_m + 20.0, 0.5, rcs_dbsm=-5.0),)
+    seeing.run(12.0)
+    assert seeing.mode == Mode.OBSTACLE_STOP
+    assert seeing.command.reason == "protective_field"
+    assert 1.0 < seeing.targets[0].x_m - seeing.x_m - FRONT_M < 3.5
+    hardest = max(c.deceleration_mps2 for _, c in seeing.history)
+    assert hardest < 2.5  # in time
+    seeing.targets = ()
+    seeing.run(5.0)
+    assert seeing.mode == Mode.AUTOMATIC
+
+
+def test_radar_alone_sees_a_child_that_moves(seeing: World) -> None:
+    driving(seeing, 2.0)
+    seeing.targets = (Target(seeing.x_m + 12.0, 0.0, vx_mps=-1.0, rcs_dbsm=-15.0),)
+    for _ in range(50):
+        seeing.step(2)
+        target = seeing.targets[0]
+        seeing.targets = (replace(target, x_m=target.x_m - 0.04),)
+    assert seeing.mode == Mode.OBSTACLE_STOP or seeing.command.reason == "protective_field"
+    weak = seeing.state.triggering_points_base_m
+    assert len(weak) > 0
+
+
+def test_clutter_and_what_stands_weakly_do_not_stop(seeing: World) -> None:
+    seeing.clutter = 15
+    driving(seeing, 2.78)
+    seeing.targets = tuple(Target(seeing.x_m + x, 0.0, rcs_dbsm=-12.0) for x in (8.0, 15.0, 22.0))
+    seeing.run(6.0)
+    assert all(c.reason == "" for mode, c in seeing.history if mode == Mode.AUTOMATIC)
+    assert seeing.mode == Mode.AUTOMATIC
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_radar_does_not_stop_for_posts_beside(seeing: World, side: int) -> None:
+    driving(seeing, 2.78)
+    seeing.targets = tuple(Target(seeing.x_m + x, side * 3.9, rcs_dbsm=5.0) for x in np.arange(5.0, 30.0, 2.5))
+    seeing.run(6.0)
+    assert seeing.mode == Mode.AUTOMATIC
+    assert all(c.reason == "" for mode, c in seeing.history if mode == Mode.AUTOMATIC)
+
+
+@pytest.mark.parametrize("y", [0.0, 0.6, -1.0])
+def test_ultrasonic_alone_stops_a_slow_machine(seeing: World, y: float) -> None:
+    driving(seeing, 0.8)
+    seeing.targets = (Target(seeing.x_m + 9.0, y, rcs_dbsm=-60.0, is_heard=True),)
+    seeing.run(12.0)
+    assert seeing.mode == Mode.OBSTACLE_STOP
+    assert seeing.command.reason == "protective_field"
+    assert 0.5 < seeing.targets[0].x_m - seeing.x_m - FRONT_M < 4.0
+
+
+def test_ultrasonic_behind_stops_a_machine_that_backs(seeing: World) -> None:
+    seeing.path = straight_path(5, 40.0, direction=-1)
+    seeing.wish_mps = 0.8
+    seeing.start()
+    seeing.targets = (Target(seeing.x_m - 9.0, 0.0, rcs_dbsm=-60.0, is_heard=True),)
+    seeing.run(15.0)
+    assert seeing.mode == Mode.OBSTACLE_STOP
+    assert 0.5 < seeing.x_m - 2.4 - seeing.targets[0].x_m < 4.0
+
+
+def test_an_echo_once_is_no_obstacle_and_a_fast_machine_does_not_count_echoes(seeing: World) -> None:
+    driving(seeing, 0.8)
+    for k in range(20):
+        seeing.targets = (Target(seeing.x_m + 6.0, 0.0, rcs_dbsm=-60.0, is_heard=True),) if k % 4 == 0 else ()
+        seeing.step(5)
+    assert seeing.command.reason == ""
+    driving(seeing, 2.78)
+    seeing.targets = (Target(seeing.x_m + 9.0, 2.0, rcs_dbsm=-60.0, is_heard=True),)
+    seeing.run(1.2)
+    assert seeing.command.reason == ""
+
+
+def test_camera_alone_stops_before_a_person_that_stands(seeing: World) -> None:
+    driving(seeing, 2.78)
+    x = seeing.x_m + 15.0
+    seeing.tracks = (Track(3, ObstacleClass.PERSON, 0.9, np.array([x, 0.3, 0.8]), np.zeros(3), np.eye(4) * 0.2,
+                           np.array([0.5, 0.5, 1.7]), 0.0, START_NS, START_NS + 10**9, True,
+                           ("camera_front",)),)  # fmt: skip
+    seeing.run(10.0)
+    assert seeing.mode == Mode.OBSTACLE_STOP
+    assert seeing.command.reason == "tracked_obstacle"
+    assert seeing.state.obstacle_class is ObstacleClass.PERSON
+    assert 1.0 < x - seeing.x_m - FRONT_M < 3.5
+
+
+@pytest.mark.parametrize("topic", LOST)
+def test_a_lost_sensor_slows_and_is_named_alone(seeing: World, config: SafetyConfig, topic: str) -> None:
+    driving(seeing, 2.78)
+    seeing.mute.add(topic)
+    seeing.run(4.0)
+    assert seeing.mode == Mode.AUTOMATIC
+    assert seeing.command.reason == LOST[topic]
+    assert 0.5 < seeing.speed_mps < 0.8 * 2.78
+    told = [fault for fault in seeing.faults if fault.is_active]
+    assert [fault.code for fault in told] == [LOST[topic]]
+    seeing.mute.clear()
+    seeing.run(4.0)
+    assert seeing.command.reason == ""
+    assert seeing.speed_mps == pytest.approx(2.78, abs=0.05)
+
+
+@pytest.mark.parametrize(("label", "told_s"), [("radar_front", 0.4), ("ultrasonic_left", 0.4), ("camera_front", 1.5)])
+def test_what_a_sensor_sees_may_be_as_old_as_the_sensor_is_slow(seeing: World, label: str, told_s: float) -> None:
+    driving(seeing, 2.78)
+    topic = f"obstacles/{label}"
+    seeing.mute.add(topic)
+    while seeing.command.reason == "":
+        seeing.step(1)
+    last_ns = seeing.inbox.messages[topic].stamp_ns
+    assert told_s < (seeing.command.stamp_ns - last_ns) * 1e-9 < told_s + 0.021
+
+
+@pytest.mark.parametrize(("kind", "kmh"), [("radar", 7.5), ("camera", 6.7), ("ultrasonic", 3.6)])
+def test_a_blind_sensor_slows_to_what_the_others_prove(seeing: World, kind: str, kmh: float) -> None:
+    name = {"radar": "front", "camera": "front", "ultrasonic": "left"}[kind]
+    driving(seeing, 2.78)
+    seeing.mute.add(f"health/{kind}_{name}")
+    for _ in range(20):
+        blind = healthy(seeing.inbox.now_ns, f"{kind}_{name}", HealthState.BLIND, "covered")
+        seeing.inbox.put(f"health/{kind}_{name}", blind)
+        seeing.step(5)
+    assert seeing.command.reason == f"{kind}/{name}.blind"
+    assert 0.7 * kmh < seeing.speed_mps * 3.6 <= kmh
+
+
+def test_a_radar_that_repeats_itself_is_lost(seeing: World) -> None:
+    driving(seeing, 2.0)
+    seeing.targets = (Target(seeing.x_m + 50.0, 8.0),)
+    seeing.run(0.2)
+    frozen = seeing.inbox.messages["radar/front"]
+    seeing.mute.add("radar/front")
+    for _ in range(20):
+        seeing.inbox.put("radar/front", replace(frozen, stamp_ns=seeing.inbox.now_ns))
+        seeing.step(2)
+    assert limit_of(seeing, "radar/front.frozen") < 2.1
+    assert [fault.code for fault in seeing.faults] == ["radar/front.frozen"]
+
+
+def test_a_sensor_that_looks_away_is_not_missed(seeing: World) -> None:
+    driving(seeing, 2.78)
+    seeing.mute |= {"ultrasonic/rear", "health/ultrasonic_rear"}
+    seeing.run(2.0)
+    assert seeing.command.reason == ""
+    assert seeing.faults == []
+
+
+def test_backing_without_the_rear_ultrasonic_is_slow_and_without_the_lidar_it_stops(seeing: World) -> None:
+    seeing.path = straight_path(5, 40.0, direction=-1)
+    seeing.wish_mps = 2.0
+    seeing.mute.add("ultrasonic/rear")
+    seeing.start().run(4.0)
+    assert seeing.command.reason == "ultrasonic/rear.silent"
+    assert 0.5 < -seeing.speed_mps < 1.1
+    seeing.mute.add("lidar/rear")
+    seeing.run(3.0)
+    assert seeing.mode == Mode.FAULT_STOP
+    assert seeing.command.reason == "lidar/rear.silent"
+    assert seeing.speed_mps == 0.0
+
+
+def test_the_common_cause_is_told_alone(seeing: World) -> None:
+    driving(seeing, 2.0)
+    seeing.mute |= {"odom", "imu", "health/radar_front", "tracks"}
+    seeing.run(3.0)
+    assert seeing.mode == Mode.FAULT_STOP
+    assert [fault.code for fault in seeing.faults if fault.is_active] == ["imu.silent"]
+
+
+def test_a_camera_without_a_model_is_not_missed(config, full: Vehicle, implement, fence) -> None:
+    supervisor = Supervisor(full, implement, config, fence, (), idle=frozenset({"camera_front"}))
+    assert "health/camera_front" not in supervisor.reads
+    world = driving(World(supervisor, full, straight_path()), 2.78)
+    assert world.command.reason == ""
+
+
+def test_what_is_read_follows_from_the_machine(config, thin, full: Vehicle, implement, fence) -> None:
+    few = set(Supervisor(thin, implement, config, fence, ()).reads)
+    many = set(Supervisor(full, implement, config, fence, ()).reads)
+    assert many - few == {
+        "radar/front", "ultrasonic/left", "ultrasonic/right", "ultrasonic/rear", "health/radar_front",
+        "health/ultrasonic_left", "health/ultrasonic_right", "health/ultrasonic_rear", "health/camera_front",
+        "obstacles/radar_front", "obstacles/ultrasonic_left", "obstacles/ultrasonic_right",
+        "obstacles/ultrasonic_rear", "obstacles/camera_front",
+    }  # fmt: skip
+
+
+def test_lost_by_sector(full: Vehicle) -> None:
+    camera = next(one for one in companions_of(full.sensors, frozenset()) if one.kind == "camera")
+    half = math.radians(30.0)
+    fine = healthy(START_NS, "camera_front")
+    assert lost_of(camera, True, False, True, fine, 1, half) is None
+    edges = np.radians([-40.0, -10.0, 10.0, 40.0])
+    partly = replace(fine, sector_edges_rad=edges, detection_range_m=np.array([15.0, 0.0, 15.0]))
+    lost = lost_of(camera, True, False, True, partly, 1, half)
+    assert lost is not None
+    assert lost.code == "camera/front.blind"
+    assert lost_of(camera, True, False, True, partly, -1, half) is None
+    near = replace(fine, detection_range_m=np.array([0.5]))
+    assert lost_of(camera, True, False, True, near, 1, half) is None
+
+
+def test_how_a_sensor_is_lost(full: Vehicle) -> None:
+    rear = next(one for one in companions_of(full.sensors, frozenset()) if one.name == "rear")
+    fine = healthy(START_NS, "ultrasonic_rear")
+    blind = replace(fine, state=HealthState.BLIND, reason="dust")
+    for is_heard, is_frozen, is_told, health, code in (
+        (False, True, False, None, "ultrasonic/rear.silent"),
+        (True, True, False, None, "ultrasonic/rear.frozen"),
+        (True, False, False, None, "obstacles/ultrasonic_rear.silent"),
+        (True, False, True, None, "health/ultrasonic_rear.silent"),
+        (True, False, True, blind, "ultrasonic/rear.blind"),
+    ):
+        lost = lost_of(rear, is_heard, is_frozen, is_told, health, -1, 0.5)
+        assert lost is not None
+        assert (lost.kind, lost.code) == ("ultrasonic", code)
+        assert "ultrasonic/rear" in lost.text
+        assert lost_of(rear, is_heard, is_frozen, is_told, health, 1, 0.5) is None
+
+
+def test_a_sensor_looks_where_it_is_turned_by_no_more_than_60_degrees() -> None:
+    for direction, ahead_deg in ((1, 0.0), (-1, 180.0), (-1, -180.0)):
+        for away_deg in (-120.0, *around(-60.0, 0.1), 0.0, *around(60.0, 0.1), 120.0):
+            mount = Mount(xyz_m=(0.0, 0.0, 1.0), rpy_deg=(0.0, 0.0, ahead_deg + away_deg))
+            expected = abs(away_deg) <= 60.0 + 1e-9
+            if abs(abs(away_deg) - 60.0) > 1e-6 or ahead_deg == 0.0:  # a half turn is not exact in radians
+                assert Companion("radar", "front", mount).looks(direction) == expected, (direction, away_deg)
+
+
+def test_companions_are_all_but_the_idle(full: Vehicle) -> None:
+    known = {(one.kind, one.name): one.mount for one in companions_of(full.sensors, frozenset({"camera_front"}))}
+    assert known == {
+        ("radar", "front"): full.sensors.radar["front"].mount,
+        **{("ultrasonic", name): one.mount for name, one in full.sensors.ultrasonic.items()},
+    }
+
+
+STILL = Odometry(START_NS, np.eye(4), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
+Detection = tuple[float, float, float, float]
+
+
+def radar_hits(full: Vehicle, implement, config: SafetyConfig, cycles: list[list[Detection]]) -> RadarEye:
+    eye = RadarEye("front", full.sensors.radar["front"], (0.25, 3.2), 0.15, config.radar)
+    shape = shape_of(full, implement)
+    for k, rows in enumerate(cycles):
+        range_m, azimuth, doppler, rcs = np.array(rows).reshape(-1, 4).T
+        scan = RadarScan(START_NS + k * 50_000_000, range_m, azimuth, np.full(len(range_m), np.nan), doppler, rcs)
+        eye.take(scan, np.zeros(3), STILL, shape)
+    return eye
+
+
+def test_radar_hits_at_their_limits(full: Vehicle, implement, config: SafetyConfig) -> None:
+    radar = config.radar
+    standing, weak = (8.0, 0.0, 0.0, radar.standing_rcs_dbsm), (8.0, 0.0, 0.0, radar.standing_rcs_dbsm - 0.1)
+    moving = (8.0, 0.0, radar.moving_mps, radar.moving_rcs_dbsm)
+    for count in range(8):
+        assert (len(radar_hits(full, implement, config, [[standing]] * count).hits) > 0) == (
+            count >= radar.standing_cycles
+        )
+        assert (len(radar_hits(full, implement, config, [[moving]] * count).hits) > 0) == (count >= radar.moving_cycles)
+    assert len(radar_hits(full, implement, config, [[weak]] * 8).hits) == 0
+    assert len(radar_hits(full, implement, config, [[(8.0, 0.0, 0.4, radar.moving_rcs_dbsm)]] * 8).hits) == 0
+    assert len(radar_hits(full, implement, config, [[(radar.standing_cap_m + 0.1, 0.0, 0.0, 5.0)]] * 8).hits) == 0
+    assert len(radar_hits(full, implement, config, [[(8.0, 1.2, 0.0, 5.0)]] * 8).hits) == 0  # beside the view
+    assert len(radar_hits(full, implement, config, [[standing]] * 8 + [[]] * 9).hits) == 0  # forgotten
+    assert len(radar_hits(full, implement, config, [[(np.nan, 0.0, 0.0, 5.0)]] * 8).hits) == 0
+
+
+def test_a_malformed_radar_scan_has_no_detections(full: Vehicle, implement, config: SafetyConfig) -> None:
+    eye = radar_hits(full, implement, config, [])
+    scan = RadarScan(START_NS, np.ones(3), np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(3))
+    eye.take(scan, np.zeros(3), STILL, shape_of(full, implement))
+    assert len(eye.hits) == 0
+
+
+def listen(full: Vehicle, config: SafetyConfig, ranges: list[float], speed_mps: float = 0.0, name: str = "left") -> Ear:
+    ear = Ear(name, full.sensors.ultrasonic[name], config.ultrasonic)
+    for k, range_m in enumerate(ranges):
+        pose = np.array([speed_mps * 0.1 * k, 0.0, 0.0])
+        ear.take(UltrasonicRange(START_NS + k * 100_000_000, range_m), pose, replace(STILL, speed_mps=speed_mps))
+    return ear
+
+
+@pytest.mark.parametrize(
+    ("y", "width", "sensor", "is_confirmed", "is_known"),
+    [
+        (1.2, 0.2, "lidar_front", True, True),
+        (1.2, 0.2, "ultrasonic_left", True, False),  # the echo does not answer for itself
+        (1.2, 0.2, "lidar_front", False, False),
+        (2.6, 0.2, "lidar_front", True, False),
+        (1.2, NARROW_M, "lidar_front", True, True),
+        (1.2, NARROW_M + 0.01, "lidar_front", True, False),
+    ],
+)
+def test_what_a_lidar_follows_answers_an_echo(
+    y: float, width: float, sensor: str, is_confirmed: bool, is_known: bool
+) -> None:
+    fence = Track(1, ObstacleClass.UNKNOWN, 0.9, np.array([3.0, y, 0.6]), np.zeros(3), np.eye(4) * 0.01,
+                  np.array([8.0, width, 1.2]), 0.0, 0, START_NS, is_confirmed, (sensor,))  # fmt: skip
+    arc = np.array([[3.0, 0.0], [2.9, 0.5], [2.6, 1.0]])
+    assert is_answered(arc, Tracks(START_NS, (fence,)), 0.3) == is_known
+    assert not is_answered(arc, None, 0.3)
+
+
+def test_echoes_must_repeat(full: Vehicle, config: SafetyConfig) -> None:
+    for count in range(6):
+        ear = listen(full, config, [2.0] * count)
+        assert (len(ear.arc_odom_m) > 0) == (count >= config.ultrasonic.repeats)
+    assert len(listen(full, config, [2.0, 3.5, 1.0, 4.0, 2.6]).arc_odom_m) == 0
+    assert len(listen(full, config, [4.6] * 5).arc_odom_m) == 0  # beyond its reach
+    assert len(listen(full, config, [math.nan] * 5).arc_odom_m) == 0
+
+
+def test_what_went_into_the_dead_zone_stays_for_a_while(full: Vehicle, config: SafetyConfig) -> None:
+    near = [1.0 - 0.05 * k for k in range(13)]  # down to 0.4 m
+    gone = [math.nan] * 20
+    ear = listen(full, config, near + gone, speed_mps=0.5)
+    assert len(ear.arc_odom_m) == 7
+    assert len(listen(full, config, [1.0] * 5 + gone).arc_odom_m) == 0
+    lasting = [math.nan] * round(config.ultrasonic.hold_s * 10 + 20)
+    assert len(listen(full, config, near + lasting, speed_mps=0.5).arc_odom_m) == 0
+
+
+def test_a_sensor_that_looks_down_hears_the_ground_from_there_on() -> None:
+    T = np.eye(4)
+    T[2, 3] = 0.7
+    assert math.isinf(ground_m(T))
+    T[2, 0] = -0.35
+    assert ground_m(T) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("kind", "changes"), [
+    (RadarConfig, {"cycles": 4}), (UltrasonicConfig, {"repeats": 6}),
+])  # fmt: skip
+def test_wrong_values_are_refused(config: SafetyConfig, kind: Any, changes: dict[str, float]) -> None:
+    values = (config.radar if kind is RadarConfig else config.ultrasonic).model_dump() | changes
+    with pytest.raises(ConfigError, match=r"cycles|repeats"):
+        parse(kind, values, "test")
+
+
+def test_start_with_a_lost_sensor(seeing: World) -> None:
+    seeing.mute.add("ultrasonic/left")
+    seeing.run(0.2)
+    seeing.order(OperatorCommandKind.START)
+    seeing.run(6.0)
+    assert seeing.command.reason == "ultrasonic/left.silent"
+    assert 0.5 < seeing.speed_mps < 1.1
+
+
+def test_an_echo_that_a_surveyed_wall_may_have_given_does_not_count(seeing: World) -> None:
+    driving(seeing, 0.8)
+    seeing.targets = (Target(seeing.x_m + 9.0, 0.0, rcs_dbsm=-60.0, is_heard=True),)
+    seeing.run(12.0)
+    lookout = seeing.supervisor._lookout
+    assert lookout.way is not None
+    arcs = [ear.arc_odom_m for ear in lookout.senses.ears if len(ear.arc_odom_m)]
+
+    def clearance_m(is_wall: np.ndarray, turned_rad: float = 0.0) -> float:
+        pose = np.array([seeing.x_m, seeing.y_m, seeing.yaw_rad + turned_rad])
+        found = lookout.senses.gap(lookout.way, pose, 0.5, lambda points: is_wall[: len(points)], None)
+        return math.inf if found is None else found.main_m
+
+    longest = max(len(arc) for arc in arcs)
+    one = np.arange(longest) == 0  # the wall need but touch the arc
+    assert clearance_m(np.zeros(longest, bool)) < 4.0
+    assert clearance_m(one) == math.inf
+    assert clearance_m(np.zeros(longest, bool), math.pi) == math.inf  # it lies behind

@@ -1,0 +1,324 @@
+"""The swept area: contact against brute force, margins at their boundary, curves, reverse, trailed implements."""
+
+import itertools
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from configs.vehicle import Vehicle
+from safety.config import SafetyConfig
+from safety.pose_history import to_frame
+from safety.zones.footprint import Drawbar, Rectangle, Shape, carriers, outline, shape_of, steady_angle, trailer_poses
+from safety.zones.protective_field import box_of, is_at, look_ahead_m, place_on, way_ahead
+from safety.zones.swept_area import (
+    Sweep,
+    arc_poses,
+    contact_m,
+    corners_along,
+    outline_of,
+    path_poses,
+    spaced,
+    sweep_along,
+    unwrapped,
+)
+from tests.safety.safety_world import WAGON, around, straight_path
+
+SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
+
+
+@pytest.fixture
+def shape(vehicle: Vehicle, implement) -> Shape:
+    return shape_of(vehicle, implement)
+
+
+def arc(
+    shape: Shape, config: SafetyConfig, curvature: float, length: float, direction: int = 1, foremost: bool = False
+) -> Sweep:
+    s = spaced(length, 0.25)
+    return sweep_along(shape, direction, s, arc_poses(curvature, direction, s), curvature, config.field, foremost)
+
+
+def test_straight_contact_of_machine_and_implement(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.0, 20.0)
+    ways = contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [10.0, 4.0], [-3.0, 0.0], [30.0, 0.0]]), sweep)
+    assert ways[:2] == pytest.approx([6.5, 11.1])  # the machine's front at 3.5, the implement's at -1.1
+    assert np.all(np.isinf(ways[2:]))
+
+
+def test_gap_from_the_foremost_point(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.0, 20.0, foremost=True)
+    ways = contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), sweep)
+    assert ways == pytest.approx([6.5, 6.5, 0.0])
+
+
+def test_places_that_are_no_numbers_hide_nothing(shape: Shape, config: SafetyConfig) -> None:
+    s = spaced(20.0, 0.25)
+    poses = arc_poses(0.0, 1, s)
+    poses[-1] = np.nan
+    sweep = sweep_along(shape, 1, s, poses, 0.0, config.field, False)
+    ways = contact_m(np.array([[10.0, 0.0], [np.nan, 0.0], [10.0, 2.0]]), sweep, np.array([0.0, 0.0, np.nan]))
+    assert ways[0] == pytest.approx(6.5)
+    assert np.all(np.isinf(ways[1:]))
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_lateral_boundary(shape: Shape, config: SafetyConfig, side: int) -> None:
+    sweep = arc(shape, config, 0.0, 20.0)
+    edge = 3.05 + config.field.far_lateral_m
+    for y in around(edge, 0.01):
+        is_met = np.isfinite(contact_m(np.array([[12.0, side * y]]), sweep)[0])
+        assert is_met == (y <= edge + 1e-9), y
+
+
+def test_margin_grows_with_the_way(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.0, 10.0)
+    assert sweep.lateral_m[0] == config.field.near_lateral_m
+    assert sweep.lateral_m[-1] == config.field.far_lateral_m
+    assert np.all(np.diff(sweep.lateral_m) >= 0.0)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_reverse_leads_with_the_implement(shape: Shape, config: SafetyConfig, direction: int) -> None:
+    sweep = arc(shape, config, 0.0, 10.0, direction, foremost=True)
+    point = np.array([[6.0, 0.0]]) if direction > 0 else np.array([[-6.0, 0.0]])
+    assert contact_m(point, sweep)[0] == pytest.approx(2.5 if direction > 0 else 3.6)
+    assert np.isinf(contact_m(-point, sweep)[0])
+    assert shape.foremost_m(direction) == pytest.approx(3.5 if direction > 0 else -2.4)
+
+
+def test_outline_is_as_wide_as_the_widest_body_from_the_leading_end_on(shape: Shape, config: SafetyConfig) -> None:
+    for direction, lead in ((1, 3.5), (-1, -1.0)):
+        sweep = arc(shape, config, 0.15, 6.0, direction)
+        half = 3.05 + sweep.lateral_m
+        sides = [[(lead, side * width) for width in half] for side in (1, -1)]
+        left, right = (
+            np.array([to_frame(pose, np.array([p]))[0] for pose, p in zip(sweep.poses, side, strict=True)])
+            for side in sides
+        )
+        assert outline_of(sweep) == pytest.approx(np.concatenate([left, right[::-1]])), direction
+
+
+def test_corners_are_those_of_the_bodies_at_every_other_place(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.15, 6.0)
+    points, ways = corners_along(sweep, 0.5)
+    expected = [to_frame(pose, outline(body)) for body, poses in sweep.bodies for pose in poses[::2]]
+    assert points == pytest.approx(np.concatenate(expected))
+    assert ways == pytest.approx(np.concatenate([np.repeat(sweep.s_m[::2], 8) for _ in sweep.bodies]))
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("curvature", [0.2, -0.2])
+def test_in_a_bend_the_outer_end_of_a_body_is_not_late(
+    shape: Shape, config: SafetyConfig, curvature: float, direction: int
+) -> None:
+    """It moves farther than base does: by 60 % beside a harrow of 6 m in the tightest bend."""
+    sweep = arc(shape, config, curvature, 7.0, direction)
+    for x, y in itertools.product(np.arange(-10.0, 10.0, 1.3), np.arange(-8.0, 9.0, 1.7)):
+        bare = brute_contact(np.array([x, y]), shape, curvature, direction, sweep.length_m)
+        assert contact_m(np.array([[x, y]]), sweep)[0] <= bare + 0.01, (x, y)
+
+
+def test_bodies_are_widened_narrowed_and_lengthened(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.0, 20.0)
+    for extra, aside in ((0.0, 5.0), (0.0, -0.2), (0.5, -0.2), (5.0, 0.0)):
+        edge = 3.05 + config.field.far_lateral_m + extra + aside
+        for y in around(edge, 0.01):
+            is_met = np.isfinite(contact_m(np.array([[12.0, y]]), sweep, extra, aside)[0])
+            assert is_met == (y <= edge + 1e-9), (extra, aside, y)
+        assert contact_m(np.array([[10.0, 0.0]]), sweep, extra, aside)[0] == pytest.approx(6.5 - extra)
+        for x, y in ((23.4 + extra, 0.0), (-2.3 - extra, 0.0)):
+            assert np.isfinite(contact_m(np.array([[x, y]]), sweep, extra, aside)[0]), (extra, aside, x)
+    assert contact_m(np.array([[10, 0]]), sweep, 1, 0)[0] == pytest.approx(5.5)
+
+
+def test_a_path_is_followed_to_its_ends_and_a_deviation_fades() -> None:
+    path, s = straight_path(length_m=10.0), spaced(5.0, 0.5)
+    assert path_poses(path, 0.0, np.zeros(3), s, 5.0)[:, 0] == pytest.approx(s)
+    assert path_poses(path, 8.0, np.array([8.0, 0.0, 0.0]), s, 5.0)[:, 0] == pytest.approx(np.minimum(s, 2.0))
+    beside = path_poses(path, 0.0, np.array([0.0, 1.0, 0.0]), s, 5.0)
+    assert beside[:, 1] == pytest.approx(-s / 5.0)
+    assert path_poses(path, 0.0, np.array([0.0, 1.0, 0.0]), s, 2.0)[:, 1] == pytest.approx(-np.minimum(1.0, s / 2.0))
+
+
+def test_a_part_of_a_sweep_is_cut_off_everywhere(shape: Shape, config: SafetyConfig) -> None:
+    whole = arc(shape, config, 0.1, 6.0)
+    part = whole.until(2.1)
+    assert (part.length_m, len(part.s_m)) == (2.0, 9)
+    assert part.poses == pytest.approx(whole.poses[:9])
+    assert part.lateral_m == pytest.approx(whole.lateral_m[:9])
+    assert all(len(places) == 9 for _, places in part.bodies)
+    here = whole.until(0.0)
+    assert here.length_m == 0.0
+    assert contact_m(np.array([[0.0, 0.0], [8.0, 0.0]]), here).tolist() == [0.0, math.inf]
+
+
+def test_a_way_longer_than_60_steps_gets_longer_steps(shape: Shape, config: SafetyConfig) -> None:
+    assert len(spaced(120.0, 0.4)) == 61
+    for count, step in ((1, config.field.step_m), (2, 0.3), (3, 0.3)):
+        s = 0.3 * np.arange(count) + 1.0
+        poses = np.column_stack([s, 0 * s, 0 * s])
+        assert sweep_along(shape, 1, s, poses, 0.0, config.field, True).step_m == pytest.approx(step)
+
+
+def test_headings_are_without_jumps() -> None:
+    smooth = np.array([3.0, 3.1, 3.2])
+    assert unwrapped(smooth) is smooth
+    assert unwrapped(np.array([3.0, 3.1, 3.2 - 2 * math.pi])) == pytest.approx(smooth)
+
+
+def brute_contact(point: np.ndarray, shape: Shape, curvature: float, direction: int, length: float) -> float:
+    """First place, in steps of 5 mm, at which a bare body covers the point."""
+    s = np.arange(0.0, length, 0.005)
+    best = math.inf
+    for body, poses in carriers(shape, arc_poses(curvature, direction, s), curvature):
+        c, n = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        dx, dy = point[0] - poses[:, 0], point[1] - poses[:, 1]
+        x, y = c * dx + n * dy, c * dy - n * dx
+        inside = (x >= body.rear_m) & (x <= body.front_m) & (np.abs(y) <= body.half_width_m)
+        if inside.any():
+            best = min(best, float(s[np.argmax(inside)]))
+    return best
+
+
+@given(st.floats(-8.0, 12.0), st.floats(-8.0, 8.0), st.floats(-0.21, 0.21), st.sampled_from([1, -1]), st.booleans())
+@SETTINGS
+def test_contact_is_never_later_than_the_bodies_own(x, y, curvature, direction, is_trailed):
+    shape = SHAPES[is_trailed]
+    sweep = arc(shape, CONFIG, curvature, 7.0, direction)
+    truth = brute_contact(np.array([x, y]), shape, curvature, direction, sweep.length_m)
+    assert contact_m(np.array([[x, y]]), sweep)[0] <= truth + 0.02
+
+
+@pytest.fixture(autouse=True)
+def _shapes(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
+    global CONFIG
+    CONFIG = config
+    SHAPES[False], SHAPES[True] = shape_of(vehicle, implement), shape_of(vehicle, WAGON)
+
+
+SHAPES: dict[bool, Shape] = {}
+CONFIG: SafetyConfig
+
+
+def test_swing_out_of_the_implement(shape: Shape, config: SafetyConfig) -> None:
+    """Turning left, the right rear corner swings out beyond the straight sweep; the point lies beside it."""
+    point = np.array([[-1.0, -3.3]])
+    assert np.isinf(contact_m(point, arc(shape, config, 0.0, 4.0))[0])
+    assert np.isfinite(contact_m(point, arc(shape, config, 0.2, 4.0))[0])
+
+
+def test_trailed_implement(vehicle: Vehicle) -> None:
+    shape = shape_of(vehicle, WAGON)
+    assert shape.foremost_m(-1) == pytest.approx(-6.7)
+    assert shape.leads_m(1) == pytest.approx((0.0, 4.7))
+    assert shape_of(vehicle, None).trailed is None
+    assert len(shape_of(vehicle, None).rigid) == 1
+    drawbar = Drawbar(-1.2, 4.0)
+    assert steady_angle(drawbar, 0.0) == 0.0
+    s = np.arange(0.0, 30.0, 0.05)
+    follow = trailer_poses(drawbar, arc_poses(0.1, 1, s), 0.0)
+    behind = follow[-1, 2] - (0.1 * s[-1])
+    assert behind == pytest.approx(steady_angle(drawbar, 0.1), abs=0.02)
+    assert math.isfinite(steady_angle(drawbar, 2.0))
+
+
+def test_arc_poses_are_on_a_circle() -> None:
+    poses = arc_poses(0.2, 1, np.array([0.0, 5.0 * math.pi / 2]))
+    assert poses[1] == pytest.approx([5.0, 5.0, math.pi / 2])
+    assert arc_poses(0.0, -1, np.array([2.0]))[0] == pytest.approx([-2.0, 0.0, 0.0])
+
+
+def test_long_ways_get_longer_steps() -> None:
+    assert len(spaced(300.0, 0.25)) <= 62
+    assert spaced(0.25, 0.25) == pytest.approx([0.0, 0.25])
+
+
+def test_path_poses_start_at_the_machine_and_join_the_path() -> None:
+    path = straight_path()
+    poses = path_poses(path, 10.0, np.array([10.0, 0.4, 0.1]), np.arange(0.0, 8.0, 0.5), 5.0)
+    assert poses[0] == pytest.approx([0.0, 0.0, 0.0])
+    c, s = math.cos(0.1), math.sin(0.1)
+    expected = [c * 7.5 + s * -0.4, c * -0.4 - s * 7.5, -0.1]
+    assert poses[-1] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("turns", [1, -1, 3])
+def test_headings_of_other_turns_do_not_matter(turns: int) -> None:
+    path = straight_path(curvature=0.1)
+    poses = path_poses(path, 3.0, np.array([*path.p_map_m[30], 0.3 + turns * 2 * math.pi]), np.array([0.0, 1.0]), 5.0)
+    assert poses[1, 2] == pytest.approx(0.1, abs=1e-6)
+
+
+def test_part_of_a_sweep_is_what_is_swept_until_there(shape: Shape, config: SafetyConfig) -> None:
+    sweep = arc(shape, config, 0.1, 20.0)
+    points, ways = corners_along(sweep, 0.1)
+    for way_m in (0.0, 4.9, 5.0, 5.1, 30.0):
+        part_points, part_ways = corners_along(sweep.until(way_m), 0.1)
+        assert sorted(map(tuple, part_points)) == sorted(map(tuple, points[ways <= way_m])), way_m
+        assert part_ways.max() == sweep.until(way_m).length_m
+
+
+def test_place_on_the_path(config: SafetyConfig, vehicle: Vehicle) -> None:
+    path = straight_path(7)
+    assert place_on(None, None) is None
+    assert place_on(straight_path(1, 0.0), None) is None
+    place = place_on(path, None)
+    assert place is not None
+    assert place.s_m == 0.0
+    for offset in around(1.0, 0.01):
+        assert is_at(place, np.array([0.0, offset, 0.0]), config.field) == (offset <= 1.0), offset
+    for turn in around(20.0, 0.1):
+        at = is_at(place, np.array([0.0, 0.0, math.radians(turn - 1e-9)]), config.field)
+        assert at == (turn <= 20.0 + 1e-6), turn
+
+
+def test_way_without_a_place_is_the_arc(config: SafetyConfig, shape: Shape) -> None:
+    place = place_on(straight_path(), None)
+    pose = np.zeros(3)
+    planned = way_ahead(place, pose, 0.1, 1, 10.0, 3.0, shape, config.field)
+    assert planned.is_planned
+    assert planned.arc is not None
+    for other in (way_ahead(None, pose, 0.1, 1, 10.0, 3.0, shape, config.field),
+                  way_ahead(place, None, 0.1, 1, 10.0, 3.0, shape, config.field),
+                  way_ahead(place, np.array([0.0, 3.0, 0.0]), 0.1, 1, 10.0, 3.0, shape, config.field)):  # fmt: skip
+        assert not other.is_planned
+        assert other.arc is None
+        assert other.main.poses[-1, 2] > 0.1
+
+
+def test_field_ends_with_the_path(config: SafetyConfig, shape: Shape) -> None:
+    way = way_ahead(place_on(straight_path(1, 3.0), None), np.zeros(3), 0.0, 1, 20.0, 1.0, shape, config.field)
+    assert way.main.length_m == pytest.approx(3.0, abs=0.4)
+    assert np.isinf(contact_m(np.array([[8.0, 0.0]]), way.main)[0])
+
+
+def test_look_ahead_has_a_floor(config: SafetyConfig) -> None:
+    assert look_ahead_m(0.0, config.braking.flat, config.field, 2.0) == config.field.least_length_m
+    assert look_ahead_m(5.0, config.braking.flat, config.field, 2.0) > 10.0
+
+
+def test_box_and_outline_hold_the_sweep(config: SafetyConfig, shape: Shape) -> None:
+    way = way_ahead(None, None, 0.2, 1, 8.0, 3.0, shape, config.field)
+    box = box_of(way, 0.0)
+    points, ways = corners_along(way.main, 0.5)
+    assert np.all((points[:, 0] >= box.x_m[0]) & (points[:, 0] <= box.x_m[1]))
+    assert np.all((points[:, 1] >= box.y_m[0]) & (points[:, 1] <= box.y_m[1]))
+    assert ways.max() <= way.main.length_m
+    assert outline_of(way.main).shape == (2 * len(way.main.s_m), 2)
+    assert outline_of(arc(shape, config, 0.0, 3.0, -1))[0, 0] < 0.0
+    assert len(outline(Rectangle(-1.0, 1.0, 1.0))) == 8
+
+
+@given(st.lists(st.tuples(st.floats(-5.0, 15.0), st.floats(-6.0, 6.0)), min_size=1, max_size=20))
+@SETTINGS
+def test_more_points_never_lengthen_the_gap(points: list[tuple[float, float]]) -> None:
+    sweep = arc(SHAPES[False], CONFIG, 0.05, 10.0)
+    gaps = [contact_m(np.array(points[: k + 1]), sweep).min() for k in range(len(points))]
+    assert all(b <= a for a, b in pairwise(gaps))
+    wider = contact_m(np.array(points), sweep, 0.5)
+    assert np.all(wider <= contact_m(np.array(points), sweep) + 1e-9)
+    assert len(contact_m(np.empty((0, 2)), sweep)) == 0

@@ -1,0 +1,181 @@
+"""The gauge alone: what it measures, and since when something has been so."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geometry.transforms import transform
+from messages.command import ControlCommand, Mode, SafeCommand
+from messages.motion import MapPose, Odometry, PositionSource
+from safety.config import SafetyConfig
+from safety.monitors.vehicle import Gauge, Measured, direction_of, position_sigma_m
+from safety.stopping_distance import on_grade
+from tests.safety.safety_world import START_NS, around, machine_state, straight_path
+
+COMMAND = SafeCommand(START_NS, Mode.AUTOMATIC, True, 2.0, 0.0, 0.0, False, False, False, False, True, "")
+
+AHEAD = ControlCommand(START_NS, 0.5, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
+BACK = replace(AHEAD, speed_mps=-0.5)
+
+
+def odometry(speed_mps: float = 2.0, acceleration_mps2: float = 0.0, pitch_rad: float = 0.0) -> Odometry:
+    T = transform((0.0, 0.0, 0.0), (0.0, pitch_rad, 0.0))
+    return Odometry(START_NS, T, speed_mps, 0.0, acceleration_mps2, 0.0, 0.0, np.eye(6))
+
+
+class Bench:
+    """A gauge that is shown one moment after the other."""
+
+    def __init__(self, config: SafetyConfig) -> None:
+        self.gauge, self.now_ns = Gauge(config), START_NS
+        self.shown: dict[str, Any] = {
+            "mode": Mode.AUTOMATIC, "odom": odometry(), "machine": machine_state(START_NS, speed_mps=2.0),
+            "map_pose": None, "path": None, "control_command": None, "command": COMMAND,
+        }  # fmt: skip
+
+    def show(self, after_s: float = 0.02, **changes: Any) -> Measured:
+        """What is measured in a moment; changes stay, `machine` names those of its state."""
+        self.now_ns += round(after_s * 1e9)
+        if isinstance(changes.get("machine"), dict):
+            changes["machine"] = machine_state(START_NS, **{"speed_mps": 2.0, **changes["machine"]})
+        self.shown |= changes
+        return self.gauge.measure(self.now_ns, **self.shown)
+
+
+@pytest.fixture
+def bench(config: SafetyConfig) -> Bench:
+    return Bench(config)
+
+
+def test_before_anything_came_it_stands(bench: Bench) -> None:
+    measured = bench.show(odom=None, machine=None, command=None)
+    assert (measured.speed_mps, measured.fastest_mps, measured.direction) == (None, 0.0, 1)
+    assert measured.braking == bench.gauge._config.braking.flat
+    assert not measured.has_driver
+
+
+def test_the_faster_of_two_sources_counts(bench: Bench) -> None:
+    for odom, machine, speed in ((1.0, -3.0, -3.0), (-3.0, 1.0, -3.0), (math.nan, 1.0, 1.0), (1.0, math.inf, 1.0)):
+        measured = bench.show(odom=odometry(odom), machine={"speed_mps": machine})
+        assert (measured.speed_mps, measured.fastest_mps) == (speed, abs(speed)), (odom, machine)
+    assert bench.show(odom=None).speed_mps is None
+    lost = bench.show(odom=None, machine=None)
+    assert (lost.speed_mps, lost.fastest_mps) == (None, 1.0)  # as it was
+
+
+def test_direction_stays_when_nothing_tells_it(bench: Bench) -> None:
+    back = bench.show(odom=odometry(-1.0), machine={"speed_mps": -1.0})
+    assert back.direction == -1
+    assert bench.show(odom=odometry(0.0), machine={"speed_mps": 0.0}).direction == -1
+    assert bench.show(path=straight_path()).direction == 1
+    assert bench.show(path=None, control_command=BACK).direction == -1
+
+
+def test_direction_is_that_of_motion_above_10_cm_per_s() -> None:
+    back = straight_path(direction=-1)
+    for speed in around(0.1, 0.01):
+        assert direction_of(speed, back, AHEAD, -1) == (1 if speed > 0.1 else -1), speed
+    assert direction_of(-0.2, straight_path(), AHEAD, 1) == -1
+    assert direction_of(0.0, None, AHEAD, -1) == 1
+    assert direction_of(0.0, None, BACK, 1) == -1
+    assert direction_of(0.0, None, replace(AHEAD, speed_mps=0.0), 1) == 1
+
+
+def test_braking_is_that_of_the_slope_in_the_direction_of_travel(bench: Bench, config: SafetyConfig) -> None:
+    flat, least = config.braking.flat, config.braking.least_deceleration_mps2
+    down = on_grade(flat, 0.1, least)
+    assert bench.show(odom=odometry(pitch_rad=0.1)).braking.deceleration_mps2 == pytest.approx(down.deceleration_mps2)
+    assert bench.show(odom=None).braking.deceleration_mps2 == pytest.approx(down.deceleration_mps2)  # the last known
+    assert bench.show(odom=odometry(-2.0, pitch_rad=0.1), machine={"speed_mps": -2.0}).braking == flat
+    assert bench.show(odom=odometry(-2.0, pitch_rad=-0.1)).braking.deceleration_mps2 < 2.0
+
+
+def test_sigma_is_that_of_the_worse_axis(bench: Bench) -> None:
+    pose = MapPose(START_NS, np.eye(4), np.eye(4), np.diag([9.0, 9.0, 9.0, 0.04, 0.01, 9.0]),
+                   PositionSource.RTK_FIXED, 0.1, 0.1, True)  # fmt: skip
+    assert position_sigma_m(pose) == pytest.approx(0.2)
+    assert bench.show(map_pose=pose).position_sigma_m == pytest.approx(0.2)
+    assert position_sigma_m(replace(pose, covariance=np.diag([9, 9, 9, 0.01, 0.04, 9.0]))) == pytest.approx(0.2)
+    assert position_sigma_m(replace(pose, covariance=np.zeros((6, 6)))) == 0.0
+    assert position_sigma_m(replace(pose, covariance=-np.eye(6))) == 0.0
+
+
+def test_a_hand_counts_from_when_it_holds_on(bench: Bench) -> None:
+    assert bench.show(machine={"driver_torque_nm": -2.0}).hand_forced_s == 0.0
+    assert bench.show(1.0).hand_forced_s == 1.0
+    assert bench.show(machine={"driver_torque_nm": 1.9}).hand_forced_s == 0.0
+
+
+def test_steering_off_its_command(bench: Bench) -> None:
+    for error in around(0.04, 0.001):
+        bench.show(machine={"curvature_radpm": 0.0})
+        bench.show(machine={"curvature_radpm": error})
+        assert (bench.show(0.5).steering_off_s > 0.0) == (error > 0.04), error
+    assert bench.show(machine={"curvature_radpm": -0.1}).steering_off_s > 0.5
+    assert bench.show(1.0).steering_off_s > 1.5
+    assert bench.show(mode=Mode.STANDBY).steering_off_s == 0.0
+    bench.show(mode=Mode.AUTOMATIC, machine={"curvature_radpm": math.nan})
+    assert bench.show(1.0).steering_off_s == 1.0
+    assert bench.show(machine=None).steering_off_s == 0.0
+
+
+def test_steering_may_be_as_late_as_its_actuator(bench: Bench) -> None:
+    bench.show(command=replace(COMMAND, curvature_radpm=0.1), machine={"curvature_radpm": 0.1})
+    bench.show(command=COMMAND)
+    assert bench.show(0.78).steering_off_s == 0.0
+    bench.show(0.001)
+    assert bench.show(0.2).steering_off_s == 0.2
+
+
+def test_steering_is_judged_from_30_cm_per_s_on(bench: Bench) -> None:
+    for speed in around(0.3, 0.01):
+        slow = {"speed_mps": speed, "curvature_radpm": 0.1, "is_steering_ready": False}
+        bench.show(odom=odometry(speed), machine={"speed_mps": speed})
+        bench.show(machine=slow)
+        measured = bench.show(0.5)
+        assert (measured.steering_off_s > 0.0) == (speed >= 0.3), speed
+        assert (measured.steering_lost_s > 0.0) == (speed >= 0.3), speed
+
+
+def test_steering_lost(bench: Bench) -> None:
+    assert bench.show(machine={"is_steering_ready": False}).steering_lost_s == 0.0
+    assert bench.show(0.5).steering_lost_s == 0.5
+    assert bench.show(mode=Mode.MANUAL).steering_lost_s == 0.0
+    bench.show(mode=Mode.AUTOMATIC)
+    assert bench.show(0.5).steering_lost_s == 0.5
+    assert bench.show(machine={}).steering_lost_s == 0.0
+    assert bench.show(machine=None).steering_lost_s == 0.0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_brake_that_is_not_felt(bench: Bench, sign: int) -> None:
+    braking = replace(COMMAND, deceleration_mps2=2.0)
+
+    def weak(speed: float, felt: float, command: SafeCommand | None = braking) -> bool:
+        bench.show(odom=None)
+        bench.show(odom=odometry(sign * speed, -sign * felt), command=command)
+        return bench.show(0.5).brake_weak_s > 0.0
+
+    for felt in around(0.6, 0.01):
+        assert weak(2.0, felt) == (felt < 0.6), felt
+    assert weak(2.0, -1.0)  # it gains speed
+    for asked in around(1.0, 0.01):
+        assert weak(2.0, 0.0, replace(braking, deceleration_mps2=asked)) == (asked >= 1.0), asked
+    for speed in around(0.5, 0.01):
+        assert weak(speed, 0.0) == (speed >= 0.5), speed
+    assert not weak(2.0, 0.0, None)
+
+
+def test_the_driver_is_gone_a_second_after_the_seat_is_empty(bench: Bench) -> None:
+    assert not bench.show().has_driver
+    assert bench.show(machine={"is_seat_occupied": True}).has_driver
+    assert bench.show(machine={}).has_driver
+    assert bench.show(1.0).has_driver
+    assert bench.show(machine=None).has_driver
+    assert not bench.show(machine={}).has_driver
+    assert not bench.show(machine=None).has_driver
+    assert bench.show(machine={"is_seat_occupied": True}).has_driver
+    assert bench.show(5.0).has_driver

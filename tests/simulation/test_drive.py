@@ -1,0 +1,105 @@
+"""Propulsion and brakes of the simulated tractor, against formulas of their own."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulation.machine.drivetrain import BrakeSystem, advance_speed, ramp
+from tests.simulation.simulated_farm import Farm, flat, machine_file
+
+
+@pytest.fixture
+def farm():
+    farm = Farm(config=flat(machine={"drive": {"rolling_mps2": 0.0}}))
+    yield farm
+    farm.close()
+
+
+@pytest.mark.parametrize("speed_mps", [0.4, 1.0, 2.78, 5.0, 8.3])
+def test_brake_distance_is_the_formula(speed_mps):
+    brake = machine_file().brake
+    dt = 0.005
+    plant, v, way = BrakeSystem(brake, dt), speed_mps, 0.0
+    while v > 0.0:
+        v = advance_speed(v, 0.0, plant.step(9.0), dt)
+        way += v * dt
+    a, tb, tau = brake.deceleration_mps2, brake.build_up_s, brake.dead_time_s
+    if speed_mps >= a * tb / 2:
+        formula = speed_mps * (tau + tb) - a * tb**2 / 6 + (speed_mps - a * tb / 2) ** 2 / (2 * a)
+    else:
+        formula = speed_mps * tau + 2 / 3 * speed_mps * math.sqrt(2 * speed_mps * tb / a)
+    assert way == pytest.approx(formula, rel=0.02, abs=0.01)
+
+
+def test_brakes_give_no_more_than_they_can_and_less_when_asked():
+    brake = machine_file().brake
+    plant = BrakeSystem(brake, 0.005)
+    assert max(plant.step(9.0) for _ in range(200)) == pytest.approx(4.0)
+    assert [plant.step(1.5) for _ in range(200)][-1] == pytest.approx(1.5)
+
+
+def test_whole_machine_brakes_over_the_bus_as_the_formula_says(farm):
+    farm.get_going(2.78)
+    v, x = farm.machine.speed_mps, farm.machine.x_m
+    farm.brake_mps2, farm.speed_mps = 8.0, 0.0
+    farm.drive(3.0)
+    assert farm.machine.speed_mps == 0.0
+    formula = v * (0.15 + 0.3) - 4.0 * 0.09 / 6 + (v - 0.6) ** 2 / 8.0
+    assert farm.machine.x_m - x == pytest.approx(
+        formula, abs=0.02 * v + 0.05
+    )  # one bus period and the formula's own 1 cm
+
+
+@pytest.mark.parametrize("speed_mps", [0.5, 1.39, 2.78, -1.0])
+def test_wheel_speed_follows_the_set_point(farm, speed_mps):
+    farm.get_going(speed_mps)
+    assert farm.machine.wheel_speed_mps == pytest.approx(speed_mps, abs=0.02)
+
+
+def test_working_pull_makes_wheels_slip_two_to_six_percent(farm):
+    farm.get_going(2.78)
+    farm.is_lowered = True
+    farm.drive(4.0)
+    assert farm.machine.attached.is_working
+    slip = farm.machine.wheel_speed_mps / farm.machine.speed_mps - 1.0
+    assert 0.02 < slip < 0.06
+
+
+def test_grade_of_eight_percent_is_held_standing_and_driven():
+    config = flat(terrain={"grade": 0.08, "grade_length_m": 180.0, "flat_m": 0.0})
+    farm = Farm(config=config, site=None or _site_on_grade())
+    farm.get_going(2.78)
+    assert abs(farm.machine.T_map_base[2, 0]) > 0.05
+    assert farm.machine.wheel_speed_mps == pytest.approx(2.78, abs=0.05)
+    farm.speed_mps = 0.0
+    farm.drive(4.0)
+    x = farm.machine.x_m
+    farm.drive(2.0)
+    assert farm.machine.x_m == x
+    farm.close()
+
+
+def _site_on_grade():
+    from tests.simulation.simulated_farm import SITE
+
+    yard = SITE.yard.model_copy(update={"outline_m": ((-50.0, -5.0), (-30.0, -5.0), (-30.0, 5.0), (-50.0, 5.0))})
+    return SITE.model_copy(update={"yard": yard})
+
+
+@given(st.floats(-5, 5), st.floats(-3, 3), st.floats(0, 10))
+@settings(derandomize=True, max_examples=100)
+def test_friction_never_reverses_motion(speed, drive, friction):
+    after = advance_speed(speed, drive, friction, 0.005)
+    if abs(drive) <= friction:
+        assert after * speed >= 0.0
+        assert abs(after) <= abs(speed)
+
+
+@given(st.floats(-10, 10), st.floats(-10, 10))
+@settings(derandomize=True, max_examples=100)
+def test_ramp_is_limited_and_arrives(value, target):
+    step = ramp(value, target, 0.6, 1.0, 0.01)
+    assert abs(step) <= 0.01 + 1e-12
+    assert abs(target - value - step) <= abs(target - value)

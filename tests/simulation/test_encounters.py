@@ -1,0 +1,289 @@
+"""Encounters: each must be able to force one stop and must end in contact when nobody stops the machine."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely import LineString, Point, Polygon, box
+
+from configs.site import Pose2, Site
+from configs.strict import find, load, parse
+from geometry.transforms import apply
+from messages.errors import ConfigError, FieldError
+from messages.plan import PathSection, PathSectionType
+from simulation.actors.actors import Actor
+from simulation.actors.encounter import NEEDED_M, SWEPT_MARGIN_M, Place, Setting, Walk, draw_walk, stance_at, way_to
+from simulation.actors.placement import Standing, find_swaths, ground_of, place_encounters
+from simulation.environment.terrain import Terrain
+from simulation.randomness import generator
+from simulation.scenario import Scenario
+from tests.simulation.simulated_farm import SITE, Farm, flat, machine_file, straight_paths
+
+DEMO = load(Scenario, find("scenarios", "demo"))
+CROSSINGS = [e for e in DEMO.encounters if e.kind == "crossing"]
+HALF_M = 3.05
+SETTING = Setting(Polygon(SITE.boundary_m), HALF_M)
+seeds = st.integers(0, 2**31)
+
+
+def walk_of(name, seed, speed_mps=10 / 3.6, heading_rad=0.7):
+    crossing = next(e for e in CROSSINGS if e.name == name)
+    return draw_walk(crossing, Place((30.0, 12.0), heading_rad, speed_mps, 1), SETTING, np.random.default_rng(seed))
+
+
+def lateral_of(walk, p):
+    dx, dy = p[0] - walk.place.p_map_m[0], p[1] - walk.place.p_map_m[1]
+    return dy * math.cos(walk.place.heading_rad) - dx * math.sin(walk.place.heading_rad)
+
+
+@pytest.mark.parametrize("name", ["person", "animal"])
+@given(seed=seeds, share=st.floats(0.88, 1.05), speed_kmh=st.floats(4.0, 12.0))
+@settings(derandomize=True, max_examples=120)
+def test_unslowed_machine_always_hits(name, seed, share, speed_kmh):
+    """With the obstacle rules off: the front arrives while they stand in the middle, whatever was drawn."""
+    walk = walk_of(name, seed, speed_kmh / 3.6)
+    arrival_s = walk.trigger_m / (share * speed_kmh / 3.6)
+    assert walk.in_s + 0.5 < arrival_s < walk.leave_s - 1.0
+    assert abs(lateral_of(walk, stance_at(walk, arrival_s).p_map_m)) < 0.01
+
+
+@pytest.mark.parametrize("name", ["person", "animal"])
+@given(seed=seeds)
+@settings(derandomize=True, max_examples=120)
+def test_machine_can_stop_when_they_step_in(name, seed):
+    walk = walk_of(name, seed)
+    times = np.arange(0.0, walk.in_s, 0.01)
+    inside = [t for t in times if abs(lateral_of(walk, stance_at(walk, t).p_map_m)) <= HALF_M + SWEPT_MARGIN_M]
+    gap = walk.trigger_m - walk.place.speed_mps * inside[0]
+    assert gap >= NEEDED_M - 0.1
+
+
+@pytest.mark.parametrize("name", ["person", "animal"])
+@given(seed=seeds)
+@settings(derandomize=True, max_examples=100)
+def test_they_wait_and_end_clear_of_the_machine(name, seed):
+    walk = walk_of(name, seed)
+    assert 7.0 <= abs(lateral_of(walk, walk.from_map_m)) <= 8.1
+    end = stance_at(walk, walk.out_s).p_map_m
+    is_outside = 2.99 < SETTING.field.distance(Point(end)) < 4.3
+    assert is_outside or walk.out_s - walk.leave_s == pytest.approx(25.0)
+    assert walk.out_s - walk.leave_s < 25.01
+    assert abs(lateral_of(walk, end)) >= 12.0
+    assert stance_at(walk, -3.0).speed_mps == stance_at(walk, 1e4).speed_mps == 0.0
+    sides = lateral_of(walk, walk.from_map_m) * lateral_of(walk, walk.out_map_m)
+    assert sides < 0.0
+
+
+@pytest.mark.parametrize("name", ["person", "animal"])
+def test_way_is_continuous(name):
+    walk = walk_of(name, 5)
+    points = np.array([stance_at(walk, t).p_map_m for t in np.arange(-1.0, walk.leave_s + 20.0, 0.01)])
+    assert np.max(np.hypot(*np.diff(points, axis=0).T)) <= 0.011 * max(walk.walk_mps, walk.leave_mps)
+
+
+def test_person_stands_about_eight_seconds():
+    stands = [walk_of("person", seed).stand_s for seed in range(200)]
+    assert 6.0 < min(stands) < max(stands) < 10.0
+
+
+def test_scenario_states_its_stops():
+    assert DEMO.expected_stops == {"person": 1, "animal": 1, "vehicle": 1}
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_places_are_apart_and_with_room(seed):
+    paths = straight_paths()
+    swaths = {s.line: s for s in find_swaths(paths)}
+    drawn = place_encounters(DEMO.encounters, paths, SETTING, generator(seed, "scenario"))
+    assert len({d.place.line for d in drawn}) == 3
+    for d in drawn:
+        way = math.dist(swaths[d.place.line].start_map_m, d.place.p_map_m)
+        assert way > 20.0
+        assert swaths[d.place.line].length_m - way >= 8.0
+        if isinstance(d, Walk):
+            assert way >= d.trigger_m + 12.0
+    grounds = [ground_of(d) for d in drawn]
+    assert all(a.distance(b) >= 6.0 for k, a in enumerate(grounds) for b in grounds[:k])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_parked_vehicle_leaves_the_next_swath_free(seed):
+    """On swaths 5 m apart the 6.1 m harrow passes 1.95 m beside the middle of this one."""
+    (standing,) = place_encounters(DEMO.encounters[2:], straight_paths(), SETTING, generator(seed, "scenario"))
+    assert isinstance(standing, Standing)
+    turned = standing.heading_rad - standing.place.heading_rad
+    aside = abs(lateral_of_standing(standing))
+    half = aside + 0.5 * 1.66 * abs(math.cos(turned)) + 0.5 * 3.8 * abs(math.sin(turned))
+    assert half < 5.0 - HALF_M - 0.75
+
+
+def lateral_of_standing(standing):
+    dx = standing.p_map_m[0] - standing.place.p_map_m[0]
+    dy = standing.p_map_m[1] - standing.place.p_map_m[1]
+    return dy * math.cos(standing.place.heading_rad) - dx * math.sin(standing.place.heading_rad)
+
+
+def test_same_seed_same_places():
+    a, b, c = (
+        place_encounters(DEMO.encounters, straight_paths(), SETTING, generator(s, "scenario")) for s in (7, 7, 8)
+    )
+    assert a == b != c
+
+
+def test_too_small_a_plan_is_refused_by_name():
+    with pytest.raises(FieldError, match="person"):
+        place_encounters(DEMO.encounters, straight_paths(length_m=20.0), SETTING, generator(1, "scenario"))
+
+
+def test_only_swaths_driven_forward_count():
+    path = straight_paths(1)[0]
+    headland = (PathSection(PathSectionType.HEADLAND, 0, 0, len(path.s_m) - 1),)
+    from dataclasses import replace
+
+    assert not find_swaths((replace(path, sections=headland),))
+    assert not find_swaths((replace(path, direction=-1),))
+    assert len(find_swaths((path,))) == 1
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "heading_deg", "is_seen"),
+    [(-10.0, 0.0, 0.0, True), (-20.0, 0.0, 0.0, True), (-20.01, 0.0, 0.0, False), (-0.01, 0.0, 0.0, True),
+     (0.01, 0.0, 0.0, False), (-10.0, 1.49, 0.0, True), (-10.0, 1.51, 0.0, False), (-10.0, 0.0, 19.0, True),
+     (-10.0, 0.0, 21.0, False), (-10.0, 0.0, 180.0, False)],
+)  # fmt: skip
+def test_approach(x, y, heading_deg, is_seen):
+    place = Place((0.0, 0.0), 0.0, 2.78, 0)
+    assert (way_to(place, np.array([x, y, 0.0]), math.radians(heading_deg)) <= 20.0) == is_seen
+
+
+@pytest.mark.parametrize(("comes_from_m", "starts"), [(8.0, True), (4.0, False)])
+def test_who_only_drives_round_something_on_the_next_way_starts_nobody(comes_from_m, starts):
+    walk = walk_of("person", 0)
+    actor = Actor(0, DEMO.encounters[0], walk, Terrain(SITE, flat().terrain, 0))
+    (x, y), heading = walk.place.p_map_m, walk.place.heading_rad
+    ways = np.arange(walk.trigger_m + comes_from_m, 1.0, -0.1)
+    tips = np.column_stack([x - ways * math.cos(heading), y - ways * math.sin(heading), np.zeros(len(ways))])
+    figures = [actor.play(0.036 * k, tip, heading) for k, tip in enumerate(tips)]
+    assert any(f is not None and f.gait >= 0.0 for f in figures) == any(f is not None for f in figures) == starts
+
+
+@pytest.mark.parametrize(
+    "change", [{"share": [0.9, 0.1]}, {"kind": "flying"}, {"walk_mps": [math.nan, 1.0]}, {"stops": 2}]
+)
+def test_bad_encounter_is_refused(change):
+    values = DEMO.model_dump()
+    values["encounters"] = [{**values["encounters"][0], **change}]
+    with pytest.raises(ConfigError):
+        parse(Scenario, values, "test")
+
+
+def drive_into(encounter, seed, seconds=21.0):
+    """An unslowed machine on a swath with one encounter."""
+    scenario = DEMO.model_copy(update={"encounters": (encounter,)})
+    paths = straight_paths(count=1, length_m=60.0)
+    config = flat(machine={"tyres": {"angle_zero_deg": 0.0, "soil_side_mps2": 0.0}})
+    farm = Farm(scenario=scenario, paths=paths, seed=seed, config=config)
+    farm.get_going(10 / 3.6, seconds=seconds)
+    truths = [m for t, m in farm.outputs if t == "truth_objects"]
+    machine = [m for t, m in farm.outputs if t == "truth_machine"][-1]
+    farm.close()
+    return truths, machine
+
+
+@pytest.mark.parametrize("encounter", DEMO.encounters, ids=lambda e: e.name)
+def test_ablation_ends_in_one_contact(encounter):
+    truths, machine = drive_into(encounter, 11)
+    assert machine.contacts == 1
+    gaps = [o.clearance_m for m in truths for o in m.objects]
+    assert min(gaps) == 0.0
+    roles = {(o.role, o.label) for m in truths for o in m.objects}
+    assert roles == {(encounter.name, encounter.label)}
+
+
+def test_truth_box_and_gap():
+    truths, _ = drive_into(DEMO.encounters[2], 3, 1.0)
+    first = truths[0].objects[0]
+    assert first.size_m == pytest.approx([3.8, 1.66, 1.65], abs=0.03)
+    assert first.velocity_mps == pytest.approx([0.0, 0.0, 0.0])
+    front = 3.5
+    assert first.clearance_m == pytest.approx(first.center_map_m[0] - 0.5 * 3.8 - front, abs=0.1)
+
+
+def test_leaving_the_field_is_counted_once_a_leaving():
+    farm = Farm()
+    farm.curvature_radpm = 0.0
+    farm.get_going(5.0)
+    farm.drive(14.0)
+    machine = [m for t, m in farm.outputs if t == "truth_machine"]
+    farm.close()
+    counts = [m.zone_exits for m in machine]
+    assert counts[0] == 0
+    assert counts[-1] == 1
+    crossed = next(m for m in machine if m.zone_exits)
+    assert crossed.T_map_base[0, 3] + 3.5 == pytest.approx(100.0, abs=0.4)
+    assert LineString([(0, 0), (96, 0)]).within(
+        box(*np.array(SITE.boundary_m).min(0), *np.array(SITE.boundary_m).max(0))
+    )
+
+
+BYSTANDER = load(Scenario, find("scenarios", "docking_person")).encounters[0]
+
+
+def back_in(encounter, seconds=30.0, sensors=()):
+    """An unslowed machine that backs straight into the wide bay, from 22 m before the dock."""
+    shed_site = load(Site, find("sites", "demo"))
+    dock = shed_site.shed.bay("wide").dock
+    start = Pose2(x_m=dock.x_m + 22.0, y_m=dock.y_m, heading_deg=dock.heading_deg)
+    scenario = DEMO.model_copy(update={"encounters": (encounter,)})
+    config = flat(machine={"tyres": {"angle_zero_deg": 0.0, "soil_side_mps2": 0.0}})
+    farm = Farm(site=shed_site, start=start, is_folded=True, scenario=scenario, config=config, seed=5,
+                vehicle=machine_file(sensors=sensors))  # fmt: skip
+    farm.get_going(-0.5, seconds=seconds)
+    truths = [m for t, m in farm.outputs if t == "truth_objects"]
+    farm.close()
+    return farm, truths
+
+
+def test_bystander_comes_behind_a_machine_that_backs_in():
+    farm, truths = back_in(BYSTANDER)
+    figures = [m.objects[0] for m in truths if m.objects]
+    assert figures[0].clearance_m > 6.0
+    places = np.array([f.center_map_m[:2] for f in figures])
+    assert 3.0 <= np.ptp(places[:, 1]) <= 4.1
+    dock = load(Site, find("sites", "demo")).shed.bay("wide").dock
+    assert 7.4 < places[-1, 0] - dock.x_m < 9.1
+    assert [m for t, m in farm.outputs if t == "truth_machine"][-1].contacts == 1
+
+
+def test_bystander_is_not_there_while_the_machine_leaves():
+    shed_site = load(Site, find("sites", "demo"))
+    scenario = DEMO.model_copy(update={"encounters": (BYSTANDER,)})
+    farm = Farm(site=shed_site, start=shed_site.shed.bay("wide").dock, is_folded=True, scenario=scenario, config=flat())
+    farm.get_going(1.0, seconds=20.0)
+    farm.close()
+    assert not any(m.objects for t, m in farm.outputs if t == "truth_objects")
+
+
+def test_bystander_needs_its_bay():
+    with pytest.raises(FieldError, match="'wide'"):
+        place_encounters((BYSTANDER,), (), SETTING, generator(1, "scenario"))
+
+
+@pytest.mark.parametrize("seen_by", [("lidar",), ("radar", "camera")])
+def test_who_is_seen_by_others_is_air_to_the_lidar(seen_by):
+    farm, truths = back_in(BYSTANDER.model_copy(update={"seen_by": seen_by}), seconds=21.0, sensors=("lidar",))
+    scan = [m for t, m in farm.outputs if t == "lidar/rear"][-1]
+    mount = farm.vehicle.sensors.lidar["rear"].mount.T_base_sensor
+    points = apply(farm.machine.T_map_base @ mount, scan.points_m.astype(float))
+    person = truths[-1].objects[0].center_map_m[:2]
+    near = (np.hypot(*(points[:, :2] - person).T) < 0.5) & (points[:, 2] > 0.3)
+    assert (near.sum() > 5) == ("lidar" in seen_by)
+
+
+def test_unknown_sensor_is_refused():
+    values = DEMO.model_dump()
+    values["encounters"] = [{**values["encounters"][0], "seen_by": ["nose"]}]
+    with pytest.raises(ConfigError, match="seen_by"):
+        parse(Scenario, values, "test")

@@ -1,0 +1,99 @@
+"""Folding: when wings turn, how fast, what the bus says, and how wide the machine then is."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from configs.strict import find, load
+from configs.vehicle import ImplementFile
+from messages.sensors import LidarScan
+from simulation.machine.implement import folded_to
+from tests.simulation.simulated_farm import IMPLEMENT, Farm, flat, machine_file
+
+WIDE_M, NARROW_M, DURATION_S = IMPLEMENT.width_m, IMPLEMENT.fold.width_m, IMPLEMENT.fold.duration_s
+
+
+@pytest.fixture
+def farm():
+    farm = Farm(config=flat())
+    farm.is_drive_enabled = False
+    farm.drive(0.3)
+    farm.is_drive_enabled = True
+    yield farm
+    farm.close()
+
+
+def test_folds_in_its_time_and_tells_so(farm):
+    farm.is_folded = True
+    farm.drive(0.5 * DURATION_S)
+    assert farm.machine.attached.fold == pytest.approx(0.5, abs=0.02)
+    farm.drive(0.5 * DURATION_S + 0.3)
+    assert farm.machine.attached.fold == 1.0
+    told = [v["FoldPosition"] for _, v in farm.frames["CabState"] if v["Group"] == 3]
+    assert told[0] == 0.0
+    assert told[-1] == 100.0
+    assert all(b >= a for a, b in itertools.pairwise(told))
+    times = [t for t, v in farm.frames["CabState"] if v["Group"] == 3]
+    assert set(np.diff(times)) == {100_000_000}
+    farm.is_folded = False
+    farm.drive(DURATION_S + 0.3)
+    assert farm.machine.attached.fold == 0.0
+
+
+def test_holds_while_it_moves_and_without_order(farm):
+    farm.is_folded = True
+    farm.drive(2.0)
+    before = farm.machine.attached.fold
+    farm.is_folded = None
+    farm.drive(1.0)
+    assert farm.machine.attached.fold == pytest.approx(before, abs=0.005)
+    farm.is_folded, farm.speed_mps = True, 1.0
+    farm.drive(2.0)
+    assert farm.machine.speed_mps > 0.5
+    moving = farm.machine.attached.fold
+    farm.drive(1.0)
+    assert farm.machine.attached.fold == moving < 0.5
+
+
+@pytest.mark.parametrize("why", ["lowered", "stop all", "silent"])
+def test_does_not_turn_when_it_must_not(farm, why):
+    if why == "lowered":
+        farm.is_lowered = True
+        farm.drive(2.0)
+    farm.permit = int(why != "stop all")
+    farm.drive(0.2)
+    if why == "silent":
+        farm.silent = {"AuxiliaryCommand"}
+    farm.is_folded = True
+    farm.drive(2.0)
+    assert farm.machine.attached.fold == 0.0
+
+
+def test_an_implement_that_does_not_fold_says_nothing():
+    twelve = load(ImplementFile, find("implements", "harrow_12m")).implement
+    farm = Farm(config=flat(), implement=twelve, is_folded=True)
+    farm.is_folded = True
+    farm.drive(1.0)
+    assert farm.machine.attached.fold == 0.0
+    assert not [v for _, v in farm.frames["CabState"] if v["Group"] == 3]
+    farm.close()
+
+
+@pytest.mark.parametrize(("fold", "width_m"), [(0.0, WIDE_M), (0.5, 0.5 * (WIDE_M + NARROW_M)), (1.0, NARROW_M)])
+def test_width_follows_the_fold(fold, width_m):
+    assert folded_to(IMPLEMENT, fold).width_m == pytest.approx(width_m)
+
+
+@pytest.mark.parametrize("is_folded", [False, True])
+def test_ground_covered_and_lidar_shadow_follow_the_fold(is_folded):
+    farm = Farm(config=flat(), vehicle=machine_file(sensors=("lidar",)), is_folded=is_folded)
+    outline = farm.world._judge.outline(farm.machine)
+    assert outline.bounds[3] - outline.bounds[1] == pytest.approx(NARROW_M if is_folded else WIDE_M)
+    scan = [m for t, m in farm.drive(0.3) if t == "lidar/rear"][-1]
+    assert isinstance(scan, LidarScan)
+    x, y, z = (scan.points_m * [-1.0, -1.0, 1.0]).T + np.array([[-1.0], [0.0], [2.2]])
+    on_wing = np.abs(y) > 1.6
+    seen = on_wing & (np.abs(y) < 3.1) & (x < -1.0) & (x > -2.5) & (z > 0.3)
+    assert (seen.sum() > 20) != is_folded
+    farm.close()

@@ -1,0 +1,1 @@
+"""Measures and report of one drive."""

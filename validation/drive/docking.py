@@ -1,0 +1,54 @@
+"""The end in a bay: how far from the surveyed pose the machine truly stands."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from configs.site import Bay
+from configs.vehicle import Implement, Vehicle
+from geometry.angles import wrap
+from geometry.footprint import Bodies, Rectangle
+from messages.message import Float64
+from messages.plan import MissionState, PathSectionType
+from validation.drive.record import DriveRecord, true_poses
+
+
+@dataclass(frozen=True)
+class Docking:
+    """The true pose at the end against the dock pose: distance, its parts along and left of the dock, and heading."""
+
+    error_m: float
+    along_m: float
+    across_m: float
+    error_rad: float
+
+
+def measure_docking(record: DriveRecord, bay: Bay | None) -> Docking | None:
+    """None without a bay, or when the mission did not finish."""
+    mission, truth = record.mission, record.truth
+    if bay is None or not truth or not mission or mission[-1].state is not MissionState.FINISHED:
+        return None
+    x, y, yaw = true_poses(truth[-1:])[0]
+    heading = math.radians(bay.dock.heading_deg)
+    c, s, dx, dy = math.cos(heading), math.sin(heading), x - bay.dock.x_m, y - bay.dock.y_m
+    return Docking(math.hypot(dx, dy), c * dx + s * dy, c * dy - s * dx, wrap(yaw - heading))
+
+
+def docking_drive(record: DriveRecord) -> tuple[Float64, Float64]:
+    """True poses (N, 3) since the first path of the last docking came, and speeds (N,); empty without one."""
+    paths = [p for p in record.paths.values() if p.sections and p.sections[0].section_type is PathSectionType.DOCK]
+    last = record.mission[-1].stamp_ns if record.mission else 0
+    others = [p.stamp_ns for p in record.paths.values() if p not in paths]
+    begin_ns = min((p.stamp_ns for p in paths if p.stamp_ns > max(others, default=-1)), default=last + 1)
+    truth = [m for m in record.truth if m.stamp_ns >= begin_ns]
+    return true_poses(truth), np.array([m.speed_mps for m in truth])
+
+
+def bodies_of(vehicle: Vehicle, implement: Implement) -> Bodies:
+    """Machine and implement as they stand folded, in base."""
+    body, (front_m, rear_m) = vehicle.body, implement.ends_m
+    return (
+        Rectangle(-body.rear_m, body.front_m, body.width_m),
+        Rectangle(rear_m, front_m, implement.folded.width_m),
+    )

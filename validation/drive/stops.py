@@ -1,0 +1,117 @@
+"""Stops: what caused each, whether something really stood there, and the margin that was left."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.transforms import apply
+from messages.command import Mode, SupervisorState
+from messages.truth import TrueMachine, TrueObject, TrueObjects
+from validation.drive.record import DriveRecord, stamps_of
+
+STOPS = (Mode.OBSTACLE_STOP, Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
+ONE_EPISODE_NS = 1_000_000_000  # a cause out of sight for less is still the same
+NEAR_M = 1.5  # a hit this near to an object's centre or box belongs to it
+
+
+@dataclass(frozen=True)
+class Stop:
+    """One stop; `role` is the scenario's name of what caused it, "" when nothing of the scenario stood there."""
+
+    t_s: float
+    cause: str
+    label: str
+    role: str
+    range_m: float
+    stopping_distance_m: float
+    required_range_m: float
+    margin_m: float
+
+    @property
+    def as_dict(self) -> dict[str, object]:
+        """The keys of `run --json`."""
+        numbers = {
+            k: _number(getattr(self, k)) for k in ("range_m", "stopping_distance_m", "required_range_m", "margin_m")
+        }
+        return {"t_s": round(self.t_s, 2), "cause": self.cause, "class": self.label, "role": self.role} | numbers
+
+
+def _number(value: float) -> float | None:
+    return round(value, 3) if np.isfinite(value) else None
+
+
+def find_stops(record: DriveRecord) -> list[Stop]:
+    """All entries into a stop mode, in order."""
+    states = record.supervisor
+    entries = [k for k in range(1, len(states)) if states[k].mode in STOPS and states[k - 1].mode not in STOPS]
+    return [_describe(record, states, k) for k in entries]
+
+
+def _describe(record: DriveRecord, states: list[SupervisorState], entry: int) -> Stop:
+    """Cause, first range and margin: the stop began with the first state for a reason of the same kind."""
+    state, first = states[entry], entry
+    kind = state.reason.partition(".")[0]
+    since_ns = state.stamp_ns
+    for k in range(entry, -1, -1):
+        if since_ns - states[k].stamp_ns > ONE_EPISODE_NS:
+            break
+        if states[k].reason.partition(".")[0] == kind:
+            first, since_ns = k, states[k].stamp_ns
+    last = entry
+    while last + 1 < len(states) and states[last + 1].mode is state.mode:
+        last += 1
+    began = states[first]
+    role, margin = _truth_at(record, states[entry : last + 1])
+    label = state.obstacle_class.value
+    return Stop(
+        record.time_s(state.stamp_ns), state.reason, label, role,
+        began.clearance_m, began.stopping_distance_m, began.required_range_m,
+        state.clearance_m if margin is None else margin,
+    )  # fmt: skip
+
+
+def _truth_at(record: DriveRecord, during: list[SupervisorState]) -> tuple[str, float | None]:
+    """Role of the object that the hits of this stop lie on, and the least true gap to it while standing."""
+    objects, truth = record.objects, record.truth
+    if not objects or not truth:
+        return "", None
+    object_stamps, truth_stamps = stamps_of(objects), stamps_of(truth)
+    for state in during:
+        there = objects[_at(object_stamps, state.stamp_ns)]
+        found = _touched(state, truth[_at(truth_stamps, state.stamp_ns)], there)
+        if found:
+            first, last = _at(object_stamps, during[0].stamp_ns), _at(object_stamps, during[-1].stamp_ns)
+            gaps = [o.clearance_m for m in objects[first : last + 1] for o in m.objects if o.id == found.id]
+            return found.role, min(gaps)
+    return "", None
+
+
+def _at(stamps_ns: np.ndarray, stamp_ns: int) -> int:
+    return max(int(np.searchsorted(stamps_ns, stamp_ns, side="right")) - 1, 0)
+
+
+def _touched(state: SupervisorState, machine: TrueMachine, objects: TrueObjects) -> TrueObject | None:
+    """The object with a role nearest to a hit, if one is near enough."""
+    if not len(state.triggering_points_base_m):
+        return None
+    hits = apply(machine.T_map_base, state.triggering_points_base_m.astype(float))[:, :2]
+    best, least = None, NEAR_M
+    for thing in objects.objects:
+        c, s = np.cos(thing.yaw_rad), np.sin(thing.yaw_rad)
+        local = (hits - thing.center_map_m[:2]) @ np.array([[c, -s], [s, c]])
+        outside = np.maximum(np.abs(local) - thing.size_m[:2] / 2.0, 0.0)
+        gap = float(np.hypot(outside[:, 0], outside[:, 1]).min())
+        if thing.role and gap < least:
+            best, least = thing, gap
+    return best
+
+
+def false_stops(stops: list[Stop], expected: dict[str, int]) -> list[Stop]:
+    """Stops that the scenario did not announce: no object of it there, or more often than stated."""
+    left, out = dict(expected), []
+    for stop in stops:
+        if left.get(stop.role, 0) > 0:
+            left[stop.role] -= 1
+        else:
+            out.append(stop)
+    return out

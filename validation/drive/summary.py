@@ -1,0 +1,130 @@
+"""All measures of one drive, as `run --json` gives them and the report shows them."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from configs.site import Bay
+from messages.plan import MissionState, PathSectionType
+from validation.drive.coverage import Coverage, measure_coverage, worked_area
+from validation.drive.docking import Docking, measure_docking
+from validation.drive.positioning import PositionError, measure_position
+from validation.drive.record import DriveRecord, true_poses
+from validation.drive.stops import Stop, false_stops, find_stops
+from validation.drive.tracking import CrossTrack, measure_cross_track, statistics
+from validation.verdict import Verdict, judge
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What the plan promised, from the log's metadata; widths in metres, `expected_stops` by the scenario's roles.
+
+    `bay` is where the mission is to end; None ends it in the yard.
+    """
+
+    area: BaseGeometry
+    field_area_m2: float
+    working_width_m: float
+    expected_stops: dict[str, int]
+    bay: Bay | None = None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One drive judged."""
+
+    outcome: str
+    distance_m: float
+    planned_share: float
+    coverage: Coverage
+    cross_track: CrossTrack
+    position: PositionError
+    stops: tuple[Stop, ...]
+    unexpected: tuple[Stop, ...]
+    contacts: int
+    zone_exits: int
+    simulated_s: float
+    docking: Docking | None = None
+
+    @property
+    def as_dict(self) -> dict[str, Any]:
+        """The keys of `run --json` that a log can answer."""
+        return {
+            "outcome": self.outcome,
+            "simulated_s": round(self.simulated_s, 2),
+            "distance_m": round(self.distance_m, 2),
+            "worked_m2": round(self.coverage.worked_m2, 1),
+            "planned_share": round(self.planned_share, 4),
+            "coverage": round(self.coverage.share, 5),
+            "uncovered": [asdict(piece) for piece in self.coverage.uncovered],
+            "xte_m": statistics(self.cross_track.on(PathSectionType.SWATH)),
+            "stops": [stop.as_dict for stop in self.stops],
+            "false_stops": len(self.unexpected),
+            "contacts": self.contacts,
+            "zone_exits": self.zone_exits,
+            "dock_error_m": None if self.docking is None else round(self.docking.error_m, 4),
+            "dock_error_deg": None if self.docking is None else round(abs(math.degrees(self.docking.error_rad)), 3),
+        }
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """The clauses that one drive can show something about."""
+        swath = statistics(self.cross_track.on(PathSectionType.SWATH))
+        n = len(self.cross_track.on(PathSectionType.SWATH))
+        obstacle = [s.margin_m for s in self.stops if s.role]
+        contact = float(self.contacts) if self.stops else None
+        missing, is_planned = 1.0 - self.coverage.share, int(self.coverage.planned_m2 > 0.0)
+        dock, docks = self.docking, int(self.docking is not None)
+        off, turned = (None, None) if dock is None else (dock.error_m, abs(math.degrees(dock.error_rad)))
+        return (
+            judge(
+                "BD-5.2.3", swath["sigma"] if swath else None, 0.025, "m", n, "sigma of the true error on the swaths"
+            ),
+            judge("BD-5.2.4", contact, 0.0, "contacts", len(obstacle), "contacts over all encounters"),
+            judge(
+                "demo-zone_exits", float(self.zone_exits), 0.0, "zone_exits", 1, "machine or implement outside the site"
+            ),
+            judge("demo-false-stops", float(len(self.unexpected)), 0.0, "stops", 1, "not announced by the scenario"),
+            judge(
+                "demo-coverage",
+                missing,
+                0.01,
+                "share",
+                is_planned,
+                "planned area neither worked nor listed as left out",
+            ),
+            judge("dock-error", off, 0.10, "m", docks, "true distance from the dock pose at the end"),
+            judge("dock-heading", turned, 2.0, "°", docks, "true heading against the dock pose at the end"),
+        )
+
+
+def summarize(record: DriveRecord, planned: Planned) -> Summary:
+    """Judge a drive from its record."""
+    truth, mission = record.truth, record.mission
+    stops = tuple(find_stops(record))
+    worked = worked_area(truth, planned.working_width_m)
+    uncovered_areas = mission[-1].uncovered_areas if mission else ()
+    poses = true_poses(truth)
+    return Summary(
+        outcome=_outcome(mission[-1].state if mission else MissionState.WAITING, planned.bay is not None),
+        distance_m=float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()) if len(poses) > 1 else 0.0,
+        planned_share=planned.area.area / planned.field_area_m2 if planned.field_area_m2 else 0.0,
+        coverage=measure_coverage(planned.area, worked, uncovered_areas),
+        cross_track=measure_cross_track(record),
+        position=measure_position(record),
+        stops=stops,
+        unexpected=tuple(false_stops(list(stops), planned.expected_stops)),
+        contacts=truth[-1].contacts if truth else 0,
+        zone_exits=truth[-1].zone_exits if truth else 0,
+        simulated_s=record.seconds,
+        docking=measure_docking(record, planned.bay),
+    )
+
+
+def _outcome(state: MissionState, has_bay: bool) -> str:
+    if state is MissionState.FINISHED:
+        return "docked" if has_bay else "finished"
+    return "aborted" if state is MissionState.ABORTED else "stopped"
