@@ -20,7 +20,7 @@ from safety.pose_history import whole_odom, whole_pose
 from safety.zones.footprint_by_fold import fold_of
 
 
-class Reading:
+class SupervisorInputs:
     """Topics of the sensors that a machine carries; `idle` as in `Supervisor`.
 
     A camera's pictures are not read: they say nothing here that its health does not.
@@ -43,7 +43,7 @@ class Reading:
         told = (one.obstacles_topic for one in self._companions)
         return {topic: Latest() for topic in (*self._watched, "path", *heard, *told, *self._health.values())}
 
-    def see(self, inbox: Inbox, machine: MachineState | None) -> Seen:
+    def read(self, inbox: Inbox, machine: MachineState | None) -> Seen:
         """What came."""
         measurements = Measurements(
             {name: inbox.latest(f"lidar/{name}", LidarScan) for name in self._sensors.lidar},

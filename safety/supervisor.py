@@ -17,19 +17,19 @@ from messages.node import All, Every, Inbox, Node, Output, Read
 from messages.plan import MissionStatus
 from safety.collision_monitor import Lookout, Seen
 from safety.config import SafetyConfig
-from safety.inputs import Reading
-from safety.mode_machine import Helm
+from safety.inputs import SupervisorInputs
+from safety.mode_machine import ModeMachine
 from safety.modes import WATCHED
 from safety.monitors.brake_test import BrakeTest
 from safety.monitors.fault_memory import Reports
 from safety.monitors.vehicle import Gauge, Measured
 from safety.monitors.watchdog import silent
 from safety.output.alarms import Alarms
-from safety.output.command_builder import Commander, Moment
-from safety.output.supervisor_state import state_of
+from safety.output.command_builder import CommandBuilder, CommandInputs
+from safety.output.supervisor_state import build_state
 from safety.rules import RULES
-from safety.rules.arbitration import Judgement, allowance_m, judged
-from safety.rules.results import note
+from safety.rules.arbitration import Decision, allowance_m, evaluate_rules
+from safety.rules.results import advisory
 from safety.rules.situation import Situation
 from safety.zones.footprint_by_fold import shapes_of
 from safety.zones.geofence import Fence
@@ -37,7 +37,7 @@ from safety.zones.known_structure import Survey
 
 PERIOD_NS = 20_000_000
 STATE_NS = 100_000_000
-ABLATION = note("safety.ablation", "obstacle rules switched off for a trial")
+ABLATION = advisory("safety.ablation", "obstacle rules switched off for a trial")
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class Supervisor(Node):
             raise ConfigError(f"disabled_rules: no rule {unknown[0]!r}; there are {', '.join(RULES)}")
         self.name = "supervisor"
         self._sensors = sensors = vehicle.sensors
-        self._reading = Reading(sensors, idle, config)
+        self._inputs = SupervisorInputs(sensors, idle, config)
         self._fault_topics = fault_topics
-        self.reads: dict[str, Read] = self._reading.reads | {
+        self.reads: dict[str, Read] = self._inputs.reads | {
             topic: All(50) for topic in ("operator_command", *fault_topics)
         }
         self.writes = ("safe_command", "supervisor", "fault/supervisor") if observation is None else ("supervisor",)
@@ -88,9 +88,9 @@ class Supervisor(Node):
         self._range_sigma_m = max((lidar.range_sigma_m for lidar in sensors.lidar.values()), default=0.0)
         self._shapes, self._fence, self._survey = shapes_of(vehicle, implement), fence, survey
         self._lookout, self._gauge = self._fresh_lookout(), Gauge(config)
-        self._commander, self._brake_test = Commander(vehicle, config), BrakeTest(config)
+        self._command_builder, self._brake_test = CommandBuilder(vehicle, config), BrakeTest(config)
         self._reports, self._alarms = Reports(), Alarms()
-        self._helm = Helm(config.modes, self._reports, is_held=observation is not None)
+        self._mode_machine = ModeMachine(config.modes, self._reports, is_held=observation is not None)
         self._last_ns: int | None = None
         self._state_ns: int | None = None
         self._told = (self.mode, "")
@@ -98,7 +98,7 @@ class Supervisor(Node):
     @property
     def mode(self) -> Mode:
         """Who drives now."""
-        return self._helm.mode
+        return self._mode_machine.mode
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """Read, judge, decide, command."""
@@ -106,23 +106,30 @@ class Supervisor(Node):
         for topic in self._fault_topics:
             self._reports.take(inbox.all(topic, Fault))
         machine = inbox.latest("machine", MachineState)
-        seen = self._reading.see(inbox, machine)
+        seen = self._inputs.read(inbox, machine)
         measured = self._gauge.measure(
-            now_ns, self.mode, seen.odom, machine, seen.map_pose, seen.path, seen.control_command, self._commander.last
+            now_ns,
+            self.mode,
+            seen.odom,
+            machine,
+            seen.map_pose,
+            seen.path,
+            seen.control_command,
+            self._command_builder.last,
         )
         field = self._lookout.config.field
         allowance = allowance_m(field, self._range_sigma_m, measured.position_sigma_m)
         self._lookout.look(seen, measured.direction, measured.fastest_mps, measured.braking, allowance)
         situation = self._situation(now_ns, inbox, seen, machine, measured, clock_step_s)
-        judgement = judged(situation, self._disabled)
+        decision = evaluate_rules(situation, self._disabled)
         mission = inbox.latest("mission", MissionStatus)
-        self._helm.steer(inbox.all("operator_command", OperatorCommand), situation, judgement, mission)
-        reason = self._helm.reason(situation, judgement)
-        command = self._commander.command(self._moment(situation, measured, judgement, reason))
+        self._mode_machine.update(inbox.all("operator_command", OperatorCommand), situation, decision, mission)
+        reason = self._mode_machine.reason(situation, decision)
+        command = self._command_builder.command(self._command_inputs(situation, measured, decision, reason))
         outputs: list[Output] = [("safe_command", command)]
-        outputs += [("fault/supervisor", fault) for fault in self._tell(now_ns, judgement)]
+        outputs += [("fault/supervisor", fault) for fault in self._tell(now_ns, decision)]
         if self._is_state_due(now_ns, reason):
-            outputs.append(("supervisor", self._state(situation, seen, judgement, reason)))
+            outputs.append(("supervisor", self._state(situation, seen, decision, reason)))
         return [(topic, message) for topic, message in outputs if topic in self.writes]
 
     def _watch_clock(self, now_ns: int) -> float:
@@ -164,7 +171,7 @@ class Supervisor(Node):
             machine=machine,
             map_pose=seen.map_pose,
             control_command=seen.control_command,
-            silent=silent(self._reading.ages(now_ns, inbox, lookout, direction)),
+            silent=silent(self._inputs.ages(now_ns, inbox, lookout, direction)),
             frozen=tuple(f"lidar/{eye.name}" for eye in eyes if eye.is_frozen),
             faults=self._reports.active,
             gap=lookout.gap(),
@@ -182,25 +189,27 @@ class Supervisor(Node):
             fold=seen.fold,
             clock_step_s=clock_step_s,
             brake_test=self._brake_test.update(self.mode, measured.speed_mps, lookout.trail.driven_m),
-            lost=self._reading.lost(now_ns, inbox, seen, lookout, direction),
+            lost=self._inputs.lost(now_ns, inbox, seen, lookout, direction),
             is_docking=lookout.is_docking,
             is_under_roof=lookout.is_under_roof,
             survey_m=lookout.survey_m(),
         )
 
-    def _moment(self, situation: Situation, measured: Measured, judgement: Judgement, reason: str) -> Moment:
+    def _command_inputs(
+        self, situation: Situation, measured: Measured, decision: Decision, reason: str
+    ) -> CommandInputs:
         curvature = None if situation.machine is None else situation.machine.curvature_radpm
-        clearance_m = self._helm.braking_gap_m(situation, judgement)
-        return Moment(
+        clearance_m = self._mode_machine.braking_gap_m(situation, decision)
+        return CommandInputs(
             situation.now_ns, self.mode, reason, situation.control_command, situation.machine, measured.speed_mps,
             curvature,
-            judgement.allowed_mps, clearance_m, situation.braking, measured.has_driver,
+            decision.allowed_mps, clearance_m, situation.braking, measured.has_driver,
         )  # fmt: skip
 
-    def _tell(self, now_ns: int, judgement: Judgement) -> list[Fault]:
+    def _tell(self, now_ns: int, decision: Decision) -> list[Fault]:
         told = [ABLATION] if self._disabled else []
-        told += [self._helm.latched] if self._helm.latched is not None else []
-        told += judgement.notes if self.mode in WATCHED else []
+        told += [self._mode_machine.latched] if self._mode_machine.latched is not None else []
+        told += decision.advisories if self.mode in WATCHED else []
         return self._alarms.update(now_ns, told)
 
     def _is_state_due(self, now_ns: int, reason: str) -> bool:
@@ -210,7 +219,7 @@ class Supervisor(Node):
         self._state_ns, self._told = now_ns, (self.mode, reason)
         return True
 
-    def _state(self, situation: Situation, seen: Seen, judgement: Judgement, reason: str) -> SupervisorState:
-        resume_in_s = self._helm.resume_in_s(situation.now_ns)
+    def _state(self, situation: Situation, seen: Seen, decision: Decision, reason: str) -> SupervisorState:
+        resume_in_s = self._mode_machine.resume_in_s(situation.now_ns)
         now = replace(situation, mode=self.mode)
-        return state_of(now, seen, self._lookout, judgement, reason, resume_in_s, self._observation is not None)
+        return build_state(now, seen, self._lookout, decision, reason, resume_in_s, self._observation is not None)

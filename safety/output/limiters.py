@@ -12,14 +12,14 @@ CORRECTION_S = 0.5  # time in which an excess of speed is to be gone
 
 
 @dataclass(frozen=True)
-class Speed:
+class SpeedDemand:
     """Signed speed commanded and deceleration asked of the brakes."""
 
     speed_mps: float
     deceleration_mps2: float
 
 
-def allowed_slowing(speed_mps: float, braking: Braking) -> float:
+def curve_deceleration(speed_mps: float, braking: Braking) -> float:
     """Deceleration along the curve v(gap) at a speed: from dv/dt = −v / (dS/dv), dS/dv = τ + t_b/2 + v/a."""
     if braking.deceleration_mps2 <= 0.0:
         return 0.0
@@ -41,7 +41,7 @@ def target_speed(
     )
 
 
-def rising(target_mps: float, before_mps: float, measured_mps: float, step_mps: float) -> float:
+def limit_acceleration(target_mps: float, before_mps: float, measured_mps: float, step_mps: float) -> float:
     """The target, but never more than a step above what was commanded before; falling is free."""
     if target_mps == 0.0:
         return 0.0
@@ -50,7 +50,7 @@ def rising(target_mps: float, before_mps: float, measured_mps: float, step_mps: 
     return sign * min(abs(target_mps), start + step_mps)
 
 
-def slowing(
+def braking_demand(
     control_command: ControlCommand | None,
     allowed_mps: float,
     measured_mps: float,
@@ -67,13 +67,13 @@ def slowing(
     excess = measured_mps - allowed_mps
     if excess <= TOLERANCE_MPS:
         return min(asked, config.full_mps2)
-    needed = allowed_slowing(measured_mps, braking) + excess / CORRECTION_S
+    needed = curve_deceleration(measured_mps, braking) + excess / CORRECTION_S
     if math.isfinite(clearance_m):
         needed = max(needed, needed_deceleration(measured_mps, clearance_m, config.dead_time_s, config.full_mps2))
     return min(max(asked, needed), config.full_mps2)
 
 
-def stopping(measured_mps: float, clearance_m: float, config: BrakingConfig) -> float:
+def stopping_deceleration(measured_mps: float, clearance_m: float, config: BrakingConfig) -> float:
     """Deceleration of a controlled stop: comfortable, or what a gap needs."""
     if not math.isfinite(clearance_m):
         return config.controlled_mps2
@@ -81,12 +81,14 @@ def stopping(measured_mps: float, clearance_m: float, config: BrakingConfig) -> 
     return max(config.controlled_mps2, needed)
 
 
-def eased(asked_mps2: float, before_mps2: float, gentle_mps2: float, step_mps2: float) -> float:
+def limit_jerk(asked_mps2: float, before_mps2: float, gentle_mps2: float, step_mps2: float) -> float:
     """Braking that grows no faster than a step while it is gentle; hard braking is not delayed."""
     return asked_mps2 if asked_mps2 > gentle_mps2 else min(asked_mps2, before_mps2 + step_mps2)
 
 
-def steered(control_command: ControlCommand | None, before_radpm: float, most_radpm: float, step_radpm: float) -> float:
+def limit_curvature(
+    control_command: ControlCommand | None, before_radpm: float, most_radpm: float, step_radpm: float
+) -> float:
     """The wished curvature within the machine's limit and rate; without a wish the one before is held."""
     wanted = (
         before_radpm

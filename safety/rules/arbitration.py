@@ -10,14 +10,14 @@ from safety.config import FieldConfig
 from safety.rules import BLOCKING_RULES, RULES
 from safety.rules.driver_override import CODE as HAND
 from safety.rules.geofence import UNKNOWN as FENCE_UNKNOWN
-from safety.rules.results import free
+from safety.rules.results import no_objection
 from safety.rules.situation import Situation
 
-NOTHING = free("")
+NOTHING = no_objection("")
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Decision:
     """The results by rule, in their order.
 
     `binding` is the most restrictive of all; `blocking` that of the rules on what lies ahead, which allow
@@ -61,7 +61,7 @@ class Judgement:
         return self.fault.response is Response.EMERGENCY_STOP
 
     @property
-    def is_hand(self) -> bool:
+    def is_takeover(self) -> bool:
         """Whether a hand is on the wheel."""
         return any(result.code == HAND and result.response >= Response.CONTROLLED_STOP for result in self.results)
 
@@ -76,7 +76,7 @@ class Judgement:
         return self.fault is NOTHING
 
     @property
-    def notes(self) -> list[RuleResult]:
+    def advisories(self) -> list[RuleResult]:
         """What is to be told though it does not bind: a lost sensor, and what its rule only wants said."""
         return [
             result
@@ -85,14 +85,14 @@ class Judgement:
         ]
 
 
-def judged(situation: Situation, disabled: frozenset[str]) -> Judgement:
+def evaluate_rules(situation: Situation, disabled: frozenset[str]) -> Decision:
     """Every rule that is not disabled, asked."""
     named = {name: rule(situation) for name, rule in RULES.items() if name not in disabled}
     ahead = [result for name, result in named.items() if name in BLOCKING_RULES]
     others = [result for name, result in named.items() if name not in BLOCKING_RULES]
     against = [r for r in others if r.response >= Response.CONTROLLED_STOP or r.code == FENCE_UNKNOWN]
     gaps = () if situation.gap is None else (situation.gap.main_m, situation.gap.arc_m)
-    return Judgement(
+    return Decision(
         named,
         most_restrictive([*named.values()]),
         most_restrictive(ahead),

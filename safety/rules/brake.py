@@ -3,13 +3,13 @@
 from configs.vehicle import kmh
 from messages.command import RuleResult
 from safety.monitors.brake_test import Phase
-from safety.rules.results import emergency, free, limit
+from safety.rules.results import emergency, limit, no_objection
 from safety.rules.situation import Situation
 
 WEAK, TEST = "brake.weak", "brake.test"
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """All that the machine has, when less than a share of the asked deceleration is felt or the trial was too long."""
     if situation.brake_weak_s > situation.config.limits.brake_grace_s:
         return emergency(WEAK, "the machine does not slow as asked")
@@ -20,4 +20,4 @@ def judge(situation: Situation) -> RuleResult:
         return limit(TEST, 0.0, "the brake is tried")
     if phase is Phase.CREEP:
         return limit(TEST, kmh(situation.config.brake_test.speed_kmh), "slow until the brake has been tried")
-    return free(WEAK)
+    return no_objection(WEAK)

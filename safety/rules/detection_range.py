@@ -6,7 +6,7 @@ from safety.rules.situation import Situation
 from safety.stopping_distance import highest_speed
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """The lower of two speeds: S within the range over the factor, and the whole range needed within it."""
     range_m, config = situation.proven_m, situation.config.field
     if situation.blind and range_m <= 0.0:

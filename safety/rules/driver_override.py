@@ -3,18 +3,18 @@
 import math
 
 from messages.command import RuleResult
-from safety.rules.results import free, stop
+from safety.rules.results import no_objection, stop
 from safety.rules.situation import Situation
 
 CODE = "driver_override"
 ROUNDING = 1e-9  # 50 °/s is not exact in radians
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """Any of the three is enough; what the machine reports is the motion that the hand imposes, net of the motor's."""
     machine, limits = situation.machine, situation.config.hand
     if machine is None:
-        return free(CODE)
+        return no_objection(CODE)
     rate_dps, angle_deg = math.degrees(abs(machine.driver_rate_radps)), math.degrees(abs(machine.driver_angle_rad))
     if not rate_dps < limits.rate_dps - ROUNDING:
         return stop(CODE, f"wheel turned by hand at {rate_dps:.0f} °/s")
@@ -22,4 +22,4 @@ def judge(situation: Situation) -> RuleResult:
         return stop(CODE, f"wheel turned by hand by {angle_deg:.0f}°")
     if situation.hand_forced_s > limits.forced_s:
         return stop(CODE, f"wheel held by hand for {situation.hand_forced_s:.1f} s")
-    return free(CODE)
+    return no_objection(CODE)

@@ -3,20 +3,20 @@
 import math
 
 from messages.command import RuleResult
-from safety.rules.results import free, limit, stop
+from safety.rules.results import limit, no_objection, stop
 from safety.rules.situation import Situation
 from safety.stopping_distance import highest_speed
 
 CODE, UNKNOWN = "geofence", "geofence.unknown"
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """Slow as the way left inside allows; stop when some part is outside."""
     way_m = situation.fence_m
     if way_m is None:
         return limit(UNKNOWN, 0.0, "place within the field not known")
     if math.isinf(way_m):
-        return free(CODE)
+        return no_objection(CODE)
     if way_m < 0.0:
         return stop("geofence.outside", "machine or implement outside the allowed area")
     speed = highest_speed(way_m, situation.braking, situation.config.limits.fence_margin_m)

@@ -2,20 +2,20 @@
 
 from messages.command import RuleResult
 from messages.motion import PositionSource
-from safety.rules.results import free, limit, note, stop
+from safety.rules.results import advisory, limit, no_objection, stop
 from safety.rules.situation import Situation
 
 CODE = "localization"
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """Alarm at once without fixes, slow above one protection level, stop above the other or after the time.
 
     Under the roof there is no sky: the place rests on UWB, and must be known better.
     """
     pose, config = situation.map_pose, situation.config.localization
     if pose is None:
-        return free(CODE)
+        return no_objection(CODE)
     if not pose.is_initialized or pose.source is PositionSource.NONE:
         return stop("localization.none", "no position yet")
     if not pose.gnss_age_s <= config.gnss_stop_s and pose.source is not PositionSource.UWB:
@@ -29,5 +29,5 @@ def judge(situation: Situation) -> RuleResult:
     if pose.protection_level_m > config.protection_slow_m:
         return limit(CODE, config.slow_mps, f"position only within {pose.protection_level_m:.2f} m")
     if pose.gnss_age_s > config.gnss_alarm_s and not situation.is_under_roof:
-        return note("localization.gnss_lost", f"no fix for {pose.gnss_age_s:.1f} s")
-    return free(CODE)
+        return advisory("localization.gnss_lost", f"no fix for {pose.gnss_age_s:.1f} s")
+    return no_objection(CODE)

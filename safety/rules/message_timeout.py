@@ -1,13 +1,13 @@
 """A silent source is never all clear: too old by the topic table, or the same scan again and again."""
 
 from messages.command import MachineState, RuleResult
-from safety.rules.results import free, limit, stop
+from safety.rules.results import limit, no_objection, stop
 from safety.rules.situation import Situation
 
 LEADING = frozenset({"control_command", "mission"})
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """Stop on the first silent source; while the machine stands, those that lead it need not speak.
 
     Control then has nothing to say yet, and the mission may take its time to plan a way round.
@@ -24,7 +24,7 @@ def judge(situation: Situation) -> RuleResult:
     return (
         stop(f"machine.{group}.silent", f"the machine's {group} frames are missing")
         if group
-        else free("message_timeout")
+        else no_objection("message_timeout")
     )
 
 

@@ -3,21 +3,21 @@
 import math
 
 from messages.command import RuleResult
-from safety.rules.results import free, limit, stop
+from safety.rules.results import limit, no_objection, stop
 from safety.rules.situation import Situation
 from safety.stopping_distance import highest_speed, stopping_distance
 
 CODE = "protective_field"
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """Slow as both gaps allow; brake at once when one lies inside the stopping distance."""
     gap = situation.gap
     if gap is None:
         return limit("protective_field.no_scan", 0.0, "no lidar has looked ahead yet")
     nearest_m = min(gap.main_m, gap.arc_m)
     if math.isinf(nearest_m):
-        return free(CODE)
+        return no_objection(CODE)
     if situation.is_moving and stopping_distance(situation.speed_mps, situation.braking) > nearest_m:
         return stop(CODE, f"obstacle {nearest_m:.1f} m ahead, inside the stopping distance")
     main = highest_speed(gap.main_m, situation.braking, situation.allowance_m)

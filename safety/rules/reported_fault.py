@@ -2,15 +2,15 @@
 
 from messages.command import RuleResult
 from messages.faults import Response
-from safety.rules.results import emergency, free, limit, note, stop
+from safety.rules.results import advisory, emergency, limit, no_objection, stop
 from safety.rules.situation import Situation
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """The worst of the active faults, the earliest of equals."""
     worst = max(situation.faults, key=lambda fault: fault.response, default=None)
     if worst is None:
-        return free("reported_fault")
+        return no_objection("reported_fault")
     text = f"{worst.source}: {worst.text_en}"
     if worst.response is Response.EMERGENCY_STOP:
         return emergency(worst.code, text)
@@ -18,4 +18,4 @@ def judge(situation: Situation) -> RuleResult:
         return stop(worst.code, text)
     if worst.response is Response.LIMIT:
         return limit(worst.code, situation.config.localization.slow_mps, text)
-    return note(worst.code, text)
+    return advisory(worst.code, text)

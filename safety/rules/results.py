@@ -8,12 +8,12 @@ from messages.faults import Response
 
 
 @cache
-def free(code: str) -> RuleResult:
+def no_objection(code: str) -> RuleResult:
     """No objection."""
     return RuleResult(code, Response.NONE, math.inf, "")
 
 
-def note(code: str, text: str) -> RuleResult:
+def advisory(code: str, text: str) -> RuleResult:
     """No objection, but something to be told."""
     return RuleResult(code, Response.NONE, math.inf, text)
 

@@ -6,7 +6,7 @@ from safety.rules.results import limit
 from safety.rules.situation import Situation
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """Always said."""
     if situation.is_docking:
         return limit("speed_limit.docking", kmh(situation.config.docking.speed_kmh), "highest speed at the shed")

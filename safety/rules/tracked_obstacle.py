@@ -3,18 +3,18 @@
 import math
 
 from messages.command import RuleResult
-from safety.rules.results import free, limit, stop
+from safety.rules.results import limit, no_objection, stop
 from safety.rules.situation import Situation
 from safety.stopping_distance import highest_speed, stopping_distance
 
 CODE = "tracked_obstacle"
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """Slow as the predicted gap allows; brake at once when it lies inside the stopping distance."""
     threat = situation.threat
     if math.isinf(threat.clearance_m):
-        return free(CODE)
+        return no_objection(CODE)
     text = f"{threat.label} {threat.clearance_m:.1f} m ahead"
     if situation.is_moving and stopping_distance(situation.speed_mps, situation.braking) > threat.clearance_m:
         return stop(CODE, f"{text}, inside the stopping distance")

@@ -3,16 +3,16 @@
 import math
 
 from messages.command import RuleResult
-from safety.rules.results import free, limit
+from safety.rules.results import limit, no_objection
 from safety.rules.situation import Situation
 from safety.stopping_distance import highest_speed
 
 CODE = "wall_clearance"
 
 
-def judge(situation: Situation) -> RuleResult:
+def evaluate(situation: Situation) -> RuleResult:
     """Slow as the way left allows; the clearance is already taken off it."""
     if math.isinf(situation.survey_m):
-        return free(CODE)
+        return no_objection(CODE)
     speed = highest_speed(situation.survey_m, situation.braking, 0.0)
     return limit(CODE, speed, f"wall or post of the shed in {situation.survey_m:.2f} m")

@@ -246,7 +246,7 @@ class World:
     y_m: float = 0.0
     yaw_rad: float = 0.0
     speed_mps: float = 0.0
-    wish_mps: float = 2.78
+    commanded_mps: float = 2.78
     curvature: float | None = None
     slope: float = 0.0
     pitch_rad: float = 0.0
@@ -256,7 +256,7 @@ class World:
     machine_changes: dict[str, Any] = field(default_factory=dict)
     pose_changes: dict[str, Any] = field(default_factory=dict)
     odom_changes: dict[str, Any] = field(default_factory=dict)
-    wish_changes: dict[str, Any] = field(default_factory=dict)
+    command_changes: dict[str, Any] = field(default_factory=dict)
     mission: MissionState = MissionState.DRIVING
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
     command: Any = None
@@ -333,7 +333,7 @@ class World:
             self.put("mission", status)
         control_command = ControlCommand(
             now,
-            self.path.direction * self.wish_mps,
+            self.path.direction * self.commanded_mps,
             0.0,
             curvature,
             True,
@@ -344,7 +344,7 @@ class World:
             0.0,
             False,
         )
-        self.put("control_command", replace(control_command, **self.wish_changes))
+        self.put("control_command", replace(control_command, **self.command_changes))
         if self.steps == 0 or self.inbox.messages.get("path") is not self.path:
             self.put("path", self.path)
 

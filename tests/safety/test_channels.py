@@ -16,7 +16,15 @@ from messages.perception import ObstacleClass, Track, Tracks
 from safety.collision_monitor import class_at
 from safety.config import SafetyConfig
 from safety.monitors.vehicle import direction_of, is_forced, position_sigma_m
-from safety.output.limiters import allowed_slowing, eased, rising, slowing, steered, stopping, target_speed
+from safety.output.limiters import (
+    braking_demand,
+    curve_deceleration,
+    limit_acceleration,
+    limit_curvature,
+    limit_jerk,
+    stopping_deceleration,
+    target_speed,
+)
 from safety.pose_history import Trail, from_frame, seen_from, tilt_of, to_frame, whole_odom, whole_pose
 from safety.sources.ground_filter import Box
 from safety.stopping_distance import Braking
@@ -286,55 +294,57 @@ def test_target_speed() -> None:
 
 
 def test_rising_is_limited_and_falling_is_not() -> None:
-    assert rising(2.0, 1.0, 1.0, 0.1) == pytest.approx(1.1)
-    assert rising(-2.0, -1.0, -1.0, 0.1) == pytest.approx(-1.1)
-    assert rising(0.5, 1.0, 1.0, 0.1) == 0.5
-    assert rising(0.0, 1.0, 1.0, 0.1) == 0.0
-    assert rising(2.0, 0.0, 1.5, 0.1) == pytest.approx(1.6)
-    assert rising(2.0, -1.0, -1.0, 0.1) == pytest.approx(0.1)
-    assert rising(2.0, 1.0, 0.0, 0.1) == pytest.approx(1.1)  # of a machine that is slow to follow
-    assert rising(1.0, 1.0, 1.0, 0.1) == 1.0
+    assert limit_acceleration(2.0, 1.0, 1.0, 0.1) == pytest.approx(1.1)
+    assert limit_acceleration(-2.0, -1.0, -1.0, 0.1) == pytest.approx(-1.1)
+    assert limit_acceleration(0.5, 1.0, 1.0, 0.1) == 0.5
+    assert limit_acceleration(0.0, 1.0, 1.0, 0.1) == 0.0
+    assert limit_acceleration(2.0, 0.0, 1.5, 0.1) == pytest.approx(1.6)
+    assert limit_acceleration(2.0, -1.0, -1.0, 0.1) == pytest.approx(0.1)
+    assert limit_acceleration(2.0, 1.0, 0.0, 0.1) == pytest.approx(1.1)  # of a machine that is slow to follow
+    assert limit_acceleration(1.0, 1.0, 1.0, 0.1) == 1.0
 
 
 def test_slowing(config: SafetyConfig) -> None:
     braking = config.braking
-    assert slowing(control_command(), 3.0, 2.0, math.inf, NOMINAL, braking) == 0.0
-    assert slowing(control_command(acceleration=-0.7), 3.0, 2.0, math.inf, NOMINAL, braking) == 0.7
-    assert slowing(control_command(acceleration=math.nan), 3.0, 2.0, math.inf, NOMINAL, braking) == 0.0
-    assert slowing(None, 3.0, 2.0, math.inf, NOMINAL, braking) == 0.0
-    assert slowing(control_command(acceleration=-99.0), 3.0, 2.0, math.inf, NOMINAL, braking) == braking.full_mps2
+    assert braking_demand(control_command(), 3.0, 2.0, math.inf, NOMINAL, braking) == 0.0
+    assert braking_demand(control_command(acceleration=-0.7), 3.0, 2.0, math.inf, NOMINAL, braking) == 0.7
+    assert braking_demand(control_command(acceleration=math.nan), 3.0, 2.0, math.inf, NOMINAL, braking) == 0.0
+    assert braking_demand(None, 3.0, 2.0, math.inf, NOMINAL, braking) == 0.0
+    assert (
+        braking_demand(control_command(acceleration=-99.0), 3.0, 2.0, math.inf, NOMINAL, braking) == braking.full_mps2
+    )
     for over in around(0.05, 0.01):
-        asked = slowing(control_command(), 2.0, 2.0 + over, math.inf, NOMINAL, braking)
+        asked = braking_demand(control_command(), 2.0, 2.0 + over, math.inf, NOMINAL, braking)
         assert (asked > 0.0) == (over > 0.05 + 1e-9), over
-    assert slowing(control_command(), 0.0, 3.0, 1.5, NOMINAL, braking) == braking.full_mps2
-    assert slowing(control_command(), 0.0, 0.05, math.inf, NOMINAL, braking) == 0.0
-    assert slowing(control_command(), 2.0, 2.2, 20.0, NOMINAL, braking) < 2.0
-    by_curve = allowed_slowing(2.2, NOMINAL)
-    assert slowing(control_command(), 2.0, 2.2, math.inf, NOMINAL, braking) == pytest.approx(
+    assert braking_demand(control_command(), 0.0, 3.0, 1.5, NOMINAL, braking) == braking.full_mps2
+    assert braking_demand(control_command(), 0.0, 0.05, math.inf, NOMINAL, braking) == 0.0
+    assert braking_demand(control_command(), 2.0, 2.2, 20.0, NOMINAL, braking) < 2.0
+    by_curve = curve_deceleration(2.2, NOMINAL)
+    assert braking_demand(control_command(), 2.0, 2.2, math.inf, NOMINAL, braking) == pytest.approx(
         by_curve + 0.4
     )  # gone in 0.5 s
 
 
 def test_slowing_along_the_curve() -> None:
-    assert allowed_slowing(2.0, NOMINAL) == pytest.approx(2.0 / (0.6 + 0.2 + 0.8))
-    assert allowed_slowing(2.0, Braking(0.6, 0.5, 0.8)) == pytest.approx(2.0 / (0.6 + 0.25 + 2.5))
-    assert allowed_slowing(2.0, Braking(0.6, 0.4, 0.0)) == 0.0
+    assert curve_deceleration(2.0, NOMINAL) == pytest.approx(2.0 / (0.6 + 0.2 + 0.8))
+    assert curve_deceleration(2.0, Braking(0.6, 0.5, 0.8)) == pytest.approx(2.0 / (0.6 + 0.25 + 2.5))
+    assert curve_deceleration(2.0, Braking(0.6, 0.4, 0.0)) == 0.0
 
 
 def test_stopping_and_easing(config: SafetyConfig) -> None:
-    assert stopping(2.0, math.inf, config.braking) == config.braking.controlled_mps2
-    assert stopping(3.0, 2.0, config.braking) == pytest.approx(9.0 / 2.0 / 1.1)
-    assert eased(1.0, 0.0, 1.5, 0.06) == 0.06
-    assert eased(1.5, 0.0, 1.5, 0.06) == 0.06
-    assert eased(1.6, 0.0, 1.5, 0.06) == 1.6
-    assert eased(0.2, 1.0, 1.5, 0.06) == 0.2
+    assert stopping_deceleration(2.0, math.inf, config.braking) == config.braking.controlled_mps2
+    assert stopping_deceleration(3.0, 2.0, config.braking) == pytest.approx(9.0 / 2.0 / 1.1)
+    assert limit_jerk(1.0, 0.0, 1.5, 0.06) == 0.06
+    assert limit_jerk(1.5, 0.0, 1.5, 0.06) == 0.06
+    assert limit_jerk(1.6, 0.0, 1.5, 0.06) == 1.6
+    assert limit_jerk(0.2, 1.0, 1.5, 0.06) == 0.2
 
 
 def test_steered() -> None:
-    assert steered(None, 0.1, 0.2, 0.01) == 0.1
-    assert steered(control_command(curvature=math.nan), 0.1, 0.2, 0.01) == 0.1
-    assert steered(control_command(curvature=9.0), 0.1, 0.2, 1.0) == 0.2
-    assert steered(control_command(curvature=-9.0), 0.1, 0.2, 0.01) == pytest.approx(0.09)
+    assert limit_curvature(None, 0.1, 0.2, 0.01) == 0.1
+    assert limit_curvature(control_command(curvature=math.nan), 0.1, 0.2, 0.01) == 0.1
+    assert limit_curvature(control_command(curvature=9.0), 0.1, 0.2, 1.0) == 0.2
+    assert limit_curvature(control_command(curvature=-9.0), 0.1, 0.2, 0.01) == pytest.approx(0.09)
 
 
 def test_direction() -> None:

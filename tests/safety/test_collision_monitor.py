@@ -70,8 +70,8 @@ def docking_path() -> Any:
     return replace(path, stamp_ns=START_NS + 1, sections=(PathSection(PathSectionType.DOCK, -1, 0, len(path.s_m) - 1),))
 
 
-WISH = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 7, 3.0, 0.0, 0.0, False)
-SEEN = Seen(odometry(), pose(), WISH, straight_path(7), Tracks(START_NS, ()), 0.0, NOTHING, {})
+CONTROL_COMMAND = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 7, 3.0, 0.0, 0.0, False)
+SEEN = Seen(odometry(), pose(), CONTROL_COMMAND, straight_path(7), Tracks(START_NS, ()), 0.0, NOTHING, {})
 DOCKING = replace(SEEN, fold=1.0, path=docking_path())
 POSE_MAP = np.array([*to_frame(np.array([2.0, 1.0, 0.3]), np.array([POSE_ODOM[:2]]))[0], 1.0])
 

@@ -9,10 +9,10 @@ import pytest
 from configs.vehicle import FOLDED, Vehicle
 from messages.command import ControlCommand, Mode, SafeCommand
 from safety.config import SafetyConfig
-from safety.output.command_builder import Commander, Moment
+from safety.output.command_builder import CommandBuilder, CommandInputs
 from tests.safety.safety_world import START_NS, around, machine_state
 
-WISH = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
+CONTROL_COMMAND = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
 UP = machine_state(START_NS, is_hitch_in_work=False)
 STEP_S = 0.02
 
@@ -21,15 +21,16 @@ class Bench:
     """A commander that is shown one moment after the other."""
 
     def __init__(self, vehicle: Vehicle, config: SafetyConfig) -> None:
-        self.commander, self.now_ns = Commander(vehicle, config), START_NS
-        self.moment = Moment(START_NS, Mode.STANDBY, "", WISH, machine_state(START_NS), 0.0, 0.0, 8.0, math.inf,
+        self.command_builder, self.now_ns = CommandBuilder(vehicle, config), START_NS
+        self.inputs = CommandInputs(START_NS, Mode.STANDBY, "", CONTROL_COMMAND, machine_state(START_NS), 0.0, 0.0,
+        8.0, math.inf,
                              config.braking.flat, False)  # fmt: skip
 
     def show(self, after_s: float = STEP_S, **changes: Any) -> SafeCommand:
         """The command after a moment; changes stay."""
         self.now_ns += round(after_s * 1e9)
-        self.moment = replace(self.moment, now_ns=self.now_ns, **changes)
-        return self.commander.command(self.moment)
+        self.inputs = replace(self.inputs, now_ns=self.now_ns, **changes)
+        return self.command_builder.command(self.inputs)
 
     def driving(self, mps: float = 1.0) -> "Bench":
         self.show(mode=Mode.AUTOMATIC, measured_mps=mps)
@@ -48,7 +49,7 @@ def test_the_first_command_leaves_everything_as_it_is(bench: Bench) -> None:
         curvature_radpm=0.1, is_implement_lowered=False, is_pto_on=False, is_park_brake_set=True, is_horn_on=False,
         is_beacon_on=False, reason="standby", is_implement_folded=True,
     )  # fmt: skip
-    assert bench.commander.last is command
+    assert bench.command_builder.last is command
 
 
 def test_a_fault_stop_brakes_at_once_and_hard_and_an_obstacle_stop_gently(bench: Bench, config: SafetyConfig) -> None:
@@ -93,22 +94,29 @@ def test_a_limit_below_the_creep_is_none_at_all(bench: Bench) -> None:
 def test_braking_to_a_limit(bench: Bench) -> None:
     bench.driving(2.0).show(0.1)
     assert bench.show(allowed_mps=1.0, measured_mps=2.0).deceleration_mps2 > 3.0
-    assert bench.show(control_command=replace(WISH, acceleration_mps2=-0.7), allowed_mps=8.0).deceleration_mps2 == 0.7
-    assert bench.show(measured_mps=-2.0, control_command=replace(WISH, speed_mps=-2.0)).deceleration_mps2 == 0.0
+    assert (
+        bench.show(control_command=replace(CONTROL_COMMAND, acceleration_mps2=-0.7), allowed_mps=8.0).deceleration_mps2
+        == 0.7
+    )
+    assert (
+        bench.show(measured_mps=-2.0, control_command=replace(CONTROL_COMMAND, speed_mps=-2.0)).deceleration_mps2 == 0.0
+    )
     assert bench.show(allowed_mps=1.0).deceleration_mps2 > 0.06
     assert bench.show(control_command=None, measured_mps=None, allowed_mps=8.0).speed_mps == 0.0
 
 
 def test_gentle_braking_grows_by_3_per_s(bench: Bench) -> None:
     bench.driving()
-    assert bench.show(control_command=replace(WISH, acceleration_mps2=-1.0)).deceleration_mps2 == pytest.approx(0.06)
+    assert bench.show(
+        control_command=replace(CONTROL_COMMAND, acceleration_mps2=-1.0)
+    ).deceleration_mps2 == pytest.approx(0.06)
     assert bench.show().deceleration_mps2 == pytest.approx(0.12)
-    bench.show(mode=Mode.STANDBY, control_command=WISH)
+    bench.show(mode=Mode.STANDBY, control_command=CONTROL_COMMAND)
     assert bench.show().deceleration_mps2 == pytest.approx(0.24)
 
 
 def test_gentle_braking_grows_from_nothing(bench: Bench) -> None:
-    gentle = replace(WISH, acceleration_mps2=-0.7)
+    gentle = replace(CONTROL_COMMAND, acceleration_mps2=-0.7)
     assert bench.show(mode=Mode.AUTOMATIC, measured_mps=1.0, control_command=gentle).deceleration_mps2 == 0.0
 
 
@@ -121,7 +129,7 @@ def test_the_brakes_hold_as_configured(vehicle: Vehicle, config: SafetyConfig) -
 
 
 def test_at_standstill_the_brakes_hold(bench: Bench) -> None:
-    bench.show(1.0, mode=Mode.AUTOMATIC, control_command=replace(WISH, speed_mps=0.0))
+    bench.show(1.0, mode=Mode.AUTOMATIC, control_command=replace(CONTROL_COMMAND, speed_mps=0.0))
     for _ in range(20):
         command = bench.show()
     assert command.deceleration_mps2 == 1.0
@@ -176,21 +184,21 @@ def test_park_brake_after_1500_ms(bench: Bench) -> None:
     assert not bench.show(measured_mps=0.0).is_park_brake_set  # counted anew
     assert not bench.show(1.5).is_park_brake_set
     assert bench.show().is_park_brake_set
-    assert bench.show(mode=Mode.AUTOMATIC, control_command=replace(WISH, speed_mps=0.0)).is_park_brake_set
-    assert bench.show(control_command=WISH).is_park_brake_set is False
+    assert bench.show(mode=Mode.AUTOMATIC, control_command=replace(CONTROL_COMMAND, speed_mps=0.0)).is_park_brake_set
+    assert bench.show(control_command=CONTROL_COMMAND).is_park_brake_set is False
     assert bench.show(2.0, mode=Mode.MANUAL).is_park_brake_set
     assert bench.show(has_driver=True).is_park_brake_set is False
 
 
 def test_steering_is_wished_held_or_measured(bench: Bench) -> None:
     bench.driving()
-    left = replace(WISH, curvature_radpm=1.0)
+    left = replace(CONTROL_COMMAND, curvature_radpm=1.0)
     assert bench.show(control_command=left).curvature_radpm == pytest.approx(0.3 * STEP_S)
     assert bench.show(0.1, curvature_radpm=0.05).curvature_radpm == pytest.approx(0.036)
     for _ in range(20):
         command = bench.show(0.1)
     assert command.curvature_radpm == pytest.approx(1.02 / 4.6)
-    assert bench.show(mode=Mode.OBSTACLE_STOP, control_command=WISH).curvature_radpm < 1.02 / 4.6
+    assert bench.show(mode=Mode.OBSTACLE_STOP, control_command=CONTROL_COMMAND).curvature_radpm < 1.02 / 4.6
     held = bench.show(measured_mps=0.0).curvature_radpm
     assert bench.show().curvature_radpm == held  # it does not turn its wheels while it stands and waits
     assert bench.show(mode=Mode.AUTOMATIC).curvature_radpm < held
@@ -211,17 +219,17 @@ def test_implement_and_pto(bench: Bench) -> None:
         command = bench.show(**changes)
         return command.is_implement_lowered, command.is_pto_on
 
-    lowered, running = (replace(WISH, is_implement_lowered=a, is_pto_on=not a) for a in (True, False))
+    lowered, running = (replace(CONTROL_COMMAND, is_implement_lowered=a, is_pto_on=not a) for a in (True, False))
     assert asked(mode=Mode.START_WARNING, machine=None) == (False, False)  # before anything is known
     assert asked(mode=Mode.STANDBY, machine=machine_state(START_NS)) == (True, False)
     assert asked(mode=Mode.AUTOMATIC, machine=UP, control_command=lowered) == (True, False)
     assert asked(control_command=running) == (False, True)
-    assert asked(control_command=WISH) == (True, True)
+    assert asked(control_command=CONTROL_COMMAND) == (True, True)
     assert asked(control_command=None) == (True, True)
     assert asked(mode=Mode.OBSTACLE_STOP) == (True, True)
     assert asked(control_command=running) == (False, True)
     assert asked(control_command=lowered) == (False, False)
-    assert asked(mode=Mode.AUTOMATIC, control_command=WISH) == (True, True)
+    assert asked(mode=Mode.AUTOMATIC, control_command=CONTROL_COMMAND) == (True, True)
     assert asked(mode=Mode.FAULT_STOP) == (False, False)
     assert asked(mode=Mode.AUTOMATIC) == (True, True)
     assert asked(mode=Mode.FAULT_STOP, machine=None) == (True, False)
@@ -231,17 +239,19 @@ def test_implement_and_pto(bench: Bench) -> None:
 
 
 def test_the_fold_moves_half_a_second_after_the_machine_stands_with_the_hitch_raised(bench: Bench) -> None:
-    fold = replace(WISH, is_implement_lowered=False, is_implement_folded=True)
+    fold = replace(CONTROL_COMMAND, is_implement_lowered=False, is_implement_folded=True)
     bench.show(0.0, mode=Mode.AUTOMATIC, control_command=fold, machine=UP)
     for after_s, is_folded in ((0.499, False), (0.001, True)):
         assert bench.show(after_s).is_implement_folded == is_folded
-    assert bench.show(machine=machine_state(START_NS), control_command=WISH).is_implement_folded
+    assert bench.show(machine=machine_state(START_NS), control_command=CONTROL_COMMAND).is_implement_folded
     assert bench.show(machine=UP).is_implement_folded  # what is to be lowered does not unfold
     assert bench.show(
-        mode=Mode.OBSTACLE_STOP, control_command=replace(WISH, is_implement_lowered=False)
+        mode=Mode.OBSTACLE_STOP, control_command=replace(CONTROL_COMMAND, is_implement_lowered=False)
     ).is_implement_folded
     assert bench.show(mode=Mode.AUTOMATIC, control_command=None).is_implement_folded
-    assert bench.show(control_command=replace(WISH, is_implement_lowered=False), measured_mps=0.1).is_implement_folded
+    assert bench.show(
+        control_command=replace(CONTROL_COMMAND, is_implement_lowered=False), measured_mps=0.1
+    ).is_implement_folded
     bench.show(measured_mps=0.0)
     assert not bench.show(0.5).is_implement_folded
 

@@ -58,8 +58,8 @@ def at_shed(world: World, site: Site, bay: str, direction: int) -> World:
     length_m = 12.0 if direction > 0 else 4.0
     world.x_m, world.y_m = dock.x_m + (0.0 if direction > 0 else length_m), dock.y_m
     world.path = dock_path(direction, (world.x_m, world.y_m), length_m)
-    world.boxes, world.fold, world.wish_mps = shed_boxes(site), 1.0, 0.5
-    world.wish_changes = {"is_implement_lowered": False, "is_pto_on": False, "is_implement_folded": True}
+    world.boxes, world.fold, world.commanded_mps = shed_boxes(site), 1.0, 0.5
+    world.command_changes = {"is_implement_lowered": False, "is_pto_on": False, "is_implement_folded": True}
     world.machine_changes = {"is_hitch_in_work": False}
     world.pose_changes = {"uwb_age_s": 0.1, "protection_level_m": 0.15, "covariance": np.eye(6) * 0.03**2}
     return world
@@ -74,7 +74,7 @@ def engaged(world: World) -> World:
     """As after the start warning."""
     world.run(0.3)
     assert world.command.reason == "standby"
-    world.supervisor._helm.mode = Mode.AUTOMATIC
+    world.supervisor._mode_machine.mode = Mode.AUTOMATIC
     return world
 
 
@@ -86,7 +86,7 @@ def drive_in(world: World, until_s: float = 11.0) -> World:
     for _ in range(round(until_s * 50)):
         left_m = length_m - abs(world.x_m - float(world.path.p_map_m[0, 0]))
         world.place_m = length_m - left_m
-        world.wish_mps = min(0.5, math.sqrt(max(0.0, 0.6 * (left_m - 0.02)))) if left_m > 0.03 else 0.0
+        world.commanded_mps = min(0.5, math.sqrt(max(0.0, 0.6 * (left_m - 0.02)))) if left_m > 0.03 else 0.0
         world.step()
     return world
 
@@ -273,21 +273,21 @@ def test_fence_in_the_shed_is_the_bays_alone(site: Site) -> None:
 def folding(world: World) -> World:
     world.folds = True
     world.machine_changes = {"is_hitch_in_work": False}
-    world.wish_changes = {"is_implement_lowered": False, "is_pto_on": False}
+    world.command_changes = {"is_implement_lowered": False, "is_pto_on": False}
     return world
 
 
 def test_the_implement_folds_only_at_standstill(world: World) -> None:
     folding(world).start()
     world.run(2.0)
-    world.wish_changes |= {"is_implement_folded": True}
+    world.command_changes |= {"is_implement_folded": True}
     world.run(1.0)
     assert world.speed_mps > 0.5
     assert not world.command.is_implement_folded
-    world.wish_mps = 0.0
+    world.commanded_mps = 0.0
     world.run(8.0)
     assert world.command.is_implement_folded
-    world.wish_mps = 1.0
+    world.commanded_mps = 1.0
     world.run(1.0)  # between: the machine is held
     assert 0.01 < world.fold < 0.99
     assert (world.command.reason, world.speed_mps) == ("implement_fold", 0.0)
@@ -300,8 +300,8 @@ def test_the_implement_folds_only_at_standstill(world: World) -> None:
 @pytest.mark.parametrize("hindrance", ["hitch", "mode"])
 def test_nothing_folds_with_the_hitch_down_or_while_a_person_must_say_so(world: World, hindrance: str) -> None:
     folding(world)
-    world.wish_changes |= {"is_implement_folded": True}
-    world.wish_mps = 0.0
+    world.command_changes |= {"is_implement_folded": True}
+    world.commanded_mps = 0.0
     if hindrance == "hitch":
         world.machine_changes = {"is_hitch_in_work": True}
         world.start()
@@ -312,7 +312,7 @@ def test_nothing_folds_with_the_hitch_down_or_while_a_person_must_say_so(world: 
 
 def test_a_folded_implement_is_neither_lowered_nor_driven(world: World) -> None:
     world.fold = 1.0
-    world.wish_changes = {"is_implement_folded": True}
+    world.command_changes = {"is_implement_folded": True}
     world.start().run(1.0)
     assert (world.command.is_implement_lowered, world.command.is_pto_on) == (False, False)
     assert world.command.is_implement_folded
@@ -328,7 +328,7 @@ def test_found_folded_it_stays_so_until_a_path_wants_otherwise(world: World) -> 
 def test_a_folded_implement_passes_where_the_full_width_does_not(world: World) -> None:
     post = Box(9.0, 2.0, (0.2, 0.2, 1.5))
     world.fold, world.boxes = 1.0, (post,)
-    world.wish_changes = {"is_implement_folded": True}
+    world.command_changes = {"is_implement_folded": True}
     world.start().run(5.0)
     assert all(c.reason == "" for mode, c in world.history if mode == Mode.AUTOMATIC)
     world.fold = 0.98  # no longer locked: the full width, and stand

@@ -19,10 +19,10 @@ from messages.sensors import RadarScan, UltrasonicRange
 from messages.topics import spec_of
 from safety.collision_monitor import Seen
 from safety.config import SafetyConfig
-from safety.inputs import Reading
+from safety.inputs import SupervisorInputs
 from safety.obstacle_sources import Measurements
-from safety.output.supervisor_state import state_of, threat_outline
-from safety.rules.arbitration import Judgement
+from safety.output.supervisor_state import build_state, critical_object_outline
+from safety.rules.arbitration import Decision
 from safety.stopping_distance import required_range, stopping_distance
 from safety.zones.footprint import shape_of
 from safety.zones.protective_field import Gap, Way
@@ -45,8 +45,8 @@ OWN = ("machine", "imu", "wheel", "lidar/front", "health/lidar_front", "lidar/re
 
 
 @pytest.fixture
-def reading(full: Vehicle, config: SafetyConfig) -> Reading:
-    return Reading(full.sensors, frozenset(), config)
+def inputs(full: Vehicle, config: SafetyConfig) -> SupervisorInputs:
+    return SupervisorInputs(full.sensors, frozenset(), config)
 
 
 def stamped(stamp_ns: int = NOW_NS) -> Any:
@@ -63,16 +63,16 @@ def lookout(*away: str, frozen: tuple[str, ...] = ()) -> Any:
     return SimpleNamespace(senses=SimpleNamespace(eyes=eyes, radars=radars))
 
 
-def test_all_of_the_machines_sensors_are_read(reading: Reading) -> None:
+def test_all_of_the_machines_sensors_are_read(inputs: SupervisorInputs) -> None:
     others = ("radar_front", "camera_front", *(f"ultrasonic_{name}" for name in ULTRASONIC))
     heard = ("radar/front", *(f"ultrasonic/{name}" for name in ULTRASONIC))
     told = [f"{kind}/{label}" for kind in ("obstacles", "health") for label in others]
-    assert reading.reads == dict.fromkeys((*OWN, "path", *heard, *told), Latest())
+    assert inputs.reads == dict.fromkeys((*OWN, "path", *heard, *told), Latest())
 
 
 def test_what_the_machine_lacks_is_not_waited_for(full: Vehicle, config: SafetyConfig) -> None:
     bare = full.sensors.model_copy(update={"imu": None, "wheels": None, "radar": {}, "ultrasonic": {}})
-    reads = Reading(bare, frozenset({"camera_front"}), config).reads
+    reads = SupervisorInputs(bare, frozenset({"camera_front"}), config).reads
     assert set(reads) == {*OWN, "path"} - {"imu", "wheel"}
 
 
@@ -80,7 +80,7 @@ def odometry(**changes: Any) -> Odometry:
     return replace(Odometry(NOW_NS, np.eye(4), 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), **changes)
 
 
-def test_what_came_is_seen_by_name(reading: Reading) -> None:
+def test_what_came_is_seen_by_name(inputs: SupervisorInputs) -> None:
     inbox, machine = SyntheticInbox(), machine_state(NOW_NS, fold_position=0.7)
     inbox.now_ns = NOW_NS
     pose = MapPose(NOW_NS, np.eye(4), np.eye(4), np.eye(6), PositionSource.RTK_FIXED, 0.1, 0.1, True)
@@ -93,7 +93,7 @@ def test_what_came_is_seen_by_name(reading: Reading) -> None:
         "health/lidar_rear": healthy(NOW_NS, "lidar_rear"), "health/camera_front": healthy(NOW_NS, "camera_front"),
     }  # fmt: skip
     inbox.messages.update(came)
-    seen = reading.see(inbox, machine)
+    seen = inputs.read(inbox, machine)
     assert seen == Seen(
         came["odom"], pose, control_command, path, came["tracks"], 0.7,
         Measurements({"front": came["lidar/front"], "rear": None}, {"front": came["radar/front"]},
@@ -104,27 +104,27 @@ def test_what_came_is_seen_by_name(reading: Reading) -> None:
     )  # fmt: skip
     inbox.messages["odom"] = odometry(speed_mps=math.nan)
     inbox.messages["map_pose"] = replace(pose, T_map_odom=np.full((4, 4), math.nan))
-    broken = reading.see(inbox, replace(machine, implement_stamp_ns=0))
+    broken = inputs.read(inbox, replace(machine, implement_stamp_ns=0))
     assert (broken.odom, broken.map_pose, broken.fold) == (None, None, None)
 
 
-def test_ages_are_of_all_that_the_direction_needs(reading: Reading) -> None:
+def test_ages_are_of_all_that_the_direction_needs(inputs: SupervisorInputs) -> None:
     inbox = SyntheticInbox()
     inbox.messages.update({"lidar/front": stamped(NOW_NS - 300_000_000), "odom": stamped(NOW_NS)})
-    ages = {age.topic: age for age in reading.ages(NOW_NS, inbox, lookout(), 1)}
+    ages = {age.topic: age for age in inputs.ages(NOW_NS, inbox, lookout(), 1)}
     assert tuple(ages) == OWN
     assert ages["lidar/front"].age_s == pytest.approx(0.3)
     assert ages["odom"].age_s == 0.0
     assert not ages["odom"].is_late
     assert ages["imu"].is_late
-    few = [age.topic for age in reading.ages(NOW_NS, inbox, lookout("rear"), 1)]
+    few = [age.topic for age in inputs.ages(NOW_NS, inbox, lookout("rear"), 1)]
     assert few == [topic for topic in OWN if topic not in ("lidar/rear", "health/lidar_rear")]
 
 
-def all_well(reading: Reading) -> tuple[SyntheticInbox, Seen]:
+def all_well(inputs: SupervisorInputs) -> tuple[SyntheticInbox, Seen]:
     inbox = SyntheticInbox()
     inbox.now_ns = NOW_NS
-    for topic in reading.reads:
+    for topic in inputs.reads:
         if topic.startswith("health/"):
             inbox.messages[topic] = healthy(NOW_NS, topic.partition("/")[2])
         if topic.startswith("obstacles/"):
@@ -132,17 +132,19 @@ def all_well(reading: Reading) -> tuple[SyntheticInbox, Seen]:
     some = np.ones(1)
     inbox.messages["radar/front"] = RadarScan(NOW_NS, some, some, some, some, some)
     inbox.messages |= {f"ultrasonic/{name}": UltrasonicRange(NOW_NS, 1.0) for name in ULTRASONIC}
-    return inbox, reading.see(inbox, None)
+    return inbox, inputs.read(inbox, None)
 
 
-def lost(reading: Reading, inbox: SyntheticInbox, direction: int = 1, frozen: tuple[str, ...] = ()) -> list[str]:
-    seen = reading.see(inbox, None)
-    return [one.code for one in reading.lost(NOW_NS, inbox, seen, lookout(frozen=frozen), direction)]
+def lost(
+    inputs: SupervisorInputs, inbox: SyntheticInbox, direction: int = 1, frozen: tuple[str, ...] = ()
+) -> list[str]:
+    seen = inputs.read(inbox, None)
+    return [one.code for one in inputs.lost(NOW_NS, inbox, seen, lookout(frozen=frozen), direction)]
 
 
-def test_nothing_is_lost_when_all_tell(reading: Reading) -> None:
-    inbox, _ = all_well(reading)
-    assert lost(reading, inbox) == lost(reading, inbox, -1) == []
+def test_nothing_is_lost_when_all_tell(inputs: SupervisorInputs) -> None:
+    inbox, _ = all_well(inputs)
+    assert lost(inputs, inbox) == lost(inputs, inbox, -1) == []
 
 
 @pytest.mark.parametrize(("topic", "direction", "code"), [
@@ -150,33 +152,35 @@ def test_nothing_is_lost_when_all_tell(reading: Reading) -> None:
     ("ultrasonic/rear", -1, "ultrasonic/rear.silent"), ("health/camera_front", 1, "health/camera_front.silent"),
     ("obstacles/camera_front", 1, "obstacles/camera_front.silent"),
 ])  # fmt: skip
-def test_who_does_not_tell_is_lost_where_it_looks(reading: Reading, topic: str, direction: int, code: str) -> None:
-    inbox, _ = all_well(reading)
+def test_who_does_not_tell_is_lost_where_it_looks(
+    inputs: SupervisorInputs, topic: str, direction: int, code: str
+) -> None:
+    inbox, _ = all_well(inputs)
     del inbox.messages[topic]
-    assert lost(reading, inbox, direction) == [code]
-    assert lost(reading, inbox, -direction) == []
+    assert lost(inputs, inbox, direction) == [code]
+    assert lost(inputs, inbox, -direction) == []
 
 
-def test_a_frozen_radar_and_a_blind_sector_are_lost(reading: Reading, config: SafetyConfig) -> None:
-    inbox, _ = all_well(reading)
-    assert lost(reading, inbox, frozen=("front",)) == ["radar/front.frozen"]
+def test_a_frozen_radar_and_a_blind_sector_are_lost(inputs: SupervisorInputs, config: SafetyConfig) -> None:
+    inbox, _ = all_well(inputs)
+    assert lost(inputs, inbox, frozen=("front",)) == ["radar/front.frozen"]
     half_rad = math.radians(config.proven.look_deg)
     for rim, is_lost in ((half_rad - 0.01, True), (half_rad + 0.01, False)):
         edges, ranges = np.array([-math.pi, rim, 3.0]), np.array([30.0, 0.0])
         inbox.messages["health/radar_front"] = replace(
             healthy(NOW_NS, ""), sector_edges_rad=edges, detection_range_m=ranges
         )
-        assert (lost(reading, inbox) == ["radar/front.blind"]) == is_lost, rim
+        assert (lost(inputs, inbox) == ["radar/front.blind"]) == is_lost, rim
     inbox.messages["health/radar_front"] = healthy(NOW_NS, "", HealthState.BLIND)
-    assert lost(reading, inbox) == ["radar/front.blind"]
+    assert lost(inputs, inbox) == ["radar/front.blind"]
 
 
 @pytest.mark.parametrize(("label", "told_s"), [("radar_front", 0.4), ("camera_front", 1.5)])
-def test_what_was_told_may_be_as_old_as_its_sensor_is_slow(reading: Reading, label: str, told_s: float) -> None:
-    inbox, _ = all_well(reading)
+def test_what_was_told_may_be_as_old_as_its_sensor_is_slow(inputs: SupervisorInputs, label: str, told_s: float) -> None:
+    inbox, _ = all_well(inputs)
     for age_s, is_told in ((told_s, True), (-told_s, True), (told_s + 1e-9, False), (-told_s - 1e-9, False)):
         inbox.messages[f"obstacles/{label}"] = nothing_seen(NOW_NS - round(age_s * 1e9), label)
-        assert (lost(reading, inbox) == []) == is_told, age_s
+        assert (lost(inputs, inbox) == []) == is_told, age_s
 
 
 def test_each_kind_that_is_lost_leaves_its_own_range(config: SafetyConfig) -> None:
@@ -192,11 +196,11 @@ def track(id: int, x: float = 9.0) -> Track:
 def test_a_threats_box_is_told_in_base() -> None:
     odom = odometry(T_odom_base=planar(5.0, 1.0, math.pi / 2))
     tracks = Tracks(NOW_NS, (track(3, 40.0), track(4), track(5, 50.0)))
-    found = threat_outline(4, tracks, odom)
+    found = critical_object_outline(4, tracks, odom)
     expected = {(along, across, 0.8) for along in (-1.0, 0.0, 1.0) for across in (-4.5, -4.0, -3.5)}
     assert {tuple(np.round(point, 9) + 0.0) for point in found} == expected
     for id, known, odometry_ in ((6, tracks, odom), (4, None, odom), (4, tracks, None)):
-        assert threat_outline(id, known, odometry_).shape == (0, 3)
+        assert critical_object_outline(id, known, odometry_).shape == (0, 3)
 
 
 def way_of(vehicle: Vehicle, config: SafetyConfig) -> Way:
@@ -218,12 +222,12 @@ def test_the_state_tells_why(vehicle: Vehicle, config: SafetyConfig) -> None:
         asked.append(args)
         return ObstacleClass.ANIMAL
 
-    judgement: Any = SimpleNamespace(results=("some", "rules"), clearance_m=4.5)
+    decision: Any = SimpleNamespace(results=("some", "rules"), clearance_m=4.5)
     looking: Any = SimpleNamespace(way=way, cause=cause)
 
     def told(has_threat: bool, gap: Gap | None = situation.gap, looking: Any = looking) -> Any:
-        known: Judgement = judgement
-        return state_of(replace(situation, gap=gap), seen, looking, known, "why", 1.5, has_threat)
+        known: Decision = decision
+        return build_state(replace(situation, gap=gap), seen, looking, known, "why", 1.5, has_threat)
 
     state = told(False)
     assert (state.stamp_ns, state.mode, state.reason, state.rules) == (
@@ -240,7 +244,7 @@ def test_the_state_tells_why(vehicle: Vehicle, config: SafetyConfig) -> None:
     assert state.triggering_points_base_m.tolist() == hits.tolist()
     assert state.protective_field_base_m == pytest.approx(outline_of(way.main))
     assert told(True).triggering_points_base_m == pytest.approx(
-        np.concatenate([hits, threat_outline(4, tracks, seen.odom)])
+        np.concatenate([hits, critical_object_outline(4, tracks, seen.odom)])
     )
     assert told(False, None).triggering_points_base_m.shape == (0, 3)
     assert told(False, looking=SimpleNamespace(way=None, cause=cause)).protective_field_base_m.shape == (0, 2)
@@ -251,12 +255,12 @@ def test_at_most_300_hits_are_told(config: SafetyConfig, count: int, every: int)
     hits = np.column_stack([np.arange(float(count)), np.zeros(count), np.zeros(count)])
     seen: Any = SimpleNamespace(odom=None, tracks=None)
     looking: Any = SimpleNamespace(way=None, cause=lambda odom, tracks: ObstacleClass.UNKNOWN)
-    judgement: Any = SimpleNamespace(results=(), clearance_m=4.5)
-    state = state_of(situation_of(config, gap=Gap(1.0, 1.0, hits)), seen, looking, judgement, "", 0.0, False)
+    decision: Any = SimpleNamespace(results=(), clearance_m=4.5)
+    state = build_state(situation_of(config, gap=Gap(1.0, 1.0, hits)), seen, looking, decision, "", 0.0, False)
     assert state.triggering_points_base_m[:, 0].tolist() == list(range(0, count, every))
 
 
-def test_each_topic_is_read_as_its_kind(reading: Reading) -> None:
+def test_each_topic_is_read_as_its_kind(inputs: SupervisorInputs) -> None:
     asked: set[tuple[str, type[Message]]] = set()
 
     class Asked(SyntheticInbox):
@@ -266,7 +270,7 @@ def test_each_topic_is_read_as_its_kind(reading: Reading) -> None:
         latest = last
 
     inbox = Asked()
-    seen = reading.see(inbox, None)
-    reading.ages(NOW_NS, inbox, lookout(), 1)
-    reading.lost(NOW_NS, inbox, seen, lookout(), 1)
-    assert asked == {(topic, spec_of(topic).type) for topic in reading.reads}
+    seen = inputs.read(inbox, None)
+    inputs.ages(NOW_NS, inbox, lookout(), 1)
+    inputs.lost(NOW_NS, inbox, seen, lookout(), 1)
+    assert asked == {(topic, spec_of(topic).type) for topic in inputs.reads}

@@ -12,10 +12,10 @@ from messages.command import Mode, OperatorCommand, OperatorCommandKind
 from messages.faults import Fault, Response, Severity
 from messages.plan import MissionState, MissionStatus, PathSectionType
 from safety.config import SafetyConfig
-from safety.mode_machine import Helm, guarded
+from safety.mode_machine import ModeMachine, filter_permitted
 from safety.modes import Event
 from safety.monitors.fault_memory import Reports
-from safety.rules.arbitration import Judgement, judged
+from safety.rules.arbitration import Decision, evaluate_rules
 from safety.rules.results import limit
 from safety.rules.situation import Situation
 from safety.stopping_distance import required_range
@@ -40,20 +40,20 @@ class Bench:
 
     def __init__(self, config: SafetyConfig, is_held: bool = False) -> None:
         self.config, self.reports, self.now_ns, self.sequence = config, Reports(), START_NS, 0
-        self.helm = Helm(config.modes, self.reports, is_held)
+        self.mode_machine = ModeMachine(config.modes, self.reports, is_held)
         self.situation: Situation = situation_of(config)
-        self.judgement: Judgement = judged(self.situation, frozenset())
+        self.decision: Decision = evaluate_rules(self.situation, frozenset())
 
     def show(
         self, *orders: OperatorCommandKind, after_s: float = 0.02, state: MissionState | None = None, **changes: Any
     ) -> Mode:
         """The mode after a moment; all is well in it but the changes."""
         self.now_ns += round(after_s * 1e9)
-        self.situation = situation_of(self.config, now_ns=self.now_ns, mode=self.helm.mode, **changes)
-        self.judgement = judged(self.situation, frozenset())
+        self.situation = situation_of(self.config, now_ns=self.now_ns, mode=self.mode_machine.mode, **changes)
+        self.decision = evaluate_rules(self.situation, frozenset())
         given = tuple(self.order(kind) for kind in orders)
-        self.helm.steer(given, self.situation, self.judgement, None if state is None else mission(state))
-        return self.helm.mode
+        self.mode_machine.update(given, self.situation, self.decision, None if state is None else mission(state))
+        return self.mode_machine.mode
 
     def order(self, kind: OperatorCommandKind) -> OperatorCommand:
         self.sequence += 1
@@ -67,11 +67,11 @@ class Bench:
 
     @property
     def reason(self) -> str:
-        return self.helm.reason(self.situation, self.judgement)
+        return self.mode_machine.reason(self.situation, self.decision)
 
     @property
     def clearance_m(self) -> float:
-        return self.helm.braking_gap_m(self.situation, self.judgement)
+        return self.mode_machine.braking_gap_m(self.situation, self.decision)
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def bench(config: SafetyConfig) -> Bench:
 
 
 def test_a_start_is_warned_of_for_3_s(bench: Bench) -> None:
-    assert (bench.helm.mode, bench.reason) == (Mode.STANDBY, "standby")
+    assert (bench.mode_machine.mode, bench.reason) == (Mode.STANDBY, "standby")
     assert bench.show(OperatorCommandKind.START, **STANDING) is Mode.START_WARNING
     assert bench.reason == "start_warning"
     assert bench.show(**STANDING) is Mode.START_WARNING
@@ -94,17 +94,17 @@ def test_clear_for_2500_ms_and_warned_for_1500_it_goes_on(bench: Bench) -> None:
     assert bench.show(**near(1.0)) is Mode.OBSTACLE_STOP
     assert bench.reason == "protective_field"
     assert bench.show(**STANDING) is Mode.OBSTACLE_STOP
-    assert bench.helm.resume_in_s(bench.now_ns) == 2.5
+    assert bench.mode_machine.resume_in_s(bench.now_ns) == 2.5
     bench.show(after_s=2.0, **STANDING)
-    assert bench.helm.resume_in_s(bench.now_ns) == pytest.approx(0.5)
+    assert bench.mode_machine.resume_in_s(bench.now_ns) == pytest.approx(0.5)
     bench.show(**STANDING, **near(1.0))
-    assert bench.helm.resume_in_s(bench.now_ns) == 2.5
-    assert bench.helm.resume_in_s(bench.now_ns + 10**9) == 2.5
+    assert bench.mode_machine.resume_in_s(bench.now_ns) == 2.5
+    assert bench.mode_machine.resume_in_s(bench.now_ns + 10**9) == 2.5
     bench.show(**STANDING)
     assert bench.show(after_s=2.499, **STANDING) is Mode.OBSTACLE_STOP
-    assert bench.helm.resume_in_s(bench.now_ns + 10**9) == 0.0
+    assert bench.mode_machine.resume_in_s(bench.now_ns + 10**9) == 0.0
     assert bench.show(after_s=0.001, **STANDING) is Mode.START_WARNING
-    assert bench.helm.resume_in_s(bench.now_ns) == 0.0
+    assert bench.mode_machine.resume_in_s(bench.now_ns) == 0.0
     bench.show(**STANDING)
     assert bench.show(after_s=1.499, **STANDING) is Mode.START_WARNING
     assert bench.show(after_s=0.001, **STANDING) is Mode.AUTOMATIC
@@ -149,8 +149,10 @@ def test_at_the_limits_themselves(bench: Bench) -> None:
         bench.now_ns += round(after_s * 1e9)
         situation = situation_of(bench.config, now_ns=bench.now_ns, **STANDING)
         blocking = limit("protective_field", allowed_mps, "ahead")
-        bench.helm.steer((), situation, replace(judged(situation, frozenset()), blocking=blocking), None)
-        return bench.helm.mode
+        bench.mode_machine.update(
+            (), situation, replace(evaluate_rules(situation, frozenset()), blocking=blocking), None
+        )
+        return bench.mode_machine.mode
 
     bench.driving()
     assert show(0.02, 0.1) is Mode.AUTOMATIC
@@ -172,18 +174,18 @@ ASKED = frozenset({Event.RESET, Event.START, Event.PAUSE})
 ])  # fmt: skip
 def test_what_may_be_ordered_now(config: SafetyConfig, changes: dict[str, Any], left: set[Event]) -> None:
     situation = situation_of(config, **STANDING | changes)
-    assert guarded(ASKED, situation, judged(situation, frozenset())) == left
+    assert filter_permitted(ASKED, situation, evaluate_rules(situation, frozenset())) == left
 
 
 def test_a_fault_is_kept_until_reset(bench: Bench) -> None:
     bench.show(**STANDING, **FAULTY)
-    assert (bench.helm.mode, bench.reason, bench.helm.latched) == (Mode.STANDBY, "imu.silent", None)
+    assert (bench.mode_machine.mode, bench.reason, bench.mode_machine.latched) == (Mode.STANDBY, "imu.silent", None)
     bench.driving()
     assert bench.show(**FAULTY) is Mode.FAULT_STOP
     bench.show(**STANDING, brake_weak_s=0.0, silent=("odom",))
     assert bench.reason == "imu.silent"  # what came first
     assert bench.show(OperatorCommandKind.RESET, **STANDING) is Mode.STANDBY
-    assert (bench.reason, bench.helm.latched) == ("standby", None)
+    assert (bench.reason, bench.mode_machine.latched) == ("standby", None)
 
 
 def test_an_emergency_stop_is_told_by_what_began_it(bench: Bench) -> None:
@@ -202,7 +204,7 @@ def test_manual_mode_is_told_by_the_hand_or_the_order(bench: Bench) -> None:
     assert bench.reason == "driver_override"
     bench.show(OperatorCommandKind.AUTOMATIC, **STANDING)
     assert bench.show(OperatorCommandKind.MANUAL, **STANDING) is Mode.MANUAL
-    assert (bench.reason, bench.helm.latched) == ("manual", None)
+    assert (bench.reason, bench.mode_machine.latched) == ("manual", None)
 
 
 def test_a_limit_is_told_when_it_is_2_cm_per_s_below_the_wish(bench: Bench) -> None:
@@ -243,7 +245,7 @@ def test_finished_is_a_mission_that_is_over_and_a_machine_that_stands(
     is_over = state in (MissionState.FINISHED, MissionState.ABORTED)
     assert bench.show(state=state, **STANDING) is (Mode.FINISHED if is_over else Mode.AUTOMATIC)
     bench.show(**STANDING)
-    assert bench.helm.mode is (Mode.FINISHED if is_over else Mode.AUTOMATIC)  # the start was followed once
+    assert bench.mode_machine.mode is (Mode.FINISHED if is_over else Mode.AUTOMATIC)  # the start was followed once
 
 
 def test_a_start_that_waits_does_not_outlive_a_clock_step(bench: Bench) -> None:
@@ -270,4 +272,4 @@ def test_who_ends_a_stop_has_seen_the_faults_that_ended(bench: Bench, stop: dict
 def test_held_it_stays_in_automatic_mode(config: SafetyConfig) -> None:
     bench = Bench(config, is_held=True)
     assert bench.show(OperatorCommandKind.EMERGENCY_STOP, OperatorCommandKind.MANUAL, **FAULTY) is Mode.AUTOMATIC
-    assert bench.helm.latched is None
+    assert bench.mode_machine.latched is None

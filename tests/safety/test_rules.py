@@ -14,7 +14,7 @@ from safety.config import SafetyConfig
 from safety.monitors.brake_test import Phase
 from safety.monitors.sensors import Lost
 from safety.rules import RULES
-from safety.rules.arbitration import allowance_m, judged
+from safety.rules.arbitration import allowance_m, evaluate_rules
 from safety.stopping_distance import highest_speed, stopping_distance
 from safety.zones.protective_field import Gap
 from safety.zones.tracked_obstacles import Threat
@@ -23,7 +23,7 @@ from tests.safety.safety_world import START_NS, around, machine_state, situation
 NONE, LIMIT, STOP, EMERGENCY = Response.NONE, Response.LIMIT, Response.CONTROLLED_STOP, Response.EMERGENCY_STOP
 
 
-FREE = {
+NO_OBJECTION = {
     "emergency_stop": "emergency_stop.button", "driver_override": "driver_override", "clock_step": "clock_step",
     "reported_fault": "reported_fault",
     "message_timeout": "message_timeout", "supply_voltage": "supply_voltage", "steering": "steering",
@@ -52,7 +52,7 @@ def test_nothing_is_wrong(rule: str, config: SafetyConfig) -> None:
     response, code, limit = ask(rule, config)
     assert response <= LIMIT
     assert limit >= 8.0
-    assert code == FREE[rule]
+    assert code == NO_OBJECTION[rule]
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_nothing_is_wrong(rule: str, config: SafetyConfig) -> None:
 )
 def test_what_is_missing_is_the_watchdogs_matter(rule: str, config: SafetyConfig) -> None:
     missing = ask(rule, config, machine=None, map_pose=None, odom=None, is_foldable=True)
-    assert missing == (NONE, FREE[rule], math.inf)
+    assert missing == (NONE, NO_OBJECTION[rule], math.inf)
 
 
 def test_clock(config: SafetyConfig) -> None:
@@ -283,22 +283,22 @@ def test_survey(config: SafetyConfig) -> None:
 
 def test_most_restrictive_wins(config: SafetyConfig) -> None:
     near = {**gap(5.0), "threat": Threat(4.0, ObstacleClass.PERSON, 1)}
-    slow = judged(situation_of(config, **near), frozenset())
+    slow = evaluate_rules(situation_of(config, **near), frozenset())
     assert slow.binding.code == "tracked_obstacle"
     assert slow.clearance_m == 4.0
     assert slow.binding_is_obstacle
     assert slow.is_ready
     assert not slow.is_fault
-    hand = judged(situation_of(config, hand_forced_s=2.0, silent=("odom",), **near), frozenset())
-    assert (hand.binding.code, hand.is_hand, hand.is_fault, hand.is_ready) == ("driver_override", True, True, False)
-    worst = judged(situation_of(config, brake_weak_s=2.0, silent=("odom",)), frozenset())
+    hand = evaluate_rules(situation_of(config, hand_forced_s=2.0, silent=("odom",), **near), frozenset())
+    assert (hand.binding.code, hand.is_takeover, hand.is_fault, hand.is_ready) == ("driver_override", True, True, False)
+    worst = evaluate_rules(situation_of(config, brake_weak_s=2.0, silent=("odom",)), frozenset())
     assert (worst.binding.code, worst.is_emergency) == ("brake.weak", True)
     for main, arc in ((3.0, 5.0), (5.0, 3.0)):
-        either = judged(situation_of(config, speed_mps=0.0, **near | gap(main, arc)), frozenset())
+        either = evaluate_rules(situation_of(config, speed_mps=0.0, **near | gap(main, arc)), frozenset())
         assert either.clearance_m == 3.0
-    inside = judged(situation_of(config, fence_m=None, **gap(1.0)), frozenset())  # both allow nothing
+    inside = evaluate_rules(situation_of(config, fence_m=None, **gap(1.0)), frozenset())  # both allow nothing
     assert inside.binding.code == "protective_field"
-    blind = judged(situation_of(config, gap=None, fence_m=None), frozenset())
+    blind = evaluate_rules(situation_of(config, gap=None, fence_m=None), frozenset())
     assert (blind.clearance_m, blind.is_ready) == (math.inf, False)
 
 
@@ -308,7 +308,7 @@ def test_allowance(config: SafetyConfig) -> None:
 
 def test_disabled_rules_do_not_speak(config: SafetyConfig) -> None:
     near = {**gap(1.0), "threat": Threat(1.0, ObstacleClass.PERSON, 1)}
-    free = judged(situation_of(config, **near), frozenset({"protective_field", "tracked_obstacle"}))
-    assert free.binding.code == "speed_limit"
-    every = judged(situation_of(config, **near), frozenset(RULES))
+    no_objection = evaluate_rules(situation_of(config, **near), frozenset({"protective_field", "tracked_obstacle"}))
+    assert no_objection.binding.code == "speed_limit"
+    every = evaluate_rules(situation_of(config, **near), frozenset(RULES))
     assert (every.results, every.allowed_mps, every.binding_is_obstacle) == ((), math.inf, False)

@@ -44,11 +44,11 @@ def driving(world: World, speed_mps: float) -> World:
     else:
         world.start()
         STARTED.update({"usual": copy.deepcopy(world)} if is_usual else {})
-    world.wish_mps = speed_mps
+    world.commanded_mps = speed_mps
     assert world.mode == Mode.AUTOMATIC
     world.speed_mps = speed_mps
     world.command = replace(world.command, speed_mps=speed_mps)
-    world.supervisor._commander.last = world.command
+    world.supervisor._command_builder.last = world.command
     return world.run(0.3)
 
 
@@ -119,7 +119,7 @@ def test_ultrasonic_alone_stops_a_slow_machine(seeing: World, y: float) -> None:
 
 def test_ultrasonic_behind_stops_a_machine_that_backs(seeing: World) -> None:
     seeing.path = straight_path(5, 40.0, direction=-1)
-    seeing.wish_mps = 0.8
+    seeing.commanded_mps = 0.8
     seeing.start()
     seeing.targets = (Target(seeing.x_m - 9.0, 0.0, rcs_dbsm=-60.0, is_heard=True),)
     seeing.run(15.0)
@@ -215,7 +215,7 @@ def test_a_sensor_that_looks_away_is_not_missed(seeing: World) -> None:
 
 def test_backing_without_the_rear_ultrasonic_is_slow_and_without_the_lidar_it_stops(seeing: World) -> None:
     seeing.path = straight_path(5, 40.0, direction=-1)
-    seeing.wish_mps = 2.0
+    seeing.commanded_mps = 2.0
     seeing.mute.add("ultrasonic/rear")
     seeing.start().run(4.0)
     assert seeing.command.reason == "ultrasonic/rear.silent"

@@ -17,10 +17,10 @@ from messages.perception import ObstacleClass
 from messages.plan import MissionState, MissionStatus, PathSectionType
 from messages.topics import spec_of
 from safety.config import SafetyConfig
-from safety.inputs import Reading
+from safety.inputs import SupervisorInputs
 from safety.monitors.vehicle import Measured
 from safety.rules.arbitration import allowance_m
-from safety.rules.results import note, stop
+from safety.rules.results import advisory, stop
 from safety.rules.situation import Situation
 from safety.supervisor import ABLATION, PERIOD_NS, STATE_NS, Observation, Supervisor
 from safety.zones.footprint_by_fold import shapes_of
@@ -29,11 +29,11 @@ from safety.zones.known_structure import Survey
 from safety.zones.protective_field import Gap
 from safety.zones.tracked_obstacles import Threat
 from tests.safety.safety_world import START_NS, SyntheticInbox, machine_state
-from tests.safety.test_collision_monitor import SEEN, WISH, Spy
+from tests.safety.test_collision_monitor import CONTROL_COMMAND, SEEN, Spy
 
 FAULT_TOPICS = ("fault/executor", "fault/planner")
 COMMAND, STATE = object(), object()
-NOTES = [note("a.b", "something to be told")]
+ADVISORIES = [advisory("a.b", "something to be told")]
 GAP = Gap(7.0, 3.0, np.empty((0, 3)))
 THREAT = Threat(9.0, ObstacleClass.PERSON, 4)
 
@@ -79,23 +79,23 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SafetyConfig) -> Any:
     """Stands for all that a supervisor asks."""
     proven = {"lidar/rear": 30.0, "lidar/low": 0.5, "lidar/side": 0.0}
     eyes = [eye("rear", -1, True), eye("low", -1, False), eye("front", 1, True)]
-    judgement: Any = SimpleNamespace(allowed_mps=1.2, notes=NOTES)
+    decision: Any = SimpleNamespace(allowed_mps=1.2, advisories=ADVISORIES)
     found = SimpleNamespace(
-        judgement=judgement, judged=Spy(judgement), state_of=Spy(STATE), silent=Spy(("odom",)),
-        reading=SimpleNamespace(see=Spy(SEEN), ages=Spy(["ages"]), lost=Spy(("lost",))),
+        decision=decision, evaluate_rules=Spy(decision), build_state=Spy(STATE), silent=Spy(("odom",)),
+        inputs=SimpleNamespace(read=Spy(SEEN), ages=Spy(["ages"]), lost=Spy(("lost",))),
         gauge=SimpleNamespace(measure=Spy(measured(config))),
         lookout=SimpleNamespace(
             config=config.docked, look=Spy(None), gap=Spy(GAP), threat=Spy(THREAT), fence_m=Spy(8.0),
             survey_m=Spy(6.0), is_docking=True, is_under_roof=False, way=SimpleNamespace(is_planned=True),
             trail=SimpleNamespace(driven_m=12.0), senses=SimpleNamespace(eyes=eyes, proven_m=Spy(proven)),
         ),
-        helm=SimpleNamespace(mode=Mode.AUTOMATIC, latched=None, steer=Spy(None), reason=Spy("why"),
+        mode_machine=SimpleNamespace(mode=Mode.AUTOMATIC, latched=None, update=Spy(None), reason=Spy("why"),
                              braking_gap_m=Spy(4.5), resume_in_s=Spy(0.5)),
-        commander=SimpleNamespace(last=COMMAND, command=Spy(COMMAND)),
+        command_builder=SimpleNamespace(last=COMMAND, command=Spy(COMMAND)),
         brake_test=SimpleNamespace(update=Spy("phase")),
         alarms=SimpleNamespace(update=Spy(["fault"])),
     )  # fmt: skip
-    for name in ("judged", "state_of", "silent"):
+    for name in ("evaluate_rules", "build_state", "silent"):
         monkeypatch.setattr(f"safety.supervisor.{name}", getattr(found, name))
     return found
 
@@ -106,7 +106,7 @@ def among(make: Callable[..., Any], parts: Any) -> Callable[..., Any]:
 
     def made(**what: Any) -> Any:
         supervisor = make(**what)
-        for name in ("reading", "gauge", "lookout", "helm", "commander", "brake_test", "alarms"):
+        for name in ("inputs", "gauge", "lookout", "mode_machine", "command_builder", "brake_test", "alarms"):
             setattr(supervisor, f"_{name}", getattr(parts, name))
         return supervisor
 
@@ -127,7 +127,7 @@ def inbox() -> KindInbox:
 
 def test_what_it_reads_writes_and_when_it_runs(make: Any, machine: Vehicle, config: SafetyConfig) -> None:
     supervisor = make()
-    reads = Reading(machine.sensors, frozenset(), config).reads
+    reads = SupervisorInputs(machine.sensors, frozenset(), config).reads
     assert supervisor.reads == reads | dict.fromkeys(("operator_command", *FAULT_TOPICS), All(50))
     assert supervisor.writes == ("safe_command", "supervisor", "fault/supervisor")
     assert (supervisor.name, supervisor.runs, supervisor.mode) == ("supervisor", Every(PERIOD_NS), Mode.STANDBY)
@@ -150,7 +150,7 @@ def test_all_parts_are_of_the_same_machine(
     assert lookout._shapes == shapes_of(machine, implement)
     assert (lookout._fence, lookout._survey, lookout.config) == (fence, survey, config)
     assert [eye.name for eye in lookout.senses.eyes] == ["front", "rear"]
-    assert supervisor._helm._reports is supervisor._reports
+    assert supervisor._mode_machine._reports is supervisor._reports
     for observation, is_judged in ((None, True), (Observation(True), True), (Observation(False), False)):
         assert make(observation=observation)._lookout._is_arc_judged is is_judged
 
@@ -172,9 +172,9 @@ def test_only_the_state_of_who_looks_on_gets_out(make: Any) -> None:
 def test_measured_and_looked_at_is_what_was_seen(among: Any, parts: Any, inbox: Any, config: SafetyConfig) -> None:
     supervisor, machine = among(), inbox.messages["machine"]
     supervisor.step(START_NS, inbox)
-    assert parts.reading.see.asked == (inbox, machine)
+    assert parts.inputs.read.asked == (inbox, machine)
     assert parts.gauge.measure.asked == (
-        START_NS, Mode.AUTOMATIC, SEEN.odom, machine, SEEN.map_pose, SEEN.path, WISH, COMMAND,
+        START_NS, Mode.AUTOMATIC, SEEN.odom, machine, SEEN.map_pose, SEEN.path, CONTROL_COMMAND, COMMAND,
     )  # fmt: skip
     allowance = allowance_m(config.docked.field, 0.07, 0.03)
     assert parts.lookout.look.asked == (SEEN, -1, 1.5, config.braking.flat, allowance)
@@ -184,13 +184,13 @@ def test_measured_and_looked_at_is_what_was_seen(among: Any, parts: Any, inbox: 
 def test_the_situation_says_it_all(among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SafetyConfig) -> None:
     supervisor = among()
     supervisor.step(START_NS, inbox)
-    situation, disabled = parts.judged.asked
+    situation, disabled = parts.evaluate_rules.asked
     assert disabled == frozenset()
     assert situation == Situation(
         now_ns=START_NS, config=config.docked, mode=Mode.AUTOMATIC, direction=-1, speed_mps=1.5, is_speed_known=True,
         max_speed_mps=min(machine.max_speed_kmh, config.limits.speed_kmh) / 3.6, braking=config.braking.flat,
         allowance_m=allowance_m(config.docked.field, 0.07, 0.03), odom=SEEN.odom, machine=inbox.messages["machine"],
-        map_pose=SEEN.map_pose, control_command=WISH, silent=("odom",), frozen=("lidar/rear",),
+        map_pose=SEEN.map_pose, control_command=CONTROL_COMMAND, silent=("odom",), frozen=("lidar/rear",),
         faults=supervisor._reports.active,
         gap=GAP, is_planned=True, threat=THREAT, proven_m=30.0, blind=("lidar/side",), fence_m=8.0,
         position_sigma_m=0.03, hand_forced_s=0.1, steering_off_s=0.2, steering_lost_s=0.3, brake_weak_s=0.4,
@@ -198,8 +198,8 @@ def test_the_situation_says_it_all(among: Any, parts: Any, inbox: Any, machine: 
         is_under_roof=False, survey_m=6.0,
     )  # fmt: skip
     assert parts.silent.asked == (["ages"],)
-    assert parts.reading.ages.asked == (START_NS, inbox, parts.lookout, -1)
-    assert parts.reading.lost.asked == (START_NS, inbox, SEEN, parts.lookout, -1)
+    assert parts.inputs.ages.asked == (START_NS, inbox, parts.lookout, -1)
+    assert parts.inputs.lost.asked == (START_NS, inbox, SEEN, parts.lookout, -1)
     assert parts.lookout.senses.proven_m.asked == (START_NS, -1, SEEN.health)
     assert parts.brake_test.update.asked == (Mode.AUTOMATIC, -1.5, 12.0)
 
@@ -211,7 +211,7 @@ def test_what_is_not_known_is_not_taken_for_known(among: Any, parts: Any, inbox:
     for way, is_planned in ((None, False), (SimpleNamespace(is_planned=False), False)):
         parts.lookout.way = way
         supervisor.step(START_NS, inbox)
-        situation = parts.judged.asked[0]
+        situation = parts.evaluate_rules.asked[0]
         assert (situation.is_planned, situation.is_speed_known) == (is_planned, False)
         assert (situation.proven_m, situation.blind) == (0.0, ())
 
@@ -221,7 +221,7 @@ def test_no_faster_than_machine_and_configuration_allow(
 ) -> None:
     for kmh in (12.0, 90.0):
         among(vehicle=machine.model_copy(update={"max_speed_kmh": kmh})).step(START_NS, inbox)
-        most_mps = parts.judged.asked[0].max_speed_mps
+        most_mps = parts.evaluate_rules.asked[0].max_speed_mps
         assert most_mps == pytest.approx(min(kmh, config.limits.speed_kmh) / 3.6)
 
 
@@ -230,29 +230,29 @@ def test_without_lidars_there_is_no_noise(
 ) -> None:
     bare = machine.model_copy(update={"sensors": machine.sensors.model_copy(update={"lidar": {}})})
     among(vehicle=bare).step(START_NS, inbox)
-    assert parts.judged.asked[0].allowance_m == allowance_m(config.docked.field, 0.0, 0.03)
+    assert parts.evaluate_rules.asked[0].allowance_m == allowance_m(config.docked.field, 0.0, 0.03)
 
 
 def test_helm_and_commander_get_the_judgement(among: Any, parts: Any, inbox: Any, config: SafetyConfig) -> None:
     supervisor = among()
     supervisor.step(START_NS, inbox)
-    situation = parts.judged.asked[0]
+    situation = parts.evaluate_rules.asked[0]
     mission = inbox.messages["mission"]
-    assert parts.helm.steer.asked == ((mission,), situation, parts.judgement, mission)
-    assert parts.helm.reason.asked == parts.helm.braking_gap_m.asked == (situation, parts.judgement)
-    (moment,) = parts.commander.command.asked
-    assert (moment.now_ns, moment.mode, moment.reason, moment.control_command) == (
+    assert parts.mode_machine.update.asked == ((mission,), situation, parts.decision, mission)
+    assert parts.mode_machine.reason.asked == parts.mode_machine.braking_gap_m.asked == (situation, parts.decision)
+    (inputs,) = parts.command_builder.command.asked
+    assert (inputs.now_ns, inputs.mode, inputs.reason, inputs.control_command) == (
         START_NS,
         Mode.AUTOMATIC,
         "why",
-        WISH,
+        CONTROL_COMMAND,
     )
-    assert (moment.machine, moment.measured_mps, moment.curvature_radpm) == (situation.machine, -1.5, 0.05)
-    assert (moment.allowed_mps, moment.clearance_m, moment.braking) == (1.2, 4.5, config.braking.flat)
-    assert moment.has_driver is True
+    assert (inputs.machine, inputs.measured_mps, inputs.curvature_radpm) == (situation.machine, -1.5, 0.05)
+    assert (inputs.allowed_mps, inputs.clearance_m, inputs.braking) == (1.2, 4.5, config.braking.flat)
+    assert inputs.has_driver is True
     del inbox.messages["machine"]
     supervisor.step(START_NS, inbox)
-    assert parts.commander.command.asked[0].curvature_radpm is None
+    assert parts.command_builder.command.asked[0].curvature_radpm is None
 
 
 def test_command_faults_and_state_leave_it(among: Any, parts: Any, inbox: Any) -> None:
@@ -262,36 +262,36 @@ def test_command_faults_and_state_leave_it(among: Any, parts: Any, inbox: Any) -
         ("safe_command", COMMAND), ("fault/supervisor", "one"), ("fault/supervisor", "other"), ("supervisor", STATE),
     ]  # fmt: skip
     for k, reason, count in ((1, "why", 0), (2, "other", 1), (3, "other", 0)):
-        parts.helm.reason.answer = reason
+        parts.mode_machine.reason.answer = reason
         topics = [topic for topic, _ in supervisor.step(START_NS + k * PERIOD_NS, inbox)]
         assert topics.count("supervisor") == count, k
 
 
 def test_the_state_tells_the_mode_that_was_decided(among: Any, parts: Any, inbox: Any) -> None:
-    parts.helm.steer = lambda *_: setattr(parts.helm, "mode", Mode.OBSTACLE_STOP)
+    parts.mode_machine.update = lambda *_: setattr(parts.mode_machine, "mode", Mode.OBSTACLE_STOP)
     for observation, has_threat in ((None, False), (Observation(True), True)):
-        parts.helm.mode = Mode.AUTOMATIC
+        parts.mode_machine.mode = Mode.AUTOMATIC
         among(observation=observation).step(START_NS, inbox)
-        situation, *rest = parts.state_of.asked
-        assert (parts.judged.asked[0].mode, situation.mode) == (Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
+        situation, *rest = parts.build_state.asked
+        assert (parts.evaluate_rules.asked[0].mode, situation.mode) == (Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
         assert situation.now_ns == START_NS
         assert situation.odom is SEEN.odom
-        assert rest == [SEEN, parts.lookout, parts.judgement, "why", 0.5, has_threat]
-        assert parts.helm.resume_in_s.asked == (START_NS,)
+        assert rest == [SEEN, parts.lookout, parts.decision, "why", 0.5, has_threat]
+        assert parts.mode_machine.resume_in_s.asked == (START_NS,)
 
 
 def test_told_are_ablation_then_what_latched_then_notes_while_watched(among: Any, parts: Any, inbox: Any) -> None:
     latched = stop("x.y", "stands")
     for disabled, one, mode, expected in (
-        (frozenset(), None, Mode.STANDBY, []), (frozenset(), None, Mode.AUTOMATIC, NOTES),
-        (frozenset({"clock_step"}), None, Mode.AUTOMATIC, [ABLATION, *NOTES]),
+        (frozenset(), None, Mode.STANDBY, []), (frozenset(), None, Mode.AUTOMATIC, ADVISORIES),
+        (frozenset({"clock_step"}), None, Mode.AUTOMATIC, [ABLATION, *ADVISORIES]),
         (frozenset(), latched, Mode.MANUAL, [latched]),
-        (frozenset({"clock_step"}), latched, Mode.AUTOMATIC, [ABLATION, latched, *NOTES]),
+        (frozenset({"clock_step"}), latched, Mode.AUTOMATIC, [ABLATION, latched, *ADVISORIES]),
     ):  # fmt: skip
-        parts.helm.mode, parts.helm.latched = mode, one
+        parts.mode_machine.mode, parts.mode_machine.latched = mode, one
         among(disabled_rules=disabled).step(START_NS, inbox)
         assert parts.alarms.update.asked == (START_NS, expected)
-        assert parts.judged.asked[1] == disabled
+        assert parts.evaluate_rules.asked[1] == disabled
 
 
 def test_the_state_is_due_ten_times_a_second_and_when_mode_or_reason_change(among: Any, parts: Any) -> None:
@@ -304,7 +304,7 @@ def test_the_state_is_due_ten_times_a_second_and_when_mode_or_reason_change(amon
     assert not due(START_NS + 2 * STATE_NS - 1, "")
     assert due(START_NS + 2 * STATE_NS - 1, "x")
     assert not due(START_NS + 2 * STATE_NS, "x")
-    parts.helm.mode = Mode.MANUAL
+    parts.mode_machine.mode = Mode.MANUAL
     assert due(START_NS + 2 * STATE_NS, "x")
     assert not due(START_NS + STATE_NS + 1, "x")
     assert due(START_NS + STATE_NS, "x")
@@ -340,4 +340,4 @@ def test_the_step_of_the_clock_is_judged(among: Any, parts: Any, inbox: Any) -> 
     supervisor._watch_clock = Spy(2.5)
     supervisor.step(START_NS + PERIOD_NS, inbox)
     assert supervisor._watch_clock.asked == (START_NS + PERIOD_NS,)
-    assert parts.judged.asked[0].clock_step_s == 2.5
+    assert parts.evaluate_rules.asked[0].clock_step_s == 2.5

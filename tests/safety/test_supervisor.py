@@ -35,11 +35,11 @@ def driving(world: World, speed_mps: float = 2.0) -> World:
     else:
         world.start()
         STARTED.extend([copy.deepcopy(world)] if is_untouched else [])
-    world.wish_mps = speed_mps
+    world.commanded_mps = speed_mps
     assert world.mode == Mode.AUTOMATIC
     world.speed_mps = speed_mps
     world.command = replace(world.command, speed_mps=speed_mps)
-    world.supervisor._commander.last = world.command
+    world.supervisor._command_builder.last = world.command
     return world.run(0.2)
 
 
@@ -199,7 +199,7 @@ def backing(world: World) -> World:
 
 
 def test_reverse_sees_with_the_rear_lidar(world: World, config: SafetyConfig) -> None:
-    backing(world).wish_mps = 1.2
+    backing(world).commanded_mps = 1.2
     world.boxes = (Box(-12.0, 0.0), Box(8.0, 0.0))
     world.start()
     world.run(10.0)
@@ -464,7 +464,7 @@ def test_a_detour_backwards_starts_by_itself(world: World) -> None:
     world.run(8.0)
     assert world.mode == Mode.OBSTACLE_STOP
     stood = world.x_m
-    world.path, world.place_m, world.wish_mps = straight_path(2, 8.0, (world.x_m, 0.0), -1), 0.0, 1.0
+    world.path, world.place_m, world.commanded_mps = straight_path(2, 8.0, (world.x_m, 0.0), -1), 0.0, 1.0
     world.run(2.5 + 1.5 + 3.0)
     assert world.mode == Mode.AUTOMATIC
     assert world.x_m < stood - 0.5
@@ -522,7 +522,7 @@ def test_the_mission_ends(world: World, state: MissionState) -> None:
     world.mission = state
     world.run(0.5)
     assert world.mode == Mode.AUTOMATIC  # not while it moves
-    world.wish_mps = 0.0
+    world.commanded_mps = 0.0
     world.run(6.0)
     assert world.mode == Mode.FINISHED
     assert not world.command.is_drive_enabled
@@ -540,10 +540,10 @@ def test_implement_and_pto_answer_only_in_automatic_mode(world: World) -> None:
     world.run(6.0)
     assert world.mode == Mode.OBSTACLE_STOP
     assert (world.command.is_implement_lowered, world.command.is_pto_on) == (True, True)
-    world.wish_changes = {"is_implement_lowered": False, "is_pto_on": False}
+    world.command_changes = {"is_implement_lowered": False, "is_pto_on": False}
     world.step(2)
     assert (world.command.is_implement_lowered, world.command.is_pto_on) == (False, False)
-    world.wish_changes = {}
+    world.command_changes = {}
     world.step(2)
     assert (world.command.is_implement_lowered, world.command.is_pto_on) == (False, False)
 
@@ -584,7 +584,7 @@ def test_no_fence_known_in_a_log(config, thin, implement) -> None:
 
 def test_steering_is_within_limit_and_rate(world: World, config: SafetyConfig) -> None:
     driving(world)
-    world.wish_changes = {"curvature_radpm": 1.0}
+    world.command_changes = {"curvature_radpm": 1.0}
     world.run(1.0)
     curvatures = [c.curvature_radpm for _, c in world.history]
     assert max(np.abs(np.diff(curvatures))) <= config.curvature_rate_radpms * 0.02 + 1e-9
@@ -594,7 +594,7 @@ def test_steering_is_within_limit_and_rate(world: World, config: SafetyConfig) -
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_wishes_that_are_no_numbers(world: World, bad: float) -> None:
     driving(world)
-    world.wish_changes = {"speed_mps": bad, "acceleration_mps2": bad, "curvature_radpm": bad, "path_s_m": bad}
+    world.command_changes = {"speed_mps": bad, "acceleration_mps2": bad, "curvature_radpm": bad, "path_s_m": bad}
     world.run(0.5)
     command = world.command
     values = (command.speed_mps, command.deceleration_mps2, command.curvature_radpm)
