@@ -1,4 +1,4 @@
-"""How loops over returns are compiled: one core, bit for bit the same, cached on disk."""
+"""Numba decorators: single core, results equal to the bit from run to run, cached on disk."""
 
 from collections.abc import Callable
 from typing import TypeVar, cast
@@ -9,8 +9,13 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 def kernel(function: F) -> F:
-    """The function compiled by numba; neither `parallel` nor `fastmath`, so that two runs agree to the bit.
+    """Compiles a function with numba, without `parallel` and `fastmath`; keeps its type.
 
-    Division by zero gives infinity, as in numpy: a loop that might raise there cannot use the processor's vectors.
+    Division by zero gives infinity, as in numpy: a loop that can raise is not vectorised.
     """
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def inline_kernel(function: F) -> F:
+    """Compiles a function into each calling kernel: a call would pass every array as seven values."""
+    return cast(F, numba.njit(cache=True, error_model="numpy", inline="always")(function))

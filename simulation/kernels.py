@@ -1,26 +1,17 @@
 """Inner loops, compiled: ground height, wheels on the ground, and rays of a sweep."""
 
 import math
-from collections.abc import Callable
-from typing import TypeVar, cast
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from geometry.jit import kernel
 from messages.message import Float32, Float64, UInt8, UInt16
 
 UInt32 = npt.NDArray[np.uint32]
 
-F = TypeVar("F", bound=Callable[..., object])
 
-
-def compiled(function: F) -> F:
-    """The function by numba: kept on disk, one thread, strict floating point; its type stays."""
-    return cast(F, numba.njit(cache=True)(function))
-
-
-@compiled
+@kernel
 def height_at(x: float, y: float, profile: Float64, waves: Float64) -> float:
     """Height of the smooth ground; `profile` and `waves` as `simulation.terrain.Terrain` lays them out."""
     x0, y0, c, s, flat, rise_u, k_u, rise_v, k_v, zero, west, south, east, north, blend = profile
@@ -40,7 +31,7 @@ def height_at(x: float, y: float, profile: Float64, waves: Float64) -> float:
     return float(share * (z - zero))
 
 
-@compiled
+@kernel
 def heights_at(xy: Float64, profile: Float64, waves: Float64) -> Float64:
     """Heights at (N, 2)."""
     out = np.empty(xy.shape[0])
@@ -49,7 +40,7 @@ def heights_at(xy: Float64, profile: Float64, waves: Float64) -> Float64:
     return out
 
 
-@compiled
+@kernel
 def stand(x: float, y: float, yaw: float, wheelbase: float, track: float, profile: Float64, waves: Float64) -> Float64:
     """Pose (4, 4) of a machine whose rear wheels and front axle's middle touch the ground."""
     c, s, half = math.cos(yaw), math.sin(yaw), 0.5 * track
@@ -68,7 +59,7 @@ def stand(x: float, y: float, yaw: float, wheelbase: float, track: float, profil
     return T
 
 
-@compiled
+@kernel
 def blend_poses(poses: Float64, ago: Float64) -> Float64:
     """Poses (N, 4, 4) some steps `ago` (N,) before the first of `poses`, each of which is a step before the last."""
     out = np.empty((ago.shape[0], 4, 4))
@@ -81,7 +72,7 @@ def blend_poses(poses: Float64, ago: Float64) -> Float64:
     return out
 
 
-@compiled
+@kernel
 def sweep_rays(T_map_lidar: Float64, directions: Float32, is_open: UInt8) -> Float32:
     """Origin and direction (N, 6) in `map` of the open rays, ring by ring.
 
@@ -101,7 +92,7 @@ def sweep_rays(T_map_lidar: Float64, directions: Float32, is_open: UInt8) -> Flo
     return rays
 
 
-@compiled
+@kernel
 def passes_ball(rays: Float32, center: Float64, radius: float) -> UInt8:
     """Which rays (N, 6) come within `radius` of a point ahead of them."""
     out = np.zeros(rays.shape[0], np.uint8)
@@ -116,7 +107,7 @@ def passes_ball(rays: Float32, center: Float64, radius: float) -> UInt8:
     return out
 
 
-@compiled
+@kernel
 def signal_of(rays: Float32, normals: Float32, mesh: UInt32, reflectivity: Float32) -> Float32:
     """Reflectivity times cosine of incidence, (N,); a `mesh` beyond the last of `reflectivity` counts as that."""
     out, last = np.empty(rays.shape[0], np.float32), np.uint32(reflectivity.shape[0] - 1)
@@ -126,7 +117,7 @@ def signal_of(rays: Float32, normals: Float32, mesh: UInt32, reflectivity: Float
     return out
 
 
-@compiled
+@kernel
 def ranges_mm(
     distance: Float32, signal: Float32, luck: Float32, dust_m: Float32, noise: Float32, numbers: Float32
 ) -> UInt16:

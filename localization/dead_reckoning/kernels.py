@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from geometry.jit import kernel
 from geometry.transforms import Float64
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _rotation(x: float, y: float, z: float) -> Any:
     """Rodrigues, with its series near zero."""
     a2 = x * x + y * y + z * z
@@ -25,7 +25,7 @@ def _rotation(x: float, y: float, z: float) -> Any:
     return R
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _multiply(A: Any, B: Any) -> Any:
     """Of two (3, 3), in a fixed order of sums (a BLAS need not keep one)."""
     C = np.empty((3, 3))
@@ -35,7 +35,7 @@ def _multiply(A: Any, B: Any) -> Any:
     return C
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _reckon(
     T: Any,
     dt: Any,
@@ -86,7 +86,7 @@ def reckon(
     return poses
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _first_in_voxel(points: Any, voxel_m: float, slots: Any) -> Any:
     """Open addressing: `slots` (a power of two, larger than the points) holds indices, -1 is empty."""
     kept, count, mask = np.empty(len(points), np.int64), 0, len(slots) - 1
@@ -114,7 +114,7 @@ def first_in_voxel(points_m: Float64, voxel_m: float) -> npt.NDArray[np.int64]:
     return kept
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _moved_back(points: Any, share: Any, turn: Any, way: Any) -> Any:
     out = np.empty((len(points), 3))
     for i in range(len(points)):

@@ -8,8 +8,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from geometry.jit import kernel
 from geometry.transforms import Float64
 from messages.message import Int64
 
@@ -19,7 +19,7 @@ EMPTY = -1
 NONE, FACE, POST, CELL = 0, 1, 2, 3
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _key(x: float, y: float, z: float, dx: float, dy: float, cell_m: float) -> int:
     """Cell, layer of height and the quadrant from which it is seen, in one number."""
     layer = math.floor(z / LAYER_M) & 15
@@ -28,7 +28,7 @@ def _key(x: float, y: float, z: float, dx: float, dy: float, cell_m: float) -> i
     return (((column << 25) | row) << 6) | (layer << 2) | side
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _slot(keys: Any, key: int) -> int:
     """Where a key is, or the empty slot where it would be (open addressing)."""
     mask = len(keys) - 1
@@ -38,7 +38,7 @@ def _slot(keys: Any, key: int) -> int:
     return slot
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _insert(keys: Any, sums: Any, seen: Any, points: Any, pose: Any, cell_m: float, most: float, look: int) -> int:
     """Adds points to sums (n, x, y, xx, xy, yy about the cell's corner); gives the number of new cells."""
     c, s, added = math.cos(pose[2]), math.sin(pose[2]), 0
@@ -66,7 +66,7 @@ def _insert(keys: Any, sums: Any, seen: Any, points: Any, pose: Any, cell_m: flo
     return added
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _surveyed(x: float, y: float, ex: float, ey: float, faces: Any, posts: Any, gate: float, out: Any) -> int:
     """The nearest surveyed surface within the gate that the lidar at (ex, ey) may see: normal and distance in `out`."""
     kind, best = NONE, gate
@@ -91,7 +91,7 @@ def _surveyed(x: float, y: float, ex: float, ey: float, faces: Any, posts: Any, 
     return kind
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _learnt(x: float, y: float, cell_m: float, total: Any, thin2: float, out: Any) -> int:
     """The thin directions of a cell: rows of normal, distance and variance in `out`; how many there are."""
     n = total[0]
@@ -111,7 +111,7 @@ def _learnt(x: float, y: float, cell_m: float, total: Any, thin2: float, out: An
     return 2
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _goes_on(
     x: float, y: float, z: float, dx: float, dy: float, ux: float, uy: float, cell_m: float, keys: Any
 ) -> bool:
@@ -122,7 +122,7 @@ def _goes_on(
     return False
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _gather(A: Any, b: Any, row: Any, variance: float, lx: float, ly: float, bound2: float) -> None:
     """Adds one residual (normal, distance) with Cauchy's weight; (lx, ly) is the point seen from base, in map axes."""
     w = 1.0 / (variance * (1.0 + row[2] * row[2] / (variance * bound2)))
@@ -134,7 +134,7 @@ def _gather(A: Any, b: Any, row: Any, variance: float, lx: float, ly: float, bou
             A[p, q] += w * J[p] * J[q]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _normal(
     points: Any, pose: Any, faces: Any, posts: Any, keys: Any, sums: Any, seen: Any, cell_m: float, gate: float,
     sigma: float, thin: float, bound: float, least: int, A: Any, b: Any,
@@ -166,7 +166,7 @@ def _normal(
     return found
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _match(
     points: Any, guess: Any, faces: Any, posts: Any, keys: Any, sums: Any, seen: Any, cell_m: float, gate: float,
     sigma: float, thin: float, bound: float, least: int, iterations: int,
@@ -184,7 +184,7 @@ def _match(
     return pose, A, found
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel
 def _keep_near(keys: Any, sums: Any, seen: Any, x: float, y: float, cell_m: float, reach_m: float) -> Any:
     new_keys, new_sums, new_seen = np.full_like(keys, EMPTY), np.zeros_like(sums), np.zeros_like(seen)
     count = 0

@@ -5,29 +5,16 @@ parallel. A buffer holds the greatest w of each pixel and the triangle it is of;
 """
 
 import math
-from collections.abc import Callable
-from typing import TypeVar, cast
 
-import numba
 import numpy as np
 
+from geometry.jit import inline_kernel, kernel
 from messages.message import Float32, Float64, Int32, UInt8
 
-F = TypeVar("F", bound=Callable[..., object])
 NEAR_M = 0.15
 
 
-def painted(function: F) -> F:
-    """The function by numba: kept on disk, one thread, strict; only that a division by zero gives infinity."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
-
-
-def within(function: F) -> F:
-    """A part of such a function, made one with it: a call would hand over each array as seven numbers."""
-    return cast(F, numba.njit(cache=True, error_model="numpy", inline="always")(function))
-
-
-@painted
+@kernel
 def project(
     vertices: Float32, triangles: Int32, wanted: Int32, R: Float64, origin: Float64, intrinsics: Float64,
     width: int, height: int,
@@ -73,7 +60,7 @@ def project(
     return out[:n], which[:n]
 
 
-@painted
+@kernel
 def _cut(p: Float64, out: Float32, fx: float, fy: float, cx: float, cy: float) -> int:
     """The part before the viewer of a triangle by its corners (3, 3) in the optical frame, as one or two triangles."""
     q = np.empty((4, 3))
@@ -97,7 +84,7 @@ def _cut(p: Float64, out: Float32, fx: float, fy: float, cx: float, cy: float) -
     return m - 2
 
 
-@painted
+@kernel
 def project_parallel(
     vertices: Float32, triangles: Int32, wanted: Int32, R: Float64, origin: Float64, per_m: float, size: int
 ) -> tuple[Float32, Int32]:
@@ -122,7 +109,7 @@ def project_parallel(
     return out[:n], which[:n]
 
 
-@painted
+@kernel
 def fill(
     screen: Float32, which: Int32, w: Float32, owner: Int32, cuts: UInt8, R: Float64, origin: Float64,
     intrinsics: Float64,
@@ -170,7 +157,7 @@ def fill(
                 value += w_x
 
 
-@within
+@inline_kernel
 def _within(first: float, last: float, zero: float, per: float) -> tuple[float, float]:
     """The columns from `first` to `last` where a share that is zero at `zero` and grows as `per` is not below it."""
     if per > 0.0:
@@ -178,7 +165,7 @@ def _within(first: float, last: float, zero: float, per: float) -> tuple[float, 
     return first, min(last, zero)
 
 
-@within
+@inline_kernel
 def _is_plant(x: float, y: float, z: float, R: Float64, origin: Float64, cut: int) -> bool:
     """The same as `_is_leaf` for a point as the viewer has it: x right, y down, z ahead."""
     return bool(
@@ -190,7 +177,7 @@ def _is_plant(x: float, y: float, z: float, R: Float64, origin: Float64, cut: in
     )  # fmt: skip
 
 
-@painted
+@kernel
 def _is_leaf(x: float, y: float, z: float, cut: int) -> bool:
     """Whether there is plant here: blades that stand in a row (1), or clusters of leaves (2)."""
     if cut == 1:

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
+from geometry.jit import inline_kernel, kernel
 from messages.message import Float32, Float64, Int32, UInt8
-from simulation.rendering.raster import painted, within
 from simulation.rendering.skybox import far_run, place_of
 from simulation.rendering.textures import Int8, coarse, nearest
 
@@ -22,7 +22,7 @@ RED, SUN, NORMAL, DEPTH, FLOWS = 0, 3, 4, 7, 8
 BACK = np.array([0.20, 0.17, 0.12])  # the ground gives back a fifth of what falls on it, least of the blue
 
 
-@painted
+@kernel
 def shade(
     bgr: UInt8, owner: Int32, vertices: Float32, normals: Float32, colors: Float32, triangles: Int32,
     materials: UInt8, R: Float64, origin: Float64, intrinsics: Float64, light: Float64, panorama: Float32,
@@ -65,7 +65,7 @@ def shade(
     return float(total / (16.0 * 4095.0 * height * width))
 
 
-@within
+@inline_kernel
 def develop(row: Float32, bgr: UInt8, gain: float, curve: UInt8, levels: Int32) -> int:
     """A row of linear colours to grey levels; gives the sum of its brightness, in 16 * 4095ths. `levels` is room."""
     total = 0
@@ -81,7 +81,7 @@ def develop(row: Float32, bgr: UInt8, gain: float, curve: UInt8, levels: Int32) 
     return total
 
 
-@within
+@inline_kernel
 def span(
     t: int, vertices: Float32, normals: Float32, colors: Float32, triangles: Int32, origin: Float64, ray: Float64,
     light: Float64, room: Float64, flow: Float64,
@@ -115,7 +115,7 @@ def span(
                 flow[NORMAL + j, end] += share * normals[c, j]
 
 
-@painted
+@kernel
 def highest(shadow: Float32, out: Float32) -> None:
     """The greatest value of each BLOCK x BLOCK cells of the sun's picture, and of the next column and row."""
     out[:] = 0.0
@@ -127,7 +127,7 @@ def highest(shadow: Float32, out: Float32) -> None:
                         out[n, m] = max(out[n, m], shadow[j, i])
 
 
-@within
+@inline_kernel
 def sunlit(x: float, y: float, z: float, S: Float64, shadow: Float32, tops: Float32) -> float:
     """Share of the sun that reaches a point: the four nearest cells of the sun's own picture, blended.
 
@@ -148,7 +148,7 @@ def sunlit(x: float, y: float, z: float, S: Float64, shadow: Float32, tops: Floa
     return float(a * (1.0 - g) + b * g)
 
 
-@within
+@inline_kernel
 def open_sky(kind: int, x: float, y: float, z: float, roof: Float64, feet: Float64) -> float:
     """Share of the sky that is left at a point: less below a roof, least in its middle, and where somebody stands.
 
@@ -166,7 +166,7 @@ def open_sky(kind: int, x: float, y: float, z: float, roof: Float64, feet: Float
     return share
 
 
-@within
+@inline_kernel
 def turned(x: float, flow: Float64, ray: Float64, normal: Float64) -> tuple[float, float]:
     """The unit `normal` (3,) at column x on the side that is seen; gives how straight one looks at it, and its side."""
     dx, dy, dz = ray[0, 0] + x * ray[1, 0], ray[0, 1] + x * ray[1, 1], ray[0, 2] + x * ray[1, 2]
@@ -179,7 +179,7 @@ def turned(x: float, flow: Float64, ray: Float64, normal: Float64) -> tuple[floa
     return abs(facing), side
 
 
-@within
+@inline_kernel
 def light_at(
     x: float, kind: int, side: float, flow: Float64, ray: Float64, origin: Float64, normal: Float64, light: Float64,
     back: Float64, shadow: Float32, tops: Float32, S: Float64, feet: Float64, roof: Float64, lit: Float64,
@@ -204,7 +204,7 @@ def light_at(
         lit[k] = lit[3] * color * (direct * light[3 + k] + up * light[6 + k] + down * back[k])
 
 
-@within
+@inline_kernel
 def paint_run(
     row: Float32, begin: int, end: int, kind: int, flow: Float64, ray: Float64, origin: Float64, pixel: float,
     light: Float64, back: Float64, planes: UInt8, layers: Float64, shadow: Float32, tops: Float32,
@@ -236,7 +236,7 @@ def paint_run(
             lay(row, first, x, kind, wide, flow, ray, origin, normal, light, planes, layers, here, there)
 
 
-@within
+@inline_kernel
 def lay(
     row: Float32, begin: int, end: int, kind: int, wide: float, flow: Float64, ray: Float64,
     origin: Float64, normal: Float64, light: Float64, planes: UInt8, layers: Float64, here: Float64, there: Float64,
@@ -265,7 +265,7 @@ def lay(
         row[x, 2] = veil * haze_b + grain * (here[2] + f * (there[2] - here[2]))
 
 
-@within
+@inline_kernel
 def shine_run(
     row: Float32, begin: int, end: int, kind: int, flow: Float64, ray: Float64,
     origin: Float64, roof: Float64, feet: Float64, panorama: Float32,
@@ -287,7 +287,7 @@ def shine_run(
             row[x, k] += shine * (min(panorama[i, j, k], 2.0) - row[x, k])
 
 
-@painted
+@kernel
 def add_noise(bgr: UInt8, noise: Int8, start: int, out: UInt8) -> None:
     """`bgr` with a stretch of prepared noise laid over it from `start`, grey levels, into `out`."""
     flat, to, over = bgr.reshape(-1), out.reshape(-1), noise[start:]

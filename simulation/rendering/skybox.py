@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
+from geometry.jit import inline_kernel, kernel
 from messages.message import Float32, Float64, UInt8
-from simulation.rendering.raster import painted, within
 from simulation.rendering.textures import CLOUD, GRAIN, GRASS, coarse, smooth
 
 QUARTER = 1024  # columns from east to north
@@ -18,7 +18,7 @@ PIXEL = 0.0014  # what a row or column covers at the horizon
 EYE_M, WOODS_M, MEADOWS_M = 3.0, 350.0, 500.0  # how high the eye is, and how far off things count as being
 
 
-@within
+@inline_kernel
 def place_of(dx: float, dy: float, dz: float) -> tuple[int, int]:
     """Row and column of a direction in the picture."""
     per = 1.0 / (abs(dx) + abs(dy) + 1e-12)
@@ -28,7 +28,7 @@ def place_of(dx: float, dy: float, dz: float) -> tuple[int, int]:
     return max(min(int(row), BELOW + ABOVE - 1), 0), max(min(int(QUARTER * column), 4 * QUARTER - 1), 0)
 
 
-@within
+@inline_kernel
 def far_run(row: Float32, begin: int, end: int, ray: Float64, panorama: Float32) -> None:
     """Columns `begin` to `end` of a row into `row` (W, 3), linear."""
     for x in range(begin, end):
@@ -36,7 +36,7 @@ def far_run(row: Float32, begin: int, end: int, ray: Float64, panorama: Float32)
         row[x, 0], row[x, 1], row[x, 2] = panorama[i, j, 0], panorama[i, j, 1], panorama[i, j, 2]
 
 
-@painted
+@kernel
 def draw_panorama(light: Float64, skyline: Float64, planes: UInt8) -> Float32:
     """All round in linear colours (BELOW + ABOVE, 4 QUARTER, 3); `light` as `Light.packed`, `planes` of `Textures`."""
     out = np.empty((BELOW + ABOVE, 4 * QUARTER, 3), np.float32)
@@ -53,7 +53,7 @@ def draw_panorama(light: Float64, skyline: Float64, planes: UInt8) -> Float32:
     return out
 
 
-@painted
+@kernel
 def far_color(
     dx: float, dy: float, dz: float, light: Float64, skyline: Float64, planes: UInt8
 ) -> tuple[float, float, float]:
@@ -78,7 +78,7 @@ def far_color(
     return hazy(0.045 * t, 0.070 * t, 0.030 * t, 0.5 * light[2], WOODS_M, light)
 
 
-@painted
+@kernel
 def hazy(r: float, g: float, b: float, lit: float, z: float, light: Float64) -> tuple[float, float, float]:
     """A colour in the light of sky and sun, as seen through haze `z` metres thick."""
     near = math.exp(-z / light[16])
@@ -90,7 +90,7 @@ def hazy(r: float, g: float, b: float, lit: float, z: float, light: Float64) -> 
     )
 
 
-@painted
+@kernel
 def sky_color(dx: float, dy: float, dz: float, light: Float64, planes: UInt8) -> tuple[float, float, float]:
     """The sky in a direction: from horizon to zenith, clouds, and the sun with what shines around it."""
     share = 1.0 - math.exp(-4.0 * dz)
@@ -108,7 +108,7 @@ def sky_color(dx: float, dy: float, dz: float, light: Float64, planes: UInt8) ->
     return r, g, b
 
 
-@painted
+@kernel
 def sample(planes: UInt8, which: int, u: float, v: float, wide: float) -> float:
     """A texture at (u, v) in texels, seen with pixels `wide` texels wide."""
     start, mask, scale = coarse(1.0, wide)

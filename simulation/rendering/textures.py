@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from geometry.jit import inline_kernel
 from messages.message import Float32, Float64, UInt8
 from simulation.randomness import generator
-from simulation.rendering.raster import within
 
 Int8 = npt.NDArray[np.int8]
 SIDE = 512
@@ -65,7 +65,7 @@ def _pyramid(plane: Float32) -> Float32:
     return np.concatenate([level.ravel() for level in levels])
 
 
-@within
+@inline_kernel
 def coarse(scale: float, wide: float) -> tuple[int, int, float]:
     """The level for pixels `wide` metres wide of a texture with `scale` texels a metre: its start, its side less one
     and its texels a metre."""
@@ -77,14 +77,14 @@ def coarse(scale: float, wide: float) -> tuple[int, int, float]:
     return start, side - 1, scale
 
 
-@within
+@inline_kernel
 def nearest(planes: UInt8, which: int, start: int, mask: int, u: float, v: float) -> float:
     """The texel at (u, v) of a level."""
     i, j = math.floor(u) & mask, math.floor(v) & mask
     return float(planes[which, np.uint32(start + j * (mask + 1) + i)] * (1.0 / UNIT))
 
 
-@within
+@inline_kernel
 def smooth(planes: UInt8, which: int, start: int, mask: int, u: float, v: float) -> float:
     """The four texels around (u, v) of a level, blended."""
     i, j = math.floor(u), math.floor(v)
