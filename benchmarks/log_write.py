@@ -16,10 +16,11 @@ from configs.vehicle import ImplementFile, Lidar, Vehicle
 from datasets.log import LogConfig, LogWriter
 from datasets.summary import check_log
 from datasets.viewer import Viewer, ViewerConfig
+from geometry.arrays import Float64
 from geometry.transforms import planar
 from messages import command, motion, perception, plan, sensors, truth
 from messages.faults import Response
-from messages.message import Envelope, Float64, Message
+from messages.message import Envelope, Message
 
 START_NS = 1_750_000_000_000_000_000
 RETURNS_OF_OBSTACLES = 600

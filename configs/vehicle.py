@@ -7,7 +7,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from configs.strict import Config
-from geometry.transforms import Float64, transform
+from geometry.arrays import Float64
+from geometry.transforms import transform
 
 Length = Annotated[float, Field(gt=0.0, le=50.0)]
 Offset = Annotated[float, Field(ge=-50.0, le=50.0)]

@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from geometry.arrays import UInt8
 from messages.errors import LogError
-from messages.message import UInt8
 
 Array = npt.NDArray[Any]
 # Below this a filter costs more time than its bytes are worth.

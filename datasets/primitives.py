@@ -22,8 +22,8 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from geometry.transforms import Float64, quaternion_of
-from messages.message import Float32
+from geometry.arrays import Float32, Float64
+from geometry.transforms import quaternion_of
 from messages.sensors import CameraImage
 
 PNG_MAGIC = b"\x89PNG"

@@ -12,10 +12,10 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from configs.site import Shed, Site
 from configs.vehicle import Implement, MountedImplement, Ultrasonic, Vehicle
 from datasets.primitives import Rgba, cube, frame, line, scene, text, time_of
-from geometry.transforms import Float64, apply, planar
+from geometry.arrays import Float32, Float64
+from geometry.transforms import apply, planar
 from messages.command import SupervisorState
 from messages.faults import Fault, Severity
-from messages.message import Float32
 from messages.perception import ObstacleClass, Tracks
 from messages.plan import Path
 from messages.sensors import GnssFix, RadarScan, UltrasonicRange

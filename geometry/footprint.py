@@ -8,7 +8,7 @@ import numpy.typing as npt
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from geometry.polyline import Float64
+from geometry.arrays import Float64
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import shapely
 from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geometry.polyline import Float64
+from geometry.arrays import Float64
 
 ARC_SEGMENTS = 32  # per quarter turn: an arc of 5 m is 1.5 mm off
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-Float64 = npt.NDArray[np.float64]
+from geometry.arrays import Float64 as Float64
 
 
 def transform(p_m: npt.ArrayLike, rpy_rad: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Float64:

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
+from geometry.arrays import Float32, Float64
 from messages.faults import Response
-from messages.message import Float32, Float64, Message, MessagePart
+from messages.message import Message, MessagePart
 from messages.perception import ObstacleClass
 
 

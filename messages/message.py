@@ -5,14 +5,13 @@ from functools import cache
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
-import numpy.typing as npt
 
-Float64 = npt.NDArray[np.float64]
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
-Int32 = npt.NDArray[np.int32]
-UInt16 = npt.NDArray[np.uint16]
-UInt8 = npt.NDArray[np.uint8]
+from geometry.arrays import Float32 as Float32
+from geometry.arrays import Float64 as Float64
+from geometry.arrays import Int32 as Int32
+from geometry.arrays import Int64 as Int64
+from geometry.arrays import UInt8 as UInt8
+from geometry.arrays import UInt16 as UInt16
 
 
 @cache

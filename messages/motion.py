@@ -4,8 +4,9 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from geometry.arrays import Float64
 from geometry.transforms import interpolate
-from messages.message import Float64, Message
+from messages.message import Message
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from messages.message import Float32, Float64, Int32, Message, MessagePart, UInt8
+from geometry.arrays import Float32, Float64, Int32, UInt8
+from messages.message import Message, MessagePart
 
 
 class ObstacleClass(StrEnum):

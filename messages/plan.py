@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
-from messages.message import Float64, Int32, Message, MessagePart, UInt8
+from geometry.arrays import Float64, Int32, UInt8
+from messages.message import Message, MessagePart
 
 
 class PathSectionType(StrEnum):

@@ -6,7 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from messages.message import Float32, Float64, Int64, Message, UInt8, UInt16
+from geometry.arrays import Float32, Float64, Int64, UInt8, UInt16
+from messages.message import Message
 
 
 @dataclass(frozen=True)

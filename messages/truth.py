@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from messages.message import Float64, Message, MessagePart
+from geometry.arrays import Float64
+from messages.message import Message, MessagePart
 from messages.perception import ObstacleClass
 
 

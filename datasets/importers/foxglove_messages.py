@@ -12,7 +12,8 @@ import numpy as np
 
 from datasets.importers.point_clouds import list_scan, read_points, scan_of_points
 from datasets.importers.ros_messages import FIXED_SIGMA_M, NAN3, decode_picture, pose_matrix
-from geometry.transforms import Float64, apply
+from geometry.arrays import Float64
+from geometry.transforms import apply
 from messages.errors import LogError
 from messages.message import Message
 from messages.sensors import CameraImage, GnssFix, GnssSolution, LidarScan

@@ -13,7 +13,7 @@ from datasets.importers import kitti_labels as labels
 from datasets.importers import kitti_oxts as oxts
 from datasets.importers.kitti_scans import is_packed, nominal_times, numbered_files, read_bin, read_packed, read_times
 from datasets.importers.recording import Description, Extrinsic, Received, Recording, Sensor
-from geometry.transforms import Float64
+from geometry.arrays import Float64
 from messages.errors import LogError
 from messages.sensors import LidarScan
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from geometry.transforms import Float64, apply, invert
+from geometry.arrays import Float64
+from geometry.transforms import apply, invert
 from messages.errors import LogError
 from messages.perception import ObstacleClass
 from messages.truth import TrueObject, TrueObjects

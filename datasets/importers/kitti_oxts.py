@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from datasets.importers.recording import Received
+from geometry.arrays import Float64
 from geometry.geodesy import Datum
 from geometry.transforms import transform
 from messages.errors import LogError
-from messages.message import Float64
 from messages.motion import Odometry
 from messages.sensors import GnssFix, GnssSolution, ImuSample
 

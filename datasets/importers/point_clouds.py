@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from geometry.arrays import Float64, UInt8
 from messages.errors import LogError
-from messages.message import Float64, UInt8
 from messages.sensors import LidarScan
 
 # field name → (offset in bytes, numpy type)

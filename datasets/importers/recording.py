@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.transforms import Float64
+from geometry.arrays import Float64
 from messages.message import Message
 
 # The metadata record of an imported log that holds its description.

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from datasets.importers.point_clouds import list_scan, read_points, scan_of_points
-from geometry.transforms import Float64
+from geometry.arrays import Float64
 from messages.errors import LogError
 from messages.message import Message
 from messages.motion import Odometry

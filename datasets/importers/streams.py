@@ -10,7 +10,7 @@ import numpy as np
 from datasets.importers import foxglove_messages as foxglove
 from datasets.importers import ros_messages as ros
 from datasets.importers.recording import Description, Extrinsic, Ignored, Received, Recording, Sensor, numbered
-from geometry.transforms import Float64
+from geometry.arrays import Float64
 from messages.errors import LogError
 from messages.message import Message
 

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from datasets import codec, schema
 from datasets.arrays import filter_of, pack, unpack
 from datasets.codec import classes, codec_for, codec_of
+from geometry.arrays import Float64
 from messages.errors import LogError
-from messages.message import Float64, Message, MessagePart
+from messages.message import Message, MessagePart
 from messages.motion import MapPose, PositionSource
 from messages.sensors import CameraImage, ImuSample, LidarScan
 from tests.datasets.log_samples import arrays, bits, records

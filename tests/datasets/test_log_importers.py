@@ -33,7 +33,8 @@ from datasets.primitives import cloud, frame, time_of
 from datasets.reader import read_log, read_metadata
 from datasets.summary import check_log
 from datasets.viewer import ViewerConfig
-from geometry.transforms import Float64, invert, transform
+from geometry.arrays import Float64
+from geometry.transforms import invert, transform
 from messages.command import CanFrames
 from messages.errors import LogError
 from messages.message import Envelope

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from configs.vehicle import Vehicle
+from geometry.arrays import Float64
 from geometry.transforms import invert
-from messages.message import Envelope, Float64
+from messages.message import Envelope
 from messages.perception import Obstacles
 from messages.truth import TrueMachine, TrueObject, TrueObjects
 from validation.obstacle_stop.boxes import Box, box_of

@@ -8,8 +8,8 @@ import numpy as np
 from configs.site import Bay
 from configs.vehicle import Implement, Vehicle
 from geometry.angles import wrap
+from geometry.arrays import Float64
 from geometry.footprint import Bodies, Rectangle
-from messages.message import Float64
 from messages.plan import MissionState, PathSectionType
 from validation.drive.record import DriveRecord, true_poses
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.angles import wrap
+from geometry.arrays import Float64, Int64
 from geometry.transforms import yaw_of
-from messages.message import Float64, Int64
 from validation.drive.record import DriveRecord, stamps_of, true_poses
 
 

@@ -6,10 +6,11 @@ from typing import TypeVar
 
 import numpy as np
 
+from geometry.arrays import Float64, Int64
 from geometry.transforms import yaw_of
 from messages.command import ControlCommand, SafeCommand, SupervisorState
 from messages.errors import LogError
-from messages.message import Envelope, Float64, Int64, Message
+from messages.message import Envelope, Message
 from messages.motion import MapPose
 from messages.plan import MissionStatus, Path
 from messages.truth import TrueMachine, TrueObjects

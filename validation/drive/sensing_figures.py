@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from configs.site import Bay, Shed
+from geometry.arrays import Float64
 from geometry.footprint import Bodies, place
-from messages.message import Float64
 from validation.drive.detections import Look, share_rows
 from validation.obstacle_stop.figures import draw
 

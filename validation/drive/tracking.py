@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from messages.message import Float64, Int64
+from geometry.arrays import Float64, Int64
 from messages.plan import Path, PathSectionType
 from validation.drive.record import DriveRecord, stamps_of, true_poses
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from messages.message import Float32, Float64
+from geometry.arrays import Float32, Float64
 from messages.truth import TrueObject
 
 Mask = npt.NDArray[np.bool_]

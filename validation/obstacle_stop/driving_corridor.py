@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geometry.arrays import Float64
 from geometry.polyline import arc_length
-from messages.message import Float64
 from messages.plan import Path
 
 STEP_M = 0.5

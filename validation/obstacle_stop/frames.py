@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from messages.message import Float32, Float64
+from geometry.arrays import Float32, Float64
 from messages.sensors import LidarScan
 
 

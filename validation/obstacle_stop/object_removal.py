@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from configs.vehicle import Camera, Radar, Ultrasonic
+from geometry.arrays import Float64, UInt8
 from geometry.transforms import apply, invert
-from messages.message import Float64, UInt8
 from messages.sensors import CameraImage, LidarScan, RadarScan, UltrasonicRange
 from validation.obstacle_stop.boxes import Box
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from geometry.arrays import Float64
 from geometry.transforms import yaw_of
-from messages.message import Float64
 
 NO_GAP = float("inf")
 STILL_MPS = 0.1

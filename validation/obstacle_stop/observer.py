@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geometry.arrays import Float32, Float64
 from geometry.transforms import invert
 from messages.command import ControlCommand, SupervisorState
 from messages.faults import Response
-from messages.message import Envelope, Float32, Float64
+from messages.message import Envelope
 from messages.motion import MapPose, Odometry
 from messages.perception import Obstacles, Tracks
 from messages.plan import Path
