@@ -13,7 +13,6 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Vehicle
-from interfaces.alarms import Alarm, Alarms
 from interfaces.can_receiver import Incoming
 from interfaces.can_transmitter import Orders, Outgoing, Present, order
 from interfaces.engagement import Engagement, Phase, Steering
@@ -22,6 +21,7 @@ from interfaces.isobus.frame import Frame
 from interfaces.isobus.heartbeat import GAP_NS
 from interfaces.isobus.name import AGRICULTURE, Name
 from messages.command import CanFrame, CanFrames, SafeCommand
+from messages.fault_reporter import FaultReporter, FaultType
 from messages.faults import Response, Severity
 from messages.node import Every, Inbox, Latest, Node, Output
 
@@ -34,19 +34,17 @@ HARDEST_MPS2 = 12.0
 _FUNCTION_NOT_AVAILABLE = 255
 
 _STOP, _ALARM = Response.CONTROLLED_STOP, Severity.ALARM
-SILENCE = Alarm("gateway.silence", _ALARM, _STOP, "No safe command reaches the machine: stopped",
-                "Kein sicherer Befehl erreicht die Maschine: angehalten")  # fmt: skip
-BAD_COMMAND = Alarm("gateway.bad_command", _ALARM, _STOP, "A safe command holds a value that cannot be sent",
-                    "Ein sicherer Befehl enthält einen Wert, der nicht gesendet werden kann")  # fmt: skip
-REFUSED = Alarm("gateway.steering_refused", _ALARM, _STOP, "The steering does not accept commands",
-                "Die Lenkung nimmt keine Befehle an")  # fmt: skip
-LOST = Alarm("gateway.steering_lost", _ALARM, _STOP, "The steering has given up automatic steering",
-             "Die Lenkung hat das automatische Lenken beendet")  # fmt: skip
-TRACTOR = Alarm("gateway.tractor_silent", _ALARM, _STOP, "The tractor's heartbeat is missing or wrong",
-                "Der Herzschlag des Traktors fehlt oder ist falsch")  # fmt: skip
-ADDRESS = Alarm("gateway.address", _ALARM, _STOP, "No address could be had on the machine's bus",
-                "Keine Adresse auf dem Maschinenbus erhalten")  # fmt: skip
-BUS = Alarm("gateway.bus", _ALARM, _STOP, "The machine's bus fails", "Der Maschinenbus ist gestört")
+SILENCE = FaultType("gateway.silence", _ALARM, _STOP, "No safe command received: stopping", "未收到安全指令:正在停车")
+BAD_COMMAND = FaultType("gateway.bad_command", _ALARM, _STOP, "Safe command with a value that cannot be sent",
+                        "安全指令含有无法发送的数值")  # fmt: skip
+REFUSED = FaultType(
+    "gateway.steering_refused", _ALARM, _STOP, "Steering does not accept commands", "转向系统不接受指令"
+)
+LOST = FaultType("gateway.steering_lost", _ALARM, _STOP, "Steering has left automatic mode", "转向系统已退出自动模式")
+TRACTOR = FaultType("gateway.tractor_silent", _ALARM, _STOP, "Tractor heartbeat missing or wrong",
+                    "拖拉机心跳信号缺失或错误")  # fmt: skip
+ADDRESS = FaultType("gateway.address", _ALARM, _STOP, "No address obtained on the machine bus", "未能取得机器总线地址")
+BUS = FaultType("gateway.bus", _ALARM, _STOP, "Machine bus failed", "机器总线故障")
 
 
 class GatewayConfig(Config):
@@ -87,7 +85,7 @@ class Gateway(Node):
         self._incoming = Incoming(config.tractor_address)
         self._engagement = Engagement()
         self._outgoing = Outgoing(vehicle, config.tractor_address, round(config.fastest_s * 1e9))
-        self._alarms = Alarms(self.name)
+        self._faults = FaultReporter(self.name)
         self._started_ns: int | None = None
         self._heard: SafeCommand | None = None
         self._stepped_ns = self._state_ns = self._log_ns = 0
@@ -109,7 +107,7 @@ class Gateway(Node):
         command = heard if heard is not None and _is_sendable(heard, now_ns) else None
         self._command(now_ns, command)
         is_bad = heard is not None and command is None
-        return self._outputs(now_ns, self._alarm_states(now_ns, is_bad))
+        return self._outputs(now_ns, self._fault_states(now_ns, is_bad))
 
     def _receive(self, now_ns: int) -> None:
         own = self._config.address if (address := self._claim.address(now_ns)) is None else address
@@ -174,7 +172,7 @@ class Gateway(Node):
             return
         self._sent.append(CanFrame(now_ns, frame.identifier, frame.data))
 
-    def _alarm_states(self, now_ns: int, is_bad_command: bool) -> list[tuple[Alarm, bool]]:
+    def _fault_states(self, now_ns: int, is_bad_command: bool) -> list[tuple[FaultType, bool]]:
         phase, in_phase_ns = self._engagement.phase, now_ns - self._engagement.since_ns
         started_ns = now_ns if self._started_ns is None else self._started_ns
         is_started = now_ns - started_ns > GAP_NS
@@ -188,8 +186,8 @@ class Gateway(Node):
             (BUS, self._is_bus_failed),
         ]
 
-    def _outputs(self, now_ns: int, states: list[tuple[Alarm, bool]]) -> list[Output]:
-        outputs: list[Output] = [("fault/gateway", fault) for fault in self._alarms.update(now_ns, states)]
+    def _outputs(self, now_ns: int, states: list[tuple[FaultType, bool]]) -> list[Output]:
+        outputs: list[Output] = [("fault/gateway", fault) for fault in self._faults.update(now_ns, states)]
         if now_ns - self._state_ns >= STATE_PERIOD_NS:
             self._state_ns = now_ns
             outputs.append(("machine", self._incoming.state(now_ns)))

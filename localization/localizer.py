@@ -10,12 +10,12 @@ from configs.strict import Config
 from configs.vehicle import Vehicle
 from geometry.geodesy import Datum
 from geometry.transforms import Float64
-from localization.alarms import Alarms
 from localization.dead_reckoning.imu_track import InertialTrack
 from localization.dead_reckoning.kernels import warm
 from localization.dead_reckoning.plausibility import CODES
 from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.dock_prior import Docked
+from localization.faults import FAULTS
 from localization.gnss_gate import Refusal, check, position_of
 from localization.graph.imu_preintegration import bias_sigmas
 from localization.graph.keyframes import Fusion
@@ -25,6 +25,7 @@ from localization.map_alignment import Placement, PlacementConfig
 from localization.odometry import Motion, MotionConfig
 from localization.uwb.range_gate import Ranging
 from messages.errors import ConfigError
+from messages.fault_reporter import FaultReporter
 from messages.motion import LidarLocalization, LidarOdometry
 from messages.node import All, Every, Inbox, Node, Output, Read
 from messages.sensors import GnssFix, ImuSample, UwbRanges, WheelSample
@@ -86,7 +87,7 @@ class Localizer(Node):
             self._ranging,
         )
         self._placement = Placement(place, fusion, self._motion, Docked(start, shed, place.docked))
-        self._alarms = Alarms(self.name)
+        self._faults = FaultReporter(self.name)
         self._now_ns: int | None = None
         self._gnss_ns: int | None = None
         self._posed_ns: int | None = None
@@ -101,7 +102,7 @@ class Localizer(Node):
         if len(self._motion.track):
             self._advance()
         self._watch(now_ns)
-        outputs: list[Output] = [("fault/localizer", fault) for fault in self._alarms.take(now_ns)]
+        outputs: list[Output] = [("fault/localizer", fault) for fault in self._faults.take(now_ns)]
         return [*self._poses(now_ns), *outputs]
 
     def _follow_clock(self, now_ns: int) -> None:
@@ -110,7 +111,7 @@ class Localizer(Node):
         if previous is None or 0 <= now_ns - previous <= 1_000_000_000:
             return
         gap_s = max(0.1, (now_ns - previous) * 1e-9)
-        self._alarms.note("clock.jumped", f"{(now_ns - previous) * 1e-9:+.3f} s")
+        self._faults.report_event(FAULTS["clock.jumped"], f"{(now_ns - previous) * 1e-9:+.3f} s")
         self._forget_time(gap_s)
         self._gnss_ns = self._posed_ns = None
 
@@ -135,7 +136,7 @@ class Localizer(Node):
         for topic in self._uwb:
             for heard in inbox.all(topic, UwbRanges):
                 self.dropped += not (self._is_timely(heard.stamp_ns, now_ns) and self._add_ranges(heard))
-        self._alarms.set("localization.garbage", self.dropped > before, f"{self.dropped} in all")
+        self._faults.set(FAULTS["localization.garbage"], self.dropped > before, f"{self.dropped} in all")
 
     def _is_timely(self, stamp_ns: int, now_ns: int) -> bool:
         return -self._config.oldest_s * 1e9 <= stamp_ns - now_ns <= self._config.newest_s * 1e9
@@ -187,33 +188,37 @@ class Localizer(Node):
         self._was_lost |= placement.is_initialized
 
     def _watch(self, now_ns: int) -> None:
-        """Sets the alarms."""
-        motion, alarms = self._motion, self._alarms
-        alarms.set("imu.silent", self._is_silent(motion.track, now_ns, self._config.motion.inertial.largest_gap_s))
-        alarms.set("wheel.silent", self._is_silent(motion.wheels, now_ns, self._config.motion.wheels.largest_gap_s))
-        if alarms.is_on("imu.silent") or alarms.is_on("wheel.silent"):
+        """Sets the faults."""
+        motion, faults = self._motion, self._faults
+        faults.set(
+            FAULTS["imu.silent"], self._is_silent(motion.track, now_ns, self._config.motion.inertial.largest_gap_s)
+        )
+        faults.set(
+            FAULTS["wheel.silent"], self._is_silent(motion.wheels, now_ns, self._config.motion.wheels.largest_gap_s)
+        )
+        if faults.is_active("imu.silent") or faults.is_active("wheel.silent"):
             motion.plausibility.clear()
         doubt = motion.plausibility.judge(now_ns)
         for code in CODES:
-            alarms.set(code, doubt is not None and doubt.code == code, "" if doubt is None else doubt.detail)
+            faults.set(FAULTS[code], doubt is not None and doubt.code == code, "" if doubt is None else doubt.detail)
         gnss_ns = self._gnss_ns if self._gnss_ns is not None else -(2**62)
-        alarms.set("gnss.silent", now_ns - gnss_ns > self._config.gnss_silent_s * 1e9)
-        alarms.set("gnss.refused", self._placement.is_refusing, "contradict the prediction")
+        faults.set(FAULTS["gnss.silent"], now_ns - gnss_ns > self._config.gnss_silent_s * 1e9)
+        faults.set(FAULTS["gnss.refused"], self._placement.is_refusing, "contradict the prediction")
         is_lost = self._was_lost and not self._placement.is_initialized
-        alarms.set("localization.lost", is_lost)
+        faults.set(FAULTS["localization.lost"], is_lost)
         # far from the shed few ranges come through, and beside good fixes nobody needs them
-        is_needed = alarms.is_on("gnss.silent") or alarms.is_on("gnss.refused")
-        alarms.set("uwb.refused", is_needed and self._ranging is not None and self._ranging.is_refusing)
+        is_needed = faults.is_active("gnss.silent") or faults.is_active("gnss.refused")
+        faults.set(FAULTS["uwb.refused"], is_needed and self._ranging is not None and self._ranging.is_refusing)
         reason = "" if self._placement.is_initialized else self._placement.doubt
-        alarms.set("localization.not_docked", bool(reason), reason)
-        alarms.set("gnss.no_heading", not self._placement.is_initialized and motion.standstill.lacks_heading)
+        faults.set(FAULTS["localization.not_docked"], bool(reason), reason)
+        faults.set(FAULTS["gnss.no_heading"], not self._placement.is_initialized and motion.standstill.lacks_heading)
         for failure in self._placement.failures:
-            alarms.note("localization.rebuilt", failure)
+            faults.report_event(FAULTS["localization.rebuilt"], failure)
         self._placement.failures.clear()
 
     def _poses(self, now_ns: int) -> list[Output]:
         motion = self._motion
-        if motion.reckoning is None or self._alarms.is_on("imu.silent") or self._alarms.is_on("wheel.silent"):
+        if motion.reckoning is None or self._faults.is_active("imu.silent") or self._faults.is_active("wheel.silent"):
             return []
         out: list[Output] = [("odom", motion.odometry(*self._calibration_sigmas()))]
         period_ns = round(self._config.pose_period_s * 1e9)

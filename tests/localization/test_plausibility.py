@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.alarms import ALARMS
 from localization.dead_reckoning.plausibility import (
     CODES,
     Agreement,
@@ -16,6 +15,7 @@ from localization.dead_reckoning.plausibility import (
     InertialCheck,
     Plausibility,
 )
+from localization.faults import FAULTS
 from messages.faults import Response
 from tests.localization.localization_bench import configuration, run
 from tests.localization.localization_drive import START_NS, Wrongs, drive
@@ -115,9 +115,9 @@ def test_a_doubt_stays_until_there_has_been_none_for_long_enough():
 
 def test_every_doubt_stops_the_machine_and_is_told_in_two_languages():
     for code in CODES:
-        alarm = ALARMS[code]
-        assert alarm.response is Response.CONTROLLED_STOP
-        assert alarm.text_en != alarm.text_zh
+        fault = FAULTS[code]
+        assert fault.response is Response.CONTROLLED_STOP
+        assert fault.text_en != fault.text_zh
 
 
 SPEED_MPS, BROKEN_S = 2.0, 9.0

@@ -1,0 +1,29 @@
+"""Faults reported by the localizer, by code."""
+
+from messages.fault_reporter import FaultType
+from messages.faults import Response, Severity
+
+STOP = Severity.ALARM, Response.CONTROLLED_STOP
+WARNING, NOTICE = (Severity.WARNING, Response.NONE), (Severity.NOTICE, Response.NONE)
+
+FAULTS = {
+    fault.code: fault
+    for fault in (
+        FaultType("imu.silent", *STOP, "IMU: no data", "惯性传感器无数据"),
+        FaultType("wheel.silent", *STOP, "Wheel speed: no data", "轮速传感器无数据"),
+        FaultType("imu.frozen", *STOP, "IMU: repeated values", "惯性传感器数值不变"),
+        FaultType("imu.noisy", *STOP, "IMU: noise too high", "惯性传感器噪声过大"),
+        FaultType("imu.implausible", *STOP, "IMU: implausible values", "惯性传感器数值不合理"),
+        FaultType("wheel.implausible", *STOP, "Wheel speed or steering angle implausible", "轮速或转向角数值不合理"),
+        FaultType("imu_or_wheel.implausible", *STOP, "IMU and wheels contradict", "惯性传感器与车轮数据矛盾"),
+        FaultType("gnss.silent", *WARNING, "GNSS: no position", "无卫星定位数据"),
+        FaultType("gnss.refused", *WARNING, "GNSS positions rejected", "卫星定位数据被拒绝"),
+        FaultType("gnss.no_heading", *STOP, "No GNSS heading: start not possible", "无卫星航向:无法启动"),
+        FaultType("localization.not_docked", *STOP, "Position at the dock not confirmed", "停靠位置未确认"),
+        FaultType("uwb.refused", *WARNING, "UWB ranges rejected", "UWB测距数据被拒绝"),
+        FaultType("localization.lost", *STOP, "Position lost: stand still to recover", "定位丢失:请保持静止以恢复"),
+        FaultType("localization.rebuilt", *NOTICE, "Position graph rebuilt", "定位因子图已重建"),
+        FaultType("localization.garbage", *NOTICE, "Invalid sensor values dropped", "无效传感器数据已丢弃"),
+        FaultType("clock.jumped", *WARNING, "Clock jumped", "时钟跳变"),
+    )
+}
