@@ -18,7 +18,7 @@ from configs.vehicle import ImplementFile, Vehicle
 from messages.errors import FieldError
 from messages.plan import Path
 from planning.config import PlanningConfig
-from planning.docking.dock import Docking, plan_docking, pose_of
+from planning.docking.dock import Docking, plan_docking
 from planning.rig import rig_of
 from runtime.setup import start_of
 
@@ -51,7 +51,7 @@ def trial(docking: Docking, mission: Mission, seed: int) -> Trial:
     start, _ = start_of(mission, docking.site, seed)
     began_s, busy_s = time.perf_counter(), time.process_time()
     try:
-        paths, refusal = plan_docking(pose_of(start), docking, 1), ""
+        paths, refusal = plan_docking(start.pose, docking, 1), ""
     except FieldError as error:
         paths, refusal = (), str(error)
     return Trial(time.perf_counter() - began_s, time.process_time() - busy_s, paths, refusal)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from configs.site import Pose2
+from configs.site import PoseConfig
 from configs.strict import Config
 from configs.vehicle import Kmh
 
@@ -41,7 +41,7 @@ class Mission(Config):
     implement: str
     work: Work | None = None
     bay: str | None = None
-    start: Pose2 | None = None
+    start: PoseConfig | None = None
     spread: Spread | None = None
 
     @model_validator(mode="after")

@@ -1,11 +1,13 @@
 """A site: the field, the way to it and what must not be entered, in `map`."""
 
+import math
 from typing import Annotated
 
 from pydantic import Field
 
 from configs.strict import Config
 from geometry.geodesy import Datum
+from geometry.pose2 import Pose2
 from messages.errors import ConfigError
 
 Coordinate = Annotated[float, Field(ge=-20000.0, le=20000.0)]
@@ -23,17 +25,20 @@ class DatumConfig(Config):
     @property
     def datum(self) -> Datum:
         """The same in radians, as a converter."""
-        import math
-
         return Datum(math.radians(self.latitude_deg), math.radians(self.longitude_deg), self.height_m)
 
 
-class Pose2(Config):
-    """A place and heading (counter-clockwise from east)."""
+class PoseConfig(Config):
+    """A pose in `map`; heading counter-clockwise from east."""
 
     x_m: Coordinate
     y_m: Coordinate
     heading_deg: float = Field(ge=-360.0, le=360.0)
+
+    @property
+    def pose(self) -> Pose2:
+        """The same in radians."""
+        return Pose2(self.x_m, self.y_m, math.radians(self.heading_deg))
 
 
 class Area(Config):
@@ -69,7 +74,7 @@ class Bay(Config):
     """A place in the shed, free over `width_m`; `dock` is the pose of `base` when docked, heading out of the bay."""
 
     name: str
-    dock: Pose2
+    dock: PoseConfig
     width_m: float = Field(gt=0.5, le=20.0)
 
 
@@ -108,7 +113,7 @@ class Site(Config):
     lanes: tuple[Lane, ...] = ()
     gates: tuple[Gate, ...] = ()
     yard: Area
-    start: Pose2
+    start: PoseConfig
     is_fenced: bool
     shed: Shed | None = None
 

@@ -207,6 +207,14 @@ class Vehicle(Config):
     sensors: Sensors
 
 
+def steering_rate(vehicle: Vehicle) -> float:
+    """Maximum rate of the front-wheel angle, rad/s."""
+    actuator = vehicle.steering
+    if isinstance(actuator, ElectricWheel):
+        return actuator.max_wheel_rpm / 60.0 / actuator.wheel_turns_per_steer_rad
+    return actuator.max_flow_lpm / 60.0 / actuator.cylinder_l_per_rad
+
+
 class _Implement(Config):
     name: str = Field(min_length=1, max_length=60)
     working_width_m: Length

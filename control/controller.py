@@ -7,13 +7,13 @@ from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from control.implement import ImplementControl, ImplementControlConfig
 from control.lateral_controller import Driver, Sample, Steered
 from control.longitudinal_controller import STANDING_MPS, SpeedConfig, SpeedControl, SpeedPlan
-from control.planar import planar_of
 from control.pose_smoothing import AnchorConfig, MapAnchor
 from control.reference import Reference
 from control.slip import SlipConfig
 from control.start_conditions import Departure, DepartureConfig
 from control.steering import SteeringConfig
 from control.tracking_law import TrackingConfig
+from geometry.pose2 import Pose2
 from messages.command import ControlCommand, MachineState, Mode, SafeCommand
 from messages.motion import MapPose, Odometry
 from messages.node import Every, Inbox, Latest, Node, Output
@@ -74,7 +74,7 @@ class Controller(Node):
         if odom is None or map_pose is None or not map_pose.is_initialized:
             return None
         is_standing = abs(odom.speed_mps) < STANDING_MPS and self._wished_mps == 0.0
-        T_map_odom, T_odom_base = planar_of(map_pose.T_map_odom), planar_of(odom.T_odom_base)
+        T_map_odom, T_odom_base = Pose2.of(map_pose.T_map_odom), Pose2.of(odom.T_odom_base)
         pose = self._anchor.update(T_map_odom, T_odom_base, elapsed_s, is_standing)
         return Sample(odom.stamp_ns, pose, odom.speed_mps, odom.yaw_rate_radps, odom.curvature_radpm)
 

@@ -9,7 +9,7 @@ from pydantic import Field
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement
 from control.longitudinal_controller import SpeedPlan
-from control.planar import clamp
+from control.scalars import clamp
 from messages.plan import Path
 
 HALF_PERIOD_S = 0.01  # decided once a period: half of it too early or too late

@@ -3,13 +3,14 @@
 import math
 from dataclasses import dataclass
 
-from configs.vehicle import Vehicle
-from control.planar import Planar, clamp
+from configs.vehicle import Vehicle, steering_rate
 from control.reference import Place, Reference
+from control.scalars import clamp
 from control.slip import CrabEstimate, SlipConfig, SteeringCalibration
-from control.steering import Motion, SteeringConfig, SteeringModel, steering_rate
+from control.steering import Motion, SteeringConfig, SteeringModel
 from control.tracking_law import Law, OffsetIntegral, TrackingConfig
 from geometry.angles import wrap
+from geometry.pose2 import Pose2
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Sample:
     """What is known of the machine at `stamp_ns`: pose in map, signed speed, turn rate, curvature by the wheels."""
 
     stamp_ns: int
-    pose: Planar
+    pose: Pose2
     speed_mps: float
     yaw_rate_radps: float
     curvature_radpm: float
@@ -48,7 +49,7 @@ class Driver:
         self._near = 0
         self._last_ns: int | None = None
 
-    def start(self, reference: Reference, pose: Planar) -> None:
+    def start(self, reference: Reference, pose: Pose2) -> None:
         """Take up a new path, from near its beginning."""
         self._reference = reference
         travel = _travel_heading(pose.yaw_rad, reference.direction)
@@ -80,7 +81,7 @@ class Driver:
         travelled = law.curvature(place.offset_m + hidden_m, place.heading_error_rad, place.curvature_radpm)
         return clamp(sign * travelled, self._most_radpm), ahead.curvature_radpm
 
-    def _place(self, reference: Reference, pose: Planar, near: int) -> tuple[Place, int]:
+    def _place(self, reference: Reference, pose: Pose2, near: int) -> tuple[Place, int]:
         course = _travel_heading(pose.yaw_rad + self._crab.crab_rad, reference.direction)
         return reference.place(pose.x_m, pose.y_m, course, near)
 

@@ -8,10 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from configs.vehicle import Kmh, Vehicle, kmh
-from control.planar import clamp, singly
+from configs.vehicle import Kmh, Vehicle, kmh, steering_rate
 from control.reference import Reference
-from control.steering import steering_rate
+from control.scalars import as_floats, clamp
 from messages.message import Float64
 from messages.plan import Path
 
@@ -58,7 +57,7 @@ class SpeedPlan:
         lost = 2.0 * config.braking_mps2 * (path.s_m - path.s_m[0])  # of v² by braking softly up to there
         limits = np.sqrt(np.maximum(np.minimum.accumulate((limits**2 + lost)[::-1])[::-1] - lost, 0.0))
         times = np.concatenate([[0.0], np.cumsum(gaps / np.maximum(0.5 * (limits[1:] + limits[:-1]), 0.05))])
-        self._s, self._limits, self._times = singly(path.s_m), singly(limits), singly(times)
+        self._s, self._limits, self._times = as_floats(path.s_m), as_floats(limits), as_floats(times)
 
     def limit_mps(self, s_m: float) -> float:
         """The limit at a place, the end left aside."""

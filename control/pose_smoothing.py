@@ -6,7 +6,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import deg
-from control.planar import Planar, clamp
+from control.scalars import clamp
+from geometry.pose2 import Pose2
 
 
 class AnchorConfig(Config):
@@ -21,9 +22,9 @@ class MapAnchor:
 
     def __init__(self, config: AnchorConfig) -> None:
         self._slew_mps, self._slew_radps = config.slew_mps, deg(config.slew_degps)
-        self._T_map_odom: Planar | None = None
+        self._T_map_odom: Pose2 | None = None
 
-    def update(self, T_map_odom: Planar, T_odom_base: Planar, elapsed_s: float, is_standing: bool) -> Planar:
+    def update(self, T_map_odom: Pose2, T_odom_base: Pose2, elapsed_s: float, is_standing: bool) -> Pose2:
         """`T_map_base` to steer by; the first target, and any while standing, is taken whole."""
         target = T_map_odom @ T_odom_base
         if self._T_map_odom is None or is_standing:
@@ -36,9 +37,9 @@ class MapAnchor:
         return pose
 
 
-def _approach(pose: Planar, target: Planar, most_m: float, most_rad: float) -> Planar:
+def _approach(pose: Pose2, target: Pose2, most_m: float, most_rad: float) -> Pose2:
     dx, dy = target.x_m - pose.x_m, target.y_m - pose.y_m
     distance = math.hypot(dx, dy)
     share = min(1.0, most_m / distance) if distance > 0.0 else 0.0
     turn = math.remainder(target.yaw_rad - pose.yaw_rad, 2.0 * math.pi)
-    return Planar(pose.x_m + share * dx, pose.y_m + share * dy, pose.yaw_rad + clamp(turn, most_rad))
+    return Pose2(pose.x_m + share * dx, pose.y_m + share * dy, pose.yaw_rad + clamp(turn, most_rad))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import butter, filtfilt
 
-from control.planar import singly
+from control.scalars import as_floats
 from geometry.angles import wrap
 from messages.message import Float64
 from messages.plan import Path
@@ -89,11 +89,11 @@ class Reference:
         turned = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
         p, heading, curvature = p[inner], turned[inner], np.gradient(turned, self._step_m)[inner]
         normal = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
-        self._x, self._y = singly(p[:, 0]), singly(p[:, 1])
-        self._heading = singly(heading)
-        self._cos, self._sin = singly(np.cos(heading)), singly(np.sin(heading))
-        self._curvature = singly(curvature)
-        self._deviation = singly(np.sum((p - raw) * normal, axis=1))
+        self._x, self._y = as_floats(p[:, 0]), as_floats(p[:, 1])
+        self._heading = as_floats(heading)
+        self._cos, self._sin = as_floats(np.cos(heading)), as_floats(np.sin(heading))
+        self._curvature = as_floats(curvature)
+        self._deviation = as_floats(np.sum((p - raw) * normal, axis=1))
 
     def _end_headings(self, path: Path) -> tuple[float, float]:
         turn = 0.0 if path.direction > 0 else math.pi

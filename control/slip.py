@@ -6,7 +6,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import deg
-from control.planar import Planar, clamp
+from control.scalars import clamp
+from geometry.pose2 import Pose2
 
 SLOWEST_MPS = 0.3
 
@@ -28,10 +29,10 @@ class CrabEstimate:
 
     def __init__(self, config: SlipConfig) -> None:
         self._length_m, self._most_rad = config.crab_m, deg(config.crab_max_deg)
-        self._last: Planar | None = None
+        self._last: Pose2 | None = None
         self.crab_rad = 0.0
 
-    def update(self, pose: Planar, is_moving: bool) -> float:
+    def update(self, pose: Pose2, is_moving: bool) -> float:
         """Take the next pose in `map`; returns the angle."""
         if self._last is not None and is_moving:
             along, across = _moved(self._last, pose)
@@ -41,7 +42,7 @@ class CrabEstimate:
         return self.crab_rad
 
 
-def _moved(before: Planar, after: Planar) -> tuple[float, float]:
+def _moved(before: Pose2, after: Pose2) -> tuple[float, float]:
     """The way from one pose to the next, along and across the heading between them."""
     yaw = before.yaw_rad + 0.5 * math.remainder(after.yaw_rad - before.yaw_rad, 2.0 * math.pi)
     c, s = math.cos(yaw), math.sin(yaw)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pydantic import Field
 
 from configs.strict import Config
-from configs.vehicle import ElectricWheel, Vehicle
-from control.planar import Planar
+from configs.vehicle import Vehicle, steering_rate
+from geometry.pose2 import Pose2
 
 STEP_S = 0.02
 
@@ -36,7 +36,7 @@ class Motion:
 class Prediction:
     """`pose` when the command given now is being followed; `curvature_radpm` of the wheels when it arrives."""
 
-    pose: Planar
+    pose: Pose2
     curvature_radpm: float
 
 
@@ -71,7 +71,7 @@ class SteeringModel:
         """The command that brings the wheels from one curvature to another faster than the loop's own lag."""
         return curvature_radpm + self._lag_s / self._quick_s * (wanted_radpm - curvature_radpm)
 
-    def predict(self, now_ns: int, stamp_ns: int, pose: Planar, motion: Motion) -> Prediction:
+    def predict(self, now_ns: int, stamp_ns: int, pose: Pose2, motion: Motion) -> Prediction:
         """From the pose at `stamp_ns` along the commands under way."""
         x, y, yaw = pose
         curvature = arrival = self.curvature_radpm
@@ -86,7 +86,7 @@ class SteeringModel:
             x += motion.speed_mps * STEP_S * math.cos(course)
             y += motion.speed_mps * STEP_S * math.sin(course)
             yaw += turn
-        return Prediction(Planar(x, y, yaw), arrival)
+        return Prediction(Pose2(x, y, yaw), arrival)
 
     def _advance(self, stamp_ns: int, elapsed_s: float) -> None:
         target = self._command_at(stamp_ns - round(0.5e9 * elapsed_s))
@@ -106,11 +106,3 @@ class SteeringModel:
         if change > most:
             return curvature + most
         return curvature - most if change < -most else curvature + change
-
-
-def steering_rate(vehicle: Vehicle) -> float:
-    """How fast the front wheels turn at most, rad/s."""
-    actuator = vehicle.steering
-    if isinstance(actuator, ElectricWheel):
-        return actuator.max_wheel_rpm / 60.0 / actuator.wheel_turns_per_steer_rad
-    return actuator.max_flow_lpm / 60.0 / actuator.cylinder_l_per_rad

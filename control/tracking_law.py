@@ -21,7 +21,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import deg
-from control.planar import clamp
+from control.scalars import clamp
 
 
 class TrackingConfig(Config):

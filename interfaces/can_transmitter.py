@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from configs.vehicle import ElectricWheel, Vehicle
+from configs.vehicle import Vehicle, steering_rate
 from interfaces.engagement import Phase
 from interfaces.isobus import brake, cab, guidance, heartbeat, implement, speed, stop_all
 from interfaces.isobus.checksum import seal
@@ -84,14 +84,6 @@ def slew_curvature(
     """The curvature nearest to the wanted one that wheels turning at `steering_radps` reach: κ = tan δ / L."""
     rate = steering_radps * (1.0 + (wheelbase_m * last_radpm) ** 2) / wheelbase_m
     return last_radpm + max(-rate * step_s, min(rate * step_s, wanted_radpm - last_radpm))
-
-
-def steering_rate(vehicle: Vehicle) -> float:
-    """How fast the front wheels turn at most, in rad/s."""
-    actuator = vehicle.steering
-    if isinstance(actuator, ElectricWheel):
-        return actuator.max_wheel_rpm / 60.0 / actuator.wheel_turns_per_steer_rad
-    return actuator.max_flow_lpm / 60.0 / actuator.cylinder_l_per_rad
 
 
 def _speed(phase: Phase, wanted_mps: float, present_mps: float) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from pydantic import Field
 
-from configs.site import Pose2, Shed
+from configs.site import PoseConfig, Shed
 from configs.strict import Config
 from geometry.transforms import Float64, transform
 from localization.dead_reckoning.initial_alignment import Level
@@ -28,7 +28,7 @@ class DockedConfig(Config):
 class Docked:
     """The pose that the machine was left at, in `map`, and how far the roof is from any place."""
 
-    start: Pose2 | None
+    start: PoseConfig | None
     shed: Shed | None
     config: DockedConfig
 

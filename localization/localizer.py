@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 
 from pydantic import Field
 
-from configs.site import Pose2, Shed
+from configs.site import PoseConfig, Shed
 from configs.strict import Config
 from configs.vehicle import Vehicle
 from geometry.geodesy import Datum
@@ -55,7 +55,7 @@ class Localizer(Node):
 
     def __init__(
         self, vehicle: Vehicle, datum: Datum, config: LocalizationConfig, shed: Shed | None = None,
-        start: Pose2 | None = None,
+        start: PoseConfig | None = None,
     ) -> None:  # fmt: skip
         if "main" not in vehicle.sensors.gnss or vehicle.sensors.imu is None:
             raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.gnss.main and sensors.imu")

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from geometry.pose2 import Pose2
 from geometry.transforms import apply
 from messages.command import ControlCommand, Mode, OperatorCommand, OperatorCommandKind, SupervisorState
 from messages.errors import FieldError
@@ -15,7 +16,7 @@ from messages.perception import Tracks
 from messages.plan import MissionState, MissionStatus, Path, PathSectionType, UncoveredArea
 from planning.config import MissionConfig
 from planning.docking.dock import Docking, plan_docking
-from planning.docking.dock_approach import silence, standing_at, way_in
+from planning.docking.dock_approach import silence, way_in
 from planning.path import rest_of
 from planning.plan import Plan
 from planning.recovery.detour import ground_without
@@ -213,7 +214,7 @@ class MissionNode(Node):
         if self._homing is not None:
             outlines = [cause.outline, *(o.outline for o in found if o is not cause)]
             try:
-                paths = plan_docking(standing_at(pose), self._homing, self._last_id + 1, outlines)
+                paths = plan_docking(Pose2.of(pose.T_map_base), self._homing, self._last_id + 1, outlines)
             except FieldError as error:
                 reason = str(error)
             else:

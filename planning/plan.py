@@ -9,7 +9,7 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from configs.mission import Mission, Work
-from configs.site import Pose2, Site
+from configs.site import PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
 from geometry.footprint import is_inside, worked
 from geometry.polygon import parts, place_of, shrink
@@ -19,7 +19,7 @@ from planning.config import PlannerConfig, PlanningConfig
 from planning.coverage.headland import Round, depth_m, ring_worked, rounds_of
 from planning.coverage.route import route
 from planning.coverage.swath import Swath, remains, swaths_of, trimmed
-from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking, pose_of
+from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
 from planning.field.drivable_area import Ground, describe, ground_of
 from planning.path import path_of
 from planning.rig import Rig, rig_of
@@ -73,7 +73,7 @@ def plan_mission(
     vehicle: Vehicle,
     implement: Implement,
     config: PlanningConfig,
-    start: Pose2,
+    start: PoseConfig,
     seed: int,
 ) -> Plan:
     """The plan of a mission that begins at `start`: the field, and with a bay the ways out of it and back into it.
@@ -90,7 +90,7 @@ def plan_mission(
     docking = Docking(site, rig, site.bay(mission.bay), config.docking, seed)
     out = plan_undocking(docking, 1) if mission.start is None else ()
     given = [*out, *(replace(p, path_id=len(out) + 1 + k, is_last=False) for k, p in enumerate(plan.paths))]
-    stands = end_of(given[-1]) if given else pose_of(start)
+    stands = end_of(given[-1]) if given else start.pose
     homing = plan_docking(stands, docking, len(given) + 1)
     paths = (*given, *homing)
     return replace(plan, paths=paths, length_m=_length_m(paths), docking=docking, homing=homing)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from configs.mission import Work
-from configs.vehicle import ElectricWheel, Implement, MountedImplement, Vehicle, kmh
+from configs.vehicle import Implement, MountedImplement, Vehicle, kmh, steering_rate
 from geometry.footprint import Bodies, Rectangle, place
 from geometry.polyline import Float64
 from messages.errors import FieldError
@@ -59,18 +59,13 @@ def rig_of(vehicle: Vehicle, implement: Implement, work: Work | None, config: Pl
     body, top = vehicle.body, kmh(vehicle.max_speed_kmh)
     machine = Rectangle(-body.rear_m, body.front_m, body.width_m)
     behind = Rectangle(implement.rear_end_m, implement.front_end_m, implement.width_m)
-    steering = vehicle.steering
-    if isinstance(steering, ElectricWheel):
-        rate = steering.max_wheel_rpm / 60.0 / steering.wheel_turns_per_steer_rad
-    else:
-        rate = steering.max_flow_lpm / 60.0 / steering.cylinder_l_per_rad
     speeds = (work.work_speed_kmh, work.turn_speed_kmh, work.lane_speed_kmh) if work is not None else (math.inf,) * 3
     work_mps, turn_mps, lane_mps = (min(kmh(speed_kmh), top) for speed_kmh in speeds)
     limit = vehicle.drivetrain.max_curvature_radpm
     return Rig(
         (machine, behind), implement.working_point_m, implement.working_width_m,
         1.0 / (limit * config.curvature_share), limit, vehicle.drivetrain.wheelbase_m,
-        rate * config.steering_rate_share, vehicle.acceleration_mps2,
+        steering_rate(vehicle) * config.steering_rate_share, vehicle.acceleration_mps2,
         work_mps, turn_mps, lane_mps, config,
     )  # fmt: skip
 

@@ -17,7 +17,8 @@ import shapely
 
 from geometry.footprint import Rectangle, is_inside
 from geometry.polyline import Float64, without_repeats
-from planning.turns.dubins import Pose, dubins, points_of
+from geometry.pose2 import Pose2
+from planning.turns.dubins import dubins, points_of
 from planning.turns.turn import STEP_M, Space, Wanted, is_free
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -32,11 +33,11 @@ def sampled(wanted: Wanted, space: Space, seed: int, iterations: int) -> Float64
         "allowed": shapely.to_wkb(space.allowed, hex=True),
         "bodies": [[b.rear_m, b.front_m, b.width_m] for b in space.bodies],
         "radius_m": space.radius_m,
-        "poses": [[p.x_m, p.y_m, p.heading_rad] for p in (start, goal)],
+        "poses": [[p.x_m, p.y_m, p.yaw_rad] for p in (start, goal)],
         "seed": seed % 2**31 + 1,
         "iterations": iterations,
     }
-    poses = [Pose(*p) for p in _in_worker(task)]
+    poses = [Pose2(*p) for p in _in_worker(task)]
     if not poses:
         return None
     way = _shortened([wanted.start, *poses, wanted.goal], space)
@@ -54,7 +55,7 @@ def _in_worker(task: dict[str, Any]) -> list[list[float]]:
     return found
 
 
-def _shortened(poses: list[Pose], space: Space) -> Float64 | None:
+def _shortened(poses: list[Pose2], space: Space) -> Float64 | None:
     """Dubins curves from pose to pose, each as far on as is free; the first and the last are straight."""
     out, k, last = [_curve(poses[0], poses[1], space)], 1, len(poses) - 2
     while k < last:
@@ -69,7 +70,7 @@ def _shortened(poses: list[Pose], space: Space) -> Float64 | None:
     return without_repeats(np.vstack([*out, _curve(poses[last], poses[-1], space)]))
 
 
-def _curve(a: Pose, b: Pose, space: Space) -> Float64:
+def _curve(a: Pose2, b: Pose2, space: Space) -> Float64:
     return points_of(dubins(a, b, space.radius_m)[0], STEP_M)
 
 

@@ -6,7 +6,7 @@ from itertools import count
 
 import can
 
-from configs.site import Pose2
+from configs.site import PoseConfig
 from configs.strict import CONFIGS, load
 from control.controller import Controller
 from interfaces.gateway import CanBus, Gateway
@@ -108,7 +108,7 @@ def locating(setup: Setup) -> list[Node]:
     ]
 
 
-def _dock(setup: Setup) -> Pose2 | None:
+def _dock(setup: Setup) -> PoseConfig | None:
     """Where the machine was left in the shed, None when it was left outside."""
     mission, shed = setup.mission, setup.site.shed
     if shed is None or mission.bay is None or mission.start is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from configs.mission import Mission, Spread
-from configs.site import Pose2, Site
+from configs.site import PoseConfig, Site
 from configs.strict import find, load
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from datasets.viewer import Viewer
@@ -31,7 +31,7 @@ class Setup:
     stack: StackConfig
     plan: Plan
     seed: int
-    start: Pose2
+    start: PoseConfig
     is_folded: bool
 
     def viewer(self) -> Viewer:
@@ -63,7 +63,7 @@ def with_model(setup: Setup, model: Path | None) -> Setup:
     return replace(setup, stack=with_detector(setup.stack, model))
 
 
-def start_of(mission: Mission, site: Site, seed: int) -> tuple[Pose2, bool]:
+def start_of(mission: Mission, site: Site, seed: int) -> tuple[PoseConfig, bool]:
     """Where the machine stands at first, and whether folded: docked, at the site's start, or as the seed draws it."""
     if mission.start is not None:
         return _drawn(mission.start, mission.spread, seed), False
@@ -72,13 +72,13 @@ def start_of(mission: Mission, site: Site, seed: int) -> tuple[Pose2, bool]:
     return site.bay(mission.bay).dock, True
 
 
-def _drawn(pose: Pose2, spread: Spread | None, seed: int) -> Pose2:
+def _drawn(pose: PoseConfig, spread: Spread | None, seed: int) -> PoseConfig:
     """A pose evenly drawn from the disc and the headings about another."""
     if spread is None:
         return pose
     share, angle, turn = np.random.default_rng([seed, START_STREAM]).uniform(size=3)
     away = spread.distance_m * math.sqrt(share)
-    return Pose2(
+    return PoseConfig(
         x_m=pose.x_m + away * math.cos(2.0 * math.pi * angle),
         y_m=pose.y_m + away * math.sin(2.0 * math.pi * angle),
         heading_deg=pose.heading_deg + spread.heading_deg * (2.0 * turn - 1.0),

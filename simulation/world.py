@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 from shapely import Polygon
 
-from configs.site import Pose2, Site
+from configs.site import PoseConfig, Site
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from messages.command import OperatorCommand
@@ -77,7 +77,7 @@ class SimulationWorld(World):
 
     def __init__(
         self, site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario,
-        plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int, config: SimulationConfig, start: Pose2,
+        plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int, config: SimulationConfig, start: PoseConfig,
         is_folded: bool, paints_aside: bool = False,
     ) -> None:  # fmt: skip
         self._now_ns = self._start_ns = config.start_stamp_ns

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.polyline import Float64, arc_length
+from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
 from planning.turns.connector import Piece, Ways
-from planning.turns.dubins import Pose
 from planning.turns.turn import STEP_M, Wanted, curve_between, shortest_length_m
 
 EVERY = 25  # points of a round between two places tried, 2.5 m
@@ -34,7 +34,7 @@ class Link:
     length_m: float
 
 
-def drive_rounds(ways: Ways, start: Pose) -> tuple[list[Piece], Float64]:
+def drive_rounds(ways: Ways, start: Pose2) -> tuple[list[Piece], Float64]:
     """All rounds with the ways to them, and the last one's points (N, 2), begun `JOINT` before its end.
 
     Raises FieldError.
@@ -73,7 +73,7 @@ def _best(entries: list[Link], links: list[Link], count: int, is_last: bool) -> 
     return entries[i], links[j]
 
 
-def _entries(ways: Ways, start: Pose, ring: Float64) -> list[Link]:
+def _entries(ways: Ways, start: Pose2, ring: Float64) -> list[Link]:
     config, options = ways.rig.config, []
     for k in range(0, len(ring), EVERY):
         wanted = Wanted(start, pose_at(ring, k), config.run_out_m, config.line_up_m)
@@ -108,7 +108,7 @@ def _links(ways: Ways, ring: Float64, following: Float64) -> list[Link]:
 
 
 def _by_search(
-    ways: Ways, start: Pose, rings: list[Float64], number: int, entries: list[Link]
+    ways: Ways, start: Pose2, rings: list[Float64], number: int, entries: list[Link]
 ) -> tuple[Link, Link | None]:
     """As `_best`, but by thorough search, where no simple curve was free."""
     config, ring = ways.rig.config, rings[number]
@@ -131,11 +131,11 @@ def _by_search(
     raise AssertionError
 
 
-def pose_at(ring: Float64, k: int) -> Pose:
+def pose_at(ring: Float64, k: int) -> Pose2:
     """The pose at a point of a round."""
     n = len(ring)
     d = ring[(k + 1) % n] - ring[(k - 1) % n]
-    return Pose(float(ring[k % n, 0]), float(ring[k % n, 1]), float(np.arctan2(d[1], d[0])))
+    return Pose2(float(ring[k % n, 0]), float(ring[k % n, 1]), float(np.arctan2(d[1], d[0])))
 
 
 def _loop(ring: Float64, k: int) -> Float64:

@@ -8,6 +8,7 @@ from shapely.geometry import Polygon
 
 from geometry.footprint import is_inside
 from geometry.polyline import Float64, arc_length, headings, polyline, resample
+from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import PathSectionType
 from planning.coverage.headland_route import EVERY, JOINT, drive_rounds, pose_at
@@ -15,7 +16,6 @@ from planning.coverage.order import Visit, order
 from planning.coverage.swath import Swath
 from planning.field.drivable_area import describe
 from planning.turns.connector import Piece, Ways
-from planning.turns.dubins import Pose
 from planning.turns.turn import STEP_M, Wanted, shortest_length_m
 
 REORDERINGS = 8
@@ -26,14 +26,14 @@ HOME_STRAIGHT_M = 1.0
 def route(ways: Ways, swaths: list[Swath]) -> list[Piece]:
     """All pieces in order; raises FieldError with the place where it cannot go on."""
     site = ways.ground.site
-    start = Pose(site.start.x_m, site.start.y_m, float(np.radians(site.start.heading_deg)))
+    start = site.start.pose
     pieces, pose = _way_in(ways, start)
     found, rest = drive_rounds(ways, pose)
     home, home_start = _way_home(ways)
     return [*pieces, *found, *_after_rounds(ways, rest, home_start, swaths), *home]
 
 
-def _after_rounds(ways: Ways, rest: Float64, home: Pose, swaths: list[Swath]) -> list[Piece]:
+def _after_rounds(ways: Ways, rest: Float64, home: Pose2, swaths: list[Swath]) -> list[Piece]:
     """Swaths and way home, and before them as much more of the last round as it takes until it can be left."""
     for k in range(JOINT, len(rest) - 1, EVERY):
         pose, driven = pose_at(rest, k), rest[k - JOINT : k + 1]
@@ -46,7 +46,7 @@ def _after_rounds(ways: Ways, rest: Float64, home: Pose, swaths: list[Swath]) ->
     raise AssertionError
 
 
-def _drive_swaths(ways: Ways, start: Pose, driven: Float64, home: Pose, swaths: list[Swath]) -> list[Piece] | None:
+def _drive_swaths(ways: Ways, start: Pose2, driven: Float64, home: Pose2, swaths: list[Swath]) -> list[Piece] | None:
     """The swaths and the way home; one that cannot be reached or left is dropped and shows as uncovered.
 
     None where `start`, to which `driven` leads, cannot be left itself.
@@ -58,12 +58,12 @@ def _drive_swaths(ways: Ways, start: Pose, driven: Float64, home: Pose, swaths: 
         swaths = [s for s in swaths if s is not stuck]
 
 
-def _leave(ways: Ways, pose: Pose, home: Pose) -> Wanted:
+def _leave(ways: Ways, pose: Pose2, home: Pose2) -> Wanted:
     return Wanted(pose, home, ways.rig.config.run_out_m, HOME_STRAIGHT_M)
 
 
 def _drive_tour(
-    ways: Ways, start: Pose, driven: Float64, home: Pose, tour: list[tuple[Swath, bool]]
+    ways: Ways, start: Pose2, driven: Float64, home: Pose2, tour: list[tuple[Swath, bool]]
 ) -> tuple[list[Piece] | None, Swath | None]:
     """The pieces of a tour, or None and the swath that it cannot have."""
     pose, at = start, None
@@ -83,11 +83,11 @@ def _drive_tour(
     return [*pieces, Piece(PathSectionType.TURN, -1, way, False)], None
 
 
-def _straight(a: Pose, b: Pose) -> Float64:
+def _straight(a: Pose2, b: Pose2) -> Float64:
     return resample(np.array([[a.x_m, a.y_m], [b.x_m, b.y_m]]), STEP_M)
 
 
-def _way_in(ways: Ways, start: Pose) -> tuple[list[Piece], Pose]:
+def _way_in(ways: Ways, start: Pose2) -> tuple[list[Piece], Pose2]:
     lane = lane_line(ways)
     first, last = _end_poses(lane)
     wanted = Wanted(start, first, 0.0, 0.0)
@@ -134,14 +134,14 @@ def fillet(points_m: Float64, radius_m: float) -> Float64:
     return resample(np.vstack(out), STEP_M)
 
 
-def _end_poses(points_m: Float64) -> tuple[Pose, Pose]:
-    def pose(p: Float64, q: Float64, at: Float64) -> Pose:
-        return Pose(float(at[0]), float(at[1]), float(np.arctan2(q[1] - p[1], q[0] - p[0])))
+def _end_poses(points_m: Float64) -> tuple[Pose2, Pose2]:
+    def pose(p: Float64, q: Float64, at: Float64) -> Pose2:
+        return Pose2(float(at[0]), float(at[1]), float(np.arctan2(q[1] - p[1], q[0] - p[0])))
 
     return pose(points_m[0], points_m[1], points_m[0]), pose(points_m[-2], points_m[-1], points_m[-1])
 
 
-def _way_home(ways: Ways) -> tuple[list[Piece], Pose]:
+def _way_home(ways: Ways) -> tuple[list[Piece], Pose2]:
     lane = lane_line(ways)[::-1]
     first, last = _end_poses(lane)
     parked = _parking(ways, last)
@@ -149,11 +149,11 @@ def _way_home(ways: Ways) -> tuple[list[Piece], Pose]:
     return [Piece(PathSectionType.LANE, -1, way, False)], first
 
 
-def _parking(ways: Ways, lane_end: Pose) -> Pose:
+def _parking(ways: Ways, lane_end: Pose2) -> Pose2:
     yard = Polygon(ways.ground.site.yard.outline_m)
     for ahead in np.arange(0.5, 40.0, 0.5):
         pose = lane_end.ahead(float(ahead))
-        p, h = np.array([[pose.x_m, pose.y_m]]), np.array([pose.heading_rad])
+        p, h = np.array([[pose.x_m, pose.y_m]]), np.array([pose.yaw_rad])
         if is_inside(ways.rig.bodies, p, h, yard)[0] and is_inside(ways.rig.bodies, p, h, ways.ground.allowed)[0]:
             return pose
     where = describe(ways.ground.site, lane_end.x_m, lane_end.y_m)
@@ -162,7 +162,7 @@ def _parking(ways: Ways, lane_end: Pose) -> Pose:
     )
 
 
-def _ordered(ways: Ways, start: Pose, home: Pose, swaths: list[Swath]) -> list[tuple[Swath, bool]]:
+def _ordered(ways: Ways, start: Pose2, home: Pose2, swaths: list[Swath]) -> list[tuple[Swath, bool]]:
     """Swaths in an order that is short by real ways: a guess that was too short is corrected and tried again."""
     visits = [s.poses(r, -ways.rig.working_x_m) for s in swaths for r in (False, True)]
     starts, ends = [a for a, _ in visits] + [home], [b for _, b in visits] + [start]
@@ -188,5 +188,5 @@ def _ordered(ways: Ways, start: Pose, home: Pose, swaths: list[Swath]) -> list[t
     return [(swaths[k], r) for k, r in best[1]]
 
 
-def _wanted(ways: Ways, a: Pose, b: Pose) -> Wanted:
+def _wanted(ways: Ways, a: Pose2, b: Pose2) -> Wanted:
     return Wanted(a, b, ways.rig.config.run_out_m, ways.rig.config.line_up_m)

@@ -10,7 +10,7 @@ from shapely.geometry.base import BaseGeometry
 
 from geometry.polygon import edge_angles, grow, open_by, parts, polygon_of, shrink
 from geometry.polyline import Float64
-from planning.turns.dubins import Pose
+from geometry.pose2 import Pose2
 from planning.turns.turn import Space, is_free
 
 LEAST_STRIP_M2 = 0.5
@@ -34,11 +34,11 @@ class Swath:
         """From end to end."""
         return float(np.hypot(*(self.b_m - self.a_m)))
 
-    def poses(self, is_reversed: bool, lead_m: float) -> tuple[Pose, Pose]:
+    def poses(self, is_reversed: bool, lead_m: float) -> tuple[Pose2, Pose2]:
         """Poses of `base` at start and end of work; `lead_m` is how far `base` is ahead of the working line."""
         first, last = (self.b_m, self.a_m) if is_reversed else (self.a_m, self.b_m)
         heading = math.atan2(*(last - first)[::-1])
-        ends = [Pose(float(p[0]), float(p[1]), heading).ahead(lead_m) for p in (first, last)]
+        ends = [Pose2(float(p[0]), float(p[1]), heading).ahead(lead_m) for p in (first, last)]
         return ends[0], ends[1]
 
 

@@ -11,8 +11,8 @@ from itertools import groupby
 import numpy as np
 
 from geometry.polyline import Float64
+from geometry.pose2 import Pose2
 from planning.docking.reeds_shepp import Segment, Way
-from planning.turns.dubins import Pose
 
 STEP_M = 0.1
 CORRECTIONS = 8
@@ -31,17 +31,17 @@ class Run:
     s_m: Float64
 
 
-def runs_of(way: Way, start: Pose, ramp_m: float) -> list[Run]:
+def runs_of(way: Way, start: Pose2, ramp_m: float) -> list[Run]:
     """The way from a pose on, one run for each direction."""
     found: list[Run] = []
     for is_forward, segments in groupby(way, key=lambda t: t.length_m > 0.0):
         run = _run(list(segments), start, 1 if is_forward else -1, ramp_m)
         found.append(run)
-        start = Pose(float(run.p_map_m[-1, 0]), float(run.p_map_m[-1, 1]), float(run.heading_rad[-1]))
+        start = Pose2(float(run.p_map_m[-1, 0]), float(run.p_map_m[-1, 1]), float(run.heading_rad[-1]))
     return found
 
 
-def led_to(way: Way, start: Pose, goal: Pose, ramp_m: float) -> Way | None:
+def led_to(way: Way, start: Pose2, goal: Pose2, ramp_m: float) -> Way | None:
     """The way with its lengths corrected so that it ends at the goal though curvature is ramped; None if it cannot."""
     lengths = np.array([t.length_m for t in way])
     curvatures = [t.curvature_radpm for t in way]
@@ -52,7 +52,7 @@ def led_to(way: Way, start: Pose, goal: Pose, ramp_m: float) -> Way | None:
 
     def miss(values: Float64) -> Float64:
         end = runs_of(way_by(values), start, ramp_m)[-1]
-        turn = math.remainder(float(end.heading_rad[-1]) - goal.heading_rad, 2.0 * math.pi)
+        turn = math.remainder(float(end.heading_rad[-1]) - goal.yaw_rad, 2.0 * math.pi)
         return np.array([end.p_map_m[-1, 0] - goal.x_m, end.p_map_m[-1, 1] - goal.y_m, turn * arm_m])
 
     for _ in range(CORRECTIONS):
@@ -68,7 +68,7 @@ def led_to(way: Way, start: Pose, goal: Pose, ramp_m: float) -> Way | None:
     return None
 
 
-def _run(segments: list[Segment], start: Pose, direction: int, ramp_m: float) -> Run:
+def _run(segments: list[Segment], start: Pose2, direction: int, ramp_m: float) -> Run:
     """Curvature is the mean of the segments' over `ramp_m` about each place; both ends go on as they are."""
     half = 0.5 * ramp_m
     lengths = [abs(t.length_m) for t in segments]
@@ -85,7 +85,7 @@ def _run(segments: list[Segment], start: Pose, direction: int, ramp_m: float) ->
         return np.asarray((both[1] - both[0]) / ramp_m, np.float64)
 
     step = direction * float(s[1] - s[0])
-    heading = start.heading_rad + np.concatenate([[0.0], np.cumsum(step * mean(0.5 * (s[:-1] + s[1:])))])
+    heading = start.yaw_rad + np.concatenate([[0.0], np.cumsum(step * mean(0.5 * (s[:-1] + s[1:])))])
     course = 0.5 * (heading[:-1] + heading[1:])
     moves = np.vstack([[[start.x_m, start.y_m]], step * np.column_stack([np.cos(course), np.sin(course)])])
     return Run(direction, np.cumsum(moves, axis=0), heading, mean(s), s)

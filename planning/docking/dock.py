@@ -8,10 +8,11 @@ import numpy as np
 import shapely
 from shapely.geometry import Polygon
 
-from configs.site import Bay, Pose2, Site
+from configs.site import Bay, Site
 from configs.vehicle import kmh
 from geometry.footprint import footprints
 from geometry.polyline import Float64
+from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import Path, PathSection, PathSectionType
 from planning.config import DockingConfig
@@ -23,7 +24,6 @@ from planning.docking.search import Space, Wanted, free_word, least_clearance_m
 from planning.field.drivable_area import describe
 from planning.profile import speed_profile
 from planning.rig import Rig
-from planning.turns.dubins import Pose
 
 
 @dataclass(frozen=True)
@@ -37,17 +37,12 @@ class Docking:
     seed: int
 
 
-def pose_of(pose: Pose2) -> Pose:
-    """A pose of a site in radians."""
-    return Pose(pose.x_m, pose.y_m, math.radians(pose.heading_deg))
-
-
-def end_of(path: Path) -> Pose:
+def end_of(path: Path) -> Pose2:
     """Where a path ends."""
-    return Pose(float(path.p_map_m[-1, 0]), float(path.p_map_m[-1, 1]), float(path.heading_rad[-1]))
+    return Pose2(float(path.p_map_m[-1, 0]), float(path.p_map_m[-1, 1]), float(path.heading_rad[-1]))
 
 
-def plan_docking(start: Pose, docking: Docking, first_id: int, outlines: Sequence[Polygon] = ()) -> tuple[Path, ...]:
+def plan_docking(start: Pose2, docking: Docking, first_id: int, outlines: Sequence[Polygon] = ()) -> tuple[Path, ...]:
     """Paths from standing at `start` to standing in the dock, the last in reverse and the end of the mission.
 
     They keep clear of walls, posts, the edge of the yard and `outlines`; raises FieldError with reason and place.
@@ -58,11 +53,11 @@ def plan_docking(start: Pose, docking: Docking, first_id: int, outlines: Sequenc
 
 def plan_undocking(docking: Docking, first_id: int) -> tuple[Path, ...]:
     """Paths out of the dock to the start of the site: a way from there into the dock, driven the other way."""
-    runs = [_turned(run) for run in reversed(_runs(pose_of(docking.site.start), docking, ()))]
+    runs = [_turned(run) for run in reversed(_runs(docking.site.start.pose, docking, ()))]
     return tuple(_path(run, docking, first_id + k, False) for k, run in enumerate(runs))
 
 
-def _runs(start: Pose, docking: Docking, outlines: Sequence[Polygon]) -> list[Run]:
+def _runs(start: Pose2, docking: Docking, outlines: Sequence[Polygon]) -> list[Run]:
     wanted, space = _wanted(start, docking), _space(start, docking, outlines)
     _check_run_in(wanted, space, docking)
     runs = free_word(wanted, space) or sampled(wanted, space, docking.seed)
@@ -75,20 +70,20 @@ def _runs(start: Pose, docking: Docking, outlines: Sequence[Polygon]) -> list[Ru
     return runs
 
 
-def _wanted(start: Pose, docking: Docking) -> Wanted:
+def _wanted(start: Pose2, docking: Docking) -> Wanted:
     """The run-in reaches from the dock to where the rear end is still before the roof, and `run_in_m` further."""
-    shed, dock = docking.site.shed, pose_of(docking.bay.dock)
+    shed, dock = docking.site.shed, docking.bay.dock.pose
     assert shed is not None
     roof = np.array(shed.outline_m) - [dock.x_m, dock.y_m]
-    depth_m = float((roof @ [math.cos(dock.heading_rad), math.sin(dock.heading_rad)]).max())
+    depth_m = float((roof @ [math.cos(dock.yaw_rad), math.sin(dock.yaw_rad)]).max())
     return Wanted(start, dock, depth_m - docking.rig.rear_m + docking.config.run_in_m)
 
 
-def _space(start: Pose, docking: Docking, outlines: Sequence[Polygon]) -> Space:
+def _space(start: Pose2, docking: Docking, outlines: Sequence[Polygon]) -> Space:
     site, rig, config = docking.site, docking.rig, docking.config
     assert site.shed is not None
     bounds = bounds_of(site, site.shed, outlines, config.apart_m - config.clearance_m)
-    p, heading = np.array([[start.x_m, start.y_m]]), np.array([start.heading_rad])
+    p, heading = np.array([[start.x_m, start.y_m]]), np.array([start.yaw_rad])
     stands_m = float(clearance_m(bounds, rig.bodies, p, heading)[0])
     is_inside = bool(shapely.covers(yard_of(site, site.shed), footprints(rig.bodies, p, heading)).all())
     if not is_inside or stands_m < config.bay_clearance_m:

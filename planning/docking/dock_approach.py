@@ -5,12 +5,11 @@ from collections.abc import Sequence
 
 from shapely.geometry import Polygon
 
-from geometry.transforms import yaw_of
+from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.motion import MapPose
 from messages.plan import Path
 from planning.docking.dock import Docking, plan_docking
-from planning.turns.dubins import Pose
 
 
 def silence(pose: MapPose, longest_s: float) -> str | None:
@@ -26,16 +25,10 @@ def way_in(pose: MapPose, docking: Docking, first_id: int, outlines: Sequence[Po
 
     Whether it is gone is for the supervisor to see.
     """
-    start = standing_at(pose)
+    start = Pose2.of(pose.T_map_base)
     try:
         return plan_docking(start, docking, first_id, outlines)
     except FieldError:
         if not outlines:
             raise
         return plan_docking(start, docking, first_id)
-
-
-def standing_at(pose: MapPose) -> Pose:
-    """The pose of `base` in `map`."""
-    T = pose.T_map_base
-    return Pose(float(T[0, 3]), float(T[1, 3]), yaw_of(T))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
-from planning.turns.dubins import Pose
+from geometry.pose2 import Pose2
 
 NEARLY_0 = 1e-9
 _QUARTER = 0.5 * math.pi
@@ -30,12 +30,12 @@ class Segment(NamedTuple):
 Way = tuple[Segment, ...]
 
 
-def words(start: Pose, goal: Pose, radius_m: float) -> list[Way]:
+def words(start: Pose2, goal: Pose2, radius_m: float) -> list[Way]:
     """All Reeds-Shepp words between two poses, shortest first."""
     dx, dy = goal.x_m - start.x_m, goal.y_m - start.y_m
-    c, s = math.cos(start.heading_rad), math.sin(start.heading_rad)
+    c, s = math.cos(start.yaw_rad), math.sin(start.yaw_rad)
     x, y = (c * dx + s * dy) / radius_m, (c * dy - s * dx) / radius_m
-    found = [_way(letters, lengths, radius_m) for letters, lengths in _all(x, y, goal.heading_rad - start.heading_rad)]
+    found = [_way(letters, lengths, radius_m) for letters, lengths in _all(x, y, goal.yaw_rad - start.yaw_rad)]
     return sorted(found, key=lambda w: (round(length_m(w), 9), w))
 
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from geometry.footprint import Rectangle
+from geometry.pose2 import Pose2
 from planning.docking.clearance import Bounds, clearance_m
 from planning.docking.curvature_ramps import Run, runs_of
 from planning.docking.reeds_shepp import Segment, Way, words
 from planning.docking.search import Space, Wanted, free_runs, joined
 from planning.sampling import WAIT_S, bounds_in, counter, state_at
-from planning.turns.dubins import Pose
 
 ROOT = Path(__file__).resolve().parents[2]
 VALID_EVERY_M = 0.4
@@ -27,7 +27,7 @@ WORDS_TRIED = 8
 
 def sampled(wanted: Wanted, space: Space, seed: int) -> list[Run] | None:
     """A way that keeps clear, shortened, or None; the same for the same arguments."""
-    poses = [Pose(*p) for p in _in_worker(_task(wanted, space, seed))]
+    poses = [Pose2(*p) for p in _in_worker(_task(wanted, space, seed))]
     way = _shortened(poses, space)
     return None if not way else free_runs(joined((*way, Segment(-wanted.run_in_m, 0.0))), wanted, space)
 
@@ -41,7 +41,7 @@ def _task(wanted: Wanted, space: Space, seed: int) -> dict[str, Any]:
         "bodies": [[b.rear_m, b.front_m, b.width_m] for b in space.bodies],
         "radius_m": space.radius_m,
         "apart_m": space.apart_m,
-        "poses": [[p.x_m, p.y_m, p.heading_rad] for p in (wanted.start, goal)],
+        "poses": [[p.x_m, p.y_m, p.yaw_rad] for p in (wanted.start, goal)],
         "seed": seed % 2**31 + 1,
         "iterations": space.config.sampling_iterations,
     }
@@ -58,7 +58,7 @@ def _in_worker(task: dict[str, Any]) -> list[list[float]]:
     return found
 
 
-def _shortened(poses: list[Pose], space: Space) -> Way:
+def _shortened(poses: list[Pose2], space: Space) -> Way:
     """Words from pose to pose, each as far on as keeps clear; empty where one does not."""
     out: Way = ()
     k = 0
@@ -73,7 +73,7 @@ def _shortened(poses: list[Pose], space: Space) -> Way:
     return out
 
 
-def _free_word(a: Pose, b: Pose, space: Space) -> Way | None:
+def _free_word(a: Pose2, b: Pose2, space: Space) -> Way | None:
     for word in words(a, b, space.radius_m)[:WORDS_TRIED]:
         runs = runs_of(word, a, space.config.ramp_m)
         apart = (clearance_m(space.bounds, space.bodies, r.p_map_m, r.heading_rad).min() for r in runs)

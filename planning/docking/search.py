@@ -8,11 +8,11 @@ import numpy as np
 
 from geometry.footprint import Bodies
 from geometry.polyline import Float64
+from geometry.pose2 import Pose2
 from planning.config import DockingConfig
 from planning.docking.clearance import Bounds, clearance_m
 from planning.docking.curvature_ramps import Run, led_to, runs_of
 from planning.docking.reeds_shepp import Segment, Way, cusps, length_m, words
-from planning.turns.dubins import Pose
 
 RADII = (1.0, 1.2, 1.5, 2.0)
 MORE_STRAIGHT_M = (0.0, 1.5, 3.0, 5.0, 8.0, 12.0)
@@ -35,8 +35,8 @@ class Space:
 class Wanted:
     """A way from `start` to `dock`, the last `run_in_m` of it straight in reverse and in the bay."""
 
-    start: Pose
-    dock: Pose
+    start: Pose2
+    dock: Pose2
     run_in_m: float
 
 

@@ -8,7 +8,7 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry.polygon import orient
 
 from configs.mission import Work
-from configs.site import Area, Gate, Lane, Point, Pose2, Site
+from configs.site import Area, Gate, Lane, Point, PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
 from geometry.polygon import as_polygon
 from geometry.polyline import Float64
@@ -71,7 +71,7 @@ def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float)
         lanes=(Lane(name="lane", center_m=(at(0.0, near + 4.0), at(0.0, -INTO_FIELD_M)), width_m=gate_m),),
         gates=(Gate(name="gate", posts_m=(at(-half, POSTS_OUT_M), at(half, POSTS_OUT_M))),),
         yard=Area(name="yard", outline_m=(at(-wide, near), at(-wide, far), at(wide, far), at(wide, near))),
-        start=Pose2(x_m=start[0], y_m=start[1], heading_deg=heading),
+        start=PoseConfig(x_m=start[0], y_m=start[1], heading_deg=heading),
         is_fenced=False,
     )
 

@@ -16,10 +16,10 @@ from shapely.geometry.base import BaseGeometry
 
 from geometry.footprint import place
 from geometry.polyline import Float64, arc_length, headings, project
+from geometry.pose2 import Pose2
 from messages.plan import Path
 from planning.config import MissionConfig
 from planning.rig import Rig
-from planning.turns.dubins import Pose
 from planning.turns.turn import Space, Wanted, curve_between, is_free
 
 ASIDE_STEP_M, ASIDE_STEPS = 0.3, 8
@@ -43,10 +43,10 @@ class Detour:
     rejoin_s_m: float
 
 
-def pose_at(path: Path, s_m: float) -> Pose:
+def pose_at(path: Path, s_m: float) -> Pose2:
     """The pose on a path at an arc length."""
     x, y = (float(np.interp(s_m, path.s_m, path.p_map_m[:, k])) for k in range(2))
-    return Pose(x, y, float(np.interp(s_m, path.s_m, np.unwrap(path.heading_rad))))
+    return Pose2(x, y, float(np.interp(s_m, path.s_m, np.unwrap(path.heading_rad))))
 
 
 def part_of(path: Path, first_m: float, last_m: float) -> Float64:
@@ -106,7 +106,7 @@ def _sides(right_m: float, left_m: float) -> list[float]:
 
 
 def _way_out(
-    path: Path, s_m: float, middle: Pose, space: Space, config: MissionConfig
+    path: Path, s_m: float, middle: Pose2, space: Space, config: MissionConfig
 ) -> tuple[Float64, float, Float64] | None:
     for back in np.arange(0.0, min(config.most_reverse_m, s_m) + 1e-9, REVERSE_STEP_M):
         for shift in SHIFTS_M if back >= SHIFT_WAY_M else (0.0,):
@@ -128,7 +128,7 @@ def _shifted(points: Float64, to_left_m: float) -> Float64:
     return np.asarray(points + push[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]), np.float64)
 
 
-def _way_on(path: Path, last_m: float, middle: Pose, space: Space) -> tuple[Float64, float] | None:
+def _way_on(path: Path, last_m: float, middle: Pose2, space: Space) -> tuple[Float64, float] | None:
     for on in REJOINS_M:
         s = last_m + on
         if s > float(path.s_m[-1]):

@@ -6,35 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.polyline import Float64
+from geometry.pose2 import Pose2
 
 WORDS = ("LSL", "RSR", "LSR", "RSL", "RLR", "LRL")
 _TURN = {"L": 1.0, "S": 0.0, "R": -1.0}
 
 
 @dataclass(frozen=True)
-class Pose:
-    """A place and heading in `map`."""
-
-    x_m: float
-    y_m: float
-    heading_rad: float
-
-    def ahead(self, by_m: float) -> "Pose":
-        """The pose so far straight on."""
-        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        return Pose(self.x_m + by_m * c, self.y_m + by_m * s, self.heading_rad)
-
-    def beside(self, by_m: float) -> "Pose":
-        """The pose so far to the left."""
-        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        return Pose(self.x_m - by_m * s, self.y_m + by_m * c, self.heading_rad)
-
-
-@dataclass(frozen=True)
 class Curve:
     """A word with the lengths of its three parts, from `start` at turning radius `radius_m`."""
 
-    start: Pose
+    start: Pose2
     word: str
     lengths_m: tuple[float, float, float]
     radius_m: float
@@ -45,11 +27,11 @@ class Curve:
         return sum(self.lengths_m)
 
 
-def dubins(start: Pose, goal: Pose, radius_m: float) -> list[Curve]:
+def dubins(start: Pose2, goal: Pose2, radius_m: float) -> list[Curve]:
     """All Dubins curves that exist between two poses, shortest first (Shkel & Lumelsky 2001, eq. 9 to 20)."""
     dx, dy = goal.x_m - start.x_m, goal.y_m - start.y_m
     d, theta = math.hypot(dx, dy) / radius_m, math.atan2(dy, dx)
-    a, b = start.heading_rad - theta, goal.heading_rad - theta
+    a, b = start.yaw_rad - theta, goal.yaw_rad - theta
     found = []
     for word in WORDS:
         parts = _parts(word, d, a, b)
@@ -107,14 +89,14 @@ def points_of(curve: Curve, step_m: float) -> Float64:
         s = np.linspace(0.0, length, max(2, math.ceil(length / step_m) + 1))[1:]
         x, y, heading = _along(pose, _TURN[letter] / curve.radius_m, s)
         out.append(np.column_stack([x, y]))
-        pose = Pose(float(x[-1]), float(y[-1]), float(heading[-1]))
+        pose = Pose2(float(x[-1]), float(y[-1]), float(heading[-1]))
     return np.vstack(out)
 
 
-def _along(pose: Pose, curvature: float, s: Float64) -> tuple[Float64, Float64, Float64]:
-    h = pose.heading_rad + curvature * s
+def _along(pose: Pose2, curvature: float, s: Float64) -> tuple[Float64, Float64, Float64]:
+    h = pose.yaw_rad + curvature * s
     if curvature == 0.0:
-        return pose.x_m + s * math.cos(pose.heading_rad), pose.y_m + s * math.sin(pose.heading_rad), h
-    x = pose.x_m + (np.sin(h) - math.sin(pose.heading_rad)) / curvature
-    y = pose.y_m - (np.cos(h) - math.cos(pose.heading_rad)) / curvature
+        return pose.x_m + s * math.cos(pose.yaw_rad), pose.y_m + s * math.sin(pose.yaw_rad), h
+    x = pose.x_m + (np.sin(h) - math.sin(pose.yaw_rad)) / curvature
+    y = pose.y_m - (np.cos(h) - math.cos(pose.yaw_rad)) / curvature
     return x, y, h

@@ -3,7 +3,8 @@
 import numpy as np
 
 from geometry.polyline import Float64, without_repeats
-from planning.turns.dubins import Pose, dubins
+from geometry.pose2 import Pose2
+from planning.turns.dubins import dubins
 from planning.turns.turn import Space, Wanted, curve_between, is_free
 
 EVERY = 30  # points of a round, 3 m
@@ -45,6 +46,6 @@ def _first_free(options: list[tuple[int, Wanted]], space: Space) -> tuple[int, F
     return None
 
 
-def _pose(ring: Float64, k: int) -> Pose:
+def _pose(ring: Float64, k: int) -> Pose2:
     d = ring[(k + 1) % len(ring)] - ring[k - 1]
-    return Pose(float(ring[k, 0]), float(ring[k, 1]), float(np.arctan2(d[1], d[0])))
+    return Pose2(float(ring[k, 0]), float(ring[k, 1]), float(np.arctan2(d[1], d[0])))

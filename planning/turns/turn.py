@@ -8,7 +8,8 @@ from shapely.geometry.base import BaseGeometry
 
 from geometry.footprint import Bodies, intrusion, is_inside
 from geometry.polyline import Float64, headings, resample, smooth, without_repeats
-from planning.turns.dubins import Curve, Pose, dubins, points_of
+from geometry.pose2 import Pose2
+from planning.turns.dubins import Curve, dubins, points_of
 
 STEP_M = 0.1
 RADII = (1.0, 1.25, 1.6, 2.2)
@@ -29,8 +30,8 @@ class Space:
 class Wanted:
     """A way wanted from `start` to `goal`, at least so far straight on after the one and before the other."""
 
-    start: Pose
-    goal: Pose
+    start: Pose2
+    goal: Pose2
     run_out_m: float
     line_up_m: float
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from configs.site import DatumConfig, Pose2, Shed
+from configs.site import DatumConfig, PoseConfig, Shed
 from configs.strict import CONFIGS, Config, load, parse
 from datasets.importers.recording import Recording
 from datasets.reader import LogScan, read_metadata
@@ -68,7 +68,7 @@ class Place:
 
     datum: Datum
     shed: Shed | None
-    dock: Pose2 | None
+    dock: PoseConfig | None
     notes: tuple[str, ...] = ()
 
 

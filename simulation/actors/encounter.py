@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from shapely import LineString, Polygon
 
-from configs.site import Pose2
+from configs.site import PoseConfig
 from messages.errors import FieldError
 from messages.message import Float64
 from simulation.scenario import Bystander, Crossing
@@ -46,7 +46,7 @@ class Setting:
 
     field: Polygon
     half_width_m: float
-    docks: Mapping[str, Pose2] = dataclasses.field(default_factory=dict)
+    docks: Mapping[str, PoseConfig] = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from configs.site import Pose2
+from configs.site import PoseConfig
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from messages.message import Float64
@@ -54,7 +54,7 @@ class Machine:
     """State of tractor and implement; `step` is the only thing that changes it."""
 
     def __init__(
-        self, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, terrain: Terrain, start: Pose2,
+        self, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, terrain: Terrain, start: PoseConfig,
         is_folded: bool, config: MachineConfig, dt_s: float, random: np.random.Generator,
     ) -> None:  # fmt: skip
         self.x_m, self.y_m, self.yaw_rad = start.x_m, start.y_m, math.radians(start.heading_deg)

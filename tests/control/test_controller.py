@@ -8,7 +8,7 @@ import pytest
 
 from configs.strict import parse
 from control.controller import NO_PATH, ControlConfig, Controller
-from control.planar import Planar, planar_of
+from geometry.pose2 import Pose2
 from geometry.transforms import invert, planar
 from messages.command import ControlCommand
 from messages.errors import ConfigError
@@ -81,10 +81,10 @@ def test_twice_the_same():
 
 
 def test_level_poses_agree_with_transforms():
-    a, b = Planar(1.0, -2.0, 2.5), Planar(-3.0, 0.5, 1.5)
+    a, b = Pose2(1.0, -2.0, 2.5), Pose2(-3.0, 0.5, 1.5)
     T_a, T_b = (planar(*p) for p in (a, b))
-    assert np.allclose(a @ b, planar_of(T_a @ T_b))
-    assert np.allclose(a.inverse(), planar_of(invert(T_a)))
+    assert np.allclose(a @ b, Pose2.of(T_a @ T_b))
+    assert np.allclose(a.inverse(), Pose2.of(invert(T_a)))
     assert np.allclose(a @ a.inverse(), (0.0, 0.0, 0.0))
 
 

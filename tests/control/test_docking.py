@@ -7,10 +7,10 @@ import pytest
 
 from configs.site import Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
+from geometry.pose2 import Pose2
 from planning.config import PlanningConfig
 from planning.docking.dock import Docking, plan_docking
 from planning.rig import rig_of
-from planning.turns.dubins import Pose
 from tests.control.plant import IMPLEMENT, VEHICLE, Actuators, Ground, Plant, Senses, Track, true_offsets
 
 SITE = load(Site, find("sites", "demo"))
@@ -19,15 +19,15 @@ YARD = Ground(side_slope_deg=0.5, understeer=0.01, soil_radpm=0.001)
 
 
 @pytest.mark.parametrize(("bay", "start", "speed_gain"), [
-    ("wide", Pose(18.0, -31.0, math.radians(-75.0)), 0.94),
-    ("wide", Pose(20.0, -28.5, math.radians(-110.0)), 1.05),
-    ("narrow", Pose(22.0, -31.0, math.radians(-90.0)), 0.97),
+    ("wide", Pose2(18.0, -31.0, math.radians(-75.0)), 0.94),
+    ("wide", Pose2(20.0, -28.5, math.radians(-110.0)), 1.05),
+    ("narrow", Pose2(22.0, -31.0, math.radians(-90.0)), 0.97),
 ])  # fmt: skip
 def test_it_ends_in_the_dock(bay, start, speed_gain):
     rig = rig_of(VEHICLE, IMPLEMENT.folded, None, PLANNING.planner)
     docking = Docking(SITE, rig, SITE.bay(bay), PLANNING.docking, 0)
     senses, actuators = Senses(map_m=0.002, angle_zero_deg=-0.3), Actuators(speed_gain=speed_gain)
-    plant = Plant(x=start.x_m, y=start.y_m, yaw=start.heading_rad, ground=YARD, senses=senses, actuators=actuators)
+    plant = Plant(x=start.x_m, y=start.y_m, yaw=start.yaw_rad, ground=YARD, senses=senses, actuators=actuators)
     plant.fold = 1.0
     for path in plan_docking(start, docking, 1):
         before = len(plant.track.x_m)

@@ -8,11 +8,11 @@ import pytest
 from configs.vehicle import FOLDED
 from control.controller import Controller
 from control.lateral_controller import Sample
-from control.planar import Planar
 from control.start_conditions import Departure
+from geometry.pose2 import Pose2
 from tests.control.plant import CONFIG, IMPLEMENT, Actuators, Plant, machine_state, path_along
 
-STANDING = Sample(0, Planar(0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+STANDING = Sample(0, Pose2(0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
 
 
 def departure(fold, is_folded):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from configs.site import Pose2
+from configs.site import PoseConfig
 from localization.dock_prior import Docked
 from localization.lidar.map_localization import LidarMap
 from localization.lidar.surface_map import SurfaceMap, faces_of, posts_of
@@ -132,7 +132,7 @@ def test_ranges_alone_keep_within_the_standard_with_one_anchor_behind_a_wall() -
     ("start", "radio", "why"),
     [
         (shed().bay("wide").dock, Radio(), r"of 6 UWB anchors agree"),
-        (Pose2(x_m=NARROW.x_m + 1.5, y_m=NARROW.y_m, heading_deg=0.0), Radio(), r"of 6 UWB anchors agree"),
+        (PoseConfig(x_m=NARROW.x_m + 1.5, y_m=NARROW.y_m, heading_deg=0.0), Radio(), r"of 6 UWB anchors agree"),
         (NARROW, None, "no UWB ranges"),
     ],
 )
@@ -151,7 +151,7 @@ def test_the_dock_is_believed_with_two_anchors_behind_walls() -> None:
 
 
 def test_the_lidar_finds_out_how_the_machine_really_stands() -> None:
-    turned = Pose2(x_m=NARROW.x_m + 0.08, y_m=NARROW.y_m - 0.06, heading_deg=2.0)
+    turned = PoseConfig(x_m=NARROW.x_m + 0.08, y_m=NARROW.y_m - 0.06, heading_deg=2.0)
     truth = standing()
     e = errors(driven(truth, start=turned), truth)
     assert np.linalg.norm(e.p_m[0, :2]) > 0.09

@@ -14,23 +14,23 @@ from shapely.affinity import affine_transform
 from shapely.geometry import LineString, Point, Polygon, box
 
 from configs.mission import Mission
-from configs.site import Pose2, Site
+from configs.site import PoseConfig, Site
 from configs.vehicle import MountedImplement, Vehicle
 from geometry.footprint import Rectangle
+from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import Path, PathSectionType
 from planning.config import PlanningConfig
 from planning.docking.clearance import Bounds, clearance_m
 from planning.docking.curvature_ramps import led_to, runs_of
-from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking, pose_of
+from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
 from planning.docking.reeds_shepp import Segment, cusps, length_m, words
 from planning.drawing import draw_plan, plan_to_geojson
 from planning.plan import plan_mission
 from planning.rig import rig_of
-from planning.turns.dubins import Pose
 
-POSES = st.builds(Pose, st.floats(-20, 20), st.floats(-20, 20), st.floats(-7, 7))
-LANE_END = Pose(20.0, -30.0, -math.pi / 2)
+POSES = st.builds(Pose2, st.floats(-20, 20), st.floats(-20, 20), st.floats(-7, 7))
+LANE_END = Pose2(20.0, -30.0, -math.pi / 2)
 
 
 @pytest.fixture(params=["narrow", "wide"])
@@ -47,11 +47,11 @@ def docking_in(
     return Docking(site, rig, site.bay(bay), planning.docking, 0)
 
 
-def starts(count: int) -> list[Pose]:
+def starts(count: int) -> list[Pose2]:
     """Within 3 m and 20 degrees of the lane's end."""
     drawn = np.random.default_rng(7).uniform(size=(count, 3))
     return [
-        Pose(
+        Pose2(
             20.0 + 3.0 * math.sqrt(r) * math.cos(6.2832 * a), -30.0 + 3.0 * math.sqrt(r) * math.sin(6.2832 * a),
             math.radians(-110.0 + 40.0 * h),
         )
@@ -64,29 +64,29 @@ def starts(count: int) -> list[Pose]:
 
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(POSES, POSES, st.floats(3.0, 8.0))
-def test_every_word_ends_at_the_goal(start: Pose, goal: Pose, radius: float) -> None:
+def test_every_word_ends_at_the_goal(start: Pose2, goal: Pose2, radius: float) -> None:
     found = words(start, goal, radius)
     assert np.diff([length_m(w) for w in found]).min(initial=0.0) > -1e-8
     for word in found:
         end = driven(word, start)
         assert math.hypot(end.x_m - goal.x_m, end.y_m - goal.y_m) < 1e-5
-        assert abs(math.remainder(end.heading_rad - goal.heading_rad, 2 * math.pi)) < 1e-6
+        assert abs(math.remainder(end.yaw_rad - goal.yaw_rad, 2 * math.pi)) < 1e-6
 
 
-def driven(word: tuple[Segment, ...], pose: Pose) -> Pose:
+def driven(word: tuple[Segment, ...], pose: Pose2) -> Pose2:
     for length, k in word:
-        h = pose.heading_rad + k * length
+        h = pose.yaw_rad + k * length
         if k == 0.0:
             pose = pose.ahead(length)
             continue
-        x = pose.x_m + (math.sin(h) - math.sin(pose.heading_rad)) / k
-        pose = Pose(x, pose.y_m - (math.cos(h) - math.cos(pose.heading_rad)) / k, h)
+        x = pose.x_m + (math.sin(h) - math.sin(pose.yaw_rad)) / k
+        pose = Pose2(x, pose.y_m - (math.cos(h) - math.cos(pose.yaw_rad)) / k, h)
     return pose
 
 
 @settings(derandomize=True, max_examples=100, deadline=None)
 @given(POSES, POSES)
-def test_the_shortest_word_is_that_of_ompl(start: Pose, goal: Pose) -> None:
+def test_the_shortest_word_is_that_of_ompl(start: Pose2, goal: Pose2) -> None:
     from ompl import base
 
     states = base.ReedsSheppStateSpace(5.0)
@@ -94,7 +94,7 @@ def test_the_shortest_word_is_that_of_ompl(start: Pose, goal: Pose) -> None:
     for state, pose in ((a, start), (b, goal)):
         state.setX(pose.x_m)
         state.setY(pose.y_m)
-        state.setYaw(math.remainder(pose.heading_rad, 2 * math.pi))
+        state.setYaw(math.remainder(pose.yaw_rad, 2 * math.pi))
     assert length_m(words(start, goal, 5.0)[0]) == pytest.approx(states.distance(a, b), abs=1e-4)
 
 
@@ -108,7 +108,7 @@ def test_cusps_are_changes_of_direction(lengths: tuple[float, ...], changes: int
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(POSES, POSES)
-def test_a_corrected_way_ends_at_the_goal_with_ramped_curvature(start: Pose, goal: Pose) -> None:
+def test_a_corrected_way_ends_at_the_goal_with_ramped_curvature(start: Pose2, goal: Pose2) -> None:
     for word in words(start, goal, 5.0)[:4]:
         led = led_to(word, start, goal, 1.2) if word else None
         if led is None:
@@ -116,7 +116,7 @@ def test_a_corrected_way_ends_at_the_goal_with_ramped_curvature(start: Pose, goa
         runs = runs_of(led, start, 1.2)
         end = runs[-1]
         assert end.p_map_m[-1] == pytest.approx([goal.x_m, goal.y_m], abs=1e-4)
-        assert abs(math.remainder(end.heading_rad[-1] - goal.heading_rad, 2 * math.pi)) < 1e-5
+        assert abs(math.remainder(end.heading_rad[-1] - goal.yaw_rad, 2 * math.pi)) < 1e-5
         for a, b in pairwise(runs):
             assert b.p_map_m[0] == pytest.approx(a.p_map_m[-1])
             assert b.heading_rad[0] == pytest.approx(a.heading_rad[-1])
@@ -176,9 +176,9 @@ def test_it_ends_in_the_dock_and_keeps_clear(docking: Docking) -> None:
         assert first.p_map_m[0] == pytest.approx([start.x_m, start.y_m])
         assert (last.direction, last.is_last, [p.is_last for p in paths[:-1]]) == (-1, True, [False] * (len(paths) - 1))
         assert [p.path_id for p in paths] == list(range(5, 5 + len(paths)))
-        dock, end = pose_of(docking.bay.dock), end_of(last)
+        dock, end = docking.bay.dock.pose, end_of(last)
         assert math.hypot(end.x_m - dock.x_m, end.y_m - dock.y_m) < 1e-3
-        assert abs(math.remainder(end.heading_rad - dock.heading_rad, 2 * math.pi)) < 1e-4
+        assert abs(math.remainder(end.yaw_rad - dock.yaw_rad, 2 * math.pi)) < 1e-4
         before, within = least_gaps(docking, paths)
         assert before >= docking.config.clearance_m - 0.01
         assert within >= docking.config.bay_clearance_m
@@ -209,7 +209,7 @@ def test_it_leaves_the_bay_forward_to_where_the_field_plan_begins(docking: Docki
     assert [p.direction for p in paths] == [1]
     start, end = docking.site.start, end_of(paths[-1])
     assert (end.x_m, end.y_m) == pytest.approx((start.x_m, start.y_m))
-    assert math.degrees(end.heading_rad) == pytest.approx(start.heading_deg)
+    assert math.degrees(end.yaw_rad) == pytest.approx(start.heading_deg)
     assert paths[0].p_map_m[0] == pytest.approx([docking.bay.dock.x_m, docking.bay.dock.y_m], abs=1e-3)
     assert np.diff(paths[0].s_m).min() > 0.0
     before, within = least_gaps(docking, paths)
@@ -227,7 +227,7 @@ def test_it_docks_from_elsewhere_in_the_yard(
     x: float, y: float, deg: float, site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig
 ) -> None:
     docking = docking_in("wide", site, vehicle, harrow, planning)
-    paths = plan_docking(Pose(x, y, math.radians(deg)), docking, 1)
+    paths = plan_docking(Pose2(x, y, math.radians(deg)), docking, 1)
     assert end_of(paths[-1]).x_m == pytest.approx(docking.bay.dock.x_m, abs=1e-3)
 
 
@@ -262,9 +262,9 @@ def test_what_cannot_be_docked_is_refused_with_reason_and_place(
     with pytest.raises(FieldError, match=r"bay 'narrow' leaves 0\.00 m beside a rig 6\.1 m wide at x 0\.\d m"):
         plan_docking(LANE_END, wide, 1)
     with pytest.raises(FieldError, match=r"stands only 0\.1\d m from .* x 38\.0 m"):
-        plan_docking(Pose(34.38, -40.0, 0.0), docking, 1)
+        plan_docking(Pose2(34.38, -40.0, 0.0), docking, 1)
     with pytest.raises(FieldError, match="stands not within the bounds"):
-        plan_docking(Pose(35.0, -40.0, 0.0), docking, 1)
+        plan_docking(Pose2(35.0, -40.0, 0.0), docking, 1)
     with pytest.raises(FieldError, match=r"bay 'narrow' leaves 0\.00 m"):
         plan_docking(LANE_END, docking, 1, (box(4, -44, 5, -43),))
     ring = tuple(box(*b) for b in ((14, -34, 15, -24), (25, -36, 26, -24), (14, -39, 26, -38)))
@@ -302,7 +302,7 @@ def test_a_bay_may_just_be_wide_enough(
 def test_a_mission_of_docking_alone(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig, tmp_path: FilePath
 ) -> None:
-    start = Pose2(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
+    start = PoseConfig(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
     mission = Mission(name="dock", site="demo", machine="m", implement="i", bay="wide", start=start)
     plan = plan_mission(mission, site, vehicle, harrow, planning, start, 0)
     assert plan.given == ()
@@ -317,7 +317,7 @@ def test_a_mission_of_docking_alone(
 
 @pytest.mark.parametrize("missing", [{"bay": None}, {"start": None}])
 def test_a_mission_without_anything_to_do_is_refused(missing: dict[str, None]) -> None:
-    start = Pose2(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
+    start = PoseConfig(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
     values = {"name": "x", "site": "s", "machine": "m", "implement": "i", "bay": "wide", "start": start} | missing
     with pytest.raises(ValueError, match="needs a bay"):
         Mission(**values)

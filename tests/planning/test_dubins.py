@@ -10,17 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geometry.polyline import arc_length, headings
+from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from planning.coverage.order import order
 from planning.guidance.line import Circle, Curve, a_plus, ab
-from planning.turns.dubins import Pose, dubins, points_of
+from planning.turns.dubins import dubins, points_of
 
-POSES = st.builds(Pose, st.floats(-40, 40), st.floats(-40, 40), st.floats(-7, 7))
+POSES = st.builds(Pose2, st.floats(-40, 40), st.floats(-40, 40), st.floats(-7, 7))
 
 
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(POSES, POSES, st.floats(2.0, 12.0))
-def test_every_word_ends_at_the_goal_with_its_heading(start: Pose, goal: Pose, radius: float) -> None:
+def test_every_word_ends_at_the_goal_with_its_heading(start: Pose2, goal: Pose2, radius: float) -> None:
     curves = dubins(start, goal, radius)
     assert [c.length_m for c in curves] == sorted(c.length_m for c in curves)
     straight = math.hypot(goal.x_m - start.x_m, goal.y_m - start.y_m)
@@ -29,13 +30,13 @@ def test_every_word_ends_at_the_goal_with_its_heading(start: Pose, goal: Pose, r
         assert points[-1] == pytest.approx([goal.x_m, goal.y_m], abs=1e-5)
         assert curve.length_m >= straight - 1e-6
         if curve.length_m > 1.0:
-            turn = math.atan2(*(points[-1] - points[-2])[::-1]) - goal.heading_rad
+            turn = math.atan2(*(points[-1] - points[-2])[::-1]) - goal.yaw_rad
             assert abs(math.remainder(turn, 2 * math.pi)) < 0.05
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(POSES, POSES)
-def test_shortest_curve_is_that_of_ompl(start: Pose, goal: Pose) -> None:
+def test_shortest_curve_is_that_of_ompl(start: Pose2, goal: Pose2) -> None:
     from ompl import base
 
     states = base.DubinsStateSpace(5.0)
@@ -43,7 +44,7 @@ def test_shortest_curve_is_that_of_ompl(start: Pose, goal: Pose) -> None:
     for state, pose in ((a, start), (b, goal)):
         state.setX(pose.x_m)
         state.setY(pose.y_m)
-        state.setYaw(math.remainder(pose.heading_rad, 2 * math.pi))
+        state.setYaw(math.remainder(pose.yaw_rad, 2 * math.pi))
     assert dubins(start, goal, 5.0)[0].length_m == pytest.approx(states.distance(a, b), abs=1e-4)
 
 

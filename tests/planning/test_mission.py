@@ -6,7 +6,7 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import Polygon, box
 
 from configs.mission import Mission
-from configs.site import Pose2, Site
+from configs.site import PoseConfig, Site
 from configs.vehicle import MountedImplement, Vehicle
 from geometry.footprint import is_inside
 from messages.command import OperatorCommand, OperatorCommandKind
@@ -118,7 +118,7 @@ def test_gives_up_in_words_when_the_lane_is_blocked(plan: Plan, config: MissionC
 
 @pytest.fixture
 def docking(site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig) -> Plan:
-    start = Pose2(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
+    start = PoseConfig(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
     mission = Mission(name="dock", site="demo", machine="m", implement="i", bay="wide", start=start)
     return plan_mission(mission, site, vehicle, harrow, planning, start, 0)
 

@@ -11,13 +11,13 @@ from shapely.geometry import LineString, Polygon, box
 from configs.mission import Mission, Work
 from configs.site import Area, Gate, Site
 from configs.vehicle import MountedImplement, Vehicle
+from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import Path, PathSectionType
 from planning.config import PlanningConfig
 from planning.drawing import draw_plan, plan_to_geojson
 from planning.plan import Plan, plan_field
 from planning.sampling import sampled
-from planning.turns.dubins import Pose
 from planning.turns.turn import Space, Wanted, is_free
 
 SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
@@ -191,10 +191,10 @@ def test_picture_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None
 def test_sampling_finds_the_same_way_round_a_corner_again(plan: Plan) -> None:
     ell = Polygon([(0, 0), (60, 0), (60, 28), (28, 28), (28, 60), (0, 60)])
     space = Space(ell, plan.rig.bodies, plan.rig.radius_m, plan.rig.config.smoothing_m)
-    wanted = Wanted(Pose(50, 14, math.pi), Pose(14, 48, math.pi / 2), 1.0, 2.0)
+    wanted = Wanted(Pose2(50, 14, math.pi), Pose2(14, 48, math.pi / 2), 1.0, 2.0)
     way, again = (sampled(wanted, space, 7, 8000) for _ in range(2))
     assert way is not None
     assert again is not None
     assert way.tobytes() == again.tobytes()
     assert is_free(way, space)
-    assert sampled(Wanted(Pose(50, 11, 0), Pose(12, 80, 0), 1.0, 1.0), space, 7, 200) is None
+    assert sampled(Wanted(Pose2(50, 11, 0), Pose2(12, 80, 0), 1.0, 1.0), space, 7, 200) is None

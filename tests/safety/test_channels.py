@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from configs.site import Area, Bay, DatumConfig, Gate, Lane, Pose2, Shed, Site
+from configs.site import Area, Bay, DatumConfig, Gate, Lane, PoseConfig, Shed, Site
 from configs.vehicle import FOLDED, Vehicle
 from geometry.transforms import planar
 from messages.command import ControlCommand
@@ -210,7 +210,7 @@ def site() -> Site:
         lanes=(Lane(name="lane", center_m=((-30.0, -20.0), (10.0, -20.0), (10.0, 0.0)), width_m=8.0),),
         gates=(Gate(name="gate", posts_m=((6.0, 0.0), (14.0, 0.0))),),
         yard=Area(name="yard", outline_m=((-60.0, -40.0), (-30.0, -40.0), (-30.0, 0.0), (-60.0, 0.0))),
-        start=Pose2(x_m=-45.0, y_m=-20.0, heading_deg=0.0), is_fenced=True,
+        start=PoseConfig(x_m=-45.0, y_m=-20.0, heading_deg=0.0), is_fenced=True,
         shed=Shed(
             name="shed", height_m=4.0, outline_m=((-80.0, -40.0), (-60.0, -40.0), (-60.0, -20.0), (-80.0, -20.0))
         ),
@@ -245,7 +245,7 @@ def test_band_about_a_short_line() -> None:
 
 
 def test_rings_of_a_bay() -> None:
-    bay = Bay(name="bay", dock=Pose2(x_m=5.0, y_m=3.0, heading_deg=90.0), width_m=3.0)
+    bay = Bay(name="bay", dock=PoseConfig(x_m=5.0, y_m=3.0, heading_deg=90.0), width_m=3.0)
     shed = Shed(name="shed", height_m=4.0, outline_m=((0.0, 0.0), (10.0, 0.0), (10.0, 8.0), (0.0, 8.0)), bays=(bay,))
     within, apron = (corners_of(box_about(ring)) for ring in bay_rings(shed, bay))
     assert within == pytest.approx((3.5, 6.5, 0.075, 8.0))

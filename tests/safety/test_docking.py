@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from configs.site import Pose2, Site
+from configs.site import PoseConfig, Site
 from configs.strict import load
 from messages.command import Mode, OperatorCommandKind
 from messages.faults import Response
@@ -54,7 +54,7 @@ def dock_path(direction: int, start: tuple[float, float], length_m: float) -> Pa
 def at_shed(world: World, site: Site, bay: str, direction: int) -> World:
     """Docked and heading out, or 4 m before the dock and backing in."""
     assert site.shed is not None
-    dock: Pose2 = site.shed.bay(bay).dock
+    dock: PoseConfig = site.shed.bay(bay).dock
     length_m = 12.0 if direction > 0 else 4.0
     world.x_m, world.y_m = dock.x_m + (0.0 if direction > 0 else length_m), dock.y_m
     world.path = dock_path(direction, (world.x_m, world.y_m), length_m)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from configs.site import Pose2
+from configs.site import PoseConfig
 from messages.plan import Path, PathSection, PathSectionType
 from runtime.setup import Setup
 
@@ -20,4 +20,4 @@ def on_a_line(setup: Setup, length_m: float, speed_kmh: float) -> Setup:
         np.zeros(n, np.int32), True,
     )  # fmt: skip
     plan = replace(setup.plan, paths=(path,), length_m=length_m)
-    return replace(setup, plan=plan, start=Pose2(x_m=15.0, y_m=25.0, heading_deg=0.0))
+    return replace(setup, plan=plan, start=PoseConfig(x_m=15.0, y_m=25.0, heading_deg=0.0))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon, box
 
-from configs.site import Pose2, Site
+from configs.site import PoseConfig, Site
 from configs.strict import find, load, parse
 from geometry.transforms import apply
 from messages.errors import ConfigError, FieldError
@@ -235,7 +235,7 @@ def back_in(encounter, seconds=30.0, sensors=()):
     """An unslowed machine that backs straight into the wide bay, from 22 m before the dock."""
     shed_site = load(Site, find("sites", "demo"))
     dock = shed_site.shed.bay("wide").dock
-    start = Pose2(x_m=dock.x_m + 22.0, y_m=dock.y_m, heading_deg=dock.heading_deg)
+    start = PoseConfig(x_m=dock.x_m + 22.0, y_m=dock.y_m, heading_deg=dock.heading_deg)
     scenario = DEMO.model_copy(update={"encounters": (encounter,)})
     config = flat(machine={"tyres": {"angle_zero_deg": 0.0, "soil_side_mps2": 0.0}})
     farm = Farm(site=shed_site, start=start, is_folded=True, scenario=scenario, config=config, seed=5,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from configs.site import Pose2, Site
+from configs.site import PoseConfig, Site
 from configs.strict import find, load
 from messages.perception import ObstacleClass
 from messages.sensors import GnssSolution
@@ -17,7 +17,7 @@ from tests.simulation.simulated_farm import CONFIG, IMPLEMENT, Farm, flat, machi
 
 SITE = load(Site, find("sites", "demo"))
 SHED = SITE.shed
-YARD = Pose2(x_m=20.0, y_m=-45.0, heading_deg=90.0)
+YARD = PoseConfig(x_m=20.0, y_m=-45.0, heading_deg=90.0)
 QUIET = {"clutter": 0.0, "ghost": 0.0, "miss": 0.0}
 
 
@@ -99,7 +99,7 @@ def test_radar_doppler_of_a_walker_and_their_legs():
 @pytest.mark.parametrize("hidden_by", ["post", "vehicle", "nothing", "not seen"])
 def test_radar_does_not_see_through_things(hidden_by):
     if hidden_by == "post":  # the back wall of the shed is behind the post; who stands outside it is not seen
-        start, person = Pose2(x_m=10.0, y_m=-40.0, heading_deg=180.0), figure(-12.0, -40.0)
+        start, person = PoseConfig(x_m=10.0, y_m=-40.0, heading_deg=180.0), figure(-12.0, -40.0)
         others = []
     else:
         start, person = YARD, figure(20.0, -20.0, seen_by=("lidar",) if hidden_by == "not seen" else None)
@@ -161,9 +161,9 @@ def test_ultrasonic_cross_talk_is_stray():
 
 def test_ultrasonic_meets_a_wall_square_on_and_not_obliquely():
     y = SHED.bay("narrow").dock.y_m
-    found = ranges(None, 0.0, start=Pose2(x_m=-4.9, y_m=y, heading_deg=180.0))
+    found = ranges(None, 0.0, start=PoseConfig(x_m=-4.9, y_m=y, heading_deg=180.0))
     assert np.nanmedian(found) == pytest.approx((-4.9 - 3.5) - (-9.0 + 0.075), abs=0.03)
-    oblique = Pose2(x_m=-15.0, y_m=-40.0, heading_deg=50.0)  # outside, the wall 75 degrees off its normal's way
+    oblique = PoseConfig(x_m=-15.0, y_m=-40.0, heading_deg=50.0)  # outside, the wall 75 degrees off its normal's way
     assert np.isnan(ranges(None, 0.0, start=oblique, name="front_left")).mean() > 0.8
 
 
@@ -194,7 +194,7 @@ def test_uwb_has_scale_and_bias_in_sight():
 
 def test_uwb_behind_a_wall_is_late_rare_and_says_so():
     """West of the shed's back wall the anchors within are hidden by sheet metal."""
-    start = Pose2(x_m=-14.0, y_m=-40.0, heading_deg=90.0)
+    start = PoseConfig(x_m=-14.0, y_m=-40.0, heading_deg=90.0)
     messages, _, errors = uwb_messages(start, scale_sigma=0.0, bias_sigma_m=0.0)
     assert np.mean(errors["south_east"]) > 0.25
     assert len(errors["south_east"]) < 80

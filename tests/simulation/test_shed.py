@@ -7,7 +7,7 @@ import pytest
 import shapely
 from shapely import Point, Polygon
 
-from configs.site import Pose2, Site
+from configs.site import PoseConfig, Site
 from configs.strict import find, load
 from geometry.transforms import apply
 from simulation.environment.scenery import build_scenery
@@ -65,7 +65,7 @@ def test_the_store_leaves_bays_free_and_differs(seed):
 
 def at_dock(name, dx=0.0, dy=0.0, is_folded=True):
     dock = SHED.bay(name).dock
-    pose = Pose2(x_m=dock.x_m + dx, y_m=dock.y_m + dy, heading_deg=dock.heading_deg)
+    pose = PoseConfig(x_m=dock.x_m + dx, y_m=dock.y_m + dy, heading_deg=dock.heading_deg)
     farm = Farm(site=SITE, config=flat(), start=pose, is_folded=is_folded)
     truth = [m for t, m in farm.drive(0.1) if t == "truth_machine"][-1]
     farm.close()
