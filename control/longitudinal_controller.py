@@ -11,7 +11,7 @@ from configs.strict import Config
 from configs.vehicle import Kmh, Vehicle, kmh, steering_rate
 from control.reference import Reference
 from control.scalars import as_floats, clamp
-from messages.message import Float64
+from geometry.arrays import Float64
 from messages.plan import Path
 
 STANDING_MPS = 0.03

@@ -12,7 +12,7 @@ from scipy.signal import butter, filtfilt
 
 from control.scalars import as_floats
 from geometry.angles import wrap
-from messages.message import Float64
+from geometry.arrays import Float64
 from messages.plan import Path
 
 SPACING_M = 0.1

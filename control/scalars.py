@@ -5,7 +5,7 @@ from typing import cast
 
 import numpy as np
 
-from messages.message import Float64
+from geometry.arrays import Float64
 
 
 def as_floats(values: Float64) -> Sequence[float]:

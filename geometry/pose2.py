@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from geometry.angles import wrap
-from geometry.transforms import Float64, yaw_of
+from geometry.arrays import Float64
+from geometry.transforms import yaw_of
 
 
 class Pose2(NamedTuple):

@@ -10,9 +10,9 @@ from shapely.geometry import mapping
 from shapely.geometry.base import BaseGeometry
 
 from configs.site import Shed, Site
+from geometry.arrays import Float64
 from geometry.footprint import footprints
 from geometry.polygon import parts
-from geometry.polyline import Float64
 from messages.plan import PathSectionType
 from planning.docking.dock import Docking
 from planning.plan import Plan

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 from geometry.transforms import apply
 from messages.command import ControlCommand, Mode, OperatorCommand, OperatorCommandKind, SupervisorState
 from messages.errors import FieldError
-from messages.message import Float64
 from messages.motion import MapPose, Odometry
 from messages.node import All, Every, Inbox, Latest, Node, Output, Read
 from messages.perception import Tracks

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from geometry.polyline import Float64, arc_length, at_length, curvatures, extend, headings, project, smooth
-from messages.message import Int32, UInt8
+from geometry.arrays import Float64, Int32, UInt8
+from geometry.polyline import arc_length, at_length, curvatures, extend, headings, project, smooth
 from messages.plan import Path, PathSection, PathSectionType
 from planning.profile import speed_profile, speeding_up
 from planning.rig import Rig

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geometry.polyline import Float64
+from geometry.arrays import Float64
 from planning.rig import Rig
 
 TURN_SHARE = 0.4  # of the plan's tightest curvature: from here on the turning speed holds, whatever the leg

@@ -7,8 +7,8 @@ import numpy as np
 
 from configs.mission import Work
 from configs.vehicle import Implement, MountedImplement, Vehicle, kmh, steering_rate
+from geometry.arrays import Float64
 from geometry.footprint import Bodies, Rectangle, place
-from geometry.polyline import Float64
 from messages.errors import FieldError
 from planning.config import PlannerConfig
 

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import shapely
 
+from geometry.arrays import Float64
 from geometry.footprint import Rectangle, is_inside
-from geometry.polyline import Float64, without_repeats
+from geometry.polyline import without_repeats
 from geometry.pose2 import Pose2
 from planning.turns.dubins import dubins, points_of
 from planning.turns.turn import STEP_M, Space, Wanted, is_free

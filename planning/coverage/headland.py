@@ -13,9 +13,10 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from geometry.arrays import Float64
 from geometry.footprint import intrusion, is_inside, worked
 from geometry.polygon import close_by, open_by, parts, ring_points, shrink
-from geometry.polyline import Float64, arc_length, headings, resample, smooth
+from geometry.polyline import arc_length, headings, resample, smooth
 from messages.errors import FieldError
 from planning.field.drivable_area import Ground, describe
 from planning.rig import Rig

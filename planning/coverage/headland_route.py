@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.polyline import Float64, arc_length
+from geometry.arrays import Float64
+from geometry.polyline import arc_length
 from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
 from planning.turns.connector import Piece, Ways

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geometry.polyline import Float64
+from geometry.arrays import Float64
 
 Visit = tuple[int, bool]  # number of the swath, is it driven from b to a
 MANY = 25

@@ -6,8 +6,9 @@ from itertools import pairwise
 import numpy as np
 from shapely.geometry import Polygon
 
+from geometry.arrays import Float64
 from geometry.footprint import is_inside
-from geometry.polyline import Float64, arc_length, headings, polyline, resample
+from geometry.polyline import arc_length, headings, polyline, resample
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import PathSectionType

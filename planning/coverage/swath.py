@@ -8,8 +8,8 @@ from shapely.affinity import rotate
 from shapely.geometry import MultiPolygon, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
+from geometry.arrays import Float64
 from geometry.polygon import edge_angles, grow, open_by, parts, polygon_of, shrink
-from geometry.polyline import Float64
 from geometry.pose2 import Pose2
 from planning.turns.turn import Space, is_free
 

@@ -10,8 +10,8 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from configs.site import Shed, Site
+from geometry.arrays import Float64
 from geometry.footprint import Bodies, Rectangle, place
-from geometry.polyline import Float64
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from itertools import groupby
 
 import numpy as np
 
-from geometry.polyline import Float64
+from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 from planning.docking.reeds_shepp import Segment, Way
 

@@ -10,8 +10,8 @@ from shapely.geometry import Polygon
 
 from configs.site import Bay, Site
 from configs.vehicle import kmh
+from geometry.arrays import Float64
 from geometry.footprint import footprints
-from geometry.polyline import Float64
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import Path, PathSection, PathSectionType

@@ -6,8 +6,8 @@ from itertools import product
 
 import numpy as np
 
+from geometry.arrays import Float64
 from geometry.footprint import Bodies
-from geometry.polyline import Float64
 from geometry.pose2 import Pose2
 from planning.config import DockingConfig
 from planning.docking.clearance import Bounds, clearance_m

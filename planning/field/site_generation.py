@@ -10,8 +10,8 @@ from shapely.geometry.polygon import orient
 from configs.mission import Work
 from configs.site import Area, Gate, Lane, Point, PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
+from geometry.arrays import Float64
 from geometry.polygon import as_polygon
-from geometry.polyline import Float64
 from messages.errors import FieldError
 from planning.field.field import FieldOutline
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from geometry.polyline import Float64, extend, polyline, resample
+from geometry.arrays import Float64
+from geometry.polyline import extend, polyline, resample
 from messages.errors import FieldError
 
 LEAST_M = 0.1

@@ -14,8 +14,9 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from geometry.arrays import Float64
 from geometry.footprint import place
-from geometry.polyline import Float64, arc_length, headings, project
+from geometry.polyline import arc_length, headings, project
 from geometry.pose2 import Pose2
 from messages.plan import Path
 from planning.config import MissionConfig

@@ -8,8 +8,8 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from configs.vehicle import kmh
+from geometry.arrays import Float64
 from geometry.footprint import is_inside
-from geometry.polyline import Float64
 from messages.plan import Path, PathSectionType, UncoveredArea
 from planning.config import MissionConfig
 from planning.path import begun_at, path_of, rest_of, spliced

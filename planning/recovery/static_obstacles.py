@@ -9,9 +9,9 @@ from shapely.affinity import translate
 from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
+from geometry.arrays import Float64
 from geometry.footprint import Bodies, sweep
 from geometry.polygon import as_polygon
-from geometry.polyline import Float64
 from geometry.transforms import apply, yaw_of
 from messages.perception import ObstacleClass, Track, Tracks
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from geometry.polyline import Float64
+from geometry.arrays import Float64
 from messages.errors import FieldError
 from messages.plan import PathSectionType
 from planning.coverage.headland import Round

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.polyline import Float64
+from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 
 WORDS = ("LSL", "RSR", "LSR", "RSL", "RLR", "LRL")

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from geometry.polyline import Float64, without_repeats
+from geometry.arrays import Float64
+from geometry.polyline import without_repeats
 from geometry.pose2 import Pose2
 from planning.turns.dubins import dubins
 from planning.turns.turn import Space, Wanted, curve_between, is_free

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
+from geometry.arrays import Float64
 from geometry.footprint import Bodies, intrusion, is_inside
-from geometry.polyline import Float64, headings, resample, smooth, without_repeats
+from geometry.polyline import headings, resample, smooth, without_repeats
 from geometry.pose2 import Pose2
 from planning.turns.dubins import Curve, dubins, points_of
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from shapely.geometry import Point, Polygon
 
+from geometry.arrays import Float64
 from geometry.footprint import footprints, sweep
-from geometry.polyline import Float64
 from geometry.transforms import planar
 from messages.command import ControlCommand, Mode, OperatorCommand, OperatorCommandKind, SupervisorState
 from messages.message import Message
