@@ -8,6 +8,7 @@ import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -107,7 +108,7 @@ class View:
         """Polyline (N, 3); parts behind the camera are left out."""
         pixels, depth = self.project(points_odom)
         ends = list(range(len(pixels))) + ([0] if is_closed else [])
-        for a, b in zip(ends[:-1], ends[1:], strict=True):
+        for a, b in pairwise(ends):
             if min(depth[a], depth[b]) > NEAR_M:
                 self._segment(pixels[a], pixels[b], colour, width)
 
@@ -146,7 +147,7 @@ def animate(log: Path, start_s: float, duration_s: float, rate: float, fps: floa
     Raises LogError when the log has no odometry in that interval or carries no machine configuration.
     """
     scan = LogScan(log)
-    snapshot, images = Snapshot(), []
+    snapshot, images = Snapshot(), list[UInt8]()
     first_ns: int | None = None
     vehicle: Vehicle | None = None
     implement: Implement | None = None
@@ -205,7 +206,7 @@ def frame_of(snapshot: Snapshot, vehicle: Vehicle, implement: Implement | None, 
 
 
 def scan_points(scan: LidarScan, T_odom_lidar: Float64, T_odom_base: Float64) -> tuple[Float64, UInt8]:
-    """At most POINTS_PER_SCAN returns (N, 3) of a scan in `odom` and their BGR colours (N, 3) by height above `base`."""
+    """At most POINTS_PER_SCAN returns (N, 3) in `odom` and their BGR colours (N, 3) by height above `base`."""
     points: Float32 = scan.points_m[:: max(1, len(scan.points_m) // POINTS_PER_SCAN)]
     odom = np.asarray(apply(T_odom_lidar, points.astype(np.float64)))
     height = np.asarray(apply(invert(T_odom_base), odom))[:, 2]
@@ -250,7 +251,7 @@ def _draw_tracks(view: View, snapshot: Snapshot) -> None:
         T = planar(float(track.p_odom_m[0]), float(track.p_odom_m[1]), track.yaw_rad)
         T[2, 3] = track.p_odom_m[2]
         view.box(T, -0.5 * track.size_m, 0.5 * track.size_m, colour)
-        top = (track.p_odom_m + [0.0, 0.0, 0.5 * track.size_m[2] + 0.3])[None]
+        top = track.p_odom_m[None] + np.array([0.0, 0.0, 0.5 * track.size_m[2] + 0.3])
         pixels, depth = view.project(top)
         if NEAR_M < depth[0] < FAR_M:
             speed = math.hypot(*track.velocity_mps[:2].tolist())
