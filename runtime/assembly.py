@@ -20,8 +20,8 @@ from runtime.perception_nodes import perceiving
 from runtime.setup import Setup
 from safety.rules import OBSTACLE_RULES
 from safety.supervisor import Supervisor
-from safety.zones.geofence import fence_of
-from safety.zones.known_structure import survey_of
+from safety.zones.geofence import geofence_of
+from safety.zones.known_structure import structure_of_site
 from simulation.faults.config import FaultsConfig
 from simulation.faults.frames import FaultyBus
 from simulation.faults.injection import Injection
@@ -134,10 +134,10 @@ def guarding(setup: Setup, bus: CanBus, is_ablation: bool) -> list[Node]:
             setup.vehicle,
             setup.implement,
             setup.stack.safety,
-            fence_of(setup.site),
+            geofence_of(setup.site),
             FAULT_TOPICS,
             disabled,
-            survey_of(setup.site),
+            structure_of_site(setup.site),
             idle_of(setup),
         ),
         Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway),

@@ -19,7 +19,7 @@ class BrakingConfig(Config):
     reaction_s: Seconds = Field(description="τ: sensing, confirming, deciding, bus and dead time of the brake")
     build_up_s: Seconds
     deceleration_mps2: Acceleration
-    least_deceleration_mps2: Acceleration = Field(description="on a grade that leaves less it cannot stop")
+    min_deceleration_mps2: Acceleration = Field(description="on a grade that leaves less it cannot stop")
     dead_time_s: Seconds = Field(description="share of τ that is left once braking is asked for")
     controlled_mps2: Acceleration
     full_mps2: Acceleration
@@ -36,12 +36,12 @@ class FieldConfig(Config):
 
     margin_m: Metres = Field(description="way left at standstill before what stands on the planned path")
     arc_margin_m: Metres = Field(description="the same on the arc of the present steering, beside a planned path")
-    near_lateral_m: Metres
-    far_lateral_m: Metres
+    lateral_margin_near_m: Metres
+    lateral_margin_far_m: Metres
     lateral_growth: float = Field(gt=0.0, le=1.0, description="lateral margin gained per metre of way")
-    lowest_m: Metres
-    lowest_per_m: float = Field(ge=0.0, le=0.2)
-    over_height_m: Metres
+    min_height_m: Metres
+    min_height_slope: float = Field(ge=0.0, le=0.2)
+    overhead_margin_m: Metres
     grade_change: float = Field(ge=0.0, le=0.15, description="by how much the ground may bend up or down per metre")
     rise_cap_m: Metres = Field(description="no more than this of rising ground is believed")
     ground_returns: int = Field(ge=1, le=50, description="the so-many-th lowest return of a patch is its ground")
@@ -50,41 +50,46 @@ class FieldConfig(Config):
     furrow_m: Metres = Field(description="depth below the wheels that is not yet falling ground")
     mask_m: Metres
     cell_m: float = Field(gt=0.05, le=2.0)
-    returns_once: int = Field(ge=1, le=50, description="returns in one cell in one scan that make a hit")
-    returns_twice: int = Field(ge=1, le=50, description="returns in one cell in each of two scans that make a hit")
-    hole_memory_s: float = Field(ge=0.0, le=600.0, description="how long a hit is kept where no beam can look")
+    min_returns_single_scan: int = Field(ge=1, le=50, description="returns in one cell in one scan that make a hit")
+    min_returns_multiple_scan: int = Field(
+        ge=1, le=50, description="returns in one cell in each of two scans that make a hit"
+    )
+    blind_zone_hold_s: float = Field(ge=0.0, le=600.0, description="how long a hit is kept where no beam can look")
     step_m: float = Field(gt=0.05, le=2.0)
-    least_length_m: Metres
-    place_m: Metres = Field(description="farthest the pose may be from its place on the path")
-    place_deg: Degrees
+    min_length_m: Metres
+    max_path_deviation_m: Metres = Field(description="farthest the pose may be from its place on the path")
+    max_path_deviation_deg: Degrees
     blend_m: float = Field(gt=0.0, le=50.0)
     sigma_factor: float = Field(ge=0.0, le=6.0)
     slow_range_factor: float = Field(ge=1.0, le=5.0, description="proven range over S (BD-5.2.4: 2 in simple weather)")
 
     @model_validator(mode="after")
     def _margins_grow(self) -> "FieldConfig":
-        if self.far_lateral_m < self.near_lateral_m:
-            raise ValueError(f"far_lateral_m {self.far_lateral_m} is less than near_lateral_m {self.near_lateral_m}")
+        if self.lateral_margin_far_m < self.lateral_margin_near_m:
+            far_m, near_m = self.lateral_margin_far_m, self.lateral_margin_near_m
+            raise ValueError(f"lateral_margin_far_m {far_m} is less than lateral_margin_near_m {near_m}")
         return self
 
 
-class ProvenConfig(Config):
+class DetectionRangeConfig(Config):
     """How far a lidar proves the field free, judged by its raw returns."""
 
     cap_m: Metres
     object_m: tuple[float, float] = Field(description="width and height of what must be seen")
-    object_returns: int = Field(ge=1, le=100)
+    min_object_returns: int = Field(ge=1, le=100)
     beams_m: tuple[float, float] = Field(description="beams that meet level ground within this range must come back")
-    blind_share: float = Field(ge=0.0, lt=1.0)
-    good_share: float = Field(gt=0.0, le=1.0)
+    blind_ratio: float = Field(ge=0.0, lt=1.0)
+    good_ratio: float = Field(gt=0.0, le=1.0)
     sectors: int = Field(ge=4, le=72)
-    look_deg: float = Field(gt=0.0, le=90.0, description="half angle about the direction of travel that must be proven")
+    half_cone_deg: float = Field(
+        gt=0.0, le=90.0, description="half angle about the direction of travel that must be proven"
+    )
     frozen_scans: int = Field(ge=1, le=20, description="so many equal scans in a row are no scans")
 
     @model_validator(mode="after")
-    def _shares_rise(self) -> "ProvenConfig":
-        if self.good_share <= self.blind_share:
-            raise ValueError(f"good_share {self.good_share} is not above blind_share {self.blind_share}")
+    def _shares_rise(self) -> "DetectionRangeConfig":
+        if self.good_ratio <= self.blind_ratio:
+            raise ValueError(f"good_ratio {self.good_ratio} is not above blind_ratio {self.blind_ratio}")
         return self
 
 
@@ -92,19 +97,27 @@ class TrackedConfig(Config):
     """The channel of tracked obstacles."""
 
     moving_mps: Speed
-    long_moving_mps: Speed = Field(description="the same for vehicles and what is longer than `compact_m`")
-    walker_mps: Speed = Field(description="what is fixed by its class and seems faster than this stands")
-    longest_m: Metres = Field(description="no machine is longer; what is and stands counts in the raw field alone")
-    unseen_s: Seconds = Field(description="unseen for longer, what has no class does not count as moving")
+    long_moving_mps: Speed = Field(
+        description="the same for vehicles and what is longer than `max_unclassified_length_m`"
+    )
+    max_static_class_speed_mps: Speed = Field(
+        description="what is fixed by its class and seems faster than this stands"
+    )
+    max_static_length_m: Metres = Field(
+        description="no machine is longer; what is and stands counts in the raw field alone"
+    )
+    max_coasting_s: Seconds = Field(description="unseen for longer, what has no class does not count as moving")
     moving_sigmas: float = Field(ge=0.0, le=10.0)
-    carrier_m: Metres = Field(description="longest side from which on what stands may be seen in pieces")
-    part_m: Metres = Field(description="a smaller track this near to the box of such a thing is a piece of it")
+    fragment_parent_m: Metres = Field(description="longest side from which on what stands may be seen in pieces")
+    fragment_margin_m: Metres = Field(
+        description="a smaller track this near to the box of such a thing is a piece of it"
+    )
     lateral_m: Metres
-    known_s: Seconds = Field(description="a velocity is believed once the track is that old")
-    compact_m: Metres = Field(description="longest side of what may move without having a class")
-    own_m: Metres = Field(description="a track this near to machine or implement is their own")
-    least_horizon_s: Seconds
-    most_horizon_s: Seconds
+    min_track_age_s: Seconds = Field(description="a velocity is believed once the track is that old")
+    max_unclassified_length_m: Metres = Field(description="longest side of what may move without having a class")
+    self_filter_m: Metres = Field(description="a track this near to machine or implement is their own")
+    min_horizon_s: Seconds
+    max_horizon_s: Seconds
     steps: int = Field(ge=2, le=50)
     uncertainty_cap_m: Metres
 
@@ -122,7 +135,7 @@ class RadarConfig(Config):
     moving_rcs_dbsm: float = Field(ge=-60.0, le=60.0)
     standing_cap_m: Metres
     moving_cap_m: Metres
-    aside_sigmas: float = Field(ge=0.0, le=6.0, description="a hit counts when its bearing surely lies in the way")
+    bearing_sigmas: float = Field(ge=0.0, le=6.0, description="a hit counts when its bearing surely lies in the way")
     frozen_cycles: int = Field(ge=1, le=100)
 
     @model_validator(mode="after")
@@ -138,14 +151,14 @@ class UltrasonicConfig(Config):
     window: int = Field(ge=1, le=50)
     repeats: int = Field(ge=1, le=50)
     gate_m: Metres
-    fastest_mps: Speed
+    max_object_speed_mps: Speed
     ground_share: float = Field(gt=0.0, le=1.0, description="of the range at which the axis meets the ground")
     memory_s: Seconds
-    dead_margin_m: Metres
-    hold_s: Seconds = Field(description="how long what went into the dead zone is kept")
-    most_kmh: Kmh = Field(description="faster, an echo comes too late to matter")
-    arc_share: float = Field(gt=0.0, le=1.0, description="of the arc that must lie in the way")
-    answer_m: Metres = Field(description="a thing that a lidar follows, this near to the arc, answered")
+    dead_zone_margin_m: Metres
+    dead_zone_hold_s: Seconds = Field(description="how long what went into the dead zone is kept")
+    max_speed_kmh: Kmh = Field(description="faster, an echo comes too late to matter")
+    min_arc_ratio: float = Field(gt=0.0, le=1.0, description="of the arc that must lie in the way")
+    track_match_m: Metres = Field(description="a thing that a lidar follows, this near to the arc, answered")
 
     @model_validator(mode="after")
     def _window_holds_repeats(self) -> "UltrasonicConfig":
@@ -154,7 +167,7 @@ class UltrasonicConfig(Config):
         return self
 
 
-class SensingConfig(Config):
+class SensorLossConfig(Config):
     """What the others prove when one kind of sensor that the machine carries is lost in the direction of travel."""
 
     without_radar_m: Metres
@@ -174,16 +187,18 @@ class DockingConfig(Config):
     """The field in and before the shed, where walls stand within every other margin."""
 
     speed_kmh: float = Field(gt=0.0, le=1.8)
-    unheard_kmh: float = Field(gt=0.0, le=1.8, description="with an ultrasonic sensor lost")
+    ultrasonic_lost_kmh: float = Field(gt=0.0, le=1.8, description="with an ultrasonic sensor lost")
     near_m: Metres = Field(description="about the roof")
     margin_m: Metres
     arc_margin_m: Metres
     lateral_m: Metres
-    explained_m: Metres = Field(description="what is seen this near to a surveyed surface is that surface")
+    known_structure_tolerance_m: Metres = Field(
+        description="what is seen this near to a surveyed surface is that surface"
+    )
     clearance_m: Metres = Field(description="kept from surveyed surfaces beyond what the pose leaves open")
     sigmas: float = Field(ge=1.0, le=6.0)
     protection_stop_m: Metres
-    uwb_age_s: Seconds
+    max_uwb_age_s: Seconds
 
 
 class BrakeTestConfig(Config):
@@ -214,7 +229,7 @@ class LocalizationConfig(Config):
         return kmh(self.slow_kmh)
 
 
-class HandConfig(Config):
+class DriverOverrideConfig(Config):
     """Hand on the wheel (BD-5.5.2e): any one is enough."""
 
     rate_dps: float = Field(gt=0.0, le=50.0)
@@ -231,13 +246,13 @@ class LimitsConfig(Config):
     roll_deg: Degrees
     pitch_deg: Degrees
     brake_pedal: float = Field(gt=0.0, lt=1.0)
-    fence_margin_m: Metres
+    geofence_margin_m: Metres
     curvature_error_radpm: float = Field(gt=0.0, le=1.0)
     curvature_late_s: Seconds = Field(description="steering must meet what was commanded within this time")
-    steering_grace_s: Seconds
-    brake_grace_s: Seconds
-    brake_share: float = Field(gt=0.0, le=1.0, description="share of the asked deceleration that must be felt")
-    group_age_s: Seconds = Field(description="greatest age of a group within the machine's state")
+    steering_debounce_s: Seconds
+    brake_debounce_s: Seconds
+    min_brake_ratio: float = Field(gt=0.0, le=1.0, description="share of the asked deceleration that must be felt")
+    max_group_age_s: Seconds = Field(description="greatest age of a group within the machine's state")
     clock_step_s: Seconds = Field(description="a step of the clock beyond the period that is no delay any more")
 
 
@@ -261,15 +276,15 @@ class SafetyConfig(Config):
 
     braking: BrakingConfig
     field: FieldConfig
-    proven: ProvenConfig
+    detection_range: DetectionRangeConfig
     tracked: TrackedConfig
     radar: RadarConfig
     ultrasonic: UltrasonicConfig
-    sensing: SensingConfig
+    sensor_loss: SensorLossConfig
     docking: DockingConfig
     brake_test: BrakeTestConfig
     localization: LocalizationConfig
-    hand: HandConfig
+    driver_override: DriverOverrideConfig
     limits: LimitsConfig
     modes: ModesConfig
     jerk_mps3: float = Field(gt=0.0, le=50.0)
@@ -282,7 +297,7 @@ class SafetyConfig(Config):
         margins = {
             "margin_m": near.margin_m,
             "arc_margin_m": near.arc_margin_m,
-            "near_lateral_m": near.lateral_m,
-            "far_lateral_m": near.lateral_m,
+            "lateral_margin_near_m": near.lateral_m,
+            "lateral_margin_far_m": near.lateral_m,
         }
         return self.model_copy(update={"field": self.field.model_copy(update=margins)})

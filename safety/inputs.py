@@ -11,12 +11,12 @@ from messages.perception import Obstacles, SensorHealth, Tracks
 from messages.plan import Path
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
 from messages.topics import spec_of
-from safety.collision_monitor import Lookout, Seen
+from safety.collision_monitor import CollisionMonitor, MonitorInputs
 from safety.config import SafetyConfig
-from safety.monitors.sensors import Companion, Lost, companions_of, lost_of
-from safety.monitors.watchdog import Age, age_of
-from safety.obstacle_sources import Measurements
-from safety.pose_history import whole_odom, whole_pose
+from safety.monitors.sensors import MonitoredSensor, SensorFailure, failure_of, monitored_sensors
+from safety.monitors.watchdog import TopicAge, age_of
+from safety.obstacle_sources import SourceData
+from safety.pose_history import valid_map_pose, valid_odometry
 from safety.zones.footprint_by_fold import fold_of
 
 
@@ -28,45 +28,45 @@ class SupervisorInputs:
 
     def __init__(self, sensors: Sensors, idle: frozenset[str], config: SafetyConfig) -> None:
         self._sensors, self._config = sensors, config
-        self._companions = companions_of(sensors, idle)
+        self._monitored = monitored_sensors(sensors, idle)
         own = ("imu",) * (sensors.imu is not None) + ("wheel",) * (sensors.wheels is not None)
         lidars = [topic for name in sensors.lidar for topic in (f"lidar/{name}", f"health/lidar_{name}")]
         watched = ("machine", *own, *lidars, "odom", "map_pose", "tracks", "control_command", "mission")
         self._watched: dict[str, type[Message]] = {topic: spec_of(topic).type for topic in watched}
         self._health = {f"lidar_{name}": f"health/lidar_{name}" for name in sensors.lidar}
-        self._health |= {one.label: one.health_topic for one in self._companions}
+        self._health |= {one.label: one.health_topic for one in self._monitored}
 
     @property
     def reads(self) -> dict[str, Read]:
         """All of it."""
-        heard = (one.topic for one in self._companions if one.kind != "camera")
-        told = (one.obstacles_topic for one in self._companions)
+        heard = (one.topic for one in self._monitored if one.kind != "camera")
+        told = (one.obstacles_topic for one in self._monitored)
         return {topic: Latest() for topic in (*self._watched, "path", *heard, *told, *self._health.values())}
 
-    def read(self, inbox: Inbox, machine: MachineState | None) -> Seen:
+    def read(self, inbox: Inbox, machine: MachineState | None) -> MonitorInputs:
         """What came."""
-        measurements = Measurements(
+        measurements = SourceData(
             {name: inbox.latest(f"lidar/{name}", LidarScan) for name in self._sensors.lidar},
             {one.name: inbox.latest(one.topic, RadarScan) for one in self._of("radar")},
             {one.name: inbox.latest(one.topic, UltrasonicRange) for one in self._of("ultrasonic")},
         )
-        return Seen(
-            whole_odom(inbox.latest("odom", Odometry)),
-            whole_pose(inbox.latest("map_pose", MapPose)),
+        return MonitorInputs(
+            valid_odometry(inbox.latest("odom", Odometry)),
+            valid_map_pose(inbox.latest("map_pose", MapPose)),
             inbox.latest("control_command", ControlCommand),
             inbox.latest("path", Path),
             inbox.latest("tracks", Tracks),
-            fold_of(machine, self._config.limits.group_age_s),
+            fold_of(machine, self._config.limits.max_group_age_s),
             measurements,
             {name: inbox.latest(topic, SensorHealth) for name, topic in self._health.items()},
         )
 
-    def _of(self, kind: str) -> list[Companion]:
-        return [one for one in self._companions if one.kind == kind]
+    def _of(self, kind: str) -> list[MonitoredSensor]:
+        return [one for one in self._monitored if one.kind == kind]
 
-    def ages(self, now_ns: int, inbox: Inbox, lookout: Lookout, direction: int) -> list[Age]:
+    def ages(self, now_ns: int, inbox: Inbox, collision_monitor: CollisionMonitor, direction: int) -> list[TopicAge]:
         """Ages of all that driving in this direction cannot do without."""
-        away = [eye.name for eye in lookout.senses.eyes if not eye.looks(direction)]
+        away = [source.name for source in collision_monitor.sources.lidars if not source.covers(direction)]
         idle = {topic for name in away for topic in (f"lidar/{name}", f"health/lidar_{name}")}
         ages = []
         for topic, kind in self._watched.items():
@@ -75,21 +75,23 @@ class SupervisorInputs:
                 ages.append(age_of(topic, None if last is None else last.stamp_ns, now_ns))
         return ages
 
-    def lost(self, now_ns: int, inbox: Inbox, seen: Seen, lookout: Lookout, direction: int) -> tuple[Lost, ...]:
+    def sensor_failures(
+        self, now_ns: int, inbox: Inbox, inputs: MonitorInputs, collision_monitor: CollisionMonitor, direction: int
+    ) -> tuple[SensorFailure, ...]:
         """Radars, cameras and ultrasonic sensors that do not see the way, or of which nobody tells what they see."""
-        silent = {f"radar_{name}" for name, scan in seen.measured.radars.items() if scan is None}
-        silent |= {f"ultrasonic_{name}" for name, echo in seen.measured.echoes.items() if echo is None}
-        frozen = {f"radar_{radar.name}" for radar in lookout.senses.radars if radar.is_frozen}
-        half_rad = math.radians(self._config.proven.look_deg)
+        silent = {f"radar_{name}" for name, scan in inputs.source_data.radars.items() if scan is None}
+        silent |= {f"ultrasonic_{name}" for name, echo in inputs.source_data.echoes.items() if echo is None}
+        frozen = {f"radar_{radar.name}" for radar in collision_monitor.sources.radars if radar.is_frozen}
+        half_rad = math.radians(self._config.detection_range.half_cone_deg)
         found = (
-            lost_of(
+            failure_of(
                 one, one.label not in silent, one.label in frozen, self._is_told(one, now_ns, inbox),
-                seen.health[one.label], direction, half_rad,
+                inputs.health[one.label], direction, half_rad,
             )
-            for one in self._companions
+            for one in self._monitored
         )  # fmt: skip
-        return tuple(lost for lost in found if lost is not None)
+        return tuple(failure for failure in found if failure is not None)
 
-    def _is_told(self, one: Companion, now_ns: int, inbox: Inbox) -> bool:
+    def _is_told(self, one: MonitoredSensor, now_ns: int, inbox: Inbox) -> bool:
         last = inbox.last(one.obstacles_topic, Obstacles)
-        return last is not None and abs(now_ns - last.stamp_ns) <= one.told_s * 1e9
+        return last is not None and abs(now_ns - last.stamp_ns) <= one.max_output_age_s * 1e9

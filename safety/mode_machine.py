@@ -7,9 +7,9 @@ from messages.command import Mode, OperatorCommand, RuleResult
 from messages.plan import MissionState, MissionStatus
 from safety.config import ModesConfig
 from safety.modes import Event, next_mode
-from safety.monitors.fault_memory import Reports
+from safety.monitors.fault_memory import FaultMemory
 from safety.monitors.operator_commands import Orders
-from safety.monitors.timers import Held
+from safety.monitors.timers import DebounceTimer
 from safety.rules.arbitration import Decision
 from safety.rules.results import emergency
 from safety.rules.situation import Situation
@@ -25,13 +25,13 @@ class ModeMachine:
     `is_held` keeps it in automatic mode whatever happens: nothing that is commanded then reaches a machine.
     """
 
-    def __init__(self, config: ModesConfig, reports: Reports, is_held: bool) -> None:
+    def __init__(self, config: ModesConfig, fault_memory: FaultMemory, is_held: bool) -> None:
         self.mode = Mode.AUTOMATIC if is_held else Mode.STANDBY
         self.latched: RuleResult | None = None
-        self._config, self._reports, self._is_held = config, reports, is_held
+        self._config, self._fault_memory, self._is_held = config, fault_memory, is_held
         self._orders = Orders(config.authorities)
         self._cause, self._is_urgent = "", False
-        self._clear, self._warned = Held(), Held()
+        self._clear, self._warned = DebounceTimer(), DebounceTimer()
         self._warning_s = config.start_warning_s
 
     def update(
@@ -92,7 +92,7 @@ class ModeMachine:
         if self.mode is Mode.OBSTACLE_STOP:
             self._cause = decision.blocking.code
         if before in LATCHING and self.mode is Mode.STANDBY:
-            self._reports.reset()
+            self._fault_memory.reset()
         self._orders.forget_start()
 
     def reason(self, situation: Situation, decision: Decision) -> str:
@@ -109,7 +109,7 @@ class ModeMachine:
             return decision.fault.code
         return str(self.mode)
 
-    def braking_gap_m(self, situation: Situation, decision: Decision) -> float:
+    def braking_clearance_m(self, situation: Situation, decision: Decision) -> float:
         """The gap that the brakes are to keep to; once inside the stopping distance: all the brakes to the end."""
         is_stopping = self.mode is Mode.OBSTACLE_STOP and situation.is_moving
         self._is_urgent = decision.is_obstacle_inside or (self._is_urgent and is_stopping)

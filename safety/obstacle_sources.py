@@ -13,22 +13,22 @@ from messages.perception import SensorHealth, Tracks
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
 from messages.topics import TOPICS
 from safety.config import SafetyConfig
-from safety.pose_history import Trail, from_frame
-from safety.sources.detection_range import shrink
+from safety.pose_history import PoseHistory, from_frame
+from safety.sources.detection_range import limit_by_health
 from safety.sources.ground_filter import Box, Motion
-from safety.sources.lidar import Eye
-from safety.sources.multiple_evaluation import thinned
-from safety.sources.radar import RadarEye
-from safety.sources.ultrasonic import Ear, is_answered
-from safety.zones.footprint import Shape
-from safety.zones.protective_field import FREE, Gap, Way, box_of, gap_in
-from safety.zones.tracked_obstacles import Explained
+from safety.sources.lidar import LidarSource
+from safety.sources.multiple_evaluation import thin
+from safety.sources.radar import RadarSource
+from safety.sources.ultrasonic import UltrasonicSource, is_confirmed_by_track
+from safety.zones.footprint import Footprint
+from safety.zones.protective_field import FREE, Clearance, SweptField, box_of, clearance_to
+from safety.zones.tracked_obstacles import KnownStructureFilter
 
 THIN_M = 0.05  # what a gap may be too long by
 
 
 @dataclass(frozen=True)
-class Measurements:
+class SourceData:
     """What came from each sensor by name; None is missing or stale."""
 
     scans: Mapping[str, LidarScan | None]
@@ -36,107 +36,150 @@ class Measurements:
     echoes: Mapping[str, UltrasonicRange | None]
 
 
-class Senses:
+class ObstacleSources:
     """One eye a lidar or radar, one ear an ultrasonic sensor."""
 
-    def __init__(self, sensors: Sensors, shape: Shape, config: SafetyConfig) -> None:
+    def __init__(self, sensors: Sensors, footprint: Footprint, config: SafetyConfig) -> None:
         field = config.field
-        height = (field.lowest_m, shape.height_m + field.over_height_m)
-        self.eyes = tuple(Eye(name, lidar, shape, config) for name, lidar in sensors.lidar.items())
-        self.radars = tuple(RadarEye(n, one, height, field.mask_m, config.radar) for n, one in sensors.radar.items())
-        self.ears = tuple(Ear(name, one, config.ultrasonic) for name, one in sensors.ultrasonic.items())
-        self._config, self._shape = config, shape
+        height = (field.min_height_m, footprint.height_m + field.overhead_margin_m)
+        self.lidars = tuple(LidarSource(name, lidar, footprint, config) for name, lidar in sensors.lidar.items())
+        self.radars = tuple(RadarSource(n, one, height, field.mask_m, config.radar) for n, one in sensors.radar.items())
+        self.ultrasonics = tuple(
+            UltrasonicSource(name, one, config.ultrasonic) for name, one in sensors.ultrasonic.items()
+        )
+        self._config, self._footprint = config, footprint
 
-    def wear(self, shape: Shape) -> None:
+    def set_footprint(self, footprint: Footprint) -> None:
         """The outline that masks the machine itself from now on."""
-        self._shape = shape
-        for eye in self.eyes:
-            eye.shape = shape
+        self._footprint = footprint
+        for source in self.lidars:
+            source.footprint = footprint
 
-    def hear(self, came: Measurements, trail: Trail, odom: Odometry) -> bool:
+    def update(self, data: SourceData, pose_history: PoseHistory, odom: Odometry) -> bool:
         """Take what came from radars and ultrasonic sensors; whether any of it is or was in the way of something."""
-        is_news = False
+        is_relevant = False
         for radar in self.radars:
-            scan = came.radars.get(radar.name)
+            scan = data.radars.get(radar.name)
             if scan is not None and is_newer(scan.stamp_ns, radar.stamp_ns):
                 had = len(radar.hits)
-                radar.take(scan, trail.pose_at(scan.stamp_ns), odom, self._shape)
-                is_news |= had + len(radar.hits) > 0
-        for ear in self.ears:
-            echo = came.echoes.get(ear.name)
-            if echo is not None and is_newer(echo.stamp_ns, ear.stamp_ns):
-                had = len(ear.arc_odom_m)
-                ear.take(echo, trail.pose_at(echo.stamp_ns), odom)
-                is_news |= had + len(ear.arc_odom_m) > 0
-        return is_news
+                radar.update(scan, pose_history.pose_at(scan.stamp_ns), odom, self._footprint)
+                is_relevant |= had + len(radar.hits) > 0
+        for source in self.ultrasonics:
+            echo = data.echoes.get(source.name)
+            if echo is not None and is_newer(echo.stamp_ns, source.stamp_ns):
+                had = len(source.echo_arc_odom_m)
+                source.update(echo, pose_history.pose_at(echo.stamp_ns), odom)
+                is_relevant |= had + len(source.echo_arc_odom_m) > 0
+        return is_relevant
 
-    def fresh(self, came: Measurements) -> list[Eye]:
+    def fresh(self, data: SourceData) -> list[LidarSource]:
         """The lidars with a scan that has not been taken yet; one from before the last is not taken."""
-        scans = {name: scan for name, scan in came.scans.items() if scan is not None}
-        return [eye for eye in self.eyes if eye.name in scans and is_newer(scans[eye.name].stamp_ns, eye.stamp_ns)]
+        scans = {name: scan for name, scan in data.scans.items() if scan is not None}
+        return [
+            source
+            for source in self.lidars
+            if source.name in scans and is_newer(scans[source.name].stamp_ns, source.stamp_ns)
+        ]
 
     def scan(
-        self, came: Measurements, fresh: list[Eye], trail: Trail, odom: Odometry, box: Box, is_other_way: bool
+        self,
+        data: SourceData,
+        fresh: list[LidarSource],
+        pose_history: PoseHistory,
+        odom: Odometry,
+        box: Box,
+        is_new_field: bool,
     ) -> None:
         """Take fresh scans, and for another way the last ones once more."""
         motion = Motion(odom.speed_mps, odom.yaw_rate_radps)
-        for eye in self.eyes:
-            scan = came.scans[eye.name] if eye in fresh else eye.scan if is_other_way else None
+        for source in self.lidars:
+            scan = data.scans[source.name] if source in fresh else source.scan if is_new_field else None
             if scan is not None:
-                eye.take(scan, trail.pose_at(scan.stamp_ns), motion, odom.curvature_radpm, box)
+                source.update(scan, pose_history.pose_at(scan.stamp_ns), motion, odom.curvature_radpm, box)
 
-    def gap(
-        self, way: Way, pose_odom: Float64, speed_mps: float, is_explained: Explained | None, tracks: Tracks | None
-    ) -> Gap | None:
+    def clearance(
+        self,
+        swept_field: SweptField,
+        pose_odom: Float64,
+        speed_mps: float,
+        is_known: KnownStructureFilter | None,
+        tracks: Tracks | None,
+    ) -> Clearance | None:
         """The gaps to all that any of them has confirmed; None before any lidar has looked."""
-        if not any(eye.stamp_ns is not None for eye in self.eyes):
+        if not any(source.stamp_ns is not None for source in self.lidars):
             return None
-        gaps = [self._points_gap(way, pose_odom, is_explained)]
-        if speed_mps <= kmh(self._config.ultrasonic.most_kmh):
-            near_m = self._config.ultrasonic.answer_m
-            heard = [e for e in self.ears if len(e.arc_odom_m) and not is_answered(e.arc_odom_m, tracks, near_m)]
-            gaps += [self._arc_gap(ear, way, pose_odom, is_explained) for ear in heard]
-        hits = np.concatenate([gap.triggering_points_base_m for gap in gaps])
-        return Gap(min(gap.main_m for gap in gaps), min(gap.arc_m for gap in gaps), hits)
+        clearances = [self._points_clearance(swept_field, pose_odom, is_known)]
+        if speed_mps <= kmh(self._config.ultrasonic.max_speed_kmh):
+            near_m = self._config.ultrasonic.track_match_m
+            heard = [
+                e
+                for e in self.ultrasonics
+                if len(e.echo_arc_odom_m) and not is_confirmed_by_track(e.echo_arc_odom_m, tracks, near_m)
+            ]
+            clearances += [self._echo_clearance(source, swept_field, pose_odom, is_known) for source in heard]
+        hits = np.concatenate([clearance.triggering_points_base_m for clearance in clearances])
+        return Clearance(
+            min(clearance.main_m for clearance in clearances), min(clearance.arc_m for clearance in clearances), hits
+        )
 
-    def _points_gap(self, way: Way, pose_odom: Float64, is_explained: Explained | None) -> Gap:
+    def _points_clearance(
+        self, swept_field: SweptField, pose_odom: Float64, is_known: KnownStructureFilter | None
+    ) -> Clearance:
         """Lidars and radars; what cannot be touched is left out first, with whole squares of the thinning kept."""
-        near = touched_box(way)
-        hits = np.concatenate([np.empty((0, 3)), *(eye.hits_odom_m for eye in self.eyes)])
-        seen = thinned(hits.compress(near.holds(from_frame(pose_odom, hits[:, :2])), axis=0), THIN_M)
+        near = reachable_box(swept_field)
+        hits = np.concatenate([np.empty((0, 3)), *(source.hits_odom_m for source in self.lidars)])
+        inputs = thin(hits.compress(near.holds(from_frame(pose_odom, hits[:, :2])), axis=0), THIN_M)
         echoes = np.concatenate([np.empty((0, 4)), *(radar.hits for radar in self.radars)])
-        aside = np.concatenate([np.zeros(len(seen)), -self._config.radar.aside_sigmas * echoes[:, 3]])
-        hits = np.concatenate([seen, echoes[:, :3]])
-        if is_explained is not None and len(hits):
-            left = ~is_explained(hits[:, :2])
+        aside = np.concatenate([np.zeros(len(inputs)), -self._config.radar.bearing_sigmas * echoes[:, 3]])
+        hits = np.concatenate([inputs, echoes[:, :3]])
+        if is_known is not None and len(hits):
+            left = ~is_known(hits[:, :2])
             hits, aside = hits[left], aside[left]
-        return gap_in(way, hits, pose_odom, aside)
+        return clearance_to(swept_field, hits, pose_odom, aside)
 
-    def _arc_gap(self, ear: Ear, way: Way, pose_odom: Float64, is_explained: Explained | None) -> Gap:
+    def _echo_clearance(
+        self,
+        source: UltrasonicSource,
+        swept_field: SweptField,
+        pose_odom: Float64,
+        is_known: KnownStructureFilter | None,
+    ) -> Clearance:
         """An arc counts when enough of it lies in the way, and no surveyed wall could have answered."""
-        if not touched_box(way).holds(from_frame(pose_odom, ear.arc_odom_m)).any():
+        if not reachable_box(swept_field).holds(from_frame(pose_odom, source.echo_arc_odom_m)).any():
             return FREE
-        if is_explained is not None and is_explained(ear.arc_odom_m).any():
+        if is_known is not None and is_known(source.echo_arc_odom_m).any():
             return FREE
-        arc = np.column_stack([ear.arc_odom_m, np.full(len(ear.arc_odom_m), self._config.field.lowest_m)])
-        gap = gap_in(way, arc, pose_odom)
-        return gap if len(gap.triggering_points_base_m) >= self._config.ultrasonic.arc_share * len(arc) else FREE
+        arc = np.column_stack(
+            [source.echo_arc_odom_m, np.full(len(source.echo_arc_odom_m), self._config.field.min_height_m)]
+        )
+        clearance = clearance_to(swept_field, arc, pose_odom)
+        return (
+            clearance
+            if len(clearance.triggering_points_base_m) >= self._config.ultrasonic.min_arc_ratio * len(arc)
+            else FREE
+        )
 
-    def proven_m(self, now_ns: int, direction: int, health: Mapping[str, SensorHealth | None]) -> dict[str, float]:
+    def detection_range_m(
+        self, now_ns: int, direction: int, health: Mapping[str, SensorHealth | None]
+    ) -> dict[str, float]:
         """The proven range of each lidar that looks in a direction and is not silent, shrunk by its own health."""
-        half_rad = math.radians(self._config.proven.look_deg)
+        half_rad = math.radians(self._config.detection_range.half_cone_deg)
         oldest_ns = now_ns - round(TOPICS["lidar"].max_age_s * 1e9)
         return {
-            f"lidar/{eye.name}": shrink(eye.proven_m(direction), health.get(f"lidar_{eye.name}"), direction, half_rad)
-            for eye in self.eyes
-            if eye.looks(direction) and eye.stamp_ns is not None and eye.stamp_ns >= oldest_ns
+            f"lidar/{source.name}": limit_by_health(
+                source.detection_range_m(direction), health.get(f"lidar_{source.name}"), direction, half_rad
+            )
+            for source in self.lidars
+            if source.covers(direction) and source.stamp_ns is not None and source.stamp_ns >= oldest_ns
         }
 
 
-def touched_box(way: Way) -> Box:
+def reachable_box(swept_field: SweptField) -> Box:
     """The area of base that can be touched at all, wider by more than a square of the thinning."""
-    step_m = way.main.step_m if way.arc is None else max(way.main.step_m, way.arc.step_m)
-    return box_of(way, step_m + 2.0 * THIN_M)
+    step_m = (
+        swept_field.main.step_m if swept_field.arc is None else max(swept_field.main.step_m, swept_field.arc.step_m)
+    )
+    return box_of(swept_field, step_m + 2.0 * THIN_M)
 
 
 def is_newer(stamp_ns: int, taken_ns: int | None) -> bool:

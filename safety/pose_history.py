@@ -22,7 +22,7 @@ def tilt_of(T: Float64) -> tuple[float, float]:
     return math.atan2(T[2, 1], T[2, 2]), -math.asin(max(-1.0, min(1.0, T[2, 0]))) if T[2, 0] == T[2, 0] else math.nan
 
 
-def whole_odom(odom: Odometry | None) -> Odometry | None:
+def valid_odometry(odom: Odometry | None) -> Odometry | None:
     """Odometry without a value that is no number, or None."""
     if odom is None:
         return None
@@ -30,7 +30,7 @@ def whole_odom(odom: Odometry | None) -> Odometry | None:
     return odom if math.isfinite(motion) and np.isfinite(odom.T_odom_base).all() else None
 
 
-def whole_pose(pose: MapPose | None) -> MapPose | None:
+def valid_map_pose(pose: MapPose | None) -> MapPose | None:
     """A pose in map without a value that is no number, or None; an infinite protection level is a value."""
     return pose if pose is not None and np.isfinite(pose.T_map_odom).all() else None
 
@@ -55,7 +55,7 @@ def seen_from(pose: Float64, x_m: float, y_m: float) -> tuple[float, float]:
     return c * dx + s * dy, c * dy - s * dx
 
 
-class Trail:
+class PoseHistory:
     """Odometry of the last second, and the way driven."""
 
     def __init__(self) -> None:

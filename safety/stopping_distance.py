@@ -52,9 +52,9 @@ def stopping_time(speed_mps: float, braking: Braking) -> float:
 def required_range(speed_mps: float, braking: Braking, allowance_m: float, obstacle_mps: float = 0.0) -> float:
     """The range needed: S + v_obstacle·T_stop + the allowance (k·σ_range + σ_position + margin, and L_front if ranges
     are not measured from the foremost point)."""
-    way_m = stopping_distance(speed_mps, braking)
+    distance_m = stopping_distance(speed_mps, braking)
     approach_m = obstacle_mps * stopping_time(speed_mps, braking) if obstacle_mps > 0.0 else 0.0
-    return way_m + approach_m + allowance_m
+    return distance_m + approach_m + allowance_m
 
 
 def highest_speed(range_m: float, braking: Braking, allowance_m: float, obstacle_mps: float = 0.0) -> float:
@@ -73,10 +73,10 @@ def highest_speed(range_m: float, braking: Braking, allowance_m: float, obstacle
 
 def needed_deceleration(speed_mps: float, clearance_m: float, dead_time_s: float, most_mps2: float) -> float:
     """Constant deceleration that stops within `clearance_m` after a dead time of `dead_time_s`; at most `most_mps2`."""
-    way_m = clearance_m - speed_mps * dead_time_s
+    distance_m = clearance_m - speed_mps * dead_time_s
     if speed_mps <= 0.0:
         return 0.0
-    return most_mps2 if way_m <= 0.0 else min(most_mps2, speed_mps**2 / (2.0 * way_m))
+    return most_mps2 if distance_m <= 0.0 else min(most_mps2, speed_mps**2 / (2.0 * distance_m))
 
 
 def _above_knee(range_m: float, braking: Braking, obstacle_mps: float, knee_mps: float) -> float:

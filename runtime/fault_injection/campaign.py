@@ -32,7 +32,7 @@ from runtime.fault_injection.situations import SITUATIONS, Watch
 from runtime.fault_injection.table import write_tables
 from runtime.run_folder import RunFolder
 from runtime.setup import Setup, load_setup
-from safety.monitors.sensors import companions_of
+from safety.monitors.sensors import monitored_sensors
 from simulation.faults.config import FaultsConfig, InjectedFault, kinds_of
 from simulation.faults.injection import Injection
 from simulation.scenario import Scenario
@@ -67,7 +67,7 @@ class Drive:
         """Sensors that look away from the direction of travel or detect nothing, with their nodes."""
         assert self.watch.truth is not None
         sensors, direction = self.setup.vehicle.sensors, int(np.sign(self.watch.truth.speed_mps))
-        looking = [one for one in companions_of(sensors, idle_of(self.setup)) if one.looks(direction)]
+        looking = [one for one in monitored_sensors(sensors, idle_of(self.setup)) if one.covers(direction)]
         seeing = {one.topic for one in looking}
         for name, lidar in sensors.lidar.items():
             seeing |= {f"lidar/{name}"} if np.cos(np.radians(lidar.mount.rpy_deg[2])) * direction > 0.0 else set()

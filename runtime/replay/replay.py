@@ -33,7 +33,7 @@ from runtime.replay.trajectory import (
     stages_of,
     trajectory_of,
 )
-from safety.zones.known_structure import surveyed
+from safety.zones.known_structure import structure_of_shed
 
 RECOMPUTED = {
     "odom", "map_pose", "lidar_odometry", "lidar_localization", "ground", "obstacles", "tracks", "health", "supervisor",
@@ -250,6 +250,6 @@ def shadow_for(prepared: Prepared) -> Shadow:
         prepared.machine.implement,
         safety.model_copy(update={"braking": braking}),
         None if prepared.is_planned else prepared.half_width_m,
-        None if place is None or place.shed is None else surveyed(place.shed),
+        None if place is None or place.shed is None else structure_of_shed(place.shed),
         frozenset(f"camera_{name}" for name in vehicle.sensors.camera if is_blind),
     )

@@ -45,7 +45,7 @@ class BrakeTest:
             self.phase = self._judge(abs(speed_mps), driven_m - self._driven_m)
         return self.phase
 
-    def _judge(self, speed_mps: float, way_m: float) -> Phase:
-        if way_m > self._left_m:
+    def _judge(self, speed_mps: float, distance_m: float) -> Phase:
+        if distance_m > self._left_m:
             return Phase.FAILED
         return Phase.PASSED if speed_mps <= self._config.modes.standstill_mps else Phase.BRAKE

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from messages.faults import Fault
 
 
-class Reports:
+class FaultMemory:
     """Active faults by source and code; a latched one stays until a person resets it after it has ended."""
 
     def __init__(self) -> None:
@@ -17,7 +17,7 @@ class Reports:
         """All that hold, earliest first."""
         return tuple(self._active.values())
 
-    def take(self, faults: Iterable[Fault]) -> None:
+    def update(self, faults: Iterable[Fault]) -> None:
         """Begin and end what was reported."""
         for fault in faults:
             key = (fault.source, fault.code)

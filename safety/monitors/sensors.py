@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from configs.vehicle import Camera, Mount, Radar, Sensors, Ultrasonic
 from messages.perception import HealthState, SensorHealth
 from messages.topics import spec_of
-from safety.sources.detection_range import shrink
+from safety.sources.detection_range import limit_by_health
 
 AHEAD_RAD = math.radians(60.0)  # a sensor turned farther away from the direction of travel is not missed there
 
 
 @dataclass(frozen=True)
-class Companion:
+class MonitoredSensor:
     """A sensor beside the lidars, by kind and name, and where it is mounted."""
 
     kind: str
@@ -36,7 +36,7 @@ class Companion:
         return f"obstacles/{self.label}"
 
     @property
-    def told_s(self) -> float:
+    def max_output_age_s(self) -> float:
         """How old what was made of them may become: who measures seldom tells seldom."""
         return max(spec_of(self.topic).max_age_s, spec_of(self.obstacles_topic).max_age_s)
 
@@ -45,14 +45,14 @@ class Companion:
         """Where its health is."""
         return f"health/{self.label}"
 
-    def looks(self, direction: int) -> bool:
+    def covers(self, direction: int) -> bool:
         """Whether it looks in a direction of travel."""
         away = math.radians(self.mount.rpy_deg[2]) - (0.0 if direction > 0 else math.pi)
         return abs(math.remainder(away, 2.0 * math.pi)) <= AHEAD_RAD
 
 
 @dataclass(frozen=True)
-class Lost:
+class SensorFailure:
     """A sensor of a kind that does not see the way; the code names it."""
 
     kind: str
@@ -60,30 +60,30 @@ class Lost:
     text: str
 
 
-def companions_of(sensors: Sensors, idle: frozenset[str]) -> tuple[Companion, ...]:
+def monitored_sensors(sensors: Sensors, idle: frozenset[str]) -> tuple[MonitoredSensor, ...]:
     """All radars, cameras and ultrasonic sensors but the idle ones (named like `camera_front`)."""
     kinds: dict[str, Mapping[str, Radar | Camera | Ultrasonic]] = {
         "radar": sensors.radar, "camera": sensors.camera, "ultrasonic": sensors.ultrasonic,
     }  # fmt: skip
-    every = [Companion(kind, name, one.mount) for kind, ones in kinds.items() for name, one in ones.items()]
+    every = [MonitoredSensor(kind, name, one.mount) for kind, ones in kinds.items() for name, one in ones.items()]
     return tuple(one for one in every if one.label not in idle)
 
 
-def lost_of(
-    one: Companion, is_heard: bool, is_frozen: bool, is_told: bool, health: SensorHealth | None, direction: int,
+def failure_of(
+    one: MonitoredSensor, is_heard: bool, is_frozen: bool, is_told: bool, health: SensorHealth | None, direction: int,
     half_rad: float,
-) -> Lost | None:  # fmt: skip
+) -> SensorFailure | None:  # fmt: skip
     """How a sensor is lost in a direction, if so; a sensor whose obstacles or health nobody tells is."""
-    if not one.looks(direction):
+    if not one.covers(direction):
         return None
     if not is_heard:
-        return Lost(one.kind, f"{one.topic}.silent", f"no message on {one.topic} within its greatest age")
+        return SensorFailure(one.kind, f"{one.topic}.silent", f"no message on {one.topic} within its greatest age")
     if is_frozen:
-        return Lost(one.kind, f"{one.topic}.frozen", f"{one.topic} repeats the same measurement")
+        return SensorFailure(one.kind, f"{one.topic}.frozen", f"{one.topic} repeats the same measurement")
     if not is_told:
-        return Lost(one.kind, f"{one.obstacles_topic}.silent", f"nobody tells what {one.topic} sees")
+        return SensorFailure(one.kind, f"{one.obstacles_topic}.silent", f"nobody tells what {one.topic} sees")
     if health is None:
-        return Lost(one.kind, f"{one.health_topic}.silent", f"nobody tells the health of {one.topic}")
-    if health.state is HealthState.BLIND or shrink(math.inf, health, direction, half_rad) <= 0.0:
-        return Lost(one.kind, f"{one.topic}.blind", f"{one.topic} is blind: {health.reason}")
+        return SensorFailure(one.kind, f"{one.health_topic}.silent", f"nobody tells the health of {one.topic}")
+    if health.state is HealthState.BLIND or limit_by_health(math.inf, health, direction, half_rad) <= 0.0:
+        return SensorFailure(one.kind, f"{one.topic}.blind", f"{one.topic} is blind: {health.reason}")
     return None

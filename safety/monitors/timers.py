@@ -3,7 +3,7 @@
 from collections import deque
 
 
-class Held:
+class DebounceTimer:
     """Seconds since a condition began to hold without a break."""
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class Held:
         return (now_ns - self._since_ns) * 1e-9
 
 
-class Window:
+class RecentRange:
     """The range of a value over the last moments."""
 
     def __init__(self, length_s: float) -> None:

@@ -8,7 +8,7 @@ from messages.motion import MapPose, Odometry
 from messages.plan import Path
 from safety.config import SafetyConfig
 from safety.modes import WATCHED
-from safety.monitors.timers import Held, Window
+from safety.monitors.timers import DebounceTimer, RecentRange
 from safety.pose_history import tilt_of
 from safety.stopping_distance import Braking, on_grade
 
@@ -17,7 +17,7 @@ DIRECTION_MPS = 0.1
 
 
 @dataclass(frozen=True)
-class Measured:
+class VehicleState:
     """Signed speed (None: not known), the highest that any source gives, direction, braking here, held conditions.
 
     `has_driver`: someone sits on the seat, or did until a moment ago.
@@ -28,14 +28,14 @@ class Measured:
     direction: int
     braking: Braking
     position_sigma_m: float
-    hand_forced_s: float
-    steering_off_s: float
-    steering_lost_s: float
-    brake_weak_s: float
+    driver_override_s: float
+    steering_deviation_s: float
+    steering_unavailable_s: float
+    brake_ineffective_s: float
     has_driver: bool
 
 
-class Gauge:
+class VehicleMonitor:
     """Measures step by step."""
 
     def __init__(self, config: SafetyConfig) -> None:
@@ -43,11 +43,16 @@ class Gauge:
         self._direction = 1
         self._fastest_mps = 0.0
         self._pitch_rad = 0.0
-        self._curvatures = Window(config.limits.curvature_late_s)
-        self._has_driver, self._seat_empty = False, Held()
-        self._hand, self._steering_off, self._steering_lost, self._brake = Held(), Held(), Held(), Held()
+        self._curvatures = RecentRange(config.limits.curvature_late_s)
+        self._has_driver, self._seat_empty = False, DebounceTimer()
+        self._override, self._deviation, self._unavailable, self._ineffective = (
+            DebounceTimer(),
+            DebounceTimer(),
+            DebounceTimer(),
+            DebounceTimer(),
+        )
 
-    def measure(
+    def update(
         self,
         now_ns: int,
         mode: Mode,
@@ -57,7 +62,7 @@ class Gauge:
         path: Path | None,
         control_command: ControlCommand | None,
         command: SafeCommand | None,
-    ) -> Measured:
+    ) -> VehicleState:
         """The machine as it is now; `command` is what was last commanded."""
         speeds = [m.speed_mps for m in (odom, machine) if m is not None and math.isfinite(m.speed_mps)]
         speed = max(speeds, key=abs, default=None)
@@ -65,18 +70,18 @@ class Gauge:
         self._direction = direction_of(speed, path, control_command, self._direction)
         if odom is not None:
             self._pitch_rad = tilt_of(odom.T_odom_base)[1]
-        flat, least = self._config.braking.flat, self._config.braking.least_deceleration_mps2
+        flat, least = self._config.braking.flat, self._config.braking.min_deceleration_mps2
         is_watched = mode in WATCHED
-        return Measured(
+        return VehicleState(
             speed,
             self._fastest_mps,
             self._direction,
             on_grade(flat, self._direction * self._pitch_rad, least),
             position_sigma_m(map_pose),
-            self._hand.update(now_ns, is_forced(machine, self._config.hand.torque_nm)),
-            self._steering_off.update(now_ns, is_watched and self._is_off(now_ns, machine, command)),
-            self._steering_lost.update(now_ns, is_watched and self._is_lost(machine)),
-            self._brake.update(now_ns, self._is_weak(odom, command)),
+            self._override.update(now_ns, is_forced(machine, self._config.driver_override.torque_nm)),
+            self._deviation.update(now_ns, is_watched and self._steering_deviates(now_ns, machine, command)),
+            self._unavailable.update(now_ns, is_watched and self._steering_unavailable(machine)),
+            self._ineffective.update(now_ns, self._brake_ineffective(odom, command)),
             self._is_driven(now_ns, machine),
         )
 
@@ -88,7 +93,7 @@ class Gauge:
             self._has_driver = machine.is_seat_occupied or (self._has_driver and not is_gone)
         return self._has_driver
 
-    def _is_off(self, now_ns: int, machine: MachineState | None, command: SafeCommand | None) -> bool:
+    def _steering_deviates(self, now_ns: int, machine: MachineState | None, command: SafeCommand | None) -> bool:
         """Whether the steering is where no command of the last moments would have it."""
         if command is not None:
             self._curvatures.add(now_ns, command.curvature_radpm)
@@ -96,15 +101,15 @@ class Gauge:
             return False
         return not self._curvatures.distance(machine.curvature_radpm) <= self._config.limits.curvature_error_radpm
 
-    def _is_lost(self, machine: MachineState | None) -> bool:
+    def _steering_unavailable(self, machine: MachineState | None) -> bool:
         return machine is not None and not machine.is_steering_ready and self._fastest_mps >= STEER_MOVING_MPS
 
-    def _is_weak(self, odom: Odometry | None, command: SafeCommand | None) -> bool:
+    def _brake_ineffective(self, odom: Odometry | None, command: SafeCommand | None) -> bool:
         if odom is None or command is None or abs(odom.speed_mps) < BRAKE_MOVING_MPS:
             return False
         felt = -math.copysign(odom.acceleration_mps2, odom.acceleration_mps2 * odom.speed_mps)
         asked = command.deceleration_mps2
-        return asked >= BRAKE_ASKED_MPS2 and felt < self._config.limits.brake_share * asked
+        return asked >= BRAKE_ASKED_MPS2 and felt < self._config.limits.min_brake_ratio * asked
 
 
 def direction_of(

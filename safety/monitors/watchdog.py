@@ -19,7 +19,7 @@ UPSTREAM: dict[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True)
-class Age:
+class TopicAge:
     """Age of the newest message of a topic in seconds; None when none ever came."""
 
     topic: str
@@ -37,10 +37,10 @@ class Age:
         return self.age_s is None or abs(self.age_s) > LATE_SHARE * self.max_age_s + ROUNDING_S
 
 
-def age_of(topic: str, stamp_ns: int | None, now_ns: int) -> Age:
+def age_of(topic: str, stamp_ns: int | None, now_ns: int) -> TopicAge:
     """The age of a topic whose newest message has this stamp."""
     age_s = None if stamp_ns is None else (now_ns - stamp_ns) * 1e-9
-    return Age(topic, age_s, _max_age_s(topic))
+    return TopicAge(topic, age_s, _max_age_s(topic))
 
 
 @cache
@@ -48,23 +48,23 @@ def _max_age_s(topic: str) -> float:
     return spec_of(topic).max_age_s
 
 
-def silent(ages: Iterable[Age]) -> tuple[str, ...]:
+def timed_out_topics(ages: Iterable[TopicAge]) -> tuple[str, ...]:
     """The topics that are silent, causes first and without what only follows from them."""
     known = {age.topic: age for age in ages}
     blamed: list[str] = []
     for topic, age in known.items():
         if age.is_stale:
-            cause = cause_of(topic, known)
+            cause = root_cause_of(topic, known)
             blamed += [cause] if cause not in blamed else []
     return tuple(blamed)
 
 
-def cause_of(topic: str, known: Mapping[str, Age]) -> str:
+def root_cause_of(topic: str, known: Mapping[str, TopicAge]) -> str:
     """The farthest upstream topic that is late too, or the topic itself."""
     kind, _, name = topic.partition("/")
     sensor = (name.replace("_", "/", 1),) if kind == "health" else ()  # health/lidar_front tells of lidar/front
     for above in (*sensor, *UPSTREAM.get(kind, ())):
         late = next((t for t, age in known.items() if above in (t, t.partition("/")[0]) and age.is_late), None)
         if late is not None:
-            return cause_of(late, known)
+            return root_cause_of(late, known)
     return topic

@@ -91,13 +91,13 @@ def evaluate_rules(situation: Situation, disabled: frozenset[str]) -> Decision:
     ahead = [result for name, result in named.items() if name in BLOCKING_RULES]
     others = [result for name, result in named.items() if name not in BLOCKING_RULES]
     against = [r for r in others if r.response >= Response.CONTROLLED_STOP or r.code == FENCE_UNKNOWN]
-    gaps = () if situation.gap is None else (situation.gap.main_m, situation.gap.arc_m)
+    clearances = () if situation.clearance is None else (situation.clearance.main_m, situation.clearance.arc_m)
     return Decision(
         named,
         most_restrictive([*named.values()]),
         most_restrictive(ahead),
         most_restrictive(against),
-        min(*gaps, situation.threat.clearance_m, math.inf),
+        min(*clearances, situation.critical_object.clearance_m, math.inf),
     )
 
 

@@ -11,7 +11,7 @@ WEAK, TEST = "brake.weak", "brake.test"
 
 def evaluate(situation: Situation) -> RuleResult:
     """All that the machine has, when less than a share of the asked deceleration is felt or the trial was too long."""
-    if situation.brake_weak_s > situation.config.limits.brake_grace_s:
+    if situation.brake_ineffective_s > situation.config.limits.brake_debounce_s:
         return emergency(WEAK, "the machine does not slow as asked")
     phase = situation.brake_test
     if phase is Phase.FAILED:

@@ -8,7 +8,7 @@ from safety.stopping_distance import highest_speed
 
 def evaluate(situation: Situation) -> RuleResult:
     """The lower of two speeds: S within the range over the factor, and the whole range needed within it."""
-    range_m, config = situation.proven_m, situation.config.field
+    range_m, config = situation.detection_range_m, situation.config.field
     if situation.blind and range_m <= 0.0:
         return limit(f"{situation.blind[0]}.blind", 0.0, f"{situation.blind[0]} is blind")
     twice = highest_speed(range_m / config.slow_range_factor, situation.braking, 0.0)

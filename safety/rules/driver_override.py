@@ -12,7 +12,7 @@ ROUNDING = 1e-9  # 50 °/s is not exact in radians
 
 def evaluate(situation: Situation) -> RuleResult:
     """Any of the three is enough; what the machine reports is the motion that the hand imposes, net of the motor's."""
-    machine, limits = situation.machine, situation.config.hand
+    machine, limits = situation.machine, situation.config.driver_override
     if machine is None:
         return no_objection(CODE)
     rate_dps, angle_deg = math.degrees(abs(machine.driver_rate_radps)), math.degrees(abs(machine.driver_angle_rad))
@@ -20,6 +20,6 @@ def evaluate(situation: Situation) -> RuleResult:
         return stop(CODE, f"wheel turned by hand at {rate_dps:.0f} °/s")
     if not angle_deg <= limits.angle_deg + ROUNDING:
         return stop(CODE, f"wheel turned by hand by {angle_deg:.0f}°")
-    if situation.hand_forced_s > limits.forced_s:
-        return stop(CODE, f"wheel held by hand for {situation.hand_forced_s:.1f} s")
+    if situation.driver_override_s > limits.forced_s:
+        return stop(CODE, f"wheel held by hand for {situation.driver_override_s:.1f} s")
     return no_objection(CODE)

@@ -12,12 +12,12 @@ CODE, UNKNOWN = "geofence", "geofence.unknown"
 
 def evaluate(situation: Situation) -> RuleResult:
     """Slow as the way left inside allows; stop when some part is outside."""
-    way_m = situation.fence_m
-    if way_m is None:
+    distance_m = situation.geofence_distance_m
+    if distance_m is None:
         return limit(UNKNOWN, 0.0, "place within the field not known")
-    if math.isinf(way_m):
+    if math.isinf(distance_m):
         return no_objection(CODE)
-    if way_m < 0.0:
+    if distance_m < 0.0:
         return stop("geofence.outside", "machine or implement outside the allowed area")
-    speed = highest_speed(way_m, situation.braking, situation.config.limits.fence_margin_m)
-    return limit(CODE, speed, f"edge of the allowed area in {way_m:.1f} m")
+    speed = highest_speed(distance_m, situation.braking, situation.config.limits.geofence_margin_m)
+    return limit(CODE, speed, f"edge of the allowed area in {distance_m:.1f} m")

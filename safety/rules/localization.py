@@ -21,7 +21,7 @@ def evaluate(situation: Situation) -> RuleResult:
     if not pose.gnss_age_s <= config.gnss_stop_s and pose.source is not PositionSource.UWB:
         return stop("localization.gnss_age", f"no fix for {pose.gnss_age_s:.0f} s")
     docking = situation.config.docking
-    if situation.is_under_roof and not pose.uwb_age_s <= docking.uwb_age_s:
+    if situation.is_under_roof and not pose.uwb_age_s <= docking.max_uwb_age_s:
         return stop("localization.uwb_lost", f"no UWB range for {pose.uwb_age_s:.1f} s in the shed")
     most_m = docking.protection_stop_m if situation.is_under_roof else config.protection_stop_m
     if not pose.protection_level_m <= most_m:

@@ -12,7 +12,7 @@ def evaluate(situation: Situation) -> RuleResult:
 
     Control then has nothing to say yet, and the mission may take its time to plan a way round.
     """
-    for topic in situation.silent:
+    for topic in situation.timed_out_topics:
         if topic in LEADING and not situation.is_moving:
             return limit(f"{topic}.silent", 0.0, f"no message on {topic}")
         return stop(f"{topic}.silent", f"no message on {topic} within its greatest age")
@@ -33,7 +33,7 @@ def silent_group(situation: Situation) -> str:
     machine = situation.machine
     if machine is None:
         return ""
-    oldest_ns = machine.stamp_ns - round(situation.config.limits.group_age_s * 1e9)
+    oldest_ns = machine.stamp_ns - round(situation.config.limits.max_group_age_s * 1e9)
     return next((name for name, stamp_ns in groups(machine) if stamp_ns < oldest_ns), "")
 
 

@@ -12,14 +12,14 @@ CODE = "protective_field"
 
 def evaluate(situation: Situation) -> RuleResult:
     """Slow as both gaps allow; brake at once when one lies inside the stopping distance."""
-    gap = situation.gap
-    if gap is None:
+    clearance = situation.clearance
+    if clearance is None:
         return limit("protective_field.no_scan", 0.0, "no lidar has looked ahead yet")
-    nearest_m = min(gap.main_m, gap.arc_m)
+    nearest_m = min(clearance.main_m, clearance.arc_m)
     if math.isinf(nearest_m):
         return no_objection(CODE)
     if situation.is_moving and stopping_distance(situation.speed_mps, situation.braking) > nearest_m:
         return stop(CODE, f"obstacle {nearest_m:.1f} m ahead, inside the stopping distance")
-    main = highest_speed(gap.main_m, situation.braking, situation.allowance_m)
-    arc = highest_speed(gap.arc_m, situation.braking, situation.config.field.arc_margin_m)
+    main = highest_speed(clearance.main_m, situation.braking, situation.allowance_m)
+    arc = highest_speed(clearance.arc_m, situation.braking, situation.config.field.arc_margin_m)
     return limit(CODE, min(main, arc), f"obstacle {nearest_m:.1f} m ahead")

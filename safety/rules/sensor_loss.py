@@ -10,12 +10,12 @@ from safety.stopping_distance import highest_speed
 def evaluate(situation: Situation) -> RuleResult:
     """The sensor that is missed most; while what all need is silent, that is the cause and is told alone."""
     config = situation.config
-    if not situation.lost or situation.silent:
+    if not situation.sensor_failures or situation.timed_out_topics:
         return no_objection("sensor_loss")
-    worst = min(situation.lost, key=lambda lost: config.sensing.without_m(lost.kind))
-    range_m = config.sensing.without_m(worst.kind)
+    worst = min(situation.sensor_failures, key=lambda failure: config.sensor_loss.without_m(failure.kind))
+    range_m = config.sensor_loss.without_m(worst.kind)
     twice = highest_speed(range_m / config.field.slow_range_factor, situation.braking, 0.0)
     speed = min(twice, highest_speed(range_m, situation.braking, situation.allowance_m))
     if situation.is_docking and worst.kind == "ultrasonic":
-        speed = min(speed, kmh(config.docking.unheard_kmh))
+        speed = min(speed, kmh(config.docking.ultrasonic_lost_kmh))
     return limit(worst.code, speed, worst.text)

@@ -12,10 +12,10 @@ CODE = "tracked_obstacle"
 
 def evaluate(situation: Situation) -> RuleResult:
     """Slow as the predicted gap allows; brake at once when it lies inside the stopping distance."""
-    threat = situation.threat
-    if math.isinf(threat.clearance_m):
+    nearest = situation.critical_object
+    if math.isinf(nearest.clearance_m):
         return no_objection(CODE)
-    text = f"{threat.label} {threat.clearance_m:.1f} m ahead"
-    if situation.is_moving and stopping_distance(situation.speed_mps, situation.braking) > threat.clearance_m:
+    text = f"{nearest.label} {nearest.clearance_m:.1f} m ahead"
+    if situation.is_moving and stopping_distance(situation.speed_mps, situation.braking) > nearest.clearance_m:
         return stop(CODE, f"{text}, inside the stopping distance")
-    return limit(CODE, highest_speed(threat.clearance_m, situation.braking, situation.allowance_m), text)
+    return limit(CODE, highest_speed(nearest.clearance_m, situation.braking, situation.allowance_m), text)

@@ -12,7 +12,7 @@ CODE = "wall_clearance"
 
 def evaluate(situation: Situation) -> RuleResult:
     """Slow as the way left allows; the clearance is already taken off it."""
-    if math.isinf(situation.survey_m):
+    if math.isinf(situation.wall_distance_m):
         return no_objection(CODE)
-    speed = highest_speed(situation.survey_m, situation.braking, 0.0)
-    return limit(CODE, speed, f"wall or post of the shed in {situation.survey_m:.2f} m")
+    speed = highest_speed(situation.wall_distance_m, situation.braking, 0.0)
+    return limit(CODE, speed, f"wall or post of the shed in {situation.wall_distance_m:.2f} m")

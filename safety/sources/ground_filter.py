@@ -13,7 +13,7 @@ import numpy as np
 
 from messages.message import Float32, Float64
 from safety.config import FieldConfig
-from safety.zones.footprint import Shape, is_inside, trailer_poses
+from safety.zones.footprint import Footprint, is_inside, trailer_poses
 
 HEIGHT_STEP_M, HEIGHT_STEPS, HEIGHT_FROM_M = 0.05, 80, -2.0
 WHEELS_X_M, WHEELS_REACH_M = 1.3, 2.0  # about the middle between the axles the wheels themselves are the plane
@@ -67,14 +67,14 @@ def deskew(xyz: Float32, offset_s: Float32, motion: Motion) -> Float32:
     return np.stack([x, xyz[1] + turn * xyz[0], xyz[2]])
 
 
-def within(xyz: Float32, box: Box, top_m: float) -> np.ndarray:
+def crop(xyz: Float32, box: Box, top_m: float) -> np.ndarray:
     """Indices of the returns in the box and below the top."""
     x, y, z = xyz
     inside = (x > box.x_m[0]) & (x < box.x_m[1]) & (y > box.y_m[0]) & (y < box.y_m[1]) & (z < top_m)
     return np.flatnonzero(inside)
 
 
-def raised(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
+def mark_obstacles(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
     """Which returns (3, N) stand above the ground, (N,) bool; deskewing may have moved some just out of the box."""
     x, y, z = xyz
     size = config.ground_patch_m
@@ -84,15 +84,17 @@ def raised(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
     scale = np.float32(1.0 / size)
     row, column = (x * scale - np.float32(x0)).astype(np.int32), (y * scale - np.float32(y0)).astype(np.int32)
     patch = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
-    ground = patch_ground(patch, z, rows * columns, config.ground_returns, config.ground_share)
+    ground = estimate_ground(patch, z, rows * columns, config.ground_returns, config.ground_share)
     center_x = (np.repeat(np.arange(rows), columns) + x0 + 0.5) * size
     center_y = (np.tile(np.arange(columns), rows) + y0 + 0.5) * size
-    lift = bend(ground, np.hypot(center_x - WHEELS_X_M, center_y), config).astype(np.float32)
+    lift = bound_ground(ground, np.hypot(center_x - WHEELS_X_M, center_y), config).astype(np.float32)
     distance = np.sqrt(x * x + y * y)
-    return np.asarray(z > lift[patch] + np.float32(config.lowest_m) + np.float32(config.lowest_per_m) * distance)
+    return np.asarray(
+        z > lift[patch] + np.float32(config.min_height_m) + np.float32(config.min_height_slope) * distance
+    )
 
 
-def patch_ground(patch: np.ndarray, z: Float32, patches: int, order: int, share: float) -> Float64:
+def estimate_ground(patch: np.ndarray, z: Float32, patches: int, order: int, share: float) -> Float64:
     """Height of the `order`-th lowest return of each patch, rounded down to 0.05 m; infinite where there are fewer.
 
     Where returns are dense a share of them stands for `order`: mirrors (wet ground, paint) put ghosts below the ground.
@@ -106,20 +108,20 @@ def patch_ground(patch: np.ndarray, z: Float32, patches: int, order: int, share:
     return np.where(below[:, -1] >= order, height, np.inf)
 
 
-def bend(ground_m: Float64, distance_m: Float64, config: FieldConfig) -> Float64:
+def bound_ground(ground_m: Float64, distance_m: Float64, config: FieldConfig) -> Float64:
     """What is believed of ground that rises or falls against the plane through the wheels, at a distance from them."""
     reach = config.grade_change * np.maximum(0.0, distance_m - WHEELS_REACH_M)
     fallen = np.minimum(ground_m + config.furrow_m, 0.0)
     return np.clip(np.where(ground_m > 0.0, ground_m, fallen), -reach, np.minimum(reach, config.rise_cap_m))
 
 
-def is_own(xyz: Float32 | Float64, shape: Shape, curvature_radpm: float, margin_m: float) -> np.ndarray:
+def is_own(xyz: Float32 | Float64, footprint: Footprint, curvature_radpm: float, margin_m: float) -> np.ndarray:
     """Which returns (3, N) lie on machine or implement, (N,) bool."""
     own = np.zeros(xyz.shape[1], bool)
-    for body in shape.rigid:
+    for body in footprint.rigid:
         own |= is_inside(body, xyz[0], xyz[1], margin_m)
-    if shape.trailed is not None and shape.drawbar is not None:
-        x, y, yaw = trailer_poses(shape.drawbar, np.zeros((1, 3)), curvature_radpm)[0]
+    if footprint.trailed is not None and footprint.drawbar is not None:
+        x, y, yaw = trailer_poses(footprint.drawbar, np.zeros((1, 3)), curvature_radpm)[0]
         c, s, dx, dy = np.cos(yaw), np.sin(yaw), xyz[0] - x, xyz[1] - y
-        own |= is_inside(shape.trailed, c * dx + s * dy, c * dy - s * dx, margin_m)
+        own |= is_inside(footprint.trailed, c * dx + s * dy, c * dy - s * dx, margin_m)
     return own

@@ -10,57 +10,57 @@ from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.pose_history import from_frame, to_frame
 from safety.sources.detection_range import (
+    covers,
     down_beams,
     edges,
-    expected_returns,
-    least_towards,
-    looks,
+    expected_density,
+    min_range_towards,
+    nominal_range_m,
     range_by_share,
-    reach_m,
-    shares,
+    return_ratios,
 )
-from safety.sources.ground_filter import Box, Motion, deskew, is_own, raised, to_base, within
-from safety.sources.multiple_evaluation import confirm, keys_of
-from safety.zones.footprint import Shape
+from safety.sources.ground_filter import Box, Motion, crop, deskew, is_own, mark_obstacles, to_base
+from safety.sources.multiple_evaluation import cell_keys, evaluate
+from safety.zones.footprint import Footprint
 
 
-class Eye:
+class LidarSource:
     """Takes scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground.
 
-    `shape` masks the machine itself; whoever knows the fold sets it.
+    `footprint` masks the machine itself; whoever knows the fold sets it.
     """
 
-    def __init__(self, name: str, lidar: Lidar, shape: Shape, config: SafetyConfig) -> None:
+    def __init__(self, name: str, lidar: Lidar, footprint: Footprint, config: SafetyConfig) -> None:
         self.name = name
         self.stamp_ns: int | None = None
         self.scan: LidarScan | None = None
         self.hits_odom_m: Float64 = np.empty((0, 3))
-        self.reach_m = reach_m(lidar, config.field, config.proven)
-        self.shape, self._config = shape, config
+        self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
+        self.footprint, self._config = footprint, config
         self._T_base_sensor = lidar.mount.T_base_sensor
-        self._lowest_slope = math.tan(math.radians(min(lidar.elevation_deg)))
-        self._slopes, self._density = expected_returns(lidar, config.proven)
-        self._directions = tuple(d for d in (1, -1) if looks(lidar, shape, d))
-        self._edges = edges(config.proven.sectors)
-        self._proven_m = dict.fromkeys(self._directions, 0.0)
+        self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
+        self._slopes, self._density = expected_density(lidar, config.detection_range)
+        self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
+        self._edges = edges(config.detection_range.sectors)
+        self._detection_range_m = dict.fromkeys(self._directions, 0.0)
         self._cells: Int64 = np.empty(0, np.int64)
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._equal_scans = 0
 
-    def looks(self, direction: int) -> bool:
+    def covers(self, direction: int) -> bool:
         """Whether it sees the way ahead in a direction of travel."""
         return direction in self._directions
 
-    def proven_m(self, direction: int) -> float:
+    def detection_range_m(self, direction: int) -> float:
         """How far its last scan proves the field free in a direction of travel."""
-        return 0.0 if self.is_frozen else self._proven_m.get(direction, 0.0)
+        return 0.0 if self.is_frozen else self._detection_range_m.get(direction, 0.0)
 
     @property
     def is_frozen(self) -> bool:
         """Whether it sends the same scan again and again."""
-        return self._equal_scans >= self._config.proven.frozen_scans
+        return self._equal_scans >= self._config.detection_range.frozen_scans
 
-    def take(self, scan: LidarScan, pose_odom: Float64, motion: Motion, curvature_radpm: float, box: Box) -> None:
+    def update(self, scan: LidarScan, pose_odom: Float64, motion: Motion, curvature_radpm: float, box: Box) -> None:
         """Take a scan; `pose_odom` (3,) is base at its stamp, `box` what matters of base then.
 
         The last scan may be taken once more for another box; what was remembered of the one before is then gone.
@@ -71,42 +71,50 @@ class Eye:
             self._equal_scans = self._equal_scans + 1 if is_same(scan, self.scan) else 0
         self.scan, self.stamp_ns = scan, scan.stamp_ns
         xyz = to_base(scan.points_m, self._T_base_sensor)
-        self._judge_reach(xyz, curvature_radpm)
+        self._update_detection_range(xyz, curvature_radpm)
         field = self._config.field
-        near = within(xyz, box, self.shape.height_m + field.over_height_m)
+        near = crop(xyz, box, self.footprint.height_m + field.overhead_margin_m)
         looked = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
-        looked = looked.compress(raised(looked, box, field), axis=1)
-        looked = looked.compress(~is_own(looked, self.shape, curvature_radpm, field.mask_m), axis=1)
+        looked = looked.compress(mark_obstacles(looked, box, field), axis=1)
+        looked = looked.compress(~is_own(looked, self.footprint, curvature_radpm, field.mask_m), axis=1)
         places = np.asarray(looked, np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, places[:2].T), places[2]])
-        is_hit, self._cells = confirm(
-            keys_of(points_odom, field.cell_m), self._cells, field.returns_once, field.returns_twice
+        is_hit, self._cells = evaluate(
+            cell_keys(points_odom, field.cell_m),
+            self._cells,
+            field.min_returns_single_scan,
+            field.min_returns_multiple_scan,
         )
-        self._remember(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
+        self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
 
-    def _judge_reach(self, xyz: np.ndarray, curvature_radpm: float) -> None:
-        proven, origin = self._config.proven, self._T_base_sensor[:3, 3]
+    def _update_detection_range(self, xyz: np.ndarray, curvature_radpm: float) -> None:
+        detection_range, origin = self._config.detection_range, self._T_base_sensor[:3, 3]
         some = down_beams(xyz, origin, self._slopes)
-        some = some.compress(~is_own(some, self.shape, curvature_radpm, self._config.field.mask_m), axis=1)
-        share = shares(some, origin, self._density, proven.sectors)
-        ranges, half_rad = range_by_share(share, self.reach_m, proven), math.radians(proven.look_deg)
-        self._proven_m = {d: least_towards(self._edges, ranges, d, half_rad) for d in self._directions}
+        some = some.compress(~is_own(some, self.footprint, curvature_radpm, self._config.field.mask_m), axis=1)
+        share = return_ratios(some, origin, self._density, detection_range.sectors)
+        ranges, half_rad = (
+            range_by_share(share, self.nominal_range_m, detection_range),
+            math.radians(detection_range.half_cone_deg),
+        )
+        self._detection_range_m = {d: min_range_towards(self._edges, ranges, d, half_rad) for d in self._directions}
 
-    def _remember(self, hits_odom: Float64, pose_odom: Float64, curvature_radpm: float, stamp_ns: int) -> None:
+    def _hold_in_blind_zone(
+        self, hits_odom: Float64, pose_odom: Float64, curvature_radpm: float, stamp_ns: int
+    ) -> None:
         """Keep for a while what went where no beam can look: the ground right before the bumper."""
         old, seen_ns = self._kept
         base = np.vstack([from_frame(pose_odom, old[:, :2]).T, old[:, 2]])
-        is_young = stamp_ns - seen_ns < self._config.field.hole_memory_s * 1e9
-        is_outside = ~is_own(base, self.shape, curvature_radpm, self._config.field.mask_m)
-        keep = is_young & is_outside & self._is_in_hole(base)
+        is_young = stamp_ns - seen_ns < self._config.field.blind_zone_hold_s * 1e9
+        is_outside = ~is_own(base, self.footprint, curvature_radpm, self._config.field.mask_m)
+        keep = is_young & is_outside & self._is_in_blind_zone(base)
         self.hits_odom_m = np.concatenate([hits_odom, old[keep]])
         stamps = np.concatenate([np.full(len(hits_odom), stamp_ns, np.int64), seen_ns[keep]])
         self._kept = (self.hits_odom_m, stamps)
 
-    def _is_in_hole(self, base: Float64) -> np.ndarray:
+    def _is_in_blind_zone(self, base: Float64) -> np.ndarray:
         """Which points (3, N) lie below the lowest beam."""
         x, y, z = base - self._T_base_sensor[:3, 3:]
-        return np.asarray(z < self._lowest_slope * np.hypot(x, y))
+        return np.asarray(z < self._min_slope * np.hypot(x, y))
 
 
 def is_same(scan: LidarScan, before: LidarScan | None) -> bool:

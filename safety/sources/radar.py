@@ -17,12 +17,12 @@ from messages.sensors import RadarScan
 from safety.config import RadarConfig
 from safety.pose_history import to_frame
 from safety.sources.ground_filter import is_own
-from safety.zones.footprint import Shape
+from safety.zones.footprint import Footprint
 
 NONE = np.empty((0, 5))
 
 
-class RadarEye:
+class RadarSource:
     """Takes cycles of one radar; `hits` (N, 4) are x, y, z in odom and the deviation of a bearing there, in metres."""
 
     def __init__(
@@ -44,7 +44,7 @@ class RadarEye:
         """Whether it sends the same detections again and again."""
         return self._equal_scans >= self._config.frozen_cycles
 
-    def take(self, scan: RadarScan, pose_odom: Float64, odom: Odometry, shape: Shape) -> None:
+    def update(self, scan: RadarScan, pose_odom: Float64, odom: Odometry, footprint: Footprint) -> None:
         """Take a cycle; `pose_odom` (3,) is base at its stamp."""
         self._equal_scans = self._equal_scans + 1 if is_same(scan, self._last) else 0
         self._last, self.stamp_ns = scan, scan.stamp_ns
@@ -54,7 +54,7 @@ class RadarEye:
         least = np.where(is_moving, self._config.moving_rcs_dbsm, self._config.standing_rcs_dbsm)
         cap = np.where(is_moving, self._config.moving_cap_m, self._config.standing_cap_m)
         counts = (rcs >= least) & (range_m <= cap) & (base[:, 2] >= self._low_m) & (base[:, 2] <= self._high_m)
-        counts[counts] = ~is_own(base[counts].T, shape, odom.curvature_radpm, self._mask_m)
+        counts[counts] = ~is_own(base[counts].T, footprint, odom.curvature_radpm, self._mask_m)
         places = np.column_stack([to_frame(pose_odom, base[:, :2]), base[:, 2], is_moving, range_m])[counts]
         self._cycles.append((scan.stamp_ns, places))
         self.hits = confirmed([p for ns, p in self._cycles if scan.stamp_ns - ns <= self._config.memory_s * 1e9],
@@ -62,7 +62,7 @@ class RadarEye:
 
 
 def confirmed(cycles: list[Float64], config: RadarConfig, sigma_rad: float) -> Float64:
-    """Of cycles (M, 5: x, y, z, moves, range each) the mean places seen in enough of them, (N, 4) as in `RadarEye`."""
+    """Of cycles (M, 5: x, y, z, moves, range each) the mean places with enough of them, (N, 4): `RadarSource.hits`."""
     every = np.concatenate([NONE, *cycles])
     if len(every) == 0:
         return np.empty((0, 4))

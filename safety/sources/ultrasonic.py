@@ -31,20 +31,20 @@ class Echo:
     travel_m: float
 
 
-class Ear:
-    """Takes measurements of one sensor; `arc_odom_m` (7, 2) is where what it hears may stand, or (0, 2)."""
+class UltrasonicSource:
+    """Takes measurements of one sensor; `echo_arc_odom_m` (7, 2) is where what it hears may stand, or (0, 2)."""
 
     def __init__(self, name: str, sensor: Ultrasonic, config: UltrasonicConfig) -> None:
         self.name = name
         self.stamp_ns: int | None = None
-        self.arc_odom_m: Float64 = np.empty((0, 2))
+        self.echo_arc_odom_m: Float64 = np.empty((0, 2))
         self._sensor, self._config = sensor, config
         self._T = sensor.mount.T_base_sensor
         self._reach_m = min(sensor.range_m[1], config.ground_share * ground_m(self._T))
         self._echoes: deque[Echo] = deque(maxlen=config.window)
         self._heard: Echo | None = None
 
-    def take(self, message: UltrasonicRange, pose_odom: Float64, odom: Odometry) -> None:
+    def update(self, message: UltrasonicRange, pose_odom: Float64, odom: Odometry) -> None:
         """Take a measurement; `pose_odom` (3,) is base at its stamp."""
         before = self._echoes[-1] if self._echoes else None
         travel_m = 0.0
@@ -55,9 +55,9 @@ class Ear:
         self._echoes.append(echo)
         if self._is_repeated(echo):
             self._heard = echo
-            self.arc_odom_m = to_frame(pose_odom, arc_of(echo.range_m, self._sensor, self._T))
+            self.echo_arc_odom_m = to_frame(pose_odom, arc_of(echo.range_m, self._sensor, self._T))
         elif not self._is_kept(echo):
-            self._heard, self.arc_odom_m = None, np.empty((0, 2))
+            self._heard, self.echo_arc_odom_m = None, np.empty((0, 2))
 
     def _axis_mps(self, odom: Odometry) -> float:
         turn, (x, y) = odom.yaw_rate_radps, self._T[:2, 3]
@@ -71,7 +71,7 @@ class Ear:
             return False
         fits = [
             abs(old.range_m + old.travel_m - echo.range_m - echo.travel_m)
-            <= self._config.gate_m + self._config.fastest_mps * (echo.stamp_ns - old.stamp_ns) * 1e-9
+            <= self._config.gate_m + self._config.max_object_speed_mps * (echo.stamp_ns - old.stamp_ns) * 1e-9
             for old in self._echoes
         ]
         return sum(fits) >= self._config.repeats
@@ -82,8 +82,8 @@ class Ear:
             return False
         age_s = (echo.stamp_ns - self._heard.stamp_ns) * 1e-9
         left_m = self._heard.range_m + self._heard.travel_m - echo.travel_m
-        is_in_dead_zone = left_m <= self._sensor.range_m[0] + self._config.dead_margin_m
-        return age_s <= (self._config.hold_s if is_in_dead_zone else self._config.memory_s)
+        is_in_dead_zone = left_m <= self._sensor.range_m[0] + self._config.dead_zone_margin_m
+        return age_s <= (self._config.dead_zone_hold_s if is_in_dead_zone else self._config.memory_s)
 
 
 def arc_of(range_m: float, sensor: Ultrasonic, T: Float64) -> Float64:
@@ -94,32 +94,34 @@ def arc_of(range_m: float, sensor: Ultrasonic, T: Float64) -> Float64:
     return np.asarray((local @ T[:3, :3].T + T[:3, 3])[:, :2])
 
 
-def is_answered(arc_odom_m: Float64, tracks: Tracks | None, near_m: float) -> bool:
+def is_confirmed_by_track(echo_arc_odom_m: Float64, tracks: Tracks | None, near_m: float) -> bool:
     """Whether an echo from somewhere on an arc (N, 2) is that of a thing which a lidar sees and follows.
 
     Where on the arc it stands is then known, and whether it is in the way is for the lidar to say: a fence beside the
     machine answers from the far end of the cone.
     """
-    x, y = arc_odom_m.mean(axis=0).tolist()
-    reach_m = float(np.hypot(*(arc_odom_m - (x, y)).T).max()) + 2.0 * near_m  # more than the diagonal of `near_m`
+    x, y = echo_arc_odom_m.mean(axis=0).tolist()
+    nominal_range_m = (
+        float(np.hypot(*(echo_arc_odom_m - (x, y)).T).max()) + 2.0 * near_m
+    )  # more than the diagonal of `near_m`
     for track in () if tracks is None else tracks.tracks:
-        if is_beyond(track, x, y, reach_m) or not track.is_confirmed:
+        if is_beyond(track, x, y, nominal_range_m) or not track.is_confirmed:
             continue
         is_narrow = float(np.min(track.size_m[:2])) <= NARROW_M
         if not is_narrow or not any(name.startswith("lidar") for name in track.sensors):
             continue
         c, s = math.cos(track.yaw_rad), math.sin(track.yaw_rad)
-        away = arc_odom_m - track.p_odom_m[:2]
+        away = echo_arc_odom_m - track.p_odom_m[:2]
         along, across = np.abs(away @ [c, s]), np.abs(away @ [-s, c])
         if ((along <= 0.5 * track.size_m[0] + near_m) & (across <= 0.5 * track.size_m[1] + near_m)).any():
             return True
     return False
 
 
-def is_beyond(track: Track, x_m: float, y_m: float, reach_m: float) -> bool:
+def is_beyond(track: Track, x_m: float, y_m: float, nominal_range_m: float) -> bool:
     """Whether the box of a track surely lies farther than a reach from a place in odom, by distance alone."""
     (x, y), (length, width) = track.p_odom_m[:2].tolist(), track.size_m[:2].tolist()
-    return math.hypot(x - x_m, y - y_m) > reach_m + math.hypot(length, width)
+    return math.hypot(x - x_m, y - y_m) > nominal_range_m + math.hypot(length, width)
 
 
 def ground_m(T: Float64) -> float:

@@ -35,7 +35,7 @@ class Drawbar:
 
 
 @dataclass(frozen=True)
-class Shape:
+class Footprint:
     """All that moves: the rigid rectangles, and a trailed one with its drawbar."""
 
     rigid: tuple[Rectangle, ...]
@@ -60,26 +60,26 @@ class Shape:
         return (*rigid, direction * (self.drawbar.hitch_m + end_m))
 
 
-def shape_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplement | None) -> Shape:
+def footprint_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplement | None) -> Footprint:
     """The outline of a vehicle with what it carries or pulls."""
     body = vehicle.body
     machine = Rectangle(-body.rear_m, body.front_m, 0.5 * body.width_m)
     if implement is None:
-        return Shape((machine,), None, None, body.height_m)
+        return Footprint((machine,), None, None, body.height_m)
     half_m = 0.5 * implement.width_m
     if isinstance(implement, MountedImplement):
         carried = Rectangle(implement.rear_end_m, implement.front_end_m, half_m)
-        return Shape((machine, carried), None, None, body.height_m)
+        return Footprint((machine, carried), None, None, body.height_m)
     drawbar = Drawbar(implement.hitch_m, implement.axle_length_m)
-    return Shape((machine,), Rectangle(-implement.total_length_m, 0.0, half_m), drawbar, body.height_m)
+    return Footprint((machine,), Rectangle(-implement.total_length_m, 0.0, half_m), drawbar, body.height_m)
 
 
-def carriers(shape: Shape, poses: Float64, curvature_radpm: float) -> tuple[tuple[Rectangle, Float64], ...]:
+def carriers(footprint: Footprint, poses: Float64, curvature_radpm: float) -> tuple[tuple[Rectangle, Float64], ...]:
     """Each rectangle with the poses (M, 3) of its carrier, for poses of base (M, 3: x, y, yaw) along a way."""
-    rigid = tuple((body, poses) for body in shape.rigid)
-    if shape.trailed is None or shape.drawbar is None:
+    rigid = tuple((body, poses) for body in footprint.rigid)
+    if footprint.trailed is None or footprint.drawbar is None:
         return rigid
-    return (*rigid, (shape.trailed, trailer_poses(shape.drawbar, poses, curvature_radpm)))
+    return (*rigid, (footprint.trailed, trailer_poses(footprint.drawbar, poses, curvature_radpm)))
 
 
 def trailer_poses(drawbar: Drawbar, poses: Float64, curvature_radpm: float) -> Float64:

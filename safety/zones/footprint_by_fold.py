@@ -4,36 +4,36 @@ from dataclasses import dataclass
 
 from configs.vehicle import FOLDED, MountedImplement, TrailedImplement, Vehicle
 from messages.command import MachineState
-from safety.zones.footprint import Shape, shape_of
+from safety.zones.footprint import Footprint, footprint_of
 
 
 @dataclass(frozen=True)
-class Shapes:
+class FootprintSet:
     """The outline with the implement in working and in transport width; the same when it does not fold."""
 
-    wide: Shape
-    narrow: Shape
+    wide: Footprint
+    narrow: Footprint
 
     @property
     def is_foldable(self) -> bool:
         """Whether there are two."""
         return self.wide is not self.narrow
 
-    def at(self, fold: float | None) -> Shape:
+    def at(self, fold: float | None) -> Footprint:
         """The outline that counts at a measured fold; the full width when it is not known."""
         return self.narrow if fold is not None and fold >= FOLDED else self.wide
 
 
-def shapes_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplement | None) -> Shapes:
+def footprints_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplement | None) -> FootprintSet:
     """Both outlines of a vehicle with what it carries or pulls."""
-    wide = shape_of(vehicle, implement)
-    narrow = wide if implement is None else shape_of(vehicle, implement.folded)
-    return Shapes(wide, wide if narrow == wide else narrow)
+    wide = footprint_of(vehicle, implement)
+    narrow = wide if implement is None else footprint_of(vehicle, implement.folded)
+    return FootprintSet(wide, wide if narrow == wide else narrow)
 
 
-def fold_of(machine: MachineState | None, group_age_s: float) -> float | None:
+def fold_of(machine: MachineState | None, max_group_age_s: float) -> float | None:
     """The measured fold; None when its group is too old."""
-    if machine is None or machine.stamp_ns - machine.implement_stamp_ns > group_age_s * 1e9:
+    if machine is None or machine.stamp_ns - machine.implement_stamp_ns > max_group_age_s * 1e9:
         return None
     return machine.fold_position
 

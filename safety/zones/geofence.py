@@ -15,23 +15,23 @@ GATE_DEPTH_M = 1.0  # to either side of the line between the posts
 OUTSIDE_M = -1.0
 APRON_M, APRON_ASIDE_M = 4.0, 2.0  # before a bay, and to either side of it: where the machine turns into it
 ROOF_EDGE_M = 0.1  # the apron reaches that far under the roof, to the posts
-SURELY_BESIDE_M = 1e-6  # beside a polygon by more, a point is not in it however its crossings are rounded
+BESIDE_TOLERANCE_M = 1e-6  # beside a polygon by more, a point is not in it however its crossings are rounded
 LANE_OVERLAP_M = 1.0  # a lane reaches that far into what lies at its ends, so that no seam is outside
 
 
 @dataclass(frozen=True)
-class Fence:
+class Geofence:
     """Polygons in `map`: a point may be in any of `allowed` and in none of `forbidden`; rings need not be closed."""
 
     allowed: tuple[Float64, ...]
     forbidden: tuple[Float64, ...] = ()
 
-    def holds_box(self, box: Box) -> bool:
+    def contains_box(self, box: Box) -> bool:
         """Whether all of a box in map is surely where the machine may be: in one ring, with no side of it near."""
-        if any(ring.may_meet(box) for ring in self._forbidden):
+        if any(ring.may_intersect(box) for ring in self._forbidden):
             return False
         corner = np.array([[box.x_m[0], box.y_m[0]]])
-        rings = (ring for ring in self._allowed if ring.may_meet(box) and not ring.has_side_at(box))
+        rings = (ring for ring in self._allowed if ring.may_intersect(box) and not ring.has_side_in(box))
         return any(bool(is_within(corner, ring.corners)[0]) for ring in rings)
 
     @cached_property
@@ -47,16 +47,16 @@ class Fence:
         inside = np.zeros(len(points_map_m), bool)
         if len(points_map_m) == 0:
             return inside
-        box = box_about(points_map_m)
+        box = bounding_box(points_map_m)
         for ring in self._allowed:
-            if not ring.may_meet(box):
+            if not ring.may_intersect(box):
                 continue
             left = np.flatnonzero(~inside)  # most points lie in one ring
             if len(left) == 0:
                 break
             inside[left] = is_within(points_map_m[left], ring.corners)
         for ring in self._forbidden:
-            if ring.may_meet(box):
+            if ring.may_intersect(box):
                 inside &= ~is_within(points_map_m, ring.corners)
         return inside
 
@@ -68,34 +68,34 @@ class Ring:
         self.corners = corners
         ends = np.stack([corners, np.roll(corners, -1, axis=0)])
         self._low, self._high = ends.min(axis=0).T, ends.max(axis=0).T
-        self._box = box_about(corners)
+        self._box = bounding_box(corners)
 
-    def may_meet(self, box: Box) -> bool:
+    def may_intersect(self, box: Box) -> bool:
         """Whether any of a box may lie in the polygon; what is no number may."""
-        own, near = self._box, SURELY_BESIDE_M
+        own, near = self._box, BESIDE_TOLERANCE_M
         is_beside = box.x_m[1] < own.x_m[0] - near or box.x_m[0] > own.x_m[1] + near
         return not (is_beside or box.y_m[1] < own.y_m[0] - near or box.y_m[0] > own.y_m[1] + near)
 
-    def has_side_at(self, box: Box) -> bool:
+    def has_side_in(self, box: Box) -> bool:
         """Whether the box about any side meets a box."""
         (x_low, y_low), (x_high, y_high) = self._low, self._high
         meets = (x_low <= box.x_m[1]) & (x_high >= box.x_m[0]) & (y_low <= box.y_m[1]) & (y_high >= box.y_m[0])
         return bool(meets.any())
 
 
-def box_about(points: Float64) -> Box:
+def bounding_box(points: Float64) -> Box:
     """The box about points (N, 2), at least one."""
     (x_low, y_low), (x_high, y_high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return Box((x_low, x_high), (y_low, y_high))
 
 
-def fence_of(site: Site) -> Fence:
+def geofence_of(site: Site) -> Geofence:
     """The field, the yard, the lanes and the bays of a site, less its no-go areas."""
     areas = [np.array(site.boundary_m), np.array(site.yard.outline_m)]
     areas += [ring for bay in site.shed.bays for ring in bay_rings(site.shed, bay)] if site.shed is not None else []
     areas += [ring for lane in site.lanes for ring in lane_rings(lane)]
     areas += [band(np.array(gate.posts_m), GATE_DEPTH_M) for gate in site.gates]
-    return Fence(tuple(areas), tuple(np.array(area.outline_m) for area in site.no_go))
+    return Geofence(tuple(areas), tuple(np.array(area.outline_m) for area in site.no_go))
 
 
 def lane_rings(lane: Lane) -> list[Float64]:
@@ -115,21 +115,21 @@ def bay_rings(shed: Shed, bay: Bay) -> tuple[Float64, Float64]:
     dock, heading = np.array([bay.dock.x_m, bay.dock.y_m]), math.radians(bay.dock.heading_deg)
     ahead = np.array([math.cos(heading), math.sin(heading)])
     roof = np.array(shed.outline_m)
-    edge = dock + way_across(dock, ahead, roof) * ahead
-    back = dock - (way_across(dock, -ahead, roof) - 0.5 * shed.wall_thickness_m) * ahead
+    edge = dock + distance_across(dock, ahead, roof) * ahead
+    back = dock - (distance_across(dock, -ahead, roof) - 0.5 * shed.wall_thickness_m) * ahead
     apron = np.array([edge - ROOF_EDGE_M * ahead, edge + APRON_M * ahead])
     return band(np.array([back, edge]), 0.5 * bay.width_m), band(apron, 0.5 * bay.width_m + APRON_ASIDE_M)
 
 
-def way_across(start: Float64, ahead: Float64, ring: Float64) -> float:
+def distance_across(start: Float64, ahead: Float64, ring: Float64) -> float:
     """The way from a point inside a polygon (E, 2) to its edge in a direction (unit vector); 0 when it meets none."""
     side = np.roll(ring, -1, axis=0) - ring
     to_corner = ring - start
     across = ahead[0] * side[:, 1] - ahead[1] * side[:, 0]
     slanted = np.abs(across) > 1e-9
-    way = (to_corner[slanted, 0] * side[slanted, 1] - to_corner[slanted, 1] * side[slanted, 0]) / across[slanted]
+    distance = (to_corner[slanted, 0] * side[slanted, 1] - to_corner[slanted, 1] * side[slanted, 0]) / across[slanted]
     share = (to_corner[slanted, 0] * ahead[1] - to_corner[slanted, 1] * ahead[0]) / across[slanted]
-    met = way[(way > 0.0) & (share >= 0.0) & (share <= 1.0)]
+    met = distance[(distance > 0.0) & (share >= 0.0) & (share <= 1.0)]
     return float(met.min(initial=math.inf)) if len(met) else 0.0
 
 
@@ -151,10 +151,13 @@ def is_within(points: Float64, ring: Float64) -> np.ndarray:
     return np.asarray(np.logical_xor.reduce(is_spanned & is_right, axis=0))
 
 
-def way_inside_m(fence: Fence, points_map_m: Float64, ways_m: Float64, spacing_m: float) -> float:
-    """How far the outline points (P, 2), reached after `ways_m` (P,), stay inside; infinite: all do, -1: outside."""
-    outside = ~fence.holds(points_map_m)
+def distance_inside_m(geofence: Geofence, points_map_m: Float64, distances_m: Float64, spacing_m: float) -> float:
+    """Distance along the path that the outline points (P, 2), reached after `distances_m` (P,), stay inside.
+
+    Infinite when all do, -1 when one is outside now.
+    """
+    outside = ~geofence.holds(points_map_m)
     if not np.any(outside):
         return math.inf
-    first_m = float(ways_m[outside].min())
+    first_m = float(distances_m[outside].min())
     return OUTSIDE_M if first_m <= 0.0 else max(0.0, first_m - spacing_m)

@@ -17,7 +17,7 @@ from configs.site import Shed, Site
 from messages.message import Float64
 from safety.pose_history import from_frame, to_frame
 from safety.zones.geofence import is_within
-from safety.zones.swept_area import Sweep, contact_m, corners_along
+from safety.zones.swept_area import SweptArea, distance_to_contact_m, outline_points
 
 SPACING_M = 0.15  # of the discs that stand for a wall: between two, its surface lies 0.04 m further out
 REACH_M = 15.0  # discs farther from base than this touch no sweep of docking
@@ -25,7 +25,7 @@ OUTLINE_M = 0.5  # spacing of the places whose outline is looked at under the ro
 
 
 @dataclass(frozen=True)
-class Survey:
+class KnownStructure:
     """Walls as segments (S, 4: ends) of one thickness, posts (P, 3: x, y, radius) and the roof (R, 2), in map."""
 
     walls: Float64
@@ -33,7 +33,7 @@ class Survey:
     posts: Float64
     roof: Float64
 
-    def away_m(self, points_map: Float64) -> Float64:
+    def distance_m(self, points_map: Float64) -> Float64:
         """Distance of points (N, 2) from the nearest surface, (N,); below 0 inside wall or post."""
         x, y = points_map[:, :1], points_map[:, 1:]  # by segments and posts: there are few of these
         x0, y0, x1, y1 = self.walls.T
@@ -53,20 +53,20 @@ class Survey:
         if is_within(point, self.roof)[0]:
             return True
         edges = replace(self, walls=edges_of(self.roof), half_thickness_m=0.0, posts=self.posts[:0])
-        return float(edges.away_m(point)[0]) <= near_m
+        return float(edges.distance_m(point)[0]) <= near_m
 
-    def is_under_roof(self, sweep: Sweep, pose_map: Float64) -> bool:
+    def is_under_roof(self, sweep: SweptArea, pose_map: Float64) -> bool:
         """Whether any body is under the roof anywhere on the way."""
-        points, _ = corners_along(sweep, OUTLINE_M)
+        points, _ = outline_points(sweep, OUTLINE_M)
         return bool(is_within(to_frame(pose_map, points), self.roof).any())
 
-    def clear_m(self, sweep: Sweep, pose_map: Float64, clearance_m: float) -> float:
+    def clear_distance_m(self, sweep: SweptArea, pose_map: Float64, clearance_m: float) -> float:
         """The way until a body comes within `clearance_m` of wall or post; infinite when none does."""
         discs = self._discs
         xy = from_frame(pose_map, discs[:, :2])
         near = np.hypot(*xy.T) <= REACH_M
         bare = replace(sweep, lateral_m=np.zeros_like(sweep.lateral_m))
-        return float(np.min(contact_m(xy[near], bare, discs[near, 2] + clearance_m), initial=math.inf))
+        return float(np.min(distance_to_contact_m(xy[near], bare, discs[near, 2] + clearance_m), initial=math.inf))
 
     @cached_property
     def _circle(self) -> tuple[Float64, float]:
@@ -79,16 +79,16 @@ class Survey:
         return np.concatenate([self.posts, *walls])
 
 
-def survey_of(site: Site) -> Survey | None:
+def structure_of_site(site: Site) -> KnownStructure | None:
     """The shed of a site; None without one."""
-    return None if site.shed is None else surveyed(site.shed)
+    return None if site.shed is None else structure_of_shed(site.shed)
 
 
-def surveyed(shed: Shed) -> Survey:
+def structure_of_shed(shed: Shed) -> KnownStructure:
     """Walls, posts and roof of a shed."""
     walls = [(*a, *b) for line in shed.walls_m for a, b in pairwise(line)]
     posts = [(*post.at_m, post.radius_m) for post in shed.posts]
-    return Survey(
+    return KnownStructure(
         np.array(walls, np.float64).reshape(-1, 4),
         0.5 * shed.wall_thickness_m,
         np.array(posts, np.float64).reshape(-1, 3),

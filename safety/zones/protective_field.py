@@ -17,23 +17,23 @@ from safety.config import FieldConfig
 from safety.pose_history import from_frame
 from safety.sources.ground_filter import Box
 from safety.stopping_distance import Braking, required_range, stopping_distance
-from safety.zones.footprint import Shape
-from safety.zones.swept_area import Sweep, arc_poses, contact_m, path_poses, spaced, sweep_along
+from safety.zones.footprint import Footprint
+from safety.zones.swept_area import SweptArea, arc_poses, distance_to_contact_m, path_poses, spaced, sweep_along
 
 NOTHING = np.empty((0, 3))
 
 
 @dataclass(frozen=True)
-class Way:
+class SweptField:
     """Where the machine will go: the sweep of the plan (or of the arc in its place), and of the arc beside a plan."""
 
-    main: Sweep
-    arc: Sweep | None
+    main: SweptArea
+    arc: SweptArea | None
     is_planned: bool
 
 
 @dataclass(frozen=True)
-class Gap:
+class Clearance:
     """Free distance on the main sweep and on the arc; `triggering_points_base_m` (N, 3) caused them."""
 
     main_m: float
@@ -41,18 +41,18 @@ class Gap:
     triggering_points_base_m: Float64
 
 
-FREE = Gap(math.inf, math.inf, NOTHING)
+FREE = Clearance(math.inf, math.inf, NOTHING)
 
 
 @dataclass(frozen=True)
-class Place:
+class PathPosition:
     """A path and the place on it where the machine should be."""
 
     path: Path
     s_m: float
 
 
-def place_on(path: Path | None, control_command: ControlCommand | None) -> Place | None:
+def position_on_path(path: Path | None, control_command: ControlCommand | None) -> PathPosition | None:
     """The place that control says it is at; the start of a path that control has not taken up yet."""
     if path is None or len(path.s_m) < 2:
         return None
@@ -61,56 +61,58 @@ def place_on(path: Path | None, control_command: ControlCommand | None) -> Place
         and control_command.path_id == path.path_id
         and math.isfinite(control_command.path_s_m)
     )
-    return Place(path, control_command.path_s_m if is_followed and control_command is not None else float(path.s_m[0]))
+    return PathPosition(
+        path, control_command.path_s_m if is_followed and control_command is not None else float(path.s_m[0])
+    )
 
 
-def section_type_at(place: Place) -> PathSectionType:
+def section_type_at(position: PathPosition) -> PathSectionType:
     """What the stretch of path at a place is for."""
-    path = place.path
-    index = min(int(np.searchsorted(path.s_m, place.s_m)), len(path.s_m) - 1)
+    path = position.path
+    index = min(int(np.searchsorted(path.s_m, position.s_m)), len(path.s_m) - 1)
     section_type: PathSectionType = path.sections[int(path.section_index[index])].section_type
     return section_type
 
 
-def is_at(place: Place, pose_map: Float64, config: FieldConfig) -> bool:
+def is_at(position: PathPosition, pose_map: Float64, config: FieldConfig) -> bool:
     """Whether the pose lies within 1 m and 20° (as configured) of the place."""
-    path, s = place.path, place.s_m
+    path, s = position.path, position.s_m
     x, y = np.interp(s, path.s_m, path.p_map_m[:, 0]), np.interp(s, path.s_m, path.p_map_m[:, 1])
     index = min(int(np.searchsorted(path.s_m, s)), len(path.s_m) - 1)
     turn = math.remainder(float(path.heading_rad[index]) - float(pose_map[2]), 2.0 * math.pi)
-    is_near = math.hypot(x - pose_map[0], y - pose_map[1]) <= config.place_m
-    return is_near and abs(turn) <= math.radians(config.place_deg)
+    is_near = math.hypot(x - pose_map[0], y - pose_map[1]) <= config.max_path_deviation_m
+    return is_near and abs(turn) <= math.radians(config.max_path_deviation_deg)
 
 
 def look_ahead_m(speed_mps: float, braking: Braking, config: FieldConfig, allowance_m: float) -> float:
     """How far the field reaches: what is needed at a little more than the present speed, and never less than some."""
     needed = required_range(speed_mps + 0.5, braking, allowance_m)
-    return max(config.least_length_m, min(needed, 100.0) + 1.0)
+    return max(config.min_length_m, min(needed, 100.0) + 1.0)
 
 
-def way_ahead(
-    place: Place | None,
+def sweep_field(
+    position: PathPosition | None,
     pose_map: Float64 | None,
     curvature_radpm: float,
     direction: int,
     length_m: float,
     arc_length_m: float,
-    shape: Shape,
+    footprint: Footprint,
     config: FieldConfig,
-) -> Way:
+) -> SweptField:
     """The sweeps from here on; `pose_map` (3,) or None when it is not known."""
     arc_s = spaced(arc_length_m, 0.25 * config.step_m)
     arc = arc_poses(curvature_radpm, direction, arc_s)
-    if place is not None and pose_map is not None and is_at(place, pose_map, config):
-        lead_m = max(shape.leads_m(direction))
-        left_m = max(config.step_m, min(length_m + lead_m, float(place.path.s_m[-1]) - place.s_m))
+    if position is not None and pose_map is not None and is_at(position, pose_map, config):
+        lead_m = max(footprint.leads_m(direction))
+        left_m = max(config.step_m, min(length_m + lead_m, float(position.path.s_m[-1]) - position.s_m))
         s = spaced(left_m, config.step_m)
-        poses = path_poses(place.path, place.s_m, pose_map, s, config.blend_m)
-        main = sweep_along(shape, direction, s, poses, curvature_radpm, config, is_from_foremost=True)
-        return Way(main, sweep_along(shape, direction, arc_s, arc, curvature_radpm, config, False), True)
-    s = spaced(length_m + max(shape.leads_m(direction)), config.step_m)
+        poses = path_poses(position.path, position.s_m, pose_map, s, config.blend_m)
+        main = sweep_along(footprint, direction, s, poses, curvature_radpm, config, is_from_foremost=True)
+        return SweptField(main, sweep_along(footprint, direction, arc_s, arc, curvature_radpm, config, False), True)
+    s = spaced(length_m + max(footprint.leads_m(direction)), config.step_m)
     poses = arc_poses(curvature_radpm, direction, s)
-    return Way(sweep_along(shape, direction, s, poses, curvature_radpm, config, True), None, False)
+    return SweptField(sweep_along(footprint, direction, s, poses, curvature_radpm, config, True), None, False)
 
 
 def arc_length_m(speed_mps: float, braking: Braking, config: FieldConfig) -> float:
@@ -118,23 +120,29 @@ def arc_length_m(speed_mps: float, braking: Braking, config: FieldConfig) -> flo
     return min(stopping_distance(speed_mps, braking), 60.0) + config.arc_margin_m + 0.5
 
 
-def box_of(way: Way, slack_m: float) -> Box:
+def box_of(swept_field: SweptField, slack_m: float) -> Box:
     """The area of base that holds all sweeps, with some slack for motion and neighbouring ground."""
-    main = way.main.box
-    arc = main if way.arc is None else way.arc.box
+    main = swept_field.main.box
+    arc = main if swept_field.arc is None else swept_field.arc.box
     return Box(
         (min(main.x_m[0], arc.x_m[0]) - slack_m, max(main.x_m[1], arc.x_m[1]) + slack_m),
         (min(main.y_m[0], arc.y_m[0]) - slack_m, max(main.y_m[1], arc.y_m[1]) + slack_m),
     )
 
 
-def gap_in(way: Way, hits_odom_m: Float64, pose_odom: Float64, aside_m: Float64 | float = 0.0) -> Gap:
-    """The gaps to hits (N, 3) in odom, seen from base at `pose_odom` (3,); `aside_m` as in `contact_m`."""
+def clearance_to(
+    swept_field: SweptField, hits_odom_m: Float64, pose_odom: Float64, aside_m: Float64 | float = 0.0
+) -> Clearance:
+    """The gaps to hits (N, 3) in odom, seen from base at `pose_odom` (3,); `aside_m` as in `distance_to_contact_m`."""
     if len(hits_odom_m) == 0:
         return FREE
     xy = from_frame(pose_odom, hits_odom_m[:, :2])
-    main = contact_m(xy, way.main, 0.0, aside_m)
-    arc = contact_m(xy, way.arc, 0.0, aside_m) if way.arc is not None else np.full(len(xy), np.inf)
+    main = distance_to_contact_m(xy, swept_field.main, 0.0, aside_m)
+    arc = (
+        distance_to_contact_m(xy, swept_field.arc, 0.0, aside_m)
+        if swept_field.arc is not None
+        else np.full(len(xy), np.inf)
+    )
     cause = np.minimum(main, arc) < np.inf
     hits = np.column_stack([xy, hits_odom_m[:, 2]])[cause]
-    return Gap(float(main.min()), float(arc.min()), hits)
+    return Clearance(float(main.min()), float(arc.min()), hits)

@@ -15,11 +15,11 @@ from messages.message import Float64
 from messages.plan import Path
 from safety.config import FieldConfig
 from safety.sources.ground_filter import Box
-from safety.zones.footprint import Rectangle, Shape, carriers, outline
+from safety.zones.footprint import Footprint, Rectangle, carriers, outline
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SweptArea:
     """Bodies along a way: `s_m` (M,) from now on, each body with its carrier's poses (M, 3) in base now.
 
     `lateral_m` (M,) is the margin to either side; `step_m` the spacing of `s_m`, `length_m` the whole way. `leads_m`
@@ -46,9 +46,9 @@ class Sweep:
             high = np.maximum(high, poses[:, :2].max(axis=0) + reach)
         return Box((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
 
-    def until(self, way_m: float) -> "Sweep":
+    def up_to(self, distance_m: float) -> "SweptArea":
         """Its part up to a way."""
-        last = max(1, int(np.searchsorted(self.s_m, way_m, side="right")))
+        last = max(1, int(np.searchsorted(self.s_m, distance_m, side="right")))
         s_m, poses, lateral_m = self.s_m[:last], self.poses[:last], self.lateral_m[:last]
         bodies = tuple((body, places[:last]) for body, places in self.bodies)
         length_m = float(s_m[-1])
@@ -70,12 +70,12 @@ def arc_poses(curvature_radpm: float, direction: int, s_m: Float64) -> Float64:
     return np.column_stack([chord * np.cos(half), chord * np.sin(half), turn])
 
 
-def path_poses(path: Path, place_m: float, pose_map: Float64, s_m: Float64, blend_m: float) -> Float64:
-    """Poses (M, 3) of base now along a path from `place_m` on, for the present pose (3,: x, y, yaw in map).
+def path_poses(path: Path, start_m: float, pose_map: Float64, s_m: Float64, blend_m: float) -> Float64:
+    """Poses (M, 3) of base now along a path from `start_m` on, for the present pose (3,: x, y, yaw in map).
 
     The present deviation from the path is carried along and fades within `blend_m`.
     """
-    at = np.clip(place_m + s_m, path.s_m[0], path.s_m[-1])
+    at = np.clip(start_m + s_m, path.s_m[0], path.s_m[-1])
     last = min(len(path.s_m), int(np.searchsorted(path.s_m, at[-1])) + 2)
     first = max(0, int(np.searchsorted(path.s_m, at[0])) - 1)
     s = path.s_m[first:last]
@@ -95,27 +95,27 @@ def unwrapped(heading_rad: Float64) -> Float64:
 
 
 def sweep_along(
-    shape: Shape,
+    footprint: Footprint,
     direction: int,
     s_m: Float64,
     poses: Float64,
     curvature_radpm: float,
     field: FieldConfig,
     is_from_foremost: bool,
-) -> Sweep:
+) -> SweptArea:
     """What is swept along poses of base; the margin to the sides grows with the way, as what is not known does.
 
     `is_from_foremost`: gaps count from the foremost point of machine and implement, whichever body will touch.
     """
-    lateral = np.minimum(field.far_lateral_m, field.near_lateral_m + field.lateral_growth * s_m)
+    lateral = np.minimum(field.lateral_margin_far_m, field.lateral_margin_near_m + field.lateral_growth * s_m)
     step = float(s_m[1] - s_m[0]) if len(s_m) > 1 else field.step_m
-    bodies = carriers(shape, poses, curvature_radpm)
-    leads = shape.leads_m(direction) if is_from_foremost else (0.0,) * len(bodies)
-    return Sweep(direction, s_m, poses, bodies, leads, lateral, step, float(s_m[-1]))
+    bodies = carriers(footprint, poses, curvature_radpm)
+    leads = footprint.leads_m(direction) if is_from_foremost else (0.0,) * len(bodies)
+    return SweptArea(direction, s_m, poses, bodies, leads, lateral, step, float(s_m[-1]))
 
 
-def contact_m(
-    points_xy: Float64, sweep: Sweep, extra_m: Float64 | float = 0.0, aside_m: Float64 | float = 0.0
+def distance_to_contact_m(
+    points_xy: Float64, sweep: SweptArea, extra_m: Float64 | float = 0.0, aside_m: Float64 | float = 0.0
 ) -> Float64:
     """Gap to each point (N, 2) in base now along the sweep, (N,), infinite without.
 
@@ -129,7 +129,7 @@ def contact_m(
     return travel
 
 
-def _is_near(points_xy: Float64, sweep: Sweep, extra_m: Float64 | float, aside_m: Float64 | float) -> np.ndarray:
+def _is_near(points_xy: Float64, sweep: SweptArea, extra_m: Float64 | float, aside_m: Float64 | float) -> np.ndarray:
     """Which points could touch at all, (N,) bool: nearly all hits lie beside, and are done with here.
 
     What is no number is not left out here.
@@ -141,15 +141,15 @@ def _is_near(points_xy: Float64, sweep: Sweep, extra_m: Float64 | float, aside_m
     return np.asarray(~is_beyond)
 
 
-def _contact_near(points_xy: Float64, sweep: Sweep, extra: Float64, beside: Float64) -> Float64:
+def _contact_near(points_xy: Float64, sweep: SweptArea, extra: Float64, beside: Float64) -> Float64:
     travel = np.full(len(points_xy), np.inf)
     carrier: Float64 | None = None
     for (body, poses), lead_m in zip(sweep.bodies, sweep.leads_m, strict=True):
         if poses is not carrier:
             carrier, (ahead, left) = poses, _seen_from(poses, points_xy, sweep.direction)
             closing, across = _closing(poses, left, sweep), np.abs(left)
-        way = _body_contact(ahead, across, closing, body, sweep, extra, beside)
-        travel = np.minimum(travel, np.maximum(way - lead_m, 0.0))
+        own = _body_contact(ahead, across, closing, body, sweep, extra, beside)
+        travel = np.minimum(travel, np.maximum(own - lead_m, 0.0))
     return travel
 
 
@@ -162,39 +162,45 @@ def _seen_from(poses: Float64, points_xy: Float64, direction: int) -> tuple[Floa
     return direction * ahead, across
 
 
-def _closing(poses: Float64, left: Float64, sweep: Sweep) -> Float64:
+def _closing(poses: Float64, left: Float64, sweep: SweptArea) -> Float64:
     """The way that a body's part beside each point makes on the way of base, (N, M): more on the outside of a bend."""
     turns = np.append(np.diff(unwrapped(poses[:, 2])), 0.0) / sweep.step_m
     return np.maximum(1.0, 1.0 - sweep.direction * turns * left)
 
 
 def _body_contact(
-    ahead: Float64, across: Float64, closing: Float64, body: Rectangle, sweep: Sweep, extra: Float64, beside: Float64
+    ahead: Float64,
+    across: Float64,
+    closing: Float64,
+    body: Rectangle,
+    sweep: SweptArea,
+    extra: Float64,
+    beside: Float64,
 ) -> Float64:
     front, rear = (body.front_m, body.rear_m) if sweep.direction > 0 else (-body.rear_m, -body.front_m)
     left = (ahead - (front + extra)) / closing
     is_met = (left <= sweep.step_m) & (ahead >= rear - extra) & (across <= body.half_width_m + sweep.lateral_m + beside)
     point, pose = np.nonzero(is_met)
-    way = np.full(len(ahead), np.inf)
-    np.minimum.at(way, point, sweep.s_m[pose] + np.maximum(left[point, pose], 0.0))
-    return np.where(way <= sweep.length_m, way, np.inf)
+    travel = np.full(len(ahead), np.inf)
+    np.minimum.at(travel, point, sweep.s_m[pose] + np.maximum(left[point, pose], 0.0))
+    return np.where(travel <= sweep.length_m, travel, np.inf)
 
 
-def corners_along(sweep: Sweep, every_m: float) -> tuple[Float64, Float64]:
+def outline_points(sweep: SweptArea, every_m: float) -> tuple[Float64, Float64]:
     """Outline points (P, 2) in base now of all bodies at places about `every_m` apart, and their way (P,)."""
     stride = max(1, round(every_m / sweep.step_m))
-    points, ways = [], []
+    points, distances = [], []
     for body, poses in sweep.bodies:
-        rim, some = outline(body), poses[::stride]
+        box_points, some = outline(body), poses[::stride]
         c, s = np.cos(some[:, 2])[:, None], np.sin(some[:, 2])[:, None]
-        x = some[:, :1] + c * rim[:, 0] - s * rim[:, 1]
-        y = some[:, 1:2] + s * rim[:, 0] + c * rim[:, 1]
+        x = some[:, :1] + c * box_points[:, 0] - s * box_points[:, 1]
+        y = some[:, 1:2] + s * box_points[:, 0] + c * box_points[:, 1]
         points.append(np.column_stack([x.ravel(), y.ravel()]))
-        ways.append(np.repeat(sweep.s_m[::stride], len(rim)))
-    return np.concatenate(points), np.concatenate(ways)
+        distances.append(np.repeat(sweep.s_m[::stride], len(box_points)))
+    return np.concatenate(points), np.concatenate(distances)
 
 
-def outline_of(sweep: Sweep) -> Float64:
+def outline_of(sweep: SweptArea) -> Float64:
     """A ring (M, 2) in base about the swept field, for the eye: left edge out, right edge back."""
     lead = sweep.bodies[0][0].front_m if sweep.direction > 0 else sweep.bodies[0][0].rear_m
     half = max(body.half_width_m for body, _ in sweep.bodies) + sweep.lateral_m

@@ -10,10 +10,10 @@ from configs.strict import load, parse, read_yaml
 from configs.vehicle import Camera, ImplementFile, Mount, Radar, Ultrasonic, Vehicle
 from safety.config import SafetyConfig
 from safety.supervisor import Supervisor
-from safety.zones.geofence import Fence
+from safety.zones.geofence import Geofence
 from tests.safety.safety_world import ROOT, World, straight_path
 
-DRIVES = {"world", "seeing", "shed_world", "thin"}
+DRIVES = {"world", "seeing", "shed_world", "sparse"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -42,25 +42,25 @@ def implement():
 
 
 @pytest.fixture
-def fence() -> Fence:
-    return Fence((np.array([(-50.0, -50.0), (200.0, -50.0), (200.0, 50.0), (-50.0, 50.0)]),))
+def geofence() -> Geofence:
+    return Geofence((np.array([(-50.0, -50.0), (200.0, -50.0), (200.0, 50.0), (-50.0, 50.0)]),))
 
 
 @pytest.fixture(scope="session")
-def thin(vehicle: Vehicle) -> Vehicle:
+def sparse(vehicle: Vehicle) -> Vehicle:
     """The same machine with a quarter of the columns, so that the loop is quick."""
     lidars = {n: lidar.model_copy(update={"columns": lidar.columns // 4}) for n, lidar in vehicle.sensors.lidar.items()}
     return vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"lidar": lidars})})
 
 
 @pytest.fixture
-def world(config, thin, implement, fence) -> World:
-    supervisor = Supervisor(thin, implement, config, fence, ("fault/executor",))
-    return World(supervisor, thin, straight_path(), is_plain=True)
+def world(config, sparse, implement, geofence) -> World:
+    supervisor = Supervisor(sparse, implement, config, geofence, ("fault/executor",))
+    return World(supervisor, sparse, straight_path(), is_plain=True)
 
 
 @pytest.fixture(scope="session")
-def full(thin: Vehicle) -> Vehicle:
+def full(sparse: Vehicle) -> Vehicle:
     """The thin machine with a radar and a camera in front, and ultrasonic sensors in front and behind."""
     around = Radar(
         mount=Mount(xyz_m=(3.5, 0.0, 0.8)), field_of_view_deg=120.0, rate_hz=25.0, range_m=(0.5, 60.0),
@@ -74,11 +74,11 @@ def full(thin: Vehicle) -> Vehicle:
     camera = Camera(mount=Mount(xyz_m=(3.2, 0.0, 2.2)), size_px=(1280, 720), focal_px=(900.0, 900.0),
                     center_px=(640.0, 360.0), rate_hz=2.0)  # fmt: skip
     more = {"radar": {"front": around}, "ultrasonic": ultrasonic, "camera": {"front": camera}}
-    lidars = {n: lidar.model_copy(update={"columns": lidar.columns // 2}) for n, lidar in thin.sensors.lidar.items()}
-    return thin.model_copy(update={"sensors": thin.sensors.model_copy(update=more | {"lidar": lidars})})
+    lidars = {n: lidar.model_copy(update={"columns": lidar.columns // 2}) for n, lidar in sparse.sensors.lidar.items()}
+    return sparse.model_copy(update={"sensors": sparse.sensors.model_copy(update=more | {"lidar": lidars})})
 
 
 @pytest.fixture
-def seeing(config, full, implement, fence) -> World:
+def seeing(config, full, implement, geofence) -> World:
     """A world around that machine."""
-    return World(Supervisor(full, implement, config, fence, ("fault/executor",)), full, straight_path())
+    return World(Supervisor(full, implement, config, geofence, ("fault/executor",)), full, straight_path())

@@ -21,8 +21,8 @@ from safety.config import SafetyConfig
 from safety.monitors.brake_test import Phase
 from safety.rules.situation import Situation
 from safety.supervisor import Supervisor
-from safety.zones.protective_field import Gap
-from safety.zones.tracked_obstacles import NO_THREAT
+from safety.zones.protective_field import Clearance
+from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT
 
 ROOT = File(__file__).parents[2]
 START_NS = 5_000_000_000
@@ -422,12 +422,16 @@ def situation_of(config: SafetyConfig, **changes: Any) -> Situation:
         max_speed_mps=8.0, braking=config.braking.flat, allowance_m=2.1,
         odom=Odometry(START_NS, T, 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), machine=machine_state(START_NS),
         map_pose=replace(pose, **changes.pop("pose", {})),
-        control_command=ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False), silent=(),
+        control_command=ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False),
+        timed_out_topics=(),
         frozen=(), faults=(),
-        gap=Gap(math.inf, math.inf, np.empty((0, 3))), is_planned=True, threat=NO_THREAT, proven_m=40.0, blind=(),
-        fence_m=math.inf, position_sigma_m=0.01, hand_forced_s=0.0, steering_off_s=0.0, steering_lost_s=0.0,
-        brake_weak_s=0.0, is_foldable=False, fold=0.0, clock_step_s=0.0, brake_test=Phase.PASSED, lost=(),
-        is_docking=False, is_under_roof=False, survey_m=math.inf,
+        clearance=Clearance(math.inf, math.inf, np.empty((0, 3))), is_planned=True,
+        critical_object=NO_CRITICAL_OBJECT, detection_range_m=40.0, blind=(),
+        geofence_distance_m=math.inf, position_sigma_m=0.01, driver_override_s=0.0, steering_deviation_s=0.0,
+        steering_unavailable_s=0.0,
+        brake_ineffective_s=0.0, is_foldable=False, fold=0.0, clock_step_s=0.0, brake_test=Phase.PASSED,
+        sensor_failures=(),
+        is_docking=False, is_under_roof=False, wall_distance_m=math.inf,
     )  # fmt: skip
     return replace(good, **changes)
 

@@ -25,32 +25,32 @@ from safety.output.limiters import (
     stopping_deceleration,
     target_speed,
 )
-from safety.pose_history import Trail, from_frame, seen_from, tilt_of, to_frame, whole_odom, whole_pose
+from safety.pose_history import PoseHistory, from_frame, seen_from, tilt_of, to_frame, valid_map_pose, valid_odometry
 from safety.sources.ground_filter import Box
 from safety.stopping_distance import Braking
-from safety.zones.footprint import Shape, shape_of
-from safety.zones.footprint_by_fold import fold_of, is_between, shapes_of
+from safety.zones.footprint import Footprint, footprint_of
+from safety.zones.footprint_by_fold import fold_of, footprints_of, is_between
 from safety.zones.geofence import (
-    Fence,
+    Geofence,
     Ring,
     band,
     bay_rings,
-    box_about,
-    fence_of,
+    bounding_box,
+    distance_across,
+    distance_inside_m,
+    geofence_of,
     is_within,
     lane_rings,
-    way_across,
-    way_inside_m,
 )
-from safety.zones.swept_area import Sweep, arc_poses, spaced, sweep_along
-from safety.zones.tracked_obstacles import NO_THREAT, is_moving, threat_in
+from safety.zones.swept_area import SweptArea, arc_poses, spaced, sweep_along
+from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT, is_moving, nearest_critical_object
 from tests.safety.safety_world import START_NS, around, straight_path
 
 from tests.safety.safety_world import machine_state  # isort: skip
 
 NOMINAL = Braking(0.6, 0.4, 2.5)
 HERE = np.zeros(3)
-SHAPES: list[Shape] = []
+SHAPES: list[Footprint] = []
 
 
 def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0, sigma: float = 0.1, label=ObstacleClass.PERSON,
@@ -61,86 +61,92 @@ def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0, sigma: float = 0
 
 
 @pytest.fixture
-def sweep(vehicle: Vehicle, implement, config: SafetyConfig) -> Sweep:
+def sweep(vehicle: Vehicle, implement, config: SafetyConfig) -> SweptArea:
     s = spaced(14.0, 0.4)
-    SHAPES[:] = [shape_of(vehicle, implement)]
+    SHAPES[:] = [footprint_of(vehicle, implement)]
     return sweep_along(SHAPES[0], 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
 
 
-def gap(sweep: Sweep, config: SafetyConfig, *tracks: Track, stop_s: float = 2.0) -> float:
-    return threat_in(sweep, SHAPES[0], Tracks(START_NS, tracks), HERE, 0.0, stop_s, config.tracked).clearance_m
+def clearance(sweep: SweptArea, config: SafetyConfig, *tracks: Track, stop_s: float = 2.0) -> float:
+    return nearest_critical_object(
+        sweep, SHAPES[0], Tracks(START_NS, tracks), HERE, 0.0, stop_s, config.tracked
+    ).clearance_m
 
 
-def test_who_will_step_into_the_way_counts(sweep: Sweep, config: SafetyConfig) -> None:
-    assert gap(sweep, config, track(10.0, 5.0, vy=-1.4)) == pytest.approx(6.5, abs=0.8)
-    assert math.isinf(gap(sweep, config, track(10.0, 5.0, vy=1.4)))
-    assert math.isinf(gap(sweep, config, track(10.0, 5.0)))
-    assert math.isinf(gap(sweep, config, track(10.0, 8.0, vy=-1.0)))
-    assert gap(sweep, config, track(10.0, 8.0, vy=-1.0), stop_s=4.5) < 8.0
+def test_who_will_step_into_the_way_counts(sweep: SweptArea, config: SafetyConfig) -> None:
+    assert clearance(sweep, config, track(10.0, 5.0, vy=-1.4)) == pytest.approx(6.5, abs=0.8)
+    assert math.isinf(clearance(sweep, config, track(10.0, 5.0, vy=1.4)))
+    assert math.isinf(clearance(sweep, config, track(10.0, 5.0)))
+    assert math.isinf(clearance(sweep, config, track(10.0, 8.0, vy=-1.0)))
+    assert clearance(sweep, config, track(10.0, 8.0, vy=-1.0), stop_s=4.5) < 8.0
 
 
-def test_who_goes_along_or_away_does_not(sweep: Sweep, config: SafetyConfig) -> None:
-    assert math.isinf(gap(sweep, config, track(10.0, 4.5, vx=1.4)))
-    assert math.isinf(gap(sweep, config, track(-8.0, 0.0, vx=-1.4)))
-    assert math.isinf(gap(sweep, config, track(10.0, 5.0, vy=-0.3)))
+def test_who_goes_along_or_away_does_not(sweep: SweptArea, config: SafetyConfig) -> None:
+    assert math.isinf(clearance(sweep, config, track(10.0, 4.5, vx=1.4)))
+    assert math.isinf(clearance(sweep, config, track(-8.0, 0.0, vx=-1.4)))
+    assert math.isinf(clearance(sweep, config, track(10.0, 5.0, vy=-0.3)))
 
 
-def test_the_own_implement_and_what_follows_do_not_count(sweep: Sweep, config: SafetyConfig) -> None:
+def test_the_own_implement_and_what_follows_do_not_count(sweep: SweptArea, config: SafetyConfig) -> None:
     for x in around(-1.1, 0.02):
         beside = track(x - 0.05 + 1e-6, 4.2, vx=0.5, vy=-1.5, size=(0.1, 0.1, 1.0))
-        assert math.isfinite(gap(sweep, config, beside)) == (x >= -1.1 - 1e-9), x
-    assert math.isinf(gap(sweep, config, track(1.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
-    assert math.isfinite(gap(sweep, config, track(4.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
-    assert math.isinf(gap(sweep, config, track(-2.6, 0.9, vx=2.3, sigma=0.7)))
+        assert math.isfinite(clearance(sweep, config, beside)) == (x >= -1.1 - 1e-9), x
+    assert math.isinf(clearance(sweep, config, track(1.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
+    assert math.isfinite(clearance(sweep, config, track(4.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
+    assert math.isinf(clearance(sweep, config, track(-2.6, 0.9, vx=2.3, sigma=0.7)))
     for y in around(3.45, 0.02):
         near = track(-1.1, y + 1e-6, vx=1.0, vy=-1.5, size=(0.1, 0.1, 0.1))
-        assert math.isfinite(gap(sweep, config, near)) == (y >= 3.45 - 1e-9), y
+        assert math.isfinite(clearance(sweep, config, near)) == (y >= 3.45 - 1e-9), y
 
 
-def test_who_comes_towards_the_machine_is_nearer_than_he_stands(sweep: Sweep, config: SafetyConfig) -> None:
-    standing, coming = (gap(sweep, config, track(10.0, 0.0, vx=v)) for v in (0.0, -1.4))
+def test_who_comes_towards_the_machine_is_nearer_than_he_stands(sweep: SweptArea, config: SafetyConfig) -> None:
+    standing, coming = (clearance(sweep, config, track(10.0, 0.0, vx=v)) for v in (0.0, -1.4))
     assert standing == pytest.approx(6.25, abs=0.1)
     assert coming == pytest.approx(10 - 3.5 - 2.8 - 0.25 - 0.3 - 0.2, abs=0.2)
 
 
-def test_what_stands_counts_by_its_class(sweep: Sweep, config: SafetyConfig) -> None:
+def test_what_stands_counts_by_its_class(sweep: SweptArea, config: SafetyConfig) -> None:
     for label in ObstacleClass:
-        assert math.isinf(gap(sweep, config, track(9.0, 0.0, label=label))) == (label is ObstacleClass.UNKNOWN)
-    assert math.isinf(gap(sweep, config, track(9.0, 0.0, is_confirmed=False)))
-    assert math.isinf(gap(sweep, config, track(math.nan, 0.0)))
-    assert gap(sweep, config, track(9.0, 0.0), track(7.0, 0.0)) == pytest.approx(3.25, abs=0.1)
+        assert math.isinf(clearance(sweep, config, track(9.0, 0.0, label=label))) == (label is ObstacleClass.UNKNOWN)
+    assert math.isinf(clearance(sweep, config, track(9.0, 0.0, is_confirmed=False)))
+    assert math.isinf(clearance(sweep, config, track(math.nan, 0.0)))
+    assert clearance(sweep, config, track(9.0, 0.0), track(7.0, 0.0)) == pytest.approx(3.25, abs=0.1)
     turned = replace(track(10.0, 4.5, size=(4.0, 1.0, 1.5), label=ObstacleClass.VEHICLE), yaw_rad=math.pi / 2)
-    assert math.isfinite(gap(sweep, config, turned))
-    assert math.isinf(gap(sweep, config, replace(turned, yaw_rad=0.0, p_odom_m=np.array([10.0, 5.0, 0.5]))))
+    assert math.isfinite(clearance(sweep, config, turned))
+    assert math.isinf(clearance(sweep, config, replace(turned, yaw_rad=0.0, p_odom_m=np.array([10.0, 5.0, 0.5]))))
 
 
-def test_no_tracks_no_threat(sweep: Sweep, config: SafetyConfig) -> None:
-    assert threat_in(sweep, SHAPES[0], None, HERE, 0.0, 2.0, config.tracked) == NO_THREAT
+def test_no_tracks_no_threat(sweep: SweptArea, config: SafetyConfig) -> None:
+    assert nearest_critical_object(sweep, SHAPES[0], None, HERE, 0.0, 2.0, config.tracked) == NO_CRITICAL_OBJECT
 
 
-def test_a_piece_of_what_stands_does_not_move(sweep: Sweep, config: SafetyConfig) -> None:
+def test_a_piece_of_what_stands_does_not_move(sweep: SweptArea, config: SafetyConfig) -> None:
     car = track(9.0, 5.0, size=(4.0, 1.8, 1.6), label=ObstacleClass.VEHICLE)
     piece = track(9.5, 4.2, vy=-1.5, size=(0.4, 0.1, 0.5), label=ObstacleClass.PERSON)
-    assert math.isfinite(gap(sweep, config, replace(piece, id=8)))
-    assert math.isinf(gap(sweep, config, car, replace(piece, id=8)))
+    assert math.isfinite(clearance(sweep, config, replace(piece, id=8)))
+    assert math.isinf(clearance(sweep, config, car, replace(piece, id=8)))
     walker = replace(piece, id=8, p_odom_m=np.array([9.5, 3.5, 0.9]))
-    assert math.isfinite(gap(sweep, config, car, walker))
+    assert math.isfinite(clearance(sweep, config, car, walker))
 
 
-def test_a_standing_box_longer_than_any_machine_is_left_to_the_raw_field(sweep: Sweep, config: SafetyConfig) -> None:
+def test_a_standing_box_longer_than_any_machine_is_left_to_the_raw_field(
+    sweep: SweptArea, config: SafetyConfig
+) -> None:
     for long in (3.0, 11.9, 12.0, 12.1, 17.0):
-        fence = track(8.0, 0.0, label=ObstacleClass.VEHICLE, size=(long, 1.5, 1.5))
-        threat = threat_in(sweep, SHAPES[0], Tracks(START_NS, (fence,)), np.zeros(3), 0.0, 4.0, config.tracked)
-        assert (threat != NO_THREAT) == (long <= config.tracked.longest_m), long
+        geofence = track(8.0, 0.0, label=ObstacleClass.VEHICLE, size=(long, 1.5, 1.5))
+        critical_object = nearest_critical_object(
+            sweep, SHAPES[0], Tracks(START_NS, (geofence,)), np.zeros(3), 0.0, 4.0, config.tracked
+        )
+        assert (critical_object != NO_CRITICAL_OBJECT) == (long <= config.tracked.max_static_length_m), long
 
 
-def test_what_has_no_class_must_be_seen_to_count_as_moving(sweep: Sweep, config: SafetyConfig) -> None:
+def test_what_has_no_class_must_be_seen_to_count_as_moving(sweep: SweptArea, config: SafetyConfig) -> None:
     for label, unseen_ms in itertools.product((ObstacleClass.UNKNOWN, ObstacleClass.PERSON), (0, 240, 250, 260, 900)):
         crossing = track(7.0, 3.0, vy=-1.5, label=label)
         tracks = Tracks(crossing.last_seen_ns + unseen_ms * 1_000_000, (crossing,))
-        threat = threat_in(sweep, SHAPES[0], tracks, np.zeros(3), 0.0, 4.0, config.tracked)
+        critical_object = nearest_critical_object(sweep, SHAPES[0], tracks, np.zeros(3), 0.0, 4.0, config.tracked)
         counts = label is ObstacleClass.PERSON or unseen_ms <= 250
-        assert (threat != NO_THREAT) == counts, (label, unseen_ms)
+        assert (critical_object != NO_CRITICAL_OBJECT) == counts, (label, unseen_ms)
 
 
 def test_moving_needs_speed_and_certainty(config: SafetyConfig) -> None:
@@ -155,7 +161,7 @@ def test_moving_needs_speed_and_certainty(config: SafetyConfig) -> None:
     assert not is_moving(track(0, 0, vx=math.nan), config.tracked)
     for speed in (1.0, 2.9, 3.0, 3.1, 7.0):
         pole = replace(track(0, 0, vx=speed), label=ObstacleClass.POLE)
-        assert is_moving(pole, config.tracked) == (speed <= config.tracked.walker_mps), speed
+        assert is_moving(pole, config.tracked) == (speed <= config.tracked.max_static_class_speed_mps), speed
         assert is_moving(replace(pole, label=ObstacleClass.PERSON), config.tracked)
     for age_ms in around(500, 1):
         young = replace(track(0, 0, vx=1.0), first_seen_ns=START_NS - round(age_ms * 1e6))
@@ -187,18 +193,18 @@ def test_point_in_polygon() -> None:
     assert is_within(np.array([[0.0, 0.0], [6.0, 0.0]]), diamond).tolist() == [True, False]  # at the height of corners
     for y in around(3.0, 0.01):
         assert is_within(np.array([[4.0, y]]), np.array([(0.0, 0.0), (10.0, 0.0), (0.0, 5.0)]))[0] == (y < 3.0), y
-    assert Fence((L_SHAPE,)).holds(np.array([[1.0, 1.0]])).tolist() == [True]
-    assert Fence((L_SHAPE,)).holds(np.empty((0, 2))).tolist() == []
+    assert Geofence((L_SHAPE,)).holds(np.array([[1.0, 1.0]])).tolist() == [True]
+    assert Geofence((L_SHAPE,)).holds(np.empty((0, 2))).tolist() == []
 
 
 def test_a_ring_may_be_left_out_a_millionth_of_a_metre_beside_it() -> None:
     ring = Ring(L_SHAPE)
-    for away, may_meet in ((0.0, True), (0.9e-6, True), (1.1e-6, False)):
+    for away, may_intersect in ((0.0, True), (0.9e-6, True), (1.1e-6, False)):
         for x, y in (((10.0 + away, 11.0), (1.0, 2.0)), ((-1.0, -away), (1.0, 2.0)),
                      ((1.0, 2.0), (10.0 + away, 11.0)), ((1.0, 2.0), (-1.0, -away))):  # fmt: skip
-            assert ring.may_meet(Box(x, y)) == may_meet, (x, y)
-            assert ring.has_side_at(Box(x, y)) == (away == 0.0), (x, y)
-    assert not ring.has_side_at(Box((1.0, 2.0), (1.0, 2.0)))
+            assert ring.may_intersect(Box(x, y)) == may_intersect, (x, y)
+            assert ring.has_side_in(Box(x, y)) == (away == 0.0), (x, y)
+    assert not ring.has_side_in(Box((1.0, 2.0), (1.0, 2.0)))
 
 
 @pytest.fixture
@@ -218,12 +224,12 @@ def site() -> Site:
 
 
 def test_fence_of_a_site(site: Site) -> None:
-    fence = fence_of(site)
+    geofence = geofence_of(site)
     inside = [(5, 5), (-45, -20), (-29.9, -20), (-30.0, -20), (10, -1), (10, 0), (10, 0.9), (13, -22)]
     outside = [(22, 21), (-10, -10), (51, 10), (10, -25), (15, -23), (-61, -10), (-70, -30)]
-    assert fence.holds(np.array(inside, float)).all()
-    assert not fence.holds(np.array(outside, float)).any()
-    assert not fence_of(site.model_copy(update={"shed": None})).holds(np.array([[-70.0, -30.0]])).any()
+    assert geofence.holds(np.array(inside, float)).all()
+    assert not geofence.holds(np.array(outside, float)).any()
+    assert not geofence_of(site.model_copy(update={"shed": None})).holds(np.array([[-70.0, -30.0]])).any()
 
 
 def corners_of(box: Box) -> tuple[float, ...]:
@@ -232,11 +238,11 @@ def corners_of(box: Box) -> tuple[float, ...]:
 
 def test_rings_of_a_lane_overlap_in_its_bends_and_at_its_ends() -> None:
     lane = Lane(name="lane", center_m=((0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (10.5, 6.0)), width_m=4.0)
-    boxes = [corners_of(box_about(ring)) for ring in lane_rings(lane)]
+    boxes = [corners_of(bounding_box(ring)) for ring in lane_rings(lane)]
     expected = [(-1.0, 12.0, -2.0, 2.0), (8.0, 12.0, -2.0, 8.0), (8.0, 11.5, 4.0, 8.0)]
     assert np.array(boxes) == pytest.approx(np.array(expected))
     (alone,) = lane_rings(lane.model_copy(update={"center_m": ((0.0, 0.0), (10.0, 0.0))}))
-    assert corners_of(box_about(alone)) == pytest.approx((-1.0, 11.0, -2.0, 2.0))
+    assert corners_of(bounding_box(alone)) == pytest.approx((-1.0, 11.0, -2.0, 2.0))
 
 
 def test_band_about_a_short_line() -> None:
@@ -247,7 +253,7 @@ def test_band_about_a_short_line() -> None:
 def test_rings_of_a_bay() -> None:
     bay = Bay(name="bay", dock=PoseConfig(x_m=5.0, y_m=3.0, heading_deg=90.0), width_m=3.0)
     shed = Shed(name="shed", height_m=4.0, outline_m=((0.0, 0.0), (10.0, 0.0), (10.0, 8.0), (0.0, 8.0)), bays=(bay,))
-    within, apron = (corners_of(box_about(ring)) for ring in bay_rings(shed, bay))
+    within, apron = (corners_of(bounding_box(ring)) for ring in bay_rings(shed, bay))
     assert within == pytest.approx((3.5, 6.5, 0.075, 8.0))
     assert apron == pytest.approx((1.5, 8.5, 7.9, 12.0))
 
@@ -257,20 +263,20 @@ def test_way_across_leads_to_the_first_side(size: float) -> None:
     ring, start = size * L_SHAPE, size * np.array([2.0, 3.0])
     for angle in np.arange(0.01, 2 * math.pi, 0.07):
         ahead = np.array([math.cos(angle), math.sin(angle)])
-        way = way_across(start, ahead, ring)
+        way = distance_across(start, ahead, ring)
         assert is_within(start + np.linspace(0.0, way - 1e-6, 200)[:, None] * ahead, ring).all(), angle
         assert not is_within((start + (way + 1e-6) * ahead)[None], ring)[0], angle
-    assert way_across(start, np.array([1.0, 0.0]), ring) == pytest.approx(8.0 * size)
+    assert distance_across(start, np.array([1.0, 0.0]), ring) == pytest.approx(8.0 * size)
 
 
 def test_way_inside() -> None:
-    fence = Fence((L_SHAPE,))
+    geofence = Geofence((L_SHAPE,))
     points = np.array([(x, 2.0) for x in np.arange(5.0, 15.0, 0.5)])
     ways = np.arange(0.0, 10.0, 0.5)
-    assert way_inside_m(fence, points, ways, 0.5) == pytest.approx(4.5)
-    assert way_inside_m(fence, points[:5], ways[:5], 0.5) == math.inf
-    assert way_inside_m(fence, points[-5:], ways[:5], 0.5) == -1.0
-    assert way_inside_m(fence, points[-5:], ways[1:6], 1.0) == 0.0
+    assert distance_inside_m(geofence, points, ways, 0.5) == pytest.approx(4.5)
+    assert distance_inside_m(geofence, points[:5], ways[:5], 0.5) == math.inf
+    assert distance_inside_m(geofence, points[-5:], ways[:5], 0.5) == -1.0
+    assert distance_inside_m(geofence, points[-5:], ways[1:6], 1.0) == 0.0
 
 
 def control_command(speed: float = 2.0, acceleration: float = 0.0, curvature: float = 0.0) -> ControlCommand:
@@ -368,19 +374,19 @@ def test_hand_force_and_sigma() -> None:
 
 
 def test_box_that_the_fence_holds() -> None:
-    fence = Fence((L_SHAPE,), (np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]]),))
+    geofence = Geofence((L_SHAPE,), (np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]]),))
     for x in np.arange(-2.0, 12.0, 0.37):
         for y in np.arange(-2.0, 12.0, 0.41):
             corners = np.array([[x, y], [x + 0.5, y], [x, y + 0.9], [x + 0.5, y + 0.9]])
-            if fence.holds_box(Box((x, x + 0.5), (y, y + 0.9))):
-                assert fence.holds(corners).all(), (x, y)
-    assert fence.holds_box(Box((2.1, 2.6), (2.1, 3.0)))
-    assert not fence.holds_box(Box((1.4, 1.6), (1.4, 1.6)))  # all of it in what is forbidden
-    assert not fence.holds_box(Box((1.9, 2.6), (1.4, 1.6)))
-    assert not Fence(()).holds_box(Box((0.0, 1.0), (0.0, 1.0)))
+            if geofence.contains_box(Box((x, x + 0.5), (y, y + 0.9))):
+                assert geofence.holds(corners).all(), (x, y)
+    assert geofence.contains_box(Box((2.1, 2.6), (2.1, 3.0)))
+    assert not geofence.contains_box(Box((1.4, 1.6), (1.4, 1.6)))  # all of it in what is forbidden
+    assert not geofence.contains_box(Box((1.9, 2.6), (1.4, 1.6)))
+    assert not Geofence(()).contains_box(Box((0.0, 1.0), (0.0, 1.0)))
     gate = np.array([[2.0, 2.0], [2.4, 2.0], [2.4, 4.0], [2.0, 4.0]])  # another ring's side crosses the box
-    assert Fence((gate, L_SHAPE)).holds_box(Box((2.1, 2.6), (2.1, 3.0)))
-    assert not Fence((gate,)).holds_box(Box((2.1, 2.6), (2.1, 3.0)))
+    assert Geofence((gate, L_SHAPE)).contains_box(Box((2.1, 2.6), (2.1, 3.0)))
+    assert not Geofence((gate,)).contains_box(Box((2.1, 2.6), (2.1, 3.0)))
 
 
 def test_box_from_elsewhere_holds_the_box() -> None:
@@ -404,7 +410,7 @@ def test_frames_and_trail() -> None:
         upright[2, 0] = sine
         assert tilt_of(upright)[1] == pytest.approx(-math.copysign(math.pi / 2, sine))
     with pytest.raises(ValueError, match="empty"):
-        Trail().pose_at(0)
+        PoseHistory().pose_at(0)
 
 
 def odometry(stamp_ms: int, x_m: float, y_m: float, **changes: float) -> Odometry:
@@ -413,42 +419,45 @@ def odometry(stamp_ms: int, x_m: float, y_m: float, **changes: float) -> Odometr
 
 
 def test_the_trail_adds_up_the_way_of_whatever_is_newer() -> None:
-    trail = Trail()
-    assert trail.driven_m == 0.0
+    pose_history = PoseHistory()
+    assert pose_history.driven_m == 0.0
     for stamp, x, y in ((0, 1.0, 2.0), (500, 4.0, 6.0), (500, 9.0, 9.0), (400, 9.0, 9.0), (1000, 4.0, 5.0)):
-        trail.add(odometry(stamp, x, y))
-    assert trail.driven_m == 6.0
-    assert tuple(trail.pose_at(0)) == pytest.approx((1.0, 2.0, 0.5))
+        pose_history.add(odometry(stamp, x, y))
+    assert pose_history.driven_m == 6.0
+    assert tuple(pose_history.pose_at(0)) == pytest.approx((1.0, 2.0, 0.5))
     for stamp, y in ((-100, 2.0), (249, 2.0), (250, 2.0), (251, 6.0), (749, 6.0), (751, 5.0), (2000, 5.0)):
-        assert trail.pose_at(stamp * 10**6)[1] == y, stamp
-    trail.add(odometry(1001, 4.0, 5.0))  # what is more than a second old is forgotten
-    assert trail.pose_at(0)[1] == 6.0
+        assert pose_history.pose_at(stamp * 10**6)[1] == y, stamp
+    pose_history.add(odometry(1001, 4.0, 5.0))  # what is more than a second old is forgotten
+    assert pose_history.pose_at(0)[1] == 6.0
 
 
 def test_what_is_no_number_is_no_odometry_and_no_pose() -> None:
     good = odometry(0, 1.0, 2.0)
-    assert whole_odom(good) is good
+    assert valid_odometry(good) is good
     for name in ("speed_mps", "yaw_rate_radps", "curvature_radpm", "acceleration_mps2"):
-        assert whole_odom(replace(good, **{name: math.nan})) is None, name
-    assert whole_odom(replace(good, T_odom_base=np.full((4, 4), np.nan))) is None
-    assert whole_odom(None) is None
+        assert valid_odometry(replace(good, **{name: math.nan})) is None, name
+    assert valid_odometry(replace(good, T_odom_base=np.full((4, 4), np.nan))) is None
+    assert valid_odometry(None) is None
     pose = MapPose(0, np.eye(4), np.eye(4), np.eye(6), PositionSource.RTK_FIXED, math.inf, 0.1, True)
-    assert whole_pose(pose) is pose
-    assert whole_pose(replace(pose, T_map_odom=np.full((4, 4), np.nan))) is None
-    assert whole_pose(None) is None
+    assert valid_map_pose(pose) is pose
+    assert valid_map_pose(replace(pose, T_map_odom=np.full((4, 4), np.nan))) is None
+    assert valid_map_pose(None) is None
 
 
 def test_shapes_of_a_fold(vehicle: Vehicle, implement) -> None:
-    shapes = shapes_of(vehicle, implement)
-    assert (shapes.wide, shapes.narrow) == (shape_of(vehicle, implement), shape_of(vehicle, implement.folded))
-    assert shapes.is_foldable
+    footprints = footprints_of(vehicle, implement)
+    assert (footprints.wide, footprints.narrow) == (
+        footprint_of(vehicle, implement),
+        footprint_of(vehicle, implement.folded),
+    )
+    assert footprints.is_foldable
     for fold in (None, 0.0, *around(FOLDED, 0.001), 1.0):
         is_narrow = fold is not None and fold >= FOLDED
-        assert shapes.at(fold) is (shapes.narrow if is_narrow else shapes.wide), fold
+        assert footprints.at(fold) is (footprints.narrow if is_narrow else footprints.wide), fold
     stiff = implement.model_copy(update={"fold": None})
-    assert not shapes_of(vehicle, stiff).is_foldable
-    bare = shapes_of(vehicle, None)
-    assert (bare.wide, bare.is_foldable) == (shape_of(vehicle, None), False)
+    assert not footprints_of(vehicle, stiff).is_foldable
+    bare = footprints_of(vehicle, None)
+    assert (bare.wide, bare.is_foldable) == (footprint_of(vehicle, None), False)
 
 
 def test_fold_as_old_as_its_group_may_be() -> None:
@@ -460,7 +469,7 @@ def test_fold_as_old_as_its_group_may_be() -> None:
         assert is_between(fold) == between, fold
 
 
-def test_a_larger_thing_that_moves_is_no_piece_of_a_smaller_that_stands(sweep: Sweep, config: SafetyConfig) -> None:
+def test_a_larger_thing_that_moves_is_no_piece_of_a_smaller_that_stands(sweep: SweptArea, config: SafetyConfig) -> None:
     stands = replace(track(10.0, 5.2, label=ObstacleClass.UNKNOWN, size=(1.6, 1.6, 1.5)), id=2)
     comes = track(10.0, 5.0, vy=-1.8, label=ObstacleClass.VEHICLE, size=(3.0, 1.7, 1.5))
-    assert gap(sweep, config, stands, comes) < 9.0
+    assert clearance(sweep, config, stands, comes) < 9.0

@@ -15,20 +15,20 @@ from messages.command import ControlCommand
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.perception import ObstacleClass, Track, Tracks
 from messages.plan import PathSection, PathSectionType
-from safety.collision_monitor import Lookout, Seen, class_at, pose_in_map, stamps_of
+from safety.collision_monitor import CollisionMonitor, MonitorInputs, class_at, pose_in_map, stamps_of
 from safety.config import SafetyConfig
-from safety.obstacle_sources import Measurements
+from safety.obstacle_sources import SourceData
 from safety.pose_history import to_frame
 from safety.sources.ground_filter import Box
 from safety.stopping_distance import stopping_distance, stopping_time
-from safety.zones.footprint_by_fold import Shapes, shapes_of
-from safety.zones.geofence import Fence
-from safety.zones.protective_field import Gap, Place, Way
-from safety.zones.tracked_obstacles import NO_THREAT, Threat
+from safety.zones.footprint_by_fold import FootprintSet, footprints_of
+from safety.zones.geofence import Geofence
+from safety.zones.protective_field import Clearance, PathPosition, SweptField
+from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT, CriticalObject
 from tests.safety.safety_world import START_NS, straight_path
 
 POSE_ODOM, T_MAP_ODOM = (5.0, -3.0, 0.7), planar(2.0, 1.0, 0.3)
-NOTHING = Measurements({}, {}, {})
+NOTHING = SourceData({}, {}, {})
 SIGMA_M = 0.02
 
 
@@ -51,7 +51,7 @@ class Spy:
 def sweep(direction: int = 1, step_m: float = 0.4) -> Any:
     """Ten metres by one, whatever its part."""
     found: Any = SimpleNamespace(direction=direction, step_m=step_m, box=Box((0.0, 10.0), (-0.5, 0.5)))
-    found.until = Spy(found)
+    found.up_to = Spy(found)
     return found
 
 
@@ -71,22 +71,22 @@ def docking_path() -> Any:
 
 
 CONTROL_COMMAND = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 7, 3.0, 0.0, 0.0, False)
-SEEN = Seen(odometry(), pose(), CONTROL_COMMAND, straight_path(7), Tracks(START_NS, ()), 0.0, NOTHING, {})
+SEEN = MonitorInputs(odometry(), pose(), CONTROL_COMMAND, straight_path(7), Tracks(START_NS, ()), 0.0, NOTHING, {})
 DOCKING = replace(SEEN, fold=1.0, path=docking_path())
 POSE_MAP = np.array([*to_frame(np.array([2.0, 1.0, 0.3]), np.array([POSE_ODOM[:2]]))[0], 1.0])
 
 
 @pytest.fixture
-def shapes(full: Vehicle, implement) -> Shapes:
-    return shapes_of(full, implement)
+def footprints(full: Vehicle, implement) -> FootprintSet:
+    return footprints_of(full, implement)
 
 
 @pytest.fixture
 def parts(monkeypatch: pytest.MonkeyPatch) -> Any:
     """What the lookout asks, each a spy."""
     found = SimpleNamespace(
-        way_ahead=Spy(Way(sweep(), sweep(), True)), look_ahead_m=Spy(17.0), arc_length_m=Spy(8.0),
-        threat_in=Spy(Threat(9.0, ObstacleClass.PERSON, 4)),
+        sweep_field=Spy(SweptField(sweep(), sweep(), True)), look_ahead_m=Spy(17.0), arc_length_m=Spy(8.0),
+        nearest_critical_object=Spy(CriticalObject(9.0, ObstacleClass.PERSON, 4)),
     )  # fmt: skip
     for name, spy in vars(found).items():
         monkeypatch.setattr(f"safety.collision_monitor.{name}", spy)
@@ -94,68 +94,90 @@ def parts(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.fixture
-def survey() -> Any:
-    return SimpleNamespace(is_near=Spy(True), is_under_roof=Spy(True), clear_m=Spy(6.0), away_m=Spy(np.zeros(1)))
+def known_structure() -> Any:
+    return SimpleNamespace(
+        is_near=Spy(True), is_under_roof=Spy(True), clear_distance_m=Spy(6.0), distance_m=Spy(np.zeros(1))
+    )
 
 
 @pytest.fixture
-def make(full: Vehicle, shapes: Shapes, config: SafetyConfig, parts: Any, survey: Any) -> Callable[..., Any]:
+def make(
+    full: Vehicle, footprints: FootprintSet, config: SafetyConfig, parts: Any, known_structure: Any
+) -> Callable[..., Any]:
     """A lookout with senses of its own, which have looked and found a gap of 7 m."""
 
     def made(**what: Any) -> Any:
-        around = (what.get("fence"), what.get("survey", survey), config)
-        lookout: Any = Lookout(shapes, full.sensors, *around, *what.get("arc", ()))
-        lookout.senses = SimpleNamespace(
-            hear=Spy(False), fresh=Spy([]), wear=Spy(None), scan=Spy(None),
-            gap=Spy(Gap(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
+        around = (what.get("geofence"), what.get("known_structure", known_structure), config)
+        collision_monitor: Any = CollisionMonitor(footprints, full.sensors, *around, *what.get("arc", ()))
+        collision_monitor.sources = SimpleNamespace(
+            update=Spy(False), fresh=Spy([]), set_footprint=Spy(None), scan=Spy(None),
+            clearance=Spy(Clearance(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
         )  # fmt: skip
-        return lookout
+        return collision_monitor
 
     return made
 
 
-def look(lookout: Any, config: SafetyConfig, seen: Seen = SEEN, direction: int = 1, speed_mps: float = 2.0) -> None:
-    lookout.look(seen, direction, speed_mps, config.braking.flat, 2.1)
+def look(
+    collision_monitor: Any, config: SafetyConfig, seen: MonitorInputs = SEEN, direction: int = 1, speed_mps: float = 2.0
+) -> None:
+    collision_monitor.update(seen, direction, speed_mps, config.braking.flat, 2.1)
 
 
-def looks(lookout: Any) -> int:
-    return len(lookout.senses.gap.calls)
+def covers(collision_monitor: Any) -> int:
+    return len(collision_monitor.sources.clearance.calls)
 
 
-def test_a_lookout_begins_with_nothing(full: Vehicle, shapes: Shapes, config: SafetyConfig, fence: Fence) -> None:
-    lookout = Lookout(shapes, full.sensors, fence, None, config)
-    assert (lookout.way, lookout.gap(), lookout.threat(), lookout.fence_m()) == (None, None, NO_THREAT, None)
-    assert (lookout.survey_m(), lookout.is_docking, lookout.is_under_roof) == (math.inf, False, False)
-    assert lookout.config is config
-    assert lookout.senses._shape is shapes.wide
-    assert lookout.senses._config is config
-    assert [eye.name for eye in lookout.senses.eyes] == ["front", "rear"]
-    assert Lookout(shapes, full.sensors, None, None, config).fence_m() == math.inf
+def test_a_lookout_begins_with_nothing(
+    full: Vehicle, footprints: FootprintSet, config: SafetyConfig, geofence: Geofence
+) -> None:
+    collision_monitor = CollisionMonitor(footprints, full.sensors, geofence, None, config)
+    assert (
+        collision_monitor.swept_field,
+        collision_monitor.clearance(),
+        collision_monitor.critical_object(),
+        collision_monitor.geofence_distance_m(),
+    ) == (None, None, NO_CRITICAL_OBJECT, None)
+    assert (collision_monitor.wall_distance_m(), collision_monitor.is_docking, collision_monitor.is_under_roof) == (
+        math.inf,
+        False,
+        False,
+    )
+    assert collision_monitor.config is config
+    assert collision_monitor.sources._footprint is footprints.wide
+    assert collision_monitor.sources._config is config
+    assert [source.name for source in collision_monitor.sources.lidars] == ["front", "rear"]
+    assert CollisionMonitor(footprints, full.sensors, None, None, config).geofence_distance_m() == math.inf
 
 
 def test_without_odometry_nothing_is_taken(make: Any, config: SafetyConfig) -> None:
-    lookout = make()
-    look(lookout, config, replace(SEEN, odom=None, fold=1.0))
-    assert (looks(lookout), lookout.way, lookout.senses.hear.calls, lookout.senses.wear.calls) == (0, None, [], [])
+    collision_monitor = make()
+    look(collision_monitor, config, replace(SEEN, odom=None, fold=1.0))
+    assert (
+        covers(collision_monitor),
+        collision_monitor.swept_field,
+        collision_monitor.sources.update.calls,
+        collision_monitor.sources.set_footprint.calls,
+    ) == (0, None, [], [])
 
 
 def test_it_looks_when_something_came(make: Any, config: SafetyConfig) -> None:
-    lookout = make()
+    collision_monitor = make()
     counts = []
 
-    def count(seen: Seen = SEEN) -> None:
-        look(lookout, config, seen)
-        counts.append(looks(lookout))
+    def count(seen: MonitorInputs = SEEN) -> None:
+        look(collision_monitor, config, seen)
+        counts.append(covers(collision_monitor))
 
     count()
     count()
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1)))
-    lookout.senses.hear.answer = True
+    collision_monitor.sources.update.answer = True
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1)))
-    lookout.senses.hear.answer = False
-    lookout.senses.fresh.answer = [object()]
+    collision_monitor.sources.update.answer = False
+    collision_monitor.sources.fresh.answer = [object()]
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1)))
-    lookout.senses.fresh.answer = []
+    collision_monitor.sources.fresh.answer = []
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1)))
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1), fold=1.0))
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1), fold=1.0))
@@ -163,26 +185,32 @@ def test_it_looks_when_something_came(make: Any, config: SafetyConfig) -> None:
 
 
 def test_what_came_is_heard_and_scanned(make: Any, config: SafetyConfig) -> None:
-    lookout, eyes = make(), [object()]
-    lookout.senses.fresh.answer = eyes
-    look(lookout, config)
-    assert lookout.senses.hear.asked == (NOTHING, lookout.trail, SEEN.odom)
-    assert lookout.senses.fresh.asked == (NOTHING,)
-    assert lookout.trail.pose_at(START_NS) == pytest.approx(POSE_ODOM)
-    came, fresh, trail, odom, box, is_other_way = lookout.senses.scan.asked
-    assert (came, fresh, trail, odom, is_other_way) == (NOTHING, eyes, lookout.trail, SEEN.odom, True)
+    collision_monitor, lidars = make(), [object()]
+    collision_monitor.sources.fresh.answer = lidars
+    look(collision_monitor, config)
+    assert collision_monitor.sources.update.asked == (NOTHING, collision_monitor.pose_history, SEEN.odom)
+    assert collision_monitor.sources.fresh.asked == (NOTHING,)
+    assert collision_monitor.pose_history.pose_at(START_NS) == pytest.approx(POSE_ODOM)
+    came, fresh, pose_history, odom, box, is_new_field = collision_monitor.sources.scan.asked
+    assert (came, fresh, pose_history, odom, is_new_field) == (
+        NOTHING,
+        lidars,
+        collision_monitor.pose_history,
+        SEEN.odom,
+        True,
+    )
     assert box == Box((-3.0, 13.0), (-3.5, 3.5))
 
 
 def test_another_way_is_another_path_direction_plan_or_outline(make: Any, config: SafetyConfig, parts: Any) -> None:
-    lookout = make()
-    lookout.senses.fresh.answer = [object()]
+    collision_monitor = make()
+    collision_monitor.sources.fresh.answer = [object()]
     others = []
 
     def step(path: Any, direction: int, is_planned: bool, fold: float) -> None:
-        parts.way_ahead.answer = Way(sweep(direction), None, is_planned)
-        look(lookout, config, replace(SEEN, path=path, fold=fold))
-        others.append(lookout.senses.scan.asked[-1])
+        parts.sweep_field.answer = SweptField(sweep(direction), None, is_planned)
+        look(collision_monitor, config, replace(SEEN, path=path, fold=fold))
+        others.append(collision_monitor.sources.scan.asked[-1])
 
     steps: list[tuple[Any, int, bool, float]] = [
         (straight_path(7), 1, True, 0.0), (straight_path(8), 1, True, 0.0), (straight_path(8), -1, True, 0.0),
@@ -201,200 +229,210 @@ def test_another_way_is_another_path_direction_plan_or_outline(make: Any, config
 
 def test_the_first_way_is_another(make: Any, config: SafetyConfig, parts: Any) -> None:
     for direction in (1, -1):
-        lookout, parts.way_ahead.answer = make(), Way(sweep(direction), None, False)
-        look(lookout, config, replace(SEEN, path=None))
-        assert lookout.senses.scan.asked[-1]
+        collision_monitor, parts.sweep_field.answer = make(), SweptField(sweep(direction), None, False)
+        look(collision_monitor, config, replace(SEEN, path=None))
+        assert collision_monitor.sources.scan.asked[-1]
 
 
-def test_the_outline_at_a_fold_is_worn(make: Any, config: SafetyConfig, parts: Any, shapes: Shapes) -> None:
-    lookout = make()
+def test_the_outline_at_a_fold_is_worn(make: Any, config: SafetyConfig, parts: Any, footprints: FootprintSet) -> None:
+    collision_monitor = make()
     for fold, count in ((0.0, 0), (1.0, 1), (1.0, 1), (None, 2), (0.0, 2)):
-        look(lookout, config, replace(SEEN, fold=fold))
-        assert len(lookout.senses.wear.calls) == count
-        shape = shapes.narrow if fold == 1.0 else shapes.wide
-        assert parts.way_ahead.asked[6] is shape
-        assert parts.threat_in.asked[1] is shape
-        assert count == 0 or lookout.senses.wear.asked[0] is shape
+        look(collision_monitor, config, replace(SEEN, fold=fold))
+        assert len(collision_monitor.sources.set_footprint.calls) == count
+        footprint = footprints.narrow if fold == 1.0 else footprints.wide
+        assert parts.sweep_field.asked[6] is footprint
+        assert parts.nearest_critical_object.asked[1] is footprint
+        assert count == 0 or collision_monitor.sources.set_footprint.asked[0] is footprint
 
 
 def test_the_way_is_laid_along_the_plan_in_its_direction(make: Any, config: SafetyConfig, parts: Any) -> None:
-    lookout, flat = make(), config.braking.flat
-    look(lookout, config)
-    assert lookout.way is parts.way_ahead.answer
-    place, pose_map, *rest = parts.way_ahead.asked
-    assert place == Place(SEEN.path, 3.0)
+    collision_monitor, flat = make(), config.braking.flat
+    look(collision_monitor, config)
+    assert collision_monitor.swept_field is parts.sweep_field.answer
+    place, pose_map, *rest = parts.sweep_field.asked
+    assert place == PathPosition(SEEN.path, 3.0)
     assert pose_map == pytest.approx(POSE_MAP)
-    assert rest == [0.1, 1, 17.0, 8.0, lookout._shapes.wide, config.field]
+    assert rest == [0.1, 1, 17.0, 8.0, collision_monitor._footprints.wide, config.field]
     assert parts.look_ahead_m.asked == (2.0, flat, config.field, 2.1)
     assert parts.arc_length_m.asked == (2.0, flat, config.field)
-    lookout = make()
-    look(lookout, config, direction=-1)
-    assert parts.way_ahead.asked[0] is None
-    assert parts.way_ahead.asked[3] == -1
-    lookout = make()
-    look(lookout, config, replace(SEEN, path=None, map_pose=None))
-    assert parts.way_ahead.asked[:2] == (None, None)
+    collision_monitor = make()
+    look(collision_monitor, config, direction=-1)
+    assert parts.sweep_field.asked[0] is None
+    assert parts.sweep_field.asked[3] == -1
+    collision_monitor = make()
+    look(collision_monitor, config, replace(SEEN, path=None, map_pose=None))
+    assert parts.sweep_field.asked[:2] == (None, None)
 
 
 def test_the_arc_beside_a_plan_may_be_left_out(make: Any, config: SafetyConfig, parts: Any) -> None:
-    planned, arc_alone = parts.way_ahead.answer, Way(sweep(), None, False)
+    planned, arc_alone = parts.sweep_field.answer, SweptField(sweep(), None, False)
     for arc, answer, expected in (
-        ((), planned, planned), ((True,), planned, planned), ((False,), planned, Way(planned.main, None, True)),
+        ((), planned, planned), ((True,), planned, planned), ((False,), planned, SweptField(planned.main, None, True)),
         ((False,), arc_alone, arc_alone),
     ):  # fmt: skip
-        parts.way_ahead.answer = answer
-        lookout = make(arc=arc)
-        look(lookout, config)
-        assert lookout.way == expected
+        parts.sweep_field.answer = answer
+        collision_monitor = make(arc=arc)
+        look(collision_monitor, config)
+        assert collision_monitor.swept_field == expected
 
 
 def test_gaps_and_threats_are_measured_on_that_way(make: Any, config: SafetyConfig, parts: Any) -> None:
-    lookout = make()
-    look(lookout, config)
-    way, pose_odom, speed_mps, is_explained, tracks = lookout.senses.gap.asked
-    assert (way, speed_mps, is_explained, tracks) == (lookout.way, 2.0, None, SEEN.tracks)
+    collision_monitor = make()
+    look(collision_monitor, config)
+    way, pose_odom, speed_mps, is_known, tracks = collision_monitor.sources.clearance.asked
+    assert (way, speed_mps, is_known, tracks) == (collision_monitor.swept_field, 2.0, None, SEEN.tracks)
     assert pose_odom == pytest.approx(POSE_ODOM)
-    main, shape, tracks, pose_odom, curvature, stop_s, tracked, is_explained = parts.threat_in.asked
-    assert (main, shape, tracks) == (lookout.way.main, lookout._shapes.wide, SEEN.tracks)
-    assert (curvature, tracked, is_explained) == (0.1, config.tracked, None)
+    main, footprint, tracks, pose_odom, curvature, stop_s, tracked, is_known = parts.nearest_critical_object.asked
+    assert (main, footprint, tracks) == (
+        collision_monitor.swept_field.main,
+        collision_monitor._footprints.wide,
+        SEEN.tracks,
+    )
+    assert (curvature, tracked, is_known) == (0.1, config.tracked, None)
     assert pose_odom == pytest.approx(POSE_ODOM)
     assert stop_s == stopping_time(2.0, config.braking.flat)
 
 
 def test_between_looks_the_gaps_shrink_by_the_way_driven(make: Any, config: SafetyConfig, parts: Any) -> None:
     edge = np.array([(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)])
-    lookout = make(fence=Fence((edge,)))
-    look(lookout, config, DOCKING)
-    lookout._fence_m = 8.0
+    collision_monitor = make(geofence=Geofence((edge,)))
+    look(collision_monitor, config, DOCKING)
+    collision_monitor._geofence_distance_m = 8.0
 
     def left() -> tuple[float, ...]:
-        gap = lookout.gap()
-        assert gap.triggering_points_base_m.tolist() == [[7.0, 0.0, 1.0]]
-        threat = lookout.threat()
-        assert (threat.label, threat.id) == (ObstacleClass.PERSON, 4)
-        return gap.main_m, gap.arc_m, threat.clearance_m, lookout.fence_m(), lookout.survey_m()
+        clearance = collision_monitor.clearance()
+        assert clearance.triggering_points_base_m.tolist() == [[7.0, 0.0, 1.0]]
+        critical_object = collision_monitor.critical_object()
+        assert (critical_object.label, critical_object.id) == (ObstacleClass.PERSON, 4)
+        return (
+            clearance.main_m,
+            clearance.arc_m,
+            critical_object.clearance_m,
+            collision_monitor.geofence_distance_m(),
+            collision_monitor.wall_distance_m(),
+        )
 
     assert left() == (7.0, 3.0, 9.0, 8.0, 6.0)
     for k, (driven, expected) in enumerate((
         (2.5, (4.5, 0.5, 6.5, 5.5, 3.5)), (3.5, (3.5, 0.0, 5.5, 4.5, 2.5)), (20.0, (0.0, 0.0, 0.0, 0.0, 0.0)),
     )):  # fmt: skip
-        look(lookout, config, replace(DOCKING, odom=odometry(START_NS + k + 1, 5.0 + driven)))
+        look(collision_monitor, config, replace(DOCKING, odom=odometry(START_NS + k + 1, 5.0 + driven)))
         assert left() == pytest.approx(expected)
-        assert looks(lookout) == 1
-    for fence_m, expected_m in ((0.5, 0.0), (0.0, 0.0), (None, None), (-1.0, -1.0)):
-        lookout._fence_m = fence_m
-        assert lookout.fence_m() == expected_m
-    look(lookout, config, replace(DOCKING, odom=odometry(START_NS + 9, 25.0), tracks=None))
+        assert covers(collision_monitor) == 1
+    for geofence_distance_m, expected_m in ((0.5, 0.0), (0.0, 0.0), (None, None), (-1.0, -1.0)):
+        collision_monitor._geofence_distance_m = geofence_distance_m
+        assert collision_monitor.geofence_distance_m() == expected_m
+    look(collision_monitor, config, replace(DOCKING, odom=odometry(START_NS + 9, 25.0), tracks=None))
     assert (*left()[:3], left()[4]) == (7.0, 3.0, 9.0, 6.0)
 
 
 def test_the_docking_field_counts_on_the_way_to_a_bay_at_the_shed_and_narrow(
-    make: Any, config: SafetyConfig, parts: Any, survey: Any
+    make: Any, config: SafetyConfig, parts: Any, known_structure: Any
 ) -> None:
-    lookout = make()
-    look(lookout, config, DOCKING)
-    assert lookout.is_docking
-    assert lookout.config == config.docked != config
-    assert parts.way_ahead.asked[7] == config.docked.field
+    collision_monitor = make()
+    look(collision_monitor, config, DOCKING)
+    assert collision_monitor.is_docking
+    assert collision_monitor.config == config.docked != config
+    assert parts.sweep_field.asked[7] == config.docked.field
     assert parts.look_ahead_m.asked[2] == parts.arc_length_m.asked[2] == config.docked.field
-    pose_map, near_m = survey.is_near.calls[0]
+    pose_map, near_m = known_structure.is_near.calls[0]
     assert (near_m, tuple(pose_map)) == (8.0, pytest.approx(POSE_MAP))
     for seen in (replace(DOCKING, fold=0.0), replace(DOCKING, path=SEEN.path), replace(DOCKING, path=None),
                  replace(DOCKING, map_pose=None)):  # fmt: skip
-        look(lookout, config, DOCKING)
-        assert lookout.is_docking
-        look(lookout, config, seen)
-        assert not lookout.is_docking
-        assert lookout.config is config
-    survey.is_near.answer = False
-    look(lookout, config, DOCKING)
-    assert not lookout.is_docking
-    bare = make(survey=None)
+        look(collision_monitor, config, DOCKING)
+        assert collision_monitor.is_docking
+        look(collision_monitor, config, seen)
+        assert not collision_monitor.is_docking
+        assert collision_monitor.config is config
+    known_structure.is_near.answer = False
+    look(collision_monitor, config, DOCKING)
+    assert not collision_monitor.is_docking
+    bare = make(known_structure=None)
     look(bare, config, DOCKING)
     assert not bare.is_docking
-    assert (bare.survey_m(), bare.is_under_roof) == (math.inf, False)
+    assert (bare.wall_distance_m(), bare.is_under_roof) == (math.inf, False)
 
 
 def test_surveyed_walls_explain_what_is_near_them_in_docking(
-    make: Any, config: SafetyConfig, parts: Any, survey: Any
+    make: Any, config: SafetyConfig, parts: Any, known_structure: Any
 ) -> None:
-    lookout = make()
-    look(lookout, config, DOCKING)
-    is_explained = lookout.senses.gap.asked[3]
-    assert parts.threat_in.asked[7] is is_explained
+    collision_monitor = make()
+    look(collision_monitor, config, DOCKING)
+    is_known = collision_monitor.sources.clearance.asked[3]
+    assert parts.nearest_critical_object.asked[7] is is_known
     points = np.array([(6.0, 1.0), (2.0, 9.0)])
-    tolerance_m = config.docking.explained_m + 3.0 * SIGMA_M
-    survey.away_m.answer = np.array([tolerance_m, tolerance_m + 1e-9])
-    assert is_explained(points).tolist() == [True, False]
-    assert survey.away_m.asked[0] == pytest.approx(to_frame(np.array([2.0, 1.0, 0.3]), points))
+    tolerance_m = config.docking.known_structure_tolerance_m + 3.0 * SIGMA_M
+    known_structure.distance_m.answer = np.array([tolerance_m, tolerance_m + 1e-9])
+    assert is_known(points).tolist() == [True, False]
+    assert known_structure.distance_m.asked[0] == pytest.approx(to_frame(np.array([2.0, 1.0, 0.3]), points))
 
 
 def test_the_way_clear_of_the_survey_is_the_least_of_all_sweeps(
-    make: Any, config: SafetyConfig, parts: Any, survey: Any
+    make: Any, config: SafetyConfig, parts: Any, known_structure: Any
 ) -> None:
-    lookout, way = make(), parts.way_ahead.answer
-    look(lookout, config, DOCKING)
-    assert (lookout.survey_m(), lookout.is_under_roof) == (6.0, True)
-    assert [args[0] for args in survey.clear_m.calls] == [way.main, way.arc]
-    for _, pose_map, clearance_m in survey.clear_m.calls:
+    collision_monitor, way = make(), parts.sweep_field.answer
+    look(collision_monitor, config, DOCKING)
+    assert (collision_monitor.wall_distance_m(), collision_monitor.is_under_roof) == (6.0, True)
+    assert [args[0] for args in known_structure.clear_distance_m.calls] == [way.main, way.arc]
+    for _, pose_map, clearance_m in known_structure.clear_distance_m.calls:
         assert clearance_m == pytest.approx(config.docking.clearance_m + 3.0 * SIGMA_M)
         assert pose_map == pytest.approx(POSE_MAP)
-    assert survey.is_under_roof.asked[0] is way.main
-    assert survey.is_under_roof.asked[1] == pytest.approx(POSE_MAP)
-    assert survey.is_near.asked[1] == 8.0
-    assert survey.is_near.asked[0] == pytest.approx(POSE_MAP)
-    survey.clear_m = lambda one, *_: 4.0 if one is way.arc else 5.0
-    look(lookout, config, replace(DOCKING, tracks=None))
-    assert lookout.survey_m() == 4.0
-    parts.way_ahead.answer = Way(way.main, None, True)
-    look(lookout, config, DOCKING)
-    assert lookout.survey_m() == 5.0
-    look(lookout, config, replace(DOCKING, path=SEEN.path, tracks=None))
-    assert (lookout.survey_m(), lookout.is_under_roof) == (math.inf, True)
-    look(lookout, config, DOCKING)
-    survey.is_near.answer = False
-    look(lookout, config, replace(DOCKING, tracks=None))
-    assert (lookout.survey_m(), lookout.is_under_roof) == (math.inf, False)
-    survey.is_near.answer = True
-    look(lookout, config, DOCKING)
-    look(lookout, config, replace(DOCKING, map_pose=None))
-    assert (lookout.survey_m(), lookout.is_under_roof) == (math.inf, False)
+    assert known_structure.is_under_roof.asked[0] is way.main
+    assert known_structure.is_under_roof.asked[1] == pytest.approx(POSE_MAP)
+    assert known_structure.is_near.asked[1] == 8.0
+    assert known_structure.is_near.asked[0] == pytest.approx(POSE_MAP)
+    known_structure.clear_distance_m = lambda one, *_: 4.0 if one is way.arc else 5.0
+    look(collision_monitor, config, replace(DOCKING, tracks=None))
+    assert collision_monitor.wall_distance_m() == 4.0
+    parts.sweep_field.answer = SweptField(way.main, None, True)
+    look(collision_monitor, config, DOCKING)
+    assert collision_monitor.wall_distance_m() == 5.0
+    look(collision_monitor, config, replace(DOCKING, path=SEEN.path, tracks=None))
+    assert (collision_monitor.wall_distance_m(), collision_monitor.is_under_roof) == (math.inf, True)
+    look(collision_monitor, config, DOCKING)
+    known_structure.is_near.answer = False
+    look(collision_monitor, config, replace(DOCKING, tracks=None))
+    assert (collision_monitor.wall_distance_m(), collision_monitor.is_under_roof) == (math.inf, False)
+    known_structure.is_near.answer = True
+    look(collision_monitor, config, DOCKING)
+    look(collision_monitor, config, replace(DOCKING, map_pose=None))
+    assert (collision_monitor.wall_distance_m(), collision_monitor.is_under_roof) == (math.inf, False)
 
 
 def test_the_fence_is_asked_over_the_stopping_distance_a_margin_and_a_metre(
     make: Any, config: SafetyConfig, parts: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fence: Any = SimpleNamespace(holds_box=Spy(False))
+    geofence: Any = SimpleNamespace(contains_box=Spy(False))
     outlines, inside = Spy((np.array([(3.0, 4.0)]), np.array([2.0]))), Spy(6.5)
-    monkeypatch.setattr("safety.collision_monitor.corners_along", outlines)
-    monkeypatch.setattr("safety.collision_monitor.way_inside_m", inside)
+    monkeypatch.setattr("safety.collision_monitor.outline_points", outlines)
+    monkeypatch.setattr("safety.collision_monitor.distance_inside_m", inside)
     main, arc = sweep(step_m=0.4), sweep(step_m=0.05)
-    lookout, flat = make(fence=fence, survey=None), config.braking.flat
-    parts.way_ahead.answer = Way(main, arc, True)
-    look(lookout, config)
-    assert lookout.fence_m() == 6.5
+    collision_monitor, flat = make(geofence=geofence, known_structure=None), config.braking.flat
+    parts.sweep_field.answer = SweptField(main, arc, True)
+    look(collision_monitor, config)
+    assert collision_monitor.geofence_distance_m() == 6.5
     for one in (main, arc):
-        assert one.until.asked == (pytest.approx(stopping_distance(2.0, flat) + 0.05 + 1.0),)
-    assert fence.holds_box.asked[0].x_m == pytest.approx(main.box.seen_from(POSE_MAP).x_m)
+        assert one.up_to.asked == (pytest.approx(stopping_distance(2.0, flat) + 0.05 + 1.0),)
+    assert geofence.contains_box.asked[0].x_m == pytest.approx(main.box.seen_from(POSE_MAP).x_m)
     assert outlines.calls == [(main, 0.1), (arc, 0.1)]
     for (asked, points, ways, spacing_m), spacing in zip(inside.calls, (0.4, 0.1), strict=True):
-        assert (asked, spacing_m, ways.tolist()) == (fence, spacing, [2.0])
+        assert (asked, spacing_m, ways.tolist()) == (geofence, spacing, [2.0])
         assert points == pytest.approx(to_frame(POSE_MAP, np.array([(3.0, 4.0)])))
-    look(lookout, config, replace(SEEN, tracks=None), speed_mps=40.0)
-    assert main.until.asked == (pytest.approx(61.05),)
-    monkeypatch.setattr("safety.collision_monitor.way_inside_m", lambda *args: 3.0 if args[3] > 0.3 else 5.0)
-    look(lookout, config)
-    assert lookout.fence_m() == 3.0
-    fence.holds_box = lambda box: bool(box == fence.first)
-    fence.first = main.box.seen_from(POSE_MAP)
+    look(collision_monitor, config, replace(SEEN, tracks=None), speed_mps=40.0)
+    assert main.up_to.asked == (pytest.approx(61.05),)
+    monkeypatch.setattr("safety.collision_monitor.distance_inside_m", lambda *args: 3.0 if args[3] > 0.3 else 5.0)
+    look(collision_monitor, config)
+    assert collision_monitor.geofence_distance_m() == 3.0
+    geofence.contains_box = lambda box: bool(box == geofence.first)
+    geofence.first = main.box.seen_from(POSE_MAP)
     arc.box = Box((0.0, 3.0), (-0.5, 0.5))
-    look(lookout, config, replace(SEEN, tracks=None))
-    assert lookout.fence_m() == 5.0
-    parts.way_ahead.answer = Way(main, None, True)
-    look(lookout, config)
-    assert lookout.fence_m() == math.inf
-    look(lookout, config, replace(SEEN, map_pose=None))
-    assert lookout.fence_m() is None
+    look(collision_monitor, config, replace(SEEN, tracks=None))
+    assert collision_monitor.geofence_distance_m() == 5.0
+    parts.sweep_field.answer = SweptField(main, None, True)
+    look(collision_monitor, config)
+    assert collision_monitor.geofence_distance_m() == math.inf
+    look(collision_monitor, config, replace(SEEN, map_pose=None))
+    assert collision_monitor.geofence_distance_m() is None
 
 
 def track(x: float, y: float, label: ObstacleClass, is_confirmed: bool = True) -> Track:
@@ -403,17 +441,17 @@ def track(x: float, y: float, label: ObstacleClass, is_confirmed: bool = True) -
 
 
 def test_the_cause_is_the_track_at_the_hits_or_else_the_threat(make: Any, config: SafetyConfig) -> None:
-    lookout = make()
+    collision_monitor = make()
     odom = odometry()
     x, y = to_frame(np.array(POSE_ODOM), np.array([(7.0, 0.0)]))[0]
     tracks = Tracks(START_NS, (track(x, y, ObstacleClass.ANIMAL),))
-    assert lookout.cause(odom, tracks) is ObstacleClass.UNKNOWN
-    look(lookout, config)
-    assert lookout.cause(odom, tracks) is ObstacleClass.ANIMAL
+    assert collision_monitor.obstacle_class(odom, tracks) is ObstacleClass.UNKNOWN
+    look(collision_monitor, config)
+    assert collision_monitor.obstacle_class(odom, tracks) is ObstacleClass.ANIMAL
     for one, some in ((None, tracks), (odom, None), (odom, Tracks(START_NS, ()))):
-        assert lookout.cause(one, some) is ObstacleClass.PERSON
-    lookout._gap = Gap(math.inf, math.inf, np.empty((0, 3)))
-    assert lookout.cause(odom, tracks) is ObstacleClass.PERSON
+        assert collision_monitor.obstacle_class(one, some) is ObstacleClass.PERSON
+    collision_monitor._clearance = Clearance(math.inf, math.inf, np.empty((0, 3)))
+    assert collision_monitor.obstacle_class(odom, tracks) is ObstacleClass.PERSON
 
 
 def test_the_class_is_that_of_the_nearest_confirmed_track_within_a_metre() -> None:

@@ -41,9 +41,12 @@ def test_no_value_has_a_default(path: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(("path", "bad"), [
-    (("field", "far_lateral_m"), 0.05), (("proven", "good_share"), 0.2), (("braking", "deceleration_mps2"), 0.0),
-    (("localization", "gnss_stop_s"), 120.1), (("hand", "rate_dps"), 50.1), (("hand", "angle_deg"), 30.1),
-    (("hand", "forced_s"), 1.01), (("field", "margin_m"), float("nan")), (("field", "slow_range_factor"), 0.9),
+    (("field", "lateral_margin_far_m"), 0.05), (("detection_range", "good_ratio"), 0.2), (("braking",
+    "deceleration_mps2"), 0.0),
+    (("localization", "gnss_stop_s"), 120.1), (("driver_override", "rate_dps"), 50.1), (("driver_override",
+    "angle_deg"), 30.1),
+    (("driver_override", "forced_s"), 1.01), (("field", "margin_m"), float("nan")), (("field", "slow_range_factor"),
+    0.9),
     (("modes", "authorities"), []), (("field", "extra"), 1.0),
 ])  # fmt: skip
 def test_bad_values_are_named(path: tuple[str, ...], bad: Any) -> None:

@@ -11,23 +11,23 @@ from messages.perception import HealthState, SensorHealth
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
     TURN_RAD,
+    covers,
     down_beams,
     edges,
-    expected_returns,
-    least_towards,
-    looks,
+    expected_density,
+    limit_by_health,
+    min_range_towards,
+    nominal_range_m,
     range_by_share,
-    reach_m,
-    shares,
-    shrink,
+    return_ratios,
 )
-from safety.zones.footprint import Shape, shape_of
+from safety.zones.footprint import Footprint, footprint_of
 from tests.safety.safety_world import START_NS, around
 
 
 @pytest.fixture
-def shape(vehicle: Vehicle, implement) -> Shape:
-    return shape_of(vehicle, implement)
+def footprint(vehicle: Vehicle, implement) -> Footprint:
+    return footprint_of(vehicle, implement)
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def changed(lidar: Lidar, height_m: float | None = None, **changes: Any) -> Lida
 
 
 def reach(lidar: Lidar, config: SafetyConfig, **changes: Any) -> float:
-    return reach_m(lidar, config.field, config.proven.model_copy(update=changes))
+    return nominal_range_m(lidar, config.field, config.detection_range.model_copy(update=changes))
 
 
 def test_reach_ends_at_the_cap_and_where_the_lidar_does(lidar: Lidar, config: SafetyConfig) -> None:
@@ -68,34 +68,34 @@ def test_reach_ends_where_a_falling_ring_is_too_low(lidar: Lidar, config: Safety
 
 
 def test_a_ring_at_the_lowest_and_at_the_highest_height_counts(lidar: Lidar, config: SafetyConfig) -> None:
-    lowest_m = config.field.lowest_m + config.field.lowest_per_m * 10.0
-    assert reach(changed(lidar, lowest_m), config) == 10.0
+    min_height_m = config.field.min_height_m + config.field.min_height_slope * 10.0
+    assert reach(changed(lidar, min_height_m), config) == 10.0
     assert reach(changed(lidar, 1.7), config) == 40.0
     assert reach(changed(lidar, 1.71), config) == 0.0
 
 
-def test_a_lidar_looks_as_far_aside_as_half_its_view(lidar: Lidar, shape: Shape) -> None:
+def test_a_lidar_looks_as_far_aside_as_half_its_view(lidar: Lidar, footprint: Footprint) -> None:
     for ahead_deg, direction, x in ((0.0, 1, 3.0), (180.0, -1, -1.0), (-180.0, -1, -1.0)):
         for away_deg in (-120.0, -45.001, -45.0, 0.0, 45.0, 45.001, 120.0):
             mount = Mount(xyz_m=(x, 0.0, 1.0), rpy_deg=(0.0, 0.0, ahead_deg + away_deg))
             turned = changed(lidar, mount=mount, field_of_view_deg=90.0)
-            assert looks(turned, shape, direction) == (abs(away_deg) <= 45.0), (direction, away_deg)
+            assert covers(turned, footprint, direction) == (abs(away_deg) <= 45.0), (direction, away_deg)
 
 
-def test_a_lidar_below_the_roof_looks_past_its_own_end_alone(lidar: Lidar, shape: Shape) -> None:
+def test_a_lidar_below_the_roof_looks_past_its_own_end_alone(lidar: Lidar, footprint: Footprint) -> None:
     for x, z, seen in (
-        (1.25, 1.0, []), (1.26, 1.0, [1]), (1.24, 1.0, [-1]), (1.25, shape.height_m - 0.11, []),
-        (1.25, shape.height_m - 0.1, [1, -1]), (3.3, 3.0, [1, -1]),
+        (1.25, 1.0, []), (1.26, 1.0, [1]), (1.24, 1.0, [-1]), (1.25, footprint.height_m - 0.11, []),
+        (1.25, footprint.height_m - 0.1, [1, -1]), (3.3, 3.0, [1, -1]),
     ):  # fmt: skip
         around_it = changed(lidar, mount=Mount(xyz_m=(x, 0.0, z)))
-        assert [d for d in (1, -1) if looks(around_it, shape, d)] == seen, (x, z)
+        assert [d for d in (1, -1) if covers(around_it, footprint, d)] == seen, (x, z)
 
 
 def test_beams_at_both_ends_of_the_expected_slopes_count(lidar: Lidar, config: SafetyConfig) -> None:
     slope = -float(np.tan(np.radians(-20.0)))
     high = changed(lidar, 4.0 * slope, elevation_deg=(-20.0,), columns=100, field_of_view_deg=180.0)
     for beams_m, count in (((4.0, 50.0), 1), ((1.0, 4.0), 1), ((4.1, 50.0), 0), ((1.0, 3.9), 0)):
-        slopes, density = expected_returns(high, config.proven.model_copy(update={"beams_m": beams_m}))
+        slopes, density = expected_density(high, config.detection_range.model_copy(update={"beams_m": beams_m}))
         assert slopes == (-4.0 * slope / beams_m[0], -4.0 * slope / beams_m[1])
         assert density == pytest.approx(count * 100 / math.pi), beams_m
 
@@ -118,13 +118,13 @@ def test_shares_of_what_is_expected_by_sector() -> None:
     xyz = np.stack([origin[0] + 3.0 * np.cos(azimuth), origin[1] + 3.0 * np.sin(azimuth), 0 * azimuth])
     xyz[1, -1] = 2.0
     density = 2.0 * 4 * 4 / TURN_RAD  # two expected in each quarter, of every fourth return
-    assert shares(xyz.astype(np.float32), origin, density, 4) == pytest.approx([1.5, 0.5, 0.5, 1.0])
-    assert shares(xyz[:, :1].astype(np.float32), origin, 0.0, 4) == pytest.approx([1e9, 0.0, 0.0, 0.0])
+    assert return_ratios(xyz.astype(np.float32), origin, density, 4) == pytest.approx([1.5, 0.5, 0.5, 1.0])
+    assert return_ratios(xyz[:, :1].astype(np.float32), origin, 0.0, 4) == pytest.approx([1e9, 0.0, 0.0, 0.0])
 
 
 def test_range_by_share_in_proportion(config: SafetyConfig) -> None:
     share = np.array([0.1, 0.2, 0.4, 0.6, 0.9])
-    assert range_by_share(share, 40.0, config.proven) == pytest.approx([0.0, 0.0, 20.0, 40.0, 40.0])
+    assert range_by_share(share, 40.0, config.detection_range) == pytest.approx([0.0, 0.0, 20.0, 40.0, 40.0])
 
 
 def test_edges_go_all_around() -> None:
@@ -132,35 +132,35 @@ def test_edges_go_all_around() -> None:
 
 
 def test_the_least_of_all_sectors_in_the_cone_counts() -> None:
-    rim = np.array([-0.3, -0.1, 0.1, 0.3])
+    box_points = np.array([-0.3, -0.1, 0.1, 0.3])
     for ranges, least in (((5.0, 9.0, 3.0), 3.0), ((5.0, 5.0, 6.0), 5.0), ((9.0, 5.0, 7.0), 5.0)):
-        assert least_towards(rim, np.array(ranges), 1, 0.5) == least
-        assert least_towards(rim + math.pi, np.array(ranges), -1, 0.5) == least
-        assert least_towards(rim - math.pi, np.array(ranges), -1, 0.5) == least
-        assert least_towards(rim + TURN_RAD, np.array(ranges), 1, 0.5) == least
-        assert least_towards(rim, np.array(ranges), -1, 0.5) == 0.0
-    assert math.isnan(least_towards(rim, np.array([5.0, math.nan, 6.0]), 1, 0.5))
-    assert least_towards(rim, np.array([5.0, 6.0, math.nan]), 1, 0.05) == 6.0
+        assert min_range_towards(box_points, np.array(ranges), 1, 0.5) == least
+        assert min_range_towards(box_points + math.pi, np.array(ranges), -1, 0.5) == least
+        assert min_range_towards(box_points - math.pi, np.array(ranges), -1, 0.5) == least
+        assert min_range_towards(box_points + TURN_RAD, np.array(ranges), 1, 0.5) == least
+        assert min_range_towards(box_points, np.array(ranges), -1, 0.5) == 0.0
+    assert math.isnan(min_range_towards(box_points, np.array([5.0, math.nan, 6.0]), 1, 0.5))
+    assert min_range_towards(box_points, np.array([5.0, 6.0, math.nan]), 1, 0.05) == 6.0
 
 
 def test_a_sector_that_only_touches_the_cone_does_not_count() -> None:
     for low, high in ((1.0, 2.0), (-2.0, -1.0)):
         for half_rad in around(1.0, 0.001):
-            found = least_towards(np.array([low, high]), np.array([9.0]), 1, half_rad)
+            found = min_range_towards(np.array([low, high]), np.array([9.0]), 1, half_rad)
             assert found == (9.0 if half_rad > 1.0 else 0.0), half_rad
 
 
 def test_edges_that_do_not_fit_their_ranges_are_refused() -> None:
     with pytest.raises(ValueError, match="zip"):
-        least_towards(np.array([-1.0, 0.0, 1.0]), np.array([9.0]), 1, 0.5)
+        min_range_towards(np.array([-1.0, 0.0, 1.0]), np.array([9.0]), 1, 0.5)
 
 
 @pytest.mark.parametrize(("said_m", "left_m"), [(10.0, 10.0), (50.0, 30.0), (0.0, 0.0), (math.inf, 30.0)])
 def test_a_health_of_one_sector_shrinks_to_what_it_says(said_m: float, left_m: float) -> None:
-    rim = np.array([-math.pi, math.pi])
-    health = SensorHealth(START_NS, "front", HealthState.GOOD, "", rim, np.array([said_m]), 0)
+    box_points = np.array([-math.pi, math.pi])
+    health = SensorHealth(START_NS, "front", HealthState.GOOD, "", box_points, np.array([said_m]), 0)
     for direction in (1, -1):
-        assert shrink(30.0, health, direction, 0.5) == left_m
+        assert limit_by_health(30.0, health, direction, 0.5) == left_m
     away = SensorHealth(START_NS, "front", HealthState.GOOD, "", np.array([-0.5, 0.5]), np.array([said_m]), 0)
-    assert shrink(30.0, away, 1, 0.5) == left_m
-    assert shrink(30.0, away, -1, 0.5) == 0.0
+    assert limit_by_health(30.0, away, 1, 0.5) == left_m
+    assert limit_by_health(30.0, away, -1, 0.5) == 0.0

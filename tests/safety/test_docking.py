@@ -14,11 +14,11 @@ from messages.faults import Response
 from messages.perception import ObstacleClass, Track
 from messages.plan import Path, PathSection, PathSectionType
 from safety.config import SafetyConfig
-from safety.monitors.sensors import Lost
+from safety.monitors.sensors import SensorFailure
 from safety.rules import RULES
 from safety.supervisor import Supervisor
-from safety.zones.geofence import bay_rings, fence_of, is_within, way_across
-from safety.zones.known_structure import Survey, survey_of
+from safety.zones.geofence import bay_rings, distance_across, geofence_of, is_within
+from safety.zones.known_structure import KnownStructure, structure_of_site
 from safety.zones.swept_area import arc_poses, spaced, sweep_along
 from safety.zones.tracked_obstacles import without_walls
 from tests.safety.safety_world import ROOT, Box, Target, World, around, situation_of, straight_path
@@ -33,8 +33,8 @@ def site() -> Site:
 
 
 @pytest.fixture(scope="module")
-def survey(site: Site) -> Survey:
-    found = survey_of(site)
+def known_structure(site: Site) -> KnownStructure:
+    found = structure_of_site(site)
     assert found is not None
     return found
 
@@ -48,7 +48,7 @@ def shed_boxes(site: Site) -> tuple[Box, ...]:
 
 def dock_path(direction: int, start: tuple[float, float], length_m: float) -> Path:
     path = straight_path(7, length_m, start, direction, speed_mps=0.5)
-    return replace(path, sections=(PathSection(PathSectionType.DOCK, -1, 0, len(path.s_m) - 1),), is_folded=True)
+    return replace(path, sections=(PathSection(PathSectionType.DOCK, -1, 0, len(path.s_m) - 1),), is_transport=True)
 
 
 def at_shed(world: World, site: Site, bay: str, direction: int) -> World:
@@ -66,8 +66,12 @@ def at_shed(world: World, site: Site, bay: str, direction: int) -> World:
 
 
 @pytest.fixture
-def shed_world(config, thin, implement, site: Site, survey: Survey) -> World:
-    return World(Supervisor(thin, implement, config, fence_of(site), (), survey=survey), thin, straight_path())
+def shed_world(config, sparse, implement, site: Site, known_structure: KnownStructure) -> World:
+    return World(
+        Supervisor(sparse, implement, config, geofence_of(site), (), known_structure=known_structure),
+        sparse,
+        straight_path(),
+    )
 
 
 def engaged(world: World) -> World:
@@ -184,10 +188,10 @@ def test_on_another_leg_the_open_field_counts(shed_world: World, site: Site) -> 
     path = shed_world.path
     shed_world.path = replace(path, sections=(PathSection(PathSectionType.LANE, -1, 0, len(path.s_m) - 1),))
     drive_in(shed_world, 0.3)
-    assert shed_world.supervisor._lookout.config is shed_world.supervisor._config
+    assert shed_world.supervisor._collision_monitor.config is shed_world.supervisor._config
     shed_world.path = path
     shed_world.run(0.3)
-    assert shed_world.supervisor._lookout.config.field.margin_m == 0.12
+    assert shed_world.supervisor._collision_monitor.config.field.margin_m == 0.12
 
 
 def test_tracks_of_walls_are_no_obstacles_but_people_are(shed_world: World, site: Site) -> None:
@@ -208,14 +212,19 @@ def test_tracks_of_walls_are_no_obstacles_but_people_are(shed_world: World, site
 
 
 def test_an_ultrasonic_sensor_lost_at_the_dock_slows_further(config: SafetyConfig) -> None:
-    lost = (Lost("ultrasonic", "ultrasonic/rear.silent", ""),)
-    assert RULES["sensor_loss"](docking_situation(config, lost=lost)).speed_limit_mps == pytest.approx(0.25)
-    radar = (Lost("radar", "radar/front.silent", ""),)
-    assert RULES["sensor_loss"](docking_situation(config, lost=radar)).speed_limit_mps > 0.5
+    sensor_failures = (SensorFailure("ultrasonic", "ultrasonic/rear.silent", ""),)
+    assert RULES["sensor_loss"](
+        docking_situation(config, sensor_failures=sensor_failures)
+    ).speed_limit_mps == pytest.approx(0.25)
+    radar = (SensorFailure("radar", "radar/front.silent", ""),)
+    assert RULES["sensor_loss"](docking_situation(config, sensor_failures=radar)).speed_limit_mps > 0.5
 
 
-def test_echoes_of_surveyed_walls_are_explained(shed_world: World, config, full, implement, site, survey) -> None:
-    world = at_shed(World(Supervisor(full, implement, config, fence_of(site), (), survey=survey), full,
+def test_echoes_of_surveyed_walls_are_explained(
+    shed_world: World, config, full, implement, site, known_structure
+) -> None:
+    world = at_shed(World(Supervisor(full, implement, config, geofence_of(site), (),
+    known_structure=known_structure), full,
                           straight_path()), site, "wide", -1)  # fmt: skip
     world.targets = (Target(-8.9, -40.0, rcs_dbsm=-60.0, is_heard=True),)
     drive_in(world)
@@ -233,41 +242,41 @@ def test_tracks_of_what_is_surveyed_are_left_out() -> None:
     assert [t.id for t in left] == [1, 4]
 
 
-def test_distances_to_what_is_surveyed(survey: Survey) -> None:
+def test_distances_to_what_is_surveyed(known_structure: KnownStructure) -> None:
     points = np.array([(-8.0, -40.0), (-9.0, -40.0), (0.8, -41.0), (-4.0, -47.0), (5.0, -34.0)])
-    assert survey.away_m(points) == pytest.approx([0.925, -0.075, 0.84, 0.925, 3.925], abs=1e-9)
+    assert known_structure.distance_m(points) == pytest.approx([0.925, -0.075, 0.84, 0.925, 3.925], abs=1e-9)
 
 
-def test_near_the_shed(survey: Survey) -> None:
+def test_near_the_shed(known_structure: KnownStructure) -> None:
     for x in around(9.0, 0.001):
-        assert survey.is_near(np.array([x, -40.0, 0.0]), 8.0) == (x <= 9.0 + 1e-9), x
-    assert survey.is_near(np.array([-5.0, -40.0, 0.0]), 0.0)
-    assert not survey.is_near(np.array([60.0, 20.0, 0.0]), 8.0)
-    assert survey_of(load(Site, ROOT / "configs/sites/demo.yaml").model_copy(update={"shed": None})) is None
+        assert known_structure.is_near(np.array([x, -40.0, 0.0]), 8.0) == (x <= 9.0 + 1e-9), x
+    assert known_structure.is_near(np.array([-5.0, -40.0, 0.0]), 0.0)
+    assert not known_structure.is_near(np.array([60.0, 20.0, 0.0]), 8.0)
+    assert structure_of_site(load(Site, ROOT / "configs/sites/demo.yaml").model_copy(update={"shed": None})) is None
 
 
-def test_clear_way_to_the_wall(survey: Survey, config: SafetyConfig, shed_world: World) -> None:
-    shape = shed_world.supervisor._shapes.narrow
+def test_clear_way_to_the_wall(known_structure: KnownStructure, config: SafetyConfig, shed_world: World) -> None:
+    footprint = shed_world.supervisor._footprints.narrow
     s = spaced(6.0, 0.2)
-    sweep = sweep_along(shape, -1, s, arc_poses(0.0, -1, s), 0.0, config.docked.field, True)
+    sweep = sweep_along(footprint, -1, s, arc_poses(0.0, -1, s), 0.0, config.docked.field, True)
     pose = np.array([-3.0, -39.84, 0.0])
     for clearance in (0.0, 0.1, 0.3):
-        assert survey.clear_m(sweep, pose, clearance) == pytest.approx(
+        assert known_structure.clear_distance_m(sweep, pose, clearance) == pytest.approx(
             -3.0 - REAR_M + 9.0 - 0.075 - clearance, abs=0.03
         )
-    assert math.isinf(survey.clear_m(sweep, np.array([30.0, -39.84, 0.0]), 0.1))
+    assert math.isinf(known_structure.clear_distance_m(sweep, np.array([30.0, -39.84, 0.0]), 0.1))
 
 
 def test_fence_in_the_shed_is_the_bays_alone(site: Site) -> None:
-    fence = fence_of(site)
+    geofence = geofence_of(site)
     inside = [(-8.8, -43.68), (-5.0, -42.2), (0.9, -43.68), (1.5, -41.0), (1.5, -46.5), (-5.0, -38.0)]
     outside = [(-9.0, -43.68), (-5.0, -41.96), (-5.0, -36.0), (-5.0, -45.5), (0.8, -45.4)]
-    assert fence.holds(np.array(inside)).all()
-    assert not fence.holds(np.array(outside)).any()
+    assert geofence.holds(np.array(inside)).all()
+    assert not geofence.holds(np.array(outside)).any()
     assert site.shed is not None
     bay, _ = bay_rings(site.shed, site.shed.bay("narrow"))
     assert is_within(np.array([(-5.9, -43.68)]), bay)[0]
-    assert way_across(np.array([20.0, 20.0]), np.array([1.0, 0.0]), np.array(site.shed.outline_m)) == 0.0
+    assert distance_across(np.array([20.0, 20.0]), np.array([1.0, 0.0]), np.array(site.shed.outline_m)) == 0.0
 
 
 def folding(world: World) -> World:
@@ -370,7 +379,8 @@ def docking_situation(config: SafetyConfig, **changes: Any) -> Any:
 def test_docking_is_slow_and_slower_towards_a_wall(config: SafetyConfig) -> None:
     assert RULES["speed_limit"](docking_situation(config)).speed_limit_mps == pytest.approx(0.5)
     speeds = [
-        RULES["wall_clearance"](docking_situation(config, survey_m=m)).speed_limit_mps for m in np.linspace(0, 2, 21)
+        RULES["wall_clearance"](docking_situation(config, wall_distance_m=m)).speed_limit_mps
+        for m in np.linspace(0, 2, 21)
     ]
     assert speeds[0] == 0.0
     assert speeds == sorted(speeds)

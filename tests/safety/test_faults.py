@@ -14,15 +14,15 @@ from messages.command import Mode, OperatorCommandKind
 from messages.errors import ConfigError
 from messages.faults import Response
 from messages.perception import ObstacleClass, Track
-from safety.config import BrakeTestConfig, ProvenConfig, SafetyConfig
+from safety.config import BrakeTestConfig, DetectionRangeConfig, SafetyConfig
 from safety.monitors.brake_test import BrakeTest, Phase
-from safety.monitors.sensors import Lost
-from safety.monitors.watchdog import age_of, silent
+from safety.monitors.sensors import SensorFailure
+from safety.monitors.watchdog import age_of, timed_out_topics
 from safety.rules import OBSTACLE_RULES, RULES
 from safety.stopping_distance import on_grade, stopping_distance
 from safety.supervisor import Observation, Supervisor
-from safety.zones.protective_field import Gap
-from safety.zones.tracked_obstacles import Threat
+from safety.zones.protective_field import Clearance
+from safety.zones.tracked_obstacles import CriticalObject
 from tests.safety.safety_world import ROOT, START_NS, World, around, situation_of, straight_path
 
 CONFIG = parse(SafetyConfig, read_yaml(ROOT / "configs/stack/safety.yaml"), "stack/safety.yaml")
@@ -200,12 +200,21 @@ def test_many_faults_at_once_are_told_one_a_second_the_cause_first(world: World)
 
 def allowed(**changes: float) -> float:
     """The highest speed that the rules on what lies ahead allow."""
-    gap = Gap(changes.pop("main_m", math.inf), changes.pop("arc_m", math.inf), np.empty((0, 3)))
-    threat = Threat(changes.pop("threat_m", math.inf), ObstacleClass.UNKNOWN, 1)
+    clearance = Clearance(changes.pop("main_m", math.inf), changes.pop("arc_m", math.inf), np.empty((0, 3)))
+    critical_object = CriticalObject(changes.pop("critical_m", math.inf), ObstacleClass.UNKNOWN, 1)
     pitch = changes.pop("pitch_rad", 0.0)
-    braking = on_grade(CONFIG.braking.flat, pitch, CONFIG.braking.least_deceleration_mps2)
-    lost = tuple(Lost(kind, kind, "") for kind in ("radar", "camera", "ultrasonic")[: int(changes.pop("lost", 0))])
-    situation = situation_of(CONFIG, gap=gap, threat=threat, braking=braking, lost=lost, **changes)
+    braking = on_grade(CONFIG.braking.flat, pitch, CONFIG.braking.min_deceleration_mps2)
+    sensor_failures = tuple(
+        SensorFailure(kind, kind, "") for kind in ("radar", "camera", "ultrasonic")[: int(changes.pop("lost", 0))]
+    )
+    situation = situation_of(
+        CONFIG,
+        clearance=clearance,
+        critical_object=critical_object,
+        braking=braking,
+        sensor_failures=sensor_failures,
+        **changes,
+    )
     return min(rule(situation).speed_limit_mps for rule in RULES.values())
 
 
@@ -213,28 +222,28 @@ def allowed(**changes: float) -> float:
 @given(metres, metres, speeds)
 def test_a_nearer_obstacle_is_never_faster(a: float, b: float, speed: float) -> None:
     near, far = sorted((a, b))
-    for key in ("main_m", "arc_m", "threat_m", "survey_m", "fence_m", "proven_m"):
+    for key in ("main_m", "arc_m", "critical_m", "wall_distance_m", "geofence_distance_m", "detection_range_m"):
         assert allowed(**{key: near, "speed_mps": speed}) <= allowed(**{key: far, "speed_mps": speed}), key
 
 
 @QUICK
 @given(st.floats(0.0, 0.25), st.floats(0.0, 0.25), metres)
-def test_steeper_is_never_faster(a: float, b: float, gap: float) -> None:
+def test_steeper_is_never_faster(a: float, b: float, clearance: float) -> None:
     flat, steep = sorted((a, b))
-    assert allowed(pitch_rad=steep, main_m=gap) <= allowed(pitch_rad=flat, main_m=gap)
+    assert allowed(pitch_rad=steep, main_m=clearance) <= allowed(pitch_rad=flat, main_m=clearance)
 
 
 @QUICK
 @given(metres, metres, metres)
 def test_more_obstacles_are_never_faster(a: float, b: float, c: float) -> None:
-    assert allowed(main_m=a, arc_m=b, threat_m=c) <= min(allowed(main_m=a), allowed(arc_m=b), allowed(threat_m=c))
+    assert allowed(main_m=a, arc_m=b, critical_m=c) <= min(allowed(main_m=a), allowed(arc_m=b), allowed(critical_m=c))
 
 
 @QUICK
 @given(st.integers(0, 3), st.integers(0, 3), metres)
-def test_more_lost_sensors_are_never_faster(a: int, b: int, gap: float) -> None:
+def test_more_lost_sensors_are_never_faster(a: int, b: int, clearance: float) -> None:
     few, many = sorted((a, b))
-    assert allowed(lost=many, main_m=gap) <= allowed(lost=few, main_m=gap)
+    assert allowed(lost=many, main_m=clearance) <= allowed(lost=few, main_m=clearance)
     assert allowed(lost=3) > 0.5
 
 
@@ -243,7 +252,7 @@ def test_more_lost_sensors_are_never_faster(a: int, b: int, gap: float) -> None:
 def test_older_is_never_fresher(a: float, b: float) -> None:
     young, old = sorted((a, b))
     ages = [age_of("odom", START_NS - round(age * 1e9), START_NS) for age in (young, old)]
-    assert len(silent(ages[:1])) <= len(silent(ages[1:]))
+    assert len(timed_out_topics(ages[:1])) <= len(timed_out_topics(ages[1:]))
 
 
 @QUICK
@@ -260,10 +269,10 @@ def test_a_worse_place_is_never_faster(age_a: float, age_b: float, level_a: floa
 
 
 def test_uwb_age_at_its_limit() -> None:
-    for age in around(CONFIG.docking.uwb_age_s, 0.01):
+    for age in around(CONFIG.docking.max_uwb_age_s, 0.01):
         pose = {"uwb_age_s": age, "gnss_age_s": 5.0}
         result = RULES["localization"](situation_of(CONFIG, pose=pose, is_under_roof=True))
-        assert (result.code == "localization.uwb_lost") == (age > CONFIG.docking.uwb_age_s + 1e-9), age
+        assert (result.code == "localization.uwb_lost") == (age > CONFIG.docking.max_uwb_age_s + 1e-9), age
     for level in around(CONFIG.docking.protection_stop_m, 0.01):
         pose = {"uwb_age_s": 0.1, "protection_level_m": level}
         result = RULES["localization"](situation_of(CONFIG, pose=pose, is_under_roof=True))
@@ -271,23 +280,23 @@ def test_uwb_age_at_its_limit() -> None:
 
 
 @pytest.mark.parametrize(("kind", "section", "changes"), [
-    (BrakeTestConfig, "brake_test", {"brake_kmh": 1.8}), (ProvenConfig, "proven", {"good_share": 0.1}),
+    (BrakeTestConfig, "brake_test", {"brake_kmh": 1.8}), (DetectionRangeConfig, "detection_range", {"good_ratio": 0.1}),
 ])  # fmt: skip
 def test_values_that_contradict_each_other_are_refused(kind, section: str, changes: dict[str, float]) -> None:
     values = getattr(CONFIG, section).model_dump() | changes
-    with pytest.raises(ConfigError, match=r"never reached|good_share"):
+    with pytest.raises(ConfigError, match=r"never reached|good_ratio"):
         parse(kind, values, "test")
 
 
-def test_a_supervisor_that_looks_on_keeps_its_mode_and_commands_nothing(config, thin, implement, fence) -> None:
+def test_a_supervisor_that_looks_on_keeps_its_mode_and_commands_nothing(config, sparse, implement, geofence) -> None:
     not_judged = frozenset(RULES) - OBSTACLE_RULES
-    observer = Supervisor(thin, implement, config, fence, (), not_judged, observation=Observation(False))
+    observer = Supervisor(sparse, implement, config, geofence, (), not_judged, observation=Observation(False))
     assert observer.writes == ("supervisor",)
-    world = World(observer, thin, straight_path())
+    world = World(observer, sparse, straight_path())
     world.run(0.4)
     assert world.mode == Mode.AUTOMATIC
     assert world.command is None
-    assert world.supervisor._lookout.way.arc is None
+    assert world.supervisor._collision_monitor.swept_field.arc is None
     assert len(world.state.triggering_points_base_m) == 0
     person = Track(4, ObstacleClass.PERSON, 0.9, np.array([6.0, 0.0, 0.8]), np.zeros(3), np.eye(4) * 0.01,
                    np.array([0.5, 0.5, 1.7]), 0.0, START_NS, START_NS, True, ("camera_front",))  # fmt: skip
@@ -301,5 +310,5 @@ def test_a_supervisor_that_looks_on_keeps_its_mode_and_commands_nothing(config, 
 def test_before_any_lidar_has_looked_nothing_is_free(world: World) -> None:
     world.mute |= {"lidar/front", "lidar/rear"}
     world.run(0.4)
-    assert world.supervisor._lookout.gap() is None
+    assert world.supervisor._collision_monitor.clearance() is None
     assert "protective_field.no_scan" in {rule.code for rule in world.state.rules}

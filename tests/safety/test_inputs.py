@@ -17,17 +17,17 @@ from messages.node import Latest
 from messages.perception import HealthState, ObstacleClass, Track, Tracks
 from messages.sensors import RadarScan, UltrasonicRange
 from messages.topics import spec_of
-from safety.collision_monitor import Seen
+from safety.collision_monitor import MonitorInputs
 from safety.config import SafetyConfig
 from safety.inputs import SupervisorInputs
-from safety.obstacle_sources import Measurements
+from safety.obstacle_sources import SourceData
 from safety.output.supervisor_state import build_state, critical_object_outline
 from safety.rules.arbitration import Decision
 from safety.stopping_distance import required_range, stopping_distance
-from safety.zones.footprint import shape_of
-from safety.zones.protective_field import Gap, Way
+from safety.zones.footprint import footprint_of
+from safety.zones.protective_field import Clearance, SweptField
 from safety.zones.swept_area import arc_poses, outline_of, spaced, sweep_along
-from safety.zones.tracked_obstacles import Threat
+from safety.zones.tracked_obstacles import CriticalObject
 from tests.safety.safety_world import (
     START_NS,
     SyntheticInbox,
@@ -53,14 +53,14 @@ def stamped(stamp_ns: int = NOW_NS) -> Any:
     return SimpleNamespace(stamp_ns=stamp_ns)
 
 
-def lookout(*away: str, frozen: tuple[str, ...] = ()) -> Any:
+def collision_monitor(*away: str, frozen: tuple[str, ...] = ()) -> Any:
     """Two lidars, of which some look away, and a radar."""
-    eyes = [
-        SimpleNamespace(name=name, looks=lambda direction, name=name: name not in away or direction != 1)
+    lidars = [
+        SimpleNamespace(name=name, covers=lambda direction, name=name: name not in away or direction != 1)
         for name in ("front", "rear")
     ]
     radars = [SimpleNamespace(name="front", is_frozen="front" in frozen)]
-    return SimpleNamespace(senses=SimpleNamespace(eyes=eyes, radars=radars))
+    return SimpleNamespace(sources=SimpleNamespace(lidars=lidars, radars=radars))
 
 
 def test_all_of_the_machines_sensors_are_read(inputs: SupervisorInputs) -> None:
@@ -94,9 +94,9 @@ def test_what_came_is_seen_by_name(inputs: SupervisorInputs) -> None:
     }  # fmt: skip
     inbox.messages.update(came)
     seen = inputs.read(inbox, machine)
-    assert seen == Seen(
+    assert seen == MonitorInputs(
         came["odom"], pose, control_command, path, came["tracks"], 0.7,
-        Measurements({"front": came["lidar/front"], "rear": None}, {"front": came["radar/front"]},
+        SourceData({"front": came["lidar/front"], "rear": None}, {"front": came["radar/front"]},
                      {"left": None, "right": None, "rear": came["ultrasonic/rear"]}),
         {"lidar_front": None, "lidar_rear": came["health/lidar_rear"], "radar_front": None,
          "camera_front": came["health/camera_front"], "ultrasonic_left": None, "ultrasonic_right": None,
@@ -111,17 +111,17 @@ def test_what_came_is_seen_by_name(inputs: SupervisorInputs) -> None:
 def test_ages_are_of_all_that_the_direction_needs(inputs: SupervisorInputs) -> None:
     inbox = SyntheticInbox()
     inbox.messages.update({"lidar/front": stamped(NOW_NS - 300_000_000), "odom": stamped(NOW_NS)})
-    ages = {age.topic: age for age in inputs.ages(NOW_NS, inbox, lookout(), 1)}
+    ages = {age.topic: age for age in inputs.ages(NOW_NS, inbox, collision_monitor(), 1)}
     assert tuple(ages) == OWN
     assert ages["lidar/front"].age_s == pytest.approx(0.3)
     assert ages["odom"].age_s == 0.0
     assert not ages["odom"].is_late
     assert ages["imu"].is_late
-    few = [age.topic for age in inputs.ages(NOW_NS, inbox, lookout("rear"), 1)]
+    few = [age.topic for age in inputs.ages(NOW_NS, inbox, collision_monitor("rear"), 1)]
     assert few == [topic for topic in OWN if topic not in ("lidar/rear", "health/lidar_rear")]
 
 
-def all_well(inputs: SupervisorInputs) -> tuple[SyntheticInbox, Seen]:
+def all_well(inputs: SupervisorInputs) -> tuple[SyntheticInbox, MonitorInputs]:
     inbox = SyntheticInbox()
     inbox.now_ns = NOW_NS
     for topic in inputs.reads:
@@ -135,16 +135,18 @@ def all_well(inputs: SupervisorInputs) -> tuple[SyntheticInbox, Seen]:
     return inbox, inputs.read(inbox, None)
 
 
-def lost(
+def sensor_failures(
     inputs: SupervisorInputs, inbox: SyntheticInbox, direction: int = 1, frozen: tuple[str, ...] = ()
 ) -> list[str]:
     seen = inputs.read(inbox, None)
-    return [one.code for one in inputs.lost(NOW_NS, inbox, seen, lookout(frozen=frozen), direction)]
+    return [
+        one.code for one in inputs.sensor_failures(NOW_NS, inbox, seen, collision_monitor(frozen=frozen), direction)
+    ]
 
 
 def test_nothing_is_lost_when_all_tell(inputs: SupervisorInputs) -> None:
     inbox, _ = all_well(inputs)
-    assert lost(inputs, inbox) == lost(inputs, inbox, -1) == []
+    assert sensor_failures(inputs, inbox) == sensor_failures(inputs, inbox, -1) == []
 
 
 @pytest.mark.parametrize(("topic", "direction", "code"), [
@@ -157,34 +159,41 @@ def test_who_does_not_tell_is_lost_where_it_looks(
 ) -> None:
     inbox, _ = all_well(inputs)
     del inbox.messages[topic]
-    assert lost(inputs, inbox, direction) == [code]
-    assert lost(inputs, inbox, -direction) == []
+    assert sensor_failures(inputs, inbox, direction) == [code]
+    assert sensor_failures(inputs, inbox, -direction) == []
 
 
 def test_a_frozen_radar_and_a_blind_sector_are_lost(inputs: SupervisorInputs, config: SafetyConfig) -> None:
     inbox, _ = all_well(inputs)
-    assert lost(inputs, inbox, frozen=("front",)) == ["radar/front.frozen"]
-    half_rad = math.radians(config.proven.look_deg)
-    for rim, is_lost in ((half_rad - 0.01, True), (half_rad + 0.01, False)):
-        edges, ranges = np.array([-math.pi, rim, 3.0]), np.array([30.0, 0.0])
+    assert sensor_failures(inputs, inbox, frozen=("front",)) == ["radar/front.frozen"]
+    half_rad = math.radians(config.detection_range.half_cone_deg)
+    for box_points, is_coasting in ((half_rad - 0.01, True), (half_rad + 0.01, False)):
+        edges, ranges = np.array([-math.pi, box_points, 3.0]), np.array([30.0, 0.0])
         inbox.messages["health/radar_front"] = replace(
             healthy(NOW_NS, ""), sector_edges_rad=edges, detection_range_m=ranges
         )
-        assert (lost(inputs, inbox) == ["radar/front.blind"]) == is_lost, rim
+        assert (sensor_failures(inputs, inbox) == ["radar/front.blind"]) == is_coasting, box_points
     inbox.messages["health/radar_front"] = healthy(NOW_NS, "", HealthState.BLIND)
-    assert lost(inputs, inbox) == ["radar/front.blind"]
+    assert sensor_failures(inputs, inbox) == ["radar/front.blind"]
 
 
-@pytest.mark.parametrize(("label", "told_s"), [("radar_front", 0.4), ("camera_front", 1.5)])
-def test_what_was_told_may_be_as_old_as_its_sensor_is_slow(inputs: SupervisorInputs, label: str, told_s: float) -> None:
+@pytest.mark.parametrize(("label", "max_output_age_s"), [("radar_front", 0.4), ("camera_front", 1.5)])
+def test_what_was_told_may_be_as_old_as_its_sensor_is_slow(
+    inputs: SupervisorInputs, label: str, max_output_age_s: float
+) -> None:
     inbox, _ = all_well(inputs)
-    for age_s, is_told in ((told_s, True), (-told_s, True), (told_s + 1e-9, False), (-told_s - 1e-9, False)):
+    for age_s, is_told in (
+        (max_output_age_s, True),
+        (-max_output_age_s, True),
+        (max_output_age_s + 1e-9, False),
+        (-max_output_age_s - 1e-9, False),
+    ):
         inbox.messages[f"obstacles/{label}"] = nothing_seen(NOW_NS - round(age_s * 1e9), label)
-        assert (lost(inputs, inbox) == []) == is_told, age_s
+        assert (sensor_failures(inputs, inbox) == []) == is_told, age_s
 
 
 def test_each_kind_that_is_lost_leaves_its_own_range(config: SafetyConfig) -> None:
-    left = [config.sensing.without_m(kind) for kind in ("radar", "camera", "ultrasonic")]
+    left = [config.sensor_loss.without_m(kind) for kind in ("radar", "camera", "ultrasonic")]
     assert left == [5.0, 4.3, 3.0]
 
 
@@ -203,15 +212,20 @@ def test_a_threats_box_is_told_in_base() -> None:
         assert critical_object_outline(id, known, odometry_).shape == (0, 3)
 
 
-def way_of(vehicle: Vehicle, config: SafetyConfig) -> Way:
+def way_of(vehicle: Vehicle, config: SafetyConfig) -> SweptField:
     s = spaced(6.0, 0.4)
-    return Way(sweep_along(shape_of(vehicle, None), 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True), None, True)
+    return SweptField(
+        sweep_along(footprint_of(vehicle, None), 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True), None, True
+    )
 
 
 def test_the_state_tells_why(vehicle: Vehicle, config: SafetyConfig) -> None:
     hits = np.arange(9.0).reshape(3, 3)
     situation = situation_of(
-        config, gap=Gap(5.0, 6.0, hits), threat=Threat(4.0, ObstacleClass.PERSON, 4), proven_m=33.0
+        config,
+        clearance=Clearance(5.0, 6.0, hits),
+        critical_object=CriticalObject(4.0, ObstacleClass.PERSON, 4),
+        detection_range_m=33.0,
     )
     tracks = Tracks(NOW_NS, (track(4),))
     seen: Any = SimpleNamespace(odom=odometry(), tracks=tracks)
@@ -223,11 +237,11 @@ def test_the_state_tells_why(vehicle: Vehicle, config: SafetyConfig) -> None:
         return ObstacleClass.ANIMAL
 
     decision: Any = SimpleNamespace(results=("some", "rules"), clearance_m=4.5)
-    looking: Any = SimpleNamespace(way=way, cause=cause)
+    looking: Any = SimpleNamespace(swept_field=way, obstacle_class=cause)
 
-    def told(has_threat: bool, gap: Gap | None = situation.gap, looking: Any = looking) -> Any:
+    def told(has_threat: bool, clearance: Clearance | None = situation.clearance, looking: Any = looking) -> Any:
         known: Decision = decision
-        return build_state(replace(situation, gap=gap), seen, looking, known, "why", 1.5, has_threat)
+        return build_state(replace(situation, clearance=clearance), seen, looking, known, "why", 1.5, has_threat)
 
     state = told(False)
     assert (state.stamp_ns, state.mode, state.reason, state.rules) == (
@@ -247,16 +261,20 @@ def test_the_state_tells_why(vehicle: Vehicle, config: SafetyConfig) -> None:
         np.concatenate([hits, critical_object_outline(4, tracks, seen.odom)])
     )
     assert told(False, None).triggering_points_base_m.shape == (0, 3)
-    assert told(False, looking=SimpleNamespace(way=None, cause=cause)).protective_field_base_m.shape == (0, 2)
+    assert told(
+        False, looking=SimpleNamespace(swept_field=None, obstacle_class=cause)
+    ).protective_field_base_m.shape == (0, 2)
 
 
 @pytest.mark.parametrize(("count", "every"), [(1, 1), (300, 1), (301, 2), (600, 2), (601, 3)])
 def test_at_most_300_hits_are_told(config: SafetyConfig, count: int, every: int) -> None:
     hits = np.column_stack([np.arange(float(count)), np.zeros(count), np.zeros(count)])
     seen: Any = SimpleNamespace(odom=None, tracks=None)
-    looking: Any = SimpleNamespace(way=None, cause=lambda odom, tracks: ObstacleClass.UNKNOWN)
+    looking: Any = SimpleNamespace(swept_field=None, obstacle_class=lambda odom, tracks: ObstacleClass.UNKNOWN)
     decision: Any = SimpleNamespace(results=(), clearance_m=4.5)
-    state = build_state(situation_of(config, gap=Gap(1.0, 1.0, hits)), seen, looking, decision, "", 0.0, False)
+    state = build_state(
+        situation_of(config, clearance=Clearance(1.0, 1.0, hits)), seen, looking, decision, "", 0.0, False
+    )
     assert state.triggering_points_base_m[:, 0].tolist() == list(range(0, count, every))
 
 
@@ -271,6 +289,6 @@ def test_each_topic_is_read_as_its_kind(inputs: SupervisorInputs) -> None:
 
     inbox = Asked()
     seen = inputs.read(inbox, None)
-    inputs.ages(NOW_NS, inbox, lookout(), 1)
-    inputs.lost(NOW_NS, inbox, seen, lookout(), 1)
+    inputs.ages(NOW_NS, inbox, collision_monitor(), 1)
+    inputs.sensor_failures(NOW_NS, inbox, seen, collision_monitor(), 1)
     assert asked == {(topic, spec_of(topic).type) for topic in inputs.reads}

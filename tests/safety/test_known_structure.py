@@ -9,12 +9,12 @@ import pytest
 from configs.site import Post, Shed
 from configs.vehicle import Vehicle
 from safety.config import SafetyConfig
-from safety.zones.footprint import shape_of
-from safety.zones.known_structure import SPACING_M, Survey, discs_along, edges_of, surveyed
-from safety.zones.swept_area import Sweep, arc_poses, spaced, sweep_along
+from safety.zones.footprint import footprint_of
+from safety.zones.known_structure import SPACING_M, KnownStructure, discs_along, edges_of, structure_of_shed
+from safety.zones.swept_area import SweptArea, arc_poses, spaced, sweep_along
 from tests.safety.safety_world import around
 
-SURVEY = Survey(
+SURVEY = KnownStructure(
     walls=np.array([[10.0, -5.0, 10.0, 5.0], [10.0, 5.0, 20.0, 5.0]]),
     half_thickness_m=0.1,
     posts=np.array([[0.0, 8.0, 0.3], [30.0, 8.0, 0.5]]),
@@ -22,22 +22,22 @@ SURVEY = Survey(
 )
 
 
-@pytest.mark.parametrize(("x", "y", "away_m"), [
+@pytest.mark.parametrize(("x", "y", "distance_m"), [
     (7.0, 0.0, 2.9), (10.0, 0.0, -0.1), (13.0, 1.0, 2.9), (7.0, -9.0, 4.9), (23.0, 9.0, 4.9), (15.0, 8.0, 2.9),
     (0.0, 8.0, -0.3), (0.0, 9.3, 1.0), (-3.0, 12.0, 4.7), (30.0, 6.0, 1.5), (10.0, 5.0, -0.1), (16.0, 5.04, -0.06),
 ])  # fmt: skip
-def test_distance_from_the_nearest_wall_or_post(x: float, y: float, away_m: float) -> None:
+def test_distance_from_the_nearest_wall_or_post(x: float, y: float, distance_m: float) -> None:
     points = np.array([(x, y), (50.0, 50.0)])
-    assert SURVEY.away_m(points)[0] == pytest.approx(away_m)
+    assert SURVEY.distance_m(points)[0] == pytest.approx(distance_m)
 
 
 def test_a_slanted_wall_and_one_without_length() -> None:
-    bare = Survey(np.array([[1.0, 1.0, 5.0, 4.0], [9.0, 9.0, 9.0, 9.0]]), 0.0, np.empty((0, 3)), SURVEY.roof)
+    bare = KnownStructure(np.array([[1.0, 1.0, 5.0, 4.0], [9.0, 9.0, 9.0, 9.0]]), 0.0, np.empty((0, 3)), SURVEY.roof)
     points = np.array([(3.0 - 0.6, 2.5 + 0.8), (-2.0, -3.0), (12.0, 13.0), (5.0 + 0.6, 4.0 - 0.8)])
-    assert bare.away_m(points) == pytest.approx([1.0, 5.0, 5.0, 1.0])
+    assert bare.distance_m(points) == pytest.approx([1.0, 5.0, 5.0, 1.0])
     short = replace(bare, walls=np.array([[0.0, 0.0, 0.3, 0.4]]))
-    assert short.away_m(np.array([(0.15 - 0.8, 0.2 + 0.6), (0.6, 0.8)])) == pytest.approx([1.0, 0.5])
-    assert np.isinf(Survey(np.empty((0, 4)), 0.1, np.empty((0, 3)), SURVEY.roof).away_m(points)).all()
+    assert short.distance_m(np.array([(0.15 - 0.8, 0.2 + 0.6), (0.6, 0.8)])) == pytest.approx([1.0, 0.5])
+    assert np.isinf(KnownStructure(np.empty((0, 4)), 0.1, np.empty((0, 3)), SURVEY.roof).distance_m(points)).all()
 
 
 def test_near_is_under_the_roof_or_within_a_distance_of_its_edge() -> None:
@@ -53,40 +53,40 @@ def test_near_is_under_the_roof_or_within_a_distance_of_its_edge() -> None:
 
 
 @pytest.fixture
-def sweep(vehicle: Vehicle, implement, config: SafetyConfig) -> Sweep:
+def sweep(vehicle: Vehicle, implement, config: SafetyConfig) -> SweptArea:
     s = spaced(8.0, 0.4)
-    return sweep_along(shape_of(vehicle, implement), 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
+    return sweep_along(footprint_of(vehicle, implement), 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
 
 
-def test_a_body_is_under_the_roof_from_its_edge_on(sweep: Sweep) -> None:
+def test_a_body_is_under_the_roof_from_its_edge_on(sweep: SweptArea) -> None:
     for until_m, way_m in ((0.0, 0.0), (3.0, 2.8)):
         for edge in around(3.5 + way_m, 0.01):
             pose = np.array([16.0, -5.0 - edge - 1e-6, math.pi / 2])
-            assert SURVEY.is_under_roof(sweep.until(until_m), pose) == (edge < 3.5 + way_m - 1e-9), (until_m, edge)
+            assert SURVEY.is_under_roof(sweep.up_to(until_m), pose) == (edge < 3.5 + way_m - 1e-9), (until_m, edge)
 
 
-def test_the_clear_way_ends_the_clearance_before_wall_or_post(sweep: Sweep) -> None:
+def test_the_clear_way_ends_the_clearance_before_wall_or_post(sweep: SweptArea) -> None:
     for clearance in (0.0, 0.5):
-        head_on = SURVEY.clear_m(sweep, np.array([2.0, 0.0, 0.0]), clearance)
+        head_on = SURVEY.clear_distance_m(sweep, np.array([2.0, 0.0, 0.0]), clearance)
         assert head_on == pytest.approx(10.0 - 0.1 - 5.5 - clearance, abs=0.03)
-        post = SURVEY.clear_m(sweep, np.array([0.0, 0.0, math.pi / 2]), clearance)
+        post = SURVEY.clear_distance_m(sweep, np.array([0.0, 0.0, math.pi / 2]), clearance)
         assert post == pytest.approx(8.0 - 0.3 - 3.5 - clearance, abs=0.03)
-    assert SURVEY.clear_m(sweep, np.array([2.0, 0.0, math.pi]), 0.0) == math.inf
-    assert SURVEY.clear_m(sweep, np.array([80.0, 0.0, 0.0]), 0.0) == math.inf
+    assert SURVEY.clear_distance_m(sweep, np.array([2.0, 0.0, math.pi]), 0.0) == math.inf
+    assert SURVEY.clear_distance_m(sweep, np.array([80.0, 0.0, 0.0]), 0.0) == math.inf
 
 
-def test_a_clear_way_is_free_of_the_fields_own_margin_beside(sweep: Sweep) -> None:
+def test_a_clear_way_is_free_of_the_fields_own_margin_beside(sweep: SweptArea) -> None:
     for y in around(8.0 - 0.3 - 3.05 - 0.2, 0.01):
-        way = SURVEY.clear_m(sweep, np.array([-6.0, y, 0.0]), 0.2)
+        way = SURVEY.clear_distance_m(sweep, np.array([-6.0, y, 0.0]), 0.2)
         assert math.isfinite(way) == (y >= 8.0 - 0.3 - 3.05 - 0.2 - 1e-9), y
 
 
 def test_only_discs_within_15_m_are_looked_at(vehicle: Vehicle, config: SafetyConfig) -> None:
     s = spaced(20.0, 0.4)
-    far = sweep_along(shape_of(vehicle, None), 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
-    alone = Survey(np.empty((0, 4)), 0.1, np.array([[0.0, 0.0, 0.3]]), SURVEY.roof)
+    far = sweep_along(footprint_of(vehicle, None), 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
+    alone = KnownStructure(np.empty((0, 4)), 0.1, np.array([[0.0, 0.0, 0.3]]), SURVEY.roof)
     for away in (14.9, 15.0, 15.1):
-        assert math.isfinite(alone.clear_m(far, np.array([-away, 0.0, 0.0]), 0.0)) == (away <= 15.0), away
+        assert math.isfinite(alone.clear_distance_m(far, np.array([-away, 0.0, 0.0]), 0.0)) == (away <= 15.0), away
 
 
 def test_a_shed_is_surveyed_as_it_is_configured() -> None:
@@ -94,12 +94,12 @@ def test_a_shed_is_surveyed_as_it_is_configured() -> None:
     posts = (Post(at_m=(6.0, 0.0), radius_m=0.12), Post(at_m=(3.0, 0.0), radius_m=0.2))
     outline = ((0.0, 0.0), (6.0, 0.0), (6.0, 8.0), (0.0, 8.0))
     shed = Shed(name="shed", height_m=4.0, outline_m=outline, walls_m=(corner,), wall_thickness_m=0.3, posts=posts)
-    found = surveyed(shed)
+    found = structure_of_shed(shed)
     assert found.walls.tolist() == [[0.0, 0.0, 0.0, 8.0], [0.0, 8.0, 6.0, 8.0]]
     assert found.half_thickness_m == pytest.approx(0.15)
     assert found.posts.tolist() == [[6.0, 0.0, 0.12], [3.0, 0.0, 0.2]]
     assert found.roof.tolist() == [list(corner) for corner in outline]
-    bare = surveyed(shed.model_copy(update={"walls_m": (), "posts": ()}))
+    bare = structure_of_shed(shed.model_copy(update={"walls_m": (), "posts": ()}))
     assert (bare.walls.shape, bare.posts.shape) == ((0, 4), (0, 3))
 
 

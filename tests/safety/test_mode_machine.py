@@ -14,21 +14,21 @@ from messages.plan import MissionState, MissionStatus, PathSectionType
 from safety.config import SafetyConfig
 from safety.mode_machine import ModeMachine, filter_permitted
 from safety.modes import Event
-from safety.monitors.fault_memory import Reports
+from safety.monitors.fault_memory import FaultMemory
 from safety.rules.arbitration import Decision, evaluate_rules
 from safety.rules.results import limit
 from safety.rules.situation import Situation
 from safety.stopping_distance import required_range
-from safety.zones.protective_field import Gap
+from safety.zones.protective_field import Clearance
 from tests.safety.safety_world import START_NS, around, machine_state, situation_of
 
 STANDING: dict[str, Any] = {"speed_mps": 0.0}
-FAULTY: dict[str, Any] = {"silent": ("imu",)}
+FAULTY: dict[str, Any] = {"timed_out_topics": ("imu",)}
 PRESSED = {"machine": machine_state(START_NS, is_emergency_button_pressed=True)}
 
 
 def near(main_m: float) -> dict[str, Any]:
-    return {"gap": Gap(main_m, math.inf, np.empty((0, 3)))}
+    return {"clearance": Clearance(main_m, math.inf, np.empty((0, 3)))}
 
 
 def mission(state: MissionState) -> MissionStatus:
@@ -39,8 +39,8 @@ class Bench:
     """A helm, and the moment it was last shown."""
 
     def __init__(self, config: SafetyConfig, is_held: bool = False) -> None:
-        self.config, self.reports, self.now_ns, self.sequence = config, Reports(), START_NS, 0
-        self.mode_machine = ModeMachine(config.modes, self.reports, is_held)
+        self.config, self.fault_memory, self.now_ns, self.sequence = config, FaultMemory(), START_NS, 0
+        self.mode_machine = ModeMachine(config.modes, self.fault_memory, is_held)
         self.situation: Situation = situation_of(config)
         self.decision: Decision = evaluate_rules(self.situation, frozenset())
 
@@ -71,7 +71,7 @@ class Bench:
 
     @property
     def clearance_m(self) -> float:
-        return self.mode_machine.braking_gap_m(self.situation, self.decision)
+        return self.mode_machine.braking_clearance_m(self.situation, self.decision)
 
 
 @pytest.fixture
@@ -182,7 +182,7 @@ def test_a_fault_is_kept_until_reset(bench: Bench) -> None:
     assert (bench.mode_machine.mode, bench.reason, bench.mode_machine.latched) == (Mode.STANDBY, "imu.silent", None)
     bench.driving()
     assert bench.show(**FAULTY) is Mode.FAULT_STOP
-    bench.show(**STANDING, brake_weak_s=0.0, silent=("odom",))
+    bench.show(**STANDING, brake_ineffective_s=0.0, timed_out_topics=("odom",))
     assert bench.reason == "imu.silent"  # what came first
     assert bench.show(OperatorCommandKind.RESET, **STANDING) is Mode.STANDBY
     assert (bench.reason, bench.mode_machine.latched) == ("standby", None)
@@ -200,7 +200,7 @@ def test_an_emergency_stop_is_told_by_what_began_it(bench: Bench) -> None:
 
 def test_manual_mode_is_told_by_the_hand_or_the_order(bench: Bench) -> None:
     bench.driving()
-    assert bench.show(hand_forced_s=2.0) is Mode.MANUAL
+    assert bench.show(driver_override_s=2.0) is Mode.MANUAL
     assert bench.reason == "driver_override"
     bench.show(OperatorCommandKind.AUTOMATIC, **STANDING)
     assert bench.show(OperatorCommandKind.MANUAL, **STANDING) is Mode.MANUAL
@@ -256,17 +256,17 @@ def test_a_start_that_waits_does_not_outlive_a_clock_step(bench: Bench) -> None:
     assert bench.show(**STANDING) is Mode.START_WARNING
 
 
-@pytest.mark.parametrize("stop", [FAULTY, PRESSED, {"hand_forced_s": 2.0}])
+@pytest.mark.parametrize("stop", [FAULTY, PRESSED, {"driver_override_s": 2.0}])
 def test_who_ends_a_stop_has_seen_the_faults_that_ended(bench: Bench, stop: dict[str, Any]) -> None:
     response = Response.CONTROLLED_STOP
     fault = Fault(0, "a", "part", Severity.ALARM, True, response, True, "broken", "kaputt")
-    bench.reports.take([fault, replace(fault, is_active=False)])
+    bench.fault_memory.update([fault, replace(fault, is_active=False)])
     bench.driving().show(OperatorCommandKind.PAUSE, **STANDING)
-    assert bench.reports.active == (fault,)
+    assert bench.fault_memory.active == (fault,)
     bench.driving().show(**stop)
-    assert bench.reports.active == (fault,)
+    assert bench.fault_memory.active == (fault,)
     assert bench.show(OperatorCommandKind.RESET, OperatorCommandKind.AUTOMATIC, **STANDING) is Mode.STANDBY
-    assert bench.reports.active == ()
+    assert bench.fault_memory.active == ()
 
 
 def test_held_it_stays_in_automatic_mode(config: SafetyConfig) -> None:

@@ -8,10 +8,10 @@ import pytest
 from messages.command import Mode, OperatorCommand, OperatorCommandKind, RuleResult
 from messages.faults import Fault, Response, Severity
 from safety.modes import PERSON, TRANSITIONS, Event, next_mode
-from safety.monitors.fault_memory import Reports
+from safety.monitors.fault_memory import FaultMemory
 from safety.monitors.operator_commands import Orders
-from safety.monitors.timers import Held, Window
-from safety.monitors.watchdog import Age, age_of, silent
+from safety.monitors.timers import DebounceTimer, RecentRange
+from safety.monitors.watchdog import TopicAge, age_of, timed_out_topics
 from safety.output.alarms import Alarms, german
 from tests.safety.safety_world import START_NS, around
 
@@ -161,7 +161,7 @@ FINE, LATE, STALE = 0.01, 0.08, 0.2
 def blamed(**ages_s: float) -> tuple[str, ...]:
     sensors = ("machine", "imu", "wheel", "lidar/rear", "lidar/front", "health/lidar_front")
     order_of = (*sensors, "odom", "map_pose", "tracks", "control_command")
-    return silent([Age(topic, ages_s.get(topic.replace("/", "_"), FINE), 0.1) for topic in order_of])
+    return timed_out_topics([TopicAge(topic, ages_s.get(topic.replace("/", "_"), FINE), 0.1) for topic in order_of])
 
 
 def test_the_cause_is_blamed() -> None:
@@ -188,19 +188,19 @@ def fault(code: str, is_active: bool = True, is_latched: bool = False) -> Fault:
 
 
 def test_reports_begin_end_and_stay() -> None:
-    reports = Reports()
-    reports.take([fault("a"), fault("b", is_latched=True), fault("c", is_active=False)])
-    assert [f.code for f in reports.active] == ["a", "b"]
-    reports.reset()
-    assert len(reports.active) == 2
-    reports.take([fault("a", False), fault("b", False, True)])
-    assert [f.code for f in reports.active] == ["b"]
-    reports.take([fault("b", True, True)])
-    reports.reset()
-    assert [f.code for f in reports.active] == ["b"]
-    reports.take([fault("b", False, True)])
-    reports.reset()
-    assert reports.active == ()
+    fault_memory = FaultMemory()
+    fault_memory.update([fault("a"), fault("b", is_latched=True), fault("c", is_active=False)])
+    assert [f.code for f in fault_memory.active] == ["a", "b"]
+    fault_memory.reset()
+    assert len(fault_memory.active) == 2
+    fault_memory.update([fault("a", False), fault("b", False, True)])
+    assert [f.code for f in fault_memory.active] == ["b"]
+    fault_memory.update([fault("b", True, True)])
+    fault_memory.reset()
+    assert [f.code for f in fault_memory.active] == ["b"]
+    fault_memory.update([fault("b", False, True)])
+    fault_memory.reset()
+    assert fault_memory.active == ()
 
 
 def result(code: str, response: Response = Response.CONTROLLED_STOP) -> RuleResult:
@@ -236,13 +236,13 @@ def test_german_texts() -> None:
 
 
 def test_held_and_window() -> None:
-    held = Held()
+    held = DebounceTimer()
     assert not held.is_held
     assert [held.update(k * 10**9, k >= 2) for k in range(5)] == [0.0, 0.0, 0.0, 1.0, 2.0]
     assert held.is_held
     assert held.update(1, True) == 0.0  # the clock went back: counted anew
     assert held.update(2, False) == 0.0
-    window = Window(1.0)
+    window = RecentRange(1.0)
     assert window.distance(3.0) == 0.0
     for k in range(5):
         window.add(k * 10**9, float(k))

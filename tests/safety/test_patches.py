@@ -8,8 +8,18 @@ import pytest
 from configs.vehicle import TrailedImplement, Vehicle
 from safety.config import FieldConfig, SafetyConfig
 from safety.pose_history import to_frame
-from safety.sources.ground_filter import Box, Motion, bend, deskew, is_own, patch_ground, raised, to_base, within
-from safety.zones.footprint import shape_of
+from safety.sources.ground_filter import (
+    Box,
+    Motion,
+    bound_ground,
+    crop,
+    deskew,
+    estimate_ground,
+    is_own,
+    mark_obstacles,
+    to_base,
+)
+from safety.zones.footprint import footprint_of
 
 AREA = Box((-4.0, 20.0), (-7.0, 5.0))
 
@@ -48,7 +58,7 @@ def test_within_is_inside_the_box_and_below_the_top() -> None:
     inside = [(0.0, 0.0, 1.0), (19.9, 4.9, 2.9), (-3.9, -6.9, -9.0)]
     outside = [(-4.0, 0.0, 1.0), (20.0, 0.0, 1.0), (0.0, -7.0, 1.0), (0.0, 5.0, 1.0), (0.0, 0.0, 3.0)]
     points = np.array(outside + inside, np.float32).T
-    assert within(points, AREA, 3.0).tolist() == [5, 6, 7]
+    assert crop(points, AREA, 3.0).tolist() == [5, 6, 7]
 
 
 def test_the_ground_of_a_patch_is_its_so_many_th_lowest_return() -> None:
@@ -63,7 +73,7 @@ def test_the_ground_of_a_patch_is_its_so_many_th_lowest_return() -> None:
         (1, 0.1, [0.0, 0.0, math.inf, -2.0, 0.0]),
         (1, 0.101, [0.0, 0.0, math.inf, -2.0, 0.1]),
     ):
-        assert patch_ground(patch, z, 5, order, share) == pytest.approx(np.array(expected)), (order, share)
+        assert estimate_ground(patch, z, 5, order, share) == pytest.approx(np.array(expected)), (order, share)
 
 
 def test_ground_is_believed_as_far_as_it_can_bend(config: SafetyConfig) -> None:
@@ -73,7 +83,7 @@ def test_ground_is_believed_as_far_as_it_can_bend(config: SafetyConfig) -> None:
         (0.0, (0.0, 0.0, 0.0, 0.0)), (-0.1, (0.0, 0.0, 0.0, 0.0)), (-0.2, (0.0, -0.1, -0.1, -0.1)),
         (-9.0, (0.0, -0.16, -0.4, -3.84)),
     ):  # fmt: skip
-        assert bend(np.full(4, ground), far, config.field) == pytest.approx(np.array(expected)), ground
+        assert bound_ground(np.full(4, ground), far, config.field) == pytest.approx(np.array(expected)), ground
 
 
 def limits_of(xyz: np.ndarray, box: Box, field: FieldConfig) -> np.ndarray:
@@ -94,8 +104,8 @@ def limits_of(xyz: np.ndarray, box: Box, field: FieldConfig) -> np.ndarray:
         lowest = some[order - 1] if len(some) >= field.ground_returns else math.inf
         ground = 0.05 * math.floor(lowest / 0.05) if math.isfinite(lowest) else math.inf
         away = math.hypot((own[0] + 0.5) * size - 1.3, (own[1] + 0.5) * size)
-        lift = float(bend(np.array([ground]), np.array([away]), field)[0])
-        limits.append(lift + field.lowest_m + field.lowest_per_m * math.hypot(x, y))
+        lift = float(bound_ground(np.array([ground]), np.array([away]), field)[0])
+        limits.append(lift + field.min_height_m + field.min_height_slope * math.hypot(x, y))
     return np.array(limits)
 
 
@@ -111,7 +121,7 @@ def test_returns_stand_out_from_the_ground_of_their_patch(config: SafetyConfig, 
     limits = limits_of(xyz.astype(np.float64), box, field)
     is_clear = np.abs(xyz[2] - limits) > 1e-4
     assert is_clear.sum() > 880
-    assert (raised(xyz, box, field) == (xyz[2] > limits))[is_clear].all()
+    assert (mark_obstacles(xyz, box, field) == (xyz[2] > limits))[is_clear].all()
 
 
 def test_the_own_trailer_is_masked_where_the_bend_puts_it(vehicle: Vehicle) -> None:
@@ -119,13 +129,13 @@ def test_the_own_trailer_is_masked_where_the_bend_puts_it(vehicle: Vehicle) -> N
         kind="trailed", name="wagon", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
         hitch_m=-1.2, axle_length_m=4.0, working_length_m=4.0, total_length_m=5.5,
     )  # fmt: skip
-    shape = shape_of(vehicle, wagon)
+    footprint = footprint_of(vehicle, wagon)
     yaw = math.atan(0.2 * -1.2) - math.asin(4.0 * 0.2 * math.cos(math.atan(0.2 * -1.2)))
     hitch = np.array([-1.2, 0.0, yaw])
     for x, y, is_on in ((-5.6, 0.0, True), (-5.61, 0.0, False), (-3.0, 1.6, True), (-3.0, 1.61, False),
                         (-3.0, -1.6, True), (-3.0, -1.61, False), (-5.5, 1.5, True)):  # fmt: skip
         inner = np.array([[x + (1e-6 if is_on else 0.0), y - math.copysign(1e-6, y) if is_on else y]])
         point = to_frame(hitch, inner)[0]
-        assert is_own(np.array([[point[0]], [point[1]], [1.0]]), shape, 0.2, 0.1)[0] == is_on, (x, y)
-    assert is_own(np.array([[0.0], [0.0], [1.0]]), shape, 0.2, 0.1)[0]
-    assert not is_own(np.array([[-3.0], [3.0], [1.0]]), shape_of(vehicle, None), 0.2, 0.1)[0]
+        assert is_own(np.array([[point[0]], [point[1]], [1.0]]), footprint, 0.2, 0.1)[0] == is_on, (x, y)
+    assert is_own(np.array([[0.0], [0.0], [1.0]]), footprint, 0.2, 0.1)[0]
+    assert not is_own(np.array([[-3.0], [3.0], [1.0]]), footprint_of(vehicle, None), 0.2, 0.1)[0]

@@ -13,9 +13,9 @@ from messages.perception import ObstacleClass, Track, Tracks
 from messages.sensors import RadarScan, UltrasonicRange
 from safety.config import SafetyConfig
 from safety.pose_history import to_frame
-from safety.sources.radar import RadarEye, confirmed, is_same, seen_in
-from safety.sources.ultrasonic import Ear, arc_of, ground_m, is_answered, is_beyond
-from safety.zones.footprint import Shape, shape_of
+from safety.sources.radar import RadarSource, confirmed, is_same, seen_in
+from safety.sources.ultrasonic import UltrasonicSource, arc_of, ground_m, is_beyond, is_confirmed_by_track
+from safety.zones.footprint import Footprint, footprint_of
 from tests.safety.safety_world import START_NS
 
 STILL = Odometry(START_NS, np.eye(4), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
@@ -30,20 +30,22 @@ def turned(roll_deg: float = 0.0, pitch_deg: float = 0.0, yaw_deg: float = 0.0) 
 
 def listen(
     config: SafetyConfig, ranges: list[float], speeds: Any = 0.0, every_ns: int = 100_000_000, **how: Any
-) -> Ear:
-    ear = Ear("left", how.get("sensor", SENSOR), config.ultrasonic)
+) -> UltrasonicSource:
+    source = UltrasonicSource("left", how.get("sensor", SENSOR), config.ultrasonic)
     for k, (range_m, speed) in enumerate(zip(ranges, np.broadcast_to(speeds, len(ranges)), strict=True)):
-        ear.take(UltrasonicRange(START_NS + k * every_ns, range_m), np.zeros(3), replace(STILL, speed_mps=float(speed)))
-    return ear
+        source.update(
+            UltrasonicRange(START_NS + k * every_ns, range_m), np.zeros(3), replace(STILL, speed_mps=float(speed))
+        )
+    return source
 
 
 def is_heard(config: SafetyConfig, ranges: list[float], *args: Any, **how: Any) -> bool:
-    return len(listen(config, ranges, *args, **how).arc_odom_m) > 0
+    return len(listen(config, ranges, *args, **how).echo_arc_odom_m) > 0
 
 
 def test_an_ear_begins_with_nothing(config: SafetyConfig) -> None:
-    ear = listen(config, [])
-    assert (ear.name, ear.stamp_ns, ear.arc_odom_m.shape) == ("left", None, (0, 2))
+    source = listen(config, [])
+    assert (source.name, source.stamp_ns, source.echo_arc_odom_m.shape) == ("left", None, (0, 2))
     assert listen(config, [1.0, 1.0]).stamp_ns == START_NS + 100_000_000
 
 
@@ -56,7 +58,7 @@ def test_echoes_count_from_the_dead_zone_to_the_reach(config: SafetyConfig) -> N
 
 
 def test_an_echo_fits_what_is_no_faster_than_a_walker(config: SafetyConfig) -> None:
-    most = config.ultrasonic.gate_m + 0.1 * config.ultrasonic.fastest_mps
+    most = config.ultrasonic.gate_m + 0.1 * config.ultrasonic.max_object_speed_mps
     for side in (1, -1):
         for further, fits in ((-1e-6, True), (1e-6, False)):
             assert is_heard(config, [2.0, 2.0, 2.0 + side * (most + further)]) == fits, (side, further)
@@ -76,13 +78,13 @@ def test_the_window_holds_five_measurements(config: SafetyConfig) -> None:
 def test_what_was_heard_is_kept_for_a_moment_and_in_the_dead_zone_for_long(config: SafetyConfig) -> None:
     for range_m, hold_ns in ((1.0, 500_000_000), (0.4, 10_000_000_000), (0.401, 500_000_000)):
         for later_ns, is_kept in ((0, True), (1000, False)):
-            ear = listen(config, [range_m] * 3)
+            source = listen(config, [range_m] * 3)
             heard_ns = START_NS + 200_000_000
-            ear.take(UltrasonicRange(heard_ns + hold_ns + later_ns, NONE), np.zeros(3), STILL)
-            assert (len(ear.arc_odom_m) > 0) == is_kept, (range_m, later_ns)
-            assert ear.arc_odom_m.shape[1] == 2
-    ear.take(UltrasonicRange(heard_ns + hold_ns + 1_000_000_000, NONE), np.zeros(3), STILL)
-    assert ear.arc_odom_m.shape == (0, 2)
+            source.update(UltrasonicRange(heard_ns + hold_ns + later_ns, NONE), np.zeros(3), STILL)
+            assert (len(source.echo_arc_odom_m) > 0) == is_kept, (range_m, later_ns)
+            assert source.echo_arc_odom_m.shape[1] == 2
+    source.update(UltrasonicRange(heard_ns + hold_ns + 1_000_000_000, NONE), np.zeros(3), STILL)
+    assert source.echo_arc_odom_m.shape == (0, 2)
 
 
 def test_what_the_machine_came_to_or_left_is_kept_by_where_it_is_now(config: SafetyConfig) -> None:
@@ -94,10 +96,10 @@ def test_what_the_machine_came_to_or_left_is_kept_by_where_it_is_now(config: Saf
 
 
 def test_speed_along_the_axis(config: SafetyConfig) -> None:
-    ear = Ear("left", turned(yaw_deg=30.0), config.ultrasonic)
+    source = UltrasonicSource("left", turned(yaw_deg=30.0), config.ultrasonic)
     odom = replace(STILL, speed_mps=2.0, lateral_mps=0.1, yaw_rate_radps=0.3)
     expected = math.cos(math.pi / 6) * (2.0 - 0.3 * 0.6) + math.sin(math.pi / 6) * (0.1 + 0.3 * 3.5)
-    assert ear._axis_mps(odom) == pytest.approx(expected)
+    assert source._axis_mps(odom) == pytest.approx(expected)
 
 
 def test_the_arc_lies_across_the_cone() -> None:
@@ -110,10 +112,10 @@ def test_the_arc_lies_across_the_cone() -> None:
 
 
 def test_the_arc_is_put_where_the_machine_was(config: SafetyConfig) -> None:
-    ear = listen(config, [2.0, 2.0])
+    source = listen(config, [2.0, 2.0])
     pose = np.array([5.0, -2.0, 0.7])
-    ear.take(UltrasonicRange(START_NS + 200_000_000, 2.1), pose, STILL)
-    assert ear.arc_odom_m == pytest.approx(to_frame(pose, arc_of(2.1, SENSOR, SENSOR.mount.T_base_sensor)))
+    source.update(UltrasonicRange(START_NS + 200_000_000, 2.1), pose, STILL)
+    assert source.echo_arc_odom_m == pytest.approx(to_frame(pose, arc_of(2.1, SENSOR, SENSOR.mount.T_base_sensor)))
 
 
 def test_an_axis_that_hardly_falls_meets_no_ground() -> None:
@@ -142,9 +144,13 @@ def test_a_track_answers_whose_box_and_margin_hold_some_of_the_arc(size: tuple[f
     ):  # fmt: skip
         along, across = a * (0.5 * size[0] + margin), b * (0.5 * size[1] + margin)
         x, y = 3.0 - (c * along - s * across), 1.0 - (s * along + c * across)
-        assert is_answered(ARC[2:], Tracks(START_NS, (track(x, y, size, yaw),)), 0.3) == answers, (a, b, margin)
+        assert is_confirmed_by_track(ARC[2:], Tracks(START_NS, (track(x, y, size, yaw),)), 0.3) == answers, (
+            a,
+            b,
+            margin,
+        )
     beside = track(3.0 + s * (0.5 * size[1] + 0.299), 1.0 - c * (0.5 * size[1] + 0.299), size, yaw)
-    assert is_answered(ARC, Tracks(START_NS, (beside,)), 0.3)
+    assert is_confirmed_by_track(ARC, Tracks(START_NS, (beside,)), 0.3)
 
 
 def test_a_track_that_does_not_answer_hides_none_that_does() -> None:
@@ -152,9 +158,9 @@ def test_a_track_that_does_not_answer_hides_none_that_does() -> None:
     wide = replace(answers, size_m=np.array([1.1, 1.1, 0.5]))
     others = (away, replace(answers, is_confirmed=False), wide, track(3.0, 2.0, (0.2, 0.2)),
               replace(answers, sensors=("ultrasonic_left", "camera_front")))  # fmt: skip
-    assert not is_answered(ARC, Tracks(START_NS, others), 0.3)
-    assert is_answered(ARC, Tracks(START_NS, (*others, answers)), 0.3)
-    assert not is_answered(ARC, None, 0.3)
+    assert not is_confirmed_by_track(ARC, Tracks(START_NS, others), 0.3)
+    assert is_confirmed_by_track(ARC, Tracks(START_NS, (*others, answers)), 0.3)
+    assert not is_confirmed_by_track(ARC, None, 0.3)
 
 
 def test_beyond_is_farther_than_the_reach_and_the_box() -> None:
@@ -234,25 +240,27 @@ def test_places_seen_in_enough_cycles_are_confirmed_by_their_mean(config: Safety
 
 
 @pytest.fixture
-def shape(vehicle: Vehicle) -> Shape:
-    return shape_of(vehicle, None)
+def footprint(vehicle: Vehicle) -> Footprint:
+    return footprint_of(vehicle, None)
 
 
-def take(config: SafetyConfig, shape: Shape, scans: list[RadarScan], pose: Any = (0.0, 0.0, 0.0)) -> RadarEye:
-    eye = RadarEye("front", AHEAD, (0.25, 3.2), 0.15, config.radar)
+def take(
+    config: SafetyConfig, footprint: Footprint, scans: list[RadarScan], pose: Any = (0.0, 0.0, 0.0)
+) -> RadarSource:
+    source = RadarSource("front", AHEAD, (0.25, 3.2), 0.15, config.radar)
     for one in scans:
-        eye.take(one, np.array(pose), STILL, shape)
-    return eye
+        source.update(one, np.array(pose), STILL, footprint)
+    return source
 
 
 def again(row: Row, count: int = 5, every_ns: int = 50_000_000) -> list[RadarScan]:
     return [scan(row, stamp_ns=START_NS + k * every_ns) for k in range(count)]
 
 
-def test_a_radar_begins_with_nothing(config: SafetyConfig, shape: Shape) -> None:
-    eye = take(config, shape, [])
-    assert (eye.name, eye.stamp_ns, eye.hits.shape, eye.is_frozen) == ("front", None, (0, 4), False)
-    assert take(config, shape, again((8.0, 0.0, 0.0, 0.0, 5.0))).stamp_ns == START_NS + 200_000_000
+def test_a_radar_begins_with_nothing(config: SafetyConfig, footprint: Footprint) -> None:
+    source = take(config, footprint, [])
+    assert (source.name, source.stamp_ns, source.hits.shape, source.is_frozen) == ("front", None, (0, 4), False)
+    assert take(config, footprint, again((8.0, 0.0, 0.0, 0.0, 5.0))).stamp_ns == START_NS + 200_000_000
 
 
 @pytest.mark.parametrize(("row", "counts"), [
@@ -267,18 +275,18 @@ def test_a_radar_begins_with_nothing(config: SafetyConfig, shape: Shape) -> None
     ((0.5, 0.0, 0.0, 0.0, 5.0), True), ((0.51, 1.04, 0.0, 0.0, 5.0), True),
 ])  # fmt: skip
 def test_a_detection_counts_by_strength_range_and_height(
-    config: SafetyConfig, shape: Shape, row: Row, counts: bool
+    config: SafetyConfig, footprint: Footprint, row: Row, counts: bool
 ) -> None:
-    assert (len(take(config, shape, again(row)).hits) > 0) == counts
+    assert (len(take(config, footprint, again(row)).hits) > 0) == counts
 
 
-def test_a_detection_of_the_machine_itself_does_not_count(config: SafetyConfig, shape: Shape) -> None:
+def test_a_detection_of_the_machine_itself_does_not_count(config: SafetyConfig, footprint: Footprint) -> None:
     inward = AHEAD.model_copy(update={"mount": Mount(xyz_m=(3.0, 0.0, 0.7))})
     for range_m, counts in ((0.64, False), (0.66, True)):
-        eye = RadarEye("front", inward, (0.25, 3.2), 0.15, config.radar)
+        source = RadarSource("front", inward, (0.25, 3.2), 0.15, config.radar)
         for one in again((range_m, 0.0, 0.0, 0.0, 5.0)):
-            eye.take(one, np.zeros(3), STILL, shape)
-        assert (len(eye.hits) > 0) == counts, range_m
+            source.update(one, np.zeros(3), STILL, footprint)
+        assert (len(source.hits) > 0) == counts, range_m
 
 
 def test_nor_does_one_of_the_trailer_that_it_pulls(config: SafetyConfig, vehicle: Vehicle) -> None:
@@ -288,40 +296,40 @@ def test_nor_does_one_of_the_trailer_that_it_pulls(config: SafetyConfig, vehicle
     )  # fmt: skip
     back = AHEAD.model_copy(update={"mount": Mount(xyz_m=(-1.3, 0.0, 0.7), rpy_deg=(0.0, 0.0, 180.0))})
     for curvature, counts in ((0.0, False), (0.2, True)):
-        eye = RadarEye("rear", back, (0.25, 3.2), 0.15, config.radar)
+        source = RadarSource("rear", back, (0.25, 3.2), 0.15, config.radar)
         for one in again((5.0, -0.2, 0.0, 0.0, 5.0)):
-            eye.take(one, np.zeros(3), replace(STILL, curvature_radpm=curvature), shape_of(vehicle, wagon))
-        assert (len(eye.hits) > 0) == counts, curvature
+            source.update(one, np.zeros(3), replace(STILL, curvature_radpm=curvature), footprint_of(vehicle, wagon))
+        assert (len(source.hits) > 0) == counts, curvature
 
 
-def test_heights_at_the_limits_count(config: SafetyConfig, shape: Shape) -> None:
+def test_heights_at_the_limits_count(config: SafetyConfig, footprint: Footprint) -> None:
     for height, counts in (((0.7, 3.2), True), ((0.25, 0.7), True), ((0.71, 3.2), False), ((0.25, 0.69), False)):
-        eye = RadarEye("front", AHEAD, height, 0.15, config.radar)
+        source = RadarSource("front", AHEAD, height, 0.15, config.radar)
         for one in again((8.0, 0.0, 0.0, 0.0, 5.0)):
-            eye.take(one, np.zeros(3), STILL, shape)
-        assert (len(eye.hits) > 0) == counts, height
+            source.update(one, np.zeros(3), STILL, footprint)
+        assert (len(source.hits) > 0) == counts, height
 
 
-def test_hits_lie_in_odom_with_the_deviation_of_their_bearing(config: SafetyConfig, shape: Shape) -> None:
-    hits = take(config, shape, again((10.0, 0.3, 0.1, 0.0, 5.0)), (5.0, -2.0, 0.7)).hits
+def test_hits_lie_in_odom_with_the_deviation_of_their_bearing(config: SafetyConfig, footprint: Footprint) -> None:
+    hits = take(config, footprint, again((10.0, 0.3, 0.1, 0.0, 5.0)), (5.0, -2.0, 0.7)).hits
     flat = 10.0 * math.cos(0.1)
     place = to_frame(np.array([5.0, -2.0, 0.7]), np.array([[3.5 + flat * math.cos(0.3), flat * math.sin(0.3)]]))[0]
     sigma = math.radians(1.0) * flat / math.sqrt(5.0)
     assert hits == pytest.approx(np.array([(*place, 0.7 + 10.0 * math.sin(0.1), sigma)] * 5))
 
 
-def test_cycles_are_remembered_for_a_time_and_a_number(config: SafetyConfig, shape: Shape) -> None:
+def test_cycles_are_remembered_for_a_time_and_a_number(config: SafetyConfig, footprint: Footprint) -> None:
     there = (8.0, 0.0, 0.0, 0.0, 5.0)
     for last_ns, counts in ((400_000_000, True), (400_001_000, False)):
         cycles = [*again(there, 4, 100_000_000), scan(there, stamp_ns=START_NS + last_ns)]
-        assert (len(take(config, shape, cycles).hits) > 0) == counts, last_ns
+        assert (len(take(config, footprint, cycles).hits) > 0) == counts, last_ns
     for empty, counts in ((3, True), (4, False)):
         gone = [scan(stamp_ns=START_NS + 50_000_000 + k * 1_000_000) for k in range(empty)]
-        assert (len(take(config, shape, [*again(there, 5, 1_000_000), *gone]).hits) > 0) == counts, empty
+        assert (len(take(config, footprint, [*again(there, 5, 1_000_000), *gone]).hits) > 0) == counts, empty
 
 
-def test_a_radar_is_frozen_after_five_repetitions_until_it_changes(config: SafetyConfig, shape: Shape) -> None:
+def test_a_radar_is_frozen_after_five_repetitions_until_it_changes(config: SafetyConfig, footprint: Footprint) -> None:
     for count, is_frozen in ((5, False), (6, True), (9, True)):
-        assert take(config, shape, again((8.0, 0.0, 0.0, 0.0, 5.0), count)).is_frozen == is_frozen, count
+        assert take(config, footprint, again((8.0, 0.0, 0.0, 0.0, 5.0), count)).is_frozen == is_frozen, count
     others = [*again((8.0, 0.0, 0.0, 0.0, 5.0), 6), *again((9.0, 0.0, 0.0, 0.0, 5.0), 5)]
-    assert not take(config, shape, others).is_frozen
+    assert not take(config, footprint, others).is_frozen

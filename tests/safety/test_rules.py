@@ -12,12 +12,12 @@ from messages.motion import PositionSource
 from messages.perception import ObstacleClass
 from safety.config import SafetyConfig
 from safety.monitors.brake_test import Phase
-from safety.monitors.sensors import Lost
+from safety.monitors.sensors import SensorFailure
 from safety.rules import RULES
 from safety.rules.arbitration import allowance_m, evaluate_rules
 from safety.stopping_distance import highest_speed, stopping_distance
-from safety.zones.protective_field import Gap
-from safety.zones.tracked_obstacles import Threat
+from safety.zones.protective_field import Clearance
+from safety.zones.tracked_obstacles import CriticalObject
 from tests.safety.safety_world import START_NS, around, machine_state, situation_of
 
 NONE, LIMIT, STOP, EMERGENCY = Response.NONE, Response.LIMIT, Response.CONTROLLED_STOP, Response.EMERGENCY_STOP
@@ -94,10 +94,10 @@ def test_hand_on_the_wheel(config: SafetyConfig, sign: int) -> None:
             ask("driver_override", config, **with_machine(driver_angle_rad=sign * math.radians(angle)))[0] is expected
         ), angle
     for forced in around(1.0, 0.02):
-        assert ask("driver_override", config, hand_forced_s=forced)[0] is (STOP if forced > 1.0 else NONE), forced
+        assert ask("driver_override", config, driver_override_s=forced)[0] is (STOP if forced > 1.0 else NONE), forced
     assert ask("driver_override", config, **with_machine(driver_rate_radps=math.nan))[:2] == (STOP, "driver_override")
     assert ask("driver_override", config, **with_machine(driver_angle_rad=math.nan))[:2] == (STOP, "driver_override")
-    assert ask("driver_override", config, hand_forced_s=2.0)[:2] == (STOP, "driver_override")
+    assert ask("driver_override", config, driver_override_s=2.0)[:2] == (STOP, "driver_override")
 
 
 def fault(response: Response, code: str = "x.y") -> Fault:
@@ -113,15 +113,19 @@ def test_reported_faults(config: SafetyConfig, response: Response) -> None:
 
 
 def test_silence(config: SafetyConfig) -> None:
-    assert ask("message_timeout", config, silent=("imu", "odom"))[:2] == (STOP, "imu.silent")
-    assert ask("message_timeout", config, silent=("control_command",))[:2] == (STOP, "control_command.silent")
-    assert ask("message_timeout", config, silent=("control_command",), speed_mps=0.0) == (
+    assert ask("message_timeout", config, timed_out_topics=("imu", "odom"))[:2] == (STOP, "imu.silent")
+    assert ask("message_timeout", config, timed_out_topics=("control_command",))[:2] == (STOP, "control_command.silent")
+    assert ask("message_timeout", config, timed_out_topics=("control_command",), speed_mps=0.0) == (
         LIMIT,
         "control_command.silent",
         0.0,
     )
-    assert ask("message_timeout", config, silent=("mission",))[:2] == (STOP, "mission.silent")
-    assert ask("message_timeout", config, silent=("mission",), speed_mps=0.0) == (LIMIT, "mission.silent", 0.0)
+    assert ask("message_timeout", config, timed_out_topics=("mission",))[:2] == (STOP, "mission.silent")
+    assert ask("message_timeout", config, timed_out_topics=("mission",), speed_mps=0.0) == (
+        LIMIT,
+        "mission.silent",
+        0.0,
+    )
     assert ask("message_timeout", config, frozen=("lidar/front",))[:2] == (STOP, "lidar/front.frozen")
     assert ask("message_timeout", config, machine=None)[0] is NONE
     assert ask("message_timeout", config, odom=None)[:2] == (STOP, "odom.invalid")
@@ -151,15 +155,21 @@ def test_supply(config: SafetyConfig) -> None:
 def test_steering(config: SafetyConfig) -> None:
     for held in around(0.4, 0.02):
         expected = (STOP, "steering.not_following") if held > 0.4 else (NONE, "steering")
-        assert ask("steering", config, steering_off_s=held)[:2] == expected, held
+        assert ask("steering", config, steering_deviation_s=held)[:2] == expected, held
         expected = (STOP if held > 0.4 else LIMIT, "steering.not_ready")
-        assert ask("steering", config, steering_lost_s=held, **with_machine(is_steering_ready=False))[:2] == expected
+        assert (
+            ask("steering", config, steering_unavailable_s=held, **with_machine(is_steering_ready=False))[:2]
+            == expected
+        )
     assert ask("steering", config, **with_machine(is_steering_ready=False)) == (LIMIT, "steering.not_ready", 0.0)
 
 
 def test_brake(config: SafetyConfig) -> None:
     for held in around(0.8, 0.02):
-        assert ask("brake", config, brake_weak_s=held)[:2] == (EMERGENCY if held > 0.8 else NONE, "brake.weak"), held
+        assert ask("brake", config, brake_ineffective_s=held)[:2] == (
+            EMERGENCY if held > 0.8 else NONE,
+            "brake.weak",
+        ), held
     for phase in (Phase.CREEP, Phase.BRAKE, Phase.FAILED):
         assert ask("brake", config, brake_test=phase)[1].startswith("brake.test"), phase
 
@@ -182,8 +192,8 @@ def test_localization(config: SafetyConfig) -> None:
         assert ask("localization", config, pose=bad)[0] is STOP, bad
     for bad in ({"is_initialized": False}, {"source": PositionSource.NONE}):
         assert ask("localization", config, pose=bad)[1] == "localization.none"
-    lost = ask("localization", config, is_under_roof=True, pose={"uwb_age_s": 9.0})
-    assert lost[:2] == (STOP, "localization.uwb_lost")
+    sensor_failures = ask("localization", config, is_under_roof=True, pose={"uwb_age_s": 9.0})
+    assert sensor_failures[:2] == (STOP, "localization.uwb_lost")
     shed = {"gnss_age_s": 500.0, "source": PositionSource.UWB}
     assert ask("localization", config, pose=shed)[0] is NONE
 
@@ -201,67 +211,83 @@ def test_tilt(config: SafetyConfig, axis: str, sign: int) -> None:
 
 
 def test_fence(config: SafetyConfig) -> None:
-    assert ask("geofence", config, fence_m=None) == (LIMIT, "geofence.unknown", 0.0)
-    assert ask("geofence", config, fence_m=-1.0)[:2] == (STOP, "geofence.outside")
-    assert ask("geofence", config, fence_m=0.0) == (LIMIT, "geofence", 0.0)
-    margin = config.limits.fence_margin_m
+    assert ask("geofence", config, geofence_distance_m=None) == (LIMIT, "geofence.unknown", 0.0)
+    assert ask("geofence", config, geofence_distance_m=-1.0)[:2] == (STOP, "geofence.outside")
+    assert ask("geofence", config, geofence_distance_m=0.0) == (LIMIT, "geofence", 0.0)
+    margin = config.limits.geofence_margin_m
     for way in around(margin, 0.008):
-        response, _, limit = ask("geofence", config, fence_m=way)
+        response, _, limit = ask("geofence", config, geofence_distance_m=way)
         assert response is LIMIT
         assert (limit > 0.0) == (way > margin), way
-    speeds = [ask("geofence", config, fence_m=way)[2] for way in (0.5, 1.0, 3.0, 9.0)]
+    speeds = [ask("geofence", config, geofence_distance_m=way)[2] for way in (0.5, 1.0, 3.0, 9.0)]
     assert speeds == sorted(speeds)
 
 
-def gap(main: float, arc: float = math.inf) -> dict[str, Any]:
-    return {"gap": Gap(main, arc, np.zeros((1, 3)))}
+def clearance(main: float, arc: float = math.inf) -> dict[str, Any]:
+    return {"clearance": Clearance(main, arc, np.zeros((1, 3)))}
 
 
 def test_obstacle(config: SafetyConfig) -> None:
-    assert ask("protective_field", config, gap=None) == (LIMIT, "protective_field.no_scan", 0.0)
+    assert ask("protective_field", config, clearance=None) == (LIMIT, "protective_field.no_scan", 0.0)
     stopping = stopping_distance(2.0, config.braking.flat)
     for main in around(stopping, 0.01):
         expected = STOP if main < stopping else LIMIT
-        assert ask("protective_field", config, **gap(main))[0] is expected, main
-        assert ask("protective_field", config, **gap(math.inf, main))[0] is expected, main
-    assert ask("protective_field", config, **gap(1.0))[1] == "protective_field"
-    assert ask("protective_field", config, speed_mps=0.0, **gap(0.5)) == (LIMIT, "protective_field", 0.0)
+        assert ask("protective_field", config, **clearance(main))[0] is expected, main
+        assert ask("protective_field", config, **clearance(math.inf, main))[0] is expected, main
+    assert ask("protective_field", config, **clearance(1.0))[1] == "protective_field"
+    assert ask("protective_field", config, speed_mps=0.0, **clearance(0.5)) == (LIMIT, "protective_field", 0.0)
     for main in around(2.1, 0.02):
-        assert (ask("protective_field", config, speed_mps=0.0, **gap(main))[2] > 0.0) == (main > 2.1), main
-    assert 0.0 < ask("protective_field", config, **gap(20.0, 4.0))[2] < ask("protective_field", config, **gap(20.0))[2]
+        assert (ask("protective_field", config, speed_mps=0.0, **clearance(main))[2] > 0.0) == (main > 2.1), main
+    assert (
+        0.0
+        < ask("protective_field", config, **clearance(20.0, 4.0))[2]
+        < ask("protective_field", config, **clearance(20.0))[2]
+    )
 
 
 def test_tracked(config: SafetyConfig) -> None:
     stopping = stopping_distance(2.0, config.braking.flat)
     for away in around(stopping, 0.01):
         expected = STOP if away < stopping else LIMIT
-        assert ask("tracked_obstacle", config, threat=Threat(away, ObstacleClass.PERSON, 3))[0] is expected, away
-    assert ask("tracked_obstacle", config, threat=Threat(1.0, ObstacleClass.PERSON, 3))[:2] == (
+        assert (
+            ask("tracked_obstacle", config, critical_object=CriticalObject(away, ObstacleClass.PERSON, 3))[0]
+            is expected
+        ), away
+    assert ask("tracked_obstacle", config, critical_object=CriticalObject(1.0, ObstacleClass.PERSON, 3))[:2] == (
         STOP,
         "tracked_obstacle",
     )
-    standing = ask("tracked_obstacle", config, speed_mps=0.0, threat=Threat(0.5, ObstacleClass.PERSON, 3))
+    standing = ask(
+        "tracked_obstacle", config, speed_mps=0.0, critical_object=CriticalObject(0.5, ObstacleClass.PERSON, 3)
+    )
     assert standing == (LIMIT, "tracked_obstacle", 0.0)
 
 
 def test_proven_range(config: SafetyConfig) -> None:
-    assert ask("detection_range", config, proven_m=0.0) == (LIMIT, "detection_range.limit", 0.0)
-    assert ask("detection_range", config, proven_m=0.0, blind=("lidar/front",)) == (LIMIT, "lidar/front.blind", 0.0)
+    assert ask("detection_range", config, detection_range_m=0.0) == (LIMIT, "detection_range.limit", 0.0)
+    assert ask("detection_range", config, detection_range_m=0.0, blind=("lidar/front",)) == (
+        LIMIT,
+        "lidar/front.blind",
+        0.0,
+    )
     for seen_m in (0.5, 5.0):  # by another lidar
-        assert ask("detection_range", config, proven_m=seen_m, blind=("lidar/front",))[1] == "detection_range.limit"
-    assert ask("detection_range", config, proven_m=40.0)[2] * 3.6 == pytest.approx(29.5, abs=0.5)
-    speeds = [ask("detection_range", config, proven_m=r)[2] for r in np.arange(0.0, 40.0, 0.5)]
+        assert (
+            ask("detection_range", config, detection_range_m=seen_m, blind=("lidar/front",))[1]
+            == "detection_range.limit"
+        )
+    assert ask("detection_range", config, detection_range_m=40.0)[2] * 3.6 == pytest.approx(29.5, abs=0.5)
+    speeds = [ask("detection_range", config, detection_range_m=r)[2] for r in np.arange(0.0, 40.0, 0.5)]
     assert speeds == sorted(speeds)
 
 
 def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SafetyConfig) -> None:
     flat = config.braking.flat
     for kind, half_m, whole_m in (("radar", 2.5, 5.0), ("camera", 2.15, 4.3), ("ultrasonic", 1.5, 3.0)):
-        lost = (Lost(kind, f"{kind}.lost", "lost"),)
+        sensor_failures = (SensorFailure(kind, f"{kind}.lost", "lost"),)
         speed = min(highest_speed(half_m, flat, 0.0), highest_speed(whole_m, flat, 2.1))
-        assert ask("sensor_loss", config, lost=lost) == (LIMIT, f"{kind}.lost", speed), kind
+        assert ask("sensor_loss", config, sensor_failures=sensor_failures) == (LIMIT, f"{kind}.lost", speed), kind
         close = min(highest_speed(half_m, flat, 0.0), highest_speed(whole_m, flat, 0.1))
-        assert ask("sensor_loss", config, lost=lost, allowance_m=0.1)[2] == close, kind
+        assert ask("sensor_loss", config, sensor_failures=sensor_failures, allowance_m=0.1)[2] == close, kind
 
 
 def test_fold(config: SafetyConfig) -> None:
@@ -277,28 +303,30 @@ def test_speed(config: SafetyConfig) -> None:
 
 
 def test_survey(config: SafetyConfig) -> None:
-    assert ask("wall_clearance", config, survey_m=0.0) == (LIMIT, "wall_clearance", 0.0)
-    assert ask("wall_clearance", config, survey_m=2.0)[2] == highest_speed(2.0, config.braking.flat, 0.0)
+    assert ask("wall_clearance", config, wall_distance_m=0.0) == (LIMIT, "wall_clearance", 0.0)
+    assert ask("wall_clearance", config, wall_distance_m=2.0)[2] == highest_speed(2.0, config.braking.flat, 0.0)
 
 
 def test_most_restrictive_wins(config: SafetyConfig) -> None:
-    near = {**gap(5.0), "threat": Threat(4.0, ObstacleClass.PERSON, 1)}
+    near = {**clearance(5.0), "critical_object": CriticalObject(4.0, ObstacleClass.PERSON, 1)}
     slow = evaluate_rules(situation_of(config, **near), frozenset())
     assert slow.binding.code == "tracked_obstacle"
     assert slow.clearance_m == 4.0
     assert slow.binding_is_obstacle
     assert slow.is_ready
     assert not slow.is_fault
-    hand = evaluate_rules(situation_of(config, hand_forced_s=2.0, silent=("odom",), **near), frozenset())
+    hand = evaluate_rules(situation_of(config, driver_override_s=2.0, timed_out_topics=("odom",), **near), frozenset())
     assert (hand.binding.code, hand.is_takeover, hand.is_fault, hand.is_ready) == ("driver_override", True, True, False)
-    worst = evaluate_rules(situation_of(config, brake_weak_s=2.0, silent=("odom",)), frozenset())
+    worst = evaluate_rules(situation_of(config, brake_ineffective_s=2.0, timed_out_topics=("odom",)), frozenset())
     assert (worst.binding.code, worst.is_emergency) == ("brake.weak", True)
     for main, arc in ((3.0, 5.0), (5.0, 3.0)):
-        either = evaluate_rules(situation_of(config, speed_mps=0.0, **near | gap(main, arc)), frozenset())
+        either = evaluate_rules(situation_of(config, speed_mps=0.0, **near | clearance(main, arc)), frozenset())
         assert either.clearance_m == 3.0
-    inside = evaluate_rules(situation_of(config, fence_m=None, **gap(1.0)), frozenset())  # both allow nothing
+    inside = evaluate_rules(
+        situation_of(config, geofence_distance_m=None, **clearance(1.0)), frozenset()
+    )  # both allow nothing
     assert inside.binding.code == "protective_field"
-    blind = evaluate_rules(situation_of(config, gap=None, fence_m=None), frozenset())
+    blind = evaluate_rules(situation_of(config, clearance=None, geofence_distance_m=None), frozenset())
     assert (blind.clearance_m, blind.is_ready) == (math.inf, False)
 
 
@@ -307,7 +335,7 @@ def test_allowance(config: SafetyConfig) -> None:
 
 
 def test_disabled_rules_do_not_speak(config: SafetyConfig) -> None:
-    near = {**gap(1.0), "threat": Threat(1.0, ObstacleClass.PERSON, 1)}
+    near = {**clearance(1.0), "critical_object": CriticalObject(1.0, ObstacleClass.PERSON, 1)}
     no_objection = evaluate_rules(situation_of(config, **near), frozenset({"protective_field", "tracked_obstacle"}))
     assert no_objection.binding.code == "speed_limit"
     every = evaluate_rules(situation_of(config, **near), frozenset(RULES))

@@ -16,11 +16,11 @@ from messages.motion import Odometry
 from messages.perception import HealthState, ObstacleClass, Track, Tracks
 from messages.sensors import RadarScan, UltrasonicRange
 from safety.config import RadarConfig, SafetyConfig, UltrasonicConfig
-from safety.monitors.sensors import Companion, companions_of, lost_of
-from safety.sources.radar import RadarEye
-from safety.sources.ultrasonic import NARROW_M, Ear, ground_m, is_answered
+from safety.monitors.sensors import MonitoredSensor, failure_of, monitored_sensors
+from safety.sources.radar import RadarSource
+from safety.sources.ultrasonic import NARROW_M, UltrasonicSource, ground_m, is_confirmed_by_track
 from safety.supervisor import Supervisor
-from safety.zones.footprint import shape_of
+from safety.zones.footprint import footprint_of
 from tests.safety.safety_world import START_NS, Target, World, around, healthy, straight_path
 
 FRONT_M = 3.5
@@ -168,15 +168,19 @@ def test_a_lost_sensor_slows_and_is_named_alone(seeing: World, config: SafetyCon
     assert seeing.speed_mps == pytest.approx(2.78, abs=0.05)
 
 
-@pytest.mark.parametrize(("label", "told_s"), [("radar_front", 0.4), ("ultrasonic_left", 0.4), ("camera_front", 1.5)])
-def test_what_a_sensor_sees_may_be_as_old_as_the_sensor_is_slow(seeing: World, label: str, told_s: float) -> None:
+@pytest.mark.parametrize(
+    ("label", "max_output_age_s"), [("radar_front", 0.4), ("ultrasonic_left", 0.4), ("camera_front", 1.5)]
+)
+def test_what_a_sensor_sees_may_be_as_old_as_the_sensor_is_slow(
+    seeing: World, label: str, max_output_age_s: float
+) -> None:
     driving(seeing, 2.78)
     topic = f"obstacles/{label}"
     seeing.mute.add(topic)
     while seeing.command.reason == "":
         seeing.step(1)
     last_ns = seeing.inbox.messages[topic].stamp_ns
-    assert told_s < (seeing.command.stamp_ns - last_ns) * 1e-9 < told_s + 0.021
+    assert max_output_age_s < (seeing.command.stamp_ns - last_ns) * 1e-9 < max_output_age_s + 0.021
 
 
 @pytest.mark.parametrize(("kind", "kmh"), [("radar", 7.5), ("camera", 6.7), ("ultrasonic", 3.6)])
@@ -235,16 +239,16 @@ def test_the_common_cause_is_told_alone(seeing: World) -> None:
     assert [fault.code for fault in seeing.faults if fault.is_active] == ["imu.silent"]
 
 
-def test_a_camera_without_a_model_is_not_missed(config, full: Vehicle, implement, fence) -> None:
-    supervisor = Supervisor(full, implement, config, fence, (), idle=frozenset({"camera_front"}))
+def test_a_camera_without_a_model_is_not_missed(config, full: Vehicle, implement, geofence) -> None:
+    supervisor = Supervisor(full, implement, config, geofence, (), idle=frozenset({"camera_front"}))
     assert "health/camera_front" not in supervisor.reads
     world = driving(World(supervisor, full, straight_path()), 2.78)
     assert world.command.reason == ""
 
 
-def test_what_is_read_follows_from_the_machine(config, thin, full: Vehicle, implement, fence) -> None:
-    few = set(Supervisor(thin, implement, config, fence, ()).reads)
-    many = set(Supervisor(full, implement, config, fence, ()).reads)
+def test_what_is_read_follows_from_the_machine(config, sparse, full: Vehicle, implement, geofence) -> None:
+    few = set(Supervisor(sparse, implement, config, geofence, ()).reads)
+    many = set(Supervisor(full, implement, config, geofence, ()).reads)
     assert many - few == {
         "radar/front", "ultrasonic/left", "ultrasonic/right", "ultrasonic/rear", "health/radar_front",
         "health/ultrasonic_left", "health/ultrasonic_right", "health/ultrasonic_rear", "health/camera_front",
@@ -254,22 +258,22 @@ def test_what_is_read_follows_from_the_machine(config, thin, full: Vehicle, impl
 
 
 def test_lost_by_sector(full: Vehicle) -> None:
-    camera = next(one for one in companions_of(full.sensors, frozenset()) if one.kind == "camera")
+    camera = next(one for one in monitored_sensors(full.sensors, frozenset()) if one.kind == "camera")
     half = math.radians(30.0)
     fine = healthy(START_NS, "camera_front")
-    assert lost_of(camera, True, False, True, fine, 1, half) is None
+    assert failure_of(camera, True, False, True, fine, 1, half) is None
     edges = np.radians([-40.0, -10.0, 10.0, 40.0])
     partly = replace(fine, sector_edges_rad=edges, detection_range_m=np.array([15.0, 0.0, 15.0]))
-    lost = lost_of(camera, True, False, True, partly, 1, half)
-    assert lost is not None
-    assert lost.code == "camera/front.blind"
-    assert lost_of(camera, True, False, True, partly, -1, half) is None
+    sensor_failures = failure_of(camera, True, False, True, partly, 1, half)
+    assert sensor_failures is not None
+    assert sensor_failures.code == "camera/front.blind"
+    assert failure_of(camera, True, False, True, partly, -1, half) is None
     near = replace(fine, detection_range_m=np.array([0.5]))
-    assert lost_of(camera, True, False, True, near, 1, half) is None
+    assert failure_of(camera, True, False, True, near, 1, half) is None
 
 
 def test_how_a_sensor_is_lost(full: Vehicle) -> None:
-    rear = next(one for one in companions_of(full.sensors, frozenset()) if one.name == "rear")
+    rear = next(one for one in monitored_sensors(full.sensors, frozenset()) if one.name == "rear")
     fine = healthy(START_NS, "ultrasonic_rear")
     blind = replace(fine, state=HealthState.BLIND, reason="dust")
     for is_heard, is_frozen, is_told, health, code in (
@@ -279,11 +283,11 @@ def test_how_a_sensor_is_lost(full: Vehicle) -> None:
         (True, False, True, None, "health/ultrasonic_rear.silent"),
         (True, False, True, blind, "ultrasonic/rear.blind"),
     ):
-        lost = lost_of(rear, is_heard, is_frozen, is_told, health, -1, 0.5)
-        assert lost is not None
-        assert (lost.kind, lost.code) == ("ultrasonic", code)
-        assert "ultrasonic/rear" in lost.text
-        assert lost_of(rear, is_heard, is_frozen, is_told, health, 1, 0.5) is None
+        sensor_failures = failure_of(rear, is_heard, is_frozen, is_told, health, -1, 0.5)
+        assert sensor_failures is not None
+        assert (sensor_failures.kind, sensor_failures.code) == ("ultrasonic", code)
+        assert "ultrasonic/rear" in sensor_failures.text
+        assert failure_of(rear, is_heard, is_frozen, is_told, health, 1, 0.5) is None
 
 
 def test_a_sensor_looks_where_it_is_turned_by_no_more_than_60_degrees() -> None:
@@ -292,11 +296,11 @@ def test_a_sensor_looks_where_it_is_turned_by_no_more_than_60_degrees() -> None:
             mount = Mount(xyz_m=(0.0, 0.0, 1.0), rpy_deg=(0.0, 0.0, ahead_deg + away_deg))
             expected = abs(away_deg) <= 60.0 + 1e-9
             if abs(abs(away_deg) - 60.0) > 1e-6 or ahead_deg == 0.0:  # a half turn is not exact in radians
-                assert Companion("radar", "front", mount).looks(direction) == expected, (direction, away_deg)
+                assert MonitoredSensor("radar", "front", mount).covers(direction) == expected, (direction, away_deg)
 
 
 def test_companions_are_all_but_the_idle(full: Vehicle) -> None:
-    known = {(one.kind, one.name): one.mount for one in companions_of(full.sensors, frozenset({"camera_front"}))}
+    known = {(one.kind, one.name): one.mount for one in monitored_sensors(full.sensors, frozenset({"camera_front"}))}
     assert known == {
         ("radar", "front"): full.sensors.radar["front"].mount,
         **{("ultrasonic", name): one.mount for name, one in full.sensors.ultrasonic.items()},
@@ -307,14 +311,14 @@ STILL = Odometry(START_NS, np.eye(4), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
 Detection = tuple[float, float, float, float]
 
 
-def radar_hits(full: Vehicle, implement, config: SafetyConfig, cycles: list[list[Detection]]) -> RadarEye:
-    eye = RadarEye("front", full.sensors.radar["front"], (0.25, 3.2), 0.15, config.radar)
-    shape = shape_of(full, implement)
+def radar_hits(full: Vehicle, implement, config: SafetyConfig, cycles: list[list[Detection]]) -> RadarSource:
+    source = RadarSource("front", full.sensors.radar["front"], (0.25, 3.2), 0.15, config.radar)
+    footprint = footprint_of(full, implement)
     for k, rows in enumerate(cycles):
         range_m, azimuth, doppler, rcs = np.array(rows).reshape(-1, 4).T
         scan = RadarScan(START_NS + k * 50_000_000, range_m, azimuth, np.full(len(range_m), np.nan), doppler, rcs)
-        eye.take(scan, np.zeros(3), STILL, shape)
-    return eye
+        source.update(scan, np.zeros(3), STILL, footprint)
+    return source
 
 
 def test_radar_hits_at_their_limits(full: Vehicle, implement, config: SafetyConfig) -> None:
@@ -335,18 +339,20 @@ def test_radar_hits_at_their_limits(full: Vehicle, implement, config: SafetyConf
 
 
 def test_a_malformed_radar_scan_has_no_detections(full: Vehicle, implement, config: SafetyConfig) -> None:
-    eye = radar_hits(full, implement, config, [])
+    source = radar_hits(full, implement, config, [])
     scan = RadarScan(START_NS, np.ones(3), np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(3))
-    eye.take(scan, np.zeros(3), STILL, shape_of(full, implement))
-    assert len(eye.hits) == 0
+    source.update(scan, np.zeros(3), STILL, footprint_of(full, implement))
+    assert len(source.hits) == 0
 
 
-def listen(full: Vehicle, config: SafetyConfig, ranges: list[float], speed_mps: float = 0.0, name: str = "left") -> Ear:
-    ear = Ear(name, full.sensors.ultrasonic[name], config.ultrasonic)
+def listen(
+    full: Vehicle, config: SafetyConfig, ranges: list[float], speed_mps: float = 0.0, name: str = "left"
+) -> UltrasonicSource:
+    source = UltrasonicSource(name, full.sensors.ultrasonic[name], config.ultrasonic)
     for k, range_m in enumerate(ranges):
         pose = np.array([speed_mps * 0.1 * k, 0.0, 0.0])
-        ear.take(UltrasonicRange(START_NS + k * 100_000_000, range_m), pose, replace(STILL, speed_mps=speed_mps))
-    return ear
+        source.update(UltrasonicRange(START_NS + k * 100_000_000, range_m), pose, replace(STILL, speed_mps=speed_mps))
+    return source
 
 
 @pytest.mark.parametrize(
@@ -363,30 +369,30 @@ def listen(full: Vehicle, config: SafetyConfig, ranges: list[float], speed_mps: 
 def test_what_a_lidar_follows_answers_an_echo(
     y: float, width: float, sensor: str, is_confirmed: bool, is_known: bool
 ) -> None:
-    fence = Track(1, ObstacleClass.UNKNOWN, 0.9, np.array([3.0, y, 0.6]), np.zeros(3), np.eye(4) * 0.01,
+    geofence = Track(1, ObstacleClass.UNKNOWN, 0.9, np.array([3.0, y, 0.6]), np.zeros(3), np.eye(4) * 0.01,
                   np.array([8.0, width, 1.2]), 0.0, 0, START_NS, is_confirmed, (sensor,))  # fmt: skip
     arc = np.array([[3.0, 0.0], [2.9, 0.5], [2.6, 1.0]])
-    assert is_answered(arc, Tracks(START_NS, (fence,)), 0.3) == is_known
-    assert not is_answered(arc, None, 0.3)
+    assert is_confirmed_by_track(arc, Tracks(START_NS, (geofence,)), 0.3) == is_known
+    assert not is_confirmed_by_track(arc, None, 0.3)
 
 
 def test_echoes_must_repeat(full: Vehicle, config: SafetyConfig) -> None:
     for count in range(6):
-        ear = listen(full, config, [2.0] * count)
-        assert (len(ear.arc_odom_m) > 0) == (count >= config.ultrasonic.repeats)
-    assert len(listen(full, config, [2.0, 3.5, 1.0, 4.0, 2.6]).arc_odom_m) == 0
-    assert len(listen(full, config, [4.6] * 5).arc_odom_m) == 0  # beyond its reach
-    assert len(listen(full, config, [math.nan] * 5).arc_odom_m) == 0
+        source = listen(full, config, [2.0] * count)
+        assert (len(source.echo_arc_odom_m) > 0) == (count >= config.ultrasonic.repeats)
+    assert len(listen(full, config, [2.0, 3.5, 1.0, 4.0, 2.6]).echo_arc_odom_m) == 0
+    assert len(listen(full, config, [4.6] * 5).echo_arc_odom_m) == 0  # beyond its reach
+    assert len(listen(full, config, [math.nan] * 5).echo_arc_odom_m) == 0
 
 
 def test_what_went_into_the_dead_zone_stays_for_a_while(full: Vehicle, config: SafetyConfig) -> None:
     near = [1.0 - 0.05 * k for k in range(13)]  # down to 0.4 m
     gone = [math.nan] * 20
-    ear = listen(full, config, near + gone, speed_mps=0.5)
-    assert len(ear.arc_odom_m) == 7
-    assert len(listen(full, config, [1.0] * 5 + gone).arc_odom_m) == 0
-    lasting = [math.nan] * round(config.ultrasonic.hold_s * 10 + 20)
-    assert len(listen(full, config, near + lasting, speed_mps=0.5).arc_odom_m) == 0
+    source = listen(full, config, near + gone, speed_mps=0.5)
+    assert len(source.echo_arc_odom_m) == 7
+    assert len(listen(full, config, [1.0] * 5 + gone).echo_arc_odom_m) == 0
+    lasting = [math.nan] * round(config.ultrasonic.dead_zone_hold_s * 10 + 20)
+    assert len(listen(full, config, near + lasting, speed_mps=0.5).echo_arc_odom_m) == 0
 
 
 def test_a_sensor_that_looks_down_hears_the_ground_from_there_on() -> None:
@@ -419,13 +425,15 @@ def test_an_echo_that_a_surveyed_wall_may_have_given_does_not_count(seeing: Worl
     driving(seeing, 0.8)
     seeing.targets = (Target(seeing.x_m + 9.0, 0.0, rcs_dbsm=-60.0, is_heard=True),)
     seeing.run(12.0)
-    lookout = seeing.supervisor._lookout
-    assert lookout.way is not None
-    arcs = [ear.arc_odom_m for ear in lookout.senses.ears if len(ear.arc_odom_m)]
+    collision_monitor = seeing.supervisor._collision_monitor
+    assert collision_monitor.swept_field is not None
+    arcs = [source.echo_arc_odom_m for source in collision_monitor.sources.ultrasonics if len(source.echo_arc_odom_m)]
 
     def clearance_m(is_wall: np.ndarray, turned_rad: float = 0.0) -> float:
         pose = np.array([seeing.x_m, seeing.y_m, seeing.yaw_rad + turned_rad])
-        found = lookout.senses.gap(lookout.way, pose, 0.5, lambda points: is_wall[: len(points)], None)
+        found = collision_monitor.sources.clearance(
+            collision_monitor.swept_field, pose, 0.5, lambda points: is_wall[: len(points)], None
+        )
         return math.inf if found is None else found.main_m
 
     longest = max(len(arc) for arc in arcs)

@@ -18,24 +18,24 @@ from messages.plan import MissionState, MissionStatus, PathSectionType
 from messages.topics import spec_of
 from safety.config import SafetyConfig
 from safety.inputs import SupervisorInputs
-from safety.monitors.vehicle import Measured
+from safety.monitors.vehicle import VehicleState
 from safety.rules.arbitration import allowance_m
 from safety.rules.results import advisory, stop
 from safety.rules.situation import Situation
 from safety.supervisor import ABLATION, PERIOD_NS, STATE_NS, Observation, Supervisor
-from safety.zones.footprint_by_fold import shapes_of
-from safety.zones.geofence import Fence
-from safety.zones.known_structure import Survey
-from safety.zones.protective_field import Gap
-from safety.zones.tracked_obstacles import Threat
+from safety.zones.footprint_by_fold import footprints_of
+from safety.zones.geofence import Geofence
+from safety.zones.known_structure import KnownStructure
+from safety.zones.protective_field import Clearance
+from safety.zones.tracked_obstacles import CriticalObject
 from tests.safety.safety_world import START_NS, SyntheticInbox, machine_state
 from tests.safety.test_collision_monitor import CONTROL_COMMAND, SEEN, Spy
 
 FAULT_TOPICS = ("fault/executor", "fault/planner")
 COMMAND, STATE = object(), object()
 ADVISORIES = [advisory("a.b", "something to be told")]
-GAP = Gap(7.0, 3.0, np.empty((0, 3)))
-THREAT = Threat(9.0, ObstacleClass.PERSON, 4)
+GAP = Clearance(7.0, 3.0, np.empty((0, 3)))
+THREAT = CriticalObject(9.0, ObstacleClass.PERSON, 4)
 
 
 class KindInbox(SyntheticInbox):
@@ -59,43 +59,44 @@ def machine(full: Vehicle) -> Vehicle:
 
 
 @pytest.fixture
-def make(machine: Vehicle, implement, config: SafetyConfig, fence: Fence) -> Callable[..., Any]:
+def make(machine: Vehicle, implement, config: SafetyConfig, geofence: Geofence) -> Callable[..., Any]:
     def made(**what: Any) -> Any:
-        return Supervisor(what.pop("vehicle", machine), implement, config, fence, FAULT_TOPICS, **what)
+        return Supervisor(what.pop("vehicle", machine), implement, config, geofence, FAULT_TOPICS, **what)
 
     return made
 
 
-def measured(config: SafetyConfig, speed_mps: float | None = -1.5) -> Measured:
-    return Measured(speed_mps, 1.5, -1, config.braking.flat, 0.03, 0.1, 0.2, 0.3, 0.4, True)
+def measured(config: SafetyConfig, speed_mps: float | None = -1.5) -> VehicleState:
+    return VehicleState(speed_mps, 1.5, -1, config.braking.flat, 0.03, 0.1, 0.2, 0.3, 0.4, True)
 
 
-def eye(name: str, looks: int, is_frozen: bool) -> Any:
-    return SimpleNamespace(name=name, looks=lambda direction: direction == looks, is_frozen=is_frozen)
+def source(name: str, covers: int, is_frozen: bool) -> Any:
+    return SimpleNamespace(name=name, covers=lambda direction: direction == covers, is_frozen=is_frozen)
 
 
 @pytest.fixture
 def parts(monkeypatch: pytest.MonkeyPatch, config: SafetyConfig) -> Any:
     """Stands for all that a supervisor asks."""
-    proven = {"lidar/rear": 30.0, "lidar/low": 0.5, "lidar/side": 0.0}
-    eyes = [eye("rear", -1, True), eye("low", -1, False), eye("front", 1, True)]
+    detection_range = {"lidar/rear": 30.0, "lidar/low": 0.5, "lidar/side": 0.0}
+    lidars = [source("rear", -1, True), source("low", -1, False), source("front", 1, True)]
     decision: Any = SimpleNamespace(allowed_mps=1.2, advisories=ADVISORIES)
     found = SimpleNamespace(
-        decision=decision, evaluate_rules=Spy(decision), build_state=Spy(STATE), silent=Spy(("odom",)),
-        inputs=SimpleNamespace(read=Spy(SEEN), ages=Spy(["ages"]), lost=Spy(("lost",))),
-        gauge=SimpleNamespace(measure=Spy(measured(config))),
-        lookout=SimpleNamespace(
-            config=config.docked, look=Spy(None), gap=Spy(GAP), threat=Spy(THREAT), fence_m=Spy(8.0),
-            survey_m=Spy(6.0), is_docking=True, is_under_roof=False, way=SimpleNamespace(is_planned=True),
-            trail=SimpleNamespace(driven_m=12.0), senses=SimpleNamespace(eyes=eyes, proven_m=Spy(proven)),
+        decision=decision, evaluate_rules=Spy(decision), build_state=Spy(STATE), timed_out_topics=Spy(("odom",)),
+        inputs=SimpleNamespace(read=Spy(SEEN), ages=Spy(["ages"]), sensor_failures=Spy(("lost",))),
+        vehicle_monitor=SimpleNamespace(update=Spy(measured(config))),
+        collision_monitor=SimpleNamespace(
+            config=config.docked, update=Spy(None), clearance=Spy(GAP), critical_object=Spy(THREAT),
+            geofence_distance_m=Spy(8.0), wall_distance_m=Spy(6.0), is_docking=True, is_under_roof=False,
+            swept_field=SimpleNamespace(is_planned=True), pose_history=SimpleNamespace(driven_m=12.0),
+            sources=SimpleNamespace(lidars=lidars, detection_range_m=Spy(detection_range)),
         ),
         mode_machine=SimpleNamespace(mode=Mode.AUTOMATIC, latched=None, update=Spy(None), reason=Spy("why"),
-                             braking_gap_m=Spy(4.5), resume_in_s=Spy(0.5)),
+                             braking_clearance_m=Spy(4.5), resume_in_s=Spy(0.5)),
         command_builder=SimpleNamespace(last=COMMAND, command=Spy(COMMAND)),
         brake_test=SimpleNamespace(update=Spy("phase")),
         alarms=SimpleNamespace(update=Spy(["fault"])),
     )  # fmt: skip
-    for name in ("evaluate_rules", "build_state", "silent"):
+    for name in ("evaluate_rules", "build_state", "timed_out_topics"):
         monkeypatch.setattr(f"safety.supervisor.{name}", getattr(found, name))
     return found
 
@@ -106,7 +107,15 @@ def among(make: Callable[..., Any], parts: Any) -> Callable[..., Any]:
 
     def made(**what: Any) -> Any:
         supervisor = make(**what)
-        for name in ("inputs", "gauge", "lookout", "mode_machine", "command_builder", "brake_test", "alarms"):
+        for name in (
+            "inputs",
+            "vehicle_monitor",
+            "collision_monitor",
+            "mode_machine",
+            "command_builder",
+            "brake_test",
+            "alarms",
+        ):
             setattr(supervisor, f"_{name}", getattr(parts, name))
         return supervisor
 
@@ -142,17 +151,23 @@ def test_a_rule_that_there_is_not_cannot_be_disabled(make: Any) -> None:
 
 
 def test_all_parts_are_of_the_same_machine(
-    make: Any, machine: Vehicle, implement, config: SafetyConfig, fence: Fence
+    make: Any, machine: Vehicle, implement, config: SafetyConfig, geofence: Geofence
 ) -> None:
-    survey = Survey(np.empty((0, 4)), 0.1, np.empty((0, 3)), np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)]))
-    supervisor = make(survey=survey)
-    lookout = supervisor._lookout
-    assert lookout._shapes == shapes_of(machine, implement)
-    assert (lookout._fence, lookout._survey, lookout.config) == (fence, survey, config)
-    assert [eye.name for eye in lookout.senses.eyes] == ["front", "rear"]
-    assert supervisor._mode_machine._reports is supervisor._reports
+    known_structure = KnownStructure(
+        np.empty((0, 4)), 0.1, np.empty((0, 3)), np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
+    )
+    supervisor = make(known_structure=known_structure)
+    collision_monitor = supervisor._collision_monitor
+    assert collision_monitor._footprints == footprints_of(machine, implement)
+    assert (collision_monitor._geofence, collision_monitor._known_structure, collision_monitor.config) == (
+        geofence,
+        known_structure,
+        config,
+    )
+    assert [source.name for source in collision_monitor.sources.lidars] == ["front", "rear"]
+    assert supervisor._mode_machine._fault_memory is supervisor._fault_memory
     for observation, is_judged in ((None, True), (Observation(True), True), (Observation(False), False)):
-        assert make(observation=observation)._lookout._is_arc_judged is is_judged
+        assert make(observation=observation)._collision_monitor._is_arc_checked is is_judged
 
 
 def test_nothing_known_is_standby_in_one_step(make: Any) -> None:
@@ -173,12 +188,12 @@ def test_measured_and_looked_at_is_what_was_seen(among: Any, parts: Any, inbox: 
     supervisor, machine = among(), inbox.messages["machine"]
     supervisor.step(START_NS, inbox)
     assert parts.inputs.read.asked == (inbox, machine)
-    assert parts.gauge.measure.asked == (
+    assert parts.vehicle_monitor.update.asked == (
         START_NS, Mode.AUTOMATIC, SEEN.odom, machine, SEEN.map_pose, SEEN.path, CONTROL_COMMAND, COMMAND,
     )  # fmt: skip
     allowance = allowance_m(config.docked.field, 0.07, 0.03)
-    assert parts.lookout.look.asked == (SEEN, -1, 1.5, config.braking.flat, allowance)
-    assert [fault.code for fault in supervisor._reports.active] == list(FAULT_TOPICS)
+    assert parts.collision_monitor.update.asked == (SEEN, -1, 1.5, config.braking.flat, allowance)
+    assert [fault.code for fault in supervisor._fault_memory.active] == list(FAULT_TOPICS)
 
 
 def test_the_situation_says_it_all(among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SafetyConfig) -> None:
@@ -190,30 +205,32 @@ def test_the_situation_says_it_all(among: Any, parts: Any, inbox: Any, machine: 
         now_ns=START_NS, config=config.docked, mode=Mode.AUTOMATIC, direction=-1, speed_mps=1.5, is_speed_known=True,
         max_speed_mps=min(machine.max_speed_kmh, config.limits.speed_kmh) / 3.6, braking=config.braking.flat,
         allowance_m=allowance_m(config.docked.field, 0.07, 0.03), odom=SEEN.odom, machine=inbox.messages["machine"],
-        map_pose=SEEN.map_pose, control_command=CONTROL_COMMAND, silent=("odom",), frozen=("lidar/rear",),
-        faults=supervisor._reports.active,
-        gap=GAP, is_planned=True, threat=THREAT, proven_m=30.0, blind=("lidar/side",), fence_m=8.0,
-        position_sigma_m=0.03, hand_forced_s=0.1, steering_off_s=0.2, steering_lost_s=0.3, brake_weak_s=0.4,
-        is_foldable=True, fold=0.0, clock_step_s=0.0, brake_test="phase", lost=("lost",), is_docking=True,
-        is_under_roof=False, survey_m=6.0,
+        map_pose=SEEN.map_pose, control_command=CONTROL_COMMAND, timed_out_topics=("odom",), frozen=("lidar/rear",),
+        faults=supervisor._fault_memory.active,
+        clearance=GAP, is_planned=True, critical_object=THREAT, detection_range_m=30.0, blind=("lidar/side",),
+        geofence_distance_m=8.0,
+        position_sigma_m=0.03, driver_override_s=0.1, steering_deviation_s=0.2, steering_unavailable_s=0.3,
+        brake_ineffective_s=0.4,
+        is_foldable=True, fold=0.0, clock_step_s=0.0, brake_test="phase", sensor_failures=("lost",), is_docking=True,
+        is_under_roof=False, wall_distance_m=6.0,
     )  # fmt: skip
-    assert parts.silent.asked == (["ages"],)
-    assert parts.inputs.ages.asked == (START_NS, inbox, parts.lookout, -1)
-    assert parts.inputs.lost.asked == (START_NS, inbox, SEEN, parts.lookout, -1)
-    assert parts.lookout.senses.proven_m.asked == (START_NS, -1, SEEN.health)
+    assert parts.timed_out_topics.asked == (["ages"],)
+    assert parts.inputs.ages.asked == (START_NS, inbox, parts.collision_monitor, -1)
+    assert parts.inputs.sensor_failures.asked == (START_NS, inbox, SEEN, parts.collision_monitor, -1)
+    assert parts.collision_monitor.sources.detection_range_m.asked == (START_NS, -1, SEEN.health)
     assert parts.brake_test.update.asked == (Mode.AUTOMATIC, -1.5, 12.0)
 
 
 def test_what_is_not_known_is_not_taken_for_known(among: Any, parts: Any, inbox: Any, config: SafetyConfig) -> None:
-    parts.gauge.measure.answer = measured(config, None)
-    parts.lookout.senses.proven_m.answer = {}
+    parts.vehicle_monitor.update.answer = measured(config, None)
+    parts.collision_monitor.sources.detection_range_m.answer = {}
     supervisor = among()
-    for way, is_planned in ((None, False), (SimpleNamespace(is_planned=False), False)):
-        parts.lookout.way = way
+    for swept_field, is_planned in ((None, False), (SimpleNamespace(is_planned=False), False)):
+        parts.collision_monitor.swept_field = swept_field
         supervisor.step(START_NS, inbox)
         situation = parts.evaluate_rules.asked[0]
         assert (situation.is_planned, situation.is_speed_known) == (is_planned, False)
-        assert (situation.proven_m, situation.blind) == (0.0, ())
+        assert (situation.detection_range_m, situation.blind) == (0.0, ())
 
 
 def test_no_faster_than_machine_and_configuration_allow(
@@ -239,7 +256,9 @@ def test_helm_and_commander_get_the_judgement(among: Any, parts: Any, inbox: Any
     situation = parts.evaluate_rules.asked[0]
     mission = inbox.messages["mission"]
     assert parts.mode_machine.update.asked == ((mission,), situation, parts.decision, mission)
-    assert parts.mode_machine.reason.asked == parts.mode_machine.braking_gap_m.asked == (situation, parts.decision)
+    assert (
+        parts.mode_machine.reason.asked == parts.mode_machine.braking_clearance_m.asked == (situation, parts.decision)
+    )
     (inputs,) = parts.command_builder.command.asked
     assert (inputs.now_ns, inputs.mode, inputs.reason, inputs.control_command) == (
         START_NS,
@@ -276,7 +295,7 @@ def test_the_state_tells_the_mode_that_was_decided(among: Any, parts: Any, inbox
         assert (parts.evaluate_rules.asked[0].mode, situation.mode) == (Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
         assert situation.now_ns == START_NS
         assert situation.odom is SEEN.odom
-        assert rest == [SEEN, parts.lookout, parts.decision, "why", 0.5, has_threat]
+        assert rest == [SEEN, parts.collision_monitor, parts.decision, "why", 0.5, has_threat]
         assert parts.mode_machine.resume_in_s.asked == (START_NS,)
 
 
@@ -314,28 +333,28 @@ def test_the_state_is_due_ten_times_a_second_and_when_mode_or_reason_change(amon
 def test_after_a_step_of_the_clock_nothing_seen_before_counts(make: Any, config: SafetyConfig, parts: Any) -> None:
     supervisor = make()
     limit_ns = round(config.limits.clock_step_s * 1e9)
-    lookout, gauge, now_ns = supervisor._lookout, supervisor._gauge, START_NS
+    collision_monitor, vehicle_monitor, now_ns = supervisor._collision_monitor, supervisor._vehicle_monitor, START_NS
     assert supervisor._watch_clock(now_ns) == 0.0
     for late_ns in (0, limit_ns, -limit_ns, 1000):
         now_ns += PERIOD_NS + late_ns
         assert supervisor._watch_clock(now_ns) == 0.0, late_ns
-        assert supervisor._lookout is lookout
-        assert supervisor._gauge is gauge
+        assert supervisor._collision_monitor is collision_monitor
+        assert supervisor._vehicle_monitor is vehicle_monitor
     for late_ns in (limit_ns + 1000, -limit_ns - 1000):
         now_ns += PERIOD_NS + late_ns
         assert supervisor._watch_clock(now_ns) == pytest.approx(late_ns * 1e-9, abs=1e-12)
-        assert supervisor._lookout is not lookout
-        assert supervisor._lookout.config is config
-        assert supervisor._gauge is not gauge
-        assert supervisor._gauge._config is config
-        lookout, gauge = supervisor._lookout, supervisor._gauge
+        assert supervisor._collision_monitor is not collision_monitor
+        assert supervisor._collision_monitor.config is config
+        assert supervisor._vehicle_monitor is not vehicle_monitor
+        assert supervisor._vehicle_monitor._config is config
+        collision_monitor, vehicle_monitor = supervisor._collision_monitor, supervisor._vehicle_monitor
     now_ns += PERIOD_NS
     assert supervisor._watch_clock(now_ns) == 0.0
 
 
 def test_the_step_of_the_clock_is_judged(among: Any, parts: Any, inbox: Any) -> None:
     supervisor = among()
-    supervisor._fresh_lookout = lambda: parts.lookout
+    supervisor._fresh_lookout = lambda: parts.collision_monitor
     supervisor.step(START_NS, inbox)
     supervisor._watch_clock = Spy(2.5)
     supervisor.step(START_NS + PERIOD_NS, inbox)

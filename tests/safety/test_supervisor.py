@@ -20,7 +20,7 @@ from safety.config import SafetyConfig
 from safety.rules import OBSTACLE_RULES
 from safety.stopping_distance import stopping_distance
 from safety.supervisor import Supervisor
-from safety.zones.geofence import Fence
+from safety.zones.geofence import Geofence
 from tests.safety.safety_world import START_NS, STEP_NS, Box, SyntheticInbox, World, straight_path
 
 FRONT_M, HALF_IMPLEMENT_M = 3.5, 3.05
@@ -177,9 +177,9 @@ def test_crops_slopes_and_the_own_implement_do_not_slow(world: World) -> None:
     assert len(world.state.triggering_points_base_m) == 0
 
 
-def test_a_curve_keeps_clear_of_what_only_the_arc_would_meet(config, thin, implement, fence) -> None:
+def test_a_curve_keeps_clear_of_what_only_the_arc_would_meet(config, sparse, implement, geofence) -> None:
     """The plan goes straight on after a bend: a fence that the bend would meet later neither stops nor slows."""
-    world = World(Supervisor(thin, implement, config, fence, ()), thin, straight_path())
+    world = World(Supervisor(sparse, implement, config, geofence, ()), sparse, straight_path())
     driving(world, 1.4)
     world.curvature = 0.15
     world.odom_changes = {"curvature_radpm": 0.15}
@@ -208,10 +208,10 @@ def test_reverse_sees_with_the_rear_lidar(world: World, config: SafetyConfig) ->
     assert config.field.margin_m <= left <= config.field.margin_m + 0.4
 
 
-def test_where_no_sensor_looks_it_does_not_drive(config, thin: Vehicle, implement, fence) -> None:
-    only_front = thin.sensors.model_copy(update={"lidar": {"front": thin.sensors.lidar["front"]}})
-    blind = thin.model_copy(update={"sensors": only_front})
-    world = backing(World(Supervisor(blind, implement, config, fence, ()), blind, straight_path()))
+def test_where_no_sensor_looks_it_does_not_drive(config, sparse: Vehicle, implement, geofence) -> None:
+    only_front = sparse.sensors.model_copy(update={"lidar": {"front": sparse.sensors.lidar["front"]}})
+    blind = sparse.model_copy(update={"sensors": only_front})
+    world = backing(World(Supervisor(blind, implement, config, geofence, ()), blind, straight_path()))
     world.start().run(2.0)
     assert world.x_m == 0.0
     assert world.mode == Mode.OBSTACLE_STOP
@@ -409,7 +409,9 @@ def test_lost_fixes_alarm_at_once_and_work_goes_on(world: World) -> None:
 
 def test_fence_stops_before_the_edge(world: World) -> None:
     world.start()
-    world.supervisor._lookout._fence = Fence((np.array([(-50.0, -50.0), (20.0, -50.0), (20.0, 50.0), (-50.0, 50.0)]),))
+    world.supervisor._collision_monitor._geofence = Geofence(
+        (np.array([(-50.0, -50.0), (20.0, -50.0), (20.0, 50.0), (-50.0, 50.0)]),)
+    )
     world.run(14.0)
     assert world.mode == Mode.AUTOMATIC
     assert world.command.reason == "geofence"
@@ -479,9 +481,9 @@ def test_a_plan_into_the_obstacle_does_not_resume(world: World) -> None:
     assert world.mode == Mode.OBSTACLE_STOP
 
 
-def test_without_obstacle_rules_it_drives_on_and_says_so(config, thin, implement, fence) -> None:
-    supervisor = Supervisor(thin, implement, config, fence, (), disabled_rules=OBSTACLE_RULES)
-    world = driving(World(supervisor, thin, straight_path()))
+def test_without_obstacle_rules_it_drives_on_and_says_so(config, sparse, implement, geofence) -> None:
+    supervisor = Supervisor(sparse, implement, config, geofence, (), disabled_rules=OBSTACLE_RULES)
+    world = driving(World(supervisor, sparse, straight_path()))
     world.boxes = (Box(world.x_m + 8.0, 0.0),)
     world.run(5.0)
     assert world.mode == Mode.AUTOMATIC
@@ -489,9 +491,9 @@ def test_without_obstacle_rules_it_drives_on_and_says_so(config, thin, implement
     assert [(f.code, f.is_active) for f in world.faults] == [("safety.ablation", True)]
 
 
-def test_disabling_an_unknown_rule_is_refused(config, thin, implement, fence) -> None:
+def test_disabling_an_unknown_rule_is_refused(config, sparse, implement, geofence) -> None:
     with pytest.raises(ConfigError, match="obstacel"):
-        Supervisor(thin, implement, config, fence, (), disabled_rules=frozenset({"obstacel"}))
+        Supervisor(sparse, implement, config, geofence, (), disabled_rules=frozenset({"obstacel"}))
 
 
 def test_pause_manual_and_back(world: World) -> None:
@@ -576,8 +578,8 @@ def test_downhill_is_slower_before_the_same_obstacle(world: World) -> None:
     assert steep < flat
 
 
-def test_no_fence_known_in_a_log(config, thin, implement) -> None:
-    world = World(Supervisor(thin, None, config, None, ()), thin, straight_path())
+def test_no_fence_known_in_a_log(config, sparse, implement) -> None:
+    world = World(Supervisor(sparse, None, config, None, ()), sparse, straight_path())
     driving(world).run(1.0)
     assert world.command.reason == ""
 

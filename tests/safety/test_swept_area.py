@@ -12,14 +12,23 @@ from hypothesis import strategies as st
 from configs.vehicle import Vehicle
 from safety.config import SafetyConfig
 from safety.pose_history import to_frame
-from safety.zones.footprint import Drawbar, Rectangle, Shape, carriers, outline, shape_of, steady_angle, trailer_poses
-from safety.zones.protective_field import box_of, is_at, look_ahead_m, place_on, way_ahead
+from safety.zones.footprint import (
+    Drawbar,
+    Footprint,
+    Rectangle,
+    carriers,
+    footprint_of,
+    outline,
+    steady_angle,
+    trailer_poses,
+)
+from safety.zones.protective_field import box_of, is_at, look_ahead_m, position_on_path, sweep_field
 from safety.zones.swept_area import (
-    Sweep,
+    SweptArea,
     arc_poses,
-    contact_m,
-    corners_along,
+    distance_to_contact_m,
     outline_of,
+    outline_points,
     path_poses,
     spaced,
     sweep_along,
@@ -31,68 +40,77 @@ SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
 
 
 @pytest.fixture
-def shape(vehicle: Vehicle, implement) -> Shape:
-    return shape_of(vehicle, implement)
+def footprint(vehicle: Vehicle, implement) -> Footprint:
+    return footprint_of(vehicle, implement)
 
 
 def arc(
-    shape: Shape, config: SafetyConfig, curvature: float, length: float, direction: int = 1, foremost: bool = False
-) -> Sweep:
+    footprint: Footprint,
+    config: SafetyConfig,
+    curvature: float,
+    length: float,
+    direction: int = 1,
+    foremost: bool = False,
+) -> SweptArea:
     s = spaced(length, 0.25)
-    return sweep_along(shape, direction, s, arc_poses(curvature, direction, s), curvature, config.field, foremost)
+    return sweep_along(footprint, direction, s, arc_poses(curvature, direction, s), curvature, config.field, foremost)
 
 
-def test_straight_contact_of_machine_and_implement(shape: Shape, config: SafetyConfig) -> None:
-    sweep = arc(shape, config, 0.0, 20.0)
-    ways = contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [10.0, 4.0], [-3.0, 0.0], [30.0, 0.0]]), sweep)
+def test_straight_contact_of_machine_and_implement(footprint: Footprint, config: SafetyConfig) -> None:
+    sweep = arc(footprint, config, 0.0, 20.0)
+    ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [10.0, 4.0], [-3.0, 0.0], [30.0, 0.0]]), sweep)
     assert ways[:2] == pytest.approx([6.5, 11.1])  # the machine's front at 3.5, the implement's at -1.1
     assert np.all(np.isinf(ways[2:]))
 
 
-def test_gap_from_the_foremost_point(shape: Shape, config: SafetyConfig) -> None:
-    sweep = arc(shape, config, 0.0, 20.0, foremost=True)
-    ways = contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), sweep)
+def test_gap_from_the_foremost_point(footprint: Footprint, config: SafetyConfig) -> None:
+    sweep = arc(footprint, config, 0.0, 20.0, foremost=True)
+    ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), sweep)
     assert ways == pytest.approx([6.5, 6.5, 0.0])
 
 
-def test_places_that_are_no_numbers_hide_nothing(shape: Shape, config: SafetyConfig) -> None:
+def test_places_that_are_no_numbers_hide_nothing(footprint: Footprint, config: SafetyConfig) -> None:
     s = spaced(20.0, 0.25)
     poses = arc_poses(0.0, 1, s)
     poses[-1] = np.nan
-    sweep = sweep_along(shape, 1, s, poses, 0.0, config.field, False)
-    ways = contact_m(np.array([[10.0, 0.0], [np.nan, 0.0], [10.0, 2.0]]), sweep, np.array([0.0, 0.0, np.nan]))
+    sweep = sweep_along(footprint, 1, s, poses, 0.0, config.field, False)
+    ways = distance_to_contact_m(
+        np.array([[10.0, 0.0], [np.nan, 0.0], [10.0, 2.0]]), sweep, np.array([0.0, 0.0, np.nan])
+    )
     assert ways[0] == pytest.approx(6.5)
     assert np.all(np.isinf(ways[1:]))
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_lateral_boundary(shape: Shape, config: SafetyConfig, side: int) -> None:
-    sweep = arc(shape, config, 0.0, 20.0)
-    edge = 3.05 + config.field.far_lateral_m
+def test_lateral_boundary(footprint: Footprint, config: SafetyConfig, side: int) -> None:
+    sweep = arc(footprint, config, 0.0, 20.0)
+    edge = 3.05 + config.field.lateral_margin_far_m
     for y in around(edge, 0.01):
-        is_met = np.isfinite(contact_m(np.array([[12.0, side * y]]), sweep)[0])
+        is_met = np.isfinite(distance_to_contact_m(np.array([[12.0, side * y]]), sweep)[0])
         assert is_met == (y <= edge + 1e-9), y
 
 
-def test_margin_grows_with_the_way(shape: Shape, config: SafetyConfig) -> None:
-    sweep = arc(shape, config, 0.0, 10.0)
-    assert sweep.lateral_m[0] == config.field.near_lateral_m
-    assert sweep.lateral_m[-1] == config.field.far_lateral_m
+def test_margin_grows_with_the_way(footprint: Footprint, config: SafetyConfig) -> None:
+    sweep = arc(footprint, config, 0.0, 10.0)
+    assert sweep.lateral_m[0] == config.field.lateral_margin_near_m
+    assert sweep.lateral_m[-1] == config.field.lateral_margin_far_m
     assert np.all(np.diff(sweep.lateral_m) >= 0.0)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_reverse_leads_with_the_implement(shape: Shape, config: SafetyConfig, direction: int) -> None:
-    sweep = arc(shape, config, 0.0, 10.0, direction, foremost=True)
+def test_reverse_leads_with_the_implement(footprint: Footprint, config: SafetyConfig, direction: int) -> None:
+    sweep = arc(footprint, config, 0.0, 10.0, direction, foremost=True)
     point = np.array([[6.0, 0.0]]) if direction > 0 else np.array([[-6.0, 0.0]])
-    assert contact_m(point, sweep)[0] == pytest.approx(2.5 if direction > 0 else 3.6)
-    assert np.isinf(contact_m(-point, sweep)[0])
-    assert shape.foremost_m(direction) == pytest.approx(3.5 if direction > 0 else -2.4)
+    assert distance_to_contact_m(point, sweep)[0] == pytest.approx(2.5 if direction > 0 else 3.6)
+    assert np.isinf(distance_to_contact_m(-point, sweep)[0])
+    assert footprint.foremost_m(direction) == pytest.approx(3.5 if direction > 0 else -2.4)
 
 
-def test_outline_is_as_wide_as_the_widest_body_from_the_leading_end_on(shape: Shape, config: SafetyConfig) -> None:
+def test_outline_is_as_wide_as_the_widest_body_from_the_leading_end_on(
+    footprint: Footprint, config: SafetyConfig
+) -> None:
     for direction, lead in ((1, 3.5), (-1, -1.0)):
-        sweep = arc(shape, config, 0.15, 6.0, direction)
+        sweep = arc(footprint, config, 0.15, 6.0, direction)
         half = 3.05 + sweep.lateral_m
         sides = [[(lead, side * width) for width in half] for side in (1, -1)]
         left, right = (
@@ -102,9 +120,9 @@ def test_outline_is_as_wide_as_the_widest_body_from_the_leading_end_on(shape: Sh
         assert outline_of(sweep) == pytest.approx(np.concatenate([left, right[::-1]])), direction
 
 
-def test_corners_are_those_of_the_bodies_at_every_other_place(shape: Shape, config: SafetyConfig) -> None:
-    sweep = arc(shape, config, 0.15, 6.0)
-    points, ways = corners_along(sweep, 0.5)
+def test_corners_are_those_of_the_bodies_at_every_other_place(footprint: Footprint, config: SafetyConfig) -> None:
+    sweep = arc(footprint, config, 0.15, 6.0)
+    points, ways = outline_points(sweep, 0.5)
     expected = [to_frame(pose, outline(body)) for body, poses in sweep.bodies for pose in poses[::2]]
     assert points == pytest.approx(np.concatenate(expected))
     assert ways == pytest.approx(np.concatenate([np.repeat(sweep.s_m[::2], 8) for _ in sweep.bodies]))
@@ -113,26 +131,26 @@ def test_corners_are_those_of_the_bodies_at_every_other_place(shape: Shape, conf
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("curvature", [0.2, -0.2])
 def test_in_a_bend_the_outer_end_of_a_body_is_not_late(
-    shape: Shape, config: SafetyConfig, curvature: float, direction: int
+    footprint: Footprint, config: SafetyConfig, curvature: float, direction: int
 ) -> None:
     """It moves farther than base does: by 60 % beside a harrow of 6 m in the tightest bend."""
-    sweep = arc(shape, config, curvature, 7.0, direction)
+    sweep = arc(footprint, config, curvature, 7.0, direction)
     for x, y in itertools.product(np.arange(-10.0, 10.0, 1.3), np.arange(-8.0, 9.0, 1.7)):
-        bare = brute_contact(np.array([x, y]), shape, curvature, direction, sweep.length_m)
-        assert contact_m(np.array([[x, y]]), sweep)[0] <= bare + 0.01, (x, y)
+        bare = brute_contact(np.array([x, y]), footprint, curvature, direction, sweep.length_m)
+        assert distance_to_contact_m(np.array([[x, y]]), sweep)[0] <= bare + 0.01, (x, y)
 
 
-def test_bodies_are_widened_narrowed_and_lengthened(shape: Shape, config: SafetyConfig) -> None:
-    sweep = arc(shape, config, 0.0, 20.0)
+def test_bodies_are_widened_narrowed_and_lengthened(footprint: Footprint, config: SafetyConfig) -> None:
+    sweep = arc(footprint, config, 0.0, 20.0)
     for extra, aside in ((0.0, 5.0), (0.0, -0.2), (0.5, -0.2), (5.0, 0.0)):
-        edge = 3.05 + config.field.far_lateral_m + extra + aside
+        edge = 3.05 + config.field.lateral_margin_far_m + extra + aside
         for y in around(edge, 0.01):
-            is_met = np.isfinite(contact_m(np.array([[12.0, y]]), sweep, extra, aside)[0])
+            is_met = np.isfinite(distance_to_contact_m(np.array([[12.0, y]]), sweep, extra, aside)[0])
             assert is_met == (y <= edge + 1e-9), (extra, aside, y)
-        assert contact_m(np.array([[10.0, 0.0]]), sweep, extra, aside)[0] == pytest.approx(6.5 - extra)
+        assert distance_to_contact_m(np.array([[10.0, 0.0]]), sweep, extra, aside)[0] == pytest.approx(6.5 - extra)
         for x, y in ((23.4 + extra, 0.0), (-2.3 - extra, 0.0)):
-            assert np.isfinite(contact_m(np.array([[x, y]]), sweep, extra, aside)[0]), (extra, aside, x)
-    assert contact_m(np.array([[10, 0]]), sweep, 1, 0)[0] == pytest.approx(5.5)
+            assert np.isfinite(distance_to_contact_m(np.array([[x, y]]), sweep, extra, aside)[0]), (extra, aside, x)
+    assert distance_to_contact_m(np.array([[10, 0]]), sweep, 1, 0)[0] == pytest.approx(5.5)
 
 
 def test_a_path_is_followed_to_its_ends_and_a_deviation_fades() -> None:
@@ -144,24 +162,24 @@ def test_a_path_is_followed_to_its_ends_and_a_deviation_fades() -> None:
     assert path_poses(path, 0.0, np.array([0.0, 1.0, 0.0]), s, 2.0)[:, 1] == pytest.approx(-np.minimum(1.0, s / 2.0))
 
 
-def test_a_part_of_a_sweep_is_cut_off_everywhere(shape: Shape, config: SafetyConfig) -> None:
-    whole = arc(shape, config, 0.1, 6.0)
-    part = whole.until(2.1)
+def test_a_part_of_a_sweep_is_cut_off_everywhere(footprint: Footprint, config: SafetyConfig) -> None:
+    whole = arc(footprint, config, 0.1, 6.0)
+    part = whole.up_to(2.1)
     assert (part.length_m, len(part.s_m)) == (2.0, 9)
     assert part.poses == pytest.approx(whole.poses[:9])
     assert part.lateral_m == pytest.approx(whole.lateral_m[:9])
     assert all(len(places) == 9 for _, places in part.bodies)
-    here = whole.until(0.0)
+    here = whole.up_to(0.0)
     assert here.length_m == 0.0
-    assert contact_m(np.array([[0.0, 0.0], [8.0, 0.0]]), here).tolist() == [0.0, math.inf]
+    assert distance_to_contact_m(np.array([[0.0, 0.0], [8.0, 0.0]]), here).tolist() == [0.0, math.inf]
 
 
-def test_a_way_longer_than_60_steps_gets_longer_steps(shape: Shape, config: SafetyConfig) -> None:
+def test_a_way_longer_than_60_steps_gets_longer_steps(footprint: Footprint, config: SafetyConfig) -> None:
     assert len(spaced(120.0, 0.4)) == 61
     for count, step in ((1, config.field.step_m), (2, 0.3), (3, 0.3)):
         s = 0.3 * np.arange(count) + 1.0
         poses = np.column_stack([s, 0 * s, 0 * s])
-        assert sweep_along(shape, 1, s, poses, 0.0, config.field, True).step_m == pytest.approx(step)
+        assert sweep_along(footprint, 1, s, poses, 0.0, config.field, True).step_m == pytest.approx(step)
 
 
 def test_headings_are_without_jumps() -> None:
@@ -170,11 +188,11 @@ def test_headings_are_without_jumps() -> None:
     assert unwrapped(np.array([3.0, 3.1, 3.2 - 2 * math.pi])) == pytest.approx(smooth)
 
 
-def brute_contact(point: np.ndarray, shape: Shape, curvature: float, direction: int, length: float) -> float:
+def brute_contact(point: np.ndarray, footprint: Footprint, curvature: float, direction: int, length: float) -> float:
     """First place, in steps of 5 mm, at which a bare body covers the point."""
     s = np.arange(0.0, length, 0.005)
     best = math.inf
-    for body, poses in carriers(shape, arc_poses(curvature, direction, s), curvature):
+    for body, poses in carriers(footprint, arc_poses(curvature, direction, s), curvature):
         c, n = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         dx, dy = point[0] - poses[:, 0], point[1] - poses[:, 1]
         x, y = c * dx + n * dy, c * dy - n * dx
@@ -187,36 +205,36 @@ def brute_contact(point: np.ndarray, shape: Shape, curvature: float, direction: 
 @given(st.floats(-8.0, 12.0), st.floats(-8.0, 8.0), st.floats(-0.21, 0.21), st.sampled_from([1, -1]), st.booleans())
 @SETTINGS
 def test_contact_is_never_later_than_the_bodies_own(x, y, curvature, direction, is_trailed):
-    shape = SHAPES[is_trailed]
-    sweep = arc(shape, CONFIG, curvature, 7.0, direction)
-    truth = brute_contact(np.array([x, y]), shape, curvature, direction, sweep.length_m)
-    assert contact_m(np.array([[x, y]]), sweep)[0] <= truth + 0.02
+    footprint = SHAPES[is_trailed]
+    sweep = arc(footprint, CONFIG, curvature, 7.0, direction)
+    truth = brute_contact(np.array([x, y]), footprint, curvature, direction, sweep.length_m)
+    assert distance_to_contact_m(np.array([[x, y]]), sweep)[0] <= truth + 0.02
 
 
 @pytest.fixture(autouse=True)
-def _shapes(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
+def _footprints(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
     global CONFIG
     CONFIG = config
-    SHAPES[False], SHAPES[True] = shape_of(vehicle, implement), shape_of(vehicle, WAGON)
+    SHAPES[False], SHAPES[True] = footprint_of(vehicle, implement), footprint_of(vehicle, WAGON)
 
 
-SHAPES: dict[bool, Shape] = {}
+SHAPES: dict[bool, Footprint] = {}
 CONFIG: SafetyConfig
 
 
-def test_swing_out_of_the_implement(shape: Shape, config: SafetyConfig) -> None:
+def test_swing_out_of_the_implement(footprint: Footprint, config: SafetyConfig) -> None:
     """Turning left, the right rear corner swings out beyond the straight sweep; the point lies beside it."""
     point = np.array([[-1.0, -3.3]])
-    assert np.isinf(contact_m(point, arc(shape, config, 0.0, 4.0))[0])
-    assert np.isfinite(contact_m(point, arc(shape, config, 0.2, 4.0))[0])
+    assert np.isinf(distance_to_contact_m(point, arc(footprint, config, 0.0, 4.0))[0])
+    assert np.isfinite(distance_to_contact_m(point, arc(footprint, config, 0.2, 4.0))[0])
 
 
 def test_trailed_implement(vehicle: Vehicle) -> None:
-    shape = shape_of(vehicle, WAGON)
-    assert shape.foremost_m(-1) == pytest.approx(-6.7)
-    assert shape.leads_m(1) == pytest.approx((0.0, 4.7))
-    assert shape_of(vehicle, None).trailed is None
-    assert len(shape_of(vehicle, None).rigid) == 1
+    footprint = footprint_of(vehicle, WAGON)
+    assert footprint.foremost_m(-1) == pytest.approx(-6.7)
+    assert footprint.leads_m(1) == pytest.approx((0.0, 4.7))
+    assert footprint_of(vehicle, None).trailed is None
+    assert len(footprint_of(vehicle, None).rigid) == 1
     drawbar = Drawbar(-1.2, 4.0)
     assert steady_angle(drawbar, 0.0) == 0.0
     s = np.arange(0.0, 30.0, 0.05)
@@ -253,20 +271,20 @@ def test_headings_of_other_turns_do_not_matter(turns: int) -> None:
     assert poses[1, 2] == pytest.approx(0.1, abs=1e-6)
 
 
-def test_part_of_a_sweep_is_what_is_swept_until_there(shape: Shape, config: SafetyConfig) -> None:
-    sweep = arc(shape, config, 0.1, 20.0)
-    points, ways = corners_along(sweep, 0.1)
+def test_part_of_a_sweep_is_what_is_swept_until_there(footprint: Footprint, config: SafetyConfig) -> None:
+    sweep = arc(footprint, config, 0.1, 20.0)
+    points, ways = outline_points(sweep, 0.1)
     for way_m in (0.0, 4.9, 5.0, 5.1, 30.0):
-        part_points, part_ways = corners_along(sweep.until(way_m), 0.1)
+        part_points, part_ways = outline_points(sweep.up_to(way_m), 0.1)
         assert sorted(map(tuple, part_points)) == sorted(map(tuple, points[ways <= way_m])), way_m
-        assert part_ways.max() == sweep.until(way_m).length_m
+        assert part_ways.max() == sweep.up_to(way_m).length_m
 
 
 def test_place_on_the_path(config: SafetyConfig, vehicle: Vehicle) -> None:
     path = straight_path(7)
-    assert place_on(None, None) is None
-    assert place_on(straight_path(1, 0.0), None) is None
-    place = place_on(path, None)
+    assert position_on_path(None, None) is None
+    assert position_on_path(straight_path(1, 0.0), None) is None
+    place = position_on_path(path, None)
     assert place is not None
     assert place.s_m == 0.0
     for offset in around(1.0, 0.01):
@@ -276,40 +294,43 @@ def test_place_on_the_path(config: SafetyConfig, vehicle: Vehicle) -> None:
         assert at == (turn <= 20.0 + 1e-6), turn
 
 
-def test_way_without_a_place_is_the_arc(config: SafetyConfig, shape: Shape) -> None:
-    place = place_on(straight_path(), None)
+def test_way_without_a_place_is_the_arc(config: SafetyConfig, footprint: Footprint) -> None:
+    place = position_on_path(straight_path(), None)
     pose = np.zeros(3)
-    planned = way_ahead(place, pose, 0.1, 1, 10.0, 3.0, shape, config.field)
+    planned = sweep_field(place, pose, 0.1, 1, 10.0, 3.0, footprint, config.field)
     assert planned.is_planned
     assert planned.arc is not None
-    for other in (way_ahead(None, pose, 0.1, 1, 10.0, 3.0, shape, config.field),
-                  way_ahead(place, None, 0.1, 1, 10.0, 3.0, shape, config.field),
-                  way_ahead(place, np.array([0.0, 3.0, 0.0]), 0.1, 1, 10.0, 3.0, shape, config.field)):  # fmt: skip
+    for other in (sweep_field(None, pose, 0.1, 1, 10.0, 3.0, footprint, config.field),
+                  sweep_field(place, None, 0.1, 1, 10.0, 3.0, footprint, config.field),
+                  sweep_field(place, np.array([0.0, 3.0, 0.0]), 0.1, 1, 10.0, 3.0, footprint,
+                  config.field)):  # fmt: skip
         assert not other.is_planned
         assert other.arc is None
         assert other.main.poses[-1, 2] > 0.1
 
 
-def test_field_ends_with_the_path(config: SafetyConfig, shape: Shape) -> None:
-    way = way_ahead(place_on(straight_path(1, 3.0), None), np.zeros(3), 0.0, 1, 20.0, 1.0, shape, config.field)
+def test_field_ends_with_the_path(config: SafetyConfig, footprint: Footprint) -> None:
+    way = sweep_field(
+        position_on_path(straight_path(1, 3.0), None), np.zeros(3), 0.0, 1, 20.0, 1.0, footprint, config.field
+    )
     assert way.main.length_m == pytest.approx(3.0, abs=0.4)
-    assert np.isinf(contact_m(np.array([[8.0, 0.0]]), way.main)[0])
+    assert np.isinf(distance_to_contact_m(np.array([[8.0, 0.0]]), way.main)[0])
 
 
 def test_look_ahead_has_a_floor(config: SafetyConfig) -> None:
-    assert look_ahead_m(0.0, config.braking.flat, config.field, 2.0) == config.field.least_length_m
+    assert look_ahead_m(0.0, config.braking.flat, config.field, 2.0) == config.field.min_length_m
     assert look_ahead_m(5.0, config.braking.flat, config.field, 2.0) > 10.0
 
 
-def test_box_and_outline_hold_the_sweep(config: SafetyConfig, shape: Shape) -> None:
-    way = way_ahead(None, None, 0.2, 1, 8.0, 3.0, shape, config.field)
+def test_box_and_outline_hold_the_sweep(config: SafetyConfig, footprint: Footprint) -> None:
+    way = sweep_field(None, None, 0.2, 1, 8.0, 3.0, footprint, config.field)
     box = box_of(way, 0.0)
-    points, ways = corners_along(way.main, 0.5)
+    points, ways = outline_points(way.main, 0.5)
     assert np.all((points[:, 0] >= box.x_m[0]) & (points[:, 0] <= box.x_m[1]))
     assert np.all((points[:, 1] >= box.y_m[0]) & (points[:, 1] <= box.y_m[1]))
     assert ways.max() <= way.main.length_m
     assert outline_of(way.main).shape == (2 * len(way.main.s_m), 2)
-    assert outline_of(arc(shape, config, 0.0, 3.0, -1))[0, 0] < 0.0
+    assert outline_of(arc(footprint, config, 0.0, 3.0, -1))[0, 0] < 0.0
     assert len(outline(Rectangle(-1.0, 1.0, 1.0))) == 8
 
 
@@ -317,8 +338,8 @@ def test_box_and_outline_hold_the_sweep(config: SafetyConfig, shape: Shape) -> N
 @SETTINGS
 def test_more_points_never_lengthen_the_gap(points: list[tuple[float, float]]) -> None:
     sweep = arc(SHAPES[False], CONFIG, 0.05, 10.0)
-    gaps = [contact_m(np.array(points[: k + 1]), sweep).min() for k in range(len(points))]
-    assert all(b <= a for a, b in pairwise(gaps))
-    wider = contact_m(np.array(points), sweep, 0.5)
-    assert np.all(wider <= contact_m(np.array(points), sweep) + 1e-9)
-    assert len(contact_m(np.empty((0, 2)), sweep)) == 0
+    clearances = [distance_to_contact_m(np.array(points[: k + 1]), sweep).min() for k in range(len(points))]
+    assert all(b <= a for a, b in pairwise(clearances))
+    wider = distance_to_contact_m(np.array(points), sweep, 0.5)
+    assert np.all(wider <= distance_to_contact_m(np.array(points), sweep) + 1e-9)
+    assert len(distance_to_contact_m(np.empty((0, 2)), sweep)) == 0

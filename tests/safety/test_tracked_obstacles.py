@@ -12,17 +12,17 @@ from configs.vehicle import Vehicle
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import SafetyConfig
 from safety.pose_history import to_frame
-from safety.zones.footprint import Shape, shape_of
-from safety.zones.swept_area import Sweep, arc_poses, spaced, sweep_along
+from safety.zones.footprint import Footprint, footprint_of
+from safety.zones.swept_area import SweptArea, arc_poses, spaced, sweep_along
 from safety.zones.tracked_obstacles import (
-    NO_THREAT,
-    Threat,
+    NO_CRITICAL_OBJECT,
+    CriticalObject,
+    box_points,
     is_beside,
-    is_part_of,
+    is_fragment_of,
     is_within_reach,
+    nearest_critical_object,
     predicted,
-    rim,
-    threat_in,
     velocity_sigma_mps,
     without_walls,
 )
@@ -39,19 +39,21 @@ def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0, size: tuple[floa
 
 
 @pytest.fixture
-def shape(vehicle: Vehicle, implement) -> Shape:
-    return shape_of(vehicle, implement)
+def footprint(vehicle: Vehicle, implement) -> Footprint:
+    return footprint_of(vehicle, implement)
 
 
 @pytest.fixture
-def sweep(shape: Shape, config: SafetyConfig) -> Sweep:
+def sweep(footprint: Footprint, config: SafetyConfig) -> SweptArea:
     s = spaced(14.0, 0.4)
-    return sweep_along(shape, 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
+    return sweep_along(footprint, 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
 
 
-def threat(sweep: Sweep, shape: Shape, config: SafetyConfig, *tracks: Track, **changes: Any) -> Threat:
-    tracked, explained = config.tracked.model_copy(update=changes), changes.pop("is_explained", None)
-    return threat_in(sweep, shape, Tracks(START_NS, tracks), HERE, 0.0, 4.0, tracked, explained)
+def critical_object(
+    sweep: SweptArea, footprint: Footprint, config: SafetyConfig, *tracks: Track, **changes: Any
+) -> CriticalObject:
+    tracked, explained = config.tracked.model_copy(update=changes), changes.pop("is_known", None)
+    return nearest_critical_object(sweep, footprint, Tracks(START_NS, tracks), HERE, 0.0, 4.0, tracked, explained)
 
 
 def test_sigma_is_that_of_the_less_certain_component() -> None:
@@ -68,7 +70,7 @@ def test_places_to_come_reach_half_the_smaller_side_on_the_ground(config: Safety
 
 
 def test_rim_of_a_turned_box() -> None:
-    places = rim(track(1.0, 2.0, size=(4.0, 2.0, 9.0), yaw=0.5))
+    places = box_points(track(1.0, 2.0, size=(4.0, 2.0, 9.0), yaw=0.5))
     local = np.array([(a, b) for a in (-2.0, 0.0, 2.0) for b in (-1.0, 0.0, 1.0)])
     assert places == pytest.approx(to_frame(np.array([1.0, 2.0, 0.5]), local))
 
@@ -82,7 +84,7 @@ def test_what_is_within_reach() -> None:
         assert not is_within_reach(track(x, y), pose, 10.0, 4.0)
 
 
-def test_what_is_beside_the_sweep(sweep: Sweep) -> None:
+def test_what_is_beside_the_sweep(sweep: SweptArea) -> None:
     (x_low, x_high), (y_low, y_high) = sweep.box.x_m, sweep.box.y_m
     reach = 0.5 + sweep.step_m
     for more, is_out in ((-0.01, False), (0.0, False), (0.01, True)):
@@ -100,64 +102,66 @@ def test_a_piece_lies_on_the_box_or_half_a_metre_from_it() -> None:
         for u, v in itertools.product((-2.51, -2.5, 0.0, 1.2, 2.5, 2.51), (-1.51, -1.5, 0.0, 0.7, 1.5, 1.51)):
             place = to_frame(np.array([0.0, 0.0, yaw]), np.array([[u * (1 - slack), v * (1 - slack)]]))[0]
             expected = abs(u) <= 2.5 and abs(v) <= 1.5
-            assert is_part_of(track(*place), [car], 0.5) == expected, (yaw, u, v)
+            assert is_fragment_of(track(*place), [car], 0.5) == expected, (yaw, u, v)
 
 
 def test_a_piece_is_smaller_than_its_whole_and_another() -> None:
     car = track(0.0, 0.0, size=(4.0, 2.0, 1.5), id=2)
-    assert not is_part_of(replace(car, id=3), [car], 0.5)
-    assert not is_part_of(replace(track(0.0, 0.0), id=2), [car], 0.5)
-    assert is_part_of(track(0.0, 0.0), [track(0.0, 0.0), car], 0.5)
+    assert not is_fragment_of(replace(car, id=3), [car], 0.5)
+    assert not is_fragment_of(replace(track(0.0, 0.0), id=2), [car], 0.5)
+    assert is_fragment_of(track(0.0, 0.0), [track(0.0, 0.0), car], 0.5)
 
 
 def test_walls_are_told_by_places_on_the_ground() -> None:
-    def is_explained(points: np.ndarray) -> np.ndarray:
+    def is_known(points: np.ndarray) -> np.ndarray:
         assert points.shape[1] == 2
         return points[:, 0] > 5.0
 
     tracks = [track(1.0, 0.0, size=(length, 0.5, 1.0), id=k) for k, length in enumerate((2.0, 2.1))]
-    assert [one.id for one in without_walls(tracks, is_explained, 2.0)] == [0]
+    assert [one.id for one in without_walls(tracks, is_known, 2.0)] == [0]
 
 
-def test_what_is_explained_is_no_threat(sweep: Sweep, shape: Shape, config: SafetyConfig) -> None:
+def test_what_is_explained_is_no_threat(sweep: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     person, hedge = track(9.0, 0.0, vx=-1.0), track(9.0, 0.0, vx=-2.0, size=(3.0, 0.5, 1.0))
     for one, is_wall, counts in ((person, False, True), (person, True, False), (hedge, False, False)):
-        found = threat(
-            sweep, shape, config, one, is_explained=lambda points, known=is_wall: np.full(len(points), known)
+        found = critical_object(
+            sweep, footprint, config, one, is_known=lambda points, known=is_wall: np.full(len(points), known)
         )
-        assert (found != NO_THREAT) == counts
+        assert (found != NO_CRITICAL_OBJECT) == counts
 
 
-def test_none_hides_the_next(sweep: Sweep, shape: Shape, config: SafetyConfig) -> None:
+def test_none_hides_the_next(sweep: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     coming = track(9.0, 0.0, vx=-1.0, id=7)
     for uncovered_areas in (
         track(9.0, 0.0, label=ObstacleClass.UNKNOWN), track(9.0, 8.0), track(-8.0, 0.0, vx=1.0), track(1.0, -4.5),
         track(9.0, 0.0, size=(13.0, 1.0, 1.0)),
     ):  # fmt: skip
-        found = threat(sweep, shape, config, uncovered_areas, coming)
+        found = critical_object(sweep, footprint, config, uncovered_areas, coming)
         assert (found.label, found.id) == (ObstacleClass.PERSON, 7)
-    assert threat(sweep, shape, config, coming, replace(coming, id=8)).id == 7  # of equals the first
+    assert critical_object(sweep, footprint, config, coming, replace(coming, id=8)).id == 7  # of equals the first
 
 
-def test_motion_is_looked_at_from_now_on_in_steps(sweep: Sweep, shape: Shape, config: SafetyConfig) -> None:
+def test_motion_is_looked_at_from_now_on_in_steps(sweep: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     leaving = track(7.0, 3.0, vy=3.0)
-    assert threat(sweep, shape, config, leaving) != NO_THREAT
+    assert critical_object(sweep, footprint, config, leaving) != NO_CRITICAL_OBJECT
     crossing = track(7.0, 10.0, vy=-7.0)
-    assert threat(sweep, shape, config, crossing) != NO_THREAT
-    assert threat(sweep, shape, config, crossing, steps=2) == NO_THREAT
+    assert critical_object(sweep, footprint, config, crossing) != NO_CRITICAL_OBJECT
+    assert critical_object(sweep, footprint, config, crossing, steps=2) == NO_CRITICAL_OBJECT
 
 
-def test_only_what_is_long_carries_pieces(sweep: Sweep, shape: Shape, config: SafetyConfig) -> None:
+def test_only_what_is_long_carries_pieces(sweep: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     piece = track(9.5, 4.2, vy=-1.5, size=(0.4, 0.1, 0.5))
-    for length in around(config.tracked.carrier_m, 0.01):
+    for length in around(config.tracked.fragment_parent_m, 0.01):
         post = track(9.5, 4.4, size=(length, 0.5, 1.0), label=ObstacleClass.UNKNOWN, id=2)
-        assert (threat(sweep, shape, config, post, piece) == NO_THREAT) == (length >= config.tracked.carrier_m), length
+        assert (critical_object(sweep, footprint, config, post, piece) == NO_CRITICAL_OBJECT) == (
+            length >= config.tracked.fragment_parent_m
+        ), length
 
 
 def test_the_own_trailer_in_a_bend_is_no_threat(vehicle: Vehicle, config: SafetyConfig) -> None:
-    shape, s = shape_of(vehicle, WAGON), spaced(14.0, 0.4)
-    sweep = sweep_along(shape, 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True)
+    footprint, s = footprint_of(vehicle, WAGON), spaced(14.0, 0.4)
+    sweep = sweep_along(footprint, 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True)
     for x, counts in ((-3.0, False), (9.0, True)):
         moving = track(x, -0.8 if x < 0.0 else 3.0, vx=2.5, size=(0.4, 0.4, 1.0))
-        found = threat_in(sweep, shape, Tracks(START_NS, (moving,)), HERE, 0.1, 4.0, config.tracked)
-        assert (found != NO_THREAT) == counts, x
+        found = nearest_critical_object(sweep, footprint, Tracks(START_NS, (moving,)), HERE, 0.1, 4.0, config.tracked)
+        assert (found != NO_CRITICAL_OBJECT) == counts, x

@@ -11,7 +11,7 @@ from geometry.transforms import transform
 from messages.command import ControlCommand, Mode, SafeCommand
 from messages.motion import MapPose, Odometry, PositionSource
 from safety.config import SafetyConfig
-from safety.monitors.vehicle import Gauge, Measured, direction_of, position_sigma_m
+from safety.monitors.vehicle import VehicleMonitor, VehicleState, direction_of, position_sigma_m
 from safety.stopping_distance import on_grade
 from tests.safety.safety_world import START_NS, around, machine_state, straight_path
 
@@ -30,19 +30,19 @@ class Bench:
     """A gauge that is shown one moment after the other."""
 
     def __init__(self, config: SafetyConfig) -> None:
-        self.gauge, self.now_ns = Gauge(config), START_NS
+        self.vehicle_monitor, self.now_ns = VehicleMonitor(config), START_NS
         self.shown: dict[str, Any] = {
             "mode": Mode.AUTOMATIC, "odom": odometry(), "machine": machine_state(START_NS, speed_mps=2.0),
             "map_pose": None, "path": None, "control_command": None, "command": COMMAND,
         }  # fmt: skip
 
-    def show(self, after_s: float = 0.02, **changes: Any) -> Measured:
+    def show(self, after_s: float = 0.02, **changes: Any) -> VehicleState:
         """What is measured in a moment; changes stay, `machine` names those of its state."""
         self.now_ns += round(after_s * 1e9)
         if isinstance(changes.get("machine"), dict):
             changes["machine"] = machine_state(START_NS, **{"speed_mps": 2.0, **changes["machine"]})
         self.shown |= changes
-        return self.gauge.measure(self.now_ns, **self.shown)
+        return self.vehicle_monitor.update(self.now_ns, **self.shown)
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def bench(config: SafetyConfig) -> Bench:
 def test_before_anything_came_it_stands(bench: Bench) -> None:
     measured = bench.show(odom=None, machine=None, command=None)
     assert (measured.speed_mps, measured.fastest_mps, measured.direction) == (None, 0.0, 1)
-    assert measured.braking == bench.gauge._config.braking.flat
+    assert measured.braking == bench.vehicle_monitor._config.braking.flat
     assert not measured.has_driver
 
 
@@ -62,8 +62,8 @@ def test_the_faster_of_two_sources_counts(bench: Bench) -> None:
         measured = bench.show(odom=odometry(odom), machine={"speed_mps": machine})
         assert (measured.speed_mps, measured.fastest_mps) == (speed, abs(speed)), (odom, machine)
     assert bench.show(odom=None).speed_mps is None
-    lost = bench.show(odom=None, machine=None)
-    assert (lost.speed_mps, lost.fastest_mps) == (None, 1.0)  # as it was
+    sensor_failures = bench.show(odom=None, machine=None)
+    assert (sensor_failures.speed_mps, sensor_failures.fastest_mps) == (None, 1.0)  # as it was
 
 
 def test_direction_stays_when_nothing_tells_it(bench: Bench) -> None:
@@ -85,7 +85,7 @@ def test_direction_is_that_of_motion_above_10_cm_per_s() -> None:
 
 
 def test_braking_is_that_of_the_slope_in_the_direction_of_travel(bench: Bench, config: SafetyConfig) -> None:
-    flat, least = config.braking.flat, config.braking.least_deceleration_mps2
+    flat, least = config.braking.flat, config.braking.min_deceleration_mps2
     down = on_grade(flat, 0.1, least)
     assert bench.show(odom=odometry(pitch_rad=0.1)).braking.deceleration_mps2 == pytest.approx(down.deceleration_mps2)
     assert bench.show(odom=None).braking.deceleration_mps2 == pytest.approx(down.deceleration_mps2)  # the last known
@@ -104,30 +104,30 @@ def test_sigma_is_that_of_the_worse_axis(bench: Bench) -> None:
 
 
 def test_a_hand_counts_from_when_it_holds_on(bench: Bench) -> None:
-    assert bench.show(machine={"driver_torque_nm": -2.0}).hand_forced_s == 0.0
-    assert bench.show(1.0).hand_forced_s == 1.0
-    assert bench.show(machine={"driver_torque_nm": 1.9}).hand_forced_s == 0.0
+    assert bench.show(machine={"driver_torque_nm": -2.0}).driver_override_s == 0.0
+    assert bench.show(1.0).driver_override_s == 1.0
+    assert bench.show(machine={"driver_torque_nm": 1.9}).driver_override_s == 0.0
 
 
 def test_steering_off_its_command(bench: Bench) -> None:
     for error in around(0.04, 0.001):
         bench.show(machine={"curvature_radpm": 0.0})
         bench.show(machine={"curvature_radpm": error})
-        assert (bench.show(0.5).steering_off_s > 0.0) == (error > 0.04), error
-    assert bench.show(machine={"curvature_radpm": -0.1}).steering_off_s > 0.5
-    assert bench.show(1.0).steering_off_s > 1.5
-    assert bench.show(mode=Mode.STANDBY).steering_off_s == 0.0
+        assert (bench.show(0.5).steering_deviation_s > 0.0) == (error > 0.04), error
+    assert bench.show(machine={"curvature_radpm": -0.1}).steering_deviation_s > 0.5
+    assert bench.show(1.0).steering_deviation_s > 1.5
+    assert bench.show(mode=Mode.STANDBY).steering_deviation_s == 0.0
     bench.show(mode=Mode.AUTOMATIC, machine={"curvature_radpm": math.nan})
-    assert bench.show(1.0).steering_off_s == 1.0
-    assert bench.show(machine=None).steering_off_s == 0.0
+    assert bench.show(1.0).steering_deviation_s == 1.0
+    assert bench.show(machine=None).steering_deviation_s == 0.0
 
 
 def test_steering_may_be_as_late_as_its_actuator(bench: Bench) -> None:
     bench.show(command=replace(COMMAND, curvature_radpm=0.1), machine={"curvature_radpm": 0.1})
     bench.show(command=COMMAND)
-    assert bench.show(0.78).steering_off_s == 0.0
+    assert bench.show(0.78).steering_deviation_s == 0.0
     bench.show(0.001)
-    assert bench.show(0.2).steering_off_s == 0.2
+    assert bench.show(0.2).steering_deviation_s == 0.2
 
 
 def test_steering_is_judged_from_30_cm_per_s_on(bench: Bench) -> None:
@@ -136,18 +136,18 @@ def test_steering_is_judged_from_30_cm_per_s_on(bench: Bench) -> None:
         bench.show(odom=odometry(speed), machine={"speed_mps": speed})
         bench.show(machine=slow)
         measured = bench.show(0.5)
-        assert (measured.steering_off_s > 0.0) == (speed >= 0.3), speed
-        assert (measured.steering_lost_s > 0.0) == (speed >= 0.3), speed
+        assert (measured.steering_deviation_s > 0.0) == (speed >= 0.3), speed
+        assert (measured.steering_unavailable_s > 0.0) == (speed >= 0.3), speed
 
 
 def test_steering_lost(bench: Bench) -> None:
-    assert bench.show(machine={"is_steering_ready": False}).steering_lost_s == 0.0
-    assert bench.show(0.5).steering_lost_s == 0.5
-    assert bench.show(mode=Mode.MANUAL).steering_lost_s == 0.0
+    assert bench.show(machine={"is_steering_ready": False}).steering_unavailable_s == 0.0
+    assert bench.show(0.5).steering_unavailable_s == 0.5
+    assert bench.show(mode=Mode.MANUAL).steering_unavailable_s == 0.0
     bench.show(mode=Mode.AUTOMATIC)
-    assert bench.show(0.5).steering_lost_s == 0.5
-    assert bench.show(machine={}).steering_lost_s == 0.0
-    assert bench.show(machine=None).steering_lost_s == 0.0
+    assert bench.show(0.5).steering_unavailable_s == 0.5
+    assert bench.show(machine={}).steering_unavailable_s == 0.0
+    assert bench.show(machine=None).steering_unavailable_s == 0.0
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -157,7 +157,7 @@ def test_a_brake_that_is_not_felt(bench: Bench, sign: int) -> None:
     def weak(speed: float, felt: float, command: SafeCommand | None = braking) -> bool:
         bench.show(odom=None)
         bench.show(odom=odometry(sign * speed, -sign * felt), command=command)
-        return bench.show(0.5).brake_weak_s > 0.0
+        return bench.show(0.5).brake_ineffective_s > 0.0
 
     for felt in around(0.6, 0.01):
         assert weak(2.0, felt) == (felt < 0.6), felt
