@@ -90,7 +90,7 @@ def main() -> None:
         one, wall_s = validate([LOG], "--out", str(folder / "one"))
         print(f"40 frames (3.9 s of driving) in {wall_s:.1f} s: {one['state']}")
         for e in one["encounters"]:
-            keys = ("role", "outcome", "entered_s", "clearance_m", "stopping_distance_m", "margin_m", "asked_after_s")
+            keys = ("role", "outcome", "entry_s", "clearance_m", "stopping_distance_m", "margin_m", "request_delay_s")
             print({k: e[k] for k in keys})
         print({k: one[k] for k in ("missed", "false_stops", "safe_speed_kmh")})
         logs = cuts(folder, arguments.logs, arguments.frames, arguments.demo)

@@ -18,7 +18,7 @@ from messages.errors import HeadlandError
 from messages.message import Envelope
 from runtime.run_folder import RunFolder, resolved, versions
 from validation.obstacle_stop.conditions import FILE, load_conditions
-from validation.obstacle_stop.tables import line, tell, write_table
+from validation.obstacle_stop.tables import print_table, summary_line, write_table
 
 EXIT = {"passed": 0, "failed": 1, "not_shown": 2}
 NOT_LOGGED = ("lidar", "camera", "obstacles", "ground", "recorded", "imu", "wheel", "gnss", "can")
@@ -55,7 +55,7 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
-        tell(result)
+        print_table(result)
     if len(tasks) == 1 and result["failed_to_read"]:
         raise HeadlandError(result["failed_to_read"][0]["reason"])
     return EXIT[result["state"]]
@@ -138,7 +138,7 @@ def _judge_all(tasks: list[Task], arguments: argparse.Namespace) -> dict[str, di
         sys.stderr.write(f"{len(done)} of {len(tasks)} judged before\n")
     for task, values in _run(waiting, arguments):
         done[task.name] = values
-        sys.stderr.write(f"[{len(done)}/{len(tasks)}] {task.name}: {line(values)}\n")
+        sys.stderr.write(f"[{len(done)}/{len(tasks)}] {task.name}: {summary_line(values)}\n")
     return done
 
 
@@ -233,8 +233,8 @@ def _judge(task: Task) -> dict[str, Any]:
     from runtime.replay.object_removal import erase
     from runtime.replay.prepare import load_configuration, prepare
     from runtime.replay.replay import replay
-    from validation.obstacle_stop.evaluation import judge_log
-    from validation.obstacle_stop.figures import encounter_picture
+    from validation.obstacle_stop.evaluation import evaluate_log
+    from validation.obstacle_stop.figures import encounter_figure
     from validation.obstacle_stop.observer import Observer
 
     conditions = load_conditions(task.conditions)
@@ -256,12 +256,14 @@ def _judge(task: Task) -> dict[str, Any]:
                 log.write(envelope)
 
         replay(prepared, [observer, keep])
-    seen = observer.finish()
-    values = judge_log(task.name, seen, setting.truth_frame is not None, conditions)
+    observed = observer.finish()
+    values = evaluate_log(task.name, observed, setting.truth_frame is not None, conditions)
     pictures = {}
     for encounter in values["encounters"]:
         if setting.truth_frame is not None:
-            png = encounter_picture(encounter, seen, setting.front_m, setting.width_m, conditions.tube.least_returns)
+            png = encounter_figure(
+                encounter, observed, setting.front_m, setting.width_m, conditions.corridor.min_returns
+            )
             pictures[f"{task.name}: {encounter['role']}, {encounter['outcome']}"] = base64.b64encode(png).decode()
     return values | {"preflight": preflight, "digest": log.digest(), "pictures": pictures}
 
@@ -269,9 +271,9 @@ def _judge(task: Task) -> dict[str, Any]:
 def _finish(folder: RunFolder, results: list[dict[str, Any]], conditions: Any) -> dict[str, Any]:
     """Tables, report and records of all logs."""
     from validation.obstacle_stop.report import render
-    from validation.obstacle_stop.totals import put_together
+    from validation.obstacle_stop.totals import aggregate
 
-    result = put_together(results, conditions) | {"run_dir": str(folder.path)}
+    result = aggregate(results, conditions) | {"run_dir": str(folder.path)}
     for name in ("encounters", "stops", "recall"):
         write_table(folder.path / f"{name}.parquet", name, result[name])
     pictures = {t: base64.b64decode(png) for values in results for t, png in values.get("pictures", {}).items()}

@@ -13,7 +13,12 @@ from messages.sensors import CameraImage, LidarScan, RadarScan, UltrasonicRange
 from messages.truth import TrueMachine, TrueObject, TrueObjects
 from runtime.replay.prepare import Prepared
 from validation.obstacle_stop.boxes import Box, box_of
-from validation.obstacle_stop.object_removal import echo_without, picture_without, radar_without, without
+from validation.obstacle_stop.object_removal import (
+    remove_from_echo,
+    remove_from_image,
+    remove_from_radar,
+    remove_from_scan,
+)
 
 OLDEST_NS = 150_000_000
 Place = Callable[[int], Box | None]
@@ -83,11 +88,11 @@ def gone(topic: str, message: Message, box: Box, sensors: Sensors) -> Message:
     """A sensor's message without the object; others as they are."""
     name = topic.partition("/")[2]
     if isinstance(message, LidarScan) and name in sensors.lidar:
-        return without(message, box, sensors.lidar[name].mount.T_base_sensor)
+        return remove_from_scan(message, box, sensors.lidar[name].mount.T_base_sensor)
     if isinstance(message, RadarScan) and name in sensors.radar:
-        return radar_without(message, box, sensors.radar[name])
+        return remove_from_radar(message, box, sensors.radar[name])
     if isinstance(message, UltrasonicRange) and name in sensors.ultrasonic:
-        return echo_without(message, box, sensors.ultrasonic[name])
+        return remove_from_echo(message, box, sensors.ultrasonic[name])
     if isinstance(message, CameraImage) and name in sensors.camera:
-        return picture_without(message, box, sensors.camera[name])
+        return remove_from_image(message, box, sensors.camera[name])
     return message

@@ -89,13 +89,13 @@ class Prepared:
 
     @property
     def half_width_m(self) -> float:
-        """Of the tube: the machine with its implement along a planned path, else as the conditions say."""
+        """Of the driving corridor: the machine with its implement along a planned path, else as the conditions say."""
         body, implement = self.machine.vehicle.body, self.machine.implement
         widest = max(body.width_m, implement.width_m if implement is not None else 0.0)
         if self.is_planned:
             return 0.5 * widest
-        tube = self.config.conditions.tube
-        return max(tube.half_width_m, 0.5 * widest + tube.side_m)
+        corridor = self.config.conditions.corridor
+        return max(corridor.half_width_m, 0.5 * widest + corridor.side_margin_m)
 
     def setting(self, name: str) -> Setting:
         """What the judge must know."""

@@ -1,1 +1,1 @@
-"""Obstacle stops judged on what a replay wrote: would the stack have stopped?"""
+"""Evaluation of obstacle stops on replayed logs: encounters, stop requests, recall and detection range."""

@@ -1,4 +1,4 @@
-"""The conditions of a judgement, as they stand in their versioned file."""
+"""Conditions of an evaluation, read from a versioned YAML file."""
 
 from fnmatch import fnmatch
 from pathlib import Path
@@ -16,7 +16,7 @@ Count = Annotated[int, Field(ge=0, le=1000000)]
 
 
 class BrakingValues(Config):
-    """τ, t_b and a of requirements.md, and the share of τ left once braking is asked for."""
+    """τ, t_b and a of docs/requirements.md, and the part of τ that remains after the braking request."""
 
     reaction_s: float = Field(ge=0.0, le=10.0)
     build_up_s: float = Field(ge=0.0, le=10.0)
@@ -24,40 +24,40 @@ class BrakingValues(Config):
     dead_time_s: float = Field(ge=0.0, le=10.0)
 
     @model_validator(mode="after")
-    def _dead_time_is_part_of_it(self) -> "BrakingValues":
+    def _dead_time_within_reaction(self) -> "BrakingValues":
         if self.dead_time_s > self.reaction_s:
             raise ValueError(f"dead_time_s {self.dead_time_s} is a part of reaction_s {self.reaction_s}")
         return self
 
 
-class TubeConditions(Config):
-    """The swept path."""
+class CorridorConditions(Config):
+    """Driving corridor: half width (also for manual driving), side margin, length, returns for entry."""
 
     half_width_m: float = Field(gt=0.1, le=20.0)
-    side_m: float = Field(ge=0.0, le=5.0)
-    reach_m: float = Field(ge=5.0, le=300.0)
-    least_returns: int = Field(ge=1, le=1000)
+    side_margin_m: float = Field(ge=0.0, le=5.0)
+    length_m: float = Field(ge=5.0, le=300.0)
+    min_returns: int = Field(ge=1, le=1000)
 
 
 class TruthConditions(Config):
-    """Where truth comes from and how far it goes."""
+    """Source of the truth, its maximum age and view angle, and the association of returns with boxes."""
 
     source: Literal["any", "topic", "sidecar", "labels"]
-    greatest_age_s: float = Field(gt=0.0, le=10.0)
+    max_age_s: float = Field(gt=0.0, le=10.0)
     view_deg: dict[str, Annotated[float, Field(gt=0.0, le=180.0)]]
-    near_m: Metres
-    foot_m: Metres
+    association_m: Metres
+    ground_margin_m: Metres
 
 
 class RecallConditions(Config):
-    """Which objects count, and the ranges that the table has."""
+    """Returns from which an object counts, and range bins of the recall table."""
 
-    least_returns: int = Field(ge=1, le=1000)
-    edges_m: tuple[Metres, ...] = Field(min_length=2)
+    min_returns: int = Field(ge=1, le=1000)
+    range_edges_m: tuple[Metres, ...] = Field(min_length=2)
 
 
-class Most(Config):
-    """How many of each may be; more, and the logs have failed."""
+class MaxCounts(Config):
+    """Highest counts that pass."""
 
     missed: Count
     late: Count
@@ -65,23 +65,23 @@ class Most(Config):
 
 
 class Window(Config):
-    """A stretch of time of the logs whose name fits."""
+    """Time interval of the logs whose name matches `log`."""
 
     log: str
     from_s: Seconds
     to_s: Seconds
 
 
-class Area(Config):
-    """An area where nothing is judged, in the frame `odom` of the replay."""
+class IgnoredArea(Config):
+    """Area excluded from the evaluation, in the frame `odom` of the replay."""
 
     log: str
     outline_odom_m: tuple[tuple[float, float], ...] = Field(min_length=3)
     reason: str = Field(min_length=3)
 
 
-class Named(Config):
-    """An object of certain logs by its id in the truth."""
+class ListedObject(Config):
+    """Object of the logs whose name matches `log`, by its id in the truth."""
 
     log: str
     id: int
@@ -89,37 +89,37 @@ class Named(Config):
 
 
 class Conditions(Config):
-    """Everything that a verdict depends on besides the log and the stack."""
+    """All inputs of a verdict besides the log and the stack."""
 
     version: Literal[1]
     braking: BrakingValues
-    tube: TubeConditions
+    corridor: CorridorConditions
     truth: TruthConditions
     recall: RecallConditions
     classes: tuple[ObstacleClass, ...] = Field(min_length=1)
     recognition_m: Metres
-    grace_s: float = Field(ge=0.0, le=10.0)
-    most: Most
+    settling_s: float = Field(ge=0.0, le=10.0)
+    max_counts: MaxCounts
     windows: tuple[Window, ...]
-    ignored: tuple[Area, ...]
-    must_stop: tuple[Named, ...]
-    must_not_stop: tuple[Named, ...]
+    ignored: tuple[IgnoredArea, ...]
+    must_stop: tuple[ListedObject, ...]
+    must_not_stop: tuple[ListedObject, ...]
 
-    def is_judged(self, log: str, t_s: float) -> bool:
-        """Whether a time of a log is to be judged: in one of its windows, if it has any."""
+    def is_evaluated(self, log: str, t_s: float) -> bool:
+        """Whether a time of a log is evaluated: inside one of its windows, or no window is given."""
         mine = [w for w in self.windows if fnmatch(log, w.log)]
         return not mine or any(w.from_s <= t_s <= w.to_s for w in mine)
 
-    def areas(self, log: str) -> tuple[Area, ...]:
-        """What of a log is ignored."""
+    def areas(self, log: str) -> tuple[IgnoredArea, ...]:
+        """Ignored areas of a log."""
         return tuple(area for area in self.ignored if fnmatch(log, area.log))
 
 
-def named(entries: tuple[Named, ...], log: str) -> dict[int, str]:
-    """Ids of a log with the reason why they are named."""
+def listed_ids(entries: tuple[ListedObject, ...], log: str) -> dict[int, str]:
+    """Object ids listed for a log, with reasons."""
     return {entry.id: entry.reason for entry in entries if fnmatch(log, entry.log)}
 
 
 def load_conditions(file: Path | None) -> Conditions:
-    """The given file, or ours; raises ConfigError."""
+    """Conditions from a file, by default the shipped one; raises ConfigError."""
     return load(Conditions, file or FILE)

@@ -1,4 +1,4 @@
-"""The tube: the volume that the vehicle's front will sweep, seen from base at one moment."""
+"""Driving corridor: the area that the vehicle front sweeps along its path, in base."""
 
 import math
 from dataclasses import dataclass
@@ -14,47 +14,49 @@ SEARCH_M = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Tube:
-    """The way (M, 2) of the middle of the front in base now, `start_m` the way to the front's present place on it."""
+class DrivingCorridor:
+    """Path of the front centre `path_m` (M, 2) in base; `start_m` is the arc length at its present position."""
 
-    way_m: Float64
+    path_m: Float64
     start_m: float
     half_width_m: float
 
-    def gaps(self, xy_m: Float64) -> Float64:
-        """Free way to each point (N, 2) along the tube, (N,); infinite outside it and behind the front."""
+    def clearances(self, xy_m: Float64) -> Float64:
+        """Distance along the corridor to each point (N, 2), (N,); infinite outside it and behind the front."""
         if len(xy_m) == 0:
             return np.empty(0)
-        s, aside = places(self.way_m, xy_m)
-        inside = (np.abs(aside) <= self.half_width_m) & (s > self.start_m)
-        return np.where(inside, s - self.start_m, np.inf)
+        s, aside = project(self.path_m, xy_m)
+        is_inside = (np.abs(aside) <= self.half_width_m) & (s > self.start_m)
+        return np.where(is_inside, s - self.start_m, np.inf)
 
     def outline_m(self) -> Float64:
-        """A ring (K, 2) about it, for the eye."""
-        d = np.gradient(self.way_m, axis=0)
+        """Outline ring (K, 2), for figures."""
+        d = np.gradient(self.path_m, axis=0)
         n = np.column_stack([-d[:, 1], d[:, 0]]) / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-9)[:, None]
-        return np.vstack([self.way_m + self.half_width_m * n, (self.way_m - self.half_width_m * n)[::-1]])
+        return np.vstack([self.path_m + self.half_width_m * n, (self.path_m - self.half_width_m * n)[::-1]])
 
 
-def tube_of(path: Path, place_m: float, pose_map: Float64, front_m: float, half_width_m: float, reach_m: float) -> Tube:
-    """The tube along a path from about `place_m` on, for the pose (3,: x, y, yaw in map)."""
-    first, last = max(place_m - SEARCH_M, float(path.s_m[0])), min(place_m + reach_m, float(path.s_m[-1]))
+def corridor_along(
+    path: Path, s_m: float, pose_map: Float64, front_m: float, half_width_m: float, length_m: float
+) -> DrivingCorridor:
+    """Corridor along a path from about arc length `s_m` on, for a pose in map (3,): x, y, yaw."""
+    first, last = max(s_m - SEARCH_M, float(path.s_m[0])), min(s_m + length_m, float(path.s_m[-1]))
     s = np.append(np.arange(first, last, STEP_M), last)
     x, y = (np.interp(s, path.s_m, path.p_map_m[:, k]) for k in (0, 1))
     heading = np.interp(s, path.s_m, np.unwrap(path.heading_rad))
     front = np.column_stack([x + front_m * np.cos(heading), y + front_m * np.sin(heading)]) - pose_map[:2]
     c, n = math.cos(pose_map[2]), math.sin(pose_map[2])
-    way = np.column_stack([c * front[:, 0] + n * front[:, 1], c * front[:, 1] - n * front[:, 0]])
-    way = way[np.concatenate([[True], np.hypot(*np.diff(way, axis=0).T) > 1e-3])]
-    if len(way) < 2:
-        way = np.array([[front_m, 0.0], [front_m + STEP_M, 0.0]])
-    here, _ = places(way, np.array([[front_m, 0.0]]))
-    return Tube(way, float(here[0]), half_width_m)
+    front_base = np.column_stack([c * front[:, 0] + n * front[:, 1], c * front[:, 1] - n * front[:, 0]])
+    front_base = front_base[np.concatenate([[True], np.hypot(*np.diff(front_base, axis=0).T) > 1e-3])]
+    if len(front_base) < 2:
+        front_base = np.array([[front_m, 0.0], [front_m + STEP_M, 0.0]])
+    here, _ = project(front_base, np.array([[front_m, 0.0]]))
+    return DrivingCorridor(front_base, float(here[0]), half_width_m)
 
 
-def places(way_m: Float64, xy_m: Float64) -> tuple[Float64, Float64]:
-    """Way along the polyline to the foot of each point (N,), and the distance there, infinite past its ends."""
-    a, d = way_m[:-1], np.diff(way_m, axis=0)
+def project(path_m: Float64, xy_m: Float64) -> tuple[Float64, Float64]:
+    """Arc length of the nearest position on a polyline for each point (N,), and distance; infinite beyond its ends."""
+    a, d = path_m[:-1], np.diff(path_m, axis=0)
     length = np.hypot(d[:, 0], d[:, 1])
     u = d / length[:, None]
     along = xy_m @ u.T - np.einsum("ij,ij->i", a, u)
@@ -63,6 +65,6 @@ def places(way_m: Float64, xy_m: Float64) -> tuple[Float64, Float64]:
     k = np.argmin(np.hypot(over, across), axis=1)
     row = np.arange(len(xy_m))
     is_past = ((k == 0) & (over[row, k] < 0.0)) | ((k == len(length) - 1) & (over[row, k] > 0.0))
-    # in the wedge outside a bend the nearest place is the corner itself
+    # outside a bend the nearest position is the corner
     aside = np.where(is_past, np.inf, np.hypot(over[row, k], across[row, k]))
-    return arc_length(way_m)[k] + np.clip(along, 0.0, length)[row, k], aside
+    return arc_length(path_m)[k] + np.clip(along, 0.0, length)[row, k], aside

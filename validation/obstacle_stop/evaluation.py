@@ -1,85 +1,89 @@
-"""One log judged: its encounters, stops, recall and hours as plain values."""
+"""Evaluation of one log: encounters, stops, recall, detection range and hours as plain values."""
 
 from collections import Counter
 from typing import Any
 
-from validation.obstacle_stop.conditions import Conditions, named
-from validation.obstacle_stop.encounters import Encounter, find_encounters, perceived
-from validation.obstacle_stop.observation import Observation, Sighting
+from validation.obstacle_stop.conditions import Conditions, listed_ids
+from validation.obstacle_stop.encounters import Encounter, encounters_without_truth, find_encounters
+from validation.obstacle_stop.observation import LogObservation, ObjectObservation
 from validation.obstacle_stop.ranges import confirmed
 from validation.obstacle_stop.stops import Stop, find_stops
-from validation.obstacle_stop.visibility import ahead
+from validation.obstacle_stop.visibility import in_forward_region
 
 
-def judge_log(log: str, seen: Observation, has_truth: bool, conditions: Conditions) -> dict[str, Any]:
-    """What one log shows; kept as it is until all logs are put together."""
-    has_truth = has_truth and seen.judged_scans > 0
-    encounters = find_encounters(log, seen, conditions) if has_truth else perceived(log, seen, conditions)
-    stops = find_stops(log, seen, has_truth)
+def evaluate_log(log: str, observed: LogObservation, has_truth: bool, conditions: Conditions) -> dict[str, Any]:
+    """Result of one log, input of `totals.aggregate`."""
+    has_truth = has_truth and observed.evaluated_scans > 0
+    encounters = (
+        find_encounters(log, observed, conditions) if has_truth else encounters_without_truth(log, observed, conditions)
+    )
+    stops = find_stops(log, observed, has_truth)
     return {
         "log": log,
         "has_truth": has_truth,
         "encounters": [e.as_dict for e in encounters],
         "stops": [s.as_dict for s in stops],
-        "recall": recall_rows(seen, conditions) if has_truth else [],
-        "confirmation": confirmation(seen),
-        "reach": reach(seen, conditions),
-        "hours": (seen.last_ns - seen.first_ns) * 1e-9 / 3600.0,
-        "driven_m": round(seen.driven_m, 2),
-        "scans": len(seen.scans),
-        "judged_scans": seen.judged_scans,
-        "scan_period_s": round(seen.period_s, 4),
-        "broken": broken(log, encounters, stops, conditions),
+        "recall": recall_rows(observed, conditions) if has_truth else [],
+        "confirmation": confirmation(observed),
+        "detection_range": detection_range(observed, conditions),
+        "hours": (observed.last_ns - observed.first_ns) * 1e-9 / 3600.0,
+        "driven_m": round(observed.driven_m, 2),
+        "scans": len(observed.scans),
+        "evaluated_scans": observed.evaluated_scans,
+        "scan_period_s": round(observed.period_s, 4),
+        "violations": violations(log, encounters, stops, conditions),
     }
 
 
-def recall_rows(seen: Observation, conditions: Conditions) -> list[dict[str, Any]]:
-    """Found of all by class and range, by the strict rule; objects with enough returns."""
-    edges = conditions.recall.edges_m
+def recall_rows(observed: LogObservation, conditions: Conditions) -> list[dict[str, Any]]:
+    """Detected and total observations by class and range (strict rule, objects with enough returns)."""
+    edges = conditions.recall.range_edges_m
     total: Counter[tuple[str, int]] = Counter()
     hit: Counter[tuple[str, int]] = Counter()
-    for sighting in countable(seen, conditions):
-        k = sum(sighting.edge_m >= edge for edge in edges) - 1
+    for observation in countable(observed, conditions):
+        k = sum(observation.front_distance_m >= edge for edge in edges) - 1
         if 0 <= k < len(edges) - 1:
-            total[(sighting.label, k)] += 1
-            hit[(sighting.label, k)] += sighting.is_strict
+            total[(observation.label, k)] += 1
+            hit[(observation.label, k)] += observation.is_detected_strictly
     return [
         {"class": label, "from_m": edges[k], "to_m": edges[k + 1], "n": n, "found": hit[(label, k)]}
         for (label, k), n in sorted(total.items())
     ]
 
 
-def confirmation(seen: Observation) -> list[dict[str, Any]]:
-    """By object: seconds from the first scan with enough returns until a confirmed track was told, null when never."""
-    told = seen.confirmed_ns
+def confirmation(observed: LogObservation) -> list[dict[str, Any]]:
+    """By object: seconds from the first scan with enough returns to the first confirmed track, null without one."""
+    confirmed_ns = observed.confirmed_ns
     return [
-        {"id": i, "after_s": round((told[i] - first_ns) * 1e-9, 4) if i in told else None}
-        for i, first_ns in sorted(seen.countable_ns.items())
+        {"id": i, "after_s": round((confirmed_ns[i] - first_ns) * 1e-9, 4) if i in confirmed_ns else None}
+        for i, first_ns in sorted(observed.countable_ns.items())
     ]
 
 
-def countable(seen: Observation, conditions: Conditions) -> list[Sighting]:
-    """Sightings with enough returns."""
-    return [s for rows in seen.sightings.values() for s in rows if s.returns >= conditions.recall.least_returns]
+def countable(observed: LogObservation, conditions: Conditions) -> list[ObjectObservation]:
+    """Observations with enough returns."""
+    return [s for rows in observed.observations.values() for s in rows if s.returns >= conditions.recall.min_returns]
 
 
-def reach(seen: Observation, conditions: Conditions) -> dict[str, float | None]:
-    """The nearest range at which an object ahead was not held for three scans, and the farthest at which one was."""
+def detection_range(observed: LogObservation, conditions: Conditions) -> dict[str, float | None]:
+    """Nearest range (m) at which an object ahead was not detected in three scans in a row, and farthest with one."""
     flags = []
-    for rows in seen.sightings.values():
-        mine = sorted(ahead(rows, conditions.recall.least_returns), key=lambda s: s.stamp_ns)
-        flags += confirmed([(s.edge_m, s.is_seen) for s in mine])
+    for rows in observed.observations.values():
+        mine = sorted(in_forward_region(rows, conditions.recall.min_returns), key=lambda s: s.stamp_ns)
+        flags += confirmed([(s.front_distance_m, s.is_detected) for s in mine])
     lost = [r for r, is_found in flags if not is_found]
     held = [r for r, is_found in flags if is_found]
     return {"lost_m": min(lost, default=None), "found_m": max(held, default=None)}
 
 
-def broken(log: str, encounters: list[Encounter], stops: list[Stop], conditions: Conditions) -> list[str]:
-    """Which of the conditions' must-stop and must-not-stop were not kept."""
+def violations(log: str, encounters: list[Encounter], stops: list[Stop], conditions: Conditions) -> list[str]:
+    """Violations of `must_stop` and `must_not_stop`."""
     stopped = {i for stop in stops if stop.is_stop for i in stop.objects} | {
-        e.id for e in encounters if e.is_stop_asked
+        e.id for e in encounters if e.is_stop_requested
     }
-    out = [f"no stop for object {i}: {why}" for i, why in named(conditions.must_stop, log).items() if i not in stopped]
+    out = [
+        f"no stop for object {i}: {why}" for i, why in listed_ids(conditions.must_stop, log).items() if i not in stopped
+    ]
     return out + [
-        f"stop for object {i}: {why}" for i, why in named(conditions.must_not_stop, log).items() if i in stopped
+        f"stop for object {i}: {why}" for i, why in listed_ids(conditions.must_not_stop, log).items() if i in stopped
     ]

@@ -1,4 +1,4 @@
-"""Pictures of the report as PNG bytes: each encounter from above, and how far what was found."""
+"""Figures of the report as PNG bytes: encounters seen from above, and recall over range."""
 
 from __future__ import annotations
 
@@ -8,51 +8,53 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from validation.obstacle_stop.observation import Observation, Scene, Sighting
-from validation.obstacle_stop.visibility import gap_of, is_in_tube
+from validation.obstacle_stop.observation import LogObservation, ObjectObservation, Scene
+from validation.obstacle_stop.visibility import clearance_of, is_in_corridor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-OWN, TUBE, POINT, BOX, THIS, SPEED = "#1b2a1e", "#2f7d32", "#90a4ae", "#5c6bc0", "#c62828", "#ef6c00"
+OWN, CORRIDOR, POINT, BOX, THIS, SPEED = "#1b2a1e", "#2f7d32", "#90a4ae", "#5c6bc0", "#c62828", "#ef6c00"
 
 
-def draw(paint: Callable[[Sequence[Axes]], None], columns: int, size: tuple[float, float]) -> bytes:
-    """A figure with a row of axes, painted."""
+def draw(plot: Callable[[Sequence[Axes]], None], columns: int, size: tuple[float, float]) -> bytes:
+    """PNG of a row of axes filled by `plot`."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(1, columns, figsize=size, squeeze=False, layout="constrained")
-    paint(list(axes[0]))
+    plot(list(axes[0]))
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
     pyplot.close(figure)
     return out.getvalue()
 
 
-def encounter_picture(
-    encounter: dict[str, Any], seen: Observation, front_m: float, width_m: float, least: int
+def encounter_figure(
+    encounter: dict[str, Any], observed: LogObservation, front_m: float, width_m: float, least: int
 ) -> bytes:
-    """From above at entering and at the least gap, and gap against S over time."""
+    """Scenes at entry and at the smallest clearance, and clearance and S over time."""
     scenes = [
-        seen.scenes[key] for key in ((encounter["id"], "entry"), (encounter["id"], "least")) if key in seen.scenes
+        observed.scenes[key]
+        for key in ((encounter["id"], "entry"), (encounter["id"], "least"))
+        if key in observed.scenes
     ]
-    rows = [s for s in seen.sightings.get(encounter["id"], []) if is_in_tube(s, least)]
+    rows = [s for s in observed.observations.get(encounter["id"], []) if is_in_corridor(s, least)]
 
-    def paint(axes: Sequence[Axes]) -> None:
-        for ax, scene, title in zip(axes, scenes, ("entering", "least gap"), strict=False):
+    def plot(axes: Sequence[Axes]) -> None:
+        for ax, scene, title in zip(axes, scenes, ("entry", "smallest clearance"), strict=False):
             _from_above(ax, scene, encounter["role"], front_m, width_m)
             ax.set_title(f"{title}, {scene.t_s:.1f} s", fontsize=9)
-        _over_time(axes[-1], rows, encounter, seen)
+        _over_time(axes[-1], rows, encounter, observed)
 
-    return draw(paint, len(scenes) + 1, (3.7 * (len(scenes) + 1), 4.2))
+    return draw(plot, len(scenes) + 1, (3.7 * (len(scenes) + 1), 4.2))
 
 
 def _from_above(ax: Axes, scene: Scene, role: str, front_m: float, width_m: float) -> None:
     ax.plot(-scene.points_m[:, 1], scene.points_m[:, 0], ".", color=POINT, ms=1.2, mew=0)
-    ax.fill(-scene.tube_m[:, 1], scene.tube_m[:, 0], color=TUBE, alpha=0.15, lw=0)
+    ax.fill(-scene.corridor_m[:, 1], scene.corridor_m[:, 0], color=CORRIDOR, alpha=0.15, lw=0)
     half = 0.5 * width_m
     ax.fill([-half, half, half, -half], [-1.0, -1.0, front_m, front_m], color=OWN)
     for name, corners in scene.boxes:
@@ -64,35 +66,41 @@ def _from_above(ax: Axes, scene: Scene, role: str, front_m: float, width_m: floa
     ax.set(xlim=(-14, 14), ylim=(-4, 36), aspect="equal", xlabel="right (m)", ylabel="ahead (m)")
 
 
-def _over_time(ax: Axes, rows: list[Sighting], encounter: dict[str, Any], seen: Observation) -> None:
-    t = [seen.time_s(s.stamp_ns) for s in rows]
-    ax.plot(t, [gap_of(s) for s in rows], ".-", color=THIS, label="gap")
-    states = [a for a in seen.asked if rows and rows[0].stamp_ns - 1_000_000_000 <= a.stamp_ns <= rows[-1].stamp_ns]
+def _over_time(ax: Axes, rows: list[ObjectObservation], encounter: dict[str, Any], observed: LogObservation) -> None:
+    t = [observed.time_s(s.stamp_ns) for s in rows]
+    ax.plot(t, [clearance_of(s) for s in rows], ".-", color=THIS, label="clearance")
+    states = [
+        a for a in observed.requests if rows and rows[0].stamp_ns - 1_000_000_000 <= a.stamp_ns <= rows[-1].stamp_ns
+    ]
     first_s, last_s = (t[0] - 1.0, t[-1] + 0.5) if t else (0.0, 1.0)
     ax.axhline(
         encounter["stopping_distance_m"], color=SPEED, lw=1, label=f"S = {encounter['stopping_distance_m']:.1f} m"
     )
     ax.axhline(
-        encounter["required_range_m"], color=SPEED, lw=1, ls="--", label=f"needed {encounter['required_range_m']:.1f} m"
+        encounter["required_range_m"],
+        color=SPEED,
+        lw=1,
+        ls="--",
+        label=f"required {encounter['required_range_m']:.1f} m",
     )
-    asked = [seen.time_s(a.stamp_ns) for a in states if a.is_braking and encounter["id"] in a.touched]
-    ax.plot(asked, np.zeros(len(asked)), "|", color=OWN, label="braking asked")
+    requested = [observed.time_s(a.stamp_ns) for a in states if a.is_braking and encounter["id"] in a.touched]
+    ax.plot(requested, np.zeros(len(requested)), "|", color=OWN, label="braking requested")
     ax.set(xlim=(first_s, last_s), ylim=(-0.5, None), xlabel="s", ylabel="m")
     ax.set_title(f"{encounter['outcome']}: margin {encounter['margin_m']:.1f} m", fontsize=9)
     ax.legend(fontsize=7)
 
 
-def recall_picture(rows: list[dict[str, Any]]) -> bytes:
-    """Recall over range with its bounds, by class."""
+def recall_figure(rows: list[dict[str, Any]]) -> bytes:
+    """Recall over range with 95 % bounds, by class."""
 
-    def paint(axes: Sequence[Axes]) -> None:
+    def plot(axes: Sequence[Axes]) -> None:
         for label in dict.fromkeys(row["class"] for row in rows):
             mine = [row for row in rows if row["class"] == label]
             x = [0.5 * (row["from_m"] + row["to_m"]) for row in mine]
             y = np.array([row["recall"] for row in mine])
             spread = np.array([[r["recall"] - r["low"] for r in mine], [r["high"] - r["recall"] for r in mine]])
             axes[0].errorbar(x, y, yerr=np.maximum(spread, 0.0), marker="o", capsize=3, lw=1, label=label)
-        axes[0].set(xlabel="range from the front (m)", ylabel="found by the strict rule", ylim=(0, 1.05))
+        axes[0].set(xlabel="range from the front (m)", ylabel="recall (strict rule)", ylim=(0, 1.05))
         axes[0].legend(fontsize=8)
 
-    return draw(paint, 1, (8.0, 3.5))
+    return draw(plot, 1, (8.0, 3.5))

@@ -1,4 +1,4 @@
-"""Between base, odom and map, level and to first order."""
+"""Planar conversions between base, odom and map, and first-order deskewing."""
 
 import math
 
@@ -8,8 +8,8 @@ from geometry.arrays import Float32, Float64
 from messages.sensors import LidarScan
 
 
-def deskewed(scan: LidarScan, T_base_lidar: Float64, speed_mps: float, turn_radps: float) -> Float32:
-    """Returns (N, 3) in base as they would be had all been taken at the stamp, to first order."""
+def deskew(scan: LidarScan, T_base_lidar: Float64, speed_mps: float, turn_radps: float) -> Float32:
+    """Returns (N, 3) in base, motion-compensated to the stamp to first order."""
     p = scan.points_m @ T_base_lidar[:3, :3].T.astype(np.float32) + T_base_lidar[:3, 3].astype(np.float32)
     dt = scan.point_offset_s
     turn = dt * np.float32(turn_radps)
@@ -18,26 +18,26 @@ def deskewed(scan: LidarScan, T_base_lidar: Float64, speed_mps: float, turn_radp
 
 
 def to_odom(pose: Float64, xy_m: Float64) -> Float64:
-    """Points (N, 2) of base at a pose (3,) in odom."""
+    """Points (N, 2) from base to odom at a pose (3,): x, y, yaw."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return np.column_stack([pose[0] + c * xy_m[:, 0] - s * xy_m[:, 1], pose[1] + s * xy_m[:, 0] + c * xy_m[:, 1]])
 
 
-def from_odom(pose: Float64, xy_m: Float64) -> Float64:
-    """Points (N, 2) of odom seen from base at a pose (3,)."""
+def to_base(pose: Float64, xy_m: Float64) -> Float64:
+    """Points (N, 2) from odom to base at a pose (3,)."""
     c, s, d = math.cos(pose[2]), math.sin(pose[2]), xy_m - pose[:2]
     return np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]])
 
 
-def in_map(T_map_odom: Float64, pose: Float64) -> Float64:
-    """A pose (3,) of odom in map."""
+def odom_pose_to_map(T_map_odom: Float64, pose: Float64) -> Float64:
+    """Pose (3,) from odom to map."""
     yaw = math.atan2(T_map_odom[1, 0], T_map_odom[0, 0])
     xy = to_odom(np.array([T_map_odom[0, 3], T_map_odom[1, 3], yaw]), pose[None, :2])[0]
     return np.array([xy[0], xy[1], pose[2] + yaw])
 
 
-def inside_ring(xy_m: Float64, ring_m: Float64) -> np.ndarray:
-    """Which points (N, 2) lie in a ring (K, 2): even-odd rule."""
+def is_in_ring(xy_m: Float64, ring_m: Float64) -> np.ndarray:
+    """Mask of the points (N, 2) inside a ring (K, 2), even-odd rule."""
     inside = np.zeros(len(xy_m), bool)
     for a, b in zip(ring_m, np.roll(ring_m, -1, axis=0), strict=True):
         crosses = (a[1] > xy_m[:, 1]) != (b[1] > xy_m[:, 1])

@@ -1,4 +1,4 @@
-"""What is gathered from a replay: how each true object was seen at each scan, and what the supervisor asked for."""
+"""Data gathered from a replay: observations of each true object by scan, stop requests, odometry."""
 
 import math
 from dataclasses import dataclass, field
@@ -8,16 +8,16 @@ import numpy as np
 from geometry.arrays import Float64
 from geometry.transforms import yaw_of
 
-NO_GAP = float("inf")
-STILL_MPS = 0.1
+NO_CLEARANCE = float("inf")
+STANDSTILL_MPS = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What the judge must know of who recorded the log.
+    """Geometry of the recording vehicle and frame of the truth.
 
-    `T_base_lidar` by the lidar's name; `truth_frame` is `map` (by the true machine's pose) or a lidar's name;
-    `view_rad` is the labelled half angle about straight ahead of that lidar, π without limit; `width_m` the machine's.
+    `T_base_lidar` by lidar name; `truth_frame` is `map` (by the true machine pose) or a lidar name; `view_rad` is the
+    labelled half angle about the x axis of that lidar, π without limit; `half_width_m` is that of the corridor.
     """
 
     log: str
@@ -31,24 +31,24 @@ class Setting:
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture of one moment, in base: some returns (N, 2), the tube's ring, true boxes, hits."""
+    """Data of one figure, in base: returns (N, 2), corridor ring, true boxes, triggering points."""
 
     t_s: float
     points_m: Float64
-    tube_m: Float64
+    corridor_m: Float64
     boxes: tuple[tuple[str, Float64], ...]
     hits_m: Float64
 
 
 @dataclass(frozen=True)
-class Sighting:
+class ObjectObservation:
     """One true object in one scan.
 
-    `returns` in its box, `solid` of them off its foot, `inside` of these in the tube; `clearance_m` to the nearest of
-    these, `box_gap_m` to the box itself (infinite: not in the tube). Beams that go on behind it are `through`, those
-    that end before it `before`. `edge_m` is the level distance from the vehicle's front, `bearing_rad` where its
-    middle is seen from there; `is_seen`: clusters hold half of the box's returns; `is_strict`: one does, and half of
-    that cluster lies about the box.
+    `returns` in its box, `above_ground` those above the ground margin, `in_corridor` those of them in the corridor;
+    `clearance_m` to the nearest of these, `box_clearance_m` to the box (infinite: not in the corridor).
+    `beams_through` end behind the box, `beams_before` in front of it. `front_distance_m` is the horizontal distance
+    from the vehicle front, `bearing_rad` the direction of the box centre from there. `is_detected`: clusters hold half
+    of the returns; `is_detected_strictly`: one cluster does, and half of that cluster lies at the box.
     """
 
     id: int
@@ -56,25 +56,25 @@ class Sighting:
     role: str
     stamp_ns: int
     returns: int
-    solid: int
-    inside: int
+    above_ground: int
+    in_corridor: int
     clearance_m: float
-    box_gap_m: float
-    through: int
-    before: int
-    edge_m: float
+    box_clearance_m: float
+    beams_through: int
+    beams_before: int
+    front_distance_m: float
     bearing_rad: float
-    is_seen: bool
-    is_strict: bool
+    is_detected: bool
+    is_detected_strictly: bool
     center_odom_m: Float64
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What the supervisor said at one moment; `is_braking` when it asked for less speed, `is_stop` when for none.
+class StopRequest:
+    """Output of the supervisor at one time; `is_braking`: less speed requested, `is_stop`: standstill requested.
 
-    `touched` are ids of true objects at the points that caused it; `lonely` says that causes were where truth is
-    complete and no true object stood there.
+    `touched` are ids of true objects at the triggering points; `has_no_true_cause`: triggering points lie where truth
+    is complete, and no true object is there.
     """
 
     stamp_ns: int
@@ -84,14 +84,14 @@ class Asked:
     is_braking: bool
     is_stop: bool
     touched: tuple[int, ...]
-    lonely: bool
+    has_no_true_cause: bool
     hit_odom_m: Float64 | None
     label: str
 
 
 @dataclass(frozen=True)
-class Seen:
-    """One perceived obstacle in the tube, for logs without truth: a track with its gap and class."""
+class TrackObservation:
+    """One track in the corridor at one time, for logs without truth."""
 
     id: int
     label: str
@@ -101,8 +101,8 @@ class Seen:
 
 
 @dataclass
-class Motion:
-    """Odometry as columns, found by time."""
+class OdometryHistory:
+    """Odometry as columns, looked up by time."""
 
     stamps_ns: list[int] = field(default_factory=list)
     poses: list[Float64] = field(default_factory=list)
@@ -111,7 +111,7 @@ class Motion:
     sigmas_mps: list[float] = field(default_factory=list)
 
     def add(self, stamp_ns: int, T_odom_base: Float64, speed_mps: float, turn_radps: float, variance: float) -> None:
-        """Take the next; one whose stamp does not rise is left out."""
+        """Appends a sample; a stamp that does not increase is ignored."""
         if self.stamps_ns and stamp_ns <= self.stamps_ns[-1]:
             return
         self.stamps_ns.append(stamp_ns)
@@ -121,7 +121,7 @@ class Motion:
         self.sigmas_mps.append(math.sqrt(variance) if variance > 0.0 else 0.0)
 
     def index(self, stamp_ns: int) -> int | None:
-        """The nearest in time within 0.2 s, or None."""
+        """Index of the nearest sample within 0.2 s, or None."""
         if not self.stamps_ns:
             return None
         stamps = self.stamps_ns
@@ -130,33 +130,34 @@ class Motion:
         return best if abs(stamps[best] - stamp_ns) <= 200_000_000 else None
 
     def speed_at(self, stamp_ns: int) -> float:
-        """Forward speed at a time; 0 when not known."""
+        """Forward speed (m/s) at a time; 0 when unknown."""
         k = self.index(stamp_ns)
         return 0.0 if k is None else self.speeds_mps[k]
 
-    def fastest_at(self, stamp_ns: int) -> float:
-        """How fast it may have been at a time: one standard deviation above what was measured, 0 when not known."""
+    def max_speed_at(self, stamp_ns: int) -> float:
+        """Upper speed (m/s) at a time: measured plus one standard deviation, 0 when unknown."""
         k = self.index(stamp_ns)
         return (
             0.0
             if k is None
-            else abs(self.speeds_mps[k]) + (self.sigmas_mps[k] if abs(self.speeds_mps[k]) > STILL_MPS else 0.0)
+            else abs(self.speeds_mps[k]) + (self.sigmas_mps[k] if abs(self.speeds_mps[k]) > STANDSTILL_MPS else 0.0)
         )
 
 
 @dataclass
-class Observation:
-    """All of a log that the judgement rests on; times are stamps, `first_ns` to `last_ns` those judged.
+class LogObservation:
+    """Input of the evaluation; times are stamps, `first_ns` to `last_ns` the evaluated interval.
 
-    `countable_ns`: by object the first scan with enough returns; `confirmed_ns`: when a confirmed track there was told.
+    By object id: `countable_ns` is the first scan with enough returns, `confirmed_ns` the receive time of the first
+    confirmed track there.
     """
 
-    sightings: dict[int, list[Sighting]] = field(default_factory=dict)
-    asked: list[Asked] = field(default_factory=list)
-    seen: dict[int, list[Seen]] = field(default_factory=dict)
-    motion: Motion = field(default_factory=Motion)
+    observations: dict[int, list[ObjectObservation]] = field(default_factory=dict)
+    requests: list[StopRequest] = field(default_factory=list)
+    tracks: dict[int, list[TrackObservation]] = field(default_factory=dict)
+    motion: OdometryHistory = field(default_factory=OdometryHistory)
     scans: list[int] = field(default_factory=list)
-    judged_scans: int = 0
+    evaluated_scans: int = 0
     first_ns: int = 0
     last_ns: int = 0
     scenes: dict[tuple[int, str], Scene] = field(default_factory=dict)
@@ -166,7 +167,7 @@ class Observation:
 
     @property
     def period_s(self) -> float:
-        """Usual time from scan to scan."""
+        """Median scan period (s)."""
         stamps = sorted(set(self.scans))
         return float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.1
 

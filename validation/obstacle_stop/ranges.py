@@ -1,4 +1,4 @@
-"""Detection ranges, recall, and how sure a count makes us."""
+"""Detection ranges, and exact confidence bounds of shares and rates."""
 
 from collections.abc import Iterable, Sequence
 
@@ -9,7 +9,7 @@ Flag = tuple[float, bool]
 
 
 def range_without_failure(flags: Iterable[Flag]) -> float | None:
-    """The greatest range of (range, found) below which none was lost; None when the nearest already was."""
+    """Largest range of (range, detected) below which all are detected; None when the nearest is not."""
     best = None
     for range_m, is_found in sorted(flags, key=lambda f: (f[0], f[1])):
         if not is_found:
@@ -19,7 +19,7 @@ def range_without_failure(flags: Iterable[Flag]) -> float | None:
 
 
 def confirmed(flags: Sequence[Flag]) -> list[Flag]:
-    """The same in order of time, found only where it and the two before were; the first two cannot tell."""
+    """The same in order of time, detected when three in a row are; two fewer than given."""
     return [
         (flags[k][0], all(found for _, found in flags[k - IN_A_ROW + 1 : k + 1]))
         for k in range(IN_A_ROW - 1, len(flags))
@@ -27,12 +27,12 @@ def confirmed(flags: Sequence[Flag]) -> list[Flag]:
 
 
 def lost_from(flags: Iterable[Flag]) -> float | None:
-    """The least range at which something was lost; None when nothing was."""
+    """Smallest range without detection; None when all are detected."""
     return min((range_m for range_m, is_found in flags if not is_found), default=None)
 
 
 def share_bounds(count: int, of: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper and Pearson's exact bounds of a share."""
+    """Exact bounds of a share (Clopper and Pearson 1934)."""
     tail = 0.5 * (1.0 - confidence)
     low = 0.0 if count == 0 else float(beta.ppf(tail, count, of - count + 1))
     high = 1.0 if count >= of else float(beta.ppf(1.0 - tail, count + 1, of - count))
@@ -40,7 +40,7 @@ def share_bounds(count: int, of: int, confidence: float = 0.95) -> tuple[float, 
 
 
 def rate_bounds(count: int, time: float, confidence: float = 0.95) -> tuple[float, float | None]:
-    """Exact bounds of a rate of independent events (Garwood, what Clopper and Pearson's become for rare ones)."""
+    """Exact bounds of a rate of independent events (Garwood 1936); no upper bound without time."""
     if time <= 0.0:
         return 0.0, None
     tail = 0.5 * (1.0 - confidence)

@@ -6,7 +6,7 @@ from html import escape
 from typing import Any
 
 from validation.drive.report import STYLE
-from validation.obstacle_stop.figures import recall_picture
+from validation.obstacle_stop.figures import recall_figure
 
 ENCOUNTER = (
     "log", "role", "class", "outcome", "entered_s", "clearance_m", "stopping_distance_m", "required_range_m",
@@ -18,7 +18,7 @@ TOPIC = ("topic", "needed_for", "found", "count", "rate_hz", "longest_gap_s")
 RECALL = ("class", "from_m", "to_m", "n", "found", "recall", "low", "high")
 
 
-def render(result: Mapping[str, Any], preflights: list[dict[str, Any]], pictures: Mapping[str, bytes]) -> str:
+def render(result: Mapping[str, Any], inspections: list[dict[str, Any]], figures: Mapping[str, bytes]) -> str:
     """The page; `result` is the object of `--json`, `pictures` title → PNG of each encounter."""
     state = result["state"]
     parts = [
@@ -29,14 +29,14 @@ def render(result: Mapping[str, Any], preflights: list[dict[str, Any]], pictures
         "<h2>Braking asked</h2>" + table(STOP, result["stops"]),
     ]
     if result["recall"]:
-        parts.append("<h2>Recall by range and class</h2>" + _image("recall", recall_picture(result["recall"])))
+        parts.append("<h2>Recall by range and class</h2>" + _image("recall", recall_figure(result["recall"])))
         parts.append(table(RECALL, result["recall"]))
     if result["failed_to_read"]:
         parts.append("<h2>Failed to read</h2>" + table(("log", "reason"), result["failed_to_read"]))
     if result["damaged"]:
         parts.append("<h2>Damaged</h2>" + table(("log", "reason"), result["damaged"]))
-    parts += [f"<h2>{escape(title)}</h2>{_image(title, png)}" for title, png in pictures.items()]
-    parts += [_preflight(values) for values in preflights]
+    parts += [f"<h2>{escape(title)}</h2>{_image(title, png)}" for title, png in figures.items()]
+    parts += [_inspection(values) for values in inspections]
     head = f'<meta charset="utf-8"><title>Headland: obstacle stops</title><style>{STYLE}</style>'
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>'
 
@@ -86,6 +86,6 @@ def _image(title: str, png: bytes) -> str:
     return f'<img alt="{escape(title)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
 
 
-def _preflight(values: dict[str, Any]) -> str:
+def _inspection(values: dict[str, Any]) -> str:
     notes = "".join(f"<li>{escape(text)}</li>" for text in (*values["notes"], *values["not_shown"]))
     return f"<h2>Input: {escape(values['log'])}</h2><ul>{notes}</ul>{table(TOPIC, values['topics'])}"

@@ -1,4 +1,4 @@
-"""The stopping distance of requirements.md, section 4, written a second time: a judge does not ask the judged."""
+"""Stopping distance of docs/requirements.md section 4; independent of safety/, which it evaluates."""
 
 import math
 
@@ -6,7 +6,7 @@ from validation.obstacle_stop.conditions import BrakingValues
 
 
 def stopping_distance_m(speed_mps: float, reaction_s: float, braking: BrakingValues) -> float:
-    """S at a speed, with this much dead time before the brake begins to act."""
+    """S (m) at a speed, with `reaction_s` until the brake begins to act."""
     v, a, t_b = abs(speed_mps), braking.deceleration_mps2, braking.build_up_s
     if v < 0.5 * a * t_b:
         return v * reaction_s + (2.0 / 3.0) * v * math.sqrt(2.0 * v * t_b / a)
@@ -14,7 +14,7 @@ def stopping_distance_m(speed_mps: float, reaction_s: float, braking: BrakingVal
 
 
 def safe_speed_mps(range_m: float, factor: float, braking: BrakingValues) -> float:
-    """The highest speed at which `factor` × S lies within a range (BD-5.2.4)."""
+    """Highest speed (m/s) at which `factor` × S is within a range (BD-5.2.4)."""
     low, high = 0.0, 100.0
     for _ in range(50):
         middle = 0.5 * (low + high)

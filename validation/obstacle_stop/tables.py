@@ -1,4 +1,4 @@
-"""The results of `headland validate` as tables: Parquet for questions, text for the eye."""
+"""Results of `headland validate` as Parquet tables and as text."""
 
 import sys
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def write_table(path: Path, name: str, rows: list[dict[str, Any]]) -> None:
-    """Rows as Parquet, with the same columns in every run, empty or not."""
+    """Writes rows as Parquet, with the same columns for an empty table."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -19,14 +19,13 @@ def _flat(value: Any) -> Any:
     return ",".join(map(str, value)) if isinstance(value, list) else value
 
 
-_METRES = dict.fromkeys(
-    ("entered_s", "decided_s", "clearance_m", "stopping_distance_m", "required_range_m", "margin_m", "entry_gap_m",
-    "entry_speed_mps",
-     "entry_stopping_m", "least_margin_m", "relative_speed_mps", "first_range_m", "confirmed_range_m", "asked_s",
-     "asked_after_s"), "float64")  # fmt: skip
+_NUMBERS = dict.fromkeys(
+    ("entry_s", "decision_s", "clearance_m", "stopping_distance_m", "required_range_m", "margin_m",
+     "entry_clearance_m", "entry_speed_mps", "entry_stopping_distance_m", "least_margin_m", "relative_speed_mps",
+     "first_range_m", "confirmed_range_m", "stop_requested_s", "request_delay_s"), "float64")  # fmt: skip
 COLUMNS: dict[str, dict[str, str]] = {
     "encounters": {"log": "string", "id": "int64", "class": "string", "role": "string", "outcome": "string"}
-    | _METRES | {"is_stop_asked": "bool_"},
+    | _NUMBERS | {"is_stop_requested": "bool_"},
     "stops": {"log": "string", "t_s": "float64", "until_s": "float64", "reason": "string", "class": "string",
               "clearance_m": "float64", "objects": "string", "is_stop": "bool_", "is_false": "bool_"},
     "recall": {"class": "string", "from_m": "float64", "to_m": "float64", "n": "int64", "found": "int64",
@@ -34,27 +33,27 @@ COLUMNS: dict[str, dict[str, str]] = {
 }  # fmt: skip
 
 
-def line(values: dict[str, Any]) -> str:
-    """One log in a few words."""
+def summary_line(values: dict[str, Any]) -> str:
+    """One line on the result of a log."""
     if "failed" in values:
         return f"failed to read: {values['failed'].splitlines()[0]}"
     outcomes = [e["outcome"] for e in values["encounters"]]
-    told = ", ".join(f"{outcomes.count(o)} {o}" for o in dict.fromkeys(outcomes)) or "no encounter"
-    return f"{told}; {len(values['stops'])} times braking asked"
+    counted_outcomes = ", ".join(f"{outcomes.count(o)} {o}" for o in dict.fromkeys(outcomes)) or "no encounter"
+    return f"{counted_outcomes}; {len(values['stops'])} stop requests"
 
 
-def tell(result: dict[str, Any]) -> None:
-    """The table for the eye."""
+def print_table(result: dict[str, Any]) -> None:
+    """Prints encounters and totals."""
     from validation.obstacle_stop.report import counted
 
     out = sys.stdout
-    head = ("log", "object", "outcome", "entered", "gap", "S", "needed", "margin", "first range")
+    head = ("log", "object", "outcome", "entry", "clearance", "S", "required", "margin", "first range")
     out.write(f"{head[0]:<24}{head[1]:<16}{head[2]:<11}" + "".join(f"{h:>12}" for h in head[3:]) + "\n")
     for e in result["encounters"]:
         numbers = [
             e[k]
             for k in (
-                "entered_s",
+                "entry_s",
                 "clearance_m",
                 "stopping_distance_m",
                 "required_range_m",

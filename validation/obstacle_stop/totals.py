@@ -1,4 +1,4 @@
-"""All logs together: counts with exact bounds, recall, safe speeds, and the state."""
+"""Totals of all logs: counts with exact bounds, recall, safe speeds, state."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,27 +11,33 @@ from validation.obstacle_stop.stopping import safe_speed_mps
 from validation.verdict import State
 
 FACTORS = {"simple": 2.0, "complex": 1.5}  # BD-5.2.4
-JUDGED = (Outcome.IN_TIME.value, Outcome.LATE.value, Outcome.MISSED.value, Outcome.CUT_IN.value, Outcome.OCCLUDED.value)
+EVALUATED = (
+    Outcome.IN_TIME.value,
+    Outcome.LATE.value,
+    Outcome.MISSED.value,
+    Outcome.CUT_IN.value,
+    Outcome.OCCLUDED.value,
+)
 
 
-def put_together(logs: Sequence[dict[str, Any]], conditions: Conditions) -> dict[str, Any]:
-    """The object of `--json` but for the run folder; `logs` are results of `judge_log` or of logs not read."""
+def aggregate(logs: Sequence[dict[str, Any]], conditions: Conditions) -> dict[str, Any]:
+    """Object of `--json` without the run folder; `logs` are results of `evaluate_log` or of unreadable logs."""
     read = [log for log in logs if "failed" not in log]
     with_truth = [log for log in read if log["has_truth"]]
     encounters = [e for log in read for e in log["encounters"]]
     stops = [s for log in read for s in log["stops"]]
     counts = Counter(e["outcome"] for e in encounters)
-    hours, judged = sum(log["hours"] for log in read), sum(counts[o] for o in JUDGED)
+    hours, evaluated = sum(log["hours"] for log in read), sum(counts[o] for o in EVALUATED)
     missed = counts[Outcome.MISSED.value] if with_truth else None
     false_stops = sum(s["is_false"] is True for s in stops) if with_truth else None
     truth_hours = sum(log["hours"] for log in with_truth)
     known = [s for s in stops if s["is_false"] is not None]
     return {
-        "state": state_of(read, counts, false_stops, judged, conditions).value,
+        "state": state_of(read, counts, false_stops, evaluated, conditions).value,
         "encounters": encounters,
         "outcomes": dict(sorted(counts.items())),
         "missed": missed,
-        "missed_share": _share(missed, judged),
+        "missed_share": _share(missed, evaluated),
         "false_stops": false_stops,
         "false_stops_per_hour": _rate(false_stops, truth_hours),
         "false_stop_share": _share(false_stops, len(known)),
@@ -40,7 +46,7 @@ def put_together(logs: Sequence[dict[str, Any]], conditions: Conditions) -> dict
         "driven_m": round(sum(log["driven_m"] for log in read), 2),
         "safe_speed_kmh": safe_speeds(read, conditions),
         "recall": recall(with_truth),
-        "broken": [text for log in read for text in log["broken"]],
+        "violations": [text for log in read for text in log["violations"]],
         "failed_to_read": [{"log": log["log"], "reason": log["failed"]} for log in logs if "failed" in log],
         "damaged": [{"log": log["log"], "reason": note} for log in read for note in damages(log)],
         "logs": len(logs),
@@ -48,19 +54,19 @@ def put_together(logs: Sequence[dict[str, Any]], conditions: Conditions) -> dict
 
 
 def damages(log: dict[str, Any]) -> list[str]:
-    """What of a log was lost before it could be read."""
+    """Unreadable parts of a log."""
     return [note for note in log.get("preflight", {}).get("notes", []) if note.startswith("byte ")]
 
 
 def state_of(
-    read: list[dict[str, Any]], counts: Counter[str], false_stops: int | None, judged: int, conditions: Conditions
+    read: list[dict[str, Any]], counts: Counter[str], false_stops: int | None, evaluated: int, conditions: Conditions
 ) -> State:
-    """Failed when anything was above what may be; passed needs truth and an encounter; the rest is not shown."""
-    most = conditions.most
-    is_over = counts[Outcome.MISSED.value] > most.missed or counts[Outcome.LATE.value] > most.late
-    if is_over or (false_stops or 0) > most.false_stops or any(log["broken"] for log in read):
+    """Failed above a limit or with a violation; passed with truth and an evaluated encounter; else not shown."""
+    limits = conditions.max_counts
+    is_over = counts[Outcome.MISSED.value] > limits.missed or counts[Outcome.LATE.value] > limits.late
+    if is_over or (false_stops or 0) > limits.false_stops or any(log["violations"] for log in read):
         return State.FAILED
-    return State.PASSED if judged and any(log["has_truth"] for log in read) else State.NOT_SHOWN
+    return State.PASSED if evaluated and any(log["has_truth"] for log in read) else State.NOT_SHOWN
 
 
 def _share(count: int | None, of: int) -> dict[str, Any] | None:
@@ -78,9 +84,9 @@ def _rate(count: int | None, hours: float) -> dict[str, Any] | None:
 
 
 def safe_speeds(read: list[dict[str, Any]], conditions: Conditions) -> dict[str, float | None]:
-    """Highest speed at which the range that held in all logs is 2 × and 1.5 × the stopping distance."""
-    lost = [log["reach"]["lost_m"] for log in read if log["reach"]["lost_m"] is not None]
-    found = [log["reach"]["found_m"] for log in read if log["reach"]["found_m"] is not None]
+    """Highest speed (km/h) at which the detection range of all logs is 2 × and 1.5 × the stopping distance."""
+    lost = [log["detection_range"]["lost_m"] for log in read if log["detection_range"]["lost_m"] is not None]
+    found = [log["detection_range"]["found_m"] for log in read if log["detection_range"]["found_m"] is not None]
     if not found:
         return {f"{factor:g}x": None for factor in FACTORS.values()}
     range_m = min([*lost, max(found)])
@@ -91,7 +97,7 @@ def safe_speeds(read: list[dict[str, Any]], conditions: Conditions) -> dict[str,
 
 
 def recall(with_truth: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """By class and range, over all logs, with exact bounds."""
+    """Recall by class and range over all logs, with exact bounds."""
     total: Counter[tuple[str, float, float]] = Counter()
     hit: Counter[tuple[str, float, float]] = Counter()
     for row in (row for log in with_truth for row in log["recall"]):
