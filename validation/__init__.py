@@ -1,1 +1,1 @@
-"""Judges what happened from logs alone: measures, verdicts by clause, and the report; runs nothing."""
+"""Evaluation of logs: measures, verdicts by clause and reports; runs no part of the stack."""

@@ -1,11 +1,11 @@
-"""What a check says about a log."""
+"""Verdict of a check on a log."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class State(StrEnum):
-    """No trial, no topic, never in automatic mode is *not shown*, never passed."""
+    """Without a trial, a topic or automatic mode the state is *not shown*, never passed."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -14,7 +14,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """One clause judged: `n` trials, what was measured against which limit, and where to see it."""
+    """Result for one clause: `n` trials, measured value, limit, and evidence."""
 
     clause: str
     state: State
@@ -25,8 +25,8 @@ class Verdict:
     evidence: str
 
 
-def judge(clause: str, measured: float | None, limit: float, unit: str, n: int, evidence: str) -> Verdict:
-    """Passed when something was measured at least once and is not above the limit."""
+def verdict_of(clause: str, measured: float | None, limit: float, unit: str, n: int, evidence: str) -> Verdict:
+    """Passed when there is a trial and the measured value is not above the limit."""
     if n == 0 or measured is None:
-        return Verdict(clause, State.NOT_SHOWN, n, None, limit, unit, f"nothing to judge: {evidence}")
+        return Verdict(clause, State.NOT_SHOWN, n, None, limit, unit, f"no trial: {evidence}")
     return Verdict(clause, State.PASSED if measured <= limit else State.FAILED, n, measured, limit, unit, evidence)

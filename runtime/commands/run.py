@@ -23,12 +23,12 @@ from runtime.executor import Executor
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, load_setup, with_model
 from simulation.scenario import Scenario
-from validation.drive.detections import Detections, Look, range_rows, share_rows
+from validation.drive.detections import Detections, DetectionSample, range_rows, share_rows
 from validation.drive.docking import bodies_of, docking_drive
 from validation.drive.figures import draw_all
 from validation.drive.record import TOPICS, DriveRecord, collect
 from validation.drive.report import render
-from validation.drive.sensing_figures import detections_picture, docking_picture, shares_picture
+from validation.drive.sensing_figures import detections_figure, docking_figure, shares_figure
 from validation.drive.summary import Planned, summarize
 
 
@@ -69,7 +69,7 @@ def drive(
     digest = _drive_into_log(
         setup, scenario, folder, {"run": conditions, "config": {"yaml": config}}, console, is_ablation
     )
-    record, looks = read_drive(folder.path / "log.mcap", setup.vehicle)
+    record, samples = read_drive(folder.path / "log.mcap", setup.vehicle)
     bay = None if setup.mission.bay is None else setup.site.bay(setup.mission.bay)
     planned = Planned(
         setup.plan.planned_area, setup.plan.field_area_m2, setup.implement.working_width_m, scenario.expected_stops, bay
@@ -82,12 +82,12 @@ def drive(
         "digest": digest,
         "run_dir": str(folder.path),
     }
-    pictures = draw_all(record, planned, summary) | _sensing_pictures(record, looks, setup, bay)
-    for title, picture in pictures.items():
+    figures = draw_all(record, planned, summary) | _sensing_figures(record, samples, setup, bay)
+    for title, picture in figures.items():
         (folder.path / f"{title.lower().replace(',', '').replace(' ', '-')}.png").write_bytes(picture)
-    ranges = range_rows(looks)
-    (folder.path / "report.html").write_text(render(summary, result, pictures, ranges), encoding="utf-8")
-    folder.record("ranges", {"ranges": ranges, "shares": share_rows(looks)})
+    ranges = range_rows(samples)
+    (folder.path / "report.html").write_text(render(summary, result, figures, ranges), encoding="utf-8")
+    folder.record("ranges", {"ranges": ranges, "shares": share_rows(samples)})
     for stop in summary.stops:
         folder.record("stop", stop.as_dict)
     folder.record("result", {"result": result})
@@ -112,7 +112,7 @@ def _drive_into_log(
             return log.digest()
 
 
-def read_drive(path: Path, vehicle: Vehicle) -> tuple[DriveRecord, list[Look]]:
+def read_drive(path: Path, vehicle: Vehicle) -> tuple[DriveRecord, list[DetectionSample]]:
     """What the measures need of a log, and every sensor's looks at the scenario's objects."""
     detections = Detections(vehicle)
 
@@ -123,17 +123,19 @@ def read_drive(path: Path, vehicle: Vehicle) -> tuple[DriveRecord, list[Look]]:
                 detections(envelope)
                 yield envelope
 
-    return collect(shown()), detections.looks
+    return collect(shown()), detections.samples
 
 
-def _sensing_pictures(record: DriveRecord, looks: list[Look], setup: Setup, bay: Bay | None) -> dict[str, bytes]:
+def _sensing_figures(
+    record: DriveRecord, samples: list[DetectionSample], setup: Setup, bay: Bay | None
+) -> dict[str, bytes]:
     """Detections beside the truth, and the docking where there was one."""
     found = {
-        "Detections near by": detections_picture(looks, record.first_ns),
-        "Detections over range": shares_picture(looks),
+        "Detections near by": detections_figure(samples, record.first_ns),
+        "Detections over range": shares_figure(samples),
     }
     poses, speed_mps = docking_drive(record)
     if bay is not None and setup.site.shed is not None and len(poses):
         bodies = bodies_of(setup.vehicle, setup.implement)
-        found["Docking"] = docking_picture(setup.site.shed, bay, poses, speed_mps, bodies)
+        found["Docking"] = docking_figure(setup.site.shed, bay, poses, speed_mps, bodies)
     return {title: png for title, png in found.items() if png is not None}

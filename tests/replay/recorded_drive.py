@@ -1,4 +1,4 @@
-"""A drive past walls, with a person ahead or not, as a log of ours: flat ground and upright boxes, seen by a lidar."""
+"""Synthetic log: a car drives between boxes on flat ground, optionally towards a person, with one lidar."""
 
 import math
 from pathlib import Path
@@ -32,12 +32,12 @@ sensors:
       range_m: [0.5, 80.0]
       range_sigma_m: 0.02
 """
-# x, y, length, width, height in map: houses to both sides at uneven distances
+# x, y, length, width, height in map: houses on both sides at varying distances
 HOUSES = [(x, s * (19.0 + 2.0 * math.sin(1.3 * x)), 5.0, 4.0, 4.0) for x in range(-20, 100, 9) for s in (-1, 1)]
 
 
 def cast(pose: tuple[float, float, float], boxes: list[tuple[float, ...]], rng: np.random.Generator) -> np.ndarray:
-    """Ranges in mm, (rings, columns), from the lidar of a car at a pose in map."""
+    """Ranges (mm), (rings, columns), of the lidar for a pose of the car in map."""
     x, y, yaw = pose
     el = np.radians(ELEVATION_DEG)[:, None]
     az = np.linspace(-math.pi, math.pi, COLUMNS, endpoint=False)[None] + yaw
@@ -56,7 +56,7 @@ def cast(pose: tuple[float, float, float], boxes: list[tuple[float, ...]], rng: 
 
 
 def scan_of(stamp_ns: int, ranges_mm: np.ndarray) -> LidarScan:
-    """The scan of `cast`."""
+    """LidarScan of the ranges of `cast`."""
     az = np.linspace(-math.pi, math.pi, COLUMNS, endpoint=False)
     return LidarScan(stamp_ns, ranges_mm, np.radians(np.array(ELEVATION_DEG, float)), az,
                      np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), np.zeros(0, np.float32))  # fmt: skip
@@ -73,7 +73,7 @@ def drive(
     has_truth: bool = True,
     has_odometry: bool = True,
 ) -> Path:
-    """Write the log of a drive at constant speed and curvature; a hidden person is in the truth alone."""
+    """Writes the log of a drive at constant speed and curvature; a hidden person is only in the truth."""
     rng = np.random.default_rng(1)
     stack = load_stack().datasets
     boxes = list(HOUSES)
@@ -82,8 +82,8 @@ def drive(
     with LogWriter(path, {}, stack.log) as log:
         for k in range(round(seconds / period_s)):
             stamp = START_NS + round(k * period_s * 1e9)
-            turn, way = curvature_radpm * speed_mps * k * period_s, speed_mps * k * period_s
-            chord = way * np.sinc(turn / (2.0 * math.pi))
+            turn, distance = curvature_radpm * speed_mps * k * period_s, speed_mps * k * period_s
+            chord = distance * np.sinc(turn / (2.0 * math.pi))
             pose = (chord * math.cos(0.5 * turn), chord * math.sin(0.5 * turn), turn)
             T, rate = planar(*pose), curvature_radpm * speed_mps
             rows = [("lidar/points", scan_of(stamp, cast(pose, boxes, rng)))]
@@ -91,21 +91,21 @@ def drive(
                 rows.insert(0, ("odom", Odometry(stamp, T, speed_mps, 0.0, 0.0, rate, curvature_radpm, np.eye(6))))
             if has_truth:
                 machine = TrueMachine(stamp, T.copy(), speed_mps, 0.0, rate, 0.0, np.zeros(3), 0.0, 0.0, False, 0, 0)
-                things = () if person is None else (truth_of(person),)
-                rows += [("truth_machine", machine), ("truth_objects", TrueObjects(stamp, things))]
+                objects = () if person is None else (truth_of(person),)
+                rows += [("truth_machine", machine), ("truth_objects", TrueObjects(stamp, objects))]
             for topic, message in rows:
                 log.write(Envelope(topic, k, stamp, message))
     return path
 
 
 def truth_of(person: tuple[float, float]) -> TrueObject:
-    """A person standing in map."""
+    """Standing person at a position in map."""
     return TrueObject(7, ObstacleClass.PERSON, "person", np.array([*person, 0.875]), np.array([0.5, 0.5, 1.75]), 0.0,
                       np.zeros(2), math.nan)  # fmt: skip
 
 
 def vehicle_file(folder: Path) -> Path:
-    """The car's file."""
+    """Vehicle file of the car."""
     file = folder / "car.yaml"
     file.write_text(VEHICLE)
     return file

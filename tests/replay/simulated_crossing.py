@@ -1,4 +1,4 @@
-"""A short drive of the whole stack towards a person who walks across, as a log of ours."""
+"""Log of a short simulated drive with a person who crosses the path."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ SCENARIO = parse(
 
 
 def crossing(path: Path) -> Path:
-    """Drive along one straight line in the demo's field, from standing until after the stop; gives the log."""
+    """Drives along a straight line in the demo field, from standstill until after the stop; returns the log."""
     setup = on_a_line(load_setup("yard", None, None, None, 1), 50.0, 10.0)
     config = resolved(
         mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,

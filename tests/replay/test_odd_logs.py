@@ -1,4 +1,4 @@
-"""Logs as the world makes them: other rates, points that are no numbers, messages out of order, bags of others."""
+"""Logs with defects: other scan rates, invalid points, messages out of order, other clocks, ROS bags."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,9 +22,9 @@ from runtime.replay.replay import replay
 from runtime.stack import load_stack
 from tests.replay.recorded_drive import LIDAR_X_M, VEHICLE, drive, vehicle_file
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.evaluation import judge_log
+from validation.obstacle_stop.evaluation import evaluate_log
 from validation.obstacle_stop.observer import Observer
-from validation.obstacle_stop.totals import put_together
+from validation.obstacle_stop.totals import aggregate
 
 CONDITIONS = load_conditions(None)
 CONFIGURATION = load_configuration(CONDITIONS)
@@ -33,18 +33,18 @@ Envelopes = list[Envelope]
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 
 
-def judged(log: Path, vehicle: Path) -> dict:
+def evaluate(log: Path, vehicle: Path) -> dict:
     prepared = prepare(log, None, vehicle, CONFIGURATION)
     setting = prepared.setting("x")
     observer = Observer(setting, CONDITIONS)
     replay(prepared, [observer])
     has_truth = setting.truth_frame is not None
-    return put_together([judge_log("x", observer.finish(), has_truth, CONDITIONS)], CONDITIONS)
+    return aggregate([evaluate_log("x", observer.finish(), has_truth, CONDITIONS)], CONDITIONS)
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two seconds towards a person."""
+    """Two seconds of driving towards a person."""
     return drive(tmp_path_factory.mktemp("odd") / "log.mcap", (20.0, 0.3), seconds=2.0)
 
 
@@ -56,7 +56,7 @@ def changed(log: Path, out: Path, change: Callable[[Envelopes], Envelopes]) -> P
 
 
 def as_points(envelope: Envelope) -> Envelope:
-    """A scan as a list, with points that are no numbers."""
+    """Scan as a point list with NaN and infinite points."""
     scan = envelope.message
     if not isinstance(scan, LidarScan):
         return envelope
@@ -86,34 +86,34 @@ ODD: dict[str, Callable[[Envelopes], Envelopes]] = {
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_what_is_odd_changes_no_verdict(log: Path, tmp_path: Path, name: str) -> None:
-    result = judged(changed(log, tmp_path / "odd.mcap", ODD[name]), vehicle_file(tmp_path))
+def test_verdict_unchanged_by_log_defects(log: Path, tmp_path: Path, name: str) -> None:
+    result = evaluate(changed(log, tmp_path / "odd.mcap", ODD[name]), vehicle_file(tmp_path))
     (encounter,) = result["encounters"]
     assert (encounter["outcome"], result["false_stops"], len(result["stops"])) == ("in time", 0, 1)
     assert encounter["clearance_m"] == pytest.approx(13.3, abs=0.4)
 
 
 @pytest.mark.parametrize(("period_s", "seconds"), [(0.4, 3.2), (0.05, 2.0)])
-def test_scans_may_come_at_other_rates(tmp_path: Path, period_s: float, seconds: float) -> None:
+def test_other_scan_rates(tmp_path: Path, period_s: float, seconds: float) -> None:
     slow = drive(tmp_path / "rate.mcap", (22.0, 0.3), seconds=seconds, period_s=period_s)
-    assert [e["outcome"] for e in judged(slow, vehicle_file(tmp_path))["encounters"]] == ["in time"]
+    assert [e["outcome"] for e in evaluate(slow, vehicle_file(tmp_path))["encounters"]] == ["in time"]
 
 
-def test_somebody_inside_at_the_start_is_censored_and_standing_is_no_danger(tmp_path: Path) -> None:
-    inside = judged(drive(tmp_path / "in.mcap", (8.0, 0.3), seconds=1.0), vehicle_file(tmp_path))
+def test_person_within_stopping_distance_at_start_is_censored(tmp_path: Path) -> None:
+    inside = evaluate(drive(tmp_path / "in.mcap", (8.0, 0.3), seconds=1.0), vehicle_file(tmp_path))
     assert ([e["outcome"] for e in inside["encounters"]], inside["state"]) == (["censored"], "not_shown")
-    standing = judged(drive(tmp_path / "s.mcap", (9.0, 0.3), seconds=1.0, speed_mps=0.0), vehicle_file(tmp_path))
-    assert [(e["outcome"], e["is_stop_asked"]) for e in standing["encounters"]] == [("in time", False)]
+    standing = evaluate(drive(tmp_path / "s.mcap", (9.0, 0.3), seconds=1.0, speed_mps=0.0), vehicle_file(tmp_path))
+    assert [(e["outcome"], e["is_stop_requested"]) for e in standing["encounters"]] == [("in time", False)]
 
 
-def test_a_clock_that_jumps_is_named(log: Path, tmp_path: Path) -> None:
+def test_clock_jump_error_message(log: Path, tmp_path: Path) -> None:
     jump = changed(log, tmp_path / "j.mcap", lambda es: [replace(es[0], receive_ns=0), *es[1:]])
     with pytest.raises(LogError, match=r"\+1700000000 s against the message before"):
         prepare(jump, None, vehicle_file(tmp_path), CONFIGURATION)
 
 
 def write_bag(path: Path, log: Path, has_mount: bool) -> Path:
-    """The drive as a ROS 2 bag: point clouds, odometry and, if wanted, where the lidar sits."""
+    """The drive as a ROS 2 bag: point clouds, odometry and optionally the lidar mount."""
     kind: dict[str, Any] = ROS2.types
 
     def header(stamp_ns: int, frame: str) -> Any:
@@ -168,7 +168,7 @@ def write_bag(path: Path, log: Path, has_mount: bool) -> Path:
     return path
 
 
-def test_a_ros_2_bag_is_judged_once_its_vehicle_is_known(log: Path, tmp_path: Path) -> None:
+def test_ros2_bag_with_vehicle_file(log: Path, tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", log, has_mount=True)
     with pytest.raises(ConfigError, match=r"--vehicle FILE; it needs body\.front_m.*top_points\.elevation_deg"):
         prepare(bag, None, None, CONFIGURATION)
@@ -178,7 +178,7 @@ def test_a_ros_2_bag_is_judged_once_its_vehicle_is_known(log: Path, tmp_path: Pa
     (lidar,) = prepared.machine.vehicle.sensors.lidar.values()
     assert lidar.mount.xyz_m == pytest.approx((LIDAR_X_M, 0.0, 1.8))
     assert prepared.source.topic.startswith("odom/")
-    result = judged(bag, file)
+    result = evaluate(bag, file)
     assert (result["state"], result["missed"], len(result["stops"])) == ("not_shown", None, 1)
     assert result["encounters"][0]["entry_speed_mps"] == pytest.approx(6.0, abs=0.05)
     bare = write_bag(tmp_path / "bare", log, has_mount=False)

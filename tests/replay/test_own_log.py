@@ -1,4 +1,4 @@
-"""A log of our own machine, judged with its truth; and the same with the person gone from every sensor's data."""
+"""Evaluation of a simulated log with its truth, unchanged and with the person removed from all sensor data."""
 
 from pathlib import Path
 
@@ -10,9 +10,9 @@ from runtime.replay.prepare import Prepared, load_configuration, prepare
 from runtime.replay.replay import replay
 from tests.replay.simulated_crossing import crossing
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.evaluation import judge_log
+from validation.obstacle_stop.evaluation import evaluate_log
 from validation.obstacle_stop.observer import Observer
-from validation.obstacle_stop.totals import put_together
+from validation.obstacle_stop.totals import aggregate
 
 CONDITIONS = load_conditions(None)
 pytestmark = pytest.mark.slow
@@ -23,26 +23,26 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return crossing(tmp_path_factory.mktemp("crossing") / "log.mcap")
 
 
-def judged(prepared: Prepared) -> dict:
+def evaluate(prepared: Prepared) -> dict:
     observer = Observer(prepared.setting("own"), CONDITIONS)
     replay(prepared, [observer])
-    return put_together([judge_log("own", observer.finish(), True, CONDITIONS)], CONDITIONS)
+    return aggregate([evaluate_log("own", observer.finish(), True, CONDITIONS)], CONDITIONS)
 
 
-def test_the_scenario_s_encounter_is_in_time_and_nothing_else_stops(log: Path) -> None:
+def test_crossing_person_in_time_without_false_stop(log: Path) -> None:
     prepared = prepare(log, None, None, load_configuration(CONDITIONS))
     assert prepared.source.kind == "localizer"
-    result = judged(prepared)
-    assert [(e["role"], e["outcome"], e["is_stop_asked"]) for e in result["encounters"]] == [
+    result = evaluate(prepared)
+    assert [(e["role"], e["outcome"], e["is_stop_requested"]) for e in result["encounters"]] == [
         ("person", "in time", True)
     ]
     assert (result["state"], result["missed"], result["false_stops"]) == ("passed", 0, 0)
     assert result["encounters"][0]["margin_m"] > 0.0
 
 
-def test_without_the_person_in_any_sensor_s_data_it_is_missed(log: Path) -> None:
+def test_removed_person_is_missed(log: Path) -> None:
     prepared = prepare(log, None, None, load_configuration(CONDITIONS))
-    result = judged(erase(prepared, "person"))
+    result = evaluate(erase(prepared, "person"))
     assert [(e["role"], e["outcome"]) for e in result["encounters"]] == [("person", "missed")]
     assert (result["state"], result["missed"], result["stops"]) == ("failed", 1, [])
     with pytest.raises(LogError, match=r"--without cow: the truth has no such object \(it has person"):

@@ -1,4 +1,4 @@
-"""Whole logs, replayed and judged: what must come out of each."""
+"""Outcome of complete logs after replay and evaluation."""
 
 import json
 import subprocess
@@ -13,64 +13,64 @@ from runtime.replay.prepare import load_configuration, prepare
 from runtime.replay.replay import replay
 from tests.replay.recorded_drive import VEHICLE, drive, vehicle_file
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.evaluation import judge_log
+from validation.obstacle_stop.evaluation import evaluate_log
 from validation.obstacle_stop.observer import Observer
-from validation.obstacle_stop.totals import put_together
+from validation.obstacle_stop.totals import aggregate
 
 CONDITIONS = load_conditions(None)
 CONFIGURATION = load_configuration(CONDITIONS)
 
 
-def judged(log: Path, folder: Path) -> dict:
-    """The result of one log."""
+def evaluate(log: Path, folder: Path) -> dict:
+    """Result of one log."""
     prepared = prepare(log, None, vehicle_file(folder), CONFIGURATION)
     setting = prepared.setting(log.name)
     observer = Observer(setting, CONDITIONS)
     replay(prepared, [observer])
-    return put_together(
-        [judge_log(log.name, observer.finish(), setting.truth_frame is not None, CONDITIONS)], CONDITIONS
+    return aggregate(
+        [evaluate_log(log.name, observer.finish(), setting.truth_frame is not None, CONDITIONS)], CONDITIONS
     )
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0], ids=["right bend", "left bend"])
-def test_a_person_round_a_bend_is_stopped_for(tmp_path: Path, side: float) -> None:
+def test_person_in_bend_in_time(tmp_path: Path, side: float) -> None:
     log = drive(tmp_path / "bend.mcap", (22.7, side * 8.9), seconds=3.6, curvature_radpm=side * 0.03)
-    result = judged(log, tmp_path)
+    result = evaluate(log, tmp_path)
     assert [e["outcome"] for e in result["encounters"]] == ["in time"]
     assert result["state"] == "passed"
     assert result["encounters"][0]["margin_m"] > 0.0
     assert result["false_stops"] == 0
 
 
-def test_a_person_taken_out_of_the_scans_is_missed(tmp_path: Path) -> None:
-    result = judged(drive(tmp_path / "gone.mcap", (20.0, 0.3), seconds=3.0, is_person_hidden=True), tmp_path)
+def test_person_without_returns_is_missed(tmp_path: Path) -> None:
+    result = evaluate(drive(tmp_path / "gone.mcap", (20.0, 0.3), seconds=3.0, is_person_hidden=True), tmp_path)
     assert [e["outcome"] for e in result["encounters"]] == ["missed"]
     assert result["state"] == "failed"
     assert result["missed"] == 1
 
 
-def test_a_person_beside_the_way_is_no_encounter(tmp_path: Path) -> None:
-    result = judged(drive(tmp_path / "beside.mcap", (20.0, 3.0), seconds=2.5), tmp_path)
+def test_person_beside_corridor_is_no_encounter(tmp_path: Path) -> None:
+    result = evaluate(drive(tmp_path / "beside.mcap", (20.0, 3.0), seconds=2.5), tmp_path)
     assert (result["encounters"], result["stops"], result["state"]) == ([], [], "not_shown")
 
 
-def test_without_truth_stops_are_told_and_misses_not_shown(tmp_path: Path) -> None:
-    result = judged(drive(tmp_path / "blind.mcap", (20.0, 0.3), seconds=2.5, has_truth=False), tmp_path)
+def test_log_without_truth_reports_stops_and_no_misses(tmp_path: Path) -> None:
+    result = evaluate(drive(tmp_path / "blind.mcap", (20.0, 0.3), seconds=2.5, has_truth=False), tmp_path)
     assert (result["state"], result["missed"], result["false_stops"]) == ("not_shown", None, None)
     assert result["stops"]
     assert result["encounters"][0]["outcome"] == "not shown"
     assert result["encounters"][0]["first_range_m"] > 8.0
 
 
-def test_scans_alone_tell_speed(tmp_path: Path) -> None:
+def test_speed_from_scans_alone(tmp_path: Path) -> None:
     log = drive(tmp_path / "scans.mcap", (24.0, 0.3), seconds=2.5, has_odometry=False)
     assert prepare(log, None, vehicle_file(tmp_path), CONFIGURATION).source.kind == "scans"
-    (encounter,) = judged(log, tmp_path)["encounters"]
+    (encounter,) = evaluate(log, tmp_path)["encounters"]
     assert encounter["entry_speed_mps"] == pytest.approx(6.0, abs=0.8)
     assert encounter["outcome"] == "in time"
 
 
-def test_missing_values_are_asked_for_by_name(tmp_path: Path) -> None:
+def test_missing_vehicle_values_named(tmp_path: Path) -> None:
     log = drive(tmp_path / "a.mcap", None, seconds=0.3)
     with pytest.raises(ConfigError, match=r"--vehicle FILE; it needs body\.front_m, .*mount\.xyz_m"):
         prepare(log, None, None, CONFIGURATION)
@@ -80,14 +80,14 @@ def test_missing_values_are_asked_for_by_name(tmp_path: Path) -> None:
         prepare(log, None, file, CONFIGURATION)
 
 
-def test_a_log_without_lidar_says_so(tmp_path: Path) -> None:
+def test_log_without_lidar_refused(tmp_path: Path) -> None:
     file = tmp_path / "can.log"
     file.write_text("(1.000000) can0 123#0011\n")
     with pytest.raises(LogError, match="no lidar in it"):
         prepare(file, None, None, CONFIGURATION)
 
 
-def test_bad_logs_do_not_end_a_run_and_good_ones_are_kept(tmp_path: Path) -> None:
+def test_unreadable_logs_reported_and_results_reused(tmp_path: Path) -> None:
     good = drive(tmp_path / "good.mcap", None, seconds=0.6)
     (tmp_path / "empty.mcap").write_bytes(b"")
     (tmp_path / "none.log").write_text("(1.000000) can0 123#0011\n")
@@ -105,10 +105,10 @@ def test_bad_logs_do_not_end_a_run_and_good_ones_are_kept(tmp_path: Path) -> Non
     assert json.loads(last)["record"] == "end"
 
 
-def test_a_cut_log_is_judged_as_far_as_it_goes_and_said_to_be_cut(tmp_path: Path) -> None:
-    whole = drive(tmp_path / "whole.mcap", None, seconds=3.0).read_bytes()
+def test_truncated_log_evaluated_with_note(tmp_path: Path) -> None:
+    complete = drive(tmp_path / "complete.mcap", None, seconds=3.0).read_bytes()
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole[: len(whole) // 2])
+    cut.write_bytes(complete[: len(complete) // 2])
     prepared = prepare(cut, None, vehicle_file(tmp_path), CONFIGURATION)
     assert any(note.startswith("byte ") for note in prepared.preflight()["notes"])
     assert 0.5 < prepared.found.span_s < 2.9

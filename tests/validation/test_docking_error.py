@@ -1,4 +1,4 @@
-"""How the end in the bay is measured and drawn, and what each sensor told beside the truth."""
+"""Docking error and its figure; detections of each sensor against the truth."""
 
 import math
 from dataclasses import replace
@@ -15,10 +15,10 @@ from messages.message import Envelope, Message
 from messages.perception import ObstacleClass, Obstacles
 from messages.plan import MissionState, MissionStatus, Path, PathSection, PathSectionType
 from messages.truth import TrueMachine, TrueObject, TrueObjects
-from validation.drive.detections import Detections, Look, range_rows, share_rows, views_of
+from validation.drive.detections import Detections, DetectionSample, range_rows, sensor_views, share_rows
 from validation.drive.docking import bodies_of, docking_drive, measure_docking
 from validation.drive.record import DriveRecord, collect
-from validation.drive.sensing_figures import detections_picture, docking_picture, meeting, shares_picture
+from validation.drive.sensing_figures import detections_figure, docking_figure, nearest_approach, shares_figure
 from validation.drive.summary import Planned, summarize
 
 SITE = load(Site, find("sites", "demo"))
@@ -41,8 +41,8 @@ def path(t_ns: int, number: int, section_type: PathSectionType) -> Path:
     )  # fmt: skip
 
 
-def docked(bay: Bay, along_m: float, left_m: float, turned_deg: float, state: MissionState) -> DriveRecord:
-    """Undocked, driven on a lane, and backed into the bay until so far from its dock pose."""
+def docking_record(bay: Bay, along_m: float, left_m: float, turned_deg: float, state: MissionState) -> DriveRecord:
+    """Undocking, a lane, and docking that ends with the given errors from the dock pose."""
     heading = math.radians(bay.dock.heading_deg)
     c, s = math.cos(heading), math.sin(heading)
     x, y = bay.dock.x_m + c * along_m - s * left_m, bay.dock.y_m + s * along_m + c * left_m
@@ -62,11 +62,11 @@ def docked(bay: Bay, along_m: float, left_m: float, turned_deg: float, state: Mi
 
 @pytest.mark.parametrize("bay", SITE.shed.bays if SITE.shed else (), ids=lambda b: b.name)
 @pytest.mark.parametrize(("along_m", "left_m", "turned_deg"), [(0.0, 0.0, 0.0), (0.03, -0.04, 1.5), (-0.1, 0.0, -0.5)])
-def test_the_dock_error_is_that_of_the_true_pose(bay: Bay, along_m: float, left_m: float, turned_deg: float) -> None:
+def test_dock_error_of_true_pose(bay: Bay, along_m: float, left_m: float, turned_deg: float) -> None:
     for turn in (0.0, 120.0):
         dock = bay.dock.model_copy(update={"heading_deg": turn})
         found = measure_docking(
-            docked(bay.model_copy(update={"dock": dock}), along_m, left_m, turned_deg, MissionState.FINISHED),
+            docking_record(bay.model_copy(update={"dock": dock}), along_m, left_m, turned_deg, MissionState.FINISHED),
             bay.model_copy(update={"dock": dock}),
         )
         assert found is not None
@@ -75,28 +75,28 @@ def test_the_dock_error_is_that_of_the_true_pose(bay: Bay, along_m: float, left_
         assert math.degrees(found.error_rad) == pytest.approx(turned_deg, abs=1e-9)
 
 
-def test_docked_is_said_of_a_mission_that_finished_in_its_bay_alone() -> None:
+def test_outcome_docked_only_for_mission_finished_in_bay() -> None:
     planned = Planned(Polygon(), 0.0, 6.0, {}, BAY)
-    done = summarize(docked(BAY, 0.03, 0.04, -1.0, MissionState.FINISHED), planned)
+    done = summarize(docking_record(BAY, 0.03, 0.04, -1.0, MissionState.FINISHED), planned)
     assert (done.outcome, done.as_dict["dock_error_m"], done.as_dict["dock_error_deg"]) == ("docked", 0.05, 1.0)
-    given_up = summarize(docked(BAY, 0.03, 0.04, -1.0, MissionState.ABORTED), planned)
-    assert (given_up.outcome, given_up.as_dict["dock_error_m"]) == ("aborted", None)
-    in_yard = summarize(docked(BAY, 0.0, 0.0, 0.0, MissionState.FINISHED), replace(planned, bay=None))
+    aborted = summarize(docking_record(BAY, 0.03, 0.04, -1.0, MissionState.ABORTED), planned)
+    assert (aborted.outcome, aborted.as_dict["dock_error_m"]) == ("aborted", None)
+    in_yard = summarize(docking_record(BAY, 0.0, 0.0, 0.0, MissionState.FINISHED), replace(planned, bay=None))
     assert (in_yard.outcome, in_yard.as_dict["dock_error_deg"]) == ("finished", None)
     states = {v.clause: v.state.value for v in done.verdicts}
     assert (states["dock-error"], states["dock-heading"], states["demo-coverage"]) == ("passed", "passed", "not_shown")
 
 
-def test_the_picture_shows_the_last_docking_alone() -> None:
-    record = docked(BAY, 0.0, 0.0, 0.0, MissionState.FINISHED)
+def test_figure_of_last_docking() -> None:
+    record = docking_record(BAY, 0.0, 0.0, 0.0, MissionState.FINISHED)
     poses, speed_mps = docking_drive(record)
     assert len(poses) == 10
     assert SITE.shed is not None
-    png = docking_picture(SITE.shed, BAY, poses, speed_mps, bodies_of(VEHICLE, HARROW))
+    png = docking_figure(SITE.shed, BAY, poses, speed_mps, bodies_of(VEHICLE, HARROW))
     assert png.startswith(b"\x89PNG")
 
 
-def told(stamp_ns: int, sensor: str, at_m: list[tuple[float, float]]) -> Obstacles:
+def obstacles_of(stamp_ns: int, sensor: str, at_m: list[tuple[float, float]]) -> Obstacles:
     n = len(at_m)
     center = np.array([(x, y, 0.9) for x, y in at_m]).reshape(-1, 3)
     return Obstacles(
@@ -106,25 +106,25 @@ def told(stamp_ns: int, sensor: str, at_m: list[tuple[float, float]]) -> Obstacl
     )  # fmt: skip
 
 
-def test_a_short_sight_is_not_asked_while_everybody_is_far() -> None:
-    watch = Detections(VEHICLE)
+def test_needed_topics_by_sensor_range() -> None:
+    detections = Detections(VEHICLE)
     person = TrueObject(
         1, ObstacleClass.PERSON, "person", np.array([112.0, 0.0, 0.9]), np.ones(3), 0.0, np.zeros(2), clearance_m=8.0
     )
     near, other, short = "obstacles/lidar_front", "truth_machine", "obstacles/ultrasonic_front_middle"
-    assert not watch.needs(near)
-    watch(Envelope("truth_objects", 0, 0, TrueObjects(0, (replace(person, role=""),))))
-    assert not watch.needs(near)
-    watch(Envelope("truth_objects", 1, 1, TrueObjects(1, (person,))))
-    assert (watch.needs(near), watch.needs(other), watch.needs(short)) == (True, True, False)
-    watch(Envelope("truth_objects", 2, 2, TrueObjects(2, (replace(person, clearance_m=4.0),))))
-    assert watch.needs(short)
+    assert not detections.needs(near)
+    detections(Envelope("truth_objects", 0, 0, TrueObjects(0, (replace(person, role=""),))))
+    assert not detections.needs(near)
+    detections(Envelope("truth_objects", 1, 1, TrueObjects(1, (person,))))
+    assert (detections.needs(near), detections.needs(other), detections.needs(short)) == (True, True, False)
+    detections(Envelope("truth_objects", 2, 2, TrueObjects(2, (replace(person, clearance_m=4.0),))))
+    assert detections.needs(short)
 
 
-def test_looks_are_counted_where_the_sensor_sees_and_told_where_something_stands() -> None:
-    watch = Detections(VEHICLE)
-    assert "lidar_front" in views_of(VEHICLE)
-    assert "obstacles/lidar_rear" in watch.topics
+def test_samples_in_field_of_view_and_detections_at_objects() -> None:
+    detections = Detections(VEHICLE)
+    assert "lidar_front" in sensor_views(VEHICLE)
+    assert "obstacles/lidar_rear" in detections.topics
     for k, away in enumerate((12.0, 8.0, 4.0)):
         t = k * 100_000_000
         size = np.array([0.5, 0.5, 1.8])
@@ -135,25 +135,25 @@ def test_looks_are_counted_where_the_sensor_sees_and_told_where_something_stands
         rows = [
             ("truth_machine", machine(t, 100.0, 0.0, math.pi / 2.0)),
             ("truth_objects", TrueObjects(t, (person, post))),
-            ("obstacles/lidar_front", told(t, "lidar_front", [(3.3 + away + 0.25, 0.4 if k else 3.0)])),
-            ("obstacles/lidar_rear", told(t, "lidar_rear", [(3.3 + away, 0.0)])),
+            ("obstacles/lidar_front", obstacles_of(t, "lidar_front", [(3.3 + away + 0.25, 0.4 if k else 3.0)])),
+            ("obstacles/lidar_rear", obstacles_of(t, "lidar_rear", [(3.3 + away, 0.0)])),
         ]
         for topic, message in rows:
-            watch(Envelope(topic, k, t, message))
-    assert [(look.sensor, round(look.range_m, 2), look.is_found) for look in watch.looks] == [
+            detections(Envelope(topic, k, t, message))
+    assert [(sample.sensor, round(sample.range_m, 2), sample.is_detected) for sample in detections.samples] == [
         ("lidar_front", 12.0, False), ("lidar_front", 8.0, True), ("lidar_front", 4.0, True),
     ]  # fmt: skip
-    (row,) = range_rows(watch.looks)
-    assert (row["class"], row["looks"], row["found"]) == ("person", 3, 2)
-    assert (row["farthest_m"], row["held_from_m"]) == pytest.approx((8.0, 8.0))
-    assert [(r["from_m"], r["share"]) for r in share_rows(watch.looks)] == [(2.0, 1.0), (5.0, 1.0), (10.0, 0.0)]
-    for png in (detections_picture(watch.looks, 0), shares_picture(watch.looks)):
+    (row,) = range_rows(detections.samples)
+    assert (row["class"], row["samples"], row["detected"]) == ("person", 3, 2)
+    assert (row["farthest_m"], row["always_detected_m"]) == pytest.approx((8.0, 8.0))
+    assert [(r["from_m"], r["share"]) for r in share_rows(detections.samples)] == [(2.0, 1.0), (5.0, 1.0), (10.0, 0.0)]
+    for png in (detections_figure(detections.samples, 0), shares_figure(detections.samples)):
         assert png is not None
         assert png.startswith(b"\x89PNG")
-    assert detections_picture([], 0) is None
+    assert detections_figure([], 0) is None
 
 
-def test_a_meeting_is_what_lies_about_the_nearest_look() -> None:
+def test_nearest_approach_between_pauses() -> None:
     ranges = ((0, 20.0), (1, 19.0), (50, 9.0), (51, 8.0), (52, 9.0), (99, 9.5))
-    looks = [Look("lidar_front", t * 10**9, "person", "person", r, math.nan) for t, r in ranges]
-    assert [look.stamp_ns * 1e-9 for look in meeting(looks)] == [50.0, 51.0, 52.0]
+    samples = [DetectionSample("lidar_front", t * 10**9, "person", "person", r, math.nan) for t, r in ranges]
+    assert [sample.stamp_ns * 1e-9 for sample in nearest_approach(samples)] == [50.0, 51.0, 52.0]

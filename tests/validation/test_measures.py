@@ -1,4 +1,4 @@
-"""Measures of a drive on records whose answer is known beforehand."""
+"""Measures of a drive on records with known results."""
 
 import math
 
@@ -20,7 +20,7 @@ from validation.drive.record import DriveRecord, collect
 from validation.drive.stops import false_stops, find_stops
 from validation.drive.summary import Planned, summarize
 from validation.drive.tracking import measure_cross_track, statistics
-from validation.verdict import State, judge
+from validation.verdict import State, verdict_of
 
 STEP_NS = 50_000_000
 SPEED_MPS = 2.0
@@ -54,7 +54,7 @@ def machine(t_ns: int, x_m: float, y_m: float, yaw_rad: float, contacts: int = 0
 
 
 def drive(heading_rad: float, offset_m: float, seconds: float = 20.0) -> DriveRecord:
-    """A machine that follows a straight line with a constant error to its left."""
+    """Drive along a straight line with a constant offset to the left."""
     across = np.array([-math.sin(heading_rad), math.cos(heading_rad)])
     along = np.array([math.cos(heading_rad), math.sin(heading_rad)])
     rows: list[tuple[str, Message]] = [("path", straight_path(heading_rad))]
@@ -68,7 +68,7 @@ def drive(heading_rad: float, offset_m: float, seconds: float = 20.0) -> DriveRe
 
 @pytest.mark.parametrize("heading_rad", [0.0, 1.0, 2.5, -2.0])
 @pytest.mark.parametrize("offset_m", [-0.03, 0.0, 0.05])
-def test_cross_track_is_signed_left_positive(heading_rad: float, offset_m: float) -> None:
+def test_cross_track_sign_left_positive(heading_rad: float, offset_m: float) -> None:
     found = statistics(measure_cross_track(drive(heading_rad, offset_m)).on(PathSectionType.SWATH))
     assert found is not None
     assert found["mean"] == pytest.approx(offset_m, abs=1e-9)
@@ -76,12 +76,12 @@ def test_cross_track_is_signed_left_positive(heading_rad: float, offset_m: float
     assert found["max_abs"] == pytest.approx(abs(offset_m), abs=1e-9)
 
 
-def test_nothing_driven_gives_no_statistics() -> None:
+def test_no_statistics_without_samples() -> None:
     track = measure_cross_track(drive(0.0, 0.0))
     assert statistics(track.on(PathSectionType.HEADLAND)) is None
 
 
-def test_worked_area_and_coverage_list_what_is_missing() -> None:
+def test_worked_area_and_list_of_uncovered_areas() -> None:
     record = drive(0.0, 0.0)
     length = record.truth[-1].T_map_base[0, 3] - record.truth[0].T_map_base[0, 3]
     worked = worked_area(record.truth, 6.0)
@@ -114,12 +114,12 @@ def supervisor(t_ns: int, mode: Mode, reason: str, clearance_m: float, hits: np.
 
 
 def with_stop(role: str, place_m: tuple[float, float]) -> DriveRecord:
-    """A stop from 2 s to 4 s whose hits lie 5 m ahead of a machine standing at the origin."""
+    """A stop from 2 s to 4 s with triggering points 5 m ahead of a machine at the origin."""
     rows: list[tuple[str, Message]] = []
     hits = np.array([[5.0, 0.0, 1.0]])
     for k in range(1, 60):
         t_ns = k * 100_000_000
-        thing = TrueObject(
+        person = TrueObject(
             7,
             ObstacleClass.PERSON,
             role,
@@ -131,15 +131,15 @@ def with_stop(role: str, place_m: tuple[float, float]) -> DriveRecord:
         )
         is_limited, is_stopped = 10 <= k < 40, 20 <= k < 40
         mode = Mode.OBSTACLE_STOP if is_stopped else Mode.AUTOMATIC
-        gap = max(8.0 - 0.5 * (k - 10), 3.0) if is_limited else math.inf
+        clearance_m = max(8.0 - 0.5 * (k - 10), 3.0) if is_limited else math.inf
         rows.append(("truth_machine", machine(t_ns, 0.0, 0.0, 0.0)))
-        rows.append(("truth_objects", TrueObjects(t_ns, (thing,))))
+        rows.append(("truth_objects", TrueObjects(t_ns, (person,))))
         reason = "protective_field" if is_limited else ""
-        rows.append(("supervisor", supervisor(t_ns, mode, reason, gap, hits if is_limited else hits[:0])))
+        rows.append(("supervisor", supervisor(t_ns, mode, reason, clearance_m, hits if is_limited else hits[:0])))
     return collect(Envelope(topic, i, m.stamp_ns, m) for i, (topic, m) in enumerate(rows))
 
 
-def test_stop_knows_cause_first_range_and_true_margin() -> None:
+def test_stop_cause_first_range_and_true_margin() -> None:
     (stop,) = find_stops(with_stop("person", (5.2, 0.3)))
     assert (stop.role, stop.cause, stop.label) == ("person", "protective_field", "person")
     assert stop.t_s == pytest.approx(1.9)
@@ -152,19 +152,17 @@ def test_stop_knows_cause_first_range_and_true_margin() -> None:
     ("role", "place_m", "expected"),
     [("person", (9.0, 0.0), {"person": 1}), ("", (5.0, 0.0), {}), ("person", (5.0, 0.0), {})],
 )
-def test_stop_without_an_announced_cause_is_false(
-    role: str, place_m: tuple[float, float], expected: dict[str, int]
-) -> None:
+def test_unannounced_stop_is_false(role: str, place_m: tuple[float, float], expected: dict[str, int]) -> None:
     stops = find_stops(with_stop(role, place_m))
     assert false_stops(stops, expected) == stops
 
 
-def test_second_stop_for_the_same_object_is_false() -> None:
+def test_second_stop_for_same_object_is_false() -> None:
     (stop,) = find_stops(with_stop("person", (5.0, 0.0)))
     assert false_stops([stop, stop], {"person": 1}) == [stop]
 
 
-def test_position_error_is_split_along_and_across() -> None:
+def test_position_error_along_and_across() -> None:
     record = drive(0.5, 0.0)
     truth = record.truth[100]
     T = truth.T_map_base.copy()
@@ -178,7 +176,7 @@ def test_position_error_is_split_along_and_across() -> None:
     assert error.nees == pytest.approx([100.0 + 4.0])
 
 
-def test_summary_of_a_whole_drive() -> None:
+def test_summary_of_complete_drive() -> None:
     record = drive(0.0, 0.02)
     status = MissionStatus(1, MissionState.FINISHED, PathSectionType.SWATH, 0, 0, 40.0, 40.0, 40.0, "done", ())
     record.messages["mission"].append(status)
@@ -191,7 +189,7 @@ def test_summary_of_a_whole_drive() -> None:
     assert verdicts["BD-5.2.4"] is State.NOT_SHOWN
 
 
-def test_empty_log_is_refused() -> None:
+def test_empty_log_refused() -> None:
     with pytest.raises(LogError, match="no message"):
         collect([])
 
@@ -206,5 +204,5 @@ def test_empty_log_is_refused() -> None:
         (None, 3, State.NOT_SHOWN),
     ],
 )
-def test_no_trial_is_never_a_pass(measured: float | None, n: int, state: State) -> None:
-    assert judge("c", measured, 0.025, "m", n, "e").state is state
+def test_verdict_states(measured: float | None, n: int, state: State) -> None:
+    assert verdict_of("c", measured, 0.025, "m", n, "e").state is state

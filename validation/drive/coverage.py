@@ -1,4 +1,4 @@
-"""Worked area from the implement's true way, against what was planned."""
+"""Worked area from the true path of the implement, compared with the planned area."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ from shapely.geometry.base import BaseGeometry
 from messages.plan import UncoveredArea
 from messages.truth import TrueMachine
 
-SMALLEST_M2 = 0.5  # slivers below this come from the sampling of the true way
+MIN_AREA_M2 = 0.5  # smaller slivers come from the sampling of the true path
 
 
 @dataclass(frozen=True)
 class Uncovered:
-    """A planned piece that was not worked."""
+    """A part of the planned area that was not worked; `x_m`, `y_m` its centroid in map."""
 
     reason: str
     area_m2: float
@@ -25,7 +25,7 @@ class Uncovered:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Areas in m²; `share` is worked over planned, what is listed as left out not counted."""
+    """Areas in m²; `share` is worked over planned area without the areas listed as uncovered."""
 
     planned_m2: float
     worked_m2: float
@@ -34,7 +34,7 @@ class Coverage:
 
 
 def worked_area(truth: list[TrueMachine], width_m: float) -> BaseGeometry:
-    """The ground that the implement went over while it worked."""
+    """Area that the implement passed over while working."""
     runs: list[list[tuple[float, float]]] = [[]]
     for machine in truth:
         if machine.is_working:
@@ -48,10 +48,10 @@ def worked_area(truth: list[TrueMachine], width_m: float) -> BaseGeometry:
 def measure_coverage(
     planned: BaseGeometry, worked: BaseGeometry, uncovered_areas: tuple[UncoveredArea, ...]
 ) -> Coverage:
-    """Compare; every uncovered piece is listed with its reason and place."""
+    """Compares planned and worked area; lists every uncovered part with reason and position."""
     listed = unary_union([Polygon(np.asarray(piece.outline_map_m)).buffer(0) for piece in uncovered_areas])
     missing = planned.difference(worked.buffer(0.02))
-    pieces = [piece for piece in getattr(missing, "geoms", [missing]) if piece.area >= SMALLEST_M2]
+    pieces = [piece for piece in getattr(missing, "geoms", [missing]) if piece.area >= MIN_AREA_M2]
     uncovered = tuple(
         Uncovered(
             _reason(piece, uncovered_areas),

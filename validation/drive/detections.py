@@ -1,4 +1,4 @@
-"""What each sensor told of the objects that were truly there, look by look."""
+"""Detection of the true objects by each sensor, one sample per measurement and object."""
 
 import math
 from collections import deque
@@ -17,148 +17,152 @@ from messages.truth import TrueMachine, TrueObject, TrueObjects
 from validation.obstacle_stop.boxes import Box, box_of
 from validation.obstacle_stop.ranges import range_without_failure, share_bounds
 
-NEAR_M = 1.0  # a detection this near to a true box, and its own sigma, is of that object
-MOST_SIGMA_M = 2.0
-SAME_NS = 60_000_000  # truth comes at 10 Hz
+ASSOCIATION_M = 1.0  # a detection within this distance + its sigma of a true box belongs to that object
+MAX_SIGMA_M = 2.0
+MAX_AGE_NS = 60_000_000  # of the truth, which has 10 Hz
 EDGES_M = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0)
-KEPT = 20
+MAX_KEPT = 20
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """Where a sensor looks: its pose in base, half its opening about its x axis, and how far it reaches."""
+class SensorView:
+    """Field of view of a sensor: pose in base, half angle about its x axis, maximum range."""
 
     T_base_sensor: Float64
     half_rad: float
-    reach_m: float
+    max_range_m: float
 
     def range_of(self, box: Box) -> float:
-        """Level distance to the box, infinite when its middle is out of view or it is too far."""
-        away = float(box.away_m(self.T_base_sensor[None, :2, 3])[0])
+        """Horizontal distance to the box; infinite outside the field of view (box centre) or the range."""
+        away = float(box.distance_m(self.T_base_sensor[None, :2, 3])[0])
         p = invert(self.T_base_sensor) @ np.append(box.center_m, 1.0)
-        is_seen = abs(math.atan2(p[1], p[0])) <= self.half_rad and away <= self.reach_m
-        return away if is_seen else math.inf
+        is_in_view = abs(math.atan2(p[1], p[0])) <= self.half_rad and away <= self.max_range_m
+        return away if is_in_view else math.inf
 
 
-def views_of(vehicle: Vehicle) -> dict[str, View]:
-    """The vehicle's obstacle sensors by the names that their obstacles carry."""
+def sensor_views(vehicle: Vehicle) -> dict[str, SensorView]:
+    """Fields of view of the obstacle sensors by the sensor name in `Obstacles`."""
     sensors, out = vehicle.sensors, {}
     for name, lidar in sensors.lidar.items():
         half = math.radians(lidar.field_of_view_deg) / 2.0
-        out[f"lidar_{name}"] = View(lidar.mount.T_base_sensor, half, lidar.range_m[1])
+        out[f"lidar_{name}"] = SensorView(lidar.mount.T_base_sensor, half, lidar.range_m[1])
     for name, camera in sensors.camera.items():
         half = math.atan(0.5 * camera.size_px[0] / camera.focal_px[0])
-        out[f"camera_{name}"] = View(camera.mount.T_base_sensor, half, EDGES_M[-1])
+        out[f"camera_{name}"] = SensorView(camera.mount.T_base_sensor, half, EDGES_M[-1])
     for name, radar in sensors.radar.items():
         half = math.radians(radar.field_of_view_deg) / 2.0
-        out[f"radar_{name}"] = View(radar.mount.T_base_sensor, half, radar.range_m[1])
+        out[f"radar_{name}"] = SensorView(radar.mount.T_base_sensor, half, radar.range_m[1])
     for name, one in sensors.ultrasonic.items():
-        out[f"ultrasonic_{name}"] = View(one.mount.T_base_sensor, math.radians(one.cone_deg) / 2.0, one.range_m[1])
+        out[f"ultrasonic_{name}"] = SensorView(
+            one.mount.T_base_sensor, math.radians(one.cone_deg) / 2.0, one.range_m[1]
+        )
     return out
 
 
 @dataclass(frozen=True)
-class Look:
-    """One sensor's measurement and one true object in its view; `found_m` is the range that it told, NaN for none."""
+class DetectionSample:
+    """One measurement and one true object in view; `detected_m` is the detected range, NaN without detection."""
 
     sensor: str
     stamp_ns: int
     role: str
     label: str
     range_m: float
-    found_m: float
+    detected_m: float
 
     @property
-    def is_found(self) -> bool:
-        """Whether it told the object."""
-        return math.isfinite(self.found_m)
+    def is_detected(self) -> bool:
+        """Whether the sensor detected the object."""
+        return math.isfinite(self.detected_m)
 
 
 class Detections:
-    """A sink: call it with every envelope; `looks` are then all looks at objects with a role."""
+    """Bus sink; `samples` holds one sample per measurement and object with a role."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.looks: list[Look] = []
-        self._views = views_of(vehicle)
-        self._truths: deque[TrueObjects] = deque(maxlen=KEPT)
-        self._machines: deque[TrueMachine] = deque(maxlen=2 * KEPT)
+        self.samples: list[DetectionSample] = []
+        self._views = sensor_views(vehicle)
+        self._truths: deque[TrueObjects] = deque(maxlen=MAX_KEPT)
+        self._machines: deque[TrueMachine] = deque(maxlen=2 * MAX_KEPT)
 
     @property
     def topics(self) -> frozenset[str]:
-        """What it must be shown of a log."""
+        """Topics needed."""
         return frozenset({"truth_machine", "truth_objects", *(f"obstacles/{name}" for name in self._views)})
 
     def needs(self, topic: str) -> bool:
-        """Whether the next message of a topic can tell of anything: most objects are far from a short sight."""
+        """Whether the next message of a topic can add samples: some true object is within the sensor range."""
         view = self._views.get(topic.partition("/")[2]) if topic.startswith("obstacles/") else None
-        return view is None or any(is_within_reach(thing, view) for truth in self._truths for thing in truth.objects)
+        return view is None or any(is_within_range(true, view) for truth in self._truths for true in truth.objects)
 
     def __call__(self, envelope: Envelope) -> None:
-        """Take note of a message."""
+        """Processes a message."""
         message = envelope.message
         if isinstance(message, TrueObjects):
             self._truths.append(message)
         elif isinstance(message, TrueMachine):
             self._machines.append(message)
         elif isinstance(message, Obstacles) and message.sensor in self._views:
-            self._look(message)
+            self._add_samples(message)
 
-    def _look(self, told: Obstacles) -> None:
-        truth = min(self._truths, key=lambda m: abs(m.stamp_ns - told.stamp_ns), default=None)
-        machine = min(self._machines, key=lambda m: abs(m.stamp_ns - told.stamp_ns), default=None)
-        if truth is None or machine is None or abs(truth.stamp_ns - told.stamp_ns) > SAME_NS:
+    def _add_samples(self, detections: Obstacles) -> None:
+        truth = min(self._truths, key=lambda m: abs(m.stamp_ns - detections.stamp_ns), default=None)
+        machine = min(self._machines, key=lambda m: abs(m.stamp_ns - detections.stamp_ns), default=None)
+        if truth is None or machine is None or abs(truth.stamp_ns - detections.stamp_ns) > MAX_AGE_NS:
             return
-        view, T_base_map = self._views[told.sensor], invert(machine.T_map_base)
-        for thing in truth.objects:
-            if not is_within_reach(thing, view):
+        view, T_base_map = self._views[detections.sensor], invert(machine.T_map_base)
+        for true in truth.objects:
+            if not is_within_range(true, view):
                 continue
-            box = box_of(thing, T_base_map)
+            box = box_of(true, T_base_map)
             range_m = view.range_of(box)
             if math.isfinite(range_m):
-                found = found_range(told, box, view)
-                self.looks.append(Look(told.sensor, told.stamp_ns, thing.role, thing.label.value, range_m, found))
+                found = detected_range_m(detections, box, view)
+                self.samples.append(
+                    DetectionSample(detections.sensor, detections.stamp_ns, true.role, true.label.value, range_m, found)
+                )
 
 
-def is_within_reach(thing: TrueObject, view: View) -> bool:
-    """Whether an object of the scenario may be in a sensor's reach: sensors are within the machine's outline."""
-    return bool(thing.role) and thing.clearance_m <= view.reach_m
+def is_within_range(true: TrueObject, view: SensorView) -> bool:
+    """Whether an object with a role may be in sensor range; sensors are within the machine outline."""
+    return bool(true.role) and true.clearance_m <= view.max_range_m
 
 
-def found_range(told: Obstacles, box: Box, view: View) -> float:
-    """Range of the nearest detection that is of the box; NaN when there is none."""
-    if not len(told.yaw_rad):
+def detected_range_m(detections: Obstacles, box: Box, view: SensorView) -> float:
+    """Range (m) of the nearest detection that belongs to the box; NaN without one."""
+    if not len(detections.yaw_rad):
         return math.nan
-    away = np.minimum(box.away_m(told.center_base_m[:, :2]), box.away_m(told.nearest_base_m[:, :2]))
-    sigma = np.minimum(told.sigma_m.max(axis=1), MOST_SIGMA_M) if len(told.sigma_m) else np.zeros(len(away))
-    mine = np.flatnonzero(away <= NEAR_M + sigma)
+    away = np.minimum(box.distance_m(detections.center_base_m[:, :2]), box.distance_m(detections.nearest_base_m[:, :2]))
+    sigma = np.minimum(detections.sigma_m.max(axis=1), MAX_SIGMA_M) if len(detections.sigma_m) else np.zeros(len(away))
+    mine = np.flatnonzero(away <= ASSOCIATION_M + sigma)
     if not len(mine):
         return math.nan
-    d = told.nearest_base_m[mine, :2] - view.T_base_sensor[:2, 3]
+    d = detections.nearest_base_m[mine, :2] - view.T_base_sensor[:2, 3]
     return float(np.hypot(d[:, 0], d[:, 1]).min())
 
 
-def range_rows(looks: Iterable[Look]) -> list[dict[str, Any]]:
-    """By sensor and class: the farthest range at which it was told, and that below which it always was."""
-    groups: dict[tuple[str, str], list[Look]] = {}
-    for look in looks:
-        groups.setdefault((look.sensor, look.label), []).append(look)
+def range_rows(samples: Iterable[DetectionSample]) -> list[dict[str, Any]]:
+    """By sensor and class: largest range with a detection, and range below which every sample has one."""
+    groups: dict[tuple[str, str], list[DetectionSample]] = {}
+    for sample in samples:
+        groups.setdefault((sample.sensor, sample.label), []).append(sample)
     rows = []
     for (sensor, label), mine in sorted(groups.items()):
-        held = range_without_failure([(look.range_m, look.is_found) for look in mine])
-        found = [look.range_m for look in mine if look.is_found]
-        rows.append({"sensor": sensor, "class": label, "looks": len(mine), "found": len(found),
-                     "farthest_m": max(found, default=None), "held_from_m": held})  # fmt: skip
+        always_m = range_without_failure([(sample.range_m, sample.is_detected) for sample in mine])
+        found = [sample.range_m for sample in mine if sample.is_detected]
+        rows.append({"sensor": sensor, "class": label, "samples": len(mine), "detected": len(found),
+                     "farthest_m": max(found, default=None), "always_detected_m": always_m})  # fmt: skip
     return rows
 
 
-def share_rows(looks: Iterable[Look]) -> list[dict[str, Any]]:
-    """By sensor, class and range: the share of looks in which the object was told, with exact bounds."""
+def share_rows(samples: Iterable[DetectionSample]) -> list[dict[str, Any]]:
+    """By sensor, class and range: share of samples with a detection, with exact bounds."""
     counts: dict[tuple[str, str, int], list[int]] = {}
-    for look in looks:
-        k = int(np.searchsorted(EDGES_M, look.range_m, side="right")) - 1
+    for sample in samples:
+        k = int(np.searchsorted(EDGES_M, sample.range_m, side="right")) - 1
         if k < len(EDGES_M) - 1:
-            count = counts.setdefault((look.sensor, look.label, k), [0, 0])
-            count[0] += look.is_found
+            count = counts.setdefault((sample.sensor, sample.label, k), [0, 0])
+            count[0] += sample.is_detected
             count[1] += 1
     rows = []
     for (sensor, label, k), (found, n) in sorted(counts.items()):

@@ -1,4 +1,4 @@
-"""The end in a bay: how far from the surveyed pose the machine truly stands."""
+"""Docking error: true pose at the end against the surveyed dock pose."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from validation.drive.record import DriveRecord, true_poses
 
 @dataclass(frozen=True)
 class Docking:
-    """The true pose at the end against the dock pose: distance, its parts along and left of the dock, and heading."""
+    """Distance from the dock pose, its parts along and to the left of the dock axis, and heading error."""
 
     error_m: float
     along_m: float
@@ -25,7 +25,7 @@ class Docking:
 
 
 def measure_docking(record: DriveRecord, bay: Bay | None) -> Docking | None:
-    """None without a bay, or when the mission did not finish."""
+    """Docking error; None without a bay or when the mission did not finish."""
     mission, truth = record.mission, record.truth
     if bay is None or not truth or not mission or mission[-1].state is not MissionState.FINISHED:
         return None
@@ -36,7 +36,7 @@ def measure_docking(record: DriveRecord, bay: Bay | None) -> Docking | None:
 
 
 def docking_drive(record: DriveRecord) -> tuple[Float64, Float64]:
-    """True poses (N, 3) since the first path of the last docking came, and speeds (N,); empty without one."""
+    """True poses (N, 3) and speeds (N,) since the first path of the last docking; empty without one."""
     paths = [p for p in record.paths.values() if p.sections and p.sections[0].section_type is PathSectionType.DOCK]
     last = record.mission[-1].stamp_ns if record.mission else 0
     others = [p.stamp_ns for p in record.paths.values() if p not in paths]
@@ -46,7 +46,7 @@ def docking_drive(record: DriveRecord) -> tuple[Float64, Float64]:
 
 
 def bodies_of(vehicle: Vehicle, implement: Implement) -> Bodies:
-    """Machine and implement as they stand folded, in base."""
+    """Outlines of machine and folded implement in base."""
     body, (front_m, rear_m) = vehicle.body, implement.ends_m
     return (
         Rectangle(-body.rear_m, body.front_m, body.width_m),

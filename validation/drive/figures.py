@@ -1,4 +1,4 @@
-"""The pictures of a drive's report, as PNG bytes."""
+"""Figures of the drive report, as PNG bytes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SWATH, OTHER, STOP, SIGMA = "#2f7d32", "#90a4ae", "#c62828", "#ffb300"
 
 
 def draw_all(record: DriveRecord, planned: Planned, summary: Summary) -> dict[str, bytes]:
-    """Title → PNG of every picture."""
+    """Title → PNG of every figure."""
     return {
         "Track over plan": _draw(lambda axes: _track(axes[0], record, planned, summary), 1, 10.0),
         "Cross-track error": _draw(lambda axes: _cross_track(axes, record, summary), 2, 4.5),
@@ -29,7 +29,7 @@ def draw_all(record: DriveRecord, planned: Planned, summary: Summary) -> dict[st
     }
 
 
-def _draw(paint: object, rows: int, height: float) -> bytes:
+def _draw(plot: object, rows: int, height: float) -> bytes:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -37,8 +37,8 @@ def _draw(paint: object, rows: int, height: float) -> bytes:
 
     figure: Figure
     figure, axes = pyplot.subplots(rows, 1, figsize=(11, height), squeeze=False, layout="constrained")
-    assert callable(paint)
-    paint(axes[:, 0])
+    assert callable(plot)
+    plot(axes[:, 0])
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=110)
     pyplot.close(figure)
@@ -72,11 +72,11 @@ def _cross_track(axes: np.ndarray, record: DriveRecord, summary: Summary) -> Non
     swath = np.array([section_type is PathSectionType.SWATH for section_type in track.section_type], bool) & (
         track.is_working > 0
     )
-    round_ = np.array([section_type is PathSectionType.HEADLAND for section_type in track.section_type], bool) & (
+    headland = np.array([section_type is PathSectionType.HEADLAND for section_type in track.section_type], bool) & (
         track.is_working > 0
     )
-    for chosen, colour, label in ((round_, OTHER, "rounds"), (swath, SWATH, "swaths")):
-        axes[0].plot(t[chosen], 100 * track.xte_m[chosen], ".", color=colour, ms=2, label=label)
+    for chosen, color, label in ((headland, OTHER, "headland passes"), (swath, SWATH, "swaths")):
+        axes[0].plot(t[chosen], 100 * track.xte_m[chosen], ".", color=color, ms=2, label=label)
     axes[0].axhspan(-2.5, 2.5, color="#e8f5e9", zorder=0)
     axes[0].set(xlabel="time (s)", ylabel="error (cm)", ylim=(-10, 10))
     axes[0].legend(loc="upper right")

@@ -1,4 +1,4 @@
-"""Error of the localizer against its stated sigma."""
+"""Localization error against the estimated sigma."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from validation.drive.record import DriveRecord, stamps_of, true_poses
 
 @dataclass(frozen=True)
 class PositionError:
-    """Per map pose: time, error along and across the machine, of the heading, and the stated sigmas, (N,) each."""
+    """Per map pose: longitudinal, lateral and heading error, their estimated sigmas, and NEES, (N,) each."""
 
     stamp_ns: Int64
     along_m: Float64
@@ -24,7 +24,7 @@ class PositionError:
 
 
 def measure_position(record: DriveRecord) -> PositionError:
-    """Truth is interpolated to the time of each pose; poses outside the truth's span are left out."""
+    """Errors against the truth interpolated to each pose; poses outside the time span of the truth are dropped."""
     truth = record.truth
     stamps = stamps_of(truth)
     poses = [p for p in record.poses if p.is_initialized and len(stamps) and stamps[0] <= p.stamp_ns <= stamps[-1]]

@@ -1,4 +1,4 @@
-"""What the measures need of a drive, gathered from its log in one pass."""
+"""Messages of a drive that the measures need, gathered from its log in one pass."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ M = TypeVar("M", bound=Message)
 
 @dataclass
 class DriveRecord:
-    """Messages of each topic of `TOPICS` in order of reception, and the receive times of the first and last of all."""
+    """Messages of each topic of `TOPICS` in order of reception, and receive times of the first and last message."""
 
     messages: dict[str, list[Message]] = field(default_factory=lambda: {topic: [] for topic in TOPICS})
     first_ns: int = 0
@@ -35,37 +35,37 @@ class DriveRecord:
 
     @property
     def truth(self) -> list[TrueMachine]:
-        """The machine as it was."""
+        """True machine states."""
         return self.of("truth_machine", TrueMachine)
 
     @property
     def objects(self) -> list[TrueObjects]:
-        """The obstacles as they were."""
+        """True obstacles."""
         return self.of("truth_objects", TrueObjects)
 
     @property
-    def wishes(self) -> list[ControlCommand]:
-        """What control wanted."""
+    def control_commands(self) -> list[ControlCommand]:
+        """Control commands."""
         return self.of("control_command", ControlCommand)
 
     @property
     def supervisor(self) -> list[SupervisorState]:
-        """What the supervisor said."""
+        """Supervisor states."""
         return self.of("supervisor", SupervisorState)
 
     @property
     def commands(self) -> list[SafeCommand]:
-        """What was commanded."""
+        """Safe commands."""
         return self.of("safe_command", SafeCommand)
 
     @property
     def poses(self) -> list[MapPose]:
-        """What the localizer said."""
+        """Poses of the localizer."""
         return self.of("map_pose", MapPose)
 
     @property
     def mission(self) -> list[MissionStatus]:
-        """How far the mission was."""
+        """Mission states."""
         return self.of("mission", MissionStatus)
 
     @property
@@ -75,16 +75,16 @@ class DriveRecord:
 
     @property
     def seconds(self) -> float:
-        """Length of the log."""
+        """Duration of the log (s)."""
         return (self.last_ns - self.first_ns) * 1e-9
 
     def time_s(self, stamp_ns: int) -> float:
-        """Seconds since the log began."""
+        """Seconds since the start of the log."""
         return (stamp_ns - self.first_ns) * 1e-9
 
 
 def collect(envelopes: Iterable[Envelope]) -> DriveRecord:
-    """Gather a drive; raises LogError for an empty log."""
+    """Gathers a drive; raises LogError for an empty log."""
     record = DriveRecord()
     for envelope in envelopes:
         record.first_ns = record.first_ns or envelope.receive_ns
@@ -92,12 +92,12 @@ def collect(envelopes: Iterable[Envelope]) -> DriveRecord:
         if envelope.topic in record.messages:
             record.messages[envelope.topic].append(envelope.message)
     if not record.last_ns:
-        raise LogError("the log holds no message: nothing can be judged")
+        raise LogError("the log holds no message: nothing can be evaluated")
     return record
 
 
 def stamps_of(messages: Iterable[Message]) -> Int64:
-    """Times of measurement, (N,)."""
+    """Stamps, (N,)."""
     return np.array([m.stamp_ns for m in messages], np.int64)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of what the sensors told, and of the docking, as PNG bytes."""
+"""Figures of the detections by sensor and of the docking, as PNG bytes."""
 
 from __future__ import annotations
 
@@ -11,80 +11,84 @@ import numpy as np
 from configs.site import Bay, Shed
 from geometry.arrays import Float64
 from geometry.footprint import Bodies, place
-from validation.drive.detections import Look, share_rows
+from validation.drive.detections import DetectionSample, share_rows
 from validation.obstacle_stop.figures import draw
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHOWN_M = 30.0
-APART_S = 20.0  # looks further apart in time are of two meetings
-PAUSE_S = 1.0
+MAX_PAUSE_S = 20.0  # samples further apart belong to different approaches
+LINE_BREAK_S = 1.0
 LENGTH_M = 12.0
 TRUE, WALL, DRIVEN, REVERSED, DOCK, LAST = "#90a4ae", "#5d4037", "#2f7d32", "#c62828", "#5c6bc0", "#1b2a1e"
 
 
-def detections_picture(looks: Sequence[Look], first_ns: int) -> bytes | None:
-    """Range over time of each object near by: the truth as a line, what each sensor told as dots; None of nothing."""
-    near = [look for look in looks if look.range_m <= SHOWN_M]
+def detections_figure(samples: Sequence[DetectionSample], first_ns: int) -> bytes | None:
+    """Range over time of each near object: truth as a line, detections as dots; None without detections."""
+    near = [sample for sample in samples if sample.range_m <= SHOWN_M]
     roles = [
-        role for role in dict.fromkeys(look.role for look in near) if any(x.is_found for x in near if x.role == role)
+        role
+        for role in dict.fromkeys(sample.role for sample in near)
+        if any(x.is_detected for x in near if x.role == role)
     ]
-    sensors = sorted({look.sensor for look in near})
+    sensors = sorted({sample.sensor for sample in near})
 
-    def paint(axes: Sequence[Axes]) -> None:
+    def plot(axes: Sequence[Axes]) -> None:
         for ax, role in zip(axes, roles, strict=True):
-            mine = meeting([look for look in near if look.role == role])
+            mine = nearest_approach([sample for sample in near if sample.role == role])
             _over_time(ax, mine, sensors, first_ns)
             ax.set(title=f"{role} ({mine[0].label})", xlabel="time (s)", ylabel="range from the sensor (m)")
         axes[0].legend(fontsize=7)
 
-    return draw(paint, len(roles), (5.0 * len(roles), 4.2)) if roles else None
+    return draw(plot, len(roles), (5.0 * len(roles), 4.2)) if roles else None
 
 
-def meeting(looks: list[Look]) -> list[Look]:
-    """The looks about the nearest one, without a long pause."""
-    looks = sorted(looks, key=lambda look: look.stamp_ns)
-    nearest = min(range(len(looks)), key=lambda k: looks[k].range_m)
-    gaps = np.diff([look.stamp_ns for look in looks]) > APART_S * 1e9
-    breaks = np.concatenate([[0], np.flatnonzero(gaps) + 1, [len(looks)]])
+def nearest_approach(samples: list[DetectionSample]) -> list[DetectionSample]:
+    """The samples around the nearest one, without a pause above `MAX_PAUSE_S`."""
+    samples = sorted(samples, key=lambda sample: sample.stamp_ns)
+    nearest = min(range(len(samples)), key=lambda k: samples[k].range_m)
+    gaps = np.diff([sample.stamp_ns for sample in samples]) > MAX_PAUSE_S * 1e9
+    breaks = np.concatenate([[0], np.flatnonzero(gaps) + 1, [len(samples)]])
     k = int(np.searchsorted(breaks, nearest, side="right")) - 1
-    return looks[int(breaks[k]) : int(breaks[k + 1])]
+    return samples[int(breaks[k]) : int(breaks[k + 1])]
 
 
-def _over_time(ax: Axes, looks: list[Look], sensors: list[str], first_ns: int) -> None:
+def _over_time(ax: Axes, samples: list[DetectionSample], sensors: list[str], first_ns: int) -> None:
     for k, sensor in enumerate(sensors):
-        mine = [look for look in looks if look.sensor == sensor]
-        t = np.array([(look.stamp_ns - first_ns) * 1e-9 for look in mine])
-        pauses = np.flatnonzero(np.diff(t) > PAUSE_S) + 1
-        true = np.insert(np.array([look.range_m for look in mine]), pauses, np.nan)
+        mine = [sample for sample in samples if sample.sensor == sensor]
+        t = np.array([(sample.stamp_ns - first_ns) * 1e-9 for sample in mine])
+        pauses = np.flatnonzero(np.diff(t) > LINE_BREAK_S) + 1
+        true = np.insert(np.array([sample.range_m for sample in mine]), pauses, np.nan)
         ax.plot(np.insert(t, pauses, np.nan), true, "-", color=TRUE, lw=0.8, zorder=1)
-        ax.plot(t, [look.found_m for look in mine], ".", color=f"C{k % 10}", ms=3, label=sensor, zorder=2)
+        ax.plot(t, [sample.detected_m for sample in mine], ".", color=f"C{k % 10}", ms=3, label=sensor, zorder=2)
 
 
-def shares_picture(looks: Sequence[Look]) -> bytes | None:
-    """Share of looks in which an object was told, over range, by class and sensor; None of nothing."""
-    rows = share_rows(looks)
+def shares_figure(samples: Sequence[DetectionSample]) -> bytes | None:
+    """Share of samples with a detection over range, by class and sensor; None without samples."""
+    rows = share_rows(samples)
     labels = list(dict.fromkeys(row["class"] for row in rows))
     sensors = sorted({row["sensor"] for row in rows})
 
-    def paint(axes: Sequence[Axes]) -> None:
+    def plot(axes: Sequence[Axes]) -> None:
         for ax, label in zip(axes, labels, strict=True):
             for k, sensor in enumerate(sensors):
                 mine = [row for row in rows if (row["class"], row["sensor"]) == (label, sensor)]
                 x, y = [0.5 * (r["from_m"] + r["to_m"]) for r in mine], [r["share"] for r in mine]
                 ax.plot(x, y, ".-", color=f"C{k % 10}", label=sensor)
                 ax.fill_between(x, [r["low"] for r in mine], [r["high"] for r in mine], color=f"C{k % 10}", alpha=0.12)
-            ax.set(title=label, xlabel="range from the sensor (m)", ylabel="share of looks", ylim=(-0.03, 1.05))
+            ax.set(
+                title=label, xlabel="range from the sensor (m)", ylabel="share of samples detected", ylim=(-0.03, 1.05)
+            )
         axes[0].legend(fontsize=7)
 
-    return draw(paint, len(labels), (5.0 * len(labels), 4.2)) if labels else None
+    return draw(plot, len(labels), (5.0 * len(labels), 4.2)) if labels else None
 
 
-def docking_picture(shed: Shed, bay: Bay, poses: Float64, speed_mps: Float64, bodies: Bodies) -> bytes:
-    """From above: walls, posts and the bay's dock pose; the way of base, reverse in red, and the last outline."""
+def docking_figure(shed: Shed, bay: Bay, poses: Float64, speed_mps: Float64, bodies: Bodies) -> bytes:
+    """Top view: walls, posts, dock pose, driven path of base (reverse in red), last outline."""
 
-    def paint(axes: Sequence[Axes]) -> None:
+    def plot(axes: Sequence[Axes]) -> None:
         for ax, half_m in zip(axes, (16.0, 4.5), strict=True):
             _shed(ax, shed)
             _dock(ax, bay, bodies)
@@ -95,7 +99,7 @@ def docking_picture(shed: Shed, bay: Bay, poses: Float64, speed_mps: Float64, bo
         axes[0].set_ylabel("north (m)")
         axes[0].legend(fontsize=7, loc="upper right")
 
-    return draw(paint, 2, (11.0, 5.6))
+    return draw(plot, 2, (11.0, 5.6))
 
 
 def _shed(ax: Axes, shed: Shed) -> None:
@@ -111,10 +115,10 @@ def _shed(ax: Axes, shed: Shed) -> None:
 
 def _dock(ax: Axes, bay: Bay, bodies: Bodies) -> None:
     heading = math.radians(bay.dock.heading_deg)
-    at, way = np.array([bay.dock.x_m, bay.dock.y_m]), np.array([math.cos(heading), math.sin(heading)])
+    at, axis = np.array([bay.dock.x_m, bay.dock.y_m]), np.array([math.cos(heading), math.sin(heading)])
     for side in (-0.5, 0.5):
-        edge = at + side * bay.width_m * np.array([-way[1], way[0]])
-        ax.plot(*np.array([edge, edge + LENGTH_M * way]).T, color=DOCK, lw=0.8, ls="--")
+        edge = at + side * bay.width_m * np.array([-axis[1], axis[0]])
+        ax.plot(*np.array([edge, edge + LENGTH_M * axis]).T, color=DOCK, lw=0.8, ls="--")
     _outline(ax, np.array([*at, heading]), bodies, DOCK, "dock pose")
 
 

@@ -1,4 +1,4 @@
-"""Stops: what caused each, whether something really stood there, and the margin that was left."""
+"""Stops: cause, true object at the cause, and remaining margin."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from messages.truth import TrueMachine, TrueObject, TrueObjects
 from validation.drive.record import DriveRecord, stamps_of
 
 STOPS = (Mode.OBSTACLE_STOP, Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
-ONE_EPISODE_NS = 1_000_000_000  # a cause out of sight for less is still the same
-NEAR_M = 1.5  # a hit this near to an object's centre or box belongs to it
+ONE_EPISODE_NS = 1_000_000_000  # a cause that disappears for less is the same
+ASSOCIATION_M = 1.5  # a triggering point this near to the box of an object belongs to it
 
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop; `role` is the scenario's name of what caused it, "" when nothing of the scenario stood there."""
+    """One stop; `role` is the scenario's name of the object that caused it, "" without one."""
 
     t_s: float
     cause: str
@@ -29,7 +29,7 @@ class Stop:
 
     @property
     def as_dict(self) -> dict[str, object]:
-        """The keys of `run --json`."""
+        """Object in `run --json`."""
         numbers = {
             k: _number(getattr(self, k)) for k in ("range_m", "stopping_distance_m", "required_range_m", "margin_m")
         }
@@ -41,14 +41,14 @@ def _number(value: float) -> float | None:
 
 
 def find_stops(record: DriveRecord) -> list[Stop]:
-    """All entries into a stop mode, in order."""
+    """All transitions into a stop mode, in order."""
     states = record.supervisor
     entries = [k for k in range(1, len(states)) if states[k].mode in STOPS and states[k - 1].mode not in STOPS]
     return [_describe(record, states, k) for k in entries]
 
 
 def _describe(record: DriveRecord, states: list[SupervisorState], entry: int) -> Stop:
-    """Cause, first range and margin: the stop began with the first state for a reason of the same kind."""
+    """Cause, first range and margin; the stop begins with the first state with a reason of the same kind."""
     state, first = states[entry], entry
     kind = state.reason.partition(".")[0]
     since_ns = state.stamp_ns
@@ -71,7 +71,7 @@ def _describe(record: DriveRecord, states: list[SupervisorState], entry: int) ->
 
 
 def _truth_at(record: DriveRecord, during: list[SupervisorState]) -> tuple[str, float | None]:
-    """Role of the object that the hits of this stop lie on, and the least true gap to it while standing."""
+    """Role of the object at the triggering points, and the smallest true clearance to it during the stop."""
     objects, truth = record.objects, record.truth
     if not objects or not truth:
         return "", None
@@ -81,8 +81,8 @@ def _truth_at(record: DriveRecord, during: list[SupervisorState]) -> tuple[str, 
         found = _touched(state, truth[_at(truth_stamps, state.stamp_ns)], there)
         if found:
             first, last = _at(object_stamps, during[0].stamp_ns), _at(object_stamps, during[-1].stamp_ns)
-            gaps = [o.clearance_m for m in objects[first : last + 1] for o in m.objects if o.id == found.id]
-            return found.role, min(gaps)
+            clearances = [o.clearance_m for m in objects[first : last + 1] for o in m.objects if o.id == found.id]
+            return found.role, min(clearances)
     return "", None
 
 
@@ -91,23 +91,23 @@ def _at(stamps_ns: np.ndarray, stamp_ns: int) -> int:
 
 
 def _touched(state: SupervisorState, machine: TrueMachine, objects: TrueObjects) -> TrueObject | None:
-    """The object with a role nearest to a hit, if one is near enough."""
+    """Object with a role nearest to a triggering point, within `ASSOCIATION_M`."""
     if not len(state.triggering_points_base_m):
         return None
     hits = apply(machine.T_map_base, state.triggering_points_base_m.astype(float))[:, :2]
-    best, least = None, NEAR_M
-    for thing in objects.objects:
-        c, s = np.cos(thing.yaw_rad), np.sin(thing.yaw_rad)
-        local = (hits - thing.center_map_m[:2]) @ np.array([[c, -s], [s, c]])
-        outside = np.maximum(np.abs(local) - thing.size_m[:2] / 2.0, 0.0)
-        gap = float(np.hypot(outside[:, 0], outside[:, 1]).min())
-        if thing.role and gap < least:
-            best, least = thing, gap
+    best, least = None, ASSOCIATION_M
+    for true in objects.objects:
+        c, s = np.cos(true.yaw_rad), np.sin(true.yaw_rad)
+        local = (hits - true.center_map_m[:2]) @ np.array([[c, -s], [s, c]])
+        outside = np.maximum(np.abs(local) - true.size_m[:2] / 2.0, 0.0)
+        distance = float(np.hypot(outside[:, 0], outside[:, 1]).min())
+        if true.role and distance < least:
+            best, least = true, distance
     return best
 
 
 def false_stops(stops: list[Stop], expected: dict[str, int]) -> list[Stop]:
-    """Stops that the scenario did not announce: no object of it there, or more often than stated."""
+    """Stops that the scenario does not announce: none of its objects there, or more often than stated."""
     left, out = dict(expected), []
     for stop in stops:
         if left.get(stop.role, 0) > 0:

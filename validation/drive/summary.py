@@ -1,4 +1,4 @@
-"""All measures of one drive, as `run --json` gives them and the report shows them."""
+"""All measures of one drive, for `run --json` and the report."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -15,15 +15,12 @@ from validation.drive.positioning import PositionError, measure_position
 from validation.drive.record import DriveRecord, true_poses
 from validation.drive.stops import Stop, false_stops, find_stops
 from validation.drive.tracking import CrossTrack, measure_cross_track, statistics
-from validation.verdict import Verdict, judge
+from validation.verdict import Verdict, verdict_of
 
 
 @dataclass(frozen=True)
 class Planned:
-    """What the plan promised, from the log's metadata; widths in metres, `expected_stops` by the scenario's roles.
-
-    `bay` is where the mission is to end; None ends it in the yard.
-    """
+    """Planned values; `expected_stops` by role of the scenario, `bay` for the end of the mission (None: the yard)."""
 
     area: BaseGeometry
     field_area_m2: float
@@ -34,7 +31,7 @@ class Planned:
 
 @dataclass(frozen=True)
 class Summary:
-    """One drive judged."""
+    """Measures of one drive."""
 
     outcome: str
     distance_m: float
@@ -51,7 +48,7 @@ class Summary:
 
     @property
     def as_dict(self) -> dict[str, Any]:
-        """The keys of `run --json` that a log can answer."""
+        """The part of `run --json` that follows from the log."""
         return {
             "outcome": self.outcome,
             "simulated_s": round(self.simulated_s, 2),
@@ -71,7 +68,7 @@ class Summary:
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """The clauses that one drive can show something about."""
+        """Verdicts on the clauses that a drive can show."""
         swath = statistics(self.cross_track.on(PathSectionType.SWATH))
         n = len(self.cross_track.on(PathSectionType.SWATH))
         obstacle = [s.margin_m for s in self.stops if s.role]
@@ -80,29 +77,31 @@ class Summary:
         dock, docks = self.docking, int(self.docking is not None)
         off, turned = (None, None) if dock is None else (dock.error_m, abs(math.degrees(dock.error_rad)))
         return (
-            judge(
+            verdict_of(
                 "BD-5.2.3", swath["sigma"] if swath else None, 0.025, "m", n, "sigma of the true error on the swaths"
             ),
-            judge("BD-5.2.4", contact, 0.0, "contacts", len(obstacle), "contacts over all encounters"),
-            judge(
-                "demo-zone_exits", float(self.zone_exits), 0.0, "zone_exits", 1, "machine or implement outside the site"
+            verdict_of("BD-5.2.4", contact, 0.0, "contacts", len(obstacle), "contacts over all encounters"),
+            verdict_of(
+                "demo-zone-exits", float(self.zone_exits), 0.0, "zone exits", 1, "machine or implement outside the site"
             ),
-            judge("demo-false-stops", float(len(self.unexpected)), 0.0, "stops", 1, "not announced by the scenario"),
-            judge(
+            verdict_of(
+                "demo-false-stops", float(len(self.unexpected)), 0.0, "stops", 1, "not announced by the scenario"
+            ),
+            verdict_of(
                 "demo-coverage",
                 missing,
                 0.01,
                 "share",
                 is_planned,
-                "planned area neither worked nor listed as left out",
+                "planned area neither worked nor listed as uncovered",
             ),
-            judge("dock-error", off, 0.10, "m", docks, "true distance from the dock pose at the end"),
-            judge("dock-heading", turned, 2.0, "°", docks, "true heading against the dock pose at the end"),
+            verdict_of("dock-error", off, 0.10, "m", docks, "true distance from the dock pose at the end"),
+            verdict_of("dock-heading", turned, 2.0, "°", docks, "true heading against the dock pose at the end"),
         )
 
 
 def summarize(record: DriveRecord, planned: Planned) -> Summary:
-    """Judge a drive from its record."""
+    """Measures of a drive from its record."""
     truth, mission = record.truth, record.mission
     stops = tuple(find_stops(record))
     worked = worked_area(truth, planned.working_width_m)

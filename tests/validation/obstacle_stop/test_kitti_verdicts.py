@@ -1,4 +1,4 @@
-"""The verdicts on KITTI's first forty frames, and that judges who are easily pleased would be found out."""
+"""Verdicts on the first forty KITTI frames, and on the same replay with altered outputs."""
 
 import math
 import os
@@ -17,9 +17,9 @@ from messages.perception import Obstacles, Tracks
 from runtime.replay.prepare import Prepared, load_configuration, prepare
 from runtime.replay.replay import replay
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.evaluation import judge_log
+from validation.obstacle_stop.evaluation import evaluate_log
 from validation.obstacle_stop.observer import Observer
-from validation.obstacle_stop.totals import put_together
+from validation.obstacle_stop.totals import aggregate
 
 ROOT = Path(__file__).resolve().parents[3]
 DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
@@ -33,48 +33,48 @@ pytestmark = [
 
 @cache
 def recorded() -> tuple[Prepared, list[Envelope]]:
-    """The replay's messages, once."""
+    """Messages of the replay, computed once."""
     prepared = prepare(LOG, TRUTH, None, load_configuration(CONDITIONS))
     envelopes: list[Envelope] = []
     replay(prepared, [envelopes.append])
     return prepared, envelopes
 
 
-def judged(change: Callable[[Envelope], Envelope | None] = lambda e: e) -> dict:
-    """The log's result after each message was changed, in order of delivery."""
+def evaluate(change: Callable[[Envelope], Envelope | None] = lambda e: e) -> dict:
+    """Result of the log after a change of each message, in order of delivery."""
     prepared, envelopes = recorded()
     observer = Observer(prepared.setting("kitti"), CONDITIONS)
     changed = [c for e in envelopes if (c := change(e)) is not None]
     for envelope in sorted(changed, key=lambda e: e.receive_ns):
         observer(envelope)
-    log = judge_log("kitti", observer.finish(), True, CONDITIONS)
-    return put_together([log], CONDITIONS) | {"confirmation": log["confirmation"]}
+    log = evaluate_log("kitti", observer.finish(), True, CONDITIONS)
+    return aggregate([log], CONDITIONS) | {"confirmation": log["confirmation"]}
 
 
-def bars(result: dict) -> list[str]:
-    """Which bars a result fails."""
+def failures(result: dict) -> list[str]:
+    """Names of the expectations that a result fails."""
     by_id = {e["id"]: e for e in result["encounters"]}
     van, cyclist = by_id.get(0), by_id.get(1)
-    told = {row["id"]: row["after_s"] for row in result["confirmation"]}
+    delays = {row["id"]: row["after_s"] for row in result["confirmation"]}
     checks = {
-        "van": van is not None and abs(van["margin_m"] - 4.1) <= 0.4 and van["asked_s"] is None,
+        "van": van is not None and abs(van["margin_m"] - 4.1) <= 0.4 and van["stop_requested_s"] is None,
         "cyclist": cyclist is not None and cyclist["outcome"] == "cut-in" and abs(cyclist["clearance_m"] - 4.9) <= 0.6
-        and abs(cyclist["stopping_distance_m"] - 6.1) <= 0.5 and 3.2 <= cyclist["entered_s"] <= 3.9,
-        "asked": cyclist is not None and cyclist["asked_after_s"] is not None and cyclist["asked_after_s"] <= 0.1,
+        and abs(cyclist["stopping_distance_m"] - 6.1) <= 0.5 and 3.2 <= cyclist["entry_s"] <= 3.9,
+        "request": cyclist is not None and cyclist["request_delay_s"] is not None and cyclist["request_delay_s"] <= 0.1,
         "others": set(by_id) == {0, 1} and all(set(s["objects"]) <= {1} for s in result["stops"]),
         "false stops": result["false_stops"] == 0,
         "missed": result["missed"] == 0,
         "recall": all(row["recall"] == 1.0 for row in result["recall"] if row["to_m"] <= 30),
-        "latency": all(told[i] is not None and told[i] <= 0.3 + 0.1 for i in (0, 1, 3)),
+        "latency": all(delays[i] is not None and delays[i] <= 0.3 + 0.1 for i in (0, 1, 3)),
     }  # fmt: skip
     return [name for name, holds in checks.items() if not holds]
 
 
-def test_the_stack_as_it_is_keeps_every_bar() -> None:
-    assert bars(judged()) == []
+def test_unaltered_replay_meets_all_expectations() -> None:
+    assert failures(evaluate()) == []
 
 
-def test_everything_is_an_obstacle_fails() -> None:
+def test_permanent_stop_request_counts_as_false_stop() -> None:
     def change(e: Envelope) -> Envelope:
         if not isinstance(e.message, SupervisorState):
             return e
@@ -84,10 +84,10 @@ def test_everything_is_an_obstacle_fails() -> None:
         hits = np.array([[6.0, 0.0, 0.5]], np.float32)
         return replace(e, message=replace(e.message, rules=rules, clearance_m=2.0, triggering_points_base_m=hits))
 
-    assert "false stops" in bars(judged(change))
+    assert "false stops" in failures(evaluate(change))
 
 
-def test_nothing_is_an_obstacle_fails() -> None:
+def test_missing_detections_count_as_missed() -> None:
     def change(e: Envelope) -> Envelope | None:
         if isinstance(e.message, SupervisorState):
             rules = tuple(replace(r, response=Response.NONE, speed_limit_mps=math.inf) for r in e.message.rules)
@@ -99,14 +99,14 @@ def test_nothing_is_an_obstacle_fails() -> None:
             )
         return None if isinstance(e.message, Obstacles | Tracks) else e
 
-    failed = bars(judged(change))
+    failed = failures(evaluate(change))
     assert "missed" in failed
     assert "recall" in failed
 
 
-def test_half_a_second_late_fails() -> None:
+def test_delay_of_half_a_second_fails_latency() -> None:
     def change(e: Envelope) -> Envelope:
         late = isinstance(e.message, SupervisorState | Obstacles | Tracks)
         return replace(e, receive_ns=e.receive_ns + 500_000_000) if late else e
 
-    assert "latency" in bars(judged(change))
+    assert "latency" in failures(evaluate(change))
