@@ -28,14 +28,14 @@ from messages.perception import ObstacleClass
 from perception.camera.boxes import Boxes, iou, pick
 from perception.camera.classes import GROUPS
 from perception.camera.detector import Detector, load_detector
-from simulation.actors.actors import Figure
+from simulation.actors.actors import ActorState
 from simulation.environment.scene import Scene
 from simulation.environment.scenery import build_scenery
 from simulation.environment.terrain import Terrain
 from simulation.machine.machine import Machine
-from simulation.machine.pose_buffer import Track
+from simulation.machine.pose_buffer import PoseBuffer
 from simulation.sensors.camera import CameraModel
-from simulation.sensors.sensor import Moment
+from simulation.sensors.sensor import WorldState
 from simulation.world import SimulationConfig
 
 CAMERA = Camera(
@@ -63,8 +63,8 @@ class _Still:
     """A machine that stands, as far as a camera knows it."""
 
     def __init__(self, T_map_base: Float64) -> None:
-        self.track = Track(5_000_000, 0.02)
-        self.track.append(T_map_base)
+        self.poses = PoseBuffer(5_000_000, 0.02)
+        self.poses.append(T_map_base)
 
 
 def shots(
@@ -81,11 +81,11 @@ def shots(
     machine: Machine = None  # type: ignore[assignment]  # a camera does not look at it
     for k, label in enumerate(order):
         T_map_base = draw_pose(terrain, random)
-        figure, distance_m = draw_figure(100 * seed + k, label, between_m, T_map_base, terrain, camera, random)
-        scene.figures = () if figure is None else (figure,)
+        actor, distance_m = draw_actor(100 * seed + k, label, between_m, T_map_base, terrain, camera, random)
+        scene.actors = () if actor is None else (actor,)
         still = _Still(T_map_base)
-        message = model.sample(Moment(k, float(k), still.track, machine, scene))
-        box = np.zeros(4) if figure is None else box_of(figure, T_map_base, camera)
+        message = model.sample(WorldState(k, float(k), still.poses, machine, scene))
+        box = np.zeros(4) if actor is None else box_of(actor, T_map_base, camera)
         yield Shot(message.bgr, label, distance_m, box)
 
 
@@ -98,13 +98,13 @@ def draw_pose(terrain: Terrain, random: np.random.Generator) -> Float64:
         x, y, yaw = random.uniform(18.0, 22.0), random.uniform(-30.0, -20.0), random.normal(0.5 * math.pi, 0.15)
     else:
         x, y, yaw = random.uniform(10.0, 30.0), random.uniform(-47.0, -32.0), random.uniform(-math.pi, math.pi)
-    return terrain.stand(x, y, yaw, WHEELBASE_M, TRACK_M)
+    return terrain.pose_on_ground(x, y, yaw, WHEELBASE_M, TRACK_M)
 
 
-def draw_figure(
+def draw_actor(
     id: int, label: ObstacleClass | None, between_m: tuple[float, float], T_map_base: Float64, terrain: Terrain,
     camera: Camera, random: np.random.Generator,
-) -> tuple[Figure | None, float]:  # fmt: skip
+) -> tuple[ActorState | None, float]:  # fmt: skip
     """Somebody before the camera, wholly in the picture, and how far."""
     if label is None:
         return None, math.nan
@@ -115,16 +115,16 @@ def draw_figure(
         ahead, left = distance * math.cos(bearing), distance * math.sin(bearing)
         p = T_map_base @ np.array([camera.mount.xyz_m[0] + ahead, left, 0.0, 1.0])
         place = (float(p[0]), float(p[1]), terrain.height_m(float(p[0]), float(p[1])))
-        figure = Figure(id, label, "", place, yaw, (0.0, 0.0), gait)
-        low, high = box_of(figure, T_map_base, camera).reshape(2, 2)
+        actor = ActorState(id, label, "", place, yaw, (0.0, 0.0), gait)
+        low, high = box_of(actor, T_map_base, camera).reshape(2, 2)
         if (low >= 0.0).all() and (high < camera.size_px).all():
-            return figure, float(distance)
+            return actor, float(distance)
 
 
-def box_of(figure: Figure, T_map_base: Float64, camera: Camera) -> Float64:
+def box_of(actor: ActorState, T_map_base: Float64, camera: Camera) -> Float64:
     """Left, top, right and bottom of a figure in the picture, hidden or not."""
     T_camera_map = invert(T_map_base @ camera.mount.T_base_sensor)
-    body = apply(T_camera_map, figure.vertices_map_m.astype(np.float64))
+    body = apply(T_camera_map, actor.vertices_map_m.astype(np.float64))
     optical = np.stack([-body[:, 1], -body[:, 2], body[:, 0]], axis=1)
     (fx, fy), (cx, cy) = camera.focal_px, camera.center_px
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])

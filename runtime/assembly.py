@@ -24,7 +24,7 @@ from safety.zones.geofence import geofence_of
 from safety.zones.known_structure import structure_of_site
 from simulation.faults.config import FaultsConfig
 from simulation.faults.frames import FaultyBus
-from simulation.faults.injection import Injection
+from simulation.faults.injection import FaultInjection
 from simulation.faults.node_faults import FaultyNode, SteppingClock
 from simulation.machine.tractor_bus import load_database
 from simulation.scenario import Scenario
@@ -36,7 +36,7 @@ _CHANNELS = count()
 
 @contextmanager
 def assemble(
-    setup: Setup, scenario: Scenario, is_ablation: bool = False, injection: Injection | None = None
+    setup: Setup, scenario: Scenario, is_ablation: bool = False, injection: FaultInjection | None = None
 ) -> Iterator[tuple[World, list[tuple[Node, int]]]]:
     """The simulated world and the nodes with their latencies in ns, wired and checked; closes the bus afterwards.
 
@@ -62,11 +62,11 @@ def assemble(
         if injection is None:
             yield world, nodes
         else:
-            injection.refuse_unknown([*world.writes, *(topic for node in chain for topic in node.writes)])
+            injection.check_topics([*world.writes, *(topic for node in chain for topic in node.writes)])
             yield SteppingClock(world, injection), [(FaultyNode(node, injection), ns) for node, ns in nodes]
 
 
-def simulated(setup: Setup, scenario: Scenario, bus: can.BusABC, paints_aside: bool = False) -> SimulationWorld:
+def simulated(setup: Setup, scenario: Scenario, bus: can.BusABC, renders_in_thread: bool = False) -> SimulationWorld:
     """The simulated world with its machine on this bus, ready for the first scan."""
     world = SimulationWorld(
         setup.site,
@@ -79,18 +79,18 @@ def simulated(setup: Setup, scenario: Scenario, bus: can.BusABC, paints_aside: b
         setup.stack.simulation,
         setup.start,
         setup.is_folded,
-        paints_aside,
+        renders_in_thread,
     )
     world.warm()
     return world
 
 
-def planted(setup: Setup, scenario: Scenario) -> Injection | None:
+def planted(setup: Setup, scenario: Scenario) -> FaultInjection | None:
     """The faults that a scenario states, or None; raises ConfigError when one cannot be."""
     if not scenario.faults:
         return None
     config = load(FaultsConfig, CONFIGS / "faults.yaml")
-    return Injection(scenario.faults, config, setup.stack.simulation.start_stamp_ns, setup.seed)
+    return FaultInjection(scenario.faults, config, setup.stack.simulation.start_stamp_ns, setup.seed)
 
 
 def seeing(setup: Setup) -> list[Node]:

@@ -25,7 +25,7 @@ class Tap(Protocol):
     def due(self, now_ns: int) -> list[Output]:
         """What was held back until now."""
 
-    def pass_on(self, now_ns: int, outputs: list[Output]) -> list[Output]:
+    def apply(self, now_ns: int, outputs: list[Output]) -> list[Output]:
         """What comes now of what was sent now."""
 
 
@@ -128,7 +128,7 @@ class Executor:
         self._deliveries = [(now_ns, number, outputs) for _, number, outputs in sorted(self._deliveries)]
 
     def _deliver(self, outputs: list[Output]) -> None:
-        self._hand_out(outputs if self._tap is None else self._tap.pass_on(self.now_ns, outputs))
+        self._hand_out(outputs if self._tap is None else self._tap.apply(self.now_ns, outputs))
 
     def _hand_out(self, outputs: list[Output]) -> None:
         lost = len(self._bus.lost)

@@ -10,7 +10,7 @@ from configs.site import Site
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from messages.truth import TrueMachine, TrueObject, TrueObjects
-from simulation.actors.actors import Figure
+from simulation.actors.actors import ActorState
 from simulation.environment.scenery import surveyed_area
 from simulation.environment.shed import shed_solids
 from simulation.machine.body import implement_outline_m, machine_outline_m
@@ -18,13 +18,13 @@ from simulation.machine.implement import working_point_m
 from simulation.machine.machine import Machine
 
 
-class JudgeConfig(Config):
+class GroundTruthConfig(Config):
     """Bounds of what counts."""
 
     tolerance_m: float = Field(ge=0.0, le=0.1, description="of a boundary")
 
 
-class Judge:
+class GroundTruth:
     """Counts contacts once an object (a figure, or a wall or post by -1 and down) and zone_exits once a leaving."""
 
     def __init__(
@@ -33,32 +33,32 @@ class Judge:
         vehicle: Vehicle,
         implement: MountedImplement | TrailedImplement,
         seed: int,
-        config: JudgeConfig,
+        config: GroundTruthConfig,
     ) -> None:
         self.zone_exits = 0
-        self.touched: tuple[int, ...] = ()
+        self.contact_ids: tuple[int, ...] = ()
         self._vehicle, self._implement = vehicle, implement
         self._allowed = allowed_area(site).buffer(config.tolerance_m)
         shapely.prepare(self._allowed)
         self._was_inside = True
         self._solids = [] if site.shed is None else [s.ground for s in shed_solids(site.shed, seed)]
-        self._built = shapely.union_all(self._solids)
-        shapely.prepare(self._built)
+        self._structures = shapely.union_all(self._solids)
+        shapely.prepare(self._structures)
 
-    def look(self, outline: BaseGeometry, figures: tuple[Figure, ...]) -> None:
+    def update(self, outline: BaseGeometry, actors: tuple[ActorState, ...]) -> None:
         """Count what has come about since the last look, by the ground covered now."""
         is_inside = bool(self._allowed.covers(outline))
         self.zone_exits += int(self._was_inside and not is_inside)
         self._was_inside = is_inside
-        hit = [figure.id for figure in figures if outline.intersects(figure.footprint)]
-        if self._built.intersects(outline):
+        hit = [actor.id for actor in actors if outline.intersects(actor.footprint)]
+        if self._structures.intersects(outline):
             hit += [-1 - k for k, solid in enumerate(self._solids) if solid.intersects(outline)]
-        self.touched += tuple(id for id in hit if id not in self.touched)
+        self.contact_ids += tuple(id for id in hit if id not in self.contact_ids)
 
     def outline(self, machine: Machine) -> BaseGeometry:
         """Ground covered by machine and implement."""
         base = (machine.x_m, machine.y_m, machine.yaw_rad)
-        implement = implement_outline_m(machine.attached.present, base, machine.attached.yaw_rad)
+        implement = implement_outline_m(machine.attached.current, base, machine.attached.yaw_rad)
         return machine_outline_m(self._vehicle, base).union(implement)
 
     def machine_message(self, stamp_ns: int, machine: Machine) -> TrueMachine:
@@ -70,13 +70,13 @@ class Judge:
         return TrueMachine(
             stamp_ns, T.copy(), machine.speed_mps, machine.acceleration_mps2, machine.yaw_rate_radps,
             machine.steering.angle_rad, np.array([*point, height]), machine.attached.yaw_rad, machine.attached.hitch,
-            machine.attached.is_working, len(self.touched), self.zone_exits,
+            machine.attached.is_working, len(self.contact_ids), self.zone_exits,
         )  # fmt: skip
 
-    def objects_message(self, stamp_ns: int, outline: BaseGeometry, figures: tuple[Figure, ...]) -> TrueObjects:
+    def objects_message(self, stamp_ns: int, outline: BaseGeometry, actors: tuple[ActorState, ...]) -> TrueObjects:
         """The objects as they are, with their gaps to the ground covered now."""
         objects = []
-        for f in figures:
+        for f in actors:
             center, size = f.box_m()
             gap = float(outline.distance(f.footprint))
             velocity = np.array([*f.velocity_mps, 0.0])

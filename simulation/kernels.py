@@ -41,7 +41,9 @@ def heights_at(xy: Float64, profile: Float64, waves: Float64) -> Float64:
 
 
 @kernel
-def stand(x: float, y: float, yaw: float, wheelbase: float, track: float, profile: Float64, waves: Float64) -> Float64:
+def pose_on_ground(
+    x: float, y: float, yaw: float, wheelbase: float, track: float, profile: Float64, waves: Float64
+) -> Float64:
     """Pose (4, 4) of a machine whose rear wheels and front axle's middle touch the ground."""
     c, s, half = math.cos(yaw), math.sin(yaw), 0.5 * track
     fx, fy = x + wheelbase * c, y + wheelbase * s
@@ -60,12 +62,12 @@ def stand(x: float, y: float, yaw: float, wheelbase: float, track: float, profil
 
 
 @kernel
-def blend_poses(poses: Float64, ago: Float64) -> Float64:
+def blend_poses(poses: Float64, steps_ago: Float64) -> Float64:
     """Poses (N, 4, 4) some steps `ago` (N,) before the first of `poses`, each of which is a step before the last."""
-    out = np.empty((ago.shape[0], 4, 4))
-    for n in range(ago.shape[0]):
-        k = int(ago[n])
-        share = ago[n] - k
+    out = np.empty((steps_ago.shape[0], 4, 4))
+    for n in range(steps_ago.shape[0]):
+        k = int(steps_ago[n])
+        share = steps_ago[n] - k
         for i in range(4):
             for j in range(4):
                 out[n, i, j] = (1.0 - share) * poses[k, i, j] + share * poses[k + 1, i, j]
@@ -93,7 +95,7 @@ def sweep_rays(T_map_lidar: Float64, directions: Float32, is_open: UInt8) -> Flo
 
 
 @kernel
-def passes_ball(rays: Float32, center: Float64, radius: float) -> UInt8:
+def rays_near_ball(rays: Float32, center: Float64, radius: float) -> UInt8:
     """Which rays (N, 6) come within `radius` of a point ahead of them."""
     out = np.zeros(rays.shape[0], np.uint8)
     for n in range(rays.shape[0]):
@@ -119,20 +121,20 @@ def signal_of(rays: Float32, normals: Float32, mesh: UInt32, reflectivity: Float
 
 @kernel
 def ranges_mm(
-    distance: Float32, signal: Float32, luck: Float32, dust_m: Float32, noise: Float32, numbers: Float32
+    distance: Float32, signal: Float32, detection_draw: Float32, dust_m: Float32, noise: Float32, parameters: Float32
 ) -> UInt16:
     """Ranges (N,) as a lidar gives them, 0 where nothing came back.
 
     A return is seen by `luck`; `dust_m` is infinite where there is none. `numbers`: sight, greatest chance, sigma,
     least and greatest range, all in metres, and steps a metre and mm a step.
     """
-    sight, most, sigma, low, high, per_m, step_mm = numbers
+    reference_m, max_probability, sigma, low, high, per_m, step_mm = parameters
     out = np.empty(distance.shape[0], np.uint16)
     for n in range(distance.shape[0]):  # without branches, which chance would mislead
-        share = sight / max(distance[n], np.float32(0.1))
-        chance = min(np.float32(10.0) * signal[n] * (share * share), most)
+        share = reference_m / max(distance[n], np.float32(0.1))
+        chance = min(np.float32(10.0) * signal[n] * (share * share), max_probability)
         range_m = min(distance[n] + sigma * noise[n], dust_m[n])
-        is_back = ((luck[n] < chance) | (dust_m[n] < np.inf)) & (range_m >= low) & (range_m <= high)
+        is_back = ((detection_draw[n] < chance) | (dust_m[n] < np.inf)) & (range_m >= low) & (range_m <= high)
         out[n] = np.uint16(np.rint((range_m if is_back else np.float32(0.0)) * per_m) * step_mm)
     return out
 
@@ -141,9 +143,9 @@ def warm() -> None:
     """Compile or load every kernel, so that no step waits for it."""
     profile, waves, one = np.zeros(15), np.zeros((1, 4)), np.zeros((1, 6), np.float32)
     heights_at(np.zeros((1, 2)), profile, waves)
-    stand(0.0, 0.0, 0.0, 1.0, 1.0, profile, waves)
+    pose_on_ground(0.0, 0.0, 0.0, 1.0, 1.0, profile, waves)
     sweep_rays(np.eye(4)[None], np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.uint8))
-    passes_ball(one, np.zeros(3), 1.0)
+    rays_near_ball(one, np.zeros(3), 1.0)
     signal_of(one, np.zeros((1, 3), np.float32), np.zeros(1, np.uint32), np.zeros(1, np.float32))
     blend_poses(np.zeros((2, 4, 4)), np.zeros(1))
     ranges_mm(one[0], one[0], one[0], one[0], one[0], np.zeros(7, np.float32))

@@ -1,4 +1,4 @@
-"""A scenario: what people, animals and vehicles do, what a person orders, and when satellites fail."""
+"""Scenario: encounters with people, animals and vehicles, operator commands, GNSS and camera episodes, faults."""
 
 from typing import Annotated, Literal
 
@@ -22,7 +22,7 @@ CommandName = Literal["start", "pause", "resume", "emergency_stop", "reset", "ma
 
 
 class ScenarioCommand(Config):
-    """A person presses something."""
+    """An operator command at a time after the start."""
 
     at_s: float = Field(ge=0.0, le=1e6)
     command: CommandName
@@ -30,12 +30,12 @@ class ScenarioCommand(Config):
 
     @property
     def code(self) -> OperatorCommandKind:
-        """The command as it is sent."""
+        """The kind of the OperatorCommand message."""
         return OperatorCommandKind[self.command.upper()]
 
 
 class GnssEpisode(Config):
-    """A time in which the receiver reaches no better than this state."""
+    """An interval in which the GNSS solution is no better than `state`."""
 
     from_s: float = Field(ge=0.0, le=1e6)
     for_s: float = Field(gt=0.0, le=1e6)
@@ -43,7 +43,7 @@ class GnssEpisode(Config):
 
 
 class CameraEpisode(Config):
-    """A time in which something lies on the lens of every camera."""
+    """An interval in which the lens of every camera is covered or blurred."""
 
     from_s: float = Field(ge=0.0, le=1e6)
     for_s: float = Field(gt=0.0, le=1e6)
@@ -56,74 +56,74 @@ ALL_SENSORS: tuple[SensorKind, ...] = ("lidar", "camera", "radar", "ultrasonic")
 
 class _Encounter(Config):
     name: str = Field(min_length=1, max_length=40)
-    stops: int = Field(ge=0, le=1, description="how many stops this must cause, stated beforehand")
-    seen_by: tuple[SensorKind, ...] = Field(default=ALL_SENSORS, description="sensors that see it; to others it is air")
+    expected_stops: int = Field(ge=0, le=1, description="stops that this encounter must cause")
+    visible_to: tuple[SensorKind, ...] = Field(default=ALL_SENSORS, description="kinds of sensors that detect it")
 
 
 class Crossing(_Encounter):
-    """Somebody who walks to the middle of the way when the machine comes, stands, and leaves to the other side.
+    """A person or animal that walks to the middle of the path as the machine approaches, stands and leaves opposite.
 
-    `slack_s` is how long they stand before an unslowed machine would arrive, `wait_s` how much longer than that.
+    It stands `arrival_margin_s` before an unslowed machine would arrive and `extra_stand_s` after.
     """
 
     kind: Literal["crossing"]
-    share: Range = Field(description="where along its swath, 0 start to 1 end")
-    figure: Literal["person", "animal"]
-    from_m: Range = Field(description="how far aside they wait")
-    oblique_deg: Range = Field(description="their way against straight across")
-    walk_mps: Range
-    leave_mps: Range
-    slack_s: Range
-    wait_s: Range
+    swath_fraction: Range = Field(description="position along the swath, 0 start to 1 end")
+    actor: Literal["person", "animal"]
+    start_lateral_m: Range = Field(description="waiting point, from the edge of the swept width")
+    skew_deg: Range = Field(description="walking direction against the perpendicular of the swath")
+    walk_speed_mps: Range
+    leave_speed_mps: Range
+    arrival_margin_s: Range
+    extra_stand_s: Range
 
     @property
     def label(self) -> ObstacleClass:
-        """What it truly is."""
-        return ObstacleClass(self.figure)
+        """True obstacle class."""
+        return ObstacleClass(self.actor)
 
 
 class Parked(_Encounter):
-    """A vehicle that stays on a swath."""
+    """A vehicle parked on a swath."""
 
     kind: Literal["parked"]
-    share: Range = Field(description="where along its swath, 0 start to 1 end")
-    aside_m: Range
-    turned_deg: Range = Field(description="against the direction of the swath")
+    swath_fraction: Range = Field(description="position along the swath, 0 start to 1 end")
+    lateral_m: Range
+    yaw_offset_deg: Range = Field(description="heading against the direction of the swath")
 
     @property
     def label(self) -> ObstacleClass:
-        """What it truly is."""
+        """True obstacle class."""
         return ObstacleClass.VEHICLE
 
 
 class Bystander(_Encounter):
-    """Somebody who comes before a bay while the machine backs towards it, stands there a while and walks off.
+    """A person or animal that stands before a bay while the machine reverses towards it, then walks off.
 
-    The place lies `ahead_m` of the bay's dock pose along its heading; they come from `from_m` aside (0: they stand
-    there from the first) when the machine's rear is `trigger_m` away from them, and leave to the other side.
+    It stands `dock_distance_m` ahead of the bay's dock pose; it starts `start_lateral_m` beside that point (0: stands
+    there from the start) when the machine's rear is `trigger_distance_m` away, and leaves to the other side.
     """
 
-    kind: Literal["standing"]
-    figure: Literal["person", "animal"]
+    kind: Literal["bystander"]
+    actor: Literal["person", "animal"]
     bay: str
-    ahead_m: Range
-    aside_m: Range
-    from_m: Range
-    trigger_m: Range
-    walk_mps: Range
+    dock_distance_m: Range
+    lateral_m: Range
+    start_lateral_m: Range
+    trigger_distance_m: Range
+    walk_speed_mps: Range
     stand_s: Range
 
     @property
     def label(self) -> ObstacleClass:
-        """What it truly is."""
-        return ObstacleClass(self.figure)
+        """True obstacle class."""
+        return ObstacleClass(self.actor)
 
 
 Encounter = Annotated[Crossing | Parked | Bystander, Field(discriminator="kind")]
 
 
 class Scenario(Config):
-    """What happens around the machine; the same seed draws the same places, times and speeds."""
+    """One scenario; the seed determines places, times and speeds drawn from its ranges."""
 
     name: str
     operator_commands: tuple[ScenarioCommand, ...]
@@ -134,5 +134,5 @@ class Scenario(Config):
 
     @property
     def expected_stops(self) -> dict[str, int]:
-        """How many stops each encounter must force, by its name."""
-        return {e.name: e.stops for e in self.encounters}
+        """Stops that each encounter must cause, by its name."""
+        return {e.name: e.expected_stops for e in self.encounters}

@@ -20,15 +20,15 @@ from messages.plan import Path
 from messages.sensors import CameraImage
 from messages.topics import TOPICS
 from simulation.actors.actors import Actor
-from simulation.actors.encounter import Setting
+from simulation.actors.encounter import EncounterSite
 from simulation.actors.placement import place_encounters
 from simulation.environment.scene import Scene
 from simulation.environment.scenery import SceneryConfig, build_scenery
 from simulation.environment.terrain import Terrain, TerrainConfig
-from simulation.ground_truth import Judge, JudgeConfig
+from simulation.ground_truth import GroundTruth, GroundTruthConfig
 from simulation.kernels import warm
 from simulation.machine.machine import Machine, MachineConfig
-from simulation.machine.pose_buffer import Track
+from simulation.machine.pose_buffer import PoseBuffer
 from simulation.machine.tractor_bus import BusConfig, TractorBus, load_database
 from simulation.machine.tractor_status import TractorStatus
 from simulation.randomness import generator
@@ -38,16 +38,16 @@ from simulation.sensors.gnss import GnssConfig, GnssModel
 from simulation.sensors.imu import ImuConfig, ImuModel
 from simulation.sensors.lidar import LidarConfig, LidarModel
 from simulation.sensors.radar import RadarConfig, RadarModel
-from simulation.sensors.sensor import Moment, Sensor
+from simulation.sensors.sensor import Sensor, WorldState
 from simulation.sensors.ultrasonic import UltrasonicConfig, UltrasonicModel
 from simulation.sensors.uwb import UwbConfig, UwbModel
 from simulation.sensors.wheels import WheelModel
 
-Sent = Message | Future[CameraImage]
+Pending = Message | Future[CameraImage]
 
 STEP_NS = 5_000_000  # of the dynamics
 TICK_NS = 10_000_000  # of bus and sensors: two steps
-TRACK_S = 0.25
+POSE_BUFFER_S = 0.25
 
 
 class SimulationConfig(Config):
@@ -65,7 +65,7 @@ class SimulationConfig(Config):
     uwb: UwbConfig
     gnss: GnssConfig
     imu: ImuConfig
-    judge: JudgeConfig
+    ground_truth: GroundTruthConfig
 
 
 class SimulationWorld(World):
@@ -78,7 +78,7 @@ class SimulationWorld(World):
     def __init__(
         self, site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario,
         plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int, config: SimulationConfig, start: PoseConfig,
-        is_folded: bool, paints_aside: bool = False,
+        is_folded: bool, renders_in_thread: bool = False,
     ) -> None:  # fmt: skip
         self._now_ns = self._start_ns = config.start_stamp_ns
         self._terrain = Terrain(site, config.terrain, seed)
@@ -88,21 +88,21 @@ class SimulationWorld(World):
         )  # fmt: skip
         self._vehicle, self._scenario = vehicle, scenario
         self._ends_m = vehicle.body.front_m, min(-vehicle.body.rear_m, implement.ends_m[1])
-        self._track = Track(STEP_NS, TRACK_S)
-        self._track.append(self.machine.T_map_base)
+        self._poses = PoseBuffer(STEP_NS, POSE_BUFFER_S)
+        self._poses.append(self.machine.T_map_base)
         database = load_database()
         brake = vehicle.brake.deceleration_mps2
         self._bus = TractorBus(bus, database, vehicle.drivetrain.wheelbase_m, brake, config.bus)
         self._status = TractorStatus(self.machine, self._bus, database, generator(seed, "cab"))
-        self._judge = Judge(site, vehicle, implement, seed, config.judge)
+        self._ground_truth = GroundTruth(site, vehicle, implement, seed, config.ground_truth)
         docks = {} if site.shed is None else {bay.name: bay.dock for bay in site.shed.bays}
-        setting = Setting(Polygon(site.boundary_m), 0.5 * max(implement.width_m, vehicle.body.width_m), docks)
-        self._actors = self._cast(plan_paths, setting, seed)
+        setting = EncounterSite(Polygon(site.boundary_m), 0.5 * max(implement.width_m, vehicle.body.width_m), docks)
+        self._actors = self._create_actors(plan_paths, setting, seed)
         self._scene = Scene(lambda: build_scenery(site, self._terrain, config.scenery, seed))
         self._sensors = make_sensors(site, vehicle, implement, scenario, seed, config)
-        self._painter = ThreadPoolExecutor(1) if paints_aside else None
-        self._waiting: list[tuple[int, int, str, Sent]] = []
-        self._sent = 0
+        self._render_thread = ThreadPoolExecutor(1) if renders_in_thread else None
+        self._pending: list[tuple[int, int, str, Pending]] = []
+        self._put_count = 0
         self.writes = (*(s.topic for s in self._sensors), "operator_command", "truth_machine", "truth_objects")
 
     def next_ns(self) -> int | None:
@@ -114,8 +114,8 @@ class SimulationWorld(World):
         while self._now_ns + TICK_NS <= now_ns:
             self._tick(self._now_ns + TICK_NS)
         received = []
-        while self._waiting and self._waiting[0][0] <= now_ns:
-            _, _, topic, message = heapq.heappop(self._waiting)
+        while self._pending and self._pending[0][0] <= now_ns:
+            _, _, topic, message = heapq.heappop(self._pending)
             if not isinstance(message, Future):
                 received.append((topic, message))
             elif message.done():
@@ -130,20 +130,20 @@ class SimulationWorld(World):
         found = self._vehicle.sensors
         if found.lidar or found.radar or found.ultrasonic or found.uwb:
             up = np.array([[0.0, 0.0, 50.0, 0.0, 0.0, 1.0]], np.float32)
-            self._scene.still.cast(up)  # open3d sorts its triangles at the first one
+            self._scene.static.cast(up)  # open3d sorts its triangles at the first one
         for sensor in self._sensors:
             if isinstance(sensor, CameraModel):
                 sensor.warm(self._scene)
 
-    def add(self, actor: Actor) -> None:
+    def add_actor(self, actor: Actor) -> None:
         """One actor more, from now on."""
         self._actors.append(actor)
 
     def close(self) -> None:
         """Leave the bus."""
         self._bus.close()
-        if self._painter is not None:
-            self._painter.shutdown()
+        if self._render_thread is not None:
+            self._render_thread.shutdown()
 
     def _tick(self, now_ns: int) -> None:
         elapsed_ns = now_ns - self._start_ns
@@ -151,63 +151,63 @@ class SimulationWorld(World):
         command = self._bus.command(self._now_ns)
         for _ in range(TICK_NS // STEP_NS):
             self.machine.step(command)
-            self._track.append(self.machine.T_map_base)
+            self._poses.append(self.machine.T_map_base)
         self._now_ns = now_ns
-        self._play(elapsed_ns * 1e-9)
+        self._update_actors(elapsed_ns * 1e-9)
         self._measure(now_ns, elapsed_ns)
-        self._order(now_ns, elapsed_ns)
-        self._tell_truth(now_ns, elapsed_ns)
+        self._issue_commands(now_ns, elapsed_ns)
+        self._publish_truth(now_ns, elapsed_ns)
         self._status.send(elapsed_ns)
 
-    def _cast(self, plan_paths: tuple[Path, ...], setting: Setting, seed: int) -> list[Actor]:
+    def _create_actors(self, plan_paths: tuple[Path, ...], setting: EncounterSite, seed: int) -> list[Actor]:
         is_field = bool(plan_paths)  # without a plan nobody is on the field
         encounters = tuple(e for e in self._scenario.encounters if is_field or isinstance(e, Bystander))
         drawn = place_encounters(encounters, plan_paths, setting, generator(seed, "scenario"))
         return [Actor(k, e, d, self._terrain) for k, (e, d) in enumerate(zip(encounters, drawn, strict=True))]
 
-    def _play(self, elapsed_s: float) -> None:
+    def _update_actors(self, elapsed_s: float) -> None:
         T, is_reversing = self.machine.T_map_base, self.machine.speed_mps < 0.0
         tip = T[:3, 3] + self._ends_m[is_reversing] * T[:3, 0]
         heading = self.machine.yaw_rad + math.pi * is_reversing
-        figures = (actor.play(elapsed_s, tip, heading) for actor in self._actors)
-        self._scene.figures = tuple(f for f in figures if f is not None)
+        actors = (actor.update(elapsed_s, tip, heading) for actor in self._actors)
+        self._scene.actors = tuple(f for f in actors if f is not None)
 
     def _measure(self, now_ns: int, elapsed_ns: int) -> None:
-        moment = Moment(now_ns, elapsed_ns * 1e-9, self._track, self.machine, self._scene)
+        state = WorldState(now_ns, elapsed_ns * 1e-9, self._poses, self.machine, self._scene)
         for sensor in self._sensors:
             is_due = elapsed_ns // sensor.period_ns > (elapsed_ns - TICK_NS) // sensor.period_ns
-            message = self._sample(sensor, moment) if is_due else None
+            message = self._sample(sensor, state) if is_due else None
             if message is not None:
                 self._put(now_ns + sensor.latency_ns, sensor.topic, message)
 
-    def _sample(self, sensor: Sensor, moment: Moment) -> Sent | None:
-        if self._painter is not None and isinstance(sensor, CameraModel):
-            return self._painter.submit(sensor.paint, sensor.expose(moment))
-        return sensor.sample(moment)
+    def _sample(self, sensor: Sensor, state: WorldState) -> Pending | None:
+        if self._render_thread is not None and isinstance(sensor, CameraModel):
+            return self._render_thread.submit(sensor.render, sensor.prepare(state))
+        return sensor.sample(state)
 
-    def _order(self, now_ns: int, elapsed_ns: int) -> None:
-        for sequence, order in enumerate(self._scenario.operator_commands):
-            if elapsed_ns - TICK_NS < order.at_s * 1e9 <= elapsed_ns:
-                expires_ns = now_ns + round(order.expires_s * 1e9)
+    def _issue_commands(self, now_ns: int, elapsed_ns: int) -> None:
+        for sequence, command in enumerate(self._scenario.operator_commands):
+            if elapsed_ns - TICK_NS < command.at_s * 1e9 <= elapsed_ns:
+                expires_ns = now_ns + round(command.expires_s * 1e9)
                 self._put(
-                    now_ns, "operator_command", OperatorCommand(now_ns, order.code, "remote", sequence, expires_ns)
+                    now_ns, "operator_command", OperatorCommand(now_ns, command.code, "remote", sequence, expires_ns)
                 )
 
-    def _tell_truth(self, now_ns: int, elapsed_ns: int) -> None:
+    def _publish_truth(self, now_ns: int, elapsed_ns: int) -> None:
         topics = ("truth_machine", "truth_objects")
         due = [topic for topic in topics if elapsed_ns % round(TOPICS[topic].period_s * 1e9) == 0]
         if not due:
             return
-        outline, figures = self._judge.outline(self.machine), self._scene.figures
+        outline, actors = self._ground_truth.outline(self.machine), self._scene.actors
         if "truth_machine" in due:
-            self._judge.look(outline, figures)
-            self._put(now_ns, "truth_machine", self._judge.machine_message(now_ns, self.machine))
+            self._ground_truth.update(outline, actors)
+            self._put(now_ns, "truth_machine", self._ground_truth.machine_message(now_ns, self.machine))
         if "truth_objects" in due:
-            self._put(now_ns, "truth_objects", self._judge.objects_message(now_ns, outline, figures))
+            self._put(now_ns, "truth_objects", self._ground_truth.objects_message(now_ns, outline, actors))
 
-    def _put(self, receive_ns: int, topic: str, message: Sent) -> None:
-        self._sent += 1
-        heapq.heappush(self._waiting, (receive_ns, self._sent, topic, message))
+    def _put(self, receive_ns: int, topic: str, message: Pending) -> None:
+        self._put_count += 1
+        heapq.heappush(self._pending, (receive_ns, self._put_count, topic, message))
 
 
 def make_sensors(

@@ -33,8 +33,8 @@ from runtime.fault_injection.table import write_tables
 from runtime.run_folder import RunFolder
 from runtime.setup import Setup, load_setup
 from safety.monitors.sensors import monitored_sensors
-from simulation.faults.config import FaultsConfig, InjectedFault, kinds_of
-from simulation.faults.injection import Injection
+from simulation.faults.config import FaultsConfig, InjectedFault, fault_kinds_of
+from simulation.faults.injection import FaultInjection
 from simulation.scenario import Scenario
 
 EYES = ("lidar", "radar", "camera", "ultrasonic")
@@ -52,7 +52,7 @@ class Drive:
     world: World
     nodes: list[tuple[Node, int]]
     executor: Executor
-    injection: Injection
+    injection: FaultInjection
     watch: Watch
     config: FaultsConfig
     kept: list[Envelope]
@@ -108,7 +108,7 @@ def drive_to(
     setup = load_setup(mission, None, None, None, SEED)
     scenario = load(Scenario, find("scenarios", "empty" if mission == "dock" else "faults"))
     config = load(FaultsConfig, CONFIGS / "faults.yaml")
-    injection = Injection((), config, setup.stack.simulation.start_stamp_ns, SEED)
+    injection = FaultInjection((), config, setup.stack.simulation.start_stamp_ns, SEED)
     watch, kept = Watch(), list[Envelope]()
     with assemble(setup, scenario, injection=injection) as (world, nodes):
         executor = Executor(world, nodes, (watch, injection), injection)
@@ -127,7 +127,7 @@ def drive_to(
 
 def cells(drive: Drive, situation: str, only: str | None) -> list[Cell]:
     """Every fault of every topic whose cell's name matches `only`."""
-    found = [Cell(situation, topic, kind) for topic in drive.topics() for kind in kinds_of(topic)]
+    found = [Cell(situation, topic, kind) for topic in drive.topics() for kind in fault_kinds_of(topic)]
     return [cell for cell in found if only is None or re.search(only, cell.name)]
 
 
@@ -178,14 +178,14 @@ def run_cell(drive: Drive, cell: Cell) -> Outcome:
     assert state is not None
     idle = drive.idle()  # now: a machine that stands looks nowhere
     elapsed_s = (drive.executor.now_ns - drive.setup.stack.simulation.start_stamp_ns) * 1e-9
-    injection.plant(InjectedFault(topic=cell.topic, kind=cell.kind, from_s=elapsed_s, for_s=1e6))
+    injection.add_fault(InjectedFault(topic=cell.topic, kind=cell.kind, from_s=elapsed_s, for_s=1e6))
     watch.mark()
     drive.executor.watch(drive.kept.append)
     with contextlib.suppress(LogError):  # of the full disk, once the machine stands
-        drive.executor.run(lambda: watch.still_s >= config.standing_s or watch.seconds >= config.window_s)
+        drive.executor.run(lambda: watch.still_s >= config.standstill_s or watch.seconds >= config.observation_s)
     now = watch.truth
     assert now is not None
-    stopped_s = watch.seconds - watch.still_s if watch.still_s >= config.standing_s else None
+    stopped_s = watch.seconds - watch.still_s if watch.still_s >= config.standstill_s else None
     seen = Seen(
         abs(truth.speed_mps), max(state.stopping_distance_m, 0.0), watch.travel_m, stopped_s, watch.error_m,
         now.contacts - truth.contacts, now.zone_exits - truth.zone_exits, watch.reason, tuple(watch.told),

@@ -27,15 +27,15 @@ class Cell:
     def is_needed(self, config: CampaignConfig, idle: Iterable[str]) -> bool:
         """Whether the machine must stop; `idle` are sensors that this situation does without."""
         family = self.topic if self.topic.startswith("can/") else self.topic.partition("/")[0]
-        is_spare = self.topic.startswith(config.spare) or self._is_of(config.missed)
-        is_known = family in config.needed and self.topic not in idle and not is_spare
-        cannot_tell = self.kind is FaultKind.REPEATED and self.topic in config.uncounted
-        return is_known and self.kind in config.silent_kinds and not cannot_tell
+        is_spare = self.topic.startswith(config.redundant_nodes) or self._is_of(config.report_required)
+        is_known = family in config.stop_required and self.topic not in idle and not is_spare
+        cannot_tell = self.kind is FaultKind.REPEATED and self.topic in config.without_counter
+        return is_known and self.kind in config.detectable_kinds and not cannot_tell
 
     def is_missed(self, config: CampaignConfig, idle: Iterable[str]) -> bool:
         """Whether the machine must say that it does without it; nonsense may look like nothing seen."""
-        is_silent = self.kind in config.silent_kinds - {FaultKind.NAN, FaultKind.GARBAGE}
-        return is_silent and self._is_of(config.missed) and self.topic not in idle
+        is_silent = self.kind in config.detectable_kinds - {FaultKind.NAN, FaultKind.GARBAGE}
+        return is_silent and self._is_of(config.report_required) and self.topic not in idle
 
     def _is_of(self, families: tuple[str, ...]) -> bool:
         """Whether it is a sensor of these families, or makes obstacles or health of one."""
@@ -54,9 +54,9 @@ class Cell:
         if self.topic.startswith("node/"):
             node = self.topic.removeprefix("node/")
             own = [w if "/" in w else f"{w}." for w in writes.get(node, ())]
-            return (f"({node})", f"{node}.", *own, *config.names.get(self.topic, ()))
+            return (f"({node})", f"{node}.", *own, *config.reported_as.get(self.topic, ()))
         kind = self.topic.partition("/")[0]
-        return (self.topic, *config.names.get(self.topic, ()), *config.names.get(kind, ()))
+        return (self.topic, *config.reported_as.get(self.topic, ()), *config.reported_as.get(kind, ()))
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def judge(
         seen.reason.startswith(("protective_field", "tracked_obstacle", "detection_range", "obstacle_stop"))
         and cell.situation == "obstacle"
     )
-    bridged_s = config.bridged.get(cell.topic.partition("/")[0], 0.0)
+    bridged_s = config.min_bridging_s.get(cell.topic.partition("/")[0], 0.0)
     is_bridged = seen.stopped_s is None or seen.stopped_s >= bridged_s or is_obstacle
     complaints = {
         "contact": seen.contacts > 0,
@@ -123,7 +123,7 @@ def judge(
         "went on": is_needed and seen.stopped_s is None,
         "stopped late": allowed_m is not None and seen.stopped_s is not None and seen.travel_m > allowed_m,
         "stopped too early": not is_bridged,
-        f"left the path by {seen.error_m:.2f} m": seen.error_m > config.largest_error_m,
+        f"left the path by {seen.error_m:.2f} m": seen.error_m > config.max_path_error_m,
         "blames " + ", ".join(blamed): blames_other,
         "not named": is_needed and seen.stopped_s is not None and not is_named and not is_obstacle,
         "not missed": is_missed and not is_named and not is_obstacle,

@@ -22,7 +22,7 @@ from runtime.live.live_executor import Line, LiveExecutor, Nothing
 from runtime.live.reactions import Reactions
 from runtime.live.ring import RingReader, RingWriter
 from runtime.setup import Setup
-from simulation.rendering.materials import warm_figures
+from simulation.rendering.materials import build_actor_surfaces
 from simulation.scenario import Scenario
 
 
@@ -102,8 +102,8 @@ def _stack_nodes(start: Start) -> list[Node]:
 @contextmanager
 def _machine(start: Start) -> Iterator[World]:
     bus = SharedBus(open_bus(start.config.can))
-    with closing(assembly.simulated(start.setup, start.scenario, bus, paints_aside=True)) as world:
-        warm_figures()
+    with closing(assembly.simulated(start.setup, start.scenario, bus, renders_in_thread=True)) as world:
+        build_actor_surfaces()
         yield Reactions(world, bus, start) if start.reactions else world
 
 

@@ -34,7 +34,7 @@ class Reactions(World):
         )
         terrain = Terrain(setup.site, setup.stack.simulation.terrain, setup.seed)
         self._popup = PopUp(world.machine, terrain, generator(setup.seed, "popup"), AHEAD_M)
-        world.add(self._popup)
+        world.add_actor(self._popup)
         self._appeared: float | None = None  # in wall time, as frames are stamped
         self._seen: float | None = None
         bus.listener = self._hear

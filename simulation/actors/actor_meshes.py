@@ -17,7 +17,7 @@ GAIT_STEPS = STEPS
 REFLECTIVITY = {ObstacleClass.PERSON: 0.35, ObstacleClass.ANIMAL: 0.30, ObstacleClass.VEHICLE: 0.5}
 
 
-def figure_mesh(label: ObstacleClass, gait: float) -> Mesh:
+def actor_mesh(label: ObstacleClass, gait: float) -> Mesh:
     """The mesh at a place in the gait cycle (0 to 1), in `GAIT_STEPS` steps; a negative gait means standing."""
     return _joined(label, gait_step(gait))
 
@@ -27,7 +27,7 @@ def gait_step(gait: float) -> int:
     return -1 if gait < 0.0 else int(gait % 1.0 * GAIT_STEPS)
 
 
-def figure_parts(label: ObstacleClass, step: int, is_fine: bool) -> tuple[Part, ...]:
+def actor_parts(label: ObstacleClass, step: int, is_fine: bool) -> tuple[Part, ...]:
     """The parts at a step of the gait, by what they are of."""
     if label is ObstacleClass.PERSON:
         return person(step, is_fine)
@@ -36,4 +36,4 @@ def figure_parts(label: ObstacleClass, step: int, is_fine: bool) -> tuple[Part, 
 
 @cache
 def _joined(label: ObstacleClass, step: int) -> Mesh:
-    return join([part.mesh for part in figure_parts(label, step, False)])
+    return join([part.mesh for part in actor_parts(label, step, False)])

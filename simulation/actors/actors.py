@@ -11,20 +11,22 @@ from shapely.geometry.base import BaseGeometry
 from geometry.transforms import apply, planar
 from messages.message import Float32, Float64
 from messages.perception import ObstacleClass
-from simulation.actors.actor_meshes import STRIDE_M, figure_mesh
-from simulation.actors.encounter import OFF_FIELD, Stance, Walk, stance_at, way_to
-from simulation.actors.placement import Drawn, Standing
+from simulation.actors.actor_meshes import STRIDE_M, actor_mesh
+from simulation.actors.encounter import NO_SWATH, Walk, WalkState, distance_to, walk_state_at
+from simulation.actors.placement import ParkedVehicle, PlacedEncounter
 from simulation.environment.meshes import Mesh
 from simulation.environment.terrain import Terrain
 from simulation.scenario import ALL_SENSORS, Encounter
 
-APPEAR_BEFORE_M = 12.0  # before the trigger: seen waiting, but not standing where the machine worked before
-COME_M = 6.0  # before the trigger the machine must be on this way: one that drives round something on the next is not
-GONE_AT_M = 12.0  # they are outside the field by then, or far off on a large one
+APPEAR_MARGIN_M = 12.0  # before the trigger: seen waiting, but not standing where the machine worked before
+APPROACH_MARGIN_M = (
+    6.0  # before the trigger the machine must be on this way: one that drives round something on the next is not
+)
+DESPAWN_DISTANCE_M = 12.0  # they are outside the field by then, or far off on a large one
 
 
 @dataclass(frozen=True)
-class Figure:
+class ActorState:
     """A figure at a moment; `gait` is negative when it stands."""
 
     id: int
@@ -34,12 +36,12 @@ class Figure:
     yaw_rad: float
     velocity_mps: tuple[float, float]
     gait: float
-    seen_by: tuple[str, ...] = ALL_SENSORS
+    visible_to: tuple[str, ...] = ALL_SENSORS
 
     @cached_property
     def local_mesh(self) -> Mesh:
         """The mesh about the figure's own origin."""
-        return figure_mesh(self.label, self.gait)
+        return actor_mesh(self.label, self.gait)
 
     def mesh_at(self, ago_s: float) -> Mesh:
         """The mesh in `map` a moment ago."""
@@ -47,7 +49,7 @@ class Figure:
             self.p_map_m[0] - ago_s * self.velocity_mps[0], self.p_map_m[1] - ago_s * self.velocity_mps[1], self.yaw_rad
         )
         T[2, 3] = self.p_map_m[2]
-        return self.local_mesh.moved(T)
+        return self.local_mesh.transformed(T)
 
     @cached_property
     def vertices_map_m(self) -> Float32:
@@ -78,43 +80,43 @@ class Figure:
 class Actor:
     """One encounter as it is played."""
 
-    def __init__(self, id: int, encounter: Encounter, drawn: Drawn, terrain: Terrain) -> None:
+    def __init__(self, id: int, encounter: Encounter, drawn: PlacedEncounter, terrain: Terrain) -> None:
         self._id, self._encounter, self._drawn, self._terrain = id, encounter, drawn, terrain
-        self._started_s: float | None = None
-        self._is_present = isinstance(drawn, Standing)
+        self._start_s: float | None = None
+        self._is_present = isinstance(drawn, ParkedVehicle)
         self._is_gone = False
-        self._came_m = 0.0  # how far before the place the machine came on to this way
-        self._last: Figure | None = None
+        self._max_approach_m = 0.0  # how far before the place the machine came on to this way
+        self._last: ActorState | None = None
 
-    def play(self, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> Figure | None:
+    def update(self, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> ActorState | None:
         """The figure at this time, or None while it is not there; a machine's tip comes from a heading."""
-        if isinstance(self._drawn, Standing):
-            return self._figure(Stance(self._drawn.p_map_m, self._drawn.heading_rad, 0.0, 0.0))
-        self._watch(self._drawn, elapsed_s, tip_map_m, heading_rad)
+        if isinstance(self._drawn, ParkedVehicle):
+            return self._state(WalkState(self._drawn.p_map_m, self._drawn.heading_rad, 0.0, 0.0))
+        self._update_presence(self._drawn, elapsed_s, tip_map_m, heading_rad)
         if not self._is_present or self._is_gone:
             return None
-        stance = stance_at(self._drawn, -1.0 if self._started_s is None else elapsed_s - self._started_s)
-        is_out = self._started_s is not None and elapsed_s - self._started_s >= self._drawn.out_s
-        self._is_gone = is_out and math.dist(stance.p_map_m, tip_map_m[:2]) > GONE_AT_M
-        return None if self._is_gone else self._figure(stance)
+        stance = walk_state_at(self._drawn, -1.0 if self._start_s is None else elapsed_s - self._start_s)
+        is_out = self._start_s is not None and elapsed_s - self._start_s >= self._drawn.exit_end_s
+        self._is_gone = is_out and math.dist(stance.p_map_m, tip_map_m[:2]) > DESPAWN_DISTANCE_M
+        return None if self._is_gone else self._state(stance)
 
-    def _watch(self, walk: Walk, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> None:
-        way_m = way_to(walk.place, tip_map_m, heading_rad)
-        self._came_m = max(self._came_m, way_m) if math.isfinite(way_m) else 0.0
-        if self._came_m < walk.trigger_m + COME_M and walk.place.line != OFF_FIELD:
+    def _update_presence(self, walk: Walk, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> None:
+        way_m = distance_to(walk.place, tip_map_m, heading_rad)
+        self._max_approach_m = max(self._max_approach_m, way_m) if math.isfinite(way_m) else 0.0
+        if self._max_approach_m < walk.trigger_m + APPROACH_MARGIN_M and walk.place.line != NO_SWATH:
             return
-        if self._started_s is None and way_m <= walk.trigger_m:
-            self._started_s = elapsed_s
-        self._is_present = self._is_present or way_m <= walk.trigger_m + APPEAR_BEFORE_M
+        if self._start_s is None and way_m <= walk.trigger_m:
+            self._start_s = elapsed_s
+        self._is_present = self._is_present or way_m <= walk.trigger_m + APPEAR_MARGIN_M
 
-    def _figure(self, stance: Stance) -> Figure:
+    def _state(self, stance: WalkState) -> ActorState:
         label, (x, y) = self._encounter.label, stance.p_map_m
         velocity = (stance.speed_mps * math.cos(stance.heading_rad), stance.speed_mps * math.sin(stance.heading_rad))
         gait = stance.walked_m / STRIDE_M[label] % 1.0 if stance.speed_mps > 0.0 else -1.0
         p = (x, y, self._terrain.height_m(x, y))
-        name, seen_by = self._encounter.name, self._encounter.seen_by
-        figure = Figure(self._id, label, name, p, stance.heading_rad, velocity, gait, seen_by)
+        name, visible_to = self._encounter.name, self._encounter.visible_to
+        state = ActorState(self._id, label, name, p, stance.heading_rad, velocity, gait, visible_to)
         # one that stands stays the same figure, whose shapes are known already
-        if self._last is None or figure != self._last:
-            self._last = figure
+        if self._last is None or state != self._last:
+            self._last = state
         return self._last

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from simulation.environment.lofting import Keys, Part, tube
+from simulation.environment.lofting import Keys, Part, loft
 from simulation.environment.meshes import Mesh
 
 BODY: Keys = (
@@ -23,9 +23,9 @@ WHEEL_M, ARCH_M = 0.32, 0.35
 def car(is_fine: bool) -> tuple[Part, ...]:
     """All parts."""
     sides, more = (40, 3) if is_fine else (20, 1)
-    parts = [Part(tube(BODY, sides, 12 * more, power=4.5, axis=(1.0, 0.0, 0.0)), "paint"),
-             Part(tube(CABIN, sides, 4 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "glass"),
-             Part(tube(ROOF, sides, 5 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "paint")]  # fmt: skip
+    parts = [Part(loft(BODY, sides, 12 * more, power=4.5, axis=(1.0, 0.0, 0.0)), "paint"),
+             Part(loft(CABIN, sides, 4 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "glass"),
+             Part(loft(ROOF, sides, 5 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "paint")]  # fmt: skip
     for x in (1.2, -1.2):
         for s in (1.0, -1.0):
             parts += [Part(disc((x, 0.717 * s, WHEEL_M + 0.035), 0.10, ARCH_M, 16), "eyes"),
@@ -42,7 +42,7 @@ def disc(center: tuple[float, float, float], half_width: float, radius: float, s
     keys = ((x, y - half_width, z, 0.9 * radius, 0.9 * radius), (x, y - 0.8 * half_width, z, radius, radius),
             (x, y + 0.8 * half_width, z, radius, radius),
             (x, y + half_width, z, 0.9 * radius, 0.9 * radius))  # fmt: skip
-    return tube(keys, sides, 4, aside=(1.0, 0.0, 0.0))
+    return loft(keys, sides, 4, aside=(1.0, 0.0, 0.0))
 
 
 def _pillars() -> list[Part]:
@@ -53,7 +53,7 @@ def _pillars() -> list[Part]:
                                          ((-1.55, 0.665), (-1.34, 0.54), 0.07)):  # fmt: skip
             ends = ((x0, y0 * s, 0.93, half, 0.018), (x0, y0 * s, 0.94, half, 0.018), (x1, y1 * s, 1.50, half, 0.018),
                     (x1, y1 * s, 1.51, half, 0.018))  # fmt: skip
-            posts.append(Part(tube(ends, 8, 4), "paint"))
+            posts.append(Part(loft(ends, 8, 4), "paint"))
     return posts
 
 
@@ -62,14 +62,14 @@ def _mirrors(more: int) -> list[Part]:
     for s in (1.0, -1.0):
         keys = ((0.72, 0.70 * s, 1.00, 0.04, 0.04), (0.70, 0.77 * s, 1.03, 0.06, 0.07),
                 (0.70, 0.82 * s, 1.03, 0.05, 0.06), (0.70, 0.83 * s, 1.03, 0.02, 0.02))  # fmt: skip
-        found.append(Part(tube(keys, 8, 4 * more, axis=(0.0, s, 0.0), aside=(1.0, 0.0, 0.0)), "paint"))
+        found.append(Part(loft(keys, 8, 4 * more, axis=(0.0, s, 0.0), aside=(1.0, 0.0, 0.0)), "paint"))
     return found
 
 
 def _slab(x: float, y: float, z: float, half_y: float, half_z: float, region: str) -> Part:
     """A plate on the front or the rear."""
     keys = ((x - 0.02, y, z, half_z, half_y), (x - 0.019, y, z, half_z, half_y), (x + 0.02, y, z, half_z, half_y))
-    return Part(tube(keys, 16, 3, power=4.0), region)
+    return Part(loft(keys, 16, 3, power=4.0), region)
 
 
 def _trim() -> list[Part]:
@@ -81,5 +81,5 @@ def _trim() -> list[Part]:
         parts += [_slab(1.868, 0.52 * s, 0.58, 0.11, 0.045, "lamp"), _slab(-1.885, 0.54 * s, 0.70, 0.07, 0.08, "tail")]
         door = ((-0.39, 0.815 * s, 0.42, 0.006, 0.004), (-0.39, 0.815 * s, 0.76, 0.006, 0.004))
         handle = ((-0.30, 0.812 * s, 0.74, 0.012, 0.01), (-0.12, 0.812 * s, 0.74, 0.012, 0.01))
-        parts += [Part(tube(door, 6, 3), "eyes"), Part(tube(handle, 6, 3), "eyes")]
+        parts += [Part(loft(door, 6, 3), "eyes"), Part(loft(handle, 6, 3), "eyes")]
     return parts

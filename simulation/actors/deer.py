@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from simulation.environment.lofting import Keys, Part, blob, tube
+from simulation.environment.lofting import Keys, Part, blob, loft
 
 STEPS = 16
 BODY: Keys = (
@@ -28,13 +28,13 @@ HEAD: Keys = (
 def deer(step: int, is_fine: bool) -> tuple[Part, ...]:
     """All parts at a step of the gait (a trot: legs move crosswise), standing below 0."""
     sides, more = (20, 3) if is_fine else (10, 1)
-    parts = [Part(tube(BODY, sides, 9 * more, axis=(1.0, 0.0, 0.0)), "coat"), Part(tube(NECK, sides, 5 * more), "coat"),
-             Part(tube(HEAD, sides, 6 * more), "coat"),
+    parts = [Part(loft(BODY, sides, 9 * more, axis=(1.0, 0.0, 0.0)), "coat"), Part(loft(NECK, sides, 5 * more), "coat"),
+             Part(loft(HEAD, sides, 6 * more), "coat"),
              Part(blob((-0.515, 0.0, 0.73), (0.03, 0.085, 0.10), 10, 6), "white")]  # fmt: skip
     for side in (1.0, -1.0):
         ear = ((0.57, 0.04 * side, 1.14, 0.012, 0.015), (0.55, 0.085 * side, 1.20, 0.016, 0.032),
                (0.535, 0.115 * side, 1.26, 0.010, 0.022), (0.53, 0.125 * side, 1.285, 0.004, 0.006))  # fmt: skip
-        parts.append(Part(tube(ear, 8, 4 * more), "coat"))
+        parts.append(Part(loft(ear, 8, 4 * more), "coat"))
         for is_front in (True, False):
             phase = side if is_front else -side
             swing = phase * math.sin(2.0 * math.pi * step / STEPS) if step >= 0 else 0.06 * phase
@@ -46,7 +46,7 @@ def deer(step: int, is_fine: bool) -> tuple[Part, ...]:
     low = min(float(p.mesh.vertices_m[:, 2].min()) for p in parts)
     T = np.eye(4)
     T[2, 3] = -low
-    return tuple(Part(p.mesh.moved(T), p.region) for p in parts)
+    return tuple(Part(p.mesh.transformed(T), p.region) for p in parts)
 
 
 def _leg(is_front: bool, side: float, swing: float, sides: int, more: int) -> list[Part]:
@@ -69,4 +69,4 @@ def _leg(is_front: bool, side: float, swing: float, sides: int, more: int) -> li
     leg = (on(0.0, thick, 0.05), on(0.35, 0.75 * thick, 0.048), on(0.8, 0.036, 0.030), on(1.05, 0.030, 0.026),
            on(1.3, 0.022, 0.020), on(1.85, 0.020, 0.019), on(2.0, 0.019, 0.018))  # fmt: skip
     hoof = blob((foot[0] + 0.012, y, foot[1] + 0.005), (0.034, 0.024, 0.03), sides, 5)
-    return [Part(tube(leg, sides, 6 * more), "coat"), Part(hoof, "eyes")]
+    return [Part(loft(leg, sides, 6 * more), "coat"), Part(hoof, "eyes")]

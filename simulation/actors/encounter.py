@@ -22,16 +22,16 @@ from messages.message import Float64
 from simulation.scenario import Bystander, Crossing
 
 SWEPT_MARGIN_M = 1.0  # beside the implement: what a careful machine keeps free
-NEEDED_M = 12.0  # from the front when they step into the swept width; the stack needs less at 10 km/h
-SLOWEST = 1.15  # how much later than planned a machine that nobody slows may come
-OUTSIDE_M = 3.0  # they leave the field by this much, so that no later swath finds them
-BYSTANDER_OUT_M = 8.0  # so far aside of a docking machine they go
-OFF_FIELD = -1  # line of a place on no swath
-LONGEST_OUT_S = 25.0  # or, on a large field, go as far as they come in this time
+MIN_STOPPING_GAP_M = 12.0  # from the front when they step into the swept width; the stack needs less at 10 km/h
+MAX_DELAY_FACTOR = 1.15  # how much later than planned a machine that nobody slows may come
+EXIT_MARGIN_M = 3.0  # they leave the field by this much, so that no later swath finds them
+BYSTANDER_EXIT_M = 8.0  # so far aside of a docking machine they go
+NO_SWATH = -1  # line of a place on no swath
+MAX_EXIT_S = 25.0  # or, on a large field, go as far as they come in this time
 
 
 @dataclass(frozen=True)
-class Place:
+class EncounterPoint:
     """Where on the way: point and driving direction in `map`, and the speed driven there."""
 
     p_map_m: tuple[float, float]
@@ -41,7 +41,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Setting:
+class EncounterSite:
     """Where encounters are drawn: the field's outline in `map`, half the width that the machine sweeps, and bays."""
 
     field: Polygon
@@ -53,32 +53,32 @@ class Setting:
 class Walk:
     """One crossing, drawn: three points in `map`, and times and distances that follow."""
 
-    place: Place
-    from_map_m: tuple[float, float]
-    out_map_m: tuple[float, float]
+    place: EncounterPoint
+    start_map_m: tuple[float, float]
+    exit_map_m: tuple[float, float]
     walk_mps: float
     leave_mps: float
     stand_s: float
     trigger_m: float
 
     @property
-    def in_s(self) -> float:
+    def arrival_s(self) -> float:
         """Time from the start to the middle of the way."""
-        return math.dist(self.from_map_m, self.place.p_map_m) / self.walk_mps
+        return math.dist(self.start_map_m, self.place.p_map_m) / self.walk_mps
 
     @property
-    def out_s(self) -> float:
+    def exit_end_s(self) -> float:
         """Time from the start to the end of the way out."""
-        return self.leave_s + math.dist(self.place.p_map_m, self.out_map_m) / self.leave_mps
+        return self.departure_s + math.dist(self.place.p_map_m, self.exit_map_m) / self.leave_mps
 
     @property
-    def leave_s(self) -> float:
+    def departure_s(self) -> float:
         """Time from the start to leaving the middle."""
-        return self.in_s + self.stand_s
+        return self.arrival_s + self.stand_s
 
 
 @dataclass(frozen=True)
-class Stance:
+class WalkState:
     """Somebody at a moment: place and heading in `map`, speed, and way walked (for the gait)."""
 
     p_map_m: tuple[float, float]
@@ -93,82 +93,84 @@ def trigger_distance_m(speed_mps: float, way_m: float, edge_m: float, walk_mps: 
     `way_m` is walked to the middle; `edge_m` of it lies within the swept width.
     """
     stands_before = speed_mps * (way_m / walk_mps + slack_s)
-    can_stop = speed_mps * (way_m - edge_m) / walk_mps + NEEDED_M
+    can_stop = speed_mps * (way_m - edge_m) / walk_mps + MIN_STOPPING_GAP_M
     return max(stands_before, can_stop)
 
 
-def draw_walk(crossing: Crossing, place: Place, setting: Setting, random: np.random.Generator) -> Walk:
+def draw_crossing(
+    crossing: Crossing, place: EncounterPoint, setting: EncounterSite, random: np.random.Generator
+) -> Walk:
     """One crossing at a place.
 
     The side is drawn, unless one way out takes too long for the machine's next pass.
     """
     half_width_m = setting.half_width_m
-    lateral = half_width_m + random.uniform(*crossing.from_m)
-    oblique = math.radians(random.uniform(*crossing.oblique_deg))
-    walk, leave = random.uniform(*crossing.walk_mps), random.uniform(*crossing.leave_mps)
-    slack, wait = random.uniform(*crossing.slack_s), random.uniform(*crossing.wait_s)
+    lateral = half_width_m + random.uniform(*crossing.start_lateral_m)
+    oblique = math.radians(random.uniform(*crossing.skew_deg))
+    walk, leave = random.uniform(*crossing.walk_speed_mps), random.uniform(*crossing.leave_speed_mps)
+    slack, wait = random.uniform(*crossing.arrival_margin_s), random.uniform(*crossing.extra_stand_s)
     way, edge = lateral / math.cos(oblique), (half_width_m + SWEPT_MARGIN_M) / math.cos(oblique)
     trigger = trigger_distance_m(place.speed_mps, way, edge, walk, slack)
-    stand = SLOWEST * trigger / place.speed_mps + wait - way / walk
-    out_ways = {side: way_out_m(place, -side * (0.5 * math.pi - oblique), setting.field) for side in (1.0, -1.0)}
+    stand = MAX_DELAY_FACTOR * trigger / place.speed_mps + wait - way / walk
+    out_ways = {side: exit_distance_m(place, -side * (0.5 * math.pi - oblique), setting.field) for side in (1.0, -1.0)}
     side = 1.0 if random.random() < 0.5 else -1.0
-    if out_ways[side] > leave * LONGEST_OUT_S:
+    if out_ways[side] > leave * MAX_EXIT_S:
         side = min(out_ways, key=lambda s: out_ways[s])
-    start = beside(place, -way * math.sin(oblique), side * lateral)
-    out_way = min(out_ways[side], leave * LONGEST_OUT_S)
-    out = beside(place, out_way * math.sin(oblique), -side * out_way * math.cos(oblique))
+    start = offset_point(place, -way * math.sin(oblique), side * lateral)
+    out_way = min(out_ways[side], leave * MAX_EXIT_S)
+    out = offset_point(place, out_way * math.sin(oblique), -side * out_way * math.cos(oblique))
     return Walk(place, start, out, walk, leave, stand, trigger)
 
 
-def draw_bystander(bystander: Bystander, setting: Setting, random: np.random.Generator) -> Walk:
+def draw_bystander(bystander: Bystander, setting: EncounterSite, random: np.random.Generator) -> Walk:
     """Somebody before a bay, on the way of a machine that backs in; raises FieldError when there is no such bay."""
     dock = setting.docks.get(bystander.bay)
     if dock is None:
         raise FieldError(f"encounter {bystander.name!r}: the site has no bay {bystander.bay!r}")
     heading = math.radians(dock.heading_deg)
-    at_dock = Place((dock.x_m, dock.y_m), heading, 0.0, OFF_FIELD)
-    p = beside(at_dock, random.uniform(*bystander.ahead_m), random.uniform(*bystander.aside_m))
-    place = Place(p, heading + math.pi, 0.0, OFF_FIELD)  # the way leads into the bay
+    at_dock = EncounterPoint((dock.x_m, dock.y_m), heading, 0.0, NO_SWATH)
+    p = offset_point(at_dock, random.uniform(*bystander.dock_distance_m), random.uniform(*bystander.lateral_m))
+    place = EncounterPoint(p, heading + math.pi, 0.0, NO_SWATH)  # the way leads into the bay
     side = 1.0 if random.random() < 0.5 else -1.0
-    walk, stand = random.uniform(*bystander.walk_mps), random.uniform(*bystander.stand_s)
-    start = beside(place, 0.0, side * random.uniform(*bystander.from_m))
-    return Walk(place, start, beside(place, 0.0, -side * BYSTANDER_OUT_M), walk, walk, stand,
-                random.uniform(*bystander.trigger_m))  # fmt: skip
+    walk, stand = random.uniform(*bystander.walk_speed_mps), random.uniform(*bystander.stand_s)
+    start = offset_point(place, 0.0, side * random.uniform(*bystander.start_lateral_m))
+    return Walk(place, start, offset_point(place, 0.0, -side * BYSTANDER_EXIT_M), walk, walk, stand,
+                random.uniform(*bystander.trigger_distance_m))  # fmt: skip
 
 
-def way_out_m(place: Place, turned_rad: float, field: Polygon) -> float:
+def exit_distance_m(place: EncounterPoint, turned_rad: float, field: Polygon) -> float:
     """How far it is from a place to outside the field, in a direction against that of the way."""
     far_m = 2.0 * field.length
     angle = place.heading_rad + turned_rad
     x, y = place.p_map_m
     ray = LineString([(x, y), (x + far_m * math.cos(angle), y + far_m * math.sin(angle))])
-    return float(ray.intersection(field.buffer(OUTSIDE_M, join_style="mitre")).length)
+    return float(ray.intersection(field.buffer(EXIT_MARGIN_M, join_style="mitre")).length)
 
 
-def beside(place: Place, ahead_m: float, left_m: float) -> tuple[float, float]:
+def offset_point(place: EncounterPoint, ahead_m: float, left_m: float) -> tuple[float, float]:
     """The point in `map` at an offset from a place."""
     c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
     return place.p_map_m[0] + ahead_m * c - left_m * s, place.p_map_m[1] + ahead_m * s + left_m * c
 
 
-def stance_at(walk: Walk, since_s: float) -> Stance:
+def walk_state_at(walk: Walk, since_s: float) -> WalkState:
     """Where they are, a time after the start (negative: waiting)."""
     middle = walk.place.p_map_m
-    if since_s < walk.leave_s:
-        return _on_line(walk.from_map_m, middle, since_s, walk.walk_mps)
-    return _on_line(middle, walk.out_map_m, since_s - walk.leave_s, walk.leave_mps)
+    if since_s < walk.departure_s:
+        return _on_line(walk.start_map_m, middle, since_s, walk.walk_mps)
+    return _on_line(middle, walk.exit_map_m, since_s - walk.departure_s, walk.leave_mps)
 
 
-def _on_line(a: tuple[float, float], b: tuple[float, float], since_s: float, pace_mps: float) -> Stance:
+def _on_line(a: tuple[float, float], b: tuple[float, float], since_s: float, pace_mps: float) -> WalkState:
     """From a to b at a pace; standing at a before and at b after."""
     length = math.dist(a, b)
     way = min(max(since_s, 0.0) * pace_mps, length)
     heading = math.atan2(b[1] - a[1], b[0] - a[0])
     p = (a[0] + way * math.cos(heading), a[1] + way * math.sin(heading))
-    return Stance(p, heading, pace_mps if 0.0 < way < length else 0.0, way)
+    return WalkState(p, heading, pace_mps if 0.0 < way < length else 0.0, way)
 
 
-def way_to(place: Place, tip_map_m: Float64, heading_rad: float) -> float:
+def distance_to(place: EncounterPoint, tip_map_m: Float64, heading_rad: float) -> float:
     """How far a machine's foremost end still has to the place along this very way; infinite when it is not on it."""
     c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
     dx, dy = place.p_map_m[0] - float(tip_map_m[0]), place.p_map_m[1] - float(tip_map_m[1])

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from simulation.environment.lofting import Keys, Part, blob, tube
+from simulation.environment.lofting import Keys, Part, blob, loft
 
 STEPS = 16  # of a gait cycle
 _AT = np.arange(0.0, 1.05, 0.1)
@@ -52,12 +52,12 @@ def person(step: int, is_fine: bool) -> tuple[Part, ...]:
     """All parts at a step of the gait, standing below 0; its lowest sole is on the ground."""
     sides, more = (24, 3) if is_fine else (10, 1)
     trunk = [
-        Part(tube(TROUSERS, sides, 5 * more + 1), "trousers"),
-        Part(tube(JACKET, sides, 11 * more, power=2.3), "jacket"), Part(tube(HEAD, sides, 8 * more), "skin"),
-        Part(tube(HAIR, sides, 6 * more), "hair"),
+        Part(loft(TROUSERS, sides, 5 * more + 1), "trousers"),
+        Part(loft(JACKET, sides, 11 * more, power=2.3), "jacket"), Part(loft(HEAD, sides, 8 * more), "skin"),
+        Part(loft(HAIR, sides, 6 * more), "hair"),
     ]  # fmt: skip
     if is_fine:
-        trunk += [Part(tube(NECK, sides, 4), "skin"), *_face()]
+        trunk += [Part(loft(NECK, sides, 4), "skin"), *_face()]
     limbs = []
     for side in (1.0, -1.0):
         share = (step / STEPS + (0.0 if side > 0.0 else 0.5)) % 1.0
@@ -66,7 +66,7 @@ def person(step: int, is_fine: bool) -> tuple[Part, ...]:
     sole = min(float(p.mesh.vertices_m[:, 2].min()) for p in limbs)
     T = np.eye(4)
     T[2, 3] = -sole
-    return tuple(Part(p.mesh.moved(T), p.region) for p in trunk + limbs)
+    return tuple(Part(p.mesh.transformed(T), p.region) for p in trunk + limbs)
 
 
 def _face() -> list[Part]:
@@ -102,13 +102,13 @@ def _leg(side: float, share: float | None, sides: int, more: int) -> list[Part]:
              on(0.92, 0.068, 0.064), on(1.08, 0.067, 0.062), on(1.35, 0.070, 0.062), on(1.65, 0.063, 0.058),
              on(1.93, 0.060, 0.056), on(1.94, 0.03, 0.03))  # fmt: skip
     pitch = 0.6 * (hip - knee) - ankle if share is not None else 0.0
-    shoe = tube(SHOE, max(sides // 2, 8), 7 * max(more - 1, 1))
+    shoe = loft(SHOE, max(sides // 2, 8), 7 * max(more - 1, 1))
     c, s = math.cos(pitch), math.sin(pitch)
     out = side * math.radians(7.0)
     T = np.array([[c, 0.0, -s, at_ankle[0]], [0.0, 1.0, 0.0, 1.24 * y], [s, 0.0, c, at_ankle[1]], [0, 0, 0, 1.0]])
     turn = np.array([[math.cos(out), -math.sin(out), 0, 0], [math.sin(out), math.cos(out), 0, 0], [0, 0, 1, -0.085],
                      [0, 0, 0, 1.0]])  # fmt: skip
-    return [Part(tube(cloth, sides, 9 * more), "trousers"), Part(shoe.moved(T @ turn), "shoes")]
+    return [Part(loft(cloth, sides, 9 * more), "trousers"), Part(shoe.transformed(T @ turn), "shoes")]
 
 
 def _arm(side: float, share: float | None, sides: int, more: int) -> list[Part]:
@@ -138,6 +138,6 @@ def _arm(side: float, share: float | None, sides: int, more: int) -> list[Part]:
             on(wrist, tip, 0.7, 0.036, 0.017), on(wrist, tip, 0.95, 0.022, 0.013),
             on(wrist, tip, 1.0, 0.006, 0.005))  # fmt: skip
     return [
-        Part(tube(sleeve, max(sides - 2, 8), 8 * more), "jacket"),
-        Part(tube(hand, max(sides // 2, 6), 5 * more), "skin"),
+        Part(loft(sleeve, max(sides - 2, 8), 8 * more), "jacket"),
+        Part(loft(hand, max(sides // 2, 6), 5 * more), "skin"),
     ]

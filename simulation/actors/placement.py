@@ -9,7 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from messages.errors import FieldError
 from messages.plan import Path, PathSection, PathSectionType
-from simulation.actors.encounter import Place, Setting, Walk, draw_bystander, draw_walk
+from simulation.actors.encounter import EncounterPoint, EncounterSite, Walk, draw_bystander, draw_crossing
 from simulation.scenario import Bystander, Crossing, Encounter, Parked
 
 RUN_UP_M = 12.0  # straight way before the trigger: front, turning in and gaining work speed
@@ -20,10 +20,10 @@ DRAWS = 2000
 
 
 @dataclass(frozen=True)
-class Standing:
+class ParkedVehicle:
     """A vehicle left on the way."""
 
-    place: Place
+    place: EncounterPoint
     p_map_m: tuple[float, float]
     heading_rad: float
 
@@ -38,14 +38,14 @@ class Swath:
     speed_mps: float
     line: int
 
-    def place(self, way_m: float) -> Place:
+    def place(self, way_m: float) -> EncounterPoint:
         """The place some way along it."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         p = (self.start_map_m[0] + way_m * c, self.start_map_m[1] + way_m * s)
-        return Place(p, self.heading_rad, self.speed_mps, self.line)
+        return EncounterPoint(p, self.heading_rad, self.speed_mps, self.line)
 
 
-Drawn = Walk | Standing
+PlacedEncounter = Walk | ParkedVehicle
 
 
 def find_swaths(paths: tuple[Path, ...]) -> list[Swath]:
@@ -77,12 +77,12 @@ def _longest_straight(path: Path, section: PathSection) -> Swath | None:
 def place_encounters(
     encounters: tuple[Encounter, ...],
     paths: tuple[Path, ...],
-    setting: Setting,
+    setting: EncounterSite,
     random: np.random.Generator,
-) -> list[Drawn]:
+) -> list[PlacedEncounter]:
     """One place for each encounter, each on a swath of its own or before its bay; FieldError where there is none."""
     swaths = find_swaths(paths)
-    drawn: list[Drawn] = []
+    drawn: list[PlacedEncounter] = []
     for encounter in encounters:
         if isinstance(encounter, Bystander):
             drawn.append(draw_bystander(encounter, setting, random))
@@ -98,42 +98,44 @@ def place_encounters(
 def _draw(
     encounter: Crossing | Parked,
     swaths: list[Swath],
-    others: list[Drawn],
-    setting: Setting,
+    others: list[PlacedEncounter],
+    setting: EncounterSite,
     random: np.random.Generator,
-) -> Drawn | None:
+) -> PlacedEncounter | None:
     """One try: None when it does not fit."""
     lines = [o.place.line for o in others]
     free = [s for s in swaths if s.line not in lines]
     if not free:
         return None
     swath = free[int(random.integers(len(free)))]
-    way = swath.length_m * random.uniform(*encounter.share)
+    way = swath.length_m * random.uniform(*encounter.swath_fraction)
     place = swath.place(way)
     drawn = _draw_at(encounter, place, setting, random)
     run_up = RUN_UP_M + (drawn.trigger_m if isinstance(drawn, Walk) else RUN_UP_M)
     fits = way >= run_up and swath.length_m - way >= RUN_OUT_M
-    is_apart = all(ground_of(drawn).distance(ground_of(o)) >= APART_M for o in others)
+    is_apart = all(ground_geometry(drawn).distance(ground_geometry(o)) >= APART_M for o in others)
     return drawn if fits and is_apart else None
 
 
-def _draw_at(encounter: Crossing | Parked, place: Place, setting: Setting, random: np.random.Generator) -> Drawn:
+def _draw_at(
+    encounter: Crossing | Parked, place: EncounterPoint, setting: EncounterSite, random: np.random.Generator
+) -> PlacedEncounter:
     if isinstance(encounter, Crossing):
-        return draw_walk(encounter, place, setting, random)
-    return draw_standing(encounter, place, random)
+        return draw_crossing(encounter, place, setting, random)
+    return draw_parked(encounter, place, random)
 
 
-def draw_standing(parked: Parked, place: Place, random: np.random.Generator) -> Standing:
+def draw_parked(parked: Parked, place: EncounterPoint, random: np.random.Generator) -> ParkedVehicle:
     """A vehicle about the middle of the way and nearly along it, facing either way."""
-    aside = random.uniform(*parked.aside_m)
-    turned = math.radians(random.uniform(*parked.turned_deg)) + (math.pi if random.random() < 0.5 else 0.0)
+    aside = random.uniform(*parked.lateral_m)
+    turned = math.radians(random.uniform(*parked.yaw_offset_deg)) + (math.pi if random.random() < 0.5 else 0.0)
     c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
     p = (place.p_map_m[0] - aside * s, place.p_map_m[1] + aside * c)
-    return Standing(place, p, place.heading_rad + turned)
+    return ParkedVehicle(place, p, place.heading_rad + turned)
 
 
-def ground_of(drawn: Drawn) -> BaseGeometry:
+def ground_geometry(drawn: PlacedEncounter) -> BaseGeometry:
     """The ground that an encounter takes."""
     if isinstance(drawn, Walk):
-        return LineString([drawn.from_map_m, drawn.out_map_m])
+        return LineString([drawn.start_map_m, drawn.exit_map_m])
     return Point(drawn.p_map_m).buffer(2.5)

@@ -6,7 +6,7 @@ import numpy as np
 
 from messages.message import Float64
 from messages.perception import ObstacleClass
-from simulation.actors.actors import Actor, Figure
+from simulation.actors.actors import Actor, ActorState
 from simulation.environment.terrain import Terrain
 from simulation.machine.machine import Machine
 
@@ -21,16 +21,16 @@ class PopUp(Actor):
         self._machine, self._terrain, self._random, self._ahead_m = machine, terrain, random, ahead_m
         self._ready_s: float | None = None
         self._still_s: float | None = None
-        self.figure: Figure | None = None
+        self.state: ActorState | None = None
         self.count = 0
 
-    def play(self, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> Figure | None:
+    def update(self, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> ActorState | None:
         """The person, while there."""
-        if self.figure is None:
+        if self.state is None:
             self._wait(elapsed_s, tip_map_m, heading_rad)
         else:
             self._leave(elapsed_s)
-        return self.figure
+        return self.state
 
     def _wait(self, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> None:
         machine = self._machine
@@ -42,7 +42,7 @@ class PopUp(Actor):
             x = float(tip_map_m[0]) + self._ahead_m * math.cos(heading_rad)
             y = float(tip_map_m[1]) + self._ahead_m * math.sin(heading_rad)
             self.count += 1
-            self.figure = Figure(
+            self.state = ActorState(
                 ID + self.count, ObstacleClass.PERSON, "popup", (x, y, self._terrain.height_m(x, y)), heading_rad,
                 (0.0, 0.0), -1.0,
             )  # fmt: skip
@@ -53,4 +53,4 @@ class PopUp(Actor):
             return
         self._still_s = elapsed_s if self._still_s is None else self._still_s
         if elapsed_s - self._still_s > 1.0:
-            self.figure = None
+            self.state = None

@@ -27,7 +27,7 @@ class Part:
     region: str
 
 
-def tube(
+def loft(
     keys: Keys, sides: int, rings: int, aside: tuple[float, float, float] = (0.0, 1.0, 0.0), power: float = 2.0,
     axis: tuple[float, float, float] | None = None,
 ) -> Mesh:  # fmt: skip
@@ -76,4 +76,4 @@ def blob(center: tuple[float, float, float], halves: tuple[float, float, float],
     (x, y, z), (a, b, c) = center, halves
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, max(rings, 5))
     keys = tuple((x, y, z + c * math.sin(t), max(a * math.cos(t), 1e-4), max(b * math.cos(t), 1e-4)) for t in angle)
-    return tube(keys, sides, max(rings, 5))
+    return loft(keys, sides, max(rings, 5))

@@ -20,7 +20,7 @@ class Mesh:
     vertices_m: Float32
     triangles: Int32
 
-    def moved(self, T: Float64) -> "Mesh":
+    def transformed(self, T: Float64) -> "Mesh":
         """The same mesh taken through a transform."""
         return Mesh(apply(T, self.vertices_m).astype(np.float32), self.triangles)
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from messages.message import Float32, UInt8
 from simulation.actors.actor_meshes import REFLECTIVITY
-from simulation.actors.actors import Figure
+from simulation.actors.actors import ActorState
 from simulation.environment.meshes import Mesh
 from simulation.environment.scenery import SURFACE_KINDS, Piece
 from simulation.kernels import UInt32, signal_of
 
 
-class Rays:
+class RaycastScene:
     """Triangles that can be cast against; open3d is loaded with the first one."""
 
     def __init__(self, meshes: list[Mesh], reflectivity: list[float], kinds: tuple[int, ...] = ()) -> None:
@@ -36,7 +36,7 @@ class Rays:
         distance, mesh, normals = self._hit(rays)
         return distance, signal_of(rays, normals, mesh, self._reflectivity)
 
-    def strike(self, rays: Float32) -> tuple[Float32, UInt8, Float32]:
+    def cast_surface(self, rays: Float32) -> tuple[Float32, UInt8, Float32]:
         """Distance (infinite: no hit), index into SURFACE_KINDS (its length: no hit) and cosine of incidence, (N,)."""
         distance, mesh, normals = self._hit(rays)
         kinds = self._kinds[np.minimum(mesh, len(self._kinds) - 1)]
@@ -52,7 +52,7 @@ class Scene:
     """Everything around the machine; `figures` are those present now."""
 
     def __init__(self, build: Callable[[], list[Piece]]) -> None:
-        self.figures: tuple[Figure, ...] = ()
+        self.actors: tuple[ActorState, ...] = ()
         self._build = build
 
     @cached_property
@@ -61,15 +61,15 @@ class Scene:
         return self._build()
 
     @cached_property
-    def still(self) -> Rays:
+    def static(self) -> RaycastScene:
         """The same, to be cast against."""
         kinds = tuple(SURFACE_KINDS.index(p.name) for p in self.pieces)
-        return Rays([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces], kinds)
+        return RaycastScene([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces], kinds)
 
-    def seen_by(self, kind: str) -> list[Figure]:
+    def visible_to(self, kind: str) -> list[ActorState]:
         """The figures that sensors of a kind see."""
-        return [f for f in self.figures if kind in f.seen_by]
+        return [f for f in self.actors if kind in f.visible_to]
 
-    def moving(self, figures: list[Figure], ago_s: float) -> Rays:
+    def actor_scene(self, actors: list[ActorState], ago_s: float) -> RaycastScene:
         """Some figures as they were a moment ago."""
-        return Rays([f.mesh_at(ago_s) for f in figures], [REFLECTIVITY[f.label] for f in figures])
+        return RaycastScene([f.mesh_at(ago_s) for f in actors], [REFLECTIVITY[f.label] for f in actors])

@@ -29,10 +29,10 @@ class SceneryConfig(Config):
     margin_m: float = Field(ge=5.0, le=200.0, description="ground beyond everything surveyed")
     grid_m: tuple[float, float] = Field(description="mesh of the ground along and across the furrows")
     crop_height_m: float = Field(ge=0.0, le=1.0)
-    crop_spacing_m: float = Field(gt=0.1, le=20.0)
+    crop_row_spacing_m: float = Field(gt=0.1, le=20.0)
     fence_offset_m: float = Field(ge=0.0, le=10.0, description="outside the boundary")
     fence_height_m: float = Field(gt=0.2, le=3.0)
-    fence_bay_m: float = Field(gt=0.5, le=20.0, description="from post to post")
+    fence_post_spacing_m: float = Field(gt=0.5, le=20.0, description="from post to post")
     trees: int = Field(ge=0, le=100)
 
 
@@ -100,7 +100,7 @@ def crop_mesh(site: Site, terrain: Terrain, config: SceneryConfig, seed: int) ->
     random = generator(seed, "crop")
     corners = _turn(np.array(site.boundary_m), -terrain.axis_rad)
     low, high = corners.min(axis=0), corners.max(axis=0)
-    u, v = np.arange(low[0], high[0], 0.5), np.arange(low[1] + 0.5, high[1], config.crop_spacing_m)
+    u, v = np.arange(low[0], high[0], 0.5), np.arange(low[1] + 0.5, high[1], config.crop_row_spacing_m)
     xy = _turn(np.stack(np.meshgrid(v, u, indexing="ij")[::-1], axis=-1).reshape(-1, 2), terrain.axis_rad)
     foot = terrain.heights_m(xy)
     height = config.crop_height_m * random.uniform(0.3, 1.0, len(xy))
@@ -131,7 +131,7 @@ def fence_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
     """Posts with two boards from each to the next."""
     parts = []
     for line in fence_line(site, config.fence_offset_m):
-        bays = max(1, round(line.length / config.fence_bay_m))
+        bays = max(1, round(line.length / config.fence_post_spacing_m))
         places = np.unique(np.concatenate([np.linspace(0.0, line.length, bays + 1), _corners_along(line)]))
         points = [(p.x, p.y) for p in (line.interpolate(float(s)) for s in places)]
         parts += [_post(terrain, p, 0.06, config.fence_height_m) for p in points]

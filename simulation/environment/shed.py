@@ -20,8 +20,8 @@ from simulation.randomness import generator
 
 MAST_M = 0.06
 BESIDE_BAY_M = 0.3  # kept free beside a bay
-LEAST_STORE_M = 0.6  # half the width of a floor that is worth storing on
-STORED_M = ((1.2, 0.8, 0.2, 1.6), (0.8, 0.6, 0.5, 1.1), (2.4, 0.5, 1.8, 2.2))  # length, width, lowest and highest top
+MIN_STORAGE_HALF_WIDTH_M = 0.6  # half the width of a floor that is worth storing on
+GOODS_M = ((1.2, 0.8, 0.2, 1.6), (0.8, 0.6, 0.5, 1.1), (2.4, 0.5, 1.8, 2.2))  # length, width, lowest and highest top
 FLOOR_PER_PIECE_M2 = 3.0
 TRIES = 20
 ROOF_M = 0.1
@@ -50,7 +50,7 @@ def shed_solids(shed: Shed, seed: int) -> list[Solid]:
         *(Solid("wall", w, shed.height_m) for w in walls),
         *(Solid("post", p, shed.height_m) for p in posts),
         *(Solid("mast", Point(a[:2]).buffer(MAST_M, quad_segs=2), a[2] - 0.05) for a in outside),
-        *(Solid("store", ground, top) for ground, top in store(shed, seed)),
+        *(Solid("store", ground, top) for ground, top in place_stored_goods(shed, seed)),
     ]
 
 
@@ -58,12 +58,12 @@ def _wall(shed: Shed, line: tuple[tuple[float, float], ...]) -> BaseGeometry:
     return LineString(line).buffer(0.5 * shed.wall_thickness_m, cap_style="square", join_style="mitre")
 
 
-def store_floor(shed: Shed) -> list[Polygon]:
+def storage_floor(shed: Shed) -> list[Polygon]:
     """The parts of the floor that belong to no bay and are wide enough to store on."""
     walls = [_wall(shed, line).buffer(0.05) for line in shed.walls_m]
     bays = [bay_ground(shed, bay).buffer(BESIDE_BAY_M) for bay in shed.bays]
     free = Polygon(shed.outline_m).difference(shapely.union_all([*walls, *bays]))
-    return [p for p in parts(free) if not p.buffer(-LEAST_STORE_M).is_empty]
+    return [p for p in parts(free) if not p.buffer(-MIN_STORAGE_HALF_WIDTH_M).is_empty]
 
 
 def bay_ground(shed: Shed, bay: Bay) -> Polygon:
@@ -75,31 +75,31 @@ def bay_ground(shed: Shed, bay: Bay) -> Polygon:
     return line.buffer(0.5 * bay.width_m, cap_style="flat")
 
 
-def store(shed: Shed, seed: int) -> list[tuple[Polygon, float]]:
+def place_stored_goods(shed: Shed, seed: int) -> list[tuple[Polygon, float]]:
     """Ground and top of what is stored: along the shed, apart from each other."""
     random = generator(seed, "store")
     heading_deg = shed.bays[0].dock.heading_deg if shed.bays else 0.0
     placed: list[tuple[Polygon, float]] = []
-    for floor in store_floor(shed):
+    for floor in storage_floor(shed):
         for _ in range(round(floor.area / FLOOR_PER_PIECE_M2)):
-            length, width, low, high = STORED_M[int(random.integers(len(STORED_M)))]
+            length, width, low, high = GOODS_M[int(random.integers(len(GOODS_M)))]
             top = float(random.uniform(low, high))
             taken = shapely.union_all([g for g, _ in placed])
-            found = _put(floor.difference(taken.buffer(0.1)), floor.bounds, (length, width), heading_deg, random)
+            found = _place_one(floor.difference(taken.buffer(0.1)), floor.bounds, (length, width), heading_deg, random)
             placed += [(found, top)] if found is not None else []
     return placed
 
 
-def _put(
+def _place_one(
     free: BaseGeometry, bounds: tuple[float, ...], size_m: tuple[float, float], heading_deg: float,
     random: np.random.Generator,
 ) -> Polygon | None:  # fmt: skip
     shape = shapely.box(-0.5 * size_m[0], -0.5 * size_m[1], 0.5 * size_m[0], 0.5 * size_m[1])
     for _ in range(TRIES):
         x, y = random.uniform(bounds[:2], bounds[2:])
-        moved = translate(rotate(shape, heading_deg + random.uniform(-5.0, 5.0)), x, y)
-        if free.covers(moved):
-            return Polygon(moved.exterior)
+        transformed = translate(rotate(shape, heading_deg + random.uniform(-5.0, 5.0)), x, y)
+        if free.covers(transformed):
+            return Polygon(transformed.exterior)
     return None
 
 

@@ -15,7 +15,7 @@ from shapely import Polygon
 from configs.site import Site
 from configs.strict import Config
 from messages.message import Float64
-from simulation.kernels import height_at, heights_at, stand
+from simulation.kernels import height_at, heights_at, pose_on_ground
 from simulation.randomness import generator
 
 
@@ -28,9 +28,9 @@ class TerrainConfig(Config):
     side_length_m: float = Field(gt=20.0, le=2000.0)
     flat_m: float = Field(ge=0.0, le=100.0, description="half width of the flat about the yard, along and across")
     blend_m: float = Field(gt=0.0, le=100.0, description="from the level of shed and yard to the ground")
-    wave_m: float = Field(ge=0.0, le=0.2, description="height of each wave")
+    wave_amplitude_m: float = Field(ge=0.0, le=0.2, description="height of each wave")
     wave_length_m: tuple[float, float]
-    waves: int = Field(ge=0, le=20)
+    wave_count: int = Field(ge=0, le=20)
     furrow_depth_m: float = Field(ge=0.0, le=0.2)
     furrow_spacing_m: float = Field(gt=0.2, le=5.0)
 
@@ -63,9 +63,9 @@ class Terrain:
         """Heights of the smooth ground at (N, 2)."""
         return heights_at(np.ascontiguousarray(xy_m, np.float64), self._profile, self._waves)
 
-    def stand(self, x_m: float, y_m: float, yaw_rad: float, wheelbase_m: float, track_m: float) -> Float64:
+    def pose_on_ground(self, x_m: float, y_m: float, yaw_rad: float, wheelbase_m: float, track_m: float) -> Float64:
         """Pose of base with both rear wheels and the middle of the front axle (which swings) on the ground, (4, 4)."""
-        return stand(x_m, y_m, yaw_rad, wheelbase_m, track_m, self._profile, self._waves)
+        return pose_on_ground(x_m, y_m, yaw_rad, wheelbase_m, track_m, self._profile, self._waves)
 
     def furrows_m(self, xy_m: Float64) -> Float64:
         """Height of the furrows, which run along the longest edge, at (N, 2)."""
@@ -83,8 +83,8 @@ def longest_edge_rad(outline_m: tuple[tuple[float, float], ...]) -> float:
 
 def draw_waves(config: TerrainConfig, random: np.random.Generator) -> Float64:
     """Amplitude, wave vector and phase of each wave, (N, 4)."""
-    length = random.uniform(*config.wave_length_m, config.waves)
-    direction, phase = random.uniform(0.0, 2.0 * math.pi, (2, config.waves))
+    length = random.uniform(*config.wave_length_m, config.wave_count)
+    direction, phase = random.uniform(0.0, 2.0 * math.pi, (2, config.wave_count))
     k = 2.0 * math.pi / length
-    amplitude = np.full(config.waves, config.wave_m)
+    amplitude = np.full(config.wave_count, config.wave_amplitude_m)
     return np.column_stack([amplitude, k * np.cos(direction), k * np.sin(direction), phase])

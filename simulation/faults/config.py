@@ -29,16 +29,16 @@ class FaultKind(StrEnum):
     FULL = "full"  # the disk
 
 
-MEASURED = tuple(FaultKind)[:11]
-OF_NODES = (FaultKind.RAISES, FaultKind.HANGS)
-OF_WHOLE = {"clock": (FaultKind.AHEAD, FaultKind.BEHIND), "log": (FaultKind.FULL,)}
+SENSOR_FAULTS = tuple(FaultKind)[:11]
+NODE_FAULTS = (FaultKind.RAISES, FaultKind.HANGS)
+SYSTEM_FAULTS = {"clock": (FaultKind.AHEAD, FaultKind.BEHIND), "log": (FaultKind.FULL,)}
 
 
-def kinds_of(topic: str) -> tuple[FaultKind, ...]:
+def fault_kinds_of(topic: str) -> tuple[FaultKind, ...]:
     """The faults that a topic can have."""
-    if topic in OF_WHOLE:
-        return OF_WHOLE[topic]
-    return OF_NODES if topic.startswith("node/") else MEASURED
+    if topic in SYSTEM_FAULTS:
+        return SYSTEM_FAULTS[topic]
+    return NODE_FAULTS if topic.startswith("node/") else SENSOR_FAULTS
 
 
 class InjectedFault(Config):
@@ -51,7 +51,7 @@ class InjectedFault(Config):
 
     @model_validator(mode="after")
     def _fits(self) -> "InjectedFault":
-        if self.kind not in (known := kinds_of(self.topic)):
+        if self.kind not in (known := fault_kinds_of(self.topic)):
             raise ValueError(f"{self.topic!r} cannot be {self.kind.value!r}; it can be {', '.join(known)}")
         return self
 
@@ -74,16 +74,16 @@ class FieldErrors(Config):
 class CampaignConfig(Config):
     """What the campaign watches, and what it expects of the stack."""
 
-    window_s: float = Field(gt=0.0, le=120.0)
-    standing_s: float = Field(gt=0.0, le=10.0)
-    largest_error_m: float = Field(gt=0.0, le=5.0)
-    needed: tuple[str, ...]
-    silent_kinds: frozenset[FaultKind]
-    spare: tuple[str, ...]
-    missed: tuple[str, ...]
-    uncounted: frozenset[str]
-    bridged: dict[str, Annotated[float, Field(gt=0.0, le=120.0)]]
-    names: dict[str, tuple[str, ...]]
+    observation_s: float = Field(gt=0.0, le=120.0)
+    standstill_s: float = Field(gt=0.0, le=10.0)
+    max_path_error_m: float = Field(gt=0.0, le=5.0)
+    stop_required: tuple[str, ...]
+    detectable_kinds: frozenset[FaultKind]
+    redundant_nodes: tuple[str, ...]
+    report_required: tuple[str, ...]
+    without_counter: frozenset[str]
+    min_bridging_s: dict[str, Annotated[float, Field(gt=0.0, le=120.0)]]
+    reported_as: dict[str, tuple[str, ...]]
 
 
 class FaultsConfig(Config):

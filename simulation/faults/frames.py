@@ -9,21 +9,21 @@ from cantools.database.can import Database, Message
 
 from messages.errors import ConfigError
 from simulation.faults.config import FaultKind, FieldErrors
-from simulation.faults.injection import Injection
-from simulation.faults.stream import Stream
+from simulation.faults.injection import FaultInjection
+from simulation.faults.stream import FaultStream
 from simulation.machine.ecu_checks import xbr_checksum
 
 PREFIX = "can/"
 MAX_AGE_NS = 300_000_000  # time-out of speeds and heartbeat (ISO 11783-7)
-GUARDS = ("Counter", "Checksum")
+GUARD_SIGNALS = ("Counter", "Checksum")
 
 
 class FaultyBus:
     """What the gateway needs of a bus, in front of the real one: frames of a broken device come changed, or not."""
 
-    def __init__(self, bus: can.BusABC, injection: Injection, database: Database) -> None:
+    def __init__(self, bus: can.BusABC, injection: FaultInjection, database: Database) -> None:
         self._bus, self._injection, self._database = bus, injection, database
-        self._streams: dict[tuple[int, FaultKind], Stream[can.Message]] = {}
+        self._streams: dict[tuple[int, FaultKind], FaultStream[can.Message]] = {}
         self._ready: deque[can.Message] = deque()
         self._later: list[tuple[int, can.Message]] = []
 
@@ -34,19 +34,19 @@ class FaultyBus:
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next frame that has come."""
         while (frame := self._bus.recv(0)) is not None:
-            self._take(frame)
+            self._receive(frame)
         now_ns = self._injection.now_ns
         self._ready.extend(frame for due_ns, frame in self._later if due_ns <= now_ns)
         self._later = [(due_ns, frame) for due_ns, frame in self._later if due_ns > now_ns]
         return self._ready.popleft() if self._ready else None
 
-    def _take(self, frame: can.Message) -> None:
+    def _receive(self, frame: can.Message) -> None:
         try:
             message = self._database.get_message_by_frame_id(frame.arbitration_id)
         except KeyError:
             self._ready.append(frame)
             return
-        kinds = self._injection.kinds(PREFIX + message.name)
+        kinds = self._injection.active_kinds(PREFIX + message.name)
         if not kinds:
             self._ready.append(frame)
             return
@@ -54,22 +54,24 @@ class FaultyBus:
         key = (frame.arbitration_id << 8 | group, kinds[0])
         if key not in self._streams:
             self._streams[key] = self._stream(message, kinds[0])
-        self._later += self._streams[key].pass_on(self._injection.now_ns, frame)
+        self._later += self._streams[key].apply(self._injection.now_ns, frame)
 
-    def _stream(self, message: Message, kind: FaultKind) -> Stream[can.Message]:
+    def _stream(self, message: Message, kind: FaultKind) -> FaultStream[can.Message]:
         errors = self._injection.config.frames.get(message.name)
         if errors is None:
             raise ConfigError(f"faults.yaml: frames has no {message.name!r}")
         random = self._injection.generator(f"{PREFIX}{message.name}")
-        return Stream(
+        return FaultStream(
             kind,
             MAX_AGE_NS,
-            lambda last, new: with_data(new, sealed(message, _counted(message, bytes(last.data), bytes(new.data)))),
-            lambda k, frame: with_data(frame, distorted(k, message, bytes(frame.data), errors, random)),
+            lambda last, new: with_data(
+                new, with_checksum(message, _with_counter(message, bytes(last.data), bytes(new.data)))
+            ),
+            lambda k, frame: with_data(frame, corrupt(k, message, bytes(frame.data), errors, random)),
         )
 
 
-def distorted(
+def corrupt(
     kind: FaultKind, message: Message, data: bytes, errors: dict[str, FieldErrors], random: np.random.Generator
 ) -> bytes:
     """The frame with its signals broken, sealed as the device would; garbage is garbage."""
@@ -89,19 +91,19 @@ def distorted(
         wrong = value * errors[name].factor if kind is FaultKind.WRONG_UNIT else wrong
         highest = (0xFB << (signal.length - 8)) - 1 if signal.length >= 8 else ones
         raw[name] = int(np.clip(round((wrong - offset) / factor), 0, highest))
-    return sealed(message, message.encode(raw, scaling=False, padding=True, strict=False))
+    return with_checksum(message, message.encode(raw, scaling=False, padding=True, strict=False))
 
 
-def sealed(message: Message, data: bytes) -> bytes:
+def with_checksum(message: Message, data: bytes) -> bytes:
     """The frame with the checksum that its content asks for, where it has one."""
-    if GUARDS[1] not in {signal.name for signal in message.signals}:
+    if GUARD_SIGNALS[1] not in {signal.name for signal in message.signals}:
         return data
     return data[:7] + bytes([data[7] & 0x0F | xbr_checksum(message.frame_id, data) << 4])
 
 
-def _counted(message: Message, last: bytes, new: bytes) -> bytes:
+def _with_counter(message: Message, last: bytes, new: bytes) -> bytes:
     """The content of `last` with the counter of `new`, where there is one."""
-    has_counter = GUARDS[0] in {signal.name for signal in message.signals}
+    has_counter = GUARD_SIGNALS[0] in {signal.name for signal in message.signals}
     return last[:7] + new[7:] if has_counter else last
 
 

@@ -9,16 +9,16 @@ from messages.message import Envelope, Message
 from messages.node import Output
 from messages.topics import spec_of
 from simulation import randomness
-from simulation.faults.config import OF_WHOLE, FaultKind, FaultsConfig, InjectedFault
-from simulation.faults.measurement import distorted, renewed
-from simulation.faults.stream import STREAM_KINDS, Stream
+from simulation.faults.config import SYSTEM_FAULTS, FaultKind, FaultsConfig, InjectedFault
+from simulation.faults.measurement import corrupt, with_stamp_of
+from simulation.faults.stream import STREAM_KINDS, FaultStream
 
 HOUR_NS = 3_600_000_000_000
-OF_DEVICES = ("can/", "node/")
+NOT_TOPICS = ("can/", "node/")
 MAX_AGE_NS = 1_000_000_000  # of topics that are sent on event
 
 
-class Injection:
+class FaultInjection:
     """Changes what broken devices send; `now_ns` is the time of the last message that passed.
 
     As a sink it is the disk that may be full.
@@ -28,15 +28,15 @@ class Injection:
         self.now_ns = self._start_ns = start_ns
         self.config, self._seed = config, seed
         self._faults: list[InjectedFault] = []
-        self._streams: dict[tuple[str, FaultKind], Stream[Message]] = {}
+        self._streams: dict[tuple[str, FaultKind], FaultStream[Message]] = {}
         self._later: list[tuple[int, int, Output]] = []
         self._held = 0
         for fault in faults:
-            self.plant(fault)
+            self.add_fault(fault)
 
-    def plant(self, fault: InjectedFault) -> None:
+    def add_fault(self, fault: InjectedFault) -> None:
         """Add a fault; raises ConfigError for a kind of topic that there is not, or whose fields nobody described."""
-        if fault.topic not in OF_WHOLE and not fault.topic.startswith(OF_DEVICES):
+        if fault.topic not in SYSTEM_FAULTS and not fault.topic.startswith(NOT_TOPICS):
             spec_of(fault.topic)
             if fault.topic.partition("/")[0] not in self.config.messages and fault.kind not in STREAM_KINDS:
                 raise ConfigError(
@@ -44,19 +44,19 @@ class Injection:
                 )
         self._faults.append(fault)
 
-    def refuse_unknown(self, topics: Iterable[str]) -> None:
+    def check_topics(self, topics: Iterable[str]) -> None:
         """Raise ConfigError when a fault is on a topic that nobody writes."""
-        known = {*topics, *OF_WHOLE}
+        known = {*topics, *SYSTEM_FAULTS}
         for fault in self._faults:
-            if fault.topic not in known and not fault.topic.startswith(OF_DEVICES):
+            if fault.topic not in known and not fault.topic.startswith(NOT_TOPICS):
                 raise ConfigError(f"fault on {fault.topic!r}: there are {', '.join(sorted(known))}")
 
     def __call__(self, envelope: Envelope) -> None:
         """Raise LogError while the disk is full."""
-        if self._faults and self.kinds("log"):
+        if self._faults and self.active_kinds("log"):
             raise LogError("the disk is full (planted)")
 
-    def kinds(self, topic: str) -> list[FaultKind]:
+    def active_kinds(self, topic: str) -> list[FaultKind]:
         """How a topic is broken now."""
         elapsed_ns = self.now_ns - self._start_ns
         return [fault.kind for fault in self._faults if fault.topic == topic and fault.is_on(elapsed_ns)]
@@ -82,16 +82,16 @@ class Injection:
         self._later = [held for held in self._later if held[0] > now_ns]
         return [output for _, _, output in come]
 
-    def pass_on(self, now_ns: int, outputs: list[Output]) -> list[Output]:
+    def apply(self, now_ns: int, outputs: list[Output]) -> list[Output]:
         """What comes now of what was sent now."""
         self.now_ns = now_ns
         if not self._faults:
             return outputs
         come: list[Output] = []
         for topic, message in outputs:
-            kinds = self.kinds(topic)
+            kinds = self.active_kinds(topic)
             for due_ns, changed in (
-                self._stream(topic, kinds[0]).pass_on(now_ns, message) if kinds else [(now_ns, message)]
+                self._stream(topic, kinds[0]).apply(now_ns, message) if kinds else [(now_ns, message)]
             ):
                 if due_ns <= now_ns:
                     come.append((topic, changed))
@@ -100,12 +100,12 @@ class Injection:
                     self._later.append((due_ns, self._held, (topic, changed)))
         return come
 
-    def _stream(self, topic: str, kind: FaultKind) -> Stream[Message]:
+    def _stream(self, topic: str, kind: FaultKind) -> FaultStream[Message]:
         if (topic, kind) not in self._streams:
             row, random = spec_of(topic), self.generator(topic)
             errors = self.config.messages.get(topic.partition("/")[0], {})
             max_age_ns = round(row.max_age_s * 1e9) if np.isfinite(row.max_age_s) else MAX_AGE_NS
-            self._streams[topic, kind] = Stream(
-                kind, max_age_ns, renewed, lambda k, message: distorted(k, message, errors, random)
+            self._streams[topic, kind] = FaultStream(
+                kind, max_age_ns, with_stamp_of, lambda k, message: corrupt(k, message, errors, random)
             )
         return self._streams[topic, kind]

@@ -12,12 +12,12 @@ from simulation.faults.config import FaultKind, FieldErrors
 Array = np.ndarray[Any, np.dtype[Any]]
 
 
-def renewed(last: Message, new: Message) -> Message:
+def with_stamp_of(last: Message, new: Message) -> Message:
     """The content of `last` under the stamp of `new`."""
     return replace(last, stamp_ns=new.stamp_ns)
 
 
-def distorted(
+def corrupt(
     kind: FaultKind, message: Message, errors: Mapping[str, FieldErrors], random: np.random.Generator
 ) -> Message:
     """The message with the given fields broken."""
@@ -25,13 +25,13 @@ def distorted(
     for name, error in errors.items():
         value = getattr(message, name)
         if isinstance(value, np.ndarray):
-            changes[name] = broken(kind, value, error, random)
+            changes[name] = corrupt_values(kind, value, error, random)
         else:
-            changes[name] = float(broken(kind, np.array([value], np.float64), error, random)[0])
+            changes[name] = float(corrupt_values(kind, np.array([value], np.float64), error, random)[0])
     return replace(message, **changes)
 
 
-def broken(kind: FaultKind, values: Array, error: FieldErrors, random: np.random.Generator) -> Array:
+def corrupt_values(kind: FaultKind, values: Array, error: FieldErrors, random: np.random.Generator) -> Array:
     """Values of any type, broken; whole numbers stay within theirs, and 0 (no return) stays 0."""
     if kind is FaultKind.GARBAGE:
         return np.frombuffer(random.bytes(values.nbytes), values.dtype).reshape(values.shape).copy()

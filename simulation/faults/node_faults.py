@@ -5,30 +5,30 @@ from dataclasses import replace
 
 from messages.node import Inbox, Node, Output, World
 from simulation.faults.config import FaultKind
-from simulation.faults.injection import Injection
+from simulation.faults.injection import FaultInjection
 
 
 class FaultyNode(Node):
     """A node that raises or hangs once that fault holds, and from then on for ever."""
 
-    def __init__(self, node: Node, injection: Injection) -> None:
+    def __init__(self, node: Node, injection: FaultInjection) -> None:
         self.name, self.reads, self.writes, self.runs = node.name, node.reads, node.writes, node.runs
         self._node, self._injection = node, injection
         self._is_hanging = False
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """The node's own step while it is whole."""
-        kinds = self._injection.kinds(f"node/{self.name}")
-        if FaultKind.RAISES in kinds:
+        active_kinds = self._injection.active_kinds(f"node/{self.name}")
+        if FaultKind.RAISES in active_kinds:
             raise RuntimeError("planted")
-        self._is_hanging = self._is_hanging or FaultKind.HANGS in kinds
+        self._is_hanging = self._is_hanging or FaultKind.HANGS in active_kinds
         return [] if self._is_hanging else self._node.step(now_ns, inbox)
 
 
 class SteppingClock(World):
     """A world whose clock, and with it every stamp, is ahead or behind while that fault holds."""
 
-    def __init__(self, world: World, injection: Injection) -> None:
+    def __init__(self, world: World, injection: FaultInjection) -> None:
         self.writes = world.writes
         self._world, self._injection = world, injection
 

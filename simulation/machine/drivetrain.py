@@ -17,11 +17,11 @@ class DriveConfig(Config):
     gain_per_s: float = Field(gt=0.0, le=20.0)
     integral_per_s2: float = Field(ge=0.0, le=20.0)
     lag_s: float = Field(ge=0.0, le=5.0)
-    slowing_mps2: float = Field(gt=0.0, le=5.0, description="how fast the loop lowers its speed")
+    max_set_point_decrease_mps2: float = Field(gt=0.0, le=5.0, description="how fast the loop lowers its speed")
     max_traction_mps2: float = Field(gt=0.0, le=10.0)
-    holding_mps2: float = Field(ge=0.0, le=10.0, description="what the drive holds at standstill")
-    rolling_mps2: float = Field(ge=0.0, le=2.0)
-    slip_per_pull: float = Field(ge=0.0, le=1.0, description="slip over traction in units of weight")
+    standstill_hold_mps2: float = Field(ge=0.0, le=10.0, description="what the drive holds at standstill")
+    rolling_resistance_mps2: float = Field(ge=0.0, le=2.0)
+    slip_per_traction: float = Field(ge=0.0, le=1.0, description="slip over traction in units of weight")
     max_slip: float = Field(ge=0.0, le=0.5)
     park_brake_mps2: float = Field(gt=0.0, le=10.0)
     park_brake_s: float = Field(ge=0.0, le=5.0, description="time to set or release")
@@ -38,25 +38,29 @@ class Drive:
 
     def step(self, set_point_mps: float, wheel_speed_mps: float, is_enabled: bool) -> float:
         """Traction for the next time step as an acceleration; a disabled drive neither pulls nor holds."""
-        wanted = self._loop(set_point_mps, wheel_speed_mps) if is_enabled else self._release(wheel_speed_mps)
-        self.traction_mps2 = follow_lag(self.traction_mps2, wanted, self._config.lag_s, self._dt_s)
+        requested = self._control(set_point_mps, wheel_speed_mps) if is_enabled else self._release(wheel_speed_mps)
+        self.traction_mps2 = follow_lag(self.traction_mps2, requested, self._config.lag_s, self._dt_s)
         return self.traction_mps2
 
     def _release(self, wheel_speed_mps: float) -> float:
         self._reference_mps, self._integral_mps2 = wheel_speed_mps, 0.0
         return 0.0
 
-    def _loop(self, set_point_mps: float, wheel_speed_mps: float) -> float:
+    def _control(self, set_point_mps: float, wheel_speed_mps: float) -> float:
         change = ramp(
-            self._reference_mps, set_point_mps, self._acceleration_mps2, self._config.slowing_mps2, self._dt_s
+            self._reference_mps,
+            set_point_mps,
+            self._acceleration_mps2,
+            self._config.max_set_point_decrease_mps2,
+            self._dt_s,
         )
         self._reference_mps += change
         error = self._reference_mps - wheel_speed_mps
-        wanted = change / self._dt_s + self._config.gain_per_s * error + self._integral_mps2
+        requested = change / self._dt_s + self._config.gain_per_s * error + self._integral_mps2
         limit = self._config.max_traction_mps2
-        if abs(wanted) < limit or wanted * error < 0.0:  # no wind-up against the limit
+        if abs(requested) < limit or requested * error < 0.0:  # no wind-up against the limit
             self._integral_mps2 += self._config.integral_per_s2 * error * self._dt_s
-        return clamp(wanted, -limit, limit)
+        return clamp(requested, -limit, limit)
 
 
 def ramp(value: float, target: float, up_per_s: float, down_per_s: float, dt_s: float) -> float:
@@ -74,9 +78,9 @@ class BrakeSystem:
         self._brake, self._dt_s = brake, dt_s
         self._delay = DelayLine(brake.dead_time_s, dt_s)
 
-    def step(self, wanted_mps2: float) -> float:
+    def step(self, requested_mps2: float) -> float:
         """Deceleration by the brakes for the next time step."""
-        target = clamp(self._delay.step(wanted_mps2), 0.0, self._brake.deceleration_mps2)
+        target = clamp(self._delay.step(requested_mps2), 0.0, self._brake.deceleration_mps2)
         step = self._brake.deceleration_mps2 * self._dt_s / max(self._brake.build_up_s, self._dt_s)
         self.deceleration_mps2 += clamp(target - self.deceleration_mps2, -step, step)
         return self.deceleration_mps2

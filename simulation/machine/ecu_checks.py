@@ -1,7 +1,7 @@
 """What the tractor's ECU checks in every frame before it obeys: checksum, counter, heartbeat, time-outs, stop-all."""
 
 HEARTBEAT_START, HEARTBEAT_LAST = 251, 250
-GOOD_TO_RECOVER = 8
+RECOVERY_COUNT = 8
 
 
 def xbr_checksum(identifier: int, data: bytes) -> int:
@@ -50,7 +50,7 @@ class Heartbeat:
     def __init__(self, timeout_s: float) -> None:
         self._deadline = Deadline(timeout_s)
         self._last: int | None = None
-        self._good_in_row = GOOD_TO_RECOVER
+        self._good_in_row = RECOVERY_COUNT
 
     def receive(self, now_ns: int, sequence: int) -> None:
         """Take the newest sequence number."""
@@ -62,7 +62,7 @@ class Heartbeat:
 
     def is_good(self, now_ns: int) -> bool:
         """Whether the gateway lives and has been right for long enough."""
-        return self._last is not None and self._good_in_row >= GOOD_TO_RECOVER and self._deadline.is_met(now_ns)
+        return self._last is not None and self._good_in_row >= RECOVERY_COUNT and self._deadline.is_met(now_ns)
 
 
 def is_sequence_good(last: int | None, sequence: int) -> bool:

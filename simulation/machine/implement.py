@@ -19,8 +19,8 @@ class ImplementConfig(Config):
     """How the implement loads the machine, and the power take-off."""
 
     draft_n_per_m: float = Field(ge=0.0, le=20000.0, description="force by working width")
-    draft_variation: float = Field(ge=0.0, le=1.0, description="sigma, as a share")
-    draft_time_s: float = Field(gt=0.0, le=60.0, description="how long soil stays alike")
+    draft_sigma: float = Field(ge=0.0, le=1.0, description="sigma, as a share")
+    draft_correlation_s: float = Field(gt=0.0, le=60.0, description="how long soil stays alike")
     pto_rpm: float = Field(gt=0.0, le=2000.0)
     pto_lag_s: float = Field(ge=0.0, le=10.0)
 
@@ -48,23 +48,23 @@ class AttachedImplement:
     def step(self, hitch_target: float | None, is_pto_on: bool) -> None:
         """Move hitch and shaft for one time step; None holds the hitch."""
         if hitch_target is not None:
-            self.hitch = move_hitch(self.hitch, hitch_target, self.implement.lift_s, self.implement.lower_s, self._dt_s)
+            self.hitch = step_hitch(self.hitch, hitch_target, self.implement.lift_s, self.implement.lower_s, self._dt_s)
         target = self._config.pto_rpm * RADPS_PER_RPM if is_pto_on and self.implement.uses_pto else 0.0
         self.pto_radps = follow_lag(self.pto_radps, target, self._config.pto_lag_s, self._dt_s)
-        share = math.exp(-self._dt_s / self._config.draft_time_s)
-        white = float(self._random.standard_normal()) * self._config.draft_variation
+        share = math.exp(-self._dt_s / self._config.draft_correlation_s)
+        white = float(self._random.standard_normal()) * self._config.draft_sigma
         self._draft_change = share * self._draft_change + math.sqrt(1.0 - share * share) * white
 
-    def turn_wings(self, is_folded: bool) -> None:
+    def step_fold(self, is_folded: bool) -> None:
         """Fold or unfold for one time step, unless it cannot be or is not raised."""
         if isinstance(self.implement, MountedImplement) and self.implement.fold and self.hitch > RAISED_ABOVE:
             change = self._dt_s / max(self.implement.fold.duration_s, self._dt_s)
             self.fold += clamp(float(is_folded) - self.fold, -change, change)
 
     @property
-    def present(self) -> MountedImplement | TrailedImplement:
+    def current(self) -> MountedImplement | TrailedImplement:
         """The implement as wide as it is now."""
-        return folded_to(self.implement, self.fold)
+        return at_fold(self.implement, self.fold)
 
     def draft_n(self) -> float:
         """Force against the motion."""
@@ -87,7 +87,7 @@ def can_fold(implement: MountedImplement | TrailedImplement) -> bool:
     return isinstance(implement, MountedImplement) and implement.fold is not None
 
 
-def folded_to(implement: MountedImplement | TrailedImplement, fold: float) -> MountedImplement | TrailedImplement:
+def at_fold(implement: MountedImplement | TrailedImplement, fold: float) -> MountedImplement | TrailedImplement:
     """The implement with its width between working (0) and transport (1)."""
     if fold <= 0.0 or implement.folded is implement:
         return implement
@@ -95,7 +95,7 @@ def folded_to(implement: MountedImplement | TrailedImplement, fold: float) -> Mo
     return implement.model_copy(update={"width_m": width_m})
 
 
-def move_hitch(hitch: float, target: float, lift_s: float, lower_s: float, dt_s: float) -> float:
+def step_hitch(hitch: float, target: float, lift_s: float, lower_s: float, dt_s: float) -> float:
     """The hitch after a time step: the whole way takes `lift_s` up and `lower_s` down."""
     return hitch + clamp(target - hitch, -dt_s / lower_s, dt_s / lift_s)
 

@@ -21,10 +21,10 @@ class TyreConfig(Config):
 
     front_stiffness: float = Field(gt=0.5, le=50.0)
     rear_stiffness: float = Field(gt=0.5, le=50.0)
-    relaxation_m: float = Field(gt=0.0, le=5.0)
-    soil_side_mps2: float = Field(ge=0.0, le=2.0, description="sigma of sideways soil force while working")
-    soil_time_s: float = Field(gt=0.0, le=60.0)
-    angle_zero_deg: float = Field(ge=0.0, le=5.0, description="largest constant error of the angle sensor")
+    relaxation_length_m: float = Field(gt=0.0, le=5.0)
+    soil_lateral_sigma_mps2: float = Field(ge=0.0, le=2.0, description="sigma of sideways soil force while working")
+    soil_correlation_s: float = Field(gt=0.0, le=60.0)
+    max_angle_offset_deg: float = Field(ge=0.0, le=5.0, description="largest constant error of the angle sensor")
 
 
 class MachineConfig(Config):
@@ -37,7 +37,7 @@ class MachineConfig(Config):
 
 
 @dataclass(frozen=True)
-class Command:
+class ActuatorCommand:
     """What the ECUs ask of the actuators; None releases the steering or holds hitch or fold; `speed_mps` is signed."""
 
     steering_angle_rad: float | None = None
@@ -61,7 +61,7 @@ class Machine:
         self.speed_mps = self.acceleration_mps2 = self.lateral_mps = self.yaw_rate_radps = 0.0
         self.wheel_speed_mps = self.wheel_distance_m = 0.0
         self.park_brake = 1.0
-        self.angle_zero_rad = math.radians(random.uniform(-1.0, 1.0) * config.tyres.angle_zero_deg)
+        self.angle_offset_rad = math.radians(random.uniform(-1.0, 1.0) * config.tyres.max_angle_offset_deg)
         self.wheelbase_m = vehicle.drivetrain.wheelbase_m
         self.steering = Steering(vehicle.steering, vehicle.drivetrain, config.steering, dt_s)
         self.drive = Drive(config.drive, vehicle.acceleration_mps2, dt_s)
@@ -69,50 +69,54 @@ class Machine:
         self.attached = AttachedImplement(implement, config.implement, self.yaw_rad, is_folded, dt_s, random)
         self._vehicle, self._terrain, self._config, self._dt_s, self._random = vehicle, terrain, config, dt_s, random
         self._slip_front_rad = self._slip_rear_rad = self._soil_mps2 = 0.0
-        self.T_map_base = self._stand()
+        self.T_map_base = self._ground_pose()
 
     @property
     def measured_angle_rad(self) -> float:
         """The front-wheel angle as its sensor has it, before noise."""
-        return self.steering.angle_rad + self.angle_zero_rad
+        return self.steering.angle_rad + self.angle_offset_rad
 
-    def step(self, command: Command) -> None:
+    def step(self, command: ActuatorCommand) -> None:
         """One time step."""
         self.steering.step(command.steering_angle_rad, self.measured_angle_rad)
         self.attached.step(command.hitch, command.is_pto_on)
         if self.speed_mps == 0.0 and command.is_folded is not None:
-            self.attached.turn_wings(command.is_folded)
+            self.attached.step_fold(command.is_folded)
         self._step_speed(command)
         self._step_sideways()
         self._step_pose()
 
-    def _step_speed(self, command: Command) -> None:
+    def _step_speed(self, command: ActuatorCommand) -> None:
         drive, before = self._config.drive, self.speed_mps
         is_driven = command.is_drive_enabled and command.brake_mps2 <= 0.0
         traction = self.drive.step(command.speed_mps, self.wheel_speed_mps, is_driven)
         change = self._dt_s / max(drive.park_brake_s, self._dt_s)
         self.park_brake += clamp(float(command.is_park_brake_set) - self.park_brake, -change, change)
-        friction = drive.rolling_mps2 + self.brakes.step(command.brake_mps2) + self.park_brake * drive.park_brake_mps2
+        friction = (
+            drive.rolling_resistance_mps2
+            + self.brakes.step(command.brake_mps2)
+            + self.park_brake * drive.park_brake_mps2
+        )
         friction += self.attached.draft_n() / self._vehicle.body.mass_kg
         if is_driven and command.speed_mps == 0.0 and abs(before) < 0.05:
-            friction += drive.holding_mps2
+            friction += drive.standstill_hold_mps2
         downhill = -GRAVITY_MPS2 * float(self.T_map_base[2, 0])
         self.speed_mps = advance_speed(before, traction + downhill, friction, self._dt_s)
         self.acceleration_mps2 = (self.speed_mps - before) / self._dt_s
         braking = math.copysign(self.brakes.deceleration_mps2, before)
-        slip = clamp(drive.slip_per_pull * (traction - braking) / GRAVITY_MPS2, -drive.max_slip, drive.max_slip)
+        slip = clamp(drive.slip_per_traction * (traction - braking) / GRAVITY_MPS2, -drive.max_slip, drive.max_slip)
         self.wheel_speed_mps = self.speed_mps * (1.0 + math.copysign(1.0, before) * slip)
         self.wheel_distance_m += abs(self.wheel_speed_mps) * self._dt_s
 
     def _step_sideways(self) -> None:
         tyres, dt = self._config.tyres, self._dt_s
-        share = math.exp(-dt / tyres.soil_time_s)
-        white = float(self._random.standard_normal()) * tyres.soil_side_mps2
+        share = math.exp(-dt / tyres.soil_correlation_s)
+        white = float(self._random.standard_normal()) * tyres.soil_lateral_sigma_mps2
         self._soil_mps2 = share * self._soil_mps2 + math.sqrt(1.0 - share * share) * white
         soil = self._soil_mps2 if self.attached.is_working else 0.0
         # the tyres hold against the turn and the side slope (left side high: gravity pulls to the right)
         side = self.speed_mps * self.yaw_rate_radps + GRAVITY_MPS2 * float(self.T_map_base[2, 1]) - soil
-        lag = tyres.relaxation_m / max(abs(self.speed_mps), 1e-3)
+        lag = tyres.relaxation_length_m / max(abs(self.speed_mps), 1e-3)
         self._slip_front_rad = follow_lag(self._slip_front_rad, side / (GRAVITY_MPS2 * tyres.front_stiffness), lag, dt)
         self._slip_rear_rad = follow_lag(self._slip_rear_rad, side / (GRAVITY_MPS2 * tyres.rear_stiffness), lag, dt)
         travel = 1.0 if self.speed_mps >= 0.0 else -1.0
@@ -129,8 +133,10 @@ class Machine:
         self.y_m += ahead * math.sin(yaw) + aside * math.cos(yaw)
         self.yaw_rad += self.yaw_rate_radps * self._dt_s
         self.attached.follow(self.yaw_rad, self.speed_mps, self.lateral_mps, self.yaw_rate_radps)
-        self.T_map_base = self._stand()
+        self.T_map_base = self._ground_pose()
 
-    def _stand(self) -> Float64:
+    def _ground_pose(self) -> Float64:
         drivetrain = self._vehicle.drivetrain
-        return self._terrain.stand(self.x_m, self.y_m, self.yaw_rad, drivetrain.wheelbase_m, drivetrain.track_m)
+        return self._terrain.pose_on_ground(
+            self.x_m, self.y_m, self.yaw_rad, drivetrain.wheelbase_m, drivetrain.track_m
+        )

@@ -8,7 +8,7 @@ from messages.message import Float64
 from simulation.kernels import blend_poses
 
 
-class Track:
+class PoseBuffer:
     """Poses of base at a fixed step, newest last."""
 
     def __init__(self, step_ns: int, keep_s: float) -> None:
@@ -20,11 +20,11 @@ class Track:
         T_map_base.flags.writeable = False
         self._poses.extend([T_map_base] * (1 if self._poses else self._poses.maxlen or 1))
 
-    def back(self, steps: int) -> Float64:
+    def steps_ago(self, steps: int) -> Float64:
         """The pose `steps` before the last, (4, 4)."""
         return self._poses[-1 - steps]
 
-    def before(self, ago_s: Float64) -> Float64:
+    def interpolate(self, ago_s: Float64) -> Float64:
         """Poses (N, 4, 4) some time before the last, within what is kept.
 
         Matrices are blended: over one step of 5 ms at 0.6 rad/s a rotation is off by less than 2e-6.

@@ -64,10 +64,10 @@ class Steering:
         self._rate_radps = 0.0
         self._drive_rad = 0.0
 
-    def step(self, wanted_rad: float | None, measured_rad: float) -> None:
+    def step(self, requested_rad: float | None, measured_rad: float) -> None:
         """Turn for one time step towards the wanted angle as the sensor measures it; None releases the actuator."""
-        wanted_rate = 0.0 if wanted_rad is None else self._loop(wanted_rad - measured_rad)
-        rate = self._flow_rate(self._delay.step(wanted_rate))
+        requested_rate = 0.0 if requested_rad is None else self._control(requested_rad - measured_rad)
+        rate = self._flow_rate(self._delay.step(requested_rate))
         self._rate_radps = follow_lag(self._rate_radps, rate, self._actuator.lag_s, self._dt_s)
         self._drive_rad = clamp(
             self._drive_rad + self._rate_radps * self._dt_s, -self.max_angle_rad, self.max_angle_rad
@@ -75,7 +75,7 @@ class Steering:
         play = math.radians(self._actuator.backlash_deg) if isinstance(self._actuator, ElectricWheel) else 0.0
         self.angle_rad = follow_play(self.angle_rad, self._drive_rad, play)
 
-    def _loop(self, error_rad: float) -> float:
+    def _control(self, error_rad: float) -> float:
         """Wanted rate, as a share of the limit."""
         if abs(error_rad) <= math.radians(self._config.tolerance_deg):
             return 0.0

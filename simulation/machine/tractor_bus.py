@@ -12,7 +12,7 @@ from pydantic import Field
 from configs.strict import CONFIGS, Config
 from messages.errors import ConfigError
 from simulation.machine.ecu_checks import Counter, Deadline, Heartbeat, StopAll, is_checksum_good
-from simulation.machine.machine import Command
+from simulation.machine.machine import ActuatorCommand
 
 CURVATURE_MAX_RAW, SPEED_MAX_RAW, HITCH_MAX_RAW = 64255, 64255, 250  # above: error or not available
 ON = 1
@@ -46,9 +46,9 @@ class TractorBus:
         self._curvature_radpm: float | None = None
         self._speed_mps = self._brake_mps2 = 0.0
         self._hitch: float | None = None
-        self._wants_pto = self._wants_drive = False
-        self._wants_park_brake = True
-        self._wants_folded: bool | None = None
+        self._is_pto_requested = self._is_drive_requested = False
+        self._is_park_brake_requested = True
+        self._fold_request: bool | None = None
         self._guidance = Deadline(config.guidance_timeout_s)
         self._others = [Deadline(config.command_timeout_s) for _ in range(3)]
         self._speed, self._brake, self._auxiliary = self._others
@@ -76,10 +76,10 @@ class TractorBus:
     def receive(self, now_ns: int) -> None:
         """Take all frames that have come."""
         while (frame := self._bus.recv(0)) is not None:
-            if not self._take(now_ns, frame):
+            if not self._process_frame(now_ns, frame):
                 self.rejected_frames += 1
 
-    def _take(self, now_ns: int, frame: can.Message) -> bool:
+    def _process_frame(self, now_ns: int, frame: can.Message) -> bool:
         try:
             message = self._dbc.get_message_by_frame_id(frame.arbitration_id)
             reader = self._readers.get(message.name)
@@ -121,18 +121,18 @@ class TractorBus:
     def _read_auxiliary(self, now_ns: int, raw: dict[str, int]) -> bool:
         if not self._auxiliary_counter.accept(raw["Counter"]):
             return False
-        self._wants_drive = switch(raw["DriveEnable"], self._wants_drive)
-        self._wants_park_brake = switch(raw["ParkBrake"], self._wants_park_brake)
-        self.is_horn_on = switch(raw["Horn"], self.is_horn_on)
-        self.is_beacon_on = switch(raw["Beacon"], self.is_beacon_on)
-        self._wants_folded = raw["Fold"] == ON if raw["Fold"] in (0, ON) else None
+        self._is_drive_requested = decode_switch(raw["DriveEnable"], self._is_drive_requested)
+        self._is_park_brake_requested = decode_switch(raw["ParkBrake"], self._is_park_brake_requested)
+        self.is_horn_on = decode_switch(raw["Horn"], self.is_horn_on)
+        self.is_beacon_on = decode_switch(raw["Beacon"], self.is_beacon_on)
+        self._fold_request = raw["Fold"] == ON if raw["Fold"] in (0, ON) else None
         self._auxiliary.renew(now_ns)
         return True
 
     def _read_implement(self, now_ns: int, raw: dict[str, int]) -> bool:
         if raw["RearHitchPosition"] <= HITCH_MAX_RAW:
             self._hitch = raw["RearHitchPosition"] / HITCH_MAX_RAW
-        self._wants_pto = switch(raw["RearPtoEngage"], self._wants_pto)
+        self._is_pto_requested = decode_switch(raw["RearPtoEngage"], self._is_pto_requested)
         return True
 
     def _read_stop_all(self, now_ns: int, raw: dict[str, int]) -> bool:
@@ -148,37 +148,37 @@ class TractorBus:
         is_steered = self._guidance.is_met(now_ns)
         return is_steered and self._heartbeat.is_good(now_ns) and all(d.is_met(now_ns) for d in self._others)
 
-    def command(self, now_ns: int) -> Command:
+    def command(self, now_ns: int) -> ActuatorCommand:
         """What the actuators shall do now."""
         is_alive = self.is_alive(now_ns)
-        if self._wants_drive and not is_alive:
+        if self._is_drive_requested and not is_alive:
             self.is_safe_state = True
-        elif is_alive and not self._wants_drive:
+        elif is_alive and not self._is_drive_requested:
             self.is_safe_state = False
         self.is_steering_ready = is_alive and not self.is_safe_state
         if self.is_safe_state:
-            return Command(brake_mps2=self._full_brake_mps2, is_park_brake_set=self._wants_park_brake)
-        return self._obey(now_ns)
+            return ActuatorCommand(brake_mps2=self._full_brake_mps2, is_park_brake_set=self._is_park_brake_requested)
+        return self._actuator_command(now_ns)
 
-    def _obey(self, now_ns: int) -> Command:
+    def _actuator_command(self, now_ns: int) -> ActuatorCommand:
         can_work = self._stop_all.is_permitted(now_ns)
-        can_steer = self.is_steering_ready and self._wants_drive and self._curvature_radpm is not None
+        can_steer = self.is_steering_ready and self._is_drive_requested and self._curvature_radpm is not None
         angle = math.atan((self._curvature_radpm or 0.0) * self._wheelbase_m) if can_steer else None
-        return Command(
+        return ActuatorCommand(
             steering_angle_rad=angle,
             speed_mps=self._speed_mps,
-            is_drive_enabled=self._wants_drive,
+            is_drive_enabled=self._is_drive_requested,
             brake_mps2=self._brake_mps2 if self._brake.is_met(now_ns) else 0.0,
-            is_park_brake_set=self._wants_park_brake,
+            is_park_brake_set=self._is_park_brake_requested,
             hitch=self._hitch if can_work else None,
-            is_folded=self._wants_folded if can_work and self._auxiliary.is_met(now_ns) else None,
-            is_pto_on=self._wants_pto and can_work,
+            is_folded=self._fold_request if can_work and self._auxiliary.is_met(now_ns) else None,
+            is_pto_on=self._is_pto_requested and can_work,
         )
 
 
-def switch(raw: int, present: bool) -> bool:
+def decode_switch(raw: int, current: bool) -> bool:
     """A two-bit command: 0 off, 1 on, anything else leaves as is."""
-    return raw == ON if raw in (0, 1) else present
+    return raw == ON if raw in (0, 1) else current
 
 
 @cache

@@ -14,7 +14,7 @@ from simulation.machine.tractor_bus import TractorBus
 SUPPLY_V, SUPPLY_SIGMA_V = 13.8, 0.03
 CLEAR, COMMAND_TIMEOUT = 0, 5  # guidance exit codes
 LIMITED_HIGH, LIMITED_LOW = 2, 3
-AT_END_RAD = 0.01
+END_STOP_RAD = 0.01
 FOLD_EVERY = 5  # of the cab's frames
 TRACTOR_NAME = {  # an agricultural tractor ECU: industry group 2, device class 1, function 134
     "Identity": 1, "Manufacturer": 0x7FF, "EcuInstance": 0, "FunctionInstance": 0, "Function": 134, "DeviceClass": 1,
@@ -22,7 +22,7 @@ TRACTOR_NAME = {  # an agricultural tractor ECU: industry group 2, device class 
 }  # fmt: skip
 
 
-class Frame:
+class StatusFrame:
     """One message of the DBC: what is not given is sent as ones (not available)."""
 
     def __init__(self, message: Message) -> None:
@@ -49,26 +49,30 @@ class TractorStatus:
         self._heartbeat = HEARTBEAT_START
         self._is_claimed = False
         frames: dict[str, Callable[[], list[Mapping[str, int | float]]]] = {
-            "GuidanceMachineStatus": self._guidance, "WheelBasedSpeed": self._wheels, "RearHitchStatus": self._hitch,
-            "RearPtoStatus": self._pto, "CabState": self._cab, "HeartbeatTractor": self._beat,
-        }  # fmt: skip
-        self._frames = [(Frame(database.get_message_by_name(name)), values) for name, values in frames.items()]
-        self._claim = Frame(database.get_message_by_name("AddressClaimedTractor"))
+            "GuidanceMachineStatus": self._guidance_values,
+            "WheelBasedSpeed": self._wheel_values,
+            "RearHitchStatus": self._hitch_values,
+            "RearPtoStatus": self._pto_values,
+            "CabState": self._cab_values,
+            "HeartbeatTractor": self._heartbeat_values,
+        }
+        self._frames = [(StatusFrame(database.get_message_by_name(name)), values) for name, values in frames.items()]
+        self._address_claim = StatusFrame(database.get_message_by_name("AddressClaimedTractor"))
 
     def send(self, elapsed_ns: int) -> None:
         """Send what is due at this time since the start."""
         if not self._is_claimed:
             self._is_claimed = True
-            self._bus.send(self._claim.identifier, self._claim.encode(TRACTOR_NAME))
+            self._bus.send(self._address_claim.identifier, self._address_claim.encode(TRACTOR_NAME))
         for frame, values in self._frames:
             if elapsed_ns % frame.period_ns == 0:
                 for group in values():
                     self._bus.send(frame.identifier, frame.encode(group))
 
-    def _guidance(self) -> list[Mapping[str, int | float]]:
+    def _guidance_values(self) -> list[Mapping[str, int | float]]:
         steering, machine = self._machine.steering, self._machine
         curvature = math.tan(machine.measured_angle_rad) / machine.wheelbase_m
-        is_at_end = abs(steering.angle_rad) > steering.max_angle_rad - AT_END_RAD
+        is_at_end = abs(steering.angle_rad) > steering.max_angle_rad - END_STOP_RAD
         limit = (LIMITED_LOW if curvature > 0.0 else LIMITED_HIGH) if is_at_end else 0
         return [{
             "EstimatedCurvature": -curvature * 1e3, "MechanicalLockout": 0, "LimitStatus": limit,
@@ -76,30 +80,30 @@ class TractorStatus:
             "ExitCode": COMMAND_TIMEOUT if self._bus.is_safe_state else CLEAR, "RemoteEngageSwitch": 1,
         }]  # fmt: skip
 
-    def _wheels(self) -> list[Mapping[str, int | float]]:
+    def _wheel_values(self) -> list[Mapping[str, int | float]]:
         speed, distance = self._machine.wheel_speed_mps, self._machine.wheel_distance_m
         return [{"Speed": abs(speed), "Distance": distance, "Direction": int(speed >= 0.0), "Key": 1, "StartStop": 1}]
 
-    def _hitch(self) -> list[Mapping[str, int | float]]:
+    def _hitch_values(self) -> list[Mapping[str, int | float]]:
         attached = self._machine.attached
         return [{"Position": 100.0 * attached.hitch, "InWork": int(attached.is_working), "Draft": attached.draft_n()}]
 
-    def _pto(self) -> list[Mapping[str, int | float]]:
+    def _pto_values(self) -> list[Mapping[str, int | float]]:
         rpm = self._machine.attached.pto_radps * 30.0 / math.pi
         return [{"Speed": rpm, "Engaged": int(rpm > 20.0), "Mode": 0}]
 
-    def _cab(self) -> list[Mapping[str, int | float]]:
+    def _cab_values(self) -> list[Mapping[str, int | float]]:
         """Nobody is on board: hand torque, angle and rate are what a hand imposes beyond the actuator, so none."""
         supply = SUPPLY_V + SUPPLY_SIGMA_V * float(self._random.standard_normal())
-        hand = {"Group": 1, "HandTorque": 0.0, "HandAngle": 0.0, "HandRate": 0.0}
+        driver = {"Group": 1, "HandTorque": 0.0, "HandAngle": 0.0, "HandRate": 0.0}
         cab = {
             "Group": 2, "BrakePedal": 0.0, "ClutchPedal": 0.0, "SupplyVoltage": supply, "Seat": 0, "EmergencyButton": 0,
             "ParkBrakeState": int(self._machine.park_brake > 0.95), "HornState": int(self._bus.is_horn_on),
             "BeaconState": int(self._bus.is_beacon_on),
         }  # fmt: skip
-        return [{**hand, "Counter": self._count(0)}, {**cab, "Counter": self._count(1)}, *self._fold()]
+        return [{**driver, "Counter": self._count(0)}, {**cab, "Counter": self._count(1)}, *self._fold_values()]
 
-    def _fold(self) -> list[Mapping[str, int | float]]:
+    def _fold_values(self) -> list[Mapping[str, int | float]]:
         """From an implement that folds, each fifth time."""
         self._cab_frames += 1
         attached = self._machine.attached
@@ -107,7 +111,7 @@ class TractorStatus:
             return []
         return [{"Group": 3, "FoldPosition": 100.0 * attached.fold, "Counter": self._count(2)}]
 
-    def _beat(self) -> list[Mapping[str, int | float]]:
+    def _heartbeat_values(self) -> list[Mapping[str, int | float]]:
         sequence = self._heartbeat
         self._heartbeat = 0 if sequence >= HEARTBEAT_LAST else sequence + 1
         return [{"Sequence": sequence}]

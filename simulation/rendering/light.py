@@ -15,10 +15,10 @@ SILHOUETTE = 2048  # columns round the horizon
 class SkyConfig(Config):
     """Bounds from which a day is drawn."""
 
-    sun_deg: tuple[float, float] = Field(description="lowest and highest elevation of the sun")
+    sun_elevation_deg: tuple[float, float] = Field(description="lowest and highest elevation of the sun")
     overcast: tuple[float, float] = Field(description="share of the sun's light that clouds spread over the sky")
-    haze_m: tuple[float, float] = Field(description="way on which haze takes 63 % of the contrast")
-    skyline_deg: tuple[float, float] = Field(description="height of woods and hills far off")
+    haze_length_m: tuple[float, float] = Field(description="way on which haze takes 63 % of the contrast")
+    skyline_elevation_deg: tuple[float, float] = Field(description="height of woods and hills far off")
 
 
 @dataclass(frozen=True)
@@ -29,28 +29,28 @@ class Light:
     the tangent of the height of what stands far off, by azimuth from -pi; `drift` (2,) which clouds are there.
     """
 
-    to_sun: Float64
+    sun_direction: Float64
     sun: Float64
     sky: Float64
     zenith: Float64
     horizon: Float64
-    clouds: float
-    haze_m: float
-    drift: Float64
+    overcast: float
+    haze_length_m: float
+    cloud_offset: Float64
     skyline: Float64
 
     def packed(self) -> Float64:
         """All numbers but the skyline as the shading kernel takes them, (19,)."""
-        parts = [self.to_sun, self.sun, self.sky, self.zenith, self.horizon, [self.clouds, self.haze_m],
-                 self.drift]  # fmt: skip
+        parts = [self.sun_direction, self.sun, self.sky, self.zenith, self.horizon, [self.overcast, self.haze_length_m],
+                 self.cloud_offset]  # fmt: skip
         return np.concatenate([np.asarray(p, np.float64) for p in parts])
 
 
 def draw_light(config: SkyConfig, random: np.random.Generator) -> Light:
     """The light of one day."""
-    azimuth, elevation = random.uniform(-math.pi, math.pi), math.radians(random.uniform(*config.sun_deg))
-    overcast, haze = random.uniform(*config.overcast), random.uniform(*config.haze_m)
-    to_sun = np.array([math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth),
+    azimuth, elevation = random.uniform(-math.pi, math.pi), math.radians(random.uniform(*config.sun_elevation_deg))
+    overcast, haze = random.uniform(*config.overcast), random.uniform(*config.haze_length_m)
+    sun_direction = np.array([math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth),
                        math.sin(elevation)])  # fmt: skip
     # a low sun comes a longer way through the air, which takes the blue first
     air = 1.0 / max(math.sin(elevation), 0.1)
@@ -63,13 +63,13 @@ def draw_light(config: SkyConfig, random: np.random.Generator) -> Light:
     sky = 0.75 * zenith + 0.25 * horizon + overcast * 0.35 * power
     skyline = draw_skyline(config, random)
     sun = direct * (1.0 - overcast)
-    drift = random.uniform(0.0, 512.0, 2)
-    return Light(to_sun, sun, sky, zenith, horizon, overcast, haze, drift, skyline)
+    cloud_offset = random.uniform(0.0, 512.0, 2)
+    return Light(sun_direction, sun, sky, zenith, horizon, overcast, haze, cloud_offset, skyline)
 
 
 def draw_skyline(config: SkyConfig, random: np.random.Generator) -> Float64:
     """Woods with their crowns and gaps, on low hills."""
-    low, high = (math.tan(math.radians(d)) for d in config.skyline_deg)
+    low, high = (math.tan(math.radians(d)) for d in config.skyline_elevation_deg)
     azimuth = np.linspace(0.0, 2.0 * math.pi, SILHOUETTE, endpoint=False)
     hills, woods, crowns = np.zeros(SILHOUETTE), np.zeros(SILHOUETTE), np.zeros(SILHOUETTE)
     for k in range(1, 6):

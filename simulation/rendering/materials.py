@@ -9,17 +9,17 @@ from shapely import LineString, Polygon
 from configs.site import Site
 from messages.message import Float64
 from messages.perception import ObstacleClass
-from simulation.actors.actor_meshes import GAIT_STEPS, REFLECTIVITY, figure_mesh, figure_parts, gait_step
+from simulation.actors.actor_meshes import GAIT_STEPS, REFLECTIVITY, actor_mesh, actor_parts, gait_step
 from simulation.environment.meshes import Mesh
 from simulation.environment.scenery import Piece
 from simulation.randomness import generator
 from simulation.rendering.scene_mesh import Material, Surface, merge, surface_of
 
-Look = tuple[tuple[float, float, float], Material]
+Appearance = tuple[tuple[float, float, float], Material]
 
 # linear RGB
 SOIL, GRASS_A, GRASS_B, GRAVEL = (0.145, 0.095, 0.058), (0.09, 0.125, 0.03), (0.14, 0.15, 0.05), (0.24, 0.21, 0.17)
-PIECES: dict[str, tuple[Look, int]] = {
+PIECE_APPEARANCE: dict[str, tuple[Appearance, int]] = {
     "crop": (((0.075, 0.15, 0.03), Material.LEAF), 1),
     "fence": (((0.26, 0.19, 0.12), Material.WOOD), 0),
     "gate": (((0.20, 0.14, 0.09), Material.BARK), 0),
@@ -32,8 +32,8 @@ PIECES: dict[str, tuple[Look, int]] = {
     "crowns": (((0.05, 0.085, 0.022), Material.LEAF), 2),
     "trunks": (((0.11, 0.085, 0.06), Material.BARK), 0),
 }
-OTHER: tuple[Look, int] = (((0.35, 0.33, 0.30), Material.SMOOTH), 0)
-MACHINE: Look = ((0.03, 0.16, 0.045), Material.GLOSS)
+DEFAULT_APPEARANCE: tuple[Appearance, int] = (((0.35, 0.33, 0.30), Material.SMOOTH), 0)
+MACHINE_APPEARANCE: Appearance = ((0.03, 0.16, 0.045), Material.GLOSS)
 
 SKINS = ((0.58, 0.36, 0.26), (0.50, 0.29, 0.20), (0.36, 0.20, 0.13), (0.20, 0.105, 0.065), (0.09, 0.05, 0.033))
 HAIRS = ((0.015, 0.011, 0.009), (0.05, 0.028, 0.015), (0.16, 0.09, 0.04), (0.38, 0.27, 0.13), (0.28, 0.28, 0.28))
@@ -46,7 +46,7 @@ SHOES = ((0.02, 0.018, 0.016), (0.09, 0.05, 0.025), (0.35, 0.35, 0.35))
 COATS = ((0.20, 0.11, 0.055), (0.15, 0.09, 0.05), (0.24, 0.15, 0.085))
 PAINTS = ((0.50, 0.02, 0.02), (0.55, 0.55, 0.56), (0.02, 0.05, 0.22), (0.012, 0.012, 0.014), (0.22, 0.23, 0.24),
           (0.03, 0.12, 0.06), (0.62, 0.61, 0.58))  # fmt: skip
-FIXED: dict[str, Look] = {
+FIXED_APPEARANCE: dict[str, Appearance] = {
     "eyes": ((0.012, 0.011, 0.011), Material.SMOOTH), "white": ((0.6, 0.59, 0.56), Material.SMOOTH),
     "glass": ((0.012, 0.014, 0.016), Material.GLASS), "rubber": ((0.018, 0.018, 0.018), Material.SMOOTH),
     "rim": ((0.38, 0.38, 0.39), Material.GLOSS), "lamp": ((0.62, 0.62, 0.60), Material.GLOSS),
@@ -54,7 +54,7 @@ FIXED: dict[str, Look] = {
 }  # fmt: skip
 
 
-def palette(seed: int, id: int) -> dict[str, Look]:
+def palette(seed: int, id: int) -> dict[str, Appearance]:
     """What each region of a figure looks like: its own clothes, coat or paint."""
     random = generator(seed, f"looks/{id}")
 
@@ -63,7 +63,7 @@ def palette(seed: int, id: int) -> dict[str, Look]:
         return float(r), float(g), float(b)
 
     skin = one_of(SKINS)
-    return FIXED | {
+    return FIXED_APPEARANCE | {
         "skin": (skin, Material.SMOOTH), "lips": ((0.8 * skin[0], 0.5 * skin[1], 0.5 * skin[2]), Material.SMOOTH),
         "hair": (one_of(HAIRS), Material.FUR), "jacket": (one_of(JACKETS), Material.CLOTH),
         "trousers": (one_of(TROUSERS), Material.CLOTH), "shoes": (one_of(SHOES), Material.SMOOTH),
@@ -72,41 +72,43 @@ def palette(seed: int, id: int) -> dict[str, Look]:
 
 
 @cache
-def _bare(label: ObstacleClass, step: int) -> tuple[tuple[str, Surface], ...]:
+def _uncolored(label: ObstacleClass, step: int) -> tuple[tuple[str, Surface], ...]:
     """Surfaces without colour; the normals are found once for each step of the gait."""
-    parts = figure_parts(label, step, True)
+    parts = actor_parts(label, step, True)
     return tuple((part.region, surface_of(part.mesh, np.zeros(3), Material.SMOOTH)) for part in parts)
 
 
-def figure_surface(label: ObstacleClass, step: int, looks: dict[str, Look]) -> Surface:
+def actor_surface(label: ObstacleClass, step: int, appearance: dict[str, Appearance]) -> Surface:
     """A figure about its own origin."""
-    painted = []
-    for region, bare in _bare(label, step):
-        color, material = looks[region]
-        colors = np.broadcast_to(np.array(color, np.float32), bare.vertices_m.shape)
-        kinds = np.full(len(bare.triangles), material, np.uint8)
-        painted.append(Surface(bare.vertices_m, bare.normals, colors, bare.triangles, kinds, bare.cuts))
-    return merge(painted)
+    colored = []
+    for region, uncolored in _uncolored(label, step):
+        color, material = appearance[region]
+        colors = np.broadcast_to(np.array(color, np.float32), uncolored.vertices_m.shape)
+        kinds = np.full(len(uncolored.triangles), material, np.uint8)
+        colored.append(
+            Surface(uncolored.vertices_m, uncolored.normals, colors, uncolored.triangles, kinds, uncolored.cutouts)
+        )
+    return merge(colored)
 
 
-def warm_figures() -> None:
+def build_actor_surfaces() -> None:
     """Build every figure at every step of its gait: each takes some 40 ms when first seen."""
     for label in REFLECTIVITY:
         for step in range(-1, GAIT_STEPS):
-            figure_mesh(label, step / GAIT_STEPS)
-            _bare(label, gait_step(step / GAIT_STEPS))
+            actor_mesh(label, step / GAIT_STEPS)
+            _uncolored(label, gait_step(step / GAIT_STEPS))
 
 
-def still_surface(pieces: list[Piece], site: Site, seed: int) -> Surface:
+def static_surface(pieces: list[Piece], site: Site, seed: int) -> Surface:
     """Everything that stands still, in `map`."""
     return merge([_ground(p.mesh, site, seed) if p.name == "ground" else _piece(p) for p in pieces])
 
 
 def _piece(piece: Piece) -> Surface:
-    (color, material), cut = PIECES.get(piece.name, OTHER)
+    (color, material), cutout = PIECE_APPEARANCE.get(piece.name, DEFAULT_APPEARANCE)
     is_flat = material is not Material.LEAF
-    surface = surface_of(piece.mesh, np.array(color), material, cut, is_flat)
-    if cut == 1:  # plants are lit from above, whichever way their strip faces
+    surface = surface_of(piece.mesh, np.array(color), material, cutout, is_flat)
+    if cutout == 1:  # plants are lit from above, whichever way their strip faces
         surface.normals[:] = (0.0, 0.0, 1.0)
     return surface
 
@@ -120,7 +122,7 @@ def _ground(mesh: Mesh, site: Site, seed: int) -> Surface:
         k, phase = random.uniform(-0.6, 0.6, 2), random.uniform(0.0, 6.28)
         patches += np.sin(xy @ k + phase) / 8.0
     patches += 0.25 * random.standard_normal(len(xy))
-    in_field, on_gravel = _inside(Polygon(site.boundary_m), xy), _inside(_gravelled(site), xy)
+    in_field, on_gravel = _inside(Polygon(site.boundary_m), xy), _inside(_gravel_area(site), xy)
     blend = np.clip(0.5 + patches, 0.0, 1.0)[:, None]
     colors = (1.0 - blend) * np.array(GRASS_A) + blend * np.array(GRASS_B)
     colors[in_field] = (np.array(SOIL) * (1.0 + 0.5 * patches[:, None]))[in_field]
@@ -132,10 +134,10 @@ def _ground(mesh: Mesh, site: Site, seed: int) -> Surface:
     return surface
 
 
-def _gravelled(site: Site) -> shapely.Geometry:
-    ways = [LineString(lane.center_m).buffer(0.5 * lane.width_m) for lane in site.lanes]
+def _gravel_area(site: Site) -> shapely.Geometry:
+    lanes = [LineString(lane.center_m).buffer(0.5 * lane.width_m) for lane in site.lanes]
     yards = [Polygon(site.yard.outline_m)] + ([Polygon(site.shed.outline_m)] if site.shed is not None else [])
-    return shapely.union_all([*ways, *yards]).difference(Polygon(site.boundary_m))
+    return shapely.union_all([*lanes, *yards]).difference(Polygon(site.boundary_m))
 
 
 def _inside(area: shapely.Geometry, xy: Float64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -11,12 +11,12 @@ import numpy as np
 from geometry.jit import inline_kernel, kernel
 from messages.message import Float32, Float64, Int32, UInt8
 
-NEAR_M = 0.15
+NEAR_PLANE_M = 0.15
 
 
 @kernel
 def project(
-    vertices: Float32, triangles: Int32, wanted: Int32, R: Float64, origin: Float64, intrinsics: Float64,
+    vertices: Float32, triangles: Int32, selected: Int32, R: Float64, origin: Float64, intrinsics: Float64,
     width: int, height: int,
 ) -> tuple[Float32, Int32]:  # fmt: skip
     """Corners (T, 3, 3) on the screen (x, y in pixels, w) of the triangles in view, and which they are, (T,).
@@ -24,13 +24,13 @@ def project(
     `wanted` are rows of `triangles`; `R` (3, 3) takes `map` to x right, y down, z ahead; `intrinsics` fx, fy, cx, cy.
     One that reaches behind the viewer is cut and may become two.
     """
-    out = np.empty((2 * wanted.shape[0], 3, 3), np.float32)
-    which = np.empty(2 * wanted.shape[0], np.int32)
+    out = np.empty((2 * selected.shape[0], 3, 3), np.float32)
+    which = np.empty(2 * selected.shape[0], np.int32)
     fx, fy, cx, cy = intrinsics
     n = 0
     p = np.empty((3, 3))
-    for k in range(wanted.shape[0]):
-        t = wanted[k]
+    for k in range(selected.shape[0]):
+        t = selected[k]
         nearest, farthest = 1e9, -1e9
         low_x, high_x, low_y, high_y = 1e9, -1e9, 1e9, -1e9
         for i in range(3):
@@ -41,16 +41,16 @@ def project(
             z = R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz
             p[i, 0], p[i, 1], p[i, 2] = x, y, z
             nearest, farthest = min(nearest, z), max(farthest, z)
-            w = 1.0 / max(z, NEAR_M)
+            w = 1.0 / max(z, NEAR_PLANE_M)
             x, y = fx * x * w + cx, fy * y * w + cy
             out[n, i, 0], out[n, i, 1], out[n, i, 2] = x, y, w
             low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
-        if farthest < NEAR_M:
+        if farthest < NEAR_PLANE_M:
             continue
-        if nearest < NEAR_M:
-            pieces = _cut(p, out[n : n + 2], fx, fy, cx, cy)
-            which[n : n + pieces] = t
-            n += pieces
+        if nearest < NEAR_PLANE_M:
+            parts = _clip_near_plane(p, out[n : n + 2], fx, fy, cx, cy)
+            which[n : n + parts] = t
+            n += parts
         # one that lies between two rows or columns of pixels shows nowhere
         elif high_x >= 0.0 and high_y >= 0.0 and low_x <= width - 1 and low_y <= height - 1 and (
             math.ceil(low_x) <= high_x and math.ceil(low_y) <= high_y
@@ -61,17 +61,17 @@ def project(
 
 
 @kernel
-def _cut(p: Float64, out: Float32, fx: float, fy: float, cx: float, cy: float) -> int:
+def _clip_near_plane(p: Float64, out: Float32, fx: float, fy: float, cx: float, cy: float) -> int:
     """The part before the viewer of a triangle by its corners (3, 3) in the optical frame, as one or two triangles."""
     q = np.empty((4, 3))
     m = 0
     for i in range(3):
         j = (i + 1) % 3
-        if p[i, 2] >= NEAR_M:
+        if p[i, 2] >= NEAR_PLANE_M:
             q[m, 0], q[m, 1], q[m, 2] = p[i, 0], p[i, 1], p[i, 2]
             m += 1
-        if (p[i, 2] >= NEAR_M) != (p[j, 2] >= NEAR_M):
-            f = (NEAR_M - p[i, 2]) / (p[j, 2] - p[i, 2])
+        if (p[i, 2] >= NEAR_PLANE_M) != (p[j, 2] >= NEAR_PLANE_M):
+            f = (NEAR_PLANE_M - p[i, 2]) / (p[j, 2] - p[i, 2])
             for k in range(3):
                 q[m, k] = p[i, k] + f * (p[j, k] - p[i, k])
             m += 1
@@ -86,14 +86,14 @@ def _cut(p: Float64, out: Float32, fx: float, fy: float, cx: float, cy: float) -
 
 @kernel
 def project_parallel(
-    vertices: Float32, triangles: Int32, wanted: Int32, R: Float64, origin: Float64, per_m: float, size: int
+    vertices: Float32, triangles: Int32, selected: Int32, R: Float64, origin: Float64, per_m: float, size: int
 ) -> tuple[Float32, Int32]:
     """The same from the sun: `origin` is in the middle of a square screen, `w` 100 m plus height above it."""
-    out = np.empty((wanted.shape[0], 3, 3), np.float32)
-    which = np.empty(wanted.shape[0], np.int32)
+    out = np.empty((selected.shape[0], 3, 3), np.float32)
+    which = np.empty(selected.shape[0], np.int32)
     n = 0
-    for k in range(wanted.shape[0]):
-        t = wanted[k]
+    for k in range(selected.shape[0]):
+        t = selected[k]
         low_x, high_x, low_y, high_y = 1e9, -1e9, 1e9, -1e9
         for i in range(3):
             v = triangles[t, i]
@@ -110,8 +110,8 @@ def project_parallel(
 
 
 @kernel
-def fill(
-    screen: Float32, which: Int32, w: Float32, owner: Int32, cuts: UInt8, R: Float64, origin: Float64,
+def rasterize(
+    screen: Float32, which: Int32, w: Float32, triangle_ids: Int32, cutouts: UInt8, R: Float64, origin: Float64,
     intrinsics: Float64,
 ) -> None:  # fmt: skip
     """Draw triangles into `w` and `owner` (H, W); of those that `cuts` marks, leaves or blades alone are there."""
@@ -126,61 +126,61 @@ def fill(
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
         if top > bottom or left > right or abs(area) < 1e-9:
             continue
-        per = 1.0 / area
+        inverse = 1.0 / area
         # w and the shares of the corners are linear on the screen
-        b_x, b_y = (y2 - y0) * per, (x0 - x2) * per
-        c_x, c_y = (y0 - y1) * per, (x1 - x0) * per
+        b_x, b_y = (y2 - y0) * inverse, (x0 - x2) * inverse
+        c_x, c_y = (y0 - y1) * inverse, (x1 - x0) * inverse
         a_x = -b_x - c_x
         w_x, w_y = b_x * (w1 - w0) + c_x * (w2 - w0), b_y * (w1 - w0) + c_y * (w2 - w0)
         # a share grows to the right (then its zero is the first column) or falls (then the last); level ones are rare
         b_zero, c_zero = 1.0 / (b_x if b_x != 0.0 else 1e-12), 1.0 / (c_x if c_x != 0.0 else 1e-12)
         a_zero = 1.0 / (a_x if a_x != 0.0 else 1e-12)
-        cut = cuts[which[k]]
+        cutout = cutouts[which[k]]
         for y in range(top, bottom + 1):
             b0 = b_x * (left - x0) + b_y * (y - y0)
             c0 = c_x * (left - x0) + c_y * (y - y0)
             first, last = float(left), float(right)
-            first, last = _within(first, last, left - b0 * b_zero, b_zero)
-            first, last = _within(first, last, left - c0 * c_zero, c_zero)
-            first, last = _within(first, last, left - (1.0 - b0 - c0) * a_zero, a_zero)
+            first, last = _clip_columns(first, last, left - b0 * b_zero, b_zero)
+            first, last = _clip_columns(first, last, left - c0 * c_zero, c_zero)
+            first, last = _clip_columns(first, last, left - (1.0 - b0 - c0) * a_zero, a_zero)
             start = math.ceil(first)
             value = w0 + w_x * (start - x0) + w_y * (y - y0)
             for x in range(start, math.floor(last) + 1):
                 if value > w[y, x]:
                     is_there = True
-                    if cut:
+                    if cutout:
                         z = 1.0 / value
-                        is_there = _is_plant((x - cx) / fx * z, (y - cy) / fy * z, z, R, origin, cut)
+                        is_there = _is_leaf_in_view((x - cx) / fx * z, (y - cy) / fy * z, z, R, origin, cutout)
                     if is_there:
                         w[y, x] = value
-                        owner[y, x] = which[k]
+                        triangle_ids[y, x] = which[k]
                 value += w_x
 
 
 @inline_kernel
-def _within(first: float, last: float, zero: float, per: float) -> tuple[float, float]:
+def _clip_columns(first: float, last: float, zero: float, inverse: float) -> tuple[float, float]:
     """The columns from `first` to `last` where a share that is zero at `zero` and grows as `per` is not below it."""
-    if per > 0.0:
+    if inverse > 0.0:
         return max(first, zero), last
     return first, min(last, zero)
 
 
 @inline_kernel
-def _is_plant(x: float, y: float, z: float, R: Float64, origin: Float64, cut: int) -> bool:
+def _is_leaf_in_view(x: float, y: float, z: float, R: Float64, origin: Float64, cutout: int) -> bool:
     """The same as `_is_leaf` for a point as the viewer has it: x right, y down, z ahead."""
     return bool(
         _is_leaf(
             origin[0] + R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
             origin[1] + R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
-            origin[2] + R[0, 2] * x + R[1, 2] * y + R[2, 2] * z, cut,
+            origin[2] + R[0, 2] * x + R[1, 2] * y + R[2, 2] * z, cutout,
         )
     )  # fmt: skip
 
 
 @kernel
-def _is_leaf(x: float, y: float, z: float, cut: int) -> bool:
+def _is_leaf(x: float, y: float, z: float, cutout: int) -> bool:
     """Whether there is plant here: blades that stand in a row (1), or clusters of leaves (2)."""
-    if cut == 1:
+    if cutout == 1:
         s = 37.0 * (x + y) + 3.0 * math.sin(9.0 * (x - y)) + 20.0 * z * math.sin(5.3 * (x + y))
         return math.sin(s) + 0.5 * math.sin(2.7 * s + 1.0) > -0.1
     s = math.sin(7.3 * x + 2.1 * z) * math.sin(6.7 * y - 1.7 * z) + math.sin(8.1 * z + 1.3 * x + 0.9 * y)

@@ -38,16 +38,16 @@ class Surface:
     colors: Float32
     triangles: Int32
     materials: UInt8
-    cuts: UInt8
+    cutouts: UInt8
 
-    def moved(self, T: Float64) -> "Surface":
+    def transformed(self, T: Float64) -> "Surface":
         """The same taken through a rigid transform."""
         R = T[:3, :3].astype(np.float32)
         vertices = self.vertices_m @ R.T + T[:3, 3].astype(np.float32)
-        return Surface(vertices, self.normals @ R.T, self.colors, self.triangles, self.materials, self.cuts)
+        return Surface(vertices, self.normals @ R.T, self.colors, self.triangles, self.materials, self.cutouts)
 
 
-def surface_of(mesh: Mesh, color: Float64, material: Material, cut: int = 0, is_flat: bool = False) -> Surface:
+def surface_of(mesh: Mesh, color: Float64, material: Material, cutout: int = 0, is_flat: bool = False) -> Surface:
     """A mesh of one material; `color` (3,) or (N, 3). A flat one has the normal of each triangle at its corners."""
     m = len(mesh.triangles)
     colors = np.broadcast_to(color, mesh.vertices_m.shape).astype(np.float32)
@@ -55,7 +55,7 @@ def surface_of(mesh: Mesh, color: Float64, material: Material, cut: int = 0, is_
         rows = mesh.triangles.ravel()
         mesh, colors = Mesh(mesh.vertices_m[rows], np.arange(3 * m, dtype=np.int32).reshape(-1, 3)), colors[rows]
     kinds = np.full(m, material, np.uint8)
-    return Surface(mesh.vertices_m, normals_of(mesh), colors, mesh.triangles, kinds, np.full(m, cut, np.uint8))
+    return Surface(mesh.vertices_m, normals_of(mesh), colors, mesh.triangles, kinds, np.full(m, cutout, np.uint8))
 
 
 def normals_of(mesh: Mesh) -> Float32:
@@ -75,17 +75,17 @@ def merge(surfaces: list[Surface]) -> Surface:
     return Surface(
         np.concatenate([s.vertices_m for s in surfaces]), np.concatenate([s.normals for s in surfaces]),
         np.concatenate([s.colors for s in surfaces]), np.concatenate(triangles).astype(np.int32),
-        np.concatenate([s.materials for s in surfaces]), np.concatenate([s.cuts for s in surfaces]),
+        np.concatenate([s.materials for s in surfaces]), np.concatenate([s.cutouts for s in surfaces]),
     )  # fmt: skip
 
 
 def arrays_of(surface: Surface) -> tuple[Float32, Float32, Float32, Int32, UInt8, UInt8]:
     """All arrays, in the order of the fields."""
     s = surface
-    return s.vertices_m, s.normals, s.colors, s.triangles, s.materials, s.cuts
+    return s.vertices_m, s.normals, s.colors, s.triangles, s.materials, s.cutouts
 
 
-class Cells:
+class TriangleGrid:
     """Triangles of a surface by squares of the ground, so that a picture looks only at those before it."""
 
     def __init__(self, surface: Surface, side_m: float) -> None:
@@ -99,7 +99,7 @@ class Cells:
         low, high = np.array([c.min(axis=0) for c in corners]), np.array([c.max(axis=0) for c in corners])
         self._middle, self._radius = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)
 
-    def near(self, p_map_m: Float64, within_m: float, ahead: Float64 | None = None, half_angle: float = 0.0) -> Int32:
+    def within(self, p_map_m: Float64, within_m: float, ahead: Float64 | None = None, half_angle: float = 0.0) -> Int32:
         """Triangles within reach of a point, and within `half_angle` of the direction `ahead` (2,) if that is given."""
         to = self._middle - p_map_m[:2]
         distance = np.linalg.norm(to, axis=1)

@@ -10,34 +10,34 @@ import numpy as np
 
 from geometry.jit import inline_kernel, kernel
 from messages.message import Float32, Float64, UInt8
-from simulation.rendering.textures import CLOUD, GRAIN, GRASS, coarse, smooth
+from simulation.rendering.textures import CLOUD, GRAIN, GRASS, bilinear, mip_level
 
 QUARTER = 1024  # columns from east to north
 ABOVE, BELOW, SPREAD = 220, 80, 0.3  # rows above and below the horizon; rise at which half of those above are passed
 PIXEL = 0.0014  # what a row or column covers at the horizon
-EYE_M, WOODS_M, MEADOWS_M = 3.0, 350.0, 500.0  # how high the eye is, and how far off things count as being
+VIEW_HEIGHT_M, WOODS_M, MEADOWS_M = 3.0, 350.0, 500.0  # how high the eye is, and how far off things count as being
 
 
 @inline_kernel
-def place_of(dx: float, dy: float, dz: float) -> tuple[int, int]:
+def texel_of(dx: float, dy: float, dz: float) -> tuple[int, int]:
     """Row and column of a direction in the picture."""
-    per = 1.0 / (abs(dx) + abs(dy) + 1e-12)
-    column = 1.0 + dy * per if dx >= 0.0 else 3.0 - dy * per
-    rise = dz * per
+    inverse = 1.0 / (abs(dx) + abs(dy) + 1e-12)
+    column = 1.0 + dy * inverse if dx >= 0.0 else 3.0 - dy * inverse
+    rise = dz * inverse
     row = BELOW + ABOVE * rise / (SPREAD + abs(rise))
     return max(min(int(row), BELOW + ABOVE - 1), 0), max(min(int(QUARTER * column), 4 * QUARTER - 1), 0)
 
 
 @inline_kernel
-def far_run(row: Float32, begin: int, end: int, ray: Float64, panorama: Float32) -> None:
+def background_run(row: Float32, begin: int, end: int, ray: Float64, panorama: Float32) -> None:
     """Columns `begin` to `end` of a row into `row` (W, 3), linear."""
     for x in range(begin, end):
-        i, j = place_of(ray[0, 0] + x * ray[1, 0], ray[0, 1] + x * ray[1, 1], ray[0, 2] + x * ray[1, 2])
+        i, j = texel_of(ray[0, 0] + x * ray[1, 0], ray[0, 1] + x * ray[1, 1], ray[0, 2] + x * ray[1, 2])
         row[x, 0], row[x, 1], row[x, 2] = panorama[i, j, 0], panorama[i, j, 1], panorama[i, j, 2]
 
 
 @kernel
-def draw_panorama(light: Float64, skyline: Float64, planes: UInt8) -> Float32:
+def render_panorama(light: Float64, skyline: Float64, planes: UInt8) -> Float32:
     """All round in linear colours (BELOW + ABOVE, 4 QUARTER, 3); `light` as `Light.packed`, `planes` of `Textures`."""
     out = np.empty((BELOW + ABOVE, 4 * QUARTER, 3), np.float32)
     for i in range(BELOW + ABOVE):
@@ -49,24 +49,26 @@ def draw_panorama(light: Float64, skyline: Float64, planes: UInt8) -> Float32:
             dx = 1.0 - abs(dy) if turn < 1.0 else abs(dy) - 1.0
             n = 1.0 / math.sqrt(dx * dx + dy * dy + rise * rise)
             # number by number: numba takes seconds to compile setting a row to a tuple
-            out[i, j, 0], out[i, j, 1], out[i, j, 2] = far_color(dx * n, dy * n, rise * n, light, skyline, planes)
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = background_color(
+                dx * n, dy * n, rise * n, light, skyline, planes
+            )
     return out
 
 
 @kernel
-def far_color(
+def background_color(
     dx: float, dy: float, dz: float, light: Float64, skyline: Float64, planes: UInt8
 ) -> tuple[float, float, float]:
     """What is in a unit direction: meadows to the horizon, woods far off, or the sky."""
     flat = max(math.sqrt(dx * dx + dy * dy), 1e-6)
     rise = dz / flat
     if rise < 0.0:
-        z = min(EYE_M / -rise, MEADOWS_M)
+        z = min(VIEW_HEIGHT_M / -rise, MEADOWS_M)
         u, v = z * dx / flat, z * dy / flat
         t = sample(planes, GRASS, 2.0 * u, 2.0 * v, 3.0 * z * PIXEL) * sample(
             planes, CLOUD, 0.6 * u, 0.6 * v, z * PIXEL
         )
-        return hazy(0.115 * t, 0.138 * t, 0.04 * t, light[2], z, light)
+        return with_haze(0.115 * t, 0.138 * t, 0.04 * t, light[2], z, light)
     place = (math.atan2(dy, dx) / (2.0 * math.pi) + 0.5) * skyline.shape[0]
     k = int(place)
     low, high = skyline[k % skyline.shape[0]], skyline[(k + 1) % skyline.shape[0]]
@@ -75,18 +77,18 @@ def far_color(
         return sky_color(dx, dy, dz, light, planes)
     # crowns in the light, and dark below them
     t = sample(planes, GRAIN, 1.3 * place, 420.0 * rise, 420.0 * PIXEL) * (0.5 + 0.6 * rise / edge)
-    return hazy(0.045 * t, 0.070 * t, 0.030 * t, 0.5 * light[2], WOODS_M, light)
+    return with_haze(0.045 * t, 0.070 * t, 0.030 * t, 0.5 * light[2], WOODS_M, light)
 
 
 @kernel
-def hazy(r: float, g: float, b: float, lit: float, z: float, light: Float64) -> tuple[float, float, float]:
+def with_haze(r: float, g: float, b: float, sun_share: float, z: float, light: Float64) -> tuple[float, float, float]:
     """A colour in the light of sky and sun, as seen through haze `z` metres thick."""
     near = math.exp(-z / light[16])
     haze_r, haze_g, haze_b = 0.8 * light[12], 0.8 * light[13], 0.8 * light[14]
     return (
-        haze_r + near * (r * (light[6] + lit * light[3]) - haze_r),
-        haze_g + near * (g * (light[7] + lit * light[4]) - haze_g),
-        haze_b + near * (b * (light[8] + lit * light[5]) - haze_b),
+        haze_r + near * (r * (light[6] + sun_share * light[3]) - haze_r),
+        haze_g + near * (g * (light[7] + sun_share * light[4]) - haze_g),
+        haze_b + near * (b * (light[8] + sun_share * light[5]) - haze_b),
     )
 
 
@@ -109,7 +111,7 @@ def sky_color(dx: float, dy: float, dz: float, light: Float64, planes: UInt8) ->
 
 
 @kernel
-def sample(planes: UInt8, which: int, u: float, v: float, wide: float) -> float:
+def sample(planes: UInt8, which: int, u: float, v: float, texel_width: float) -> float:
     """A texture at (u, v) in texels, seen with pixels `wide` texels wide."""
-    start, mask, scale = coarse(1.0, wide)
-    return float(smooth(planes, which, start, mask, scale * u, scale * v))
+    start, mask, scale = mip_level(1.0, texel_width)
+    return float(bilinear(planes, which, start, mask, scale * u, scale * v))

@@ -14,7 +14,7 @@ from simulation.randomness import generator
 
 Int8 = npt.NDArray[np.int8]
 SIDE = 512
-LEVELS = 8
+MIP_LEVELS = 8
 UNIT = 64.0  # stands for 1
 SOIL, GRASS, GRAIN, CLOUD = range(4)
 
@@ -59,18 +59,18 @@ def _scaled(plane: Float64, deviation: float) -> Float32:
 
 def _pyramid(plane: Float32) -> Float32:
     levels = [plane]
-    for _ in range(LEVELS - 1):
+    for _ in range(MIP_LEVELS - 1):
         side = levels[-1].shape[0] // 2
         levels.append(np.asarray(cv2.resize(levels[-1], (side, side), interpolation=cv2.INTER_AREA), np.float32))
     return np.concatenate([level.ravel() for level in levels])
 
 
 @inline_kernel
-def coarse(scale: float, wide: float) -> tuple[int, int, float]:
+def mip_level(scale: float, pixel_m: float) -> tuple[int, int, float]:
     """The level for pixels `wide` metres wide of a texture with `scale` texels a metre: its start, its side less one
     and its texels a metre."""
     start, side = 0, SIDE
-    while scale * wide > 1.4 and side > SIDE >> (LEVELS - 1):
+    while scale * pixel_m > 1.4 and side > SIDE >> (MIP_LEVELS - 1):
         start += side * side
         side >>= 1
         scale *= 0.5
@@ -78,14 +78,14 @@ def coarse(scale: float, wide: float) -> tuple[int, int, float]:
 
 
 @inline_kernel
-def nearest(planes: UInt8, which: int, start: int, mask: int, u: float, v: float) -> float:
+def nearest_texel(planes: UInt8, which: int, start: int, mask: int, u: float, v: float) -> float:
     """The texel at (u, v) of a level."""
     i, j = math.floor(u) & mask, math.floor(v) & mask
     return float(planes[which, np.uint32(start + j * (mask + 1) + i)] * (1.0 / UNIT))
 
 
 @inline_kernel
-def smooth(planes: UInt8, which: int, start: int, mask: int, u: float, v: float) -> float:
+def bilinear(planes: UInt8, which: int, start: int, mask: int, u: float, v: float) -> float:
     """The four texels around (u, v) of a level, blended."""
     i, j = math.floor(u), math.floor(v)
     f, g = u - i, v - j
@@ -96,7 +96,7 @@ def smooth(planes: UInt8, which: int, start: int, mask: int, u: float, v: float)
     return float((low * (1.0 - g) + high * g) * (1.0 / UNIT))
 
 
-def texture_layers() -> Float64:
+def texture_table() -> Float64:
     """For each `Material` its texture (-1: none), texels per metre, and how u and v run through space.
 
     u = scale (x + along (y + z)), v = scale stretch (z + across (y - 0.4 x)); the sixth number is the strength.

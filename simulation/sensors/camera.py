@@ -17,21 +17,21 @@ from geometry.transforms import planar
 from messages.message import Float64, UInt8
 from messages.sensors import CameraImage
 from simulation.actors.actor_meshes import gait_step
-from simulation.actors.actors import Figure
+from simulation.actors.actors import ActorState
 from simulation.environment.scene import Scene
 from simulation.machine.body import machine_mesh
 from simulation.randomness import generator
 from simulation.rendering.light import SkyConfig, draw_light
-from simulation.rendering.materials import MACHINE, figure_surface, palette, still_surface
-from simulation.rendering.renderer import Eye, Stage, metered
+from simulation.rendering.materials import MACHINE_APPEARANCE, actor_surface, palette, static_surface
+from simulation.rendering.renderer import CameraView, Renderer, exposure_factor
 from simulation.rendering.scene_mesh import surface_of
 from simulation.rendering.shading import add_noise
 from simulation.rendering.textures import Int8
 from simulation.scenario import CameraEpisode
-from simulation.sensors.sensor import Moment, period_ns_of
+from simulation.sensors.sensor import WorldState, period_ns_of
 
-NOISE = 1 << 18  # places at which a picture's noise may begin in what is prepared
-MUD = np.array([38, 52, 64], np.uint8)  # BGR
+NOISE_OFFSETS = 1 << 18  # places at which a picture's noise may begin in what is prepared
+BLOCKED_BGR = np.array([38, 52, 64], np.uint8)  # BGR
 JPEG_QUALITY = 40  # of what the camera sends: 50 to 65 KB a picture
 
 
@@ -40,24 +40,24 @@ class CameraConfig(Config):
 
     latency_s: float = Field(ge=0.0, le=1.0, description="from exposure to delivery")
     sky: SkyConfig
-    reach_m: float = Field(ge=20.0, le=1000.0, description="to which ground and scenery are drawn")
-    resolution: float = Field(
+    draw_distance_m: float = Field(ge=20.0, le=1000.0, description="to which ground and scenery are drawn")
+    resolution_ratio: float = Field(
         ge=0.3, le=1.0, description="lines that lens and colour filter resolve, per line of pixels"
     )
-    noise: float = Field(ge=0.0, le=20.0, description="sigma in grey levels of 255")
-    blurred_px: float = Field(ge=2.0, le=50.0, description="sigma while the lens is blurred")
-    exposure: float = Field(gt=0.02, le=0.8, description="mean brightness that the exposure aims at")
+    noise_sigma: float = Field(ge=0.0, le=20.0, description="sigma in grey levels of 255")
+    blur_sigma_px: float = Field(ge=2.0, le=50.0, description="sigma while the lens is blurred")
+    target_brightness: float = Field(gt=0.02, le=0.8, description="mean brightness that the exposure aims at")
 
 
 @dataclass(frozen=True)
-class Exposure:
+class RenderRequest:
     """What a picture is painted from: nothing of it changes when the world goes on."""
 
     stamp_ns: int
     elapsed_s: float
     T_map_base: Float64
-    figures: list[Figure]
-    stage: Stage
+    actors: list[ActorState]
+    renderer: Renderer
 
 
 class CameraModel:
@@ -73,63 +73,67 @@ class CameraModel:
         self._camera, self._site, self._episodes, self._seed, self._config = camera, site, episodes, seed, config
         self._light = draw_light(config.sky, generator(seed, "sky"))  # one sky over all cameras
         self._random = generator(seed, f"camera/{name}")
-        self._noise = draw_noise(camera.size_px, config.noise, self._random)
-        self._machine = surface_of(machine_mesh(vehicle), np.array(MACHINE[0]), MACHINE[1], is_flat=True)
-        self._lens = Lens(camera, config.resolution)
+        self._noise = draw_noise(camera.size_px, config.noise_sigma, self._random)
+        self._machine = surface_of(
+            machine_mesh(vehicle), np.array(MACHINE_APPEARANCE[0]), MACHINE_APPEARANCE[1], is_flat=True
+        )
+        self._lens = Lens(camera, config.resolution_ratio)
         self._curve = tone_curve()
-        self._stage: Stage | None = None
+        self._renderer: Renderer | None = None
         self._gain: float | None = None
 
-    def sample(self, moment: Moment) -> CameraImage:
+    def sample(self, state: WorldState) -> CameraImage:
         """The picture taken now, as what decoding the sent JPEG gives."""
-        return self.paint(self.expose(moment))
+        return self.render(self.prepare(state))
 
-    def expose(self, moment: Moment) -> Exposure:
+    def prepare(self, state: WorldState) -> RenderRequest:
         """What is to be painted."""
-        figures, stage = moment.scene.seen_by("camera"), self._on_stage(moment.scene)
-        return Exposure(moment.stamp_ns, moment.elapsed_s, moment.track.back(0), figures, stage)
+        actors, renderer = state.scene.visible_to("camera"), self._renderer_for(state.scene)
+        return RenderRequest(state.stamp_ns, state.elapsed_s, state.poses.steps_ago(0), actors, renderer)
 
-    def paint(self, exposure: Exposure) -> CameraImage:
+    def render(self, request: RenderRequest) -> CameraImage:
         """The picture; one after the other, in the order in which they were taken."""
-        T_map_base, figures = exposure.T_map_base, exposure.figures
-        eye = Eye(T_map_base @ self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
-        moving = [self._machine.moved(T_map_base)]
-        feet = np.zeros((len(figures), 3))
-        for k, f in enumerate(figures):
-            looks = palette(self._seed, f.id)
+        T_map_base, actors = request.T_map_base, request.actors
+        view = CameraView(T_map_base @ self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
+        moving = [self._machine.transformed(T_map_base)]
+        occluders = np.zeros((len(actors), 3))
+        for k, f in enumerate(actors):
+            appearance = palette(self._seed, f.id)
             T_map_figure = planar(f.p_map_m[0], f.p_map_m[1], f.yaw_rad)
             T_map_figure[2, 3] = f.p_map_m[2]
-            moving.append(figure_surface(f.label, gait_step(f.gait), looks).moved(T_map_figure))
-            feet[k] = *f.p_map_m[:2], (0.4 * f.ball_m[1]) ** -2
-        bgr, mean, gain = exposure.stage.look(eye, moving, feet, self._gain, self._curve)
-        self._gain = gain * metered(mean, self._config.exposure)
-        _, jpeg = cv2.imencode(".jpg", self._develop(bgr, exposure.elapsed_s), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
+            moving.append(actor_surface(f.label, gait_step(f.gait), appearance).transformed(T_map_figure))
+            occluders[k] = *f.p_map_m[:2], (0.4 * f.ball_m[1]) ** -2
+        bgr, mean, gain = request.renderer.render(view, moving, occluders, self._gain, self._curve)
+        self._gain = gain * exposure_factor(mean, self._config.target_brightness)
+        _, jpeg = cv2.imencode(
+            ".jpg", self._apply_lens(bgr, request.elapsed_s), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
+        )
         sent = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
-        return CameraImage(exposure.stamp_ns, sent, jpeg.tobytes())
+        return CameraImage(request.stamp_ns, sent, jpeg.tobytes())
 
     def warm(self, scene: Scene) -> None:
         """Build what stands still, and load what draws."""
-        eye = Eye(self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
-        bgr, _, _ = self._on_stage(scene).look(eye, [self._machine], np.zeros((0, 3)), None, self._curve)
+        view = CameraView(self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
+        bgr, _, _ = self._renderer_for(scene).render(view, [self._machine], np.zeros((0, 3)), None, self._curve)
         add_noise(bgr, self._noise, 0, np.empty_like(bgr))
 
-    def _on_stage(self, scene: Scene) -> Stage:
-        if self._stage is None:
-            still = still_surface(scene.pieces, self._site, self._seed)
-            self._stage = Stage(still, roof_of(self._site), self._light, self._config.reach_m)
-        return self._stage
+    def _renderer_for(self, scene: Scene) -> Renderer:
+        if self._renderer is None:
+            static = static_surface(scene.pieces, self._site, self._seed)
+            self._renderer = Renderer(static, roof_of(self._site), self._light, self._config.draw_distance_m)
+        return self._renderer
 
-    def _develop(self, bgr: UInt8, elapsed_s: float) -> UInt8:
+    def _apply_lens(self, bgr: UInt8, elapsed_s: float) -> UInt8:
         """What lens and sensor make of it."""
         states = [e.state for e in self._episodes if e.from_s <= elapsed_s < e.from_s + e.for_s]
-        bgr = self._lens.bend(bgr)
+        bgr = self._lens.distort(bgr)
         if "blocked" in states:
             bgr = np.empty_like(bgr)
-            bgr[:] = MUD
+            bgr[:] = BLOCKED_BGR
         elif "blurred" in states:
-            bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), self._config.blurred_px), np.uint8)
+            bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), self._config.blur_sigma_px), np.uint8)
         out = np.empty_like(bgr)
-        add_noise(bgr, self._noise, int(self._random.integers(NOISE)), out)
+        add_noise(bgr, self._noise, int(self._random.integers(NOISE_OFFSETS)), out)
         return out
 
 
@@ -159,7 +163,7 @@ class Lens:
             place = (place - low).astype(np.float32)
             self._maps = cv2.convertMaps(place[..., 0], place[..., 1], cv2.CV_16SC2)
 
-    def bend(self, bgr: UInt8) -> UInt8:
+    def distort(self, bgr: UInt8) -> UInt8:
         """The lens's picture from that of the pinhole."""
         if self._maps is not None:
             bgr = np.asarray(cv2.remap(bgr, *self._maps, cv2.INTER_LINEAR), np.uint8)
@@ -168,7 +172,7 @@ class Lens:
 
 def draw_noise(size_px: tuple[int, int], sigma: float, random: np.random.Generator) -> Int8:
     """Noise in grey levels for a picture that begins at any of `NOISE` places."""
-    level = sigma * random.standard_normal(3 * size_px[0] * size_px[1] + NOISE, np.float32)
+    level = sigma * random.standard_normal(3 * size_px[0] * size_px[1] + NOISE_OFFSETS, np.float32)
     return np.asarray(np.clip(np.rint(level), -127, 127).astype(np.int8))
 
 

@@ -14,41 +14,46 @@ from geometry.geodesy import Datum
 from messages.message import Float64, Message
 from messages.sensors import GnssFix, GnssSolution
 from simulation.scenario import GnssEpisode
-from simulation.sensors.sensor import Moment, period_ns_of
+from simulation.sensors.sensor import WorldState, period_ns_of
 
 
 class GnssConfig(Config):
     """How errors behave in time, and what the states other than RTK fixed are worth."""
 
     latency_s: float = Field(ge=0.0, le=1.0)
-    wander_share: float = Field(ge=0.0, le=1.0, description="share of the variance that wanders; the rest is white")
-    wander_time_s: float = Field(gt=0.1, le=3600.0)
+    correlated_share: float = Field(ge=0.0, le=1.0, description="share of the variance that wanders; the rest is white")
+    correlation_s: float = Field(gt=0.1, le=3600.0)
     velocity_sigma_mps: float = Field(gt=0.0, le=5.0)
     float_sigma_m: float = Field(gt=0.0, le=10.0)
     single_sigma_m: float = Field(gt=0.0, le=50.0)
-    near_shed_m: float = Field(ge=0.0, le=50.0, description="so near a shed reflections allow float alone")
-    search_s: float = Field(ge=0.0, le=600.0, description="from free sky to the first position after a roof")
-    fix_s: float = Field(ge=0.0, le=600.0, description="from free sky to fixed ambiguities after roof or reflections")
+    multipath_distance_m: float = Field(ge=0.0, le=50.0, description="so near a shed reflections allow float alone")
+    reacquisition_s: float = Field(ge=0.0, le=600.0, description="from free sky to the first position after a roof")
+    ambiguity_fix_s: float = Field(
+        ge=0.0, le=600.0, description="from free sky to fixed ambiguities after roof or reflections"
+    )
 
 
-class Sky:
+class SkyView:
     """What the receiver can reach by where its antenna is, and was."""
 
     def __init__(self, shed: Shed | None, config: GnssConfig) -> None:
         self._roof = None if shed is None else Polygon(shed.outline_m)
         self._config = config
-        self._covered_s = self._reflected_s = -math.inf
+        self._last_covered_s = self._last_multipath_s = -math.inf
 
-    def allows(self, x_m: float, y_m: float, elapsed_s: float) -> GnssSolution:
+    def best_solution(self, x_m: float, y_m: float, elapsed_s: float) -> GnssSolution:
         """The best state now."""
-        away = math.inf if self._roof is None else self._roof.distance(Point(x_m, y_m))
-        if away == 0.0:
-            self._covered_s = elapsed_s
-        if away < self._config.near_shed_m:
-            self._reflected_s = elapsed_s
-        if elapsed_s - self._covered_s < self._config.search_s or away == 0.0:
+        distance_m = math.inf if self._roof is None else self._roof.distance(Point(x_m, y_m))
+        if distance_m == 0.0:
+            self._last_covered_s = elapsed_s
+        if distance_m < self._config.multipath_distance_m:
+            self._last_multipath_s = elapsed_s
+        if elapsed_s - self._last_covered_s < self._config.reacquisition_s or distance_m == 0.0:
             return GnssSolution.NONE
-        is_fixed = away >= self._config.near_shed_m and elapsed_s - self._reflected_s >= self._config.fix_s
+        is_fixed = (
+            distance_m >= self._config.multipath_distance_m
+            and elapsed_s - self._last_multipath_s >= self._config.ambiguity_fix_s
+        )
         return GnssSolution.RTK_FIXED if is_fixed else GnssSolution.RTK_FLOAT
 
 
@@ -64,27 +69,27 @@ class GnssModel:
         self.latency_ns = round(config.latency_s * 1e9)
         self._gnss, self._datum, self._episodes, self._config, self._random = gnss, datum, episodes, config, random
         self._T_base_antenna = gnss.mount.T_base_sensor
-        self._sky = Sky(shed, config)
-        self._wander = random.standard_normal(4)
+        self._sky_view = SkyView(shed, config)
+        self._correlated = random.standard_normal(4)
         self._corrected_s = 0.0
 
-    def sample(self, moment: Moment) -> Message:
+    def sample(self, state: WorldState) -> Message:
         """What the receiver says now; without a solution the place is NaN."""
-        antenna = moment.track.back(0) @ self._T_base_antenna
-        sky = self._sky.allows(float(antenna[0, 3]), float(antenna[1, 3]), moment.elapsed_s)
-        solution = min(sky, solution_at(self._episodes, moment.elapsed_s))
-        self._corrected_s = moment.elapsed_s if solution >= GnssSolution.RTK_FLOAT else self._corrected_s
+        antenna = state.poses.steps_ago(0) @ self._T_base_antenna
+        sky_view = self._sky_view.best_solution(float(antenna[0, 3]), float(antenna[1, 3]), state.elapsed_s)
+        solution = min(sky_view, solution_at(self._episodes, state.elapsed_s))
+        self._corrected_s = state.elapsed_s if solution >= GnssSolution.RTK_FLOAT else self._corrected_s
         errors = self._draw_errors()
         if solution == GnssSolution.NONE:
-            return no_fix(moment.stamp_ns)
-        before = moment.track.back(2) @ self._T_base_antenna
-        velocity = (antenna[:3, 3] - before[:3, 3]) / (2e-9 * moment.track.step_ns)
+            return no_fix(state.stamp_ns)
+        before = state.poses.steps_ago(2) @ self._T_base_antenna
+        velocity = (antenna[:3, 3] - before[:3, 3]) / (2e-9 * state.poses.step_ns)
         sigma = self._sigma_enu(solution)
         latitude, longitude, height = self._datum.to_ellipsoid(*map(float, antenna[:3, 3] + sigma * errors[:3]))
         heading_sigma = math.radians(self._gnss.sigma_heading_deg) if self._has_heading(solution) else math.nan
-        age = 1.0 if solution >= GnssSolution.RTK_FLOAT else moment.elapsed_s - self._corrected_s
+        age = 1.0 if solution >= GnssSolution.RTK_FLOAT else state.elapsed_s - self._corrected_s
         return GnssFix(
-            moment.stamp_ns, latitude, longitude, height, sigma,
+            state.stamp_ns, latitude, longitude, height, sigma,
             velocity + self._config.velocity_sigma_mps * self._random.standard_normal(3),
             self._config.velocity_sigma_mps, wrap(math.atan2(antenna[1, 0], antenna[0, 0]) + heading_sigma * errors[3]),
             heading_sigma, solution, 22 if solution > GnssSolution.SINGLE else 9, 0.7, age, "BDS+GPS",
@@ -103,10 +108,12 @@ class GnssModel:
 
     def _draw_errors(self) -> Float64:
         """Unit errors of east, north, up and heading: a slow Gauss-Markov part and a white one."""
-        keep = math.exp(-self.period_ns * 1e-9 / self._config.wander_time_s)
-        self._wander = keep * self._wander + math.sqrt(1.0 - keep * keep) * self._random.standard_normal(4)
-        share = self._config.wander_share
-        return np.asarray(math.sqrt(share) * self._wander + math.sqrt(1.0 - share) * self._random.standard_normal(4))
+        keep = math.exp(-self.period_ns * 1e-9 / self._config.correlation_s)
+        self._correlated = keep * self._correlated + math.sqrt(1.0 - keep * keep) * self._random.standard_normal(4)
+        share = self._config.correlated_share
+        return np.asarray(
+            math.sqrt(share) * self._correlated + math.sqrt(1.0 - share) * self._random.standard_normal(4)
+        )
 
 
 def solution_at(episodes: tuple[GnssEpisode, ...], elapsed_s: float) -> GnssSolution:

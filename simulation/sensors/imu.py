@@ -10,7 +10,7 @@ from configs.vehicle import Imu
 from messages.message import Float64, Message
 from messages.sensors import ImuSample
 from simulation.machine.drivetrain import GRAVITY_MPS2
-from simulation.sensors.sensor import Moment, period_ns_of
+from simulation.sensors.sensor import WorldState, period_ns_of
 
 RADPS_PER_DPH = math.pi / 180.0 / 3600.0
 
@@ -18,12 +18,14 @@ RADPS_PER_DPH = math.pi / 180.0 / 3600.0
 class ImuConfig(Config):
     """What the vehicle's file does not say: vibration of the machine, and how biases wander."""
 
-    idle_mps2: float = Field(ge=0.0, le=5.0, description="sigma of vibration with the engine running")
-    idle_radps: float = Field(ge=0.0, le=1.0)
-    furrow_mps2_per_mps: float = Field(ge=0.0, le=5.0, description="vibration grows with speed")
-    furrow_radps_per_mps: float = Field(ge=0.0, le=1.0)
-    wander_share: float = Field(ge=0.0, le=1.0, description="bias change over the wander time, as share of the bias")
-    wander_time_s: float = Field(gt=1.0, le=1e5)
+    idle_vibration_mps2: float = Field(ge=0.0, le=5.0, description="sigma of vibration with the engine running")
+    idle_vibration_radps: float = Field(ge=0.0, le=1.0)
+    driving_vibration_mps2_per_mps: float = Field(ge=0.0, le=5.0, description="vibration grows with speed")
+    driving_vibration_radps_per_mps: float = Field(ge=0.0, le=1.0)
+    bias_drift_share: float = Field(
+        ge=0.0, le=1.0, description="bias change over the wander time, as share of the bias"
+    )
+    bias_drift_s: float = Field(gt=1.0, le=1e5)
 
 
 class ImuModel:
@@ -40,24 +42,26 @@ class ImuModel:
             [imu.accelerometer_bias_mg * 1e-3 * GRAVITY_MPS2, imu.gyro_bias_dph * RADPS_PER_DPH], 3
         )
         self._bias = self._bias_sigma * random.standard_normal(6)
-        self._wander = config.wander_share * self._bias_sigma * math.sqrt(dt_s / config.wander_time_s)
+        self._wander = config.bias_drift_share * self._bias_sigma * math.sqrt(dt_s / config.bias_drift_s)
         density = [imu.accelerometer_noise_ug_rthz * 1e-6 * GRAVITY_MPS2, math.radians(imu.gyro_noise_dps_rthz)]
         self._sigma = np.repeat(density, 3) / math.sqrt(dt_s)
         limits = [imu.accelerometer_range_g * GRAVITY_MPS2, math.radians(imu.gyro_range_dps)]
         self._limit = np.repeat(limits, 3)
-        self._idle = np.repeat([config.idle_mps2, config.idle_radps], 3)
-        self._furrow_per_mps = np.repeat([config.furrow_mps2_per_mps, config.furrow_radps_per_mps], 3)
+        self._idle = np.repeat([config.idle_vibration_mps2, config.idle_vibration_radps], 3)
+        self._furrow_per_mps = np.repeat(
+            [config.driving_vibration_mps2_per_mps, config.driving_vibration_radps_per_mps], 3
+        )
         self._white, self._white_before = np.zeros(6), np.zeros(6)
 
-    def sample(self, moment: Moment) -> Message:
+    def sample(self, state: WorldState) -> Message:
         """The true mean over the last interval, with bias, vibration and noise, within the range."""
-        steps = self.period_ns // moment.track.step_ns
-        poses = [moment.track.back(k) @ self._T_base_imu for k in (steps, steps // 2, 0)]
+        steps = self.period_ns // state.poses.step_ns
+        poses = [state.poses.steps_ago(k) @ self._T_base_imu for k in (steps, steps // 2, 0)]
         truth = mean_motion(poses[0], poses[1], poses[2], self.period_ns * 1e-9)
         self._bias = self._bias + self._wander * self._random.standard_normal(6)
-        noise = self._bias + self._sigma * self._random.standard_normal(6) + self._vibrate(moment.machine.speed_mps)
+        noise = self._bias + self._sigma * self._random.standard_normal(6) + self._vibrate(state.machine.speed_mps)
         values = np.minimum(np.maximum(truth + noise, -self._limit), self._limit)
-        return ImuSample(moment.stamp_ns, values[:3].copy(), values[3:].copy())
+        return ImuSample(state.stamp_ns, values[:3].copy(), values[3:].copy())
 
     def _vibrate(self, speed_mps: float) -> Float64:
         """A second difference of white noise: it shakes, but the machine goes nowhere by it."""

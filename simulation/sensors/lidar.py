@@ -14,25 +14,27 @@ from configs.vehicle import Lidar, MountedImplement, TrailedImplement, Vehicle
 from geometry.transforms import invert
 from messages.message import Float32, Float64, Message, UInt16
 from messages.sensors import LidarScan
-from simulation.environment.scene import Rays
-from simulation.kernels import passes_ball, ranges_mm, sweep_rays
+from simulation.environment.scene import RaycastScene
+from simulation.kernels import ranges_mm, rays_near_ball, sweep_rays
 from simulation.machine.body import T_base_implement, implement_mesh, machine_mesh
-from simulation.machine.implement import folded_to
-from simulation.sensors.sensor import Moment, period_ns_of
+from simulation.machine.implement import at_fold
+from simulation.sensors.sensor import WorldState, period_ns_of
 
 MAX_RANGE_M = 65.5  # of uint16 in mm
 BODY_REFLECTIVITY = 0.3
-LEVELS = 8  # heights of the hitch, and folds, for which the body's shadow is kept
+SELF_MASK_STEPS = 8  # heights of the hitch, and folds, for which the body's shadow is kept
 
 
 class LidarConfig(Config):
     """Errors of a lidar beyond its range noise."""
 
-    sight_m: float = Field(gt=1.0, le=500.0, description="where a square-on target of reflectivity 0.1 is lost")
-    dropout: float = Field(ge=0.0, le=0.5, description="share of returns lost for no reason")
-    dust: float = Field(ge=0.0, le=0.1, description="share of rays that hit dust near by")
-    dust_m: tuple[float, float]
-    step_mm: int = Field(ge=1, le=100, description="resolution of the range")
+    range_at_10_percent_m: float = Field(
+        gt=1.0, le=500.0, description="where a square-on target of reflectivity 0.1 is lost"
+    )
+    dropout_probability: float = Field(ge=0.0, le=0.5, description="share of returns lost for no reason")
+    dust_probability: float = Field(ge=0.0, le=0.1, description="share of rays that hit dust near by")
+    dust_range_m: tuple[float, float]
+    range_resolution_mm: int = Field(ge=1, le=100, description="resolution of the range")
 
 
 class LidarModel:
@@ -58,67 +60,71 @@ class LidarModel:
         self._azimuth = fov * ((np.arange(lidar.columns) + 0.5) / lidar.columns - 0.5)
         self._offset_s = (((np.arange(lidar.columns) + 1.0) / lidar.columns - 1.0) / lidar.rate_hz).astype(np.float32)
         self._directions = directions_of(self._elevation, self._azimuth)
-        (low, high), step_mm = lidar.range_m, config.step_mm
-        numbers = [config.sight_m, 1.0 - config.dropout, lidar.range_sigma_m, low, min(high, MAX_RANGE_M),
-                   1000.0 / step_mm, step_mm]  # fmt: skip
-        self._numbers = np.array(numbers, np.float32)
-        self._bodies: dict[tuple[int, int, int], tuple[Float32, Float32]] = {}
+        (low, high), step_mm = lidar.range_m, config.range_resolution_mm
+        parameters = [config.range_at_10_percent_m, 1.0 - config.dropout_probability, lidar.range_sigma_m, low,
+                      min(high, MAX_RANGE_M), 1000.0 / step_mm, step_mm]  # fmt: skip
+        self._parameters = np.array(parameters, np.float32)
+        self._self_masks: dict[tuple[int, int, int], tuple[Float32, Float32]] = {}
 
-    def sample(self, moment: Moment) -> Message:
+    def sample(self, state: WorldState) -> Message:
         """The sweep that ends now."""
-        distance, signal = (a.copy() for a in self._body(moment))
+        distance, signal = (a.copy() for a in self._self_returns(state))
         is_open = np.isinf(distance)
         open_rays = np.flatnonzero(is_open)
-        T_map_lidar = moment.track.before(-self._offset_s.astype(np.float64)) @ self._T_base_lidar
+        T_map_lidar = state.poses.interpolate(-self._offset_s.astype(np.float64)) @ self._T_base_lidar
         rays = sweep_rays(T_map_lidar, self._directions, is_open.reshape(len(self._elevation), -1).view(np.uint8))
-        found = moment.scene.still.cast(rays)
-        distance[open_rays], signal[open_rays] = self._put_figures(moment, rays, found)
+        found = state.scene.static.cast(rays)
+        distance[open_rays], signal[open_rays] = self._add_actors(state, rays, found)
         return LidarScan(
-            moment.stamp_ns, self._measure(distance, signal).reshape(len(self._elevation), -1), self._elevation.copy(),
+            state.stamp_ns, self._measure(distance, signal).reshape(len(self._elevation), -1), self._elevation.copy(),
             self._azimuth.copy(), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), self._offset_s.copy(),
         )  # fmt: skip
 
-    def _body(self, moment: Moment) -> tuple[Float32, Float32]:
+    def _self_returns(self, state: WorldState) -> tuple[Float32, Float32]:
         """Distance and signal of the machine's own body, infinite where the view is free."""
-        attached = moment.machine.attached
-        articulation = attached.yaw_rad - moment.machine.yaw_rad
-        key = (round(attached.hitch * LEVELS), round(math.degrees(articulation)), round(attached.fold * LEVELS))
-        if key not in self._bodies:
+        attached = state.machine.attached
+        articulation = attached.yaw_rad - state.machine.yaw_rad
+        key = (
+            round(attached.hitch * SELF_MASK_STEPS),
+            round(math.degrees(articulation)),
+            round(attached.fold * SELF_MASK_STEPS),
+        )
+        if key not in self._self_masks:
             T_lidar_base = invert(self._T_base_lidar)
             T_lidar_implement = T_lidar_base @ T_base_implement(self._implement, math.radians(key[1]))
-            body = Rays([machine_mesh(self._vehicle).moved(T_lidar_base)], [BODY_REFLECTIVITY])
-            shape = implement_mesh(folded_to(self._implement, key[2] / LEVELS), key[0] / LEVELS)
-            tool = Rays([shape.moved(T_lidar_implement)], [BODY_REFLECTIVITY])
+            body = RaycastScene([machine_mesh(self._vehicle).transformed(T_lidar_base)], [BODY_REFLECTIVITY])
+            shape = implement_mesh(at_fold(self._implement, key[2] / SELF_MASK_STEPS), key[0] / SELF_MASK_STEPS)
+            tool = RaycastScene([shape.transformed(T_lidar_implement)], [BODY_REFLECTIVITY])
             rays = np.zeros((self._directions[..., 0].size, 6), np.float32)
             rays[:, 3:] = self._directions.reshape(-1, 3)
-            self._bodies[key] = nearest(body.cast(rays), tool.cast(rays))
-        return self._bodies[key]
+            self._self_masks[key] = nearer_hit(body.cast(rays), tool.cast(rays))
+        return self._self_masks[key]
 
-    def _put_figures(self, moment: Moment, rays: Float32, still: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
+    def _add_actors(self, state: WorldState, rays: Float32, static: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
         """Figures in front of what stands still, as they were in the middle of the sweep."""
         origin = rays[0, :2].astype(np.float64)
-        seen = moment.scene.seen_by("lidar")
-        near = [f for f in seen if math.dist(f.p_map_m[:2], origin) < self._lidar.range_m[1]]
+        visible = state.scene.visible_to("lidar")
+        near = [f for f in visible if math.dist(f.p_map_m[:2], origin) < self._lidar.range_m[1]]
         if not near:
-            return still
-        is_wanted = np.zeros(len(rays), bool)
-        for figure in near:
-            center, radius = figure.ball_m
-            is_wanted |= passes_ball(rays, center, radius + 0.5).view(bool)
-        scene = moment.scene.moving(near, 0.5 / self._lidar.rate_hz)
-        found = nearest((still[0][is_wanted], still[1][is_wanted]), scene.cast(rays[is_wanted]))
-        distance, signal = still[0].copy(), still[1].copy()
-        distance[is_wanted], signal[is_wanted] = found
+            return static
+        is_candidate = np.zeros(len(rays), bool)
+        for actor in near:
+            center, radius = actor.ball_m
+            is_candidate |= rays_near_ball(rays, center, radius + 0.5).view(bool)
+        scene = state.scene.actor_scene(near, 0.5 / self._lidar.rate_hz)
+        found = nearer_hit((static[0][is_candidate], static[1][is_candidate]), scene.cast(rays[is_candidate]))
+        distance, signal = static[0].copy(), static[1].copy()
+        distance[is_candidate], signal[is_candidate] = found
         return distance, signal
 
     def _measure(self, distance: Float32, signal: Float32) -> UInt16:
         """Ranges as the sensor gives them: lost, noisy, dusty, in steps; 0 where nothing came back."""
         random, n = self._random, len(distance)
-        luck = random.random(n, np.float32)
-        is_dust = random.random(n, np.float32) < self._config.dust
+        detection_draw = random.random(n, np.float32)
+        is_dust = random.random(n, np.float32) < self._config.dust_probability
         noise, dust_m = random.standard_normal(n, np.float32), np.full(n, np.inf, np.float32)
-        dust_m[is_dust] = random.uniform(*self._config.dust_m, np.count_nonzero(is_dust))
-        return ranges_mm(distance, signal, luck, dust_m, noise, self._numbers)
+        dust_m[is_dust] = random.uniform(*self._config.dust_range_m, np.count_nonzero(is_dust))
+        return ranges_mm(distance, signal, detection_draw, dust_m, noise, self._parameters)
 
 
 def directions_of(elevation_rad: Float64, azimuth_rad: Float64) -> Float32:
@@ -128,7 +134,7 @@ def directions_of(elevation_rad: Float64, azimuth_rad: Float64) -> Float32:
     return np.stack(parts, axis=-1).astype(np.float32)
 
 
-def nearest(a: tuple[Float32, Float32], b: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
+def nearer_hit(a: tuple[Float32, Float32], b: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
     """Distance and signal of whichever is hit first."""
     is_b = b[0] < a[0]
     return np.where(is_b, b[0], a[0]), np.where(is_b, b[1], a[1])

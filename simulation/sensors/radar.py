@@ -17,10 +17,10 @@ from configs.vehicle import Radar
 from messages.message import Float32, Float64, Message
 from messages.perception import ObstacleClass
 from messages.sensors import RadarScan
-from simulation.actors.actors import Figure
+from simulation.actors.actors import ActorState
 from simulation.environment.scene import Scene
 from simulation.environment.scenery import by_kind
-from simulation.sensors.sensor import Moment, period_ns_of
+from simulation.sensors.sensor import WorldState, period_ns_of
 
 # backscatter of rough surfaces in dB (times cosine of incidence and area), and what a smooth one adds square on
 ROUGH_DB = {"ground": -14.0, "crop": -15.0, "fence": -4.0, "gate": 0.0, "wall": -10.0, "roof": -10.0, "post": 2.0,
@@ -29,13 +29,13 @@ MIRROR_DB = {"wall": 25.0, "roof": 25.0, "store": 10.0}
 ROUGH, MIRROR = by_kind(ROUGH_DB), by_kind(MIRROR_DB)
 MIRROR_DEG = 6.0
 NEAR_M = 0.3  # a body hides nothing of itself
-DEEPEST_M = 1.0  # of one ray's patch on the ground, along the ray
+MAX_PATCH_DEPTH_M = 1.0  # of one ray's patch on the ground, along the ray
 # steps per m, rad, rad, m/s and dB in which detections are told: a tenth of their errors
-STEPS = np.array([128.0, 2048.0, 2048.0, 128.0, 16.0])
+RESOLUTION = np.array([128.0, 2048.0, 2048.0, 128.0, 16.0])
 
 
 @dataclass(frozen=True)
-class Point:
+class Scatterer:
     """A scatterer on a body: place, level normal of its face ((0, 0): seen from all sides), cross-section, what it adds
     seen square on, and how its speed swings with the gait (share of the walking speed, phase of the cycle)."""
 
@@ -48,23 +48,23 @@ class Point:
 
 
 # a person has -8 to 0 dBsm at 77 GHz (Yamada 2005), a small car 0 to 20 by aspect
-BODIES: dict[ObstacleClass, tuple[Point, ...]] = {
+SCATTERERS: dict[ObstacleClass, tuple[Scatterer, ...]] = {
     ObstacleClass.PERSON: (
-        Point((0.0, 0.0, 1.15), rcs_dbsm=-5.0),
-        Point((0.0, 0.1, 0.5), rcs_dbsm=-10.0, swing=0.8),
-        Point((0.0, -0.1, 0.5), rcs_dbsm=-10.0, swing=0.8, phase=0.5),
+        Scatterer((0.0, 0.0, 1.15), rcs_dbsm=-5.0),
+        Scatterer((0.0, 0.1, 0.5), rcs_dbsm=-10.0, swing=0.8),
+        Scatterer((0.0, -0.1, 0.5), rcs_dbsm=-10.0, swing=0.8, phase=0.5),
     ),
     ObstacleClass.ANIMAL: (
-        Point((0.3, 0.0, 0.65), rcs_dbsm=-8.0),
-        Point((-0.3, 0.0, 0.65), rcs_dbsm=-8.0),
-        Point((0.38, 0.0, 0.3), rcs_dbsm=-14.0, swing=0.8),
-        Point((-0.38, 0.0, 0.3), rcs_dbsm=-14.0, swing=0.8, phase=0.5),
+        Scatterer((0.3, 0.0, 0.65), rcs_dbsm=-8.0),
+        Scatterer((-0.3, 0.0, 0.65), rcs_dbsm=-8.0),
+        Scatterer((0.38, 0.0, 0.3), rcs_dbsm=-14.0, swing=0.8),
+        Scatterer((-0.38, 0.0, 0.3), rcs_dbsm=-14.0, swing=0.8, phase=0.5),
     ),
     ObstacleClass.VEHICLE: (
-        *(Point((1.75 * x, 0.75 * y, 0.6), (0.7 * x, 0.7 * y), 0.0) for x in (1, -1) for y in (1, -1)),
-        *(Point((1.2 * x, 0.8 * y, 0.35), (0.0, 1.0 * y), 2.0) for x in (1, -1) for y in (1, -1)),
-        *(Point((0.0, 0.81 * y, 0.7), (0.0, 1.0 * y), -2.0, 18.0) for y in (1, -1)),
-        *(Point((1.9 * x, 0.0, 0.7), (1.0 * x, 0.0), 0.0, 15.0) for x in (1, -1)),
+        *(Scatterer((1.75 * x, 0.75 * y, 0.6), (0.7 * x, 0.7 * y), 0.0) for x in (1, -1) for y in (1, -1)),
+        *(Scatterer((1.2 * x, 0.8 * y, 0.35), (0.0, 1.0 * y), 2.0) for x in (1, -1) for y in (1, -1)),
+        *(Scatterer((0.0, 0.81 * y, 0.7), (0.0, 1.0 * y), -2.0, 18.0) for y in (1, -1)),
+        *(Scatterer((1.9 * x, 0.0, 0.7), (1.0 * x, 0.0), 0.0, 15.0) for x in (1, -1)),
     ),
 }
 
@@ -73,26 +73,28 @@ class RadarConfig(Config):
     """What the vehicle's file does not say of a radar."""
 
     latency_s: float = Field(ge=0.0, le=0.5)
-    sight_m: float = Field(gt=5.0, le=300.0, description="range at which 0 dBsm is detected every third time")
-    least_dbsm: float = Field(ge=-60.0, le=0.0, description="what is weaker is not told, however near")
-    ray_deg: float = Field(gt=0.2, le=10.0, description="between the rays of the fan, level")
-    rows_deg: tuple[float, ...] = Field(min_length=1, max_length=9, description="elevations of the fan")
-    elevation_deg: float = Field(gt=1.0, le=45.0, description="half of the view in elevation")
+    reference_range_m: float = Field(gt=5.0, le=300.0, description="range at which 0 dBsm is detected every third time")
+    min_rcs_dbsm: float = Field(ge=-60.0, le=0.0, description="what is weaker is not told, however near")
+    ray_spacing_deg: float = Field(gt=0.2, le=10.0, description="between the rays of the fan, level")
+    ray_elevations_deg: tuple[float, ...] = Field(min_length=1, max_length=9, description="elevations of the fan")
+    half_elevation_fov_deg: float = Field(gt=1.0, le=45.0, description="half of the view in elevation")
     elevation_sigma_deg: float = Field(ge=0.0, le=10.0)
-    cell_m: float = Field(gt=0.05, le=5.0, description="resolution in range")
-    cell_deg: float = Field(gt=0.2, le=20.0, description="resolution in azimuth")
+    range_resolution_m: float = Field(gt=0.05, le=5.0, description="resolution in range")
+    azimuth_resolution_deg: float = Field(gt=0.2, le=20.0, description="resolution in azimuth")
     rcs_sigma_db: float = Field(ge=0.0, le=10.0)
-    miss: float = Field(ge=0.0, le=0.5, description="share of detections lost for no reason")
-    clutter: float = Field(ge=0.0, le=50.0, description="false detections a cycle")
+    miss_probability: float = Field(ge=0.0, le=0.5, description="share of detections lost for no reason")
+    clutter_per_cycle: float = Field(ge=0.0, le=50.0, description="false detections a cycle")
     clutter_dbsm: tuple[float, float]
-    clutter_mps: float = Field(ge=0.0, le=30.0, description="largest Doppler of false detections")
-    ghost: float = Field(ge=0.0, le=0.5, description="share of detections with a second one by a longer way")
-    ghost_m: tuple[float, float] = Field(description="how much longer")
-    ghost_db: float = Field(ge=0.0, le=40.0, description="how much weaker")
+    clutter_doppler_mps: float = Field(ge=0.0, le=30.0, description="largest Doppler of false detections")
+    ghost_probability: float = Field(
+        ge=0.0, le=0.5, description="share of detections with a second one by a longer way"
+    )
+    ghost_delay_m: tuple[float, float] = Field(description="how much longer")
+    ghost_attenuation_db: float = Field(ge=0.0, le=40.0, description="how much weaker")
 
 
 @dataclass(frozen=True)
-class Hits:
+class Scatterers:
     """N scatterers: vectors from the sensor (N, 3) in its frame, Doppler (N,) and mean cross-section (N,)."""
 
     ray_m: Float64
@@ -110,83 +112,88 @@ class RadarModel:
         self._radar, self._config, self._random = radar, config, random
         self._T_base_radar = radar.mount.T_base_sensor
         self._half = math.radians(0.5 * radar.field_of_view_deg)
-        columns = max(1, round(radar.field_of_view_deg / config.ray_deg))
-        azimuth, rows = 2.0 * self._half * ((np.arange(columns) + 0.5) / columns - 0.5), np.radians(config.rows_deg)
+        columns = max(1, round(radar.field_of_view_deg / config.ray_spacing_deg))
+        azimuth, rows = (
+            2.0 * self._half * ((np.arange(columns) + 0.5) / columns - 0.5),
+            np.radians(config.ray_elevations_deg),
+        )
         self._fan = np.tile(azimuth, len(rows)), np.repeat(rows, columns)
         angles = np.radians([radar.azimuth_sigma_deg, config.elevation_sigma_deg])
         self._sigma = np.array([radar.range_sigma_m, *angles, radar.doppler_sigma_mps, config.rcs_sigma_db])
 
-    def sample(self, moment: Moment) -> Message:
+    def sample(self, state: WorldState) -> Message:
         """The cycle that ends now."""
-        T = moment.track.back(0) @ self._T_base_radar
-        before = moment.track.back(2) @ self._T_base_radar
-        velocity = (T[:3, 3] - before[:3, 3]) / (2e-9 * moment.track.step_ns)
-        sets = [self._still(moment.scene, T, velocity), *self._figures(moment.scene, T, velocity)]
-        hits = Hits(*(np.concatenate([getattr(h, key) for h in sets]) for key in ("ray_m", "doppler_mps", "rcs_dbsm")))
-        return self._measure(moment.stamp_ns, hits)
+        T = state.poses.steps_ago(0) @ self._T_base_radar
+        before = state.poses.steps_ago(2) @ self._T_base_radar
+        velocity = (T[:3, 3] - before[:3, 3]) / (2e-9 * state.poses.step_ns)
+        sets = [self._static_scatterers(state.scene, T, velocity), *self._actor_scatterers(state.scene, T, velocity)]
+        hits = Scatterers(
+            *(np.concatenate([getattr(h, key) for h in sets]) for key in ("ray_m", "doppler_mps", "rcs_dbsm"))
+        )
+        return self._measure(state.stamp_ns, hits)
 
-    def _still(self, scene: Scene, T: Float64, velocity_mps: Float64) -> Hits:
+    def _static_scatterers(self, scene: Scene, T: Float64, velocity_mps: Float64) -> Scatterers:
         """A jittered fan of rays against what stands still; each ray is a patch as large as the fan is coarse."""
-        n, step = len(self._fan[0]), math.radians(self._config.ray_deg)
+        n, step = len(self._fan[0]), math.radians(self._config.ray_spacing_deg)
         azimuth = self._fan[0] + step * self._random.uniform(-0.5, 0.5, n)
-        tall = math.radians(2.0 * self._config.elevation_deg) / len(self._config.rows_deg)
+        tall = math.radians(2.0 * self._config.half_elevation_fov_deg) / len(self._config.ray_elevations_deg)
         elevation = self._fan[1] + tall * self._random.uniform(-0.5, 0.5, n)
         u = directions(azimuth, elevation)
         u_map = u @ T[:3, :3].T
-        distance, kind, cosine = scene.still.strike(rays_from(T[:3, 3], u_map))
+        distance, kind, cosine = scene.static.cast_surface(rays_from(T[:3, 3], u_map))
         near, far = self._radar.range_m
         is_hit = (distance >= near) & (distance <= far)
         r, cosine = distance[is_hit].astype(np.float64), np.maximum(cosine[is_hit].astype(np.float64), 1e-3)
-        patch = r * step * np.minimum(r * tall / cosine, DEEPEST_M)
+        patch = r * step * np.minimum(r * tall / cosine, MAX_PATCH_DEPTH_M)
         rough, mirror = ROUGH[kind[is_hit]], MIRROR[kind[is_hit]]
         rcs, shiny = rough + 10.0 * np.log10(cosine * patch), np.flatnonzero(mirror)
         off_deg = np.degrees(np.arccos(np.minimum(cosine[shiny], 1.0)))
         rcs[shiny] += mirror[shiny] * np.exp(-((off_deg / MIRROR_DEG) ** 2))
-        return Hits(u[is_hit] * r[:, None], -(u_map[is_hit] @ velocity_mps), rcs)
+        return Scatterers(u[is_hit] * r[:, None], -(u_map[is_hit] @ velocity_mps), rcs)
 
-    def _figures(self, scene: Scene, T: Float64, velocity_mps: Float64) -> list[Hits]:
-        figures = scene.seen_by("radar")
-        near = [f for f in figures if math.dist(f.p_map_m, T[:3, 3]) < self._radar.range_m[1]]
-        return [self._figure(scene, f, T, velocity_mps) for f in near if not is_hidden(f, figures, T)]
+    def _actor_scatterers(self, scene: Scene, T: Float64, velocity_mps: Float64) -> list[Scatterers]:
+        actors = scene.visible_to("radar")
+        near = [f for f in actors if math.dist(f.p_map_m, T[:3, 3]) < self._radar.range_m[1]]
+        return [self._scatterers_of(scene, f, T, velocity_mps) for f in near if not is_occluded(f, actors, T)]
 
-    def _figure(self, scene: Scene, figure: Figure, T: Float64, velocity_mps: Float64) -> Hits:
+    def _scatterers_of(self, scene: Scene, actor: ActorState, T: Float64, velocity_mps: Float64) -> Scatterers:
         """The points of one body that nothing stands before."""
-        points = BODIES.get(figure.label, BODIES[ObstacleClass.PERSON])
-        c, s = math.cos(figure.yaw_rad), math.sin(figure.yaw_rad)
+        points = SCATTERERS.get(actor.label, SCATTERERS[ObstacleClass.PERSON])
+        c, s = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        p_map = np.array([p.at_m for p in points]) @ turn.T + figure.p_map_m
+        p_map = np.array([p.at_m for p in points]) @ turn.T + actor.p_map_m
         to = p_map - T[:3, 3]
         r = np.linalg.norm(to, axis=1)
         u = to / r[:, None]
         facing = -np.einsum("ij,ij->i", np.array([[*p.normal, 0.0] for p in points]) @ turn.T, u)
         is_all_round = np.array([p.normal == (0.0, 0.0) for p in points])
-        distance, _, _ = scene.still.strike(rays_from(T[:3, 3], u))
+        distance, _, _ = scene.static.cast_surface(rays_from(T[:3, 3], u))
         is_seen = (distance > r - NEAR_M) & (is_all_round | (facing > 0.1))
         off_deg = np.degrees(np.arccos(np.clip(facing, 0.0, 1.0)))
         rcs = np.array([p.rcs_dbsm for p in points])
         rcs = rcs + np.array([p.mirror_db for p in points]) * np.exp(-((off_deg / (2.0 * MIRROR_DEG)) ** 2))
-        gait = np.array([1.0 + p.swing * math.sin(2.0 * math.pi * (figure.gait + p.phase)) for p in points])
-        own = np.array([*figure.velocity_mps, 0.0])
+        gait = np.array([1.0 + p.swing * math.sin(2.0 * math.pi * (actor.gait + p.phase)) for p in points])
+        own = np.array([*actor.velocity_mps, 0.0])
         doppler = np.einsum("ij,ij->i", gait[:, None] * own - velocity_mps, u)
-        return Hits((to @ T[:3, :3])[is_seen], doppler[is_seen], rcs[is_seen])
+        return Scatterers((to @ T[:3, :3])[is_seen], doppler[is_seen], rcs[is_seen])
 
-    def _measure(self, stamp_ns: int, hits: Hits) -> RadarScan:
+    def _measure(self, stamp_ns: int, hits: Scatterers) -> RadarScan:
         """Cells that rise above the noise, with errors, ghosts and clutter."""
         config, random = self._config, self._random
         r = np.linalg.norm(hits.ray_m, axis=1)
         azimuth = np.arctan2(hits.ray_m[:, 1], hits.ray_m[:, 0])
         elevation = np.arcsin(np.clip(hits.ray_m[:, 2] / np.maximum(r, 1e-6), -1.0, 1.0))
         rcs = hits.rcs_dbsm + 10.0 * np.log10(random.exponential(1.0, len(r)) + 1e-9)
-        level_db = rcs + 40.0 * np.log10(config.sight_m / np.maximum(r, 0.1))
-        is_in = (np.abs(azimuth) <= self._half) & (np.abs(elevation) <= math.radians(config.elevation_deg))
+        level_db = rcs + 40.0 * np.log10(config.reference_range_m / np.maximum(r, 0.1))
+        is_in = (np.abs(azimuth) <= self._half) & (np.abs(elevation) <= math.radians(config.half_elevation_fov_deg))
         found = np.flatnonzero(
-            (level_db > 0.0) & (rcs > config.least_dbsm) & is_in & (random.random(len(r)) >= config.miss)
+            (level_db > 0.0) & (rcs > config.min_rcs_dbsm) & is_in & (random.random(len(r)) >= config.miss_probability)
         )
         found = self._resolve(found, r, azimuth, hits.doppler_mps, level_db)
         detections = np.column_stack([r, azimuth, elevation, hits.doppler_mps, rcs])[found]
         detections = np.vstack([detections, self._ghosts(detections), self._clutter()])
         detections = detections + self._sigma * random.standard_normal(detections.shape)
-        detections = np.round(detections * STEPS) / STEPS
+        detections = np.round(detections * RESOLUTION) / RESOLUTION
         low, high = self._radar.range_m
         is_out = (detections[:, 0] >= low) & (detections[:, 0] <= high) & (np.abs(detections[:, 1]) <= self._half)
         return RadarScan(stamp_ns, *(np.ascontiguousarray(column) for column in detections[is_out].T))
@@ -195,7 +202,7 @@ class RadarModel:
                  doppler: Float64, level_db: Float64) -> np.ndarray[tuple[int], np.dtype[np.intp]]:  # fmt: skip
         """The strongest of each cell of range, azimuth and Doppler."""
         cells = np.floor(np.column_stack([
-            r / self._config.cell_m, azimuth / math.radians(self._config.cell_deg),
+            r / self._config.range_resolution_m, azimuth / math.radians(self._config.azimuth_resolution_deg),
             doppler / (4.0 * self._radar.doppler_sigma_mps),
         ])[found])  # fmt: skip
         order = np.argsort(-level_db[found], kind="stable")
@@ -205,17 +212,18 @@ class RadarModel:
 
     def _ghosts(self, detections: Float64) -> Float64:
         """The same targets once more, by way of something else: farther and weaker."""
-        ghosts = detections[self._random.random(len(detections)) < self._config.ghost].copy()
-        ghosts[:, 0] += self._random.uniform(*self._config.ghost_m, len(ghosts))
-        ghosts[:, 4] -= self._config.ghost_db
+        ghosts = detections[self._random.random(len(detections)) < self._config.ghost_probability].copy()
+        ghosts[:, 0] += self._random.uniform(*self._config.ghost_delay_m, len(ghosts))
+        ghosts[:, 4] -= self._config.ghost_attenuation_db
         return np.asarray(ghosts)
 
     def _clutter(self) -> Float64:
         config, random = self._config, self._random
-        n, (near, far) = int(random.poisson(config.clutter)), self._radar.range_m
+        n, (near, far) = int(random.poisson(config.clutter_per_cycle)), self._radar.range_m
         return np.column_stack([
             random.uniform(near, far, n), random.uniform(-self._half, self._half, n), np.zeros(n),
-            random.uniform(-config.clutter_mps, config.clutter_mps, n), random.uniform(*config.clutter_dbsm, n),
+            random.uniform(-config.clutter_doppler_mps, config.clutter_doppler_mps, n),
+            random.uniform(*config.clutter_dbsm, n),
         ])  # fmt: skip
 
 
@@ -233,10 +241,10 @@ def rays_from(origin_m: Float64, u: Float64) -> Float32:
     return rays
 
 
-def is_hidden(figure: Figure, others: list[Figure], T_map_sensor: Float64) -> bool:
+def is_occluded(actor: ActorState, others: list[ActorState], T_map_sensor: Float64) -> bool:
     """Whether another figure stands between it and the sensor, seen from above."""
     eye = T_map_sensor[:2, 3]
-    line = LineString(np.stack([eye, figure.p_map_m[:2]]))
-    away = math.dist(eye, figure.p_map_m[:2])
-    nearer = [f for f in others if f is not figure and math.dist(eye, f.p_map_m[:2]) < away]
+    line = LineString(np.stack([eye, actor.p_map_m[:2]]))
+    away = math.dist(eye, actor.p_map_m[:2])
+    nearer = [f for f in others if f is not actor and math.dist(eye, f.p_map_m[:2]) < away]
     return any(line.intersects(f.footprint) for f in nearer)

@@ -6,16 +6,16 @@ from typing import Protocol
 from messages.message import Message
 from simulation.environment.scene import Scene
 from simulation.machine.machine import Machine
-from simulation.machine.pose_buffer import Track
+from simulation.machine.pose_buffer import PoseBuffer
 
 
 @dataclass(frozen=True)
-class Moment:
+class WorldState:
     """The world at one instant; `track` ends there."""
 
     stamp_ns: int
     elapsed_s: float
-    track: Track
+    poses: PoseBuffer
     machine: Machine
     scene: Scene
 
@@ -27,7 +27,7 @@ class Sensor(Protocol):
     period_ns: int
     latency_ns: int
 
-    def sample(self, moment: Moment) -> Message | None:
+    def sample(self, state: WorldState) -> Message | None:
         """What it measures now, or None when it says nothing."""
 
 

@@ -17,12 +17,12 @@ from messages.sensors import UltrasonicRange
 from simulation.environment.scenery import by_kind
 from simulation.machine.body import LIFT_M
 from simulation.sensors.radar import directions, rays_from
-from simulation.sensors.sensor import Moment, period_ns_of
+from simulation.sensors.sensor import WorldState, period_ns_of
 
 STRENGTH = {"wall": 1.5, "roof": 1.5, "store": 1.0, "post": 0.7, "mast": 0.4, "gate": 0.6, "fence": 0.5, "trees": 0.3,
             "crop": 0.02, "ground": 0.0}  # fmt: skip
-SOFT = {ObstacleClass.PERSON: 0.5, ObstacleClass.ANIMAL: 0.3, ObstacleClass.VEHICLE: 1.2}
-LOUDNESS, IS_SMOOTH = by_kind(STRENGTH), by_kind({"wall": 1.0, "roof": 1.0}) > 0.0
+ACTOR_STRENGTH = {ObstacleClass.PERSON: 0.5, ObstacleClass.ANIMAL: 0.3, ObstacleClass.VEHICLE: 1.2}
+SURFACE_STRENGTH, IS_SMOOTH = by_kind(STRENGTH), by_kind({"wall": 1.0, "roof": 1.0}) > 0.0
 MIRROR_DEG, ROUGH = 25.0, 0.1  # a corrugated wall is heard so far off its normal, and a tenth beyond
 EDGE = 0.5  # of the loudness on the axis, at the edge of the cone
 COLUMNS, ROWS = 31, 5
@@ -33,72 +33,75 @@ class UltrasonicConfig(Config):
     """What the vehicle's file does not say of an ultrasonic sensor."""
 
     latency_s: float = Field(ge=0.0, le=0.5)
-    flicker: float = Field(ge=0.0, le=1.0, description="sigma of the loudness, as a share")
-    miss: float = Field(ge=0.0, le=0.5, description="share of measurements without any echo for no reason")
-    cross_talk: float = Field(ge=0.0, le=0.5, description="share with a stray pulse, for each neighbour")
-    sound_sigma: float = Field(ge=0.0, le=0.1, description="of the speed of sound, after compensation")
+    amplitude_sigma: float = Field(ge=0.0, le=1.0, description="sigma of the loudness, as a share")
+    miss_probability: float = Field(ge=0.0, le=0.5, description="share of measurements without any echo for no reason")
+    cross_talk_probability: float = Field(ge=0.0, le=0.5, description="share with a stray pulse, for each neighbour")
+    sound_speed_sigma: float = Field(ge=0.0, le=0.1, description="of the speed of sound, after compensation")
 
 
 class UltrasonicModel:
     """One sensor; `neighbours` others look the same way, and one that `is_carried` rises with the implement."""
 
     def __init__(
-        self, name: str, sensor: Ultrasonic, neighbours: int, is_carried: bool, config: UltrasonicConfig,
+        self, name: str, sensor: Ultrasonic, neighbours: int, is_on_implement: bool, config: UltrasonicConfig,
         random: np.random.Generator,
     ) -> None:  # fmt: skip
         self.topic = f"ultrasonic/{name}"
         self.period_ns = period_ns_of(sensor.rate_hz)
         self.latency_ns = round(config.latency_s * 1e9)
-        self._sensor, self._is_carried, self._config, self._random = sensor, is_carried, config, random
+        self._sensor, self._is_on_implement, self._config, self._random = sensor, is_on_implement, config, random
         self._T_base_sensor = sensor.mount.T_base_sensor
-        self._stray = config.cross_talk * neighbours
-        self._scale = 1.0 + config.sound_sigma * float(random.standard_normal())
+        self._stray = config.cross_talk_probability * neighbours
+        self._scale = 1.0 + config.sound_speed_sigma * float(random.standard_normal())
         self._half = math.radians(0.5 * sensor.cone_deg)
         self._u = cone_rays(self._half)
         self._beam = np.power(EDGE, (np.arccos(np.clip(self._u[:, 0], -1.0, 1.0)) / self._half) ** 2)
 
-    def sample(self, moment: Moment) -> Message:
+    def sample(self, state: WorldState) -> Message:
         """The first echo heard, or NaN."""
         near, far = self._sensor.range_m
-        T = self._pose(moment)
+        T = self._pose(state)
         range_m, loudness = (
-            np.concatenate(pair) for pair in zip(self._still(moment, T), self._figures(moment, T), strict=True)
+            np.concatenate(pair)
+            for pair in zip(self._static_returns(state, T), self._actor_returns(state, T), strict=True)
         )
-        flicker = 1.0 + self._config.flicker * self._random.standard_normal(len(range_m))
-        is_heard = (loudness * flicker * (far / np.maximum(range_m, near)) ** 2 >= 1.0) & (range_m >= near)
-        is_lost = self._random.random() < self._config.miss
-        first = float(range_m[is_heard].min()) if is_heard.any() and not is_lost else math.inf
+        amplitude = 1.0 + self._config.amplitude_sigma * self._random.standard_normal(len(range_m))
+        is_detected = (loudness * amplitude * (far / np.maximum(range_m, near)) ** 2 >= 1.0) & (range_m >= near)
+        is_lost = self._random.random() < self._config.miss_probability
+        first = float(range_m[is_detected].min()) if is_detected.any() and not is_lost else math.inf
         measured = first * self._scale + self._sensor.range_sigma_m * float(self._random.standard_normal())
         stray, chance = self._random.uniform(near, far), self._random.random()
         measured = min(measured, stray) if chance < self._stray else measured
-        return UltrasonicRange(moment.stamp_ns, max(measured, near) if measured <= far else math.nan)
+        return UltrasonicRange(state.stamp_ns, max(measured, near) if measured <= far else math.nan)
 
-    def _pose(self, moment: Moment) -> Float64:
-        T = moment.track.back(0) @ self._T_base_sensor
-        if self._is_carried:  # the mount is that of the raised implement
+    def _pose(self, state: WorldState) -> Float64:
+        T = state.poses.steps_ago(0) @ self._T_base_sensor
+        if self._is_on_implement:  # the mount is that of the raised implement
             T = T.copy()
-            T[2, 3] -= LIFT_M * (1.0 - moment.machine.attached.hitch)
+            T[2, 3] -= LIFT_M * (1.0 - state.machine.attached.hitch)
         return T
 
-    def _still(self, moment: Moment, T: Float64) -> tuple[Float64, Float64]:
+    def _static_returns(self, state: WorldState, T: Float64) -> tuple[Float64, Float64]:
         """Range and loudness at unit distance of what stands still, ray by ray."""
-        distance, kind, cosine = moment.scene.still.strike(rays_from(T[:3, 3], self._u @ T[:3, :3].T))
-        if not (LOUDNESS[kind] > 0.0).any():
+        distance, kind, cosine = state.scene.static.cast_surface(rays_from(T[:3, 3], self._u @ T[:3, :3].T))
+        if not (SURFACE_STRENGTH[kind] > 0.0).any():
             return distance.astype(np.float64), np.zeros(len(distance))
         off = np.degrees(np.arccos(np.minimum(cosine, 1.0))) / MIRROR_DEG
         mirrored = np.where(IS_SMOOTH[kind], np.maximum(np.exp(-(off**2)), ROUGH), 1.0)
-        return distance.astype(np.float64), LOUDNESS[kind] * mirrored * self._beam
+        return distance.astype(np.float64), SURFACE_STRENGTH[kind] * mirrored * self._beam
 
-    def _figures(self, moment: Moment, T: Float64) -> tuple[Float64, Float64]:
+    def _actor_returns(self, state: WorldState, T: Float64) -> tuple[Float64, Float64]:
         """The same of each figure's nearest point in the cone."""
         far = self._sensor.range_m[1]
         found: list[tuple[float, float]] = []
-        for figure in moment.scene.seen_by("ultrasonic"):
-            if math.dist(figure.p_map_m[:2], T[:2, 3]) > far + 3.0:
+        for actor in state.scene.visible_to("ultrasonic"):
+            if math.dist(actor.p_map_m[:2], T[:2, 3]) > far + 3.0:
                 continue
-            echo = self._nearest(figure.vertices_map_m, T)
-            if echo is not None and not self._is_hidden(moment, T, echo):
-                loudness = SOFT.get(figure.label, 0.5) * EDGE ** ((math.acos(echo[0] / echo[3]) / self._half) ** 2)
+            echo = self._nearest(actor.vertices_map_m, T)
+            if echo is not None and not self._is_occluded(state, T, echo):
+                loudness = ACTOR_STRENGTH.get(actor.label, 0.5) * EDGE ** (
+                    (math.acos(echo[0] / echo[3]) / self._half) ** 2
+                )
                 found.append((echo[3], loudness))
         pairs = np.array(found).reshape(-1, 2)
         return pairs[:, 0], pairs[:, 1]
@@ -113,9 +116,9 @@ class UltrasonicModel:
         k = int(inside[np.argmin(r[inside])])
         return float(p[k, 0]), float(p[k, 1]), float(p[k, 2]), max(float(r[k]), 1e-3)
 
-    def _is_hidden(self, moment: Moment, T: Float64, echo: tuple[float, float, float, float]) -> bool:
+    def _is_occluded(self, state: WorldState, T: Float64, echo: tuple[float, float, float, float]) -> bool:
         u = np.array([echo[:3]]) / echo[3]
-        distance, _, _ = moment.scene.still.strike(rays_from(T[:3, 3], u @ T[:3, :3].T))
+        distance, _, _ = state.scene.static.cast_surface(rays_from(T[:3, 3], u @ T[:3, :3].T))
         return bool(distance[0] < echo[3] - NEAR_M)
 
 

@@ -11,7 +11,7 @@ from configs.vehicle import Uwb
 from messages.message import Float64, Message
 from messages.sensors import UwbRanges
 from simulation.environment.scenery import by_kind
-from simulation.sensors.sensor import Moment, period_ns_of
+from simulation.sensors.sensor import WorldState, period_ns_of
 
 CLEAR_M = 0.3  # an anchor sits on its wall or mast, which is not between
 IS_THIN = by_kind(dict.fromkeys(("post", "mast", "fence", "gate", "crop"), 1.0)) > 0.0
@@ -23,11 +23,11 @@ class UwbConfig(Config):
     latency_s: float = Field(ge=0.0, le=0.5)
     scale_sigma: float = Field(ge=0.0, le=0.1, description="of all ranges of a tag together")
     bias_sigma_m: float = Field(ge=0.0, le=1.0, description="of each anchor, constant")
-    post_bias_m: float = Field(ge=0.0, le=5.0, description="mean delay round a post")
-    wall_bias_m: float = Field(ge=0.0, le=5.0, description="mean delay through or round a wall or vehicle")
-    late_time_s: float = Field(gt=0.0, le=60.0, description="over which such a delay wanders")
-    dropout: float = Field(ge=0.0, le=0.9, description="share of ranges lost in line of sight")
-    wall_dropout: float = Field(ge=0.0, le=0.99, description="share lost behind a wall")
+    nlos_thin_bias_m: float = Field(ge=0.0, le=5.0, description="mean delay round a post")
+    nlos_thick_bias_m: float = Field(ge=0.0, le=5.0, description="mean delay through or round a wall or vehicle")
+    nlos_correlation_s: float = Field(gt=0.0, le=60.0, description="over which such a delay wanders")
+    dropout_probability: float = Field(ge=0.0, le=0.9, description="share of ranges lost in line of sight")
+    nlos_thick_dropout_probability: float = Field(ge=0.0, le=0.99, description="share lost behind a wall")
 
 
 class UwbModel:
@@ -45,45 +45,49 @@ class UwbModel:
         self._anchors_m = np.array([anchors[n] for n in self._names], np.float64).reshape(-1, 3)
         self._scale = 1.0 + config.scale_sigma * float(random.standard_normal())
         self._bias_m = config.bias_sigma_m * random.standard_normal(len(self._names))
-        self._wander = random.standard_normal(len(self._names))
+        self._nlos_state = random.standard_normal(len(self._names))
 
-    def sample(self, moment: Moment) -> Message:
+    def sample(self, state: WorldState) -> Message:
         """The ranges heard now."""
         config, random, n = self._config, self._random, len(self._names)
-        tag = (moment.track.back(0) @ self._uwb.mount.T_base_sensor)[:3, 3]
+        tag = (state.poses.steps_ago(0) @ self._uwb.mount.T_base_sensor)[:3, 3]
         to = self._anchors_m - tag
         true_m = np.linalg.norm(to, axis=1)
-        hindrance = self._between(moment, tag, to, true_m)  # 0 free, 1 thin, 2 thick
-        keep = math.exp(-self.period_ns * 1e-9 / config.late_time_s)
-        self._wander = keep * self._wander + math.sqrt(1.0 - keep * keep) * random.standard_normal(n)
-        late = np.array([0.0, config.post_bias_m, config.wall_bias_m])[hindrance] * np.exp(0.5 * self._wander)
-        spread = self._uwb.range_sigma_m * np.array([1.0, 1.5, 2.5])[hindrance] * random.standard_normal(n)
-        range_m = self._scale * true_m + self._bias_m + late + spread
-        quality = np.array([0.9, 0.6, 0.3])[hindrance] + 0.05 * random.standard_normal(n)
-        lost = np.array([config.dropout, config.dropout, config.wall_dropout])[hindrance]
+        obstruction = self._obstructions(state, tag, to, true_m)  # 0 free, 1 thin, 2 thick
+        keep = math.exp(-self.period_ns * 1e-9 / config.nlos_correlation_s)
+        self._nlos_state = keep * self._nlos_state + math.sqrt(1.0 - keep * keep) * random.standard_normal(n)
+        nlos_bias = np.array([0.0, config.nlos_thin_bias_m, config.nlos_thick_bias_m])[obstruction] * np.exp(
+            0.5 * self._nlos_state
+        )
+        spread = self._uwb.range_sigma_m * np.array([1.0, 1.5, 2.5])[obstruction] * random.standard_normal(n)
+        range_m = self._scale * true_m + self._bias_m + nlos_bias + spread
+        quality = np.array([0.9, 0.6, 0.3])[obstruction] + 0.05 * random.standard_normal(n)
+        lost = np.array(
+            [config.dropout_probability, config.dropout_probability, config.nlos_thick_dropout_probability]
+        )[obstruction]
         low, high = self._uwb.range_m
-        heard = np.flatnonzero((random.random(n) >= lost) & (range_m >= low) & (range_m <= high))
-        names = tuple(self._names[k] for k in heard)
-        return UwbRanges(moment.stamp_ns, self._tag, names, range_m[heard], np.clip(quality[heard], 0.0, 1.0))
+        received = np.flatnonzero((random.random(n) >= lost) & (range_m >= low) & (range_m <= high))
+        names = tuple(self._names[k] for k in received)
+        return UwbRanges(state.stamp_ns, self._tag, names, range_m[received], np.clip(quality[received], 0.0, 1.0))
 
-    def _between(
-        self, moment: Moment, tag: Float64, to: Float64, true_m: Float64
+    def _obstructions(
+        self, state: WorldState, tag: Float64, to: Float64, true_m: Float64
     ) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         """What hinders each range, (N,): cast from the anchor, whose own wall is left out, and figures from above."""
         u = to / np.maximum(true_m, 1e-6)[:, None]
         start = self._anchors_m - CLEAR_M * u
         rays = np.hstack([start, -u]).astype(np.float32)
-        distance, kind, _ = moment.scene.still.strike(rays)
-        hindrance = np.where(distance < true_m - 2.0 * CLEAR_M, np.where(IS_THIN[kind], 1, 2), 0)
-        for figure in moment.scene.figures:
-            center, radius = figure.ball_m
+        distance, kind, _ = state.scene.static.cast_surface(rays)
+        obstruction = np.where(distance < true_m - 2.0 * CLEAR_M, np.where(IS_THIN[kind], 1, 2), 0)
+        for actor in state.scene.actors:
+            center, radius = actor.ball_m
             for k in range(len(true_m)):
-                if hindrance[k] == 0 and is_between(center, 0.7 * radius, tag, self._anchors_m[k]):
-                    hindrance[k] = 2 if radius > 1.5 else 1
-        return np.asarray(hindrance, np.int64)
+                if obstruction[k] == 0 and intersects_ball(center, 0.7 * radius, tag, self._anchors_m[k]):
+                    obstruction[k] = 2 if radius > 1.5 else 1
+        return np.asarray(obstruction, np.int64)
 
 
-def is_between(center_m: Float64, radius_m: float, a_m: Float64, b_m: Float64) -> bool:
+def intersects_ball(center_m: Float64, radius_m: float, a_m: Float64, b_m: Float64) -> bool:
     """Whether the line from a to b passes a ball."""
     way = b_m - a_m
     share = float(np.clip((center_m - a_m) @ way / max(float(way @ way), 1e-9), 0.0, 1.0))

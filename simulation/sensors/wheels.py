@@ -7,7 +7,7 @@ import numpy as np
 from configs.vehicle import Wheels
 from messages.message import Message
 from messages.sensors import WheelSample
-from simulation.sensors.sensor import Moment, period_ns_of
+from simulation.sensors.sensor import WorldState, period_ns_of
 
 
 class WheelModel:
@@ -19,10 +19,10 @@ class WheelModel:
         self.latency_ns = 0
         self._wheels, self._random = wheels, random
 
-    def sample(self, moment: Moment) -> Message:
+    def sample(self, state: WorldState) -> Message:
         """Speed of the wheels' rims, which slip, and the measured angle."""
         white = self._random.standard_normal(2)
-        speed = moment.machine.wheel_speed_mps
+        speed = state.machine.wheel_speed_mps
         speed += float(white[0]) * self._wheels.speed_sigma_mps if speed != 0.0 else 0.0
-        angle = moment.machine.measured_angle_rad + float(white[1]) * math.radians(self._wheels.angle_sigma_deg)
-        return WheelSample(moment.stamp_ns, speed, angle)
+        angle = state.machine.measured_angle_rad + float(white[1]) * math.radians(self._wheels.angle_sigma_deg)
+        return WheelSample(state.stamp_ns, speed, angle)

@@ -18,9 +18,10 @@ SCENARIO = parse(
     {
         "name": "crossing", "operator_commands": [{"at_s": 3.0, "command": "start", "expires_s": 5.0}],
         "encounters": [{
-            "kind": "crossing", "name": "person", "figure": "person", "stops": 1, "share": [0.72, 0.74],
-            "from_m": [4.0, 4.1], "oblique_deg": [0.0, 1.0], "walk_mps": [1.4, 1.5], "leave_mps": [1.4, 1.5],
-            "slack_s": [1.5, 1.6], "wait_s": [4.5, 4.6],
+            "kind": "crossing", "name": "person", "actor": "person", "expected_stops": 1,
+            "swath_fraction": [0.72, 0.74], "start_lateral_m": [4.0, 4.1], "skew_deg": [0.0, 1.0],
+            "walk_speed_mps": [1.4, 1.5], "leave_speed_mps": [1.4, 1.5],
+            "arrival_margin_s": [1.5, 1.6], "extra_stand_s": [4.5, 4.6],
         }],
     },
     "crossing",

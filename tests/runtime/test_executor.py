@@ -175,7 +175,7 @@ class Tape:
         self.held = [(due, output) for due, output in self.held if due > now_ns]
         return come
 
-    def pass_on(self, now_ns: int, outputs: list[Output]) -> list[Output]:
+    def apply(self, now_ns: int, outputs: list[Output]) -> list[Output]:
         self.count += 1
         if self.count % 2:
             return outputs

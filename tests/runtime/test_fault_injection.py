@@ -36,7 +36,7 @@ def test_a_right_cell() -> None:
 @pytest.mark.parametrize("step_m", [-0.05, -0.01, 0.01, 0.05])
 def test_the_way_allowed_is_speed_times_age_and_the_stopping_distance(step_m: float) -> None:
     assert wrong(replace(GOOD, travel_m=1.2 + step_m)) == ("stopped late" if step_m > 0 else "")
-    assert wrong(replace(GOOD, error_m=CONFIG.largest_error_m + step_m)).startswith("left") == (step_m > 0)
+    assert wrong(replace(GOOD, error_m=CONFIG.max_path_error_m + step_m)).startswith("left") == (step_m > 0)
 
 
 @pytest.mark.parametrize(

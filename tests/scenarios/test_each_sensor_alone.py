@@ -28,9 +28,10 @@ def walker(kind: str) -> Scenario:
         {
             "name": kind, "operator_commands": [{"at_s": 3.0, "command": "start", "expires_s": 5.0}],
             "encounters": [{
-                "kind": "crossing", "name": "person", "figure": "person", "stops": 1, "seen_by": [kind],
-                "share": [0.65, 0.66], "from_m": [3.0, 3.1], "oblique_deg": [0.0, 1.0], "walk_mps": [1.2, 1.3],
-                "leave_mps": [1.2, 1.3], "slack_s": [1.5, 1.6], "wait_s": [30.0, 31.0],
+                "kind": "crossing", "name": "person", "actor": "person", "expected_stops": 1, "visible_to": [kind],
+                "swath_fraction": [0.65, 0.66], "start_lateral_m": [3.0, 3.1], "skew_deg": [0.0, 1.0],
+                "walk_speed_mps": [1.2, 1.3], "leave_speed_mps": [1.2, 1.3],
+                "arrival_margin_s": [1.5, 1.6], "extra_stand_s": [30.0, 31.0],
             }],
         },
         kind,
@@ -61,10 +62,10 @@ def test_the_machine_stops_before_a_person_whom_one_sensor_sees(kind: str, lengt
     (person,) = (o for o in drive.last("truth_objects", TrueObjects).objects if o.role == "person")
     assert 0.3 < person.clearance_m < 5.0
     T_map_odom = drive.last("map_pose", MapPose).T_map_odom
-    seen_by = [
+    sensors = [
         name.partition("_")[0]
         for track in drive.last("tracks", Tracks).tracks
         if np.linalg.norm((apply(T_map_odom, track.p_odom_m) - person.center_map_m)[:2]) < 1.0
         for name in track.sensors
     ]
-    assert set(seen_by) == {kind}
+    assert set(sensors) == {kind}

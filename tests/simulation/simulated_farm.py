@@ -31,7 +31,7 @@ SITE = parse(
 
 def flat(**sections):
     """The configuration with even ground, and other values replaced by section."""
-    even = {"grade": 0.0, "side_slope_deg": 0.0, "wave_m": 0.0, "furrow_depth_m": 0.0}
+    even = {"grade": 0.0, "side_slope_deg": 0.0, "wave_amplitude_m": 0.0, "furrow_depth_m": 0.0}
     values = CONFIG.model_dump()
     values["terrain"].update(even)
     for name, changes in sections.items():
@@ -52,7 +52,7 @@ class Farm:
 
     def __init__(
         self, vehicle=None, config=None, scenario=EMPTY, paths=(), seed=1, site=SITE, implement=IMPLEMENT, start=None,
-        is_folded=False, paints_aside=False,
+        is_folded=False, renders_in_thread=False,
     ):  # fmt: skip
         channel = f"farm-{next(_CHANNELS)}"
         tractor = can.Bus(interface="virtual", channel=channel)
@@ -60,7 +60,7 @@ class Farm:
         config = config or flat()
         start = start or site.start
         self.world = SimulationWorld(
-            site, self.vehicle, implement, scenario, paths, tractor, seed, config, start, is_folded, paints_aside
+            site, self.vehicle, implement, scenario, paths, tractor, seed, config, start, is_folded, renders_in_thread
         )
         self.machine = self.world.machine
         self.start_ns = self.now_ns = config.start_stamp_ns

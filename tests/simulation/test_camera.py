@@ -16,22 +16,22 @@ from messages.perception import HealthState, ObstacleClass
 from perception.camera.detector import load_detector
 from perception.camera.image_quality import LensConfig, inspect
 from perception.camera.ranging import View
-from simulation.actors.actor_meshes import GAIT_STEPS, figure_mesh, figure_parts, gait_step
-from simulation.actors.actors import Figure
+from simulation.actors.actor_meshes import GAIT_STEPS, actor_mesh, actor_parts, gait_step
+from simulation.actors.actors import ActorState
 from simulation.environment.meshes import join
 from simulation.environment.scene import Scene
 from simulation.environment.scenery import build_scenery
 from simulation.environment.terrain import Terrain
-from simulation.machine.pose_buffer import Track
+from simulation.machine.pose_buffer import PoseBuffer
 from simulation.scenario import CameraEpisode
 from simulation.sensors.camera import CameraModel, Lens
-from simulation.sensors.sensor import Moment
+from simulation.sensors.sensor import WorldState
 from tests.simulation.simulated_farm import CONFIG, Farm, machine_file
 
 SITE, VEHICLE = load(Site, find("sites", "demo")), load(Vehicle, find("machines", "tractor_e"))
 TERRAIN = Terrain(SITE, CONFIG.terrain, 5)
 PIECES = build_scenery(SITE, TERRAIN, CONFIG.scenery, 5)
-T_MAP_BASE = TERRAIN.stand(25.0, 25.0, 0.3, 2.55, 1.9)
+T_MAP_BASE = TERRAIN.pose_on_ground(25.0, 25.0, 0.3, 2.55, 1.9)
 EPISODES = (
     CameraEpisode(from_s=10.0, for_s=5.0, state="blocked"),
     CameraEpisode(from_s=20.0, for_s=5.0, state="blurred"),
@@ -40,20 +40,20 @@ EPISODES = (
 
 def somebody(ahead_m, left_m=0.0, label=ObstacleClass.PERSON, **changes):
     x, y = (T_MAP_BASE @ np.array([CAMERA.mount.xyz_m[0] + ahead_m, left_m, 0.0, 1.0]))[:2]
-    figure = Figure(1, label, "", (x, y, TERRAIN.height_m(x, y)), 2.0, (0.0, 0.0), 0.3)
-    return dataclasses.replace(figure, **changes)
+    actor = ActorState(1, label, "", (x, y, TERRAIN.height_m(x, y)), 2.0, (0.0, 0.0), 0.3)
+    return dataclasses.replace(actor, **changes)
 
 
 class Photographer:
     def __init__(self, camera=CAMERA):
         self.scene = Scene(lambda: PIECES)
         self.model = CameraModel("front", camera, VEHICLE, SITE, EPISODES, 5, CONFIG.camera)
-        self.track = Track(5_000_000, 0.02)
-        self.track.append(T_MAP_BASE)
+        self.poses = PoseBuffer(5_000_000, 0.02)
+        self.poses.append(T_MAP_BASE)
 
-    def take(self, *figures, at_s=0.0):
-        self.scene.figures = figures
-        return self.model.sample(Moment(round(at_s * 1e9), at_s, self.track, None, self.scene)).bgr
+    def take(self, *actors, at_s=0.0):
+        self.scene.actors = actors
+        return self.model.sample(WorldState(round(at_s * 1e9), at_s, self.poses, None, self.scene)).bgr
 
 
 @pytest.fixture(scope="module")
@@ -68,20 +68,20 @@ def nobody():
 
 
 def test_a_picture_is_of_the_moment_it_was_taken_at():
-    at_once = Photographer().take(figure := somebody(8.0))
+    at_once = Photographer().take(actor := somebody(8.0))
     later = Photographer()
-    later.scene.figures = (figure,)
-    exposure = later.model.expose(Moment(0, 0.0, later.track, None, later.scene))
-    later.scene.figures = ()
-    later.track.append(TERRAIN.stand(40.0, 25.0, 1.3, 2.55, 1.9))
-    assert np.array_equal(later.model.paint(exposure).bgr, at_once)
+    later.scene.actors = (actor,)
+    request = later.model.prepare(WorldState(0, 0.0, later.poses, None, later.scene))
+    later.scene.actors = ()
+    later.poses.append(TERRAIN.pose_on_ground(40.0, 25.0, 1.3, 2.55, 1.9))
+    assert np.array_equal(later.model.render(request).bgr, at_once)
 
 
 def test_pictures_painted_aside_are_the_same_and_hold_nothing_up():
-    def pictures(paints_aside):
-        farm = Farm(vehicle=machine_file(sensors=("camera", "imu")), paints_aside=paints_aside)
+    def pictures(renders_in_thread):
+        farm = Farm(vehicle=machine_file(sensors=("camera", "imu")), renders_in_thread=renders_in_thread)
         given = farm.drive(2.0)
-        waiting = [message for *_, message in farm.world._waiting if isinstance(message, Future)]
+        waiting = [message for *_, message in farm.world._pending if isinstance(message, Future)]
         farm.close()
         assert sum(topic == "imu" for topic, _ in given) == 200
         taken = [message for topic, message in given if topic == "camera/front"]
@@ -100,9 +100,9 @@ def changed(a, b):
 
 @pytest.mark.parametrize(("ahead_m", "left_m"), [(5.0, 0.0), (8.0, 3.5), (8.0, -3.5), (15.0, 5.0)])
 def test_a_figure_is_where_the_camera_model_says(ahead_m, left_m, nobody):
-    figure = somebody(ahead_m, left_m)
-    there = Photographer().take(figure)
-    box = box_of(figure, T_MAP_BASE, CAMERA)
+    actor = somebody(ahead_m, left_m)
+    there = Photographer().take(actor)
+    box = box_of(actor, T_MAP_BASE, CAMERA)
     # its shadow makes it wider and lower, but never higher
     found_box = changed(there, nobody)
     assert abs(found_box[1] - box[1]) < 0.06 * (box[3] - box[1]) + 2.0
@@ -115,7 +115,7 @@ def test_pictures_repeat_to_the_bit():
 
 
 def test_a_figure_that_cameras_do_not_see_is_air(nobody):
-    unseen = somebody(7.0, seen_by=("lidar", "radar", "ultrasonic"))
+    unseen = somebody(7.0, visible_to=("lidar", "radar", "ultrasonic"))
     assert np.array_equal(Photographer().take(unseen), nobody)
 
 
@@ -149,9 +149,9 @@ def test_without_distortion_the_pinhole_is_the_camera_scaled():
 @pytest.mark.parametrize("label", [ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE])
 @pytest.mark.parametrize("gait", [-1.0, 0.0, 3 / GAIT_STEPS, 10 / GAIT_STEPS])
 def test_lidar_and_camera_meet_the_same_body(label, gait):
-    coarse = figure_mesh(label, gait)
+    coarse = actor_mesh(label, gait)
     assert len(coarse.triangles) < 2500
-    fine = join([part.mesh for part in figure_parts(label, gait_step(gait), True)])
+    fine = join([part.mesh for part in actor_parts(label, gait_step(gait), True)])
     assert outside_m(fine, coarse) < 0.02
     assert outside_m(coarse, fine) < 0.02
 

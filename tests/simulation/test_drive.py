@@ -12,7 +12,7 @@ from tests.simulation.simulated_farm import Farm, flat, machine_file
 
 @pytest.fixture
 def farm():
-    farm = Farm(config=flat(machine={"drive": {"rolling_mps2": 0.0}}))
+    farm = Farm(config=flat(machine={"drive": {"rolling_resistance_mps2": 0.0}}))
     yield farm
     farm.close()
 
@@ -21,9 +21,9 @@ def farm():
 def test_brake_distance_is_the_formula(speed_mps):
     brake = machine_file().brake
     dt = 0.005
-    plant, v, way = BrakeSystem(brake, dt), speed_mps, 0.0
+    add_fault, v, way = BrakeSystem(brake, dt), speed_mps, 0.0
     while v > 0.0:
-        v = advance_speed(v, 0.0, plant.step(9.0), dt)
+        v = advance_speed(v, 0.0, add_fault.step(9.0), dt)
         way += v * dt
     a, tb, tau = brake.deceleration_mps2, brake.build_up_s, brake.dead_time_s
     if speed_mps >= a * tb / 2:
@@ -35,9 +35,9 @@ def test_brake_distance_is_the_formula(speed_mps):
 
 def test_brakes_give_no_more_than_they_can_and_less_when_asked():
     brake = machine_file().brake
-    plant = BrakeSystem(brake, 0.005)
-    assert max(plant.step(9.0) for _ in range(200)) == pytest.approx(4.0)
-    assert [plant.step(1.5) for _ in range(200)][-1] == pytest.approx(1.5)
+    add_fault = BrakeSystem(brake, 0.005)
+    assert max(add_fault.step(9.0) for _ in range(200)) == pytest.approx(4.0)
+    assert [add_fault.step(1.5) for _ in range(200)][-1] == pytest.approx(1.5)
 
 
 def test_whole_machine_brakes_over_the_bus_as_the_formula_says(farm):

@@ -7,15 +7,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon, box
+from simulation.states.encounter import (
+    MIN_STOPPING_GAP_M,
+    SWEPT_MARGIN_M,
+    EncounterPoint,
+    EncounterSite,
+    Walk,
+    distance_to,
+    draw_crossing,
+    walk_state_at,
+)
+from simulation.states.placement import ParkedVehicle, find_swaths, ground_geometry, place_encounters
+from simulation.states.states import Actor
 
 from configs.site import PoseConfig, Site
 from configs.strict import find, load, parse
 from geometry.transforms import apply
 from messages.errors import ConfigError, FieldError
 from messages.plan import PathSection, PathSectionType
-from simulation.actors.actors import Actor
-from simulation.actors.encounter import NEEDED_M, SWEPT_MARGIN_M, Place, Setting, Walk, draw_walk, stance_at, way_to
-from simulation.actors.placement import Standing, find_swaths, ground_of, place_encounters
 from simulation.environment.terrain import Terrain
 from simulation.randomness import generator
 from simulation.scenario import Scenario
@@ -24,13 +33,15 @@ from tests.simulation.simulated_farm import SITE, Farm, flat, machine_file, stra
 DEMO = load(Scenario, find("scenarios", "demo"))
 CROSSINGS = [e for e in DEMO.encounters if e.kind == "crossing"]
 HALF_M = 3.05
-SETTING = Setting(Polygon(SITE.boundary_m), HALF_M)
+SETTING = EncounterSite(Polygon(SITE.boundary_m), HALF_M)
 seeds = st.integers(0, 2**31)
 
 
 def walk_of(name, seed, speed_mps=10 / 3.6, heading_rad=0.7):
     crossing = next(e for e in CROSSINGS if e.name == name)
-    return draw_walk(crossing, Place((30.0, 12.0), heading_rad, speed_mps, 1), SETTING, np.random.default_rng(seed))
+    return draw_crossing(
+        crossing, EncounterPoint((30.0, 12.0), heading_rad, speed_mps, 1), SETTING, np.random.default_rng(seed)
+    )
 
 
 def lateral_of(walk, p):
@@ -45,8 +56,8 @@ def test_unslowed_machine_always_hits(name, seed, share, speed_kmh):
     """With the obstacle rules off: the front arrives while they stand in the middle, whatever was drawn."""
     walk = walk_of(name, seed, speed_kmh / 3.6)
     arrival_s = walk.trigger_m / (share * speed_kmh / 3.6)
-    assert walk.in_s + 0.5 < arrival_s < walk.leave_s - 1.0
-    assert abs(lateral_of(walk, stance_at(walk, arrival_s).p_map_m)) < 0.01
+    assert walk.arrival_s + 0.5 < arrival_s < walk.departure_s - 1.0
+    assert abs(lateral_of(walk, walk_state_at(walk, arrival_s).p_map_m)) < 0.01
 
 
 @pytest.mark.parametrize("name", ["person", "animal"])
@@ -54,10 +65,10 @@ def test_unslowed_machine_always_hits(name, seed, share, speed_kmh):
 @settings(derandomize=True, max_examples=120)
 def test_machine_can_stop_when_they_step_in(name, seed):
     walk = walk_of(name, seed)
-    times = np.arange(0.0, walk.in_s, 0.01)
-    inside = [t for t in times if abs(lateral_of(walk, stance_at(walk, t).p_map_m)) <= HALF_M + SWEPT_MARGIN_M]
+    times = np.arange(0.0, walk.arrival_s, 0.01)
+    inside = [t for t in times if abs(lateral_of(walk, walk_state_at(walk, t).p_map_m)) <= HALF_M + SWEPT_MARGIN_M]
     gap = walk.trigger_m - walk.place.speed_mps * inside[0]
-    assert gap >= NEEDED_M - 0.1
+    assert gap >= MIN_STOPPING_GAP_M - 0.1
 
 
 @pytest.mark.parametrize("name", ["person", "animal"])
@@ -65,21 +76,21 @@ def test_machine_can_stop_when_they_step_in(name, seed):
 @settings(derandomize=True, max_examples=100)
 def test_they_wait_and_end_clear_of_the_machine(name, seed):
     walk = walk_of(name, seed)
-    assert 7.0 <= abs(lateral_of(walk, walk.from_map_m)) <= 8.1
-    end = stance_at(walk, walk.out_s).p_map_m
+    assert 7.0 <= abs(lateral_of(walk, walk.start_map_m)) <= 8.1
+    end = walk_state_at(walk, walk.exit_end_s).p_map_m
     is_outside = 2.99 < SETTING.field.distance(Point(end)) < 4.3
-    assert is_outside or walk.out_s - walk.leave_s == pytest.approx(25.0)
-    assert walk.out_s - walk.leave_s < 25.01
+    assert is_outside or walk.exit_end_s - walk.departure_s == pytest.approx(25.0)
+    assert walk.exit_end_s - walk.departure_s < 25.01
     assert abs(lateral_of(walk, end)) >= 12.0
-    assert stance_at(walk, -3.0).speed_mps == stance_at(walk, 1e4).speed_mps == 0.0
-    sides = lateral_of(walk, walk.from_map_m) * lateral_of(walk, walk.out_map_m)
+    assert walk_state_at(walk, -3.0).speed_mps == walk_state_at(walk, 1e4).speed_mps == 0.0
+    sides = lateral_of(walk, walk.start_map_m) * lateral_of(walk, walk.exit_map_m)
     assert sides < 0.0
 
 
 @pytest.mark.parametrize("name", ["person", "animal"])
 def test_way_is_continuous(name):
     walk = walk_of(name, 5)
-    points = np.array([stance_at(walk, t).p_map_m for t in np.arange(-1.0, walk.leave_s + 20.0, 0.01)])
+    points = np.array([walk_state_at(walk, t).p_map_m for t in np.arange(-1.0, walk.departure_s + 20.0, 0.01)])
     assert np.max(np.hypot(*np.diff(points, axis=0).T)) <= 0.011 * max(walk.walk_mps, walk.leave_mps)
 
 
@@ -104,7 +115,7 @@ def test_places_are_apart_and_with_room(seed):
         assert swaths[d.place.line].length_m - way >= 8.0
         if isinstance(d, Walk):
             assert way >= d.trigger_m + 12.0
-    grounds = [ground_of(d) for d in drawn]
+    grounds = [ground_geometry(d) for d in drawn]
     assert all(a.distance(b) >= 6.0 for k, a in enumerate(grounds) for b in grounds[:k])
 
 
@@ -112,7 +123,7 @@ def test_places_are_apart_and_with_room(seed):
 def test_parked_vehicle_leaves_the_next_swath_free(seed):
     """On swaths 5 m apart the 6.1 m harrow passes 1.95 m beside the middle of this one."""
     (standing,) = place_encounters(DEMO.encounters[2:], straight_paths(), SETTING, generator(seed, "scenario"))
-    assert isinstance(standing, Standing)
+    assert isinstance(standing, ParkedVehicle)
     turned = standing.heading_rad - standing.place.heading_rad
     aside = abs(lateral_of_standing(standing))
     half = aside + 0.5 * 1.66 * abs(math.cos(turned)) + 0.5 * 3.8 * abs(math.sin(turned))
@@ -154,8 +165,8 @@ def test_only_swaths_driven_forward_count():
      (-10.0, 0.0, 21.0, False), (-10.0, 0.0, 180.0, False)],
 )  # fmt: skip
 def test_approach(x, y, heading_deg, is_seen):
-    place = Place((0.0, 0.0), 0.0, 2.78, 0)
-    assert (way_to(place, np.array([x, y, 0.0]), math.radians(heading_deg)) <= 20.0) == is_seen
+    place = EncounterPoint((0.0, 0.0), 0.0, 2.78, 0)
+    assert (distance_to(place, np.array([x, y, 0.0]), math.radians(heading_deg)) <= 20.0) == is_seen
 
 
 @pytest.mark.parametrize(("comes_from_m", "starts"), [(8.0, True), (4.0, False)])
@@ -165,12 +176,13 @@ def test_who_only_drives_round_something_on_the_next_way_starts_nobody(comes_fro
     (x, y), heading = walk.place.p_map_m, walk.place.heading_rad
     ways = np.arange(walk.trigger_m + comes_from_m, 1.0, -0.1)
     tips = np.column_stack([x - ways * math.cos(heading), y - ways * math.sin(heading), np.zeros(len(ways))])
-    figures = [actor.play(0.036 * k, tip, heading) for k, tip in enumerate(tips)]
-    assert any(f is not None and f.gait >= 0.0 for f in figures) == any(f is not None for f in figures) == starts
+    states = [actor.update(0.036 * k, tip, heading) for k, tip in enumerate(tips)]
+    assert any(f is not None and f.gait >= 0.0 for f in states) == any(f is not None for f in states) == starts
 
 
 @pytest.mark.parametrize(
-    "change", [{"share": [0.9, 0.1]}, {"kind": "flying"}, {"walk_mps": [math.nan, 1.0]}, {"stops": 2}]
+    "change",
+    [{"swath_fraction": [0.9, 0.1]}, {"kind": "flying"}, {"walk_speed_mps": [math.nan, 1.0]}, {"expected_stops": 2}],
 )
 def test_bad_encounter_is_refused(change):
     values = DEMO.model_dump()
@@ -183,7 +195,7 @@ def drive_into(encounter, seed, seconds=21.0):
     """An unslowed machine on a swath with one encounter."""
     scenario = DEMO.model_copy(update={"encounters": (encounter,)})
     paths = straight_paths(count=1, length_m=60.0)
-    config = flat(machine={"tyres": {"angle_zero_deg": 0.0, "soil_side_mps2": 0.0}})
+    config = flat(machine={"tyres": {"max_angle_offset_deg": 0.0, "soil_lateral_sigma_mps2": 0.0}})
     farm = Farm(scenario=scenario, paths=paths, seed=seed, config=config)
     farm.get_going(10 / 3.6, seconds=seconds)
     truths = [m for t, m in farm.outputs if t == "truth_objects"]
@@ -237,7 +249,7 @@ def back_in(encounter, seconds=30.0, sensors=()):
     dock = shed_site.shed.bay("wide").dock
     start = PoseConfig(x_m=dock.x_m + 22.0, y_m=dock.y_m, heading_deg=dock.heading_deg)
     scenario = DEMO.model_copy(update={"encounters": (encounter,)})
-    config = flat(machine={"tyres": {"angle_zero_deg": 0.0, "soil_side_mps2": 0.0}})
+    config = flat(machine={"tyres": {"max_angle_offset_deg": 0.0, "soil_lateral_sigma_mps2": 0.0}})
     farm = Farm(site=shed_site, start=start, is_folded=True, scenario=scenario, config=config, seed=5,
                 vehicle=machine_file(sensors=sensors))  # fmt: skip
     farm.get_going(-0.5, seconds=seconds)
@@ -248,9 +260,9 @@ def back_in(encounter, seconds=30.0, sensors=()):
 
 def test_bystander_comes_behind_a_machine_that_backs_in():
     farm, truths = back_in(BYSTANDER)
-    figures = [m.objects[0] for m in truths if m.objects]
-    assert figures[0].clearance_m > 6.0
-    places = np.array([f.center_map_m[:2] for f in figures])
+    states = [m.objects[0] for m in truths if m.objects]
+    assert states[0].clearance_m > 6.0
+    places = np.array([f.center_map_m[:2] for f in states])
     assert 3.0 <= np.ptp(places[:, 1]) <= 4.1
     dock = load(Site, find("sites", "demo")).shed.bay("wide").dock
     assert 7.4 < places[-1, 0] - dock.x_m < 9.1
@@ -271,19 +283,19 @@ def test_bystander_needs_its_bay():
         place_encounters((BYSTANDER,), (), SETTING, generator(1, "scenario"))
 
 
-@pytest.mark.parametrize("seen_by", [("lidar",), ("radar", "camera")])
-def test_who_is_seen_by_others_is_air_to_the_lidar(seen_by):
-    farm, truths = back_in(BYSTANDER.model_copy(update={"seen_by": seen_by}), seconds=21.0, sensors=("lidar",))
+@pytest.mark.parametrize("visible_to", [("lidar",), ("radar", "camera")])
+def test_who_is_seen_by_others_is_air_to_the_lidar(visible_to):
+    farm, truths = back_in(BYSTANDER.model_copy(update={"visible_to": visible_to}), seconds=21.0, sensors=("lidar",))
     scan = [m for t, m in farm.outputs if t == "lidar/rear"][-1]
     mount = farm.vehicle.sensors.lidar["rear"].mount.T_base_sensor
     points = apply(farm.machine.T_map_base @ mount, scan.points_m.astype(float))
     person = truths[-1].objects[0].center_map_m[:2]
     near = (np.hypot(*(points[:, :2] - person).T) < 0.5) & (points[:, 2] > 0.3)
-    assert (near.sum() > 5) == ("lidar" in seen_by)
+    assert (near.sum() > 5) == ("lidar" in visible_to)
 
 
 def test_unknown_sensor_is_refused():
     values = DEMO.model_dump()
-    values["encounters"] = [{**values["encounters"][0], "seen_by": ["nose"]}]
-    with pytest.raises(ConfigError, match="seen_by"):
+    values["encounters"] = [{**values["encounters"][0], "visible_to": ["nose"]}]
+    with pytest.raises(ConfigError, match="visible_to"):
         parse(Scenario, values, "test")

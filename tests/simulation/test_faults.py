@@ -12,11 +12,11 @@ from messages.errors import ConfigError, LogError
 from messages.message import Envelope
 from messages.sensors import GnssFix, GnssSolution, ImuSample, LidarScan, WheelSample
 from messages.topics import TOPICS
-from simulation.faults.config import MEASURED, FaultKind, FaultsConfig, InjectedFault, kinds_of
+from simulation.faults.config import SENSOR_FAULTS, FaultKind, FaultsConfig, InjectedFault, fault_kinds_of
 from simulation.faults.frames import FaultyBus
-from simulation.faults.injection import HOUR_NS, Injection
+from simulation.faults.injection import HOUR_NS, FaultInjection
 from simulation.machine.tractor_bus import load_database
-from simulation.machine.tractor_status import Frame
+from simulation.machine.tractor_status import StatusFrame
 
 MS = 1_000_000
 START = 1_700_000_000_000 * MS
@@ -29,16 +29,16 @@ def wheel(k: int) -> WheelSample:
 
 def come(kind: FaultKind, n: int = 40, from_s: float = 0.2, for_s: float = 0.4) -> list[tuple[int, WheelSample]]:
     """Wheel samples every 20 ms through one fault, with the time of their coming (ms)."""
-    injection = Injection([InjectedFault(topic="wheel", kind=kind, from_s=from_s, for_s=for_s)], CONFIG, START, 1)
+    injection = FaultInjection([InjectedFault(topic="wheel", kind=kind, from_s=from_s, for_s=for_s)], CONFIG, START, 1)
     got = []
     for k in range(n):
         now_ns = START + 20 * k * MS
         got += [((now_ns - START) // MS, m) for _, m in injection.due(now_ns)]
-        got += [((now_ns - START) // MS, m) for _, m in injection.pass_on(now_ns, [("wheel", wheel(k))])]
+        got += [((now_ns - START) // MS, m) for _, m in injection.apply(now_ns, [("wheel", wheel(k))])]
     return got
 
 
-@pytest.mark.parametrize("kind", MEASURED)
+@pytest.mark.parametrize("kind", SENSOR_FAULTS)
 def test_before_and_after_its_time_nothing_is_wrong(kind: FaultKind) -> None:
     whole = [wheel(k) for k in range(40)]
     got = [m for t, m in come(kind) if t < 200 or t >= 600]
@@ -102,42 +102,42 @@ SAMPLES = {
 
 
 @pytest.mark.parametrize("topic", SAMPLES)
-@pytest.mark.parametrize("kind", MEASURED)
+@pytest.mark.parametrize("kind", SENSOR_FAULTS)
 def test_every_kind_gives_messages_of_the_same_type(topic: str, kind: FaultKind) -> None:
-    injection = Injection([InjectedFault(topic=topic, kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1)
-    outputs = [output for k in range(5) for output in injection.pass_on(START + k * MS, [(topic, SAMPLES[topic])])]
+    injection = FaultInjection([InjectedFault(topic=topic, kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1)
+    outputs = [output for k in range(5) for output in injection.apply(START + k * MS, [(topic, SAMPLES[topic])])]
     assert all(type(message) is type(SAMPLES[topic]) for _, message in outputs)
-    again = Injection([InjectedFault(topic=topic, kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1)
-    assert repr(outputs) == repr(
-        [o for k in range(5) for o in again.pass_on(START + k * MS, [(topic, SAMPLES[topic])])]
-    )
+    again = FaultInjection([InjectedFault(topic=topic, kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1)
+    assert repr(outputs) == repr([o for k in range(5) for o in again.apply(START + k * MS, [(topic, SAMPLES[topic])])])
 
 
 def test_a_lidar_says_no_number_as_no_return_and_stays_within_its_range() -> None:
     for kind, expected in ((FaultKind.NAN, [0, 0, 0]), (FaultKind.OFFSET, [0, 6000, 65535]),
                            (FaultKind.WRONG_UNIT, [0, 500, 6554])):  # fmt: skip
-        injection = Injection([InjectedFault(topic="lidar/front", kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1)
-        (_, message), *_ = injection.pass_on(START, [("lidar/front", scan())])
+        injection = FaultInjection(
+            [InjectedFault(topic="lidar/front", kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1
+        )
+        (_, message), *_ = injection.apply(START, [("lidar/front", scan())])
         assert isinstance(message, LidarScan)
         assert message.ranges_mm.tolist() == [expected]
 
 
 def test_what_cannot_be_broken_is_refused() -> None:
     with pytest.raises(ConfigError, match="nobody"):
-        Injection([], CONFIG, START, 1).refuse_unknown([]) or Injection(
+        FaultInjection([], CONFIG, START, 1).check_topics([]) or FaultInjection(
             [InjectedFault(topic="lidar/nobody", kind=FaultKind.OFF, from_s=0, for_s=1)], CONFIG, START, 1
-        ).refuse_unknown(["lidar/front"])
+        ).check_topics(["lidar/front"])
     with pytest.raises(ValueError, match="cannot be"):
         InjectedFault(topic="imu", kind=FaultKind.RAISES, from_s=0, for_s=1)
     with pytest.raises(ConfigError, match="no field"):
-        Injection([InjectedFault(topic="odom", kind=FaultKind.NAN, from_s=0, for_s=1)], CONFIG, START, 1)
-    assert kinds_of("node/localizer") == (FaultKind.RAISES, FaultKind.HANGS)
+        FaultInjection([InjectedFault(topic="odom", kind=FaultKind.NAN, from_s=0, for_s=1)], CONFIG, START, 1)
+    assert fault_kinds_of("node/localizer") == (FaultKind.RAISES, FaultKind.HANGS)
 
 
 def test_clock_and_disk() -> None:
     faults = [InjectedFault(topic="clock", kind=FaultKind.BEHIND, from_s=1.0, for_s=1.0),
               InjectedFault(topic="log", kind=FaultKind.FULL, from_s=0.0, for_s=1.0)]  # fmt: skip
-    injection = Injection(faults, CONFIG, START, 1)
+    injection = FaultInjection(faults, CONFIG, START, 1)
     assert [injection.clock_error_ns(START + t * MS) for t in (999, 1000, 1999, 2000)] == [0, -HOUR_NS, -HOUR_NS, 0]
     with pytest.raises(LogError):
         injection(Envelope("wheel", 0, START, wheel(0)))
@@ -161,9 +161,9 @@ class Rig:
         channel = f"faults{id(self)}"
         self.near, self.far = can.Bus(channel, interface="virtual"), can.Bus(channel, interface="virtual")
         fault = InjectedFault(topic=f"can/{name}", kind=kind, from_s=0.5, for_s=60.0)
-        self.injection = Injection([fault], CONFIG, START, 1)
+        self.injection = FaultInjection([fault], CONFIG, START, 1)
         self.bus = FaultyBus(self.near, self.injection, load_database())
-        self.frame = Frame(load_database().get_message_by_name(name))
+        self.frame = StatusFrame(load_database().get_message_by_name(name))
         self.incoming, self.name, self.count = Incoming(240), name, 0
         self.got: list[bytes] = []
 
@@ -186,7 +186,7 @@ class Rig:
 
 
 @pytest.mark.parametrize("name", Rig.VALUES)
-@pytest.mark.parametrize("kind", MEASURED)
+@pytest.mark.parametrize("kind", SENSOR_FAULTS)
 def test_frames_break_only_when_they_should(name: str, kind: FaultKind) -> None:
     rig = Rig(name, kind)
     try:

@@ -8,7 +8,7 @@ import pytest
 from configs.strict import find, load
 from configs.vehicle import ImplementFile
 from messages.sensors import LidarScan
-from simulation.machine.implement import folded_to
+from simulation.machine.implement import at_fold
 from tests.simulation.simulated_farm import IMPLEMENT, Farm, flat, machine_file
 
 WIDE_M, NARROW_M, DURATION_S = IMPLEMENT.width_m, IMPLEMENT.fold.width_m, IMPLEMENT.fold.duration_s
@@ -82,13 +82,13 @@ def test_an_implement_that_does_not_fold_says_nothing():
 
 @pytest.mark.parametrize(("fold", "width_m"), [(0.0, WIDE_M), (0.5, 0.5 * (WIDE_M + NARROW_M)), (1.0, NARROW_M)])
 def test_width_follows_the_fold(fold, width_m):
-    assert folded_to(IMPLEMENT, fold).width_m == pytest.approx(width_m)
+    assert at_fold(IMPLEMENT, fold).width_m == pytest.approx(width_m)
 
 
 @pytest.mark.parametrize("is_folded", [False, True])
 def test_ground_covered_and_lidar_shadow_follow_the_fold(is_folded):
     farm = Farm(config=flat(), vehicle=machine_file(sensors=("lidar",)), is_folded=is_folded)
-    outline = farm.world._judge.outline(farm.machine)
+    outline = farm.world._ground_truth.outline(farm.machine)
     assert outline.bounds[3] - outline.bounds[1] == pytest.approx(NARROW_M if is_folded else WIDE_M)
     scan = [m for t, m in farm.drive(0.3) if t == "lidar/rear"][-1]
     assert isinstance(scan, LidarScan)

@@ -12,14 +12,14 @@ from configs.site import Gate, Lane
 from configs.vehicle import TrailedImplement
 from geometry.transforms import rpy_of
 from messages.perception import ObstacleClass
-from simulation.actors.actor_meshes import GAIT_STEPS, figure_mesh
+from simulation.actors.actor_meshes import GAIT_STEPS, actor_mesh
 from simulation.environment.meshes import box, ellipsoid, join, limb
 from simulation.environment.scenery import build_scenery, fence_line
 from simulation.environment.terrain import Terrain
 from simulation.ground_truth import allowed_area
-from simulation.kernels import passes_ball
+from simulation.kernels import rays_near_ball
 from simulation.machine.body import implement_mesh, implement_outline_m, machine_mesh, machine_outline_m
-from simulation.machine.implement import move_hitch, working_point_m
+from simulation.machine.implement import step_hitch, working_point_m
 from simulation.sensors.imu import small_turn_rad
 from tests.simulation.simulated_farm import CONFIG, IMPLEMENT, SITE, Farm, flat, machine_file
 
@@ -53,7 +53,7 @@ def test_solids_are_closed():
 )  # fmt: skip
 @pytest.mark.parametrize("gait", [-1.0, *(k / GAIT_STEPS for k in range(GAIT_STEPS))])
 def test_figures_have_their_size_and_stand_on_the_ground(label, low, high, gait):
-    vertices = figure_mesh(label, gait).vertices_m
+    vertices = actor_mesh(label, gait).vertices_m
     size = np.ptp(vertices, axis=0)
     assert np.all(size >= low)
     assert np.all(size <= high)
@@ -61,7 +61,7 @@ def test_figures_have_their_size_and_stand_on_the_ground(label, low, high, gait)
 
 
 def test_legs_move():
-    shapes = {figure_mesh(ObstacleClass.PERSON, k / GAIT_STEPS).vertices_m.tobytes() for k in range(GAIT_STEPS)}
+    shapes = {actor_mesh(ObstacleClass.PERSON, k / GAIT_STEPS).vertices_m.tobytes() for k in range(GAIT_STEPS)}
     assert len(shapes) > GAIT_STEPS / 2
 
 
@@ -93,13 +93,13 @@ def test_outlines():
 @given(st.floats(0, 1), st.floats(0, 1))
 @settings(derandomize=True, max_examples=100)
 def test_hitch_moves_no_faster_than_it_can(hitch, target):
-    after = move_hitch(hitch, target, 1.2, 1.0, 0.005)
+    after = step_hitch(hitch, target, 1.2, 1.0, 0.005)
     assert -0.005 / 1.0 - 1e-12 <= after - hitch <= 0.005 / 1.2 + 1e-12
     assert abs(target - after) <= abs(target - hitch)
 
 
 def test_trailer_follows_on_a_smaller_circle():
-    farm = Farm(implement=TRAILER, config=flat(machine={"tyres": {"soil_side_mps2": 0.0}}))
+    farm = Farm(implement=TRAILER, config=flat(machine={"tyres": {"soil_lateral_sigma_mps2": 0.0}}))
     farm.curvature_radpm = 0.1
     farm.get_going(1.5, seconds=25.0)
     m = farm.machine
@@ -121,7 +121,8 @@ def test_reversing_trailer_jackknifes():
 def test_side_slope_makes_it_crab():
     site = SITE.model_copy(update={"boundary_m": ((-20.0, -30.0), (-20.0, 120.0), (100.0, 120.0), (100.0, -30.0))})
     config = flat(
-        terrain={"grade": 0.0524, "grade_length_m": 400.0, "flat_m": 0.0}, machine={"tyres": {"soil_side_mps2": 0.0}}
+        terrain={"grade": 0.0524, "grade_length_m": 400.0, "flat_m": 0.0},
+        machine={"tyres": {"soil_lateral_sigma_mps2": 0.0}},
     )
     yard = site.yard.model_copy(update={"outline_m": ((-5.0, -105.0), (5.0, -105.0), (5.0, -95.0), (-5.0, -95.0))})
     farm = Farm(site=site.model_copy(update={"yard": yard}), config=config)
@@ -155,7 +156,7 @@ def test_terrain_differs_by_seed_and_repeats():
 
 def test_pose_stands_on_the_ground():
     terrain = Terrain(SITE, CONFIG.terrain, 3)
-    T = terrain.stand(60.0, 10.0, 0.7, 2.55, 1.9)
+    T = terrain.pose_on_ground(60.0, 10.0, 0.7, 2.55, 1.9)
     assert T[:3, :3] @ T[:3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
     for side in (0.95, -0.95):
         wheel = T @ np.array([0.0, side, 0.0, 1.0])
@@ -194,4 +195,4 @@ def test_small_turn(angle):
 
 def test_rays_towards_a_ball():
     rays = np.array([[0, 0, 0, 1, 0, 0], [0, 0, 0, -1, 0, 0], [0, 1.1, 0, 1, 0, 0], [0, 0.9, 0, 1, 0, 0]], np.float32)
-    assert passes_ball(rays, np.array([10.0, 0.0, 0.0]), 1.0).tolist() == [1, 0, 0, 1]
+    assert rays_near_ball(rays, np.array([10.0, 0.0, 0.0]), 1.0).tolist() == [1, 0, 0, 1]

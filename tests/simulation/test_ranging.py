@@ -10,36 +10,36 @@ from configs.strict import find, load
 from messages.perception import ObstacleClass
 from messages.sensors import GnssSolution
 from runtime.setup import carrying
-from simulation.actors.actors import Figure
-from simulation.sensors.gnss import Sky
-from simulation.sensors.uwb import is_between
+from simulation.actors.actors import ActorState
+from simulation.sensors.gnss import SkyView
+from simulation.sensors.uwb import intersects_ball
 from tests.simulation.simulated_farm import CONFIG, IMPLEMENT, Farm, flat, machine_file
 
 SITE = load(Site, find("sites", "demo"))
 SHED = SITE.shed
 YARD = PoseConfig(x_m=20.0, y_m=-45.0, heading_deg=90.0)
-QUIET = {"clutter": 0.0, "ghost": 0.0, "miss": 0.0}
+QUIET = {"clutter_per_cycle": 0.0, "ghost_probability": 0.0, "miss_probability": 0.0}
 
 
 def of(outputs, topic):
     return [m for t, m in outputs if t == topic]
 
 
-def farm_with(kind, start=YARD, figures=(), seed=1, **sections):
+def farm_with(kind, start=YARD, actors=(), seed=1, **sections):
     """A standing machine with one kind of sensors, and figures that stay as they are."""
     farm = Farm(vehicle=machine_file(sensors=(kind,)), site=SITE, start=start, is_folded=True, seed=seed,
                 config=flat(**sections))  # fmt: skip
-    farm.world._play = lambda elapsed_s: setattr(farm.world._scene, "figures", tuple(figures))
+    farm.world._update_actors = lambda elapsed_s: setattr(farm.world._scene, "actors", tuple(actors))
     return farm
 
 
-def figure(x, y, label=ObstacleClass.PERSON, velocity=(0.0, 0.0), yaw=0.0, gait=-1.0, seen_by=None):
-    seen = {} if seen_by is None else {"seen_by": seen_by}
-    return Figure(0, label, "test", (x, y, 0.0), yaw, velocity, gait, **seen)
+def actor(x, y, label=ObstacleClass.PERSON, velocity=(0.0, 0.0), yaw=0.0, gait=-1.0, visible_to=None):
+    seen = {} if visible_to is None else {"seen_by": visible_to}
+    return ActorState(0, label, "test", (x, y, 0.0), yaw, velocity, gait, **seen)
 
 
-def radar_scans(seconds=3.0, figures=(), start=YARD, speed_mps=0.0, **config):
-    farm = farm_with("radar", start, figures, radar={**QUIET, **config})
+def radar_scans(seconds=3.0, actors=(), start=YARD, speed_mps=0.0, **config):
+    farm = farm_with("radar", start, actors, radar={**QUIET, **config})
     if speed_mps:
         farm.get_going(speed_mps, seconds=5.0)
         farm.outputs.clear()
@@ -59,7 +59,7 @@ def near(scan, range_m, azimuth_deg, within_m=1.0, within_deg=6.0):
 def test_radar_finds_a_person_where_they_stand(range_m, least):
     """The radar sits 3.5 m ahead of base; a person has -8 to 0 dBsm."""
     y = YARD.y_m + 3.5 + range_m * math.cos(0.2)
-    scans, _, _ = radar_scans(figures=[figure(20.0 - range_m * math.sin(0.2), y)])
+    scans, _, _ = radar_scans(actors=[actor(20.0 - range_m * math.sin(0.2), y)])
     hits = [near(s, range_m, math.degrees(0.2)) & (s.rcs_dbsm > -18.0) for s in scans]
     assert np.mean([h.any() for h in hits]) > least
     strongest = [s.rcs_dbsm[h].max() for s, h in zip(scans, hits, strict=True) if h.any()]
@@ -68,7 +68,7 @@ def test_radar_finds_a_person_where_they_stand(range_m, least):
 
 def test_radar_resolves_several_points_of_a_vehicle_and_more_of_its_side():
     def strength(yaw):
-        scans, _, _ = radar_scans(figures=[figure(20.0, -30.0, ObstacleClass.VEHICLE, yaw=yaw)])
+        scans, _, _ = radar_scans(actors=[actor(20.0, -30.0, ObstacleClass.VEHICLE, yaw=yaw)])
         return [(s.rcs_dbsm[near(s, 11.5, 0.0, 3.0, 15.0)]) for s in scans]
 
     side, oblique = strength(0.0), strength(0.6)
@@ -88,8 +88,8 @@ def test_radar_doppler_of_standing_things_is_the_ego_motion():
 
 
 def test_radar_doppler_of_a_walker_and_their_legs():
-    coming = figure(20.0, -31.5, velocity=(0.0, -1.2), yaw=-math.pi / 2, gait=0.25)
-    scans, _, _ = radar_scans(figures=[coming])
+    coming = actor(20.0, -31.5, velocity=(0.0, -1.2), yaw=-math.pi / 2, gait=0.25)
+    scans, _, _ = radar_scans(actors=[coming])
     doppler = np.concatenate([s.doppler_mps[near(s, 10.0, 0.0)] for s in scans])
     assert np.median(doppler) == pytest.approx(-1.2, abs=0.15)
     assert doppler.min() < -1.8
@@ -99,12 +99,12 @@ def test_radar_doppler_of_a_walker_and_their_legs():
 @pytest.mark.parametrize("hidden_by", ["post", "vehicle", "nothing", "not seen"])
 def test_radar_does_not_see_through_things(hidden_by):
     if hidden_by == "post":  # the back wall of the shed is behind the post; who stands outside it is not seen
-        start, person = PoseConfig(x_m=10.0, y_m=-40.0, heading_deg=180.0), figure(-12.0, -40.0)
+        start, person = PoseConfig(x_m=10.0, y_m=-40.0, heading_deg=180.0), actor(-12.0, -40.0)
         others = []
     else:
-        start, person = YARD, figure(20.0, -20.0, seen_by=("lidar",) if hidden_by == "not seen" else None)
-        others = [figure(20.0, -30.0, ObstacleClass.VEHICLE)] if hidden_by == "vehicle" else []
-    scans, _, _ = radar_scans(figures=[person, *others], start=start)
+        start, person = YARD, actor(20.0, -20.0, visible_to=("lidar",) if hidden_by == "not seen" else None)
+        others = [actor(20.0, -30.0, ObstacleClass.VEHICLE)] if hidden_by == "vehicle" else []
+    scans, _, _ = radar_scans(actors=[person, *others], start=start)
     away = 18.5 if hidden_by == "post" else 21.5
     share = np.mean([(near(s, away, 0.0, 0.6, 3.0) & (s.rcs_dbsm > -18.0)).any() for s in scans])
     assert (share > 0.8) == (hidden_by == "nothing")
@@ -112,10 +112,10 @@ def test_radar_does_not_see_through_things(hidden_by):
 
 
 def test_radar_keeps_within_its_view_and_has_clutter_and_ghosts():
-    farm = farm_with("radar", figures=[figure(20.0, -35.0)], radar={"clutter": 5.0, "ghost": 0.3})
+    farm = farm_with("radar", actors=[actor(20.0, -35.0)], radar={"clutter_per_cycle": 5.0, "ghost_probability": 0.3})
     scans = of(farm.drive(3.0), "radar/front")
     farm.close()
-    quiet, _, _ = radar_scans(figures=[figure(20.0, -35.0)])
+    quiet, _, _ = radar_scans(actors=[actor(20.0, -35.0)])
     assert np.mean([len(s.range_m) for s in scans]) > np.mean([len(s.range_m) for s in quiet]) + 4.0
     for s in scans:
         assert np.abs(np.degrees(s.azimuth_rad)).max() <= 60.0
@@ -125,8 +125,9 @@ def test_radar_keeps_within_its_view_and_has_clutter_and_ghosts():
 
 
 def ranges(x, y, seconds=4.0, label=ObstacleClass.PERSON, start=YARD, name="front_middle", **config):
-    farm = farm_with("ultrasonic", start, [figure(x, y, label)] if x is not None else [],
-                     ultrasonic={"cross_talk": 0.0, "miss": 0.0, "sound_sigma": 0.0, **config})  # fmt: skip
+    quiet = {"cross_talk_probability": 0.0, "miss_probability": 0.0, "sound_speed_sigma": 0.0}
+    actors = [actor(x, y, label)] if x is not None else []
+    farm = farm_with("ultrasonic", start, actors, ultrasonic={**quiet, **config})
     found = np.array([m.range_m for m in of(farm.drive(seconds), f"ultrasonic/{name}")])
     farm.close()
     return found
@@ -153,7 +154,7 @@ def test_ultrasonic_hears_hard_things_farther_than_soft_ones():
 
 
 def test_ultrasonic_cross_talk_is_stray():
-    found = ranges(None, 0.0, seconds=20.0, cross_talk=0.1)
+    found = ranges(None, 0.0, seconds=20.0, cross_talk_probability=0.1)
     share = np.isfinite(found).mean()
     assert 0.1 < share < 0.32  # two neighbours, 0.1 each
     assert np.nanstd(found) > 1.0
@@ -167,8 +168,8 @@ def test_ultrasonic_meets_a_wall_square_on_and_not_obliquely():
     assert np.isnan(ranges(None, 0.0, start=oblique, name="front_left")).mean() > 0.8
 
 
-def uwb_messages(start, figures=(), seconds=10.0, seed=1, **config):
-    farm = farm_with("uwb", start, figures, seed=seed, uwb=config)
+def uwb_messages(start, actors=(), seconds=10.0, seed=1, **config):
+    farm = farm_with("uwb", start, actors, seed=seed, uwb=config)
     messages, T = of(farm.drive(seconds), "uwb/main"), farm.machine.T_map_base
     tag = (T @ farm.vehicle.sensors.uwb["main"].mount.T_base_sensor)[:3, 3]
     farm.close()
@@ -204,21 +205,21 @@ def test_uwb_behind_a_wall_is_late_rare_and_says_so():
 
 def test_uwb_line_of_sight_by_hand():
     a, b = np.array([0.0, 0.0, 3.0]), np.array([10.0, 0.0, 3.0])
-    assert is_between(np.array([5.0, 0.5, 3.0]), 0.6, a, b)
-    assert not is_between(np.array([5.0, 0.7, 3.0]), 0.6, a, b)
-    assert not is_between(np.array([12.0, 0.0, 3.0]), 0.6, a, b)
+    assert intersects_ball(np.array([5.0, 0.5, 3.0]), 0.6, a, b)
+    assert not intersects_ball(np.array([5.0, 0.7, 3.0]), 0.6, a, b)
+    assert not intersects_ball(np.array([12.0, 0.0, 3.0]), 0.6, a, b)
 
 
 def test_sky_under_the_roof_near_it_and_after():
-    sky, config = Sky(SHED, CONFIG.gnss), CONFIG.gnss
-    assert sky.allows(20.0, -40.0, 0.0) == GnssSolution.RTK_FIXED
-    assert sky.allows(-4.0, -40.0, 1.0) == GnssSolution.NONE
-    assert sky.allows(1.5, -40.0, 1.0 + 0.9 * config.search_s) == GnssSolution.NONE
-    assert sky.allows(1.5, -40.0, 1.0 + config.search_s) == GnssSolution.RTK_FLOAT
-    assert sky.allows(3.9, -40.0, 60.0) == GnssSolution.RTK_FLOAT
-    assert sky.allows(4.1, -40.0, 60.0 + 0.9 * config.fix_s) == GnssSolution.RTK_FLOAT
-    assert sky.allows(4.1, -40.0, 60.0 + config.fix_s) == GnssSolution.RTK_FIXED
-    assert Sky(None, config).allows(-4.0, -40.0, 0.0) == GnssSolution.RTK_FIXED
+    sky, config = SkyView(SHED, CONFIG.gnss), CONFIG.gnss
+    assert sky.best_solution(20.0, -40.0, 0.0) == GnssSolution.RTK_FIXED
+    assert sky.best_solution(-4.0, -40.0, 1.0) == GnssSolution.NONE
+    assert sky.best_solution(1.5, -40.0, 1.0 + 0.9 * config.reacquisition_s) == GnssSolution.NONE
+    assert sky.best_solution(1.5, -40.0, 1.0 + config.reacquisition_s) == GnssSolution.RTK_FLOAT
+    assert sky.best_solution(3.9, -40.0, 60.0) == GnssSolution.RTK_FLOAT
+    assert sky.best_solution(4.1, -40.0, 60.0 + 0.9 * config.ambiguity_fix_s) == GnssSolution.RTK_FLOAT
+    assert sky.best_solution(4.1, -40.0, 60.0 + config.ambiguity_fix_s) == GnssSolution.RTK_FIXED
+    assert SkyView(None, config).best_solution(-4.0, -40.0, 0.0) == GnssSolution.RTK_FIXED
 
 
 def test_gnss_says_nothing_in_the_bay():
@@ -230,19 +231,19 @@ def test_gnss_says_nothing_in_the_bay():
 def test_carried_sensors_rise_with_the_implement():
     farm = farm_with("ultrasonic")
     (model,) = [s for s in farm.world._sensors if s.topic.endswith("front_middle")]
-    moment = type("M", (), {"track": farm.world._track, "machine": farm.machine})()
+    moment = type("M", (), {"poses": farm.world._poses, "machine": farm.machine})()
     level = model._pose(moment)[2, 3]
-    model._is_carried = True
+    model._is_on_implement = True
     farm.machine.attached.hitch = 0.0
     assert model._pose(moment)[2, 3] == pytest.approx(level - 0.6)
     farm.close()
 
 
 def test_rear_sensors_hear_who_stands_behind_the_raised_harrow():
-    behind = figure(20.0, YARD.y_m - 2.4 - 1.5)
+    behind = actor(20.0, YARD.y_m - 2.4 - 1.5)
     vehicle = carrying(machine_file(), IMPLEMENT)
     farm = Farm(vehicle=vehicle, site=SITE, start=YARD, is_folded=True, config=flat())
-    farm.world._play = lambda elapsed_s: setattr(farm.world._scene, "figures", (behind,))
+    farm.world._update_actors = lambda elapsed_s: setattr(farm.world._scene, "actors", (behind,))
     outputs = farm.drive(2.0)
     farm.close()
     for name in ("rear_left", "rear_right"):

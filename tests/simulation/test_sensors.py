@@ -81,7 +81,7 @@ def test_imu_in_a_turn_reads_centripetal_and_rate():
 
 
 def test_imu_integrates_back_to_the_true_heading_and_speed():
-    config = flat(imu={"idle_mps2": 0.0, "furrow_mps2_per_mps": 0.0})
+    config = flat(imu={"idle_vibration_mps2": 0.0, "driving_vibration_mps2_per_mps": 0.0})
     farm = Farm(vehicle=machine_file(sensors=("imu",)), config=config)
     farm.curvature_radpm = 0.1
     farm.get_going(2.0)
@@ -168,8 +168,8 @@ def test_wheels_read_slip_and_the_angle_zero():
     still = of(farm.drive(0.5), "wheel")
     assert {m.speed_mps for m in still if isinstance(m, WheelSample)} == {0.0}
     angle = np.mean([m.steering_angle_rad for m in still])
-    assert angle == pytest.approx(farm.machine.angle_zero_rad, abs=math.radians(0.1))
-    assert abs(farm.machine.angle_zero_rad) <= math.radians(0.3)
+    assert angle == pytest.approx(farm.machine.angle_offset_rad, abs=math.radians(0.1))
+    assert abs(farm.machine.angle_offset_rad) <= math.radians(0.3)
     farm.is_lowered = True
     farm.get_going(2.78)
     moving = of(farm.outputs, "wheel")[-100:]
@@ -181,7 +181,7 @@ def test_angle_zero_differs_by_seed():
     zeros = set()
     for seed in range(4):
         farm = Farm(seed=seed)
-        zeros.add(farm.machine.angle_zero_rad)
+        zeros.add(farm.machine.angle_offset_rad)
         farm.close()
     assert len(zeros) == 4
 

@@ -11,7 +11,7 @@ from configs.site import PoseConfig, Site
 from configs.strict import find, load
 from geometry.transforms import apply
 from simulation.environment.scenery import build_scenery
-from simulation.environment.shed import bay_ground, prism, shed_solids, store_floor
+from simulation.environment.shed import bay_ground, prism, shed_solids, storage_floor
 from simulation.environment.terrain import Terrain
 from simulation.ground_truth import allowed_area
 from tests.simulation.simulated_farm import CONFIG, IMPLEMENT, Farm, flat, machine_file
@@ -53,7 +53,7 @@ def test_walls_posts_masts_and_store():
 @pytest.mark.parametrize("seed", range(8))
 def test_the_store_leaves_bays_free_and_differs(seed):
     stored = [s.ground for s in shed_solids(SHED, seed) if s.kind == "store"]
-    (floor,) = store_floor(SHED)
+    (floor,) = storage_floor(SHED)
     assert floor.bounds[1] > -37.72
     assert all(floor.covers(g) for g in stored)
     assert all(a.distance(b) > 0.09 for k, a in enumerate(stored) for b in stored[:k])

@@ -7,7 +7,7 @@ import can
 import pytest
 
 from simulation.machine.ecu_checks import (
-    GOOD_TO_RECOVER,
+    RECOVERY_COUNT,
     Heartbeat,
     StopAll,
     is_checksum_good,
@@ -172,7 +172,7 @@ def test_heartbeat_recovers_after_eight():
         now += 100_000_000
         heartbeat.receive(now, k)
     assert not heartbeat.is_good(now)
-    for k in range(GOOD_TO_RECOVER):
+    for k in range(RECOVERY_COUNT):
         assert not heartbeat.is_good(now)
         now += 100_000_000
         heartbeat.receive(now, 3 + k)
