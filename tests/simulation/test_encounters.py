@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon, box
-from simulation.states.encounter import (
+from simulation.actors.encounter import (
     MIN_STOPPING_GAP_M,
     SWEPT_MARGIN_M,
     EncounterPoint,
@@ -17,8 +17,8 @@ from simulation.states.encounter import (
     draw_crossing,
     walk_state_at,
 )
-from simulation.states.placement import ParkedVehicle, find_swaths, ground_geometry, place_encounters
-from simulation.states.states import Actor
+from simulation.actors.placement import ParkedVehicle, find_swaths, ground_geometry, place_encounters
+from simulation.actors.actors import Actor
 
 from configs.site import PoseConfig, Site
 from configs.strict import find, load, parse

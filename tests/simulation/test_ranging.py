@@ -34,7 +34,7 @@ def farm_with(kind, start=YARD, actors=(), seed=1, **sections):
 
 
 def actor(x, y, label=ObstacleClass.PERSON, velocity=(0.0, 0.0), yaw=0.0, gait=-1.0, visible_to=None):
-    seen = {} if visible_to is None else {"seen_by": visible_to}
+    seen = {} if visible_to is None else {"visible_to": visible_to}
     return ActorState(0, label, "test", (x, y, 0.0), yaw, velocity, gait, **seen)
 
 
