@@ -7,6 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon, box
+
+from configs.site import PoseConfig, Site
+from configs.strict import find, load, parse
+from geometry.transforms import apply
+from messages.errors import ConfigError, FieldError
+from messages.plan import PathSection, PathSectionType
+from simulation.actors.actors import Actor
 from simulation.actors.encounter import (
     MIN_STOPPING_GAP_M,
     SWEPT_MARGIN_M,
@@ -18,13 +25,6 @@ from simulation.actors.encounter import (
     walk_state_at,
 )
 from simulation.actors.placement import ParkedVehicle, find_swaths, ground_geometry, place_encounters
-from simulation.actors.actors import Actor
-
-from configs.site import PoseConfig, Site
-from configs.strict import find, load, parse
-from geometry.transforms import apply
-from messages.errors import ConfigError, FieldError
-from messages.plan import PathSection, PathSectionType
 from simulation.environment.terrain import Terrain
 from simulation.randomness import generator
 from simulation.scenario import Scenario
