@@ -1,4 +1,4 @@
-.PHONY: lock test mutants format clean
+.PHONY: lock test docs mutants format clean
 uv := $(or $(shell command -v uv),.uv/bin/uv)
 
 lock: # resolve each requirements*.in anew; LOCK=--upgrade takes newer versions
@@ -9,6 +9,11 @@ lock: # resolve each requirements*.in anew; LOCK=--upgrade takes newer versions
 
 test:
 	./headland test
+
+docs: # generate the tables and figures in docs/ and README.md from recorded results, configuration and tests
+	for name in results protective_field; do \
+	  PYTHONPATH=$(CURDIR) PYTHONSAFEPATH=1 .venv/bin/python -m runtime.documents.$$name || exit; \
+	done
 
 mutants: # run what is left of the mutants of safety/; tests/safety/mutants.py says what ONLY=... may be
 	$(uv) pip install --quiet --python .venv/bin/python --target .mutants --require-hashes --no-build -r requirements-mutants.txt

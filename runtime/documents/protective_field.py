@@ -18,11 +18,13 @@ BLUE, RED, GREEN, BROWN, GREY = "#1f6fb2", "#c62828", "#2f7d32", "#8d6e4a", "#60
 
 
 def band(length_m: float, start_m: float, half_width_m: float, radius_m: float) -> Float64:
-    """Outline (N, 2) of a strip along an arc to the left, from `start_m` to `start_m + length_m` ahead of the rear axle."""
+    """Outline (N, 2) in `base` of a strip along an arc to the left that begins `start_m` ahead of the rear axle."""
     s = np.linspace(start_m, start_m + length_m, 40)
-    left = [((radius_m - half_width_m) * np.sin(s / radius_m), radius_m - (radius_m - half_width_m) * np.cos(s / radius_m))]
-    right = [((radius_m + half_width_m) * np.sin(s / radius_m), radius_m - (radius_m + half_width_m) * np.cos(s / radius_m))]
-    return np.vstack([np.column_stack(left[0]), np.column_stack(right[0])[::-1]])
+    left, right = (
+        np.column_stack([r * np.sin(s / radius_m), radius_m - r * np.cos(s / radius_m)])
+        for r in (radius_m - half_width_m, radius_m + half_width_m)
+    )
+    return np.vstack([left, right[::-1]])
 
 
 def draw(target: Path) -> None:
@@ -50,13 +52,18 @@ def draw(target: Path) -> None:
     ax.fill(*_box((ends[0], ends[1]), 0.5 * implement.width_m), color=BROWN, alpha=0.8)
     t = np.linspace(0.0, body.front_m + required_m + 4.0, 60)
     ax.plot(RADIUS_M * np.sin(t / RADIUS_M), RADIUS_M * (1.0 - np.cos(t / RADIUS_M)), "--", color=GREY, lw=1.0)
-    ax.annotate("planned path", (t[-1] - 0.6, RADIUS_M * (1.0 - np.cos(t[-1] / RADIUS_M))), color=GREY, ha="right", va="bottom")
+    end = float(RADIUS_M * (1.0 - np.cos(t[-1] / RADIUS_M)))
+    ax.text(t[-1] - 0.6, end, "planned path", color=GREY, ha="right", va="bottom")
     ax.text(body.front_m + 0.3, -half - 0.2, f"S = {s_m:.1f} m at {SPEED_KMH:.0f} km/h: stop", color=RED, va="top")
-    ax.text(body.front_m + 0.3, -half - 0.9, f"required range = S + margin = {required_m:.1f} m: speed limit", color=BLUE, va="top")
-    ax.text(-body.rear_m, 0.5 * implement.width_m + 0.9, "machine", color=GREEN, va="bottom")
-    ax.text(ends[0] - 0.2, 0.5 * implement.width_m + 0.2, f"implement, {implement.width_m:.1f} m", color=BROWN, va="bottom")
+    ax.text(body.front_m + 0.3, -half - 0.9, f"required range = S + margin = {required_m:.1f} m: speed limit",
+            color=BLUE, va="top")  # fmt: skip
+    middle = 0.5 * (body.front_m - body.rear_m)
+    ax.text(middle, -0.5, "machine", color="white", ha="center", va="center")
+    label = f"implement, {implement.width_m:.1f} m"
+    ax.text(0.5 * sum(ends), 0.0, label, color="white", ha="center", va="center", rotation=90)
     heights = (
-        f"width: swept by machine and implement, plus {field.lateral_margin_near_m:.1f} to {field.lateral_margin_far_m:.1f} m\n"
+        f"width: swept by machine and implement, plus {field.lateral_margin_near_m:.1f} to "
+        f"{field.lateral_margin_far_m:.1f} m\n"
         f"height: {field.min_height_m:.2f} m + {100 * field.min_height_slope:.0f} % of the distance, up to "
         f"{body.height_m + field.overhead_margin_m:.1f} m\n"
         f"τ = {braking.reaction_s} s, t_b = {braking.build_up_s} s, a = {braking.deceleration_mps2} m/s²"

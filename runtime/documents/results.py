@@ -1,6 +1,7 @@
 """Generates docs/results.md and the table of README.md from docs/results.yaml: `make docs`."""
 
 import sys
+from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import Field
@@ -43,7 +44,7 @@ class Results(Config):
     results: tuple[Result, ...]
 
 
-def table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def table(columns: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     """A Markdown table; `|` in a cell is escaped."""
     lines = [columns, ("---",) * len(columns), *rows]
     return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
