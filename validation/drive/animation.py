@@ -30,8 +30,9 @@ from messages.sensors import LidarScan
 
 SIZE_PX = (640, 400)
 FOCAL_PX = 430.0
-CAMERA_BASE_M = (-15.0, 0.0, 9.5)  # behind and above the rear axle
-CAMERA_PITCH_RAD = math.radians(27.0)
+CAMERA_BASE_M = (-15.0, 0.0, 9.0)  # behind and above the rear axle
+CAMERA_PITCH_RAD = math.radians(24.0)
+AXIS_ROW = 0.58  # row of the optical axis, share of the height
 NEAR_M, FAR_M = 1.0, 60.0
 POINTS_PER_SCAN = 5000
 PATH_AHEAD_M = 40.0
@@ -92,7 +93,7 @@ class View:
         c, s = math.cos(CAMERA_PITCH_RAD), math.sin(CAMERA_PITCH_RAD)
         depth, up = c * p[:, 0] - s * p[:, 2], s * p[:, 0] + c * p[:, 2]
         scale = FOCAL_PX / np.maximum(depth, 1e-3)
-        return np.column_stack([0.5 * SIZE_PX[0] - scale * p[:, 1], 0.42 * SIZE_PX[1] - scale * up]), depth
+        return np.column_stack([0.5 * SIZE_PX[0] - scale * p[:, 1], AXIS_ROW * SIZE_PX[1] - scale * up]), depth
 
     def points(self, points_odom: Float64, colours: UInt8) -> None:
         """Points (N, 3) with BGR colours (N, 3), each one or two pixels wide."""
@@ -132,7 +133,6 @@ class View:
     def text(self, text: str, at_px: tuple[float, float], colour: tuple[int, int, int], scale: float = 0.42) -> None:
         """Text with its lower left corner at a pixel."""
         at = (round(at_px[0]), round(at_px[1]))
-        cv2.putText(self.image, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, (0, 0, 0), 3, cv2.LINE_AA)
         cv2.putText(self.image, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
 
     def _segment(self, a: Float64, b: Float64, colour: tuple[int, int, int], width: int) -> None:
