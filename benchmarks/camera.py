@@ -24,7 +24,7 @@ import numpy as np
 
 from configs.strict import parse, read_yaml
 from messages.message import Float64, Int64, UInt8
-from perception.camera.boxes import Boxes, Candidates, area, intersection, iou, pick
+from perception.camera.boxes import Boxes, Candidates, area, intersection, iou, non_max_suppression
 from perception.camera.classes import COCO, GROUPS, MEMBERS, group_scores
 from perception.camera.detector import Detector, DetectorConfig, load_detector
 
@@ -154,7 +154,7 @@ def far_recall(samples: list[Sample], detector: Detector, distance_m: float) -> 
     for sample in samples:
         bgr, corners = shrunk(sample, distance_m)
         tallest = corners[[int((corners[:, 3] - corners[:, 1]).argmax())]]
-        boxes = pick(grouped(detector.detect(bgr)), detector.config.least_score, detector.config.most_iou)
+        boxes = non_max_suppression(grouped(detector.detect(bgr)), detector.config.min_score, detector.config.max_iou)
         found += bool((iou(tallest, boxes.corners_px[boxes.label == 0]) >= 0.5).any())
     return found, len(samples)
 
@@ -185,19 +185,22 @@ def run(model: Path, data: Path) -> bool:
     """Print everything; whether both bars are reached."""
     config = configured()
     # AP needs the whole curve, so also candidates far below those that the stack believes
-    detector = load_detector(model, config.model_copy(update={"least_score": CURVE_FROM}))
+    detector = load_detector(model, config.model_copy(update={"min_score": CURVE_FROM}))
     print(f"{model.name}: {type(detector.network).__name__}, {detector.size_px[1]} x {detector.size_px[0]}")
     people, things = list(pennfudan(data / "pennfudan")), list(coco128(data / "coco128"))
     found, ms = detect_all(people, detector)
     print(f"pennfudan, {len(people)} pictures, {ms:.1f} ms each")
-    iou_limit = config.most_iou
-    results = [(pick(grouped(c), CURVE_FROM, iou_limit), s) for c, s in zip(found, people, strict=True)]
-    first = line("person", results, 0, config.least_score)
+    iou_limit = config.max_iou
+    results = [(non_max_suppression(grouped(c), CURVE_FROM, iou_limit), s) for c, s in zip(found, people, strict=True)]
+    first = line("person", results, 0, config.min_score)
     found, ms = detect_all(things, detector)
     print(f"coco128, {len(things)} pictures, {ms:.1f} ms each")
-    results = [(pick(grouped(c), CURVE_FROM, iou_limit), as_groups(s)) for c, s in zip(found, things, strict=True)]
-    second, *_ = [line(str(g), results, i, config.least_score) for i, g in enumerate(GROUPS)]
-    results = [(pick(c, CURVE_FROM, iou_limit), s) for c, s in zip(found, things, strict=True)]
+    results = [
+        (non_max_suppression(grouped(c), CURVE_FROM, iou_limit), as_groups(s))
+        for c, s in zip(found, things, strict=True)
+    ]
+    second, *_ = [line(str(g), results, i, config.min_score) for i, g in enumerate(GROUPS)]
+    results = [(non_max_suppression(c, CURVE_FROM, iou_limit), s) for c, s in zip(found, things, strict=True)]
     aps = [average_precision(*judge(results, k)[1:]) for k in range(len(COCO))]
     print(f"  80 classes mean AP50 {np.nanmean(aps):.3f} over {np.isfinite(aps).sum()} that occur")
     for distance in (3, 5, 10, 15, 20, 30):

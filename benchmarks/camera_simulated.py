@@ -25,7 +25,7 @@ from configs.vehicle import Camera, Mount, Vehicle
 from geometry.transforms import apply, invert
 from messages.message import Float64, UInt8
 from messages.perception import ObstacleClass
-from perception.camera.boxes import Boxes, iou, pick
+from perception.camera.boxes import Boxes, iou, non_max_suppression
 from perception.camera.classes import GROUPS
 from perception.camera.detector import Detector, load_detector
 from simulation.actors.actors import ActorState
@@ -136,7 +136,7 @@ def box_of(actor: ActorState, T_map_base: Float64, camera: Camera) -> Float64:
 def found(shot: Shot, detector: Detector) -> tuple[bool, Boxes]:
     """Whether the shot's figure is found, and all boxes of the stack's classes."""
     config = detector.config
-    boxes = pick(grouped(detector.detect(shot.bgr)), config.least_score, config.most_iou)
+    boxes = non_max_suppression(grouped(detector.detect(shot.bgr)), config.min_score, config.max_iou)
     if shot.label is None:
         return False, boxes
     mine = boxes.corners_px[boxes.label == GROUPS.index(shot.label)]

@@ -177,7 +177,7 @@ def run_comma(folder: Path, vehicle: Vehicle, config: RadarConfig) -> None:
     found, errors, still, moving, right, ms = 0, [], 0, 0, 0, []
     for i, (scan, odom) in enumerate(zip(drive.scans, drive.odometry, strict=True)):
         start = time.perf_counter()
-        obstacles = node.absorb(scan, odom)
+        obstacles = node.process(scan, odom)
         ms.append((time.perf_counter() - start) * 1e3)
         for k, track in enumerate(drive.tracks[i]):
             if (i, float(track)) in truth:

@@ -1,1 +1,1 @@
-"""From raw returns and pictures to obstacles, tracks and the health of each sensor."""
+"""Perception: obstacles per sensor, fused tracks and the health of each sensor, from raw sensor data."""

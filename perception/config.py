@@ -1,4 +1,4 @@
-"""The section `perception` of the stack's configuration."""
+"""Section `perception` of the stack configuration."""
 
 from configs.strict import Config
 from perception.camera.obstacles import CameraConfig
@@ -9,7 +9,7 @@ from perception.ultrasonic.obstacles import UltrasonicConfig
 
 
 class PerceptionConfig(Config):
-    """All that perception is told, apart from the sensors themselves."""
+    """Configuration of perception; the sensors themselves are part of the machine."""
 
     lidar: LidarConfig
     tracker: TrackerConfig

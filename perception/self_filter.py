@@ -1,4 +1,4 @@
-"""Where the machine and what it carries stand themselves: what is seen there is no obstacle."""
+"""Self filter: outline of machine and implement, inside which measurements are no obstacles."""
 
 import numpy as np
 import numpy.typing as npt
@@ -9,17 +9,17 @@ from messages.message import Float64
 
 
 def is_folded(machine: MachineState | None) -> bool:
-    """Whether the implement is known to be folded; as long as nobody says so it counts as wide."""
+    """Whether the implement is known to be folded; unknown counts as unfolded (wide)."""
     return machine is not None and machine.fold_position >= FOLDED
 
 
 def own_outlines(vehicle: Vehicle, implement: Implement | None) -> tuple[Float64, Float64]:
-    """`own_outline` with the implement unfolded and folded, to be chosen from by `is_folded`."""
+    """`own_outline` with the implement unfolded and folded, indexed by `is_folded`."""
     return own_outline(vehicle, implement), own_outline(vehicle, implement and implement.folded)
 
 
 def own_outline(vehicle: Vehicle, implement: Implement | None, margin_m: float = 0.0) -> Float64:
-    """Machine and implement from above as rectangles in `base`, (K, 2, 2): lowest and highest corner."""
+    """Machine and implement as rectangles in the plane of `base`, (K, 2, 2): lowest and highest corner."""
     body, m = vehicle.body, margin_m
     half = body.width_m / 2 + m
     outline = [[[-body.rear_m - m, -half], [body.front_m + m, half]]]

@@ -1,5 +1,5 @@
-"""Camera: detector, ground-plane ranging, state of the lens, and the nodes that run them on each picture."""
+"""Camera: detector, ground-plane ranging, image quality, and the nodes that run them on each image."""
 
 import cv2
 
-cv2.setNumThreads(1)  # a pool of threads would take the cores of others, and wake up for every picture
+cv2.setNumThreads(1)  # a thread pool would take the cores of other processes

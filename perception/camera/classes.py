@@ -1,4 +1,4 @@
-"""COCO's 80 classes in the order of the networks trained on them, and which of them are obstacles of ours."""
+"""The 80 COCO classes in network order, and their obstacle classes."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ COCO = (
     "refrigerator", "book", "clock", "vase", "scissors", "teddy bear", "hair drier", "toothbrush",
 )  # fmt: skip
 
-# A bird leaves by itself and is no obstacle; aeroplane and boat do not stand in fields.
+# Birds fly off and are no obstacle; aeroplanes and boats do not occur in fields.
 MEMBERS: dict[ObstacleClass, tuple[str, ...]] = {
     ObstacleClass.PERSON: ("person",),
     ObstacleClass.ANIMAL: ("cat", "dog", "horse", "sheep", "cow", "elephant", "bear", "zebra", "giraffe"),
@@ -28,12 +28,12 @@ _ORDER = tuple(ObstacleClass)
 
 
 def group_scores(scores: Float32) -> Float32:
-    """Scores (N, 80) of COCO's classes as those of `GROUPS`, (N, 3): the best of each group's members."""
+    """Scores (N, 3) of `GROUPS` from those of the COCO classes (N, 80): the best of each group's members."""
     return np.stack([scores[:, columns].max(axis=1) for columns in _COLUMNS], axis=1)
 
 
 def class_scores(group: int, score: float) -> Float64:
-    """Evidence (7,) in the order of `ObstacleClass`: what the network does not give to its class may be any other."""
+    """Class scores (7,) in the order of `ObstacleClass`: the remainder is shared equally by the other classes."""
     row = np.full(len(_ORDER), (1.0 - score) / (len(_ORDER) - 1))
     row[_ORDER.index(GROUPS[group])] = score
     return row

@@ -1,8 +1,8 @@
-"""Whether a picture shows the world: dark, dazzled, blurred, partly covered, frozen.
+"""Image quality: dark, overexposed, blurred or covered images.
 
-Sharpness is the energy of the Laplacian at half size over that at quarter size. It does not depend on contrast or
-scene, and halving takes the sensor's noise out: over coco128 and Penn-Fudan sharp pictures have 0.44 to 2.3, the same
-blurred by a Gaussian of 2.5 px at most 0.22, by 4 px at most 0.13 (0.42 with noise of 3 grey levels added).
+Sharpness is the energy of the Laplacian at half size over that at quarter size. It is independent of contrast and
+scene, and halving removes sensor noise: over coco128 and Penn-Fudan sharp images have 0.44 to 2.3, the same images
+blurred by a Gaussian of 2.5 px at most 0.22, of 4 px at most 0.13 (0.42 with added noise of 3 grey levels).
 """
 
 from dataclasses import dataclass
@@ -17,61 +17,61 @@ from messages.message import Float32, UInt8
 from messages.perception import HealthState
 
 Bools = npt.NDArray[np.bool_]
-ROWS = 6  # cells over the height of the picture
+ROWS = 6  # cells over the height of the image
 
 
-class LensConfig(Config):
-    """From what a picture counts as bad; grey levels are of 255."""
+class ImageQualityConfig(Config):
+    """Limits of image quality; grey levels are of 255."""
 
-    dark_level: float = Field(ge=0.0, le=255.0, description="below it 95 % of the pixels of a dark picture")
+    dark_level: float = Field(ge=0.0, le=255.0, description="95th percentile of a dark image")
     glare_level: float = Field(ge=0.0, le=255.0)
-    glare_share: float = Field(gt=0.0, le=1.0, description="of pixels above that level, from which it is dazzled")
-    least_sharpness: float = Field(gt=0.0, le=2.0)
-    flat_level: float = Field(gt=0.0, le=50.0, description="deviation within a cell from which it shows something")
-    covered_share: float = Field(gt=0.0, le=1.0, description="of a sector's cells, from which it is covered")
+    glare_share: float = Field(gt=0.0, le=1.0, description="of pixels above that level in an overexposed image")
+    min_sharpness: float = Field(gt=0.0, le=2.0)
+    flat_level: float = Field(gt=0.0, le=50.0, description="standard deviation within a covered cell")
+    covered_share: float = Field(gt=0.0, le=1.0, description="of the cells of a covered sector")
     sectors: int = Field(ge=1, le=32)
-    moving_mps: float = Field(gt=0.0, le=5.0, description="speed from which two equal pictures are a frozen one")
-    detection_range_m: float = Field(gt=0.0, le=100.0, description="to which the detector finds a person")
+    moving_mps: float = Field(gt=0.0, le=5.0, description="speed above which equal images are a frozen camera")
+    detection_range_m: float = Field(gt=0.0, le=100.0, description="range within which the detector finds a person")
 
 
 @dataclass(frozen=True)
-class LensReport:
-    """State and reason of the whole picture, and which sectors (S,) see, from right to left."""
+class ImageQuality:
+    """State and reason of an image, and which sectors (S,), from right to left, are clear."""
 
     state: HealthState
     reason: str
-    sees: UInt8
+    clear_sectors: UInt8
 
 
-def inspect(bgr: UInt8, horizon_row: float, config: LensConfig) -> LensReport:
-    """The state of a picture (H, W, 3); only what lies below the horizon can be covered, for skies are flat."""
+def inspect(bgr: UInt8, horizon_row: float, config: ImageQualityConfig) -> ImageQuality:
+    """Quality of an image (H, W, 3); coverage is evaluated below the horizon only, since the sky is flat."""
     grey = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-    # in floats: rounding to grey levels would look like detail in a blurred picture
+    # as floats: rounding to grey levels would look like detail in a blurred image
     half = np.asarray(cv2.pyrDown(grey.astype(np.float32)), np.float32)
     quarter = np.asarray(cv2.pyrDown(half), np.float32)
-    reason = _what_blinds(quarter, half, config)
+    reason = _blind_reason(quarter, half, config)
     if reason:
-        return LensReport(HealthState.BLIND, reason, np.zeros(config.sectors, np.uint8))
+        return ImageQuality(HealthState.BLIND, reason, np.zeros(config.sectors, np.uint8))
     covered = covered_sectors(quarter, horizon_row / bgr.shape[0], config)
     if covered.all():
-        return LensReport(HealthState.BLIND, "lens is covered", np.zeros(config.sectors, np.uint8))
-    sees = (~covered).astype(np.uint8)
+        return ImageQuality(HealthState.BLIND, "lens is covered", np.zeros(config.sectors, np.uint8))
+    clear_sectors = (~covered).astype(np.uint8)
     if covered.any():
         reason = f"lens is covered in {int(covered.sum())} of {config.sectors} sectors"
-        return LensReport(HealthState.DEGRADED, reason, sees)
-    return LensReport(HealthState.GOOD, "", sees)
+        return ImageQuality(HealthState.DEGRADED, reason, clear_sectors)
+    return ImageQuality(HealthState.GOOD, "", clear_sectors)
 
 
-def _what_blinds(quarter: Float32, half: Float32, config: LensConfig) -> str:
+def _blind_reason(quarter: Float32, half: Float32, config: ImageQualityConfig) -> str:
     if np.percentile(quarter, 95) < config.dark_level:
-        return "picture is dark"
+        return "image is dark"
     if (quarter >= config.glare_level).mean() > config.glare_share:
-        return "picture is dazzled"
+        return "image is overexposed"
     if quarter.std() < config.flat_level:
         return "lens is covered"
     value = sharpness(half, quarter)
-    if value < config.least_sharpness:
-        return f"picture is blurred (sharpness {value:.2f})"
+    if value < config.min_sharpness:
+        return f"image is blurred (sharpness {value:.2f})"
     return ""
 
 
@@ -81,12 +81,12 @@ def sharpness(half: Float32, quarter: Float32) -> float:
     return float(fine / max(float(coarse), 1e-3))
 
 
-def covered_sectors(quarter: Float32, horizon: float, config: LensConfig) -> Bools:
-    """Which sectors (S,), from right to left, show nothing in most cells below the `horizon` (0 top, 1 bottom)."""
+def covered_sectors(quarter: Float32, horizon: float, config: ImageQualityConfig) -> Bools:
+    """Which sectors (S,), from right to left, are flat in most cells below the `horizon` (0 top, 1 bottom)."""
     height, width = quarter.shape
     cell_h, cell_w = height // ROWS, width // config.sectors
     cells = quarter[: cell_h * ROWS, : cell_w * config.sectors].reshape(ROWS, cell_h, config.sectors, cell_w)
     flat = cells.std(axis=(1, 3)) < config.flat_level
-    # a mount that looks up leaves the lowest row to judge by
+    # with an upward mount the lowest row is evaluated
     first = min(int(np.ceil(horizon * ROWS)), ROWS - 1)
     return np.asarray(flat[first:].mean(axis=0) >= config.covered_share)[::-1]

@@ -1,4 +1,4 @@
-"""Families of networks: how each wants its picture, and how its outputs become candidates in input pixels."""
+"""Network families: input preparation, and decoding of the outputs to candidates in input pixels."""
 
 import math
 from abc import ABC, abstractmethod
@@ -18,17 +18,17 @@ NANODET_STD = np.array([57.375, 57.12, 58.395], np.float32)
 
 
 class Network(ABC):
-    """One family; chosen by the signature of the model's outputs, for one size of input."""
+    """Network family, selected by the signature of the model's outputs, for one input size."""
 
     classes: int
 
     @abstractmethod
     def prepare(self, bgr: Float32) -> Float32:
-        """The input's values (3, H, W) from those of the picture, 0 to 255."""
+        """Input values (3, H, W) from image values 0 to 255."""
 
     @abstractmethod
     def decode(self, outputs: Sequence[Float32]) -> Candidates:
-        """Candidates in pixels of the input, from the outputs in the model's order."""
+        """Candidates in input pixels, from the outputs in the model's order."""
 
 
 def centers(height: int, width: int, stride: int) -> Float32:
@@ -41,7 +41,7 @@ def centers(height: int, width: int, stride: int) -> Float32:
 class Yolox(Network):
     """YOLOX (Ge 2021): one output (1, N, 5 + C) of offsets, log sizes, objectness and classes; takes plain BGR.
 
-    Files are exported with and without the last step that makes pixels of offsets; `is_decoded` says which.
+    Files are exported with or without the conversion of offsets to pixels; `is_decoded`: with.
     """
 
     corner_px: Float32
@@ -51,14 +51,14 @@ class Yolox(Network):
 
     @staticmethod
     def recognize(outputs: Mapping[str, Float32], height: int, width: int) -> "Yolox | None":
-        """The network when the outputs are those of YOLOX for this size of input."""
+        """The network if the outputs are those of YOLOX for this input size, else None."""
         levels = [centers(height, width, s) for s in YOLOX_STRIDES]
         corner = np.concatenate(levels)
         values = list(outputs.values())
         if len(values) != 1 or values[0].ndim != 3 or values[0].shape[1] != len(corner) or values[0].shape[2] <= 5:
             return None
         stride = np.concatenate([np.full(len(c), s, np.float32) for c, s in zip(levels, YOLOX_STRIDES, strict=True)])
-        # offsets stay within a few cells; pixels follow the grid
+        # offsets are within a few cells; pixels follow the grid
         in_pixels = np.abs(values[0][0, :, :2] - corner).mean() < np.abs(values[0][0, :, :2]).mean()
         return Yolox(corner, stride, values[0].shape[2] - 5, bool(in_pixels))
 
@@ -87,7 +87,7 @@ class Nanodet(Network):
 
     @staticmethod
     def recognize(outputs: Mapping[str, Float32], height: int, width: int) -> "Nanodet | None":
-        """The network when the outputs are those of NanoDet for this size of input."""
+        """The network if the outputs are those of NanoDet for this input size, else None."""
         names = list(outputs)
         strides = [int(n[16:]) for n in names if n.startswith("cls_pred_stride_") and n[16:].isdigit()]
         levels, places, classes = [], [], set()
@@ -117,12 +117,12 @@ class Nanodet(Network):
 
 
 def _is_level(score: Shape, distance: Shape, n: int) -> bool:
-    fits = len(score) == 3 and len(distance) == 3 and score[1] == distance[1] == n
-    return fits and n > 0 and distance[2] % 4 == 0 and distance[2] > 4
+    is_match = len(score) == 3 and len(distance) == 3 and score[1] == distance[1] == n
+    return is_match and n > 0 and distance[2] % 4 == 0 and distance[2] > 4
 
 
 def expectation(logits: Float32) -> Float64:
-    """Mean (N, 4) of the four distributions over 0, 1, … R that (N, 4 (R + 1)) logits stand for (Li 2020, eq. 4)."""
+    """Mean (N, 4) of the four distributions over 0, 1, … R given by (N, 4 (R + 1)) logits (Li 2020, eq. 4)."""
     grouped = logits.reshape(len(logits), 4, -1).astype(np.float64)
     weight = np.exp(grouped - grouped.max(axis=2, keepdims=True))
     weight /= weight.sum(axis=2, keepdims=True)
@@ -133,6 +133,6 @@ FAMILIES: tuple[type[Yolox] | type[Nanodet], ...] = (Yolox, Nanodet)
 
 
 def recognize(outputs: Mapping[str, Float32], height: int, width: int) -> Network | None:
-    """The family that the outputs of a trial run tell (by name, in the model's order), or None."""
+    """The network family of the outputs of a trial run (by name, in the model's order), or None."""
     found = (family.recognize(outputs, height, width) for family in FAMILIES)
     return next((network for network in found if network is not None), None)

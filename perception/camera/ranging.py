@@ -1,12 +1,12 @@
-"""How far away the things in a picture stand: by where they meet the ground, checked against how tall they look.
+"""Range of image boxes: from their foot point on the ground, checked against their height.
 
-      camera o_                    foot   the lower edge of a box, met with the plane through the wheels; the error
+      camera o_                    foot   the lower edge of a box, intersected with the plane of the wheels; the error
              | `-._                       grows with the square of the distance (pitch of machine and terrain)
-      height |     `-._  /|\\      size   the known height of the class over its height in the picture; the error
+      height |     `-._  /|\\      size   the known height of the class over its height in the image; the error
              |_________`-/_\\___          grows with the distance (people differ)
 
-Both agree: the mean weighted by their variances. They disagree (feet hidden by crop or by the picture's edge, a slope,
-somebody sitting): the nearer, and the sigma is their difference.
+If both agree: the mean weighted by their variances. If not (feet hidden by crop or by the image border, a slope, a
+sitting person): the smaller range, with their difference as sigma.
 """
 
 import math
@@ -27,7 +27,7 @@ R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 class SizePrior(Config):
-    """How tall and long a class stands, and by how much that varies."""
+    """Height of a class, its standard deviation, and depth."""
 
     height_m: float = Field(gt=0.0, le=10.0)
     height_sigma_m: float = Field(gt=0.0, le=5.0)
@@ -35,15 +35,15 @@ class SizePrior(Config):
 
 
 class RangingConfig(Config):
-    """What the errors of ranging come from, and how far it reaches."""
+    """Error sources and greatest range of ranging."""
 
     person: SizePrior
     animal: SizePrior
     vehicle: SizePrior
-    pitch_sigma_deg: float = Field(gt=0.0, le=10.0, description="of the ground against the plane through the wheels")
-    edge_sigma_px: float = Field(gt=0.0, le=50.0, description="of a box's edge in the picture")
+    pitch_sigma_deg: float = Field(gt=0.0, le=10.0, description="of the ground relative to the plane of the wheels")
+    edge_sigma_px: float = Field(gt=0.0, le=50.0, description="of a box edge in the image")
     agree_sigma: float = Field(gt=0.0, le=10.0)
-    reach_m: float = Field(gt=1.0, le=200.0)
+    max_range_m: float = Field(gt=1.0, le=200.0)
 
     def prior(self, group: int) -> SizePrior:
         """The prior of one of `GROUPS`."""
@@ -52,14 +52,14 @@ class RangingConfig(Config):
 
 
 @dataclass(frozen=True)
-class View:
-    """A camera as ranging needs it: rays of pixels in `base`."""
+class CameraGeometry:
+    """Camera geometry for ranging: rays of pixels in `base`."""
 
     camera: Camera
 
     @property
     def origin_m(self) -> Float64:
-        """Where the camera stands in `base`, (3,)."""
+        """Position of the camera in `base`, (3,)."""
         return self.camera.mount.T_base_sensor[:3, 3]
 
     @property
@@ -69,7 +69,7 @@ class View:
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     def rays(self, pixels: Float64) -> Float64:
-        """Directions (N, 3) in `base` of pixels (N, 2); their optical part ahead is 1."""
+        """Directions (N, 3) in `base` of pixels (N, 2); their component along the optical axis is 1."""
         if len(pixels) == 0:
             return np.empty((0, 3))
         flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), self.K, np.array(self.camera.distortion)).reshape(-1, 2)
@@ -77,14 +77,14 @@ class View:
         return np.asarray(optical @ (self.camera.mount.T_base_sensor[:3, :3] @ R_BODY_OPTICAL).T, np.float64)
 
     def sector_edges(self, sectors: int) -> Float64:
-        """Azimuths (sectors + 1,) in `base`, ascending, at which equal columns of the picture border on each other."""
+        """Azimuths (sectors + 1,) in `base`, ascending, of the borders of equal column sectors of the image."""
         width, height = self.camera.size_px
         column = np.linspace(width, 0.0, sectors + 1)
         ray = self.rays(np.stack([column, np.full(sectors + 1, height / 2)], axis=1))
         return np.asarray(np.unwrap(np.arctan2(ray[:, 1], ray[:, 0])), np.float64)
 
     def horizon_row(self) -> float:
-        """Row of the picture at which level rays ahead run."""
+        """Image row of the horizon at the middle column."""
         width, height = self.camera.size_px
         top, bottom = self.rays(np.array([[width / 2, 0.0], [width / 2, height]], np.float64))
         slope = np.array([top[2] / math.hypot(top[0], top[1]), bottom[2] / math.hypot(bottom[0], bottom[1])])
@@ -92,9 +92,9 @@ class View:
 
 
 @dataclass(frozen=True)
-class Ranged:
+class RangedBoxes:
     """Boxes on the ground in `base`: `foot_m` (K, 2), `sigma_m` (K, 2) along and across the ray, `azimuth_rad` (K,)
-    of the ray, `size_m` (K, 3) depth, width and height; `row` (K,) says which boxes they were."""
+    of the ray, `size_m` (K, 3) depth, width and height; `row` (K,) index of the box."""
 
     foot_m: Float64
     sigma_m: Float64
@@ -103,36 +103,36 @@ class Ranged:
     row: Int64
 
 
-def place(boxes: Boxes, view: View, config: RangingConfig) -> Ranged:
-    """The boxes that stand within reach; `boxes.label` are indices into `GROUPS`."""
-    low = view.rays(np.stack([boxes.corners_px[:, [0, 2]].mean(axis=1), boxes.corners_px[:, 3]], axis=1))
-    high = view.rays(np.stack([boxes.corners_px[:, [0, 2]].mean(axis=1), boxes.corners_px[:, 1]], axis=1))
-    side = view.rays(np.stack([boxes.corners_px[:, 2], boxes.corners_px[:, 3]], axis=1))
-    height_m = view.origin_m[2]
+def locate(boxes: Boxes, model: CameraGeometry, config: RangingConfig) -> RangedBoxes:
+    """The boxes within `max_range_m`; `boxes.label` are indices into `GROUPS`."""
+    low = model.rays(np.stack([boxes.corners_px[:, [0, 2]].mean(axis=1), boxes.corners_px[:, 3]], axis=1))
+    high = model.rays(np.stack([boxes.corners_px[:, [0, 2]].mean(axis=1), boxes.corners_px[:, 1]], axis=1))
+    side = model.rays(np.stack([boxes.corners_px[:, 2], boxes.corners_px[:, 3]], axis=1))
+    height_m = model.origin_m[2]
     rows, found = [], []
     for k in range(len(boxes)):
         prior = config.prior(int(boxes.label[k]))
-        foot = range_by_foot(low[k], height_m, view.camera.focal_px[1], config)
+        foot = range_by_foot(low[k], height_m, model.camera.focal_px[1], config)
         size = range_by_size(low[k], high[k], prior)
-        is_cut = boxes.corners_px[k, 3] >= view.camera.size_px[1] - 2
+        is_cut = boxes.corners_px[k, 3] >= model.camera.size_px[1] - 2
         range_m, sigma_m = combine(foot, size, is_cut, config.agree_sigma)
-        if range_m <= config.reach_m:
+        if range_m <= config.max_range_m:
             level = math.hypot(low[k, 0], low[k, 1])
             width = 2.0 * math.hypot(side[k, 0] - low[k, 0], side[k, 1] - low[k, 1]) * range_m / level
             tall = (high[k, 2] / math.hypot(high[k, 0], high[k, 1]) - low[k, 2] / level) * range_m
-            across = range_m * config.edge_sigma_px / view.camera.focal_px[0]
+            across = range_m * config.edge_sigma_px / model.camera.focal_px[0]
             rows.append(k)
             found.append(
                 (range_m, sigma_m, across, math.atan2(low[k, 1], low[k, 0]), prior.depth_m, width, max(tall, 0.1))
             )
     table = np.array(found, np.float64).reshape(-1, 7)
     azimuth = table[:, 3]
-    foot_m = view.origin_m[:2] + table[:, :1] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
-    return Ranged(foot_m, table[:, 1:3].copy(), azimuth.copy(), table[:, 4:7].copy(), np.array(rows, np.int64))
+    foot_m = model.origin_m[:2] + table[:, :1] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+    return RangedBoxes(foot_m, table[:, 1:3].copy(), azimuth.copy(), table[:, 4:7].copy(), np.array(rows, np.int64))
 
 
 def range_by_foot(ray: Float64, height_m: float, focal_px: float, config: RangingConfig) -> tuple[float, float]:
-    """Level range from the camera at which a ray meets the ground, and its sigma; infinite when it does not."""
+    """Horizontal range from the camera at which a ray meets the ground, and its sigma; infinite when it does not."""
     down = -ray[2] / math.hypot(ray[0], ray[1])
     angle_sigma = math.hypot(math.radians(config.pitch_sigma_deg), config.edge_sigma_px / focal_px)
     if down <= 1e-6 or height_m <= 0.0:
@@ -142,7 +142,7 @@ def range_by_foot(ray: Float64, height_m: float, focal_px: float, config: Rangin
 
 
 def range_by_size(low: Float64, high: Float64, prior: SizePrior) -> tuple[float, float]:
-    """Level range at which something as tall as the prior fills the angle between two rays, and its sigma."""
+    """Horizontal range at which an object of the prior's height fills the angle between two rays, and its sigma."""
     tall = high[2] / math.hypot(high[0], high[1]) - low[2] / math.hypot(low[0], low[1])
     if tall <= 1e-6:
         return math.inf, math.inf
@@ -152,7 +152,7 @@ def range_by_size(low: Float64, high: Float64, prior: SizePrior) -> tuple[float,
 def combine(
     foot: tuple[float, float], size: tuple[float, float], is_cut: bool, agree_sigma: float
 ) -> tuple[float, float]:
-    """One range and its sigma from two; `is_cut` says that the feet lie below the picture, so both are upper bounds."""
+    """Combined range and sigma; `is_cut`: the feet are below the image, so that both ranges are upper bounds."""
     (a, sigma_a), (b, sigma_b) = foot, size
     if not (math.isfinite(a) and math.isfinite(b)):
         return (b, sigma_b) if math.isfinite(b) else (a, sigma_a)

@@ -1,1 +1,1 @@
-"""One list of tracks from the obstacles of all sensors."""
+"""Sensor fusion: one list of tracks from the obstacles of all sensors."""

@@ -1,4 +1,4 @@
-"""One sensor's obstacles as the tracker takes them: in `odom`, each with its noise and what it is worth."""
+"""Obstacles of one sensor as tracker input: in `odom`, with measurement noise and evidence."""
 
 from dataclasses import dataclass
 
@@ -11,20 +11,20 @@ from geometry.transforms import apply, yaw_of
 from messages.message import Float64
 from messages.perception import Obstacles
 from perception.fusion.kalman import box_noise
-from perception.fusion.static_occupancy import Stillness
+from perception.fusion.static_occupancy import StaticOccupancy
 
 
 class KindConfig(Config):
-    """How much a kind of sensor is believed, and for how long what it saw is kept."""
+    """Evidence of one detection of a kind of sensor, and how long its tracks are kept without one."""
 
-    worth: float = Field(gt=0.0, le=200.0, description="of one sure detection; a lidar's of so many returns")
-    score: tuple[float, float] | None = Field(default=None, description="of the best class: worth nothing, and sure")
-    forget_new_s: float = Field(gt=0.0, le=10.0, description="before it is confirmed")
+    evidence: float = Field(gt=0.0, le=200.0, description="of one certain detection; lidar: of so many returns")
+    score: tuple[float, float] | None = Field(default=None, description="of the best class: no evidence, full evidence")
+    forget_new_s: float = Field(gt=0.0, le=10.0, description="before confirmation")
     forget_s: float = Field(gt=0.0, le=10.0)
 
 
 class KindsConfig(Config):
-    """Each kind of sensor; the name of a sensor begins with its kind."""
+    """Configuration of each kind of sensor; the name of a sensor begins with its kind."""
 
     lidar: KindConfig
     radar: KindConfig
@@ -32,21 +32,21 @@ class KindsConfig(Config):
     ultrasonic: KindConfig
 
     def of(self, sensor: str) -> KindConfig:
-        """That of a sensor."""
+        """Configuration of the kind of a sensor."""
         kind: KindConfig = getattr(self, sensor.partition("_")[0])
         return kind
 
 
 class NoiseConfig(Config):
-    """How sharply a lidar's box tells where its owner is."""
+    """Position noise of lidar boxes."""
 
     position_sigma_m: float = Field(gt=0.0, le=2.0)
     size_share: float = Field(ge=0.0, le=1.0, description="of a box's side, added to the sigma of its centre")
-    strip_m: float = Field(gt=0.0, le=20.0, description="what is as long and thin may be a piece of a fence or wall")
-    strip_ratio: float = Field(gt=0.0, lt=1.0, description="most width of such a strip over its length")
+    strip_m: float = Field(gt=0.0, le=20.0, description="length of a thin box that may be a section of a fence or wall")
+    strip_ratio: float = Field(gt=0.0, lt=1.0, description="greatest width of such a strip over its length")
 
     def is_strip(self, size_m: Float64) -> npt.NDArray[np.bool_]:
-        """Which boxes (K,) may be strips: they end where sight does, and their middles tell no motion."""
+        """Which boxes (K,) may be strips: their visible ends move with the view, so their centres show no motion."""
         return np.asarray((size_m[:, 0] >= self.strip_m) & (size_m[:, 1] <= self.strip_ratio * size_m[:, 0]))
 
 
@@ -54,8 +54,9 @@ class NoiseConfig(Config):
 class Detections:
     """One sensor's obstacles in `odom`, K rows; `R` (K, 2, 2) is the noise of their centres.
 
-    `still` is the share of cells occupied for long; `velocity_mps` (K, 2) and `body_m` (K,), the length of what a
-    camera takes it for, are NaN where not known; `returns` (K,) is the evidence, `log_scores` (K, 7) that of classes.
+    `static_share` (K,) is the share of long-occupied cells; `velocity_mps` (K, 2) and `body_length_m` (K,), the length
+    of the class that a camera detects, are NaN where unknown; `evidence` (K,) is that of existence,
+    `class_log_scores` (K, 7) that of the classes.
     """
 
     stamp_ns: int
@@ -67,21 +68,21 @@ class Detections:
     size_m: Float64
     yaw_rad: Float64
     velocity_mps: Float64
-    body_m: Float64
-    returns: Float64
-    log_scores: Float64
-    still: Float64
+    body_length_m: Float64
+    evidence: Float64
+    class_log_scores: Float64
+    static_share: Float64
 
 
 def to_odom(
     obstacles: Obstacles,
     T_odom_base: Float64,
     sensor: int,
-    stillness: Stillness,
+    static_occupancy: StaticOccupancy,
     kinds: KindsConfig,
     noise: NoiseConfig,
 ) -> Detections:
-    """Obstacles of one message as detections; the stillness of their cells is looked up and remembered."""
+    """Detections from the obstacles of one message; updates the static occupancy with them."""
     yaw, kind = yaw_of(T_odom_base), kinds.of(obstacles.sensor)
     c, s = np.cos(yaw), np.sin(yaw)
     is_lidar, is_camera = (obstacles.sensor.startswith(name) for name in ("lidar", "camera"))
@@ -95,18 +96,18 @@ def to_odom(
         else box_noise(obstacles.size_m, yaws, noise.position_sigma_m, noise.size_share),
         obstacles.size_m, (yaws + np.pi / 2) % np.pi - np.pi / 2,
         obstacles.velocity_mps @ np.array([[c, s], [-s, c]]), body if is_camera else np.full(len(yaws), np.nan),
-        worth_of(obstacles, kind, is_lidar), np.log(np.maximum(obstacles.class_scores, 0.01)),
-        stillness.observe(points.astype(np.float32), obstacles.offsets, obstacles.stamp_ns),
+        evidence_of(obstacles, kind, is_lidar), np.log(np.maximum(obstacles.class_scores, 0.01)),
+        static_occupancy.observe(points.astype(np.float32), obstacles.offsets, obstacles.stamp_ns),
     )  # fmt: skip
 
 
-def worth_of(obstacles: Obstacles, kind: KindConfig, is_lidar: bool) -> npt.NDArray[np.float64]:
-    """Evidence (K,): of a lidar by the number of returns, of a camera by its score, of others the same each time."""
+def evidence_of(obstacles: Obstacles, kind: KindConfig, is_lidar: bool) -> npt.NDArray[np.float64]:
+    """Evidence (K,): lidar by number of returns, camera by score, others constant."""
     if is_lidar:
         counts = np.diff(obstacles.offsets).astype(np.float64)
-        return np.asarray(np.minimum(counts, kind.worth) ** 1.5 * kind.worth**-0.5)
+        return np.asarray(np.minimum(counts, kind.evidence) ** 1.5 * kind.evidence**-0.5)
     if kind.score is None:
-        return np.full(len(obstacles.yaw_rad), kind.worth)
+        return np.full(len(obstacles.yaw_rad), kind.evidence)
     low, high = kind.score
     best = obstacles.class_scores.max(axis=1) if len(obstacles.yaw_rad) else np.empty(0)
-    return np.asarray(kind.worth * np.clip((best - low) / (high - low), 0.0, 1.0))
+    return np.asarray(kind.evidence * np.clip((best - low) / (high - low), 0.0, 1.0))

@@ -11,19 +11,19 @@ EYE = np.eye(4)
 
 
 def predict(x: Float64, P: Float64, dt_s: float, acceleration_mps2: float) -> None:
-    """States (T, 4) and covariances (T, 4, 4) moved on in place by `dt_s`."""
+    """Predicts states (T, 4) and covariances (T, 4, 4) in place by `dt_s`."""
     F = np.eye(4)
     F[0, 2] = F[1, 3] = dt_s
     x[:] = x @ F.T
     q, Q = acceleration_mps2**2, np.zeros((4, 4))
     for i in (0, 1):
-        # white acceleration of one second's correlation: velocity wanders by q dt whatever the rate of measurement
+        # white acceleration with 1 s correlation: the velocity variance grows by q dt at any measurement rate
         Q[i, i], Q[i, i + 2], Q[i + 2, i], Q[i + 2, i + 2] = q * dt_s**3 / 3, q * dt_s**2 / 2, q * dt_s**2 / 2, q * dt_s
     P[:] = F @ P @ F.T + Q
 
 
 def box_noise(size_m: Float64, yaw_rad: Float64, sigma_m: float, share: float) -> Float64:
-    """Covariance (K, 2, 2) of box centres: along and across each box by its own extent, since only parts are seen."""
+    """Covariance (K, 2, 2) of box centres: grows with the extent of the box, since only parts are visible."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     along, across = (sigma_m + share * size_m[:, 0]) ** 2, (sigma_m + share * size_m[:, 1]) ** 2
     R = np.empty((len(yaw_rad), 2, 2))
@@ -34,7 +34,7 @@ def box_noise(size_m: Float64, yaw_rad: Float64, sigma_m: float, share: float) -
 
 
 def distances(x: Float64, P: Float64, z: Float64, R: Float64) -> tuple[Float64, Float64]:
-    """Squared Mahalanobis distances (T, K) of measurements `z` (K, 2), and the same plus log det S as a cost."""
+    """Squared Mahalanobis distances (T, K) of measurements `z` (K, 2), and the cost: distance plus log det S."""
     d2, cost = np.empty((len(x), len(z))), np.empty((len(x), len(z)))
     _distances(x, P, z, R, d2, cost)
     return d2, cost
@@ -52,7 +52,7 @@ def _distances(x: Float64, P: Float64, z: Float64, R: Float64, d2: Float64, cost
 
 
 def correct(x: Float64, P: Float64, z: Float64, R: Float64, first: int) -> None:
-    """States (T, 4) and covariances corrected in place by `z` (T, 2), noise `R`, of components `first`, `first` + 1."""
+    """Corrects states (T, 4) and covariances in place by `z` (T, 2), noise `R`, of components `first`, `first` + 1."""
     own = slice(first, first + 2)
     K = P[:, :, own] @ np.linalg.inv(P[:, own, own] + R)
     x += (K @ (z - x[:, own])[:, :, None])[:, :, 0]

@@ -1,1 +1,1 @@
-"""Lidar: ground, clusters, boxes, health, and the node that runs them on each scan."""
+"""Lidar: ground, clusters, boxes, health, and the node that computes them from each scan."""

@@ -1,4 +1,4 @@
-"""What a single cluster's shape says about its class; motion is weighed by the tracker."""
+"""Class scores of a single cluster from its shape; the tracker adds motion."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,9 +7,9 @@ from messages.message import Float64
 from messages.perception import ObstacleClass
 
 CLASSES = tuple(ObstacleClass)
-UNKNOWN_WEIGHT = 0.25  # an obstacle of no class keeps at least this much against the best match
-# class: (height, length, width) each as rise from, full from, full to, gone at, in metres. Bodies: standing to crouched
-# adults and children; hare to cow; quad bike to lorry; post to trunk; heaps of soil.
+UNKNOWN_WEIGHT = 0.25  # score of `UNKNOWN` against a perfect match of 1
+# class: (height, length, width), each a trapezoid (zero below, one from, one to, zero above) in metres. Covers standing
+# to crouched adults and children; hare to cow; quad bike to lorry; post to trunk; heaps of soil.
 SHAPES: dict[ObstacleClass, tuple[tuple[float, float, float, float], ...]] = {
     ObstacleClass.PERSON: ((0.6, 1.1, 2.0, 2.3), (0.05, 0.2, 1.1, 1.9), (0.0, 0.1, 0.8, 1.1)),
     ObstacleClass.ANIMAL: ((0.2, 0.4, 1.2, 1.7), (0.3, 0.7, 2.2, 3.0), (0.05, 0.15, 0.9, 1.2)),

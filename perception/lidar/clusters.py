@@ -1,7 +1,7 @@
-"""Solid returns gathered into clusters: cells of a level grid, joined within a distance that grows with range.
+"""Clusters of obstacle points: cells of a horizontal grid, joined within a distance that grows with range.
 
-What hangs above the machine joins nothing; what is low joins only where something solid stands in the same cell, so
-that feet and wheels belong to their owner and furrows to nobody.
+Points above the machine are left out. Low points join only a cell that holds obstacle points, so that feet and wheels
+belong to their obstacle and furrows to none.
 """
 
 import math
@@ -17,18 +17,22 @@ from messages.message import Float32, Float64, Int32, UInt8
 
 
 class ClusterConfig(Config):
-    """Grid, joining distance and the least evidence for a cluster."""
+    """Grid, joining distance and the minimum evidence for a cluster."""
 
     cell_m: float = Field(ge=0.05, le=1.0)
-    reach_m: float = Field(ge=10.0, le=200.0)
-    join_m: float = Field(gt=0.0, le=2.0)
+    max_range_m: float = Field(ge=10.0, le=200.0)
+    join_distance_m: float = Field(gt=0.0, le=2.0)
     join_growth: float = Field(ge=0.0, le=0.1, description="added per metre of distance, m/m")
     min_returns: int = Field(ge=1, le=50)
-    least_fill: float = Field(ge=0.0, le=1.0, description="returns over beams that cross the outline")
-    sure_returns: int = Field(ge=1, le=1000, description="so many need not fill their outline: wire, twigs")
-    least_height_m: float = Field(gt=0.0, le=1.0, description="a cluster that is nowhere higher is uneven ground")
-    overhead_m: float = Field(ge=0.0, le=3.0, description="above the machine's height, from where nothing matters")
-    least_top_m: float = Field(gt=0.0, le=5.0, description="what stands this high is taken whole before a low machine")
+    min_fill: float = Field(ge=0.0, le=1.0, description="returns over beams that cross the outline")
+    sufficient_returns: int = Field(
+        ge=1, le=1000, description="number from which `min_fill` is not required: wire, twigs"
+    )
+    min_height_m: float = Field(gt=0.0, le=1.0, description="lower clusters are uneven ground")
+    overhead_margin_m: float = Field(
+        ge=0.0, le=3.0, description="above the machine's height; higher points are left out"
+    )
+    min_top_m: float = Field(gt=0.0, le=5.0, description="assumed height of a machine that is lower")
 
 
 @dataclass(frozen=True)
@@ -39,64 +43,66 @@ class Clusters:
     indices: Int32
 
 
-def keep(clusters: Clusters, wanted: npt.NDArray[np.bool_]) -> Clusters:
-    """Only the clusters that are wanted, (K,)."""
+def select(clusters: Clusters, wanted: npt.NDArray[np.bool_]) -> Clusters:
+    """The clusters selected by the mask `wanted` (K,)."""
     sizes = np.diff(clusters.offsets)
     offsets = np.concatenate([[0], np.cumsum(sizes[wanted])]).astype(np.int32)
     return Clusters(offsets, clusters.indices[np.repeat(wanted, sizes)])
 
 
-def new_board(config: ClusterConfig) -> Int32:
-    """An empty grid to number cells on, kept from scan to scan since clearing it costs more than using it."""
-    width = 2 * math.ceil(config.reach_m / config.cell_m) + 1
+def new_cell_grid(config: ClusterConfig) -> Int32:
+    """Empty grid of cell numbers (-1), reused from scan to scan since clearing it costs more than using it."""
+    width = 2 * math.ceil(config.max_range_m / config.cell_m) + 1
     return np.full((width, width), -1, np.int32)
 
 
 def find_clusters(
-    points_base_m: Float32, level: UInt8, center_m: Float64, config: ClusterConfig, board: Int32
+    points_base_m: Float32, point_class: UInt8, center_m: Float64, config: ClusterConfig, cell_grid: Int32
 ) -> Clusters:
-    """Clusters of returns (N, 3) in `base`; `level` (N,): 2 solid, 1 low (joins what stands in its cell), 0 neither.
+    """Clusters of returns (N, 3) in `base`; `point_class` (N,): 2 obstacle, 1 low (joins an occupied cell), 0 unused.
 
-    `board` is from `new_board`; it is clean again afterwards.
+    `cell_grid` is from `new_cell_grid` and is all -1 again on return.
     """
-    width = board.shape[0]
-    number = board.reshape(-1)
+    width = cell_grid.shape[0]
+    number = cell_grid.reshape(-1)
     cell = np.empty(len(points_base_m), np.int32)
-    cells, centroid = _occupy(points_base_m, level, center_m, width, config.cell_m, number, cell)
-    label, count = _join(cells, number, centroid, center_m, width, config.cell_m, config.join_m, config.join_growth)
+    cells, centroid = _fill_cells(points_base_m, point_class, center_m, width, config.cell_m, number, cell)
+    label, count = _join_cells(
+        cells, number, centroid, center_m, width, config.cell_m, config.join_distance_m, config.join_growth
+    )
     number[cells] = -1
-    offsets, indices = _gather(cell, level, label, count, config.min_returns)
+    offsets, indices = _collect(cell, point_class, label, count, config.min_returns)
     return Clusters(offsets, indices)
 
 
 @kernel
-def _where(level: UInt8, wanted: int) -> Int32:
-    """Where a level stands, ascending; without branches, which returns in no order make costly."""
-    places, n = np.empty(level.shape[0] + 1, np.int32), 0
-    for i in range(level.shape[0]):
-        places[n] = i
-        n += level[i] == wanted
-    return places[:n]
+def _indices_of(point_class: UInt8, wanted: int) -> Int32:
+    """Ascending indices of a class; without branches, which are costly for unordered returns."""
+    indices, n = np.empty(point_class.shape[0] + 1, np.int32), 0
+    for i in range(point_class.shape[0]):
+        indices[n] = i
+        n += point_class[i] == wanted
+    return indices[:n]
 
 
 @kernel
-def _occupy(
-    points: Float32, level: UInt8, center: Float64, width: int, cell_m: float, number: Int32, cell: Int32
+def _fill_cells(
+    points: Float32, point_class: UInt8, center: Float64, width: int, cell_m: float, number: Int32, cell: Int32
 ) -> tuple[Int32, Float64]:
-    """Places (K,) of occupied cells in the order found, and means (K, 2) of their solid returns.
+    """Keys (K,) of occupied cells in the order found, and means (K, 2) of their obstacle points.
 
-    `number` (width²,) gets k where -1 stood, `cell` (N,) gets k, or -1 for what lies in none of them.
+    Sets `number` (width²,) to k in cell k, and `cell` (N,) to k, or to -1 for points in none of them.
     """
     u0 = np.float32(width // 2 + 0.5 - center[0] / cell_m)
     v0 = np.float32(width // 2 + 0.5 - center[1] / cell_m)
     scale, end, span = np.float32(1.0 / cell_m), np.float32(width), np.int32(width)
     for i in range(points.shape[0]):
         u, v = points[i, 0] * scale + u0, points[i, 1] * scale + v0
-        inside = (level[i] > 0) & (u >= 0.0) & (u < end) & (v >= 0.0) & (v < end)
+        inside = (point_class[i] > 0) & (u >= 0.0) & (u < end) & (v >= 0.0) & (v < end)
         cell[i] = np.int32(u) * span + np.int32(v) if inside else np.int32(-1)
-    solids, k = _where(level, 2), 0
-    keys, total = np.empty(solids.shape[0], np.int32), np.empty((solids.shape[0] + 1, 3))
-    for i in solids:
+    obstacle_points, k = _indices_of(point_class, 2), 0
+    keys, total = np.empty(obstacle_points.shape[0], np.int32), np.empty((obstacle_points.shape[0] + 1, 3))
+    for i in obstacle_points:
         key = cell[i]
         if key < 0:
             continue
@@ -109,9 +115,9 @@ def _occupy(
         total[c, 0] += points[i, 0]
         total[c, 1] += points[i, 1]
         total[c, 2] += 1.0
-    for i in _where(level, 1):
+    for i in _indices_of(point_class, 1):
         c = number[cell[i]] if cell[i] >= 0 else -1
-        # one return alone may be noise, and would make an object of the ground below it
+        # a single return may be noise and would turn the ground below it into an obstacle
         cell[i] = c if c >= 0 and total[c, 2] > 1.0 else -1
     return keys[:k].copy(), total[:k, :2] / total[:k, 2:]
 
@@ -125,23 +131,23 @@ def _root(parent: Int32, k: int) -> int:
 
 
 @kernel
-def _join(
-    keys: Int32, number: Int32, centroid: Float64, center: Float64, width: int, cell_m: float, join_m: float,
+def _join_cells(
+    keys: Int32, number: Int32, centroid: Float64, center: Float64, width: int, cell_m: float, join_distance_m: float,
     growth: float,
 ) -> tuple[Int32, int]:  # fmt: skip
-    """Label (K,) of each cell, numbered in the order of the cells, and how many labels there are."""
+    """Label (K,) of each cell, numbered in the order of the cells, and the number of labels."""
     n = keys.shape[0]
-    parent = np.arange(n + 1).astype(np.int32)  # the last stands for the empty cell -1
-    farthest = math.ceil((join_m + growth * width * cell_m) / cell_m)  # more than ever comes
+    parent = np.arange(n + 1).astype(np.int32)  # the last entry is the empty cell -1
+    farthest = math.ceil((join_distance_m + growth * width * cell_m) / cell_m)  # upper bound
     near = np.empty((farthest + 1) * (2 * farthest + 1), np.int32)
     for k in range(n):
         x, y = centroid[k, 0], centroid[k, 1]
-        reach = join_m + growth * math.hypot(x - center[0], y - center[1])
+        reach = join_distance_m + growth * math.hypot(x - center[0], y - center[1])
         steps = math.ceil(reach / cell_m)
         u, v = keys[k] // width, keys[k] % width
         own = parent[n] = _root(parent, k)
         count = 0
-        # gathered first, without branches: which of them are occupied cannot be foretold
+        # candidates first, without branches: occupancy is not predictable
         for w in range(u, min(u + steps, width - 1) + 1):
             first = v + 1 if w == u else max(v - steps, 0)
             for place in range(w * width + first, w * width + min(v + steps, width - 1) + 1):
@@ -169,9 +175,9 @@ def _join(
 
 
 @kernel
-def _gather(cell: Int32, level: UInt8, label: Int32, count: int, min_returns: int) -> tuple[Int32, Int32]:
-    """Offsets and indices of the clusters with enough solid returns, in the order of their labels."""
-    size, solid = np.zeros(count, np.int32), np.zeros(count, np.int32)
+def _collect(cell: Int32, point_class: UInt8, label: Int32, count: int, min_returns: int) -> tuple[Int32, Int32]:
+    """Offsets and indices of the clusters with enough obstacle points, in the order of their labels."""
+    size, obstacle_count = np.zeros(count, np.int32), np.zeros(count, np.int32)
     members, n = np.empty(cell.shape[0] + 1, np.int32), 0
     for i in range(cell.shape[0]):
         members[n] = i
@@ -179,12 +185,12 @@ def _gather(cell: Int32, level: UInt8, label: Int32, count: int, min_returns: in
     for i in members[:n]:
         c = label[cell[i]]
         size[c] += 1
-        solid[c] += level[i] == 2
+        obstacle_count[c] += point_class[i] == 2
     offsets = np.zeros(count + 1, np.int32)
     kept = np.full(count, -1, np.int32)
     k = 0
     for c in range(count):
-        if solid[c] >= min_returns:
+        if obstacle_count[c] >= min_returns:
             kept[c] = k
             offsets[k + 1] = offsets[k] + size[c]
             k += 1

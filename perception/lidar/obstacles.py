@@ -1,4 +1,4 @@
-"""The node that turns each scan of one lidar into ground, obstacles and health."""
+"""Node: ground, obstacles and health from each scan of one lidar."""
 
 from collections.abc import Iterable
 
@@ -14,25 +14,33 @@ from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
 from messages.sensors import LidarScan
-from perception.lidar.boxes import describe
+from perception.lidar.boxes import fit_boxes
 from perception.lidar.classes import class_scores
-from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, keep, new_board
-from perception.lidar.evidence import beams_of, expected_returns
+from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid, select
+from perception.lidar.expected_points import beams_of, expected_points
 from perception.lidar.grid import Grid, build_grid
 from perception.lidar.ground import Ground, GroundConfig, find_ground, fit_plane
-from perception.lidar.health import Expectation, HealthConfig, count_beams, expect, judge, proven_range
-from perception.lidar.points import MaskConfig, motion_of, own_boxes, to_base
+from perception.lidar.health import (
+    HealthConfig,
+    NominalCoverage,
+    count_beams,
+    detection_range,
+    health_state,
+    nominal_coverage,
+)
+from perception.lidar.points import SelfFilterConfig, motion_of, self_boxes, to_base
+from perception.repeated_output import is_repeated
 from perception.self_filter import is_folded
 
-# A block of this size, given back once, has glibc keep what later scans give back (mallopt(3): it raises the threshold
-# of trimming to twice that); else 700 pages are fetched anew at every scan, which costs 1 to 5 ms.
-KEPT_BYTES = 31 << 20
+# A block of this size, freed once, raises glibc's trim threshold to twice that (mallopt(3)), so that memory freed by a
+# scan stays mapped; otherwise 700 pages are mapped again at every scan, which costs 1 to 5 ms.
+HEAP_RESERVE_BYTES = 31 << 20
 
 
 class LidarConfig(Config):
-    """The whole way from returns to obstacles; the same for every lidar."""
+    """Processing from returns to obstacles; the same for every lidar."""
 
-    mask: MaskConfig
+    self_filter: SelfFilterConfig
     ground: GroundConfig
     clusters: ClusterConfig
     health: HealthConfig
@@ -40,7 +48,7 @@ class LidarConfig(Config):
 
 
 class LidarObstacles(Node):
-    """Runs on every scan of the lidar `name`; a scan that is no measurement is counted, and health says blind."""
+    """Runs on every scan of the lidar `name`; an invalid scan is counted as rejected and makes health BLIND."""
 
     def __init__(
         self, name: str, lidar: Lidar, vehicle: Vehicle, implement: Implement | None, config: LidarConfig
@@ -52,7 +60,7 @@ class LidarObstacles(Node):
         self._scan_topic, self._lidar, self._config = f"lidar/{name}", lidar, config
         self._pipeline = Pipeline(lidar, vehicle, implement, config)
         self._pipeline.warm()
-        self._dropped = 0
+        self._rejected_count = 0
         self._last: LidarScan | None = None
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
@@ -60,40 +68,40 @@ class LidarObstacles(Node):
         scan = inbox.last(self._scan_topic, LidarScan)
         if scan is None:
             return ()
-        wrong = self._what_is_wrong(scan)
+        reason = self._invalid_reason(scan)
         self._last = scan
-        if wrong:
-            self._dropped += 1
-            return ((self.writes[2], self._blind(scan.stamp_ns, wrong)),)
+        if reason:
+            self._rejected_count += 1
+            return ((self.writes[2], self._blind_health(scan.stamp_ns, reason)),)
         odom = inbox.at("odom", Odometry, scan.stamp_ns) or inbox.latest("odom", Odometry)
         folded = is_folded(inbox.latest("machine", MachineState))
-        ground, obstacles, health = self._pipeline.run(scan, odom, self.name, self._dropped, folded)
+        ground, obstacles, health = self._pipeline.run(scan, odom, self.name, self._rejected_count, folded)
         if health.state is HealthState.BLIND:
             return ((self.writes[2], health),)
         return ((self.writes[0], ground), (self.writes[1], obstacles), (self.writes[2], health))
 
-    def _what_is_wrong(self, scan: LidarScan) -> str:
-        """Why a scan is no measurement, or "" when it is one."""
+    def _invalid_reason(self, scan: LidarScan) -> str:
+        """Reason why a scan is invalid, "" for a valid one."""
         if not is_well_formed(scan):
             return "scan is malformed"
         if self._last is None:
             return ""
         if scan.stamp_ns <= self._last.stamp_ns:
-            return "time stands still or runs back"
+            return "scan time does not increase"
         noisy = self._lidar.range_sigma_m > 0.0
-        if noisy and scan.ranges_mm.size + scan.xyz_m.size > 0 and _is_same(scan, self._last):
+        if noisy and scan.ranges_mm.size + scan.xyz_m.size > 0 and _is_repeated(scan, self._last):
             return "sends the same scan again"
         return ""
 
-    def _blind(self, stamp_ns: int, reason: str) -> SensorHealth:
-        edges = self._pipeline.expectations[0].sector_edges_rad
+    def _blind_health(self, stamp_ns: int, reason: str) -> SensorHealth:
+        edges = self._pipeline.coverages[0].sector_edges_rad
         return SensorHealth(
-            stamp_ns, self.name, HealthState.BLIND, reason, edges.copy(), np.zeros(len(edges) - 1), self._dropped
+            stamp_ns, self.name, HealthState.BLIND, reason, edges.copy(), np.zeros(len(edges) - 1), self._rejected_count
         )
 
 
 def is_well_formed(scan: LidarScan) -> bool:
-    """Whether shapes agree and at least half of the coordinates are finite."""
+    """Whether shapes agree and more than half of the coordinates are finite."""
     image, n = scan.ranges_mm, len(scan.xyz_m)
     if image.size:
         angles = (len(scan.elevation_rad), len(scan.azimuth_rad))
@@ -103,86 +111,89 @@ def is_well_formed(scan: LidarScan) -> bool:
     return fits and scan.offset_s.shape in ((0,), (n,)) and (n == 0 or float(np.isfinite(scan.xyz_m).mean()) > 0.5)
 
 
-def _is_same(scan: LidarScan, last: LidarScan) -> bool:
-    return np.array_equal(scan.ranges_mm, last.ranges_mm) and np.array_equal(scan.xyz_m, last.xyz_m)
+def _is_repeated(scan: LidarScan, last: LidarScan) -> bool:
+    return is_repeated((scan.ranges_mm, last.ranges_mm), (scan.xyz_m, last.xyz_m))
 
 
 class Pipeline:
-    """From one scan to its messages; holds only what follows from configuration."""
+    """Processing of one scan into its messages; holds only values derived from configuration."""
 
     def __init__(self, lidar: Lidar, vehicle: Vehicle, implement: Implement | None, config: LidarConfig) -> None:
         self.config, self._reach_m = config, lidar.range_m[1]
         self._T: Float64 = lidar.mount.T_base_sensor
         self._center = self._T[:2, 3].copy()
-        carried = (implement, implement and implement.folded)
-        self._own = tuple(own_boxes(vehicle, one, config.mask) for one in carried)
+        by_fold = (implement, implement and implement.folded)
+        self._own = tuple(self_boxes(vehicle, one, config.self_filter) for one in by_fold)
         g = config.ground
-        self._grid: Grid = build_grid(g.sector_deg, g.first_bin_m, g.bin_growth, g.reach_m)
+        self._grid: Grid = build_grid(g.sector_deg, g.first_bin_m, g.bin_growth, g.max_range_m)
         self._front = (vehicle.body.front_m, vehicle.body.width_m / 2)
-        top_m = max(vehicle.body.height_m, config.clusters.least_top_m) + config.clusters.overhead_m
+        top_m = max(vehicle.body.height_m, config.clusters.min_top_m) + config.clusters.overhead_margin_m
         self._limits = (
-            self._center.astype(np.float32), np.float32(g.solid_m), np.float32(g.solid_growth), np.float32(g.foot_m),
+            self._center.astype(np.float32), np.float32(g.obstacle_height_m), np.float32(g.obstacle_height_growth),
+            np.float32(g.low_point_depth_m),
             np.float32(top_m),
         )  # fmt: skip
-        self._board = new_board(config.clusters)
+        self._cell_grid = new_cell_grid(config.clusters)
         self._beams = beams_of(lidar)
-        self.expectations = tuple(expect(lidar, own, config.health) for own in self._own)
+        self.coverages = tuple(nominal_coverage(lidar, own, config.health) for own in self._own)
 
     def warm(self) -> None:
-        """Compile or load all kernels at start-up, with and without times of firing, so that no scan waits for it."""
-        np.empty(KEPT_BYTES, np.uint8)  # and given back
+        """Compiles or loads all kernels at start-up, with and without firing times, so that no scan waits for it."""
+        np.empty(HEAP_RESERVE_BYTES, np.uint8)  # freed at once
         none, two = np.zeros(0, np.float64), np.array([[9.0, 0.0, 1.0], [9.0, 0.1, 1.0]], np.float32)
         for offset_s in (np.zeros(0, np.float32), np.full(2, -0.05, np.float32)):
             image, intensity = np.zeros((0, 0), np.uint16), np.zeros(0, np.uint8)
             self.run(LidarScan(0, image, none.copy(), none.copy(), two.copy(), intensity, offset_s), None, "", 0)
 
     def run(
-        self, scan: LidarScan, odom: Odometry | None, sensor: str, dropped: int, is_folded: bool = False
+        self, scan: LidarScan, odom: Odometry | None, sensor: str, rejected_count: int, is_folded: bool = False
     ) -> tuple[LidarGround, Obstacles, SensorHealth]:
-        """The three messages of a well-formed scan."""
-        own, seen = self._own[is_folded], self.expectations[is_folded]
+        """The three messages of a valid scan."""
+        own, nominal = self._own[is_folded], self.coverages[is_folded]
         points, usable = to_base(scan.points_m, scan.point_offset_s, self._T, motion_of(odom), own)
         ground = find_ground(points, usable, self._center, self._grid, self.config.ground)
-        level = np.empty(len(points), np.uint8)
-        solid = np.empty(len(points), np.uint8)
-        _levels(points, ground.height_m, *self._limits, level, solid)
-        clusters = find_clusters(points, level, self._center, self.config.clusters, self._board)
+        point_class = np.empty(len(points), np.uint8)
+        is_obstacle_point = np.empty(len(points), np.uint8)
+        _classify_points(points, ground.height_m, *self._limits, point_class, is_obstacle_point)
+        clusters = find_clusters(points, point_class, self._center, self.config.clusters, self._cell_grid)
         plane = fit_plane(ground, self._center, self._grid, self.config.plane_radius_m)
         return (
-            LidarGround(scan.stamp_ns, scan.stamp_ns, solid, plane),
-            self._obstacles(scan.stamp_ns, sensor, clusters, points, ground, level),
-            self._health(scan, ground, usable, seen, sensor, dropped),
+            LidarGround(scan.stamp_ns, scan.stamp_ns, is_obstacle_point, plane),
+            self._obstacles(scan.stamp_ns, sensor, clusters, points, ground, point_class),
+            self._health(scan, ground, usable, nominal, sensor, rejected_count),
         )
 
     def _obstacles(
-        self, stamp_ns: int, sensor: str, found: Clusters, points: Float32, ground: Ground, level: UInt8
+        self, stamp_ns: int, sensor: str, found: Clusters, points: Float32, ground: Ground, point_class: UInt8
     ) -> Obstacles:
-        boxes = describe(found, points, ground.height_m, level, self._front)
+        boxes = fit_boxes(found, points, ground.height_m, point_class, self._front)
         limits, counts = self.config.clusters, np.diff(found.offsets)
-        expected = expected_returns(self._beams, boxes.center_m, boxes.size_m, boxes.yaw_rad)
-        filled = (counts >= limits.least_fill * expected) | (counts >= limits.sure_returns)
-        high = filled & (boxes.top_m >= limits.least_height_m)
-        kept = keep(found, high)
+        expected = expected_points(self._beams, boxes.center_m, boxes.size_m, boxes.yaw_rad)
+        filled = (counts >= limits.min_fill * expected) | (counts >= limits.sufficient_returns)
+        high = filled & (boxes.top_m >= limits.min_height_m)
+        kept = select(found, high)
         size, yaw = boxes.size_m[high], boxes.yaw_rad[high]
         return Obstacles(
             stamp_ns, sensor, stamp_ns, boxes.center_m[high], size, yaw, boxes.nearest_m[high],
             np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high]), kept.offsets, kept.indices,
-            _picked(points, kept.indices),
+            _take_rows(points, kept.indices),
         )  # fmt: skip
 
     def _health(
-        self, scan: LidarScan, ground: Ground, usable: UInt8, seen: Expectation, sensor: str, dropped: int
+        self, scan: LidarScan, ground: Ground, usable: UInt8, nominal: NominalCoverage, sensor: str, rejected_count: int
     ) -> SensorHealth:
         config = self.config.health
-        counts = count_beams(scan.points_m, ground.turn, self._grid.sectors, usable, seen)
-        proven = proven_range(seen, counts, config, self._reach_m)
-        state, reason = judge(proven, seen.nominal_m, config)
-        return SensorHealth(scan.stamp_ns, sensor, state, reason, seen.sector_edges_rad.copy(), proven, dropped)
+        counts = count_beams(scan.points_m, ground.sector, self._grid.sectors, usable, nominal)
+        detected_m = detection_range(nominal, counts, config, self._reach_m)
+        state, reason = health_state(detected_m, nominal.nominal_m, config)
+        return SensorHealth(
+            scan.stamp_ns, sensor, state, reason, nominal.sector_edges_rad.copy(), detected_m, rejected_count
+        )
 
 
 @kernel
-def _picked(points: Float32, indices: Int32) -> Float32:
-    """`points[indices]`, row by row: from columns numpy takes it five times as long."""
+def _take_rows(points: Float32, indices: Int32) -> Float32:
+    """`points[indices]`, row by row: numpy takes five times as long on column-major points."""
     out = np.empty((indices.shape[0], 3), np.float32)
     for n in range(indices.shape[0]):
         i = indices[n]
@@ -191,17 +202,18 @@ def _picked(points: Float32, indices: Int32) -> Float32:
 
 
 @kernel
-def _levels(
-    points: Float32, above: Float32, center: Float32, solid_m: np.float32, growth: np.float32, foot_m: np.float32,
-    top_m: np.float32, level: UInt8, solid: UInt8,
+def _classify_points(
+    points: Float32, above: Float32, center: Float32, obstacle_height_m: np.float32, growth: np.float32,
+    low_point_depth_m: np.float32,
+    top_m: np.float32, point_class: UInt8, is_obstacle_point: UInt8,
 ) -> None:  # fmt: skip
-    """What each return is to the clusters (2 stands, 1 at its feet, 0 nothing), and whether it is off the ground.
+    """Point class of each return (2 obstacle, 1 low, 0 unused), and whether it is an obstacle point.
 
-    Without branches, and true of no height that is NaN.
+    Without branches; a height of NaN gives class 0.
     """
     for i in range(points.shape[0]):
         h, x, y = above[i], points[i, 0] - center[0], points[i, 1] - center[1]
-        is_obstacle_point = np.uint8(h >= solid_m + growth * np.sqrt(x * x + y * y))
-        solid[i] = is_obstacle_point
-        level[i] = np.uint8(2) * is_obstacle_point if h < top_m else np.uint8(0)
-        level[i] += np.uint8(h >= -foot_m) - is_obstacle_point
+        is_obstacle = np.uint8(h >= obstacle_height_m + growth * np.sqrt(x * x + y * y))
+        is_obstacle_point[i] = is_obstacle
+        point_class[i] = np.uint8(2) * is_obstacle if h < top_m else np.uint8(0)
+        point_class[i] += np.uint8(h >= -low_point_depth_m) - is_obstacle

@@ -1,4 +1,4 @@
-"""Returns brought into `base` at the stamp, without those that are no measurement and those of the machine itself."""
+"""Returns in `base` at the stamp, without invalid returns and those of the machine itself."""
 
 import numpy as np
 from pydantic import Field
@@ -11,17 +11,17 @@ from messages.motion import Odometry
 from perception.lidar.grid import ZERO
 from perception.self_filter import own_outline
 
-NEAREST = np.float32(1e-4)  # m²: nearer returns lie at the sensor itself
+MIN_RANGE_SQUARED_M2 = np.float32(1e-4)  # nearer returns lie at the sensor itself
 
 
-class MaskConfig(Config):
-    """How much is added to the machine's own bodies before returns inside them are dropped."""
+class SelfFilterConfig(Config):
+    """Margin around machine and implement inside which returns are dropped."""
 
     margin_m: float = Field(ge=0.0, le=1.0)
     implement_height_m: float = Field(gt=0.0, le=5.0)
 
 
-def own_boxes(vehicle: Vehicle, implement: Implement | None, config: MaskConfig) -> Float64:
+def self_boxes(vehicle: Vehicle, implement: Implement | None, config: SelfFilterConfig) -> Float64:
     """Machine and implement as boxes in `base`, (K, 2, 3): lowest and highest corner, margin included."""
     flat = own_outline(vehicle, implement, config.margin_m)
     top = np.array([vehicle.body.height_m, config.implement_height_m])[: len(flat)] + config.margin_m
@@ -30,31 +30,31 @@ def own_boxes(vehicle: Vehicle, implement: Implement | None, config: MaskConfig)
 
 
 def motion_of(odom: Odometry | None) -> tuple[float, float, float]:
-    """Forward and left speed and yaw rate; standing when odometry is missing."""
+    """Forward speed, left speed and yaw rate; zeros without odometry."""
     return (0.0, 0.0, 0.0) if odom is None else (odom.speed_mps, odom.lateral_mps, odom.yaw_rate_radps)
 
 
 def to_base(
     points_m: Float32, offset_s: Float32, T_base_sensor: Float64, motion: tuple[float, float, float], own: Float64
 ) -> tuple[Float32, UInt8]:
-    """Returns in `base` at the stamp, (N, 3) laid out by columns, and which of them may be used, (N,).
+    """Returns in `base` at the stamp, (N, 3) in column-major order, and which of them are usable, (N,).
 
     A return is not usable when a coordinate is not finite, when it lies at the sensor itself, or inside one of the
-    `own` boxes (K, 2, 3). `offset_s` (N,) is the time of firing against the stamp, `motion` as from `motion_of`.
+    `own` boxes (K, 2, 3). `offset_s` (N,) is the firing time relative to the stamp, `motion` is from `motion_of`.
     """
-    out = np.empty((len(points_m), 3), np.float32, order="F")  # loops over columns use the processor's vectors
+    out = np.empty((len(points_m), 3), np.float32, order="F")  # loops over columns are vectorized
     usable = np.empty(len(points_m), np.uint8)
     T = T_base_sensor[:3].astype(np.float32)
-    # before the motion is taken out: the machine's own parts move along with the sensor
-    _turn(np.ascontiguousarray(points_m), T, own.astype(np.float32), out, usable)
+    # before deskewing: the machine's own bodies move with the sensor
+    _transform_and_mask(np.ascontiguousarray(points_m), T, own.astype(np.float32), out, usable)
     if offset_s.any():
-        _take_back(offset_s, np.array(motion), out)
+        _deskew(offset_s, np.array(motion), out)
     return out, usable
 
 
 @kernel
-def _turn(points: Float32, T: Float32, own: Float32, out: Float32, usable: UInt8) -> None:
-    """One thing a loop, over columns: so each of them uses the processor's vectors."""
+def _transform_and_mask(points: Float32, T: Float32, own: Float32, out: Float32, usable: UInt8) -> None:
+    """One operation per loop over columns, so that each loop is vectorized."""
     a, b, c, d, e, f, g, h, k = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2]
     x0, y0, z0 = T[0, 3], T[1, 3], T[2, 3]
     row, xs, ys, zs = points.reshape(-1), out[:, 0], out[:, 1], out[:, 2]
@@ -65,8 +65,8 @@ def _turn(points: Float32, T: Float32, own: Float32, out: Float32, usable: UInt8
         zs[i] = g * px + h * py + k * pz + z0
     for i in range(points.shape[0]):
         x, y, z, total = xs[i] - x0, ys[i] - y0, zs[i] - z0, xs[i] + ys[i] + zs[i]
-        # infinite less infinite is NaN, which equals nothing
-        usable[i] = (total - total == ZERO) & (x * x + y * y + z * z > NEAREST)
+        # inf - inf is NaN, which is not equal to zero
+        usable[i] = (total - total == ZERO) & (x * x + y * y + z * z > MIN_RANGE_SQUARED_M2)
     for n in range(own.shape[0]):
         x0, y0, z0 = own[n, 0, 0], own[n, 0, 1], own[n, 0, 2]
         x1, y1, z1 = own[n, 1, 0], own[n, 1, 1], own[n, 1, 2]
@@ -77,8 +77,8 @@ def _turn(points: Float32, T: Float32, own: Float32, out: Float32, usable: UInt8
 
 
 @kernel
-def _take_back(offset: Float32, motion: Float64, out: Float32) -> None:
-    """`base` as it was at the time of firing, seen from `base` at the stamp."""
+def _deskew(offset: Float32, motion: Float64, out: Float32) -> None:
+    """Transforms points from `base` at the firing time to `base` at the stamp."""
     for i in range(out.shape[0]):
         x, y, t = out[i, 0], out[i, 1], float(offset[i])
         # the series is exact to 1e-6 rad within 0.3 rad

@@ -1,1 +1,1 @@
-"""Radar: Doppler over ground, clusters, what repeats, health, and the nodes that run them on each cycle."""
+"""Radar: Doppler over ground, clusters, tracklets, health, and the nodes that run them on each cycle."""

@@ -1,6 +1,6 @@
-"""Doppler freed of the machine's own motion: what remains is how fast a target moves along the line of sight.
+"""Compensation of the machine's motion in the Doppler: speed of a target over ground along the line of sight.
 
-A standing target seen in direction u from a sensor that moves with v has the Doppler -u·v (away positive).
+A static target in direction u of a sensor with velocity v has the Doppler -u·v (away positive).
 """
 
 from dataclasses import dataclass
@@ -18,11 +18,11 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Echoes:
-    """The detections of one cycle, N: position (N, 3) and line of sight (N, 2) in `base`, level `range_m` (N,) and
+    """The detections of one cycle, N: position (N, 3) and line of sight (N, 2) in `base`, horizontal `range_m` (N,) and
     `azimuth_rad` (N,) in `base`, speed over ground along the line of sight (N,), cross-section (N,)."""
 
     p_base_m: Float64
-    sight: Float64
+    line_of_sight: Float64
     range_m: Float64
     azimuth_rad: Float64
     radial_mps: Float64
@@ -36,7 +36,7 @@ def is_well_formed(scan: RadarScan) -> bool:
 
 
 def usable(scan: RadarScan, range_m: tuple[float, float], half_view_rad: float) -> Bools:
-    """Which detections (N,) are measurements within the sensor's reach; elevation alone may be missing (NaN)."""
+    """Which detections (N,) are valid and within the sensor's range and view; only elevation may be missing (NaN)."""
     finite = np.isfinite(scan.range_m) & np.isfinite(scan.azimuth_rad)
     finite &= np.isfinite(scan.doppler_mps) & np.isfinite(scan.rcs_dbsm)
     near, far = range_m
@@ -45,8 +45,8 @@ def usable(scan: RadarScan, range_m: tuple[float, float], half_view_rad: float) 
     return np.asarray(finite & inside)
 
 
-def sight_lines(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:
-    """Unit vectors (N, 3) in the sensor's frame; a missing elevation counts as level."""
+def lines_of_sight(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:
+    """Unit vectors (N, 3) in the sensor's frame; a missing elevation counts as 0."""
     elevation = np.where(np.isfinite(elevation_rad), elevation_rad, 0.0)
     lines, flat = np.empty((len(elevation), 3)), np.cos(elevation)
     lines[:, 0], lines[:, 1], lines[:, 2] = flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation)
@@ -54,32 +54,32 @@ def sight_lines(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:
 
 
 def sensor_velocity(odom: Odometry, T_base_sensor: Float64) -> Float64:
-    """Velocity (3,) over ground of the place where the sensor sits, in `base`: the lever arm turns with the machine."""
+    """Velocity (3,) over ground of the sensor, in `base`, with the lever arm of the yaw rate."""
     x, y = T_base_sensor[0, 3], T_base_sensor[1, 3]
     turn = odom.yaw_rate_radps
     return np.array([odom.speed_mps - turn * y, odom.lateral_mps + turn * x, 0.0])
 
 
 def to_base(scan: RadarScan, which: Bools, T_base_sensor: Float64, velocity_mps: Float64) -> Echoes:
-    """The chosen detections in `base`, for a sensor that moves with `velocity_mps` (3,) in `base`."""
-    lines = sight_lines(scan.azimuth_rad[which], scan.elevation_rad[which])
+    """Detections in `base` of a sensor with velocity `velocity_mps` (3,) in `base`."""
+    lines = lines_of_sight(scan.azimuth_rad[which], scan.elevation_rad[which])
     u = lines @ T_base_sensor[:3, :3].T
     p = np.asarray(apply(T_base_sensor, lines * scan.range_m[which, None]), np.float64)
     level = np.maximum(np.hypot(u[:, 0], u[:, 1]), 1e-9)
-    sight = u[:, :2] / level[:, None]
-    # a target moves level, so what the slant line sees of it is less by the cosine
+    line_of_sight = u[:, :2] / level[:, None]
+    # targets move horizontally: their speed along the slanted line is smaller by the cosine
     radial = (scan.doppler_mps[which] + u @ velocity_mps) / level
-    azimuth = np.arctan2(sight[:, 1], sight[:, 0])
-    return Echoes(p, sight, scan.range_m[which] * level, azimuth, radial, scan.rcs_dbsm[which].copy())
+    azimuth = np.arctan2(line_of_sight[:, 1], line_of_sight[:, 0])
+    return Echoes(p, line_of_sight, scan.range_m[which] * level, azimuth, radial, scan.rcs_dbsm[which].copy())
 
 
 def estimate_velocity(scan: RadarScan, which: Bools, gate_mps: float, tries: int = 200) -> tuple[Float64, Bools]:
-    """Level velocity (2,) of the sensor in its own frame from the Doppler of a standing majority, and who agrees (N,).
+    """Horizontal velocity (2,) of the sensor in its frame from the Doppler of a static majority, and the inliers (N,).
 
     Kellner 2013, "Instantaneous ego-motion estimation using Doppler radar": consensus over pairs, then least squares.
-    Pairs are taken at fixed strides, so that the same scan gives the same answer. NaN with fewer than two detections.
+    Pairs are taken at fixed strides, so that the result is reproducible. NaN with fewer than two detections.
     """
-    lines = sight_lines(scan.azimuth_rad[which], scan.elevation_rad[which])[:, :2]
+    lines = lines_of_sight(scan.azimuth_rad[which], scan.elevation_rad[which])[:, :2]
     doppler, n = scan.doppler_mps[which], int(which.sum())
     best = np.zeros(n, np.bool_)
     for k in range(tries if n >= 2 else 0):
@@ -95,5 +95,5 @@ def estimate_velocity(scan: RadarScan, which: Bools, gate_mps: float, tries: int
 
 
 def _solve(lines: Float64, doppler: Float64) -> Float64:
-    # a little weight on zero keeps two parallel lines solvable
+    # a small prior on zero keeps two parallel lines solvable
     return np.asarray(np.linalg.solve(lines.T @ lines + 1e-6 * np.eye(2), -lines.T @ doppler), np.float64)

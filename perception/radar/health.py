@@ -1,4 +1,4 @@
-"""The node that says how far one radar can be trusted, also when it falls silent."""
+"""Node: health of one radar, also without cycles."""
 
 import math
 from collections.abc import Iterable
@@ -13,15 +13,15 @@ from messages.sensors import RadarScan
 from perception.radar.doppler import Bools, is_well_formed, sensor_velocity, to_base, usable
 from perception.radar.obstacles import RadarConfig
 
-MOST_SCANS = 20
+MAX_SCANS = 20
 
 
 class RadarHealth(Node):
-    """Looks at every cycle of the radar `name` and tells its state several times a second."""
+    """Checks every cycle of the radar `name` and publishes its state periodically."""
 
     def __init__(self, name: str, radar: Radar, config: RadarConfig) -> None:
         self.name = f"health_radar_{name}"
-        self.reads = {f"radar/{name}": All(MOST_SCANS), "odom": Latest()}
+        self.reads = {f"radar/{name}": All(MAX_SCANS), "odom": Latest()}
         self.writes = (f"health/radar_{name}",)
         self.runs = Every(round(config.health.period_s * 1e9))
         self._sensor, self._topic, self._radar, self._config = f"radar_{name}", f"radar/{name}", radar, config.health
@@ -29,25 +29,25 @@ class RadarHealth(Node):
         self._edges = np.array([yaw - half, yaw + half])
         self._T_base_radar = radar.mount.T_base_sensor
         self._last_ns: int | None = None
-        self._echo_ns: int | None = None  # when the world last answered, or did not have to
+        self._echo_ns: int | None = None  # last cycle with echoes, or at rest
         self._disagrees = False
-        self._dropped = 0
+        self._rejected_count = 0
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """The state now."""
         odom = inbox.latest("odom", Odometry)
-        votes = [scan for scan in inbox.all(self._topic, RadarScan) if self._look(scan, odom)]
+        votes = [scan for scan in inbox.all(self._topic, RadarScan) if self._check(scan, odom)]
         if votes and odom is not None:
-            self._disagrees = self._is_outvoted(votes[-1], odom)
-        state, reason = self._judge(now_ns, odom)
-        proven = np.array([0.0 if state is HealthState.BLIND else self._config.detection_range_m])
-        health = SensorHealth(now_ns, self._sensor, state, reason, self._edges.copy(), proven, self._dropped)
+            self._disagrees = self._contradicts_odometry(votes[-1], odom)
+        state, reason = self._state(now_ns, odom)
+        range_m = np.array([0.0 if state is HealthState.BLIND else self._config.detection_range_m])
+        health = SensorHealth(now_ns, self._sensor, state, reason, self._edges.copy(), range_m, self._rejected_count)
         return ((self.writes[0], health),)
 
-    def _look(self, scan: RadarScan, odom: Odometry | None) -> bool:
-        """Note a cycle; true when it has echoes enough to vote on the odometry."""
+    def _check(self, scan: RadarScan, odom: Odometry | None) -> bool:
+        """Stores a cycle; true when it has enough echoes to check the odometry."""
         if not is_well_formed(scan):
-            self._dropped += 1
+            self._rejected_count += 1
             return False
         self._last_ns = scan.stamp_ns
         moves = odom is not None and abs(odom.speed_mps) > self._config.moving_mps
@@ -59,15 +59,15 @@ class RadarHealth(Node):
     def _usable(self, scan: RadarScan) -> Bools:
         return usable(scan, self._radar.range_m, math.radians(self._radar.field_of_view_deg) / 2)
 
-    def _is_outvoted(self, scan: RadarScan, odom: Odometry) -> bool:
+    def _contradicts_odometry(self, scan: RadarScan, odom: Odometry) -> bool:
         T = self._T_base_radar
         radial = to_base(scan, self._usable(scan), T, sensor_velocity(odom, T)).radial_mps
         return bool((np.abs(radial) <= self._config.agree_mps).mean() < self._config.agree_share)
 
-    def _judge(self, now_ns: int, odom: Odometry | None) -> tuple[HealthState, str]:
+    def _state(self, now_ns: int, odom: Odometry | None) -> tuple[HealthState, str]:
         config = self._config
         if self._last_ns is None or now_ns - self._last_ns > round(config.silent_s * 1e9):
-            return HealthState.BLIND, "no cycle any more" if self._last_ns is not None else "no cycle yet"
+            return HealthState.BLIND, "no cycles any more" if self._last_ns is not None else "no cycle yet"
         if odom is None:
             return HealthState.BLIND, "no odometry: motion of targets unknown"
         if self._echo_ns is not None and self._last_ns - self._echo_ns > round(config.blocked_s * 1e9):

@@ -1,7 +1,7 @@
-"""Targets followed over some cycles: clutter does not repeat, and the speed across the line of sight shows in time.
+"""Tracklets: targets over some cycles, since clutter does not repeat and a cycle measures no speed across.
 
-State (x, y, vx, vy) in `odom`. A cycle measures range, bearing and the speed along the line of sight, each a number of
-its own with its own sigma, so that three scalar corrections do (no matrix is inverted).
+State (x, y, vx, vy) in `odom`. A cycle measures range, bearing and speed along the line of sight with independent
+sigmas, so that three scalar corrections suffice (no matrix is inverted).
 """
 
 from dataclasses import dataclass, fields
@@ -16,25 +16,25 @@ from geometry.jit import kernel
 from messages.message import Float64, Int64
 from perception.radar.clusters import Clusters
 
-REFUSED = 1e9
+GATED_COST = 1e9
 
 
 class TrackletConfig(Config):
-    """How targets move, what repeats, and when a velocity counts as measured."""
+    """Motion of targets, confirmation, and when a velocity counts as measured."""
 
-    target_sigma_m: float = Field(gt=0.0, le=5.0, description="where on a target an echo comes from")
+    target_sigma_m: float = Field(gt=0.0, le=5.0, description="of the reflection point on a target")
     acceleration_mps2: float = Field(gt=0.0, le=20.0)
-    first_speed_mps: float = Field(gt=0.0, le=30.0, description="sigma across the line of sight of what is seen first")
+    initial_speed_sigma_mps: float = Field(gt=0.0, le=30.0, description="across the line of sight, of a new tracklet")
     gate_sigma: float = Field(gt=0.0, le=10.0)
     confirm_hits: int = Field(ge=1, le=50)
     confirm_s: float = Field(ge=0.0, le=5.0)
-    confirm_share: float = Field(gt=0.0, le=1.0, description="of the cycles since the first, that must have seen it")
+    confirm_share: float = Field(gt=0.0, le=1.0, description="of the cycles since the first, with a detection")
     forget_s: float = Field(gt=0.0, le=5.0)
-    velocity_sigma_mps: float = Field(gt=0.0, le=5.0, description="a velocity less certain than this is not given")
+    velocity_sigma_mps: float = Field(gt=0.0, le=5.0, description="greatest sigma of a published velocity")
 
 
 @dataclass
-class Table:
+class TrackletTable:
     """Tracklets as columns of T rows, in `odom`."""
 
     x: Float64
@@ -44,32 +44,32 @@ class Table:
     hits: Int64
     cycles: Int64
 
-    def rows(self, wanted: Int64) -> "Table":
-        """Only these rows."""
-        return Table(*(getattr(self, f.name)[wanted] for f in fields(self)))
+    def select(self, wanted: Int64) -> "TrackletTable":
+        """The given rows."""
+        return TrackletTable(*(getattr(self, f.name)[wanted] for f in fields(self)))
 
-    def below(self, other: "Table") -> "Table":
-        """These rows, then those of another table."""
-        return Table(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
+    def append(self, other: "TrackletTable") -> "TrackletTable":
+        """The rows of this table followed by those of another."""
+        return TrackletTable(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Clusters of one cycle in `odom`: place (K, 2), line of sight (K, 2), speed along it (K,), sigmas (K,) along and
-    across of the place, and of the speed."""
+class TargetDetections:
+    """Clusters of one cycle in `odom`: position (K, 2), line of sight (K, 2), speed along it (K,), position sigmas (K,)
+    along and across, and speed sigma."""
 
     p_m: Float64
-    sight: Float64
+    line_of_sight: Float64
     radial_mps: Float64
     along_sigma_m: Float64
     across_sigma_m: Float64
     speed_sigma_mps: float
 
 
-def empty_table() -> Table:
+def empty_table() -> TrackletTable:
     """No tracklets."""
-    whole = np.zeros(0, np.int64)
-    return Table(np.zeros((0, 4)), np.zeros((0, 4, 4)), whole, whole, whole, whole)
+    none = np.zeros(0, np.int64)
+    return TrackletTable(np.zeros((0, 4)), np.zeros((0, 4, 4)), none, none, none, none)
 
 
 def sigmas(clusters: Clusters, radar: Radar, config: TrackletConfig) -> Float64:
@@ -79,70 +79,79 @@ def sigmas(clusters: Clusters, radar: Radar, config: TrackletConfig) -> Float64:
     return np.stack([along, across], axis=1)
 
 
-def to_odom(clusters: Clusters, sigma_m: Float64, radar: Radar, T_odom_base: Float64) -> Seen:
-    """Clusters as tracklets see them; the sight lines are level."""
+def to_odom(clusters: Clusters, sigma_m: Float64, radar: Radar, T_odom_base: Float64) -> TargetDetections:
+    """Clusters in `odom`; lines of sight are horizontal."""
     turn = T_odom_base[:2, :2] / np.hypot(T_odom_base[0, 0], T_odom_base[1, 0])
     p = clusters.p_m @ turn.T + T_odom_base[:2, 3]
-    along, across = np.ascontiguousarray(sigma_m.T)  # columns of one row are laid out like rows: kernels of two kinds
-    return Seen(p, clusters.sight @ turn.T, clusters.radial_mps, along, across, radar.doppler_sigma_mps)
+    along, across = np.ascontiguousarray(
+        sigma_m.T
+    )  # else a single row has another array type, and kernels compile twice
+    return TargetDetections(
+        p, clusters.line_of_sight @ turn.T, clusters.radial_mps, along, across, radar.doppler_sigma_mps
+    )
 
 
-def advance(table: Table, seen: Seen, stamp_ns: int, since_s: float, config: TrackletConfig) -> tuple[Table, Int64]:
-    """The tracklets after a cycle that began `since_s` after the one before, and the row (K,) of each cluster's own."""
-    table = table.rows(np.arange(len(table.hits)))
+def update_tracklets(
+    table: TrackletTable, targets: TargetDetections, stamp_ns: int, since_s: float, config: TrackletConfig
+) -> tuple[TrackletTable, Int64]:
+    """Tracklets after a cycle `since_s` after the previous one, and the row (K,) of the tracklet of each cluster."""
+    table = table.select(np.arange(len(table.hits)))
     _predict(table.x, table.P, max(since_s, 0.0), config.acceleration_mps2)
     table.cycles += 1
-    own, clusters = match(table, seen, config.gate_sigma)
-    _correct(table.x, table.P, own, clusters, seen)
+    own, clusters = match(table, targets, config.gate_sigma)
+    _correct(table.x, table.P, own, clusters, targets)
     table.hits[own] += 1
     table.last_ns[own] = stamp_ns
-    is_fresh = np.ones(len(seen.radial_mps), np.bool_)
+    is_fresh = np.ones(len(targets.radial_mps), np.bool_)
     is_fresh[clusters] = False
     fresh = np.flatnonzero(is_fresh)
-    row_of = np.empty(len(seen.radial_mps), np.int64)
+    row_of = np.empty(len(targets.radial_mps), np.int64)
     row_of[clusters], row_of[fresh] = own, len(table.hits) + np.arange(len(fresh))
-    table = table.below(begin(seen, fresh, stamp_ns, config)) if len(fresh) else table
+    table = table.append(start_tracklets(targets, fresh, stamp_ns, config)) if len(fresh) else table
     kept = np.flatnonzero(stamp_ns - table.last_ns <= round(config.forget_s * 1e9))
-    place = np.cumsum(np.bincount(kept, minlength=len(table.hits))) - 1
-    return table.rows(kept), place[row_of].astype(np.int64)
+    new_row = np.cumsum(np.bincount(kept, minlength=len(table.hits))) - 1
+    return table.select(kept), new_row[row_of].astype(np.int64)
 
 
-def match(table: Table, seen: Seen, gate_sigma: float) -> tuple[Int64, Int64]:
-    """Rows of tracklets and of clusters that belong together: least total distance within the gate."""
-    cost = np.empty((len(table.hits), len(seen.radial_mps)))
+def match(table: TrackletTable, targets: TargetDetections, gate_sigma: float) -> tuple[Int64, Int64]:
+    """Matched rows of tracklets and of clusters: least total distance within the gate."""
+    cost = np.empty((len(table.hits), len(targets.radial_mps)))
     _distances(
-        table.x, table.P, seen.p_m, seen.sight, seen.radial_mps, seen.along_sigma_m, seen.across_sigma_m,
-        seen.speed_sigma_mps, cost,
+        table.x, table.P, targets.p_m, targets.line_of_sight, targets.radial_mps, targets.along_sigma_m,
+        targets.across_sigma_m,
+        targets.speed_sigma_mps, cost,
     )  # fmt: skip
-    cost[cost > gate_sigma**2] = REFUSED
+    cost[cost > gate_sigma**2] = GATED_COST
     rows, columns = linear_sum_assignment(cost)
-    good = cost[rows, columns] < REFUSED
+    good = cost[rows, columns] < GATED_COST
     return rows[good].astype(np.int64), columns[good].astype(np.int64)
 
 
-def begin(seen: Seen, which: Int64, stamp_ns: int, config: TrackletConfig) -> Table:
-    """New tracklets: known along the line of sight, open across it."""
+def start_tracklets(targets: TargetDetections, which: Int64, stamp_ns: int, config: TrackletConfig) -> TrackletTable:
+    """New tracklets: speed measured along the line of sight, initial sigma across it."""
     n = len(which)
     x, P = np.zeros((n, 4)), np.zeros((n, 4, 4))
-    u = seen.sight[which]
+    u = targets.line_of_sight[which]
     across = np.stack([-u[:, 1], u[:, 0]], axis=1)
-    x[:, :2], x[:, 2:] = seen.p_m[which], seen.radial_mps[which, None] * u
+    x[:, :2], x[:, 2:] = targets.p_m[which], targets.radial_mps[which, None] * u
     uu, aa = u[:, :, None] * u[:, None, :], across[:, :, None] * across[:, None, :]
-    P[:, :2, :2] = seen.along_sigma_m[which, None, None] ** 2 * uu + seen.across_sigma_m[which, None, None] ** 2 * aa
-    P[:, 2:, 2:] = seen.speed_sigma_mps**2 * uu + config.first_speed_mps**2 * aa
+    P[:, :2, :2] = (
+        targets.along_sigma_m[which, None, None] ** 2 * uu + targets.across_sigma_m[which, None, None] ** 2 * aa
+    )
+    P[:, 2:, 2:] = targets.speed_sigma_mps**2 * uu + config.initial_speed_sigma_mps**2 * aa
     stamp = np.full(n, stamp_ns, np.int64)
-    return Table(x, P, stamp, stamp.copy(), np.ones(n, np.int64), np.ones(n, np.int64))
+    return TrackletTable(x, P, stamp, stamp.copy(), np.ones(n, np.int64), np.ones(n, np.int64))
 
 
-def confirmed(table: Table, config: TrackletConfig) -> Int64:
-    """1 for each tracklet (T,) that lasted and repeated enough to be no clutter."""
+def confirmed(table: TrackletTable, config: TrackletConfig) -> Int64:
+    """1 for each tracklet (T,) of sufficient duration and share of detections."""
     lasted = table.last_ns - table.first_ns >= round(config.confirm_s * 1e9)
     repeats = table.hits >= np.maximum(config.confirm_hits, config.confirm_share * table.cycles)
     return np.asarray(lasted & repeats, np.int64)
 
 
-def velocities(table: Table, config: TrackletConfig) -> Float64:
-    """Velocity (T, 2) in `odom`; NaN as long as it is uncertain in any direction."""
+def velocities(table: TrackletTable, config: TrackletConfig) -> Float64:
+    """Velocity (T, 2) in `odom`; NaN while its sigma in any direction exceeds `velocity_sigma_mps`."""
     S = table.P[:, 2:, 2:]
     mean, half = (S[:, 0, 0] + S[:, 1, 1]) / 2, (S[:, 0, 0] - S[:, 1, 1]) / 2
     worst = mean + np.hypot(half, S[:, 0, 1])
@@ -158,22 +167,24 @@ def _predict(x: Float64, P: Float64, dt_s: float, acceleration_mps2: float) -> N
     P[:] = F @ P @ F.T + Q
 
 
-def _correct(x: Float64, P: Float64, rows: Int64, clusters: Int64, seen: Seen) -> None:
+def _correct(x: Float64, P: Float64, rows: Int64, clusters: Int64, targets: TargetDetections) -> None:
     _correct_rows(
-        x, P, rows, clusters, seen.p_m, seen.sight, seen.radial_mps, seen.along_sigma_m, seen.across_sigma_m,
-        seen.speed_sigma_mps,
+        x, P, rows, clusters, targets.p_m, targets.line_of_sight, targets.radial_mps, targets.along_sigma_m,
+        targets.across_sigma_m,
+        targets.speed_sigma_mps,
     )  # fmt: skip
 
 
 @kernel
 def _distances(
-    x: Float64, P: Float64, p: Float64, sight: Float64, radial: Float64, along_sigma: Float64, across_sigma: Float64,
+    x: Float64, P: Float64, p: Float64, line_of_sight: Float64, radial: Float64, along_sigma: Float64,
+    across_sigma: Float64,
     speed_sigma: float, cost: Float64,
 ) -> None:  # fmt: skip
-    """Squared distance in sigmas, by range, bearing and speed along the line of sight, taken as independent."""
+    """Squared distance in sigmas of range, bearing and speed along the line of sight, assumed independent."""
     for i in range(x.shape[0]):
         for j in range(p.shape[0]):
-            ux, uy = sight[j, 0], sight[j, 1]
+            ux, uy = line_of_sight[j, 0], line_of_sight[j, 1]
             dx, dy = p[j, 0] - x[i, 0], p[j, 1] - x[i, 1]
             along, across = dx * ux + dy * uy, dy * ux - dx * uy
             speed = radial[j] - x[i, 2] * ux - x[i, 3] * uy
@@ -187,13 +198,13 @@ def _distances(
 
 @kernel
 def _correct_rows(
-    x: Float64, P: Float64, rows: Int64, clusters: Int64, p: Float64, sight: Float64, radial: Float64,
+    x: Float64, P: Float64, rows: Int64, clusters: Int64, p: Float64, line_of_sight: Float64, radial: Float64,
     along_sigma: Float64, across_sigma: Float64, speed_sigma: float,
 ) -> None:  # fmt: skip
     h, gain, before = np.empty(4), np.empty(4), np.empty(4)
     for n in range(rows.shape[0]):
         i, j = rows[n], clusters[n]
-        ux, uy = sight[j, 0], sight[j, 1]
+        ux, uy = line_of_sight[j, 0], line_of_sight[j, 1]
         for m in range(3):
             h[:] = 0.0
             if m == 0:

@@ -1,1 +1,1 @@
-"""Ultrasonic: echoes that repeat, the near field they show, health, and the nodes that run them."""
+"""Ultrasonic: confirmed echoes, obstacles in the near field, health, and the nodes that run them."""

@@ -1,4 +1,4 @@
-"""The node that turns the echoes of one ultrasonic sensor into near obstacles."""
+"""Node: obstacles from the echoes of one ultrasonic sensor."""
 
 import math
 from collections import deque
@@ -16,34 +16,42 @@ from messages.node import All, At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import UltrasonicRange
 from perception.self_filter import is_folded, is_inside, own_outlines
-from perception.ultrasonic.echoes import Echo, EchoConfig, Near, axis_speed, held_range, is_range, repeated_range
+from perception.ultrasonic.echoes import (
+    Echo,
+    EchoConfig,
+    LastObject,
+    axis_speed,
+    held_range,
+    is_valid_range,
+    repeated_range,
+)
 
 
 class HealthConfig(Config):
-    """When an ultrasonic sensor is not to be trusted."""
+    """Limits of ultrasonic health."""
 
     silent_s: float = Field(gt=0.0, le=10.0)
-    stuck_s: float = Field(gt=0.0, le=60.0, description="the very same number for so long while moving")
+    stuck_s: float = Field(gt=0.0, le=60.0, description="time of a constant value while moving")
     moving_mps: float = Field(gt=0.0, le=5.0)
-    stray_share: float = Field(gt=0.0, le=1.0, description="of the last echoes, that agree with no other: cross-talk")
+    stray_share: float = Field(gt=0.0, le=1.0, description="of the last echoes without agreement: cross-talk")
     votes: int = Field(ge=5, le=200)
     period_s: float = Field(gt=0.0, le=1.0)
 
 
 class UltrasonicConfig(Config):
-    """The whole way from echoes to obstacles and health; the same for every ultrasonic sensor."""
+    """Processing from echoes to obstacles and health; the same for every ultrasonic sensor."""
 
     echoes: EchoConfig
     health: HealthConfig
     depth_m: float = Field(gt=0.0, le=2.0)
     height_m: float = Field(gt=0.0, le=3.0)
     ground_share: float = Field(
-        gt=0.0, le=1.0, description="of the range at which the axis meets the ground: beyond is ground"
+        gt=0.0, le=1.0, description="of the range at which the axis meets the ground; farther echoes are ground"
     )
 
 
 class UltrasonicObstacles(Node):
-    """Runs on every measurement of the sensor `name`; without odometry the machine counts as standing."""
+    """Runs on every measurement of the sensor `name`; without odometry the machine counts as at rest."""
 
     def __init__(
         self, name: str, sensor: Ultrasonic, vehicle: Vehicle, implement: Implement | None, config: UltrasonicConfig
@@ -56,41 +64,41 @@ class UltrasonicObstacles(Node):
         self._own, self._T_base_sensor = own_outlines(vehicle, implement), sensor.mount.T_base_sensor
         self._reach_m = min(sensor.range_m[1], ground_range(sensor) * config.ground_share)
         self._echoes: deque[Echo] = deque(maxlen=config.echoes.window)
-        self._near: Near | None = None
+        self._last_object: LastObject | None = None
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """What stands in the cone at the newest measurement."""
-        messages = [m for m in inbox.all(self._topic, UltrasonicRange) if is_range(m.range_m, self._sensor)]
+        """Obstacle in the cone at the newest measurement."""
+        messages = [m for m in inbox.all(self._topic, UltrasonicRange) if is_valid_range(m.range_m, self._sensor)]
         for message in messages:
-            self._listen(message, self._odom_at(message, inbox))
+            self._add(message, self._odom_at(message, inbox))
         own = self._own[is_folded(inbox.latest("machine", MachineState))]
-        return ((self.writes[0], self._tell(own)),) if messages else ()
+        return ((self.writes[0], self._obstacles_message(own)),) if messages else ()
 
     def _odom_at(self, message: UltrasonicRange, inbox: Inbox) -> Odometry | None:
-        """The motion at a measurement; while nothing is heard nor remembered nobody asks how far the sensor came."""
-        near, hold_ns = self._near, round(self._config.echoes.hold_s * 1e9)
-        is_known = near is not None and message.stamp_ns - near.stamp_ns <= hold_ns
+        """Odometry at a measurement; None without echoes and last object, where travel is not needed."""
+        last, hold_ns = self._last_object, round(self._config.echoes.hold_s * 1e9)
+        is_known = last is not None and message.stamp_ns - last.stamp_ns <= hold_ns
         if not is_known and math.isnan(message.range_m) and all(math.isnan(e.range_m) for e in self._echoes):
             return None
         return inbox.at("odom", Odometry, message.stamp_ns) or inbox.latest("odom", Odometry)
 
-    def _listen(self, message: UltrasonicRange, odom: Odometry | None) -> None:
+    def _add(self, message: UltrasonicRange, odom: Odometry | None) -> None:
         last = self._echoes[-1] if self._echoes else None
         if last is not None and message.stamp_ns <= last.stamp_ns:  # time ran back: another run
             self._echoes.clear()
-            self._near, last = None, None
+            self._last_object, last = None, None
         speed = axis_speed(odom, self._T_base_sensor) if odom is not None else 0.0
         travel = last.travel_m + speed * (message.stamp_ns - last.stamp_ns) * 1e-9 if last is not None else 0.0
         echo = Echo(message.stamp_ns, message.range_m, travel)
         self._echoes.append(echo)
-        told = repeated_range(tuple(self._echoes), self._config.echoes)
-        if told is not None:
-            self._near = Near(echo.stamp_ns, told, travel)
+        confirmed = repeated_range(tuple(self._echoes), self._config.echoes)
+        if confirmed is not None:
+            self._last_object = LastObject(echo.stamp_ns, confirmed, travel)
 
-    def _tell(self, outline: Float64) -> Obstacles:
-        now, near = self._echoes[-1], self._near
-        told = near.range_m if near is not None and near.stamp_ns == now.stamp_ns else None
-        range_m = told if told is not None else held_range(near, now, self._sensor, self._config.echoes)
+    def _obstacles_message(self, outline: Float64) -> Obstacles:
+        now, last = self._echoes[-1], self._last_object
+        confirmed = last.range_m if last is not None and last.stamp_ns == now.stamp_ns else None
+        range_m = confirmed if confirmed is not None else held_range(last, now, self._sensor, self._config.echoes)
         if range_m is None or range_m > self._reach_m:
             return boxes_message(now.stamp_ns, self.name, np.empty((0, 10)))
         box = cone_box(range_m, self._sensor, self._config)
@@ -99,28 +107,28 @@ class UltrasonicObstacles(Node):
 
 
 def ground_range(sensor: Ultrasonic) -> float:
-    """Range at which the axis meets the plane through the wheels; infinite when it does not look down."""
+    """Range at which the axis meets the plane of the wheels; infinite without a downward tilt."""
     T = sensor.mount.T_base_sensor
     return float(T[2, 3] / -T[2, 0]) if T[2, 0] < -1e-6 else math.inf
 
 
 def cone_box(range_m: float, sensor: Ultrasonic, config: UltrasonicConfig) -> Float64:
-    """The part of the cone where an echo from `range_m` can stand: centre, size, yaw, nearest's x and y, sigma across.
+    """Box of an echo at `range_m`: centre, size, yaw, nearest x and y, sigma across, (10,).
 
-    The echo says how far, not where on the arc: the box spans its chord, and its sigma across is that of an even share.
+    The position on the arc is unknown: the box spans its chord, with the sigma of a uniform distribution across.
     """
     T = sensor.mount.T_base_sensor
     azimuth = math.atan2(T[1, 0], T[0, 0])
-    level = math.hypot(T[0, 0], T[1, 0]) * range_m
+    flat_m = math.hypot(T[0, 0], T[1, 0]) * range_m
     chord = max(2.0 * range_m * math.sin(math.radians(sensor.cone_deg) / 2), 0.1)
-    near = T[:2, 3] + level * np.array([math.cos(azimuth), math.sin(azimuth)])
-    center = T[:2, 3] + (level + config.depth_m / 2) * np.array([math.cos(azimuth), math.sin(azimuth)])
+    near = T[:2, 3] + flat_m * np.array([math.cos(azimuth), math.sin(azimuth)])
+    center = T[:2, 3] + (flat_m + config.depth_m / 2) * np.array([math.cos(azimuth), math.sin(azimuth)])
     size = (config.depth_m, chord, config.height_m)
     return np.array([*center, config.height_m / 2, *size, azimuth, *near, chord / math.sqrt(12.0)], np.float64)
 
 
 def boxes_message(stamp_ns: int, sensor: str, boxes: Float64) -> Obstacles:
-    """Boxes (K, 10) as `cone_box` gives them, as a message; the echo tells neither class nor velocity."""
+    """Message of boxes (K, 10) from `cone_box`, without class and velocity."""
     n = len(boxes)
     nearest = np.concatenate([boxes[:, 7:9], boxes[:, 2:3]], axis=1)
     sigma = np.stack([boxes[:, 3] / math.sqrt(12.0), boxes[:, 9]], axis=1)

@@ -1,4 +1,4 @@
-"""Scans of simple scenes, cast exactly: level, sloping or furrowed ground with upright boxes on it."""
+"""Ray-cast scans of simple scenes: level, sloping or furrowed ground with upright boxes."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ FRONT = VEHICLE.sensors.lidar["front"]
 
 
 class Feed:
-    """An inbox with given messages: all new, none stale."""
+    """Inbox with given messages: all new, none stale."""
 
     def __init__(self, **topics):
         self.topics = {name.replace("__", "/"): m if isinstance(m, tuple) else (m,) for name, m in topics.items()}
@@ -96,7 +96,7 @@ def _box(d, origin, corners):
 
 
 def listed(scan: LidarScan, share=1.0, seed=0):
-    """The same scan as a list without order, thinned to a share."""
+    """The scan as an unordered list, thinned to a share."""
     rng = np.random.default_rng(seed)
     points = scan.points_m[rng.permutation(len(scan.points_m))]
     points = points[: int(share * len(points))].copy()

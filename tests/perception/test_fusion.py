@@ -1,4 +1,4 @@
-"""Several sensors, one list: what one of them alone shows, what they show together, and what is no thing of its own."""
+"""Fusion of several sensors: single-sensor tracks, common tracks and fragments."""
 
 import numpy as np
 import pytest
@@ -13,10 +13,10 @@ TOPICS = tuple(f"obstacles/{kind}_front" for kind in ("lidar", "camera", "radar"
 EVEN = np.full(7, 1.0 / 7.0)
 
 
-def seen(
+def detected(
     kind, stamp_ns, places, size=(0.5, 0.5, 1.7), sigma=(0.2, 0.2), velocity=None, scores=EVEN, returns=0, yaw=0.0
 ):
-    """Things at places (K, 2) in `base`, as a sensor of a kind tells them."""
+    """Obstacles of a kind of sensor at positions (K, 2) in `base`."""
     xy = np.asarray(places, float).reshape(-1, 2)
     k = len(xy)
     center = np.column_stack([xy, np.full(k, 0.9)])
@@ -43,141 +43,143 @@ def shape(label, share=0.6):
     return row
 
 
-def picture(stamp_ns, places, score, range_error_m=0.0, group=0, size=(0.5, 0.5, 1.7)):
-    """What a camera makes of them: sharp across, blurred along the line of sight."""
+def camera(stamp_ns, places, score, range_error_m=0.0, group=0, size=(0.5, 0.5, 1.7)):
+    """Camera obstacles: small sigma across, large sigma along the line of sight."""
     xy = np.asarray(places, float).reshape(-1, 2)
     away = np.hypot(*xy.T)
     xy = xy * (1.0 + range_error_m / away)[:, None]
     sigma = np.column_stack([0.012 * away**2, 0.01 * away])
-    return seen(
+    return detected(
         "camera", stamp_ns, xy, size, sigma, scores=class_scores(group, score), yaw=np.arctan2(xy[:, 1], xy[:, 0])
     )
 
 
 def run(make, seconds, rate_hz=100.0):
-    """Feeds what `make(t, stamp_ns)` gives at 100 Hz; (time, tracks) of each answer."""
-    tracker, told = Tracker(TOPICS, TRACKER_CONFIG), []
+    """Feeds the messages of `make(i, stamp_ns)` at 100 Hz; returns (time, tracks) of each output."""
+    tracker, published = Tracker(TOPICS, TRACKER_CONFIG), []
     for i in range(round(seconds * rate_hz) + 1):
         t, stamp = i / rate_hz, START + round(i * NS / rate_hz)
         feed = Feed(odom=odometry(stamp))
         for message in make(i, stamp):
             feed.topics[f"obstacles/{message.sensor}"] = (message,)
-        told += [(t, tracks) for _, tracks in tracker.step(stamp, feed)]
-    return told
+        published += [(t, tracks) for _, tracks in tracker.step(stamp, feed)]
+    return published
 
 
-def confirmed_s(told):
-    return next((t for t, tracks in told if any(x.is_confirmed for x in tracks.tracks)), None)
+def confirmed_s(published):
+    return next((t for t, tracks in published if any(x.is_confirmed for x in tracks.tracks)), None)
 
 
 ALONE = {
-    "camera": (0.6, lambda i, s: [picture(s, [[15.0, 1.0]], 0.7, (-1) ** i * 0.8)] if i % 50 == 0 else []),
-    "radar": (0.5, lambda i, s: [seen("radar", s, [[20.0, -2.0]])] if i % 5 == 0 else []),
-    "ultrasonic": (0.3, lambda i, s: [seen("ultrasonic", s, [[5.0, 0.5]])] if i % 10 == 0 else []),
-    "lidar": (0.3, lambda i, s: [seen("lidar", s, [[15.0, 1.0]], returns=20)] if i % 10 == 0 else []),
+    "camera": (0.6, lambda i, s: [camera(s, [[15.0, 1.0]], 0.7, (-1) ** i * 0.8)] if i % 50 == 0 else []),
+    "radar": (0.5, lambda i, s: [detected("radar", s, [[20.0, -2.0]])] if i % 5 == 0 else []),
+    "ultrasonic": (0.3, lambda i, s: [detected("ultrasonic", s, [[5.0, 0.5]])] if i % 10 == 0 else []),
+    "lidar": (0.3, lambda i, s: [detected("lidar", s, [[15.0, 1.0]], returns=20)] if i % 10 == 0 else []),
 }
 
 
 @pytest.mark.parametrize("kind", ALONE)
-def test_one_sensor_alone_confirms_in_time_and_keeps_it(kind):
+def test_single_sensor_confirmation_time(kind):
     limit, make = ALONE[kind]
-    told = run(make, 4.0)
-    assert confirmed_s(told) <= limit
-    assert {x.id for _, tracks in told for x in tracks.tracks} == {1}
-    assert told[-1][1].tracks[0].sensors == (f"{kind}_front",)
-    assert told[-1][1].tracks[0].label is (ObstacleClass.PERSON if kind == "camera" else ObstacleClass.UNKNOWN)
-    assert np.hypot(*told[-1][1].tracks[0].velocity_mps) == 0.0
+    published = run(make, 4.0)
+    assert confirmed_s(published) <= limit
+    assert {x.id for _, tracks in published for x in tracks.tracks} == {1}
+    assert published[-1][1].tracks[0].sensors == (f"{kind}_front",)
+    assert published[-1][1].tracks[0].label is (ObstacleClass.PERSON if kind == "camera" else ObstacleClass.UNKNOWN)
+    assert np.hypot(*published[-1][1].tracks[0].velocity_mps) == 0.0
 
 
-@pytest.mark.parametrize(("score", "least_s", "most_s"), [(0.36, 9.0, 99.0), (0.45, 1.9, 3.1), (0.6, 0.0, 0.6)])
-def test_a_weak_score_takes_more_pictures(score, least_s, most_s):
-    when = confirmed_s(run(lambda i, s: [picture(s, [[12.0, 0.0]], score)] if i % 50 == 0 else [], 4.0))
-    assert least_s <= (99.0 if when is None else when) <= most_s
+@pytest.mark.parametrize(("score", "min_s", "max_s"), [(0.36, 9.0, 99.0), (0.45, 1.9, 3.1), (0.6, 0.0, 0.6)])
+def test_low_score_needs_more_images(score, min_s, max_s):
+    when = confirmed_s(run(lambda i, s: [camera(s, [[12.0, 0.0]], score)] if i % 50 == 0 else [], 4.0))
+    assert min_s <= (99.0 if when is None else when) <= max_s
 
 
-def test_false_boxes_and_echoes_that_do_not_stay_confirm_nothing():
+def test_false_boxes_and_echoes_are_not_confirmed():
     rng = np.random.default_rng(4)
 
     def make(i, stamp):
         out = []
-        if i % 50 == 0:  # a sure box every second somewhere
-            out.append(picture(stamp, rng.uniform([5, -10], [30, 10], (int(i % 100 == 0), 2)), 0.8))
+        if i % 50 == 0:  # one random box of high score per second
+            out.append(camera(stamp, rng.uniform([5, -10], [30, 10], (int(i % 100 == 0), 2)), 0.8))
         if i % 5 == 0:
-            out.append(seen("radar", stamp, rng.uniform([5, -20], [50, 20], (2, 2)), velocity=rng.normal(0, 3, 2)))
+            out.append(detected("radar", stamp, rng.uniform([5, -20], [50, 20], (2, 2)), velocity=rng.normal(0, 3, 2)))
         return out
 
     assert confirmed_s(run(make, 60.0)) is None
 
 
 @pytest.mark.parametrize("error_m", [-2.0, -0.7, 0.7, 2.0])
-def test_a_camera_s_range_error_makes_no_second_person(error_m):
+def test_camera_range_error_makes_no_second_track(error_m):
     def make(i, stamp):
         p = [[14.0, -3.0 + 1.4 * i / 100.0]]
-        out = [seen("lidar", stamp, p, scores=shape(ObstacleClass.POLE), returns=30)] if i % 10 == 0 else []
-        return out + ([picture(stamp, p, 0.8, error_m)] if i % 50 == 7 else [])
+        out = [detected("lidar", stamp, p, scores=shape(ObstacleClass.POLE), returns=30)] if i % 10 == 0 else []
+        return out + ([camera(stamp, p, 0.8, error_m)] if i % 50 == 7 else [])
 
-    told = run(make, 4.0)
-    assert {x.id for _, tracks in told for x in tracks.tracks if x.is_confirmed} == {1}
-    last = told[-1][1].tracks
+    published = run(make, 4.0)
+    assert {x.id for _, tracks in published for x in tracks.tracks if x.is_confirmed} == {1}
+    last = published[-1][1].tracks
     assert [x.sensors for x in last] == [("lidar_front", "camera_front")]
     assert last[0].velocity_mps == pytest.approx((0.0, 1.4), abs=0.4)
 
 
 def fence(stamp):
-    return seen("lidar", stamp, [[15.0, 0.0]], (20.0, 0.3, 1.2), returns=400, yaw=np.pi / 2)
+    return detected("lidar", stamp, [[15.0, 0.0]], (20.0, 0.3, 1.2), returns=400, yaw=np.pi / 2)
 
 
-def test_an_echo_keeps_no_piece_of_a_fence_that_lidar_sees_whole():
+def test_echo_on_fence_fragment():
     def make(i, stamp):
-        piece = seen("lidar", stamp, [[15.0, -5.0]], (1.7, 0.2, 1.2), returns=60, yaw=np.pi / 2)
+        piece = detected("lidar", stamp, [[15.0, -5.0]], (1.7, 0.2, 1.2), returns=60, yaw=np.pi / 2)
         out = [fence(stamp)] if i % 10 == 0 else []
         out += [piece] if i % 10 == 5 and i < 100 else []
-        return out + ([seen("radar", stamp, [[15.0, -5.0]], velocity=(0.0, 0.0))] if i % 5 == 0 else [])
+        return out + ([detected("radar", stamp, [[15.0, -5.0]], velocity=(0.0, 0.0))] if i % 5 == 0 else [])
 
-    told = run(make, 4.0)
-    before = [tracks for t, tracks in told if t < 1.0][-1]
+    published = run(make, 4.0)
+    before = [tracks for t, tracks in published if t < 1.0][-1]
     assert len([k for k in before.tracks if k.is_confirmed]) == 2
-    assert [k.size_m[0] for k in told[-1][1].tracks if k.is_confirmed] == pytest.approx([20.0], abs=0.5)
+    assert [k.size_m[0] for k in published[-1][1].tracks if k.is_confirmed] == pytest.approx([20.0], abs=0.5)
 
 
-def test_echoes_of_a_fence_are_of_the_fence():
+def test_echoes_on_fence_are_fragments():
     rng = np.random.default_rng(5)
 
     def make(i, stamp):
         out = [fence(stamp)] if i % 10 == 0 else []
         places = np.column_stack([np.full(6, 15.0), np.linspace(-9, 9, 6)]) + rng.normal(0, 0.2, (6, 2))
-        return out + ([seen("radar", stamp, places, velocity=(0.0, 0.0))] if i % 5 == 0 and i > 20 else [])
+        return out + ([detected("radar", stamp, places, velocity=(0.0, 0.0))] if i % 5 == 0 and i > 20 else [])
 
     last = run(make, 3.0)[-1][1].tracks
     assert [x.sensors for x in last if x.is_confirmed] == [("lidar_front", "radar_front")]
 
 
 @pytest.mark.parametrize("kind", ["camera", "radar"])
-def test_who_walks_along_a_fence_is_not_of_the_fence(kind):
+def test_person_walking_along_fence_has_own_track(kind):
     def make(i, stamp):
         p = [[14.6, -4.0 + 1.4 * i / 100.0]]
         out = [fence(stamp)] if i % 10 == 0 else []
         if kind == "camera" and i % 50 == 0:
-            out.append(picture(stamp, p, 0.8))
+            out.append(camera(stamp, p, 0.8))
         if kind == "radar" and i % 5 == 0:
-            out.append(seen("radar", stamp, p, velocity=(0.0, 1.4)))
+            out.append(detected("radar", stamp, p, velocity=(0.0, 1.4)))
         return out
 
-    told = run(make, 4.0)
-    theirs = [x for x in told[-1][1].tracks if x.is_confirmed and f"{kind}_front" in x.sensors and x.size_m[0] < 5.0]
-    assert len(theirs) == 1
-    assert theirs[0].p_odom_m[:2] == pytest.approx((14.6, 1.6), abs=0.8)
+    published = run(make, 4.0)
+    tracks = [
+        x for x in published[-1][1].tracks if x.is_confirmed and f"{kind}_front" in x.sensors and x.size_m[0] < 5.0
+    ]
+    assert len(tracks) == 1
+    assert tracks[0].p_odom_m[:2] == pytest.approx((14.6, 1.6), abs=0.8)
 
 
 def car(stamp, pieces):
-    """A car at 8 m, whole, or the pieces of it that are seen from near."""
+    """A complete car at 8 m, or the fragments of it at close range."""
     if not pieces:
-        return seen("lidar", stamp, [[8.0, 0.0]], (4.2, 1.8, 1.5), scores=shape(ObstacleClass.VEHICLE), returns=300)
+        return detected("lidar", stamp, [[8.0, 0.0]], (4.2, 1.8, 1.5), scores=shape(ObstacleClass.VEHICLE), returns=300)
     places = [[8.9, 0.1], [6.6, 0.5], [7.6, -0.4]][:pieces]
-    return seen("lidar", stamp, places, (1.0, 0.4, 0.5), scores=shape(ObstacleClass.PERSON), returns=40)
+    return detected("lidar", stamp, places, (1.0, 0.4, 0.5), scores=shape(ObstacleClass.PERSON), returns=40)
 
 
-def test_pieces_of_a_vehicle_are_the_vehicle_and_who_steps_out_is_not():
+def test_vehicle_fragments_and_person_leaving_vehicle():
     def make(i, stamp):
         if i % 10:
             return []
@@ -185,16 +187,16 @@ def test_pieces_of_a_vehicle_are_the_vehicle_and_who_steps_out_is_not():
         if i < 250:
             return [message]
         beside = [[8.0, 1.8 + 1.2 * (i - 250) / 100.0]]
-        return [message] if i < 250 else [_with(message, seen("lidar", stamp, beside, returns=30))]
+        return [message] if i < 250 else [_with(message, detected("lidar", stamp, beside, returns=30))]
 
-    told = run(make, 3.5)
-    before = [tracks for t, tracks in told if 1.0 < t < 2.5]
+    published = run(make, 3.5)
+    before = [tracks for t, tracks in published if 1.0 < t < 2.5]
     assert {x.id for tracks in before for x in tracks.tracks} == {1}
     for tracks in before:
         assert tracks.tracks[0].label is ObstacleClass.VEHICLE
         assert tracks.tracks[0].p_odom_m[:2] == pytest.approx((8.0, 0.0), abs=1.2)
         assert np.hypot(*tracks.tracks[0].velocity_mps) < 0.5
-    assert sum(x.is_confirmed for x in told[-1][1].tracks) == 2
+    assert sum(x.is_confirmed for x in published[-1][1].tracks) == 2
 
 
 def _with(a, b):
@@ -209,11 +211,11 @@ def _with(a, b):
     )  # fmt: skip
 
 
-def test_echoes_do_not_blur_a_class():
+def test_echoes_do_not_change_class():
     def make(i, stamp):
         p = [[14.0, 0.0]]
-        out = [seen("lidar", stamp, p, scores=shape(ObstacleClass.PERSON), returns=30)] if i % 10 == 0 else []
-        return out + ([seen("radar", stamp, p)] if i % 5 == 2 else [])
+        out = [detected("lidar", stamp, p, scores=shape(ObstacleClass.PERSON), returns=30)] if i % 10 == 0 else []
+        return out + ([detected("radar", stamp, p)] if i % 5 == 2 else [])
 
     last = run(make, 2.0)[-1][1].tracks
     assert [(x.label, x.confidence > 0.9) for x in last] == [(ObstacleClass.PERSON, True)]

@@ -1,23 +1,23 @@
-"""What belongs together, what stays apart, and the boxes about it."""
+"""Clusters of obstacle points and their bounding boxes."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.lidar.boxes import describe
-from perception.lidar.clusters import Clusters, find_clusters, keep, new_board
+from perception.lidar.boxes import fit_boxes
+from perception.lidar.clusters import Clusters, find_clusters, new_cell_grid, select
 from tests.perception.lidar_scenes import LIDAR_CONFIG
 
 CONFIG = LIDAR_CONFIG.clusters
 ORIGIN = np.zeros(2)
 
 
-def find(points, level=None):
-    level = np.full(len(points), 2, np.uint8) if level is None else np.array(level, np.uint8)
-    board = new_board(CONFIG)
-    found = find_clusters(np.asarray(points, np.float32), level, ORIGIN, CONFIG, board)
-    assert (board == -1).all()
+def find(points, point_class=None):
+    point_class = np.full(len(points), 2, np.uint8) if point_class is None else np.array(point_class, np.uint8)
+    cell_grid = new_cell_grid(CONFIG)
+    found = find_clusters(np.asarray(points, np.float32), point_class, ORIGIN, CONFIG, cell_grid)
+    assert (cell_grid == -1).all()
     return found
 
 
@@ -30,12 +30,12 @@ def members(found):
     return [set(found.indices[a:b].tolist()) for a, b in zip(found.offsets[:-1], found.offsets[1:], strict=True)]
 
 
-def test_two_things_a_metre_apart_are_two_and_every_return_is_in_one():
+def test_clusters_one_metre_apart_are_separate():
     points = np.concatenate([blob(10, -0.5, seed=1), blob(10, 0.5, seed=2)])
     assert members(find(points)) == [set(range(12)), set(range(12, 24))]
 
 
-def test_sparse_far_things_are_one():
+def test_sparse_distant_cluster():
     points = np.array([[35.0, y, 1.0] for y in (0.0, 0.6, 1.2, 1.8)])
     assert members(find(points)) == [{0, 1, 2, 3}]
     near = points - [30.0, 0.0, 0.0]
@@ -43,29 +43,29 @@ def test_sparse_far_things_are_one():
 
 
 @pytest.mark.parametrize("n", range(CONFIG.min_returns - 2, CONFIG.min_returns + 3))
-def test_least_number_of_returns(n):
+def test_min_returns(n):
     points = np.array([[8.0, 0.01 * i, 1.0] for i in range(n)])
     assert len(members(find(points))) == (n >= CONFIG.min_returns)
 
 
-def test_low_returns_join_what_stands_in_their_cell_and_nothing_else():
+def test_low_points_join_occupied_cell_only():
     points = np.array([[10.0, 0.0, 1.0]] * 4 + [[10.0, 0.01, 0.05], [10.0, 3.0, 0.05], [10.0, 0.0, 5.0]])
     assert members(find(points, [2, 2, 2, 2, 1, 1, 0])) == [{0, 1, 2, 3, 4}]
 
 
-def test_one_solid_return_over_ground_is_no_cluster():
+def test_single_obstacle_point_over_ground():
     points = np.array([[10.0, 0.0, 1.0]] + [[10.0, 0.01 * i, 0.0] for i in range(20)])
     assert members(find(points, [2] + [1] * 20)) == []
 
 
-def test_out_of_reach_and_empty():
+def test_points_beyond_max_range_and_empty_input():
     assert members(find(np.zeros((0, 3)))) == []
-    assert members(find(np.full((5, 3), CONFIG.reach_m + 1.0))) == []
+    assert members(find(np.full((5, 3), CONFIG.max_range_m + 1.0))) == []
 
 
-def test_kept_clusters_keep_their_returns():
+def test_select_preserves_indices():
     found = find(np.concatenate([blob(10, 0), blob(10, 5), blob(10, -5)]))
-    kept = keep(found, np.array([True, False, True]))
+    kept = select(found, np.array([True, False, True]))
     assert members(kept) == [members(found)[0], members(found)[2]]
 
 
@@ -74,12 +74,12 @@ def one(points, above=None, front=(3.5, 1.15)):
     n = len(points)
     above = points[:, 2].copy() if above is None else np.asarray(above, np.float32)
     clusters = Clusters(np.array([0, n], np.int32), np.arange(n, dtype=np.int32))
-    return describe(clusters, points, above, np.where(above >= 0.15, 2, 1).astype(np.uint8), front)
+    return fit_boxes(clusters, points, above, np.where(above >= 0.15, 2, 1).astype(np.uint8), front)
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(st.floats(-np.pi, np.pi), st.floats(0.4, 6.0), st.floats(0.1, 1.0), st.floats(-30, 30), st.floats(-30, 30))
-def test_box_of_a_turned_rectangle(yaw, length, ratio, x, y):
+def test_box_of_rotated_rectangle(yaw, length, ratio, x, y):
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, 21) * length, np.linspace(-0.5, 0.5, 21) * length * ratio)
     c, s = np.cos(yaw), np.sin(yaw)
     points = np.stack([x + c * u - s * v, y + s * u + c * v, 0.5 + 0 * u], axis=2).reshape(-1, 3)
@@ -96,7 +96,7 @@ def test_box_of_a_turned_rectangle(yaw, length, ratio, x, y):
 
 @pytest.mark.parametrize("turn_deg", range(-40, 50, 10))
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_two_seen_sides_of_a_vehicle_lie_on_its_box(turn_deg, sign):
+def test_box_of_l_shape(turn_deg, sign):
     rng = np.random.default_rng(abs(turn_deg))
     u, v = np.r_[rng.uniform(-2.0, 2.0, 200), np.full(60, 2.0)], np.r_[np.full(200, 0.8), rng.uniform(-0.8, 0.8, 60)]
     turn, v = np.radians(turn_deg), sign * v
@@ -108,13 +108,13 @@ def test_two_seen_sides_of_a_vehicle_lie_on_its_box(turn_deg, sign):
     assert boxes.size_m[0, :2] == pytest.approx([4.0, 1.6], abs=0.3)
 
 
-def test_lone_returns_have_a_box():
+def test_box_of_single_return():
     boxes = one([[5.0, 1.0, 1.0]])
     assert boxes.size_m[0] == pytest.approx([0.05, 0.05, 0.05])
     assert boxes.center_m[0] == pytest.approx([5.0, 1.0, 1.0])
 
 
-def test_nearest_return_is_before_the_front_and_never_low():
+def test_nearest_return_is_obstacle_point():
     points = [[9.0, 0.0, 0.05], [10.0, 4.0, 1.0], [10.5, 0.5, 1.0], [8.0, 0.0, -1.0]]
     assert one(points).nearest_m[0] == pytest.approx([10.5, 0.5, 1.0])
     assert one(points).top_m[0] == pytest.approx(1.0)

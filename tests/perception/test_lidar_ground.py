@@ -1,4 +1,4 @@
-"""Ground under slopes, furrows, ghosts and thinned scans; heights of what stands on it."""
+"""Ground surface with slopes, furrows, ghosts and thinned scans; heights of obstacles on it."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from perception.lidar.ground import find_ground, fit_plane
 from tests.perception.lidar_scenes import FRONT, LIDAR_CONFIG, box, cast, listed
 
 CONFIG = LIDAR_CONFIG.ground
-GRID = build_grid(CONFIG.sector_deg, CONFIG.first_bin_m, CONFIG.bin_growth, CONFIG.reach_m)
+GRID = build_grid(CONFIG.sector_deg, CONFIG.first_bin_m, CONFIG.bin_growth, CONFIG.max_range_m)
 T = FRONT.mount.T_base_sensor
 CENTER = T[:2, 3].copy()
 
@@ -28,7 +28,7 @@ def heights_of(points, ground, corners):
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.08, 0.0), (-0.08, 0.0), (0.0, 0.08), (0.05, -0.06)])
-def test_sloping_ground_is_ground(slope):
+def test_sloping_ground(slope):
     points, ground = ground_of(cast(slope=slope))
     near = np.hypot(*(points[:, :2] - CENTER).T) < 40.0
     assert np.abs(ground.height_m[near]).max() < 0.15
@@ -38,7 +38,7 @@ def test_sloping_ground_is_ground(slope):
 
 
 @pytest.mark.parametrize("share", [1.0, 0.25])
-def test_furrows_are_ground_and_a_box_on_them_keeps_its_height(share):
+def test_furrows_and_height_of_box(share):
     corners = box(12.0, 1.0, 0.5, 0.5, 0.5)
     points, ground = ground_of(listed(cast([corners], furrow_m=0.08), share))
     own, heights = heights_of(points, ground, corners + np.array([[0, 0, 0.12], [0, 0, 0]]))
@@ -48,7 +48,7 @@ def test_furrows_are_ground_and_a_box_on_them_keeps_its_height(share):
     assert np.quantile(ground.height_m[flat], 0.999) < 0.2
 
 
-def test_ghosts_below_the_ground_do_not_drag_it_down():
+def test_ghost_returns_below_ground():
     rng = np.random.default_rng(1)
     ghosts = np.stack([rng.uniform(5, 25, 300), rng.uniform(-5, 5, 300), rng.uniform(-3.0, -0.3, 300)], axis=1)
     _points, ground = ground_of(cast(), ghosts)
@@ -57,7 +57,7 @@ def test_ghosts_below_the_ground_do_not_drag_it_down():
     assert (ground.height_m[-300:] < -0.2).all()
 
 
-def test_a_mound_is_no_ground():
+def test_mound_is_not_ground():
     corners = box(12.0, 0.0, 2.0, 2.0, 0.6)
     points, ground = ground_of(cast([corners]))
     _, heights = heights_of(points, ground, corners + np.array([[0, 0, 0.4], [0, 0, 0]]))
@@ -65,20 +65,20 @@ def test_a_mound_is_no_ground():
     assert heights.min() > 0.25
 
 
-def test_points_of_no_use_have_no_height():
+def test_unusable_points_have_no_height():
     points = np.array([[8.0, 0.0, 0.0], [np.nan, 1.0, 1.0], [500.0, 0.0, 0.0]], np.float32)
     ground = find_ground(points, np.array([1, 0, 1], np.uint8), CENTER, GRID, CONFIG)
     assert np.isfinite(ground.height_m).tolist() == [True, False, False]
 
 
-def test_no_points_give_the_machines_own_plane():
+def test_empty_scan_gives_base_plane():
     ground = find_ground(np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), CENTER, GRID, CONFIG)
     assert fit_plane(ground, CENTER, GRID, 12.0) == pytest.approx([0.0, 0.0, 1.0, 0.0])
 
 
 @settings(derandomize=True, max_examples=20, deadline=None)
 @given(st.integers(0, 119), st.integers(0, 1000))
-def test_turning_by_whole_sectors_and_shuffling_change_no_height(sectors, seed):
+def test_heights_invariant_to_rotation_and_order(sectors, seed):
     points, ground = ground_of(cast([box(12.0, 1.0, 1.0, 2.0, 1.5)], noise_m=0.0))
     angle = np.radians(sectors * CONFIG.sector_deg)
     c, s = np.cos(angle), np.sin(angle)

@@ -1,4 +1,4 @@
-"""Real scans: a part of the bars that benchmarks/perception_kitti.py prints whole."""
+"""Recorded scans: part of the acceptance limits of benchmarks/perception_kitti.py."""
 
 import numpy as np
 import pytest
@@ -15,19 +15,19 @@ pytestmark = pytest.mark.skipif(not has_frames(), reason=f"no KITTI frames under
 SOME = range(0, 40, 8)
 
 
-def test_every_object_to_40_m_is_one_cluster():
+def test_objects_within_40_m_are_single_clusters():
     scores = [s for _, _, s in recall(numbers=SOME)]
     assert len(scores) > 12
     assert all(s.counts for s in scores if s.edge_m < 40.0)
 
 
-def test_a_quarter_of_the_returns_is_enough():
+def test_objects_with_quarter_of_returns():
     scores = [s.counts for _, _, s in recall(0.25, numbers=SOME)]
     assert sum(scores) >= 0.93 * len(scores)
 
 
-def test_nothing_is_an_obstacle_when_everything_is():
-    """The rule itself: one cluster of all returns finds no object."""
+def test_single_cluster_of_all_returns_matches_no_object():
+    """Checks the matching rule: one cluster of all returns matches no object."""
     result = perceive(frame(0))
     o = result.obstacles
     whole = type(o)(
@@ -39,12 +39,12 @@ def test_nothing_is_an_obstacle_when_everything_is():
     assert not any(strict(result.points_m, whole, label).counts for label in labels()[0])
 
 
-def test_people_put_on_free_ground():
+def test_inserted_persons_on_free_ground():
     assert sum(paste_trials(20)) >= 19
     assert sum(paste_trials(20, 0.5)) >= 18
 
 
-def test_noise_confirms_nothing_that_is_not_there_without_it():
+def test_noise_confirms_no_additional_track():
     tracker = Tracker(["obstacles/lidar_top"], TRACKER_CONFIG)
     for i in range(4):
         # the same road, the car standing, with other noise every time

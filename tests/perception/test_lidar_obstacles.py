@@ -1,4 +1,4 @@
-"""The lidar node on whole scans: what it finds, what it refuses, and what it says of its own sight."""
+"""Lidar node on complete scans: obstacles, rejected scans and health."""
 
 import dataclasses
 
@@ -24,7 +24,7 @@ def step(node, scan):
 
 
 def hit(obstacles, corners, reach=0.3):
-    """Clusters whose returns lie within a box, grown; and the share of those returns in the biggest of them."""
+    """Clusters with returns within an enlarged box, and the share of those returns in the largest cluster."""
     found = []
     for k in range(len(obstacles.yaw_rad)):
         p = obstacles.points_base_m[obstacles.offsets[k] : obstacles.offsets[k + 1]]
@@ -35,7 +35,7 @@ def hit(obstacles, corners, reach=0.3):
 
 @pytest.mark.parametrize("range_m", range(5, 36, 3))
 @pytest.mark.parametrize("slope", [0.0, 0.08, -0.08])
-def test_a_person_on_furrows_is_one_obstacle(node, range_m, slope):
+def test_person_on_furrows(node, range_m, slope):
     if slope > 0 and range_m > 30:
         pytest.skip("uphill, two rings at most cross a person so far off")
     corners = person(3.5 + range_m, 1.0)
@@ -47,28 +47,28 @@ def test_a_person_on_furrows_is_one_obstacle(node, range_m, slope):
 
 
 @pytest.mark.parametrize("range_m", range(4, 22, 2))
-def test_a_box_half_a_metre_high(node, range_m):
+def test_box_of_half_metre_height(node, range_m):
     corners = box(3.5 + range_m, -1.0, 0.5, 0.5, 0.5)
     _, obstacles, _ = step(node, cast([corners], furrow_m=0.05))
     sizes = [np.diff(obstacles.offsets)[k] for k in hit(obstacles, corners)]
     assert max(sizes) >= 0.8 * np.diff(obstacles.offsets).sum()
 
 
-def test_two_persons_a_metre_apart_and_one_by_a_wall(node):
+def test_adjacent_persons_and_person_near_wall(node):
     scene = [person(12, -0.5), person(12, 0.5), person(14, 6.0), box(14, 8.0, 10, 0.3, 2.5)]
     _, obstacles, _ = step(node, cast(scene))
     assert [len(hit(obstacles, corners)) for corners in scene] == [1, 1, 1, 1]
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.08, 0.0), (0.0, -0.08), (-0.08, 0.04)])
-def test_bare_ground_holds_nothing(node, slope):
+def test_bare_ground_has_no_obstacles(node, slope):
     ground, obstacles, health = step(node, cast(slope=slope, furrow_m=0.1))
     assert len(obstacles.yaw_rad) == 0
     assert ground.is_obstacle_point.mean() < 0.002
     assert health.state is not HealthState.BLIND
 
 
-def test_indices_name_the_returns_of_the_scan(node):
+def test_cluster_indices_refer_to_scan(node):
     scan = cast([person(10, 0), box(20, 3, 4, 2, 2)])
     ground, o, _ = step(node, scan)
     assert o.offsets[0] == 0
@@ -80,14 +80,14 @@ def test_indices_name_the_returns_of_the_scan(node):
     assert np.isnan(o.velocity_mps).all()
 
 
-def test_a_list_thinned_to_a_quarter_gives_the_same_things(node):
+def test_unordered_scan_thinned_to_quarter(node):
     scene = [person(12, 0), box(18, 5, 4, 2, 2)]
     _, obstacles, _ = step(node, listed(cast(scene), 0.25))
     assert [len(hit(obstacles, corners)) for corners in scene] == [1, 1]
 
 
 @pytest.mark.parametrize("rings", [16, 128])
-def test_other_lidars(rings):
+def test_ring_count(rings):
     values = FRONT.model_dump() | {"elevation_deg": tuple(np.linspace(-25, 15, rings)), "columns": 1800}
     lidar = Lidar.model_validate(values)
     node = LidarObstacles("front", lidar, VEHICLE, None, LIDAR_CONFIG)
@@ -98,7 +98,7 @@ def test_other_lidars(rings):
     assert health.state is HealthState.GOOD
 
 
-def test_a_roof_above_the_machine_joins_nothing(node):
+def test_roof_above_machine(node):
     scene = [person(12, 0), box(12, 0, 6, 6, 0.2, low=4.0)]
     _, obstacles, _ = step(node, cast(scene))
     assert len(obstacles.yaw_rad) == 1
@@ -106,7 +106,7 @@ def test_a_roof_above_the_machine_joins_nothing(node):
 
 
 @pytest.mark.parametrize("spoil", ["empty", "zeros", "nan", "shape", "angles", "offsets"])
-def test_a_scan_that_is_no_measurement_is_never_all_clear(node, spoil):
+def test_invalid_scan_is_blind(node, spoil):
     scan = cast([person(10, 0)])
     spoilt = {
         "empty": lambda: dataclasses.replace(listed(scan), xyz_m=np.zeros((0, 3), np.float32)),
@@ -125,12 +125,12 @@ def test_a_scan_that_is_no_measurement_is_never_all_clear(node, spoil):
     assert health.reason
 
 
-def test_a_single_return_is_blindness(node):
+def test_single_return_is_blind(node):
     scan = dataclasses.replace(listed(cast()), xyz_m=np.array([[9.0, 0.0, 0.0]], np.float32))
     assert step(node, scan)[2].state is HealthState.BLIND
 
 
-def test_a_few_nans_are_left_out(node):
+def test_few_nan_returns(node):
     scan = listed(cast([person(10, 0)]))
     points = scan.xyz_m.copy()
     points[::7] = np.nan
@@ -140,7 +140,7 @@ def test_a_few_nans_are_left_out(node):
     assert health.state is not HealthState.BLIND
 
 
-def test_a_frozen_lidar_and_one_whose_time_stands_still_are_blind(node):
+def test_repeated_scan_and_constant_time_are_blind(node):
     first = cast([person(10, 0)], stamp_ns=SECOND)
     assert step(node, first)[2].state is HealthState.GOOD
     again = dataclasses.replace(first, stamp_ns=2 * SECOND)
@@ -150,7 +150,7 @@ def test_a_frozen_lidar_and_one_whose_time_stands_still_are_blind(node):
     assert step(node, cast([person(10, 0)], seed=2, stamp_ns=3 * SECOND))[2].rejected_count == 2
 
 
-def test_dirt_shrinks_the_range_of_its_sectors_alone(node):
+def test_dirt_reduces_range_of_its_sectors(node):
     def dirt(mm, rng):
         mm[:, 480:544] = 0
         return mm
@@ -164,7 +164,7 @@ def test_dirt_shrinks_the_range_of_its_sectors_alone(node):
     assert (aside >= 40.0).all()
 
 
-def test_fog_shrinks_the_range(node):
+def test_fog_reduces_range(node):
     def fog(mm, rng):
         mm[mm > 15000] = 0
         return mm
@@ -175,7 +175,7 @@ def test_fog_shrinks_the_range(node):
     assert ((ahead > 8.0) & (ahead < 20.0)).all()
 
 
-def test_two_nodes_agree_to_the_bit(node):
+def test_bitwise_reproducibility(node):
     scan = cast([person(10, 0), box(20, 3, 4, 2, 2)], furrow_m=0.05)
     other = LidarObstacles("front", FRONT, VEHICLE, None, LIDAR_CONFIG)
     a, b = step(node, scan)[1], step(other, scan)[1]

@@ -1,4 +1,4 @@
-"""Returns brought into `base`: mount, own bodies, motion during the scan, and what is no measurement."""
+"""Returns in `base`: mount, self filter, deskewing and invalid returns."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,14 @@ import pytest
 from configs.strict import find, load
 from configs.vehicle import ImplementFile
 from geometry.transforms import apply, planar, transform
-from perception.lidar.points import own_boxes, to_base
+from perception.lidar.points import self_boxes, to_base
 from tests.perception.lidar_scenes import LIDAR_CONFIG, VEHICLE
 
 NOWHERE = np.zeros((0, 2, 3))
 STILL = (0.0, 0.0, 0.0)
 
 
-def test_mount_is_applied():
+def test_mount_transform():
     T = transform((3.3, 0.5, 1.9), (0.02, -0.1, 2.0))
     points = np.random.default_rng(0).uniform(-20, 20, (100, 3)).astype(np.float32)
     out, usable = to_base(points, np.zeros(100, np.float32), T, STILL, NOWHERE)
@@ -22,7 +22,7 @@ def test_mount_is_applied():
 
 
 @pytest.mark.parametrize("motion", [(3.0, 0.0, 0.0), (2.0, 0.3, 0.5), (-1.0, 0.0, -0.8), (8.0, 0.0, 1e-9)])
-def test_returns_of_a_moving_machine_are_where_they_were(motion):
+def test_deskewing(motion):
     still = np.array([12.0, -3.0, 1.0])
     offsets = np.array([0.0, -0.05, -0.1, -0.4], np.float32)
     v, w, rate = motion
@@ -38,16 +38,16 @@ def test_returns_of_a_moving_machine_are_where_they_were(motion):
     assert out == pytest.approx(np.repeat(still[None], 4, axis=0), abs=3e-3)
 
 
-def test_what_is_no_measurement_is_not_used():
+def test_invalid_returns_are_unusable():
     bad = np.array([[np.nan, 1, 1], [np.inf, 0, 0], [0, 0, 0], [9, 0, 1]], np.float32)
     _, usable = to_base(bad, np.zeros(4, np.float32), np.eye(4), STILL, NOWHERE)
     assert usable.tolist() == [0, 0, 0, 1]
 
 
-def test_machine_and_implement_are_masked_and_their_neighbours_are_not():
+def test_self_filter_margin():
     implement = load(ImplementFile, find("implements", "harrow_6m")).implement
-    own = own_boxes(VEHICLE, implement, LIDAR_CONFIG.mask)
-    m, body = LIDAR_CONFIG.mask.margin_m, VEHICLE.body
+    own = self_boxes(VEHICLE, implement, LIDAR_CONFIG.self_filter)
+    m, body = LIDAR_CONFIG.self_filter.margin_m, VEHICLE.body
     points = [
         ([1.0, 0.0, 2.0], 0),
         ([body.front_m + m - 0.01, 0.0, 1.0], 0),

@@ -1,4 +1,4 @@
-"""What the machine itself fills: with the implement folded only while the machine says that it is."""
+"""Self filter: the implement counts as folded only while the machine state reports it."""
 
 from types import SimpleNamespace
 
@@ -21,12 +21,12 @@ def machine(fold):
 
 
 @pytest.mark.parametrize(("fold", "folded"), [(0.0, False), (0.5, False), (0.989, False), (0.99, True), (1.0, True)])
-def test_folded_is_what_is_locked(fold, folded):
+def test_folded_threshold(fold, folded):
     assert is_folded(machine(fold)) is folded
     assert not is_folded(None)
 
 
-def test_outlines_differ_in_width_alone():
+def test_outline_by_fold():
     wide, narrow = own_outlines(VEHICLE, HARROW)
     assert np.array_equal(wide[0], narrow[0])
     assert (np.ptp(wide[1, :, 1]), np.ptp(narrow[1, :, 1])) == (HARROW.width_m, HARROW.fold.width_m)
@@ -35,7 +35,7 @@ def test_outlines_differ_in_width_alone():
     assert all(np.array_equal(a, b) for a, b in [own_outlines(VEHICLE, None)])
 
 
-def test_what_stands_beside_the_folded_implement_is_seen():
+def test_obstacle_beside_folded_implement():
     node = LidarObstacles("rear", REAR, VEHICLE, HARROW, LIDAR_CONFIG)
     for k, (told, count) in enumerate([(machine(1.0), 1), (machine(0.5), 0), (None, 0)]):
         stamp = 10**9 * (k + 1)

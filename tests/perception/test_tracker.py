@@ -41,14 +41,14 @@ def message(stamp_ns, centers, sizes=(0.4, 0.4, 1.7), returns=30, yaw=0.0, senso
 
 
 def run(tracker, scans, topic=LIDAR, poses=None):
-    """Feeds (stamp, message) and gives the tracks told after each."""
-    told = []
+    """Feeds messages and returns the tracks published after each."""
+    published = []
     for i, m in enumerate(scans):
         odom = odometry(m.stamp_ns, T=None if poses is None else poses[i])
         feed = Feed(odom=odom)
         feed.topics[topic] = (m,)
-        told.append(dict(tracker.step(m.stamp_ns, feed))["tracks"])
-    return told
+        published.append(dict(tracker.step(m.stamp_ns, feed))["tracks"])
+    return published
 
 
 def new_tracker(*topics):
@@ -63,17 +63,17 @@ RATES = pytest.mark.parametrize("rate_hz", [20.0, 10.0, 5.0, 2.5])
 
 
 @RATES
-def test_confirmed_in_time_whatever_the_rate(rate_hz):
-    told = run(new_tracker(), [message(t, [[12.0, 1.0, 0.9]], returns=10, seed=t) for t in stamps(rate_hz, 2.0)])
-    first = next(i for i, t in enumerate(told) if t.tracks[0].is_confirmed)
-    assert (told[first].stamp_ns - START) / NS <= max(0.3, 1.0 / rate_hz) + 1e-9
+def test_confirmation_time_by_rate(rate_hz):
+    published = run(new_tracker(), [message(t, [[12.0, 1.0, 0.9]], returns=10, seed=t) for t in stamps(rate_hz, 2.0)])
+    first = next(i for i, t in enumerate(published) if t.tracks[0].is_confirmed)
+    assert (published[first].stamp_ns - START) / NS <= max(0.3, 1.0 / rate_hz) + 1e-9
     assert first >= 1
-    assert {t.id for m in told for t in m.tracks} == {1}
+    assert {t.id for m in published for t in m.tracks} == {1}
 
 
 @RATES
 @pytest.mark.parametrize("speed", [(1.4, 0.0), (0.0, -1.5), (-5.0, 2.0)])
-def test_speed_of_what_walks_or_rides(rate_hz, speed):
+def test_velocity_estimate(rate_hz, speed):
     v = np.array([*speed, 0.0])
     rng = np.random.default_rng(1)
     scans = [
@@ -87,8 +87,8 @@ def test_speed_of_what_walks_or_rides(rate_hz, speed):
 
 
 @RATES
-def test_what_stands_has_no_speed_while_the_machine_drives(rate_hz):
-    """The visible 20 m of a long fence move along with the machine."""
+def test_static_obstacles_from_moving_machine(rate_hz):
+    """The visible 20 m of a long fence move with the machine."""
     poses = [planar(2.8 * (t - START) / NS, 0.0, 0.0) for t in stamps(rate_hz, 4.0)]
     rng = np.random.default_rng(2)
     scans = []
@@ -96,9 +96,9 @@ def test_what_stands_has_no_speed_while_the_machine_drives(rate_hz):
         fence = message(t, [[12.0, 4.0, 1.0]], (20.0, 0.2, 1.5), returns=600, seed=i)
         pole = np.array([30.0 - poses[i][0, 3], -3.0, 1.0]) + np.array([*rng.normal(0, 0.03, 2), 0.0])
         scans.append(_joined(t, fence, message(t, [pole], (0.2, 0.2, 2.0), seed=i)))
-    told = run(new_tracker(), scans, poses=poses)
-    assert len(told[-1].tracks) == 2
-    for tracks in told[round(2.0 * rate_hz) :]:
+    published = run(new_tracker(), scans, poses=poses)
+    assert len(published[-1].tracks) == 2
+    for tracks in published[round(2.0 * rate_hz) :]:
         assert np.hypot(*np.array([t.velocity_mps for t in tracks.tracks]).T).max() < 0.8
 
 
@@ -115,7 +115,7 @@ def _joined(stamp_ns, a, b):
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 2.5])
-def test_noise_is_never_confirmed(rate_hz):
+def test_noise_is_not_confirmed(rate_hz):
     rng = np.random.default_rng(3)
     scans = []
     for t in stamps(rate_hz, 10.0):
@@ -124,59 +124,59 @@ def test_noise_is_never_confirmed(rate_hz):
     assert not any(t.is_confirmed for m in run(new_tracker(), scans) for t in m.tracks)
 
 
-def test_one_scan_confirms_nothing_and_what_is_gone_is_forgotten():
+def test_single_scan_unconfirmed_and_deletion_time():
     tracker = new_tracker()
     empty = np.zeros((0, 3))
     scans = [message(t, [[12.0, 1.0, 0.9]] if t < START + NS else empty) for t in stamps(10, 3.0)]
-    told = run(tracker, scans)
-    assert not told[0].tracks[0].is_confirmed
-    assert told[10].tracks[0].is_confirmed
-    gone = next(m.stamp_ns for m in told if m.stamp_ns > START + NS and not m.tracks)
+    published = run(tracker, scans)
+    assert not published[0].tracks[0].is_confirmed
+    assert published[10].tracks[0].is_confirmed
+    gone = next(m.stamp_ns for m in published if m.stamp_ns > START + NS and not m.tracks)
     assert (gone - START) / NS == pytest.approx(0.9 + TRACKER_CONFIG.kinds.lidar.forget_s, abs=0.21)
 
 
-def test_two_that_cross_keep_their_names():
+def test_crossing_tracks_keep_ids():
     scans = []
     for t in stamps(10, 4.0):
         s = (t - START) / NS
         scans.append(message(t, [[10.0 + 0.6, -3.0 + 1.5 * s, 0.9], [10.0 - 0.6, 3.0 - 1.5 * s, 0.9]], seed=t))
-    told = run(new_tracker(), scans)
-    assert [t.id for t in told[-1].tracks] == [1, 2]
-    assert told[-1].tracks[0].p_odom_m[1] > 2.0
+    published = run(new_tracker(), scans)
+    assert [t.id for t in published[-1].tracks] == [1, 2]
+    assert published[-1].tracks[0].p_odom_m[1] > 2.0
 
 
-def test_a_gap_of_half_a_second_keeps_the_track():
+def test_half_second_gap_keeps_track():
     times = [t for t in stamps(10, 3.0) if not START + 1.2 * NS < t < START + 1.8 * NS]
-    told = run(new_tracker(), [message(t, [[12.0, 1.5 * (t - START) / NS, 0.9]], seed=t) for t in times])
-    assert {t.id for m in told for t in m.tracks} == {1}
+    published = run(new_tracker(), [message(t, [[12.0, 1.5 * (t - START) / NS, 0.9]], seed=t) for t in times])
+    assert {t.id for m in published for t in m.tracks} == {1}
 
 
-def test_what_takes_the_place_of_the_lost_gives_it_no_speed():
+def test_velocity_reset_after_gap():
     there = [message(t, [[10.0, 3.0, 0.1]], (0.2, 0.1, 0.1)) for t in stamps(10.0, 0.5)]
     elsewhere = message(there[-1].stamp_ns + round(0.7 * NS), [[10.4, 3.4, 0.1]], (0.2, 0.1, 0.1))
-    told = run(new_tracker(), [*there, elsewhere])
-    assert np.hypot(*told[-1].tracks[0].velocity_mps) == 0.0
+    published = run(new_tracker(), [*there, elsewhere])
+    assert np.hypot(*published[-1].tracks[0].velocity_mps) == 0.0
 
 
-def test_one_jump_is_no_motion_and_what_jumped_stays_where_it_was_seen():
+def test_single_jump_is_no_motion():
     tracker = new_tracker()
     scans = [message(t, [[10.0, 3.0, 0.9]]) for t in stamps(10.0, 0.1)]
     run(tracker, [*scans, message(scans[-1].stamp_ns + NS // 10, [[10.7, 3.0, 0.9]])])
-    told = run(tracker, [message(tracker._stamp_ns + i * NS // 10, []) for i in range(1, 4)])
-    for track in (k for tracks in told for k in tracks.tracks):
+    published = run(tracker, [message(tracker._stamp_ns + i * NS // 10, []) for i in range(1, 4)])
+    for track in (k for tracks in published for k in tracks.tracks):
         assert np.hypot(*track.velocity_mps) == 0.0
         assert track.p_odom_m[0] == pytest.approx(10.7, abs=0.15)
 
 
-@pytest.mark.parametrize(("width_m", "told_mps"), [(0.08, 0.0), (1.5, 3.0)])
-def test_a_strip_that_slides_along_itself_may_be_a_fence_and_a_body_moves(width_m, told_mps):
+@pytest.mark.parametrize(("width_m", "expected_mps"), [(0.08, 0.0), (1.5, 3.0)])
+def test_strip_moving_along_itself(width_m, expected_mps):
     scans = [message(t, [[10.0 + 3.0 * (t - START) / NS, 4.0, 0.6]], (3.0, width_m, 1.2)) for t in stamps(10.0, 1.0)]
-    told = run(new_tracker(), scans)
-    assert told[-1].tracks[0].velocity_mps[0] == pytest.approx(told_mps, abs=0.6)
+    published = run(new_tracker(), scans)
+    assert published[-1].tracks[0].velocity_mps[0] == pytest.approx(expected_mps, abs=0.6)
 
 
 @pytest.mark.parametrize("is_left_empty", [True, False])
-def test_what_is_still_where_it_would_have_come_from_has_not_moved(is_left_empty):
+def test_occupied_trail_contradicts_motion(is_left_empty):
     def scan(i, t):
         moving = [10.0 + 0.3 * i, 4.0, 1.0]
         behind = [[moving[0] - 1.2 - 0.3 * k, 4.0, 1.0] for k in range(8)]
@@ -184,41 +184,41 @@ def test_what_is_still_where_it_would_have_come_from_has_not_moved(is_left_empty
         scores = np.full((len(centers), 7), 1.0 / 7.0)
         return replace(message(t, centers, (0.4, 0.3, 1.2)), class_scores=scores)
 
-    told = run(new_tracker(), [scan(i, t) for i, t in enumerate(stamps(10.0, 1.0))])
-    foremost = max(told[-1].tracks, key=lambda k: k.p_odom_m[0])
+    published = run(new_tracker(), [scan(i, t) for i, t in enumerate(stamps(10.0, 1.0))])
+    foremost = max(published[-1].tracks, key=lambda k: k.p_odom_m[0])
     assert np.hypot(*foremost.velocity_mps) == pytest.approx(3.0 if is_left_empty else 0.0, abs=0.6)
 
 
-def test_no_pole_as_high_as_a_post_moves():
+def test_high_pole_is_static():
     def scan(t, height_m):
         pole = np.full((1, 7), 0.02)
         pole[0, 4] = 0.88
         return replace(message(t, [[10.0 + 1.5 * (t - START) / NS, 4.0, 1.0]], (0.1, 0.1, height_m)), class_scores=pole)
 
-    for height_m, told_mps in ((1.7, 1.5), (2.9, 0.0)):
-        told = run(new_tracker(), [scan(t, height_m) for t in stamps(10.0, 1.5)])
-        assert np.hypot(*told[-1].tracks[0].velocity_mps) == pytest.approx(told_mps, abs=0.4)
+    for height_m, expected_mps in ((1.7, 1.5), (2.9, 0.0)):
+        published = run(new_tracker(), [scan(t, height_m) for t in stamps(10.0, 1.5)])
+        assert np.hypot(*published[-1].tracks[0].velocity_mps) == pytest.approx(expected_mps, abs=0.4)
 
 
-def test_the_edge_of_a_wall_seen_end_on_runs_along_it_and_nothing_moves():
+def test_wall_edge_end_on_is_static():
     def scan(t, width_m, height_m):
         seen = message(t, [[10.0 + 6.0 * (t - START) / NS, 4.0, 1.3]], (width_m, 0.05, height_m))
         return replace(seen, class_scores=np.full((1, 7), 1 / 7))
 
-    for width_m, height_m, told_mps in ((0.1, 2.6, 0.0), (0.1, 1.7, 6.0), (0.6, 2.6, 6.0)):
-        told = run(new_tracker(), [scan(t, width_m, height_m) for t in stamps(10.0, 1.5)])
-        assert np.hypot(*told[-1].tracks[0].velocity_mps) == pytest.approx(told_mps, abs=0.4)
+    for width_m, height_m, expected_mps in ((0.1, 2.6, 0.0), (0.1, 1.7, 6.0), (0.6, 2.6, 6.0)):
+        published = run(new_tracker(), [scan(t, width_m, height_m) for t in stamps(10.0, 1.5)])
+        assert np.hypot(*published[-1].tracks[0].velocity_mps) == pytest.approx(expected_mps, abs=0.4)
 
 
 @pytest.mark.parametrize(("hold", "jump_m"), [(3, 1.0), (4, 1.0), (6, 1.0)])
-def test_what_jumps_to_and_fro_between_two_views_of_it_goes_nowhere(hold, jump_m):
+def test_alternating_position_is_static(hold, jump_m):
     places = [[10.0 + jump_m * (i // hold % 2), 4.0, 0.5] for i in range(31)]
     scans = [message(t, [p], (1.0, 0.5, 0.2)) for t, p in zip(stamps(10.0, 3.0), places, strict=True)]
-    for told in run(new_tracker(), scans):
-        assert all(np.hypot(*track.velocity_mps) == 0.0 for track in told.tracks)
+    for published in run(new_tracker(), scans):
+        assert all(np.hypot(*track.velocity_mps) == 0.0 for track in published.tracks)
 
 
-def test_a_second_sensor_joins_and_its_velocity_counts():
+def test_radar_velocity_in_lidar_track():
     tracker = new_tracker(LIDAR, RADAR)
     for i, t in enumerate(stamps(10, 1.0)):
         feed = Feed(odom=odometry(t))
@@ -226,29 +226,29 @@ def test_a_second_sensor_joins_and_its_velocity_counts():
         feed.topics[RADAR] = (
             message(t + 1, [[15.0 - 4.0 * i * 0.1, 0.1, 0.9]], returns=1, sensor="radar_front", velocity=(-4.0, 0.0)),
         )
-        told = dict(tracker.step(t, feed))["tracks"]
-    assert len(told.tracks) == 1
-    assert told.tracks[0].sensors == ("lidar_front", "radar_front")
-    assert told.tracks[0].velocity_mps == pytest.approx((-4.0, 0.0), abs=0.4)
+        published = dict(tracker.step(t, feed))["tracks"]
+    assert len(published.tracks) == 1
+    assert published.tracks[0].sensors == ("lidar_front", "radar_front")
+    assert published.tracks[0].velocity_mps == pytest.approx((-4.0, 0.0), abs=0.4)
 
 
 def test_class_by_shape_and_speed():
-    told = run(new_tracker(), [message(t, [[12.0, 1.0, 0.9]], seed=t) for t in stamps(10, 1.0)])
-    assert told[-1].tracks[0].label is ObstacleClass.PERSON
-    assert told[-1].tracks[0].confidence > 0.9
+    published = run(new_tracker(), [message(t, [[12.0, 1.0, 0.9]], seed=t) for t in stamps(10, 1.0)])
+    assert published[-1].tracks[0].label is ObstacleClass.PERSON
+    assert published[-1].tracks[0].confidence > 0.9
 
 
-def test_without_odometry_nothing_is_told():
+def test_no_output_without_odometry():
     feed = Feed()
     feed.topics[LIDAR] = (message(START, [[12.0, 1.0, 0.9]]),)
     assert list(new_tracker().step(START, feed)) == []
 
 
-def test_no_obstacles_give_an_empty_list():
+def test_no_obstacles_give_empty_list():
     assert run(new_tracker(), [message(START, np.zeros((0, 3)))])[0].tracks == ()
 
 
-def test_tracks_live_in_odom_whatever_way_the_machine_points():
+def test_tracks_in_odom_with_turning_machine():
     poses = [planar(3.0, -2.0, 0.3 * i) for i in range(11)]
     scans = []
     for i, t in enumerate(stamps(10, 1.0)):
@@ -260,7 +260,7 @@ def test_tracks_live_in_odom_whatever_way_the_machine_points():
     assert last[0].velocity_mps == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
-def test_two_trackers_agree_to_the_bit():
+def test_bitwise_reproducibility():
     scans = [message(t, [[12.0, 1.0, 0.9], [15.0, -3.0, 0.9]], seed=t) for t in stamps(10, 1.0)]
     a, b = run(new_tracker(), scans)[-1], run(new_tracker(), scans)[-1]
     assert [t.covariance.tobytes() for t in a.tracks] == [t.covariance.tobytes() for t in b.tracks]
@@ -268,7 +268,7 @@ def test_two_trackers_agree_to_the_bit():
 
 @settings(derandomize=True, max_examples=40, deadline=None)
 @given(st.lists(st.floats(0.05, 1.0), min_size=1, max_size=8), st.floats(0.1, 20.0), st.floats(-3.0, 3.0))
-def test_covariances_stay_symmetric_and_positive(steps, length, yaw):
+def test_covariance_symmetric_positive(steps, length, yaw):
     x, P = np.zeros((1, 4)), np.diag([1.0, 1.0, 16.0, 16.0])[None].copy()
     R = box_noise(np.array([[length, 0.3, 1.0]]), np.array([yaw]), 0.1, 0.2)
     for dt in steps:
@@ -280,12 +280,12 @@ def test_covariances_stay_symmetric_and_positive(steps, length, yaw):
     assert np.linalg.eigvalsh(P[0]).min() > 0.0
 
 
-@pytest.mark.parametrize("whole", [0.5, 2.0])
-def test_splitting_a_step_of_time_changes_nothing(whole):
+@pytest.mark.parametrize("step_s", [0.5, 2.0])
+def test_prediction_by_partial_steps(step_s):
     a, b = (np.array([[1.0, 2.0, 3.0, -1.0]]) for _ in range(2))
     P, Q = (np.eye(4)[None].copy() for _ in range(2))
-    predict(a, P, whole, 2.0)
+    predict(a, P, step_s, 2.0)
     for _ in range(5):
-        predict(b, Q, whole / 5, 2.0)
+        predict(b, Q, step_s / 5, 2.0)
     assert a == pytest.approx(b)
     assert pytest.approx(Q) == P

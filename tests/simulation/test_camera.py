@@ -14,8 +14,8 @@ from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import Vehicle
 from messages.perception import HealthState, ObstacleClass
 from perception.camera.detector import load_detector
-from perception.camera.image_quality import LensConfig, inspect
-from perception.camera.ranging import View
+from perception.camera.image_quality import ImageQualityConfig, inspect
+from perception.camera.ranging import CameraGeometry
 from simulation.actors.actor_meshes import GAIT_STEPS, actor_mesh, actor_parts, gait_step
 from simulation.actors.actors import ActorState
 from simulation.environment.meshes import join
@@ -120,11 +120,15 @@ def test_a_figure_that_cameras_do_not_see_is_air(nobody):
 
 
 def test_health_notices_the_lens(photographer):
-    lens = parse(LensConfig, read_yaml(CONFIGS / "stack/perception.yaml")["camera"]["lens"], "stack/perception.yaml")
-    horizon = View(CAMERA).horizon_row()
+    quality = parse(
+        ImageQualityConfig,
+        read_yaml(CONFIGS / "stack/perception.yaml")["camera"]["image_quality"],
+        "stack/perception.yaml",
+    )
+    horizon = CameraGeometry(CAMERA).horizon_row()
 
     def state(at_s):
-        return inspect(photographer.take(somebody(9.0), at_s=at_s), horizon, lens)
+        return inspect(photographer.take(somebody(9.0), at_s=at_s), horizon, quality)
 
     assert state(9.99).state is HealthState.GOOD
     assert state(10.0).state is HealthState.BLIND

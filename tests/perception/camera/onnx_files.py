@@ -1,4 +1,4 @@
-"""Small ONNX files written byte by byte (protobuf wire format), for what no real network offers."""
+"""Small ONNX files written byte by byte (protobuf wire format), for cases that no published network covers."""
 
 from pathlib import Path
 
@@ -34,16 +34,16 @@ def _tensor(name: str, values: np.ndarray) -> bytes:
 
 
 def write(path: Path, takes: tuple[int | str, ...], gives: dict[str, np.ndarray]) -> Path:
-    """A model with one input that gives the same arrays whatever it sees (onnx.proto, IR 8, opset 13)."""
+    """A model with one input and constant outputs (onnx.proto, IR 8, opset 13)."""
     # the input is used, else onnxruntime drops it: 0 times its mean is added to each output
-    nodes = [_bytes(1, "picture") + _bytes(2, "mean") + _bytes(4, "ReduceMean") + _bytes(5, _attribute("keepdims", 0))]
-    nodes.append(_bytes(1, "mean") + _bytes(1, "zero") + _bytes(2, "nothing") + _bytes(4, "Mul"))
+    nodes = [_bytes(1, "image") + _bytes(2, "mean") + _bytes(4, "ReduceMean") + _bytes(5, _attribute("keepdims", 0))]
+    nodes.append(_bytes(1, "mean") + _bytes(1, "zero") + _bytes(2, "zero_mean") + _bytes(4, "Mul"))
     tensors = [_bytes(5, _tensor("zero", np.zeros((), np.float32)))]
     for name, values in gives.items():
         tensors.append(_bytes(5, _tensor(f"{name}_values", values)))
-        nodes.append(_bytes(1, f"{name}_values") + _bytes(1, "nothing") + _bytes(2, name) + _bytes(4, "Add"))
+        nodes.append(_bytes(1, f"{name}_values") + _bytes(1, "zero_mean") + _bytes(2, name) + _bytes(4, "Add"))
     graph = b"".join(_bytes(1, n) for n in nodes) + _bytes(2, "g") + b"".join(tensors)
-    graph += _bytes(11, _value("picture", takes))
+    graph += _bytes(11, _value("image", takes))
     graph += b"".join(_bytes(12, _value(name, values.shape)) for name, values in gives.items())
     path.write_bytes(_number(1, 8) + _bytes(7, graph) + _bytes(8, _bytes(1, "") + _number(2, 13)))
     return path

@@ -1,4 +1,4 @@
-"""Decoders against arithmetic by hand, files told apart, wrong files refused, real networks on real pictures."""
+"""Decoders against manual calculation, model recognition, unsupported files, published networks on photographs."""
 
 import os
 from itertools import pairwise
@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages.errors import ConfigError
-from perception.camera.boxes import Boxes, Candidates, iou, pick
+from perception.camera.boxes import Boxes, Candidates, iou, non_max_suppression
 from perception.camera.classes import COCO, class_scores, group_scores
-from perception.camera.detector import DetectorConfig, join, letterbox, load_detector, split
+from perception.camera.detector import DetectorConfig, join_tiles, letterbox, load_detector, split_tiles
 from perception.camera.networks import Nanodet, Yolox, expectation, recognize
 from tests.perception.camera.onnx_files import write
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[4] / "shared" / "data"))
 YOLOX = DATA / "onnx-detectors" / "yolox-nano" / "model" / "yolox_nano.onnx"
 NANODET = DATA / "onnx-detectors" / "nanodet-m" / "model" / "nanodet_m_416.onnx"
-CONFIG = DetectorConfig(least_score=0.3, most_iou=0.45, widest_view=1.5, input_px=64)
+CONFIG = DetectorConfig(min_score=0.3, max_iou=0.45, max_tile_ratio=1.5, input_px=64)
 needs_models = pytest.mark.skipif(not YOLOX.is_file(), reason=f"no real networks at {YOLOX.parents[2]}")
 
 
@@ -34,7 +34,7 @@ def nanodet_outputs(side: int = 64, classes: int = 80) -> dict[str, np.ndarray]:
     return scores | {f"dis_pred_stride_{s}": np.zeros((1, n, 32), np.float32) for s, n in sizes.items()}
 
 
-def test_yolox_offsets_become_pixels() -> None:
+def test_yolox_offset_decoding() -> None:
     raw = np.zeros((1, yolox_cells(), 85), np.float32)
     raw[0, :, 2:4] = -9.0
     cell = 8 * 8 + 1 * 4 + 2  # stride 16: row 1, column 2
@@ -49,7 +49,7 @@ def test_yolox_offsets_become_pixels() -> None:
     assert found.scores.sum() == pytest.approx(0.4)
 
 
-def test_yolox_exported_with_pixels_is_told_and_gives_the_same() -> None:
+def test_yolox_decoded_export() -> None:
     raw = np.zeros((1, yolox_cells(), 85), np.float32)
     plain = recognize({"output": raw}, 64, 64)
     assert isinstance(plain, Yolox)
@@ -61,7 +61,7 @@ def test_yolox_exported_with_pixels_is_told_and_gives_the_same() -> None:
     np.testing.assert_allclose(decoded.decode([pixels]).corners_px, plain.decode([raw]).corners_px, atol=1e-4)
 
 
-def test_nanodet_distances_become_pixels_whatever_the_order_of_outputs() -> None:
+def test_nanodet_decoding_and_output_order() -> None:
     outputs = nanodet_outputs()
     outputs["dis_pred_stride_16"][0, 5].reshape(4, 8)[[0, 1, 2, 3], [1, 2, 3, 4]] = 50.0  # row 1, column 1
     for order in (list(outputs), list(reversed(outputs))):
@@ -73,7 +73,7 @@ def test_nanodet_distances_become_pixels_whatever_the_order_of_outputs() -> None
         assert np.isclose(corners, wanted, atol=1e-3).all(axis=1).any()
 
 
-def test_expectation_of_a_uniform_distribution_is_its_middle() -> None:
+def test_expectation_of_uniform_distribution() -> None:
     np.testing.assert_allclose(expectation(np.zeros((2, 32), np.float32)), 3.5)
     assert np.isfinite(expectation(np.full((1, 32), 1e30, np.float32))).all()
 
@@ -97,7 +97,7 @@ def test_other_outputs_are_not_recognized(outputs: dict[str, np.ndarray]) -> Non
     assert recognize(outputs, 64, 64) is None
 
 
-def test_wrong_files_are_refused_by_name(tmp_path: Path) -> None:
+def test_unsupported_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"gone\.onnx: no such model file"):
         load_detector(tmp_path / "gone.onnx", CONFIG)
     broken = tmp_path / "broken.onnx"
@@ -108,7 +108,7 @@ def test_wrong_files_are_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"other\.onnx: its outputs probabilities \[1, 1000\] are neither"):
         load_detector(other, CONFIG)
     flat = write(tmp_path / "flat.onnx", (1, 10), {"output": np.zeros((1, 10), np.float32)})
-    with pytest.raises(ConfigError, match=r"flat\.onnx: takes picture \[1, 10\]"):
+    with pytest.raises(ConfigError, match=r"flat\.onnx: takes image \[1, 10\]"):
         load_detector(flat, CONFIG)
     few = write(tmp_path / "few.onnx", (1, 3, 64, 64), {"output": np.zeros((1, yolox_cells(), 8), np.float32)})
     with pytest.raises(ConfigError, match=r"few\.onnx: .* 3 classes, not COCO's 80"):
@@ -116,18 +116,18 @@ def test_wrong_files_are_refused_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("takes", [(1, 3, 64, 64), (1, 3, "height", "width"), ("batch", 3, 64, 64)])
-def test_input_size_follows_the_file_or_the_configuration(tmp_path: Path, takes: tuple[int | str, ...]) -> None:
+def test_input_size_from_file_or_configuration(tmp_path: Path, takes: tuple[int | str, ...]) -> None:
     raw = np.full((1, yolox_cells(), 85), 0.0, np.float32)
     raw[0, 70, 4:6] = 1.0
     detector = load_detector(write(tmp_path / "m.onnx", takes, {"output": raw}), CONFIG)
     assert detector.size_px == (64, 64)
     found = detector.detect(np.zeros((128, 128, 3), np.uint8))
     assert found.scores.shape == (1, 80)  # one cell says person
-    # cell 70 is row 1, column 2 of stride 16; the picture is twice the input
+    # cell 70 is row 1, column 2 of stride 16; the image is twice the input
     np.testing.assert_allclose(found.corners_px[0], [48, 16, 80, 48])
 
 
-def test_letterbox_keeps_shape_and_pads_grey() -> None:
+def test_letterbox_aspect_ratio_and_padding() -> None:
     network = recognize({"output": np.zeros((1, yolox_cells(), 85), np.float32)}, 64, 64)
     assert network is not None
     blob, scale = letterbox(np.full((100, 200, 3), (1, 2, 3), np.uint8), (64, 64), network)
@@ -140,24 +140,24 @@ def test_letterbox_keeps_shape_and_pads_grey() -> None:
 
 @given(st.integers(16, 4000), st.integers(16, 4000), st.floats(1.0, 4.0))
 @settings(derandomize=True, max_examples=200)
-def test_views_cover_the_picture(width: int, height: int, widest: float) -> None:
-    views = split(width, height, widest)
-    assert views[0][0] == 0
-    assert views[-1][1] == width
-    for (a, b), (c, _) in pairwise(views):
+def test_tiles_cover_the_image(width: int, height: int, max_ratio: float) -> None:
+    tiles = split_tiles(width, height, max_ratio)
+    assert tiles[0][0] == 0
+    assert tiles[-1][1] == width
+    for (a, b), (c, _) in pairwise(tiles):
         assert a < c < b
-    assert len(views) == 1 or width > widest * height
+    assert len(tiles) == 1 or width > max_ratio * height
 
 
-def test_a_thing_cut_by_a_view_goes_when_the_neighbour_saw_it_whole() -> None:
+def test_candidate_cut_by_tile_border() -> None:
     score = np.eye(80, dtype=np.float32)[:1]
-    whole = Candidates(np.array([[600, 10, 720, 90]], np.float32), score)
+    complete = Candidates(np.array([[600, 10, 720, 90]], np.float32), score)
     cut = Candidates(np.array([[600, 10, 700, 90]], np.float32), score)
-    views = [(0, 700), (580, 1280)]
-    assert len(join([cut, whole], views, 1280).scores) == 1
-    nothing = Candidates(np.empty((0, 4), np.float32), np.empty((0, 80), np.float32))
-    assert len(join([cut, nothing], views, 1280).scores) == 1
-    assert len(join([nothing, nothing], views, 1280).scores) == 0
+    tiles = [(0, 700), (580, 1280)]
+    assert len(join_tiles([cut, complete], tiles, 1280).scores) == 1
+    empty = Candidates(np.empty((0, 4), np.float32), np.empty((0, 80), np.float32))
+    assert len(join_tiles([cut, empty], tiles, 1280).scores) == 1
+    assert len(join_tiles([empty, empty], tiles, 1280).scores) == 0
 
 
 boxes = st.tuples(st.floats(0, 500), st.floats(0, 500), st.floats(1, 300), st.floats(1, 300))
@@ -165,30 +165,30 @@ boxes = st.tuples(st.floats(0, 500), st.floats(0, 500), st.floats(1, 300), st.fl
 
 @given(st.lists(st.tuples(boxes, st.integers(0, 2), st.floats(0.0, 1.0)), max_size=30))
 @settings(derandomize=True, max_examples=100)
-def test_picked_boxes_are_apart_and_the_best(items: list[tuple[tuple[float, ...], int, float]]) -> None:
+def test_non_max_suppression(items: list[tuple[tuple[float, ...], int, float]]) -> None:
     corners = np.array([(x, y, x + w, y + h) for (x, y, w, h), _, _ in items], np.float32).reshape(-1, 4)
     scores = np.zeros((len(items), 3), np.float32)
     for i, (_, label, score) in enumerate(items):
         scores[i, label] = score
-    picked = pick(Candidates(corners, scores), 0.3, 0.5)
+    picked = non_max_suppression(Candidates(corners, scores), 0.3, 0.5)
     assert (np.diff(picked.score) <= 0).all()
     assert (picked.score >= np.float32(0.3)).all()
     for label in range(3):
         mine = picked.corners_px[picked.label == label]
         assert (iou(mine, mine) - np.eye(len(mine)) <= 0.5 + 1e-6).all()
-        # whatever went overlaps something better that stayed
+        # each removed box overlaps a better one that was kept
         for k in np.flatnonzero(scores[:, label] >= np.float32(0.3)):
             assert (iou(corners[k : k + 1].astype(float), mine) > 0.5 - 1e-4).any()
 
 
-def test_what_is_not_finite_is_not_picked() -> None:
+def test_non_finite_candidates() -> None:
     corners = np.array([[0, 0, 10, 10], [np.nan, 0, 10, 10], [0, 0, np.inf, 10]], np.float32)
-    picked = pick(Candidates(corners, np.full((3, 1), 0.9, np.float32)), 0.3, 0.5)
+    picked = non_max_suppression(Candidates(corners, np.full((3, 1), 0.9, np.float32)), 0.3, 0.5)
     assert len(picked) == 1
-    assert isinstance(pick(Candidates(corners[:0], np.empty((0, 3), np.float32)), 0.3, 0.5), Boxes)
+    assert isinstance(non_max_suppression(Candidates(corners[:0], np.empty((0, 3), np.float32)), 0.3, 0.5), Boxes)
 
 
-def test_classes_are_grouped() -> None:
+def test_class_groups() -> None:
     scores = np.zeros((1, 80), np.float32)
     scores[0, [COCO.index("cow"), COCO.index("sheep"), COCO.index("chair")]] = (0.4, 0.5, 0.9)
     np.testing.assert_allclose(group_scores(scores), [[0.0, 0.5, 0.0]])
@@ -200,15 +200,15 @@ def test_classes_are_grouped() -> None:
 
 @needs_models
 @pytest.mark.parametrize(("file", "family"), [(YOLOX, Yolox), (NANODET, Nanodet)])
-def test_real_networks_find_the_people_of_a_real_picture(file: Path, family: type) -> None:
+def test_published_networks_detect_persons(file: Path, family: type) -> None:
     image = DATA / "pennfudan" / "images" / "FudanPed00001.png"
     if not image.is_file():
-        pytest.skip(f"no picture {image}")
+        pytest.skip(f"no image {image}")
     detector = load_detector(file, CONFIG)
     assert isinstance(detector.network, family)
     bgr = cv2.imread(str(image))
     candidates = detector.detect(bgr)
-    found = pick(Candidates(candidates.corners_px, group_scores(candidates.scores)), 0.3, 0.45)
+    found = non_max_suppression(Candidates(candidates.corners_px, group_scores(candidates.scores)), 0.3, 0.45)
     people = found.corners_px[found.label == 0]
     truth = np.array([[159, 181, 301, 430], [419, 170, 535, 485]], float)  # its annotation
     assert (iou(truth, people).max(axis=1) > 0.7).all()
@@ -218,5 +218,5 @@ def test_real_networks_find_the_people_of_a_real_picture(file: Path, family: typ
 
 
 @needs_models
-def test_a_black_picture_shows_nothing() -> None:
+def test_black_image() -> None:
     assert len(load_detector(YOLOX, CONFIG).detect(np.zeros((720, 1280, 3), np.uint8)).scores) == 0

@@ -1,4 +1,4 @@
-"""Bad pictures are told from good ones, on real photographs and on made ones, and the node's words for it."""
+"""Image quality of photographs and synthetic images, and the states of the health node."""
 
 import os
 from pathlib import Path
@@ -41,41 +41,41 @@ def field(seed: int = 0) -> np.ndarray:
 
 
 def verdict(bgr: np.ndarray) -> tuple[HealthState, str]:
-    report = inspect(bgr, 160.0, CONFIG.lens)
+    report = inspect(bgr, 160.0, CONFIG.image_quality)
     return report.state, report.reason
 
 
 @needs_photographs
-def test_real_photographs_are_good_and_blurred_ones_are_not() -> None:
-    pictures = [cv2.imread(str(p)) for p in PHOTOGRAPHS[::4]]
-    good = [verdict(p)[0] is not HealthState.BLIND for p in pictures]
+def test_photographs_sharp_and_blurred() -> None:
+    images = [cv2.imread(str(p)) for p in PHOTOGRAPHS[::4]]
+    good = [verdict(p)[0] is not HealthState.BLIND for p in images]
     assert all(good)
     for sigma in (3.0, 4.0, 8.0):
-        assert all("blurred" in verdict(cv2.GaussianBlur(p, (0, 0), sigma))[1] for p in pictures)
+        assert all("blurred" in verdict(cv2.GaussianBlur(p, (0, 0), sigma))[1] for p in images)
 
 
-def test_what_is_wrong_is_named() -> None:
+def test_reason_of_bad_images() -> None:
     assert verdict(field()) == (HealthState.GOOD, "")
-    assert verdict(np.zeros((480, 640, 3), np.uint8)) == (HealthState.BLIND, "picture is dark")
-    assert verdict(field() // 12)[1] == "picture is dark"
-    assert verdict(np.full((480, 640, 3), 255, np.uint8))[1] == "picture is dazzled"
+    assert verdict(np.zeros((480, 640, 3), np.uint8)) == (HealthState.BLIND, "image is dark")
+    assert verdict(field() // 12)[1] == "image is dark"
+    assert verdict(np.full((480, 640, 3), 255, np.uint8))[1] == "image is overexposed"
     assert verdict(np.full((480, 640, 3), 128, np.uint8))[1] == "lens is covered"
     assert "blurred" in verdict(cv2.GaussianBlur(field(), (0, 0), 4.0))[1]
 
 
-def test_a_covered_part_is_told_by_sector() -> None:
+def test_covered_sectors() -> None:
     half = field()
-    half[100:, :330] = 90  # mud over the left of the picture
-    report = inspect(half, 160.0, CONFIG.lens)
+    half[100:, :330] = 90  # mud over the left of the image
+    report = inspect(half, 160.0, CONFIG.image_quality)
     assert report.state is HealthState.DEGRADED
-    assert report.sees.tolist() == [1, 1, 1, 1, 0, 0, 0, 0]  # sectors run from right to left
+    assert report.clear_sectors.tolist() == [1, 1, 1, 1, 0, 0, 0, 0]  # sectors run from right to left
     sky = field()
     sky[:160] = 255
-    assert inspect(sky, 160.0, CONFIG.lens).state is HealthState.GOOD
+    assert inspect(sky, 160.0, CONFIG.image_quality).state is HealthState.GOOD
 
 
 class Bench:
-    """One health node with messages put before it."""
+    """Health node with an inbox of given messages."""
 
     def __init__(self, has_model: bool = True) -> None:
         self.node = CameraHealth("front", CAMERA, has_model, CONFIG)
@@ -106,48 +106,48 @@ class Bench:
         return self.health(stamp_ns + S // 10)
 
 
-def test_good_pictures_prove_the_configured_range() -> None:
+def test_detection_range_of_good_images() -> None:
     health = Bench().see(S, field())
     assert (health.state, health.sensor, health.rejected_count) == (HealthState.GOOD, "camera_front", 0)
-    assert (health.detection_range_m == CONFIG.lens.detection_range_m).all()
+    assert (health.detection_range_m == CONFIG.image_quality.detection_range_m).all()
     assert len(health.sector_edges_rad) == len(health.detection_range_m) + 1
 
 
-def test_without_model_nothing_is_proven() -> None:
+def test_no_detection_range_without_model() -> None:
     health = Bench(has_model=False).see(S, field())
     assert (health.state, health.reason) == (HealthState.BLIND, "no model: nothing is detected")
     assert not health.detection_range_m.any()
-    assert Bench(has_model=False).see(S, field() // 12).reason == "picture is dark"
+    assert Bench(has_model=False).see(S, field() // 12).reason == "image is dark"
 
 
-def test_silence_of_camera_and_of_detector() -> None:
+def test_timeout_of_camera_and_detector() -> None:
     bench = Bench()
-    assert bench.health(S).reason == "no picture yet"
+    assert bench.health(S).reason == "no image yet"
     assert bench.see(2 * S, field()).state is HealthState.GOOD
     limit = 2 * S + round(CONFIG.silent_s * S)
     assert bench.health(limit).state is HealthState.GOOD
     late = bench.health(limit + 1)
-    assert (late.state, late.reason) == (HealthState.BLIND, "no picture any more")
+    assert (late.state, late.reason) == (HealthState.BLIND, "no images any more")
     assert not late.detection_range_m.any()
-    deaf = Bench()
-    deaf.put("camera/front", CameraImage(S, field()))
-    assert deaf.health(S).reason == "detector does not answer"
+    without_detector = Bench()
+    without_detector.put("camera/front", CameraImage(S, field()))
+    assert without_detector.health(S).reason == "no detector output"
 
 
-def test_a_frozen_picture_counts_only_when_moving() -> None:
+def test_frozen_image_while_moving() -> None:
     bench = Bench()
     assert bench.see(S, field()).state is HealthState.GOOD
     assert bench.see(2 * S, field(), speed_mps=0.0).state is HealthState.GOOD
-    assert bench.see(3 * S, field()).reason == "sends the same picture again"
+    assert bench.see(3 * S, field()).reason == "sends the same image again"
     assert bench.see(4 * S, field(1)).state is HealthState.GOOD
 
 
-def test_pictures_of_the_wrong_size_are_counted() -> None:
+def test_image_size_mismatch_is_counted() -> None:
     bench = Bench()
     for i, shape in enumerate(((480, 640), (480, 640, 4), (720, 1280, 3), (0, 0, 3))):
         health = bench.see((i + 1) * S, np.zeros(shape, np.uint8))
         assert (health.state, health.reason, health.rejected_count) == (
             HealthState.BLIND,
-            "picture has the wrong size",
+            "image has the wrong size",
             i + 1,
         )

@@ -1,4 +1,4 @@
-"""The camera's node from picture to message, with a network that always sees the same, and without sound pictures."""
+"""Camera node from image to message, with a constant network, and without valid images."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ CAMERA = Camera(
 @pytest.fixture
 def node(tmp_path: Path) -> CameraObstacles:
     raw = np.zeros((1, 84, 85), np.float32)  # 64 x 64: 64 + 16 + 4 cells
-    # stride 16, row 2, column 1: box of 1.6 x 6.4 input pixels about (22, 34), which are 10 of the picture's each
+    # stride 16, row 2, column 1: box of 1.6 x 6.4 input pixels about (22, 34), which are 10 of the image each
     raw[0, 64 + 9, :6] = (0.375, 0.125, np.log(0.1), np.log(0.4), 0.9, 1.0)
     file = write(tmp_path / "always.onnx", (1, 3, 64, 64), {"output": raw})
     detector = load_detector(file, CONFIG.detector)
@@ -43,7 +43,7 @@ def step(node: CameraObstacles, bgr: np.ndarray | None) -> list[tuple[str, Obsta
     return list(node.step(7, inbox))
 
 
-def test_a_picture_becomes_a_message(node: CameraObstacles) -> None:
+def test_obstacles_from_image(node: CameraObstacles) -> None:
     ((topic, found),) = step(node, np.zeros((640, 640, 3), np.uint8))
     assert (topic, found.stamp_ns, found.sensor) == ("obstacles/camera_front", 5, "camera_front")
     # box 212 to 228 across, 308 to 372 down: feet 15.4 degrees below level, 2.6 m below the camera
@@ -52,7 +52,7 @@ def test_a_picture_becomes_a_message(node: CameraObstacles) -> None:
     assert found.class_scores[0].argmax() == 1  # person
 
 
-def test_without_a_sound_picture_nothing_is_told(node: CameraObstacles) -> None:
+def test_no_output_without_valid_image(node: CameraObstacles) -> None:
     assert step(node, None) == []
     for shape in ((640, 640), (640, 639, 3), (0, 0, 3), (640, 640, 1)):
         assert step(node, np.zeros(shape, np.uint8)) == []

@@ -1,4 +1,4 @@
-"""Which nodes perceive: every sensor that the vehicle lists, a model or none, and the load that they are given."""
+"""Nodes of perception: per sensor of the vehicle, with and without model, and their load."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -48,7 +48,7 @@ def nodes(model: Path | None) -> list[tuple[Node, int]]:
 
 
 class MadeUp(World):
-    """A machine that stands, with an echo and a radar target that repeat."""
+    """A machine at rest with a repeated echo and a repeated radar target."""
 
     writes = ("odom", "machine", "camera/front", "radar/front", "ultrasonic/left", "lidar/front", "lidar/rear")
 
@@ -81,7 +81,7 @@ def drive(found: list[tuple[Node, int]], seconds: float) -> dict[str, Message]:
     return newest
 
 
-def test_each_sensor_has_its_nodes_and_the_load_is_borne(tmp_path: Path) -> None:
+def test_nodes_and_load_of_each_sensor(tmp_path: Path) -> None:
     model = write(tmp_path / "always.onnx", (1, 3, 64, 64), {"output": np.zeros((1, 84, 85), np.float32)})
     for file, eyes in ((None, 4), (model, 5)):
         found = nodes(file)
@@ -90,27 +90,27 @@ def test_each_sensor_has_its_nodes_and_the_load_is_borne(tmp_path: Path) -> None
         check_wiring(MadeUp(0.0), found, STACK.executor.cores)
 
 
-def test_radar_and_echo_alone_become_tracks() -> None:
+def test_tracks_from_radar_and_ultrasonic_alone() -> None:
     newest = drive(nodes(None), 2.0)
     tracks = newest["tracks"]
     assert isinstance(tracks, Tracks)
     assert {t.sensors for t in tracks.tracks if t.is_confirmed} == {("radar_front",), ("ultrasonic_left",)}
 
 
-def test_a_camera_without_a_model_proves_nothing_and_says_so(tmp_path: Path) -> None:
-    told = drive(nodes(None), 1.5)["health/camera_front"]
-    assert isinstance(told, SensorHealth)
-    assert (told.state, told.detection_range_m.max()) == (HealthState.BLIND, 0.0)
-    assert told.reason == "no model: nothing is detected"
+def test_camera_without_model_is_blind(tmp_path: Path) -> None:
+    health = drive(nodes(None), 1.5)["health/camera_front"]
+    assert isinstance(health, SensorHealth)
+    assert (health.state, health.detection_range_m.max()) == (HealthState.BLIND, 0.0)
+    assert health.reason == "no model: nothing is detected"
     model = write(tmp_path / "always.onnx", (1, 3, 64, 64), {"output": np.zeros((1, 84, 85), np.float32)})
     seen = drive(nodes(model), 1.5)
     assert "obstacles/camera_front" in seen
-    told = seen["health/camera_front"]
-    assert isinstance(told, SensorHealth)
-    assert told.state is not HealthState.BLIND or "model" not in told.reason
+    health = seen["health/camera_front"]
+    assert isinstance(health, SensorHealth)
+    assert health.state is not HealthState.BLIND or "model" not in health.reason
 
 
-def test_a_model_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_invalid_model_is_refused(tmp_path: Path) -> None:
     for file, words in ((tmp_path / "none.onnx", "no such model file"), (Path(__file__), "not a model")):
         with pytest.raises(ConfigError, match=words):
             nodes(file)

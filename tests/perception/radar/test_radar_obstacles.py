@@ -1,4 +1,4 @@
-"""Radar from echoes made by hand (a second, forward model) to obstacles: motion taken out, clutter kept out."""
+"""Radar from echoes of an independent forward model to obstacles: ego-motion compensation, clutter rejection."""
 
 import math
 from dataclasses import replace
@@ -42,7 +42,7 @@ def odometry(
 def echo(
     odom: Odometry, p: tuple[float, float], v: tuple[float, float], rng: np.random.Generator | None = None
 ) -> list[float]:
-    """What the radar measures of a point at `p` with velocity `v` in `odom`: by moving both on by a little time."""
+    """Measurement of a point at `p` with velocity `v` in `odom`; Doppler by a finite difference in time."""
     dt, T = 1e-4, odom.T_odom_base
     yaw = math.atan2(T[1, 0], T[0, 0])
     later = planar(
@@ -68,18 +68,18 @@ def scan(stamp_ns: int, rows: list[list[float]]) -> RadarScan:
     st.floats(-0.5, 0.5), st.floats(-3.0, 3.0),
 )  # fmt: skip
 @settings(derandomize=True, max_examples=100)
-def test_own_motion_is_taken_out(r: float, a: float, vx: float, vy: float, v: float, w: float, yaw: float) -> None:
+def test_ego_motion_compensation(r: float, a: float, vx: float, vy: float, v: float, w: float, yaw: float) -> None:
     odom = odometry(S, 7.0, -4.0, yaw, v, w)
     p = odom.T_odom_base @ [3.4 + r * math.cos(a), 0.3 + r * math.sin(a), 0.0, 1.0]
     one = scan(S, [echo(odom, (p[0], p[1]), (vx, vy))])
     T = RADAR.mount.T_base_sensor
-    seen = to_base(one, np.ones(1, bool), T, sensor_velocity(odom, T))
-    np.testing.assert_allclose(seen.p_base_m[0, :2], [3.4 + r * math.cos(a), 0.3 + r * math.sin(a)], atol=1e-6)
-    sight = odom.T_odom_base[:2, :2] @ [math.cos(a), math.sin(a)]
-    assert seen.radial_mps[0] == pytest.approx(sight @ [vx, vy], abs=2e-3)
+    targets = to_base(one, np.ones(1, bool), T, sensor_velocity(odom, T))
+    np.testing.assert_allclose(targets.p_base_m[0, :2], [3.4 + r * math.cos(a), 0.3 + r * math.sin(a)], atol=1e-6)
+    line_of_sight = odom.T_odom_base[:2, :2] @ [math.cos(a), math.sin(a)]
+    assert targets.radial_mps[0] == pytest.approx(line_of_sight @ [vx, vy], abs=2e-3)
 
 
-def test_own_speed_follows_from_a_standing_majority() -> None:
+def test_ego_velocity_from_static_majority() -> None:
     rng = np.random.default_rng(1)
     odom = odometry(S, v=2.0, w=0.2)
     rows = [echo(odom, (x, y), (0.0, 0.0), rng) for x, y in rng.uniform((8, -15), (40, 15), (30, 2))]
@@ -93,7 +93,7 @@ def test_own_speed_follows_from_a_standing_majority() -> None:
     assert np.isnan(none).all()
 
 
-def test_a_walker_beside_a_post_is_a_target_of_its_own() -> None:
+def test_walking_person_beside_post() -> None:
     odom = odometry(S, v=1.5)
     rows = [
         echo(odom, (15.0, 0.0), (0.0, 0.0)),
@@ -111,12 +111,12 @@ def test_a_walker_beside_a_post_is_a_target_of_its_own() -> None:
     st.randoms(use_true_random=False),
 )
 @settings(derandomize=True, max_examples=60)
-def test_clusters_do_not_depend_on_the_order_of_echoes(items: list[tuple[float, float, float]], order) -> None:
+def test_clusters_invariant_to_order(items: list[tuple[float, float, float]], order) -> None:
     def partition(rows: list[tuple[float, float, float]]) -> list[tuple[int, float]]:
         r, a, v = np.array(rows, np.float64).reshape(-1, 3).T.copy()
-        sight = np.stack([np.cos(a), np.sin(a)], axis=1)
-        p = np.concatenate([r[:, None] * sight, np.zeros((len(r), 1))], axis=1)
-        found = find_clusters(Echoes(p, sight, r, a, v, np.zeros(len(r))), 0.02, CONFIG.clusters)
+        line_of_sight = np.stack([np.cos(a), np.sin(a)], axis=1)
+        p = np.concatenate([r[:, None] * line_of_sight, np.zeros((len(r), 1))], axis=1)
+        found = find_clusters(Echoes(p, line_of_sight, r, a, v, np.zeros(len(r))), 0.02, CONFIG.clusters)
         return sorted(zip(found.count.tolist(), found.range_m.round(9).tolist(), strict=True))
 
     shuffled = list(items)
@@ -125,9 +125,9 @@ def test_clusters_do_not_depend_on_the_order_of_echoes(items: list[tuple[float, 
     assert sum(n for n, _ in partition(items)) == len(items)
 
 
-def test_weak_echoes_are_clutter() -> None:
+def test_min_cross_section() -> None:
     odom = odometry(S)
-    for rcs, n in ((CONFIG.clusters.least_rcs_dbsm - 0.1, 0), (CONFIG.clusters.least_rcs_dbsm, 1)):
+    for rcs, n in ((CONFIG.clusters.min_rcs_dbsm - 0.1, 0), (CONFIG.clusters.min_rcs_dbsm, 1)):
         row = echo(odom, (15.0, 0.0), (0.0, 0.0))
         row[4] = rcs
         T = RADAR.mount.T_base_sensor
@@ -139,7 +139,7 @@ def test_weak_echoes_are_clutter() -> None:
 def drive(
     targets: list[tuple[tuple[float, float], tuple[float, float]]], cycles: int = 40, clutter: int = 5, seed: int = 0
 ):
-    """The last message of a drive at 2 m/s in a slight bend past targets (place at the start, velocity) in `odom`."""
+    """Last message of a drive at 2 m/s in a slight bend past targets (initial position, velocity) in `odom`."""
     rng = np.random.default_rng(seed)
     node = RadarObstacles("front", RADAR, VEHICLE, None, CONFIG)
     x = y = yaw = 0.0
@@ -151,13 +151,13 @@ def drive(
             [rng.uniform(2, 60), rng.uniform(-1, 1), 0.0, rng.uniform(-5, 2), rng.uniform(-15, -5)]
             for _ in range(clutter)
         ]
-        obstacles = node.absorb(scan(stamp, rows), odom)
+        obstacles = node.process(scan(stamp, rows), odom)
         last = odom
         x, y, yaw = x + v / 20 * math.cos(yaw + w / 40), y + v / 20 * math.sin(yaw + w / 40), yaw + w / 20
     return obstacles, last
 
 
-def test_moving_and_standing_targets_are_told_with_their_velocity() -> None:
+def test_velocity_of_moving_and_static_targets() -> None:
     crossing, post = ((20.0, -3.0), (0.0, 1.5)), ((22.0, 6.0), (0.0, 0.0))
     obstacles, odom = drive([crossing, post])
     for (p, v), fastest_error in ((crossing, 0.9), (post, 0.9)):
@@ -165,27 +165,27 @@ def test_moving_and_standing_targets_are_told_with_their_velocity() -> None:
         gap = np.hypot(*(obstacles.center_base_m[:, :2] - place[:2]).T)
         k = int(gap.argmin())
         assert gap[k] < 1.0
-        told = odom.T_odom_base[:2, :2] @ obstacles.velocity_mps[k]
-        assert np.hypot(*(told - np.array(v))) < fastest_error
+        published = odom.T_odom_base[:2, :2] @ obstacles.velocity_mps[k]
+        assert np.hypot(*(published - np.array(v))) < fastest_error
         assert (obstacles.sigma_m[k] > 0).all()
         assert obstacles.sigma_m[k, 1] > obstacles.sigma_m[k, 0]  # bearing is the weaker part
     np.testing.assert_allclose(obstacles.class_scores.sum(axis=1), 1.0)
 
 
-def test_clutter_alone_rarely_becomes_an_obstacle() -> None:
+def test_obstacle_rate_from_clutter() -> None:
     ghosts = sum(len(drive([], cycles=30, clutter=8, seed=seed)[0].yaw_rad) for seed in range(10))
     assert ghosts <= 1
 
 
-def test_one_cycle_is_not_believed_and_time_that_runs_back_forgets() -> None:
+def test_confirmation_and_reset_on_time_reversal() -> None:
     node = RadarObstacles("front", RADAR, VEHICLE, None, CONFIG)
     row = [echo(odometry(S), (15.0, 0.0), (0.0, 0.0))]
-    told = [len(node.absorb(scan(S + k * CYCLE, row), odometry(S + k * CYCLE)).yaw_rad) for k in range(6)]
-    assert told == [0, 0, 0, 1, 1, 1]
-    assert len(node.absorb(scan(S, row), odometry(S)).yaw_rad) == 0
+    published = [len(node.process(scan(S + k * CYCLE, row), odometry(S + k * CYCLE)).yaw_rad) for k in range(6)]
+    assert published == [0, 0, 0, 1, 1, 1]
+    assert len(node.process(scan(S, row), odometry(S)).yaw_rad) == 0
 
 
-def test_numbers_that_are_no_measurement_are_left_out() -> None:
+def test_invalid_detections() -> None:
     row = echo(odometry(S), (15.0, 0.0), (0.0, 0.0))
     bad = [[*row[:i], value, *row[i + 1 :]] for i in (0, 1, 3, 4) for value in (math.nan, math.inf)]
     assert not usable(scan(S, bad), RADAR.range_m, 1.05).any()
@@ -195,12 +195,12 @@ def test_numbers_that_are_no_measurement_are_left_out() -> None:
     assert usable(scan(S, edges), RADAR.range_m, 1.05).tolist() == [True, True, False, False, False]
     node = RadarObstacles("front", RADAR, VEHICLE, None, CONFIG)
     for k in range(6):
-        assert len(node.absorb(scan(S + k * CYCLE, bad), odometry(S + k * CYCLE)).yaw_rad) == 0
-    assert len(node.absorb(scan(2 * S, []), odometry(2 * S)).yaw_rad) == 0
+        assert len(node.process(scan(S + k * CYCLE, bad), odometry(S + k * CYCLE)).yaw_rad) == 0
+    assert len(node.process(scan(2 * S, []), odometry(2 * S)).yaw_rad) == 0
 
 
 class Bench:
-    """A node with messages put before it."""
+    """Node with an inbox of given messages."""
 
     def __init__(self, node: RadarHealth | RadarObstacles) -> None:
         self.node, self.inbox = node, NodeInbox(node)
@@ -221,7 +221,7 @@ class Bench:
         return message
 
 
-def test_node_needs_odometry_and_a_sound_scan() -> None:
+def test_no_output_without_odometry_or_valid_scan() -> None:
     bench = Bench(RadarObstacles("front", RADAR, VEHICLE, None, CONFIG))
     assert bench.step(S) == []
     one = scan(S, [echo(odometry(S), (15.0, 0.0), (0.0, 0.0))])
@@ -233,7 +233,7 @@ def test_node_needs_odometry_and_a_sound_scan() -> None:
     assert bench.step(2 * S) == []
 
 
-def test_health_of_a_radar() -> None:
+def test_radar_health() -> None:
     bench = Bench(RadarHealth("front", RADAR, CONFIG))
     assert bench.health(S).reason == "no cycle yet"
     world = [(x, y) for x in (10.0, 20.0, 30.0) for y in (-6.0, -2.0, 2.0, 6.0)]
@@ -254,8 +254,8 @@ def test_health_of_a_radar() -> None:
     covered = cycle(limit + 1, 2.0, [])
     assert (covered.state, covered.reason) == (HealthState.BLIND, "no echo while moving: covered")
     assert not covered.detection_range_m.any()
-    assert cycle(limit + S, 0.0, []).state is HealthState.GOOD  # standing, nothing need be there
+    assert cycle(limit + S, 0.0, []).state is HealthState.GOOD  # at rest, no echo is required
     bench.put("radar/front", RadarScan(limit + S, *(np.zeros(n) for n in (2, 2, 2, 3, 2))))
     assert bench.health(limit + S).rejected_count == 1
     silent = bench.health(limit + S + round(CONFIG.health.silent_s * S) + 1)
-    assert (silent.state, silent.reason) == (HealthState.BLIND, "no cycle any more")
+    assert (silent.state, silent.reason) == (HealthState.BLIND, "no cycles any more")

@@ -1,4 +1,4 @@
-"""Ultrasonic: strays are dropped, near objects told and held in the dead zone, silence is not clearance."""
+"""Ultrasonic: stray echoes are rejected, near obstacles confirmed and held in the dead zone; no data is BLIND."""
 
 import math
 from pathlib import Path
@@ -14,7 +14,7 @@ from messages.message import Envelope, Message
 from messages.motion import Odometry
 from messages.perception import HealthState, Obstacles, SensorHealth
 from messages.sensors import UltrasonicRange
-from perception.ultrasonic.echoes import Echo, Near, axis_speed, held_range, is_range, repeated_range
+from perception.ultrasonic.echoes import Echo, LastObject, axis_speed, held_range, is_valid_range, repeated_range
 from perception.ultrasonic.health import UltrasonicHealth
 from perception.ultrasonic.obstacles import UltrasonicConfig, UltrasonicObstacles, ground_range
 from runtime.bus import NodeInbox
@@ -38,7 +38,7 @@ def echoes(*ranges: float, closing_mps: float = 0.0) -> list[Echo]:
 
 
 @pytest.mark.parametrize(
-    ("ranges", "told"),
+    ("ranges", "confirmed"),
     [
         ((), None),
         ((2.0,), None),
@@ -54,20 +54,20 @@ def echoes(*ranges: float, closing_mps: float = 0.0) -> list[Echo]:
         ((3.0, 3.0, 1.0, 1.0, 1.0), 1.0),
     ],
 )
-def test_what_repeats_is_told(ranges: tuple[float, ...], told: float | None) -> None:
+def test_repeated_range(ranges: tuple[float, ...], confirmed: float | None) -> None:
     result = repeated_range(echoes(*ranges), CONFIG.echoes)
-    assert result is None if told is None else result == pytest.approx(told)
+    assert result is None if confirmed is None else result == pytest.approx(confirmed)
 
 
-def test_own_motion_is_taken_out() -> None:
-    # 2 m/s towards a wall: 0.2 m a step, more than the gate; told is where the wall is now
+def test_ego_motion_compensation() -> None:
+    # 2 m/s towards a wall: 0.2 m a step, more than the gate; expected is the present range
     ranges = (3.0, 2.8, 2.6, 2.4, 2.2)
     assert repeated_range(echoes(*ranges, closing_mps=2.0), CONFIG.echoes) == pytest.approx(2.2)
     assert repeated_range(echoes(*ranges[:4], NAN, closing_mps=2.0), CONFIG.echoes) == pytest.approx(2.2)
     assert repeated_range(echoes(0.3, 0.1, 0.0, NAN, NAN, closing_mps=2.0), CONFIG.echoes) == 0.0
 
 
-def test_old_echoes_do_not_count() -> None:
+def test_old_echoes_are_ignored() -> None:
     old = [Echo(S, 2.0, 0.0), Echo(S + STEP, 2.0, 0.0)]
     window = round(CONFIG.echoes.window_s * S)
     assert repeated_range([*old, Echo(S + window, 2.0, 0.0)], CONFIG.echoes) == 2.0
@@ -76,23 +76,23 @@ def test_old_echoes_do_not_count() -> None:
 
 @given(st.lists(st.one_of(st.just(NAN), st.floats(0.0, 4.0)), max_size=8), st.floats(-1.0, 1.0))
 @settings(derandomize=True, max_examples=200)
-def test_what_is_told_was_heard_that_often(ranges: list[float], closing: float) -> None:
-    told = repeated_range(echoes(*ranges, closing_mps=closing), CONFIG.echoes)
+def test_confirmed_range_has_enough_echoes(ranges: list[float], closing: float) -> None:
+    confirmed = repeated_range(echoes(*ranges, closing_mps=closing), CONFIG.echoes)
     recent = ranges[-CONFIG.echoes.window :]
-    if told is not None:
-        assert sum(not math.isnan(r) for r in recent) >= CONFIG.echoes.repeats
-        assert 0.0 <= told <= 4.0 + 0.1 * len(ranges)
+    if confirmed is not None:
+        assert sum(not math.isnan(r) for r in recent) >= CONFIG.echoes.min_agreeing
+        assert 0.0 <= confirmed <= 4.0 + 0.1 * len(ranges)
     same = [r for r in recent if r == (recent[-1] if recent else 0)]
-    if closing == 0.0 and len(same) >= CONFIG.echoes.repeats:
-        assert told is not None
+    if closing == 0.0 and len(same) >= CONFIG.echoes.min_agreeing:
+        assert confirmed is not None
 
 
-def test_an_object_that_slips_into_the_dead_zone_is_held() -> None:
-    edge = REAR.range_m[0] + CONFIG.echoes.dead_margin_m
+def test_object_entering_dead_zone_is_held() -> None:
+    edge = REAR.range_m[0] + CONFIG.echoes.dead_zone_margin_m
     hold = round(CONFIG.echoes.hold_s * S)
 
-    def held(heard_m: float, after_ns: int, came_m: float) -> float | None:
-        return held_range(Near(S, heard_m, 0.0), Echo(S + after_ns, NAN, came_m), REAR, CONFIG.echoes)
+    def held(last_m: float, after_ns: int, advance_m: float) -> float | None:
+        return held_range(LastObject(S, last_m, 0.0), Echo(S + after_ns, NAN, advance_m), REAR, CONFIG.echoes)
 
     assert held(edge, STEP, 0.0) == REAR.range_m[0]
     assert held(edge + 0.001, STEP, 0.0) is None
@@ -104,7 +104,7 @@ def test_an_object_that_slips_into_the_dead_zone_is_held() -> None:
     assert held_range(None, Echo(S, NAN, 0.0), REAR, CONFIG.echoes) is None
 
 
-def test_axis_speed_has_the_lever_arm() -> None:
+def test_axis_speed_with_lever_arm() -> None:
     odom = Odometry(S, np.eye(4), -0.5, 0.0, 0.0, 0.2, 0.0, np.zeros((6, 6)))
     assert axis_speed(odom, REAR.mount.T_base_sensor) == pytest.approx(0.5 + 0.2 * 0.5)
 
@@ -112,12 +112,12 @@ def test_axis_speed_has_the_lever_arm() -> None:
 @pytest.mark.parametrize(
     ("value", "good"), [(NAN, True), (0.0, True), (4.4, True), (4.41, False), (-0.01, False), (math.inf, False)]
 )
-def test_only_ranges_within_reach_are_measurements(value: float, good: bool) -> None:
-    assert is_range(value, REAR) == good
+def test_valid_ranges(value: float, good: bool) -> None:
+    assert is_valid_range(value, REAR) == good
 
 
 class Bench:
-    """A node with measurements put before it, one a tenth of a second."""
+    """Node with an inbox of given measurements, one per 0.1 s."""
 
     def __init__(self, node: UltrasonicObstacles | UltrasonicHealth) -> None:
         self.node, self.inbox, self.now_ns = node, NodeInbox(node), S
@@ -149,7 +149,7 @@ class Bench:
         return message
 
 
-def test_an_object_behind_is_told_where_it_stands() -> None:
+def test_position_of_obstacle_behind() -> None:
     bench = Bench(UltrasonicObstacles("rear", REAR, VEHICLE, None, CONFIG))
     counts = [len(bench.obstacles(2.0).yaw_rad) for _ in range(4)]
     assert counts == [0, 0, 1, 1]
@@ -162,20 +162,20 @@ def test_an_object_behind_is_told_where_it_stands() -> None:
     np.testing.assert_allclose(found.class_scores, 1 / 7)
 
 
-def test_reversing_to_a_person_holds_him_in_the_dead_zone() -> None:
+def test_person_in_dead_zone_while_reversing() -> None:
     bench = Bench(UltrasonicObstacles("rear", REAR, VEHICLE, None, CONFIG))
     r = 1.0
     while r > REAR.range_m[0]:
         bench.obstacles(r, speed_mps=-0.5)
         r -= 0.05
-    for _ in range(20):  # stands now, hears nothing
+    for _ in range(20):  # at rest, no echo
         assert len(bench.obstacles(NAN).yaw_rad) == 1
     for _ in range(11):  # half a metre forwards
         gone = bench.obstacles(NAN, speed_mps=0.5)
     assert len(gone.yaw_rad) == 0
 
 
-def test_the_own_implement_the_ground_and_what_is_out_of_reach_are_none() -> None:
+def test_implement_ground_and_range_limit() -> None:
     for sensor, implement, range_m in (
         (REAR, HARROW, 0.5),
         (REAR.model_copy(update={"mount": Mount(xyz_m=(-1.1, 0.0, 0.6), rpy_deg=(0.0, 20.0, 180.0))}), None, 1.7),
@@ -188,7 +188,7 @@ def test_the_own_implement_the_ground_and_what_is_out_of_reach_are_none() -> Non
     assert ground_range(REAR) == math.inf
 
 
-def test_a_clock_that_runs_back_forgets() -> None:
+def test_reset_on_time_reversal() -> None:
     bench = Bench(UltrasonicObstacles("rear", REAR, VEHICLE, None, CONFIG))
     for _ in range(4):
         bench.obstacles(2.0)
@@ -198,10 +198,10 @@ def test_a_clock_that_runs_back_forgets() -> None:
     assert bench.hear(None) == []
 
 
-def test_nothing_heard_is_clear_but_silence_is_blind() -> None:
+def test_no_echo_is_good_and_timeout_is_blind() -> None:
     bench = Bench(UltrasonicHealth("rear", REAR, CONFIG))
     first = bench.health(None)
-    assert (first.state, first.reason) == (HealthState.BLIND, "sends nothing yet")
+    assert (first.state, first.reason) == (HealthState.BLIND, "no measurement yet")
     for _ in range(40):
         clear = bench.health(NAN, speed_mps=-0.5)
     assert (clear.state, clear.detection_range_m.tolist()) == (HealthState.GOOD, [REAR.range_m[1]])
@@ -211,15 +211,15 @@ def test_nothing_heard_is_clear_but_silence_is_blind() -> None:
     assert math.degrees(clear.sector_edges_rad[1] - clear.sector_edges_rad[0]) == pytest.approx(REAR.cone_deg)
 
 
-def test_a_stuck_number_is_told_when_moving() -> None:
+def test_constant_value_while_moving() -> None:
     bench = Bench(UltrasonicHealth("rear", REAR, CONFIG))
     assert all(bench.health(2.0).state is HealthState.GOOD for _ in range(40))
     states = [bench.health(2.0, speed_mps=-0.5) for _ in range(25)]
     assert states[19].state is HealthState.GOOD
-    assert (states[-1].state, states[-1].reason) == (HealthState.BLIND, "sends the same number again")
+    assert (states[-1].state, states[-1].reason) == (HealthState.BLIND, "sends the same value again")
 
 
-def test_cross_talk_and_nonsense_are_told() -> None:
+def test_cross_talk_and_invalid_ranges() -> None:
     rng = np.random.default_rng(3)
     bench = Bench(UltrasonicHealth("rear", REAR, CONFIG))
     for _ in range(CONFIG.health.votes):
