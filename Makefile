@@ -1,7 +1,7 @@
 .PHONY: lock test docs mutants format clean
 uv := $(or $(shell command -v uv),.uv/bin/uv)
 
-lock: # resolve each requirements*.in anew; LOCK=--upgrade takes newer versions
+lock: # resolve each requirements*.in again; LOCK=--upgrade takes newer versions
 	for name in requirements requirements-mutants; do \
 	  $(uv) pip compile --quiet --generate-hashes --universal --python-version 3.11 --no-emit-index-url --no-emit-find-links \
 	    --custom-compile-command "make lock" $(LOCK) $$name.in -o $$name.txt || exit; \
@@ -15,7 +15,7 @@ docs: # generate the tables and figures in docs/ and README.md from recorded res
 	  PYTHONPATH=$(CURDIR) PYTHONSAFEPATH=1 .venv/bin/python -m runtime.documents.$$name || exit; \
 	done
 
-mutants: # run what is left of the mutants of safety/; tests/safety/mutants.py says what ONLY=... may be
+mutants: # run the remaining mutants of safety/; ONLY=... as in tests/safety/mutants.py
 	$(uv) pip install --quiet --python .venv/bin/python --target .mutants --require-hashes --no-build -r requirements-mutants.txt
 	PYTHONPATH=$(CURDIR)/.mutants PYTHONSAFEPATH=1 .venv/bin/python tests/safety/mutants.py $(ONLY)
 
@@ -23,6 +23,6 @@ format:
 	.venv/bin/python -m ruff check --fix
 	.venv/bin/python -m ruff format
 
-clean: # all that set-up and the checks made; runs/ is yours
+clean: # remove the output of set-up and checks; runs/ is kept
 	rm -rf .venv .uv .mutants mutants .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -20,7 +20,7 @@ from messages.plan import Path
 from planning.config import PlanningConfig
 from planning.docking.dock import Docking, plan_docking
 from planning.rig import rig_of
-from runtime.setup import start_of
+from runtime.setup import start_pose
 
 BAR_S = 0.5
 
@@ -48,7 +48,7 @@ def dockings() -> tuple[Mission, list[Docking]]:
 
 def trial(docking: Docking, mission: Mission, seed: int) -> Trial:
     """Plan from the start that a seed draws."""
-    start, _ = start_of(mission, docking.site, seed)
+    start, _ = start_pose(mission, docking.site, seed)
     began_s, busy_s = time.perf_counter(), time.process_time()
     try:
         paths, refusal = plan_docking(start.pose, docking, 1), ""

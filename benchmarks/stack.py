@@ -1,8 +1,8 @@
-"""Where the time goes: wall seconds per simulated second of every node, the world and the log, against the budget.
+"""Computing time: wall seconds per simulated second of every node, the world and the log, against the budget.
 
     ./headland benchmark stack [--seconds 60] [--seed 1]
 
-Also fails (exit code 1) when the whole is over 0.8 s a simulated second, or a node's 99th percentile over its latency.
+Exit code 1 if the total exceeds 0.8 s per simulated second, or the 99th percentile of a node its latency.
 """
 
 import argparse
@@ -27,7 +27,7 @@ LIMIT = 0.8
 
 
 def main() -> int:
-    """Drive the beginning of the demo with a clock about every step."""
+    """Drives the first seconds of the demo and measures every step."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=1)
@@ -47,12 +47,12 @@ def main() -> int:
         start_ns, began_s = executor.now_ns, time.perf_counter()
         executor.run(lambda: executor.now_ns - start_ns > arguments.seconds * 1e9)
         wall_s = time.perf_counter() - began_s
-    over = show(spent, {node.name: ns for node, ns in nodes}, wall_s, arguments.seconds)
+    over = print_table(spent, {node.name: ns for node, ns in nodes}, wall_s, arguments.seconds)
     return 1 if over or wall_s > LIMIT * arguments.seconds else 0
 
 
 def timed(function: Callable[..., Any], spent: list[float]) -> Callable[..., Any]:
-    """The function with every call's wall time noted; a generator's work counts too."""
+    """Function that records the wall time of every call, including the work of a returned generator."""
 
     def call(*arguments: Any) -> Any:
         began_s = time.perf_counter()
@@ -64,8 +64,10 @@ def timed(function: Callable[..., Any], spent: list[float]) -> Callable[..., Any
     return call
 
 
-def show(spent: dict[str, list[float]], latency_ns: dict[str, int], wall_s: float, simulated_s: float) -> list[str]:
-    """Print the table; returns the nodes over budget."""
+def print_table(
+    spent: dict[str, list[float]], latency_ns: dict[str, int], wall_s: float, simulated_s: float
+) -> list[str]:
+    """Prints the table; returns the nodes over budget."""
     sys.stdout.write(f"{'part':<20}{'s per sim s':>12}{'median ms':>11}{'p99 ms':>9}{'budget ms':>11}\n")
     over = []
     for name, times in sorted(spent.items(), key=lambda item: -sum(item[1])):
@@ -78,7 +80,7 @@ def show(spent: dict[str, list[float]], latency_ns: dict[str, int], wall_s: floa
         sys.stdout.write(f"{name:<20}{row}\n")
     rest = wall_s - sum(map(sum, spent.values()))
     sys.stdout.write(f"{'executor and bus':<20}{rest / simulated_s:>12.4f}\n")
-    sys.stdout.write(f"{'whole':<20}{wall_s / simulated_s:>12.4f}   limit {LIMIT}\n")
+    sys.stdout.write(f"{'total':<20}{wall_s / simulated_s:>12.4f}   limit {LIMIT}\n")
     return over
 
 

@@ -1,4 +1,4 @@
-"""Topics, sequence numbers and what each node finds in its inbox."""
+"""Message bus: topics, sequence numbers and the inbox of each node."""
 
 import math
 from collections import deque
@@ -21,7 +21,7 @@ class _Interpolable(Protocol):
 
 
 class NodeInbox:
-    """One node's view of the topics it declared; reading another topic raises WiringError."""
+    """Inbox of one node; reading an undeclared topic raises WiringError."""
 
     def __init__(self, node: Node) -> None:
         self.now_ns = 0
@@ -34,7 +34,7 @@ class NodeInbox:
         self._max_age_ns = {topic: math.inf if math.isinf(age) else round(age * 1e9) for topic, age in ages.items()}
 
     def put(self, envelope: Envelope) -> None:
-        """Take in what was delivered."""
+        """Stores a delivered message."""
         topic, message = envelope.topic, envelope.message
         self._last[topic] = message
         if topic in self._queues:
@@ -42,18 +42,18 @@ class NodeInbox:
         if topic in self._histories:
             history = self._histories[topic]
             if history and message.stamp_ns <= history[-1].stamp_ns:
-                history.clear()  # a clock that went back: what came before cannot be put in order with it
+                history.clear()  # backward clock step: earlier messages have no order against the new ones
             history.append(message)
             while history[-1].stamp_ns - history[0].stamp_ns > self._keep_ns[topic]:
                 history.popleft()
 
     def clear(self) -> None:
-        """Forget what `all` has shown."""
+        """Empties the queues of `all`."""
         for queue in self._queues.values():
             queue.clear()
 
     def last(self, topic: str, kind: type[M]) -> M | None:
-        """The newest message however old."""
+        """Newest message of any age, or None."""
         if topic not in self._last:
             raise WiringError(f"node {self._node!r} reads {topic!r}, which it does not declare")
         message = self._last[topic]
@@ -62,7 +62,7 @@ class NodeInbox:
         return message
 
     def latest(self, topic: str, kind: type[M]) -> M | None:
-        """The newest message, or None when there is none or it is older than its topic allows."""
+        """Newest message, or None if there is none or it exceeds the maximum age of its topic."""
         message = self.last(topic, kind)
         if message is None or abs(self.now_ns - message.stamp_ns) > self._max_age_ns[topic]:
             return None
@@ -73,7 +73,7 @@ class NodeInbox:
         return tuple(m for m in self._queues[topic] if isinstance(m, kind))
 
     def at(self, topic: str, kind: type[M], stamp_ns: int) -> M | None:
-        """The message interpolated to a time, or None when that time is not covered."""
+        """Message interpolated to a time, or None outside the stored history."""
         after: _Interpolable | None = None
         for message in reversed(self._histories[topic]):
             if message.stamp_ns == stamp_ns:
@@ -88,13 +88,13 @@ class NodeInbox:
 class Bus:
     """Delivers messages to inboxes and sinks in one order, numbering each topic from 0.
 
-    A sink that raises LogError is shown no more; `lost` has the errors.
+    A sink that raises LogError is removed; `sink_errors` holds the errors.
     """
 
     def __init__(self, nodes: Iterable[Node], sinks: Iterable[Sink]) -> None:
         self.inboxes = {node.name: NodeInbox(node) for node in nodes}
         self.sinks = list(sinks)
-        self.lost: list[LogError] = []
+        self.sink_errors: list[LogError] = []
         self._sequence: dict[str, int] = {}
         self._readers: dict[str, list[NodeInbox]] = {}
         for node in nodes:
@@ -102,7 +102,7 @@ class Bus:
                 self._readers.setdefault(topic, []).append(self.inboxes[node.name])
 
     def deliver(self, now_ns: int, outputs: Iterable[Output]) -> list[str]:
-        """Hand out messages; returns their topics."""
+        """Delivers messages; returns their topics."""
         topics = []
         for topic, message in outputs:
             sequence = self._sequence.get(topic, 0)
@@ -110,14 +110,14 @@ class Bus:
             envelope = Envelope(topic, sequence, now_ns, message)
             for inbox in self._readers.get(topic, ()):
                 inbox.put(envelope)
-            self._show(envelope)
+            self._pass_to_sinks(envelope)
             topics.append(topic)
         return topics
 
-    def _show(self, envelope: Envelope) -> None:
+    def _pass_to_sinks(self, envelope: Envelope) -> None:
         for sink in self.sinks:
             try:
                 sink(envelope)
             except LogError as error:
                 self.sinks = [other for other in self.sinks if other is not sink]
-                self.lost.append(error)
+                self.sink_errors.append(error)

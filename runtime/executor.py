@@ -1,4 +1,4 @@
-"""One loop for all worlds: deliver what is due, then step whoever is due; a node is busy for its latency."""
+"""Executor for all worlds: delivers due messages, then steps due nodes; a node is busy for its latency."""
 
 import traceback
 from collections.abc import Callable, Iterable, Sequence
@@ -13,60 +13,65 @@ from messages.topics import spec_of
 from runtime.bus import Bus, Sink
 
 FAULT_TOPIC = "fault/executor"
-LEAP_NS = 1_800_000_000_000  # no world is silent for half an hour: its clock was set, and nobody steps in between
+MAX_TIME_JUMP_NS = 1_800_000_000_000  # a longer pause of the world is a clock step: no node steps in between
 
 
 class Tap(Protocol):
-    """What every message passes on its way to its readers; it may change, drop or hold back."""
+    """Filter between writers and readers that may change, drop or delay messages."""
 
     def next_ns(self) -> int | None:
-        """When something that was held back comes next."""
+        """Time of the next delayed message, or None."""
 
     def due(self, now_ns: int) -> list[Output]:
-        """What was held back until now."""
+        """Delayed messages due at `now_ns`."""
 
     def apply(self, now_ns: int, outputs: list[Output]) -> list[Output]:
-        """What comes now of what was sent now."""
+        """Messages of `outputs` that are delivered at once."""
 
 
 @dataclass
-class _Seat:
-    """A node with its latency and what it waits for."""
+class ScheduledNode:
+    """Node with its latency and the state of its schedule."""
 
     node: Node
     latency_ns: int
     free_ns: int = 0
     next_tick_ns: int = 0
     triggered_ns: int | None = None
-    is_dead: bool = False
-    topics: frozenset[str] = field(default_factory=frozenset)
-    period_ns: int | None = None  # None: it waits for topics
+    has_failed: bool = False
+    topics: frozenset[str] = field(init=False)
+    period_ns: int | None = field(init=False)  # None: triggered by topics
+
+    def __post_init__(self) -> None:
+        runs = self.node.runs
+        self.topics = frozenset(runs.topics) if isinstance(runs, On) else frozenset()
+        self.period_ns = runs.period_ns if isinstance(runs, Every) else None
 
     def due_ns(self) -> int | None:
-        """When the node steps next, as far as known now."""
-        if self.is_dead:
+        """Time of the next step as known now, or None."""
+        if self.has_failed:
             return None
-        asked_ns = self.triggered_ns if self.period_ns is None else self.next_tick_ns
-        if asked_ns is None:
+        requested_ns = self.triggered_ns if self.period_ns is None else self.next_tick_ns
+        if requested_ns is None:
             return None
-        return asked_ns if asked_ns > self.free_ns else self.free_ns
+        return requested_ns if requested_ns > self.free_ns else self.free_ns
 
-    def take(self, now_ns: int) -> None:
-        """Note that the node steps now."""
+    def begin_step(self, now_ns: int) -> None:
+        """Marks the node busy for its latency and clears the trigger."""
         self.free_ns = now_ns + self.latency_ns
         self.triggered_ns = None
         if self.period_ns is not None:
             self.next_tick_ns += ((now_ns - self.next_tick_ns) // self.period_ns + 1) * self.period_ns
 
-    def wake(self, now_ns: int) -> None:
-        """Begin anew at a time that lies before what the clock has shown."""
+    def reset(self, now_ns: int) -> None:
+        """Restarts the schedule at a time, after a backward step of the clock."""
         self.free_ns = self.next_tick_ns = now_ns
 
 
 class Executor:
-    """Runs nodes in one world; `sinks` see every message in the order of delivery.
+    """Runs nodes in one world; `sinks` receive every message in the order of delivery.
 
-    A node that raises is not asked again, nor is a sink that cannot write (`lost`): either is a fault that stops.
+    A node or sink that raises is not called again; either is a fault with a controlled stop.
     """
 
     def __init__(
@@ -76,32 +81,29 @@ class Executor:
         self._tap = tap
         start_ns = world.next_ns() or 0
         self.now_ns = start_ns
-        self._seats = [_Seat(node, latency_ns, next_tick_ns=start_ns) for node, latency_ns in nodes]
-        for seat in self._seats:
-            seat.topics = frozenset(seat.node.runs.topics) if isinstance(seat.node.runs, On) else frozenset()
-            seat.period_ns = seat.node.runs.period_ns if isinstance(seat.node.runs, Every) else None
+        self._nodes = [ScheduledNode(node, latency_ns, next_tick_ns=start_ns) for node, latency_ns in nodes]
         self._bus = Bus([node for node, _ in nodes], sinks)
         self._deliveries: list[tuple[int, int, list[Output]]] = []
-        self._scheduled = 0
+        self._delivery_count = 0
 
     def run(self, is_done: Callable[[], bool]) -> None:
-        """Go on until `is_done` or the world ends; raises LogError at the end when a sink could not write."""
+        """Runs until `is_done` or the end of the world; raises LogError at the end if a sink has failed."""
         while not is_done() and (now_ns := self._next_ns()) is not None:
             self._advance(now_ns)
-        if self._bus.lost:
-            raise self._bus.lost[0]
+        if self._bus.sink_errors:
+            raise self._bus.sink_errors[0]
 
-    def watch(self, sink: Sink) -> None:
-        """Show every message to one sink more, from now on."""
+    def add_sink(self, sink: Sink) -> None:
+        """Adds a sink for all messages from now on."""
         self._bus.sinks.append(sink)
 
     def _next_ns(self) -> int | None:
         world_ns = self.world.next_ns()
         if world_ns is None:
             return None
-        if world_ns - self.now_ns > LEAP_NS:
+        if world_ns - self.now_ns > MAX_TIME_JUMP_NS:
             return world_ns
-        times = [world_ns] + [due for seat in self._seats if (due := seat.due_ns()) is not None]
+        times = [world_ns] + [due for scheduled in self._nodes if (due := scheduled.due_ns()) is not None]
         held_ns = None if self._tap is None else self._tap.next_ns()
         times += [] if held_ns is None else [held_ns]
         return min([*times, self._deliveries[0][0]]) if self._deliveries else min(times)
@@ -111,51 +113,51 @@ class Executor:
             self._step_back(now_ns)
         self.now_ns = now_ns
         if self._tap is not None:
-            self._hand_out(self._tap.due(now_ns))
+            self._distribute(self._tap.due(now_ns))
         if self.world.next_ns() == now_ns:
             self._deliver(list(self.world.step(now_ns)))
         while self._deliveries and self._deliveries[0][0] <= now_ns:
             self._deliver(heappop(self._deliveries)[2])
-        for seat in self._seats:
-            due_ns = seat.due_ns()
+        for scheduled in self._nodes:
+            due_ns = scheduled.due_ns()
             if due_ns is not None and due_ns <= now_ns:
-                self._step(seat)
+                self._step(scheduled)
 
     def _step_back(self, now_ns: int) -> None:
-        """The clock went back: nobody waits for the time it has shown, and what was to come then comes now."""
-        for seat in self._seats:
-            seat.wake(now_ns)
+        """Handles a backward clock step: schedules restart now, pending deliveries become due now."""
+        for scheduled in self._nodes:
+            scheduled.reset(now_ns)
         self._deliveries = [(now_ns, number, outputs) for _, number, outputs in sorted(self._deliveries)]
 
     def _deliver(self, outputs: list[Output]) -> None:
-        self._hand_out(outputs if self._tap is None else self._tap.apply(self.now_ns, outputs))
+        self._distribute(outputs if self._tap is None else self._tap.apply(self.now_ns, outputs))
 
-    def _hand_out(self, outputs: list[Output]) -> None:
-        lost = len(self._bus.lost)
+    def _distribute(self, outputs: list[Output]) -> None:
+        failed = len(self._bus.sink_errors)
         topics = self._bus.deliver(self.now_ns, outputs)
-        if len(self._bus.lost) > lost:
-            self._schedule(self.now_ns, [(FAULT_TOPIC, log_fault(self.now_ns, str(self._bus.lost[-1])))])
-        for seat in self._seats:
-            if seat.triggered_ns is None and not seat.topics.isdisjoint(topics):
-                seat.triggered_ns = self.now_ns
+        if len(self._bus.sink_errors) > failed:
+            self._schedule(self.now_ns, [(FAULT_TOPIC, log_fault(self.now_ns, str(self._bus.sink_errors[-1])))])
+        for scheduled in self._nodes:
+            if scheduled.triggered_ns is None and not scheduled.topics.isdisjoint(topics):
+                scheduled.triggered_ns = self.now_ns
 
-    def _step(self, seat: _Seat) -> None:
-        inbox = self._bus.inboxes[seat.node.name]
+    def _step(self, scheduled: ScheduledNode) -> None:
+        inbox = self._bus.inboxes[scheduled.node.name]
         inbox.now_ns = self.now_ns
-        seat.take(self.now_ns)
+        scheduled.begin_step(self.now_ns)
         try:
-            outputs = list(seat.node.step(self.now_ns, inbox))
-            self._check(seat.node, outputs)
-        except Exception:  # any failure of a node ends in a stop, not in a crash
-            seat.is_dead = True
-            outputs = [(FAULT_TOPIC, node_fault(self.now_ns, seat.node.name, traceback.format_exc()))]
+            outputs = list(scheduled.node.step(self.now_ns, inbox))
+            self._check(scheduled.node, outputs)
+        except Exception:  # any failure of a node leads to a stop, not to a crash
+            scheduled.has_failed = True
+            outputs = [(FAULT_TOPIC, node_fault(self.now_ns, scheduled.node.name, traceback.format_exc()))]
         inbox.clear()
         if outputs:
-            self._schedule(self.now_ns + seat.latency_ns, outputs)
+            self._schedule(self.now_ns + scheduled.latency_ns, outputs)
 
     def _schedule(self, due_ns: int, outputs: list[Output]) -> None:
-        self._scheduled += 1
-        heappush(self._deliveries, (due_ns, self._scheduled, outputs))
+        self._delivery_count += 1
+        heappush(self._deliveries, (due_ns, self._delivery_count, outputs))
 
     @staticmethod
     def _check(node: Node, outputs: list[Output]) -> None:
@@ -165,18 +167,18 @@ class Executor:
 
 
 def node_fault(now_ns: int, name: str, text: str) -> Fault:
-    """The fault that a node's exception becomes."""
-    words = f"Program part {name} failed: {text}", f"Programmteil {name} ausgefallen: {text}"
+    """Fault of a node that raised an exception; `text` is the traceback."""
+    words = f"Program part {name} failed: {text}", f"程序模块 {name} 故障：{text}"
     return stopping_fault(now_ns, "node.exception", name, *words)
 
 
 def log_fault(now_ns: int, text: str) -> Fault:
-    """The fault that a log which cannot be written becomes: nobody drives unrecorded."""
-    return stopping_fault(now_ns, "log.failed", "log", f"The log fails: {text}", f"Das Protokoll ist gestört: {text}")
+    """Fault of a log that cannot be written; the machine does not drive without a log."""
+    return stopping_fault(now_ns, "log.failed", "log", f"Log cannot be written: {text}", f"日志无法写入：{text}")
 
 
 def stopping_fault(now_ns: int, code: str, source: str, text_en: str, text_zh: str) -> Fault:
-    """A fault of the runtime's own: nothing but a stop is safe, and a person must see it."""
+    """Latched fault of the runtime with a controlled stop, to be reset by a person."""
     return Fault(
         stamp_ns=now_ns,
         code=code,
@@ -191,7 +193,7 @@ def stopping_fault(now_ns: int, code: str, source: str, text_en: str, text_zh: s
 
 
 def check_wiring(world: World, nodes: Sequence[tuple[Node, int]], cores: int) -> None:
-    """Refuse what cannot work: two writers, a read without a writer, no latency, more load than cores.
+    """Checks the wiring: one writer per topic, a writer for each read, latencies above zero, load within the cores.
 
     Raises WiringError that names topic and nodes.
     """
@@ -207,7 +209,7 @@ def check_wiring(world: World, nodes: Sequence[tuple[Node, int]], cores: int) ->
     for node, _ in nodes:
         triggers = node.runs.topics if isinstance(node.runs, On) else ()
         if missing := [topic for topic in (*node.reads, *triggers) if topic not in writers]:
-            raise WiringError(f"node {node.name!r} reads {', '.join(missing)}, which nobody writes")
+            raise WiringError(f"node {node.name!r} reads {', '.join(missing)}, which has no writer")
     load = sum(_rate_hz(node) * latency_ns * 1e-9 for node, latency_ns in nodes)
     if load > cores:
         raise WiringError(f"the nodes need {load:.2f} cores by rate × latency, but {cores} are given")

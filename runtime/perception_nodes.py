@@ -1,4 +1,4 @@
-"""The perceiving nodes for every sensor that a vehicle lists."""
+"""Perception nodes for every sensor of a vehicle."""
 
 from pathlib import Path
 
@@ -17,14 +17,14 @@ from perception.ultrasonic.health import UltrasonicHealth
 from perception.ultrasonic.obstacles import UltrasonicObstacles
 
 
-def perceiving(vehicle: Vehicle, implement: Implement | None, config: PerceptionConfig) -> list[Node]:
-    """Obstacles and health of each sensor, and the tracker over all obstacles; raises ConfigError for a bad model.
+def perception_nodes(vehicle: Vehicle, implement: Implement | None, config: PerceptionConfig) -> list[Node]:
+    """Obstacle and health node of each sensor, and the tracker over all obstacles; raises ConfigError for a bad model.
 
-    A camera without a model has its health alone, which says so.
+    Without a detector model a camera has a health node only, which reports the missing detector.
     """
     sensors = vehicle.sensors
     detector = detector_of(config.camera.detector) if sensors.camera else None
-    eyes: list[Node] = [
+    obstacle_nodes: list[Node] = [
         *(LidarObstacles(name, one, vehicle, implement, config.lidar) for name, one in sensors.lidar.items()),
         *(RadarObstacles(name, one, vehicle, implement, config.radar) for name, one in sensors.radar.items()),
         *(
@@ -33,7 +33,7 @@ def perceiving(vehicle: Vehicle, implement: Implement | None, config: Perception
         ),
     ]
     if detector is not None:
-        eyes += [
+        obstacle_nodes += [
             CameraObstacles(name, one, vehicle, implement, detector, config.camera)
             for name, one in sensors.camera.items()
         ]
@@ -42,9 +42,10 @@ def perceiving(vehicle: Vehicle, implement: Implement | None, config: Perception
         *(UltrasonicHealth(name, one, config.ultrasonic) for name, one in sensors.ultrasonic.items()),
         *(CameraHealth(name, one, detector is not None, config.camera) for name, one in sensors.camera.items()),
     ]
-    return [*eyes, *health, Tracker([f"obstacles/{eye.name}" for eye in eyes], config.tracker)]
+    tracker = Tracker([f"obstacles/{node.name}" for node in obstacle_nodes], config.tracker)
+    return [*obstacle_nodes, *health, tracker]
 
 
 def detector_of(config: DetectorConfig) -> Detector | None:
-    """The detector that the configuration names, or None; a relative path counts from the repository's root."""
+    """Detector of the configured model, None without a model; relative paths start at the repository root."""
     return load_detector(CONFIGS.parent / Path(config.model), config) if config.model else None

@@ -1,4 +1,4 @@
-"""The run folder: command, resolved configuration, console, log, results, report."""
+"""Run folder: command, resolved configuration, console output, log, results and report."""
 
 import json
 import shlex
@@ -18,9 +18,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 class RunFolder:
-    """`runs/<stamp>-<verb>/`; its `result.jsonl` counts as whole only with the end marker that `finish` writes.
+    """Folder `runs/<stamp>-<verb>/`; its `result.jsonl` is complete with the end marker that `finish` writes.
 
-    Raises HeadlandError, and leaves nothing behind, when the folder cannot be made.
+    Raises HeadlandError if the folder is not empty or cannot be written.
     """
 
     def __init__(self, verb: str, out: Path | None) -> None:
@@ -35,33 +35,33 @@ class RunFolder:
         except OSError as error:
             raise HeadlandError(f"{self.path}: cannot write the run folder ({error})") from error
         if out is None:
-            _point(runs / "latest", self.path)
+            _link_latest(runs / "latest", self.path)
 
     def record(self, kind: str, values: dict[str, Any]) -> None:
-        """Append one record to `result.jsonl`."""
+        """Appends one record to `result.jsonl`."""
         self._events += 1
         with (self.path / "result.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps({"record": kind} | values) + "\n")
 
     def finish(self) -> None:
-        """Write the end marker."""
+        """Writes the end marker."""
         self.record("end", {"records": self._events})
 
 
 def _unused(runs: Path, name: str) -> Path:
-    """A folder of that name, numbered when two runs begin within one second."""
+    """Unused folder name, numbered if two runs start within one second."""
     candidates = (runs / (name if k == 0 else f"{name}-{k}") for k in range(1000))
     return next(path for path in candidates if not path.exists())
 
 
-def _point(link: Path, target: Path) -> None:
+def _link_latest(link: Path, target: Path) -> None:
     fresh = link.with_name(f".{link.name}.{target.name}")
     fresh.symlink_to(target.name)
     fresh.replace(link)
 
 
 def versions() -> dict[str, str]:
-    """Commit (with `+changes` when the tree differs from it) and hash of the lock."""
+    """Commit, with `+changes` for a modified tree, and SHA-256 of the lock file."""
 
     def git(*words: str) -> str:
         done = subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False)
@@ -73,5 +73,5 @@ def versions() -> dict[str, str]:
 
 
 def resolved(**sections: Config) -> str:
-    """All configuration of a run as one YAML text."""
+    """Resolved configuration of a run as YAML text."""
     return yaml.safe_dump({k: v.model_dump(mode="json") for k, v in sections.items()}, sort_keys=False)

@@ -1,4 +1,4 @@
-"""What a mission needs, loaded and checked before anything is written."""
+"""Setup of a run: mission, site, machine, implement, stack configuration and plan."""
 
 import math
 from dataclasses import dataclass, replace
@@ -16,13 +16,14 @@ from planning.field.field import read_field
 from planning.field.site_generation import site_around
 from planning.plan import Plan, plan_mission
 from runtime.stack import StackConfig, load_stack, with_detector
+from simulation.scenario import Scenario
 
-START_STREAM = 0x5747  # of random numbers, apart from those of world and planner
+START_STREAM = 0x5747  # random stream of the start pose, separate from world and planner
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything that a run is made of, besides its world; at `start` it stands when the run begins."""
+    """All inputs of a run except its world; `start` is the initial pose in map."""
 
     mission: Mission
     site: Site
@@ -35,45 +36,51 @@ class Setup:
     is_folded: bool
 
     def viewer(self) -> Viewer:
-        """What turns messages into topics that the usual viewers draw."""
+        """Converter to the topics of common log viewers."""
         return Viewer(self.stack.datasets.viewer, self.vehicle, self.implement, self.site)
 
 
 def load_setup(
     mission: str, machine: str | None, implement: str | None, field: str | None, seed: int, bay: str | None = None
 ) -> Setup:
-    """Load the named files and plan the mission, docking in `bay` where given; raises ConfigError or FieldError."""
+    """Loads the named files and plans the mission, docking in `bay` if given; raises ConfigError or FieldError."""
     chosen = load(Mission, find("missions", mission))
-    # a field drawn by itself has no shed
+    # a site generated from a field outline has no shed
     chosen = chosen.model_copy(update={"site": field, "bay": None} if field else {})
     names = {"machine": machine or chosen.machine, "implement": implement or chosen.implement, "bay": bay or chosen.bay}
     chosen = chosen.model_copy(update=names)
     vehicle = load(Vehicle, find("machines", chosen.machine))
-    carried = load(ImplementFile, find("implements", chosen.implement)).implement
-    vehicle = carrying(vehicle, carried)
+    mounted = load(ImplementFile, find("implements", chosen.implement)).implement
+    vehicle = with_implement_sensors(vehicle, mounted)
     stack = load_stack()
-    site = _site(chosen, field, vehicle, carried)
-    start, is_folded = start_of(chosen, site, seed)
-    plan = plan_mission(chosen, site, vehicle, carried, stack.planning, start, seed)
-    return Setup(chosen, site, vehicle, carried, stack, plan, seed, start, is_folded)
+    site = _site(chosen, field, vehicle, mounted)
+    start, is_folded = start_pose(chosen, site, seed)
+    plan = plan_mission(chosen, site, vehicle, mounted, stack.planning, start, seed)
+    return Setup(chosen, site, vehicle, mounted, stack, plan, seed, start, is_folded)
+
+
+def load_scenario(name: str | None, mission: Mission, field: str | None) -> Scenario:
+    """Named scenario; by default `demo`, or `empty` with a field outline or without field work. Raises ConfigError."""
+    is_demo = field is None and mission.work is not None
+    return load(Scenario, find("scenarios", name or ("demo" if is_demo else "empty")))
 
 
 def with_model(setup: Setup, model: Path | None) -> Setup:
-    """The same with the cameras' detector from this file, where one is given; raises ConfigError when there is none."""
+    """Setup with the camera detector from this file, unchanged for None; raises ConfigError for a missing file."""
     return replace(setup, stack=with_detector(setup.stack, model))
 
 
-def start_of(mission: Mission, site: Site, seed: int) -> tuple[PoseConfig, bool]:
-    """Where the machine stands at first, and whether folded: docked, at the site's start, or as the seed draws it."""
+def start_pose(mission: Mission, site: Site, seed: int) -> tuple[PoseConfig, bool]:
+    """Initial pose in map and whether the implement is folded: drawn by seed, docked, or the site's start."""
     if mission.start is not None:
-        return _drawn(mission.start, mission.spread, seed), False
+        return _random_pose(mission.start, mission.spread, seed), False
     if mission.bay is None:
         return site.start, False
     return site.bay(mission.bay).dock, True
 
 
-def _drawn(pose: PoseConfig, spread: Spread | None, seed: int) -> PoseConfig:
-    """A pose evenly drawn from the disc and the headings about another."""
+def _random_pose(pose: PoseConfig, spread: Spread | None, seed: int) -> PoseConfig:
+    """Pose drawn uniformly from the disc and heading interval around a pose."""
     if spread is None:
         return pose
     share, angle, turn = np.random.default_rng([seed, START_STREAM]).uniform(size=3)
@@ -91,17 +98,17 @@ def _site(
     if field is None:
         return load(Site, find("sites", mission.site))
     if mission.work is None:
-        raise ConfigError(f"mission {mission.name!r} has no work to do on the field {field}; name another mission")
+        raise ConfigError(f"mission {mission.name!r} has no field work for {field}; select another mission")
     return site_around(read_field(Path(field)), vehicle, implement, mission.work)
 
 
-def carrying(vehicle: Vehicle, implement: MountedImplement | TrailedImplement) -> Vehicle:
-    """The vehicle with the sensors that its implement brings; raises ConfigError when both use one name."""
+def with_implement_sensors(vehicle: Vehicle, implement: MountedImplement | TrailedImplement) -> Vehicle:
+    """Vehicle with the sensors of its implement added; raises ConfigError for a duplicate name."""
     if not isinstance(implement, MountedImplement) or not implement.ultrasonic:
         return vehicle
     own = vehicle.sensors.ultrasonic
-    twice = sorted(own.keys() & implement.ultrasonic.keys())
-    if twice:
-        raise ConfigError(f"ultrasonic {twice[0]!r} is on {vehicle.name!r} and on {implement.name!r}; rename one")
+    duplicates = sorted(own.keys() & implement.ultrasonic.keys())
+    if duplicates:
+        raise ConfigError(f"ultrasonic {duplicates[0]!r} is on {vehicle.name!r} and on {implement.name!r}; rename one")
     sensors = vehicle.sensors.model_copy(update={"ultrasonic": own | implement.ultrasonic})
     return vehicle.model_copy(update={"sensors": sensors})

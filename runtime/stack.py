@@ -32,13 +32,13 @@ class DatasetsConfig(Config):
 
 
 class ExecutorConfig(Config):
-    """Section `executor`: cores given, and how long each node may take; keys name nodes up to the first underscore."""
+    """Section `executor`: available cores and latency of each node by prefix of its name."""
 
     cores: int = Field(ge=1, le=64)
     latency_ms: dict[str, Annotated[float, Field(gt=0.0, le=5000.0)]]
 
     def latency_ns(self, name: str) -> int:
-        """The latency of a node, by the longest key that its name begins with; 0, which wiring refuses, without one."""
+        """Latency of a node by its longest matching prefix, in ns; 0 without a match, which `check_wiring` refuses."""
         known = [key for key in self.latency_ms if name.startswith(key)]
         return round(self.latency_ms[max(known, key=len)] * 1e6) if known else 0
 
@@ -58,13 +58,13 @@ class StackConfig(Config):
 
 
 def load_stack() -> StackConfig:
-    """The stack configuration as shipped; raises ConfigError that names file, key and value."""
+    """Stack configuration of the repository; raises ConfigError that names file, key and value."""
     sections = {name: read_yaml(CONFIGS / "stack" / f"{name}.yaml") for name in StackConfig.model_fields}
     return parse(StackConfig, sections, str(CONFIGS / "stack"))
 
 
 def with_detector(stack: StackConfig, model: Path | None) -> StackConfig:
-    """The same with the cameras' detector from this file, where one is given; raises ConfigError when there is none."""
+    """Stack with the camera detector from this file, unchanged for None; raises ConfigError for a missing file."""
     if model is None:
         return stack
     if not model.is_file():

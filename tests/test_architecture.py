@@ -1,4 +1,4 @@
-"""Who may import whom, and who alone builds safe commands; a planted violation shows that the check can fail."""
+"""Import rules between folders, and SafeCommand built in safety/ only; injected violations verify the check."""
 
 import ast
 from pathlib import Path
@@ -16,7 +16,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "interfaces": BASE,
     "hmi": BASE,
 }
-ROOMS = {*MAY_IMPORT, "runtime"}
+FOLDERS = {*MAY_IMPORT, "runtime"}
 SAFETY_LIBRARIES = {
     "numpy",
     "pydantic",
@@ -31,18 +31,18 @@ SAFETY_LIBRARIES = {
 
 
 def imported(source: str) -> set[str]:
-    """First names of all that a file imports."""
+    """Top-level packages that a file imports."""
     nodes = list(ast.walk(ast.parse(source)))
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
     return {name.partition(".")[0] for name in names}
 
 
-def violations(room: str, source: str) -> set[str]:
-    """What a file of this room imports and may not."""
+def violations(folder: str, source: str) -> set[str]:
+    """Imports of a file in this folder that the rules forbid."""
     names = imported(source)
-    foreign = (names & ROOMS) - MAY_IMPORT.get(room, ROOMS) - {room}
-    return foreign | (names - SAFETY_LIBRARIES - BASE - {"safety"} if room == "safety" else set())
+    foreign = (names & FOLDERS) - MAY_IMPORT.get(folder, FOLDERS) - {folder}
+    return foreign | (names - SAFETY_LIBRARIES - BASE - {"safety"} if folder == "safety" else set())
 
 
 def builds_safe_command(source: str) -> bool:
@@ -50,32 +50,36 @@ def builds_safe_command(source: str) -> bool:
     return any(getattr(call, "id", getattr(call, "attr", "")) == "SafeCommand" for call in calls)
 
 
-def files(room: str) -> list[Path]:
-    return sorted((ROOT / room).rglob("*.py"))
+def files(folder: str) -> list[Path]:
+    return sorted((ROOT / folder).rglob("*.py"))
 
 
-@pytest.mark.parametrize("room", sorted(MAY_IMPORT))
-def test_rooms_meet_through_messages_alone(room: str) -> None:
-    found = {f"{path.relative_to(ROOT)}: {name}" for path in files(room) for name in violations(room, path.read_text())}
+@pytest.mark.parametrize("folder", sorted(MAY_IMPORT))
+def test_import_rules(folder: str) -> None:
+    found = {
+        f"{path.relative_to(ROOT)}: {name}" for path in files(folder) for name in violations(folder, path.read_text())
+    }
     assert not found
 
 
-def test_only_safety_builds_safe_commands() -> None:
-    rooms = [room for room in ROOMS if room != "safety"]
-    assert not [path for room in rooms for path in files(room) if builds_safe_command(path.read_text())]
+def test_safe_command_in_safety_only() -> None:
+    folders = [folder for folder in FOLDERS if folder != "safety"]
+    assert not [path for folder in folders for path in files(folder) if builds_safe_command(path.read_text())]
     assert any(builds_safe_command(path.read_text()) for path in files("safety"))
 
 
-def test_truth_is_read_by_validation_and_viewers_alone() -> None:
-    rooms = [room for room in ROOMS if room not in ("simulation", "validation", "datasets", "runtime", "messages")]
-    assert not [path for room in rooms for path in files(room) if "messages.truth" in path.read_text()]
+def test_ground_truth_in_validation_and_viewers_only() -> None:
+    folders = [
+        folder for folder in FOLDERS if folder not in ("simulation", "validation", "datasets", "runtime", "messages")
+    ]
+    assert not [path for folder in folders for path in files(folder) if "messages.truth" in path.read_text()]
 
 
-def test_nobody_imports_the_runtime() -> None:
-    assert not [path for room in MAY_IMPORT for path in files(room) if "runtime" in imported(path.read_text())]
+def test_runtime_is_not_imported() -> None:
+    assert not [path for folder in MAY_IMPORT for path in files(folder) if "runtime" in imported(path.read_text())]
 
 
-def test_a_planted_violation_is_found() -> None:
+def test_injected_violations() -> None:
     assert violations("planning", "from control.speed import x\nimport numpy") == {"control"}
     assert violations("safety", "import shapely\nimport numpy") == {"shapely"}
     assert builds_safe_command("from messages import command\ncommand.SafeCommand(1)")

@@ -1,4 +1,4 @@
-"""The start script, in a copy of the project where uv, Python and the system's tools are stand-ins."""
+"""Start script, in a copy of the project with stand-ins for uv, Python and system tools."""
 
 import os
 import shutil
@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from runtime.commands.options import COMMANDS
+
 ROOT = Path(__file__).parents[1]
 BASH = "#!/usr/bin/env bash\n"
 NOTE = 'echo "$(basename "$0") $*" >>"$CALLS"\n'
@@ -14,7 +16,7 @@ LIBRARIES = "libEGL.so.1 libGL.so.1 libX11.so.6 libusb-1.0.so.0 libudev.so.1 lib
 
 
 class Project:
-    """A fresh clone on a machine made of stand-ins."""
+    """Fresh clone with stand-ins for all programs."""
 
     def __init__(self, folder: Path) -> None:
         self.root, self.bin, self.calls_file = folder / "project", folder / "bin", folder / "calls"
@@ -48,7 +50,7 @@ class Project:
         return process.returncode, out, err
 
     def calls(self) -> list[str]:
-        """What was called since the last look, but for the question whether uv starts."""
+        """Commands called since the last call, without the check that uv starts."""
         lines = self.calls_file.read_text().splitlines() if self.calls_file.exists() else []
         self.calls_file.unlink(missing_ok=True)
         return [" ".join(line.split()[:3]) for line in lines if line != "uv --version"]
@@ -74,7 +76,7 @@ def test_script_parses() -> None:
 
 
 @pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), (["help"], 0), ([], 2), (["--no-such"], 2)])
-def test_help_installs_nothing(project: Project, arguments: list[str], code: int) -> None:
+def test_help_without_install(project: Project, arguments: list[str], code: int) -> None:
     returned, out, err = project.run(*arguments)
     assert returned == code
     assert "usage: ./headland VERB" in (err if code else out)
@@ -82,14 +84,20 @@ def test_help_installs_nothing(project: Project, arguments: list[str], code: int
     assert not (project.root / ".venv").exists()
 
 
-def test_only_the_first_start_sets_up(project: Project) -> None:
+def test_help_lists_every_command(project: Project) -> None:
+    _, out, _ = project.run("--help")
+    for command in COMMANDS:
+        assert f"  {command.verb:<13}{command.help}" in out
+
+
+def test_set_up_at_first_start_only(project: Project) -> None:
     assert project.run("run")[0] == 0
     assert project.calls() == [VENV, SYNC, CHECK, VERB]
     assert project.run("run")[0] == 0
     assert project.calls() == [VERB]
 
 
-def test_changed_lock_is_installed_in_place(project: Project) -> None:
+def test_changed_lock_in_place_update(project: Project) -> None:
     project.run("run")
     project.calls()
     (project.root / "requirements.txt").write_text("# nothing\n")
@@ -97,7 +105,7 @@ def test_changed_lock_is_installed_in_place(project: Project) -> None:
     assert project.calls() == [SYNC, CHECK, VERB]
 
 
-def test_python_that_is_gone_makes_the_environment_anew(project: Project) -> None:
+def test_missing_python_recreates_environment(project: Project) -> None:
     project.run("run")
     project.calls()
     (project.root / ".venv/bin/python").unlink()
@@ -105,14 +113,14 @@ def test_python_that_is_gone_makes_the_environment_anew(project: Project) -> Non
     assert project.calls() == [VENV, SYNC, CHECK, VERB]
 
 
-def test_interrupted_set_up_does_not_count(project: Project) -> None:
+def test_interrupted_set_up_is_repeated(project: Project) -> None:
     assert project.run("run", SYNC_FAILS="1")[0] != 0
     assert project.calls() == [VENV, SYNC]
     assert project.run("run")[0] == 0
     assert project.calls() == [VENV, SYNC, CHECK, VERB]
 
 
-def test_concurrent_starts_set_up_once(project: Project) -> None:
+def test_concurrent_starts(project: Project) -> None:
     starts = [project.start("run", SYNC_SECONDS="0.5") for _ in range(3)]
     for start in starts:
         start.communicate(timeout=60)
@@ -120,13 +128,13 @@ def test_concurrent_starts_set_up_once(project: Project) -> None:
     assert sorted(project.calls()) == sorted([VENV, SYNC, CHECK, VERB, VERB, VERB])
 
 
-def test_verb_keeps_folder_and_exit_code(project: Project, tmp_path: Path) -> None:
+def test_working_directory_and_exit_code(project: Project, tmp_path: Path) -> None:
     code, out, _ = project.run("no-such-verb", cwd=tmp_path, VERB_EXIT="2")
     assert code == 2
-    assert out.strip() == f"{tmp_path}|{project.root}"  # the PYTHONPATH of others is gone
+    assert out.strip() == f"{tmp_path}|{project.root}"  # without the inherited PYTHONPATH
 
 
-def test_says_what_to_type_where_it_may_not_install(project: Project) -> None:
+def test_install_command_without_permission(project: Project) -> None:
     project.put("ldconfig", "")
     project.put("id", "echo 1000")
     project.put("sudo", "exit 1")
@@ -137,7 +145,7 @@ def test_says_what_to_type_where_it_may_not_install(project: Project) -> None:
     assert project.calls() == []
 
 
-def test_installs_as_root_what_is_missing(project: Project) -> None:
+def test_install_of_missing_packages_as_root(project: Project) -> None:
     project.put("ldconfig", f"printf '%s => here\\n' {LIBRARIES.removeprefix('libEGL.so.1')}")
     project.put("id", "echo 0")
     project.put("apt-get", 'echo "$*" >>"$(dirname "$0")/installed"')
@@ -145,14 +153,14 @@ def test_installs_as_root_what_is_missing(project: Project) -> None:
     assert (project.bin / "installed").read_text() == "update\ninstall -y --no-install-recommends libegl1\n"
 
 
-def test_names_the_python_it_cannot_use(project: Project) -> None:
+def test_unsupported_python(project: Project) -> None:
     project.put("python3", "echo Python 3.9.2")
     code, _, err = project.run("run", NO_PYTHON="1")
     assert code == 1
     assert "Python 3.9.2" in err
 
 
-def test_checks_run_before_all_tests_only(project: Project) -> None:
+def test_checks_before_full_test_run_only(project: Project) -> None:
     code, out, _ = project.run("test", "-k", "foo")
     assert (code, out.count("== ")) == (0, 1)
     code, out, _ = project.run("test", VERB_EXIT="1")
@@ -162,7 +170,7 @@ def test_checks_run_before_all_tests_only(project: Project) -> None:
     assert out.count("FAILED") == 3
 
 
-def test_benchmarks_are_called_by_name(project: Project) -> None:
+def test_benchmark_names(project: Project) -> None:
     shutil.copytree(ROOT / "benchmarks", project.root / "benchmarks")
     assert project.run("benchmark", "stack", "--seconds", "9")[0] == 0
     assert project.calls()[-1] == "python -m benchmarks.stack"
@@ -173,7 +181,7 @@ def test_benchmarks_are_called_by_name(project: Project) -> None:
         assert "perception_scoring " not in err.partition("one of")[2]
 
 
-def test_no_tracked_file_names_a_registry_host() -> None:
+def test_no_registry_host_in_tracked_files() -> None:
     hosts = {"org": ["pypi", "pythonhosted", "npmjs", "golang", "maven", "deb.debian", "security.debian"]}
     hosts |= {"com": ["archive.ubuntu", "security.ubuntu"], "sh": ["astral"], "io": ["crates"]}
     forbidden = [f"{name}.{top}".encode() for top, names in hosts.items() for name in names]

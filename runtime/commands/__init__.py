@@ -1,1 +1,1 @@
-"""The verbs of the command line, one module each."""
+"""Commands of the command line, one module each."""

@@ -1,4 +1,4 @@
-"""`headland campaign`: drive many seeds, several at a time, resumable, and draw one table."""
+"""`headland campaign`: runs many seeds in parallel, resumable, and writes one table."""
 
 import argparse
 import json
@@ -19,22 +19,22 @@ COLUMNS = (
     "stops", "false_stops", "contacts", "zone_exits", "dock_error_m", "dock_error_deg",
 )  # fmt: skip
 BAYS = ("wide", "narrow")
-REFUSED = 2  # exit code of a run that was not begun
+REFUSED = 2  # exit code of a run that did not start
 DONE = ("finished", "docked")
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One run of the campaign in a folder of its own: what is said to `run`, and whether it may refuse."""
+    """One run of the campaign: its folder, the arguments of `run`, and whether `run` may refuse."""
 
     name: str
     folder: Path
-    words: tuple[str, ...]
+    arguments: tuple[str, ...]
     may_refuse: bool = False
 
     @property
     def result(self) -> dict[str, Any] | None:
-        """The object of `run --json` if this trial has ended, else None."""
+        """Object of `run --json` if the trial has ended, else None."""
         try:
             lines = (self.folder / "result.jsonl").read_text(encoding="utf-8").splitlines()
         except OSError:
@@ -43,67 +43,67 @@ class Trial:
         return records[-2]["result"] if records and records[-1]["record"] == "end" else None
 
     def drive(self) -> dict[str, Any]:
-        """Run it in a process of its own unless it has ended already."""
+        """Runs the trial in a process unless it has ended already; an interrupted folder is renamed."""
         if (found := self.result) is not None:
             return found
         if self.folder.exists():
             self.folder.rename(
                 self.folder.with_name(f"{self.folder.name}-cut-{len(list(self.folder.parent.iterdir()))}")
             )
-        words = [sys.executable, "-m", "runtime", "run", *self.words, "--out", str(self.folder), "--json"]
-        done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
+        command = [sys.executable, "-m", "runtime", "run", *self.arguments, "--out", str(self.folder), "--json"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
         if (result := self.result) is not None:
             return result
         reason = " ".join(done.stderr.strip().splitlines()[-1:])
         if self.may_refuse and done.returncode == REFUSED:
             return {"outcome": f"refused: {reason}"}
-        raise HeadlandError(f"{self.name} did not end: {reason}")
+        raise HeadlandError(f"{self.name} did not finish: {reason}")
 
 
-def trials_of(what: str, seeds: int, top: Path) -> list[Trial]:
-    """All runs of a campaign; docking goes into each bay by each seed."""
+def trials_of(campaign: str, seeds: int, top: Path) -> list[Trial]:
+    """All runs of a campaign; `dock` has one run per bay and seed."""
 
-    def trial(name: str, *words: str, may_refuse: bool = False) -> Trial:
-        return Trial(name, (top / name).absolute(), words, may_refuse)
+    def trial(name: str, *arguments: str, may_refuse: bool = False) -> Trial:
+        return Trial(name, (top / name).absolute(), arguments, may_refuse)
 
     numbers = range(1, seeds + 1)
-    if what == "dock":
+    if campaign == "dock":
         return [
             trial(f"{bay}-{k}", "--mission", "dock", "--bay", bay, "--seed", str(k), may_refuse=True)
             for k in numbers
             for bay in BAYS
         ]
-    extra = ["--without-obstacle-rules"] if what == "ablation" else []
+    extra = ["--without-obstacle-rules"] if campaign == "ablation" else []
     return [trial(f"seed-{k}", "--seed", str(k), *extra) for k in numbers]
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Drive what is missing; 0 when every trial is as wanted."""
-    if arguments.what == "faults":
-        from runtime.fault_injection import campaign as faults
+    """Runs the missing trials; 0 if every trial passed."""
+    if arguments.campaign == "fault-injection":
+        from runtime.fault_injection import campaign as fault_injection
 
-        return faults.main(arguments)
+        return fault_injection.main(arguments)
     if arguments.seeds < 1 or arguments.jobs < 1:
         raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
-    top = arguments.out or RunFolder(f"campaign-{arguments.what}", None).path
+    top = arguments.out or RunFolder(f"campaign-{arguments.campaign}", None).path
     top.mkdir(parents=True, exist_ok=True)
-    trials = trials_of(arguments.what, arguments.seeds, top)
+    trials = trials_of(arguments.campaign, arguments.seeds, top)
     found = {trial.name: result for trial, result in _drive_all(trials, arguments.jobs)}
     results = [{"trial": trial.name, **found[trial.name]} for trial in trials if trial.name in found]
     rows = [_row(result) for result in results]
-    (top / "table.html").write_text(_page(arguments.what, rows), encoding="utf-8")
-    good = sum(_is_as_wanted(result, arguments.what) for result in results)
+    (top / "table.html").write_text(_page(arguments.campaign, rows), encoding="utf-8")
+    passed = sum(_has_passed(result, arguments.campaign) for result in results)
     if arguments.json:
         sys.stdout.write(
-            json.dumps({"what": arguments.what, "good": good, "runs": results, "run_dir": str(top)}) + "\n"
+            json.dumps({"campaign": arguments.campaign, "passed": passed, "runs": results, "run_dir": str(top)}) + "\n"
         )
     else:
-        sys.stdout.write(f"{good} of {len(trials)} as wanted; table: {top / 'table.html'}\n")
-    return 0 if good == len(trials) else 1
+        sys.stdout.write(f"{passed} of {len(trials)} passed; table: {top / 'table.html'}\n")
+    return 0 if passed == len(trials) else 1
 
 
 def _drive_all(trials: list[Trial], jobs: int) -> Iterator[tuple[Trial, dict[str, Any]]]:
-    """Results as they come, with a line of progress each; one failed trial does not end the campaign."""
+    """Results in the order of completion, with a progress line each; a failed trial does not end the campaign."""
     with ThreadPoolExecutor(jobs) as pool:  # each thread only waits for its process
         waiting = {pool.submit(trial.drive): trial for trial in trials}
         for number, future in enumerate(as_completed(waiting), 1):
@@ -113,24 +113,24 @@ def _drive_all(trials: list[Trial], jobs: int) -> Iterator[tuple[Trial, dict[str
             except HeadlandError as error:
                 sys.stderr.write(f"[{number}/{len(trials)}] {error}\n")
                 continue
-            sys.stderr.write(f"[{number}/{len(trials)}] {trial.name}: {_told(result)}\n")
+            sys.stderr.write(f"[{number}/{len(trials)}] {trial.name}: {_summary(result)}\n")
             yield trial, result
 
 
-def _told(result: dict[str, Any]) -> str:
+def _summary(result: dict[str, Any]) -> str:
     if "stops" not in result:
         return str(result["outcome"])
-    dock = "" if result["dock_error_m"] is None else f", {100.0 * result['dock_error_m']:.1f} cm from the dock"
+    dock = "" if result["dock_error_m"] is None else f", {100.0 * result['dock_error_m']:.1f} cm dock error"
     ends = f"{len(result['stops'])} stops, {result['contacts']} contacts{dock}"
     return f"{result['outcome']}, {ends}, {result['wall_s']:.0f} s"
 
 
-def _is_as_wanted(result: dict[str, Any], what: str) -> bool:
+def _has_passed(result: dict[str, Any], campaign: str) -> bool:
     if "stops" not in result:
         return True
     expected: int = sum(result["expected_stops"].values())
     contacts, zone_exits = int(result["contacts"]), int(result["zone_exits"])
-    if what == "ablation":
+    if campaign == "ablation":
         return contacts == expected
     is_done, stops = str(result["outcome"]) in DONE, len(result["stops"])
     return is_done and stops == expected and contacts == zone_exits == 0
@@ -143,14 +143,12 @@ def _row(result: dict[str, Any]) -> dict[str, Any]:
     return {key: (result | more).get(key) for key in COLUMNS}
 
 
-def _page(what: str, rows: list[dict[str, Any]]) -> str:
+def _page(campaign: str, rows: list[dict[str, Any]]) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in COLUMNS)
     body = "".join("<tr>" + "".join(f"<td>{_text(row[name])}</td>" for name in COLUMNS) + "</tr>" for row in rows)
     style = "body{font:15px system-ui;margin:2rem}td,th{padding:.3rem .7rem;border-bottom:1px solid;text-align:right}"
-    title = (
-        f"<meta charset=utf-8><title>Headland campaign</title><style>{style}</style><h1>Campaign {escape(what)}</h1>"
-    )
-    return f"<!doctype html>{title}<table><tr>{head}</tr>{body}</table>"
+    title = f"<title>Headland campaign</title><style>{style}</style><h1>Campaign {escape(campaign)}</h1>"
+    return f"<!doctype html><meta charset=utf-8>{title}<table><tr>{head}</tr>{body}</table>"
 
 
 def _text(value: object) -> str:

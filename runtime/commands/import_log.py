@@ -1,4 +1,4 @@
-"""`headland import`: any recording that is known here, written down as a log of ours."""
+"""`headland import`: converts a recording of a known format into a Headland log."""
 
 import argparse
 import json
@@ -12,7 +12,7 @@ from runtime.stack import load_stack
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Write the log; raises LogError, and then leaves nothing behind."""
+    """Writes the log; raises LogError and leaves no file in that case."""
     stack = load_stack().datasets
     recording = open_with_truth(arguments.source, arguments.truth, "any")
     if arguments.start > 0.0 or arguments.end != math.inf:

@@ -1,4 +1,4 @@
-"""`headland check-log`: what is in a log, whole or cut off."""
+"""`headland inspect-log`: topics, gaps and damage of a log, also of a truncated one."""
 
 import argparse
 import json
@@ -8,7 +8,7 @@ from datasets.summary import check_log, render_summary, summary_json
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """0 when the log is whole and every message decodes, else 1; a file that is no log raises LogError."""
+    """Prints the summary; 0 if the log is complete and all messages decode, else 1; raises LogError for other files."""
     summary = check_log(arguments.log)
     text = json.dumps(summary_json(summary)) if arguments.json else render_summary(summary)
     sys.stdout.write(text.rstrip("\n") + "\n")

@@ -1,4 +1,4 @@
-"""`headland plan`: the plan of a field alone, as picture, GeoJSON and figures."""
+"""`headland plan`: plans a field without driving; writes figure, GeoJSON, path length and areas."""
 
 import argparse
 import json
@@ -12,7 +12,7 @@ from runtime.setup import load_setup
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Plan and draw; a field that cannot be worked raises FieldError before anything is written."""
+    """Plans and writes the results; raises FieldError before writing if the field cannot be worked."""
     setup = load_setup(
         arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
     )
@@ -45,6 +45,6 @@ def main(arguments: argparse.Namespace) -> int:
     else:
         share = 100.0 * plan.planned_share
         sys.stdout.write(
-            f"{plan.length_m:.0f} m of way, {share:.1f} % of {plan.field_area_m2:.0f} m² planned: {folder.path}\n"
+            f"{plan.length_m:.0f} m path, {share:.1f} % of {plan.field_area_m2:.0f} m² planned: {folder.path}\n"
         )
     return 0

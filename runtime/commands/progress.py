@@ -1,4 +1,4 @@
-"""What the console shows of a drive: the task, the speed, and every stop with its reason."""
+"""Console output of a drive: task, speed, and each stop with its reason."""
 
 import time
 from typing import TextIO
@@ -13,7 +13,7 @@ LINE_EVERY_S = 10.0  # of simulated time
 
 
 class Progress:
-    """A sink that writes a line every ten simulated seconds and one for every change of mode, path or fault."""
+    """Sink that prints a line every ten simulated seconds and at each change of mode or fault."""
 
     def __init__(self, streams: tuple[TextIO, ...]) -> None:
         self._streams = streams
@@ -25,7 +25,7 @@ class Progress:
         self._status: MissionStatus | None = None
 
     def __call__(self, envelope: Envelope) -> None:
-        """Take note of a message."""
+        """Processes a message."""
         if self._start_ns is None:
             self._start_ns = envelope.receive_ns
         t_s = (envelope.receive_ns - self._start_ns) * 1e-9
@@ -35,14 +35,15 @@ class Progress:
         elif isinstance(message, SupervisorState):
             self._mode_changed(t_s, message)
         elif isinstance(message, Fault):
-            self._say(
-                t_s, f"{'fault' if message.is_active else 'over'}: {message.code} ({message.source}) {message.text_en}"
+            self._print(
+                t_s,
+                f"{'fault' if message.is_active else 'cleared'}: {message.code} ({message.source}) {message.text_en}",
             )
         elif isinstance(message, MissionStatus):
             self._status = message
             if t_s >= self._next_s:
                 self._next_s += LINE_EVERY_S
-                self._task(t_s, message)
+                self._print_task(t_s, message)
 
     def _mode_changed(self, t_s: float, state: SupervisorState) -> None:
         if state.mode is self._mode:
@@ -53,18 +54,18 @@ class Progress:
             if state.triggering_points_base_m.size
             else ""
         )
-        self._say(t_s, state.mode.value.replace("_", " ") + (reason or (f": {state.reason}" if state.reason else "")))
+        self._print(t_s, state.mode.value.replace("_", " ") + (reason or (f": {state.reason}" if state.reason else "")))
 
-    def _task(self, t_s: float, status: MissionStatus) -> None:
+    def _print_task(self, t_s: float, status: MissionStatus) -> None:
         share = 100.0 * status.driven_m / status.total_m if status.total_m else 0.0
         line = f" {status.line}" if status.line >= 0 else ""
         pace = t_s / max(time.monotonic() - self._wall_s, 1e-3)
-        self._say(
+        self._print(
             t_s,
             f"{share:3.0f} %  {status.section_type.value}{line}  {self._speed_kmh:4.1f} km/h  ({pace:.1f}x real time)",
         )
 
-    def _say(self, t_s: float, text: str) -> None:
+    def _print(self, t_s: float, text: str) -> None:
         for stream in self._streams:
             stream.write(f"{t_s:7.1f} s  {text}\n")
             stream.flush()

@@ -1,4 +1,4 @@
-"""`headland run`: drive a mission in simulation, judge its log, and write the report."""
+"""`headland run`: drives a mission in simulation, evaluates the log, and writes the report."""
 
 import argparse
 import json
@@ -10,18 +10,17 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from configs.site import Bay
-from configs.strict import find, load
 from configs.vehicle import Vehicle
 from datasets.log import LogWriter
 from datasets.reader import LogScan, decode, is_ours
 from messages.errors import HeadlandError
 from messages.message import Envelope
-from runtime.assembly import assemble, planted
+from runtime.assembly import assemble, fault_injection_for
 from runtime.commands.end_of_run import EndOfDrive
 from runtime.commands.progress import Progress
 from runtime.executor import Executor
 from runtime.run_folder import RunFolder, resolved, versions
-from runtime.setup import Setup, load_setup, with_model
+from runtime.setup import Setup, load_scenario, load_setup, with_model
 from simulation.scenario import Scenario
 from validation.drive.detections import Detections, DetectionSample, range_rows, share_rows
 from validation.drive.docking import bodies_of, docking_drive
@@ -33,31 +32,30 @@ from validation.drive.summary import Planned, summarize
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Drive; 0 when the mission finished without contact, exit or false stop, else 1."""
+    """Drives; 0 if the mission finished without contact, zone exit or false stop, else 1."""
     setup = load_setup(
         arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
     )
     setup = with_model(setup, arguments.model)
-    is_demo = arguments.field is None and setup.mission.work is not None
-    scenario = load(Scenario, find("scenarios", arguments.scenario or ("demo" if is_demo else "empty")))
+    scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
     folder = RunFolder("run", arguments.out)
     try:
         result = drive(setup, scenario, folder, sys.stderr, arguments.without_obstacle_rules)
     except (HeadlandError, OSError) as error:
         shutil.rmtree(folder.path)
-        raise HeadlandError(f"run given up, {folder.path} removed: {error}") from error
+        raise HeadlandError(f"run aborted, {folder.path} removed: {error}") from error
     if arguments.json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
         sys.stdout.write(f"{result['outcome']}; report: {folder.path / 'report.html'}\n")
-    is_good = result["outcome"] in ("finished", "docked")
-    return 0 if is_good and not (result["contacts"] or result["zone_exits"] or result["false_stops"]) else 1
+    is_complete = result["outcome"] in ("finished", "docked")
+    return 0 if is_complete and not (result["contacts"] or result["zone_exits"] or result["false_stops"]) else 1
 
 
 def drive(
     setup: Setup, scenario: Scenario, folder: RunFolder, console: TextIO, is_ablation: bool = False
 ) -> dict[str, Any]:
-    """Drive one mission into a run folder; returns the object of `run --json`."""
+    """Drives one mission into a run folder; returns the object of `run --json`."""
     began_s = time.monotonic()
     config = resolved(
         mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,
@@ -83,8 +81,8 @@ def drive(
         "run_dir": str(folder.path),
     }
     figures = draw_all(record, planned, summary) | _sensing_figures(record, samples, setup, bay)
-    for title, picture in figures.items():
-        (folder.path / f"{title.lower().replace(',', '').replace(' ', '-')}.png").write_bytes(picture)
+    for title, png in figures.items():
+        (folder.path / f"{title.lower().replace(',', '').replace(' ', '-')}.png").write_bytes(png)
     ranges = range_rows(samples)
     (folder.path / "report.html").write_text(render(summary, result, figures, ranges), encoding="utf-8")
     folder.record("ranges", {"ranges": ranges, "shares": share_rows(samples)})
@@ -99,8 +97,8 @@ def _drive_into_log(
     setup: Setup, scenario: Scenario, folder: RunFolder, metadata: dict[str, dict[str, str]], console: TextIO,
     is_ablation: bool,
 ) -> str:  # fmt: skip
-    """Assemble, run until the drive ends, and close the log; returns its digest."""
-    faults = planted(setup, scenario)
+    """Runs the stack until the drive ends, with its log; returns the digest of the log."""
+    faults = fault_injection_for(setup, scenario)
     with (
         assemble(setup, scenario, is_ablation, faults) as (world, nodes),
         (folder.path / "console.log").open("w") as file,
@@ -113,23 +111,23 @@ def _drive_into_log(
 
 
 def read_drive(path: Path, vehicle: Vehicle) -> tuple[DriveRecord, list[DetectionSample]]:
-    """What the measures need of a log, and every sensor's looks at the scenario's objects."""
+    """Drive record of a log, and the observations of the scenario's objects by each sensor."""
     detections = Detections(vehicle)
 
-    def shown() -> Iterator[Envelope]:
+    def envelopes() -> Iterator[Envelope]:
         for entry in LogScan(path, detections.topics.union(TOPICS)):
             if is_ours(entry) and detections.needs(entry.topic):
                 envelope = decode(entry)
                 detections(envelope)
                 yield envelope
 
-    return collect(shown()), detections.samples
+    return collect(envelopes()), detections.samples
 
 
 def _sensing_figures(
     record: DriveRecord, samples: list[DetectionSample], setup: Setup, bay: Bay | None
 ) -> dict[str, bytes]:
-    """Detections beside the truth, and the docking where there was one."""
+    """Figures of the detections against ground truth, and of the docking if there was one."""
     found = {
         "Detections near by": detections_figure(samples, record.first_ns),
         "Detections over range": shares_figure(samples),

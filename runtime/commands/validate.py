@@ -1,4 +1,4 @@
-"""`headland validate`: would the stack have stopped? Recorded logs replayed, judged and put into one table."""
+"""`headland validate`: replays recorded logs and evaluates whether the stack would have stopped for the obstacles."""
 
 import argparse
 import base64
@@ -26,21 +26,21 @@ NOT_LOGGED = ("lidar", "camera", "obstacles", "ground", "recorded", "imu", "whee
 
 @dataclass(frozen=True)
 class Task:
-    """One log to judge; everything a worker needs, as plain values."""
+    """One log to evaluate; inputs of a worker as plain values."""
 
     name: str
     log: Path
     truth: Path | None
     vehicle: Path | None
     conditions: Path | None
-    without: str | None
+    removed_object: str | None
     model: Path | None
     folder: Path
     key: str
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Judge all logs; 0 passed, 1 failed, 2 not shown."""
+    """Evaluates all logs; 0 passed, 1 failed, 2 not shown."""
     if arguments.jobs is not None and arguments.jobs < 1:
         raise HeadlandError(f"--jobs {arguments.jobs}: must be at least 1")
     conditions = load_conditions(arguments.conditions)
@@ -49,7 +49,7 @@ def main(arguments: argparse.Namespace) -> int:
     (folder.path / "config.yaml").write_text(resolved(conditions=conditions), encoding="utf-8")
     folder.record("conditions", versions() | {"conditions": conditions.model_dump(mode="json")}
                   | {"logs": [str(task.log) for task in tasks]})  # fmt: skip
-    done = _judge_all(tasks, arguments)
+    done = _evaluate_all(tasks, arguments)
     results = [done[task.name] for task in tasks]
     result = _finish(folder, results, conditions)
     if arguments.json:
@@ -62,12 +62,12 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 class _ResumedFolder(RunFolder):
-    """A run folder that may hold logs judged before; what was put together from them is made anew."""
+    """Run folder with results of earlier logs; tables and report are written again."""
 
     def __init__(self, out: Path) -> None:
-        strange = [p.name for p in out.iterdir() if p.name not in RESULTS and not p.name.endswith(".png")]
-        if strange:
-            raise HeadlandError(f"--out {out}: holds {strange[0]}, which is not of such a run; name another folder")
+        foreign = [p.name for p in out.iterdir() if p.name not in RESULTS and not p.name.endswith(".png")]
+        if foreign:
+            raise HeadlandError(f"--out {out}: contains {foreign[0]}, not of a validation; name another folder")
         for path in out.iterdir():
             if path.is_file():
                 path.unlink()
@@ -86,7 +86,7 @@ def _folder(out: Path | None) -> RunFolder:
 
 
 def _tasks(arguments: argparse.Namespace, folder: Path) -> list[Task]:
-    """One task a log, each with a name of its own."""
+    """One task per log, with a unique name."""
     named: dict[str, Path] = {}
     for log in arguments.log:
         name, number = log.name or log.absolute().name, 2
@@ -96,8 +96,12 @@ def _tasks(arguments: argparse.Namespace, folder: Path) -> list[Task]:
     tasks, commit = [], versions()["commit"]
     for name, log in named.items():
         key = _key(log, commit, arguments)
-        tasks.append(Task(name, log.absolute(), _absolute(arguments.truth), arguments.vehicle, arguments.conditions,
-                          arguments.without, _absolute(arguments.model), folder / "logs" / name, key))  # fmt: skip
+        tasks.append(
+            Task(
+                name, log.absolute(), _absolute(arguments.truth), arguments.vehicle, arguments.conditions,
+                arguments.remove_object, _absolute(arguments.model), folder / "logs" / name, key,
+            )
+        )  # fmt: skip
     return tasks
 
 
@@ -106,11 +110,11 @@ def _absolute(path: Path | None) -> Path | None:
 
 
 def _key(log: Path, commit: str, arguments: argparse.Namespace) -> str:
-    """What a judgement depends on: the log's files, the conditions, the vehicle, the code."""
+    """Hash of all inputs of an evaluation: log files, conditions, vehicle, options and commit."""
     parts = [
         commit,
         str(arguments.truth),
-        str(arguments.without),
+        str(arguments.remove_object),
         str(arguments.model),
         _text(arguments.conditions or FILE),
     ]
@@ -124,26 +128,26 @@ def _text(path: Path) -> str:
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else str(path)
 
 
-def _judge_all(tasks: list[Task], arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Results by name, told on standard error as they come."""
+def _evaluate_all(tasks: list[Task], arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Results by name, printed on standard error as they complete."""
     done: dict[str, dict[str, Any]] = {}
     waiting = []
     for task in tasks:
-        kept = _kept(task)
-        if kept is None:
+        stored = _stored_result(task)
+        if stored is None:
             waiting.append(task)
         else:
-            done[task.name] = kept
+            done[task.name] = stored
     if done:
-        sys.stderr.write(f"{len(done)} of {len(tasks)} judged before\n")
+        sys.stderr.write(f"{len(done)} of {len(tasks)} evaluated before\n")
     for task, values in _run(waiting, arguments):
         done[task.name] = values
         sys.stderr.write(f"[{len(done)}/{len(tasks)}] {task.name}: {summary_line(values)}\n")
     return done
 
 
-def _kept(task: Task) -> dict[str, Any] | None:
-    """The result of this very judgement from a run before, or None."""
+def _stored_result(task: Task) -> dict[str, Any] | None:
+    """Result of the same evaluation from an earlier run, or None."""
     try:
         values = json.loads((task.folder / "result.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -157,23 +161,23 @@ def _run(tasks: list[Task], arguments: argparse.Namespace) -> Iterator[tuple[Tas
         yield from _on_cluster(tasks, arguments.scheduler)
     elif jobs <= 1:
         for task in tasks:
-            yield task, judge_task(task)
+            yield task, evaluate_task(task)
     else:
-        with ProcessPoolExecutor(jobs, mp_context=_spawning()) as pool:
-            futures = {pool.submit(judge_task, task): task for task in tasks}
+        with ProcessPoolExecutor(jobs, mp_context=_spawn_context()) as pool:
+            futures = {pool.submit(evaluate_task, task): task for task in tasks}
             for future in as_completed(futures):
                 yield futures[future], _result_of(future.result, futures[future])
 
 
-def _spawning() -> Any:
-    """Fresh processes: threads of the libraries that are loaded here do not survive a fork."""
+def _spawn_context() -> Any:
+    """Context of new processes: threads of loaded libraries do not survive a fork."""
     import multiprocessing
 
     return multiprocessing.get_context("spawn")
 
 
 def _on_cluster(tasks: list[Task], address: str) -> Iterator[tuple[Task, dict[str, Any]]]:
-    """The same on a Dask cluster; results come back as values, so that no disk need be shared but for the logs."""
+    """Runs the tasks on a Dask cluster; results are returned as values, only the logs need a shared disk."""
     try:
         from distributed import Client
         from distributed import as_completed as completed
@@ -182,55 +186,55 @@ def _on_cluster(tasks: list[Task], address: str) -> Iterator[tuple[Task, dict[st
     try:
         client = Client(address, timeout="10s")  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TimeoutError) as error:
-        raise HeadlandError(f"--scheduler {address}: no scheduler answers ({error})") from error
+        raise HeadlandError(f"--scheduler {address}: no reply from the scheduler ({error})") from error
     with client:
-        futures = {client.submit(judge_task, task, pure=False): task for task in tasks}
+        futures = {client.submit(evaluate_task, task, pure=False): task for task in tasks}
         for future in completed(list(futures)):  # type: ignore[no-untyped-call]
             yield futures[future], _result_of(future.result, futures[future])
 
 
 def _result_of(get: Callable[[], Any], task: Task) -> dict[str, Any]:
-    """A worker's result; one that died is a log that failed."""
+    """Result of a worker; a worker that died gives a failed log."""
     try:
         return dict(get())
-    except Exception as error:  # whatever kills a worker must not end the run
+    except Exception as error:  # a failed worker must not end the run
         return {"log": task.name, "failed": f"{task.log}: the worker died ({error!r})"}
 
 
-def judge_task(task: Task) -> dict[str, Any]:
-    """Judge one log in this process; what is wrong with it is said in the result."""
+def evaluate_task(task: Task) -> dict[str, Any]:
+    """Evaluates one log in this process; errors are part of the result."""
     try:
-        values = _judge(task)
+        values = _evaluate(task)
     except HeadlandError as error:
-        values = {"log": task.name, "failed": "; ".join([str(error), *_damages(task.log)])}
-    except Exception as error:  # a log may break what read it in any way; the others must go on
+        values = {"log": task.name, "failed": "; ".join([str(error), *_damage(task.log)])}
+    except Exception as error:  # an invalid log may raise any error; the other logs continue
         where = traceback.format_exc().strip().splitlines()[-3:]
         values = {"log": task.name, "failed": f"{task.log}: {error!r} ({' '.join(where)})"}
     values["key"] = task.key
     if "failed" not in values:
         task.folder.mkdir(parents=True, exist_ok=True)
-        fresh = task.folder / "result.json.new"
-        fresh.write_text(json.dumps(values), encoding="utf-8")
-        fresh.replace(task.folder / "result.json")
+        temporary = task.folder / "result.json.new"
+        temporary.write_text(json.dumps(values), encoding="utf-8")
+        temporary.replace(task.folder / "result.json")
     return values
 
 
-def _damages(log: Path) -> tuple[str, ...]:
-    """What of it was lost, which may be why it could not be judged."""
-    from runtime.replay.prepare import damages_of
+def _damage(log: Path) -> tuple[str, ...]:
+    """Damage of a log, a possible cause of the failure."""
+    from runtime.replay.prepare import damage_of
 
     try:
-        return damages_of(log)
+        return damage_of(log)
     except HeadlandError:
         return ()
 
 
-def _judge(task: Task) -> dict[str, Any]:
-    """Replay and judge; heavy imports only here."""
+def _evaluate(task: Task) -> dict[str, Any]:
+    """Replays and evaluates a log; heavy modules are imported only here."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     from runtime.replay.log_inspection_table import render
-    from runtime.replay.object_removal import erase
+    from runtime.replay.object_removal import remove_object
     from runtime.replay.prepare import load_configuration, prepare
     from runtime.replay.replay import replay
     from validation.obstacle_stop.evaluation import evaluate_log
@@ -238,24 +242,24 @@ def _judge(task: Task) -> dict[str, Any]:
     from validation.obstacle_stop.observer import Observer
 
     conditions = load_conditions(task.conditions)
-    prepared = prepare(task.log, task.truth, task.vehicle, load_configuration(conditions, task.model))
-    if task.without is not None:
-        prepared = erase(prepared, task.without)
-    preflight = prepared.preflight()
-    sys.stderr.write(render(preflight))
-    setting = prepared.setting(task.name)
+    replay_input = prepare(task.log, task.truth, task.vehicle, load_configuration(conditions, task.model))
+    if task.removed_object is not None:
+        replay_input = remove_object(replay_input, task.removed_object)
+    inspection = replay_input.inspection_table()
+    sys.stderr.write(render(inspection))
+    setting = replay_input.setting(task.name)
     observer = Observer(setting, conditions)
     task.folder.mkdir(parents=True, exist_ok=True)
     path = task.folder / "replay.mcap"
     path.unlink(missing_ok=True)
-    about = {"replay": {"log": str(task.log), "preflight": json.dumps(preflight)}}
-    with LogWriter(path, about, prepared.config.stack.datasets.log) as log:
+    about = {"replay": {"log": str(task.log), "inspection": json.dumps(inspection)}}
+    with LogWriter(path, about, replay_input.config.stack.datasets.log) as log:
 
-        def keep(envelope: Envelope) -> None:
+        def write(envelope: Envelope) -> None:
             if envelope.topic.lstrip("/").partition("/")[0] not in NOT_LOGGED:
                 log.write(envelope)
 
-        replay(prepared, [observer, keep])
+        replay(replay_input, [observer, write])
     observed = observer.finish()
     values = evaluate_log(task.name, observed, setting.truth_frame is not None, conditions)
     pictures = {}
@@ -265,11 +269,11 @@ def _judge(task: Task) -> dict[str, Any]:
                 encounter, observed, setting.front_m, setting.width_m, conditions.corridor.min_returns
             )
             pictures[f"{task.name}: {encounter['role']}, {encounter['outcome']}"] = base64.b64encode(png).decode()
-    return values | {"preflight": preflight, "digest": log.digest(), "pictures": pictures}
+    return values | {"inspection": inspection, "digest": log.digest(), "pictures": pictures}
 
 
 def _finish(folder: RunFolder, results: list[dict[str, Any]], conditions: Any) -> dict[str, Any]:
-    """Tables, report and records of all logs."""
+    """Writes tables, report and records of all logs; returns the overall result."""
     from validation.obstacle_stop.report import render
     from validation.obstacle_stop.totals import aggregate
 
@@ -277,11 +281,11 @@ def _finish(folder: RunFolder, results: list[dict[str, Any]], conditions: Any) -
     for name in ("encounters", "stops", "recall"):
         write_table(folder.path / f"{name}.parquet", name, result[name])
     pictures = {t: base64.b64decode(png) for values in results for t, png in values.get("pictures", {}).items()}
-    preflights = [values["preflight"] for values in results if "preflight" in values]
-    (folder.path / "report.html").write_text(render(result, preflights, pictures), encoding="utf-8")
+    inspections = [values["inspection"] for values in results if "inspection" in values]
+    (folder.path / "report.html").write_text(render(result, inspections, pictures), encoding="utf-8")
     for values in results:
-        kept = {k: v for k, v in values.items() if k not in ("pictures", "key")}
-        folder.record("log", kept)
+        record = {k: v for k, v in values.items() if k not in ("pictures", "key")}
+        folder.record("log", record)
     folder.record("result", {"result": result})
     folder.finish()
     return result

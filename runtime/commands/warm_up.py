@@ -8,26 +8,32 @@ from concurrent.futures import ProcessPoolExecutor
 import can
 
 from configs.strict import find, load
-from runtime.assembly import locating, seeing, simulated
+from messages.node import Node
+from runtime.assembly import localization_nodes, simulated_world
+from runtime.perception_nodes import perception_nodes
 from runtime.setup import Setup, load_setup
 from simulation.scenario import Scenario
 
 
 def main() -> None:
-    """Build each room in a process of its own; numba keeps on disk what it compiled."""
-    rooms = (_simulation, seeing, locating)
+    """Builds each part of the stack in its own process; numba caches the compiled code on disk."""
+    parts = (_simulation, _perception, localization_nodes)
     with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
-        for built in [pool.submit(_build, room) for room in rooms]:
+        for built in [pool.submit(_build, part) for part in parts]:
             built.result()
 
 
-def _build(room: Callable[[Setup], object]) -> None:
-    room(load_setup("demo", None, None, None, 1, None))
+def _build(part: Callable[[Setup], object]) -> None:
+    part(load_setup("demo", None, None, None, 1, None))
 
 
 def _simulation(setup: Setup) -> None:
     with can.Bus(interface="virtual", channel="kernels") as bus:
-        simulated(setup, load(Scenario, find("scenarios", "demo")), bus).close()
+        simulated_world(setup, load(Scenario, find("scenarios", "demo")), bus).close()
+
+
+def _perception(setup: Setup) -> list[Node]:
+    return perception_nodes(setup.vehicle, setup.implement, setup.stack.perception)
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""`headland campaign faults`: everything that can break, broken in every situation, and judged."""
+"""`headland campaign fault-injection`: injects each fault in each situation and evaluates the reaction."""

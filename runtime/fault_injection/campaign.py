@@ -1,7 +1,7 @@
-"""`headland campaign faults`: one drive to each situation, and from there a forked process for each fault.
+"""`headland campaign fault-injection`: drives to each situation and forks a process there for each fault.
 
-The simulation is deterministic and has one thread, so a fork goes on exactly as the drive itself would have gone on: a
-cell costs only the seconds after its fault. What is whole in the folder is not driven again.
+The simulation is deterministic and single-threaded, so a fork continues exactly as the drive itself: a cell costs only
+the seconds after its fault. Cells with a result in the folder are not repeated.
 """
 
 import argparse
@@ -25,12 +25,13 @@ from datasets.log import LogWriter
 from messages.errors import HeadlandError, LogError
 from messages.message import Envelope
 from messages.node import Node, World
-from runtime.assembly import assemble, idle_of
+from runtime.assembly import assemble
 from runtime.executor import Executor
-from runtime.fault_injection.evaluation import Cell, Outcome, Seen, judge
-from runtime.fault_injection.situations import SITUATIONS, Watch
+from runtime.fault_injection.evaluation import Cell, MeasuredReaction, Outcome, evaluate
+from runtime.fault_injection.situations import SITUATIONS, DriveMonitor
 from runtime.fault_injection.table import write_tables
 from runtime.run_folder import RunFolder
+from runtime.safety_nodes import sensors_without_detector
 from runtime.setup import Setup, load_setup
 from safety.monitors.sensors import monitored_sensors
 from simulation.faults.config import FaultsConfig, InjectedFault, fault_kinds_of
@@ -38,101 +39,102 @@ from simulation.faults.injection import FaultInjection
 from simulation.scenario import Scenario
 
 EYES = ("lidar", "radar", "camera", "ultrasonic")
-NOT_BROKEN = ("operator_command", "truth_machine", "truth_objects")
-LIMIT_S = 600.0  # of simulated time, on the way to a situation
-CELL_LIMIT_S = 900.0  # of wall time
+NOT_INJECTED = ("operator_command", "truth_machine", "truth_objects")
+LIMIT_S = 600.0  # simulated time to reach a situation
+CELL_LIMIT_S = 900.0  # wall time
 SEED = 1
 
 
 @dataclass
 class Drive:
-    """A drive that can be forked."""
+    """Drive that can be forked."""
 
     setup: Setup
     world: World
     nodes: list[tuple[Node, int]]
     executor: Executor
     injection: FaultInjection
-    watch: Watch
+    monitor: DriveMonitor
     config: FaultsConfig
-    kept: list[Envelope]
+    recorded: list[Envelope]
 
     def topics(self) -> list[str]:
-        """All that can break here: sensors, feedback frames, nodes, clock and log."""
-        sensors = [topic for topic in self.world.writes if topic not in NOT_BROKEN]
+        """FaultInjection targets: sensors, feedback frames, nodes, clock and log."""
+        sensors = [topic for topic in self.world.writes if topic not in NOT_INJECTED]
         frames = [f"can/{name}" for name in self.config.frames]
         return [*sensors, *frames, *(f"node/{node.name}" for node, _ in self.nodes), "clock", "log"]
 
-    def idle(self) -> tuple[str, ...]:
-        """Sensors that look away from the direction of travel or detect nothing, with their nodes."""
-        assert self.watch.truth is not None
-        sensors, direction = self.setup.vehicle.sensors, int(np.sign(self.watch.truth.speed_mps))
-        looking = [one for one in monitored_sensors(sensors, idle_of(self.setup)) if one.covers(direction)]
-        seeing = {one.topic for one in looking}
+    def unused(self) -> tuple[str, ...]:
+        """Sensors that do not cover the direction of travel or detect nothing, with their nodes."""
+        assert self.monitor.truth is not None
+        sensors, direction = self.setup.vehicle.sensors, int(np.sign(self.monitor.truth.speed_mps))
+        monitored = monitored_sensors(sensors, sensors_without_detector(self.setup))
+        covering = [one for one in monitored if one.covers(direction)]
+        used = {one.topic for one in covering}
         for name, lidar in sensors.lidar.items():
-            seeing |= {f"lidar/{name}"} if np.cos(np.radians(lidar.mount.rpy_deg[2])) * direction > 0.0 else set()
-        every = [topic for topic in self.world.writes if topic.partition("/")[0] in EYES]
-        away = [topic for topic in every if topic not in seeing]
-        nodes = [f"node/{prefix}{topic.replace('/', '_', 1)}" for topic in away for prefix in ("", "health_")]
-        return (*away, *nodes)
+            used |= {f"lidar/{name}"} if np.cos(np.radians(lidar.mount.rpy_deg[2])) * direction > 0.0 else set()
+        obstacle_topics = [topic for topic in self.world.writes if topic.partition("/")[0] in EYES]
+        unused = [topic for topic in obstacle_topics if topic not in used]
+        nodes = [f"node/{prefix}{topic.replace('/', '_', 1)}" for topic in unused for prefix in ("", "health_")]
+        return (*unused, *nodes)
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Run the missing cells; 0 when every cell is right."""
+    """Runs the missing cells; 0 if every cell passed."""
     if arguments.jobs < 1:
         raise HeadlandError(f"--jobs {arguments.jobs}: must be at least 1")
     known = [name for named in SITUATIONS.values() for name in named]
-    asked = arguments.situations.split(",") if arguments.situations else known
-    if strange := [name for name in asked if name not in known]:
-        raise HeadlandError(f"--situations {strange[0]}: there are {', '.join(known)}")
-    top = (arguments.out or RunFolder("campaign-faults", None).path).absolute()
+    requested = arguments.situations.split(",") if arguments.situations else known
+    if unknown := [name for name in requested if name not in known]:
+        raise HeadlandError(f"--situations {unknown[0]}: must be of {', '.join(known)}")
+    top = (arguments.out or RunFolder("campaign-fault-injection", None).path).absolute()
     (top / "cells").mkdir(parents=True, exist_ok=True)
     for mission, named in SITUATIONS.items():
-        wanted = {name: is_reached for name, is_reached in named.items() if name in asked}
-        if wanted:
-            drive_to(mission, wanted, top / "cells", arguments.only, arguments.jobs)
+        situations = {name: is_reached for name, is_reached in named.items() if name in requested}
+        if situations:
+            drive_to(mission, situations, top / "cells", arguments.only, arguments.jobs)
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((top / "cells").glob("*.json"))]
     write_tables(top, rows)
-    wrong = [row for row in rows if not row["is_right"]]
+    failed = [row for row in rows if not row["passed"]]
     if arguments.json:
-        sys.stdout.write(json.dumps({"cells": len(rows), "wrong": wrong, "run_dir": str(top)}) + "\n")
+        sys.stdout.write(json.dumps({"cells": len(rows), "failed": failed, "run_dir": str(top)}) + "\n")
     else:
-        sys.stdout.write(f"{len(rows) - len(wrong)} of {len(rows)} right; table: {top / 'table.html'}\n")
-    return 0 if rows and not wrong else 1
+        sys.stdout.write(f"{len(rows) - len(failed)} of {len(rows)} passed; table: {top / 'table.html'}\n")
+    return 0 if rows and not failed else 1
 
 
 def drive_to(
-    mission: str, wanted: Mapping[str, Callable[[Watch], bool]], folder: Path, only: str | None, jobs: int
+    mission: str, situations: Mapping[str, Callable[[DriveMonitor], bool]], folder: Path, only: str | None, jobs: int
 ) -> None:
-    """Drive a mission, and at each situation run its cells; raises HeadlandError when one does not come about."""
+    """Drives a mission and runs the cells of each situation; raises HeadlandError if a situation is not reached."""
     setup = load_setup(mission, None, None, None, SEED)
     scenario = load(Scenario, find("scenarios", "empty" if mission == "dock" else "faults"))
     config = load(FaultsConfig, CONFIGS / "faults.yaml")
     injection = FaultInjection((), config, setup.stack.simulation.start_stamp_ns, SEED)
-    watch, kept = Watch(), list[Envelope]()
+    monitor, recorded = DriveMonitor(), list[Envelope]()
     with assemble(setup, scenario, injection=injection) as (world, nodes):
-        executor = Executor(world, nodes, (watch, injection), injection)
-        drive = Drive(setup, world, nodes, executor, injection, watch, config, kept)
-        for situation, is_reached in wanted.items():
+        executor = Executor(world, nodes, (monitor, injection), injection)
+        drive = Drive(setup, world, nodes, executor, injection, monitor, config, recorded)
+        for situation, is_reached in situations.items():
             missing = [c for c in cells(drive, situation, only) if not (folder / f"{c.name}.json").is_file()]
             if not missing:
                 continue
-            sys.stderr.write(f"{situation}: {len(missing)} cells to run; driving there\n")
-            watch.mark()
-            executor.run(lambda reached=is_reached: reached(watch) or watch.seconds > LIMIT_S)  # type: ignore[misc]
-            if not is_reached(watch):
-                raise HeadlandError(f"situation {situation!r} did not come about within {LIMIT_S:.0f} s of {mission!r}")
+            sys.stderr.write(f"{situation}: {len(missing)} cells to run; driving to the situation\n")
+            monitor.reset()
+            executor.run(lambda reached=is_reached: reached(monitor) or monitor.seconds > LIMIT_S)  # type: ignore[misc]
+            if not is_reached(monitor):
+                raise HeadlandError(f"situation {situation!r} was not reached within {LIMIT_S:.0f} s of {mission!r}")
             _fork_all(drive, missing, folder, jobs)
 
 
 def cells(drive: Drive, situation: str, only: str | None) -> list[Cell]:
-    """Every fault of every topic whose cell's name matches `only`."""
+    """Cells of every fault of every target whose name matches `only`."""
     found = [Cell(situation, topic, kind) for topic in drive.topics() for kind in fault_kinds_of(topic)]
     return [cell for cell in found if only is None or re.search(only, cell.name)]
 
 
 def _fork_all(drive: Drive, missing: list[Cell], folder: Path, jobs: int) -> None:
-    """Run each cell in a process of its own, some at a time; one that dies or never ends is told and goes without."""
+    """Runs each cell in a process, `jobs` at a time; a cell that fails or times out is reported and has no result."""
     running: dict[int, tuple[Cell, float]] = {}
     waiting = list(reversed(missing))
     while waiting or running:
@@ -146,24 +148,24 @@ def _fork_all(drive: Drive, missing: list[Cell], folder: Path, jobs: int) -> Non
             cell, began_s = running[pid]
             if os.waitpid(pid, os.WNOHANG)[0] == pid:
                 del running[pid]
-                _say(folder, cell, len(waiting) + len(running))
+                _print_result(folder, cell, len(waiting) + len(running))
             elif time.monotonic() - began_s > CELL_LIMIT_S:
                 os.kill(pid, signal.SIGKILL)
         time.sleep(0.02)
 
 
 def _run_and_exit(drive: Drive, cell: Cell, folder: Path) -> NoReturn:
-    """The life of a forked process."""
+    """Body of a forked process."""
     code = 1
     try:
         outcome = run_cell(drive, cell)
-        if not outcome.is_right:
-            _keep_log(drive, folder / f"{cell.name}.mcap")
+        if not outcome.passed:
+            _write_log(drive, folder / f"{cell.name}.mcap")
         fresh = folder / f".{cell.name}.new"
         fresh.write_text(json.dumps(outcome.as_dict()), encoding="utf-8")
         fresh.replace(folder / f"{cell.name}.json")
         code = 0
-    except BaseException:  # nothing of the parent's may go on in this process
+    except BaseException:  # the parent's code must not continue in this process
         sys.stderr.write(traceback.format_exc())
     finally:
         sys.stderr.flush()
@@ -171,48 +173,52 @@ def _run_and_exit(drive: Drive, cell: Cell, folder: Path) -> NoReturn:
 
 
 def run_cell(drive: Drive, cell: Cell) -> Outcome:
-    """Break what the cell says, now, and see what becomes of it."""
-    watch, injection, config = drive.watch, drive.injection, drive.config.campaign
-    truth, state = watch.truth, watch.state
+    """Injects the fault of a cell now and measures the reaction."""
+    monitor, injection, config = drive.monitor, drive.injection, drive.config.campaign
+    truth, state = monitor.truth, monitor.state
     assert truth is not None
     assert state is not None
-    idle = drive.idle()  # now: a machine that stands looks nowhere
+    unused = drive.unused()  # before the stop: at standstill there is no direction of travel
     elapsed_s = (drive.executor.now_ns - drive.setup.stack.simulation.start_stamp_ns) * 1e-9
     injection.add_fault(InjectedFault(topic=cell.topic, kind=cell.kind, from_s=elapsed_s, for_s=1e6))
-    watch.mark()
-    drive.executor.watch(drive.kept.append)
-    with contextlib.suppress(LogError):  # of the full disk, once the machine stands
-        drive.executor.run(lambda: watch.still_s >= config.standstill_s or watch.seconds >= config.observation_s)
-    now = watch.truth
+    monitor.reset()
+    drive.executor.add_sink(drive.recorded.append)
+    with contextlib.suppress(LogError):  # of a full disk, after the stop
+        drive.executor.run(
+            lambda: monitor.standstill_s >= config.standstill_s or monitor.seconds >= config.observation_s
+        )
+    now = monitor.truth
     assert now is not None
-    stopped_s = watch.seconds - watch.still_s if watch.still_s >= config.standstill_s else None
-    seen = Seen(
-        abs(truth.speed_mps), max(state.stopping_distance_m, 0.0), watch.travel_m, stopped_s, watch.error_m,
-        now.contacts - truth.contacts, now.zone_exits - truth.zone_exits, watch.reason, tuple(watch.told),
+    stopped_s = monitor.seconds - monitor.standstill_s if monitor.standstill_s >= config.standstill_s else None
+    measured = MeasuredReaction(
+        abs(truth.speed_mps), max(state.stopping_distance_m, 0.0), monitor.travel_m, stopped_s, monitor.path_error_m,
+        now.contacts - truth.contacts, now.zone_exits - truth.zone_exits, monitor.reason, tuple(monitor.alarms),
     )  # fmt: skip
     writes = {node.name: node.writes for node, _ in drive.nodes}
-    names = {topic: Cell(cell.situation, topic, cell.kind).names(config, writes) for topic in drive.topics()}
-    own = names.pop(cell.topic)
-    devices = {topic: called for topic, called in names.items() if not topic.startswith("node/")}
-    max_age_s = cell.max_age_s(writes) if cell.is_needed(config, idle) else None
-    return judge(cell, seen, config, own, devices, max_age_s, cell.is_missed(config, idle))
+    identifiers = {
+        topic: Cell(cell.situation, topic, cell.kind).identifiers(config, writes) for topic in drive.topics()
+    }
+    own = identifiers.pop(cell.topic)
+    devices = {topic: texts for topic, texts in identifiers.items() if not topic.startswith("node/")}
+    max_age_s = cell.max_age_s(writes) if cell.requires_stop(config, unused) else None
+    return evaluate(cell, measured, config, own, devices, max_age_s, cell.requires_alarm(config, unused))
 
 
-def _keep_log(drive: Drive, path: Path) -> None:
-    """What was received since the fault, for whoever wants to know why."""
+def _write_log(drive: Drive, path: Path) -> None:
+    """Writes the messages since the fault, for the analysis of a failed cell."""
     path.unlink(missing_ok=True)
     with LogWriter(path, {}, drive.setup.stack.datasets.log, drive.setup.viewer()) as log:
-        for envelope in drive.kept:
+        for envelope in drive.recorded:
             log.write(envelope)
 
 
-def _say(folder: Path, cell: Cell, left: int) -> None:
+def _print_result(folder: Path, cell: Cell, left: int) -> None:
     try:
         row = json.loads((folder / f"{cell.name}.json").read_text(encoding="utf-8"))
     except OSError:
         sys.stderr.write(f"{cell.name}: no result\n")
         return
-    stood = "went on" if row["travel_m"] is None else f"{row['travel_m']:.2f} m"
+    travel = "did not stop" if row["travel_m"] is None else f"{row['travel_m']:.2f} m"
     allowed = "" if row["allowed_m"] is None else f" of {row['allowed_m']:.2f}"
-    verdict = "right" if row["is_right"] else f"WRONG: {row['wrong']}"
-    sys.stderr.write(f"[{left} left] {cell.name}: {stood}{allowed}, {row['reason'] or 'no reason'}; {verdict}\n")
+    verdict = "passed" if row["passed"] else f"FAILED: {row['failure']}"
+    sys.stderr.write(f"[{left} left] {cell.name}: {travel}{allowed}, {row['reason'] or 'no reason'}; {verdict}\n")

@@ -1,4 +1,4 @@
-"""Whether one fault in one situation was met as it must be."""
+"""Evaluation of the reaction to one fault in one situation."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -8,12 +8,13 @@ from messages.topics import TOPICS, spec_of
 from simulation.faults.config import CampaignConfig, FaultKind
 from simulation.faults.frames import MAX_AGE_NS
 
-WHOLE_AGE_S = 0.4  # of the clock and the log, which are no topics
+OBSTACLE_REASONS = ("protective_field", "tracked_obstacle", "detection_range", "obstacle_stop")
+SYSTEM_MAX_AGE_S = 0.4  # of clock and log, which have no topic
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One fault in one situation."""
+    """Cell of the campaign: one fault in one situation."""
 
     situation: str
     topic: str
@@ -21,36 +22,36 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """For files and for `--only`."""
+        """Name for files and `--only`, such as swath-imu-off."""
         return f"{self.situation}-{self.topic.replace('/', '_')}-{self.kind.value}"
 
-    def is_needed(self, config: CampaignConfig, idle: Iterable[str]) -> bool:
-        """Whether the machine must stop; `idle` are sensors that this situation does without."""
+    def requires_stop(self, config: CampaignConfig, unused: Iterable[str]) -> bool:
+        """Whether the machine must stop; `unused` are sensors and nodes that this situation does not need."""
         family = self.topic if self.topic.startswith("can/") else self.topic.partition("/")[0]
         is_spare = self.topic.startswith(config.redundant_nodes) or self._is_of(config.report_required)
-        is_known = family in config.stop_required and self.topic not in idle and not is_spare
-        cannot_tell = self.kind is FaultKind.REPEATED and self.topic in config.without_counter
-        return is_known and self.kind in config.detectable_kinds and not cannot_tell
+        is_required = family in config.stop_required and self.topic not in unused and not is_spare
+        is_undetectable = self.kind is FaultKind.REPEATED and self.topic in config.without_counter
+        return is_required and self.kind in config.detectable_kinds and not is_undetectable
 
-    def is_missed(self, config: CampaignConfig, idle: Iterable[str]) -> bool:
-        """Whether the machine must say that it does without it; nonsense may look like nothing seen."""
+    def requires_alarm(self, config: CampaignConfig, unused: Iterable[str]) -> bool:
+        """Whether the loss must be reported; invalid values may be equal to an empty measurement."""
         is_silent = self.kind in config.detectable_kinds - {FaultKind.NAN, FaultKind.GARBAGE}
-        return is_silent and self._is_of(config.report_required) and self.topic not in idle
+        return is_silent and self._is_of(config.report_required) and self.topic not in unused
 
-    def _is_of(self, families: tuple[str, ...]) -> bool:
-        """Whether it is a sensor of these families, or makes obstacles or health of one."""
-        return self.topic.removeprefix("node/").removeprefix("health_").startswith(families)
+    def _is_of(self, kinds: tuple[str, ...]) -> bool:
+        """Whether the topic is a sensor of these kinds or a node of one."""
+        return self.topic.removeprefix("node/").removeprefix("health_").startswith(kinds)
 
     def max_age_s(self, writes: Mapping[str, tuple[str, ...]]) -> float:
-        """How old the last good message may become before it counts as missing: of a node, the first that does."""
+        """Maximum age of the last good message in s; for a node the smallest of its topics."""
         if self.topic.startswith("can/"):
             return MAX_AGE_NS * 1e-9
         if self.topic.startswith("node/"):
             return min(spec_of(topic).max_age_s for topic in writes[self.topic.removeprefix("node/")])
-        return spec_of(self.topic).max_age_s if self.topic.partition("/")[0] in TOPICS else WHOLE_AGE_S
+        return spec_of(self.topic).max_age_s if self.topic.partition("/")[0] in TOPICS else SYSTEM_MAX_AGE_S
 
-    def names(self, config: CampaignConfig, writes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
-        """By what the stack may call it; `writes` are the topics of each node."""
+    def identifiers(self, config: CampaignConfig, writes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+        """Texts by which reasons and alarms identify the device; `writes` are the topics of each node."""
         if self.topic.startswith("node/"):
             node = self.topic.removeprefix("node/")
             own = [w if "/" in w else f"{w}." for w in writes.get(node, ())]
@@ -61,7 +62,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a cell; `travel_m` and `stopped_s` are None when the machine went on."""
+    """Result of a cell; `travel_m` and `stopped_s` are None if the machine did not stop."""
 
     situation: str
     topic: str
@@ -71,68 +72,64 @@ class Outcome:
     allowed_m: float | None
     stopping_distance_m: float
     stopped_s: float | None
-    error_m: float
+    path_error_m: float
     contacts: int
     zone_exits: int
     reason: str
-    told: str
-    is_named: bool
-    blames_other: bool
-    is_right: bool
-    wrong: str
+    alarms: str
+    is_fault_identified: bool
+    is_misattributed: bool
+    passed: bool
+    failure: str
 
     def as_dict(self) -> dict[str, Any]:
-        """For table and file."""
+        """Row of table and file, numbers rounded to 3 decimals."""
         return {k: (round(v, 3) if isinstance(v, float) else v) for k, v in asdict(self).items()}
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The figures of one cell."""
+class MeasuredReaction:
+    """Measured values of one cell."""
 
     speed_mps: float
     stopping_distance_m: float
     travel_m: float
     stopped_s: float | None
-    error_m: float
+    path_error_m: float
     contacts: int
     zone_exits: int
     reason: str
-    told: tuple[str, ...]
+    alarms: tuple[str, ...]
 
 
-def judge(
-    cell: Cell, seen: Seen, config: CampaignConfig, names: tuple[str, ...], others: dict[str, tuple[str, ...]],
-    max_age_s: float | None, is_missed: bool,
+def evaluate(
+    cell: Cell, measured: MeasuredReaction, config: CampaignConfig, identifiers: tuple[str, ...],
+    others: dict[str, tuple[str, ...]], max_age_s: float | None, requires_alarm: bool,
 ) -> Outcome:  # fmt: skip
-    """The outcome; `others` are the names of all other devices, `max_age_s` None means that it need not stop."""
-    is_needed = max_age_s is not None
-    allowed_m = None if max_age_s is None else seen.speed_mps * max_age_s + seen.stopping_distance_m
-    is_named = any(name in text for name in names for text in (seen.reason, *seen.told))
-    blamed = [topic for topic, called in others.items() if any(name in seen.reason for name in called)]
-    blames_other = bool(blamed) and not is_named
-    is_obstacle = (
-        seen.reason.startswith(("protective_field", "tracked_obstacle", "detection_range", "obstacle_stop"))
-        and cell.situation == "obstacle"
-    )
+    """Outcome of a cell; `others` are the identifiers of all other devices, `max_age_s` None means no stop required."""
+    requires_stop, has_stopped = max_age_s is not None, measured.stopped_s is not None
+    allowed_m = None if max_age_s is None else measured.speed_mps * max_age_s + measured.stopping_distance_m
+    is_identified = any(name in text for name in identifiers for text in (measured.reason, *measured.alarms))
+    accused = [topic for topic, texts in others.items() if any(name in measured.reason for name in texts)]
+    is_misattributed = bool(accused) and not is_identified
+    is_obstacle_stop = cell.situation == "obstacle" and measured.reason.startswith(OBSTACLE_REASONS)
     bridged_s = config.min_bridging_s.get(cell.topic.partition("/")[0], 0.0)
-    is_bridged = seen.stopped_s is None or seen.stopped_s >= bridged_s or is_obstacle
-    complaints = {
-        "contact": seen.contacts > 0,
-        "exit": seen.zone_exits > 0,
-        "went on": is_needed and seen.stopped_s is None,
-        "stopped late": allowed_m is not None and seen.stopped_s is not None and seen.travel_m > allowed_m,
+    is_bridged = measured.stopped_s is None or measured.stopped_s >= bridged_s or is_obstacle_stop
+    failures = {
+        "contact": measured.contacts > 0,
+        "zone exit": measured.zone_exits > 0,
+        "did not stop": requires_stop and not has_stopped,
+        "stopped late": allowed_m is not None and has_stopped and measured.travel_m > allowed_m,
         "stopped too early": not is_bridged,
-        f"left the path by {seen.error_m:.2f} m": seen.error_m > config.max_path_error_m,
-        "blames " + ", ".join(blamed): blames_other,
-        "not named": is_needed and seen.stopped_s is not None and not is_named and not is_obstacle,
-        "not missed": is_missed and not is_named and not is_obstacle,
+        f"left the path by {measured.path_error_m:.2f} m": measured.path_error_m > config.max_path_error_m,
+        "attributed to " + ", ".join(accused): is_misattributed,
+        "not identified": requires_stop and has_stopped and not is_identified and not is_obstacle_stop,
+        "loss not reported": requires_alarm and not is_identified and not is_obstacle_stop,
     }
-    wrong = "; ".join(text for text, holds in complaints.items() if holds)
-    has_stopped = seen.stopped_s is not None
+    failure = "; ".join(text for text, holds in failures.items() if holds)
     return Outcome(
-        cell.situation, cell.topic, cell.kind.value, seen.speed_mps, seen.travel_m if has_stopped else None, allowed_m,
-        seen.stopping_distance_m, seen.stopped_s, seen.error_m, seen.contacts, seen.zone_exits, seen.reason,
-        ", ".join(seen.told),
-        is_named, blames_other, not wrong, wrong,
+        cell.situation, cell.topic, cell.kind.value, measured.speed_mps, measured.travel_m if has_stopped else None,
+        allowed_m, measured.stopping_distance_m, measured.stopped_s, measured.path_error_m, measured.contacts,
+        measured.zone_exits, measured.reason, ", ".join(measured.alarms), is_identified, is_misattributed,
+        not failure, failure,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The table of the campaign: HTML for the eye, Parquet for questions."""
+"""Result table of the fault injection campaign, as HTML and Parquet."""
 
 from html import escape
 from pathlib import Path
@@ -6,14 +6,13 @@ from typing import Any
 
 COLUMNS = {
     "situation": "string", "topic": "string", "fault": "string", "speed_mps": "float64", "travel_m": "float64",
-    "allowed_m": "float64", "stopping_distance_m": "float64", "stopped_s": "float64", "error_m": "float64",
-    "contacts": "int64",
-    "zone_exits": "int64", "reason": "string", "told": "string", "is_named": "bool_", "blames_other": "bool_",
-    "is_right": "bool_", "wrong": "string",
+    "allowed_m": "float64", "stopping_distance_m": "float64", "stopped_s": "float64", "path_error_m": "float64",
+    "contacts": "int64", "zone_exits": "int64", "reason": "string", "alarms": "string",
+    "is_fault_identified": "bool_", "is_misattributed": "bool_", "passed": "bool_", "failure": "string",
 }  # fmt: skip
 STYLE = (
     "body{font:15px system-ui;margin:2rem}td,th{padding:.25rem .6rem;border-bottom:1px solid #ccc;text-align:left}"
-    "tr.wrong{background:#fdd}td.number{text-align:right}"
+    "tr.failed{background:#fdd}td.number{text-align:right}"
 )
 
 
@@ -28,33 +27,33 @@ def write_tables(folder: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def page(rows: list[dict[str, Any]]) -> str:
-    """The table with its sums above it; what is wrong stands first."""
+    """HTML page with totals and table; failed cells come first."""
     head = "".join(f"<th>{escape(name.replace('_', ' '))}</th>" for name in COLUMNS)
-    ordered = sorted(rows, key=lambda row: bool(row["is_right"]))
+    ordered = sorted(rows, key=lambda row: bool(row["passed"]))
     body = "".join(_line(row) for row in ordered)
     title = f"<meta charset=utf-8><title>Headland faults</title><style>{STYLE}</style><h1>Faults</h1>"
-    return f"<!doctype html>{title}<p>{escape(sums(rows))}</p><table><tr>{head}</tr>{body}</table>"
+    return f"<!doctype html>{title}<p>{escape(totals(rows))}</p><table><tr>{head}</tr>{body}</table>"
 
 
-def sums(rows: list[dict[str, Any]]) -> str:
-    """The bars of the campaign in one line."""
+def totals(rows: list[dict[str, Any]]) -> str:
+    """Totals of the campaign in one line."""
     stopped = [row for row in rows if row["travel_m"] is not None]
-    late = [row for row in stopped if row["allowed_m"] is not None and row["travel_m"] > row["allowed_m"]]
-    needed = [row for row in stopped if row["allowed_m"] is not None]
-    within = sum(row["travel_m"] <= row["stopping_distance_m"] for row in needed)
-    named = sum(bool(row["is_named"]) for row in needed)
+    late_stops = [row for row in stopped if row["allowed_m"] is not None and row["travel_m"] > row["allowed_m"]]
+    required = [row for row in stopped if row["allowed_m"] is not None]
+    within = sum(row["travel_m"] <= row["stopping_distance_m"] for row in required)
+    identified = sum(bool(row["is_fault_identified"]) for row in required)
     return (
-        f"{sum(bool(row['is_right']) for row in rows)} of {len(rows)} cells right; {len(late)} stopped late; "
-        f"{sum(row['contacts'] for row in rows)} contacts, {sum(row['zone_exits'] for row in rows)} zone_exits; "
-        f"{within} of {len(needed)} needed stops within the stopping distance alone; "
-        f"device named in {named} of {len(needed)} needed stops; "
-        f"another blamed alone in {sum(bool(row['blames_other']) for row in rows)}"
+        f"{sum(bool(row['passed']) for row in rows)} of {len(rows)} cells passed; {len(late_stops)} stopped late; "
+        f"{sum(row['contacts'] for row in rows)} contacts, {sum(row['zone_exits'] for row in rows)} zone exits; "
+        f"{within} of {len(required)} required stops within the stopping distance alone; "
+        f"device identified in {identified} of {len(required)} required stops; "
+        f"attributed to another device in {sum(bool(row['is_misattributed']) for row in rows)}"
     )
 
 
 def _line(row: dict[str, Any]) -> str:
     cells = "".join(f"<td{_class(row[name])}>{_text(row[name])}</td>" for name in COLUMNS)
-    return f"<tr{'' if row['is_right'] else ' class=wrong'}>{cells}</tr>"
+    return f"<tr{'' if row['passed'] else ' class=failed'}>{cells}</tr>"
 
 
 def _class(value: object) -> str:

@@ -1,4 +1,4 @@
-"""The machine's bus as one process sees it: without the echo of its own frames, and without what is no frame."""
+"""CAN bus of one process: drops echoes of its own frames and invalid datagrams."""
 
 from collections import deque
 from collections.abc import Callable
@@ -9,7 +9,7 @@ ECHOES = 400
 
 
 class SharedBus(can.BusABC):
-    """A bus over a network: what others put on it that is no frame is counted and dropped."""
+    """CAN bus over a network; invalid datagrams are counted and dropped."""
 
     def __init__(self, bus: can.BusABC) -> None:
         super().__init__(bus.channel_info)
@@ -19,12 +19,12 @@ class SharedBus(can.BusABC):
         self._sent: deque[tuple[int, bytes]] = deque(maxlen=ECHOES)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send one frame; raises CanError."""
+        """Sends one frame; raises CanError."""
         self._sent.append((msg.arbitration_id, bytes(msg.data)))
         self._bus.send(msg, timeout)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame of another; None when there is none now."""
+        """Next frame of another sender, or None within `timeout` (s)."""
         while True:
             try:
                 frame = self._bus.recv(timeout)
@@ -41,6 +41,6 @@ class SharedBus(can.BusABC):
             self._sent.remove(sent)
 
     def shutdown(self) -> None:
-        """Leave the bus."""
+        """Closes the bus."""
         super().shutdown()
         self._bus.shutdown()

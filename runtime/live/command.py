@@ -1,4 +1,4 @@
-"""`headland live`: start the processes, watch the drive, break one if asked, and judge."""
+"""`headland live`: starts the processes, monitors the drive, kills one on request, and evaluates the stop."""
 
 import argparse
 import contextlib
@@ -17,21 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from configs.strict import CONFIGS, find, load
+from configs.strict import CONFIGS, load
 from messages.errors import HeadlandError
 from messages.message import Envelope
 from runtime.commands.end_of_run import LATCHED, EndOfDrive
 from runtime.commands.progress import Progress
-from runtime.fault_injection.situations import Watch
+from runtime.fault_injection.situations import DriveMonitor
 from runtime.live.config import ROLES, LiveConfig
 from runtime.live.process import Start, run_process, started_at
 from runtime.live.ring import RingReader, make_ring
 from runtime.live.serialization import unpack
 from runtime.run_folder import RunFolder, resolved, versions
-from runtime.setup import Setup, load_setup
+from runtime.setup import Setup, load_scenario, load_setup
 from simulation.scenario import Scenario
 
-WATCHED = (
+TOPICS = (
     "truth_machine",
     "supervisor",
     "mission",
@@ -42,28 +42,35 @@ WATCHED = (
     "fault/gateway",
 )
 SIGNALS = {"KILL": signal.SIGKILL, "STOP": signal.SIGSTOP}
-GRACE_S = 10.0  # for a process to close what it has open
-AFTER_S = 10.0  # watched after a process was broken
-UNSEEN_S = 2.0  # the same when it was the machine, whose motion nobody tells any more
+SHUTDOWN_S = 10.0  # time for a process to close its files
+OBSERVATION_S = 10.0  # observation time after a process was killed
+MACHINE_OBSERVATION_S = 2.0  # the same after the machine process, which published the true motion
 
-Broken = tuple[str, str, float]  # which process, by which signal, after how many seconds
+ProcessKill = tuple[str, str, float]  # process, signal, seconds after the start
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Drive; 0 when the mission ended well, or when the machine stood in time after what was broken."""
-    broken = _broken(arguments.break_)
-    setup = load_setup(arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed)
-    scenario = load(Scenario, find("scenarios", arguments.scenario or ("empty" if arguments.field else "demo")))
+    """Drives; 0 if the mission ended without a fault, or the machine stopped in time after the kill."""
+    kill = parse_kill(arguments.kill)
+    setup = load_setup(
+        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
+    )
+    scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
     folder = RunFolder("live", arguments.out)
-    result = drive(setup, scenario, folder, broken, arguments.for_s, arguments.reactions)
-    sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _told(result))
-    return 0 if result["is_good"] else 1
+    result = drive(setup, scenario, folder, kill, arguments.duration, arguments.reaction_trials)
+    sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _summary(result))
+    return 0 if result["passed"] else 1
 
 
 def drive(
-    setup: Setup, scenario: Scenario, folder: RunFolder, broken: Broken | None, for_s: float | None, reactions: int
+    setup: Setup,
+    scenario: Scenario,
+    folder: RunFolder,
+    kill: ProcessKill | None,
+    duration_s: float | None,
+    reaction_trials: int,
 ) -> dict[str, Any]:
-    """Start all processes, drive, and stop them; gives the result, which is in the folder too."""
+    """Starts all processes, drives, and stops them; returns the result, which is also in the folder."""
     config = load(LiveConfig, CONFIGS / "live.yaml")
     setup = started_at(setup, time.time_ns())
     text = resolved(mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement,
@@ -72,19 +79,21 @@ def drive(
     conditions = versions() | {"seed": str(setup.seed)}
     folder.record("conditions", conditions)
     with _rings(config) as rings:
-        context = multiprocessing.get_context("fork")  # what all need is loaded once, and no thread runs yet
+        context = multiprocessing.get_context("fork")  # common modules are loaded once; no thread is running yet
         barrier, zero = context.Barrier(len(ROLES) + 1), context.Value("q", 0, lock=False)
         starts = [
             Start(role, setup, scenario, config, folder.path, rings, {"run": conditions, "config": {"yaml": text}},
-                  reactions, barrier, zero)
+                  reaction_trials, barrier, zero)
             for role in ROLES
         ]  # fmt: skip
         processes = {s.role: context.Process(target=run_process, args=(s,), name=s.role) for s in starts}
         try:
             _start(processes, barrier, zero, config)
             with (folder.path / "console.log").open("w") as file:
-                watched = _Drive(processes, rings, setup.plan.length_m, Progress((sys.stderr, file)))
-                result = watched.run(broken, for_s, lambda: 0 < reactions <= len(_measured(folder.path)))
+                monitored = _Drive(processes, rings, setup.plan.length_m, Progress((sys.stderr, file)))
+                result = monitored.run(
+                    kill, duration_s, lambda: 0 < reaction_trials <= len(_reaction_rows(folder.path))
+                )
         finally:
             _stop(processes)
     result |= {"reactions": _reactions(folder.path), "run_dir": str(folder.path)}
@@ -95,84 +104,91 @@ def drive(
 
 
 class _Drive:
-    """The drive as the parent sees it, through the others' rings."""
+    """Drive as observed by the parent process through the rings."""
 
     def __init__(
         self, processes: Mapping[str, BaseProcess], rings: dict[str, Path], length_m: float, progress: Progress
     ) -> None:
         self._processes = processes
         self._readers = [RingReader(path) for path in rings.values()]
-        self._watch, self._end, self._progress = Watch(), EndOfDrive(length_m), progress
+        self._monitor, self._end, self._progress = DriveMonitor(), EndOfDrive(length_m), progress
 
-    def run(self, broken: Broken | None, for_s: float | None, is_enough: Callable[[], bool]) -> dict[str, Any]:
-        """Until the drive is over or long enough, or the machine has had its time after what was broken."""
-        while not self._end.is_reached() and (for_s is None or self._watch.seconds < for_s) and not is_enough():
-            self._listen()
-            if broken is not None and self._watch.seconds >= broken[2]:
-                return self._break(*broken[:2])
+    def run(self, kill: ProcessKill | None, duration_s: float | None, is_enough: Callable[[], bool]) -> dict[str, Any]:
+        """Monitors until the drive has ended, the duration is over, or the observation after a kill is complete."""
+        while (
+            not self._end.is_reached()
+            and (duration_s is None or self._monitor.seconds < duration_s)
+            and not is_enough()
+        ):
+            self._receive()
+            if kill is not None and self._monitor.seconds >= kill[2]:
+                return self._kill(*kill[:2])
             if dead := [name for name, process in self._processes.items() if not process.is_alive()]:
-                return self._after({"died": dead[0]})
-        state = self._watch.state
-        is_good = broken is None and state is not None and state.mode not in LATCHED
-        return {"outcome": "over" if state is None else state.mode.value, "is_good": is_good,
-                "told": self._watch.told, "simulated_s": round(self._watch.seconds, 2)}  # fmt: skip
+                return self._observe_stop({"died": dead[0]})
+        state = self._monitor.state
+        passed = kill is None and state is not None and state.mode not in LATCHED
+        return {"outcome": "over" if state is None else state.mode.value, "passed": passed,
+                "alarms": self._monitor.alarms, "simulated_s": round(self._monitor.seconds, 2)}  # fmt: skip
 
-    def _break(self, name: str, how: str) -> dict[str, Any]:
-        os.kill(self._processes[name].pid or 0, SIGNALS[how])
-        return self._after({"broken": name, "how": how, "at_s": round(self._watch.seconds, 2)})
+    def _kill(self, name: str, signal_name: str) -> dict[str, Any]:
+        os.kill(self._processes[name].pid or 0, SIGNALS[signal_name])
+        return self._observe_stop({"killed": name, "signal": signal_name, "at_s": round(self._monitor.seconds, 2)})
 
-    def _after(self, about: dict[str, Any]) -> dict[str, Any]:
-        """What becomes of the machine when a process is gone."""
-        watch, truth, state = self._watch, self._watch.truth, self._watch.state
+    def _observe_stop(self, about: dict[str, Any]) -> dict[str, Any]:
+        """Measures the stop of the machine after the end of a process."""
+        monitor, truth, state = self._monitor, self._monitor.truth, self._monitor.state
         speed = abs(truth.speed_mps) if truth is not None else 0.0
         stopping_distance_m = state.stopping_distance_m if state is not None else 0.0
-        at_s = watch.seconds
-        watch.mark()
-        began_s, is_gone = time.monotonic(), about.get("broken") == "machine"
-        while time.monotonic() - began_s < (UNSEEN_S if is_gone else AFTER_S) and watch.still_s < 1.0:
-            self._listen()
-        is_seen, stood = is_gone or watch.seconds > 0.0, is_gone or watch.still_s >= 1.0
+        at_s = monitor.seconds
+        monitor.reset()
+        began_s, is_machine = time.monotonic(), about.get("killed") == "machine"
+        while (
+            time.monotonic() - began_s < (MACHINE_OBSERVATION_S if is_machine else OBSERVATION_S)
+            and monitor.standstill_s < 1.0
+        ):
+            self._receive()
+        is_observed, stopped = is_machine or monitor.seconds > 0.0, is_machine or monitor.standstill_s >= 1.0
         return about | {
-            "speed_mps": round(speed, 3), "travel_m": round(watch.travel_m, 3),
+            "speed_mps": round(speed, 3), "travel_m": round(monitor.travel_m, 3),
             "allowed_m": round(stopping_distance_m, 3),
-            "until_s": round(at_s + watch.seconds, 2), "reason": watch.reason, "told": watch.told,
-            "outcome": "stopped" if stood else "not stopped",
-            "is_good": is_seen and stood and watch.travel_m <= stopping_distance_m,
+            "until_s": round(at_s + monitor.seconds, 2), "reason": monitor.reason, "alarms": monitor.alarms,
+            "outcome": "stopped" if stopped else "not stopped",
+            "passed": is_observed and stopped and monitor.travel_m <= stopping_distance_m,
         }  # fmt: skip
 
-    def _listen(self) -> None:
+    def _receive(self) -> None:
         now_ns = time.monotonic_ns()
         for reader in self._readers:
             for record in reader.records():
-                if (output := unpack(record, WATCHED)) is not None:
+                if (output := unpack(record, TOPICS)) is not None:
                     envelope = Envelope(output[0], 0, now_ns, output[1])
-                    for sink in (self._watch, self._end, self._progress):
+                    for sink in (self._monitor, self._end, self._progress):
                         sink(envelope)
         time.sleep(0.005)
 
 
 def _start(processes: Mapping[str, BaseProcess], barrier: Any, zero: Any, config: LiveConfig) -> None:
-    """Start all and wait until all are warm; raises HeadlandError when one does not get there."""
+    """Starts all processes and waits until they are ready; raises HeadlandError at a failure or timeout."""
     for process in processes.values():
         process.start()
     began_s = time.monotonic()
     while barrier.n_waiting < len(processes):
         dead = [name for name, process in processes.items() if not process.is_alive()]
-        if dead or time.monotonic() - began_s > config.start_s:
-            raise HeadlandError(f"process {dead[0] if dead else 'set'} did not start; see above")
+        if dead or time.monotonic() - began_s > config.startup_s:
+            raise HeadlandError(f"process {dead[0] if dead else 'group'} did not start; see the messages above")
         time.sleep(0.05)
-    barrier.wait(config.start_s)
+    barrier.wait(config.startup_s)
     zero.value = time.monotonic_ns()
-    barrier.wait(config.start_s)
+    barrier.wait(config.startup_s)
 
 
 def _stop(processes: Mapping[str, BaseProcess]) -> None:
-    """End all; who does not listen is killed."""
+    """Terminates all processes; kills those that do not end in time."""
     alive = [process for process in processes.values() if process.pid is not None and process.is_alive()]
     for process in alive:
         os.kill(process.pid or 0, signal.SIGTERM)
         os.kill(process.pid or 0, signal.SIGCONT)
-    until_s = time.monotonic() + GRACE_S
+    until_s = time.monotonic() + SHUTDOWN_S
     for process in alive:
         process.join(max(0.1, until_s - time.monotonic()))
         if process.is_alive():
@@ -182,7 +198,7 @@ def _stop(processes: Mapping[str, BaseProcess]) -> None:
 
 @contextlib.contextmanager
 def _rings(config: LiveConfig) -> Iterator[dict[str, Path]]:
-    """A ring for each process, in memory."""
+    """One ring per process, in shared memory."""
     memory = Path("/dev/shm")
     folder = Path(tempfile.mkdtemp(prefix="headland-", dir=memory if memory.is_dir() else None))
     try:
@@ -194,28 +210,28 @@ def _rings(config: LiveConfig) -> Iterator[dict[str, Path]]:
         shutil.rmtree(folder)
 
 
-def _broken(text: str | None) -> Broken | None:
-    """NAME:SIGNAL:SECONDS, such as perception:KILL:20; raises HeadlandError."""
+def parse_kill(text: str | None) -> ProcessKill | None:
+    """Value of `--kill`, PROCESS:SIGNAL:SECONDS such as perception:KILL:20; raises HeadlandError."""
     if text is None:
         return None
     parts = text.split(":")
     if len(parts) != 3 or parts[0] not in ROLES or parts[1] not in SIGNALS:
-        raise HeadlandError(f"--break {text}: PROCESS:SIGNAL:SECONDS with {', '.join(ROLES)} and KILL or STOP")
+        raise HeadlandError(f"--kill {text}: PROCESS:SIGNAL:SECONDS with {', '.join(ROLES)} and KILL or STOP")
     try:
         return parts[0], parts[1], float(parts[2])
     except ValueError as error:
-        raise HeadlandError(f"--break {text}: {parts[2]!r} is no time") from error
+        raise HeadlandError(f"--kill {text}: {parts[2]!r} is not a number of seconds") from error
 
 
-def _measured(folder: Path) -> list[str]:
-    """A line for each reaction."""
+def _reaction_rows(folder: Path) -> list[str]:
+    """Lines of `reactions.jsonl`, one per reaction."""
     path = folder / "reactions.jsonl"
     return path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
 
 
 def _reactions(folder: Path) -> dict[str, Any] | None:
-    """Percentiles of what was measured."""
-    rows = [json.loads(line) for line in _measured(folder)]
+    """Percentiles of the reaction times, None without reactions."""
+    rows = [json.loads(line) for line in _reaction_rows(folder)]
     if not rows:
         return None
     found: dict[str, Any] = {"n": len(rows)}
@@ -227,7 +243,7 @@ def _reactions(folder: Path) -> dict[str, Any] | None:
 
 
 def _log_end(path: Path, start_ns: int) -> dict[str, Any]:
-    """Up to when the log can be read."""
+    """Number of readable log messages and time of the last one."""
     from datasets.records import RawMessage, walk
 
     last_ns, count = start_ns, 0
@@ -238,8 +254,8 @@ def _log_end(path: Path, start_ns: int) -> dict[str, Any]:
     return {"log_messages": count, "log_until_s": round((last_ns - start_ns) * 1e-9, 2)}
 
 
-def _told(result: dict[str, Any]) -> str:
-    """The result for the eye."""
+def _summary(result: dict[str, Any]) -> str:
+    """Result as one line of text."""
     travel = f", travel {result['travel_m']} m of {result['allowed_m']} m" if "travel_m" in result else ""
     reactions = f", reactions {result['reactions']}" if result["reactions"] else ""
     return f"{result['outcome']}{travel}{reactions}; log until {result['log_until_s']} s; {result['run_dir']}\n"

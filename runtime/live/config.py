@@ -1,4 +1,4 @@
-"""What the processes of `headland live` are given."""
+"""Configuration of `headland live`: processes, rings and CAN bus."""
 
 from typing import Annotated, Any
 
@@ -13,7 +13,7 @@ Seconds = Annotated[float, Field(gt=0.0, le=600.0)]
 
 
 class CanConfig(Config):
-    """A bus by python-can's names; `port` counts for udp_multicast alone."""
+    """CAN bus by python-can names; `port` applies to udp_multicast only."""
 
     interface: str = Field(min_length=1, max_length=40)
     channel: str = Field(min_length=1, max_length=80)
@@ -21,22 +21,22 @@ class CanConfig(Config):
 
 
 class LiveConfig(Config):
-    """`configs/live.yaml`."""
+    """File `configs/live.yaml`."""
 
     can: CanConfig
     ring_mib: dict[str, Annotated[int, Field(ge=1, le=1024)]]
-    silent_s: dict[str, Seconds]
-    start_s: Seconds
+    timeout_s: dict[str, Seconds]
+    startup_s: Seconds
 
     @model_validator(mode="after")
     def _has_every_process(self) -> "LiveConfig":
-        if set(self.ring_mib) != set(ROLES) or not set(self.silent_s) <= set(ROLES):
-            raise ValueError(f"ring_mib must name {', '.join(ROLES)}, and silent_s some of them")
+        if set(self.ring_mib) != set(ROLES) or not set(self.timeout_s) <= set(ROLES):
+            raise ValueError(f"ring_mib must name {', '.join(ROLES)}, and timeout_s some of them")
         return self
 
 
 def open_bus(config: CanConfig) -> can.BusABC:
-    """The bus; raises HeadlandError when it cannot be opened."""
+    """Opens the bus; raises HeadlandError."""
     extra: dict[str, Any] = {"port": config.port} if config.interface == "udp_multicast" else {}
     try:
         return can.Bus(interface=config.interface, channel=config.channel, **extra)

@@ -1,4 +1,4 @@
-"""What each process of `headland live` is and does."""
+"""Processes of `headland live`: world, nodes and sinks of each role."""
 
 import gc
 import signal
@@ -18,9 +18,11 @@ from runtime import assembly
 from runtime.live.can_bus import SharedBus
 from runtime.live.clock import Clock
 from runtime.live.config import LiveConfig, open_bus
-from runtime.live.live_executor import Line, LiveExecutor, Nothing
-from runtime.live.reactions import Reactions
+from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
+from runtime.live.reactions import ReactionTrials
 from runtime.live.ring import RingReader, RingWriter
+from runtime.perception_nodes import perception_nodes
+from runtime.safety_nodes import safety_nodes
 from runtime.setup import Setup
 from simulation.rendering.materials import build_actor_surfaces
 from simulation.scenario import Scenario
@@ -28,7 +30,7 @@ from simulation.scenario import Scenario
 
 @dataclass(frozen=True)
 class Start:
-    """What a process is given at its start; `zero_ns` is set by the parent between the two meetings at `barrier`."""
+    """Start parameters of a process; the parent sets `zero_ns` between the two waits at `barrier`."""
 
     role: str
     setup: Setup
@@ -37,18 +39,18 @@ class Start:
     folder: Path
     rings: dict[str, Path]
     metadata: dict[str, dict[str, str]]
-    reactions: int
+    reaction_trials: int
     barrier: Barrier
     zero_ns: Any
 
 
 def run_process(start: Start) -> None:
-    """The life of one process, until SIGTERM; what it dies of is told on standard error."""
-    is_over: list[int] = []
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's matter
-    signal.signal(signal.SIGTERM, lambda number, frame: is_over.append(number))
+    """Runs one process until SIGTERM; errors go to standard error."""
+    stop_signals: list[int] = []
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # handled by the parent
+    signal.signal(signal.SIGTERM, lambda number, frame: stop_signals.append(number))
     try:
-        _live(start, is_over)
+        _run(start, stop_signals)
     except HeadlandError as error:
         sys.stderr.write(f"headland: {start.role}: {error}\n")
         sys.exit(2)
@@ -57,59 +59,61 @@ def run_process(start: Start) -> None:
         sys.exit(3)
 
 
-def _live(start: Start, is_over: list[int]) -> None:
+def _run(start: Start, stop_signals: list[int]) -> None:
     others = {name: RingReader(path) for name, path in start.rings.items() if name != start.role}
-    line = Line(RingWriter(start.rings[start.role]), others, start.config.silent_s if start.role == "safety" else {})
+    timeouts = start.config.timeout_s if start.role == "safety" else {}
+    links = ProcessLinks(RingWriter(start.rings[start.role]), others, timeouts)
     with _parts(start) as (world, nodes, sinks):
         gc.collect()
-        gc.freeze()  # a collection that walks through all that was built takes 0.1 s
-        start.barrier.wait(start.config.start_s)
-        start.barrier.wait(start.config.start_s)
+        gc.freeze()  # a full garbage collection takes 0.1 s
+        start.barrier.wait(start.config.startup_s)
+        start.barrier.wait(start.config.startup_s)
         clock = Clock(start.setup.stack.simulation.start_stamp_ns, start.zero_ns.value)
-        executor = LiveExecutor(world, nodes, sinks, clock, line, hears_all=start.role == "log")
+        executor = LiveExecutor(world, nodes, sinks, clock, links, reads_all=start.role == "log")
         try:
-            executor.run(lambda: bool(is_over))
+            executor.run(lambda: bool(stop_signals))
         except LogError as error:
             sys.stderr.write(f"headland: {error}\n")
 
 
 @contextmanager
 def _parts(start: Start) -> Iterator[tuple[World, list[Node], list[Any]]]:
-    """World, nodes and sinks of a process."""
+    """World, nodes and sinks of a process by its role."""
     if start.role == "machine":
         with _machine(start) as world:
             yield world, [], []
     elif start.role == "log":
         config = start.setup.stack.datasets.log
         with LogWriter(start.folder / "log.mcap", start.metadata, config, start.setup.viewer()) as log:
-            yield Nothing(), [], [log.write]
+            yield NoWorld(), [], [log.write]
     elif start.role == "safety":
         with closing_bus(SharedBus(open_bus(start.config.can))) as bus:
-            yield Nothing(), assembly.guarding(start.setup, bus, is_ablation=False), []
+            yield NoWorld(), safety_nodes(start.setup, bus, is_ablation=False), []
     else:
-        yield Nothing(), _stack_nodes(start), []
+        yield NoWorld(), _stack_nodes(start), []
 
 
 def _stack_nodes(start: Start) -> list[Node]:
-    """Those that neither see nor touch the machine's bus; control goes with the pose, which it follows at its rate."""
+    """Nodes without access to the CAN bus; the controller shares a process with the localizer, whose rate it has."""
     if start.role == "perception":
-        return assembly.seeing(start.setup)
+        setup = start.setup
+        return perception_nodes(setup.vehicle, setup.implement, setup.stack.perception)
     if start.role == "planning":
-        return assembly.planning(start.setup)
-    return [*assembly.locating(start.setup), *assembly.steering(start.setup)]
+        return assembly.planning_nodes(start.setup)
+    return [*assembly.localization_nodes(start.setup), *assembly.control_nodes(start.setup)]
 
 
 @contextmanager
 def _machine(start: Start) -> Iterator[World]:
     bus = SharedBus(open_bus(start.config.can))
-    with closing(assembly.simulated(start.setup, start.scenario, bus, renders_in_thread=True)) as world:
+    with closing(assembly.simulated_world(start.setup, start.scenario, bus, renders_in_thread=True)) as world:
         build_actor_surfaces()
-        yield Reactions(world, bus, start) if start.reactions else world
+        yield ReactionTrials(world, bus, start) if start.reaction_trials else world
 
 
 @contextmanager
 def closing_bus(bus: Any) -> Iterator[Any]:
-    """The bus, left at the end."""
+    """Context that closes the bus at its end."""
     try:
         yield bus
     finally:
@@ -117,6 +121,6 @@ def closing_bus(bus: Any) -> Iterator[Any]:
 
 
 def started_at(setup: Setup, start_stamp_ns: int) -> Setup:
-    """The same set-up with its world's clock beginning at this time."""
+    """Setup whose world clock starts at this time (ns)."""
     simulation = setup.stack.simulation.model_copy(update={"start_stamp_ns": start_stamp_ns})
     return replace(setup, stack=setup.stack.model_copy(update={"simulation": simulation}))

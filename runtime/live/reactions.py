@@ -1,4 +1,4 @@
-"""How long from an obstacle in view to the brake frame on the bus, by the stamps of scans and frames."""
+"""Reaction time from a visible obstacle to the brake frame on the CAN bus, by the stamps of scans and frames."""
 
 import json
 import time
@@ -17,12 +17,12 @@ from simulation.world import SimulationWorld
 
 BRAKE_GROUP = 0x04  # format byte of the external brake request
 FULL_SCALE_MPS2, PER_MPS2 = 15.687, 2048.0
-LEAST_MPS2 = 1.0  # asked of the brakes: more than any slowing for a curve
+MIN_BRAKING_MPS2 = 1.0  # requested of the brakes: more than for any curve
 AHEAD_M = 3.5  # inside the stopping distance at work speed, and more than the machine then needs
 
 
-class Reactions(World):
-    """The simulated world with somebody who pops up again and again; writes one line a time to `reactions.jsonl`."""
+class ReactionTrials(World):
+    """Simulated world with a person who pops up repeatedly; writes one line per reaction to `reactions.jsonl`."""
 
     def __init__(self, world: SimulationWorld, bus: SharedBus, start: Any) -> None:
         self.writes = world.writes
@@ -35,33 +35,33 @@ class Reactions(World):
         terrain = Terrain(setup.site, setup.stack.simulation.terrain, setup.seed)
         self._popup = PopUp(world.machine, terrain, generator(setup.seed, "popup"), AHEAD_M)
         world.add_actor(self._popup)
-        self._appeared: float | None = None  # in wall time, as frames are stamped
-        self._seen: float | None = None
-        bus.listener = self._hear
+        self._appeared: float | None = None  # wall time, as for frame stamps
+        self._scanned: float | None = None
+        bus.listener = self._on_frame
 
     def next_ns(self) -> int | None:
-        """As the world has it."""
+        """Time of the next step of the simulated world."""
         return self._world.next_ns()
 
     def step(self, now_ns: int) -> Iterable[Output]:
-        """Go on, and note who came into view."""
+        """Steps the simulated world; records the pop-up and its first scan."""
         before = self._popup.count
         outputs = list(self._world.step(now_ns))
         if self._popup.count > before:
-            self._appeared, self._seen = time.time(), None
-        if self._appeared is not None and self._seen is None:
+            self._appeared, self._scanned = time.time(), None
+        if self._appeared is not None and self._scanned is None:
             scans = [m for topic, m in outputs if topic == self._front and isinstance(m, LidarScan)]
-            self._seen = time.time() if scans else None
+            self._scanned = time.time() if scans else None
         return outputs
 
-    def _hear(self, frame: can.Message) -> None:
+    def _on_frame(self, frame: can.Message) -> None:
         if self._appeared is None or frame.arbitration_id >> 16 & 0xFF != BRAKE_GROUP or len(frame.data) != 8:
             return
-        asked_mps2 = FULL_SCALE_MPS2 - int.from_bytes(frame.data[:2], "little") / PER_MPS2
-        if asked_mps2 < LEAST_MPS2:
+        requested_mps2 = FULL_SCALE_MPS2 - int.from_bytes(frame.data[:2], "little") / PER_MPS2
+        if requested_mps2 < MIN_BRAKING_MPS2:
             return
-        seen_s = None if self._seen is None else frame.timestamp - self._seen
-        row = {"appeared_to_frame_s": frame.timestamp - self._appeared, "scan_to_frame_s": seen_s}
+        scan_to_frame_s = None if self._scanned is None else frame.timestamp - self._scanned
+        row = {"appeared_to_frame_s": frame.timestamp - self._appeared, "scan_to_frame_s": scan_to_frame_s}
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         self._appeared = None

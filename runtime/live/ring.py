@@ -1,6 +1,6 @@
-"""A ring in shared memory: one process writes, any number read, and nobody waits for anybody.
+"""Ring buffer in shared memory with one writer and any number of readers, all non-blocking.
 
-A reader that falls behind, was stopped or meets a half-written record loses what was overwritten, and counts that.
+A reader that is too slow, was halted or meets a half-written record skips the overwritten records and counts the loss.
 
     0        8          16..64   64                                        64 + size
     | written | heartbeat | free | ...| length crc record |...| length crc record |
@@ -22,7 +22,7 @@ _WRITTEN, _BEAT = 0, 1
 
 
 class _Ring:
-    """The mapped file, of `size` bytes and a head."""
+    """Memory-mapped file: header and `size` bytes of records."""
 
     def __init__(self, path: Path) -> None:
         descriptor = os.open(path, os.O_RDWR)
@@ -30,26 +30,26 @@ class _Ring:
             self._map = mmap.mmap(descriptor, 0)
         finally:
             os.close(descriptor)
-        self._head = np.frombuffer(self._map, np.uint64, HEAD_BYTES // 8)  # stores of one word are whole
+        self._head = np.frombuffer(self._map, np.uint64, HEAD_BYTES // 8)  # stores of one word are atomic
         self._size = len(self._map) - HEAD_BYTES
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Unmaps the memory."""
         del self._head
         self._map.close()
 
 
 def make_ring(path: Path, size: int) -> None:
-    """A new ring of `size` bytes, a multiple of 8, empty."""
+    """Creates an empty ring of `size` bytes, a multiple of 8."""
     with path.open("xb") as file:
         file.truncate(HEAD_BYTES + size)
 
 
 class RingWriter(_Ring):
-    """The one writer."""
+    """Writer of a ring."""
 
     def write(self, record: bytes) -> None:
-        """Append a record; raises ValueError for one that is larger than a quarter of the ring."""
+        """Appends a record; raises ValueError for one larger than a quarter of the ring."""
         if 4 * len(record) > self._size:
             raise ValueError(f"a record of {len(record)} bytes in a ring of {self._size}")
         written = int(self._head[_WRITTEN])
@@ -62,7 +62,7 @@ class RingWriter(_Ring):
         self._head[_WRITTEN] = written + needed
 
     def beat(self, now_ns: int) -> None:
-        """Show that the process lives."""
+        """Writes the heartbeat."""
         self._head[_BEAT] = now_ns
 
     def _put(self, at: int, data: bytes) -> None:
@@ -71,20 +71,20 @@ class RingWriter(_Ring):
 
 
 class RingReader(_Ring):
-    """One of the readers; begins with what is written from now on."""
+    """Reader of a ring; starts with the next record that is written."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._read = int(self._head[_WRITTEN])
-        self.lost = 0  # times that records were overwritten before they were read
+        self.lost = 0  # number of times that records were overwritten before reading
 
     @property
     def beat_ns(self) -> int:
-        """The last sign of life of the writer, 0 before the first."""
+        """Last heartbeat of the writer in ns, 0 before the first."""
         return int(self._head[_BEAT])
 
     def records(self) -> Iterator[bytes]:
-        """What has been written since the last call, up to now."""
+        """Records written since the last call."""
         end = int(self._head[_WRITTEN])
         while self._read < end:
             record = self._next()
@@ -96,7 +96,7 @@ class RingReader(_Ring):
                 yield record
 
     def _next(self) -> bytes | None:
-        """The next record, b"" at the end of the round, or None when it has been overwritten."""
+        """Next record, b"" at the wrap-around, or None for an overwritten record."""
         offset = self._read % self._size
         start = HEAD_BYTES + offset
         length, crc = _RECORD.unpack_from(self._map, start)
@@ -113,5 +113,5 @@ class RingReader(_Ring):
 
 
 def _padded(length: int) -> int:
-    """Bytes that a record takes, so that the next begins at a word."""
+    """Bytes of a record including header, rounded up to a word of 8 bytes."""
     return (_RECORD.size + length + 7) // 8 * 8

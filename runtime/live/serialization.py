@@ -1,4 +1,4 @@
-"""Messages as records: the topic, then the message as it stands in a log."""
+"""Serialization of messages as ring records: topic, then the message in log encoding."""
 
 from collections.abc import Container
 
@@ -9,14 +9,14 @@ from messages.topics import spec_of
 
 
 def pack(output: Output) -> bytes:
-    """The record of a message."""
+    """Record of a message."""
     topic, message = output
     name = topic.encode()
     return bytes([len(name)]) + name + codec_of(type(message)).encode(message)
 
 
 def unpack(record: bytes, wanted: Container[str] | None) -> Output | None:
-    """The message of a record, or None when nobody here wants its topic or it is none."""
+    """Message of a record, or None for an unwanted topic or an invalid record; `wanted` None accepts all topics."""
     end = 1 + record[0]
     try:
         topic = record[1:end].decode()

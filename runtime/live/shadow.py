@@ -1,4 +1,4 @@
-"""`headland shadow --bus`: listen to a machine's bus, log every frame, tell what it says, and send nothing."""
+"""`headland shadow --bus`: logs every frame of a machine's CAN bus without sending."""
 
 import argparse
 import json
@@ -24,7 +24,7 @@ WAIT_S = 0.01
 
 
 class Listener:
-    """Frames in, messages out; it is given no way to send."""
+    """Converts CAN frames into log messages; has no access to a transmitter."""
 
     def __init__(self, tractor_address: int, own_address: int) -> None:
         self.incoming = Incoming(tractor_address)
@@ -33,8 +33,8 @@ class Listener:
         self._frames: list[CanFrame] = []
         self._state_ns = self._frames_ns = 0
 
-    def take(self, now_ns: int, frame: can.Message) -> None:
-        """Take in one frame."""
+    def receive(self, now_ns: int, frame: can.Message) -> None:
+        """Decodes and stores one frame."""
         self.count += 1
         if frame.is_error_frame or frame.is_remote_frame or not frame.is_extended_id:
             self.incoming.rejected += frame.is_error_frame
@@ -42,10 +42,13 @@ class Listener:
         data = bytes(frame.data)
         self._frames.append(CanFrame(now_ns, frame.arbitration_id, data))
         self.incoming.take(now_ns, self._own_address, frame.arbitration_id, data)
-        self.incoming.claims, self.incoming.is_claim_requested = [], False  # others' matter: we are not there
+        self.incoming.claims, self.incoming.is_claim_requested = (
+            [],
+            False,
+        )  # never answered
 
     def due(self, now_ns: int) -> list[tuple[str, Message]]:
-        """What is to be logged now."""
+        """Messages to log at `now_ns`: machine state at 50 Hz, frames at 10 Hz."""
         outputs: list[tuple[str, Message]] = []
         if now_ns - self._state_ns >= STATE_NS:
             self._state_ns = now_ns
@@ -58,7 +61,7 @@ class Listener:
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Listen until interrupted or for the time given; 0 when a frame was heard."""
+    """Logs until interrupted or for the given time; 0 if a frame was received."""
     stack, live = load_stack(), load(LiveConfig, CONFIGS / "live.yaml")
     config = CanConfig(interface=arguments.interface, channel=arguments.bus, port=live.can.port)
     addresses = stack.interfaces.gateway
@@ -69,33 +72,33 @@ def main(arguments: argparse.Namespace) -> int:
         conditions = versions()
         folder.record("conditions", conditions | {"bus": f"{config.interface}:{config.channel}"})
         with LogWriter(folder.path / "log.mcap", {"run": conditions}, stack.datasets.log) as log:
-            _listen(bus, listener, log, arguments.for_s)
+            _record(bus, listener, log, arguments.duration)
     finally:
         bus.shutdown()
     state = listener.incoming.state(0)
     result: dict[str, Any] = {"frames": listener.count, "rejected": state.rejected_frames, "run_dir": str(folder.path)}
     folder.record("result", {"result": result})
     folder.finish()
-    sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _told(result))
+    sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _summary(result))
     return 0 if listener.count else 1
 
 
-def _listen(bus: can.BusABC, listener: Listener, log: LogWriter, for_s: float | None) -> None:
+def _record(bus: can.BusABC, listener: Listener, log: LogWriter, duration_s: float | None) -> None:
     clock = Clock(time.time_ns(), time.monotonic_ns())
-    began_ns = told_ns = clock()
+    began_ns = printed_ns = clock()
     sequence: dict[str, int] = {}
     try:
-        while for_s is None or clock() - began_ns < for_s * 1e9:
+        while duration_s is None or clock() - began_ns < duration_s * 1e9:
             frame = _receive(bus)
             now_ns = clock()
             if frame is not None:
-                listener.take(now_ns, frame)
+                listener.receive(now_ns, frame)
             for topic, message in listener.due(now_ns):
                 sequence[topic] = sequence.get(topic, -1) + 1
                 log.write(Envelope(topic, sequence[topic], now_ns, message))
-            if now_ns - told_ns >= LINE_NS:
-                told_ns = now_ns
-                sys.stderr.write(_line(listener.count, listener.incoming.state(now_ns)))
+            if now_ns - printed_ns >= LINE_NS:
+                printed_ns = now_ns
+                sys.stderr.write(_status_line(listener.count, listener.incoming.state(now_ns)))
     except KeyboardInterrupt:
         return
 
@@ -104,15 +107,15 @@ def _receive(bus: can.BusABC) -> can.Message | None:
     try:
         return bus.recv(WAIT_S)
     except can.CanError as error:
-        raise HeadlandError(f"the bus fails: {error}") from error
+        raise HeadlandError(f"CAN bus error: {error}") from error
 
 
-def _line(count: int, state: MachineState) -> str:
+def _status_line(count: int, state: MachineState) -> str:
     return (
-        f"{count} frames, {state.rejected_frames} bad; {3.6 * state.speed_mps:.1f} km/h, curvature "
+        f"{count} frames, {state.rejected_frames} rejected; {3.6 * state.speed_mps:.1f} km/h, curvature "
         f"{state.curvature_radpm:+.3f} 1/m, hitch {state.hitch:.0%}, {state.supply_v:.1f} V\n"
     )
 
 
-def _told(result: dict[str, Any]) -> str:
-    return f"{result['frames']} frames heard, {result['rejected']} bad, none sent; {result['run_dir']}\n"
+def _summary(result: dict[str, Any]) -> str:
+    return f"{result['frames']} frames received, {result['rejected']} rejected, none sent; {result['run_dir']}\n"

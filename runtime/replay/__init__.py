@@ -1,1 +1,1 @@
-"""Recorded logs run through the stack."""
+"""Replay of recorded logs through the stack."""

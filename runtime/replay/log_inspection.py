@@ -1,4 +1,4 @@
-"""What a log has, what judging it needs, and whose it is: the table before anything is judged."""
+"""Inspection of a recorded log: its streams, and the machine that recorded it."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -30,8 +30,8 @@ sensors:
       rate_hz: 10
       range_m: [0.5, 80.0]
       range_sigma_m: 0.03"""
-# What a vehicle must be by its class, though nothing of it acts when a log is judged.
-IDLE: dict[str, Any] = {
+# Required values of a vehicle that have no effect in a replay.
+UNUSED: dict[str, Any] = {
     "drivetrain": {
         "kind": "ackermann", "wheelbase_m": 2.5, "track_m": 1.5, "wheel_radius_m": 0.4, "min_turning_radius_m": 5.0,
     },
@@ -43,16 +43,16 @@ IDLE: dict[str, Any] = {
     "max_speed_kmh": 80.0,
     "acceleration_mps2": 1.0,
 }  # fmt: skip
-BODY = ("front_m", "rear_m", "width_m", "height_m")
-LIDAR = ("mount.xyz_m", "elevation_deg", "columns", "rate_hz", "range_m", "range_sigma_m")
-LONGEST_PAUSE_NS = 3600 * 10**9
+BODY_KEYS = ("front_m", "rear_m", "width_m", "height_m")
+LIDAR_KEYS = ("mount.xyz_m", "elevation_deg", "columns", "rate_hz", "range_m", "range_sigma_m")
+MAX_PAUSE_NS = 3600 * 10**9
 BASE_FRAMES = ("base", "base_link", "base_footprint")
 CHILD_FRAMES = (*BASE_FRAMES, "")
 
 
 @dataclass
 class Stream:
-    """One topic of a log: how often it came, when, and its longest silence, by time of reception."""
+    """Statistics of one topic of a log by receive time; `clock_s` are receive times minus stamps."""
 
     topic: str
     count: int = 0
@@ -62,7 +62,7 @@ class Stream:
     clock_s: list[float] = field(default_factory=list)
 
     def add(self, receive_ns: int, message: Message) -> None:
-        """Take in one message."""
+        """Adds one message."""
         if self.count:
             self.longest_gap_s = max(self.longest_gap_s, (receive_ns - self.last_ns) * 1e-9)
         else:
@@ -78,8 +78,8 @@ class Stream:
 
 
 @dataclass
-class Survey:
-    """One pass over a log: its streams, and whether its wheels stood at first."""
+class LogInspection:
+    """Result of one pass over a log: streams, duration, ground truth, and initial standstill."""
 
     streams: dict[str, Stream] = field(default_factory=dict)
     first_ns: int | None = None
@@ -89,31 +89,31 @@ class Survey:
 
     @property
     def span_s(self) -> float:
-        """Seconds from the first message to the last."""
+        """Duration from the first to the last message."""
         return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) * 1e-9
 
     @property
-    def stood_s(self) -> float:
-        """How long the wheels stood at the start."""
+    def standstill_s(self) -> float:
+        """Duration of the standstill at the start, by wheel speed."""
         if self.first_ns is None:
             return 0.0
         return ((self.moved_ns if self.moved_ns is not None else self.last_ns) - self.first_ns) * 1e-9
 
-    def clock_ns(self, most_s: float) -> int:
-        """What to take from times of reception so that they run with the stamps; 0 while they agree to `most_s`."""
+    def clock_offset_ns(self, max_s: float) -> int:
+        """Median offset of receive times against stamps of the lidars in ns; 0 up to `max_s`."""
         ages = [a for s in self.streams.values() if s.topic.startswith("lidar/") for a in s.clock_s]
         offset_s = float(np.median(ages)) if ages else 0.0
-        return round(offset_s * 1e9) if abs(offset_s) > most_s else 0
+        return round(offset_s * 1e9) if abs(offset_s) > max_s else 0
 
 
-def survey(recording: Recording) -> Survey:
-    """Read a log once; raises LogError when it holds nothing or no lidar."""
-    out = Survey()
+def inspect(recording: Recording) -> LogInspection:
+    """Reads a log once; raises LogError for a log without messages or without a lidar."""
+    out = LogInspection()
     for receive_ns, topic, message in recording.read():
-        if out.first_ns is not None and abs(receive_ns - out.last_ns) > LONGEST_PAUSE_NS:
+        if out.first_ns is not None and abs(receive_ns - out.last_ns) > MAX_PAUSE_NS:
             raise LogError(
                 f"{recording.path}: topic {topic!r} was received at {receive_ns} ns, "
-                f"{(receive_ns - out.last_ns) * 1e-9:+.0f} s against the message before; no clock does that"
+                f"{(receive_ns - out.last_ns) * 1e-9:+.0f} s after the previous message, which exceeds any clock error"
             )
         if isinstance(message, TrueMachine | TrueObjects):
             out.truth.append((topic, message))
@@ -124,16 +124,16 @@ def survey(recording: Recording) -> Survey:
             out.moved_ns = receive_ns
     if out.first_ns is None:
         unread = ", ".join(f"{i.source} ({i.source_type})" for i in recording.description.ignored) or "nothing"
-        raise LogError(f"{recording.path}: holds no message that is read here, but {unread}")
+        raise LogError(f"{recording.path}: contains no readable message; ignored: {unread}")
     if not any(topic.startswith("lidar/") for topic in out.streams):
         known = ", ".join(sorted(out.streams)) or "none"
-        raise LogError(f"{recording.path}: no lidar in it, nothing can be judged (topics: {known})")
+        raise LogError(f"{recording.path}: no lidar topic, evaluation is not possible (topics: {known})")
     return out
 
 
 @dataclass(frozen=True)
-class Machine:
-    """Who recorded the log; `lidars` maps the vehicle's lidars to its topics, `notes` say what was taken whence."""
+class RecordingMachine:
+    """Machine that recorded the log; `lidars` maps its lidars to topics, `notes` give the source of each value."""
 
     vehicle: Vehicle
     implement: MountedImplement | TrailedImplement | None
@@ -141,11 +141,13 @@ class Machine:
     notes: tuple[str, ...]
 
 
-def find_machine(recording: Recording, found: Survey, file: Path | None, by_format: dict[str, str]) -> Machine:
-    """From `--vehicle`, the log's own configuration or its format; raises ConfigError naming what is missing."""
-    topics = sorted(topic for topic in found.streams if topic.startswith("lidar/"))
+def find_machine(
+    recording: Recording, inspection: LogInspection, file: Path | None, by_format: dict[str, str]
+) -> RecordingMachine:
+    """Machine by `--vehicle`, the configuration in the log, or its format; raises ConfigError with the missing keys."""
+    topics = sorted(topic for topic in inspection.streams if topic.startswith("lidar/"))
     if file is None and recording.description.format == "headland":
-        own = _own_machine(recording.path, sorted(found.streams))
+        own = _logged_machine(recording.path, sorted(inspection.streams))
         if own is not None:
             return own
     known = by_format.get(recording.description.format)
@@ -153,7 +155,7 @@ def find_machine(recording: Recording, found: Survey, file: Path | None, by_form
         file = CONFIGS / "vehicles" / f"{known}.yaml"
     values = _values(file)
     where = str(file or "--vehicle")
-    return _machine_from(values, recording.description, found.streams, topics, where, file is not None)
+    return _machine_from(values, recording.description, inspection.streams, topics, where, file is not None)
 
 
 def _values(file: Path | None) -> dict[str, Any]:
@@ -163,12 +165,12 @@ def _values(file: Path | None) -> dict[str, Any]:
     path = path if path.is_file() or file.suffix else CONFIGS / "machines" / f"{file}.yaml"
     values = read_yaml(path if path.is_file() else file)
     if not isinstance(values, dict):
-        raise ConfigError(f"{file}: is no vehicle; such a file looks like this:\n{EXAMPLE}")
+        raise ConfigError(f"{file}: not a vehicle file; example:\n{EXAMPLE}")
     return values
 
 
-def _own_machine(path: Path, topics: list[str]) -> Machine | None:
-    """Machine and implement as the log's own configuration has them, or None."""
+def _logged_machine(path: Path, topics: list[str]) -> RecordingMachine | None:
+    """Machine and implement from the configuration in the log, or None."""
     text = read_metadata(path).get("config", {}).get("yaml")
     if text is None:
         return None
@@ -182,51 +184,52 @@ def _own_machine(path: Path, topics: list[str]) -> Machine | None:
     lidars = {name: f"lidar/{name}" for name in vehicle.sensors.lidar if f"lidar/{name}" in topics}
     if not lidars:
         raise LogError(f"{path}: none of the machine's lidars ({', '.join(vehicle.sensors.lidar)}) is in the log")
-    return Machine(_heard(vehicle, lidars, topics), implement, lidars, ("machine: the log's own configuration",))
+    notes = ("machine: from the configuration in the log",)
+    return RecordingMachine(_with_logged_sensors(vehicle, lidars, topics), implement, lidars, notes)
 
 
 def _machine_from(
     values: dict[str, Any], about: Description, found: Iterable[str], topics: list[str], where: str, is_given: bool
-) -> Machine:
+) -> RecordingMachine:
     lidars = dict((values.get("sensors") or {}).get("lidar") or {})
-    names, notes = _matched(lidars, topics)
+    names, notes = _match_lidars(lidars, topics)
     mounts = mounts_of(about)
     for name, topic in names.items():
         lidar = dict(lidars.get(name) or {})
         if "mount" not in lidar and topic in mounts:
             lidar["mount"] = mounts[topic]
-            notes += (f"{topic}: mount from the log's own transforms, base_link taken as rear axle on the ground",)
+            notes += (f"{topic}: mount from the transforms in the log, base_link taken as rear axle on the ground",)
         lidars[name] = lidar
     missing = missing_values(values, {name: lidars[name] for name in names})
     if missing:
-        raise ConfigError(_ask(where, missing, next(iter(names)), is_given))
+        raise ConfigError(_missing_text(where, missing, next(iter(names)), is_given))
     sensors = dict(values.get("sensors") or {}) | {"lidar": {name: lidars[name] for name in names}}
     body = {"mass_kg": 1000.0} | dict(values["body"])
     name = values.get("name") or "recorded vehicle"
-    vehicle = parse(Vehicle, IDLE | values | {"name": name, "body": body, "sensors": sensors}, where)
-    vehicle = _heard(vehicle, names, sorted(found))
-    return Machine(vehicle, None, names, (f"vehicle: {where}", *notes))
+    vehicle = parse(Vehicle, UNUSED | values | {"name": name, "body": body, "sensors": sensors}, where)
+    vehicle = _with_logged_sensors(vehicle, names, sorted(found))
+    return RecordingMachine(vehicle, None, names, (f"vehicle: {where}", *notes))
 
 
-def _matched(lidars: dict[str, Any], topics: list[str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Lidars of the file by the log's topics: by name, or the only one to the only one; else all of the log's."""
+def _match_lidars(lidars: dict[str, Any], topics: list[str]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Lidar names to topics of the log: by equal name, or one to one; else all topics of the log. And notes."""
     by_name = {t.partition("/")[2]: t for t in topics}
     same = {name: by_name[name] for name in lidars if name in by_name}
     if same:
         left = [t for name, t in by_name.items() if name not in same]
-        return same, (f"not used, since the vehicle file does not have them: {', '.join(left)}",) if left else ()
+        return same, (f"not used, not in the vehicle file: {', '.join(left)}",) if left else ()
     if len(lidars) == 1 and len(topics) == 1:
         name = next(iter(lidars))
-        return {name: topics[0]}, (f"{topics[0]} is the vehicle's lidar {name!r}: there is one of each",)
+        return {name: topics[0]}, (f"{topics[0]} is the vehicle's lidar {name!r}: one of each",)
     return by_name, ()
 
 
 def missing_values(values: dict[str, Any], lidars: dict[str, Any]) -> list[str]:
-    """Full keys of what a vehicle file must still say."""
+    """Missing keys of a vehicle file, in full."""
     body = values.get("body") or {}
-    missing = [f"body.{key}" for key in BODY if key not in body]
+    missing = [f"body.{key}" for key in BODY_KEYS if key not in body]
     for name, lidar in lidars.items():
-        for key in LIDAR:
+        for key in LIDAR_KEYS:
             first, _, second = key.partition(".")
             part = lidar.get(first) if isinstance(lidar, dict) else None
             if part is None or (second and second not in part):
@@ -234,14 +237,14 @@ def missing_values(values: dict[str, Any], lidars: dict[str, Any]) -> list[str]:
     return missing
 
 
-def _ask(where: str, missing: list[str], lidar: str, is_given: bool) -> str:
-    begin = f"{where}: lacks" if is_given else "whose log this is must be said by --vehicle FILE; it needs"
+def _missing_text(where: str, missing: list[str], lidar: str, is_given: bool) -> str:
+    begin = f"{where}: missing" if is_given else "the recording vehicle must be given by --vehicle FILE; required"
     example = EXAMPLE.replace("LIDAR", lidar)
-    return f"{begin} {', '.join(missing)}. Nothing of this is guessed. Such a file looks like this:\n{example}"
+    return f"{begin} {', '.join(missing)}. There are no defaults. Example:\n{example}"
 
 
-def _heard(vehicle: Vehicle, lidars: dict[str, str], topics: list[str]) -> Vehicle:
-    """The vehicle with those of its obstacle sensors that the log has: nobody waits for the others."""
+def _with_logged_sensors(vehicle: Vehicle, lidars: dict[str, str], topics: list[str]) -> Vehicle:
+    """Vehicle with the obstacle sensors that are in the log; the others are removed."""
     sensors: dict[str, Any] = {"lidar": {name: vehicle.sensors.lidar[name] for name in lidars}}
     for kind in ("camera", "radar", "ultrasonic"):
         own = getattr(vehicle.sensors, kind)
@@ -250,7 +253,7 @@ def _heard(vehicle: Vehicle, lidars: dict[str, str], topics: list[str]) -> Vehic
 
 
 def mounts_of(about: Description) -> dict[str, dict[str, Any]]:
-    """Mounts of the log's sensors that its own transforms tell, by topic."""
+    """Mounts of the sensors by topic, from the transforms in the log."""
     out = {}
     for sensor in about.sensors:
         for base in BASE_FRAMES:
@@ -263,7 +266,7 @@ def mounts_of(about: Description) -> dict[str, dict[str, Any]]:
 
 
 def pose_between(about: Description, parent: str, child: str) -> Float64 | None:
-    """Pose of a frame in another along the log's fixed transforms, or None when they are not connected."""
+    """Pose (4, 4) of `child` in `parent` along the static transforms of the log, or None if they are not connected."""
     links: dict[str, list[tuple[str, Float64]]] = {}
     for edge in about.extrinsics:
         links.setdefault(edge.parent, []).append((edge.child, edge.T_parent_child))

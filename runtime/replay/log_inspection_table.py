@@ -1,15 +1,15 @@
-"""The table that stands before every judgement: what of a log is needed, found and missing."""
+"""Table of the topics of a log: required, present and missing."""
 
 from typing import Any
 
-from runtime.replay.log_inspection import Survey
+from runtime.replay.log_inspection import LogInspection
 
 
-def rows_of(found: Survey, needed: dict[str, str]) -> list[dict[str, Any]]:
-    """The table: one row a topic that is needed or there, with what it is needed for ("" = not used)."""
+def rows_of(inspection: LogInspection, needed: dict[str, str]) -> list[dict[str, Any]]:
+    """One row per required or present topic; `needed_for` is its purpose, "" for an unused topic."""
     rows = []
-    for topic in sorted({*needed, *found.streams}):
-        stream = found.streams.get(topic)
+    for topic in sorted({*needed, *inspection.streams}):
+        stream = inspection.streams.get(topic)
         rows.append({
             "topic": topic,
             "needed_for": needed.get(topic, ""),
@@ -22,7 +22,7 @@ def rows_of(found: Survey, needed: dict[str, str]) -> list[dict[str, Any]]:
 
 
 def render(values: dict[str, Any]) -> str:
-    """The preflight as text."""
+    """Inspection table as text."""
     lines = [f"{values['log']}: {values['format']}, {values['span_s']:.1f} s"]
     lines.append(f"  {'topic':<30}{'needed for':<26}{'count':>8}{'Hz':>9}{'gap s':>9}")
     for row in values["topics"]:
@@ -31,6 +31,6 @@ def render(values: dict[str, Any]) -> str:
         count = str(row["count"]) if row["found"] else "missing"
         lines.append(f"  {row['topic']:<30}{row['needed_for']:<26}{count:>8}{rate:>9}{gap:>9}")
     lines += [f"  {note}" for note in values["notes"]]
-    lines.append(f"  can be judged: {', '.join(values['judged']) or 'nothing'}")
+    lines.append(f"  can be evaluated: {', '.join(values['evaluable']) or 'nothing'}")
     lines += [f"  not shown: {text}" for text in values["not_shown"]]
     return "\n".join(lines) + "\n"

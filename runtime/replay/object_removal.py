@@ -1,4 +1,4 @@
-"""A log as it would be had one object not been there: gone from every sensor's data, and still in the truth."""
+"""Removal of one object from all sensor data of a log; the ground truth is kept."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
@@ -11,7 +11,7 @@ from messages.errors import LogError
 from messages.message import Message
 from messages.sensors import CameraImage, LidarScan, RadarScan, UltrasonicRange
 from messages.truth import TrueMachine, TrueObject, TrueObjects
-from runtime.replay.prepare import Prepared
+from runtime.replay.prepare import ReplayInput
 from validation.obstacle_stop.boxes import Box, box_of
 from validation.obstacle_stop.object_removal import (
     remove_from_echo,
@@ -20,60 +20,64 @@ from validation.obstacle_stop.object_removal import (
     remove_from_scan,
 )
 
-OLDEST_NS = 150_000_000
-Place = Callable[[int], Box | None]
+MAX_AGE_NS = 150_000_000
+BoxAt = Callable[[int], Box | None]
 
 
-def erase(prepared: Prepared, name: str) -> Prepared:
-    """The log without what the truth calls `name` (its role, class or id); raises LogError when there is no such."""
-    frame = prepared.setting("").truth_frame
-    things: list[tuple[int, TrueObject]] = []
+def remove_object(replay_input: ReplayInput, name: str) -> ReplayInput:
+    """Log without the object of this role, class or id; raises LogError if the ground truth has none."""
+    frame = replay_input.setting("").truth_frame
+    objects: list[tuple[int, TrueObject]] = []
     machines: list[TrueMachine] = []
     known: set[str] = set()
-    for topic, message in prepared.found.truth:
-        if isinstance(message, TrueObjects) and topic == prepared.truth_topic:
-            known |= {thing.role or thing.label.value for thing in message.objects}
-            things += [(message.stamp_ns, t) for t in message.objects if name in (t.role, t.label.value, str(t.id))]
+    for topic, message in replay_input.inspection.truth:
+        if isinstance(message, TrueObjects) and topic == replay_input.truth_topic:
+            known |= {true_object.role or true_object.label.value for true_object in message.objects}
+            objects += [(message.stamp_ns, t) for t in message.objects if name in (t.role, t.label.value, str(t.id))]
         elif isinstance(message, TrueMachine):
             machines.append(message)
-    things.sort(key=lambda o: o[0])
+    objects.sort(key=lambda o: o[0])
     machines.sort(key=lambda m: m.stamp_ns)
-    if not things:
-        raise LogError(f"--without {name}: the truth has no such object (it has {', '.join(sorted(known)) or 'none'})")
-    lidars = {n: lidar.mount.T_base_sensor for n, lidar in prepared.machine.vehicle.sensors.lidar.items()}
-    places = [
-        _place_of([o for o in things if o[1].id == i], machines, lidars.get(frame or ""))
-        for i in sorted({t.id for _, t in things})
+    if not objects:
+        raise LogError(
+            f"--remove-object {name}: not in the ground truth (objects: {', '.join(sorted(known)) or 'none'})"
+        )
+    lidars = {n: lidar.mount.T_base_sensor for n, lidar in replay_input.machine.vehicle.sensors.lidar.items()}
+    boxes = [
+        _box_by_time([o for o in objects if o[1].id == i], machines, lidars.get(frame or ""))
+        for i in sorted({t.id for _, t in objects})
     ]
-    names = {topic: f"lidar/{n}" for n, topic in prepared.machine.lidars.items()}
-    sensors = prepared.machine.vehicle.sensors
-    recording = prepared.recording
+    names = {topic: f"lidar/{n}" for n, topic in replay_input.machine.lidars.items()}
+    sensors = replay_input.machine.vehicle.sensors
+    recording = replay_input.recording
 
     def read() -> Iterator[Received]:
         for receive_ns, topic, message in recording.read():
-            for place in places:
-                box = place(message.stamp_ns)
-                message = message if box is None else gone(names.get(topic, topic), message, box, sensors)
+            for box_at in boxes:
+                box = box_at(message.stamp_ns)
+                message = message if box is None else without_object(names.get(topic, topic), message, box, sensors)
             yield receive_ns, topic, message
 
-    notes = (*recording.description.notes, f"without {name}: replaced by what stands beside it in every sensor's data")
+    notes = (*recording.description.notes, f"{name} removed from all sensor data, replaced by its surroundings")
     return replace(
-        prepared, recording=replace(recording, description=replace(recording.description, notes=notes), read=read)
+        replay_input, recording=replace(recording, description=replace(recording.description, notes=notes), read=read)
     )
 
 
-def _place_of(things: list[tuple[int, TrueObject]], machines: list[TrueMachine], T_base_lidar: Float64 | None) -> Place:
-    """Where the object was in base, by time."""
-    stamps, driven = [stamp for stamp, _ in things], [m.stamp_ns for m in machines]
+def _box_by_time(
+    objects: list[tuple[int, TrueObject]], machines: list[TrueMachine], T_base_lidar: Float64 | None
+) -> BoxAt:
+    """Box of the object in base as a function of time."""
+    stamps, machine_stamps = [stamp for stamp, _ in objects], [m.stamp_ns for m in machines]
 
-    def place(stamp_ns: int) -> Box | None:
+    def box_at(stamp_ns: int) -> Box | None:
         k = _nearest(stamps, stamp_ns)
         if k is None or T_base_lidar is not None:
-            return None if k is None or T_base_lidar is None else box_of(things[k][1], T_base_lidar)
-        m = _nearest(driven, stamp_ns)
-        return None if m is None else box_of(things[k][1], invert(machines[m].T_map_base))
+            return None if k is None or T_base_lidar is None else box_of(objects[k][1], T_base_lidar)
+        m = _nearest(machine_stamps, stamp_ns)
+        return None if m is None else box_of(objects[k][1], invert(machines[m].T_map_base))
 
-    return place
+    return box_at
 
 
 def _nearest(stamps_ns: list[int], stamp_ns: int) -> int | None:
@@ -81,11 +85,11 @@ def _nearest(stamps_ns: list[int], stamp_ns: int) -> int | None:
     best = min(
         (j for j in (k - 1, k) if 0 <= j < len(stamps_ns)), key=lambda j: abs(stamps_ns[j] - stamp_ns), default=None
     )
-    return best if best is not None and abs(stamps_ns[best] - stamp_ns) <= OLDEST_NS else None
+    return best if best is not None and abs(stamps_ns[best] - stamp_ns) <= MAX_AGE_NS else None
 
 
-def gone(topic: str, message: Message, box: Box, sensors: Sensors) -> Message:
-    """A sensor's message without the object; others as they are."""
+def without_object(topic: str, message: Message, box: Box, sensors: Sensors) -> Message:
+    """Sensor message without the object; other messages unchanged."""
     name = topic.partition("/")[2]
     if isinstance(message, LidarScan) and name in sensors.lidar:
         return remove_from_scan(message, box, sensors.lidar[name].mount.T_base_sensor)

@@ -1,4 +1,4 @@
-"""A log looked through before it is replayed: what it has, whose it is, and where its motion comes from."""
+"""Preparation of a replay: inspection of the log, recording machine, and source of its odometry."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +17,14 @@ from geometry.geodesy import Datum
 from localization.lidar.scan_odometry import ScanOdometryConfig
 from messages.errors import ConfigError
 from messages.motion import Odometry
-from runtime.replay.log_inspection import CHILD_FRAMES, Machine, Survey, find_machine, pose_between, survey
+from runtime.replay.log_inspection import (
+    CHILD_FRAMES,
+    LogInspection,
+    RecordingMachine,
+    find_machine,
+    inspect,
+    pose_between,
+)
 from runtime.replay.log_inspection_table import rows_of
 from runtime.replay.trajectory import (
     is_steady,
@@ -28,19 +35,19 @@ from validation.obstacle_stop.observation import Setting
 
 
 class ReplayConfig(Config):
-    """`configs/replay.yaml`."""
+    """File `configs/replay.yaml`."""
 
     scan_odometry: ScanOdometryConfig
-    beyond_m: float = Field(ge=0.0, le=500.0)
-    jump_m: float = Field(gt=0.0, le=10.0)
-    standing_s: float = Field(ge=0.0, le=60.0)
-    clock_s: float = Field(gt=0.0, le=100.0)
+    extension_m: float = Field(ge=0.0, le=500.0)
+    max_pose_jump_m: float = Field(gt=0.0, le=10.0)
+    min_standstill_s: float = Field(ge=0.0, le=60.0)
+    max_clock_offset_s: float = Field(gt=0.0, le=100.0)
     vehicles: dict[str, str]
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """All configuration of a replay."""
+    """Configuration of a replay: stack, replay and conditions."""
 
     stack: StackConfig
     replay: ReplayConfig
@@ -48,14 +55,14 @@ class Configuration:
 
 
 def load_configuration(conditions: Conditions, model: FilePath | None = None) -> Configuration:
-    """The stack's own files, with the cameras' detector from `model` where one is given; raises ConfigError."""
+    """Loads the configuration files, with the camera detector from `model` if given; raises ConfigError."""
     stack = with_detector(load_stack(), model)
     return Configuration(stack, load(ReplayConfig, CONFIGS / "replay.yaml"), conditions)
 
 
 @dataclass(frozen=True)
-class Source:
-    """Where odometry comes from: the `localizer`, the log's `record` (of our own), a `topic` of it, or `scans`."""
+class OdometrySource:
+    """Source of the odometry; kind is `localizer`, `record` (of a Headland log), `topic` or `scans`."""
 
     kind: str
     topic: str
@@ -63,8 +70,8 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a log of ours was recorded: `dock` is where the machine was left in the shed (None: outside)."""
+class RecordingSite:
+    """Site of a Headland log; `dock` is the initial dock pose of the machine, None outside the shed."""
 
     datum: Datum
     shed: Shed | None
@@ -73,23 +80,23 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """A log looked through: what it is, whose, and how it will be replayed."""
+class ReplayInput:
+    """Inspected log with all inputs of its replay."""
 
     recording: Recording
-    found: Survey
-    machine: Machine
-    source: Source
+    inspection: LogInspection
+    machine: RecordingMachine
+    odometry: OdometrySource
     is_planned: bool
     truth_topic: str | None
-    clock_ns: int
+    clock_offset_ns: int
     config: Configuration
-    damages: tuple[str, ...]
-    place: Place | None
+    damage: tuple[str, ...]
+    site: RecordingSite | None
 
     @property
     def half_width_m(self) -> float:
-        """Of the driving corridor: the machine with its implement along a planned path, else as the conditions say."""
+        """Half width of the driving corridor: of machine and implement on a planned path, else of the conditions."""
         body, implement = self.machine.vehicle.body, self.machine.implement
         widest = max(body.width_m, implement.width_m if implement is not None else 0.0)
         if self.is_planned:
@@ -98,7 +105,7 @@ class Prepared:
         return max(corridor.half_width_m, 0.5 * widest + corridor.side_margin_m)
 
     def setting(self, name: str) -> Setting:
-        """What the judge must know."""
+        """Setting of the log for the observer."""
         about, lidars = self.recording.description, self.machine.vehicle.sensors.lidar
         by_frame = {s.frame: n for n, t in self.machine.lidars.items() for s in about.sensors if s.topic == t}
         frame = None if self.truth_topic is None else about.truth_frame
@@ -110,51 +117,52 @@ class Prepared:
             self.half_width_m, frame, math.radians(degrees),
         )  # fmt: skip
 
-    def preflight(self) -> dict[str, Any]:
-        """The table before anything is judged."""
+    def inspection_table(self) -> dict[str, Any]:
+        """Table of required and present topics, as JSON."""
         needed = dict.fromkeys(self.machine.lidars.values(), "obstacles")
         needed |= {self.truth_topic: "truth"} if self.truth_topic else {"truth_objects": "truth"}
-        needed |= dict.fromkeys(self.source.topic.split(), "speed and way") if self.source.topic else {}
-        needed |= {"path": "planned way", "control_command": "place on it"} if self.is_planned else {}
-        notes = [*self.recording.description.notes, *self.damages, *self.machine.notes, self.source.note]
-        notes += [] if self.place is None else self.place.notes
-        if self.clock_ns:
-            notes.append(f"times of reception run {self.clock_ns * 1e-9:+.1f} s against the stamps: shifted by that")
+        needed |= dict.fromkeys(self.odometry.topic.split(), "speed and path") if self.odometry.topic else {}
+        needed |= {"path": "planned path", "control_command": "position on path"} if self.is_planned else {}
+        notes = [*self.recording.description.notes, *self.damage, *self.machine.notes, self.odometry.note]
+        notes += [] if self.site is None else self.site.notes
+        if self.clock_offset_ns:
+            notes.append(f"receive times differ from the stamps by {self.clock_offset_ns * 1e-9:+.1f} s: shifted")
         has_truth = self.truth_topic is not None
-        judged = ["stops", "ranges", "margins"] + (["misses", "false stops", "recall"] if has_truth else [])
+        evaluable = ["stops", "ranges", "margins"] + (["misses", "false stops", "recall"] if has_truth else [])
         about = self.recording.description
         return {
             "log": str(self.recording.path),
             "format": about.format,
-            "span_s": round(self.found.span_s, 3),
-            "topics": rows_of(self.found, needed),
+            "span_s": round(self.inspection.span_s, 3),
+            "topics": rows_of(self.inspection, needed),
             "extrinsics": [f"{e.parent} → {e.child}" for e in about.extrinsics],
             "ignored": [f"{i.source} ({i.source_type}): {i.reason}" for i in about.ignored],
             "notes": notes,
-            "judged": judged,
-            "not_shown": [] if has_truth else ["misses, false stops and recall: no truth"],
+            "evaluable": evaluable,
+            "not_shown": [] if has_truth else ["misses, false stops and recall: no ground truth"],
         }
 
 
-def prepare(path: FilePath, truth: FilePath | None, vehicle: FilePath | None, config: Configuration) -> Prepared:
-    """Look a log through; raises LogError or ConfigError that says what is missing."""
+def prepare(path: FilePath, truth: FilePath | None, vehicle: FilePath | None, config: Configuration) -> ReplayInput:
+    """Inspects a log; raises LogError or ConfigError that names the missing data."""
     from datasets.importers.truth_sidecar import open_with_truth
 
     recording = open_with_truth(path, truth, config.conditions.truth.source)
-    found = survey(recording)
-    machine = find_machine(recording, found, vehicle, config.replay.vehicles)
-    is_own = recording.description.format == "headland" and {"path", "control_command"} <= found.streams.keys()
-    place = place_of(path) if recording.description.format == "headland" else None
-    truths = [t for t in found.streams if t.partition("/")[0] == "truth_objects"]
-    return Prepared(
-        recording, found, machine, find_source(recording, found, machine, place, config.replay), is_own,
-        truths[0] if truths else None, found.clock_ns(config.replay.clock_s), config,
-        damages_of(path), place,
-    )  # fmt: skip
+    inspection = inspect(recording)
+    machine = find_machine(recording, inspection, vehicle, config.replay.vehicles)
+    is_planned = recording.description.format == "headland" and {"path", "control_command"} <= inspection.streams.keys()
+    site = site_of(path) if recording.description.format == "headland" else None
+    truths = [t for t in inspection.streams if t.partition("/")[0] == "truth_objects"]
+    odometry = find_odometry_source(recording, inspection, machine, site, config.replay)
+    offset_ns = inspection.clock_offset_ns(config.replay.max_clock_offset_s)
+    truth_topic = truths[0] if truths else None
+    return ReplayInput(
+        recording, inspection, machine, odometry, is_planned, truth_topic, offset_ns, config, damage_of(path), site
+    )
 
 
-def damages_of(path: FilePath) -> tuple[str, ...]:
-    """What of an MCAP file was lost; nothing for other formats, whose readers refuse what is cut."""
+def damage_of(path: FilePath) -> tuple[str, ...]:
+    """Lost parts of an MCAP file; empty for other formats, whose readers refuse truncated files."""
     if not path.is_file() or path.open("rb").read(len(MAGIC)) != MAGIC:
         return ()
     scan = LogScan(path)
@@ -164,29 +172,33 @@ def damages_of(path: FilePath) -> tuple[str, ...]:
     return lost if lost or scan.is_ended else (f"byte {path.stat().st_size}: the log was not closed",)
 
 
-def find_source(
-    recording: Recording, found: Survey, machine: Machine, place: Place | None, config: ReplayConfig
-) -> Source:
-    """The best odometry that the log allows."""
-    streams, sensors = found.streams, machine.vehicle.sensors
+def find_odometry_source(
+    recording: Recording,
+    inspection: LogInspection,
+    machine: RecordingMachine,
+    site: RecordingSite | None,
+    config: ReplayConfig,
+) -> OdometrySource:
+    """Best odometry available for the log."""
+    streams, sensors = inspection.streams, machine.vehicle.sensors
     own = {"imu", "wheel", "gnss/main"} <= streams.keys()
     if own and sensors.imu is not None and sensors.wheels is not None and "main" in sensors.gnss:
-        if found.stood_s >= config.standing_s and place is not None:
-            return Source("localizer", "imu wheel gnss/main", "odometry: recomputed by the localizer")
+        if inspection.standstill_s >= config.min_standstill_s and site is not None:
+            return OdometrySource("localizer", "imu wheel gnss/main", "odometry: recomputed by the localizer")
         if {"odom", "map_pose"} <= streams.keys():
-            note = "odometry: the log's own, since the machine does not stand at its start and the localizer needs that"
-            return Source("record", "odom map_pose", note)
+            note = "odometry: from the log, because the localizer needs a standstill at the start"
+            return OdometrySource("record", "odom map_pose", note)
     for topic in sorted(t for t in streams if t.partition("/")[0] == "odom"):
         if child_pose(recording, machine, topic) is not None:
             messages = [m for _, t, m in recording.read() if t == topic and isinstance(m, Odometry)]
-            if len(messages) > 2 and is_steady(messages, config.jump_m):
-                return Source("topic", topic, f"odometry: {topic} of the log")
+            if len(messages) > 2 and is_steady(messages, config.max_pose_jump_m):
+                return OdometrySource("topic", topic, f"odometry: {topic} of the log")
     lidar = next(iter(machine.lidars.values()))
-    return Source("scans", "", f"no speed that can be used: replaced by lidar odometry from {lidar}, taken as level")
+    return OdometrySource("scans", "", f"no usable speed: replaced by planar lidar odometry from {lidar}")
 
 
-def child_pose(recording: Recording, machine: Machine, topic: str) -> np.ndarray | None:
-    """Pose of base in the frame that an odometry follows, or None when it is not known."""
+def child_pose(recording: Recording, machine: RecordingMachine, topic: str) -> np.ndarray | None:
+    """Pose (4, 4) of base in the child frame of an odometry topic, or None if unknown."""
     about = recording.description
     if topic == "odom" and about.format == "headland":
         return np.eye(4)
@@ -199,8 +211,8 @@ def child_pose(recording: Recording, machine: Machine, topic: str) -> np.ndarray
     return np.eye(4) if frame in CHILD_FRAMES else None
 
 
-def place_of(path: FilePath) -> Place | None:
-    """The place that a log's own configuration names, or None; raises ConfigError for a datum that cannot be."""
+def site_of(path: FilePath) -> RecordingSite | None:
+    """Site from the configuration in the log, or None; raises ConfigError for an invalid datum."""
     import yaml
 
     text = read_metadata(path).get("config", {}).get("yaml") if path.is_file() else None
@@ -213,6 +225,6 @@ def place_of(path: FilePath) -> Place | None:
     try:
         shed = None if site.get("shed") is None else parse(Shed, site["shed"], f"{path}: site.shed")
     except ConfigError as error:
-        return Place(datum, None, None, (f"shed left out, since another version wrote it: {error}",))
-    is_left_there = shed is not None and mission.get("bay") is not None and mission.get("start") is None
-    return Place(datum, shed, shed.bay(mission["bay"]).dock if shed is not None and is_left_there else None)
+        return RecordingSite(datum, None, None, (f"shed omitted, written by another version: {error}",))
+    is_docked = shed is not None and mission.get("bay") is not None and mission.get("start") is None
+    return RecordingSite(datum, shed, shed.bay(mission["bay"]).dock if shed is not None and is_docked else None)

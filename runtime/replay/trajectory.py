@@ -1,4 +1,4 @@
-"""Where the vehicle of a log really went: its motion smoothed, and the way that its base took later as paths."""
+"""Trajectory of a recorded vehicle: smoothed motion, and its driven line as paths."""
 
 import math
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from messages.plan import Path, PathSection, PathSectionType
 ODOM_NS = 20_000_000
 STEP_M = 0.25
 REVERSE_MPS = -0.2
-CURVE_S = 1.0  # of the end of a log, whose mean curvature it is carried on with
-CURVE_M = 0.5  # in less way than this there is no curvature to take a mean of
+CURVE_S = 1.0  # interval at the end of a log whose mean curvature is extrapolated
+MIN_CURVE_M = 0.5  # minimum distance for a mean curvature
 SMOOTH_S = 0.5
-LEAST_POSES = 3
+MIN_POSES = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses (N, 4, 4) of base in a continuous frame at rising stamps (N,), and motion (N, 5): forward, left, turn a
-    second, forward acceleration, and the standard deviation of the forward speed."""
+    """Poses (N, 4, 4) of base in a continuous frame at increasing stamps (N,), and motion (N, 5): forward and left
+    speed, yaw rate, forward acceleration, and standard deviation of the forward speed, in SI units."""
 
     stamps_ns: Int64
     poses: Float64
@@ -31,9 +31,9 @@ class Trajectory:
 
 
 def trajectory_of(messages: list[Odometry], T_child_base: Float64, is_level_known: bool) -> Trajectory:
-    """From odometry of some frame fixed to the vehicle; without gravity in it, its steps are laid out on a plane.
+    """Trajectory from odometry of a frame fixed to the vehicle; projected to a plane without a gravity reference.
 
-    They are taken in the order of their stamps; a pose that is no number, or comes twice, is left out.
+    Messages are sorted by stamp; poses with NaN or a repeated stamp are dropped.
     """
     kept: list[Odometry] = []
     for message in sorted(messages, key=lambda m: m.stamp_ns):
@@ -46,7 +46,7 @@ def trajectory_of(messages: list[Odometry], T_child_base: Float64, is_level_know
 
 
 def flattened(poses: Float64) -> Float64:
-    """The same steps on a plane: matching of scans knows no gravity, and its tilt drifts."""
+    """Poses with the same steps projected to a plane: scan matching has no gravity reference, its tilt drifts."""
     out = [np.eye(4)] * len(poses)
     for k, (before, after) in enumerate(pairwise(poses)):
         step = invert(before) @ after
@@ -59,7 +59,7 @@ def flattened(poses: Float64) -> Float64:
 
 
 def steps_of(poses: Float64) -> Float64:
-    """Forward, left and turn (N, 3) summed since the first pose, each step seen from its own middle heading."""
+    """Cumulated forward, left and yaw steps (N, 3) since the first pose, each in its mean heading."""
     yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
     d, middle = np.diff(poses[:, :2, 3], axis=0), 0.5 * (yaw[1:] + yaw[:-1])
     c, s = np.cos(middle), np.sin(middle)
@@ -69,9 +69,11 @@ def steps_of(poses: Float64) -> Float64:
 
 
 def motion_of(stamps_ns: Int64, poses: Float64) -> Float64:
-    """Rates (N, 5) by a parabola through the poses about each: matching is good to 2 cm, a tenth of a second apart that
-    would be 0.3 m/s of noise. What the parabolas leave says how well the speed is known."""
-    out, spread, rests = np.zeros((len(poses), 5)), np.zeros(len(poses)), []
+    """Motion (N, 5) by a local parabola fit: scan matching has 2 cm of noise, which is 0.3 m/s over 0.1 s.
+
+    The residuals of the fits give the standard deviation of the speed.
+    """
+    out, variance_factor, residuals = np.zeros((len(poses), 5)), np.zeros(len(poses)), []
     if len(poses) < 2:
         return out
     t = (stamps_ns - stamps_ns[0]) * 1e-9
@@ -79,41 +81,43 @@ def motion_of(stamps_ns: Int64, poses: Float64) -> Float64:
     summed = steps_of(poses)
     for k in range(len(t)):
         first, last = np.searchsorted(t, [t[k] - half_s, t[k] + half_s])
-        first, last = min(first, max(0, last - LEAST_POSES)), max(last, min(len(t), first + LEAST_POSES))
+        first, last = min(first, max(0, last - MIN_POSES)), max(last, min(len(t), first + MIN_POSES))
         degree = min(2, last - first - 1)
         design = np.vander(t[first:last] - t[k], degree + 1, increasing=True)
         fit = np.linalg.lstsq(design, summed[first:last], rcond=None)[0]
         out[k, :3] = fit[1]
         out[k, 3] = 2.0 * fit[2, 0] if degree == 2 else 0.0
-        spread[k] = np.linalg.pinv(design.T @ design)[1, 1]
+        variance_factor[k] = np.linalg.pinv(design.T @ design)[1, 1]
         free = last - first - degree - 1
         if free > 0:
-            rests.append(float(np.sum((summed[first:last, 0] - design @ fit[:, 0]) ** 2)) / free)
-    out[:, 4] = np.sqrt(spread * (float(np.median(rests)) if rests else 0.0))
+            residuals.append(float(np.sum((summed[first:last, 0] - design @ fit[:, 0]) ** 2)) / free)
+    out[:, 4] = np.sqrt(variance_factor * (float(np.median(residuals)) if residuals else 0.0))
     return out
 
 
-def is_steady(messages: list[Odometry], most_m: float) -> bool:
-    """Whether the poses go where the speeds say; GNSS without corrections jumps."""
+def is_steady(messages: list[Odometry], max_jump_m: float) -> bool:
+    """Whether pose steps agree with the speeds to `max_jump_m`; GNSS without corrections jumps."""
     for before, after in pairwise(sorted(messages, key=lambda m: m.stamp_ns)):
         dt_s = (after.stamp_ns - before.stamp_ns) * 1e-9
-        way_m = float(np.linalg.norm(after.T_odom_base[:2, 3] - before.T_odom_base[:2, 3]))
-        told_m = 0.5 * (
+        distance_m = float(np.linalg.norm(after.T_odom_base[:2, 3] - before.T_odom_base[:2, 3]))
+        mean_mps = 0.5 * (
             math.hypot(before.speed_mps, before.lateral_mps) + math.hypot(after.speed_mps, after.lateral_mps)
         )
-        if dt_s < 1.0 and math.isfinite(told_m) and abs(way_m - told_m * dt_s) > most_m:
+        if dt_s < 1.0 and math.isfinite(mean_mps) and abs(distance_m - mean_mps * dt_s) > max_jump_m:
             return False
     return True
 
 
 def odometry_of(trajectory: Trajectory) -> list[Odometry]:
-    """Odometry at 50 Hz and at every pose, in order of time."""
+    """Odometry at 50 Hz and at every pose, sorted by time."""
     stamps = trajectory.stamps_ns
     grid = np.arange(stamps[0], stamps[-1], ODOM_NS, dtype=np.int64)
-    wanted = np.union1d(grid, stamps)
-    after = np.clip(np.searchsorted(stamps, wanted), 1, len(stamps) - 1) if len(stamps) > 1 else np.zeros(1, np.int64)
+    sample_ns = np.union1d(grid, stamps)
+    after = (
+        np.clip(np.searchsorted(stamps, sample_ns), 1, len(stamps) - 1) if len(stamps) > 1 else np.zeros(1, np.int64)
+    )
     out = []
-    for stamp_ns, k in zip(wanted.tolist(), after.tolist(), strict=True):
+    for stamp_ns, k in zip(sample_ns.tolist(), after.tolist(), strict=True):
         share = (stamp_ns - stamps[k - 1]) / max(int(stamps[k] - stamps[k - 1]), 1) if len(stamps) > 1 else 0.0
         T = interpolate(trajectory.poses[k - 1], trajectory.poses[k], float(share)) if len(stamps) > 1 else np.eye(4)
         motion = (1.0 - share) * trajectory.motion[k - 1] + share * trajectory.motion[k]
@@ -129,7 +133,7 @@ def _odometry(stamp_ns: int, T: Float64, motion: Float64) -> Odometry:
 
 
 def map_pose_of(odom: Odometry) -> MapPose:
-    """`map` is `odom`: a recorded way needs no other."""
+    """Pose with `map` equal to `odom`."""
     return MapPose(
         odom.stamp_ns,
         np.eye(4),
@@ -143,36 +147,36 @@ def map_pose_of(odom: Odometry) -> MapPose:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
-    """A stretch driven forwards: its path, and the places (K,) on it at stamps (K,)."""
+class DrivenSection:
+    """Interval of forward driving: its path, and the path positions (K,) at stamps (K,)."""
 
     path: Path
     stamps_ns: Int64
     s_m: Float64
 
 
-def stages_of(trajectory: Trajectory, beyond_m: float) -> list[Stage]:
-    """The way really taken, cut where the vehicle went back; the last is carried on past the log's end."""
+def driven_sections(trajectory: Trajectory, extension_m: float) -> list[DrivenSection]:
+    """Driven line as paths, split at reversing; the last one is extended by `extension_m`."""
     is_forward = trajectory.motion[:, 0] > REVERSE_MPS
     edges = np.flatnonzero(np.diff(is_forward.astype(int))) + 1
     runs = [run for run in np.split(np.arange(len(is_forward)), edges) if len(run) > 1 and is_forward[run[0]]]
     out = []
     for number, run in enumerate(runs):
         is_last = run[-1] == len(is_forward) - 1
-        out.append(_stage(trajectory, run, number, beyond_m if is_last else 0.0))
+        out.append(_section(trajectory, run, number, extension_m if is_last else 0.0))
     return out
 
 
-def _stage(trajectory: Trajectory, run: Int64, number: int, beyond_m: float) -> Stage:
+def _section(trajectory: Trajectory, run: Int64, number: int, extension_m: float) -> DrivenSection:
     stamps, poses = trajectory.stamps_ns[run], trajectory.poses[run]
     summed = steps_of(poses)
     s = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(summed[:, 0]), 0.0))])
     yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
     rows = np.column_stack([s, poses[:, 0, 3], poses[:, 1, 3], yaw])
     rows = rows[np.concatenate([[True], np.diff(s) > 1e-3])]
-    rows = np.vstack([rows, carried_on(rows[-1], _last_curvature(stamps, s, yaw), beyond_m)])
+    rows = np.vstack([rows, extrapolate(rows[-1], _last_curvature(stamps, s, yaw), extension_m)])
     if len(rows) < 2:
-        rows = np.vstack([rows, carried_on(rows[-1], 0.0, STEP_M)])
+        rows = np.vstack([rows, extrapolate(rows[-1], 0.0, STEP_M)])
     grid = np.append(np.arange(0.0, rows[-1, 0], STEP_M), rows[-1, 0])
     grid = grid[np.concatenate([[True], np.diff(grid) > 1e-6])]
     x, y, heading = (np.interp(grid, rows[:, 0], rows[:, k]) for k in (1, 2, 3))
@@ -181,19 +185,19 @@ def _stage(trajectory: Trajectory, run: Int64, number: int, beyond_m: float) -> 
         int(stamps[0]), number, 1, np.column_stack([x, y]), heading, np.gradient(heading, grid), grid, np.ones(n),
         np.zeros(n, np.uint8), (PathSection(PathSectionType.LANE, -1, 0, n - 1),), np.zeros(n, np.int32), False,
     )  # fmt: skip
-    return Stage(path, stamps, s)
+    return DrivenSection(path, stamps, s)
 
 
 def _last_curvature(stamps: Int64, s: Float64, yaw: Float64) -> float:
-    """Mean curvature of the last second; 0 where it has no way to speak of."""
+    """Mean curvature of the last second; 0 for less than MIN_CURVE_M."""
     first = int(np.searchsorted(stamps, stamps[-1] - round(CURVE_S * 1e9)))
-    way_m = float(s[-1] - s[first])
-    return float(yaw[-1] - yaw[first]) / way_m if way_m >= CURVE_M else 0.0
+    distance_m = float(s[-1] - s[first])
+    return float(yaw[-1] - yaw[first]) / distance_m if distance_m >= MIN_CURVE_M else 0.0
 
 
-def carried_on(row: Float64, curvature_radpm: float, way_m: float) -> Float64:
-    """Rows (K, 4: way, x, y, heading) on the circle from a row on."""
-    ds = np.arange(STEP_M, way_m + 0.5 * STEP_M, STEP_M)
+def extrapolate(row: Float64, curvature_radpm: float, distance_m: float) -> Float64:
+    """Rows (K, 4: distance, x, y, heading) that continue a row on a circle."""
+    ds = np.arange(STEP_M, distance_m + 0.5 * STEP_M, STEP_M)
     turn = curvature_radpm * ds
     chord = ds * np.sinc(turn / (2.0 * math.pi))
     x, y = row[1] + chord * np.cos(row[3] + 0.5 * turn), row[2] + chord * np.sin(row[3] + 0.5 * turn)

@@ -108,7 +108,7 @@ def test_person_within_stopping_distance_at_start_is_censored(tmp_path: Path) ->
 
 def test_clock_jump_error_message(log: Path, tmp_path: Path) -> None:
     jump = changed(log, tmp_path / "j.mcap", lambda es: [replace(es[0], receive_ns=0), *es[1:]])
-    with pytest.raises(LogError, match=r"\+1700000000 s against the message before"):
+    with pytest.raises(LogError, match=r"\+1700000000 s after the previous message"):
         prepare(jump, None, vehicle_file(tmp_path), CONFIGURATION)
 
 
@@ -170,17 +170,17 @@ def write_bag(path: Path, log: Path, has_mount: bool) -> Path:
 
 def test_ros2_bag_with_vehicle_file(log: Path, tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", log, has_mount=True)
-    with pytest.raises(ConfigError, match=r"--vehicle FILE; it needs body\.front_m.*top_points\.elevation_deg"):
+    with pytest.raises(ConfigError, match=r"--vehicle FILE; required body\.front_m.*top_points\.elevation_deg"):
         prepare(bag, None, None, CONFIGURATION)
     file = tmp_path / "car.yaml"
     file.write_text(VEHICLE.replace(f"      mount: {{xyz_m: [{LIDAR_X_M}, 0.0, 1.8]}}\n", ""))
     prepared = prepare(bag, None, file, CONFIGURATION)
     (lidar,) = prepared.machine.vehicle.sensors.lidar.values()
     assert lidar.mount.xyz_m == pytest.approx((LIDAR_X_M, 0.0, 1.8))
-    assert prepared.source.topic.startswith("odom/")
+    assert prepared.odometry.topic.startswith("odom/")
     result = evaluate(bag, file)
     assert (result["state"], result["missed"], len(result["stops"])) == ("not_shown", None, 1)
     assert result["encounters"][0]["entry_speed_mps"] == pytest.approx(6.0, abs=0.05)
     bare = write_bag(tmp_path / "bare", log, has_mount=False)
-    with pytest.raises(ConfigError, match=r"lacks sensors\.lidar\.points\.mount\.xyz_m\. Nothing of this is guessed"):
+    with pytest.raises(ConfigError, match=r"missing sensors\.lidar\.points\.mount\.xyz_m\. There are no defaults"):
         prepare(bare, None, file, CONFIGURATION)

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from messages.errors import LogError
-from runtime.replay.object_removal import erase
-from runtime.replay.prepare import Prepared, load_configuration, prepare
+from runtime.replay.object_removal import remove_object
+from runtime.replay.prepare import ReplayInput, load_configuration, prepare
 from runtime.replay.replay import replay
 from tests.replay.simulated_crossing import crossing
 from validation.obstacle_stop.conditions import load_conditions
@@ -23,7 +23,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return crossing(tmp_path_factory.mktemp("crossing") / "log.mcap")
 
 
-def evaluate(prepared: Prepared) -> dict:
+def evaluate(prepared: ReplayInput) -> dict:
     observer = Observer(prepared.setting("own"), CONDITIONS)
     replay(prepared, [observer])
     return aggregate([evaluate_log("own", observer.finish(), True, CONDITIONS)], CONDITIONS)
@@ -31,7 +31,7 @@ def evaluate(prepared: Prepared) -> dict:
 
 def test_crossing_person_in_time_without_false_stop(log: Path) -> None:
     prepared = prepare(log, None, None, load_configuration(CONDITIONS))
-    assert prepared.source.kind == "localizer"
+    assert prepared.odometry.kind == "localizer"
     result = evaluate(prepared)
     assert [(e["role"], e["outcome"], e["is_stop_requested"]) for e in result["encounters"]] == [
         ("person", "in time", True)
@@ -42,8 +42,8 @@ def test_crossing_person_in_time_without_false_stop(log: Path) -> None:
 
 def test_removed_person_is_missed(log: Path) -> None:
     prepared = prepare(log, None, None, load_configuration(CONDITIONS))
-    result = evaluate(erase(prepared, "person"))
+    result = evaluate(remove_object(prepared, "person"))
     assert [(e["role"], e["outcome"]) for e in result["encounters"]] == [("person", "missed")]
     assert (result["state"], result["missed"], result["stops"]) == ("failed", 1, [])
-    with pytest.raises(LogError, match=r"--without cow: the truth has no such object \(it has person"):
-        erase(prepared, "cow")
+    with pytest.raises(LogError, match=r"--remove-object cow: not in the ground truth \(objects: person"):
+        remove_object(prepared, "cow")

@@ -64,7 +64,7 @@ def test_log_without_truth_reports_stops_and_no_misses(tmp_path: Path) -> None:
 
 def test_speed_from_scans_alone(tmp_path: Path) -> None:
     log = drive(tmp_path / "scans.mcap", (24.0, 0.3), seconds=2.5, has_odometry=False)
-    assert prepare(log, None, vehicle_file(tmp_path), CONFIGURATION).source.kind == "scans"
+    assert prepare(log, None, vehicle_file(tmp_path), CONFIGURATION).odometry.kind == "scans"
     (encounter,) = evaluate(log, tmp_path)["encounters"]
     assert encounter["entry_speed_mps"] == pytest.approx(6.0, abs=0.8)
     assert encounter["outcome"] == "in time"
@@ -72,18 +72,18 @@ def test_speed_from_scans_alone(tmp_path: Path) -> None:
 
 def test_missing_vehicle_values_named(tmp_path: Path) -> None:
     log = drive(tmp_path / "a.mcap", None, seconds=0.3)
-    with pytest.raises(ConfigError, match=r"--vehicle FILE; it needs body\.front_m, .*mount\.xyz_m"):
+    with pytest.raises(ConfigError, match=r"--vehicle FILE; required body\.front_m, .*mount\.xyz_m"):
         prepare(log, None, None, CONFIGURATION)
     file = tmp_path / "half.yaml"
     file.write_text(VEHICLE.replace("mount: {xyz_m: [1.0, 0.0, 1.8]}", "").replace("width_m: 1.8, ", ""))
-    with pytest.raises(ConfigError, match=r"lacks body\.width_m, sensors\.lidar\.points\.mount\.xyz_m\. Nothing"):
+    with pytest.raises(ConfigError, match=r"missing body\.width_m, sensors\.lidar\.points\.mount\.xyz_m\. There"):
         prepare(log, None, file, CONFIGURATION)
 
 
 def test_log_without_lidar_refused(tmp_path: Path) -> None:
     file = tmp_path / "can.log"
     file.write_text("(1.000000) can0 123#0011\n")
-    with pytest.raises(LogError, match="no lidar in it"):
+    with pytest.raises(LogError, match="no lidar topic"):
         prepare(file, None, None, CONFIGURATION)
 
 
@@ -99,7 +99,7 @@ def test_unreadable_logs_reported_and_results_reused(tmp_path: Path) -> None:
     one, two = json.loads(first.stdout), json.loads(second.stdout)
     assert first.returncode == 2, first.stderr
     assert [f["log"] for f in one["failed_to_read"]] == ["empty.mcap", "none.log"]
-    assert "1 of 3 judged before" in second.stderr
+    assert "1 of 3 evaluated before" in second.stderr
     assert one == two
     last = (tmp_path / "out" / "result.jsonl").read_text().splitlines()[-1]
     assert json.loads(last)["record"] == "end"
@@ -110,5 +110,5 @@ def test_truncated_log_evaluated_with_note(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(complete[: len(complete) // 2])
     prepared = prepare(cut, None, vehicle_file(tmp_path), CONFIGURATION)
-    assert any(note.startswith("byte ") for note in prepared.preflight()["notes"])
-    assert 0.5 < prepared.found.span_s < 2.9
+    assert any(note.startswith("byte ") for note in prepared.inspection_table()["notes"])
+    assert 0.5 < prepared.inspection.span_s < 2.9

@@ -18,7 +18,7 @@ MS = 1_000_000
 
 
 class Wheels(World):
-    """Gives a wheel sample at each of the given times (ms)."""
+    """World with a wheel sample at each of the given times (ms)."""
 
     writes = ("wheel",)
 
@@ -35,7 +35,7 @@ class Wheels(World):
 
 @dataclass
 class Recorder(Node):
-    """Notes when it stepped and what it saw, and answers with an IMU sample."""
+    """Stores the time (ms) and the speeds of each step; publishes an IMU sample."""
 
     name: str
     reads: dict[str, Read]
@@ -48,7 +48,7 @@ class Recorder(Node):
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         if now_ns == self.fails_at_ns:
-            raise RuntimeError("planted")
+            raise RuntimeError("injected")
         if isinstance(self.reads["wheel"], All):
             speeds = tuple(m.speed_mps for m in inbox.all("wheel", WheelSample))
         else:
@@ -64,7 +64,7 @@ def drive(times_ms: Sequence[int], nodes: list[tuple[Node, int]]) -> list[Envelo
     return log
 
 
-def test_output_appears_after_the_latency() -> None:
+def test_output_latency() -> None:
     node = Recorder("a", {"wheel": Latest()}, ("imu",), On(("wheel",)))
     log = drive([0, 10, 20], [(node, 3 * MS)])
     assert [(e.topic, e.receive_ns // MS) for e in log] == [
@@ -73,39 +73,39 @@ def test_output_appears_after_the_latency() -> None:
     assert len(log) >= 5
 
 
-def test_busy_node_takes_only_the_newest() -> None:
+def test_busy_node_reads_newest_message() -> None:
     node = Recorder("a", {"wheel": Latest()}, (), On(("wheel",)))
     drive([0, 10, 20, 30, 60], [(node, 25 * MS)])
     assert node.seen == [(0, (0.0,)), (25, (20.0,)), (50, (30.0,)), (75, (60.0,))][:3]
 
 
-def test_all_gives_each_message_once_and_no_more_than_asked() -> None:
+def test_all_returns_each_message_once_up_to_its_maximum() -> None:
     node = Recorder("a", {"wheel": All(2)}, (), Every(30 * MS))
     drive(range(0, 70, 10), [(node, MS)])
     assert node.seen == [(0, (0.0,)), (30, (20.0, 30.0)), (60, (50.0, 60.0))]
 
 
-def test_delivery_precedes_steps_of_the_same_instant() -> None:
+def test_delivery_before_steps_at_equal_time() -> None:
     first = Recorder("first", {"wheel": Latest()}, (), Every(10 * MS))
     drive([0, 10], [(first, MS)])
     assert first.seen == [(0, (0.0,)), (10, (10.0,))]
 
 
 @pytest.mark.parametrize(("age_ms", "is_seen"), [(99, True), (100, True), (101, False), (200, False)])
-def test_staleness_follows_the_table(age_ms: int, is_seen: bool) -> None:
+def test_staleness_limit(age_ms: int, is_seen: bool) -> None:
     node = Recorder("a", {"wheel": Latest()}, (), Every(age_ms * MS))
     drive([0, age_ms + 1], [(node, MS)])
     assert bool(node.seen[1][1]) is is_seen
 
 
-def test_exception_becomes_a_fault_and_the_others_go_on() -> None:
+def test_node_exception_fault() -> None:
     bad = Recorder("bad", {"wheel": Latest()}, (), On(("wheel",)), fails_at_ns=10 * MS)
     good = Recorder("good", {"wheel": Latest()}, (), On(("wheel",)))
     log = drive([0, 10, 20, 30], [(bad, MS), (good, MS)])
     faults = [e for e in log if e.topic == FAULT_TOPIC]
     assert len(faults) == 1
     assert isinstance(faults[0].message, Fault)
-    assert "planted" in faults[0].message.text_en
+    assert "injected" in faults[0].message.text_en
     assert (len(bad.seen), len(good.seen)) == (1, 4)
 
 
@@ -115,7 +115,7 @@ def test_sequence_numbers_count_from_zero_on_each_topic() -> None:
     assert [e.sequence for e in log if e.topic == "wheel"] == [0, 1, 2]
 
 
-def test_at_interpolates_and_refuses_what_it_does_not_cover() -> None:
+def test_at_interpolation_limits() -> None:
     def odometry(ms: int) -> Odometry:
         T = np.eye(4)
         T[0, 3] = ms
@@ -142,16 +142,16 @@ def test_at_interpolates_and_refuses_what_it_does_not_cover() -> None:
     assert places[4] == (85.0, 90.0, None, None)
 
 
-def test_wiring_refuses_what_cannot_work() -> None:
+def test_wiring_errors() -> None:
     world = Wheels([0])
     reader = Recorder("r", {"wheel": Latest()}, ("imu",), Every(10 * MS))
     check_wiring(world, [(reader, 9 * MS)], cores=1)
-    twice = Recorder("w", {"wheel": Latest()}, ("wheel",), Every(10 * MS))
+    duplicate = Recorder("w", {"wheel": Latest()}, ("wheel",), Every(10 * MS))
     with pytest.raises(WiringError, match=r"'wheel' has two writers: world and w"):
-        check_wiring(world, [(twice, MS)], cores=1)
-    alone = Recorder("r", {"gnss/main": Latest()}, (), Every(10 * MS))
+        check_wiring(world, [(duplicate, MS)], cores=1)
+    unwritten = Recorder("r", {"gnss/main": Latest()}, (), Every(10 * MS))
     with pytest.raises(WiringError, match="gnss/main"):
-        check_wiring(world, [(alone, MS)], cores=1)
+        check_wiring(world, [(unwritten, MS)], cores=1)
     with pytest.raises(WiringError, match="latency 0 ns"):
         check_wiring(world, [(reader, 0)], cores=1)
     with pytest.raises(WiringError, match=r"1\.10 cores"):
@@ -160,8 +160,8 @@ def test_wiring_refuses_what_cannot_work() -> None:
         check_wiring(world, [(Recorder("r", {"wheel": Latest()}, ("nonsense",), Every(MS)), 1)], cores=1)
 
 
-class Tape:
-    """A tap that holds every second message back by 15 ms and a sink that fails at the third."""
+class DelayingTap:
+    """Tap that delays every second message by 15 ms."""
 
     def __init__(self) -> None:
         self.held: list[tuple[int, Output]] = []
@@ -183,13 +183,13 @@ class Tape:
         return []
 
 
-def test_a_tap_may_hold_messages_back() -> None:
+def test_tap_delay() -> None:
     seen: list[Envelope] = []
-    Executor(Wheels([10, 20, 30, 50]), [], (seen.append,), Tape()).run(lambda: False)
+    Executor(Wheels([10, 20, 30, 50]), [], (seen.append,), DelayingTap()).run(lambda: False)
     assert [(e.receive_ns // MS, e.message.stamp_ns // MS) for e in seen] == [(10, 10), (30, 30), (35, 20)]
 
 
-def test_a_log_that_fails_is_a_fault_that_stops_and_an_error_at_the_end() -> None:
+def test_log_failure_fault_and_error() -> None:
     seen: list[Envelope] = []
 
     def full(envelope: Envelope) -> None:
@@ -203,7 +203,7 @@ def test_a_log_that_fails_is_a_fault_that_stops_and_an_error_at_the_end() -> Non
     assert seen[-1].receive_ns == 40 * MS
 
 
-def test_a_clock_that_steps_back_leaves_nobody_waiting() -> None:
+def test_backward_clock_step() -> None:
     node = Recorder("node", {"wheel": Latest()}, ("imu",), Every(10 * MS))
     hour = 3_600_000
     executor = Executor(Wheels([hour, hour + 10, hour + 20, 10, 20, 30, 40]), [(node, 5 * MS)], ())
@@ -211,7 +211,7 @@ def test_a_clock_that_steps_back_leaves_nobody_waiting() -> None:
     assert [t for t, _ in node.seen] == [hour, hour + 10, hour + 20, 10, 20, 30, 40]
 
 
-def test_a_clock_that_steps_ahead_is_not_lived_through() -> None:
+def test_forward_clock_step() -> None:
     node = Recorder("node", {"wheel": Latest()}, ("imu",), Every(10 * MS))
     hour = 3_600_000
     Executor(Wheels([10, 20, hour, hour + 10]), [(node, 5 * MS)], ()).run(lambda: False)

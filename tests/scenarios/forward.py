@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 from configs.strict import find, load
 from messages.faults import Fault
 from messages.message import Envelope, Message
-from runtime.assembly import assemble, planted
+from runtime.assembly import assemble, fault_injection_for
 from runtime.executor import FAULT_TOPIC, Executor
 from runtime.setup import Setup
 from simulation.faults.config import InjectedFault
@@ -45,7 +45,7 @@ def forward(
     drive = Drive()
     named = load(Scenario, find("scenarios", scenario)) if isinstance(scenario, str) else scenario
     chosen = named.model_copy(update={"faults": (*named.faults, *faults)})
-    injection = planted(setup, chosen)
+    injection = fault_injection_for(setup, chosen)
     with assemble(setup, chosen, is_ablation, injection) as (world, nodes):
         executor = Executor(world, nodes, (drive, *sinks), injection)
         start_ns = executor.now_ns

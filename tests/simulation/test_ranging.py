@@ -9,7 +9,7 @@ from configs.site import PoseConfig, Site
 from configs.strict import find, load
 from messages.perception import ObstacleClass
 from messages.sensors import GnssSolution
-from runtime.setup import carrying
+from runtime.setup import with_implement_sensors
 from simulation.actors.actors import ActorState
 from simulation.sensors.gnss import SkyView
 from simulation.sensors.uwb import intersects_ball
@@ -241,7 +241,7 @@ def test_carried_sensors_rise_with_the_implement():
 
 def test_rear_sensors_hear_who_stands_behind_the_raised_harrow():
     behind = actor(20.0, YARD.y_m - 2.4 - 1.5)
-    vehicle = carrying(machine_file(), IMPLEMENT)
+    vehicle = with_implement_sensors(machine_file(), IMPLEMENT)
     farm = Farm(vehicle=vehicle, site=SITE, start=YARD, is_folded=True, config=flat())
     farm.world._update_actors = lambda elapsed_s: setattr(farm.world._scene, "actors", (behind,))
     outputs = farm.drive(2.0)

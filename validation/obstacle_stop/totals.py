@@ -55,7 +55,7 @@ def aggregate(logs: Sequence[dict[str, Any]], conditions: Conditions) -> dict[st
 
 def damages(log: dict[str, Any]) -> list[str]:
     """Unreadable parts of a log."""
-    return [note for note in log.get("preflight", {}).get("notes", []) if note.startswith("byte ")]
+    return [note for note in log.get("inspection", {}).get("notes", []) if note.startswith("byte ")]
 
 
 def state_of(

@@ -15,7 +15,7 @@ from messages.node import Node, Output, World
 from messages.perception import HealthState, SensorHealth, Tracks
 from messages.sensors import CameraImage, RadarScan, UltrasonicRange
 from runtime.executor import Executor, check_wiring
-from runtime.perception_nodes import perceiving
+from runtime.perception_nodes import perception_nodes
 from runtime.stack import load_stack
 from tests.perception.camera.onnx_files import write
 
@@ -43,7 +43,7 @@ def nodes(model: Path | None) -> list[tuple[Node, int]]:
     perception = STACK.perception
     detector = perception.camera.detector.model_copy(update={"model": str(model) if model else None})
     camera = perception.camera.model_copy(update={"detector": detector})
-    found = perceiving(vehicle(), HARROW, perception.model_copy(update={"camera": camera}))
+    found = perception_nodes(vehicle(), HARROW, perception.model_copy(update={"camera": camera}))
     return [(node, STACK.executor.latency_ns(node.name)) for node in found]
 
 

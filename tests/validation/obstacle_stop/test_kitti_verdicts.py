@@ -14,7 +14,7 @@ from messages.command import SupervisorState
 from messages.faults import Response
 from messages.message import Envelope
 from messages.perception import Obstacles, Tracks
-from runtime.replay.prepare import Prepared, load_configuration, prepare
+from runtime.replay.prepare import ReplayInput, load_configuration, prepare
 from runtime.replay.replay import replay
 from validation.obstacle_stop.conditions import load_conditions
 from validation.obstacle_stop.evaluation import evaluate_log
@@ -32,7 +32,7 @@ pytestmark = [
 
 
 @cache
-def recorded() -> tuple[Prepared, list[Envelope]]:
+def recorded() -> tuple[ReplayInput, list[Envelope]]:
     """Messages of the replay, computed once."""
     prepared = prepare(LOG, TRUTH, None, load_configuration(CONDITIONS))
     envelopes: list[Envelope] = []

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from runtime.replay.trajectory import Trajectory, carried_on, motion_of, stages_of
+from runtime.replay.trajectory import Trajectory, driven_sections, extrapolate, motion_of
 from validation.obstacle_stop.boxes import Box, count_beams
 from validation.obstacle_stop.conditions import load_conditions
 from validation.obstacle_stop.driving_corridor import DrivingCorridor, project
@@ -85,8 +85,8 @@ def test_path_extension_keeps_last_curvature(side: float) -> None:
         poses[k, :2, :2] = [[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]]
         poses[k, :2, 3] = side * math.sin(a) / (side * 0.05) * side, side * (1.0 - math.cos(a)) / 0.05
     poses[:, 0, 3] = np.abs(poses[:, 0, 3])
-    (stage,) = stages_of(Trajectory(stamps, poses, motion_of(stamps, poses)), 20.0)
-    end = carried_on(np.array([0.0, 0.0, 0.0, 0.0]), side * 0.05, 35.0)[-1]
+    (stage,) = driven_sections(Trajectory(stamps, poses, motion_of(stamps, poses)), 20.0)
+    end = extrapolate(np.array([0.0, 0.0, 0.0, 0.0]), side * 0.05, 35.0)[-1]
     assert stage.path.p_map_m[-1] == pytest.approx(end[1:3], abs=0.05)
     assert motion_of(stamps, poses)[15, 0] == pytest.approx(5.0, abs=1e-3)
 
@@ -96,6 +96,6 @@ def test_path_split_at_reversal() -> None:
     x = np.concatenate([np.arange(20) * 0.2, 3.8 - np.arange(20) * 0.2, np.arange(20) * 0.2])
     poses = np.tile(np.eye(4), (60, 1, 1))
     poses[:, 0, 3] = x
-    stages = stages_of(Trajectory(stamps, poses, motion_of(stamps, poses)), 10.0)
+    stages = driven_sections(Trajectory(stamps, poses, motion_of(stamps, poses)), 10.0)
     assert len(stages) == 2
     assert stages[0].path.s_m[-1] < 4.0 < stages[1].path.s_m[-1]

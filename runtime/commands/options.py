@@ -1,0 +1,131 @@
+"""Table of the commands with their options; imports nothing that a command needs."""
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Option:
+    """Arguments of one `add_argument` call."""
+
+    names: tuple[str, ...]
+    settings: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A verb: its one-line help, the module whose `main` runs it, and its options."""
+
+    verb: str
+    help: str
+    module: str
+    options: tuple[Option, ...]
+
+
+def _option(*names: str, **settings: Any) -> Option:
+    return Option(names, settings)
+
+
+JSON = _option("--json", action="store_true", help="print the result as one JSON object on standard output")
+SEED = _option("--seed", type=int, default=1, help="seed of all random draws (default 1)")
+DURATION = _option("--duration", type=float, metavar="S", help="end after this many seconds")
+MODEL = _option("--model", type=Path, metavar="FILE", help="ONNX file of the camera detector (YOLOX or NanoDet)")
+TRUTH = _option("--truth", type=Path, metavar="PATH", help="ground truth: KITTI labels or a JSONL sidecar file")
+SCENARIO = _option(
+    "--scenario", help="a file, or a name in configs/scenarios (default demo; empty with --field or without field work)"
+)
+FIELD = _option("--field", metavar="FILE.geojson", help="field outline that replaces the mission's site")
+MISSION = (
+    _option("--mission", default="demo", help="a file, or a name in configs/missions (default demo)"),
+    _option("--machine", help="a file, or a name in configs/machines (default: the mission's)"),
+    _option("--implement", help="a file, or a name in configs/implements (default: the mission's)"),
+    _option("--bay", metavar="NAME", help="shed bay in which the mission starts and ends docked"),
+)
+
+
+def _out(verb: str, more: str = "") -> Option:
+    return _option("--out", type=Path, metavar="FOLDER", help=f"run folder (default runs/<stamp>-{verb}){more}")
+
+
+RESUMES = "; results already in it are kept"
+COMMANDS = (
+    Command("run", "drive a mission in simulation and write the report", "runtime.commands.run", (
+        FIELD, *MISSION, SCENARIO, SEED, MODEL,
+        _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
+        _out("run"), JSON,
+    )),
+    Command("live", "run the stack in real time, one process per part", "runtime.live.command", (
+        _option("--world", choices=["simulation"], required=True, help="the machine that is driven"),
+        FIELD, *MISSION, SCENARIO, SEED, DURATION,
+        _option("--kill", metavar="PROCESS:SIGNAL:S", help="send KILL or STOP to a process, e.g. safety:KILL:20"),
+        _option("--reaction-trials", type=int, default=0, metavar="N", help="measure reaction times to N pop-ups"),
+        _out("live"), JSON,
+    )),
+    Command("shadow", "log a machine's CAN bus without sending", "runtime.live.shadow", (
+        _option("--bus", required=True, metavar="CHANNEL", help="python-can channel, e.g. can0"),
+        _option("--interface", default="socketcan", help="python-can interface (default socketcan)"),
+        DURATION, _out("shadow"), JSON,
+    )),
+    Command("plan", "plan a field: figure, GeoJSON, path length and area", "runtime.commands.plan", (
+        _option("field", metavar="FIELD.geojson", help="field outline in WGS 84; holes are excluded areas"),
+        *MISSION, SEED, _out("plan"), JSON,
+    )),
+    Command("validate", "replay recorded logs and evaluate the obstacle stops", "runtime.commands.validate", (
+        _option("log", type=Path, nargs="+", metavar="LOG", help="MCAP, ROS bag, KITTI folder or PCD folder"),
+        _option("--vehicle", type=Path, metavar="FILE", help="recording vehicle: dimensions, lidars, mounts"),
+        _option("--conditions", type=Path, metavar="FILE", help="pass conditions (default: validation/conditions/)"),
+        TRUTH, MODEL,
+        _option("--remove-object", metavar="NAME", help="remove this object of the ground truth from all sensor data"),
+        _option("--jobs", type=int, metavar="N", help="logs at a time (default: all cores)"),
+        _option("--scheduler", metavar="ADDRESS", help="run on this Dask cluster"),
+        _out("validate", RESUMES), JSON,
+    )),
+    Command("campaign", "run many drives or faults and write one table", "runtime.commands.campaign", (
+        _option(
+            "campaign", choices=["demo", "ablation", "dock", "fault-injection"],
+            help="demo: field work; ablation: demo without the obstacle rules; dock: docking into each bay; "
+            "fault-injection: each fault in each situation",
+        ),
+        _option("--seeds", type=int, default=10, metavar="N", help="seeds 1 to N (default 10)"),
+        _option("--jobs", type=int, default=2, metavar="N", help="runs at a time (default 2)"),
+        _option("--only", metavar="REGEX", help="fault-injection: cells whose name matches, e.g. swath-imu-off"),
+        _option("--situations", metavar="NAMES", help="fault-injection: of turn,swath,obstacle,docking (default all)"),
+        _out("campaign", RESUMES), JSON,
+    )),
+    Command("import", "convert a recording into a Headland log", "runtime.commands.import_log", (
+        _option("source", type=Path, metavar="SOURCE"),
+        _option("--out", type=Path, required=True, metavar="LOG.mcap"),
+        TRUTH,
+        _option("--from", dest="start", type=float, default=0.0, metavar="S", help="start second of the excerpt"),
+        _option("--to", dest="end", type=float, default=math.inf, metavar="S", help="end second of the excerpt"),
+        JSON,
+    )),
+    Command("animate", "write an animation of a logged drive", "runtime.commands.animate", (
+        _option("log", type=Path, metavar="LOG", help="log of `headland run`"),
+        _option("--out", type=Path, required=True, metavar="FILE.webp"),
+        _option("--from", dest="start", type=float, default=0.0, metavar="S", help="start second of the log"),
+        _option("--duration", type=float, default=60.0, metavar="S", help="seconds of the drive (default 60)"),
+        _option("--rate", type=float, default=6.0, metavar="X", help="times real time (default 6)"),
+        _option("--quality", type=int, default=60, metavar="Q", help="WebP quality, 0 to 100 (default 60)"),
+    )),
+    Command("inspect-log", "list the topics, gaps and damage of a log", "runtime.commands.inspect_log", (
+        _option("log", type=Path, metavar="LOG"), JSON,
+    )),
+)  # fmt: skip
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Parser of the command line; the namespace holds the command's `module`."""
+    parser = argparse.ArgumentParser(
+        prog="headland", description="Autonomous driving of a farm machine.", allow_abbrev=False
+    )
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for command in COMMANDS:
+        verb = verbs.add_parser(command.verb, help=command.help, description=command.help, allow_abbrev=False)
+        for option in command.options:
+            verb.add_argument(*option.names, **option.settings)
+        verb.set_defaults(module=command.module)
+    return parser

@@ -1,0 +1,36 @@
+"""Nodes of the safety process: supervisor and gateway."""
+
+from interfaces.gateway import CanBus, Gateway
+from messages.node import Node
+from runtime.executor import FAULT_TOPIC
+from runtime.setup import Setup
+from safety.rules import OBSTACLE_RULES
+from safety.supervisor import Supervisor
+from safety.zones.geofence import geofence_of
+from safety.zones.known_structure import structure_of_site
+
+FAULT_TOPICS = ("fault/localizer", "fault/gateway", FAULT_TOPIC)
+
+
+def safety_nodes(setup: Setup, bus: CanBus, is_ablation: bool) -> list[Node]:
+    """Supervisor and gateway, from the control command to the CAN bus; `is_ablation` omits the obstacle rules."""
+    disabled = OBSTACLE_RULES if is_ablation else frozenset()
+    return [
+        Supervisor(
+            setup.vehicle,
+            setup.implement,
+            setup.stack.safety,
+            geofence_of(setup.site),
+            FAULT_TOPICS,
+            disabled,
+            structure_of_site(setup.site),
+            sensors_without_detector(setup),
+        ),
+        Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway),
+    ]
+
+
+def sensors_without_detector(setup: Setup) -> frozenset[str]:
+    """Labels (`camera_front`) of the cameras if there is no detector model; the supervisor does not require these."""
+    has_model = setup.stack.perception.camera.detector.model is not None
+    return frozenset() if has_model else frozenset(f"camera_{name}" for name in setup.vehicle.sensors.camera)
