@@ -1,4 +1,4 @@
-"""A mission: what to work, with what, and how."""
+"""Mission: field work, machine, implement and docking."""
 
 from typing import Annotated
 
@@ -10,29 +10,29 @@ from configs.vehicle import Kmh
 
 
 class Work(Config):
-    """How the field is worked."""
+    """Field work."""
 
-    headland_rounds: int = Field(ge=1, le=10)
+    headland_passes: int = Field(ge=1, le=10)
     swath_direction_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
     overlap_m: float = Field(ge=0.0, le=2.0)
     work_speed_kmh: Kmh
     turn_speed_kmh: Kmh
     lane_speed_kmh: Kmh
-    boundary_margin_m: float = Field(ge=0.0, le=5.0, description="between the swept area and the edge")
+    boundary_margin_m: float = Field(ge=0.0, le=5.0, description="between the swept area and the field edge")
 
 
 class Spread(Config):
-    """How far from a pose the seed may draw another."""
+    """Maximum deviation of a start pose drawn by the seed."""
 
     distance_m: float = Field(ge=0.0, le=50.0)
     heading_deg: float = Field(ge=0.0, le=180.0)
 
 
 class Mission(Config):
-    """A mission by the names of its parts in `configs/`; with `bay` it starts docked there and ends so.
+    """Mission by the names of its parts in `configs/`; with `bay` it starts and ends docked there.
 
-    `start` lets it begin elsewhere with the implement unfolded, drawn by the seed within `spread` of it. Without `work`
-    it docks and does nothing else.
+    `start` sets another start pose with the implement unfolded, drawn by the seed within `spread`. Without `work` the
+    mission is docking only.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Mission(Config):
     spread: Spread | None = None
 
     @model_validator(mode="after")
-    def _has_something_to_do(self) -> "Mission":
+    def _check_tasks(self) -> "Mission":
         if self.work is None and (self.bay is None or self.start is None):
             raise ValueError("a mission without work needs a bay to dock in and a start")
         if self.work is not None and self.start is not None:

@@ -1,1 +1,1 @@
-"""From field and mission to paths: rounds, swaths, turns, speeds, detours, and the node that follows progress."""
+"""From field and mission to paths: headland passes, swaths, turns, speeds, detours, docking, and the mission node."""

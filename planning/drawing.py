@@ -1,4 +1,4 @@
-"""A plan as a picture and as GeoJSON."""
+"""A plan as a figure (PNG) and as GeoJSON."""
 
 import json
 from pathlib import Path as FilePath
@@ -25,7 +25,7 @@ COLOURS = {
 
 
 def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
-    """Write a PNG: field, lanes, gate, yard and shed, planned strips, and the way by legs."""
+    """Writes a PNG: field, lanes, gate, yard, shed, planned strips, and the path by section type."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -45,11 +45,11 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
         axes.plot(*zip(*gate.posts_m, strict=True), "s", color="#b22222", markersize=4)
     shown: set[PathSectionType] = set()
     for path in plan.paths:
-        for t in path.sections:
-            label = None if t.section_type in shown else str(t.section_type)
-            shown.add(t.section_type)
-            line = path.p_map_m[t.first : t.last + 2]
-            axes.plot(line[:, 0], line[:, 1], color=COLOURS[t.section_type], linewidth=1.0, label=label)
+        for section in path.sections:
+            label = None if section.section_type in shown else str(section.section_type)
+            shown.add(section.section_type)
+            line = path.p_map_m[section.first : section.last + 2]
+            axes.plot(line[:, 0], line[:, 1], color=COLOURS[section.section_type], linewidth=1.0, label=label)
     worked = f", {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha" if plan.planned_share > 0.0 else ""
     axes.set_title(f"{site.name}: {plan.length_m:.0f} m{worked}")
     axes.set_xlabel("east in m")
@@ -59,7 +59,7 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
 
 
 def _draw_shed(axes: Any, shed: Shed, docking: Docking | None) -> None:
-    """Roof, walls, posts and bays, and in its bay the rig as it stands docked."""
+    """Roof, walls, posts, bays, and the docked rig."""
     axes.fill(*zip(*shed.outline_m, strict=True), color="#d3cab8")
     for wall in shed.walls_m:
         axes.plot(*zip(*wall, strict=True), color="black", linewidth=2.0)
@@ -75,7 +75,7 @@ def _draw_shed(axes: Any, shed: Shed, docking: Docking | None) -> None:
 
 
 def _fill(axes: Any, shape: shapely.Polygon, colour: str) -> None:
-    """A polygon with its holes left open."""
+    """Polygon with its holes."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
 
@@ -85,7 +85,7 @@ def _fill(axes: Any, shape: shapely.Polygon, colour: str) -> None:
 
 
 def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
-    """A FeatureCollection in longitude and latitude: planned strips, sections of the way, what is uncovered."""
+    """FeatureCollection in longitude and latitude: planned strips, path sections, uncovered areas."""
     datum = site.datum.datum
 
     def degrees(points: Float64) -> Float64:
@@ -99,11 +99,16 @@ def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
     if not plan.planned_area.is_empty:
         found.append(feature(plan.planned_area, kind="planned", area_m2=round(plan.planned_area.area, 1)))
     for path in plan.paths:
-        for t in path.sections:
-            points = path.p_map_m[t.first : t.last + 2]
+        for section in path.sections:
+            points = path.p_map_m[section.first : section.last + 2]
             if len(points) > 1:
                 found.append(
-                    feature(shapely.LineString(points), kind="way", section_type=str(t.section_type), line=t.line)
+                    feature(
+                        shapely.LineString(points),
+                        kind="path",
+                        section_type=str(section.section_type),
+                        line=section.line,
+                    )
                 )
     found += [
         feature(u.outline, kind="uncovered", reason=u.reason, area_m2=round(u.area_m2, 1)) for u in plan.uncovered
@@ -112,5 +117,5 @@ def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
 
 
 def write_geojson(plan: Plan, site: Site, file: FilePath) -> None:
-    """Write `plan_to_geojson` to a file."""
+    """Writes `plan_to_geojson` to a file."""
     file.write_text(json.dumps(plan_to_geojson(plan, site)) + "\n", encoding="utf-8")

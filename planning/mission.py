@@ -1,4 +1,4 @@
-"""The mission: publishes the path to drive, follows progress, and finds a way when something stays in the way."""
+"""Mission node: publishes the path to drive, follows progress, and plans detours around persistent obstacles."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -16,21 +16,36 @@ from messages.perception import Tracks
 from messages.plan import MissionState, MissionStatus, Path, PathSectionType, UncoveredArea
 from planning.config import MissionConfig
 from planning.docking.dock import Docking, plan_docking
-from planning.docking.dock_approach import silence, way_in
+from planning.docking.dock_approach import plan_approach, uwb_unavailable_reason
 from planning.path import rest_of
 from planning.plan import Plan
-from planning.recovery.detour import ground_without
-from planning.recovery.obstacle_recovery import Blocked, Rejoin, Step, Trunk, blocked_again, settle, way_round
-from planning.recovery.static_obstacles import ALIVE, Standing, first_in_way, from_hits, joined, standing
+from planning.recovery.detour import area_without_obstacles
+from planning.recovery.obstacle_recovery import (
+    ActivePath,
+    Blockage,
+    ResumeStep,
+    Step,
+    blockage_on_detour,
+    plan_recovery,
+    plan_resume,
+)
+from planning.recovery.static_obstacles import (
+    LIVING_CLASSES,
+    StaticObstacle,
+    first_on_path,
+    merged,
+    obstacle_from_points,
+    static_obstacles,
+)
 
 PERIOD_NS = 200_000_000
-BACK_CLEARANCE_M = 0.3
+REVERSE_CLEARANCE_M = 0.3
 EDGE_M = 0.4
-SEEN_AGAIN_M = 3.0  # a standing track so near to what was driven round is the same thing
+SAME_OBSTACLE_M = 3.0  # a static track so close to the obstacle passed is the same obstacle
 
 
 class MissionNode(Node):
-    """Drives a plan: one path at a time, from OperatorCommandKind.START to the end of the last."""
+    """Executes a plan path by path, from OperatorCommandKind.START to the end of the last path."""
 
     def __init__(self, plan: Plan, config: MissionConfig, seed: int) -> None:
         self.name = "mission"
@@ -42,26 +57,26 @@ class MissionNode(Node):
         self.writes = ("path", "mission")
         self.runs = Every(PERIOD_NS)
         self._plan, self._config, self._seed = plan, config, seed
-        self._state, self._text = MissionState.WAITING, "waiting for the start order"
-        self._steps: list[Step | Docking] = [*plan.given, *([plan.docking] if plan.docking else [])]
-        self._homing: Docking | None = None  # once the way into the dock has begun
-        self._between_ns: int | None = None  # since when a path has ended and the next is not there
+        self._state, self._text = MissionState.WAITING, "waiting for the start command"
+        self._steps: list[Step | Docking] = [*plan.fixed_paths, *([plan.docking] if plan.docking else [])]
+        self._active_docking: Docking | None = None  # set when the approach into the dock has begun
+        self._path_ended_ns: int | None = None  # end of a path while the next one is not available
         self._path: Path | None = None
         self._s_m, self._driven_m, self._total_m = 0.0, 0.0, plan.length_m
-        self._order_sequence = -1
+        self._command_sequence = -1
         self._last_id = max(p.path_id for p in plan.paths)
         self._blocked_ns: int | None = None
-        self._again_ns = 0  # when to look again for another way into the dock
+        self._retry_ns = 0  # earliest next search for another path into the dock
         self._detours = 0
-        self._left_out: tuple[UncoveredArea, ...] = ()
-        self._ground = plan.ground.allowed.buffer(-EDGE_M)  # what stands beyond is fence or hedge
+        self._uncovered: tuple[UncoveredArea, ...] = ()
+        self._drivable = plan.drivable.allowed.buffer(-EDGE_M)  # static objects beyond it are fence or hedge
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """Start, follow, go on or find a way; the status goes out each time, a path when it is new."""
+        """Publishes the status in each step and a path when it is new."""
         before = self._path
         if self._state is MissionState.WAITING and self._is_started(now_ns, inbox):
-            self._state, self._between_ns = MissionState.DRIVING, now_ns
-            self._next(now_ns, inbox)
+            self._state, self._path_ended_ns = MissionState.DRIVING, now_ns
+            self._start_next(now_ns, inbox)
         elif self._state in (MissionState.DRIVING, MissionState.REPLANNING):
             self._follow(now_ns, inbox)
         outputs: list[Output] = [("mission", self._status(now_ns))]
@@ -71,15 +86,15 @@ class MissionNode(Node):
 
     def _is_started(self, now_ns: int, inbox: Inbox) -> bool:
         is_started = False
-        for order in inbox.all("operator_command", OperatorCommand):
-            is_new = order.sequence > self._order_sequence and now_ns <= order.expires_ns
-            self._order_sequence = max(self._order_sequence, order.sequence)
-            is_started = is_started or (is_new and order.kind is OperatorCommandKind.START)
+        for command in inbox.all("operator_command", OperatorCommand):
+            is_new = command.sequence > self._command_sequence and now_ns <= command.expires_ns
+            self._command_sequence = max(self._command_sequence, command.sequence)
+            is_started = is_started or (is_new and command.kind is OperatorCommandKind.START)
         return is_started
 
     def _follow(self, now_ns: int, inbox: Inbox) -> None:
-        if self._between_ns is not None:
-            self._next(now_ns, inbox)
+        if self._path_ended_ns is not None:
+            self._start_next(now_ns, inbox)
             return
         control_command, path = inbox.latest("control_command", ControlCommand), self._path
         if path is not None and control_command is not None and control_command.path_id == path.path_id:
@@ -87,68 +102,68 @@ class MissionNode(Node):
             if control_command.is_finished:
                 self._finish_path(now_ns, inbox)
                 return
-        if self._homing is not None:
+        if self._active_docking is not None:
             pose = inbox.latest("map_pose", MapPose)
-            reason = None if pose is None else silence(pose, self._homing.config.uwb_lost_s)
+            reason = None if pose is None else uwb_unavailable_reason(pose, self._active_docking.config.uwb_lost_s)
             if reason is not None:
                 self._abort(reason)
                 return
-        self._watch(now_ns, inbox)
+        self._monitor_stop(now_ns, inbox)
 
     def _finish_path(self, now_ns: int, inbox: Inbox) -> None:
         assert self._path is not None
         self._blocked_ns, self._s_m = None, float(self._path.s_m[-1])
         if self._steps:
-            self._between_ns = now_ns
-            self._next(now_ns, inbox)
+            self._path_ended_ns = now_ns
+            self._start_next(now_ns, inbox)
         else:
             self._state, self._text = MissionState.FINISHED, "finished"
 
-    def _next(self, now_ns: int, inbox: Inbox) -> None:
-        """Take up the next step; a rejoining, or the way into the dock, is settled now, by what is seen now."""
+    def _start_next(self, now_ns: int, inbox: Inbox) -> None:
+        """Starts the next step; a resume step or the dock approach is planned now, from the present observation."""
         step = self._steps[0]
         if not isinstance(step, Path):
             pose = inbox.latest("map_pose", MapPose)
             if pose is None:
                 return
             if isinstance(step, Docking):
-                paths = self._way_in(now_ns, step, pose, inbox)
+                paths = self._approach(now_ns, step, pose, inbox)
             else:
-                paths = self._settled(step, pose, inbox)
+                paths = self._resume_paths(step, pose, inbox)
             if not paths:
                 return
             self._steps[:1] = paths
-        self._take(self._steps, "driving")
+        self._switch_to(self._steps, "driving")
 
-    def _way_in(self, now_ns: int, docking: Docking, pose: MapPose, inbox: Inbox) -> list[Path]:
-        """The paths into the dock from where the machine stands; none while UWB is silent, which ends in aborting."""
-        reason = silence(pose, docking.config.uwb_age_s)
+    def _approach(self, now_ns: int, docking: Docking, pose: MapPose, inbox: Inbox) -> list[Path]:
+        """Paths into the dock from the measured pose; none while UWB is unavailable, which aborts after a time."""
+        reason = uwb_unavailable_reason(pose, docking.config.max_uwb_age_s)
         if reason is not None:
             self._text = reason
-            if self._between_ns is not None and now_ns - self._between_ns > docking.config.uwb_wait_s * 1e9:
+            if self._path_ended_ns is not None and now_ns - self._path_ended_ns > docking.config.uwb_wait_s * 1e9:
                 self._abort(reason)
             return []
-        outlines = [o.outline for o in self._standing(pose, inbox)]
+        outlines = [o.outline for o in self._static_obstacles(pose, inbox)]
         try:
-            paths = way_in(pose, docking, self._last_id + 1, outlines)
+            paths = plan_approach(pose, docking, self._last_id + 1, outlines)
         except FieldError as error:
             self._abort(str(error))
             return []
-        self._homing, self._last_id = docking, self._last_id + len(paths)
+        self._active_docking, self._last_id = docking, self._last_id + len(paths)
         return list(paths)
 
-    def _settled(self, rejoin: Rejoin, pose: MapPose, inbox: Inbox) -> list[Path]:
-        found, cause = self._standing(pose, inbox), rejoin.blocked.cause
-        near = [o for o in found if o.outline.distance(cause.outline) < SEEN_AGAIN_M]
-        seen = joined([cause, *near], SEEN_AGAIN_M)[0]  # its far side shows only from here
-        ground = ground_without(self._plan.ground.allowed, [o.outline for o in found], BACK_CLEARANCE_M)
+    def _resume_paths(self, resume: ResumeStep, pose: MapPose, inbox: Inbox) -> list[Path]:
+        found, cause = self._static_obstacles(pose, inbox), resume.blockage.cause
+        near = [o for o in found if o.outline.distance(cause.outline) < SAME_OBSTACLE_M]
+        obstacle = merged([cause, *near], SAME_OBSTACLE_M)[0]  # its far side is visible only from here
+        drivable = area_without_obstacles(self._plan.drivable.allowed, [o.outline for o in found], REVERSE_CLEARANCE_M)
         p = pose.T_map_base[:2, 3]
-        paths, missed = settle(rejoin, seen, p, ground, self._plan.rig, self._config, self._new_id)
-        self._left_out = (*self._left_out, *missed)
+        paths, uncovered = plan_resume(resume, obstacle, p, drivable, self._plan.rig, self._config, self._new_id)
+        self._uncovered = (*self._uncovered, *uncovered)
         return paths
 
-    def _watch(self, now_ns: int, inbox: Inbox) -> None:
-        """Count how long an obstacle has stopped the machine; plan a way round when that is long enough."""
+    def _monitor_stop(self, now_ns: int, inbox: Inbox) -> None:
+        """Measures the duration of an obstacle stop; plans a detour when it is long enough."""
         supervisor = inbox.latest("supervisor", SupervisorState)
         if supervisor is None or supervisor.mode is not Mode.OBSTACLE_STOP:
             self._blocked_ns = None
@@ -157,109 +172,115 @@ class MissionNode(Node):
             return
         self._blocked_ns = now_ns if self._blocked_ns is None else self._blocked_ns
         waited_s = (now_ns - self._blocked_ns) / 1e9
-        if waited_s < self._config.blocked_s or now_ns < self._again_ns:
+        if waited_s < self._config.blocked_s or now_ns < self._retry_ns:
             return
         pose, odom = inbox.latest("map_pose", MapPose), inbox.latest("odom", Odometry)
-        if pose is None or odom is None or abs(odom.speed_mps) > self._config.standing_mps:
+        if pose is None or odom is None or abs(odom.speed_mps) > self._config.static_speed_mps:
             return
-        found = self._standing(pose, inbox)
+        found = self._static_obstacles(pose, inbox)
         cause = self._cause(found, pose, supervisor)
-        if cause is None or (cause.label in ALIVE and waited_s < self._config.blocked_alive_s):
+        if cause is None or (cause.label in LIVING_CLASSES and waited_s < self._config.blocked_living_s):
             return
         if self._path is not None and self._path.is_transport:
-            self._again_ns = now_ns + round(self._config.blocked_s * 1e9)
-            self._go_round_in_yard(cause, found, pose, waited_s)
+            self._retry_ns = now_ns + round(self._config.blocked_s * 1e9)
+            self._avoid_in_yard(cause, found, pose, waited_s)
         else:
-            self._go_round(cause, found, pose)
+            self._avoid(cause, found, pose)
 
-    def _standing(self, pose: MapPose, inbox: Inbox) -> list[Standing]:
+    def _static_obstacles(self, pose: MapPose, inbox: Inbox) -> list[StaticObstacle]:
         tracks = inbox.latest("tracks", Tracks)
-        return standing(tracks, pose.T_map_odom, self._config.standing_mps, self._ground, self._config.join_m)
+        return static_obstacles(
+            tracks, pose.T_map_odom, self._config.static_speed_mps, self._drivable, self._config.merge_distance_m
+        )
 
-    def _cause(self, found: list[Standing], pose: MapPose, supervisor: SupervisorState) -> Standing | None:
+    def _cause(self, found: list[StaticObstacle], pose: MapPose, supervisor: SupervisorState) -> StaticObstacle | None:
         path = self._path
         assert path is not None
-        ahead = (path.s_m >= self._s_m) & (path.s_m <= self._s_m + self._config.look_m)
+        ahead = (path.s_m >= self._s_m) & (path.s_m <= self._s_m + self._config.search_distance_m)
         rig = self._plan.docking.rig if path.is_transport and self._plan.docking is not None else self._plan.rig
         bodies = rig.bodies
-        cause = first_in_way(found, bodies, path.p_map_m[ahead][::5], path.heading_rad[ahead][::5])
+        cause = first_on_path(found, bodies, path.p_map_m[ahead][::5], path.heading_rad[ahead][::5])
         if cause is not None:
             return cause
         hits = np.asarray(supervisor.triggering_points_base_m, np.float64)
-        return from_hits(np.asarray(apply(pose.T_map_base, hits)[:, :2], np.float64))
+        return obstacle_from_points(np.asarray(apply(pose.T_map_base, hits)[:, :2], np.float64))
 
-    def _go_round(self, cause: Standing, found: list[Standing], pose: MapPose) -> None:
+    def _avoid(self, cause: StaticObstacle, found: list[StaticObstacle], pose: MapPose) -> None:
         path, p = self._path, pose.T_map_base[:2, 3]
         assert path is not None
         self._detours += 1
-        if self._detours > self._config.most_detours:
-            self._abort(f"gave up after {self._config.most_detours} detours")
+        if self._detours > self._config.max_detours:
+            self._abort(f"aborted after {self._config.max_detours} detours")
             return
-        self._state, self._text = MissionState.REPLANNING, f"looking for a way round: {cause.label}"
+        self._state, self._text = MissionState.REPLANNING, f"planning a detour around: {cause.label}"
         self._blocked_ns = None
-        if path.direction < 0 and self._rejoin is None:
-            self._leave_back_up(p)
+        if path.direction < 0 and self._resume_step is None:
+            self._cancel_reverse(p)
             return
-        blocked = self._blocked(path, p, cause, tuple(o for o in found if o is not cause))
-        steps = way_round(blocked, self._plan, self._config, self._seed + self._detours, self._new_id)
+        blockage = self._blockage(path, p, cause, tuple(o for o in found if o is not cause))
+        steps = plan_recovery(blockage, self._plan, self._config, self._seed + self._detours, self._new_id)
         if not steps:
             x, y = cause.outline.centroid.coords[0]
-            self._abort(f"no way round {cause.label} at x {x:.1f} m, y {y:.1f} m")
+            self._abort(f"no path around {cause.label} at x {x:.1f} m, y {y:.1f} m")
             return
-        later = self._steps if self._rejoin is None else self._steps[self._steps.index(self._rejoin) + 1 :]
-        self._take([*steps, *later], "driving round an obstacle")
+        later = self._steps if self._resume_step is None else self._steps[self._steps.index(self._resume_step) + 1 :]
+        self._switch_to([*steps, *later], "driving around an obstacle")
 
-    def _go_round_in_yard(self, cause: Standing, found: list[Standing], pose: MapPose, waited_s: float) -> None:
-        """Into the dock by another way if there is one; if not, or on the way out, wait and give up in the end."""
-        if self._homing is not None:
+    def _avoid_in_yard(
+        self, cause: StaticObstacle, found: list[StaticObstacle], pose: MapPose, waited_s: float
+    ) -> None:
+        """Switches to another path into the dock; without one, and when undocking, waits and aborts after a time."""
+        if self._active_docking is not None:
             outlines = [cause.outline, *(o.outline for o in found if o is not cause)]
             try:
-                paths = plan_docking(Pose2.of(pose.T_map_base), self._homing, self._last_id + 1, outlines)
+                paths = plan_docking(Pose2.of(pose.T_map_base), self._active_docking, self._last_id + 1, outlines)
             except FieldError as error:
                 reason = str(error)
             else:
                 self._last_id += len(paths)
-                self._take(list(paths), "driving round an obstacle")
+                self._switch_to(list(paths), "driving around an obstacle")
                 return
         else:
-            reason = "there is one way out of the bay"
-        if self._plan.docking is not None and waited_s >= self._plan.docking.config.blocked_s:
+            reason = "there is only one path out of the bay"
+        if self._plan.docking is not None and waited_s >= self._plan.docking.config.blocked_timeout_s:
             x, y = cause.outline.centroid.coords[0]
-            self._abort(f"{cause.label} in the way at x {x:.1f} m, y {y:.1f} m: {reason}")
+            self._abort(f"{cause.label} on the path at x {x:.1f} m, y {y:.1f} m: {reason}")
 
-    def _leave_back_up(self, p_map_m: Float64) -> None:
-        """Something is behind while backing up to where work should go on: work goes on from here."""
-        rest = self._steps[0]
-        assert isinstance(rest, Path)
-        steps = [rest_of(rest, 0.0, p_map_m, self._new_id(), self._plan.rig), *self._steps[1:]]
-        self._take(steps, "driving round an obstacle")
+    def _cancel_reverse(self, p_map_m: Float64) -> None:
+        """Ends reversing because of an obstacle behind: work resumes from the present position."""
+        remaining = self._steps[0]
+        assert isinstance(remaining, Path)
+        steps = [rest_of(remaining, 0.0, p_map_m, self._new_id(), self._plan.rig), *self._steps[1:]]
+        self._switch_to(steps, "driving around an obstacle")
 
-    def _blocked(self, path: Path, p_map_m: Float64, cause: Standing, others: tuple[Standing, ...]) -> Blocked:
-        if self._rejoin is not None:
-            return blocked_again(self._rejoin, path, self._s_m, p_map_m, cause, others)
-        return Blocked(path, self._s_m, Trunk(path, 0.0, 0.0), self._s_m, p_map_m, cause, others)
+    def _blockage(
+        self, path: Path, p_map_m: Float64, cause: StaticObstacle, others: tuple[StaticObstacle, ...]
+    ) -> Blockage:
+        if self._resume_step is not None:
+            return blockage_on_detour(self._resume_step, path, self._s_m, p_map_m, cause, others)
+        return Blockage(path, self._s_m, ActivePath(path, 0.0, 0.0), self._s_m, p_map_m, cause, others)
 
     @property
-    def _rejoin(self) -> Rejoin | None:
-        """The rejoining that a detour still has before it."""
-        return next((s for s in self._steps if isinstance(s, Rejoin)), None)
+    def _resume_step(self) -> ResumeStep | None:
+        """The resume step still ahead on a detour."""
+        return next((s for s in self._steps if isinstance(s, ResumeStep)), None)
 
-    def _take(self, steps: list[Step | Docking], text: str) -> None:
-        """Leave the present path, at its end or before, for others."""
+    def _switch_to(self, steps: list[Step | Docking], text: str) -> None:
+        """Replaces the present path, at its end or before."""
         self._driven_m += self._s_m
         first, *self._steps = steps
         assert isinstance(first, Path)
-        self._path, self._s_m, self._between_ns, self._blocked_ns = first, 0.0, None, None
+        self._path, self._s_m, self._path_ended_ns, self._blocked_ns = first, 0.0, None, None
         self._state, self._text = MissionState.DRIVING, text
         self._total_m = self._driven_m + sum(self._length_m(s) for s in steps)
 
     def _length_m(self, step: Step | Docking) -> float:
-        """Way of a step: of a rejoining what is left of its line, of docking what was planned at first."""
+        """Length of a step: of a resume step the rest of its line, of docking the planned length."""
         if isinstance(step, Path):
             return float(step.s_m[-1])
         if isinstance(step, Docking):
-            return sum(float(p.s_m[-1]) for p in self._plan.homing)
-        return float(step.blocked.line.s_m[-1]) - step.rejoin_m
+            return sum(float(p.s_m[-1]) for p in self._plan.docking_paths)
+        return float(step.blockage.line.s_m[-1]) - step.rejoin_m
 
     def _abort(self, text: str) -> None:
         self._state, self._text = MissionState.ABORTED, text
@@ -278,5 +299,5 @@ class MissionNode(Node):
         return MissionStatus(
             now_ns, self._state, section_type, line, path_id, self._s_m, self._driven_m + self._s_m, self._total_m,
             self._text,
-            self._left_out,
+            self._uncovered,
         )  # fmt: skip

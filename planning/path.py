@@ -1,4 +1,4 @@
-"""Path messages from pieces: smoothed, with headings, curvature, speeds and sections."""
+"""Path messages from route pieces: smoothed, with headings, curvature, speeds and sections."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,33 +10,33 @@ import numpy as np
 from geometry.arrays import Float64, Int32, UInt8
 from geometry.polyline import arc_length, at_length, curvatures, extend, headings, project, smooth
 from messages.plan import Path, PathSection, PathSectionType
-from planning.profile import speed_profile, speeding_up
+from planning.profile import limit_acceleration, speed_profile
 from planning.rig import Rig
-from planning.turns.connector import Piece
+from planning.turns.connector import RoutePiece
 from planning.turns.turn import STEP_M
 
-FADE_M = 5.0  # over which an offset from a new path is taken back
-LEAST_SPACING_M = 0.02
+FADE_M = 5.0  # length over which the initial offset from a path fades
+MIN_SPACING_M = 0.02
 BEFORE_M = 0.5
 
 
 def path_of(
-    pieces: Sequence[Piece], rig: Rig, path_id: int, is_last: bool, direction: int = 1, top_mps: float = np.inf
+    pieces: Sequence[RoutePiece], rig: Rig, path_id: int, is_last: bool, direction: int = 1, top_mps: float = np.inf
 ) -> Path:
-    """One path driven in one direction, from standstill to standstill, nowhere faster than `top_mps`.
+    """One path in one direction, from standstill to standstill, at most `top_mps`.
 
-    Ways back follow what was smoothed already; to smooth them again would turn their ends.
+    Reverse paths are not smoothed: they follow smoothed points, and a second smoothing would turn their ends.
     """
-    points, owner = _joined(pieces)
+    points, owner = _concatenated(pieces)
     raw_s = arc_length(points)
     spaced = np.linspace(0.0, raw_s[-1], max(2, int(np.ceil(raw_s[-1] / STEP_M)) + 1))
     owner = owner[np.clip(np.searchsorted(raw_s, spaced - 1e-9), 0, len(owner) - 1)]
     spread = at_length(points, spaced)
-    p, owner = _even(smooth(spread, rig.config.smoothing_m) if direction > 0 else spread, owner)
+    p, owner = _equally_spaced(smooth(spread, rig.config.smoothing_m) if direction > 0 else spread, owner)
     s, travel = arc_length(p), headings(p)
     heading = travel if direction > 0 else travel + np.pi
     curvature = curvatures(heading, s) * direction
-    index, sections = _stretches(owner, pieces)
+    index, sections = _sections(owner, pieces)
     section_speed = np.array([min(_section_speed(piece.section_type, rig), top_mps) for piece in pieces])[owner]
     speed = speed_profile(s, curvature, section_speed, rig)
     return Path(
@@ -44,11 +44,11 @@ def path_of(
         path_id,
         direction,
         p,
-        _wrapped(heading),
+        _wrap(heading),
         curvature,
         s,
         speed,
-        _work(owner, pieces),
+        _working(owner, pieces),
         sections,
         index,
         is_last,
@@ -56,18 +56,18 @@ def path_of(
 
 
 def rest_of(path: Path, from_m: float, p_map_m: Float64, path_id: int, rig: Rig) -> Path:
-    """What is left of a path from an arc length on, begun at the machine's present place and from standstill."""
+    """Remainder of a path from the arc length `from_m`, starting at the present position and from standstill."""
     first = min(int(np.searchsorted(path.s_m, from_m - STEP_M / 2.0)), len(path.s_m) - 3)
     rest = spliced([(path, first, len(path.s_m))], path_id)
-    points = begun_at(rest.p_map_m, p_map_m)
+    points = started_at(rest.p_map_m, p_map_m)
     first = len(rest.s_m) - len(points)
     rest = spliced([(rest, first, len(rest.s_m))], path_id)
     s = arc_length(points)
-    return replace(rest, p_map_m=points, s_m=s, speed_mps=speeding_up(rest.speed_mps, s, rig))
+    return replace(rest, p_map_m=points, s_m=s, speed_mps=limit_acceleration(rest.speed_mps, s, rig))
 
 
 def spliced(parts: Sequence[tuple[Path, int, int]], path_id: int) -> Path:
-    """Points `first` up to but not including `end` of each path, one after the other as one path."""
+    """Points `first` to `end` (exclusive) of each path, concatenated to one path."""
     last = parts[-1][0]
 
     def column(name: str) -> Any:
@@ -87,38 +87,38 @@ def spliced(parts: Sequence[tuple[Path, int, int]], path_id: int) -> Path:
     )  # fmt: skip
 
 
-def begun_at(points_m: Float64, p_map_m: Float64) -> Float64:
-    """The points from the place nearest to `p_map_m` on, drawn to it there; the offset fades over some metres.
+def started_at(points_m: Float64, p_map_m: Float64) -> Float64:
+    """The points (N, 2) from the one nearest to `p_map_m`, shifted to start there; the offset fades over `FADE_M`.
 
-    The machine may also stand a little before the first point.
+    The start may also lie up to `BEFORE_M` before the first point.
     """
-    longer = extend(points_m, BEFORE_M, 0.0)
-    s, aside = project(longer, p_map_m)
-    following = int(np.searchsorted(arc_length(longer), s + LEAST_SPACING_M))
+    extended = extend(points_m, BEFORE_M, 0.0)
+    s, offset = project(extended, p_map_m)
+    following = int(np.searchsorted(arc_length(extended), s + MIN_SPACING_M))
     first = min(max(following - 2, 0), len(points_m) - 3)
     kept = points_m[first:].copy()
-    kept[0] = at_length(longer, np.array([s]))[0]
-    way, heading = arc_length(kept), headings(kept)
-    share = np.clip(way / min(FADE_M, max(float(way[-1]), 1e-6)), 0.0, 1.0)
-    push = aside * (0.5 + 0.5 * np.cos(np.pi * share))
+    kept[0] = at_length(extended, np.array([s]))[0]
+    s_kept, heading = arc_length(kept), headings(kept)
+    share = np.clip(s_kept / min(FADE_M, max(float(s_kept[-1]), 1e-6)), 0.0, 1.0)
+    push = offset * (0.5 + 0.5 * np.cos(np.pi * share))
     return np.asarray(kept + push[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]), np.float64)
 
 
-def _joined(pieces: Sequence[Piece]) -> tuple[Float64, Int32]:
+def _concatenated(pieces: Sequence[RoutePiece]) -> tuple[Float64, Int32]:
     points = np.vstack([p.points_m for p in pieces])
     owner = np.concatenate([np.full(len(p.points_m), k, np.int32) for k, p in enumerate(pieces)])
     keep = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
     return points[keep], owner[keep]
 
 
-def _even(points: Float64, owner: Int32) -> tuple[Float64, Int32]:
+def _equally_spaced(points: Float64, owner: Int32) -> tuple[Float64, Int32]:
     s = arc_length(points)
     spaced = np.linspace(0.0, s[-1], len(points))
     nearest = np.clip(np.searchsorted(s, spaced - STEP_M / 2.0), 0, len(owner) - 1)
     return at_length(points, spaced), owner[nearest]
 
 
-def _stretches(owner: Int32, pieces: Sequence[Piece]) -> tuple[Int32, tuple[PathSection, ...]]:
+def _sections(owner: Int32, pieces: Sequence[RoutePiece]) -> tuple[Int32, tuple[PathSection, ...]]:
     starts = np.concatenate([[0], np.flatnonzero(np.diff(owner)) + 1, [len(owner)]])
     sections = []
     for first, end in pairwise(starts):
@@ -127,21 +127,21 @@ def _stretches(owner: Int32, pieces: Sequence[Piece]) -> tuple[Int32, tuple[Path
     return np.repeat(np.arange(len(sections), dtype=np.int32), np.diff(starts)).astype(np.int32), tuple(sections)
 
 
-def _work(owner: Int32, pieces: Sequence[Piece]) -> UInt8:
-    """1 where the implement works, from the last point before work to the first after it."""
-    work = np.array([p.is_working for p in pieces], np.uint8)[owner]
-    wider = work.copy()
-    wider[:-1] |= work[1:]
-    wider[1:] |= work[:-1]
+def _working(owner: Int32, pieces: Sequence[RoutePiece]) -> UInt8:
+    """1 from the last point before work to the first after it, else 0, (N,)."""
+    working = np.array([p.is_working for p in pieces], np.uint8)[owner]
+    wider = working.copy()
+    wider[:-1] |= working[1:]
+    wider[1:] |= working[:-1]
     return wider
 
 
 def _section_speed(section_type: PathSectionType, rig: Rig) -> float:
-    """A turn's straight ends are driven at working speed: its curves are slower by the profile."""
+    """Turns get the working speed for their straight ends; the profile slows their curves."""
     if section_type in (PathSectionType.SWATH, PathSectionType.HEADLAND, PathSectionType.TURN):
         return rig.work_mps
     return rig.lane_mps if section_type is PathSectionType.LANE else rig.turn_mps
 
 
-def _wrapped(angle: Float64) -> Float64:
+def _wrap(angle: Float64) -> Float64:
     return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi), np.float64)

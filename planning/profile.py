@@ -1,29 +1,29 @@
-"""Speed along a path: limits of leg, side force and steering rate, joined by speeding up and slowing down."""
+"""Speed profile of a path: section, lateral acceleration and steering rate limits, joined by constant accelerations."""
 
 import numpy as np
 
 from geometry.arrays import Float64
 from planning.rig import Rig
 
-TURN_SHARE = 0.4  # of the plan's tightest curvature: from here on the turning speed holds, whatever the leg
-START_MPS = 0.5  # a limit of 0 would hold the machine for ever
-LEAST_MPS = 0.05
+TURN_SHARE = 0.4  # of the plan's maximum curvature: above it the turning speed applies in every section
+START_MPS = 0.5  # a limit of 0 would never start
+MIN_MPS = 0.05
 
 
-def speed_profile(s_m: Float64, curvature_radpm: Float64, leg_mps: Float64, rig: Rig) -> Float64:
-    """Upper limit of speed at each point, (N,), 0 at the end; from standstill it may be reached at once."""
-    limit = np.minimum(leg_mps, curve_limit(s_m, curvature_radpm, rig))
+def speed_profile(s_m: Float64, curvature_radpm: Float64, section_mps: Float64, rig: Rig) -> Float64:
+    """Speed limit at each point, (N,), m/s; 0 at the end. The first limit is reached from standstill at once."""
+    limit = np.minimum(section_mps, curve_limit(s_m, curvature_radpm, rig))
     limit[-1] = 0.0
     gaps = np.diff(s_m)
     for k in range(len(limit) - 2, -1, -1):
         limit[k] = min(limit[k], np.sqrt(limit[k + 1] ** 2 + 2.0 * rig.config.deceleration_mps2 * gaps[k]))
-    limit = speeding_up(limit, s_m, rig)
-    limit[:-1] = np.maximum(limit[:-1], LEAST_MPS)
+    limit = limit_acceleration(limit, s_m, rig)
+    limit[:-1] = np.maximum(limit[:-1], MIN_MPS)
     return limit
 
 
-def speeding_up(limit_mps: Float64, s_m: Float64, rig: Rig) -> Float64:
-    """The limit lowered to what can be reached from standstill at the first point, (N,)."""
+def limit_acceleration(limit_mps: Float64, s_m: Float64, rig: Rig) -> Float64:
+    """The limit lowered to what is reached from standstill at the first point, (N,)."""
     limit, gaps = limit_mps.copy(), np.diff(s_m)
     limit[0] = min(limit[0], START_MPS)
     for k in range(1, len(limit) - 1):
@@ -32,12 +32,12 @@ def speeding_up(limit_mps: Float64, s_m: Float64, rig: Rig) -> Float64:
 
 
 def curve_limit(s_m: Float64, curvature_radpm: Float64, rig: Rig) -> Float64:
-    """What curvature and its change allow, (N,)."""
+    """Limit by curvature and its rate of change, (N,): lateral acceleration and steering rate."""
     curvature = np.abs(curvature_radpm)
-    side = np.sqrt(rig.config.lateral_acceleration_mps2 / np.maximum(curvature, 1e-6))
+    lateral = np.sqrt(rig.config.lateral_acceleration_mps2 / np.maximum(curvature, 1e-6))
     steer = np.arctan(rig.wheelbase_m * curvature_radpm)
     rate = np.abs(np.gradient(steer, s_m))
     steering = rig.steer_rate_radps / np.maximum(rate, 1e-6)
-    limit = np.minimum(side, steering)
+    limit = np.minimum(lateral, steering)
     is_turn = curvature > TURN_SHARE / rig.radius_m
     return np.asarray(np.where(is_turn, np.minimum(limit, rig.turn_mps), limit), np.float64)

@@ -1,4 +1,4 @@
-"""Machine and implement as the planner sees them: bodies, turning, working line and speeds."""
+"""Machine with implement for planning: bodies, turning radius, working line and speeds."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from planning.config import PlannerConfig
 
 @dataclass(frozen=True)
 class Rig:
-    """Numbers of machine with implement in SI; `working_x_m` is the working line along x of `base`."""
+    """Parameters of machine with implement, SI; `working_x_m` is the position of the working line along x of `base`."""
 
     bodies: Bodies
     working_x_m: float
@@ -32,30 +32,30 @@ class Rig:
 
     @property
     def width_m(self) -> float:
-        """Of the widest body."""
+        """Width of the widest body."""
         return max(b.width_m for b in self.bodies)
 
     @property
     def front_m(self) -> float:
-        """How far the rig reaches before `base`."""
+        """Front end along x of `base`."""
         return max(b.front_m for b in self.bodies)
 
     @property
     def rear_m(self) -> float:
-        """How far the rig reaches behind `base` (a negative x)."""
+        """Rear end along x of `base` (negative)."""
         return min(b.rear_m for b in self.bodies)
 
     def working_edges(self, p_map_m: Float64, heading_rad: Float64) -> tuple[Float64, Float64]:
-        """Left and right end of the working line at N poses, (N, 2) each."""
+        """Left and right ends of the working line at N poses, (N, 2) each."""
         h = self.working_width_m / 2.0
         ends = place(np.array([[self.working_x_m, h], [self.working_x_m, -h]]), p_map_m, heading_rad)
         return ends[:, 0], ends[:, 1]
 
 
 def rig_of(vehicle: Vehicle, implement: Implement, work: Work | None, config: PlannerConfig) -> Rig:
-    """The rig of a mission, without work as fast as it can; raises FieldError for an implement not planned for yet."""
+    """Rig of a mission, at the maximum speed without work; raises FieldError for an unsupported implement."""
     if not isinstance(implement, MountedImplement):
-        raise FieldError(f"implement {implement.name!r} is {implement.kind}: only mounted ones can be planned for yet")
+        raise FieldError(f"implement {implement.name!r} is {implement.kind}: only mounted implements are supported")
     body, top = vehicle.body, kmh(vehicle.max_speed_kmh)
     machine = Rectangle(-body.rear_m, body.front_m, body.width_m)
     behind = Rectangle(implement.rear_end_m, implement.front_end_m, implement.width_m)
@@ -71,5 +71,5 @@ def rig_of(vehicle: Vehicle, implement: Implement, work: Work | None, config: Pl
 
 
 def corner_reach_m(rig: Rig) -> float:
-    """Greatest distance from the centre of the tightest turn to the outermost point of the rig."""
+    """Maximum distance of a point of the rig from the centre of the tightest turn."""
     return max(math.hypot(rig.radius_m + b.width_m / 2.0, max(b.front_m, -b.rear_m)) for b in rig.bodies)

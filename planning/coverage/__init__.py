@@ -1,1 +1,1 @@
-"""Headland rounds, swaths and their order."""
+"""Headland passes, swaths and their order."""

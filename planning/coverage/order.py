@@ -1,23 +1,23 @@
-"""In which order and direction swaths are driven so that the way between them is short."""
+"""Order and direction of swaths for short turns between them: greedy tours improved by local search (2-opt, or-opt)."""
 
 import numpy as np
 
 from geometry.arrays import Float64
 
-Visit = tuple[int, bool]  # number of the swath, is it driven from b to a
-MANY = 25
+Visit = tuple[int, bool]  # number of the swath, driven from b to a
+MANY_SWATHS = 25
 
 
 def order(cost_m: Float64) -> list[Visit]:
-    """The visits in a good order: the best greedy tours, improved until nothing helps.
+    """Visits in an order of low cost: the best greedy tours, improved to a local optimum.
 
-    `cost_m` (2n + 1, 2n + 1): way from the end of visit i to the start of visit j, where visit 2k drives swath k
-    forwards and 2k + 1 backwards; the last index is the place the tour comes from and goes to.
+    `cost_m` (2n + 1, 2n + 1): distance from the end of visit i to the start of visit j, where visit 2k drives swath k
+    from a to b and 2k + 1 from b to a; the last index is the start and end of the tour.
     """
     count = len(cost_m) // 2
     if count == 0:
         return []
-    firsts = np.argsort(cost_m[-1, :-1], kind="stable")[: 8 if count <= MANY else 2]
+    firsts = np.argsort(cost_m[-1, :-1], kind="stable")[: 8 if count <= MANY_SWATHS else 2]
     tours = [_improved(_greedy(cost_m, int(first)), cost_m) for first in firsts]
     best = min(tours, key=lambda t: (round(float(_lengths([t], cost_m)[0]), 6), t))
     return [(v // 2, bool(v % 2)) for v in best]
@@ -44,7 +44,7 @@ def _improved(tour: list[int], cost_m: Float64) -> list[int]:
 
 
 def _neighbours(tour: list[int]) -> list[list[int]]:
-    """Tours with a stretch reversed, turned round, or moved elsewhere."""
+    """Tours with a part reversed, turned (order and direction), or moved."""
     n = len(tour)
     out = [tour]
     for i in range(n):

@@ -1,1 +1,1 @@
-"""In reverse into a bay of the shed, and forward out of it: ways with cusps, kept clear of walls and posts."""
+"""Docking in reverse into a bay of the shed and undocking forward: paths with cusps, clear of walls and posts."""

@@ -1,4 +1,4 @@
-"""How far the bodies stay from walls, posts, the edge of the yard and what stands there: exact distances."""
+"""Exact distances of the bodies from walls, posts, the edge of the yard and obstacles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from geometry.footprint import Bodies, Rectangle, place
 
 @dataclass(frozen=True)
 class Bounds:
-    """What must not be touched: K straight edges `first_m` to `last_m` (K, 2), each so thick to either side (K,)."""
+    """K straight edges not to be touched, from `first_m` to `last_m` (K, 2), with half their thickness (K,)."""
 
     first_m: Float64
     last_m: Float64
@@ -24,17 +24,17 @@ class Bounds:
 
 
 def yard_of(site: Site, shed: Shed) -> BaseGeometry:
-    """Where a machine may be that comes to dock: yard, shed and lanes."""
+    """Area of docking: yard, shed and lanes, less no-go areas."""
     lanes = [LineString(lane.center_m).buffer(lane.width_m / 2.0, cap_style="flat") for lane in site.lanes]
     no_go = shapely.union_all([Polygon(area.outline_m) for area in site.no_go])
     return shapely.union_all([Polygon(site.yard.outline_m), Polygon(shed.outline_m), *lanes]).difference(no_go)
 
 
 def bounds_of(site: Site, shed: Shed, outlines: Sequence[Polygon], larger_m: float) -> Bounds:
-    """The bounds of yard and shed, with the outlines of what stands there taken so much larger."""
+    """Bounds of yard and shed, and outlines of obstacles enlarged by `larger_m`."""
     lines = [(line, 0.0) for line in shapely.get_parts(yard_of(site, shed).boundary)]
     lines += [(LineString(wall), shed.wall_thickness_m / 2.0) for wall in shed.walls_m]
-    lines += [(LineString(gate.posts_m), 0.0) for gate in site.gates]  # what lies beyond is another drive
+    lines += [(LineString(gate.posts_m), 0.0) for gate in site.gates]  # docking ends at the gate
     lines += [(outline.exterior, larger_m) for outline in outlines]
     edges = [(a, b, thick) for line, thick in lines for a, b in _edges(line)]
     edges += [(at, at, post.radius_m) for post in shed.posts for at in [np.array(post.at_m)]]
@@ -43,14 +43,14 @@ def bounds_of(site: Site, shed: Shed, outlines: Sequence[Polygon], larger_m: flo
 
 
 def clearance_m(bounds: Bounds, bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> Float64:
-    """Distance of the bodies from the nearest bound at each of N poses, (N,).
+    """Distance of the bodies from the nearest bound at each of N poses, (N,), m.
 
-    Of two convex shapes apart from each other one has the nearest place at a corner: corners of the bodies to the
-    edges, and ends of the edges to the bodies. What is crossed between two poses must be found at one of them.
+    Of two disjoint convex shapes one has its nearest point at a corner: corners of the bodies to the edges, and ends
+    of the edges to the bodies. Poses must be dense enough that no edge is passed between two of them.
     """
-    found = [_least(_corners_to_edges(b, bounds, p_map_m, heading_rad), bounds) for b in bodies]
+    found = [_min_distance(_corners_to_edges(b, bounds, p_map_m, heading_rad), bounds) for b in bodies]
     found += [
-        _least(_points_to_body(ends, b, p_map_m, heading_rad), bounds)
+        _min_distance(_points_to_body(ends, b, p_map_m, heading_rad), bounds)
         for b in bodies
         for ends in (bounds.first_m, bounds.last_m)
     ]
@@ -58,8 +58,8 @@ def clearance_m(bounds: Bounds, bodies: Bodies, p_map_m: Float64, heading_rad: F
 
 
 def nearest_place(bounds: Bounds, p_map_m: Float64) -> tuple[float, float]:
-    """The place on a bound that is nearest to a point (2,)."""
-    along = _feet(bounds, p_map_m[None])[0]
+    """Nearest position on a bound to a point (2,)."""
+    along = _nearest_points(bounds, p_map_m[None])[0]
     k = int(np.argmin(np.hypot(*(along - p_map_m).T) - bounds.thickness_m))
     return float(along[k, 0]), float(along[k, 1])
 
@@ -69,21 +69,21 @@ def _edges(line: BaseGeometry) -> list[tuple[Float64, Float64]]:
     return list(pairwise(points))
 
 
-def _least(distance_m: Float64, bounds: Bounds) -> Float64:
-    """The smallest of (N, P, K) or (N, K) over all but the poses, less what the edges are thick."""
-    apart = distance_m - bounds.thickness_m
-    return np.asarray(apart.reshape(len(apart), -1).min(axis=1), np.float64)
+def _min_distance(distance_m: Float64, bounds: Bounds) -> Float64:
+    """Minimum of (N, P, K) or (N, K) over all but the poses, less the thickness of the edges."""
+    clearance = distance_m - bounds.thickness_m
+    return np.asarray(clearance.reshape(len(clearance), -1).min(axis=1), np.float64)
 
 
 def _corners_to_edges(body: Rectangle, bounds: Bounds, p_map_m: Float64, heading_rad: Float64) -> Float64:
     corners = place(body.corners_m, p_map_m, heading_rad)
     flat = corners.reshape(-1, 2)
-    gap = _feet(bounds, flat) - flat[:, None]
+    gap = _nearest_points(bounds, flat) - flat[:, None]
     return np.asarray(np.hypot(gap[..., 0], gap[..., 1]).reshape(len(corners), -1, len(bounds.first_m)), np.float64)
 
 
-def _feet(bounds: Bounds, points_m: Float64) -> Float64:
-    """The place on each edge nearest to each of M points, (M, K, 2)."""
+def _nearest_points(bounds: Bounds, points_m: Float64) -> Float64:
+    """Nearest position on each edge to each of M points, (M, K, 2)."""
     d = bounds.last_m - bounds.first_m
     square = np.maximum((d * d).sum(axis=1), 1e-12)
     share = ((points_m[:, None] - bounds.first_m) * d).sum(axis=2) / square
@@ -91,7 +91,7 @@ def _feet(bounds: Bounds, points_m: Float64) -> Float64:
 
 
 def _points_to_body(points_m: Float64, body: Rectangle, p_map_m: Float64, heading_rad: Float64) -> Float64:
-    """Distance of K points from the body at N poses, (N, K); 0 inside."""
+    """Distance of K points from a body at N poses, (N, K); 0 inside."""
     c, s = np.cos(heading_rad)[:, None], np.sin(heading_rad)[:, None]
     dx, dy = points_m[:, 0] - p_map_m[:, :1], points_m[:, 1] - p_map_m[:, 1:]
     x, y = c * dx + s * dy, c * dy - s * dx

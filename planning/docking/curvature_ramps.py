@@ -1,7 +1,7 @@
-"""A way of segments as it can be steered: curvature changes evenly while driving, and at once only at standstill.
+"""Steerable form of a Reeds-Shepp path: curvature is ramped while driving and steps only at standstill.
 
-Within one direction each step of curvature becomes a ramp. That moves the end, so the lengths of the segments are
-corrected until the way ends at its goal again.
+Within one direction each curvature step becomes a ramp. That moves the end point, so the lengths of the segments are
+corrected (Newton's method) until the path ends at its goal again.
 """
 
 import math
@@ -12,17 +12,17 @@ import numpy as np
 
 from geometry.arrays import Float64
 from geometry.pose2 import Pose2
-from planning.docking.reeds_shepp import Segment, Way
+from planning.docking.reeds_shepp import ReedsSheppPath, Segment
 
 STEP_M = 0.1
 CORRECTIONS = 8
-NUDGE_M = 1e-3
-EXACT_M = 1e-5
+DIFFERENCE_M = 1e-3
+TOLERANCE_M = 1e-5
 
 
 @dataclass(frozen=True)
 class Run:
-    """A part of a way in one direction (+1 or -1): N points with heading, curvature and arc length."""
+    """Part of a path in one direction (+1 or -1): N points (N, 2) with heading, curvature and arc length (N,)."""
 
     direction: int
     p_map_m: Float64
@@ -31,36 +31,36 @@ class Run:
     s_m: Float64
 
 
-def runs_of(way: Way, start: Pose2, ramp_m: float) -> list[Run]:
-    """The way from a pose on, one run for each direction."""
+def runs_of(segments: ReedsSheppPath, start: Pose2, ramp_m: float) -> list[Run]:
+    """The path from a pose, one run per direction."""
     found: list[Run] = []
-    for is_forward, segments in groupby(way, key=lambda t: t.length_m > 0.0):
-        run = _run(list(segments), start, 1 if is_forward else -1, ramp_m)
+    for is_forward, group in groupby(segments, key=lambda t: t.length_m > 0.0):
+        run = _run(list(group), start, 1 if is_forward else -1, ramp_m)
         found.append(run)
         start = Pose2(float(run.p_map_m[-1, 0]), float(run.p_map_m[-1, 1]), float(run.heading_rad[-1]))
     return found
 
 
-def led_to(way: Way, start: Pose2, goal: Pose2, ramp_m: float) -> Way | None:
-    """The way with its lengths corrected so that it ends at the goal though curvature is ramped; None if it cannot."""
-    lengths = np.array([t.length_m for t in way])
-    curvatures = [t.curvature_radpm for t in way]
-    arm_m = 1.0 / max(*map(abs, curvatures), 1e-3)  # what a turn of 1 rad is worth in metres
+def solve_endpoint(segments: ReedsSheppPath, start: Pose2, goal: Pose2, ramp_m: float) -> ReedsSheppPath | None:
+    """The path with lengths corrected so that it ends at the goal with ramped curvature; None without solution."""
+    lengths = np.array([t.length_m for t in segments])
+    curvatures = [t.curvature_radpm for t in segments]
+    arm_m = 1.0 / max(*map(abs, curvatures), 1e-3)  # metres per radian of heading error
 
-    def way_by(values: Float64) -> Way:
+    def segments_with(values: Float64) -> ReedsSheppPath:
         return tuple(Segment(float(u), k) for u, k in zip(values, curvatures, strict=True))
 
-    def miss(values: Float64) -> Float64:
-        end = runs_of(way_by(values), start, ramp_m)[-1]
+    def residual(values: Float64) -> Float64:
+        end = runs_of(segments_with(values), start, ramp_m)[-1]
         turn = math.remainder(float(end.heading_rad[-1]) - goal.yaw_rad, 2.0 * math.pi)
         return np.array([end.p_map_m[-1, 0] - goal.x_m, end.p_map_m[-1, 1] - goal.y_m, turn * arm_m])
 
     for _ in range(CORRECTIONS):
-        error = miss(lengths)
-        if np.abs(error).max() < EXACT_M:
-            return way_by(lengths)
-        nudged = [miss(lengths + nudge) for nudge in NUDGE_M * np.eye(len(lengths))]
-        slopes = (np.stack(nudged, axis=1) - error[:, None]) / NUDGE_M
+        error = residual(lengths)
+        if np.abs(error).max() < TOLERANCE_M:
+            return segments_with(lengths)
+        shifted = [residual(lengths + difference) for difference in DIFFERENCE_M * np.eye(len(lengths))]
+        slopes = (np.stack(shifted, axis=1) - error[:, None]) / DIFFERENCE_M
         step = np.linalg.lstsq(slopes, -error, rcond=None)[0]
         if np.any((lengths + step) * lengths <= 0.0):
             return None
@@ -69,7 +69,7 @@ def led_to(way: Way, start: Pose2, goal: Pose2, ramp_m: float) -> Way | None:
 
 
 def _run(segments: list[Segment], start: Pose2, direction: int, ramp_m: float) -> Run:
-    """Curvature is the mean of the segments' over `ramp_m` about each place; both ends go on as they are."""
+    """Curvature is the mean over `ramp_m` around each point; both ends are continued."""
     half = 0.5 * ramp_m
     lengths = [abs(t.length_m) for t in segments]
     total = sum(lengths)
@@ -77,11 +77,11 @@ def _run(segments: list[Segment], start: Pose2, direction: int, ramp_m: float) -
         [segments[0].curvature_radpm, *(t.curvature_radpm for t in segments), segments[-1].curvature_radpm]
     )
     knots = np.cumsum([-half, half, *lengths, half])
-    turned = np.concatenate([[0.0], np.cumsum(np.diff(knots) * curvatures)])
+    heading_change = np.concatenate([[0.0], np.cumsum(np.diff(knots) * curvatures)])
     s = np.linspace(0.0, total, max(2, math.ceil(total / STEP_M) + 1))
 
     def mean(at: Float64) -> Float64:
-        both = np.interp(np.stack([at - half, at + half]), knots, turned)
+        both = np.interp(np.stack([at - half, at + half]), knots, heading_change)
         return np.asarray((both[1] - both[0]) / ramp_m, np.float64)
 
     step = direction * float(s[1] - s[0])

@@ -1,4 +1,4 @@
-"""Whether and how to dock, by where the machine really stands and what it hears and sees."""
+"""Plans the dock approach from the measured pose; refuses without recent UWB ranges."""
 
 import math
 from collections.abc import Sequence
@@ -12,18 +12,18 @@ from messages.plan import Path
 from planning.docking.dock import Docking, plan_docking
 
 
-def silence(pose: MapPose, longest_s: float) -> str | None:
-    """Why the machine does not dock, when the last UWB range is older than that."""
-    if pose.uwb_age_s <= longest_s:
+def uwb_unavailable_reason(pose: MapPose, max_age_s: float) -> str | None:
+    """Reason not to dock if the last UWB range is older than `max_age_s`, else None."""
+    if pose.uwb_age_s <= max_age_s:
         return None
-    heard = f"for {pose.uwb_age_s:.1f} s" if math.isfinite(pose.uwb_age_s) else "yet"
-    return f"no UWB range {heard}: the machine does not dock without"
+    age = f"for {pose.uwb_age_s:.1f} s" if math.isfinite(pose.uwb_age_s) else "yet"
+    return f"no UWB range {age}: the machine does not dock without UWB"
 
 
-def way_in(pose: MapPose, docking: Docking, first_id: int, outlines: Sequence[Polygon]) -> tuple[Path, ...]:
-    """The way past all that stands or, where there is none, as if it were gone by then; raises FieldError.
+def plan_approach(pose: MapPose, docking: Docking, first_id: int, outlines: Sequence[Polygon]) -> tuple[Path, ...]:
+    """Paths that avoid the obstacle outlines or, where none exist, paths without them; raises FieldError.
 
-    Whether it is gone is for the supervisor to see.
+    The supervisor stops the machine if an obstacle is still present.
     """
     start = Pose2.of(pose.T_map_base)
     try:

@@ -1,8 +1,7 @@
-"""Reeds-Shepp words between two poses: all that exist, each as signed lengths at three curvatures.
+"""All Reeds-Shepp paths between two poses, each as signed lengths at three curvatures.
 
-The formulas are those of Reeds and Shepp 1990, section 8 (8.1 to 8.11), for a turning radius of 1, a start at the
-origin heading along x, and a goal (x, y, φ). Each gives further words by driving it backwards in time, by mirroring it,
-and by beginning at its other end.
+Formulas of Reeds and Shepp 1990, section 8 (8.1 to 8.11), for a turning radius of 1, a start at the origin heading
+along x, and a goal (x, y, φ). Each gives further paths by time reversal, by reflection, and from its other end.
 """
 
 import math
@@ -12,7 +11,7 @@ from typing import NamedTuple
 
 from geometry.pose2 import Pose2
 
-NEARLY_0 = 1e-9
+MIN_LENGTH = 1e-9
 _QUARTER = 0.5 * math.pi
 _MIRRORED = {"L": "R", "R": "L", "S": "S"}
 _TURN = {"L": 1.0, "S": 0.0, "R": -1.0}
@@ -21,38 +20,38 @@ Lengths = tuple[float, ...] | None
 
 
 class Segment(NamedTuple):
-    """A part of a way: driven forward where `length_m` is positive, else in reverse."""
+    """Part of a path: forward where `length_m` is positive, else reverse."""
 
     length_m: float
     curvature_radpm: float
 
 
-Way = tuple[Segment, ...]
+ReedsSheppPath = tuple[Segment, ...]
 
 
-def words(start: Pose2, goal: Pose2, radius_m: float) -> list[Way]:
-    """All Reeds-Shepp words between two poses, shortest first."""
+def reeds_shepp_paths(start: Pose2, goal: Pose2, radius_m: float) -> list[ReedsSheppPath]:
+    """All Reeds-Shepp paths between two poses, shortest first."""
     dx, dy = goal.x_m - start.x_m, goal.y_m - start.y_m
     c, s = math.cos(start.yaw_rad), math.sin(start.yaw_rad)
     x, y = (c * dx + s * dy) / radius_m, (c * dy - s * dx) / radius_m
-    found = [_way(letters, lengths, radius_m) for letters, lengths in _all(x, y, goal.yaw_rad - start.yaw_rad)]
+    found = [_scaled(letters, lengths, radius_m) for letters, lengths in _all(x, y, goal.yaw_rad - start.yaw_rad)]
     return sorted(found, key=lambda w: (round(length_m(w), 9), w))
 
 
-def length_m(way: Way) -> float:
-    """Of the whole way, forward and back."""
-    return sum(abs(t.length_m) for t in way)
+def length_m(segments: ReedsSheppPath) -> float:
+    """Total length, forward and reverse."""
+    return sum(abs(t.length_m) for t in segments)
 
 
-def cusps(way: Way) -> int:
-    """How often the direction changes."""
-    signs = [t.length_m > 0.0 for t in way]
+def cusps(segments: ReedsSheppPath) -> int:
+    """Number of changes of direction."""
+    signs = [t.length_m > 0.0 for t in segments]
     return sum(a != b for a, b in pairwise(signs))
 
 
-def _way(letters: str, lengths: tuple[float, ...], radius_m: float) -> Way:
+def _scaled(letters: str, lengths: tuple[float, ...], radius_m: float) -> ReedsSheppPath:
     parts = zip(letters, lengths, strict=True)
-    return tuple(Segment(u * radius_m, _TURN[c] / radius_m) for c, u in parts if abs(u) > NEARLY_0)
+    return tuple(Segment(u * radius_m, _TURN[c] / radius_m) for c, u in parts if abs(u) > MIN_LENGTH)
 
 
 def _all(x: float, y: float, phi: float) -> Iterator[tuple[str, tuple[float, ...]]]:
@@ -103,7 +102,7 @@ def _lrl(x: float, y: float, phi: float) -> Lengths:
 
 
 def _outer(u: float, v: float, a: float, b: float, phi: float) -> tuple[float, float]:
-    """First and last angle of a word of four turns whose inner two are known."""
+    """First and last angle of a path of four turns whose inner two are known."""
     delta = _wrap(u - v)
     p, q = math.sin(u) - math.sin(delta), math.cos(u) - math.cos(delta) - 1.0
     angle = math.atan2(b * p - a * q, a * p + b * q)

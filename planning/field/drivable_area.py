@@ -1,4 +1,4 @@
-"""Where the rig may be: field, lanes, gate and yard less fence, posts and no-go areas."""
+"""Drivable area: field, lanes, gate and yard less fence, posts and no-go areas."""
 
 import math
 from dataclasses import dataclass
@@ -11,14 +11,13 @@ from configs.site import Outline, Site
 from geometry.polygon import polygon_of, shrink
 from messages.errors import FieldError
 
-GATE_DEPTH_M = 1.2  # a fence stands that far outside the field at most
-
+GATE_DEPTH_M = 1.2  # maximum distance of a fence outside the field
 POST_M = 0.1  # half the thickness of a gate post
 
 
 @dataclass(frozen=True)
-class Ground:
-    """`field` as surveyed, `free` less no-go areas, `inner` and the margin, `allowed` with lanes, gate, yard."""
+class DrivableArea:
+    """`field` as surveyed, `free` less no-go areas, `inner` less the margin, `allowed` with lanes, gate, yard."""
 
     site: Site
     margin_m: float
@@ -29,8 +28,8 @@ class Ground:
     fence: BaseGeometry
 
 
-def ground_of(site: Site, margin_m: float) -> Ground:
-    """The ground of a site with `margin_m` kept from every edge; raises FieldError."""
+def drivable_area_of(site: Site, margin_m: float) -> DrivableArea:
+    """Drivable area of a site with `margin_m` to every edge; raises FieldError."""
     field = _area(site.boundary_m, f"field of site {site.name!r}")
     barred = [_area(a.outline_m, f"no-go area {a.name!r}") for a in site.no_go]
     if site.shed is not None:
@@ -42,11 +41,11 @@ def ground_of(site: Site, margin_m: float) -> Ground:
     ]
     fence = field.exterior.difference(_openings(site, lanes))
     free = field.difference(no_go)
-    ways = shapely.union_all([free, *lanes, _area(site.yard.outline_m, "yard")]).difference(no_go)
+    connector = shapely.union_all([free, *lanes, _area(site.yard.outline_m, "yard")]).difference(no_go)
     posts = shapely.MultiPoint([p for gate in site.gates for p in gate.posts_m]).buffer(POST_M + margin_m)
-    allowed = shrink(ways, margin_m).difference(fence.buffer(max(margin_m, 0.01))).difference(posts)
+    allowed = shrink(connector, margin_m).difference(fence.buffer(max(margin_m, 0.01))).difference(posts)
     inner = shrink(free, margin_m).difference(posts)
-    return Ground(site, margin_m, field, free, polygon_of(inner), polygon_of(allowed), fence)
+    return DrivableArea(site, margin_m, field, free, polygon_of(inner), polygon_of(allowed), fence)
 
 
 def _openings(site: Site, lanes: list[Polygon]) -> BaseGeometry:
@@ -54,14 +53,14 @@ def _openings(site: Site, lanes: list[Polygon]) -> BaseGeometry:
     return shapely.union_all(gates if site.is_fenced else [*gates, *lanes])
 
 
-def _area(outline: Outline, what: str) -> Polygon:
+def _area(outline: Outline, name: str) -> Polygon:
     polygon = Polygon(outline)
     if not polygon.is_valid or polygon.area <= 0.0:
-        raise FieldError(f"{what}: {shapely.is_valid_reason(polygon)}; draw its outline without crossings")
+        raise FieldError(f"{name}: {shapely.is_valid_reason(polygon)}; draw its outline without crossings")
     return polygon
 
 
 def describe(site: Site, x_m: float, y_m: float) -> str:
-    """A place for people: map coordinates, latitude and longitude."""
+    """Text of a position: map coordinates, latitude and longitude."""
     lat, lon, _ = site.datum.datum.to_ellipsoid(x_m, y_m, 0.0)
     return f"x {x_m:.1f} m, y {y_m:.1f} m (latitude {math.degrees(lat):.6f}, longitude {math.degrees(lon):.6f})"

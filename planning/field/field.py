@@ -1,4 +1,4 @@
-"""Fields from GeoJSON (RFC 7946: longitude, latitude on WGS 84), checked so that each error names value and place."""
+"""Reader of fields from GeoJSON (RFC 7946: longitude, latitude on WGS 84); each error names value and position."""
 
 import json
 import math
@@ -15,16 +15,16 @@ from geometry.geodesy import Datum
 from geometry.polygon import as_polygon
 from messages.errors import FieldError
 
-LEAST_M2 = 100.0
-WIDEST_M = 5000.0
-MOST_POINTS = 20_000
-MOST_BYTES = 20_000_000
+MIN_AREA_M2 = 100.0
+MAX_EXTENT_M = 5000.0
+MAX_POINTS = 20_000
+MAX_BYTES = 20_000_000
 LonLat = list[tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class FieldOutline:
-    """A field as drawn: outline and no-go areas (its holes) in `map` about `datum`."""
+    """Outline and no-go areas (holes) of a field in `map` about `datum`."""
 
     name: str
     datum: DatumConfig
@@ -32,7 +32,7 @@ class FieldOutline:
 
 
 def read_field(path: Path) -> FieldOutline:
-    """The one field in a GeoJSON file; raises FieldError."""
+    """The single field of a GeoJSON file; raises FieldError."""
     name, rings = _only_polygon(_content(path), path)
     for ring in rings:
         _check_closed(ring, path)
@@ -44,8 +44,8 @@ def read_field(path: Path) -> FieldOutline:
 
 def _content(path: Path) -> Any:
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise FieldError(f"{path}: larger than {MOST_BYTES // 10**6} MB; export the outline of one field alone")
+        if path.stat().st_size > MAX_BYTES:
+            raise FieldError(f"{path}: larger than {MAX_BYTES // 10**6} MB; export the outline of one field alone")
         return json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise FieldError(f"{path}: cannot be read ({error.strerror or error})") from error
@@ -56,14 +56,14 @@ def _content(path: Path) -> Any:
 def _only_polygon(content: Any, path: Path) -> tuple[str, list[LonLat]]:
     found = _polygons(content, "", path)
     if len(found) != 1:
-        what = f"{len(found)} fields" if found else "no polygon"
-        raise FieldError(f"{path}: holds {what}; give a file with one Polygon")
+        count = f"{len(found)} fields" if found else "no polygon"
+        raise FieldError(f"{path}: holds {count}; give a file with one Polygon")
     name, coordinates = found[0]
     if not isinstance(coordinates, list) or not coordinates or not coordinates[0]:
         raise FieldError(f"{path}: the polygon is empty; give it an outline")
     rings = [[_lon_lat(p, path) for p in _list(ring, path)] for ring in coordinates]
-    if sum(map(len, rings)) > MOST_POINTS:
-        raise FieldError(f"{path}: more than {MOST_POINTS} points; simplify the outline")
+    if sum(map(len, rings)) > MAX_POINTS:
+        raise FieldError(f"{path}: more than {MAX_POINTS} points; simplify the outline")
     return name, rings
 
 
@@ -120,7 +120,7 @@ def _check_closed(ring: LonLat, path: Path) -> None:
 
 
 def _datum(ring: LonLat) -> DatumConfig:
-    """Origin near the south-west corner, at a round place."""
+    """Origin near the south-west corner, rounded to 1e-6 degrees."""
     lon, lat = np.min(np.array(ring), axis=0)
     return DatumConfig(latitude_deg=round(float(lat), 6), longitude_deg=round(float(lon), 6), height_m=0.0)
 
@@ -131,12 +131,12 @@ def _to_map(ring: LonLat, datum: Datum) -> list[tuple[float, float]]:
 
 
 def _check(polygon: Polygon, datum: Datum, path: Path) -> None:
-    if not np.isfinite(polygon.bounds).all() or max(polygon.bounds[2:]) - min(polygon.bounds[:2]) > WIDEST_M:
-        raise FieldError(f"{path}: wider than {WIDEST_M / 1000:g} km; points are [longitude, latitude] in degrees")
+    if not np.isfinite(polygon.bounds).all() or max(polygon.bounds[2:]) - min(polygon.bounds[:2]) > MAX_EXTENT_M:
+        raise FieldError(f"{path}: wider than {MAX_EXTENT_M / 1000:g} km; points are [longitude, latitude] in degrees")
     if not polygon.is_valid:
         raise FieldError(f"{path}: {_invalid(polygon, datum)}; draw the outline without crossings")
-    if polygon.area < LEAST_M2:
-        raise FieldError(f"{path}: {polygon.area:.1f} m² is too small for a field (at least {LEAST_M2:g} m²)")
+    if polygon.area < MIN_AREA_M2:
+        raise FieldError(f"{path}: {polygon.area:.1f} m² is too small for a field (at least {MIN_AREA_M2:g} m²)")
 
 
 def _invalid(polygon: Polygon, datum: Datum) -> str:

@@ -1,4 +1,4 @@
-"""Gate, lane and yard for a bare field, outside its longest edge."""
+"""Site of a bare field: gate, lane and yard outside its longest suitable edge."""
 
 import math
 
@@ -17,18 +17,18 @@ from planning.field.field import FieldOutline
 
 LANE_M = 25.0
 INTO_FIELD_M = 6.0
-GATE_SPARE_M = 1.6  # beside the widest body, both sides together, more than the margins
+GATE_SPARE_M = 1.6  # width beyond body and margins, both sides together
 YARD_DEPTH_M = 24.0
-POSTS_OUT_M = 0.5  # a fence stands outside what is worked
-PLACES = (0.5, 0.35, 0.65, 0.2, 0.8)
+POSTS_OUT_M = 0.5  # distance of the fence outside the field edge
+EDGE_SHARES = (0.5, 0.35, 0.65, 0.2, 0.8)
 
 
 def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
-    """The site of a bare field; raises FieldError when gate and yard find no place outside any edge."""
+    """Site of a bare field; raises FieldError when no edge has room for gate and yard."""
     widest = max(vehicle.body.width_m, implement.width_m)
     gate_m = widest + 2.0 * work.boundary_margin_m + GATE_SPARE_M
     for a, b in _edges(outline.polygon):
-        for share in PLACES:
+        for share in EDGE_SHARES:
             if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
                 continue
             site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m)
@@ -40,7 +40,7 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
 
 
 def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:
-    """Edges of the outline, counter-clockwise, nearly straight ones joined, longest first."""
+    """Edges of the outline, counter-clockwise, nearly collinear ones merged, longest first."""
     plain = orient(as_polygon(polygon.simplify(0.05)), 1.0)
     points = np.asarray(plain.exterior.coords)[:, :2]
     edges = [(points[k], points[k + 1]) for k in range(len(points) - 1)]
@@ -48,7 +48,7 @@ def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:
 
 
 def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float) -> Site:
-    out = np.array([along[1], -along[0]])  # the field lies left of its edge
+    out = np.array([along[1], -along[0]])  # the field is left of its edge
 
     def at(sideways: float, outwards: float) -> Point:
         x, y = middle + sideways * along + outwards * out
@@ -77,7 +77,7 @@ def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float)
 
 
 def _is_clear(site: Site, field: Polygon) -> bool:
-    """Whether lane and yard lie outside the field (but for the lane's end) and the lane's end in it."""
+    """True if lane and yard are outside the field, except the end of the lane, which is inside."""
     full = Polygon(field.exterior)
     lane = LineString(site.lanes[0].center_m)
     start, end = (np.array(p) for p in (lane.coords[0], lane.coords[-1]))

@@ -1,4 +1,4 @@
-"""Finds free ways between poses for one plan and remembers them; and the pieces a drive is made of."""
+"""Route pieces, and a cached search for free connections between poses."""
 
 from dataclasses import dataclass, field
 
@@ -7,17 +7,17 @@ import numpy as np
 from geometry.arrays import Float64
 from messages.errors import FieldError
 from messages.plan import PathSectionType
-from planning.coverage.headland import Round
-from planning.field.drivable_area import Ground, describe
+from planning.coverage.headland import HeadlandPass
+from planning.field.drivable_area import DrivableArea, describe
 from planning.rig import Rig
-from planning.sampling import sampled
-from planning.turns.headland_transit import along_rounds
-from planning.turns.turn import Space, Wanted, curve_between, is_free
+from planning.turns.headland_transit import along_headland
+from planning.turns.sampling import sampled_connection
+from planning.turns.turn import ConnectionRequest, FreeSpace, dubins_connection, is_free
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A part of the drive of `base` (N, 2), not yet smoothed; `is_working` the implement works on all of it."""
+class RoutePiece:
+    """Part of a route: points of `base` (N, 2) before smoothing; `is_working`: the implement works on all of it."""
 
     section_type: PathSectionType
     line: int
@@ -26,47 +26,49 @@ class Piece:
 
 
 @dataclass
-class Ways:
-    """Finds ways between poses and remembers them."""
+class PathConnector:
+    """Finds free connections between poses; each request is searched once."""
 
-    ground: Ground
+    drivable: DrivableArea
     rig: Rig
-    rounds: list[Round]
+    headland_passes: list[HeadlandPass]
     seed: int
-    known: dict[tuple[Wanted, bool], Float64 | None] = field(default_factory=dict)
+    cache: dict[tuple[ConnectionRequest, bool], Float64 | None] = field(default_factory=dict)
 
-    def find(self, wanted: Wanted, is_thorough: bool = True, before: Float64 | None = None) -> Float64 | None:
-        """A free way or None; a thorough search goes along the rounds and then samples.
+    def find(
+        self, request: ConnectionRequest, is_thorough: bool = True, before: Float64 | None = None
+    ) -> Float64 | None:
+        """Free connection (N, 2) or None; a thorough search also tries the headland passes and sampling.
 
-        `before` leads to the start where that is no straight line: the joint is checked as it will be smoothed.
+        `before` are the points driven up to the start where these are no straight line: the joint is then checked too.
         """
-        key = (wanted, is_thorough)
-        if key not in self.known:
-            self.known[key] = self._search(wanted, is_thorough, before)
-        return self.known[key]
+        key = (request, is_thorough)
+        if key not in self.cache:
+            self.cache[key] = self._search(request, is_thorough, before)
+        return self.cache[key]
 
     @property
-    def space(self) -> Space:
-        """Where the rig may be in this plan."""
-        return Space(self.ground.allowed, self.rig.bodies, self.rig.radius_m, self.rig.config.smoothing_m)
+    def space(self) -> FreeSpace:
+        """Free space of this plan."""
+        return FreeSpace(self.drivable.allowed, self.rig.bodies, self.rig.radius_m, self.rig.config.smoothing_m)
 
-    def _search(self, wanted: Wanted, is_thorough: bool, before: Float64 | None) -> Float64 | None:
-        way = curve_between(wanted, self.space, before=before)
-        if way is not None or not is_thorough:
-            return way
-        way = along_rounds(wanted, self.space, [r.points_m for r in self.rounds])
-        if way is None:
-            way = sampled(wanted, self.space, self.seed, self.rig.config.sampling_iterations)
-        if way is not None and before is not None and not is_free(np.vstack([before, way]), self.space):
+    def _search(self, request: ConnectionRequest, is_thorough: bool, before: Float64 | None) -> Float64 | None:
+        connection = dubins_connection(request, self.space, before=before)
+        if connection is not None or not is_thorough:
+            return connection
+        connection = along_headland(request, self.space, [r.points_m for r in self.headland_passes])
+        if connection is None:
+            connection = sampled_connection(request, self.space, self.seed, self.rig.config.sampling_iterations)
+        if connection is not None and before is not None and not is_free(np.vstack([before, connection]), self.space):
             return None
-        return way
+        return connection
 
-    def demand(self, wanted: Wanted, what: str) -> Float64:
-        """A free way; raises FieldError that names both places."""
-        way = self.find(wanted)
-        if way is None:
-            a, b = (describe(self.ground.site, p.x_m, p.y_m) for p in (wanted.start, wanted.goal))
+    def require(self, request: ConnectionRequest, purpose: str) -> Float64:
+        """Free connection; raises FieldError that names both positions."""
+        connection = self.find(request)
+        if connection is None:
+            a, b = (describe(self.drivable.site, p.x_m, p.y_m) for p in (request.start, request.goal))
             raise FieldError(
-                f"no way {what} from {a} to {b} for a rig {self.rig.width_m:g} m wide: widen gate, lane or headland"
+                f"no path {purpose} from {a} to {b} for a rig {self.rig.width_m:g} m wide: widen gate, lane or headland"
             )
-        return way
+        return connection

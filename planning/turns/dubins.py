@@ -1,4 +1,4 @@
-"""Dubins curves: all six words between two poses, and their points."""
+"""Dubins paths: all six words between two poses, and their points."""
 
 import math
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ _TURN = {"L": 1.0, "S": 0.0, "R": -1.0}
 
 
 @dataclass(frozen=True)
-class Curve:
-    """A word with the lengths of its three parts, from `start` at turning radius `radius_m`."""
+class DubinsPath:
+    """A word (such as LSL) with the lengths of its three segments, from `start`, at turning radius `radius_m`."""
 
     start: Pose2
     word: str
@@ -23,12 +23,12 @@ class Curve:
 
     @property
     def length_m(self) -> float:
-        """Of the whole curve."""
+        """Total length."""
         return sum(self.lengths_m)
 
 
-def dubins(start: Pose2, goal: Pose2, radius_m: float) -> list[Curve]:
-    """All Dubins curves that exist between two poses, shortest first (Shkel & Lumelsky 2001, eq. 9 to 20)."""
+def dubins_paths(start: Pose2, goal: Pose2, radius_m: float) -> list[DubinsPath]:
+    """All Dubins paths between two poses, shortest first (Shkel & Lumelsky 2001, eq. 9 to 20)."""
     dx, dy = goal.x_m - start.x_m, goal.y_m - start.y_m
     d, theta = math.hypot(dx, dy) / radius_m, math.atan2(dy, dx)
     a, b = start.yaw_rad - theta, goal.yaw_rad - theta
@@ -37,7 +37,7 @@ def dubins(start: Pose2, goal: Pose2, radius_m: float) -> list[Curve]:
         parts = _parts(word, d, a, b)
         if parts is not None:
             t, p, q = (x * radius_m for x in parts)
-            found.append(Curve(start, word, (t, p, q), radius_m))
+            found.append(DubinsPath(start, word, (t, p, q), radius_m))
     return sorted(found, key=lambda c: (c.length_m, c.word))
 
 
@@ -80,14 +80,14 @@ def _turn(angle_rad: float) -> float:
     return 0.0 if turn > 2 * math.pi - 1e-9 else turn
 
 
-def points_of(curve: Curve, step_m: float) -> Float64:
-    """Points (N, 2) of a curve from its first to its last, at most `step_m` apart."""
-    pose, out = curve.start, [np.array([[curve.start.x_m, curve.start.y_m]])]
-    for letter, length in zip(curve.word, curve.lengths_m, strict=True):
+def points_of(path: DubinsPath, step_m: float) -> Float64:
+    """Points (N, 2) of a path with both ends, at most `step_m` apart."""
+    pose, out = path.start, [np.array([[path.start.x_m, path.start.y_m]])]
+    for letter, length in zip(path.word, path.lengths_m, strict=True):
         if length < 1e-9:
             continue
         s = np.linspace(0.0, length, max(2, math.ceil(length / step_m) + 1))[1:]
-        x, y, heading = _along(pose, _TURN[letter] / curve.radius_m, s)
+        x, y, heading = _along(pose, _TURN[letter] / path.radius_m, s)
         out.append(np.column_stack([x, y]))
         pose = Pose2(float(x[-1]), float(y[-1]), float(heading[-1]))
     return np.vstack(out)

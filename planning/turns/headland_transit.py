@@ -1,49 +1,53 @@
-"""A way round by the headland: on to a round, along it, and off again."""
+"""Connections along a headland pass: onto it, along it, and off again."""
 
 import numpy as np
 
 from geometry.arrays import Float64
 from geometry.polyline import without_repeats
 from geometry.pose2 import Pose2
-from planning.turns.dubins import dubins
-from planning.turns.turn import Space, Wanted, curve_between, is_free
+from planning.turns.dubins import dubins_paths
+from planning.turns.turn import ConnectionRequest, FreeSpace, dubins_connection, is_free
 
-EVERY = 30  # points of a round, 3 m
-NEAREST = 14
+STRIDE = 30  # points of a pass, 3 m
+MAX_TRIED = 14
 
 
-def along_rounds(wanted: Wanted, space: Space, rings_m: list[Float64]) -> Float64 | None:
-    """The shortest free way found by any round in either direction, or None."""
-    found = [way for ring in rings_m for r in (ring, ring[::-1]) for way in _along(wanted, space, r[:-1])]
-    for _, way in sorted(found, key=lambda f: round(f[0], 6)):
-        if is_free(way, space):
-            return way
+def along_headland(request: ConnectionRequest, space: FreeSpace, rings_m: list[Float64]) -> Float64 | None:
+    """Shortest free connection along any pass in either direction, (N, 2), or None."""
+    found = [
+        connection for ring in rings_m for r in (ring, ring[::-1]) for connection in _along(request, space, r[:-1])
+    ]
+    for _, connection in sorted(found, key=lambda f: round(f[0], 6)):
+        if is_free(connection, space):
+            return connection
     return None
 
 
-def _along(wanted: Wanted, space: Space, ring: Float64) -> list[tuple[float, Float64]]:
+def _along(request: ConnectionRequest, space: FreeSpace, ring: Float64) -> list[tuple[float, Float64]]:
     n = len(ring)
-    poses = [(k, _pose(ring, k)) for k in range(0, n, EVERY)]
-    ons = [(k, Wanted(wanted.start, p, wanted.run_out_m, 1.0)) for k, p in poses]
-    offs = [(k, Wanted(p, wanted.goal, 1.0, wanted.line_up_m)) for k, p in poses]
+    poses = [(k, _pose(ring, k)) for k in range(0, n, STRIDE)]
+    ons = [(k, ConnectionRequest(request.start, p, request.run_out_m, 1.0)) for k, p in poses]
+    offs = [(k, ConnectionRequest(p, request.goal, 1.0, request.line_up_m)) for k, p in poses]
     on, off = _first_free(ons, space), _first_free(offs, space)
     if on is None or off is None:
         return []
-    (i, to), (j, away) = on, off
+    (i, entry_points), (j, exit_points) = on, off
     part = ring[i : j + 1] if j >= i else np.vstack([ring[i:], ring[: j + 1]])
-    way = without_repeats(np.vstack([to, part, away]))
-    return [(float(len(part)) + len(to) + len(away), way)]
+    connection = without_repeats(np.vstack([entry_points, part, exit_points]))
+    return [(float(len(part)) + len(entry_points) + len(exit_points), connection)]
 
 
-def _first_free(options: list[tuple[int, Wanted]], space: Space) -> tuple[int, Float64] | None:
-    def length(option: tuple[int, Wanted]) -> float:
+def _first_free(options: list[tuple[int, ConnectionRequest]], space: FreeSpace) -> tuple[int, Float64] | None:
+    def length(option: tuple[int, ConnectionRequest]) -> float:
         w = option[1]
-        return round(dubins(w.start.ahead(w.run_out_m), w.goal.ahead(-w.line_up_m), space.radius_m)[0].length_m, 6)
+        return round(
+            dubins_paths(w.start.ahead(w.run_out_m), w.goal.ahead(-w.line_up_m), space.radius_m)[0].length_m, 6
+        )
 
-    for k, want in sorted(options, key=length)[:NEAREST]:
-        way = curve_between(want, space, 6)
-        if way is not None:
-            return k, way
+    for k, request in sorted(options, key=length)[:MAX_TRIED]:
+        connection = dubins_connection(request, space, 6)
+        if connection is not None:
+            return k, connection
     return None
 
 

@@ -23,7 +23,7 @@ def main(arguments: argparse.Namespace) -> int:
         "planned_m2": round(plan.planned_area.area, 1),
         "planned_share": round(plan.planned_share, 4),
         "swaths": len(plan.swaths),
-        "rounds": len(plan.rounds),
+        "headland_passes": len(plan.headland_passes),
         "uncovered": [
             {"reason": u.reason, "area_m2": round(u.area_m2, 2), "place_m": u.place_map_m} for u in plan.uncovered
         ],

@@ -22,9 +22,9 @@ from messages.errors import FieldError
 from messages.plan import Path, PathSectionType
 from planning.config import PlanningConfig
 from planning.docking.clearance import Bounds, clearance_m
-from planning.docking.curvature_ramps import led_to, runs_of
+from planning.docking.curvature_ramps import runs_of, solve_endpoint
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
-from planning.docking.reeds_shepp import Segment, cusps, length_m, words
+from planning.docking.reeds_shepp import Segment, cusps, length_m, reeds_shepp_paths
 from planning.drawing import draw_plan, plan_to_geojson
 from planning.plan import plan_mission
 from planning.rig import rig_of
@@ -65,7 +65,7 @@ def starts(count: int) -> list[Pose2]:
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(POSES, POSES, st.floats(3.0, 8.0))
 def test_every_word_ends_at_the_goal(start: Pose2, goal: Pose2, radius: float) -> None:
-    found = words(start, goal, radius)
+    found = reeds_shepp_paths(start, goal, radius)
     assert np.diff([length_m(w) for w in found]).min(initial=0.0) > -1e-8
     for word in found:
         end = driven(word, start)
@@ -95,7 +95,7 @@ def test_the_shortest_word_is_that_of_ompl(start: Pose2, goal: Pose2) -> None:
         state.setX(pose.x_m)
         state.setY(pose.y_m)
         state.setYaw(math.remainder(pose.yaw_rad, 2 * math.pi))
-    assert length_m(words(start, goal, 5.0)[0]) == pytest.approx(states.distance(a, b), abs=1e-4)
+    assert length_m(reeds_shepp_paths(start, goal, 5.0)[0]) == pytest.approx(states.distance(a, b), abs=1e-4)
 
 
 @pytest.mark.parametrize(("lengths", "changes"), [((1, 2), 0), ((1, -2), 1), ((-1, 2, -3), 2), ((-1,), 0)])
@@ -109,11 +109,11 @@ def test_cusps_are_changes_of_direction(lengths: tuple[float, ...], changes: int
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(POSES, POSES)
 def test_a_corrected_way_ends_at_the_goal_with_ramped_curvature(start: Pose2, goal: Pose2) -> None:
-    for word in words(start, goal, 5.0)[:4]:
-        led = led_to(word, start, goal, 1.2) if word else None
-        if led is None:
+    for word in reeds_shepp_paths(start, goal, 5.0)[:4]:
+        solved = solve_endpoint(word, start, goal, 1.2) if word else None
+        if solved is None:
             continue
-        runs = runs_of(led, start, 1.2)
+        runs = runs_of(solved, start, 1.2)
         end = runs[-1]
         assert end.p_map_m[-1] == pytest.approx([goal.x_m, goal.y_m], abs=1e-4)
         assert abs(math.remainder(end.heading_rad[-1] - goal.yaw_rad, 2 * math.pi)) < 1e-5
@@ -153,16 +153,16 @@ def least_gaps(docking: Docking, paths: tuple[Path, ...], others: tuple[Polygon,
     walls = [LineString(w).buffer(shed.wall_thickness_m / 2) for w in shed.walls_m]
     hard = shapely.union_all([*posts, *walls, *others])
     lanes = [LineString(lane.center_m).buffer(lane.width_m / 2, cap_style="flat") for lane in site.lanes]
-    ground = shapely.union_all([Polygon(site.yard.outline_m), Polygon(shed.outline_m), *lanes])
+    drivable = shapely.union_all([Polygon(site.yard.outline_m), Polygon(shed.outline_m), *lanes])
     found = []
     for path in paths:
         for (x, y), h in zip(path.p_map_m, path.heading_rad, strict=True):
             c, s = math.cos(h), math.sin(h)
             shapes = [box(b.rear_m, -b.width_m / 2, b.front_m, b.width_m / 2) for b in docking.rig.bodies]
             body = shapely.union_all([affine_transform(o, [c, -s, s, c, x, y]) for o in shapes])
-            assert ground.covers(body)
+            assert drivable.covers(body)
             is_in = abs(y - docking.bay.dock.y_m) < 1e-3 and x < 7.0
-            found.append((is_in, min(hard.distance(body), np.inf if is_in else ground.exterior.distance(body))))
+            found.append((is_in, min(hard.distance(body), np.inf if is_in else drivable.exterior.distance(body))))
     return min(g for i, g in found if not i), min(g for i, g in found if i)
 
 
@@ -197,7 +197,7 @@ def test_its_paths_are_well_formed(docking: Docking) -> None:
             assert path.speed_mps[-1] == 0.0
             assert np.abs(path.curvature_radpm).max() < 1 / 4.6
             assert np.diff(path.s_m).max() <= 0.1 + 1e-9
-            assert path.s_m[-1] >= docking.config.least_run_m - docking.config.ramp_m / 2
+            assert path.s_m[-1] >= docking.config.min_run_m - docking.config.ramp_m / 2
             travel = np.arctan2(*np.diff(path.p_map_m, axis=0).T[::-1]) - (0.0 if path.direction > 0 else math.pi)
             assert np.abs(np.angle(np.exp(1j * (travel - path.heading_rad[:-1])))).max() < 0.02
         straight = paths[-1].s_m > paths[-1].s_m[-1] - 11.0
@@ -268,7 +268,7 @@ def test_what_cannot_be_docked_is_refused_with_reason_and_place(
     with pytest.raises(FieldError, match=r"bay 'narrow' leaves 0\.00 m"):
         plan_docking(LANE_END, docking, 1, (box(4, -44, 5, -43),))
     ring = tuple(box(*b) for b in ((14, -34, 15, -24), (25, -36, 26, -24), (14, -39, 26, -38)))
-    with pytest.raises(FieldError, match=r"no way into bay 'narrow' from x 20\.0 m, y -30\.0 m"):
+    with pytest.raises(FieldError, match=r"no path into bay 'narrow' from x 20\.0 m, y -30\.0 m"):
         plan_docking(LANE_END, docking, 1, ring)
 
 
@@ -305,8 +305,8 @@ def test_a_mission_of_docking_alone(
     start = PoseConfig(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
     mission = Mission(name="dock", site="demo", machine="m", implement="i", bay="wide", start=start)
     plan = plan_mission(mission, site, vehicle, harrow, planning, start, 0)
-    assert plan.given == ()
-    assert plan.paths == plan.homing
+    assert plan.fixed_paths == ()
+    assert plan.paths == plan.docking_paths
     assert plan.paths[0].p_map_m[0] == pytest.approx([20.0, -30.0])
     assert plan.planned_share == 0.0
     draw_plan(plan, site, tmp_path / "plan.png")

@@ -14,7 +14,7 @@ from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from planning.coverage.order import order
 from planning.guidance.line import Circle, Curve, a_plus, ab
-from planning.turns.dubins import dubins, points_of
+from planning.turns.dubins import dubins_paths, points_of
 
 POSES = st.builds(Pose2, st.floats(-40, 40), st.floats(-40, 40), st.floats(-7, 7))
 
@@ -22,7 +22,7 @@ POSES = st.builds(Pose2, st.floats(-40, 40), st.floats(-40, 40), st.floats(-7, 7
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(POSES, POSES, st.floats(2.0, 12.0))
 def test_every_word_ends_at_the_goal_with_its_heading(start: Pose2, goal: Pose2, radius: float) -> None:
-    curves = dubins(start, goal, radius)
+    curves = dubins_paths(start, goal, radius)
     assert [c.length_m for c in curves] == sorted(c.length_m for c in curves)
     straight = math.hypot(goal.x_m - start.x_m, goal.y_m - start.y_m)
     for curve in curves:
@@ -45,7 +45,7 @@ def test_shortest_curve_is_that_of_ompl(start: Pose2, goal: Pose2) -> None:
         state.setX(pose.x_m)
         state.setY(pose.y_m)
         state.setYaw(math.remainder(pose.yaw_rad, 2 * math.pi))
-    assert dubins(start, goal, 5.0)[0].length_m == pytest.approx(states.distance(a, b), abs=1e-4)
+    assert dubins_paths(start, goal, 5.0)[0].length_m == pytest.approx(states.distance(a, b), abs=1e-4)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4])
@@ -92,13 +92,13 @@ def test_ab_runs_from_a_to_b() -> None:
 @given(st.floats(5.0, 60.0), st.integers(-8, 8), WIDTHS, st.booleans())
 def test_circles_keep_centre_and_distance(radius: float, number: int, width: float, is_clockwise: bool) -> None:
     circle = Circle((4.0, 5.0), radius, is_clockwise)
-    wanted = radius + (number if is_clockwise else -number) * width
-    if wanted < 0.1:
+    request = radius + (number if is_clockwise else -number) * width
+    if request < 0.1:
         with pytest.raises(FieldError, match="radius"):
             circle.line(number, width)
         return
     line = circle.line(number, width)
-    assert np.hypot(*(line - [4.0, 5.0]).T) == pytest.approx(wanted, abs=1e-9)
+    assert np.hypot(*(line - [4.0, 5.0]).T) == pytest.approx(request, abs=1e-9)
     assert line[0] == pytest.approx(line[-1], abs=1e-12)
     turn = headings(line, is_closed=True)
     assert bool(turn[-2] < turn[0]) is is_clockwise

@@ -85,7 +85,7 @@ def test_drives_round_what_stays(plan: Plan, config: MissionConfig, x: float, y:
     assert drive.status.state is MissionState.FINISHED
     assert drive.least_gap_m > 0.5
     poses = np.array(drive.trail)
-    assert is_inside(plan.rig.bodies, poses[:, :2], poses[:, 2], plan.ground.allowed.buffer(0.05)).all()
+    assert is_inside(plan.rig.bodies, poses[:, :2], poses[:, 2], plan.drivable.allowed.buffer(0.05)).all()
     assert {p.direction for p in drive.paths} == {1, -1}
     assert any(t.section_type is PathSectionType.DETOUR for p in drive.paths for t in p.sections)
     (missed,) = drive.status.uncovered_areas
@@ -99,8 +99,8 @@ def test_drives_round_what_stays(plan: Plan, config: MissionConfig, x: float, y:
 def test_a_person_is_waited_for(plan: Plan, config: MissionConfig) -> None:
     outline = box(44.7, 24.7, 45.3, 25.3)
     drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.PERSON, outline)})
-    drive.run(10_000, until="driving round an obstacle")
-    stopped_s = config.blocked_alive_s
+    drive.run(10_000, until="driving around an obstacle")
+    stopped_s = config.blocked_living_s
     assert drive.stood_s == pytest.approx(stopped_s, abs=3.0)
 
 
@@ -110,7 +110,7 @@ def test_gives_up_in_words_when_the_lane_is_blocked(plan: Plan, config: MissionC
     drive.run(300)
     assert drive.status is not None
     assert drive.status.state is MissionState.ABORTED
-    assert "no way round vehicle at x 20.0 m, y -12.0 m" in drive.status.text
+    assert "no path around vehicle at x 20.0 m, y -12.0 m" in drive.status.text
 
 
 # docking
@@ -183,9 +183,9 @@ def test_what_stays_in_the_bay_is_waited_for_and_then_named(docking: Plan, confi
     drive.run(400)
     assert drive.status is not None
     assert drive.status.state is MissionState.ABORTED
-    assert "unknown in the way at x 3.5 m, y -39.8 m: bay 'wide' leaves 0.00 m" in drive.status.text
+    assert "unknown on the path at x 3.5 m, y -39.8 m: bay 'wide' leaves 0.00 m" in drive.status.text
     assert docking.docking is not None
-    assert drive.stood_s >= docking.docking.config.blocked_s
+    assert drive.stood_s >= docking.docking.config.blocked_timeout_s
 
 
 def test_from_bay_to_bay(
@@ -193,8 +193,10 @@ def test_from_bay_to_bay(
 ) -> None:
     bayed = mission.model_copy(update={"bay": "narrow"})
     whole = plan_mission(bayed, site, vehicle, harrow, planning, site.bay("narrow").dock, 0)
-    assert [p.is_transport for p in whole.given] == [True, False]
-    assert whole.length_m == pytest.approx(plan.length_m + sum(p.s_m[-1] for p in (whole.paths[0], *whole.homing)))
+    assert [p.is_transport for p in whole.fixed_paths] == [True, False]
+    assert whole.length_m == pytest.approx(
+        plan.length_m + sum(p.s_m[-1] for p in (whole.paths[0], *whole.docking_paths))
+    )
     drive = Ideal(whole, MissionNode(whole, planning.mission, 0), end_error_m=0.02)
     drive.run(1500)
     assert drive.status is not None

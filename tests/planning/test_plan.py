@@ -17,8 +17,8 @@ from messages.plan import Path, PathSectionType
 from planning.config import PlanningConfig
 from planning.drawing import draw_plan, plan_to_geojson
 from planning.plan import Plan, plan_field
-from planning.sampling import sampled
-from planning.turns.turn import Space, Wanted, is_free
+from planning.turns.sampling import sampled_connection
+from planning.turns.turn import ConnectionRequest, FreeSpace, is_free
 
 SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
     "L": (((0, 0), (80, 0), (80, 40), (45, 40), (45, 70), (0, 70)), ()),
@@ -72,13 +72,13 @@ def test_machine_and_implement_stay_inside(
     site, plan = shaped
     field = Polygon(site.boundary_m)
     lanes = [LineString(lane.center_m).buffer(lane.width_m / 2, cap_style="flat") for lane in site.lanes]
-    ground = shapely.union_all([field, Polygon(site.yard.outline_m), *lanes])
-    ground = ground.difference(shapely.union_all([Polygon(a.outline_m) for a in site.no_go]))
+    drivable = shapely.union_all([field, Polygon(site.yard.outline_m), *lanes])
+    drivable = drivable.difference(shapely.union_all([Polygon(a.outline_m) for a in site.no_go]))
     gate = LineString(site.gates[0].posts_m).buffer(1.5, cap_style="flat")
     fence = field.exterior.difference(gate)
-    shapely.prepare(ground)
+    shapely.prepare(drivable)
     bodies = np.array(body_shapes(vehicle, harrow, plan.paths[0]))
-    assert shapely.covers(ground, bodies).all()
+    assert shapely.covers(drivable, bodies).all()
     posts = shapely.MultiPoint(site.gates[0].posts_m)
     assert shapely.distance(bodies, fence.union(posts)).min() > 0.09
 
@@ -139,7 +139,7 @@ def test_shares(shaped: tuple[Site, Plan]) -> None:
 
 def test_demo_reaches_its_bar(plan: Plan) -> None:
     assert plan.planned_share >= 0.95
-    assert len(plan.rounds) == 2
+    assert len(plan.headland_passes) == 2
     assert plan.length_m < 1050
 
 
@@ -172,7 +172,7 @@ def test_what_cannot_be_driven_is_refused_with_its_place(
 def test_given_direction_is_kept(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
-    work = Work(**{**mission.work.model_dump(), "swath_direction_deg": 90.0, "headland_rounds": 2})
+    work = Work(**{**mission.work.model_dump(), "swath_direction_deg": 90.0, "headland_passes": 2})
     plan = plan_field(site, vehicle, harrow, work, planning.planner, 0)
     assert all(abs(s.a_m[0] - s.b_m[0]) < 1e-6 for s in plan.swaths)
     assert len(plan.swaths) > 8
@@ -190,11 +190,11 @@ def test_picture_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None
 
 def test_sampling_finds_the_same_way_round_a_corner_again(plan: Plan) -> None:
     ell = Polygon([(0, 0), (60, 0), (60, 28), (28, 28), (28, 60), (0, 60)])
-    space = Space(ell, plan.rig.bodies, plan.rig.radius_m, plan.rig.config.smoothing_m)
-    wanted = Wanted(Pose2(50, 14, math.pi), Pose2(14, 48, math.pi / 2), 1.0, 2.0)
-    way, again = (sampled(wanted, space, 7, 8000) for _ in range(2))
+    space = FreeSpace(ell, plan.rig.bodies, plan.rig.radius_m, plan.rig.config.smoothing_m)
+    request = ConnectionRequest(Pose2(50, 14, math.pi), Pose2(14, 48, math.pi / 2), 1.0, 2.0)
+    way, again = (sampled_connection(request, space, 7, 8000) for _ in range(2))
     assert way is not None
     assert again is not None
     assert way.tobytes() == again.tobytes()
     assert is_free(way, space)
-    assert sampled(Wanted(Pose2(50, 11, 0), Pose2(12, 80, 0), 1.0, 1.0), space, 7, 200) is None
+    assert sampled_connection(ConnectionRequest(Pose2(50, 11, 0), Pose2(12, 80, 0), 1.0, 1.0), space, 7, 200) is None
