@@ -1,1 +1,1 @@
-"""Recordings of others, one file a format: each becomes a description and a stream of Headland's messages."""
+"""Importers of recordings, one file per format: each yields a description and a stream of Headland messages."""

@@ -1,33 +1,34 @@
-"""CAN traffic as `candump -l` writes it: `(seconds) interface ID#DATA` a line."""
+"""CAN logs of `candump -l`, with one line `(seconds) interface ID#DATA` per frame."""
 
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from datasets.importers.recording import Description, Received, Recording, Sensor
+from datasets.importers.recording import Description, Open, Received, Recording, Sensor
 from messages.command import CanFrame, CanFrames
 from messages.errors import LogError
 
+NAME = "candump"
 LINE = re.compile(r"\((\d+)\.(\d{1,9})\) (\S+) ([0-9A-Fa-f]{1,8})#(\S*)(?: .*)?")
 START = re.compile(rb"\A\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#")
-# As the machine's topic has it; a message holds the frames of this long.
+# Duration of one message, the period of the machine's topic.
 BATCH_NS = 20_000_000
 
 
-def is_candump(start: bytes) -> bool:
-    """Whether the first bytes are those of a candump log."""
-    return START.match(start) is not None
+def sniff(path: Path, head: bytes) -> Open | None:
+    """Opens a file whose first line is a candump line."""
+    return open_candump if START.match(head) else None
 
 
-def open_candump(path: Path) -> Recording:
+def open_candump(path: Path, _: Path | None = None) -> Recording:
     """A candump log; raises LogError with the line number."""
     channels = list(dict.fromkeys(channel for channel, _ in _frames(path)))
     sensors = tuple(Sensor(f"can/{c}", "", c, "candump") for c in channels)
-    return Recording(path, Description("candump", sensors), lambda: _batches(path))
+    return Recording(path, Description(NAME, sensors), lambda: _batches(path))
 
 
 def _batches(path: Path) -> Iterator[Received]:
-    """Frames of a channel within 20 ms as one message, which arrives with its last."""
+    """Frames of a channel within 20 ms as one message, received with its last frame."""
     open_batches: dict[str, list[CanFrame]] = {}
     for channel, frame in _frames(path):
         batch = open_batches.setdefault(channel, [])

@@ -1,4 +1,4 @@
-"""A stretch of a recording, as if it had been recorded alone."""
+"""A time interval of a recording as a recording of its own."""
 
 import math
 from collections.abc import Iterator
@@ -8,16 +8,16 @@ from datasets.importers.recording import Received, Recording
 from messages.errors import LogError
 from messages.message import Message
 
-HELD = ("path",)  # what comes once and holds until the next
+HELD = ("path",)  # sent once, valid until the next
 
 
 def excerpt(recording: Recording, from_s: float, to_s: float) -> Recording:
-    """Its messages from `from_s` to `to_s` after its first; the paths given before come first, since they still hold.
+    """Messages from `from_s` to `to_s` after the first, preceded by earlier paths, which are still valid.
 
-    Raises LogError when that is no stretch of time.
+    Raises LogError when the interval is empty.
     """
     if not 0.0 <= from_s < to_s:
-        raise LogError(f"from {from_s} s to {to_s} s is no stretch of a recording")
+        raise LogError(f"from {from_s} s to {to_s} s is no time interval of a recording")
     note = f"from {from_s:g} s to {'its end' if math.isinf(to_s) else f'{to_s:g} s'} of the recording"
     about = replace(recording.description, notes=(*recording.description.notes, note))
     return Recording(recording.path, about, lambda: _between(recording, from_s, to_s))

@@ -1,64 +1,60 @@
-"""Which importer reads a recording: told from its content, whatever it is called."""
+"""Recording formats: every module of this folder with `NAME` and `sniff` is an importer, found without a list.
 
+An importer decides by content, never by file name. The first module in alphabetical order that answers is used.
+"""
+
+from functools import cache
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
+from typing import Protocol, cast
 
-from datasets.importers.candump import is_candump, open_candump
-from datasets.importers.kitti import is_kitti, open_kitti
-from datasets.importers.mcap_logs import open_mcap
-from datasets.importers.pcd import is_pcd, open_pcd
-from datasets.importers.recording import Recording
-from datasets.importers.ros_bags import METADATA, ROS1_MAGIC, SQLITE_MAGIC, open_ros1_bag, open_ros2_bag
-from datasets.records import MAGIC
+from datasets import importers
+from datasets.importers.recording import Open, Recording, read_head
 from messages.errors import LogError
 
-KNOWN = "MCAP, ROS 1 and ROS 2 bags, KITTI folders, PCD, candump"
-HEAD_BYTES = 4096
+
+class Importer(Protocol):
+    """Contract of an importer module; with `TAKES_LABELS = True` its `open` function accepts label files as truth."""
+
+    NAME: str
+
+    def sniff(self, path: Path, head: bytes) -> Open | None:
+        """The function that opens `path`, or None for another format; `head` holds the first bytes of a file."""
+
+
+@cache
+def known_importers() -> tuple[Importer, ...]:
+    """All importer modules, by name."""
+    names = sorted(module.name for module in iter_modules(importers.__path__))
+    modules = (import_module(f"{importers.__name__}.{name}") for name in names)
+    return tuple(cast(Importer, module) for module in modules if hasattr(module, "sniff"))
 
 
 def open_recording(path: Path, truth: Path | None = None) -> Recording:
-    """A recording of any known format; `truth` names KITTI labels that lie elsewhere. Raises LogError."""
+    """A recording of any known format; `truth` names labels outside its folder. Raises LogError."""
     if truth is not None and not truth.exists():
         raise LogError(f"{truth}: there is no such truth")
-    recording = _open_folder(path, truth) if path.is_dir() else _open_file(path)
-    if truth is not None and recording.description.truth_frame is None:
-        raise LogError(f"{truth}: labels of KITTI go with a KITTI folder, not with {recording.description.format}")
-    return recording
+    importer, open_path = _find(path)
+    if truth is not None and not getattr(importer, "TAKES_LABELS", False):
+        raise LogError(f"{truth}: labels cannot be used with {path.name}, a recording of format {importer.NAME}")
+    return open_path(path, truth)
 
 
-def _open_folder(path: Path, truth: Path | None) -> Recording:
-    if (path / METADATA).is_file():
-        return open_ros2_bag(path)
-    if is_kitti(path):
-        return open_kitti(path, truth)
-    if any(is_pcd(_head(p)) for p in sorted(path.glob("*.pcd"))[:1]):
-        return open_pcd(path)
-    logs = sorted(p for p in path.glob("*.mcap") if _head(p).startswith(MAGIC))
-    if len(logs) == 1:
-        return open_mcap(logs[0])
-    some = ", ".join(sorted(p.name for p in path.iterdir())[:6]) or "nothing"
-    raise LogError(f"{path}: no recording that is known here ({KNOWN}); it holds {some}")
+def takes_labels(path: Path) -> bool:
+    """Whether the format of a recording accepts label files as truth; raises LogError."""
+    return bool(getattr(_find(path)[0], "TAKES_LABELS", False))
 
 
-def _open_file(path: Path) -> Recording:
-    head = _head(path)
-    if not head:
+def _find(path: Path) -> tuple[Importer, Open]:
+    head = b"" if path.is_dir() else read_head(path)
+    if not head and not path.is_dir():
         raise LogError(f"{path}: is empty, nothing was recorded")
-    if head.startswith(MAGIC) or MAGIC.startswith(head):
-        return open_mcap(path)
-    if head.startswith(ROS1_MAGIC):
-        return open_ros1_bag(path)
-    if head.startswith(SQLITE_MAGIC):
-        return open_ros2_bag(path)
-    if is_pcd(head):
-        return open_pcd(path)
-    if is_candump(head):
-        return open_candump(path)
-    raise LogError(f"{path}: no recording that is known here ({KNOWN}); it begins with {head[:16]!r}")
-
-
-def _head(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(HEAD_BYTES)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+    for importer in known_importers():
+        if (found := importer.sniff(path, head)) is not None:
+            return importer, found
+    names = ", ".join(importer.NAME for importer in known_importers())
+    if path.is_dir():
+        some = ", ".join(sorted(p.name for p in path.iterdir())[:6]) or "nothing"
+        raise LogError(f"{path}: no known recording format ({names}); it holds {some}")
+    raise LogError(f"{path}: no known recording format ({names}); it begins with {head[:16]!r}")

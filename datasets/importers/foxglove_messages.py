@@ -1,4 +1,4 @@
-"""Foxglove's messages, as protobuf or JSON, to ours."""
+"""Foxglove messages in protobuf or JSON to Headland messages."""
 
 import base64
 import binascii
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from datasets.importers.point_clouds import list_scan, read_points, scan_of_points
-from datasets.importers.ros_messages import FIXED_SIGMA_M, NAN3, decode_picture, pose_matrix
+from datasets.importers.ros_messages import FIXED_SIGMA_M, NAN3, decode_image, pose_matrix
 from geometry.arrays import Float64
 from geometry.transforms import apply
 from messages.errors import LogError
@@ -23,7 +23,7 @@ _POINT_TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "
 
 
 def from_json(data: bytes) -> Any:
-    """A JSON message with the attributes that its protobuf twin has; raises LogError."""
+    """A JSON message as an object with the attributes of its protobuf form; raises LogError."""
     try:
         out = json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
         stamp = getattr(out, "timestamp", None)
@@ -37,12 +37,12 @@ def from_json(data: bytes) -> Any:
 
 
 def stamp_of(proto: Any, receive_ns: int) -> int:
-    """The message's time, or that of arrival when it has none."""
+    """Stamp of the message, or receive time without one."""
     return int(proto.timestamp.seconds) * 1_000_000_000 + int(proto.timestamp.nanos) or receive_ns
 
 
 def scan_of_cloud(proto: Any, receive_ns: int) -> LidarScan:
-    """foxglove.PointCloud; its own pose is applied, so that the points are in its frame."""
+    """foxglove.PointCloud, points transformed by its pose."""
     fields = {f.name: (int(f.offset), _POINT_TYPES[f.type]) for f in proto.fields if f.type in _POINT_TYPES}
     stride = int(proto.point_stride)
     if stride <= 0:
@@ -63,7 +63,7 @@ def _pose_of(proto: Any) -> Float64:
 
 
 def gnss_fix(proto: Any, receive_ns: int) -> GnssFix:
-    """foxglove.LocationFix; it does not say how it was computed, so only a sigma of an RTK fix is taken for one."""
+    """foxglove.LocationFix; RTK fixed when its sigma is that small, since it has no solution type."""
     variance = np.asarray(list(proto.position_covariance) or [np.nan] * 9, np.float64).reshape(3, 3).diagonal()
     sigma_m = np.sqrt(variance) if proto.position_covariance_type else NAN3
     is_fixed = bool(max(sigma_m[:2]) <= FIXED_SIGMA_M)
@@ -87,7 +87,7 @@ def gnss_fix(proto: Any, receive_ns: int) -> GnssFix:
 
 def compressed_image(proto: Any, receive_ns: int) -> CameraImage:
     """foxglove.CompressedImage."""
-    return CameraImage(stamp_of(proto, receive_ns), decode_picture(proto.data), bytes(proto.data))
+    return CameraImage(stamp_of(proto, receive_ns), decode_image(proto.data), bytes(proto.data))
 
 
 TRANSLATIONS: dict[str, tuple[str, Callable[[Any, int], Message]]] = {
@@ -99,7 +99,7 @@ TRANSFORMS = {"foxglove.FrameTransform", "foxglove.FrameTransforms"}
 
 
 def frame_of(proto: Any) -> str:
-    """The frame a message's data is in."""
+    """Frame of the data of a message."""
     return str(proto.frame_id)
 
 

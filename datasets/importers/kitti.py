@@ -1,7 +1,7 @@
 """KITTI folders: tracking, raw and packed frames, and plain folders of velodyne scans.
 
-The lidar's frame is `velodyne`, the GNSS/IMU unit's `oxts`. Without time stamps a frame's time is its number over
-10 Hz; the scan of a frame is taken to end then.
+Frame of the lidar: `velodyne`; of the GNSS/IMU unit: `oxts`. Without time stamps the time of a frame is its number at
+10 Hz, taken as the end of its scan.
 """
 
 import heapq
@@ -12,21 +12,26 @@ from pathlib import Path
 from datasets.importers import kitti_labels as labels
 from datasets.importers import kitti_oxts as oxts
 from datasets.importers.kitti_scans import is_packed, nominal_times, numbered_files, read_bin, read_packed, read_times
-from datasets.importers.recording import Description, Extrinsic, Received, Recording, Sensor
+from datasets.importers.recording import Description, Extrinsic, Open, Received, Recording, Sensor
 from geometry.arrays import Float64
 from messages.errors import LogError
 from messages.sensors import LidarScan
 
+NAME = "KITTI folder"
+TAKES_LABELS = True
+VEHICLE = "kitti_car"  # configs/vehicles/; recorded all of KITTI but plain velodyne folders
+VIEW_DEG = 40.0  # labelled half angle: the view of the camera
 LIDAR_TOPIC = "lidar/velodyne"
 LIDAR_FRAME = "velodyne"
 OXTS_FRAME = "oxts"
 TRUTH_TOPIC = f"truth_objects/{LIDAR_FRAME}"
-NO_TIMES = "no time stamps: a frame's time is its number over 10 Hz, KITTI's rate"
+NO_TIMES = "no time stamps: the time of a frame is its number at 10 Hz, the rate of KITTI"
+PLAIN = "kitti velodyne"
 
 
 @dataclass(frozen=True)
 class Sequence:
-    """What one drive consists of on disk; `times` maps a frame's number to its stamp."""
+    """Files of one drive; `times` maps frame numbers to stamps (ns)."""
 
     path: Path
     format: str
@@ -51,22 +56,24 @@ def open_kitti(path: Path, truth: Path | None = None) -> Recording:
         for label in labels.read_labels(label_file):
             by_frame.setdefault(label.frame, []).append(label)
         if calibration is None:
-            raise LogError(f"{label_file}: labels without a calibration; boxes cannot be brought to the lidar")
+            raise LogError(f"{label_file}: labels without a calibration; boxes cannot be transformed to the lidar")
     description = _describe(sequence, calibration, label_file)
     T_camera_lidar = calibration.T_camera_lidar if calibration is not None and label_file is not None else None
     return Recording(path, description, lambda: _read(sequence, by_frame, T_camera_lidar))
 
 
-def is_kitti(path: Path) -> bool:
-    """Whether a folder holds something of KITTI's layout."""
+def sniff(path: Path, head: bytes) -> Open | None:
+    """Opens a folder with a KITTI layout."""
+    if not path.is_dir():
+        return None
     if (path / "velodyne_points" / "data").is_dir() or _tracking_root(path) is not None:
-        return True
+        return open_kitti
     packed = _packed_files(path)
-    return (bool(packed) and is_packed(packed[0])) or bool(_bin_files(path))
+    return open_kitti if (packed and is_packed(packed[0])) or _bin_files(path) else None
 
 
 def find_truth(truth: Path, name: str) -> tuple[Path, labels.Calibration]:
-    """Label file and calibration below a folder; of several sequences the one called `name`. Raises LogError."""
+    """Label file and calibration below a folder, of several sequences those of `name`; raises LogError."""
     files = [truth] if truth.is_file() else sorted(p for p in truth.glob("**/label*/*.txt") if p.stem.isdigit())
     chosen = [p for p in files if p.stem == name] or files
     if len(chosen) != 1:
@@ -90,13 +97,17 @@ def _describe(sequence: Sequence, calibration: labels.Calibration | None, label_
         mounts.append(Extrinsic("camera", LIDAR_FRAME, calibration.T_camera_lidar))
         mounts.append(Extrinsic(LIDAR_FRAME, OXTS_FRAME, calibration.T_lidar_imu))
     truth_frame = LIDAR_FRAME if label_file is not None else None
-    return Description(sequence.format, tuple(sensors), tuple(mounts), (), truth_frame, sequence.notes)
+    vehicle = None if sequence.format == PLAIN else VEHICLE
+    view_deg = 180.0 if sequence.format == PLAIN else VIEW_DEG
+    return Description(
+        sequence.format, tuple(sensors), tuple(mounts), (), truth_frame, sequence.notes, view_deg, vehicle
+    )
 
 
 def _read(
     sequence: Sequence, by_frame: dict[int, list[labels.Label]], T_camera_lidar: Float64 | None
 ) -> Iterator[Received]:
-    """Scans with their truth, and OXTS records, in order of time."""
+    """Scans with truth, and OXTS records, in time order."""
     return heapq.merge(_scans(sequence, by_frame, T_camera_lidar), _oxts(sequence), key=lambda r: r[0])
 
 
@@ -130,7 +141,7 @@ def _find_sequence(path: Path) -> Sequence:
         scans = numbered_files(packed)
         return Sequence(path, "kitti packed", scans, read_packed, nominal_times(scans), notes=(NO_TIMES,))
     scans = numbered_files(_bin_files(path))
-    return Sequence(path, "kitti velodyne", scans, read_bin, nominal_times(scans), notes=(NO_TIMES,))
+    return Sequence(path, PLAIN, scans, read_bin, nominal_times(scans), notes=(NO_TIMES,))
 
 
 def _raw(path: Path) -> Sequence:
@@ -149,7 +160,7 @@ def _raw(path: Path) -> Sequence:
 
 
 def _tracking_root(path: Path) -> Path | None:
-    """The `training` or `testing` folder of a tracking sequence given by itself or by its root."""
+    """The `training` or `testing` folder for a tracking sequence or its root."""
     for root in (path, path / "training", path / "testing", path.parent.parent):
         if (root / "velodyne").is_dir() and (root / "calib").is_dir():
             return root

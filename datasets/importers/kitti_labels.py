@@ -1,7 +1,7 @@
-"""KITTI's labels and calibration: boxes from the rectified camera to the lidar's frame.
+"""KITTI labels and calibration: boxes from the rectified camera frame to the lidar frame.
 
-A label's box stands on its bottom centre in rectified camera coordinates (x right, y down, z forward); its length lies
-along x when `rotation_y`, about the y axis, is zero. Only what the camera saw is labelled (about ± 40°).
+The position of a label is the bottom centre of its box in rectified camera coordinates (x right, y down, z forward);
+its length is along x when `rotation_y`, about the y axis, is zero. Only the camera view is labelled (about ± 40°).
 """
 
 import math
@@ -27,7 +27,7 @@ CLASSES = {
     "Cyclist": ObstacleClass.PERSON,
     "Misc": ObstacleClass.UNKNOWN,
 }
-# Areas of the picture that nobody labelled: they have no box.
+# Image areas without labels: no box.
 UNLABELLED = "DontCare"
 COLUMNS = 17
 _DETECTED = {"1": "Pedestrian", "2": "Car", "3": "Cyclist"}
@@ -35,7 +35,7 @@ _DETECTED = {"1": "Pedestrian", "2": "Car", "3": "Cyclist"}
 
 @dataclass(frozen=True)
 class Label:
-    """One box of one frame, as in the file: size (height, width, length), bottom centre and turn in the camera."""
+    """One box of a frame as in the file: size (height, width, length), bottom centre and rotation in the camera."""
 
     frame: int
     track: int
@@ -49,14 +49,14 @@ class Label:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Poses between the sensors; `T_camera_lidar` takes lidar coordinates to the rectified camera."""
+    """Poses between the sensors; `T_camera_lidar` maps lidar to rectified camera coordinates."""
 
     T_camera_lidar: Float64
     T_lidar_imu: Float64
 
 
 def read_labels(path: Path) -> list[Label]:
-    """All boxes of a tracking label file, DontCare left out; raises LogError with line and value."""
+    """All boxes of a tracking label file without DontCare; raises LogError with line and value."""
     labels = []
     for number, line in enumerate(_lines(path), start=1):
         words = line.split()
@@ -70,19 +70,19 @@ def read_labels(path: Path) -> list[Label]:
 def _label(path: Path, number: int, words: list[str]) -> Label:
     try:
         h, w, length, x, y, z, turn = map(float, words[10:COLUMNS])
-        whole = int(words[0]), int(words[1]), words[2], int(float(words[3])), int(float(words[4]))
+        integers = int(words[0]), int(words[1]), words[2], int(float(words[3])), int(float(words[4]))
     except ValueError as error:
         raise LogError(f"{path}:{number}: {error}") from error
     if not all(map(math.isfinite, (h, w, length, x, y, z, turn))) or min(h, w, length) <= 0.0:
         raise LogError(f"{path}:{number}: box of size {h} x {w} x {length} at ({x}, {y}, {z})")
-    return Label(*whole, (h, w, length), (x, y, z), turn)
+    return Label(*integers, (h, w, length), (x, y, z), turn)
 
 
 def read_detections(path: Path) -> list[tuple[float, Label]]:
-    """Another detector's results with their scores, as AB3DMOT keeps them: the label's `track` is the line's number.
+    """Detections with scores in the format of AB3DMOT; `track` is the line number.
 
-    A line is frame, kind (1 pedestrian, 2 car, 3 cyclist), four of the picture, score, height, width, length, bottom
-    centre, turn, alpha. Raises LogError with line and value.
+    A line holds frame, class (1 pedestrian, 2 car, 3 cyclist), image box (4 values), score, height, width, length,
+    bottom centre, rotation, alpha. Raises LogError with line and value.
     """
     found = []
     for number, line in enumerate(_lines(path), start=1):
@@ -106,7 +106,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def read_raw_calibration(folder: Path) -> Calibration | None:
-    """The three files of KITTI raw, or None when they are not all there."""
+    """Calibration from the three files of KITTI raw; None when one is missing."""
     names = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
     if not all((folder / name).is_file() for name in names):
         return None
@@ -118,12 +118,12 @@ def read_raw_calibration(folder: Path) -> Calibration | None:
 
 
 def _pose(path: Path, rows: dict[str, list[str]]) -> Float64:
-    """Rotation and translation that stand in rows of their own."""
+    """Pose from separate rows of rotation and translation."""
     return _rigid(np.hstack([_row(path, rows, ("R",), 9).reshape(3, 3), _row(path, rows, ("T",), 3)[:, None]]))
 
 
 def read_rows(path: Path) -> dict[str, list[str]]:
-    """`key: values` lines; the colon may be missing."""
+    """Values by key of `key: values` lines; the colon is optional."""
     rows = {}
     for line in _lines(path):
         key, _, rest = line.replace(":", " ", 1).partition(" ")
@@ -132,7 +132,7 @@ def read_rows(path: Path) -> dict[str, list[str]]:
 
 
 def true_objects(labels: list[Label], stamp_ns: int, T_camera_lidar: Float64) -> TrueObjects:
-    """The boxes of one frame in the lidar's frame (x forward, y left, z up); gap and velocity are not known (NaN)."""
+    """Boxes of one frame in lidar coordinates (x forward, y left, z up); clearance and velocity are NaN."""
     T_lidar_camera = invert(T_camera_lidar)
     return TrueObjects(stamp_ns, tuple(_true_object(label, T_lidar_camera) for label in labels))
 

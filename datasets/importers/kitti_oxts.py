@@ -1,6 +1,6 @@
-"""KITTI's OXTS records (GNSS and IMU in one unit) to fixes, samples and odometry, all in the unit's frame.
+"""OXTS records of KITTI (combined GNSS and IMU) to fixes, IMU samples and odometry, in the frame of the device.
 
-Fields as in KITTI's `dataformat.txt`; the unit's axes are x forward, y left, z up, its yaw counter-clockwise from east.
+Fields as in KITTI's `dataformat.txt`; axes: x forward, y left, z up; yaw counter-clockwise from east.
 """
 
 import math
@@ -40,7 +40,7 @@ def read_oxts(line: str, where: str) -> Float64:
 
 
 def datum_of(row: Float64) -> Datum:
-    """The place of a record as origin of `odom`."""
+    """Position of a record as origin of `odom`."""
     return Datum(math.radians(row[0]), math.radians(row[1]), float(row[2]))
 
 
@@ -51,7 +51,7 @@ def oxts_messages(row: Float64, stamp_ns: int, datum: Datum) -> list[Received]:
 
 
 def gnss_fix(row: Float64, stamp_ns: int) -> GnssFix:
-    """The unit's solution; it gives one accuracy for all directions, and no heading accuracy."""
+    """GNSS fix; one accuracy for all directions, no heading accuracy."""
     return GnssFix(
         stamp_ns=stamp_ns,
         latitude_rad=math.radians(row[0]),
@@ -71,12 +71,12 @@ def gnss_fix(row: Float64, stamp_ns: int) -> GnssFix:
 
 
 def imu_sample(row: Float64, stamp_ns: int) -> ImuSample:
-    """Acceleration and rate in the unit's axes."""
+    """Acceleration and rate in device axes."""
     return ImuSample(stamp_ns, row[11:14].copy(), row[17:20].copy())
 
 
 def odometry(row: Float64, stamp_ns: int, datum: Datum) -> Odometry:
-    """Pose in `odom` (east, north, up from the first record) and motion; its covariance is not known (NaN)."""
+    """Pose in `odom` (east, north, up from the first record) and motion; covariance NaN."""
     p_m = datum.to_map(math.radians(row[0]), math.radians(row[1]), float(row[2]))
     speed, turn = float(row[8]), float(row[22])
     return Odometry(
@@ -92,12 +92,12 @@ def odometry(row: Float64, stamp_ns: int, datum: Datum) -> Odometry:
 
 
 def read_oxts_folder(files: list[Path]) -> list[Float64]:
-    """One record a file, as in KITTI raw."""
+    """One record per file (KITTI raw)."""
     return [read_oxts(_text(path).strip(), str(path)) for path in files]
 
 
 def read_oxts_file(path: Path) -> list[Float64]:
-    """One record a line, as in KITTI tracking."""
+    """One record per line (KITTI tracking)."""
     return [read_oxts(line, f"{path}:{n}") for n, line in enumerate(_text(path).splitlines(), start=1) if line.strip()]
 
 

@@ -1,4 +1,4 @@
-"""KITTI's scans and their times: float32 files, packed frames, time-stamp files, frame numbers."""
+"""KITTI scans and their times: float32 files, packed frames, time stamp files, frame numbers."""
 
 import re
 import zlib
@@ -14,7 +14,7 @@ from messages.errors import LogError
 from messages.sensors import LidarScan
 
 FRAME_NS = 100_000_000
-FARTHEST_M = 250.0
+MAX_RANGE_M = 250.0
 PACKED_KEYS = {"xyz_5mm", "intensity"}
 PACKED_STEP_M = np.float32(0.005)
 
@@ -23,10 +23,10 @@ def read_bin(path: Path, stamp_ns: int) -> LidarScan:
     """A velodyne scan of float32 x, y, z, reflectance (0 to 1); raises LogError."""
     raw = _bytes(path)
     if not raw or len(raw) % 16:
-        raise LogError(f"{path}: {len(raw)} bytes are no velodyne scan (4 x float32 a point)")
+        raise LogError(f"{path}: {len(raw)} bytes are no velodyne scan (4 x float32 per point)")
     rows = np.frombuffer(raw, "<f4").reshape(-1, 4)
-    if not np.isfinite(rows).all() or np.abs(rows[:, :3]).max() > FARTHEST_M:
-        raise LogError(f"{path}: points beyond {FARTHEST_M:.0f} m or not finite: this is no velodyne scan")
+    if not np.isfinite(rows).all() or np.abs(rows[:, :3]).max() > MAX_RANGE_M:
+        raise LogError(f"{path}: points beyond {MAX_RANGE_M:.0f} m or not finite: this is no velodyne scan")
     intensity = np.round(rows[:, 3] * 255.0).clip(0, 255).astype(np.uint8)
     return list_scan(stamp_ns, rows[:, :3], intensity)
 
@@ -53,7 +53,7 @@ def is_packed(path: Path) -> bool:
 
 
 def numbered_files(files: list[Path]) -> dict[int, Path]:
-    """Files by the number that is their name; raises LogError for another name."""
+    """Files by frame number, which is their name; raises LogError."""
     for path in files:
         if not re.fullmatch(r"\d+", path.stem):
             raise LogError(f"{path}: the name of a frame is its number")
@@ -61,12 +61,12 @@ def numbered_files(files: list[Path]) -> dict[int, Path]:
 
 
 def nominal_times(frames: Iterable[int]) -> dict[int, int]:
-    """A frame's number over 10 Hz."""
+    """Stamps (ns) of frames at 10 Hz."""
     return {number: number * FRAME_NS for number in frames}
 
 
 def read_times(path: Path, frames: dict[int, Path]) -> dict[int, int]:
-    """Stamps (UTC) of the frames from a file with one line a frame number; raises LogError."""
+    """Stamps (ns, UTC) of the frames from a file with one line per frame number; raises LogError."""
     try:
         lines = path.read_text(encoding="ascii").split("\n")
         return {number: _parse_time(lines[number]) for number in frames}
@@ -78,8 +78,8 @@ def _parse_time(line: str) -> int:
     found = re.fullmatch(r"(\d+)-(\d+)-(\d+) (\d+):(\d+):(\d+)(?:\.(\d{1,9}))?", line.strip())
     if found is None:
         raise ValueError(f"{line[:40]!r} is no time")
-    whole = [int(g) for g in found.groups()[:6]]
-    return timegm((*whole, 0, 0, 0)) * 1_000_000_000 + int((found.group(7) or "0").ljust(9, "0"))
+    parts = [int(g) for g in found.groups()[:6]]
+    return timegm((*parts, 0, 0, 0)) * 1_000_000_000 + int((found.group(7) or "0").ljust(9, "0"))
 
 
 def _bytes(path: Path) -> bytes:

@@ -1,4 +1,4 @@
-"""MCAP files: Headland's own logs, and those of others with Foxglove's or ROS's messages."""
+"""MCAP files: Headland logs, and logs with Foxglove or ROS messages."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -10,26 +10,48 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from datasets.importers import foxglove_messages
-from datasets.importers.recording import SOURCE, Description, Ignored, Received, Recording, Sensor, description_from
+from datasets.importers.recording import (
+    SOURCE,
+    Description,
+    Ignored,
+    Open,
+    Received,
+    Recording,
+    Sensor,
+    description_from,
+    read_head,
+)
 from datasets.importers.ros_messages import TRANSFORMS
 from datasets.importers.streams import Item, recording_of
 from datasets.reader import Entry, LogScan, ProtobufDecoders, is_ours, read_log
+from datasets.records import MAGIC
 from messages.errors import LogError
 
-OWN = "headland"  # the format of a log of ours that was not imported
+NAME = "MCAP"
+OWN = "headland"  # format of a Headland log that was not imported
+BAG_METADATA = "metadata.yaml"  # in the folder of a ROS 2 bag
 
 
 @cache
 def ros_types(name: str) -> Any:
-    """rosbags' type store of a ROS distribution; that of ROS 1 lacks the transforms of tf2."""
+    """rosbags type store of a ROS distribution, with the transforms of tf2 added for ROS 1."""
     store = get_typestore(Stores[name])
     if TRANSFORMS not in store.types:
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
     return store
 
 
-def open_mcap(path: Path) -> Recording:
-    """An MCAP file, whole or cut; raises LogError."""
+def sniff(path: Path, head: bytes) -> Open | None:
+    """Opens an MCAP file, also a truncated one, or a folder with one MCAP file that is no ROS 2 bag."""
+    if not path.is_dir():
+        return open_mcap if head.startswith(MAGIC) or MAGIC.startswith(head) else None
+    logs = [p for p in path.glob("*.mcap") if read_head(p).startswith(MAGIC)]
+    is_bag = (path / BAG_METADATA).is_file()
+    return (lambda _, __: open_mcap(logs[0])) if len(logs) == 1 and not is_bag else None
+
+
+def open_mcap(path: Path, _: Path | None = None) -> Recording:
+    """An MCAP file, complete or truncated; raises LogError."""
     scan = LogScan(path)
     has_ours = any(is_ours(entry) for entry in scan)
     notes = tuple(f"byte {d.offset}: {d.reason}; {d.length} bytes lost" for d in scan.damages)
@@ -39,7 +61,7 @@ def open_mcap(path: Path) -> Recording:
 
 
 def _own_log(path: Path, metadata: dict[str, dict[str, str]], notes: tuple[str, ...]) -> Recording:
-    """Ours: messages as they are. An imported log knows what it came from; else mounts are in the viewer's frames."""
+    """A Headland log: its messages; description of an imported log from its metadata, else from the viewer frames."""
     source = metadata.get(SOURCE)
     try:
         about = description_from(json.loads(source["description"])) if source is not None else _own_description(path)
@@ -71,7 +93,7 @@ def _items(path: Path) -> Iterator[Item]:
 
 
 def _type_name(encoding: str, name: str) -> str:
-    """ROS types as `package/msg/Type`, whether or not the schema says `msg`."""
+    """ROS types as `package/msg/Type`, also for schemas without `msg`."""
     if encoding in ("cdr", "ros1") and name.count("/") == 1:
         return name.replace("/", "/msg/")
     return {"tf/msg/tfMessage": TRANSFORMS}.get(name, name)

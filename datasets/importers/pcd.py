@@ -1,4 +1,4 @@
-"""PCD files (Point Cloud Library, version 0.7): ASCII, binary and compressed; one file or a folder of numbered ones."""
+"""PCD files (Point Cloud Library, version 0.7): ASCII, binary and compressed; one file or a folder of files."""
 
 import re
 import struct
@@ -10,20 +10,21 @@ from pathlib import Path
 import numpy as np
 
 from datasets.importers.point_clouds import read_points, scan_of_points
-from datasets.importers.recording import Description, Received, Recording, Sensor
+from datasets.importers.recording import Description, Open, Received, Recording, Sensor, read_head
 from messages.errors import LogError
 from messages.sensors import LidarScan
 
+NAME = "PCD"
 TOPIC = "lidar/pcd"
 FRAME_NS = 100_000_000
 HEADER = re.compile(rb"\A(?:#[^\n]*\n)*(?:VERSION|FIELDS)\b")
-TOPICS = {"F": "f", "U": "u", "I": "i"}
-NO_TIMES = "no time stamps: a scan's time is its place in the folder over 10 Hz"
+ELEMENT_TYPES = {"F": "f", "U": "u", "I": "i"}
+NO_TIMES = "no time stamps: the time of a scan is its position in the folder at 10 Hz"
 
 
 @dataclass(frozen=True)
 class _Header:
-    """`widths` are the bytes of each field, those that are not read included."""
+    """Header; `widths` are the bytes of each field, including unread ones."""
 
     fields: dict[str, tuple[int, str]]
     widths: tuple[int, ...]
@@ -33,19 +34,21 @@ class _Header:
     size: int
 
 
-def is_pcd(start: bytes) -> bool:
-    """Whether the first bytes are those of a PCD file."""
-    return HEADER.match(start) is not None
+def sniff(path: Path, head: bytes) -> Open | None:
+    """Opens a PCD file or a folder of them."""
+    first = next(iter(sorted(path.glob("*.pcd"))), None) if path.is_dir() else None
+    start = head if first is None else read_head(first)
+    return open_pcd if HEADER.match(start) else None
 
 
-def open_pcd(path: Path) -> Recording:
+def open_pcd(path: Path, _: Path | None = None) -> Recording:
     """A PCD file or a folder of them; raises LogError."""
     files = sorted(path.glob("*.pcd")) if path.is_dir() else [path]
     description = Description("pcd", (Sensor(TOPIC, "pcd", str(path), "pcd"),), notes=(NO_TIMES,))
 
     def read() -> Iterator[Received]:
-        for place, file in enumerate(files):
-            yield place * FRAME_NS, TOPIC, read_pcd(file, place * FRAME_NS)
+        for number, file in enumerate(files):
+            yield number * FRAME_NS, TOPIC, read_pcd(file, number * FRAME_NS)
 
     return Recording(path, description, read)
 
@@ -81,7 +84,7 @@ def _read_header(data: bytes) -> _Header:
     fields: dict[str, tuple[int, str]] = {}
     for k, (name, kind) in enumerate(zip(rows["FIELDS"], rows["TYPE"], strict=True)):
         if counts[k] == 1 and name != "_":
-            fields[name] = (sum(widths[:k]), f"<{TOPICS[kind]}{widths[k]}")
+            fields[name] = (sum(widths[:k]), f"<{ELEMENT_TYPES[kind]}{widths[k]}")
     count = int(rows["POINTS"][0])
     return _Header(fields, tuple(widths), sum(widths), count, found.group(1).decode(), found.end())
 
@@ -95,7 +98,7 @@ def _from_text(header: _Header, body: bytes) -> bytes:
 
 
 def _from_columns(header: _Header, body: bytes) -> bytes:
-    """Compressed data stands field by field; gives it point by point."""
+    """Compressed data, stored field by field, as consecutive points."""
     packed, size = struct.unpack_from("<II", body)
     if size != header.stride * header.count:
         raise LogError(f"{size} bytes for {header.count} points of {header.stride}")
@@ -108,7 +111,7 @@ def _from_columns(header: _Header, body: bytes) -> bytes:
 
 
 def unpack_lzf(data: bytes, size: int) -> bytes:
-    """LZF: runs of plain bytes, and references to what came before; raises LogError."""
+    """Decompresses LZF: literal runs and back references; raises LogError."""
     out, at = bytearray(), 0
     while at < len(data):
         control, at = data[at], at + 1
@@ -128,7 +131,7 @@ def unpack_lzf(data: bytes, size: int) -> bytes:
 
 
 def _repeat(out: bytearray, back: int, length: int) -> None:
-    """Append `length` bytes that begin `back` bytes before the end; they may overlap what is being written."""
+    """Appends `length` bytes from `back` bytes before the end; source and destination may overlap."""
     start = len(out) - back
     if start < 0:
         raise LogError("refers to bytes before its start")

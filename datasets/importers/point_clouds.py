@@ -1,4 +1,4 @@
-"""Point buffers with named fields, as ROS, Foxglove and PCD have them, to scans."""
+"""Point buffers with named fields (ROS, Foxglove, PCD) to scans."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,8 +14,8 @@ from messages.sensors import LidarScan
 Fields = Mapping[str, tuple[int, str]]
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 INTENSITY_FIELDS = ("intensity", "reflectivity", "i")
-# A sweep takes less; a larger spread means that the field's unit is not what we think.
-LONGEST_SWEEP_S = 1.0
+# A larger spread means that the unit of the time field is unknown: it is ignored.
+MAX_SWEEP_S = 1.0
 
 
 def read_points(fields: Fields, stride: int, count: int, data: bytes) -> npt.NDArray[Any]:
@@ -38,13 +38,13 @@ def read_points(fields: Fields, stride: int, count: int, data: bytes) -> npt.NDA
 
 
 def scan_of_points(points: npt.NDArray[Any], stamp_ns: int) -> LidarScan:
-    """A scan from points whose times, if any, count from `stamp_ns` or are absolute; points that are not finite go.
+    """A scan from points, without non-finite ones; point times, if any, count from `stamp_ns` or are absolute.
 
-    Its own stamp is the time of the last point.
+    The stamp of the scan is the time of the last point.
     """
     xyz_m = np.stack([points[name].astype(np.float32) for name in "xyz"], axis=1)
-    is_real = np.isfinite(xyz_m).all(axis=1)
-    points, xyz_m = points[is_real], xyz_m[is_real]
+    is_finite = np.isfinite(xyz_m).all(axis=1)
+    points, xyz_m = points[is_finite], xyz_m[is_finite]
     offset_s = _offsets(points, stamp_ns)
     last_s = float(offset_s.max()) if len(offset_s) else 0.0
     return list_scan(stamp_ns + round(last_s * 1e9), xyz_m, intensity=_intensity(points), offset_s=(offset_s - last_s))
@@ -56,7 +56,7 @@ def list_scan(
     intensity: UInt8 | None = None,
     offset_s: npt.NDArray[np.floating] | None = None,
 ) -> LidarScan:
-    """A scan that is a list of points (N, 3)."""
+    """A scan as a list of points (N, 3)."""
     return LidarScan(
         stamp_ns=stamp_ns,
         ranges_mm=np.zeros((0, 0), np.uint16),
@@ -77,12 +77,12 @@ def _offsets(points: npt.NDArray[Any], stamp_ns: int) -> Float64:
     time_s: Float64 = raw * 1e-9 if np.issubdtype(raw.dtype, np.integer) else raw.astype(np.float64)
     if time_s.max() > 1e6:
         time_s = time_s - stamp_ns * 1e-9
-    is_plausible = np.isfinite(time_s).all() and np.abs(time_s).max() <= LONGEST_SWEEP_S
+    is_plausible = np.isfinite(time_s).all() and np.abs(time_s).max() <= MAX_SWEEP_S
     return time_s if is_plausible else np.zeros(0)
 
 
 def _intensity(points: npt.NDArray[Any]) -> UInt8:
-    """Intensity as 0 to 255; values that all lie within 0 and 1 are taken as shares."""
+    """Intensity as 0 to 255; floats up to 1 are taken as shares."""
     name = next((n for n in INTENSITY_FIELDS if n in (points.dtype.names or ())), None)
     if name is None or len(points) == 0:
         return np.zeros(0, np.uint8)

@@ -1,4 +1,4 @@
-"""ROS 1 bags (one file) and ROS 2 bags (a folder with `metadata.yaml`), by rosbags."""
+"""ROS 1 bags (one file) and ROS 2 bags (a folder with `metadata.yaml`), read by rosbags."""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -12,27 +12,34 @@ from rosbags.rosbag1 import ReaderError as Reader1Error
 from rosbags.rosbag2 import Reader as Reader2
 from rosbags.rosbag2 import ReaderError as Reader2Error
 
-from datasets.importers.mcap_logs import ros_types
-from datasets.importers.recording import Recording
+from datasets.importers.mcap_logs import BAG_METADATA, ros_types
+from datasets.importers.recording import Open, Recording
 from datasets.importers.ros_messages import TRANSFORMS
 from datasets.importers.streams import Item, recording_of
 from messages.errors import LogError
 
+NAME = "ROS 1 or 2 bag"
 ROS1_MAGIC = b"#ROSBAG V"
 SQLITE_MAGIC = b"SQLite format 3\0"
-METADATA = "metadata.yaml"
 
 
-def open_ros1_bag(path: Path) -> Recording:
-    """A ROS 1 bag; raises LogError, also when it was cut (rosbag reindex mends that)."""
+def sniff(path: Path, head: bytes) -> Open | None:
+    """Opens a ROS 1 bag, the folder of a ROS 2 bag, or its database."""
+    if head.startswith(ROS1_MAGIC):
+        return open_ros1_bag
+    return open_ros2_bag if head.startswith(SQLITE_MAGIC) or (path / BAG_METADATA).is_file() else None
+
+
+def open_ros1_bag(path: Path, _: Path | None = None) -> Recording:
+    """A ROS 1 bag; raises LogError, also for a truncated one (repaired by `rosbag reindex`)."""
     return recording_of(path, "ros1 bag", lambda: _items(path, lambda: Reader1(path), "ROS1_NOETIC"))
 
 
-def open_ros2_bag(path: Path) -> Recording:
+def open_ros2_bag(path: Path, _: Path | None = None) -> Recording:
     """A ROS 2 bag, by its folder or its database; raises LogError."""
     folder = path if path.is_dir() else path.parent
-    if not (folder / METADATA).is_file():
-        raise LogError(f"{folder}: a ROS 2 bag needs its {METADATA} beside {path.name}")
+    if not (folder / BAG_METADATA).is_file():
+        raise LogError(f"{folder}: a ROS 2 bag needs its {BAG_METADATA} beside {path.name}")
     return recording_of(path, "ros2 bag", lambda: _items(path, lambda: Reader2(folder), "ROS2_HUMBLE"))
 
 
@@ -47,7 +54,7 @@ def _items(path: Path, make: Callable[[], Any], types: str) -> Iterator[Item]:
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """What rosbags raises over a bad bag, named by its file."""
+    """Turns errors of rosbags into LogError with the file name."""
     try:
         yield
     except LogError:

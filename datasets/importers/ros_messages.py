@@ -1,4 +1,4 @@
-"""ROS messages, of either version, to ours. Frames and units are REP-103's on both sides."""
+"""ROS 1 and ROS 2 messages to Headland messages; frames and units of REP-103 on both sides."""
 
 import math
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from messages.sensors import CameraImage, GnssFix, GnssSolution, ImuSample, Lida
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 # sensor_msgs/NavSatStatus
 _SERVICES = {4: "BDS", 1: "GPS", 2: "GLONASS", 8: "Galileo"}
-# Below this a solution with ground-based corrections has its ambiguities fixed.
+# Below this sigma a GBAS solution counts as RTK fixed.
 FIXED_SIGMA_M = 0.05
 _TO_ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 _COLORS = {
@@ -31,7 +31,7 @@ NAN3 = np.full(3, np.nan)
 
 
 def stamp_of(ros: Any, receive_ns: int) -> int:
-    """The header's time, or that of arrival when the header has none."""
+    """Stamp of the header, or receive time without one."""
     stamp = ros.header.stamp
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec) or receive_ns
 
@@ -42,7 +42,7 @@ def vector(v: Any) -> Float64:
 
 
 def pose_matrix(position: Any, q: Any) -> Float64:
-    """The (4, 4) pose of a position and a quaternion; raises LogError when the quaternion has no length."""
+    """Pose (4, 4) of a position and a quaternion; raises LogError for a zero quaternion."""
     from scipy.spatial.transform import Rotation
 
     T = np.eye(4)
@@ -68,15 +68,15 @@ def scan_of_cloud(ros: Any, receive_ns: int) -> LidarScan:
 
 
 def scan_of_laser(ros: Any, receive_ns: int) -> LidarScan:
-    """sensor_msgs/LaserScan: one level ring."""
+    """sensor_msgs/LaserScan: one horizontal ring."""
     range_m = np.asarray(ros.ranges, np.float64)
     angle = ros.angle_min + np.arange(len(range_m)) * ros.angle_increment
     offset_s = np.arange(len(range_m)) * float(ros.time_increment)
-    is_real = np.isfinite(range_m) & (range_m >= ros.range_min) & (range_m <= ros.range_max)
-    flat = np.stack([range_m * np.cos(angle), range_m * np.sin(angle), np.zeros_like(range_m)], axis=1)[is_real]
+    is_finite = np.isfinite(range_m) & (range_m >= ros.range_min) & (range_m <= ros.range_max)
+    flat = np.stack([range_m * np.cos(angle), range_m * np.sin(angle), np.zeros_like(range_m)], axis=1)[is_finite]
     last_s = float(offset_s[-1]) if len(offset_s) else 0.0
     stamp_ns = stamp_of(ros, receive_ns) + round(last_s * 1e9)
-    return list_scan(stamp_ns, flat.astype(np.float32), offset_s=offset_s[is_real] - last_s)
+    return list_scan(stamp_ns, flat.astype(np.float32), offset_s=offset_s[is_finite] - last_s)
 
 
 def imu_sample(ros: Any, receive_ns: int) -> ImuSample:
@@ -85,7 +85,7 @@ def imu_sample(ros: Any, receive_ns: int) -> ImuSample:
 
 
 def gnss_fix(ros: Any, receive_ns: int) -> GnssFix:
-    """sensor_msgs/NavSatFix; what it does not say is NaN, and the number of satellites -1."""
+    """sensor_msgs/NavSatFix; missing values are NaN, the number of satellites -1."""
     variance = np.asarray(ros.position_covariance, np.float64).reshape(3, 3).diagonal()
     sigma_m = np.sqrt(variance) if ros.position_covariance_type else NAN3
     solution = {-1: GnssSolution.NONE, 0: GnssSolution.SINGLE, 1: GnssSolution.SBAS}.get(ros.status.status)
@@ -110,7 +110,7 @@ def gnss_fix(ros: Any, receive_ns: int) -> GnssFix:
 
 
 def odometry(ros: Any, receive_ns: int) -> Odometry:
-    """nav_msgs/Odometry; the covariance is that of the twist, held for a second."""
+    """nav_msgs/Odometry; covariance: that of the twist over one second."""
     twist = ros.twist.twist
     speed, turn = float(twist.linear.x), float(twist.angular.z)
     spread = np.asarray(ros.twist.covariance, np.float64).reshape(6, 6)
@@ -133,7 +133,7 @@ def wheel_sample(ros: Any, receive_ns: int) -> WheelSample:
 
 
 def ultrasonic_range(ros: Any, receive_ns: int) -> UltrasonicRange:
-    """sensor_msgs/Range; beyond its limits it is no echo."""
+    """sensor_msgs/Range; NaN outside its limits."""
     is_echo = ros.min_range <= ros.range <= ros.max_range
     return UltrasonicRange(stamp_of(ros, receive_ns), float(ros.range) if is_echo else math.nan)
 
@@ -141,29 +141,29 @@ def ultrasonic_range(ros: Any, receive_ns: int) -> UltrasonicRange:
 def compressed_image(ros: Any, receive_ns: int) -> CameraImage:
     """sensor_msgs/CompressedImage."""
     data = _bytes(ros)
-    return CameraImage(stamp_of(ros, receive_ns), decode_picture(data), data)
+    return CameraImage(stamp_of(ros, receive_ns), decode_image(data), data)
 
 
-def decode_picture(data: bytes) -> Any:
+def decode_image(data: bytes) -> Any:
     """JPEG or PNG to BGR; raises LogError."""
     bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
     if bgr is None:
-        raise LogError(f"picture of {len(data)} bytes is neither JPEG nor PNG (it begins with {data[:8]!r})")
+        raise LogError(f"image of {len(data)} bytes is neither JPEG nor PNG (it begins with {data[:8]!r})")
     return bgr
 
 
 def image(ros: Any, receive_ns: int) -> CameraImage:
-    """sensor_msgs/Image of 8 bits a channel."""
+    """sensor_msgs/Image with 8 bits per channel."""
     channels = {"bgr8": 3, "rgb8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}.get(ros.encoding)
     if channels is None:
         raise LogError(f"image encoding {ros.encoding!r} is not one of bgr8, rgb8, rgba8, bgra8, mono8")
     height, width, data = int(ros.height), int(ros.width), _bytes(ros)
     if len(data) < height * int(ros.step) or int(ros.step) < width * channels:
-        raise LogError(f"image of {width} x {height} with {ros.step} bytes a row holds {len(data)} bytes only")
+        raise LogError(f"image of {width} x {height} with {ros.step} bytes per row holds {len(data)} bytes only")
     rows = np.frombuffer(data, np.uint8, height * int(ros.step)).reshape(height, -1)[:, : width * channels]
-    picture = rows.reshape(height, width, channels)
+    pixels = rows.reshape(height, width, channels)
     color = _COLORS.get(ros.encoding)
-    bgr = picture.copy() if color is None else cv2.cvtColor(picture, color)
+    bgr = pixels.copy() if color is None else cv2.cvtColor(pixels, color)
     return CameraImage(stamp_of(ros, receive_ns), np.asarray(bgr, np.uint8))
 
 
@@ -171,7 +171,7 @@ def _bytes(ros: Any) -> bytes:
     return bytes(np.asarray(ros.data, np.uint8).tobytes())
 
 
-# ROS type → kind of topic, and how it becomes a message
+# ROS type → topic kind and translation
 TRANSLATIONS: dict[str, tuple[str, Callable[[Any, int], Message]]] = {
     "sensor_msgs/msg/PointCloud2": ("lidar", scan_of_cloud),
     "sensor_msgs/msg/LaserScan": ("lidar", scan_of_laser),
@@ -188,7 +188,7 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 def frame_of(ros: Any) -> str:
-    """The frame a message's data is in: of odometry the moving one."""
+    """Frame of the data of a message; of odometry the child frame."""
     frame = getattr(ros, "child_frame_id", "") or ros.header.frame_id
     return str(frame).lstrip("/")
 

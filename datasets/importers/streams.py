@@ -1,4 +1,4 @@
-"""Recordings that are streams of typed messages (bags and MCAP): one pass to describe them, another to read."""
+"""Recordings as streams of typed messages (bags and MCAP): one pass to describe, one to read."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from messages.errors import LogError
 from messages.message import Message
 
 TRANSLATIONS = ros.TRANSLATIONS | foxglove.TRANSLATIONS
-# Two poses of a mount that differ by less are the same mount.
+# Tolerance (m, -) for equal poses of a mount.
 SAME_POSE = 1e-6
 V = TypeVar("V")
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One message of a foreign stream, decoded only when asked."""
+    """One message of a stream; `decode` is called only for messages that are read."""
 
     source: str
     type: str
@@ -32,7 +32,7 @@ class Item:
 
 @dataclass
 class _Findings:
-    """What the first pass gathers; `mounts` has None where a frame moves."""
+    """Results of the first pass; `mounts` has None for a moving frame."""
 
     types: dict[str, str]
     frames: dict[str, str]
@@ -40,7 +40,7 @@ class _Findings:
 
 
 def recording_of(path: Path, name: str, items: Callable[[], Iterator[Item]], notes: tuple[str, ...] = ()) -> Recording:
-    """A recording from its stream; `items` starts a new pass. Raises LogError naming file, topic and value."""
+    """A recording from a stream; `items` starts a new pass. Raises LogError with file, topic and value."""
     found = _find(path, items)
     read = {source: kind for source, kind in found.types.items() if kind in TRANSLATIONS}
     topics = numbered((source, TRANSLATIONS[kind][0]) for source, kind in read.items())
@@ -97,7 +97,7 @@ def _translate(item: Item) -> Message:
 
 
 def _guarded(path: Path, item: Item, step: Callable[[Item], V]) -> V:
-    """`step` of an item, its errors naming file, topic and time."""
+    """Result of `step`; errors become LogError with file, topic and time."""
     try:
         return step(item)
     except (LogError, ValueError, TypeError, AttributeError, KeyError, IndexError, AssertionError) as error:

@@ -1,8 +1,8 @@
-"""Truth beside a log: one JSON object a line and object, for logs of any format.
+"""Truth in a sidecar file beside a log of any format, one JSON object per line and true object:
 
     {"stamp_s": 12.3, "id": 4, "class": "person", "center_m": [8, 0, 0.9], "size_m": [0.6, 0.6, 1.8], "yaw_deg": 0}
 
-Centres are in the lidar's frame at that time (`frame` in the first line names another of the log's lidars).
+Centres are in the lidar frame at that time; `frame` in a line selects another lidar of the log.
 """
 
 import heapq
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from datasets.importers.formats import open_recording
+from datasets.importers.formats import open_recording, takes_labels
 from datasets.importers.recording import Received, Recording, Sensor
 from messages.errors import LogError
 from messages.perception import ObstacleClass
@@ -25,27 +25,22 @@ SUFFIX = ".truth.jsonl"
 
 
 def open_with_truth(path: Path, truth: Path | None, source: str) -> Recording:
-    """A recording with its truth: KITTI's labels, a sidecar named or lying beside it, or its own topic."""
+    """A recording with truth from label files, from a sidecar (named or beside it), or from its own topic."""
     beside = path.with_name(path.name + SUFFIX)
     if truth is None and beside.is_file() and source in ("any", "sidecar"):
         truth = beside
     if truth is not None and truth.is_file() and truth.suffix in (".jsonl", ".json"):
         return _with_sidecar(open_recording(path), truth)
-    recording = open_recording(path, truth if truth is not None and _takes_labels(path) else None)
+    recording = open_recording(path, truth if truth is not None and takes_labels(path) else None)
     if source == "sidecar":
-        raise LogError(f"{path}: the conditions want truth from a sidecar, and {beside.name} is not there")
+        raise LogError(f"{path}: the conditions require truth from a sidecar, and {beside.name} does not exist")
     return recording
-
-
-def _takes_labels(path: Path) -> bool:
-    """Only folders of KITTI take its labels; given with many logs, the others go without."""
-    return path.is_dir() and open_recording(path).description.format.startswith("kitti")
 
 
 def _with_sidecar(recording: Recording, file: Path) -> Recording:
     frames = {s.frame: s.topic for s in recording.description.sensors if s.topic.startswith("lidar/")}
     if not frames:
-        raise LogError(f"{recording.path}: no lidar that truth could be in the frame of")
+        raise LogError(f"{recording.path}: no lidar for the frame of the truth")
     messages, frame = read_sidecar(file)
     frame = frame or next(iter(frames))
     if frame not in frames:
@@ -55,15 +50,15 @@ def _with_sidecar(recording: Recording, file: Path) -> Recording:
     sensors = (*about.sensors, Sensor(topic, frame, str(file), "sidecar"))
 
     def read() -> Iterator[Received]:
-        mine = ((m.stamp_ns, topic, m) for m in messages)
+        truths = ((m.stamp_ns, topic, m) for m in messages)
         others = (r for r in recording.read() if not r[1].startswith("truth_objects"))
-        yield from heapq.merge(mine, others, key=lambda r: r[2].stamp_ns if r[1] == topic else r[0])
+        yield from heapq.merge(truths, others, key=lambda r: r[2].stamp_ns if r[1] == topic else r[0])
 
     return Recording(recording.path, replace(about, sensors=sensors, truth_frame=frame), read)
 
 
 def read_sidecar(file: Path) -> tuple[list[TrueObjects], str]:
-    """All objects by stamp, and the frame that is named ("" without); raises LogError with the line."""
+    """All objects by stamp, and the frame ("" without one); raises LogError with the line."""
     by_stamp: dict[int, list[TrueObject]] = {}
     frame = ""
     try:
@@ -77,12 +72,12 @@ def read_sidecar(file: Path) -> tuple[list[TrueObjects], str]:
             values = json.loads(line)
             frame = values.get("frame", frame)
             stamp_ns = int(values["stamp_ns"]) if "stamp_ns" in values else round(float(values["stamp_s"]) * 1e9)
-            there = by_stamp.setdefault(stamp_ns, [])
+            objects = by_stamp.setdefault(stamp_ns, [])
             if "id" in values:
-                there.append(_object(values))
+                objects.append(_object(values))
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise LogError(f"{file}:{number}: no object of truth ({error!r}): {line[:60]!r}") from error
-    return [TrueObjects(stamp, tuple(things)) for stamp, things in sorted(by_stamp.items())], frame
+            raise LogError(f"{file}:{number}: no true object ({error!r}): {line[:60]!r}") from error
+    return [TrueObjects(stamp, tuple(objects)) for stamp, objects in sorted(by_stamp.items())], frame
 
 
 def _object(values: dict[str, Any]) -> TrueObject:

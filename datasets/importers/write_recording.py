@@ -1,4 +1,4 @@
-"""A recording written down as a log of ours."""
+"""Writing of a recording as a Headland log."""
 
 import json
 from collections import Counter
@@ -13,10 +13,10 @@ from messages.message import Envelope
 
 
 def write_recording(recording: Recording, out: Path, log: LogConfig, viewer: ViewerConfig) -> dict[str, int]:
-    """Write all messages of a recording to the new log `out`; gives their number by topic.
+    """Writes all messages of a recording to the new log `out`; returns their number by topic.
 
-    The description goes with it as metadata `source`; a log of ours keeps what it said of itself. Raises LogError, and
-    then leaves nothing behind.
+    The description is stored as metadata `source`; a Headland log keeps its metadata. Raises LogError, and then leaves
+    no file.
     """
     about = describe(recording.description)
     own = read_metadata(recording.path) if recording.description.format == OWN and recording.path.is_file() else {}

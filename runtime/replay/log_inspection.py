@@ -141,16 +141,14 @@ class RecordingMachine:
     notes: tuple[str, ...]
 
 
-def find_machine(
-    recording: Recording, inspection: LogInspection, file: Path | None, by_format: dict[str, str]
-) -> RecordingMachine:
+def find_machine(recording: Recording, inspection: LogInspection, file: Path | None) -> RecordingMachine:
     """Machine by `--vehicle`, the configuration in the log, or its format; raises ConfigError with the missing keys."""
     topics = sorted(topic for topic in inspection.streams if topic.startswith("lidar/"))
     if file is None and recording.description.format == "headland":
         own = _logged_machine(recording.path, sorted(inspection.streams))
         if own is not None:
             return own
-    known = by_format.get(recording.description.format)
+    known = recording.description.vehicle
     if file is None and known is not None:
         file = CONFIGS / "vehicles" / f"{known}.yaml"
     values = _values(file)

@@ -42,7 +42,6 @@ class ReplayConfig(Config):
     max_pose_jump_m: float = Field(gt=0.0, le=10.0)
     min_standstill_s: float = Field(ge=0.0, le=60.0)
     max_clock_offset_s: float = Field(gt=0.0, le=100.0)
-    vehicles: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -110,11 +109,10 @@ class ReplayInput:
         by_frame = {s.frame: n for n, t in self.machine.lidars.items() for s in about.sensors if s.topic == t}
         frame = None if self.truth_topic is None else about.truth_frame
         frame = by_frame.get(frame, frame) if frame is not None else None
-        degrees = self.config.conditions.truth.view_deg.get(about.format, 180.0)
         body = self.machine.vehicle.body
         return Setting(
             name, {n: lidar.mount.T_base_sensor for n, lidar in lidars.items()}, body.front_m, body.width_m,
-            self.half_width_m, frame, math.radians(degrees),
+            self.half_width_m, frame, math.radians(about.truth_view_deg),
         )  # fmt: skip
 
     def inspection_table(self) -> dict[str, Any]:
@@ -149,7 +147,7 @@ def prepare(path: FilePath, truth: FilePath | None, vehicle: FilePath | None, co
 
     recording = open_with_truth(path, truth, config.conditions.truth.source)
     inspection = inspect(recording)
-    machine = find_machine(recording, inspection, vehicle, config.replay.vehicles)
+    machine = find_machine(recording, inspection, vehicle)
     is_planned = recording.description.format == "headland" and {"path", "control_command"} <= inspection.streams.keys()
     site = site_of(path) if recording.description.format == "headland" else None
     truths = [t for t in inspection.streams if t.partition("/")[0] == "truth_objects"]

@@ -40,11 +40,10 @@ class CorridorConditions(Config):
 
 
 class TruthConditions(Config):
-    """Source of the truth, its maximum age and view angle, and the association of returns with boxes."""
+    """Source of the truth, its maximum age, and the association of returns with boxes."""
 
     source: Literal["any", "topic", "sidecar", "labels"]
     max_age_s: float = Field(gt=0.0, le=10.0)
-    view_deg: dict[str, Annotated[float, Field(gt=0.0, le=180.0)]]
     association_m: Metres
     ground_margin_m: Metres
 
