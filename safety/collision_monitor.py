@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from configs.vehicle import Sensors
+from geometry.arrays import Float64
+from geometry.pose2 import from_frame, to_frame
 from geometry.transforms import yaw_of
 from messages.command import ControlCommand
-from messages.message import Float64
 from messages.motion import MapPose, Odometry
 from messages.perception import ObstacleClass, SensorHealth, Tracks
 from messages.plan import Path, PathSectionType
 from safety.config import SafetyConfig
 from safety.monitors.vehicle import position_sigma_m
 from safety.obstacle_sources import ObstacleSources, SourceData
-from safety.pose_history import PoseHistory, from_frame, planar_of, to_frame
+from safety.pose_history import PoseHistory, planar_pose
 from safety.sources.lidar import LidarSource
 from safety.stopping_distance import Braking, stopping_distance, stopping_time
-from safety.zones.footprint import Footprint
-from safety.zones.footprint_by_fold import FootprintSet
+from safety.zones.footprint import Footprint, FootprintSet
 from safety.zones.geofence import Geofence, distance_inside_m
 from safety.zones.known_structure import KnownStructure
 from safety.zones.protective_field import (
@@ -71,13 +71,13 @@ class CollisionMonitor:
         known_structure: KnownStructure | None, config: SafetyConfig,
         is_arc_checked: bool = True,
     ) -> None:  # fmt: skip
-        self.sources = ObstacleSources(sensors, footprints.wide, config)
+        self.sources = ObstacleSources(sensors, footprints.working, config)
         self.swept_field: SweptField | None = None
         self.pose_history = PoseHistory()
         self.is_docking, self.is_under_roof = False, False
         self._footprints, self._footprint, self._geofence, self._known_structure = (
             footprints,
-            footprints.wide,
+            footprints.working,
             geofence,
             known_structure,
         )
@@ -157,7 +157,7 @@ class CollisionMonitor:
             and odom is not None
             and tracks is not None
         ):
-            hits = to_frame(planar_of(odom.T_odom_base), self._clearance.triggering_points_base_m[:, :2])
+            hits = to_frame(planar_pose(odom.T_odom_base), self._clearance.triggering_points_base_m[:, :2])
             found = class_at(hits, tracks)
             if found is not ObstacleClass.UNKNOWN:
                 return found
@@ -178,7 +178,7 @@ class CollisionMonitor:
 
     def _select_field(self, position: PathPosition | None, pose_map: Float64 | None) -> None:
         """That of docking: on a stretch to or from a bay, at the shed, in transport width."""
-        is_narrow = self._footprint is self._footprints.narrow
+        is_narrow = self._footprint is self._footprints.transport
         is_dock_section = position is not None and section_type_at(position) is PathSectionType.DOCK
         near_m = self._open.docking.near_m
         is_there = (
@@ -237,7 +237,7 @@ class CollisionMonitor:
         speed_mps: float,
         braking: Braking,
     ) -> None:
-        pose_odom = planar_of(odom.T_odom_base)
+        pose_odom = planar_pose(odom.T_odom_base)
         self._updated_at_m = self.pose_history.driven_m
         sigma_m = self._config.docking.sigmas * position_sigma_m(inputs.map_pose)
         is_known = self._known_structure_filter(pose_odom, pose_map, sigma_m)
@@ -292,7 +292,7 @@ class CollisionMonitor:
         inside_m = math.inf
         for sweep in (swept_field.main,) if swept_field.arc is None else (swept_field.main, swept_field.arc):
             near = sweep.up_to(reach_m)
-            if self._geofence.contains_box(near.box.seen_from(pose_map)):
+            if self._geofence.contains_box(near.box.in_parent(pose_map)):
                 continue
             points, ways = outline_points(near, FENCE_SPACING_M)
             spacing_m = max(FENCE_SPACING_M, sweep.step_m)

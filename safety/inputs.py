@@ -17,7 +17,7 @@ from safety.monitors.sensors import MonitoredSensor, SensorFailure, failure_of, 
 from safety.monitors.watchdog import TopicAge, age_of
 from safety.obstacle_sources import SourceData
 from safety.pose_history import valid_map_pose, valid_odometry
-from safety.zones.footprint_by_fold import fold_of
+from safety.zones.footprint import fold_of
 
 
 class SupervisorInputs:

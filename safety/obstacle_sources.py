@@ -7,20 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from configs.vehicle import Sensors, kmh
-from messages.message import Float64
+from geometry.arrays import Float64
+from geometry.pose2 import from_frame
 from messages.motion import Odometry
 from messages.perception import SensorHealth, Tracks
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
 from messages.topics import TOPICS
 from safety.config import SafetyConfig
-from safety.pose_history import PoseHistory, from_frame
+from safety.pose_history import PoseHistory
 from safety.sources.detection_range import limit_by_health
-from safety.sources.ground_filter import Box, Motion
+from safety.sources.ground_filter import Motion
 from safety.sources.lidar import LidarSource
 from safety.sources.multiple_evaluation import thin
 from safety.sources.radar import RadarSource
 from safety.sources.ultrasonic import UltrasonicSource, is_confirmed_by_track
-from safety.zones.footprint import Footprint
+from safety.zones.footprint import Box, Footprint
 from safety.zones.protective_field import FREE, Clearance, SweptField, box_of, clearance_to
 from safety.zones.tracked_obstacles import KnownStructureFilter
 

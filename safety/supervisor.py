@@ -31,7 +31,7 @@ from safety.rules import RULES
 from safety.rules.arbitration import Decision, allowance_m, evaluate_rules
 from safety.rules.results import advisory
 from safety.rules.situation import Situation
-from safety.zones.footprint_by_fold import footprints_of
+from safety.zones.footprint import footprints_of
 from safety.zones.geofence import Geofence
 from safety.zones.known_structure import KnownStructure
 

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from geometry.arrays import Float64, Int64
 from geometry.transforms import interpolate, invert, yaw_of
-from messages.message import Float64, Int64
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.plan import Path, PathSection, PathSectionType
 

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 
+from geometry.arrays import Float64
+from geometry.pose2 import from_frame
 from messages.command import SupervisorState
-from messages.message import Float64
 from messages.motion import Odometry
 from messages.perception import Tracks
 from safety.collision_monitor import CollisionMonitor, MonitorInputs
-from safety.pose_history import from_frame, planar_of
+from safety.pose_history import planar_pose
 from safety.rules.arbitration import Decision
 from safety.rules.situation import Situation
 from safety.stopping_distance import required_range, stopping_distance
@@ -53,5 +54,5 @@ def critical_object_outline(track_id: int, tracks: Tracks | None, odom: Odometry
     track = next((t for t in tracks.tracks if t.id == track_id), None) if tracks is not None else None
     if track is None or odom is None:
         return NOTHING
-    xy = from_frame(planar_of(odom.T_odom_base), box_points(track))
+    xy = from_frame(planar_pose(odom.T_odom_base), box_points(track))
     return np.column_stack([xy, np.full(len(xy), track.p_odom_m[2])])

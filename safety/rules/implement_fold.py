@@ -3,7 +3,7 @@
 from messages.command import RuleResult
 from safety.rules.results import limit, no_objection, stop
 from safety.rules.situation import Situation
-from safety.zones.footprint_by_fold import is_between
+from safety.zones.footprint import is_between
 
 CODE = "implement_fold"
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from configs.vehicle import Lidar
-from messages.message import Float32, Float64
+from geometry.arrays import Float32, Float64
 from messages.perception import SensorHealth
 from safety.config import DetectionRangeConfig, FieldConfig
 from safety.zones.footprint import Footprint

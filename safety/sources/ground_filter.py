@@ -6,40 +6,16 @@ what its lowest returns show, but never by more than the ground can bend from th
 return of a patch can only fall when returns are added: more returns never make an obstacle vanish.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from messages.message import Float32, Float64
+from geometry.arrays import Float32, Float64
 from safety.config import FieldConfig
-from safety.zones.footprint import Footprint, is_inside, trailer_poses
+from safety.zones.footprint import Box
 
 HEIGHT_STEP_M, HEIGHT_STEPS, HEIGHT_FROM_M = 0.05, 80, -2.0
 WHEELS_X_M, WHEELS_REACH_M = 1.3, 2.0  # about the middle between the axles the wheels themselves are the plane
-
-
-@dataclass(frozen=True)
-class Box:
-    """Area of base that is looked at."""
-
-    x_m: tuple[float, float]
-    y_m: tuple[float, float]
-
-    def holds(self, xy: Float64) -> np.ndarray:
-        """Which points (N, 2) lie in it, (N,) bool; what is no number is not left out."""
-        (x_low, x_high), (y_low, y_high) = self.x_m, self.y_m
-        x, y = xy[:, 0], xy[:, 1]
-        return np.asarray(~((x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)))
-
-    def seen_from(self, pose: Float64) -> "Box":
-        """A box that holds this one, in the frame in which its own is at a pose (3,)."""
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        x, y = 0.5 * (self.x_m[0] + self.x_m[1]), 0.5 * (self.y_m[0] + self.y_m[1])
-        half_x, half_y = self.x_m[1] - x, self.y_m[1] - y
-        wide, deep = abs(c) * half_x + abs(s) * half_y, abs(s) * half_x + abs(c) * half_y
-        x, y = pose[0] + c * x - s * y, pose[1] + s * x + c * y
-        return Box((x - wide, x + wide), (y - deep, y + deep))
 
 
 @dataclass(frozen=True)
@@ -113,15 +89,3 @@ def bound_ground(ground_m: Float64, distance_m: Float64, config: FieldConfig) ->
     reach = config.grade_change * np.maximum(0.0, distance_m - WHEELS_REACH_M)
     fallen = np.minimum(ground_m + config.furrow_m, 0.0)
     return np.clip(np.where(ground_m > 0.0, ground_m, fallen), -reach, np.minimum(reach, config.rise_cap_m))
-
-
-def is_own(xyz: Float32 | Float64, footprint: Footprint, curvature_radpm: float, margin_m: float) -> np.ndarray:
-    """Which returns (3, N) lie on machine or implement, (N,) bool."""
-    own = np.zeros(xyz.shape[1], bool)
-    for body in footprint.rigid:
-        own |= is_inside(body, xyz[0], xyz[1], margin_m)
-    if footprint.trailed is not None and footprint.drawbar is not None:
-        x, y, yaw = trailer_poses(footprint.drawbar, np.zeros((1, 3)), curvature_radpm)[0]
-        c, s, dx, dy = np.cos(yaw), np.sin(yaw), xyz[0] - x, xyz[1] - y
-        own |= is_inside(footprint.trailed, c * dx + s * dy, c * dy - s * dx, margin_m)
-    return own

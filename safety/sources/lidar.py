@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from configs.vehicle import Lidar
-from messages.message import Float64, Int64
+from geometry.arrays import Float64, Int64
+from geometry.pose2 import from_frame, to_frame
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
-from safety.pose_history import from_frame, to_frame
 from safety.sources.detection_range import (
     covers,
     down_beams,
@@ -19,9 +19,9 @@ from safety.sources.detection_range import (
     range_by_share,
     return_ratios,
 )
-from safety.sources.ground_filter import Box, Motion, crop, deskew, is_own, mark_obstacles, to_base
+from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.multiple_evaluation import cell_keys, evaluate
-from safety.zones.footprint import Footprint
+from safety.zones.footprint import Box, Footprint, is_own
 
 
 class LidarSource:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from messages.message import Float64, Int64
+from geometry.arrays import Float64, Int64
 
 BITS = 21  # cells of 0.5 m: a thousand kilometres each way
 

@@ -11,13 +11,12 @@ from itertools import pairwise
 import numpy as np
 
 from configs.vehicle import Radar
-from messages.message import Float64
+from geometry.arrays import Float64
+from geometry.pose2 import to_frame
 from messages.motion import Odometry
 from messages.sensors import RadarScan
 from safety.config import RadarConfig
-from safety.pose_history import to_frame
-from safety.sources.ground_filter import is_own
-from safety.zones.footprint import Footprint
+from safety.zones.footprint import Footprint, is_own
 
 NONE = np.empty((0, 5))
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from configs.vehicle import Ultrasonic
-from messages.message import Float64
+from geometry.arrays import Float64
+from geometry.pose2 import to_frame
 from messages.motion import Odometry
 from messages.perception import Track, Tracks
 from messages.sensors import UltrasonicRange
 from safety.config import UltrasonicConfig
-from safety.pose_history import to_frame
 
 ARC_POINTS = 7
 NARROW_M = 1.0  # the middle of a wider box may be empty: two sides of a fence, seen as one thing

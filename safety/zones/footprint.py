@@ -1,4 +1,4 @@
-"""Machine and implement as rectangles, and where a trailed implement goes.
+"""Footprint of machine and implement as rectangles, in working and in transport width; pose of a trailed implement.
 
  front_m ┌──┐ 0 = base        each rectangle lies in the frame of its carrier:
          │  │                 `base`, or the hitch of a trailed implement (x forward, y left)
@@ -11,15 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
-from messages.message import Float32, Float64
+from configs.vehicle import FOLDED, MountedImplement, TrailedImplement, Vehicle
+from geometry.arrays import Float32, Float64
+from messages.command import MachineState
 
 Floats = Float32 | Float64
 
 
 @dataclass(frozen=True)
 class Rectangle:
-    """Extent along x from `rear_m` to `front_m`, and to either side."""
+    """Extent along x from `rear_m` to `front_m`, and `half_width_m` to either side."""
 
     rear_m: float
     front_m: float
@@ -27,8 +28,37 @@ class Rectangle:
 
 
 @dataclass(frozen=True)
+class Box:
+    """Axis-aligned area of a level frame: limits (low, high) along x and y."""
+
+    x_m: tuple[float, float]
+    y_m: tuple[float, float]
+
+    def holds(self, xy: Float64) -> np.ndarray:
+        """Whether each point (N, 2) lies in it, (N,) bool; NaN counts as inside."""
+        (x_low, x_high), (y_low, y_high) = self.x_m, self.y_m
+        x, y = xy[:, 0], xy[:, 1]
+        return np.asarray(~((x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)))
+
+    def in_parent(self, pose: Float64) -> "Box":
+        """Box in the parent frame that contains this one, whose frame has the pose (3,) there."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        x, y = 0.5 * (self.x_m[0] + self.x_m[1]), 0.5 * (self.y_m[0] + self.y_m[1])
+        half_x, half_y = self.x_m[1] - x, self.y_m[1] - y
+        wide, deep = abs(c) * half_x + abs(s) * half_y, abs(s) * half_x + abs(c) * half_y
+        x, y = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+        return Box((x - wide, x + wide), (y - deep, y + deep))
+
+
+def bounding_box(points: Float64) -> Box:
+    """Box about points (N, 2), at least one."""
+    (x_low, y_low), (x_high, y_high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return Box((x_low, x_high), (y_low, y_high))
+
+
+@dataclass(frozen=True)
 class Drawbar:
-    """Hitch of a trailed implement along x of base, and its axle behind the hitch."""
+    """Hitch of a trailed implement along x of base, and distance of its axle behind the hitch."""
 
     hitch_m: float
     axle_m: float
@@ -36,7 +66,7 @@ class Drawbar:
 
 @dataclass(frozen=True)
 class Footprint:
-    """All that moves: the rigid rectangles, and a trailed one with its drawbar."""
+    """Rectangles rigid to base, and a trailed one with its drawbar."""
 
     rigid: tuple[Rectangle, ...]
     trailed: Rectangle | None
@@ -44,11 +74,11 @@ class Footprint:
     height_m: float
 
     def foremost_m(self, direction: int) -> float:
-        """The edge that leads when driving straight in the direction, along x of base."""
+        """Coordinate along x of base of the foremost edge, driving straight in the direction."""
         return direction * max(self._leading_edges(direction))
 
     def leads_m(self, direction: int) -> tuple[float, ...]:
-        """How far the leading edge of each body lies behind the foremost point, driving straight."""
+        """Distance of each body's leading edge behind the foremost point, driving straight."""
         edges = self._leading_edges(direction)
         return tuple(max(edges) - edge for edge in edges)
 
@@ -61,7 +91,7 @@ class Footprint:
 
 
 def footprint_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplement | None) -> Footprint:
-    """The outline of a vehicle with what it carries or pulls."""
+    """Footprint of a vehicle with its mounted or trailed implement."""
     body = vehicle.body
     machine = Rectangle(-body.rear_m, body.front_m, 0.5 * body.width_m)
     if implement is None:
@@ -74,8 +104,44 @@ def footprint_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplemen
     return Footprint((machine,), Rectangle(-implement.total_length_m, 0.0, half_m), drawbar, body.height_m)
 
 
+@dataclass(frozen=True)
+class FootprintSet:
+    """Footprints with the implement in working and in transport width; the same object when it does not fold."""
+
+    working: Footprint
+    transport: Footprint
+
+    @property
+    def is_foldable(self) -> bool:
+        """Whether the two differ."""
+        return self.working is not self.transport
+
+    def at(self, fold: float | None) -> Footprint:
+        """Footprint at a measured fold position; that of the working width when it is unknown."""
+        return self.transport if fold is not None and fold >= FOLDED else self.working
+
+
+def footprints_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplement | None) -> FootprintSet:
+    """Both footprints of a vehicle with its implement."""
+    working = footprint_of(vehicle, implement)
+    transport = working if implement is None else footprint_of(vehicle, implement.folded)
+    return FootprintSet(working, working if transport == working else transport)
+
+
+def fold_of(machine: MachineState | None, max_group_age_s: float) -> float | None:
+    """Measured fold position; None without a machine state or when its implement group is too old."""
+    if machine is None or machine.stamp_ns - machine.implement_stamp_ns > max_group_age_s * 1e9:
+        return None
+    return machine.fold_position
+
+
+def is_between(fold: float) -> bool:
+    """Whether an implement is locked in neither end position of its fold."""
+    return not (fold <= 1.0 - FOLDED or fold >= FOLDED)
+
+
 def carriers(footprint: Footprint, poses: Float64, curvature_radpm: float) -> tuple[tuple[Rectangle, Float64], ...]:
-    """Each rectangle with the poses (M, 3) of its carrier, for poses of base (M, 3: x, y, yaw) along a way."""
+    """Each rectangle with the poses (M, 3) of its carrier, for poses of base (M, 3: x, y, yaw) along a path."""
     rigid = tuple((body, poses) for body in footprint.rigid)
     if footprint.trailed is None or footprint.drawbar is None:
         return rigid
@@ -83,9 +149,9 @@ def carriers(footprint: Footprint, poses: Float64, curvature_radpm: float) -> tu
 
 
 def trailer_poses(drawbar: Drawbar, poses: Float64, curvature_radpm: float) -> Float64:
-    """Poses of the hitch with the implement's heading, following poses of base (tractrix of the drawbar).
+    """Poses (M, 3) of the hitch with the implement's heading, for poses of base (tractrix of the drawbar).
 
-    The angle at the hitch is not measured: it is taken as that of steady driving on the present curvature.
+    The hitch angle is not measured: its initial value is that of steady driving on the present curvature.
     """
     hitch = np.column_stack([
         poses[:, 0] + drawbar.hitch_m * np.cos(poses[:, 2]), poses[:, 1] + drawbar.hitch_m * np.sin(poses[:, 2])
@@ -100,19 +166,31 @@ def trailer_poses(drawbar: Drawbar, poses: Float64, curvature_radpm: float) -> F
 
 
 def steady_angle(drawbar: Drawbar, curvature_radpm: float) -> float:
-    """Heading of a trailed implement against the machine when driving steadily on a curvature."""
+    """Heading of a trailed implement relative to the machine in steady driving on a curvature."""
     swing = math.atan(curvature_radpm * drawbar.hitch_m)
     return swing - math.asin(max(-1.0, min(1.0, drawbar.axle_m * curvature_radpm * math.cos(swing))))
 
 
 def outline(body: Rectangle) -> Float64:
-    """Corners and middles of the sides, (8, 2)."""
+    """Corners and side midpoints, (8, 2)."""
     x = (body.rear_m, 0.5 * (body.rear_m + body.front_m), body.front_m)
     w = body.half_width_m
     return np.array([(a, b) for a in x for b in (-w, 0.0, w) if not (a == x[1] and b == 0.0)])
 
 
 def is_inside(body: Rectangle, x_m: Floats, y_m: Floats, margin_m: float) -> np.ndarray:
-    """Which points of the carrier's frame lie within the rectangle and a margin, (N,) bool."""
+    """Whether each point of the carrier's frame lies within the rectangle enlarged by a margin, (N,) bool."""
     along = (x_m >= body.rear_m - margin_m) & (x_m <= body.front_m + margin_m)
     return np.asarray(along & (np.abs(y_m) <= body.half_width_m + margin_m))
+
+
+def is_own(xyz: Floats, footprint: Footprint, curvature_radpm: float, margin_m: float) -> np.ndarray:
+    """Whether each point (3, N) in base lies on machine or implement, (N,) bool."""
+    own = np.zeros(xyz.shape[1], bool)
+    for body in footprint.rigid:
+        own |= is_inside(body, xyz[0], xyz[1], margin_m)
+    if footprint.trailed is not None and footprint.drawbar is not None:
+        x, y, yaw = trailer_poses(footprint.drawbar, np.zeros((1, 3)), curvature_radpm)[0]
+        c, s, dx, dy = np.cos(yaw), np.sin(yaw), xyz[0] - x, xyz[1] - y
+        own |= is_inside(footprint.trailed, c * dx + s * dy, c * dy - s * dx, margin_m)
+    return own

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from configs.site import Bay, Lane, Shed, Site
-from messages.message import Float64
-from safety.sources.ground_filter import Box
+from geometry.arrays import Float64
+from safety.zones.footprint import Box, bounding_box
 
 GATE_DEPTH_M = 1.0  # to either side of the line between the posts
 OUTSIDE_M = -1.0
@@ -81,12 +81,6 @@ class Ring:
         (x_low, y_low), (x_high, y_high) = self._low, self._high
         meets = (x_low <= box.x_m[1]) & (x_high >= box.x_m[0]) & (y_low <= box.y_m[1]) & (y_high >= box.y_m[0])
         return bool(meets.any())
-
-
-def bounding_box(points: Float64) -> Box:
-    """The box about points (N, 2), at least one."""
-    (x_low, y_low), (x_high, y_high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return Box((x_low, x_high), (y_low, y_high))
 
 
 def geofence_of(site: Site) -> Geofence:

@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 
 from configs.site import Shed, Site
-from messages.message import Float64
-from safety.pose_history import from_frame, to_frame
+from geometry.arrays import Float64
+from geometry.pose2 import from_frame, to_frame
 from safety.zones.geofence import is_within
 from safety.zones.swept_area import SweptArea, distance_to_contact_m, outline_points
 

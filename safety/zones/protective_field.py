@@ -10,14 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geometry.arrays import Float64
+from geometry.pose2 import from_frame
 from messages.command import ControlCommand
-from messages.message import Float64
 from messages.plan import Path, PathSectionType
 from safety.config import FieldConfig
-from safety.pose_history import from_frame
-from safety.sources.ground_filter import Box
 from safety.stopping_distance import Braking, required_range, stopping_distance
-from safety.zones.footprint import Footprint
+from safety.zones.footprint import Box, Footprint
 from safety.zones.swept_area import SweptArea, arc_poses, distance_to_contact_m, path_poses, spaced, sweep_along
 
 NOTHING = np.empty((0, 3))

@@ -11,11 +11,10 @@ from functools import cached_property
 
 import numpy as np
 
-from messages.message import Float64
+from geometry.arrays import Float64
 from messages.plan import Path
 from safety.config import FieldConfig
-from safety.sources.ground_filter import Box
-from safety.zones.footprint import Footprint, Rectangle, carriers, outline
+from safety.zones.footprint import Box, Footprint, Rectangle, carriers, outline
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from messages.message import Float64
+from geometry.arrays import Float64
+from geometry.pose2 import from_frame, point_from_frame
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import TrackedConfig
-from safety.pose_history import from_frame, seen_from
-from safety.sources.ground_filter import is_own
-from safety.zones.footprint import Footprint
+from safety.zones.footprint import Footprint, is_own
 from safety.zones.swept_area import SweptArea, distance_to_contact_m
 
 
@@ -104,7 +103,7 @@ def is_ahead(
     the foremost and the last leading edge, only what has a class and moves counts: what stands there is in the raw
     field if it is in the way at all.
     """
-    x, y = seen_from(pose_odom, *track.p_odom_m[:2].tolist())
+    x, y = point_from_frame(pose_odom, *track.p_odom_m[:2].tolist())
     ahead_m = direction * x + 0.5 * length_m(track)
     foremost_m = direction * footprint.foremost_m(direction)
     counts_beside = moves and track.label is not ObstacleClass.UNKNOWN
@@ -125,7 +124,7 @@ def is_within_reach(track: Track, pose_odom: Float64, length_m: float, horizon_s
 
 def is_beside(track: Track, pose_odom: Float64, sweep: SweptArea) -> bool:
     """Whether the circle about a track's box surely lies beside the box about a sweep; its place is finite."""
-    x, y = seen_from(pose_odom, *track.p_odom_m[:2].tolist())
+    x, y = point_from_frame(pose_odom, *track.p_odom_m[:2].tolist())
     reach_m = math.hypot(*track.size_m[:2].tolist()) + sweep.step_m
     (x_low, x_high), (y_low, y_high) = sweep.box.x_m, sweep.box.y_m
     return x < x_low - reach_m or x > x_high + reach_m or y < y_low - reach_m or y > y_high + reach_m

@@ -9,6 +9,7 @@ import pytest
 
 from configs.site import Area, Bay, DatumConfig, Gate, Lane, PoseConfig, Shed, Site
 from configs.vehicle import FOLDED, Vehicle
+from geometry.pose2 import from_frame, point_from_frame, to_frame
 from geometry.transforms import planar
 from messages.command import ControlCommand
 from messages.motion import MapPose, Odometry, PositionSource
@@ -25,17 +26,14 @@ from safety.output.limiters import (
     stopping_deceleration,
     target_speed,
 )
-from safety.pose_history import PoseHistory, from_frame, seen_from, tilt_of, to_frame, valid_map_pose, valid_odometry
-from safety.sources.ground_filter import Box
+from safety.pose_history import PoseHistory, tilt_of, valid_map_pose, valid_odometry
 from safety.stopping_distance import Braking
-from safety.zones.footprint import Footprint, footprint_of
-from safety.zones.footprint_by_fold import fold_of, footprints_of, is_between
+from safety.zones.footprint import Box, Footprint, bounding_box, fold_of, footprint_of, footprints_of, is_between
 from safety.zones.geofence import (
     Geofence,
     Ring,
     band,
     bay_rings,
-    bounding_box,
     distance_across,
     distance_inside_m,
     geofence_of,
@@ -392,12 +390,12 @@ def test_box_that_the_fence_holds() -> None:
 def test_box_from_elsewhere_holds_the_box() -> None:
     box, pose = Box((-3.0, 5.0), (-1.0, 2.0)), np.array([3.0, -2.0, 2.3])
     corners = np.array([[x, y] for x in box.x_m for y in box.y_m])
-    seen, moved = box.seen_from(pose), to_frame(pose, corners)
+    seen, moved = box.in_parent(pose), to_frame(pose, corners)
     assert (seen.x_m, seen.y_m) == (
         pytest.approx((moved[:, 0].min(), moved[:, 0].max())),
         pytest.approx((moved[:, 1].min(), moved[:, 1].max())),
     )
-    assert seen_from(pose, 1.5, -4.0) == tuple(from_frame(pose, np.array([[1.5, -4.0]]))[0])
+    assert point_from_frame(pose, 1.5, -4.0) == tuple(from_frame(pose, np.array([[1.5, -4.0]]))[0])
 
 
 def test_frames_and_trail() -> None:
@@ -446,18 +444,18 @@ def test_what_is_no_number_is_no_odometry_and_no_pose() -> None:
 
 def test_shapes_of_a_fold(vehicle: Vehicle, implement) -> None:
     footprints = footprints_of(vehicle, implement)
-    assert (footprints.wide, footprints.narrow) == (
+    assert (footprints.working, footprints.transport) == (
         footprint_of(vehicle, implement),
         footprint_of(vehicle, implement.folded),
     )
     assert footprints.is_foldable
     for fold in (None, 0.0, *around(FOLDED, 0.001), 1.0):
         is_narrow = fold is not None and fold >= FOLDED
-        assert footprints.at(fold) is (footprints.narrow if is_narrow else footprints.wide), fold
+        assert footprints.at(fold) is (footprints.transport if is_narrow else footprints.working), fold
     stiff = implement.model_copy(update={"fold": None})
     assert not footprints_of(vehicle, stiff).is_foldable
     bare = footprints_of(vehicle, None)
-    assert (bare.wide, bare.is_foldable) == (footprint_of(vehicle, None), False)
+    assert (bare.working, bare.is_foldable) == (footprint_of(vehicle, None), False)
 
 
 def test_fold_as_old_as_its_group_may_be() -> None:

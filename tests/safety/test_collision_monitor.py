@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from configs.vehicle import Vehicle
+from geometry.pose2 import to_frame
 from geometry.transforms import planar
 from messages.command import ControlCommand
 from messages.motion import MapPose, Odometry, PositionSource
@@ -18,10 +19,8 @@ from messages.plan import PathSection, PathSectionType
 from safety.collision_monitor import CollisionMonitor, MonitorInputs, class_at, pose_in_map, stamps_of
 from safety.config import SafetyConfig
 from safety.obstacle_sources import SourceData
-from safety.pose_history import to_frame
-from safety.sources.ground_filter import Box
 from safety.stopping_distance import stopping_distance, stopping_time
-from safety.zones.footprint_by_fold import FootprintSet, footprints_of
+from safety.zones.footprint import Box, FootprintSet, footprints_of
 from safety.zones.geofence import Geofence
 from safety.zones.protective_field import Clearance, PathPosition, SweptField
 from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT, CriticalObject
@@ -144,7 +143,7 @@ def test_a_lookout_begins_with_nothing(
         False,
     )
     assert collision_monitor.config is config
-    assert collision_monitor.sources._footprint is footprints.wide
+    assert collision_monitor.sources._footprint is footprints.working
     assert collision_monitor.sources._config is config
     assert [source.name for source in collision_monitor.sources.lidars] == ["front", "rear"]
     assert CollisionMonitor(footprints, full.sensors, None, None, config).geofence_distance_m() == math.inf
@@ -239,7 +238,7 @@ def test_the_outline_at_a_fold_is_worn(make: Any, config: SafetyConfig, parts: A
     for fold, count in ((0.0, 0), (1.0, 1), (1.0, 1), (None, 2), (0.0, 2)):
         look(collision_monitor, config, replace(SEEN, fold=fold))
         assert len(collision_monitor.sources.set_footprint.calls) == count
-        footprint = footprints.narrow if fold == 1.0 else footprints.wide
+        footprint = footprints.transport if fold == 1.0 else footprints.working
         assert parts.sweep_field.asked[6] is footprint
         assert parts.nearest_critical_object.asked[1] is footprint
         assert count == 0 or collision_monitor.sources.set_footprint.asked[0] is footprint
@@ -252,7 +251,7 @@ def test_the_way_is_laid_along_the_plan_in_its_direction(make: Any, config: Safe
     place, pose_map, *rest = parts.sweep_field.asked
     assert place == PathPosition(SEEN.path, 3.0)
     assert pose_map == pytest.approx(POSE_MAP)
-    assert rest == [0.1, 1, 17.0, 8.0, collision_monitor._footprints.wide, config.field]
+    assert rest == [0.1, 1, 17.0, 8.0, collision_monitor._footprints.working, config.field]
     assert parts.look_ahead_m.asked == (2.0, flat, config.field, 2.1)
     assert parts.arc_length_m.asked == (2.0, flat, config.field)
     collision_monitor = make()
@@ -285,7 +284,7 @@ def test_gaps_and_threats_are_measured_on_that_way(make: Any, config: SafetyConf
     main, footprint, tracks, pose_odom, curvature, stop_s, tracked, is_known = parts.nearest_critical_object.asked
     assert (main, footprint, tracks) == (
         collision_monitor.swept_field.main,
-        collision_monitor._footprints.wide,
+        collision_monitor._footprints.working,
         SEEN.tracks,
     )
     assert (curvature, tracked, is_known) == (0.1, config.tracked, None)
@@ -413,7 +412,7 @@ def test_the_fence_is_asked_over_the_stopping_distance_a_margin_and_a_metre(
     assert collision_monitor.geofence_distance_m() == 6.5
     for one in (main, arc):
         assert one.up_to.asked == (pytest.approx(stopping_distance(2.0, flat) + 0.05 + 1.0),)
-    assert geofence.contains_box.asked[0].x_m == pytest.approx(main.box.seen_from(POSE_MAP).x_m)
+    assert geofence.contains_box.asked[0].x_m == pytest.approx(main.box.in_parent(POSE_MAP).x_m)
     assert outlines.calls == [(main, 0.1), (arc, 0.1)]
     for (asked, points, ways, spacing_m), spacing in zip(inside.calls, (0.4, 0.1), strict=True):
         assert (asked, spacing_m, ways.tolist()) == (geofence, spacing, [2.0])
@@ -424,7 +423,7 @@ def test_the_fence_is_asked_over_the_stopping_distance_a_margin_and_a_metre(
     look(collision_monitor, config)
     assert collision_monitor.geofence_distance_m() == 3.0
     geofence.contains_box = lambda box: bool(box == geofence.first)
-    geofence.first = main.box.seen_from(POSE_MAP)
+    geofence.first = main.box.in_parent(POSE_MAP)
     arc.box = Box((0.0, 3.0), (-0.5, 0.5))
     look(collision_monitor, config, replace(SEEN, tracks=None))
     assert collision_monitor.geofence_distance_m() == 5.0

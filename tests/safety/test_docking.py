@@ -256,7 +256,7 @@ def test_near_the_shed(known_structure: KnownStructure) -> None:
 
 
 def test_clear_way_to_the_wall(known_structure: KnownStructure, config: SafetyConfig, shed_world: World) -> None:
-    footprint = shed_world.supervisor._footprints.narrow
+    footprint = shed_world.supervisor._footprints.transport
     s = spaced(6.0, 0.2)
     sweep = sweep_along(footprint, -1, s, arc_poses(0.0, -1, s), 0.0, config.docked.field, True)
     pose = np.array([-3.0, -39.84, 0.0])

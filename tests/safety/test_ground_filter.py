@@ -21,11 +21,11 @@ from safety.sources.detection_range import (
     nominal_range_m,
     range_by_share,
 )
-from safety.sources.ground_filter import Box as Area
-from safety.sources.ground_filter import Motion, bound_ground, crop, deskew, is_own, mark_obstacles, to_base
+from safety.sources.ground_filter import Motion, bound_ground, crop, deskew, mark_obstacles, to_base
 from safety.sources.lidar import LidarSource, is_same
 from safety.sources.multiple_evaluation import cell_keys, evaluate, thin
-from safety.zones.footprint import footprint_of
+from safety.zones.footprint import Box as Area
+from safety.zones.footprint import footprint_of, is_own
 from tests.safety.safety_world import START_NS, Box, around, scan_of
 
 AREA = Area((-5.0, 30.0), (-8.0, 8.0))

@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from configs.vehicle import Lidar, Mount, TrailedImplement, Vehicle
+from geometry.pose2 import from_frame, to_frame
 from messages.motion import Odometry
 from messages.perception import ObstacleClass, Track, Tracks
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
 from safety.config import SafetyConfig
 from safety.obstacle_sources import ObstacleSources, SourceData, is_newer, reachable_box
-from safety.pose_history import PoseHistory, from_frame, to_frame
+from safety.pose_history import PoseHistory
 from safety.sources.detection_range import nominal_range_m
-from safety.sources.ground_filter import Box, Motion, deskew
+from safety.sources.ground_filter import Motion, deskew
 from safety.sources.lidar import LidarSource, is_same
-from safety.zones.footprint import Footprint, Rectangle, footprint_of
+from safety.zones.footprint import Box, Footprint, Rectangle, footprint_of
 from safety.zones.protective_field import SweptField, sweep_field
 from tests.safety.safety_world import NO_BYTES, START_NS, healthy
 

@@ -6,20 +6,10 @@ import numpy as np
 import pytest
 
 from configs.vehicle import TrailedImplement, Vehicle
+from geometry.pose2 import to_frame
 from safety.config import FieldConfig, SafetyConfig
-from safety.pose_history import to_frame
-from safety.sources.ground_filter import (
-    Box,
-    Motion,
-    bound_ground,
-    crop,
-    deskew,
-    estimate_ground,
-    is_own,
-    mark_obstacles,
-    to_base,
-)
-from safety.zones.footprint import footprint_of
+from safety.sources.ground_filter import Motion, bound_ground, crop, deskew, estimate_ground, mark_obstacles, to_base
+from safety.zones.footprint import Box, footprint_of, is_own
 
 AREA = Box((-4.0, 20.0), (-7.0, 5.0))
 
@@ -34,7 +24,7 @@ def test_a_box_holds_its_edges_and_what_is_no_number() -> None:
 def test_a_box_seen_from_another_frame_is_that_about_its_corners(yaw: float) -> None:
     pose, area = np.array([5.0, -3.0, yaw]), Box((-4.0, 20.0), (-9.0, 5.0))
     corners = to_frame(pose, np.array([(x, y) for x in area.x_m for y in area.y_m]))
-    found = area.seen_from(pose)
+    found = area.in_parent(pose)
     assert (*found.x_m, *found.y_m) == pytest.approx(
         (corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max())
     )

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from configs.vehicle import Vehicle
+from geometry.pose2 import to_frame
 from messages.command import ControlCommand
 from messages.plan import Path, PathSection, PathSectionType
 from safety.config import SafetyConfig
-from safety.pose_history import to_frame
-from safety.sources.ground_filter import Box
 from safety.sources.multiple_evaluation import cell_keys, evaluate, thin
 from safety.stopping_distance import required_range, stopping_distance
 from safety.zones.footprint import (
+    Box,
     Drawbar,
     Footprint,
     Rectangle,

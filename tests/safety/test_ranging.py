@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from configs.vehicle import Mount, Radar, TrailedImplement, Ultrasonic, Vehicle
+from geometry.pose2 import to_frame
 from messages.motion import Odometry
 from messages.perception import ObstacleClass, Track, Tracks
 from messages.sensors import RadarScan, UltrasonicRange
 from safety.config import SafetyConfig
-from safety.pose_history import to_frame
 from safety.sources.radar import RadarSource, confirmed, is_same, seen_in
 from safety.sources.ultrasonic import UltrasonicSource, arc_of, ground_m, is_beyond, is_confirmed_by_track
 from safety.zones.footprint import Footprint, footprint_of

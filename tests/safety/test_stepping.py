@@ -23,7 +23,7 @@ from safety.rules.arbitration import allowance_m
 from safety.rules.results import advisory, stop
 from safety.rules.situation import Situation
 from safety.supervisor import ABLATION, PERIOD_NS, STATE_NS, Observation, Supervisor
-from safety.zones.footprint_by_fold import footprints_of
+from safety.zones.footprint import footprints_of
 from safety.zones.geofence import Geofence
 from safety.zones.known_structure import KnownStructure
 from safety.zones.protective_field import Clearance

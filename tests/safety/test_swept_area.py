@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from configs.vehicle import Vehicle
+from geometry.pose2 import to_frame
 from safety.config import SafetyConfig
-from safety.pose_history import to_frame
 from safety.zones.footprint import (
     Drawbar,
     Footprint,

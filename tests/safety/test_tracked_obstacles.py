@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from configs.vehicle import Vehicle
+from geometry.pose2 import to_frame
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import SafetyConfig
-from safety.pose_history import to_frame
 from safety.zones.footprint import Footprint, footprint_of
 from safety.zones.swept_area import SweptArea, arc_poses, spaced, sweep_along
 from safety.zones.tracked_obstacles import (
