@@ -1,4 +1,4 @@
-"""Stopping distance, the range needed, and the highest speed that a range allows (requirements, section 4)."""
+"""Stopping distance, required range, and highest speed for a range (docs/requirements.md, section 4; cf. ISO 13855)."""
 
 import math
 from dataclasses import dataclass
@@ -9,25 +9,25 @@ BISECTIONS = 40
 
 @dataclass(frozen=True)
 class Braking:
-    """Dead time τ before the brake acts, linear build-up t_b and deceleration a ≤ 0: cannot stop."""
+    """Dead time τ before the brake acts, linear build-up t_b and deceleration a; a ≤ 0: the machine cannot stop."""
 
     reaction_s: float
     build_up_s: float
     deceleration_mps2: float
 
 
-def on_grade(flat: Braking, downhill_rad: float, least_mps2: float) -> Braking:
-    """The braking on a slope that falls in the direction of travel by `downhill_rad`.
+def on_grade(flat: Braking, downhill_rad: float, min_mps2: float) -> Braking:
+    """Braking on a slope that falls by `downhill_rad` in the direction of travel.
 
-    Downhill subtracts g·sin θ. Uphill would add; the supervisor does not count on that, because the top may be near.
-    Below `least_mps2` the machine is taken as one that cannot stop (deceleration 0).
+    Downhill subtracts g·sin θ. Uphill adds nothing, because the crest may be near. Below `min_mps2` the machine counts
+    as unable to stop (deceleration 0).
     """
     a = flat.deceleration_mps2 - GRAVITY_MPS2 * max(0.0, math.sin(downhill_rad))
-    return Braking(flat.reaction_s, flat.build_up_s, a if a >= least_mps2 else 0.0)
+    return Braking(flat.reaction_s, flat.build_up_s, a if a >= min_mps2 else 0.0)
 
 
 def stopping_distance(speed_mps: float, braking: Braking) -> float:
-    """S: the way from the first moment the obstacle could be seen to standstill; infinite if the brake cannot."""
+    """S: distance from the first moment the obstacle is detectable to standstill; infinite if the brake cannot stop."""
     v, tau, t_b, a = speed_mps, braking.reaction_s, braking.build_up_s, braking.deceleration_mps2
     if v <= 0.0:
         return 0.0
@@ -39,7 +39,7 @@ def stopping_distance(speed_mps: float, braking: Braking) -> float:
 
 
 def stopping_time(speed_mps: float, braking: Braking) -> float:
-    """T_stop: the time from the first moment the obstacle could be seen to standstill."""
+    """T_stop: time from the first moment the obstacle is detectable to standstill."""
     v, t_b, a = speed_mps, braking.build_up_s, braking.deceleration_mps2
     if v <= 0.0:
         return braking.reaction_s
@@ -50,15 +50,15 @@ def stopping_time(speed_mps: float, braking: Braking) -> float:
 
 
 def required_range(speed_mps: float, braking: Braking, allowance_m: float, obstacle_mps: float = 0.0) -> float:
-    """The range needed: S + v_obstacle·T_stop + the allowance (k·σ_range + σ_position + margin, and L_front if ranges
-    are not measured from the foremost point)."""
+    """Required range: S + v_obstacle·T_stop + allowance (k·σ_range + σ_position + margin, and L_front if ranges are not
+    measured from the foremost point)."""
     distance_m = stopping_distance(speed_mps, braking)
     approach_m = obstacle_mps * stopping_time(speed_mps, braking) if obstacle_mps > 0.0 else 0.0
     return distance_m + approach_m + allowance_m
 
 
 def highest_speed(range_m: float, braking: Braking, allowance_m: float, obstacle_mps: float = 0.0) -> float:
-    """The highest speed whose required range is not above `range_m`; 0 when standing still needs more."""
+    """Highest speed whose required range is at most `range_m`; 0 when standstill already needs more."""
     if math.isinf(range_m) and range_m > 0.0:
         return math.inf
     if math.isnan(range_m) or braking.deceleration_mps2 <= 0.0:
@@ -71,16 +71,16 @@ def highest_speed(range_m: float, braking: Braking, allowance_m: float, obstacle
     return _bisect(range_m, braking, allowance_m, obstacle_mps, knee_mps)
 
 
-def needed_deceleration(speed_mps: float, clearance_m: float, dead_time_s: float, most_mps2: float) -> float:
-    """Constant deceleration that stops within `clearance_m` after a dead time of `dead_time_s`; at most `most_mps2`."""
+def needed_deceleration(speed_mps: float, clearance_m: float, dead_time_s: float, max_mps2: float) -> float:
+    """Constant deceleration that stops within `clearance_m` after a dead time of `dead_time_s`; at most `max_mps2`."""
     distance_m = clearance_m - speed_mps * dead_time_s
     if speed_mps <= 0.0:
         return 0.0
-    return most_mps2 if distance_m <= 0.0 else min(most_mps2, speed_mps**2 / (2.0 * distance_m))
+    return max_mps2 if distance_m <= 0.0 else min(max_mps2, speed_mps**2 / (2.0 * distance_m))
 
 
 def _above_knee(range_m: float, braking: Braking, obstacle_mps: float, knee_mps: float) -> float:
-    """The root of v²/2a + v·(τ + t_b/2 + v_o/a) + v_o·(τ + t_b/2) − a·t_b²/24 = range, where the brake is built up."""
+    """Root of v²/2a + v·(τ + t_b/2 + v_o/a) + v_o·(τ + t_b/2) − a·t_b²/24 = range, where the brake is built up."""
     a, t_b = braking.deceleration_mps2, braking.build_up_s
     dead_s = braking.reaction_s + 0.5 * t_b
     half_b = 0.5 * (dead_s + obstacle_mps / a)

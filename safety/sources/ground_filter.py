@@ -1,9 +1,9 @@
-"""From a scan to the returns that stand above the ground: no tracker, no classifier, no ground from perception.
+"""Ground filter: obstacle returns of a scan, without tracker, classifier or the ground of perception.
 
-The plane through the wheels is the ground; a return counts from 0.25 m + 2 % of its distance above it. Slopes bend:
-over 8 % in ten metres the ground itself would reach that height. So each patch of 3 m may lift (or lower) the plane by
-what its lowest returns show, but never by more than the ground can bend from the wheels to there. The n-th lowest
-return of a patch can only fall when returns are added: more returns never make an obstacle vanish.
+The plane through the wheels is the ground; a return counts from 0.25 m + 2 % of its distance above it. Where the grade
+changes by 8 % within ten metres the ground itself would reach that height. Each patch of 3 m therefore lifts or lowers
+the plane by its lowest returns, limited by the greatest change of grade from the wheels to there. The n-th lowest
+return of a patch can only become lower when returns are added: more returns never remove an obstacle.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from safety.config import FieldConfig
 from safety.zones.footprint import Box
 
 HEIGHT_STEP_M, HEIGHT_STEPS, HEIGHT_FROM_M = 0.05, 80, -2.0
-WHEELS_X_M, WHEELS_REACH_M = 1.3, 2.0  # about the middle between the axles the wheels themselves are the plane
+WHEELS_X_M, WHEELS_REACH_M = 1.3, 2.0  # within this radius about the centre between the axles the plane holds exactly
 
 
 @dataclass(frozen=True)
@@ -27,14 +27,14 @@ class Motion:
 
 
 def to_base(points_m: Float32, T_base_sensor: Float64) -> Float32:
-    """Returns (N, 3) of the sensor as rows x, y, z of base, (3, N)."""
+    """Returns (N, 3) in the sensor frame as rows x, y, z in base, (3, N)."""
     out = T_base_sensor[:3, :3].astype(np.float32) @ points_m.T
     out += T_base_sensor[:3, 3:].astype(np.float32)
     return np.asarray(out)
 
 
 def deskew(xyz: Float32, offset_s: Float32, motion: Motion) -> Float32:
-    """Returns (3, N) as they would be had all been taken at the stamp.
+    """Returns (3, N) moved to the time of the stamp.
 
     First order in the motion: at 30 km/h and 0.5 rad/s within 0.1 s the error at 20 m is below 0.03 m.
     """
@@ -44,14 +44,14 @@ def deskew(xyz: Float32, offset_s: Float32, motion: Motion) -> Float32:
 
 
 def crop(xyz: Float32, box: Box, top_m: float) -> np.ndarray:
-    """Indices of the returns in the box and below the top."""
+    """Indices of the returns (3, N) in the box and below the top."""
     x, y, z = xyz
     inside = (x > box.x_m[0]) & (x < box.x_m[1]) & (y > box.y_m[0]) & (y < box.y_m[1]) & (z < top_m)
     return np.flatnonzero(inside)
 
 
 def mark_obstacles(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
-    """Which returns (3, N) stand above the ground, (N,) bool; deskewing may have moved some just out of the box."""
+    """Whether each return (3, N) is above the ground, (N,) bool; deskewing may have moved some just out of the box."""
     x, y, z = xyz
     size = config.ground_patch_m
     x0, y0 = np.floor(box.x_m[0] / size), np.floor(box.y_m[0] / size)
@@ -73,7 +73,7 @@ def mark_obstacles(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
 def estimate_ground(patch: np.ndarray, z: Float32, patches: int, order: int, share: float) -> Float64:
     """Height of the `order`-th lowest return of each patch, rounded down to 0.05 m; infinite where there are fewer.
 
-    Where returns are dense a share of them stands for `order`: mirrors (wet ground, paint) put ghosts below the ground.
+    In dense patches `share` of the returns replaces `order`: reflections (wet ground, paint) give ghosts below ground.
     """
     level = np.clip((z - np.float32(HEIGHT_FROM_M)) * np.float32(1.0 / HEIGHT_STEP_M), 0, HEIGHT_STEPS - 1)
     counts = np.bincount(patch * HEIGHT_STEPS + level.astype(np.int32), minlength=patches * HEIGHT_STEPS)
@@ -85,7 +85,7 @@ def estimate_ground(patch: np.ndarray, z: Float32, patches: int, order: int, sha
 
 
 def bound_ground(ground_m: Float64, distance_m: Float64, config: FieldConfig) -> Float64:
-    """What is believed of ground that rises or falls against the plane through the wheels, at a distance from them."""
+    """Ground height above the plane through the wheels, limited by the change of grade at a distance from them."""
     reach = config.grade_change * np.maximum(0.0, distance_m - WHEELS_REACH_M)
     fallen = np.minimum(ground_m + config.furrow_m, 0.0)
     return np.clip(np.where(ground_m > 0.0, ground_m, fallen), -reach, np.minimum(reach, config.rise_cap_m))

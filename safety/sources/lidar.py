@@ -1,4 +1,4 @@
-"""One lidar as the supervisor sees it: its hits in odom, and how far it proves the field free."""
+"""Lidar source: confirmed obstacle returns in odom, and detection range by direction of travel."""
 
 import math
 
@@ -12,12 +12,12 @@ from safety.config import SafetyConfig
 from safety.sources.detection_range import (
     covers,
     down_beams,
-    edges,
     expected_density,
     min_range_towards,
     nominal_range_m,
-    range_by_share,
+    range_by_ratio,
     return_ratios,
+    sector_edges,
 )
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.multiple_evaluation import cell_keys, evaluate
@@ -25,9 +25,9 @@ from safety.zones.footprint import Box, Footprint, is_own
 
 
 class LidarSource:
-    """Takes scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground.
+    """Processes the scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground.
 
-    `footprint` masks the machine itself; whoever knows the fold sets it.
+    `footprint` is that of the self mask; it is set on a change of fold position.
     """
 
     def __init__(self, name: str, lidar: Lidar, footprint: Footprint, config: SafetyConfig) -> None:
@@ -41,29 +41,29 @@ class LidarSource:
         self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_density(lidar, config.detection_range)
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
-        self._edges = edges(config.detection_range.sectors)
+        self._edges = sector_edges(config.detection_range.sectors)
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
         self._cells: Int64 = np.empty(0, np.int64)
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._equal_scans = 0
 
     def covers(self, direction: int) -> bool:
-        """Whether it sees the way ahead in a direction of travel."""
+        """Whether the lidar covers a direction of travel."""
         return direction in self._directions
 
     def detection_range_m(self, direction: int) -> float:
-        """How far its last scan proves the field free in a direction of travel."""
+        """Detection range of the last scan in a direction of travel; 0 while frozen."""
         return 0.0 if self.is_frozen else self._detection_range_m.get(direction, 0.0)
 
     @property
     def is_frozen(self) -> bool:
-        """Whether it sends the same scan again and again."""
+        """Whether the last scans are identical."""
         return self._equal_scans >= self._config.detection_range.frozen_scans
 
     def update(self, scan: LidarScan, pose_odom: Float64, motion: Motion, curvature_radpm: float, box: Box) -> None:
-        """Take a scan; `pose_odom` (3,) is base at its stamp, `box` what matters of base then.
+        """Processes a scan; `pose_odom` (3,) is base at its stamp, `box` the area of interest in base at that time.
 
-        The last scan may be taken once more for another box; what was remembered of the one before is then gone.
+        The last scan may be processed again for another box; the cells of the scan before it are then dropped.
         """
         if scan is self.scan:
             self._cells = np.empty(0, np.int64)
@@ -74,11 +74,11 @@ class LidarSource:
         self._update_detection_range(xyz, curvature_radpm)
         field = self._config.field
         near = crop(xyz, box, self.footprint.height_m + field.overhead_margin_m)
-        looked = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
-        looked = looked.compress(mark_obstacles(looked, box, field), axis=1)
-        looked = looked.compress(~is_own(looked, self.footprint, curvature_radpm, field.mask_m), axis=1)
-        places = np.asarray(looked, np.float64)
-        points_odom = np.column_stack([to_frame(pose_odom, places[:2].T), places[2]])
+        near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
+        near_xyz = near_xyz.compress(mark_obstacles(near_xyz, box, field), axis=1)
+        near_xyz = near_xyz.compress(~is_own(near_xyz, self.footprint, curvature_radpm, field.mask_m), axis=1)
+        obstacles = np.asarray(near_xyz, np.float64)
+        points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         is_hit, self._cells = evaluate(
             cell_keys(points_odom, field.cell_m),
             self._cells,
@@ -88,20 +88,17 @@ class LidarSource:
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
 
     def _update_detection_range(self, xyz: np.ndarray, curvature_radpm: float) -> None:
-        detection_range, origin = self._config.detection_range, self._T_base_sensor[:3, 3]
+        config, origin = self._config.detection_range, self._T_base_sensor[:3, 3]
         some = down_beams(xyz, origin, self._slopes)
         some = some.compress(~is_own(some, self.footprint, curvature_radpm, self._config.field.mask_m), axis=1)
-        share = return_ratios(some, origin, self._density, detection_range.sectors)
-        ranges, half_rad = (
-            range_by_share(share, self.nominal_range_m, detection_range),
-            math.radians(detection_range.half_cone_deg),
-        )
+        ratios = return_ratios(some, origin, self._density, config.sectors)
+        ranges, half_rad = range_by_ratio(ratios, self.nominal_range_m, config), math.radians(config.half_cone_deg)
         self._detection_range_m = {d: min_range_towards(self._edges, ranges, d, half_rad) for d in self._directions}
 
     def _hold_in_blind_zone(
         self, hits_odom: Float64, pose_odom: Float64, curvature_radpm: float, stamp_ns: int
     ) -> None:
-        """Keep for a while what went where no beam can look: the ground right before the bumper."""
+        """Holds hits that entered the blind zone below the lowest beam, right before the bumper."""
         old, seen_ns = self._kept
         base = np.vstack([from_frame(pose_odom, old[:, :2]).T, old[:, 2]])
         is_young = stamp_ns - seen_ns < self._config.field.blind_zone_hold_s * 1e9
@@ -112,13 +109,13 @@ class LidarSource:
         self._kept = (self.hits_odom_m, stamps)
 
     def _is_in_blind_zone(self, base: Float64) -> np.ndarray:
-        """Which points (3, N) lie below the lowest beam."""
+        """Whether each point (3, N) lies below the lowest beam."""
         x, y, z = base - self._T_base_sensor[:3, 3:]
         return np.asarray(z < self._min_slope * np.hypot(x, y))
 
 
 def is_same(scan: LidarScan, before: LidarScan | None) -> bool:
-    """Whether a scan repeats the ranges of the one before, to the bit, under a new stamp."""
+    """Whether a scan repeats the previous ranges bit for bit under a new stamp; an empty scan does not."""
     if before is None or (scan.ranges_mm.size == 0 and scan.xyz_m.size == 0):
         return False
     return np.array_equal(scan.ranges_mm, before.ranges_mm) and np.array_equal(scan.xyz_m, before.xyz_m)

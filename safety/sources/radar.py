@@ -1,7 +1,7 @@
-"""One radar as the supervisor sees it: detections that come back at one place in several cycles are hits.
+"""Radar source: detections repeated at one position in several cycles are hits.
 
-A single detection is often clutter: it must be strong enough, and others near it must have come in several of the last
-cycles. What moves over ground may be weaker; what stands counts only as far as bearings still tell lanes apart.
+A single detection is often clutter: it must exceed a cross-section, and others near it must occur in several of the
+last cycles. Moving detections may be weaker; static ones count only as far as the bearing separates lanes.
 """
 
 import math
@@ -22,7 +22,7 @@ NONE = np.empty((0, 5))
 
 
 class RadarSource:
-    """Takes cycles of one radar; `hits` (N, 4) are x, y, z in odom and the deviation of a bearing there, in metres."""
+    """Processes the cycles of one radar; `hits` (N, 4): x, y, z in odom, lateral deviation of the bearing (m)."""
 
     def __init__(
         self, name: str, radar: Radar, height_m: tuple[float, float], mask_m: float, config: RadarConfig
@@ -40,28 +40,28 @@ class RadarSource:
 
     @property
     def is_frozen(self) -> bool:
-        """Whether it sends the same detections again and again."""
+        """Whether the last cycles are identical."""
         return self._equal_scans >= self._config.frozen_cycles
 
     def update(self, scan: RadarScan, pose_odom: Float64, odom: Odometry, footprint: Footprint) -> None:
-        """Take a cycle; `pose_odom` (3,) is base at its stamp."""
+        """Processes a cycle; `pose_odom` (3,) is base at its stamp."""
         self._equal_scans = self._equal_scans + 1 if is_same(scan, self._last) else 0
         self._last, self.stamp_ns = scan, scan.stamp_ns
-        base, radial, rcs = seen_in(scan, self._radar, self._T, odom)
+        base, radial, rcs = usable_detections(scan, self._radar, self._T, odom)
         is_moving = np.abs(radial) >= self._config.moving_mps
         range_m = np.hypot(*(base[:, :2] - self._T[:2, 3]).T)
-        least = np.where(is_moving, self._config.moving_rcs_dbsm, self._config.standing_rcs_dbsm)
+        min_rcs = np.where(is_moving, self._config.moving_rcs_dbsm, self._config.standing_rcs_dbsm)
         cap = np.where(is_moving, self._config.moving_cap_m, self._config.standing_cap_m)
-        counts = (rcs >= least) & (range_m <= cap) & (base[:, 2] >= self._low_m) & (base[:, 2] <= self._high_m)
+        counts = (rcs >= min_rcs) & (range_m <= cap) & (base[:, 2] >= self._low_m) & (base[:, 2] <= self._high_m)
         counts[counts] = ~is_own(base[counts].T, footprint, odom.curvature_radpm, self._mask_m)
-        places = np.column_stack([to_frame(pose_odom, base[:, :2]), base[:, 2], is_moving, range_m])[counts]
-        self._cycles.append((scan.stamp_ns, places))
+        positions = np.column_stack([to_frame(pose_odom, base[:, :2]), base[:, 2], is_moving, range_m])[counts]
+        self._cycles.append((scan.stamp_ns, positions))
         self.hits = confirmed([p for ns, p in self._cycles if scan.stamp_ns - ns <= self._config.memory_s * 1e9],
                               self._config, math.radians(self._radar.azimuth_sigma_deg))  # fmt: skip
 
 
 def confirmed(cycles: list[Float64], config: RadarConfig, sigma_rad: float) -> Float64:
-    """Of cycles (M, 5: x, y, z, moves, range each) the mean places with enough of them, (N, 4): `RadarSource.hits`."""
+    """Mean positions (N, 4: `RadarSource.hits`) detected in enough cycles (M, 5: x, y, z, is moving, range each)."""
     every = np.concatenate([NONE, *cycles])
     if len(every) == 0:
         return np.empty((0, 4))
@@ -76,8 +76,8 @@ def confirmed(cycles: list[Float64], config: RadarConfig, sigma_rad: float) -> F
     return np.column_stack([mean, sigma_rad * every[is_hit, 4] / np.sqrt(np.maximum(count, 1))])
 
 
-def seen_in(scan: RadarScan, radar: Radar, T: Float64, odom: Odometry) -> tuple[Float64, Float64, Float64]:
-    """Usable detections: places (N, 3) in base, speed over ground along the line of sight (N,), cross-section (N,)."""
+def usable_detections(scan: RadarScan, radar: Radar, T: Float64, odom: Odometry) -> tuple[Float64, Float64, Float64]:
+    """Usable detections: positions (N, 3) in base, radial speed over ground (N,), cross-section (N,)."""
     arrays = (scan.range_m, scan.azimuth_rad, scan.elevation_rad, scan.doppler_mps, scan.rcs_dbsm)
     if any(a.shape != (len(scan.range_m),) for a in arrays):
         return np.empty((0, 3)), np.empty(0), np.empty(0)
@@ -93,7 +93,7 @@ def seen_in(scan: RadarScan, radar: Radar, T: Float64, odom: Odometry) -> tuple[
 
 
 def is_same(scan: RadarScan, before: RadarScan | None) -> bool:
-    """Whether a cycle repeats the detections of the one before, to the bit; two empty ones are no repetition."""
+    """Whether a cycle repeats the previous detections bit for bit; an empty cycle does not."""
     if before is None or len(scan.range_m) == 0:
         return False
     return np.array_equal(scan.range_m, before.range_m) and np.array_equal(scan.doppler_mps, before.doppler_mps)

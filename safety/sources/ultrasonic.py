@@ -1,7 +1,7 @@
-"""One ultrasonic sensor as the supervisor sees it: repeated echoes put their arc of the cone in the way.
+"""Ultrasonic source: repeated echoes give an arc of the cone on which an obstacle lies.
 
-An echo says how far, not where on the arc. Single ones are cross-talk; those of several measurements in a row that fit
-the machine's own motion are not. What went into the dead zone stays until the machine has left or the echo comes again.
+An echo gives a range, not the position on the arc. Single echoes are cross-talk; several that fit the machine's own
+motion are an obstacle. An echo that entered the dead zone is held until the machine has left or the echo returns.
 """
 
 import math
@@ -19,12 +19,12 @@ from messages.sensors import UltrasonicRange
 from safety.config import UltrasonicConfig
 
 ARC_POINTS = 7
-NARROW_M = 1.0  # the middle of a wider box may be empty: two sides of a fence, seen as one thing
+NARROW_M = 1.0  # the centre of a wider box may be empty: two sides of a fence in one track
 
 
 @dataclass(frozen=True)
 class Echo:
-    """A measurement and how far the machine had come along the sensor's axis."""
+    """A measurement with the distance the machine had travelled along the sensor's axis."""
 
     stamp_ns: int
     range_m: float
@@ -32,7 +32,7 @@ class Echo:
 
 
 class UltrasonicSource:
-    """Takes measurements of one sensor; `echo_arc_odom_m` (7, 2) is where what it hears may stand, or (0, 2)."""
+    """Processes one sensor; `echo_arc_odom_m`: echo arc in odom (7, 2), (0, 2) without a confirmed echo."""
 
     def __init__(self, name: str, sensor: Ultrasonic, config: UltrasonicConfig) -> None:
         self.name = name
@@ -40,12 +40,12 @@ class UltrasonicSource:
         self.echo_arc_odom_m: Float64 = np.empty((0, 2))
         self._sensor, self._config = sensor, config
         self._T = sensor.mount.T_base_sensor
-        self._reach_m = min(sensor.range_m[1], config.ground_share * ground_m(self._T))
+        self._reach_m = min(sensor.range_m[1], config.ground_share * ground_range_m(self._T))
         self._echoes: deque[Echo] = deque(maxlen=config.window)
-        self._heard: Echo | None = None
+        self._confirmed: Echo | None = None
 
     def update(self, message: UltrasonicRange, pose_odom: Float64, odom: Odometry) -> None:
-        """Take a measurement; `pose_odom` (3,) is base at its stamp."""
+        """Processes a measurement; `pose_odom` (3,) is base at its stamp."""
         before = self._echoes[-1] if self._echoes else None
         travel_m = 0.0
         if before is not None:
@@ -54,10 +54,10 @@ class UltrasonicSource:
         self.stamp_ns = message.stamp_ns
         self._echoes.append(echo)
         if self._is_repeated(echo):
-            self._heard = echo
-            self.echo_arc_odom_m = to_frame(pose_odom, arc_of(echo.range_m, self._sensor, self._T))
-        elif not self._is_kept(echo):
-            self._heard, self.echo_arc_odom_m = None, np.empty((0, 2))
+            self._confirmed = echo
+            self.echo_arc_odom_m = to_frame(pose_odom, cone_arc(echo.range_m, self._sensor, self._T))
+        elif not self._is_held(echo):
+            self._confirmed, self.echo_arc_odom_m = None, np.empty((0, 2))
 
     def _axis_mps(self, odom: Odometry) -> float:
         turn, (x, y) = odom.yaw_rate_radps, self._T[:2, 3]
@@ -65,7 +65,7 @@ class UltrasonicSource:
         return float(self._T[0, 0] * velocity[0] + self._T[1, 0] * velocity[1])
 
     def _is_repeated(self, echo: Echo) -> bool:
-        """Whether enough of the last measurements tell of something in one place, or no faster than a walker."""
+        """Whether enough of the last measurements fit an object at rest or up to walking speed."""
         near_m, _ = self._sensor.range_m
         if not near_m <= echo.range_m <= self._reach_m:
             return False
@@ -76,17 +76,17 @@ class UltrasonicSource:
         ]
         return sum(fits) >= self._config.repeats
 
-    def _is_kept(self, echo: Echo) -> bool:
-        """Whether what was heard last may still be there: just heard, or by now within the dead zone."""
-        if self._heard is None:
+    def _is_held(self, echo: Echo) -> bool:
+        """Whether the last confirmed echo still holds: recent, or by now in the dead zone."""
+        if self._confirmed is None:
             return False
-        age_s = (echo.stamp_ns - self._heard.stamp_ns) * 1e-9
-        left_m = self._heard.range_m + self._heard.travel_m - echo.travel_m
-        is_in_dead_zone = left_m <= self._sensor.range_m[0] + self._config.dead_zone_margin_m
+        age_s = (echo.stamp_ns - self._confirmed.stamp_ns) * 1e-9
+        rest_m = self._confirmed.range_m + self._confirmed.travel_m - echo.travel_m
+        is_in_dead_zone = rest_m <= self._sensor.range_m[0] + self._config.dead_zone_margin_m
         return age_s <= (self._config.dead_zone_hold_s if is_in_dead_zone else self._config.memory_s)
 
 
-def arc_of(range_m: float, sensor: Ultrasonic, T: Float64) -> Float64:
+def cone_arc(range_m: float, sensor: Ultrasonic, T: Float64) -> Float64:
     """Points (7, 2) in base across the cone at a range."""
     half = math.radians(0.5 * sensor.cone_deg)
     angle = np.linspace(-half, half, ARC_POINTS)
@@ -95,10 +95,10 @@ def arc_of(range_m: float, sensor: Ultrasonic, T: Float64) -> Float64:
 
 
 def is_confirmed_by_track(echo_arc_odom_m: Float64, tracks: Tracks | None, near_m: float) -> bool:
-    """Whether an echo from somewhere on an arc (N, 2) is that of a thing which a lidar sees and follows.
+    """Whether an echo on an arc (N, 2) in odom comes from a confirmed lidar track on the arc.
 
-    Where on the arc it stands is then known, and whether it is in the way is for the lidar to say: a fence beside the
-    machine answers from the far end of the cone.
+    The position on the arc is then known, and the lidar channel covers it: a fence beside the machine gives an echo
+    from the far end of the cone.
     """
     x, y = echo_arc_odom_m.mean(axis=0).tolist()
     nominal_range_m = (
@@ -119,11 +119,11 @@ def is_confirmed_by_track(echo_arc_odom_m: Float64, tracks: Tracks | None, near_
 
 
 def is_beyond(track: Track, x_m: float, y_m: float, nominal_range_m: float) -> bool:
-    """Whether the box of a track surely lies farther than a reach from a place in odom, by distance alone."""
+    """Whether the box of a track lies farther than a reach from a position in odom, by distance alone."""
     (x, y), (length, width) = track.p_odom_m[:2].tolist(), track.size_m[:2].tolist()
     return math.hypot(x - x_m, y - y_m) > nominal_range_m + math.hypot(length, width)
 
 
-def ground_m(T: Float64) -> float:
-    """Range at which the axis meets the plane through the wheels; infinite when it does not look down."""
+def ground_range_m(T: Float64) -> float:
+    """Range at which the axis meets the plane through the wheels; infinite when it does not point down."""
     return float(T[2, 3] / -T[2, 0]) if T[2, 0] < -1e-6 else math.inf

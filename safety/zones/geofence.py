@@ -1,4 +1,7 @@
-"""The geofence: where machine and implement may be, by crossing numbers alone (no geometry library in this channel)."""
+"""Geofence: the autonomous operating zone (ISO 18497-3) as polygons in map.
+
+Points are tested by crossing numbers in numpy: the safety channel uses no geometry library.
+"""
 
 import math
 from dataclasses import dataclass
@@ -11,23 +14,23 @@ from configs.site import Bay, Lane, Shed, Site
 from geometry.arrays import Float64
 from safety.zones.footprint import Box, bounding_box
 
-GATE_DEPTH_M = 1.0  # to either side of the line between the posts
+GATE_DEPTH_M = 1.0  # on either side of the line between the posts
 OUTSIDE_M = -1.0
-APRON_M, APRON_ASIDE_M = 4.0, 2.0  # before a bay, and to either side of it: where the machine turns into it
-ROOF_EDGE_M = 0.1  # the apron reaches that far under the roof, to the posts
-BESIDE_TOLERANCE_M = 1e-6  # beside a polygon by more, a point is not in it however its crossings are rounded
-LANE_OVERLAP_M = 1.0  # a lane reaches that far into what lies at its ends, so that no seam is outside
+APRON_M, APRON_ASIDE_M = 4.0, 2.0  # before a bay and beside it: room to turn into it
+ROOF_EDGE_M = 0.1  # overlap of the apron with the roof, up to the posts
+BESIDE_TOLERANCE_M = 1e-6  # a point farther outside a polygon is outside whatever the rounding
+LANE_OVERLAP_M = 1.0  # of a lane with the areas at its ends, so that no seam is outside
 
 
 @dataclass(frozen=True)
 class Geofence:
-    """Polygons in `map`: a point may be in any of `allowed` and in none of `forbidden`; rings need not be closed."""
+    """Polygons (E, 2) in map: permitted is the union of `allowed` less `forbidden`; rings need not be closed."""
 
     allowed: tuple[Float64, ...]
     forbidden: tuple[Float64, ...] = ()
 
     def contains_box(self, box: Box) -> bool:
-        """Whether all of a box in map is surely where the machine may be: in one ring, with no side of it near."""
+        """Whether a box in map surely lies inside: within one allowed ring, with no side near; may miss, never errs."""
         if any(ring.may_intersect(box) for ring in self._forbidden):
             return False
         corner = np.array([[box.x_m[0], box.y_m[0]]])
@@ -42,8 +45,8 @@ class Geofence:
     def _forbidden(self) -> tuple["Ring", ...]:
         return tuple(Ring(corners) for corners in self.forbidden)
 
-    def holds(self, points_map_m: Float64) -> np.ndarray:
-        """Which points (N, 2) are where the machine may be, (N,) bool."""
+    def contains(self, points_map_m: Float64) -> np.ndarray:
+        """Whether each point (N, 2) in map is permitted, (N,) bool."""
         inside = np.zeros(len(points_map_m), bool)
         if len(points_map_m) == 0:
             return inside
@@ -51,10 +54,10 @@ class Geofence:
         for ring in self._allowed:
             if not ring.may_intersect(box):
                 continue
-            left = np.flatnonzero(~inside)  # most points lie in one ring
-            if len(left) == 0:
+            rest = np.flatnonzero(~inside)  # most points lie in one ring
+            if len(rest) == 0:
                 break
-            inside[left] = is_within(points_map_m[left], ring.corners)
+            inside[rest] = is_within(points_map_m[rest], ring.corners)
         for ring in self._forbidden:
             if ring.may_intersect(box):
                 inside &= ~is_within(points_map_m, ring.corners)
@@ -62,7 +65,7 @@ class Geofence:
 
 
 class Ring:
-    """A polygon (E, 2) with the boxes about it and about its sides."""
+    """Polygon (E, 2) with the boxes about it and about its sides."""
 
     def __init__(self, corners: Float64) -> None:
         self.corners = corners
@@ -71,20 +74,20 @@ class Ring:
         self._box = bounding_box(corners)
 
     def may_intersect(self, box: Box) -> bool:
-        """Whether any of a box may lie in the polygon; what is no number may."""
+        """Whether a box may intersect the polygon; True for NaN."""
         own, near = self._box, BESIDE_TOLERANCE_M
         is_beside = box.x_m[1] < own.x_m[0] - near or box.x_m[0] > own.x_m[1] + near
         return not (is_beside or box.y_m[1] < own.y_m[0] - near or box.y_m[0] > own.y_m[1] + near)
 
     def has_side_in(self, box: Box) -> bool:
-        """Whether the box about any side meets a box."""
+        """Whether the box about any side intersects a box."""
         (x_low, y_low), (x_high, y_high) = self._low, self._high
         meets = (x_low <= box.x_m[1]) & (x_high >= box.x_m[0]) & (y_low <= box.y_m[1]) & (y_high >= box.y_m[0])
         return bool(meets.any())
 
 
 def geofence_of(site: Site) -> Geofence:
-    """The field, the yard, the lanes and the bays of a site, less its no-go areas."""
+    """Field, yard, lanes, gates and bays of a site, less its no-go areas."""
     areas = [np.array(site.boundary_m), np.array(site.yard.outline_m)]
     areas += [ring for bay in site.shed.bays for ring in bay_rings(site.shed, bay)] if site.shed is not None else []
     areas += [ring for lane in site.lanes for ring in lane_rings(lane)]
@@ -93,7 +96,7 @@ def geofence_of(site: Site) -> Geofence:
 
 
 def lane_rings(lane: Lane) -> list[Float64]:
-    """A rectangle about each piece of a lane; inner ones overlap by half the width, so that bends are whole."""
+    """Rectangle about each segment of a lane; inner ends overlap by half the width, so that bends have no gap."""
     center, half = np.array(lane.center_m), 0.5 * lane.width_m
     rings = []
     for k, (a, b) in enumerate(pairwise(center)):
@@ -105,7 +108,7 @@ def lane_rings(lane: Lane) -> list[Float64]:
 
 
 def bay_rings(shed: Shed, bay: Bay) -> tuple[Float64, Float64]:
-    """A bay from the back wall to the roof's edge, free width, and the apron before it, wider."""
+    """Bay from the back wall to the roof's edge at its free width, and the wider apron before it."""
     dock, heading = np.array([bay.dock.x_m, bay.dock.y_m]), math.radians(bay.dock.heading_deg)
     ahead = np.array([math.cos(heading), math.sin(heading)])
     roof = np.array(shed.outline_m)
@@ -116,28 +119,28 @@ def bay_rings(shed: Shed, bay: Bay) -> tuple[Float64, Float64]:
 
 
 def distance_across(start: Float64, ahead: Float64, ring: Float64) -> float:
-    """The way from a point inside a polygon (E, 2) to its edge in a direction (unit vector); 0 when it meets none."""
+    """Distance from a point inside a polygon (E, 2) to its edge in a direction (unit vector); 0 when none is met."""
     side = np.roll(ring, -1, axis=0) - ring
     to_corner = ring - start
     across = ahead[0] * side[:, 1] - ahead[1] * side[:, 0]
     slanted = np.abs(across) > 1e-9
-    distance = (to_corner[slanted, 0] * side[slanted, 1] - to_corner[slanted, 1] * side[slanted, 0]) / across[slanted]
+    distances = (to_corner[slanted, 0] * side[slanted, 1] - to_corner[slanted, 1] * side[slanted, 0]) / across[slanted]
     share = (to_corner[slanted, 0] * ahead[1] - to_corner[slanted, 1] * ahead[0]) / across[slanted]
-    met = distance[(distance > 0.0) & (share >= 0.0) & (share <= 1.0)]
+    met = distances[(distances > 0.0) & (share >= 0.0) & (share <= 1.0)]
     return float(met.min(initial=math.inf)) if len(met) else 0.0
 
 
 def band(line: Float64, half_m: float) -> Float64:
-    """A rectangle (4, 2) about the line between two points."""
+    """Rectangle (4, 2) about the line between two points."""
     along = (line[1] - line[0]) / max(math.hypot(*(line[1] - line[0])), 1e-9)
     left = half_m * np.array([-along[1], along[0]])
     return np.array([line[0] + left, line[0] - left, line[1] - left, line[1] + left])
 
 
 def is_within(points: Float64, ring: Float64) -> np.ndarray:
-    """Which points (N, 2) lie in a polygon (E, 2), by an odd number of edges crossed towards +x, (N,) bool."""
+    """Whether each point (N, 2) lies in a polygon (E, 2), (N,) bool: an odd number of edges crossed towards +x."""
     x, y = points.T
-    x0, y0 = ring.T[:, :, None]  # edges by points: there are fewer edges
+    x0, y0 = ring.T[:, :, None]  # edges by points: fewer edges than points
     x1, y1 = np.concatenate([ring[1:], ring[:1]]).T[:, :, None]
     is_spanned = (y0 <= y) != (y1 <= y)
     rise = np.where(y1 == y0, 1.0, y1 - y0)
@@ -150,7 +153,7 @@ def distance_inside_m(geofence: Geofence, points_map_m: Float64, distances_m: Fl
 
     Infinite when all do, -1 when one is outside now.
     """
-    outside = ~geofence.holds(points_map_m)
+    outside = ~geofence.contains(points_map_m)
     if not np.any(outside):
         return math.inf
     first_m = float(distances_m[outside].min())

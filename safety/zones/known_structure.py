@@ -1,8 +1,8 @@
-"""The surveyed shed: what is known to stand in it explains returns, and must itself stay clear of what is swept.
+"""Known structure: the surveyed shed. Returns on its walls and posts are expected; the swept area must not reach them.
 
           roof outline
-┌───────────────────────┐ wall     returns within a tolerance of wall or post are explained;
-│  ·    bay         ·   · posts    the swept bodies, widened by what the pose leaves open,
+┌───────────────────────┐ wall     returns within a tolerance of wall or post are filtered out;
+│  ·    bay         ·   · posts    the swept bodies, enlarged by the pose uncertainty,
 └───────────────────────┘          must not reach the surface of either
 """
 
@@ -19,14 +19,14 @@ from geometry.pose2 import from_frame, to_frame
 from safety.zones.geofence import is_within
 from safety.zones.swept_area import SweptArea, distance_to_contact_m, outline_points
 
-SPACING_M = 0.15  # of the discs that stand for a wall: between two, its surface lies 0.04 m further out
-REACH_M = 15.0  # discs farther from base than this touch no sweep of docking
-OUTLINE_M = 0.5  # spacing of the places whose outline is looked at under the roof
+SPACING_M = 0.15  # of the discs that represent a wall: between two discs its surface lies 0.04 m farther out
+REACH_M = 15.0  # discs farther from base are beyond every swept area in docking
+OUTLINE_M = 0.5  # spacing of the poses whose outline is tested against the roof
 
 
 @dataclass(frozen=True)
 class KnownStructure:
-    """Walls as segments (S, 4: ends) of one thickness, posts (P, 3: x, y, radius) and the roof (R, 2), in map."""
+    """Walls as segments (S, 4: ends) of one thickness, posts (P, 3: x, y, radius) and roof outline (R, 2), in map."""
 
     walls: Float64
     half_thickness_m: float
@@ -35,7 +35,7 @@ class KnownStructure:
 
     def distance_m(self, points_map: Float64) -> Float64:
         """Distance of points (N, 2) from the nearest surface, (N,); below 0 inside wall or post."""
-        x, y = points_map[:, :1], points_map[:, 1:]  # by segments and posts: there are few of these
+        x, y = points_map[:, :1], points_map[:, 1:]  # points by segments or posts, of which there are few
         x0, y0, x1, y1 = self.walls.T
         ahead, aside = x1 - x0, y1 - y0
         share = ((x - x0) * ahead + (y - y0) * aside) / np.maximum(ahead * ahead + aside * aside, 1e-9)
@@ -55,17 +55,17 @@ class KnownStructure:
         edges = replace(self, walls=edges_of(self.roof), half_thickness_m=0.0, posts=self.posts[:0])
         return float(edges.distance_m(point)[0]) <= near_m
 
-    def is_under_roof(self, sweep: SweptArea, pose_map: Float64) -> bool:
-        """Whether any body is under the roof anywhere on the way."""
-        points, _ = outline_points(sweep, OUTLINE_M)
+    def is_under_roof(self, area: SweptArea, pose_map: Float64) -> bool:
+        """Whether any body is under the roof anywhere in the swept area."""
+        points, _ = outline_points(area, OUTLINE_M)
         return bool(is_within(to_frame(pose_map, points), self.roof).any())
 
-    def clear_distance_m(self, sweep: SweptArea, pose_map: Float64, clearance_m: float) -> float:
-        """The way until a body comes within `clearance_m` of wall or post; infinite when none does."""
+    def clear_distance_m(self, area: SweptArea, pose_map: Float64, clearance_m: float) -> float:
+        """Distance until a body comes within `clearance_m` of wall or post; infinite when none does."""
         discs = self._discs
         xy = from_frame(pose_map, discs[:, :2])
         near = np.hypot(*xy.T) <= REACH_M
-        bare = replace(sweep, lateral_m=np.zeros_like(sweep.lateral_m))
+        bare = replace(area, lateral_m=np.zeros_like(area.lateral_m))
         return float(np.min(distance_to_contact_m(xy[near], bare, discs[near, 2] + clearance_m), initial=math.inf))
 
     @cached_property
@@ -80,12 +80,12 @@ class KnownStructure:
 
 
 def structure_of_site(site: Site) -> KnownStructure | None:
-    """The shed of a site; None without one."""
+    """Known structure of a site; None without a shed."""
     return None if site.shed is None else structure_of_shed(site.shed)
 
 
 def structure_of_shed(shed: Shed) -> KnownStructure:
-    """Walls, posts and roof of a shed."""
+    """Known structure of a shed: walls, posts and roof."""
     walls = [(*a, *b) for line in shed.walls_m for a, b in pairwise(line)]
     posts = [(*post.at_m, post.radius_m) for post in shed.posts]
     return KnownStructure(
@@ -97,7 +97,7 @@ def structure_of_shed(shed: Shed) -> KnownStructure:
 
 
 def edges_of(ring: Float64) -> Float64:
-    """The sides of a polygon (R, 2) as segments (R, 4)."""
+    """Sides of a polygon (R, 2) as segments (R, 4)."""
     return np.column_stack([ring, np.roll(ring, -1, axis=0)])
 
 

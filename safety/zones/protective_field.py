@@ -1,8 +1,7 @@
-"""The raw protective field: hits of all lidars in the area that machine and implement will sweep.
+"""Raw protective field (cf. IEC 61496-3): the area that machine and implement will sweep, and the clearance in it.
 
-Two sweeps: the planned path over the whole range needed, and the arc of the steering as it is measured over the
-stopping distance alone (what is swept should the steering stay as it is). Without a plan at this place the arc takes
-the plan's part.
+Two swept areas: the planned path over the required range, and the arc of the measured steering over the stopping
+distance (the area swept if the steering stays as it is). Without a plan at this position the arc replaces the plan.
 """
 
 import math
@@ -24,7 +23,7 @@ NOTHING = np.empty((0, 3))
 
 @dataclass(frozen=True)
 class SweptField:
-    """Where the machine will go: the sweep of the plan (or of the arc in its place), and of the arc beside a plan."""
+    """Swept area of the plan (`main`; of the arc without a plan), and of the arc beside a plan."""
 
     main: SweptArea
     arc: SweptArea | None
@@ -33,7 +32,7 @@ class SweptField:
 
 @dataclass(frozen=True)
 class Clearance:
-    """Free distance on the main sweep and on the arc; `triggering_points_base_m` (N, 3) caused them."""
+    """Free distance in the main swept area and on the arc, with the points (N, 3) in base that are touched."""
 
     main_m: float
     arc_m: float
@@ -45,14 +44,14 @@ FREE = Clearance(math.inf, math.inf, NOTHING)
 
 @dataclass(frozen=True)
 class PathPosition:
-    """A path and the place on it where the machine should be."""
+    """A path and the reference position on it."""
 
     path: Path
     s_m: float
 
 
 def position_on_path(path: Path | None, control_command: ControlCommand | None) -> PathPosition | None:
-    """The place that control says it is at; the start of a path that control has not taken up yet."""
+    """Position of the control command on its path; start of the path when control does not follow it yet."""
     if path is None or len(path.s_m) < 2:
         return None
     is_followed = (
@@ -66,7 +65,7 @@ def position_on_path(path: Path | None, control_command: ControlCommand | None) 
 
 
 def section_type_at(position: PathPosition) -> PathSectionType:
-    """What the stretch of path at a place is for."""
+    """Type of the path section at a position."""
     path = position.path
     index = min(int(np.searchsorted(path.s_m, position.s_m)), len(path.s_m) - 1)
     section_type: PathSectionType = path.sections[int(path.section_index[index])].section_type
@@ -74,7 +73,7 @@ def section_type_at(position: PathPosition) -> PathSectionType:
 
 
 def is_at(position: PathPosition, pose_map: Float64, config: FieldConfig) -> bool:
-    """Whether the pose lies within 1 m and 20° (as configured) of the place."""
+    """Whether the pose lies within the configured deviation (distance and heading) of the position."""
     path, s = position.path, position.s_m
     x, y = np.interp(s, path.s_m, path.p_map_m[:, 0]), np.interp(s, path.s_m, path.p_map_m[:, 1])
     index = min(int(np.searchsorted(path.s_m, s)), len(path.s_m) - 1)
@@ -84,7 +83,7 @@ def is_at(position: PathPosition, pose_map: Float64, config: FieldConfig) -> boo
 
 
 def look_ahead_m(speed_mps: float, braking: Braking, config: FieldConfig, allowance_m: float) -> float:
-    """How far the field reaches: what is needed at a little more than the present speed, and never less than some."""
+    """Length of the field: range required at 0.5 m/s above the present speed, with a minimum."""
     needed = required_range(speed_mps + 0.5, braking, allowance_m)
     return max(config.min_length_m, min(needed, 100.0) + 1.0)
 
@@ -99,13 +98,13 @@ def sweep_field(
     footprint: Footprint,
     config: FieldConfig,
 ) -> SweptField:
-    """The sweeps from here on; `pose_map` (3,) or None when it is not known."""
+    """Swept areas from the present pose; `pose_map` (3,), None: unknown."""
     arc_s = spaced(arc_length_m, 0.25 * config.step_m)
     arc = arc_poses(curvature_radpm, direction, arc_s)
     if position is not None and pose_map is not None and is_at(position, pose_map, config):
         lead_m = max(footprint.leads_m(direction))
-        left_m = max(config.step_m, min(length_m + lead_m, float(position.path.s_m[-1]) - position.s_m))
-        s = spaced(left_m, config.step_m)
+        rest_m = max(config.step_m, min(length_m + lead_m, float(position.path.s_m[-1]) - position.s_m))
+        s = spaced(rest_m, config.step_m)
         poses = path_poses(position.path, position.s_m, pose_map, s, config.blend_m)
         main = sweep_along(footprint, direction, s, poses, curvature_radpm, config, is_from_foremost=True)
         return SweptField(main, sweep_along(footprint, direction, arc_s, arc, curvature_radpm, config, False), True)
@@ -115,12 +114,12 @@ def sweep_field(
 
 
 def arc_length_m(speed_mps: float, braking: Braking, config: FieldConfig) -> float:
-    """How far the arc beside a plan is swept: the stopping distance and its own margin."""
+    """Length of the arc beside a plan: stopping distance and margin of the arc."""
     return min(stopping_distance(speed_mps, braking), 60.0) + config.arc_margin_m + 0.5
 
 
 def box_of(swept_field: SweptField, slack_m: float) -> Box:
-    """The area of base that holds all sweeps, with some slack for motion and neighbouring ground."""
+    """Box of base about all swept areas, enlarged by `slack_m`."""
     main = swept_field.main.box
     arc = main if swept_field.arc is None else swept_field.arc.box
     return Box(
@@ -132,7 +131,7 @@ def box_of(swept_field: SweptField, slack_m: float) -> Box:
 def clearance_to(
     swept_field: SweptField, hits_odom_m: Float64, pose_odom: Float64, aside_m: Float64 | float = 0.0
 ) -> Clearance:
-    """The gaps to hits (N, 3) in odom, seen from base at `pose_odom` (3,); `aside_m` as in `distance_to_contact_m`."""
+    """Clearance to hits (N, 3) in odom for base at `pose_odom` (3,); `aside_m` as in `distance_to_contact_m`."""
     if len(hits_odom_m) == 0:
         return FREE
     xy = from_frame(pose_odom, hits_odom_m[:, :2])

@@ -191,8 +191,8 @@ def test_point_in_polygon() -> None:
     assert is_within(np.array([[0.0, 0.0], [6.0, 0.0]]), diamond).tolist() == [True, False]  # at the height of corners
     for y in around(3.0, 0.01):
         assert is_within(np.array([[4.0, y]]), np.array([(0.0, 0.0), (10.0, 0.0), (0.0, 5.0)]))[0] == (y < 3.0), y
-    assert Geofence((L_SHAPE,)).holds(np.array([[1.0, 1.0]])).tolist() == [True]
-    assert Geofence((L_SHAPE,)).holds(np.empty((0, 2))).tolist() == []
+    assert Geofence((L_SHAPE,)).contains(np.array([[1.0, 1.0]])).tolist() == [True]
+    assert Geofence((L_SHAPE,)).contains(np.empty((0, 2))).tolist() == []
 
 
 def test_a_ring_may_be_left_out_a_millionth_of_a_metre_beside_it() -> None:
@@ -225,9 +225,9 @@ def test_fence_of_a_site(site: Site) -> None:
     geofence = geofence_of(site)
     inside = [(5, 5), (-45, -20), (-29.9, -20), (-30.0, -20), (10, -1), (10, 0), (10, 0.9), (13, -22)]
     outside = [(22, 21), (-10, -10), (51, 10), (10, -25), (15, -23), (-61, -10), (-70, -30)]
-    assert geofence.holds(np.array(inside, float)).all()
-    assert not geofence.holds(np.array(outside, float)).any()
-    assert not geofence_of(site.model_copy(update={"shed": None})).holds(np.array([[-70.0, -30.0]])).any()
+    assert geofence.contains(np.array(inside, float)).all()
+    assert not geofence.contains(np.array(outside, float)).any()
+    assert not geofence_of(site.model_copy(update={"shed": None})).contains(np.array([[-70.0, -30.0]])).any()
 
 
 def corners_of(box: Box) -> tuple[float, ...]:
@@ -377,7 +377,7 @@ def test_box_that_the_fence_holds() -> None:
         for y in np.arange(-2.0, 12.0, 0.41):
             corners = np.array([[x, y], [x + 0.5, y], [x, y + 0.9], [x + 0.5, y + 0.9]])
             if geofence.contains_box(Box((x, x + 0.5), (y, y + 0.9))):
-                assert geofence.holds(corners).all(), (x, y)
+                assert geofence.contains(corners).all(), (x, y)
     assert geofence.contains_box(Box((2.1, 2.6), (2.1, 3.0)))
     assert not geofence.contains_box(Box((1.4, 1.6), (1.4, 1.6)))  # all of it in what is forbidden
     assert not geofence.contains_box(Box((1.9, 2.6), (1.4, 1.6)))

@@ -109,7 +109,7 @@ def make(
         around = (what.get("geofence"), what.get("known_structure", known_structure), config)
         collision_monitor: Any = CollisionMonitor(footprints, full.sensors, *around, *what.get("arc", ()))
         collision_monitor.sources = SimpleNamespace(
-            update=Spy(False), fresh=Spy([]), set_footprint=Spy(None), scan=Spy(None),
+            update=Spy(False), with_new_scan=Spy([]), set_footprint=Spy(None), update_lidars=Spy(None),
             clearance=Spy(Clearance(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
         )  # fmt: skip
         return collision_monitor
@@ -174,9 +174,9 @@ def test_it_looks_when_something_came(make: Any, config: SafetyConfig) -> None:
     collision_monitor.sources.update.answer = True
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1)))
     collision_monitor.sources.update.answer = False
-    collision_monitor.sources.fresh.answer = [object()]
+    collision_monitor.sources.with_new_scan.answer = [object()]
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1)))
-    collision_monitor.sources.fresh.answer = []
+    collision_monitor.sources.with_new_scan.answer = []
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1)))
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1), fold=1.0))
     count(replace(SEEN, map_pose=pose(stamp_ns=START_NS + 1), fold=1.0))
@@ -185,12 +185,12 @@ def test_it_looks_when_something_came(make: Any, config: SafetyConfig) -> None:
 
 def test_what_came_is_heard_and_scanned(make: Any, config: SafetyConfig) -> None:
     collision_monitor, lidars = make(), [object()]
-    collision_monitor.sources.fresh.answer = lidars
+    collision_monitor.sources.with_new_scan.answer = lidars
     look(collision_monitor, config)
     assert collision_monitor.sources.update.asked == (NOTHING, collision_monitor.pose_history, SEEN.odom)
-    assert collision_monitor.sources.fresh.asked == (NOTHING,)
+    assert collision_monitor.sources.with_new_scan.asked == (NOTHING,)
     assert collision_monitor.pose_history.pose_at(START_NS) == pytest.approx(POSE_ODOM)
-    came, fresh, pose_history, odom, box, is_new_field = collision_monitor.sources.scan.asked
+    came, fresh, pose_history, odom, box, is_new_field = collision_monitor.sources.update_lidars.asked
     assert (came, fresh, pose_history, odom, is_new_field) == (
         NOTHING,
         lidars,
@@ -203,13 +203,13 @@ def test_what_came_is_heard_and_scanned(make: Any, config: SafetyConfig) -> None
 
 def test_another_way_is_another_path_direction_plan_or_outline(make: Any, config: SafetyConfig, parts: Any) -> None:
     collision_monitor = make()
-    collision_monitor.sources.fresh.answer = [object()]
+    collision_monitor.sources.with_new_scan.answer = [object()]
     others = []
 
     def step(path: Any, direction: int, is_planned: bool, fold: float) -> None:
         parts.sweep_field.answer = SweptField(sweep(direction), None, is_planned)
         look(collision_monitor, config, replace(SEEN, path=path, fold=fold))
-        others.append(collision_monitor.sources.scan.asked[-1])
+        others.append(collision_monitor.sources.update_lidars.asked[-1])
 
     steps: list[tuple[Any, int, bool, float]] = [
         (straight_path(7), 1, True, 0.0), (straight_path(8), 1, True, 0.0), (straight_path(8), -1, True, 0.0),
@@ -230,7 +230,7 @@ def test_the_first_way_is_another(make: Any, config: SafetyConfig, parts: Any) -
     for direction in (1, -1):
         collision_monitor, parts.sweep_field.answer = make(), SweptField(sweep(direction), None, False)
         look(collision_monitor, config, replace(SEEN, path=None))
-        assert collision_monitor.sources.scan.asked[-1]
+        assert collision_monitor.sources.update_lidars.asked[-1]
 
 
 def test_the_outline_at_a_fold_is_worn(make: Any, config: SafetyConfig, parts: Any, footprints: FootprintSet) -> None:

@@ -13,13 +13,13 @@ from safety.sources.detection_range import (
     TURN_RAD,
     covers,
     down_beams,
-    edges,
     expected_density,
     limit_by_health,
     min_range_towards,
     nominal_range_m,
-    range_by_share,
+    range_by_ratio,
     return_ratios,
+    sector_edges,
 )
 from safety.zones.footprint import Footprint, footprint_of
 from tests.safety.safety_world import START_NS, around
@@ -124,23 +124,23 @@ def test_shares_of_what_is_expected_by_sector() -> None:
 
 def test_range_by_share_in_proportion(config: SafetyConfig) -> None:
     share = np.array([0.1, 0.2, 0.4, 0.6, 0.9])
-    assert range_by_share(share, 40.0, config.detection_range) == pytest.approx([0.0, 0.0, 20.0, 40.0, 40.0])
+    assert range_by_ratio(share, 40.0, config.detection_range) == pytest.approx([0.0, 0.0, 20.0, 40.0, 40.0])
 
 
 def test_edges_go_all_around() -> None:
-    assert edges(4) == pytest.approx([-math.pi, -math.pi / 2, 0.0, math.pi / 2, math.pi])
+    assert sector_edges(4) == pytest.approx([-math.pi, -math.pi / 2, 0.0, math.pi / 2, math.pi])
 
 
 def test_the_least_of_all_sectors_in_the_cone_counts() -> None:
-    box_points = np.array([-0.3, -0.1, 0.1, 0.3])
+    edges_rad = np.array([-0.3, -0.1, 0.1, 0.3])
     for ranges, least in (((5.0, 9.0, 3.0), 3.0), ((5.0, 5.0, 6.0), 5.0), ((9.0, 5.0, 7.0), 5.0)):
-        assert min_range_towards(box_points, np.array(ranges), 1, 0.5) == least
-        assert min_range_towards(box_points + math.pi, np.array(ranges), -1, 0.5) == least
-        assert min_range_towards(box_points - math.pi, np.array(ranges), -1, 0.5) == least
-        assert min_range_towards(box_points + TURN_RAD, np.array(ranges), 1, 0.5) == least
-        assert min_range_towards(box_points, np.array(ranges), -1, 0.5) == 0.0
-    assert math.isnan(min_range_towards(box_points, np.array([5.0, math.nan, 6.0]), 1, 0.5))
-    assert min_range_towards(box_points, np.array([5.0, 6.0, math.nan]), 1, 0.05) == 6.0
+        assert min_range_towards(edges_rad, np.array(ranges), 1, 0.5) == least
+        assert min_range_towards(edges_rad + math.pi, np.array(ranges), -1, 0.5) == least
+        assert min_range_towards(edges_rad - math.pi, np.array(ranges), -1, 0.5) == least
+        assert min_range_towards(edges_rad + TURN_RAD, np.array(ranges), 1, 0.5) == least
+        assert min_range_towards(edges_rad, np.array(ranges), -1, 0.5) == 0.0
+    assert math.isnan(min_range_towards(edges_rad, np.array([5.0, math.nan, 6.0]), 1, 0.5))
+    assert min_range_towards(edges_rad, np.array([5.0, 6.0, math.nan]), 1, 0.05) == 6.0
 
 
 def test_a_sector_that_only_touches_the_cone_does_not_count() -> None:
@@ -157,8 +157,8 @@ def test_edges_that_do_not_fit_their_ranges_are_refused() -> None:
 
 @pytest.mark.parametrize(("said_m", "left_m"), [(10.0, 10.0), (50.0, 30.0), (0.0, 0.0), (math.inf, 30.0)])
 def test_a_health_of_one_sector_shrinks_to_what_it_says(said_m: float, left_m: float) -> None:
-    box_points = np.array([-math.pi, math.pi])
-    health = SensorHealth(START_NS, "front", HealthState.GOOD, "", box_points, np.array([said_m]), 0)
+    edges_rad = np.array([-math.pi, math.pi])
+    health = SensorHealth(START_NS, "front", HealthState.GOOD, "", edges_rad, np.array([said_m]), 0)
     for direction in (1, -1):
         assert limit_by_health(30.0, health, direction, 0.5) == left_m
     away = SensorHealth(START_NS, "front", HealthState.GOOD, "", np.array([-0.5, 0.5]), np.array([said_m]), 0)

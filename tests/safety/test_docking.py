@@ -20,7 +20,7 @@ from safety.supervisor import Supervisor
 from safety.zones.geofence import bay_rings, distance_across, geofence_of, is_within
 from safety.zones.known_structure import KnownStructure, structure_of_site
 from safety.zones.swept_area import arc_poses, spaced, sweep_along
-from safety.zones.tracked_obstacles import without_walls
+from safety.zones.tracked_obstacles import without_known_structure
 from tests.safety.safety_world import ROOT, Box, Target, World, around, situation_of, straight_path
 
 REAR_M = 2.4
@@ -238,7 +238,7 @@ def test_tracks_of_what_is_surveyed_are_left_out() -> None:
         return Track(id, ObstacleClass.PERSON, 0.9, place, np.zeros(3), np.eye(4), size, 0.0, 0, 1, True, ())
 
     tracks = [track(1, 1.0, 0.5), track(2, 9.0, 0.5), track(3, 1.0, 5.0), track(4, 1.0, math.nan)]
-    left = without_walls(tracks, lambda points: points[:, 0] > 5.0, 2.0)
+    left = without_known_structure(tracks, lambda points: points[:, 0] > 5.0, 2.0)
     assert [t.id for t in left] == [1, 4]
 
 
@@ -258,21 +258,21 @@ def test_near_the_shed(known_structure: KnownStructure) -> None:
 def test_clear_way_to_the_wall(known_structure: KnownStructure, config: SafetyConfig, shed_world: World) -> None:
     footprint = shed_world.supervisor._footprints.transport
     s = spaced(6.0, 0.2)
-    sweep = sweep_along(footprint, -1, s, arc_poses(0.0, -1, s), 0.0, config.docked.field, True)
+    area = sweep_along(footprint, -1, s, arc_poses(0.0, -1, s), 0.0, config.docked.field, True)
     pose = np.array([-3.0, -39.84, 0.0])
     for clearance in (0.0, 0.1, 0.3):
-        assert known_structure.clear_distance_m(sweep, pose, clearance) == pytest.approx(
+        assert known_structure.clear_distance_m(area, pose, clearance) == pytest.approx(
             -3.0 - REAR_M + 9.0 - 0.075 - clearance, abs=0.03
         )
-    assert math.isinf(known_structure.clear_distance_m(sweep, np.array([30.0, -39.84, 0.0]), 0.1))
+    assert math.isinf(known_structure.clear_distance_m(area, np.array([30.0, -39.84, 0.0]), 0.1))
 
 
 def test_fence_in_the_shed_is_the_bays_alone(site: Site) -> None:
     geofence = geofence_of(site)
     inside = [(-8.8, -43.68), (-5.0, -42.2), (0.9, -43.68), (1.5, -41.0), (1.5, -46.5), (-5.0, -38.0)]
     outside = [(-9.0, -43.68), (-5.0, -41.96), (-5.0, -36.0), (-5.0, -45.5), (0.8, -45.4)]
-    assert geofence.holds(np.array(inside)).all()
-    assert not geofence.holds(np.array(outside)).any()
+    assert geofence.contains(np.array(inside)).all()
+    assert not geofence.contains(np.array(outside)).any()
     assert site.shed is not None
     bay, _ = bay_rings(site.shed, site.shed.bay("narrow"))
     assert is_within(np.array([(-5.9, -43.68)]), bay)[0]

@@ -14,12 +14,12 @@ from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
     covers,
-    edges,
     expected_density,
     limit_by_health,
     min_range_towards,
     nominal_range_m,
-    range_by_share,
+    range_by_ratio,
+    sector_edges,
 )
 from safety.sources.ground_filter import Motion, bound_ground, crop, deskew, mark_obstacles, to_base
 from safety.sources.lidar import LidarSource, is_same
@@ -303,9 +303,9 @@ def test_expected_returns(vehicle: Vehicle, config: SafetyConfig) -> None:
     assert density == pytest.approx(10 * 1024 / (2 * math.pi))
 
 
-def health(ranges: list[float], box_points: list[float] | None = None) -> SensorHealth:
-    box_points = [-math.pi, 0.0, math.pi] if box_points is None else box_points
-    return SensorHealth(START_NS, "front", HealthState.GOOD, "", np.array(box_points), np.array(ranges), 0)
+def health(ranges: list[float], edges_rad: list[float] | None = None) -> SensorHealth:
+    edges_rad = [-math.pi, 0.0, math.pi] if edges_rad is None else edges_rad
+    return SensorHealth(START_NS, "front", HealthState.GOOD, "", np.array(edges_rad), np.array(ranges), 0)
 
 
 def test_health_only_shrinks() -> None:
@@ -319,18 +319,18 @@ def test_health_only_shrinks() -> None:
 
 
 def test_sectors_of_a_direction() -> None:
-    box_points = edges(12)
+    edges_rad = sector_edges(12)
     ranges = np.arange(12.0)
     half = math.radians(30.0)
-    assert min_range_towards(box_points, ranges, 1, half) == 5.0
-    assert min_range_towards(box_points, ranges, -1, half) == 0.0
-    assert min_range_towards(box_points, ranges[::-1].copy(), -1, half) == 0.0
+    assert min_range_towards(edges_rad, ranges, 1, half) == 5.0
+    assert min_range_towards(edges_rad, ranges, -1, half) == 0.0
+    assert min_range_towards(edges_rad, ranges[::-1].copy(), -1, half) == 0.0
     assert min_range_towards(np.array([1.0, 2.0]), np.array([9.0]), -1, half) == 0.0
 
 
 def test_range_by_share_at_its_ends(config: SafetyConfig) -> None:
     for share in around(config.detection_range.blind_ratio, 0.01):
-        assert (range_by_share(np.array([share]), 40.0, config.detection_range)[0] > 0.0) == (share > 0.2), share
+        assert (range_by_ratio(np.array([share]), 40.0, config.detection_range)[0] > 0.0) == (share > 0.2), share
     for share in around(config.detection_range.good_ratio, 0.01):
-        full = range_by_share(np.array([share]), 40.0, config.detection_range)[0] >= 40.0
+        full = range_by_ratio(np.array([share]), 40.0, config.detection_range)[0] >= 40.0
         assert full == (share >= 0.6), share

@@ -167,12 +167,12 @@ def test_a_frozen_radar_and_a_blind_sector_are_lost(inputs: SupervisorInputs, co
     inbox, _ = all_well(inputs)
     assert sensor_failures(inputs, inbox, frozen=("front",)) == ["radar/front.frozen"]
     half_rad = math.radians(config.detection_range.half_cone_deg)
-    for box_points, is_coasting in ((half_rad - 0.01, True), (half_rad + 0.01, False)):
-        edges, ranges = np.array([-math.pi, box_points, 3.0]), np.array([30.0, 0.0])
+    for edges_rad, is_coasting in ((half_rad - 0.01, True), (half_rad + 0.01, False)):
+        edges, ranges = np.array([-math.pi, edges_rad, 3.0]), np.array([30.0, 0.0])
         inbox.messages["health/radar_front"] = replace(
             healthy(NOW_NS, ""), sector_edges_rad=edges, detection_range_m=ranges
         )
-        assert (sensor_failures(inputs, inbox) == ["radar/front.blind"]) == is_coasting, box_points
+        assert (sensor_failures(inputs, inbox) == ["radar/front.blind"]) == is_coasting, edges_rad
     inbox.messages["health/radar_front"] = healthy(NOW_NS, "", HealthState.BLIND)
     assert sensor_failures(inputs, inbox) == ["radar/front.blind"]
 

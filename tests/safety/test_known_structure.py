@@ -53,31 +53,31 @@ def test_near_is_under_the_roof_or_within_a_distance_of_its_edge() -> None:
 
 
 @pytest.fixture
-def sweep(vehicle: Vehicle, implement, config: SafetyConfig) -> SweptArea:
+def area(vehicle: Vehicle, implement, config: SafetyConfig) -> SweptArea:
     s = spaced(8.0, 0.4)
     return sweep_along(footprint_of(vehicle, implement), 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
 
 
-def test_a_body_is_under_the_roof_from_its_edge_on(sweep: SweptArea) -> None:
+def test_a_body_is_under_the_roof_from_its_edge_on(area: SweptArea) -> None:
     for until_m, way_m in ((0.0, 0.0), (3.0, 2.8)):
         for edge in around(3.5 + way_m, 0.01):
             pose = np.array([16.0, -5.0 - edge - 1e-6, math.pi / 2])
-            assert SURVEY.is_under_roof(sweep.up_to(until_m), pose) == (edge < 3.5 + way_m - 1e-9), (until_m, edge)
+            assert SURVEY.is_under_roof(area.up_to(until_m), pose) == (edge < 3.5 + way_m - 1e-9), (until_m, edge)
 
 
-def test_the_clear_way_ends_the_clearance_before_wall_or_post(sweep: SweptArea) -> None:
+def test_the_clear_way_ends_the_clearance_before_wall_or_post(area: SweptArea) -> None:
     for clearance in (0.0, 0.5):
-        head_on = SURVEY.clear_distance_m(sweep, np.array([2.0, 0.0, 0.0]), clearance)
+        head_on = SURVEY.clear_distance_m(area, np.array([2.0, 0.0, 0.0]), clearance)
         assert head_on == pytest.approx(10.0 - 0.1 - 5.5 - clearance, abs=0.03)
-        post = SURVEY.clear_distance_m(sweep, np.array([0.0, 0.0, math.pi / 2]), clearance)
+        post = SURVEY.clear_distance_m(area, np.array([0.0, 0.0, math.pi / 2]), clearance)
         assert post == pytest.approx(8.0 - 0.3 - 3.5 - clearance, abs=0.03)
-    assert SURVEY.clear_distance_m(sweep, np.array([2.0, 0.0, math.pi]), 0.0) == math.inf
-    assert SURVEY.clear_distance_m(sweep, np.array([80.0, 0.0, 0.0]), 0.0) == math.inf
+    assert SURVEY.clear_distance_m(area, np.array([2.0, 0.0, math.pi]), 0.0) == math.inf
+    assert SURVEY.clear_distance_m(area, np.array([80.0, 0.0, 0.0]), 0.0) == math.inf
 
 
-def test_a_clear_way_is_free_of_the_fields_own_margin_beside(sweep: SweptArea) -> None:
+def test_a_clear_way_is_free_of_the_fields_own_margin_beside(area: SweptArea) -> None:
     for y in around(8.0 - 0.3 - 3.05 - 0.2, 0.01):
-        way = SURVEY.clear_distance_m(sweep, np.array([-6.0, y, 0.0]), 0.2)
+        way = SURVEY.clear_distance_m(area, np.array([-6.0, y, 0.0]), 0.2)
         assert math.isfinite(way) == (y >= 8.0 - 0.3 - 3.05 - 0.2 - 1e-9), y
 
 

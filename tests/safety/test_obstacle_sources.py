@@ -244,10 +244,10 @@ def test_what_is_heard_lies_where_the_machine_was(sources: ObstacleSources, pose
 def test_fresh_are_those_with_a_newer_scan(sources: ObstacleSources) -> None:
     front, rear = sources.lidars
     scans = {"front": scan(), "rear": None}
-    assert sources.fresh(came(scans=scans)) == [front]
+    assert sources.with_new_scan(came(scans=scans)) == [front]
     front.stamp_ns, rear.stamp_ns = START_NS, START_NS - 1
-    assert sources.fresh(came(scans=scans)) == []
-    assert sources.fresh(came(scans={"front": scan(), "rear": scan()})) == [rear]
+    assert sources.with_new_scan(came(scans=scans)) == []
+    assert sources.with_new_scan(came(scans={"front": scan(), "rear": scan()})) == [rear]
 
 
 def test_for_another_way_the_last_scan_is_taken_again(sources: ObstacleSources) -> None:
@@ -262,11 +262,13 @@ def test_for_another_way_the_last_scan_is_taken_again(sources: ObstacleSources) 
     rest = (Motion(3.0, 0.2), 0.1, AREA)
     for is_new_field, expected in ((False, []), (True, [("rear", last, 6, *rest)])):
         taken.clear()
-        sources.scan(came(scans={"front": fresh, "rear": None}), [front], where, odometry(), AREA, is_new_field)
+        sources.update_lidars(
+            came(scans={"front": fresh, "rear": None}), [front], where, odometry(), AREA, is_new_field
+        )
         assert taken == [("front", fresh, 7, *rest), *expected]
     rear.scan = None
     taken.clear()
-    sources.scan(came(scans={"front": None, "rear": None}), [], where, odometry(), AREA, True)
+    sources.update_lidars(came(scans={"front": None, "rear": None}), [], where, odometry(), AREA, True)
     assert taken == []
 
 

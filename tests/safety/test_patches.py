@@ -17,7 +17,7 @@ AREA = Box((-4.0, 20.0), (-7.0, 5.0))
 def test_a_box_holds_its_edges_and_what_is_no_number() -> None:
     inside = [(-4.0, 0.0), (20.0, 0.0), (0.0, -7.0), (0.0, 5.0), (math.nan, 0.0), (0.0, math.nan)]
     outside = [(-4.01, 0.0), (20.01, 0.0), (0.0, -7.01), (0.0, 5.01), (math.nan, 6.0)]
-    assert AREA.holds(np.array(inside + outside)).tolist() == [True] * 6 + [False] * 5
+    assert AREA.contains(np.array(inside + outside)).tolist() == [True] * 6 + [False] * 5
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 1.8, -2.5, 3.0])

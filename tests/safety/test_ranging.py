@@ -13,8 +13,8 @@ from messages.motion import Odometry
 from messages.perception import ObstacleClass, Track, Tracks
 from messages.sensors import RadarScan, UltrasonicRange
 from safety.config import SafetyConfig
-from safety.sources.radar import RadarSource, confirmed, is_same, seen_in
-from safety.sources.ultrasonic import UltrasonicSource, arc_of, ground_m, is_beyond, is_confirmed_by_track
+from safety.sources.radar import RadarSource, confirmed, is_same, usable_detections
+from safety.sources.ultrasonic import UltrasonicSource, cone_arc, ground_range_m, is_beyond, is_confirmed_by_track
 from safety.zones.footprint import Footprint, footprint_of
 from tests.safety.safety_world import START_NS
 
@@ -39,7 +39,7 @@ def listen(
     return source
 
 
-def is_heard(config: SafetyConfig, ranges: list[float], *args: Any, **how: Any) -> bool:
+def is_confirmed(config: SafetyConfig, ranges: list[float], *args: Any, **how: Any) -> bool:
     return len(listen(config, ranges, *args, **how).echo_arc_odom_m) > 0
 
 
@@ -51,28 +51,28 @@ def test_an_ear_begins_with_nothing(config: SafetyConfig) -> None:
 
 def test_echoes_count_from_the_dead_zone_to_the_reach(config: SafetyConfig) -> None:
     for range_m, counts in ((0.249, False), (0.25, True), (4.5, True), (4.501, False)):
-        assert is_heard(config, [range_m] * 3) == counts, range_m
+        assert is_confirmed(config, [range_m] * 3) == counts, range_m
     ground = 0.9 * 0.7 / math.sin(math.radians(20.0))
     for further, counts in ((-0.001, True), (0.001, False)):
-        assert is_heard(config, [ground + further] * 3, sensor=turned(pitch_deg=20.0)) == counts, further
+        assert is_confirmed(config, [ground + further] * 3, sensor=turned(pitch_deg=20.0)) == counts, further
 
 
 def test_an_echo_fits_what_is_no_faster_than_a_walker(config: SafetyConfig) -> None:
     most = config.ultrasonic.gate_m + 0.1 * config.ultrasonic.max_object_speed_mps
     for side in (1, -1):
         for further, fits in ((-1e-6, True), (1e-6, False)):
-            assert is_heard(config, [2.0, 2.0, 2.0 + side * (most + further)]) == fits, (side, further)
+            assert is_confirmed(config, [2.0, 2.0, 2.0 + side * (most + further)]) == fits, (side, further)
 
 
 def test_the_machines_own_way_is_taken_off(config: SafetyConfig) -> None:
-    assert is_heard(config, [4.0, 3.5, 3.0], 5.0)
-    assert not is_heard(config, [4.0, 4.0, 4.0], 5.0)
-    assert is_heard(config, [4.0, 3.0, 2.6], [0.0, 10.0, 4.0])  # each way by the speed at its end
+    assert is_confirmed(config, [4.0, 3.5, 3.0], 5.0)
+    assert not is_confirmed(config, [4.0, 4.0, 4.0], 5.0)
+    assert is_confirmed(config, [4.0, 3.0, 2.6], [0.0, 10.0, 4.0])  # each way by the speed at its end
 
 
 def test_the_window_holds_five_measurements(config: SafetyConfig) -> None:
-    assert is_heard(config, [2.0, 2.0, NONE, NONE, 2.0])
-    assert not is_heard(config, [2.0, 2.0, NONE, NONE, NONE, 2.0])
+    assert is_confirmed(config, [2.0, 2.0, NONE, NONE, 2.0])
+    assert not is_confirmed(config, [2.0, 2.0, NONE, NONE, NONE, 2.0])
 
 
 def test_what_was_heard_is_kept_for_a_moment_and_in_the_dead_zone_for_long(config: SafetyConfig) -> None:
@@ -89,10 +89,10 @@ def test_what_was_heard_is_kept_for_a_moment_and_in_the_dead_zone_for_long(confi
 
 def test_what_the_machine_came_to_or_left_is_kept_by_where_it_is_now(config: SafetyConfig) -> None:
     near = [1.0, 1.0, 1.0]
-    assert is_heard(config, [*near, *[NONE] * 6], [0.0] * 3 + [2.0] * 6)
-    assert not is_heard(config, [*near, *[NONE] * 6], [0.0] * 3 + [0.9] * 6)
-    assert not is_heard(config, [4.0, 3.5, 3.0, *[NONE] * 6], [5.0] * 3 + [4.0] * 6)
-    assert not is_heard(config, [0.3] * 3 + [NONE] * 6, [0.0] * 3 + [-1.0] * 6)
+    assert is_confirmed(config, [*near, *[NONE] * 6], [0.0] * 3 + [2.0] * 6)
+    assert not is_confirmed(config, [*near, *[NONE] * 6], [0.0] * 3 + [0.9] * 6)
+    assert not is_confirmed(config, [4.0, 3.5, 3.0, *[NONE] * 6], [5.0] * 3 + [4.0] * 6)
+    assert not is_confirmed(config, [0.3] * 3 + [NONE] * 6, [0.0] * 3 + [-1.0] * 6)
 
 
 def test_speed_along_the_axis(config: SafetyConfig) -> None:
@@ -106,23 +106,23 @@ def test_the_arc_lies_across_the_cone() -> None:
     sensor = turned(yaw_deg=90.0)
     angle = np.radians([-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0])
     expected = np.column_stack([3.5 - 2.0 * np.sin(angle), 0.6 + 2.0 * np.cos(angle)])
-    assert arc_of(2.0, sensor, sensor.mount.T_base_sensor) == pytest.approx(expected)
+    assert cone_arc(2.0, sensor, sensor.mount.T_base_sensor) == pytest.approx(expected)
     leaning = turned(pitch_deg=60.0)
-    assert arc_of(2.0, leaning, leaning.mount.T_base_sensor)[3] == pytest.approx([3.5 + 1.0, 0.6])
+    assert cone_arc(2.0, leaning, leaning.mount.T_base_sensor)[3] == pytest.approx([3.5 + 1.0, 0.6])
 
 
 def test_the_arc_is_put_where_the_machine_was(config: SafetyConfig) -> None:
     source = listen(config, [2.0, 2.0])
     pose = np.array([5.0, -2.0, 0.7])
     source.update(UltrasonicRange(START_NS + 200_000_000, 2.1), pose, STILL)
-    assert source.echo_arc_odom_m == pytest.approx(to_frame(pose, arc_of(2.1, SENSOR, SENSOR.mount.T_base_sensor)))
+    assert source.echo_arc_odom_m == pytest.approx(to_frame(pose, cone_arc(2.1, SENSOR, SENSOR.mount.T_base_sensor)))
 
 
 def test_an_axis_that_hardly_falls_meets_no_ground() -> None:
     for slope, expected in ((-1e-6, math.inf), (-2e-6, 3.5e5), (0.5, math.inf), (0.0, math.inf)):
         T = np.eye(4)
         T[2, 0], T[2, 3] = slope, 0.7
-        assert ground_m(T) == pytest.approx(expected), slope
+        assert ground_range_m(T) == pytest.approx(expected), slope
 
 
 def track(x: float, y: float, size: tuple[float, float], yaw: float = 0.0, **changes: Any) -> Track:
@@ -182,7 +182,7 @@ def scan(*rows: Row, stamp_ns: int = START_NS) -> RadarScan:
 
 def test_a_detection_is_placed_in_base_with_its_speed_over_ground() -> None:
     odom = replace(STILL, speed_mps=2.0, lateral_mps=0.1, yaw_rate_radps=0.3)
-    base, radial, rcs = seen_in(scan((10.0, 0.2, 0.1, -1.5, 4.0)), RADAR, RADAR.mount.T_base_sensor, odom)
+    base, radial, rcs = usable_detections(scan((10.0, 0.2, 0.1, -1.5, 4.0)), RADAR, RADAR.mount.T_base_sensor, odom)
     line = np.array([-math.cos(0.1) * math.sin(0.2), math.cos(0.1) * math.cos(0.2), math.sin(0.1)])
     assert base == pytest.approx(np.array([(1.0, 2.0, 0.5) + 10.0 * line]))
     assert radial == pytest.approx([-1.5 + line[0] * (2.0 - 0.3 * 2.0) + line[1] * (0.1 + 0.3 * 1.0)])
@@ -192,13 +192,15 @@ def test_a_detection_is_placed_in_base_with_its_speed_over_ground() -> None:
 def test_detections_within_range_and_view_are_used() -> None:
     half = math.radians(60.0)
     rows = [(0.5, half), (60.0, -half), (0.499, 0.0), (60.01, 0.0), (9.0, half + 1e-9), (9.0, -half - 1e-9)]
-    used = seen_in(scan(*((r, a, 0.0, 0.0, float(k)) for k, (r, a) in enumerate(rows))), RADAR, np.eye(4), STILL)
+    used = usable_detections(
+        scan(*((r, a, 0.0, 0.0, float(k)) for k, (r, a) in enumerate(rows))), RADAR, np.eye(4), STILL
+    )
     assert used[2].tolist() == [0.0, 1.0]
     for column in range(5):
         for bad in (math.nan, math.inf, -math.inf):
             row = [9.0, 0.1, 0.2, 0.0, 1.0]
             row[column] = bad
-            base, _, _ = seen_in(scan(tuple(row)), RADAR, np.eye(4), STILL)
+            base, _, _ = usable_detections(scan(tuple(row)), RADAR, np.eye(4), STILL)
             assert len(base) == (column == 2), (column, bad)
             if column == 2:
                 assert base[0] == pytest.approx([9.0 * math.cos(0.1), 9.0 * math.sin(0.1), 0.0])
@@ -207,7 +209,7 @@ def test_detections_within_range_and_view_are_used() -> None:
 @pytest.mark.parametrize("field", ["range_m", "azimuth_rad", "elevation_rad", "doppler_mps", "rcs_dbsm"])
 def test_arrays_of_unequal_length_are_no_detections(field: str) -> None:
     broken = replace(scan((9.0, 0.0, 0.0, 0.0, 1.0)), **{field: np.zeros(3)})
-    assert [part.shape for part in seen_in(broken, RADAR, np.eye(4), STILL)] == [(0, 3), (0,), (0,)]
+    assert [part.shape for part in usable_detections(broken, RADAR, np.eye(4), STILL)] == [(0, 3), (0,), (0,)]
 
 
 def test_a_cycle_is_the_same_when_ranges_and_dopplers_are() -> None:

@@ -18,7 +18,7 @@ from messages.sensors import RadarScan, UltrasonicRange
 from safety.config import RadarConfig, SafetyConfig, UltrasonicConfig
 from safety.monitors.sensors import MonitoredSensor, failure_of, monitored_sensors
 from safety.sources.radar import RadarSource
-from safety.sources.ultrasonic import NARROW_M, UltrasonicSource, ground_m, is_confirmed_by_track
+from safety.sources.ultrasonic import NARROW_M, UltrasonicSource, ground_range_m, is_confirmed_by_track
 from safety.supervisor import Supervisor
 from safety.zones.footprint import footprint_of
 from tests.safety.safety_world import START_NS, Target, World, around, healthy, straight_path
@@ -110,7 +110,7 @@ def test_radar_does_not_stop_for_posts_beside(seeing: World, side: int) -> None:
 @pytest.mark.parametrize("y", [0.0, 0.6, -1.0])
 def test_ultrasonic_alone_stops_a_slow_machine(seeing: World, y: float) -> None:
     driving(seeing, 0.8)
-    seeing.targets = (Target(seeing.x_m + 9.0, y, rcs_dbsm=-60.0, is_heard=True),)
+    seeing.targets = (Target(seeing.x_m + 9.0, y, rcs_dbsm=-60.0, is_confirmed=True),)
     seeing.run(12.0)
     assert seeing.mode == Mode.OBSTACLE_STOP
     assert seeing.command.reason == "protective_field"
@@ -121,7 +121,7 @@ def test_ultrasonic_behind_stops_a_machine_that_backs(seeing: World) -> None:
     seeing.path = straight_path(5, 40.0, direction=-1)
     seeing.commanded_mps = 0.8
     seeing.start()
-    seeing.targets = (Target(seeing.x_m - 9.0, 0.0, rcs_dbsm=-60.0, is_heard=True),)
+    seeing.targets = (Target(seeing.x_m - 9.0, 0.0, rcs_dbsm=-60.0, is_confirmed=True),)
     seeing.run(15.0)
     assert seeing.mode == Mode.OBSTACLE_STOP
     assert 0.5 < seeing.x_m - 2.4 - seeing.targets[0].x_m < 4.0
@@ -130,11 +130,11 @@ def test_ultrasonic_behind_stops_a_machine_that_backs(seeing: World) -> None:
 def test_an_echo_once_is_no_obstacle_and_a_fast_machine_does_not_count_echoes(seeing: World) -> None:
     driving(seeing, 0.8)
     for k in range(20):
-        seeing.targets = (Target(seeing.x_m + 6.0, 0.0, rcs_dbsm=-60.0, is_heard=True),) if k % 4 == 0 else ()
+        seeing.targets = (Target(seeing.x_m + 6.0, 0.0, rcs_dbsm=-60.0, is_confirmed=True),) if k % 4 == 0 else ()
         seeing.step(5)
     assert seeing.command.reason == ""
     driving(seeing, 2.78)
-    seeing.targets = (Target(seeing.x_m + 9.0, 2.0, rcs_dbsm=-60.0, is_heard=True),)
+    seeing.targets = (Target(seeing.x_m + 9.0, 2.0, rcs_dbsm=-60.0, is_confirmed=True),)
     seeing.run(1.2)
     assert seeing.command.reason == ""
 
@@ -276,18 +276,18 @@ def test_how_a_sensor_is_lost(full: Vehicle) -> None:
     rear = next(one for one in monitored_sensors(full.sensors, frozenset()) if one.name == "rear")
     fine = healthy(START_NS, "ultrasonic_rear")
     blind = replace(fine, state=HealthState.BLIND, reason="dust")
-    for is_heard, is_frozen, is_told, health, code in (
+    for is_confirmed, is_frozen, is_told, health, code in (
         (False, True, False, None, "ultrasonic/rear.silent"),
         (True, True, False, None, "ultrasonic/rear.frozen"),
         (True, False, False, None, "obstacles/ultrasonic_rear.silent"),
         (True, False, True, None, "health/ultrasonic_rear.silent"),
         (True, False, True, blind, "ultrasonic/rear.blind"),
     ):
-        sensor_failures = failure_of(rear, is_heard, is_frozen, is_told, health, -1, 0.5)
+        sensor_failures = failure_of(rear, is_confirmed, is_frozen, is_told, health, -1, 0.5)
         assert sensor_failures is not None
         assert (sensor_failures.kind, sensor_failures.code) == ("ultrasonic", code)
         assert "ultrasonic/rear" in sensor_failures.text
-        assert failure_of(rear, is_heard, is_frozen, is_told, health, 1, 0.5) is None
+        assert failure_of(rear, is_confirmed, is_frozen, is_told, health, 1, 0.5) is None
 
 
 def test_a_sensor_looks_where_it_is_turned_by_no_more_than_60_degrees() -> None:
@@ -398,9 +398,9 @@ def test_what_went_into_the_dead_zone_stays_for_a_while(full: Vehicle, config: S
 def test_a_sensor_that_looks_down_hears_the_ground_from_there_on() -> None:
     T = np.eye(4)
     T[2, 3] = 0.7
-    assert math.isinf(ground_m(T))
+    assert math.isinf(ground_range_m(T))
     T[2, 0] = -0.35
-    assert ground_m(T) == pytest.approx(2.0)
+    assert ground_range_m(T) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(("kind", "changes"), [
@@ -423,7 +423,7 @@ def test_start_with_a_lost_sensor(seeing: World) -> None:
 
 def test_an_echo_that_a_surveyed_wall_may_have_given_does_not_count(seeing: World) -> None:
     driving(seeing, 0.8)
-    seeing.targets = (Target(seeing.x_m + 9.0, 0.0, rcs_dbsm=-60.0, is_heard=True),)
+    seeing.targets = (Target(seeing.x_m + 9.0, 0.0, rcs_dbsm=-60.0, is_confirmed=True),)
     seeing.run(12.0)
     collision_monitor = seeing.supervisor._collision_monitor
     assert collision_monitor.swept_field is not None

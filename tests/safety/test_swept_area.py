@@ -57,15 +57,15 @@ def arc(
 
 
 def test_straight_contact_of_machine_and_implement(footprint: Footprint, config: SafetyConfig) -> None:
-    sweep = arc(footprint, config, 0.0, 20.0)
-    ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [10.0, 4.0], [-3.0, 0.0], [30.0, 0.0]]), sweep)
+    area = arc(footprint, config, 0.0, 20.0)
+    ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [10.0, 4.0], [-3.0, 0.0], [30.0, 0.0]]), area)
     assert ways[:2] == pytest.approx([6.5, 11.1])  # the machine's front at 3.5, the implement's at -1.1
     assert np.all(np.isinf(ways[2:]))
 
 
 def test_gap_from_the_foremost_point(footprint: Footprint, config: SafetyConfig) -> None:
-    sweep = arc(footprint, config, 0.0, 20.0, foremost=True)
-    ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), sweep)
+    area = arc(footprint, config, 0.0, 20.0, foremost=True)
+    ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), area)
     assert ways == pytest.approx([6.5, 6.5, 0.0])
 
 
@@ -73,9 +73,9 @@ def test_places_that_are_no_numbers_hide_nothing(footprint: Footprint, config: S
     s = spaced(20.0, 0.25)
     poses = arc_poses(0.0, 1, s)
     poses[-1] = np.nan
-    sweep = sweep_along(footprint, 1, s, poses, 0.0, config.field, False)
+    area = sweep_along(footprint, 1, s, poses, 0.0, config.field, False)
     ways = distance_to_contact_m(
-        np.array([[10.0, 0.0], [np.nan, 0.0], [10.0, 2.0]]), sweep, np.array([0.0, 0.0, np.nan])
+        np.array([[10.0, 0.0], [np.nan, 0.0], [10.0, 2.0]]), area, np.array([0.0, 0.0, np.nan])
     )
     assert ways[0] == pytest.approx(6.5)
     assert np.all(np.isinf(ways[1:]))
@@ -83,26 +83,26 @@ def test_places_that_are_no_numbers_hide_nothing(footprint: Footprint, config: S
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_lateral_boundary(footprint: Footprint, config: SafetyConfig, side: int) -> None:
-    sweep = arc(footprint, config, 0.0, 20.0)
+    area = arc(footprint, config, 0.0, 20.0)
     edge = 3.05 + config.field.lateral_margin_far_m
     for y in around(edge, 0.01):
-        is_met = np.isfinite(distance_to_contact_m(np.array([[12.0, side * y]]), sweep)[0])
+        is_met = np.isfinite(distance_to_contact_m(np.array([[12.0, side * y]]), area)[0])
         assert is_met == (y <= edge + 1e-9), y
 
 
 def test_margin_grows_with_the_way(footprint: Footprint, config: SafetyConfig) -> None:
-    sweep = arc(footprint, config, 0.0, 10.0)
-    assert sweep.lateral_m[0] == config.field.lateral_margin_near_m
-    assert sweep.lateral_m[-1] == config.field.lateral_margin_far_m
-    assert np.all(np.diff(sweep.lateral_m) >= 0.0)
+    area = arc(footprint, config, 0.0, 10.0)
+    assert area.lateral_m[0] == config.field.lateral_margin_near_m
+    assert area.lateral_m[-1] == config.field.lateral_margin_far_m
+    assert np.all(np.diff(area.lateral_m) >= 0.0)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_reverse_leads_with_the_implement(footprint: Footprint, config: SafetyConfig, direction: int) -> None:
-    sweep = arc(footprint, config, 0.0, 10.0, direction, foremost=True)
+    area = arc(footprint, config, 0.0, 10.0, direction, foremost=True)
     point = np.array([[6.0, 0.0]]) if direction > 0 else np.array([[-6.0, 0.0]])
-    assert distance_to_contact_m(point, sweep)[0] == pytest.approx(2.5 if direction > 0 else 3.6)
-    assert np.isinf(distance_to_contact_m(-point, sweep)[0])
+    assert distance_to_contact_m(point, area)[0] == pytest.approx(2.5 if direction > 0 else 3.6)
+    assert np.isinf(distance_to_contact_m(-point, area)[0])
     assert footprint.foremost_m(direction) == pytest.approx(3.5 if direction > 0 else -2.4)
 
 
@@ -110,22 +110,22 @@ def test_outline_is_as_wide_as_the_widest_body_from_the_leading_end_on(
     footprint: Footprint, config: SafetyConfig
 ) -> None:
     for direction, lead in ((1, 3.5), (-1, -1.0)):
-        sweep = arc(footprint, config, 0.15, 6.0, direction)
-        half = 3.05 + sweep.lateral_m
+        area = arc(footprint, config, 0.15, 6.0, direction)
+        half = 3.05 + area.lateral_m
         sides = [[(lead, side * width) for width in half] for side in (1, -1)]
         left, right = (
-            np.array([to_frame(pose, np.array([p]))[0] for pose, p in zip(sweep.poses, side, strict=True)])
+            np.array([to_frame(pose, np.array([p]))[0] for pose, p in zip(area.poses, side, strict=True)])
             for side in sides
         )
-        assert outline_of(sweep) == pytest.approx(np.concatenate([left, right[::-1]])), direction
+        assert outline_of(area) == pytest.approx(np.concatenate([left, right[::-1]])), direction
 
 
 def test_corners_are_those_of_the_bodies_at_every_other_place(footprint: Footprint, config: SafetyConfig) -> None:
-    sweep = arc(footprint, config, 0.15, 6.0)
-    points, ways = outline_points(sweep, 0.5)
-    expected = [to_frame(pose, outline(body)) for body, poses in sweep.bodies for pose in poses[::2]]
+    area = arc(footprint, config, 0.15, 6.0)
+    points, ways = outline_points(area, 0.5)
+    expected = [to_frame(pose, outline(body)) for body, poses in area.bodies for pose in poses[::2]]
     assert points == pytest.approx(np.concatenate(expected))
-    assert ways == pytest.approx(np.concatenate([np.repeat(sweep.s_m[::2], 8) for _ in sweep.bodies]))
+    assert ways == pytest.approx(np.concatenate([np.repeat(area.s_m[::2], 8) for _ in area.bodies]))
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -134,23 +134,23 @@ def test_in_a_bend_the_outer_end_of_a_body_is_not_late(
     footprint: Footprint, config: SafetyConfig, curvature: float, direction: int
 ) -> None:
     """It moves farther than base does: by 60 % beside a harrow of 6 m in the tightest bend."""
-    sweep = arc(footprint, config, curvature, 7.0, direction)
+    area = arc(footprint, config, curvature, 7.0, direction)
     for x, y in itertools.product(np.arange(-10.0, 10.0, 1.3), np.arange(-8.0, 9.0, 1.7)):
-        bare = brute_contact(np.array([x, y]), footprint, curvature, direction, sweep.length_m)
-        assert distance_to_contact_m(np.array([[x, y]]), sweep)[0] <= bare + 0.01, (x, y)
+        bare = brute_contact(np.array([x, y]), footprint, curvature, direction, area.length_m)
+        assert distance_to_contact_m(np.array([[x, y]]), area)[0] <= bare + 0.01, (x, y)
 
 
 def test_bodies_are_widened_narrowed_and_lengthened(footprint: Footprint, config: SafetyConfig) -> None:
-    sweep = arc(footprint, config, 0.0, 20.0)
+    area = arc(footprint, config, 0.0, 20.0)
     for extra, aside in ((0.0, 5.0), (0.0, -0.2), (0.5, -0.2), (5.0, 0.0)):
         edge = 3.05 + config.field.lateral_margin_far_m + extra + aside
         for y in around(edge, 0.01):
-            is_met = np.isfinite(distance_to_contact_m(np.array([[12.0, y]]), sweep, extra, aside)[0])
+            is_met = np.isfinite(distance_to_contact_m(np.array([[12.0, y]]), area, extra, aside)[0])
             assert is_met == (y <= edge + 1e-9), (extra, aside, y)
-        assert distance_to_contact_m(np.array([[10.0, 0.0]]), sweep, extra, aside)[0] == pytest.approx(6.5 - extra)
+        assert distance_to_contact_m(np.array([[10.0, 0.0]]), area, extra, aside)[0] == pytest.approx(6.5 - extra)
         for x, y in ((23.4 + extra, 0.0), (-2.3 - extra, 0.0)):
-            assert np.isfinite(distance_to_contact_m(np.array([[x, y]]), sweep, extra, aside)[0]), (extra, aside, x)
-    assert distance_to_contact_m(np.array([[10, 0]]), sweep, 1, 0)[0] == pytest.approx(5.5)
+            assert np.isfinite(distance_to_contact_m(np.array([[x, y]]), area, extra, aside)[0]), (extra, aside, x)
+    assert distance_to_contact_m(np.array([[10, 0]]), area, 1, 0)[0] == pytest.approx(5.5)
 
 
 def test_a_path_is_followed_to_its_ends_and_a_deviation_fades() -> None:
@@ -206,9 +206,9 @@ def brute_contact(point: np.ndarray, footprint: Footprint, curvature: float, dir
 @SETTINGS
 def test_contact_is_never_later_than_the_bodies_own(x, y, curvature, direction, is_trailed):
     footprint = SHAPES[is_trailed]
-    sweep = arc(footprint, CONFIG, curvature, 7.0, direction)
-    truth = brute_contact(np.array([x, y]), footprint, curvature, direction, sweep.length_m)
-    assert distance_to_contact_m(np.array([[x, y]]), sweep)[0] <= truth + 0.02
+    area = arc(footprint, CONFIG, curvature, 7.0, direction)
+    truth = brute_contact(np.array([x, y]), footprint, curvature, direction, area.length_m)
+    assert distance_to_contact_m(np.array([[x, y]]), area)[0] <= truth + 0.02
 
 
 @pytest.fixture(autouse=True)
@@ -272,12 +272,12 @@ def test_headings_of_other_turns_do_not_matter(turns: int) -> None:
 
 
 def test_part_of_a_sweep_is_what_is_swept_until_there(footprint: Footprint, config: SafetyConfig) -> None:
-    sweep = arc(footprint, config, 0.1, 20.0)
-    points, ways = outline_points(sweep, 0.1)
+    area = arc(footprint, config, 0.1, 20.0)
+    points, ways = outline_points(area, 0.1)
     for way_m in (0.0, 4.9, 5.0, 5.1, 30.0):
-        part_points, part_ways = outline_points(sweep.up_to(way_m), 0.1)
+        part_points, part_ways = outline_points(area.up_to(way_m), 0.1)
         assert sorted(map(tuple, part_points)) == sorted(map(tuple, points[ways <= way_m])), way_m
-        assert part_ways.max() == sweep.up_to(way_m).length_m
+        assert part_ways.max() == area.up_to(way_m).length_m
 
 
 def test_place_on_the_path(config: SafetyConfig, vehicle: Vehicle) -> None:
@@ -337,9 +337,9 @@ def test_box_and_outline_hold_the_sweep(config: SafetyConfig, footprint: Footpri
 @given(st.lists(st.tuples(st.floats(-5.0, 15.0), st.floats(-6.0, 6.0)), min_size=1, max_size=20))
 @SETTINGS
 def test_more_points_never_lengthen_the_gap(points: list[tuple[float, float]]) -> None:
-    sweep = arc(SHAPES[False], CONFIG, 0.05, 10.0)
-    clearances = [distance_to_contact_m(np.array(points[: k + 1]), sweep).min() for k in range(len(points))]
+    area = arc(SHAPES[False], CONFIG, 0.05, 10.0)
+    clearances = [distance_to_contact_m(np.array(points[: k + 1]), area).min() for k in range(len(points))]
     assert all(b <= a for a, b in pairwise(clearances))
-    wider = distance_to_contact_m(np.array(points), sweep, 0.5)
-    assert np.all(wider <= distance_to_contact_m(np.array(points), sweep) + 1e-9)
-    assert len(distance_to_contact_m(np.empty((0, 2)), sweep)) == 0
+    wider = distance_to_contact_m(np.array(points), area, 0.5)
+    assert np.all(wider <= distance_to_contact_m(np.array(points), area) + 1e-9)
+    assert len(distance_to_contact_m(np.empty((0, 2)), area)) == 0

@@ -24,7 +24,7 @@ from safety.zones.tracked_obstacles import (
     nearest_critical_object,
     predicted,
     velocity_sigma_mps,
-    without_walls,
+    without_known_structure,
 )
 from tests.safety.safety_world import START_NS, WAGON, around
 
@@ -44,16 +44,16 @@ def footprint(vehicle: Vehicle, implement) -> Footprint:
 
 
 @pytest.fixture
-def sweep(footprint: Footprint, config: SafetyConfig) -> SweptArea:
+def area(footprint: Footprint, config: SafetyConfig) -> SweptArea:
     s = spaced(14.0, 0.4)
     return sweep_along(footprint, 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
 
 
 def critical_object(
-    sweep: SweptArea, footprint: Footprint, config: SafetyConfig, *tracks: Track, **changes: Any
+    area: SweptArea, footprint: Footprint, config: SafetyConfig, *tracks: Track, **changes: Any
 ) -> CriticalObject:
     tracked, explained = config.tracked.model_copy(update=changes), changes.pop("is_known", None)
-    return nearest_critical_object(sweep, footprint, Tracks(START_NS, tracks), HERE, 0.0, 4.0, tracked, explained)
+    return nearest_critical_object(area, footprint, Tracks(START_NS, tracks), HERE, 0.0, 4.0, tracked, explained)
 
 
 def test_sigma_is_that_of_the_less_certain_component() -> None:
@@ -84,16 +84,16 @@ def test_what_is_within_reach() -> None:
         assert not is_within_reach(track(x, y), pose, 10.0, 4.0)
 
 
-def test_what_is_beside_the_sweep(sweep: SweptArea) -> None:
-    (x_low, x_high), (y_low, y_high) = sweep.box.x_m, sweep.box.y_m
-    reach = 0.5 + sweep.step_m
+def test_what_is_beside_the_sweep(area: SweptArea) -> None:
+    (x_low, x_high), (y_low, y_high) = area.box.x_m, area.box.y_m
+    reach = 0.5 + area.step_m
     for more, is_out in ((-0.01, False), (0.0, False), (0.01, True)):
         for x, y in ((x_low - (reach + more), 0.0), (x_high + (reach + more), 0.0),
                      (5.0, y_low - (reach + more)), (5.0, y_high + (reach + more))):  # fmt: skip
             if more or (x, y) != (x, 0.0):
-                assert is_beside(track(x, y, size=(0.3, 0.4, 9.0)), HERE, sweep) == is_out, (x, y)
+                assert is_beside(track(x, y, size=(0.3, 0.4, 9.0)), HERE, area) == is_out, (x, y)
     for x, y in ((x_low - reach, 0.0), (x_high + reach, 0.0), (5.0, y_low - reach), (5.0, y_high + reach)):
-        assert not is_beside(track(x, y, size=(0.3, 0.4, 9.0)), HERE, sweep), (x, y)
+        assert not is_beside(track(x, y, size=(0.3, 0.4, 9.0)), HERE, area), (x, y)
 
 
 def test_a_piece_lies_on_the_box_or_half_a_metre_from_it() -> None:
@@ -118,50 +118,50 @@ def test_walls_are_told_by_places_on_the_ground() -> None:
         return points[:, 0] > 5.0
 
     tracks = [track(1.0, 0.0, size=(length, 0.5, 1.0), id=k) for k, length in enumerate((2.0, 2.1))]
-    assert [one.id for one in without_walls(tracks, is_known, 2.0)] == [0]
+    assert [one.id for one in without_known_structure(tracks, is_known, 2.0)] == [0]
 
 
-def test_what_is_explained_is_no_threat(sweep: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
+def test_what_is_explained_is_no_threat(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     person, hedge = track(9.0, 0.0, vx=-1.0), track(9.0, 0.0, vx=-2.0, size=(3.0, 0.5, 1.0))
     for one, is_wall, counts in ((person, False, True), (person, True, False), (hedge, False, False)):
         found = critical_object(
-            sweep, footprint, config, one, is_known=lambda points, known=is_wall: np.full(len(points), known)
+            area, footprint, config, one, is_known=lambda points, known=is_wall: np.full(len(points), known)
         )
         assert (found != NO_CRITICAL_OBJECT) == counts
 
 
-def test_none_hides_the_next(sweep: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
+def test_none_hides_the_next(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     coming = track(9.0, 0.0, vx=-1.0, id=7)
     for uncovered_areas in (
         track(9.0, 0.0, label=ObstacleClass.UNKNOWN), track(9.0, 8.0), track(-8.0, 0.0, vx=1.0), track(1.0, -4.5),
         track(9.0, 0.0, size=(13.0, 1.0, 1.0)),
     ):  # fmt: skip
-        found = critical_object(sweep, footprint, config, uncovered_areas, coming)
+        found = critical_object(area, footprint, config, uncovered_areas, coming)
         assert (found.label, found.id) == (ObstacleClass.PERSON, 7)
-    assert critical_object(sweep, footprint, config, coming, replace(coming, id=8)).id == 7  # of equals the first
+    assert critical_object(area, footprint, config, coming, replace(coming, id=8)).id == 7  # of equals the first
 
 
-def test_motion_is_looked_at_from_now_on_in_steps(sweep: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
+def test_motion_is_looked_at_from_now_on_in_steps(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     leaving = track(7.0, 3.0, vy=3.0)
-    assert critical_object(sweep, footprint, config, leaving) != NO_CRITICAL_OBJECT
+    assert critical_object(area, footprint, config, leaving) != NO_CRITICAL_OBJECT
     crossing = track(7.0, 10.0, vy=-7.0)
-    assert critical_object(sweep, footprint, config, crossing) != NO_CRITICAL_OBJECT
-    assert critical_object(sweep, footprint, config, crossing, steps=2) == NO_CRITICAL_OBJECT
+    assert critical_object(area, footprint, config, crossing) != NO_CRITICAL_OBJECT
+    assert critical_object(area, footprint, config, crossing, steps=2) == NO_CRITICAL_OBJECT
 
 
-def test_only_what_is_long_carries_pieces(sweep: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
+def test_only_what_is_long_carries_pieces(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     piece = track(9.5, 4.2, vy=-1.5, size=(0.4, 0.1, 0.5))
     for length in around(config.tracked.fragment_parent_m, 0.01):
         post = track(9.5, 4.4, size=(length, 0.5, 1.0), label=ObstacleClass.UNKNOWN, id=2)
-        assert (critical_object(sweep, footprint, config, post, piece) == NO_CRITICAL_OBJECT) == (
+        assert (critical_object(area, footprint, config, post, piece) == NO_CRITICAL_OBJECT) == (
             length >= config.tracked.fragment_parent_m
         ), length
 
 
 def test_the_own_trailer_in_a_bend_is_no_threat(vehicle: Vehicle, config: SafetyConfig) -> None:
     footprint, s = footprint_of(vehicle, WAGON), spaced(14.0, 0.4)
-    sweep = sweep_along(footprint, 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True)
+    area = sweep_along(footprint, 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True)
     for x, counts in ((-3.0, False), (9.0, True)):
         moving = track(x, -0.8 if x < 0.0 else 3.0, vx=2.5, size=(0.4, 0.4, 1.0))
-        found = nearest_critical_object(sweep, footprint, Tracks(START_NS, (moving,)), HERE, 0.1, 4.0, config.tracked)
+        found = nearest_critical_object(area, footprint, Tracks(START_NS, (moving,)), HERE, 0.1, 4.0, config.tracked)
         assert (found != NO_CRITICAL_OBJECT) == counts, x
