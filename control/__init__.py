@@ -1,1 +1,1 @@
-"""Drives along a path: steering, speed and brake, implement; what it wants is a wish until the supervisor agrees."""
+"""Path following: steering, speed and brake, implement; the supervisor decides on the resulting control command."""

@@ -1,16 +1,16 @@
-"""The controller: from the path and where the machine is to a wish."""
+"""Controller node: control command from path, pose and machine state."""
 
 from collections.abc import Iterable
 
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from control.implement import ImplementControl, ImplementControlConfig
-from control.lateral_controller import Driver, Sample, Steered
-from control.longitudinal_controller import STANDING_MPS, SpeedConfig, SpeedControl, SpeedPlan
-from control.pose_smoothing import AnchorConfig, MapAnchor
+from control.lateral_controller import LateralController, SteeringOutput, VehicleSample
+from control.longitudinal_controller import STANDING_MPS, LongitudinalController, SpeedConfig, SpeedPlan
+from control.pose_smoothing import PoseSmoothing, PoseSmoothingConfig
 from control.reference import Reference
 from control.slip import SlipConfig
-from control.start_conditions import Departure, DepartureConfig
+from control.start_conditions import StartConditions, StartConditionsConfig
 from control.steering import SteeringConfig
 from control.tracking_law import TrackingConfig
 from geometry.pose2 import Pose2
@@ -21,23 +21,23 @@ from messages.plan import Path
 
 PERIOD_NS = 20_000_000
 NO_PATH = -1
-LIMITED_MPS, LIMITED_MPS2 = 0.05, 0.05  # a speed lower, or a braking harder, than the wish by more is not ours
+FOLLOWED_MPS, FOLLOWED_MPS2 = 0.05, 0.05  # tolerance of speed and deceleration of a followed command
 
 
 class ControlConfig(Config):
-    """Control as a whole."""
+    """Section `control` of the stack configuration."""
 
-    anchor: AnchorConfig
+    pose_smoothing: PoseSmoothingConfig
     tracking: TrackingConfig
     steering: SteeringConfig
     slip: SlipConfig
     speed: SpeedConfig
-    departure: DepartureConfig
+    start_conditions: StartConditionsConfig
     implement: ImplementControlConfig
 
 
 class Controller(Node):
-    """Follows each new path from its beginning to standstill at its end; without path or pose it wishes to stand."""
+    """Follows each new path from its beginning to standstill at its end; commands standstill without path or pose."""
 
     def __init__(self, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, config: ControlConfig) -> None:
         self.name = "controller"
@@ -45,103 +45,103 @@ class Controller(Node):
         self.writes = ("control_command",)
         self.runs = Every(PERIOD_NS)
         self._config, self._vehicle = config, vehicle
-        self._anchor = MapAnchor(config.anchor)
-        self._driver = Driver(vehicle, config.tracking, config.steering, config.slip)
-        self._speed = SpeedControl(config.speed)
+        self._pose_smoothing = PoseSmoothing(config.pose_smoothing)
+        self._lateral = LateralController(vehicle, config.tracking, config.steering, config.slip)
+        self._longitudinal = LongitudinalController(config.speed)
         self._implement = ImplementControl(implement, config.implement)
-        self._departure = Departure(implement, config.departure)
+        self._start_conditions = StartConditions(implement, config.start_conditions)
         self._path: Path | None = None
         self._plan: SpeedPlan | None = None
         self._last_ns: int | None = None
-        self._wished_mps = self._braking_mps2 = 0.0
+        self._commanded_mps = self._braking_mps2 = 0.0
         self._curvature_radpm = 0.0
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """One wish."""
+        """Builds one control command."""
         elapsed_s = 0.02 if self._last_ns is None else (now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
-        self._departure.observe(inbox.latest("machine", MachineState))
+        self._start_conditions.observe(inbox.latest("machine", MachineState))
         path = inbox.last("path", Path)
         sample = self._sample(inbox, elapsed_s)
         if path is None or sample is None:
-            return [("control_command", self._stand(now_ns, path))]
+            return [("control_command", self._standstill_command(now_ns, path))]
         if self._path is None or path.path_id != self._path.path_id:
             self._start(path, sample)
         return [("control_command", self._drive(now_ns, path, sample, inbox, elapsed_s))]
 
-    def _sample(self, inbox: Inbox, elapsed_s: float) -> Sample | None:
+    def _sample(self, inbox: Inbox, elapsed_s: float) -> VehicleSample | None:
         odom, map_pose = inbox.latest("odom", Odometry), inbox.latest("map_pose", MapPose)
         if odom is None or map_pose is None or not map_pose.is_initialized:
             return None
-        is_standing = abs(odom.speed_mps) < STANDING_MPS and self._wished_mps == 0.0
+        is_standing = abs(odom.speed_mps) < STANDING_MPS and self._commanded_mps == 0.0
         T_map_odom, T_odom_base = Pose2.of(map_pose.T_map_odom), Pose2.of(odom.T_odom_base)
-        pose = self._anchor.update(T_map_odom, T_odom_base, elapsed_s, is_standing)
-        return Sample(odom.stamp_ns, pose, odom.speed_mps, odom.yaw_rate_radps, odom.curvature_radpm)
+        pose = self._pose_smoothing.update(T_map_odom, T_odom_base, elapsed_s, is_standing)
+        return VehicleSample(odom.stamp_ns, pose, odom.speed_mps, odom.yaw_rate_radps, odom.curvature_radpm)
 
-    def _start(self, path: Path, sample: Sample) -> None:
+    def _start(self, path: Path, sample: VehicleSample) -> None:
         self._path = path
         reference = Reference(path, self._config.tracking.smoothing_radpm)
         self._plan = SpeedPlan(path, reference, self._vehicle, self._config.speed)
-        self._driver.start(reference, sample.pose)
-        self._speed.start()
+        self._lateral.start(reference, sample.pose)
+        self._longitudinal.start()
         self._implement.start(path)
-        self._departure.start(path.is_transport)
+        self._start_conditions.start(path.is_transport)
 
-    def _drive(self, now_ns: int, path: Path, sample: Sample, inbox: Inbox, elapsed_s: float) -> ControlCommand:
+    def _drive(self, now_ns: int, path: Path, sample: VehicleSample, inbox: Inbox, elapsed_s: float) -> ControlCommand:
         assert self._plan is not None
-        is_steering, is_obeyed = self._obedience(inbox)
-        steered = self._driver.steer(now_ns, sample, is_steering)
-        forward_mps, s_m = path.direction * sample.speed_mps, steered.place.s_m
-        target_mps = self._speed.target_mps(self._plan, s_m, forward_mps, steered.offset_m)
-        if self._departure.is_held(sample, steered.curvature_radpm, is_steering, elapsed_s):
+        is_steering, is_followed = self._is_command_followed(inbox)
+        steering = self._lateral.update(now_ns, sample, is_steering)
+        forward_mps, s_m = path.direction * sample.speed_mps, steering.position.s_m
+        target_mps = self._longitudinal.target_mps(self._plan, s_m, forward_mps, steering.offset_m)
+        if self._start_conditions.is_held(sample, steering.curvature_radpm, is_steering, elapsed_s):
             target_mps = 0.0
-        wished_mps, acceleration_mps2 = self._speed.control_command(target_mps, forward_mps, elapsed_s, is_obeyed)
-        self._work(now_ns, s_m, forward_mps, inbox)
-        self._wished_mps, self._braking_mps2 = path.direction * wished_mps, -acceleration_mps2
-        self._curvature_radpm = steered.curvature_radpm
-        return self._wish(now_ns, path, steered, acceleration_mps2, abs(sample.speed_mps) < STANDING_MPS)
+        commanded_mps, acceleration_mps2 = self._longitudinal.command(target_mps, forward_mps, elapsed_s, is_followed)
+        self._control_implement(now_ns, s_m, forward_mps, inbox)
+        self._commanded_mps, self._braking_mps2 = path.direction * commanded_mps, -acceleration_mps2
+        self._curvature_radpm = steering.curvature_radpm
+        return self._command(now_ns, path, steering, acceleration_mps2, abs(sample.speed_mps) < STANDING_MPS)
 
-    def _obedience(self, inbox: Inbox) -> tuple[bool, bool]:
-        """Whether the machine steers, and also drives, as was wished."""
+    def _is_command_followed(self, inbox: Inbox) -> tuple[bool, bool]:
+        """True if the steering is followed, and if steering and speed are."""
         safe = inbox.latest("safe_command", SafeCommand)
         if safe is None or not safe.is_drive_enabled or safe.mode is Mode.MANUAL:
             return False, False
-        is_faster = abs(safe.speed_mps) >= abs(self._wished_mps) - LIMITED_MPS
-        return True, is_faster and safe.deceleration_mps2 <= self._braking_mps2 + LIMITED_MPS2
+        is_faster = abs(safe.speed_mps) >= abs(self._commanded_mps) - FOLLOWED_MPS
+        return True, is_faster and safe.deceleration_mps2 <= self._braking_mps2 + FOLLOWED_MPS2
 
-    def _work(self, now_ns: int, s_m: float, forward_mps: float, inbox: Inbox) -> None:
+    def _control_implement(self, now_ns: int, s_m: float, forward_mps: float, inbox: Inbox) -> None:
         assert self._plan is not None
         machine = inbox.latest("machine", MachineState)
         hitch = 1.0 if machine is None or machine.implement_stamp_ns == 0 else machine.hitch
         if machine is not None and machine.implement_stamp_ns:
             self._implement.observe(machine.implement_stamp_ns, machine.hitch)
-        if self._speed.is_arrived:
-            self._implement.rest()
+        if self._longitudinal.is_arrived:
+            self._implement.lift()
         else:
             self._implement.step(now_ns, self._plan, s_m, forward_mps, hitch)
 
-    def _wish(
-        self, now_ns: int, path: Path, steered: Steered, acceleration_mps2: float, is_standing: bool
+    def _command(
+        self, now_ns: int, path: Path, steering: SteeringOutput, acceleration_mps2: float, is_standing: bool
     ) -> ControlCommand:
-        turned = 0.0 if path.direction > 0 else 1.0  # errors are left of the machine, not of its motion
+        is_reverse = 0.0 if path.direction > 0 else 1.0  # errors are left of the machine, not of its motion
         return ControlCommand(
             stamp_ns=now_ns,
-            speed_mps=self._wished_mps,
+            speed_mps=self._commanded_mps,
             acceleration_mps2=acceleration_mps2,
             curvature_radpm=self._curvature_radpm,
             is_implement_lowered=self._implement.is_lowered,
             is_pto_on=self._implement.is_pto_on,
             path_id=path.path_id,
-            path_s_m=steered.place.s_m,
-            xte_m=steered.offset_m * (1.0 - 2.0 * turned),
-            heading_error_rad=steered.heading_error_rad,
-            is_finished=self._speed.is_arrived and is_standing,
-            is_implement_folded=self._departure.is_folded,
+            path_s_m=steering.position.s_m,
+            xte_m=steering.offset_m * (1.0 - 2.0 * is_reverse),
+            heading_error_rad=steering.heading_error_rad,
+            is_finished=self._longitudinal.is_arrived and is_standing,
+            is_implement_folded=self._start_conditions.is_folded,
         )
 
-    def _stand(self, now_ns: int, path: Path | None) -> ControlCommand:
-        """What is wished without path or pose: stand, wheels and implement as they are."""
-        self._wished_mps = 0.0
+    def _standstill_command(self, now_ns: int, path: Path | None) -> ControlCommand:
+        """Command without path or pose: standstill, curvature and implement unchanged."""
+        self._commanded_mps = 0.0
         return ControlCommand(
             stamp_ns=now_ns,
             speed_mps=0.0,
@@ -154,5 +154,5 @@ class Controller(Node):
             xte_m=0.0,
             heading_error_rad=0.0,
             is_finished=False,
-            is_implement_folded=self._departure.is_folded,
+            is_implement_folded=self._start_conditions.is_folded,
         )

@@ -1,4 +1,4 @@
-"""Speed along a path: the path's limits, a soft stop at its end, and what is missing of the wanted speed learned."""
+"""Longitudinal controller: speed limits of the path, smooth stop at its end, integral correction of the speed error."""
 
 import math
 from bisect import bisect_right
@@ -15,66 +15,66 @@ from geometry.arrays import Float64
 from messages.plan import Path
 
 STANDING_MPS = 0.03
-LEARN_FROM_MPS = 0.2
-STUCK_SHARE = 0.8  # of the target that a sound loop would have reached
-STUCK_MPS2 = 0.1  # a machine that does not start is asked for more, slowly
+MIN_LEARNING_MPS = 0.2
+STUCK_SHARE = 0.8  # of the target in the model while the machine stands
+STUCK_MPS2 = 0.1  # ramp of the command while the machine does not start
 
 
 class SpeedConfig(Config):
-    """How the machine follows a speed, and how it stops at the end of a path."""
+    """Speed control and stop at the end of a path."""
 
-    steering_share: float = Field(gt=0.0, le=1.0, description="of the steering's rate that a path may use")
-    braking_mps2: float = Field(gt=0.0, le=3.0, description="without the brakes")
-    delay_s: float = Field(ge=0.0, le=2.0, description="from wish to speed")
+    steering_share: float = Field(gt=0.0, le=1.0, description="of the steering rate that limits speed on a path")
+    braking_mps2: float = Field(gt=0.0, le=3.0, description="planned deceleration without brakes")
+    delay_s: float = Field(ge=0.0, le=2.0, description="from command to speed")
     integral_per_s: float = Field(ge=0.0, le=5.0)
     integral_max_mps: float = Field(ge=0.0, le=1.0)
-    model_lag_s: float = Field(gt=0.0, le=5.0, description="of the tractor's own speed loop")
-    overspeed_mps: float = Field(gt=0.0, le=2.0, description="beyond which the brakes are asked")
-    overspeed_per_s: float = Field(gt=0.0, le=10.0)
-    most_braking_mps2: float = Field(gt=0.0, le=6.0)
-    holding_mps2: float = Field(gt=0.0, le=6.0)
-    end_decay_s: float = Field(gt=0.05, le=5.0)
-    creep_mps: float = Field(gt=0.01, le=0.5)
-    stop_s: float = Field(ge=0.0, le=2.0, description="way made after the command to stand, as time")
-    far_offset_m: float = Field(gt=0.02, le=5.0, description="off the path by more, drive slowly")
+    model_lag_s: float = Field(gt=0.0, le=5.0, description="time constant of the tractor's speed loop")
+    overspeed_mps: float = Field(gt=0.0, le=2.0, description="above the target, from which the brakes are applied")
+    overspeed_per_s: float = Field(gt=0.0, le=10.0, description="deceleration per overspeed")
+    max_braking_mps2: float = Field(gt=0.0, le=6.0)
+    holding_mps2: float = Field(gt=0.0, le=6.0, description="brake demand at standstill")
+    end_decay_s: float = Field(gt=0.05, le=5.0, description="time constant of the final approach")
+    creep_mps: float = Field(gt=0.01, le=0.5, description="minimum speed of the final approach")
+    stop_s: float = Field(ge=0.0, le=2.0, description="travel after the stop command, as time at the present speed")
+    far_offset_m: float = Field(gt=0.02, le=5.0, description="cross-track error above which `far_speed_kmh` applies")
     far_speed_kmh: Kmh
 
     @property
     def far_mps(self) -> float:
-        """Speed off the path."""
+        """`far_speed_kmh` in m/s."""
         return kmh(self.far_speed_kmh)
 
 
 class SpeedPlan:
-    """The speed limits of a path, lowered where they could not be kept by braking softly."""
+    """Speed limits along a path, lowered to what `braking_mps2` can keep."""
 
     def __init__(self, path: Path, reference: Reference, vehicle: Vehicle, config: SpeedConfig) -> None:
         self.end_m = float(path.s_m[-1])
         self._braking_mps2 = config.braking_mps2
         limits = np.minimum(path.speed_mps, steerable_mps(path, reference, vehicle, config.steering_share))
-        limits[-1] = limits[-2] if len(limits) > 1 else 0.0  # the end has its own rule
+        limits[-1] = limits[-2] if len(limits) > 1 else 0.0  # the end is limited by ending_mps
         gaps = np.diff(path.s_m)
-        lost = 2.0 * config.braking_mps2 * (path.s_m - path.s_m[0])  # of v² by braking softly up to there
+        lost = 2.0 * config.braking_mps2 * (path.s_m - path.s_m[0])  # decrease of v² by braking from the start
         limits = np.sqrt(np.maximum(np.minimum.accumulate((limits**2 + lost)[::-1])[::-1] - lost, 0.0))
         times = np.concatenate([[0.0], np.cumsum(gaps / np.maximum(0.5 * (limits[1:] + limits[:-1]), 0.05))])
         self._s, self._limits, self._times = as_floats(path.s_m), as_floats(limits), as_floats(times)
 
     def limit_mps(self, s_m: float) -> float:
-        """The limit at a place, the end left aside."""
+        """Limit at an arc length, without the end."""
         return self._at(self._limits, s_m)
 
     def ending_mps(self, remaining_m: float, config: SpeedConfig) -> float:
-        """The speed from which the machine comes to stand at the end: a constant braking, then an even fading.
+        """Speed from which the machine stops at the end: constant braking, then exponential decay.
 
-        v = d / τ near the end and v² = 2 a d − (a τ)² before it, which have value and slope in common where v = a τ.
+        v = d / τ near the end and v² = 2 a d − (a τ)² before it, with equal value and slope at v = a τ.
         """
-        fading_mps = self._braking_mps2 * config.end_decay_s
-        if remaining_m <= fading_mps * config.end_decay_s:
+        decay_mps = self._braking_mps2 * config.end_decay_s
+        if remaining_m <= decay_mps * config.end_decay_s:
             return max(remaining_m, 0.0) / config.end_decay_s
-        return math.sqrt(2.0 * self._braking_mps2 * remaining_m - fading_mps * fading_mps)
+        return math.sqrt(2.0 * self._braking_mps2 * remaining_m - decay_mps * decay_mps)
 
     def time_s(self, from_m: float, to_m: float, speed_mps: float) -> float:
-        """Time from one place to another ahead, at the planned speeds scaled to the present one."""
+        """Time between two arc lengths at the planned speeds scaled to the present one, s."""
         planned_s = self._at(self._times, to_m) - self._at(self._times, from_m)
         if abs(speed_mps) < STANDING_MPS:
             return math.inf
@@ -89,27 +89,27 @@ class SpeedPlan:
 
 
 def steerable_mps(path: Path, reference: Reference, vehicle: Vehicle, share: float) -> Float64:
-    """The speed at which the wheels turn as fast as the path bends with `share` of their rate, at its points (N,)."""
+    """Speed at the points (N,) at which following the path needs `share` of the steering rate, m/s."""
     s, rates = reference.steering_rates(vehicle.drivetrain.wheelbase_m)
     steady = np.maximum(np.interp(path.s_m, s, rates), 1e-3)
     return np.asarray(share * steering_rate(vehicle) / steady, np.float64)
 
 
-class SpeedControl:
-    """ControlCommand of speed and deceleration, both in the direction of travel."""
+class LongitudinalController:
+    """Speed and deceleration commands, both in the direction of travel."""
 
     def __init__(self, config: SpeedConfig) -> None:
         self._config = config
-        self._missing_mps = 0.0
+        self._integral_mps = 0.0
         self._model_mps = 0.0
         self.is_arrived = False
 
     def start(self) -> None:
-        """A new path begins."""
+        """Starts a path."""
         self.is_arrived = False
 
     def target_mps(self, plan: SpeedPlan, s_m: float, speed_mps: float, offset_m: float) -> float:
-        """The speed to drive now; 0 for good once the end is reached."""
+        """Target speed, m/s; remains 0 once the end is reached."""
         config = self._config
         ahead_m = s_m + max(speed_mps, 0.0) * config.delay_s
         remaining_m = plan.end_m - s_m
@@ -121,34 +121,32 @@ class SpeedControl:
         far = config.far_mps if abs(offset_m) > config.far_offset_m else math.inf
         return min(limit, ending, far)
 
-    def control_command(
-        self, target_mps: float, speed_mps: float, elapsed_s: float, is_obeyed: bool
-    ) -> tuple[float, float]:
-        """Speed to ask for and acceleration (≤ 0 asks the brakes) for a target and the measured speed."""
-        self._learn(target_mps, speed_mps, elapsed_s, is_obeyed)
-        least_mps = min(target_mps, self._config.creep_mps)  # what was learned at speed must not stop it
-        asked = max(least_mps, target_mps + self._missing_mps) if target_mps > 0.0 else 0.0
-        return asked, -self._braking_mps2(target_mps, speed_mps)
+    def command(self, target_mps: float, speed_mps: float, elapsed_s: float, is_followed: bool) -> tuple[float, float]:
+        """Commanded speed and acceleration (< 0: brakes) for target and measured speed."""
+        self._learn(target_mps, speed_mps, elapsed_s, is_followed)
+        min_mps = min(target_mps, self._config.creep_mps)  # a negative integral must not stop the machine
+        commanded_mps = max(min_mps, target_mps + self._integral_mps) if target_mps > 0.0 else 0.0
+        return commanded_mps, -self._braking_mps2(target_mps, speed_mps)
 
-    def _learn(self, target_mps: float, speed_mps: float, elapsed_s: float, is_obeyed: bool) -> None:
-        """Compare once a sound speed loop would have got there, so that a change of target teaches nothing."""
+    def _learn(self, target_mps: float, speed_mps: float, elapsed_s: float, is_followed: bool) -> None:
+        """Integrates the error once the model has reached the target, so that changes of target have no effect."""
         config = self._config
         self._model_mps += (target_mps - self._model_mps) * min(elapsed_s / config.model_lag_s, 1.0)
-        if not is_obeyed:
+        if not is_followed:
             self._model_mps = min(self._model_mps, speed_mps)
             return
         is_stuck = speed_mps < STANDING_MPS and self._model_mps > max(STUCK_SHARE * target_mps, STANDING_MPS)
-        is_steady = abs(target_mps - self._model_mps) < 0.05 and target_mps > LEARN_FROM_MPS
+        is_steady = abs(target_mps - self._model_mps) < 0.05 and target_mps > MIN_LEARNING_MPS
         if is_stuck:
-            self._missing_mps = clamp(self._missing_mps + STUCK_MPS2 * elapsed_s, config.integral_max_mps)
+            self._integral_mps = clamp(self._integral_mps + STUCK_MPS2 * elapsed_s, config.integral_max_mps)
         elif is_steady and abs(target_mps - speed_mps) < 0.5:
             change = config.integral_per_s * (target_mps - speed_mps) * elapsed_s
-            self._missing_mps = clamp(self._missing_mps + change, config.integral_max_mps)
+            self._integral_mps = clamp(self._integral_mps + change, config.integral_max_mps)
 
     def _braking_mps2(self, target_mps: float, speed_mps: float) -> float:
-        """The brakes help a drive that does not slow down as it should, and they hold at standstill."""
+        """Brake demand: against overspeed, and holding at standstill."""
         config = self._config
         if target_mps == 0.0:
-            return min(max(config.overspeed_per_s * speed_mps, config.holding_mps2), config.most_braking_mps2)
+            return min(max(config.overspeed_per_s * speed_mps, config.holding_mps2), config.max_braking_mps2)
         excess = speed_mps - max(target_mps, self._model_mps) - config.overspeed_mps
-        return min(max(config.overspeed_per_s * excess, 0.0), config.most_braking_mps2)
+        return min(max(config.overspeed_per_s * excess, 0.0), config.max_braking_mps2)

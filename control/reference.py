@@ -1,7 +1,7 @@
-"""A path as it can be steered: smoothed where curvature steps, with the machine's place on it followed step by step.
+"""Reference of the lateral controller: the path smoothed where curvature steps, and the position on it.
 
-Everything here is in the direction of travel: for a path driven in reverse the heading is that of the motion, left is
-left of the motion, and curvature turns the motion to the left.
+All values are in the direction of travel: for a path in reverse the heading is that of the motion, left is left of the
+motion, and positive curvature turns the motion left.
 """
 
 import math
@@ -16,11 +16,11 @@ from geometry.arrays import Float64
 from messages.plan import Path
 
 SPACING_M = 0.1
-EXTENSION_M = 8.0  # several wavelengths of the smoothing, so that its ends lie outside the path
+EXTENSION_M = 8.0  # several wavelengths of the smoothing: its boundary effects lie outside the path
 
 
-class Place(NamedTuple):
-    """Where a point lies against the path; `offset_m` left of it, `heading_error_rad` left of its heading."""
+class FrenetPosition(NamedTuple):
+    """Frenet coordinates of a pose (left positive), and the curvature of the path there."""
 
     s_m: float
     offset_m: float
@@ -29,7 +29,7 @@ class Place(NamedTuple):
 
 
 class Reference:
-    """Points every 0.1 m of the smoothed path; `deviation_m` is how far left of the path itself they lie."""
+    """Smoothed path at steps of 0.1 m; `deviation_m` is its offset from the path itself, left positive."""
 
     def __init__(self, path: Path, smoothing_radpm: float) -> None:
         self.path_id, self.direction = path.path_id, path.direction
@@ -48,35 +48,35 @@ class Reference:
         """Arc length at the end."""
         return self._first_m + self.length_m
 
-    def place(self, x_m: float, y_m: float, heading_rad: float, near: int) -> tuple[Place, int]:
-        """The place of a point, searched for from the index `near` on downhill only, and the index found."""
-        k = self._descend(x_m, y_m, near)
+    def locate(self, x_m: float, y_m: float, heading_rad: float, near: int) -> tuple[FrenetPosition, int]:
+        """Position of a pose, by descent from the index `near`, and the index found."""
+        k = self._nearest_index(x_m, y_m, near)
         c, s = self._cos[k], self._sin[k]
         dx, dy = x_m - self._x[k], y_m - self._y[k]
         along, across = c * dx + s * dy, c * dy - s * dx
         curvature = self._curvature_at(k, along)
-        place = Place(
+        position = FrenetPosition(
             s_m=self._first_m + k * self._step_m + along,
             offset_m=across - 0.5 * curvature * along * along,
             heading_error_rad=wrap(heading_rad - self._heading[k] - curvature * along),
             curvature_radpm=curvature,
         )
-        return place, k
+        return position, k
 
     def deviation_m(self, near: int) -> float:
-        """How far left of the path the smoothed one lies there."""
+        """Offset of the smoothed path from the path at an index, left positive."""
         return self._deviation[near]
 
     def steering_rates(self, wheelbase_m: float) -> tuple[Float64, Float64]:
-        """Arc length, (M,), and how fast the front wheels turn there by the way, in rad/m."""
+        """Arc length, (M,), and change of the front-wheel angle per distance there, (M,), rad/m."""
         angle = np.arctan(wheelbase_m * np.array(self._curvature))
         return self._s, np.abs(np.gradient(angle, self._step_m))
 
-    def find(self, x_m: float, y_m: float, heading_rad: float, within_m: float) -> int:
-        """The nearest point within the first metres that is driven in about this direction, else the first."""
-        most = max(1, min(len(self._x), round(within_m / self._step_m)))
+    def start_index(self, x_m: float, y_m: float, heading_rad: float, within_m: float) -> int:
+        """Index of the nearest point within `within_m` with a heading within 90 degrees, else 0."""
+        count = max(1, min(len(self._x), round(within_m / self._step_m)))
         best, nearest = 0, math.inf
-        for k in range(most):
+        for k in range(count):
             distance = math.hypot(x_m - self._x[k], y_m - self._y[k])
             if distance < nearest and abs(wrap(heading_rad - self._heading[k])) < 0.5 * math.pi:
                 best, nearest = k, distance
@@ -102,8 +102,8 @@ class Reference:
     def _end_curvatures(self, path: Path) -> tuple[float, float]:
         return self.direction * float(path.curvature_radpm[0]), self.direction * float(path.curvature_radpm[-1])
 
-    def _descend(self, x_m: float, y_m: float, near: int) -> int:
-        """The local minimum of distance: crossings and loops of the path are never jumped over."""
+    def _nearest_index(self, x_m: float, y_m: float, near: int) -> int:
+        """Local minimum of distance: no jump to another branch at crossings and loops."""
         k, last = near, len(self._x) - 1
         here = self._square(k, x_m, y_m)
         while k < last and (after := self._square(k + 1, x_m, y_m)) < here:
@@ -124,10 +124,10 @@ class Reference:
 def smooth(
     p_m: Float64, step_m: float, cutoff_radpm: float, headings: tuple[float, float], curvatures: tuple[float, float]
 ) -> Float64:
-    """The points (N, 2) without what turns faster than `cutoff_radpm`, shifted nowhere; with as many more at both ends.
+    """Points (N, 2) low-pass filtered at `cutoff_radpm` without phase shift, extended at both ends.
 
-    Third-order Butterworth forth and back: 1 / (1 + (ω/ω₀)⁶) is what a controller that weighs offset against rate of
-    curvature would drive (the optimum with full preview), and it leaves straights and circles as they are.
+    Third-order Butterworth, forward and backward: 1 / (1 + (ω/ω₀)⁶) is the response of the optimal preview controller
+    that weighs offset against rate of curvature; straights and circles are unchanged.
     """
     count = math.ceil(EXTENSION_M / step_m)
     before = _arc(p_m[0], headings[0], curvatures[0], np.arange(-count, 0, dtype=np.float64) * step_m)

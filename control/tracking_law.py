@@ -1,13 +1,13 @@
-"""Path tracking at the rear axle: from offset and heading error to the curvature to drive.
+"""Path tracking law at the rear axle: curvature from offset and heading error.
 
-All in the direction of travel (control/reference.py), where forward and reverse are the same: at the rear axle
-e' = sin ψ and ψ' = κ − κ_p cos ψ / (1 − e κ_p), with ' by the way driven. A wanted heading against the path,
-ψ_w(e), brings the offset down, and κ makes ψ − ψ_w decay (backstepping):
+In the direction of travel (control/reference.py), forward and reverse are equal: at the rear axle
+e' = sin ψ and ψ' = κ − κ_p cos ψ / (1 − e κ_p), with ' by distance. A desired heading against the path, ψ_w(e),
+reduces the offset, and κ makes ψ − ψ_w decay (backstepping):
 
     κ = κ_p cos ψ / (1 − e κ_p) + dψ_w/de · sin ψ − (ψ − ψ_w) / l_ψ
 
       e                       near the line  ψ_w = −e / l_e : e decays over the length l_e
-      │ ╲  at most approach   further out    an arc of the landing radius that ends on the line
+      │ ╲  up to approach     further out    an arc of the landing radius that ends on the line
       │  ╲ angle              far            straight at the approach angle
       │   ╲
       │     ╲_ arc
@@ -25,30 +25,32 @@ from control.scalars import clamp
 
 
 class TrackingConfig(Config):
-    """Lengths of decay: at low speed in metres, at high speed as time; the larger counts."""
+    """Decay lengths of the law: constant at low speed, time × speed at high speed; the larger applies."""
 
-    smoothing_radpm: float = Field(gt=0.1, le=20.0, description="what of the path turns faster is smoothed")
+    smoothing_radpm: float = Field(gt=0.1, le=20.0, description="cut-off of the path smoothing")
     offset_decay_m: float = Field(gt=0.2, le=20.0)
     offset_decay_s: float = Field(gt=0.0, le=5.0)
     heading_decay_m: float = Field(gt=0.2, le=20.0)
     heading_decay_s: float = Field(gt=0.0, le=5.0)
-    landing_share: float = Field(ge=1.0, le=10.0, description="landing radius over the least turning radius")
+    landing_share: float = Field(ge=1.0, le=10.0, description="landing radius over minimum turning radius")
     landing_m: float = Field(
-        gt=0.1, le=10.0, description="way in which the steering must reach the landing's curvature"
+        gt=0.1, le=10.0, description="distance in which the steering must reach the landing curvature"
     )
-    correction_m: float = Field(gt=0.1, le=10.0, description="way over which the steering may turn to correct, or")
-    correction_s: float = Field(gt=0.05, le=5.0, description="time: more makes it swing at its limited rate")
+    correction_m: float = Field(gt=0.1, le=10.0, description="distance over which the steering may turn to correct, or")
+    correction_s: float = Field(gt=0.05, le=5.0, description="time; more causes oscillation at the limited rate")
     approach_deg: float = Field(gt=5.0, le=80.0)
     integral_m: float = Field(gt=1.0, le=1000.0)
     integral_max_m: float = Field(ge=0.0, le=0.5)
-    integral_offset_m: float = Field(gt=0.0, le=1.0, description="integrates only within this offset")
-    integral_curvature_radpm: float = Field(gt=0.0, le=1.0, description="and only where the path is not tighter")
-    start_window_m: float = Field(gt=0.0, le=100.0, description="of a new path, in which the machine is looked for")
+    integral_offset_m: float = Field(gt=0.0, le=1.0, description="integration only within this offset")
+    integral_curvature_radpm: float = Field(gt=0.0, le=1.0, description="and only below this curvature of the path")
+    start_window_m: float = Field(
+        gt=0.0, le=100.0, description="beginning of a new path in which the position is searched"
+    )
 
 
 @dataclass(frozen=True)
-class Law:
-    """The law at one speed."""
+class TrackingLaw:
+    """Tracking law at one speed."""
 
     offset_decay_m: float
     heading_decay_m: float
@@ -57,8 +59,8 @@ class Law:
     correction_radpm: float
 
     @classmethod
-    def at(cls, config: TrackingConfig, speed_mps: float, min_radius_m: float, rate_radpmps: float) -> "Law":
-        """The law's lengths at a speed, for a steering that changes curvature by `rate_radpmps` at most."""
+    def at(cls, config: TrackingConfig, speed_mps: float, min_radius_m: float, rate_radpmps: float) -> "TrackingLaw":
+        """The law at a speed, for a steering whose curvature rate is at most `rate_radpmps`."""
         return cls(
             max(config.offset_decay_m, config.offset_decay_s * speed_mps),
             max(config.heading_decay_m, config.heading_decay_s * speed_mps),
@@ -68,9 +70,9 @@ class Law:
         )
 
     def approach(self, offset_m: float) -> tuple[float, float]:
-        """Wanted heading against the path, and its slope over the offset."""
+        """Desired heading against the path, rad, and its derivative by the offset, rad/m."""
         decay, radius = self.offset_decay_m, self.landing_radius_m
-        bend_rad = math.asin(min(decay / radius, 1.0))  # where arc and line have the same slope
+        bend_rad = math.asin(min(decay / radius, 1.0))  # arc and exponential have equal slopes here
         beyond_m = abs(offset_m) - decay * bend_rad
         if beyond_m <= 0.0:
             return -offset_m / decay, -1.0 / decay
@@ -81,24 +83,24 @@ class Law:
         return -math.copysign(angle, offset_m), -1.0 / (radius * math.sin(angle))
 
     def curvature(self, offset_m: float, heading_error_rad: float, path_radpm: float) -> float:
-        """The curvature to drive, left positive in the direction of travel."""
-        wanted_rad, slope = self.approach(offset_m)
-        shrink = max(1.0 - offset_m * path_radpm, 0.2)  # beyond the path's own centre there is no place on it
+        """Curvature to drive, rad/m, left positive in the direction of travel."""
+        desired_rad, slope = self.approach(offset_m)
+        shrink = max(1.0 - offset_m * path_radpm, 0.2)  # undefined beyond the centre of curvature
         forward = path_radpm * math.cos(heading_error_rad) / shrink
-        error_rad = clamp(heading_error_rad - wanted_rad, 0.5 * math.pi)
+        error_rad = clamp(heading_error_rad - desired_rad, 0.5 * math.pi)
         correction = slope * math.sin(heading_error_rad) - error_rad / self.heading_decay_m
         return forward + clamp(correction, self.correction_radpm)
 
 
 class OffsetIntegral:
-    """What is left of the offset in the mean, learned slowly on the line and held everywhere else."""
+    """Mean residual offset, integrated on the line and held elsewhere."""
 
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config
         self.offset_m = 0.0
 
     def update(self, offset_m: float, curvature_radpm: float, driven_m: float) -> float:
-        """Go on by `driven_m` (0 holds); returns what to add to the offset."""
+        """Integrates over `driven_m` (0 holds); returns the correction of the offset, m."""
         config = self._config
         is_on_line = abs(offset_m) < config.integral_offset_m
         if is_on_line and abs(curvature_radpm) < config.integral_curvature_radpm:

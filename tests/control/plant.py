@@ -37,7 +37,7 @@ class Ground:
 
 
 @dataclass
-class Senses:
+class SensorNoise:
     """Noise of what the controller is told."""
 
     map_m: float = 0.006  # slow error of the localizer
@@ -76,7 +76,7 @@ class Track:
     yaw_rad: list[float] = field(default_factory=list)
     speed_mps: list[float] = field(default_factory=list)
     hitch: list[float] = field(default_factory=list)
-    wishes: list = field(default_factory=list)
+    commands: list = field(default_factory=list)
 
 
 class Inbox:
@@ -93,9 +93,9 @@ class Plant:
     """Machine, senses and a supervisor that agrees; `run` drives the controller until it is finished."""
 
     def __init__(
-        self, x=0.0, y=0.0, yaw=0.0, speed=0.0, ground=None, senses=None, actuators=None, seed=1, config=CONFIG
+        self, x=0.0, y=0.0, yaw=0.0, speed=0.0, ground=None, noise=None, actuators=None, seed=1, config=CONFIG
     ):
-        self.ground, self.senses, self.act = ground or Ground(), senses or Senses(), actuators or Actuators()
+        self.ground, self.noise, self.act = ground or Ground(), noise or SensorNoise(), actuators or Actuators()
         self.x, self.y, self.yaw, self.speed = x, y, yaw, speed
         self.rng = np.random.default_rng(seed)
         self.controller = Controller(VEHICLE, IMPLEMENT, config)
@@ -129,7 +129,7 @@ class Plant:
         return self.track
 
     def control(self):
-        self.sense()
+        self.measure()
         control_command = self.controller.step(self.now_ns, self.inbox)[0][1]
         self.inbox.messages["safe_command"] = SafeCommand(
             self.now_ns, Mode.AUTOMATIC, self.is_enabled, control_command.speed_mps if self.is_enabled else 0.0,
@@ -140,7 +140,7 @@ class Plant:
         self.control_command = control_command
         t = self.track
         for values, value in ((t.t_s, self.now_ns * 1e-9), (t.x_m, self.x), (t.y_m, self.y), (t.yaw_rad, self.yaw),
-                              (t.speed_mps, self.speed), (t.hitch, self.hitch), (t.wishes,
+                              (t.speed_mps, self.speed), (t.hitch, self.hitch), (t.commands,
                               control_command)):  # fmt: skip
             values.append(value)
         return control_command
@@ -169,11 +169,11 @@ class Plant:
             self.fold = min(max(self.fold + (change if w.is_implement_folded else -change), 0.0), 1.0)
         self.roll()
 
-    def turn_wheels(self, wanted_rad):
+    def turn_wheels(self, desired_rad):
         a = self.act
-        measured = self.drive_rad - math.radians(self.senses.angle_zero_deg)
-        rate = max(-a.rate_radps, min(a.rate_radps, (wanted_rad - measured) / a.loop_s))
-        self.rates.append(rate if abs(wanted_rad - measured) > math.radians(0.06) else 0.0)
+        measured = self.drive_rad - math.radians(self.noise.angle_zero_deg)
+        rate = max(-a.rate_radps, min(a.rate_radps, (desired_rad - measured) / a.loop_s))
+        self.rates.append(rate if abs(desired_rad - measured) > math.radians(0.06) else 0.0)
         self.motor_radps += (self.rates.popleft() - self.motor_radps) * DT_S / a.motor_s
         self.drive_rad = max(-0.52, min(0.52, self.drive_rad + self.motor_radps * DT_S))
         play = 0.5 * math.radians(a.backlash_deg)
@@ -192,8 +192,8 @@ class Plant:
         self.y += v * DT_S * math.sin(course)
         self.yaw += turn
 
-    def sense(self):
-        s, n = self.senses, self.rng.standard_normal
+    def measure(self):
+        s, n = self.noise, self.rng.standard_normal
         share = math.exp(-0.02 / s.map_s)
         self.map_error = share * self.map_error + s.map_m * math.sqrt(1 - share * share) * n(2)
         T_odom_map = planar(3.0, 2.0, 0.3)
@@ -250,7 +250,7 @@ def true_offsets(track, path):
     """Left of the path in the direction of travel and arc length of each sample, against the path as it was given."""
     p, s = path.p_map_m, path.s_m
     q = np.stack([track.x_m, track.y_m], axis=1)
-    offsets, places = np.empty(len(q)), np.empty(len(q))
+    offsets, positions = np.empty(len(q)), np.empty(len(q))
     near = 0
     for i, point in enumerate(q):
         lo, hi = max(0, near - 10), min(len(p), near + 30)
@@ -266,5 +266,5 @@ def true_offsets(track, path):
                 distance = float(np.hypot(*(point - foot)))
                 if distance < best[0]:
                     best = (distance, cross, s[k] + along)
-        offsets[i], places[i] = best[1], best[2]
-    return offsets, places
+        offsets[i], positions[i] = best[1], best[2]
+    return offsets, positions

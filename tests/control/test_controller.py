@@ -39,13 +39,13 @@ def test_without_a_pose_it_wishes_to_stand_and_goes_on_after(missing):
     (_, control_command), = plant.controller.step(plant.now_ns, plant.inbox)  # fmt: skip
     assert (control_command.speed_mps, control_command.is_finished) == (0.0, False)
     track = plant.run(path)
-    assert track.wishes[-1].is_finished
+    assert track.commands[-1].is_finished
 
 
 def test_a_pose_that_is_not_initialized_is_none():
     plant = Plant()
     plant.inbox.messages["path"] = path_along(np.zeros(100))
-    plant.sense()
+    plant.measure()
     pose = plant.inbox.messages["map_pose"]
     plant.inbox.messages["map_pose"] = replace(pose, is_initialized=False)
     (_, control_command), = plant.controller.step(plant.now_ns, plant.inbox)  # fmt: skip
@@ -58,9 +58,9 @@ def test_paths_follow_one_another():
     assert plant.control_command.is_finished
     back = path_along(np.zeros(100), 1.0, start=(12.0, 0.0, 0.0), direction=-1, path_id=2)
     track = plant.run(back)
-    assert track.wishes[-1].path_id == 2
-    assert track.wishes[-1].is_finished
-    assert min(w.speed_mps for w in track.wishes) == pytest.approx(-1.0, abs=0.15)
+    assert track.commands[-1].path_id == 2
+    assert track.commands[-1].is_finished
+    assert min(w.speed_mps for w in track.commands) == pytest.approx(-1.0, abs=0.15)
     assert plant.x == pytest.approx(2.0, abs=0.06)
 
 
@@ -76,7 +76,7 @@ def test_errors_are_left_of_the_machine_in_both_directions():
 
 def test_twice_the_same():
     path = path_along(0.1 * np.sin(np.arange(150) * 0.05), 2.0)
-    first, second = (Plant(seed=3).run(path).wishes for _ in range(2))
+    first, second = (Plant(seed=3).run(path).commands for _ in range(2))
     assert [astuple(w) for w in first] == [astuple(w) for w in second]
 
 
@@ -102,5 +102,5 @@ def test_a_path_of_hardly_any_length_is_soon_finished(points):
     short = {k: getattr(whole, k)[:points] for k in ("p_map_m", "heading_rad", "curvature_radpm", "s_m", "is_working")}
     path = replace(whole, **short, speed_mps=np.append(np.full(points - 1, 0.3), 0.0))
     track = Plant().run(path, until_s=30.0)
-    assert track.wishes[-1].is_finished
+    assert track.commands[-1].is_finished
     assert abs(track.x_m[-1] - path.s_m[-1]) < 0.05

@@ -11,7 +11,7 @@ from geometry.pose2 import Pose2
 from planning.config import PlanningConfig
 from planning.docking.dock import Docking, plan_docking
 from planning.rig import rig_of
-from tests.control.plant import IMPLEMENT, VEHICLE, Actuators, Ground, Plant, Senses, Track, true_offsets
+from tests.control.plant import IMPLEMENT, VEHICLE, Actuators, Ground, Plant, SensorNoise, Track, true_offsets
 
 SITE = load(Site, find("sites", "demo"))
 PLANNING = parse(PlanningConfig, read_yaml(CONFIGS / "stack/planning.yaml"), "stack/planning.yaml")
@@ -26,13 +26,13 @@ YARD = Ground(side_slope_deg=0.5, understeer=0.01, soil_radpm=0.001)
 def test_it_ends_in_the_dock(bay, start, speed_gain):
     rig = rig_of(VEHICLE, IMPLEMENT.folded, None, PLANNING.planner)
     docking = Docking(SITE, rig, SITE.bay(bay), PLANNING.docking, 0)
-    senses, actuators = Senses(map_m=0.002, angle_zero_deg=-0.3), Actuators(speed_gain=speed_gain)
-    plant = Plant(x=start.x_m, y=start.y_m, yaw=start.yaw_rad, ground=YARD, senses=senses, actuators=actuators)
+    noise, actuators = SensorNoise(map_m=0.002, angle_zero_deg=-0.3), Actuators(speed_gain=speed_gain)
+    plant = Plant(x=start.x_m, y=start.y_m, yaw=start.yaw_rad, ground=YARD, noise=noise, actuators=actuators)
     plant.fold = 1.0
     for path in plan_docking(start, docking, 1):
         before = len(plant.track.x_m)
         track = plant.run(path)
-        assert track.wishes[-1].is_finished
+        assert track.commands[-1].is_finished
         driven = Track(x_m=track.x_m[before:], y_m=track.y_m[before:])
         offsets, _ = true_offsets(driven, path)
         assert np.abs(offsets).max() < 0.03

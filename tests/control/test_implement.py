@@ -59,9 +59,9 @@ class Slow:
 def _with_hitch(control_command, queue):
     from dataclasses import replace
 
-    queue.append(self_wish := getattr(control_command, "wanted", control_command.is_implement_lowered))
+    queue.append(desired := getattr(control_command, "wanted", control_command.is_implement_lowered))
     changed = replace(control_command, is_implement_lowered=queue.pop(0))
-    object.__setattr__(changed, "wanted", self_wish)
+    object.__setattr__(changed, "wanted", desired)
     return changed
 
 
@@ -71,8 +71,8 @@ def test_a_late_hitch_is_learned():
         work[first - 1 : first + 72] = 1
     path = path_along(np.zeros(900), 2.78, work=work)
     found = crossings(Slow(Plant(), 0.25).run(path))
-    wanted = [s for first in range(100, 800, 150) for s in (first * STEP_M - 0.05, (first + 70) * STEP_M + 0.05)]
-    late = np.array(found) - np.array(wanted)
+    desired = [s for first in range(100, 800, 150) for s in (first * STEP_M - 0.05, (first + 70) * STEP_M + 0.05)]
+    late = np.array(found) - np.array(desired)
     assert np.abs(late[:2]).max() > 0.4
     assert np.abs(late[-4:]).max() < 0.15
 
@@ -109,7 +109,7 @@ def test_nothing_changes_while_the_machine_stands_before_the_edge():
 def test_the_shaft_turns_before_work_and_stays_on_between_near_works():
     work = marked(300, 350) | marked(400, 450)
     track = Plant().run(path_along(np.zeros(600), 2.78, work=work))
-    x, on = np.array(track.x_m), np.array([w.is_pto_on for w in track.wishes])
+    x, on = np.array(track.x_m), np.array([w.is_pto_on for w in track.commands])
     assert np.flatnonzero(np.diff(on.astype(int))).size == 2
     assert 18.0 < x[np.argmax(on)] < 25.0
     assert x[len(on) - 1 - np.argmax(on[::-1])] == pytest.approx(45.0, abs=0.5)
@@ -121,5 +121,5 @@ def test_an_implement_without_shaft_never_asks_for_it():
     plant = Plant()
     plant.controller._implement = control
     track = plant.run(path_along(np.zeros(200), work=marked(50, 150, 201)))
-    assert any(w.is_implement_lowered for w in track.wishes)
-    assert not any(w.is_pto_on for w in track.wishes)
+    assert any(w.is_implement_lowered for w in track.commands)
+    assert not any(w.is_pto_on for w in track.commands)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from control.longitudinal_controller import SpeedControl
+from control.longitudinal_controller import LongitudinalController
 from tests.control.plant import CONFIG, Actuators, Ground, Plant, path_along
 
 
@@ -37,7 +37,7 @@ def test_it_stands_at_the_end_of_the_path(grade, speed_mps, direction):
     path = path_along(np.zeros(10 * length_m), speed_mps, direction=direction)
     plant = Plant(ground=Ground(grade=grade), speed=0.0)
     track = plant.run(path, until_s=90.0)
-    assert track.wishes[-1].is_finished
+    assert track.commands[-1].is_finished
     for _ in range(50):
         plant.control()
         plant.move()
@@ -66,37 +66,37 @@ def test_a_stop_by_the_supervisor_teaches_nothing():
     plant = Plant(actuators=Actuators(speed_gain=1.0))
     path = path_along(np.zeros(600), 2.0)
     plant.run(path, stop=lambda p, _: p.x > 15.0)
-    learned = plant.controller._speed._missing_mps
+    learned = plant.controller._longitudinal._integral_mps
     plant.is_enabled = False
     plant.run(path, until_s=10.0)
     assert plant.speed == pytest.approx(0.0, abs=0.02)
-    assert plant.controller._speed._missing_mps == pytest.approx(learned, abs=0.01)
+    assert plant.controller._longitudinal._integral_mps == pytest.approx(learned, abs=0.01)
     plant.is_enabled = True
     track = plant.run(path, stop=lambda p, _: p.x > 35.0)
     assert max(track.speed_mps) < 2.2
 
 
 def test_a_machine_that_does_not_start_is_asked_for_more():
-    control = SpeedControl(CONFIG.speed)
-    asked = [control.control_command(0.3, 0.0, 0.02, True)[0] for _ in range(200)]
+    control = LongitudinalController(CONFIG.speed)
+    asked = [control.command(0.3, 0.0, 0.02, True)[0] for _ in range(200)]
     assert asked[-1] > asked[0] + 0.2
     assert max(asked) <= 0.3 + CONFIG.speed.integral_max_mps + 1e-9
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 0.5, 1.0, 1.2, 1.3, 2.0, 5.0])
 def test_the_brakes_help_only_a_drive_that_does_not_slow_down(speed_mps):
-    control = SpeedControl(CONFIG.speed)
+    control = LongitudinalController(CONFIG.speed)
     for _ in range(200):
-        _, acceleration = control.control_command(1.0, speed_mps, 0.02, True)
+        _, acceleration = control.command(1.0, speed_mps, 0.02, True)
     excess = speed_mps - 1.0 - CONFIG.speed.overspeed_mps
     assert (acceleration < -1e-6) == (excess > 1e-6)
-    assert acceleration >= -CONFIG.speed.most_braking_mps2
-    assert control.control_command(0.0, speed_mps, 0.02, True) == (0.0, pytest.approx(-braking_to_stand(speed_mps)))
+    assert acceleration >= -CONFIG.speed.max_braking_mps2
+    assert control.command(0.0, speed_mps, 0.02, True) == (0.0, pytest.approx(-braking_to_stand(speed_mps)))
 
 
 def braking_to_stand(speed_mps):
     speed = CONFIG.speed
-    return min(max(speed.overspeed_per_s * speed_mps, speed.holding_mps2), speed.most_braking_mps2)
+    return min(max(speed.overspeed_per_s * speed_mps, speed.holding_mps2), speed.max_braking_mps2)
 
 
 def test_the_end_is_approached_without_a_kink():

@@ -14,8 +14,8 @@ def along(path, reference, offset_m=0.0):
     near, found = 0, []
     for k in range(0, len(path.s_m), 2):
         (x, y), h = path.p_map_m[k], path.heading_rad[k]
-        place, near = reference.place(x - offset_m * math.sin(h), y + offset_m * math.cos(h), h, near)
-        found.append((place, path.s_m[k], near))
+        position, near = reference.locate(x - offset_m * math.sin(h), y + offset_m * math.cos(h), h, near)
+        found.append((position, path.s_m[k], near))
     return found
 
 
@@ -24,12 +24,12 @@ def along(path, reference, offset_m=0.0):
 def test_straights_and_circles_stay_as_they_are(curvature, offset_m):
     path = path_along(np.full(200, curvature))
     reference = Reference(path, 1.5)
-    for place, s_m, near in along(path, reference, offset_m):
-        assert place.s_m == pytest.approx(s_m, abs=3e-3)
-        assert place.offset_m == pytest.approx(offset_m, abs=1e-3)
+    for position, s_m, near in along(path, reference, offset_m):
+        assert position.s_m == pytest.approx(s_m, abs=3e-3)
+        assert position.offset_m == pytest.approx(offset_m, abs=1e-3)
         assert reference.deviation_m(near) == pytest.approx(0.0, abs=1e-3)
-        assert place.heading_error_rad == pytest.approx(0.0, abs=2e-3)
-        assert place.curvature_radpm == pytest.approx(curvature, abs=2e-3)
+        assert position.heading_error_rad == pytest.approx(0.0, abs=2e-3)
+        assert position.curvature_radpm == pytest.approx(curvature, abs=2e-3)
 
 
 def test_a_step_of_curvature_becomes_a_ramp_that_stays_near_the_path():
@@ -44,10 +44,10 @@ def test_a_step_of_curvature_becomes_a_ramp_that_stays_near_the_path():
 
 def test_heading_and_left_follow_the_travel_in_reverse():
     path = path_along(np.zeros(100), direction=-1)
-    place, _ = Reference(path, 1.5).place(-5.0, -0.3, math.pi, 40)
-    assert place.s_m == pytest.approx(5.0, abs=1e-3)
-    assert place.offset_m == pytest.approx(0.3, abs=1e-3)
-    assert place.heading_error_rad == pytest.approx(0.0, abs=1e-3)
+    position, _ = Reference(path, 1.5).locate(-5.0, -0.3, math.pi, 40)
+    assert position.s_m == pytest.approx(5.0, abs=1e-3)
+    assert position.offset_m == pytest.approx(0.3, abs=1e-3)
+    assert position.heading_error_rad == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_crossing_is_driven_straight_on():
@@ -55,22 +55,22 @@ def test_a_crossing_is_driven_straight_on():
     lobe = np.full(int(2 * math.pi * 50), 0.2)
     path = path_along(np.concatenate([lobe, -lobe]))
     for offset_m in (-0.4, 0.4):
-        places = [place.s_m for place, _, _ in along(path, Reference(path, 1.5), offset_m)]
-        assert np.all(np.diff(places) > 0.0)
-        assert places[-1] == pytest.approx(path.s_m[-1], abs=0.3)
+        positions = [position.s_m for position, _, _ in along(path, Reference(path, 1.5), offset_m)]
+        assert np.all(np.diff(positions) > 0.0)
+        assert positions[-1] == pytest.approx(path.s_m[-1], abs=0.3)
 
 
 def test_a_new_path_is_taken_up_where_the_machine_stands():
     path = path_along(np.zeros(300))
     reference = Reference(path, 1.5)
-    assert reference.find(3.04, 0.5, 0.1, 10.0) == 30
-    assert reference.find(20.0, 0.0, 0.0, 10.0) == 99
-    assert reference.find(3.0, 0.5, math.pi, 10.0) == 0  # it points the other way
+    assert reference.start_index(3.04, 0.5, 0.1, 10.0) == 30
+    assert reference.start_index(20.0, 0.0, 0.0, 10.0) == 99
+    assert reference.start_index(3.0, 0.5, math.pi, 10.0) == 0  # it points the other way
 
 
 @pytest.mark.parametrize("points", [1, 2, 3, 5])
 def test_a_short_path_is_a_path(points):
     path = path_along(np.zeros(points))
-    place, _ = Reference(path, 1.5).place(0.05, 0.01, 0.0, 0)
-    assert place.s_m == pytest.approx(0.05, abs=1e-3)
-    assert place.offset_m == pytest.approx(0.01, abs=1e-3)
+    position, _ = Reference(path, 1.5).locate(0.05, 0.01, 0.0, 0)
+    assert position.s_m == pytest.approx(0.05, abs=1e-3)
+    assert position.offset_m == pytest.approx(0.01, abs=1e-3)

@@ -7,16 +7,16 @@ import pytest
 
 from configs.vehicle import FOLDED
 from control.controller import Controller
-from control.lateral_controller import Sample
-from control.start_conditions import Departure
+from control.lateral_controller import VehicleSample
+from control.start_conditions import StartConditions
 from geometry.pose2 import Pose2
 from tests.control.plant import CONFIG, IMPLEMENT, Actuators, Plant, machine_state, path_along
 
-STANDING = Sample(0, Pose2(0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+STANDING = VehicleSample(0, Pose2(0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
 
 
-def departure(fold, is_folded):
-    found = Departure(IMPLEMENT, CONFIG.departure)
+def start_conditions(fold, is_folded):
+    found = StartConditions(IMPLEMENT, CONFIG.start_conditions)
     found.start(is_folded)
     found.observe(None if fold is None else machine_state(1, 1.0, 0.0, fold))
     return found
@@ -28,30 +28,32 @@ def departure(fold, is_folded):
     (None, True, False), (None, False, False),
 ])  # fmt: skip
 def test_it_waits_for_the_fold(fold, is_folded, goes):
-    assert departure(fold, is_folded).is_held(STANDING, 0.0, True, 0.02) is not goes
+    assert start_conditions(fold, is_folded).is_held(STANDING, 0.0, True, 0.02) is not goes
 
 
 @pytest.mark.parametrize(("gap", "goes"), [(0.0199, True), (0.0201, False), (-0.0201, False), (0.2, False)])
 def test_it_waits_for_the_wheels(gap, goes):
-    assert departure(0.0, False).is_held(STANDING, gap, True, 0.02) is not goes
+    assert start_conditions(0.0, False).is_held(STANDING, gap, True, 0.02) is not goes
 
 
 def test_it_does_not_wait_for_the_wheels_for_ever_but_while_they_are_not_ours():
     for is_steering in (True, False):
-        held = [departure(0.0, False)]
+        held = [start_conditions(0.0, False)]
         times = [held[0].is_held(STANDING, 0.1, is_steering, 0.02) for _ in range(400)]
-        assert sum(times) == (pytest.approx(CONFIG.departure.align_most_s / 0.02, abs=2) if is_steering else 400)
+        assert sum(times) == (
+            pytest.approx(CONFIG.start_conditions.alignment_timeout_s / 0.02, abs=2) if is_steering else 400
+        )
 
 
 def test_under_way_nothing_holds_it():
-    found = departure(0.0, False)
+    found = start_conditions(0.0, False)
     assert not found.is_held(replace(STANDING, speed_mps=0.5), 0.2, True, 0.02)
     found.observe(None)
     assert not found.is_held(STANDING, 0.2, True, 0.02)
 
 
 def test_an_implement_that_cannot_fold_is_not_waited_for():
-    found = Departure(IMPLEMENT.model_copy(update={"fold": None}), CONFIG.departure)
+    found = StartConditions(IMPLEMENT.model_copy(update={"fold": None}), CONFIG.start_conditions)
     found.start(True)
     assert not found.is_held(STANDING, 0.0, True, 0.02)
     assert not found.is_folded
@@ -76,9 +78,9 @@ def test_folds_drives_unfolds():
         path = replace(path_along(np.zeros(50), 0.5, start=(plant.x, 0.0, 0.0), path_id=number), is_transport=is_folded)
         before = len(plant.track.t_s)
         track = plant.run(path)
-        assert track.wishes[-1].is_finished
-        wishes, speeds = track.wishes[before:], np.array(track.speed_mps[before:])
-        assert {w.is_implement_folded for w in wishes} == {is_folded}
+        assert track.commands[-1].is_finished
+        commands, speeds = track.commands[before:], np.array(track.speed_mps[before:])
+        assert {w.is_implement_folded for w in commands} == {is_folded}
         moving = int(np.argmax(speeds > 0.03))
         assert moving * 0.02 == pytest.approx(IMPLEMENT.fold.duration_s, abs=1.2)
         assert plant.fold == float(is_folded)
@@ -89,6 +91,6 @@ def test_the_wheels_are_turned_before_a_curve_begins():
     path = path_along(np.full(80, 0.19), 0.5)
     track = plant.run(path)
     first = next(k for k, v in enumerate(track.speed_mps) if v > 0.03)
-    assert abs(plant.controller._driver._model.curvature_radpm - 0.19) < 0.05
+    assert abs(plant.controller._lateral._model.curvature_radpm - 0.19) < 0.05
     assert first * 0.02 > 0.8  # 0.45 rad at 0.47 rad/s
     assert np.hypot(track.x_m[first], track.y_m[first]) < 0.02

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from control.tracking_law import Law
+from control.tracking_law import TrackingLaw
 from tests.control import plant
-from tests.control.plant import CONFIG, Actuators, Ground, Plant, Senses, path_along, true_offsets
+from tests.control.plant import CONFIG, Actuators, Ground, Plant, SensorNoise, path_along, true_offsets
 
 FIELD = Ground(side_slope_deg=3.0, understeer=0.01, soil_radpm=0.002)
-LAW = Law.at(CONFIG.tracking, 0.83, 4.6, 0.18)
+LAW = TrackingLaw.at(CONFIG.tracking, 0.83, 4.6, 0.18)
 FAST_ANYWHERE = CONFIG.model_copy(update={"speed": CONFIG.speed.model_copy(update={"far_speed_kmh": 30.0})})
 
 
@@ -19,7 +19,7 @@ def drive(path, before_m=12.0, after_m=3.0, **kwargs):
     """True offsets in the steady part, in cm: (sigma, mean, greatest)."""
     plant = Plant(x=path.p_map_m[0, 0], y=path.p_map_m[0, 1], yaw=path.heading_rad[0], **kwargs)
     track = plant.run(path)
-    assert track.wishes[-1].is_finished
+    assert track.commands[-1].is_finished
     offset, s = true_offsets(track, path)
     steady = 100.0 * offset[(s > before_m) & (s < path.s_m[-1] - after_m)]
     assert len(steady) > 200
@@ -62,7 +62,7 @@ def test_offset_and_heading_decay_without_overshoot(curvature, offset_m):
 @pytest.mark.parametrize(("speed_mps", "offset_m"), [(0.83, -1.5), (1.39, 0.5), (2.78, -3.0), (2.78, 0.5), (6.0, 3.0)])
 def test_a_limited_steering_rate_does_not_make_it_swing(speed_mps, offset_m):
     """From far off at any speed: where the law asked for more than the steering can, the machine would overshoot."""
-    plant = Plant(x=2.0, y=offset_m, speed=speed_mps, senses=Senses(map_m=0.0), config=FAST_ANYWHERE)
+    plant = Plant(x=2.0, y=offset_m, speed=speed_mps, noise=SensorNoise(map_m=0.0), config=FAST_ANYWHERE)
     track = plant.run(path_along(np.zeros(900), speed_mps), stop=lambda p, _: p.x > 20.0 + 4.0 * speed_mps)
     offsets = np.array(track.y_m) * math.copysign(1.0, offset_m)
     assert -0.04 < offsets.min() < 0.02
@@ -82,7 +82,7 @@ def test_straight_line(speed_mps):
 
 def test_straight_line_without_localizer_error_is_followed_to_millimetres():
     sigma, mean, greatest = drive(
-        path_along(np.zeros(350)), ground=Ground(side_slope_deg=3.0), senses=Senses(map_m=0.0)
+        path_along(np.zeros(350)), ground=Ground(side_slope_deg=3.0), noise=SensorNoise(map_m=0.0)
     )
     assert sigma <= 0.3
     assert abs(mean) <= 0.3
@@ -92,7 +92,7 @@ def test_straight_line_without_localizer_error_is_followed_to_millimetres():
 @pytest.mark.parametrize(("radius_m", "speed_mps", "side"), [(5.0, 1.39, 1), (10.0, 1.94, -1), (20.0, 2.78, 1)])
 def test_circle(radius_m, speed_mps, side):
     path = path_along(np.full(min(int(2 * math.pi * radius_m * 10), 600), side / radius_m), speed_mps)
-    sigma, mean, greatest = drive(path, ground=FIELD, senses=Senses(map_m=0.003))
+    sigma, mean, greatest = drive(path, ground=FIELD, noise=SensorNoise(map_m=0.003))
     assert sigma <= 1.5
     assert abs(mean) <= 1.0
     assert greatest <= 2.5
@@ -107,7 +107,7 @@ def test_adaptive_curve():
 
 def test_steps_of_curvature_left_and_right():
     steps = np.concatenate([np.zeros(100), np.full(100, 0.2), np.full(100, -0.2), np.zeros(150)])
-    sigma, _, greatest = drive(path_along(steps, 1.39), before_m=2.0, ground=FIELD, senses=Senses(map_m=0.003))
+    sigma, _, greatest = drive(path_along(steps, 1.39), before_m=2.0, ground=FIELD, noise=SensorNoise(map_m=0.003))
     assert sigma <= 2.0
     assert greatest <= 5.0
 
@@ -140,15 +140,17 @@ def test_reverse_returns_to_the_path():
     ids=str,
 )
 def test_a_machine_other_than_the_calibrated_one(actuators):
-    sigma, _, greatest = drive(path_along(np.zeros(350)), ground=FIELD, actuators=actuators, senses=Senses(map_m=0.0))
+    sigma, _, greatest = drive(
+        path_along(np.zeros(350)), ground=FIELD, actuators=actuators, noise=SensorNoise(map_m=0.0)
+    )
     assert sigma <= 1.2
     assert greatest <= 3.0
 
 
 @pytest.mark.parametrize("zero_deg", [-1.0, 1.0])
 def test_the_zero_of_the_angle_sensor_is_learned(zero_deg):
-    senses = Senses(map_m=0.0, angle_zero_deg=zero_deg)
-    _, mean, greatest = drive(path_along(np.zeros(300)), before_m=8.0, senses=senses)
+    noise = SensorNoise(map_m=0.0, angle_zero_deg=zero_deg)
+    _, mean, greatest = drive(path_along(np.zeros(300)), before_m=8.0, noise=noise)
     assert abs(mean) <= 0.3
     assert greatest <= 1.0
 
@@ -160,7 +162,7 @@ def test_line_acquisition_at_3_kmh(offset_m, heading_deg, most_m):
     """From engaging to where |offset| ≤ 2.5 cm and |heading| ≤ 1° hold for 10 m (T14-6.6.4)."""
     path = path_along(np.zeros(400), 0.833)
     yaw = math.radians(heading_deg)
-    plant = Plant(x=3.0, y=offset_m, yaw=yaw, speed=0.833, senses=Senses(map_m=0.003))
+    plant = Plant(x=3.0, y=offset_m, yaw=yaw, speed=0.833, noise=SensorNoise(map_m=0.003))
     track = plant.run(path, stop=lambda p, _: p.x > 23.5)
     offset, _ = true_offsets(track, path)
     off = (np.abs(offset) > 0.025) | (np.abs(track.yaw_rad) > math.radians(1.0))
@@ -171,12 +173,12 @@ def test_line_acquisition_at_3_kmh(offset_m, heading_deg, most_m):
 
 def test_a_jump_on_the_map_is_not_seen_by_steering():
     path = path_along(np.zeros(600), 1.94)
-    plant = Plant(senses=Senses(map_m=0.0), ground=FIELD)
+    plant = Plant(noise=SensorNoise(map_m=0.0), ground=FIELD)
     plant.run(path, stop=lambda p, _: p.x > 20.0)
     before = plant.control_command.curvature_radpm
     plant.jump = (0.0, 0.2)
     track = plant.run(path, stop=lambda p, _: p.x > 45.0)
-    late = [w.curvature_radpm for w, x in zip(track.wishes, track.x_m, strict=True) if x > 20.0]
+    late = [w.curvature_radpm for w, x in zip(track.commands, track.x_m, strict=True) if x > 20.0]
     assert max(abs(k - before) for k in late) < 0.06  # at once it would be 0.2 / (0.9 · 0.6) = 0.37
     assert track.y_m[-1] == pytest.approx(-0.2, abs=0.02)  # in the end it is followed
 
@@ -186,7 +188,7 @@ def test_commands_are_finite_and_within_what_the_machine_can():
     for yaw in (0.0, 1.5, 3.0, -2.0):
         plant = Plant(x=2.0, y=2.5, yaw=yaw, speed=0.5)
         track = plant.run(path, until_s=8.0)
-        assert all(abs(w.curvature_radpm) <= 1 / 4.6 + 1e-9 for w in track.wishes)
+        assert all(abs(w.curvature_radpm) <= 1 / 4.6 + 1e-9 for w in track.commands)
 
 
 def test_hydraulic_and_electric_share_one_law(monkeypatch):
