@@ -107,9 +107,9 @@ COMMANDS = (
         _option("log", type=Path, metavar="LOG", help="log of `headland run`"),
         _option("--out", type=Path, required=True, metavar="FILE.webp"),
         _option("--from", dest="start", type=float, default=0.0, metavar="S", help="start second of the log"),
-        _option("--duration", type=float, default=60.0, metavar="S", help="seconds of the drive (default 60)"),
-        _option("--rate", type=float, default=6.0, metavar="X", help="times real time (default 6)"),
-        _option("--quality", type=int, default=60, metavar="Q", help="WebP quality, 0 to 100 (default 60)"),
+        _option("--duration", type=float, default=20.0, metavar="S", help="seconds of the drive (default 20)"),
+        _option("--rate", type=float, default=2.0, metavar="X", help="times real time (default 2)"),
+        _option("--quality", type=int, default=65, metavar="Q", help="WebP quality, 0 to 100 (default 65)"),
     )),
     Command("inspect-log", "list the topics, gaps and damage of a log", "runtime.commands.inspect_log", (
         _option("log", type=Path, metavar="LOG"), JSON,
