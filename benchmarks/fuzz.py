@@ -26,11 +26,11 @@ from configs.site import Site
 from configs.strict import CONFIGS, Config, load, parse
 from datasets.log import LogConfig, LogWriter
 from datasets.reader import read_log
-from interfaces.can_receiver import Incoming
+from interfaces.can_receiver import CanReceiver
 from interfaces.gnss.nmea import NmeaReader
 from interfaces.gnss.sentence import BadSentence
 from interfaces.gnss.sentence import parse as parse_sentence
-from interfaces.isobus.checksum import checksum, seal
+from interfaces.isobus.checksum import checksum, protect
 from messages.errors import HeadlandError
 from messages.message import Envelope
 from messages.sensors import GnssFix, WheelSample
@@ -44,8 +44,8 @@ FRAMES = (  # identifier and content of what a tractor sends; the cab's two are 
     (0x0CFE45F0, bytes.fromhex("c840ffffffffffff")),
     (0x0CFE43F0, bytes.fromhex("e010ffff40ffffff")),
     (0x0CF0E4F0, bytes([7])),
-    (0x0CEF00F0 | OWN << 8, seal(0x0CEF00F0 | OWN << 8, bytes.fromhex("01007d007d007d"), 3)),
-    (0x0CEF00F0 | OWN << 8, seal(0x0CEF00F0 | OWN << 8, bytes.fromhex("020000ff1401c0")[:7], 4)),
+    (0x0CEF00F0 | OWN << 8, protect(0x0CEF00F0 | OWN << 8, bytes.fromhex("01007d007d007d"), 3)),
+    (0x0CEF00F0 | OWN << 8, protect(0x0CEF00F0 | OWN << 8, bytes.fromhex("020000ff1401c0")[:7], 4)),
 )
 LINES = (
     "GNGGA,101112.30,5130.69000,N,00603.75000,E,4,21,0.7,24.100,M,46.500,M,1.2,0001",
@@ -100,21 +100,21 @@ def mutated(data: bytes, random: np.random.Generator) -> bytes:
 
 def fuzz_frames(count: int, random: np.random.Generator) -> Count:
     """Frames on the machine's bus, into what the gateway reads them with."""
-    result, incoming, now_ns = Count(), Incoming(TRACTOR), 0
+    result, receiver, now_ns = Count(), CanReceiver(TRACTOR), 0
     for _ in range(count):
         identifier, data = FRAMES[int(random.integers(len(FRAMES)))]
         data = mutated(data, random)[:8]
         if random.random() < 0.2:
             identifier ^= 1 << int(random.integers(29))
         now_ns += MS
-        rejected = incoming.rejected
-        incoming.take(now_ns, OWN, identifier, data)
-        _check_state(incoming.state(now_ns), (identifier, data))
-        is_cab = now_ns in (incoming.cab_ns, incoming.hand_ns, incoming.fold_ns)
+        rejected = receiver.rejected
+        receiver.receive(now_ns, OWN, identifier, data)
+        _check_state(receiver.state(now_ns), (identifier, data))
+        is_cab = now_ns in (receiver.cab_ns, receiver.driver_steering_ns, receiver.fold_ns)
         if is_cab and checksum(identifier, data) != data[7] >> 4:
             raise Wrong(f"frame {identifier:08x} {data.hex()} was taken against its checksum")
-        incoming.claims, incoming.is_claim_requested = [], False
-        result.add(incoming.rejected == rejected)
+        receiver.claims, receiver.is_claim_requested = [], False
+        result.add(receiver.rejected == rejected)
     return result
 
 
@@ -139,7 +139,7 @@ def fuzz_lines(count: int, random: np.random.Generator) -> Count:
         line = mutated(_line(LINES[int(random.integers(len(LINES)))]), random)
         if random.random() < 0.3:  # what a checksum cannot find must be found by what the fields may hold
             line = _line(mutated(line[1:-5], random).decode("latin-1"))
-        for fix in nmea.take(k * MS, line + b"\r\n"):
+        for fix in nmea.receive(k * MS, line + b"\r\n"):
             _check_fix(fix, line)
         try:
             sentence = parse_sentence(line)

@@ -1,1 +1,1 @@
-"""Transforms, angles, geodesy, polylines, polygons and the swept footprint: pure functions on arrays."""
+"""Geometry: transforms, angles, geodesy, polylines, polygons and footprints as pure functions on arrays."""

@@ -4,5 +4,5 @@ import math
 
 
 def wrap(angle_rad: float) -> float:
-    """The same angle within (-π, π]."""
+    """Angle wrapped to (-π, π]."""
     return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)

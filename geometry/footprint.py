@@ -1,4 +1,4 @@
-"""What a rigid machine with its implement covers on the ground, at a pose and along a path."""
+"""Footprint of a rigid machine with its implement at a pose and along a path."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,7 +13,7 @@ from geometry.arrays import Float64
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A body in `base`: from `rear_m` to `front_m` along x, `width_m` across, centred."""
+    """Body in `base`: from `rear_m` to `front_m` along x, `width_m` across, centred."""
 
     rear_m: float
     front_m: float
@@ -26,7 +26,7 @@ class Rectangle:
         return np.array([[self.rear_m, -h], [self.front_m, -h], [self.front_m, h], [self.rear_m, h]])
 
     def outline_m(self, step_m: float) -> Float64:
-        """Points (K, 2) round the outline, at most `step_m` apart."""
+        """Points (K, 2) on the outline, at most `step_m` apart."""
         c = np.vstack([self.corners_m, self.corners_m[:1]])
         sides = [np.linspace(a, b, max(2, int(np.ceil(np.hypot(*(b - a)) / step_m)) + 1))[:-1] for a, b in pairwise(c)]
         return np.vstack(sides)
@@ -49,13 +49,13 @@ def footprints(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> npt.ND
 
 
 def is_inside(bodies: Bodies, p_map_m: Float64, heading_rad: Float64, allowed: BaseGeometry) -> npt.NDArray[np.bool_]:
-    """For each pose whether every body lies wholly in `allowed`, (N,)."""
+    """Whether all bodies lie completely within `allowed` at each pose, (N,)."""
     shapely.prepare(allowed)
     return np.asarray(shapely.covers(allowed, footprints(bodies, p_map_m, heading_rad)).all(axis=1), np.bool_)
 
 
 def intrusion(outline_base_m: Float64, p_map_m: Float64, heading_rad: Float64, allowed: BaseGeometry) -> Float64:
-    """For each pose how far the outermost of the body points (K, 2) lies outside `allowed`, (N,); 0 when inside."""
+    """Greatest distance of the body points (K, 2) outside `allowed` at each pose, (N,); 0 inside."""
     points = place(outline_base_m, p_map_m, heading_rad)
     flat = np.asarray(shapely.points(points.reshape(-1, 2)))
     shapely.prepare(allowed)
@@ -66,7 +66,7 @@ def intrusion(outline_base_m: Float64, p_map_m: Float64, heading_rad: Float64, a
 
 
 def sweep(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> BaseGeometry:
-    """The area covered along the poses: the union of the hulls of each two neighbouring footprints."""
+    """Area swept along the poses: union of the convex hulls of consecutive footprints."""
     shapes = []
     for body in bodies:
         corners = place(body.corners_m, p_map_m, heading_rad)
@@ -76,7 +76,7 @@ def sweep(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> BaseGeometr
 
 
 def worked(left_m: Float64, right_m: Float64) -> BaseGeometry:
-    """The area between two edges that go side by side (N, 2), exact also where one end stands or goes back."""
+    """Area between two edge lines (N, 2), exact also where one edge rests or reverses."""
     quads = np.stack([left_m[:-1], left_m[1:], right_m[1:], right_m[:-1]], axis=1)
     hulls = shapely.convex_hull(shapely.multipoints(quads))
     return shapely.union_all(hulls)

@@ -1,4 +1,4 @@
-"""Between the ellipsoid and the `map` frame (east-north-up at a datum)."""
+"""Conversion between the ellipsoid and the `map` frame (east-north-up at a datum)."""
 
 from dataclasses import dataclass
 from functools import cached_property

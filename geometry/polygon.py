@@ -1,4 +1,4 @@
-"""Polygons: rounding to what a machine can drive, rings, and the least angles of edges."""
+"""Polygons: morphological opening and closing, rings and edge angles."""
 
 import math
 
@@ -12,42 +12,42 @@ from geometry.arrays import Float64
 ARC_SEGMENTS = 32  # per quarter turn: an arc of 5 m is 1.5 mm off
 
 
-def parts(shape: BaseGeometry, least_m2: float = 0.0) -> list[Polygon]:
-    """The polygons in a shape that are larger than `least_m2`, in a fixed order (by their lower left corner)."""
+def parts(shape: BaseGeometry, min_area_m2: float = 0.0) -> list[Polygon]:
+    """Polygons of a shape larger than `min_area_m2`, ordered by their lower left corner."""
     if isinstance(shape, Polygon):
         found = [shape]
     elif hasattr(shape, "geoms"):
         found = [g for g in shape.geoms if isinstance(g, Polygon)]
     else:
         found = []
-    found = [p for p in found if not p.is_empty and p.area > least_m2]
+    found = [p for p in found if not p.is_empty and p.area > min_area_m2]
     return sorted(found, key=lambda p: (p.bounds[0], p.bounds[1], p.area))
 
 
 def as_polygon(shape: BaseGeometry) -> Polygon:
-    """The shape, which must be one polygon; raises ValueError."""
+    """The shape as one polygon; raises ValueError for other shapes."""
     if not isinstance(shape, Polygon):
         raise ValueError(f"one polygon is needed, not {shape.geom_type}")
     return shape
 
 
 def shrink(shape: BaseGeometry, by_m: float) -> BaseGeometry:
-    """The shape without a rim of `by_m`: outward corners stay sharp, round inward ones the rim is round."""
+    """Shape eroded by `by_m`: convex corners stay sharp, concave ones become arcs."""
     return shape.buffer(-by_m, quad_segs=ARC_SEGMENTS)
 
 
 def grow(shape: BaseGeometry, by_m: float) -> BaseGeometry:
-    """The shape with a rim of `by_m` about it, rounded."""
+    """Shape dilated by `by_m`, with rounded convex corners."""
     return shape.buffer(by_m, quad_segs=ARC_SEGMENTS)
 
 
 def open_by(shape: BaseGeometry, radius_m: float) -> BaseGeometry:
-    """What a disc of `radius_m` covers that stays inside: outward corners become arcs, narrow necks go."""
+    """Opening by a disc of `radius_m`: convex corners become arcs, narrow necks are removed."""
     return grow(shrink(shape, radius_m), radius_m)
 
 
 def close_by(shape: BaseGeometry, radius_m: float) -> BaseGeometry:
-    """The reverse of `open_by`: inward corners are filled to arcs."""
+    """Closing by a disc of `radius_m`: concave corners become arcs."""
     return shrink(grow(shape, radius_m), radius_m)
 
 

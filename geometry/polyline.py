@@ -7,7 +7,7 @@ from geometry.arrays import Float64 as Float64
 
 
 def arc_length(points_m: Float64) -> Float64:
-    """Way along the polyline at each point, (N,), 0 at the first."""
+    """Arc length at each point, (N,), 0 at the first."""
     steps = np.hypot(*np.diff(points_m, axis=0).T)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -29,14 +29,14 @@ def at_length(points_m: Float64, s_m: Float64) -> Float64:
     return np.column_stack([np.interp(s_m, s, points_m[:, 0]), np.interp(s_m, s, points_m[:, 1])])
 
 
-def without_repeats(points_m: Float64, least_m: float = 1e-6) -> Float64:
-    """The polyline without points nearer than `least_m` to the one before."""
-    far = np.hypot(*np.diff(points_m, axis=0).T) > least_m
+def without_repeats(points_m: Float64, min_step_m: float = 1e-6) -> Float64:
+    """Polyline without points nearer than `min_step_m` to the one before."""
+    far = np.hypot(*np.diff(points_m, axis=0).T) > min_step_m
     return np.asarray(points_m[np.concatenate([[True], far])], np.float64)
 
 
 def headings(points_m: Float64, is_closed: bool = False) -> Float64:
-    """Unwrapped direction at each point, (N,), from its neighbours; a closed line ends where it begins."""
+    """Unwrapped direction at each point, (N,), from its neighbours; the ends of a closed line are equal."""
     if is_closed:
         ring = points_m[:-1]
         d = np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0)
@@ -52,10 +52,10 @@ def curvatures(heading_rad: Float64, s_m: Float64) -> Float64:
 
 
 def smooth(points_m: Float64, window_m: float, is_closed: bool = False) -> Float64:
-    """The polyline with curvature made continuous: its equally spaced points averaged twice over `window_m`.
+    """Polyline with continuous curvature: equally spaced points averaged twice over `window_m`.
 
-    Straight parts stay where they are, an arc of radius R moves inwards by about window² / (12 R). An open line keeps
-    both ends (it is continued beyond them by point reflection); a closed one repeats its first point at the end.
+    Straight parts stay in place, an arc of radius R moves inwards by about window² / (12 R). An open line keeps both
+    ends (continued beyond them by point reflection); a closed one repeats its first point at the end.
     """
     n = len(points_m) - 1
     spacing = float(arc_length(points_m)[-1]) / max(n, 1)
@@ -80,7 +80,7 @@ def smooth(points_m: Float64, window_m: float, is_closed: bool = False) -> Float
 
 
 def project(points_m: Float64, p_m: Float64) -> tuple[float, float]:
-    """Arc length of the nearest place on the polyline to `p_m` (2,), and the distance there (left positive)."""
+    """Arc length of the point on the polyline nearest to `p_m` (2,), and the distance to it (left positive)."""
     a, d = points_m[:-1], np.diff(points_m, axis=0)
     length = np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)
     t = np.clip(((p_m - a) * d).sum(axis=1) / length**2, 0.0, 1.0)
@@ -92,7 +92,7 @@ def project(points_m: Float64, p_m: Float64) -> tuple[float, float]:
 
 
 def extend(points_m: Float64, before_m: float, after_m: float) -> Float64:
-    """The polyline prolonged straight at both ends."""
+    """Polyline extended straight at both ends."""
     first, last = points_m[1] - points_m[0], points_m[-1] - points_m[-2]
     parts = [points_m]
     if before_m > 0.0:
@@ -103,7 +103,7 @@ def extend(points_m: Float64, before_m: float, after_m: float) -> Float64:
 
 
 def polyline(points: npt.ArrayLike) -> Float64:
-    """An (N, 2) float64 array with N ≥ 2 finite, distinct neighbouring points; raises ValueError."""
+    """(N, 2) float64 array with N ≥ 2 finite points, consecutive ones distinct; raises ValueError."""
     array = np.array(points, np.float64)
     if array.ndim != 2 or array.shape[1] != 2 or not np.isfinite(array).all():
         raise ValueError(f"a polyline needs finite points (N, 2), not {array.shape}")

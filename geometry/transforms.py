@@ -9,7 +9,7 @@ from geometry.arrays import Float64 as Float64
 
 
 def transform(p_m: npt.ArrayLike, rpy_rad: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Float64:
-    """The pose at `p_m` (3,) with roll, pitch and yaw (REP-103: turned about x, then y, then z, fixed axes)."""
+    """Pose at `p_m` (3,) with roll, pitch and yaw (REP-103: about x, then y, then z, fixed axes)."""
     T = np.eye(4)
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
     T[:3, :3] = [
@@ -36,7 +36,7 @@ def invert(T: Float64) -> Float64:
 
 
 def apply(T: Float64, points_m: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Points (N, 3) taken through `T`, in the points' own float type."""
+    """Points (N, 3) transformed by `T`, in the float type of the points."""
     R, t = T[:3, :3].astype(points_m.dtype), T[:3, 3].astype(points_m.dtype)
     return np.asarray(points_m @ R.T + t)
 
@@ -87,7 +87,7 @@ def rotation(vector: Float64) -> Float64:
 
 
 def interpolate(T_a: Float64, T_b: Float64, share: float) -> Float64:
-    """The pose between two, at `share` 0 (a) to 1 (b): straight in position, shortest turn in orientation."""
+    """Pose between a (`share` 0) and b (1): linear in position, shortest rotation in orientation."""
     T = np.eye(4)
     R_a = T_a[:3, :3]
     T[:3, :3] = R_a @ rotation(share * rotation_vector(R_a.T @ T_b[:3, :3]))

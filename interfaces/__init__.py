@@ -1,1 +1,1 @@
-"""Everything that speaks a foreign format or drives a device: buses, receivers, the gateway to the machine."""
+"""External protocols and devices: buses, receivers, and the gateway to the machine."""

@@ -1,22 +1,22 @@
-"""What the machine says on its bus, frame by frame, kept as the newest good values of each group."""
+"""CAN receiver: decodes the frames of the machine and keeps the newest valid values of each group."""
 
 import math
 from collections.abc import Callable
 
 from interfaces.isobus import address, cab, guidance, heartbeat, implement, speed
-from interfaces.isobus.checksum import SealCheck
+from interfaces.isobus.checksum import ProtectionCheck
 from interfaces.isobus.frame import BROADCAST, decode_identifier
 from interfaces.isobus.values import BadFrame, require_length
 from messages.command import MachineState
 
 _NO_STEERING = guidance.GuidanceStatus(0.0, False, False, 7, guidance.EXIT_NOT_AVAILABLE)
-_NO_HAND = cab.Hand(0.0, 0.0, 0.0)
-_NO_CAB = cab.Cab(0.0, 0.0, 0.0, False, False, False, False, False)
+_NO_DRIVER_STEERING = cab.DriverSteering(0.0, 0.0, 0.0)
+_NO_CAB = cab.CabState(0.0, 0.0, 0.0, False, False, False, False, False)
 _RADPS_PER_RPM = 2.0 * math.pi / 60.0
 
 
-class Incoming:
-    """Decodes the frames of one tractor; a bad frame is counted and changes nothing."""
+class CanReceiver:
+    """Decodes the frames of one tractor; an invalid frame is counted and changes nothing."""
 
     def __init__(self, tractor_address: int) -> None:
         self._tractor = tractor_address
@@ -28,11 +28,11 @@ class Incoming:
         self.speed_mps, self.motion_ns = 0.0, 0
         self.hitch, self.hitch_ns = implement.HitchStatus(0.0, False, 7), 0
         self.pto, self.pto_ns = implement.PtoStatus(0.0, False, 7), 0
-        self.hand, self.hand_ns = _NO_HAND, 0
+        self.driver_steering, self.driver_steering_ns = _NO_DRIVER_STEERING, 0
         self.cab, self.cab_ns = _NO_CAB, 0
         self.fold, self.fold_ns = 0.0, 0
         self._heartbeat_ns = 0
-        self._seals: dict[int, SealCheck] = {}
+        self._protection: dict[int, ProtectionCheck] = {}
         self._readers: dict[int, Callable[[int, int, bytes], None]] = {
             guidance.STATUS_GROUP: self._read_guidance,
             speed.WHEEL_GROUP: self._read_speed,
@@ -42,8 +42,8 @@ class Incoming:
             heartbeat.GROUP: self._read_heartbeat,
         }
 
-    def take(self, now_ns: int, own_address: int, identifier: int, data: bytes) -> None:
-        """Take one received frame; those of other senders or to other receivers are none of ours."""
+    def receive(self, now_ns: int, own_address: int, identifier: int, data: bytes) -> None:
+        """Processes one frame; frames of other senders or to other receivers are ignored."""
         group, source, destination = decode_identifier(identifier)[1:]
         try:
             if group in (address.CLAIM_GROUP, address.REQUEST_GROUP):
@@ -56,9 +56,9 @@ class Incoming:
             self.rejected += 1
 
     def state(self, now_ns: int) -> MachineState:
-        """The newest values of all groups; a group of several frames is as old as the oldest one.
+        """Newest values of all groups; the stamp of a group of several frames is that of the oldest.
 
-        The fold counts once it was heard: an implement that does not fold never tells it and is as wide as ever.
+        The fold frame is optional: an implement that cannot fold does not send it and stays at working width.
         """
         implement_ns = min(self.hitch_ns, self.pto_ns)
         return MachineState(
@@ -66,7 +66,7 @@ class Incoming:
             motion_stamp_ns=self.motion_ns,
             steering_stamp_ns=self.steering_ns,
             implement_stamp_ns=min(implement_ns, self.fold_ns) if self.fold_ns else implement_ns,
-            cab_stamp_ns=min(self.hand_ns, self.cab_ns),
+            cab_stamp_ns=min(self.driver_steering_ns, self.cab_ns),
             heartbeat_stamp_ns=self._heartbeat_ns,
             speed_mps=self.speed_mps,
             curvature_radpm=self.steering.curvature_radpm,
@@ -81,9 +81,9 @@ class Incoming:
             is_horn_on=self.cab.is_horn_on,
             is_beacon_on=self.cab.is_beacon_on,
             brake_pedal=self.cab.brake_pedal,
-            driver_torque_nm=self.hand.torque_nm,
-            driver_rate_radps=self.hand.rate_radps,
-            driver_angle_rad=self.hand.angle_rad,
+            driver_torque_nm=self.driver_steering.torque_nm,
+            driver_rate_radps=self.driver_steering.rate_radps,
+            driver_angle_rad=self.driver_steering.angle_rad,
             is_seat_occupied=self.cab.is_seat_occupied,
             is_emergency_button_pressed=self.cab.is_emergency_button_pressed,
             supply_v=self.cab.supply_v,
@@ -111,11 +111,11 @@ class Incoming:
         self.pto, self.pto_ns = implement.decode_pto(data), now_ns
 
     def _read_cab(self, now_ns: int, identifier: int, data: bytes) -> None:
-        self._seals.setdefault(data[0] if data else 0, SealCheck()).open(identifier, data)
+        self._protection.setdefault(data[0] if data else 0, ProtectionCheck()).check(identifier, data)
         state = cab.decode_cab_state(data)
-        if isinstance(state, cab.Hand):
-            self.hand, self.hand_ns = state, now_ns
-        elif isinstance(state, cab.Fold):
+        if isinstance(state, cab.DriverSteering):
+            self.driver_steering, self.driver_steering_ns = state, now_ns
+        elif isinstance(state, cab.FoldState):
             self.fold, self.fold_ns = state.position, now_ns
         else:
             self.cab, self.cab_ns = state, now_ns

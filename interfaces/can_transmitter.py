@@ -1,4 +1,4 @@
-"""What the machine is told: from phase and safe command to orders, and from orders to frames at their own periods."""
+"""CAN transmitter: machine commands from phase and safe command, and their frames with individual periods."""
 
 import math
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from configs.vehicle import Vehicle, steering_rate
 from interfaces.engagement import Phase
 from interfaces.isobus import brake, cab, guidance, heartbeat, implement, speed, stop_all
-from interfaces.isobus.checksum import seal
+from interfaces.isobus.checksum import protect
 from interfaces.isobus.frame import BROADCAST, Frame, encode_identifier
 from interfaces.isobus.values import NOT_AVAILABLE
 from messages.command import Mode, SafeCommand
@@ -19,8 +19,8 @@ _PRIORITY = 3
 
 
 @dataclass(frozen=True)
-class Present:
-    """The values that the machine has now; NaN where it has not told."""
+class ActualValues:
+    """Actual values of the machine; NaN where not received."""
 
     curvature_radpm: float
     speed_mps: float
@@ -28,10 +28,10 @@ class Present:
 
 
 @dataclass(frozen=True)
-class Orders:
-    """What the frames are to say; None leaves the matter to the machine or its driver.
+class Commands:
+    """Content of the frames; None leaves a value to the machine or its driver.
 
-    `curvature_radpm` is ours to hold or, when not `is_steering`, only told; once `is_accepted` it is slewed.
+    `curvature_radpm` is the set point or, without `is_steering`, only reported; with `is_accepted` it is rate-limited.
     """
 
     is_steering: bool | None = None
@@ -50,23 +50,25 @@ class Orders:
     is_folded: bool | None = None
 
 
-def order(phase: Phase, command: SafeCommand | None, present: Present, full_mps2: float, pto_rpm: float) -> Orders:
-    """What to say in this phase; `full_mps2` is asked of the brakes when nobody is there to ask for less."""
+def commands_for(
+    phase: Phase, command: SafeCommand | None, actual: ActualValues, full_mps2: float, pto_rpm: float
+) -> Commands:
+    """Commands of a phase; `full_mps2` is the brake demand without a safe command."""
     if phase is Phase.RELEASED:
-        return Orders(is_drive_enabled=False)  # our drive request; the driver's pedal is not ours to disable
+        return Commands(is_drive_enabled=False)  # disables the drive request only, not the driver's pedal
     if command is None or phase is Phase.SILENT:
-        return Orders(
-            is_steering=False, curvature_radpm=present.curvature_radpm, speed_mps=0.0, deceleration_mps2=full_mps2,
+        return Commands(
+            is_steering=False, curvature_radpm=actual.curvature_radpm, speed_mps=0.0, deceleration_mps2=full_mps2,
             is_pto_on=False, is_implement_permitted=False, is_drive_enabled=False,
         )  # fmt: skip
     is_active, is_offered = phase is Phase.ACTIVE, phase is Phase.OFFERING
-    return Orders(
+    return Commands(
         is_steering=is_active or is_offered,
         is_accepted=is_active,
-        curvature_radpm=command.curvature_radpm if is_active else present.curvature_radpm,
-        speed_mps=_speed(phase, command.speed_mps, present.speed_mps),
+        curvature_radpm=command.curvature_radpm if is_active else actual.curvature_radpm,
+        speed_mps=_speed(phase, command.speed_mps, actual.speed_mps),
         deceleration_mps2=command.deceleration_mps2,
-        hitch=_hitch(phase, command.is_implement_lowered, present.hitch),
+        hitch=_hitch(phase, command.is_implement_lowered, actual.hitch),
         pto_rpm=pto_rpm if is_active and command.is_pto_on else None,
         is_pto_on=None if command.is_pto_on and not is_active else command.is_pto_on,
         is_implement_permitted=phase is not Phase.LOST and command.mode not in _STOPS_IMPLEMENTS,
@@ -78,78 +80,83 @@ def order(phase: Phase, command: SafeCommand | None, present: Present, full_mps2
     )
 
 
-def slew_curvature(
-    last_radpm: float, wanted_radpm: float, step_s: float, steering_radps: float, wheelbase_m: float
+def limit_curvature_rate(
+    last_radpm: float, target_radpm: float, step_s: float, steering_radps: float, wheelbase_m: float
 ) -> float:
-    """The curvature nearest to the wanted one that wheels turning at `steering_radps` reach: κ = tan δ / L."""
+    """Curvature after a step towards the target at the steering rate `steering_radps`: κ = tan δ / L."""
     rate = steering_radps * (1.0 + (wheelbase_m * last_radpm) ** 2) / wheelbase_m
-    return last_radpm + max(-rate * step_s, min(rate * step_s, wanted_radpm - last_radpm))
+    return last_radpm + max(-rate * step_s, min(rate * step_s, target_radpm - last_radpm))
 
 
-def _speed(phase: Phase, wanted_mps: float, present_mps: float) -> float:
+def _speed(phase: Phase, target_mps: float, actual_mps: float) -> float:
     if phase is Phase.ACTIVE:
-        return wanted_mps
-    if phase is not Phase.OFFERING or present_mps * wanted_mps <= 0.0:
+        return target_mps
+    if phase is not Phase.OFFERING or actual_mps * target_mps <= 0.0:
         return 0.0
-    return math.copysign(min(abs(present_mps), abs(wanted_mps)), wanted_mps)
+    return math.copysign(min(abs(actual_mps), abs(target_mps)), target_mps)
 
 
-def _hitch(phase: Phase, is_lowered: bool, present: float) -> float | None:
+def _hitch(phase: Phase, is_lowered: bool, actual: float) -> float | None:
     if phase is Phase.ACTIVE:
         return 0.0 if is_lowered else 1.0
-    return present if phase is Phase.OFFERING and math.isfinite(present) else None
+    return actual if phase is Phase.OFFERING and math.isfinite(actual) else None
 
 
 class _Channel:
-    """One message on its way out: sent each period, and at once when its content changes."""
+    """One outgoing message: sent each period, and at once when its content changes."""
 
-    def __init__(self, group: int, destination: int, period_ns: int, is_sealed: bool = False) -> None:
-        self._group, self._destination, self._period_ns, self._is_sealed = group, destination, period_ns, is_sealed
+    def __init__(self, group: int, destination: int, period_ns: int, is_protected: bool = False) -> None:
+        self._group, self._destination, self._period_ns, self._is_protected = (
+            group,
+            destination,
+            period_ns,
+            is_protected,
+        )
         self._sent_ns: int | None = None
         self._body = b""
         self._counter = 0
 
-    def is_due(self, now_ns: int, body: bytes, fastest_ns: int) -> bool:
-        """Whether the period is over, or the content is another and the last frame not too young."""
+    def is_due(self, now_ns: int, body: bytes, min_interval_ns: int) -> bool:
+        """Whether the period has elapsed, or the content changed and `min_interval_ns` has elapsed."""
         if self._sent_ns is None:
             return True
         age_ns = now_ns - self._sent_ns
-        return age_ns >= self._period_ns or (body != self._body and age_ns >= fastest_ns)
+        return age_ns >= self._period_ns or (body != self._body and age_ns >= min_interval_ns)
 
     def frame(self, now_ns: int, own_address: int, body: bytes) -> Frame:
-        """The frame to send now."""
+        """Frame to send now."""
         self._sent_ns, self._body = now_ns, body
         identifier = encode_identifier(_PRIORITY, self._group, own_address, self._destination)
-        if not self._is_sealed:
+        if not self._is_protected:
             return Frame(identifier, body)
         self._counter += 1
-        return Frame(identifier, seal(identifier, body, self._counter))
+        return Frame(identifier, protect(identifier, body, self._counter))
 
 
-class Outgoing:
-    """Keeps each message's period, counter and last content; brakes and steering go first."""
+class CanTransmitter:
+    """Period, counter and last content of each message; brakes and steering are sent first."""
 
-    def __init__(self, vehicle: Vehicle, tractor_address: int, fastest_ns: int) -> None:
+    def __init__(self, vehicle: Vehicle, tractor_address: int, min_interval_ns: int) -> None:
         self._wheelbase_m, self._steering_radps = vehicle.drivetrain.wheelbase_m, steering_rate(vehicle)
         self._channels = (
-            _Channel(brake.GROUP, tractor_address, BRAKE_PERIOD_NS, is_sealed=True),
+            _Channel(brake.GROUP, tractor_address, BRAKE_PERIOD_NS, is_protected=True),
             _Channel(guidance.COMMAND_GROUP, tractor_address, CONTROL_PERIOD_NS),
-            _Channel(cab.GROUP, tractor_address, CONTROL_PERIOD_NS, is_sealed=True),
+            _Channel(cab.GROUP, tractor_address, CONTROL_PERIOD_NS, is_protected=True),
             _Channel(speed.COMMAND_GROUP, BROADCAST, CONTROL_PERIOD_NS),
             _Channel(implement.COMMAND_GROUP, BROADCAST, CONTROL_PERIOD_NS),
             _Channel(stop_all.GROUP, BROADCAST, STOP_ALL_PERIOD_NS),
         )
-        self._waits_ns = (0, fastest_ns, 0, fastest_ns, 0, 0)  # content of guidance and speed changes all the time
+        self._waits_ns = (0, min_interval_ns, 0, min_interval_ns, 0, 0)  # guidance and speed change continuously
         self._heartbeat = _Channel(heartbeat.GROUP, BROADCAST, CONTROL_PERIOD_NS)
         self._beat, self._stop = heartbeat.Heartbeat(), stop_all.StopAll()
-        self._orders, self._bodies = Orders(), self._encode(Orders())
+        self._commands, self._bodies = Commands(), self._encode(Commands())
         self._curvature_radpm, self._stepped_ns = 0.0, 0
 
-    def step(self, now_ns: int, own_address: int, orders: Orders, is_urgent: bool) -> list[Frame]:
-        """The frames that are due; when `is_urgent` (the phase changed) nothing waits."""
-        if orders != self._orders:
-            self._orders, self._bodies = orders, self._encode(orders)
-        self._bodies[1] = self._steer(now_ns, orders)
+    def step(self, now_ns: int, own_address: int, commands: Commands, is_urgent: bool) -> list[Frame]:
+        """Frames that are due; with `is_urgent` (phase changed) without minimum interval."""
+        if commands != self._commands:
+            self._commands, self._bodies = commands, self._encode(commands)
+        self._bodies[1] = self._steer(now_ns, commands)
         frames = []
         for channel, body, wait_ns in zip(self._channels, self._bodies, self._waits_ns, strict=True):
             if channel.is_due(now_ns, body, 0 if is_urgent else wait_ns):
@@ -158,31 +165,33 @@ class Outgoing:
             frames.append(self._heartbeat.frame(now_ns, own_address, self._beat.encode()))
         return frames
 
-    def _encode(self, orders: Orders) -> list[bytes]:
+    def _encode(self, commands: Commands) -> list[bytes]:
         return [
-            brake.encode_request(orders.deceleration_mps2),
-            NOT_AVAILABLE,  # steering has its own time
+            brake.encode_request(commands.deceleration_mps2),
+            NOT_AVAILABLE,  # steering: see _steer
             cab.encode_auxiliary(
-                orders.is_drive_enabled,
-                orders.is_park_brake_set,
-                orders.is_horn_on,
-                orders.is_beacon_on,
-                orders.is_folded,
+                commands.is_drive_enabled,
+                commands.is_park_brake_set,
+                commands.is_horn_on,
+                commands.is_beacon_on,
+                commands.is_folded,
             ),
-            NOT_AVAILABLE if orders.speed_mps is None else speed.encode_command(orders.speed_mps),
-            implement.encode_commands(orders.hitch, orders.pto_rpm, orders.is_pto_on),
-            self._stop.encode(orders.is_implement_permitted),
+            NOT_AVAILABLE if commands.speed_mps is None else speed.encode_command(commands.speed_mps),
+            implement.encode_commands(commands.hitch, commands.pto_rpm, commands.is_pto_on),
+            self._stop.encode(commands.is_implement_permitted),
         ]
 
-    def _steer(self, now_ns: int, orders: Orders) -> bytes:
+    def _steer(self, now_ns: int, commands: Commands) -> bytes:
         step_s, self._stepped_ns = (now_ns - self._stepped_ns) * 1e-9, now_ns
-        if orders.is_steering is None:
+        if commands.is_steering is None:
             return NOT_AVAILABLE
-        if not math.isfinite(orders.curvature_radpm):
+        if not math.isfinite(commands.curvature_radpm):
             return guidance.encode_idle()
-        self._curvature_radpm = self._slewed(orders, step_s) if orders.is_accepted else orders.curvature_radpm
-        return guidance.encode_command(self._curvature_radpm, orders.is_steering)
+        self._curvature_radpm = (
+            self._rate_limited(commands, step_s) if commands.is_accepted else commands.curvature_radpm
+        )
+        return guidance.encode_command(self._curvature_radpm, commands.is_steering)
 
-    def _slewed(self, orders: Orders, step_s: float) -> float:
-        last, wanted = self._curvature_radpm, orders.curvature_radpm
-        return slew_curvature(last, wanted, step_s, self._steering_radps, self._wheelbase_m)
+    def _rate_limited(self, commands: Commands, step_s: float) -> float:
+        last, target = self._curvature_radpm, commands.curvature_radpm
+        return limit_curvature_rate(last, target, step_s, self._steering_radps, self._wheelbase_m)

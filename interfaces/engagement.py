@@ -1,6 +1,6 @@
-"""Who has the machine: from the safe command and what the steering answers to the phase the gateway is in.
+"""Engagement of the gateway: phases by safe command and state of the steering.
 
-RELEASED ──enabled──► OFFERING ──not limited──► ACTIVE ──steering gave up──► LOST
+RELEASED ──enabled──► OFFERING ──not limited──► ACTIVE ──disengaged────────► LOST
    ▲                   ▲   │                     │ │                          │
  manual            enabled │ not enabled         │ │ silence                  │ not enabled
    │                   │   ▼                     ▼ ▼                          ▼
@@ -14,11 +14,11 @@ from interfaces.isobus import guidance
 from messages.command import Mode, SafeCommand
 
 STATUS_AGE_NS = 300_000_000
-FRESH_TO_RECOVER = 8  # as many good ones in a row as a heartbeat needs to be believed again
+FRESH_TO_RECOVER = 8  # consecutive fresh commands, as for a heartbeat
 
 
 class Phase(StrEnum):
-    """What the gateway sends."""
+    """Phase of the gateway, which selects the commands sent."""
 
     RELEASED = "released"
     HOLDING = "holding"
@@ -30,13 +30,13 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class Steering:
-    """The steering's last word and when it came."""
+    """Last status of the steering and its time of reception."""
 
     status: guidance.GuidanceStatus
     stamp_ns: int
 
-    def is_given_up(self, now_ns: int) -> bool:
-        """Whether it does not steer by our commands, as far as can be known."""
+    def is_disengaged(self, now_ns: int) -> bool:
+        """Whether the steering does not follow commands: refused, exited, not ready, locked out or timed out."""
         status = self.status
         is_refused = status.limit in (guidance.LIMITED_BY_OPERATOR, guidance.NON_RECOVERABLE)
         is_out = status.exit_code not in (guidance.EXIT_CLEAR, guidance.EXIT_NOT_AVAILABLE)
@@ -44,13 +44,13 @@ class Steering:
         return is_refused or is_out or not is_ready or now_ns - self.stamp_ns > STATUS_AGE_NS
 
     def accepts(self, now_ns: int, offered_ns: int) -> bool:
-        """Whether it answered an offer made at `offered_ns` by "not limited"."""
+        """Whether it answered the offer made at `offered_ns` with "not limited"."""
         is_answer = self.stamp_ns > offered_ns
-        return is_answer and self.status.limit == guidance.NOT_LIMITED and not self.is_given_up(now_ns)
+        return is_answer and self.status.limit == guidance.NOT_LIMITED and not self.is_disengaged(now_ns)
 
 
 class Engagement:
-    """The phase, step by step; silence of a supervisor that never spoke or had released the machine changes nothing."""
+    """State machine of the phases; a missing safe command in RELEASED changes nothing."""
 
     def __init__(self) -> None:
         self.phase = Phase.RELEASED
@@ -59,13 +59,13 @@ class Engagement:
         self._stamp_ns = -1
 
     def step(self, now_ns: int, command: SafeCommand | None, steering: Steering) -> Phase:
-        """The phase from now on; `command` is None when there is no fresh one."""
-        phase = self._silenced() if command is None else self._commanded(now_ns, command, steering)
+        """New phase; `command` is None without a fresh safe command."""
+        phase = self._without_command() if command is None else self._commanded(now_ns, command, steering)
         if phase is not self.phase:
             self.phase, self.since_ns = phase, now_ns
         return phase
 
-    def _silenced(self) -> Phase:
+    def _without_command(self) -> Phase:
         self._fresh = 0
         return Phase.RELEASED if self.phase is Phase.RELEASED else Phase.SILENT
 
@@ -84,5 +84,5 @@ class Engagement:
         if self.phase is Phase.OFFERING:
             return Phase.ACTIVE if steering.accepts(now_ns, self.since_ns) else Phase.OFFERING
         if self.phase is Phase.ACTIVE:
-            return Phase.LOST if steering.is_given_up(now_ns) else Phase.ACTIVE
+            return Phase.LOST if steering.is_disengaged(now_ns) else Phase.ACTIVE
         return Phase.LOST if self.phase is Phase.LOST else Phase.OFFERING

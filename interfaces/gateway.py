@@ -1,7 +1,7 @@
-"""The gateway: the only way from the stack to the machine's bus, and it passes safe commands alone.
+"""Gateway: the only sender to the machine's bus; it transmits safe commands only.
 
-It fails silent: before the supervisor has spoken, and while a person drives, it sends "leave as is"; 100 ms without a
-fresh safe command of a supervisor that had the machine are a stop at full brake.
+Fail-silent: before the first safe command, and while a person drives, it sends "leave as is". 100 ms without a fresh
+safe command after engagement cause a stop at full brake.
 """
 
 import math
@@ -13,8 +13,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Vehicle
-from interfaces.can_receiver import Incoming
-from interfaces.can_transmitter import Orders, Outgoing, Present, order
+from interfaces.can_receiver import CanReceiver
+from interfaces.can_transmitter import ActualValues, CanTransmitter, Commands, commands_for
 from interfaces.engagement import Engagement, Phase, Steering
 from interfaces.isobus.address import AddressClaim
 from interfaces.isobus.frame import Frame
@@ -27,10 +27,10 @@ from messages.node import Every, Inbox, Latest, Node, Output
 
 STATE_PERIOD_NS = 20_000_000
 LOG_PERIOD_NS = 100_000_000
-MOST_FRAMES = 400  # in one step; a flooded bus must not hold the gateway up
-FASTEST_MPS = 30.0
-TIGHTEST_RADPM = 1.0
-HARDEST_MPS2 = 12.0
+MAX_FRAMES = 400  # per step; a flooded bus must not delay the gateway
+MAX_SPEED_MPS = 30.0
+MAX_CURVATURE_RADPM = 1.0
+MAX_DECELERATION_MPS2 = 12.0
 _FUNCTION_NOT_AVAILABLE = 255
 
 _STOP, _ALARM = Response.CONTROLLED_STOP, Severity.ALARM
@@ -48,22 +48,26 @@ BUS = FaultType("gateway.bus", _ALARM, _STOP, "Machine bus failed", "机器总�
 
 
 class GatewayConfig(Config):
-    """Addresses, times and what is asked of the brakes when nobody is there to ask for less."""
+    """Addresses, times and the brake demand without a safe command."""
 
     period_s: float = Field(ge=0.005, le=0.02)
-    fastest_s: float = Field(ge=0.01, le=0.1, description="between two frames of one kind whose content changes")
+    min_interval_s: float = Field(ge=0.01, le=0.1, description="least interval of a message with changing content")
     address: int = Field(ge=0, le=247)
     tractor_address: int = Field(ge=0, le=247)
     name_identity: int = Field(ge=0, lt=1 << 21)
     name_manufacturer: int = Field(ge=0, lt=1 << 11)
-    full_brake_mps2: float = Field(ge=2.5, le=HARDEST_MPS2)
+    full_brake_mps2: float = Field(ge=2.5, le=MAX_DECELERATION_MPS2)
     pto_rpm: float = Field(ge=100.0, le=1500.0)
-    steering_wait_s: float = Field(ge=0.3, le=10.0, description="for the steering to accept the present value")
-    lost_grace_s: float = Field(ge=0.1, le=1.0, description="for the supervisor to react to a steering that gave up")
+    steering_accept_timeout_s: float = Field(
+        ge=0.3, le=10.0, description="for the steering to accept the offered actual value"
+    )
+    steering_lost_timeout_s: float = Field(
+        ge=0.1, le=1.0, description="for the supervisor to react to disengaged steering; then full brake"
+    )
 
 
 class CanBus(Protocol):
-    """What the gateway needs of a bus of python-can."""
+    """Used part of the interface of a python-can bus."""
 
     def send(self, msg: can.Message) -> None:
         """Send one frame; raises CanError."""
@@ -73,7 +77,7 @@ class CanBus(Protocol):
 
 
 class Gateway(Node):
-    """Speaks ISO 11783 with one tractor over `bus`, which the assembly opens and closes."""
+    """ISO 11783 node for one tractor on `bus`, which the assembly opens and closes."""
 
     def __init__(self, bus: CanBus, vehicle: Vehicle, config: GatewayConfig) -> None:
         self.name = "gateway"
@@ -82,84 +86,86 @@ class Gateway(Node):
         self.runs = Every(round(config.period_s * 1e9))
         self._bus, self._config = bus, config
         self._claim = AddressClaim(_own_name(config), config.address)
-        self._incoming = Incoming(config.tractor_address)
+        self._receiver = CanReceiver(config.tractor_address)
         self._engagement = Engagement()
-        self._outgoing = Outgoing(vehicle, config.tractor_address, round(config.fastest_s * 1e9))
+        self._transmitter = CanTransmitter(vehicle, config.tractor_address, round(config.min_interval_s * 1e9))
         self._faults = FaultReporter(self.name)
         self._started_ns: int | None = None
-        self._heard: SafeCommand | None = None
+        self._last_command: SafeCommand | None = None
         self._stepped_ns = self._state_ns = self._log_ns = 0
         self._received: list[CanFrame] = []
         self._sent: list[CanFrame] = []
         self._is_bus_failed = False
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """Take in what has come, decide, send what is due; between two commands every other call has nothing to do."""
-        heard = inbox.latest("safe_command", SafeCommand)
-        if heard is self._heard and now_ns - self._stepped_ns < STATE_PERIOD_NS:
+        """Receives frames, updates the phase and sends due frames; returns at once while there is nothing new."""
+        newest = inbox.latest("safe_command", SafeCommand)
+        if newest is self._last_command and now_ns - self._stepped_ns < STATE_PERIOD_NS:
             return []
-        self._heard, self._stepped_ns, self._is_bus_failed = heard, now_ns, False
+        self._last_command, self._stepped_ns, self._is_bus_failed = newest, now_ns, False
         if self._started_ns is None:
             self._started_ns = now_ns
             self._send(now_ns, self._claim.start(now_ns))
         self._receive(now_ns)
         self._answer_network(now_ns)
-        command = heard if heard is not None and _is_sendable(heard, now_ns) else None
+        command = newest if newest is not None and _is_sendable(newest, now_ns) else None
         self._command(now_ns, command)
-        is_bad = heard is not None and command is None
+        is_bad = newest is not None and command is None
         return self._outputs(now_ns, self._fault_states(now_ns, is_bad))
 
     def _receive(self, now_ns: int) -> None:
         own = self._config.address if (address := self._claim.address(now_ns)) is None else address
         try:
-            for _ in range(MOST_FRAMES):
+            for _ in range(MAX_FRAMES):
                 message = self._bus.recv(0)
                 if message is None:
                     break
-                self._take(now_ns, own, message)
+                self._receive_frame(now_ns, own, message)
         except can.CanError:
             self._is_bus_failed = True
 
-    def _take(self, now_ns: int, own_address: int, message: can.Message) -> None:
+    def _receive_frame(self, now_ns: int, own_address: int, message: can.Message) -> None:
         if message.is_error_frame or message.is_remote_frame or not message.is_extended_id:
-            self._incoming.rejected += message.is_error_frame
+            self._receiver.rejected += message.is_error_frame
             return
         data = bytes(message.data)
         self._received.append(CanFrame(now_ns, message.arbitration_id, data))
-        self._incoming.take(now_ns, own_address, message.arbitration_id, data)
+        self._receiver.receive(now_ns, own_address, message.arbitration_id, data)
 
     def _answer_network(self, now_ns: int) -> None:
-        incoming = self._incoming
-        answers = [self._claim.hear(now_ns, source, name) for source, name in incoming.claims]
-        if incoming.is_claim_requested:
+        receiver = self._receiver
+        answers = [self._claim.receive_claim(now_ns, source, name) for source, name in receiver.claims]
+        if receiver.is_claim_requested:
             answers.append(self._claim.answer_request())
-        incoming.claims, incoming.is_claim_requested = [], False
+        receiver.claims, receiver.is_claim_requested = [], False
         for frame in answers:
             if frame is not None:
                 self._send(now_ns, frame)
 
     def _command(self, now_ns: int, command: SafeCommand | None) -> None:
-        incoming = self._incoming
+        receiver = self._receiver
         before = self._engagement.phase
-        phase = self._engagement.step(now_ns, command, Steering(incoming.steering, incoming.steering_ns))
+        phase = self._engagement.step(now_ns, command, Steering(receiver.steering, receiver.steering_ns))
         address = self._claim.address(now_ns)
         if address is None:
             return
-        if phase is Phase.LOST and now_ns - self._engagement.since_ns > self._config.lost_grace_s * 1e9:
+        if phase is Phase.LOST and now_ns - self._engagement.since_ns > self._config.steering_lost_timeout_s * 1e9:
             command = None
-        orders = order(phase, command, self._present(), self._config.full_brake_mps2, self._config.pto_rpm)
-        self._send_all(now_ns, address, orders, is_urgent=phase is not before)
+        commands = commands_for(
+            phase, command, self._actual_values(), self._config.full_brake_mps2, self._config.pto_rpm
+        )
+        self._send_all(now_ns, address, commands, is_urgent=phase is not before)
 
-    def _send_all(self, now_ns: int, address: int, orders: Orders, is_urgent: bool) -> None:
-        for frame in self._outgoing.step(now_ns, address, orders, is_urgent):
+    def _send_all(self, now_ns: int, address: int, commands: Commands, is_urgent: bool) -> None:
+        for frame in self._transmitter.step(now_ns, address, commands, is_urgent):
             self._send(now_ns, frame)
 
-    def _present(self) -> Present:
-        incoming = self._incoming
-        return Present(
-            incoming.steering.curvature_radpm if incoming.steering_ns else math.nan,
-            incoming.speed_mps,
-            incoming.hitch.position if incoming.hitch_ns else math.nan,
+    def _actual_values(self) -> ActualValues:
+        receiver = self._receiver
+        return ActualValues(
+            receiver.steering.curvature_radpm if receiver.steering_ns else math.nan,
+            receiver.speed_mps,
+            receiver.hitch.position if receiver.hitch_ns else math.nan,
         )
 
     def _send(self, now_ns: int, frame: Frame) -> None:
@@ -179,9 +185,9 @@ class Gateway(Node):
         return [
             (SILENCE, phase is Phase.SILENT),
             (BAD_COMMAND, is_bad_command),
-            (REFUSED, phase is Phase.OFFERING and in_phase_ns > self._config.steering_wait_s * 1e9),
+            (REFUSED, phase is Phase.OFFERING and in_phase_ns > self._config.steering_accept_timeout_s * 1e9),
             (LOST, phase is Phase.LOST),
-            (TRACTOR, is_started and not self._incoming.heartbeat.is_good(now_ns)),
+            (TRACTOR, is_started and not self._receiver.heartbeat.is_good(now_ns)),
             (ADDRESS, self._claim.is_refused),
             (BUS, self._is_bus_failed),
         ]
@@ -190,7 +196,7 @@ class Gateway(Node):
         outputs: list[Output] = [("fault/gateway", fault) for fault in self._faults.update(now_ns, states)]
         if now_ns - self._state_ns >= STATE_PERIOD_NS:
             self._state_ns = now_ns
-            outputs.append(("machine", self._incoming.state(now_ns)))
+            outputs.append(("machine", self._receiver.state(now_ns)))
         if now_ns - self._log_ns >= LOG_PERIOD_NS:
             self._log_ns = now_ns
             outputs += [("can/rx", CanFrames(now_ns, "machine", tuple(self._received))),
@@ -214,10 +220,10 @@ def _own_name(config: GatewayConfig) -> Name:
 
 
 def _is_sendable(command: SafeCommand, now_ns: int) -> bool:
-    """Whether every number fits into its frame and the stamp is not of the future."""
+    """Whether every value fits into its frame and the stamp is not in the future."""
     return (
         command.stamp_ns <= now_ns
-        and abs(command.speed_mps) <= FASTEST_MPS
-        and abs(command.curvature_radpm) <= TIGHTEST_RADPM
-        and 0.0 <= command.deceleration_mps2 <= HARDEST_MPS2
+        and abs(command.speed_mps) <= MAX_SPEED_MPS
+        and abs(command.curvature_radpm) <= MAX_CURVATURE_RADPM
+        and 0.0 <= command.deceleration_mps2 <= MAX_DECELERATION_MPS2
     )

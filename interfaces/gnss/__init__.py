@@ -1,1 +1,1 @@
-"""Satellite receivers: NMEA 0183 over a serial line or a socket."""
+"""GNSS receivers: NMEA 0183 over a serial line or a socket."""

@@ -1,11 +1,11 @@
-"""From NMEA bytes to fixes: GGA (position), RMC or VTG (velocity), GST (sigmas) and HDT (heading) of one epoch."""
+"""GNSS fixes from NMEA: GGA (position), RMC or VTG (velocity), GST (sigmas) and HDT (heading) of one epoch."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from interfaces.gnss.sentence import LONGEST, BadSentence, Sentence, parse
+from interfaces.gnss.sentence import MAX_LENGTH, BadSentence, Sentence, parse
 from messages.sensors import GnssFix, GnssSolution
 
 KNOT_MPS = 1852.0 / 3600.0
@@ -18,7 +18,7 @@ CONSTELLATIONS = {"GP": "GPS", "GL": "GLO", "GA": "GAL", "GB": "BDS", "BD": "BDS
 
 @dataclass
 class _Epoch:
-    """What the sentences of one time of day have said."""
+    """Content of the sentences of one time of day."""
 
     time: str = ""
     position: Sentence | None = None
@@ -28,10 +28,10 @@ class _Epoch:
 
 
 class NmeaReader:
-    """Takes bytes as they come; a fix leaves with the sentence `ends_with`, by the receiver's setting the last.
+    """Reads a byte stream; a fix is complete with the sentence `ends_with`, the last one by the receiver's setting.
 
-    Bad sentences are counted in `rejected` and change nothing; the stamp is the time of the first byte's coming, less
-    `latency_ns`. What an epoch does not say is NaN; `sigma_heading_rad` is the data sheet's, no sentence tells it.
+    Invalid sentences are counted in `rejected` and change nothing. The stamp is the time of reception of the first byte
+    less `latency_ns`. Missing values are NaN; `sigma_heading_rad` is from the data sheet, since no sentence has it.
     """
 
     def __init__(self, ends_with: str, latency_ns: int, sigma_heading_rad: float) -> None:
@@ -39,29 +39,29 @@ class NmeaReader:
         self._ends_with, self._latency_ns, self._sigma_heading_rad = ends_with, latency_ns, sigma_heading_rad
         self._rest = b""
         self._epoch = _Epoch()
-        self._begun_ns = 0
+        self._start_ns = 0
 
-    def take(self, now_ns: int, data: bytes) -> list[GnssFix]:
-        """The fixes that these bytes complete."""
+    def receive(self, now_ns: int, data: bytes) -> list[GnssFix]:
+        """Fixes completed by these bytes."""
         *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > LONGEST + 1:
+        if len(self._rest) > MAX_LENGTH + 1:
             self._rest = b""
             self.rejected += 1
         fixes = []
         for line in lines:
             try:
                 sentence = parse(line.removesuffix(b"\r"))
-                self._note(now_ns, sentence)
+                self._store(now_ns, sentence)
                 if sentence.formatter == self._ends_with:
                     fixes += self._finish()
             except BadSentence:
                 self.rejected += 1
         return fixes
 
-    def _note(self, now_ns: int, sentence: Sentence) -> None:
+    def _store(self, now_ns: int, sentence: Sentence) -> None:
         kind = sentence.formatter
         if kind in ("GGA", "RMC", "GST") and (time := sentence.time(0)) != self._epoch.time:
-            self._epoch, self._begun_ns = _Epoch(time), now_ns
+            self._epoch, self._start_ns = _Epoch(time), now_ns
         if kind == "GGA":
             _check_position(sentence)
             self._epoch.position = sentence
@@ -80,11 +80,11 @@ class NmeaReader:
         epoch, self._epoch = self._epoch, _Epoch()
         if epoch.position is None:
             return []
-        return [_fix(epoch, epoch.position, self._begun_ns - self._latency_ns, self._sigma_heading_rad)]
+        return [_fix(epoch, epoch.position, self._start_ns - self._latency_ns, self._sigma_heading_rad)]
 
 
 def _check_position(gga: Sentence) -> None:
-    """Raises BadSentence for a position that cannot be, before anything is changed."""
+    """Raises BadSentence for an invalid position, before anything is changed."""
     quality = gga.number(5, 0.0, 9.0)
     if math.isnan(quality) or quality != int(quality):
         raise BadSentence(f"GGA quality {gga.field(5)!r}")
@@ -112,7 +112,7 @@ def _fix(epoch: _Epoch, gga: Sentence, stamp_ns: int, sigma_heading_rad: float) 
         stamp_ns=stamp_ns,
         latitude_rad=gga.angle_rad(1, "latitude"),
         longitude_rad=gga.angle_rad(3, "longitude"),
-        height_m=gga.number(8, -1e4, 1e5) + gga.number(10, -200.0, 200.0),  # above the geoid, and the geoid's own
+        height_m=gga.number(8, -1e4, 1e5) + gga.number(10, -200.0, 200.0),  # above the geoid, plus geoid separation
         sigma_enu_m=np.array(epoch.sigma_enu_m),
         velocity_enu_mps=np.array([*epoch.velocity_enu_mps, math.nan]),
         sigma_velocity_mps=math.nan,

@@ -1,10 +1,10 @@
-"""One NMEA 0183 sentence: framed, checked and split; `$ttfff,field,field*hh`."""
+"""NMEA 0183 sentence: framing, checksum and fields; `$ttfff,field,field*hh`."""
 
 import math
 import re
 from dataclasses import dataclass
 
-LONGEST = 120  # the standard says 82; receivers with centimetres in their positions need more
+MAX_LENGTH = 120  # standard: 82; receivers with centimetre positions need more
 _SENTENCE = re.compile(rb"\$([A-Z]{2})([A-Z]{3}),([\x20-\x7e]*)\*([0-9A-F]{2})")
 _NUMBER = re.compile(r"-?[0-9]{1,7}(\.[0-9]{1,12})?")
 _TIME = re.compile(r"([01][0-9]|2[0-3])([0-5][0-9])([0-5][0-9](\.[0-9]{1,6})?)")
@@ -36,14 +36,14 @@ class Sentence:
         if not text:
             return math.nan
         if _NUMBER.fullmatch(text) is None or not low <= float(text) <= high:
-            raise BadSentence(f"{self.formatter} field {k}: {text!r} is no number within {low:g} to {high:g}")
+            raise BadSentence(f"{self.formatter} field {k}: {text!r} is not a number within {low:g} to {high:g}")
         return float(text)
 
     def time(self, k: int) -> str:
         """Field k as a time of day, hhmmss.ss; raises BadSentence."""
         text = self.field(k)
         if _TIME.fullmatch(text) is None:
-            raise BadSentence(f"{self.formatter} field {k}: {text!r} is no time")
+            raise BadSentence(f"{self.formatter} field {k}: {text!r} is not a time")
         return text
 
     def angle_rad(self, k: int, kind: str) -> float:
@@ -53,16 +53,16 @@ class Sentence:
             return math.nan
         found, sides = _ANGLE[kind].fullmatch(text), "NS" if kind == "latitude" else "EW"
         if found is None or len(side) != 1 or side not in sides:
-            raise BadSentence(f"{self.formatter} field {k}: {text!r} {side!r} is no {kind}")
+            raise BadSentence(f"{self.formatter} field {k}: {text!r} {side!r} is not a {kind}")
         degrees = int(found[1]) + float(found[2]) / 60.0
         if degrees > (90.0 if kind == "latitude" else 180.0):
-            raise BadSentence(f"{self.formatter} field {k}: {kind} {degrees} is beyond the globe")
+            raise BadSentence(f"{self.formatter} field {k}: {kind} {degrees} out of range")
         return math.radians(degrees if side == sides[0] else -degrees)
 
 
 def parse(line: bytes) -> Sentence:
     """The sentence of a line without its end; raises BadSentence unless frame and checksum are right."""
-    found = _SENTENCE.fullmatch(line) if len(line) <= LONGEST else None
+    found = _SENTENCE.fullmatch(line) if len(line) <= MAX_LENGTH else None
     if found is None:
         raise BadSentence("not framed as a sentence")
     checksum = 0

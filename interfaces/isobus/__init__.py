@@ -1,5 +1,5 @@
-"""ISO 11783 and J1939 messages as bytes: our own codec, one file a message group.
+"""ISO 11783 and J1939 messages as bytes, one file per message group.
 
-The simulated machine decodes with cantools from `configs/can/headland.dbc` instead, so that a mistake in one shows
-against the other.
+The simulated machine decodes with cantools from `configs/can/headland.dbc` instead, so that an error in one
+implementation shows against the other.
 """

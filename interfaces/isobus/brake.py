@@ -14,9 +14,9 @@ _FULL_URGENCY = 250  # 100 %
 
 
 def encode_request(deceleration_mps2: float) -> bytes:
-    """Bytes 1–7: brake by `deceleration_mps2` ≥ 0 or leave the brakes alone (0); raises ValueError.
+    """Bytes 1–7: brake by `deceleration_mps2` ≥ 0 or no request (0); raises ValueError.
 
-    The driver's own braking counts when it is the stronger (control mode "maximum of driver and request").
+    The stronger of driver and request applies (control mode "maximum of driver and request").
     """
     if not deceleration_mps2 >= 0.0:
         raise ValueError(f"deceleration {deceleration_mps2!r} is not ≥ 0")

@@ -1,4 +1,4 @@
-"""What no standard covers (proprietary A, PGN 61184); `configs/can/headland.dbc` is the definition."""
+"""Cab messages without a standard (proprietary A, PGN 61184), defined in `configs/can/headland.dbc`."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ from interfaces.isobus.values import BadFrame, Scale, decode_flag
 
 GROUP = 0xEF00
 AUXILIARY = 16
-HAND = 1
+DRIVER_STEERING = 1
 CAB = 2
 FOLD = 3
 LEAVE = 3
@@ -20,8 +20,8 @@ _SUPPLY_V = Scale(0.05, 0.0, 2)
 
 
 @dataclass(frozen=True)
-class Hand:
-    """The steering wheel as the driver's hand moves it, left positive."""
+class DriverSteering:
+    """Steering wheel torque, angle and rate of the driver, left positive."""
 
     torque_nm: float
     angle_rad: float
@@ -29,8 +29,8 @@ class Hand:
 
 
 @dataclass(frozen=True)
-class Cab:
-    """Pedals 0 to 1, seat, emergency button, supply and what the machine itself has on."""
+class CabState:
+    """Pedals 0 to 1, supply, seat, emergency button, park brake, horn and beacon."""
 
     brake_pedal: float
     clutch_pedal: float
@@ -43,8 +43,8 @@ class Cab:
 
 
 @dataclass(frozen=True)
-class Fold:
-    """How far the implement is folded: 0 at working to 1 at transport width."""
+class FoldState:
+    """Fold position of the implement: 0 working width to 1 transport width."""
 
     position: float
 
@@ -63,18 +63,18 @@ def _two_bits(state: bool | None) -> int:
     return LEAVE if state is None else int(state)
 
 
-def decode_cab_state(data: bytes) -> Hand | Cab | Fold:
-    """One of the three groups of a frame whose seal was checked; raises BadFrame."""
-    if data[0] == HAND:
-        return Hand(_TORQUE_NM.decode(data, 2), _ANGLE_RAD.decode(data, 4), _RATE_RADPS.decode(data, 6))
+def decode_cab_state(data: bytes) -> DriverSteering | CabState | FoldState:
+    """One of the three groups of a frame with checked protection; raises BadFrame."""
+    if data[0] == DRIVER_STEERING:
+        return DriverSteering(_TORQUE_NM.decode(data, 2), _ANGLE_RAD.decode(data, 4), _RATE_RADPS.decode(data, 6))
     if data[0] == CAB:
         return _decode_cab(data)
     if data[0] == FOLD:
-        return Fold(_POSITION.decode(data, 2))
+        return FoldState(_POSITION.decode(data, 2))
     raise BadFrame(f"group {data[0]} is not known")
 
 
-def _decode_cab(data: bytes) -> Cab:
+def _decode_cab(data: bytes) -> CabState:
     pedals = _PEDAL.decode(data, 2), _PEDAL.decode(data, 3)
     seat, button, park, horn = (decode_flag(data, 6, bit) for bit in (1, 3, 5, 7))
-    return Cab(*pedals, _SUPPLY_V.decode(data, 4), seat, button, park, horn, decode_flag(data, 7, 1))
+    return CabState(*pedals, _SUPPLY_V.decode(data, 4), seat, button, park, horn, decode_flag(data, 7, 1))

@@ -1,4 +1,4 @@
-"""Counter and checksum in byte 8 of frames that must not be repeated, mixed up or altered (J1939-71, XBR)."""
+"""Counter and checksum in byte 8, against repetition, misrouting and corruption (J1939-71, XBR)."""
 
 from interfaces.isobus.values import BadFrame, require_length
 
@@ -11,20 +11,20 @@ def checksum(identifier: int, data: bytes) -> int:
     return ((total >> 4) + total) & 15
 
 
-def seal(identifier: int, body: bytes, counter: int) -> bytes:
+def protect(identifier: int, body: bytes, counter: int) -> bytes:
     """Eight bytes: the seven of `body`, then checksum and counter."""
     count = counter % COUNTS
     return body + bytes([checksum(identifier, body + bytes([count])) << 4 | count])
 
 
-class SealCheck:
-    """The receiving side of one sealed message: refuses a wrong checksum, a repeated count and a jump over 3."""
+class ProtectionCheck:
+    """Receiver check of one protected message: rejects a wrong checksum, a repeated count and a jump over 3."""
 
     def __init__(self) -> None:
         self._counter: int | None = None
 
-    def open(self, identifier: int, data: bytes) -> None:
-        """Raises BadFrame unless the frame is whole and follows the one before; counts on from it either way."""
+    def check(self, identifier: int, data: bytes) -> None:
+        """Raises BadFrame unless checksum and counter are valid; the counter is stored in any case."""
         require_length(data)
         if checksum(identifier, data) != data[7] >> 4:
             raise BadFrame("checksum")

@@ -21,7 +21,7 @@ class Frame(NamedTuple):
 
 
 class Address(NamedTuple):
-    """What an identifier says; `destination` is 255 for a group that has none."""
+    """Fields of an identifier; `destination` is 255 for a group without one."""
 
     priority: int
     group: int
@@ -30,7 +30,7 @@ class Address(NamedTuple):
 
 
 def encode_identifier(priority: int, group: int, source: int, destination: int = BROADCAST) -> int:
-    """The 29-bit identifier; the destination counts for PDU1 groups alone."""
+    """29-bit identifier; the destination applies to PDU1 groups only."""
     target = 0 if _is_broadcast(group) else destination << 8
     return priority << 26 | group << 8 | target | source
 

@@ -1,6 +1,6 @@
 """Guidance System Command and Guidance Machine Status (ISO 11783-7, PGN 44288 and 44032).
 
-On the wire a curvature is positive to the right; everywhere in Headland it is positive to the left.
+On the bus curvature is positive to the right; elsewhere in Headland it is positive to the left.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _RIGHT_RADPM = Scale(0.25e-3, -8.032, 2)
 
 @dataclass(frozen=True)
 class GuidanceStatus:
-    """What the steering says of itself; `curvature_radpm` left positive, codes as in the standard."""
+    """Status of the steering; `curvature_radpm` left positive, codes as in the standard."""
 
     curvature_radpm: float
     is_locked_out: bool
@@ -30,12 +30,12 @@ class GuidanceStatus:
 
 
 def encode_command(curvature_radpm: float, is_intending: bool) -> bytes:
-    """Steer by `curvature_radpm` (left positive), or tell it without intending to steer; raises ValueError."""
+    """Command of `curvature_radpm` (left positive), with or without intent to steer; raises ValueError."""
     return _RIGHT_RADPM.encode(-curvature_radpm) + bytes([0xFC | is_intending]) + b"\xff" * 5
 
 
 def encode_idle() -> bytes:
-    """Not intending to steer while the present curvature is not known."""
+    """Command without intent to steer and without curvature."""
     return b"\xff\xff\xfc" + b"\xff" * 5
 
 

@@ -1,4 +1,4 @@
-"""Heartbeat: a counter that proves a control function alive (ISO 11783-7, PGN 61668)."""
+"""Heartbeat: counter that shows that a control function is alive (ISO 11783-7, PGN 61668)."""
 
 GROUP = 0xF0E4
 START = 251
@@ -6,12 +6,12 @@ COUNTS = 251
 ERROR = 254
 SHUT_DOWN = 255
 GAP_NS = 300_000_000
-GREATEST_JUMP = 3
+MAX_JUMP = 3
 GOOD_TO_RECOVER = 8
 
 
 class Heartbeat:
-    """The sending side: 251 first, then 0 to 250 in turn."""
+    """Sender: 251 first, then 0 to 250 repeatedly."""
 
     def __init__(self) -> None:
         self._sent: int | None = None
@@ -23,9 +23,9 @@ class Heartbeat:
 
 
 class HeartbeatCheck:
-    """The receiving side: in error from a repeat, a jump over 3, a gap over 300 ms or the sender's own word.
+    """Receiver check: in error after a repeat, a jump over 3, a gap over 300 ms or an error reported by the sender.
 
-    It recovers after 8 good ones in a row; a start (251) is good and begins a new count.
+    Recovers after 8 consecutive valid values; a start (251) is valid and begins a new count.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class HeartbeatCheck:
         return self._last is not None and not self._is_failed and now_ns - self._last_ns <= GAP_NS
 
     def receive(self, now_ns: int, sequence: int) -> bool:
-        """Take one byte; true when it was as it should be."""
+        """Processes one byte; true when it is valid."""
         is_next = self._follows(sequence) and (self._last is None or now_ns - self._last_ns <= GAP_NS)
         self._last, self._last_ns = sequence, now_ns
         self._good = self._good + 1 if is_next else 0
@@ -53,7 +53,7 @@ class HeartbeatCheck:
             return self._last != START
         if self._last is None:
             return True
-        return (sequence - _after(self._last)) % COUNTS < GREATEST_JUMP
+        return (sequence - _after(self._last)) % COUNTS < MAX_JUMP
 
 
 def _after(sequence: int) -> int:

@@ -1,4 +1,4 @@
-"""Hitch and power take-off: what they say and what they are told (ISO 11783-7, PGN 65090 to 65094)."""
+"""Status and commands of hitch and power take-off (ISO 11783-7, PGN 65090 to 65094)."""
 
 from dataclasses import dataclass
 
@@ -33,7 +33,7 @@ class PtoStatus:
 
 
 def encode_commands(rear_position: float | None, rear_pto_rpm: float | None, is_rear_engaged: bool | None) -> bytes:
-    """Rear hitch (0 lowest to 1 highest) and rear power take-off; None leaves as is, and so is the front left.
+    """Rear hitch (0 lowest to 1 highest) and rear power take-off; None and the front stay as is.
 
     Raises ValueError for a value that does not fit.
     """

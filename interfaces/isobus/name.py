@@ -1,11 +1,11 @@
-"""The 64-bit NAME that tells one control function from all others (ISO 11783-5)."""
+"""64-bit NAME that identifies a control function (ISO 11783-5)."""
 
 from dataclasses import dataclass, fields
 
 AGRICULTURE = 2
 TRACTOR_ECU = 134
 
-_PLACES = {  # lowest bit and width; bit 48 is reserved and, unlike elsewhere, 0
+_BITS = {  # lowest bit and width; bit 48 is reserved and, unlike elsewhere, 0
     "identity": (0, 21),
     "manufacturer": (21, 11),
     "ecu_instance": (32, 3),
@@ -34,15 +34,15 @@ class Name:
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            value, width = getattr(self, f.name), _PLACES[f.name][1]
+            value, width = getattr(self, f.name), _BITS[f.name][1]
             if not 0 <= value < 1 << width:
                 raise ValueError(f"NAME {f.name} = {value}: not within {width} bits")
 
     def encode(self) -> int:
         """The NAME as a number."""
-        return sum(int(getattr(self, name)) << low for name, (low, _) in _PLACES.items())
+        return sum(int(getattr(self, name)) << low for name, (low, _) in _BITS.items())
 
     @classmethod
     def decode(cls, number: int) -> "Name":
         """The fields of a NAME."""
-        return cls(**{name: number >> low & (1 << width) - 1 for name, (low, width) in _PLACES.items()})
+        return cls(**{name: number >> low & (1 << width) - 1 for name, (low, width) in _BITS.items()})

@@ -14,7 +14,7 @@ _SPEED_MPS = Scale(0.001, 0.0, 2)
 
 @dataclass(frozen=True)
 class SelectedSpeed:
-    """The speed the machine goes by; `speed_mps` signed, codes as in the standard."""
+    """Machine selected speed; `speed_mps` signed, codes as in the standard."""
 
     speed_mps: float
     source: int
@@ -32,7 +32,7 @@ def decode_speed(data: bytes) -> float:
     require_length(data)
     speed_mps = _SPEED_MPS.decode(data, 1)
     if speed_mps == 0.0:
-        return 0.0  # standing has no direction, and some machines then send 11
+        return 0.0  # at rest without direction; some machines then send 11
     return speed_mps if decode_flag(data, 8, 1) else -speed_mps
 
 

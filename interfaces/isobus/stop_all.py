@@ -5,14 +5,14 @@ COUNTS = 251
 
 
 class StopAll:
-    """The sending side: counts each change to stop, so that a receiver that missed one still learns of it."""
+    """Sender: counts each transition to stop, so that a receiver detects one that it missed."""
 
     def __init__(self) -> None:
         self._transitions = 0
         self._is_permitted = False
 
     def encode(self, is_permitted: bool | None) -> bytes:
-        """The frame for this state; None says nothing either way (a person drives)."""
+        """Frame of this state; None is "not available" (a person drives)."""
         if self._is_permitted and is_permitted is False:
             self._transitions = (self._transitions + 1) % COUNTS
         if is_permitted is not None:

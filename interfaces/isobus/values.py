@@ -1,4 +1,4 @@
-"""Values within a frame: scaled numbers, bit fields and what counts as not available.
+"""Values within a frame: scaled numbers, bit fields and "not available".
 
 Bytes and bits count from 1 as in the standard, bit 1 is the least significant; numbers are little-endian.
 """
@@ -15,7 +15,7 @@ class BadFrame(ValueError):
 
 @dataclass(frozen=True)
 class Scale:
-    """A number of `size` bytes: value = raw · factor + offset; above 0xFA, 0xFAFF … it is none."""
+    """A number of `size` bytes: value = raw · factor + offset; above 0xFA, 0xFAFF … no number."""
 
     factor: float
     offset: float

@@ -1,1 +1,1 @@
-"""Radars by their own protocols, as `RadarScan`."""
+"""Radars by their protocols, as `RadarScan`."""

@@ -3,7 +3,7 @@
     0  service, method (u16), length (u32) │ 8 client, session, versions │ 16 E2E profile 7 │ 36 time, sync, qualifier
     50 flags, mount: x y z roll pitch yaw, each with sigma │ 100 flags │ 101 800 x 44 │ 35301 Doppler limits, count …
 
-The list always has 800 places; the count says how many are filled. Ranges and angles are from the sensor, angles left
+The list always has 800 entries, of which `count` are valid. Ranges and angles are from the sensor, angles left
 and up positive, range rate away positive (ARS548 interface description, checked against the recording in
 `tier4-nebula`).
 """
@@ -19,8 +19,8 @@ from messages.sensors import RadarScan
 
 METHOD = 336
 LENGTH = 35336
-MOST = 800
-START = 101
+MAX_DETECTIONS = 800
+DETECTIONS_OFFSET = 101
 SYNCHRONIZED = 1
 
 DETECTION = np.dtype(
@@ -62,23 +62,23 @@ class DetectionList:
 
 
 def decode_detections(datagram: bytes) -> DetectionList | None:
-    """The detection list in a datagram, or None when it holds something else or is malformed."""
+    """Detection list of a datagram, or None for other content or a malformed datagram."""
     if len(datagram) != LENGTH or struct.unpack_from(">HHI", datagram) != (0, METHOD, LENGTH - 8):
         return None
     nanoseconds, seconds, sync = struct.unpack_from(">IIB", datagram, 36)
-    end = START + MOST * DETECTION.itemsize
+    end = DETECTIONS_OFFSET + MAX_DETECTIONS * DETECTION.itemsize
     low, high, count, azimuth, elevation = struct.unpack_from(">ffIff", datagram, end)
-    if count > MOST or nanoseconds >= 1_000_000_000:
+    if count > MAX_DETECTIONS or nanoseconds >= 1_000_000_000:
         return None
     mount = np.array(struct.unpack_from(">12f", datagram, 52)[::2], np.float64)
-    detections = np.frombuffer(datagram, DETECTION, count, START).copy()
+    detections = np.frombuffer(datagram, DETECTION, count, DETECTIONS_OFFSET).copy()
     stamp_ns = seconds * 1_000_000_000 + nanoseconds
     return DetectionList(stamp_ns, sync == SYNCHRONIZED, mount, detections, (low, high), (azimuth, elevation))
 
 
-def is_invalid(detections: npt.NDArray[Any], what: str) -> npt.NDArray[np.bool_]:
-    """Whether the device marks one of `INVALID` of each detection (N,) so."""
-    return np.asarray(detections["invalid"] >> INVALID.index(what) & 1 == 1)
+def is_invalid(detections: npt.NDArray[Any], field: str) -> npt.NDArray[np.bool_]:
+    """Whether the device marks a field of `INVALID` of each detection (N,) as invalid."""
+    return np.asarray(detections["invalid"] >> INVALID.index(field) & 1 == 1)
 
 
 def to_scan(cycle: DetectionList, stamp_ns: int) -> RadarScan:
@@ -94,17 +94,17 @@ def to_scan(cycle: DetectionList, stamp_ns: int) -> RadarScan:
 
 
 class Ars548:
-    """Takes the device's datagrams; what is malformed is counted and dropped, other messages of it are passed over."""
+    """Decoder of the device's datagrams; malformed ones are counted in `rejected`, other messages are ignored."""
 
     def __init__(self) -> None:
-        self.dropped = 0
+        self.rejected = 0
 
     def receive(self, datagram: bytes, receive_ns: int) -> RadarScan | None:
         """A scan when the datagram is a detection list, stamped by the device's clock once that is synchronized."""
         if len(datagram) >= 4 and struct.unpack_from(">HH", datagram)[1] in (329, 380, 396):
-            return None  # objects, state of the sensor, state of its filters
+            return None  # objects, sensor status, filter status
         cycle = decode_detections(datagram)
         if cycle is None:
-            self.dropped += 1
+            self.rejected += 1
             return None
         return to_scan(cycle, cycle.stamp_ns if cycle.is_synchronized else receive_ns)

@@ -10,7 +10,7 @@ import can
 
 from configs.strict import CONFIGS, load
 from datasets.log import LogWriter
-from interfaces.can_receiver import Incoming
+from interfaces.can_receiver import CanReceiver
 from messages.command import CanFrame, CanFrames, MachineState
 from messages.errors import HeadlandError
 from messages.message import Envelope, Message
@@ -27,7 +27,7 @@ class Listener:
     """Converts CAN frames into log messages; has no access to a transmitter."""
 
     def __init__(self, tractor_address: int, own_address: int) -> None:
-        self.incoming = Incoming(tractor_address)
+        self.receiver = CanReceiver(tractor_address)
         self.count = 0
         self._own_address = own_address
         self._frames: list[CanFrame] = []
@@ -37,22 +37,19 @@ class Listener:
         """Decodes and stores one frame."""
         self.count += 1
         if frame.is_error_frame or frame.is_remote_frame or not frame.is_extended_id:
-            self.incoming.rejected += frame.is_error_frame
+            self.receiver.rejected += frame.is_error_frame
             return
         data = bytes(frame.data)
         self._frames.append(CanFrame(now_ns, frame.arbitration_id, data))
-        self.incoming.take(now_ns, self._own_address, frame.arbitration_id, data)
-        self.incoming.claims, self.incoming.is_claim_requested = (
-            [],
-            False,
-        )  # never answered
+        self.receiver.receive(now_ns, self._own_address, frame.arbitration_id, data)
+        self.receiver.claims, self.receiver.is_claim_requested = [], False  # never answered
 
     def due(self, now_ns: int) -> list[tuple[str, Message]]:
         """Messages to log at `now_ns`: machine state at 50 Hz, frames at 10 Hz."""
         outputs: list[tuple[str, Message]] = []
         if now_ns - self._state_ns >= STATE_NS:
             self._state_ns = now_ns
-            outputs.append(("machine", self.incoming.state(now_ns)))
+            outputs.append(("machine", self.receiver.state(now_ns)))
         if now_ns - self._frames_ns >= FRAMES_NS:
             self._frames_ns = now_ns
             outputs.append(("can/rx", CanFrames(now_ns, "machine", tuple(self._frames))))
@@ -75,7 +72,7 @@ def main(arguments: argparse.Namespace) -> int:
             _record(bus, listener, log, arguments.duration)
     finally:
         bus.shutdown()
-    state = listener.incoming.state(0)
+    state = listener.receiver.state(0)
     result: dict[str, Any] = {"frames": listener.count, "rejected": state.rejected_frames, "run_dir": str(folder.path)}
     folder.record("result", {"result": result})
     folder.finish()
@@ -96,9 +93,9 @@ def _record(bus: can.BusABC, listener: Listener, log: LogWriter, duration_s: flo
             for topic, message in listener.due(now_ns):
                 sequence[topic] = sequence.get(topic, -1) + 1
                 log.write(Envelope(topic, sequence[topic], now_ns, message))
-            if now_ns - printed_ns >= LINE_NS:
-                printed_ns = now_ns
-                sys.stderr.write(_status_line(listener.count, listener.incoming.state(now_ns)))
+            if now_ns - told_ns >= LINE_NS:
+                told_ns = now_ns
+                sys.stderr.write(_line(listener.count, listener.receiver.state(now_ns)))
     except KeyboardInterrupt:
         return
 

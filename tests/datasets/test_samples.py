@@ -44,7 +44,7 @@ def test_ros1_bag() -> None:
 def test_nmea_fixes_agree_with_gpsd() -> None:
     data = (SAMPLES / "gnss/nmea_rtk.log").read_bytes()
     reader = NmeaReader("RMC", 0, math.radians(0.1))
-    fixes = [fix for line in data.splitlines(keepends=True) for fix in reader.take(0, line)]
+    fixes = [fix for line in data.splitlines(keepends=True) for fix in reader.receive(0, line)]
     reference = [json.loads(line) for line in (SAMPLES / "gnss/nmea_rtk.tpv.jsonl").read_text().splitlines()]
     assert reader.rejected == sum(line.startswith(b"#") for line in data.splitlines())
     assert {fix.solution for fix in fixes} >= {GnssSolution.SBAS}

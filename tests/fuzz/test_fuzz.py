@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import fuzz
 from configs.strict import read_yaml
-from interfaces.isobus.checksum import SealCheck
+from interfaces.isobus.checksum import ProtectionCheck
 from messages.errors import ConfigError
 
 
@@ -26,6 +26,6 @@ def test_yaml_whose_keys_are_none_is_refused_by_name(tmp_path: Path, text: str) 
 
 
 def test_a_reader_that_looks_at_no_checksum_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SealCheck, "open", lambda self, identifier, data: None)
+    monkeypatch.setattr(ProtectionCheck, "check", lambda self, identifier, data: None)
     with pytest.raises((fuzz.Wrong, IndexError)):
         fuzz.fuzz_frames(3000, np.random.default_rng(7))

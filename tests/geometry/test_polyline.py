@@ -33,7 +33,7 @@ def usable(points: list[tuple[float, float]]) -> np.ndarray | None:
 
 @settings(derandomize=True, max_examples=100, deadline=None)
 @given(POINTS, st.floats(0.05, 5.0))
-def test_resampling_keeps_ends_and_spacing(points: list[tuple[float, float]], step: float) -> None:
+def test_resample_ends_and_spacing(points: list[tuple[float, float]], step: float) -> None:
     line = usable(points)
     if line is None:
         return
@@ -46,7 +46,7 @@ def test_resampling_keeps_ends_and_spacing(points: list[tuple[float, float]], st
 
 @settings(derandomize=True, max_examples=100, deadline=None)
 @given(POINTS, st.floats(0.0, 1.0))
-def test_a_place_on_the_line_projects_to_itself(points: list[tuple[float, float]], share: float) -> None:
+def test_projection_of_point_on_line(points: list[tuple[float, float]], share: float) -> None:
     line = usable(points)
     if line is None:
         return
@@ -57,7 +57,7 @@ def test_a_place_on_the_line_projects_to_itself(points: list[tuple[float, float]
 
 
 @pytest.mark.parametrize(("p", "s", "aside"), [((3, 2), 3, 2), ((3, -2), 3, -2), ((-1, 0), 0, 1), ((12, 0), 10, 2)])
-def test_projection_is_left_positive(p: tuple[float, float], s: float, aside: float) -> None:
+def test_projection_sign(p: tuple[float, float], s: float, aside: float) -> None:
     found = project(np.array([[0.0, 0.0], [10.0, 0.0]]), np.array(p, float))
     assert found[0] == pytest.approx(s)
     assert abs(found[1]) == pytest.approx(abs(aside))
@@ -65,7 +65,7 @@ def test_projection_is_left_positive(p: tuple[float, float], s: float, aside: fl
         assert math.copysign(1, found[1]) == math.copysign(1, aside)
 
 
-def test_smoothing_keeps_ends_and_straights_and_bounds_the_change_of_curvature() -> None:
+def test_smooth_ends_straights_and_curvature_rate() -> None:
     s = np.linspace(0, np.pi / 2 * 5, 79)
     bend = np.column_stack([10 + 5 * np.sin(s / 5), 5 - 5 * np.cos(s / 5)])
     line = resample(np.vstack([[[0, 0]], bend, [[15, 15]]]), 0.1)
@@ -79,7 +79,7 @@ def test_smoothing_keeps_ends_and_straights_and_bounds_the_change_of_curvature()
     assert np.hypot(*(soft - line).T).max() < 0.08
 
 
-def test_smoothing_a_ring_needs_no_end() -> None:
+def test_smooth_closed_ring() -> None:
     angle = np.linspace(0, 2 * np.pi, 400)
     ring = 8 * np.column_stack([np.cos(angle), np.sin(angle)])
     soft = smooth(ring, 1.8, is_closed=True)
@@ -88,25 +88,25 @@ def test_smoothing_a_ring_needs_no_end() -> None:
 
 
 @pytest.mark.parametrize("bad", [[[0, 0]], [[0, 0], [0, 0]], [[0, 0], [np.nan, 1]], [0, 1, 2], [[0, 0, 0], [1, 1, 1]]])
-def test_what_is_no_polyline_is_refused(bad: list[object]) -> None:
+def test_invalid_polyline(bad: list[object]) -> None:
     with pytest.raises(ValueError, match="polyline"):
         polyline(bad)  # type: ignore[arg-type]
 
 
-def test_extension_is_straight() -> None:
+def test_extend() -> None:
     longer = extend(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), 2.0, 3.0)
     assert longer[0] == pytest.approx([-2, 0])
     assert longer[-1] == pytest.approx([1, 4])
 
 
-def test_opening_rounds_outward_and_closing_inward_corners() -> None:
+def test_opening_and_closing() -> None:
     ell = Polygon([(0, 0), (40, 0), (40, 20), (20, 20), (20, 40), (0, 40)])
     corner = (1 - math.pi / 4) * 25
     assert open_by(ell, 5).area == pytest.approx(ell.area - 5 * corner, rel=1e-3)
     assert close_by(ell, 5).area == pytest.approx(ell.area + corner, rel=1e-3)
 
 
-def test_rings_are_oriented_and_parts_ordered() -> None:
+def test_ring_orientation_and_part_order() -> None:
     with_hole = Polygon([(0, 0), (0, 9), (9, 9), (9, 0)], [[(3, 3), (6, 3), (6, 6), (3, 6)]])
     outline, hole = ring_points(with_hole)
     assert Polygon(outline).exterior.is_ccw
@@ -121,18 +121,18 @@ BODIES = (Rectangle(-1.0, 3.5, 2.3), Rectangle(-2.4, -1.1, 6.1))
 
 
 @pytest.mark.parametrize(("gap", "inside"), [(0.001, True), (-0.001, False), (0.0, True)])
-def test_inside_is_exact_at_the_edge(gap: float, inside: bool) -> None:
+def test_is_inside_at_edge(gap: float, inside: bool) -> None:
     room = box(-2.4 - gap, -3.05 - gap, 3.5 + gap, 3.05 + gap)
     assert bool(is_inside(BODIES, np.zeros((1, 2)), np.zeros(1), room)[0]) is inside
 
 
-def test_a_corner_between_body_points_is_found() -> None:
-    """A wedge that pokes into the side of the implement, where no corner of the implement is outside."""
+def test_intrusion_between_corners() -> None:
+    """A wedge into the side of the implement, with all corners of the implement inside."""
     room = box(-20, -20, 20, 20).difference(Polygon([(-1.75, 2.9), (-1.5, 10), (-2.0, 10)]))
     assert not is_inside(BODIES, np.zeros((1, 2)), np.zeros(1), room)[0]
 
 
-def test_intrusion_measures_how_far_outside() -> None:
+def test_intrusion_distance() -> None:
     outline = BODIES[1].outline_m(0.5)
     room = box(-100, -3.0, 100, 100)
     assert intrusion(outline, np.zeros((1, 2)), np.zeros(1), room)[0] == pytest.approx(0.05)
@@ -142,7 +142,7 @@ def test_intrusion_measures_how_far_outside() -> None:
 
 @settings(derandomize=True, max_examples=30, deadline=None)
 @given(st.floats(-3, 3), st.floats(-0.15, 0.15))
-def test_sweep_holds_every_footprint(heading: float, curvature: float) -> None:
+def test_sweep_contains_footprints(heading: float, curvature: float) -> None:
     s = np.arange(0, 8, 0.5)
     turn = heading + curvature * s
     p = np.column_stack([np.cumsum(np.cos(turn) * 0.5), np.cumsum(np.sin(turn) * 0.5)])
@@ -150,7 +150,7 @@ def test_sweep_holds_every_footprint(heading: float, curvature: float) -> None:
     assert all(swept.covers(f) for row in footprints(BODIES, p, turn) for f in row)
 
 
-def test_worked_area_of_a_straight_strip_and_of_a_turn_on_the_spot() -> None:
+def test_worked_area_of_strip_and_pivot() -> None:
     left = np.array([[0.0, 3.0], [10.0, 3.0]])
     assert worked(left, left - [0, 6]).area == pytest.approx(60)
     angle = np.linspace(0, np.pi / 2, 50)
@@ -158,6 +158,6 @@ def test_worked_area_of_a_straight_strip_and_of_a_turn_on_the_spot() -> None:
     assert worked(np.zeros((50, 2)), outer).area == pytest.approx(np.pi * 9, rel=1e-3)
 
 
-def test_placing_turns_and_moves() -> None:
+def test_place() -> None:
     moved = place(np.array([[1.0, 0.0]]), np.array([[5.0, 5.0]]), np.array([np.pi / 2]))
     assert moved[0, 0] == pytest.approx([5, 6])

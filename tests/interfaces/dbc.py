@@ -1,4 +1,4 @@
-"""The other implementation: cantools on the same DBC file, as the simulated machine has it."""
+"""Reference implementation: cantools with the DBC file, as in the simulated machine."""
 
 from functools import cache
 from pathlib import Path
@@ -19,7 +19,7 @@ def identifier(name: str) -> int:
 
 
 def encode(name: str, **values: float) -> bytes:
-    """Bytes with all reserved bits 1; signals left out are all ones too."""
+    """Bytes with all reserved bits 1; omitted signals are all ones."""
     message = database().get_message_by_name(name)
     raw = {} if message.is_multiplexed() else {s.name: (1 << s.length) - 1 for s in message.signals}
     raw |= {k: round((v - _signal(message, k).offset) / _signal(message, k).scale) for k, v in values.items()}
@@ -31,7 +31,7 @@ def decode(name: str, data: bytes) -> dict[str, float]:
 
 
 def reserved_mask(name: str) -> int:
-    """The bits of the frame that no signal uses."""
+    """Bits of the frame that no signal uses."""
     message = database().get_message_by_name(name)
     used = 0
     for signal in message.signals:

@@ -1,4 +1,4 @@
-"""The ARS548's datagrams: the recorded one equals the truth beside it; what is malformed is dropped and counted."""
+"""ARS548 datagrams: recorded cycle against its reference; malformed datagrams are counted."""
 
 import os
 import struct
@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interfaces.radar.ars548 import DETECTION, LENGTH, METHOD, MOST, START, Ars548, decode_detections, to_scan
+from interfaces.radar.ars548 import (
+    DETECTION,
+    DETECTIONS_OFFSET,
+    LENGTH,
+    MAX_DETECTIONS,
+    METHOD,
+    Ars548,
+    decode_detections,
+    to_scan,
+)
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[3] / "shared" / "data"))
 RECORDING = DATA / "tier4-nebula" / "ars548"
@@ -18,16 +27,16 @@ RECORDING = DATA / "tier4-nebula" / "ars548"
 def datagram(count: int = 2, invalid: int = 0, sync: int = 1) -> bytes:
     head = struct.pack(">HHI", 0, METHOD, LENGTH - 8).ljust(36, b"\0") + struct.pack(">IIB", 5, 7, sync)
     raw = bytearray(head.ljust(LENGTH, b"\0"))
-    places = np.zeros(MOST, DETECTION)
-    places["range_m"], places["azimuth_rad"], places["doppler_mps"] = np.arange(MOST), 0.25, -1.5
+    places = np.zeros(MAX_DETECTIONS, DETECTION)
+    places["range_m"], places["azimuth_rad"], places["doppler_mps"] = np.arange(MAX_DETECTIONS), 0.25, -1.5
     places["elevation_rad"], places["rcs_dbsm"], places["invalid"] = 0.1, -7, invalid
-    raw[START : START + MOST * 44] = places.tobytes()
-    struct.pack_into(">ffIff", raw, START + MOST * 44, -20.0, 20.0, count, 0.0, 0.0)
+    raw[DETECTIONS_OFFSET : DETECTIONS_OFFSET + MAX_DETECTIONS * 44] = places.tobytes()
+    struct.pack_into(">ffIff", raw, DETECTIONS_OFFSET + MAX_DETECTIONS * 44, -20.0, 20.0, count, 0.0, 0.0)
     return bytes(raw)
 
 
 @pytest.mark.skipif(not RECORDING.is_dir(), reason=f"no recording at {RECORDING}")
-def test_the_recorded_cycle_equals_the_truth() -> None:
+def test_recorded_cycle_against_reference() -> None:
     import yaml
 
     from benchmarks.radar import datagrams, differences
@@ -41,7 +50,7 @@ def test_the_recorded_cycle_equals_the_truth() -> None:
     assert differences(cycles[0], truth) == ["range_rate"]
 
 
-def test_a_datagram_becomes_a_scan() -> None:
+def test_scan_from_datagram() -> None:
     cycle = decode_detections(datagram(3))
     assert cycle is not None
     assert cycle.stamp_ns == 7_000_000_005
@@ -54,7 +63,7 @@ def test_a_datagram_becomes_a_scan() -> None:
 
 
 @pytest.mark.parametrize(("bit", "kept", "level"), [(0, 0, 0), (1, 2, 0), (2, 0, 0), (4, 2, 1), (6, 0, 0), (7, 2, 0)])
-def test_what_the_device_calls_invalid_is_not_used(bit: int, kept: int, level: int) -> None:
+def test_invalid_flags(bit: int, kept: int, level: int) -> None:
     cycle = decode_detections(datagram(2, 1 << bit))
     assert cycle is not None
     scan = to_scan(cycle, 0)
@@ -62,36 +71,36 @@ def test_what_the_device_calls_invalid_is_not_used(bit: int, kept: int, level: i
     assert np.isnan(scan.elevation_rad).all() == bool(level or kept == 0)
 
 
-def test_time_is_the_devices_own_only_when_synchronized() -> None:
+def test_stamp_by_synchronization() -> None:
     device = Ars548()
     for sync, stamp in ((1, 7_000_000_005), (2, 42), (3, 42)):
         scan = device.receive(datagram(sync=sync), 42)
         assert scan is not None
         assert scan.stamp_ns == stamp
-    assert device.dropped == 0
+    assert device.rejected == 0
 
 
-@pytest.mark.parametrize("count", [0, 1, MOST, MOST + 1, 2**32 - 1])
-def test_count_is_bounded(count: int) -> None:
+@pytest.mark.parametrize("count", [0, 1, MAX_DETECTIONS, MAX_DETECTIONS + 1, 2**32 - 1])
+def test_count_limit(count: int) -> None:
     cycle = decode_detections(datagram(count))
-    assert (cycle is None) == (count > MOST)
+    assert (cycle is None) == (count > MAX_DETECTIONS)
 
 
-def test_other_messages_pass_and_broken_ones_are_counted() -> None:
+def test_other_and_malformed_messages() -> None:
     device = Ars548()
     for method in (329, 380, 396):
         assert device.receive(struct.pack(">HHI", 0, method, 10) + bytes(10), 0) is None
-    assert device.dropped == 0
+    assert device.rejected == 0
     for broken in (b"", b"\0\0\1", datagram()[:-1], datagram() + b"\0", b"\1" + datagram()[1:]):
         assert device.receive(broken, 0) is None
-    assert device.dropped == 5
+    assert device.rejected == 5
 
 
 @given(st.binary(max_size=64), st.integers(0, LENGTH - 64))
 @settings(derandomize=True, max_examples=100)
-def test_no_bytes_make_it_fail(noise: bytes, place: int) -> None:
+def test_arbitrary_bytes(noise: bytes, place: int) -> None:
     raw = bytearray(datagram())
     raw[place : place + len(noise)] = noise
     device = Ars548()
     scan = device.receive(bytes(raw), 0)
-    assert scan is not None or device.dropped == 1 or raw[2:4] != datagram()[2:4]
+    assert scan is not None or device.rejected == 1 or raw[2:4] != datagram()[2:4]

@@ -1,4 +1,4 @@
-"""The gateway on a virtual bus against a tractor that speaks by cantools."""
+"""Gateway on a virtual bus with a tractor implemented by cantools."""
 
 import itertools
 import math
@@ -10,7 +10,7 @@ import pytest
 from configs.strict import CONFIGS, load, parse, read_yaml
 from configs.vehicle import Vehicle
 from interfaces.gateway import Gateway, GatewayConfig
-from interfaces.isobus.checksum import seal
+from interfaces.isobus.checksum import protect
 from messages.command import CanFrames, MachineState, Mode, SafeCommand
 from messages.faults import Fault
 from tests.interfaces import dbc
@@ -48,7 +48,7 @@ class Inbox:
 
 
 class Rig:
-    """Gateway, bus and tractor; `values` are what the tractor says, by message."""
+    """Gateway, bus and tractor; `values` are the values sent by the tractor, by message."""
 
     def __init__(self, **changes):
         self.bus = can.Bus(f"rig{id(self)}", interface="virtual")
@@ -72,7 +72,7 @@ class Rig:
             "RearHitchStatus": {"Position": 100, "InWork": 0, "LimitStatus": 0},
             "RearPtoStatus": {"Speed": 0, "Engaged": 0, "LimitStatus": 0},
         }
-        self.hand = {"Group": 1, "HandTorque": 0, "HandAngle": 0, "HandRate": 0}
+        self.driver_steering = {"Group": 1, "HandTorque": 0, "HandAngle": 0, "HandRate": 0}
         self.cab = {
             "Group": 2,
             "BrakePedal": 0,
@@ -98,14 +98,16 @@ class Rig:
         for name, values in self.values.items():
             self.send(name, dbc.encode(name, **values))
         self.counter += 1
-        for values in (self.hand, self.cab) if self.fold is None else (self.hand, self.cab, self.fold):
+        for values in (
+            (self.driver_steering, self.cab) if self.fold is None else (self.driver_steering, self.cab, self.fold)
+        ):
             body = dbc.encode("CabState", Counter=0, Checksum=0, **values)[:7]
-            self.send("CabState", seal(dbc.identifier("CabState"), body, self.counter))
+            self.send("CabState", protect(dbc.identifier("CabState"), body, self.counter))
         self.beat = (self.beat + 1) % 251
         self.send("HeartbeatTractor", bytes([self.beat]))
 
     def step(self, command=None):
-        """One tick; a command is stamped now."""
+        """One step; a command is stamped now."""
         if command is not None:
             self.command = replace(command, stamp_ns=self.now_ns)
         if self.is_talking and (self.now_ns - START) % (100 * MS) == 0:
@@ -116,7 +118,7 @@ class Rig:
         self.now_ns += TICK
 
     def forward(self, ms, command=None):
-        """Time passes; a command comes every 20 ms."""
+        """Advances the time with a command every 20 ms."""
         for k in range(ms // 10):
             self.step(command if k % 2 == 0 else None)
 
@@ -176,14 +178,14 @@ def is_stopped(rig):
     )
 
 
-def test_it_claims_its_address_and_sends_nothing_else_for_250_ms(rig):
+def test_address_claim_before_other_messages(rig):
     rig.forward(250, HOLD)
     assert [i for _, i, _ in rig.sent] == [dbc.identifier("AddressClaimedGateway")]
     rig.forward(20, HOLD)
     assert len(rig.sent) > 5
 
 
-def test_without_a_supervisor_everything_is_left_as_it_is(rig):
+def test_no_command_without_supervisor(rig):
     rig.forward(1500)
     assert is_released(rig)
     assert not rig.faults
@@ -210,7 +212,7 @@ def test_periods_and_counters(rig):
     assert beats == list(range(beats[0], beats[0] + 30))
 
 
-def test_it_first_offers_the_present_value_and_waits_for_not_limited(rig):
+def test_offer_of_actual_value_until_not_limited(rig):
     rig.values["GuidanceMachineStatus"]["SteeringReady"] = 0
     rig.values["WheelBasedSpeed"]["Speed"] = 0.5
     engaged(rig)
@@ -227,13 +229,13 @@ def test_it_first_offers_the_present_value_and_waits_for_not_limited(rig):
 
 
 @pytest.mark.parametrize("limit", [0, 1, 2, 3, 6, 7])
-def test_only_not_limited_counts_as_accepted(rig, limit):
+def test_acceptance_requires_not_limited(rig, limit):
     rig.values["GuidanceMachineStatus"]["LimitStatus"] = limit
     engaged(rig)
     assert (rig.newest("GuidanceSystemCommand")["Curvature"] == -100) == (limit == 0)
 
 
-def test_a_steering_that_never_accepts_is_a_fault(rig):
+def test_fault_on_steering_not_accepting(rig):
     rig.values["GuidanceMachineStatus"]["SteeringReady"] = 0
     engaged(rig)
     assert not rig.faults
@@ -241,7 +243,7 @@ def test_a_steering_that_never_accepts_is_a_fault(rig):
     assert rig.faults == {"gateway.steering_refused"}
 
 
-def test_the_command_is_slewed_by_what_the_wheels_can_do(rig):
+def test_curvature_rate_limit(rig):
     engaged(rig, replace(DRIVE, curvature_radpm=0.0))
     rig.sent.clear()
     rig.forward(1200, replace(DRIVE, curvature_radpm=0.2))
@@ -253,21 +255,21 @@ def test_the_command_is_slewed_by_what_the_wheels_can_do(rig):
     assert read[-1][1] == pytest.approx(0.2)
 
 
-def test_the_estimated_curvature_never_clamps_the_command(rig):
+def test_estimated_curvature_does_not_limit_command(rig):
     rig.values["GuidanceMachineStatus"]["EstimatedCurvature"] = -50
     engaged(rig, replace(DRIVE, curvature_radpm=-0.2))
     rig.forward(1500, replace(DRIVE, curvature_radpm=-0.2))
     assert rig.newest("GuidanceSystemCommand")["Curvature"] == 200
 
 
-def test_reverse_is_told_by_the_direction(rig):
+def test_direction_bit_in_reverse(rig):
     engaged(rig, replace(DRIVE, speed_mps=-1.25))
     read = rig.newest("MachineSelectedSpeedCommand")
     assert (read["SetPoint"], read["Direction"]) == (1.25, 0)
 
 
 @pytest.mark.parametrize("silence_ms", range(60, 150, 10))
-def test_100_ms_of_silence_stop(silence_ms):
+def test_safe_command_timeout(silence_ms):
     rig = Rig()
     engaged(rig)
     rig.step(DRIVE)
@@ -277,7 +279,7 @@ def test_100_ms_of_silence_stop(silence_ms):
     rig.close()
 
 
-def test_the_stop_stays_until_commands_have_come_again_for_a_while(rig):
+def test_recovery_after_timeout(rig):
     engaged(rig)
     rig.forward(300)
     rig.forward(140, DRIVE)
@@ -287,7 +289,7 @@ def test_the_stop_stays_until_commands_have_come_again_for_a_while(rig):
     assert not rig.faults
 
 
-def test_a_repeated_command_is_not_fresh(rig):
+def test_repeated_command_is_not_fresh(rig):
     engaged(rig)
     command = rig.command
     for _ in range(12):
@@ -296,7 +298,7 @@ def test_a_repeated_command_is_not_fresh(rig):
     assert is_stopped(rig)
 
 
-def test_a_command_of_the_future_is_not_taken(rig):
+def test_command_with_future_stamp(rig):
     engaged(rig)
     for _ in range(12):
         rig.command = replace(DRIVE, stamp_ns=rig.now_ns + 30 * MS)
@@ -307,27 +309,27 @@ def test_a_command_of_the_future_is_not_taken(rig):
 
 @pytest.mark.parametrize("field", ["speed_mps", "curvature_radpm", "deceleration_mps2"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
-def test_a_command_that_cannot_be_sent_stops(rig, field, value):
+def test_command_out_of_range_stops(rig, field, value):
     engaged(rig)
     rig.forward(20, replace(DRIVE, **{field: value}))
     assert is_stopped(rig)
     assert "gateway.bad_command" in rig.faults
 
 
-def test_silence_while_a_person_drives_changes_nothing(rig):
+def test_timeout_in_manual_mode(rig):
     engaged(rig, replace(HOLD, mode=Mode.MANUAL))
     assert is_released(rig)
     rig.forward(500)
     assert is_released(rig)
 
 
-def test_manual_releases_at_once(rig):
+def test_manual_mode_releases_at_once(rig):
     engaged(rig)
     rig.step(replace(DRIVE, mode=Mode.MANUAL))
     assert is_released(rig)
 
 
-def test_drive_not_enabled_holds_with_the_brake_asked_for(rig):
+def test_brake_demand_with_drive_disabled(rig):
     engaged(rig)
     rig.step(replace(HOLD, mode=Mode.OBSTACLE_STOP, deceleration_mps2=2.5))
     assert rig.newest("ExternalBrakeRequest")["Acceleration"] == pytest.approx(-2.5, abs=1e-3)
@@ -338,14 +340,14 @@ def test_drive_not_enabled_holds_with_the_brake_asked_for(rig):
 
 
 @pytest.mark.parametrize("mode", [Mode.EMERGENCY_STOP, Mode.FAULT_STOP])
-def test_an_emergency_stops_the_implement_too(rig, mode):
+def test_emergency_stop_stops_implement(rig, mode):
     engaged(rig)
     rig.step(replace(HOLD, mode=mode))
     read = rig.newest("StopAllImplements")
     assert (read["Permit"], read["TransitionCount"]) == (0, 1)
 
 
-def test_a_brake_request_leaves_within_one_step(rig):
+def test_brake_request_latency(rig):
     engaged(rig)
     rig.forward(10, DRIVE)
     for _ in range(2):
@@ -358,7 +360,7 @@ def test_a_brake_request_leaves_within_one_step(rig):
 @pytest.mark.parametrize(
     "change", [{"SteeringReady": 0}, {"MechanicalLockout": 1}, {"LimitStatus": 1}, {"LimitStatus": 6}, {"ExitCode": 3}]
 )
-def test_a_steering_that_gives_up_is_not_fought(rig, change):
+def test_no_reengagement_after_steering_exit(rig, change):
     engaged(rig)
     rig.values["GuidanceMachineStatus"] |= change
     rig.forward(110, DRIVE)
@@ -376,14 +378,14 @@ def test_a_steering_that_gives_up_is_not_fought(rig, change):
     assert rig.newest("GuidanceSystemCommand")["Curvature"] == -100
 
 
-def test_a_steering_that_falls_silent_is_lost(rig):
+def test_steering_status_timeout(rig):
     engaged(rig)
     del rig.values["GuidanceMachineStatus"]
     rig.forward(420, DRIVE)
     assert "gateway.steering_lost" in rig.faults
 
 
-def test_machine_state_carries_everything(rig):
+def test_machine_state_content(rig):
     rig.values = {
         "GuidanceMachineStatus": {
             "EstimatedCurvature": -125,
@@ -396,7 +398,7 @@ def test_machine_state_carries_everything(rig):
         "RearHitchStatus": {"Position": 20, "InWork": 1, "LimitStatus": 0},
         "RearPtoStatus": {"Speed": 540, "Engaged": 1, "LimitStatus": 0},
     }
-    rig.hand |= {"HandTorque": -3.5, "HandAngle": 0.5, "HandRate": -1.25}
+    rig.driver_steering |= {"HandTorque": -3.5, "HandAngle": 0.5, "HandRate": -1.25}
     rig.cab |= {
         "BrakePedal": 40,
         "SupplyVoltage": 12.55,
@@ -430,7 +432,7 @@ def test_machine_state_carries_everything(rig):
     assert s.rejected_frames == 0
 
 
-def test_the_fold_is_commanded_while_active_alone(rig):
+def test_fold_command_only_while_active(rig):
     rig.forward(400, replace(HOLD, is_implement_folded=True))
     assert rig.newest("AuxiliaryCommand")["Fold"] == 3
     rig.forward(400, replace(DRIVE, is_implement_folded=True))
@@ -441,7 +443,7 @@ def test_the_fold_is_commanded_while_active_alone(rig):
     assert rig.newest("AuxiliaryCommand")["Fold"] == 3
 
 
-def test_the_fold_is_told_and_its_silence_ages_the_implement(rig):
+def test_fold_position_and_timeout(rig):
     rig.forward(400, HOLD)
     assert rig.state.fold_position == 0.0
     rig.fold = {"Group": 3, "FoldPosition": 99.2}
@@ -454,7 +456,7 @@ def test_the_fold_is_told_and_its_silence_ages_the_implement(rig):
     assert rig.state.implement_stamp_ns == last_ns < rig.state.cab_stamp_ns
 
 
-def test_machine_state_comes_every_20_ms_and_raw_frames_are_logged(rig):
+def test_machine_state_period_and_frame_log(rig):
     engaged(rig)
     states = [m.stamp_ns for _, m in rig.outputs if isinstance(m, MachineState)]
     assert {b - a for a, b in itertools.pairwise(states)} == {20 * MS}
@@ -478,26 +480,26 @@ def test_machine_state_comes_every_20_ms_and_raw_frames_are_logged(rig):
         ("HeartbeatTractor", b"\x01\x02"),
     ],
 )
-def test_a_bad_frame_is_counted_and_changes_nothing(rig, name, data):
+def test_invalid_frame_is_counted(rig, name, data):
     rig.forward(310, HOLD)
-    before = rig.gateway._incoming.state(0)
+    before = rig.gateway._receiver.state(0)
     rig.send(name, data)
     rig.step(HOLD)
-    after = rig.gateway._incoming.state(0)
+    after = rig.gateway._receiver.state(0)
     assert after == replace(before, rejected_frames=1)
 
 
-def test_frames_of_others_and_to_others_are_not_taken(rig):
+def test_frames_of_other_nodes_are_ignored(rig):
     rig.forward(310, HOLD)
-    before = rig.gateway._incoming.state(0)
+    before = rig.gateway._receiver.state(0)
     for identifier in (0x0CFE48F1, 0x0CAC2AF0, 0x0CACFFF1):
         rig.tractor.send(can.Message(arbitration_id=identifier, data=b"\x00" * 8, is_extended_id=True))
     rig.tractor.send(can.Message(arbitration_id=0x123, data=b"\x00", is_extended_id=False))
     rig.step(HOLD)
-    assert rig.gateway._incoming.state(0) == before
+    assert rig.gateway._receiver.state(0) == before
 
 
-def test_a_silent_tractor_is_a_fault_and_its_groups_age(rig):
+def test_tractor_timeout(rig):
     engaged(rig)
     rig.is_talking = False
     rig.forward(600, DRIVE)
@@ -505,14 +507,14 @@ def test_a_silent_tractor_is_a_fault_and_its_groups_age(rig):
     assert rig.state.stamp_ns - rig.state.motion_stamp_ns >= 500 * MS
 
 
-def test_it_gives_way_to_a_lower_name(rig):
+def test_lower_name_takes_address(rig):
     rig.forward(400, HOLD)
     rig.tractor.send(can.Message(arbitration_id=0x18EEFF1C, data=b"\x00" * 8, is_extended_id=True))
     rig.forward(400, HOLD)
     assert rig.sent[-1][1] & 0xFF == 128
 
 
-def test_a_request_for_claimed_addresses_is_answered(rig):
+def test_request_for_claimed_address(rig):
     rig.forward(400, HOLD)
     rig.sent.clear()
     rig.tractor.send(can.Message(arbitration_id=0x18EAFFF0, data=b"\x00\xee\x00", is_extended_id=True))
@@ -520,7 +522,7 @@ def test_a_request_for_claimed_addresses_is_answered(rig):
     assert dbc.identifier("AddressClaimedGateway") in [i for _, i, _ in rig.sent]
 
 
-def test_a_failing_bus_is_a_fault_and_not_a_crash(rig):
+def test_bus_failure_is_a_fault(rig):
     engaged(rig)
 
     def fail(*_):
@@ -531,7 +533,7 @@ def test_a_failing_bus_is_a_fault_and_not_a_crash(rig):
     assert "gateway.bus" in rig.faults
 
 
-def test_a_flooded_bus_does_not_hold_the_gateway_up(rig):
+def test_flooded_bus(rig):
     rig.forward(310, HOLD)
     for _ in range(1000):
         rig.tractor.send(can.Message(arbitration_id=0x18FFFFF0, data=b"", is_extended_id=True))

@@ -1,4 +1,4 @@
-"""Our codec against cantools over the whole range of every value, reserved bits and missing values included."""
+"""Codec against cantools over the full range of every value, including reserved bits and missing values."""
 
 import itertools
 import math
@@ -6,7 +6,7 @@ import math
 import pytest
 
 from interfaces.isobus import brake, cab, guidance, implement, speed, stop_all
-from interfaces.isobus.checksum import SealCheck, checksum, seal
+from interfaces.isobus.checksum import ProtectionCheck, checksum, protect
 from interfaces.isobus.frame import decode_identifier, encode_identifier
 from interfaces.isobus.heartbeat import Heartbeat
 from interfaces.isobus.values import NOT_AVAILABLE, BadFrame, Scale
@@ -54,7 +54,7 @@ def assert_reserved_are_ones(name: str, data: bytes) -> None:
         ("AddressClaimedGateway", 6, 0xEE00, 28, 255),
     ],
 )
-def test_identifiers_are_those_of_the_dbc(name, priority, group, source, destination):
+def test_identifiers_against_dbc(name, priority, group, source, destination):
     assert encode_identifier(priority, group, source, destination) == dbc.identifier(name)
     assert decode_identifier(dbc.identifier(name)) == (priority, group, source, destination)
 
@@ -63,7 +63,7 @@ def test_identifiers_are_those_of_the_dbc(name, priority, group, source, destina
 
 
 @pytest.mark.parametrize("is_intending", [False, True])
-def test_guidance_command_over_the_whole_range(is_intending):
+def test_guidance_command_range(is_intending):
     for raw in RAW_16:
         left_radpm = -(raw * 0.25 - 8032.0) / 1000.0
         data = guidance.encode_command(left_radpm, is_intending)
@@ -73,18 +73,18 @@ def test_guidance_command_over_the_whole_range(is_intending):
         assert_reserved_are_ones("GuidanceSystemCommand", data)
 
 
-def test_a_left_turn_is_negative_on_the_wire():
+def test_left_curvature_is_negative_on_bus():
     assert dbc.decode("GuidanceSystemCommand", guidance.encode_command(0.2, True))["Curvature"] == -200.0
     assert guidance.encode_command(0.0, True)[:2] == (32128).to_bytes(2, "little")
 
 
 @pytest.mark.parametrize("curvature_radpm", [math.nan, math.inf, -math.inf, 8.0322, -8.0319])
-def test_a_curvature_that_does_not_fit_is_refused(curvature_radpm):
+def test_curvature_out_of_range(curvature_radpm):
     with pytest.raises(ValueError, match="does not fit"):
         guidance.encode_command(curvature_radpm, True)
 
 
-def test_idle_guidance_says_not_available_and_not_intending():
+def test_idle_guidance_command():
     data = guidance.encode_idle()
     assert dbc.decode("GuidanceSystemCommand", data)["Intent"] == 0
     assert data[:2] == b"\xff\xff"
@@ -96,7 +96,7 @@ def guidance_status(**values):
     return dbc.encode("GuidanceMachineStatus", **(standard | values))
 
 
-def test_guidance_status_over_the_whole_range():
+def test_guidance_status_range():
     for raw in RAW_16:
         right = raw * 0.25 - 8032.0
         read = guidance.decode_status(guidance_status(EstimatedCurvature=right))
@@ -105,13 +105,13 @@ def test_guidance_status_over_the_whole_range():
 
 
 @pytest.mark.parametrize("raw", NOT_16)
-def test_guidance_status_without_curvature_is_bad(raw):
+def test_guidance_status_without_curvature(raw):
     with pytest.raises(BadFrame):
         guidance.decode_status(with_raw(guidance_status(), 1, raw))
 
 
 @pytest.mark.parametrize("limit", range(8))
-def test_the_limit_status_of_guidance_has_three_bits(limit):
+def test_guidance_limit_status_bits(limit):
     data = guidance_status(LimitStatus=limit)
     if limit in (4, 5):
         with pytest.raises(BadFrame):
@@ -120,7 +120,7 @@ def test_the_limit_status_of_guidance_has_three_bits(limit):
         assert guidance.decode_status(data).limit == limit
 
 
-def test_all_exit_codes_and_ready_states_of_guidance():
+def test_guidance_exit_codes_and_ready_states():
     for code in range(64):
         assert guidance.decode_status(guidance_status(ExitCode=code)).exit_code == code
     for state in range(4):
@@ -131,7 +131,7 @@ def test_all_exit_codes_and_ready_states_of_guidance():
 # speed
 
 
-def test_speed_command_over_the_whole_range():
+def test_speed_command_range():
     for raw in RAW_16:
         for sign in (1, -1):
             data = speed.encode_command(sign * raw * 0.001)
@@ -143,13 +143,13 @@ def test_speed_command_over_the_whole_range():
 
 
 @pytest.mark.parametrize("speed_mps", [math.nan, math.inf, 64.256, -64.256])
-def test_a_speed_that_does_not_fit_is_refused(speed_mps):
+def test_speed_out_of_range(speed_mps):
     with pytest.raises(ValueError, match="does not fit"):
         speed.encode_command(speed_mps)
 
 
 @pytest.mark.parametrize("name", ["WheelBasedSpeed", "GroundBasedSpeed"])
-def test_speed_over_the_whole_range(name):
+def test_speed_range(name):
     for raw in RAW_16:
         for direction in (0, 1):
             read = speed.decode_speed(dbc.encode(name, Speed=raw * 0.001, Direction=direction))
@@ -157,19 +157,19 @@ def test_speed_over_the_whole_range(name):
 
 
 @pytest.mark.parametrize("raw", NOT_16)
-def test_speed_that_is_missing_is_bad(raw):
+def test_missing_speed(raw):
     with pytest.raises(BadFrame):
         speed.decode_speed(with_raw(dbc.encode("WheelBasedSpeed", Speed=0, Direction=1), 1, raw))
 
 
 @pytest.mark.parametrize("direction", [2, 3])
-def test_moving_without_direction_is_bad_and_standing_is_not(direction):
+def test_missing_direction_by_speed(direction):
     with pytest.raises(BadFrame):
         speed.decode_speed(dbc.encode("WheelBasedSpeed", Speed=1, Direction=direction))
     assert speed.decode_speed(dbc.encode("WheelBasedSpeed", Speed=0, Direction=direction)) == 0.0
 
 
-def test_the_limit_status_of_the_selected_speed_has_three_bits():
+def test_selected_speed_limit_status_bits():
     for limit in (0, 1, 2, 3, 6, 7):
         for source in (0, 1, 2, 3, 4, 7):
             data = dbc.encode(
@@ -185,14 +185,14 @@ def test_the_limit_status_of_the_selected_speed_has_three_bits():
 
 
 @pytest.mark.parametrize("name", ["RearHitchStatus", "FrontHitchStatus"])
-def test_hitch_over_the_whole_range(name):
+def test_hitch_range(name):
     for raw in RAW_8:
         for is_in_work in (0, 1):
             read = implement.decode_hitch(dbc.encode(name, Position=raw * 0.4, InWork=is_in_work, LimitStatus=3))
             assert (read.position, read.is_in_work, read.limit) == (pytest.approx(raw / 250), is_in_work == 1, 3)
 
 
-def test_hitch_without_position_or_work_state_is_bad():
+def test_hitch_without_position_or_work_state():
     good = dbc.encode("RearHitchStatus", Position=0, InWork=1)
     for raw in NOT_8:
         with pytest.raises(BadFrame):
@@ -203,7 +203,7 @@ def test_hitch_without_position_or_work_state_is_bad():
 
 
 @pytest.mark.parametrize("name", ["RearPtoStatus", "FrontPtoStatus"])
-def test_pto_over_the_whole_range(name):
+def test_pto_range(name):
     for raw in RAW_16:
         read = implement.decode_pto(dbc.encode(name, Speed=raw * 0.125, Engaged=raw % 2, LimitStatus=2))
         assert read == implement.PtoStatus(raw * 0.125, raw % 2 == 1, 2)
@@ -212,7 +212,7 @@ def test_pto_over_the_whole_range(name):
             implement.decode_pto(with_raw(dbc.encode(name, Speed=0, Engaged=0), 1, raw))
 
 
-def test_hitch_and_pto_commands_over_the_whole_range():
+def test_hitch_and_pto_command_range():
     for k, raw in enumerate(RAW_16):
         position = RAW_8[k % len(RAW_8)]
         data = implement.encode_commands(position / 250, raw * 0.125, k % 2 == 0)
@@ -226,12 +226,12 @@ def test_hitch_and_pto_commands_over_the_whole_range():
         assert_reserved_are_ones("HitchAndPtoCommands", data)
 
 
-def test_nothing_commanded_is_all_ones():
+def test_empty_command_is_all_ones():
     assert implement.encode_commands(None, None, None) == NOT_AVAILABLE
 
 
 @pytest.mark.parametrize("position", [-0.001, 1.001, math.nan])
-def test_a_hitch_position_outside_is_refused(position):
+def test_hitch_position_out_of_range(position):
     with pytest.raises(ValueError, match="position"):
         implement.encode_commands(position, None, None)
 
@@ -240,10 +240,10 @@ def test_a_hitch_position_outside_is_refused(position):
 
 
 def xbr(deceleration_mps2: float, counter: int) -> bytes:
-    return seal(dbc.identifier("ExternalBrakeRequest"), brake.encode_request(deceleration_mps2), counter)
+    return protect(dbc.identifier("ExternalBrakeRequest"), brake.encode_request(deceleration_mps2), counter)
 
 
-def test_brake_request_over_the_whole_range():
+def test_brake_request_range():
     for k in range(0, 15687, 37):
         data = xbr(k / 1000, k)
         read = dbc.decode("ExternalBrakeRequest", data)
@@ -254,41 +254,41 @@ def test_brake_request_over_the_whole_range():
 
 
 @pytest.mark.parametrize("deceleration_mps2", [-0.001, math.nan, math.inf, 15.7])
-def test_a_deceleration_that_makes_no_sense_is_refused(deceleration_mps2):
+def test_invalid_deceleration(deceleration_mps2):
     with pytest.raises(ValueError, match=r"deceleration|fit"):
         brake.encode_request(deceleration_mps2)
 
 
 def second_checksum(identifier: int, data: bytes) -> int:
-    """The formula of J1939-71 written a second time, byte by byte."""
+    """Independent implementation of the J1939-71 formula, byte by byte."""
     total = data[0] + data[1] + data[2] + data[3] + data[4] + data[5] + data[6] + (data[7] & 0x0F)
     total += (identifier & 0xFF) + (identifier >> 8 & 0xFF) + (identifier >> 16 & 0xFF) + (identifier >> 24 & 0xFF)
     return ((total >> 4) + total) & 0x0F
 
 
-def test_checksum_by_hand():
+def test_checksum_formula():
     # 0x0C + 0x04 + 0xF0 + 0x1C + 7·0xFF + 1 = 284 + 1785 + 1 = 2070; 2070 >> 4 = 129; 2199 & 15 = 7
     assert checksum(0x0C04F01C, b"\xff" * 7 + b"\xf1") == 7
 
 
-def test_every_single_flipped_bit_of_a_sealed_frame_is_seen():
+def test_single_bit_errors_of_protected_frame():
     identifier = dbc.identifier("ExternalBrakeRequest")
     good = xbr(2.5, 3)
-    SealCheck().open(identifier, good)
+    ProtectionCheck().check(identifier, good)
     for bit in range(64):
         with pytest.raises(BadFrame, match="checksum"):
-            SealCheck().open(identifier, (int.from_bytes(good, "little") ^ 1 << bit).to_bytes(8, "little"))
+            ProtectionCheck().check(identifier, (int.from_bytes(good, "little") ^ 1 << bit).to_bytes(8, "little"))
 
 
 @pytest.mark.parametrize("step", range(16))
-def test_counter_goes_on_by_one_to_three(step):
-    check, body = SealCheck(), b"\x01" * 7
-    check.open(1, seal(1, body, 14))
+def test_counter_steps(step):
+    check, body = ProtectionCheck(), b"\x01" * 7
+    check.check(1, protect(1, body, 14))
     if 1 <= step <= 3:
-        check.open(1, seal(1, body, 14 + step))
+        check.check(1, protect(1, body, 14 + step))
     else:
         with pytest.raises(BadFrame, match="counter"):
-            check.open(1, seal(1, body, 14 + step))
+            check.check(1, protect(1, body, 14 + step))
 
 
 # ours
@@ -298,12 +298,12 @@ def test_counter_goes_on_by_one_to_three(step):
     "states",
     list(itertools.product((None, False, True), repeat=5)),
 )
-def test_auxiliary_command_in_all_states(states):
+def test_auxiliary_command_states(states):
     identifier = dbc.identifier("AuxiliaryCommand")
-    data = seal(identifier, cab.encode_auxiliary(*states), 5)
+    data = protect(identifier, cab.encode_auxiliary(*states), 5)
     read = dbc.decode("AuxiliaryCommand", data)
-    wanted = [3 if state is None else int(state) for state in states]
-    assert [read[k] for k in ("DriveEnable", "ParkBrake", "Horn", "Beacon", "Fold")] == wanted
+    target = [3 if state is None else int(state) for state in states]
+    assert [read[k] for k in ("DriveEnable", "ParkBrake", "Horn", "Beacon", "Fold")] == target
     assert (read["Group"], read["Counter"], read["Checksum"]) == (16, 5, second_checksum(identifier, data))
     assert_reserved_are_ones("AuxiliaryCommand", data)
 
@@ -312,7 +312,7 @@ def cab_frame(**values) -> bytes:
     return dbc.encode("CabState", Counter=0, Checksum=0, **values)
 
 
-def test_fold_over_the_whole_range():
+def test_fold_range():
     for raw in RAW_8:
         assert cab.decode_cab_state(cab_frame(Group=3, FoldPosition=0.4 * raw)).position == pytest.approx(0.004 * raw)
     for raw in NOT_8:
@@ -320,7 +320,7 @@ def test_fold_over_the_whole_range():
             cab.decode_cab_state(with_raw(cab_frame(Group=3, FoldPosition=0), 2, raw, 1))
 
 
-def test_hand_over_the_whole_range():
+def test_driver_steering_range():
     for raw in RAW_16:
         data = cab_frame(Group=1, HandTorque=raw * 0.01 - 320, HandAngle=raw * 0.001 - 32, HandRate=raw * 0.001 - 32)
         read = cab.decode_cab_state(data)
@@ -347,7 +347,7 @@ def cab_state(**values) -> bytes:
     return cab_frame(Group=2, **(standard | values))
 
 
-def test_cab_over_the_whole_range():
+def test_cab_range():
     for raw in RAW_8:
         read = cab.decode_cab_state(cab_state(BrakePedal=raw * 0.4, ClutchPedal=100 - raw * 0.4))
         assert (read.brake_pedal, read.clutch_pedal) == (pytest.approx(raw / 250), pytest.approx(1 - raw / 250))
@@ -365,8 +365,8 @@ def test_cab_over_the_whole_range():
         ("BeaconState", "is_beacon_on"),
     ],
 )
-def test_each_state_of_the_cab_stands_alone(signal, field):
-    flags = [f for f in cab.Cab.__dataclass_fields__ if f.startswith("is_")]
+def test_cab_flags_are_independent(signal, field):
+    flags = [f for f in cab.CabState.__dataclass_fields__ if f.startswith("is_")]
     read = cab.decode_cab_state(cab_state(**{signal: 1}))
     assert {f: getattr(read, f) for f in flags} == {f: f == field for f in flags}
     for state in (2, 3):
@@ -375,7 +375,7 @@ def test_each_state_of_the_cab_stands_alone(signal, field):
 
 
 @pytest.mark.parametrize("group", [0, 4, 16, 255])
-def test_an_unknown_group_is_bad(group):
+def test_unknown_cab_group(group):
     with pytest.raises(BadFrame, match="group"):
         cab.decode_cab_state(bytes([group]) + b"\x00" * 7)
 
@@ -383,7 +383,7 @@ def test_an_unknown_group_is_bad(group):
 # stop all, heartbeat, lengths
 
 
-def test_stop_all_counts_each_change_to_stop():
+def test_stop_all_transition_count():
     sender = stop_all.StopAll()
     states = [None, True, True, False, False, True, None, False, True, False]
     read = [dbc.decode("StopAllImplements", sender.encode(state)) for state in states]
@@ -392,14 +392,14 @@ def test_stop_all_counts_each_change_to_stop():
     assert_reserved_are_ones("StopAllImplements", sender.encode(True))
 
 
-def test_stop_all_count_stays_a_valid_byte():
+def test_stop_all_count_wraps():
     sender = stop_all.StopAll()
     for _ in range(300):
         sender.encode(True)
         assert dbc.decode("StopAllImplements", sender.encode(False))["TransitionCount"] <= 250
 
 
-def test_heartbeat_begins_with_251_and_counts_round():
+def test_heartbeat_sequence():
     beat = Heartbeat()
     sent = [beat.encode()[0] for _ in range(254)]
     assert sent == [251, *range(251), 0, 1]
@@ -410,13 +410,13 @@ def test_heartbeat_begins_with_251_and_counts_round():
     "decode",
     [guidance.decode_status, speed.decode_speed, speed.decode_selected, implement.decode_hitch, implement.decode_pto],
 )
-def test_a_frame_of_another_length_is_bad(decode, length):
+def test_frame_length(decode, length):
     with pytest.raises(BadFrame, match="bytes instead of 8"):
         decode(b"\x00" * length)
 
 
 @pytest.mark.parametrize(("size", "highest"), [(1, 0xFA), (2, 0xFAFF), (4, 0xFAFFFFFF)])
-def test_the_highest_valid_raw_value(size, highest):
+def test_highest_valid_raw_value(size, highest):
     scale = Scale(1.0, 0.0, size)
     for raw in range(highest - 5, highest + 6):
         if raw <= highest:

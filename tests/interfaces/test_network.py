@@ -13,7 +13,7 @@ from tests.interfaces import dbc
 MS = 1_000_000
 
 
-def heard(*sequences: int, period_ms: int = 100) -> HeartbeatCheck:
+def received(*sequences: int, period_ms: int = 100) -> HeartbeatCheck:
     check = HeartbeatCheck()
     for k, sequence in enumerate(sequences):
         check.receive(k * period_ms * MS, sequence)
@@ -21,15 +21,15 @@ def heard(*sequences: int, period_ms: int = 100) -> HeartbeatCheck:
 
 
 def is_good(*sequences: int) -> bool:
-    return heard(*sequences).is_good((len(sequences) - 1) * 100 * MS)
+    return received(*sequences).is_good((len(sequences) - 1) * 100 * MS)
 
 
-def test_nothing_heard_is_not_good():
+def test_no_heartbeat_is_not_good():
     assert not HeartbeatCheck().is_good(0)
 
 
 @pytest.mark.parametrize("step", range(8))
-def test_a_repeat_and_a_jump_over_three_are_errors(step):
+def test_heartbeat_repeat_and_jump(step):
     assert is_good(10, 10 + step) == (1 <= step <= 3)
 
 
@@ -42,7 +42,7 @@ def test_a_repeat_and_a_jump_over_three_are_errors(step):
         ((249, 250, 0), True),
         ((250, 2), True),
         ((250, 3), False),
-        ((17, 251, 0), True),  # the sender started anew
+        ((17, 251, 0), True),  # restart of the sender
         ((251, 251), False),
         ((5, 252), False),
         ((5, 253), False),
@@ -56,19 +56,19 @@ def test_sequences(sequences, good):
 
 
 @pytest.mark.parametrize("gap_ms", [299, 300, 301])
-def test_a_gap_over_300_ms_is_an_error(gap_ms):
-    check = heard(1, 2)
+def test_heartbeat_timeout(gap_ms):
+    check = received(1, 2)
     assert check.is_good((100 + gap_ms) * MS) == (gap_ms <= 300)
     assert check.receive((100 + gap_ms) * MS, 3) == (gap_ms <= 300)
 
 
 @pytest.mark.parametrize("count", range(5, 12))
-def test_eight_good_ones_in_a_row_recover(count):
-    check = heard(1, 1, *range(2, 2 + count))
+def test_heartbeat_recovery_count(count):
+    check = received(1, 1, *range(2, 2 + count))
     assert check.is_good((1 + count) * 100 * MS) == (count >= 8)
 
 
-def test_recovery_begins_anew_after_another_error():
+def test_heartbeat_recovery_restart():
     assert not is_good(1, 1, *range(2, 9), 8, *range(9, 16))
     assert is_good(1, 1, *range(2, 9), 8, *range(9, 17))
 
@@ -78,89 +78,89 @@ def name(identity: int = 1, self_configurable: int = 1) -> Name:
 
 
 def test_name_against_the_dbc():
-    whole = Name(0x155555, 0x2AA, 5, 21, TRACTOR_ECU, 0x55, 10, AGRICULTURE, 1)
-    read = dbc.decode("AddressClaimedTractor", encode_claim(whole.encode(), 240).data)
+    full = Name(0x155555, 0x2AA, 5, 21, TRACTOR_ECU, 0x55, 10, AGRICULTURE, 1)
+    read = dbc.decode("AddressClaimedTractor", encode_claim(full.encode(), 240).data)
     assert read == {
         "Identity": 0x155555, "Manufacturer": 0x2AA, "EcuInstance": 5, "FunctionInstance": 21, "Function": 134,
         "DeviceClass": 0x55, "DeviceClassInstance": 10, "IndustryGroup": 2, "SelfConfigurable": 1,
     }  # fmt: skip
-    assert Name.decode(whole.encode()) == whole
+    assert Name.decode(full.encode()) == full
 
 
 @settings(derandomize=True, max_examples=50)
 @given(st.integers(0, (1 << 64) - 1))
-def test_every_name_survives(number):
+def test_name_round_trip(number):
     number &= ~(1 << 48)  # the reserved bit
     assert Name.decode(number).encode() == number
 
 
-def test_a_field_too_large_is_named():
+def test_name_field_out_of_range():
     with pytest.raises(ValueError, match="function = 256"):
         Name(1, 0, 0, 0, 256, 0, 0, AGRICULTURE, 1)
 
 
 @pytest.mark.parametrize("age_ms", [0, 249, 250, 251])
-def test_the_address_is_ours_after_250_ms(age_ms):
+def test_address_valid_after_250_ms(age_ms):
     claim = AddressClaim(name(), 28)
     frame = claim.start(1000 * MS)
     assert frame.identifier == dbc.identifier("AddressClaimedGateway")
     assert claim.address((1000 + age_ms) * MS) == (28 if age_ms >= 250 else None)
 
 
-def test_nothing_is_ours_before_the_start():
+def test_no_address_before_start():
     assert AddressClaim(name(), 28).address(0) is None
 
 
-def test_a_higher_name_is_told_again():
+def test_claim_repeated_against_higher_name():
     claim = AddressClaim(name(5), 28)
     first = claim.start(0)
-    assert claim.hear(1, 28, name(6).encode()) == first
+    assert claim.receive_claim(1, 28, name(6).encode()) == first
     assert claim.address(250 * MS) == 28
 
 
-def test_a_lower_name_takes_the_address_and_we_move_and_wait_again():
+def test_new_address_after_lower_name():
     claim = AddressClaim(name(5), 28)
     claim.start(0)
-    frame = claim.hear(300 * MS, 28, name(4).encode())
+    frame = claim.receive_claim(300 * MS, 28, name(4).encode())
     assert decode_identifier(frame.identifier).source == SELF_CONFIGURED[0]
     assert claim.address(549 * MS) is None
     assert claim.address(550 * MS) == 128
 
 
-def test_a_taken_address_is_left_out():
+def test_claimed_addresses_are_skipped():
     claim = AddressClaim(name(5), 28)
     claim.start(0)
-    claim.hear(0, 128, name(9).encode())
-    claim.hear(0, 129, name(10).encode())
-    claim.hear(0, 28, name(4).encode())
+    claim.receive_claim(0, 128, name(9).encode())
+    claim.receive_claim(0, 129, name(10).encode())
+    claim.receive_claim(0, 28, name(4).encode())
     assert claim.address(250 * MS) == 130
 
 
-def test_who_moved_frees_the_address():
+def test_moved_node_frees_address():
     claim = AddressClaim(name(5), 28)
     claim.start(0)
-    claim.hear(0, 128, name(9).encode())
-    claim.hear(0, 200, name(9).encode())
-    claim.hear(0, 28, name(4).encode())
+    claim.receive_claim(0, 128, name(9).encode())
+    claim.receive_claim(0, 200, name(9).encode())
+    claim.receive_claim(0, 28, name(4).encode())
     assert claim.address(250 * MS) == 128
 
 
 @pytest.mark.parametrize("self_configurable", [0, 1])
-def test_254_when_no_address_can_be_had(self_configurable):
+def test_cannot_claim_address_254(self_configurable):
     claim = AddressClaim(name(5000, self_configurable), 28)
     claim.start(0)
     if self_configurable:
         for k, address in enumerate(SELF_CONFIGURED):
-            claim.hear(0, address, name(k + 1).encode())
-    frame = claim.hear(0, 28, name(4000, self_configurable).encode())
+            claim.receive_claim(0, address, name(k + 1).encode())
+    frame = claim.receive_claim(0, 28, name(4000, self_configurable).encode())
     assert decode_identifier(frame.identifier).source == NULL_ADDRESS
     assert claim.is_refused
     assert claim.address(10_000 * MS) is None
     assert decode_identifier(claim.answer_request().identifier).source == NULL_ADDRESS
 
 
-def test_our_own_name_from_elsewhere_is_a_conflict():
+def test_duplicate_name_conflict():
     claim = AddressClaim(name(5, 0), 28)
     claim.start(0)
-    claim.hear(0, 28, name(5, 0).encode())
+    claim.receive_claim(0, 28, name(5, 0).encode())
     assert claim.is_refused

@@ -1,4 +1,4 @@
-"""NMEA: epochs become fixes, and nothing that is not right becomes one."""
+"""NMEA: fixes from epochs; invalid sentences are rejected."""
 
 import math
 
@@ -28,10 +28,10 @@ def reader() -> NmeaReader:
     return NmeaReader("HDT", 20 * MS, math.radians(0.1))
 
 
-def test_one_epoch_is_one_fix() -> None:
+def test_fix_from_one_epoch() -> None:
     nmea = reader()
     data = b"".join(map(line, (GGA, RMC, GST, HDT)))
-    fixes = [fix for k in range(0, len(data), 7) for fix in nmea.take(1000 * MS, data[k : k + 7])]
+    fixes = [fix for k in range(0, len(data), 7) for fix in nmea.receive(1000 * MS, data[k : k + 7])]
     assert nmea.rejected == 0
     (fix,) = fixes
     assert fix.stamp_ns == 980 * MS
@@ -45,19 +45,19 @@ def test_one_epoch_is_one_fix() -> None:
     assert (fix.satellites, fix.hdop, fix.correction_age_s, fix.constellations) == (21, 0.7, 1.2, "mixed")
 
 
-def test_sentences_of_two_epochs_are_not_mixed() -> None:
+def test_sentences_of_two_epochs() -> None:
     nmea = reader()
     late = GGA.replace("101112.30", "101112.40")
-    nmea.take(0, line(RMC) + line(GST) + line(late))
-    (fix,) = nmea.take(0, line(HDT))
+    nmea.receive(0, line(RMC) + line(GST) + line(late))
+    (fix,) = nmea.receive(0, line(HDT))
     assert math.isnan(fix.velocity_enu_mps[0])
     assert math.isnan(fix.sigma_enu_m[0])
 
 
-def test_without_a_position_there_is_no_fix_and_without_a_solution_no_place() -> None:
+def test_missing_position_and_missing_solution() -> None:
     nmea = reader()
-    assert nmea.take(0, line(RMC) + line(HDT)) == []
-    (fix,) = nmea.take(0, line("GNGGA,101112.30,,,,,0,00,99.9,,M,,M,,") + line("GNHDT,,T"))
+    assert nmea.receive(0, line(RMC) + line(HDT)) == []
+    (fix,) = nmea.receive(0, line("GNGGA,101112.30,,,,,0,00,99.9,,M,,M,,") + line("GNHDT,,T"))
     assert fix.solution is GnssSolution.NONE
     assert math.isnan(fix.latitude_rad)
     assert math.isnan(fix.heading_rad)
@@ -84,25 +84,25 @@ def test_without_a_position_there_is_no_fix_and_without_a_solution_no_place() ->
         HDT.replace("90.5", "360.5"),
     ],
 )
-def test_what_cannot_be_is_counted_and_dropped(body: str) -> None:
+def test_invalid_sentence_is_counted(body: str) -> None:
     nmea = reader()
-    nmea.take(0, line(body))
+    nmea.receive(0, line(body))
     assert nmea.rejected == 1
 
 
-def test_every_flipped_bit_is_found() -> None:
-    whole = line(GGA)[:-2]
-    for k in range(8 * len(whole)):
-        broken = bytearray(whole)
+def test_single_bit_errors() -> None:
+    sentence = line(GGA)[:-2]
+    for k in range(8 * len(sentence)):
+        broken = bytearray(sentence)
         broken[k // 8] ^= 1 << k % 8
         with pytest.raises(BadSentence):
             parse(bytes(broken))
 
 
-def test_a_line_without_end_does_not_fill_the_memory() -> None:
+def test_unterminated_line() -> None:
     nmea = reader()
     for _ in range(1000):
-        nmea.take(0, b"x" * 50)
+        nmea.receive(0, b"x" * 50)
     assert nmea.rejected > 300
     assert len(nmea._rest) <= 121
-    assert len(nmea.take(0, b"\r\n" + b"".join(map(line, (GGA, HDT))))) == 1
+    assert len(nmea.receive(0, b"\r\n" + b"".join(map(line, (GGA, HDT))))) == 1

@@ -143,7 +143,7 @@ def test_listener_never_answers(tmp_path: Path) -> None:
     assert not hasattr(listener, "send")
     topics = [topic for topic, _ in listener.due(200_000_000)]
     assert topics == ["machine", "can/rx"]
-    assert listener.incoming.claims == []
+    assert listener.receiver.claims == []
 
 
 def test_shadow_receives_and_sends_nothing(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from configs.strict import CONFIGS, load
-from interfaces.can_receiver import Incoming
+from interfaces.can_receiver import CanReceiver
 from messages.errors import ConfigError, LogError
 from messages.message import Envelope
 from messages.sensors import GnssFix, GnssSolution, ImuSample, LidarScan, WheelSample
@@ -164,7 +164,7 @@ class Rig:
         self.injection = FaultInjection([fault], CONFIG, START, 1)
         self.bus = FaultyBus(self.near, self.injection, load_database())
         self.frame = StatusFrame(load_database().get_message_by_name(name))
-        self.incoming, self.name, self.count = Incoming(240), name, 0
+        self.receiver, self.name, self.count = CanReceiver(240), name, 0
         self.got: list[bytes] = []
 
     def run(self, seconds: float) -> None:
@@ -178,7 +178,7 @@ class Rig:
             self.far.send(can.Message(arbitration_id=self.frame.identifier, data=data, is_extended_id=True))
             while (frame := self.bus.recv(0)) is not None:
                 self.got.append(bytes(frame.data))
-                self.incoming.take(self.injection.now_ns, 28, frame.arbitration_id, bytes(frame.data))
+                self.receiver.receive(self.injection.now_ns, 28, frame.arbitration_id, bytes(frame.data))
 
     def close(self) -> None:
         self.near.shutdown()
@@ -191,7 +191,7 @@ def test_frames_break_only_when_they_should(name: str, kind: FaultKind) -> None:
     rig = Rig(name, kind)
     try:
         rig.run(0.4)
-        assert rig.incoming.rejected == 0
+        assert rig.receiver.rejected == 0
         assert len(rig.got) == 4
         rig.run(2.0)
     finally:
@@ -199,9 +199,9 @@ def test_frames_break_only_when_they_should(name: str, kind: FaultKind) -> None:
     after = rig.got[4:]
     assert len(after) == {FaultKind.OFF: 0, FaultKind.DELAYED: 14, FaultKind.SLOW: 3}.get(kind, 20)
     if kind is FaultKind.NAN and name != "HeartbeatTractor":
-        fresh = {"WheelBasedSpeed": rig.incoming.motion_ns, "GuidanceMachineStatus": rig.incoming.steering_ns,
-                 "RearHitchStatus": rig.incoming.hitch_ns, "RearPtoStatus": rig.incoming.pto_ns,
-                 "CabState": rig.incoming.cab_ns}[name]  # fmt: skip
+        fresh = {"WheelBasedSpeed": rig.receiver.motion_ns, "GuidanceMachineStatus": rig.receiver.steering_ns,
+                 "RearHitchStatus": rig.receiver.hitch_ns, "RearPtoStatus": rig.receiver.pto_ns,
+                 "CabState": rig.receiver.cab_ns}[name]  # fmt: skip
         assert fresh == START + 400 * MS
 
 
@@ -209,7 +209,7 @@ def test_a_frozen_sensor_behind_a_living_computer_keeps_counting() -> None:
     rig = Rig("CabState", FaultKind.FROZEN)
     rig.run(3.0)
     rig.close()
-    assert rig.incoming.rejected == 0
+    assert rig.receiver.rejected == 0
     assert len({data[7] for data in rig.got[5:]}) == 16
 
 
@@ -218,11 +218,11 @@ def test_repeated_frames_are_refused_where_they_count() -> None:
         rig = Rig(name, FaultKind.REPEATED)
         rig.run(3.0)
         rig.close()
-        assert rig.incoming.rejected >= 20
+        assert rig.receiver.rejected >= 20
 
 
 def test_a_wrong_speed_is_a_speed() -> None:
     rig = Rig("WheelBasedSpeed", FaultKind.WRONG_UNIT)
     rig.run(1.0)
     rig.close()
-    assert rig.incoming.speed_mps == pytest.approx(7.2)
+    assert rig.receiver.speed_mps == pytest.approx(7.2)
