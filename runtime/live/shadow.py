@@ -42,7 +42,10 @@ class Listener:
         data = bytes(frame.data)
         self._frames.append(CanFrame(now_ns, frame.arbitration_id, data))
         self.receiver.receive(now_ns, self._own_address, frame.arbitration_id, data)
-        self.receiver.claims, self.receiver.is_claim_requested = [], False  # never answered
+        self.receiver.claims, self.receiver.is_claim_requested = (
+            [],
+            False,
+        )  # never answered
 
     def due(self, now_ns: int) -> list[tuple[str, Message]]:
         """Messages to log at `now_ns`: machine state at 50 Hz, frames at 10 Hz."""
@@ -93,9 +96,9 @@ def _record(bus: can.BusABC, listener: Listener, log: LogWriter, duration_s: flo
             for topic, message in listener.due(now_ns):
                 sequence[topic] = sequence.get(topic, -1) + 1
                 log.write(Envelope(topic, sequence[topic], now_ns, message))
-            if now_ns - told_ns >= LINE_NS:
-                told_ns = now_ns
-                sys.stderr.write(_line(listener.count, listener.receiver.state(now_ns)))
+            if now_ns - printed_ns >= LINE_NS:
+                printed_ns = now_ns
+                sys.stderr.write(_status_line(listener.count, listener.receiver.state(now_ns)))
     except KeyboardInterrupt:
         return
 
