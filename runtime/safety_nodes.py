@@ -2,9 +2,10 @@
 
 from interfaces.gateway import CanBus, Gateway
 from messages.node import Node
+from runtime.ablation import REMAINING_RULES, ReportedAblation
 from runtime.executor import FAULT_TOPIC
 from runtime.setup import Setup
-from safety.rules import OBSTACLE_RULES
+from safety.rules import RULES
 from safety.supervisor import Supervisor
 from safety.zones.geofence import geofence_of
 from safety.zones.known_structure import structure_of_site
@@ -14,18 +15,18 @@ FAULT_TOPICS = ("fault/localizer", "fault/gateway", FAULT_TOPIC)
 
 def safety_nodes(setup: Setup, bus: CanBus, is_ablation: bool) -> list[Node]:
     """Supervisor and gateway, from the control command to the CAN bus; `is_ablation` omits the obstacle rules."""
-    disabled = OBSTACLE_RULES if is_ablation else frozenset()
+    supervisor = Supervisor(
+        setup.vehicle,
+        setup.implement,
+        setup.stack.safety,
+        geofence_of(setup.site),
+        FAULT_TOPICS,
+        structure_of_site(setup.site),
+        sensors_without_detector(setup),
+        REMAINING_RULES if is_ablation else RULES,
+    )
     return [
-        Supervisor(
-            setup.vehicle,
-            setup.implement,
-            setup.stack.safety,
-            geofence_of(setup.site),
-            FAULT_TOPICS,
-            disabled,
-            structure_of_site(setup.site),
-            sensors_without_detector(setup),
-        ),
+        ReportedAblation(supervisor) if is_ablation else supervisor,
         Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway),
     ]
 

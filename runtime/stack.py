@@ -14,7 +14,7 @@ from localization.localizer import LocalizationConfig
 from messages.errors import ConfigError
 from perception.config import PerceptionConfig
 from planning.config import PlanningConfig
-from safety.config import SafetyConfig
+from safety.supervisor_config import SupervisorConfig
 from simulation.world import SimulationConfig
 
 
@@ -53,7 +53,7 @@ class StackConfig(Config):
     localization: LocalizationConfig
     planning: PlanningConfig
     control: ControlConfig
-    safety: SafetyConfig
+    safety: SupervisorConfig
     simulation: SimulationConfig
 
 

@@ -66,14 +66,11 @@ class MonitorInputs:
 
 
 class CollisionMonitor:
-    """Keeps the swept field and the distances along it; between updates they shrink by the distance driven.
-
-    `is_arc_checked` False: beside a planned path the arc of the measured steering is left out.
-    """
+    """Keeps the swept field and the distances along it; between updates they shrink by the distance driven."""
 
     def __init__(
         self, footprints: FootprintSet, sensors: Sensors, geofence: Geofence | None,
-        known_structure: KnownStructure | None, config: SafetyConfig, is_arc_checked: bool = True,
+        known_structure: KnownStructure | None, config: SafetyConfig,
     ) -> None:  # fmt: skip
         self.sources = ObstacleSources(sensors, footprints.working, config)
         self.swept_field: SweptField | None = None
@@ -82,7 +79,6 @@ class CollisionMonitor:
         self._footprints, self._footprint = footprints, footprints.working
         self._geofence, self._known_structure = geofence, known_structure
         self._open, self._docked, self._config = config, config.docked, config
-        self._is_arc_checked = is_arc_checked
         self._key: tuple[int, int, bool] = (-1, 0, False)
         self._clearance: Clearance | None = None
         self._critical_object = NO_CRITICAL_OBJECT
@@ -113,7 +109,7 @@ class CollisionMonitor:
         pose_map = pose_in_map(inputs.map_pose, odom)
         position = position_on_path(inputs.path, inputs.control_command)
         self._select_field(position, pose_map)
-        swept_field = self._sweep_field(odom, position, pose_map, direction, speed_mps, braking, allowance_m)
+        swept_field = self.lay_field(odom, position, pose_map, direction, speed_mps, braking, allowance_m)
         self.swept_field = swept_field
         self._update_lidars(inputs, odom, swept_field, new, is_new_footprint)
         self._update_distances(inputs, odom, swept_field, pose_map, speed_mps, braking)
@@ -175,13 +171,13 @@ class CollisionMonitor:
         self.is_docking = is_transport and is_dock_section and is_at_shed
         self._config = self._docked if self.is_docking else self._open
 
-    def _sweep_field(
+    def lay_field(
         self, odom: Odometry, position: PathPosition | None, pose_map: Float64 | None, direction: int, speed_mps: float,
         braking: Braking, allowance_m: float,
     ) -> SweptField:  # fmt: skip
         config = self._config.field
         is_along = position is not None and position.path.direction == direction
-        swept_field = sweep_field(
+        return sweep_field(
             position if is_along else None,
             pose_map,
             odom.curvature_radpm,
@@ -191,8 +187,6 @@ class CollisionMonitor:
             self._footprint,
             config,
         )
-        is_complete = self._is_arc_checked or not swept_field.is_planned
-        return swept_field if is_complete else SweptField(swept_field.main, None, True)
 
     def _update_lidars(
         self, inputs: MonitorInputs, odom: Odometry, swept_field: SweptField, new: list[LidarSource],

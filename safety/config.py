@@ -1,11 +1,11 @@
-"""Values of the supervisor; none has a default."""
+"""Values that the parts of the supervisor share; none has a default. The limits of single rules are in rules/."""
 
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from configs.strict import Config
-from configs.vehicle import Degrees, Kmh, Seconds, kmh
+from configs.vehicle import Degrees, Kmh, Seconds
 from safety.stopping_distance import Braking
 
 Metres = Annotated[float, Field(ge=0.0, le=100.0)]
@@ -167,22 +167,6 @@ class UltrasonicConfig(Config):
         return self
 
 
-class SensorLossConfig(Config):
-    """What the others prove when one kind of sensor that the machine carries is lost in the direction of travel."""
-
-    without_radar_m: Metres
-    without_camera_m: Metres
-    without_ultrasonic_m: Metres
-
-    def without_m(self, kind: str) -> float:
-        """The range that is still proven without sensors of a kind."""
-        return {
-            "radar": self.without_radar_m,
-            "camera": self.without_camera_m,
-            "ultrasonic": self.without_ultrasonic_m,
-        }[kind]
-
-
 class DockingConfig(Config):
     """The field in and before the shed, where walls stand within every other margin."""
 
@@ -214,46 +198,18 @@ class BrakeTestConfig(Config):
         return self
 
 
-class LocalizationConfig(Config):
-    """When the pose is no longer good enough (BD-5.3d)."""
-
-    protection_slow_m: Metres
-    protection_stop_m: Metres
-    slow_kmh: Kmh
-    gnss_alarm_s: Seconds
-    gnss_stop_s: float = Field(gt=0.0, le=120.0, description="BD-5.3d: 120 s at most")
-
-    @property
-    def slow_mps(self) -> float:
-        """The reduced speed."""
-        return kmh(self.slow_kmh)
-
-
-class DriverOverrideConfig(Config):
-    """Hand on the wheel (BD-5.5.2e): any one is enough."""
-
-    rate_dps: float = Field(gt=0.0, le=50.0)
-    angle_deg: float = Field(gt=0.0, le=30.0)
-    torque_nm: float = Field(gt=0.0, le=50.0, description="torque that counts as forced")
-    forced_s: float = Field(gt=0.0, le=1.0)
-
-
 class LimitsConfig(Config):
-    """Limits of single rules."""
+    """Limits used by more than one part."""
 
     speed_kmh: Kmh
-    supply_v: tuple[float, float] = Field(description="BD-5.6.1a: 9 to 36 V")
-    roll_deg: Degrees
-    pitch_deg: Degrees
-    brake_pedal: float = Field(gt=0.0, lt=1.0)
+    reduced_kmh: Kmh = Field(description="speed with a reported fault or with a position that is not accurate")
     geofence_margin_m: Metres
+    driver_torque_nm: float = Field(gt=0.0, le=50.0, description="torque on the hand wheel that counts as forced")
     curvature_error_radpm: float = Field(gt=0.0, le=1.0)
-    curvature_late_s: Seconds = Field(description="steering must meet what was commanded within this time")
-    steering_debounce_s: Seconds
-    brake_debounce_s: Seconds
-    min_brake_ratio: float = Field(gt=0.0, le=1.0, description="share of the asked deceleration that must be felt")
-    max_group_age_s: Seconds = Field(description="greatest age of a group within the machine's state")
-    clock_step_s: Seconds = Field(description="a step of the clock beyond the period that is no delay any more")
+    curvature_late_s: Seconds = Field(description="time within which the steering follows its command")
+    min_brake_ratio: float = Field(gt=0.0, le=1.0, description="measured over commanded deceleration")
+    max_group_age_s: Seconds = Field(description="maximum age of a group within the machine's state")
+    clock_step_s: Seconds = Field(description="deviation from the period above which the clock has stepped")
 
 
 class ModesConfig(Config):
@@ -272,7 +228,7 @@ class ModesConfig(Config):
 
 
 class SafetyConfig(Config):
-    """The supervisor's values."""
+    """The shared values of the supervisor."""
 
     braking: BrakingConfig
     field: FieldConfig
@@ -280,11 +236,8 @@ class SafetyConfig(Config):
     tracked: TrackedConfig
     radar: RadarConfig
     ultrasonic: UltrasonicConfig
-    sensor_loss: SensorLossConfig
     docking: DockingConfig
     brake_test: BrakeTestConfig
-    localization: LocalizationConfig
-    driver_override: DriverOverrideConfig
     limits: LimitsConfig
     modes: ModesConfig
     jerk_mps3: float = Field(gt=0.0, le=50.0)

@@ -1,4 +1,4 @@
-"""Who drives: events of people, rules and mission, put to the mode table; and what a change of mode sets."""
+"""Mode machine: maps operator commands, rule results and mission state to mode transitions."""
 
 import math
 
@@ -14,21 +14,20 @@ from safety.rules.arbitration import Decision
 from safety.rules.results import emergency
 from safety.rules.situation import Situation
 
-ORDERED = emergency("operator_command.emergency_stop", "emergency stop ordered")
+COMMANDED = emergency("operator_command.emergency_stop", "emergency stop commanded")
+COMMANDED_ZH = "操作员急停"
 LATCHING = frozenset({Mode.FAULT_STOP, Mode.EMERGENCY_STOP, Mode.MANUAL})
-BOUND_MPS = 0.02  # a limit this little below the wish is not told as its reason
+BOUND_MPS = 0.02  # a limit this little below the commanded speed is not reported as the reason
 
 
 class ModeMachine:
-    """Keeps the mode, what brought it about, and for how long the way has been clear.
+    """Holds the mode, its cause, the faults that other nodes report, and for how long the path has been clear."""
 
-    `is_held` keeps it in automatic mode whatever happens: nothing that is commanded then reaches a machine.
-    """
-
-    def __init__(self, config: ModesConfig, fault_memory: FaultMemory, is_held: bool) -> None:
-        self.mode = Mode.AUTOMATIC if is_held else Mode.STANDBY
+    def __init__(self, config: ModesConfig) -> None:
+        self.mode = Mode.STANDBY
         self.latched: RuleResult | None = None
-        self._config, self._fault_memory, self._is_held = config, fault_memory, is_held
+        self.fault_memory = FaultMemory()
+        self._config = config
         self._orders = Orders(config.authorities)
         self._cause, self._is_urgent = "", False
         self._clear, self._warned = DebounceTimer(), DebounceTimer()
@@ -41,23 +40,21 @@ class ModeMachine:
         decision: Decision,
         mission: MissionStatus | None,
     ) -> None:
-        """The next mode."""
-        if self._is_held:
-            return
+        """Takes the transition of this step."""
         if situation.clock_step_s != 0.0:
             self._orders.forget_start()
         asked = self._orders.events(situation.now_ns, orders)
         events = filter_permitted(asked, situation, decision) | self._observed(situation, decision, mission)
         before, self.mode = self.mode, next_mode(self.mode, events)
         if Event.EMERGENCY in asked and before is not Mode.EMERGENCY_STOP:
-            self.latched = ORDERED
+            self.latched = COMMANDED
         elif self.mode is not before:
             self.latched = decision.fault if self.mode in LATCHING and decision.is_fault else None
         if self.mode is not before:
             self._enter(before, situation, decision)
 
     def _observed(self, situation: Situation, decision: Decision, mission: MissionStatus | None) -> frozenset[Event]:
-        """Events that nobody ordered."""
+        """Events other than operator commands."""
         now_ns = situation.now_ns
         warned_s = self._warned.update(now_ns, self.mode is Mode.START_WARNING)
         is_passable = decision.passable_mps >= kmh(self._config.resume_kmh)
@@ -75,16 +72,16 @@ class ModeMachine:
         return frozenset(event for event, holds in happened.items() if holds)
 
     def _is_blocked(self, situation: Situation, decision: Decision) -> bool:
-        """Whether an obstacle stops the machine: inside the stopping distance, or it stands and may not go on."""
+        """Whether an obstacle stops the machine: inside the stopping distance, or at standstill in the path."""
         if decision.is_obstacle_inside:
             return True
         if decision.passable_mps >= self._config.creep_mps or situation.is_moving:
             return False
-        control_command = situation.control_command
+        control_command = situation.inputs.control_command
         return self.mode is Mode.START_WARNING or (control_command is not None and control_command.speed_mps != 0.0)
 
     def _enter(self, before: Mode, situation: Situation, decision: Decision) -> None:
-        """What a change of mode sets and forgets."""
+        """Sets what depends on a change of mode."""
         is_resuming = before is Mode.OBSTACLE_STOP
         self._warning_s = self._config.resume_warning_s if is_resuming else self._config.start_warning_s
         self._warned.update(situation.now_ns, False)
@@ -92,25 +89,25 @@ class ModeMachine:
         if self.mode is Mode.OBSTACLE_STOP:
             self._cause = decision.blocking.code
         if before in LATCHING and self.mode is Mode.STANDBY:
-            self._fault_memory.reset()
+            self.fault_memory.reset()
         self._orders.forget_start()
 
     def reason(self, situation: Situation, decision: Decision) -> str:
-        """Why the command is what it is; "" when the wish passes whole."""
+        """The code that bounds the safe command; "" when the control command passes unchanged."""
         if self.latched is not None:
             return self.latched.code
         if self.mode is Mode.OBSTACLE_STOP:
             return self._cause
         if self.mode is Mode.AUTOMATIC:
-            wished = 0.0 if situation.control_command is None else abs(situation.control_command.speed_mps)
-            is_bound = decision.allowed_mps < wished - BOUND_MPS or situation.control_command is None
+            command = situation.inputs.control_command
+            is_bound = command is None or decision.allowed_mps < abs(command.speed_mps) - BOUND_MPS
             return decision.binding.code if is_bound else ""
         if self.mode is Mode.STANDBY and not decision.is_ready:
             return decision.fault.code
         return str(self.mode)
 
     def braking_clearance_m(self, situation: Situation, decision: Decision) -> float:
-        """The gap that the brakes are to keep to; once inside the stopping distance: all the brakes to the end."""
+        """The clearance to brake within; once inside the stopping distance 0, all brakes, until standstill."""
         is_stopping = self.mode is Mode.OBSTACLE_STOP and situation.is_moving
         self._is_urgent = decision.is_obstacle_inside or (self._is_urgent and is_stopping)
         if self._is_urgent:
@@ -119,16 +116,16 @@ class ModeMachine:
         return decision.clearance_m if is_ahead else math.inf
 
     def resume_in_s(self, now_ns: int) -> float:
-        """Seconds until an obstacle stop ends if the way stays clear; 0 when there is none."""
+        """Seconds until an obstacle stop ends if the path stays clear; 0 in other modes."""
         if self.mode is not Mode.OBSTACLE_STOP:
             return 0.0
         return max(0.0, self._config.resume_clear_s - self._clear.update(now_ns, self._clear.is_held))
 
 
 def filter_permitted(asked: frozenset[Event], situation: Situation, decision: Decision) -> frozenset[Event]:
-    """Orders that may be followed now: a reset and a start only at standstill and when nothing speaks against it."""
+    """The operator commands permitted now: a reset and a start only at standstill and while nothing prevents them."""
     allowed = set(asked)
-    is_still = situation.is_speed_known and not situation.is_moving
+    is_still = situation.vehicle.speed_mps is not None and not situation.is_moving
     if not is_still or decision.is_emergency:
         allowed.discard(Event.RESET)
     if not is_still or not decision.is_ready:

@@ -27,6 +27,8 @@ SAFETY_LIBRARIES = {
     "typing",
     "itertools",
     "functools",
+    "importlib",
+    "pkgutil",
 }
 
 

@@ -25,7 +25,7 @@ from runtime.bus import Sink
 from runtime.executor import FAULT_TOPIC, Executor
 from runtime.perception_nodes import perception_nodes
 from runtime.replay.prepare import ReplayInput, child_pose
-from runtime.replay.shadow_supervisor import Shadow
+from runtime.replay.shadow_supervisor import ShadowSupervisor
 from runtime.replay.trajectory import (
     Trajectory,
     driven_sections,
@@ -240,13 +240,13 @@ def localization_nodes(replay_input: ReplayInput) -> list[Node]:
     return [*nodes, Localizer(vehicle, site.datum, config, site.shed, site.dock)]
 
 
-def shadow_for(replay_input: ReplayInput) -> Shadow:
+def shadow_for(replay_input: ReplayInput) -> ShadowSupervisor:
     """Supervisor in shadow mode with the braking values of the conditions."""
     values, safety = replay_input.config.conditions.braking, replay_input.config.stack.safety
     braking = safety.braking.model_copy(update=values.model_dump())
     vehicle, site = replay_input.machine.vehicle, replay_input.site
     has_no_detector = replay_input.config.stack.perception.camera.detector.model is None
-    return Shadow(
+    return ShadowSupervisor(
         vehicle,
         replay_input.machine.implement,
         safety.model_copy(update={"braking": braking}),

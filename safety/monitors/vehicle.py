@@ -78,7 +78,7 @@ class VehicleMonitor:
             self._direction,
             on_grade(flat, self._direction * self._pitch_rad, least),
             position_sigma_m(map_pose),
-            self._override.update(now_ns, is_forced(machine, self._config.driver_override.torque_nm)),
+            self._override.update(now_ns, is_forced(machine, self._config.limits.driver_torque_nm)),
             self._deviation.update(now_ns, is_watched and self._steering_deviates(now_ns, machine, command)),
             self._unavailable.update(now_ns, is_watched and self._steering_unavailable(machine)),
             self._ineffective.update(now_ns, self._brake_ineffective(odom, command)),

@@ -1,53 +1,30 @@
-"""The rules, one file each: `(situation) -> RuleResult`; the most restrictive wins, of equals the first here."""
+"""The rules, one file each, found by their `RULE`; the most restrictive result wins, of equals the first by `order`."""
 
-from collections.abc import Callable
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import TYPE_CHECKING
 
-from messages.command import RuleResult
-from safety.rules import (
-    brake,
-    clock_step,
-    detection_range,
-    driver_override,
-    emergency_stop,
-    geofence,
-    implement_fold,
-    localization,
-    message_timeout,
-    protective_field,
-    reported_fault,
-    sensor_loss,
-    speed_limit,
-    steering,
-    supply_voltage,
-    tilt,
-    tracked_obstacle,
-    wall_clearance,
-)
-from safety.rules.situation import Situation
+from pydantic import create_model
 
-Rule = Callable[[Situation], RuleResult]
+from configs.strict import Config
+from safety.rules.rule import Rule
 
-RULES: dict[str, Rule] = {
-    "emergency_stop": emergency_stop.evaluate,
-    "driver_override": driver_override.evaluate,
-    "clock_step": clock_step.evaluate,
-    "reported_fault": reported_fault.evaluate,
-    "message_timeout": message_timeout.evaluate,
-    "supply_voltage": supply_voltage.evaluate,
-    "steering": steering.evaluate,
-    "brake": brake.evaluate,
-    "localization": localization.evaluate,
-    "tilt": tilt.evaluate,
-    "geofence": geofence.evaluate,
-    "implement_fold": implement_fold.evaluate,
-    "protective_field": protective_field.evaluate,
-    "tracked_obstacle": tracked_obstacle.evaluate,
-    "detection_range": detection_range.evaluate,
-    "sensor_loss": sensor_loss.evaluate,
-    "wall_clearance": wall_clearance.evaluate,
-    "speed_limit": speed_limit.evaluate,
-}
-BLOCKING_RULES = frozenset(
-    {"protective_field", "tracked_obstacle", "detection_range", "sensor_loss"}
-)  # to stand for one is an obstacle stop
-OBSTACLE_RULES = frozenset({"protective_field", "tracked_obstacle"})  # what an ablation switches off
+
+def find_rules() -> dict[str, Rule]:
+    """Every rule of this folder by name, in order."""
+    modules = [import_module(f"{__name__}.{module.name}") for module in iter_modules(__path__)]
+    rules: list[Rule] = [module.RULE for module in modules if hasattr(module, "RULE")]
+    return {rule.name: rule for rule in sorted(rules, key=lambda rule: (rule.order, rule.name))}
+
+
+RULES = find_rules()
+
+if TYPE_CHECKING:
+    RuleLimits = Config
+else:
+    RuleLimits = create_model(
+        "RuleLimits",
+        __base__=Config,
+        __doc__="Section `rules`: the limits of each rule, by its name.",
+        **{rule.name: (rule.limits, ...) for rule in RULES.values() if rule.limits is not None},
+    )

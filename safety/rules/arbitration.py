@@ -1,4 +1,4 @@
-"""All rules asked, and what follows from their answers together."""
+"""Arbitration: evaluates all rules and combines their results by effect."""
 
 import math
 from collections.abc import Mapping
@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from messages.command import RuleResult
 from messages.faults import Response
 from safety.config import FieldConfig
-from safety.rules import BLOCKING_RULES, RULES
-from safety.rules.driver_override import CODE as HAND
-from safety.rules.geofence import UNKNOWN as FENCE_UNKNOWN
 from safety.rules.results import no_objection
+from safety.rules.rule import Effect, Rule
 from safety.rules.situation import Situation
 
 NOTHING = no_objection("")
@@ -18,22 +16,20 @@ NOTHING = no_objection("")
 
 @dataclass(frozen=True)
 class Decision:
-    """The results by rule, in their order.
+    """All results in the order of the rules, and what follows from them.
 
-    `binding` is the most restrictive of all; `blocking` that of the rules on what lies ahead, which allow
-    `passable_mps`; `fault` the first that speaks against driving at all. `clearance_m` is the least of both channels.
+    `binding` is the most restrictive of all, `blocking` that of the rules on obstacles and their detection, `fault`
+    the most restrictive of those that prevent a start. `advisories` are reported to the operator though they do not
+    bind. `clearance_m` is the smaller of both obstacle channels.
     """
 
-    named: Mapping[str, RuleResult]
+    results: tuple[RuleResult, ...]
     binding: RuleResult
     blocking: RuleResult
     fault: RuleResult
+    is_takeover: bool
+    advisories: tuple[RuleResult, ...]
     clearance_m: float
-
-    @property
-    def results(self) -> tuple[RuleResult, ...]:
-        """What every rule said."""
-        return tuple(self.named.values())
 
     @property
     def allowed_mps(self) -> float:
@@ -42,12 +38,12 @@ class Decision:
 
     @property
     def passable_mps(self) -> float:
-        """The highest speed that the rules on what lies ahead allow."""
+        """The highest speed that obstacles and their detection allow."""
         return self.blocking.speed_limit_mps
 
     @property
     def binding_is_obstacle(self) -> bool:
-        """Whether what lies ahead binds."""
+        """Whether an obstacle or its detection binds."""
         return self.binding is self.blocking and self.blocking is not NOTHING
 
     @property
@@ -61,43 +57,32 @@ class Decision:
         return self.fault.response is Response.EMERGENCY_STOP
 
     @property
-    def is_takeover(self) -> bool:
-        """Whether a hand is on the wheel."""
-        return any(result.code == HAND and result.response >= Response.CONTROLLED_STOP for result in self.results)
-
-    @property
     def is_fault(self) -> bool:
         """Whether a rule asks for a stop that a person must end."""
         return self.fault.response >= Response.CONTROLLED_STOP
 
     @property
     def is_ready(self) -> bool:
-        """Whether nothing speaks against starting."""
+        """Whether nothing prevents a start."""
         return self.fault is NOTHING
 
-    @property
-    def advisories(self) -> list[RuleResult]:
-        """What is to be told though it does not bind: a lost sensor, and what its rule only wants said."""
-        return [
-            result
-            for name, result in self.named.items()
-            if result.text and (result.response is Response.NONE or name == "sensor_loss")
-        ]
 
-
-def evaluate_rules(situation: Situation, disabled: frozenset[str]) -> Decision:
-    """Every rule that is not disabled, asked."""
-    named = {name: rule(situation) for name, rule in RULES.items() if name not in disabled}
-    ahead = [result for name, result in named.items() if name in BLOCKING_RULES]
-    others = [result for name, result in named.items() if name not in BLOCKING_RULES]
-    against = [r for r in others if r.response >= Response.CONTROLLED_STOP or r.code == FENCE_UNKNOWN]
-    clearances = () if situation.clearance is None else (situation.clearance.main_m, situation.clearance.arc_m)
+def evaluate_rules(situation: Situation, rules: Mapping[str, Rule]) -> Decision:
+    """The decision of these rules."""
+    results = [rule(situation) for rule in rules.values()]
+    found = [(result, rule.effect_of(result.code)) for result, rule in zip(results, rules.values(), strict=True)]
+    stops = [(result, effect) for result, effect in found if result.response >= Response.CONTROLLED_STOP]
+    faults = [result for result, effect in stops if Effect.FAULT in effect]
+    faults += [result for result, effect in found if Effect.BLOCKS_START in effect]
+    gaps = () if situation.clearance is None else (situation.clearance.main_m, situation.clearance.arc_m)
     return Decision(
-        named,
-        most_restrictive([*named.values()]),
-        most_restrictive(ahead),
-        most_restrictive(against),
-        min(*clearances, situation.critical_object.clearance_m, math.inf),
+        tuple(results),
+        most_restrictive(results),
+        most_restrictive([result for result, effect in found if Effect.OBSTACLE_STOP & effect]),
+        most_restrictive(faults),
+        any(Effect.TAKEOVER in effect for _, effect in stops),
+        tuple(r for r, effect in found if r.text and (r.response is Response.NONE or Effect.ADVISORY in effect)),
+        min(*gaps, situation.critical_object.clearance_m, math.inf),
     )
 
 
@@ -113,5 +98,5 @@ def severity(result: RuleResult) -> tuple[bool, int, float]:
 
 
 def allowance_m(field: FieldConfig, range_sigma_m: float, position_sigma_m: float) -> float:
-    """What is added to the stopping distance: k·σ_range + σ_position + margin."""
+    """The part of the required range beyond the stopping distance: k·σ_range + σ_position + margin."""
     return field.sigma_factor * range_sigma_m + position_sigma_m + field.margin_m

@@ -1,33 +1,68 @@
-"""The pose must be good enough for the work, and fixes must come (BD-5.2.6a, BD-5.3d: 120 s is the outer bound)."""
+"""Localization: the pose is accurate enough for the work, and GNSS fixes arrive (BD-5.2.6a, BD-5.3d)."""
 
+from pydantic import Field
+
+from configs.strict import Config
+from configs.vehicle import Seconds, kmh
 from messages.command import RuleResult
 from messages.motion import PositionSource
+from safety.config import Metres
 from safety.rules.results import advisory, limit, no_objection, stop
+from safety.rules.rule import Effect, Rule
 from safety.rules.situation import Situation
 
-CODE = "localization"
+CODE, NONE = "localization", "localization.none"
+GNSS_AGE, GNSS_LOST = "localization.gnss_age", "localization.gnss_lost"
+UWB_LOST, PROTECTION = "localization.uwb_lost", "localization.protection"
 
 
-def evaluate(situation: Situation) -> RuleResult:
-    """Alarm at once without fixes, slow above one protection level, stop above the other or after the time.
+class LocalizationLimits(Config):
+    """Protection levels and ages of fixes at which the machine slows or stops."""
 
-    Under the roof there is no sky: the place rests on UWB, and must be known better.
+    protection_slow_m: Metres
+    protection_stop_m: Metres
+    gnss_alarm_s: Seconds
+    gnss_stop_s: float = Field(gt=0.0, le=120.0, description="BD-5.3d: 120 s at most")
+
+
+def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
+    """Advisory at once without fixes, slow above one protection level, stop above the other or after the time.
+
+    Under the roof GNSS is not received: the position comes from UWB, and the protection level is that of docking.
     """
-    pose, config = situation.map_pose, situation.config.localization
+    pose, docking = situation.inputs.map_pose, situation.config.docking
     if pose is None:
         return no_objection(CODE)
     if not pose.is_initialized or pose.source is PositionSource.NONE:
-        return stop("localization.none", "no position yet")
-    if not pose.gnss_age_s <= config.gnss_stop_s and pose.source is not PositionSource.UWB:
-        return stop("localization.gnss_age", f"no fix for {pose.gnss_age_s:.0f} s")
-    docking = situation.config.docking
+        return stop(NONE, "no position yet")
+    if not pose.gnss_age_s <= limits.gnss_stop_s and pose.source is not PositionSource.UWB:
+        return stop(GNSS_AGE, f"no fix for {pose.gnss_age_s:.0f} s")
     if situation.is_under_roof and not pose.uwb_age_s <= docking.max_uwb_age_s:
-        return stop("localization.uwb_lost", f"no UWB range for {pose.uwb_age_s:.1f} s in the shed")
-    most_m = docking.protection_stop_m if situation.is_under_roof else config.protection_stop_m
-    if not pose.protection_level_m <= most_m:
-        return stop("localization.protection", f"position only within {pose.protection_level_m:.2f} m")
-    if pose.protection_level_m > config.protection_slow_m:
-        return limit(CODE, config.slow_mps, f"position only within {pose.protection_level_m:.2f} m")
-    if pose.gnss_age_s > config.gnss_alarm_s and not situation.is_under_roof:
-        return advisory("localization.gnss_lost", f"no fix for {pose.gnss_age_s:.1f} s")
+        return stop(UWB_LOST, f"no UWB range for {pose.uwb_age_s:.1f} s in the shed")
+    stop_m = docking.protection_stop_m if situation.is_under_roof else limits.protection_stop_m
+    if not pose.protection_level_m <= stop_m:
+        return stop(PROTECTION, f"position only within {pose.protection_level_m:.2f} m")
+    if pose.protection_level_m > limits.protection_slow_m:
+        reduced_mps = kmh(situation.config.limits.reduced_kmh)
+        return limit(CODE, reduced_mps, f"position only within {pose.protection_level_m:.2f} m")
+    if pose.gnss_age_s > limits.gnss_alarm_s and not situation.is_under_roof:
+        return advisory(GNSS_LOST, f"no fix for {pose.gnss_age_s:.1f} s")
     return no_objection(CODE)
+
+
+RULE = Rule(
+    order=90,
+    clauses=("BD-5.3d", "BD-5.2.6a"),
+    effect=Effect.FAULT,
+    evaluate=evaluate,
+    limits=LocalizationLimits,
+    config_keys=("limits.reduced_kmh", "docking.protection_stop_m", "docking.max_uwb_age_s"),
+    texts_zh={
+        CODE: "定位精度下降，减速",
+        NONE: "无定位",
+        GNSS_AGE: "GNSS 定位中断超时",
+        GNSS_LOST: "GNSS 差分信号中断",
+        UWB_LOST: "机库内 UWB 信号中断",
+        PROTECTION: "定位精度不足",
+    },
+)

@@ -1,20 +1,21 @@
-"""Raw protective field: the machine stands the margin before whatever stands in its way."""
+"""Protective field: the machine stops the margin before any raw return in its path."""
 
 import math
 
 from messages.command import RuleResult
 from safety.rules.results import limit, no_objection, stop
+from safety.rules.rule import Effect, Rule
 from safety.rules.situation import Situation
 from safety.stopping_distance import highest_speed, stopping_distance
 
-CODE = "protective_field"
+CODE, NO_SCAN = "protective_field", "protective_field.no_scan"
 
 
 def evaluate(situation: Situation) -> RuleResult:
-    """Slow as both gaps allow; brake at once when one lies inside the stopping distance."""
+    """Slow as both clearances allow; brake at once when one is within the stopping distance."""
     clearance = situation.clearance
     if clearance is None:
-        return limit("protective_field.no_scan", 0.0, "no lidar has looked ahead yet")
+        return limit(NO_SCAN, 0.0, "no lidar scan ahead yet")
     nearest_m = min(clearance.main_m, clearance.arc_m)
     if math.isinf(nearest_m):
         return no_objection(CODE)
@@ -23,3 +24,13 @@ def evaluate(situation: Situation) -> RuleResult:
     main = highest_speed(clearance.main_m, situation.braking, situation.allowance_m)
     arc = highest_speed(clearance.arc_m, situation.braking, situation.config.field.arc_margin_m)
     return limit(CODE, min(main, arc), f"obstacle {nearest_m:.1f} m ahead")
+
+
+RULE = Rule(
+    order=130,
+    clauses=("BD-5.2.4", "BD-5.2.5b"),
+    effect=Effect.OBSTACLE,
+    evaluate=evaluate,
+    config_keys=("field", "braking", "radar", "ultrasonic"),
+    texts_zh={CODE: "前方有障碍物", NO_SCAN: "尚无前方激光雷达数据"},
+)

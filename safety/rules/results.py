@@ -1,4 +1,4 @@
-"""The few shapes that a rule's result takes."""
+"""Constructors of rule results."""
 
 import math
 from functools import cache
@@ -9,25 +9,25 @@ from messages.faults import Response
 
 @cache
 def no_objection(code: str) -> RuleResult:
-    """No objection."""
+    """No limit and nothing to report."""
     return RuleResult(code, Response.NONE, math.inf, "")
 
 
 def advisory(code: str, text: str) -> RuleResult:
-    """No objection, but something to be told."""
+    """No limit, but a text for the operator."""
     return RuleResult(code, Response.NONE, math.inf, text)
 
 
 def limit(code: str, speed_mps: float, text: str) -> RuleResult:
-    """No faster than this; a speed of 0 stops for as long as it is said."""
+    """A speed limit; 0 stops the machine for as long as the result holds."""
     return RuleResult(code, Response.LIMIT, max(0.0, speed_mps), text)
 
 
 def stop(code: str, text: str) -> RuleResult:
-    """Stop under control; for an obstacle as hard as needed."""
+    """A controlled stop, for an obstacle as hard as necessary."""
     return RuleResult(code, Response.CONTROLLED_STOP, 0.0, text)
 
 
 def emergency(code: str, text: str) -> RuleResult:
-    """Stop as fast as the machine can."""
+    """An emergency stop with all brakes."""
     return RuleResult(code, Response.EMERGENCY_STOP, 0.0, text)

@@ -8,8 +8,8 @@ import pytest
 
 from configs.strict import load, parse, read_yaml
 from configs.vehicle import Camera, ImplementFile, Mount, Radar, Ultrasonic, Vehicle
-from safety.config import SafetyConfig
 from safety.supervisor import Supervisor
+from safety.supervisor_config import SupervisorConfig
 from safety.zones.geofence import Geofence
 from tests.safety.safety_world import ROOT, World, straight_path
 
@@ -24,8 +24,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def config() -> SafetyConfig:
-    return parse(SafetyConfig, read_yaml(ROOT / "configs/stack/safety.yaml"), "stack/safety.yaml")
+def config() -> SupervisorConfig:
+    return parse(SupervisorConfig, read_yaml(ROOT / "configs/stack/safety.yaml"), "stack/safety.yaml")
 
 
 @pytest.fixture(scope="session")

@@ -10,17 +10,20 @@ import numpy as np
 
 from configs.vehicle import Lidar, Mount, Radar, TrailedImplement, Ultrasonic, Vehicle
 from geometry.transforms import planar, transform
-from messages.command import ControlCommand, MachineState, Mode, OperatorCommand, OperatorCommandKind
+from messages.command import ControlCommand, MachineState, OperatorCommand, OperatorCommandKind
 from messages.message import Message
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.perception import HealthState, Obstacles, SensorHealth, Tracks
 from messages.plan import MissionState, MissionStatus, Path, PathSection, PathSectionType
 from messages.sensors import ImuSample, LidarScan, RadarScan, UltrasonicRange, WheelSample
 from messages.topics import spec_of
-from safety.config import SafetyConfig
+from safety.collision_monitor import MonitorInputs
 from safety.monitors.brake_test import Phase
+from safety.monitors.vehicle import VehicleState
+from safety.obstacle_sources import SourceData
 from safety.rules.situation import Situation
 from safety.supervisor import Supervisor
+from safety.supervisor_config import SupervisorConfig
 from safety.zones.protective_field import Clearance
 from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT
 
@@ -413,24 +416,27 @@ class World:
         return self.run(3.2)
 
 
-def situation_of(config: SafetyConfig, **changes: Any) -> Situation:
-    """A moment at which no rule objects."""
+def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
+    """A situation to which no rule objects, with changes to it or to its inputs and vehicle state."""
     T = transform((0.0, 0.0, 0.0), (changes.pop("roll_rad", 0.0), changes.pop("pitch_rad", 0.0), 0.0))
     pose = MapPose(START_NS, np.eye(4), np.eye(4), np.eye(6) * 1e-4, PositionSource.RTK_FIXED, 0.1, 0.1, True)
+    control_command = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
+    inputs = MonitorInputs(
+        Odometry(START_NS, T, 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), replace(pose, **changes.pop("pose", {})),
+        control_command, None, None, 0.0, SourceData({}, {}, {}), {},
+    )  # fmt: skip
+    speed_mps, is_known = changes.pop("speed_mps", 2.0), changes.pop("is_speed_known", True)
+    vehicle = VehicleState(
+        speed_mps if is_known else None, speed_mps, 1, config.braking.flat, 0.01, 0.0, 0.0, 0.0, 0.0, False
+    )
+    inputs = replace(inputs, **{name: changes.pop(name) for name in vars(inputs).keys() & changes.keys()})
+    vehicle = replace(vehicle, **{name: changes.pop(name) for name in vars(vehicle).keys() & changes.keys()})
     good = Situation(
-        now_ns=START_NS, config=config, mode=Mode.AUTOMATIC, direction=1, speed_mps=2.0, is_speed_known=True,
-        max_speed_mps=8.0, braking=config.braking.flat, allowance_m=2.1,
-        odom=Odometry(START_NS, T, 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), machine=machine_state(START_NS),
-        map_pose=replace(pose, **changes.pop("pose", {})),
-        control_command=ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False),
-        timed_out_topics=(),
-        frozen=(), faults=(),
-        clearance=Clearance(math.inf, math.inf, np.empty((0, 3))), is_planned=True,
-        critical_object=NO_CRITICAL_OBJECT, detection_range_m=40.0, blind=(),
-        geofence_distance_m=math.inf, position_sigma_m=0.01, driver_override_s=0.0, steering_deviation_s=0.0,
-        steering_unavailable_s=0.0,
-        brake_ineffective_s=0.0, is_foldable=False, fold=0.0, clock_step_s=0.0, brake_test=Phase.PASSED,
-        sensor_failures=(),
+        now_ns=START_NS, config=config, rule_limits=config.rules, inputs=inputs, machine=machine_state(START_NS),
+        vehicle=vehicle, max_speed_mps=8.0, allowance_m=2.1, timed_out_topics=(), frozen=(), faults=(),
+        clearance=Clearance(math.inf, math.inf, np.empty((0, 3))), critical_object=NO_CRITICAL_OBJECT,
+        detection_range_m=40.0, blind=(),
+        geofence_distance_m=math.inf, is_foldable=False, clock_step_s=0.0, brake_test=Phase.PASSED, sensor_failures=(),
         is_docking=False, is_under_roof=False, wall_distance_m=math.inf,
     )  # fmt: skip
     return replace(good, **changes)

@@ -107,7 +107,7 @@ def make(
 
     def made(**what: Any) -> Any:
         around = (what.get("geofence"), what.get("known_structure", known_structure), config)
-        collision_monitor: Any = CollisionMonitor(footprints, full.sensors, *around, *what.get("arc", ()))
+        collision_monitor: Any = CollisionMonitor(footprints, full.sensors, *around)
         collision_monitor.sources = SimpleNamespace(
             update=Spy(False), with_new_scan=Spy([]), set_footprint=Spy(None), update_lidars=Spy(None),
             clearance=Spy(Clearance(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
@@ -261,18 +261,6 @@ def test_the_way_is_laid_along_the_plan_in_its_direction(make: Any, config: Safe
     collision_monitor = make()
     look(collision_monitor, config, replace(SEEN, path=None, map_pose=None))
     assert parts.sweep_field.asked[:2] == (None, None)
-
-
-def test_the_arc_beside_a_plan_may_be_left_out(make: Any, config: SafetyConfig, parts: Any) -> None:
-    planned, arc_alone = parts.sweep_field.answer, SweptField(sweep(), None, False)
-    for arc, answer, expected in (
-        ((), planned, planned), ((True,), planned, planned), ((False,), planned, SweptField(planned.main, None, True)),
-        ((False,), arc_alone, arc_alone),
-    ):  # fmt: skip
-        parts.sweep_field.answer = answer
-        collision_monitor = make(arc=arc)
-        look(collision_monitor, config)
-        assert collision_monitor.swept_field == expected
 
 
 def test_gaps_and_threats_are_measured_on_that_way(make: Any, config: SafetyConfig, parts: Any) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from configs.strict import parse, read_yaml
 from messages.errors import ConfigError
-from safety.config import SafetyConfig
+from safety.supervisor_config import SupervisorConfig
 from tests.safety.safety_world import ROOT
 
 
@@ -37,18 +37,20 @@ def changed(path: tuple[str, ...], value: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("path", list(keys(values())), ids=".".join)
 def test_no_value_has_a_default(path: tuple[str, ...]) -> None:
     with pytest.raises(ConfigError, match=path[-1]):
-        parse(SafetyConfig, changed(path, None), "stack/safety.yaml")
+        parse(SupervisorConfig, changed(path, None), "stack/safety.yaml")
 
 
 @pytest.mark.parametrize(("path", "bad"), [
     (("field", "lateral_margin_far_m"), 0.05), (("detection_range", "good_ratio"), 0.2), (("braking",
     "deceleration_mps2"), 0.0),
-    (("localization", "gnss_stop_s"), 120.1), (("driver_override", "rate_dps"), 50.1), (("driver_override",
+    (("rules", "localization", "gnss_stop_s"), 120.1), (("rules", "driver_override", "rate_dps"), 50.1),
+    (("rules", "driver_override",
     "angle_deg"), 30.1),
-    (("driver_override", "forced_s"), 1.01), (("field", "margin_m"), float("nan")), (("field", "slow_range_factor"),
+    (("rules", "driver_override", "forced_s"), 1.01), (("field", "margin_m"), float("nan")), (("field",
+    "slow_range_factor"),
     0.9),
     (("modes", "authorities"), []), (("field", "extra"), 1.0),
 ])  # fmt: skip
 def test_bad_values_are_named(path: tuple[str, ...], bad: Any) -> None:
     with pytest.raises(ConfigError, match=path[-1]):
-        parse(SafetyConfig, changed(path, bad), "stack/safety.yaml")
+        parse(SupervisorConfig, changed(path, bad), "stack/safety.yaml")

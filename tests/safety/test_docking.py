@@ -13,10 +13,10 @@ from messages.command import Mode, OperatorCommandKind
 from messages.faults import Response
 from messages.perception import ObstacleClass, Track
 from messages.plan import Path, PathSection, PathSectionType
-from safety.config import SafetyConfig
 from safety.monitors.sensors import SensorFailure
 from safety.rules import RULES
 from safety.supervisor import Supervisor
+from safety.supervisor_config import SupervisorConfig
 from safety.zones.geofence import bay_rings, distance_across, geofence_of, is_within
 from safety.zones.known_structure import KnownStructure, structure_of_site
 from safety.zones.swept_area import arc_poses, spaced, sweep_along
@@ -188,10 +188,10 @@ def test_on_another_leg_the_open_field_counts(shed_world: World, site: Site) -> 
     path = shed_world.path
     shed_world.path = replace(path, sections=(PathSection(PathSectionType.LANE, -1, 0, len(path.s_m) - 1),))
     drive_in(shed_world, 0.3)
-    assert shed_world.supervisor._collision_monitor.config is shed_world.supervisor._config
+    assert shed_world.supervisor.collision_monitor.config is shed_world.supervisor._config
     shed_world.path = path
     shed_world.run(0.3)
-    assert shed_world.supervisor._collision_monitor.config.field.margin_m == 0.12
+    assert shed_world.supervisor.collision_monitor.config.field.margin_m == 0.12
 
 
 def test_tracks_of_walls_are_no_obstacles_but_people_are(shed_world: World, site: Site) -> None:
@@ -211,7 +211,7 @@ def test_tracks_of_walls_are_no_obstacles_but_people_are(shed_world: World, site
     assert shed_world.state.obstacle_class is ObstacleClass.PERSON
 
 
-def test_an_ultrasonic_sensor_lost_at_the_dock_slows_further(config: SafetyConfig) -> None:
+def test_an_ultrasonic_sensor_lost_at_the_dock_slows_further(config: SupervisorConfig) -> None:
     sensor_failures = (SensorFailure("ultrasonic", "ultrasonic/rear.silent", ""),)
     assert RULES["sensor_loss"](
         docking_situation(config, sensor_failures=sensor_failures)
@@ -255,7 +255,7 @@ def test_near_the_shed(known_structure: KnownStructure) -> None:
     assert structure_of_site(load(Site, ROOT / "configs/sites/demo.yaml").model_copy(update={"shed": None})) is None
 
 
-def test_clear_way_to_the_wall(known_structure: KnownStructure, config: SafetyConfig, shed_world: World) -> None:
+def test_clear_way_to_the_wall(known_structure: KnownStructure, config: SupervisorConfig, shed_world: World) -> None:
     footprint = shed_world.supervisor._footprints.transport
     s = spaced(6.0, 0.2)
     area = sweep_along(footprint, -1, s, arc_poses(0.0, -1, s), 0.0, config.docked.field, True)
@@ -349,7 +349,7 @@ def test_a_folded_implement_passes_where_the_full_width_does_not(world: World) -
 @pytest.mark.parametrize(("fold", "speed_mps"), [
     (0.0, math.inf), (0.009, math.inf), (0.011, 0.0), (0.5, 0.0), (0.989, 0.0), (0.991, math.inf), (math.nan, 0.0),
 ])  # fmt: skip
-def test_between_the_ends_the_machine_stands(config: SafetyConfig, fold: float, speed_mps: float) -> None:
+def test_between_the_ends_the_machine_stands(config: SupervisorConfig, fold: float, speed_mps: float) -> None:
     result = RULES["implement_fold"](situation_of(config, is_foldable=True, fold=fold))
     assert result.speed_limit_mps == speed_mps
     assert RULES["implement_fold"](situation_of(config, is_foldable=False, fold=fold)).speed_limit_mps == math.inf
@@ -365,18 +365,18 @@ def test_an_implement_that_says_nothing_stops_the_machine(world: World) -> None:
     assert world.mode == Mode.STANDBY
 
 
-def test_no_machine_says_nothing_of_a_fold(config: SafetyConfig) -> None:
+def test_no_machine_says_nothing_of_a_fold(config: SupervisorConfig) -> None:
     assert (
         RULES["implement_fold"](situation_of(config, is_foldable=True, fold=None, machine=None)).response
         is Response.NONE
     )
 
 
-def docking_situation(config: SafetyConfig, **changes: Any) -> Any:
+def docking_situation(config: SupervisorConfig, **changes: Any) -> Any:
     return situation_of(config.docked, is_docking=True, **changes)
 
 
-def test_docking_is_slow_and_slower_towards_a_wall(config: SafetyConfig) -> None:
+def test_docking_is_slow_and_slower_towards_a_wall(config: SupervisorConfig) -> None:
     assert RULES["speed_limit"](docking_situation(config)).speed_limit_mps == pytest.approx(0.5)
     speeds = [
         RULES["wall_clearance"](docking_situation(config, wall_distance_m=m)).speed_limit_mps

@@ -13,19 +13,19 @@ from configs.strict import parse, read_yaml
 from messages.command import Mode, OperatorCommandKind
 from messages.errors import ConfigError
 from messages.faults import Response
-from messages.perception import ObstacleClass, Track
-from safety.config import BrakeTestConfig, DetectionRangeConfig, SafetyConfig
+from messages.perception import ObstacleClass
+from safety.config import BrakeTestConfig, DetectionRangeConfig
 from safety.monitors.brake_test import BrakeTest, Phase
 from safety.monitors.sensors import SensorFailure
 from safety.monitors.watchdog import age_of, timed_out_topics
-from safety.rules import OBSTACLE_RULES, RULES
+from safety.rules import RULES
 from safety.stopping_distance import on_grade, stopping_distance
-from safety.supervisor import Observation, Supervisor
+from safety.supervisor_config import SupervisorConfig
 from safety.zones.protective_field import Clearance
 from safety.zones.tracked_obstacles import CriticalObject
-from tests.safety.safety_world import ROOT, START_NS, World, around, situation_of, straight_path
+from tests.safety.safety_world import ROOT, START_NS, World, around, situation_of
 
-CONFIG = parse(SafetyConfig, read_yaml(ROOT / "configs/stack/safety.yaml"), "stack/safety.yaml")
+CONFIG = parse(SupervisorConfig, read_yaml(ROOT / "configs/stack/safety.yaml"), "stack/safety.yaml")
 HOUR_NS = 3_600_000_000_000
 QUICK = settings(max_examples=60, deadline=None, derandomize=True, database=None)
 metres = st.floats(0.0, 60.0)
@@ -38,7 +38,7 @@ def trying(world: World) -> World:
     return world
 
 
-def test_the_brake_is_tried_within_the_first_metre(world: World, config: SafetyConfig) -> None:
+def test_the_brake_is_tried_within_the_first_metre(world: World, config: SupervisorConfig) -> None:
     trying(world).start()
     world.run(5.0)
     driven = [c for mode, c in world.history if mode == Mode.AUTOMATIC]
@@ -66,7 +66,7 @@ def test_a_brake_that_does_nothing_is_an_emergency_and_is_tried_again(world: Wor
     assert world.supervisor._brake_test.phase is Phase.CREEP
 
 
-def test_brake_trial_at_its_limit(config: SafetyConfig) -> None:
+def test_brake_trial_at_its_limit(config: SupervisorConfig) -> None:
     way_m = stopping_distance(0.45, config.braking.flat)
     for left in around(way_m, 1e-3):
         test = BrakeTest(config)
@@ -116,7 +116,7 @@ def test_a_hand_on_the_wheel_with_nobody_on_the_seat_leaves_the_machine_braked_a
     assert (world.command.deceleration_mps2, world.command.is_park_brake_set) == (0.0, False)
 
 
-def test_a_driver_lifted_off_the_seat_is_still_the_driver_for_a_moment(world: World, config: SafetyConfig) -> None:
+def test_a_driver_lifted_off_the_seat_is_still_the_driver_for_a_moment(world: World, config: SupervisorConfig) -> None:
     world.machine_changes = {"is_seat_occupied": True}
     world.run(0.2)
     world.order(OperatorCommandKind.MANUAL)
@@ -175,7 +175,7 @@ def test_one_source_with_another_clock_stops_the_machine(world: World, topic: st
     assert world.speed_mps == 0.0
 
 
-def test_a_small_delay_is_no_step(world: World, config: SafetyConfig) -> None:
+def test_a_small_delay_is_no_step(world: World, config: SupervisorConfig) -> None:
     world.start()
     world.inbox.now_ns += round(0.4 * config.limits.clock_step_s * 1e9)
     world.step(1)
@@ -288,27 +288,8 @@ def test_values_that_contradict_each_other_are_refused(kind, section: str, chang
         parse(kind, values, "test")
 
 
-def test_a_supervisor_that_looks_on_keeps_its_mode_and_commands_nothing(config, sparse, implement, geofence) -> None:
-    not_judged = frozenset(RULES) - OBSTACLE_RULES
-    observer = Supervisor(sparse, implement, config, geofence, (), not_judged, observation=Observation(False))
-    assert observer.writes == ("supervisor",)
-    world = World(observer, sparse, straight_path())
-    world.run(0.4)
-    assert world.mode == Mode.AUTOMATIC
-    assert world.command is None
-    assert world.supervisor._collision_monitor.swept_field.arc is None
-    assert len(world.state.triggering_points_base_m) == 0
-    person = Track(4, ObstacleClass.PERSON, 0.9, np.array([6.0, 0.0, 0.8]), np.zeros(3), np.eye(4) * 0.01,
-                   np.array([0.5, 0.5, 1.7]), 0.0, START_NS, START_NS, True, ("camera_front",))  # fmt: skip
-    world.tracks = (person,)
-    world.order(OperatorCommandKind.MANUAL)
-    world.run(0.4)
-    assert world.mode == Mode.AUTOMATIC
-    assert world.state.triggering_points_base_m[:, 0].mean() == pytest.approx(6.0, abs=0.1)
-
-
 def test_before_any_lidar_has_looked_nothing_is_free(world: World) -> None:
     world.mute |= {"lidar/front", "lidar/rear"}
     world.run(0.4)
-    assert world.supervisor._collision_monitor.clearance() is None
+    assert world.supervisor.collision_monitor.clearance() is None
     assert "protective_field.no_scan" in {rule.code for rule in world.state.rules}

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from configs.vehicle import Vehicle
-from geometry.transforms import planar
-from messages.command import ControlCommand
+from messages.command import ControlCommand, Mode
 from messages.message import Message
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.node import Latest
@@ -18,12 +17,11 @@ from messages.perception import HealthState, ObstacleClass, Track, Tracks
 from messages.sensors import RadarScan, UltrasonicRange
 from messages.topics import spec_of
 from safety.collision_monitor import MonitorInputs
-from safety.config import SafetyConfig
 from safety.inputs import SupervisorInputs
 from safety.obstacle_sources import SourceData
-from safety.output.supervisor_state import build_state, critical_object_outline
-from safety.rules.arbitration import Decision
+from safety.output.supervisor_state import build_state
 from safety.stopping_distance import required_range, stopping_distance
+from safety.supervisor_config import SupervisorConfig
 from safety.zones.footprint import footprint_of
 from safety.zones.protective_field import Clearance, SweptField
 from safety.zones.swept_area import arc_poses, outline_of, spaced, sweep_along
@@ -45,7 +43,7 @@ OWN = ("machine", "imu", "wheel", "lidar/front", "health/lidar_front", "lidar/re
 
 
 @pytest.fixture
-def inputs(full: Vehicle, config: SafetyConfig) -> SupervisorInputs:
+def inputs(full: Vehicle, config: SupervisorConfig) -> SupervisorInputs:
     return SupervisorInputs(full.sensors, frozenset(), config)
 
 
@@ -70,7 +68,7 @@ def test_all_of_the_machines_sensors_are_read(inputs: SupervisorInputs) -> None:
     assert inputs.reads == dict.fromkeys((*OWN, "path", *heard, *told), Latest())
 
 
-def test_what_the_machine_lacks_is_not_waited_for(full: Vehicle, config: SafetyConfig) -> None:
+def test_what_the_machine_lacks_is_not_waited_for(full: Vehicle, config: SupervisorConfig) -> None:
     bare = full.sensors.model_copy(update={"imu": None, "wheels": None, "radar": {}, "ultrasonic": {}})
     reads = SupervisorInputs(bare, frozenset({"camera_front"}), config).reads
     assert set(reads) == {*OWN, "path"} - {"imu", "wheel"}
@@ -163,7 +161,7 @@ def test_who_does_not_tell_is_lost_where_it_looks(
     assert sensor_failures(inputs, inbox, -direction) == []
 
 
-def test_a_frozen_radar_and_a_blind_sector_are_lost(inputs: SupervisorInputs, config: SafetyConfig) -> None:
+def test_a_frozen_radar_and_a_blind_sector_are_lost(inputs: SupervisorInputs, config: SupervisorConfig) -> None:
     inbox, _ = all_well(inputs)
     assert sensor_failures(inputs, inbox, frozen=("front",)) == ["radar/front.frozen"]
     half_rad = math.radians(config.detection_range.half_cone_deg)
@@ -192,8 +190,8 @@ def test_what_was_told_may_be_as_old_as_its_sensor_is_slow(
         assert (sensor_failures(inputs, inbox) == []) == is_told, age_s
 
 
-def test_each_kind_that_is_lost_leaves_its_own_range(config: SafetyConfig) -> None:
-    left = [config.sensor_loss.without_m(kind) for kind in ("radar", "camera", "ultrasonic")]
+def test_each_kind_that_is_lost_leaves_its_own_range(config: SupervisorConfig) -> None:
+    left = [config.rules.sensor_loss.without_m(kind) for kind in ("radar", "camera", "ultrasonic")]
     assert left == [5.0, 4.3, 3.0]
 
 
@@ -202,79 +200,61 @@ def track(id: int, x: float = 9.0) -> Track:
                  np.array([2.0, 1.0, 1.7]), math.pi / 2, 0, NOW_NS, True, ("lidar_front",))  # fmt: skip
 
 
-def test_a_threats_box_is_told_in_base() -> None:
-    odom = odometry(T_odom_base=planar(5.0, 1.0, math.pi / 2))
-    tracks = Tracks(NOW_NS, (track(3, 40.0), track(4), track(5, 50.0)))
-    found = critical_object_outline(4, tracks, odom)
-    expected = {(along, across, 0.8) for along in (-1.0, 0.0, 1.0) for across in (-4.5, -4.0, -3.5)}
-    assert {tuple(np.round(point, 9) + 0.0) for point in found} == expected
-    for id, known, odometry_ in ((6, tracks, odom), (4, None, odom), (4, tracks, None)):
-        assert critical_object_outline(id, known, odometry_).shape == (0, 3)
-
-
-def way_of(vehicle: Vehicle, config: SafetyConfig) -> SweptField:
+def way_of(vehicle: Vehicle, config: SupervisorConfig) -> SweptField:
     s = spaced(6.0, 0.4)
     return SweptField(
         sweep_along(footprint_of(vehicle, None), 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True), None, True
     )
 
 
-def test_the_state_tells_why(vehicle: Vehicle, config: SafetyConfig) -> None:
+def test_supervisor_state(vehicle: Vehicle, config: SupervisorConfig) -> None:
     hits = np.arange(9.0).reshape(3, 3)
-    situation = situation_of(
-        config,
-        clearance=Clearance(5.0, 6.0, hits),
-        critical_object=CriticalObject(4.0, ObstacleClass.PERSON, 4),
-        detection_range_m=33.0,
-    )
     tracks = Tracks(NOW_NS, (track(4),))
-    seen: Any = SimpleNamespace(odom=odometry(), tracks=tracks)
-    way = way_of(vehicle, config)
+    situation = situation_of(
+        config, clearance=Clearance(5.0, 6.0, hits), critical_object=CriticalObject(4.0, ObstacleClass.PERSON, 4),
+        detection_range_m=33.0, odom=odometry(),
+        tracks=tracks,
+    )  # fmt: skip
+    swept_field = way_of(vehicle, config)
     asked = []
 
-    def cause(*args: Any) -> ObstacleClass:
+    def obstacle_class(*args: Any) -> ObstacleClass:
         asked.append(args)
         return ObstacleClass.ANIMAL
 
     decision: Any = SimpleNamespace(results=("some", "rules"), clearance_m=4.5)
-    looking: Any = SimpleNamespace(swept_field=way, obstacle_class=cause)
+    monitor: Any = SimpleNamespace(swept_field=swept_field, obstacle_class=obstacle_class)
 
-    def told(has_threat: bool, clearance: Clearance | None = situation.clearance, looking: Any = looking) -> Any:
-        known: Decision = decision
-        return build_state(replace(situation, clearance=clearance), seen, looking, known, "why", 1.5, has_threat)
+    def built(clearance: Clearance | None = situation.clearance, monitor: Any = monitor) -> Any:
+        return build_state(replace(situation, clearance=clearance), monitor, decision, Mode.OBSTACLE_STOP, "why", 1.5)
 
-    state = told(False)
+    state = built()
     assert (state.stamp_ns, state.mode, state.reason, state.rules) == (
         START_NS,
-        situation.mode,
+        Mode.OBSTACLE_STOP,
         "why",
         ("some", "rules"),
     )
-    assert (state.obstacle_class, asked) == (ObstacleClass.ANIMAL, [(seen.odom, tracks)])
+    assert (state.obstacle_class, asked) == (ObstacleClass.ANIMAL, [(situation.inputs.odom, tracks)])
     assert (state.clearance_m, state.resume_in_s, state.detection_range_m) == (4.5, 1.5, 33.0)
     assert state.stopping_distance_m == pytest.approx(stopping_distance(2.0, situation.braking))
     assert state.required_range_m == pytest.approx(required_range(2.0, situation.braking, 2.1))
     assert state.triggering_points_base_m.dtype == np.float32
     assert state.triggering_points_base_m.tolist() == hits.tolist()
-    assert state.protective_field_base_m == pytest.approx(outline_of(way.main))
-    assert told(True).triggering_points_base_m == pytest.approx(
-        np.concatenate([hits, critical_object_outline(4, tracks, seen.odom)])
-    )
-    assert told(False, None).triggering_points_base_m.shape == (0, 3)
-    assert told(
-        False, looking=SimpleNamespace(swept_field=None, obstacle_class=cause)
+    assert state.protective_field_base_m == pytest.approx(outline_of(swept_field.main))
+    assert built(None).triggering_points_base_m.shape == (0, 3)
+    assert built(
+        monitor=SimpleNamespace(swept_field=None, obstacle_class=obstacle_class)
     ).protective_field_base_m.shape == (0, 2)
 
 
 @pytest.mark.parametrize(("count", "every"), [(1, 1), (300, 1), (301, 2), (600, 2), (601, 3)])
-def test_at_most_300_hits_are_told(config: SafetyConfig, count: int, every: int) -> None:
+def test_at_most_300_hits_are_told(config: SupervisorConfig, count: int, every: int) -> None:
     hits = np.column_stack([np.arange(float(count)), np.zeros(count), np.zeros(count)])
-    seen: Any = SimpleNamespace(odom=None, tracks=None)
-    looking: Any = SimpleNamespace(swept_field=None, obstacle_class=lambda odom, tracks: ObstacleClass.UNKNOWN)
+    monitor: Any = SimpleNamespace(swept_field=None, obstacle_class=lambda odom, tracks: ObstacleClass.UNKNOWN)
     decision: Any = SimpleNamespace(results=(), clearance_m=4.5)
-    state = build_state(
-        situation_of(config, clearance=Clearance(1.0, 1.0, hits)), seen, looking, decision, "", 0.0, False
-    )
+    situation = situation_of(config, clearance=Clearance(1.0, 1.0, hits))
+    state = build_state(situation, monitor, decision, Mode.AUTOMATIC, "", 0.0)
     assert state.triggering_points_base_m[:, 0].tolist() == list(range(0, count, every))
 
 

@@ -11,14 +11,14 @@ from configs.vehicle import kmh
 from messages.command import Mode, OperatorCommand, OperatorCommandKind
 from messages.faults import Fault, Response, Severity
 from messages.plan import MissionState, MissionStatus, PathSectionType
-from safety.config import SafetyConfig
 from safety.mode_machine import ModeMachine, filter_permitted
 from safety.modes import Event
-from safety.monitors.fault_memory import FaultMemory
+from safety.rules import RULES
 from safety.rules.arbitration import Decision, evaluate_rules
 from safety.rules.results import limit
 from safety.rules.situation import Situation
 from safety.stopping_distance import required_range
+from safety.supervisor_config import SupervisorConfig
 from safety.zones.protective_field import Clearance
 from tests.safety.safety_world import START_NS, around, machine_state, situation_of
 
@@ -38,19 +38,20 @@ def mission(state: MissionState) -> MissionStatus:
 class Bench:
     """A helm, and the moment it was last shown."""
 
-    def __init__(self, config: SafetyConfig, is_held: bool = False) -> None:
-        self.config, self.fault_memory, self.now_ns, self.sequence = config, FaultMemory(), START_NS, 0
-        self.mode_machine = ModeMachine(config.modes, self.fault_memory, is_held)
+    def __init__(self, config: SupervisorConfig) -> None:
+        self.config, self.now_ns, self.sequence = config, START_NS, 0
+        self.mode_machine = ModeMachine(config.modes)
+        self.fault_memory = self.mode_machine.fault_memory
         self.situation: Situation = situation_of(config)
-        self.decision: Decision = evaluate_rules(self.situation, frozenset())
+        self.decision: Decision = evaluate_rules(self.situation, RULES)
 
     def show(
         self, *orders: OperatorCommandKind, after_s: float = 0.02, state: MissionState | None = None, **changes: Any
     ) -> Mode:
         """The mode after a moment; all is well in it but the changes."""
         self.now_ns += round(after_s * 1e9)
-        self.situation = situation_of(self.config, now_ns=self.now_ns, mode=self.mode_machine.mode, **changes)
-        self.decision = evaluate_rules(self.situation, frozenset())
+        self.situation = situation_of(self.config, now_ns=self.now_ns, **changes)
+        self.decision = evaluate_rules(self.situation, RULES)
         given = tuple(self.order(kind) for kind in orders)
         self.mode_machine.update(given, self.situation, self.decision, None if state is None else mission(state))
         return self.mode_machine.mode
@@ -75,7 +76,7 @@ class Bench:
 
 
 @pytest.fixture
-def bench(config: SafetyConfig) -> Bench:
+def bench(config: SupervisorConfig) -> Bench:
     return Bench(config)
 
 
@@ -114,7 +115,7 @@ def test_clear_for_2500_ms_and_warned_for_1500_it_goes_on(bench: Bench) -> None:
     assert bench.show(after_s=2.9, **STANDING) is Mode.START_WARNING  # the whole time again
 
 
-def test_what_is_clear_allows_1800_metres_an_hour(config: SafetyConfig) -> None:
+def test_what_is_clear_allows_1800_metres_an_hour(config: SupervisorConfig) -> None:
     for way in around(required_range(0.5, config.braking.flat, 2.1) + 1e-6, 0.005):
         bench = Bench(config).driving()
         bench.show(**near(1.0))
@@ -125,7 +126,7 @@ def test_what_is_clear_allows_1800_metres_an_hour(config: SafetyConfig) -> None:
 
 def test_an_obstacle_on_the_way_stops_a_standing_machine_that_would_go(bench: Bench) -> None:
     bench.driving()
-    control_command = bench.situation.control_command
+    control_command = bench.situation.inputs.control_command
     assert control_command is not None
     for nothing in (None, replace(control_command, speed_mps=0.0)):
         assert bench.show(**STANDING, **near(1.0), control_command=nothing) is Mode.AUTOMATIC
@@ -137,7 +138,7 @@ def test_an_obstacle_on_the_way_stops_a_standing_machine_that_would_go(bench: Be
     assert bench.show(**STANDING, **near(1.0), control_command=None) is Mode.OBSTACLE_STOP
 
 
-def test_creep_is_enough_to_go_on(config: SafetyConfig) -> None:
+def test_creep_is_enough_to_go_on(config: SupervisorConfig) -> None:
     least = required_range(config.modes.creep_mps, config.braking.flat, 2.1)
     for way in around(least, 0.002):
         bench = Bench(config).driving()
@@ -149,9 +150,7 @@ def test_at_the_limits_themselves(bench: Bench) -> None:
         bench.now_ns += round(after_s * 1e9)
         situation = situation_of(bench.config, now_ns=bench.now_ns, **STANDING)
         blocking = limit("protective_field", allowed_mps, "ahead")
-        bench.mode_machine.update(
-            (), situation, replace(evaluate_rules(situation, frozenset()), blocking=blocking), None
-        )
+        bench.mode_machine.update((), situation, replace(evaluate_rules(situation, RULES), blocking=blocking), None)
         return bench.mode_machine.mode
 
     bench.driving()
@@ -172,9 +171,9 @@ ASKED = frozenset({Event.RESET, Event.START, Event.PAUSE})
     (FAULTY, {Event.PAUSE, Event.RESET}),
     (PRESSED, {Event.PAUSE}),
 ])  # fmt: skip
-def test_what_may_be_ordered_now(config: SafetyConfig, changes: dict[str, Any], left: set[Event]) -> None:
+def test_what_may_be_ordered_now(config: SupervisorConfig, changes: dict[str, Any], left: set[Event]) -> None:
     situation = situation_of(config, **STANDING | changes)
-    assert filter_permitted(ASKED, situation, evaluate_rules(situation, frozenset())) == left
+    assert filter_permitted(ASKED, situation, evaluate_rules(situation, RULES)) == left
 
 
 def test_a_fault_is_kept_until_reset(bench: Bench) -> None:
@@ -212,7 +211,7 @@ def test_a_limit_is_told_when_it_is_2_cm_per_s_below_the_wish(bench: Bench) -> N
     for speed, reason in ((2.0, ""), (2.0 - 0.02, ""), (1.9799, "speed_limit"), (1.0, "speed_limit")):
         bench.show(max_speed_mps=speed)
         assert bench.reason == reason, speed
-    control_command = bench.situation.control_command
+    control_command = bench.situation.inputs.control_command
     assert control_command is not None
     bench.show(max_speed_mps=1.0, control_command=replace(control_command, speed_mps=-2.0))
     assert bench.reason == "speed_limit"
@@ -238,7 +237,7 @@ def test_the_brakes_keep_to_the_gap_of_what_binds(bench: Bench) -> None:
 
 @pytest.mark.parametrize("state", MissionState)
 def test_finished_is_a_mission_that_is_over_and_a_machine_that_stands(
-    config: SafetyConfig, state: MissionState
+    config: SupervisorConfig, state: MissionState
 ) -> None:
     bench = Bench(config).driving()
     assert bench.show(state=state) is Mode.AUTOMATIC
@@ -267,9 +266,3 @@ def test_who_ends_a_stop_has_seen_the_faults_that_ended(bench: Bench, stop: dict
     assert bench.fault_memory.active == (fault,)
     assert bench.show(OperatorCommandKind.RESET, OperatorCommandKind.AUTOMATIC, **STANDING) is Mode.STANDBY
     assert bench.fault_memory.active == ()
-
-
-def test_held_it_stays_in_automatic_mode(config: SafetyConfig) -> None:
-    bench = Bench(config, is_held=True)
-    assert bench.show(OperatorCommandKind.EMERGENCY_STOP, OperatorCommandKind.MANUAL, **FAULTY) is Mode.AUTOMATIC
-    assert bench.mode_machine.latched is None

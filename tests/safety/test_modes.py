@@ -12,9 +12,12 @@ from safety.monitors.fault_memory import FaultMemory
 from safety.monitors.operator_commands import Orders
 from safety.monitors.timers import DebounceTimer, RecentRange
 from safety.monitors.watchdog import TopicAge, age_of, timed_out_topics
-from safety.output.alarms import Alarms, german
+from safety.output.alarms import Alarms, text_zh
+from safety.rules import RULES
+from safety.supervisor import texts_of
 from tests.safety.safety_world import START_NS, around
 
+TEXTS = texts_of(RULES)
 STOPPED = (Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
 ENGAGED = (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
 
@@ -208,17 +211,17 @@ def result(code: str, response: Response = Response.CONTROLLED_STOP) -> RuleResu
 
 
 def test_alarms_come_one_a_second_cause_first() -> None:
-    alarms, told = Alarms(), []
+    alarms, reported = Alarms(TEXTS), []
     wanted = [result("imu.silent"), result("odom.silent"), result("localization.gnss_lost", Response.NONE)]
     for k in range(150):
-        told += [(k, f.code, f.is_active) for f in alarms.update(k * 20_000_000, wanted)]
-    assert told == [(0, "imu.silent", True), (50, "odom.silent", True), (100, "localization.gnss_lost", True)]
-    (first,) = Alarms().update(7, wanted[:1])
+        reported += [(k, f.code, f.is_active) for f in alarms.update(k * 20_000_000, wanted)]
+    assert reported == [(0, "imu.silent", True), (50, "odom.silent", True), (100, "localization.gnss_lost", True)]
+    (first,) = Alarms(TEXTS).update(7, wanted[:1])
     assert first == Fault(7, "imu.silent", "supervisor", Severity.ALARM, True, Response.CONTROLLED_STOP, True, "text",
-                          "Keine Nachricht von imu")  # fmt: skip
-    (warning,) = Alarms().update(7, [result("odd.code", Response.LIMIT)])
+                          "imu 无消息")  # fmt: skip
+    (warning,) = Alarms(TEXTS).update(7, [result("odd.code", Response.LIMIT)])
     assert (warning.severity, warning.is_latched, warning.response) == (Severity.WARNING, False, Response.LIMIT)
-    assert warning.text_zh == "odd.code: text"
+    assert warning.text_zh == "部件报告故障：odd.code"
     over = alarms.update(3_000_000_000, wanted[:1])
     assert {f.stamp_ns for f in over} == {3_000_000_000}
     assert [(f.code, f.is_active, f.severity) for f in over] == [
@@ -226,13 +229,15 @@ def test_alarms_come_one_a_second_cause_first() -> None:
     ]  # fmt: skip
 
 
-def test_german_texts() -> None:
-    assert german("lidar/front.silent", "x") == "Keine Nachricht von lidar/front"
-    assert german("lidar/front.frozen", "x") == "lidar/front liefert immer dasselbe Bild"
-    assert german("radar/front.blind", "x") == "radar/front ist blind"
-    assert german("a.b.silent", "x") == "Keine Nachricht von a.b"
-    assert german("driver_override", "x").startswith("Hand am Lenkrad")
-    assert german("odd.code", "odd text") == "odd.code: odd text"
+def test_chinese_texts() -> None:
+    assert text_zh(TEXTS, "lidar/front.silent") == "lidar/front 无消息"
+    assert text_zh(TEXTS, "lidar/front.frozen") == "lidar/front 数据重复不变"
+    assert text_zh(TEXTS, "radar/front.blind") == "radar/front 被遮挡"
+    assert text_zh(TEXTS, "a.b.silent") == "a.b 无消息"
+    assert text_zh(TEXTS, "control_command.silent") == "控制器无消息"
+    assert text_zh(TEXTS, "driver_override").startswith("手握方向盘")
+    assert text_zh(TEXTS, "odd.code") == "部件报告故障：odd.code"
+    assert text_zh(TEXTS, "silent") == "部件报告故障：silent"
 
 
 def test_held_and_window() -> None:

@@ -10,12 +10,13 @@ import pytest
 from messages.faults import Fault, Response, Severity
 from messages.motion import PositionSource
 from messages.perception import ObstacleClass
-from safety.config import SafetyConfig
 from safety.monitors.brake_test import Phase
 from safety.monitors.sensors import SensorFailure
 from safety.rules import RULES
 from safety.rules.arbitration import allowance_m, evaluate_rules
+from safety.rules.rule import Effect
 from safety.stopping_distance import highest_speed, stopping_distance
+from safety.supervisor_config import SupervisorConfig
 from safety.zones.protective_field import Clearance
 from safety.zones.tracked_obstacles import CriticalObject
 from tests.safety.safety_world import START_NS, around, machine_state, situation_of
@@ -36,7 +37,7 @@ NO_OBJECTION = {
 }  # fmt: skip
 
 
-def ask(rule: str, config: SafetyConfig, **changes: Any) -> tuple[Response, str, float]:
+def ask(rule: str, config: SupervisorConfig, **changes: Any) -> tuple[Response, str, float]:
     result = RULES[rule](situation_of(config, **changes))
     assert isinstance(result.text, str)
     assert result.text or result.response is NONE
@@ -48,7 +49,7 @@ def with_machine(**changes: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_nothing_is_wrong(rule: str, config: SafetyConfig) -> None:
+def test_nothing_is_wrong(rule: str, config: SupervisorConfig) -> None:
     response, code, limit = ask(rule, config)
     assert response <= LIMIT
     assert limit >= 8.0
@@ -59,17 +60,17 @@ def test_nothing_is_wrong(rule: str, config: SafetyConfig) -> None:
     "rule",
     ["emergency_stop", "driver_override", "supply_voltage", "steering", "localization", "tilt", "implement_fold"],
 )
-def test_what_is_missing_is_the_watchdogs_matter(rule: str, config: SafetyConfig) -> None:
+def test_what_is_missing_is_the_watchdogs_matter(rule: str, config: SupervisorConfig) -> None:
     missing = ask(rule, config, machine=None, map_pose=None, odom=None, is_foldable=True)
     assert missing == (NONE, NO_OBJECTION[rule], math.inf)
 
 
-def test_clock(config: SafetyConfig) -> None:
+def test_clock(config: SupervisorConfig) -> None:
     for step in around(0.0, 0.6):
         assert ask("clock_step", config, clock_step_s=step)[:2] == (STOP if step else NONE, "clock_step"), step
 
 
-def test_emergency_button_and_pedal(config: SafetyConfig) -> None:
+def test_emergency_button_and_pedal(config: SupervisorConfig) -> None:
     pressed = ask("emergency_stop", config, **with_machine(is_emergency_button_pressed=True))
     assert pressed[:2] == (EMERGENCY, "emergency_stop.button")
     for pedal in around(0.05, 0.004):
@@ -82,7 +83,7 @@ def test_emergency_button_and_pedal(config: SafetyConfig) -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_hand_on_the_wheel(config: SafetyConfig, sign: int) -> None:
+def test_hand_on_the_wheel(config: SupervisorConfig, sign: int) -> None:
     for rate in around(50.0, 0.125):
         expected = STOP if rate >= 50.0 else NONE
         assert (
@@ -105,14 +106,14 @@ def fault(response: Response, code: str = "x.y") -> Fault:
 
 
 @pytest.mark.parametrize("response", list(Response))
-def test_reported_faults(config: SafetyConfig, response: Response) -> None:
+def test_reported_faults(config: SupervisorConfig, response: Response) -> None:
     faults = (fault(NONE, "a"), fault(response, "b"), fault(NONE, "c"))
     got = ask("reported_fault", config, faults=faults)
     assert got[:2] == (response, "b" if response else "a")
     assert got[2] == (math.inf if response is NONE else pytest.approx(5 / 3.6) if response is LIMIT else 0.0)
 
 
-def test_silence(config: SafetyConfig) -> None:
+def test_silence(config: SupervisorConfig) -> None:
     assert ask("message_timeout", config, timed_out_topics=("imu", "odom"))[:2] == (STOP, "imu.silent")
     assert ask("message_timeout", config, timed_out_topics=("control_command",))[:2] == (STOP, "control_command.silent")
     assert ask("message_timeout", config, timed_out_topics=("control_command",), speed_mps=0.0) == (
@@ -133,14 +134,14 @@ def test_silence(config: SafetyConfig) -> None:
 
 
 @pytest.mark.parametrize("group", ["heartbeat", "motion", "steering", "cab"])
-def test_silent_group_of_the_machine(config: SafetyConfig, group: str) -> None:
+def test_silent_group_of_the_machine(config: SupervisorConfig, group: str) -> None:
     for age_ms in around(350, 1):
         changes = {f"{group}_stamp_ns": START_NS - round(age_ms * 1e6)}
         expected = (STOP, f"machine.{group}.silent") if age_ms > 350 else (NONE, "message_timeout")
         assert ask("message_timeout", config, **with_machine(**changes))[:2] == expected, age_ms
 
 
-def test_supply(config: SafetyConfig) -> None:
+def test_supply(config: SupervisorConfig) -> None:
     for volts in around(9.0, 0.05):
         assert ask("supply_voltage", config, **with_machine(supply_v=volts))[0] is (NONE if volts >= 9.0 else STOP), (
             volts
@@ -152,7 +153,7 @@ def test_supply(config: SafetyConfig) -> None:
     assert ask("supply_voltage", config, **with_machine(supply_v=math.nan))[:2] == (STOP, "supply_voltage")
 
 
-def test_steering(config: SafetyConfig) -> None:
+def test_steering(config: SupervisorConfig) -> None:
     for held in around(0.4, 0.02):
         expected = (STOP, "steering.not_following") if held > 0.4 else (NONE, "steering")
         assert ask("steering", config, steering_deviation_s=held)[:2] == expected, held
@@ -164,7 +165,7 @@ def test_steering(config: SafetyConfig) -> None:
     assert ask("steering", config, **with_machine(is_steering_ready=False)) == (LIMIT, "steering.not_ready", 0.0)
 
 
-def test_brake(config: SafetyConfig) -> None:
+def test_brake(config: SupervisorConfig) -> None:
     for held in around(0.8, 0.02):
         assert ask("brake", config, brake_ineffective_s=held)[:2] == (
             EMERGENCY if held > 0.8 else NONE,
@@ -174,7 +175,7 @@ def test_brake(config: SafetyConfig) -> None:
         assert ask("brake", config, brake_test=phase)[1].startswith("brake.test"), phase
 
 
-def test_localization(config: SafetyConfig) -> None:
+def test_localization(config: SupervisorConfig) -> None:
     for level in around(0.5, 0.01):
         expected = (STOP, "localization.protection") if level > 0.5 else (LIMIT, "localization")
         assert ask("localization", config, pose={"protection_level_m": level})[:2] == expected, level
@@ -200,17 +201,17 @@ def test_localization(config: SafetyConfig) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("axis", ["roll", "pitch"])
-def test_tilt(config: SafetyConfig, axis: str, sign: int) -> None:
+def test_tilt(config: SupervisorConfig, axis: str, sign: int) -> None:
     for angle in around(15.0, 0.1):
         got = ask("tilt", config, **{f"{axis}_rad": sign * math.radians(angle - 1e-9)})
         assert got[:2] == ((STOP, f"tilt.{axis}") if angle > 15.0 + 1e-6 else (NONE, "tilt")), angle
-    level = config.model_copy(update={"limits": config.limits.model_copy(update={f"{axis}_deg": 0.0})})
-    assert ask("tilt", level)[0] is NONE  # at the limit itself
-    broken = replace(situation_of(config).odom, T_odom_base=np.full((4, 4), np.nan))
+    level = config.rules.model_copy(update={"tilt": config.rules.tilt.model_copy(update={f"{axis}_deg": 0.0})})
+    assert ask("tilt", config, rule_limits=level)[0] is NONE  # at the limit itself
+    broken = replace(situation_of(config).inputs.odom, T_odom_base=np.full((4, 4), np.nan))
     assert ask("tilt", config, odom=broken)[0] is STOP
 
 
-def test_fence(config: SafetyConfig) -> None:
+def test_fence(config: SupervisorConfig) -> None:
     assert ask("geofence", config, geofence_distance_m=None) == (LIMIT, "geofence.unknown", 0.0)
     assert ask("geofence", config, geofence_distance_m=-1.0)[:2] == (STOP, "geofence.outside")
     assert ask("geofence", config, geofence_distance_m=0.0) == (LIMIT, "geofence", 0.0)
@@ -227,7 +228,7 @@ def clearance(main: float, arc: float = math.inf) -> dict[str, Any]:
     return {"clearance": Clearance(main, arc, np.zeros((1, 3)))}
 
 
-def test_obstacle(config: SafetyConfig) -> None:
+def test_obstacle(config: SupervisorConfig) -> None:
     assert ask("protective_field", config, clearance=None) == (LIMIT, "protective_field.no_scan", 0.0)
     stopping = stopping_distance(2.0, config.braking.flat)
     for main in around(stopping, 0.01):
@@ -245,7 +246,7 @@ def test_obstacle(config: SafetyConfig) -> None:
     )
 
 
-def test_tracked(config: SafetyConfig) -> None:
+def test_tracked(config: SupervisorConfig) -> None:
     stopping = stopping_distance(2.0, config.braking.flat)
     for away in around(stopping, 0.01):
         expected = STOP if away < stopping else LIMIT
@@ -263,7 +264,7 @@ def test_tracked(config: SafetyConfig) -> None:
     assert standing == (LIMIT, "tracked_obstacle", 0.0)
 
 
-def test_proven_range(config: SafetyConfig) -> None:
+def test_proven_range(config: SupervisorConfig) -> None:
     assert ask("detection_range", config, detection_range_m=0.0) == (LIMIT, "detection_range.limit", 0.0)
     assert ask("detection_range", config, detection_range_m=0.0, blind=("lidar/front",)) == (
         LIMIT,
@@ -280,7 +281,7 @@ def test_proven_range(config: SafetyConfig) -> None:
     assert speeds == sorted(speeds)
 
 
-def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SafetyConfig) -> None:
+def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SupervisorConfig) -> None:
     flat = config.braking.flat
     for kind, half_m, whole_m in (("radar", 2.5, 5.0), ("camera", 2.15, 4.3), ("ultrasonic", 1.5, 3.0)):
         sensor_failures = (SensorFailure(kind, f"{kind}.lost", "lost"),)
@@ -290,53 +291,54 @@ def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SafetyConfig
         assert ask("sensor_loss", config, sensor_failures=sensor_failures, allowance_m=0.1)[2] == close, kind
 
 
-def test_fold(config: SafetyConfig) -> None:
+def test_fold(config: SupervisorConfig) -> None:
     assert ask("implement_fold", config, is_foldable=True, fold=None)[:2] == (STOP, "machine.implement.silent")
     assert ask("implement_fold", config, is_foldable=True, fold=0.5) == (LIMIT, "implement_fold", 0.0)
     for changes in ({"is_foldable": False, "fold": None}, {"is_foldable": True, "fold": 1.0}):
         assert ask("implement_fold", config, **changes) == (NONE, "implement_fold", math.inf)
 
 
-def test_speed(config: SafetyConfig) -> None:
+def test_speed(config: SupervisorConfig) -> None:
     assert ask("speed_limit", config) == (LIMIT, "speed_limit", 8.0)
     assert ask("speed_limit", config, is_docking=True) == (LIMIT, "speed_limit.docking", 0.5)
 
 
-def test_survey(config: SafetyConfig) -> None:
+def test_survey(config: SupervisorConfig) -> None:
     assert ask("wall_clearance", config, wall_distance_m=0.0) == (LIMIT, "wall_clearance", 0.0)
     assert ask("wall_clearance", config, wall_distance_m=2.0)[2] == highest_speed(2.0, config.braking.flat, 0.0)
 
 
-def test_most_restrictive_wins(config: SafetyConfig) -> None:
+def test_most_restrictive_wins(config: SupervisorConfig) -> None:
     near = {**clearance(5.0), "critical_object": CriticalObject(4.0, ObstacleClass.PERSON, 1)}
-    slow = evaluate_rules(situation_of(config, **near), frozenset())
+    slow = evaluate_rules(situation_of(config, **near), RULES)
     assert slow.binding.code == "tracked_obstacle"
     assert slow.clearance_m == 4.0
     assert slow.binding_is_obstacle
     assert slow.is_ready
     assert not slow.is_fault
-    hand = evaluate_rules(situation_of(config, driver_override_s=2.0, timed_out_topics=("odom",), **near), frozenset())
+    hand = evaluate_rules(situation_of(config, driver_override_s=2.0, timed_out_topics=("odom",), **near), RULES)
     assert (hand.binding.code, hand.is_takeover, hand.is_fault, hand.is_ready) == ("driver_override", True, True, False)
-    worst = evaluate_rules(situation_of(config, brake_ineffective_s=2.0, timed_out_topics=("odom",)), frozenset())
+    worst = evaluate_rules(situation_of(config, brake_ineffective_s=2.0, timed_out_topics=("odom",)), RULES)
     assert (worst.binding.code, worst.is_emergency) == ("brake.weak", True)
     for main, arc in ((3.0, 5.0), (5.0, 3.0)):
-        either = evaluate_rules(situation_of(config, speed_mps=0.0, **near | clearance(main, arc)), frozenset())
+        either = evaluate_rules(situation_of(config, speed_mps=0.0, **near | clearance(main, arc)), RULES)
         assert either.clearance_m == 3.0
     inside = evaluate_rules(
-        situation_of(config, geofence_distance_m=None, **clearance(1.0)), frozenset()
+        situation_of(config, geofence_distance_m=None, **clearance(1.0)), RULES
     )  # both allow nothing
     assert inside.binding.code == "protective_field"
-    blind = evaluate_rules(situation_of(config, clearance=None, geofence_distance_m=None), frozenset())
+    blind = evaluate_rules(situation_of(config, clearance=None, geofence_distance_m=None), RULES)
     assert (blind.clearance_m, blind.is_ready) == (math.inf, False)
 
 
-def test_allowance(config: SafetyConfig) -> None:
+def test_allowance(config: SupervisorConfig) -> None:
     assert allowance_m(config.field, 0.02, 0.01) == pytest.approx(3.0 * 0.02 + 0.01 + 2.0)
 
 
-def test_disabled_rules_do_not_speak(config: SafetyConfig) -> None:
+def test_rules_left_out(config: SupervisorConfig) -> None:
+    others = {name: rule for name, rule in RULES.items() if Effect.OBSTACLE not in rule.effect}
     near = {**clearance(1.0), "critical_object": CriticalObject(1.0, ObstacleClass.PERSON, 1)}
-    no_objection = evaluate_rules(situation_of(config, **near), frozenset({"protective_field", "tracked_obstacle"}))
-    assert no_objection.binding.code == "speed_limit"
-    every = evaluate_rules(situation_of(config, **near), frozenset(RULES))
-    assert (every.results, every.allowed_mps, every.binding_is_obstacle) == ((), math.inf, False)
+    remaining = evaluate_rules(situation_of(config, **near), others)
+    assert remaining.binding.code == "speed_limit"
+    none = evaluate_rules(situation_of(config, **near), {})
+    assert (none.results, none.allowed_mps, none.binding_is_obstacle) == ((), math.inf, False)

@@ -425,7 +425,7 @@ def test_an_echo_that_a_surveyed_wall_may_have_given_does_not_count(seeing: Worl
     driving(seeing, 0.8)
     seeing.targets = (Target(seeing.x_m + 9.0, 0.0, rcs_dbsm=-60.0, is_confirmed=True),)
     seeing.run(12.0)
-    collision_monitor = seeing.supervisor._collision_monitor
+    collision_monitor = seeing.supervisor.collision_monitor
     assert collision_monitor.swept_field is not None
     arcs = [source.echo_arc_odom_m for source in collision_monitor.sources.ultrasonics if len(source.echo_arc_odom_m)]
 

@@ -10,19 +10,22 @@ import pytest
 
 from configs.vehicle import Vehicle
 from messages.command import Mode, SafeCommand, SupervisorState
-from messages.errors import ConfigError
 from messages.faults import Fault, Response, Severity
 from messages.node import All, Every
 from messages.perception import ObstacleClass
 from messages.plan import MissionState, MissionStatus, PathSectionType
 from messages.topics import spec_of
-from safety.config import SafetyConfig
+from safety.collision_monitor import CollisionMonitor
 from safety.inputs import SupervisorInputs
+from safety.mode_machine import ModeMachine
+from safety.monitors.fault_memory import FaultMemory
 from safety.monitors.vehicle import VehicleState
+from safety.rules import RULES
 from safety.rules.arbitration import allowance_m
 from safety.rules.results import advisory, stop
 from safety.rules.situation import Situation
-from safety.supervisor import ABLATION, PERIOD_NS, STATE_NS, Observation, Supervisor
+from safety.supervisor import PERIOD_NS, STATE_NS, Supervisor
+from safety.supervisor_config import SupervisorConfig
 from safety.zones.footprint import footprints_of
 from safety.zones.geofence import Geofence
 from safety.zones.known_structure import KnownStructure
@@ -59,14 +62,14 @@ def machine(full: Vehicle) -> Vehicle:
 
 
 @pytest.fixture
-def make(machine: Vehicle, implement, config: SafetyConfig, geofence: Geofence) -> Callable[..., Any]:
+def make(machine: Vehicle, implement, config: SupervisorConfig, geofence: Geofence) -> Callable[..., Any]:
     def made(**what: Any) -> Any:
         return Supervisor(what.pop("vehicle", machine), implement, config, geofence, FAULT_TOPICS, **what)
 
     return made
 
 
-def measured(config: SafetyConfig, speed_mps: float | None = -1.5) -> VehicleState:
+def measured(config: SupervisorConfig, speed_mps: float | None = -1.5) -> VehicleState:
     return VehicleState(speed_mps, 1.5, -1, config.braking.flat, 0.03, 0.1, 0.2, 0.3, 0.4, True)
 
 
@@ -75,22 +78,25 @@ def source(name: str, covers: int, is_frozen: bool) -> Any:
 
 
 @pytest.fixture
-def parts(monkeypatch: pytest.MonkeyPatch, config: SafetyConfig) -> Any:
+def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
     """Stands for all that a supervisor asks."""
-    detection_range = {"lidar/rear": 30.0, "lidar/low": 0.5, "lidar/side": 0.0}
+    proven = {"lidar/rear": 30.0, "lidar/low": 0.5, "lidar/side": 0.0}
     lidars = [source("rear", -1, True), source("low", -1, False), source("front", 1, True)]
-    decision: Any = SimpleNamespace(allowed_mps=1.2, advisories=ADVISORIES)
+    decision: Any = SimpleNamespace(allowed_mps=1.2, advisories=tuple(ADVISORIES))
     found = SimpleNamespace(
         decision=decision, evaluate_rules=Spy(decision), build_state=Spy(STATE), timed_out_topics=Spy(("odom",)),
         inputs=SimpleNamespace(read=Spy(SEEN), ages=Spy(["ages"]), sensor_failures=Spy(("lost",))),
         vehicle_monitor=SimpleNamespace(update=Spy(measured(config))),
-        collision_monitor=SimpleNamespace(
+        monitor=SimpleNamespace(
             config=config.docked, update=Spy(None), clearance=Spy(GAP), critical_object=Spy(THREAT),
-            geofence_distance_m=Spy(8.0), wall_distance_m=Spy(6.0), is_docking=True, is_under_roof=False,
-            swept_field=SimpleNamespace(is_planned=True), pose_history=SimpleNamespace(driven_m=12.0),
-            sources=SimpleNamespace(lidars=lidars, detection_range_m=Spy(detection_range)),
+            geofence_distance_m=Spy(8.0),
+            wall_distance_m=Spy(6.0), is_docking=True, is_under_roof=False,
+            swept_field=SimpleNamespace(is_planned=True),
+            pose_history=SimpleNamespace(driven_m=12.0), sources=SimpleNamespace(lidars=lidars,
+            detection_range_m=Spy(proven)),
         ),
-        mode_machine=SimpleNamespace(mode=Mode.AUTOMATIC, latched=None, update=Spy(None), reason=Spy("why"),
+        mode_machine=SimpleNamespace(mode=Mode.AUTOMATIC, latched=None, fault_memory=FaultMemory(), update=Spy(None),
+        reason=Spy("why"),
                              braking_clearance_m=Spy(4.5), resume_in_s=Spy(0.5)),
         command_builder=SimpleNamespace(last=COMMAND, command=Spy(COMMAND)),
         brake_test=SimpleNamespace(update=Spy("phase")),
@@ -107,15 +113,8 @@ def among(make: Callable[..., Any], parts: Any) -> Callable[..., Any]:
 
     def made(**what: Any) -> Any:
         supervisor = make(**what)
-        for name in (
-            "inputs",
-            "vehicle_monitor",
-            "collision_monitor",
-            "mode_machine",
-            "command_builder",
-            "brake_test",
-            "alarms",
-        ):
+        supervisor.collision_monitor = parts.monitor
+        for name in ("inputs", "vehicle_monitor", "mode_machine", "command_builder", "brake_test", "alarms"):
             setattr(supervisor, f"_{name}", getattr(parts, name))
         return supervisor
 
@@ -134,40 +133,37 @@ def inbox() -> KindInbox:
     return found
 
 
-def test_what_it_reads_writes_and_when_it_runs(make: Any, machine: Vehicle, config: SafetyConfig) -> None:
+def test_what_it_reads_writes_and_when_it_runs(make: Any, machine: Vehicle, config: SupervisorConfig) -> None:
     supervisor = make()
     reads = SupervisorInputs(machine.sensors, frozenset(), config).reads
     assert supervisor.reads == reads | dict.fromkeys(("operator_command", *FAULT_TOPICS), All(50))
     assert supervisor.writes == ("safe_command", "supervisor", "fault/supervisor")
     assert (supervisor.name, supervisor.runs, supervisor.mode) == ("supervisor", Every(PERIOD_NS), Mode.STANDBY)
-    watching = make(observation=Observation(True), idle=frozenset({"camera_front"}))
-    assert (watching.writes, watching.mode) == (("supervisor",), Mode.AUTOMATIC)
-    assert set(supervisor.reads) - set(watching.reads) == {"obstacles/camera_front", "health/camera_front"}
-
-
-def test_a_rule_that_there_is_not_cannot_be_disabled(make: Any) -> None:
-    with pytest.raises(ConfigError, match=r"^disabled_rules: no rule 'alpha'; there are \w+(, \w+)+$"):
-        make(disabled_rules=frozenset({"zeta", "alpha", "clock"}))
+    idle = make(idle=frozenset({"camera_front"}))
+    assert set(supervisor.reads) - set(idle.reads) == {"obstacles/camera_front", "health/camera_front"}
 
 
 def test_all_parts_are_of_the_same_machine(
-    make: Any, machine: Vehicle, implement, config: SafetyConfig, geofence: Geofence
+    make: Any, machine: Vehicle, implement, config: SupervisorConfig, geofence: Geofence
 ) -> None:
     known_structure = KnownStructure(
         np.empty((0, 4)), 0.1, np.empty((0, 3)), np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
     )
     supervisor = make(known_structure=known_structure)
-    collision_monitor = supervisor._collision_monitor
-    assert collision_monitor._footprints == footprints_of(machine, implement)
-    assert (collision_monitor._geofence, collision_monitor._known_structure, collision_monitor.config) == (
-        geofence,
-        known_structure,
-        config,
-    )
-    assert [source.name for source in collision_monitor.sources.lidars] == ["front", "rear"]
-    assert supervisor._mode_machine._fault_memory is supervisor._fault_memory
-    for observation, is_judged in ((None, True), (Observation(True), True), (Observation(False), False)):
-        assert make(observation=observation)._collision_monitor._is_arc_checked is is_judged
+    monitor = supervisor.collision_monitor
+    assert monitor._footprints == footprints_of(machine, implement)
+    assert (monitor._geofence, monitor._known_structure, monitor.config) == (geofence, known_structure, config)
+    assert [source.name for source in monitor.sources.lidars] == ["front", "rear"]
+
+
+def test_composed_parts(make: Any, config: SupervisorConfig) -> None:
+    class OtherMonitor(CollisionMonitor):
+        """Composed by a caller."""
+
+    mode_machine = ModeMachine(config.modes)
+    supervisor = make(mode_machine=mode_machine, monitor=OtherMonitor)
+    assert isinstance(supervisor.collision_monitor, OtherMonitor)
+    assert supervisor._mode_machine is mode_machine
 
 
 def test_nothing_known_is_standby_in_one_step(make: Any) -> None:
@@ -179,12 +175,7 @@ def test_nothing_known_is_standby_in_one_step(make: Any) -> None:
     assert (state.detection_range_m, state.clearance_m, state.mode) == (0.0, math.inf, Mode.STANDBY)
 
 
-def test_only_the_state_of_who_looks_on_gets_out(make: Any) -> None:
-    outputs = make(observation=Observation(True)).step(START_NS, KindInbox())
-    assert [topic for topic, _ in outputs] == ["supervisor"]
-
-
-def test_measured_and_looked_at_is_what_was_seen(among: Any, parts: Any, inbox: Any, config: SafetyConfig) -> None:
+def test_measured_and_looked_at_is_what_was_seen(among: Any, parts: Any, inbox: Any, config: SupervisorConfig) -> None:
     supervisor, machine = among(), inbox.messages["machine"]
     supervisor.step(START_NS, inbox)
     assert parts.inputs.read.asked == (inbox, machine)
@@ -192,49 +183,46 @@ def test_measured_and_looked_at_is_what_was_seen(among: Any, parts: Any, inbox: 
         START_NS, Mode.AUTOMATIC, SEEN.odom, machine, SEEN.map_pose, SEEN.path, CONTROL_COMMAND, COMMAND,
     )  # fmt: skip
     allowance = allowance_m(config.docked.field, 0.07, 0.03)
-    assert parts.collision_monitor.update.asked == (SEEN, -1, 1.5, config.braking.flat, allowance)
-    assert [fault.code for fault in supervisor._fault_memory.active] == list(FAULT_TOPICS)
+    assert parts.monitor.update.asked == (SEEN, -1, 1.5, config.braking.flat, allowance)
+    assert [fault.code for fault in parts.mode_machine.fault_memory.active] == list(FAULT_TOPICS)
 
 
-def test_the_situation_says_it_all(among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SafetyConfig) -> None:
+def test_the_situation_says_it_all(
+    among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SupervisorConfig
+) -> None:
     supervisor = among()
     supervisor.step(START_NS, inbox)
-    situation, disabled = parts.evaluate_rules.asked
-    assert disabled == frozenset()
+    situation, rules = parts.evaluate_rules.asked
+    assert rules is RULES
     assert situation == Situation(
-        now_ns=START_NS, config=config.docked, mode=Mode.AUTOMATIC, direction=-1, speed_mps=1.5, is_speed_known=True,
-        max_speed_mps=min(machine.max_speed_kmh, config.limits.speed_kmh) / 3.6, braking=config.braking.flat,
-        allowance_m=allowance_m(config.docked.field, 0.07, 0.03), odom=SEEN.odom, machine=inbox.messages["machine"],
-        map_pose=SEEN.map_pose, control_command=CONTROL_COMMAND, timed_out_topics=("odom",), frozen=("lidar/rear",),
-        faults=supervisor._fault_memory.active,
-        clearance=GAP, is_planned=True, critical_object=THREAT, detection_range_m=30.0, blind=("lidar/side",),
-        geofence_distance_m=8.0,
-        position_sigma_m=0.03, driver_override_s=0.1, steering_deviation_s=0.2, steering_unavailable_s=0.3,
-        brake_ineffective_s=0.4,
-        is_foldable=True, fold=0.0, clock_step_s=0.0, brake_test="phase", sensor_failures=("lost",), is_docking=True,
+        now_ns=START_NS, config=config.docked, rule_limits=config.rules, inputs=SEEN,
+        machine=inbox.messages["machine"], vehicle=measured(config),
+        max_speed_mps=min(machine.max_speed_kmh, config.limits.speed_kmh) / 3.6,
+        allowance_m=allowance_m(config.docked.field, 0.07, 0.03), timed_out_topics=("odom",), frozen=("lidar/rear",),
+        faults=parts.mode_machine.fault_memory.active,
+        clearance=GAP, critical_object=THREAT, detection_range_m=30.0, blind=("lidar/side",), geofence_distance_m=8.0,
+        is_foldable=True, clock_step_s=0.0, brake_test="phase", sensor_failures=("lost",), is_docking=True,
         is_under_roof=False, wall_distance_m=6.0,
     )  # fmt: skip
     assert parts.timed_out_topics.asked == (["ages"],)
-    assert parts.inputs.ages.asked == (START_NS, inbox, parts.collision_monitor, -1)
-    assert parts.inputs.sensor_failures.asked == (START_NS, inbox, SEEN, parts.collision_monitor, -1)
-    assert parts.collision_monitor.sources.detection_range_m.asked == (START_NS, -1, SEEN.health)
+    assert parts.inputs.ages.asked == (START_NS, inbox, parts.monitor, -1)
+    assert parts.inputs.sensor_failures.asked == (START_NS, inbox, SEEN, parts.monitor, -1)
+    assert parts.monitor.sources.detection_range_m.asked == (START_NS, -1, SEEN.health)
     assert parts.brake_test.update.asked == (Mode.AUTOMATIC, -1.5, 12.0)
 
 
-def test_what_is_not_known_is_not_taken_for_known(among: Any, parts: Any, inbox: Any, config: SafetyConfig) -> None:
+def test_what_is_not_known_is_not_taken_for_known(among: Any, parts: Any, inbox: Any, config: SupervisorConfig) -> None:
     parts.vehicle_monitor.update.answer = measured(config, None)
-    parts.collision_monitor.sources.detection_range_m.answer = {}
+    parts.monitor.sources.detection_range_m.answer = {}
     supervisor = among()
-    for swept_field, is_planned in ((None, False), (SimpleNamespace(is_planned=False), False)):
-        parts.collision_monitor.swept_field = swept_field
-        supervisor.step(START_NS, inbox)
-        situation = parts.evaluate_rules.asked[0]
-        assert (situation.is_planned, situation.is_speed_known) == (is_planned, False)
-        assert (situation.detection_range_m, situation.blind) == (0.0, ())
+    supervisor.step(START_NS, inbox)
+    situation = parts.evaluate_rules.asked[0]
+    assert situation.vehicle.speed_mps is None
+    assert (situation.detection_range_m, situation.blind) == (0.0, ())
 
 
 def test_no_faster_than_machine_and_configuration_allow(
-    among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SafetyConfig
+    among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SupervisorConfig
 ) -> None:
     for kmh in (12.0, 90.0):
         among(vehicle=machine.model_copy(update={"max_speed_kmh": kmh})).step(START_NS, inbox)
@@ -243,14 +231,14 @@ def test_no_faster_than_machine_and_configuration_allow(
 
 
 def test_without_lidars_there_is_no_noise(
-    among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SafetyConfig
+    among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SupervisorConfig
 ) -> None:
     bare = machine.model_copy(update={"sensors": machine.sensors.model_copy(update={"lidar": {}})})
     among(vehicle=bare).step(START_NS, inbox)
     assert parts.evaluate_rules.asked[0].allowance_m == allowance_m(config.docked.field, 0.0, 0.03)
 
 
-def test_helm_and_commander_get_the_judgement(among: Any, parts: Any, inbox: Any, config: SafetyConfig) -> None:
+def test_helm_and_commander_get_the_judgement(among: Any, parts: Any, inbox: Any, config: SupervisorConfig) -> None:
     supervisor = among()
     supervisor.step(START_NS, inbox)
     situation = parts.evaluate_rules.asked[0]
@@ -286,31 +274,25 @@ def test_command_faults_and_state_leave_it(among: Any, parts: Any, inbox: Any) -
         assert topics.count("supervisor") == count, k
 
 
-def test_the_state_tells_the_mode_that_was_decided(among: Any, parts: Any, inbox: Any) -> None:
+def test_state_has_the_new_mode(among: Any, parts: Any, inbox: Any) -> None:
     parts.mode_machine.update = lambda *_: setattr(parts.mode_machine, "mode", Mode.OBSTACLE_STOP)
-    for observation, has_threat in ((None, False), (Observation(True), True)):
-        parts.mode_machine.mode = Mode.AUTOMATIC
-        among(observation=observation).step(START_NS, inbox)
-        situation, *rest = parts.build_state.asked
-        assert (parts.evaluate_rules.asked[0].mode, situation.mode) == (Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
-        assert situation.now_ns == START_NS
-        assert situation.odom is SEEN.odom
-        assert rest == [SEEN, parts.collision_monitor, parts.decision, "why", 0.5, has_threat]
-        assert parts.mode_machine.resume_in_s.asked == (START_NS,)
+    among().step(START_NS, inbox)
+    situation, *rest = parts.build_state.asked
+    assert parts.vehicle_monitor.update.asked[1] is Mode.AUTOMATIC
+    assert situation is parts.evaluate_rules.asked[0]
+    assert rest == [parts.monitor, parts.decision, Mode.OBSTACLE_STOP, "why", 0.5]
+    assert parts.mode_machine.resume_in_s.asked == (START_NS,)
 
 
-def test_told_are_ablation_then_what_latched_then_notes_while_watched(among: Any, parts: Any, inbox: Any) -> None:
+def test_alarms_of_the_latched_cause_and_of_advisories_while_engaged(among: Any, parts: Any, inbox: Any) -> None:
     latched = stop("x.y", "stands")
-    for disabled, one, mode, expected in (
-        (frozenset(), None, Mode.STANDBY, []), (frozenset(), None, Mode.AUTOMATIC, ADVISORIES),
-        (frozenset({"clock_step"}), None, Mode.AUTOMATIC, [ABLATION, *ADVISORIES]),
-        (frozenset(), latched, Mode.MANUAL, [latched]),
-        (frozenset({"clock_step"}), latched, Mode.AUTOMATIC, [ABLATION, latched, *ADVISORIES]),
+    for one, mode, expected in (
+        (None, Mode.STANDBY, ()), (None, Mode.AUTOMATIC, (*ADVISORIES,)), (latched, Mode.MANUAL, (latched,)),
+        (latched, Mode.AUTOMATIC, (latched, *ADVISORIES)),
     ):  # fmt: skip
         parts.mode_machine.mode, parts.mode_machine.latched = mode, one
-        among(disabled_rules=disabled).step(START_NS, inbox)
+        among().step(START_NS, inbox)
         assert parts.alarms.update.asked == (START_NS, expected)
-        assert parts.evaluate_rules.asked[1] == disabled
 
 
 def test_the_state_is_due_ten_times_a_second_and_when_mode_or_reason_change(among: Any, parts: Any) -> None:
@@ -330,31 +312,31 @@ def test_the_state_is_due_ten_times_a_second_and_when_mode_or_reason_change(amon
     assert due(START_NS + 2 * STATE_NS, "x")
 
 
-def test_after_a_step_of_the_clock_nothing_seen_before_counts(make: Any, config: SafetyConfig, parts: Any) -> None:
+def test_after_a_step_of_the_clock_nothing_seen_before_counts(make: Any, config: SupervisorConfig, parts: Any) -> None:
     supervisor = make()
     limit_ns = round(config.limits.clock_step_s * 1e9)
-    collision_monitor, vehicle_monitor, now_ns = supervisor._collision_monitor, supervisor._vehicle_monitor, START_NS
+    collision_monitor, vehicle_monitor, now_ns = supervisor.collision_monitor, supervisor._vehicle_monitor, START_NS
     assert supervisor._watch_clock(now_ns) == 0.0
     for late_ns in (0, limit_ns, -limit_ns, 1000):
         now_ns += PERIOD_NS + late_ns
         assert supervisor._watch_clock(now_ns) == 0.0, late_ns
-        assert supervisor._collision_monitor is collision_monitor
+        assert supervisor.collision_monitor is collision_monitor
         assert supervisor._vehicle_monitor is vehicle_monitor
     for late_ns in (limit_ns + 1000, -limit_ns - 1000):
         now_ns += PERIOD_NS + late_ns
         assert supervisor._watch_clock(now_ns) == pytest.approx(late_ns * 1e-9, abs=1e-12)
-        assert supervisor._collision_monitor is not collision_monitor
-        assert supervisor._collision_monitor.config is config
+        assert supervisor.collision_monitor is not collision_monitor
+        assert supervisor.collision_monitor.config is config
         assert supervisor._vehicle_monitor is not vehicle_monitor
         assert supervisor._vehicle_monitor._config is config
-        collision_monitor, vehicle_monitor = supervisor._collision_monitor, supervisor._vehicle_monitor
+        collision_monitor, vehicle_monitor = supervisor.collision_monitor, supervisor._vehicle_monitor
     now_ns += PERIOD_NS
     assert supervisor._watch_clock(now_ns) == 0.0
 
 
 def test_the_step_of_the_clock_is_judged(among: Any, parts: Any, inbox: Any) -> None:
     supervisor = among()
-    supervisor._fresh_lookout = lambda: parts.collision_monitor
+    supervisor._new_monitor = lambda: parts.monitor
     supervisor.step(START_NS, inbox)
     supervisor._watch_clock = Spy(2.5)
     supervisor.step(START_NS + PERIOD_NS, inbox)

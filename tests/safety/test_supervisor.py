@@ -10,14 +10,14 @@ import pytest
 
 from configs.vehicle import Vehicle
 from messages.command import Mode, OperatorCommandKind, SafeCommand, SupervisorState
-from messages.errors import ConfigError
 from messages.faults import Fault, Response, Severity
 from messages.motion import PositionSource
 from messages.perception import ObstacleClass, Track
 from messages.plan import MissionState
 from messages.topics import TOPICS
 from safety.config import SafetyConfig
-from safety.rules import OBSTACLE_RULES
+from safety.rules import RULES
+from safety.rules.rule import Effect
 from safety.stopping_distance import stopping_distance
 from safety.supervisor import Supervisor
 from safety.zones.geofence import Geofence
@@ -409,7 +409,7 @@ def test_lost_fixes_alarm_at_once_and_work_goes_on(world: World) -> None:
 
 def test_fence_stops_before_the_edge(world: World) -> None:
     world.start()
-    world.supervisor._collision_monitor._geofence = Geofence(
+    world.supervisor.collision_monitor._geofence = Geofence(
         (np.array([(-50.0, -50.0), (20.0, -50.0), (20.0, 50.0), (-50.0, 50.0)]),)
     )
     world.run(14.0)
@@ -481,19 +481,15 @@ def test_a_plan_into_the_obstacle_does_not_resume(world: World) -> None:
     assert world.mode == Mode.OBSTACLE_STOP
 
 
-def test_without_obstacle_rules_it_drives_on_and_says_so(config, sparse, implement, geofence) -> None:
-    supervisor = Supervisor(sparse, implement, config, geofence, (), disabled_rules=OBSTACLE_RULES)
+def test_only_the_rules_passed_in_are_evaluated(config, sparse, implement, geofence) -> None:
+    rules = {name: rule for name, rule in RULES.items() if Effect.OBSTACLE not in rule.effect}
+    supervisor = Supervisor(sparse, implement, config, geofence, (), rules=rules)
     world = driving(World(supervisor, sparse, straight_path()))
     world.boxes = (Box(world.x_m + 8.0, 0.0),)
     world.run(5.0)
     assert world.mode == Mode.AUTOMATIC
     assert world.x_m + FRONT_M > world.boxes[0].x_m
-    assert [(f.code, f.is_active) for f in world.faults] == [("safety.ablation", True)]
-
-
-def test_disabling_an_unknown_rule_is_refused(config, sparse, implement, geofence) -> None:
-    with pytest.raises(ConfigError, match="obstacel"):
-        Supervisor(sparse, implement, config, geofence, (), disabled_rules=frozenset({"obstacel"}))
+    assert world.faults == []
 
 
 def test_pause_manual_and_back(world: World) -> None:
