@@ -7,9 +7,8 @@ from messages.command import Mode, OperatorCommand, RuleResult
 from messages.plan import MissionState, MissionStatus
 from safety.config import ModesConfig
 from safety.modes import Event, next_mode
-from safety.monitors.fault_memory import FaultMemory
-from safety.monitors.operator_commands import Orders
-from safety.monitors.timers import DebounceTimer
+from safety.monitors.memory import DebounceTimer, FaultMemory
+from safety.monitors.operator_commands import OperatorCommands
 from safety.rules.arbitration import Decision
 from safety.rules.results import emergency
 from safety.rules.situation import Situation
@@ -28,7 +27,7 @@ class ModeMachine:
         self.latched: RuleResult | None = None
         self.fault_memory = FaultMemory()
         self._config = config
-        self._orders = Orders(config.authorities)
+        self._orders = OperatorCommands(config.authorities)
         self._cause, self._is_urgent = "", False
         self._clear, self._warned = DebounceTimer(), DebounceTimer()
         self._warning_s = config.start_warning_s

@@ -1,8 +1,8 @@
-"""The brake is tried once, before the first metre: creep, brake, and stand within the stopping distance.
+"""Brake proof test (IEC 61508), once before the first metre: creep, brake, standstill within the stopping distance.
 
-CREEP ──fast enough──► BRAKE ──stands in time──► PASSED
-  ▲                      │ └────still rolling──► FAILED (emergency stop; tried again after a reset)
-  └───driving ends───────┘
+CREEP ──test speed──► BRAKE ──standstill within S──► PASSED
+  ▲                     │ └──────────beyond S──────► FAILED (emergency stop; repeated after a reset)
+  └──end of automatic───┘
 """
 
 from enum import IntEnum
@@ -14,7 +14,7 @@ from safety.stopping_distance import stopping_distance
 
 
 class Phase(IntEnum):
-    """How far the trial has come."""
+    """Phase of the proof test."""
 
     CREEP = 0
     BRAKE = 1
@@ -23,29 +23,29 @@ class Phase(IntEnum):
 
 
 class BrakeTest:
-    """Follows the trial step by step."""
+    """Keeps the phase of the proof test."""
 
     def __init__(self, config: SafetyConfig) -> None:
         self.phase = Phase.CREEP
         self._config = config
         self._brake_mps = kmh(config.brake_test.brake_kmh)
-        self._left_m = 0.0
-        self._driven_m = 0.0
+        self._allowed_m = 0.0
+        self._started_at_m = 0.0
 
     def update(self, mode: Mode, speed_mps: float | None, driven_m: float) -> Phase:
-        """The phase now; `driven_m` is the way driven so far."""
+        """Phase now; `driven_m` is the total distance driven."""
         if self.phase is Phase.PASSED or speed_mps is None:
             return self.phase
         if mode is not Mode.AUTOMATIC:
             self.phase = Phase.CREEP
         elif self.phase is Phase.CREEP and abs(speed_mps) >= self._brake_mps:
-            self.phase, self._driven_m = Phase.BRAKE, driven_m
-            self._left_m = stopping_distance(abs(speed_mps), self._config.braking.flat)
+            self.phase, self._started_at_m = Phase.BRAKE, driven_m
+            self._allowed_m = stopping_distance(abs(speed_mps), self._config.braking.flat)
         elif self.phase is Phase.BRAKE:
-            self.phase = self._judge(abs(speed_mps), driven_m - self._driven_m)
+            self.phase = self._result(abs(speed_mps), driven_m - self._started_at_m)
         return self.phase
 
-    def _judge(self, speed_mps: float, distance_m: float) -> Phase:
-        if distance_m > self._left_m:
+    def _result(self, speed_mps: float, distance_m: float) -> Phase:
+        if distance_m > self._allowed_m:
             return Phase.FAILED
         return Phase.PASSED if speed_mps <= self._config.modes.standstill_mps else Phase.BRAKE

@@ -1,4 +1,7 @@
-"""Orders of people: with authority, in rising sequence, not expired; an emergency stop is taken from anyone, always."""
+"""Operator commands: accepted with a known authority, a rising sequence number and before their expiry.
+
+An emergency stop is always accepted.
+"""
 
 from collections.abc import Iterable
 
@@ -16,33 +19,33 @@ EVENTS = {
 }
 
 
-class Orders:
-    """Judges orders; a start that cannot be followed yet waits until it expires or another order comes."""
+class OperatorCommands:
+    """Accepts or refuses commands; a start stays pending until executed, expired or superseded by another command."""
 
     def __init__(self, authorities: tuple[str, ...]) -> None:
-        self.refused = 0
+        self.refused_count = 0
         self._sequence = dict.fromkeys(authorities, -1)
-        self._waiting: OperatorCommand | None = None
+        self._pending: OperatorCommand | None = None
 
-    def events(self, now_ns: int, orders: Iterable[OperatorCommand]) -> frozenset[Event]:
-        """What people ask for at this moment."""
-        asked = {EVENTS[order.kind] for order in orders if self._accept(now_ns, order)}
-        if self._waiting is not None and now_ns > self._waiting.expires_ns:
-            self._waiting = None
-        return frozenset(asked - {Event.START} if self._waiting is None else asked | {Event.START})
+    def events(self, now_ns: int, commands: Iterable[OperatorCommand]) -> frozenset[Event]:
+        """Events of the accepted commands and of a pending start."""
+        requested = {EVENTS[command.kind] for command in commands if self._accept(now_ns, command)}
+        if self._pending is not None and now_ns > self._pending.expires_ns:
+            self._pending = None
+        return frozenset(requested - {Event.START} if self._pending is None else requested | {Event.START})
 
     def forget_start(self) -> None:
-        """A start that was followed, or overtaken by a stop, asks no more."""
-        self._waiting = None
+        """Clears the pending start: executed, or superseded by a stop."""
+        self._pending = None
 
-    def _accept(self, now_ns: int, order: OperatorCommand) -> bool:
-        if order.kind is OperatorCommandKind.EMERGENCY_STOP:
-            self._waiting = None
+    def _accept(self, now_ns: int, command: OperatorCommand) -> bool:
+        if command.kind is OperatorCommandKind.EMERGENCY_STOP:
+            self._pending = None
             return True
-        last = self._sequence.get(order.authority)
-        if last is None or order.sequence <= last or now_ns > order.expires_ns:
-            self.refused += 1
+        last = self._sequence.get(command.authority)
+        if last is None or command.sequence <= last or now_ns > command.expires_ns:
+            self.refused_count += 1
             return False
-        self._sequence[order.authority] = order.sequence
-        self._waiting = order if order.kind in (OperatorCommandKind.START, OperatorCommandKind.RESUME) else None
+        self._sequence[command.authority] = command.sequence
+        self._pending = command if command.kind in (OperatorCommandKind.START, OperatorCommandKind.RESUME) else None
         return True

@@ -1,4 +1,4 @@
-"""What is measured of the machine itself, and for how long it has been so: the rules have no memory of their own."""
+"""Vehicle monitor: speed, direction, braking and durations of fault conditions; the rules keep no state."""
 
 import math
 from dataclasses import dataclass
@@ -8,19 +8,23 @@ from messages.motion import MapPose, Odometry
 from messages.plan import Path
 from safety.config import SafetyConfig
 from safety.modes import WATCHED
-from safety.monitors.timers import DebounceTimer, RecentRange
+from safety.monitors.memory import DebounceTimer, RecentRange
 from safety.pose_history import tilt_of
 from safety.stopping_distance import Braking, on_grade
 
-BRAKE_ASKED_MPS2, BRAKE_MOVING_MPS, STEER_MOVING_MPS = 1.0, 0.5, 0.3  # below, too little to be told from noise
+BRAKE_COMMANDED_MPS2, BRAKE_MOVING_MPS, STEER_MOVING_MPS = (
+    1.0,
+    0.5,
+    0.3,
+)  # below these the conditions are within the noise
 DIRECTION_MPS = 0.1
 
 
 @dataclass(frozen=True)
 class VehicleState:
-    """Signed speed (None: not known), the highest that any source gives, direction, braking here, held conditions.
+    """Signed speed (None: unknown), highest speed of any source, direction, braking on this grade, condition durations.
 
-    `has_driver`: someone sits on the seat, or did until a moment ago.
+    Durations in seconds, 0 while the condition does not hold. `has_driver`: the seat is occupied, with an off-delay.
     """
 
     speed_mps: float | None
@@ -36,7 +40,7 @@ class VehicleState:
 
 
 class VehicleMonitor:
-    """Measures step by step."""
+    """Keeps the state that the conditions need; updated at every step."""
 
     def __init__(self, config: SafetyConfig) -> None:
         self._config = config
@@ -45,12 +49,8 @@ class VehicleMonitor:
         self._pitch_rad = 0.0
         self._curvatures = RecentRange(config.limits.curvature_late_s)
         self._has_driver, self._seat_empty = False, DebounceTimer()
-        self._override, self._deviation, self._unavailable, self._ineffective = (
-            DebounceTimer(),
-            DebounceTimer(),
-            DebounceTimer(),
-            DebounceTimer(),
-        )
+        self._override, self._ineffective = DebounceTimer(), DebounceTimer()
+        self._deviation, self._unavailable = DebounceTimer(), DebounceTimer()
 
     def update(
         self,
@@ -63,38 +63,38 @@ class VehicleMonitor:
         control_command: ControlCommand | None,
         command: SafeCommand | None,
     ) -> VehicleState:
-        """The machine as it is now; `command` is what was last commanded."""
+        """State of the vehicle now; `command` is the last safe command."""
         speeds = [m.speed_mps for m in (odom, machine) if m is not None and math.isfinite(m.speed_mps)]
         speed = max(speeds, key=abs, default=None)
         self._fastest_mps = self._fastest_mps if speed is None else abs(speed)
         self._direction = direction_of(speed, path, control_command, self._direction)
         if odom is not None:
             self._pitch_rad = tilt_of(odom.T_odom_base)[1]
-        flat, least = self._config.braking.flat, self._config.braking.min_deceleration_mps2
+        flat, min_mps2 = self._config.braking.flat, self._config.braking.min_deceleration_mps2
         is_watched = mode in WATCHED
         return VehicleState(
             speed,
             self._fastest_mps,
             self._direction,
-            on_grade(flat, self._direction * self._pitch_rad, least),
+            on_grade(flat, self._direction * self._pitch_rad, min_mps2),
             position_sigma_m(map_pose),
             self._override.update(now_ns, is_forced(machine, self._config.limits.driver_torque_nm)),
             self._deviation.update(now_ns, is_watched and self._steering_deviates(now_ns, machine, command)),
             self._unavailable.update(now_ns, is_watched and self._steering_unavailable(machine)),
             self._ineffective.update(now_ns, self._brake_ineffective(odom, command)),
-            self._is_driven(now_ns, machine),
+            self._driver_present(now_ns, machine),
         )
 
-    def _is_driven(self, now_ns: int, machine: MachineState | None) -> bool:
-        """Whether there is a driver; what the seat says no more is as it was."""
+    def _driver_present(self, now_ns: int, machine: MachineState | None) -> bool:
+        """Whether a driver is present; unchanged without a machine state."""
         if machine is not None:
             empty_s = self._seat_empty.update(now_ns, not machine.is_seat_occupied)
-            is_gone = empty_s > self._config.modes.seat_empty_s
-            self._has_driver = machine.is_seat_occupied or (self._has_driver and not is_gone)
+            has_left = empty_s > self._config.modes.seat_empty_s
+            self._has_driver = machine.is_seat_occupied or (self._has_driver and not has_left)
         return self._has_driver
 
     def _steering_deviates(self, now_ns: int, machine: MachineState | None, command: SafeCommand | None) -> bool:
-        """Whether the steering is where no command of the last moments would have it."""
+        """Whether the measured curvature is outside the range of the recent commands by more than the tolerance."""
         if command is not None:
             self._curvatures.add(now_ns, command.curvature_radpm)
         if machine is None or self._fastest_mps < STEER_MOVING_MPS:
@@ -107,15 +107,15 @@ class VehicleMonitor:
     def _brake_ineffective(self, odom: Odometry | None, command: SafeCommand | None) -> bool:
         if odom is None or command is None or abs(odom.speed_mps) < BRAKE_MOVING_MPS:
             return False
-        felt = -math.copysign(odom.acceleration_mps2, odom.acceleration_mps2 * odom.speed_mps)
-        asked = command.deceleration_mps2
-        return asked >= BRAKE_ASKED_MPS2 and felt < self._config.limits.min_brake_ratio * asked
+        measured = -math.copysign(odom.acceleration_mps2, odom.acceleration_mps2 * odom.speed_mps)
+        commanded = command.deceleration_mps2
+        return commanded >= BRAKE_COMMANDED_MPS2 and measured < self._config.limits.min_brake_ratio * commanded
 
 
 def direction_of(
     speed_mps: float | None, path: Path | None, control_command: ControlCommand | None, before: int
 ) -> int:
-    """+1 forward, -1 reverse: of the motion; at standstill of the path, else of the wish, else as before."""
+    """+1 forward, -1 reverse: of the motion; at standstill of the path, else of the control command, else unchanged."""
     if speed_mps is not None and abs(speed_mps) > DIRECTION_MPS:
         return 1 if speed_mps > 0.0 else -1
     if path is not None:
@@ -126,7 +126,7 @@ def direction_of(
 
 
 def position_sigma_m(map_pose: MapPose | None) -> float:
-    """Standard deviation of the horizontal position, 0 when there is none (another rule stops then)."""
+    """Standard deviation of the horizontal position; 0 without a pose (another rule stops the machine then)."""
     if map_pose is None:
         return 0.0
     variance = max(float(map_pose.covariance[3, 3]), float(map_pose.covariance[4, 4]))
@@ -134,5 +134,5 @@ def position_sigma_m(map_pose: MapPose | None) -> float:
 
 
 def is_forced(machine: MachineState | None, torque_nm: float) -> bool:
-    """Whether a hand holds the wheel."""
+    """Whether the driver's torque on the steering wheel reaches the threshold; NaN counts as torque."""
     return machine is not None and not abs(machine.driver_torque_nm) < torque_nm

@@ -8,9 +8,8 @@ import pytest
 from messages.command import Mode, OperatorCommand, OperatorCommandKind, RuleResult
 from messages.faults import Fault, Response, Severity
 from safety.modes import PERSON, TRANSITIONS, Event, next_mode
-from safety.monitors.fault_memory import FaultMemory
-from safety.monitors.operator_commands import Orders
-from safety.monitors.timers import DebounceTimer, RecentRange
+from safety.monitors.memory import DebounceTimer, FaultMemory, RecentRange
+from safety.monitors.operator_commands import OperatorCommands
 from safety.monitors.watchdog import TopicAge, age_of, timed_out_topics
 from safety.output.alarms import Alarms, text_zh
 from safety.rules import RULES
@@ -98,37 +97,37 @@ def test_each_order_is_its_event() -> None:
                 OperatorCommandKind.MANUAL: Event.MANUAL,
                 OperatorCommandKind.AUTOMATIC: Event.AUTOMATIC}  # fmt: skip
     for kind in OperatorCommandKind:
-        assert Orders(("operator",)).events(0, [order(kind)]) == {expected[kind]}
+        assert OperatorCommands(("operator",)).events(0, [order(kind)]) == {expected[kind]}
 
 
 @pytest.mark.parametrize("kind", [k for k in OperatorCommandKind if k is not OperatorCommandKind.EMERGENCY_STOP])
 def test_orders_without_authority_order_or_time_are_refused(kind: OperatorCommandKind) -> None:
-    orders = Orders(("operator", "remote"))
+    orders = OperatorCommands(("operator", "remote"))
     assert orders.events(0, [order(kind, authority="passer-by")]) == frozenset()
     assert orders.events(101, [order(kind)]) == frozenset()
     assert orders.events(0, [order(kind, 5)])
     orders.forget_start()
     for sequence in range(6):
         assert orders.events(0, [order(kind, sequence)]) == frozenset(), sequence
-    assert orders.refused == 8
+    assert orders.refused_count == 8
     assert orders.events(0, [order(kind, 6)])
     assert orders.events(0, [order(kind, 0, "remote")])
 
 
 def test_an_order_counts_from_number_0_to_the_moment_it_expires() -> None:
-    orders = Orders(("operator",))
+    orders = OperatorCommands(("operator",))
     assert orders.events(0, [order(OperatorCommandKind.PAUSE, -1)]) == frozenset()
     assert orders.events(100, [order(OperatorCommandKind.PAUSE, 0)]) == {Event.PAUSE}
 
 
 def test_emergency_stop_is_taken_from_anyone() -> None:
-    orders = Orders(("operator",))
+    orders = OperatorCommands(("operator",))
     stop = order(OperatorCommandKind.EMERGENCY_STOP, -5, "passer-by", -1)
     assert orders.events(1000, [stop, stop]) == {Event.EMERGENCY}
 
 
 def test_a_start_waits_until_it_expires_or_another_order_comes() -> None:
-    orders = Orders(("operator",))
+    orders = OperatorCommands(("operator",))
     assert orders.events(0, [order(OperatorCommandKind.START, 1)]) == {Event.START}
     for now in around(100, 1):
         assert orders.events(int(now), []) == ({Event.START} if now <= 100 else frozenset()), now
@@ -139,7 +138,7 @@ def test_a_start_waits_until_it_expires_or_another_order_comes() -> None:
         OperatorCommandKind.AUTOMATIC,
         OperatorCommandKind.EMERGENCY_STOP,
     ):
-        orders = Orders(("operator",))
+        orders = OperatorCommands(("operator",))
         orders.events(0, [order(OperatorCommandKind.START, 1)])
         assert Event.START not in orders.events(1, [order(other, 2)])
         assert orders.events(2, []) == frozenset()

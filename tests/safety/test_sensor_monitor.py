@@ -276,18 +276,18 @@ def test_how_a_sensor_is_lost(full: Vehicle) -> None:
     rear = next(one for one in monitored_sensors(full.sensors, frozenset()) if one.name == "rear")
     fine = healthy(START_NS, "ultrasonic_rear")
     blind = replace(fine, state=HealthState.BLIND, reason="dust")
-    for is_confirmed, is_frozen, is_told, health, code in (
+    for is_received, is_frozen, has_output, health, code in (
         (False, True, False, None, "ultrasonic/rear.silent"),
         (True, True, False, None, "ultrasonic/rear.frozen"),
         (True, False, False, None, "obstacles/ultrasonic_rear.silent"),
         (True, False, True, None, "health/ultrasonic_rear.silent"),
         (True, False, True, blind, "ultrasonic/rear.blind"),
     ):
-        sensor_failures = failure_of(rear, is_confirmed, is_frozen, is_told, health, -1, 0.5)
+        sensor_failures = failure_of(rear, is_received, is_frozen, has_output, health, -1, 0.5)
         assert sensor_failures is not None
         assert (sensor_failures.kind, sensor_failures.code) == ("ultrasonic", code)
         assert "ultrasonic/rear" in sensor_failures.text
-        assert failure_of(rear, is_confirmed, is_frozen, is_told, health, 1, 0.5) is None
+        assert failure_of(rear, is_received, is_frozen, has_output, health, 1, 0.5) is None
 
 
 def test_a_sensor_looks_where_it_is_turned_by_no_more_than_60_degrees() -> None:
