@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from safety.monitors.fault_memory import FaultMemory
 
 from configs.vehicle import Vehicle
 from messages.command import Mode, SafeCommand, SupervisorState
@@ -19,6 +18,7 @@ from messages.topics import spec_of
 from safety.collision_monitor import CollisionMonitor
 from safety.inputs import SupervisorInputs
 from safety.mode_machine import ModeMachine
+from safety.monitors.memory import FaultMemory
 from safety.monitors.vehicle import VehicleState
 from safety.rules import RULES
 from safety.rules.arbitration import allowance_m
