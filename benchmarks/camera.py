@@ -1,11 +1,11 @@
-"""How well the camera's detector finds people: AP50 and recall on Penn-Fudan and COCO128, by the stack's own decoder.
+"""Benchmark of the camera detector: AP50 and recall on Penn-Fudan and COCO128 with the stack's decoder.
 
     ./headland benchmark camera [--model FILE]
 
 AP50 is COCO's: all-point precision envelope read at 101 recalls, IoU 0.5, best detections first, crowds neither hit nor
 miss. "80 classes" is the mean over the COCO classes that occur in the images; "obstacles" scores person, animal and
-vehicle as the stack reports them. "At d m" shrinks each Penn-Fudan picture until its tallest person is as tall as one
-of 1.7 m is at that distance in a 1280 x 720 picture of 80 degrees, and counts those whole and upright that are found.
+vehicle as the stack reports them. "At d m" scales each Penn-Fudan image until its tallest person is as tall as one of
+1.7 m at that distance in a 1280 x 720 image of 80 degrees, and counts the complete, upright persons that are found.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from perception.camera.detector import Detector, DetectorConfig, load_detector
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[2] / "shared" / "data"))
 MODEL = DATA / "onnx-detectors" / "yolox-nano" / "model" / "yolox_nano.onnx"
-PENNFUDAN_BAR, COCO128_BAR = 0.93, 0.60
+PENNFUDAN_LIMIT, COCO128_LIMIT = 0.93, 0.60
 PERSON_M, VIEW_PX, VIEW_DEG = 1.7, (1280, 720), 80.0
 RECALLS = np.linspace(0.0, 1.0, 101)
 CURVE_FROM = 0.005
@@ -38,7 +38,7 @@ CURVE_FROM = 0.005
 
 @dataclass(frozen=True)
 class Sample:
-    """A picture and what is in it: `corners_px` (M, 4), COCO index `label` (M,), `is_crowd` (M,)."""
+    """An image and its labels: `corners_px` (M, 4), COCO index `label` (M,), `is_crowd` (M,)."""
 
     bgr: UInt8
     corners_px: Float64
@@ -47,11 +47,11 @@ class Sample:
 
 
 Labelling = Callable[[Candidates], Candidates]
-Judged = tuple[Boxes, Sample]
+Evaluated = tuple[Boxes, Sample]
 
 
 def pennfudan(folder: Path) -> Iterator[Sample]:
-    """The pictures of Penn-Fudan that are there, with all pedestrians of their annotation."""
+    """Available images of Penn-Fudan with all annotated pedestrians."""
     for image in sorted((folder / "images").glob("*.png")):
         text = (folder / "annotation" / f"{image.stem}.txt").read_text(encoding="latin-1")
         rows = findall(r"\(Xmin, Ymin\) - \(Xmax, Ymax\) : \((\d+), (\d+)\) - \((\d+), (\d+)\)", text)
@@ -61,7 +61,7 @@ def pennfudan(folder: Path) -> Iterator[Sample]:
 
 
 def coco128(folder: Path) -> Iterator[Sample]:
-    """The 128 pictures with all boxes of COCO's 80 classes."""
+    """The 128 images with all boxes of the 80 COCO classes."""
     truth = json.loads((folder / "annotations" / "instances_train2017.json").read_text())
     index = {c["id"]: COCO.index(c["name"]) for c in truth["categories"]}
     for image in sorted(truth["images"], key=lambda i: str(i["file_name"])):
@@ -77,29 +77,29 @@ def _read(path: Path) -> UInt8:
     return np.asarray(cv2.imread(str(path), cv2.IMREAD_COLOR), np.uint8)
 
 
-def judge(results: Iterable[Judged], label: int) -> tuple[Float64, Int64, int]:
-    """Score (D,) and hit (D,) of all detections of a class over all pictures, and how many there were to find."""
+def evaluate(results: Iterable[Evaluated], label: int) -> tuple[Float64, Int64, int]:
+    """Score (D,) and hit (D,) of all detections of a class over all images, and the number of labels."""
     scores, hits, n = [], [], 0
     for boxes, sample in results:
-        mine, truth = boxes.label == label, sample.label == label
+        is_class, truth = boxes.label == label, sample.label == label
         crowd = sample.corners_px[truth & (sample.is_crowd == 1)]
-        wanted = sample.corners_px[truth & (sample.is_crowd == 0)]
-        hit, ignored = match(boxes.corners_px[mine], wanted, crowd)
-        scores.append(boxes.score[mine][~ignored])
+        labels = sample.corners_px[truth & (sample.is_crowd == 0)]
+        hit, ignored = match(boxes.corners_px[is_class], labels, crowd)
+        scores.append(boxes.score[is_class][~ignored])
         hits.append(hit[~ignored])
-        n += len(wanted)
+        n += len(labels)
     score, hit = np.concatenate(scores), np.concatenate(hits)
     order = np.argsort(-score, kind="stable")
     return score[order], hit[order].astype(np.int64), n
 
 
-def match(found: Float64, wanted: Float64, crowd: Float64) -> tuple[Int64, Int64]:
-    """Which detections (best first) hit a box not yet hit, and which lie in a crowd and count for nothing."""
-    free = np.ones(len(wanted), bool)
+def match(found: Float64, labels: Float64, crowd: Float64) -> tuple[Int64, Int64]:
+    """Which detections (best first) hit a box not yet hit, and which lie in a crowd and are ignored."""
+    free = np.ones(len(labels), bool)
     hit, ignored = np.zeros(len(found), bool), np.zeros(len(found), bool)
-    overlap = iou(found, wanted)
+    overlap = iou(found, labels)
     for i in range(len(found)):
-        candidates = np.where(free, overlap[i], -1.0) if len(wanted) else np.array([-1.0])
+        candidates = np.where(free, overlap[i], -1.0) if len(labels) else np.array([-1.0])
         best = int(candidates.argmax())
         if candidates[best] >= 0.5:
             hit[i], free[best] = True, False
@@ -126,13 +126,13 @@ def grouped(candidates: Candidates) -> Candidates:
 
 
 def as_groups(sample: Sample) -> Sample:
-    """The truth with the labels of `GROUPS`; -1 for what is no obstacle."""
+    """The sample with labels of `GROUPS`; -1 for other classes."""
     of = {COCO.index(name): g for g, group in enumerate(GROUPS) for name in MEMBERS[group]}
     return Sample(sample.bgr, sample.corners_px, np.array([of.get(int(x), -1) for x in sample.label]), sample.is_crowd)
 
 
 def shrunk(sample: Sample, distance_m: float) -> tuple[UInt8, Float64]:
-    """The picture at the scale at which its tallest person stands `distance_m` away, mirrored on to fill the view."""
+    """Image scaled to put its tallest person at `distance_m`, extended by mirroring to fill the view."""
     focal_px = VIEW_PX[0] / 2 / math.tan(math.radians(VIEW_DEG / 2))
     scale = focal_px * PERSON_M / distance_m / float((sample.corners_px[:, 3] - sample.corners_px[:, 1]).max())
     small = cv2.resize(sample.bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -149,7 +149,7 @@ def _mirrored(n: int, size: int, start: int) -> Int64:
 
 
 def far_recall(samples: list[Sample], detector: Detector, distance_m: float) -> tuple[int, int]:
-    """How many of the tallest persons are found (score as the stack demands) at a distance, and of how many."""
+    """Number of tallest persons found at a distance with the configured score, and number of images."""
     found = 0
     for sample in samples:
         bgr, corners = shrunk(sample, distance_m)
@@ -160,61 +160,61 @@ def far_recall(samples: list[Sample], detector: Detector, distance_m: float) -> 
 
 
 def detect_all(samples: list[Sample], detector: Detector) -> tuple[list[Candidates], float]:
-    """Candidates of each picture, and milliseconds of one core that a picture takes."""
+    """Candidates of each image, and milliseconds of one core per image."""
     start = time.process_time()
     found = [detector.detect(sample.bgr) for sample in samples]
     return found, (time.process_time() - start) / len(samples) * 1e3
 
 
-def line(name: str, results: list[Judged], label: int, score: float) -> float:
-    """Print AP50, and recall and precision at the score from which the stack believes; give AP50."""
-    scores, hit, n = judge(results, label)
-    ap, believed = average_precision(hit, n), scores >= score
-    recall, precision = hit[believed].sum() / max(n, 1), hit[believed].mean() if believed.any() else math.nan
+def line(name: str, results: list[Evaluated], label: int, score: float) -> float:
+    """Prints AP50, and recall and precision at the configured score; returns AP50."""
+    scores, hit, n = evaluate(results, label)
+    ap, accepted = average_precision(hit, n), scores >= score
+    recall, precision = hit[accepted].sum() / max(n, 1), hit[accepted].mean() if accepted.any() else math.nan
     print(f"  {name:<10} AP50 {ap:.3f}   at score {score:.2f}: recall {recall:.3f} precision {precision:.3f}   n {n}")
     return ap
 
 
 def configured() -> DetectorConfig:
-    """What of the detections the stack believes."""
+    """Configured selection of detections."""
     perception = read_yaml(Path(__file__).parents[1] / "configs/stack/perception.yaml")
     return parse(DetectorConfig, perception["camera"]["detector"], "stack/perception.yaml: camera.detector")
 
 
 def run(model: Path, data: Path) -> bool:
-    """Print everything; whether both bars are reached."""
+    """Prints all results; returns whether both limits are met."""
     config = configured()
-    # AP needs the whole curve, so also candidates far below those that the stack believes
+    # AP needs the complete curve, with candidates far below the configured score
     detector = load_detector(model, config.model_copy(update={"min_score": CURVE_FROM}))
     print(f"{model.name}: {type(detector.network).__name__}, {detector.size_px[1]} x {detector.size_px[0]}")
-    people, things = list(pennfudan(data / "pennfudan")), list(coco128(data / "coco128"))
+    people, samples = list(pennfudan(data / "pennfudan")), list(coco128(data / "coco128"))
     found, ms = detect_all(people, detector)
-    print(f"pennfudan, {len(people)} pictures, {ms:.1f} ms each")
+    print(f"pennfudan, {len(people)} images, {ms:.1f} ms each")
     iou_limit = config.max_iou
     results = [(non_max_suppression(grouped(c), CURVE_FROM, iou_limit), s) for c, s in zip(found, people, strict=True)]
     first = line("person", results, 0, config.min_score)
-    found, ms = detect_all(things, detector)
-    print(f"coco128, {len(things)} pictures, {ms:.1f} ms each")
+    found, ms = detect_all(samples, detector)
+    print(f"coco128, {len(samples)} images, {ms:.1f} ms each")
     results = [
         (non_max_suppression(grouped(c), CURVE_FROM, iou_limit), as_groups(s))
-        for c, s in zip(found, things, strict=True)
+        for c, s in zip(found, samples, strict=True)
     ]
     second, *_ = [line(str(g), results, i, config.min_score) for i, g in enumerate(GROUPS)]
-    results = [(non_max_suppression(c, CURVE_FROM, iou_limit), s) for c, s in zip(found, things, strict=True)]
-    aps = [average_precision(*judge(results, k)[1:]) for k in range(len(COCO))]
+    results = [(non_max_suppression(c, CURVE_FROM, iou_limit), s) for c, s in zip(found, samples, strict=True)]
+    aps = [average_precision(*evaluate(results, k)[1:]) for k in range(len(COCO))]
     print(f"  80 classes mean AP50 {np.nanmean(aps):.3f} over {np.isfinite(aps).sum()} that occur")
     for distance in (3, 5, 10, 15, 20, 30):
         print_far(people, load_detector(model, config), distance)
-    print(f"bars: pennfudan person {first:.3f} of {PENNFUDAN_BAR}, coco128 person {second:.3f} of {COCO128_BAR}")
-    return first >= PENNFUDAN_BAR and second >= COCO128_BAR
+    print(f"limits: pennfudan person {first:.3f} of {PENNFUDAN_LIMIT}, coco128 person {second:.3f} of {COCO128_LIMIT}")
+    return first >= PENNFUDAN_LIMIT and second >= COCO128_LIMIT
 
 
 def print_far(people: list[Sample], detector: Detector, distance_m: float) -> None:
-    """Print the recall at a distance and the time a picture takes."""
+    """Prints the recall at a distance and the time per image."""
     start = time.process_time()
     n, of = far_recall(people, detector, distance_m)
     ms = (time.process_time() - start) / of * 1e3
-    print(f"  person at {distance_m:>2} m in {VIEW_PX[0]} x {VIEW_PX[1]}: {n}/{of} found, {ms:.0f} ms a picture")
+    print(f"  person at {distance_m:>2} m in {VIEW_PX[0]} x {VIEW_PX[1]}: {n}/{of} found, {ms:.0f} ms per image")
 
 
 if __name__ == "__main__":

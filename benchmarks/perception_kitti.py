@@ -1,4 +1,4 @@
-"""The bars of lidar perception on KITTI: recall, latency, false stops, gap, thinning, noise, pasted people, speed.
+"""Benchmark of lidar perception on KITTI: recall, latency, false stops, gap, thinning, noise, inserted persons, speed.
 
     ./headland benchmark perception_kitti
 
@@ -8,7 +8,7 @@ The stack's own configuration with the recording car's sensor model and mount. E
 import os
 import sys
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, the others' libraries too
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, also for the compared libraries
 
 from collections.abc import Callable
 from functools import partial
@@ -40,23 +40,23 @@ def lower_bound(good: int, n: int) -> float:
     return 0.0 if good == 0 else float(beta.ppf(0.05, good, n - good + 1))
 
 
-def say(name: str, value: str, bar: str) -> None:
+def print_row(name: str, value: str, bar: str) -> None:
     """One line of the table."""
     sys.stdout.write(f"{name:<46} {value:<44} {bar}\n")
     sys.stdout.flush()
 
 
 def show_recall() -> None:
-    """Bar 1 by range, and PointRCNN by the same rule with its boxes as clusters."""
+    """Limit 1 by range, and PointRCNN by the same rule with its boxes as clusters."""
     rows = list(recall())
     for low, high, bar in ((0, 30, "100 %"), (30, 40, ">= 98 %"), (40, 80, "-")):
         those = [s.counts for _, _, s in rows if low <= s.edge_m < high]
-        say(f"strict recall, {low} to {high} m", f"{sum(those)} of {len(those)}", bar)
+        print_row(f"strict recall, {low} to {high} m", f"{sum(those)} of {len(those)}", bar)
     hits = [_network_counts(number, label) for number, label, _ in rows]
-    say("PointRCNN by the same rule", f"{sum(hits)} of {len(hits)}", "not above ours")
+    print_row("PointRCNN by the same rule", f"{sum(hits)} of {len(hits)}", "not above ours")
     for seed in range(3):
         those = [s.counts for _, _, s in recall(0.25, seed)]
-        say(f"75 % of returns removed, seed {seed}", f"{sum(those)} of {len(those)}", ">= 93 %")
+        print_row(f"75 % of returns removed, seed {seed}", f"{sum(those)} of {len(those)}", ">= 93 %")
 
 
 def _network_counts(number: int, label: Label) -> bool:
@@ -70,7 +70,7 @@ def _network_counts(number: int, label: Label) -> bool:
 
 
 def show_drives() -> None:
-    """Bars 2, 3 and the noise of bar 6, at 10 Hz and at 2.5 Hz."""
+    """Limits 2, 3 and the noise of limit 6, at 10 Hz and at 2.5 Hz."""
     changes: dict[str, Callable[[int, Float32], Float32]] = {
         "as recorded": lambda _, p: p,
         "a quarter of the returns": lambda n, p: thin(p, 0.25, np.random.default_rng(n)),
@@ -80,17 +80,17 @@ def show_drives() -> None:
         for step in (1, 4):
             run = drive(range(0, FRAMES, step), change)
             late = [s for k, (first, s) in latencies(run).items() if _could_be_confirmed(run, k, first, step)]
-            say(
+            print_row(
                 f"{name}, {10 / step:g} Hz: latency",
                 f"{max(late):.1f} s at most of {len(late)}",
                 "<= 0.3 s or one scan",
             )
             wrong = {track for _, track, _ in false_stops(run)}
-            say(f"{name}, {10 / step:g} Hz: false stops", str(len(wrong)), "0")
+            print_row(f"{name}, {10 / step:g} Hz: false stops", str(len(wrong)), "0")
 
 
 def _could_be_confirmed(run: Drive, object_id: int, first: int, step: int) -> bool:
-    """Whether labels go on long enough: two more scans, and 0.3 s."""
+    """Whether labels continue long enough: two more scans, and 0.3 s."""
     last = max(n for n in run.numbers if any(label.id == object_id for label in labels().get(n, ())))
     return last - first >= max(3, step)
 
@@ -104,28 +104,28 @@ def add_noise(number: int, points_m: Float32) -> Float32:
 
 
 def show_gap_and_pastes() -> None:
-    """Bar 5 and the pasted objects of bar 6."""
+    """Limit 5 and the inserted objects of limit 6."""
     errors = np.abs(gap_errors())
-    say("gap to true nearest return, median", f"{np.median(errors):.3f} m", "<= 0.10 m")
-    say("gap to true nearest return, 95 %", f"{np.quantile(errors, 0.95):.3f} m", "<= 0.30 m")
-    for name, height, bar in (("people and cyclists", None, ">= 95 %"), ("things 0.5 m high", 0.5, ">= 90 %")):
+    print_row("gap to true nearest return, median", f"{np.median(errors):.3f} m", "<= 0.10 m")
+    print_row("gap to true nearest return, 95 %", f"{np.quantile(errors, 0.95):.3f} m", "<= 0.30 m")
+    for name, height, bar in (("people and cyclists", None, ">= 95 %"), ("objects 0.5 m high", 0.5, ">= 90 %")):
         good = sum(paste_trials(200, height))
-        say(f"200 {name} on free ground", f"{good / 2:.1f} %, bound {100 * lower_bound(good, 200):.1f} %", bar)
+        print_row(f"200 {name} on free ground", f"{good / 2:.1f} %, bound {100 * lower_bound(good, 200):.1f} %", bar)
 
 
 def show_speed() -> None:
-    """Bar 9: processor time of the whole node for 124 k returns, and of others' ground and clusters, each in a pass."""
+    """Limit 9: processor time of the node for 124 k returns, and of other libraries' ground and clusters."""
     paths = sorted((DATA / "kitti-patchworkpp" / "data").glob("*.bin"))
     scans = [np.fromfile(p, np.float32).reshape(-1, 4) for p in paths]
     others = _others()
     points = [scan[:, :3].copy() for scan in scans]
     ours = _median_s(perceive, points)
-    say(f"{len(scans[0])} returns to obstacles, median", f"{1e3 * ours:.1f} ms on one core", "<= 10 ms")
+    print_row(f"{len(scans[0])} returns to obstacles, median", f"{1e3 * ours:.1f} ms on one core", "<= 10 ms")
     if others is None:
-        say("pypatchworkpp + open3d DBSCAN", "pypatchworkpp is not installed: not shown", ">= 3 x")
+        print_row("pypatchworkpp + open3d DBSCAN", "pypatchworkpp is not installed: not shown", ">= 3 x")
     else:
         theirs = _median_s(others, scans)
-        say("pypatchworkpp + open3d DBSCAN", f"{1e3 * theirs:.0f} ms, {theirs / ours:.0f} x", ">= 3 x")
+        print_row("pypatchworkpp + open3d DBSCAN", f"{1e3 * theirs:.0f} ms, {theirs / ours:.0f} x", ">= 3 x")
 
 
 def _median_s(work: Callable[[Float32], object], scans: list[Float32]) -> float:
@@ -133,34 +133,34 @@ def _median_s(work: Callable[[Float32], object], scans: list[Float32]) -> float:
 
 
 def _processor_s(work: Callable[[], object]) -> float:
-    """Of all threads: one that others start counts too."""
+    """Processor time of all threads, including those of libraries."""
     start = process_time()
     work()
     return process_time() - start
 
 
 def _others() -> Callable[[Float32], object] | None:
-    """Ground by Patchwork++ with its own values, clusters of the rest by DBSCAN; of returns (N, 4) with intensity."""
+    """Ground by Patchwork++ with its defaults, clusters of the rest by DBSCAN; for returns (N, 4) with intensity."""
     try:
         pypatchworkpp = import_module("pypatchworkpp")
-    except ImportError:  # there is none for other processors
+    except ImportError:  # not available for other processors
         return None
     import open3d
 
-    judge = pypatchworkpp.patchworkpp(pypatchworkpp.Parameters())
+    patchwork = pypatchworkpp.patchworkpp(pypatchworkpp.Parameters())
 
     def run(scan: Float32) -> object:
-        judge.estimateGround(scan)
-        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(judge.getNonground().astype(np.float64)))
+        patchwork.estimateGround(scan)
+        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(patchwork.getNonground().astype(np.float64)))
         return cloud.cluster_dbscan(0.5, 5)
 
     return run
 
 
 def main() -> None:
-    """All bars, one line each."""
+    """Prints all results, one line each."""
     if not has_frames():
-        raise SystemExit(f"no recording under {DATA}; HEADLAND_DATA names another place")
+        raise SystemExit(f"no recording under {DATA}; set HEADLAND_DATA to its folder")
     show_recall()
     show_drives()
     show_gap_and_pastes()

@@ -1,4 +1,4 @@
-"""KITTI's recording car, frames and labels for the benchmark of perception; labels are in `base`, boxes bottom-centred.
+"""KITTI recording car, frames and labels for the perception benchmark; labels are in `base`, boxes bottom-centred.
 
 Labels stand in rectified camera coordinates (y down); they are taken over the calibration into the lidar's frame. Only
 what the camera saw is labelled, so that nothing outside ±40° can be called false.
@@ -33,7 +33,7 @@ BUMPER_M = 2.9
 
 @cache
 def car() -> Vehicle:
-    """The recording car, as a vehicle of ours."""
+    """The recording car as a vehicle."""
     lidar = {
         "mount": {"xyz_m": LIDAR_XYZ_M},
         "elevation_deg": HDL64_DEG,
@@ -64,12 +64,12 @@ def car() -> Vehicle:
 
 
 def sensor() -> Lidar:
-    """Its HDL-64E."""
+    """HDL-64E of the recording car."""
     return car().sensors.lidar["top"]
 
 
 def configs() -> tuple[LidarConfig, TrackerConfig]:
-    """The stack's own configuration, nothing of it changed."""
+    """Unchanged configuration of the stack."""
     section = read_yaml(CONFIGS / "stack/perception.yaml")
     return parse(LidarConfig, section["lidar"], "lidar"), parse(TrackerConfig, section["tracker"], "tracker")
 
@@ -84,7 +84,7 @@ def scan_of(points_m: Float32, stamp_ns: int) -> LidarScan:
 
 
 def has_frames() -> bool:
-    """Whether the recording is there."""
+    """Whether the recording is available."""
     return (DATA / "kitti-seq-pcd" / "frames").is_dir() and (DATA / "kitti-tracking-truth").is_dir()
 
 
@@ -107,7 +107,7 @@ class Label:
     T_box_lidar: Float64
 
     def contains(self, points_m: Float32, grow_m: float = 0.0) -> npt.NDArray[np.bool_]:
-        """Which points (N, 3) of the lidar's frame lie in the box, grown to all sides."""
+        """Which points (N, 3) of the lidar's frame lie in the box enlarged by `grow_m`."""
         p = points_m @ self.T_box_lidar[:3, :3].T.astype(np.float32) + self.T_box_lidar[:3, 3].astype(np.float32)
         level = (np.abs(p[:, 0]) <= self.length_m / 2 + grow_m) & (np.abs(p[:, 1]) <= self.width_m / 2 + grow_m)
         return np.asarray(level & (p[:, 2] >= -grow_m) & (p[:, 2] <= self.height_m + grow_m))
@@ -115,7 +115,7 @@ class Label:
 
 @cache
 def labels() -> dict[int, tuple[Label, ...]]:
-    """Labels by frame, DontCare (which has no box) left out."""
+    """Labels by frame, without DontCare (which has no box)."""
     T_camera_lidar = _calibration()
     found: dict[int, list[Label]] = {}
     path = DATA / "kitti-tracking-truth" / "scripts" / "KITTI" / "label" / "0000.txt"

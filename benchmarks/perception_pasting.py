@@ -1,4 +1,4 @@
-"""Returns of labelled people and cyclists, cut out and put on free ground elsewhere, thinned as distance thins them."""
+"""Returns of labelled persons and cyclists, inserted on free ground at other ranges and thinned by range."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -10,13 +10,13 @@ from benchmarks.perception_scoring import perceive, strict
 from messages.message import Float32
 
 SENSOR_Z_M = 1.73
-FOOT_M = 0.1  # below, a cut holds more road than person
+FOOT_M = 0.1  # below, a cut contains more road than person
 CLEAR_M = 1.0
 
 
 @cache
 def cuts() -> tuple[tuple[Label, Float32, float], ...]:
-    """Label, returns about its middle with the lowest at 0, and distance at which they were seen."""
+    """Label, returns about its centre with the lowest at 0, and their original range."""
     found = []
     for number in range(0, FRAMES, 3):
         for label in labels()[number]:
@@ -34,7 +34,7 @@ def cuts() -> tuple[tuple[Label, Float32, float], ...]:
 
 
 def paste_trials(n: int, height_m: float | None = None, seed: int = 0) -> Iterator[bool]:
-    """Whether each of `n` pasted objects counts; all are pressed to `height_m` when it is given."""
+    """Whether each of `n` pasted objects counts; all are scaled to `height_m` if given."""
     rng = np.random.default_rng(seed)
     done = 0
     while done < n:
@@ -54,7 +54,7 @@ def paste_trials(n: int, height_m: float | None = None, seed: int = 0) -> Iterat
 
 
 def _free_ground(points: Float32, r: float, a: float) -> float | None:
-    """Height of the ground at a place that is empty and in sight, else None."""
+    """Height of the ground at a free and visible position, else None."""
     at = r * np.array([np.cos(a), np.sin(a)])
     about = points[np.hypot(*(points[:, :2] - at).T) < CLEAR_M + 0.5]
     if len(about) < 8:
@@ -77,11 +77,11 @@ def _without_shadow(points: Float32, put: Float32, r: float, a: float) -> Float3
 
 
 def _counts(points: Float32, put: Float32) -> bool:
-    """By the strict rule, with the box about the pasted returns."""
+    """Strict rule with the box about the inserted returns."""
     low, high = put.min(axis=0) - 0.02, put.max(axis=0) + 0.02
     T = np.eye(4)
     T[:3, 3] = [-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]]
     size = high - low
     box = Label(-1, "pasted", float(size[0]), float(size[1]), float(size[2]), T)
-    whole = np.concatenate([points, put])
-    return strict(whole, perceive(whole).obstacles, box).counts
+    combined = np.concatenate([points, put])
+    return strict(combined, perceive(combined).obstacles, box).counts

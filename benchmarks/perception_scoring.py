@@ -1,4 +1,4 @@
-"""How obstacles are judged against labels: the strict rule, pasted objects, gaps, latencies and false stops."""
+"""Evaluation of obstacles against labels: strict rule, inserted objects, gaps, latencies and false stops."""
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
@@ -36,7 +36,7 @@ SCAN, OBSTACLES, GROUND = "lidar/top", "obstacles/lidar_top", "ground/top"
 
 
 class Feed:
-    """An inbox with one message a topic, new and fresh."""
+    """Inbox with one new message per topic."""
 
     def __init__(self, **messages: Message) -> None:
         self._messages = {name.replace("__", "/"): message for name, message in messages.items()}
@@ -47,11 +47,11 @@ class Feed:
         return message if isinstance(message, kind) else None
 
     def latest(self, topic: str, kind: type[M]) -> M | None:
-        """The same: nothing is stale."""
+        """As `last`: nothing is stale."""
         return self.last(topic, kind)
 
     def at(self, topic: str, kind: type[M], stamp_ns: int) -> M | None:
-        """The same, whatever the time."""
+        """As `last`, for any time."""
         return self.last(topic, kind)
 
     def all(self, topic: str, kind: type[M]) -> tuple[M, ...]:
@@ -62,7 +62,7 @@ class Feed:
 
 @dataclass(frozen=True)
 class Result:
-    """What the node said of one scan."""
+    """Output of the node for one scan."""
 
     points_m: Float32
     obstacles: Obstacles
@@ -71,12 +71,12 @@ class Result:
 
 @cache
 def new_node() -> LidarObstacles:
-    """The node for the recording car, set up once."""
+    """Node for the recording car."""
     return LidarObstacles("top", sensor(), car(), None, configs()[0])
 
 
 def perceive(points_m: Float32, stamp_ns: int = START_NS) -> Result:
-    """One scan through the node's own pipeline."""
+    """Processes one scan by the node's pipeline."""
     node, scan = new_node(), scan_of(points_m, stamp_ns)
     ground, obstacles, _ = node._pipeline.run(scan, None, node.name, 0)
     return Result(scan.points_m, obstacles, ground)
@@ -84,7 +84,7 @@ def perceive(points_m: Float32, stamp_ns: int = START_NS) -> Result:
 
 @dataclass(frozen=True)
 class Score:
-    """The strict rule's two shares for one object, with its returns and the distance of its nearest one."""
+    """The two shares of the strict rule for one object, its number of returns and the range of its nearest one."""
 
     returns: int
     edge_m: float
@@ -93,7 +93,7 @@ class Score:
 
     @property
     def counts(self) -> bool:
-        """One cluster holds half of the box, and half of that cluster lies about the box."""
+        """Whether one cluster has half of the returns in the box, and half of that cluster lies about the box."""
         return self.share >= 0.5 and self.near >= 0.5
 
 
@@ -122,19 +122,19 @@ def recall(
     """Frame, label and score of each object that has enough returns before thinning."""
     rng = np.random.default_rng(seed)
     for number in numbers:
-        whole = frame(number)
-        points = thin(whole, share, rng)
+        full = frame(number)
+        points = thin(full, share, rng)
         result = perceive(points)
         for label in labels().get(number, ()):
-            inside = label.contains(whole)
+            inside = label.contains(full)
             if inside.sum() >= least:
                 score = strict(points, result.obstacles, label)
-                edge = float(np.hypot(whole[inside, 0], whole[inside, 1]).min())
+                edge = float(np.hypot(full[inside, 0], full[inside, 1]).min())
                 yield number, label, Score(score.returns, edge, score.share, score.near)
 
 
 def gap_errors() -> Float64:
-    """Reported less true gap before the bumper for each labelled object that was found."""
+    """Error of the gap before the bumper for each detected labelled object."""
     errors = []
     for number in range(FRAMES):
         result = perceive(frame(number))
@@ -145,7 +145,7 @@ def gap_errors() -> Float64:
             hits = np.bincount(np.repeat(np.arange(len(sizes)), sizes), inside[o.indices], len(sizes))
             if inside.sum() < 10 or hits.max() < 0.5 * inside.sum():
                 continue
-            # what stands: ground returns at the foot of the box are no part of the object
+            # ground returns at the foot of the box are no part of the object
             true = result.points_m[inside & (result.ground.is_obstacle_point == 1)]
             errors.append(_gap(o.nearest_base_m[hits.argmax()] - LIDAR_XYZ_M) - min(_gap(p) for p in true))
     return np.array(errors)
@@ -178,7 +178,7 @@ def poses() -> tuple[Float64, ...]:
 
 @dataclass(frozen=True)
 class Drive:
-    """The recording driven through both nodes: one entry a scan used."""
+    """The recording processed by both nodes: one entry per scan."""
 
     numbers: tuple[int, ...]
     results: tuple[Result, ...]
@@ -187,10 +187,10 @@ class Drive:
 
 
 def drive(numbers: Sequence[int], change: Callable[[int, Float32], Float32] = lambda _, p: p) -> Drive:
-    """Frames in their order, each changed first, through node and tracker at the frames' own times."""
+    """Processes frames in order, after `change`, by node and tracker at the times of the frames."""
     tracker = Tracker([OBSTACLES], configs()[1])
     results: list[Result] = []
-    told: list[Tracks] = []
+    published: list[Tracks] = []
     walls: list[float] = []
     for number in numbers:
         stamp = START_NS + number * PERIOD_NS
@@ -200,13 +200,13 @@ def drive(numbers: Sequence[int], change: Callable[[int, Float32], Float32] = la
         out = dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odom)))["tracks"]
         walls.append(perf_counter() - start)
         assert isinstance(out, Tracks)
-        told.append(out)
+        published.append(out)
         results.append(result)
-    return Drive(tuple(numbers), tuple(results), tuple(told), tuple(walls))
+    return Drive(tuple(numbers), tuple(results), tuple(published), tuple(walls))
 
 
 def latencies(run: Drive) -> dict[int, tuple[int, float]]:
-    """By object: frame of the first scan with ten returns, and seconds from it until a confirmed track stands there."""
+    """By object: frame of the first scan with ten returns, and seconds from it until a confirmed track."""
     first: dict[int, int] = {}
     found: dict[int, tuple[int, float]] = {}
     for number, result, tracks in zip(run.numbers, run.results, run.tracks, strict=True):
@@ -238,7 +238,7 @@ def false_stops(run: Drive, half_width_m: float = HALF_WIDTH_M) -> list[tuple[in
                 continue
             k = int(np.hypot(*(p_odom[:, :2] - track.p_odom_m[:2]).T).argmin())
             points = o.points_base_m[o.offsets[k] : o.offsets[k + 1]]
-            inside = _in_way(points, later, half_width_m)
+            inside = _in_path(points, later, half_width_m)
             lidar = points[inside] - np.array(LIDAR_XYZ_M, np.float32)
             near = np.zeros(len(lidar), bool)
             for label in labels().get(number, ()):
@@ -248,8 +248,8 @@ def false_stops(run: Drive, half_width_m: float = HALF_WIDTH_M) -> list[tuple[in
     return found
 
 
-def _in_way(points_m: Float32, later_m: Float64, half_width_m: float) -> np.ndarray:
-    """Which points the front of the car swept: ahead of the bumper now, within the half width of its axle's way."""
+def _in_path(points_m: Float32, later_m: Float64, half_width_m: float) -> np.ndarray:
+    """Which points the front of the car sweeps: ahead of the bumper now, within the half width of its axle's path."""
     front = car().body.front_m
     inside = np.zeros(len(points_m), bool)
     for a, b in itertools.pairwise(later_m):

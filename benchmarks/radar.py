@@ -1,11 +1,11 @@
-"""The radar pipeline on real recordings: one cycle of a Continental ARS548, and a minute of a Toyota's ACC radar.
+"""Benchmark of the radar pipeline on recordings: one cycle of a Continental ARS548, one minute of a Toyota ACC radar.
 
     ./headland benchmark radar
 
-ARS548: the raw packets of a ROS 2 bag are decoded and compared, field by field, with the truth beside them; then the
-speed of the car follows from the Doppler alone, and standing and moving targets are told apart with it.
-Toyota: its radar gives tracks, not echoes; each cycle goes through the pipeline as a scan, with odometry from wheels
-and gyro. Reference is the device's own track over the second around: how fast its place over ground changes.
+ARS548: the raw packets of a ROS 2 bag are decoded and compared, field by field, with the supplied reference; the speed
+of the car is then estimated from the Doppler alone, and targets are classified as static or moving.
+Toyota: the radar outputs tracks, not echoes; each cycle is processed as a scan, with odometry from wheels and gyro. The
+reference velocity is the change of the device track's position over ground within one second.
 """
 
 import argparse
@@ -70,15 +70,15 @@ def datagrams(bag: Path) -> Iterator[bytes]:
 
 
 def differences(cycle: DetectionList, truth: dict[str, Any]) -> list[str]:
-    """Where a decoded cycle is not what the truth says; numbers to the six digits that the truth has."""
+    """Fields of a decoded cycle that differ from the reference, to its six digits."""
     rows, d = truth["detections"], cycle.detections
     wrong = [] if len(rows) == len(d) else [f"{len(d)} detections, not {len(rows)}"]
     for theirs, ours in FIELDS.items():
         wanted = np.array([row[theirs] for row in rows], np.float64)
         if len(wanted) == len(d) and not np.allclose(d[ours].astype(np.float64), wanted, rtol=1e-5, atol=1e-6):
             wrong.append(theirs)
-    flags = {what: [bool(row[f"invalid_{what}"]) for row in rows] for what in INVALID}
-    wrong += [f"invalid_{what}" for what, told in flags.items() if told != is_invalid(d, what).tolist()]
+    flags = {name: [bool(row[f"invalid_{name}"]) for row in rows] for name in INVALID}
+    wrong += [f"invalid_{name}" for name, flag in flags.items() if flag != is_invalid(d, name).tolist()]
     origin = [truth["origin_pos"][k] for k in "xyz"]
     head = [*cycle.mount[:3], *cycle.mount[4:], *cycle.doppler_limits_mps, *cycle.alignment_rad]
     rest = [
@@ -89,11 +89,11 @@ def differences(cycle: DetectionList, truth: dict[str, Any]) -> list[str]:
 
 
 def run_ars548(folder: Path, config: RadarConfig) -> bool:
-    """Print what one recorded cycle gives; whether it is decoded as the truth says."""
+    """Prints the results of one recorded cycle; returns whether it equals the reference."""
     cycles = [c for c in map(decode_detections, datagrams(next(folder.glob("*/*.db3")))) if c is not None]
     truth = yaml.load(next(folder.glob("*_detection.yaml")).read_text(), yaml.CSafeLoader)
     wrong = differences(cycles[0], truth) if len(cycles) == 1 else [f"{len(cycles)} lists"]
-    print(f"ARS548: {len(cycles[0].detections)} detections, differs from the truth in: {', '.join(wrong) or 'nothing'}")
+    print(f"ARS548: {len(cycles[0].detections)} detections, differences: {', '.join(wrong) or 'nothing'}")
     scan = to_scan(cycles[0], cycles[0].stamp_ns)
     which = usable(scan, ARS548.range_m, np.radians(ARS548.field_of_view_deg) / 2)
     velocity, agrees = estimate_velocity(scan, which, config.health.agree_mps)
@@ -106,7 +106,7 @@ def run_ars548(folder: Path, config: RadarConfig) -> bool:
     ms = (time.perf_counter() - start) * 1e3
     moving = np.abs(clusters.radial_mps) > config.health.agree_mps
     print(
-        f"  speed by Doppler {velocity[0]:.2f} m/s ahead, {velocity[1]:.2f} left; {agrees.mean():.0%} of echoes stand"
+        f"  speed by Doppler {velocity[0]:.2f} m/s ahead, {velocity[1]:.2f} left; {agrees.mean():.0%} of echoes static"
     )
     print(f"  {len(clusters)} targets, {int(moving.sum())} of them moving, {ms:.1f} ms")
     return not wrong
@@ -140,7 +140,7 @@ def read_comma(folder: Path) -> Drive:
         last, stamp_ns = now, round(now * 1e9)
         ahead, left, relative = value[rows, 0], value[rows, 1], value[rows, 2]
         range_m, azimuth = np.hypot(ahead, left), np.arctan2(left, ahead)
-        level, rcs = np.zeros(len(rows)), np.full(len(rows), 10.0)  # it tells neither elevation nor cross-section
+        level, rcs = np.zeros(len(rows)), np.full(len(rows), 10.0)  # elevation and cross-section are not measured
         drive.scans.append(RadarScan(stamp_ns, range_m, azimuth, level, relative * np.cos(azimuth), rcs))
         drive.odometry.append(Odometry(stamp_ns, planar(x, y, yaw), v, 0.0, 0.0, turn, 0.0, np.zeros((6, 6))))
         drive.tracks.append(value[rows, 5])
@@ -148,7 +148,7 @@ def read_comma(folder: Path) -> Drive:
 
 
 def reference(drive: Drive, window_s: float = 1.0) -> dict[tuple[int, float], tuple[float, float]]:
-    """Velocity in `odom` of each device track at each cycle, from its places within the window around."""
+    """Velocity in `odom` of each device track at each cycle, from its positions within the window."""
     path: dict[float, list[tuple[int, float, Float64]]] = {}
     for i, (scan, odom, tracks) in enumerate(zip(drive.scans, drive.odometry, drive.tracks, strict=True)):
         level = np.zeros(len(tracks))
@@ -161,7 +161,7 @@ def reference(drive: Drive, window_s: float = 1.0) -> dict[tuple[int, float], tu
         times, places = np.array([r[1] for r in rows]), np.array([r[2] for r in rows])
         for i, now, _ in rows:
             near = np.flatnonzero(np.abs(times - now) <= window_s / 2)
-            # a number is used again for another target: its places then jump
+            # track numbers are reused for other targets: positions then jump
             steps = np.hypot(*np.diff(places[near], axis=0).T)
             if np.ptp(times[near]) > 0.9 * window_s and steps.max() < 3.0:
                 velocity = np.polyfit(times[near] - now, places[near], 1)[0]
@@ -170,7 +170,7 @@ def reference(drive: Drive, window_s: float = 1.0) -> dict[tuple[int, float], tu
 
 
 def run_comma(folder: Path, vehicle: Vehicle, config: RadarConfig) -> None:
-    """Print how the pipeline's targets agree with the device's tracks."""
+    """Prints the agreement of the pipeline's targets with the device tracks."""
     drive = read_comma(folder)
     node = RadarObstacles("front", TOYOTA, vehicle, None, config)
     truth = reference(drive)
@@ -186,16 +186,16 @@ def run_comma(folder: Path, vehicle: Vehicle, config: RadarConfig) -> None:
                 stands = bool(np.hypot(*velocity) < 2.0)
                 still, moving, found = still + stands, moving + (not stands), found + (row is not None)
                 if row is not None and np.isfinite(obstacles.velocity_mps[row]).all():
-                    told = odom.T_odom_base[:2, :2] @ obstacles.velocity_mps[row]
-                    errors.append(np.hypot(*(told - velocity)))
-                    right += (np.hypot(*told) < 2.0) == stands
+                    velocity_odom = odom.T_odom_base[:2, :2] @ obstacles.velocity_mps[row]
+                    errors.append(np.hypot(*(velocity_odom - velocity)))
+                    right += (np.hypot(*velocity_odom) < 2.0) == stands
     n, known = still + moving, len(errors)
     print(
         f"Toyota: {len(drive.scans)} cycles, {n} places of tracks at least 1 s old ({moving} moving, {still} standing)"
     )
-    print(f"  {found / n:.1%} are told as obstacles, {known / n:.1%} with velocity; {np.median(ms):.2f} ms a cycle")
+    print(f"  {found / n:.1%} published as obstacles, {known / n:.1%} with velocity; {np.median(ms):.2f} ms per cycle")
     print(f"  error of velocity: median {np.median(errors):.2f}, 95 % {np.percentile(errors, 95):.2f} m/s")
-    print(f"  moving or standing told rightly: {right / max(known, 1):.1%}")
+    print(f"  moving or static classified correctly: {right / max(known, 1):.1%}")
 
 
 def _nearest(obstacles: Obstacles, scan: RadarScan, k: int) -> int | None:

@@ -13,7 +13,7 @@ _ANGLE = {"latitude": re.compile(r"([0-9]{2})([0-5][0-9]\.[0-9]{1,12})"),
 
 
 class BadSentence(ValueError):
-    """A sentence that must not be used; the text says why."""
+    """A sentence that must not be used; the text is the reason."""
 
 
 @dataclass(frozen=True)

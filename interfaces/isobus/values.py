@@ -10,7 +10,7 @@ NOT_AVAILABLE = b"\xff" * 8
 
 
 class BadFrame(ValueError):
-    """A frame that must not be used; the text says why."""
+    """A frame that must not be used; the text is the reason."""
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class CameraHealth(Node):
 
     def _unavailable(self, now_ns: int, inbox: Inbox) -> ImageQuality | None:
         """BLIND report when images, model or detector output are missing, else None."""
-        limit_ns = round(self._config.silent_s * 1e9)
+        limit_ns = round(self._config.timeout_s * 1e9)
         if self._image is not None and now_ns - self._image.stamp_ns > limit_ns:
             return self._blind("no images any more")
         if not self._has_model:

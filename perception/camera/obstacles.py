@@ -26,7 +26,7 @@ class CameraConfig(Config):
     detector: DetectorConfig
     ranging: RangingConfig
     image_quality: ImageQualityConfig
-    silent_s: float = Field(
+    timeout_s: float = Field(
         gt=0.0, le=10.0, description="without image or detector output, after which the camera is BLIND"
     )
     health_period_s: float = Field(gt=0.0, le=1.0)

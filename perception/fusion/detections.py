@@ -19,8 +19,8 @@ class KindConfig(Config):
 
     evidence: float = Field(gt=0.0, le=200.0, description="of one certain detection; lidar: of so many returns")
     score: tuple[float, float] | None = Field(default=None, description="of the best class: no evidence, full evidence")
-    forget_new_s: float = Field(gt=0.0, le=10.0, description="before confirmation")
-    forget_s: float = Field(gt=0.0, le=10.0)
+    keep_unconfirmed_s: float = Field(gt=0.0, le=10.0, description="before confirmation")
+    keep_s: float = Field(gt=0.0, le=10.0)
 
 
 class KindsConfig(Config):

@@ -131,7 +131,7 @@ def start_tracks(detections: Detections, rows: Int64, first_id: int, config: Tra
         np.arange(first_id, first_id + n), x, P, detections.p_m[rows, 2], detections.size_m[rows],
         detections.yaw_rad[rows],
         detections.evidence[rows], detections.class_log_scores[rows], stamp, stamp.copy(),
-        stamp + nanoseconds(detections.kind.forget_new_s),
+        stamp + nanoseconds(detections.kind.keep_unconfirmed_s),
         np.zeros(n, np.int64), x[:, :2].copy(), np.zeros(n, np.int64), stamp.copy(), np.zeros(n, np.int64),
         np.full(n, 1 << detections.sensor, np.int64),
     )  # fmt: skip
@@ -177,7 +177,9 @@ def penalize_misses(table: TrackTable, missed: Int64, kind: KindConfig, config: 
 def extend_lifetime(table: TrackTable, tracks: Int64, detections: Detections) -> None:
     """Extends, in place, the lifetime of matched tracks by the time that their sensor may miss them."""
     keep = np.where(
-        table.is_confirmed[tracks] > 0, nanoseconds(detections.kind.forget_s), nanoseconds(detections.kind.forget_new_s)
+        table.is_confirmed[tracks] > 0,
+        nanoseconds(detections.kind.keep_s),
+        nanoseconds(detections.kind.keep_unconfirmed_s),
     )
     table.expires_ns[tracks] = np.maximum(table.expires_ns[tracks], detections.stamp_ns + keep)
 

@@ -66,7 +66,7 @@ class RadarHealth(Node):
 
     def _state(self, now_ns: int, odom: Odometry | None) -> tuple[HealthState, str]:
         config = self._config
-        if self._last_ns is None or now_ns - self._last_ns > round(config.silent_s * 1e9):
+        if self._last_ns is None or now_ns - self._last_ns > round(config.timeout_s * 1e9):
             return HealthState.BLIND, "no cycles any more" if self._last_ns is not None else "no cycle yet"
         if odom is None:
             return HealthState.BLIND, "no odometry: motion of targets unknown"

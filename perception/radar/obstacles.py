@@ -31,7 +31,7 @@ from perception.self_filter import is_folded, is_inside, own_outlines
 class HealthConfig(Config):
     """Limits of radar health, and the detection range of a healthy radar."""
 
-    silent_s: float = Field(gt=0.0, le=10.0)
+    timeout_s: float = Field(gt=0.0, le=10.0)
     moving_mps: float = Field(gt=0.0, le=5.0, description="speed above which echoes are required and checked")
     blocked_s: float = Field(
         gt=0.0, le=60.0, description="time without any echo while moving, after which it is blocked"
@@ -123,7 +123,7 @@ def warm() -> None:
     tracklets = TrackletConfig(
         target_sigma_m=0.1, acceleration_mps2=1.0, initial_speed_sigma_mps=1.0, gate_sigma=3.0, confirm_hits=1,
         confirm_s=0.0,
-        confirm_share=1.0, forget_s=1.0, velocity_sigma_mps=1.0,
+        confirm_share=1.0, keep_s=1.0, velocity_sigma_mps=1.0,
     )  # fmt: skip
     echoes = Echoes(np.zeros((1, 3)), np.array([[1.0, 0.0]]), np.ones(1), np.zeros(1), np.zeros(1), np.ones(1))
     found = find_clusters(echoes, 0.01, clusters)

@@ -29,7 +29,7 @@ class TrackletConfig(Config):
     confirm_hits: int = Field(ge=1, le=50)
     confirm_s: float = Field(ge=0.0, le=5.0)
     confirm_share: float = Field(gt=0.0, le=1.0, description="of the cycles since the first, with a detection")
-    forget_s: float = Field(gt=0.0, le=5.0)
+    keep_s: float = Field(gt=0.0, le=5.0)
     velocity_sigma_mps: float = Field(gt=0.0, le=5.0, description="greatest sigma of a published velocity")
 
 
@@ -108,7 +108,7 @@ def update_tracklets(
     row_of = np.empty(len(targets.radial_mps), np.int64)
     row_of[clusters], row_of[fresh] = own, len(table.hits) + np.arange(len(fresh))
     table = table.append(start_tracklets(targets, fresh, stamp_ns, config)) if len(fresh) else table
-    kept = np.flatnonzero(stamp_ns - table.last_ns <= round(config.forget_s * 1e9))
+    kept = np.flatnonzero(stamp_ns - table.last_ns <= round(config.keep_s * 1e9))
     new_row = np.cumsum(np.bincount(kept, minlength=len(table.hits))) - 1
     return table.select(kept), new_row[row_of].astype(np.int64)
 

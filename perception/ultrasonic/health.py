@@ -34,7 +34,7 @@ class UltrasonicHealth(Node):
         )
         yaw, half = math.radians(sensor.mount.rpy_deg[2]), math.radians(sensor.cone_deg) / 2
         self._edges = np.array([yaw - half, yaw + half])
-        self._recent: deque[UltrasonicRange] = deque(maxlen=config.health.votes)
+        self._recent: deque[UltrasonicRange] = deque(maxlen=config.health.window)
         self._last_ns: int | None = None
         self._changed_ns = 0  # last change of the value, or last measurement at rest
         self._rejected_count = 0
@@ -62,14 +62,14 @@ class UltrasonicHealth(Node):
 
     def _state(self, now_ns: int) -> tuple[HealthState, str]:
         config = self._config.health
-        if self._last_ns is None or now_ns - self._last_ns > round(config.silent_s * 1e9):
+        if self._last_ns is None or now_ns - self._last_ns > round(config.timeout_s * 1e9):
             return (
                 HealthState.BLIND,
                 "no measurements any more" if self._last_ns is not None else "no measurement yet",
             )
         if self._last_ns - self._changed_ns > round(config.stuck_s * 1e9):
             return HealthState.BLIND, "sends the same value again"
-        if len(self._recent) == config.votes and stray_share(self._recent, self._config.echoes) >= config.stray_share:
+        if len(self._recent) == config.window and stray_share(self._recent, self._config.echoes) >= config.stray_share:
             return HealthState.DEGRADED, "echoes do not repeat: cross-talk"
         return HealthState.GOOD, ""
 

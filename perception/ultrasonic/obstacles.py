@@ -30,11 +30,11 @@ from perception.ultrasonic.echoes import (
 class HealthConfig(Config):
     """Limits of ultrasonic health."""
 
-    silent_s: float = Field(gt=0.0, le=10.0)
+    timeout_s: float = Field(gt=0.0, le=10.0)
     stuck_s: float = Field(gt=0.0, le=60.0, description="time of a constant value while moving")
     moving_mps: float = Field(gt=0.0, le=5.0)
     stray_share: float = Field(gt=0.0, le=1.0, description="of the last echoes without agreement: cross-talk")
-    votes: int = Field(ge=5, le=200)
+    window: int = Field(ge=5, le=200)
     period_s: float = Field(gt=0.0, le=1.0)
 
 

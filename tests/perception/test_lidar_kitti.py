@@ -30,13 +30,13 @@ def test_single_cluster_of_all_returns_matches_no_object():
     """Checks the matching rule: one cluster of all returns matches no object."""
     result = perceive(frame(0))
     o = result.obstacles
-    whole = type(o)(
+    complete = type(o)(
         **{
             **vars(o),
             "offsets": np.array([0, len(o.indices)], np.int32),
         }
     )
-    assert not any(strict(result.points_m, whole, label).counts for label in labels()[0])
+    assert not any(strict(result.points_m, complete, label).counts for label in labels()[0])
 
 
 def test_inserted_persons_on_free_ground():
@@ -51,9 +51,11 @@ def test_noise_confirms_no_additional_track():
         points = add_noise(i, thin(frame(0), 0.5, np.random.default_rng(i)))
         stamp = 10**12 + i * 10**8
         result = perceive(points, stamp)
-        told = dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odometry(stamp))))["tracks"]
-    assert isinstance(told, Tracks)
+        tracks_message = dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odometry(stamp))))[
+            "tracks"
+        ]
+    assert isinstance(tracks_message, Tracks)
     real = perceive(frame(0)).obstacles.points_base_m[:, :2]
-    for track in told.tracks:
+    for track in tracks_message.tracks:
         if track.is_confirmed and np.hypot(*track.p_odom_m[:2]) < 40.0:
             assert np.hypot(*(real - track.p_odom_m[:2]).T).min() < 1.0

@@ -37,10 +37,10 @@ def test_outline_by_fold():
 
 def test_obstacle_beside_folded_implement():
     node = LidarObstacles("rear", REAR, VEHICLE, HARROW, LIDAR_CONFIG)
-    for k, (told, count) in enumerate([(machine(1.0), 1), (machine(0.5), 0), (None, 0)]):
+    for k, (state, count) in enumerate([(machine(1.0), 1), (machine(0.5), 0), (None, 0)]):
         stamp = 10**9 * (k + 1)
         scan = cast([box(*BESIDE, 0.4, 0.5, 1.2)], REAR, stamp_ns=stamp, seed=k)
-        feed = Feed(lidar__rear=scan, odom=odometry(stamp), **({"machine": told} if told else {}))
+        feed = Feed(lidar__rear=scan, odom=odometry(stamp), **({"machine": state} if state else {}))
         obstacles = dict(node.step(stamp, feed))["obstacles/lidar_rear"]
         away = np.hypot(*(obstacles.center_base_m[:, :2] - BESIDE).T)
         assert (away < 0.5).sum() == count

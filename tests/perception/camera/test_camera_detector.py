@@ -122,7 +122,7 @@ def test_input_size_from_file_or_configuration(tmp_path: Path, takes: tuple[int 
     detector = load_detector(write(tmp_path / "m.onnx", takes, {"output": raw}), CONFIG)
     assert detector.size_px == (64, 64)
     found = detector.detect(np.zeros((128, 128, 3), np.uint8))
-    assert found.scores.shape == (1, 80)  # one cell says person
+    assert found.scores.shape == (1, 80)  # one cell with class person
     # cell 70 is row 1, column 2 of stride 16; the image is twice the input
     np.testing.assert_allclose(found.corners_px[0], [48, 16, 80, 48])
 

@@ -124,7 +124,7 @@ def test_timeout_of_camera_and_detector() -> None:
     bench = Bench()
     assert bench.health(S).reason == "no image yet"
     assert bench.see(2 * S, field()).state is HealthState.GOOD
-    limit = 2 * S + round(CONFIG.silent_s * S)
+    limit = 2 * S + round(CONFIG.timeout_s * S)
     assert bench.health(limit).state is HealthState.GOOD
     late = bench.health(limit + 1)
     assert (late.state, late.reason) == (HealthState.BLIND, "no images any more")

@@ -84,7 +84,7 @@ def test_distortion_correction() -> None:
 def test_beyond_max_range_and_above_horizon() -> None:
     cam = camera()
     assert len(locate(boxes(person(cam, 60.0, 0.0)), CameraGeometry(cam), CONFIG.ranging).row) == 0
-    up_a_hill = person(cam, 12.0, 0.0, base_m=3.0)  # feet above the horizon: size alone tells
+    up_a_hill = person(cam, 12.0, 0.0, base_m=3.0)  # feet above the horizon: range by size alone
     found = locate(boxes(up_a_hill), CameraGeometry(cam), CONFIG.ranging)
     assert found.foot_m[0, 0] == pytest.approx(12.0, abs=1.0)
     assert len(locate(boxes(np.array([100.0, 50.0, 120.0, 50.0])), CameraGeometry(cam), CONFIG.ranging).row) == 0

@@ -257,5 +257,5 @@ def test_radar_health() -> None:
     assert cycle(limit + S, 0.0, []).state is HealthState.GOOD  # at rest, no echo is required
     bench.put("radar/front", RadarScan(limit + S, *(np.zeros(n) for n in (2, 2, 2, 3, 2))))
     assert bench.health(limit + S).rejected_count == 1
-    silent = bench.health(limit + S + round(CONFIG.health.silent_s * S) + 1)
+    silent = bench.health(limit + S + round(CONFIG.health.timeout_s * S) + 1)
     assert (silent.state, silent.reason) == (HealthState.BLIND, "no cycles any more")

@@ -122,7 +122,7 @@ class Bench:
     def __init__(self, node: UltrasonicObstacles | UltrasonicHealth) -> None:
         self.node, self.inbox, self.now_ns = node, NodeInbox(node), S
 
-    def hear(self, range_m: float | None, speed_mps: float = 0.0) -> list[Message]:
+    def measure(self, range_m: float | None, speed_mps: float = 0.0) -> list[Message]:
         self.now_ns += STEP
         self.put("odom", Odometry(self.now_ns, np.eye(4), speed_mps, 0.0, 0.0, 0.0, 0.0, np.zeros((6, 6))))
         if range_m is not None:
@@ -139,12 +139,12 @@ class Bench:
         return out
 
     def obstacles(self, range_m: float, speed_mps: float = 0.0) -> Obstacles:
-        (message,) = self.hear(range_m, speed_mps)
+        (message,) = self.measure(range_m, speed_mps)
         assert isinstance(message, Obstacles)
         return message
 
     def health(self, range_m: float | None, speed_mps: float = 0.0) -> SensorHealth:
-        (message,) = self.hear(range_m, speed_mps)
+        (message,) = self.measure(range_m, speed_mps)
         assert isinstance(message, SensorHealth)
         return message
 
@@ -194,8 +194,8 @@ def test_reset_on_time_reversal() -> None:
         bench.obstacles(2.0)
     bench.now_ns = 0
     assert len(bench.obstacles(2.0).yaw_rad) == 0
-    assert bench.hear(math.inf) == []
-    assert bench.hear(None) == []
+    assert bench.measure(math.inf) == []
+    assert bench.measure(None) == []
 
 
 def test_no_echo_is_good_and_timeout_is_blind() -> None:
@@ -222,7 +222,7 @@ def test_constant_value_while_moving() -> None:
 def test_cross_talk_and_invalid_ranges() -> None:
     rng = np.random.default_rng(3)
     bench = Bench(UltrasonicHealth("rear", REAR, CONFIG))
-    for _ in range(CONFIG.health.votes):
+    for _ in range(CONFIG.health.window):
         health = bench.health(float(rng.uniform(0.3, 4.0)))
     assert (health.state, health.reason) == (HealthState.DEGRADED, "echoes do not repeat: cross-talk")
     for k in range(3):
