@@ -13,10 +13,10 @@ from localization.lidar.lidar_odometry import LidarOdometryNode
 from localization.lidar.map_localization import LidarMap
 from messages.perception import LidarGround
 from messages.sensors import LidarScan
-from tests.localization.localization_bench import Errors, configuration, errors, run
-from tests.localization.localization_drive import START_NS, Truth, Wrongs, drive, tractor
-from tests.localization.localization_shed import harrow
-from tests.localization.localization_surroundings import scan, yard
+from tests.localization.harness import Errors, configuration, errors, run
+from tests.localization.synthetic_drive import START_NS, SensorErrors, Truth, drive, tractor
+from tests.localization.synthetic_shed import harrow
+from tests.localization.synthetic_surroundings import scan, yard
 
 LEGS = [(5.0, 0.0, 0.0), (14.0, 2.78, 0.0), (11.8, 1.6, 1 / 6), (60.0, 2.78, 0.0)]
 CUT_S, CUT_FOR_S = 42.0, 30.0
@@ -27,7 +27,7 @@ def main(seeds: int) -> None:
     whole: list[Errors] = []
     step_ms: list[float] = []
     for seed in range(1, seeds + 1):
-        truth = drive(75, legs=LEGS, wrongs=Wrongs(seed=seed, gnss_slow_s=30.0, slip_swing=0.003))
+        truth = drive(75, legs=LEGS, sensor_errors=SensorErrors(seed=seed, gnss_slow_s=30.0, slip_swing=0.003))
         began = time.thread_time()
         result = run(truth.messages)
         step_ms.append((time.thread_time() - began) / len(result.step_s) * 1e3)
@@ -35,11 +35,11 @@ def main(seeds: int) -> None:
         cut = [m for m in truth.messages if m[1] != "gnss/main" or m[2].stamp_ns < START_NS + int(CUT_S * 1e9)]
         print(f"seed {seed}: {_rtk(whole[-1])}, {step_ms[-1]:.2f} ms a step (CPU)")
         print("   no GNSS, no lidar:", _outage(errors(run(cut), truth)))
-        timed = _Timed(LidarOdometryNode(tractor(), "front", configuration().lidar_odometry))
+        timed = _Timed(LidarOdometryNode(tractor(), configuration().lidar_odometry))
         with_lidar = errors(run(cut, lidar=(timed, _look(truth))), truth)
         print("   no GNSS, lidar:   ", _outage(with_lidar), f"{timed.ms:.1f} ms a matched scan (CPU)", flush=True)
         mapped = _Timed(LidarMap(tractor(), harrow(), None, configuration().lidar_map))
-        timed = _Timed(LidarOdometryNode(tractor(), "front", configuration().lidar_odometry))
+        timed = _Timed(LidarOdometryNode(tractor(), configuration().lidar_odometry))
         both = run(cut, lidar=(timed, _look(truth)), lidar_map=(mapped, _look_by_name(truth)))
         print("   no GNSS, and map: ", _outage(errors(both, truth)), f"{mapped.ms:.1f} ms a look (CPU)", flush=True)
     joined = Errors(*(np.concatenate([getattr(e, name) for e in whole]) for name in Errors.__dataclass_fields__))

@@ -24,8 +24,8 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 
 from configs.strict import CONFIGS, load
-from geometry.transforms import Float64
-from localization.uwb.tag_smoother import Step, UwbConfig, UwbLocalizer, headings
+from geometry.arrays import Float64
+from localization.uwb.tag_smoother import OdometryStep, TagSmoother, TagSmootherConfig, start_headings
 
 DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[2] / "shared" / "data"))
 HANYANG = ("LOS/Trajectory_A/Case_1", "LOS/Trajectory_A/Case_2", "NLOS/Trajectory_A/Case_1", "NLOS/Trajectory_A/Case_2")
@@ -61,13 +61,13 @@ def rms(e: Float64) -> float:
     return float(np.sqrt(np.mean(e**2)))
 
 
-def hanyang(folder: Path, config: UwbConfig) -> Track:
+def hanyang(folder: Path, config: TagSmootherConfig) -> Track:
     """Ranges of 0.1 s in one keyframe, each with its age."""
     files = {n: np.loadtxt(folder / f"A{n}.csv", delimiter=",", skiprows=1, dtype=np.float64) for n in (3, 5, 9, 12)}
     stamps = {n: _column(folder / f"A{n}.csv", 1) for n in files}
     anchors = {str(n): rows[0, 3:6] for n, rows in files.items()}
     heard = sorted((int(s), str(n), float(r)) for n in files for s, r in zip(stamps[n], files[n][:, 6], strict=True))
-    localizer = UwbLocalizer(config, anchors, TAG_M, has_odometry=False)
+    localizer = TagSmoother(config, anchors, TAG_M, has_odometry=False)
     begin_ns = heard[0][0] - 1
     localizer.start(begin_ns, [np.array([*HANYANG_START_M, 0.0, 0.0])], np.array([0.1, 0.1, 0.1, 0.1]))
     times, places = [], []
@@ -108,12 +108,12 @@ def authors_window(truth: Track) -> tuple[float, float]:
     return float(truth.t_s[first]), float(truth.t_s[last])
 
 
-def plaza(path: Path, config: UwbConfig) -> tuple[Track, Track]:
+def plaza(path: Path, config: TagSmootherConfig) -> tuple[Track, Track]:
     """Estimate at every range, and truth."""
     mat = loadmat(path)
     truth, odometry, ranges = mat["GT"], mat["DR"], mat["TD"]
     anchors = {str(int(i)): np.array([x, y, 0.0]) for i, x, y in mat["TL"]}
-    localizer = UwbLocalizer(config, anchors, 0.0)
+    localizer = TagSmoother(config, anchors, 0.0)
     t_s = float(truth[0, 0])
     localizer.start(int(t_s * 1e9), [truth[0, 1:4]], np.array([0.05, 0.05, 0.02]))
     ends = odometry[:, 0]
@@ -137,12 +137,12 @@ def _between(odometry: Float64, ends: Float64, first_s: float, last_s: float) ->
     return np.asarray(rows[:, 1:3] * np.clip(share, 0.0, 1.0)[:, None])
 
 
-def plaza_step(increments: Float64, dt_s: float) -> Step:
+def plaza_step(increments: Float64, dt_s: float) -> OdometryStep:
     """Way and turn of increments (n, 2) of distance and turn."""
     forward, left, turn = compose(increments[:, 0], increments[:, 1])
     way = float(np.sum(np.abs(increments[:, 0])))
     sigma = PLAZA_TURN_ROOT_S * np.sqrt(dt_s) + 0.01 * float(np.sum(np.abs(increments[:, 1])))
-    return Step(forward, left, turn, 0.005 + PLAZA_WHEEL * way, 0.005 + PLAZA_SIDE * way, float(sigma))
+    return OdometryStep(forward, left, turn, 0.005 + PLAZA_WHEEL * way, 0.005 + PLAZA_SIDE * way, float(sigma))
 
 
 def compose(way_m: Float64, turn_rad: Float64) -> tuple[float, float, float]:
@@ -152,7 +152,7 @@ def compose(way_m: Float64, turn_rad: Float64) -> tuple[float, float, float]:
     return float(way_m @ np.cos(middle)), float(way_m @ np.sin(middle)), float(end[-1]) if len(end) else 0.0
 
 
-def tuc(folder: Path, config: UwbConfig) -> tuple[Track, Track]:
+def tuc(folder: Path, config: TagSmootherConfig) -> tuple[Track, Track]:
     """Estimate at every range from the fourth on, and truth."""
     lines = [line.split() for line in (folder / "Indoor_UWB_Input.txt").read_text().splitlines()]
     ranges = [(float(v[1]), v[6], float(v[2])) for v in lines if v[0] == "range2"]
@@ -161,9 +161,9 @@ def tuc(folder: Path, config: UwbConfig) -> tuple[Track, Track]:
     truth = np.array([[float(x) for x in line.split()[1:4]] for line in (folder / "Indoor_UWB_GT.txt").open()])
     first = ranges[:4]
     where = locate(np.array([anchors[n][:2] for _, n, _ in first]), np.array([r for _, _, r in first]))
-    localizer = UwbLocalizer(config, anchors, 0.0)
+    localizer = TagSmoother(config, anchors, 0.0)
     t_s = first[-1][0]
-    localizer.start(int(t_s * 1e9), headings(float(where[0]), float(where[1]), 8), np.array([0.3, 0.3, 0.4]))
+    localizer.start(int(t_s * 1e9), start_headings(float(where[0]), float(where[1]), 8), np.array([0.3, 0.3, 0.4]))
     times, places = [], []
     for stamp_s, name, range_m in ranges[4:]:
         step = tuc_step(wheels[(wheels[:, 0] > t_s) & (wheels[:, 0] <= stamp_s)], stamp_s - t_s)
@@ -184,17 +184,19 @@ def locate(anchors_m: Float64, range_m: Float64) -> Float64:
     return np.asarray(found.x, np.float64)
 
 
-def tuc_step(wheels: Float64, dt_s: float) -> Step:
+def tuc_step(wheels: Float64, dt_s: float) -> OdometryStep:
     """One step of right and left wheel speed."""
     # The readme calls the columns right and left and 0.0785 m the distance; only left and right with twice that
     # (0.0785 from the middle to a wheel) give the driven path: 0.07 m from the truth, else 0.9 m.
-    left, right, gauge = wheels[-1, 1:] * np.array([1.0, 1.0, 2.0])
-    forward, side, turn = compose(np.array([0.5 * (right + left) * dt_s]), np.array([(right - left) / gauge * dt_s]))
+    left, right, track_width_m = wheels[-1, 1:] * np.array([1.0, 1.0, 2.0])
+    forward, side, turn = compose(
+        np.array([0.5 * (right + left) * dt_s]), np.array([(right - left) / track_width_m * dt_s])
+    )
     sigma = TUC_WHEEL_MPS * dt_s
-    return Step(forward, side, turn, sigma, sigma, sigma * np.sqrt(2.0) / gauge)
+    return OdometryStep(forward, side, turn, sigma, sigma, sigma * np.sqrt(2.0) / track_width_m)
 
 
-def report_hanyang(config: UwbConfig) -> None:
+def report_hanyang(config: TagSmootherConfig) -> None:
     """A table of the four runs in the authors' window and whole."""
     better = 0
     print("Hanyang, RMSE in m     authors' window: ours   LS     ESKF  | whole: ours   LS     ESKF  | ms/keyframe")
@@ -213,7 +215,7 @@ def report_hanyang(config: UwbConfig) -> None:
     print(f"  better than both in {better} of {len(HANYANG)} (bar: 3)")
 
 
-def report_plaza(config: UwbConfig) -> None:
+def report_plaza(config: TagSmootherConfig) -> None:
     """RMSE over all ranges from the first on."""
     began = time.thread_time()
     ours, truth = plaza(DATA / "plaza" / "Plaza1_.mat", config)
@@ -226,7 +228,7 @@ def report_plaza(config: UwbConfig) -> None:
     )
 
 
-def report_tuc(config: UwbConfig) -> None:
+def report_tuc(config: TagSmootherConfig) -> None:
     """RMSE over all ranges from the fifth on."""
     ours, truth = tuc(DATA / "tuc-labyrinth-uwb" / "datasets" / "Indoor_UWB", config)
     e = errors_m(ours, truth)
@@ -242,7 +244,7 @@ def main() -> None:
     parser.add_argument("--only", choices=sorted(REPORTS))
     parser.add_argument("--config", type=Path, default=CONFIGS / "uwb.yaml")
     options = parser.parse_args()
-    config = load(UwbConfig, options.config)
+    config = load(TagSmootherConfig, options.config)
     for name, report in REPORTS.items():
         if options.only in (None, name):
             report(config)

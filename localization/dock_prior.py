@@ -1,4 +1,4 @@
-"""Where the machine may start without any fix, at a surveyed pose in the shed; and where fixes suffer from its roof."""
+"""Dock prior: surveyed start pose in the shed without GNSS, and the area where the roof obstructs the sky."""
 
 import math
 from dataclasses import dataclass
@@ -10,47 +10,48 @@ from pydantic import Field
 
 from configs.site import PoseConfig, Shed
 from configs.strict import Config
-from geometry.transforms import Float64, transform
-from localization.dead_reckoning.initial_alignment import Level
+from geometry.arrays import Float64
+from geometry.transforms import transform
+from localization.dead_reckoning.initial_alignment import TiltEstimate
 
 
-class DockedConfig(Config):
-    """What the surveyed pose is worth, and how far a roof spoils the sky."""
+class DockPriorConfig(Config):
+    """Section `dock_prior` of map alignment."""
 
-    sigma_m: float = Field(gt=0.0, le=2.0, description="how exactly the machine was put there")
+    sigma_m: float = Field(gt=0.0, le=2.0, description="of the parked machine about the surveyed pose")
     heading_sigma_deg: float = Field(gt=0.0, le=20.0)
     height_sigma_m: float = Field(gt=0.0, le=1.0)
-    roof_margin_m: float = Field(ge=0.0, le=30.0, description="about the roof, where fixes suffer from it")
-    ranging_margin_m: float = Field(ge=0.0, le=200.0, description="about the roof, where ranges enter the graph always")
+    roof_margin_m: float = Field(ge=0.0, le=30.0, description="about the roof, where it obstructs the sky")
+    uwb_margin_m: float = Field(ge=0.0, le=200.0, description="about the roof, where ranges always enter the graph")
 
 
 @dataclass(frozen=True)
-class Docked:
-    """The pose that the machine was left at, in `map`, and how far the roof is from any place."""
+class DockPrior:
+    """Surveyed start pose in `map` and distance to the roof of the shed."""
 
     start: PoseConfig | None
     shed: Shed | None
-    config: DockedConfig
+    config: DockPriorConfig
 
-    def pose_of(self, level: Level) -> Float64:
-        """`T_map_base` at the surveyed pose with the roll and pitch measured."""
-        assert self.start is not None, "asked only where there is one"
+    def pose(self, tilt: TiltEstimate) -> Float64:
+        """`T_map_base` at the surveyed pose with measured roll and pitch."""
+        assert self.start is not None, "called with a surveyed pose"
         s = self.start
-        return transform((s.x_m, s.y_m, 0.0), (level.roll_rad, level.pitch_rad, math.radians(s.heading_deg)))
+        return transform((s.x_m, s.y_m, 0.0), (tilt.roll_rad, tilt.pitch_rad, math.radians(s.heading_deg)))
 
     def sigmas(self, tilt_sigma_rad: float) -> Float64:
-        """Of that pose, (6,): rotation then translation."""
+        """Sigmas (6,) of that pose: rotation then translation."""
         c = self.config
         heading = math.radians(c.heading_sigma_deg)
         return np.array([tilt_sigma_rad, tilt_sigma_rad, heading, c.sigma_m, c.sigma_m, c.height_sigma_m])
 
-    def is_shaded(self, p_map_m: Float64) -> bool:
-        """Whether a place is under the roof or so near that it hides much of the sky or mirrors it."""
+    def has_sky_obstruction(self, p_map_m: Float64) -> bool:
+        """Whether a position is under the roof or within its margin (blocked sky, multipath)."""
         return self._roof_m(p_map_m) <= self.config.roof_margin_m
 
-    def is_near(self, p_map_m: Float64) -> bool:
-        """Whether a place is so near to the shed that ranges must have been learnt to know before fixes end."""
-        return self._roof_m(p_map_m) <= self.config.ranging_margin_m
+    def is_near_shed(self, p_map_m: Float64) -> bool:
+        """Whether a position is so near to the shed that range calibration must start before fixes end."""
+        return self._roof_m(p_map_m) <= self.config.uwb_margin_m
 
     @cached_property
     def _roof(self) -> shapely.Polygon:
@@ -59,5 +60,5 @@ class Docked:
         return roof
 
     def _roof_m(self, p_map_m: Float64) -> float:
-        """How far the roof is, infinite where there is none."""
+        """Distance to the roof, infinite without one."""
         return math.inf if self.shed is None else float(shapely.distance(self._roof, shapely.Point(p_map_m[:2])))

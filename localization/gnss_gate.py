@@ -1,4 +1,4 @@
-"""Which fixes to believe, and how far: each kind of solution with its own accuracy, tested against the prediction."""
+"""GNSS gate: accuracy by type of solution, and a test of each fix against the prediction."""
 
 import math
 from collections import deque
@@ -10,8 +10,9 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.angles import wrap
+from geometry.arrays import Float64
 from geometry.geodesy import Datum
-from geometry.transforms import Float64, yaw_of
+from geometry.transforms import yaw_of
 from messages.motion import PositionSource
 from messages.sensors import GnssFix, GnssSolution
 
@@ -19,17 +20,17 @@ Sigma = Field(gt=0.0, le=100.0)
 
 
 class SolutionConfig(Config):
-    """What one kind of solution is worth; a receiver that claims to be better is not believed."""
+    """Accuracy of one type of solution; lower bound of the sigmas that a receiver reports."""
 
     horizontal_m: float = Sigma
     vertical_m: float = Sigma
-    slow_share: float = Field(ge=0.0, lt=1.0, description="share of sigma that wanders too slowly to average out")
+    slow_share: float = Field(ge=0.0, lt=1.0, description="share of sigma that varies too slowly to average out")
     correlation_s: float = Field(ge=0.0, le=600.0, description="0: the rest is white from fix to fix")
     is_used: bool
 
 
 class GnssConfig(Config):
-    """Gates of fixes and the worth of each kind."""
+    """Section `gnss` of map alignment."""
 
     rtk_fixed: SolutionConfig
     rtk_float: SolutionConfig
@@ -37,18 +38,18 @@ class GnssConfig(Config):
     sbas: SolutionConfig
     single: SolutionConfig
     gate_sigma: float = Field(gt=1.0, le=10.0)
-    gate_floor_m: float = Field(gt=0.0, le=1.0, description="innovation that is never refused by sigma alone")
+    gate_floor_m: float = Field(gt=0.0, le=1.0, description="innovations below are never rejected by sigma alone")
     heading_gate_sigma: float = Field(gt=1.0, le=10.0)
     heading_floor_deg: float = Field(gt=0.0, le=10.0)
-    heading_sigma_deg: float = Field(gt=0.0, le=10.0, description="no heading is believed better than this")
+    heading_sigma_deg: float = Field(gt=0.0, le=10.0, description="lower bound of the reported sigma")
     heading_slow_share: float = Field(ge=0.0, lt=1.0, description="as slow_share of a solution")
-    least_satellites: int = Field(ge=4, le=30)
-    largest_correction_age_s: float = Field(gt=0.0, le=600.0)
-    probation_fixes: int = Field(ge=1, le=100, description="fixes that must agree after an outage or a better kind")
+    min_satellites: int = Field(ge=4, le=30)
+    max_correction_age_s: float = Field(gt=0.0, le=600.0)
+    confirmation_fixes: int = Field(ge=1, le=100, description="consistent fixes after an outage or upgrade")
     outage_s: float = Field(gt=0.0, le=60.0)
 
     def of(self, solution: GnssSolution) -> SolutionConfig | None:
-        """The row for a kind of solution, None when it has none or is not to be used."""
+        """Configuration of a type of solution, None when it is unknown or not used."""
         rows = {
             GnssSolution.RTK_FIXED: self.rtk_fixed, GnssSolution.RTK_FLOAT: self.rtk_float,
             GnssSolution.PPP: self.ppp, GnssSolution.SBAS: self.sbas, GnssSolution.SINGLE: self.single,
@@ -57,21 +58,21 @@ class GnssConfig(Config):
         return row if row is not None and row.is_used else None
 
 
-class Refusal(StrEnum):
-    """Why a fix was not used."""
+class RejectionReason(StrEnum):
+    """Reason why a fix was not used."""
 
     NONE = ""
-    GARBAGE = "not finite or impossible"
+    INVALID = "not finite or impossible"
     NO_SOLUTION = "no solution, or a kind not to be used"
     FEW_SATELLITES = "too few satellites"
     OLD_CORRECTIONS = "corrections too old"
-    PROBATION = "first fixes after an outage must agree"
+    CONFIRMATION = "first fixes after an outage must agree"
     OUTLIER = "contradicts the prediction"
 
 
 @dataclass(frozen=True)
 class Position:
-    """A fix in `map`: `sigma_m` (3,) for a single factor, `slow_m` (3,) what averaging does not take away."""
+    """A fix in `map`: `sigma_m` (3,) for one factor, `slow_m` (3,) the slowly varying error."""
 
     stamp_ns: int
     p_map_m: Float64
@@ -84,38 +85,38 @@ class Position:
 
 
 def source_of(solution: GnssSolution) -> PositionSource:
-    """The position source that a solution makes."""
+    """Position source of a type of solution."""
     if solution is GnssSolution.RTK_FIXED:
         return PositionSource.RTK_FIXED
     return PositionSource.RTK_FLOAT if solution in (GnssSolution.RTK_FLOAT, GnssSolution.PPP) else PositionSource.SINGLE
 
 
 def is_sane(fix: GnssFix) -> bool:
-    """Whether place and sigmas are finite and on the earth (heading and velocity may be NaN: not measured)."""
-    place = (fix.latitude_rad, fix.longitude_rad, fix.height_m)
+    """Whether position and sigmas are finite and in range (heading and velocity may be NaN: not measured)."""
+    position = (fix.latitude_rad, fix.longitude_rad, fix.height_m)
     on_earth = abs(fix.latitude_rad) <= math.pi / 2 and abs(fix.longitude_rad) <= math.pi and abs(fix.height_m) < 2e4
     sigmas = fix.sigma_enu_m.shape == (3,) and bool(np.all(np.isfinite(fix.sigma_enu_m) & (fix.sigma_enu_m >= 0.0)))
-    return all(map(math.isfinite, place)) and on_earth and sigmas
+    return all(map(math.isfinite, position)) and on_earth and sigmas
 
 
-def check(fix: GnssFix, config: GnssConfig) -> Refusal:
-    """What speaks against a fix by itself."""
-    if config.of(fix.solution) is None:  # a receiver without a position says so, and gives NaN for it
-        return Refusal.NO_SOLUTION
+def check(fix: GnssFix, config: GnssConfig) -> RejectionReason:
+    """Checks a fix by itself."""
+    if config.of(fix.solution) is None:  # a receiver without a position reports NaN
+        return RejectionReason.NO_SOLUTION
     if not is_sane(fix):
-        return Refusal.GARBAGE
-    if fix.satellites < config.least_satellites:
-        return Refusal.FEW_SATELLITES
+        return RejectionReason.INVALID
+    if fix.satellites < config.min_satellites:
+        return RejectionReason.FEW_SATELLITES
     needs_corrections = fix.solution in (GnssSolution.RTK_FIXED, GnssSolution.RTK_FLOAT)
-    if needs_corrections and not fix.correction_age_s <= config.largest_correction_age_s:
-        return Refusal.OLD_CORRECTIONS
-    return Refusal.NONE
+    if needs_corrections and not fix.correction_age_s <= config.max_correction_age_s:
+        return RejectionReason.OLD_CORRECTIONS
+    return RejectionReason.NONE
 
 
 def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) -> Position:
-    """A checked fix in `map`, with sigmas such that the graph gains no more information a second than there is.
+    """A checked fix in `map`, with sigmas widened for time correlation.
 
-    A noise of correlation time τ, sampled at rate f, is worth one independent sample in 2 τ (for 2 τ f > 1).
+    Noise of correlation time τ sampled at rate f has the information of one independent sample per 2 τ (2 τ f > 1).
     """
     row = config.of(fix.solution)
     assert row is not None, "check comes first"
@@ -131,46 +132,46 @@ def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) 
     return Position(fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution)
 
 
-def carried(fix: Position, T_then: Float64, T_now: Float64, arm_m: Float64, T_map_odom: Float64) -> Position:
-    """A fix moved on from one pose of base in odom to another, over a fraction of a second; `arm_m` is in base."""
-    way = (T_now - T_then)[:3, :3] @ arm_m + (T_now - T_then)[:3, 3]
+def propagate(fix: Position, T_then: Float64, T_now: Float64, arm_m: Float64, T_map_odom: Float64) -> Position:
+    """Propagates a fix from one pose of base in `odom` to another; `arm_m` is the antenna in base."""
+    displacement = (T_now - T_then)[:3, :3] @ arm_m + (T_now - T_then)[:3, 3]
     turn = yaw_of(T_now) - yaw_of(T_then)
-    p = fix.p_map_m + T_map_odom[:3, :3] @ way
+    p = fix.p_map_m + T_map_odom[:3, :3] @ displacement
     return replace(fix, p_map_m=p, heading_rad=wrap(fix.heading_rad + turn))
 
 
 def distance(innovation_m: Float64, covariance: Float64) -> float:
-    """Mahalanobis length of an innovation."""
+    """Mahalanobis distance of an innovation."""
     return math.sqrt(max(0.0, float(innovation_m @ np.linalg.solve(covariance, innovation_m))))
 
 
 class GnssGate:
-    """Refuses what contradicts the prediction, and what comes back after an outage until it agrees with itself."""
+    """Rejects fixes that contradict the prediction, and fixes after an outage until several are consistent."""
 
     def __init__(self, config: GnssConfig) -> None:
         self._config = config
-        self._recent: deque[Float64] = deque(maxlen=config.probation_fixes)
+        self._recent: deque[Float64] = deque(maxlen=config.confirmation_fixes)
         self._trusted = GnssSolution.NONE
         self._accepted_ns: int | None = None
 
     def trust(self, position: Position) -> None:
-        """Starts from a fix that alignment has accepted."""
+        """Records an accepted fix."""
         self._trusted, self._accepted_ns = position.solution, position.stamp_ns
 
-    def judge(self, position: Position, predicted_m: Float64, covariance: Float64) -> Refusal:
-        """Whether to use a fix, given where the antenna is predicted with which covariance (3, 3)."""
+    def evaluate(self, position: Position, predicted_m: Float64, covariance: Float64) -> RejectionReason:
+        """Tests a fix against the predicted antenna position with its covariance (3, 3)."""
         innovation = position.p_map_m - predicted_m
         self._recent.append(innovation)
         own = np.diag(position.sigma_m**2 + position.slow_m**2)
-        if self._is_new(position) and not self._agree(np.sqrt(np.diag(own)), covariance):
-            return Refusal.PROBATION
+        if self._is_new(position) and not self._are_consistent(np.sqrt(np.diag(own)), covariance):
+            return RejectionReason.CONFIRMATION
         if not self.passes(innovation, covariance + own):
-            return Refusal.OUTLIER
+            return RejectionReason.OUTLIER
         self.trust(position)
-        return Refusal.NONE
+        return RejectionReason.NONE
 
     def passes(self, innovation_m: Float64, covariance: Float64) -> bool:
-        """The gate alone."""
+        """Whether an innovation is inside the gate."""
         floor = self._config.gate_floor_m / self._config.gate_sigma
         return distance(innovation_m, covariance + floor**2 * np.eye(3)) <= self._config.gate_sigma
 
@@ -179,9 +180,9 @@ class GnssGate:
             return True
         return position.stamp_ns - self._accepted_ns > self._config.outage_s * 1e9
 
-    def _agree(self, sigma_m: Float64, covariance: Float64) -> bool:
-        """Whether the last innovations lie together as closely as their sigmas say."""
-        if len(self._recent) < self._config.probation_fixes:
+    def _are_consistent(self, sigma_m: Float64, covariance: Float64) -> bool:
+        """Whether the spread of the last innovations agrees with their sigmas."""
+        if len(self._recent) < self._config.confirmation_fixes:
             return False
         spread = np.ptp(np.array(self._recent), axis=0)
         return bool(np.all(spread <= 2.0 * self._config.gate_sigma * sigma_m))

@@ -1,54 +1,42 @@
-"""The continuous side: inertial unit and wheels become `odom`."""
+"""Odometry estimator: continuous pose in `odom` from IMU, wheels and steering."""
 
 import math
 
 import numpy as np
-from pydantic import Field
 
-from configs.strict import Config
 from configs.vehicle import Vehicle
-from geometry.transforms import Float64, transform
-from localization.dead_reckoning.dead_reckoning import Calibration, DeadReckoning, DeadReckoningConfig, PoseHistory
-from localization.dead_reckoning.imu_track import InertialConfig, InertialTrack, Steps
-from localization.dead_reckoning.initial_alignment import AlignmentConfig, Level, Standstill
-from localization.dead_reckoning.plausibility import Plausibility, PlausibilityConfig
-from localization.dead_reckoning.steering_offset import Steering, SteeringConfig
-from localization.dead_reckoning.wheel_track import WheelConfig, WheelTrack
+from geometry.arrays import Float64
+from geometry.transforms import transform
+from localization.config import OdometryConfig
+from localization.dead_reckoning.dead_reckoning import Calibration, DeadReckoning, PoseHistory
+from localization.dead_reckoning.imu_track import ImuTrack, Steps
+from localization.dead_reckoning.initial_alignment import InitialAlignmentConfig, Standstill, TiltEstimate
+from localization.dead_reckoning.plausibility import Plausibility
+from localization.dead_reckoning.steering_offset import SteeringOffset
+from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.graph.imu_preintegration import gyro_density
 from messages.errors import ConfigError
 from messages.motion import Odometry
 from messages.sensors import ImuSample, WheelSample
 
 
-class MotionConfig(Config):
-    """What the continuous pose needs."""
+class OdometryEstimator:
+    """Dead reckoning with its measurement buffers, plausibility checks and pose history."""
 
-    inertial: InertialConfig
-    wheels: WheelConfig
-    dead_reckoning: DeadReckoningConfig
-    steering: SteeringConfig
-    plausibility: PlausibilityConfig
-    history_s: float = Field(gt=1.0, le=60.0)
-    acceleration_time_s: float = Field(gt=0.0, le=5.0, description="smoothing of the forward acceleration")
-
-
-class Motion:
-    """Dead reckoning with everything it remembers."""
-
-    def __init__(self, vehicle: Vehicle, config: MotionConfig, alignment: AlignmentConfig) -> None:
+    def __init__(self, vehicle: Vehicle, config: OdometryConfig, initial_alignment: InitialAlignmentConfig) -> None:
         imu, wheels = vehicle.sensors.imu, vehicle.sensors.wheels
         if imu is None or wheels is None:
             raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.imu and sensors.wheels")
         self._config = config
-        self.track = InertialTrack(imu, config.inertial.pull_time_s)
-        self.wheels = WheelTrack(config.wheels.largest_speed_mps)
-        self.standstill = Standstill(alignment)
-        self.steering = Steering(config.steering, vehicle.drivetrain.wheelbase_m)
+        self.track = ImuTrack(imu, config.imu.tyre_force_time_s)
+        self.wheels = WheelTrack(config.wheels.max_speed_mps)
+        self.standstill = Standstill(initial_alignment)
+        self.steering_offset = SteeringOffset(config.steering_offset, vehicle.drivetrain.wheelbase_m)
         self.plausibility = Plausibility(config.plausibility)
         self.history = PoseHistory(config.history_s)
-        self.reckoning: DeadReckoning | None = None
+        self.dead_reckoning: DeadReckoning | None = None
         self.stamp_ns = 0
-        self._gyro_density = gyro_density(imu, config.inertial)
+        self._gyro_density = gyro_density(imu, config.imu)
         self._wheel_density = wheels.speed_sigma_mps / math.sqrt(wheels.rate_hz)
         self._rate = np.zeros(3)
         self._acceleration = 0.0
@@ -60,17 +48,17 @@ class Motion:
         return self._velocity()[0]
 
     def _velocity(self) -> tuple[float, float]:
-        if self.reckoning is None or not len(self.track):
+        if self.dead_reckoning is None or not len(self.track):
             return self._speed, 0.0
-        return self.reckoning.calibration.motion(self._speed, self.track.last[6:])
+        return self.dead_reckoning.calibration.velocity(self._speed, self.track.last[6:])
 
-    def add_inertial(self, sample: ImuSample) -> bool:
+    def add_imu(self, sample: ImuSample) -> bool:
         """Takes a sample; False when it was dropped."""
         if not self.track.add(sample):
             return False
-        self.plausibility.inertial.add(self.track.last[:6])
-        self.standstill.watch(
-            sample.stamp_ns, self.track.last[3:6], abs(self._speed) > self._config.wheels.standing_mps
+        self.plausibility.imu.add(self.track.last[:6])
+        self.standstill.update(
+            sample.stamp_ns, self.track.last[3:6], abs(self._speed) > self._config.wheels.standstill_mps
         )
         return True
 
@@ -80,70 +68,71 @@ class Motion:
         if not self.wheels.add(sample):
             return False
         self._speed, self._angle = sample.speed_mps, sample.steering_angle_rad
-        self.steering.learn(self._angle, self.speed_mps, float(self._rate[2]), (sample.stamp_ns - previous_ns) * 1e-9)
+        dt_s = (sample.stamp_ns - previous_ns) * 1e-9
+        self.steering_offset.update(self._angle, self.speed_mps, float(self._rate[2]), dt_s)
         return True
 
-    def forget_time(self) -> None:
-        """Keeps pose and calibration but no sample: stamps before and after have nothing to do with each other."""
+    def clear_samples(self) -> None:
+        """Drops all samples after a gap or clock jump; keeps pose and calibration."""
         self.track.clear()
         self.wheels.clear()
         self.history.clear()
         self.plausibility.clear()
         self.standstill.reset()
 
-    def level(self) -> Level | None:
-        """Roll, pitch and bias when the machine stands."""
-        return self.standstill.level(self.track) if len(self.track) else None
+    def tilt(self) -> TiltEstimate | None:
+        """Roll, pitch and bias at standstill."""
+        return self.standstill.tilt(self.track) if len(self.track) else None
 
-    def begin(self, level: Level) -> None:
-        """Starts `odom` level with yaw 0 where the machine stands."""
-        pose = transform((0.0, 0.0, 0.0), (level.roll_rad, level.pitch_rad, 0.0))
-        calibration = Calibration(level.gyro_bias_radps, self._config.wheels.start)
-        self.reckoning = DeadReckoning(self._config.dead_reckoning, pose, calibration)
+    def start(self, tilt: TiltEstimate) -> None:
+        """Starts `odom` at the present position with yaw 0."""
+        pose = transform((0.0, 0.0, 0.0), (tilt.roll_rad, tilt.pitch_rad, 0.0))
+        calibration = Calibration(tilt.gyro_bias_radps, self._config.wheels.start)
+        self.dead_reckoning = DeadReckoning(self._config.dead_reckoning, pose, calibration)
         self.resume()
 
     def resume(self) -> None:
-        """Goes on from the newest sample."""
-        assert self.reckoning is not None, "begin comes first"
+        """Continues from the newest sample."""
+        assert self.dead_reckoning is not None, "start comes first"
         self.stamp_ns = self.track.last_ns
-        self.history.add(self.stamp_ns, self.reckoning.T_odom_base)
+        self.history.add(self.stamp_ns, self.dead_reckoning.T_odom_base)
 
     def advance(self) -> None:
-        """Integrates up to the newest inertial sample."""
-        if self.reckoning is None or self.track.last_ns <= self.stamp_ns:
+        """Integrates up to the newest IMU sample."""
+        if self.dead_reckoning is None or self.track.last_ns <= self.stamp_ns:
             return
         steps = self.track.between(self.stamp_ns, self.track.last_ns)
         speed = self.wheels.speed_at(steps.middle_ns, self.stamp_ns) if len(self.wheels) else np.zeros(len(steps.dt_s))
         ends = self.stamp_ns + np.rint(np.cumsum(steps.dt_s) * 1e9).astype(np.int64)
-        for end_ns, pose in zip(ends.tolist(), self.reckoning.advance(steps, speed), strict=True):
+        for end_ns, pose in zip(ends.tolist(), self.dead_reckoning.advance(steps, speed), strict=True):
             self.history.add(end_ns, pose)
         self.stamp_ns = self.track.last_ns
-        self._note(steps)
+        self._update_motion(steps)
 
-    def _note(self, steps: Steps) -> None:
-        """Smooths the motion of these steps, and compares what unit and wheels say of it."""
-        reckoning = self.reckoning
-        assert reckoning is not None, "called by advance"
-        up_x = float(reckoning.T_odom_base[2, 0])
+    def _update_motion(self, steps: Steps) -> None:
+        """Updates rate and smoothed acceleration from the steps, and compares IMU with wheels."""
+        dead_reckoning = self.dead_reckoning
+        assert dead_reckoning is not None, "called by advance"
+        up_x = float(dead_reckoning.T_odom_base[2, 0])
         dt = float(np.sum(steps.dt_s))
         forward = float(np.mean(steps.acceleration_mps2[:, 0])) - 9.81 * up_x
         self._acceleration += min(1.0, dt / self._config.acceleration_time_s) * (forward - self._acceleration)
-        self._rate = np.mean(steps.rate_radps, axis=0) - reckoning.calibration.gyro_bias_radps
-        rate, curvature = float(self._rate[2]), self.steering.curvature(self._angle)
+        self._rate = np.mean(steps.rate_radps, axis=0) - dead_reckoning.calibration.gyro_bias_radps
+        rate, curvature = float(self._rate[2]), self.steering_offset.curvature(self._angle)
         self.plausibility.advance(self.stamp_ns, dt, (rate, forward), (self.speed_mps, curvature))
 
-    def odometry(self, bias_sigma_radps: float, slip_sigma: Float64) -> Odometry:
-        """The message for the newest sample, with what graph or data sheet say of bias and slip (4,)."""
-        reckoning = self.reckoning
-        assert reckoning is not None, "begin comes first"
+    def message(self, bias_sigma_radps: float, slip_sigma: Float64) -> Odometry:
+        """Builds the Odometry message at the newest sample, with sigmas of gyro bias and slip (4,)."""
+        dead_reckoning = self.dead_reckoning
+        assert dead_reckoning is not None, "start comes first"
         speed, drift = self._velocity()
         return Odometry(
-            self.stamp_ns, reckoning.T_odom_base.copy(), speed, drift, self._acceleration, float(self._rate[2]),
-            self.steering.curvature(self._angle), self._covariance(bias_sigma_radps, slip_sigma),
+            self.stamp_ns, dead_reckoning.T_odom_base.copy(), speed, drift, self._acceleration, float(self._rate[2]),
+            self.steering_offset.curvature(self._angle), self._covariance(bias_sigma_radps, slip_sigma),
         )  # fmt: skip
 
     def _covariance(self, bias_sigma_radps: float, slip_sigma: Float64) -> Float64:
-        """Of the motion over one second: densities as they are, biases times the second."""
+        """Covariance (6, 6) of the motion over 1 s: noise densities, and biases times 1 s."""
         cfg, v = self._config.wheels, abs(self._speed)
         along = math.hypot(self._wheel_density, cfg.longitudinal_m_per_rts, slip_sigma[0] * v)
         turn = math.hypot(self._gyro_density, bias_sigma_radps)

@@ -1,4 +1,4 @@
-"""The continuous pose in `odom` from gyro and wheels; it drifts but never steps."""
+"""Dead reckoning: continuous pose in `odom` from gyro and wheels; drifts but never steps."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -7,36 +7,36 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from geometry.transforms import Float64, interpolate
+from geometry.arrays import Float64
+from geometry.transforms import interpolate
 from localization.dead_reckoning.imu_track import Steps
-from localization.dead_reckoning.kernels import reckon
+from localization.dead_reckoning.kernels import integrate
 
 
 class DeadReckoningConfig(Config):
-    """How slowly corrections from the graph enter."""
+    """Time constants with which corrections from the graph take effect."""
 
-    slew_s: float = Field(
-        gt=0.0, le=60.0, description="time constant with which bias, scale and drift follow the graph"
-    )
-    tilt_s: float = Field(gt=0.0, le=600.0, description="time constant with which roll and pitch follow the graph")
-    largest_tilt_rate_radps: float = Field(gt=0.0, le=0.1)
+    slew_s: float = Field(gt=0.0, le=60.0, description="of gyro bias and slip")
+    tilt_s: float = Field(gt=0.0, le=600.0, description="of roll and pitch")
+    max_tilt_rate_radps: float = Field(gt=0.0, le=0.1)
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the graph knows about the sensors: gyro bias (3,) and slip (4,), see wheels.py."""
+    """Calibration estimated by the graph: gyro bias (3,) and slip (4,), see wheel_track.py."""
 
     gyro_bias_radps: Float64
     slip: Float64
 
-    def motion(self, speed_mps: float, pull: Float64) -> tuple[float, float]:
-        """Speed of base forwards and to the left at a wheel speed and pull (2,)."""
-        scale, drift, per_pull, per_side = self.slip.tolist()
-        return (scale - per_pull * float(pull[0])) * speed_mps, (drift - per_side * float(pull[1])) * speed_mps
+    def velocity(self, speed_mps: float, force: Float64) -> tuple[float, float]:
+        """Forward and left speed of base at a wheel speed and tyre force (2,) over weight."""
+        scale, drift, per_longitudinal, per_lateral = self.slip.tolist()
+        forward_mps = (scale - per_longitudinal * float(force[0])) * speed_mps
+        return forward_mps, (drift - per_lateral * float(force[1])) * speed_mps
 
 
 class DeadReckoning:
-    """Integrates turn rate and wheel speed step by step; corrections of its inputs come in gliding."""
+    """Integrates turn rate and wheel speed step by step; corrections take effect gradually."""
 
     def __init__(self, config: DeadReckoningConfig, T_odom_base: Float64, calibration: Calibration) -> None:
         self._config = config
@@ -46,21 +46,21 @@ class DeadReckoning:
 
     @property
     def calibration(self) -> Calibration:
-        """What is applied at this moment."""
+        """The calibration applied at present."""
         return Calibration(self._now[:3].copy(), self._now[3:].copy())
 
     def correct(self, calibration: Calibration, up_base: Float64, T_odom_base: Float64) -> None:
-        """Takes the graph's calibration and upward direction in base, seen when the pose was `T_odom_base`."""
+        """Sets the calibration and up direction (3,) in base estimated by the graph at the pose `T_odom_base`."""
         self._goal = _vector(calibration)
         x, y, _ = T_odom_base[:3, :3] @ up_base
-        self._tilt_odom = np.array([y, -x, 0.0])  # that direction crossed with upwards: turns the one to the other
+        self._tilt_odom = np.array([y, -x, 0.0])  # cross product with up: rotates the one to the other
 
     def advance(self, steps: Steps, speed_mps: Float64) -> Float64:
-        """Goes on by n steps with wheel speeds (n,); gives the pose after each, (n, 4, 4)."""
+        """Integrates n steps with wheel speeds (n,); returns the pose after each, (n, 4, 4)."""
         cfg = self._config
-        poses = reckon(
-            self.T_odom_base, steps.dt_s, steps.rate_radps, speed_mps, steps.pull, self._now, self._goal,
-            self._tilt_odom, cfg.slew_s, cfg.tilt_s, cfg.largest_tilt_rate_radps,
+        poses = integrate(
+            self.T_odom_base, steps.dt_s, steps.rate_radps, speed_mps, steps.tyre_force, self._now, self._goal,
+            self._tilt_odom, cfg.slew_s, cfg.tilt_s, cfg.max_tilt_rate_radps,
         )  # fmt: skip
         self.T_odom_base = poses[-1]
         return poses
@@ -71,7 +71,7 @@ def _vector(calibration: Calibration) -> Float64:
 
 
 class PoseHistory:
-    """Poses of the last seconds by time."""
+    """Poses of the last `keep_s` seconds by stamp."""
 
     def __init__(self, keep_s: float) -> None:
         self._keep_ns = int(keep_s * 1e9)
@@ -79,7 +79,7 @@ class PoseHistory:
         self._poses: deque[Float64] = deque()
 
     def clear(self) -> None:
-        """Forgets everything."""
+        """Drops all poses."""
         self._stamps.clear()
         self._poses.clear()
 
@@ -92,7 +92,7 @@ class PoseHistory:
             self._poses.popleft()
 
     def at(self, stamp_ns: int) -> Float64 | None:
-        """The pose at a time, None when it is not covered."""
+        """The interpolated pose at a time, None outside the stored interval."""
         k = len(self._stamps) - 1
         if k < 0 or not self._stamps[0] <= stamp_ns <= self._stamps[k]:
             return None

@@ -1,4 +1,4 @@
-"""The first pose, found at standstill: gravity gives roll and pitch, two antennas the heading, the fixes the place."""
+"""Initial alignment at standstill: roll and pitch from gravity, heading and position from GNSS fixes."""
 
 import math
 from dataclasses import dataclass
@@ -8,17 +8,18 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.angles import wrap
-from geometry.transforms import Float64, transform
-from localization.dead_reckoning.imu_track import InertialTrack
+from geometry.arrays import Float64
+from geometry.transforms import transform
+from localization.dead_reckoning.imu_track import ImuTrack
 from localization.gnss_gate import Position
 
 
-class AlignmentConfig(Config):
-    """When the machine counts as standing and what the first state is trusted with."""
+class InitialAlignmentConfig(Config):
+    """Standstill criteria and sigmas of the first state."""
 
     window_s: float = Field(gt=0.1, le=7.0)
-    largest_rate_radps: float = Field(gt=0.0, le=1.0, description="turning faster is not standing")
-    largest_shake_mps2: float = Field(gt=0.0, le=10.0, description="standard deviation of the specific force")
+    max_rate_radps: float = Field(gt=0.0, le=1.0, description="faster rotation is no standstill")
+    max_noise_mps2: float = Field(gt=0.0, le=10.0, description="standard deviation of the specific force")
     fixes: int = Field(ge=2, le=200)
     tilt_sigma_deg: float = Field(gt=0.0, le=10.0)
     heading_sigma_deg: float = Field(gt=0.0, le=20.0)
@@ -26,8 +27,8 @@ class AlignmentConfig(Config):
 
 
 @dataclass(frozen=True)
-class Level:
-    """What standstill says of an inertial unit: roll, pitch, gyro bias (3,) and the length of the specific force."""
+class TiltEstimate:
+    """Roll, pitch, gyro bias (3,) and magnitude of the specific force at standstill."""
 
     roll_rad: float
     pitch_rad: float
@@ -36,24 +37,24 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Placed:
-    """Where the antenna stands and which way the machine looks, from fixes at standstill."""
+class InitialPosition:
+    """Antenna position in `map` with sigma (3,), and heading of the machine, from fixes at standstill."""
 
     p_map_m: Float64
     sigma_m: Float64
     heading_rad: float
 
 
-def level_of(specific_force_mps2: Float64, rate_radps: Float64) -> Level:
-    """Roll and pitch from the mean specific force (3,) at standstill, which points upwards."""
+def tilt_from_gravity(specific_force_mps2: Float64, rate_radps: Float64) -> TiltEstimate:
+    """Tilt from the mean specific force (3,) and rate (3,) at standstill; the force points up."""
     x, y, z = specific_force_mps2.tolist()
-    return Level(
+    return TiltEstimate(
         math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), rate_radps.copy(), math.sqrt(x * x + y * y + z * z)
     )
 
 
-def place_of(positions: list[Position]) -> Placed | None:
-    """The mean of fixes at standstill; None without headings in most of them or when they lie apart."""
+def mean_position(positions: list[Position]) -> InitialPosition | None:
+    """Mean of fixes at standstill; None when most have no heading or when they are inconsistent."""
     headings = [p.heading_rad for p in positions if math.isfinite(p.heading_rad)]
     if 2 * len(headings) <= len(positions):
         return None
@@ -61,64 +62,64 @@ def place_of(positions: list[Position]) -> Placed | None:
     sigma = np.array([np.hypot(p.sigma_m, p.slow_m) for p in positions])
     if bool(np.any(np.ptp(points, axis=0) > 8.0 * np.max(sigma, axis=0))):
         return None
-    middle = headings[0]
-    turned = np.array([wrap(h - middle) for h in headings])
-    if float(np.ptp(turned)) > 8.0 * positions[-1].heading_sigma_rad:
+    first = headings[0]
+    offsets = np.array([wrap(h - first) for h in headings])
+    if float(np.ptp(offsets)) > 8.0 * positions[-1].heading_sigma_rad:
         return None
-    return Placed(points.mean(axis=0), np.max(sigma, axis=0), wrap(middle + float(turned.mean())))
+    return InitialPosition(points.mean(axis=0), np.max(sigma, axis=0), wrap(first + float(offsets.mean())))
 
 
-def pose_of(level: Level, placed: Placed, arm_m: Float64) -> Float64:
-    """Pose in `map` of the body whose antenna stands `arm_m` from its origin."""
-    T = transform((0.0, 0.0, 0.0), (level.roll_rad, level.pitch_rad, placed.heading_rad))
-    T[:3, 3] = placed.p_map_m - T[:3, :3] @ arm_m
+def initial_pose(tilt: TiltEstimate, position: InitialPosition, arm_m: Float64) -> Float64:
+    """Pose in `map` of the body with antenna lever arm `arm_m`."""
+    T = transform((0.0, 0.0, 0.0), (tilt.roll_rad, tilt.pitch_rad, position.heading_rad))
+    T[:3, 3] = position.p_map_m - T[:3, :3] @ arm_m
     return T
 
 
 class Standstill:
-    """Watches for how long the machine has stood, and collects the fixes of that time."""
+    """Duration of the present standstill, and its fixes."""
 
-    def __init__(self, config: AlignmentConfig) -> None:
+    def __init__(self, config: InitialAlignmentConfig) -> None:
         self._config = config
         self.since_ns: int | None = None
         self._positions: list[Position] = []
 
     def reset(self) -> None:
-        """Counts anew."""
+        """Ends the standstill."""
         self.since_ns = None
         self._positions.clear()
 
-    def watch(self, stamp_ns: int, rate_radps: Float64, is_rolling: bool) -> None:
-        """Takes the newest turn rate and whether the wheels turn."""
-        if is_rolling or float(np.max(np.abs(rate_radps))) > self._config.largest_rate_radps:
+    def update(self, stamp_ns: int, rate_radps: Float64, is_rolling: bool) -> None:
+        """Takes the newest turn rate (3,) and whether the wheels roll."""
+        if is_rolling or float(np.max(np.abs(rate_radps))) > self._config.max_rate_radps:
             self.reset()
         elif self.since_ns is None:
             self.since_ns = stamp_ns
 
     def add(self, position: Position) -> None:
-        """Takes a fix; those of a worse kind than the newest are let go."""
+        """Takes a fix; drops fixes of another solution type."""
         if self.since_ns is None or position.stamp_ns < self.since_ns:
             return
         same = [p for p in self._positions if p.solution == position.solution]
         self._positions = [*same, position][-self._config.fixes :]
 
-    def level(self, track: InertialTrack) -> Level | None:
-        """Roll, pitch and bias once the machine has stood for the window, None before or when it shakes."""
+    def tilt(self, track: ImuTrack) -> TiltEstimate | None:
+        """Tilt and bias after a standstill of the window; None before, or with too much vibration."""
         end, window_ns = track.last_ns, int(self._config.window_s * 1e9)
         if self.since_ns is None or end - max(self.since_ns, track.first_ns) < window_ns:
             return None
         steps = track.between(end - window_ns, end)
-        if float(np.max(np.std(steps.acceleration_mps2, axis=0))) > self._config.largest_shake_mps2:
+        if float(np.max(np.std(steps.acceleration_mps2, axis=0))) > self._config.max_noise_mps2:
             return None
-        return level_of(steps.acceleration_mps2.mean(axis=0), steps.rate_radps.mean(axis=0))
+        return tilt_from_gravity(steps.acceleration_mps2.mean(axis=0), steps.rate_radps.mean(axis=0))
 
-    def place(self) -> Placed | None:
-        """The place, once there are enough fixes."""
-        return place_of(self._positions) if len(self._positions) >= self._config.fixes else None
+    def position(self) -> InitialPosition | None:
+        """Mean position, once there are enough fixes."""
+        return mean_position(self._positions) if len(self._positions) >= self._config.fixes else None
 
     @property
     def lacks_heading(self) -> bool:
-        """Whether fixes are there but no heading comes with them."""
+        """Whether there are enough fixes but none has a heading."""
         enough = len(self._positions) >= self._config.fixes
         return enough and not any(math.isfinite(p.heading_rad) for p in self._positions)
 

@@ -1,4 +1,4 @@
-"""The recent wheel speeds, and the way they stand for."""
+"""Wheel track: wheel speeds of the last seconds, and the displacement they measure."""
 
 from collections import deque
 
@@ -7,7 +7,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from configs.strict import Config
-from geometry.transforms import Float64
+from geometry.arrays import Float64
 from localization.dead_reckoning.imu_track import Steps
 from messages.sensors import WheelSample
 
@@ -15,47 +15,49 @@ KEEP = 400
 
 
 class WheelConfig(Config):
-    """How far the rear axle's speed says where base goes; densities are of a velocity white in time."""
+    """Section `wheels` of odometry; densities of white velocity noise, slip model and limits."""
 
-    longitudinal_m_per_rts: float = Field(gt=0.0, le=1.0, description="along x, over the sensor's own noise")
+    longitudinal_m_per_rts: float = Field(gt=0.0, le=1.0, description="along x, in addition to the sensor noise")
     lateral_m_per_rts: float = Field(gt=0.0, le=1.0)
     vertical_m_per_rts: float = Field(gt=0.0, le=1.0)
-    standstill_m: float = Field(gt=0.0, le=1.0, description="moved from keyframe to keyframe while the wheels stand")
+    standstill_m: float = Field(gt=0.0, le=1.0, description="motion between keyframes while the wheels stand")
     standstill_rad: float = Field(gt=0.0, le=1.0)
-    scale_sigma: float = Field(gt=0.0, le=0.5, description="at the start")
-    scale_per_rts: float = Field(gt=0.0, le=0.5, description="how fast slip changes")
-    drift_sigma: float = Field(gt=0.0, le=0.5, description="sideways speed over forward speed, at the start")
+    scale_sigma: float = Field(gt=0.0, le=0.5, description="initial")
+    scale_per_rts: float = Field(gt=0.0, le=0.5, description="change of slip")
+    drift_sigma: float = Field(gt=0.0, le=0.5, description="lateral over forward speed, initial")
     drift_per_rts: float = Field(gt=0.0, le=0.5)
-    slip_per_pull: float = Field(ge=0.0, le=1.0, description="slip over forward force in units of weight, at the start")
-    slip_per_pull_sigma: float = Field(gt=0.0, le=1.0)
-    crab_per_side: float = Field(ge=0.0, le=1.0, description="slip angle over sideways force in units of weight")
-    crab_per_side_sigma: float = Field(gt=0.0, le=1.0)
-    softness_per_rts: float = Field(gt=0.0, le=0.1, description="how fast these two change with the ground")
-    largest_speed_mps: float = Field(gt=0.0, le=50.0)
-    standing_mps: float = Field(gt=0.0, le=0.5, description="below this the wheels stand")
-    largest_gap_s: float = Field(gt=0.0, le=1.0)
+    slip_per_longitudinal_force: float = Field(ge=0.0, le=1.0, description="slip per force over weight, initial")
+    slip_per_longitudinal_force_sigma: float = Field(gt=0.0, le=1.0)
+    slip_angle_per_lateral_force: float = Field(ge=0.0, le=1.0, description="rad per force over weight, initial")
+    slip_angle_per_lateral_force_sigma: float = Field(gt=0.0, le=1.0)
+    force_response_per_rts: float = Field(gt=0.0, le=0.1, description="change of these two with the ground")
+    max_speed_mps: float = Field(gt=0.0, le=50.0)
+    standstill_mps: float = Field(gt=0.0, le=0.5, description="lower speeds are standstill")
+    max_gap_s: float = Field(gt=0.0, le=1.0)
 
     @property
     def start(self) -> Float64:
-        """Slip before anything is learnt: scale, drift, slip per pull, crab per side force."""
-        return np.array([1.0, 0.0, self.slip_per_pull, self.crab_per_side])
+        """Initial slip (4,): scale, drift, slip per longitudinal force, slip angle per lateral force."""
+        return np.array([1.0, 0.0, self.slip_per_longitudinal_force, self.slip_angle_per_lateral_force])
 
     @property
     def start_sigma(self) -> Float64:
-        """Its sigmas."""
-        return np.array([self.scale_sigma, self.drift_sigma, self.slip_per_pull_sigma, self.crab_per_side_sigma])
+        """Sigmas (4,) of the initial slip."""
+        forces = self.slip_per_longitudinal_force_sigma, self.slip_angle_per_lateral_force_sigma
+        return np.array([self.scale_sigma, self.drift_sigma, *forces])
 
     @property
     def walk(self) -> Float64:
-        """How it wanders, per root second."""
-        return np.array([self.scale_per_rts, self.drift_per_rts, self.softness_per_rts, self.softness_per_rts])
+        """Random walk (4,) of the slip, per √s."""
+        force = self.force_response_per_rts
+        return np.array([self.scale_per_rts, self.drift_per_rts, force, force])
 
 
 class WheelTrack:
     """Speeds of the last seconds in time order."""
 
-    def __init__(self, largest_speed_mps: float) -> None:
-        self._limit = largest_speed_mps
+    def __init__(self, max_speed_mps: float) -> None:
+        self._limit = max_speed_mps
         self._stamps: deque[int] = deque(maxlen=KEEP)
         self._speeds: deque[float] = deque(maxlen=KEEP)
 
@@ -68,12 +70,12 @@ class WheelTrack:
         return self._stamps[-1]
 
     def clear(self) -> None:
-        """Forgets everything."""
+        """Drops all samples."""
         self._stamps.clear()
         self._speeds.clear()
 
     def add(self, sample: WheelSample) -> bool:
-        """Takes a sample; False when it is out of order, not finite or impossibly fast."""
+        """Takes a sample; False when it is out of order, not finite or too fast."""
         if not (abs(sample.speed_mps) <= self._limit and abs(sample.steering_angle_rad) <= 1.57):
             return False
         if self._stamps and sample.stamp_ns <= self._stamps[-1]:
@@ -83,7 +85,7 @@ class WheelTrack:
         return True
 
     def speed_at(self, stamp_ns: Float64, origin_ns: int) -> Float64:
-        """Speeds at times after `origin_ns`, (n,); beyond the newest sample it is held."""
+        """Speeds (n,) at times after `origin_ns`; the newest sample is held."""
         low = len(self._stamps) - 1
         while low > 0 and self._stamps[low] > origin_ns:
             low -= 1
@@ -93,17 +95,17 @@ class WheelTrack:
 
 
 def displacement_columns(steps: Steps, speed_mps: Float64, gyro_bias_radps: Float64) -> Float64:
-    """What each unit of slip moves base, in base at the start, (3, 4).
+    """Displacement of base per slip parameter, (3, 4), in base at the start.
 
-    The way of base is `columns @ (scale, drift, slip per pull, crab per side force)`: pulling makes it less than the
-    wheels', and a force to the left (a left bend, a slope whose left side is high) comes with a slide to the right.
-    Turns within one stretch are small, so their order is neglected: the error is the way times half the product of two
-    turn angles about different axes, below 0.1 mm in 0.2 s.
+    The displacement is `columns @ (scale, drift, slip per longitudinal force, slip angle per lateral force)`: traction
+    shortens it, and a force to the left (left curve, slope rising to the left) gives a slide to the right. The order
+    of small rotations is neglected: the error is the path length times half the product of two rotation angles about
+    different axes, below 0.1 mm in 0.2 s.
     """
     turn = (steps.rate_radps - gyro_bias_radps) * steps.dt_s[:, None]
     before = np.cumsum(turn, axis=0) - 0.5 * turn
     R = Rotation.from_rotvec(before).as_matrix()
-    way = speed_mps * steps.dt_s
-    ahead, aside = R[:, :, 0].T, R[:, :, 1].T
-    pull, side = steps.pull[:, 0] * way, steps.pull[:, 1] * way
-    return np.stack([ahead @ way, aside @ way, -(ahead @ pull), -(aside @ side)], axis=1)
+    path = speed_mps * steps.dt_s
+    forward, left = R[:, :, 0].T, R[:, :, 1].T
+    longitudinal, lateral = steps.tyre_force[:, 0] * path, steps.tyre_force[:, 1] * path
+    return np.stack([forward @ path, left @ path, -(forward @ longitudinal), -(left @ lateral)], axis=1)

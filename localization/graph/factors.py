@@ -1,8 +1,8 @@
-"""Measurements as factors on the graph's variables.
+"""Factors of the measurements on the variables of the graph.
 
 A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip
-S (4,): scale, drift, slip per pull, crab per side force (see `displacement_columns` in wheels.py); where UWB is heard
-also C, scale and bias of every anchor (see uwb_factor.py).
+S (4,): scale, drift, slip per longitudinal force, slip angle per lateral force (see `displacement_columns` in
+wheel_track.py); with UWB ranges also C, scale and bias of every anchor (see uwb_factor.py).
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, C, S, V, X
 
 from geometry.angles import wrap
-from geometry.transforms import Float64
+from geometry.arrays import Float64
 
 __all__ = [
     "B",
@@ -23,9 +23,9 @@ __all__ = [
     "X",
     "gnss_factor",
     "heading_factor",
-    "motion_factor",
     "pose_factor",
-    "rest_factor",
+    "relative_pose_factor",
+    "standstill_factor",
     "wheel_factor",
 ]
 
@@ -33,24 +33,23 @@ Error = Callable[[gtsam.CustomFactor, gtsam.Values, "list[Float64] | None"], Flo
 
 
 def skew(p: Float64) -> Float64:
-    """The matrix of the cross product with p (3,)."""
+    """Cross product matrix of p (3,)."""
     return np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
 
 
 def gnss_factor(key: int, p_map_m: Float64, arm_m: Float64, sigma_m: Float64) -> gtsam.GPSFactorArm:
-    """An antenna at `p_map_m`, `arm_m` from the IMU in `base` axes."""
+    """Measured position of an antenna with lever arm `arm_m` from the IMU in `base` axes."""
     return gtsam.GPSFactorArm(X(key), p_map_m, arm_m, gtsam.noiseModel.Diagonal.Sigmas(sigma_m))
 
 
 def heading_factor(key: int, heading_rad: float, sigma_rad: float) -> gtsam.CustomFactor:
-    """The direction of x of base, seen from above."""
-
+    """Measured yaw of base."""
     pose = X(key)
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
         (east, b, c), (north, e, f), _ = values.atPose3(pose).rotation().matrix().tolist()
         if H is not None:
-            # d(R e_x) = R (ω × e_x) = ω_z R e_y - ω_y R e_z; its part across over the length squared turns the angle
+            # d(R e_x) = R (ω × e_x) = ω_z R e_y - ω_y R e_z; its lateral part over length squared changes the yaw
             length2 = east * east + north * north
             H[0] = np.array([[0.0, (north * c - east * f) / length2, (east * e - north * b) / length2, 0.0, 0.0, 0.0]])
         return np.array([wrap(math.atan2(north, east) - heading_rad)])
@@ -59,7 +58,7 @@ def heading_factor(key: int, heading_rad: float, sigma_rad: float) -> gtsam.Cust
 
 
 def wheel_factor(start: int, end: int, columns: Float64, arm_m: Float64, sigma_m: Float64) -> gtsam.CustomFactor:
-    """The way of base between two keyframes as `columns` (3, 4) @ slip; `arm_m` is base seen from the IMU."""
+    """Displacement of base between two keyframes, `columns` (3, 4) @ slip; `arm_m` is base relative to the IMU."""
     before, after, slip = X(start), X(end), S(start)
     by_slip, by_turn = -columns, np.hstack([-skew(arm_m), np.eye(3)])
     by_start = np.hstack([np.zeros((3, 3)), -np.eye(3)])
@@ -67,30 +66,30 @@ def wheel_factor(start: int, end: int, columns: Float64, arm_m: Float64, sigma_m
     def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
         first, last = values.atPose3(before).matrix(), values.atPose3(after).matrix()
         back = first[:3, :3].T
-        way = back @ (last[:3, 3] + last[:3, :3] @ arm_m - first[:3, 3])
+        displacement = back @ (last[:3, 3] + last[:3, :3] @ arm_m - first[:3, 3])
         if H is not None:
             H[0] = by_start.copy()
-            H[0][:, :3] = skew(way)
+            H[0][:, :3] = skew(displacement)
             H[1] = back @ last[:3, :3] @ by_turn
             H[2] = by_slip
-        return way - arm_m - columns @ values.atVector(slip)
+        return displacement - arm_m - columns @ values.atVector(slip)
 
     return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [before, after, slip], error)
 
 
-def rest_factor(start: int, end: int, sigma_rad: float, sigma_m: float) -> gtsam.BetweenFactorPose3:
-    """No motion between two keyframes, which also shows the gyro's bias."""
+def standstill_factor(start: int, end: int, sigma_rad: float, sigma_m: float) -> gtsam.BetweenFactorPose3:
+    """No motion between two keyframes, which also makes the gyro bias observable."""
     model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([sigma_rad, sigma_m], 3))
     return gtsam.BetweenFactorPose3(X(start), X(end), gtsam.Pose3(), model)
 
 
-def motion_factor(start: int, end: int, T_start_end: Float64, covariance: Float64) -> gtsam.BetweenFactorPose3:
-    """A measured motion of the graph's body between two keyframes; covariance (6, 6) rotation then translation."""
+def relative_pose_factor(start: int, end: int, T_start_end: Float64, covariance: Float64) -> gtsam.BetweenFactorPose3:
+    """Measured motion of the body between two keyframes; covariance (6, 6), rotation then translation."""
     return gtsam.BetweenFactorPose3(X(start), X(end), gtsam.Pose3(T_start_end), _huber(covariance))
 
 
 def pose_factor(key: int, T_map_body: Float64, covariance: Float64) -> gtsam.PriorFactorPose3:
-    """A measured pose of the graph's body; covariance (6, 6) rotation then translation, in the body."""
+    """Measured pose of the body; covariance (6, 6), rotation then translation, in the body."""
     return gtsam.PriorFactorPose3(X(key), gtsam.Pose3(T_map_body), _huber(covariance))
 
 

@@ -1,4 +1,4 @@
-"""Inertial steps between two keyframes, summed up once as gtsam's factors want them."""
+"""Preintegration of IMU steps between two keyframes, for gtsam's CombinedImuFactor."""
 
 import math
 
@@ -6,30 +6,30 @@ import gtsam
 import numpy as np
 
 from configs.vehicle import Imu
-from geometry.transforms import Float64
-from localization.dead_reckoning.imu_track import STANDARD_GRAVITY_MPS2, InertialConfig, Steps
+from geometry.arrays import Float64
+from localization.dead_reckoning.imu_track import STANDARD_GRAVITY_MPS2, ImuTrackConfig, Steps
 
 INTEGRATION_SIGMA = 1e-4
 
 
 def normal_gravity(latitude_rad: float, height_m: float) -> float:
-    """Gravity on the ellipsoid and above it, m/s² (Somigliana with WGS 84, free-air term)."""
+    """Normal gravity, m/s² (Somigliana with WGS 84, free-air term for the height)."""
     s2 = math.sin(latitude_rad) ** 2
     return 9.7803253359 * (1.0 + 0.00193185265241 * s2) / math.sqrt(1.0 - 0.00669437999013 * s2) - 3.086e-6 * height_m
 
 
-def gyro_density(imu: Imu, config: InertialConfig) -> float:
-    """Angle random walk taken, rad/√s."""
+def gyro_density(imu: Imu, config: ImuTrackConfig) -> float:
+    """Angle random walk with the configured factor, rad/√s."""
     return math.radians(imu.gyro_noise_dps_rthz) * config.gyro_noise_factor
 
 
 def bias_sigmas(imu: Imu) -> tuple[float, float]:
-    """What the data sheet lets a bias be: accelerometer (m/s²) and gyro (rad/s)."""
+    """Bias limits of the data sheet: accelerometer (m/s²) and gyro (rad/s)."""
     return imu.accelerometer_bias_mg * 1e-3 * STANDARD_GRAVITY_MPS2, math.radians(imu.gyro_bias_dph) / 3600.0
 
 
-def imu_parameters(imu: Imu, config: InertialConfig, gravity_mps2: float) -> gtsam.PreintegrationCombinedParams:
-    """Noise for the preintegration, z upwards; samples come in `base` axes with the origin at the IMU."""
+def imu_parameters(imu: Imu, config: ImuTrackConfig, gravity_mps2: float) -> gtsam.PreintegrationCombinedParams:
+    """Noise parameters with z upwards, for samples in `base` axes with the origin at the IMU."""
     parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(gravity_mps2)
     accelerometer = imu.accelerometer_noise_ug_rthz * 1e-6 * STANDARD_GRAVITY_MPS2 * config.accelerometer_noise_factor
     bias_accelerometer, bias_gyro = (b / math.sqrt(config.bias_time_s) for b in bias_sigmas(imu))
@@ -44,7 +44,7 @@ def imu_parameters(imu: Imu, config: InertialConfig, gravity_mps2: float) -> gts
 def preintegrate(
     parameters: gtsam.PreintegrationCombinedParams, bias: Float64, steps: Steps
 ) -> gtsam.PreintegratedCombinedMeasurements:
-    """The sum of the steps with a bias (6,) of accelerometer, then gyro."""
+    """Preintegrates the steps with a bias (6,) of accelerometer, then gyro."""
     total = gtsam.PreintegratedCombinedMeasurements(parameters, constant_bias(bias))
     for acceleration, rate, dt in zip(steps.acceleration_mps2, steps.rate_radps, steps.dt_s.tolist(), strict=True):
         total.integrateMeasurement(acceleration, rate, dt)
@@ -52,5 +52,5 @@ def preintegrate(
 
 
 def constant_bias(bias: Float64) -> gtsam.imuBias.ConstantBias:
-    """The bias (6,) as gtsam has it."""
+    """Converts a bias (6,) to gtsam."""
     return gtsam.imuBias.ConstantBias(bias[:3], bias[3:])

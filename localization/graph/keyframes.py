@@ -1,4 +1,4 @@
-"""From measurements to keyframes: predicts, gates, hands the factors to the graph."""
+"""Keyframe builder: predicts the state, gates the measurements and adds their factors to the graph."""
 
 import math
 from collections.abc import Sequence
@@ -9,11 +9,17 @@ import numpy as np
 
 from configs.vehicle import Imu, Vehicle
 from geometry.angles import wrap
-from geometry.transforms import Float64, invert
-from localization.dead_reckoning.imu_track import InertialConfig, InertialTrack, Steps
-from localization.dead_reckoning.initial_alignment import AlignmentConfig, Level, Placed, pose_of
+from geometry.arrays import Float64
+from geometry.transforms import invert
+from localization.dead_reckoning.imu_track import ImuTrack, ImuTrackConfig, Steps
+from localization.dead_reckoning.initial_alignment import (
+    InitialAlignmentConfig,
+    InitialPosition,
+    TiltEstimate,
+    initial_pose,
+)
 from localization.dead_reckoning.wheel_track import WheelConfig, WheelTrack, displacement_columns
-from localization.gnss_gate import GnssConfig, GnssGate, Position, Refusal
+from localization.gnss_gate import GnssConfig, GnssGate, Position, RejectionReason
 from localization.graph.factors import (
     B,
     C,
@@ -21,10 +27,10 @@ from localization.graph.factors import (
     X,
     gnss_factor,
     heading_factor,
-    motion_factor,
     pose_factor,
-    rest_factor,
+    relative_pose_factor,
     skew,
+    standstill_factor,
     wheel_factor,
 )
 from localization.graph.imu_preintegration import (
@@ -37,171 +43,171 @@ from localization.graph.imu_preintegration import (
 )
 from localization.graph.smoother import Smoother, SmootherConfig, State
 from localization.graph.uwb_factor import ranges_factor
-from localization.lidar.pose_measurement import Sighting, SightingConfig, agrees
-from localization.uwb.range_gate import Heard, Ranging
+from localization.lidar.pose_measurement import PoseMeasurement, PoseMeasurementConfig, agrees
+from localization.uwb.range_gate import RangeBatch, RangeGate
 
 GRAVITY_SIGMA_MPS2 = 0.02
 
 
 @dataclass(frozen=True)
-class Arms:
-    """Places in `base` axes seen from the IMU."""
+class LeverArms:
+    """Antenna and base origin relative to the IMU, in `base` axes."""
 
     antenna_m: Float64
     base_m: Float64
     T_base_body: Float64
 
     @classmethod
-    def of(cls, imu: Imu, antenna_xyz_m: tuple[float, float, float]) -> "Arms":
-        """From the mounts."""
+    def of(cls, imu: Imu, antenna_xyz_m: tuple[float, float, float]) -> "LeverArms":
+        """Lever arms from the mounts of IMU and antenna."""
         T = np.eye(4)
         T[:3, 3] = imu.mount.xyz_m
         return cls(np.array(antenna_xyz_m) - T[:3, 3], -T[:3, 3], T)
 
 
-class Fusion:
-    """Makes keyframes out of inertial steps, wheels, fixes and lidar motions."""
+class KeyframeBuilder:
+    """Builds keyframes from IMU steps, wheels, fixes, UWB ranges and lidar measurements."""
 
     def __init__(
-        self, vehicle: Vehicle, gravity_at: tuple[float, float], inertial: InertialConfig, wheels: WheelConfig,
-        gnss: GnssConfig, smoother: SmootherConfig, alignment: AlignmentConfig, sighting: SightingConfig,
-        ranging: Ranging | None,
+        self, vehicle: Vehicle, gravity_at: tuple[float, float], imu_track: ImuTrackConfig, wheels: WheelConfig,
+        gnss: GnssConfig, smoother: SmootherConfig, initial_alignment: InitialAlignmentConfig,
+        pose_measurement: PoseMeasurementConfig, range_gate: RangeGate | None,
     ) -> None:  # fmt: skip
         imu, main = vehicle.sensors.imu, vehicle.sensors.gnss["main"]
         assert imu is not None, "checked by the localizer"
-        self.arms = Arms.of(imu, main.mount.xyz_m)
+        self.lever_arms = LeverArms.of(imu, main.mount.xyz_m)
         self._gravity = normal_gravity(*gravity_at)
-        self._parameters = imu_parameters(imu, inertial, self._gravity)
+        self._parameters = imu_parameters(imu, imu_track, self._gravity)
         self._bias_sigmas = bias_sigmas(imu)
-        self._gyro_density = gyro_density(imu, inertial)
+        self._gyro_density = gyro_density(imu, imu_track)
         self._wheel_density = _wheel_density(vehicle)
-        self._wheels, self._alignment, self._gnss = wheels, alignment, gnss
-        self.gate = GnssGate(gnss)
+        self._wheels, self._initial_alignment, self._gnss = wheels, initial_alignment, gnss
+        self.gnss_gate = GnssGate(gnss)
         self.smoother = Smoother(smoother)
-        self._waiting: list[gtsam.NonlinearFactor] = []
-        self.ranging, self._sighting = ranging, sighting
+        self._pending_factors: list[gtsam.NonlinearFactor] = []
+        self.range_gate, self._pose_measurement = range_gate, pose_measurement
         self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
 
-    def start(self, stamp_ns: int, level: Level, placed: Placed) -> State:
-        """Begins the graph at a standstill, where fixes say."""
-        cfg = self._alignment
-        tilt, heading = math.radians(cfg.tilt_sigma_deg), math.radians(cfg.heading_sigma_deg)
-        pose_sigma = np.concatenate([[tilt, tilt, heading], placed.sigma_m])
-        return self.start_at(stamp_ns, level, pose_of(level, placed, self.arms.antenna_m), pose_sigma)
+    def start(self, stamp_ns: int, tilt: TiltEstimate, position: InitialPosition) -> State:
+        """Starts the graph at standstill, at the position of the fixes."""
+        cfg = self._initial_alignment
+        tilt_sigma, heading_sigma = math.radians(cfg.tilt_sigma_deg), math.radians(cfg.heading_sigma_deg)
+        pose_sigma = np.concatenate([[tilt_sigma, tilt_sigma, heading_sigma], position.sigma_m])
+        return self.start_at(stamp_ns, tilt, initial_pose(tilt, position, self.lever_arms.antenna_m), pose_sigma)
 
-    def start_at(self, stamp_ns: int, level: Level, T_map_body: Float64, pose_sigma: Float64) -> State:
-        """Begins the graph at a standstill, at a pose known to sigmas (6,), rotation then translation."""
-        cfg = self._alignment
+    def start_at(self, stamp_ns: int, tilt: TiltEstimate, T_map_body: Float64, pose_sigma: Float64) -> State:
+        """Starts the graph at standstill, at a pose with sigmas (6,), rotation then translation."""
+        cfg = self._initial_alignment
         accelerometer, gyro = self._bias_sigmas
-        gyro = math.hypot(
-            gyro, self._gyro_density / math.sqrt(cfg.window_s)
-        )  # the mean of a short while, and its drift
+        gyro = math.hypot(gyro, self._gyro_density / math.sqrt(cfg.window_s))  # drift, and noise of the mean
         bias_sigma = np.repeat([math.hypot(accelerometer, GRAVITY_SIGMA_MPS2), gyro], 3)
         bias_sigma[:2] = accelerometer
-        bias = np.concatenate([[0.0, 0.0, level.gravity_mps2 - self._gravity], level.gyro_bias_radps])
+        bias = np.concatenate([[0.0, 0.0, tilt.gravity_mps2 - self._gravity], tilt.gyro_bias_radps])
         sigmas = np.concatenate([pose_sigma, np.full(3, cfg.velocity_sigma_mps), bias_sigma, self._wheels.start_sigma])
         state = State(stamp_ns, T_map_body, np.zeros(3), bias, self._wheels.start, np.diag(pose_sigma**2), sigmas)
         return self.restart(state)
 
     def restart(self, state: State) -> State:
-        """Begins the graph anew at a known state."""
-        self._waiting.clear()
+        """Restarts the graph at a known state."""
+        self._pending_factors.clear()
         self._calibrated = None
         self.smoother.start(state)
         return state
 
-    def add_motion(self, start: int, end: int, T_base: Float64, covariance: Float64) -> None:
-        """Keeps a motion of base between two keyframes for the next update; covariance in base at its end."""
-        T = invert(self.arms.T_base_body) @ T_base @ self.arms.T_base_body
-        A = gtsam.Pose3(invert(self.arms.T_base_body)).AdjointMap()
-        self._waiting.append(motion_factor(start, end, T, A @ covariance @ A.T))
+    def add_relative_pose(self, start: int, end: int, T_base: Float64, covariance: Float64) -> None:
+        """Adds a motion of base between two keyframes to the next update; covariance (6, 6) in base at its end."""
+        T = invert(self.lever_arms.T_base_body) @ T_base @ self.lever_arms.T_base_body
+        A = gtsam.Pose3(invert(self.lever_arms.T_base_body)).AdjointMap()
+        self._pending_factors.append(relative_pose_factor(start, end, T, A @ covariance @ A.T))
 
-    def keyframe(
-        self, stamp_ns: int, track: InertialTrack, wheels: WheelTrack, positions: list[Position],
-        heard: Heard | None = None, sightings: Sequence[Sighting] = (), needs_ranges: bool = True,
-    ) -> list[Refusal]:  # fmt: skip
-        """Adds a keyframe with what was measured since the last; says what spoke against each of the fixes.
+    def add(
+        self, stamp_ns: int, track: ImuTrack, wheels: WheelTrack, positions: list[Position],
+        batch: RangeBatch | None = None, pose_measurements: Sequence[PoseMeasurement] = (), needs_ranges: bool = True,
+    ) -> list[RejectionReason]:  # fmt: skip
+        """Adds a keyframe with the measurements since the last one; returns a rejection reason for each fix.
 
-        Fixes, ranges and sightings have been carried over to `stamp_ns`; ranges that it does not need are only judged.
-
+        All measurements have been propagated to `stamp_ns`. Without `needs_ranges`, ranges are gated but not added.
         Raises SmootherFailure when the graph had to be rebuilt at the last state.
         """
         last = self.smoother.state
         assert last is not None, "start comes first"
         steps = track.between(last.stamp_ns, stamp_ns)
-        inertial = preintegrate(self._parameters, last.bias, steps)
-        guess, key = self._predict(last, stamp_ns, inertial), self.smoother.next_key
-        factors, self._waiting = self._waiting, []
+        preintegrated = preintegrate(self._parameters, last.bias, steps)
+        guess, key = self._predict(last, stamp_ns, preintegrated), self.smoother.next_key
+        factors, self._pending_factors = self._pending_factors, []
         factors += self._wheel_factors(key, last, stamp_ns, steps, wheels)
         antenna = self._antenna(guess, (stamp_ns - last.stamp_ns) * 1e-9)
-        refusals = [self.gate.judge(position, *antenna) for position in positions]
-        for position, refusal in zip(positions, refusals, strict=True):
-            factors += self._fix_factors(key, guess, position) if refusal is Refusal.NONE else []
-        factors += self._sighting_factors(key, guess, sightings)
-        ranged = self._range_factors(key, guess, heard, needs_ranges) if heard is not None else []
-        between = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), inertial)
+        reasons = [self.gnss_gate.evaluate(position, *antenna) for position in positions]
+        for position, reason in zip(positions, reasons, strict=True):
+            factors += self._fix_factors(key, guess, position) if reason is RejectionReason.NONE else []
+        factors += self._pose_factors(key, guess, pose_measurements)
+        range_factors = self._range_factors(key, guess, batch, needs_ranges) if batch is not None else []
+        imu_factor = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), preintegrated)
         root = math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
-        if not ranged or self.ranging is None:
-            self.smoother.add(guess, between, root * self._wheels.walk, factors)
-            return refusals
-        ranging = self.ranging
-        self.smoother.add(guess, between, root * self._wheels.walk, factors + ranged, ranging.calibration)
-        ranging.calibration, ranging.calibration_covariance = self.smoother.calibration(key)
+        if not range_factors or self.range_gate is None:
+            self.smoother.add(guess, imu_factor, root * self._wheels.walk, factors)
+            return reasons
+        range_gate = self.range_gate
+        factors += range_factors
+        self.smoother.add(guess, imu_factor, root * self._wheels.walk, factors, range_gate.calibration)
+        range_gate.calibration, range_gate.calibration_covariance = self.smoother.calibration(key)
         self._calibrated = key, stamp_ns
-        return refusals
+        return reasons
 
-    def _sighting_factors(self, key: int, guess: State, sightings: Sequence[Sighting]) -> list[gtsam.NonlinearFactor]:
-        T_base_body = self.arms.T_base_body
+    def _pose_factors(
+        self, key: int, guess: State, pose_measurements: Sequence[PoseMeasurement]
+    ) -> list[gtsam.NonlinearFactor]:
+        T_base_body = self.lever_arms.T_base_body
         A = gtsam.Pose3(invert(T_base_body)).AdjointMap()
-        seen = [Sighting(s.T_map_base @ T_base_body, A @ s.covariance @ A.T) for s in sightings]
+        in_body = [PoseMeasurement(s.T_map_base @ T_base_body, A @ s.covariance @ A.T) for s in pose_measurements]
         return [
             pose_factor(key, s.T_map_base, s.covariance)
-            for s in seen
-            if agrees(s, guess.T_map_body, guess.covariance, self._sighting)
+            for s in in_body
+            if agrees(s, guess.T_map_body, guess.covariance, self._pose_measurement)
         ]
 
-    def _range_factors(self, key: int, guess: State, heard: Heard, is_needed: bool) -> list[gtsam.NonlinearFactor]:
-        """Those that agree, with the calibration's own link to the keyframe before, or to what was known then."""
-        ranging = self.ranging
-        assert ranging is not None, "who hears has anchors"
-        kept = ranging.judge(heard, guess.T_map_body, guess.covariance)
-        if not ranging.accept(guess.stamp_ns, heard, kept) or not is_needed:
+    def _range_factors(self, key: int, guess: State, batch: RangeBatch, is_needed: bool) -> list[gtsam.NonlinearFactor]:
+        """Factors of the consistent ranges, and of their calibration to the previous keyframe or its prior."""
+        range_gate = self.range_gate
+        assert range_gate is not None, "a batch comes from the range gate"
+        kept = range_gate.evaluate(batch, guess.T_map_body, guess.covariance)
+        if not range_gate.accept(guess.stamp_ns, batch, kept) or not is_needed:
             return []
         factors: list[gtsam.NonlinearFactor]
         before, gaussian = self._calibrated, gtsam.noiseModel.Gaussian.Covariance
-        walk = np.diag(ranging.walk * (0 if before is None else guess.stamp_ns - before[1]) * 1e-9)
-        if before is not None and self.smoother.holds(before[0]):
+        walk = np.diag(range_gate.walk * (0 if before is None else guess.stamp_ns - before[1]) * 1e-9)
+        if before is not None and self.smoother.is_within_lag(before[0]):
             factors = [gtsam.BetweenFactorVector(C(before[0]), C(key), np.zeros(len(walk)), gaussian(walk))]
         else:
-            known = gaussian(ranging.calibration_covariance + walk)
-            factors = [gtsam.PriorFactorVector(C(key), ranging.calibration, known)]
-        factors.append(ranges_factor(key, ranging.anchors_map_m, kept.arms_m, kept.rows, kept.range_m, kept.sigma_m))
+            prior = gaussian(range_gate.calibration_covariance + walk)
+            factors = [gtsam.PriorFactorVector(C(key), range_gate.calibration, prior)]
+        factors.append(ranges_factor(key, range_gate.anchors_map_m, kept.arms_m, kept.rows, kept.range_m, kept.sigma_m))
         return factors
 
-    def _predict(self, last: State, stamp_ns: int, inertial: gtsam.PreintegratedCombinedMeasurements) -> State:
+    def _predict(self, last: State, stamp_ns: int, preintegrated: gtsam.PreintegratedCombinedMeasurements) -> State:
         start = gtsam.NavState(gtsam.Pose3(last.T_map_body), last.velocity_mps)
-        end = inertial.predict(start, constant_bias(last.bias))
+        end = preintegrated.predict(start, constant_bias(last.bias))
         return replace(
             last, stamp_ns=stamp_ns, T_map_body=np.asarray(end.pose().matrix()), velocity_mps=np.asarray(end.velocity())
         )
 
     def _antenna(self, guess: State, dt_s: float) -> tuple[Float64, Float64]:
-        """Predicted antenna and its covariance (3, 3) in map."""
+        """Predicted antenna position and its covariance (3, 3) in `map`."""
         R = guess.T_map_body[:3, :3]
-        J = R @ np.hstack([-skew(self.arms.antenna_m), np.eye(3)])
-        growth = (self._alignment.velocity_sigma_mps * dt_s) ** 2 * np.eye(3)
-        p = guess.T_map_body[:3, 3] + R @ self.arms.antenna_m
+        J = R @ np.hstack([-skew(self.lever_arms.antenna_m), np.eye(3)])
+        growth = (self._initial_alignment.velocity_sigma_mps * dt_s) ** 2 * np.eye(3)
+        p = guess.T_map_body[:3, 3] + R @ self.lever_arms.antenna_m
         return p, J @ guess.covariance @ J.T + growth
 
     def _fix_factors(self, key: int, guess: State, position: Position) -> list[gtsam.NonlinearFactor]:
         factors: list[gtsam.NonlinearFactor] = [
-            gnss_factor(key, position.p_map_m, self.arms.antenna_m, position.sigma_m)
+            gnss_factor(key, position.p_map_m, self.lever_arms.antenna_m, position.sigma_m)
         ]
         if math.isfinite(position.heading_rad):
             R = guess.T_map_body
-            off = wrap(position.heading_rad - math.atan2(R[1, 0], R[0, 0]))
+            error = wrap(position.heading_rad - math.atan2(R[1, 0], R[0, 0]))
             sigma = math.hypot(position.heading_sigma_rad, math.sqrt(guess.covariance[2, 2]))
-            if abs(off) <= max(self._gnss.heading_gate_sigma * sigma, math.radians(self._gnss.heading_floor_deg)):
+            if abs(error) <= max(self._gnss.heading_gate_sigma * sigma, math.radians(self._gnss.heading_floor_deg)):
                 factors.append(heading_factor(key, position.heading_rad, position.heading_sigma_rad))
         return factors
 
@@ -209,17 +215,17 @@ class Fusion:
         self, key: int, last: State, stamp_ns: int, steps: Steps, wheels: WheelTrack
     ) -> list[gtsam.NonlinearFactor]:
         cfg = self._wheels
-        if len(wheels) == 0 or stamp_ns - wheels.last_ns > cfg.largest_gap_s * 1e9:
+        if len(wheels) == 0 or stamp_ns - wheels.last_ns > cfg.max_gap_s * 1e9:
             return []
         speed = wheels.speed_at(steps.middle_ns, last.stamp_ns)
         columns = displacement_columns(steps, speed, last.bias[3:])
-        stands = float(np.max(np.abs(speed))) < cfg.standing_mps
+        is_standstill = float(np.max(np.abs(speed))) < cfg.standstill_mps
         along = math.hypot(self._wheel_density, cfg.longitudinal_m_per_rts)
         density = np.array([along, cfg.lateral_m_per_rts, cfg.vertical_m_per_rts])
         sigma = density * math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
-        if stands:
-            return [rest_factor(key - 1, key, cfg.standstill_rad, cfg.standstill_m)]
-        return [wheel_factor(key - 1, key, columns, self.arms.base_m, sigma)]
+        if is_standstill:
+            return [standstill_factor(key - 1, key, cfg.standstill_rad, cfg.standstill_m)]
+        return [wheel_factor(key - 1, key, columns, self.lever_arms.base_m, sigma)]
 
 
 def _wheel_density(vehicle: Vehicle) -> float:

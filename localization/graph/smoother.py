@@ -1,4 +1,4 @@
-"""The fixed-lag graph: keyframes go in, the newest state with its covariance comes out."""
+"""Fixed-lag smoother: adds keyframes and returns the newest state with its covariance."""
 
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from geometry.transforms import Float64
+from geometry.arrays import Float64
 from localization.graph.factors import B, C, S, V, X
 from localization.graph.imu_preintegration import constant_bias
 
@@ -17,17 +17,17 @@ POSE, VELOCITY, BIAS, SLIP = 6, 3, 6, 4
 
 
 class SmootherConfig(Config):
-    """Size and tuning of the graph."""
+    """Section `smoother` of map alignment."""
 
     lag_s: float = Field(gt=0.2, le=60.0)
-    period_s: float = Field(gt=0.0, le=1.0, description="between keyframes when no fix comes")
-    wait_s: float = Field(ge=0.0, le=1.0, description="how late a fix may be before a keyframe is made without it")
+    period_s: float = Field(gt=0.0, le=1.0, description="between keyframes without fixes")
+    wait_s: float = Field(ge=0.0, le=1.0, description="for a late fix before a keyframe is added without it")
     relinearize_threshold: float = Field(gt=0.0, le=1.0)
 
 
 @dataclass(frozen=True)
 class State:
-    """One keyframe; `T_map_body` has `base` axes and the IMU's origin.
+    """State of a keyframe; the body has `base` axes and its origin at the IMU.
 
     `covariance` (6, 6) of the pose, rotation then translation in the body; `sigmas` (19,): pose, velocity, bias, slip.
     """
@@ -42,17 +42,17 @@ class State:
 
     @property
     def is_finite(self) -> bool:
-        """Whether nothing in it is NaN or infinite and no variance is negative."""
+        """Whether all values are finite and all variances positive."""
         parts = (self.T_map_body, self.velocity_mps, self.bias, self.slip, self.covariance, self.sigmas)
         return all(bool(np.all(np.isfinite(p))) for p in parts) and bool(np.all(np.diag(self.covariance) > 0.0))
 
 
 class SmootherFailure(Exception):
-    """The graph could not be solved; it has been built anew from the last good state."""
+    """The graph could not be solved; it has been rebuilt from the last good state."""
 
 
 class Smoother:
-    """gtsam's incremental fixed-lag smoother, rebuilt from the last good state whenever it fails."""
+    """Wraps gtsam's IncrementalFixedLagSmoother; rebuilt from the last good state after a failure."""
 
     def __init__(self, config: SmootherConfig) -> None:
         self._config = config
@@ -63,7 +63,7 @@ class Smoother:
         self.state: State | None = None
 
     def start(self, state: State) -> None:
-        """Begins a new graph at `state`, with its covariance and sigmas as priors."""
+        """Starts a new graph at `state`, with its covariance and sigmas as priors."""
         self._graph, self._origin_ns = self._new_graph(), state.stamp_ns
         self._stamps.clear()
         self._index += 1
@@ -78,35 +78,35 @@ class Smoother:
         self.state = state
 
     def key_near(self, stamp_ns: int, tolerance_ns: int) -> tuple[int, int] | None:
-        """Key and stamp of the keyframe nearest to a time, well within the lag."""
+        """Key and stamp of the keyframe nearest to a time, at least 0.5 s inside the lag."""
         oldest = next(reversed(self._stamps.values()), 0) - int((self._config.lag_s - 0.5) * 1e9)
         near = [(abs(s - stamp_ns), k, s) for k, s in self._stamps.items() if s >= oldest]
         best = min(near, default=None)
         return (best[1], best[2]) if best is not None and best[0] <= tolerance_ns else None
 
-    def holds(self, key: int) -> bool:
-        """Whether a keyframe is well within the lag, so that a factor may tie to it."""
+    def is_within_lag(self, key: int) -> bool:
+        """Whether a keyframe is at least 0.5 s inside the lag, so that a factor may refer to it."""
         newest = next(reversed(self._stamps.values()), 0)
         return key in self._stamps and self._stamps[key] >= newest - int((self._config.lag_s - 0.5) * 1e9)
 
     def calibration(self, key: int) -> tuple[Float64, Float64]:
-        """The anchors' scale and bias at a keyframe that was added with them, and their covariance."""
+        """Scale and bias of the anchors at a keyframe added with a calibration, and their covariance."""
         return self._graph.calculateEstimateVector(C(key)), self._graph.marginalCovariance(C(key))
 
     @property
     def next_key(self) -> int:
-        """The key that the next keyframe will have."""
+        """Key of the next keyframe."""
         return self._index + 1
 
     def add(
         self,
         guess: State,
-        inertial: gtsam.CombinedImuFactor,
+        imu_factor: gtsam.CombinedImuFactor,
         slip_sigma: Float64,
         factors: Sequence[gtsam.NonlinearFactor],
         calibration: Float64 | None = None,
     ) -> State:
-        """Adds the keyframe `next_key` at `guess`, with a `calibration` of the anchors where `factors` speak of one.
+        """Adds the keyframe `next_key` at `guess`, with a `calibration` of the anchors where `factors` refer to one.
 
         Raises SmootherFailure when the graph had to be rebuilt.
         """
@@ -114,7 +114,7 @@ class Smoother:
         assert last is not None, "start comes first"
         k = self._index + 1
         graph = gtsam.NonlinearFactorGraph()
-        graph.add(inertial)
+        graph.add(imu_factor)
         graph.add(
             gtsam.BetweenFactorVector(S(k - 1), S(k), np.zeros(SLIP), gtsam.noiseModel.Diagonal.Sigmas(slip_sigma))
         )
@@ -173,7 +173,7 @@ class Smoother:
         return state
 
     def _sigmas(self, k: int, covariance: Float64) -> Float64:
-        """Those of the pose are new each time; the others change slowly and cost as much, so they take turns."""
+        """Sigmas (19,): those of the pose are updated every time, the others, which change slowly, one part in turn."""
         sigmas = self.state.sigmas.copy() if self.state is not None else np.zeros(19)
         sigmas[:6] = np.sqrt(np.diag(covariance))
         key, part = ((V, slice(6, 9)), (B, slice(9, 15)), (S, slice(15, 19)))[k % 3]
@@ -182,5 +182,5 @@ class Smoother:
 
 
 def widened(state: State) -> State:
-    """The state with twice the sigmas, for a graph built anew whose correlations are lost."""
+    """The state with twice the sigmas, for a rebuilt graph whose correlations are lost."""
     return replace(state, covariance=4.0 * state.covariance, sigmas=2.0 * state.sigmas)

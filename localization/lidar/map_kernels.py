@@ -1,27 +1,25 @@
-"""Inner loops of the lidar map, compiled: what returns hit, and the pose that lays them on it.
+"""Compiled loops of the lidar map: insertion of points, and matching of points with surfaces.
 
-A pose here is (x, y, yaw); points (N, 5) are x, y, z about base in level axes turned by no yaw, then x, y of the lidar
-that saw them. A surface is seen from one side only, so that the two faces of a thin wall never mix.
+A pose here is (x, y, yaw); points (N, 5) are x, y, z about base in level axes without yaw, then x, y of their lidar.
+A surface is stored by the side it is measured from, so that the two faces of a thin wall never mix.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
+from geometry.arrays import Float64, Int64
 from geometry.jit import kernel
-from geometry.transforms import Float64
-from messages.message import Int64
 
-Table = tuple[Int64, Float64, Int64]  # keys, sums (n, 6), and how often and when last seen (n, 2)
+Table = tuple[Int64, Float64, Int64]  # keys (n,), sums (n, 6), number of scans and last scan (n, 2)
 LAYER_M = 1.0
 EMPTY = -1
-NONE, FACE, POST, CELL = 0, 1, 2, 3
+NONE, FACE, POST = 0, 1, 2
 
 
 @kernel
 def _key(x: float, y: float, z: float, dx: float, dy: float, cell_m: float) -> int:
-    """Cell, layer of height and the quadrant from which it is seen, in one number."""
+    """Key of cell, height layer and quadrant of the lidar."""
     layer = math.floor(z / LAYER_M) & 15
     side = (1 if dx > 0.0 else 0) + (2 if dy > 0.0 else 0)
     column, row = math.floor(x / cell_m) + (1 << 24), math.floor(y / cell_m) + (1 << 24)
@@ -29,8 +27,8 @@ def _key(x: float, y: float, z: float, dx: float, dy: float, cell_m: float) -> i
 
 
 @kernel
-def _slot(keys: Any, key: int) -> int:
-    """Where a key is, or the empty slot where it would be (open addressing)."""
+def _slot(keys: Int64, key: int) -> int:
+    """Slot of a key, or the empty slot for it (open addressing)."""
     mask = len(keys) - 1
     slot = ((key * 0x9E3779B97F4A7C1) >> 20) & mask
     while keys[slot] != EMPTY and keys[slot] != key:
@@ -39,8 +37,13 @@ def _slot(keys: Any, key: int) -> int:
 
 
 @kernel
-def _insert(keys: Any, sums: Any, seen: Any, points: Any, pose: Any, cell_m: float, most: float, look: int) -> int:
-    """Adds points to sums (n, x, y, xx, xy, yy about the cell's corner); gives the number of new cells."""
+def insert(
+    keys: Int64, sums: Float64, seen: Int64, points: Float64, pose: Float64, cell_m: float, max_count: float, scan: int
+) -> int:
+    """Adds points of scan number `scan` to the sums (n, x, y, xx, xy, yy about the cell corner), in place.
+
+    Returns the number of new cells.
+    """
     c, s, added = math.cos(pose[2]), math.sin(pose[2]), 0
     for i in range(len(points)):
         x, y = pose[0] + c * points[i, 0] - s * points[i, 1], pose[1] + s * points[i, 0] + c * points[i, 1]
@@ -50,7 +53,7 @@ def _insert(keys: Any, sums: Any, seen: Any, points: Any, pose: Any, cell_m: flo
         if keys[k] == EMPTY:
             keys[k] = key
             added += 1
-        if sums[k, 0] >= most:
+        if sums[k, 0] >= max_count:
             for j in range(6):
                 sums[k, j] *= 0.5
         u, v = x - math.floor(x / cell_m) * cell_m, y - math.floor(y / cell_m) * cell_m
@@ -60,15 +63,17 @@ def _insert(keys: Any, sums: Any, seen: Any, points: Any, pose: Any, cell_m: flo
         sums[k, 3] += u * u
         sums[k, 4] += u * v
         sums[k, 5] += v * v
-        if seen[k, 1] != look:
+        if seen[k, 1] != scan:
             seen[k, 0] += 1
-            seen[k, 1] = look
+            seen[k, 1] = scan
     return added
 
 
 @kernel
-def _surveyed(x: float, y: float, ex: float, ey: float, faces: Any, posts: Any, gate: float, out: Any) -> int:
-    """The nearest surveyed surface within the gate that the lidar at (ex, ey) may see: normal and distance in `out`."""
+def _nearest_surveyed(
+    x: float, y: float, ex: float, ey: float, faces: Float64, posts: Float64, gate: float, out: Float64
+) -> int:
+    """Nearest surveyed surface within the gate that faces the lidar at (ex, ey): normal and distance in `out`."""
     kind, best = NONE, gate
     for j in range(len(faces)):
         ax, ay, bx, by, nx, ny = faces[j]
@@ -92,19 +97,19 @@ def _surveyed(x: float, y: float, ex: float, ey: float, faces: Any, posts: Any, 
 
 
 @kernel
-def _learnt(x: float, y: float, cell_m: float, total: Any, thin2: float, out: Any) -> int:
-    """The thin directions of a cell: rows of normal, distance and variance in `out`; how many there are."""
+def _learned_directions(x: float, y: float, cell_m: float, total: Float64, max_thickness2: float, out: Float64) -> int:
+    """Thin directions of a cell: rows of normal, distance and variance in `out`; returns their number."""
     n = total[0]
     mx, my = total[1] / n, total[2] / n
     xx, xy, yy = total[3] / n - mx * mx, total[4] / n - mx * my, total[5] / n - my * my
     half, root = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-    if half - root > thin2:
+    if half - root > max_thickness2:
         return 0
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)  # of the longer axis
     dx, dy = x - math.floor(x / cell_m) * cell_m - mx, y - math.floor(y / cell_m) * cell_m - my
     out[0, 0], out[0, 1], out[0, 3] = -math.sin(angle), math.cos(angle), max(half - root, 0.0)
     out[0, 2] = out[0, 0] * dx + out[0, 1] * dy
-    if half + root > thin2:
+    if half + root > max_thickness2:
         return 1
     out[1, 0], out[1, 1], out[1, 3] = math.cos(angle), math.sin(angle), half + root
     out[1, 2] = out[1, 0] * dx + out[1, 1] * dy
@@ -112,20 +117,20 @@ def _learnt(x: float, y: float, cell_m: float, total: Any, thin2: float, out: An
 
 
 @kernel
-def _goes_on(
-    x: float, y: float, z: float, dx: float, dy: float, ux: float, uy: float, cell_m: float, keys: Any
+def _continues(
+    x: float, y: float, z: float, dx: float, dy: float, ux: float, uy: float, cell_m: float, keys: Int64
 ) -> bool:
-    """Whether the next cell along (ux, uy), either way, shows something too: a piece of a wall, not a post."""
-    for way in (-cell_m, cell_m):
-        if keys[_slot(keys, _key(x + way * ux, y + way * uy, z, dx, dy, cell_m))] != EMPTY:
+    """Whether one of the two next cells along (ux, uy) is occupied: part of a wall, not a post."""
+    for step in (-cell_m, cell_m):
+        if keys[_slot(keys, _key(x + step * ux, y + step * uy, z, dx, dy, cell_m))] != EMPTY:
             return True
     return False
 
 
 @kernel
-def _gather(A: Any, b: Any, row: Any, variance: float, lx: float, ly: float, bound2: float) -> None:
-    """Adds one residual (normal, distance) with Cauchy's weight; (lx, ly) is the point seen from base, in map axes."""
-    w = 1.0 / (variance * (1.0 + row[2] * row[2] / (variance * bound2)))
+def _accumulate(A: Float64, b: Float64, row: Float64, variance: float, lx: float, ly: float, robust2: float) -> None:
+    """Adds one residual (normal, distance) with Cauchy weight; (lx, ly) is the point relative to base in map axes."""
+    w = 1.0 / (variance * (1.0 + row[2] * row[2] / (variance * robust2)))
     turn = row[1] * lx - row[0] * ly
     J = (row[0], row[1], turn)
     for p in range(3):
@@ -135,47 +140,50 @@ def _gather(A: Any, b: Any, row: Any, variance: float, lx: float, ly: float, bou
 
 
 @kernel
-def _normal(
-    points: Any, pose: Any, faces: Any, posts: Any, keys: Any, sums: Any, seen: Any, cell_m: float, gate: float,
-    sigma: float, thin: float, bound: float, least: int, A: Any, b: Any,
+def _normal_equations(
+    points: Float64, pose: Float64, faces: Float64, posts: Float64, keys: Int64, sums: Float64, seen: Int64,
+    cell_m: float, gate: float, sigma: float, max_thickness: float, robust_sigmas: float, min_scans: int,
+    A: Float64, b: Float64,
 ) -> int:  # fmt: skip
-    """Information (3, 3) and gradient (3,) of all points at a pose; gives how many found a surface."""
+    """Information (3, 3) and gradient (3,) of all points at a pose; returns the number of points with a surface."""
     c, s, found = math.cos(pose[2]), math.sin(pose[2]), 0
-    out, var, bound2 = np.zeros((2, 4)), sigma * sigma, bound * bound
+    out, var, robust2 = np.zeros((2, 4)), sigma * sigma, robust_sigmas * robust_sigmas
     A[:], b[:] = 0.0, 0.0
     for i in range(len(points)):
         lx, ly = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         x, y = pose[0] + lx, pose[1] + ly
         ex = pose[0] + c * points[i, 3] - s * points[i, 4]
         ey = pose[1] + s * points[i, 3] + c * points[i, 4]
-        if _surveyed(x, y, ex, ey, faces, posts, gate, out[0]) != NONE:
-            _gather(A, b, out[0], var, lx, ly, bound2)
+        if _nearest_surveyed(x, y, ex, ey, faces, posts, gate, out[0]) != NONE:
+            _accumulate(A, b, out[0], var, lx, ly, robust2)
             found += 1
             continue
         k = _slot(keys, _key(x, y, points[i, 2], ex - x, ey - y, cell_m))
-        if keys[k] == EMPTY or seen[k, 0] < least or sums[k, 0] < 2 * least:
+        if keys[k] == EMPTY or seen[k, 0] < min_scans or sums[k, 0] < 2 * min_scans:
             continue
-        directions = _learnt(x, y, cell_m, sums[k], thin * thin, out)
-        if directions == 2 and _goes_on(
+        directions = _learned_directions(x, y, cell_m, sums[k], max_thickness * max_thickness, out)
+        if directions == 2 and _continues(
             x, y, points[i, 2], ex - x, ey - y, -out[0, 1], out[0, 0], cell_m, keys
         ):  # fmt: skip
             directions = 1
         for j in range(directions):
-            _gather(A, b, out[j], var + out[j, 3], lx, ly, bound2)
+            _accumulate(A, b, out[j], var + out[j, 3], lx, ly, robust2)
         found += directions > 0
     return found
 
 
 @kernel
 def _match(
-    points: Any, guess: Any, faces: Any, posts: Any, keys: Any, sums: Any, seen: Any, cell_m: float, gate: float,
-    sigma: float, thin: float, bound: float, least: int, iterations: int,
-) -> Any:  # fmt: skip
+    points: Float64, guess: Float64, faces: Float64, posts: Float64, keys: Int64, sums: Float64, seen: Int64,
+    cell_m: float, gate: float, sigma: float, max_thickness: float, robust_sigmas: float, min_scans: int,
+    iterations: int,
+) -> tuple[Float64, Float64, int]:  # fmt: skip
     pose, A, b = guess.copy(), np.zeros((3, 3)), np.zeros(3)
     found = 0
     for _ in range(iterations):
-        found = _normal(
-            points, pose, faces, posts, keys, sums, seen, cell_m, gate, sigma, thin, bound, least, A, b
+        found = _normal_equations(
+            points, pose, faces, posts, keys, sums, seen, cell_m, gate, sigma, max_thickness, robust_sigmas,
+            min_scans, A, b,
         )  # fmt: skip
         step = np.linalg.solve(A + 1e-3 * np.eye(3), b)
         pose -= step
@@ -185,7 +193,9 @@ def _match(
 
 
 @kernel
-def _keep_near(keys: Any, sums: Any, seen: Any, x: float, y: float, cell_m: float, reach_m: float) -> Any:
+def _keep_near(
+    keys: Int64, sums: Float64, seen: Int64, x: float, y: float, cell_m: float, radius_m: float
+) -> tuple[Table, int]:
     new_keys, new_sums, new_seen = np.full_like(keys, EMPTY), np.zeros_like(sums), np.zeros_like(seen)
     count = 0
     for i in range(len(keys)):
@@ -193,7 +203,7 @@ def _keep_near(keys: Any, sums: Any, seen: Any, x: float, y: float, cell_m: floa
             continue
         cx = ((keys[i] >> 31) - (1 << 24) + 0.5) * cell_m
         cy = (((keys[i] >> 6) & ((1 << 25) - 1)) - (1 << 24) + 0.5) * cell_m
-        if (cx - x) ** 2 + (cy - y) ** 2 > reach_m * reach_m:
+        if (cx - x) ** 2 + (cy - y) ** 2 > radius_m * radius_m:
             continue
         k = _slot(new_keys, keys[i])
         new_keys[k], new_sums[k], new_seen[k] = keys[i], sums[i], seen[i]
@@ -201,26 +211,19 @@ def _keep_near(keys: Any, sums: Any, seen: Any, x: float, y: float, cell_m: floa
     return (new_keys, new_sums, new_seen), count
 
 
-def insert(
-    keys: Int64, sums: Float64, seen: Int64, points: Float64, pose: Float64, cell_m: float, most: float, look: int
-) -> int:
-    """Adds points seen from a pose to the table in place; gives the number of new cells. `look` numbers the scans."""
-    added: int = _insert(keys, sums, seen, points, pose, cell_m, most, look)
-    return added
-
-
-def keep_near(table: Table, at_m: tuple[float, float], cell_m: float, reach_m: float) -> tuple[Table, int]:
-    """The table without what lies farther than `reach_m` from a place, and how many cells are left."""
-    kept: tuple[Table, int] = _keep_near(*table, *at_m, cell_m, reach_m)
-    return kept
+def keep_near(table: Table, at_m: tuple[float, float], cell_m: float, radius_m: float) -> tuple[Table, int]:
+    """The table without cells farther than `radius_m` from a position, and the number of remaining cells."""
+    return _keep_near(*table, *at_m, cell_m, radius_m)
 
 
 def match(
     points: Float64, guess: Float64, surveyed: tuple[Float64, Float64], table: Table,
-    cell_m: float, gate_m: float, sigma_m: float, thin_m: float, bound: float, least: int, iterations: int,
+    cell_m: float, gate_m: float, sigma_m: float, max_thickness_m: float, robust_sigmas: float, min_scans: int,
+    iterations: int,
 ) -> tuple[Float64, Float64, int]:  # fmt: skip
-    """The pose that lays points on surveyed faces (M, 6), posts (K, 3) and cells: with information (3, 3) and count."""
-    found: tuple[Float64, Float64, int] = _match(
-        points, guess, *surveyed, *table, cell_m, gate_m, sigma_m, thin_m, bound, least, iterations
-    )
-    return found
+    """Pose that matches points with surveyed faces (M, 6), posts (K, 3) and cells; information (3, 3) and count."""
+    (faces, posts), (keys, sums, seen) = surveyed, table
+    return _match(
+        points, guess, faces, posts, keys, sums, seen, cell_m, gate_m, sigma_m, max_thickness_m, robust_sigmas,
+        min_scans, iterations,
+    )  # fmt: skip

@@ -1,7 +1,7 @@
-"""Odometry from the scans of one lidar alone, for logs that have no speed: KISS-ICP with its constant-velocity guess.
+"""Odometry from the scans of one lidar alone, for logs without speed: KISS-ICP with its constant-velocity guess.
 
-Ground is left out: the rings of a lidar lie on level ground the same way wherever it is, so that matching them says
-that the machine stands.
+Ground points are excluded: on level ground the rings look the same at every position, and matching them gives no
+motion.
 """
 
 import math
@@ -16,30 +16,31 @@ from scipy.spatial import cKDTree
 
 from configs.strict import Config
 from configs.vehicle import Body, Lidar
-from geometry.transforms import Float64, apply, invert
+from geometry.arrays import Float64
+from geometry.transforms import apply, invert
 from localization.lidar.scan_matching import deskew
 from messages.motion import Odometry
 from messages.node import All, Inbox, Node, On, Output
 from messages.perception import LidarGround
 from messages.sensors import LidarScan
 
-LEAST_POINTS = 100  # fewer that stand cannot hold the machine: then all are matched
+MIN_POINTS = 100  # with fewer obstacle points all points are matched
 
 
 class ScanOdometryConfig(Config):
-    """How scans are matched without dead reckoning."""
+    """Scan matching without dead reckoning."""
 
     voxel_m: float = Field(gt=0.05, le=5.0)
     iterations: int = Field(ge=1, le=500)
     convergence: float = Field(gt=0.0, le=0.1)
     range_m: tuple[float, float] = Field(description="nearest and farthest return used")
-    longest_gap_s: float = Field(gt=0.0, le=10.0, description="a longer one starts a new map; motion goes on as before")
-    first_speeds_mps: tuple[float, ...] = Field(min_length=1, description="tried as first guess, forward")
-    partner_m: float = Field(gt=0.0, le=2.0, description="a return with a partner this near counts as explained")
+    max_gap_s: float = Field(gt=0.0, le=10.0, description="a longer gap starts a new map at extrapolated motion")
+    initial_speeds_mps: tuple[float, ...] = Field(min_length=1, description="forward speeds tried as initial guess")
+    inlier_m: float = Field(gt=0.0, le=2.0, description="distance to a correspondence of an inlier")
 
 
 class ScanOdometry(Node):
-    """Writes `odom` for every scan; `speed_mps` is the mean since the scan before."""
+    """Writes `odom` for every scan; `speed_mps` is the mean since the previous scan."""
 
     def __init__(self, sensor: str, lidar: Lidar, body: Body, config: ScanOdometryConfig) -> None:
         self.name = f"scan_odometry_{sensor}"
@@ -55,12 +56,12 @@ class ScanOdometry(Node):
         self._icp = new_icp(config)
         self._first: tuple[int, Float64] | None = None
         self._last_ns: int | None = None
-        self._velocity = np.zeros(3)  # forward, left, turn: a second
+        self._velocity = np.zeros(3)  # forward and left (m/s), turn (rad/s)
         self._T_odom_start = np.eye(4)
         self._T_odom_base = np.eye(4)
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """Matches every new scan whose ground has become known."""
+        """Matches every new scan whose ground has arrived."""
         self._waiting |= {scan.stamp_ns: scan for scan in inbox.all(self._scan, LidarScan)}
         out: list[Output] = []
         for ground in inbox.all(self._ground, LidarGround):
@@ -76,14 +77,14 @@ class ScanOdometry(Node):
         dt_s = 0.0 if self._last_ns is None else (scan.stamp_ns - self._last_ns) * 1e-9
         points = self._points(scan, ground)
         before = self._T_odom_base
-        if dt_s == 0.0 or dt_s > self._config.longest_gap_s:
+        if dt_s == 0.0 or dt_s > self._config.max_gap_s:
             self._restart(scan.stamp_ns, points, dt_s)
         elif self._first is not None:
-            self._icp = begun(self._first[1], points, dt_s, self._config)
+            self._icp = start_icp(self._first[1], points, dt_s, self._config)
             self._first = None
             self._T_odom_base = self._T_odom_start @ self._icp.last_pose
         else:
-            # the guess is the last motion, scaled to the time that passed
+            # the initial guess is the last motion, scaled to the elapsed time
             self._icp.last_delta = planar_step(self._velocity, dt_s)
             self._icp.register_frame(points, np.zeros(0))
             self._T_odom_base = self._T_odom_start @ self._icp.last_pose
@@ -104,14 +105,14 @@ class ScanOdometry(Node):
         )
 
     def _points(self, scan: LidarScan, ground: LidarGround) -> Float64:
-        """Returns in base at the stamp, the machine's own left out, the motion of the sweep taken out."""
+        """Deskewed points in base at the stamp, without those on the machine."""
         near, far = self._config.range_m
-        seen = scan.points_m.astype(np.float64)
-        distance = np.linalg.norm(seen, axis=1)
+        measured = scan.points_m.astype(np.float64)
+        distance = np.linalg.norm(measured, axis=1)
         use = np.isfinite(distance) & (distance > near) & (distance < far)
-        solid = use & (ground.is_obstacle_point == 1) if len(ground.is_obstacle_point) == len(use) else use
-        use = solid if np.count_nonzero(solid) >= LEAST_POINTS else use
-        p = np.asarray(apply(self._T_base_lidar, seen[use]), np.float64)
+        obstacle = use & (ground.is_obstacle_point == 1) if len(ground.is_obstacle_point) == len(use) else use
+        use = obstacle if np.count_nonzero(obstacle) >= MIN_POINTS else use
+        p = np.asarray(apply(self._T_base_lidar, measured[use]), np.float64)
         body = self._body
         own = (p[:, 0] < body.front_m) & (p[:, 0] > -body.rear_m) & (np.abs(p[:, 1]) < 0.5 * body.width_m + 0.1)
         step = planar_step(self._velocity, self._sweep_s)
@@ -128,22 +129,22 @@ def new_icp(config: ScanOdometryConfig) -> KissICP:
     return KissICP(kiss)
 
 
-def begun(first_m: Float64, second_m: Float64, dt_s: float, config: ScanOdometryConfig) -> KissICP:
-    """The matching of the first two scans (N, 3) that explains most of the second, over several first guesses.
+def start_icp(first_m: Float64, second_m: Float64, dt_s: float, config: ScanOdometryConfig) -> KissICP:
+    """The match of the first two scans (N, 3) with most inliers, over several initial speeds.
 
-    Nothing is known of the speed then; at 2.5 Hz a car is metres further on, out of reach of a guess at rest.
+    The initial speed is unknown; at 2.5 Hz a car moves by metres, outside convergence from standstill.
     """
-    tree, best, most = cKDTree(first_m[::2]), None, -1.0
-    for speed in config.first_speeds_mps:
+    tree, best, best_ratio = cKDTree(first_m[::2]), None, -1.0
+    for speed in config.initial_speeds_mps:
         icp = new_icp(config)
         icp.register_frame(first_m, np.zeros(0))
         icp.last_delta = planar_step(np.array([speed, 0.0, 0.0]), dt_s)
         icp.register_frame(second_m, np.zeros(0))
-        some = np.asarray(apply(icp.last_pose, second_m[::4]), np.float64)
-        explained = float(np.mean(tree.query(some, distance_upper_bound=config.partner_m)[0] < config.partner_m))
-        if explained > most:
-            best, most = icp, explained
-    assert best is not None, "there is at least one speed to try"
+        sample = np.asarray(apply(icp.last_pose, second_m[::4]), np.float64)
+        ratio = float(np.mean(tree.query(sample, distance_upper_bound=config.inlier_m)[0] < config.inlier_m))
+        if ratio > best_ratio:
+            best, best_ratio = icp, ratio
+    assert best is not None, "at least one initial speed"
     return best
 
 
@@ -155,5 +156,5 @@ def planar_step(velocity: Float64, dt_s: float) -> Float64:
 
 
 def velocity_of(T: Float64, dt_s: float) -> Float64:
-    """Forward, left and turn a second of a step (4, 4)."""
+    """Forward and left speed and turn rate of a step (4, 4)."""
     return np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])]) / dt_s

@@ -1,4 +1,4 @@
-"""The returns of one lidar from what stands, off the machine, thinned and rid of the sweep's own motion."""
+"""Scan preprocessing: obstacle points outside the machine, voxel-filtered and deskewed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from configs.vehicle import Body, Lidar, MountedImplement, TrailedImplement
-from geometry.transforms import Float64, apply
+from geometry.arrays import Float64
+from geometry.transforms import apply
 from localization.dead_reckoning.kernels import first_in_voxel
 from localization.lidar.scan_matching import deskew
 from messages.perception import LidarGround
@@ -14,30 +15,30 @@ from messages.sensors import LidarScan
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Points (N, 3) and the lidar's own place (3,), in base at the scan's stamp."""
+class ScanPoints:
+    """Points (N, 3) and the origin (3,) of the lidar, in base at the stamp of the scan."""
 
     points_base_m: Float64
-    eye_base_m: Float64
+    sensor_origin_base_m: Float64
 
 
-class Returns:
-    """Joins scans with their ground and picks what to use of them."""
+class ScanPreprocessor:
+    """Pairs scans with their ground and filters their points."""
 
     def __init__(
         self, lidar: Lidar, body: Body, implement: MountedImplement | TrailedImplement, range_m: tuple[float, float],
-        margin_m: float, thinning_m: float,
+        margin_m: float, voxel_m: float,
     ) -> None:  # fmt: skip
-        self._T_base_lidar, self._range_m, self._thinning_m = lidar.mount.T_base_sensor, range_m, thinning_m
+        self._T_base_lidar, self._range_m, self._voxel_m = lidar.mount.T_base_sensor, range_m, voxel_m
         self.sweep_ns = round(1e9 / lidar.rate_hz)
         self._body, self._margin_m = body, margin_m
         self._rear_m = implement.ends_m[1]
-        swing = -self._rear_m if isinstance(implement, TrailedImplement) else 0.0  # to either side, in a bend
-        self._half_width_m = 0.5 * implement.width_m + swing
+        offtracking_m = -self._rear_m if isinstance(implement, TrailedImplement) else 0.0  # to either side
+        self._half_width_m = 0.5 * implement.width_m + offtracking_m
         self._waiting: dict[int, LidarScan] = {}
 
     def pair(self, scans: Sequence[LidarScan], grounds: Sequence[LidarGround]) -> tuple[LidarScan, LidarGround] | None:
-        """The newest scan whose ground is known, None when there is no new one."""
+        """The newest scan with its ground, None without a new one."""
         self._waiting |= {scan.stamp_ns: scan for scan in scans}
         newest = None
         for ground in grounds:
@@ -48,16 +49,16 @@ class Returns:
             del self._waiting[stamp_ns]
         return newest
 
-    def see(self, scan: LidarScan, ground: LidarGround, T_sweep: Float64) -> Seen:
-        """What stands, seen from base at the stamp; `T_sweep` is the motion during the sweep."""
-        solid = np.flatnonzero(ground.is_obstacle_point)
-        p = np.asarray(apply(self._T_base_lidar, scan.points_m[solid].astype(np.float64)), np.float64)
+    def process(self, scan: LidarScan, ground: LidarGround, T_sweep: Float64) -> ScanPoints:
+        """Obstacle points in base at the stamp; `T_sweep` is the motion during the sweep."""
+        obstacle = np.flatnonzero(ground.is_obstacle_point)
+        p = np.asarray(apply(self._T_base_lidar, scan.points_m[obstacle].astype(np.float64)), np.float64)
         near, far = self._range_m
         range2 = np.einsum("ni,ni->n", p, p)
         use = np.flatnonzero((range2 > near**2) & (range2 < far**2) & ~self._is_own(p))
-        use = use[first_in_voxel(p[use], self._thinning_m)]
-        offset_s = scan.point_offset_s[solid[use]].astype(np.float64)
-        return Seen(deskew(p[use], offset_s, T_sweep, 1e-9 * self.sweep_ns), self._T_base_lidar[:3, 3])
+        use = use[first_in_voxel(p[use], self._voxel_m)]
+        offset_s = scan.point_offset_s[obstacle[use]].astype(np.float64)
+        return ScanPoints(deskew(p[use], offset_s, T_sweep, 1e-9 * self.sweep_ns), self._T_base_lidar[:3, 3])
 
     def _is_own(self, p_base_m: Float64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         x, y, m = p_base_m[:, 0], np.abs(p_base_m[:, 1]), self._margin_m

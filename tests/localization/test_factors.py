@@ -1,4 +1,4 @@
-"""Each factor's derivatives against differences, and its zero."""
+"""Derivatives of the factors against differences, and their zeros."""
 
 import gtsam
 import numpy as np
@@ -45,7 +45,7 @@ def differences(factor, values, key, size):
 
 @given(roll=tilt, pitch=tilt, yaw=angle, turn=tilt)
 @settings(max_examples=20, derandomize=True, deadline=None)
-def test_derivatives_are_those_of_the_error(roll, pitch, yaw, turn):
+def test_factor_derivatives(roll, pitch, yaw, turn):
     values = values_at(roll, pitch, yaw, turn)
     columns = np.array([[0.5, -0.01, -0.1, 0.0], [0.01, 0.5, 0.0, -0.1], [0.0, 0.0, 0.0, 0.0]])
     for factor in (wheel_factor(1, 2, columns, ARM, np.ones(3)), heading_factor(1, yaw + 0.01, 1.0)):
@@ -55,20 +55,20 @@ def test_derivatives_are_those_of_the_error(roll, pitch, yaw, turn):
         assert np.allclose(jacobian, expected, atol=1e-6)
 
 
-def test_a_heading_across_the_seam_is_no_error():
+def test_heading_error_wraps():
     values = values_at(0.0, 0.0, np.pi - 0.001, 0.0)
     assert heading_factor(1, -np.pi + 0.001, 1.0).unwhitenedError(values)[0] == pytest.approx(-0.002, abs=1e-9)
 
 
-def test_columns_of_a_circle_are_its_chord():
+def test_displacement_of_circle_is_chord():
     n, dt, rate, speed = 20, 0.01, 0.4, 2.0
     steps = Steps(np.full(n, dt), np.arange(n) * 1e7, np.zeros((n, 3)), np.tile([0, 0, rate], (n, 1)), np.zeros((n, 2)))
-    way = displacement_columns(steps, np.full(n, speed), np.zeros(3)) @ np.array([1.0, 0.0, 0.3, 0.2])
+    displacement = displacement_columns(steps, np.full(n, speed), np.zeros(3)) @ np.array([1.0, 0.0, 0.3, 0.2])
     a = rate * n * dt
-    assert way == pytest.approx([speed / rate * np.sin(a), speed / rate * (1 - np.cos(a)), 0.0], abs=1e-5)
+    assert displacement == pytest.approx([speed / rate * np.sin(a), speed / rate * (1 - np.cos(a)), 0.0], abs=1e-5)
 
 
-def test_side_force_slides_away_from_it_and_pull_shortens_the_way():
+def test_displacement_under_tyre_force():
     steps = Steps(np.array([0.1]), np.array([5e7]), np.zeros((1, 3)), np.zeros((1, 3)), np.array([[0.1, 0.05]]))
-    way = displacement_columns(steps, np.array([2.0]), np.zeros(3)) @ np.array([1.0, 0.0, 0.3, 0.2])
-    assert way == pytest.approx([0.2 * (1 - 0.03), -0.2 * 0.01, 0.0])
+    displacement = displacement_columns(steps, np.array([2.0]), np.zeros(3)) @ np.array([1.0, 0.0, 0.3, 0.2])
+    assert displacement == pytest.approx([0.2 * (1 - 0.03), -0.2 * 0.01, 0.0])

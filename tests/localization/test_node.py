@@ -1,4 +1,4 @@
-"""The whole node on synthetic drives: accuracy, honesty, and what happens when things break."""
+"""Localizer node on synthetic drives: accuracy, integrity, and behaviour with faults."""
 
 import dataclasses
 import functools
@@ -14,19 +14,19 @@ from localization.localizer import Localizer
 from messages.faults import Response
 from messages.motion import PositionSource
 from messages.sensors import GnssSolution
-from tests.localization.localization_bench import Run, configuration, errors, run
-from tests.localization.localization_drive import DATUM, START_NS, Wrongs, drive, tractor
+from tests.localization.harness import Run, configuration, errors, run
+from tests.localization.synthetic_drive import DATUM, START_NS, SensorErrors, drive, tractor
 
 
 @functools.cache
 def long_drive():
-    truth = drive(38, wrongs=Wrongs(seed=3))
+    truth = drive(38, sensor_errors=SensorErrors(seed=3))
     return truth, run(truth.messages)
 
 
 @functools.cache
 def short_truth():
-    return drive(14, legs=[(4.0, 0.0, 0.0), (100.0, 2.0, 0.0)], wrongs=Wrongs(seed=4))
+    return drive(14, legs=[(4.0, 0.0, 0.0), (100.0, 2.0, 0.0)], sensor_errors=SensorErrors(seed=4))
 
 
 def at(seconds):
@@ -34,12 +34,12 @@ def at(seconds):
 
 
 def edited(truth, change):
-    """Messages with each (arrival, topic, message) passed through `change`, which gives another or None."""
+    """Messages with each (arrival, topic, message) replaced by `change`; None removes it."""
     return [m for m in map(change, truth.messages) if m is not None]
 
 
 def fix_between(start_s, end_s, change):
-    """An edit of the fixes of a stretch of time."""
+    """An edit of the fixes in an interval."""
 
     def edit(entry):
         arrival, topic, message = entry
@@ -56,14 +56,14 @@ def codes(result: Run):
 
 
 def jump(result: Run):
-    """The largest step of `odom` beyond what its own speed explains."""
+    """Largest step of `odom` beyond its own speed, m."""
     a = result.odom
-    way = np.array([np.linalg.norm(y.T_odom_base[:3, 3] - x.T_odom_base[:3, 3]) for x, y in itertools.pairwise(a)])
+    step_m = np.array([np.linalg.norm(y.T_odom_base[:3, 3] - x.T_odom_base[:3, 3]) for x, y in itertools.pairwise(a)])
     dt = np.diff([m.stamp_ns for m in a]) * 1e-9
-    return float(np.max(way - np.array([abs(m.speed_mps) for m in a[1:]]) * np.minimum(dt, 0.05)))
+    return float(np.max(step_m - np.array([abs(m.speed_mps) for m in a[1:]]) * np.minimum(dt, 0.05)))
 
 
-def test_accuracy_and_honesty_under_rtk():
+def test_accuracy_and_integrity_with_rtk():
     truth, result = long_drive()
     e = errors(result, truth)
     m = e.t_s > 10
@@ -77,7 +77,7 @@ def test_accuracy_and_honesty_under_rtk():
     assert result.localizer.dropped == 0
 
 
-def test_odom_is_continuous_at_fifty_hertz():
+def test_odom_is_continuous_at_50_hz():
     _, result = long_drive()
     stamps = np.diff([m.stamp_ns for m in result.odom])
     assert set(stamps) == {20_000_000}
@@ -85,7 +85,7 @@ def test_odom_is_continuous_at_fifty_hertz():
     assert np.allclose(result.odom[0].T_odom_base[:2, 3], 0.0)
 
 
-def test_motion_is_that_of_the_machine():
+def test_speed_and_yaw_rate_accuracy():
     truth, result = long_drive()
     k = [round((m.stamp_ns - START_NS) * 1e-9 / 0.002) for m in result.odom]
     m = np.array([o.stamp_ns > at(15) for o in result.odom])
@@ -95,7 +95,7 @@ def test_motion_is_that_of_the_machine():
     assert np.sqrt(np.mean(rate[m] ** 2)) < 0.005
 
 
-def test_the_same_input_gives_the_same_output_to_the_bit():
+def test_same_input_same_output_to_the_bit():
     first, second = (run(short_truth().messages) for _ in range(2))
     for a, b in ((first.odom, second.odom), (first.poses, second.poses)):
         assert len(a) == len(b) > 50
@@ -111,7 +111,7 @@ def pair(uv):
     return np.asarray(uv[0]), np.asarray(uv[1])
 
 
-def test_no_heading_no_start():
+def test_no_start_without_heading():
     silent = fix_between(0, 99, lambda f: replace(f, heading_rad=math.nan, sigma_heading_rad=math.nan))
     result = run(edited(short_truth(), silent), seconds=6)
     assert not any(p.is_initialized for p in result.poses)
@@ -120,7 +120,7 @@ def test_no_heading_no_start():
     assert len(result.odom) > 100
 
 
-def test_a_machine_that_never_stood_is_not_placed():
+def test_no_start_without_standstill():
     truth = drive(6, legs=[(100.0, 2.0, 0.0)])
     result = run(truth.messages)
     assert result.odom == []
@@ -128,7 +128,7 @@ def test_a_machine_that_never_stood_is_not_placed():
 
 
 @pytest.mark.parametrize("offset_m", [0.15, 0.5])
-def test_a_jump_of_a_fixed_solution_is_refused(offset_m):
+def test_jump_of_fixed_solution_is_rejected(offset_m):
     away = offset_m / 6.37e6
     truth = short_truth()
     result = run(edited(truth, fix_between(10, 11, lambda f: replace(f, latitude_rad=f.latitude_rad + away))))
@@ -138,7 +138,7 @@ def test_a_jump_of_a_fixed_solution_is_refused(offset_m):
     assert ("gnss.refused", False) in codes(result)
 
 
-def test_without_gnss_it_dead_reckons_and_says_so():
+def test_dead_reckoning_without_gnss():
     truth = short_truth()
     result = run(edited(truth, fix_between(9, 99, lambda f: None)))
     e = errors(result, truth)
@@ -151,7 +151,7 @@ def test_without_gnss_it_dead_reckons_and_says_so():
     assert result.poses[-1].gnss_age_s == pytest.approx(14 - 9, abs=0.3)
 
 
-def test_float_after_fixed_does_not_spoil_the_pose():
+def test_float_after_fixed_solution():
     def worse(f):
         up = np.array([0.2, 0.2, 0.4])
         return replace(f, solution=GnssSolution.RTK_FLOAT, sigma_enu_m=up, latitude_rad=f.latitude_rad + 0.2 / 6.37e6)
@@ -164,7 +164,7 @@ def test_float_after_fixed_does_not_spoil_the_pose():
     assert result.poses[-1].protection_level_m > 0.4
 
 
-def test_garbage_is_dropped_and_counted():
+def test_invalid_samples_are_dropped_and_counted():
     rng = np.random.default_rng(0)
 
     def spoil(entry):
@@ -186,7 +186,7 @@ def test_garbage_is_dropped_and_counted():
 
 
 @pytest.mark.parametrize("topic", ["imu", "wheel"])
-def test_a_silent_sensor_silences_odom(topic):
+def test_no_odom_after_sensor_timeout(topic):
     truth = short_truth()
     result = run([m for m in truth.messages if m[1] != topic or not at(10) < m[0] < at(10.6)])
     quiet = [m for m in result.odom if at(10.15) < m.stamp_ns < at(10.58)]
@@ -201,9 +201,9 @@ def test_a_silent_sensor_silences_odom(topic):
 
 
 @pytest.mark.parametrize("hours", [-1, 1])
-def test_a_clock_that_jumps_is_survived(hours):
+def test_clock_jump(hours):
     leap = round(hours * 3600e9)
-    truth = drive(14, legs=[(8.0, 0.0, 0.0), (100.0, 2.0, 0.0)], wrongs=Wrongs(seed=4))
+    truth = drive(14, legs=[(8.0, 0.0, 0.0), (100.0, 2.0, 0.0)], sensor_errors=SensorErrors(seed=4))
     early = [m for m in truth.messages if m[0] < at(6)]
     late = [(a + leap, t, replace(m, stamp_ns=m.stamp_ns + leap)) for a, t, m in truth.messages if a >= at(6)]
     first = run(early, seconds=6)
@@ -219,7 +219,7 @@ def test_a_clock_that_jumps_is_survived(hours):
     assert np.max(np.linalg.norm(e.p_m[e.t_s > 7, :2], axis=1)) < 0.06
 
 
-def test_stamps_of_one_sensor_an_hour_off_are_dropped():
+def test_fixes_with_wrong_stamps_are_dropped():
     truth = short_truth()
     off = fix_between(9, 12, lambda f: replace(f, stamp_ns=f.stamp_ns + 3_600_000_000_000))
     result = run(edited(truth, off))
@@ -228,7 +228,7 @@ def test_stamps_of_one_sensor_an_hour_off_are_dropped():
     assert np.max(np.linalg.norm(e.p_m[:, :2], axis=1)) < 0.06
 
 
-def test_a_graph_that_fails_is_rebuilt(monkeypatch):
+def test_graph_failure_rebuilds(monkeypatch):
     update, calls = Smoother._update, []
 
     def failing(self, *arguments):
@@ -246,7 +246,7 @@ def test_a_graph_that_fails_is_rebuilt(monkeypatch):
     assert jump(result) < 2e-3
 
 
-def test_a_wrong_place_is_given_up_at_standstill():
+def test_realignment_at_standstill():
     away = 5.0 / 6.37e6
     truth = drive(31, legs=[(40.0, 0.0, 0.0)])
     result = run(edited(truth, fix_between(6, 99, lambda f: replace(f, latitude_rad=f.latitude_rad + away))))
@@ -256,7 +256,7 @@ def test_a_wrong_place_is_given_up_at_standstill():
     assert jump(result) < 2e-3
 
 
-def test_an_unfit_vehicle_is_refused():
+def test_vehicle_without_wheels_raises():
     from messages.errors import ConfigError
 
     v = tractor()

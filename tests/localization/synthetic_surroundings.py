@@ -1,4 +1,4 @@
-"""A hedge, a fence, posts and trees as points in `map`, and what a turning lidar sees of them."""
+"""Synthetic hedges, posts and trunks as points in `map`, and scans of them by a rotating lidar."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -6,11 +6,11 @@ from scipy.spatial.transform import Rotation
 from geometry.transforms import invert
 from messages.perception import LidarGround
 from messages.sensors import LidarScan
-from tests.localization.localization_drive import START_NS, Truth, tractor
+from tests.localization.synthetic_drive import START_NS, Truth, tractor
 
 
 def yard(seed: int = 5) -> np.ndarray:
-    """About 12 000 points within 60 m of the start: two hedges across each other, posts and trunks."""
+    """About 12 000 points within 60 m of the start: two crossing hedges, posts and trunks."""
     rng = np.random.default_rng(seed)
     hedge = np.column_stack([rng.uniform(-40, 130, 5000), 32 + rng.normal(0, 0.1, 5000), rng.uniform(0.4, 2.0, 5000)])
     across = np.column_stack([75 + rng.normal(0, 0.1, 3000), rng.uniform(-60, 60, 3000), rng.uniform(0.4, 2.0, 3000)])
@@ -23,7 +23,7 @@ def yard(seed: int = 5) -> np.ndarray:
 
 
 def corridor() -> np.ndarray:
-    """A single straight hedge: nothing tells how far one has gone along it."""
+    """A single straight hedge: motion along it is unobservable."""
     rng = np.random.default_rng(7)
     return np.column_stack(
         [rng.uniform(-300, 300, 60000), 8 + rng.normal(0, 0.03, 60000), rng.uniform(0.4, 2.0, 60000)]
@@ -31,7 +31,7 @@ def corridor() -> np.ndarray:
 
 
 def scan(truth: Truth, stamp_ns: int, world: np.ndarray, rng: np.random.Generator) -> tuple[LidarScan, LidarGround]:
-    """The sweep that ends at a time: each point is seen when the beam points at it, from where the machine is then."""
+    """The sweep that ends at a stamp: each point is measured from the pose at the time of its beam."""
     T_base_lidar = tractor().sensors.lidar["front"].mount.T_base_sensor
     T_end = truth.at(stamp_ns) @ T_base_lidar
     T_start = truth.at(stamp_ns - 100_000_000) @ T_base_lidar

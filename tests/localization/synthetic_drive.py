@@ -1,4 +1,4 @@
-"""A drive over slopes with everything its sensors measure, made independently of the simulator."""
+"""Synthetic drive over slopes with all sensor messages, independent of the simulator."""
 
 import dataclasses
 import functools
@@ -20,15 +20,15 @@ GRAVITY_MPS2 = 9.8129
 
 
 @dataclasses.dataclass(frozen=True)
-class Wrongs:
-    """What is wrong with the sensors; noise comes from the machine's own file."""
+class SensorErrors:
+    """Systematic errors of the sensors; noise is taken from the machine file."""
 
     seed: int = 1
     slip: float = 0.04
     slip_swing: float = 0.01
-    slip_per_pull: float = 0.3
+    slip_per_force: float = 0.3
     drift: float = 0.004
-    crab_per_side: float = 0.2
+    slip_angle_per_force: float = 0.2
     soil_side: float = 0.002
     steering_offset_rad: float = math.radians(0.3)
     gnss_slow_share: float = 0.7
@@ -39,7 +39,7 @@ class Wrongs:
 
 @dataclasses.dataclass(frozen=True)
 class Truth:
-    """Where base really is, every `FINE_S`: `T_map_base` (N, 4, 4), forward speed (N,) and the messages by topic."""
+    """True `T_map_base` (N, 4, 4) and forward speed (N,) every `FINE_S`, and the messages by topic."""
 
     T_map_base: np.ndarray
     speed_mps: np.ndarray
@@ -47,7 +47,7 @@ class Truth:
     messages: list[tuple[int, str, Message]]
 
     def at(self, stamp_ns: int) -> np.ndarray:
-        """True pose, to the nearest fine step in orientation and straight between in position."""
+        """True pose: orientation of the nearest step, interpolated position."""
         x = (stamp_ns - START_NS) * 1e-9 / FINE_S
         k = min(int(x), len(self.T_map_base) - 2)
         T = self.T_map_base[k].copy()
@@ -61,7 +61,7 @@ def tractor() -> Vehicle:
 
 
 def field(seconds: float, stand_s: float = 4.0, speed_mps: float = 10 / 3.6) -> list[tuple[float, float, float]]:
-    """Legs (duration, speed, curvature): stand, then straights of 25 s with half turns of R = 6 m."""
+    """Sections (duration, speed, curvature): standstill, then straights of 25 s with half turns of R = 6 m."""
     legs, left, sign = [(stand_s, 0.0, 0.0)], seconds - stand_s, 1.0
     while left > 0:
         legs += [(25.0, speed_mps, 0.0), (math.pi * 6.0 / 1.6, 1.6, sign / 6.0)]
@@ -71,19 +71,19 @@ def field(seconds: float, stand_s: float = 4.0, speed_mps: float = 10 / 3.6) -> 
 
 
 def drive(
-    seconds: float, legs: list[tuple[float, float, float]] | None = None, wrongs: Wrongs = Wrongs(),
+    seconds: float, legs: list[tuple[float, float, float]] | None = None, sensor_errors: SensorErrors = SensorErrors(),
     begin: tuple[float, float, float] = (3.0, -2.0, 0.4), is_flat: bool = False,
 ) -> Truth:  # fmt: skip
-    """The whole drive from a pose (x, y, yaw) with its sensors' messages in order of arrival."""
-    rng = np.random.default_rng(wrongs.seed)
+    """Drive from a pose (x, y, yaw) with sensor messages in order of arrival."""
+    rng = np.random.default_rng(sensor_errors.seed)
     n = int(seconds / FINE_S) + 1
     t = np.arange(n) * FINE_S
     speed, curvature = _profile(legs if legs is not None else field(seconds), t)
-    T, yaw = _poses(t, speed, curvature, wrongs, begin, 0.0 if is_flat else 1.0)
+    T, yaw = _poses(t, speed, curvature, sensor_errors, begin, 0.0 if is_flat else 1.0)
     v = tractor()
     imu = _imu(v, t, T, rng)
-    wheels = _wheels(v, t, T, speed, curvature, wrongs, rng)
-    fixes = _fixes(v, t, T, yaw, wrongs, rng)
+    wheels = _wheels(v, t, T, speed, curvature, sensor_errors, rng)
+    fixes = _fixes(v, t, T, yaw, sensor_errors, rng)
     messages = sorted([*imu, *wheels, *fixes], key=lambda m: m[0])
     return Truth(T, speed, np.gradient(yaw, FINE_S), messages)
 
@@ -92,7 +92,7 @@ def _profile(legs, t):
     ends = np.cumsum([leg[0] for leg in legs])
     index = np.minimum(np.searchsorted(ends, t, side="right"), len(legs) - 1)
     speed, curvature = np.array([leg[1] for leg in legs])[index], np.array([leg[2] for leg in legs])[index]
-    for width_s in (1.5, 0.8):  # machines neither jump in speed nor in steering
+    for width_s in (1.5, 0.8):  # neither speed nor steering steps
         w = int(width_s / FINE_S)
         kernel = np.full(w, 1.0 / w)
         speed, curvature = (
@@ -102,7 +102,7 @@ def _profile(legs, t):
 
 
 def _height(x, y, furrow_m):
-    """Hills with slopes to about 8 %, a constant side slope of 2°, and furrows."""
+    """Hills with slopes up to about 8 %, a constant side slope of 2°, and furrows."""
     k = 2 * np.pi / 120.0
     z = 0.6 * np.sin(k * x) + 0.5 * np.cos(k * y * 0.8) + 0.035 * y
     zx = 0.6 * k * np.cos(k * x)
@@ -115,11 +115,11 @@ def _height(x, y, furrow_m):
     return z, zx, zy
 
 
-def _poses(t, speed, curvature, wrongs, begin, hills):
-    """Integrates on the surface; `speed` is along x of base, part of it sideways by side force and soil."""
-    n, furrow_m = len(t), wrongs.furrow_m
-    soil, rng = np.zeros(n), np.random.default_rng(wrongs.seed + 1000)
-    keep, white = math.exp(-FINE_S / 0.5), rng.normal(0, wrongs.soil_side, n)
+def _poses(t, speed, curvature, sensor_errors, begin, hills):
+    """Integrates on the surface; `speed` is along x of base, with lateral drift by side force and soil."""
+    n, furrow_m = len(t), sensor_errors.furrow_m
+    soil, rng = np.zeros(n), np.random.default_rng(sensor_errors.seed + 1000)
+    keep, white = math.exp(-FINE_S / 0.5), rng.normal(0, sensor_errors.soil_side, n)
     for k in range(1, n):
         soil[k] = keep * soil[k - 1] + math.sqrt(1 - keep**2) * white[k]
     xy = np.zeros((n, 2))
@@ -130,7 +130,10 @@ def _poses(t, speed, curvature, wrongs, begin, hills):
     R = np.empty((n, 3, 3))
     x, y = begin[:2]
     c, s = np.cos(yaw).tolist(), np.sin(yaw).tolist()
-    v, d = speed.tolist(), (wrongs.drift + soil - wrongs.crab_per_side * turn * speed / GRAVITY_MPS2).tolist()
+    v, d = (
+        speed.tolist(),
+        (sensor_errors.drift + soil - sensor_errors.slip_angle_per_force * turn * speed / GRAVITY_MPS2).tolist(),
+    )
 
     def velocity(k, x, y):
         _, zx, zy = (hills * h for h in _height_fast(x, y, furrow_m))
@@ -142,7 +145,7 @@ def _poses(t, speed, curvature, wrongs, begin, hills):
         fx, fy, fz = c[k] * ex, s[k] * ex, along * ex
         lx, ly = ny * fz - nz * fy, nz * fx - nx * fz
         lz = nx * fy - ny * fx
-        share = d[k] - wrongs.crab_per_side * lz
+        share = d[k] - sensor_errors.slip_angle_per_force * lz
         return v[k] * (fx + share * lx), v[k] * (fy + share * ly)
 
     for k in range(n):
@@ -200,15 +203,15 @@ def _imu(v, t, T, rng):
     ]
 
 
-def _wheels(v, t, T, speed, curvature, wrongs, rng):
+def _wheels(v, t, T, speed, curvature, sensor_errors, rng):
     wheels = v.sensors.wheels
     every = int(1 / wheels.rate_hz / FINE_S)
     index = np.arange(0, len(t) - 5, every)
     pull = np.gradient(speed, FINE_S) / GRAVITY_MPS2 + T[:, 2, 0]
-    slip = wrongs.slip + wrongs.slip_swing * np.sin(t / 11.0) + wrongs.slip_per_pull * pull
+    slip = sensor_errors.slip + sensor_errors.slip_swing * np.sin(t / 11.0) + sensor_errors.slip_per_force * pull
     out = []
     for k in index:
-        angle = math.atan(v.drivetrain.wheelbase_m * curvature[k]) + wrongs.steering_offset_rad
+        angle = math.atan(v.drivetrain.wheelbase_m * curvature[k]) + sensor_errors.steering_offset_rad
         noisy = speed[k] * (1 + slip[k]) + (rng.normal(0, wheels.speed_sigma_mps) if abs(speed[k]) > 1e-3 else 0.0)
         sample = WheelSample(
             _ns(t[k]), float(noisy), float(angle + rng.normal(0, math.radians(wheels.angle_sigma_deg)))
@@ -217,19 +220,21 @@ def _wheels(v, t, T, speed, curvature, wrongs, rng):
     return out
 
 
-def _fixes(v, t, T, yaw, wrongs, rng):
+def _fixes(v, t, T, yaw, sensor_errors, rng):
     gnss = v.sensors.gnss["main"]
     every = int(1 / gnss.rate_hz / FINE_S)
     index = np.arange(every, len(t) - 5, every)
     antenna = T[:, :3, 3] + T[:, :3, :3] @ np.array(gnss.mount.xyz_m)
     velocity = np.gradient(antenna, FINE_S, axis=0)
     sigma = np.array([gnss.sigma_horizontal_m, gnss.sigma_horizontal_m, gnss.sigma_vertical_m])
-    keep = math.exp(-1 / gnss.rate_hz / wrongs.gnss_slow_s)
+    keep = math.exp(-1 / gnss.rate_hz / sensor_errors.gnss_slow_s)
     slow = rng.normal(0, 1, 3)
     out = []
     for k in index:
         slow = keep * slow + math.sqrt(1 - keep**2) * rng.normal(0, 1, 3)
-        noise = wrongs.gnss_slow_share * slow + math.sqrt(1 - wrongs.gnss_slow_share**2) * rng.normal(0, 1, 3)
+        noise = sensor_errors.gnss_slow_share * slow + math.sqrt(1 - sensor_errors.gnss_slow_share**2) * rng.normal(
+            0, 1, 3
+        )
         lat, lon, h = DATUM.to_ellipsoid(*(antenna[k] + sigma * noise))
         heading = yaw[k] + rng.normal(0, math.radians(gnss.sigma_heading_deg))
         fix = GnssFix(
@@ -248,5 +253,5 @@ def _fixes(v, t, T, yaw, wrongs, rng):
             1.0,
             "BDS+GPS",
         )
-        out.append((_ns(t[k]) + int(wrongs.gnss_latency_s * 1e9), "gnss/main", fix))
+        out.append((_ns(t[k]) + int(sensor_errors.gnss_latency_s * 1e9), "gnss/main", fix))
     return out

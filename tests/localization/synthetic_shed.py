@@ -1,4 +1,4 @@
-"""The demo farm's shed with what UWB, lidars and fixes measure there, made independently of the simulator."""
+"""Synthetic UWB, lidar and GNSS measurements in the shed of the demo farm, independent of the simulator."""
 
 import dataclasses
 import functools
@@ -13,7 +13,7 @@ from configs.vehicle import ImplementFile, Mount, Uwb, Vehicle
 from geometry.transforms import invert
 from messages.perception import LidarGround
 from messages.sensors import LidarScan, UwbRanges
-from tests.localization.localization_drive import START_NS, Truth, Wrongs, drive, tractor
+from tests.localization.synthetic_drive import START_NS, SensorErrors, Truth, drive, tractor
 
 TAG = "roof"
 
@@ -39,64 +39,70 @@ def harrow():
 
 
 @dataclasses.dataclass(frozen=True)
-class Radio:
-    """What is wrong with the ranges."""
+class UwbErrors:
+    """Errors of the ranges."""
 
     sigma_m: float = 0.07
     scale: float = 0.01
     bias_m: float = 0.05
-    hidden: float = 0.15
-    late_m: tuple[float, float] = (0.3, 1.0)
-    walled: tuple[str, ...] = ()
+    reflected_ratio: float = 0.15
+    reflection_m: tuple[float, float] = (0.3, 1.0)
+    blocked_anchors: tuple[str, ...] = ()
 
 
-def ranges(truth: Truth, radio: Radio = Radio(), seed: int = 1) -> list:
-    """10 Hz of ranges as (arrival, topic, message); some come late for a second or so, `walled` anchors always."""
+def ranges(truth: Truth, uwb_errors: UwbErrors = UwbErrors(), seed: int = 1) -> list:
+    """Ranges at 10 Hz as (arrival, topic, message); some are reflected for about 1 s, `blocked_anchors` always."""
     rng, names = np.random.default_rng(seed + 500), list(shed().anchors)
     where = np.array([shed().anchors[n] for n in names])
-    scale = 1.0 + radio.scale + rng.normal(0, 0.0005, len(names))
-    bias = radio.bias_m + rng.normal(0, 0.04, len(names))
-    late, out = np.zeros(len(names)), []
+    scale = 1.0 + uwb_errors.scale + rng.normal(0, 0.0005, len(names))
+    bias = uwb_errors.bias_m + rng.normal(0, 0.04, len(names))
+    delay, out = np.zeros(len(names)), []
     arm = np.append(tagged().sensors.uwb[TAG].mount.xyz_m, 1.0)
     for stamp_ns in range(START_NS + 50_000_000, START_NS + int((len(truth.T_map_base) - 2) * 2e6), 100_000_000):
         tag = (truth.at(stamp_ns) @ arm)[:3]
         change = rng.random(len(names)) < 0.1
-        hides = np.array([rng.random() < radio.hidden or n in radio.walled for n in names])
-        late = np.where(change, np.where(hides, rng.uniform(*radio.late_m, len(names)), 0.0), late)
-        late = np.where([n in radio.walled for n in names], np.maximum(late, radio.late_m[0]), late)
-        d = scale * np.linalg.norm(where - tag, axis=1) + bias + late + rng.normal(0, radio.sigma_m, len(names))
-        heard = UwbRanges(stamp_ns, TAG, tuple(names), d, np.ones(len(names)))
-        out.append((stamp_ns + 5_000_000, f"uwb/{TAG}", heard))
+        reflects = np.array(
+            [rng.random() < uwb_errors.reflected_ratio or n in uwb_errors.blocked_anchors for n in names]
+        )
+        delay = np.where(change, np.where(reflects, rng.uniform(*uwb_errors.reflection_m, len(names)), 0.0), delay)
+        delay = np.where(
+            [n in uwb_errors.blocked_anchors for n in names], np.maximum(delay, uwb_errors.reflection_m[0]), delay
+        )
+        d = scale * np.linalg.norm(where - tag, axis=1) + bias + delay + rng.normal(0, uwb_errors.sigma_m, len(names))
+        message = UwbRanges(stamp_ns, TAG, tuple(names), d, np.ones(len(names)))
+        out.append((stamp_ns + 5_000_000, f"uwb/{TAG}", message))
     return out
 
 
 def is_open(truth: Truth, stamp_ns: int, margin_m: float = 1.0) -> bool:
-    """Whether the antenna sees the sky."""
+    """Whether the antenna is in the open."""
     x, y, _ = truth.at(stamp_ns)[:3, 3] + truth.at(stamp_ns)[:3, :3] @ np.array([0.6, 0.0, 3.05])
     corners = np.array(shed().outline_m)
     low, high = corners.min(axis=0) - margin_m, corners.max(axis=0) + margin_m
     return not (low[0] < x < high[0] and low[1] < y < high[1])
 
 
-def messages(truth: Truth, radio: Radio | None = Radio(), seed: int = 1) -> list:
-    """Everything but the lidars, without fixes under the roof."""
+def messages(truth: Truth, uwb_errors: UwbErrors | None = UwbErrors(), seed: int = 1) -> list:
+    """All messages except of lidars, without fixes under the roof."""
     kept = [m for m in truth.messages if m[1] != "gnss/main" or is_open(truth, m[2].stamp_ns)]
-    return sorted(kept + (ranges(truth, radio, seed) if radio is not None else []), key=lambda m: m[0])
+    return sorted(kept + (ranges(truth, uwb_errors, seed) if uwb_errors is not None else []), key=lambda m: m[0])
 
 
-def out_and_in(dock, way_s: float = 32.0, seed: int = 1, speed_mps: float = 0.5) -> Truth:
-    """From a dock straight out into the yard, and back in reverse to about where it began."""
-    wrongs = Wrongs(seed=seed, slip=0.005, slip_swing=0.0, slip_per_pull=0.05, soil_side=0.001, furrow_m=0.0)
-    v, part_s = speed_mps, way_s / 2
+def out_and_back_drive(dock, drive_s: float = 32.0, seed: int = 1, speed_mps: float = 0.5) -> Truth:
+    """From a dock straight out into the yard, and back in reverse."""
+    sensor_errors = SensorErrors(
+        seed=seed, slip=0.005, slip_swing=0.0, slip_per_force=0.05, soil_side=0.001, furrow_m=0.0
+    )
+    v, part_s = speed_mps, drive_s / 2
     legs = [(5.0, 0.0, 0.0), (part_s, v, 0.0), (part_s, v, 0.08), (2.0, 0.0, 0.0)]
     legs += [(part_s, -v, 0.08), (part_s, -v, 0.0), (3.0, 0.0, 0.0)]
     pose = (dock.x_m, dock.y_m, math.radians(dock.heading_deg))
-    return drive(sum(leg[0] for leg in legs), legs=legs, wrongs=wrongs, begin=pose, is_flat=True)
+    return drive(sum(leg[0] for leg in legs), legs=legs, sensor_errors=sensor_errors, begin=pose, is_flat=True)
 
 
 @functools.cache
 def _walls() -> tuple[np.ndarray, np.ndarray]:
-    """Faces as segments (M, 2, 2), 7.5 cm to either side of the middle of each wall, and posts (K, 3)."""
+    """Faces as segments (M, 2, 2), 7.5 cm to either side of the center line of each wall, and posts (K, 3)."""
     walls = shapely.union_all([shapely.LineString(w).buffer(0.075, cap_style="flat") for w in shed().walls_m])
     ring = np.array(walls.exterior.coords)
     posts = np.array([[*p.at_m, p.radius_m] for p in shed().posts])
@@ -104,8 +110,8 @@ def _walls() -> tuple[np.ndarray, np.ndarray]:
     return np.stack([ring[:-1], ring[1:]], axis=1), np.vstack([posts, extra])
 
 
-def look(truth: Truth, stamp_ns: int, sensor: str, rng: np.random.Generator) -> tuple[LidarScan, LidarGround]:
-    """What a lidar sees of shed and posts: every beam to the first it meets, from where it is in the sweep."""
+def simulate_scan(truth: Truth, stamp_ns: int, sensor: str, rng: np.random.Generator) -> tuple[LidarScan, LidarGround]:
+    """Scan of shed and posts: every beam from the lidar's pose within the sweep to the first surface."""
     lidar = tagged().sensors.lidar[sensor]
     columns = lidar.columns // 2
     fov = math.radians(lidar.field_of_view_deg)

@@ -1,4 +1,4 @@
-"""Runs nodes on a list of messages as the executor would, and measures the result against the truth."""
+"""Test harness: runs nodes on a list of messages as the executor does, and compares the result with the truth."""
 
 import dataclasses
 import itertools
@@ -7,10 +7,11 @@ import time
 import numpy as np
 
 from configs.strict import CONFIGS, parse, read_yaml
-from localization.localizer import LocalizationConfig, Localizer
+from localization.config import LocalizationConfig
+from localization.localizer import Localizer
 from messages.faults import Fault
 from messages.motion import LidarLocalization, LidarOdometry, MapPose, Odometry
-from tests.localization.localization_drive import DATUM, START_NS, Truth, tractor
+from tests.localization.synthetic_drive import DATUM, START_NS, Truth, tractor
 
 STEP_NS = 20_000_000
 
@@ -19,8 +20,8 @@ def configuration() -> LocalizationConfig:
     return parse(LocalizationConfig, read_yaml(CONFIGS / "stack/localization.yaml"), "stack/localization.yaml")
 
 
-class Box:
-    """An inbox filled by hand."""
+class StubInbox:
+    """Inbox with given messages."""
 
     def __init__(self, messages, history=()):
         self._messages, self._history = messages, history
@@ -44,27 +45,27 @@ class Box:
 
 @dataclasses.dataclass
 class Run:
-    """What came out: odometry, poses, faults, and the seconds of each step."""
+    """Outputs of a run, and CPU time of each step (s)."""
 
     odom: list[Odometry]
     poses: list[MapPose]
     faults: list[Fault]
     step_s: np.ndarray
     localizer: Localizer
-    motions: list[LidarOdometry]
-    sightings: list[LidarLocalization] = dataclasses.field(default_factory=list)
+    lidar_motions: list[LidarOdometry]
+    localizations: list[LidarLocalization] = dataclasses.field(default_factory=list)
 
 
 def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None, lidar_map=None) -> Run:
     """Steps a localizer every 20 ms through messages (arrival, topic, message) in order of arrival.
 
-    `lidar` is a lidar odometry and a function that gives scan and ground for a time, or None; 10 Hz, 60 ms late.
-    `lidar_map` is that node and a function that gives {sensor: (scan, ground)} for a time; 5 Hz, 80 ms late.
+    `lidar`: lidar odometry node and function from stamp to scan and ground, or None; 10 Hz, 60 ms latency.
+    `lidar_map`: lidar localization node and function from stamp to {sensor: (scan, ground)}; 5 Hz, 80 ms latency.
     """
     node = localizer or Localizer(tractor(), DATUM, configuration())
-    motions = []
+    lidar_motions = []
     odom, poses, faults, times, k, now = [], [], [], [], 0, start_ns
-    sightings = []
+    localizations = []
     end = messages[-1][0] if seconds is None else start_ns + int(seconds * 1e9)
     while now <= end:
         due = []
@@ -73,38 +74,38 @@ def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None, l
             k += 1
         if lidar is not None and (now - start_ns) % 100_000_000 == 60_000_000:
             due += _lidar_step(lidar, now - 60_000_000, odom)
-            motions += [m for _, m in due if isinstance(m, LidarOdometry)]
+            lidar_motions += [m for _, m in due if isinstance(m, LidarOdometry)]
         if lidar_map is not None and (now - start_ns) % 200_000_000 == 80_000_000:
             due += _map_step(lidar_map, now - 80_000_000, odom, poses)
-            sightings += [m for _, m in due if isinstance(m, LidarLocalization)]
+            localizations += [m for _, m in due if isinstance(m, LidarLocalization)]
         start = time.thread_time()
-        for topic, message in node.step(now, Box(due)):
+        for topic, message in node.step(now, StubInbox(due)):
             {"odom": odom, "map_pose": poses, "fault/localizer": faults}[topic].append(message)
         times.append(time.thread_time() - start)
         now += STEP_NS
-    return Run(odom, poses, faults, np.array(times), node, motions, sightings)
+    return Run(odom, poses, faults, np.array(times), node, lidar_motions, localizations)
 
 
 def _map_step(lidar_map, stamp_ns, odom, poses):
-    node, look = lidar_map
-    seen = look(stamp_ns) or {}
+    node, simulate = lidar_map
+    seen = simulate(stamp_ns) or {}
     due = [(f"{kind}/{s}", m) for s, pair in seen.items() for kind, m in zip(("lidar", "ground"), pair, strict=True)]
     due += [("map_pose", poses[-1])] if poses else []
-    return list(node.step(stamp_ns + 80_000_000, Box(due, [("odom", m) for m in odom[-60:]])))
+    return list(node.step(stamp_ns + 80_000_000, StubInbox(due, [("odom", m) for m in odom[-60:]])))
 
 
 def _lidar_step(lidar, stamp_ns, odom):
-    node, look = lidar
-    pair = look(stamp_ns)
+    node, simulate = lidar
+    pair = simulate(stamp_ns)
     if pair is None:
         return []
-    box = Box([("lidar/front", pair[0]), ("ground/front", pair[1])], [("odom", m) for m in odom[-60:]])
+    box = StubInbox([("lidar/front", pair[0]), ("ground/front", pair[1])], [("odom", m) for m in odom[-60:]])
     return list(node.step(stamp_ns + 60_000_000, box))
 
 
 @dataclasses.dataclass
 class Errors:
-    """Fused 50 Hz pose against truth, in true base axes: along, across, up (m), turn (rad); NEES per pose."""
+    """Errors of the fused 50 Hz pose in true base axes: along, across, up (m), rotation (rad); NEES per pose."""
 
     t_s: np.ndarray
     p_m: np.ndarray
@@ -114,7 +115,7 @@ class Errors:
 
 
 def errors(result: Run, truth: Truth) -> Errors:
-    """Composes `T_map_odom @ T_odom_base` at each odometry message after the first pose."""
+    """Errors of `T_map_odom @ T_odom_base` at each odometry message after the first pose."""
     rows, k, poses = [], 0, [p for p in result.poses if p.is_initialized]
     from scipy.spatial.transform import Rotation
 
