@@ -49,7 +49,9 @@ class Localizer(Node):
         self._lidar_odometry = f"lidar_odometry/{sensor}"
         self.reads: Mapping[str, Read] = {IMU: All(200), WHEEL: All(100), GNSS: All(20)}
         if sensor in vehicle.sensors.lidar:
-            self.reads = {**self.reads, self._lidar_odometry: All(20), LIDAR_LOCALIZATION: All(20)}
+            self.reads = {**self.reads, self._lidar_odometry: All(20)}
+        if vehicle.sensors.lidar:
+            self.reads = {**self.reads, LIDAR_LOCALIZATION: All(20)}
         self.reads = {**self.reads, **dict.fromkeys(self._uwb, All(20))}
         self.writes = ("odom", "map_pose", "fault/localizer")
         self.runs = Every(round(config.period_s * 1e9))
@@ -117,6 +119,7 @@ class Localizer(Node):
         if self._lidar_odometry in self.reads:
             for motion in inbox.all(self._lidar_odometry, LidarOdometry):
                 self._map_alignment.odometry_spans.add(motion)
+        if LIDAR_LOCALIZATION in self.reads:
             for pose in inbox.all(LIDAR_LOCALIZATION, LidarLocalization):
                 self._map_alignment.pose_measurements.add(pose)
         for topic in self._uwb:

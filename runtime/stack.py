@@ -10,7 +10,7 @@ from control.controller import ControlConfig
 from datasets.log import LogConfig
 from datasets.viewer import ViewerConfig
 from interfaces.gateway import GatewayConfig
-from localization.localizer import LocalizationConfig
+from localization.config import LocalizationConfig
 from messages.errors import ConfigError
 from perception.config import PerceptionConfig
 from planning.config import PlanningConfig

@@ -233,9 +233,9 @@ def localization_nodes(replay_input: ReplayInput) -> list[Node]:
     vehicle, implement, site = replay_input.machine.vehicle, replay_input.machine.implement, replay_input.site
     config, nodes = replay_input.config.stack.localization, list[Node]()
     assert site is not None, "checked by find_odometry_source"
-    if "front" in vehicle.sensors.lidar:
-        nodes.append(LidarOdometryNode(vehicle, "front", config.lidar_odometry))
-    if "front" in vehicle.sensors.lidar and implement is not None:
+    if config.lidar_odometry.sensor in vehicle.sensors.lidar:
+        nodes.append(LidarOdometryNode(vehicle, config.lidar_odometry))
+    if vehicle.sensors.lidar and implement is not None:
         nodes.append(LidarMap(vehicle, implement, site.shed, config.lidar_map))
     return [*nodes, Localizer(vehicle, site.datum, config, site.shed, site.dock)]
 
