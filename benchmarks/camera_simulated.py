@@ -1,10 +1,10 @@
-"""How well the camera's detector finds what the simulation shows: recall by distance, and false persons.
+"""Detection rate of the camera's detector on simulated images: recall by distance, and false persons.
 
     ./headland benchmark camera_simulated [--model FILE] [--worlds N] [--out FOLDER]
 
-Each world has a day, clothes and terrain of its own (seed); in it stand one figure or none, 4 to 20 m from the camera
-and anywhere across the picture, in field, lane and yard, walking or standing at any heading. Found means a box of its
-class with IoU of at least 0.5, from the score that the stack believes.
+Each world (seed) has its own light, clothes and terrain; an image shows one actor or none, 4 to 20 m from the camera, at any
+bearing in the image, in field, lane and yard, walking or standing at any heading. Detected: a box of its class with
+IoU of at least 0.5 and at least the stack's score.
 """
 
 import argparse
@@ -42,16 +42,16 @@ CAMERA = Camera(
     mount=Mount(xyz_m=(1.6, 0.0, 2.75), rpy_deg=(0.0, 8.0, 0.0)), size_px=(1280, 720), focal_px=(800.0, 800.0),
     center_px=(639.5, 359.5), distortion=(-0.05, 0.01, 0.0, 0.0, 0.0), rate_hz=2.0,
 )  # fmt: skip
-NEAR_M, FAR_M, BAR_M = 4.0, 20.0, (5.0, 15.0)
-BAR, AIM = 0.80, 0.95
+NEAR_M, FAR_M, EVALUATED_M = 4.0, 20.0, (5.0, 15.0)
+LIMIT, GOAL = 0.80, 0.95
 ORDER = (ObstacleClass.PERSON, ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.PERSON, None,
          ObstacleClass.PERSON, ObstacleClass.VEHICLE, ObstacleClass.PERSON)  # fmt: skip
 WHEELBASE_M, TRACK_M = 2.55, 1.9
 
 
 @dataclass(frozen=True)
-class Shot:
-    """A picture, the figure in it (None: nobody), its distance from the camera and its box (4,) in the picture."""
+class LabelledImage:
+    """An image, its actor's class (None: no actor), distance from the camera and box (4,) in the image."""
 
     bgr: UInt8
     label: ObstacleClass | None
@@ -59,38 +59,36 @@ class Shot:
     corners_px: Float64
 
 
-class _Still:
-    """A machine that stands, as far as a camera knows it."""
+def poses_at_rest(T_map_base: Float64) -> PoseBuffer:
+    """Poses of a standing machine."""
+    poses = PoseBuffer(5_000_000, 0.02)
+    poses.append(T_map_base)
+    return poses
 
-    def __init__(self, T_map_base: Float64) -> None:
-        self.poses = PoseBuffer(5_000_000, 0.02)
-        self.poses.append(T_map_base)
 
-
-def shots(
+def labelled_images(
     seed: int, camera: Camera = CAMERA, order: tuple[ObstacleClass | None, ...] = ORDER,
-    between_m: tuple[float, float] = (NEAR_M, FAR_M),
-) -> Iterator[Shot]:  # fmt: skip
-    """The pictures of one world, with figures at these distances."""
+    range_m: tuple[float, float] = (NEAR_M, FAR_M),
+) -> Iterator[LabelledImage]:  # fmt: skip
+    """Images of one world, with actors at these distances."""
     config = parse(SimulationConfig, read_yaml(CONFIGS / "stack/simulation.yaml"), "stack/simulation.yaml")
     site, vehicle = load(Site, find("sites", "demo")), load(Vehicle, find("machines", "tractor_e"))
     terrain = Terrain(site, config.terrain, seed)
     scene = Scene(lambda: build_scenery(site, terrain, config.scenery, seed))
     model = CameraModel("front", camera, vehicle, site, (), seed, config.camera)
     random = np.random.default_rng([seed, 7])
-    machine: Machine = None  # type: ignore[assignment]  # a camera does not look at it
+    machine: Machine = None  # type: ignore[assignment]  # not read by the camera model
     for k, label in enumerate(order):
         T_map_base = draw_pose(terrain, random)
-        actor, distance_m = draw_actor(100 * seed + k, label, between_m, T_map_base, terrain, camera, random)
+        actor, distance_m = draw_actor(100 * seed + k, label, range_m, T_map_base, terrain, camera, random)
         scene.actors = () if actor is None else (actor,)
-        still = _Still(T_map_base)
-        message = model.sample(WorldState(k, float(k), still.poses, machine, scene))
+        message = model.sample(WorldState(k, float(k), poses_at_rest(T_map_base), machine, scene))
         box = np.zeros(4) if actor is None else box_of(actor, T_map_base, camera)
-        yield Shot(message.bgr, label, distance_m, box)
+        yield LabelledImage(message.bgr, label, distance_m, box)
 
 
 def draw_pose(terrain: Terrain, random: np.random.Generator) -> Float64:
-    """Somewhere in the field, before the gate or in the yard."""
+    """A pose in the field, before the gate or in the yard."""
     kind = random.integers(5)
     if kind < 3:
         x, y, yaw = random.uniform(12.0, 68.0), random.uniform(12.0, 38.0), random.uniform(-math.pi, math.pi)
@@ -102,14 +100,14 @@ def draw_pose(terrain: Terrain, random: np.random.Generator) -> Float64:
 
 
 def draw_actor(
-    id: int, label: ObstacleClass | None, between_m: tuple[float, float], T_map_base: Float64, terrain: Terrain,
+    id: int, label: ObstacleClass | None, range_m: tuple[float, float], T_map_base: Float64, terrain: Terrain,
     camera: Camera, random: np.random.Generator,
 ) -> tuple[ActorState | None, float]:  # fmt: skip
-    """Somebody before the camera, wholly in the picture, and how far."""
+    """An actor entirely in the image, and its distance."""
     if label is None:
         return None, math.nan
     while True:
-        distance, bearing = random.uniform(*between_m), math.radians(random.uniform(-36.0, 36.0))
+        distance, bearing = random.uniform(*range_m), math.radians(random.uniform(-36.0, 36.0))
         gait = -1.0 if random.random() < 0.4 else float(random.random())
         yaw = float(random.uniform(-math.pi, math.pi))
         ahead, left = distance * math.cos(bearing), distance * math.sin(bearing)
@@ -122,7 +120,7 @@ def draw_actor(
 
 
 def box_of(actor: ActorState, T_map_base: Float64, camera: Camera) -> Float64:
-    """Left, top, right and bottom of a figure in the picture, hidden or not."""
+    """Left, top, right and bottom of an actor in the image, occlusion ignored."""
     T_camera_map = invert(T_map_base @ camera.mount.T_base_sensor)
     body = apply(T_camera_map, actor.vertices_map_m.astype(np.float64))
     optical = np.stack([-body[:, 1], -body[:, 2], body[:, 0]], axis=1)
@@ -133,71 +131,80 @@ def box_of(actor: ActorState, T_map_base: Float64, camera: Camera) -> Float64:
     return np.concatenate([flat.min(axis=0), flat.max(axis=0)])
 
 
-def found(shot: Shot, detector: Detector) -> tuple[bool, Boxes]:
-    """Whether the shot's figure is found, and all boxes of the stack's classes."""
+def detect(image: LabelledImage, detector: Detector) -> tuple[bool, Boxes]:
+    """True if the image's actor is detected; and all boxes of the stack's classes."""
     config = detector.config
-    boxes = non_max_suppression(grouped(detector.detect(shot.bgr)), config.min_score, config.max_iou)
-    if shot.label is None:
+    boxes = non_max_suppression(grouped(detector.detect(image.bgr)), config.min_score, config.max_iou)
+    if image.label is None:
         return False, boxes
-    mine = boxes.corners_px[boxes.label == GROUPS.index(shot.label)]
-    return bool((iou(shot.corners_px[None], mine) >= 0.5).any()), boxes
+    mine = boxes.corners_px[boxes.label == GROUPS.index(image.label)]
+    return bool((iou(image.corners_px[None], mine) >= 0.5).any()), boxes
 
 
 def run(model: Path, worlds: int, out: Path | None) -> bool:
-    """Print everything; whether persons are found as often as asked."""
+    """Prints all figures; True if the recall of persons meets the limit."""
     detector = load_detector(model, configured())
-    rows: list[tuple[Shot, bool, int, int]] = []
-    drawing_s = 0.0
+    rows: list[tuple[LabelledImage, bool, int, int]] = []
+    render_s = 0.0
     for seed in range(1, worlds + 1):
-        pictures = shots(seed)
+        images = labelled_images(seed)
         for k in range(len(ORDER)):
             start = time.process_time()
-            shot = next(pictures)
-            drawing_s += time.process_time() - start if k > 1 else 0.0
-            is_found, boxes = found(shot, detector)
+            image = next(images)
+            render_s += time.process_time() - start if k > 1 else 0.0
+            is_detected, boxes = detect(image, detector)
             people = int((boxes.label == GROUPS.index(ObstacleClass.PERSON)).sum())
-            false = people - int(is_found and shot.label is ObstacleClass.PERSON)
-            rows.append((Shot(shot.bgr[:0], shot.label, shot.distance_m, shot.corners_px), is_found, false, seed))
+            false = people - int(is_detected and image.label is ObstacleClass.PERSON)
+            rows.append(
+                (
+                    LabelledImage(image.bgr[:0], image.label, image.distance_m, image.corners_px),
+                    is_detected,
+                    false,
+                    seed,
+                )
+            )
             if out is not None:
-                save(out, seed, k, shot, is_found, boxes)
-    each_ms = drawing_s / worlds / (len(ORDER) - 2) * 1e3
-    print(f"{model.name}, {len(rows)} pictures of {worlds} worlds, {each_ms:.0f} ms each to draw")
+                save(out, seed, k, image, is_detected, boxes)
+    each_ms = render_s / worlds / (len(ORDER) - 2) * 1e3
+    print(f"{model.name}, {len(rows)} images of {worlds} worlds, {each_ms:.0f} ms each to render")
     for label in GROUPS:
         print_label(label, [(s.distance_m, f) for s, f, _, _ in rows if s.label is label])
     print_false(rows)
-    wanted = [f for s, f, _, _ in rows if s.label is ObstacleClass.PERSON and BAR_M[0] <= s.distance_m < BAR_M[1]]
+    wanted = [
+        f for s, f, _, _ in rows if s.label is ObstacleClass.PERSON and EVALUATED_M[0] <= s.distance_m < EVALUATED_M[1]
+    ]
     share = float(np.mean(wanted))
-    at = f"person at {BAR_M[0]:.0f} to {BAR_M[1]:.0f} m"
-    print(f"{at}: {sum(wanted)}/{len(wanted)} = {share:.3f} (bar {BAR}, aim {AIM})")
-    return share >= BAR
+    at = f"person at {EVALUATED_M[0]:.0f} to {EVALUATED_M[1]:.0f} m"
+    print(f"{at}: {sum(wanted)}/{len(wanted)} = {share:.3f} (limit {LIMIT}, goal {GOAL})")
+    return share >= LIMIT
 
 
 def print_label(label: ObstacleClass, trials: list[tuple[float, bool]]) -> None:
-    """Print recall a metre (people) or four (others)."""
+    """Prints recall per metre (persons) or four metres (others)."""
     width = 1.0 if label is ObstacleClass.PERSON else 4.0
-    print(f"{label}: distance, found of shown")
+    print(f"{label}: distance, detected of shown")
     for low in np.arange(NEAR_M, FAR_M, width):
         hits = [f for d, f in trials if low <= d < low + width]
         if hits:
             print(f"  {low:4.0f} to {low + width:2.0f} m  {sum(hits):3d}/{len(hits):3d}  {np.mean(hits):.2f}")
 
 
-def print_false(rows: list[tuple[Shot, bool, int, int]]) -> None:
-    """Print how many persons were found where none is."""
-    for name, mine in (("without anybody", [r for r in rows if r[0].label is None]),
+def print_false(rows: list[tuple[LabelledImage, bool, int, int]]) -> None:
+    """Prints the number of false persons."""
+    for name, mine in (("without actor", [r for r in rows if r[0].label is None]),
                        ("with animal or vehicle", [r for r in rows if r[0].label not in (None, ObstacleClass.PERSON)]),
                        ("with a person", [r for r in rows if r[0].label is ObstacleClass.PERSON])):  # fmt: skip
-        print(f"false persons in pictures {name}: {sum(r[2] for r in mine)} in {len(mine)}")
+        print(f"false persons in images {name}: {sum(r[2] for r in mine)} in {len(mine)}")
 
 
-def save(folder: Path, seed: int, k: int, shot: Shot, is_found: bool, boxes: Boxes) -> None:
-    """Keep a picture with the true box (white) and those found (red)."""
-    bgr = shot.bgr.copy()
-    for corners, color in [(shot.corners_px, (255, 255, 255)), *((c, (0, 0, 255)) for c in boxes.corners_px)]:
+def save(folder: Path, seed: int, k: int, image: LabelledImage, is_detected: bool, boxes: Boxes) -> None:
+    """Saves an image with the true box (white) and the detected ones (red)."""
+    bgr = image.bgr.copy()
+    for corners, color in [(image.corners_px, (255, 255, 255)), *((c, (0, 0, 255)) for c in boxes.corners_px)]:
         left, top, right, bottom = (int(c) for c in corners)
         cv2.rectangle(bgr, (left, top), (right, bottom), color, 1)
     folder.mkdir(parents=True, exist_ok=True)
-    name = f"{'found' if is_found else 'missed' if shot.label else 'empty'}-{shot.label or 'none'}-{seed}-{k}.jpg"
+    name = f"{'found' if is_detected else 'missed' if image.label else 'empty'}-{image.label or 'none'}-{seed}-{k}.jpg"
     cv2.imwrite(str(folder / name), bgr)
 
 
@@ -205,6 +212,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--model", type=Path, default=MODEL)
     parser.add_argument("--worlds", type=int, default=60)
-    parser.add_argument("--out", type=Path, help="folder for the pictures with their boxes")
+    parser.add_argument("--out", type=Path, help="folder for images with boxes")
     arguments = parser.parse_args()
     sys.exit(0 if run(arguments.model, arguments.worlds, arguments.out) else 1)

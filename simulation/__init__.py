@@ -1,1 +1,1 @@
-"""The simulated world: machine, terrain, objects and sensors; it obeys frames on the bus and nothing else."""
+"""The simulated world: machine, terrain, actors and sensors; driven only by frames on the CAN bus."""

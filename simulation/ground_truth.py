@@ -1,4 +1,4 @@
-"""What really happened: contacts, leaving the surveyed area, and the truth messages."""
+"""Ground truth: contacts, zone exits and the truth messages."""
 
 import numpy as np
 import shapely
@@ -19,13 +19,13 @@ from simulation.machine.machine import Machine
 
 
 class GroundTruthConfig(Config):
-    """Bounds of what counts."""
+    """Tolerances of the evaluation."""
 
-    tolerance_m: float = Field(ge=0.0, le=0.1, description="of a boundary")
+    tolerance_m: float = Field(ge=0.0, le=0.1, description="of the boundary")
 
 
 class GroundTruth:
-    """Counts contacts once an object (a figure, or a wall or post by -1 and down) and zone_exits once a leaving."""
+    """Counts one contact per object (actor id; shed solids from -1 downwards) and one zone exit per departure."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class GroundTruth:
         shapely.prepare(self._structures)
 
     def update(self, outline: BaseGeometry, actors: tuple[ActorState, ...]) -> None:
-        """Count what has come about since the last look, by the ground covered now."""
+        """Counts contacts and zone exits of the outline since the last update."""
         is_inside = bool(self._allowed.covers(outline))
         self.zone_exits += int(self._was_inside and not is_inside)
         self._was_inside = is_inside
@@ -62,7 +62,7 @@ class GroundTruth:
         return machine_outline_m(self._vehicle, base).union(implement)
 
     def machine_message(self, stamp_ns: int, machine: Machine) -> TrueMachine:
-        """The machine as it is."""
+        """Builds the TrueMachine message."""
         base = (machine.x_m, machine.y_m, machine.yaw_rad)
         point = working_point_m(self._implement, base, machine.attached.yaw_rad)
         T = machine.T_map_base
@@ -74,7 +74,7 @@ class GroundTruth:
         )  # fmt: skip
 
     def objects_message(self, stamp_ns: int, outline: BaseGeometry, actors: tuple[ActorState, ...]) -> TrueObjects:
-        """The objects as they are, with their gaps to the ground covered now."""
+        """Builds the TrueObjects message, with the clearance of each object to the covered ground."""
         objects = []
         for f in actors:
             center, size = f.box_m()
@@ -85,7 +85,7 @@ class GroundTruth:
 
 
 def allowed_area(site: Site) -> BaseGeometry:
-    """Where machine and implement may be: surveyed area, gates and shed, without what must not be entered."""
+    """Permitted area: surveyed area, gates and shed, without no-go areas."""
     gates = [LineString(gate.posts_m).buffer(1.0, cap_style="flat") for gate in site.gates]
     shed = [] if site.shed is None else [Polygon(site.shed.outline_m)]
     area = shapely.union_all([surveyed_area(site), *gates, *shed])

@@ -1,4 +1,4 @@
-"""Inner loops, compiled: ground height, wheels on the ground, and rays of a sweep."""
+"""Compiled kernels: ground height, pose on the ground, pose interpolation, and rays of a lidar sweep."""
 
 import math
 
@@ -13,7 +13,7 @@ UInt32 = npt.NDArray[np.uint32]
 
 @kernel
 def height_at(x: float, y: float, profile: Float64, waves: Float64) -> float:
-    """Height of the smooth ground; `profile` and `waves` as `simulation.terrain.Terrain` lays them out."""
+    """Height of the smooth ground; `profile` and `waves` as in `simulation.environment.terrain.Terrain`."""
     x0, y0, c, s, flat, rise_u, k_u, rise_v, k_v, zero, west, south, east, north, blend = profile
     share = 1.0
     if blend > 0.0:
@@ -44,7 +44,7 @@ def heights_at(xy: Float64, profile: Float64, waves: Float64) -> Float64:
 def pose_on_ground(
     x: float, y: float, yaw: float, wheelbase: float, track: float, profile: Float64, waves: Float64
 ) -> Float64:
-    """Pose (4, 4) of a machine whose rear wheels and front axle's middle touch the ground."""
+    """Pose (4, 4) of a machine whose rear wheels and front axle centre touch the ground."""
     c, s, half = math.cos(yaw), math.sin(yaw), 0.5 * track
     fx, fy = x + wheelbase * c, y + wheelbase * s
     left = height_at(x - half * s, y + half * c, profile, waves)
@@ -63,7 +63,7 @@ def pose_on_ground(
 
 @kernel
 def blend_poses(poses: Float64, steps_ago: Float64) -> Float64:
-    """Poses (N, 4, 4) some steps `ago` (N,) before the first of `poses`, each of which is a step before the last."""
+    """Poses (N, 4, 4) `steps_ago` (N,) before the first of `poses`, which are one step apart, newest first."""
     out = np.empty((steps_ago.shape[0], 4, 4))
     for n in range(steps_ago.shape[0]):
         k = int(steps_ago[n])
@@ -96,7 +96,7 @@ def sweep_rays(T_map_lidar: Float64, directions: Float32, is_open: UInt8) -> Flo
 
 @kernel
 def rays_near_ball(rays: Float32, center: Float64, radius: float) -> UInt8:
-    """Which rays (N, 6) come within `radius` of a point ahead of them."""
+    """Mask (N,) of rays (N, 6) that pass within `radius` of a point ahead of them."""
     out = np.zeros(rays.shape[0], np.uint8)
     for n in range(rays.shape[0]):
         along = 0.0
@@ -111,7 +111,7 @@ def rays_near_ball(rays: Float32, center: Float64, radius: float) -> UInt8:
 
 @kernel
 def signal_of(rays: Float32, normals: Float32, mesh: UInt32, reflectivity: Float32) -> Float32:
-    """Reflectivity times cosine of incidence, (N,); a `mesh` beyond the last of `reflectivity` counts as that."""
+    """Reflectivity times cosine of incidence, (N,); a `mesh` beyond `reflectivity` takes its last value."""
     out, last = np.empty(rays.shape[0], np.float32), np.uint32(reflectivity.shape[0] - 1)
     for n in range(rays.shape[0]):
         cosine = rays[n, 3] * normals[n, 0] + rays[n, 4] * normals[n, 1] + rays[n, 5] * normals[n, 2]
@@ -123,14 +123,15 @@ def signal_of(rays: Float32, normals: Float32, mesh: UInt32, reflectivity: Float
 def ranges_mm(
     distance: Float32, signal: Float32, detection_draw: Float32, dust_m: Float32, noise: Float32, parameters: Float32
 ) -> UInt16:
-    """Ranges (N,) as a lidar gives them, 0 where nothing came back.
+    """Measured ranges (N,), 0 without a return.
 
-    A return is seen by `luck`; `dust_m` is infinite where there is none. `numbers`: sight, greatest chance, sigma,
-    least and greatest range, all in metres, and steps a metre and mm a step.
+    `detection_draw`: uniform random numbers; `dust_m`: range of a dust return, infinite without. `parameters`: range at
+    10 % reflectivity, highest detection probability, range sigma, shortest and longest range (m), steps per m,
+    mm per step.
     """
     reference_m, max_probability, sigma, low, high, per_m, step_mm = parameters
     out = np.empty(distance.shape[0], np.uint16)
-    for n in range(distance.shape[0]):  # without branches, which chance would mislead
+    for n in range(distance.shape[0]):  # no branches: random data defeats branch prediction
         share = reference_m / max(distance[n], np.float32(0.1))
         chance = min(np.float32(10.0) * signal[n] * (share * share), max_probability)
         range_m = min(distance[n] + sigma * noise[n], dust_m[n])

@@ -1,4 +1,4 @@
-"""Random numbers: one generator a seed and user, so that a new sensor never changes what another one draws."""
+"""Random generators: one per seed and consumer, so that a new sensor does not change the draws of others."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The simulated world as the stack meets it: it goes on in steps, obeys the bus and gives what sensors measure."""
+"""The simulated world: advances in fixed steps, obeys the bus and outputs sensor and truth messages."""
 
 import heapq
 import math
@@ -51,7 +51,7 @@ POSE_BUFFER_S = 0.25
 
 
 class SimulationConfig(Config):
-    """The section `simulation` of the stack's configuration."""
+    """Section `simulation` of the stack configuration."""
 
     start_stamp_ns: int = Field(ge=0)
     terrain: TerrainConfig
@@ -69,10 +69,10 @@ class SimulationConfig(Config):
 
 
 class SimulationWorld(World):
-    """Deterministic: the same arguments and the same frames on the bus give the same messages, to the bit.
+    """Deterministic: equal arguments and equal frames on the bus give bit-identical messages.
 
-    `bus` is the tractor's end of its bus; the world closes it. `paints_aside` has a thread paint the cameras' pictures:
-    the same ones, but they come when they are painted, and the process must not fork.
+    `bus` is the tractor's end of its bus; the world closes it. With `renders_in_thread` a thread renders camera images:
+    identical ones, delivered when rendered; the process must not fork.
     """
 
     def __init__(
@@ -106,11 +106,11 @@ class SimulationWorld(World):
         self.writes = (*(s.topic for s in self._sensors), "operator_command", "truth_machine", "truth_objects")
 
     def next_ns(self) -> int | None:
-        """One tick on; the simulated world has no end."""
+        """Time of the next tick; the simulated world has no end."""
         return self._now_ns + TICK_NS
 
     def step(self, now_ns: int) -> Iterable[Output]:
-        """Go on to `now_ns` in ticks, and give what is received by then in order of its arrival."""
+        """Advances to `now_ns` in ticks; returns messages received by then, in order of arrival."""
         while self._now_ns + TICK_NS <= now_ns:
             self._tick(self._now_ns + TICK_NS)
         received = []
@@ -120,27 +120,27 @@ class SimulationWorld(World):
                 received.append((topic, message))
             elif message.done():
                 received.append((topic, message.result()))
-            else:  # a picture that is late must not make the rest of the world so
+            else:  # a late image must not delay other messages
                 self._put(now_ns + TICK_NS, topic, message)
         return received
 
     def warm(self) -> None:
-        """Load and build what the first scan would wait for."""
+        """Loads and builds everything that would delay the first scan."""
         warm()
         found = self._vehicle.sensors
         if found.lidar or found.radar or found.ultrasonic or found.uwb:
             up = np.array([[0.0, 0.0, 50.0, 0.0, 0.0, 1.0]], np.float32)
-            self._scene.static.cast(up)  # open3d sorts its triangles at the first one
+            self._scene.static.cast(up)  # open3d builds its acceleration structure at the first cast
         for sensor in self._sensors:
             if isinstance(sensor, CameraModel):
                 sensor.warm(self._scene)
 
     def add_actor(self, actor: Actor) -> None:
-        """One actor more, from now on."""
+        """Adds an actor from now on."""
         self._actors.append(actor)
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Closes the bus."""
         self._bus.close()
         if self._render_thread is not None:
             self._render_thread.shutdown()
@@ -160,7 +160,7 @@ class SimulationWorld(World):
         self._status.send(elapsed_ns)
 
     def _create_actors(self, plan_paths: tuple[Path, ...], setting: EncounterSite, seed: int) -> list[Actor]:
-        is_field = bool(plan_paths)  # without a plan nobody is on the field
+        is_field = bool(plan_paths)  # encounters on the field need a plan
         encounters = tuple(e for e in self._scenario.encounters if is_field or isinstance(e, Bystander))
         drawn = place_encounters(encounters, plan_paths, setting, generator(seed, "scenario"))
         return [Actor(k, e, d, self._terrain) for k, (e, d) in enumerate(zip(encounters, drawn, strict=True))]
@@ -214,7 +214,7 @@ def make_sensors(
     site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario, seed: int,
     config: SimulationConfig,
 ) -> list[Sensor]:  # fmt: skip
-    """All sensors of a vehicle, each with a generator of its own."""
+    """All sensors of a vehicle, each with its own generator."""
     found = vehicle.sensors
     sensors: list[Sensor] = []
     if found.imu is not None:
@@ -239,7 +239,7 @@ def make_sensors(
 def make_ultrasonics(
     vehicle: Vehicle, implement: MountedImplement | TrailedImplement, seed: int, config: UltrasonicConfig
 ) -> list[Sensor]:
-    """The ultrasonic sensors of a vehicle with those that its implement carries; who looks the same way is heard."""
+    """Ultrasonic sensors of vehicle and implement; sensors facing the same direction receive each other's pulses."""
     found = vehicle.sensors.ultrasonic
     carried = implement.ultrasonic if isinstance(implement, MountedImplement) else {}
     axes = {name: sensor.mount.T_base_sensor[:3, 0] for name, sensor in found.items()}

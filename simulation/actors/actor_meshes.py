@@ -1,6 +1,6 @@
-"""People, animals and vehicles as meshes about their own origin: on the ground, facing x; limbs move with the gait.
+"""Meshes of people, animals and vehicles about their own origin: on the ground, facing x, limbs by gait phase.
 
-What lidar, radar and ultrasonic meet is the same body as what cameras see, with fewer triangles.
+Lidar, radar and ultrasonic sensors use the same body as cameras, with fewer triangles.
 """
 
 from functools import cache
@@ -12,23 +12,23 @@ from simulation.actors.person import STEPS, person
 from simulation.environment.lofting import Part
 from simulation.environment.meshes import Mesh, join
 
-STRIDE_M = {ObstacleClass.PERSON: 1.3, ObstacleClass.ANIMAL: 1.6}  # way of one whole gait cycle
+STRIDE_M = {ObstacleClass.PERSON: 1.3, ObstacleClass.ANIMAL: 1.6}  # length of one gait cycle
 GAIT_STEPS = STEPS
 REFLECTIVITY = {ObstacleClass.PERSON: 0.35, ObstacleClass.ANIMAL: 0.30, ObstacleClass.VEHICLE: 0.5}
 
 
 def actor_mesh(label: ObstacleClass, gait: float) -> Mesh:
-    """The mesh at a place in the gait cycle (0 to 1), in `GAIT_STEPS` steps; a negative gait means standing."""
+    """Mesh at a gait phase (0 to 1, quantised to `GAIT_STEPS`); a negative phase means standing."""
     return _joined(label, gait_step(gait))
 
 
 def gait_step(gait: float) -> int:
-    """The step of a place in the gait cycle; -1 for standing."""
+    """Gait step of a gait phase; -1 for standing."""
     return -1 if gait < 0.0 else int(gait % 1.0 * GAIT_STEPS)
 
 
 def actor_parts(label: ObstacleClass, step: int, is_fine: bool) -> tuple[Part, ...]:
-    """The parts at a step of the gait, by what they are of."""
+    """Parts at a gait step, each with its region."""
     if label is ObstacleClass.PERSON:
         return person(step, is_fine)
     return deer(step, is_fine) if label is ObstacleClass.ANIMAL else car(is_fine)

@@ -1,4 +1,4 @@
-"""A small car of 3.8 by 1.66 m about its middle: body, glass with pillars and roof, wheels, lights and plates."""
+"""A small car of 3.8 by 1.66 m about its centre: body, glass with pillars and roof, wheels, lights and plates."""
 
 from functools import cache
 
@@ -11,7 +11,7 @@ BODY: Keys = (
     (1.20, 0.0, 0.57, 0.33, 0.80), (1.60, 0.0, 0.54, 0.29, 0.78), (1.82, 0.0, 0.51, 0.24, 0.72),
     (1.89, 0.0, 0.49, 0.18, 0.64), (1.90, 0.0, 0.48, 0.10, 0.56),
 )  # fmt: skip
-# upwards: middle along x, half length, half width
+# along z: centre along x, half length, half width
 CABIN: Keys = ((-0.36, 0.0, 0.92, 1.42, 0.765), (-0.40, 0.0, 1.02, 1.33, 0.745), (-0.48, 0.0, 1.30, 1.12, 0.675),
                (-0.54, 0.0, 1.52, 0.93, 0.61))  # fmt: skip
 ROOF: Keys = ((-0.53, 0.0, 1.50, 0.955, 0.625), (-0.55, 0.0, 1.55, 0.93, 0.60), (-0.57, 0.0, 1.60, 0.84, 0.54),
@@ -28,7 +28,7 @@ def car(is_fine: bool) -> tuple[Part, ...]:
              Part(loft(ROOF, sides, 5 * more, power=5.0, axis=(0.0, 0.0, 1.0)), "paint")]  # fmt: skip
     for x in (1.2, -1.2):
         for s in (1.0, -1.0):
-            parts += [Part(disc((x, 0.717 * s, WHEEL_M + 0.035), 0.10, ARCH_M, 16), "eyes"),
+            parts += [Part(disc((x, 0.717 * s, WHEEL_M + 0.035), 0.10, ARCH_M, 16), "dark"),
                       Part(disc((x, 0.73 * s, WHEEL_M), 0.10, WHEEL_M, 16), "rubber")]  # fmt: skip
             if is_fine:
                 parts.append(Part(disc((x, 0.824 * s, WHEEL_M), 0.01, 0.19, 16), "rim"))
@@ -46,7 +46,7 @@ def disc(center: tuple[float, float, float], half_width: float, radius: float, s
 
 
 def _pillars() -> list[Part]:
-    """Painted posts at the corners and between the doors, on the glass."""
+    """Painted pillars at the corners and between the doors."""
     posts = []
     for s in (1.0, -1.0):
         for (x0, y0), (x1, y1), half in (((0.83, 0.65), (0.27, 0.525), 0.03), ((-0.36, 0.755), (-0.44, 0.615), 0.045),
@@ -73,13 +73,13 @@ def _slab(x: float, y: float, z: float, half_y: float, half_z: float, region: st
 
 
 def _trim() -> list[Part]:
-    """What only the eye sees: bumpers, plates, grille, lamps, the line of the door and its handle."""
-    parts = [_slab(1.885, 0.0, 0.40, 0.45, 0.04, "eyes"), _slab(-1.885, 0.0, 0.44, 0.50, 0.04, "eyes"),
+    """Details for cameras alone: bumpers, plates, grille, lamps, door line and handle."""
+    parts = [_slab(1.885, 0.0, 0.40, 0.45, 0.04, "dark"), _slab(-1.885, 0.0, 0.44, 0.50, 0.04, "dark"),
              _slab(1.895, 0.0, 0.47, 0.24, 0.04, "white"), _slab(-1.895, 0.0, 0.62, 0.24, 0.05, "white"),
-             _slab(1.885, 0.0, 0.56, 0.36, 0.03, "eyes")]  # fmt: skip
+             _slab(1.885, 0.0, 0.56, 0.36, 0.03, "dark")]  # fmt: skip
     for s in (1.0, -1.0):
         parts += [_slab(1.868, 0.52 * s, 0.58, 0.11, 0.045, "lamp"), _slab(-1.885, 0.54 * s, 0.70, 0.07, 0.08, "tail")]
         door = ((-0.39, 0.815 * s, 0.42, 0.006, 0.004), (-0.39, 0.815 * s, 0.76, 0.006, 0.004))
         handle = ((-0.30, 0.812 * s, 0.74, 0.012, 0.01), (-0.12, 0.812 * s, 0.74, 0.012, 0.01))
-        parts += [Part(loft(door, 6, 3), "eyes"), Part(loft(handle, 6, 3), "eyes")]
+        parts += [Part(loft(door, 6, 3), "dark"), Part(loft(handle, 6, 3), "dark")]
     return parts

@@ -1,4 +1,4 @@
-"""A roe deer, 0.75 m at the shoulder: body, neck, head with ears, legs with hocks, and its white rump."""
+"""A roe deer, 0.75 m at the shoulder: body, neck, head with ears, legs with hocks, white rump."""
 
 import math
 from functools import cache
@@ -26,7 +26,7 @@ HEAD: Keys = (
 
 @cache
 def deer(step: int, is_fine: bool) -> tuple[Part, ...]:
-    """All parts at a step of the gait (a trot: legs move crosswise), standing below 0."""
+    """All parts at a gait step (a trot: diagonal legs together); the lowest hoof is at height 0."""
     sides, more = (20, 3) if is_fine else (10, 1)
     parts = [Part(loft(BODY, sides, 9 * more, axis=(1.0, 0.0, 0.0)), "coat"), Part(loft(NECK, sides, 5 * more), "coat"),
              Part(loft(HEAD, sides, 6 * more), "coat"),
@@ -40,9 +40,9 @@ def deer(step: int, is_fine: bool) -> tuple[Part, ...]:
             swing = phase * math.sin(2.0 * math.pi * step / STEPS) if step >= 0 else 0.06 * phase
             parts += _leg(is_front, side, swing, max(sides // 2, 6), more)
         if is_fine:
-            parts.append(Part(blob((0.645, 0.056 * side, 1.115), (0.014, 0.010, 0.013), 8, 5), "eyes"))
+            parts.append(Part(blob((0.645, 0.056 * side, 1.115), (0.014, 0.010, 0.013), 8, 5), "dark"))
     if is_fine:
-        parts.append(Part(blob((0.842, 0.0, 1.012), (0.014, 0.022, 0.018), 8, 5), "eyes"))
+        parts.append(Part(blob((0.842, 0.0, 1.012), (0.014, 0.022, 0.018), 8, 5), "dark"))
     low = min(float(p.mesh.vertices_m[:, 2].min()) for p in parts)
     T = np.eye(4)
     T[2, 3] = -low
@@ -50,7 +50,7 @@ def deer(step: int, is_fine: bool) -> tuple[Part, ...]:
 
 
 def _leg(is_front: bool, side: float, swing: float, sides: int, more: int) -> list[Part]:
-    """Shoulder or haunch, joint, and a thin leg with a dark hoof; `swing` of -1 to 1."""
+    """Thigh, joint, lower leg and hoof; `swing` from -1 to 1."""
     x, y = (0.33, 0.085 * side) if is_front else (-0.40, 0.09 * side)
     first, second = (0.35 * swing, 0.35 * swing - 0.3 * max(0.0, -swing)) if is_front else (0.25 + 0.35 * swing,
                                                                                       -0.22 + 0.4 * swing)  # fmt: skip
@@ -69,4 +69,4 @@ def _leg(is_front: bool, side: float, swing: float, sides: int, more: int) -> li
     leg = (on(0.0, thick, 0.05), on(0.35, 0.75 * thick, 0.048), on(0.8, 0.036, 0.030), on(1.05, 0.030, 0.026),
            on(1.3, 0.022, 0.020), on(1.85, 0.020, 0.019), on(2.0, 0.019, 0.018))  # fmt: skip
     hoof = blob((foot[0] + 0.012, y, foot[1] + 0.005), (0.034, 0.024, 0.03), sides, 5)
-    return [Part(loft(leg, sides, 6 * more), "coat"), Part(hoof, "eyes")]
+    return [Part(loft(leg, sides, 6 * more), "coat"), Part(hoof, "dark")]

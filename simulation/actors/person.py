@@ -1,6 +1,6 @@
 """An adult of 1.75 m in work clothes: head with hair and face, torso, arms with hands, legs and shoes.
 
-Proportions follow DIN 33402-2 (50 % of men), angles of the gait Winter (1991): hip, knee and ankle over a stride.
+Proportions: DIN 33402-2 (50th percentile, men). Hip, knee and ankle angles over a stride: Winter (1991).
 """
 
 import math
@@ -49,7 +49,7 @@ SHOE: Keys = (
 
 @cache
 def person(step: int, is_fine: bool) -> tuple[Part, ...]:
-    """All parts at a step of the gait, standing below 0; its lowest sole is on the ground."""
+    """All parts at a gait step (-1: standing); the lowest sole is at height 0."""
     sides, more = (24, 3) if is_fine else (10, 1)
     trunk = [
         Part(loft(TROUSERS, sides, 5 * more + 1), "trousers"),
@@ -70,11 +70,11 @@ def person(step: int, is_fine: bool) -> tuple[Part, ...]:
 
 
 def _face() -> list[Part]:
-    """Eyes, brows, nose, mouth and ears, on a head that looks ahead."""
+    """Eyes, brows, nose, mouth and ears, facing x."""
     parts = [Part(blob((0.104, 0.0, 1.605), (0.020, 0.014, 0.026), 10, 7), "skin"),
              Part(blob((0.098, 0.0, 1.562), (0.008, 0.024, 0.006), 10, 5), "lips")]  # fmt: skip
     for s in (1.0, -1.0):
-        parts += [Part(blob((0.099, 0.032 * s, 1.637), (0.008, 0.014, 0.007), 10, 5), "eyes"),
+        parts += [Part(blob((0.099, 0.032 * s, 1.637), (0.008, 0.014, 0.007), 10, 5), "dark"),
                   Part(blob((0.100, 0.032 * s, 1.657), (0.008, 0.020, 0.005), 10, 5), "hair"),
                   Part(blob((0.005, 0.076 * s, 1.62), (0.022, 0.010, 0.032), 10, 7), "skin")]  # fmt: skip
     return parts
@@ -112,18 +112,18 @@ def _leg(side: float, share: float | None, sides: int, more: int) -> list[Part]:
 
 
 def _arm(side: float, share: float | None, sides: int, more: int) -> list[Part]:
-    """The arm swings against the leg of its side."""
+    """Sleeve and hand; the arm swings against the leg of its side."""
     swing = math.radians(2.0) if share is None else math.radians(-20.0 * math.cos(2.0 * math.pi * share) - 2.0)
     bend = math.radians(14.0) if share is None else math.radians(22.0 - 12.0 * math.cos(2.0 * math.pi * share))
     aside = math.radians(7.0)
     shoulder = np.array([-0.005, 0.182 * side, SHOULDER_M])
 
-    def way(angle: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def direction(angle: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
         return np.array([math.sin(angle), side * math.sin(aside), -math.cos(angle)])
 
-    elbow = shoulder + UPPER_ARM_M * way(swing)
-    wrist = elbow + FOREARM_M * way(swing + bend) * np.array([1.0, 0.3, 1.0])
-    tip = wrist + 0.18 * way(swing + bend + 0.2) * np.array([1.0, -0.2, 1.0])
+    elbow = shoulder + UPPER_ARM_M * direction(swing)
+    wrist = elbow + FOREARM_M * direction(swing + bend) * np.array([1.0, 0.3, 1.0])
+    tip = wrist + 0.18 * direction(swing + bend + 0.2) * np.array([1.0, -0.2, 1.0])
 
     def on(a: np.ndarray, b: np.ndarray, f: float, x: float, y: float) -> tuple[float, float, float, float, float]:
         p = a + f * (b - a)

@@ -1,4 +1,4 @@
-"""Where encounters happen: places on the planned swaths, drawn from the seed, far enough from each other."""
+"""Places of encounters: points on the planned swaths, drawn from the seed, with minimum spacing."""
 
 import math
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from messages.plan import Path, PathSection, PathSectionType
 from simulation.actors.encounter import EncounterPoint, EncounterSite, Walk, draw_bystander, draw_crossing
 from simulation.scenario import Bystander, Crossing, Encounter, Parked
 
-RUN_UP_M = 12.0  # straight way before the trigger: front, turning in and gaining work speed
-RUN_OUT_M = 8.0  # straight way behind, so that a stop or detour does not touch the turn
+RUN_UP_M = 12.0  # straight path before the trigger: machine front, end of turn, acceleration
+RUN_OUT_M = 8.0  # straight path behind: room for a stop or detour before the turn
 APART_M = 6.0
 STRAIGHT_RADPM = 0.01
 DRAWS = 2000
@@ -21,16 +21,16 @@ DRAWS = 2000
 
 @dataclass(frozen=True)
 class ParkedVehicle:
-    """A vehicle left on the way."""
+    """A vehicle parked on the path."""
 
-    place: EncounterPoint
+    point: EncounterPoint
     p_map_m: tuple[float, float]
     heading_rad: float
 
 
 @dataclass(frozen=True)
 class Swath:
-    """A straight section of planned work: its start, direction, length and speed."""
+    """A straight section of planned work: start, direction, length, speed and line number."""
 
     start_map_m: tuple[float, float]
     heading_rad: float
@@ -38,10 +38,10 @@ class Swath:
     speed_mps: float
     line: int
 
-    def place(self, way_m: float) -> EncounterPoint:
-        """The place some way along it."""
+    def point(self, s_m: float) -> EncounterPoint:
+        """The point at a distance along it."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        p = (self.start_map_m[0] + way_m * c, self.start_map_m[1] + way_m * s)
+        p = (self.start_map_m[0] + s_m * c, self.start_map_m[1] + s_m * s)
         return EncounterPoint(p, self.heading_rad, self.speed_mps, self.line)
 
 
@@ -59,7 +59,7 @@ def find_swaths(paths: tuple[Path, ...]) -> list[Swath]:
 
 
 def _longest_straight(path: Path, section: PathSection) -> Swath | None:
-    """The longest part without bend and in work."""
+    """The longest straight part with the implement working."""
     index = np.arange(section.first, section.last + 1)
     is_straight = (np.abs(path.curvature_radpm[index]) < STRAIGHT_RADPM) & (path.is_working[index] == 1)
     runs = np.split(index, np.flatnonzero(np.diff(is_straight.astype(int))) + 1)
@@ -77,65 +77,65 @@ def _longest_straight(path: Path, section: PathSection) -> Swath | None:
 def place_encounters(
     encounters: tuple[Encounter, ...],
     paths: tuple[Path, ...],
-    setting: EncounterSite,
+    site: EncounterSite,
     random: np.random.Generator,
 ) -> list[PlacedEncounter]:
-    """One place for each encounter, each on a swath of its own or before its bay; FieldError where there is none."""
+    """One placement per encounter, each on its own swath or at its bay; raises FieldError without room."""
     swaths = find_swaths(paths)
-    drawn: list[PlacedEncounter] = []
+    placed: list[PlacedEncounter] = []
     for encounter in encounters:
         if isinstance(encounter, Bystander):
-            drawn.append(draw_bystander(encounter, setting, random))
+            placed.append(draw_bystander(encounter, site, random))
             continue
-        found = next((d for _ in range(DRAWS) if (d := _draw(encounter, swaths, drawn, setting, random))), None)
+        found = next((d for _ in range(DRAWS) if (d := _draw(encounter, swaths, placed, site, random))), None)
         if found is None:
             raise FieldError(f"encounter {encounter.name!r}: none of the {len(swaths)} planned swaths has room for it; "
                              "take a larger field or a scenario without it")  # fmt: skip
-        drawn.append(found)
-    return drawn
+        placed.append(found)
+    return placed
 
 
 def _draw(
     encounter: Crossing | Parked,
     swaths: list[Swath],
     others: list[PlacedEncounter],
-    setting: EncounterSite,
+    site: EncounterSite,
     random: np.random.Generator,
 ) -> PlacedEncounter | None:
-    """One try: None when it does not fit."""
-    lines = [o.place.line for o in others]
+    """One attempt; None when it does not fit."""
+    lines = [o.point.line for o in others]
     free = [s for s in swaths if s.line not in lines]
     if not free:
         return None
     swath = free[int(random.integers(len(free)))]
-    way = swath.length_m * random.uniform(*encounter.swath_fraction)
-    place = swath.place(way)
-    drawn = _draw_at(encounter, place, setting, random)
-    run_up = RUN_UP_M + (drawn.trigger_m if isinstance(drawn, Walk) else RUN_UP_M)
-    fits = way >= run_up and swath.length_m - way >= RUN_OUT_M
-    is_apart = all(ground_geometry(drawn).distance(ground_geometry(o)) >= APART_M for o in others)
-    return drawn if fits and is_apart else None
+    s_m = swath.length_m * random.uniform(*encounter.swath_fraction)
+    point = swath.point(s_m)
+    placed = _draw_at(encounter, point, site, random)
+    run_up = RUN_UP_M + (placed.trigger_m if isinstance(placed, Walk) else RUN_UP_M)
+    fits = s_m >= run_up and swath.length_m - s_m >= RUN_OUT_M
+    is_apart = all(ground_geometry(placed).distance(ground_geometry(o)) >= APART_M for o in others)
+    return placed if fits and is_apart else None
 
 
 def _draw_at(
-    encounter: Crossing | Parked, place: EncounterPoint, setting: EncounterSite, random: np.random.Generator
+    encounter: Crossing | Parked, point: EncounterPoint, site: EncounterSite, random: np.random.Generator
 ) -> PlacedEncounter:
     if isinstance(encounter, Crossing):
-        return draw_crossing(encounter, place, setting, random)
-    return draw_parked(encounter, place, random)
+        return draw_crossing(encounter, point, site, random)
+    return draw_parked(encounter, point, random)
 
 
-def draw_parked(parked: Parked, place: EncounterPoint, random: np.random.Generator) -> ParkedVehicle:
-    """A vehicle about the middle of the way and nearly along it, facing either way."""
-    aside = random.uniform(*parked.lateral_m)
-    turned = math.radians(random.uniform(*parked.yaw_offset_deg)) + (math.pi if random.random() < 0.5 else 0.0)
-    c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
-    p = (place.p_map_m[0] - aside * s, place.p_map_m[1] + aside * c)
-    return ParkedVehicle(place, p, place.heading_rad + turned)
+def draw_parked(parked: Parked, point: EncounterPoint, random: np.random.Generator) -> ParkedVehicle:
+    """A vehicle near the centre of the path, nearly parallel to it, facing either direction."""
+    lateral = random.uniform(*parked.lateral_m)
+    yaw_offset = math.radians(random.uniform(*parked.yaw_offset_deg)) + (math.pi if random.random() < 0.5 else 0.0)
+    c, s = math.cos(point.heading_rad), math.sin(point.heading_rad)
+    p = (point.p_map_m[0] - lateral * s, point.p_map_m[1] + lateral * c)
+    return ParkedVehicle(point, p, point.heading_rad + yaw_offset)
 
 
-def ground_geometry(drawn: PlacedEncounter) -> BaseGeometry:
-    """The ground that an encounter takes."""
-    if isinstance(drawn, Walk):
-        return LineString([drawn.start_map_m, drawn.exit_map_m])
-    return Point(drawn.p_map_m).buffer(2.5)
+def ground_geometry(placed: PlacedEncounter) -> BaseGeometry:
+    """Ground that an encounter covers."""
+    if isinstance(placed, Walk):
+        return LineString([placed.start_map_m, placed.exit_map_m])
+    return Point(placed.p_map_m).buffer(2.5)

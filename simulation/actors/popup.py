@@ -1,4 +1,4 @@
-"""Somebody who is suddenly there, close before the machine: to measure how fast it brakes."""
+"""A person who appears suddenly, close before the machine: for measuring the braking reaction."""
 
 import math
 
@@ -15,7 +15,7 @@ STANDING_MPS = 0.02
 
 
 class PopUp(Actor):
-    """A person `ahead_m` before the front whenever the machine has driven straight for a while; gone once it stands."""
+    """A person `ahead_m` before the front after straight driving for some time; removed when the machine stands."""
 
     def __init__(self, machine: Machine, terrain: Terrain, random: np.random.Generator, ahead_m: float) -> None:
         self._machine, self._terrain, self._random, self._ahead_m = machine, terrain, random, ahead_m
@@ -25,7 +25,7 @@ class PopUp(Actor):
         self.count = 0
 
     def update(self, elapsed_s: float, tip_map_m: Float64, heading_rad: float) -> ActorState | None:
-        """The person, while there."""
+        """The person, None while absent."""
         if self.state is None:
             self._wait(elapsed_s, tip_map_m, heading_rad)
         else:

@@ -1,1 +1,1 @@
-"""Terrain, scenery, shed and the scene that sensors scan."""
+"""Terrain, scenery, shed and the scene for ray casting."""

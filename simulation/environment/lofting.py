@@ -1,10 +1,10 @@
-"""Smooth bodies from cross-sections along a line, at two levels of detail that lie within 2 cm of each other.
+r"""Lofted bodies: cross-sections along a line, at two levels of detail that differ by less than 2 cm.
 
-keys:  x, y, z of the middle,  half the size across (up or ahead),  half the size along `aside`
+keys:  x, y, z of the centre,  half the size across (up or ahead),  half the size along `aside`
     _____
-   /  |  \\        a section is |u|^p + |v|^p = 1: p 2 an ellipse, more towards a rectangle
-  |---+---| u     keys are joined by monotone cubics (no overshoot), so a few of them make a smooth limb
-   \\__|__/
+   /  |  \         a section is |u|^p + |v|^p = 1: p = 2 is an ellipse, larger p approaches a rectangle
+  |---+---| u     keys are joined by monotone cubics (no overshoot): few keys make a smooth limb
+   \__|__/
 """
 
 import math
@@ -21,7 +21,7 @@ Keys = tuple[tuple[float, float, float, float, float], ...]
 
 @dataclass(frozen=True)
 class Part:
-    """A closed mesh and the name of what it is of, such as `skin`."""
+    """A closed mesh and its region (appearance), such as `skin`."""
 
     mesh: Mesh
     region: str
@@ -31,10 +31,10 @@ def loft(
     keys: Keys, sides: int, rings: int, aside: tuple[float, float, float] = (0.0, 1.0, 0.0), power: float = 2.0,
     axis: tuple[float, float, float] | None = None,
 ) -> Mesh:  # fmt: skip
-    """A closed body through `keys` with `rings` sections of `sides` corners, across its line or across `axis`."""
+    """A closed body through `keys`: `rings` sections of `sides` corners, normal to its line or to `axis`."""
     table = np.array(keys, np.float64)
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(table[:, :3], axis=0), axis=1))])
-    # rings where the keys are, and the others spread between them: ends stay round
+    # rings at the keys, the others spread evenly between them: ends stay round
     at = np.interp(np.linspace(0.0, len(s) - 1, max(rings, 2)), np.arange(len(s)), s)
     dense = np.asarray(PchipInterpolator(s, table)(at), np.float64)
     line = dense[:, :3] if axis is None else np.outer(np.arange(len(dense)), axis)
@@ -51,7 +51,7 @@ def loft(
 
 
 def _frames(line: Float64, aside: Float64) -> tuple[Float64, Float64]:
-    """Unit vectors (K, 3) of each section: across, in the plane that bends, and aside."""
+    """Unit vectors (K, 3) of each section: across, in the plane of bending, and aside."""
     tangent = np.gradient(line, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     u = np.cross(aside, tangent)
@@ -72,7 +72,7 @@ def _triangles(sides: int, rings: int) -> Int32:
 
 
 def blob(center: tuple[float, float, float], halves: tuple[float, float, float], sides: int, rings: int) -> Mesh:
-    """An ellipsoid as a tube along z."""
+    """An ellipsoid lofted along z."""
     (x, y, z), (a, b, c) = center, halves
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, max(rings, 5))
     keys = tuple((x, y, z + c * math.sin(t), max(a * math.cos(t), 1e-4), max(b * math.cos(t), 1e-4)) for t in angle)

@@ -1,4 +1,4 @@
-"""Triangle meshes from simple solids; every solid is closed."""
+"""Triangle meshes of simple solids; every solid is closed."""
 
 import math
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class Mesh:
     triangles: Int32
 
     def transformed(self, T: Float64) -> "Mesh":
-        """The same mesh taken through a transform."""
+        """The mesh after a rigid transform."""
         return Mesh(apply(T, self.vertices_m).astype(np.float32), self.triangles)
 
 
@@ -33,7 +33,7 @@ def join(meshes: list[Mesh]) -> Mesh:
 
 
 def box(low_m: tuple[float, float, float], high_m: tuple[float, float, float]) -> Mesh:
-    """A box along the axes."""
+    """An axis-aligned box."""
     (x0, y0, z0), (x1, y1, z1) = low_m, high_m
     bottom = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
     corners = [[x, y, z0] for x, y in bottom] + [[x, y, z1] for x, y in bottom]
@@ -43,7 +43,7 @@ def box(low_m: tuple[float, float, float], high_m: tuple[float, float, float]) -
 def limb(
     top_m: tuple[float, float, float], bottom_m: tuple[float, float, float], radius_m: float, sides: int = 6
 ) -> Mesh:
-    """A prism from one point to another."""
+    """A prism between two points."""
     a, b = np.array(top_m), np.array(bottom_m)
     axis = (b - a) / np.linalg.norm(b - a)
     aside = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
@@ -63,7 +63,7 @@ def _prism_triangles(sides: int) -> Int32:
 
 
 def ellipsoid(center_m: tuple[float, float, float], size_m: tuple[float, float, float], sides: int = 8) -> Mesh:
-    """An ellipsoid by its whole axes, as rings of `sides` corners between two poles."""
+    """An ellipsoid by its full axes: rings of `sides` corners between two poles."""
     polar = math.pi * np.arange(1, sides // 2) / (sides // 2)
     around = 2.0 * math.pi * np.arange(sides) / sides
     rings = np.stack([

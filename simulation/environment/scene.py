@@ -1,4 +1,4 @@
-"""What rays hit: the still scene, built once, and the figures, built for every scan."""
+"""Scene for ray casting: static pieces, built once, and actors, built for every scan."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -15,12 +15,12 @@ from simulation.kernels import UInt32, signal_of
 
 
 class RaycastScene:
-    """Triangles that can be cast against; open3d is loaded with the first one."""
+    """Triangles for ray casting; imports open3d on first use."""
 
     def __init__(self, meshes: list[Mesh], reflectivity: list[float], kinds: tuple[int, ...] = ()) -> None:
         import open3d
 
-        self._core: Any = open3d.core  # its stubs do not know arrays
+        self._core: Any = open3d.core  # its stubs lack arrays
         self._scene: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
         self._reflectivity = np.array([*reflectivity, 0.0], np.float32)
         self._kinds = np.array([*kinds, len(SURFACE_KINDS)], np.uint8)
@@ -43,13 +43,13 @@ class RaycastScene:
         return distance, kinds, np.abs(np.einsum("ij,ij->i", rays[:, 3:], normals))
 
     def _hit(self, rays: Float32) -> tuple[Float32, UInt32, Float32]:
-        """Distance, number of the mesh (the greatest there is: nothing hit) and normal."""
+        """Distance, mesh number (the largest uint32: no hit) and normal."""
         hits = self._scene.cast_rays(self._core.Tensor.from_numpy(rays), nthreads=1)
         return hits["t_hit"].numpy(), hits["geometry_ids"].numpy(), hits["primitive_normals"].numpy()
 
 
 class Scene:
-    """Everything around the machine; `figures` are those present now."""
+    """Surroundings of the machine; `actors` are those present now."""
 
     def __init__(self, build: Callable[[], list[Piece]]) -> None:
         self.actors: tuple[ActorState, ...] = ()
@@ -57,19 +57,19 @@ class Scene:
 
     @cached_property
     def pieces(self) -> list[Piece]:
-        """What never moves, built when first asked for."""
+        """Static pieces, built at first use."""
         return self._build()
 
     @cached_property
     def static(self) -> RaycastScene:
-        """The same, to be cast against."""
+        """Static pieces for ray casting."""
         kinds = tuple(SURFACE_KINDS.index(p.name) for p in self.pieces)
         return RaycastScene([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces], kinds)
 
     def visible_to(self, kind: str) -> list[ActorState]:
-        """The figures that sensors of a kind see."""
+        """Actors that sensors of a kind detect."""
         return [f for f in self.actors if kind in f.visible_to]
 
     def actor_scene(self, actors: list[ActorState], ago_s: float) -> RaycastScene:
-        """Some figures as they were a moment ago."""
+        """Actors as they were `ago_s` before."""
         return RaycastScene([f.mesh_at(ago_s) for f in actors], [REFLECTIVITY[f.label] for f in actors])

@@ -1,4 +1,4 @@
-"""What stands still: ground, crop rows, fence with its gate, shed and trees, as meshes with their reflectivity."""
+"""Static scenery: ground, crop rows, fence with its gate, shed and trees, as meshes with their reflectivity."""
 
 import math
 from collections.abc import Mapping
@@ -24,11 +24,11 @@ SHED_REFLECTIVITY = {"wall": 0.5, "post": 0.4, "mast": 0.4, "store": 0.35}
 
 
 class SceneryConfig(Config):
-    """Sizes of what stands about the field."""
+    """Dimensions of the scenery."""
 
-    margin_m: float = Field(ge=5.0, le=200.0, description="ground beyond everything surveyed")
-    grid_m: tuple[float, float] = Field(description="mesh of the ground along and across the furrows")
-    crop_height_m: float = Field(ge=0.0, le=1.0)
+    margin_m: float = Field(ge=5.0, le=200.0, description="ground beyond the surveyed area")
+    grid_m: tuple[float, float] = Field(description="ground mesh along and across the furrows")
+    crop_height_m: float = Field(ge=0.0, le=1.0, description="tallest plant")
     crop_row_spacing_m: float = Field(gt=0.1, le=20.0)
     fence_offset_m: float = Field(ge=0.0, le=10.0, description="outside the boundary")
     fence_height_m: float = Field(gt=0.2, le=3.0)
@@ -46,12 +46,12 @@ class Piece:
 
 
 def by_kind(values: Mapping[str, float], otherwise: float = 0.0) -> Float64:
-    """A value for each of SURFACE_KINDS and, last, for nothing at all."""
+    """A value for each of SURFACE_KINDS and, last, for no surface."""
     return np.array([*(values.get(kind, otherwise) for kind in SURFACE_KINDS), otherwise])
 
 
 def build_scenery(site: Site, terrain: Terrain, config: SceneryConfig, seed: int) -> list[Piece]:
-    """Everything that stands still on a site."""
+    """All static pieces of a site."""
     pieces = [Piece("ground", ground_mesh(site, terrain, config), 0.25)]
     if config.crop_height_m > 0.0:
         pieces.append(Piece("crop", crop_mesh(site, terrain, config, seed), 0.3))
@@ -67,7 +67,7 @@ def build_scenery(site: Site, terrain: Terrain, config: SceneryConfig, seed: int
 
 
 def surveyed_area(site: Site) -> BaseGeometry:
-    """Field, lanes and yard together."""
+    """Union of field, lanes and yard."""
     lanes = [LineString(lane.center_m).buffer(0.5 * lane.width_m) for lane in site.lanes]
     return shapely.union_all([Polygon(site.boundary_m), Polygon(site.yard.outline_m), *lanes])
 
@@ -78,7 +78,7 @@ def _turn(xy_m: Float64, angle_rad: float) -> Float64:
 
 
 def ground_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
-    """The ground with its furrows; the grid lies along them and is fine across them in the field alone."""
+    """The ground with furrows; the grid is parallel to them, and fine across them in the field alone."""
     corners = _turn(shapely.get_coordinates(surveyed_area(site)), -terrain.axis_rad)
     low, high = corners.min(axis=0) - config.margin_m, corners.max(axis=0) + config.margin_m
     across = _turn(np.array(site.boundary_m), -terrain.axis_rad)[:, 1]
@@ -96,7 +96,7 @@ def ground_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
 
 
 def crop_mesh(site: Site, terrain: Terrain, config: SceneryConfig, seed: int) -> Mesh:
-    """Low rows of plants along the furrows: thin upright strips of uneven height."""
+    """Crop rows along the furrows: thin upright strips of random height."""
     random = generator(seed, "crop")
     corners = _turn(np.array(site.boundary_m), -terrain.axis_rad)
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -119,7 +119,7 @@ def _post(terrain: Terrain, xy: tuple[float, float], radius_m: float, height_m: 
 
 
 def fence_line(site: Site, offset_m: float) -> list[LineString]:
-    """The fence outside the boundary, open where lanes pass and between gate posts."""
+    """The fence line outside the boundary, open at lanes and between gate posts."""
     line: BaseGeometry = Polygon(site.boundary_m).buffer(offset_m, join_style="mitre").exterior
     openings = [LineString(lane.center_m).buffer(0.5 * lane.width_m + 0.3) for lane in site.lanes]
     openings += [LineString(gate.posts_m).buffer(offset_m + 0.5, cap_style="flat") for gate in site.gates]
@@ -128,7 +128,7 @@ def fence_line(site: Site, offset_m: float) -> list[LineString]:
 
 
 def fence_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
-    """Posts with two boards from each to the next."""
+    """Posts with two boards between neighbours."""
     parts = []
     for line in fence_line(site, config.fence_offset_m):
         bays = max(1, round(line.length / config.fence_post_spacing_m))
@@ -145,7 +145,7 @@ def _corners_along(line: LineString) -> Float64:
 
 
 def _board(terrain: Terrain, a: tuple[float, float], b: tuple[float, float], height_m: float) -> Mesh:
-    """An upright strip, seen from both sides."""
+    """An upright strip, visible from both sides."""
     ends = [(x, y, terrain.height_m(x, y) + height_m) for x, y in (a, b)]
     low = np.array([[x, y, z - 0.07] for x, y, z in ends])
     high = np.array([[x, y, z + 0.07] for x, y, z in ends])
@@ -153,14 +153,14 @@ def _board(terrain: Terrain, a: tuple[float, float], b: tuple[float, float], hei
 
 
 def shed_pieces(shed: Shed, seed: int) -> list[Piece]:
-    """The shed, a piece of each kind."""
+    """The shed, one piece of each kind."""
     solids = shed_solids(shed, seed)
     found = [(kind, solids_mesh(solids, kind), shine) for kind, shine in SHED_REFLECTIVITY.items()]
     return [Piece("roof", roof_mesh(shed), 0.5), *(Piece(kind, mesh, r) for kind, mesh, r in found if mesh is not None)]
 
 
 def tree_meshes(site: Site, terrain: Terrain, config: SceneryConfig, seed: int) -> list[Mesh]:
-    """Trees 5 to 15 m outside everything that is driven on."""
+    """Trees 5 to 15 m outside the drivable area."""
     random = generator(seed, "trees")
     near, far = surveyed_area(site).buffer(5.0), surveyed_area(site).buffer(15.0)
     ring = far.exterior if isinstance(far, Polygon) else far.convex_hull.exterior

@@ -1,6 +1,6 @@
-"""The shed as solids on the level floor at height 0: walls, posts, masts of the anchors outside, and what is stored.
+"""The shed as solids on the level floor at height 0: walls, posts, masts of outside anchors, and stored goods.
 
-Bays stay free; where a part of the floor belongs to none, pallets, crates and shelves stand, drawn from the seed.
+Bays stay free; the remaining floor holds pallets, crates and shelves, drawn from the seed.
 """
 
 import math
@@ -19,8 +19,8 @@ from simulation.environment.meshes import Mesh, join
 from simulation.randomness import generator
 
 MAST_M = 0.06
-BESIDE_BAY_M = 0.3  # kept free beside a bay
-MIN_STORAGE_HALF_WIDTH_M = 0.6  # half the width of a floor that is worth storing on
+BESIDE_BAY_M = 0.3  # clearance beside a bay
+MIN_STORAGE_HALF_WIDTH_M = 0.6  # smallest half width of a storage floor
 GOODS_M = ((1.2, 0.8, 0.2, 1.6), (0.8, 0.6, 0.5, 1.1), (2.4, 0.5, 1.8, 2.2))  # length, width, lowest and highest top
 FLOOR_PER_PIECE_M2 = 3.0
 TRIES = 20
@@ -29,7 +29,7 @@ ROOF_M = 0.1
 
 @dataclass(frozen=True)
 class Solid:
-    """An upright body by its ground in `map` and the height of its top; `kind` is wall, post, mast or store."""
+    """An upright prism: outline in `map` and height of its top; `kind` is wall, post, mast or store."""
 
     kind: str
     ground: Polygon
@@ -42,7 +42,7 @@ class Solid:
 
 
 def shed_solids(shed: Shed, seed: int) -> list[Solid]:
-    """Everything in and about the shed that a machine can run into."""
+    """All solids in and around the shed."""
     walls = [w for line in shed.walls_m for w in parts(_wall(shed, line))]
     posts = [Point(p.at_m).buffer(p.radius_m, quad_segs=3) for p in shed.posts]
     outside = [a for a in shed.anchors.values() if not Polygon(shed.outline_m).covers(Point(a[:2]))]
@@ -59,7 +59,7 @@ def _wall(shed: Shed, line: tuple[tuple[float, float], ...]) -> BaseGeometry:
 
 
 def storage_floor(shed: Shed) -> list[Polygon]:
-    """The parts of the floor that belong to no bay and are wide enough to store on."""
+    """Parts of the floor outside every bay, wide enough for storage."""
     walls = [_wall(shed, line).buffer(0.05) for line in shed.walls_m]
     bays = [bay_ground(shed, bay).buffer(BESIDE_BAY_M) for bay in shed.bays]
     free = Polygon(shed.outline_m).difference(shapely.union_all([*walls, *bays]))
@@ -67,7 +67,7 @@ def storage_floor(shed: Shed) -> list[Polygon]:
 
 
 def bay_ground(shed: Shed, bay: Bay) -> Polygon:
-    """The bay's width along its heading, through the whole shed."""
+    """The bay's width along its heading, through the entire shed."""
     reach = Polygon(shed.outline_m).length
     angle, x, y = math.radians(bay.dock.heading_deg), bay.dock.x_m, bay.dock.y_m
     ahead = (reach * math.cos(angle), reach * math.sin(angle))
@@ -76,7 +76,7 @@ def bay_ground(shed: Shed, bay: Bay) -> Polygon:
 
 
 def place_stored_goods(shed: Shed, seed: int) -> list[tuple[Polygon, float]]:
-    """Ground and top of what is stored: along the shed, apart from each other."""
+    """Outline and top of each stored item: parallel to the shed, without overlap."""
     random = generator(seed, "store")
     heading_deg = shed.bays[0].dock.heading_deg if shed.bays else 0.0
     placed: list[tuple[Polygon, float]] = []
@@ -115,7 +115,7 @@ def roof_mesh(shed: Shed) -> Mesh:
 
 
 def prism(ground: Polygon, low_m: float, high_m: float) -> Mesh:
-    """An upright body over a ground without holes, with floor and top."""
+    """An upright prism over an outline without holes, with floor and top."""
     ring = np.asarray(shapely.geometry.polygon.orient(ground).exterior.coords)[:-1, :2]
     n, k = len(ring), np.arange(len(ring))
     corners = np.concatenate([np.column_stack([ring, np.full(n, z)]) for z in (low_m, high_m)])
@@ -126,7 +126,7 @@ def prism(ground: Polygon, low_m: float, high_m: float) -> Mesh:
 
 
 def _lid(ground: Polygon, ring: Float64) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """Triangles (M, 3) over the corners of a ring, counter-clockwise."""
+    """Triangles (M, 3) of a ring's interior, counter-clockwise."""
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(ground))
     points = np.array([np.asarray(shapely.geometry.polygon.orient(t).exterior.coords)[:3, :2] for t in triangles])
     distance = np.abs(points[:, :, None, :] - ring[None, None]).sum(axis=-1)

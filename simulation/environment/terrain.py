@@ -1,9 +1,9 @@
-"""The ground: smooth, seeded, flat in the yard, with grade along and side slope across the field.
+"""Ground height: smooth, seeded, level in the yard, with grade along and side slope across the field.
 
-z │      ___          along the longest edge of the field (u) and across it (v), from the yard's middle:
-  │   __/             flat for a while, then a cosine whose steepest part has the grade asked for; waves of
-  │__/ yard           15 m and more on top (rolling ground), furrows only in the mesh (tyres bridge them)
-  └────────── u      shed and yard are level at height 0, and so is a box about both; beyond it blends
+z │      ___          u along the longest edge of the field, v across it, from the yard's centre:
+  │   __/             level, then a cosine whose steepest part has the configured grade; superimposed waves
+  │__/ yard           of 12 m and more (rolling ground); furrows in the mesh alone (tyres bridge them)
+  └────────── u      bounding box of shed and yard: level at height 0, blended outside
 """
 
 import math
@@ -20,15 +20,17 @@ from simulation.randomness import generator
 
 
 class TerrainConfig(Config):
-    """Shape of the ground; lengths are of a whole cosine."""
+    """Shape of the ground; lengths are of a full cosine period."""
 
     grade: float = Field(ge=0.0, le=0.3)
     grade_length_m: float = Field(gt=20.0, le=2000.0)
     side_slope_deg: float = Field(ge=0.0, le=15.0)
     side_length_m: float = Field(gt=20.0, le=2000.0)
-    flat_m: float = Field(ge=0.0, le=100.0, description="half width of the flat about the yard, along and across")
+    flat_m: float = Field(
+        ge=0.0, le=100.0, description="half width of the level part around the yard, along and across"
+    )
     blend_m: float = Field(gt=0.0, le=100.0, description="from the level of shed and yard to the ground")
-    wave_amplitude_m: float = Field(ge=0.0, le=0.2, description="height of each wave")
+    wave_amplitude_m: float = Field(ge=0.0, le=0.2, description="of each wave")
     wave_length_m: tuple[float, float]
     wave_count: int = Field(ge=0, le=20)
     furrow_depth_m: float = Field(ge=0.0, le=0.2)
@@ -36,7 +38,7 @@ class TerrainConfig(Config):
 
 
 class Terrain:
-    """Height of the ground in `map`; 0 at the site's start, and all about a shed and its yard."""
+    """Ground height in `map`; 0 at the site's start and around shed and yard."""
 
     def __init__(self, site: Site, config: TerrainConfig, seed: int) -> None:
         self.config = config
@@ -56,7 +58,7 @@ class Terrain:
             self._profile[10:] = [*level, config.blend_m]
 
     def height_m(self, x_m: float, y_m: float) -> float:
-        """Height of the smooth ground, as tyres feel it."""
+        """Height of the smooth ground (tyre contact)."""
         return height_at(x_m, y_m, self._profile, self._waves)
 
     def heights_m(self, xy_m: Float64) -> Float64:
@@ -64,11 +66,11 @@ class Terrain:
         return heights_at(np.ascontiguousarray(xy_m, np.float64), self._profile, self._waves)
 
     def pose_on_ground(self, x_m: float, y_m: float, yaw_rad: float, wheelbase_m: float, track_m: float) -> Float64:
-        """Pose of base with both rear wheels and the middle of the front axle (which swings) on the ground, (4, 4)."""
+        """Pose of base (4, 4), both rear wheels and the centre of the pivoting front axle on the ground."""
         return pose_on_ground(x_m, y_m, yaw_rad, wheelbase_m, track_m, self._profile, self._waves)
 
     def furrows_m(self, xy_m: Float64) -> Float64:
-        """Height of the furrows, which run along the longest edge, at (N, 2)."""
+        """Height of the furrows, parallel to the longest edge, at (N, 2)."""
         v = xy_m[:, 1] * math.cos(self.axis_rad) - xy_m[:, 0] * math.sin(self.axis_rad)
         return 0.5 * self.config.furrow_depth_m * np.sin(2.0 * math.pi / self.config.furrow_spacing_m * v)
 

@@ -1,4 +1,4 @@
-"""Broken devices: what each fault makes of messages on a topic, of frames on the machine's bus, of nodes and the clock.
+"""Fault injection: faults of messages on a topic, of frames on the machine's bus, of nodes, clock and log.
 
-A topic here is one of the stack's (`imu`, `lidar/front`), `can/<message of the DBC>`, `node/<name>`, `clock` or `log`.
+Topics are those of the stack (`imu`, `lidar/front`), `can/<message of the DBC>`, `node/<name>`, `clock` or `log`.
 """

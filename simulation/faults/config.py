@@ -1,4 +1,4 @@
-"""What may be broken, how and when; amounts are those of `configs/faults.yaml`."""
+"""Kinds of faults and their configuration; magnitudes are those of `configs/faults.yaml`."""
 
 from enum import StrEnum
 from typing import Annotated
@@ -9,24 +9,24 @@ from configs.strict import Config
 
 
 class FaultKind(StrEnum):
-    """How a device, a node or the clock is broken."""
+    """Fault of a device, a node, the clock or the log."""
 
     OFF = "off"
-    FROZEN = "frozen"  # the last value for ever, under new stamps and counters
-    REPEATED = "repeated"  # the last message for ever, stamp and all
-    OUT_OF_ORDER = "out_of_order"  # each second message comes before the one it follows
-    DELAYED = "delayed"  # by twice the greatest age
-    SLOW = "slow"  # one message in three times the greatest age
+    FROZEN = "frozen"  # last value, with new stamps and counters
+    REPEATED = "repeated"  # last message, with its old stamp
+    OUT_OF_ORDER = "out_of_order"  # pairs of messages swapped
+    DELAYED = "delayed"  # by twice the maximum age
+    SLOW = "slow"  # one message in three times the maximum age
     NOISY = "noisy"
     OFFSET = "offset"
-    NAN = "nan"  # no number; not available where the format has no NaN
+    NAN = "nan"  # "not available" where the format has no NaN
     GARBAGE = "garbage"
     WRONG_UNIT = "wrong_unit"
     RAISES = "raises"
     HANGS = "hangs"
-    AHEAD = "ahead"  # by an hour
+    AHEAD = "ahead"  # one hour
     BEHIND = "behind"
-    FULL = "full"  # the disk
+    FULL = "full"  # disk full
 
 
 SENSOR_FAULTS = tuple(FaultKind)[:11]
@@ -35,14 +35,14 @@ SYSTEM_FAULTS = {"clock": (FaultKind.AHEAD, FaultKind.BEHIND), "log": (FaultKind
 
 
 def fault_kinds_of(topic: str) -> tuple[FaultKind, ...]:
-    """The faults that a topic can have."""
+    """Fault kinds that a topic can have."""
     if topic in SYSTEM_FAULTS:
         return SYSTEM_FAULTS[topic]
     return NODE_FAULTS if topic.startswith("node/") else SENSOR_FAULTS
 
 
 class InjectedFault(Config):
-    """One fault of a scenario; times count from the start of the run."""
+    """One injected fault; times count from the start of the run."""
 
     topic: str = Field(min_length=1, max_length=60)
     kind: FaultKind
@@ -56,7 +56,7 @@ class InjectedFault(Config):
         return self
 
     def is_on(self, elapsed_ns: int) -> bool:
-        """Whether it holds so long after the start."""
+        """True while the fault is active, `elapsed_ns` after the start."""
         return round(self.from_s * 1e9) <= elapsed_ns < round((self.from_s + self.for_s) * 1e9)
 
 
@@ -64,7 +64,7 @@ Amount = Annotated[float, Field(ge=-1e9, le=1e9)]
 
 
 class FieldErrors(Config):
-    """How wrong one field becomes: sigma of the noise, what is added, and the factor of a wrong unit."""
+    """Error magnitudes of one field: sigma of the noise, offset, and factor of a wrong unit."""
 
     noise: float = Field(gt=0.0, le=1e9)
     offset: Amount
@@ -72,7 +72,7 @@ class FieldErrors(Config):
 
 
 class CampaignConfig(Config):
-    """What the campaign watches, and what it expects of the stack."""
+    """Observation times and expected reactions of the fault campaign."""
 
     observation_s: float = Field(gt=0.0, le=120.0)
     standstill_s: float = Field(gt=0.0, le=10.0)

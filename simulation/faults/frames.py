@@ -1,4 +1,4 @@
-"""Frames as a broken device gives them, changed on their way from the machine's bus to the gateway."""
+"""CAN frames of a faulty device, changed between the machine's bus and the gateway."""
 
 from collections import deque
 from typing import Any
@@ -19,7 +19,7 @@ GUARD_SIGNALS = ("Counter", "Checksum")
 
 
 class FaultyBus:
-    """What the gateway needs of a bus, in front of the real one: frames of a broken device come changed, or not."""
+    """The gateway's bus with faults: frames of faulty devices are changed, delayed or dropped."""
 
     def __init__(self, bus: can.BusABC, injection: FaultInjection, database: Database) -> None:
         self._bus, self._injection, self._database = bus, injection, database
@@ -28,11 +28,11 @@ class FaultyBus:
         self._later: list[tuple[int, can.Message]] = []
 
     def send(self, msg: can.Message) -> None:
-        """What the gateway says is not touched."""
+        """Passes frames of the gateway unchanged."""
         self._bus.send(msg)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame that has come."""
+        """The next received frame."""
         while (frame := self._bus.recv(0)) is not None:
             self._receive(frame)
         now_ns = self._injection.now_ns
@@ -50,7 +50,7 @@ class FaultyBus:
         if not kinds:
             self._ready.append(frame)
             return
-        group = frame.data[0] if message.is_multiplexed() and frame.data else 0  # each group ticks for itself
+        group = frame.data[0] if message.is_multiplexed() and frame.data else 0  # each group has its own counter
         key = (frame.arbitration_id << 8 | group, kinds[0])
         if key not in self._streams:
             self._streams[key] = self._stream(message, kinds[0])
@@ -74,7 +74,7 @@ class FaultyBus:
 def corrupt(
     kind: FaultKind, message: Message, data: bytes, errors: dict[str, FieldErrors], random: np.random.Generator
 ) -> bytes:
-    """The frame with its signals broken, sealed as the device would; garbage is garbage."""
+    """The frame with corrupted signals and a valid checksum; `garbage` is random bytes."""
     if kind is FaultKind.GARBAGE:
         return random.bytes(len(data))
     raw: dict[str, Any] = dict(message.decode(data, decode_choices=False, scaling=False))  # type: ignore[arg-type]
@@ -95,7 +95,7 @@ def corrupt(
 
 
 def with_checksum(message: Message, data: bytes) -> bytes:
-    """The frame with the checksum that its content asks for, where it has one."""
+    """The frame with a valid checksum, where it has one."""
     if GUARD_SIGNALS[1] not in {signal.name for signal in message.signals}:
         return data
     return data[:7] + bytes([data[7] & 0x0F | xbr_checksum(message.frame_id, data) << 4])
@@ -108,5 +108,5 @@ def _with_counter(message: Message, last: bytes, new: bytes) -> bytes:
 
 
 def with_data(frame: can.Message, data: bytes) -> can.Message:
-    """A frame like this one with other content."""
+    """The frame with other content."""
     return can.Message(timestamp=frame.timestamp, arbitration_id=frame.arbitration_id, data=data, is_extended_id=True)

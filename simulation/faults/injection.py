@@ -1,4 +1,4 @@
-"""The faults of a run, and the tap through which every message passes on its way to its readers."""
+"""Faults of a run, applied to messages between writer and readers."""
 
 from collections.abc import Iterable
 
@@ -15,13 +15,13 @@ from simulation.faults.stream import STREAM_KINDS, FaultStream
 
 HOUR_NS = 3_600_000_000_000
 NOT_TOPICS = ("can/", "node/")
-MAX_AGE_NS = 1_000_000_000  # of topics that are sent on event
+MAX_AGE_NS = 1_000_000_000  # of topics sent on event
 
 
 class FaultInjection:
-    """Changes what broken devices send; `now_ns` is the time of the last message that passed.
+    """Changes the messages of faulty devices; `now_ns` is the time of the last message.
 
-    As a sink it is the disk that may be full.
+    As a sink it simulates a full disk.
     """
 
     def __init__(self, faults: Iterable[InjectedFault], config: FaultsConfig, start_ns: int, seed: int) -> None:
@@ -35,7 +35,7 @@ class FaultInjection:
             self.add_fault(fault)
 
     def add_fault(self, fault: InjectedFault) -> None:
-        """Add a fault; raises ConfigError for a kind of topic that there is not, or whose fields nobody described."""
+        """Adds a fault; raises ConfigError for an unknown topic kind, or one without configured fields."""
         if fault.topic not in SYSTEM_FAULTS and not fault.topic.startswith(NOT_TOPICS):
             spec_of(fault.topic)
             if fault.topic.partition("/")[0] not in self.config.messages and fault.kind not in STREAM_KINDS:
@@ -45,45 +45,45 @@ class FaultInjection:
         self._faults.append(fault)
 
     def check_topics(self, topics: Iterable[str]) -> None:
-        """Raise ConfigError when a fault is on a topic that nobody writes."""
+        """Raises ConfigError when a fault is on a topic without writer."""
         known = {*topics, *SYSTEM_FAULTS}
         for fault in self._faults:
             if fault.topic not in known and not fault.topic.startswith(NOT_TOPICS):
                 raise ConfigError(f"fault on {fault.topic!r}: there are {', '.join(sorted(known))}")
 
     def __call__(self, envelope: Envelope) -> None:
-        """Raise LogError while the disk is full."""
+        """Raises LogError while the disk is full."""
         if self._faults and self.active_kinds("log"):
-            raise LogError("the disk is full (planted)")
+            raise LogError("the disk is full (injected fault)")
 
     def active_kinds(self, topic: str) -> list[FaultKind]:
-        """How a topic is broken now."""
+        """Active faults of a topic."""
         elapsed_ns = self.now_ns - self._start_ns
         return [fault.kind for fault in self._faults if fault.topic == topic and fault.is_on(elapsed_ns)]
 
     def clock_error_ns(self, true_ns: int) -> int:
-        """By how much the clock is ahead."""
+        """Error of the clock, positive when ahead."""
         elapsed_ns = true_ns - self._start_ns
         kinds = [f.kind for f in self._faults if f.topic == "clock" and f.is_on(elapsed_ns)]
         return HOUR_NS * (kinds.count(FaultKind.AHEAD) - kinds.count(FaultKind.BEHIND))
 
     def generator(self, name: str) -> np.random.Generator:
-        """Random numbers of one faulty device."""
+        """Random generator of one faulty device."""
         return randomness.generator(self._seed, f"fault/{name}")
 
     def next_ns(self) -> int | None:
-        """When a message that was held back comes next."""
+        """Time of the next delayed message."""
         return min((due_ns for due_ns, _, _ in self._later), default=None)
 
     def due(self, now_ns: int) -> list[Output]:
-        """What was held back until now."""
+        """Delayed messages that are due by `now_ns`."""
         self.now_ns = now_ns
         come = sorted(held for held in self._later if held[0] <= now_ns)
         self._later = [held for held in self._later if held[0] > now_ns]
         return [output for _, _, output in come]
 
     def apply(self, now_ns: int, outputs: list[Output]) -> list[Output]:
-        """What comes now of what was sent now."""
+        """Messages delivered now of those sent now."""
         self.now_ns = now_ns
         if not self._faults:
             return outputs

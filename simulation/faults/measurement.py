@@ -1,4 +1,4 @@
-"""Messages as a broken device gives them."""
+"""Messages of a faulty device."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,14 +13,14 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 
 def with_stamp_of(last: Message, new: Message) -> Message:
-    """The content of `last` under the stamp of `new`."""
+    """The content of `last` with the stamp of `new`."""
     return replace(last, stamp_ns=new.stamp_ns)
 
 
 def corrupt(
     kind: FaultKind, message: Message, errors: Mapping[str, FieldErrors], random: np.random.Generator
 ) -> Message:
-    """The message with the given fields broken."""
+    """The message with the configured fields corrupted."""
     changes: dict[str, Any] = {}
     for name, error in errors.items():
         value = getattr(message, name)
@@ -32,7 +32,7 @@ def corrupt(
 
 
 def corrupt_values(kind: FaultKind, values: Array, error: FieldErrors, random: np.random.Generator) -> Array:
-    """Values of any type, broken; whole numbers stay within theirs, and 0 (no return) stays 0."""
+    """Corrupted values of any type; integers stay within their type, and 0 (no return) stays 0."""
     if kind is FaultKind.GARBAGE:
         return np.frombuffer(random.bytes(values.nbytes), values.dtype).reshape(values.shape).copy()
     if kind is FaultKind.NAN:

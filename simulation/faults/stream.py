@@ -1,4 +1,4 @@
-"""What a fault does to the order, number and time of what a device sends; what it does to the content is given."""
+"""Faults of order, number and time of a device's messages; changes of content are passed in."""
 
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -11,9 +11,9 @@ STREAM_KINDS = tuple(FaultKind)[:6]
 
 
 class FaultStream(Generic[T]):
-    """One faulty device: `pass_on` takes what it would have sent and gives what comes, with the time of coming.
+    """One faulty device: `apply` takes a sent item and returns delivered items with their times.
 
-    `renew` gives the content of its first argument the stamp or counter of its second; `distort` breaks the content.
+    `renew` gives the content of its first argument the stamp or counter of its second; `corrupt` changes the content.
     """
 
     def __init__(
@@ -26,7 +26,7 @@ class FaultStream(Generic[T]):
         self._passed_ns: int | None = None
 
     def apply(self, now_ns: int, item: T) -> list[tuple[int, T]]:
-        """What comes of one item."""
+        """Delivery times and items after one sent item."""
         kind = self._kind
         if kind not in STREAM_KINDS:
             return [(now_ns, self._corrupt(kind, item))]

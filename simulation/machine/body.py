@@ -1,4 +1,4 @@
-"""Shape of the machine and its implement as sensors see it, and as outlines on the ground."""
+"""Shape of machine and implement: meshes for sensors, outlines on the ground."""
 
 import math
 
@@ -10,7 +10,7 @@ from messages.message import Float64
 from simulation.environment.meshes import Mesh, box, join, limb
 from simulation.machine.implement import extent_m, origin_m
 
-LIFT_M, FRAME_M = 0.6, 0.9  # how far the hitch lifts, and how high the implement's frame stands when lowered
+LIFT_M, FRAME_M = 0.6, 0.9  # stroke of the hitch; height of the lowered implement's frame
 
 
 def machine_mesh(vehicle: Vehicle) -> Mesh:
@@ -35,7 +35,7 @@ def machine_mesh(vehicle: Vehicle) -> Mesh:
 
 
 def implement_mesh(implement: MountedImplement | TrailedImplement, hitch: float) -> Mesh:
-    """The implement's frame as a box at its height of lift, about its origin."""
+    """The implement's frame as a box, raised by the hitch, about its origin."""
     (ahead, behind), half = extent_m(implement), 0.5 * implement.width_m
     low = 0.05 + LIFT_M * hitch
     frame = box((behind, -half, low), (ahead, half, low + FRAME_M))
@@ -43,7 +43,7 @@ def implement_mesh(implement: MountedImplement | TrailedImplement, hitch: float)
 
 
 def machine_outline_m(vehicle: Vehicle, base: tuple[float, float, float]) -> Polygon:
-    """Ground covered by the bare machine at (x, y, yaw)."""
+    """Ground covered by the machine alone at (x, y, yaw)."""
     half = 0.5 * vehicle.body.width_m
     return _rectangle(base, vehicle.body.front_m, -vehicle.body.rear_m, half)
 
@@ -65,6 +65,6 @@ def _rectangle(pose: tuple[float, float, float], ahead_m: float, behind_m: float
 
 
 def T_base_implement(implement: MountedImplement | TrailedImplement, articulation_rad: float) -> Float64:
-    """Pose of the implement's origin in `base`, (4, 4), for its heading against the machine's."""
+    """Pose of the implement's origin in `base`, (4, 4); `articulation_rad`: its heading against the machine's."""
     offset = 0.0 if isinstance(implement, MountedImplement) else implement.hitch_m
     return planar(offset, 0.0, articulation_rad)

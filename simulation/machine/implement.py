@@ -1,4 +1,4 @@
-"""The implement: hitch and power take-off, draft, where it is and what ground it covers."""
+"""Implement: hitch, power take-off, draft, heading and covered ground."""
 
 import math
 
@@ -11,22 +11,22 @@ from messages.message import Float64
 from simulation.machine.steering import clamp, follow_lag
 
 WORKING_BELOW = 0.1  # hitch: 0 lowest, 1 highest
-RAISED_ABOVE = 0.95  # from here on wings may turn
+RAISED_ABOVE = 0.95  # hitch: folding is allowed above
 RADPS_PER_RPM = 2.0 * math.pi / 60.0
 
 
 class ImplementConfig(Config):
-    """How the implement loads the machine, and the power take-off."""
+    """Draft of the implement, and the power take-off."""
 
-    draft_n_per_m: float = Field(ge=0.0, le=20000.0, description="force by working width")
-    draft_sigma: float = Field(ge=0.0, le=1.0, description="sigma, as a share")
-    draft_correlation_s: float = Field(gt=0.0, le=60.0, description="how long soil stays alike")
+    draft_n_per_m: float = Field(ge=0.0, le=20000.0, description="draft per working width")
+    draft_sigma: float = Field(ge=0.0, le=1.0, description="relative standard deviation")
+    draft_correlation_s: float = Field(gt=0.0, le=60.0, description="correlation time of the soil's variation")
     pto_rpm: float = Field(gt=0.0, le=2000.0)
     pto_lag_s: float = Field(ge=0.0, le=10.0)
 
 
 class AttachedImplement:
-    """Hitch, shaft, folding wings and, behind a drawbar, the implement's own heading."""
+    """Hitch, shaft, folding wings and, on a drawbar, the implement's own heading."""
 
     def __init__(
         self, implement: MountedImplement | TrailedImplement, config: ImplementConfig, yaw_rad: float, is_folded: bool,
@@ -42,11 +42,11 @@ class AttachedImplement:
 
     @property
     def is_working(self) -> bool:
-        """Whether the tools are in the ground."""
+        """True if the tools are in the ground."""
         return self.hitch < WORKING_BELOW
 
     def step(self, hitch_target: float | None, is_pto_on: bool) -> None:
-        """Move hitch and shaft for one time step; None holds the hitch."""
+        """Moves hitch and shaft for one time step; None holds the hitch."""
         if hitch_target is not None:
             self.hitch = step_hitch(self.hitch, hitch_target, self.implement.lift_s, self.implement.lower_s, self._dt_s)
         target = self._config.pto_rpm * RADPS_PER_RPM if is_pto_on and self.implement.uses_pto else 0.0
@@ -56,23 +56,23 @@ class AttachedImplement:
         self._draft_change = share * self._draft_change + math.sqrt(1.0 - share * share) * white
 
     def step_fold(self, is_folded: bool) -> None:
-        """Fold or unfold for one time step, unless it cannot be or is not raised."""
+        """Folds or unfolds for one time step; only raised, and if the implement folds."""
         if isinstance(self.implement, MountedImplement) and self.implement.fold and self.hitch > RAISED_ABOVE:
             change = self._dt_s / max(self.implement.fold.duration_s, self._dt_s)
             self.fold += clamp(float(is_folded) - self.fold, -change, change)
 
     @property
     def current(self) -> MountedImplement | TrailedImplement:
-        """The implement as wide as it is now."""
+        """The implement with its present width."""
         return at_fold(self.implement, self.fold)
 
     def draft_n(self) -> float:
-        """Force against the motion."""
+        """Draft against the motion."""
         change = max(0.0, 1.0 + self._draft_change)
         return self._config.draft_n_per_m * self.implement.working_width_m * change if self.is_working else 0.0
 
     def follow(self, yaw_rad: float, speed_mps: float, lateral_mps: float, yaw_rate_radps: float) -> None:
-        """Turn with the machine, or behind it on a drawbar."""
+        """Heading: that of the machine, or trailing on a drawbar."""
         if isinstance(self.implement, MountedImplement):
             self.yaw_rad = yaw_rad
             return
@@ -96,7 +96,7 @@ def at_fold(implement: MountedImplement | TrailedImplement, fold: float) -> Moun
 
 
 def step_hitch(hitch: float, target: float, lift_s: float, lower_s: float, dt_s: float) -> float:
-    """The hitch after a time step: the whole way takes `lift_s` up and `lower_s` down."""
+    """Hitch position after a time step: full stroke in `lift_s` up and `lower_s` down."""
     return hitch + clamp(target - hitch, -dt_s / lower_s, dt_s / lift_s)
 
 
@@ -109,7 +109,7 @@ def working_point_m(
 
 
 def origin_m(implement: MountedImplement | TrailedImplement, base: tuple[float, float, float]) -> Float64:
-    """Where the implement turns with or about: base, or the hitch."""
+    """The implement's pivot in `map`: base if mounted, else the hitch."""
     x, y, yaw = base
     hitch = 0.0 if isinstance(implement, MountedImplement) else implement.hitch_m
     return np.array([x + hitch * math.cos(yaw), y + hitch * math.sin(yaw)])

@@ -1,4 +1,4 @@
-"""The tractor: a bicycle with slipping tyres on uneven ground, its actuators and what hangs behind it."""
+"""The tractor: single-track model with tyre slip on uneven ground, actuators and implement."""
 
 import math
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from simulation.machine.steering import Steering, SteeringConfig, clamp, follow_
 
 
 class TyreConfig(Config):
-    """Sideways grip: slip angle = sideways force over weight, divided by stiffness."""
+    """Lateral tyre model: slip angle = lateral force over weight, divided by stiffness."""
 
     front_stiffness: float = Field(gt=0.5, le=50.0)
     rear_stiffness: float = Field(gt=0.5, le=50.0)
-    relaxation_length_m: float = Field(gt=0.0, le=5.0)
-    soil_lateral_sigma_mps2: float = Field(ge=0.0, le=2.0, description="sigma of sideways soil force while working")
-    soil_correlation_s: float = Field(gt=0.0, le=60.0)
-    max_angle_offset_deg: float = Field(ge=0.0, le=5.0, description="largest constant error of the angle sensor")
+    relaxation_length_m: float = Field(gt=0.0, le=5.0, description="distance over which the slip angle builds up")
+    soil_lateral_sigma_mps2: float = Field(ge=0.0, le=2.0, description="sigma of the lateral soil force while working")
+    soil_correlation_s: float = Field(gt=0.0, le=60.0, description="correlation time of the soil force")
+    max_angle_offset_deg: float = Field(ge=0.0, le=5.0, description="largest zero error of the angle sensor")
 
 
 class MachineConfig(Config):
-    """The plant's own values; dimensions and actuators stand in the vehicle's file."""
+    """Parameters of the plant; dimensions and actuators are in the vehicle file."""
 
     steering: SteeringConfig
     drive: DriveConfig
@@ -38,7 +38,7 @@ class MachineConfig(Config):
 
 @dataclass(frozen=True)
 class ActuatorCommand:
-    """What the ECUs ask of the actuators; None releases the steering or holds hitch or fold; `speed_mps` is signed."""
+    """Requests of the ECUs; None releases the steering or holds hitch or fold; `speed_mps` is signed."""
 
     steering_angle_rad: float | None = None
     speed_mps: float = 0.0
@@ -51,7 +51,7 @@ class ActuatorCommand:
 
 
 class Machine:
-    """State of tractor and implement; `step` is the only thing that changes it."""
+    """State of tractor and implement; changed by `step` alone."""
 
     def __init__(
         self, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, terrain: Terrain, start: PoseConfig,
@@ -73,11 +73,11 @@ class Machine:
 
     @property
     def measured_angle_rad(self) -> float:
-        """The front-wheel angle as its sensor has it, before noise."""
+        """Front-wheel angle with the sensor's zero error, without noise."""
         return self.steering.angle_rad + self.angle_offset_rad
 
     def step(self, command: ActuatorCommand) -> None:
-        """One time step."""
+        """Advances one time step."""
         self.steering.step(command.steering_angle_rad, self.measured_angle_rad)
         self.attached.step(command.hitch, command.is_pto_on)
         if self.speed_mps == 0.0 and command.is_folded is not None:
@@ -114,7 +114,7 @@ class Machine:
         white = float(self._random.standard_normal()) * tyres.soil_lateral_sigma_mps2
         self._soil_mps2 = share * self._soil_mps2 + math.sqrt(1.0 - share * share) * white
         soil = self._soil_mps2 if self.attached.is_working else 0.0
-        # the tyres hold against the turn and the side slope (left side high: gravity pulls to the right)
+        # lateral tyre force balances centripetal force and side slope (left side high: gravity pulls to the right)
         side = self.speed_mps * self.yaw_rate_radps + GRAVITY_MPS2 * float(self.T_map_base[2, 1]) - soil
         lag = tyres.relaxation_length_m / max(abs(self.speed_mps), 1e-3)
         self._slip_front_rad = follow_lag(self._slip_front_rad, side / (GRAVITY_MPS2 * tyres.front_stiffness), lag, dt)
@@ -125,7 +125,7 @@ class Machine:
         self.yaw_rate_radps = self.speed_mps * (math.tan(front) + math.tan(rear)) / self._vehicle.drivetrain.wheelbase_m
 
     def _step_pose(self) -> None:
-        """Midpoint in heading; speed runs along the ground, so its share in the plane shrinks on a grade."""
+        """Midpoint rule in heading; speed is along the ground, so its horizontal part shrinks on a grade."""
         yaw = self.yaw_rad + 0.5 * self.yaw_rate_radps * self._dt_s
         ahead = self.speed_mps * math.hypot(self.T_map_base[0, 0], self.T_map_base[1, 0]) * self._dt_s
         aside = self.lateral_mps * self._dt_s

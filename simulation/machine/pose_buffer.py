@@ -1,4 +1,4 @@
-"""The machine's way over the last moments: what sensors are sampled from."""
+"""Recent poses of the machine, from which sensors are sampled."""
 
 from collections import deque
 
@@ -16,7 +16,7 @@ class PoseBuffer:
         self._poses: deque[Float64] = deque(maxlen=round(keep_s * 1e9 / step_ns) + 1)
 
     def append(self, T_map_base: Float64) -> None:
-        """Go on; the first pose fills the past, as the machine stood there."""
+        """Adds a pose; the first one fills the buffer (machine at rest)."""
         T_map_base.flags.writeable = False
         self._poses.extend([T_map_base] * (1 if self._poses else self._poses.maxlen or 1))
 
@@ -25,9 +25,9 @@ class PoseBuffer:
         return self._poses[-1 - steps]
 
     def interpolate(self, ago_s: Float64) -> Float64:
-        """Poses (N, 4, 4) some time before the last, within what is kept.
+        """Poses (N, 4, 4) at times before the last, limited to the buffer.
 
-        Matrices are blended: over one step of 5 ms at 0.6 rad/s a rotation is off by less than 2e-6.
+        Matrices are blended linearly: over one step of 5 ms at 0.6 rad/s a rotation is off by less than 2e-6.
         """
         ago = np.clip(ago_s * (1e9 / self.step_ns), 0.0, len(self._poses) - 1.000001)
         return blend_poses(np.stack([self._poses[-1 - k] for k in range(int(ago.max()) + 2)]), ago)

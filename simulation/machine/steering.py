@@ -1,4 +1,4 @@
-"""Steering: the tractor's own loop that follows a wanted wheel angle, over an electric wheel or a hydraulic valve."""
+"""Steering: the tractor's position loop for the wheel angle, over an electric wheel or a hydraulic valve."""
 
 import math
 from collections import deque
@@ -10,27 +10,31 @@ from configs.vehicle import Ackermann, ElectricWheel, HydraulicValve
 
 
 class SteeringConfig(Config):
-    """The loop inside the tractor's steering ECU."""
+    """Position loop of the steering ECU."""
 
     gain_per_s: float = Field(gt=0.0, le=20.0)
-    tolerance_deg: float = Field(ge=0.0, le=1.0, description="error left alone, or backlash makes the loop hunt")
-    dead_band_compensation: float = Field(ge=0.0, le=1.0, description="share of the valve's dead band that is known")
+    tolerance_deg: float = Field(
+        ge=0.0, le=1.0, description="dead band of the loop, against limit cycles from backlash"
+    )
+    dead_band_compensation: float = Field(
+        ge=0.0, le=1.0, description="share of the valve's dead band that is compensated"
+    )
 
 
 class DelayLine:
-    """Gives what was put in some time ago; 0 before that."""
+    """Delay by a fixed number of steps; 0 at first."""
 
     def __init__(self, delay_s: float, dt_s: float) -> None:
         self._values = deque([0.0] * round(delay_s / dt_s))
 
     def step(self, value: float) -> float:
-        """Put the newest in, take the oldest out."""
+        """Takes the newest value, returns the oldest."""
         self._values.append(value)
         return self._values.popleft()
 
 
 def clamp(value: float, low: float, high: float) -> float:
-    """The value, or the bound it exceeds."""
+    """The value limited to [low, high]."""
     return max(low, min(high, value))
 
 
@@ -40,18 +44,18 @@ def follow_lag(value: float, target: float, lag_s: float, dt_s: float) -> float:
 
 
 def follow_play(output: float, drive: float, play: float) -> float:
-    """Backlash: the output stays until the drive has taken up `play` (whole width)."""
+    """Backlash: the output stays until the drive has taken up `play` (full width)."""
     return clamp(output, drive - 0.5 * play, drive + 0.5 * play)
 
 
 def open_valve(command: float, dead_band: float) -> float:
-    """Share of full flow of a valve at a command in [-1, 1]: nothing within the dead band, linear outside."""
+    """Share of full flow for a command in [-1, 1]: zero within the dead band, linear outside."""
     beyond = max(abs(command) - dead_band, 0.0) / (1.0 - dead_band)
     return math.copysign(min(beyond, 1.0), command)
 
 
 class Steering:
-    """Front wheels, their actuator and the ECU's loop; `angle_rad` is the true angle, left positive."""
+    """Front wheels, actuator and position loop; `angle_rad` is the true angle, left positive."""
 
     def __init__(
         self, actuator: ElectricWheel | HydraulicValve, drivetrain: Ackermann, config: SteeringConfig, dt_s: float
@@ -65,7 +69,7 @@ class Steering:
         self._drive_rad = 0.0
 
     def step(self, requested_rad: float | None, measured_rad: float) -> None:
-        """Turn for one time step towards the wanted angle as the sensor measures it; None releases the actuator."""
+        """Turns for one time step towards the requested angle as measured; None releases the actuator."""
         requested_rate = 0.0 if requested_rad is None else self._control(requested_rad - measured_rad)
         rate = self._flow_rate(self._delay.step(requested_rate))
         self._rate_radps = follow_lag(self._rate_radps, rate, self._actuator.lag_s, self._dt_s)
@@ -76,7 +80,7 @@ class Steering:
         self.angle_rad = follow_play(self.angle_rad, self._drive_rad, play)
 
     def _control(self, error_rad: float) -> float:
-        """Wanted rate, as a share of the limit."""
+        """Requested rate, as a share of the limit."""
         if abs(error_rad) <= math.radians(self._config.tolerance_deg):
             return 0.0
         share = self._config.gain_per_s * error_rad / self.rate_limit_radps
@@ -91,7 +95,7 @@ class Steering:
 
 
 def rate_limit_of(actuator: ElectricWheel | HydraulicValve) -> float:
-    """Fastest turning of the front wheels, rad/s."""
+    """Largest turning rate of the front wheels, rad/s."""
     if isinstance(actuator, ElectricWheel):
         return actuator.max_wheel_rpm / 60.0 / actuator.wheel_turns_per_steer_rad
     return actuator.max_flow_lpm / 60.0 / actuator.cylinder_l_per_rad

@@ -1,4 +1,4 @@
-"""The tractor's ECU on the bus: obeys good frames within their time-outs, else goes to its own safe state."""
+"""Tractor ECU, receiving side: obeys valid frames within their time-outs, else enters its safe state."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,12 +14,12 @@ from messages.errors import ConfigError
 from simulation.machine.ecu_checks import Counter, Deadline, Heartbeat, StopAll, is_checksum_good
 from simulation.machine.machine import ActuatorCommand
 
-CURVATURE_MAX_RAW, SPEED_MAX_RAW, HITCH_MAX_RAW = 64255, 64255, 250  # above: error or not available
+CURVATURE_MAX_RAW, SPEED_MAX_RAW, HITCH_MAX_RAW = 64255, 64255, 250  # largest valid; above: error or not available
 ON = 1
 
 
 class BusConfig(Config):
-    """Time-outs of the tractor (isobus.md), after which it goes to the safe state."""
+    """Time-outs of the tractor (docs/isobus.md), after which it enters the safe state."""
 
     guidance_timeout_s: float = Field(gt=0.0, le=2.0)
     command_timeout_s: float = Field(gt=0.0, le=2.0)
@@ -27,10 +27,10 @@ class BusConfig(Config):
 
 
 class TractorBus:
-    """Reads what the gateway sends and says what the actuators shall do.
+    """Reads the gateway's frames and derives the actuator command.
 
-    Safe state: steering released, drive off, brakes full, implement stopped. It is left only when the gateway is heard
-    whole again and has taken back its drive request in the meantime.
+    Safe state: steering released, drive off, full brakes, implement stopped. It ends when all frames are valid again
+    and the gateway has withdrawn its drive request meanwhile.
     """
 
     def __init__(
@@ -66,15 +66,15 @@ class TractorBus:
         }
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Closes the bus."""
         self._bus.shutdown()
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame."""
+        """Sends one frame."""
         self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=True))
 
     def receive(self, now_ns: int) -> None:
-        """Take all frames that have come."""
+        """Processes all received frames."""
         while (frame := self._bus.recv(0)) is not None:
             if not self._process_frame(now_ns, frame):
                 self.rejected_frames += 1
@@ -95,13 +95,13 @@ class TractorBus:
 
     def _read_guidance(self, now_ns: int, raw: dict[str, int]) -> bool:
         is_valid = raw["Curvature"] <= CURVATURE_MAX_RAW and raw["Intent"] == ON
-        curvature = -(raw["Curvature"] - 32128) * 0.25e-3  # on the wire positive is right
+        curvature = -(raw["Curvature"] - 32128) * 0.25e-3  # ISO 11783-7: positive is right
         self._curvature_radpm = curvature if is_valid else None
         self._guidance.renew(now_ns)
         return True
 
     def _read_speed(self, now_ns: int, raw: dict[str, int]) -> bool:
-        if raw["SetPoint"] > SPEED_MAX_RAW or raw["Direction"] > ON:  # not available: nothing is asked
+        if raw["SetPoint"] > SPEED_MAX_RAW or raw["Direction"] > ON:  # not available: no request
             self._speed_mps = 0.0
             self._speed.renew(now_ns)
             return True
@@ -144,12 +144,12 @@ class TractorBus:
         return True
 
     def is_alive(self, now_ns: int) -> bool:
-        """Whether everything that driving needs is heard in time."""
+        """True if all frames needed for driving are within their time-outs."""
         is_steered = self._guidance.is_met(now_ns)
         return is_steered and self._heartbeat.is_good(now_ns) and all(d.is_met(now_ns) for d in self._others)
 
     def command(self, now_ns: int) -> ActuatorCommand:
-        """What the actuators shall do now."""
+        """The actuator command now."""
         is_alive = self.is_alive(now_ns)
         if self._is_drive_requested and not is_alive:
             self.is_safe_state = True
@@ -177,13 +177,13 @@ class TractorBus:
 
 
 def decode_switch(raw: int, current: bool) -> bool:
-    """A two-bit command: 0 off, 1 on, anything else leaves as is."""
+    """A two-bit command: 0 off, 1 on, other values keep the present state."""
     return raw == ON if raw in (0, 1) else current
 
 
 @cache
 def load_database() -> Database:
-    """The DBC that both sides of the bus are written against; raises ConfigError."""
+    """The DBC of both sides of the bus; raises ConfigError."""
     path = CONFIGS / "can" / "headland.dbc"
     try:
         database = cantools.database.load_file(path)

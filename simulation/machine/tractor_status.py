@@ -1,4 +1,4 @@
-"""What the tractor tells on its bus: the status frames of the DBC, each at its period there."""
+"""Tractor ECU, sending side: status frames of the DBC, each at its period."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -15,7 +15,7 @@ SUPPLY_V, SUPPLY_SIGMA_V = 13.8, 0.03
 CLEAR, COMMAND_TIMEOUT = 0, 5  # guidance exit codes
 LIMITED_HIGH, LIMITED_LOW = 2, 3
 END_STOP_RAD = 0.01
-FOLD_EVERY = 5  # of the cab's frames
+FOLD_EVERY = 5  # one in this many cab frames
 TRACTOR_NAME = {  # an agricultural tractor ECU: industry group 2, device class 1, function 134
     "Identity": 1, "Manufacturer": 0x7FF, "EcuInstance": 0, "FunctionInstance": 0, "Function": 134, "DeviceClass": 1,
     "DeviceClassInstance": 0, "IndustryGroup": 2, "SelfConfigurable": 0,
@@ -23,7 +23,7 @@ TRACTOR_NAME = {  # an agricultural tractor ECU: industry group 2, device class 
 
 
 class StatusFrame:
-    """One message of the DBC: what is not given is sent as ones (not available)."""
+    """One message of the DBC; signals without value are sent as all ones (not available)."""
 
     def __init__(self, message: Message) -> None:
         self.identifier = message.frame_id
@@ -40,7 +40,7 @@ class StatusFrame:
 
 
 class TractorStatus:
-    """Sends the state of the machine, as its own sensors have it."""
+    """Sends the state of the machine as measured by its own sensors."""
 
     def __init__(self, machine: Machine, bus: TractorBus, database: Database, random: np.random.Generator) -> None:
         self._machine, self._bus, self._random = machine, bus, random
@@ -60,7 +60,7 @@ class TractorStatus:
         self._address_claim = StatusFrame(database.get_message_by_name("AddressClaimedTractor"))
 
     def send(self, elapsed_ns: int) -> None:
-        """Send what is due at this time since the start."""
+        """Sends the frames due `elapsed_ns` after the start."""
         if not self._is_claimed:
             self._is_claimed = True
             self._bus.send(self._address_claim.identifier, self._address_claim.encode(TRACTOR_NAME))
@@ -93,7 +93,7 @@ class TractorStatus:
         return [{"Speed": rpm, "Engaged": int(rpm > 20.0), "Mode": 0}]
 
     def _cab_values(self) -> list[Mapping[str, int | float]]:
-        """Nobody is on board: hand torque, angle and rate are what a hand imposes beyond the actuator, so none."""
+        """No driver on board: driver torque, angle and rate, which exclude the actuator's, are zero."""
         supply = SUPPLY_V + SUPPLY_SIGMA_V * float(self._random.standard_normal())
         driver = {"Group": 1, "HandTorque": 0.0, "HandAngle": 0.0, "HandRate": 0.0}
         cab = {
@@ -104,7 +104,7 @@ class TractorStatus:
         return [{**driver, "Counter": self._count(0)}, {**cab, "Counter": self._count(1)}, *self._fold_values()]
 
     def _fold_values(self) -> list[Mapping[str, int | float]]:
-        """From an implement that folds, each fifth time."""
+        """Fold position, in every fifth cab frame, of an implement that folds."""
         self._cab_frames += 1
         attached = self._machine.attached
         if self._cab_frames % FOLD_EVERY != 1 or not can_fold(attached.implement):

@@ -1,1 +1,1 @@
-"""A software renderer: triangles to a depth buffer, then light, texture and shadow for each pixel."""
+"""Software renderer: triangles to a depth buffer, then light, texture and shadow per pixel."""

@@ -1,4 +1,4 @@
-"""Sun and sky: drawn once a run, from low sun to overcast."""
+"""Sun and sky: drawn once per run, from low sun to overcast."""
 
 import math
 from dataclasses import dataclass
@@ -9,24 +9,24 @@ from pydantic import Field
 from configs.strict import Config
 from messages.message import Float64
 
-SILHOUETTE = 2048  # columns round the horizon
+SILHOUETTE = 2048  # columns of the skyline, 360 degrees
 
 
 class SkyConfig(Config):
-    """Bounds from which a day is drawn."""
+    """Ranges from which the light of a run is drawn."""
 
     sun_elevation_deg: tuple[float, float] = Field(description="lowest and highest elevation of the sun")
-    overcast: tuple[float, float] = Field(description="share of the sun's light that clouds spread over the sky")
-    haze_length_m: tuple[float, float] = Field(description="way on which haze takes 63 % of the contrast")
-    skyline_elevation_deg: tuple[float, float] = Field(description="height of woods and hills far off")
+    overcast: tuple[float, float] = Field(description="share of sunlight that clouds scatter")
+    haze_length_m: tuple[float, float] = Field(description="distance over which haze takes 63 % of the contrast")
+    skyline_elevation_deg: tuple[float, float] = Field(description="elevation of distant woods and hills")
 
 
 @dataclass(frozen=True)
 class Light:
-    """What all pictures of a run have in common; colours are linear RGB.
+    """Light of all images of a run; colours are linear RGB.
 
-    `to_sun` unit (3,) in `map`; `sun`, `sky` (ambient from above), `zenith` and `horizon` (3,); `skyline` (SILHOUETTE,)
-    the tangent of the height of what stands far off, by azimuth from -pi; `drift` (2,) which clouds are there.
+    `sun_direction` unit (3,) in `map`; `sun`, `sky` (ambient from above), `zenith`, `horizon` (3,); `skyline`
+    (SILHOUETTE,): tangent of its elevation, by azimuth from -pi; `cloud_offset` (2,) into the cloud texture.
     """
 
     sun_direction: Float64
@@ -40,19 +40,19 @@ class Light:
     skyline: Float64
 
     def packed(self) -> Float64:
-        """All numbers but the skyline as the shading kernel takes them, (19,)."""
+        """All numbers but the skyline in the order of the shading kernel, (19,)."""
         parts = [self.sun_direction, self.sun, self.sky, self.zenith, self.horizon, [self.overcast, self.haze_length_m],
                  self.cloud_offset]  # fmt: skip
         return np.concatenate([np.asarray(p, np.float64) for p in parts])
 
 
 def draw_light(config: SkyConfig, random: np.random.Generator) -> Light:
-    """The light of one day."""
+    """The light of one run."""
     azimuth, elevation = random.uniform(-math.pi, math.pi), math.radians(random.uniform(*config.sun_elevation_deg))
     overcast, haze = random.uniform(*config.overcast), random.uniform(*config.haze_length_m)
     sun_direction = np.array([math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth),
                        math.sin(elevation)])  # fmt: skip
-    # a low sun comes a longer way through the air, which takes the blue first
+    # air mass: a low sun passes more air, which absorbs blue most
     air = 1.0 / max(math.sin(elevation), 0.1)
     direct = np.exp(-np.array([0.10, 0.16, 0.30]) * air) * 3.2
     grey = np.array([0.62, 0.64, 0.68])
@@ -68,7 +68,7 @@ def draw_light(config: SkyConfig, random: np.random.Generator) -> Light:
 
 
 def draw_skyline(config: SkyConfig, random: np.random.Generator) -> Float64:
-    """Woods with their crowns and gaps, on low hills."""
+    """Tangent of the skyline's elevation (SILHOUETTE,): woods with crowns and gaps on low hills."""
     low, high = (math.tan(math.radians(d)) for d in config.skyline_elevation_deg)
     azimuth = np.linspace(0.0, 2.0 * math.pi, SILHOUETTE, endpoint=False)
     hills, woods, crowns = np.zeros(SILHOUETTE), np.zeros(SILHOUETTE), np.zeros(SILHOUETTE)

@@ -1,4 +1,4 @@
-"""Colours and materials: of the ground and what stands on it, of the machine, and of people, animals and vehicles."""
+"""Colours and materials of scenery, machine, people, animals and vehicles."""
 
 from functools import cache
 
@@ -47,7 +47,7 @@ COATS = ((0.20, 0.11, 0.055), (0.15, 0.09, 0.05), (0.24, 0.15, 0.085))
 PAINTS = ((0.50, 0.02, 0.02), (0.55, 0.55, 0.56), (0.02, 0.05, 0.22), (0.012, 0.012, 0.014), (0.22, 0.23, 0.24),
           (0.03, 0.12, 0.06), (0.62, 0.61, 0.58))  # fmt: skip
 FIXED_APPEARANCE: dict[str, Appearance] = {
-    "eyes": ((0.012, 0.011, 0.011), Material.SMOOTH), "white": ((0.6, 0.59, 0.56), Material.SMOOTH),
+    "dark": ((0.012, 0.011, 0.011), Material.SMOOTH), "white": ((0.6, 0.59, 0.56), Material.SMOOTH),
     "glass": ((0.012, 0.014, 0.016), Material.GLASS), "rubber": ((0.018, 0.018, 0.018), Material.SMOOTH),
     "rim": ((0.38, 0.38, 0.39), Material.GLOSS), "lamp": ((0.62, 0.62, 0.60), Material.GLOSS),
     "tail": ((0.35, 0.015, 0.015), Material.GLOSS),
@@ -55,7 +55,7 @@ FIXED_APPEARANCE: dict[str, Appearance] = {
 
 
 def palette(seed: int, id: int) -> dict[str, Appearance]:
-    """What each region of a figure looks like: its own clothes, coat or paint."""
+    """Appearance of each region of an actor: clothes, coat and paint drawn by its id."""
     random = generator(seed, f"looks/{id}")
 
     def one_of(colors: tuple[tuple[float, float, float], ...]) -> tuple[float, float, float]:
@@ -73,13 +73,13 @@ def palette(seed: int, id: int) -> dict[str, Appearance]:
 
 @cache
 def _uncolored(label: ObstacleClass, step: int) -> tuple[tuple[str, Surface], ...]:
-    """Surfaces without colour; the normals are found once for each step of the gait."""
+    """Surfaces without colour, with normals; computed once per gait step."""
     parts = actor_parts(label, step, True)
     return tuple((part.region, surface_of(part.mesh, np.zeros(3), Material.SMOOTH)) for part in parts)
 
 
 def actor_surface(label: ObstacleClass, step: int, appearance: dict[str, Appearance]) -> Surface:
-    """A figure about its own origin."""
+    """An actor about its own origin."""
     colored = []
     for region, uncolored in _uncolored(label, step):
         color, material = appearance[region]
@@ -92,7 +92,7 @@ def actor_surface(label: ObstacleClass, step: int, appearance: dict[str, Appeara
 
 
 def build_actor_surfaces() -> None:
-    """Build every figure at every step of its gait: each takes some 40 ms when first seen."""
+    """Builds every actor at every gait step: each takes about 40 ms at first use."""
     for label in REFLECTIVITY:
         for step in range(-1, GAIT_STEPS):
             actor_mesh(label, step / GAIT_STEPS)
@@ -100,7 +100,7 @@ def build_actor_surfaces() -> None:
 
 
 def static_surface(pieces: list[Piece], site: Site, seed: int) -> Surface:
-    """Everything that stands still, in `map`."""
+    """All static pieces, in `map`."""
     return merge([_ground(p.mesh, site, seed) if p.name == "ground" else _piece(p) for p in pieces])
 
 
@@ -108,13 +108,13 @@ def _piece(piece: Piece) -> Surface:
     (color, material), cutout = PIECE_APPEARANCE.get(piece.name, DEFAULT_APPEARANCE)
     is_flat = material is not Material.LEAF
     surface = surface_of(piece.mesh, np.array(color), material, cutout, is_flat)
-    if cutout == 1:  # plants are lit from above, whichever way their strip faces
+    if cutout == 1:  # plants are lit from above, independent of their strip's normal
         surface.normals[:] = (0.0, 0.0, 1.0)
     return surface
 
 
 def _ground(mesh: Mesh, site: Site, seed: int) -> Surface:
-    """Soil in the field, gravel on lanes, yard and in the shed, grass elsewhere; large patches differ."""
+    """Soil in the field, gravel on lanes, yard and in the shed, grass elsewhere; brightness varies in large patches."""
     random = generator(seed, "ground")
     xy = mesh.vertices_m[:, :2].astype(np.float64)
     patches = np.zeros(len(xy))

@@ -1,7 +1,7 @@
-"""Triangles to a buffer of what is nearest: in perspective (a camera) and parallel (the sun), by the same filling.
+"""Triangle rasterisation to a depth buffer: perspective (camera) and parallel (sun) projection, one fill.
 
-`w` grows towards the viewer and is linear on the screen: 1 / depth in perspective, height along the sun's rays in
-parallel. A buffer holds the greatest w of each pixel and the triangle it is of; 0 means that nothing is there.
+`w` grows towards the viewer and is linear on the screen: 1 / depth in perspective, height along the sun direction in
+parallel projection. A buffer holds the largest w of each pixel and its triangle; 0 is empty.
 """
 
 import math
@@ -19,10 +19,10 @@ def project(
     vertices: Float32, triangles: Int32, selected: Int32, R: Float64, origin: Float64, intrinsics: Float64,
     width: int, height: int,
 ) -> tuple[Float32, Int32]:  # fmt: skip
-    """Corners (T, 3, 3) on the screen (x, y in pixels, w) of the triangles in view, and which they are, (T,).
+    """Projected corners (T, 3, 3) (x, y in pixels, w) of the visible triangles, and their rows, (T,).
 
-    `wanted` are rows of `triangles`; `R` (3, 3) takes `map` to x right, y down, z ahead; `intrinsics` fx, fy, cx, cy.
-    One that reaches behind the viewer is cut and may become two.
+    `selected` are rows of `triangles`; `R` (3, 3) takes `map` to x right, y down, z ahead; `intrinsics` fx, fy, cx, cy.
+    A triangle that crosses the near plane is clipped to one or two.
     """
     out = np.empty((2 * selected.shape[0], 3, 3), np.float32)
     which = np.empty(2 * selected.shape[0], np.int32)
@@ -51,7 +51,7 @@ def project(
             parts = _clip_near_plane(p, out[n : n + 2], fx, fy, cx, cy)
             which[n : n + parts] = t
             n += parts
-        # one that lies between two rows or columns of pixels shows nowhere
+        # skips triangles between two rows or columns of pixels
         elif high_x >= 0.0 and high_y >= 0.0 and low_x <= width - 1 and low_y <= height - 1 and (
             math.ceil(low_x) <= high_x and math.ceil(low_y) <= high_y
         ):  # fmt: skip
@@ -62,7 +62,7 @@ def project(
 
 @kernel
 def _clip_near_plane(p: Float64, out: Float32, fx: float, fy: float, cx: float, cy: float) -> int:
-    """The part before the viewer of a triangle by its corners (3, 3) in the optical frame, as one or two triangles."""
+    """Clips a triangle (3, 3) in the optical frame at the near plane; writes and counts one or two triangles."""
     q = np.empty((4, 3))
     m = 0
     for i in range(3):
@@ -88,7 +88,7 @@ def _clip_near_plane(p: Float64, out: Float32, fx: float, fy: float, cx: float, 
 def project_parallel(
     vertices: Float32, triangles: Int32, selected: Int32, R: Float64, origin: Float64, per_m: float, size: int
 ) -> tuple[Float32, Int32]:
-    """The same from the sun: `origin` is in the middle of a square screen, `w` 100 m plus height above it."""
+    """Parallel projection along the sun; `origin` is the centre of a square screen, `w` 100 m plus height above it."""
     out = np.empty((selected.shape[0], 3, 3), np.float32)
     which = np.empty(selected.shape[0], np.int32)
     n = 0
@@ -114,7 +114,7 @@ def rasterize(
     screen: Float32, which: Int32, w: Float32, triangle_ids: Int32, cutouts: UInt8, R: Float64, origin: Float64,
     intrinsics: Float64,
 ) -> None:  # fmt: skip
-    """Draw triangles into `w` and `owner` (H, W); of those that `cuts` marks, leaves or blades alone are there."""
+    """Fills triangles into `w` and `triangle_ids` (H, W); those with a cutout only where `_is_leaf`."""
     height, width = w.shape
     fx, fy, cx, cy = intrinsics
     for k in range(screen.shape[0]):
@@ -127,12 +127,12 @@ def rasterize(
         if top > bottom or left > right or abs(area) < 1e-9:
             continue
         inverse = 1.0 / area
-        # w and the shares of the corners are linear on the screen
+        # w and barycentric shares are linear on the screen
         b_x, b_y = (y2 - y0) * inverse, (x0 - x2) * inverse
         c_x, c_y = (y0 - y1) * inverse, (x1 - x0) * inverse
         a_x = -b_x - c_x
         w_x, w_y = b_x * (w1 - w0) + c_x * (w2 - w0), b_y * (w1 - w0) + c_y * (w2 - w0)
-        # a share grows to the right (then its zero is the first column) or falls (then the last); level ones are rare
+        # a share grows to the right (its root is the first column) or falls (the last); constant ones are rare
         b_zero, c_zero = 1.0 / (b_x if b_x != 0.0 else 1e-12), 1.0 / (c_x if c_x != 0.0 else 1e-12)
         a_zero = 1.0 / (a_x if a_x != 0.0 else 1e-12)
         cutout = cutouts[which[k]]
@@ -159,7 +159,7 @@ def rasterize(
 
 @inline_kernel
 def _clip_columns(first: float, last: float, zero: float, inverse: float) -> tuple[float, float]:
-    """The columns from `first` to `last` where a share that is zero at `zero` and grows as `per` is not below it."""
+    """Columns `first` to `last` where a barycentric share with root `zero` and slope 1 / `inverse` is not negative."""
     if inverse > 0.0:
         return max(first, zero), last
     return first, min(last, zero)
@@ -167,7 +167,7 @@ def _clip_columns(first: float, last: float, zero: float, inverse: float) -> tup
 
 @inline_kernel
 def _is_leaf_in_view(x: float, y: float, z: float, R: Float64, origin: Float64, cutout: int) -> bool:
-    """The same as `_is_leaf` for a point as the viewer has it: x right, y down, z ahead."""
+    """`_is_leaf` for a point in the optical frame: x right, y down, z ahead."""
     return bool(
         _is_leaf(
             origin[0] + R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
@@ -179,7 +179,7 @@ def _is_leaf_in_view(x: float, y: float, z: float, R: Float64, origin: Float64, 
 
 @kernel
 def _is_leaf(x: float, y: float, z: float, cutout: int) -> bool:
-    """Whether there is plant here: blades that stand in a row (1), or clusters of leaves (2)."""
+    """Procedural cutout, True inside a plant: blades in rows (1) or clusters of leaves (2)."""
     if cutout == 1:
         s = 37.0 * (x + y) + 3.0 * math.sin(9.0 * (x - y)) + 20.0 * z * math.sin(5.3 * (x + y))
         return math.sin(s) + 0.5 * math.sin(2.7 * s + 1.0) > -0.1

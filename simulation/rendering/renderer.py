@@ -1,7 +1,7 @@
-"""From a scene to a picture: what is near is drawn, first as the sun sees it, then as the camera does.
+"""Renders images: shadow map from the sun, depth buffer from the camera, then shading.
 
-triangles near ──► sun's picture (what is not in it lies in shadow) ──┐
-              └──► depth and owner of each pixel ─────────────────────┴──► light, texture ──► BGR
+triangles in range ──► shadow map (points not in it are in shadow) ──┐
+                └────► depth and triangle of each pixel ─────────────┴──► light, texture ──► BGR
 """
 
 import math
@@ -18,7 +18,7 @@ from simulation.rendering.skybox import render_panorama
 from simulation.rendering.textures import texture_table, textures
 
 CELL_M = 8.0
-SPARE_TRIANGLES = 50_000  # triangles of what moves for which room is made at once
+SPARE_TRIANGLES = 50_000  # allocation step for moving triangles and vertices
 SHADOW_PX, SHADOW_PER_M = 640, 16.0
 SHADOW_AHEAD_M, EXPOSURE_SCALE = 15.0, 16
 R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -28,7 +28,7 @@ NO_ROOF = np.array([0.0, 0.0, -1.0, -1.0, 0.0])
 
 @dataclass(frozen=True)
 class CameraView:
-    """A pinhole: pose of the body frame in `map` (4, 4), focal lengths and centre in pixels, size (width, height)."""
+    """A pinhole view: pose of the body frame in `map` (4, 4), focal lengths and centre (px), size (width, height)."""
 
     T_map_camera: Float64
     intrinsics: Float64
@@ -36,18 +36,18 @@ class CameraView:
 
     @property
     def R(self) -> Float64:
-        """From `map` to the optical frame, (3, 3)."""
+        """Rotation from `map` to the optical frame, (3, 3)."""
         return np.ascontiguousarray((self.T_map_camera[:3, :3] @ R_BODY_OPTICAL).T)
 
     def downscaled(self, by: int) -> "CameraView":
-        """The same with fewer pixels."""
+        """The view with `by` times fewer pixels a side."""
         return CameraView(
             self.T_map_camera, self.intrinsics / by, (-(-self.size_px[0] // by), -(-self.size_px[1] // by))
         )
 
 
 class Renderer:
-    """What stands still, sorted; and the buffers that every picture uses again."""
+    """Static triangles sorted by ground cell, and the buffers that all images reuse."""
 
     def __init__(self, static: Surface, roof: Float64 | None, light: Light, reach_m: float) -> None:
         self._static, self._grid, self._reach_m = static, TriangleGrid(static, CELL_M), reach_m
@@ -55,7 +55,7 @@ class Renderer:
         self._casts_shadow = (static.materials != Material.SOIL) & (static.materials != Material.GRASS)
         self._casts_shadow &= (static.materials != Material.GRAVEL) & (static.cutouts != 1)
         self._shadow: Float32 = np.zeros((SHADOW_PX, SHADOW_PX), np.float32)
-        self._tops: Float32 = np.zeros((SHADOW_PX // BLOCK, SHADOW_PX // BLOCK), np.float32)
+        self._shadow_max: Float32 = np.zeros((SHADOW_PX // BLOCK, SHADOW_PX // BLOCK), np.float32)
         self._shadow_ids: Int32 = np.zeros((SHADOW_PX, SHADOW_PX), np.int32)
         self._no_cutouts: UInt8 = np.zeros(0, np.uint8)
         self._all = static
@@ -65,7 +65,7 @@ class Renderer:
     def render(
         self, view: CameraView, moving: list[Surface], occluders: Float64, gain: float | None, curve: UInt8
     ) -> tuple[UInt8, float, float]:
-        """The picture (H, W, 3), its mean brightness and the gain used; without a gain one is found for it."""
+        """Image (H, W, 3) BGR, its mean brightness and the gain; a gain of None is found by automatic exposure."""
         surface, moving_rows = self._with_moving(moving)
         origin = view.T_map_camera[:3, 3].copy()
         ahead = view.T_map_camera[:2, 0] / np.linalg.norm(view.T_map_camera[:2, 0])
@@ -89,7 +89,7 @@ class Renderer:
         gain: float,
         curve: UInt8,
     ) -> tuple[UInt8, float]:
-        """The picture of the triangles `seen`, and its mean brightness."""
+        """Image of the triangles `visible`, and its mean brightness."""
         width, height = view.size_px
         origin, R = view.T_map_camera[:3, 3].copy(), view.R
         w, triangle_ids = np.zeros((height, width), np.float32), np.full((height, width), -1, np.int32)
@@ -101,12 +101,12 @@ class Renderer:
         mean = shade(
             bgr, triangle_ids, surface.vertices_m, surface.normals, surface.colors, surface.triangles,
             surface.materials, R, origin, view.intrinsics, self._light.packed(), self._panorama, textures().values,
-            TEXTURE_TABLE, self._shadow, self._tops, S, occluders, self._roof, gain, curve,
+            TEXTURE_TABLE, self._shadow, self._shadow_max, S, occluders, self._roof, gain, curve,
         )  # fmt: skip
         return bgr, mean
 
     def _with_moving(self, moving: list[Surface]) -> tuple[Surface, Int32]:
-        """All triangles, the moving ones behind those that stand still, and which these are."""
+        """Static and, behind them, moving triangles; and the rows of the moving ones."""
         added = merge(moving)
         n, m = len(self._static.vertices_m), len(self._static.triangles)
         vertices, triangles = n + len(added.vertices_m), m + len(added.triangles)
@@ -120,7 +120,7 @@ class Renderer:
         return combined, np.arange(m, triangles, dtype=np.int32)
 
     def _render_shadow_map(self, surface: Surface, moving_rows: Int32, middle: Float64) -> Float64:
-        """Draw the sun's picture round a point; gives what takes `map` to its columns, rows and w, (3, 4)."""
+        """Renders the shadow map around a point; returns `map` to its column, row and w, (3, 4)."""
         across = np.cross([0.0, 0.0, 1.0], self._light.sun_direction)
         across /= np.linalg.norm(across)
         L = np.stack([across, np.cross(self._light.sun_direction, across), self._light.sun_direction])
@@ -133,12 +133,12 @@ class Renderer:
         if len(self._no_cutouts) != len(surface.cutouts):
             self._no_cutouts = np.zeros_like(surface.cutouts)
         rasterize(screen, which, self._shadow, self._shadow_ids, self._no_cutouts, L, middle, np.ones(4))
-        block_maxima(self._shadow, self._tops)
+        block_maxima(self._shadow, self._shadow_max)
         scale = np.array([SHADOW_PER_M, SHADOW_PER_M, 1.0])
         offset = np.array([0.5 * SHADOW_PX, 0.5 * SHADOW_PX, 100.0]) - scale * (L @ middle)
         return np.column_stack([scale[:, None] * L, offset])
 
 
 def exposure_factor(mean: float, target: float = 0.24) -> float:
-    """What to multiply the gain with, so that the mean brightness comes near its target."""
+    """Factor on the gain that brings the mean brightness towards its target."""
     return float(np.clip(target / max(mean, 1e-4), 0.1, 8.0) ** 0.9)

@@ -1,4 +1,4 @@
-"""What is drawn: triangles with a normal and a colour at each corner and a material, and where they are found."""
+"""Triangles with normals, colours and materials, and a grid that finds them by place."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -10,7 +10,7 @@ from simulation.environment.meshes import Mesh
 
 
 class Material(IntEnum):
-    """How a triangle takes the light and what lies on it."""
+    """Material of a triangle: texture and reflection."""
 
     SMOOTH = 0
     SOIL = 1
@@ -30,7 +30,7 @@ class Material(IntEnum):
 class Surface:
     """In `map`: `vertices_m`, unit `normals` and linear `colors` (RGB, 0 to 1), (N, 3) each; `triangles` (M, 3).
 
-    `materials` (M,) of `Material`; `cuts` (M,) 1 blades, 2 leaves, 0 whole.
+    `materials` (M,) of `Material`; `cutouts` (M,) 1 blades, 2 leaves, 0 none.
     """
 
     vertices_m: Float32
@@ -41,14 +41,14 @@ class Surface:
     cutouts: UInt8
 
     def transformed(self, T: Float64) -> "Surface":
-        """The same taken through a rigid transform."""
+        """The surface after a rigid transform."""
         R = T[:3, :3].astype(np.float32)
         vertices = self.vertices_m @ R.T + T[:3, 3].astype(np.float32)
         return Surface(vertices, self.normals @ R.T, self.colors, self.triangles, self.materials, self.cutouts)
 
 
 def surface_of(mesh: Mesh, color: Float64, material: Material, cutout: int = 0, is_flat: bool = False) -> Surface:
-    """A mesh of one material; `color` (3,) or (N, 3). A flat one has the normal of each triangle at its corners."""
+    """A mesh of one material; `color` (3,) or (N, 3). With `is_flat` corners have the normal of their triangle."""
     m = len(mesh.triangles)
     colors = np.broadcast_to(color, mesh.vertices_m.shape).astype(np.float32)
     if is_flat:
@@ -59,7 +59,7 @@ def surface_of(mesh: Mesh, color: Float64, material: Material, cutout: int = 0, 
 
 
 def normals_of(mesh: Mesh) -> Float32:
-    """Unit normals (N, 3) at the corners: the mean of the triangles around, by their area."""
+    """Unit normals (N, 3) at the vertices: area-weighted mean of the adjacent triangles."""
     a, b, c = (mesh.vertices_m[mesh.triangles[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
     total = np.zeros_like(mesh.vertices_m)
@@ -69,7 +69,7 @@ def normals_of(mesh: Mesh) -> Float32:
 
 
 def merge(surfaces: list[Surface]) -> Surface:
-    """All as one."""
+    """All surfaces as one."""
     offsets = np.cumsum([0] + [len(s.vertices_m) for s in surfaces[:-1]])
     triangles = [s.triangles + np.int32(o) for s, o in zip(surfaces, offsets, strict=True)]
     return Surface(
@@ -86,7 +86,7 @@ def arrays_of(surface: Surface) -> tuple[Float32, Float32, Float32, Int32, UInt8
 
 
 class TriangleGrid:
-    """Triangles of a surface by squares of the ground, so that a picture looks only at those before it."""
+    """Triangles of a surface by square ground cells."""
 
     def __init__(self, surface: Surface, side_m: float) -> None:
         middle = surface.vertices_m[surface.triangles].mean(axis=1)[:, :2]
@@ -100,15 +100,15 @@ class TriangleGrid:
         self._middle, self._radius = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)
 
     def within(self, p_map_m: Float64, within_m: float, ahead: Float64 | None = None, half_angle: float = 0.0) -> Int32:
-        """Triangles within reach of a point, and within `half_angle` of the direction `ahead` (2,) if that is given."""
+        """Triangles within a distance of a point and, if given, within `half_angle` of the direction `ahead` (2,)."""
         to = self._middle - p_map_m[:2]
         distance = np.linalg.norm(to, axis=1)
         is_near = distance - self._radius < within_m
         if ahead is not None:
-            # a disc is out of a wedge when its middle is farther than its radius beyond either edge
+            # a disc is outside a wedge when its centre is farther than its radius beyond either edge
             u, v = to @ ahead, np.abs(to @ np.array([-ahead[1], ahead[0]]))
             is_near &= v * np.cos(half_angle) - u * np.sin(half_angle) < self._radius
         rows = np.flatnonzero(is_near)
-        # near ones first, so that what lies behind them is hidden already
+        # near cells first: triangles behind them then fail the depth test
         rows = rows[np.argsort(distance[rows], kind="stable")]
         return np.concatenate([self._groups[k] for k in rows]) if len(rows) else np.zeros(0, np.int32)

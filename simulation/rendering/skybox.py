@@ -1,7 +1,7 @@
-"""What is seen where nothing near stands, as one picture all round: meadows to the horizon, woods far off, the sky.
+"""Background panorama beyond the scene: meadows to the horizon, distant woods, sky.
 
-It is painted once a run. Its columns go round by dx / (|dx| + |dy|), which needs no angle; its rows are close together
-at the horizon: rise / (SPREAD + |rise|), where rise is the tangent of the elevation.
+Rendered once per run. Columns are linear in dx / (|dx| + |dy|), which needs no angle; rows, dense at the horizon, in
+rise / (SPREAD + |rise|), where rise is the tangent of the elevation.
 """
 
 import math
@@ -13,14 +13,14 @@ from messages.message import Float32, Float64, UInt8
 from simulation.rendering.textures import CLOUD, GRAIN, GRASS, bilinear, mip_level
 
 QUARTER = 1024  # columns from east to north
-ABOVE, BELOW, SPREAD = 220, 80, 0.3  # rows above and below the horizon; rise at which half of those above are passed
-PIXEL = 0.0014  # what a row or column covers at the horizon
-VIEW_HEIGHT_M, WOODS_M, MEADOWS_M = 3.0, 350.0, 500.0  # how high the eye is, and how far off things count as being
+ABOVE, BELOW, SPREAD = 220, 80, 0.3  # rows above and below the horizon; rise at half of those above
+PIXEL = 0.0014  # radians per row or column at the horizon
+VIEW_HEIGHT_M, WOODS_M, MEADOWS_M = 3.0, 350.0, 500.0  # nominal height of the camera and distances of woods and meadows
 
 
 @inline_kernel
 def texel_of(dx: float, dy: float, dz: float) -> tuple[int, int]:
-    """Row and column of a direction in the picture."""
+    """Row and column of a direction in the panorama."""
     inverse = 1.0 / (abs(dx) + abs(dy) + 1e-12)
     column = 1.0 + dy * inverse if dx >= 0.0 else 3.0 - dy * inverse
     rise = dz * inverse
@@ -38,7 +38,7 @@ def background_run(row: Float32, begin: int, end: int, ray: Float64, panorama: F
 
 @kernel
 def render_panorama(light: Float64, skyline: Float64, planes: UInt8) -> Float32:
-    """All round in linear colours (BELOW + ABOVE, 4 QUARTER, 3); `light` as `Light.packed`, `planes` of `Textures`."""
+    """Panorama in linear colours (BELOW + ABOVE, 4 QUARTER, 3); `light` as `Light.packed`, `planes` of `Textures`."""
     out = np.empty((BELOW + ABOVE, 4 * QUARTER, 3), np.float32)
     for i in range(BELOW + ABOVE):
         part = (i + 0.5 - BELOW) / ABOVE
@@ -48,7 +48,7 @@ def render_panorama(light: Float64, skyline: Float64, planes: UInt8) -> Float32:
             dy = turn if turn < 1.0 else 2.0 - turn
             dx = 1.0 - abs(dy) if turn < 1.0 else abs(dy) - 1.0
             n = 1.0 / math.sqrt(dx * dx + dy * dy + rise * rise)
-            # number by number: numba takes seconds to compile setting a row to a tuple
+            # single elements: assigning a tuple to a row costs numba seconds of compilation
             out[i, j, 0], out[i, j, 1], out[i, j, 2] = background_color(
                 dx * n, dy * n, rise * n, light, skyline, planes
             )
@@ -59,7 +59,7 @@ def render_panorama(light: Float64, skyline: Float64, planes: UInt8) -> Float32:
 def background_color(
     dx: float, dy: float, dz: float, light: Float64, skyline: Float64, planes: UInt8
 ) -> tuple[float, float, float]:
-    """What is in a unit direction: meadows to the horizon, woods far off, or the sky."""
+    """Colour in a unit direction: meadows, distant woods or sky."""
     flat = max(math.sqrt(dx * dx + dy * dy), 1e-6)
     rise = dz / flat
     if rise < 0.0:
@@ -75,14 +75,14 @@ def background_color(
     edge = low + (place - k) * (high - low)
     if rise >= edge:
         return sky_color(dx, dy, dz, light, planes)
-    # crowns in the light, and dark below them
+    # bright crowns, dark below them
     t = sample(planes, GRAIN, 1.3 * place, 420.0 * rise, 420.0 * PIXEL) * (0.5 + 0.6 * rise / edge)
     return with_haze(0.045 * t, 0.070 * t, 0.030 * t, 0.5 * light[2], WOODS_M, light)
 
 
 @kernel
 def with_haze(r: float, g: float, b: float, sun_share: float, z: float, light: Float64) -> tuple[float, float, float]:
-    """A colour in the light of sky and sun, as seen through haze `z` metres thick."""
+    """A colour under sky and sun, seen through haze `z` metres thick."""
     near = math.exp(-z / light[16])
     haze_r, haze_g, haze_b = 0.8 * light[12], 0.8 * light[13], 0.8 * light[14]
     return (
@@ -94,7 +94,7 @@ def with_haze(r: float, g: float, b: float, sun_share: float, z: float, light: F
 
 @kernel
 def sky_color(dx: float, dy: float, dz: float, light: Float64, planes: UInt8) -> tuple[float, float, float]:
-    """The sky in a direction: from horizon to zenith, clouds, and the sun with what shines around it."""
+    """Colour of the sky in a direction: horizon to zenith, clouds, and the sun with its glow."""
     share = 1.0 - math.exp(-4.0 * dz)
     r = light[12] + share * (light[9] - light[12])
     g = light[13] + share * (light[10] - light[13])
@@ -111,7 +111,7 @@ def sky_color(dx: float, dy: float, dz: float, light: Float64, planes: UInt8) ->
 
 
 @kernel
-def sample(planes: UInt8, which: int, u: float, v: float, texel_width: float) -> float:
-    """A texture at (u, v) in texels, seen with pixels `wide` texels wide."""
-    start, mask, scale = mip_level(1.0, texel_width)
+def sample(planes: UInt8, which: int, u: float, v: float, pixel_texels: float) -> float:
+    """A texture at (u, v) in texels, for pixels `pixel_texels` texels wide."""
+    start, mask, scale = mip_level(1.0, pixel_texels)
     return float(bilinear(planes, which, start, mask, scale * u, scale * v))

@@ -1,4 +1,4 @@
-"""Textures made of noise, each with its ever coarser copies, all in one flat array; the mean of each is `UNIT`."""
+"""Noise textures with mip levels, in one flat array; the mean of each is `UNIT`."""
 
 import math
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ from simulation.randomness import generator
 Int8 = npt.NDArray[np.int8]
 SIDE = 512
 MIP_LEVELS = 8
-UNIT = 64.0  # stands for 1
+UNIT = 64.0  # level of 1.0
 SOIL, GRASS, GRAIN, CLOUD = range(4)
 
 
 @dataclass(frozen=True)
 class Textures:
-    """`values` (K, n) of all levels behind each other; level l is a square of SIDE >> l from `starts`."""
+    """`values` (K, n): all levels in sequence; level l is a square of SIDE >> l."""
 
     values: UInt8
 
 
 @cache
 def textures() -> Textures:
-    """All textures; the same in every run, for the world is made of the same stuff."""
+    """All textures; independent of the run's seed."""
     random = generator(0, "textures")
     soil = _layers(random, ((3, 0.5), (8, 0.6), (24, 0.9), (80, 1.0), (256, 1.1)), 1.0)
     clods = np.maximum(_layers(random, ((40, 1.0), (110, 0.8)), 1.0), 0.0)
@@ -40,7 +40,7 @@ def textures() -> Textures:
 
 
 def _layers(random: np.random.Generator, layers: tuple[tuple[int, float], ...], stretch: float) -> Float64:
-    """Sum of band noise that repeats at the borders: cells over the side, and strength."""
+    """Sum of periodic band-limited noise: cells per side, and strength."""
     frequency = np.fft.fftfreq(SIDE) * SIDE
     fy, fx = np.meshgrid(frequency * stretch, frequency, indexing="ij")
     radius = np.hypot(fx, fy)
@@ -53,7 +53,7 @@ def _layers(random: np.random.Generator, layers: tuple[tuple[int, float], ...], 
 
 
 def _scaled(plane: Float64, deviation: float) -> Float32:
-    """About 1 with this deviation, nowhere below 0.1."""
+    """Mean 1 with this deviation, at least 0.1."""
     return np.asarray(np.maximum(1.0 + deviation * (plane - plane.mean()) / plane.std(), 0.1), np.float32)
 
 
@@ -67,8 +67,7 @@ def _pyramid(plane: Float32) -> Float32:
 
 @inline_kernel
 def mip_level(scale: float, pixel_m: float) -> tuple[int, int, float]:
-    """The level for pixels `wide` metres wide of a texture with `scale` texels a metre: its start, its side less one
-    and its texels a metre."""
+    """Mip level for pixels `pixel_m` wide and `scale` texels per metre: its start, side minus one, texels per metre."""
     start, side = 0, SIDE
     while scale * pixel_m > 1.4 and side > SIDE >> (MIP_LEVELS - 1):
         start += side * side
@@ -86,7 +85,7 @@ def nearest_texel(planes: UInt8, which: int, start: int, mask: int, u: float, v:
 
 @inline_kernel
 def bilinear(planes: UInt8, which: int, start: int, mask: int, u: float, v: float) -> float:
-    """The four texels around (u, v) of a level, blended."""
+    """Bilinear interpolation at (u, v) of a level."""
     i, j = math.floor(u), math.floor(v)
     f, g = u - i, v - j
     a, b = start + (j & mask) * (mask + 1), start + ((j + 1) & mask) * (mask + 1)
@@ -97,13 +96,13 @@ def bilinear(planes: UInt8, which: int, start: int, mask: int, u: float, v: floa
 
 
 def texture_table() -> Float64:
-    """For each `Material` its texture (-1: none), texels per metre, and how u and v run through space.
+    """For each `Material` its texture (-1: none), texels per metre, and the mapping of u and v.
 
     u = scale (x + along (y + z)), v = scale stretch (z + across (y - 0.4 x)); the sixth number is the strength.
-    A texel is no larger than a pixel some metres off, for the nearest is taken.
+    Texels are at most a pixel wide some metres away, since the nearest is taken.
     """
     table = np.full((12, 6), -1.0)
-    # on the ground v must run along y alone, so that it does not stretch on slopes: across is large, stretch small
+    # on the ground v runs along y alone, so that slopes do not stretch it: large across, small stretch
     flat = 1e4
     table[1] = [SOIL, 75.0, 0.3, flat, 1.0 / flat, 1.6]
     table[2] = [GRASS, 90.0, 0.3, flat, 1.0 / flat, 1.2]

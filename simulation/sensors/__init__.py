@@ -1,1 +1,1 @@
-"""Sensor models, one file each: a period, a topic and `sample(moment)`."""
+"""Sensor models, one file per kind: topic, period and `sample(state)`."""

@@ -1,6 +1,6 @@
-"""A camera: the scene as lit by the sun, through a lens with its distortion, with automatic exposure and noise.
+"""Camera model: rendered scene, lens distortion, automatic exposure, noise and JPEG.
 
-Pictures are drawn through a pinhole wide enough for the lens, and then bent as Brown's model bends them.
+Images are rendered through a pinhole that covers the lens, then remapped by Brown's distortion model.
 """
 
 import math
@@ -30,9 +30,9 @@ from simulation.rendering.textures import Int8
 from simulation.scenario import CameraEpisode
 from simulation.sensors.sensor import WorldState, period_ns_of
 
-NOISE_OFFSETS = 1 << 18  # places at which a picture's noise may begin in what is prepared
+NOISE_OFFSETS = 1 << 18  # start positions in the prepared noise
 BLOCKED_BGR = np.array([38, 52, 64], np.uint8)  # BGR
-JPEG_QUALITY = 40  # of what the camera sends: 50 to 65 KB a picture
+JPEG_QUALITY = 40  # 50 to 65 KB an image
 
 
 class CameraConfig(Config):
@@ -40,18 +40,18 @@ class CameraConfig(Config):
 
     latency_s: float = Field(ge=0.0, le=1.0, description="from exposure to delivery")
     sky: SkyConfig
-    draw_distance_m: float = Field(ge=20.0, le=1000.0, description="to which ground and scenery are drawn")
+    draw_distance_m: float = Field(ge=20.0, le=1000.0, description="for ground and scenery")
     resolution_ratio: float = Field(
         ge=0.3, le=1.0, description="lines that lens and colour filter resolve, per line of pixels"
     )
-    noise_sigma: float = Field(ge=0.0, le=20.0, description="sigma in grey levels of 255")
-    blur_sigma_px: float = Field(ge=2.0, le=50.0, description="sigma while the lens is blurred")
-    target_brightness: float = Field(gt=0.02, le=0.8, description="mean brightness that the exposure aims at")
+    noise_sigma: float = Field(ge=0.0, le=20.0, description="in grey levels of 255")
+    blur_sigma_px: float = Field(ge=2.0, le=50.0, description="while the lens is blurred")
+    target_brightness: float = Field(gt=0.02, le=0.8, description="mean brightness after automatic exposure")
 
 
 @dataclass(frozen=True)
 class RenderRequest:
-    """What a picture is painted from: nothing of it changes when the world goes on."""
+    """Everything an image is rendered from; unaffected by later steps of the world."""
 
     stamp_ns: int
     elapsed_s: float
@@ -71,7 +71,7 @@ class CameraModel:
         self.period_ns = period_ns_of(camera.rate_hz)
         self.latency_ns = round(config.latency_s * 1e9)
         self._camera, self._site, self._episodes, self._seed, self._config = camera, site, episodes, seed, config
-        self._light = draw_light(config.sky, generator(seed, "sky"))  # one sky over all cameras
+        self._light = draw_light(config.sky, generator(seed, "sky"))  # the same sky for all cameras
         self._random = generator(seed, f"camera/{name}")
         self._noise = draw_noise(camera.size_px, config.noise_sigma, self._random)
         self._machine = surface_of(
@@ -83,16 +83,16 @@ class CameraModel:
         self._gain: float | None = None
 
     def sample(self, state: WorldState) -> CameraImage:
-        """The picture taken now, as what decoding the sent JPEG gives."""
+        """The image taken now, decoded from its JPEG."""
         return self.render(self.prepare(state))
 
     def prepare(self, state: WorldState) -> RenderRequest:
-        """What is to be painted."""
+        """The request for an image taken now."""
         actors, renderer = state.scene.visible_to("camera"), self._renderer_for(state.scene)
         return RenderRequest(state.stamp_ns, state.elapsed_s, state.poses.steps_ago(0), actors, renderer)
 
     def render(self, request: RenderRequest) -> CameraImage:
-        """The picture; one after the other, in the order in which they were taken."""
+        """The image; requests must be rendered in the order in which they were taken."""
         T_map_base, actors = request.T_map_base, request.actors
         view = CameraView(T_map_base @ self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
         moving = [self._machine.transformed(T_map_base)]
@@ -112,7 +112,7 @@ class CameraModel:
         return CameraImage(request.stamp_ns, sent, jpeg.tobytes())
 
     def warm(self, scene: Scene) -> None:
-        """Build what stands still, and load what draws."""
+        """Builds the static scene and loads the kernels."""
         view = CameraView(self._camera.mount.T_base_sensor, self._lens.intrinsics, self._lens.size_px)
         bgr, _, _ = self._renderer_for(scene).render(view, [self._machine], np.zeros((0, 3)), None, self._curve)
         add_noise(bgr, self._noise, 0, np.empty_like(bgr))
@@ -124,7 +124,7 @@ class CameraModel:
         return self._renderer
 
     def _apply_lens(self, bgr: UInt8, elapsed_s: float) -> UInt8:
-        """What lens and sensor make of it."""
+        """Distortion, lens contamination and noise."""
         states = [e.state for e in self._episodes if e.from_s <= elapsed_s < e.from_s + e.for_s]
         bgr = self._lens.distort(bgr)
         if "blocked" in states:
@@ -138,19 +138,18 @@ class CameraModel:
 
 
 class Lens:
-    """A pinhole that sees all that the lens sees, as finely as the lens resolves, and how its picture becomes that of
-    the lens."""
+    """A pinhole that covers the lens at its resolution, and the mapping of its image to that of the lens."""
 
     def __init__(self, camera: Camera, resolution: float) -> None:
         self._camera = camera
         (fx, fy), (cx, cy), (width, height) = camera.focal_px, camera.center_px, camera.size_px
         self._maps: tuple[UInt8, UInt8] | None = None
-        # numbers of pixels count from their middles
+        # pixel coordinates refer to pixel centres
         self.size_px = math.ceil(width * resolution), math.ceil(height * resolution)
         scale = np.array([self.size_px[0] / width, self.size_px[1] / height])
         self.intrinsics: Float64 = np.concatenate([scale * [fx, fy], scale * [cx + 0.5, cy + 0.5] - 0.5])
         if any(camera.distortion):
-            # the lens's picture, as small as the drawn one
+            # the lens's image at the rendered resolution
             y, x = np.mgrid[0 : self.size_px[1], 0 : self.size_px[0]].astype(np.float64)
             K = np.array(
                 [[scale[0] * fx, 0.0, self.intrinsics[2]], [0.0, scale[1] * fy, self.intrinsics[3]], [0, 0, 1]]
@@ -164,20 +163,20 @@ class Lens:
             self._maps = cv2.convertMaps(place[..., 0], place[..., 1], cv2.CV_16SC2)
 
     def distort(self, bgr: UInt8) -> UInt8:
-        """The lens's picture from that of the pinhole."""
+        """The lens's image from that of the pinhole."""
         if self._maps is not None:
             bgr = np.asarray(cv2.remap(bgr, *self._maps, cv2.INTER_LINEAR), np.uint8)
         return np.asarray(cv2.resize(bgr, self._camera.size_px, interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
 def draw_noise(size_px: tuple[int, int], sigma: float, random: np.random.Generator) -> Int8:
-    """Noise in grey levels for a picture that begins at any of `NOISE` places."""
+    """Noise in grey levels for an image that starts at any of `NOISE_OFFSETS` positions."""
     level = sigma * random.standard_normal(3 * size_px[0] * size_px[1] + NOISE_OFFSETS, np.float32)
     return np.asarray(np.clip(np.rint(level), -127, 127).astype(np.int8))
 
 
 def tone_curve() -> UInt8:
-    """Grey levels (4096,) for brightness 0 to 1: sRGB, and soft in the lights."""
+    """Grey levels (4096,) for brightness 0 to 1: sRGB with compressed highlights."""
     x = np.arange(4096) / 4095.0
     x = x * (1.0 + 0.35 * x) / (1.0 + 0.35 * x * x)
     srgb = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1.0 / 2.4) - 0.055)

@@ -1,4 +1,4 @@
-"""Satellite receiver: the antenna's place with errors that wander, the baseline's direction, states and outages."""
+"""GNSS receiver model: antenna position with correlated errors, baseline heading, solution states and outages."""
 
 import math
 
@@ -18,23 +18,27 @@ from simulation.sensors.sensor import WorldState, period_ns_of
 
 
 class GnssConfig(Config):
-    """How errors behave in time, and what the states other than RTK fixed are worth."""
+    """Time behaviour of errors, and accuracy of solutions other than RTK fixed."""
 
     latency_s: float = Field(ge=0.0, le=1.0)
-    correlated_share: float = Field(ge=0.0, le=1.0, description="share of the variance that wanders; the rest is white")
-    correlation_s: float = Field(gt=0.1, le=3600.0)
+    correlated_share: float = Field(
+        ge=0.0, le=1.0, description="share of the variance in the Gauss-Markov part; the rest is white"
+    )
+    correlation_s: float = Field(gt=0.1, le=3600.0, description="of the Gauss-Markov part")
     velocity_sigma_mps: float = Field(gt=0.0, le=5.0)
     float_sigma_m: float = Field(gt=0.0, le=10.0)
     single_sigma_m: float = Field(gt=0.0, le=50.0)
-    multipath_distance_m: float = Field(ge=0.0, le=50.0, description="so near a shed reflections allow float alone")
+    multipath_distance_m: float = Field(
+        ge=0.0, le=50.0, description="from a shed: multipath limits the solution to float"
+    )
     reacquisition_s: float = Field(ge=0.0, le=600.0, description="from free sky to the first position after a roof")
     ambiguity_fix_s: float = Field(
-        ge=0.0, le=600.0, description="from free sky to fixed ambiguities after roof or reflections"
+        ge=0.0, le=600.0, description="from free sky to fixed ambiguities after roof or multipath"
     )
 
 
 class SkyView:
-    """What the receiver can reach by where its antenna is, and was."""
+    """Best solution that sky visibility permits, by present and past antenna positions."""
 
     def __init__(self, shed: Shed | None, config: GnssConfig) -> None:
         self._roof = None if shed is None else Polygon(shed.outline_m)
@@ -42,7 +46,7 @@ class SkyView:
         self._last_covered_s = self._last_multipath_s = -math.inf
 
     def best_solution(self, x_m: float, y_m: float, elapsed_s: float) -> GnssSolution:
-        """The best state now."""
+        """Best solution now."""
         distance_m = math.inf if self._roof is None else self._roof.distance(Point(x_m, y_m))
         if distance_m == 0.0:
             self._last_covered_s = elapsed_s
@@ -58,7 +62,7 @@ class SkyView:
 
 
 class GnssModel:
-    """One receiver with its antenna (and a second one, ahead of it, when it measures heading)."""
+    """One receiver with its antenna (and a second one, ahead of it, if it measures heading)."""
 
     def __init__(
         self, name: str, gnss: Gnss, datum: Datum, shed: Shed | None, episodes: tuple[GnssEpisode, ...],
@@ -74,7 +78,7 @@ class GnssModel:
         self._corrected_s = 0.0
 
     def sample(self, state: WorldState) -> Message:
-        """What the receiver says now; without a solution the place is NaN."""
+        """The fix now; NaN position without a solution."""
         antenna = state.poses.steps_ago(0) @ self._T_base_antenna
         sky_view = self._sky_view.best_solution(float(antenna[0, 3]), float(antenna[1, 3]), state.elapsed_s)
         solution = min(sky_view, solution_at(self._episodes, state.elapsed_s))
@@ -107,7 +111,7 @@ class GnssModel:
         return np.array([horizontal, horizontal, vertical])
 
     def _draw_errors(self) -> Float64:
-        """Unit errors of east, north, up and heading: a slow Gauss-Markov part and a white one."""
+        """Normalised errors of east, north, up and heading: a first-order Gauss-Markov and a white part."""
         keep = math.exp(-self.period_ns * 1e-9 / self._config.correlation_s)
         self._correlated = keep * self._correlated + math.sqrt(1.0 - keep * keep) * self._random.standard_normal(4)
         share = self._config.correlated_share
@@ -117,13 +121,13 @@ class GnssModel:
 
 
 def solution_at(episodes: tuple[GnssEpisode, ...], elapsed_s: float) -> GnssSolution:
-    """The worst state that any episode asks for at this time; RTK fixed when none does."""
+    """Worst state of all active episodes; RTK fixed without one."""
     states = [GnssSolution[e.state.upper()] for e in episodes if e.from_s <= elapsed_s < e.from_s + e.for_s]
     return min(states, default=GnssSolution.RTK_FIXED)
 
 
 def no_fix(stamp_ns: int) -> GnssFix:
-    """A receiver's word that it has no position."""
+    """A fix without position."""
     nan = math.nan
     nans = np.full(3, nan)
     return GnssFix(stamp_ns, nan, nan, nan, nans, nans.copy(), nan, nan, nan, GnssSolution.NONE, 0, nan, nan, "")

@@ -1,7 +1,7 @@
-"""Spinning lidar by ray casting: each column is fired at its own time from its own pose.
+"""Spinning lidar model by ray casting: each column is cast at its own time from its own pose.
 
-Columns run from -fov/2 to +fov/2 (left positive) over one period that ends at the stamp. What the machine's own body
-hides is found once for each height and fold of the implement; figures are cast only in the columns they can fill.
+Columns run from -fov/2 to +fov/2 (left positive) over one period that ends at the stamp. Returns from the machine's own
+body are computed once per hitch and fold position; actors are cast only in rays that pass near them.
 """
 
 import math
@@ -20,21 +20,21 @@ from simulation.machine.body import T_base_implement, implement_mesh, machine_me
 from simulation.machine.implement import at_fold
 from simulation.sensors.sensor import WorldState, period_ns_of
 
-MAX_RANGE_M = 65.5  # of uint16 in mm
+MAX_RANGE_M = 65.5  # uint16 in mm
 BODY_REFLECTIVITY = 0.3
-SELF_MASK_STEPS = 8  # heights of the hitch, and folds, for which the body's shadow is kept
+SELF_MASK_STEPS = 8  # positions of hitch and fold with stored returns of the body
 
 
 class LidarConfig(Config):
     """Errors of a lidar beyond its range noise."""
 
     range_at_10_percent_m: float = Field(
-        gt=1.0, le=500.0, description="where a square-on target of reflectivity 0.1 is lost"
+        gt=1.0, le=500.0, description="range of a target of reflectivity 0.1 at normal incidence"
     )
-    dropout_probability: float = Field(ge=0.0, le=0.5, description="share of returns lost for no reason")
-    dust_probability: float = Field(ge=0.0, le=0.1, description="share of rays that hit dust near by")
+    dropout_probability: float = Field(ge=0.0, le=0.5, description="of a single return")
+    dust_probability: float = Field(ge=0.0, le=0.1, description="of a dust return, per ray")
     dust_range_m: tuple[float, float]
-    range_resolution_mm: int = Field(ge=1, le=100, description="resolution of the range")
+    range_resolution_mm: int = Field(ge=1, le=100, description="quantisation of the range")
 
 
 class LidarModel:
@@ -101,7 +101,7 @@ class LidarModel:
         return self._self_masks[key]
 
     def _add_actors(self, state: WorldState, rays: Float32, static: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
-        """Figures in front of what stands still, as they were in the middle of the sweep."""
+        """Nearest of static returns and actors, placed at the middle of the sweep."""
         origin = rays[0, :2].astype(np.float64)
         visible = state.scene.visible_to("lidar")
         near = [f for f in visible if math.dist(f.p_map_m[:2], origin) < self._lidar.range_m[1]]
@@ -118,7 +118,7 @@ class LidarModel:
         return distance, signal
 
     def _measure(self, distance: Float32, signal: Float32) -> UInt16:
-        """Ranges as the sensor gives them: lost, noisy, dusty, in steps; 0 where nothing came back."""
+        """Measured ranges: dropout, noise, dust, resolution; 0 without a return."""
         random, n = self._random, len(distance)
         detection_draw = random.random(n, np.float32)
         is_dust = random.random(n, np.float32) < self._config.dust_probability
@@ -135,6 +135,6 @@ def directions_of(elevation_rad: Float64, azimuth_rad: Float64) -> Float32:
 
 
 def nearer_hit(a: tuple[Float32, Float32], b: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
-    """Distance and signal of whichever is hit first."""
+    """Distance and signal of the nearer hit."""
     is_b = b[0] < a[0]
     return np.where(is_b, b[0], a[0]), np.where(is_b, b[1], a[1])

@@ -1,8 +1,8 @@
-"""Radar: a list of detections per cycle, from what stands still (a fan of rays) and from the bodies of figures.
+"""Radar model: a list of detections per cycle, from static surfaces (a fan of rays) and from scatterers on actors.
 
-Power follows the radar equation: a target of cross-section s (dBsm) at range r is detected when, with the fluctuation
-of Swerling's first case, s + 40 log10(sight / r) > 0; `sight_m` is the range of 0 dBsm. Detections are one a resolution
-cell. Figures are points on their bodies with a cross-section by class and aspect; limbs swing, and so does their speed.
+Radar equation: a target of cross-section s (dBsm) at range r is detected when, with Swerling 1 fluctuation,
+s + 40 log10(reference range / r) > 0; `reference_range_m` is the range of 0 dBsm. One detection per resolution cell.
+Scatterers have a cross-section by class and aspect; those on limbs swing, and with them their Doppler.
 """
 
 import math
@@ -22,22 +22,23 @@ from simulation.environment.scene import Scene
 from simulation.environment.scenery import by_kind
 from simulation.sensors.sensor import WorldState, period_ns_of
 
-# backscatter of rough surfaces in dB (times cosine of incidence and area), and what a smooth one adds square on
+# backscatter of rough surfaces in dB (times cosine of incidence and area); specular gain at normal incidence
 ROUGH_DB = {"ground": -14.0, "crop": -15.0, "fence": -4.0, "gate": 0.0, "wall": -10.0, "roof": -10.0, "post": 2.0,
             "mast": 0.0, "store": -3.0, "trees": -9.0}  # fmt: skip
 MIRROR_DB = {"wall": 25.0, "roof": 25.0, "store": 10.0}
 ROUGH, MIRROR = by_kind(ROUGH_DB), by_kind(MIRROR_DB)
 MIRROR_DEG = 6.0
-NEAR_M = 0.3  # a body hides nothing of itself
-MAX_PATCH_DEPTH_M = 1.0  # of one ray's patch on the ground, along the ray
-# steps per m, rad, rad, m/s and dB in which detections are told: a tenth of their errors
+NEAR_M = 0.3  # tolerance: a body does not occlude itself
+MAX_PATCH_DEPTH_M = 1.0  # of a ray's patch on the ground, along the ray
+# steps per m, rad, rad, m/s and dB of the output: a tenth of the errors
 RESOLUTION = np.array([128.0, 2048.0, 2048.0, 128.0, 16.0])
 
 
 @dataclass(frozen=True)
 class Scatterer:
-    """A scatterer on a body: place, level normal of its face ((0, 0): seen from all sides), cross-section, what it adds
-    seen square on, and how its speed swings with the gait (share of the walking speed, phase of the cycle)."""
+    """A scatterer: position, horizontal normal ((0, 0): omnidirectional), cross-section and its gain at normal
+    incidence, and swing of its speed with the gait (share of the walking speed, phase of the cycle).
+    """
 
     at_m: tuple[float, float, float]
     normal: tuple[float, float] = (0.0, 0.0)
@@ -70,27 +71,27 @@ SCATTERERS: dict[ObstacleClass, tuple[Scatterer, ...]] = {
 
 
 class RadarConfig(Config):
-    """What the vehicle's file does not say of a radar."""
+    """Detection model and errors of a radar."""
 
     latency_s: float = Field(ge=0.0, le=0.5)
-    reference_range_m: float = Field(gt=5.0, le=300.0, description="range at which 0 dBsm is detected every third time")
-    min_rcs_dbsm: float = Field(ge=-60.0, le=0.0, description="what is weaker is not told, however near")
-    ray_spacing_deg: float = Field(gt=0.2, le=10.0, description="between the rays of the fan, level")
+    reference_range_m: float = Field(
+        gt=5.0, le=300.0, description="range at which 0 dBsm is detected in one of three cycles"
+    )
+    min_rcs_dbsm: float = Field(ge=-60.0, le=0.0, description="weaker targets are never output")
+    ray_spacing_deg: float = Field(gt=0.2, le=10.0, description="azimuth between rays of the fan")
     ray_elevations_deg: tuple[float, ...] = Field(min_length=1, max_length=9, description="elevations of the fan")
-    half_elevation_fov_deg: float = Field(gt=1.0, le=45.0, description="half of the view in elevation")
+    half_elevation_fov_deg: float = Field(gt=1.0, le=45.0, description="half the field of view in elevation")
     elevation_sigma_deg: float = Field(ge=0.0, le=10.0)
     range_resolution_m: float = Field(gt=0.05, le=5.0, description="resolution in range")
     azimuth_resolution_deg: float = Field(gt=0.2, le=20.0, description="resolution in azimuth")
     rcs_sigma_db: float = Field(ge=0.0, le=10.0)
-    miss_probability: float = Field(ge=0.0, le=0.5, description="share of detections lost for no reason")
-    clutter_per_cycle: float = Field(ge=0.0, le=50.0, description="false detections a cycle")
+    miss_probability: float = Field(ge=0.0, le=0.5, description="of a single detection")
+    clutter_per_cycle: float = Field(ge=0.0, le=50.0, description="mean number of false detections")
     clutter_dbsm: tuple[float, float]
     clutter_doppler_mps: float = Field(ge=0.0, le=30.0, description="largest Doppler of false detections")
-    ghost_probability: float = Field(
-        ge=0.0, le=0.5, description="share of detections with a second one by a longer way"
-    )
-    ghost_delay_m: tuple[float, float] = Field(description="how much longer")
-    ghost_attenuation_db: float = Field(ge=0.0, le=40.0, description="how much weaker")
+    ghost_probability: float = Field(ge=0.0, le=0.5, description="of a second detection by multipath")
+    ghost_delay_m: tuple[float, float] = Field(description="additional range")
+    ghost_attenuation_db: float = Field(ge=0.0, le=40.0, description="loss of the longer path")
 
 
 @dataclass(frozen=True)
@@ -133,22 +134,22 @@ class RadarModel:
         return self._measure(state.stamp_ns, hits)
 
     def _static_scatterers(self, scene: Scene, T: Float64, velocity_mps: Float64) -> Scatterers:
-        """A jittered fan of rays against what stands still; each ray is a patch as large as the fan is coarse."""
+        """A jittered fan of rays against static surfaces; each ray is a patch as large as the fan's spacing."""
         n, step = len(self._fan[0]), math.radians(self._config.ray_spacing_deg)
         azimuth = self._fan[0] + step * self._random.uniform(-0.5, 0.5, n)
-        tall = math.radians(2.0 * self._config.half_elevation_fov_deg) / len(self._config.ray_elevations_deg)
-        elevation = self._fan[1] + tall * self._random.uniform(-0.5, 0.5, n)
+        row_height = math.radians(2.0 * self._config.half_elevation_fov_deg) / len(self._config.ray_elevations_deg)
+        elevation = self._fan[1] + row_height * self._random.uniform(-0.5, 0.5, n)
         u = directions(azimuth, elevation)
         u_map = u @ T[:3, :3].T
         distance, kind, cosine = scene.static.cast_surface(rays_from(T[:3, 3], u_map))
         near, far = self._radar.range_m
         is_hit = (distance >= near) & (distance <= far)
         r, cosine = distance[is_hit].astype(np.float64), np.maximum(cosine[is_hit].astype(np.float64), 1e-3)
-        patch = r * step * np.minimum(r * tall / cosine, MAX_PATCH_DEPTH_M)
+        patch = r * step * np.minimum(r * row_height / cosine, MAX_PATCH_DEPTH_M)
         rough, mirror = ROUGH[kind[is_hit]], MIRROR[kind[is_hit]]
-        rcs, shiny = rough + 10.0 * np.log10(cosine * patch), np.flatnonzero(mirror)
-        off_deg = np.degrees(np.arccos(np.minimum(cosine[shiny], 1.0)))
-        rcs[shiny] += mirror[shiny] * np.exp(-((off_deg / MIRROR_DEG) ** 2))
+        rcs, smooth = rough + 10.0 * np.log10(cosine * patch), np.flatnonzero(mirror)
+        off_deg = np.degrees(np.arccos(np.minimum(cosine[smooth], 1.0)))
+        rcs[smooth] += mirror[smooth] * np.exp(-((off_deg / MIRROR_DEG) ** 2))
         return Scatterers(u[is_hit] * r[:, None], -(u_map[is_hit] @ velocity_mps), rcs)
 
     def _actor_scatterers(self, scene: Scene, T: Float64, velocity_mps: Float64) -> list[Scatterers]:
@@ -157,7 +158,7 @@ class RadarModel:
         return [self._scatterers_of(scene, f, T, velocity_mps) for f in near if not is_occluded(f, actors, T)]
 
     def _scatterers_of(self, scene: Scene, actor: ActorState, T: Float64, velocity_mps: Float64) -> Scatterers:
-        """The points of one body that nothing stands before."""
+        """Unobstructed scatterers of one actor."""
         points = SCATTERERS.get(actor.label, SCATTERERS[ObstacleClass.PERSON])
         c, s = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -165,20 +166,20 @@ class RadarModel:
         to = p_map - T[:3, 3]
         r = np.linalg.norm(to, axis=1)
         u = to / r[:, None]
-        facing = -np.einsum("ij,ij->i", np.array([[*p.normal, 0.0] for p in points]) @ turn.T, u)
+        cosine = -np.einsum("ij,ij->i", np.array([[*p.normal, 0.0] for p in points]) @ turn.T, u)
         is_all_round = np.array([p.normal == (0.0, 0.0) for p in points])
         distance, _, _ = scene.static.cast_surface(rays_from(T[:3, 3], u))
-        is_seen = (distance > r - NEAR_M) & (is_all_round | (facing > 0.1))
-        off_deg = np.degrees(np.arccos(np.clip(facing, 0.0, 1.0)))
+        is_seen = (distance > r - NEAR_M) & (is_all_round | (cosine > 0.1))
+        off_deg = np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
         rcs = np.array([p.rcs_dbsm for p in points])
         rcs = rcs + np.array([p.mirror_db for p in points]) * np.exp(-((off_deg / (2.0 * MIRROR_DEG)) ** 2))
         gait = np.array([1.0 + p.swing * math.sin(2.0 * math.pi * (actor.gait + p.phase)) for p in points])
-        own = np.array([*actor.velocity_mps, 0.0])
-        doppler = np.einsum("ij,ij->i", gait[:, None] * own - velocity_mps, u)
+        body_velocity = np.array([*actor.velocity_mps, 0.0])
+        doppler = np.einsum("ij,ij->i", gait[:, None] * body_velocity - velocity_mps, u)
         return Scatterers((to @ T[:3, :3])[is_seen], doppler[is_seen], rcs[is_seen])
 
     def _measure(self, stamp_ns: int, hits: Scatterers) -> RadarScan:
-        """Cells that rise above the noise, with errors, ghosts and clutter."""
+        """Detections above the noise, with errors, ghosts and clutter."""
         config, random = self._config, self._random
         r = np.linalg.norm(hits.ray_m, axis=1)
         azimuth = np.arctan2(hits.ray_m[:, 1], hits.ray_m[:, 0])
@@ -200,18 +201,18 @@ class RadarModel:
 
     def _resolve(self, found: np.ndarray[tuple[int], np.dtype[np.intp]], r: Float64, azimuth: Float64,
                  doppler: Float64, level_db: Float64) -> np.ndarray[tuple[int], np.dtype[np.intp]]:  # fmt: skip
-        """The strongest of each cell of range, azimuth and Doppler."""
+        """The strongest per cell of range, azimuth and Doppler."""
         cells = np.floor(np.column_stack([
             r / self._config.range_resolution_m, azimuth / math.radians(self._config.azimuth_resolution_deg),
             doppler / (4.0 * self._radar.doppler_sigma_mps),
         ])[found])  # fmt: skip
         order = np.argsort(-level_db[found], kind="stable")
-        numbers = (cells[order] + 1000.0) @ np.array([1e8, 1e4, 1.0])  # cells are within a thousand of 0
+        numbers = (cells[order] + 1000.0) @ np.array([1e8, 1e4, 1.0])  # cell numbers are below 1000 in magnitude
         _, first = np.unique(numbers, return_index=True)
         return np.asarray(found[order[np.sort(first)]])
 
     def _ghosts(self, detections: Float64) -> Float64:
-        """The same targets once more, by way of something else: farther and weaker."""
+        """Multipath copies of detections: farther and weaker."""
         ghosts = detections[self._random.random(len(detections)) < self._config.ghost_probability].copy()
         ghosts[:, 0] += self._random.uniform(*self._config.ghost_delay_m, len(ghosts))
         ghosts[:, 4] -= self._config.ghost_attenuation_db
@@ -242,9 +243,9 @@ def rays_from(origin_m: Float64, u: Float64) -> Float32:
 
 
 def is_occluded(actor: ActorState, others: list[ActorState], T_map_sensor: Float64) -> bool:
-    """Whether another figure stands between it and the sensor, seen from above."""
-    eye = T_map_sensor[:2, 3]
-    line = LineString(np.stack([eye, actor.p_map_m[:2]]))
-    away = math.dist(eye, actor.p_map_m[:2])
-    nearer = [f for f in others if f is not actor and math.dist(eye, f.p_map_m[:2]) < away]
+    """True if another actor is between it and the sensor, in plan view."""
+    sensor = T_map_sensor[:2, 3]
+    line = LineString(np.stack([sensor, actor.p_map_m[:2]]))
+    distance_m = math.dist(sensor, actor.p_map_m[:2])
+    nearer = [f for f in others if f is not actor and math.dist(sensor, f.p_map_m[:2]) < distance_m]
     return any(line.intersects(f.footprint) for f in nearer)

@@ -1,4 +1,4 @@
-"""What every sensor model has in common, and what it may know."""
+"""Interface of sensor models, and the state that they measure."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -11,7 +11,7 @@ from simulation.machine.pose_buffer import PoseBuffer
 
 @dataclass(frozen=True)
 class WorldState:
-    """The world at one instant; `track` ends there."""
+    """The world at one instant; `poses` ends there."""
 
     stamp_ns: int
     elapsed_s: float
@@ -21,16 +21,16 @@ class WorldState:
 
 
 class Sensor(Protocol):
-    """One sensor: writes one topic at one period; the latency is from measurement to delivery."""
+    """One sensor: writes one topic at one period; `latency_ns` from measurement to delivery."""
 
     topic: str
     period_ns: int
     latency_ns: int
 
     def sample(self, state: WorldState) -> Message | None:
-        """What it measures now, or None when it says nothing."""
+        """The measurement now, or None."""
 
 
 def period_ns_of(rate_hz: float) -> int:
-    """The period of a rate, in whole nanoseconds."""
+    """Period of a rate, rounded to nanoseconds."""
     return round(1e9 / rate_hz)

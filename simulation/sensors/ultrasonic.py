@@ -1,7 +1,7 @@
-"""Ultrasonic sensor: the first echo in its cone that is loud enough, beyond the dead zone.
+"""Ultrasonic sensor model: the first detected echo in its cone, beyond the dead zone.
 
-loudness = strength of the target × beam pattern × (reach / range)²; 1 is just heard. A smooth wall mirrors the sound
-away when it is met obliquely, cloth and fur swallow most of it, and level ground sends nothing back.
+loudness = target strength × beam pattern × (maximum range / range)²; the detection threshold is 1. Smooth walls reflect
+specularly, cloth and fur absorb, and level ground gives no echo.
 """
 
 import math
@@ -23,24 +23,24 @@ STRENGTH = {"wall": 1.5, "roof": 1.5, "store": 1.0, "post": 0.7, "mast": 0.4, "g
             "crop": 0.02, "ground": 0.0}  # fmt: skip
 ACTOR_STRENGTH = {ObstacleClass.PERSON: 0.5, ObstacleClass.ANIMAL: 0.3, ObstacleClass.VEHICLE: 1.2}
 SURFACE_STRENGTH, IS_SMOOTH = by_kind(STRENGTH), by_kind({"wall": 1.0, "roof": 1.0}) > 0.0
-MIRROR_DEG, ROUGH = 25.0, 0.1  # a corrugated wall is heard so far off its normal, and a tenth beyond
-EDGE = 0.5  # of the loudness on the axis, at the edge of the cone
+MIRROR_DEG, ROUGH = 25.0, 0.1  # 1/e angle of the specular lobe of a corrugated wall; diffuse share
+EDGE = 0.5  # beam pattern at the edge of the cone
 COLUMNS, ROWS = 31, 5
 NEAR_M = 0.1
 
 
 class UltrasonicConfig(Config):
-    """What the vehicle's file does not say of an ultrasonic sensor."""
+    """Errors of an ultrasonic sensor."""
 
     latency_s: float = Field(ge=0.0, le=0.5)
-    amplitude_sigma: float = Field(ge=0.0, le=1.0, description="sigma of the loudness, as a share")
-    miss_probability: float = Field(ge=0.0, le=0.5, description="share of measurements without any echo for no reason")
-    cross_talk_probability: float = Field(ge=0.0, le=0.5, description="share with a stray pulse, for each neighbour")
-    sound_speed_sigma: float = Field(ge=0.0, le=0.1, description="of the speed of sound, after compensation")
+    amplitude_sigma: float = Field(ge=0.0, le=1.0, description="relative, of the loudness")
+    miss_probability: float = Field(ge=0.0, le=0.5, description="of a measurement without echo")
+    cross_talk_probability: float = Field(ge=0.0, le=0.5, description="of a stray pulse, per neighbour")
+    sound_speed_sigma: float = Field(ge=0.0, le=0.1, description="relative, after temperature compensation")
 
 
 class UltrasonicModel:
-    """One sensor; `neighbours` others look the same way, and one that `is_carried` rises with the implement."""
+    """One sensor; `neighbours` others face the same direction; with `is_on_implement` it rises with the hitch."""
 
     def __init__(
         self, name: str, sensor: Ultrasonic, neighbours: int, is_on_implement: bool, config: UltrasonicConfig,
@@ -58,7 +58,7 @@ class UltrasonicModel:
         self._beam = np.power(EDGE, (np.arccos(np.clip(self._u[:, 0], -1.0, 1.0)) / self._half) ** 2)
 
     def sample(self, state: WorldState) -> Message:
-        """The first echo heard, or NaN."""
+        """Range of the first echo, or NaN."""
         near, far = self._sensor.range_m
         T = self._pose(state)
         range_m, loudness = (
@@ -76,13 +76,13 @@ class UltrasonicModel:
 
     def _pose(self, state: WorldState) -> Float64:
         T = state.poses.steps_ago(0) @ self._T_base_sensor
-        if self._is_on_implement:  # the mount is that of the raised implement
+        if self._is_on_implement:  # the mount is given for the raised implement
             T = T.copy()
             T[2, 3] -= LIFT_M * (1.0 - state.machine.attached.hitch)
         return T
 
     def _static_returns(self, state: WorldState, T: Float64) -> tuple[Float64, Float64]:
-        """Range and loudness at unit distance of what stands still, ray by ray."""
+        """Range and loudness at the maximum range of static surfaces, per ray."""
         distance, kind, cosine = state.scene.static.cast_surface(rays_from(T[:3, 3], self._u @ T[:3, :3].T))
         if not (SURFACE_STRENGTH[kind] > 0.0).any():
             return distance.astype(np.float64), np.zeros(len(distance))
@@ -91,7 +91,7 @@ class UltrasonicModel:
         return distance.astype(np.float64), SURFACE_STRENGTH[kind] * mirrored * self._beam
 
     def _actor_returns(self, state: WorldState, T: Float64) -> tuple[Float64, Float64]:
-        """The same of each figure's nearest point in the cone."""
+        """Range and loudness of each actor's nearest vertex in the cone."""
         far = self._sensor.range_m[1]
         found: list[tuple[float, float]] = []
         for actor in state.scene.visible_to("ultrasonic"):
@@ -107,7 +107,7 @@ class UltrasonicModel:
         return pairs[:, 0], pairs[:, 1]
 
     def _nearest(self, vertices_map_m: Float32, T: Float64) -> tuple[float, float, float, float] | None:
-        """Place in the sensor's frame and range of the nearest corner in the cone."""
+        """Position in the sensor frame and range of the nearest vertex in the cone."""
         p = (vertices_map_m - T[:3, 3]) @ T[:3, :3]
         r = np.linalg.norm(p, axis=1)
         inside = np.flatnonzero(p[:, 0] >= r * math.cos(self._half))
@@ -123,7 +123,7 @@ class UltrasonicModel:
 
 
 def cone_rays(half_rad: float) -> Float64:
-    """Unit vectors (N, 3) within a cone about x, denser sideways, where posts are."""
+    """Unit vectors (N, 3) in a cone about x, denser in azimuth, for posts."""
     azimuth, elevation = np.meshgrid(
         np.linspace(-half_rad, half_rad, COLUMNS), np.linspace(-half_rad, half_rad, ROWS), indexing="ij"
     )

@@ -1,4 +1,4 @@
-"""UWB tag: ranges to the anchors, late where something stands between, with scale and bias of the radios."""
+"""UWB tag model: ranges to the anchors with non-line-of-sight (NLOS) bias, scale and bias of the radios."""
 
 import math
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from messages.sensors import UwbRanges
 from simulation.environment.scenery import by_kind
 from simulation.sensors.sensor import WorldState, period_ns_of
 
-CLEAR_M = 0.3  # an anchor sits on its wall or mast, which is not between
+CLEAR_M = 0.3  # distance within which an anchor's own wall or mast is ignored
 IS_THIN = by_kind(dict.fromkeys(("post", "mast", "fence", "gate", "crop"), 1.0)) > 0.0
 
 
@@ -21,17 +21,17 @@ class UwbConfig(Config):
     """Errors of the radios."""
 
     latency_s: float = Field(ge=0.0, le=0.5)
-    scale_sigma: float = Field(ge=0.0, le=0.1, description="of all ranges of a tag together")
-    bias_sigma_m: float = Field(ge=0.0, le=1.0, description="of each anchor, constant")
-    nlos_thin_bias_m: float = Field(ge=0.0, le=5.0, description="mean delay round a post")
-    nlos_thick_bias_m: float = Field(ge=0.0, le=5.0, description="mean delay through or round a wall or vehicle")
-    nlos_correlation_s: float = Field(gt=0.0, le=60.0, description="over which such a delay wanders")
-    dropout_probability: float = Field(ge=0.0, le=0.9, description="share of ranges lost in line of sight")
-    nlos_thick_dropout_probability: float = Field(ge=0.0, le=0.99, description="share lost behind a wall")
+    scale_sigma: float = Field(ge=0.0, le=0.1, description="common to all ranges of a tag")
+    bias_sigma_m: float = Field(ge=0.0, le=1.0, description="per anchor, constant")
+    nlos_thin_bias_m: float = Field(ge=0.0, le=5.0, description="mean, behind a post")
+    nlos_thick_bias_m: float = Field(ge=0.0, le=5.0, description="mean, behind a wall or vehicle")
+    nlos_correlation_s: float = Field(gt=0.0, le=60.0, description="correlation time of the bias")
+    dropout_probability: float = Field(ge=0.0, le=0.9, description="of a range in line of sight")
+    nlos_thick_dropout_probability: float = Field(ge=0.0, le=0.99, description="of a range behind a wall")
 
 
 class UwbModel:
-    """One tag; `quality` 1 is all power in the first path, less the more comes later."""
+    """One tag; `quality` is the power share of the first path, 1 in line of sight."""
 
     def __init__(
         self, name: str, uwb: Uwb, anchors: Mapping[str, tuple[float, float, float]], config: UwbConfig,
@@ -48,12 +48,12 @@ class UwbModel:
         self._nlos_state = random.standard_normal(len(self._names))
 
     def sample(self, state: WorldState) -> Message:
-        """The ranges heard now."""
+        """The ranges received now."""
         config, random, n = self._config, self._random, len(self._names)
         tag = (state.poses.steps_ago(0) @ self._uwb.mount.T_base_sensor)[:3, 3]
         to = self._anchors_m - tag
         true_m = np.linalg.norm(to, axis=1)
-        obstruction = self._obstructions(state, tag, to, true_m)  # 0 free, 1 thin, 2 thick
+        obstruction = self._obstructions(state, tag, to, true_m)  # 0 line of sight, 1 thin, 2 thick
         keep = math.exp(-self.period_ns * 1e-9 / config.nlos_correlation_s)
         self._nlos_state = keep * self._nlos_state + math.sqrt(1.0 - keep * keep) * random.standard_normal(n)
         nlos_bias = np.array([0.0, config.nlos_thin_bias_m, config.nlos_thick_bias_m])[obstruction] * np.exp(
@@ -73,7 +73,7 @@ class UwbModel:
     def _obstructions(
         self, state: WorldState, tag: Float64, to: Float64, true_m: Float64
     ) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        """What hinders each range, (N,): cast from the anchor, whose own wall is left out, and figures from above."""
+        """Obstruction of each range, (N,): rays from the anchor past its own wall, and actors as spheres."""
         u = to / np.maximum(true_m, 1e-6)[:, None]
         start = self._anchors_m - CLEAR_M * u
         rays = np.hstack([start, -u]).astype(np.float32)
@@ -88,7 +88,7 @@ class UwbModel:
 
 
 def intersects_ball(center_m: Float64, radius_m: float, a_m: Float64, b_m: Float64) -> bool:
-    """Whether the line from a to b passes a ball."""
-    way = b_m - a_m
-    share = float(np.clip((center_m - a_m) @ way / max(float(way @ way), 1e-9), 0.0, 1.0))
-    return float(np.linalg.norm(a_m + share * way - center_m)) < radius_m
+    """True if the line from a to b passes through a sphere."""
+    line = b_m - a_m
+    share = float(np.clip((center_m - a_m) @ line / max(float(line @ line), 1e-9), 0.0, 1.0))
+    return float(np.linalg.norm(a_m + share * line - center_m)) < radius_m

@@ -1,4 +1,4 @@
-"""Wheel speed with slip, and the front-wheel angle with its constant zero error."""
+"""Wheel sensors: wheel speed with slip, and the front-wheel angle with its constant zero error."""
 
 import math
 
@@ -11,7 +11,7 @@ from simulation.sensors.sensor import WorldState, period_ns_of
 
 
 class WheelModel:
-    """Standing wheels read exactly zero, as encoders do."""
+    """Wheel encoder and angle sensor; at standstill the speed is exactly zero."""
 
     def __init__(self, wheels: Wheels, random: np.random.Generator) -> None:
         self.topic = "wheel"
@@ -20,7 +20,7 @@ class WheelModel:
         self._wheels, self._random = wheels, random
 
     def sample(self, state: WorldState) -> Message:
-        """Speed of the wheels' rims, which slip, and the measured angle."""
+        """Circumferential wheel speed and measured angle."""
         white = self._random.standard_normal(2)
         speed = state.machine.wheel_speed_mps
         speed += float(white[0]) * self._wheels.speed_sigma_mps if speed != 0.0 else 0.0

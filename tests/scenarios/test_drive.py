@@ -48,7 +48,7 @@ def test_leaves_the_yard_after_the_start_warning(setup: Setup) -> None:
 )
 def test_what_fails_stops_the_machine_and_is_named(setup: Setup, topic: str, kind: FaultKind, reason: str) -> None:
     def stands(d: Drive) -> bool:
-        assert d.failure is None or "planted" in d.failure
+        assert d.failure is None or "injected fault" in d.failure
         d.failure = None
         is_stopped = "safe_command" in d.newest and d.last("safe_command", SafeCommand).mode is Mode.FAULT_STOP
         return is_stopped and abs(speed(d)) < 0.02

@@ -8,7 +8,7 @@ import open3d
 import pytest
 
 from benchmarks.camera import MODEL, configured
-from benchmarks.camera_simulated import CAMERA, box_of, found, shots
+from benchmarks.camera_simulated import CAMERA, box_of, detect, labelled_images
 from configs.site import Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import Vehicle
@@ -173,7 +173,9 @@ def test_a_real_network_finds_the_simulated_person():
     """The bar is 80 % at 5 to 15 m; `benchmarks/camera_simulated.py` has more pictures."""
     detector = load_detector(MODEL, configured())
     pictures = [
-        shot for seed in (901, 902) for shot in shots(seed, order=(ObstacleClass.PERSON,) * 5, between_m=(5, 15))
+        shot
+        for seed in (901, 902)
+        for shot in labelled_images(seed, order=(ObstacleClass.PERSON,) * 5, range_m=(5, 15))
     ]
-    results = [found(shot, detector)[0] for shot in pictures]
+    results = [detect(shot, detector)[0] for shot in pictures]
     assert np.mean(results) >= 0.8

@@ -45,8 +45,8 @@ def walk_of(name, seed, speed_mps=10 / 3.6, heading_rad=0.7):
 
 
 def lateral_of(walk, p):
-    dx, dy = p[0] - walk.place.p_map_m[0], p[1] - walk.place.p_map_m[1]
-    return dy * math.cos(walk.place.heading_rad) - dx * math.sin(walk.place.heading_rad)
+    dx, dy = p[0] - walk.point.p_map_m[0], p[1] - walk.point.p_map_m[1]
+    return dy * math.cos(walk.point.heading_rad) - dx * math.sin(walk.point.heading_rad)
 
 
 @pytest.mark.parametrize("name", ["person", "animal"])
@@ -67,7 +67,7 @@ def test_machine_can_stop_when_they_step_in(name, seed):
     walk = walk_of(name, seed)
     times = np.arange(0.0, walk.arrival_s, 0.01)
     inside = [t for t in times if abs(lateral_of(walk, walk_state_at(walk, t).p_map_m)) <= HALF_M + SWEPT_MARGIN_M]
-    gap = walk.trigger_m - walk.place.speed_mps * inside[0]
+    gap = walk.trigger_m - walk.point.speed_mps * inside[0]
     assert gap >= MIN_STOPPING_GAP_M - 0.1
 
 
@@ -108,11 +108,11 @@ def test_places_are_apart_and_with_room(seed):
     paths = straight_paths()
     swaths = {s.line: s for s in find_swaths(paths)}
     drawn = place_encounters(DEMO.encounters, paths, SETTING, generator(seed, "scenario"))
-    assert len({d.place.line for d in drawn}) == 3
+    assert len({d.point.line for d in drawn}) == 3
     for d in drawn:
-        way = math.dist(swaths[d.place.line].start_map_m, d.place.p_map_m)
+        way = math.dist(swaths[d.point.line].start_map_m, d.point.p_map_m)
         assert way > 20.0
-        assert swaths[d.place.line].length_m - way >= 8.0
+        assert swaths[d.point.line].length_m - way >= 8.0
         if isinstance(d, Walk):
             assert way >= d.trigger_m + 12.0
     grounds = [ground_geometry(d) for d in drawn]
@@ -124,16 +124,16 @@ def test_parked_vehicle_leaves_the_next_swath_free(seed):
     """On swaths 5 m apart the 6.1 m harrow passes 1.95 m beside the middle of this one."""
     (standing,) = place_encounters(DEMO.encounters[2:], straight_paths(), SETTING, generator(seed, "scenario"))
     assert isinstance(standing, ParkedVehicle)
-    turned = standing.heading_rad - standing.place.heading_rad
+    turned = standing.heading_rad - standing.point.heading_rad
     aside = abs(lateral_of_standing(standing))
     half = aside + 0.5 * 1.66 * abs(math.cos(turned)) + 0.5 * 3.8 * abs(math.sin(turned))
     assert half < 5.0 - HALF_M - 0.75
 
 
 def lateral_of_standing(standing):
-    dx = standing.p_map_m[0] - standing.place.p_map_m[0]
-    dy = standing.p_map_m[1] - standing.place.p_map_m[1]
-    return dy * math.cos(standing.place.heading_rad) - dx * math.sin(standing.place.heading_rad)
+    dx = standing.p_map_m[0] - standing.point.p_map_m[0]
+    dy = standing.p_map_m[1] - standing.point.p_map_m[1]
+    return dy * math.cos(standing.point.heading_rad) - dx * math.sin(standing.point.heading_rad)
 
 
 def test_same_seed_same_places():
@@ -165,15 +165,15 @@ def test_only_swaths_driven_forward_count():
      (-10.0, 0.0, 21.0, False), (-10.0, 0.0, 180.0, False)],
 )  # fmt: skip
 def test_approach(x, y, heading_deg, is_seen):
-    place = EncounterPoint((0.0, 0.0), 0.0, 2.78, 0)
-    assert (distance_to(place, np.array([x, y, 0.0]), math.radians(heading_deg)) <= 20.0) == is_seen
+    point = EncounterPoint((0.0, 0.0), 0.0, 2.78, 0)
+    assert (distance_to(point, np.array([x, y, 0.0]), math.radians(heading_deg)) <= 20.0) == is_seen
 
 
 @pytest.mark.parametrize(("comes_from_m", "starts"), [(8.0, True), (4.0, False)])
 def test_who_only_drives_round_something_on_the_next_way_starts_nobody(comes_from_m, starts):
     walk = walk_of("person", 0)
     actor = Actor(0, DEMO.encounters[0], walk, Terrain(SITE, flat().terrain, 0))
-    (x, y), heading = walk.place.p_map_m, walk.place.heading_rad
+    (x, y), heading = walk.point.p_map_m, walk.point.heading_rad
     ways = np.arange(walk.trigger_m + comes_from_m, 1.0, -0.1)
     tips = np.column_stack([x - ways * math.cos(heading), y - ways * math.sin(heading), np.zeros(len(ways))])
     states = [actor.update(0.036 * k, tip, heading) for k, tip in enumerate(tips)]
