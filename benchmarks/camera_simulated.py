@@ -2,9 +2,9 @@
 
     ./headland benchmark camera_simulated [--model FILE] [--worlds N] [--out FOLDER]
 
-Each world (seed) has its own light, clothes and terrain; an image shows one actor or none, 4 to 20 m from the camera, at any
-bearing in the image, in field, lane and yard, walking or standing at any heading. Detected: a box of its class with
-IoU of at least 0.5 and at least the stack's score.
+Each world (seed) has its own light, clothes and terrain; an image shows one actor or none, 4 to 20 m from the camera,
+at any bearing in the image, in field, lane and yard, walking or standing at any heading. Detected: a box of its class
+with IoU of at least 0.5 and at least the stack's score.
 """
 
 import argparse
