@@ -166,7 +166,7 @@ class CollisionMonitor:
         """Selects the docking field: on a path section to or from a bay, at the shed, in transport width."""
         is_transport = self._footprint is self._footprints.transport
         is_dock_section = position is not None and section_type_at(position) is PathSectionType.DOCK
-        structure, near_m = self._known_structure, self._open.docking.near_m
+        structure, near_m = self._known_structure, self._open.docking.shed_distance_m
         is_at_shed = structure is not None and pose_map is not None and structure.is_near(pose_map, near_m)
         self.is_docking = is_transport and is_dock_section and is_at_shed
         self._config = self._docked if self.is_docking else self._open
@@ -233,7 +233,7 @@ class CollisionMonitor:
     def _update_wall_distance(self, pose_map: Float64 | None, swept_field: SweptField, sigma_m: float) -> None:
         self._wall_distance_m, self.is_under_roof = math.inf, False
         structure = self._known_structure
-        if structure is None or pose_map is None or not structure.is_near(pose_map, self._open.docking.near_m):
+        if structure is None or pose_map is None or not structure.is_near(pose_map, self._open.docking.shed_distance_m):
             return
         self.is_under_roof = structure.is_under_roof(swept_field.main, pose_map)
         if self.is_docking:

@@ -47,7 +47,7 @@ class VehicleMonitor:
         self._direction = 1
         self._fastest_mps = 0.0
         self._pitch_rad = 0.0
-        self._curvatures = RecentRange(config.limits.curvature_late_s)
+        self._curvatures = RecentRange(config.limits.curvature_delay_s)
         self._has_driver, self._seat_empty = False, DebounceTimer()
         self._override, self._ineffective = DebounceTimer(), DebounceTimer()
         self._deviation, self._unavailable = DebounceTimer(), DebounceTimer()

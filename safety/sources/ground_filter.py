@@ -60,7 +60,7 @@ def mark_obstacles(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
     scale = np.float32(1.0 / size)
     row, column = (x * scale - np.float32(x0)).astype(np.int32), (y * scale - np.float32(y0)).astype(np.int32)
     patch = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
-    ground = estimate_ground(patch, z, rows * columns, config.ground_returns, config.ground_share)
+    ground = estimate_ground(patch, z, rows * columns, config.ground_returns, config.ground_ratio)
     center_x = (np.repeat(np.arange(rows), columns) + x0 + 0.5) * size
     center_y = (np.tile(np.arange(columns), rows) + y0 + 0.5) * size
     lift = bound_ground(ground, np.hypot(center_x - WHEELS_X_M, center_y), config).astype(np.float32)

@@ -50,8 +50,8 @@ class RadarSource:
         base, radial, rcs = usable_detections(scan, self._radar, self._T, odom)
         is_moving = np.abs(radial) >= self._config.moving_mps
         range_m = np.hypot(*(base[:, :2] - self._T[:2, 3]).T)
-        min_rcs = np.where(is_moving, self._config.moving_rcs_dbsm, self._config.standing_rcs_dbsm)
-        cap = np.where(is_moving, self._config.moving_cap_m, self._config.standing_cap_m)
+        min_rcs = np.where(is_moving, self._config.moving_rcs_dbsm, self._config.static_rcs_dbsm)
+        cap = np.where(is_moving, self._config.moving_cap_m, self._config.static_cap_m)
         counts = (rcs >= min_rcs) & (range_m <= cap) & (base[:, 2] >= self._low_m) & (base[:, 2] <= self._high_m)
         counts[counts] = ~is_own(base[counts].T, footprint, odom.curvature_radpm, self._mask_m)
         positions = np.column_stack([to_frame(pose_odom, base[:, :2]), base[:, 2], is_moving, range_m])[counts]
@@ -66,10 +66,10 @@ def confirmed(cycles: list[Float64], config: RadarConfig, sigma_rad: float) -> F
     if len(every) == 0:
         return np.empty((0, 4))
     x, y = every[:, 0], every[:, 1]
-    near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 <= config.near_m**2
+    near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 <= config.association_m**2
     ends = np.cumsum([0, *(len(cycle) for cycle in cycles)])
     seen = sum(near[:, a:b].any(axis=1).astype(np.int64) for a, b in pairwise(ends))
-    needed = np.where(every[:, 3] > 0.0, config.moving_cycles, config.standing_cycles)
+    needed = np.where(every[:, 3] > 0.0, config.moving_cycles, config.static_cycles)
     is_hit = seen >= needed
     count = near[is_hit].sum(axis=1)
     mean = near[is_hit].astype(np.float64) @ every[:, :3] / np.maximum(count, 1)[:, None]

@@ -40,7 +40,7 @@ class UltrasonicSource:
         self.echo_arc_odom_m: Float64 = np.empty((0, 2))
         self._sensor, self._config = sensor, config
         self._T = sensor.mount.T_base_sensor
-        self._reach_m = min(sensor.range_m[1], config.ground_share * ground_range_m(self._T))
+        self._reach_m = min(sensor.range_m[1], config.ground_ratio * ground_range_m(self._T))
         self._echoes: deque[Echo] = deque(maxlen=config.window)
         self._confirmed: Echo | None = None
 

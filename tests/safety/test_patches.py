@@ -90,7 +90,7 @@ def limits_of(xyz: np.ndarray, box: Box, field: FieldConfig) -> np.ndarray:
     limits = []
     for own, (x, y, _) in zip(patch, xyz.T, strict=True):
         some = sorted(heights[own])
-        order = max(field.ground_returns, math.ceil(field.ground_share * len(some)))
+        order = max(field.ground_returns, math.ceil(field.ground_ratio * len(some)))
         lowest = some[order - 1] if len(some) >= field.ground_returns else math.inf
         ground = 0.05 * math.floor(lowest / 0.05) if math.isfinite(lowest) else math.inf
         away = math.hypot((own[0] + 0.5) * size - 1.3, (own[1] + 0.5) * size)

@@ -323,16 +323,16 @@ def radar_hits(full: Vehicle, implement, config: SafetyConfig, cycles: list[list
 
 def test_radar_hits_at_their_limits(full: Vehicle, implement, config: SafetyConfig) -> None:
     radar = config.radar
-    standing, weak = (8.0, 0.0, 0.0, radar.standing_rcs_dbsm), (8.0, 0.0, 0.0, radar.standing_rcs_dbsm - 0.1)
+    standing, weak = (8.0, 0.0, 0.0, radar.static_rcs_dbsm), (8.0, 0.0, 0.0, radar.static_rcs_dbsm - 0.1)
     moving = (8.0, 0.0, radar.moving_mps, radar.moving_rcs_dbsm)
     for count in range(8):
         assert (len(radar_hits(full, implement, config, [[standing]] * count).hits) > 0) == (
-            count >= radar.standing_cycles
+            count >= radar.static_cycles
         )
         assert (len(radar_hits(full, implement, config, [[moving]] * count).hits) > 0) == (count >= radar.moving_cycles)
     assert len(radar_hits(full, implement, config, [[weak]] * 8).hits) == 0
     assert len(radar_hits(full, implement, config, [[(8.0, 0.0, 0.4, radar.moving_rcs_dbsm)]] * 8).hits) == 0
-    assert len(radar_hits(full, implement, config, [[(radar.standing_cap_m + 0.1, 0.0, 0.0, 5.0)]] * 8).hits) == 0
+    assert len(radar_hits(full, implement, config, [[(radar.static_cap_m + 0.1, 0.0, 0.0, 5.0)]] * 8).hits) == 0
     assert len(radar_hits(full, implement, config, [[(8.0, 1.2, 0.0, 5.0)]] * 8).hits) == 0  # beside the view
     assert len(radar_hits(full, implement, config, [[standing]] * 8 + [[]] * 9).hits) == 0  # forgotten
     assert len(radar_hits(full, implement, config, [[(np.nan, 0.0, 0.0, 5.0)]] * 8).hits) == 0
