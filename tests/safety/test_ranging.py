@@ -226,7 +226,7 @@ def cycle(*places: tuple[float, float], moves: bool = False) -> np.ndarray:
 
 
 def test_places_seen_in_enough_cycles_are_confirmed_by_their_mean(config: SafetyConfig) -> None:
-    radar = config.radar.model_copy(update={"standing_cycles": 2, "moving_cycles": 1})
+    radar = config.radar.model_copy(update={"static_cycles": 2, "moving_cycles": 1})
     here, near, far = (0.0, 0.0), (0.8, 0.0), (0.81, 0.0)
     assert confirmed([], radar, 0.02).shape == (0, 4)
     assert confirmed([cycle(here)], radar, 0.02).shape == (0, 4)
