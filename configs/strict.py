@@ -1,8 +1,8 @@
 """The base of every configuration class, and the loader that names file, key and value when something is wrong."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -17,6 +17,13 @@ class Config(BaseModel):
     """Frozen; unknown keys, NaN and infinity are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy with changed values; raises ConfigError for a key that the class does not have (pydantic adds it)."""
+        unknown = sorted(set(update or ()) - type(self).model_fields.keys())
+        if unknown:
+            raise ConfigError(f"{type(self).__name__} has no key {unknown[0]!r}")
+        return super().model_copy(update=update, deep=deep)
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):

@@ -69,7 +69,7 @@ class ShadowSupervisor(Node):
         if half_width_m is not None:
             body = vehicle.body.model_copy(update={"width_m": 2.0 * half_width_m})
             vehicle = vehicle.model_copy(update={"body": body})
-            field = config.field.model_copy(update={"near_lateral_m": 0.0, "far_lateral_m": 0.0})
+            field = config.field.model_copy(update={"lateral_margin_near_m": 0.0, "lateral_margin_far_m": 0.0})
             config = config.model_copy(update={"field": field})
         self.supervisor = Supervisor(
             vehicle, implement, config, None, (), known_structure, idle, SHADOW_RULES, AutomaticMode(config.modes),
