@@ -1,6 +1,7 @@
-"""A vehicle with its sensors, ours or the one that recorded a log, and what it carries behind it."""
+"""Vehicle with its sensors, and implement; also the vehicle that recorded a log."""
 
 import math
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ Focal = Annotated[float, Field(gt=1.0, le=100000.0)]
 
 
 class Mount(Config):
-    """Where a sensor sits: origin and fixed-axis roll, pitch and yaw in `base`."""
+    """Mount of a sensor: origin and fixed-axis roll, pitch and yaw in `base`."""
 
     xyz_m: tuple[Offset, Offset, Offset]
     rpy_deg: tuple[Degrees, Degrees, Degrees] = (0.0, 0.0, 0.0)
@@ -44,7 +45,7 @@ class Lidar(Config):
 
 
 class Camera(Config):
-    """A camera: pinhole with Brown's distortion (k1, k2, p1, p2, k3; OpenCV's order), none in rectified pictures.
+    """A camera: pinhole with Brown's distortion (k1, k2, p1, p2, k3; OpenCV's order), none in rectified images.
 
     The mount is that of the body frame (x forward, y left, z up); the optical axis is its x.
     """
@@ -57,7 +58,7 @@ class Camera(Config):
     rate_hz: float = Field(gt=0.0, le=120.0)
 
     @model_validator(mode="after")
-    def _centre_lies_in_the_picture(self) -> "Camera":
+    def _center_is_in_image(self) -> "Camera":
         if not (0.0 <= self.center_px[0] <= self.size_px[0] and 0.0 <= self.center_px[1] <= self.size_px[1]):
             raise ValueError(f"center_px {self.center_px} lies outside size_px {self.size_px}")
         return self
@@ -76,7 +77,7 @@ class Radar(Config):
 
 
 class Ultrasonic(Config):
-    """An ultrasonic sensor: a cone along x of its mount, deaf below the first of `range_m` (BD-5.4.5)."""
+    """An ultrasonic sensor: a cone along x of its mount, no echo below the first of `range_m` (BD-5.4.5)."""
 
     mount: Mount
     cone_deg: float = Field(gt=0.0, le=120.0, description="full opening")
@@ -95,7 +96,7 @@ class Uwb(Config):
 
 
 class Gnss(Config):
-    """An antenna; with `heading` a second one makes a baseline whose direction is measured."""
+    """An antenna; with `has_heading` a second one measures the heading of the baseline."""
 
     mount: Mount
     has_heading: bool
@@ -106,7 +107,7 @@ class Gnss(Config):
 
 
 class Imu(Config):
-    """An inertial unit; noise as densities and in-run bias instability."""
+    """An IMU; noise as densities and in-run bias instability."""
 
     mount: Mount
     rate_hz: float = Field(ge=10.0, le=2000.0)
@@ -126,13 +127,30 @@ class Wheels(Config):
     angle_sigma_deg: float = Field(ge=0.0, le=5.0)
 
 
-class Sensors(Config):
-    """All sensors by kind and name; the topic of a lidar `front` is `lidar/front`."""
+@dataclass(frozen=True)
+class SensorKind:
+    """Facts of a kind of obstacle sensor.
 
-    lidar: dict[str, Lidar] = Field(default_factory=dict)
-    camera: dict[str, Camera] = Field(default_factory=dict)
-    radar: dict[str, Radar] = Field(default_factory=dict)
-    ultrasonic: dict[str, Ultrasonic] = Field(default_factory=dict)
+    `is_required`: the machine stops without its messages; otherwise their loss limits the detection range.
+    `is_raw_source`: its measurements are part of the raw protective field.
+    `needs_detector`: it finds no obstacles without a detector model.
+    """
+
+    is_required: bool = False
+    is_raw_source: bool = False
+    needs_detector: bool = False
+
+
+class Sensors(Config):
+    """All sensors by kind and name; the topic of a lidar `front` is `lidar/front`.
+
+    The fields with a `SensorKind` are the table of the kinds of obstacle sensors (configs/sensor_kinds.py).
+    """
+
+    lidar: Annotated[dict[str, Lidar], SensorKind(is_required=True, is_raw_source=True)] = Field(default_factory=dict)
+    camera: Annotated[dict[str, Camera], SensorKind(needs_detector=True)] = Field(default_factory=dict)
+    radar: Annotated[dict[str, Radar], SensorKind(is_raw_source=True)] = Field(default_factory=dict)
+    ultrasonic: Annotated[dict[str, Ultrasonic], SensorKind(is_raw_source=True)] = Field(default_factory=dict)
     gnss: dict[str, Gnss] = Field(default_factory=dict)
     uwb: dict[str, Uwb] = Field(default_factory=dict)
     imu: Imu | None = None
@@ -177,7 +195,7 @@ class HydraulicValve(Config):
 
 
 class Brake(Config):
-    """What the brakes do (for prediction; what the supervisor counts on is in its own configuration)."""
+    """Response of the brakes for prediction; the supervisor has values of its own."""
 
     dead_time_s: Seconds
     build_up_s: Seconds

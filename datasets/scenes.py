@@ -50,9 +50,11 @@ def implement_x_m(implement: Implement) -> float:
 def mounts(stamp_ns: int, vehicle: Vehicle, implement: Implement | None) -> list[FrameTransform]:
     """Where the sensors and the implement sit on `base`; a sensor's frame has the name of its topic."""
     sensors = vehicle.sensors
-    kinds = ("lidar", "camera", "radar", "ultrasonic", "gnss", "uwb")
     poses = {
-        f"{kind}/{name}": one.mount.T_base_sensor for kind in kinds for name, one in getattr(sensors, kind).items()
+        f"{kind}/{name}": one.mount.T_base_sensor
+        for kind, named in sensors
+        if isinstance(named, dict)
+        for name, one in named.items()
     }
     if sensors.imu is not None:
         poses["imu"] = sensors.imu.mount.T_base_sensor

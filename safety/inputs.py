@@ -2,6 +2,7 @@
 
 import math
 
+from configs.sensor_kinds import SENSOR_KINDS
 from configs.vehicle import Sensors
 from messages.command import ControlCommand, MachineState
 from messages.message import Message
@@ -39,7 +40,7 @@ class SupervisorInputs:
     @property
     def reads(self) -> dict[str, Read]:
         """All of it."""
-        heard = (one.topic for one in self._monitored if one.kind != "camera")
+        heard = (one.topic for one in self._monitored if SENSOR_KINDS[one.kind].is_raw_source)
         told = (one.obstacles_topic for one in self._monitored)
         return {topic: Latest() for topic in (*self._watched, "path", *heard, *told, *self._health.values())}
 

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from configs.sensor_kinds import SENSOR_KINDS
 from configs.strict import Config
 from messages.command import OperatorCommandKind
 from messages.perception import ObstacleClass
@@ -50,14 +51,20 @@ class CameraEpisode(Config):
     state: Literal["blocked", "blurred"]
 
 
-SensorKind = Literal["lidar", "camera", "radar", "ultrasonic"]
-ALL_SENSORS: tuple[SensorKind, ...] = ("lidar", "camera", "radar", "ultrasonic")
+def _is_known_kind(value: str) -> str:
+    if value not in SENSOR_KINDS:
+        raise ValueError(f"{value!r} is not a kind of sensor ({', '.join(SENSOR_KINDS)})")
+    return value
+
+
+KindName = Annotated[str, AfterValidator(_is_known_kind)]
+ALL_SENSORS = tuple(SENSOR_KINDS)
 
 
 class _Encounter(Config):
     name: str = Field(min_length=1, max_length=40)
     expected_stops: int = Field(ge=0, le=1, description="stops that this encounter must cause")
-    visible_to: tuple[SensorKind, ...] = Field(default=ALL_SENSORS, description="kinds of sensors that detect it")
+    visible_to: tuple[KindName, ...] = Field(default=ALL_SENSORS, description="kinds of sensors that detect it")
 
 
 class Crossing(_Encounter):

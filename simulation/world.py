@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 from shapely import Polygon
 
+from configs.sensor_kinds import sensors_of
 from configs.site import PoseConfig, Site
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
@@ -33,13 +34,14 @@ from simulation.machine.tractor_bus import BusConfig, TractorBus, load_database
 from simulation.machine.tractor_status import TractorStatus
 from simulation.randomness import generator
 from simulation.scenario import Bystander, Scenario
+from simulation.sensor_registry import MODELS
 from simulation.sensors.camera import CameraConfig, CameraModel
 from simulation.sensors.gnss import GnssConfig, GnssModel
 from simulation.sensors.imu import ImuConfig, ImuModel
-from simulation.sensors.lidar import LidarConfig, LidarModel
-from simulation.sensors.radar import RadarConfig, RadarModel
-from simulation.sensors.sensor import Sensor, WorldState
-from simulation.sensors.ultrasonic import UltrasonicConfig, UltrasonicModel
+from simulation.sensors.lidar import LidarConfig
+from simulation.sensors.radar import RadarConfig
+from simulation.sensors.sensor import Sensor, SensorContext, WorldState
+from simulation.sensors.ultrasonic import UltrasonicConfig
 from simulation.sensors.uwb import UwbConfig, UwbModel
 from simulation.sensors.wheels import WheelModel
 
@@ -99,7 +101,7 @@ class SimulationWorld(World):
         setting = EncounterSite(Polygon(site.boundary_m), 0.5 * max(implement.width_m, vehicle.body.width_m), docks)
         self._actors = self._create_actors(plan_paths, setting, seed)
         self._scene = Scene(lambda: build_scenery(site, self._terrain, config.scenery, seed))
-        self._sensors = make_sensors(site, vehicle, implement, scenario, seed, config)
+        self._sensors = make_sensors(SensorContext(site, vehicle, implement, scenario, seed), config)
         self._render_thread = ThreadPoolExecutor(1) if renders_in_thread else None
         self._pending: list[tuple[int, int, str, Pending]] = []
         self._put_count = 0
@@ -210,41 +212,21 @@ class SimulationWorld(World):
         heapq.heappush(self._pending, (receive_ns, self._put_count, topic, message))
 
 
-def make_sensors(
-    site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario, seed: int,
-    config: SimulationConfig,
-) -> list[Sensor]:  # fmt: skip
-    """All sensors of a vehicle, each with its own generator."""
-    found = vehicle.sensors
+def make_sensors(context: SensorContext, config: SimulationConfig) -> list[Sensor]:
+    """Models of all sensors of a vehicle, each with its own random generator."""
+    found, site = context.vehicle.sensors, context.site
     sensors: list[Sensor] = []
     if found.imu is not None:
-        sensors.append(ImuModel(found.imu, config.imu, generator(seed, "imu")))
+        sensors.append(ImuModel(found.imu, config.imu, context.generator("imu")))
     if found.wheels is not None:
-        sensors.append(WheelModel(found.wheels, generator(seed, "wheel")))
+        sensors.append(WheelModel(found.wheels, context.generator("wheel")))
     for name, gnss in found.gnss.items():
-        random = generator(seed, f"gnss/{name}")
-        sensors.append(GnssModel(name, gnss, site.datum.datum, site.shed, scenario.gnss, config.gnss, random))
-    for name, lidar in found.lidar.items():
-        sensors.append(LidarModel(name, lidar, vehicle, implement, config.lidar, generator(seed, f"lidar/{name}")))
-    for name, camera in found.camera.items():
-        sensors.append(CameraModel(name, camera, vehicle, site, scenario.camera, seed, config.camera))
-    for name, radar in found.radar.items():
-        sensors.append(RadarModel(name, radar, config.radar, generator(seed, f"radar/{name}")))
+        random = context.generator(f"gnss/{name}")
+        sensors.append(GnssModel(name, gnss, site.datum.datum, site.shed, context.scenario.gnss, config.gnss, random))
     for name, tag in found.uwb.items():
         anchors = {} if site.shed is None else site.shed.anchors
-        sensors.append(UwbModel(name, tag, anchors, config.uwb, generator(seed, f"uwb/{name}")))
-    return sensors + make_ultrasonics(vehicle, implement, seed, config.ultrasonic)
-
-
-def make_ultrasonics(
-    vehicle: Vehicle, implement: MountedImplement | TrailedImplement, seed: int, config: UltrasonicConfig
-) -> list[Sensor]:
-    """Ultrasonic sensors of vehicle and implement; sensors facing the same direction receive each other's pulses."""
-    found = vehicle.sensors.ultrasonic
-    carried = implement.ultrasonic if isinstance(implement, MountedImplement) else {}
-    axes = {name: sensor.mount.T_base_sensor[:3, 0] for name, sensor in found.items()}
-    neighbours = {name: sum(float(x @ axes[other]) > 0.0 for other in axes) - 1 for name, x in axes.items()}
-    return [
-        UltrasonicModel(name, s, neighbours[name], name in carried, config, generator(seed, f"ultrasonic/{name}"))
-        for name, s in found.items()
-    ]
+        sensors.append(UwbModel(name, tag, anchors, config.uwb, context.generator(f"uwb/{name}")))
+    for kind, make_model in MODELS.items():
+        section = getattr(config, kind, None)
+        sensors += [make_model(name, one, section, context) for name, one in sensors_of(found, kind).items()]
+    return sensors

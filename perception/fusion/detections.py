@@ -1,11 +1,13 @@
 """Obstacles of one sensor as tracker input: in `odom`, with measurement noise and evidence."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
+from configs.sensor_kinds import SENSOR_KINDS, require_kinds
 from configs.strict import Config
 from geometry.transforms import apply, yaw_of
 from messages.message import Float64
@@ -23,18 +25,12 @@ class KindConfig(Config):
     keep_s: float = Field(gt=0.0, le=10.0)
 
 
-class KindsConfig(Config):
-    """Configuration of each kind of sensor; the name of a sensor begins with its kind."""
+def kind_of(sensor: str) -> str:
+    """Kind of a sensor, the first part of its name: `radar_front` is of kind `radar`."""
+    return sensor.partition("_")[0]
 
-    lidar: KindConfig
-    radar: KindConfig
-    camera: KindConfig
-    ultrasonic: KindConfig
 
-    def of(self, sensor: str) -> KindConfig:
-        """Configuration of the kind of a sensor."""
-        kind: KindConfig = getattr(self, sensor.partition("_")[0])
-        return kind
+KindConfigs = Annotated[dict[str, KindConfig], AfterValidator(lambda kinds: require_kinds(kinds, SENSOR_KINDS))]
 
 
 class NoiseConfig(Config):
@@ -79,11 +75,11 @@ def to_odom(
     T_odom_base: Float64,
     sensor: int,
     static_occupancy: StaticOccupancy,
-    kinds: KindsConfig,
+    kinds: dict[str, KindConfig],
     noise: NoiseConfig,
 ) -> Detections:
     """Detections from the obstacles of one message; updates the static occupancy with them."""
-    yaw, kind = yaw_of(T_odom_base), kinds.of(obstacles.sensor)
+    yaw, kind = yaw_of(T_odom_base), kinds[kind_of(obstacles.sensor)]
     c, s = np.cos(yaw), np.sin(yaw)
     is_lidar, is_camera = (obstacles.sensor.startswith(name) for name in ("lidar", "camera"))
     points = apply(T_odom_base, obstacles.points_base_m)

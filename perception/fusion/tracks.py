@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from configs.strict import Config
 from messages.message import Float64, Int64
 from messages.perception import ObstacleClass
-from perception.fusion.detections import Detections, KindConfig, KindsConfig, NoiseConfig
+from perception.fusion.detections import Detections, KindConfig, KindConfigs, NoiseConfig
 from perception.fusion.fragments import VEHICLE, FragmentsConfig, ParentTracks, is_fragment
 from perception.fusion.kalman import distances, predict
 from perception.fusion.static_occupancy import StaticOccupancy, StaticOccupancyConfig
@@ -43,7 +43,7 @@ class TrackerConfig(Config):
     miss_penalty: float = Field(
         ge=0.0, le=1.0, description="share of the evidence of a detection, lost when a sensor misses its track"
     )
-    kinds: KindsConfig
+    kinds: KindConfigs
     fragments: FragmentsConfig
     lost_s: float = Field(gt=0.0, le=10.0, description="gap after which the velocity of a track is reset")
     moving_sigma: float = Field(gt=0.0, le=10.0, description="a slower speed is published as 0")

@@ -20,6 +20,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from configs.sensor_kinds import SENSOR_KINDS
 from configs.strict import CONFIGS, find, load
 from datasets.log import LogWriter
 from messages.errors import HeadlandError, LogError
@@ -38,7 +39,6 @@ from simulation.faults.config import FaultsConfig, InjectedFault, fault_kinds_of
 from simulation.faults.injection import FaultInjection
 from simulation.scenario import Scenario
 
-EYES = ("lidar", "radar", "camera", "ultrasonic")
 NOT_INJECTED = ("operator_command", "truth_machine", "truth_objects")
 LIMIT_S = 600.0  # simulated time to reach a situation
 CELL_LIMIT_S = 900.0  # wall time
@@ -73,7 +73,7 @@ class Drive:
         used = {one.topic for one in covering}
         for name, lidar in sensors.lidar.items():
             used |= {f"lidar/{name}"} if np.cos(np.radians(lidar.mount.rpy_deg[2])) * direction > 0.0 else set()
-        obstacle_topics = [topic for topic in self.world.writes if topic.partition("/")[0] in EYES]
+        obstacle_topics = [topic for topic in self.world.writes if topic.partition("/")[0] in SENSOR_KINDS]
         unused = [topic for topic in obstacle_topics if topic not in used]
         nodes = [f"node/{prefix}{topic.replace('/', '_', 1)}" for topic in unused for prefix in ("", "health_")]
         return (*unused, *nodes)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from configs.sensor_kinds import SENSOR_KINDS, sensors_of
 from configs.strict import CONFIGS, parse, read_yaml
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from datasets.importers.recording import Description, Recording
@@ -244,8 +245,8 @@ def _missing_text(where: str, missing: list[str], lidar: str, is_given: bool) ->
 def _with_logged_sensors(vehicle: Vehicle, lidars: dict[str, str], topics: list[str]) -> Vehicle:
     """Vehicle with the obstacle sensors that are in the log; the others are removed."""
     sensors: dict[str, Any] = {"lidar": {name: vehicle.sensors.lidar[name] for name in lidars}}
-    for kind in ("camera", "radar", "ultrasonic"):
-        own = getattr(vehicle.sensors, kind)
+    for kind in SENSOR_KINDS.keys() - {"lidar"}:
+        own = sensors_of(vehicle.sensors, kind)
         sensors[kind] = {name: own[name] for name in own if f"{kind}/{name}" in topics}
     return vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update=sensors)})
 

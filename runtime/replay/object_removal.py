@@ -3,22 +3,18 @@
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import cast
 
+from configs.sensor_kinds import sensors_of
 from configs.vehicle import Sensors
 from datasets.importers.recording import Received
 from geometry.transforms import Float64, invert
 from messages.errors import LogError
 from messages.message import Message
-from messages.sensors import CameraImage, LidarScan, RadarScan, UltrasonicRange
 from messages.truth import TrueMachine, TrueObject, TrueObjects
 from runtime.replay.prepare import ReplayInput
 from validation.obstacle_stop.boxes import Box, box_of
-from validation.obstacle_stop.object_removal import (
-    remove_from_echo,
-    remove_from_image,
-    remove_from_radar,
-    remove_from_scan,
-)
+from validation.sensor_registry import REMOVALS
 
 MAX_AGE_NS = 150_000_000
 BoxAt = Callable[[int], Box | None]
@@ -90,13 +86,6 @@ def _nearest(stamps_ns: list[int], stamp_ns: int) -> int | None:
 
 def without_object(topic: str, message: Message, box: Box, sensors: Sensors) -> Message:
     """Sensor message without the object; other messages unchanged."""
-    name = topic.partition("/")[2]
-    if isinstance(message, LidarScan) and name in sensors.lidar:
-        return remove_from_scan(message, box, sensors.lidar[name].mount.T_base_sensor)
-    if isinstance(message, RadarScan) and name in sensors.radar:
-        return remove_from_radar(message, box, sensors.radar[name])
-    if isinstance(message, UltrasonicRange) and name in sensors.ultrasonic:
-        return remove_from_echo(message, box, sensors.ultrasonic[name])
-    if isinstance(message, CameraImage) and name in sensors.camera:
-        return remove_from_image(message, box, sensors.camera[name])
-    return message
+    kind, _, name = topic.partition("/")
+    sensor = sensors_of(sensors, kind).get(name) if kind in REMOVALS else None
+    return message if sensor is None else cast(Message, REMOVALS[kind](message, box, sensor))

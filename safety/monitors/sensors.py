@@ -1,10 +1,10 @@
 """Sensor monitor: failures of radars, cameras and ultrasonic sensors that cover the direction of travel."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
-from configs.vehicle import Camera, Mount, Radar, Sensors, Ultrasonic
+from configs.sensor_kinds import MONITORED_KINDS, sensors_of
+from configs.vehicle import Mount, Sensors
 from messages.perception import HealthState, SensorHealth
 from messages.topics import spec_of
 from safety.sources.detection_range import limit_by_health
@@ -61,11 +61,12 @@ class SensorFailure:
 
 
 def monitored_sensors(sensors: Sensors, idle: frozenset[str]) -> tuple[MonitoredSensor, ...]:
-    """All radars, cameras and ultrasonic sensors except the idle ones (by label, such as `camera_front`)."""
-    kinds: dict[str, Mapping[str, Radar | Camera | Ultrasonic]] = {
-        "radar": sensors.radar, "camera": sensors.camera, "ultrasonic": sensors.ultrasonic,
-    }  # fmt: skip
-    every = [MonitoredSensor(kind, name, one.mount) for kind, ones in kinds.items() for name, one in ones.items()]
+    """All sensors of monitored kinds except the idle ones (by label, such as `camera_front`)."""
+    every = [
+        MonitoredSensor(kind, name, one.mount)
+        for kind in MONITORED_KINDS
+        for name, one in sensors_of(sensors, kind).items()
+    ]
     return tuple(one for one in every if one.label not in idle)
 
 

@@ -1,5 +1,10 @@
 """Sensor loss: without a radar, camera or ultrasonic sensor the machine slows to what the other sensors detect."""
 
+from typing import Annotated
+
+from pydantic import AfterValidator
+
+from configs.sensor_kinds import MONITORED_KINDS, require_kinds
 from configs.strict import Config
 from configs.vehicle import kmh
 from messages.command import RuleResult
@@ -15,17 +20,7 @@ CODE = "sensor_loss"
 class SensorLossLimits(Config):
     """Detection range of the remaining sensors when one kind is lost in the direction of travel."""
 
-    without_radar_m: Metres
-    without_camera_m: Metres
-    without_ultrasonic_m: Metres
-
-    def without_m(self, kind: str) -> float:
-        """The detection range without sensors of a kind."""
-        return {
-            "radar": self.without_radar_m,
-            "camera": self.without_camera_m,
-            "ultrasonic": self.without_ultrasonic_m,
-        }[kind]
+    without_m: Annotated[dict[str, Metres], AfterValidator(lambda ranges: require_kinds(ranges, MONITORED_KINDS))]
 
 
 def evaluate(situation: Situation, limits: SensorLossLimits) -> RuleResult:
@@ -33,8 +28,8 @@ def evaluate(situation: Situation, limits: SensorLossLimits) -> RuleResult:
     config = situation.config
     if not situation.sensor_failures or situation.timed_out_topics:
         return no_objection(CODE)
-    worst = min(situation.sensor_failures, key=lambda sensor_failures: limits.without_m(sensor_failures.kind))
-    range_m = limits.without_m(worst.kind)
+    worst = min(situation.sensor_failures, key=lambda failure: limits.without_m[failure.kind])
+    range_m = limits.without_m[worst.kind]
     by_factor = highest_speed(range_m / config.field.slow_range_factor, situation.braking, 0.0)
     speed = min(by_factor, highest_speed(range_m, situation.braking, situation.allowance_m))
     if situation.is_docking and worst.kind == "ultrasonic":

@@ -28,7 +28,7 @@ from simulation.rendering.scene_mesh import surface_of
 from simulation.rendering.shading import add_noise
 from simulation.rendering.textures import Int8
 from simulation.scenario import CameraEpisode
-from simulation.sensors.sensor import WorldState, period_ns_of
+from simulation.sensors.sensor import SensorContext, WorldState, period_ns_of
 
 NOISE_OFFSETS = 1 << 18  # start positions in the prepared noise
 BLOCKED_BGR = np.array([38, 52, 64], np.uint8)  # BGR
@@ -189,3 +189,8 @@ def roof_of(site: Site) -> Float64 | None:
         return None
     outline = np.array(site.shed.outline_m)
     return np.concatenate([outline.min(axis=0), outline.max(axis=0), [site.shed.height_m]])
+
+
+def make_model(name: str, camera: Camera, config: CameraConfig, context: SensorContext) -> CameraModel:
+    """Model of one camera of the vehicle."""
+    return CameraModel(name, camera, context.vehicle, context.site, context.scenario.camera, context.seed, config)

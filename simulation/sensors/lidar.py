@@ -18,7 +18,7 @@ from simulation.environment.scene import RaycastScene
 from simulation.kernels import ranges_mm, rays_near_ball, sweep_rays
 from simulation.machine.body import T_base_implement, implement_mesh, machine_mesh
 from simulation.machine.implement import at_fold
-from simulation.sensors.sensor import WorldState, period_ns_of
+from simulation.sensors.sensor import SensorContext, WorldState, period_ns_of
 
 MAX_RANGE_M = 65.5  # uint16 in mm
 BODY_REFLECTIVITY = 0.3
@@ -138,3 +138,8 @@ def nearer_hit(a: tuple[Float32, Float32], b: tuple[Float32, Float32]) -> tuple[
     """Distance and signal of the nearer hit."""
     is_b = b[0] < a[0]
     return np.where(is_b, b[0], a[0]), np.where(is_b, b[1], a[1])
+
+
+def make_model(name: str, lidar: Lidar, config: LidarConfig, context: SensorContext) -> LidarModel:
+    """Model of one lidar of the vehicle."""
+    return LidarModel(name, lidar, context.vehicle, context.implement, config, context.generator(f"lidar/{name}"))

@@ -20,7 +20,7 @@ from messages.sensors import RadarScan
 from simulation.actors.actors import ActorState
 from simulation.environment.scene import Scene
 from simulation.environment.scenery import by_kind
-from simulation.sensors.sensor import WorldState, period_ns_of
+from simulation.sensors.sensor import SensorContext, WorldState, period_ns_of
 
 # backscatter of rough surfaces in dB (times cosine of incidence and area); specular gain at normal incidence
 ROUGH_DB = {"ground": -14.0, "crop": -15.0, "fence": -4.0, "gate": 0.0, "wall": -10.0, "roof": -10.0, "post": 2.0,
@@ -249,3 +249,8 @@ def is_occluded(actor: ActorState, others: list[ActorState], T_map_sensor: Float
     distance_m = math.dist(sensor, actor.p_map_m[:2])
     nearer = [f for f in others if f is not actor and math.dist(sensor, f.p_map_m[:2]) < distance_m]
     return any(line.intersects(f.footprint) for f in nearer)
+
+
+def make_model(name: str, radar: Radar, config: RadarConfig, context: SensorContext) -> RadarModel:
+    """Model of one radar of the vehicle."""
+    return RadarModel(name, radar, config, context.generator(f"radar/{name}"))

@@ -3,10 +3,16 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
+from configs.site import Site
+from configs.vehicle import Implement, Vehicle
 from messages.message import Message
 from simulation.environment.scene import Scene
 from simulation.machine.machine import Machine
 from simulation.machine.pose_buffer import PoseBuffer
+from simulation.randomness import generator
+from simulation.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,21 @@ class Sensor(Protocol):
 
     def sample(self, state: WorldState) -> Message | None:
         """The measurement now, or None."""
+
+
+@dataclass(frozen=True)
+class SensorContext:
+    """Inputs of the sensor models besides sensor and configuration."""
+
+    site: Site
+    vehicle: Vehicle
+    implement: Implement
+    scenario: Scenario
+    seed: int
+
+    def generator(self, topic: str) -> np.random.Generator:
+        """Random generator of the sensor with this topic."""
+        return generator(self.seed, topic)
 
 
 def period_ns_of(rate_hz: float) -> int:

@@ -10,14 +10,14 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from configs.vehicle import Ultrasonic
+from configs.vehicle import MountedImplement, Ultrasonic
 from messages.message import Float32, Float64, Message
 from messages.perception import ObstacleClass
 from messages.sensors import UltrasonicRange
 from simulation.environment.scenery import by_kind
 from simulation.machine.body import LIFT_M
 from simulation.sensors.radar import directions, rays_from
-from simulation.sensors.sensor import WorldState, period_ns_of
+from simulation.sensors.sensor import SensorContext, WorldState, period_ns_of
 
 STRENGTH = {"wall": 1.5, "roof": 1.5, "store": 1.0, "post": 0.7, "mast": 0.4, "gate": 0.6, "fence": 0.5, "trees": 0.3,
             "crop": 0.02, "ground": 0.0}  # fmt: skip
@@ -129,3 +129,14 @@ def cone_rays(half_rad: float) -> Float64:
     )
     u = directions(azimuth.ravel(), elevation.ravel())
     return np.asarray(u[u[:, 0] >= math.cos(half_rad) - 1e-9])
+
+
+def make_model(name: str, sensor: Ultrasonic, config: UltrasonicConfig, context: SensorContext) -> UltrasonicModel:
+    """Model of one ultrasonic sensor of vehicle or implement; its neighbours face the same half-space."""
+    implement = context.implement
+    is_on_implement = isinstance(implement, MountedImplement) and name in implement.ultrasonic
+    x = sensor.mount.T_base_sensor[:3, 0]
+    axes = [one.mount.T_base_sensor[:3, 0] for one in context.vehicle.sensors.ultrasonic.values()]
+    neighbours = sum(float(x @ other) > 0.0 for other in axes) - 1
+    random = context.generator(f"ultrasonic/{name}")
+    return UltrasonicModel(name, sensor, neighbours, is_on_implement, config, random)

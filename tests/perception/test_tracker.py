@@ -132,7 +132,7 @@ def test_single_scan_unconfirmed_and_deletion_time():
     assert not published[0].tracks[0].is_confirmed
     assert published[10].tracks[0].is_confirmed
     gone = next(m.stamp_ns for m in published if m.stamp_ns > START + NS and not m.tracks)
-    assert (gone - START) / NS == pytest.approx(0.9 + TRACKER_CONFIG.kinds.lidar.keep_s, abs=0.21)
+    assert (gone - START) / NS == pytest.approx(0.9 + TRACKER_CONFIG.kinds["lidar"].keep_s, abs=0.21)
 
 
 def test_crossing_tracks_keep_ids():

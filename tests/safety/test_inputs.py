@@ -191,7 +191,7 @@ def test_what_was_told_may_be_as_old_as_its_sensor_is_slow(
 
 
 def test_each_kind_that_is_lost_leaves_its_own_range(config: SupervisorConfig) -> None:
-    left = [config.rules.sensor_loss.without_m(kind) for kind in ("radar", "camera", "ultrasonic")]
+    left = [config.rules.sensor_loss.without_m[kind] for kind in ("radar", "camera", "ultrasonic")]
     assert left == [5.0, 4.3, 3.0]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from configs.sensor_kinds import sensors_of
 from configs.vehicle import Vehicle
 from geometry.arrays import Float64
 from geometry.transforms import invert
@@ -16,6 +17,7 @@ from messages.perception import Obstacles
 from messages.truth import TrueMachine, TrueObject, TrueObjects
 from validation.obstacle_stop.boxes import Box, box_of
 from validation.obstacle_stop.ranges import range_without_failure, share_bounds
+from validation.sensor_registry import FIELDS_OF_VIEW
 
 ASSOCIATION_M = 1.0  # a detection within this distance + its sigma of a true box belongs to that object
 MAX_SIGMA_M = 2.0
@@ -42,21 +44,11 @@ class SensorView:
 
 def sensor_views(vehicle: Vehicle) -> dict[str, SensorView]:
     """Fields of view of the obstacle sensors by the sensor name in `Obstacles`."""
-    sensors, out = vehicle.sensors, {}
-    for name, lidar in sensors.lidar.items():
-        half = math.radians(lidar.field_of_view_deg) / 2.0
-        out[f"lidar_{name}"] = SensorView(lidar.mount.T_base_sensor, half, lidar.range_m[1])
-    for name, camera in sensors.camera.items():
-        half = math.atan(0.5 * camera.size_px[0] / camera.focal_px[0])
-        out[f"camera_{name}"] = SensorView(camera.mount.T_base_sensor, half, EDGES_M[-1])
-    for name, radar in sensors.radar.items():
-        half = math.radians(radar.field_of_view_deg) / 2.0
-        out[f"radar_{name}"] = SensorView(radar.mount.T_base_sensor, half, radar.range_m[1])
-    for name, one in sensors.ultrasonic.items():
-        out[f"ultrasonic_{name}"] = SensorView(
-            one.mount.T_base_sensor, math.radians(one.cone_deg) / 2.0, one.range_m[1]
-        )
-    return out
+    return {
+        f"{kind}_{name}": SensorView(sensor.mount.T_base_sensor, *field_of_view(sensor))
+        for kind, field_of_view in FIELDS_OF_VIEW.items()
+        for name, sensor in sensors_of(vehicle.sensors, kind).items()
+    }
 
 
 @dataclass(frozen=True)
