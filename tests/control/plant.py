@@ -1,6 +1,6 @@
-"""A tractor of control's own tests: bicycle with a steering loop, slip, a speed loop with an error, and noisy senses.
+"""Tractor model of the control tests: bicycle with steering loop, slip, speed loop with an error, and sensor noise.
 
-It shares nothing with `simulation/`, so that a common mistake cannot hide.
+Independent of `simulation/`, so that a common error is detected.
 """
 
 import math
@@ -27,7 +27,7 @@ BASE_NS = 5_000_000_000
 
 @dataclass
 class Ground:
-    """What the field does to the machine; the slope falls to the south."""
+    """Effects of the field on the machine; the slope falls to the south."""
 
     side_slope_deg: float = 0.0
     crab_per_g: float = 0.20  # rad of slip angle by lateral share of weight: 0.6 degrees on 3 degrees
@@ -38,7 +38,7 @@ class Ground:
 
 @dataclass
 class SensorNoise:
-    """Noise of what the controller is told."""
+    """Noise of the inputs of the controller."""
 
     map_m: float = 0.006  # slow error of the localizer
     map_s: float = 20.0
@@ -52,7 +52,7 @@ class SensorNoise:
 
 @dataclass
 class Actuators:
-    """How the machine answers."""
+    """Response of the machine."""
 
     bus_s: float = 0.03
     dead_s: float = 0.06
@@ -68,7 +68,7 @@ class Actuators:
 
 @dataclass
 class Track:
-    """What really happened, sampled every 20 ms."""
+    """True states and commands, every 20 ms."""
 
     t_s: list[float] = field(default_factory=list)
     x_m: list[float] = field(default_factory=list)
@@ -90,7 +90,7 @@ class Inbox:
 
 
 class Plant:
-    """Machine, senses and a supervisor that agrees; `run` drives the controller until it is finished."""
+    """Machine, sensors and a supervisor that passes all commands; `run` drives until the path is finished."""
 
     def __init__(
         self, x=0.0, y=0.0, yaw=0.0, speed=0.0, ground=None, noise=None, actuators=None, seed=1, config=CONFIG
@@ -222,7 +222,7 @@ def machine_state(now_ns, hitch, speed, fold=0.0):
 
 
 def path_along(curvatures, speed_mps=2.78, start=(0.0, 0.0, 0.0), direction=1, work=None, path_id=1, step_m=0.1):
-    """A path by its curvature of travel at each step."""
+    """Path from the curvature of travel at each step."""
     x, y, heading = start
     heading += 0.0 if direction > 0 else math.pi
     points, headings = [(x, y)], [heading]
@@ -247,7 +247,7 @@ def path_along(curvatures, speed_mps=2.78, start=(0.0, 0.0, 0.0), direction=1, w
 
 
 def true_offsets(track, path):
-    """Left of the path in the direction of travel and arc length of each sample, against the path as it was given."""
+    """Offset (left positive in the direction of travel) and arc length of each sample against the given path."""
     p, s = path.p_map_m, path.s_m
     q = np.stack([track.x_m, track.y_m], axis=1)
     offsets, positions = np.empty(len(q)), np.empty(len(q))

@@ -1,4 +1,4 @@
-"""The controller as a node: what it wishes when something is missing, and that it does the same twice."""
+"""Controller node: commands with missing inputs, consecutive paths, determinism."""
 
 import math
 from dataclasses import astuple, replace
@@ -16,14 +16,14 @@ from messages.topics import spec_of
 from tests.control.plant import CONFIG, IMPLEMENT, VEHICLE, Inbox, Plant, path_along
 
 
-def test_its_topics_are_in_the_table():
+def test_topics_in_topic_table():
     controller = Controller(VEHICLE, IMPLEMENT, CONFIG)
     assert [spec_of(t).type for t in controller.writes] == [ControlCommand]
     for topic in controller.reads:
         spec_of(topic)
 
 
-def test_without_anything_it_wishes_to_stand():
+def test_standstill_command_without_input():
     (topic, control_command), = Controller(VEHICLE, IMPLEMENT, CONFIG).step(1, Inbox())  # fmt: skip
     assert topic == "control_command"
     assert (control_command.speed_mps, control_command.path_id, control_command.is_finished) == (0.0, NO_PATH, False)
@@ -31,7 +31,7 @@ def test_without_anything_it_wishes_to_stand():
 
 
 @pytest.mark.parametrize("missing", ["odom", "map_pose"])
-def test_without_a_pose_it_wishes_to_stand_and_goes_on_after(missing):
+def test_standstill_command_without_pose_then_resume(missing):
     plant = Plant()
     path = path_along(np.zeros(300), 2.0)
     plant.run(path, stop=lambda p, _: p.x > 10.0)
@@ -42,7 +42,7 @@ def test_without_a_pose_it_wishes_to_stand_and_goes_on_after(missing):
     assert track.commands[-1].is_finished
 
 
-def test_a_pose_that_is_not_initialized_is_none():
+def test_standstill_command_with_uninitialized_pose():
     plant = Plant()
     plant.inbox.messages["path"] = path_along(np.zeros(100))
     plant.measure()
@@ -52,7 +52,7 @@ def test_a_pose_that_is_not_initialized_is_none():
     assert control_command.speed_mps == 0.0
 
 
-def test_paths_follow_one_another():
+def test_consecutive_paths():
     plant = Plant()
     plant.run(path_along(np.zeros(120), 2.0, path_id=1))
     assert plant.control_command.is_finished
@@ -64,7 +64,7 @@ def test_paths_follow_one_another():
     assert plant.x == pytest.approx(2.0, abs=0.06)
 
 
-def test_errors_are_left_of_the_machine_in_both_directions():
+def test_error_signs_forward_and_reverse():
     for direction, start in ((1, (0.0, 0.0, 0.0)), (-1, (30.0, 0.0, 0.0))):
         path = path_along(np.zeros(300), 1.0, start=start, direction=direction)
         plant = Plant(x=start[0], y=0.2, yaw=math.radians(3.0))
@@ -74,13 +74,13 @@ def test_errors_are_left_of_the_machine_in_both_directions():
         assert control_command.heading_error_rad == pytest.approx(math.radians(3.0), abs=0.005)
 
 
-def test_twice_the_same():
+def test_determinism():
     path = path_along(0.1 * np.sin(np.arange(150) * 0.05), 2.0)
     first, second = (Plant(seed=3).run(path).commands for _ in range(2))
     assert [astuple(w) for w in first] == [astuple(w) for w in second]
 
 
-def test_level_poses_agree_with_transforms():
+def test_pose2_against_transforms():
     a, b = Pose2(1.0, -2.0, 2.5), Pose2(-3.0, 0.5, 1.5)
     T_a, T_b = (planar(*p) for p in (a, b))
     assert np.allclose(a @ b, Pose2.of(T_a @ T_b))
@@ -89,7 +89,7 @@ def test_level_poses_agree_with_transforms():
 
 
 @pytest.mark.parametrize("value", [math.nan, -1.0, 0.0, 1e9])
-def test_a_senseless_value_is_named(value):
+def test_invalid_config_value_named_in_error(value):
     values = CONFIG.model_dump()
     values["tracking"]["offset_decay_m"] = value
     with pytest.raises(ConfigError, match="offset_decay_m"):
@@ -97,10 +97,12 @@ def test_a_senseless_value_is_named(value):
 
 
 @pytest.mark.parametrize("points", [1, 2, 4])
-def test_a_path_of_hardly_any_length_is_soon_finished(points):
-    whole = path_along(np.zeros(20), 1.0)
-    short = {k: getattr(whole, k)[:points] for k in ("p_map_m", "heading_rad", "curvature_radpm", "s_m", "is_working")}
-    path = replace(whole, **short, speed_mps=np.append(np.full(points - 1, 0.3), 0.0))
+def test_minimal_path_length(points):
+    complete = path_along(np.zeros(20), 1.0)
+    short = {
+        k: getattr(complete, k)[:points] for k in ("p_map_m", "heading_rad", "curvature_radpm", "s_m", "is_working")
+    }
+    path = replace(complete, **short, speed_mps=np.append(np.full(points - 1, 0.3), 0.0))
     track = Plant().run(path, until_s=30.0)
     assert track.commands[-1].is_finished
     assert abs(track.x_m[-1] - path.s_m[-1]) < 0.05

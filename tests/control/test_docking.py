@@ -1,4 +1,4 @@
-"""The way into the dock as planned, driven by the closed loop: forward, cusp, and in reverse to the centimetre."""
+"""Planned docking paths driven in the closed loop: forward, cusp, and reverse into the dock."""
 
 import math
 
@@ -23,7 +23,7 @@ YARD = Ground(side_slope_deg=0.5, understeer=0.01, soil_radpm=0.001)
     ("wide", Pose2(20.0, -28.5, math.radians(-110.0)), 1.05),
     ("narrow", Pose2(22.0, -31.0, math.radians(-90.0)), 0.97),
 ])  # fmt: skip
-def test_it_ends_in_the_dock(bay, start, speed_gain):
+def test_docking_accuracy(bay, start, speed_gain):
     rig = rig_of(VEHICLE, IMPLEMENT.folded, None, PLANNING.planner)
     docking = Docking(SITE, rig, SITE.bay(bay), PLANNING.docking, 0)
     noise, actuators = SensorNoise(map_m=0.002, angle_zero_deg=-0.3), Actuators(speed_gain=speed_gain)

@@ -1,4 +1,4 @@
-"""The implement is in work where the path says, however long its hitch takes."""
+"""Implement control: work edges with different hitch latencies, PTO."""
 
 from dataclasses import dataclass
 
@@ -12,14 +12,14 @@ STEP_M = 0.1
 
 
 def marked(first, last, points=601):
-    """Marks as the planner sets them: from the last point before work to the first after it."""
+    """`is_working` as planned: from the last point before work to the first after it."""
     work = np.zeros(points, np.uint8)
     work[first - 1 : last + 2] = 1
     return work
 
 
 def crossings(track):
-    """Arc lengths where the hitch crossed into or out of work, between the samples."""
+    """Arc lengths where the hitch crossed the working position, interpolated."""
     x, h = np.array(track.x_m), np.array(track.hitch)
     found = []
     for k in np.flatnonzero((h[1:] < 0.1) != (h[:-1] < 0.1)):
@@ -29,7 +29,7 @@ def crossings(track):
 
 
 @pytest.mark.parametrize(("speed_mps", "grade"), [(0.8, 0.0), (1.94, 0.08), (2.78, 0.0), (2.78, -0.08)])
-def test_edges_within_5_cm(speed_mps, grade):
+def test_work_edges_within_5_cm(speed_mps, grade):
     path = path_along(np.zeros(280), speed_mps, work=marked(120, 220, 281))
     track = Plant(ground=Ground(3.0, grade=grade)).run(path)
     down, up = crossings(track)
@@ -38,8 +38,8 @@ def test_edges_within_5_cm(speed_mps, grade):
 
 
 @dataclass
-class Slow:
-    """A plant whose hitch starts moving late."""
+class SlowHitch:
+    """Plant with an additional hitch latency."""
 
     plant: Plant
     delay_s: float
@@ -65,19 +65,19 @@ def _with_hitch(control_command, queue):
     return changed
 
 
-def test_a_late_hitch_is_learned():
+def test_hitch_latency_learning():
     work = np.zeros(901, np.uint8)
     for first in range(100, 800, 150):
         work[first - 1 : first + 72] = 1
     path = path_along(np.zeros(900), 2.78, work=work)
-    found = crossings(Slow(Plant(), 0.25).run(path))
+    found = crossings(SlowHitch(Plant(), 0.25).run(path))
     desired = [s for first in range(100, 800, 150) for s in (first * STEP_M - 0.05, (first + 70) * STEP_M + 0.05)]
     late = np.array(found) - np.array(desired)
     assert np.abs(late[:2]).max() > 0.4
     assert np.abs(late[-4:]).max() < 0.15
 
 
-def test_marks_become_edges_half_a_gap_inside():
+def test_edges_half_a_step_inside_marks():
     path = path_along(np.zeros(100), work=marked(30, 60, 101))
     assert [(e.s_m, e.is_lowering) for e in edges_of(path)] == [
         (pytest.approx(2.95), True),
@@ -85,7 +85,7 @@ def test_marks_become_edges_half_a_gap_inside():
     ]
 
 
-def test_work_from_the_first_to_the_last_point():
+def test_work_on_complete_path():
     path = path_along(np.zeros(50), work=np.ones(51))
     control = ImplementControl(IMPLEMENT, CONFIG.implement)
     control.start(path)
@@ -93,7 +93,7 @@ def test_work_from_the_first_to_the_last_point():
     assert [e.is_lowering for e in edges_of(path)] == [True, False]
 
 
-def test_nothing_changes_while_the_machine_stands_before_the_edge():
+def test_no_implement_command_at_standstill_before_edge():
     path = path_along(np.zeros(300), 2.0, work=marked(100, 200, 301))
     plant = Plant()
     plant.run(path, stop=lambda p, _: p.x > 7.0)
@@ -103,10 +103,10 @@ def test_nothing_changes_while_the_machine_stands_before_the_edge():
     assert not plant.control_command.is_implement_lowered
     plant.is_enabled = True
     down, _ = crossings(plant.run(path))
-    assert down == pytest.approx(9.95, abs=0.3)  # it was still speeding up
+    assert down == pytest.approx(9.95, abs=0.3)  # still accelerating
 
 
-def test_the_shaft_turns_before_work_and_stays_on_between_near_works():
+def test_pto_lead_and_hold_between_sections():
     work = marked(300, 350) | marked(400, 450)
     track = Plant().run(path_along(np.zeros(600), 2.78, work=work))
     x, on = np.array(track.x_m), np.array([w.is_pto_on for w in track.commands])
@@ -115,7 +115,7 @@ def test_the_shaft_turns_before_work_and_stays_on_between_near_works():
     assert x[len(on) - 1 - np.argmax(on[::-1])] == pytest.approx(45.0, abs=0.5)
 
 
-def test_an_implement_without_shaft_never_asks_for_it():
+def test_no_pto_command_without_pto():
     bare = IMPLEMENT.model_copy(update={"uses_pto": False})
     control = ImplementControl(bare, CONFIG.implement)
     plant = Plant()

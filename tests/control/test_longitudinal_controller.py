@@ -1,4 +1,4 @@
-"""Speed: steady on grades, soft and exact at the end, and nothing learned while somebody else decides."""
+"""Longitudinal controller: speed on grades, stop at the path end, integration, brake demand."""
 
 import math
 
@@ -10,15 +10,15 @@ from tests.control.plant import CONFIG, Actuators, Ground, Plant, path_along
 
 
 @pytest.mark.parametrize(("grade", "speed_gain"), [(-0.08, 1.05), (-0.08, 0.94), (0.08, 0.94)])
-def test_steady_speed_on_a_grade(grade, speed_gain):
-    """A tractor whose own loop is off by 5 % and by its load: within 0.1 km/h (BD-5.2.5a)."""
+def test_speed_error_on_grade(grade, speed_gain):
+    """Error of the tractor speed loop of 5 % and by load: within 0.1 km/h (BD-5.2.5a)."""
     plant = Plant(ground=Ground(grade=grade), actuators=Actuators(speed_gain=speed_gain))
     track = plant.run(path_along(np.zeros(500), 2.0), stop=lambda p, _: p.x > 45.0)
     steady = np.array(track.speed_mps)[np.array(track.x_m) > 25.0]
     assert np.abs(steady - 2.0).max() * 3.6 <= 0.1
 
 
-def test_a_changing_draft_is_followed():
+def test_speed_error_after_draft_change():
     plant = Plant()
     path = path_along(np.zeros(700), 2.0)
     plant.run(path, stop=lambda p, _: p.x > 20.0)
@@ -32,7 +32,7 @@ def test_a_changing_draft_is_followed():
     ("speed_mps", "direction", "grade"),
     [(2.78, 1, 0.0), (2.78, 1, -0.08), (1.39, 1, 0.08), (0.5, -1, 0.08), (0.5, -1, -0.08)],
 )
-def test_it_stands_at_the_end_of_the_path(grade, speed_mps, direction):
+def test_stop_at_path_end(grade, speed_mps, direction):
     length_m = 15 if speed_mps > 1.0 else 5
     path = path_along(np.zeros(10 * length_m), speed_mps, direction=direction)
     plant = Plant(ground=Ground(grade=grade), speed=0.0)
@@ -46,7 +46,7 @@ def test_it_stands_at_the_end_of_the_path(grade, speed_mps, direction):
     assert abs(length_m - direction * plant.x) <= 0.05
 
 
-def test_it_slows_down_before_a_slower_stretch():
+def test_deceleration_before_slower_section():
     path = path_along(np.zeros(500), 2.78)
     path.speed_mps.flags.writeable = True
     path.speed_mps[300:] = np.minimum(path.speed_mps[300:], 1.0)
@@ -55,14 +55,14 @@ def test_it_slows_down_before_a_slower_stretch():
     assert np.array(track.speed_mps)[slow].max() < 1.15
 
 
-def test_far_from_the_path_it_goes_slowly():
+def test_speed_limit_far_from_path():
     track = Plant(y=1.5).run(path_along(np.zeros(500), 2.78), stop=lambda p, _: p.x > 30.0)
     far = np.abs(np.array(track.y_m)) > CONFIG.speed.far_offset_m
     assert np.array(track.speed_mps)[far].max() < CONFIG.speed.far_mps + 0.1
     assert track.speed_mps[-1] > 2.5
 
 
-def test_a_stop_by_the_supervisor_teaches_nothing():
+def test_no_integration_during_supervisor_stop():
     plant = Plant(actuators=Actuators(speed_gain=1.0))
     path = path_along(np.zeros(600), 2.0)
     plant.run(path, stop=lambda p, _: p.x > 15.0)
@@ -76,15 +76,15 @@ def test_a_stop_by_the_supervisor_teaches_nothing():
     assert max(track.speed_mps) < 2.2
 
 
-def test_a_machine_that_does_not_start_is_asked_for_more():
+def test_command_ramp_when_stuck():
     control = LongitudinalController(CONFIG.speed)
-    asked = [control.command(0.3, 0.0, 0.02, True)[0] for _ in range(200)]
-    assert asked[-1] > asked[0] + 0.2
-    assert max(asked) <= 0.3 + CONFIG.speed.integral_max_mps + 1e-9
+    commanded = [control.command(0.3, 0.0, 0.02, True)[0] for _ in range(200)]
+    assert commanded[-1] > commanded[0] + 0.2
+    assert max(commanded) <= 0.3 + CONFIG.speed.integral_max_mps + 1e-9
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 0.5, 1.0, 1.2, 1.3, 2.0, 5.0])
-def test_the_brakes_help_only_a_drive_that_does_not_slow_down(speed_mps):
+def test_brake_demand_on_overspeed_only(speed_mps):
     control = LongitudinalController(CONFIG.speed)
     for _ in range(200):
         _, acceleration = control.command(1.0, speed_mps, 0.02, True)
@@ -99,7 +99,7 @@ def braking_to_stand(speed_mps):
     return min(max(speed.overspeed_per_s * speed_mps, speed.holding_mps2), speed.max_braking_mps2)
 
 
-def test_the_end_is_approached_without_a_kink():
+def test_continuous_deceleration_at_path_end():
     plant = Plant()
     path = path_along(np.zeros(100), 2.0)
     plant.inbox.messages["path"] = path

@@ -1,4 +1,4 @@
-"""Steering: the law, and the loop closed over a machine with delay, lag, backlash, slip and noise."""
+"""Tracking law, and the closed loop with delay, lag, backlash, slip and noise."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ FAST_ANYWHERE = CONFIG.model_copy(update={"speed": CONFIG.speed.model_copy(updat
 
 
 def drive(path, before_m=12.0, after_m=3.0, **kwargs):
-    """True offsets in the steady part, in cm: (sigma, mean, greatest)."""
+    """True offsets in the steady part, cm: (standard deviation, mean, maximum)."""
     plant = Plant(x=path.p_map_m[0, 0], y=path.p_map_m[0, 1], yaw=path.heading_rad[0], **kwargs)
     track = plant.run(path)
     assert track.commands[-1].is_finished
@@ -29,7 +29,7 @@ def drive(path, before_m=12.0, after_m=3.0, **kwargs):
 # the law
 
 
-def test_the_wanted_heading_is_smooth_and_points_to_the_line():
+def test_desired_heading_smooth_and_towards_line():
     offsets = np.linspace(-6.0, 6.0, 24001)
     angles = np.array([LAW.approach(e)[0] for e in offsets])
     slopes = np.array([LAW.approach(e)[1] for e in offsets])
@@ -42,14 +42,14 @@ def test_the_wanted_heading_is_smooth_and_points_to_the_line():
 
 
 @pytest.mark.parametrize("curvature", [0.0, 0.05, -0.2])
-def test_on_the_path_the_law_is_the_path(curvature):
+def test_curvature_of_path_without_error(curvature):
     assert LAW.curvature(0.0, 0.0, curvature) == pytest.approx(curvature)
 
 
 @pytest.mark.parametrize("curvature", [0.0, 0.1, -0.2])
 @pytest.mark.parametrize("offset_m", [-0.3, 0.05, 0.5])
-def test_offset_and_heading_decay_without_overshoot(curvature, offset_m):
-    """The law alone on the kinematics it is made for: the offset goes down to nothing and never changes sides."""
+def test_error_decay_without_overshoot(curvature, offset_m):
+    """Law on its kinematic model: the offset decays to 0 without a change of sign."""
     e, psi, step = offset_m, 0.0, 0.005
     for _ in range(4000):
         k = LAW.curvature(e, psi, curvature)
@@ -60,8 +60,8 @@ def test_offset_and_heading_decay_without_overshoot(curvature, offset_m):
 
 
 @pytest.mark.parametrize(("speed_mps", "offset_m"), [(0.83, -1.5), (1.39, 0.5), (2.78, -3.0), (2.78, 0.5), (6.0, 3.0)])
-def test_a_limited_steering_rate_does_not_make_it_swing(speed_mps, offset_m):
-    """From far off at any speed: where the law asked for more than the steering can, the machine would overshoot."""
+def test_no_oscillation_with_limited_steering_rate(speed_mps, offset_m):
+    """Large offsets at all speeds: a demand above the steering rate would cause overshoot."""
     plant = Plant(x=2.0, y=offset_m, speed=speed_mps, noise=SensorNoise(map_m=0.0), config=FAST_ANYWHERE)
     track = plant.run(path_along(np.zeros(900), speed_mps), stop=lambda p, _: p.x > 20.0 + 4.0 * speed_mps)
     offsets = np.array(track.y_m) * math.copysign(1.0, offset_m)
@@ -80,7 +80,7 @@ def test_straight_line(speed_mps):
     assert greatest <= 2.5
 
 
-def test_straight_line_without_localizer_error_is_followed_to_millimetres():
+def test_straight_line_without_localizer_error():
     sigma, mean, greatest = drive(
         path_along(np.zeros(350)), ground=Ground(side_slope_deg=3.0), noise=SensorNoise(map_m=0.0)
     )
@@ -105,7 +105,7 @@ def test_adaptive_curve():
     assert greatest <= 2.5
 
 
-def test_steps_of_curvature_left_and_right():
+def test_curvature_steps():
     steps = np.concatenate([np.zeros(100), np.full(100, 0.2), np.full(100, -0.2), np.zeros(150)])
     sigma, _, greatest = drive(path_along(steps, 1.39), before_m=2.0, ground=FIELD, noise=SensorNoise(map_m=0.003))
     assert sigma <= 2.0
@@ -139,7 +139,7 @@ def test_reverse_returns_to_the_path():
     ],
     ids=str,
 )
-def test_a_machine_other_than_the_calibrated_one(actuators):
+def test_robustness_to_actuator_parameters(actuators):
     sigma, _, greatest = drive(
         path_along(np.zeros(350)), ground=FIELD, actuators=actuators, noise=SensorNoise(map_m=0.0)
     )
@@ -148,18 +148,18 @@ def test_a_machine_other_than_the_calibrated_one(actuators):
 
 
 @pytest.mark.parametrize("zero_deg", [-1.0, 1.0])
-def test_the_zero_of_the_angle_sensor_is_learned(zero_deg):
+def test_angle_sensor_offset_learning(zero_deg):
     noise = SensorNoise(map_m=0.0, angle_zero_deg=zero_deg)
     _, mean, greatest = drive(path_along(np.zeros(300)), before_m=8.0, noise=noise)
     assert abs(mean) <= 0.3
     assert greatest <= 1.0
 
 
-@pytest.mark.parametrize(("offset_m", "heading_deg", "most_m"), [
+@pytest.mark.parametrize(("offset_m", "heading_deg", "max_m"), [
     (0.3, 0.0, 5.0), (-0.5, 0.0, 5.0), (1.0, -30.0, 5.0), (0.3, -45.0, 10.0), (3.0, 0.0, 10.0),
 ])  # fmt: skip
-def test_line_acquisition_at_3_kmh(offset_m, heading_deg, most_m):
-    """From engaging to where |offset| ≤ 2.5 cm and |heading| ≤ 1° hold for 10 m (T14-6.6.4)."""
+def test_line_acquisition_at_3_kmh(offset_m, heading_deg, max_m):
+    """From engagement to where |offset| ≤ 2.5 cm and |heading| ≤ 1° hold for 10 m (T14-6.6.4)."""
     path = path_along(np.zeros(400), 0.833)
     yaw = math.radians(heading_deg)
     plant = Plant(x=3.0, y=offset_m, yaw=yaw, speed=0.833, noise=SensorNoise(map_m=0.003))
@@ -168,10 +168,10 @@ def test_line_acquisition_at_3_kmh(offset_m, heading_deg, most_m):
     off = (np.abs(offset) > 0.025) | (np.abs(track.yaw_rad) > math.radians(1.0))
     first = int(np.flatnonzero(off).max()) + 1
     assert track.x_m[-1] - track.x_m[first] >= 10.0
-    assert math.hypot(track.x_m[first] - 3.0, track.y_m[first] - offset_m) <= most_m
+    assert math.hypot(track.x_m[first] - 3.0, track.y_m[first] - offset_m) <= max_m
 
 
-def test_a_jump_on_the_map_is_not_seen_by_steering():
+def test_map_pose_jump():
     path = path_along(np.zeros(600), 1.94)
     plant = Plant(noise=SensorNoise(map_m=0.0), ground=FIELD)
     plant.run(path, stop=lambda p, _: p.x > 20.0)
@@ -180,10 +180,10 @@ def test_a_jump_on_the_map_is_not_seen_by_steering():
     track = plant.run(path, stop=lambda p, _: p.x > 45.0)
     late = [w.curvature_radpm for w, x in zip(track.commands, track.x_m, strict=True) if x > 20.0]
     assert max(abs(k - before) for k in late) < 0.06  # at once it would be 0.2 / (0.9 · 0.6) = 0.37
-    assert track.y_m[-1] == pytest.approx(-0.2, abs=0.02)  # in the end it is followed
+    assert track.y_m[-1] == pytest.approx(-0.2, abs=0.02)  # the jump is followed in the end
 
 
-def test_commands_are_finite_and_within_what_the_machine_can():
+def test_curvature_limit():
     path = path_along(np.zeros(200), 0.833)
     for yaw in (0.0, 1.5, 3.0, -2.0):
         plant = Plant(x=2.0, y=2.5, yaw=yaw, speed=0.5)
@@ -191,7 +191,7 @@ def test_commands_are_finite_and_within_what_the_machine_can():
         assert all(abs(w.curvature_radpm) <= 1 / 4.6 + 1e-9 for w in track.commands)
 
 
-def test_hydraulic_and_electric_share_one_law(monkeypatch):
+def test_hydraulic_steering(monkeypatch):
     from configs.strict import CONFIGS, load
     from configs.vehicle import Vehicle
 

@@ -1,4 +1,4 @@
-"""The demo's parts, and its plan (made once)."""
+"""Fixtures: parts of the demo mission and its plan."""
 
 import pytest
 

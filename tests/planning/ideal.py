@@ -1,4 +1,4 @@
-"""An ideal driver and a plain supervisor, to close the loop about the mission node without any other node."""
+"""Ideal path follower and simple supervisor: closed loop around the mission node without other nodes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,16 +19,16 @@ from planning.mission import MissionNode
 from planning.plan import Plan
 
 STEP_NS = 1_000_000_000  # coarser than the node's own period, for speed
-STOP_GAP_M = 2.5  # as a supervisor leaves between foremost point and obstacle
+STOP_GAP_M = 2.5  # distance kept by the supervisor to an obstacle
 CLEAR_S = 3.0
 
 
 @dataclass
 class Box:
-    """An inbox with what is given."""
+    """Inbox with fixed messages."""
 
     messages: Mapping[str, Any]
-    orders: tuple[Message, ...] = ()
+    commands: tuple[Message, ...] = ()
 
     def latest(self, topic: str, kind: type) -> Any:
         return self.messages.get(topic)
@@ -36,7 +36,7 @@ class Box:
     last = latest
 
     def all(self, topic: str, kind: type) -> tuple[Any, ...]:
-        return self.orders if topic == "operator_command" else ()
+        return self.commands if topic == "operator_command" else ()
 
     def at(self, topic: str, kind: type, stamp_ns: int) -> Any:
         return self.messages.get(topic)
@@ -44,7 +44,7 @@ class Box:
 
 @dataclass
 class Ideal:
-    """Follows each path exactly, stops before what stands within the sweep ahead, and resumes when that is clear."""
+    """Follows each path exactly, stops before obstacles in the sweep ahead, and resumes when they are gone."""
 
     plan: Plan
     node: MissionNode
@@ -59,20 +59,20 @@ class Ideal:
     worked: list[tuple[Path, float, float]] = field(default_factory=list)
     status: MissionStatus | None = None
     least_gap_m: float = np.inf
-    stood_s: float = 0.0
+    stopped_s: float = 0.0
     now_ns: int = 5_000_000_000
     uwb_age_s: float = 0.1
-    end_error_m: float = 0.0  # by which it stands short of the end of each path
+    end_error_m: float = 0.0  # distance before the end of each path at which it stops
 
     def run(self, seconds: float, until: str = "") -> None:
         start = self.plan.paths[0]
         if not self.pose.any():
             self.pose = np.array([*start.p_map_m[0], start.heading_rad[0]])
         now = self.now_ns
-        order = OperatorCommand(now, OperatorCommandKind.START, "test", 1, now + 60 * 10**9)
+        command = OperatorCommand(now, OperatorCommandKind.START, "test", 1, now + 60 * 10**9)
         for k in range(int(seconds * 1e9) // STEP_NS):
             now = self.now_ns = now + STEP_NS
-            for topic, message in self.node.step(now, Box(self._messages(now), (order,) if k == 2 else ())):
+            for topic, message in self.node.step(now, Box(self._messages(now), (command,) if k == 2 else ())):
                 if topic == "path":
                     assert isinstance(message, Path)
                     self._take(message)
@@ -106,7 +106,7 @@ class Ideal:
         elif is_blocked:
             self.is_stopped, self.clear_s = True, 0.0
         if self.is_stopped:
-            self.stood_s += dt
+            self.stopped_s += dt
             return
         limit = float(np.interp(self.s_m, self.path.s_m, self.path.speed_mps))
         before, self.s_m = self.s_m, min(self.s_m + max(limit, 0.2) * dt, self._end_m)

@@ -1,4 +1,4 @@
-"""Docking: Reeds-Shepp words, ways that can be steered and keep clear, and what is refused with its place."""
+"""Docking plans: Reeds-Shepp paths, curvature ramps, clearance, and refusals with position."""
 
 import math
 from dataclasses import replace
@@ -48,7 +48,7 @@ def docking_in(
 
 
 def starts(count: int) -> list[Pose2]:
-    """Within 3 m and 20 degrees of the lane's end."""
+    """Poses within 3 m and 20 degrees of the end of the lane."""
     drawn = np.random.default_rng(7).uniform(size=(count, 3))
     return [
         Pose2(
@@ -59,12 +59,12 @@ def starts(count: int) -> list[Pose2]:
     ]  # fmt: skip
 
 
-# the words
+# Reeds-Shepp paths
 
 
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(POSES, POSES, st.floats(3.0, 8.0))
-def test_every_word_ends_at_the_goal(start: Pose2, goal: Pose2, radius: float) -> None:
+def test_reeds_shepp_paths_end_at_goal(start: Pose2, goal: Pose2, radius: float) -> None:
     found = reeds_shepp_paths(start, goal, radius)
     assert np.diff([length_m(w) for w in found]).min(initial=0.0) > -1e-8
     for word in found:
@@ -86,7 +86,7 @@ def driven(word: tuple[Segment, ...], pose: Pose2) -> Pose2:
 
 @settings(derandomize=True, max_examples=100, deadline=None)
 @given(POSES, POSES)
-def test_the_shortest_word_is_that_of_ompl(start: Pose2, goal: Pose2) -> None:
+def test_shortest_reeds_shepp_path_against_ompl(start: Pose2, goal: Pose2) -> None:
     from ompl import base
 
     states = base.ReedsSheppStateSpace(5.0)
@@ -99,7 +99,7 @@ def test_the_shortest_word_is_that_of_ompl(start: Pose2, goal: Pose2) -> None:
 
 
 @pytest.mark.parametrize(("lengths", "changes"), [((1, 2), 0), ((1, -2), 1), ((-1, 2, -3), 2), ((-1,), 0)])
-def test_cusps_are_changes_of_direction(lengths: tuple[float, ...], changes: int) -> None:
+def test_cusp_count(lengths: tuple[float, ...], changes: int) -> None:
     assert cusps(tuple(Segment(u, 0.1) for u in lengths)) == changes
 
 
@@ -108,7 +108,7 @@ def test_cusps_are_changes_of_direction(lengths: tuple[float, ...], changes: int
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(POSES, POSES)
-def test_a_corrected_way_ends_at_the_goal_with_ramped_curvature(start: Pose2, goal: Pose2) -> None:
+def test_ramped_path_ends_at_goal(start: Pose2, goal: Pose2) -> None:
     for word in reeds_shepp_paths(start, goal, 5.0)[:4]:
         solved = solve_endpoint(word, start, goal, 1.2) if word else None
         if solved is None:
@@ -131,7 +131,7 @@ def test_a_corrected_way_ends_at_the_goal_with_ramped_curvature(start: Pose2, go
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(st.floats(-6, 6), st.floats(-6, 6), st.floats(-4, 4))
-def test_clearance_is_the_distance_of_shapely(x: float, y: float, heading: float) -> None:
+def test_clearance_against_shapely(x: float, y: float, heading: float) -> None:
     first, last = np.array([[3.0, -1.0], [-2.0, 4.0], [0.5, -5.0]]), np.array([[3.0, 6.0], [-2.0, 4.0], [7.0, -4.0]])
     bounds = Bounds(first, last, np.array([0.05, 0.12, 0.0]))
     bodies = (Rectangle(-1.0, 3.5, 2.3), Rectangle(-2.4, -1.1, 2.55))
@@ -141,12 +141,12 @@ def test_clearance_is_the_distance_of_shapely(x: float, y: float, heading: float
               for b in bodies]  # fmt: skip
     edges = [LineString([a, b]) for a, b in zip(first, last, strict=True)]
     real = min(o.distance(e) - t for o in shapes for e, t in zip(edges, bounds.thickness_m, strict=True))
-    if real > 0.0:  # what crosses is found between two poses before
+    if real > 0.0:  # crossings are not covered
         assert found == pytest.approx(real, abs=1e-9)
 
 
-def least_gaps(docking: Docking, paths: tuple[Path, ...], others: tuple[Polygon, ...] = ()) -> tuple[float, float]:
-    """Least gap before and in the bay, by shapely alone; the machine must stay in yard, lane and shed."""
+def min_clearances(docking: Docking, paths: tuple[Path, ...], others: tuple[Polygon, ...] = ()) -> tuple[float, float]:
+    """Minimum clearance before and in the bay by shapely; asserts that the machine stays in yard, lane and shed."""
     site, shed = docking.site, docking.site.shed
     assert shed is not None
     posts = [Point(p.at_m).buffer(p.radius_m, quad_segs=64) for p in shed.posts]
@@ -166,10 +166,10 @@ def least_gaps(docking: Docking, paths: tuple[Path, ...], others: tuple[Polygon,
     return min(g for i, g in found if not i), min(g for i, g in found if i)
 
 
-# the way into the bay
+# paths into the bay
 
 
-def test_it_ends_in_the_dock_and_keeps_clear(docking: Docking) -> None:
+def test_docking_end_pose_and_clearance(docking: Docking) -> None:
     for start in starts(6):
         paths = plan_docking(start, docking, 5)
         first, last = paths[0], paths[-1]
@@ -179,12 +179,12 @@ def test_it_ends_in_the_dock_and_keeps_clear(docking: Docking) -> None:
         dock, end = docking.bay.dock.pose, end_of(last)
         assert math.hypot(end.x_m - dock.x_m, end.y_m - dock.y_m) < 1e-3
         assert abs(math.remainder(end.yaw_rad - dock.yaw_rad, 2 * math.pi)) < 1e-4
-        before, within = least_gaps(docking, paths)
+        before, within = min_clearances(docking, paths)
         assert before >= docking.config.clearance_m - 0.01
         assert within >= docking.config.bay_clearance_m
 
 
-def test_its_paths_are_well_formed(docking: Docking) -> None:
+def test_docking_path_consistency(docking: Docking) -> None:
     for start in starts(6):
         paths = plan_docking(start, docking, 1)
         for path in paths:
@@ -204,7 +204,7 @@ def test_its_paths_are_well_formed(docking: Docking) -> None:
         assert np.abs(paths[-1].curvature_radpm[straight]).max() == 0.0
 
 
-def test_it_leaves_the_bay_forward_to_where_the_field_plan_begins(docking: Docking) -> None:
+def test_undocking(docking: Docking) -> None:
     paths = plan_undocking(docking, 1)
     assert [p.direction for p in paths] == [1]
     start, end = docking.site.start, end_of(paths[-1])
@@ -212,18 +212,18 @@ def test_it_leaves_the_bay_forward_to_where_the_field_plan_begins(docking: Docki
     assert math.degrees(end.yaw_rad) == pytest.approx(start.heading_deg)
     assert paths[0].p_map_m[0] == pytest.approx([docking.bay.dock.x_m, docking.bay.dock.y_m], abs=1e-3)
     assert np.diff(paths[0].s_m).min() > 0.0
-    before, within = least_gaps(docking, paths)
+    before, within = min_clearances(docking, paths)
     assert before >= docking.config.clearance_m - 0.01
     assert within >= docking.config.bay_clearance_m
 
 
-def test_same_start_same_way(docking: Docking) -> None:
+def test_docking_determinism(docking: Docking) -> None:
     first, again = (plan_docking(LANE_END, docking, 1) for _ in range(2))
     assert [p.p_map_m.tobytes() for p in first] == [p.p_map_m.tobytes() for p in again]
 
 
 @pytest.mark.parametrize(("x", "y", "deg"), [(20, -26, -85), (30, -30, 180), (12, -48, 90), (1, -40, 0), (20, -33, 90)])
-def test_it_docks_from_elsewhere_in_the_yard(
+def test_docking_from_other_starts(
     x: float, y: float, deg: float, site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig
 ) -> None:
     docking = docking_in("wide", site, vehicle, harrow, planning)
@@ -231,32 +231,28 @@ def test_it_docks_from_elsewhere_in_the_yard(
     assert end_of(paths[-1]).x_m == pytest.approx(docking.bay.dock.x_m, abs=1e-3)
 
 
-def test_it_goes_round_what_stands(
+def test_docking_around_obstacle(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig
 ) -> None:
     docking = docking_in("wide", site, vehicle, harrow, planning)
     plain = plan_docking(LANE_END, docking, 1)
     k = len(plain[-1].s_m) // 3
     p = Point(plain[-1].p_map_m[k]).buffer(0.4)
-    before, _ = least_gaps(docking, plan_docking(LANE_END, docking, 1, (p,)), (p,))
+    before, _ = min_clearances(docking, plan_docking(LANE_END, docking, 1, (p,)), (p,))
     assert before >= docking.config.clearance_m - 0.01
 
 
-def test_sampling_finds_what_no_word_does(
-    site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig
-) -> None:
+def test_docking_by_sampling(site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig) -> None:
     docking = docking_in("wide", site, vehicle, harrow, planning)
-    stand = (box(12, -45, 14, -38), box(18, -40, 19, -38))
-    first, again = (plan_docking(LANE_END, docking, 1, stand) for _ in range(2))
+    obstacles = (box(12, -45, 14, -38), box(18, -40, 19, -38))
+    first, again = (plan_docking(LANE_END, docking, 1, obstacles) for _ in range(2))
     assert sum(a.direction != b.direction for a, b in pairwise(first)) > 1
     assert [p.p_map_m.tobytes() for p in first] == [p.p_map_m.tobytes() for p in again]
-    before, _ = least_gaps(docking, first, stand)
+    before, _ = min_clearances(docking, first, obstacles)
     assert before >= docking.config.clearance_m - 0.01
 
 
-def test_what_cannot_be_docked_is_refused_with_reason_and_place(
-    site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig
-) -> None:
+def test_docking_refusals(site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig) -> None:
     docking = docking_in("narrow", site, vehicle, harrow, planning)
     wide = replace(docking, rig=rig_of(vehicle, harrow, None, planning.planner))
     with pytest.raises(FieldError, match=r"bay 'narrow' leaves 0\.00 m beside a rig 6\.1 m wide at x 0\.\d m"):
@@ -273,10 +269,10 @@ def test_what_cannot_be_docked_is_refused_with_reason_and_place(
 
 
 @pytest.mark.parametrize("width", [3.0, 2.94, 2.9])
-def test_a_bay_may_just_be_wide_enough(
+def test_minimum_bay_width(
     width: float, site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig
 ) -> None:
-    """0.2 m to either side of 2.55 m need 2.95 m between the posts."""
+    """0.2 m on each side of 2.55 m need 2.95 m between the posts."""
     shed = site.shed
     assert shed is not None
     y = site.bay("narrow").dock.y_m
@@ -299,7 +295,7 @@ def test_a_bay_may_just_be_wide_enough(
 # the mission
 
 
-def test_a_mission_of_docking_alone(
+def test_docking_only_mission(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig, tmp_path: FilePath
 ) -> None:
     start = PoseConfig(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
@@ -316,7 +312,7 @@ def test_a_mission_of_docking_alone(
 
 
 @pytest.mark.parametrize("missing", [{"bay": None}, {"start": None}])
-def test_a_mission_without_anything_to_do_is_refused(missing: dict[str, None]) -> None:
+def test_empty_mission_refused(missing: dict[str, None]) -> None:
     start = PoseConfig(x_m=20.0, y_m=-30.0, heading_deg=-90.0)
     values = {"name": "x", "site": "s", "machine": "m", "implement": "i", "bay": "wide", "start": start} | missing
     with pytest.raises(ValueError, match="needs a bay"):

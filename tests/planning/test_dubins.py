@@ -1,4 +1,4 @@
-"""Dubins curves, order of visits, guidance lines."""
+"""Dubins paths, swath order, guidance lines."""
 
 import itertools
 import math
@@ -21,7 +21,7 @@ POSES = st.builds(Pose2, st.floats(-40, 40), st.floats(-40, 40), st.floats(-7, 7
 
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(POSES, POSES, st.floats(2.0, 12.0))
-def test_every_word_ends_at_the_goal_with_its_heading(start: Pose2, goal: Pose2, radius: float) -> None:
+def test_dubins_paths_end_at_goal(start: Pose2, goal: Pose2, radius: float) -> None:
     curves = dubins_paths(start, goal, radius)
     assert [c.length_m for c in curves] == sorted(c.length_m for c in curves)
     straight = math.hypot(goal.x_m - start.x_m, goal.y_m - start.y_m)
@@ -36,7 +36,7 @@ def test_every_word_ends_at_the_goal_with_its_heading(start: Pose2, goal: Pose2,
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(POSES, POSES)
-def test_shortest_curve_is_that_of_ompl(start: Pose2, goal: Pose2) -> None:
+def test_shortest_dubins_path_against_ompl(start: Pose2, goal: Pose2) -> None:
     from ompl import base
 
     states = base.DubinsStateSpace(5.0)
@@ -49,7 +49,7 @@ def test_shortest_curve_is_that_of_ompl(start: Pose2, goal: Pose2) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4])
-def test_order_finds_the_shortest_tour(count: int) -> None:
+def test_swath_order_against_all_tours(count: int) -> None:
     cost = np.random.default_rng(count).uniform(1.0, 20.0, (2 * count + 1, 2 * count + 1))
 
     def length(visits: list[int]) -> float:
@@ -72,7 +72,7 @@ NUMBERS, WIDTHS = st.integers(-30, 30), st.floats(0.5, 12.0)
 
 @settings(derandomize=True, max_examples=80, deadline=None)
 @given(st.floats(-3.1, 3.1), NUMBERS, WIDTHS)
-def test_straight_lines_lie_exactly_at_their_distance(heading: float, number: int, width: float) -> None:
+def test_straight_line_distance(heading: float, number: int, width: float) -> None:
     line = a_plus((3.0, -2.0), heading, 80.0)
     base, other = line.line(0, width), line.line(number, width)
     normal = np.array([-math.sin(heading), math.cos(heading)])
@@ -80,7 +80,7 @@ def test_straight_lines_lie_exactly_at_their_distance(heading: float, number: in
     assert np.hypot(*(other[1] - other[0])) == pytest.approx(80.0)
 
 
-def test_ab_runs_from_a_to_b() -> None:
+def test_ab_line() -> None:
     assert ab((1.0, 2.0), (11.0, 2.0)).line(0, 6.0) == pytest.approx(np.array([[1.0, 2.0], [11.0, 2.0]]))
     assert ab((1.0, 2.0), (11.0, 2.0)).line(1, 6.0)[0] == pytest.approx([1.0, 8.0])
     assert ab((0.0, 0.0), (0.1001, 0.0)).length_m > 0.1
@@ -90,7 +90,7 @@ def test_ab_runs_from_a_to_b() -> None:
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(st.floats(5.0, 60.0), st.integers(-8, 8), WIDTHS, st.booleans())
-def test_circles_keep_centre_and_distance(radius: float, number: int, width: float, is_clockwise: bool) -> None:
+def test_circle_distance(radius: float, number: int, width: float, is_clockwise: bool) -> None:
     circle = Circle((4.0, 5.0), radius, is_clockwise)
     request = radius + (number if is_clockwise else -number) * width
     if request < 0.1:
@@ -106,7 +106,7 @@ def test_circles_keep_centre_and_distance(radius: float, number: int, width: flo
 
 @settings(derandomize=True, max_examples=25, deadline=None)
 @given(st.floats(0.5, 4.0), st.floats(40.0, 80.0), st.integers(-3, 3).filter(bool))
-def test_curves_keep_their_distance_everywhere(height: float, wave: float, number: int) -> None:
+def test_curve_distance(height: float, wave: float, number: int) -> None:
     x = np.arange(0.0, 120.0, 0.5)
     curve = Curve(np.column_stack([x, height * np.sin(2 * np.pi * x / wave)]))
     base, other = curve.line(0, 3.0), curve.line(number, 3.0)

@@ -1,4 +1,4 @@
-"""Fields from GeoJSON: good ones are read, each bad one is refused with its value or place."""
+"""Fields from GeoJSON: valid ones are read, invalid ones are refused with value or position."""
 
 import json
 import os
@@ -43,15 +43,13 @@ def polygon(*rings: Any) -> dict[str, Any]:
         lambda g: {"type": "GeometryCollection", "geometries": [g]},
     ],
 )
-def test_all_wrappings_give_the_same_field(tmp_path: Path, wrap: Any) -> None:
+def test_geojson_wrappings(tmp_path: Path, wrap: Any) -> None:
     outline = read_field(write(tmp_path, wrap(polygon(SQUARE))))
     assert outline.polygon.area == pytest.approx(70.2 * 77.9, rel=0.01)
     assert outline.datum.latitude_deg == pytest.approx(51.0)
 
 
-def test_a_hole_becomes_a_no_go_area(
-    tmp_path: Path, vehicle: Vehicle, harrow: MountedImplement, mission: Mission
-) -> None:
+def test_hole_as_no_go_area(tmp_path: Path, vehicle: Vehicle, harrow: MountedImplement, mission: Mission) -> None:
     hole = [[6.0 + a * M, 51.0 + b * M] for a, b in ((40, 30), (60, 30), (60, 40), (40, 40), (40, 30))]
     outline = read_field(write(tmp_path, polygon(SQUARE, hole)))
     site = site_around(outline, vehicle, harrow, mission.work)
@@ -90,7 +88,7 @@ def test_a_hole_becomes_a_no_go_area(
         ({"type": "MultiPolygon", "coordinates": [[SQUARE], [SQUARE]]}, "2 fields"),
     ],
 )
-def test_bad_field_is_refused(tmp_path: Path, content: Any, words: str) -> None:
+def test_invalid_field_refused(tmp_path: Path, content: Any, words: str) -> None:
     with pytest.raises(FieldError) as refused:
         read_field(write(tmp_path, content))
     assert words in str(refused.value)
@@ -98,8 +96,8 @@ def test_bad_field_is_refused(tmp_path: Path, content: Any, words: str) -> None:
 
 
 @pytest.mark.parametrize("latitude", [89.9999, 90.0, -90.0])
-def test_poles_are_no_error_of_range(tmp_path: Path, latitude: float) -> None:
-    """At ± 90° the number is legal: what is wrong there is the shape."""
+def test_latitude_limit(tmp_path: Path, latitude: float) -> None:
+    """± 90° is a valid latitude: the shape is refused, not the number."""
     bad = polygon([[0, latitude - 1e-3], [1e-3, latitude - 1e-3], [0, latitude], [0, latitude - 1e-3]])
     if latitude < 0:
         bad = polygon([[0, latitude + 1e-3], [1e-3, latitude + 1e-3], [0, latitude], [0, latitude + 1e-3]])
@@ -108,7 +106,7 @@ def test_poles_are_no_error_of_range(tmp_path: Path, latitude: float) -> None:
     assert "beyond" not in str(refused.value)
 
 
-def test_missing_file_is_refused(tmp_path: Path) -> None:
+def test_missing_file_refused(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match="cannot be read"):
         read_field(tmp_path / "none.geojson")
 
@@ -117,7 +115,7 @@ def test_missing_file_is_refused(tmp_path: Path) -> None:
 class TestRealParcels:
     folder = DATA / "fields2cover" / "data"
 
-    def test_the_parcel(self, vehicle: Vehicle, harrow: MountedImplement, mission: Mission) -> None:
+    def test_site_of_parcel(self, vehicle: Vehicle, harrow: MountedImplement, mission: Mission) -> None:
         outline = read_field(self.folder / "test.json")
         assert outline.name == "test parcel"
         assert outline.polygon.area == pytest.approx(35955, abs=5)
@@ -129,9 +127,7 @@ class TestRealParcels:
         assert field.exterior.distance(Point(posts.mean(axis=0))) == pytest.approx(0.5, abs=0.01)
 
     @pytest.mark.slow
-    def test_the_parcel_is_planned_with_12_m(
-        self, vehicle: Vehicle, mission: Mission, planning: PlanningConfig
-    ) -> None:
+    def test_plan_with_12_m_implement(self, vehicle: Vehicle, mission: Mission, planning: PlanningConfig) -> None:
         wide = load(ImplementFile, find("implements", "harrow_12m")).implement
         site = site_around(read_field(self.folder / "test.json"), vehicle, wide, mission.work)
         plan = plan_field(site, vehicle, wide, mission.work, planning.planner, 0)
@@ -141,7 +137,7 @@ class TestRealParcels:
     @pytest.mark.parametrize(
         "name", ["strips.geojson", "swaths.geojson", "test_ring.json", "test_2_cell.json", "test1.xml"]
     )
-    def test_the_others_are_refused_in_words(self, name: str) -> None:
+    def test_other_files_refused(self, name: str) -> None:
         with pytest.raises(FieldError) as refused:
             read_field(self.folder / name)
         assert name in str(refused.value)

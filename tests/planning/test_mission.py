@@ -1,4 +1,4 @@
-"""The mission node with an ideal driver: order, progress, detours and what they leave out."""
+"""Mission node with an ideal path follower: start, progress, detours, uncovered areas, docking."""
 
 import numpy as np
 import pytest
@@ -32,18 +32,18 @@ def status_of(outputs: object) -> tuple[MissionStatus, list[Path]]:
 
 
 @pytest.mark.parametrize(("expires", "starts"), [(0, True), (1, True), (-1, False)])
-def test_starts_on_an_order_that_still_holds(plan: Plan, config: MissionConfig, expires: int, starts: bool) -> None:
+def test_start_command_expiry(plan: Plan, config: MissionConfig, expires: int, starts: bool) -> None:
     node, now = MissionNode(plan, config, 0), 7 * SECOND
     waiting, none = status_of(node.step(now, Box({})))
     assert waiting.state is MissionState.WAITING
     assert none == []
-    order = OperatorCommand(now, OperatorCommandKind.START, "page", 1, now + expires)
-    status, paths = status_of(node.step(now, Box({}, (order,))))
+    command = OperatorCommand(now, OperatorCommandKind.START, "page", 1, now + expires)
+    status, paths = status_of(node.step(now, Box({}, (command,))))
     assert (status.state is MissionState.DRIVING) is starts
     assert [p.stamp_ns for p in paths] == [now] * starts
 
 
-def test_other_orders_and_old_sequences_do_not_start(plan: Plan, config: MissionConfig) -> None:
+def test_no_start_on_other_commands_or_old_sequence(plan: Plan, config: MissionConfig) -> None:
     node, now = MissionNode(plan, config, 0), 7 * SECOND
     others = tuple(
         OperatorCommand(now, o, "page", k, now + SECOND) for k, o in enumerate(OperatorCommandKind,
@@ -54,7 +54,7 @@ def test_other_orders_and_old_sequences_do_not_start(plan: Plan, config: Mission
     assert status_of(node.step(now, Box({}, (late,))))[0].state is MissionState.WAITING
 
 
-def test_drives_the_plan_to_its_end(plan: Plan, config: MissionConfig) -> None:
+def test_plan_completion(plan: Plan, config: MissionConfig) -> None:
     drive = Ideal(plan, MissionNode(plan, config, 0))
     drive.run(1200)
     assert drive.status is not None
@@ -77,7 +77,7 @@ def car(x: float, y: float, degrees: float) -> Polygon:
         pytest.param(76, 46, 45, id="corner", marks=pytest.mark.slow),
     ],
 )
-def test_drives_round_what_stays(plan: Plan, config: MissionConfig, x: float, y: float, degrees: float) -> None:
+def test_detour_around_static_obstacle(plan: Plan, config: MissionConfig, x: float, y: float, degrees: float) -> None:
     outline = car(x, y, degrees)
     drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.VEHICLE, outline)})
     drive.run(2000)
@@ -88,24 +88,23 @@ def test_drives_round_what_stays(plan: Plan, config: MissionConfig, x: float, y:
     assert is_inside(plan.rig.bodies, poses[:, :2], poses[:, 2], plan.drivable.allowed.buffer(0.05)).all()
     assert {p.direction for p in drive.paths} == {1, -1}
     assert any(t.section_type is PathSectionType.DETOUR for p in drive.paths for t in p.sections)
-    (missed,) = drive.status.uncovered_areas
-    rectangle = np.asarray(Polygon(missed.outline_map_m).minimum_rotated_rectangle.exterior.coords)
+    (uncovered,) = drive.status.uncovered_areas
+    rectangle = np.asarray(Polygon(uncovered.outline_map_m).minimum_rotated_rectangle.exterior.coords)
     assert np.hypot(*np.diff(rectangle[:3], axis=0).T).max() < 4.4 + 12.0
     assert drive.status.total_m == pytest.approx(drive.status.driven_m, abs=1.0)
-    assert sum(p.is_last for p in drive.paths) == 2  # the plan's path, and what is left of it
+    assert sum(p.is_last for p in drive.paths) == 2  # the planned path and its remainder
 
 
 @pytest.mark.slow
-def test_a_person_is_waited_for(plan: Plan, config: MissionConfig) -> None:
+def test_longer_wait_before_person(plan: Plan, config: MissionConfig) -> None:
     outline = box(44.7, 24.7, 45.3, 25.3)
     drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.PERSON, outline)})
     drive.run(10_000, until="driving around an obstacle")
-    stopped_s = config.blocked_living_s
-    assert drive.stood_s == pytest.approx(stopped_s, abs=3.0)
+    assert drive.stopped_s == pytest.approx(config.blocked_living_s, abs=3.0)
 
 
 @pytest.mark.slow
-def test_gives_up_in_words_when_the_lane_is_blocked(plan: Plan, config: MissionConfig) -> None:
+def test_abort_on_blocked_lane(plan: Plan, config: MissionConfig) -> None:
     drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.VEHICLE, car(20, -12, 90))})
     drive.run(300)
     assert drive.status is not None
@@ -123,7 +122,7 @@ def docking(site: Site, vehicle: Vehicle, harrow: MountedImplement, planning: Pl
     return plan_mission(mission, site, vehicle, harrow, planning, start, 0)
 
 
-def test_docks_from_where_the_machine_stands(docking: Plan, config: MissionConfig) -> None:
+def test_docking_from_measured_pose(docking: Plan, config: MissionConfig) -> None:
     drive = Ideal(docking, MissionNode(docking, config, 0))
     start = docking.paths[0]
     drive.pose = np.array([*start.p_map_m[0] + [0.4, -0.3], start.heading_rad[0] + 0.1])
@@ -138,9 +137,7 @@ def test_docks_from_where_the_machine_stands(docking: Plan, config: MissionConfi
 
 
 @pytest.mark.parametrize(("age_s", "docks"), [(0.9, True), (1.0, True), (1.01, False), (np.inf, False)])
-def test_without_uwb_it_does_not_dock_but_says_why(
-    docking: Plan, config: MissionConfig, age_s: float, docks: bool
-) -> None:
+def test_no_docking_without_uwb(docking: Plan, config: MissionConfig, age_s: float, docks: bool) -> None:
     drive = Ideal(docking, MissionNode(docking, config, 0), uwb_age_s=age_s)
     drive.run(30 if not docks else 200)
     assert drive.status is not None
@@ -151,7 +148,7 @@ def test_without_uwb_it_does_not_dock_but_says_why(
         assert drive.paths == []
 
 
-def test_uwb_lost_on_the_way_in_ends_it(docking: Plan, config: MissionConfig) -> None:
+def test_abort_on_uwb_loss_while_docking(docking: Plan, config: MissionConfig) -> None:
     drive = Ideal(docking, MissionNode(docking, config, 0))
     drive.run(20)
     assert drive.status is not None
@@ -162,9 +159,9 @@ def test_uwb_lost_on_the_way_in_ends_it(docking: Plan, config: MissionConfig) ->
     assert "no UWB range for 5.1 s" in drive.status.text
 
 
-def test_another_way_into_the_dock_is_found(docking: Plan, config: MissionConfig) -> None:
-    way = docking.paths[-1]
-    x, y = way.p_map_m[len(way.s_m) // 3]
+def test_docking_replanned_around_obstacle(docking: Plan, config: MissionConfig) -> None:
+    last = docking.paths[-1]
+    x, y = last.p_map_m[len(last.s_m) // 3]
     node = MissionNode(docking, config, 0)
     drive = Ideal(docking, node)
     drive.run(4)
@@ -173,10 +170,10 @@ def test_another_way_into_the_dock_is_found(docking: Plan, config: MissionConfig
     assert drive.status is not None
     assert drive.status.state is MissionState.FINISHED
     assert drive.least_gap_m > 0.5
-    assert drive.stood_s >= config.blocked_s
+    assert drive.stopped_s >= config.blocked_s
 
 
-def test_what_stays_in_the_bay_is_waited_for_and_then_named(docking: Plan, config: MissionConfig) -> None:
+def test_abort_on_obstacle_in_bay(docking: Plan, config: MissionConfig) -> None:
     drive = Ideal(docking, MissionNode(docking, config, 0))
     drive.run(4)
     drive.obstacles = {1: (ObstacleClass.UNKNOWN, box(3.0, -40.3, 4.0, -39.3))}
@@ -185,19 +182,19 @@ def test_what_stays_in_the_bay_is_waited_for_and_then_named(docking: Plan, confi
     assert drive.status.state is MissionState.ABORTED
     assert "unknown on the path at x 3.5 m, y -39.8 m: bay 'wide' leaves 0.00 m" in drive.status.text
     assert docking.docking is not None
-    assert drive.stood_s >= docking.docking.config.blocked_timeout_s
+    assert drive.stopped_s >= docking.docking.config.blocked_timeout_s
 
 
-def test_from_bay_to_bay(
+def test_mission_from_bay_to_bay(
     plan: Plan, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
     bayed = mission.model_copy(update={"bay": "narrow"})
-    whole = plan_mission(bayed, site, vehicle, harrow, planning, site.bay("narrow").dock, 0)
-    assert [p.is_transport for p in whole.fixed_paths] == [True, False]
-    assert whole.length_m == pytest.approx(
-        plan.length_m + sum(p.s_m[-1] for p in (whole.paths[0], *whole.docking_paths))
+    complete = plan_mission(bayed, site, vehicle, harrow, planning, site.bay("narrow").dock, 0)
+    assert [p.is_transport for p in complete.fixed_paths] == [True, False]
+    assert complete.length_m == pytest.approx(
+        plan.length_m + sum(p.s_m[-1] for p in (complete.paths[0], *complete.docking_paths))
     )
-    drive = Ideal(whole, MissionNode(whole, planning.mission, 0), end_error_m=0.02)
+    drive = Ideal(complete, MissionNode(complete, planning.mission, 0), end_error_m=0.02)
     drive.run(1500)
     assert drive.status is not None
     assert drive.status.state is MissionState.FINISHED

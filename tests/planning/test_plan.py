@@ -1,4 +1,4 @@
-"""Plans of fields of several shapes, proven inside by a check of its own, and what is refused."""
+"""Plans of fields of several shapes, verified by an independent check, and refusals."""
 
 import math
 from pathlib import Path as FilePath
@@ -27,7 +27,7 @@ SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
         ((0, 0), (90, 0), (90, 70), (0, 70)),
         (Area(name="pond", outline_m=((46, 38), (52, 37), (53, 42), (47, 43))),),
     ),
-    "narrow about a pond": (  # the round about it ends where nothing can be turned into
+    "narrow about a pond": (  # the pass around it ends where no turn is possible
         ((0, 0), (80, 0), (80, 58), (0, 58)),
         (Area(name="pond", outline_m=((38, 26), (47, 25), (48, 31), (43, 35), (37, 32))),),
     ),
@@ -53,7 +53,7 @@ def shaped(
 
 
 def body_shapes(vehicle: Vehicle, harrow: MountedImplement, path: Path) -> list[shapely.Polygon]:
-    """All bodies at all points, by shapely's own affine transforms and not by the planner's."""
+    """All bodies at all points, by affine transforms of shapely, independent of the planner."""
     from shapely.affinity import affine_transform
 
     b, half = vehicle.body, harrow.width_m / 2
@@ -66,9 +66,7 @@ def body_shapes(vehicle: Vehicle, harrow: MountedImplement, path: Path) -> list[
     return found
 
 
-def test_machine_and_implement_stay_inside(
-    shaped: tuple[Site, Plan], vehicle: Vehicle, harrow: MountedImplement
-) -> None:
+def test_bodies_inside_drivable_area(shaped: tuple[Site, Plan], vehicle: Vehicle, harrow: MountedImplement) -> None:
     site, plan = shaped
     field = Polygon(site.boundary_m)
     lanes = [LineString(lane.center_m).buffer(lane.width_m / 2, cap_style="flat") for lane in site.lanes]
@@ -83,7 +81,7 @@ def test_machine_and_implement_stay_inside(
     assert shapely.distance(bodies, fence.union(posts)).min() > 0.09
 
 
-def test_path_is_well_formed(shaped: tuple[Site, Plan]) -> None:
+def test_path_consistency(shaped: tuple[Site, Plan]) -> None:
     site, plan = shaped
     (path,) = plan.paths
     gaps = np.hypot(*np.diff(path.p_map_m, axis=0).T)
@@ -105,7 +103,7 @@ def test_path_is_well_formed(shaped: tuple[Site, Plan]) -> None:
     assert path.is_last
 
 
-def test_stretches_cover_the_path(shaped: tuple[Site, Plan]) -> None:
+def test_sections_cover_path(shaped: tuple[Site, Plan]) -> None:
     (path,) = shaped[1].paths
     assert path.sections[0].first == 0
     assert path.sections[-1].last == len(path.s_m) - 1
@@ -119,7 +117,7 @@ def test_stretches_cover_the_path(shaped: tuple[Site, Plan]) -> None:
     assert extra.sum() <= 2 * len(path.sections)
 
 
-def test_swaths_are_straight_and_begun_straight(shaped: tuple[Site, Plan]) -> None:
+def test_straight_line_up_before_swath(shaped: tuple[Site, Plan]) -> None:
     (path,) = shaped[1].paths
     for t in path.sections:
         if t.section_type is PathSectionType.SWATH:
@@ -127,7 +125,7 @@ def test_swaths_are_straight_and_begun_straight(shaped: tuple[Site, Plan]) -> No
             assert np.abs(path.curvature_radpm[before]).max() < 0.01
 
 
-def test_shares(shaped: tuple[Site, Plan]) -> None:
+def test_planned_and_uncovered_area(shaped: tuple[Site, Plan]) -> None:
     site, plan = shaped
     free = Polygon(site.boundary_m).area - sum(Polygon(a.outline_m).area for a in site.no_go)
     assert plan.field_area_m2 == pytest.approx(free)
@@ -137,13 +135,13 @@ def test_shares(shaped: tuple[Site, Plan]) -> None:
     assert plan.length_m == pytest.approx(float(plan.paths[0].s_m[-1]))
 
 
-def test_demo_reaches_its_bar(plan: Plan) -> None:
+def test_demo_coverage(plan: Plan) -> None:
     assert plan.planned_share >= 0.95
     assert len(plan.headland_passes) == 2
     assert plan.length_m < 1050
 
 
-def test_same_input_same_plan(
+def test_plan_determinism(
     plan: Plan, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
     again = plan_field(site, vehicle, harrow, mission.work, planning.planner, 0).paths[0]
@@ -161,7 +159,7 @@ def test_same_input_same_plan(
         ({"yard": Area(name="yard", outline_m=((16, -31), (24, -31), (24, -25), (16, -25)))}, "lane|yard"),
     ],
 )
-def test_what_cannot_be_driven_is_refused_with_its_place(
+def test_plan_refusals(
     change: dict[str, object], words: str, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission,
     planning: PlanningConfig,
 ) -> None:  # fmt: skip
@@ -169,7 +167,7 @@ def test_what_cannot_be_driven_is_refused_with_its_place(
         plan_field(site.model_copy(update=change), vehicle, harrow, mission.work, planning.planner, 0)
 
 
-def test_given_direction_is_kept(
+def test_given_swath_direction(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
     work = Work(**{**mission.work.model_dump(), "swath_direction_deg": 90.0, "headland_passes": 2})
@@ -178,7 +176,7 @@ def test_given_direction_is_kept(
     assert len(plan.swaths) > 8
 
 
-def test_picture_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None:
+def test_figure_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None:
     draw_plan(plan, site, tmp_path / "plan.png")
     assert (tmp_path / "plan.png").read_bytes()[:4] == b"\x89PNG"
     content = plan_to_geojson(plan, site)
@@ -188,13 +186,13 @@ def test_picture_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None
     assert sum(f["properties"].get("section_type") == "swath" for f in content["features"]) == len(plan.swaths)
 
 
-def test_sampling_finds_the_same_way_round_a_corner_again(plan: Plan) -> None:
+def test_sampling_determinism(plan: Plan) -> None:
     ell = Polygon([(0, 0), (60, 0), (60, 28), (28, 28), (28, 60), (0, 60)])
     space = FreeSpace(ell, plan.rig.bodies, plan.rig.radius_m, plan.rig.config.smoothing_m)
     request = ConnectionRequest(Pose2(50, 14, math.pi), Pose2(14, 48, math.pi / 2), 1.0, 2.0)
-    way, again = (sampled_connection(request, space, 7, 8000) for _ in range(2))
-    assert way is not None
+    connection, again = (sampled_connection(request, space, 7, 8000) for _ in range(2))
+    assert connection is not None
     assert again is not None
-    assert way.tobytes() == again.tobytes()
-    assert is_free(way, space)
+    assert connection.tobytes() == again.tobytes()
+    assert is_free(connection, space)
     assert sampled_connection(ConnectionRequest(Pose2(50, 11, 0), Pose2(12, 80, 0), 1.0, 1.0), space, 7, 200) is None
