@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from configs.strict import Config
 from geometry.arrays import Float64
+from geometry.rectangle import Rectangle
 from geometry.transforms import transform
 
 Length = Annotated[float, Field(gt=0.0, le=50.0)]
@@ -302,7 +303,16 @@ class TrailedImplement(_Implement):
 Implement = Annotated[MountedImplement | TrailedImplement, Field(discriminator="kind")]
 
 
-FOLDED = 0.99  # of `MachineState.fold`: locked in transport position
+def outlines(body: Body, implement: MountedImplement | TrailedImplement | None) -> tuple[Rectangle, ...]:
+    """Outlines of the machine and of the implement (trailed: straight behind) in `base`; see also `folded`."""
+    machine = Rectangle(-body.rear_m, body.front_m, body.width_m)
+    if implement is None:
+        return (machine,)
+    front_m, rear_m = implement.ends_m
+    return machine, Rectangle(rear_m, front_m, implement.width_m)
+
+
+FOLDED = 0.99  # of `MachineState.fold_position`: locked in transport position
 
 
 class ImplementFile(Config):

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from configs.vehicle import FOLDED, Implement, Vehicle
+from configs.vehicle import FOLDED, Implement, Vehicle, outlines
 from messages.command import MachineState
 from messages.message import Float64
 
@@ -20,18 +20,16 @@ def own_outlines(vehicle: Vehicle, implement: Implement | None) -> tuple[Float64
 
 def own_outline(vehicle: Vehicle, implement: Implement | None, margin_m: float = 0.0) -> Float64:
     """Machine and implement as rectangles in the plane of `base`, (K, 2, 2): lowest and highest corner."""
-    body, m = vehicle.body, margin_m
-    half = body.width_m / 2 + m
-    outline = [[[-body.rear_m - m, -half], [body.front_m + m, half]]]
-    if implement is not None:
-        front, rear = implement.ends_m
-        half = implement.width_m / 2 + m
-        outline.append([[rear - m, -half], [front + m, half]])
-    return np.array(outline, np.float64)
+    m = margin_m
+    corners = [
+        [[r.rear_m - m, -(r.half_width_m + m)], [r.front_m + m, r.half_width_m + m]]
+        for r in outlines(vehicle.body, implement)
+    ]
+    return np.array(corners, np.float64)
 
 
-def is_inside(p_base_m: Float64, outline: Float64) -> npt.NDArray[np.bool_]:
+def is_inside(p_base_m: Float64, corners: Float64) -> npt.NDArray[np.bool_]:
     """Whether points (N, 2) lie in any of the rectangles (K, 2, 2)."""
     p = p_base_m[:, None, :2]
-    within = np.logical_and(p > outline[:, 0], p < outline[:, 1])
+    within = np.logical_and(p > corners[:, 0], p < corners[:, 1])
     return np.asarray(np.any(np.all(within, axis=2), axis=1))

@@ -17,8 +17,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from geometry.footprint import Bodies, Rectangle, is_inside
+from geometry.footprint import Bodies, is_inside
 from geometry.pose2 import Pose2
+from geometry.rectangle import Rectangle
 from planning.docking.clearance import Bounds, clearance_m
 
 ROOT = Path(__file__).resolve().parents[1]

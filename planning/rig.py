@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from configs.mission import Work
-from configs.vehicle import Implement, MountedImplement, Vehicle, kmh, steering_rate
+from configs.vehicle import Implement, MountedImplement, Vehicle, kmh, outlines, steering_rate
 from geometry.arrays import Float64
-from geometry.footprint import Bodies, Rectangle, place
+from geometry.footprint import Bodies, place
 from messages.errors import FieldError
 from planning.config import PlannerConfig
 
@@ -56,14 +56,12 @@ def rig_of(vehicle: Vehicle, implement: Implement, work: Work | None, config: Pl
     """Rig of a mission, at the maximum speed without work; raises FieldError for an unsupported implement."""
     if not isinstance(implement, MountedImplement):
         raise FieldError(f"implement {implement.name!r} is {implement.kind}: only mounted implements are supported")
-    body, top = vehicle.body, kmh(vehicle.max_speed_kmh)
-    machine = Rectangle(-body.rear_m, body.front_m, body.width_m)
-    behind = Rectangle(implement.rear_end_m, implement.front_end_m, implement.width_m)
+    top = kmh(vehicle.max_speed_kmh)
     speeds = (work.work_speed_kmh, work.turn_speed_kmh, work.lane_speed_kmh) if work is not None else (math.inf,) * 3
     work_mps, turn_mps, lane_mps = (min(kmh(speed_kmh), top) for speed_kmh in speeds)
     limit = vehicle.drivetrain.max_curvature_radpm
     return Rig(
-        (machine, behind), implement.working_point_m, implement.working_width_m,
+        outlines(vehicle.body, implement), implement.working_point_m, implement.working_width_m,
         1.0 / (limit * config.curvature_share), limit, vehicle.drivetrain.wheelbase_m,
         steering_rate(vehicle) * config.steering_rate_share, vehicle.acceleration_mps2,
         work_mps, turn_mps, lane_mps, config,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from configs.vehicle import Body, Lidar, MountedImplement, TrailedImplement
+from configs.vehicle import Body, Lidar, MountedImplement, TrailedImplement, outlines
 from geometry.arrays import Float64
 from geometry.transforms import apply
 from localization.dead_reckoning.kernels import first_in_voxel
@@ -31,10 +31,10 @@ class ScanPreprocessor:
     ) -> None:  # fmt: skip
         self._T_base_lidar, self._range_m, self._voxel_m = lidar.mount.T_base_sensor, range_m, voxel_m
         self.sweep_ns = round(1e9 / lidar.rate_hz)
-        self._body, self._margin_m = body, margin_m
-        self._rear_m = implement.ends_m[1]
-        offtracking_m = -self._rear_m if isinstance(implement, TrailedImplement) else 0.0  # to either side
-        self._half_width_m = 0.5 * implement.width_m + offtracking_m
+        self._margin_m = margin_m
+        self._body, self._implement = outlines(body, implement)
+        offtracking_m = -self._implement.rear_m if isinstance(implement, TrailedImplement) else 0.0  # to either side
+        self._half_width_m = self._implement.half_width_m + offtracking_m
         self._waiting: dict[int, LidarScan] = {}
 
     def pair(self, scans: Sequence[LidarScan], grounds: Sequence[LidarGround]) -> tuple[LidarScan, LidarGround] | None:
@@ -62,6 +62,6 @@ class ScanPreprocessor:
 
     def _is_own(self, p_base_m: Float64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         x, y, m = p_base_m[:, 0], np.abs(p_base_m[:, 1]), self._margin_m
-        on_body = (x < self._body.front_m + m) & (x > -self._body.rear_m - m) & (y < 0.5 * self._body.width_m + m)
-        behind = (x < m) & (x > self._rear_m - m) & (y < self._half_width_m + m)
+        on_body = (x < self._body.front_m + m) & (x > self._body.rear_m - m) & (y < self._body.half_width_m + m)
+        behind = (x < m) & (x > self._implement.rear_m - m) & (y < self._half_width_m + m)  # with the drawbar
         return np.asarray(on_body | behind)

@@ -11,7 +11,8 @@ from shapely.geometry.base import BaseGeometry
 
 from configs.site import Shed, Site
 from geometry.arrays import Float64
-from geometry.footprint import Bodies, Rectangle, place
+from geometry.footprint import Bodies, place
+from geometry.rectangle import Rectangle
 
 
 @dataclass(frozen=True)

@@ -11,20 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from configs.vehicle import FOLDED, MountedImplement, TrailedImplement, Vehicle
+from configs.vehicle import FOLDED, MountedImplement, TrailedImplement, Vehicle, outlines
 from geometry.arrays import Float32, Float64
+from geometry.rectangle import Rectangle
 from messages.command import MachineState
 
 Floats = Float32 | Float64
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """Extent along x from `rear_m` to `front_m`, and `half_width_m` to either side."""
-
-    rear_m: float
-    front_m: float
-    half_width_m: float
 
 
 @dataclass(frozen=True)
@@ -92,16 +84,12 @@ class Footprint:
 
 def footprint_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplement | None) -> Footprint:
     """Footprint of a vehicle with its mounted or trailed implement."""
-    body = vehicle.body
-    machine = Rectangle(-body.rear_m, body.front_m, 0.5 * body.width_m)
-    if implement is None:
-        return Footprint((machine,), None, None, body.height_m)
-    half_m = 0.5 * implement.width_m
-    if isinstance(implement, MountedImplement):
-        carried = Rectangle(implement.rear_end_m, implement.front_end_m, half_m)
-        return Footprint((machine, carried), None, None, body.height_m)
+    height_m = vehicle.body.height_m
+    if not isinstance(implement, TrailedImplement):
+        return Footprint(outlines(vehicle.body, implement), None, None, height_m)
     drawbar = Drawbar(implement.hitch_m, implement.axle_length_m)
-    return Footprint((machine,), Rectangle(-implement.total_length_m, 0.0, half_m), drawbar, body.height_m)
+    trailed = Rectangle(-implement.total_length_m, 0.0, implement.width_m)
+    return Footprint(outlines(vehicle.body, None), trailed, drawbar, height_m)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ from functools import cached_property
 import numpy as np
 
 from geometry.arrays import Float64
+from geometry.rectangle import Rectangle
 from messages.plan import Path
 from safety.config import FieldConfig
-from safety.zones.footprint import Box, Footprint, Rectangle, carriers, outline
+from safety.zones.footprint import Box, Footprint, carriers, outline
 
 
 @dataclass(frozen=True)

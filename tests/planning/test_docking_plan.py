@@ -16,8 +16,8 @@ from shapely.geometry import LineString, Point, Polygon, box
 from configs.mission import Mission
 from configs.site import PoseConfig, Site
 from configs.vehicle import MountedImplement, Vehicle
-from geometry.footprint import Rectangle
 from geometry.pose2 import Pose2
+from geometry.rectangle import Rectangle
 from messages.errors import FieldError
 from messages.plan import Path, PathSectionType
 from planning.config import PlanningConfig

@@ -9,6 +9,7 @@ import pytest
 
 from configs.vehicle import Lidar, Mount, TrailedImplement, Vehicle
 from geometry.pose2 import from_frame, to_frame
+from geometry.rectangle import Rectangle
 from messages.motion import Odometry
 from messages.perception import ObstacleClass, Track, Tracks
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
@@ -18,13 +19,13 @@ from safety.pose_history import PoseHistory
 from safety.sources.detection_range import nominal_range_m
 from safety.sources.ground_filter import Motion, deskew
 from safety.sources.lidar import LidarSource, is_same
-from safety.zones.footprint import Box, Footprint, Rectangle, footprint_of
+from safety.zones.footprint import Box, Footprint, footprint_of
 from safety.zones.protective_field import SweptField, sweep_field
 from tests.safety.safety_world import NO_BYTES, START_NS, healthy
 
 AREA = Box((-12.0, 15.0), (-8.0, 8.0))
 STILL = Motion(0.0, 0.0)
-SMALL = Footprint((Rectangle(-0.1, 0.1, 0.1),), None, None, 2.9)
+SMALL = Footprint((Rectangle(-0.1, 0.1, 0.2),), None, None, 2.9)
 POSE = np.array([5.0, -3.0, 0.7])
 NOWHERE = np.zeros(3)
 

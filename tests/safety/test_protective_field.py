@@ -11,6 +11,7 @@ import pytest
 
 from configs.vehicle import Vehicle
 from geometry.pose2 import to_frame
+from geometry.rectangle import Rectangle
 from messages.command import ControlCommand
 from messages.plan import Path, PathSection, PathSectionType
 from safety.config import SafetyConfig
@@ -20,7 +21,6 @@ from safety.zones.footprint import (
     Box,
     Drawbar,
     Footprint,
-    Rectangle,
     carriers,
     footprint_of,
     is_inside,
@@ -87,10 +87,10 @@ def assert_equal(a: SweptArea | None, b: SweptArea) -> None:
 
 
 def test_outlines_follow_from_the_vehicle(vehicle: Vehicle, footprint: Footprint, pulling: Footprint) -> None:
-    machine = Rectangle(-1.0, 3.5, 1.15)
+    machine = Rectangle(-1.0, 3.5, 2.3)
     assert footprint_of(vehicle, None) == Footprint((machine,), None, None, 2.9)
-    assert footprint == Footprint((machine, Rectangle(-2.4, -1.1, 3.05)), None, None, 2.9)
-    assert pulling == Footprint((machine,), Rectangle(-5.5, 0.0, 1.6), Drawbar(-1.2, 4.0), 2.9)
+    assert footprint == Footprint((machine, Rectangle(-2.4, -1.1, 6.1)), None, None, 2.9)
+    assert pulling == Footprint((machine,), Rectangle(-5.5, 0.0, 3.2), Drawbar(-1.2, 4.0), 2.9)
 
 
 def test_leading_edges_in_both_directions(footprint: Footprint, pulling: Footprint) -> None:
@@ -103,7 +103,7 @@ def test_leading_edges_in_both_directions(footprint: Footprint, pulling: Footpri
 
 
 def test_a_rectangle_holds_its_edges_and_a_margin() -> None:
-    body = Rectangle(-1.0, 3.0, 2.0)
+    body = Rectangle(-1.0, 3.0, 4.0)
     for margin in (0.0, 0.5):
         for x, y in ((-1.0 - margin, 0.0), (3.0 + margin, 0.0), (0.0, 2.0 + margin), (0.0, -2.0 - margin)):
             for further in (0.0, 0.01):
@@ -114,7 +114,7 @@ def test_a_rectangle_holds_its_edges_and_a_margin() -> None:
 
 def test_outline_has_corners_and_middles_of_sides() -> None:
     expected = {(-1.0, -2.0), (-1.0, 0.0), (-1.0, 2.0), (1.0, -2.0), (1.0, 2.0), (3.0, -2.0), (3.0, 0.0), (3.0, 2.0)}
-    found = outline(Rectangle(-1.0, 3.0, 2.0))
+    found = outline(Rectangle(-1.0, 3.0, 4.0))
     assert set(map(tuple, found.tolist())) == expected
     assert len(found) == 8
 

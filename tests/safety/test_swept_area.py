@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from configs.vehicle import Vehicle
 from geometry.pose2 import to_frame
+from geometry.rectangle import Rectangle
 from safety.config import SafetyConfig
 from safety.zones.footprint import (
     Drawbar,
     Footprint,
-    Rectangle,
     carriers,
     footprint_of,
     outline,
@@ -331,7 +331,7 @@ def test_box_and_outline_hold_the_sweep(config: SafetyConfig, footprint: Footpri
     assert ways.max() <= way.main.length_m
     assert outline_of(way.main).shape == (2 * len(way.main.s_m), 2)
     assert outline_of(arc(footprint, config, 0.0, 3.0, -1))[0, 0] < 0.0
-    assert len(outline(Rectangle(-1.0, 1.0, 1.0))) == 8
+    assert len(outline(Rectangle(-1.0, 1.0, 2.0))) == 8
 
 
 @given(st.lists(st.tuples(st.floats(-5.0, 15.0), st.floats(-6.0, 6.0)), min_size=1, max_size=20))

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from configs.site import Bay
-from configs.vehicle import Implement, Vehicle
+from configs.vehicle import Implement, Vehicle, outlines
 from geometry.angles import wrap
 from geometry.arrays import Float64
-from geometry.footprint import Bodies, Rectangle
+from geometry.footprint import Bodies
 from messages.plan import MissionState, PathSectionType
 from validation.drive.record import DriveRecord, true_poses
 
@@ -47,8 +47,4 @@ def docking_drive(record: DriveRecord) -> tuple[Float64, Float64]:
 
 def bodies_of(vehicle: Vehicle, implement: Implement) -> Bodies:
     """Outlines of machine and folded implement in base."""
-    body, (front_m, rear_m) = vehicle.body, implement.ends_m
-    return (
-        Rectangle(-body.rear_m, body.front_m, body.width_m),
-        Rectangle(rear_m, front_m, implement.folded.width_m),
-    )
+    return outlines(vehicle.body, implement.folded)
