@@ -8,8 +8,6 @@ import pytest
 
 from configs.strict import parse
 from control.controller import NO_PATH, ControlConfig, Controller
-from geometry.pose2 import Pose2
-from geometry.transforms import invert, planar
 from messages.command import ControlCommand
 from messages.errors import ConfigError
 from messages.topics import spec_of
@@ -78,14 +76,6 @@ def test_determinism():
     path = path_along(0.1 * np.sin(np.arange(150) * 0.05), 2.0)
     first, second = (Plant(seed=3).run(path).commands for _ in range(2))
     assert [astuple(w) for w in first] == [astuple(w) for w in second]
-
-
-def test_pose2_against_transforms():
-    a, b = Pose2(1.0, -2.0, 2.5), Pose2(-3.0, 0.5, 1.5)
-    T_a, T_b = (planar(*p) for p in (a, b))
-    assert np.allclose(a @ b, Pose2.of(T_a @ T_b))
-    assert np.allclose(a.inverse(), Pose2.of(invert(T_a)))
-    assert np.allclose(a @ a.inverse(), (0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("value", [math.nan, -1.0, 0.0, 1e9])

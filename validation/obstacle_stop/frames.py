@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from geometry.arrays import Float32, Float64
+from geometry.pose2 import to_frame
 from messages.sensors import LidarScan
 
 
@@ -17,22 +18,10 @@ def deskew(scan: LidarScan, T_base_lidar: Float64, speed_mps: float, turn_radps:
     return np.column_stack([x, y, p[:, 2]]).astype(np.float32)
 
 
-def to_odom(pose: Float64, xy_m: Float64) -> Float64:
-    """Points (N, 2) from base to odom at a pose (3,): x, y, yaw."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    return np.column_stack([pose[0] + c * xy_m[:, 0] - s * xy_m[:, 1], pose[1] + s * xy_m[:, 0] + c * xy_m[:, 1]])
-
-
-def to_base(pose: Float64, xy_m: Float64) -> Float64:
-    """Points (N, 2) from odom to base at a pose (3,)."""
-    c, s, d = math.cos(pose[2]), math.sin(pose[2]), xy_m - pose[:2]
-    return np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]])
-
-
 def odom_pose_to_map(T_map_odom: Float64, pose: Float64) -> Float64:
     """Pose (3,) from odom to map."""
     yaw = math.atan2(T_map_odom[1, 0], T_map_odom[0, 0])
-    xy = to_odom(np.array([T_map_odom[0, 3], T_map_odom[1, 3], yaw]), pose[None, :2])[0]
+    xy = to_frame(np.array([T_map_odom[0, 3], T_map_odom[1, 3], yaw]), pose[None, :2])[0]
     return np.array([xy[0], xy[1], pose[2] + yaw])
 
 

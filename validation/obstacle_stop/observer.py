@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Float32, Float64
+from geometry.pose2 import from_frame, to_frame
 from geometry.transforms import invert
 from messages.command import ControlCommand, SupervisorState
 from messages.faults import Response
@@ -19,7 +20,7 @@ from messages.truth import TrueMachine, TrueObjects
 from validation.obstacle_stop.boxes import Box, box_of, count_beams, points_near, points_towards
 from validation.obstacle_stop.conditions import Conditions
 from validation.obstacle_stop.driving_corridor import DrivingCorridor, corridor_along
-from validation.obstacle_stop.frames import deskew, is_in_ring, odom_pose_to_map, to_base, to_odom
+from validation.obstacle_stop.frames import deskew, is_in_ring, odom_pose_to_map
 from validation.obstacle_stop.observation import (
     NO_CLEARANCE,
     LogObservation,
@@ -220,7 +221,7 @@ class Observer:
             box.id, box.label, box.role, stamp_ns, len(mine), len(above_ground), int(np.isfinite(clearances).sum()),
             float(clearances.min(initial=NO_CLEARANCE)), box_clearance, beams_through, beams_before, edge,
             math.atan2(box.center_m[1], box.center_m[0] - self._setting.front_m), is_detected, is_detected_strictly,
-            to_odom(pose, box.center_m[None, :2])[0],
+            to_frame(pose, box.center_m[None, :2])[0],
         )  # fmt: skip
 
     def _record_request(self, state: SupervisorState) -> None:
@@ -233,7 +234,7 @@ class Observer:
         stops = [r for r in binding if r.response >= Response.CONTROLLED_STOP or r.speed_limit_mps < STOP_MPS]
         hits = state.triggering_points_base_m.astype(np.float64)
         touched, has_no_true_cause = self._true_causes(k, hits) if binding and k is not None else ((), False)
-        odom = to_odom(out.motion.poses[k], hits[:1, :2])[0] if k is not None and len(hits) else None
+        odom = to_frame(out.motion.poses[k], hits[:1, :2])[0] if k is not None and len(hits) else None
         out.requests.append(StopRequest(
             state.stamp_ns, (stops or binding)[0].code if binding else "", state.clearance_m,
             state.required_range_m - state.stopping_distance_m, bool(binding), bool(stops), touched, has_no_true_cause,
@@ -247,8 +248,8 @@ class Observer:
         if then is None or not len(triggering_points_base_m):
             return (), False
         poses = self._out.motion.poses
-        odom = to_odom(poses[k], triggering_points_base_m[:, :2])
-        points = to_base(poses[then], odom)
+        odom = to_frame(poses[k], triggering_points_base_m[:, :2])
+        points = from_frame(poses[then], odom)
         reach = self._conditions.truth.association_m
         away = np.array([box.distance_m(points) for box in boxes]).reshape(len(boxes), len(points))
         touched = tuple(box.id for box, a in zip(boxes, away, strict=True) if a.min() <= reach)
@@ -273,7 +274,7 @@ class Observer:
         corridor = self._corridor(motion, k, self._path, self._control_command) if k is not None else None
         if k is None or corridor is None or not tracks.tracks:
             return
-        xy = to_base(motion.poses[k], np.array([t.p_odom_m[:2] for t in tracks.tracks]))
+        xy = from_frame(motion.poses[k], np.array([t.p_odom_m[:2] for t in tracks.tracks]))
         for track, clearance_m in zip(tracks.tracks, corridor.clearances(xy).tolist(), strict=True):
             if math.isfinite(clearance_m):
                 one = TrackObservation(track.id, track.label.value, tracks.stamp_ns, clearance_m, track.is_confirmed)
@@ -286,7 +287,7 @@ class Observer:
         confirmed = [t.p_odom_m[:2] for t in tracks.tracks if t.is_confirmed]
         if k is None or not confirmed or abs(tracks.stamp_ns - stamp_ns) > 50_000_000:
             return
-        xy = to_base(self._out.motion.poses[k], np.array(confirmed))
+        xy = from_frame(self._out.motion.poses[k], np.array(confirmed))
         for box in boxes:
             if (
                 box.id not in self._out.confirmed_ns
