@@ -7,12 +7,12 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
 from messages.errors import HeadlandError
 from runtime.run_folder import ROOT, RunFolder
+from validation.html import render_page
 
 COLUMNS = (
     "trial", "outcome", "simulated_s", "wall_s", "distance_m", "planned_share", "coverage", "xte_sigma_m", "xte_max_m",
@@ -91,7 +91,7 @@ def main(arguments: argparse.Namespace) -> int:
     found = {trial.name: result for trial, result in _drive_all(trials, arguments.jobs)}
     results = [{"trial": trial.name, **found[trial.name]} for trial in trials if trial.name in found]
     rows = [_row(result) for result in results]
-    (top / "table.html").write_text(_page(arguments.campaign, rows), encoding="utf-8")
+    (top / "table.html").write_text(page(arguments.campaign, rows), encoding="utf-8")
     passed = sum(_has_passed(result, arguments.campaign) for result in results)
     if arguments.json:
         sys.stdout.write(
@@ -143,15 +143,7 @@ def _row(result: dict[str, Any]) -> dict[str, Any]:
     return {key: (result | more).get(key) for key in COLUMNS}
 
 
-def _page(campaign: str, rows: list[dict[str, Any]]) -> str:
-    head = "".join(f"<th>{escape(name)}</th>" for name in COLUMNS)
-    body = "".join("<tr>" + "".join(f"<td>{_text(row[name])}</td>" for name in COLUMNS) + "</tr>" for row in rows)
-    style = "body{font:15px system-ui;margin:2rem}td,th{padding:.3rem .7rem;border-bottom:1px solid;text-align:right}"
-    title = f"<title>Headland campaign</title><style>{style}</style><h1>Campaign {escape(campaign)}</h1>"
-    return f"<!doctype html><meta charset=utf-8>{title}<table><tr>{head}</tr>{body}</table>"
-
-
-def _text(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "—" if value is None else escape(str(value))
+def page(campaign: str, rows: list[dict[str, Any]]) -> str:
+    """HTML page with one row per trial."""
+    title = f"Campaign {campaign}"
+    return render_page("table.html", title=title, totals="", keys=COLUMNS, rows=rows, number="%.4g", failures=())

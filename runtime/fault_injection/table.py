@@ -1,8 +1,9 @@
 """Result table of the fault injection campaign, as HTML and Parquet."""
 
-from html import escape
 from pathlib import Path
 from typing import Any
+
+from validation.html import render_page
 
 COLUMNS = {
     "situation": "string", "topic": "string", "fault": "string", "speed_mps": "float64", "travel_m": "float64",
@@ -10,10 +11,6 @@ COLUMNS = {
     "contacts": "int64", "zone_exits": "int64", "reason": "string", "alarms": "string",
     "is_fault_identified": "bool_", "is_misattributed": "bool_", "passed": "bool_", "failure": "string",
 }  # fmt: skip
-STYLE = (
-    "body{font:15px system-ui;margin:2rem}td,th{padding:.25rem .6rem;border-bottom:1px solid #ccc;text-align:left}"
-    "tr.failed{background:#fdd}td.number{text-align:right}"
-)
 
 
 def write_tables(folder: Path, rows: list[dict[str, Any]]) -> None:
@@ -27,12 +24,13 @@ def write_tables(folder: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def page(rows: list[dict[str, Any]]) -> str:
-    """HTML page with totals and table; failed cells come first."""
-    head = "".join(f"<th>{escape(name.replace('_', ' '))}</th>" for name in COLUMNS)
+    """HTML page with totals and table; failed cells come first and are marked."""
     ordered = sorted(rows, key=lambda row: bool(row["passed"]))
-    body = "".join(_line(row) for row in ordered)
-    title = f"<meta charset=utf-8><title>Headland faults</title><style>{STYLE}</style><h1>Faults</h1>"
-    return f"<!doctype html>{title}<p>{escape(totals(rows))}</p><table><tr>{head}</tr>{body}</table>"
+    failures = [k for k, row in enumerate(ordered) if not row["passed"]]
+    return render_page(
+        "table.html", title="Fault injection", totals=totals(rows), keys=tuple(COLUMNS), rows=ordered, number="%.2f",
+        failures=failures,
+    )  # fmt: skip
 
 
 def totals(rows: list[dict[str, Any]]) -> str:
@@ -49,20 +47,3 @@ def totals(rows: list[dict[str, Any]]) -> str:
         f"device identified in {identified} of {len(required)} required stops; "
         f"attributed to another device in {sum(bool(row['is_misattributed']) for row in rows)}"
     )
-
-
-def _line(row: dict[str, Any]) -> str:
-    cells = "".join(f"<td{_class(row[name])}>{_text(row[name])}</td>" for name in COLUMNS)
-    return f"<tr{'' if row['passed'] else ' class=failed'}>{cells}</tr>"
-
-
-def _class(value: object) -> str:
-    return " class=number" if isinstance(value, int | float) else ""
-
-
-def _text(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.2f}"
-    return "—" if value is None else escape(str(value))
