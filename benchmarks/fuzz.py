@@ -1,10 +1,10 @@
-"""Mutated frames, NMEA lines, configuration files and log bytes: no crash, and nothing wrong is accepted.
+"""Fuzz test of CAN frames, NMEA lines, configuration files and logs: no crash, no invalid data accepted.
 
     ./headland benchmark fuzz [--count 1000000] [--seed 1]
 
-What is printed at the end are the numbers tried, refused and accepted. A crash ends it with its trace; so does what is
-accepted and cannot be right: a value outside what its format can hold, a frame or line whose checksum does not fit, a
-configuration beyond its bounds, a message that nobody wrote.
+Prints the numbers of inputs tried, refused and accepted. A crash ends it with its trace, and so does accepted invalid
+data: a value outside the range of its format, a wrong checksum, a configuration outside its bounds, a message that was
+not written.
 """
 
 import argparse
@@ -38,7 +38,7 @@ from simulation.scenario import Scenario
 
 MS = 1_000_000
 OWN, TRACTOR = 28, 240
-FRAMES = (  # identifier and content of what a tractor sends; the cab's two are sealed
+FRAMES = (  # identifier and data of frames of a tractor; the two of the cab have a checksum
     (0x0CAC00F0 | OWN << 8, bytes.fromhex("807d150000ffffff")),
     (0x0CFE48F0, bytes.fromhex("d00700000000fffd")),
     (0x0CFE45F0, bytes.fromhex("c840ffffffffffff")),
@@ -59,13 +59,13 @@ FILES: tuple[tuple[type[Config], str], ...] = (
 )  # fmt: skip
 
 
-class Wrong(AssertionError):
-    """Something was accepted that cannot be right."""
+class InvalidAccepted(AssertionError):
+    """Invalid data was accepted."""
 
 
 @dataclass
 class Count:
-    """What became of the inputs of one kind."""
+    """Numbers of inputs of one kind."""
 
     tried: int = 0
     accepted: int = 0
@@ -76,7 +76,7 @@ class Count:
 
 
 def mutated(data: bytes, random: np.random.Generator) -> bytes:
-    """Data with one to four changes: a bit, a byte, a cut, a doubling, a swap."""
+    """Data with one to four changes: bit, byte, deletion, repetition, insertion, swap."""
     broken = bytearray(data)
     for _ in range(int(random.integers(1, 5))):
         if not broken:
@@ -99,7 +99,7 @@ def mutated(data: bytes, random: np.random.Generator) -> bytes:
 
 
 def fuzz_frames(count: int, random: np.random.Generator) -> Count:
-    """Frames on the machine's bus, into what the gateway reads them with."""
+    """CAN frames of the machine, read as by the gateway."""
     result, receiver, now_ns = Count(), CanReceiver(TRACTOR), 0
     for _ in range(count):
         identifier, data = FRAMES[int(random.integers(len(FRAMES)))]
@@ -112,7 +112,7 @@ def fuzz_frames(count: int, random: np.random.Generator) -> Count:
         _check_state(receiver.state(now_ns), (identifier, data))
         is_cab = now_ns in (receiver.cab_ns, receiver.driver_steering_ns, receiver.fold_ns)
         if is_cab and checksum(identifier, data) != data[7] >> 4:
-            raise Wrong(f"frame {identifier:08x} {data.hex()} was taken against its checksum")
+            raise InvalidAccepted(f"frame {identifier:08x} {data.hex()} was accepted with a wrong checksum")
         receiver.claims, receiver.is_claim_requested = [], False
         result.add(receiver.rejected == rejected)
     return result
@@ -129,15 +129,15 @@ def _check_state(state: object, given: object) -> None:
     for name, bound in BOUNDS.items():
         value = getattr(state, name)
         if not abs(value) <= bound:
-            raise Wrong(f"{given}: {name} = {value}")
+            raise InvalidAccepted(f"{given}: {name} = {value}")
 
 
 def fuzz_lines(count: int, random: np.random.Generator) -> Count:
-    """Lines of a receiver, whole epochs at a time."""
+    """NMEA lines of a GNSS receiver."""
     result, nmea = Count(), NmeaReader("HDT", 0, 0.002)
     for k in range(count):
         line = mutated(_line(LINES[int(random.integers(len(LINES)))]), random)
-        if random.random() < 0.3:  # what a checksum cannot find must be found by what the fields may hold
+        if random.random() < 0.3:  # valid checksum: errors must be found by the ranges of the fields
             line = _line(mutated(line[1:-5], random).decode("latin-1"))
         for fix in nmea.receive(k * MS, line + b"\r\n"):
             _check_fix(fix, line)
@@ -147,7 +147,7 @@ def fuzz_lines(count: int, random: np.random.Generator) -> Count:
             result.add(False)
             continue
         if not sentence.formatter.isalpha():
-            raise Wrong(f"{line!r} was taken as {sentence}")
+            raise InvalidAccepted(f"{line!r} was accepted as {sentence}")
         result.add(True)
     return result
 
@@ -160,16 +160,16 @@ def _line(body: str) -> bytes:
 
 
 def _check_fix(fix: GnssFix, line: bytes) -> None:
-    place = abs(fix.latitude_rad) <= 0.5 * math.pi and abs(fix.longitude_rad) <= math.pi and abs(fix.height_m) < 2e5
+    position = abs(fix.latitude_rad) <= 0.5 * math.pi and abs(fix.longitude_rad) <= math.pi and abs(fix.height_m) < 2e5
     is_empty = fix.solution == 0 and math.isnan(fix.latitude_rad)
     sigmas = [*fix.sigma_enu_m, fix.hdop, fix.correction_age_s]
     is_speed = not np.hypot(*fix.velocity_enu_mps[:2]) > 210.0
-    if not (place or is_empty or fix.solution == 0) or any(s < 0.0 for s in sigmas) or not is_speed:
-        raise Wrong(f"{line!r} became {fix}")
+    if not (position or is_empty or fix.solution == 0) or any(s < 0.0 for s in sigmas) or not is_speed:
+        raise InvalidAccepted(f"{line!r} became {fix}")
 
 
 def fuzz_files(count: int, random: np.random.Generator) -> Count:
-    """Configuration files: refused with an error of ours, or within all bounds."""
+    """Configuration files: refused with a HeadlandError, or within all bounds."""
     result = Count()
     texts = [(cls, (CONFIGS / name).read_bytes()) for cls, name in FILES]
     with tempfile.TemporaryDirectory() as folder:
@@ -188,13 +188,13 @@ def fuzz_files(count: int, random: np.random.Generator) -> Count:
 
 
 def _check_config(config: Config, text: bytes) -> None:
-    """Every number finite, and the whole valid again when read from what it says."""
+    """Every number is finite, and writing and reading gives the same configuration."""
     for value in _leaves(config.model_dump()):
         if isinstance(value, float) and not math.isfinite(value):
-            raise Wrong(f"{text!r}: {value} in a configuration")
+            raise InvalidAccepted(f"{text!r}: {value} in a configuration")
     again = parse(type(config), yaml.safe_load(yaml.safe_dump(config.model_dump(mode="json"))), "again")
     if again != config:
-        raise Wrong(f"{text!r}: does not say what it holds")
+        raise InvalidAccepted(f"{text!r}: differs after writing and reading")
 
 
 def _leaves(value: object) -> Iterator[object]:
@@ -209,16 +209,16 @@ def _leaves(value: object) -> Iterator[object]:
 
 
 def fuzz_logs(count: int, random: np.random.Generator) -> Count:
-    """Bytes of a log: what is read of it is what was written."""
+    """Bytes of a log: only messages that were written are read."""
     result = Count()
     with tempfile.TemporaryDirectory() as folder:
-        whole, path = Path(folder) / "whole.mcap", Path(folder) / "log.mcap"
+        complete, path = Path(folder) / "complete.mcap", Path(folder) / "log.mcap"
         config = LogConfig(chunk_kib=16, flush_s=0.1, sync_s=100.0, min_free_mb=0.0)
-        with LogWriter(whole, {"about": {"seed": "1"}}, config) as log:
+        with LogWriter(complete, {"about": {"seed": "1"}}, config) as log:
             for k in range(30):
                 log.write(Envelope("wheel", k, 20 * k * MS, WheelSample(20 * k * MS, 0.1 * k, -0.01 * k)))
-        written = {_plain(envelope) for envelope in read_log(whole)}
-        data = whole.read_bytes()
+        written = {_plain(envelope) for envelope in read_log(complete)}
+        data = complete.read_bytes()
         for _ in range(count):
             path.write_bytes(mutated(data, random))
             try:
@@ -227,7 +227,7 @@ def fuzz_logs(count: int, random: np.random.Generator) -> Count:
                 result.add(False)
                 continue
             if not found <= written:
-                raise Wrong(f"{path.read_bytes().hex()}: {(found - written).pop()} was never written")
+                raise InvalidAccepted(f"{path.read_bytes().hex()}: {(found - written).pop()} was not written")
             result.add(found == written)
     return result
 
@@ -239,9 +239,8 @@ def _plain(envelope: Envelope) -> tuple[object, ...]:
 
 
 Fuzz = Callable[[int, np.random.Generator], Count]
-INPUT_KINDS: dict[
-    str, tuple[Fuzz, float]
-] = {  # with its share of the count: a file takes a thousand times as long as a frame
+# with the share of the count: a file takes a thousand times as long as a frame
+INPUT_KINDS: dict[str, tuple[Fuzz, float]] = {
     "frames": (fuzz_frames, 0.5),
     "lines": (fuzz_lines, 0.35),
     "files": (fuzz_files, 0.05),
@@ -250,8 +249,8 @@ INPUT_KINDS: dict[
 
 
 def main() -> None:
-    """Run all kinds and print the counts."""
-    words = argparse.ArgumentParser(description="mutated inputs: no crash, nothing wrong accepted")
+    """Runs all kinds and prints the counts."""
+    words = argparse.ArgumentParser(description="mutated inputs: no crash, no invalid data accepted")
     words.add_argument("--count", type=int, default=1_000_000, help="of all kinds together")
     words.add_argument("--seed", type=int, default=1)
     arguments = words.parse_args()
@@ -260,9 +259,9 @@ def main() -> None:
         began_s = time.monotonic()
         found = fuzz(round(arguments.count * share), np.random.default_rng([arguments.seed, k]))
         total += found.tried
-        told = f"{found.tried} tried, {found.tried - found.accepted} refused, {found.accepted} accepted as right"
-        print(f"{name}: {told}; {time.monotonic() - began_s:.0f} s")
-    print(f"{total} mutated inputs: no crash, nothing wrong accepted")
+        counts = f"{found.tried} tried, {found.tried - found.accepted} refused, {found.accepted} accepted as valid"
+        print(f"{name}: {counts}; {time.monotonic() - began_s:.0f} s")
+    print(f"{total} mutated inputs: no crash, no invalid data accepted")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Cost of logging: milliseconds and bytes per simulated second, with lidar noise as the sensors have it.
+"""Cost of logging: milliseconds and bytes per simulated second, with realistic lidar noise.
 
 ./headland benchmark log_write [SECONDS]
 """
@@ -14,7 +14,7 @@ import numpy as np
 from configs.strict import CONFIGS, load, parse, read_yaml
 from configs.vehicle import ImplementFile, Lidar, Vehicle
 from datasets.log import LogConfig, LogWriter
-from datasets.summary import check_log
+from datasets.summary import summarize_log
 from datasets.viewer import Viewer, ViewerConfig
 from geometry.arrays import Float64
 from geometry.transforms import planar
@@ -28,7 +28,7 @@ Rng = np.random.Generator
 
 
 def scan_of(lidar: Lidar, stamp_ns: int, rng: Rng) -> sensors.LidarScan:
-    """A field with furrows and a few things on it, seen with the sensor's noise."""
+    """Scan of a field with furrows and six obstacles, with the noise of the sensor."""
     elevation = np.radians(lidar.elevation_deg)
     half = 0.5 * np.radians(lidar.field_of_view_deg)
     azimuth = np.linspace(-half, half, lidar.columns, endpoint=False)
@@ -52,20 +52,20 @@ def _noisy(rng: Rng, shape: tuple[int, ...]) -> Float64:
 
 
 def odometry(t: int, rng: Rng) -> Message:
-    """A pose and motion."""
+    """Random odometry."""
     T = planar(*rng.normal(size=3).tolist())
     x = rng.normal(size=5).tolist()
     return motion.Odometry(t, T, x[0], x[1], x[2], x[3], x[4], _noisy(rng, (6, 6)))
 
 
 def map_pose(t: int, rng: Rng) -> Message:
-    """A correction of it."""
+    """Random map pose."""
     T = planar(*rng.normal(size=3).tolist())
     return motion.MapPose(t, T, T, _noisy(rng, (6, 6)), motion.PositionSource.RTK_FIXED, 0.05, 0.1, True)
 
 
 def obstacles(t: int, rng: Rng) -> Message:
-    """Twelve clusters with their returns, which stand on vertical faces."""
+    """Twelve clusters with returns on vertical faces."""
     k, n = 12, RETURNS_OF_OBSTACLES
     along = np.tile(np.linspace(0.0, 1.0, n // k), k)
     corner = np.repeat(rng.uniform(-30.0, 30.0, (k, 3)), n // k, axis=0)
@@ -94,8 +94,8 @@ def tracks(t: int, rng: Rng) -> Message:
 
 
 def supervisor(t: int, rng: Rng) -> Message:
-    """Ten rules, a field and some hits."""
-    rules = tuple(command.RuleResult(f"rule.{i}", Response.NONE, 3.0, "nothing to object") for i in range(10))
+    """Ten rules, a protective field and ten triggering points."""
+    rules = tuple(command.RuleResult(f"rule.{i}", Response.NONE, 3.0, "no objection") for i in range(10))
     return command.SupervisorState(
         t, command.Mode.AUTOMATIC, "", rules, perception.ObstacleClass.UNKNOWN, 40.0, 3.0, 12.0, 38.0, 0.0,
         rng.normal(size=(10, 3)).astype(np.float32), _noisy(rng, (60, 2)),
@@ -103,7 +103,7 @@ def supervisor(t: int, rng: Rng) -> Message:
 
 
 def machine(t: int, rng: Rng) -> Message:
-    """What the bus says."""
+    """Random machine state."""
     x = rng.normal(size=8).tolist()
     return command.MachineState(
         t, t, t, t, t, t, x[0], x[1], True, 0, 0, x[2], True, x[3], True, False, False, True, 0.0, x[4], x[5], x[6],
@@ -117,25 +117,25 @@ def frames(t: int, rng: Rng) -> Message:
 
 
 def control_command(t: int, rng: Rng) -> Message:
-    """What control wants."""
+    """Random control command."""
     x = rng.normal(size=6).tolist()
     return command.ControlCommand(t, x[0], x[1], x[2], True, True, 3, x[3], x[4], x[5], False)
 
 
 def safe_command(t: int, rng: Rng) -> Message:
-    """What the supervisor lets through."""
+    """Random safe command."""
     x = rng.normal(size=2).tolist()
     return command.SafeCommand(t, command.Mode.AUTOMATIC, True, x[0], 0.0, x[1], True, True, False, False, True, "")
 
 
 def true_machine(t: int, rng: Rng) -> Message:
-    """The machine as it is."""
+    """Random true machine state."""
     x = rng.normal(size=5).tolist()
     return truth.TrueMachine(t, planar(*x[:3]), x[0], x[1], x[2], x[3], _noisy(rng, (3,)), x[4], 0.0, True, 0, 0)
 
 
 def true_objects(t: int, rng: Rng) -> Message:
-    """Twelve things that are there."""
+    """Twelve true objects."""
     label = perception.ObstacleClass.ANIMAL
     some = [
         truth.TrueObject(i, label, "", _noisy(rng, (3,)), np.ones(3), 0.1, _noisy(rng, (2,)), 9.0) for i in range(12)
@@ -161,7 +161,7 @@ def wheel(t: int, rng: Rng) -> Message:
 
 
 def fix(t: int, rng: Rng) -> Message:
-    """One solution."""
+    """One GNSS fix."""
     x = rng.normal(size=3).tolist()
     return sensors.GnssFix(
         t, 0.85, 0.15, 400.0, np.full(3, 0.01), _noisy(rng, (3,)), 0.02, x[0], 0.002, sensors.GnssSolution.RTK_FIXED,
@@ -170,13 +170,13 @@ def fix(t: int, rng: Rng) -> Message:
 
 
 def mission(t: int, rng: Rng) -> Message:
-    """Where it stands."""
+    """Mission status."""
     return plan.MissionStatus(
         t, plan.MissionState.DRIVING, plan.PathSectionType.SWATH, 4, 3, 12.0, 800.0, 1500.0, "swath 4", ()
     )
 
 
-# topic, rate in Hz, what makes it
+# topic, rate (Hz), function
 STREAMS = (
     ("imu", 100, imu), ("wheel", 50, wheel), ("machine", 50, machine), ("can/can0", 50, frames), ("odom", 50, odometry),
     ("control_command", 50, control_command), ("safe_command", 50, safe_command), ("gnss/main", 10, fix),
@@ -188,7 +188,7 @@ STREAMS = (
 
 
 def second_of(k: int, vehicle: Vehicle, rng: Rng) -> list[Envelope]:
-    """All messages of one second, in order of arrival."""
+    """All messages of one second, in order of reception."""
     out: list[tuple[int, str, Message]] = []
     for topic, rate, make in STREAMS:
         stamps = [START_NS + k * 1_000_000_000 + i * (1_000_000_000 // rate) for i in range(rate)]
@@ -200,7 +200,7 @@ def second_of(k: int, vehicle: Vehicle, rng: Rng) -> list[Envelope]:
 
 
 def seconds_of(count: int, vehicle: Vehicle) -> Iterator[list[Envelope]]:
-    """Seconds one after the other; perception has asked for the points by the time they are logged."""
+    """Consecutive seconds; scan points are computed beforehand, as by perception."""
     rng = np.random.default_rng(5)
     for k in range(count):
         envelopes = second_of(k, vehicle, rng)
@@ -211,7 +211,7 @@ def seconds_of(count: int, vehicle: Vehicle) -> Iterator[list[Envelope]]:
 
 
 def main() -> None:
-    """Write a log with and without viewer topics; say what it costs."""
+    """Writes a log with and without viewer topics and prints the cost."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     vehicle = load(Vehicle, CONFIGS / "machines" / "tractor_e.yaml")
     implement = load(ImplementFile, CONFIGS / "implements" / "harrow_6m.yaml").implement
@@ -229,14 +229,14 @@ def main() -> None:
                 spent_s += time.process_time() - start
             writer.close()
             size_mb = path.stat().st_size / 1e6
-            what = "messages and viewer topics" if viewer else "messages alone"
+            content = "messages and viewer topics" if viewer else "messages only"
             sys.stdout.write(
-                f"{what}: {spent_s / count * 1e3:.1f} ms per second, {len(envelopes)} messages; "
+                f"{content}: {spent_s / count * 1e3:.1f} ms per second, {len(envelopes)} messages; "
                 f"{size_mb / count:.3f} MB per second = {size_mb / count * 600:.0f} MB in 10 min\n"
             )
         start = time.perf_counter()
-        summary = check_log(path)
-        sys.stdout.write(f"check_log: {(time.perf_counter() - start) / count * 1e3:.1f} ms per second\n")
+        summary = summarize_log(path)
+        sys.stdout.write(f"summarize_log: {(time.perf_counter() - start) / count * 1e3:.1f} ms per second\n")
         for topic in summary.topics:
             sys.stdout.write(f"  {topic.topic:<28}{topic.bytes / count * 600 / 1e6:9.1f} MB raw in 10 min\n")
 

@@ -1,9 +1,9 @@
-"""Many logs, one table: cuts of KITTI and bad logs among them, on processes and on a local Dask cluster.
+"""Evaluation of many logs: excerpts of KITTI and invalid logs, on processes and on a local Dask cluster.
 
     ./headland benchmark validate_kitti [--logs 100] [--frames 6] [--demo LOG.mcap]
 
-Prints the bars of KITTI's first forty frames, the time of a log, and whether both ways gave the same table (bar 10).
-With a log of the demo every fourth log is cut from its first minute of driving past somebody.
+Prints the results of the first forty KITTI frames, the time for the logs, and whether both give the same table. With a
+demo log every fourth log is an excerpt of it around its first obstacle stop.
 """
 
 import argparse
@@ -30,7 +30,7 @@ LOG, TRUTH = DATA / "kitti-seq-pcd", DATA / "kitti-tracking-truth"
 
 
 def validate(logs: list[Path], *words: str) -> tuple[dict[str, Any], float]:
-    """The object of `--json`, and how long it took."""
+    """Object of `--json`, and duration (s)."""
     start = time.monotonic()
     command = [sys.executable, "-m", "runtime", "validate", *map(str, logs), "--truth", str(TRUTH), "--json", *words]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
@@ -39,47 +39,47 @@ def validate(logs: list[Path], *words: str) -> tuple[dict[str, Any], float]:
     return json.loads(done.stdout), time.monotonic() - start
 
 
-def bring(recording: Recording, out: Path) -> Path:
-    """A recording, or a part of it, as a log of ours."""
+def imported(recording: Recording, out: Path) -> Path:
+    """A recording as a Headland log."""
     stack = load_stack().datasets
     write_recording(recording, out, stack.log, stack.viewer)
     return out
 
 
-def demo_cuts(folder: Path, demo: Path, count: int, seconds: float) -> list[Path]:
-    """Stretches of a log of the demo, from shortly before its first obstacle stop on."""
+def demo_excerpts(folder: Path, demo: Path, count: int, seconds: float) -> list[Path]:
+    """Excerpts of a demo log, from 8 s before its first obstacle stop."""
     states = [e for e in read_log(demo, {"supervisor"}) if isinstance(e.message, SupervisorState)]
     stop_ns = next(e.receive_ns for e in states if getattr(e.message, "mode", None) is Mode.OBSTACLE_STOP)
     begin_s = max(0.0, (stop_ns - states[0].receive_ns) * 1e-9 - 8.0)
     end_s = begin_s + 0.5 * count + seconds
-    near = open_recording(bring(excerpt(open_recording(demo), begin_s, end_s), folder / "near.mcap"))
+    near = open_recording(imported(excerpt(open_recording(demo), begin_s, end_s), folder / "near.mcap"))
     times = [0.5 * k for k in range(count)]
-    return [bring(excerpt(near, t, t + seconds), folder / f"demo-{k:03d}.mcap") for k, t in enumerate(times)]
+    return [imported(excerpt(near, t, t + seconds), folder / f"demo-{k:03d}.mcap") for k, t in enumerate(times)]
 
 
-def cuts(folder: Path, count: int, frames: int, demo: Path | None) -> list[Path]:
-    """Stretches of KITTI as folders of links, and of the demo; three bad logs stand in for the last."""
-    out = demo_cuts(folder, demo, count // 4, 0.1 * frames + 0.5) if demo is not None else []
+def excerpts(folder: Path, count: int, frames: int, demo: Path | None) -> list[Path]:
+    """Excerpts of KITTI as folders of links, and of the demo; the last three logs are invalid."""
+    out = demo_excerpts(folder, demo, count // 4, 0.1 * frames + 0.5) if demo is not None else []
     for k in range(count - 3 - len(out)):
         path = folder / f"cut-{k:03d}"
         (path / "frames").mkdir(parents=True)
         for number in range(k % (40 - frames), k % (40 - frames) + frames):
             (path / "frames" / f"{number:06d}.npz").symlink_to(LOG / "frames" / f"{number:06d}.npz")
         out.append(path)
-    whole = bring(open_recording(out[-1]), folder / "whole.mcap").read_bytes()
-    (folder / "truncated.mcap").write_bytes(whole[: len(whole) // 2])
+    complete = imported(open_recording(out[-1]), folder / "complete.mcap").read_bytes()
+    (folder / "truncated.mcap").write_bytes(complete[: len(complete) // 2])
     (folder / "empty.mcap").write_bytes(b"")
     (folder / "nolidar.log").write_text("(1.000000) can0 123#0011\n")
     return [*out, folder / "truncated.mcap", folder / "empty.mcap", folder / "nolidar.log"]
 
 
 def table(result: dict[str, Any]) -> dict[str, Any]:
-    """What must not depend on where it was computed."""
+    """Result without the run folder."""
     return {k: v for k, v in result.items() if k != "run_dir"}
 
 
 def main() -> None:
-    """Print all of it."""
+    """Prints the results."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--logs", type=int, default=100)
     parser.add_argument("--frames", type=int, default=6)
@@ -93,7 +93,7 @@ def main() -> None:
             keys = ("role", "outcome", "entry_s", "clearance_m", "stopping_distance_m", "margin_m", "request_delay_s")
             print({k: e[k] for k in keys})
         print({k: one[k] for k in ("missed", "false_stops", "safe_speed_kmh")})
-        logs = cuts(folder, arguments.logs, arguments.frames, arguments.demo)
+        logs = excerpts(folder, arguments.logs, arguments.frames, arguments.demo)
         mine, wall_s = validate(logs, "--jobs", "2", "--out", str(folder / "processes"))
         print(f"{len(logs)} logs on 2 processes in {wall_s:.0f} s; failed to read: {mine['failed_to_read']}")
         print(f"damaged: {mine['damaged']}")

@@ -1,1 +1,1 @@
-"""Logs: codec, MCAP writer and reader, viewer topics beside the messages, importers of others' recordings."""
+"""Logs: codec, MCAP writer and reader, viewer topics, importers of recordings."""

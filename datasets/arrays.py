@@ -1,14 +1,14 @@
-"""Arrays as bytes, with reversible filters that let the chunk's compression find what neighbours have in common.
+"""Arrays as bytes, with lossless filters that improve the compression of a chunk.
 
-A filter is named in the log beside the data, so that any reader can undo it:
+The name of the filter is stored with the data:
 
-- `""`: the array's bytes, row by row, little-endian.
-- `planes`: byte planes; first the lowest byte of every element, then the next, up to the highest.
-- `delta0-planes`, `delta1-planes`: the bits of each element, taken as an unsigned integer, less those of the element
-  before it along axis 0 or 1 (first: less zero), folded so that 0, -1, 1, -2, … become 0, 1, 2, 3, …, then byte planes.
-  A range image becomes one plane of noise and one of almost nothing but zeros.
-- `png`: a picture (rows, columns, 3) as PNG, which loses nothing.
-- `sent`: the same as the camera sent it, JPEG or PNG; what decoding gives is the array.
+- `""`: bytes of the array, row by row, little-endian.
+- `planes`: byte planes; the lowest byte of every element first, then the next.
+- `delta0-planes`, `delta1-planes`: differences to the previous element along axis 0 or 1 (first: to zero) of the bits
+  as unsigned integers, zigzag coded (0, -1, 1, -2, … as 0, 1, 2, 3, …), then byte planes. A range image becomes one
+  plane of noise and one of mostly zeros.
+- `png`: an image (rows, columns, 3) as PNG, lossless.
+- `sent`: an image as JPEG or PNG bytes from the camera; decoding gives the array.
 """
 
 import math
@@ -23,26 +23,26 @@ from geometry.arrays import UInt8
 from messages.errors import LogError
 
 Array = npt.NDArray[Any]
-# Below this a filter costs more time than its bytes are worth.
+# Elements; for smaller arrays a filter costs more time than it saves in size.
 MIN_FILTERED = 256
 PNG, SENT = "png", "sent"
 KNOWN_DTYPES = frozenset({"<f8", "<f4", "<i8", "<i4", "<u2", "|u1", "|i1", "<i2", "<u4", "<u8", "|b1"})
 
 
 def filter_of(array: Array) -> str:
-    """The filter that suits an array, by type and shape alone."""
+    """Filter for an array, by type and shape."""
     if array.size < MIN_FILTERED:
         return ""
     if array.dtype == np.uint16 and array.ndim == 2:
         return "delta1-planes"
     if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
         return "png"
-    # neighbours in a list of points or indices are neighbours in space
+    # consecutive points and indices are neighbours in space
     return "delta0-planes" if array.dtype in (np.float32, np.int32) else ""
 
 
 def pack(array: Array, name: str) -> bytes:
-    """The bytes of an array through the filter `name`."""
+    """Bytes of an array after the filter `name`."""
     if not name:
         return array.tobytes()
     if name == PNG:
@@ -53,11 +53,11 @@ def pack(array: Array, name: str) -> bytes:
 
 
 def unpack(data: bytes, dtype: str, shape: tuple[int, ...], name: str) -> Array:
-    """The array that `pack` was given, read-only; raises LogError when type, shape, filter and bytes do not agree."""
+    """Inverse of `pack`, read-only; raises LogError when type, shape, filter and bytes do not agree."""
     if dtype not in KNOWN_DTYPES:
         raise LogError(f"array of type {dtype!r}: not one of {', '.join(sorted(KNOWN_DTYPES))}")
     if name in (PNG, SENT):
-        return _picture(data, dtype, shape)
+        return _image(data, dtype, shape)
     kind = np.dtype(dtype)
     if math.prod(shape) * kind.itemsize != len(data):
         raise LogError(f"array of shape {shape} and type {dtype}: {len(data)} bytes do not fill it")
@@ -67,10 +67,10 @@ def unpack(data: bytes, dtype: str, shape: tuple[int, ...], name: str) -> Array:
     return undo(data, kind, shape)
 
 
-def _picture(data: bytes, dtype: str, shape: tuple[int, ...]) -> Array:
+def _image(data: bytes, dtype: str, shape: tuple[int, ...]) -> Array:
     bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
     if bgr is None or bgr.shape != shape or dtype != "|u1":
-        found = "no picture" if bgr is None else f"a picture of shape {bgr.shape}"
+        found = "no image" if bgr is None else f"an image of shape {bgr.shape}"
         raise LogError(f"array of shape {shape} and type {dtype}: its {len(data)} bytes are {found}")
     return np.asarray(bgr)
 
@@ -99,10 +99,10 @@ def _unfold(axis: int) -> Callable[[bytes, np.dtype[Any], tuple[int, ...]], Arra
     def undo(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
         if kind.itemsize not in (2, 4) or len(shape) <= axis:
             raise LogError(f"array of shape {shape} and type {kind.str}: has no differences along axis {axis}")
-        whole = _unsigned(kind)
-        folded = _merge(data, whole, shape)
-        step = (folded >> 1) ^ (whole.type(0) - (folded & whole.type(1)))
-        return np.cumsum(step, axis=axis, dtype=whole).view(kind)
+        unsigned = _unsigned(kind)
+        folded = _merge(data, unsigned, shape)
+        step = (folded >> 1) ^ (unsigned.type(0) - (folded & unsigned.type(1)))
+        return np.cumsum(step, axis=axis, dtype=unsigned).view(kind)
 
     return undo
 

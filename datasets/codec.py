@@ -1,7 +1,7 @@
-"""Messages to bytes and back, exact to the bit, by functions generated once for each class.
+"""Messages to protobuf bytes and back, bit-exact, by functions generated once per class.
 
-Reflection on every message would cost ten times as much as the encoding itself, so each class gets the source text of a
-`fill(proto, message)` and a `build(proto)` with its fields spelled out, compiled on first use.
+Reflection for every message would take ten times as long as the encoding, so `fill(proto, message)` and `build(proto)`
+are generated as source text for each class and compiled on first use.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,7 +29,7 @@ Build = Callable[[Any], Any]
 
 @dataclass(frozen=True)
 class Codec:
-    """How one message class is written and read; `schema` is its FileDescriptorSet."""
+    """Encoder and decoder of a message class; `schema` is its FileDescriptorSet."""
 
     name: str
     schema: bytes
@@ -38,7 +38,7 @@ class Codec:
     build: Build
 
     def encode(self, message: Message) -> bytes:
-        """The message as protobuf; raises LogError naming what cannot be written."""
+        """Protobuf bytes of a message; raises LogError with the class for an invalid value."""
         proto = self.proto()
         try:
             self.fill(proto, message)
@@ -48,7 +48,7 @@ class Codec:
         return data
 
     def decode(self, data: bytes) -> Message:
-        """The message; raises LogError when the bytes are not one."""
+        """Message of protobuf bytes; raises LogError for invalid bytes."""
         try:
             message: Message = self.build(self.proto.FromString(data))
         except (DecodeError, LogError, TypeError, ValueError) as error:
@@ -59,11 +59,11 @@ class Codec:
 @once
 def codec_of(cls: type[Message]) -> Codec:
     """The codec of a message class."""
-    return Codec(f"{PACKAGE}.{cls.__name__}", descriptors_of(cls), proto_of(cls), *_ways_of(cls, frozenset()))
+    return Codec(f"{PACKAGE}.{cls.__name__}", descriptors_of(cls), proto_of(cls), *_functions_of(cls, frozenset()))
 
 
-def _ways_of(cls: type[Message], lacking: frozenset[str]) -> tuple[Fill, Build]:
-    return (_fill_image, _build_image) if cls is CameraImage else (_fill_of(cls), _build_of(cls, lacking))
+def _functions_of(cls: type[Message], missing: frozenset[str]) -> tuple[Fill, Build]:
+    return (_fill_image, _build_image) if cls is CameraImage else (_fill_of(cls), _build_of(cls, missing))
 
 
 @cache
@@ -74,10 +74,10 @@ def classes() -> dict[str, type[Message]]:
 
 @cache
 def codec_for(name: str, schema: bytes) -> Codec:
-    """The codec for a schema found in a log, which may be of another version than ours.
+    """Codec for a schema in a log, which may be of another version.
 
-    Fields are matched by name and type; one that the log has not gets its default. Raises LogError when the class is
-    unknown here, a field has another type, or one without default is missing.
+    Fields are matched by name and type; a missing field gets its default. Raises LogError for an unknown class, another
+    field type, or a missing field without default.
     """
     cls = classes().get(name)
     if cls is None:
@@ -87,10 +87,10 @@ def codec_for(name: str, schema: bytes) -> Codec:
         return own
     proto = proto_from(name, schema)
     try:
-        lacking = frozenset(_lacking(cls, own.proto.DESCRIPTOR, proto.DESCRIPTOR))
+        missing = frozenset(_missing(cls, own.proto.DESCRIPTOR, proto.DESCRIPTOR))
     except ValueError as error:
         raise LogError(f"schema {name!r} was written by another version: {error}") from error
-    return Codec(name, schema, proto, *_ways_of(cls, lacking))
+    return Codec(name, schema, proto, *_functions_of(cls, missing))
 
 
 def proto_from(name: str, schema: bytes) -> type[Any]:
@@ -109,12 +109,12 @@ def proto_from(name: str, schema: bytes) -> type[Any]:
         raise LogError(f"schema {name!r}: not a protobuf schema ({error})") from error
 
 
-def _lacking(cls: type[MessagePart] | None, ours: Any, theirs: Any, where: str = "") -> Iterator[str]:
-    """Fields of ours (dotted below a record's) that the log has not and that have a default; ValueError for others."""
+def _missing(cls: type[MessagePart] | None, own: Any, logged: Any, where: str = "") -> Iterator[str]:
+    """Missing fields with a default, as dotted names; raises ValueError for one without, or of another type."""
     kinds = {kind.name: kind for kind in fields_of(cls)} if cls is not None else {}
     optional = _with_default(cls) if cls is not None else frozenset()
-    for field in ours.fields:
-        other = theirs.fields_by_name.get(field.name)
+    for field in own.fields:
+        other = logged.fields_by_name.get(field.name)
         if other is None and field.name in optional:
             yield where + field.name
         elif other is None:
@@ -124,7 +124,7 @@ def _lacking(cls: type[MessagePart] | None, ours: Any, theirs: Any, where: str =
         elif field.message_type is not None:
             inner = kinds[field.name].type if field.name in kinds else None
             record = inner if inner is not None and issubclass(inner, MessagePart) else None
-            yield from _lacking(record, field.message_type, other.message_type, f"{where}{field.name}.")
+            yield from _missing(record, field.message_type, other.message_type, f"{where}{field.name}.")
 
 
 def _with_default(cls: type[MessagePart]) -> frozenset[str]:
@@ -145,7 +145,7 @@ def _build_array(proto: Any) -> Array:
 
 
 def _fill_image(proto: Any, image: CameraImage) -> None:
-    """What the camera sent stands for the picture: 30 times smaller, and decoding it gives the same bits."""
+    """Stores the encoded image instead of the pixels: 30 times smaller, bit-exact after decoding."""
     proto.stamp_ns = image.stamp_ns
     if not image.encoded:
         _fill_array(proto.bgr, image.bgr)
@@ -186,13 +186,13 @@ def _fill_lines(kind: FieldKind) -> list[str]:
     return [f"if m.{name} is not None:", *(f"    {line}" for line in lines)] if kind.is_optional else lines
 
 
-def _build_of(cls: type[MessagePart], lacking: frozenset[str] = frozenset()) -> Build:
-    """`lacking` names the fields, dotted below a record's, that are left to their defaults."""
+def _build_of(cls: type[MessagePart], missing: frozenset[str] = frozenset()) -> Build:
+    """`missing` are dotted names of fields that get their defaults."""
     scope: dict[str, Any] = {"cls": cls}
     values = []
     for kind in fields_of(cls):
-        if kind.name not in lacking:
-            below = frozenset(n.removeprefix(f"{kind.name}.") for n in lacking if n.startswith(f"{kind.name}."))
+        if kind.name not in missing:
+            below = frozenset(n.removeprefix(f"{kind.name}.") for n in missing if n.startswith(f"{kind.name}."))
             scope[f"_build_{kind.name}"] = _builder(kind, below)
             values.append(f"{kind.name}={_build_text(kind)}")
     exec(compile(f"def build(p): return cls({', '.join(values)})", f"<build {cls.__name__}>", "exec"), scope)
@@ -200,12 +200,12 @@ def _build_of(cls: type[MessagePart], lacking: frozenset[str] = frozenset()) -> 
     return build
 
 
-def _builder(kind: FieldKind, lacking: frozenset[str] = frozenset()) -> Build | None:
+def _builder(kind: FieldKind, missing: frozenset[str] = frozenset()) -> Build | None:
     if issubclass(kind.type, np.ndarray):
         return _build_array
     if issubclass(kind.type, Enum):
         return kind.type
-    return _build_of(kind.type, lacking) if issubclass(kind.type, MessagePart) else None
+    return _build_of(kind.type, missing) if issubclass(kind.type, MessagePart) else None
 
 
 def _build_text(kind: FieldKind) -> str:

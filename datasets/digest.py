@@ -1,4 +1,4 @@
-"""One number for all that a run said: two runs of one seed must give the same."""
+"""Digest over all messages of a log; equal for two runs of one seed."""
 
 import hashlib
 import struct
@@ -11,7 +11,7 @@ class Digest:
         self._hash = hashlib.blake2b(digest_size=16)
 
     def add(self, topic: str, stamp_ns: int, payload: bytes) -> None:
-        """Take in one message; lengths go in too, so that no two sequences look alike."""
+        """Adds one message with its lengths, so that different sequences have different input."""
         name = topic.encode()
         self._hash.update(struct.pack("<IqQ", len(name), stamp_ns, len(payload)) + name)
         self._hash.update(payload)

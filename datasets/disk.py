@@ -1,4 +1,4 @@
-"""The file under a log: whole writes only, and an error that says where and how much room there is."""
+"""File of a log: only complete writes, errors with path and free space."""
 
 import os
 from pathlib import Path
@@ -9,10 +9,10 @@ MB = 1_000_000
 
 
 class LogFile:
-    """A new file to which records are appended; what stands in it is always a sequence of whole writes.
+    """A new file for appended records; its content is always a sequence of complete writes.
 
-    When a write fails, the part of it that reached the file is cut off again, and all later writes are refused.
-    Raises LogError, also when the path is taken or less than `min_free_bytes` are free on its disk.
+    After a failed write the file is truncated to the last complete one, and later writes are refused. Raises LogError,
+    also for an existing path or less than `min_free_bytes` of free space.
     """
 
     def __init__(self, path: Path, min_free_bytes: int) -> None:
@@ -23,9 +23,9 @@ class LogFile:
         try:
             self._file = path.open("wb" if path.is_char_device() else "xb", buffering=0)
         except FileExistsError as error:
-            raise LogError(f"{path}: is there already and is not overwritten; name another place") from error
+            raise LogError(f"{path}: exists and is not overwritten; choose another path") from error
         except OSError as error:
-            raise LogError(f"{path}: the log cannot be made ({error.strerror})") from error
+            raise LogError(f"{path}: the log cannot be created ({error.strerror})") from error
         try:
             self.check_space()
         except LogError:
@@ -34,7 +34,7 @@ class LogFile:
             raise
 
     def write(self, data: bytes) -> int:
-        """Append all of `data`."""
+        """Appends all of `data`."""
         if self._failure is not None:
             raise self._failure
         try:
@@ -45,30 +45,30 @@ class LogFile:
         return len(data)
 
     def tell(self) -> int:
-        """Bytes written."""
+        """Bytes written (name required by the mcap writer)."""
         return self._size
 
     def flush(self) -> None:
-        """Nothing is held back here: what was written has left this process."""
+        """No effect: the file is unbuffered (method required by the mcap writer)."""
 
     def sync(self) -> None:
-        """Make what was written outlast a power cut."""
+        """Synchronizes to disk; written data then survives a power failure."""
         try:
             os.fdatasync(self._file.fileno())
         except OSError as error:
             self._fail(error)
 
     def check_space(self) -> None:
-        """Raise LogError when the disk has less room than is kept free, so that a report can still be written."""
+        """Raises LogError below the minimum free space, which leaves room for the report."""
         free = _free_bytes(self.path)
         if free < self._min_free:
             raise LogError(
                 f"{self.path}: {free / MB:.0f} MB are free on its disk and {self._min_free / MB:.0f} MB are kept free; "
-                "make room or name another place"
+                "free space or choose another path"
             )
 
     def close(self) -> None:
-        """Close the file as it stands."""
+        """Closes the file."""
         self._file.close()
 
     def _write_all(self, data: memoryview) -> None:
@@ -76,13 +76,13 @@ class LogFile:
             data = data[self._file.write(data) :]
 
     def _fail(self, error: OSError) -> None:
-        """Cut the file back to its last whole write; a disk that is full still lets a file shrink."""
+        """Truncates the file to its last complete write (possible on a full disk)."""
         if not self.path.is_char_device():
             os.ftruncate(self._file.fileno(), self._size)
         free = _free_bytes(self.path) / MB
         self._failure = LogError(
             f"{self.path}: the log cannot be written ({error.strerror}, {free:.0f} MB free on its disk); it is "
-            f"readable up to byte {self._size}, but not whole. Make room or name another place"
+            f"readable up to byte {self._size}, but incomplete. Free space or choose another path"
         )
         raise self._failure from error
 

@@ -1,4 +1,4 @@
-"""Writing a log: MCAP, zstd, one channel a topic, and readable up to its last second whatever happens."""
+"""Log writer: MCAP, zstd, one channel per topic; readable up to the last second after a crash."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,7 +17,7 @@ from datasets.digest import Digest
 from datasets.disk import MB, LogFile
 from datasets.schema import descriptor_set
 from datasets.viewer import Viewer
-from datasets.writer_thread import LogThread
+from datasets.writer_thread import WriterThread
 from messages.message import Envelope, Message
 from messages.perception import Obstacles
 from messages.topics import spec_of
@@ -29,10 +29,10 @@ NO_POINTS = np.empty((0, 3), np.float32)
 
 
 class LogConfig(Config):
-    """How often a log is closed off so that it can be read up to there, and how much room it leaves on the disk.
+    """Intervals of chunks and disk synchronization (log time), and free space on the disk.
 
-    Times are in log time. A chunk ends after `flush_s` or `chunk_kib`, whichever is first, and then outlasts the death
-    of the process; every `sync_s` the disk is made to keep it over a power cut.
+    A chunk ends after `flush_s` or `chunk_kib`, and then survives a crash of the process; after `sync_s` it also
+    survives a power failure.
     """
 
     chunk_kib: int = Field(ge=16, le=65536)
@@ -42,12 +42,11 @@ class LogConfig(Config):
 
 
 class LogWriter:
-    """One log from its first message to its end; raises LogError with path and free space when the disk refuses.
+    """Writes one log; raises LogError with path and free space for errors of the disk.
 
-    `metadata` (name → key → text: configuration, versions, calibration, conditions) stands before the first message, so
-    a cut log has it. `viewer` adds its `/view/...` topics; without one the log holds the messages alone. A log that was
-    not closed has no index and no end record: the reader calls it cut. Chunks are compressed and written by a thread:
-    what the disk refuses is raised by a later call.
+    `metadata` (name → key → text: configuration, versions, calibration, conditions) precedes the first message, also in
+    a truncated log. `viewer` adds `/view/...` topics. A log that was not closed has no index and no end record and is
+    read as incomplete. Chunks are compressed and written by a thread, so its errors are raised by a later call.
     """
 
     def __init__(
@@ -70,34 +69,34 @@ class LogWriter:
         self._synced_at_ns = 0
         self._file = LogFile(path, round(config.min_free_mb * MB))
         untyped: Any = Writer
-        # lz4 would save 3 ms of a second's logging, but its window of 64 kB misses what scans share: a third more bytes
+        # lz4 would save 3 ms per second of log, but its 64 kB window gives a third more bytes for scans
         self._writer = untyped(self._file, chunk_size=self._chunk_bytes, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="headland")
         for name, values in metadata.items():
             self._writer.add_metadata(name, dict(values))
-        self._thread = LogThread()
+        self._thread = WriterThread()
 
     def write(self, envelope: Envelope) -> None:
-        """Append a message (unless the topic table says otherwise), and what viewers are shown of it."""
-        topic, message = envelope.topic, logged(envelope.message)
-        self._close_off(envelope.receive_ns)
+        """Appends a message, if its topic is logged, and its viewer topics."""
+        topic, message = envelope.topic, without_points(envelope.message)
+        self._flush_when_due(envelope.receive_ns)
         if self._is_logged(topic):
             codec = codec_of(type(message))
             data = codec.encode(message)
             channel = self._channels.get(topic) or self._open(topic, codec.name, codec.schema)
             self._add(channel, envelope.receive_ns, data, message.stamp_ns, envelope.sequence)
-            self._thread.later(self._digest.add, topic, message.stamp_ns, data)
+            self._thread.call_later(self._digest.add, topic, message.stamp_ns, data)
             self.messages += 1
         if self._viewer is not None:
             self._show(envelope)
 
     def digest(self) -> str:
-        """The digest over all messages so far, viewer topics left out."""
-        self._thread.settle()
+        """Digest over all messages so far, without viewer topics."""
+        self._thread.drain()
         return self._digest.text()
 
     def close(self) -> None:
-        """Write end record and index; only then is the log whole."""
+        """Writes end record and index, which complete the log."""
         try:
             self._writer.add_metadata(END, {"messages": str(self.messages), "digest": self.digest()})
             self._writer.finish()
@@ -106,7 +105,7 @@ class LogWriter:
             self.abandon()
 
     def abandon(self) -> None:
-        """Let go of the log as it stands: readable up to its last chunk, and cut."""
+        """Closes the file without end record: readable up to the last chunk, incomplete."""
         self._thread.stop()
         self._file.close()
 
@@ -134,37 +133,37 @@ class LogWriter:
             self._add(channel, envelope.receive_ns, data, envelope.message.stamp_ns, 0)
 
     def _add(self, channel: int, receive_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
-        self._thread.later(self._writer.add_message, channel, receive_ns, data, stamp_ns, sequence)
+        self._thread.call_later(self._writer.add_message, channel, receive_ns, data, stamp_ns, sequence)
         self._held_bytes += len(data)
         if self._held_bytes > self._chunk_bytes:
-            self._hand_over()
+            self._submit()
 
-    def _hand_over(self) -> None:
+    def _submit(self) -> None:
         self._held_bytes = 0
-        self._thread.hand_over()
+        self._thread.submit()
 
     def _open(self, topic: str, name: str, schema: bytes) -> int:
-        self._thread.settle()  # only then does the writer know which numbers are taken
+        self._thread.drain()  # channel numbers are assigned by queued calls
         if name not in self._schemas:
             self._schemas[name] = self._writer.register_schema(name, SchemaEncoding.Protobuf, schema)
         self._channels[topic] = self._writer.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
         return self._channels[topic]
 
-    def _close_off(self, now_ns: int) -> None:
-        """End the chunk once its time has passed; a clock that jumps back ends it too."""
+    def _flush_when_due(self, now_ns: int) -> None:
+        """Ends the chunk after `flush_s`, and after a clock jump backwards."""
         if self._flushed_at_ns is None:
             self._flushed_at_ns = self._synced_at_ns = now_ns
         if 0 <= now_ns - self._flushed_at_ns < self._flush_ns:
             return
         self._flushed_at_ns = now_ns
         self._file.check_space()
-        self._thread.later(self._writer.flush)
+        self._thread.call_later(self._writer.flush)
         if not 0 <= now_ns - self._synced_at_ns < self._sync_ns:
             self._synced_at_ns = now_ns
-            self._thread.later(self._file.sync)
-        self._hand_over()
+            self._thread.call_later(self._file.sync)
+        self._submit()
 
 
-def logged(message: Message) -> Message:
-    """What a log keeps of a message: the points of obstacles stand in the scan already, a quarter of all bytes."""
+def without_points(message: Message) -> Message:
+    """Message as logged: obstacles without points, which the scan contains (a quarter of all bytes)."""
     return replace(message, points_base_m=NO_POINTS) if isinstance(message, Obstacles) else message

@@ -1,4 +1,4 @@
-"""Foxglove's building blocks from arrays and transforms: pure functions, stateless."""
+"""Foxglove primitives from arrays and transforms: pure functions."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -29,12 +29,12 @@ from messages.sensors import CameraImage
 PNG_MAGIC = b"\x89PNG"
 Rgba = tuple[float, float, float, float]
 _LEVEL = Quaternion(w=1.0)
-# 1/64 m: as fine as a lidar is true, and the bits below it, left zero, compress away.
+# 1/64 m: about the accuracy of a lidar; lower bits are zero and compress well.
 _GRID_PER_M = np.float32(64.0)
 
 
 def time_of(stamp_ns: int) -> Timestamp:
-    """A stamp as protobuf has it."""
+    """Protobuf timestamp."""
     return Timestamp(seconds=stamp_ns // 1_000_000_000, nanos=stamp_ns % 1_000_000_000)
 
 
@@ -51,7 +51,7 @@ def frame(stamp_ns: int, parent: str, child: str, T_parent_child: Float64) -> Fr
 
 
 def cube(center_m: Sequence[float], size_m: Sequence[float], yaw_rad: float, rgba: Rgba) -> CubePrimitive:
-    """An upright box; a centre without height stands on the ground."""
+    """Upright box; a centre (x, y) puts it on the ground."""
     z = center_m[2] if len(center_m) > 2 else 0.5 * size_m[2]
     turn = Quaternion(z=math.sin(0.5 * yaw_rad), w=math.cos(0.5 * yaw_rad))
     pose = Pose(position=_vector((center_m[0], center_m[1], z)), orientation=turn)
@@ -59,7 +59,7 @@ def cube(center_m: Sequence[float], size_m: Sequence[float], yaw_rad: float, rgb
 
 
 def line(points_m: npt.NDArray[np.floating], width_m: float, rgba: Rgba, is_closed: bool = False) -> LinePrimitive:
-    """A line through points (N, 2) or (N, 3); without height just above the ground."""
+    """Line through points (N, 3), or (N, 2) at 0.1 m above the ground."""
     kind = LinePrimitive.LINE_LOOP if is_closed else LinePrimitive.LINE_STRIP
     out = LinePrimitive(type=kind, thickness=width_m, pose=Pose(orientation=_LEVEL), color=_color(rgba))
     rows = points_m.tolist()
@@ -68,7 +68,7 @@ def line(points_m: npt.NDArray[np.floating], width_m: float, rgba: Rgba, is_clos
 
 
 def text(words: str, at_m: Sequence[float], size_m: float, rgba: Rgba) -> TextPrimitive:
-    """Words that face the viewer."""
+    """Text facing the viewer."""
     pose = Pose(position=_vector(at_m), orientation=_LEVEL)
     return TextPrimitive(pose=pose, billboard=True, font_size=size_m, color=_color(rgba), text=words)
 
@@ -81,7 +81,7 @@ def scene(
     lines: Iterable[LinePrimitive] = (),
     texts: Iterable[TextPrimitive] = (),
 ) -> SceneUpdate:
-    """One thing to draw, in place of what had its name before; it moves with its frame."""
+    """One entity, which replaces the previous one of its name and moves with its frame."""
     entity = SceneEntity(timestamp=time_of(stamp_ns), frame_id=frame_id, id=name, frame_locked=True)
     entity.cubes.extend(cubes)
     entity.lines.extend(lines)
@@ -100,8 +100,8 @@ def cloud(stamp_ns: int, frame_id: str, points_m: Float32, most: int) -> PointCl
     return out
 
 
-def picture(image: CameraImage, frame_id: str, quality: int) -> CompressedImage:
-    """A picture as the camera sent it, else as JPEG; a picture without pixels has no data."""
+def compressed_image(image: CameraImage, frame_id: str, quality: int) -> CompressedImage:
+    """Image as encoded by the camera, else as JPEG; no data for an image without pixels."""
     data = image.encoded
     if not data and image.bgr.size:
         data = cv2.imencode(".jpg", image.bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()

@@ -1,4 +1,4 @@
-"""Reading logs: whole or cut, ours or others', in the order in which messages arrived."""
+"""Reading of complete and truncated MCAP logs, of Headland and others, in file order."""
 
 from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from messages.message import Envelope
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One message of a log, not yet decoded; `encoding` is how `data` is written, `schema` what describes it."""
+    """One undecoded message of a log, with encoding and schema of `data`."""
 
     topic: str
     encoding: str
@@ -30,9 +30,9 @@ class Entry:
 
 @dataclass
 class LogScan:
-    """A pass over a log (all topics, or those named): iterate it, then ask what the pass found besides messages.
+    """A pass over a log (all topics or `topics`): the attributes hold the result after iteration.
 
-    Damaged sections are skipped and listed; messages whose channel was lost with them are counted in `orphans`.
+    Damaged sections are skipped and listed; messages of a lost channel are counted in `orphans`.
     """
 
     path: Path
@@ -44,8 +44,8 @@ class LogScan:
     is_ended: bool = False
 
     @property
-    def is_whole(self) -> bool:
-        """Whether the log was closed and every byte of it could be read."""
+    def is_complete(self) -> bool:
+        """Whether the log was closed and every byte was readable."""
         return self.is_ended and not self.damages
 
     def __iter__(self) -> Iterator[Entry]:
@@ -82,12 +82,12 @@ class LogScan:
 
 
 def is_ours(entry: Entry) -> bool:
-    """Whether the entry is one of Headland's own messages."""
+    """Whether the entry is a Headland message."""
     return entry.schema is not None and entry.schema.name.startswith(f"{PACKAGE}.")
 
 
 def decode(entry: Entry) -> Envelope:
-    """The message of an entry of ours; raises LogError."""
+    """Message of a Headland entry; raises LogError."""
     if entry.schema is None:
         raise LogError(f"topic {entry.topic!r}: its messages have no schema")
     message = codec_for(entry.schema.name, entry.schema.data).decode(entry.data)
@@ -95,14 +95,14 @@ def decode(entry: Entry) -> Envelope:
 
 
 def read_log(path: Path, topics: Container[str] | None = None) -> Iterator[Envelope]:
-    """Headland's own messages of a log (all topics, or those named), in log order; raises LogError."""
+    """Headland messages of a log (all topics or `topics`), in log order; raises LogError."""
     for entry in LogScan(path, topics):
         if is_ours(entry):
             yield decode(entry)
 
 
 def read_metadata(path: Path) -> dict[str, dict[str, str]]:
-    """What a log says of itself: configuration, versions, calibration, conditions, and the end record if any."""
+    """Metadata of a log: configuration, versions, calibration, conditions, and the end record if any."""
     scan = LogScan(path, ())
     for _ in scan:
         pass
@@ -110,7 +110,7 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
 
 
 class ProtobufDecoders:
-    """Decodes entries of any log by the schema embedded in it, knowing none of its types."""
+    """Decodes entries of any log by its embedded schemas."""
 
     def __init__(self) -> None:
         self._parsers: dict[tuple[str, bytes], Callable[[bytes], Any]] = {}

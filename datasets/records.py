@@ -1,7 +1,7 @@
-"""Walking an MCAP file record by record, whole, cut or damaged: `mcap`'s own readers give up at the first bad byte.
+"""Records of an MCAP file, also truncated or damaged (the readers of `mcap` stop at the first bad byte).
 
-A file is `magic, records..., magic`; a record is an opcode, a length and a body; most records stand in compressed
-chunks that carry a CRC. What cannot be read becomes a `Damage`, and the walk goes on at the next good chunk.
+A file is `magic, records..., magic`; a record is opcode, length and body; most records are in compressed chunks with a
+CRC. An unreadable section yields a `Damage`, and reading continues at the next valid chunk.
 """
 
 import mmap
@@ -24,7 +24,7 @@ from mcap.records import Channel, Metadata, Schema, Statistics
 from messages.errors import LogError
 
 MAGIC = b"\x89MCAP0\r\n"
-MOST_CHUNK_BYTES = 1 << 30
+MAX_CHUNK_BYTES = 1 << 30
 _HEAD = struct.Struct("<BQ")
 # start, end, uncompressed size and CRC, length of the compression's name
 _CHUNK = struct.Struct("<QQQII")
@@ -41,7 +41,7 @@ _BAD = (McapError, struct.error, UnicodeDecodeError, RuntimeError, ValueError, z
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """A message as it stands in the file; `receive_ns` is MCAP's log time, `stamp_ns` its publish time."""
+    """A message of the file; `receive_ns` is the log time of MCAP, `stamp_ns` its publish time."""
 
     channel_id: int
     sequence: int
@@ -52,7 +52,7 @@ class RawMessage:
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Bytes that could not be read; `is_end` when nothing readable follows."""
+    """Unreadable bytes; `is_end` when nothing readable follows."""
 
     offset: int
     length: int
@@ -62,14 +62,14 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """The last record: the file is whole up to here."""
+    """End record: the file is complete."""
 
 
 WalkRecord = RawMessage | Schema | Channel | Metadata | Statistics | Damage | End
 
 
 def walk(path: Path) -> Iterator[WalkRecord]:
-    """All that can be read of a log, in the order of the file; raises LogError when it is no MCAP file at all."""
+    """All readable records in file order; raises LogError for a file that is not MCAP."""
     try:
         with path.open("rb") as file:
             start = file.read(len(MAGIC))
@@ -108,7 +108,7 @@ def _walk(data: mmap.mmap) -> Iterator[WalkRecord]:
 
 
 def _bounds(data: mmap.mmap, at: int) -> tuple[str, int]:
-    """What is wrong with the record at `at` ("" = nothing), and where it ends."""
+    """Defect of the record at `at` ("" = none), and its end."""
     left = len(data) - at
     if left < _HEAD.size:
         return "ends before its end record" if left <= 0 else f"ends inside a record, {left} bytes into it", at
@@ -129,7 +129,7 @@ def _close(data: mmap.mmap, at: int) -> Iterator[WalkRecord]:
 
 
 def _next_chunk(data: mmap.mmap, start: int) -> int | None:
-    """Where the next chunk begins whose length fits and whose content passes its CRC."""
+    """Start of the next chunk with valid length and CRC, or None."""
     lead = _HEAD.size + _CHUNK.size - 4
     at = start + lead
     while (match := _CHUNK_NAME.search(data, at)) is not None:
@@ -167,14 +167,14 @@ def _read_one(opcode: int, body: bytes) -> Iterator[WalkRecord]:
 
 
 def _inflate(body: bytes) -> bytes:
-    """The content of a chunk; raises ValueError when length or CRC do not agree with its head."""
+    """Content of a chunk; raises ValueError when length or CRC do not match its header."""
     _, _, size, crc, name_length = _CHUNK.unpack_from(body)
     at = _CHUNK.size + name_length
     name, packed = body[_CHUNK.size : at], body[at + 8 :]
-    if size > MOST_CHUNK_BYTES:
+    if size > MAX_CHUNK_BYTES:
         raise ValueError(f"claims to hold {size} bytes")
     if struct.unpack_from("<Q", body, at)[0] != len(packed):
-        raise ValueError("its lengths disagree")
+        raise ValueError("its lengths differ")
     content = _decompress(name, packed, size)
     if len(content) != size:
         raise ValueError(f"holds {len(content)} bytes instead of {size}")
@@ -189,7 +189,7 @@ def _decompress(name: bytes, packed: bytes, size: int) -> bytes:
         return content
     if name == b"zstd":
         if zstandard.frame_content_size(packed) not in (-1, size):
-            raise ValueError("its lengths disagree")
+            raise ValueError("its lengths differ")
         return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
     if name:
         raise ValueError(f"compression {name!r} is not known")

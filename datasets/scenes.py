@@ -1,4 +1,4 @@
-"""What viewers are shown of each message, as Foxglove messages: pure functions, stateless."""
+"""Foxglove messages for the viewer topics: pure functions."""
 
 import math
 from collections.abc import Sequence
@@ -33,22 +33,22 @@ CLASS_COLORS: dict[ObstacleClass, Rgba] = {
     ObstacleClass.ANIMAL: (1.0, 0.6, 0.1, 0.7),
     ObstacleClass.VEHICLE: (0.3, 0.5, 1.0, 0.7),
 }
-MOST_HITS = 60
-# Points of a path lie 0.1 m apart; half a metre is enough for the eye.
+MAX_TRIGGERING_POINTS = 60
+# Path points have 0.1 m spacing; 0.5 m is shown.
 PATH_STEP = 5
 BAY_MARK_M = 3.0
 ARC_POINTS = 7
 
 
 def implement_x_m(implement: Implement) -> float:
-    """The working point along x of `base`; a trailed implement is drawn straight behind: its angle is not measured."""
+    """Working point along x of `base`; a trailed implement is drawn straight, since its angle is not measured."""
     if isinstance(implement, MountedImplement):
         return implement.working_point_m
     return implement.hitch_m - implement.working_length_m
 
 
 def mounts(stamp_ns: int, vehicle: Vehicle, implement: Implement | None) -> list[FrameTransform]:
-    """Where the sensors and the implement sit on `base`; a sensor's frame has the name of its topic."""
+    """Poses of sensors and implement in `base`; a sensor frame has the name of its topic."""
     sensors = vehicle.sensors
     poses = {
         f"{kind}/{name}": one.mount.T_base_sensor
@@ -64,7 +64,7 @@ def mounts(stamp_ns: int, vehicle: Vehicle, implement: Implement | None) -> list
 
 
 def machine_scene(stamp_ns: int, vehicle: Vehicle) -> SceneUpdate:
-    """The machine as a box over its wheels."""
+    """Machine as a box."""
     body = vehicle.body
     low = 0.4
     center = (0.5 * (body.front_m - body.rear_m), 0.0, 0.5 * (low + body.height_m))
@@ -124,7 +124,7 @@ def radar_points(scan: RadarScan) -> Float32:
 
 
 def echo_scene(echo: UltrasonicRange, topic: str, sensor: Ultrasonic) -> SceneUpdate:
-    """The arc on which the echo lies, yellow; the whole cone in grey when nothing came back."""
+    """Arc of the echo in yellow; the full cone in grey without an echo."""
     is_echo = math.isfinite(echo.range_m)
     angles = np.radians(np.linspace(-0.5, 0.5, ARC_POINTS) * sensor.cone_deg)
     reach = echo.range_m if is_echo else sensor.range_m[1]
@@ -134,36 +134,38 @@ def echo_scene(echo: UltrasonicRange, topic: str, sensor: Ultrasonic) -> SceneUp
 
 
 def tracks_scene(stamp_ns: int, message: Tracks) -> SceneUpdate:
-    """Tracks as boxes with class and speed; those not yet confirmed in grey."""
+    """Tracks as boxes with class and speed; unconfirmed ones in grey."""
     cubes, texts = [], []
     for track in message.tracks:
         p, size = track.p_odom_m.tolist(), track.size_m.tolist()
         rgba = CLASS_COLORS.get(track.label, YELLOW) if track.is_confirmed else GREY
         cubes.append(cube(p, size, track.yaw_rad, rgba))
         if track.is_confirmed:
-            words = f"{track.label} {math.hypot(*track.velocity_mps[:2].tolist()):.1f} m/s"
-            texts.append(text(words, (p[0], p[1], size[2] + 0.8), 0.5, WHITE))
+            label = f"{track.label} {math.hypot(*track.velocity_mps[:2].tolist()):.1f} m/s"
+            texts.append(text(label, (p[0], p[1], size[2] + 0.8), 0.5, WHITE))
     return scene(stamp_ns, "tracks", "odom", cubes, texts=texts)
 
 
 def truth_scene(stamp_ns: int, message: TrueObjects, frame_id: str) -> SceneUpdate:
-    """What is really there, in white outlines' stead: pale boxes."""
+    """True objects as pale boxes."""
     pale: Rgba = (1.0, 1.0, 1.0, 0.25)
     cubes = [cube(o.center_map_m.tolist(), o.size_m.tolist(), o.yaw_rad, pale) for o in message.objects]
     return scene(stamp_ns, "truth", frame_id, cubes)
 
 
 def field_scene(stamp_ns: int, state: SupervisorState, height_m: float) -> SceneUpdate:
-    """The protective field, the returns that stop the machine, and mode and reason above it."""
-    is_hit = len(state.triggering_points_base_m) > 0
+    """Protective field, triggering points, mode and reason."""
+    is_triggered = len(state.triggering_points_base_m) > 0
     lines = (
-        [line(state.protective_field_base_m, 0.12, RED if is_hit else BLUE, True)]
+        [line(state.protective_field_base_m, 0.12, RED if is_triggered else BLUE, True)]
         if len(state.protective_field_base_m) > 1
         else []
     )
-    hits = [cube(p, (0.15, 0.15, 0.15), 0.0, RED) for p in state.triggering_points_base_m[:MOST_HITS].tolist()]
-    words = f"{state.mode}: {state.reason}" if state.reason else str(state.mode)
-    return scene(stamp_ns, "field", "base", hits, lines, [text(words, (0.0, 0.0, height_m + 1.0), 0.6, WHITE)])
+    hits = [
+        cube(p, (0.15, 0.15, 0.15), 0.0, RED) for p in state.triggering_points_base_m[:MAX_TRIGGERING_POINTS].tolist()
+    ]
+    label = f"{state.mode}: {state.reason}" if state.reason else str(state.mode)
+    return scene(stamp_ns, "field", "base", hits, lines, [text(label, (0.0, 0.0, height_m + 1.0), 0.6, WHITE)])
 
 
 def path_scene(stamp_ns: int, path: Path) -> SceneUpdate:
@@ -185,5 +187,5 @@ def location(stamp_ns: int, fix: GnssFix, frame_id: str) -> LocationFix:
 def log_line(stamp_ns: int, fault: Fault) -> Log:
     """A fault as a line in the viewer's log panel."""
     levels = {Severity.NOTICE: Log.INFO, Severity.WARNING: Log.WARNING, Severity.ALARM: Log.ERROR}
-    words = f"{fault.code}: {fault.text_en}" if fault.is_active else f"{fault.code}: over"
-    return Log(timestamp=time_of(stamp_ns), level=levels[fault.severity], message=words, name=fault.source)
+    label = f"{fault.code}: {fault.text_en}" if fault.is_active else f"{fault.code}: over"
+    return Log(timestamp=time_of(stamp_ns), level=levels[fault.severity], message=label, name=fault.source)

@@ -1,8 +1,7 @@
-"""Message dataclasses as protobuf types: `headland.v1.<Class>`, made from the class's own annotations.
+"""Protobuf types `headland.v1.<Class>` from the annotations of message dataclasses.
 
-float → double, int → sint64, bool, str and bytes as they are, StrEnum → string, IntEnum → enum, a MessagePart → a
-message, a tuple → repeated, an array → `headland.v1.Array`, `X | None` → optional. Fields are numbered as the class
-has them.
+float → double, int → sint64, bool, str and bytes unchanged, StrEnum → string, IntEnum → enum, MessagePart → message,
+tuple → repeated, array → `headland.v1.Array`, `X | None` → optional. Field numbers follow the order in the class.
 """
 
 import re
@@ -37,13 +36,13 @@ V = TypeVar("V")
 
 
 def once(function: Callable[[K], V]) -> Callable[[K], V]:
-    """`functools.cache` for one argument, typed so that classes may be keys."""
+    """`functools.cache` for one argument, typed for classes as keys."""
     return cache(function)
 
 
 @dataclass(frozen=True)
 class FieldKind:
-    """One field: element type (scalar, enum, MessagePart or np.ndarray), whether it repeats, whether it may be None."""
+    """One field: element type (scalar, enum, MessagePart or np.ndarray), repeated, optional."""
 
     name: str
     type: type
@@ -53,7 +52,7 @@ class FieldKind:
 
 @once
 def fields_of(cls: type[MessagePart]) -> tuple[FieldKind, ...]:
-    """The fields of a message class as they are logged; raises TypeError for a type that has no place there."""
+    """Fields of a message class; raises TypeError for a type that cannot be logged."""
     hints = get_type_hints(cls)
     return tuple(_kind(cls, f.name, hints[f.name]) for f in fields(cls))
 
@@ -67,12 +66,12 @@ def proto_of(cls: type[MessagePart]) -> type[Any]:
 
 @once
 def descriptors_of(cls: type[MessagePart]) -> bytes:
-    """The serialized FileDescriptorSet that an MCAP schema record carries: the class and all it needs."""
+    """Serialized FileDescriptorSet of a class and its dependencies, for the MCAP schema record."""
     return descriptor_set(proto_of(cls).DESCRIPTOR.file)
 
 
 def descriptor_set(file: Any) -> bytes:
-    """A file and what it imports, each once, dependencies first."""
+    """A file and its imports, each once, dependencies first."""
     out, seen = FileDescriptorSet(), set()
 
     def append(one: Any) -> None:
@@ -96,15 +95,15 @@ def _kind(cls: type, name: str, hint: Any) -> FieldKind:
     if get_origin(hint) is np.ndarray:
         hint = np.ndarray
     if not isinstance(hint, type) or not issubclass(hint, (*_SCALARS, Enum, MessagePart, np.ndarray)):
-        raise TypeError(f"{cls.__name__}.{name}: {hint} has no place in a log")
+        raise TypeError(f"{cls.__name__}.{name}: {hint} cannot be logged")
     if is_optional and is_repeated:
-        raise TypeError(f"{cls.__name__}.{name}: a tuple that may be None has no place in a log")
+        raise TypeError(f"{cls.__name__}.{name}: an optional tuple cannot be logged")
     return FieldKind(name, hint, is_repeated, is_optional)
 
 
 @once
 def _add(cls: type[MessagePart]) -> str:
-    """Add the class's file to the pool, after those it needs; gives the file's name."""
+    """Adds the file of the class to the pool, after its dependencies; returns its name."""
     file = FileDescriptorProto(name=f"headland/v1/{cls.__name__}.proto", package=PACKAGE, syntax="proto3")
     body = file.message_type.add(name=cls.__name__)
     for number, kind in enumerate(fields_of(cls), start=1):
@@ -142,14 +141,14 @@ def _add_type(cls: type[Any]) -> tuple[str, str]:
 
 @once
 def _add_enum(cls: type[IntEnum]) -> str:
-    """Values carry the enum's name, for protobuf keeps all values of a package in one scope; the first must be 0."""
+    """Value names have the enum name as prefix (one protobuf scope per package); the first value must be 0."""
     file = FileDescriptorProto(name=f"headland/v1/{cls.__name__}.proto", package=PACKAGE, syntax="proto3")
     body = file.enum_type.add(name=cls.__name__)
     prefix = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).upper()
     for member in sorted(cls, key=lambda m: (m != 0, m)):
         body.value.add(name=f"{prefix}_{member.name}", number=int(member))
     if body.value[0].number != 0:
-        raise TypeError(f"{cls.__name__}: has no value 0, which protobuf needs")
+        raise TypeError(f"{cls.__name__}: has no value 0, which protobuf requires")
     _POOL.Add(file)
     return file.name
 

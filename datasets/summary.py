@@ -1,4 +1,4 @@
-"""What a log holds: topics, rates, gaps, whether it is whole, whether all of it can be decoded."""
+"""Summary of a log: topics, rates, gaps, completeness, undecodable messages."""
 
 import json
 import math
@@ -16,7 +16,7 @@ FRAME_SCHEMAS = {"foxglove.FrameTransforms", "foxglove.FrameTransform"}
 
 @dataclass
 class TopicSummary:
-    """One topic; `longest_gap_s` is between arrivals, `failed` counts messages that their schema does not decode."""
+    """One topic; `longest_gap_s` between receptions, `failed` counts undecodable messages."""
 
     topic: str
     schema: str
@@ -31,19 +31,19 @@ class TopicSummary:
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean rate, or None of a single message."""
+        """Mean rate (Hz); None for a single message."""
         span_s = (self.last_ns - self.first_ns) * 1e-9
         return (self.count - 1) / span_s if span_s > 0.0 else None
 
 
 @dataclass
 class FrameTree:
-    """The frames of a log: each child's parents, over the whole log."""
+    """Frames of a log: parents of each child."""
 
     parents: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, parent: str, child: str) -> None:
-        """Note that `child` hangs from `parent`."""
+        """Adds a transform from `parent` to `child`."""
         self.parents.setdefault(child, set()).add(parent)
 
     @property
@@ -53,17 +53,17 @@ class FrameTree:
 
     @property
     def roots(self) -> list[str]:
-        """Frames that hang from none; one tree has one."""
+        """Frames without parent."""
         return [frame for frame in self.frames if frame not in self.parents]
 
     @property
     def is_one_tree(self) -> bool:
-        """Whether every frame has one parent, save one root from which all others hang."""
+        """Whether there is one root, and every other frame has one parent and descends from it."""
         if len(self.roots) != 1 or any(len(parents) != 1 for parents in self.parents.values()):
             return False
-        return all(self._climbs(frame) for frame in self.parents)
+        return all(self._reaches_root(frame) for frame in self.parents)
 
-    def _climbs(self, frame: str) -> bool:
+    def _reaches_root(self, frame: str) -> bool:
         for _ in range(len(self.parents)):
             if frame in self.parents:
                 (frame,) = self.parents[frame]
@@ -72,14 +72,14 @@ class FrameTree:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """What `check_log` found; `lost_bytes` could not be read, `digest` is over our messages as they stand in the log.
+    """Result of `summarize_log`; `lost_bytes` are unreadable, `digest` is over the Headland messages in the log.
 
-    `is_digest_right` is None where the log claims none (cut, or not ours).
+    `is_digest_valid` is None without a digest in the end record.
     """
 
     path: str
     size_bytes: int
-    is_whole: bool
+    is_complete: bool
     problems: tuple[str, ...]
     lost_bytes: int
     messages: int
@@ -90,7 +90,7 @@ class LogSummary:
     is_one_tree: bool | None
     undecoded: int
     digest: str
-    is_digest_right: bool | None
+    is_digest_valid: bool | None
     metadata: dict[str, dict[str, str]]
 
     @property
@@ -99,35 +99,35 @@ class LogSummary:
         return 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) * 1e-9
 
 
-def check_log(path: Path) -> LogSummary:
-    """Read all of a log, whole or cut, and say what is in it; raises LogError when it is no log at all."""
-    scan, survey = LogScan(path), _Survey()
+def summarize_log(path: Path) -> LogSummary:
+    """Reads a complete or truncated log; raises LogError for a file that is not MCAP."""
+    scan, statistics = LogScan(path), _LogStatistics()
     for entry in scan:
-        survey.add(entry)
-    topics = tuple(sorted(survey.topics.values(), key=lambda t: t.topic))
+        statistics.add(entry)
+    topics = tuple(sorted(statistics.topics.values(), key=lambda t: t.topic))
     claimed = scan.metadata.get("end", {}).get("digest")
-    digest = survey.digest.text()
+    digest = statistics.digest.text()
     return LogSummary(
         path=str(path),
         size_bytes=path.stat().st_size,
-        is_whole=scan.is_whole,
-        problems=tuple(_problems(scan, survey)),
+        is_complete=scan.is_complete,
+        problems=tuple(_problems(scan, statistics)),
         lost_bytes=sum(damage.length for damage in scan.damages),
         messages=sum(t.count for t in topics),
         start_ns=min((t.first_ns for t in topics), default=None),
         end_ns=max((t.last_ns for t in topics), default=None),
         topics=topics,
-        frames=tuple(survey.tree.frames),
-        is_one_tree=survey.tree.is_one_tree if survey.tree.parents else None,
+        frames=tuple(statistics.tree.frames),
+        is_one_tree=statistics.tree.is_one_tree if statistics.tree.parents else None,
         undecoded=sum(t.failed for t in topics),
         digest=digest,
-        is_digest_right=None if claimed is None else claimed == digest,
+        is_digest_valid=None if claimed is None else claimed == digest,
         metadata=scan.metadata,
     )
 
 
-class _Survey:
-    """Counts, rates, frames and digest, gathered entry by entry."""
+class _LogStatistics:
+    """Counts, rates, frames and digest, updated by entry."""
 
     def __init__(self) -> None:
         self.topics: dict[str, TopicSummary] = {}
@@ -178,27 +178,27 @@ def _check_json(entry: Entry) -> None:
         raise LogError(f"topic {entry.topic!r}: a message is not JSON ({error})") from error
 
 
-def _problems(scan: LogScan, survey: _Survey) -> list[str]:
+def _problems(scan: LogScan, statistics: _LogStatistics) -> list[str]:
     out = [f"byte {d.offset}: {d.reason}; {d.length} bytes lost" for d in scan.damages]
     if scan.orphans:
-        out.append(f"{scan.orphans} messages whose channel was in a lost part")
-    out += [f"{text} ({count} times)" for text, count in survey.failures.items()]
-    read = sum(t.count for t in survey.topics.values()) + scan.orphans
+        out.append(f"{scan.orphans} messages of a channel in a lost part")
+    out += [f"{text} ({count} times)" for text, count in statistics.failures.items()]
+    read = sum(t.count for t in statistics.topics.values()) + scan.orphans
     if scan.declared_messages not in (None, read):
-        out.append(f"its end says {scan.declared_messages} messages, {read} were read")
+        out.append(f"the end record states {scan.declared_messages} messages, {read} were read")
     return out
 
 
 def summary_json(summary: LogSummary) -> dict[str, Any]:
-    """The summary for `--json`; numbers that do not exist are null."""
+    """Object of `inspect-log --json`; missing numbers are null."""
     out = asdict(summary) | {"span_s": summary.span_s}
     out["topics"] = [asdict(t) | {"rate_hz": t.rate_hz} for t in summary.topics]
     return out
 
 
 def render_summary(summary: LogSummary) -> str:
-    """The summary as text for the terminal."""
-    state = "whole" if summary.is_whole else "CUT OR DAMAGED"
+    """The summary as text."""
+    state = "complete" if summary.is_complete else "TRUNCATED OR DAMAGED"
     size = summary.size_bytes / 1e6
     lines = [
         f"{summary.path}: {state}, {size:.1f} MB, {summary.messages} messages, {summary.span_s:.1f} s",
@@ -206,13 +206,13 @@ def render_summary(summary: LogSummary) -> str:
         f"  {'topic':<28}{'schema':<30}{'count':>8}{'Hz':>8}{'gap s':>8}{'lost':>6}{'bad':>5}{'MB':>9}",
         *(f"  {_row(t)}" for t in summary.topics),
         f"  frames: {_tree_text(summary)}",
-        f"  digest: {summary.digest}{_DIGEST_TEXT[summary.is_digest_right]}",
+        f"  digest: {summary.digest}{_DIGEST_TEXT[summary.is_digest_valid]}",
     ]
     lines += [f"  {name}: {_short(values)}" for name, values in summary.metadata.items()]
     return "\n".join(lines)
 
 
-_DIGEST_TEXT = {None: "", True: " (as its end record says)", False: " (NOT what its end record says)"}
+_DIGEST_TEXT = {None: "", True: " (as in the end record)", False: " (NOT as in the end record)"}
 
 
 def _row(topic: TopicSummary) -> str:

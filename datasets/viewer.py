@@ -1,7 +1,7 @@
-"""The `/view/...` topics beside the messages, so that a log opens in Foxglove or Lichtblick as a picture.
+"""Viewer topics `/view/...` of a log, for Foxglove or Lichtblick.
 
-One tree of frames: map → odom → base → implement and sensors. Each topic has its own pace; what stands still comes
-again every few seconds, so that a viewer that jumps into the middle of a log has it.
+Frame tree: map → odom → base → implement and sensors. Each topic has its own period; static topics are repeated, so
+that they are present after a seek.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,7 +15,7 @@ from configs.site import Site
 from configs.strict import Config
 from configs.vehicle import FOLDED, Implement, Vehicle
 from datasets import scenes
-from datasets.primitives import cloud, frame, picture
+from datasets.primitives import cloud, compressed_image, frame
 from messages.command import MachineState, SupervisorState
 from messages.faults import Fault
 from messages.message import Envelope
@@ -26,12 +26,12 @@ from messages.sensors import CameraImage, GnssFix, LidarScan, RadarScan, Ultraso
 from messages.truth import TrueObjects
 
 Shown = tuple[str, Proto]
-# A period counts as over a little early, for messages of the same period jitter about it.
+# Share of a period after which the next message is shown: stamps jitter.
 SLACK = 0.9
 
 
 class ViewerConfig(Config):
-    """The pace of the viewer topics, and how many points of a scan they show."""
+    """Periods of the viewer topics, points per scan, image quality."""
 
     points: int = Field(ge=1, le=1_000_000)
     cloud_s: float = Field(gt=0.0, le=60.0)
@@ -43,7 +43,7 @@ class ViewerConfig(Config):
 
 
 class Viewer:
-    """Turns messages into viewer topics; without vehicle, implement or site those are left out."""
+    """Converts messages to viewer topics; vehicle, implement and site are optional."""
 
     def __init__(
         self, config: ViewerConfig, vehicle: Vehicle | None, implement: Implement | None, site: Site | None
@@ -53,12 +53,12 @@ class Viewer:
         self._height_m = vehicle.body.height_m if vehicle is not None else 2.0
         self._shown_at_ns: dict[str, int] = {}
         self._is_folded = False
-        self._ways: dict[type, Callable[[str, Any], Iterator[Shown]]] = {
+        self._handlers: dict[type, Callable[[str, Any], Iterator[Shown]]] = {
             LidarScan: self._show_scan,
             CameraImage: self._show_image,
             RadarScan: self._show_radar,
             UltrasonicRange: self._show_echo,
-            MachineState: self._note_fold,
+            MachineState: self._update_fold,
             Odometry: self._show_odometry,
             MapPose: self._show_map_pose,
             Tracks: self._show_tracks,
@@ -70,13 +70,13 @@ class Viewer:
         }
 
     def show(self, envelope: Envelope) -> Iterator[Shown]:
-        """What there is to show of this message now, as (topic, Foxglove message)."""
+        """Viewer topics of a message, as (topic, Foxglove message)."""
         message = envelope.message
         if self._is_due("static", message.stamp_ns, self._config.static_s):
             yield from self._show_static(message.stamp_ns)
-        way = self._ways.get(type(message))
-        if way is not None and not envelope.topic.startswith("/"):
-            yield from way(envelope.topic, message)
+        handler = self._handlers.get(type(message))
+        if handler is not None and not envelope.topic.startswith("/"):
+            yield from handler(envelope.topic, message)
 
     def _is_due(self, name: str, stamp_ns: int, period_s: float) -> bool:
         last = self._shown_at_ns.get(name)
@@ -104,7 +104,7 @@ class Viewer:
 
     def _show_image(self, topic: str, image: CameraImage) -> Iterator[Shown]:
         if self._is_due(topic, image.stamp_ns, self._config.image_s):
-            yield f"/view/{topic}", picture(image, topic, self._config.image_quality)
+            yield f"/view/{topic}", compressed_image(image, topic, self._config.image_quality)
 
     def _show_radar(self, topic: str, scan: RadarScan) -> Iterator[Shown]:
         if self._is_due(topic, scan.stamp_ns, self._config.cloud_s):
@@ -116,8 +116,8 @@ class Viewer:
         if sensor is not None and self._is_due(topic, echo.stamp_ns, self._config.scene_s):
             yield f"/view/{topic}", scenes.echo_scene(echo, topic, sensor)
 
-    def _note_fold(self, topic: str, state: MachineState) -> Iterator[Shown]:
-        """The implement is drawn anew when it has folded or unfolded."""
+    def _update_fold(self, topic: str, state: MachineState) -> Iterator[Shown]:
+        """Repeats the static topics after a change of the fold state."""
         if (state.fold_position >= FOLDED) != self._is_folded:
             self._is_folded = not self._is_folded
             self._shown_at_ns.pop("static", None)
@@ -138,7 +138,7 @@ class Viewer:
             yield f"/view/{topic}", scenes.tracks_scene(message.stamp_ns, message)
 
     def _show_truth(self, topic: str, message: TrueObjects) -> Iterator[Shown]:
-        """True objects with an instance are in the frame of the lidar of that name, those without in `map`."""
+        """True objects: in the frame of the lidar named by the topic instance, else in `map`."""
         if self._is_due(topic, message.stamp_ns, self._config.scene_s):
             instance = topic.partition("/")[2]
             frame_id = f"lidar/{instance}" if instance else "map"

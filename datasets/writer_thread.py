@@ -1,14 +1,14 @@
-"""A thread of a log's own: while one stretch of messages is compressed and written, the next one comes."""
+"""Thread that compresses and writes one batch of messages while the next is collected."""
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 
-class LogThread:
-    """Makes calls in the order in which they were given, a batch at a time; so the file is what it would be without.
+class WriterThread:
+    """Executes calls in the given order, in batches; the file is the same as without the thread.
 
-    What a call raises ends its batch, and is raised by the next `hand_over` or `settle`.
+    An exception ends its batch and is raised by the next `submit` or `drain`.
     """
 
     def __init__(self) -> None:
@@ -16,24 +16,24 @@ class LogThread:
         self._calls: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
         self._batch: Future[None] | None = None
 
-    def later(self, call: Callable[..., Any], *arguments: Any) -> None:
-        """Make this call with the next batch."""
+    def call_later(self, call: Callable[..., Any], *arguments: Any) -> None:
+        """Adds a call to the next batch."""
         self._calls.append((call, arguments))
 
-    def hand_over(self) -> None:
-        """Begin the batch, once the one before is done: no more than two are ever held."""
+    def submit(self) -> None:
+        """Starts the batch after the previous one is done: at most two are held."""
         self._wait()
         calls, self._calls = self._calls, []
         self._batch = self._pool.submit(_make, calls)
 
-    def settle(self) -> None:
-        """Return when all calls are made."""
+    def drain(self) -> None:
+        """Returns when all calls are executed."""
         if self._calls:
-            self.hand_over()
+            self.submit()
         self._wait()
 
     def stop(self) -> None:
-        """End after the batch at hand; what was not handed over is dropped."""
+        """Ends after the running batch; calls not submitted are dropped."""
         self._calls.clear()
         self._pool.shutdown()
 

@@ -1,1 +1,1 @@
-"""What flows between the nodes: messages, the topic table, the node contract, faults and errors."""
+"""Messages between nodes, topic table, node interface, faults and errors."""

@@ -1,4 +1,4 @@
-"""From wish to wire: what control wants, what the supervisor permits, and what the machine answers."""
+"""Control command, safe command, supervisor state, operator commands, machine state and CAN frames."""
 
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
@@ -11,10 +11,10 @@ from messages.perception import ObstacleClass
 
 @dataclass(frozen=True)
 class ControlCommand(Message):
-    """What control would do: nothing of it reaches the machine unless the supervisor lets it.
+    """Command of control, input of the supervisor.
 
-    `speed_mps` is signed (reverse negative), `acceleration_mps2` its wanted change (≤ 0 brakes), `curvature_radpm` left
-    positive; `path_s_m` the place on path `path_id`; errors are left positive, at `base`.
+    `speed_mps` is signed (reverse negative), `acceleration_mps2` its requested change (≤ 0 brakes), `curvature_radpm`
+    left positive; `path_s_m` is the arc length on path `path_id`; errors are left positive, at `base`.
     """
 
     speed_mps: float
@@ -31,7 +31,7 @@ class ControlCommand(Message):
 
 
 class Mode(StrEnum):
-    """Who drives, and what the supervisor is doing about it."""
+    """Operating mode of the machine."""
 
     MANUAL = "manual"
     STANDBY = "standby"
@@ -45,10 +45,11 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True)
 class SafeCommand(Message):
-    """What the machine is to do; built by the supervisor alone.
+    """Command to the machine; only the supervisor builds it.
 
-    `speed_mps` signed, `deceleration_mps2` ≥ 0 is asked of the brakes (0 = none); `reason` is the code of the rule that
-    bound the command ("" = the wish passed whole). `is_drive_enabled` false means: no steering, no propulsion, brake.
+    `speed_mps` is signed; `deceleration_mps2` ≥ 0 is the braking demand (0 = none); `reason` is the code of the
+    limiting rule ("" = control command unchanged). `is_drive_enabled` false: no steering, no propulsion, brakes
+    applied.
     """
 
     mode: Mode
@@ -67,7 +68,7 @@ class SafeCommand(Message):
 
 @dataclass(frozen=True)
 class RuleResult(MessagePart):
-    """What one rule says at this moment: `speed_limit_mps` (infinite = no objection) and what to do about it."""
+    """Result of one rule: `speed_limit_mps` (infinite = no objection) and response."""
 
     code: str
     response: Response
@@ -77,12 +78,12 @@ class RuleResult(MessagePart):
 
 @dataclass(frozen=True)
 class SupervisorState(Message):
-    """Why the safe command is what it is.
+    """State of the supervisor, with the reason of the safe command.
 
-    `clearance_m` is the free way to the nearest cause in the swept field (infinite if none), `stopping_distance_m` =
-    S alone, `required_range_m` the full range needed at the present speed, `detection_range_m` how far the field is
-    proven free; `triggering_points_base_m` (N, 3) are the points that caused it, `protective_field_base_m` (M, 2) the
-    outline of the swept field.
+    `clearance_m` is the distance to the nearest obstacle in the protective field (infinite if none),
+    `stopping_distance_m` is S, `required_range_m` the range required at the present speed, `detection_range_m` the
+    range up to which the field is known to be free; `triggering_points_base_m` (N, 3) are the points of the obstacle,
+    `protective_field_base_m` (M, 2) is the outline of the field.
     """
 
     mode: Mode
@@ -99,7 +100,7 @@ class SupervisorState(Message):
 
 
 class OperatorCommandKind(IntEnum):
-    """What a person may ask of the machine."""
+    """Commands of an operator."""
 
     START = 0
     PAUSE = 1
@@ -112,7 +113,7 @@ class OperatorCommandKind(IntEnum):
 
 @dataclass(frozen=True)
 class OperatorCommand(Message):
-    """An order of a person, on the machine or remote; void after `expires_ns` or when `sequence` does not rise."""
+    """Command of an operator, local or remote; invalid after `expires_ns` or when `sequence` does not increase."""
 
     kind: OperatorCommandKind
     authority: str
@@ -122,12 +123,12 @@ class OperatorCommand(Message):
 
 @dataclass(frozen=True)
 class MachineState(Message):
-    """What the machine says of itself on its bus, newest values of all frames.
+    """State of the machine from its CAN bus, newest values of all frames.
 
-    Each group has the time of its last good frame (0 = never): `motion_stamp_ns` (wheel-based speed),
-    `steering_stamp_ns` (estimated curvature), `implement_stamp_ns` (hitch and PTO), `cab_stamp_ns` (hand wheel, pedals,
-    seat, supply), `heartbeat_stamp_ns`. `hitch` is 0 lowest to 1 highest, `fold_position` 0 at working to 1 at
-    transport width (of the implement's group). `rejected_frames` counts bad frames.
+    Each group has the time of its last valid frame (0 = never): `motion_stamp_ns` (wheel-based speed),
+    `steering_stamp_ns` (estimated curvature), `implement_stamp_ns` (hitch, PTO, fold), `cab_stamp_ns` (steering wheel,
+    pedals, seat, supply), `heartbeat_stamp_ns`. `hitch` is 0 (lowest) to 1 (highest), `fold_position` 0 (working width)
+    to 1 (transport width). `rejected_frames` counts invalid frames.
     """
 
     motion_stamp_ns: int
@@ -160,7 +161,7 @@ class MachineState(Message):
 
 @dataclass(frozen=True)
 class CanFrame(MessagePart):
-    """One extended frame; `stamp_ns` is when it was sent or received."""
+    """One extended CAN frame; `stamp_ns` is the time of sending or reception."""
 
     stamp_ns: int
     identifier: int
@@ -169,7 +170,7 @@ class CanFrame(MessagePart):
 
 @dataclass(frozen=True)
 class CanFrames(Message):
-    """All frames that crossed one channel since the last message."""
+    """All frames on one channel since the previous message."""
 
     channel: str
     frames: tuple[CanFrame, ...]

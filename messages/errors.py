@@ -1,20 +1,20 @@
-"""Errors that reach the user: each names the value and what to do."""
+"""Errors shown to the user, with the value and the remedy."""
 
 
 class HeadlandError(Exception):
-    """Base of all errors that the command line shows as one line instead of a traceback."""
+    """Base of all errors that the command line shows as one line without traceback."""
 
 
 class ConfigError(HeadlandError):
-    """A configuration file or value is wrong; raised at start."""
+    """Invalid configuration file or value; raised at start."""
 
 
 class FieldError(HeadlandError):
-    """A field, site or mission cannot be worked; names the place."""
+    """A field, site or mission that cannot be worked, with the position."""
 
 
 class WiringError(HeadlandError):
-    """Nodes do not fit together: two writers, a read without a writer, too little time."""
+    """Nodes that cannot be connected: two writers, a read without writer, too little computing time."""
 
 
 class LogError(HeadlandError):

@@ -1,4 +1,4 @@
-"""Faults: what is wrong, how bad it is and what the machine does about it."""
+"""Faults with severity and response."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -7,7 +7,7 @@ from messages.message import Message
 
 
 class Severity(IntEnum):
-    """How the operator is told."""
+    """Level of the operator alarm."""
 
     NOTICE = 0
     WARNING = 1
@@ -15,7 +15,7 @@ class Severity(IntEnum):
 
 
 class Response(IntEnum):
-    """What the machine does, from least to most restrictive."""
+    """Response of the machine, from least to most restrictive."""
 
     NONE = 0
     LIMIT = 1
@@ -25,9 +25,9 @@ class Response(IntEnum):
 
 @dataclass(frozen=True)
 class Fault(Message):
-    """Something wrong in `source` (a node or sensor), or right again (`is_active` false).
+    """A fault of `source` (a node or sensor), or its end (`is_active` false).
 
-    `code` is dotted, such as "lidar.silent"; `text_en` and `text_zh` are for the operator.
+    `code` is dotted, such as "lidar.silent"; `text_en` and `text_zh` are shown to the operator.
     """
 
     code: str

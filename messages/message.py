@@ -1,4 +1,4 @@
-"""The message and the envelope in which it travels."""
+"""Base classes of messages, and the envelope."""
 
 from dataclasses import dataclass, fields
 from functools import cache
@@ -16,7 +16,7 @@ from geometry.arrays import UInt16 as UInt16
 
 @cache
 def _array_dtypes(cls: type[Any]) -> tuple[tuple[str, np.dtype[Any]], ...]:
-    """Name and type of each array field; cached, since every construction asks."""
+    """Name and element type of each array field; cached, used at every construction."""
     hints = get_type_hints(cls)
     named = [(f.name, hints[f.name]) for f in fields(cls)]
     return tuple((name, np.dtype(get_args(get_args(h)[1])[0])) for name, h in named if get_origin(h) is np.ndarray)
@@ -24,10 +24,7 @@ def _array_dtypes(cls: type[Any]) -> tuple[tuple[str, np.dtype[Any]], ...]:
 
 @dataclass(frozen=True, eq=False)
 class MessagePart:
-    """A frozen part of a message; its arrays are made read-only and belong to it from then on.
-
-    Raises TypeError when an array has not the declared type.
-    """
+    """Frozen part of a message; its arrays are made read-only. Raises TypeError for an array of another type."""
 
     def __post_init__(self) -> None:
         for name, dtype in _array_dtypes(type(self)):  # type: ignore[arg-type]
@@ -39,14 +36,14 @@ class MessagePart:
 
 @dataclass(frozen=True)
 class Message(MessagePart):
-    """What a node reads or writes; `stamp_ns` is the time of measurement."""
+    """Message between nodes; `stamp_ns` is the time of measurement."""
 
     stamp_ns: int
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """A message on its way: `sequence` counts from 0 on its topic, `receive_ns` is when it was delivered."""
+    """A delivered message: `sequence` counts from 0 per topic, `receive_ns` is the time of delivery."""
 
     topic: str
     sequence: int

@@ -1,4 +1,4 @@
-"""Where the machine is, and how well that is known."""
+"""Odometry, map pose and lidar pose measurements."""
 
 import math
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ from messages.message import Message
 
 @dataclass(frozen=True)
 class Odometry(Message):
-    """Continuous pose and motion of `base`; drifts but never steps.
+    """Continuous pose (drifts, no steps) and motion of `base`.
 
-    `T_odom_base` (4, 4); `speed_mps` forward, `lateral_mps` left, `yaw_rate_radps`, `curvature_radpm` measured at the
-    steered wheels; `covariance` (6, 6) of the motion over the last second: rotation then translation, in `base`.
+    `T_odom_base` (4, 4); `speed_mps` forward, `lateral_mps` left; `curvature_radpm` measured at the steered wheels;
+    `covariance` (6, 6) of the motion over the last second: rotation, then translation, in `base`.
     """
 
     T_odom_base: Float64
@@ -26,7 +26,7 @@ class Odometry(Message):
     covariance: Float64
 
     def interpolate(self, other: "Odometry", stamp_ns: int) -> "Odometry":
-        """The pose at a time between two odometry messages; motion is taken from the nearer one."""
+        """Odometry at a time between two messages: pose interpolated, motion of the nearer one."""
         share = (stamp_ns - self.stamp_ns) / max(other.stamp_ns - self.stamp_ns, 1)
         near = self if share < 0.5 else other
         T = interpolate(self.T_odom_base, other.T_odom_base, share)
@@ -37,7 +37,7 @@ class Odometry(Message):
 
 
 class PositionSource(IntEnum):
-    """What the position rests on, from worst to best."""
+    """Source of the position, from worst to best."""
 
     NONE = 0
     DEAD_RECKONING = 1
@@ -49,10 +49,10 @@ class PositionSource(IntEnum):
 
 @dataclass(frozen=True)
 class MapPose(Message):
-    """The place of `odom` in `map`, and the trust in the pose that follows from it.
+    """Pose of `odom` in `map`, with accuracy and integrity of the pose of `base`.
 
-    `T_map_odom` and `T_map_base` (4, 4) at `stamp_ns`; `covariance` (6, 6) of `T_map_base`, rotation then translation,
-    in `base` (gtsam's order); `protection_level_m` bounds the horizontal error at 1e-4 an hour or is infinite;
+    `T_map_odom` and `T_map_base` (4, 4) at `stamp_ns`; `covariance` (6, 6) of `T_map_base`: rotation, then translation,
+    in `base` (order of gtsam); `protection_level_m` bounds the horizontal error at 1e-4 per hour, or is infinite;
     `gnss_age_s` and `uwb_age_s` are the ages of the last accepted fix and UWB range (infinite: none yet).
     """
 
@@ -68,10 +68,10 @@ class MapPose(Message):
 
 @dataclass(frozen=True)
 class LidarLocalization(Message):
-    """Pose of `base` in `map` from matching scans with what is known to stand there; not valid, with the reason.
+    """Pose of `base` in `map` from scan matching with known structures; if not valid, with the reason.
 
-    `T_map_base` (4, 4); `covariance` (6, 6) rotation then translation, in `base`: roll, pitch and, but for a level
-    floor, height are not seen, and it says so.
+    `T_map_base` (4, 4); `covariance` (6, 6): rotation, then translation, in `base`; large for roll, pitch and
+    (unless the floor is level) height, which are not observable.
     """
 
     T_map_base: Float64
@@ -83,9 +83,9 @@ class LidarLocalization(Message):
 
 @dataclass(frozen=True)
 class LidarOdometry(Message):
-    """Motion of `base` between two scans from lidar odometry; not valid, with the reason, when degenerate.
+    """Motion of `base` between two scans from lidar odometry; if not valid (degenerate), with the reason.
 
-    `T_from_to` (4, 4) takes coordinates of base at `stamp_ns` to those of base at `from_stamp_ns`.
+    `T_from_to` (4, 4) maps coordinates in base at `stamp_ns` to base at `from_stamp_ns`.
     """
 
     from_stamp_ns: int

@@ -1,4 +1,4 @@
-"""The node contract: what a node reads and how, what it writes and when it runs."""
+"""Node interface: inputs, outputs and trigger of a node; world interface."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
@@ -10,33 +10,33 @@ from messages.message import Message
 
 @dataclass(frozen=True)
 class Latest:
-    """Read the newest message of the topic."""
+    """Reads the newest message of the topic."""
 
 
 @dataclass(frozen=True)
 class All:
-    """Read all messages since the last step, the newest `most` if there were more."""
+    """Reads all messages since the last step, at most the newest `most`."""
 
     most: int
 
 
 @dataclass(frozen=True)
 class At:
-    """Read the topic at a given time, interpolated within the last `keep_s` seconds."""
+    """Reads the topic at a given time, interpolated within the last `keep_s` seconds."""
 
     keep_s: float
 
 
 @dataclass(frozen=True)
 class Every:
-    """Run at a fixed period, counted from the start of the run."""
+    """Runs at a fixed period from the start of the run."""
 
     period_ns: int
 
 
 @dataclass(frozen=True)
 class On:
-    """Run whenever a message comes on one of these topics."""
+    """Runs at each message on one of the topics."""
 
     topics: tuple[str, ...]
 
@@ -48,23 +48,23 @@ Output = tuple[str, Message]
 
 
 class Inbox(Protocol):
-    """What a node may know when it steps; staleness follows from the topic table."""
+    """Inputs of a node step; the maximum ages are those of the topic table."""
 
     def latest(self, topic: str, kind: type[M]) -> M | None:
-        """The newest message, or None when there is none or it is older than its topic allows."""
+        """Newest message; None without one, or when it is older than the maximum age of its topic."""
 
     def last(self, topic: str, kind: type[M]) -> M | None:
-        """The newest message however old."""
+        """Newest message of any age."""
 
     def all(self, topic: str, kind: type[M]) -> tuple[M, ...]:
         """Messages since the last step, oldest first."""
 
     def at(self, topic: str, kind: type[M], stamp_ns: int) -> M | None:
-        """The message interpolated to a time, or None when that time is not covered."""
+        """Message interpolated to a time; None outside the stored interval."""
 
 
 class Node(ABC):
-    """One part of the stack; its state is its attributes, all set in `__init__`; it reads no clock and never sleeps."""
+    """Part of the stack; its state is in attributes set in `__init__`; it reads no clock and never sleeps."""
 
     name: str
     reads: Mapping[str, Read]
@@ -73,18 +73,18 @@ class Node(ABC):
 
     @abstractmethod
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """React to what has come; what is returned is delivered after the node's latency."""
+        """Processes the inputs; outputs are delivered after the latency of the node."""
 
 
 class World(ABC):
-    """What lies outside the stack: simulation, a log or a machine; the only part that differs between them."""
+    """Environment of the stack: simulation, log or machine."""
 
     writes: tuple[str, ...]
 
     @abstractmethod
     def next_ns(self) -> int | None:
-        """When something happens next, or None at the end."""
+        """Time of the next step, or None at the end."""
 
     @abstractmethod
     def step(self, now_ns: int) -> Iterable[Output]:
-        """Go on to `now_ns` (what `next_ns` said) and give what is received then."""
+        """Advances to `now_ns`, the result of `next_ns`; returns the messages received then."""

@@ -1,4 +1,4 @@
-"""What stands or moves around the machine, and how far each sensor can be trusted."""
+"""Obstacles, tracks, ground points and sensor health."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -10,7 +10,7 @@ from messages.message import Message, MessagePart
 
 
 class ObstacleClass(StrEnum):
-    """Classes that evidence may allow; `UNKNOWN` is an obstacle all the same."""
+    """Obstacle classes; `UNKNOWN` is an obstacle as well."""
 
     UNKNOWN = "unknown"
     PERSON = "person"
@@ -23,10 +23,9 @@ class ObstacleClass(StrEnum):
 
 @dataclass(frozen=True)
 class LidarGround(Message):
-    """Which returns of the scan `scan_stamp_ns` are not ground: `is_obstacle_point` (N,), in the order of its
-    `points_m`.
+    """Ground segmentation of the scan `scan_stamp_ns`: `is_obstacle_point` (N,) in the order of its `points_m`.
 
-    `plane` (4,) is the ground about the machine in `base`: a x + b y + c z + d = 0 with unit normal, upwards.
+    `plane` (4,) is the ground around the machine in `base`: a x + b y + c z + d = 0 with upward unit normal.
     """
 
     scan_stamp_ns: int
@@ -36,14 +35,14 @@ class LidarGround(Message):
 
 @dataclass(frozen=True)
 class Obstacles(Message):
-    """What one sensor saw in one measurement, in `base` at `stamp_ns`.
+    """Obstacles of one measurement of one sensor, in `base` at `stamp_ns`.
 
     K obstacles: `center_base_m` (K, 3), `size_m` (K, 3) and `yaw_rad` (K,) of the boxes; `nearest_base_m` (K, 3) the
-    return nearest to the machine's front; `velocity_mps` (K, 2) over ground in base axes, NaN where not measured;
+    return nearest to the front of the machine; `velocity_mps` (K, 2) over ground in base axes, NaN where not measured;
     `class_scores` (K, 7) in the order of `ObstacleClass`, rows sum to 1. The returns of obstacle k are
-    `indices[offsets[k]:offsets[k + 1]]`, into the `points_m` of the scan `scan_stamp_ns`; `points_base_m` (M, 3)
-    are the same returns in `base`, in that order (a log leaves them to its scans). `sigma_m` (K, 2) of the centres,
-    along and across each box's yaw (which is then the line of sight), or empty where the boxes' own extent tells it.
+    `indices[offsets[k]:offsets[k + 1]]` of the `points_m` of the scan `scan_stamp_ns`; `points_base_m` (M, 3) are the
+    same returns in `base`, in that order (not logged). `sigma_m` (K, 2) of the centres, along and across the box yaw
+    (then the line of sight); empty where the extent of the boxes is used.
     """
 
     sensor: str
@@ -62,7 +61,7 @@ class Obstacles(Message):
 
 @dataclass(frozen=True)
 class Track(MessagePart):
-    """One obstacle followed over time, in `odom`; `covariance` (4, 4) of position and velocity."""
+    """Tracked obstacle in `odom`; `covariance` (4, 4) of position and velocity."""
 
     id: int
     label: ObstacleClass
@@ -80,13 +79,13 @@ class Track(MessagePart):
 
 @dataclass(frozen=True)
 class Tracks(Message):
-    """All tracks alive, confirmed or not."""
+    """All tracks, confirmed or not."""
 
     tracks: tuple[Track, ...]
 
 
 class HealthState(StrEnum):
-    """Whether a sensor does what it must."""
+    """State of a sensor."""
 
     GOOD = "good"
     DEGRADED = "degraded"
@@ -95,10 +94,10 @@ class HealthState(StrEnum):
 
 @dataclass(frozen=True)
 class SensorHealth(Message):
-    """How far one sensor can be trusted at this moment, by sector in `base`.
+    """Detection range of one sensor by sector in `base`.
 
-    Sector k covers azimuths `sector_edges_rad[k]` to `sector_edges_rad[k + 1]` (left positive); within
-    `detection_range_m[k]` an obstacle would have been seen. 0 m means blind.
+    Sector k covers azimuths `sector_edges_rad[k]` to `sector_edges_rad[k + 1]` (left positive); up to
+    `detection_range_m[k]` an obstacle would be detected (0 m: blind).
     """
 
     sensor: str

@@ -1,4 +1,4 @@
-"""What sensors measure, each in the sensor's own frame."""
+"""Sensor measurements, in the frame of the sensor."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -15,9 +15,9 @@ class LidarScan(Message):
     """One sweep of a lidar; `stamp_ns` is its end.
 
     A scan is either a range image (`ranges_mm` (rings, columns), 0 = no return, with `elevation_rad` (rings,) and
-    `azimuth_rad` (columns,)) or a list (`xyz_m` (N, 3)); the other arrays are then empty. `intensity` goes with the
-    returns in the order of `points_m`, or is empty. `offset_s` (columns,) or (N,) is the time of firing against
-    `stamp_ns` (≤ 0); empty means that all were fired at the stamp.
+    `azimuth_rad` (columns,)) or a list (`xyz_m` (N, 3)); the other arrays are empty. `intensity` is in the order of
+    `points_m`, or empty. `offset_s` (columns,) or (N,) is the firing time relative to `stamp_ns` (≤ 0); empty: all
+    fired at the stamp.
     """
 
     ranges_mm: UInt16
@@ -29,7 +29,7 @@ class LidarScan(Message):
 
     @cached_property
     def points_m(self) -> Float32:
-        """Returns in the sensor frame, (N, 3), row by row of the range image; clusters index into these."""
+        """Returns in the sensor frame, (N, 3), row by row of the range image; indices of clusters refer to them."""
         if self.ranges_mm.size == 0:
             return self.xyz_m
         range_m = self.ranges_mm.astype(np.float32) * np.float32(1e-3)
@@ -44,7 +44,7 @@ class LidarScan(Message):
 
     @cached_property
     def point_offset_s(self) -> Float32:
-        """Time of each of `points_m` against the stamp, (N,)."""
+        """Time (s) of each of `points_m` relative to the stamp, (N,)."""
         if self.offset_s.size == 0:
             return np.zeros(len(self.points_m), np.float32)
         if self.ranges_mm.size == 0:
@@ -55,16 +55,15 @@ class LidarScan(Message):
 
     @cached_property
     def _returns(self) -> Int64:
-        """Where in the range image, row by row, something came back, (N,)."""
-        return np.flatnonzero(self.ranges_mm != 0)  # of bool: a third of the time that np.nonzero of numbers takes
+        """Indices of the returns in the flattened range image, (N,)."""
+        return np.flatnonzero(self.ranges_mm != 0)  # of bool: a third of the time of np.nonzero of integers
 
 
 @dataclass(frozen=True)
 class CameraImage(Message):
-    """One picture, (height, width, 3) BGR as OpenCV has it.
+    """One image, (height, width, 3) BGR as in OpenCV.
 
-    `encoded` is the JPEG or PNG that the camera sent, where it sent one: `bgr` is then what decoding it gives, to the
-    bit, and a log keeps `encoded` alone.
+    `encoded` is the JPEG or PNG of the camera, if any: `bgr` is then its exact decoding, and only `encoded` is logged.
     """
 
     bgr: UInt8
@@ -73,7 +72,7 @@ class CameraImage(Message):
 
 @dataclass(frozen=True)
 class RadarScan(Message):
-    """One radar cycle: per detection range, azimuth (left positive), Doppler (away positive), cross-section."""
+    """One radar cycle: per detection range, azimuth (left positive), Doppler (receding positive), cross-section."""
 
     range_m: Float64
     azimuth_rad: Float64
@@ -84,21 +83,21 @@ class RadarScan(Message):
 
 @dataclass(frozen=True)
 class UltrasonicRange(Message):
-    """One echo; `range_m` is NaN when nothing came back within the sensor's reach."""
+    """One measurement; `range_m` is NaN without an echo."""
 
     range_m: float
 
 
 @dataclass(frozen=True)
 class ImuSample(Message):
-    """Specific force and turn rate in the IMU frame, (3,) each."""
+    """Specific force and angular rate in the IMU frame, (3,) each."""
 
     acceleration_mps2: Float64
     rate_radps: Float64
 
 
 class GnssSolution(IntEnum):
-    """How a position was computed, from worst to best."""
+    """Type of a GNSS solution, from worst to best."""
 
     NONE = 0
     SINGLE = 1
@@ -110,9 +109,9 @@ class GnssSolution(IntEnum):
 
 @dataclass(frozen=True)
 class GnssFix(Message):
-    """Position of the antenna and, with two antennas, heading of the baseline (NaN without).
+    """Position of the antenna and, with two antennas, heading of the baseline (else NaN).
 
-    `constellations` names what was used, such as "BDS" or "BDS+GPS"; `correction_age_s` is NaN without corrections.
+    `constellations` in use, such as "BDS" or "BDS+GPS"; `correction_age_s` is NaN without corrections.
     """
 
     latitude_rad: float
@@ -140,7 +139,7 @@ class WheelSample(Message):
 
 @dataclass(frozen=True)
 class UwbRanges(Message):
-    """Ranges from one tag to anchors by name; an anchor not heard is left out."""
+    """Ranges from one tag to anchors by name; anchors without a range are left out."""
 
     tag: str
     anchors: tuple[str, ...]

@@ -1,6 +1,6 @@
-"""The one table of topics: type, period, greatest age and whether it is logged.
+"""Topic table: type, period, maximum age, and whether a topic is logged.
 
-A topic is its kind, or its kind, a slash and the name of an instance: `lidar/front` is of kind `lidar`.
+A topic is a kind, or a kind and an instance name: `lidar/front` is of kind `lidar`.
 """
 
 import math
@@ -15,7 +15,7 @@ NEVER_STALE_S = math.inf
 
 @dataclass(frozen=True)
 class TopicSpec:
-    """What holds for all topics of a kind; `period_s` 0 means on event; ages count from the message's stamp."""
+    """Properties of the topics of a kind; `period_s` 0: on event; ages count from the stamp of the message."""
 
     type: type[Message]
     period_s: float
@@ -55,7 +55,7 @@ TOPICS: dict[str, TopicSpec] = {
 
 
 def spec_of(topic: str) -> TopicSpec:
-    """The table's row for a topic; raises WiringError for a topic that has none."""
+    """Row of the table for a topic; raises WiringError for an unknown kind."""
     row = TOPICS.get(topic.partition("/")[0])
     if row is None:
         raise WiringError(f"topic {topic!r}: its kind is not in messages/topics.py (known: {', '.join(TOPICS)})")

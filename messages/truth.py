@@ -1,4 +1,4 @@
-"""What really is: written by simulation or from labels, read by validation alone."""
+"""True states, from simulation or labels; read only by validation and viewers."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ from messages.perception import ObstacleClass
 
 @dataclass(frozen=True)
 class TrueMachine(Message):
-    """The machine as it is: `T_map_base` (4, 4), signed speed, front-wheel angle, working point and implement state.
+    """True machine state: `T_map_base` (4, 4), signed speed, front-wheel angle, working point, implement state.
 
-    `p_implement_map_m` (3,) is the implement's working point; `hitch` 0 lowest to 1 highest; `contacts` and
-    `zone_exits` count since the start.
+    `p_implement_map_m` (3,) is the working point of the implement; `hitch` 0 (lowest) to 1 (highest); `contacts` and
+    `zone_exits` are counts since the start.
     """
 
     T_map_base: Float64
@@ -30,7 +30,10 @@ class TrueMachine(Message):
 
 @dataclass(frozen=True)
 class TrueObject(MessagePart):
-    """One object: box centre and size, yaw and velocity in `map`; `role` is its name in the scenario ("" = scenery)."""
+    """True object: box centre and size, yaw and velocity in `map`; `role` is its name in the scenario ("" = scenery).
+
+    `clearance_m` is the distance from its outline to machine and implement.
+    """
 
     id: int
     label: ObstacleClass
@@ -44,6 +47,6 @@ class TrueObject(MessagePart):
 
 @dataclass(frozen=True)
 class TrueObjects(Message):
-    """All objects that count as obstacles; `clearance_m` is edge to edge to the machine with its implement."""
+    """All true objects that count as obstacles."""
 
     objects: tuple[TrueObject, ...]

@@ -27,7 +27,8 @@ def sniff(path: Path, head: bytes) -> Open | None:
     """Opens a ROS 1 bag, the folder of a ROS 2 bag, or its database."""
     if head.startswith(ROS1_MAGIC):
         return open_ros1_bag
-    return open_ros2_bag if head.startswith(SQLITE_MAGIC) or (path / BAG_METADATA).is_file() else None
+    folder = path.parent if head.startswith(SQLITE_MAGIC) else path
+    return open_ros2_bag if (folder / BAG_METADATA).is_file() else None
 
 
 def open_ros1_bag(path: Path, _: Path | None = None) -> Recording:
@@ -38,8 +39,6 @@ def open_ros1_bag(path: Path, _: Path | None = None) -> Recording:
 def open_ros2_bag(path: Path, _: Path | None = None) -> Recording:
     """A ROS 2 bag, by its folder or its database; raises LogError."""
     folder = path if path.is_dir() else path.parent
-    if not (folder / BAG_METADATA).is_file():
-        raise LogError(f"{folder}: a ROS 2 bag needs its {BAG_METADATA} beside {path.name}")
     return recording_of(path, "ros2 bag", lambda: _items(path, lambda: Reader2(folder), "ROS2_HUMBLE"))
 
 

@@ -4,12 +4,12 @@ import argparse
 import json
 import sys
 
-from datasets.summary import check_log, render_summary, summary_json
+from datasets.summary import render_summary, summarize_log, summary_json
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Prints the summary; 0 if the log is complete and all messages decode, else 1; raises LogError for other files."""
-    summary = check_log(arguments.log)
+    summary = summarize_log(arguments.log)
     text = json.dumps(summary_json(summary)) if arguments.json else render_summary(summary)
     sys.stdout.write(text.rstrip("\n") + "\n")
-    return 0 if summary.is_whole and not summary.undecoded else 1
+    return 0 if summary.is_complete and not summary.undecoded else 1

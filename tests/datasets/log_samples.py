@@ -1,4 +1,4 @@
-"""Messages drawn at random for every class of the topic table, by its annotations."""
+"""Random messages of every class of the topic table, from its annotations."""
 
 from dataclasses import fields
 from enum import Enum
@@ -16,7 +16,7 @@ SHAPES = hnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=4)
 
 
 def arrays(dtype: np.dtype[Any]) -> st.SearchStrategy[np.ndarray]:
-    """Arrays of any bits, NaN payloads and negative zeros included."""
+    """Arrays of arbitrary bits, including NaN payloads and negative zeros."""
     return SHAPES.flatmap(
         lambda shape: st.binary(
             min_size=int(np.prod(shape)) * dtype.itemsize, max_size=int(np.prod(shape)) * dtype.itemsize
@@ -33,21 +33,21 @@ def values(hint: Any) -> st.SearchStrategy[Any]:
     if issubclass(hint, Enum):
         return st.sampled_from(hint)
     if issubclass(hint, MessagePart):
-        return records(hint)
+        return messages(hint)
     plain = {bool: st.booleans(), int: INT64, float: st.floats(), bytes: st.binary(max_size=8)}
     return plain.get(hint, st.text(st.characters(exclude_categories=["Cs"]), max_size=8))
 
 
-def records(cls: type[MessagePart]) -> st.SearchStrategy[Any]:
-    """Instances of a message class or record."""
+def messages(cls: type[MessagePart]) -> st.SearchStrategy[Any]:
+    """Instances of a message class or message part."""
     hints = get_type_hints(cls)
-    if cls is CameraImage:  # what was sent is no bytes of any kind, see test_log_codec.py
+    if cls is CameraImage:  # `encoded` cannot be random bytes, see test_log_codec.py
         return st.builds(cls, INT64, arrays(np.dtype(np.uint8)))
     return st.builds(cls, **{f.name: values(hints[f.name]) for f in fields(cls)})
 
 
 def bits(value: Any) -> Any:
-    """A value as something that is equal only when all bits are."""
+    """A value in a form that is equal only for equal bits."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, MessagePart):

@@ -1,4 +1,4 @@
-"""Every message of the topic table goes into bytes and comes back to the bit."""
+"""Encoding and decoding of every message of the topic table, bit-exact."""
 
 from dataclasses import dataclass, replace
 
@@ -16,17 +16,17 @@ from messages.errors import LogError
 from messages.message import Message, MessagePart
 from messages.motion import MapPose, PositionSource
 from messages.sensors import CameraImage, ImuSample, LidarScan
-from tests.datasets.log_samples import arrays, bits, records
+from tests.datasets.log_samples import arrays, bits, messages
 
 EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
 
 
 @pytest.mark.parametrize("name", sorted(classes()))
-def test_every_message_comes_back_to_the_bit(name: str) -> None:
+def test_message_round_trip(name: str) -> None:
     kind = classes()[name]
 
     @EXAMPLES
-    @given(records(kind))
+    @given(messages(kind))
     def check(message: Message) -> None:
         own = codec_of(kind)
         data = own.encode(message)
@@ -41,7 +41,7 @@ def test_every_message_comes_back_to_the_bit(name: str) -> None:
 
 @EXAMPLES
 @given(st.sampled_from(["<f8", "<f4", "<u2", "|u1", "<i4"]).flatmap(lambda d: arrays(np.dtype(d))))
-def test_arrays_pass_every_filter_that_takes_them(array: np.ndarray) -> None:
+def test_array_round_trip_by_filter(array: np.ndarray) -> None:
     axes = min(array.ndim, 2) if array.itemsize in (2, 4) else 0
     names = ["", "planes", *[f"delta{axis}-planes" for axis in range(axes)]]
     for name in names:
@@ -49,7 +49,7 @@ def test_arrays_pass_every_filter_that_takes_them(array: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("dtype", ["<u2", "<f4", "<i4"])
-def test_large_arrays_are_filtered_and_come_back(dtype: str) -> None:
+def test_large_array_round_trip(dtype: str) -> None:
     rng = np.random.default_rng(1)
     image = rng.integers(0, 256, 32 * 1024 * np.dtype(dtype).itemsize, np.uint8).view(dtype).reshape(32, 1024)
     name = filter_of(image)
@@ -69,14 +69,14 @@ def test_large_arrays_are_filtered_and_come_back(dtype: str) -> None:
         ("<f8", (1, 1), b"12345678", "delta0-planes", "axis 0"),
     ],
 )
-def test_a_wrong_array_is_refused(dtype: str, shape: tuple[int, ...], data: bytes, name: str, says: str) -> None:
+def test_invalid_array_refused(dtype: str, shape: tuple[int, ...], data: bytes, name: str, says: str) -> None:
     with pytest.raises(LogError, match=says):
         unpack(data, dtype, shape, name)
 
 
 @EXAMPLES
 @given(st.binary(max_size=60))
-def test_bytes_that_are_no_message_are_an_error_not_a_crash(data: bytes) -> None:
+def test_invalid_bytes_raise_log_error(data: bytes) -> None:
     for kind in (ImuSample, LidarScan):
         try:
             codec_of(kind).decode(data)
@@ -87,7 +87,7 @@ def test_bytes_that_are_no_message_are_an_error_not_a_crash(data: bytes) -> None
         assert kind.__name__ in said
 
 
-def test_what_cannot_be_written_is_named() -> None:
+def test_encoding_error_names_class() -> None:
     bad = ImuSample(2**70, np.zeros(3), np.zeros(3))
     with pytest.raises(LogError, match=r"headland\.v1\.ImuSample"):
         codec_of(ImuSample).encode(bad)
@@ -96,11 +96,11 @@ def test_what_cannot_be_written_is_named() -> None:
 @dataclass(frozen=True, eq=False)
 class _Part(MessagePart):
     names: tuple[str, ...]
-    place: Float64
+    position: Float64
 
 
 @dataclass(frozen=True, eq=False)
-class _Whole(Message):
+class _Outer(Message):
     level: float | None
     part: _Part | None
     parts: tuple[_Part, ...]
@@ -108,14 +108,14 @@ class _Whole(Message):
 
 
 @EXAMPLES
-@given(records(_Part), st.none() | st.floats())
-def test_a_value_that_may_be_missing_comes_back_as_it_was(part: _Part, level: float | None) -> None:
+@given(messages(_Part), st.none() | st.floats())
+def test_optional_value_round_trip(part: _Part, level: float | None) -> None:
     for one in (None, part):
-        whole = _Whole(5, level, one, (part,) * 2, (0.0, -0.0))
-        assert bits(codec_of(_Whole).decode(codec_of(_Whole).encode(whole))) == bits(whole)
+        outer = _Outer(5, level, one, (part,) * 2, (0.0, -0.0))
+        assert bits(codec_of(_Outer).decode(codec_of(_Outer).encode(outer))) == bits(outer)
 
 
-def test_a_type_without_a_place_in_a_log_is_refused() -> None:
+def test_unsupported_field_type_refused() -> None:
     @dataclass(frozen=True, eq=False)
     class Odd(Message):
         table: dict[str, float]
@@ -124,7 +124,7 @@ def test_a_type_without_a_place_in_a_log_is_refused() -> None:
         schema.fields_of(Odd)
 
 
-def test_a_log_of_another_version_is_read_by_name_or_refused_by_name() -> None:
+def test_schema_of_other_version_matched_by_name() -> None:
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
     own = codec_of(ImuSample)
@@ -146,7 +146,7 @@ def test_a_log_of_another_version_is_read_by_name_or_refused_by_name() -> None:
         codec_for("headland.v1.Nothing", own.schema)
 
 
-def test_a_field_with_a_default_may_be_missing_in_an_older_log() -> None:
+def test_missing_field_with_default() -> None:
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
     pose = MapPose(7, np.eye(4), np.eye(4), np.eye(6), PositionSource.SINGLE, 1.0, 2.0, True)
@@ -160,7 +160,7 @@ def test_a_field_with_a_default_may_be_missing_in_an_older_log() -> None:
 
 
 @pytest.mark.parametrize("ending", [".jpg", ".png"])
-def test_a_picture_comes_back_as_the_camera_sent_it(ending: str) -> None:
+def test_encoded_image_round_trip(ending: str) -> None:
     rough = np.random.default_rng(1).integers(0, 256, (72, 128, 3), np.uint8)
     sent = cv2.imencode(ending, cv2.GaussianBlur(rough, (9, 9), 3.0))[1].tobytes()
     bgr = cv2.imdecode(np.frombuffer(sent, np.uint8), cv2.IMREAD_COLOR)
@@ -170,7 +170,7 @@ def test_a_picture_comes_back_as_the_camera_sent_it(ending: str) -> None:
         assert bits(own.decode(data)) == bits(image)
         assert own.encode(own.decode(data)) == data
     assert len(own.encode(CameraImage(5, bgr, sent))) < len(sent) + 100
-    with pytest.raises(LogError, match="a picture of shape"):
+    with pytest.raises(LogError, match="an image of shape"):
         own.decode(own.encode(CameraImage(5, bgr[:-1].copy(), sent)))
-    with pytest.raises(LogError, match="no picture"):
+    with pytest.raises(LogError, match="no image"):
         own.decode(own.encode(CameraImage(5, bgr, b"sent")))

@@ -1,4 +1,4 @@
-"""A log is written whole, read whole or cut, and refused with a reason when it is neither."""
+"""Writing and reading of complete, truncated, damaged and invalid logs."""
 
 import os
 import resource
@@ -20,7 +20,7 @@ from configs.strict import CONFIGS, parse, read_yaml
 from datasets.digest import Digest
 from datasets.log import LogConfig, LogWriter
 from datasets.reader import LogScan, read_log, read_metadata
-from datasets.summary import FrameTree, check_log, render_summary, summary_json
+from datasets.summary import FrameTree, render_summary, summarize_log, summary_json
 from messages.errors import LogError
 from messages.message import Envelope
 from messages.perception import Obstacles
@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def envelopes(count: int = 100) -> Iterator[Envelope]:
-    """IMU and wheels at 100 Hz and a small scan now and then; samples are noise, so that they do not compress away."""
+    """IMU and wheels at 100 Hz and small scans at 10 Hz; noise, which does not compress."""
     rng = np.random.default_rng(3)
     for k in range(count):
         t = 5_000_000_000 + k * 10_000_000
@@ -49,7 +49,7 @@ def envelopes(count: int = 100) -> Iterator[Envelope]:
 
 
 def full(envelope: Envelope) -> object:
-    """All of an envelope, to the bit."""
+    """All values of an envelope, bit-exact."""
     return envelope.topic, envelope.sequence, envelope.receive_ns, bits(envelope.message)
 
 
@@ -61,42 +61,42 @@ def write(path: Path, config: LogConfig = CONFIG) -> str:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("log") / "log.mcap"
     write(path)
     return path
 
 
-def test_a_whole_log_gives_back_what_went_in(whole: Path) -> None:
-    back = list(read_log(whole))
+def test_complete_log_round_trip(complete: Path) -> None:
+    back = list(read_log(complete))
     assert [full(e) for e in back] == [full(e) for e in envelopes()]
-    assert [e.topic for e in read_log(whole, {"lidar/front"})] == ["lidar/front"] * 10
-    assert read_metadata(whole)["versions"] == METADATA["versions"]
+    assert [e.topic for e in read_log(complete, {"lidar/front"})] == ["lidar/front"] * 10
+    assert read_metadata(complete)["versions"] == METADATA["versions"]
 
 
-def test_others_read_it_too(whole: Path) -> None:
-    with whole.open("rb") as file:
+def test_log_readable_by_mcap_reader(complete: Path) -> None:
+    with complete.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         assert sum(1 for _ in reader.iter_messages()) == 210
         assert {m.name for m in reader.iter_metadata()} == {"configuration", "versions", "end"}
 
 
-def test_the_summary_counts_and_judges(whole: Path) -> None:
-    summary = check_log(whole)
-    assert summary.is_whole
+def test_summary_of_complete_log(complete: Path) -> None:
+    summary = summarize_log(complete)
+    assert summary.is_complete
     assert (summary.problems, summary.lost_bytes, summary.messages, summary.undecoded) == ((), 0, 210, 0)
     rows = {t.topic: t for t in summary.topics}
     assert rows["imu"].count == 100
     assert rows["imu"].rate_hz == pytest.approx(100.0)
     assert rows["lidar/front"].longest_gap_s == pytest.approx(0.1)
-    assert summary.is_digest_right is True
+    assert summary.is_digest_valid is True
     assert summary_json(summary)["topics"][0]["rate_hz"] == pytest.approx(100.0)
     text = render_summary(summary)
-    assert "whole" in text
+    assert "complete" in text
     assert "headland.v1.LidarScan" in text
 
 
-def test_two_logs_of_the_same_have_the_same_digest_and_another_has_not(tmp_path: Path) -> None:
+def test_digest_depends_only_on_messages(tmp_path: Path) -> None:
     first = write(tmp_path / "a.mcap")
     assert first == write(tmp_path / "b.mcap", LogConfig(chunk_kib=64, flush_s=9.0, sync_s=9.0, min_free_mb=0.0))
     with LogWriter(tmp_path / "c.mcap", METADATA, CONFIG) as log:
@@ -106,7 +106,7 @@ def test_two_logs_of_the_same_have_the_same_digest_and_another_has_not(tmp_path:
 
 
 def chunk_ends(path: Path) -> list[tuple[int, int]]:
-    """(end of chunk, messages up to it) of a whole log."""
+    """(end of chunk, messages up to it) of a complete log."""
     with path.open("rb") as file:
         indexes = make_reader(file).get_summary().chunk_indexes
     out, count = [], 0
@@ -128,51 +128,53 @@ def _messages_in(path: Path, start: int, length: int) -> int:
         return sum(isinstance(r, Message) for r in breakup_chunk(Chunk.read(ReadDataStream(file))))
 
 
-def test_cut_anywhere_all_whole_chunks_are_read(whole: Path, tmp_path: Path) -> None:
-    data, ends = whole.read_bytes(), chunk_ends(whole)
+def test_truncated_log_yields_all_complete_chunks(complete: Path, tmp_path: Path) -> None:
+    data, ends = complete.read_bytes(), chunk_ends(complete)
     assert len(ends) >= 9
-    cut = tmp_path / "cut.mcap"
+    truncated = tmp_path / "truncated.mcap"
     borders = {b + d for b, _ in ends for d in (-1, 0, 1)} | {1, 7, 8, 9, 40, len(data) - 1, len(data) - 9}
 
     @settings(max_examples=60, deadline=None, derandomize=True)
     @given(st.integers(1, len(data) - 1))
     def check(at: int) -> None:
-        cut.write_bytes(data[:at])
-        summary = check_log(cut)
-        assert not summary.is_whole
+        truncated.write_bytes(data[:at])
+        summary = summarize_log(truncated)
+        assert not summary.is_complete
         assert summary.messages == max((n for end, n in ends if end <= at), default=0)
         assert summary.problems
-        assert [bits(e.message) for e in read_log(cut)] == [bits(e.message) for e in envelopes()][: summary.messages]
+        assert [bits(e.message) for e in read_log(truncated)] == [bits(e.message) for e in envelopes()][
+            : summary.messages
+        ]
 
     check()
     for at in sorted(borders):
         check.hypothesis.inner_test(at)
 
 
-def test_a_damaged_chunk_costs_itself_alone(whole: Path, tmp_path: Path) -> None:
-    data, ends = whole.read_bytes(), chunk_ends(whole)
+def test_damaged_chunk_loses_only_itself(complete: Path, tmp_path: Path) -> None:
+    data, ends = complete.read_bytes(), chunk_ends(complete)
     broken = tmp_path / "broken.mcap"
     per_chunk = [b[1] - a[1] for a, b in zip([(0, 0), *ends], ends, strict=False)]
     for k in (3, 5):
         middle = (ends[k - 1][0] + ends[k][0]) // 2
         broken.write_bytes(data[:middle] + bytes([data[middle] ^ 0x5A]) + data[middle + 1 :])
-        summary = check_log(broken)
-        assert not summary.is_whole
+        summary = summarize_log(broken)
+        assert not summary.is_complete
         assert summary.messages == 210 - per_chunk[k]
         assert any("chunk" in p for p in summary.problems)
 
 
 @pytest.mark.parametrize("length", [0, 7, 100, 10**6, 2**63])
-def test_a_wrong_length_costs_its_chunk_alone(whole: Path, tmp_path: Path, length: int) -> None:
-    data, ends = whole.read_bytes(), chunk_ends(whole)
-    with whole.open("rb") as file:
+def test_wrong_chunk_length_loses_only_its_chunk(complete: Path, tmp_path: Path, length: int) -> None:
+    data, ends = complete.read_bytes(), chunk_ends(complete)
+    with complete.open("rb") as file:
         start = sorted(i.chunk_start_offset for i in make_reader(file).get_summary().chunk_indexes)[4]
     path = tmp_path / "lost.mcap"
     path.write_bytes(data[: start + 1] + length.to_bytes(8, "little") + data[start + 9 :])
-    assert check_log(path).messages == 210 - (ends[4][1] - ends[3][1])
+    assert summarize_log(path).messages == 210 - (ends[4][1] - ends[3][1])
 
 
-def test_the_digest_tells_topic_time_and_content_apart() -> None:
+def test_digest_covers_topic_time_and_content() -> None:
     seen = set()
     for topic, stamp, payload in [("a", 1, b"x"), ("b", 1, b"x"), ("a", 2, b"x"), ("a", 1, b"y"), ("ax", 1, b"")]:
         digest = Digest()
@@ -183,18 +185,18 @@ def test_the_digest_tells_topic_time_and_content_apart() -> None:
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(data=st.data())
-def test_any_changed_bytes_are_survived_and_reported(whole: Path, data: st.DataObject) -> None:
-    content = bytearray(whole.read_bytes())
+def test_changed_bytes_never_yield_wrong_messages(complete: Path, data: st.DataObject) -> None:
+    content = bytearray(complete.read_bytes())
     at = data.draw(st.integers(8, len(content) - 9))
     new = data.draw(st.binary(min_size=1, max_size=12))
     content[at : at + len(new)] = new
-    path = whole.with_name("changed.mcap")
+    path = complete.with_name("changed.mcap")
     path.write_bytes(content)
-    assert check_log(path).messages <= 210
+    assert summarize_log(path).messages <= 210
     originals = {(e.topic, e.sequence): bits(e.message) for e in envelopes()}
     for entry in LogScan(path):
         assert entry.topic in {"imu", "wheel", "lidar/front"} or at < 3000
-    if bytes(content) == whole.read_bytes():
+    if bytes(content) == complete.read_bytes():
         return
     try:
         for envelope in read_log(path):
@@ -205,29 +207,29 @@ def test_any_changed_bytes_are_survived_and_reported(whole: Path, data: st.DataO
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.binary(min_size=0, max_size=200), st.booleans())
-def test_garbage_is_no_log(tmp_path_factory: pytest.TempPathFactory, data: bytes, has_magic: bool) -> None:
+def test_random_bytes_are_no_log(tmp_path_factory: pytest.TempPathFactory, data: bytes, has_magic: bool) -> None:
     path = tmp_path_factory.getbasetemp() / "garbage.mcap"
     content = (b"\x89MCAP0\r\n" if has_magic else b"") + data
     path.write_bytes(content)
     if has_magic:
-        assert check_log(path).messages == 0
-        assert not check_log(path).is_whole
+        assert summarize_log(path).messages == 0
+        assert not summarize_log(path).is_complete
     elif not b"\x89MCAP0\r\n".startswith(content) or not content:
         with pytest.raises(LogError, match=r"garbage\.mcap"):
-            check_log(path)
+            summarize_log(path)
 
 
-def test_what_is_not_there_or_empty_is_said(tmp_path: Path) -> None:
+def test_missing_or_empty_log_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"nothing\.mcap"):
-        check_log(tmp_path / "nothing.mcap")
+        summarize_log(tmp_path / "nothing.mcap")
     (tmp_path / "empty.mcap").touch()
     with pytest.raises(LogError, match="is empty"):
-        check_log(tmp_path / "empty.mcap")
+        summarize_log(tmp_path / "empty.mcap")
     with pytest.raises(LogError, match="cannot be read"):
-        check_log(tmp_path)
+        summarize_log(tmp_path)
 
 
-def test_a_killed_process_leaves_all_but_its_last_moments(tmp_path: Path) -> None:
+def test_log_of_killed_process(tmp_path: Path) -> None:
     path = tmp_path / "killed.mcap"
     code = (
         "import os, sys, signal; from pathlib import Path\n"
@@ -240,15 +242,15 @@ def test_a_killed_process_leaves_all_but_its_last_moments(tmp_path: Path) -> Non
     )
     done = subprocess.run([sys.executable, "-c", code, str(path)], check=False, cwd=ROOT)
     assert done.returncode == -signal.SIGKILL
-    summary = check_log(path)
-    assert not summary.is_whole
-    assert summary.span_s > 0.99 - 3 * CONFIG.flush_s  # what was coming, and what was being written
+    summary = summarize_log(path)
+    assert not summary.is_complete
+    assert summary.span_s > 0.99 - 3 * CONFIG.flush_s  # one interval collected, one being written
     assert summary.lost_bytes == 0
     assert summary.metadata["versions"] == {"commit": "abc"}
 
 
 @pytest.mark.parametrize("room", [0, 10, 5000, 20000])
-def test_a_full_disk_is_named_and_leaves_a_readable_log(tmp_path: Path, room: int) -> None:
+def test_full_disk_error_and_readable_log(tmp_path: Path, room: int) -> None:
     path = tmp_path / "full.mcap"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -260,15 +262,15 @@ def test_a_full_disk_is_named_and_leaves_a_readable_log(tmp_path: Path, room: in
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, ignored)
     if room >= 5000:
-        summary = check_log(path)
-        assert not summary.is_whole
+        summary = summarize_log(path)
+        assert not summary.is_complete
         assert summary.lost_bytes == 0
         assert summary.messages > 0
     else:
         assert path.stat().st_size <= room
 
 
-def test_a_device_without_room_and_a_disk_nearly_full_are_refused(tmp_path: Path) -> None:
+def test_full_device_and_low_space_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="/dev/full"):
         write(Path("/dev/full"))
     free_mb = shutil.disk_usage(tmp_path).free / 1e6
@@ -278,17 +280,17 @@ def test_a_device_without_room_and_a_disk_nearly_full_are_refused(tmp_path: Path
     assert not (tmp_path / "log.mcap").exists()
 
 
-def test_a_log_is_never_overwritten_and_its_folder_must_be_there(tmp_path: Path) -> None:
+def test_existing_log_or_missing_folder_refused(tmp_path: Path) -> None:
     write(tmp_path / "log.mcap")
     size = (tmp_path / "log.mcap").stat().st_size
     with pytest.raises(LogError, match="not overwritten"):
         write(tmp_path / "log.mcap")
     assert (tmp_path / "log.mcap").stat().st_size == size
-    with pytest.raises(LogError, match="cannot be made"):
+    with pytest.raises(LogError, match="cannot be created"):
         write(tmp_path / "nowhere" / "log.mcap")
 
 
-def test_a_log_leaves_to_the_scan_the_points_of_obstacles(tmp_path: Path) -> None:
+def test_obstacles_logged_without_points(tmp_path: Path) -> None:
     k, m = (1, 3), np.ones((4, 3), np.float32)
     obstacles = Obstacles(
         1, "lidar_front", 1, np.ones(k), np.ones(k), np.ones(1), np.ones(k), np.ones((1, 2)), np.ones((1, 7)),
@@ -301,7 +303,7 @@ def test_a_log_leaves_to_the_scan_the_points_of_obstacles(tmp_path: Path) -> Non
     assert len(obstacles.points_base_m) == 4
 
 
-def test_an_unknown_topic_or_one_not_logged(tmp_path: Path) -> None:
+def test_unknown_and_unlogged_topics(tmp_path: Path) -> None:
     from messages.errors import WiringError
     from messages.perception import LidarGround
 
@@ -314,19 +316,19 @@ def test_an_unknown_topic_or_one_not_logged(tmp_path: Path) -> None:
     assert [e.topic for e in read_log(tmp_path / "log.mcap")] == ["/recorded/wheel"]
 
 
-def test_messages_lost_on_the_way_are_counted(tmp_path: Path) -> None:
+def test_missing_messages_counted(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "log.mcap", {}, CONFIG) as log:
         for k in (0, 1, 2, 5, 6, 9):
             log.write(Envelope("wheel", k, k + 1, WheelSample(k, 0.0, 0.0)))
-    assert check_log(tmp_path / "log.mcap").topics[0].missing == 4
+    assert summarize_log(tmp_path / "log.mcap").topics[0].missing == 4
 
 
-def test_trees_of_frames() -> None:
+def test_frame_trees() -> None:
     tree = FrameTree()
     for parent, child in [("map", "odom"), ("odom", "base"), ("base", "imu"), ("base", "imu")]:
         tree.add(parent, child)
     assert tree.is_one_tree
-    tree.add("elsewhere", "camera")
+    tree.add("other", "camera")
     assert not tree.is_one_tree
     for extra in [("imu", "map"), ("map", "base"), ("base", "base")]:
         tree = FrameTree()
@@ -335,6 +337,6 @@ def test_trees_of_frames() -> None:
         assert not tree.is_one_tree
 
 
-def test_the_stack_s_own_configuration_holds() -> None:
+def test_stack_configuration_is_valid() -> None:
     parse(LogConfig, read_yaml(CONFIGS / "stack/datasets.yaml")["log"], "log")
     assert os.sep

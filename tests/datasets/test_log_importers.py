@@ -1,4 +1,4 @@
-"""Recordings of others: told by content, brought to our messages, refused with file and value."""
+"""Importers: formats recognized by content, translation of messages, errors with file and value."""
 
 import base64
 import json
@@ -31,7 +31,7 @@ from datasets.importers.write_recording import write_recording
 from datasets.log import LogConfig, LogWriter
 from datasets.primitives import cloud, frame, time_of
 from datasets.reader import read_log, read_metadata
-from datasets.summary import check_log
+from datasets.summary import summarize_log
 from datasets.viewer import ViewerConfig
 from geometry.arrays import Float64
 from geometry.transforms import invert, transform
@@ -59,11 +59,11 @@ def data(name: str) -> Path:
     return path
 
 
-# --- ROS, in every container
+# --- ROS in all containers
 
 
 def ros_messages(store: Any, is_ros1: bool) -> Iterator[tuple[str, str, int, Any]]:
-    """(topic, type, arrival, message) of a robot that drives on."""
+    """(topic, type, receive time, message) of a moving robot."""
     kind = store.types
     time = kind["builtin_interfaces/msg/Time"]
 
@@ -80,10 +80,10 @@ def ros_messages(store: Any, is_ros1: bool) -> Iterator[tuple[str, str, int, Any
     yield "/tf_static", "tf2_msgs/msg/TFMessage", NS, kind["tf2_msgs/msg/TFMessage"]([stamped])
     for k in range(3):
         t = 5 * NS + k * NS // 10
-        turning = kind["geometry_msgs/msg/TransformStamped"](
+        moving = kind["geometry_msgs/msg/TransformStamped"](
             header(t, "odom"), "base_link", kind["geometry_msgs/msg/Transform"](vector(float(k), 0.0, 0.0), level)
         )
-        yield "/tf", "tf2_msgs/msg/TFMessage", t, kind["tf2_msgs/msg/TFMessage"]([turning])
+        yield "/tf", "tf2_msgs/msg/TFMessage", t, kind["tf2_msgs/msg/TFMessage"]([moving])
         imu = kind["sensor_msgs/msg/Imu"](
             header(t, "imu"), level, nine, vector(0.1, 0.2, 0.3), nine, vector(1.0, 2.0, 9.8), nine
         )
@@ -177,7 +177,7 @@ def write_ros2_mcap(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("make", [write_ros1_bag, write_ros2_bag, write_ros2_mcap])
-def test_ros_in_every_container(tmp_path: Path, make: Any) -> None:
+def test_ros_in_all_containers(tmp_path: Path, make: Any) -> None:
     recording = open_recording(make(tmp_path / "odd.name"))
     about = recording.description
     assert {s.topic: s.frame for s in about.sensors} == {
@@ -206,7 +206,7 @@ def check_ros_values(first: dict[str, Any]) -> None:
     assert isinstance(odom, Odometry)
     assert (odom.speed_mps, odom.lateral_mps, odom.curvature_radpm) == (2.0, 0.1, 0.25)
     assert odom.T_odom_base[:3, 3].tolist() == [1.0, 2.0, 0.0]
-    assert odom.covariance[0, 0] == 21.0  # rotation about x, which ROS has fourth
+    assert odom.covariance[0, 0] == 21.0  # rotation about x, fourth in ROS
     assert odom.covariance[0, 3] == 18.0
     assert isinstance(scan, LidarScan)
     assert scan.stamp_ns == 5 * NS + 100_000_000
@@ -215,20 +215,20 @@ def check_ros_values(first: dict[str, Any]) -> None:
     assert scan.intensity.tolist() == [128, 255, 0]
 
 
-def test_a_ros_mcap_that_was_cut_gives_what_is_left(tmp_path: Path) -> None:
+def test_truncated_ros_mcap(tmp_path: Path) -> None:
     path = write_ros2_mcap(tmp_path / "x.mcap")
-    whole = list(open_recording(path).read())
+    complete = list(open_recording(path).read())
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
     recording = open_recording(path)
     left = list(recording.read())
-    assert 0 < len(left) < len(whole)
-    assert [bits(m) for _, _, m in left] == [bits(m) for _, _, m in whole[: len(left)]]
+    assert 0 < len(left) < len(complete)
+    assert [bits(m) for _, _, m in left] == [bits(m) for _, _, m in complete[: len(left)]]
     assert any("lost" in note for note in recording.description.notes)
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.data())
-def test_a_bag_with_changed_bytes_gives_messages_or_an_error_that_names_it(
+def test_changed_bag_yields_messages_or_error_with_file(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     good = tmp_path_factory.getbasetemp() / "good.bag"
@@ -242,13 +242,13 @@ def test_a_bag_with_changed_bytes_gives_messages_or_an_error_that_names_it(
     try:
         list(open_recording(bad).read())
     except LogError as error:
-        said = str(error)
+        text = str(error)
     else:
         return
-    assert "bad.bag" in said
+    assert "bad.bag" in text
 
 
-def test_two_topics_never_share_a_name() -> None:
+def test_unique_topic_names() -> None:
     topics = numbered([("/a/b", "imu"), ("/a_b", "imu"), ("a-b", "imu"), ("/a/b/", "gnss"), ("//", "gnss")])
     assert list(topics.values()) == ["imu/a_b", "imu/a_b_2", "imu/a_b_3", "gnss/a_b", "gnss/unnamed"]
 
@@ -278,7 +278,7 @@ def test_foxglove_protobuf(tmp_path: Path) -> None:
     assert first["gnss/gps"].solution == GnssSolution.SINGLE
 
 
-def test_foxglove_json_with_a_pose_of_its_own(tmp_path: Path) -> None:
+def test_foxglove_json_with_pose(tmp_path: Path) -> None:
     raw = np.array([[1.0, 2.0, 3.0]], "<f4")
     fields = [{"name": n, "offset": 4 * k, "type": 7} for k, n in enumerate("xyz")]
     message = {
@@ -307,10 +307,10 @@ def write_json(path: Path, message: bytes) -> Path:
     return path
 
 
-# --- our own logs
+# --- Headland logs
 
 
-def test_our_own_log_comes_back_and_goes_out_the_same(tmp_path: Path) -> None:
+def test_headland_log_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "own.mcap"
     with LogWriter(path, {}, LOG) as log:
         for k in range(50):
@@ -318,14 +318,14 @@ def test_our_own_log_comes_back_and_goes_out_the_same(tmp_path: Path) -> None:
     recording = open_recording(path)
     assert recording.description.format == "headland"
     assert write_recording(recording, tmp_path / "copy.mcap", LOG, VIEW) == {"wheel": 50}
-    assert check_log(tmp_path / "copy.mcap").digest == check_log(path).digest
+    assert summarize_log(tmp_path / "copy.mcap").digest == summarize_log(path).digest
     assert "headland" in read_metadata(tmp_path / "copy.mcap")["source"]["description"]
 
 
 # --- KITTI
 
 
-def test_a_box_is_brought_from_the_camera_to_the_lidar() -> None:
+def test_label_box_from_camera_to_lidar() -> None:
     T_camera_lidar = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, -0.3], [0, 0, 0, 1]])
     label = kitti_labels.Label(0, 7, "Car", 0, 0, (1.5, 1.6, 4.0), (2.0, 1.7, 10.0), -np.pi / 2)
     (box,) = kitti_labels.true_objects([label], 5, T_camera_lidar).objects
@@ -337,14 +337,14 @@ def test_a_box_is_brought_from_the_camera_to_the_lidar() -> None:
 
 
 def inside(box: TrueObject, points_m: np.ndarray) -> int:
-    """Returns in a box, its lowest 20 cm left out for the ground."""
+    """Returns in a box above its lowest 20 cm (ground)."""
     local = points_m @ invert(transform(box.center_map_m, (0, 0, box.yaw_rad)))[:3, :3].T
     local = local + invert(transform(box.center_map_m, (0, 0, box.yaw_rad)))[:3, 3]
     half = 0.5 * box.size_m
     return int(((np.abs(local) < half).all(axis=1) & (local[:, 2] > 0.2 - half[2])).sum())
 
 
-def test_the_packed_kitti_frames_lie_in_their_boxes() -> None:
+def test_packed_kitti_returns_lie_in_label_boxes() -> None:
     recording = open_recording(data("kitti-seq-pcd"), data("kitti-tracking-truth"))
     assert recording.description.truth_frame == "velodyne"
     received = list(recording.read())
@@ -358,18 +358,18 @@ def test_the_packed_kitti_frames_lie_in_their_boxes() -> None:
             wide = TrueObject(**(vars(box) | {"size_m": box.size_m + np.array([0.6, 0.6, 0.0])}))
             count, around = inside(box, scans[truth.stamp_ns].points_m), inside(wide, scans[truth.stamp_ns].points_m)
             assert count >= 10
-            assert count >= 0.9 * around  # by 0.3 rad turned, a van's box cuts a quarter off
+            assert count >= 0.9 * around  # a rotation of 0.3 rad loses a quarter of a van
 
 
-def test_kitti_imported_is_a_log_of_ours(tmp_path: Path) -> None:
+def test_kitti_import_to_log(tmp_path: Path) -> None:
     frames = data("kitti-seq-pcd") / "frames"
     for k in (4, 5, 7):
         (tmp_path / f"{k:06d}.npz").symlink_to(frames / f"{k:06d}.npz")
     source = open_recording(tmp_path, data("kitti-tracking-truth"))
     counts = write_recording(source, tmp_path / "kitti.mcap", LOG, VIEW)
     assert counts == {"lidar/velodyne": 3, "truth_objects/velodyne": 3}
-    summary = check_log(tmp_path / "kitti.mcap")
-    assert summary.is_whole
+    summary = summarize_log(tmp_path / "kitti.mcap")
+    assert summary.is_complete
     assert summary.undecoded == 0
     again = open_recording(tmp_path / "kitti.mcap").description
     assert describe(again) == describe(source.description)
@@ -377,7 +377,7 @@ def test_kitti_imported_is_a_log_of_ours(tmp_path: Path) -> None:
         assert (topic, bits(message)) == (envelope.topic, bits(envelope.message))
 
 
-def test_another_detector_s_results(tmp_path: Path) -> None:
+def test_detections_of_ab3dmot(tmp_path: Path) -> None:
     folder = data("kitti-tracking-truth") / "data" / "KITTI" / "detection"
     (score, car), *_ = kitti_labels.read_detections(folder / "pointrcnn_Car_val" / "0000.txt")
     assert (score, car.frame, car.name, car.size_hwl_m) == (8.2981, 0, "Car", (1.9605, 1.8137, 4.7549))
@@ -418,7 +418,7 @@ def write_tracking(root: Path) -> Path:
     return root
 
 
-def test_a_kitti_tracking_folder_by_root_and_by_sequence(tmp_path: Path) -> None:
+def test_kitti_tracking_by_root_and_sequence(tmp_path: Path) -> None:
     root = write_tracking(tmp_path / "kitti")
     for path in (root, root / "training", root / "training" / "velodyne" / "0007"):
         recording = open_recording(path)
@@ -433,7 +433,7 @@ def test_a_kitti_tracking_folder_by_root_and_by_sequence(tmp_path: Path) -> None
         open_recording(root)
 
 
-def test_a_kitti_raw_drive_with_its_times_and_calibration(tmp_path: Path) -> None:
+def test_kitti_raw_times_and_calibration(tmp_path: Path) -> None:
     drive = tmp_path / "2011_09_26" / "drive"
     for k in (0, 2):
         velodyne(drive / "velodyne_points" / "data" / f"{k:010d}.bin")
@@ -475,14 +475,14 @@ def test_a_kitti_raw_drive_with_its_times_and_calibration(tmp_path: Path) -> Non
         ("oxts/0007.txt", OXTS.replace("49.0", "149.0") + "\n", "OXTS"),
     ],
 )
-def test_bad_kitti_files_are_named_with_their_value(tmp_path: Path, name: str, content: str, says: str) -> None:
+def test_invalid_kitti_file_error_with_value(tmp_path: Path, name: str, content: str, says: str) -> None:
     root = write_tracking(tmp_path)
     (root / "training" / name).write_text(content)
     with pytest.raises(LogError, match=rf"{name.split('/')[1]}.*({says})"):
         list(open_recording(root).read())
 
 
-def test_scans_that_are_none_are_refused(tmp_path: Path) -> None:
+def test_invalid_scans_refused(tmp_path: Path) -> None:
     for k, content in enumerate((b"", b"123", np.full(8, np.nan, "<f4").tobytes(), np.full(8, 1e9, "<f4").tobytes())):
         folder = tmp_path / str(k)
         folder.mkdir()
@@ -497,7 +497,7 @@ def test_scans_that_are_none_are_refused(tmp_path: Path) -> None:
 # --- PCD
 
 
-def test_pcd_in_all_its_storages(tmp_path: Path) -> None:
+def test_pcd_storages(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     xyz = np.round(rng.uniform(-20, 20, (40, 3)), 3).astype("<f4")
     head = (
@@ -529,7 +529,7 @@ def test_pcd_in_all_its_storages(tmp_path: Path) -> None:
             read_pcd(tmp_path / "bad.pcd", 3)
 
 
-def test_lzf_references_that_overlap() -> None:
+def test_lzf_overlapping_references() -> None:
     assert unpack_lzf(bytes([1, 65, 66, (5 << 5) | 0, 1]), 9) == b"ABABABABA"
     assert unpack_lzf(bytes([0, 90, (7 << 5) | 0, 4, 0]), 14) == b"Z" * 14
     with pytest.raises(LogError, match="before its start"):
@@ -538,17 +538,17 @@ def test_lzf_references_that_overlap() -> None:
         unpack_lzf(bytes([0, 65]), 4)
 
 
-def test_the_real_pcd_is_the_packed_frame() -> None:
+def test_pcd_equals_packed_frame() -> None:
     (_, _, pcd), *_ = open_recording(data("kitti-seq-pcd") / "frames" / "0000000000.pcd").read()
     (_, _, packed) = next(iter(open_recording(data("kitti-seq-pcd")).read()))
     assert len(pcd.points_m) == len(packed.points_m)
     assert np.abs(pcd.points_m - packed.points_m).max() <= 0.0026
 
 
-# --- CAN, and what is not known
+# --- CAN, unknown formats
 
 
-def test_candump_and_its_errors(tmp_path: Path) -> None:
+def test_candump(tmp_path: Path) -> None:
     path = tmp_path / "x"
     path.write_text(
         "(1.000001) can0 18FEF100#0102\n(1.019) can1 7FF#\n(1.019999) can0 0CF00400#FF\n(1.020001) can0 1#R\n"
@@ -565,20 +565,20 @@ def test_candump_and_its_errors(tmp_path: Path) -> None:
             list(open_recording(path).read())
 
 
-def test_the_tractor_s_can_log_is_read_to_its_last_frame() -> None:
+def test_tractor_can_log_complete() -> None:
     path = data("jd-can-logs") / "tractoronSitUp.log"
     received = list(open_recording(path).read())
     assert all(isinstance(m, CanFrames) for _, _, m in received)
     assert sum(len(m.frames) for _, _, m in received) == len(path.read_text().split("\n")) - 1
 
 
-def test_the_jackal_bag() -> None:
+def test_jackal_bag() -> None:
     recording = open_recording(data("robot-localization-bags") / "test" / "test2.bag")
     counts = Counter(topic for _, topic, _ in recording.read())
     assert counts == {"imu/imu_data": 3061, "odom/jackal_velocity_controller_odom": 3060}
 
 
-def test_the_radar_bag_says_what_it_cannot_read() -> None:
+def test_unread_types_of_radar_bag() -> None:
     about = open_recording(data("tier4-nebula") / "ars548" / "1708578204").description
     assert about.sensors == ()
     assert [i.source_type for i in about.ignored] == ["nebula_msgs/msg/NebulaPackets"]
@@ -586,7 +586,7 @@ def test_the_radar_bag_says_what_it_cannot_read() -> None:
 
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.binary(min_size=1, max_size=100))
-def test_what_is_not_known_is_said(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+def test_unknown_format_refused(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "unknown"
     path.write_bytes(content)
     if not b"\x89MCAP0\r\n".startswith(content):
@@ -594,7 +594,7 @@ def test_what_is_not_known_is_said(tmp_path_factory: pytest.TempPathFactory, con
             open_recording(path)
 
 
-def test_nothing_and_odd_combinations_are_refused(tmp_path: Path) -> None:
+def test_missing_empty_and_unsuitable_inputs_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="nowhere"):
         open_recording(tmp_path / "nowhere")
     with pytest.raises(LogError, match="it holds nothing"):
@@ -609,7 +609,7 @@ def test_nothing_and_odd_combinations_are_refused(tmp_path: Path) -> None:
         open_recording(tmp_path / "can", tmp_path / "nowhere")
 
 
-def test_a_failed_import_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_failed_import_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "can").write_text("(1.0) can0 1#00\n(2.0) can0 1#00\n")
     recording = open_recording(tmp_path / "can")
     (tmp_path / "can").write_text("(1.0) can0 1#00\n(2.0) can0 1#00\nbroken\n")

@@ -1,4 +1,4 @@
-"""The viewer topics: Foxglove's own schemas, one tree of frames, each topic at its pace."""
+"""Viewer topics: Foxglove schemas, one frame tree, period of each topic."""
 
 from collections import Counter
 from pathlib import Path
@@ -20,7 +20,7 @@ from configs.vehicle import ImplementFile, Mount, TrailedImplement, Ultrasonic, 
 from datasets import scenes
 from datasets.log import LogConfig, LogWriter
 from datasets.primitives import cloud
-from datasets.summary import check_log
+from datasets.summary import summarize_log
 from datasets.viewer import Viewer, ViewerConfig
 from messages.faults import Fault, Response, Severity
 from messages.message import Envelope, Message
@@ -48,18 +48,18 @@ def log(vehicle: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_log_is_one_tree_and_every_message_decodes(log: Path, vehicle: Vehicle) -> None:
-    summary = check_log(log)
-    assert summary.is_whole
+def test_single_frame_tree_and_no_undecoded_message(log: Path, vehicle: Vehicle) -> None:
+    summary = summarize_log(log)
+    assert summary.is_complete
     assert summary.undecoded == 0
     assert summary.is_one_tree is True
     mounted = {f"lidar/{n}" for n in vehicle.sensors.lidar} | {f"gnss/{n}" for n in vehicle.sensors.gnss}
     assert {"map", "odom", "base", "implement", "imu"} | mounted <= set(summary.frames)
 
 
-def test_every_message_decodes_for_foxglove_s_reader_in_a_frame_of_the_tree(log: Path) -> None:
+def test_viewer_topics_decode_with_frames_of_tree(log: Path) -> None:
     cloud_s = read_yaml(CONFIGS / "stack/datasets.yaml")["viewer"]["cloud_s"]
-    frames, used, counts = set(check_log(log).frames), set(), Counter[str]()
+    frames, used, counts = set(summarize_log(log).frames), set(), Counter[str]()
     with log.open("rb") as file:
         for schema, channel, message, proto in make_reader(
             file, decoder_factories=[DecoderFactory()]
@@ -77,29 +77,29 @@ def test_every_message_decodes_for_foxglove_s_reader_in_a_frame_of_the_tree(log:
     assert counts["/view/mounts"] == 1
 
 
-def test_the_digest_does_not_know_of_viewers(log: Path, vehicle: Vehicle, tmp_path: Path) -> None:
+def test_digest_independent_of_viewer(log: Path, vehicle: Vehicle, tmp_path: Path) -> None:
     with LogWriter(
         tmp_path / "bare.mcap", {}, LogConfig(chunk_kib=64, flush_s=1.0, sync_s=9.0, min_free_mb=0.0)
     ) as bare:
         for envelopes in seconds_of(SECONDS, vehicle):
             for envelope in envelopes:
                 bare.write(envelope)
-    assert bare.digest() == check_log(log).digest
+    assert bare.digest() == summarize_log(log).digest
 
 
-def test_a_thinned_cloud_keeps_to_its_number_and_place() -> None:
+def test_thinned_cloud_count_and_positions() -> None:
     rng = np.random.default_rng(0)
-    for n, most, kept in [(0, 10, 0), (10, 10, 10), (11, 10, 6), (5000, 2000, 1667)]:
+    for n, limit, kept in [(0, 10, 0), (10, 10, 10), (11, 10, 6), (5000, 2000, 1667)]:
         points = rng.uniform(-50, 50, (n, 3)).astype(np.float32)
-        proto = cloud(1, "lidar/front", points, most)
+        proto = cloud(1, "lidar/front", points, limit)
         assert isinstance(proto, PointCloud)
         back = np.frombuffer(proto.data, np.float32).reshape(-1, 3)
         assert len(back) == kept
-        stride = -(-n // most) or 1
+        stride = -(-n // limit) or 1
         np.testing.assert_allclose(back, points[::stride], atol=0.5 / 64 + 1e-6)
 
 
-def test_a_trailed_implement_hangs_behind_its_hitch(vehicle: Vehicle) -> None:
+def test_trailed_implement_behind_hitch(vehicle: Vehicle) -> None:
     implement = TrailedImplement(
         kind="trailed", name="x", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
         hitch_m=-1.0, axle_length_m=3.0, working_length_m=4.0, total_length_m=5.0,
@@ -112,7 +112,7 @@ def test_a_trailed_implement_hangs_behind_its_hitch(vehicle: Vehicle) -> None:
     assert box.size.x == 5.0
 
 
-def test_a_path_is_thinned_but_ends_where_it_ends() -> None:
+def test_thinned_path_keeps_end() -> None:
     for n in (0, 1, 2, 6, 12):
         xy = np.stack([np.arange(n) * 0.1, np.zeros(n)], 1)
         zero = np.zeros(n)
@@ -124,7 +124,7 @@ def test_a_path_is_thinned_but_ends_where_it_ends() -> None:
             assert points[-1].x == pytest.approx(0.1 * (n - 1))
 
 
-def test_faults_reach_the_log_panel_and_recorded_topics_do_not() -> None:
+def test_faults_shown_recorded_topics_not() -> None:
     section = read_yaml(CONFIGS / "stack/datasets.yaml")
     viewer = Viewer(parse(ViewerConfig, section["viewer"], "viewer"), None, None, None)
     fault = Fault(5, "lidar.silent", "front", Severity.ALARM, True, Response.CONTROLLED_STOP, True, "silent", "stumm")
@@ -142,7 +142,7 @@ def shown(message: Message, topic: str, vehicle: Vehicle | None = None, site: Si
     return dict(viewer.show(Envelope(topic, 0, message.stamp_ns, message)))
 
 
-def test_radar_detections_lie_where_they_were_measured() -> None:
+def test_radar_detection_positions() -> None:
     scan = RadarScan(
         5, *(np.array(v) for v in ([10.0, 20.0], [np.pi / 2, 0.0], [0.0, np.pi / 6], [0.0, 1.0], [0.0, 0.0]))
     )
@@ -153,19 +153,19 @@ def test_radar_detections_lie_where_they_were_measured() -> None:
 
 
 @pytest.mark.parametrize(("range_m", "reach_m"), [(1.5, 1.5), (float("nan"), 4.0)])
-def test_an_echo_is_an_arc_and_silence_the_whole_cone(vehicle: Vehicle, range_m: float, reach_m: float) -> None:
+def test_echo_arc_and_cone_without_echo(vehicle: Vehicle, range_m: float, reach_m: float) -> None:
     one = Ultrasonic(
         mount=Mount(xyz_m=(3.3, 0.0, 0.8)), cone_deg=60.0, rate_hz=10.0, range_m=(0.2, 4.0), range_sigma_m=0.02
     )
-    heard = vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"ultrasonic": {"left": one}})})
-    proto = shown(UltrasonicRange(5, range_m), "ultrasonic/left", heard)["/view/ultrasonic/left"]
+    equipped = vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"ultrasonic": {"left": one}})})
+    proto = shown(UltrasonicRange(5, range_m), "ultrasonic/left", equipped)["/view/ultrasonic/left"]
     points = np.array([(p.x, p.y) for p in proto.entities[0].lines[0].points])
     np.testing.assert_allclose(np.hypot(*points[1:].T), reach_m)
     np.testing.assert_allclose(np.degrees(np.arctan2(points[[1, -1], 1], points[[1, -1], 0])), [-30.0, 30.0])
     assert "/view/ultrasonic/left" not in shown(UltrasonicRange(5, range_m), "ultrasonic/left")
 
 
-def test_the_shed_is_drawn_with_what_stands_in_it(vehicle: Vehicle) -> None:
+def test_shed_with_posts_anchors_and_bays(vehicle: Vehicle) -> None:
     site = load(Site, CONFIGS / "sites" / "demo.yaml")
     assert site.shed is not None
     entity = shown(UltrasonicRange(5, 1.0), "ultrasonic/none", vehicle, site)["/view/shed"].entities[0]
@@ -173,7 +173,7 @@ def test_the_shed_is_drawn_with_what_stands_in_it(vehicle: Vehicle) -> None:
     assert {t.text for t in entity.texts} == {*site.shed.anchors, *(f"bay {bay.name}" for bay in site.shed.bays)}
 
 
-def test_a_picture_is_shown_as_it_was_sent() -> None:
+def test_image_shown_as_encoded() -> None:
     bgr = np.full((8, 8, 3), 90, np.uint8)
     sent = cv2.imencode(".png", bgr)[1].tobytes()
     proto = shown(CameraImage(5, bgr, sent), "camera/front")["/view/camera/front"]
