@@ -1,1 +1,1 @@
-"""Strict configuration: the base class, the loader, and what more than one folder must know of machine and site."""
+"""Strict configuration: base class, loader, and the machine, site and mission classes that several folders use."""

@@ -49,5 +49,5 @@ class Mission(Config):
         if self.work is None and (self.bay is None or self.start is None):
             raise ValueError("a mission without work needs a bay to dock in and a start")
         if self.work is not None and self.start is not None:
-            raise ValueError("start: a mission with work starts docked or where its site says")
+            raise ValueError("start: a mission with work starts docked or at the start of its site")
         return self

@@ -1,4 +1,4 @@
-"""A site: the field, the way to it and what must not be entered, in `map`."""
+"""Site: field, lanes, no-go areas, yard and shed, in `map`."""
 
 import math
 from typing import Annotated
@@ -24,7 +24,7 @@ class DatumConfig(Config):
 
     @property
     def datum(self) -> Datum:
-        """The same in radians, as a converter."""
+        """Converter between ellipsoid and `map`."""
         return Datum(math.radians(self.latitude_deg), math.radians(self.longitude_deg), self.height_m)
 
 
@@ -42,14 +42,14 @@ class PoseConfig(Config):
 
 
 class Area(Config):
-    """A named area by its outline."""
+    """Named area with its outline."""
 
     name: str
     outline_m: Outline
 
 
 class Lane(Config):
-    """A way driven along its centre line, first to last point or back."""
+    """Lane, driven along its centre line in both directions."""
 
     name: str
     center_m: Annotated[tuple[Point, ...], Field(min_length=2)]
@@ -57,21 +57,21 @@ class Lane(Config):
 
 
 class Gate(Config):
-    """An opening in the fence between two posts."""
+    """Opening in the fence between two posts."""
 
     name: str
     posts_m: tuple[Point, Point]
 
 
 class Post(Config):
-    """An upright that carries the roof, round."""
+    """Round post of the roof."""
 
     at_m: Point
     radius_m: float = Field(gt=0.0, le=2.0)
 
 
 class Bay(Config):
-    """A place in the shed, free over `width_m`; `dock` is the pose of `base` when docked, heading out of the bay."""
+    """Parking bay, free over `width_m`; `dock` is the pose of `base` when docked, heading out of the bay."""
 
     name: str
     dock: PoseConfig
@@ -79,9 +79,9 @@ class Bay(Config):
 
 
 class Shed(Config):
-    """The machine shed: walls by the middle of their thickness, posts, bays, and UWB anchors in `map`.
+    """Machine shed: centre lines of the walls, posts, bays, and UWB anchors, in `map`.
 
-    `outline_m` is the roof: below it there is no sky. The floor is level at height 0 of `map`, as is the yard.
+    `outline_m` is the roof (no GNSS below it). The floor is level at height 0 of `map`, as is the yard.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Shed(Config):
     anchors: dict[str, tuple[Coordinate, Coordinate, Coordinate]] = Field(default_factory=dict)
 
     def bay(self, name: str) -> Bay:
-        """A bay by its name; raises ConfigError."""
+        """Bay by name; raises ConfigError."""
         found = [bay for bay in self.bays if bay.name == name]
         if not found:
             known = ", ".join(bay.name for bay in self.bays) or "none"
@@ -103,7 +103,7 @@ class Shed(Config):
 
 
 class Site(Config):
-    """Everything surveyed; `boundary_m` is the field, `is_fenced` its edge, `start` in the yard heads for the lane."""
+    """Surveyed site; `boundary_m` is the field, `is_fenced` its edge, `start` a pose in the yard towards the lane."""
 
     name: str
     version: int = Field(ge=1)
@@ -118,7 +118,7 @@ class Site(Config):
     shed: Shed | None = None
 
     def bay(self, name: str) -> Bay:
-        """A bay of the shed by its name; raises ConfigError."""
+        """Bay of the shed by name; raises ConfigError."""
         if self.shed is None:
             raise ConfigError(f"bay {name!r}: site {self.name!r} has no shed")
         return self.shed.bay(name)

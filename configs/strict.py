@@ -1,4 +1,4 @@
-"""The base of every configuration class, and the loader that names file, key and value when something is wrong."""
+"""Base of all configuration classes, and a loader whose errors name file, key and value."""
 
 from collections.abc import Hashable, Mapping
 from pathlib import Path
@@ -14,7 +14,7 @@ C = TypeVar("C", bound="Config")
 
 
 class Config(BaseModel):
-    """Frozen; unknown keys, NaN and infinity are refused."""
+    """Frozen model; unknown keys, NaN and infinity are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -27,22 +27,22 @@ class Config(BaseModel):
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML that refuses a key written twice, where the plain loader would keep the last one in silence."""
+    """YAML loader that refuses duplicate keys (SafeLoader keeps the last one)."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, Hashable):
-                raise yaml.constructor.ConstructorError(None, None, f"{key!r} is no key", key_node.start_mark)
+                raise yaml.constructor.ConstructorError(None, None, f"{key!r} is not a valid key", key_node.start_mark)
             if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", key_node.start_mark)
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is duplicate", key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
 
 def read_yaml(path: Path) -> Any:
-    """The content of a YAML file; raises ConfigError."""
+    """Content of a YAML file; raises ConfigError."""
     try:
         return yaml.load(path.read_text(encoding="utf-8"), _UniqueKeyLoader)
     except (OSError, UnicodeDecodeError) as error:
@@ -52,7 +52,7 @@ def read_yaml(path: Path) -> Any:
 
 
 def parse(cls: type[C], values: Any, where: str) -> C:
-    """An instance of a configuration class; raises ConfigError that names place, key and value."""
+    """Instance of a configuration class; raises ConfigError with location, key and value."""
     try:
         return cls.model_validate(values)
     except ValidationError as error:
@@ -61,12 +61,12 @@ def parse(cls: type[C], values: Any, where: str) -> C:
 
 
 def load(cls: type[C], path: Path) -> C:
-    """A configuration from a YAML file; raises ConfigError."""
+    """Configuration from a YAML file; raises ConfigError."""
     return parse(cls, read_yaml(path), str(path))
 
 
 def find(folder: str, name: str) -> Path:
-    """`name` as a file of its own or as a name in `configs/<folder>/`; raises ConfigError that lists what there is."""
+    """Path of the file `name`, or of `name` in `configs/<folder>/`; raises ConfigError with the known names."""
     for path in (Path(name), CONFIGS / folder / f"{name}.yaml"):
         if path.is_file():
             return path

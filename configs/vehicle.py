@@ -34,7 +34,7 @@ class Mount(Config):
 
 
 class Lidar(Config):
-    """A lidar: rings at the given elevations (lowest first), columns over the field of view."""
+    """Lidar: rings at the given elevations (lowest first), columns over the field of view."""
 
     mount: Mount
     elevation_deg: tuple[Degrees, ...] = Field(min_length=1, max_length=256)
@@ -66,7 +66,7 @@ class Camera(Config):
 
 
 class Radar(Config):
-    """A radar that gives detections: range, azimuth, Doppler, cross-section (BD-5.4.4)."""
+    """Radar with detections of range, azimuth, Doppler and cross-section (BD-5.4.4)."""
 
     mount: Mount
     field_of_view_deg: float = Field(gt=0.0, le=180.0, description="full width in azimuth")
@@ -88,7 +88,7 @@ class Ultrasonic(Config):
 
 
 class Uwb(Config):
-    """An ultra-wideband tag that measures ranges to the anchors of the site."""
+    """Ultra-wideband tag, measures ranges to the anchors of the site."""
 
     mount: Mount
     rate_hz: float = Field(gt=0.0, le=100.0)
@@ -121,7 +121,7 @@ class Imu(Config):
 
 
 class Wheels(Config):
-    """Wheel speed and steering-angle sensor."""
+    """Wheel speed and steering angle sensors."""
 
     rate_hz: float = Field(gt=0.0, le=1000.0)
     speed_sigma_mps: float = Field(ge=0.0, le=1.0)
@@ -159,7 +159,7 @@ class Sensors(Config):
 
 
 class Ackermann(Config):
-    """Front-wheel steering with the rear axle fixed."""
+    """Front-wheel steering with a fixed rear axle."""
 
     kind: Literal["ackermann"]
     wheelbase_m: Length
@@ -169,12 +169,12 @@ class Ackermann(Config):
 
     @property
     def max_curvature_radpm(self) -> float:
-        """Tightest curvature of the rear-axle centre."""
+        """Maximum curvature of the rear axle centre."""
         return 1.0 / self.min_turning_radius_m
 
 
 class ElectricWheel(Config):
-    """A motor on the steering wheel (BD-5.5.2a)."""
+    """Motor on the steering wheel (BD-5.5.2a)."""
 
     kind: Literal["electric_wheel"]
     max_wheel_rpm: float = Field(gt=0.0, le=300.0)
@@ -185,7 +185,7 @@ class ElectricWheel(Config):
 
 
 class HydraulicValve(Config):
-    """A proportional valve on the steering cylinder (T14-4.5: 8 to 30 L/min)."""
+    """Proportional valve on the steering cylinder (T14-4.5: 8 to 30 L/min)."""
 
     kind: Literal["hydraulic_valve"]
     max_flow_lpm: float = Field(ge=1.0, le=60.0)
@@ -204,7 +204,7 @@ class Brake(Config):
 
 
 class Body(Config):
-    """Extent of the bare machine about `base`."""
+    """Extent of the machine without implement around `base`."""
 
     front_m: Length
     rear_m: Length
@@ -214,7 +214,7 @@ class Body(Config):
 
 
 class Vehicle(Config):
-    """A machine: dimensions, drivetrain, actuators and sensors; none of it has a default."""
+    """Machine: dimensions, drivetrain, actuators and sensors, without defaults."""
 
     name: str = Field(min_length=1, max_length=60)
     drivetrain: Ackermann
@@ -243,21 +243,21 @@ class _Implement(Config):
     uses_pto: bool
 
     @model_validator(mode="after")
-    def _is_as_wide_as_it_works(self) -> "_Implement":
+    def _width_covers_working_width(self) -> "_Implement":
         if self.width_m < self.working_width_m:
             raise ValueError(f"width_m {self.width_m} is less than working_width_m {self.working_width_m}")
         return self
 
 
 class Fold(Config):
-    """How an implement folds for transport: its width then, and how long either way takes at standstill."""
+    """Folding for transport: width when folded, duration of folding or unfolding at standstill."""
 
     width_m: Length
     duration_s: Seconds
 
 
 class MountedImplement(_Implement):
-    """Carried on the hitch; `working_point_m` and the ends are along x of `base` (behind is negative).
+    """Implement on the hitch; `working_point_m` and the ends are along x of `base` (negative: behind).
 
     `fold` None means that it cannot be folded. `ultrasonic` are sensors on the implement, mounts in `base`.
     """
@@ -271,17 +271,17 @@ class MountedImplement(_Implement):
 
     @property
     def ends_m(self) -> tuple[float, float]:
-        """Front and rear end along x of `base`."""
+        """Front and rear end along x of `base` (m)."""
         return self.front_end_m, self.rear_end_m
 
     @property
     def folded(self) -> "MountedImplement":
-        """The same, folded for transport; itself where it does not fold."""
+        """The implement when folded for transport; unchanged without `fold`."""
         return self if self.fold is None else self.model_copy(update={"width_m": self.fold.width_m})
 
 
 class TrailedImplement(_Implement):
-    """Pulled on a drawbar from `hitch_m` along x of `base`; lengths are from the hitch backwards."""
+    """Implement on a drawbar from `hitch_m` along x of `base`; lengths are from the hitch backwards."""
 
     kind: Literal["trailed"]
     hitch_m: Offset
@@ -291,12 +291,12 @@ class TrailedImplement(_Implement):
 
     @property
     def ends_m(self) -> tuple[float, float]:
-        """Front and rear end along x of `base`, straight behind."""
+        """Front and rear end along x of `base` (m), in line with the machine."""
         return self.hitch_m, self.hitch_m - self.total_length_m
 
     @property
     def folded(self) -> "TrailedImplement":
-        """Itself: it does not fold."""
+        """The implement unchanged: it does not fold."""
         return self
 
 
@@ -316,16 +316,16 @@ FOLDED = 0.99  # of `MachineState.fold_position`: locked in transport position
 
 
 class ImplementFile(Config):
-    """An implement as it stands in a file of `configs/implements/`."""
+    """Content of a file in `configs/implements/`."""
 
     implement: Implement
 
 
 def kmh(speed_kmh: float) -> float:
-    """Metres per second."""
+    """Speed in m/s."""
     return speed_kmh / 3.6
 
 
 def deg(angle_deg: float) -> float:
-    """Radians."""
+    """Angle in radians."""
     return math.radians(angle_deg)
