@@ -6,7 +6,7 @@ import subprocess
 import pytest
 
 from configs.strict import load
-from runtime.documents import results
+from runtime.documents import results, safety
 from tests.recordings import ROOT
 
 CLAUSE = re.compile(r"\b(?:BD|T14)-\d+(?:\.\d+)*[a-z]?\b")
@@ -37,6 +37,17 @@ def test_a_stale_result_is_found() -> None:
     recorded = load(results.Results, results.SOURCE)
     changed = recorded.model_copy(update={"results": recorded.results[1:]})
     assert results.TARGET.read_text() != results.document(changed)
+
+
+def test_safety_document_is_current() -> None:
+    marked = safety.marked_tests(safety.TESTS)
+    assert safety.TARGET.read_text() == safety.document(marked), "run `make docs`"
+    assert safety.TARGET.read_text() != safety.document(marked[1:])
+
+
+def test_clauses_of_safety_have_tests() -> None:
+    marked = {test.clause for test in safety.marked_tests(safety.TESTS)}
+    assert set(safety.clauses_of_section_4()) <= marked
 
 
 @pytest.mark.parametrize("name", tracked())

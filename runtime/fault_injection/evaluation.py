@@ -4,11 +4,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from messages.command import Mode
 from messages.topics import TOPICS, spec_of
+from safety.rules import RULES
+from safety.rules.rule import Effect
 from simulation.faults.config import CampaignConfig, FaultKind
 from simulation.faults.frames import MAX_AGE_NS
 
-OBSTACLE_REASONS = ("protective_field", "tracked_obstacle", "detection_range", "obstacle_stop")
+OBSTACLE_REASONS = (
+    *(name for name, rule in RULES.items() if rule.effect & Effect.OBSTACLE_STOP), str(Mode.OBSTACLE_STOP),
+)  # fmt: skip
 SYSTEM_MAX_AGE_S = 0.4  # of clock and log, which have no topic
 
 

@@ -11,6 +11,7 @@ from messages.faults import Fault
 from messages.message import Envelope, Message
 from messages.plan import MissionStatus, Path, PathSectionType
 from messages.truth import TrueMachine
+from safety.rules import speed_limit
 
 STANDING_MPS, PERIOD_S = 0.02, 0.05  # the truth's period
 MODE_NAMES = tuple(str(mode) for mode in Mode)
@@ -112,7 +113,7 @@ def docking(monitor: DriveMonitor) -> bool:
     """Reversing into the bay under the docking speed limit."""
     if not _on(monitor, PathSectionType.DOCK) or monitor.state is None or monitor.truth is None:
         return False
-    return monitor.truth.speed_mps < -0.4 and any(rule.code == "speed_limit.docking" for rule in monitor.state.rules)
+    return monitor.truth.speed_mps < -0.4 and any(rule.code == speed_limit.DOCKING for rule in monitor.state.rules)
 
 
 def _on(monitor: DriveMonitor, section_type: PathSectionType) -> bool:

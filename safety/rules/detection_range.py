@@ -24,6 +24,12 @@ RULE = Rule(
     clauses=("BD-5.2.4",),
     effect=Effect.DETECTION,
     evaluate=evaluate,
-    config_keys=("field.slow_range_factor", "detection_range"),
+    config_keys=(
+        "field.slow_range_factor",
+        "detection_range.cap_m",
+        "detection_range.half_cone_deg",
+        "detection_range.blind_ratio",
+        "detection_range.good_ratio",
+    ),
     texts_zh={CODE: "可靠探测距离限速", "*.blind": "{} 被遮挡"},
 )

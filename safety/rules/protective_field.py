@@ -31,6 +31,15 @@ RULE = Rule(
     clauses=("BD-5.2.4", "BD-5.2.5b"),
     effect=Effect.OBSTACLE,
     evaluate=evaluate,
-    config_keys=("field", "braking", "radar", "ultrasonic"),
+    config_keys=(
+        "field.margin_m",
+        "field.arc_margin_m",
+        "field.lateral_margin_near_m",
+        "field.lateral_margin_far_m",
+        "field.min_height_m",
+        "braking.reaction_s",
+        "braking.build_up_s",
+        "braking.deceleration_mps2",
+    ),
     texts_zh={CODE: "前方有障碍物", NO_SCAN: "尚无前方激光雷达数据"},
 )

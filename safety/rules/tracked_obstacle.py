@@ -27,6 +27,13 @@ RULE = Rule(
     clauses=("BD-5.2.4", "BD-5.2.5b"),
     effect=Effect.OBSTACLE,
     evaluate=evaluate,
-    config_keys=("tracked", "braking"),
+    config_keys=(
+        "tracked.min_horizon_s",
+        "tracked.max_horizon_s",
+        "field.margin_m",
+        "braking.reaction_s",
+        "braking.build_up_s",
+        "braking.deceleration_mps2",
+    ),
     texts_zh={CODE: "跟踪目标进入行驶路径"},
 )

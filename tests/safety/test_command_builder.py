@@ -10,6 +10,7 @@ from configs.vehicle import FOLDED, Vehicle
 from messages.command import ControlCommand, Mode, SafeCommand
 from safety.config import SafetyConfig
 from safety.output.command_builder import CommandBuilder, CommandInputs
+from tests.clause import clause
 from tests.safety.safety_world import START_NS, around, machine_state
 
 CONTROL_COMMAND = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
@@ -63,6 +64,7 @@ def test_a_fault_stop_brakes_at_once_and_hard_and_an_obstacle_stop_gently(bench:
 
 
 @pytest.mark.parametrize("mode", Mode)
+@clause("BD-5.5.1b")
 def test_lights_horn_and_drive_of_each_mode(bench: Bench, mode: Mode) -> None:
     engaged = mode in (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
     command = bench.show(mode=mode)
@@ -151,6 +153,7 @@ def test_steered_to_the_end_of_a_controlled_stop_and_no_further(bench: Bench, mo
     assert command.deceleration_mps2 == 1.5
 
 
+@clause("BD-5.5.1a", "BD-5.5.2d")
 def test_not_enabled_before_it_was_engaged(bench: Bench) -> None:
     assert not bench.show(mode=Mode.FAULT_STOP, measured_mps=1.0).is_drive_enabled
     assert not bench.driving().show(mode=Mode.EMERGENCY_STOP).is_drive_enabled
@@ -214,6 +217,7 @@ def test_steering_begins_where_it_is(vehicle: Vehicle, config: SafetyConfig) -> 
     assert Bench(vehicle, config).show(curvature_radpm=None).curvature_radpm == 0.0
 
 
+@clause("BD-5.5.1b")
 def test_implement_and_pto(bench: Bench) -> None:
     def asked(**changes: Any) -> tuple[bool, bool]:
         command = bench.show(**changes)

@@ -14,6 +14,7 @@ from safety.monitors.watchdog import TopicAge, age_of, timed_out_topics
 from safety.output.alarms import Alarms, text_zh
 from safety.rules import RULES
 from safety.supervisor import texts_of
+from tests.clause import clause
 from tests.safety.safety_world import START_NS, around
 
 TEXTS = texts_of(RULES)
@@ -21,6 +22,7 @@ STOPPED = (Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
 ENGAGED = (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
 
 
+@clause("BD-5.5.1b")
 def test_every_mode_and_event_is_meant() -> None:
     """The whole table, written a second time: what is not here changes nothing."""
     e, m = Event, Mode

@@ -19,6 +19,7 @@ from safety.stopping_distance import highest_speed, stopping_distance
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.protective_field import Clearance
 from safety.zones.tracked_obstacles import CriticalObject
+from tests.clause import clause
 from tests.safety.safety_world import START_NS, around, machine_state, situation_of
 
 NONE, LIMIT, STOP, EMERGENCY = Response.NONE, Response.LIMIT, Response.CONTROLLED_STOP, Response.EMERGENCY_STOP
@@ -65,11 +66,13 @@ def test_what_is_missing_is_the_watchdogs_matter(rule: str, config: SupervisorCo
     assert missing == (NONE, NO_OBJECTION[rule], math.inf)
 
 
+@clause(rule="clock_step")
 def test_clock(config: SupervisorConfig) -> None:
     for step in around(0.0, 0.6):
         assert ask("clock_step", config, clock_step_s=step)[:2] == (STOP if step else NONE, "clock_step"), step
 
 
+@clause("BD-5.8.1b", rule="emergency_stop")
 def test_emergency_button_and_pedal(config: SupervisorConfig) -> None:
     pressed = ask("emergency_stop", config, **with_machine(is_emergency_button_pressed=True))
     assert pressed[:2] == (EMERGENCY, "emergency_stop.button")
@@ -83,6 +86,7 @@ def test_emergency_button_and_pedal(config: SupervisorConfig) -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
+@clause("BD-5.5.2e", rule="driver_override")
 def test_hand_on_the_wheel(config: SupervisorConfig, sign: int) -> None:
     for rate in around(50.0, 0.125):
         expected = STOP if rate >= 50.0 else NONE
@@ -106,6 +110,7 @@ def fault(response: Response, code: str = "x.y") -> Fault:
 
 
 @pytest.mark.parametrize("response", list(Response))
+@clause(rule="reported_fault")
 def test_reported_faults(config: SupervisorConfig, response: Response) -> None:
     faults = (fault(NONE, "a"), fault(response, "b"), fault(NONE, "c"))
     got = ask("reported_fault", config, faults=faults)
@@ -113,6 +118,7 @@ def test_reported_faults(config: SupervisorConfig, response: Response) -> None:
     assert got[2] == (math.inf if response is NONE else pytest.approx(5 / 3.6) if response is LIMIT else 0.0)
 
 
+@clause("BD-5.5.1a", "BD-5.5.2d", rule="message_timeout")
 def test_silence(config: SupervisorConfig) -> None:
     assert ask("message_timeout", config, timed_out_topics=("imu", "odom"))[:2] == (STOP, "imu.silent")
     assert ask("message_timeout", config, timed_out_topics=("control_command",))[:2] == (STOP, "control_command.silent")
@@ -134,6 +140,7 @@ def test_silence(config: SupervisorConfig) -> None:
 
 
 @pytest.mark.parametrize("group", ["heartbeat", "motion", "steering", "cab"])
+@clause("BD-5.5.1a", "BD-5.5.2d", rule="message_timeout")
 def test_silent_group_of_the_machine(config: SupervisorConfig, group: str) -> None:
     for age_ms in around(350, 1):
         changes = {f"{group}_stamp_ns": START_NS - round(age_ms * 1e6)}
@@ -141,6 +148,7 @@ def test_silent_group_of_the_machine(config: SupervisorConfig, group: str) -> No
         assert ask("message_timeout", config, **with_machine(**changes))[:2] == expected, age_ms
 
 
+@clause("BD-5.6.1a", "BD-5.1d", rule="supply_voltage")
 def test_supply(config: SupervisorConfig) -> None:
     for volts in around(9.0, 0.05):
         assert ask("supply_voltage", config, **with_machine(supply_v=volts))[0] is (NONE if volts >= 9.0 else STOP), (
@@ -153,6 +161,7 @@ def test_supply(config: SupervisorConfig) -> None:
     assert ask("supply_voltage", config, **with_machine(supply_v=math.nan))[:2] == (STOP, "supply_voltage")
 
 
+@clause("BD-5.5.2a", "BD-5.5.2d", rule="steering")
 def test_steering(config: SupervisorConfig) -> None:
     for held in around(0.4, 0.02):
         expected = (STOP, "steering.not_following") if held > 0.4 else (NONE, "steering")
@@ -165,6 +174,7 @@ def test_steering(config: SupervisorConfig) -> None:
     assert ask("steering", config, **with_machine(is_steering_ready=False)) == (LIMIT, "steering.not_ready", 0.0)
 
 
+@clause("BD-5.2.5b", rule="brake")
 def test_brake(config: SupervisorConfig) -> None:
     for held in around(0.8, 0.02):
         assert ask("brake", config, brake_ineffective_s=held)[:2] == (
@@ -175,6 +185,7 @@ def test_brake(config: SupervisorConfig) -> None:
         assert ask("brake", config, brake_test=phase)[1].startswith("brake.test"), phase
 
 
+@clause("BD-5.3d", "BD-5.2.6a", rule="localization")
 def test_localization(config: SupervisorConfig) -> None:
     for level in around(0.5, 0.01):
         expected = (STOP, "localization.protection") if level > 0.5 else (LIMIT, "localization")
@@ -201,6 +212,7 @@ def test_localization(config: SupervisorConfig) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("axis", ["roll", "pitch"])
+@clause(rule="tilt")
 def test_tilt(config: SupervisorConfig, axis: str, sign: int) -> None:
     for angle in around(15.0, 0.1):
         got = ask("tilt", config, **{f"{axis}_rad": sign * math.radians(angle - 1e-9)})
@@ -211,6 +223,7 @@ def test_tilt(config: SupervisorConfig, axis: str, sign: int) -> None:
     assert ask("tilt", config, odom=broken)[0] is STOP
 
 
+@clause(rule="geofence")
 def test_fence(config: SupervisorConfig) -> None:
     assert ask("geofence", config, geofence_distance_m=None) == (LIMIT, "geofence.unknown", 0.0)
     assert ask("geofence", config, geofence_distance_m=-1.0)[:2] == (STOP, "geofence.outside")
@@ -228,6 +241,7 @@ def clearance(main: float, arc: float = math.inf) -> dict[str, Any]:
     return {"clearance": Clearance(main, arc, np.zeros((1, 3)))}
 
 
+@clause("BD-5.2.4", "BD-5.2.5b", rule="protective_field")
 def test_obstacle(config: SupervisorConfig) -> None:
     assert ask("protective_field", config, clearance=None) == (LIMIT, "protective_field.no_scan", 0.0)
     stopping = stopping_distance(2.0, config.braking.flat)
@@ -246,6 +260,7 @@ def test_obstacle(config: SupervisorConfig) -> None:
     )
 
 
+@clause("BD-5.2.4", "BD-5.2.5b", rule="tracked_obstacle")
 def test_tracked(config: SupervisorConfig) -> None:
     stopping = stopping_distance(2.0, config.braking.flat)
     for away in around(stopping, 0.01):
@@ -264,6 +279,7 @@ def test_tracked(config: SupervisorConfig) -> None:
     assert standing == (LIMIT, "tracked_obstacle", 0.0)
 
 
+@clause("BD-5.2.4", rule="detection_range")
 def test_proven_range(config: SupervisorConfig) -> None:
     assert ask("detection_range", config, detection_range_m=0.0) == (LIMIT, "detection_range.limit", 0.0)
     assert ask("detection_range", config, detection_range_m=0.0, blind=("lidar/front",)) == (
@@ -281,6 +297,7 @@ def test_proven_range(config: SupervisorConfig) -> None:
     assert speeds == sorted(speeds)
 
 
+@clause("BD-5.2.4", rule="sensor_loss")
 def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SupervisorConfig) -> None:
     flat = config.braking.flat
     for kind, half_m, whole_m in (("radar", 2.5, 5.0), ("camera", 2.15, 4.3), ("ultrasonic", 1.5, 3.0)):
@@ -291,6 +308,7 @@ def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SupervisorCo
         assert ask("sensor_loss", config, sensor_failures=sensor_failures, allowance_m=0.1)[2] == close, kind
 
 
+@clause(rule="implement_fold")
 def test_fold(config: SupervisorConfig) -> None:
     assert ask("implement_fold", config, is_foldable=True, fold=None)[:2] == (STOP, "machine.implement.silent")
     assert ask("implement_fold", config, is_foldable=True, fold=0.5) == (LIMIT, "implement_fold", 0.0)
@@ -298,11 +316,13 @@ def test_fold(config: SupervisorConfig) -> None:
         assert ask("implement_fold", config, **changes) == (NONE, "implement_fold", math.inf)
 
 
+@clause(rule="speed_limit")
 def test_speed(config: SupervisorConfig) -> None:
     assert ask("speed_limit", config) == (LIMIT, "speed_limit", 8.0)
     assert ask("speed_limit", config, is_docking=True) == (LIMIT, "speed_limit.docking", 0.5)
 
 
+@clause(rule="wall_clearance")
 def test_survey(config: SupervisorConfig) -> None:
     assert ask("wall_clearance", config, wall_distance_m=0.0) == (LIMIT, "wall_clearance", 0.0)
     assert ask("wall_clearance", config, wall_distance_m=2.0)[2] == highest_speed(2.0, config.braking.flat, 0.0)

@@ -21,6 +21,7 @@ from safety.rules.rule import Effect
 from safety.stopping_distance import stopping_distance
 from safety.supervisor import Supervisor
 from safety.zones.geofence import Geofence
+from tests.clause import clause
 from tests.safety.safety_world import START_NS, STEP_NS, Box, SyntheticInbox, World, straight_path
 
 FRONT_M, HALF_IMPLEMENT_M = 3.5, 3.05
@@ -97,6 +98,7 @@ def test_every_step_commands_and_state_comes_at_10_hz(world: World) -> None:
     assert 10 <= states <= 12
 
 
+@clause("BD-5.2.4", "BD-5.2.5b", rule="protective_field")
 def test_stops_the_margin_before_an_obstacle_and_resumes(world: World, config: SafetyConfig) -> None:
     world.start()
     world.boxes = (Box(20.0, 0.0),)
@@ -136,6 +138,7 @@ def test_an_obstacle_that_comes_and_goes_does_not_let_it_resume(world: World) ->
         assert world.mode == Mode.OBSTACLE_STOP
 
 
+@clause("BD-5.2.5b", rule="protective_field")
 def test_suddenly_inside_the_stopping_distance(world: World) -> None:
     driving(world, 2.78)
     world.boxes = (Box(world.x_m + FRONT_M + 3.6, 0.0),)
@@ -242,6 +245,7 @@ SILENT = {"imu": "imu.silent", "wheel": "wheel.silent", "lidar/front": "lidar/fr
 
 
 @pytest.mark.parametrize("topic", SILENT)
+@clause("BD-5.5.1a", "BD-5.5.2d", rule="message_timeout")
 def test_whatever_falls_silent_it_stands_in_time_with_the_right_reason(world: World, config, topic: str) -> None:
     driving(world, 2.78)
     world.mute.add(topic)
@@ -313,6 +317,7 @@ def test_something_is_wrong_with_the_machine(world: World, changes: dict[str, An
 
 
 @pytest.mark.parametrize("changes", [{"driver_rate_radps": 1.0}, {"driver_angle_rad": 1.0}])
+@clause("BD-5.5.2e", rule="driver_override")
 def test_hand_takes_over_within_one_step(world: World, changes: dict[str, float]) -> None:
     driving(world)
     world.machine_changes = {"is_seat_occupied": True, **changes}
@@ -329,6 +334,7 @@ def test_hand_takes_over_within_one_step(world: World, changes: dict[str, float]
     assert world.command.deceleration_mps2 == 0.0
 
 
+@clause("BD-5.8.1b")
 def test_emergency_stop_waits_for_reset_and_start(world: World) -> None:
     driving(world)
     world.order(OperatorCommandKind.EMERGENCY_STOP, "anyone", sequence=-1)
@@ -361,6 +367,7 @@ def test_emergency_stop_waits_for_reset_and_start(world: World) -> None:
     assert world.mode == Mode.AUTOMATIC
 
 
+@clause("BD-5.8.1b")
 def test_no_reset_while_the_button_is_pressed(world: World) -> None:
     driving(world)
     world.machine_changes = {"is_emergency_button_pressed": True}
