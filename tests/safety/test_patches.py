@@ -107,7 +107,7 @@ def test_returns_stand_out_from_the_ground_of_their_patch(config: SafetyConfig, 
     slope = 0.08 * np.maximum(x, 0.0) * np.sign(y)
     z = slope + rng.choice([0.0, 0.2, 0.4, 0.7], 900) + rng.uniform(-0.1, 0.1, 900)
     xyz = np.stack([x, y, np.clip(z, -1.9, 1.9)]).astype(np.float32)
-    field = config.field.model_copy(update={"ground_share": share})
+    field = config.field.model_copy(update={"ground_ratio": share})
     limits = limits_of(xyz.astype(np.float64), box, field)
     is_clear = np.abs(xyz[2] - limits) > 1e-4
     assert is_clear.sum() > 880

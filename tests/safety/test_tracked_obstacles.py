@@ -52,8 +52,9 @@ def area(footprint: Footprint, config: SafetyConfig) -> SweptArea:
 def critical_object(
     area: SweptArea, footprint: Footprint, config: SafetyConfig, *tracks: Track, **changes: Any
 ) -> CriticalObject:
-    tracked, explained = config.tracked.model_copy(update=changes), changes.pop("is_known", None)
-    return nearest_critical_object(area, footprint, Tracks(START_NS, tracks), HERE, 0.0, 4.0, tracked, explained)
+    is_known = changes.pop("is_known", None)
+    tracked = config.tracked.model_copy(update=changes)
+    return nearest_critical_object(area, footprint, Tracks(START_NS, tracks), HERE, 0.0, 4.0, tracked, is_known)
 
 
 def test_sigma_is_that_of_the_less_certain_component() -> None:
