@@ -1,11 +1,10 @@
 """Track update by matched detections: position, velocity, box and class."""
 
 import numpy as np
-import numpy.typing as npt
 
 from messages.message import Float64, Int64
 from perception.fusion.detections import Detections
-from perception.fusion.fragments import shift_center
+from perception.fusion.fragments import Bools, shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.static_occupancy import StaticOccupancy
 from perception.fusion.tracks import TrackerConfig, TrackTable, is_moving, is_vehicle, nanoseconds
@@ -44,28 +43,37 @@ def update(
     _correct_velocity(x, P, detections, rows, static_occupancy, config)
     table.x[tracks], table.P[tracks] = x, P
     _confirm_motion(table, tracks, z, detections.stamp_ns, config)
-    # only lidar returns measure a box; radar and camera estimate it
+    _update_boxes(table, tracks, detections, rows, is_piece, fixed, lidars)
+    _add_evidence(table, tracks, detections, rows, is_piece, config)
+    table.last_ns[tracks] = detections.stamp_ns
+    table.sensors[tracks] |= 1 << detections.sensor
+
+
+def _update_boxes(
+    table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, is_piece: Bools, fixed: Bools, lidars: int
+) -> None:
+    """Updates height, size and yaw in place; only lidar returns measure a box, other sensors estimate it."""
+    size = detections.size_m[rows]
     boxed = (table.sensors[tracks] == 1 << detections.sensor) | detections.is_lidar
     table.box_measured_ns[tracks[boxed]] = detections.stamp_ns
-    is_first = np.bool_(detections.is_lidar) & (
-        table.sensors[tracks] & lidars == 0
-    )  # until now estimated by other sensors
-    gain = np.where(is_piece, FRAGMENT_GAIN, np.where(is_first | fixed, 1.0, 0.5))[boxed]
+    was_estimated = np.bool_(detections.is_lidar) & (table.sensors[tracks] & lidars == 0)
+    gain = np.where(is_piece, FRAGMENT_GAIN, np.where(was_estimated | fixed, 1.0, 0.5))[boxed]
     with_box, boxes = tracks[boxed], rows[boxed]
     table.height_m[with_box] = detections.p_m[boxes, 2]
     table.size_m[with_box] += gain[:, None] * (size[boxed] - table.size_m[with_box])
     table.yaw_rad[with_box] = np.where(is_piece[boxed], table.yaw_rad[with_box], detections.yaw_rad[boxes])
-    evidence, scores = (
-        np.minimum(detections.evidence[rows], detections.kind.evidence),
-        detections.class_log_scores[rows],
-    )
+
+
+def _add_evidence(
+    table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, is_piece: Bools, config: TrackerConfig
+) -> None:
+    """Adds evidence of existence and of class in place; echoes and fragments carry no class."""
+    evidence = np.minimum(detections.evidence[rows], detections.kind.evidence)
     table.evidence[tracks] = np.minimum(table.evidence[tracks] + evidence, 10.0 * config.confirm_evidence)
-    has_class = (scores.max(axis=1) > scores.min(axis=1)) & ~is_piece  # echoes and fragments carry no class
-    table.class_evidence[tracks[has_class]] = (
-        config.class_memory * table.class_evidence[tracks[has_class]] + scores[has_class]
-    )
-    table.last_ns[tracks] = detections.stamp_ns
-    table.sensors[tracks] |= 1 << detections.sensor
+    scores = detections.class_log_scores[rows]
+    has_class = (scores.max(axis=1) > scores.min(axis=1)) & ~is_piece
+    classified = tracks[has_class]
+    table.class_evidence[classified] = config.class_memory * table.class_evidence[classified] + scores[has_class]
 
 
 def _confirm_motion(table: TrackTable, tracks: Int64, z: Float64, stamp_ns: int, config: TrackerConfig) -> None:
@@ -81,7 +89,7 @@ def _confirm_motion(table: TrackTable, tracks: Int64, z: Float64, stamp_ns: int,
     table.motion_origin_m[tracks[starts]] = z[starts]
 
 
-def _is_structure(size_m: Float64, config: TrackerConfig) -> npt.NDArray[np.bool_]:
+def _is_structure(size_m: Float64, config: TrackerConfig) -> Bools:
     """Whether lidar boxes (K,) are likely sections of a fence or wall."""
     return np.asarray(config.noise.is_strip(size_m) | (size_m[:, 0] > config.static_occupancy.structure_length_m))
 
@@ -91,8 +99,8 @@ def _reset_velocity(
     P: Float64,
     detections: Detections,
     rows: Int64,
-    fixed: npt.NDArray[np.bool_],
-    was_lost: npt.NDArray[np.bool_],
+    fixed: Bools,
+    was_lost: Bools,
     config: TrackerConfig,
 ) -> None:
     """Resets position of structures (their centre moves with the view) and velocity of lost tracks, in place."""

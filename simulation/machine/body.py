@@ -1,4 +1,7 @@
-"""Shape of machine and implement: meshes for sensors, outlines on the ground."""
+"""Shape of machine and implement: meshes for sensors, outlines on the ground.
+
+Own geometry instead of `configs.vehicle.outlines`: simulation shares no machine model with control.
+"""
 
 import math
 
