@@ -1,4 +1,4 @@
-"""Accuracy, honesty and time of the localizer on synthetic drives: RTK throughout, and 30 s without GNSS.
+"""Accuracy, integrity and CPU time of the localizer on synthetic drives: RTK throughout, and 30 s without GNSS.
 
 `./headland benchmark localization_synthetic [SEEDS]`; the drives are those of tests/localization, not the simulator's.
 """
@@ -23,46 +23,46 @@ CUT_S, CUT_FOR_S = 42.0, 30.0
 
 
 def main(seeds: int) -> None:
-    """Prints one line a seed and the means."""
-    whole: list[Errors] = []
+    """Prints the results of each seed and the means."""
+    all_errors: list[Errors] = []
     step_ms: list[float] = []
     for seed in range(1, seeds + 1):
         truth = drive(75, legs=LEGS, sensor_errors=SensorErrors(seed=seed, gnss_slow_s=30.0, slip_swing=0.003))
         began = time.thread_time()
         result = run(truth.messages)
         step_ms.append((time.thread_time() - began) / len(result.step_s) * 1e3)
-        whole.append(errors(result, truth))
+        all_errors.append(errors(result, truth))
         cut = [m for m in truth.messages if m[1] != "gnss/main" or m[2].stamp_ns < START_NS + int(CUT_S * 1e9)]
-        print(f"seed {seed}: {_rtk(whole[-1])}, {step_ms[-1]:.2f} ms a step (CPU)")
+        print(f"seed {seed}: {_rtk(all_errors[-1])}, {step_ms[-1]:.2f} ms a step (CPU)")
         print("   no GNSS, no lidar:", _outage(errors(run(cut), truth)))
         timed = _Timed(LidarOdometryNode(tractor(), configuration().lidar_odometry))
-        with_lidar = errors(run(cut, lidar=(timed, _look(truth))), truth)
+        with_lidar = errors(run(cut, lidar=(timed, _scans(truth))), truth)
         print("   no GNSS, lidar:   ", _outage(with_lidar), f"{timed.ms:.1f} ms a matched scan (CPU)", flush=True)
         mapped = _Timed(LidarMap(tractor(), harrow(), None, configuration().lidar_map))
         timed = _Timed(LidarOdometryNode(tractor(), configuration().lidar_odometry))
-        both = run(cut, lidar=(timed, _look(truth)), lidar_map=(mapped, _look_by_name(truth)))
-        print("   no GNSS, and map: ", _outage(errors(both, truth)), f"{mapped.ms:.1f} ms a look (CPU)", flush=True)
-    joined = Errors(*(np.concatenate([getattr(e, name) for e in whole]) for name in Errors.__dataclass_fields__))
+        both = run(cut, lidar=(timed, _scans(truth)), lidar_map=(mapped, _scans_by_name(truth)))
+        print("   no GNSS, and map: ", _outage(errors(both, truth)), f"{mapped.ms:.1f} ms a match (CPU)", flush=True)
+    joined = Errors(*(np.concatenate([getattr(e, name) for e in all_errors]) for name in Errors.__dataclass_fields__))
     print(f"all: {_rtk(joined)}, {np.mean(step_ms):.2f} ms a step")
 
 
-def _look(truth: Truth) -> Callable[[int], tuple[LidarScan, LidarGround] | None]:
+def _scans(truth: Truth) -> Callable[[int], tuple[LidarScan, LidarGround] | None]:
     world, rng = yard(), np.random.default_rng(0)
     return lambda stamp_ns: scan(truth, stamp_ns, world, rng) if stamp_ns > START_NS + 200_000_000 else None
 
 
-def _look_by_name(truth: Truth) -> Callable[[int], dict[str, tuple[LidarScan, LidarGround]]]:
-    look = _look(truth)
+def _scans_by_name(truth: Truth) -> Callable[[int], dict[str, tuple[LidarScan, LidarGround]]]:
+    scans = _scans(truth)
 
     def named(stamp_ns: int) -> dict[str, tuple[LidarScan, LidarGround]]:
-        pair = look(stamp_ns)
+        pair = scans(stamp_ns)
         return {"front": pair} if pair is not None else {}
 
     return named
 
 
 class _Timed:
-    """A node on lidar that knows how long its steps took."""
+    """Lidar node with the CPU time of its steps."""
 
     def __init__(self, node: LidarOdometryNode | LidarMap) -> None:
         self._node, self._spent, self._matched = node, 0.0, 0
@@ -90,12 +90,12 @@ def _rtk(e: Errors) -> str:
 
 
 def _outage(e: Errors) -> str:
-    said = []
+    cells = []
     for after_s in (5.0, 10.0, 20.0, CUT_FOR_S - 0.5):
         k = int(np.argmin(np.abs(e.t_s - CUT_S - after_s)))
         along, across, _ = 100 * e.p_m[k]
-        said.append(f"{after_s:.0f} s: along {along:.1f} across {across:.1f} (PL {100 * e.level_m[k]:.0f}) cm")
-    return "; ".join(said)
+        cells.append(f"{after_s:.0f} s: along {along:.1f} across {across:.1f} (PL {100 * e.level_m[k]:.0f}) cm")
+    return "; ".join(cells)
 
 
 if __name__ == "__main__":

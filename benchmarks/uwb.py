@@ -1,15 +1,15 @@
-"""The localizer's UWB part on real ranges: RMSE of causal positions beside the data sets' own results.
+"""UWB tag smoother on recorded ranges: RMSE of causal positions, compared with results of the authors.
 
     ./headland benchmark uwb [--only hanyang|plaza|tuc] [--config configs/uwb.yaml]
 
-One configuration for all; every estimate uses only what was measured until then; nothing is aligned afterwards.
-- Hanyang (no odometry in the folder, IMU missing: constant velocity): the start's position is given, as to the authors'
-  ESKF; tag 1.0 m up, as in their analysis. The window is theirs: from x > 49.3 m to the return at x <= 12 m; "whole" is
-  the entire run. RMSE is horizontal (their RMSE_2d), for our height is given. The authors' results are
-  scored from their files against the same truth. The tuning's small numbers were chosen on the first runs of LOS and
-  NLOS and looked over on all four.
-- Plaza1: start's pose given (the way map and truth are tied), wheels and gyro, scale and bias of the radios unknown.
-- TUC labyrinth: place known to 0.3 m from the first ranges alone, heading unknown, wheels only.
+One configuration for all; every estimate uses past measurements only; no alignment afterwards.
+- Hanyang (no odometry in the folder, IMU missing: constant velocity): the start position is given, as to the authors'
+  ESKF; tag 1.0 m up, as in their analysis. The window is theirs: from x > 49.3 m to the return at x <= 12 m;
+  "complete" is the entire run. RMSE is horizontal (their RMSE_2d), since our height is given. The authors' results are
+  scored from their files against the same truth. The small values of the configuration were chosen on the first runs of
+  LOS and NLOS and checked on all four.
+- Plaza1: start pose given (relates map and truth), wheels and gyro, scale and bias of the radios unknown.
+- TUC labyrinth: position known to 0.3 m from the first ranges alone, heading unknown, wheels only.
 """
 
 import argparse
@@ -31,7 +31,7 @@ DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[2] / "shared"
 HANYANG = ("LOS/Trajectory_A/Case_1", "LOS/Trajectory_A/Case_2", "NLOS/Trajectory_A/Case_1", "NLOS/Trajectory_A/Case_2")
 PLAZA_BAR_M = 0.6
 HANYANG_START_M, TAG_M, BUNDLE_NS = (-2.5775, -4.25), 1.0, 100_000_000
-# Sensors as the data sets describe them or as such sensors are: Plaza fibre gyro and wheel encoders; TUC's file says
+# Sensors as described by the data sets, or typical: Plaza fibre gyro and wheel encoders; TUC's file states
 # 0.01 m/s a wheel.
 PLAZA_WHEEL, PLAZA_SIDE, PLAZA_TURN_ROOT_S = 0.03, 0.01, 0.002
 TUC_WHEEL_MPS = 0.01
@@ -66,12 +66,12 @@ def hanyang(folder: Path, config: TagSmootherConfig) -> Track:
     files = {n: np.loadtxt(folder / f"A{n}.csv", delimiter=",", skiprows=1, dtype=np.float64) for n in (3, 5, 9, 12)}
     stamps = {n: _column(folder / f"A{n}.csv", 1) for n in files}
     anchors = {str(n): rows[0, 3:6] for n, rows in files.items()}
-    heard = sorted((int(s), str(n), float(r)) for n in files for s, r in zip(stamps[n], files[n][:, 6], strict=True))
+    ranges = sorted((int(s), str(n), float(r)) for n in files for s, r in zip(stamps[n], files[n][:, 6], strict=True))
     localizer = TagSmoother(config, anchors, TAG_M, has_odometry=False)
-    begin_ns = heard[0][0] - 1
+    begin_ns = ranges[0][0] - 1
     localizer.start(begin_ns, [np.array([*HANYANG_START_M, 0.0, 0.0])], np.array([0.1, 0.1, 0.1, 0.1]))
     times, places = [], []
-    for bundle in _bundles(heard):
+    for bundle in _bundles(ranges):
         stamp_ns = bundle[-1][0]
         age_s = np.array([(stamp_ns - b[0]) * 1e-9 for b in bundle])
         state = localizer.add(stamp_ns, None, [b[1] for b in bundle], np.array([b[2] for b in bundle]), age_s)
@@ -84,9 +84,9 @@ def _column(path: Path, i: int) -> list[int]:
     return [int(line.split(",")[i]) for line in path.read_text().splitlines()[1:]]
 
 
-def _bundles(heard: list[tuple[int, str, float]]) -> Iterator[list[tuple[int, str, float]]]:
+def _bundles(ranges: list[tuple[int, str, float]]) -> Iterator[list[tuple[int, str, float]]]:
     bundle: list[tuple[int, str, float]] = []
-    for one in heard:
+    for one in ranges:
         if bundle and one[0] - bundle[0][0] >= BUNDLE_NS:
             yield bundle
             bundle = []
@@ -101,7 +101,7 @@ def hanyang_track(path: Path) -> Track:
 
 
 def authors_window(truth: Track) -> tuple[float, float]:
-    """Seconds between which their analysis counts (localization_error_analysis.py, trajectory A)."""
+    """Interval (s) of the authors' analysis (localization_error_analysis.py, trajectory A)."""
     x, y = truth.p_m.T
     first = int(np.argmax((x > 49.3) & (y > -5.0)))
     last = first + int(np.argmax((x[first:] <= 12.0) & (y[first:] > 3.4)))
@@ -138,18 +138,18 @@ def _between(odometry: Float64, ends: Float64, first_s: float, last_s: float) ->
 
 
 def plaza_step(increments: Float64, dt_s: float) -> OdometryStep:
-    """Way and turn of increments (n, 2) of distance and turn."""
+    """Odometry step of increments (n, 2) of distance and yaw."""
     forward, left, turn = compose(increments[:, 0], increments[:, 1])
-    way = float(np.sum(np.abs(increments[:, 0])))
+    path_m = float(np.sum(np.abs(increments[:, 0])))
     sigma = PLAZA_TURN_ROOT_S * np.sqrt(dt_s) + 0.01 * float(np.sum(np.abs(increments[:, 1])))
-    return OdometryStep(forward, left, turn, 0.005 + PLAZA_WHEEL * way, 0.005 + PLAZA_SIDE * way, float(sigma))
+    return OdometryStep(forward, left, turn, 0.005 + PLAZA_WHEEL * path_m, 0.005 + PLAZA_SIDE * path_m, float(sigma))
 
 
-def compose(way_m: Float64, turn_rad: Float64) -> tuple[float, float, float]:
-    """Forward, left and turn of a chain of small arcs."""
+def compose(distance_m: Float64, turn_rad: Float64) -> tuple[float, float, float]:
+    """Forward, left and yaw of a chain of small arcs."""
     end = np.cumsum(turn_rad)
     middle = end - 0.5 * turn_rad
-    return float(way_m @ np.cos(middle)), float(way_m @ np.sin(middle)), float(end[-1]) if len(end) else 0.0
+    return float(distance_m @ np.cos(middle)), float(distance_m @ np.sin(middle)), float(end[-1]) if len(end) else 0.0
 
 
 def tuc(folder: Path, config: TagSmootherConfig) -> tuple[Track, Track]:
@@ -175,7 +175,7 @@ def tuc(folder: Path, config: TagSmootherConfig) -> tuple[Track, Track]:
 
 
 def locate(anchors_m: Float64, range_m: Float64) -> Float64:
-    """The place (2,) that fits ranges to anchors (n, 2) best, searched from their middle."""
+    """Position (2,) of least residuals to anchors (n, 2), from their mean."""
 
     def residual(p_m: Float64) -> Float64:
         return np.asarray(np.linalg.norm(p_m - anchors_m, axis=1) - range_m)
@@ -197,9 +197,9 @@ def tuc_step(wheels: Float64, dt_s: float) -> OdometryStep:
 
 
 def report_hanyang(config: TagSmootherConfig) -> None:
-    """A table of the four runs in the authors' window and whole."""
+    """Prints a table of the four runs, in the authors' window and complete."""
     better = 0
-    print("Hanyang, RMSE in m     authors' window: ours   LS     ESKF  | whole: ours   LS     ESKF  | ms/keyframe")
+    print("Hanyang, RMSE in m     authors' window: ours   LS     ESKF  | complete: ours   LS     ESKF  | ms/keyframe")
     for run in HANYANG:
         folder = DATA / "hanyang-outdoor-uwb" / run
         began = time.thread_time()
@@ -208,15 +208,15 @@ def report_hanyang(config: TagSmootherConfig) -> None:
         truth = hanyang_track(folder / "trajectory.csv")
         tracks = (ours, hanyang_track(folder / "LS.csv"), hanyang_track(folder / "ESKF.csv"))
         parts = (authors_window(truth), (float(truth.t_s[0]), float(truth.t_s[-1])))
-        window, whole = ([rms(errors_m(t.between(*part), truth)) for t in tracks] for part in parts)
+        window, complete = ([rms(errors_m(t.between(*part), truth)) for t in tracks] for part in parts)
         better += window[0] < min(window[1:])
-        cells = [f"{v:6.3f}" for v in (*window, *whole)]
+        cells = [f"{v:6.3f}" for v in (*window, *complete)]
         print(f"  {run:36s} {' '.join(cells[:3])}  |       {' '.join(cells[3:])}  | {cpu_ms:.2f}", flush=True)
     print(f"  better than both in {better} of {len(HANYANG)} (bar: 3)")
 
 
 def report_plaza(config: TagSmootherConfig) -> None:
-    """RMSE over all ranges from the first on."""
+    """Prints the RMSE over all ranges."""
     began = time.thread_time()
     ours, truth = plaza(DATA / "plaza" / "Plaza1_.mat", config)
     cpu_ms = (time.thread_time() - began) / len(ours.t_s) * 1e3
@@ -229,17 +229,17 @@ def report_plaza(config: TagSmootherConfig) -> None:
 
 
 def report_tuc(config: TagSmootherConfig) -> None:
-    """RMSE over all ranges from the fifth on."""
+    """Prints the RMSE over all ranges from the fifth on."""
     ours, truth = tuc(DATA / "tuc-labyrinth-uwb" / "datasets" / "Indoor_UWB", config)
     e = errors_m(ours, truth)
-    print(f"TUC labyrinth: RMSE {rms(e):.3f} m, largest {e.max():.3f} m, {len(e)} ranges, start's heading unknown")
+    print(f"TUC labyrinth: RMSE {rms(e):.3f} m, largest {e.max():.3f} m, {len(e)} ranges, initial heading unknown")
 
 
 REPORTS = {"hanyang": report_hanyang, "plaza": report_plaza, "tuc": report_tuc}
 
 
 def main() -> None:
-    """Prints what was asked for."""
+    """Prints the selected reports."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--only", choices=sorted(REPORTS))
     parser.add_argument("--config", type=Path, default=CONFIGS / "uwb.yaml")

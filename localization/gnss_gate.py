@@ -32,6 +32,7 @@ class SolutionConfig(Config):
 class GnssConfig(Config):
     """Section `gnss` of map alignment."""
 
+    sensor: str = Field(description="key of `sensors.gnss` of the machine")
     rtk_fixed: SolutionConfig
     rtk_float: SolutionConfig
     ppp: SolutionConfig

@@ -27,7 +27,7 @@ from messages.motion import LidarLocalization, LidarOdometry
 from messages.node import All, Every, Inbox, Node, Output, Read
 from messages.sensors import GnssFix, ImuSample, UwbRanges, WheelSample
 
-IMU, WHEEL, GNSS = "imu", "wheel", "gnss/main"
+IMU, WHEEL = "imu", "wheel"
 
 
 class Localizer(Node):
@@ -40,14 +40,15 @@ class Localizer(Node):
         self, vehicle: Vehicle, datum: Datum, config: LocalizationConfig, shed: Shed | None = None,
         start: PoseConfig | None = None,
     ) -> None:  # fmt: skip
-        if "main" not in vehicle.sensors.gnss or vehicle.sensors.imu is None:
-            raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.gnss.main and sensors.imu")
+        receiver = config.map_alignment.gnss.sensor
+        if receiver not in vehicle.sensors.gnss or vehicle.sensors.imu is None:
+            raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.gnss.{receiver} and sensors.imu")
         self.name = "localizer"
         tags = vehicle.sensors.uwb if shed is not None and shed.anchors else {}
         self._uwb = tuple(f"uwb/{tag}" for tag in tags)
         sensor = config.lidar_odometry.sensor
-        self._lidar_odometry = f"lidar_odometry/{sensor}"
-        self.reads: Mapping[str, Read] = {IMU: All(200), WHEEL: All(100), GNSS: All(20)}
+        self._lidar_odometry, self._gnss = f"lidar_odometry/{sensor}", f"gnss/{receiver}"
+        self.reads: Mapping[str, Read] = {IMU: All(200), WHEEL: All(100), self._gnss: All(20)}
         if sensor in vehicle.sensors.lidar:
             self.reads = {**self.reads, self._lidar_odometry: All(20)}
         if vehicle.sensors.lidar:
@@ -57,7 +58,7 @@ class Localizer(Node):
         self.runs = Every(round(config.period_s * 1e9))
         self._config, self._datum = config, datum
         warm_up()
-        self._gnss_rate_hz = vehicle.sensors.gnss["main"].rate_hz
+        self._gnss_rate_hz = vehicle.sensors.gnss[receiver].rate_hz
         self._gyro_bias_sigma = bias_sigmas(vehicle.sensors.imu)[1]
         alignment, gravity_at = config.map_alignment, (datum.latitude_rad, datum.height_m)
         self._odometry = OdometryEstimator(vehicle, config.odometry, alignment.initial_alignment)
@@ -114,7 +115,7 @@ class Localizer(Node):
             self.dropped += not (self._is_timely(wheel.stamp_ns, now_ns) and self._odometry.add_wheels(wheel))
         for sample in inbox.all(IMU, ImuSample):
             self.dropped += not (self._is_timely(sample.stamp_ns, now_ns) and self._add_imu(sample))
-        for fix in inbox.all(GNSS, GnssFix):
+        for fix in inbox.all(self._gnss, GnssFix):
             self.dropped += not (self._is_timely(fix.stamp_ns, now_ns) and self._add_fix(fix))
         if self._lidar_odometry in self.reads:
             for motion in inbox.all(self._lidar_odometry, LidarOdometry):

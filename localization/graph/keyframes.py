@@ -73,9 +73,9 @@ class KeyframeBuilder:
         gnss: GnssConfig, smoother: SmootherConfig, initial_alignment: InitialAlignmentConfig,
         pose_measurement: PoseMeasurementConfig, range_gate: RangeGate | None,
     ) -> None:  # fmt: skip
-        imu, main = vehicle.sensors.imu, vehicle.sensors.gnss["main"]
+        imu, antenna = vehicle.sensors.imu, vehicle.sensors.gnss[gnss.sensor]
         assert imu is not None, "checked by the localizer"
-        self.lever_arms = LeverArms.of(imu, main.mount.xyz_m)
+        self.lever_arms = LeverArms.of(imu, antenna.mount.xyz_m)
         self._gravity = normal_gravity(*gravity_at)
         self._parameters = imu_parameters(imu, imu_track, self._gravity)
         self._bias_sigmas = bias_sigmas(imu)

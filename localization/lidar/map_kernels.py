@@ -38,7 +38,7 @@ def _slot(keys: Int64, key: int) -> int:
 
 @kernel
 def insert(
-    keys: Int64, sums: Float64, seen: Int64, points: Float64, pose: Float64, cell_m: float, max_count: float, scan: int
+    keys: Int64, sums: Float64, scans: Int64, points: Float64, pose: Float64, cell_m: float, max_count: float, scan: int
 ) -> int:
     """Adds points of scan number `scan` to the sums (n, x, y, xx, xy, yy about the cell corner), in place.
 
@@ -63,9 +63,9 @@ def insert(
         sums[k, 3] += u * u
         sums[k, 4] += u * v
         sums[k, 5] += v * v
-        if seen[k, 1] != scan:
-            seen[k, 0] += 1
-            seen[k, 1] = scan
+        if scans[k, 1] != scan:
+            scans[k, 0] += 1
+            scans[k, 1] = scan
     return added
 
 
@@ -141,7 +141,7 @@ def _accumulate(A: Float64, b: Float64, row: Float64, variance: float, lx: float
 
 @kernel
 def _normal_equations(
-    points: Float64, pose: Float64, faces: Float64, posts: Float64, keys: Int64, sums: Float64, seen: Int64,
+    points: Float64, pose: Float64, faces: Float64, posts: Float64, keys: Int64, sums: Float64, scans: Int64,
     cell_m: float, gate: float, sigma: float, max_thickness: float, robust_sigmas: float, min_scans: int,
     A: Float64, b: Float64,
 ) -> int:  # fmt: skip
@@ -159,7 +159,7 @@ def _normal_equations(
             found += 1
             continue
         k = _slot(keys, _key(x, y, points[i, 2], ex - x, ey - y, cell_m))
-        if keys[k] == EMPTY or seen[k, 0] < min_scans or sums[k, 0] < 2 * min_scans:
+        if keys[k] == EMPTY or scans[k, 0] < min_scans or sums[k, 0] < 2 * min_scans:
             continue
         directions = _learned_directions(x, y, cell_m, sums[k], max_thickness * max_thickness, out)
         if directions == 2 and _continues(
@@ -174,7 +174,7 @@ def _normal_equations(
 
 @kernel
 def _match(
-    points: Float64, guess: Float64, faces: Float64, posts: Float64, keys: Int64, sums: Float64, seen: Int64,
+    points: Float64, guess: Float64, faces: Float64, posts: Float64, keys: Int64, sums: Float64, scans: Int64,
     cell_m: float, gate: float, sigma: float, max_thickness: float, robust_sigmas: float, min_scans: int,
     iterations: int,
 ) -> tuple[Float64, Float64, int]:  # fmt: skip
@@ -182,7 +182,7 @@ def _match(
     found = 0
     for _ in range(iterations):
         found = _normal_equations(
-            points, pose, faces, posts, keys, sums, seen, cell_m, gate, sigma, max_thickness, robust_sigmas,
+            points, pose, faces, posts, keys, sums, scans, cell_m, gate, sigma, max_thickness, robust_sigmas,
             min_scans, A, b,
         )  # fmt: skip
         step = np.linalg.solve(A + 1e-3 * np.eye(3), b)
@@ -194,9 +194,9 @@ def _match(
 
 @kernel
 def _keep_near(
-    keys: Int64, sums: Float64, seen: Int64, x: float, y: float, cell_m: float, radius_m: float
+    keys: Int64, sums: Float64, scans: Int64, x: float, y: float, cell_m: float, radius_m: float
 ) -> tuple[Table, int]:
-    new_keys, new_sums, new_seen = np.full_like(keys, EMPTY), np.zeros_like(sums), np.zeros_like(seen)
+    new_keys, new_sums, new_scans = np.full_like(keys, EMPTY), np.zeros_like(sums), np.zeros_like(scans)
     count = 0
     for i in range(len(keys)):
         if keys[i] == EMPTY:
@@ -206,9 +206,9 @@ def _keep_near(
         if (cx - x) ** 2 + (cy - y) ** 2 > radius_m * radius_m:
             continue
         k = _slot(new_keys, keys[i])
-        new_keys[k], new_sums[k], new_seen[k] = keys[i], sums[i], seen[i]
+        new_keys[k], new_sums[k], new_scans[k] = keys[i], sums[i], scans[i]
         count += 1
-    return (new_keys, new_sums, new_seen), count
+    return (new_keys, new_sums, new_scans), count
 
 
 def keep_near(table: Table, at_m: tuple[float, float], cell_m: float, radius_m: float) -> tuple[Table, int]:
@@ -222,8 +222,8 @@ def match(
     iterations: int,
 ) -> tuple[Float64, Float64, int]:  # fmt: skip
     """Pose that matches points with surveyed faces (M, 6), posts (K, 3) and cells; information (3, 3) and count."""
-    (faces, posts), (keys, sums, seen) = surveyed, table
+    (faces, posts), (keys, sums, scans) = surveyed, table
     return _match(
-        points, guess, faces, posts, keys, sums, seen, cell_m, gate_m, sigma_m, max_thickness_m, robust_sigmas,
+        points, guess, faces, posts, keys, sums, scans, cell_m, gate_m, sigma_m, max_thickness_m, robust_sigmas,
         min_scans, iterations,
     )  # fmt: skip

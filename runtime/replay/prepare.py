@@ -151,7 +151,7 @@ def prepare(path: FilePath, truth: FilePath | None, vehicle: FilePath | None, co
     is_planned = recording.description.format == "headland" and {"path", "control_command"} <= inspection.streams.keys()
     site = site_of(path) if recording.description.format == "headland" else None
     truths = [t for t in inspection.streams if t.partition("/")[0] == "truth_objects"]
-    odometry = find_odometry_source(recording, inspection, machine, site, config.replay)
+    odometry = find_odometry_source(recording, inspection, machine, site, config)
     offset_ns = inspection.clock_offset_ns(config.replay.max_clock_offset_s)
     truth_topic = truths[0] if truths else None
     return ReplayInput(
@@ -175,21 +175,22 @@ def find_odometry_source(
     inspection: LogInspection,
     machine: RecordingMachine,
     site: RecordingSite | None,
-    config: ReplayConfig,
+    config: Configuration,
 ) -> OdometrySource:
     """Best odometry available for the log."""
     streams, sensors = inspection.streams, machine.vehicle.sensors
-    own = {"imu", "wheel", "gnss/main"} <= streams.keys()
-    if own and sensors.imu is not None and sensors.wheels is not None and "main" in sensors.gnss:
-        if inspection.standstill_s >= config.min_standstill_s and site is not None:
-            return OdometrySource("localizer", "imu wheel gnss/main", "odometry: recomputed by the localizer")
+    gnss = config.stack.localization.map_alignment.gnss.sensor
+    own = {"imu", "wheel", f"gnss/{gnss}"} <= streams.keys()
+    if own and sensors.imu is not None and sensors.wheels is not None and gnss in sensors.gnss:
+        if inspection.standstill_s >= config.replay.min_standstill_s and site is not None:
+            return OdometrySource("localizer", f"imu wheel gnss/{gnss}", "odometry: recomputed by the localizer")
         if {"odom", "map_pose"} <= streams.keys():
             note = "odometry: from the log, because the localizer needs a standstill at the start"
             return OdometrySource("record", "odom map_pose", note)
     for topic in sorted(t for t in streams if t.partition("/")[0] == "odom"):
         if child_pose(recording, machine, topic) is not None:
             messages = [m for _, t, m in recording.read() if t == topic and isinstance(m, Odometry)]
-            if len(messages) > 2 and is_steady(messages, config.max_pose_jump_m):
+            if len(messages) > 2 and is_steady(messages, config.replay.max_pose_jump_m):
                 return OdometrySource("topic", topic, f"odometry: {topic} of the log")
     lidar = next(iter(machine.lidars.values()))
     return OdometrySource("scans", "", f"no usable speed: replaced by planar lidar odometry from {lidar}")

@@ -88,8 +88,8 @@ def run(messages, seconds=None, localizer=None, start_ns=START_NS, lidar=None, l
 
 def _map_step(lidar_map, stamp_ns, odom, poses):
     node, simulate = lidar_map
-    seen = simulate(stamp_ns) or {}
-    due = [(f"{kind}/{s}", m) for s, pair in seen.items() for kind, m in zip(("lidar", "ground"), pair, strict=True)]
+    scans = simulate(stamp_ns) or {}
+    due = [(f"{kind}/{s}", m) for s, pair in scans.items() for kind, m in zip(("lidar", "ground"), pair, strict=True)]
     due += [("map_pose", poses[-1])] if poses else []
     return list(node.step(stamp_ns + 80_000_000, StubInbox(due, [("odom", m) for m in odom[-60:]])))
 

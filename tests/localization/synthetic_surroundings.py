@@ -35,8 +35,8 @@ def scan(truth: Truth, stamp_ns: int, world: np.ndarray, rng: np.random.Generato
     T_base_lidar = tractor().sensors.lidar["front"].mount.T_base_sensor
     T_end = truth.at(stamp_ns) @ T_base_lidar
     T_start = truth.at(stamp_ns - 100_000_000) @ T_base_lidar
-    seen = (world - T_end[:3, 3]) @ T_end[:3, :3]
-    share = np.arctan2(seen[:, 1], seen[:, 0]) / (2 * np.pi) - 0.5  # of the sweep, before its end
+    in_lidar = (world - T_end[:3, 3]) @ T_end[:3, :3]
+    share = np.arctan2(in_lidar[:, 1], in_lidar[:, 0]) / (2 * np.pi) - 0.5  # of the sweep, before its end
     turn = Rotation.from_matrix(T_end[:3, :3].T @ T_start[:3, :3]).as_rotvec()
     R = Rotation.from_matrix(T_end[:3, :3]) * Rotation.from_rotvec(-share[:, None] * turn)
     origin = T_end[:3, 3] - share[:, None] * (T_start[:3, 3] - T_end[:3, 3])

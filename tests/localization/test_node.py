@@ -11,6 +11,7 @@ import pytest
 
 from localization.graph.smoother import Smoother
 from localization.localizer import Localizer
+from messages.errors import ConfigError
 from messages.faults import Response
 from messages.motion import PositionSource
 from messages.sensors import GnssSolution
@@ -257,9 +258,22 @@ def test_realignment_at_standstill():
 
 
 def test_vehicle_without_wheels_raises():
-    from messages.errors import ConfigError
-
     v = tractor()
     bare = v.model_copy(update={"sensors": v.sensors.model_copy(update={"wheels": None})})
     with pytest.raises(ConfigError, match=r"sensors\.wheels"):
         Localizer(bare, DATUM, configuration())
+
+
+def test_unknown_gnss_sensor_raises():
+    config = configuration()
+    gnss = config.map_alignment.gnss.model_copy(update={"sensor": "roof"})
+    alignment = config.map_alignment.model_copy(update={"gnss": gnss})
+    with pytest.raises(ConfigError, match=r"sensors\.gnss\.roof"):
+        Localizer(tractor(), DATUM, config.model_copy(update={"map_alignment": alignment}))
+
+
+def test_lidar_sensor_from_configuration():
+    config = configuration()
+    rear = config.model_copy(update={"lidar_odometry": config.lidar_odometry.model_copy(update={"sensor": "rear"})})
+    assert "lidar_odometry/front" in Localizer(tractor(), DATUM, config).reads
+    assert "lidar_odometry/rear" in Localizer(tractor(), DATUM, rear).reads

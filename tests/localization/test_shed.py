@@ -41,9 +41,9 @@ def driven(truth, uwb_errors=UWB_ERRORS, has_lidar=True, start=NARROW, change=la
     node = Localizer(tagged(), DATUM, CONFIG, shed(), start)
     rng, mapped = np.random.default_rng(0), None
     if has_lidar:
-        seen = LidarMap(tagged(), harrow(), shed(), CONFIG.lidar_map)
+        lidar_map = LidarMap(tagged(), harrow(), shed(), CONFIG.lidar_map)
         mapped = (
-            seen,
+            lidar_map,
             lambda t: {s: simulate_scan(truth, t, s, rng) for s in ("front", "rear")} if t > START_NS + 2e8 else None,
         )
     kept = [m for m in map(change, messages(truth, uwb_errors)) if m is not None]
@@ -82,19 +82,19 @@ def test_docking_accuracy_and_integrity() -> None:
 
 def test_position_source() -> None:
     truth, result = out_and_back()
-    placed = [p for p in result.poses if p.is_initialized]
-    assert placed[0].stamp_ns < START_NS + 3_000_000_000
-    assert math.isinf(placed[0].gnss_age_s)
-    for p in placed:
+    poses = [p for p in result.poses if p.is_initialized]
+    assert poses[0].stamp_ns < START_NS + 3_000_000_000
+    assert math.isinf(poses[0].gnss_age_s)
+    for p in poses:
         free = is_open(truth, p.stamp_ns)
         assert p.source in ((PositionSource.RTK_FIXED, PositionSource.UWB) if free else tuple(PositionSource)[3:])
-    ages = np.array([p.uwb_age_s for p in placed])
+    ages = np.array([p.uwb_age_s for p in poses])
     assert np.quantile(ages, 0.95) < 0.9  # keyframes wait 0.3 s for fixes and are 0.2 s apart
     assert np.max(ages) < 1.9  # four of six anchors blocked
-    sources = {p.source for p in placed}
+    sources = {p.source for p in poses}
     assert sources == {PositionSource.UWB, PositionSource.RTK_FIXED}
-    assert placed[-1].source is PositionSource.UWB
-    assert placed[-1].gnss_age_s > 2.0
+    assert poses[-1].source is PositionSource.UWB
+    assert poses[-1].gnss_age_s > 2.0
 
 
 def test_odom_is_continuous_across_handover() -> None:
@@ -112,8 +112,8 @@ def test_odom_is_continuous_across_handover() -> None:
 
 def test_map_alignment_rate_limit() -> None:
     _, result = out_and_back()
-    placed = [p for p in result.poses if p.is_initialized and p.stamp_ns > START_NS + 6_000_000_000]
-    for a, b in itertools.pairwise(placed):
+    poses = [p for p in result.poses if p.is_initialized and p.stamp_ns > START_NS + 6_000_000_000]
+    for a, b in itertools.pairwise(poses):
         moved = np.linalg.inv(a.T_map_odom @ np.linalg.inv(a.T_map_odom) @ a.T_map_base) @ (
             b.T_map_odom @ np.linalg.inv(a.T_map_odom) @ a.T_map_base
         )

@@ -95,7 +95,7 @@ def test_predict_leaves_no_residual(motion: MotionModel) -> None:
 
 
 def test_marginalisation_keeps_covariance() -> None:
-    """At the optimum the covariance of what remains is the same with and without the oldest keyframe."""
+    """At the optimum the covariance of the remaining states is the same with and without the oldest keyframe."""
     motion, wide = ConstantVelocityModel(0.2), RobustWeighting(0.1, 1e6, 1e6)
     s = WindowModel(motion, WHERE, np.zeros(2), 1.0, wide)
     w = solve(s, window(motion), 30)
