@@ -262,14 +262,14 @@ def _evaluate(task: Task) -> dict[str, Any]:
         replay(replay_input, [observer, write])
     observed = observer.finish()
     values = evaluate_log(task.name, observed, setting.truth_frame is not None, conditions)
-    pictures = {}
+    figures = {}
     for encounter in values["encounters"]:
         if setting.truth_frame is not None:
             png = encounter_figure(
                 encounter, observed, setting.front_m, setting.width_m, conditions.corridor.min_returns
             )
-            pictures[f"{task.name}: {encounter['role']}, {encounter['outcome']}"] = base64.b64encode(png).decode()
-    return values | {"inspection": inspection, "digest": log.digest(), "pictures": pictures}
+            figures[f"{task.name}: {encounter['role']}, {encounter['outcome']}"] = base64.b64encode(png).decode()
+    return values | {"inspection": inspection, "digest": log.digest(), "figures": figures}
 
 
 def _finish(folder: RunFolder, results: list[dict[str, Any]], conditions: Any) -> dict[str, Any]:
@@ -280,11 +280,11 @@ def _finish(folder: RunFolder, results: list[dict[str, Any]], conditions: Any) -
     result = aggregate(results, conditions) | {"run_dir": str(folder.path)}
     for name in ("encounters", "stops", "recall"):
         write_table(folder.path / f"{name}.parquet", name, result[name])
-    pictures = {t: base64.b64decode(png) for values in results for t, png in values.get("pictures", {}).items()}
+    figures = {t: base64.b64decode(png) for values in results for t, png in values.get("figures", {}).items()}
     inspections = [values["inspection"] for values in results if "inspection" in values]
-    (folder.path / "report.html").write_text(render(result, inspections, pictures), encoding="utf-8")
+    (folder.path / "report.html").write_text(render(result, inspections, figures), encoding="utf-8")
     for values in results:
-        record = {k: v for k, v in values.items() if k not in ("pictures", "key")}
+        record = {k: v for k, v in values.items() if k not in ("figures", "key")}
         folder.record("log", record)
     folder.record("result", {"result": result})
     folder.finish()
