@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from configs.strict import parse, read_yaml
-from messages.message import Float64, Int64, UInt8
+from geometry.arrays import Float64, Int64, UInt8
 from perception.camera.boxes import Boxes, Candidates, area, intersection, iou, non_max_suppression
 from perception.camera.classes import COCO, GROUPS, MEMBERS, group_scores
 from perception.camera.detector import Detector, DetectorConfig, load_detector

@@ -22,8 +22,8 @@ from benchmarks.camera import MODEL, configured, grouped
 from configs.site import Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import Camera, Mount, Vehicle
+from geometry.arrays import Float64, UInt8
 from geometry.transforms import apply, invert
-from messages.message import Float64, UInt8
 from messages.perception import ObstacleClass
 from perception.camera.boxes import Boxes, iou, non_max_suppression
 from perception.camera.classes import GROUPS

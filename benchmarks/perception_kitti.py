@@ -30,7 +30,7 @@ from benchmarks.perception_scoring import (
     recall,
     thin,
 )
-from messages.message import Float32
+from geometry.arrays import Float32
 
 NOISE = 2000
 

@@ -10,11 +10,10 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from configs.strict import CONFIGS, parse, read_yaml
 from configs.vehicle import Lidar, Vehicle
-from messages.message import Float32, Float64
+from geometry.arrays import Bool, Float32, Float64
 from messages.sensors import LidarScan
 from perception.fusion.tracks import TrackerConfig
 from perception.lidar.obstacles import LidarConfig
@@ -106,7 +105,7 @@ class Label:
     height_m: float
     T_box_lidar: Float64
 
-    def contains(self, points_m: Float32, grow_m: float = 0.0) -> npt.NDArray[np.bool_]:
+    def contains(self, points_m: Float32, grow_m: float = 0.0) -> Bool:
         """Which points (N, 3) of the lidar's frame lie in the box enlarged by `grow_m`."""
         p = points_m @ self.T_box_lidar[:3, :3].T.astype(np.float32) + self.T_box_lidar[:3, 3].astype(np.float32)
         level = (np.abs(p[:, 0]) <= self.length_m / 2 + grow_m) & (np.abs(p[:, 1]) <= self.width_m / 2 + grow_m)

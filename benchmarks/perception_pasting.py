@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.perception_kitti_data import FRAMES, Label, frame, labels
 from benchmarks.perception_scoring import perceive, strict
-from messages.message import Float32
+from geometry.arrays import Float32
 
 SENSOR_Z_M = 1.73
 FOOT_M = 0.1  # below, a cut contains more road than person

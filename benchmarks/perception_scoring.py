@@ -23,8 +23,9 @@ from benchmarks.perception_kitti_data import (
     scan_of,
     sensor,
 )  # fmt: skip
+from geometry.arrays import Float32, Float64
 from geometry.transforms import invert
-from messages.message import Float32, Float64, Message
+from messages.message import Message
 from messages.motion import Odometry
 from messages.perception import LidarGround, Obstacles, Tracks
 from perception.fusion.tracker import Tracker

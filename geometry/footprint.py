@@ -5,7 +5,7 @@ import numpy.typing as npt
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from geometry.arrays import Float64
+from geometry.arrays import Bool, Float64
 from geometry.rectangle import Rectangle
 
 Bodies = tuple[Rectangle, ...]
@@ -24,7 +24,7 @@ def footprints(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> npt.ND
     return np.stack(columns, axis=1)
 
 
-def is_inside(bodies: Bodies, p_map_m: Float64, heading_rad: Float64, allowed: BaseGeometry) -> npt.NDArray[np.bool_]:
+def is_inside(bodies: Bodies, p_map_m: Float64, heading_rad: Float64, allowed: BaseGeometry) -> Bool:
     """Whether all bodies lie completely within `allowed` at each pose, (N,)."""
     shapely.prepare(allowed)
     return np.asarray(shapely.covers(allowed, footprints(bodies, p_map_m, heading_rad)).all(axis=1), np.bool_)

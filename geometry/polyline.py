@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from geometry.arrays import Float64 as Float64
+from geometry.arrays import Float64
 
 
 def arc_length(points_m: Float64) -> Float64:

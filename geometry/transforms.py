@@ -5,7 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from geometry.arrays import Float64 as Float64
+from geometry.arrays import Float64
 
 
 def transform(p_m: npt.ArrayLike, rpy_rad: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Float64:

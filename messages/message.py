@@ -6,13 +6,6 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from geometry.arrays import Float32 as Float32
-from geometry.arrays import Float64 as Float64
-from geometry.arrays import Int32 as Int32
-from geometry.arrays import Int64 as Int64
-from geometry.arrays import UInt8 as UInt8
-from geometry.arrays import UInt16 as UInt16
-
 
 @cache
 def _array_dtypes(cls: type[Any]) -> tuple[tuple[str, np.dtype[Any]], ...]:

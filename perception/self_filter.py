@@ -1,11 +1,10 @@
 """Self filter: outline of machine and implement, inside which measurements are no obstacles."""
 
 import numpy as np
-import numpy.typing as npt
 
 from configs.vehicle import FOLDED, Implement, Vehicle, outlines
+from geometry.arrays import Bool, Float64
 from messages.command import MachineState
-from messages.message import Float64
 
 
 def is_folded(machine: MachineState | None) -> bool:
@@ -28,7 +27,7 @@ def own_outline(vehicle: Vehicle, implement: Implement | None, margin_m: float =
     return np.array(corners, np.float64)
 
 
-def is_inside(p_base_m: Float64, corners: Float64) -> npt.NDArray[np.bool_]:
+def is_inside(p_base_m: Float64, corners: Float64) -> Bool:
     """Whether points (N, 2) lie in any of the rectangles (K, 2, 2)."""
     p = p_base_m[:, None, :2]
     within = np.logical_and(p > corners[:, 0], p < corners[:, 1])

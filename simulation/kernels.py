@@ -5,8 +5,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from geometry.arrays import Float32, Float64, UInt8, UInt16
 from geometry.jit import kernel
-from messages.message import Float32, Float64, UInt8, UInt16
 
 UInt32 = npt.NDArray[np.uint32]
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from geometry.arrays import Float64, UInt8
+from geometry.arrays import Float32, Float64, UInt8
 from messages.errors import LogError
 from messages.sensors import LidarScan
 
@@ -52,7 +52,7 @@ def scan_of_points(points: npt.NDArray[Any], stamp_ns: int) -> LidarScan:
 
 def list_scan(
     stamp_ns: int,
-    xyz_m: npt.NDArray[np.float32],
+    xyz_m: Float32,
     intensity: UInt8 | None = None,
     offset_s: npt.NDArray[np.floating] | None = None,
 ) -> LidarScan:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from geometry.arrays import Bool, Float64
 from messages.sensors import RadarScan
 
 METHOD = 336
@@ -55,7 +56,7 @@ class DetectionList:
 
     stamp_ns: int
     is_synchronized: bool
-    mount: npt.NDArray[np.float64]
+    mount: Float64
     detections: npt.NDArray[Any]
     doppler_limits_mps: tuple[float, float]
     alignment_rad: tuple[float, float]
@@ -76,7 +77,7 @@ def decode_detections(datagram: bytes) -> DetectionList | None:
     return DetectionList(stamp_ns, sync == SYNCHRONIZED, mount, detections, (low, high), (azimuth, elevation))
 
 
-def is_invalid(detections: npt.NDArray[Any], field: str) -> npt.NDArray[np.bool_]:
+def is_invalid(detections: npt.NDArray[Any], field: str) -> Bool:
     """Whether the device marks a field of `INVALID` of each detection (N,) as invalid."""
     return np.asarray(detections["invalid"] >> INVALID.index(field) & 1 == 1)
 

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Vehicle
-from geometry.arrays import Float64
+from geometry.arrays import Bool, Float64
 from geometry.transforms import apply, interpolate, invert
 from localization.lidar.scan_matching import Match, MatchingConfig, ScanMatcher, deskew
 from messages.errors import ConfigError
@@ -106,7 +106,7 @@ class LidarOdometryNode(Node):
             np.asarray(kept, np.float64), scan.point_offset_s[obstacle][use].astype(np.float64), sweep, self._sweep_s
         )
 
-    def _is_own(self, p_base_m: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    def _is_own(self, p_base_m: npt.NDArray[np.floating]) -> Bool:
         cfg, body = self._config, self._body
         x, y = p_base_m[:, 0], np.abs(p_base_m[:, 1])
         on_body = (

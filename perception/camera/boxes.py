@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from messages.message import Float32, Float64, Int64
+from geometry.arrays import Float32, Float64, Int64
 
 
 @dataclass(frozen=True)

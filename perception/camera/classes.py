@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from messages.message import Float32, Float64
+from geometry.arrays import Float32, Float64
 from messages.perception import ObstacleClass
 
 COCO = (

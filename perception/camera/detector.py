@@ -16,8 +16,8 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.arrays import Float32, UInt8
 from messages.errors import ConfigError
-from messages.message import Float32, UInt8
 from perception.camera.boxes import Candidates, area, intersection
 from perception.camera.classes import COCO
 from perception.camera.networks import Network, recognize

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from configs.vehicle import Camera
-from messages.message import Float64, UInt8
+from geometry.arrays import Float64, UInt8
 from messages.motion import Odometry
 from messages.node import Every, Inbox, Latest, Node, Output
 from messages.perception import HealthState, Obstacles, SensorHealth

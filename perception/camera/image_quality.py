@@ -9,14 +9,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from configs.strict import Config
-from messages.message import Float32, UInt8
+from geometry.arrays import Bool, Float32, UInt8
 from messages.perception import HealthState
 
-Bools = npt.NDArray[np.bool_]
 ROWS = 6  # cells over the height of the image
 
 
@@ -81,7 +79,7 @@ def sharpness(half: Float32, quarter: Float32) -> float:
     return float(fine / max(float(coarse), 1e-3))
 
 
-def covered_sectors(quarter: Float32, horizon: float, config: ImageQualityConfig) -> Bools:
+def covered_sectors(quarter: Float32, horizon: float, config: ImageQualityConfig) -> Bool:
     """Which sectors (S,), from right to left, are flat in most cells below the `horizon` (0 top, 1 bottom)."""
     height, width = quarter.shape
     cell_h, cell_w = height // ROWS, width // config.sectors

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from messages.message import Float32, Float64
+from geometry.arrays import Float32, Float64
 from perception.camera.boxes import Candidates
 
 Shape = tuple[int, ...]

@@ -7,8 +7,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Camera, Implement, Vehicle
+from geometry.arrays import Float64, Int64, UInt8
 from messages.command import MachineState
-from messages.message import Float64, Int64, UInt8
 from messages.node import Inbox, Latest, Node, On, Output
 from messages.perception import Obstacles
 from messages.sensors import CameraImage

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Camera
-from messages.message import Float64, Int64
+from geometry.arrays import Float64, Int64
 from messages.perception import ObstacleClass
 from perception.camera.boxes import Boxes
 from perception.camera.classes import GROUPS

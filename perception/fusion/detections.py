@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
 from configs.sensor_kinds import SENSOR_KINDS, require_kinds
 from configs.strict import Config
+from geometry.arrays import Bool, Float64
 from geometry.transforms import apply, yaw_of
-from messages.message import Float64
 from messages.perception import Obstacles
 from perception.fusion.kalman import box_noise
 from perception.fusion.static_occupancy import StaticOccupancy
@@ -41,7 +40,7 @@ class NoiseConfig(Config):
     strip_m: float = Field(gt=0.0, le=20.0, description="length of a thin box that may be a section of a fence or wall")
     strip_ratio: float = Field(gt=0.0, lt=1.0, description="greatest width of such a strip over its length")
 
-    def is_strip(self, size_m: Float64) -> npt.NDArray[np.bool_]:
+    def is_strip(self, size_m: Float64) -> Bool:
         """Which boxes (K,) may be strips: their visible ends move with the view, so their centres show no motion."""
         return np.asarray((size_m[:, 0] >= self.strip_m) & (size_m[:, 1] <= self.strip_ratio * size_m[:, 0]))
 
@@ -97,7 +96,7 @@ def to_odom(
     )  # fmt: skip
 
 
-def evidence_of(obstacles: Obstacles, kind: KindConfig, is_lidar: bool) -> npt.NDArray[np.float64]:
+def evidence_of(obstacles: Obstacles, kind: KindConfig, is_lidar: bool) -> Float64:
     """Evidence (K,): lidar by number of returns, camera by score, others constant."""
     if is_lidar:
         counts = np.diff(obstacles.offsets).astype(np.float64)

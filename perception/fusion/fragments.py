@@ -8,16 +8,14 @@ others  their position is less accurate: a detection that may lie within the box
 import math
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.arrays import Bool, Float64, Int64
 from geometry.jit import kernel
-from messages.message import Float64, Int64
 from messages.perception import ObstacleClass
 
 VEHICLE = tuple(ObstacleClass).index(ObstacleClass.VEHICLE)
-Bools = npt.NDArray[np.bool_]
 
 
 class FragmentsConfig(Config):
@@ -30,10 +28,10 @@ class FragmentsConfig(Config):
 
 
 def is_fragment(
-    p_m: Float64, S: Float64, velocity_mps: Float64, body_length_m: Float64, size_m: Float64, is_lidar: Bools,
+    p_m: Float64, S: Float64, velocity_mps: Float64, body_length_m: Float64, size_m: Float64, is_lidar: Bool,
     parents: "ParentTracks",
     config: FragmentsConfig,
-) -> Bools:  # fmt: skip
+) -> Bool:  # fmt: skip
     """Whether each of K detections or tracks is a fragment of each of H parents, (K, H).
 
     Only the first two columns of the positions `p_m` (K, ..) and the first block of their covariances `S` are used;
@@ -50,10 +48,10 @@ def is_fragment(
 
 @kernel
 def _find_fragments(
-    p: Float64, S: Float64, velocity: Float64, body: Float64, size: Float64, is_lidar: Bools,
+    p: Float64, S: Float64, velocity: Float64, body: Float64, size: Float64, is_lidar: Bool,
     parents_p: Float64, parents_size: Float64, cosine: Float64, sine: Float64, parents_velocity: Float64,
-    is_vehicle: Bools,
-    margin: float, gate: float, agree: float, max_size_ratio: float, found: Bools,
+    is_vehicle: Bool,
+    margin: float, gate: float, agree: float, max_size_ratio: float, found: Bool,
 ) -> None:  # fmt: skip
     for i in range(found.shape[0]):
         a, b, d = S[i, 0, 0], S[i, 0, 1], S[i, 1, 1]
@@ -88,7 +86,7 @@ class ParentTracks:
     """Lidar tracks as boxes, H rows: `row` in the table, position, size, yaw, velocity, and which are vehicles."""
 
     def __init__(
-        self, row: Int64, p_m: Float64, size_m: Float64, yaw_rad: Float64, velocity_mps: Float64, is_vehicle: Bools
+        self, row: Int64, p_m: Float64, size_m: Float64, yaw_rad: Float64, velocity_mps: Float64, is_vehicle: Bool
     ) -> None:
         self.row, self.p_m, self.size_m = row, p_m, size_m
         self.cosine, self.sine = np.cos(yaw_rad), np.sin(yaw_rad)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from geometry.arrays import Float64
 from geometry.jit import kernel
-from messages.message import Float64
 
 EYE = np.eye(4)
 

@@ -8,12 +8,11 @@ which bounds the speed.
 import math
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.arrays import Bool, Float32, Float64, Int32, Int64
 from geometry.jit import kernel
-from messages.message import Float32, Float64, Int32, Int64
 
 WIDTH = 640  # cells; the grid is a torus, so that it need not be shifted
 
@@ -60,9 +59,7 @@ class StaticOccupancy:
         bound = np.where(length_m > c.structure_length_m, 0.0, bound)
         return np.where(share >= 0.5, bound, np.inf)
 
-    def contradicts_motion(
-        self, p_m: Float64, velocity_mps: Float64, size_m: Float64, stamp_ns: int
-    ) -> npt.NDArray[np.bool_]:
+    def contradicts_motion(self, p_m: Float64, velocity_mps: Float64, size_m: Float64, stamp_ns: int) -> Bool:
         """Whether the path behind bodies (T,) is still occupied, which contradicts their velocity.
 
         Of `p_m` (T, ..) only the first two columns are used.
@@ -116,7 +113,7 @@ def _observe(
 @kernel
 def _check_trail(
     p: Float64, velocity: Float64, size: Float64, stamp_ns: int, cell_m: float, trail_s: float, max_share: float,
-    key: Int64, last: Int64, contradicts: npt.NDArray[np.bool_],
+    key: Int64, last: Int64, contradicts: Bool,
 ) -> None:  # fmt: skip
     for k in range(p.shape[0]):
         speed = math.hypot(velocity[k, 0], velocity[k, 1])

@@ -3,12 +3,11 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
 from configs.strict import Config
-from messages.message import Float64, Int64
+from geometry.arrays import Bool, Float64, Int64
 from messages.perception import ObstacleClass
 from perception.fusion.detections import Detections, KindConfig, KindConfigs, NoiseConfig
 from perception.fusion.fragments import VEHICLE, FragmentsConfig, ParentTracks, is_fragment
@@ -153,7 +152,7 @@ def match(table: TrackTable, detections: Detections, config: TrackerConfig) -> t
     return tracks[is_valid].astype(np.int64), columns[is_valid].astype(np.int64)
 
 
-def _agrees(table: TrackTable, detections: Detections, config: TrackerConfig) -> npt.NDArray[np.bool_]:
+def _agrees(table: TrackTable, detections: Detections, config: TrackerConfig) -> Bool:
     """Whether measured velocity and body size agree with the tracks, (T, K); unknown values agree."""
     if detections.is_lidar:
         return np.ones((len(table.id), len(detections.yaw_rad)), np.bool_)
@@ -194,12 +193,12 @@ def nanoseconds(seconds: float) -> int:
     return round(seconds * 1e9)
 
 
-def is_vehicle(class_evidence: Float64) -> npt.NDArray[np.bool_]:
+def is_vehicle(class_evidence: Float64) -> Bool:
     """Whether the most likely class is a vehicle, (T,), from class evidence (T, 7)."""
     return np.asarray(class_evidence.argmax(axis=1) == VEHICLE) if len(class_evidence) else np.zeros(0, np.bool_)
 
 
-def is_moving_class(class_evidence: Float64) -> npt.NDArray[np.bool_]:
+def is_moving_class(class_evidence: Float64) -> Bool:
     """Whether the most likely class moves (person, animal, vehicle), (T,), from class evidence (T, 7)."""
     return np.asarray(MOVING_CLASSES[class_evidence.argmax(axis=1)]) if len(class_evidence) else np.zeros(0, np.bool_)
 
@@ -220,7 +219,7 @@ def parent_tracks(table: TrackTable, lidars: int, config: TrackerConfig) -> Pare
     )  # fmt: skip
 
 
-def measured_by_lidar(table: TrackTable, lidars: int, config: TrackerConfig) -> npt.NDArray[np.bool_]:
+def measured_by_lidar(table: TrackTable, lidars: int, config: TrackerConfig) -> Bool:
     """Whether a lidar measured the boxes (T,) within `lost_s`; otherwise only other sensors kept the track."""
     is_fresh = table.last_ns - table.box_measured_ns <= nanoseconds(config.lost_s)
     return np.asarray((table.sensors & lidars != 0) & is_fresh)
@@ -256,7 +255,7 @@ def velocities(table: TrackTable, config: TrackerConfig) -> Float64:
     return np.where(moves[:, None], table.x[:, 2:], 0.0)
 
 
-def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> npt.NDArray[np.bool_]:
+def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> Bool:
     """Whether velocities (T,) are significant against their uncertainty."""
     v, S = x[:, 2:], P[:, 2:, 2:]
     a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
@@ -264,7 +263,7 @@ def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> npt.NDArray[np.b
     return np.asarray(d2 >= config.moving_sigma**2)
 
 
-def is_upright(size_m: Float64, label: Int64) -> npt.NDArray[np.bool_]:
+def is_upright(size_m: Float64, label: Int64) -> Bool:
     """Which tracks (T,) are posts or wall edges: the edge of a wall seen end-on moves along the wall with the view."""
     is_slender = (label == POLE) | (label == UNKNOWN) & (size_m[:, 0] <= SLENDER_M)
     return np.asarray(is_slender & (size_m[:, 2] > PERSON_HEIGHT_M))

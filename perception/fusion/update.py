@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from messages.message import Float64, Int64
+from geometry.arrays import Bool, Float64, Int64
 from perception.fusion.detections import Detections
-from perception.fusion.fragments import Bools, shift_center
+from perception.fusion.fragments import shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.static_occupancy import StaticOccupancy
 from perception.fusion.tracks import TrackerConfig, TrackTable, is_moving, is_vehicle, nanoseconds
@@ -50,7 +50,7 @@ def update(
 
 
 def _update_boxes(
-    table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, is_piece: Bools, fixed: Bools, lidars: int
+    table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, is_piece: Bool, fixed: Bool, lidars: int
 ) -> None:
     """Updates height, size and yaw in place; only lidar returns measure a box, other sensors estimate it."""
     size = detections.size_m[rows]
@@ -65,7 +65,7 @@ def _update_boxes(
 
 
 def _add_evidence(
-    table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, is_piece: Bools, config: TrackerConfig
+    table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, is_piece: Bool, config: TrackerConfig
 ) -> None:
     """Adds evidence of existence and of class in place; echoes and fragments carry no class."""
     evidence = np.minimum(detections.evidence[rows], detections.kind.evidence)
@@ -89,7 +89,7 @@ def _confirm_motion(table: TrackTable, tracks: Int64, z: Float64, stamp_ns: int,
     table.motion_origin_m[tracks[starts]] = z[starts]
 
 
-def _is_structure(size_m: Float64, config: TrackerConfig) -> Bools:
+def _is_structure(size_m: Float64, config: TrackerConfig) -> Bool:
     """Whether lidar boxes (K,) are likely sections of a fence or wall."""
     return np.asarray(config.noise.is_strip(size_m) | (size_m[:, 0] > config.static_occupancy.structure_length_m))
 
@@ -99,8 +99,8 @@ def _reset_velocity(
     P: Float64,
     detections: Detections,
     rows: Int64,
-    fixed: Bools,
-    was_lost: Bools,
+    fixed: Bool,
+    was_lost: Bool,
     config: TrackerConfig,
 ) -> None:
     """Resets position of structures (their centre moves with the view) and velocity of lost tracks, in place."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.jit import kernel
-from messages.message import Float32, Float64, Int32, UInt8
 from perception.lidar.clusters import Clusters
 
 DIRECTIONS = 16  # directions of the extreme returns; an error of 11° shortens a side by 2 %

@@ -1,9 +1,8 @@
 """Class scores of a single cluster from its shape; the tracker adds motion."""
 
 import numpy as np
-import numpy.typing as npt
 
-from messages.message import Float64
+from geometry.arrays import Float64
 from messages.perception import ObstacleClass
 
 CLASSES = tuple(ObstacleClass)
@@ -29,5 +28,5 @@ def class_scores(size_m: Float64, top_m: Float64) -> Float64:
     return np.asarray(scores / scores.sum(axis=1, keepdims=True), np.float64)
 
 
-def _trapezoid(x: Float64, a: float, b: float, c: float, d: float) -> npt.NDArray[np.float64]:
+def _trapezoid(x: Float64, a: float, b: float, c: float, d: float) -> Float64:
     return np.clip(np.minimum((x - a) / (b - a), (d - x) / (d - c)), 0.0, 1.0)

@@ -8,12 +8,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.arrays import Bool, Float32, Float64, Int32, UInt8
 from geometry.jit import kernel
-from messages.message import Float32, Float64, Int32, UInt8
 
 
 class ClusterConfig(Config):
@@ -43,7 +42,7 @@ class Clusters:
     indices: Int32
 
 
-def select(clusters: Clusters, wanted: npt.NDArray[np.bool_]) -> Clusters:
+def select(clusters: Clusters, wanted: Bool) -> Clusters:
     """The clusters selected by the mask `wanted` (K,)."""
     sizes = np.diff(clusters.offsets)
     offsets = np.concatenate([[0], np.cumsum(sizes[wanted])]).astype(np.int32)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from configs.vehicle import Lidar
-from messages.message import Float64
+from geometry.arrays import Float64
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.jit import kernel
-from messages.message import Float32, Float64, Int32, UInt8
 
 TABLE_M = 0.25  # resolution of the table from range to bin
 ZERO, ONE = np.float32(0.0), np.float32(1.0)

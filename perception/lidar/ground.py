@@ -17,8 +17,8 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.jit import kernel
-from messages.message import Float32, Float64, Int32, UInt8
 from perception.lidar.grid import Grid, heights_above, sort_into_cells
 
 LAYER_M = 0.05  # height resolution of the search for the lowest dense layer

@@ -13,8 +13,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Lidar
+from geometry.arrays import Float32, Float64, Int64, UInt8
 from geometry.jit import kernel
-from messages.message import Float32, Float64, Int64, UInt8
 from messages.perception import HealthState
 from perception.lidar.grid import MAX_GRID_POINTS
 

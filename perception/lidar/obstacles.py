@@ -7,9 +7,9 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Lidar, Vehicle
+from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.jit import kernel
 from messages.command import MachineState
-from messages.message import Float32, Float64, Int32, UInt8
 from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth

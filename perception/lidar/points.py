@@ -5,8 +5,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Vehicle
+from geometry.arrays import Float32, Float64, UInt8
 from geometry.jit import kernel
-from messages.message import Float32, Float64, UInt8
 from messages.motion import Odometry
 from perception.lidar.grid import ZERO
 from perception.self_filter import own_outline

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.arrays import Float64, Int64
 from geometry.jit import kernel
-from messages.message import Float64, Int64
 from perception.radar.doppler import Echoes
 
 

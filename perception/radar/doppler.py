@@ -6,14 +6,11 @@ A static target in direction u of a sensor with velocity v has the Doppler -u·v
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from geometry.arrays import Bool, Float64
 from geometry.transforms import apply
-from messages.message import Float64
 from messages.motion import Odometry
 from messages.sensors import RadarScan
-
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -35,7 +32,7 @@ def is_well_formed(scan: RadarScan) -> bool:
     return all(a.shape == (len(scan.range_m),) for a in arrays) if scan.range_m.ndim == 1 else False
 
 
-def usable(scan: RadarScan, range_m: tuple[float, float], half_view_rad: float) -> Bools:
+def usable(scan: RadarScan, range_m: tuple[float, float], half_view_rad: float) -> Bool:
     """Which detections (N,) are valid and within the sensor's range and view; only elevation may be missing (NaN)."""
     finite = np.isfinite(scan.range_m) & np.isfinite(scan.azimuth_rad)
     finite &= np.isfinite(scan.doppler_mps) & np.isfinite(scan.rcs_dbsm)
@@ -60,7 +57,7 @@ def sensor_velocity(odom: Odometry, T_base_sensor: Float64) -> Float64:
     return np.array([odom.speed_mps - turn * y, odom.lateral_mps + turn * x, 0.0])
 
 
-def to_base(scan: RadarScan, which: Bools, T_base_sensor: Float64, velocity_mps: Float64) -> Echoes:
+def to_base(scan: RadarScan, which: Bool, T_base_sensor: Float64, velocity_mps: Float64) -> Echoes:
     """Detections in `base` of a sensor with velocity `velocity_mps` (3,) in `base`."""
     lines = lines_of_sight(scan.azimuth_rad[which], scan.elevation_rad[which])
     u = lines @ T_base_sensor[:3, :3].T
@@ -73,7 +70,7 @@ def to_base(scan: RadarScan, which: Bools, T_base_sensor: Float64, velocity_mps:
     return Echoes(p, line_of_sight, scan.range_m[which] * level, azimuth, radial, scan.rcs_dbsm[which].copy())
 
 
-def estimate_velocity(scan: RadarScan, which: Bools, gate_mps: float, tries: int = 200) -> tuple[Float64, Bools]:
+def estimate_velocity(scan: RadarScan, which: Bool, gate_mps: float, tries: int = 200) -> tuple[Float64, Bool]:
     """Horizontal velocity (2,) of the sensor in its frame from the Doppler of a static majority, and the inliers (N,).
 
     Kellner 2013, "Instantaneous ego-motion estimation using Doppler radar": consensus over pairs, then least squares.

@@ -6,11 +6,12 @@ from collections.abc import Iterable
 import numpy as np
 
 from configs.vehicle import Radar
+from geometry.arrays import Bool
 from messages.motion import Odometry
 from messages.node import All, Every, Inbox, Latest, Node, Output
 from messages.perception import HealthState, SensorHealth
 from messages.sensors import RadarScan
-from perception.radar.doppler import Bools, is_well_formed, sensor_velocity, to_base, usable
+from perception.radar.doppler import is_well_formed, sensor_velocity, to_base, usable
 from perception.radar.obstacles import RadarConfig
 
 MAX_SCANS = 20
@@ -56,7 +57,7 @@ class RadarHealth(Node):
             self._echo_ns = scan.stamp_ns
         return moves and echoes >= self._config.agree_echoes
 
-    def _usable(self, scan: RadarScan) -> Bools:
+    def _usable(self, scan: RadarScan) -> Bool:
         return usable(scan, self._radar.range_m, math.radians(self._radar.field_of_view_deg) / 2)
 
     def _contradicts_odometry(self, scan: RadarScan, odom: Odometry) -> bool:

@@ -8,14 +8,14 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Mount, Radar, Vehicle
+from geometry.arrays import Bool, Float64
 from messages.command import MachineState
-from messages.message import Float64
 from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import RadarScan
 from perception.radar.clusters import ClusterConfig, Clusters, find_clusters
-from perception.radar.doppler import Bools, Echoes, is_well_formed, sensor_velocity, to_base, usable
+from perception.radar.doppler import Echoes, is_well_formed, sensor_velocity, to_base, usable
 from perception.radar.tracklets import (
     TrackletConfig,
     confirmed,
@@ -98,7 +98,7 @@ class RadarObstacles(Node):
         velocity = velocities(self._table, config.tracklets)[row] @ turn
         return self._message(scan.stamp_ns, clusters, velocity, sigma, published)
 
-    def _message(self, stamp_ns: int, c: Clusters, velocity: Float64, sigma: Float64, published: Bools) -> Obstacles:
+    def _message(self, stamp_ns: int, c: Clusters, velocity: Float64, sigma: Float64, published: Bool) -> Obstacles:
         n, height = int(published.sum()), self._config.height_m
         flat = np.maximum(c.extent_m[published], self._config.min_size_m)
         return Obstacles(

@@ -12,8 +12,8 @@ from scipy.optimize import linear_sum_assignment
 
 from configs.strict import Config
 from configs.vehicle import Radar
+from geometry.arrays import Float64, Int64
 from geometry.jit import kernel
-from messages.message import Float64, Int64
 from perception.radar.clusters import Clusters
 
 GATED_COST = 1e9

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Ultrasonic
-from messages.message import Float64
+from geometry.arrays import Float64
 from messages.motion import Odometry
 
 

@@ -9,8 +9,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Ultrasonic, Vehicle
+from geometry.arrays import Float64
 from messages.command import MachineState
-from messages.message import Float64
 from messages.motion import Odometry
 from messages.node import All, At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles

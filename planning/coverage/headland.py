@@ -8,12 +8,11 @@ tail out again), and its corners are rounded again, until no body is outside.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geometry.arrays import Float64
+from geometry.arrays import Bool, Float64
 from geometry.footprint import intrusion, is_inside, worked
 from geometry.polygon import close_by, open_by, parts, ring_points, shrink
 from geometry.polyline import arc_length, headings, resample, smooth
@@ -112,7 +111,7 @@ def _pushed(pieces: list[Polygon], rings: list[Float64], depths: list[Float64]) 
     return shapely.union_all(out)
 
 
-def _spread(depth: Float64, s: Float64, is_left: npt.NDArray[np.bool_]) -> Float64:
+def _spread(depth: Float64, s: Float64, is_left: Bool) -> Float64:
     """Push of each point, m: full around a point outside, falling smoothly to 0.
 
     In a left bend the tail swings out at its beginning: the points before it are pushed. Around an inward corner (right

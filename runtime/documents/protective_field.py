@@ -7,7 +7,7 @@ import numpy as np
 
 from configs.strict import CONFIGS, find, load
 from configs.vehicle import ImplementFile, Vehicle, kmh
-from messages.message import Float64
+from geometry.arrays import Float64
 from runtime.run_folder import ROOT
 from runtime.stack import load_stack
 from safety.stopping_distance import required_range, stopping_distance

@@ -13,7 +13,8 @@ from configs.strict import CONFIGS, parse, read_yaml
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from datasets.importers.recording import Description, Recording
 from datasets.reader import read_metadata
-from geometry.transforms import Float64, invert, rpy_of
+from geometry.arrays import Float64
+from geometry.transforms import invert, rpy_of
 from messages.errors import ConfigError, LogError
 from messages.message import Message
 from messages.sensors import WheelSample

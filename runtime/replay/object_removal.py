@@ -8,7 +8,8 @@ from typing import cast
 from configs.sensor_kinds import sensors_of
 from configs.vehicle import Sensors
 from datasets.importers.recording import Received
-from geometry.transforms import Float64, invert
+from geometry.arrays import Float64
+from geometry.transforms import invert
 from messages.errors import LogError
 from messages.message import Message
 from messages.truth import TrueMachine, TrueObject, TrueObjects

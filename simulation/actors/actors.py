@@ -8,8 +8,8 @@ import numpy as np
 from shapely import MultiPoint
 from shapely.geometry.base import BaseGeometry
 
+from geometry.arrays import Float32, Float64
 from geometry.transforms import apply, planar
-from messages.message import Float32, Float64
 from messages.perception import ObstacleClass
 from simulation.actors.actor_meshes import STRIDE_M, actor_mesh
 from simulation.actors.encounter import NO_SWATH, Walk, WalkState, distance_to, walk_state_at

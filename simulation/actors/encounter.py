@@ -17,8 +17,8 @@ import numpy as np
 from shapely import LineString, Polygon
 
 from configs.site import PoseConfig
+from geometry.arrays import Float64
 from messages.errors import FieldError
-from messages.message import Float64
 from simulation.scenario import Bystander, Crossing
 
 SWEPT_MARGIN_M = 1.0  # clearance beside the implement

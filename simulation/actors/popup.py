@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from messages.message import Float64
+from geometry.arrays import Float64
 from messages.perception import ObstacleClass
 from simulation.actors.actors import Actor, ActorState
 from simulation.environment.terrain import Terrain

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from messages.message import Float64, Int32
+from geometry.arrays import Float64, Int32
 from simulation.environment.meshes import Mesh
 
 Keys = tuple[tuple[float, float, float, float, float], ...]

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geometry.arrays import Float32, Float64, Int32
 from geometry.transforms import apply
-from messages.message import Float32, Float64, Int32
 
 _BOX_TRIANGLES = np.array(
     [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7], [0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6],

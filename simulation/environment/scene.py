@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from messages.message import Float32, UInt8
+from geometry.arrays import Float32, UInt8
 from simulation.actors.actor_meshes import REFLECTIVITY
 from simulation.actors.actors import ActorState
 from simulation.environment.meshes import Mesh

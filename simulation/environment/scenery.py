@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from configs.site import Shed, Site
 from configs.strict import Config
-from messages.message import Float64
+from geometry.arrays import Float64
 from simulation.environment.meshes import Mesh, ellipsoid, grid, join, limb
 from simulation.environment.shed import roof_mesh, shed_solids, solids_mesh
 from simulation.environment.terrain import Terrain

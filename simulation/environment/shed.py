@@ -13,8 +13,8 @@ from shapely.affinity import rotate, translate
 from shapely.geometry.base import BaseGeometry
 
 from configs.site import Bay, Shed
+from geometry.arrays import Float64
 from geometry.polygon import parts
-from messages.message import Float64
 from simulation.environment.meshes import Mesh, join
 from simulation.randomness import generator
 

@@ -14,7 +14,7 @@ from shapely import Polygon
 
 from configs.site import Site
 from configs.strict import Config
-from messages.message import Float64
+from geometry.arrays import Float64
 from simulation.kernels import height_at, heights_at, pose_on_ground
 from simulation.randomness import generator
 

@@ -8,8 +8,8 @@ import math
 from shapely import Polygon
 
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
+from geometry.arrays import Float64
 from geometry.transforms import planar
-from messages.message import Float64
 from simulation.environment.meshes import Mesh, box, join, limb
 from simulation.machine.implement import extent_m, origin_m
 

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement
-from messages.message import Float64
+from geometry.arrays import Float64
 from simulation.machine.steering import clamp, follow_lag
 
 WORKING_BELOW = 0.1  # hitch: 0 lowest, 1 highest

@@ -9,7 +9,7 @@ from pydantic import Field
 from configs.site import PoseConfig
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
-from messages.message import Float64
+from geometry.arrays import Float64
 from simulation.environment.terrain import Terrain
 from simulation.machine.drivetrain import GRAVITY_MPS2, BrakeSystem, Drive, DriveConfig, advance_speed
 from simulation.machine.implement import AttachedImplement, ImplementConfig

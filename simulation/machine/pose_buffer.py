@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from messages.message import Float64
+from geometry.arrays import Float64
 from simulation.kernels import blend_poses
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from messages.message import Float64
+from geometry.arrays import Float64
 
 SILHOUETTE = 2048  # columns of the skyline, 360 degrees
 

@@ -7,7 +7,7 @@ import shapely
 from shapely import LineString, Polygon
 
 from configs.site import Site
-from messages.message import Float64
+from geometry.arrays import Float64
 from messages.perception import ObstacleClass
 from simulation.actors.actor_meshes import GAIT_STEPS, REFLECTIVITY, actor_mesh, actor_parts, gait_step
 from simulation.environment.meshes import Mesh

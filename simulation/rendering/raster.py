@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
+from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.jit import inline_kernel, kernel
-from messages.message import Float32, Float64, Int32, UInt8
 
 NEAR_PLANE_M = 0.15
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from messages.message import Float32, Float64, Int32, UInt8
+from geometry.arrays import Float32, Float64, Int32, UInt8
 from simulation.rendering.light import Light
 from simulation.rendering.raster import project, project_parallel, rasterize
 from simulation.rendering.scene_mesh import Material, Surface, TriangleGrid, arrays_of, merge

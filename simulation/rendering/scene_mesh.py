@@ -5,7 +5,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from messages.message import Float32, Float64, Int32, UInt8
+from geometry.arrays import Float32, Float64, Int32, UInt8
 from simulation.environment.meshes import Mesh
 
 

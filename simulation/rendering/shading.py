@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.jit import inline_kernel, kernel
-from messages.message import Float32, Float64, Int32, UInt8
 from simulation.rendering.skybox import background_run, texel_of
 from simulation.rendering.textures import Int8, mip_level, nearest_texel
 

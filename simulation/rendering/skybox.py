@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
+from geometry.arrays import Float32, Float64, UInt8
 from geometry.jit import inline_kernel, kernel
-from messages.message import Float32, Float64, UInt8
 from simulation.rendering.textures import CLOUD, GRAIN, GRASS, bilinear, mip_level
 
 QUARTER = 1024  # columns from east to north

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from geometry.arrays import Float32, Float64, UInt8
 from geometry.jit import inline_kernel
-from messages.message import Float32, Float64, UInt8
 from simulation.randomness import generator
 
 Int8 = npt.NDArray[np.int8]

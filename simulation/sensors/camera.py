@@ -13,8 +13,8 @@ from pydantic import Field
 from configs.site import Site
 from configs.strict import Config
 from configs.vehicle import Camera, Vehicle
+from geometry.arrays import Float64, UInt8
 from geometry.transforms import planar
-from messages.message import Float64, UInt8
 from messages.sensors import CameraImage
 from simulation.actors.actor_meshes import gait_step
 from simulation.actors.actors import ActorState

@@ -10,8 +10,9 @@ from configs.site import Shed
 from configs.strict import Config
 from configs.vehicle import Gnss
 from geometry.angles import wrap
+from geometry.arrays import Float64
 from geometry.geodesy import Datum
-from messages.message import Float64, Message
+from messages.message import Message
 from messages.sensors import GnssFix, GnssSolution
 from simulation.scenario import GnssEpisode
 from simulation.sensors.sensor import WorldState, period_ns_of

@@ -7,7 +7,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Imu
-from messages.message import Float64, Message
+from geometry.arrays import Float64
+from messages.message import Message
 from messages.sensors import ImuSample
 from simulation.machine.drivetrain import GRAVITY_MPS2
 from simulation.sensors.sensor import WorldState, period_ns_of

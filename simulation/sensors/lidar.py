@@ -11,8 +11,9 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Lidar, MountedImplement, TrailedImplement, Vehicle
+from geometry.arrays import Float32, Float64, UInt16
 from geometry.transforms import invert
-from messages.message import Float32, Float64, Message, UInt16
+from messages.message import Message
 from messages.sensors import LidarScan
 from simulation.environment.scene import RaycastScene
 from simulation.kernels import ranges_mm, rays_near_ball, sweep_rays

@@ -14,7 +14,8 @@ from shapely import LineString
 
 from configs.strict import Config
 from configs.vehicle import Radar
-from messages.message import Float32, Float64, Message
+from geometry.arrays import Float32, Float64
+from messages.message import Message
 from messages.perception import ObstacleClass
 from messages.sensors import RadarScan
 from simulation.actors.actors import ActorState

@@ -11,7 +11,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import MountedImplement, Ultrasonic
-from messages.message import Float32, Float64, Message
+from geometry.arrays import Float32, Float64
+from messages.message import Message
 from messages.perception import ObstacleClass
 from messages.sensors import UltrasonicRange
 from simulation.environment.scenery import by_kind

@@ -8,7 +8,8 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Uwb
-from messages.message import Float64, Message
+from geometry.arrays import Float64
+from messages.message import Message
 from messages.sensors import UwbRanges
 from simulation.environment.scenery import by_kind
 from simulation.sensors.sensor import WorldState, period_ns_of

@@ -19,10 +19,11 @@ from PIL import Image
 from configs.strict import parse
 from configs.vehicle import FOLDED, Implement, ImplementFile, Vehicle
 from datasets.reader import LogScan, decode, is_ours
-from geometry.transforms import Float64, apply, invert, planar
+from geometry.arrays import Float32, Float64, UInt8
+from geometry.transforms import apply, invert, planar
 from messages.command import MachineState, SafeCommand, SupervisorState
 from messages.errors import LogError
-from messages.message import Float32, Message, UInt8
+from messages.message import Message
 from messages.motion import MapPose, Odometry
 from messages.perception import ObstacleClass, Tracks
 from messages.plan import Path as DrivePath
