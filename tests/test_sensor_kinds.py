@@ -93,6 +93,9 @@ def missing() -> list[str]:
         if (fact is None or getattr(facts, fact)) and not (ROOT / path.format(kind)).is_file()
     ]
     found += [f"messages/topics.py: {kind}" for kind in SENSOR_KINDS if kind not in TOPICS]
+    raw = (ROOT / "safety/obstacle_sources.py").read_text()  # the raw protective field combines its kinds by hand
+    raw_kinds = [kind for kind, facts in SENSOR_KINDS.items() if facts.is_raw_source]
+    found += [f"safety/obstacle_sources.py: {kind}" for kind in raw_kinds if f"sensors.{kind}.items()" not in raw]
     try:
         load_stack()
     except ConfigError as error:
