@@ -20,14 +20,20 @@ from safety.collision_monitor import CollisionMonitor, MonitorInputs, class_at, 
 from safety.config import SafetyConfig
 from safety.obstacle_sources import SourceData
 from safety.stopping_distance import stopping_distance, stopping_time
-from safety.zones.footprint import Box, FootprintSet, footprints_of
+from safety.zones.footprint import (
+    Box,
+    FootprintSet,
+    footprints_of,
+)
 from safety.zones.geofence import Geofence
 from safety.zones.protective_field import Clearance, PathPosition, SweptField
 from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT, CriticalObject
 from tests.safety.safety_world import START_NS, straight_path
 
 POSE_ODOM, T_MAP_ODOM = (5.0, -3.0, 0.7), planar(2.0, 1.0, 0.3)
+
 NOTHING = SourceData({}, {}, {})
+
 SIGMA_M = 0.02
 
 
@@ -70,8 +76,11 @@ def docking_path() -> Any:
 
 
 CONTROL_COMMAND = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 7, 3.0, 0.0, 0.0, False)
+
 SEEN = MonitorInputs(odometry(), pose(), CONTROL_COMMAND, straight_path(7), Tracks(START_NS, ()), 0.0, NOTHING, {})
+
 DOCKING = replace(SEEN, fold=1.0, path=docking_path())
+
 POSE_MAP = np.array([*to_frame(np.array([2.0, 1.0, 0.3]), np.array([POSE_ODOM[:2]]))[0], 1.0])
 
 
@@ -127,9 +136,7 @@ def covers(collision_monitor: Any) -> int:
     return len(collision_monitor.sources.clearance.calls)
 
 
-def test_a_lookout_begins_with_nothing(
-    full: Vehicle, footprints: FootprintSet, config: SafetyConfig, geofence: Geofence
-) -> None:
+def test_initial_state(full: Vehicle, footprints: FootprintSet, config: SafetyConfig, geofence: Geofence) -> None:
     collision_monitor = CollisionMonitor(footprints, full.sensors, geofence, None, config)
     assert (
         collision_monitor.swept_field,
@@ -149,7 +156,7 @@ def test_a_lookout_begins_with_nothing(
     assert CollisionMonitor(footprints, full.sensors, None, None, config).geofence_distance_m() == math.inf
 
 
-def test_without_odometry_nothing_is_taken(make: Any, config: SafetyConfig) -> None:
+def test_missing_odometry(make: Any, config: SafetyConfig) -> None:
     collision_monitor = make()
     look(collision_monitor, config, replace(SEEN, odom=None, fold=1.0))
     assert (
@@ -160,7 +167,7 @@ def test_without_odometry_nothing_is_taken(make: Any, config: SafetyConfig) -> N
     ) == (0, None, [], [])
 
 
-def test_it_looks_when_something_came(make: Any, config: SafetyConfig) -> None:
+def test_update_on_new_data(make: Any, config: SafetyConfig) -> None:
     collision_monitor = make()
     counts = []
 
@@ -183,7 +190,7 @@ def test_it_looks_when_something_came(make: Any, config: SafetyConfig) -> None:
     assert counts == [1, 1, 2, 3, 4, 4, 5, 5]
 
 
-def test_what_came_is_heard_and_scanned(make: Any, config: SafetyConfig) -> None:
+def test_source_data_passed_to_sources(make: Any, config: SafetyConfig) -> None:
     collision_monitor, lidars = make(), [object()]
     collision_monitor.sources.with_new_scan.answer = lidars
     look(collision_monitor, config)
@@ -201,7 +208,7 @@ def test_what_came_is_heard_and_scanned(make: Any, config: SafetyConfig) -> None
     assert box == Box((-3.0, 13.0), (-3.5, 3.5))
 
 
-def test_another_way_is_another_path_direction_plan_or_outline(make: Any, config: SafetyConfig, parts: Any) -> None:
+def test_new_field_conditions(make: Any, config: SafetyConfig, parts: Any) -> None:
     collision_monitor = make()
     collision_monitor.sources.with_new_scan.answer = [object()]
     others = []
@@ -226,14 +233,14 @@ def test_another_way_is_another_path_direction_plan_or_outline(make: Any, config
     assert others[-2:] == [True, True]
 
 
-def test_the_first_way_is_another(make: Any, config: SafetyConfig, parts: Any) -> None:
+def test_first_field_is_new(make: Any, config: SafetyConfig, parts: Any) -> None:
     for direction in (1, -1):
         collision_monitor, parts.sweep_field.answer = make(), SweptField(sweep(direction), None, False)
         look(collision_monitor, config, replace(SEEN, path=None))
         assert collision_monitor.sources.update_lidars.asked[-1]
 
 
-def test_the_outline_at_a_fold_is_worn(make: Any, config: SafetyConfig, parts: Any, footprints: FootprintSet) -> None:
+def test_footprint_by_fold(make: Any, config: SafetyConfig, parts: Any, footprints: FootprintSet) -> None:
     collision_monitor = make()
     for fold, count in ((0.0, 0), (1.0, 1), (1.0, 1), (None, 2), (0.0, 2)):
         look(collision_monitor, config, replace(SEEN, fold=fold))
@@ -244,7 +251,7 @@ def test_the_outline_at_a_fold_is_worn(make: Any, config: SafetyConfig, parts: A
         assert count == 0 or collision_monitor.sources.set_footprint.asked[0] is footprint
 
 
-def test_the_way_is_laid_along_the_plan_in_its_direction(make: Any, config: SafetyConfig, parts: Any) -> None:
+def test_field_along_plan_in_its_direction(make: Any, config: SafetyConfig, parts: Any) -> None:
     collision_monitor, flat = make(), config.braking.flat
     look(collision_monitor, config)
     assert collision_monitor.swept_field is parts.sweep_field.answer
@@ -263,7 +270,7 @@ def test_the_way_is_laid_along_the_plan_in_its_direction(make: Any, config: Safe
     assert parts.sweep_field.asked[:2] == (None, None)
 
 
-def test_gaps_and_threats_are_measured_on_that_way(make: Any, config: SafetyConfig, parts: Any) -> None:
+def test_clearance_and_critical_object_on_swept_field(make: Any, config: SafetyConfig, parts: Any) -> None:
     collision_monitor = make()
     look(collision_monitor, config)
     way, pose_odom, speed_mps, is_known, tracks = collision_monitor.sources.clearance.asked
@@ -280,7 +287,7 @@ def test_gaps_and_threats_are_measured_on_that_way(make: Any, config: SafetyConf
     assert stop_s == stopping_time(2.0, config.braking.flat)
 
 
-def test_between_looks_the_gaps_shrink_by_the_way_driven(make: Any, config: SafetyConfig, parts: Any) -> None:
+def test_distances_shrink_by_distance_driven(make: Any, config: SafetyConfig, parts: Any) -> None:
     edge = np.array([(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)])
     collision_monitor = make(geofence=Geofence((edge,)))
     look(collision_monitor, config, DOCKING)
@@ -313,9 +320,7 @@ def test_between_looks_the_gaps_shrink_by_the_way_driven(make: Any, config: Safe
     assert (*left()[:3], left()[4]) == (7.0, 3.0, 9.0, 6.0)
 
 
-def test_the_docking_field_counts_on_the_way_to_a_bay_at_the_shed_and_narrow(
-    make: Any, config: SafetyConfig, parts: Any, known_structure: Any
-) -> None:
+def test_docking_field_conditions(make: Any, config: SafetyConfig, parts: Any, known_structure: Any) -> None:
     collision_monitor = make()
     look(collision_monitor, config, DOCKING)
     assert collision_monitor.is_docking
@@ -340,9 +345,7 @@ def test_the_docking_field_counts_on_the_way_to_a_bay_at_the_shed_and_narrow(
     assert (bare.wall_distance_m(), bare.is_under_roof) == (math.inf, False)
 
 
-def test_surveyed_walls_explain_what_is_near_them_in_docking(
-    make: Any, config: SafetyConfig, parts: Any, known_structure: Any
-) -> None:
+def test_known_structure_filter_in_docking(make: Any, config: SafetyConfig, parts: Any, known_structure: Any) -> None:
     collision_monitor = make()
     look(collision_monitor, config, DOCKING)
     is_known = collision_monitor.sources.clearance.asked[3]
@@ -354,7 +357,7 @@ def test_surveyed_walls_explain_what_is_near_them_in_docking(
     assert known_structure.distance_m.asked[0] == pytest.approx(to_frame(np.array([2.0, 1.0, 0.3]), points))
 
 
-def test_the_way_clear_of_the_survey_is_the_least_of_all_sweeps(
+def test_wall_distance_is_minimum_of_swept_areas(
     make: Any, config: SafetyConfig, parts: Any, known_structure: Any
 ) -> None:
     collision_monitor, way = make(), parts.sweep_field.answer
@@ -386,9 +389,7 @@ def test_the_way_clear_of_the_survey_is_the_least_of_all_sweeps(
     assert (collision_monitor.wall_distance_m(), collision_monitor.is_under_roof) == (math.inf, False)
 
 
-def test_the_fence_is_asked_over_the_stopping_distance_a_margin_and_a_metre(
-    make: Any, config: SafetyConfig, parts: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_geofence_reach(make: Any, config: SafetyConfig, parts: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     geofence: Any = SimpleNamespace(contains_box=Spy(False))
     outlines, inside = Spy((np.array([(3.0, 4.0)]), np.array([2.0]))), Spy(6.5)
     monkeypatch.setattr("safety.collision_monitor.outline_points", outlines)
@@ -427,7 +428,7 @@ def track(x: float, y: float, label: ObstacleClass, is_confirmed: bool = True) -
                  is_confirmed, ("lidar_front",))  # fmt: skip
 
 
-def test_the_cause_is_the_track_at_the_hits_or_else_the_threat(make: Any, config: SafetyConfig) -> None:
+def test_obstacle_class_source(make: Any, config: SafetyConfig) -> None:
     collision_monitor = make()
     odom = odometry()
     x, y = to_frame(np.array(POSE_ODOM), np.array([(7.0, 0.0)]))[0]
@@ -441,7 +442,7 @@ def test_the_cause_is_the_track_at_the_hits_or_else_the_threat(make: Any, config
     assert collision_monitor.obstacle_class(odom, tracks) is ObstacleClass.PERSON
 
 
-def test_the_class_is_that_of_the_nearest_confirmed_track_within_a_metre() -> None:
+def test_class_of_nearest_confirmed_track() -> None:
     points = np.array([(0.0, 0.0), (30.0, 0.0)])
     for away, label in ((1.99, ObstacleClass.POLE), (2.0, ObstacleClass.UNKNOWN)):
         found = class_at(points, Tracks(START_NS, (track(0.0, away, ObstacleClass.POLE),)))
@@ -453,13 +454,26 @@ def test_the_class_is_that_of_the_nearest_confirmed_track_within_a_metre() -> No
     assert class_at(points, Tracks(START_NS, (unsure, far))) is ObstacleClass.POLE
 
 
-def test_the_place_in_map_goes_by_link_and_odometry() -> None:
+def test_pose_in_map() -> None:
     assert pose_in_map(pose(), odometry()) == pytest.approx(POSE_MAP)
     assert pose_in_map(pose(is_initialized=False), odometry()) is None
     assert pose_in_map(None, odometry()) is None
 
 
-def test_a_look_depends_on_pose_path_and_tracks() -> None:
+def test_stamps_of_inputs() -> None:
     seen = replace(SEEN, map_pose=pose(stamp_ns=3), path=replace(straight_path(), stamp_ns=4), tracks=Tracks(5, ()))
     assert stamps_of(seen) == (3, 4, 5)
     assert stamps_of(replace(seen, path=None)) == (3, -1, 5)
+
+
+def track_at(x: float, y: float, vx: float = 0.0, vy: float = 0.0, sigma: float = 0.1, label=ObstacleClass.PERSON,
+          size=(0.5, 0.5, 1.7), is_confirmed: bool = True) -> Track:  # fmt: skip
+    covariance = np.diag([0.01, 0.01, sigma**2, sigma**2])
+    return Track(1, label, 0.9, np.array([x, y, 0.8]), np.array([vx, vy, 0.0]), covariance, np.array(size), 0.0,
+                 START_NS - 10**9, START_NS, is_confirmed, ("lidar/front",))  # fmt: skip
+
+
+def test_class_at_triggering_points() -> None:
+    tracks = Tracks(START_NS, (track_at(9.0, 0.0, label=ObstacleClass.ANIMAL), track_at(5.0, 0.0, is_confirmed=False)))
+    assert class_at(np.array([[8.8, 0.1]]), tracks) is ObstacleClass.ANIMAL
+    assert class_at(np.array([[5.0, 0.1]]), tracks) is ObstacleClass.UNKNOWN

@@ -96,7 +96,7 @@ def drive_in(world: World, until_s: float = 11.0) -> World:
 
 
 @pytest.mark.parametrize("bay", ["narrow", "wide"])
-def test_out_of_the_bay(shed_world: World, site: Site, bay: str) -> None:
+def test_leaves_bay(shed_world: World, site: Site, bay: str) -> None:
     engaged(at_shed(shed_world, site, bay, 1)).mute.add("lidar/rear")
     before = shed_world.x_m
     shed_world.run(9.0)
@@ -108,7 +108,7 @@ def test_out_of_the_bay(shed_world: World, site: Site, bay: str) -> None:
 
 
 @pytest.mark.parametrize("bay", ["narrow", "wide"])
-def test_back_into_the_bay_as_far_as_the_dock(shed_world: World, site: Site, bay: str) -> None:
+def test_reverses_into_bay_to_dock(shed_world: World, site: Site, bay: str) -> None:
     """0.6 m before the back wall."""
     drive_in(at_shed(shed_world, site, bay, -1))
     assert shed_world.mode == Mode.AUTOMATIC
@@ -122,7 +122,7 @@ def test_back_into_the_bay_as_far_as_the_dock(shed_world: World, site: Site, bay
     (Box(-7.0, -44.8, (0.3, 0.3, 1.0)), True),  # something narrow, in the tube beside the machine's middle
     (Box(-7.0, -45.75, (0.3, 0.3, 1.0)), False),  # behind the posts, at the wall
 ])  # fmt: skip
-def test_what_is_not_surveyed_counts(shed_world: World, site: Site, box: Box, stops: bool) -> None:
+def test_unknown_object_stops(shed_world: World, site: Site, box: Box, stops: bool) -> None:
     at_shed(shed_world, site, "narrow", -1)
     shed_world.boxes = (*shed_world.boxes, box)
     drive_in(shed_world)
@@ -132,7 +132,7 @@ def test_what_is_not_surveyed_counts(shed_world: World, site: Site, box: Box, st
         assert 0.03 < left_m < 0.6
 
 
-def test_a_wall_that_stands_elsewhere_than_surveyed_counts(shed_world: World, site: Site) -> None:
+def test_displaced_wall_stops(shed_world: World, site: Site) -> None:
     at_shed(shed_world, site, "wide", -1)
     shed_world.boxes = (*shed_world.boxes, Box(-8.0, -40.0, (0.15, 6.0, 3.0)))
     drive_in(shed_world)
@@ -140,7 +140,7 @@ def test_a_wall_that_stands_elsewhere_than_surveyed_counts(shed_world: World, si
     assert shed_world.x_m - REAR_M > -7.9
 
 
-def test_a_path_into_the_wall_is_not_driven_to_its_end(shed_world: World, site: Site) -> None:
+def test_path_into_wall(shed_world: World, site: Site) -> None:
     at_shed(shed_world, site, "wide", -1)
     shed_world.path = dock_path(-1, (shed_world.x_m, shed_world.y_m), 5.5)
     drive_in(shed_world)
@@ -149,7 +149,7 @@ def test_a_path_into_the_wall_is_not_driven_to_its_end(shed_world: World, site: 
     assert shed_world.speed_mps == 0.0
 
 
-def test_beside_the_lane_of_the_bay_the_posts_stop_it(shed_world: World, site: Site) -> None:
+def test_posts_beside_bay_stop(shed_world: World, site: Site) -> None:
     at_shed(shed_world, site, "narrow", -1)
     shed_world.y_m -= 0.25
     shed_world.path = dock_path(-1, (shed_world.x_m, shed_world.y_m), 4.0)
@@ -163,9 +163,7 @@ def test_beside_the_lane_of_the_bay_the_posts_stop_it(shed_world: World, site: S
     ({"uwb_age_s": 1.2}, "localization.uwb_lost"), ({"uwb_age_s": math.inf}, "localization.uwb_lost"),
     ({"protection_level_m": 0.3}, "localization.protection"),
 ])  # fmt: skip
-def test_in_the_shed_the_place_must_be_known_better(
-    shed_world: World, site: Site, changes: dict[str, float], reason: str
-) -> None:
+def test_localization_limits_in_shed(shed_world: World, site: Site, changes: dict[str, float], reason: str) -> None:
     engaged(at_shed(shed_world, site, "narrow", 1))
     shed_world.run(1.0)
     shed_world.pose_changes |= changes
@@ -176,14 +174,14 @@ def test_in_the_shed_the_place_must_be_known_better(
 
 
 @pytest.mark.parametrize("fold", [0.0, 0.985])
-def test_unfolded_it_does_not_move_in_the_bay(shed_world: World, site: Site, fold: float) -> None:
+def test_unfolded_implement_in_bay(shed_world: World, site: Site, fold: float) -> None:
     at_shed(shed_world, site, "wide", 1).fold = fold
     before = shed_world.x_m
     shed_world.start().run(0.5)
     assert shed_world.x_m == before
 
 
-def test_on_another_leg_the_open_field_counts(shed_world: World, site: Site) -> None:
+def test_open_field_on_other_section_type(shed_world: World, site: Site) -> None:
     at_shed(shed_world, site, "wide", -1)
     path = shed_world.path
     shed_world.path = replace(path, sections=(PathSection(PathSectionType.LANE, -1, 0, len(path.s_m) - 1),))
@@ -194,7 +192,7 @@ def test_on_another_leg_the_open_field_counts(shed_world: World, site: Site) -> 
     assert shed_world.supervisor.collision_monitor.config.field.margin_m == 0.12
 
 
-def test_tracks_of_walls_are_no_obstacles_but_people_are(shed_world: World, site: Site) -> None:
+def test_tracks_on_walls_filtered(shed_world: World, site: Site) -> None:
     def track(x: float, y: float, size: tuple[float, float], label: ObstacleClass) -> Track:
         return Track(1, label, 0.9, np.array([x, y, 1.0]), np.zeros(3), np.eye(4) * 0.01, np.array([*size, 2.0]), 0.0,
                      0, 10**10, True, ("lidar_rear",))  # fmt: skip
@@ -211,7 +209,7 @@ def test_tracks_of_walls_are_no_obstacles_but_people_are(shed_world: World, site
     assert shed_world.state.obstacle_class is ObstacleClass.PERSON
 
 
-def test_an_ultrasonic_sensor_lost_at_the_dock_slows_further(config: SupervisorConfig) -> None:
+def test_ultrasonic_loss_while_docking(config: SupervisorConfig) -> None:
     sensor_failures = (SensorFailure("ultrasonic", "ultrasonic/rear.silent", ""),)
     assert RULES["sensor_loss"](
         docking_situation(config, sensor_failures=sensor_failures)
@@ -220,9 +218,7 @@ def test_an_ultrasonic_sensor_lost_at_the_dock_slows_further(config: SupervisorC
     assert RULES["sensor_loss"](docking_situation(config, sensor_failures=radar)).speed_limit_mps > 0.5
 
 
-def test_echoes_of_surveyed_walls_are_explained(
-    shed_world: World, config, full, implement, site, known_structure
-) -> None:
+def test_echoes_of_known_walls_filtered(shed_world: World, config, full, implement, site, known_structure) -> None:
     world = at_shed(World(Supervisor(full, implement, config, geofence_of(site), (),
     known_structure=known_structure), full,
                           straight_path()), site, "wide", -1)  # fmt: skip
@@ -232,7 +228,7 @@ def test_echoes_of_surveyed_walls_are_explained(
     assert world.x_m == pytest.approx(-5.9, abs=0.1)
 
 
-def test_tracks_of_what_is_surveyed_are_left_out() -> None:
+def test_tracks_of_known_structure_filtered() -> None:
     def track(id: int, x_m: float, length_m: float) -> Track:
         size, place = np.array([length_m, 0.5, 1.0]), np.array([x_m, 0.0, 0.0])
         return Track(id, ObstacleClass.PERSON, 0.9, place, np.zeros(3), np.eye(4), size, 0.0, 0, 1, True, ())
@@ -242,12 +238,12 @@ def test_tracks_of_what_is_surveyed_are_left_out() -> None:
     assert [t.id for t in left] == [1, 4]
 
 
-def test_distances_to_what_is_surveyed(known_structure: KnownStructure) -> None:
+def test_known_structure_distances(known_structure: KnownStructure) -> None:
     points = np.array([(-8.0, -40.0), (-9.0, -40.0), (0.8, -41.0), (-4.0, -47.0), (5.0, -34.0)])
     assert known_structure.distance_m(points) == pytest.approx([0.925, -0.075, 0.84, 0.925, 3.925], abs=1e-9)
 
 
-def test_near_the_shed(known_structure: KnownStructure) -> None:
+def test_is_near_shed(known_structure: KnownStructure) -> None:
     for x in around(9.0, 0.001):
         assert known_structure.is_near(np.array([x, -40.0, 0.0]), 8.0) == (x <= 9.0 + 1e-9), x
     assert known_structure.is_near(np.array([-5.0, -40.0, 0.0]), 0.0)
@@ -255,7 +251,7 @@ def test_near_the_shed(known_structure: KnownStructure) -> None:
     assert structure_of_site(load(Site, ROOT / "configs/sites/demo.yaml").model_copy(update={"shed": None})) is None
 
 
-def test_clear_way_to_the_wall(known_structure: KnownStructure, config: SupervisorConfig, shed_world: World) -> None:
+def test_clear_distance_to_wall(known_structure: KnownStructure, config: SupervisorConfig, shed_world: World) -> None:
     footprint = shed_world.supervisor._footprints.transport
     s = spaced(6.0, 0.2)
     area = sweep_along(footprint, -1, s, arc_poses(0.0, -1, s), 0.0, config.docked.field, True)
@@ -267,7 +263,7 @@ def test_clear_way_to_the_wall(known_structure: KnownStructure, config: Supervis
     assert math.isinf(known_structure.clear_distance_m(area, np.array([30.0, -39.84, 0.0]), 0.1))
 
 
-def test_fence_in_the_shed_is_the_bays_alone(site: Site) -> None:
+def test_geofence_in_shed(site: Site) -> None:
     geofence = geofence_of(site)
     inside = [(-8.8, -43.68), (-5.0, -42.2), (0.9, -43.68), (1.5, -41.0), (1.5, -46.5), (-5.0, -38.0)]
     outside = [(-9.0, -43.68), (-5.0, -41.96), (-5.0, -36.0), (-5.0, -45.5), (0.8, -45.4)]
@@ -286,7 +282,7 @@ def folding(world: World) -> World:
     return world
 
 
-def test_the_implement_folds_only_at_standstill(world: World) -> None:
+def test_fold_at_standstill_only(world: World) -> None:
     folding(world).start()
     world.run(2.0)
     world.command_changes |= {"is_implement_folded": True}
@@ -307,7 +303,7 @@ def test_the_implement_folds_only_at_standstill(world: World) -> None:
 
 
 @pytest.mark.parametrize("hindrance", ["hitch", "mode"])
-def test_nothing_folds_with_the_hitch_down_or_while_a_person_must_say_so(world: World, hindrance: str) -> None:
+def test_no_fold_with_hitch_lowered_or_stop_latched(world: World, hindrance: str) -> None:
     folding(world)
     world.command_changes |= {"is_implement_folded": True}
     world.commanded_mps = 0.0
@@ -319,7 +315,7 @@ def test_nothing_folds_with_the_hitch_down_or_while_a_person_must_say_so(world: 
     assert not world.command.is_implement_folded
 
 
-def test_a_folded_implement_is_neither_lowered_nor_driven(world: World) -> None:
+def test_folded_implement_not_lowered_no_pto(world: World) -> None:
     world.fold = 1.0
     world.command_changes = {"is_implement_folded": True}
     world.start().run(1.0)
@@ -328,13 +324,13 @@ def test_a_folded_implement_is_neither_lowered_nor_driven(world: World) -> None:
     assert world.mode == Mode.AUTOMATIC
 
 
-def test_found_folded_it_stays_so_until_a_path_wants_otherwise(world: World) -> None:
+def test_initial_fold_kept(world: World) -> None:
     world.fold = 1.0
     world.run(1.0)
     assert world.command.is_implement_folded
 
 
-def test_a_folded_implement_passes_where_the_full_width_does_not(world: World) -> None:
+def test_transport_width_passes_gap(world: World) -> None:
     post = Box(9.0, 2.0, (0.2, 0.2, 1.5))
     world.fold, world.boxes = 1.0, (post,)
     world.command_changes = {"is_implement_folded": True}
@@ -349,13 +345,13 @@ def test_a_folded_implement_passes_where_the_full_width_does_not(world: World) -
 @pytest.mark.parametrize(("fold", "speed_mps"), [
     (0.0, math.inf), (0.009, math.inf), (0.011, 0.0), (0.5, 0.0), (0.989, 0.0), (0.991, math.inf), (math.nan, 0.0),
 ])  # fmt: skip
-def test_between_the_ends_the_machine_stands(config: SupervisorConfig, fold: float, speed_mps: float) -> None:
+def test_standstill_while_folding(config: SupervisorConfig, fold: float, speed_mps: float) -> None:
     result = RULES["implement_fold"](situation_of(config, is_foldable=True, fold=fold))
     assert result.speed_limit_mps == speed_mps
     assert RULES["implement_fold"](situation_of(config, is_foldable=False, fold=fold)).speed_limit_mps == math.inf
 
 
-def test_an_implement_that_says_nothing_stops_the_machine(world: World) -> None:
+def test_implement_state_timeout(world: World) -> None:
     world.start()
     world.machine_changes = {"implement_stamp_ns": 0}
     world.run(3.0)
@@ -365,7 +361,7 @@ def test_an_implement_that_says_nothing_stops_the_machine(world: World) -> None:
     assert world.mode == Mode.STANDBY
 
 
-def test_no_machine_says_nothing_of_a_fold(config: SupervisorConfig) -> None:
+def test_missing_machine_state(config: SupervisorConfig) -> None:
     assert (
         RULES["implement_fold"](situation_of(config, is_foldable=True, fold=None, machine=None)).response
         is Response.NONE
@@ -376,7 +372,7 @@ def docking_situation(config: SupervisorConfig, **changes: Any) -> Any:
     return situation_of(config.docked, is_docking=True, **changes)
 
 
-def test_docking_is_slow_and_slower_towards_a_wall(config: SupervisorConfig) -> None:
+def test_docking_speed_limits(config: SupervisorConfig) -> None:
     assert RULES["speed_limit"](docking_situation(config)).speed_limit_mps == pytest.approx(0.5)
     speeds = [
         RULES["wall_clearance"](docking_situation(config, wall_distance_m=m)).speed_limit_mps

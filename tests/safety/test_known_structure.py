@@ -26,12 +26,12 @@ SURVEY = KnownStructure(
     (7.0, 0.0, 2.9), (10.0, 0.0, -0.1), (13.0, 1.0, 2.9), (7.0, -9.0, 4.9), (23.0, 9.0, 4.9), (15.0, 8.0, 2.9),
     (0.0, 8.0, -0.3), (0.0, 9.3, 1.0), (-3.0, 12.0, 4.7), (30.0, 6.0, 1.5), (10.0, 5.0, -0.1), (16.0, 5.04, -0.06),
 ])  # fmt: skip
-def test_distance_from_the_nearest_wall_or_post(x: float, y: float, distance_m: float) -> None:
+def test_distance_to_nearest_surface(x: float, y: float, distance_m: float) -> None:
     points = np.array([(x, y), (50.0, 50.0)])
     assert SURVEY.distance_m(points)[0] == pytest.approx(distance_m)
 
 
-def test_a_slanted_wall_and_one_without_length() -> None:
+def test_slanted_and_zero_length_wall() -> None:
     bare = KnownStructure(np.array([[1.0, 1.0, 5.0, 4.0], [9.0, 9.0, 9.0, 9.0]]), 0.0, np.empty((0, 3)), SURVEY.roof)
     points = np.array([(3.0 - 0.6, 2.5 + 0.8), (-2.0, -3.0), (12.0, 13.0), (5.0 + 0.6, 4.0 - 0.8)])
     assert bare.distance_m(points) == pytest.approx([1.0, 5.0, 5.0, 1.0])
@@ -40,7 +40,7 @@ def test_a_slanted_wall_and_one_without_length() -> None:
     assert np.isinf(KnownStructure(np.empty((0, 4)), 0.1, np.empty((0, 3)), SURVEY.roof).distance_m(points)).all()
 
 
-def test_near_is_under_the_roof_or_within_a_distance_of_its_edge() -> None:
+def test_is_near() -> None:
     for near_m in (0.0, 3.0):
         for away in around(near_m, 0.01):
             for x, y in ((10.0 - away, 0.0), (22.0 + away, 1.0), (15.0, 5.0 + away), (15.0, -5.0 - away)):
@@ -58,14 +58,14 @@ def area(vehicle: Vehicle, implement, config: SafetyConfig) -> SweptArea:
     return sweep_along(footprint_of(vehicle, implement), 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
 
 
-def test_a_body_is_under_the_roof_from_its_edge_on(area: SweptArea) -> None:
+def test_is_under_roof(area: SweptArea) -> None:
     for until_m, way_m in ((0.0, 0.0), (3.0, 2.8)):
         for edge in around(3.5 + way_m, 0.01):
             pose = np.array([16.0, -5.0 - edge - 1e-6, math.pi / 2])
             assert SURVEY.is_under_roof(area.up_to(until_m), pose) == (edge < 3.5 + way_m - 1e-9), (until_m, edge)
 
 
-def test_the_clear_way_ends_the_clearance_before_wall_or_post(area: SweptArea) -> None:
+def test_clear_distance(area: SweptArea) -> None:
     for clearance in (0.0, 0.5):
         head_on = SURVEY.clear_distance_m(area, np.array([2.0, 0.0, 0.0]), clearance)
         assert head_on == pytest.approx(10.0 - 0.1 - 5.5 - clearance, abs=0.03)
@@ -75,13 +75,13 @@ def test_the_clear_way_ends_the_clearance_before_wall_or_post(area: SweptArea) -
     assert SURVEY.clear_distance_m(area, np.array([80.0, 0.0, 0.0]), 0.0) == math.inf
 
 
-def test_a_clear_way_is_free_of_the_fields_own_margin_beside(area: SweptArea) -> None:
+def test_clear_distance_without_lateral_margin(area: SweptArea) -> None:
     for y in around(8.0 - 0.3 - 3.05 - 0.2, 0.01):
         way = SURVEY.clear_distance_m(area, np.array([-6.0, y, 0.0]), 0.2)
         assert math.isfinite(way) == (y >= 8.0 - 0.3 - 3.05 - 0.2 - 1e-9), y
 
 
-def test_only_discs_within_15_m_are_looked_at(vehicle: Vehicle, config: SafetyConfig) -> None:
+def test_disc_reach(vehicle: Vehicle, config: SafetyConfig) -> None:
     s = spaced(20.0, 0.4)
     far = sweep_along(footprint_of(vehicle, None), 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
     alone = KnownStructure(np.empty((0, 4)), 0.1, np.array([[0.0, 0.0, 0.3]]), SURVEY.roof)
@@ -89,7 +89,7 @@ def test_only_discs_within_15_m_are_looked_at(vehicle: Vehicle, config: SafetyCo
         assert math.isfinite(alone.clear_distance_m(far, np.array([-away, 0.0, 0.0]), 0.0)) == (away <= 15.0), away
 
 
-def test_a_shed_is_surveyed_as_it_is_configured() -> None:
+def test_structure_of_shed() -> None:
     corner = ((0.0, 0.0), (0.0, 8.0), (6.0, 8.0))
     posts = (Post(at_m=(6.0, 0.0), radius_m=0.12), Post(at_m=(3.0, 0.0), radius_m=0.2))
     outline = ((0.0, 0.0), (6.0, 0.0), (6.0, 8.0), (0.0, 8.0))
@@ -103,14 +103,14 @@ def test_a_shed_is_surveyed_as_it_is_configured() -> None:
     assert (bare.walls.shape, bare.posts.shape) == ((0, 4), (0, 3))
 
 
-def test_edges_go_from_each_corner_to_the_next() -> None:
+def test_edges_of_polygon() -> None:
     assert edges_of(np.array([(0.0, 0.0), (4.0, 1.0), (2.0, 3.0)])).tolist() == [
         [0.0, 0.0, 4.0, 1.0], [4.0, 1.0, 2.0, 3.0], [2.0, 3.0, 0.0, 0.0],
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("length_m", "count"), [(0.0, 2), (0.1, 2), (4 * SPACING_M, 5), (4 * SPACING_M + 0.01, 6)])
-def test_discs_stand_along_a_wall_from_end_to_end(length_m: float, count: int) -> None:
+def test_discs_along_wall(length_m: float, count: int) -> None:
     start, ahead = np.array([2.0, 3.0]), np.array([0.6, 0.8])
     discs = discs_along(np.array([*start, *(start + length_m * ahead)]), 0.1)
     expected = [(*(start + share * length_m * ahead), 0.1) for share in np.linspace(0.0, 1.0, count)]

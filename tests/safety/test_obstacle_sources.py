@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from configs.vehicle import Lidar, Mount, TrailedImplement, Vehicle
+from configs.vehicle import Lidar, Mount, Vehicle
 from geometry.pose2 import from_frame, to_frame
 from geometry.rectangle import Rectangle
 from messages.motion import Odometry
@@ -16,18 +16,17 @@ from messages.sensors import LidarScan, RadarScan, UltrasonicRange
 from safety.config import SafetyConfig
 from safety.obstacle_sources import ObstacleSources, SourceData, is_newer, reachable_box
 from safety.pose_history import PoseHistory
-from safety.sources.detection_range import nominal_range_m
-from safety.sources.ground_filter import Motion, deskew
-from safety.sources.lidar import LidarSource, is_same
+from safety.sources.ground_filter import Motion
+from safety.sources.lidar import LidarSource
 from safety.zones.footprint import Box, Footprint, footprint_of
 from safety.zones.protective_field import SweptField, sweep_field
 from tests.safety.safety_world import NO_BYTES, START_NS, healthy
 
 AREA = Box((-12.0, 15.0), (-8.0, 8.0))
-STILL = Motion(0.0, 0.0)
+
 SMALL = Footprint((Rectangle(-0.1, 0.1, 0.2),), None, None, 2.9)
+
 POSE = np.array([5.0, -3.0, 0.7])
-NOWHERE = np.zeros(3)
 
 
 @pytest.fixture
@@ -52,113 +51,6 @@ def scan(*base: tuple[float, float, float], stamp_ns: int = START_NS, offset_s: 
     )
 
 
-def take(
-    source: LidarSource, seen: LidarScan, pose: np.ndarray = NOWHERE, motion: Motion = STILL, curvature: float = 0.0
-) -> int:
-    source.update(seen, pose, motion, curvature, AREA)
-    return len(source.hits_odom_m)
-
-
-def few(seen: LidarScan, stamp_ns: int, count: int) -> LidarScan:
-    return LidarScan(stamp_ns, seen.ranges_mm, seen.elevation_rad, seen.azimuth_rad, seen.xyz_m[:count], NO_BYTES,
-                     seen.offset_s[:count])  # fmt: skip
-
-
-def test_an_eye_begins_with_nothing(source: LidarSource, lidar: Lidar, config: SafetyConfig) -> None:
-    assert (source.name, source.stamp_ns, source.scan, source.hits_odom_m.shape) == ("front", None, None, (0, 3))
-    assert source.nominal_range_m == nominal_range_m(lidar, config.field, config.detection_range) > 0.0
-    assert (source.is_frozen, source.detection_range_m(1), source.covers(1), source.covers(-1)) == (
-        False,
-        0.0,
-        False,
-        False,
-    )
-    seen = scan((8.1, 0.1, 1.5))
-    take(source, seen)
-    assert (source.scan, source.stamp_ns) == (seen, START_NS)
-
-
-def test_hits_lie_in_odom_as_at_the_stamp(source: LidarSource) -> None:
-    seen, motion = scan((8.1, 1.1, 1.5), offset_s=-0.1), Motion(3.0, 0.2)
-    assert take(source, seen, POSE, motion) == 4
-    base = deskew(np.add(seen.xyz_m, (0.0, 0.0, 2.0)).T.astype(np.float32), seen.offset_s, motion)
-    expected = np.column_stack([to_frame(POSE, base[:2].T), base[2]])
-    assert source.hits_odom_m == pytest.approx(expected, abs=1e-5)
-
-
-def test_returns_count_in_the_box_above_the_ground_and_below_the_top(source: LidarSource) -> None:
-    for place, counts in (
-        ((8.1, 0.1, 3.18), 4), ((8.1, 0.1, 3.205), 0), ((14.98, 0.1, 1.6), 4), ((15.1, 0.1, 1.6), 0),
-        ((8.1, 0.1, 0.3), 0), ((0.2, 0.0, 1.6), 0), ((0.3, 0.1, 1.6), 4),
-    ):  # fmt: skip
-        assert take(source, scan(place)) == counts, place
-
-
-def test_a_cell_with_few_returns_counts_the_second_time_and_not_of_the_same_scan(source: LidarSource) -> None:
-    whole = scan((8.1, 0.1, 1.6))
-    first, second, third = (few(whole, START_NS + k, 2) for k in range(3))
-    assert [take(source, one) for one in (first, second, second, third)] == [0, 2, 0, 2]
-    assert [take(source, few(whole, 9, count)) for count in (3, 1, 3, 3)] == [3, 0, 0, 3]
-
-
-def test_the_own_trailer_is_masked_by_the_bend_it_is_in(lidar: Lidar, vehicle: Vehicle, config: SafetyConfig) -> None:
-    wagon = TrailedImplement(
-        kind="trailed", name="wagon", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
-        hitch_m=-1.2, axle_length_m=4.0, working_length_m=4.0, total_length_m=5.5,
-    )  # fmt: skip
-    for curvature, count in ((0.0, 0), (0.2, 4)):
-        source = LidarSource("rear", lidar, footprint_of(vehicle, wagon), config)
-        assert take(source, scan((-6.3, 0.2, 1.5)), curvature=curvature) == count, curvature
-
-
-def test_equal_scans_are_counted_from_the_second_on(source: LidarSource, config: SafetyConfig) -> None:
-    whole = scan((8.1, 0.1, 1.6))
-    scans = [few(whole, START_NS + k, 3) for k in range(3)]
-    states = []
-    for one in (scans[0], scans[0], scans[0], scans[1], scans[1], scans[2], few(whole, 9, 2)):
-        take(source, one)
-        states.append(source.is_frozen)
-    assert states == [False] * 5 + [True, False]
-
-
-def test_a_scan_is_the_same_when_ranges_and_places_are() -> None:
-    listed, other = scan((8.0, 0.0, 1.0)), scan((8.1, 0.0, 1.0))
-    assert is_same(listed, scan((8.0, 0.0, 1.0), stamp_ns=7))
-    assert not is_same(listed, other)
-    assert not is_same(listed, None)
-    ranges = np.ones((1, 2), np.uint16)
-    image, more = (LidarScan(1, one, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), NO_BYTES,
-                             np.empty(0, np.float32)) for one in (ranges, 2 * ranges))  # fmt: skip
-    assert is_same(image, image)
-    assert not is_same(image, more)
-    assert not is_same(few(listed, 1, 0), few(listed, 2, 0))
-
-
-@pytest.mark.parametrize(("x", "later_ns", "count"), [
-    (4.0, 9_999_999_999, 4), (4.0, 10_000_000_000, 0), (3.85, 1, 0), (3.95, 1, 4), (4.7, 1, 4), (4.8, 1, 0),
-])  # fmt: skip
-def test_what_went_into_the_hole_is_kept_for_a_time(source: LidarSource, x: float, later_ns: int, count: int) -> None:
-    at = np.array([0.0, 0.0, 0.3])
-    assert take(source, scan((5.0, 0.0, 0.9)), at) == 4
-    hits = source.hits_odom_m
-    there = np.array([*to_frame(at, np.array([[x, 0.0]]))[0], 0.3])
-    assert take(source, scan(stamp_ns=START_NS + later_ns), there) == count
-    assert source.hits_odom_m.tolist() == hits[:count].tolist()
-
-
-def test_what_is_kept_keeps_its_age_beside_what_is_new(source: LidarSource) -> None:
-    take(source, scan((5.0, 0.0, 0.9)))
-    old = source.hits_odom_m
-    there = np.array([4.0, 0.0, 0.0])
-    assert take(source, scan((6.0, 0.0, 1.6), stamp_ns=START_NS + 5_000_000_000), there) == 8
-    assert source.hits_odom_m[4:].tolist() == old.tolist()
-    assert take(source, scan(stamp_ns=START_NS + 9_000_000_000), there) == 4
-    assert take(source, scan(stamp_ns=START_NS + 10_000_000_000), there) == 0
-
-
-# ---- all together
-
-
 @pytest.fixture
 def sources(full: Vehicle, implement, config: SafetyConfig) -> ObstacleSources:
     return ObstacleSources(full.sensors, footprint_of(full, implement), config)
@@ -179,7 +71,7 @@ def came(**what: Any) -> SourceData:
     return SourceData(what.get("scans", {}), what.get("radars", {}), what.get("echoes", {}))
 
 
-def test_there_is_one_sense_each_sensor(sources: ObstacleSources) -> None:
+def test_one_source_per_sensor(sources: ObstacleSources) -> None:
     assert [source.name for source in sources.lidars] == ["front", "rear"]
     assert [radar.name for radar in sources.radars] == ["front"]
     assert [source.name for source in sources.ultrasonics] == ["left", "right", "rear"]
@@ -191,7 +83,7 @@ def test_there_is_one_sense_each_sensor(sources: ObstacleSources) -> None:
     assert sources._footprint is SMALL
 
 
-def test_newer_is_after_the_last() -> None:
+def test_is_newer() -> None:
     assert [is_newer(5, taken) for taken in (None, 4, 5, 6)] == [True, True, False, False]
 
 
@@ -200,9 +92,7 @@ def radar_scan(stamp_ns: int, *ranges: float) -> RadarScan:
     return RadarScan(stamp_ns, some, 0 * some, 0 * some, 0 * some - 3.0, 0 * some + 5.0)
 
 
-def test_what_is_heard_is_news_while_it_is_or_was_in_the_way(
-    sources: ObstacleSources, pose_history: PoseHistory
-) -> None:
+def test_update_relevance(sources: ObstacleSources, pose_history: PoseHistory) -> None:
     def update(k: int, radar: tuple[float, ...] | None = None, echo: float | None = None) -> bool:
         stamp_ns = START_NS + k * 50_000_000
         radars = {"front": None if radar is None else radar_scan(stamp_ns, *radar)}
@@ -218,7 +108,7 @@ def test_what_is_heard_is_news_while_it_is_or_was_in_the_way(
     assert not update(23)
 
 
-def test_news_of_one_is_not_undone_by_another(full: Vehicle, config: SafetyConfig, pose_history: PoseHistory) -> None:
+def test_relevance_of_several_sources(full: Vehicle, config: SafetyConfig, pose_history: PoseHistory) -> None:
     radar = full.sensors.radar["front"]
     sensors = full.sensors.model_copy(update={"radar": {"front": radar, "rear": radar}})
     for is_radar in (True, False):
@@ -230,7 +120,7 @@ def test_news_of_one_is_not_undone_by_another(full: Vehicle, config: SafetyConfi
         assert sources.update(came(radars=radars, echoes=echoes), pose_history, odometry()), is_radar
 
 
-def test_what_is_heard_lies_where_the_machine_was(sources: ObstacleSources, pose_history: PoseHistory) -> None:
+def test_echoes_at_pose_of_stamp(sources: ObstacleSources, pose_history: PoseHistory) -> None:
     asked: list[int] = []
     where: Any = SimpleNamespace(pose_at=lambda stamp_ns: asked.append(stamp_ns) or POSE)
     for k in range(5):
@@ -242,7 +132,7 @@ def test_what_is_heard_lies_where_the_machine_was(sources: ObstacleSources, pose
     assert sources.ultrasonics[0].echo_arc_odom_m[3] == pytest.approx(to_frame(POSE, np.array([[5.5, 0.6]]))[0])
 
 
-def test_fresh_are_those_with_a_newer_scan(sources: ObstacleSources) -> None:
+def test_with_new_scan(sources: ObstacleSources) -> None:
     front, rear = sources.lidars
     scans = {"front": scan(), "rear": None}
     assert sources.with_new_scan(came(scans=scans)) == [front]
@@ -251,7 +141,7 @@ def test_fresh_are_those_with_a_newer_scan(sources: ObstacleSources) -> None:
     assert sources.with_new_scan(came(scans={"front": scan(), "rear": scan()})) == [rear]
 
 
-def test_for_another_way_the_last_scan_is_taken_again(sources: ObstacleSources) -> None:
+def test_last_scan_reprocessed_for_new_field(sources: ObstacleSources) -> None:
     taken: list[Any] = []
     where: Any = SimpleNamespace(pose_at=lambda stamp_ns: stamp_ns)
     for source in sources.lidars:
@@ -287,14 +177,14 @@ def gap_of(sources: ObstacleSources, way: SweptField, speed_mps: float = 1.0, **
     return sources.clearance(way, POSE, speed_mps, how.get("is_known"), how.get("tracks"))
 
 
-def test_before_any_lidar_has_looked_no_gap_is_known(sources: ObstacleSources, way: SweptField) -> None:
+def test_no_clearance_before_first_scan(sources: ObstacleSources, way: SweptField) -> None:
     assert gap_of(sources, way) is None
     sources.lidars[1].stamp_ns = START_NS
     found = gap_of(sources, way)
     assert (found.main_m, found.arc_m, found.triggering_points_base_m.shape) == (math.inf, math.inf, (0, 3))
 
 
-def test_hits_of_lidars_and_radars_make_one_gap(sources: ObstacleSources, way: SweptField) -> None:
+def test_clearance_of_lidar_and_radar_hits(sources: ObstacleSources, way: SweptField) -> None:
     front, rear = sources.lidars
     front.stamp_ns = START_NS
     front.hits_odom_m, rear.hits_odom_m = odom_of((12.0, 1.0, 1.5), (12.0, 30.0, 1.0)), odom_of((14.0, 0.0, 0.5))
@@ -315,7 +205,7 @@ def test_hits_of_lidars_and_radars_make_one_gap(sources: ObstacleSources, way: S
     assert gap_of(sources, way, is_known=lambda points: np.ones(len(points), bool)).main_m == math.inf
 
 
-def test_points_in_one_square_are_thinned(sources: ObstacleSources, way: SweptField) -> None:
+def test_thinning(sources: ObstacleSources, way: SweptField) -> None:
     sources.lidars[0].stamp_ns = START_NS
     x, y = 0.05 * 400 + 0.01, 0.01
     sources.lidars[0].hits_odom_m = np.array([(x, y, 1.0), (x + 0.02, y, 2.0), (x + 0.05, y, 3.0)])
@@ -331,7 +221,7 @@ def arc(*base: tuple[float, float]) -> np.ndarray:
 IN_WAY = [(7.0, 0.1 * k) for k in range(10)]
 
 
-def test_an_arc_counts_when_four_fifths_of_it_lie_in_the_way(sources: ObstacleSources, way: SweptField) -> None:
+def test_min_arc_ratio(sources: ObstacleSources, way: SweptField) -> None:
     sources.lidars[0].stamp_ns = START_NS
     source = sources.ultrasonics[0]
     for beside, main_m in ((0, 3.5), (2, 3.5), (3, math.inf), (10, math.inf)):
@@ -344,9 +234,7 @@ def test_an_arc_counts_when_four_fifths_of_it_lie_in_the_way(sources: ObstacleSo
     assert gap_of(sources, way).main_m == math.inf
 
 
-def test_an_arc_counts_while_slow_unexplained_and_unanswered(
-    sources: ObstacleSources, way: SweptField, config: SafetyConfig
-) -> None:
+def test_echo_conditions(sources: ObstacleSources, way: SweptField, config: SafetyConfig) -> None:
     sources.lidars[0].stamp_ns = START_NS
     sources.ultrasonics[2].echo_arc_odom_m = arc(*IN_WAY)
     most_mps = config.ultrasonic.max_speed_kmh / 3.6
@@ -367,7 +255,7 @@ def test_an_arc_counts_while_slow_unexplained_and_unanswered(
     assert gap_of(sources, way).main_m == pytest.approx(2.5)
 
 
-def test_lidars_that_look_there_and_are_not_silent_prove(sources: ObstacleSources) -> None:
+def test_detection_range_of_covering_lidars(sources: ObstacleSources) -> None:
     front, rear = sources.lidars
     front._detection_range_m, rear._detection_range_m = {1: 40.0}, {-1: 20.0}
     now_ns = START_NS + 10_000_000_000
@@ -387,7 +275,7 @@ def test_lidars_that_look_there_and_are_not_silent_prove(sources: ObstacleSource
         assert (sources.detection_range_m(now_ns, 1, {}) != {}) == proves, age_ns
 
 
-def test_the_touched_box_is_wider_by_a_step_and_two_squares(way: SweptField) -> None:
+def test_reachable_box(way: SweptField) -> None:
     def way_of(step_m: float, arc_step_m: float | None = None) -> Any:
         arc = None if arc_step_m is None else SimpleNamespace(box=Box((0.0, 1.0), (0.0, 1.0)), step_m=arc_step_m)
         return SimpleNamespace(main=SimpleNamespace(box=Box((-1.0, 5.0), (-2.0, 9.0)), step_m=step_m), arc=arc)

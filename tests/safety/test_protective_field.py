@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import fields, replace
-from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,22 +10,14 @@ import pytest
 
 from configs.vehicle import Vehicle
 from geometry.pose2 import to_frame
-from geometry.rectangle import Rectangle
 from messages.command import ControlCommand
 from messages.plan import Path, PathSection, PathSectionType
 from safety.config import SafetyConfig
-from safety.sources.multiple_evaluation import cell_keys, evaluate, thin
 from safety.stopping_distance import required_range, stopping_distance
 from safety.zones.footprint import (
     Box,
-    Drawbar,
     Footprint,
-    carriers,
     footprint_of,
-    is_inside,
-    outline,
-    steady_angle,
-    trailer_poses,
 )
 from safety.zones.protective_field import (
     FREE,
@@ -86,76 +77,7 @@ def assert_equal(a: SweptArea | None, b: SweptArea) -> None:
         assert is_equal(getattr(a, one.name), getattr(b, one.name)), one.name
 
 
-def test_outlines_follow_from_the_vehicle(vehicle: Vehicle, footprint: Footprint, pulling: Footprint) -> None:
-    machine = Rectangle(-1.0, 3.5, 2.3)
-    assert footprint_of(vehicle, None) == Footprint((machine,), None, None, 2.9)
-    assert footprint == Footprint((machine, Rectangle(-2.4, -1.1, 6.1)), None, None, 2.9)
-    assert pulling == Footprint((machine,), Rectangle(-5.5, 0.0, 3.2), Drawbar(-1.2, 4.0), 2.9)
-
-
-def test_leading_edges_in_both_directions(footprint: Footprint, pulling: Footprint) -> None:
-    for one, direction, foremost, leads in (
-        (footprint, 1, 3.5, (0.0, 4.6)), (footprint, -1, -2.4, (1.4, 0.0)),
-        (pulling, 1, 3.5, (0.0, 4.7)), (pulling, -1, -6.7, (5.7, 0.0)),
-    ):  # fmt: skip
-        assert one.foremost_m(direction) == pytest.approx(foremost)
-        assert one.leads_m(direction) == pytest.approx(leads)
-
-
-def test_a_rectangle_holds_its_edges_and_a_margin() -> None:
-    body = Rectangle(-1.0, 3.0, 4.0)
-    for margin in (0.0, 0.5):
-        for x, y in ((-1.0 - margin, 0.0), (3.0 + margin, 0.0), (0.0, 2.0 + margin), (0.0, -2.0 - margin)):
-            for further in (0.0, 0.01):
-                point = np.array([x, y]) + further * np.sign([x, y])
-                assert is_inside(body, point[:1], point[1:], margin)[0] == (further == 0.0), (margin, point)
-    assert not is_inside(body, np.array([9.0]), np.array([9.0]), 0.0)[0]
-
-
-def test_outline_has_corners_and_middles_of_sides() -> None:
-    expected = {(-1.0, -2.0), (-1.0, 0.0), (-1.0, 2.0), (1.0, -2.0), (1.0, 2.0), (3.0, -2.0), (3.0, 0.0), (3.0, 2.0)}
-    found = outline(Rectangle(-1.0, 3.0, 4.0))
-    assert set(map(tuple, found.tolist())) == expected
-    assert len(found) == 8
-
-
-@pytest.mark.parametrize("curvature", [-0.2, -0.05, 0.0, 0.05, 0.2])
-def test_steadily_pulled_the_axle_rolls_about_the_machines_centre(curvature: float) -> None:
-    drawbar = Drawbar(-1.2, 4.0)
-    angle = steady_angle(drawbar, curvature)
-    ahead = np.array([math.cos(angle), math.sin(angle)])
-    axle = np.array([-1.2, 0.0]) - 4.0 * ahead
-    assert abs(angle) < math.pi / 2
-    assert curvature * float(axle @ ahead) - float(ahead[1]) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("side", [1, -1])
-def test_in_too_narrow_a_bend_the_drawbar_stands_across(side: int) -> None:
-    expected = side * (math.atan(-1.2 * 2.0) - math.pi / 2)
-    assert steady_angle(Drawbar(-1.2, 4.0), side * 2.0) == pytest.approx(expected)
-
-
-def test_a_trailer_follows_its_hitch_step_by_step() -> None:
-    poses = np.array([[0.0, 0.0, 0.3], [0.5, 0.3, 0.5], [0.8, 0.9, 0.9], [0.7, 1.4, 1.4]])
-    found = trailer_poses(Drawbar(-1.2, 4.0), poses, 0.1)
-    hitch = [to_frame(pose, np.array([[-1.2, 0.0]]))[0] for pose in poses]
-    assert found[:, :2] == pytest.approx(np.array(hitch))
-    assert found[0, 2] == pytest.approx(0.3 + steady_angle(Drawbar(-1.2, 4.0), 0.1))
-    for before, after in pairwise(found):
-        left = np.array([-math.sin(before[2]), math.cos(before[2])])
-        assert after[2] - before[2] == pytest.approx(float((after[:2] - before[:2]) @ left) / 4.0)
-
-
-def test_carriers_are_base_and_for_what_is_pulled_the_hitch(footprint: Footprint, pulling: Footprint) -> None:
-    poses = arc_poses(0.1, 1, np.arange(0.0, 3.0, 0.5))
-    assert carriers(footprint, poses, 0.1) == ((footprint.rigid[0], poses), (footprint.rigid[1], poses))
-    (machine, own), (wagon, hitch) = carriers(pulling, poses, 0.1)
-    assert (machine, wagon) == (pulling.rigid[0], pulling.trailed)
-    assert own is poses
-    assert hitch == pytest.approx(trailer_poses(Drawbar(-1.2, 4.0), poses, 0.1))
-
-
-def test_the_place_is_where_control_says_on_the_same_path() -> None:
+def test_position_on_path() -> None:
     path = bent_path()
     assert position_on_path(path, following(7, 4.2)) == PathPosition(path, 4.2)
     for control_command in (None, following(8, 4.2), following(7, math.nan), following(7, math.inf)):
@@ -165,7 +87,7 @@ def test_the_place_is_where_control_says_on_the_same_path() -> None:
     assert position_on_path(replace(path, s_m=path.s_m[:1]), None) is None
 
 
-def test_the_leg_of_a_place_is_that_of_its_stretch() -> None:
+def test_section_type_at() -> None:
     sections = (
         PathSection(PathSectionType.DOCK, 1, 0, 1),
         PathSection(PathSectionType.SWATH, 2, 2, 3),
@@ -178,7 +100,7 @@ def test_the_leg_of_a_place_is_that_of_its_stretch() -> None:
         assert section_type_at(PathPosition(path, s_m)) is leg, s_m
 
 
-def test_a_pose_is_at_its_place_within_a_metre_and_20_degrees(config: SafetyConfig) -> None:
+def test_path_deviation_limits(config: SafetyConfig) -> None:
     place, end = PathPosition(bent_path(), 6.0), PathPosition(bent_path(), 20.0)
     for x, y, is_there in ((2.0, 1.0, True), (3.0, 1.0, True), (1.0, 1.0, True), (2.0, 2.0, True), (2.0, 0.0, True),
                            (2.8, 1.7, False), (3.01, 1.0, False), (2.0, -0.01, False)):  # fmt: skip
@@ -191,7 +113,7 @@ def test_a_pose_is_at_its_place_within_a_metre_and_20_degrees(config: SafetyConf
         assert is_at(level, np.array([0.0, 0.0, turn]), config.field) == is_there, turn
 
 
-def test_the_field_reaches_as_far_as_half_a_metre_per_second_more_needs(config: SafetyConfig) -> None:
+def test_look_ahead_speed_margin(config: SafetyConfig) -> None:
     flat = config.braking.flat
     assert look_ahead_m(5.0, flat, config.field, 2.0) == pytest.approx(required_range(5.5, flat, 2.0) + 1.0)
     assert look_ahead_m(0.5, flat, config.field, 0.0) == config.field.min_length_m
@@ -202,9 +124,7 @@ def test_the_field_reaches_as_far_as_half_a_metre_per_second_more_needs(config: 
 
 
 @pytest.mark.parametrize(("place_m", "left_m"), [(10.0, 12.7), (90.15, 9.85), (99.9, 0.4), (100.0, 0.4)])
-def test_along_a_plan_both_path_and_arc_are_swept(
-    config: SafetyConfig, pulling: Footprint, place_m: float, left_m: float
-) -> None:
+def test_field_along_plan(config: SafetyConfig, pulling: Footprint, place_m: float, left_m: float) -> None:
     path, field, pose = straight_path(), config.field, np.array([place_m, 0.2, 0.1])
     way = sweep_field(PathPosition(path, place_m), pose, 0.1, 1, 8.0, 3.0, pulling, field)
     s = spaced(left_m, 0.4)
@@ -216,9 +136,7 @@ def test_along_a_plan_both_path_and_arc_are_swept(
 
 
 @pytest.mark.parametrize(("direction", "lead_m"), [(1, 4.7), (-1, 5.7)])
-def test_without_a_place_the_arc_is_swept_over_the_whole_length(
-    config: SafetyConfig, pulling: Footprint, direction: int, lead_m: float
-) -> None:
+def test_field_without_plan(config: SafetyConfig, pulling: Footprint, direction: int, lead_m: float) -> None:
     way = sweep_field(None, np.zeros(3), 0.1, direction, 8.0, 3.0, pulling, config.field)
     s = spaced(8.0 + lead_m, 0.4)
     poses = arc_poses(0.1, direction, s)
@@ -231,14 +149,14 @@ def way_of(main: Any, arc: Any = None) -> SweptField:
     return SweptField(SimpleNamespace(box=main), None if arc is None else SimpleNamespace(box=arc), True)  # type: ignore[arg-type]
 
 
-def test_the_box_holds_both_sweeps_and_slack() -> None:
+def test_box_of_field() -> None:
     a, b = Box((-1.0, 5.0), (-2.0, 9.0)), Box((-3.0, 4.0), (-1.0, 10.0))
     for way in (way_of(a, b), way_of(b, a)):
         assert box_of(way, 0.5) == Box((-3.5, 5.5), (-2.5, 10.5))
     assert box_of(way_of(a), 0.5) == Box((-1.5, 5.5), (-2.5, 9.5))
 
 
-def test_gaps_to_hits_in_odom(config: SafetyConfig, footprint: Footprint) -> None:
+def test_clearance_to_hits(config: SafetyConfig, footprint: Footprint) -> None:
     way = sweep_field(PathPosition(straight_path(), 0.0), np.zeros(3), 0.0, 1, 20.0, 12.0, footprint, config.field)
     pose = np.array([5.0, -3.0, 0.7])
 
@@ -265,24 +183,3 @@ def test_gaps_to_hits_in_odom(config: SafetyConfig, footprint: Footprint) -> Non
     assert len(alone.triggering_points_base_m) == 1
     assert clearance_to(way, np.empty((0, 3)), pose) is FREE
     assert (FREE.main_m, FREE.arc_m, FREE.triggering_points_base_m.shape) == (math.inf, math.inf, (0, 3))
-
-
-def test_the_key_of_a_cell_is_its_three_numbers() -> None:
-    zero = 1 << 20
-    places = np.array([(0.0, 0.0, 0.0), (0.5, -0.5, 1.0), (0.99, -0.01, 1.49), (-1.0, 2.0, -0.1)])
-    cells = [(0, 0, 0), (1, -1, 2), (1, -1, 2), (-2, 4, -1)]
-    expected = [((zero + x) << 42) + ((zero + y) << 21) + zero + z for x, y, z in cells]
-    assert cell_keys(places, 0.5).tolist() == expected
-
-
-def test_cells_with_enough_returns_are_hits_and_remembered() -> None:
-    keys = np.array([9, 5, 9, 7, 9, 9, 5, 4])
-    hits, cells = evaluate(keys, np.array([4, 5, 11]), 4, 2)
-    assert hits.tolist() == [True, True, True, False, True, True, True, False]
-    assert cells.tolist() == [5, 9]
-
-
-def test_one_point_of_each_square_is_kept_in_its_order() -> None:
-    grid = np.array([(x, y, z) for x in (-0.3, 0.1, 0.6) for y in (-0.3, 0.1, 0.6) for z in (2.0, 1.0)])
-    assert thin(grid, 0.5).tolist() == grid[::2].tolist()
-    assert len(thin(np.array([(0.0, 0.0, 0.0), (0.499, 0.499, 3.0), (0.5, 0.0, 0.0)]), 0.5)) == 2

@@ -56,14 +56,14 @@ def limit_of(world: World, code: str) -> float:
     return next((rule.speed_limit_mps for rule in world.state.rules if rule.code == code), math.inf)
 
 
-def test_with_all_sensors_good_nothing_slows(seeing: World) -> None:
+def test_no_limit_with_healthy_sensors(seeing: World) -> None:
     driving(seeing, 2.78).run(1.0)
     assert seeing.command.reason == ""
     assert seeing.speed_mps == pytest.approx(2.78, abs=0.02)
     assert seeing.faults == []
 
 
-def test_radar_alone_stops_before_someone_who_stands(seeing: World) -> None:
+def test_radar_stops_for_static_person(seeing: World) -> None:
     driving(seeing, 2.78)
     seeing.targets = (Target(seeing.x_m + 20.0, 0.5, rcs_dbsm=-5.0),)
     seeing.run(12.0)
@@ -77,7 +77,7 @@ def test_radar_alone_stops_before_someone_who_stands(seeing: World) -> None:
     assert seeing.mode == Mode.AUTOMATIC
 
 
-def test_radar_alone_sees_a_child_that_moves(seeing: World) -> None:
+def test_radar_detects_moving_child(seeing: World) -> None:
     driving(seeing, 2.0)
     seeing.targets = (Target(seeing.x_m + 12.0, 0.0, vx_mps=-1.0, rcs_dbsm=-15.0),)
     for _ in range(50):
@@ -89,7 +89,7 @@ def test_radar_alone_sees_a_child_that_moves(seeing: World) -> None:
     assert len(weak) > 0
 
 
-def test_clutter_and_what_stands_weakly_do_not_stop(seeing: World) -> None:
+def test_radar_clutter(seeing: World) -> None:
     seeing.clutter = 15
     driving(seeing, 2.78)
     seeing.targets = tuple(Target(seeing.x_m + x, 0.0, rcs_dbsm=-12.0) for x in (8.0, 15.0, 22.0))
@@ -99,7 +99,7 @@ def test_clutter_and_what_stands_weakly_do_not_stop(seeing: World) -> None:
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_radar_does_not_stop_for_posts_beside(seeing: World, side: int) -> None:
+def test_radar_posts_beside_path(seeing: World, side: int) -> None:
     driving(seeing, 2.78)
     seeing.targets = tuple(Target(seeing.x_m + x, side * 3.9, rcs_dbsm=5.0) for x in np.arange(5.0, 30.0, 2.5))
     seeing.run(6.0)
@@ -108,7 +108,7 @@ def test_radar_does_not_stop_for_posts_beside(seeing: World, side: int) -> None:
 
 
 @pytest.mark.parametrize("y", [0.0, 0.6, -1.0])
-def test_ultrasonic_alone_stops_a_slow_machine(seeing: World, y: float) -> None:
+def test_ultrasonic_stops_slow_machine(seeing: World, y: float) -> None:
     driving(seeing, 0.8)
     seeing.targets = (Target(seeing.x_m + 9.0, y, rcs_dbsm=-60.0, is_confirmed=True),)
     seeing.run(12.0)
@@ -117,7 +117,7 @@ def test_ultrasonic_alone_stops_a_slow_machine(seeing: World, y: float) -> None:
     assert 0.5 < seeing.targets[0].x_m - seeing.x_m - FRONT_M < 4.0
 
 
-def test_ultrasonic_behind_stops_a_machine_that_backs(seeing: World) -> None:
+def test_rear_ultrasonic_stops_reversing(seeing: World) -> None:
     seeing.path = straight_path(5, 40.0, direction=-1)
     seeing.commanded_mps = 0.8
     seeing.start()
@@ -127,7 +127,7 @@ def test_ultrasonic_behind_stops_a_machine_that_backs(seeing: World) -> None:
     assert 0.5 < seeing.x_m - 2.4 - seeing.targets[0].x_m < 4.0
 
 
-def test_an_echo_once_is_no_obstacle_and_a_fast_machine_does_not_count_echoes(seeing: World) -> None:
+def test_single_echo_and_speed_limit_of_echoes(seeing: World) -> None:
     driving(seeing, 0.8)
     for k in range(20):
         seeing.targets = (Target(seeing.x_m + 6.0, 0.0, rcs_dbsm=-60.0, is_confirmed=True),) if k % 4 == 0 else ()
@@ -139,7 +139,7 @@ def test_an_echo_once_is_no_obstacle_and_a_fast_machine_does_not_count_echoes(se
     assert seeing.command.reason == ""
 
 
-def test_camera_alone_stops_before_a_person_that_stands(seeing: World) -> None:
+def test_camera_track_stops_for_static_person(seeing: World) -> None:
     driving(seeing, 2.78)
     x = seeing.x_m + 15.0
     seeing.tracks = (Track(3, ObstacleClass.PERSON, 0.9, np.array([x, 0.3, 0.8]), np.zeros(3), np.eye(4) * 0.2,
@@ -153,7 +153,7 @@ def test_camera_alone_stops_before_a_person_that_stands(seeing: World) -> None:
 
 
 @pytest.mark.parametrize("topic", LOST)
-def test_a_lost_sensor_slows_and_is_named_alone(seeing: World, config: SafetyConfig, topic: str) -> None:
+def test_sensor_loss_speed_and_code(seeing: World, config: SafetyConfig, topic: str) -> None:
     driving(seeing, 2.78)
     seeing.mute.add(topic)
     seeing.run(4.0)
@@ -171,9 +171,7 @@ def test_a_lost_sensor_slows_and_is_named_alone(seeing: World, config: SafetyCon
 @pytest.mark.parametrize(
     ("label", "max_output_age_s"), [("radar_front", 0.4), ("ultrasonic_left", 0.4), ("camera_front", 1.5)]
 )
-def test_what_a_sensor_sees_may_be_as_old_as_the_sensor_is_slow(
-    seeing: World, label: str, max_output_age_s: float
-) -> None:
+def test_obstacle_output_age_limit(seeing: World, label: str, max_output_age_s: float) -> None:
     driving(seeing, 2.78)
     topic = f"obstacles/{label}"
     seeing.mute.add(topic)
@@ -184,7 +182,7 @@ def test_what_a_sensor_sees_may_be_as_old_as_the_sensor_is_slow(
 
 
 @pytest.mark.parametrize(("kind", "kmh"), [("radar", 7.5), ("camera", 6.7), ("ultrasonic", 3.6)])
-def test_a_blind_sensor_slows_to_what_the_others_prove(seeing: World, kind: str, kmh: float) -> None:
+def test_blind_sensor_speed(seeing: World, kind: str, kmh: float) -> None:
     name = {"radar": "front", "camera": "front", "ultrasonic": "left"}[kind]
     driving(seeing, 2.78)
     seeing.mute.add(f"health/{kind}_{name}")
@@ -196,7 +194,7 @@ def test_a_blind_sensor_slows_to_what_the_others_prove(seeing: World, kind: str,
     assert 0.7 * kmh < seeing.speed_mps * 3.6 <= kmh
 
 
-def test_a_radar_that_repeats_itself_is_lost(seeing: World) -> None:
+def test_frozen_radar(seeing: World) -> None:
     driving(seeing, 2.0)
     seeing.targets = (Target(seeing.x_m + 50.0, 8.0),)
     seeing.run(0.2)
@@ -209,7 +207,7 @@ def test_a_radar_that_repeats_itself_is_lost(seeing: World) -> None:
     assert [fault.code for fault in seeing.faults] == ["radar/front.frozen"]
 
 
-def test_a_sensor_that_looks_away_is_not_missed(seeing: World) -> None:
+def test_sensor_outside_direction(seeing: World) -> None:
     driving(seeing, 2.78)
     seeing.mute |= {"ultrasonic/rear", "health/ultrasonic_rear"}
     seeing.run(2.0)
@@ -217,7 +215,7 @@ def test_a_sensor_that_looks_away_is_not_missed(seeing: World) -> None:
     assert seeing.faults == []
 
 
-def test_backing_without_the_rear_ultrasonic_is_slow_and_without_the_lidar_it_stops(seeing: World) -> None:
+def test_reversing_without_rear_sensors(seeing: World) -> None:
     seeing.path = straight_path(5, 40.0, direction=-1)
     seeing.commanded_mps = 2.0
     seeing.mute.add("ultrasonic/rear")
@@ -231,7 +229,7 @@ def test_backing_without_the_rear_ultrasonic_is_slow_and_without_the_lidar_it_st
     assert seeing.speed_mps == 0.0
 
 
-def test_the_common_cause_is_told_alone(seeing: World) -> None:
+def test_common_cause_reported_alone(seeing: World) -> None:
     driving(seeing, 2.0)
     seeing.mute |= {"odom", "imu", "health/radar_front", "tracks"}
     seeing.run(3.0)
@@ -239,14 +237,14 @@ def test_the_common_cause_is_told_alone(seeing: World) -> None:
     assert [fault.code for fault in seeing.faults if fault.is_active] == ["imu.silent"]
 
 
-def test_a_camera_without_a_model_is_not_missed(config, full: Vehicle, implement, geofence) -> None:
+def test_idle_camera(config, full: Vehicle, implement, geofence) -> None:
     supervisor = Supervisor(full, implement, config, geofence, (), idle=frozenset({"camera_front"}))
     assert "health/camera_front" not in supervisor.reads
     world = driving(World(supervisor, full, straight_path()), 2.78)
     assert world.command.reason == ""
 
 
-def test_what_is_read_follows_from_the_machine(config, sparse, full: Vehicle, implement, geofence) -> None:
+def test_reads_by_sensors(config, sparse, full: Vehicle, implement, geofence) -> None:
     few = set(Supervisor(sparse, implement, config, geofence, ()).reads)
     many = set(Supervisor(full, implement, config, geofence, ()).reads)
     assert many - few == {
@@ -257,7 +255,7 @@ def test_what_is_read_follows_from_the_machine(config, sparse, full: Vehicle, im
     }  # fmt: skip
 
 
-def test_lost_by_sector(full: Vehicle) -> None:
+def test_failure_by_sector(full: Vehicle) -> None:
     camera = next(one for one in monitored_sensors(full.sensors, frozenset()) if one.kind == "camera")
     half = math.radians(30.0)
     fine = healthy(START_NS, "camera_front")
@@ -272,7 +270,7 @@ def test_lost_by_sector(full: Vehicle) -> None:
     assert failure_of(camera, True, False, True, near, 1, half) is None
 
 
-def test_how_a_sensor_is_lost(full: Vehicle) -> None:
+def test_failure_codes(full: Vehicle) -> None:
     rear = next(one for one in monitored_sensors(full.sensors, frozenset()) if one.name == "rear")
     fine = healthy(START_NS, "ultrasonic_rear")
     blind = replace(fine, state=HealthState.BLIND, reason="dust")
@@ -290,7 +288,7 @@ def test_how_a_sensor_is_lost(full: Vehicle) -> None:
         assert failure_of(rear, is_received, is_frozen, has_output, health, 1, 0.5) is None
 
 
-def test_a_sensor_looks_where_it_is_turned_by_no_more_than_60_degrees() -> None:
+def test_coverage_by_mount_yaw() -> None:
     for direction, ahead_deg in ((1, 0.0), (-1, 180.0), (-1, -180.0)):
         for away_deg in (-120.0, *around(-60.0, 0.1), 0.0, *around(60.0, 0.1), 120.0):
             mount = Mount(xyz_m=(0.0, 0.0, 1.0), rpy_deg=(0.0, 0.0, ahead_deg + away_deg))
@@ -299,7 +297,7 @@ def test_a_sensor_looks_where_it_is_turned_by_no_more_than_60_degrees() -> None:
                 assert MonitoredSensor("radar", "front", mount).covers(direction) == expected, (direction, away_deg)
 
 
-def test_companions_are_all_but_the_idle(full: Vehicle) -> None:
+def test_monitored_sensors(full: Vehicle) -> None:
     known = {(one.kind, one.name): one.mount for one in monitored_sensors(full.sensors, frozenset({"camera_front"}))}
     assert known == {
         ("radar", "front"): full.sensors.radar["front"].mount,
@@ -321,7 +319,7 @@ def radar_hits(full: Vehicle, implement, config: SafetyConfig, cycles: list[list
     return source
 
 
-def test_radar_hits_at_their_limits(full: Vehicle, implement, config: SafetyConfig) -> None:
+def test_radar_hit_limits(full: Vehicle, implement, config: SafetyConfig) -> None:
     radar = config.radar
     standing, weak = (8.0, 0.0, 0.0, radar.static_rcs_dbsm), (8.0, 0.0, 0.0, radar.static_rcs_dbsm - 0.1)
     moving = (8.0, 0.0, radar.moving_mps, radar.moving_rcs_dbsm)
@@ -338,7 +336,7 @@ def test_radar_hits_at_their_limits(full: Vehicle, implement, config: SafetyConf
     assert len(radar_hits(full, implement, config, [[(np.nan, 0.0, 0.0, 5.0)]] * 8).hits) == 0
 
 
-def test_a_malformed_radar_scan_has_no_detections(full: Vehicle, implement, config: SafetyConfig) -> None:
+def test_malformed_radar_scan(full: Vehicle, implement, config: SafetyConfig) -> None:
     source = radar_hits(full, implement, config, [])
     scan = RadarScan(START_NS, np.ones(3), np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(3))
     source.update(scan, np.zeros(3), STILL, footprint_of(full, implement))
@@ -366,9 +364,7 @@ def listen(
         (1.2, NARROW_M + 0.01, "lidar_front", True, False),
     ],
 )
-def test_what_a_lidar_follows_answers_an_echo(
-    y: float, width: float, sensor: str, is_confirmed: bool, is_known: bool
-) -> None:
+def test_echo_confirmed_by_lidar_track(y: float, width: float, sensor: str, is_confirmed: bool, is_known: bool) -> None:
     geofence = Track(1, ObstacleClass.UNKNOWN, 0.9, np.array([3.0, y, 0.6]), np.zeros(3), np.eye(4) * 0.01,
                   np.array([8.0, width, 1.2]), 0.0, 0, START_NS, is_confirmed, (sensor,))  # fmt: skip
     arc = np.array([[3.0, 0.0], [2.9, 0.5], [2.6, 1.0]])
@@ -376,7 +372,7 @@ def test_what_a_lidar_follows_answers_an_echo(
     assert not is_confirmed_by_track(arc, None, 0.3)
 
 
-def test_echoes_must_repeat(full: Vehicle, config: SafetyConfig) -> None:
+def test_echo_repeats(full: Vehicle, config: SafetyConfig) -> None:
     for count in range(6):
         source = listen(full, config, [2.0] * count)
         assert (len(source.echo_arc_odom_m) > 0) == (count >= config.ultrasonic.repeats)
@@ -385,7 +381,7 @@ def test_echoes_must_repeat(full: Vehicle, config: SafetyConfig) -> None:
     assert len(listen(full, config, [math.nan] * 5).echo_arc_odom_m) == 0
 
 
-def test_what_went_into_the_dead_zone_stays_for_a_while(full: Vehicle, config: SafetyConfig) -> None:
+def test_dead_zone_hold(full: Vehicle, config: SafetyConfig) -> None:
     near = [1.0 - 0.05 * k for k in range(13)]  # down to 0.4 m
     gone = [math.nan] * 20
     source = listen(full, config, near + gone, speed_mps=0.5)
@@ -395,7 +391,7 @@ def test_what_went_into_the_dead_zone_stays_for_a_while(full: Vehicle, config: S
     assert len(listen(full, config, near + lasting, speed_mps=0.5).echo_arc_odom_m) == 0
 
 
-def test_a_sensor_that_looks_down_hears_the_ground_from_there_on() -> None:
+def test_ground_echo_range() -> None:
     T = np.eye(4)
     T[2, 3] = 0.7
     assert math.isinf(ground_range_m(T))
@@ -406,13 +402,13 @@ def test_a_sensor_that_looks_down_hears_the_ground_from_there_on() -> None:
 @pytest.mark.parametrize(("kind", "changes"), [
     (RadarConfig, {"cycles": 4}), (UltrasonicConfig, {"repeats": 6}),
 ])  # fmt: skip
-def test_wrong_values_are_refused(config: SafetyConfig, kind: Any, changes: dict[str, float]) -> None:
+def test_invalid_values(config: SafetyConfig, kind: Any, changes: dict[str, float]) -> None:
     values = (config.radar if kind is RadarConfig else config.ultrasonic).model_dump() | changes
     with pytest.raises(ConfigError, match=r"cycles|repeats"):
         parse(kind, values, "test")
 
 
-def test_start_with_a_lost_sensor(seeing: World) -> None:
+def test_start_with_failed_sensor(seeing: World) -> None:
     seeing.mute.add("ultrasonic/left")
     seeing.run(0.2)
     seeing.order(OperatorCommandKind.START)
@@ -421,7 +417,7 @@ def test_start_with_a_lost_sensor(seeing: World) -> None:
     assert 0.5 < seeing.speed_mps < 1.1
 
 
-def test_an_echo_that_a_surveyed_wall_may_have_given_does_not_count(seeing: World) -> None:
+def test_echo_of_known_wall(seeing: World) -> None:
     driving(seeing, 0.8)
     seeing.targets = (Target(seeing.x_m + 9.0, 0.0, rcs_dbsm=-60.0, is_confirmed=True),)
     seeing.run(12.0)

@@ -44,13 +44,13 @@ def simulated(speed: float, braking: Braking) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.3, *around(0.5, 0.02), 1.0, 2.78, 8.3])
-def test_both_branches_are_the_integral_of_the_brake(speed: float) -> None:
+def test_stopping_distance_against_integration(speed: float) -> None:
     way, time = simulated(speed, NOMINAL)
     assert stopping_distance(speed, NOMINAL) == pytest.approx(way, abs=2e-3)
     assert stopping_time(speed, NOMINAL) == pytest.approx(time, abs=2e-3)
 
 
-def test_standing_and_brakeless() -> None:
+def test_standstill_and_no_brake() -> None:
     no_brake = Braking(0.6, 0.4, 0.0)
     assert stopping_distance(0.0, NOMINAL) == 0.0
     assert stopping_time(0.0, NOMINAL) == 0.6
@@ -62,16 +62,16 @@ def test_standing_and_brakeless() -> None:
 
 
 @pytest.mark.parametrize(("range_m", "speed"), [(math.inf, math.inf), (math.nan, 0.0), (-math.inf, 0.0), (0.0, 0.0)])
-def test_ends_of_the_range(range_m: float, speed: float) -> None:
+def test_range_limits(range_m: float, speed: float) -> None:
     assert highest_speed(range_m, NOMINAL, 0.0) == speed
 
 
-def test_the_highest_speed_needs_no_more_than_the_range() -> None:
+def test_highest_speed_within_range() -> None:
     for range_m in np.linspace(0.01, 60.0, 500):
         assert stopping_distance(highest_speed(range_m, NOMINAL, 0.0), NOMINAL) <= range_m
 
 
-def test_range_for_what_comes_towards_the_machine() -> None:
+def test_required_range_of_approaching_obstacle() -> None:
     way_m, time_s = stopping_distance(2.0, NOMINAL), stopping_time(2.0, NOMINAL)
     assert required_range(2.0, NOMINAL, 1.0) == way_m + 1.0
     assert required_range(2.0, NOMINAL, 1.0, 1.5) == pytest.approx(way_m + 1.0 + 1.5 * time_s)
@@ -79,7 +79,7 @@ def test_range_for_what_comes_towards_the_machine() -> None:
     assert math.isinf(required_range(2.0, Braking(0.6, 0.4, 0.0), 1.0))
 
 
-def test_allowance_is_the_range_for_standing() -> None:
+def test_allowance_at_standstill() -> None:
     assert highest_speed(1.999, NOMINAL, 2.0) == 0.0
     assert highest_speed(2.001, NOMINAL, 2.0) > 0.0
     assert highest_speed(2.5, NOMINAL, 0.0, obstacle_mps=5.0) == 0.0
@@ -98,9 +98,7 @@ def test_inverse_is_the_highest_speed(braking: Braking, range_m: float, allowanc
 
 @given(brakings, st.floats(0.0, 60.0), st.floats(0.0, 5.0), st.floats(0.0, 3.0), st.floats(0.0, 1.0))
 @SETTINGS
-def test_less_range_or_more_allowance_is_never_faster(
-    braking: Braking, range_m: float, less: float, obstacle: float, slower: float
-) -> None:
+def test_highest_speed_monotonic(braking: Braking, range_m: float, less: float, obstacle: float, slower: float) -> None:
     base = highest_speed(range_m, braking, 1.0, obstacle)
     assert highest_speed(range_m - less, braking, 1.0, obstacle) <= base
     assert highest_speed(range_m, braking, 1.0 + less, obstacle) <= base

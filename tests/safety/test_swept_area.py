@@ -56,20 +56,20 @@ def arc(
     return sweep_along(footprint, direction, s, arc_poses(curvature, direction, s), curvature, config.field, foremost)
 
 
-def test_straight_contact_of_machine_and_implement(footprint: Footprint, config: SafetyConfig) -> None:
+def test_straight_contact(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.0, 20.0)
     ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [10.0, 4.0], [-3.0, 0.0], [30.0, 0.0]]), area)
     assert ways[:2] == pytest.approx([6.5, 11.1])  # the machine's front at 3.5, the implement's at -1.1
     assert np.all(np.isinf(ways[2:]))
 
 
-def test_gap_from_the_foremost_point(footprint: Footprint, config: SafetyConfig) -> None:
+def test_distance_from_foremost_point(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.0, 20.0, foremost=True)
     ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), area)
     assert ways == pytest.approx([6.5, 6.5, 0.0])
 
 
-def test_places_that_are_no_numbers_hide_nothing(footprint: Footprint, config: SafetyConfig) -> None:
+def test_nan_points(footprint: Footprint, config: SafetyConfig) -> None:
     s = spaced(20.0, 0.25)
     poses = arc_poses(0.0, 1, s)
     poses[-1] = np.nan
@@ -90,7 +90,7 @@ def test_lateral_boundary(footprint: Footprint, config: SafetyConfig, side: int)
         assert is_met == (y <= edge + 1e-9), y
 
 
-def test_margin_grows_with_the_way(footprint: Footprint, config: SafetyConfig) -> None:
+def test_lateral_margin_growth(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.0, 10.0)
     assert area.lateral_m[0] == config.field.lateral_margin_near_m
     assert area.lateral_m[-1] == config.field.lateral_margin_far_m
@@ -98,7 +98,7 @@ def test_margin_grows_with_the_way(footprint: Footprint, config: SafetyConfig) -
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_reverse_leads_with_the_implement(footprint: Footprint, config: SafetyConfig, direction: int) -> None:
+def test_leading_edge_in_reverse(footprint: Footprint, config: SafetyConfig, direction: int) -> None:
     area = arc(footprint, config, 0.0, 10.0, direction, foremost=True)
     point = np.array([[6.0, 0.0]]) if direction > 0 else np.array([[-6.0, 0.0]])
     assert distance_to_contact_m(point, area)[0] == pytest.approx(2.5 if direction > 0 else 3.6)
@@ -106,9 +106,7 @@ def test_reverse_leads_with_the_implement(footprint: Footprint, config: SafetyCo
     assert footprint.foremost_m(direction) == pytest.approx(3.5 if direction > 0 else -2.4)
 
 
-def test_outline_is_as_wide_as_the_widest_body_from_the_leading_end_on(
-    footprint: Footprint, config: SafetyConfig
-) -> None:
+def test_outline_width(footprint: Footprint, config: SafetyConfig) -> None:
     for direction, lead in ((1, 3.5), (-1, -1.0)):
         area = arc(footprint, config, 0.15, 6.0, direction)
         half = 3.05 + area.lateral_m
@@ -120,7 +118,7 @@ def test_outline_is_as_wide_as_the_widest_body_from_the_leading_end_on(
         assert outline_of(area) == pytest.approx(np.concatenate([left, right[::-1]])), direction
 
 
-def test_corners_are_those_of_the_bodies_at_every_other_place(footprint: Footprint, config: SafetyConfig) -> None:
+def test_outline_points(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.15, 6.0)
     points, ways = outline_points(area, 0.5)
     expected = [to_frame(pose, outline(body)) for body, poses in area.bodies for pose in poses[::2]]
@@ -130,7 +128,7 @@ def test_corners_are_those_of_the_bodies_at_every_other_place(footprint: Footpri
 
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("curvature", [0.2, -0.2])
-def test_in_a_bend_the_outer_end_of_a_body_is_not_late(
+def test_contact_on_outside_of_curve(
     footprint: Footprint, config: SafetyConfig, curvature: float, direction: int
 ) -> None:
     """It moves farther than base does: by 60 % beside a harrow of 6 m in the tightest bend."""
@@ -140,7 +138,7 @@ def test_in_a_bend_the_outer_end_of_a_body_is_not_late(
         assert distance_to_contact_m(np.array([[x, y]]), area)[0] <= bare + 0.01, (x, y)
 
 
-def test_bodies_are_widened_narrowed_and_lengthened(footprint: Footprint, config: SafetyConfig) -> None:
+def test_extra_and_lateral_margins(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.0, 20.0)
     for extra, aside in ((0.0, 5.0), (0.0, -0.2), (0.5, -0.2), (5.0, 0.0)):
         edge = 3.05 + config.field.lateral_margin_far_m + extra + aside
@@ -153,7 +151,7 @@ def test_bodies_are_widened_narrowed_and_lengthened(footprint: Footprint, config
     assert distance_to_contact_m(np.array([[10, 0]]), area, 1, 0)[0] == pytest.approx(5.5)
 
 
-def test_a_path_is_followed_to_its_ends_and_a_deviation_fades() -> None:
+def test_path_ends_and_deviation_blend() -> None:
     path, s = straight_path(length_m=10.0), spaced(5.0, 0.5)
     assert path_poses(path, 0.0, np.zeros(3), s, 5.0)[:, 0] == pytest.approx(s)
     assert path_poses(path, 8.0, np.array([8.0, 0.0, 0.0]), s, 5.0)[:, 0] == pytest.approx(np.minimum(s, 2.0))
@@ -162,7 +160,7 @@ def test_a_path_is_followed_to_its_ends_and_a_deviation_fades() -> None:
     assert path_poses(path, 0.0, np.array([0.0, 1.0, 0.0]), s, 2.0)[:, 1] == pytest.approx(-np.minimum(1.0, s / 2.0))
 
 
-def test_a_part_of_a_sweep_is_cut_off_everywhere(footprint: Footprint, config: SafetyConfig) -> None:
+def test_up_to_cuts_all_arrays(footprint: Footprint, config: SafetyConfig) -> None:
     whole = arc(footprint, config, 0.1, 6.0)
     part = whole.up_to(2.1)
     assert (part.length_m, len(part.s_m)) == (2.0, 9)
@@ -174,7 +172,7 @@ def test_a_part_of_a_sweep_is_cut_off_everywhere(footprint: Footprint, config: S
     assert distance_to_contact_m(np.array([[0.0, 0.0], [8.0, 0.0]]), here).tolist() == [0.0, math.inf]
 
 
-def test_a_way_longer_than_60_steps_gets_longer_steps(footprint: Footprint, config: SafetyConfig) -> None:
+def test_step_of_long_field(footprint: Footprint, config: SafetyConfig) -> None:
     assert len(spaced(120.0, 0.4)) == 61
     for count, step in ((1, config.field.step_m), (2, 0.3), (3, 0.3)):
         s = 0.3 * np.arange(count) + 1.0
@@ -182,7 +180,7 @@ def test_a_way_longer_than_60_steps_gets_longer_steps(footprint: Footprint, conf
         assert sweep_along(footprint, 1, s, poses, 0.0, config.field, True).step_m == pytest.approx(step)
 
 
-def test_headings_are_without_jumps() -> None:
+def test_unwrapped_headings() -> None:
     smooth = np.array([3.0, 3.1, 3.2])
     assert unwrapped(smooth) is smooth
     assert unwrapped(np.array([3.0, 3.1, 3.2 - 2 * math.pi])) == pytest.approx(smooth)
@@ -204,7 +202,7 @@ def brute_contact(point: np.ndarray, footprint: Footprint, curvature: float, dir
 
 @given(st.floats(-8.0, 12.0), st.floats(-8.0, 8.0), st.floats(-0.21, 0.21), st.sampled_from([1, -1]), st.booleans())
 @SETTINGS
-def test_contact_is_never_later_than_the_bodies_own(x, y, curvature, direction, is_trailed):
+def test_contact_never_later_than_brute_force(x, y, curvature, direction, is_trailed):
     footprint = SHAPES[is_trailed]
     area = arc(footprint, CONFIG, curvature, 7.0, direction)
     truth = brute_contact(np.array([x, y]), footprint, curvature, direction, area.length_m)
@@ -222,7 +220,7 @@ SHAPES: dict[bool, Footprint] = {}
 CONFIG: SafetyConfig
 
 
-def test_swing_out_of_the_implement(footprint: Footprint, config: SafetyConfig) -> None:
+def test_implement_swing_out(footprint: Footprint, config: SafetyConfig) -> None:
     """Turning left, the right rear corner swings out beyond the straight sweep; the point lies beside it."""
     point = np.array([[-1.0, -3.3]])
     assert np.isinf(distance_to_contact_m(point, arc(footprint, config, 0.0, 4.0))[0])
@@ -244,18 +242,18 @@ def test_trailed_implement(vehicle: Vehicle) -> None:
     assert math.isfinite(steady_angle(drawbar, 2.0))
 
 
-def test_arc_poses_are_on_a_circle() -> None:
+def test_arc_poses() -> None:
     poses = arc_poses(0.2, 1, np.array([0.0, 5.0 * math.pi / 2]))
     assert poses[1] == pytest.approx([5.0, 5.0, math.pi / 2])
     assert arc_poses(0.0, -1, np.array([2.0]))[0] == pytest.approx([-2.0, 0.0, 0.0])
 
 
-def test_long_ways_get_longer_steps() -> None:
+def test_spaced_limit() -> None:
     assert len(spaced(300.0, 0.25)) <= 62
     assert spaced(0.25, 0.25) == pytest.approx([0.0, 0.25])
 
 
-def test_path_poses_start_at_the_machine_and_join_the_path() -> None:
+def test_path_poses() -> None:
     path = straight_path()
     poses = path_poses(path, 10.0, np.array([10.0, 0.4, 0.1]), np.arange(0.0, 8.0, 0.5), 5.0)
     assert poses[0] == pytest.approx([0.0, 0.0, 0.0])
@@ -265,13 +263,13 @@ def test_path_poses_start_at_the_machine_and_join_the_path() -> None:
 
 
 @pytest.mark.parametrize("turns", [1, -1, 3])
-def test_headings_of_other_turns_do_not_matter(turns: int) -> None:
+def test_path_headings_of_other_turns(turns: int) -> None:
     path = straight_path(curvature=0.1)
     poses = path_poses(path, 3.0, np.array([*path.p_map_m[30], 0.3 + turns * 2 * math.pi]), np.array([0.0, 1.0]), 5.0)
     assert poses[1, 2] == pytest.approx(0.1, abs=1e-6)
 
 
-def test_part_of_a_sweep_is_what_is_swept_until_there(footprint: Footprint, config: SafetyConfig) -> None:
+def test_up_to(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.1, 20.0)
     points, ways = outline_points(area, 0.1)
     for way_m in (0.0, 4.9, 5.0, 5.1, 30.0):
@@ -280,7 +278,7 @@ def test_part_of_a_sweep_is_what_is_swept_until_there(footprint: Footprint, conf
         assert part_ways.max() == area.up_to(way_m).length_m
 
 
-def test_place_on_the_path(config: SafetyConfig, vehicle: Vehicle) -> None:
+def test_position_on_path_of_command(config: SafetyConfig, vehicle: Vehicle) -> None:
     path = straight_path(7)
     assert position_on_path(None, None) is None
     assert position_on_path(straight_path(1, 0.0), None) is None
@@ -294,7 +292,7 @@ def test_place_on_the_path(config: SafetyConfig, vehicle: Vehicle) -> None:
         assert at == (turn <= 20.0 + 1e-6), turn
 
 
-def test_way_without_a_place_is_the_arc(config: SafetyConfig, footprint: Footprint) -> None:
+def test_field_without_position(config: SafetyConfig, footprint: Footprint) -> None:
     place = position_on_path(straight_path(), None)
     pose = np.zeros(3)
     planned = sweep_field(place, pose, 0.1, 1, 10.0, 3.0, footprint, config.field)
@@ -309,7 +307,7 @@ def test_way_without_a_place_is_the_arc(config: SafetyConfig, footprint: Footpri
         assert other.main.poses[-1, 2] > 0.1
 
 
-def test_field_ends_with_the_path(config: SafetyConfig, footprint: Footprint) -> None:
+def test_field_ends_with_path(config: SafetyConfig, footprint: Footprint) -> None:
     way = sweep_field(
         position_on_path(straight_path(1, 3.0), None), np.zeros(3), 0.0, 1, 20.0, 1.0, footprint, config.field
     )
@@ -317,12 +315,12 @@ def test_field_ends_with_the_path(config: SafetyConfig, footprint: Footprint) ->
     assert np.isinf(distance_to_contact_m(np.array([[8.0, 0.0]]), way.main)[0])
 
 
-def test_look_ahead_has_a_floor(config: SafetyConfig) -> None:
+def test_look_ahead_minimum(config: SafetyConfig) -> None:
     assert look_ahead_m(0.0, config.braking.flat, config.field, 2.0) == config.field.min_length_m
     assert look_ahead_m(5.0, config.braking.flat, config.field, 2.0) > 10.0
 
 
-def test_box_and_outline_hold_the_sweep(config: SafetyConfig, footprint: Footprint) -> None:
+def test_box_and_outline_contain_area(config: SafetyConfig, footprint: Footprint) -> None:
     way = sweep_field(None, None, 0.2, 1, 8.0, 3.0, footprint, config.field)
     box = box_of(way, 0.0)
     points, ways = outline_points(way.main, 0.5)

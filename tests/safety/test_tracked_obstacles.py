@@ -20,6 +20,7 @@ from safety.zones.tracked_obstacles import (
     box_points,
     is_beside,
     is_fragment_of,
+    is_moving,
     is_within_reach,
     nearest_critical_object,
     predicted,
@@ -57,26 +58,26 @@ def critical_object(
     return nearest_critical_object(area, footprint, Tracks(START_NS, tracks), HERE, 0.0, 4.0, tracked, is_known)
 
 
-def test_sigma_is_that_of_the_less_certain_component() -> None:
+def test_velocity_sigma() -> None:
     for along, across in ((0.04, 0.01), (0.01, 0.04)):
         unsure = replace(track(0.0, 0.0), covariance=np.diag([9.0, 9.0, along, across]))
         assert velocity_sigma_mps(unsure) == pytest.approx(0.2)
 
 
-def test_places_to_come_reach_half_the_smaller_side_on_the_ground(config: SafetyConfig) -> None:
+def test_predicted_radius(config: SafetyConfig) -> None:
     walker = track(1.0, 2.0, 1.0, -2.0, size=(0.8, 0.6, 0.1))
     places, reach = predicted(walker, np.array([0.0, 1.0, 3.0]), config.tracked)
     assert places == pytest.approx(np.array([(1.0, 2.0), (2.0, 0.0), (4.0, -4.0)]))
     assert reach == pytest.approx([0.3, 0.4, 0.5])
 
 
-def test_rim_of_a_turned_box() -> None:
+def test_box_points_of_rotated_box() -> None:
     places = box_points(track(1.0, 2.0, size=(4.0, 2.0, 9.0), yaw=0.5))
     local = np.array([(a, b) for a in (-2.0, 0.0, 2.0) for b in (-1.0, 0.0, 1.0)])
     assert places == pytest.approx(to_frame(np.array([1.0, 2.0, 0.5]), local))
 
 
-def test_what_is_within_reach() -> None:
+def test_is_within_reach() -> None:
     pose = np.array([3.0, -2.0, 1.0])
     for away in around(10.0 + 15.0 + 4.0 * 1.0 + 0.5, 0.01):  # sweep, bodies, motion, half of the box
         moving = track(3.0 + 0.6 * away, -2.0 + 0.8 * away, 0.6, 0.8, size=(0.3, 0.4, 9.0))
@@ -85,7 +86,7 @@ def test_what_is_within_reach() -> None:
         assert not is_within_reach(track(x, y), pose, 10.0, 4.0)
 
 
-def test_what_is_beside_the_sweep(area: SweptArea) -> None:
+def test_is_beside(area: SweptArea) -> None:
     (x_low, x_high), (y_low, y_high) = area.box.x_m, area.box.y_m
     reach = 0.5 + area.step_m
     for more, is_out in ((-0.01, False), (0.0, False), (0.01, True)):
@@ -97,7 +98,7 @@ def test_what_is_beside_the_sweep(area: SweptArea) -> None:
         assert not is_beside(track(x, y, size=(0.3, 0.4, 9.0)), HERE, area), (x, y)
 
 
-def test_a_piece_lies_on_the_box_or_half_a_metre_from_it() -> None:
+def test_fragment_distance() -> None:
     for yaw, slack in ((0.0, 0.0), (0.5, 1e-6)):
         car = track(0.0, 0.0, size=(4.0, 2.0, 9.0), id=2, yaw=yaw)
         for u, v in itertools.product((-2.51, -2.5, 0.0, 1.2, 2.5, 2.51), (-1.51, -1.5, 0.0, 0.7, 1.5, 1.51)):
@@ -106,14 +107,14 @@ def test_a_piece_lies_on_the_box_or_half_a_metre_from_it() -> None:
             assert is_fragment_of(track(*place), [car], 0.5) == expected, (yaw, u, v)
 
 
-def test_a_piece_is_smaller_than_its_whole_and_another() -> None:
+def test_fragment_size() -> None:
     car = track(0.0, 0.0, size=(4.0, 2.0, 1.5), id=2)
     assert not is_fragment_of(replace(car, id=3), [car], 0.5)
     assert not is_fragment_of(replace(track(0.0, 0.0), id=2), [car], 0.5)
     assert is_fragment_of(track(0.0, 0.0), [track(0.0, 0.0), car], 0.5)
 
 
-def test_walls_are_told_by_places_on_the_ground() -> None:
+def test_known_structure_by_position() -> None:
     def is_known(points: np.ndarray) -> np.ndarray:
         assert points.shape[1] == 2
         return points[:, 0] > 5.0
@@ -122,7 +123,7 @@ def test_walls_are_told_by_places_on_the_ground() -> None:
     assert [one.id for one in without_known_structure(tracks, is_known, 2.0)] == [0]
 
 
-def test_what_is_explained_is_no_threat(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
+def test_track_on_known_structure(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     person, hedge = track(9.0, 0.0, vx=-1.0), track(9.0, 0.0, vx=-2.0, size=(3.0, 0.5, 1.0))
     for one, is_wall, counts in ((person, False, True), (person, True, False), (hedge, False, False)):
         found = critical_object(
@@ -131,7 +132,7 @@ def test_what_is_explained_is_no_threat(area: SweptArea, footprint: Footprint, c
         assert (found != NO_CRITICAL_OBJECT) == counts
 
 
-def test_none_hides_the_next(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
+def test_excluded_track_keeps_next(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     coming = track(9.0, 0.0, vx=-1.0, id=7)
     for uncovered_areas in (
         track(9.0, 0.0, label=ObstacleClass.UNKNOWN), track(9.0, 8.0), track(-8.0, 0.0, vx=1.0), track(1.0, -4.5),
@@ -142,7 +143,7 @@ def test_none_hides_the_next(area: SweptArea, footprint: Footprint, config: Safe
     assert critical_object(area, footprint, config, coming, replace(coming, id=8)).id == 7  # of equals the first
 
 
-def test_motion_is_looked_at_from_now_on_in_steps(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
+def test_prediction_steps(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     leaving = track(7.0, 3.0, vy=3.0)
     assert critical_object(area, footprint, config, leaving) != NO_CRITICAL_OBJECT
     crossing = track(7.0, 10.0, vy=-7.0)
@@ -150,7 +151,7 @@ def test_motion_is_looked_at_from_now_on_in_steps(area: SweptArea, footprint: Fo
     assert critical_object(area, footprint, config, crossing, steps=2) == NO_CRITICAL_OBJECT
 
 
-def test_only_what_is_long_carries_pieces(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
+def test_fragment_parent_length(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
     piece = track(9.5, 4.2, vy=-1.5, size=(0.4, 0.1, 0.5))
     for length in around(config.tracked.fragment_parent_m, 0.01):
         post = track(9.5, 4.4, size=(length, 0.5, 1.0), label=ObstacleClass.UNKNOWN, id=2)
@@ -159,10 +160,138 @@ def test_only_what_is_long_carries_pieces(area: SweptArea, footprint: Footprint,
         ), length
 
 
-def test_the_own_trailer_in_a_bend_is_no_threat(vehicle: Vehicle, config: SafetyConfig) -> None:
+def test_own_trailer_in_curve(vehicle: Vehicle, config: SafetyConfig) -> None:
     footprint, s = footprint_of(vehicle, WAGON), spaced(14.0, 0.4)
     area = sweep_along(footprint, 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True)
     for x, counts in ((-3.0, False), (9.0, True)):
         moving = track(x, -0.8 if x < 0.0 else 3.0, vx=2.5, size=(0.4, 0.4, 1.0))
         found = nearest_critical_object(area, footprint, Tracks(START_NS, (moving,)), HERE, 0.1, 4.0, config.tracked)
         assert (found != NO_CRITICAL_OBJECT) == counts, x
+
+
+SHAPES: list[Footprint] = []
+
+
+def moving_track(x: float, y: float, vx: float = 0.0, vy: float = 0.0, sigma: float = 0.1, label=ObstacleClass.PERSON,
+          size=(0.5, 0.5, 1.7), is_confirmed: bool = True) -> Track:  # fmt: skip
+    covariance = np.diag([0.01, 0.01, sigma**2, sigma**2])
+    return Track(1, label, 0.9, np.array([x, y, 0.8]), np.array([vx, vy, 0.0]), covariance, np.array(size), 0.0,
+                 START_NS - 10**9, START_NS, is_confirmed, ("lidar/front",))  # fmt: skip
+
+
+@pytest.fixture
+def sweep(vehicle: Vehicle, implement, config: SafetyConfig) -> SweptArea:
+    s = spaced(14.0, 0.4)
+    SHAPES[:] = [footprint_of(vehicle, implement)]
+    return sweep_along(SHAPES[0], 1, s, arc_poses(0.0, 1, s), 0.0, config.field, True)
+
+
+def clearance(sweep: SweptArea, config: SafetyConfig, *tracks: Track, stop_s: float = 2.0) -> float:
+    return nearest_critical_object(
+        sweep, SHAPES[0], Tracks(START_NS, tracks), HERE, 0.0, stop_s, config.tracked
+    ).clearance_m
+
+
+def test_crossing_track(sweep: SweptArea, config: SafetyConfig) -> None:
+    assert clearance(sweep, config, moving_track(10.0, 5.0, vy=-1.4)) == pytest.approx(6.5, abs=0.8)
+    assert math.isinf(clearance(sweep, config, moving_track(10.0, 5.0, vy=1.4)))
+    assert math.isinf(clearance(sweep, config, moving_track(10.0, 5.0)))
+    assert math.isinf(clearance(sweep, config, moving_track(10.0, 8.0, vy=-1.0)))
+    assert clearance(sweep, config, moving_track(10.0, 8.0, vy=-1.0), stop_s=4.5) < 8.0
+
+
+def test_receding_track(sweep: SweptArea, config: SafetyConfig) -> None:
+    assert math.isinf(clearance(sweep, config, moving_track(10.0, 4.5, vx=1.4)))
+    assert math.isinf(clearance(sweep, config, moving_track(-8.0, 0.0, vx=-1.4)))
+    assert math.isinf(clearance(sweep, config, moving_track(10.0, 5.0, vy=-0.3)))
+
+
+def test_own_implement_and_following_track(sweep: SweptArea, config: SafetyConfig) -> None:
+    for x in around(-1.1, 0.02):
+        beside = moving_track(x - 0.05 + 1e-6, 4.2, vx=0.5, vy=-1.5, size=(0.1, 0.1, 1.0))
+        assert math.isfinite(clearance(sweep, config, beside)) == (x >= -1.1 - 1e-9), x
+    assert math.isinf(clearance(sweep, config, moving_track(1.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
+    assert math.isfinite(clearance(sweep, config, moving_track(4.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
+    assert math.isinf(clearance(sweep, config, moving_track(-2.6, 0.9, vx=2.3, sigma=0.7)))
+    for y in around(3.45, 0.02):
+        near = moving_track(-1.1, y + 1e-6, vx=1.0, vy=-1.5, size=(0.1, 0.1, 0.1))
+        assert math.isfinite(clearance(sweep, config, near)) == (y >= 3.45 - 1e-9), y
+
+
+def test_approaching_track_clearance(sweep: SweptArea, config: SafetyConfig) -> None:
+    standing, coming = (clearance(sweep, config, moving_track(10.0, 0.0, vx=v)) for v in (0.0, -1.4))
+    assert standing == pytest.approx(6.25, abs=0.1)
+    assert coming == pytest.approx(10 - 3.5 - 2.8 - 0.25 - 0.3 - 0.2, abs=0.2)
+
+
+def test_static_track_by_class(sweep: SweptArea, config: SafetyConfig) -> None:
+    for label in ObstacleClass:
+        assert math.isinf(clearance(sweep, config, moving_track(9.0, 0.0, label=label))) == (
+            label is ObstacleClass.UNKNOWN
+        )
+    assert math.isinf(clearance(sweep, config, moving_track(9.0, 0.0, is_confirmed=False)))
+    assert math.isinf(clearance(sweep, config, moving_track(math.nan, 0.0)))
+    assert clearance(sweep, config, moving_track(9.0, 0.0), moving_track(7.0, 0.0)) == pytest.approx(3.25, abs=0.1)
+    turned = replace(moving_track(10.0, 4.5, size=(4.0, 1.0, 1.5), label=ObstacleClass.VEHICLE), yaw_rad=math.pi / 2)
+    assert math.isfinite(clearance(sweep, config, turned))
+    assert math.isinf(clearance(sweep, config, replace(turned, yaw_rad=0.0, p_odom_m=np.array([10.0, 5.0, 0.5]))))
+
+
+def test_no_tracks(sweep: SweptArea, config: SafetyConfig) -> None:
+    assert nearest_critical_object(sweep, SHAPES[0], None, HERE, 0.0, 2.0, config.tracked) == NO_CRITICAL_OBJECT
+
+
+def test_fragment_of_static_track(sweep: SweptArea, config: SafetyConfig) -> None:
+    car = moving_track(9.0, 5.0, size=(4.0, 1.8, 1.6), label=ObstacleClass.VEHICLE)
+    piece = moving_track(9.5, 4.2, vy=-1.5, size=(0.4, 0.1, 0.5), label=ObstacleClass.PERSON)
+    assert math.isfinite(clearance(sweep, config, replace(piece, id=8)))
+    assert math.isinf(clearance(sweep, config, car, replace(piece, id=8)))
+    walker = replace(piece, id=8, p_odom_m=np.array([9.5, 3.5, 0.9]))
+    assert math.isfinite(clearance(sweep, config, car, walker))
+
+
+def test_static_track_length_limit(sweep: SweptArea, config: SafetyConfig) -> None:
+    for long in (3.0, 11.9, 12.0, 12.1, 17.0):
+        geofence = moving_track(8.0, 0.0, label=ObstacleClass.VEHICLE, size=(long, 1.5, 1.5))
+        critical_object = nearest_critical_object(
+            sweep, SHAPES[0], Tracks(START_NS, (geofence,)), np.zeros(3), 0.0, 4.0, config.tracked
+        )
+        assert (critical_object != NO_CRITICAL_OBJECT) == (long <= config.tracked.max_static_length_m), long
+
+
+def test_coasting_unclassified_track(sweep: SweptArea, config: SafetyConfig) -> None:
+    for label, unseen_ms in itertools.product((ObstacleClass.UNKNOWN, ObstacleClass.PERSON), (0, 240, 250, 260, 900)):
+        crossing = moving_track(7.0, 3.0, vy=-1.5, label=label)
+        tracks = Tracks(crossing.last_seen_ns + unseen_ms * 1_000_000, (crossing,))
+        critical_object = nearest_critical_object(sweep, SHAPES[0], tracks, np.zeros(3), 0.0, 4.0, config.tracked)
+        counts = label is ObstacleClass.PERSON or unseen_ms <= 250
+        assert (critical_object != NO_CRITICAL_OBJECT) == counts, (label, unseen_ms)
+
+
+def test_moving_thresholds(config: SafetyConfig) -> None:
+    for speed in around(0.4, 0.01):
+        assert is_moving(moving_track(0, 0, vx=speed), config.tracked) == (speed >= 0.4), speed
+    greatest = 1.0 / config.tracked.moving_sigmas
+    for sigma in around(greatest, 0.01):
+        assert is_moving(moving_track(0, 0, vx=1.0, sigma=sigma), config.tracked) == (sigma <= greatest + 1e-12), sigma
+    for speed in around(config.tracked.long_moving_mps, 0.01):
+        car = moving_track(0, 0, vx=speed, label=ObstacleClass.VEHICLE)
+        assert is_moving(car, config.tracked) == (speed >= config.tracked.long_moving_mps), speed
+    assert not is_moving(moving_track(0, 0, vx=math.nan), config.tracked)
+    for speed in (1.0, 2.9, 3.0, 3.1, 7.0):
+        pole = replace(moving_track(0, 0, vx=speed), label=ObstacleClass.POLE)
+        assert is_moving(pole, config.tracked) == (speed <= config.tracked.max_static_class_speed_mps), speed
+        assert is_moving(replace(pole, label=ObstacleClass.PERSON), config.tracked)
+    for age_ms in around(500, 1):
+        young = replace(moving_track(0, 0, vx=1.0), first_seen_ns=START_NS - round(age_ms * 1e6))
+        assert is_moving(young, config.tracked) == (age_ms >= 500), age_ms
+    for size in around(2.0, 0.01):
+        hedge = moving_track(0, 0, vx=1.0, size=(0.2, size, 1.0), label=ObstacleClass.UNKNOWN)
+        assert is_moving(hedge, config.tracked) == (size <= 2.0), size
+        assert is_moving(replace(hedge, label=ObstacleClass.VEHICLE), config.tracked)
+
+
+def test_larger_moving_track_is_no_fragment(sweep: SweptArea, config: SafetyConfig) -> None:
+    stands = replace(moving_track(10.0, 5.2, label=ObstacleClass.UNKNOWN, size=(1.6, 1.6, 1.5)), id=2)
+    comes = moving_track(10.0, 5.0, vy=-1.8, label=ObstacleClass.VEHICLE, size=(3.0, 1.7, 1.5))
+    assert clearance(sweep, config, stands, comes) < 9.0

@@ -11,13 +11,14 @@ from geometry.transforms import transform
 from messages.command import ControlCommand, Mode, SafeCommand
 from messages.motion import MapPose, Odometry, PositionSource
 from safety.config import SafetyConfig
-from safety.monitors.vehicle import VehicleMonitor, VehicleState, direction_of, position_sigma_m
+from safety.monitors.vehicle import VehicleMonitor, VehicleState, direction_of, is_forced, position_sigma_m
 from safety.stopping_distance import on_grade
 from tests.safety.safety_world import START_NS, around, machine_state, straight_path
 
 COMMAND = SafeCommand(START_NS, Mode.AUTOMATIC, True, 2.0, 0.0, 0.0, False, False, False, False, True, "")
 
 AHEAD = ControlCommand(START_NS, 0.5, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
+
 BACK = replace(AHEAD, speed_mps=-0.5)
 
 
@@ -50,14 +51,14 @@ def bench(config: SafetyConfig) -> Bench:
     return Bench(config)
 
 
-def test_before_anything_came_it_stands(bench: Bench) -> None:
+def test_initial_state(bench: Bench) -> None:
     measured = bench.show(odom=None, machine=None, command=None)
     assert (measured.speed_mps, measured.fastest_mps, measured.direction) == (None, 0.0, 1)
     assert measured.braking == bench.vehicle_monitor._config.braking.flat
     assert not measured.has_driver
 
 
-def test_the_faster_of_two_sources_counts(bench: Bench) -> None:
+def test_faster_speed_source(bench: Bench) -> None:
     for odom, machine, speed in ((1.0, -3.0, -3.0), (-3.0, 1.0, -3.0), (math.nan, 1.0, 1.0), (1.0, math.inf, 1.0)):
         measured = bench.show(odom=odometry(odom), machine={"speed_mps": machine})
         assert (measured.speed_mps, measured.fastest_mps) == (speed, abs(speed)), (odom, machine)
@@ -66,7 +67,7 @@ def test_the_faster_of_two_sources_counts(bench: Bench) -> None:
     assert (sensor_failures.speed_mps, sensor_failures.fastest_mps) == (None, 1.0)  # as it was
 
 
-def test_direction_stays_when_nothing_tells_it(bench: Bench) -> None:
+def test_direction_kept_without_data(bench: Bench) -> None:
     back = bench.show(odom=odometry(-1.0), machine={"speed_mps": -1.0})
     assert back.direction == -1
     assert bench.show(odom=odometry(0.0), machine={"speed_mps": 0.0}).direction == -1
@@ -74,7 +75,7 @@ def test_direction_stays_when_nothing_tells_it(bench: Bench) -> None:
     assert bench.show(path=None, control_command=BACK).direction == -1
 
 
-def test_direction_is_that_of_motion_above_10_cm_per_s() -> None:
+def test_direction_speed_threshold() -> None:
     back = straight_path(direction=-1)
     for speed in around(0.1, 0.01):
         assert direction_of(speed, back, AHEAD, -1) == (1 if speed > 0.1 else -1), speed
@@ -84,7 +85,7 @@ def test_direction_is_that_of_motion_above_10_cm_per_s() -> None:
     assert direction_of(0.0, None, replace(AHEAD, speed_mps=0.0), 1) == 1
 
 
-def test_braking_is_that_of_the_slope_in_the_direction_of_travel(bench: Bench, config: SafetyConfig) -> None:
+def test_braking_on_grade(bench: Bench, config: SafetyConfig) -> None:
     flat, least = config.braking.flat, config.braking.min_deceleration_mps2
     down = on_grade(flat, 0.1, least)
     assert bench.show(odom=odometry(pitch_rad=0.1)).braking.deceleration_mps2 == pytest.approx(down.deceleration_mps2)
@@ -93,7 +94,7 @@ def test_braking_is_that_of_the_slope_in_the_direction_of_travel(bench: Bench, c
     assert bench.show(odom=odometry(-2.0, pitch_rad=-0.1)).braking.deceleration_mps2 < 2.0
 
 
-def test_sigma_is_that_of_the_worse_axis(bench: Bench) -> None:
+def test_position_sigma(bench: Bench) -> None:
     pose = MapPose(START_NS, np.eye(4), np.eye(4), np.diag([9.0, 9.0, 9.0, 0.04, 0.01, 9.0]),
                    PositionSource.RTK_FIXED, 0.1, 0.1, True)  # fmt: skip
     assert position_sigma_m(pose) == pytest.approx(0.2)
@@ -103,13 +104,13 @@ def test_sigma_is_that_of_the_worse_axis(bench: Bench) -> None:
     assert position_sigma_m(replace(pose, covariance=-np.eye(6))) == 0.0
 
 
-def test_a_hand_counts_from_when_it_holds_on(bench: Bench) -> None:
+def test_driver_override_duration(bench: Bench) -> None:
     assert bench.show(machine={"driver_torque_nm": -2.0}).driver_override_s == 0.0
     assert bench.show(1.0).driver_override_s == 1.0
     assert bench.show(machine={"driver_torque_nm": 1.9}).driver_override_s == 0.0
 
 
-def test_steering_off_its_command(bench: Bench) -> None:
+def test_steering_deviation(bench: Bench) -> None:
     for error in around(0.04, 0.001):
         bench.show(machine={"curvature_radpm": 0.0})
         bench.show(machine={"curvature_radpm": error})
@@ -122,7 +123,7 @@ def test_steering_off_its_command(bench: Bench) -> None:
     assert bench.show(machine=None).steering_deviation_s == 0.0
 
 
-def test_steering_may_be_as_late_as_its_actuator(bench: Bench) -> None:
+def test_steering_delay(bench: Bench) -> None:
     bench.show(command=replace(COMMAND, curvature_radpm=0.1), machine={"curvature_radpm": 0.1})
     bench.show(command=COMMAND)
     assert bench.show(0.78).steering_deviation_s == 0.0
@@ -130,7 +131,7 @@ def test_steering_may_be_as_late_as_its_actuator(bench: Bench) -> None:
     assert bench.show(0.2).steering_deviation_s == 0.2
 
 
-def test_steering_is_judged_from_30_cm_per_s_on(bench: Bench) -> None:
+def test_steering_speed_threshold(bench: Bench) -> None:
     for speed in around(0.3, 0.01):
         slow = {"speed_mps": speed, "curvature_radpm": 0.1, "is_steering_ready": False}
         bench.show(odom=odometry(speed), machine={"speed_mps": speed})
@@ -140,7 +141,7 @@ def test_steering_is_judged_from_30_cm_per_s_on(bench: Bench) -> None:
         assert (measured.steering_unavailable_s > 0.0) == (speed >= 0.3), speed
 
 
-def test_steering_lost(bench: Bench) -> None:
+def test_steering_unavailable(bench: Bench) -> None:
     assert bench.show(machine={"is_steering_ready": False}).steering_unavailable_s == 0.0
     assert bench.show(0.5).steering_unavailable_s == 0.5
     assert bench.show(mode=Mode.MANUAL).steering_unavailable_s == 0.0
@@ -151,7 +152,7 @@ def test_steering_lost(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_brake_that_is_not_felt(bench: Bench, sign: int) -> None:
+def test_brake_ineffective(bench: Bench, sign: int) -> None:
     braking = replace(COMMAND, deceleration_mps2=2.0)
 
     def weak(speed: float, felt: float, command: SafeCommand | None = braking) -> bool:
@@ -169,7 +170,7 @@ def test_a_brake_that_is_not_felt(bench: Bench, sign: int) -> None:
     assert not weak(2.0, 0.0, None)
 
 
-def test_the_driver_is_gone_a_second_after_the_seat_is_empty(bench: Bench) -> None:
+def test_seat_off_delay(bench: Bench) -> None:
     assert not bench.show().has_driver
     assert bench.show(machine={"is_seat_occupied": True}).has_driver
     assert bench.show(machine={}).has_driver
@@ -179,3 +180,27 @@ def test_the_driver_is_gone_a_second_after_the_seat_is_empty(bench: Bench) -> No
     assert not bench.show(machine=None).has_driver
     assert bench.show(machine={"is_seat_occupied": True}).has_driver
     assert bench.show(5.0).has_driver
+
+
+def control_command(speed: float = 2.0, acceleration: float = 0.0, curvature: float = 0.0) -> ControlCommand:
+    return ControlCommand(START_NS, speed, acceleration, curvature, True, True, 1, 0.0, 0.0, 0.0, False)
+
+
+def test_direction_sources() -> None:
+    back = straight_path(direction=-1)
+    assert direction_of(0.5, back, None, -1) == 1
+    assert direction_of(-0.5, None, None, 1) == -1
+    assert direction_of(0.05, back, control_command(2.0), 1) == -1
+    assert direction_of(None, straight_path(), None, -1) == 1
+    assert direction_of(0.0, None, control_command(-1.0), 1) == -1
+    assert direction_of(0.0, None, control_command(1.0), -1) == 1
+    assert direction_of(0.0, None, control_command(0.0), -1) == -1
+    assert direction_of(0.0, None, None, -1) == -1
+
+
+def test_driver_torque_and_position_sigma() -> None:
+    for torque in around(2.0, 0.1):
+        assert is_forced(machine_state(0, driver_torque_nm=-torque), 2.0) == (torque >= 2.0 - 1e-12), torque
+    assert is_forced(machine_state(0, driver_torque_nm=math.nan), 2.0)
+    assert not is_forced(None, 2.0)
+    assert position_sigma_m(None) == 0.0
