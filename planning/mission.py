@@ -51,8 +51,7 @@ class MissionNode(Node):
         self.name = "mission"
         self.reads: dict[str, Read] = {
             "odom": Latest(), "map_pose": Latest(), "control_command": Latest(), "supervisor": Latest(),
-            "tracks": Latest(),
-            "operator_command": All(8),
+            "tracks": Latest(), "operator_command": All(8),
         }  # fmt: skip
         self.writes = ("path", "mission")
         self.runs = Every(PERIOD_NS)
@@ -198,8 +197,7 @@ class MissionNode(Node):
         assert path is not None
         ahead = (path.s_m >= self._s_m) & (path.s_m <= self._s_m + self._config.search_distance_m)
         rig = self._plan.docking.rig if path.is_transport and self._plan.docking is not None else self._plan.rig
-        bodies = rig.bodies
-        cause = first_on_path(found, bodies, path.p_map_m[ahead][::5], path.heading_rad[ahead][::5])
+        cause = first_on_path(found, rig.bodies, path.p_map_m[ahead][::5], path.heading_rad[ahead][::5])
         if cause is not None:
             return cause
         hits = np.asarray(supervisor.triggering_points_base_m, np.float64)
@@ -298,6 +296,5 @@ class MissionNode(Node):
             section_type, line = section.section_type, section.line
         return MissionStatus(
             now_ns, self._state, section_type, line, path_id, self._s_m, self._driven_m + self._s_m, self._total_m,
-            self._text,
-            self._uncovered,
+            self._text, self._uncovered,
         )  # fmt: skip

@@ -1,6 +1,6 @@
 """Route along the headland passes: entry point of each and transition to the next.
 
-A pass lies so near the edge that the tail would swing over it if the rig turned off a straight part. It is therefore
+A pass is so near the edge that the tail would swing over it if the rig turned off a straight part. It is therefore
 left where it bends inwards, and the rig continues along it up to that point.
 """
 

@@ -1,7 +1,7 @@
 """Steerable form of a Reeds-Shepp path: curvature is ramped while driving and steps only at standstill.
 
 Within one direction each curvature step becomes a ramp. That moves the end point, so the lengths of the segments are
-corrected (Newton's method) until the path ends at its goal again.
+corrected (Newton's method) until the path ends at its goal.
 """
 
 import math

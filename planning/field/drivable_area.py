@@ -31,10 +31,10 @@ class DrivableArea:
 def drivable_area_of(site: Site, margin_m: float) -> DrivableArea:
     """Drivable area of a site with `margin_m` to every edge; raises FieldError."""
     field = _area(site.boundary_m, f"field of site {site.name!r}")
-    barred = [_area(a.outline_m, f"no-go area {a.name!r}") for a in site.no_go]
+    excluded = [_area(a.outline_m, f"no-go area {a.name!r}") for a in site.no_go]
     if site.shed is not None:
-        barred.append(_area(site.shed.outline_m, "shed"))
-    no_go = shapely.union_all(barred)
+        excluded.append(_area(site.shed.outline_m, "shed"))
+    no_go = shapely.union_all(excluded)
     lanes = [
         LineString(lane.center_m).buffer(lane.width_m / 2.0, cap_style="flat", join_style="mitre")
         for lane in site.lanes
