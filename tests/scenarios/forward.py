@@ -1,4 +1,4 @@
-"""Drives the whole stack in simulated time until something holds."""
+"""Runs the entire stack in simulated time until a condition holds."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -16,7 +16,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Drive:
-    """A drive that is watched; `newest` holds the last message of each topic."""
+    """Sink of a drive; `newest` holds the last message of each topic."""
 
     def __init__(self) -> None:
         self.newest: dict[str, Message] = {}
@@ -41,7 +41,7 @@ def forward(
     setup: Setup, until: Callable[[Drive], bool], timeout_s: float, scenario: Scenario | str = "empty", *,
     sinks: tuple[Any, ...] = (), is_ablation: bool = False, faults: tuple[InjectedFault, ...] = (),
 ) -> Drive:  # fmt: skip
-    """Go on until `until`; a node's exception or the time limit fails the test with its own text."""
+    """Advances until `until`; a node's exception or the time limit fails the test with its text."""
     drive = Drive()
     named = load(Scenario, find("scenarios", scenario)) if isinstance(scenario, str) else scenario
     chosen = named.model_copy(update={"faults": (*named.faults, *faults)})

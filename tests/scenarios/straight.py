@@ -1,4 +1,4 @@
-"""One straight way through the demo's field instead of its plan."""
+"""One straight path in the demo's field instead of its plan."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from runtime.setup import Setup
 
 
 def on_a_line(setup: Setup, length_m: float, speed_kmh: float) -> Setup:
-    """The same, with one straight swath eastward from where the machine stands."""
+    """The setup with one straight eastward swath from the start."""
     s = np.arange(0.0, length_m + 0.05, 0.1)
     n = len(s)
     path = Path(

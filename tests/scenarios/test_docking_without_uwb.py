@@ -1,4 +1,4 @@
-"""Without UWB nobody knows where the bay is to the centimetre: the machine does not go in, and says why."""
+"""Docking without UWB: the machine stops before the shed and reports the reason."""
 
 import numpy as np
 
@@ -9,14 +9,14 @@ from simulation.faults.config import FaultKind, InjectedFault
 from tests.scenarios.forward import Drive, forward
 
 
-def test_without_uwb_the_machine_stops_before_the_shed_and_says_why() -> None:
+def test_docking_aborted_without_uwb() -> None:
     setup = load_setup("dock", None, None, None, 1, "wide")
 
-    def is_given_up(drive: Drive) -> bool:
+    def is_aborted(drive: Drive) -> bool:
         return "mission" in drive.newest and drive.last("mission", MissionStatus).state is MissionState.ABORTED
 
     faults = (InjectedFault(topic="uwb/main", kind=FaultKind.OFF, from_s=0.0, for_s=1e4),)
-    drive = forward(setup, is_given_up, 30.0, faults=faults)
+    drive = forward(setup, is_aborted, 30.0, faults=faults)
     assert "UWB" in drive.last("mission", MissionStatus).text
     truth, dock = drive.last("truth_machine", TrueMachine), setup.site.bay("wide").dock
     assert truth.contacts == 0

@@ -1,4 +1,4 @@
-"""The whole stack in closed loop, for as long as a test may take; the demo mission itself is the campaign's."""
+"""The entire stack in closed loop, in short drives; the campaign runs the demo mission."""
 
 import subprocess
 import sys
@@ -25,7 +25,7 @@ def speed(drive: Drive) -> float:
     return drive.last("truth_machine", TrueMachine).speed_mps
 
 
-def test_leaves_the_yard_after_the_start_warning(setup: Setup) -> None:
+def test_yard_exit_after_start_warning(setup: Setup) -> None:
     drive = forward(
         setup,
         lambda d: "control_command" in d.newest and d.last("control_command", ControlCommand).path_s_m > 12.0,
@@ -46,7 +46,7 @@ def test_leaves_the_yard_after_the_start_warning(setup: Setup) -> None:
         ("lidar/front", FaultKind.OFF, "lidar/front.silent"),
     ],
 )
-def test_what_fails_stops_the_machine_and_is_named(setup: Setup, topic: str, kind: FaultKind, reason: str) -> None:
+def test_failure_stop_and_reason(setup: Setup, topic: str, kind: FaultKind, reason: str) -> None:
     def stands(d: Drive) -> bool:
         assert d.failure is None or "injected fault" in d.failure
         d.failure = None
@@ -84,14 +84,14 @@ def digest_of(seed: int, folder: Path, name: str) -> str:
     return done.stdout.strip()
 
 
-def test_one_seed_gives_one_digest_in_two_processes(tmp_path: Path) -> None:
+def test_digest_by_seed_across_processes(tmp_path: Path) -> None:
     first, again, other = (digest_of(s, tmp_path, f"{k}.mcap") for k, s in enumerate((1, 1, 2)))
     assert len(first) == 32
     assert first == again
     assert first != other
 
 
-def test_no_command_moves_the_machine_before_the_order(setup: Setup) -> None:
+def test_standstill_before_start_command(setup: Setup) -> None:
     places: list[np.ndarray] = []
 
     def note(envelope) -> None:  # type: ignore[no-untyped-def]

@@ -1,4 +1,4 @@
-"""No sensor is an ornament: whoever only one of them sees, the machine stops for."""
+"""Stop before a person who is visible to a single kind of sensor."""
 
 import os
 from pathlib import Path
@@ -22,7 +22,7 @@ YOLOX = DATA / "onnx-detectors" / "yolox-nano" / "model" / "yolox_nano.onnx"
 
 
 def walker(kind: str) -> Scenario:
-    """A person whom only this kind of sensor sees walks to the middle of the way, stands, and leaves late."""
+    """A person visible to one kind of sensor, who walks to the middle of the path, stands, and leaves late."""
     return parse(
         Scenario,
         {
@@ -42,7 +42,7 @@ def walker(kind: str) -> Scenario:
     ("kind", "length_m", "speed_kmh"),
     [("lidar", 50.0, 10.0), ("radar", 50.0, 10.0), ("camera", 50.0, 10.0), ("ultrasonic", 40.0, 2.0)],
 )
-def test_the_machine_stops_before_a_person_whom_one_sensor_sees(kind: str, length_m: float, speed_kmh: float) -> None:
+def test_stop_by_single_sensor(kind: str, length_m: float, speed_kmh: float) -> None:
     if kind == "camera" and not YOLOX.is_file():
         pytest.skip(f"no {YOLOX}")
     setup = on_a_line(load_setup("yard", None, None, None, 1), length_m, speed_kmh)

@@ -30,7 +30,7 @@ SITE = parse(
 
 
 def flat(**sections):
-    """The configuration with even ground, and other values replaced by section."""
+    """The configuration with level ground, and values replaced by section."""
     even = {"grade": 0.0, "side_slope_deg": 0.0, "wave_amplitude_m": 0.0, "furrow_depth_m": 0.0}
     values = CONFIG.model_dump()
     values["terrain"].update(even)
@@ -48,7 +48,7 @@ def machine_file(name="tractor_e", sensors=()):
 
 
 class Farm:
-    """World and gateway on one bus; `drive` goes on in time while the gateway says what its attributes hold."""
+    """World and gateway on one bus; the gateway sends the values of its attributes."""
 
     def __init__(
         self, vehicle=None, config=None, scenario=EMPTY, paths=(), seed=1, site=SITE, implement=IMPLEMENT, start=None,
@@ -93,8 +93,8 @@ class Farm:
             data[7] = (data[7] & 15) | ((((total >> 4) + total) & 15) << 4)
         self.bus.send(can.Message(arbitration_id=message.frame_id, data=bytes(data), is_extended_id=True))
 
-    def speak(self):
-        """All frames, as the gateway sends them at 50 Hz."""
+    def send_commands(self):
+        """Sends all frames, as the gateway does at 50 Hz."""
         self._counts += 1
         self.send("GuidanceSystemCommand", {"Curvature": 32128 - round(self.curvature_radpm * 4000), "Intent": 1})
         speed = round(abs(self.speed_mps) * 1000)
@@ -114,28 +114,28 @@ class Farm:
             self._beats = 0 if self._beats == 251 and self._counts > 1 else self._beats
             self.send("HeartbeatGateway", {"Sequence": self._beats})
 
-    def listen(self):
+    def receive_status(self):
         while (frame := self.bus.recv(0)) is not None:
             message = self.dbc.get_message_by_frame_id(frame.arbitration_id)
             values = message.decode(bytes(frame.data), decode_choices=False)
             self.frames.setdefault(message.name, []).append((self.now_ns, values))
 
     def drive(self, seconds, each=None):
-        """Go on for some time; returns what the world gave."""
+        """Advances for some time; returns the world's outputs."""
         out = []
         for _ in range(round(seconds * 100)):
             if (self.now_ns - self.start_ns) % 20_000_000 == 0:
-                self.speak()
+                self.send_commands()
             self.now_ns = self.world.next_ns()
             out += self.world.step(self.now_ns)
-            self.listen()
+            self.receive_status()
             if each is not None:
                 each(self)
         self.outputs += out
         return out
 
-    def get_going(self, speed_mps, seconds=None):
-        """Enabled and at speed on the straight."""
+    def drive_at(self, speed_mps, seconds=None):
+        """Enables the drive and drives at a speed."""
         self.is_drive_enabled = False
         self.drive(0.2)
         self.is_drive_enabled, self.speed_mps = True, speed_mps
@@ -143,7 +143,7 @@ class Farm:
 
 
 def straight_paths(count=5, length_m=56.0, spacing_m=5.0, speed_mps=10.0 / 3.6):
-    """A plan of parallel swaths driven to and fro, with nothing between (encounters look at swaths only)."""
+    """A plan of parallel swaths in alternating directions, without connections (encounters use swaths only)."""
     s = np.arange(0.0, length_m + 0.05, 0.1)
     paths = []
     for line in range(count):

@@ -1,4 +1,4 @@
-"""The simulated camera: what it draws is where it should be, a real network finds it, and the lens may be bad."""
+"""Camera model: projection, recall of a real network, lens contamination, exposure, repeatability."""
 
 import dataclasses
 from concurrent.futures import Future
@@ -38,7 +38,7 @@ EPISODES = (
 )
 
 
-def somebody(ahead_m, left_m=0.0, label=ObstacleClass.PERSON, **changes):
+def actor_ahead(ahead_m, left_m=0.0, label=ObstacleClass.PERSON, **changes):
     x, y = (T_MAP_BASE @ np.array([CAMERA.mount.xyz_m[0] + ahead_m, left_m, 0.0, 1.0]))[:2]
     actor = ActorState(1, label, "", (x, y, TERRAIN.height_m(x, y)), 2.0, (0.0, 0.0), 0.3)
     return dataclasses.replace(actor, **changes)
@@ -62,13 +62,13 @@ def photographer():
 
 
 @pytest.fixture(scope="module")
-def nobody():
-    """The first picture of a photographer without anybody: exposure and noise are those of any other's first."""
+def empty_image():
+    """First image without actors: exposure and noise equal those of any other first image."""
     return Photographer().take()
 
 
-def test_a_picture_is_of_the_moment_it_was_taken_at():
-    at_once = Photographer().take(actor := somebody(8.0))
+def test_image_of_request_time():
+    at_once = Photographer().take(actor := actor_ahead(8.0))
     later = Photographer()
     later.scene.actors = (actor,)
     request = later.model.prepare(WorldState(0, 0.0, later.poses, None, later.scene))
@@ -77,7 +77,7 @@ def test_a_picture_is_of_the_moment_it_was_taken_at():
     assert np.array_equal(later.model.render(request).bgr, at_once)
 
 
-def test_pictures_painted_aside_are_the_same_and_hold_nothing_up():
+def test_threaded_rendering_equal_and_not_blocking():
     def pictures(renders_in_thread):
         farm = Farm(vehicle=machine_file(sensors=("camera", "imu")), renders_in_thread=renders_in_thread)
         given = farm.drive(2.0)
@@ -93,33 +93,33 @@ def test_pictures_painted_aside_are_the_same_and_hold_nothing_up():
 
 
 def changed(a, b):
-    """Left, top, right and bottom of what differs by far more than noise."""
+    """Left, top, right and bottom of differences well above the noise."""
     rows, columns = np.nonzero(np.abs(a.astype(int) - b).sum(axis=2) > 60)
     return np.array([*np.percentile(columns, [1, 99]), *np.percentile(rows, [1, 99])])[[0, 2, 1, 3]]
 
 
 @pytest.mark.parametrize(("ahead_m", "left_m"), [(5.0, 0.0), (8.0, 3.5), (8.0, -3.5), (15.0, 5.0)])
-def test_a_figure_is_where_the_camera_model_says(ahead_m, left_m, nobody):
-    actor = somebody(ahead_m, left_m)
+def test_actor_at_projected_box(ahead_m, left_m, empty_image):
+    actor = actor_ahead(ahead_m, left_m)
     there = Photographer().take(actor)
     box = box_of(actor, T_MAP_BASE, CAMERA)
-    # its shadow makes it wider and lower, but never higher
-    found_box = changed(there, nobody)
+    # the shadow extends the box sideways and down, never up
+    found_box = changed(there, empty_image)
     assert abs(found_box[1] - box[1]) < 0.06 * (box[3] - box[1]) + 2.0
     assert found_box[0] < box[0] + 0.2 * (box[2] - box[0]) + 2.0
     assert found_box[2] > box[2] - 0.2 * (box[2] - box[0]) - 2.0
 
 
-def test_pictures_repeat_to_the_bit():
-    assert np.array_equal(Photographer().take(somebody(7.0)), Photographer().take(somebody(7.0)))
+def test_images_bit_identical():
+    assert np.array_equal(Photographer().take(actor_ahead(7.0)), Photographer().take(actor_ahead(7.0)))
 
 
-def test_a_figure_that_cameras_do_not_see_is_air(nobody):
-    unseen = somebody(7.0, visible_to=("lidar", "radar", "ultrasonic"))
-    assert np.array_equal(Photographer().take(unseen), nobody)
+def test_actor_not_visible_to_camera(empty_image):
+    unseen = actor_ahead(7.0, visible_to=("lidar", "radar", "ultrasonic"))
+    assert np.array_equal(Photographer().take(unseen), empty_image)
 
 
-def test_health_notices_the_lens(photographer):
+def test_lens_contamination_detected(photographer):
     quality = parse(
         ImageQualityConfig,
         read_yaml(CONFIGS / "stack/perception.yaml")["camera"]["image_quality"],
@@ -128,7 +128,7 @@ def test_health_notices_the_lens(photographer):
     horizon = CameraGeometry(CAMERA).horizon_row()
 
     def state(at_s):
-        return inspect(photographer.take(somebody(9.0), at_s=at_s), horizon, quality)
+        return inspect(photographer.take(actor_ahead(9.0), at_s=at_s), horizon, quality)
 
     assert state(9.99).state is HealthState.GOOD
     assert state(10.0).state is HealthState.BLIND
@@ -138,13 +138,13 @@ def test_health_notices_the_lens(photographer):
     assert state(25.0).state is HealthState.GOOD
 
 
-def test_exposure_follows_the_light(photographer):
+def test_automatic_exposure(photographer):
     for _ in range(4):
         bgr = photographer.take()
     assert 70.0 < bgr.mean() < 170.0
 
 
-def test_without_distortion_the_pinhole_is_the_camera_scaled():
+def test_pinhole_without_distortion():
     lens = Lens(CAMERA.model_copy(update={"distortion": (0.0,) * 5}), 0.75)
     assert lens.size_px == (960, 540)
     assert lens.intrinsics == pytest.approx([600.0, 600.0, 479.5, 269.5])
@@ -152,7 +152,7 @@ def test_without_distortion_the_pinhole_is_the_camera_scaled():
 
 @pytest.mark.parametrize("label", [ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE])
 @pytest.mark.parametrize("gait", [-1.0, 0.0, 3 / GAIT_STEPS, 10 / GAIT_STEPS])
-def test_lidar_and_camera_meet_the_same_body(label, gait):
+def test_coarse_and_fine_mesh_agree(label, gait):
     coarse = actor_mesh(label, gait)
     assert len(coarse.triangles) < 2500
     fine = join([part.mesh for part in actor_parts(label, gait_step(gait), True)])
@@ -161,7 +161,7 @@ def test_lidar_and_camera_meet_the_same_body(label, gait):
 
 
 def outside_m(a, b):
-    """How far the corners of one body stand out of another."""
+    """Largest distance of a body's vertices outside another body."""
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     tensor = open3d.core.Tensor
     scene.add_triangles(tensor(b.vertices_m), tensor(b.triangles.astype(np.uint32)))
@@ -169,8 +169,8 @@ def outside_m(a, b):
 
 
 @pytest.mark.skipif(not MODEL.is_file(), reason=f"{MODEL} is not there")
-def test_a_real_network_finds_the_simulated_person():
-    """The bar is 80 % at 5 to 15 m; `benchmarks/camera_simulated.py` has more pictures."""
+def test_detection_network_recall():
+    """Limit 80 % at 5 to 15 m; `benchmarks/camera_simulated.py` uses more images."""
     detector = load_detector(MODEL, configured())
     pictures = [
         shot

@@ -1,4 +1,4 @@
-"""Propulsion and brakes of the simulated tractor, against formulas of their own."""
+"""Drivetrain and brakes of the simulated tractor, against independent formulas."""
 
 import math
 
@@ -18,7 +18,7 @@ def farm():
 
 
 @pytest.mark.parametrize("speed_mps", [0.4, 1.0, 2.78, 5.0, 8.3])
-def test_brake_distance_is_the_formula(speed_mps):
+def test_braking_distance(speed_mps):
     brake = machine_file().brake
     dt = 0.005
     add_fault, v, way = BrakeSystem(brake, dt), speed_mps, 0.0
@@ -33,33 +33,31 @@ def test_brake_distance_is_the_formula(speed_mps):
     assert way == pytest.approx(formula, rel=0.02, abs=0.01)
 
 
-def test_brakes_give_no_more_than_they_can_and_less_when_asked():
+def test_brake_capacity_and_partial_request():
     brake = machine_file().brake
     add_fault = BrakeSystem(brake, 0.005)
     assert max(add_fault.step(9.0) for _ in range(200)) == pytest.approx(4.0)
     assert [add_fault.step(1.5) for _ in range(200)][-1] == pytest.approx(1.5)
 
 
-def test_whole_machine_brakes_over_the_bus_as_the_formula_says(farm):
-    farm.get_going(2.78)
+def test_braking_distance_over_bus(farm):
+    farm.drive_at(2.78)
     v, x = farm.machine.speed_mps, farm.machine.x_m
     farm.brake_mps2, farm.speed_mps = 8.0, 0.0
     farm.drive(3.0)
     assert farm.machine.speed_mps == 0.0
     formula = v * (0.15 + 0.3) - 4.0 * 0.09 / 6 + (v - 0.6) ** 2 / 8.0
-    assert farm.machine.x_m - x == pytest.approx(
-        formula, abs=0.02 * v + 0.05
-    )  # one bus period and the formula's own 1 cm
+    assert farm.machine.x_m - x == pytest.approx(formula, abs=0.02 * v + 0.05)  # one bus period and 1 cm of the formula
 
 
 @pytest.mark.parametrize("speed_mps", [0.5, 1.39, 2.78, -1.0])
-def test_wheel_speed_follows_the_set_point(farm, speed_mps):
-    farm.get_going(speed_mps)
+def test_speed_loop_set_point(farm, speed_mps):
+    farm.drive_at(speed_mps)
     assert farm.machine.wheel_speed_mps == pytest.approx(speed_mps, abs=0.02)
 
 
-def test_working_pull_makes_wheels_slip_two_to_six_percent(farm):
-    farm.get_going(2.78)
+def test_wheel_slip_while_working(farm):
+    farm.drive_at(2.78)
     farm.is_lowered = True
     farm.drive(4.0)
     assert farm.machine.attached.is_working
@@ -67,10 +65,10 @@ def test_working_pull_makes_wheels_slip_two_to_six_percent(farm):
     assert 0.02 < slip < 0.06
 
 
-def test_grade_of_eight_percent_is_held_standing_and_driven():
+def test_grade_of_eight_percent():
     config = flat(terrain={"grade": 0.08, "grade_length_m": 180.0, "flat_m": 0.0})
     farm = Farm(config=config, site=None or _site_on_grade())
-    farm.get_going(2.78)
+    farm.drive_at(2.78)
     assert abs(farm.machine.T_map_base[2, 0]) > 0.05
     assert farm.machine.wheel_speed_mps == pytest.approx(2.78, abs=0.05)
     farm.speed_mps = 0.0
@@ -90,7 +88,7 @@ def _site_on_grade():
 
 @given(st.floats(-5, 5), st.floats(-3, 3), st.floats(0, 10))
 @settings(derandomize=True, max_examples=100)
-def test_friction_never_reverses_motion(speed, drive, friction):
+def test_friction_opposes_motion(speed, drive, friction):
     after = advance_speed(speed, drive, friction, 0.005)
     if abs(drive) <= friction:
         assert after * speed >= 0.0
@@ -99,7 +97,7 @@ def test_friction_never_reverses_motion(speed, drive, friction):
 
 @given(st.floats(-10, 10), st.floats(-10, 10))
 @settings(derandomize=True, max_examples=100)
-def test_ramp_is_limited_and_arrives(value, target):
+def test_ramp_limit(value, target):
     step = ramp(value, target, 0.6, 1.0, 0.01)
     assert abs(step) <= 0.01 + 1e-12
     assert abs(target - value - step) <= abs(target - value)

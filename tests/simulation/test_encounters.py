@@ -1,4 +1,4 @@
-"""Encounters: each must be able to force one stop and must end in contact when nobody stops the machine."""
+"""Encounters: each allows one stop, and causes contact with an unslowed machine."""
 
 import math
 
@@ -52,8 +52,8 @@ def lateral_of(walk, p):
 @pytest.mark.parametrize("name", ["person", "animal"])
 @given(seed=seeds, share=st.floats(0.88, 1.05), speed_kmh=st.floats(4.0, 12.0))
 @settings(derandomize=True, max_examples=120)
-def test_unslowed_machine_always_hits(name, seed, share, speed_kmh):
-    """With the obstacle rules off: the front arrives while they stand in the middle, whatever was drawn."""
+def test_unslowed_machine_contact(name, seed, share, speed_kmh):
+    """Without obstacle rules the front arrives while the actor stands, for all draws."""
     walk = walk_of(name, seed, speed_kmh / 3.6)
     arrival_s = walk.trigger_m / (share * speed_kmh / 3.6)
     assert walk.arrival_s + 0.5 < arrival_s < walk.departure_s - 1.0
@@ -63,7 +63,7 @@ def test_unslowed_machine_always_hits(name, seed, share, speed_kmh):
 @pytest.mark.parametrize("name", ["person", "animal"])
 @given(seed=seeds)
 @settings(derandomize=True, max_examples=120)
-def test_machine_can_stop_when_they_step_in(name, seed):
+def test_stopping_gap_at_entry(name, seed):
     walk = walk_of(name, seed)
     times = np.arange(0.0, walk.arrival_s, 0.01)
     inside = [t for t in times if abs(lateral_of(walk, walk_state_at(walk, t).p_map_m)) <= HALF_M + SWEPT_MARGIN_M]
@@ -74,7 +74,7 @@ def test_machine_can_stop_when_they_step_in(name, seed):
 @pytest.mark.parametrize("name", ["person", "animal"])
 @given(seed=seeds)
 @settings(derandomize=True, max_examples=100)
-def test_they_wait_and_end_clear_of_the_machine(name, seed):
+def test_crossing_start_and_exit_clear(name, seed):
     walk = walk_of(name, seed)
     assert 7.0 <= abs(lateral_of(walk, walk.start_map_m)) <= 8.1
     end = walk_state_at(walk, walk.exit_end_s).p_map_m
@@ -88,23 +88,23 @@ def test_they_wait_and_end_clear_of_the_machine(name, seed):
 
 
 @pytest.mark.parametrize("name", ["person", "animal"])
-def test_way_is_continuous(name):
+def test_crossing_continuous(name):
     walk = walk_of(name, 5)
     points = np.array([walk_state_at(walk, t).p_map_m for t in np.arange(-1.0, walk.departure_s + 20.0, 0.01)])
     assert np.max(np.hypot(*np.diff(points, axis=0).T)) <= 0.011 * max(walk.walk_mps, walk.leave_mps)
 
 
-def test_person_stands_about_eight_seconds():
+def test_person_standing_time():
     stands = [walk_of("person", seed).stand_s for seed in range(200)]
     assert 6.0 < min(stands) < max(stands) < 10.0
 
 
-def test_scenario_states_its_stops():
+def test_scenario_expected_stops():
     assert DEMO.expected_stops == {"person": 1, "animal": 1, "vehicle": 1}
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_places_are_apart_and_with_room(seed):
+def test_encounter_spacing(seed):
     paths = straight_paths()
     swaths = {s.line: s for s in find_swaths(paths)}
     drawn = place_encounters(DEMO.encounters, paths, SETTING, generator(seed, "scenario"))
@@ -120,35 +120,35 @@ def test_places_are_apart_and_with_room(seed):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_parked_vehicle_leaves_the_next_swath_free(seed):
-    """On swaths 5 m apart the 6.1 m harrow passes 1.95 m beside the middle of this one."""
-    (standing,) = place_encounters(DEMO.encounters[2:], straight_paths(), SETTING, generator(seed, "scenario"))
-    assert isinstance(standing, ParkedVehicle)
-    turned = standing.heading_rad - standing.point.heading_rad
-    aside = abs(lateral_of_standing(standing))
+def test_parked_vehicle_clear_of_next_swath(seed):
+    """On swaths 5 m apart the 6.1 m harrow passes 1.95 m beside the centre of this one."""
+    (parked,) = place_encounters(DEMO.encounters[2:], straight_paths(), SETTING, generator(seed, "scenario"))
+    assert isinstance(parked, ParkedVehicle)
+    turned = parked.heading_rad - parked.point.heading_rad
+    aside = abs(lateral_of_parked(parked))
     half = aside + 0.5 * 1.66 * abs(math.cos(turned)) + 0.5 * 3.8 * abs(math.sin(turned))
     assert half < 5.0 - HALF_M - 0.75
 
 
-def lateral_of_standing(standing):
-    dx = standing.p_map_m[0] - standing.point.p_map_m[0]
-    dy = standing.p_map_m[1] - standing.point.p_map_m[1]
-    return dy * math.cos(standing.point.heading_rad) - dx * math.sin(standing.point.heading_rad)
+def lateral_of_parked(parked):
+    dx = parked.p_map_m[0] - parked.point.p_map_m[0]
+    dy = parked.p_map_m[1] - parked.point.p_map_m[1]
+    return dy * math.cos(parked.point.heading_rad) - dx * math.sin(parked.point.heading_rad)
 
 
-def test_same_seed_same_places():
+def test_encounters_by_seed():
     a, b, c = (
         place_encounters(DEMO.encounters, straight_paths(), SETTING, generator(s, "scenario")) for s in (7, 7, 8)
     )
     assert a == b != c
 
 
-def test_too_small_a_plan_is_refused_by_name():
+def test_plan_without_room_rejected():
     with pytest.raises(FieldError, match="person"):
         place_encounters(DEMO.encounters, straight_paths(length_m=20.0), SETTING, generator(1, "scenario"))
 
 
-def test_only_swaths_driven_forward_count():
+def test_forward_swaths_only():
     path = straight_paths(1)[0]
     headland = (PathSection(PathSectionType.HEADLAND, 0, 0, len(path.s_m) - 1),)
     from dataclasses import replace
@@ -170,7 +170,7 @@ def test_approach(x, y, heading_deg, is_seen):
 
 
 @pytest.mark.parametrize(("comes_from_m", "starts"), [(8.0, True), (4.0, False)])
-def test_who_only_drives_round_something_on_the_next_way_starts_nobody(comes_from_m, starts):
+def test_trigger_needs_approach_on_path(comes_from_m, starts):
     walk = walk_of("person", 0)
     actor = Actor(0, DEMO.encounters[0], walk, Terrain(SITE, flat().terrain, 0))
     (x, y), heading = walk.point.p_map_m, walk.point.heading_rad
@@ -184,7 +184,7 @@ def test_who_only_drives_round_something_on_the_next_way_starts_nobody(comes_fro
     "change",
     [{"swath_fraction": [0.9, 0.1]}, {"kind": "flying"}, {"walk_speed_mps": [math.nan, 1.0]}, {"expected_stops": 2}],
 )
-def test_bad_encounter_is_refused(change):
+def test_invalid_encounter_rejected(change):
     values = DEMO.model_dump()
     values["encounters"] = [{**values["encounters"][0], **change}]
     with pytest.raises(ConfigError):
@@ -197,7 +197,7 @@ def drive_into(encounter, seed, seconds=21.0):
     paths = straight_paths(count=1, length_m=60.0)
     config = flat(machine={"tyres": {"max_angle_offset_deg": 0.0, "soil_lateral_sigma_mps2": 0.0}})
     farm = Farm(scenario=scenario, paths=paths, seed=seed, config=config)
-    farm.get_going(10 / 3.6, seconds=seconds)
+    farm.drive_at(10 / 3.6, seconds=seconds)
     truths = [m for t, m in farm.outputs if t == "truth_objects"]
     machine = [m for t, m in farm.outputs if t == "truth_machine"][-1]
     farm.close()
@@ -205,7 +205,7 @@ def drive_into(encounter, seed, seconds=21.0):
 
 
 @pytest.mark.parametrize("encounter", DEMO.encounters, ids=lambda e: e.name)
-def test_ablation_ends_in_one_contact(encounter):
+def test_one_contact_without_stop(encounter):
     truths, machine = drive_into(encounter, 11)
     assert machine.contacts == 1
     gaps = [o.clearance_m for m in truths for o in m.objects]
@@ -214,7 +214,7 @@ def test_ablation_ends_in_one_contact(encounter):
     assert roles == {(encounter.name, encounter.label)}
 
 
-def test_truth_box_and_gap():
+def test_truth_box_and_clearance():
     truths, _ = drive_into(DEMO.encounters[2], 3, 1.0)
     first = truths[0].objects[0]
     assert first.size_m == pytest.approx([3.8, 1.66, 1.65], abs=0.03)
@@ -223,10 +223,10 @@ def test_truth_box_and_gap():
     assert first.clearance_m == pytest.approx(first.center_map_m[0] - 0.5 * 3.8 - front, abs=0.1)
 
 
-def test_leaving_the_field_is_counted_once_a_leaving():
+def test_zone_exit_count():
     farm = Farm()
     farm.curvature_radpm = 0.0
-    farm.get_going(5.0)
+    farm.drive_at(5.0)
     farm.drive(14.0)
     machine = [m for t, m in farm.outputs if t == "truth_machine"]
     farm.close()
@@ -244,7 +244,7 @@ BYSTANDER = load(Scenario, find("scenarios", "docking_person")).encounters[0]
 
 
 def back_in(encounter, seconds=30.0, sensors=()):
-    """An unslowed machine that backs straight into the wide bay, from 22 m before the dock."""
+    """An unslowed machine that reverses straight into the wide bay, from 22 m before the dock."""
     shed_site = load(Site, find("sites", "demo"))
     dock = shed_site.shed.bay("wide").dock
     start = PoseConfig(x_m=dock.x_m + 22.0, y_m=dock.y_m, heading_deg=dock.heading_deg)
@@ -252,13 +252,13 @@ def back_in(encounter, seconds=30.0, sensors=()):
     config = flat(machine={"tyres": {"max_angle_offset_deg": 0.0, "soil_lateral_sigma_mps2": 0.0}})
     farm = Farm(site=shed_site, start=start, is_folded=True, scenario=scenario, config=config, seed=5,
                 vehicle=machine_file(sensors=sensors))  # fmt: skip
-    farm.get_going(-0.5, seconds=seconds)
+    farm.drive_at(-0.5, seconds=seconds)
     truths = [m for t, m in farm.outputs if t == "truth_objects"]
     farm.close()
     return farm, truths
 
 
-def test_bystander_comes_behind_a_machine_that_backs_in():
+def test_bystander_behind_reversing_machine():
     farm, truths = back_in(BYSTANDER)
     states = [m.objects[0] for m in truths if m.objects]
     assert states[0].clearance_m > 6.0
@@ -269,22 +269,22 @@ def test_bystander_comes_behind_a_machine_that_backs_in():
     assert [m for t, m in farm.outputs if t == "truth_machine"][-1].contacts == 1
 
 
-def test_bystander_is_not_there_while_the_machine_leaves():
+def test_bystander_absent_on_departure():
     shed_site = load(Site, find("sites", "demo"))
     scenario = DEMO.model_copy(update={"encounters": (BYSTANDER,)})
     farm = Farm(site=shed_site, start=shed_site.shed.bay("wide").dock, is_folded=True, scenario=scenario, config=flat())
-    farm.get_going(1.0, seconds=20.0)
+    farm.drive_at(1.0, seconds=20.0)
     farm.close()
     assert not any(m.objects for t, m in farm.outputs if t == "truth_objects")
 
 
-def test_bystander_needs_its_bay():
+def test_bystander_unknown_bay_rejected():
     with pytest.raises(FieldError, match="'wide'"):
         place_encounters((BYSTANDER,), (), SETTING, generator(1, "scenario"))
 
 
 @pytest.mark.parametrize("visible_to", [("lidar",), ("radar", "camera")])
-def test_who_is_seen_by_others_is_air_to_the_lidar(visible_to):
+def test_actor_visibility_to_lidar(visible_to):
     farm, truths = back_in(BYSTANDER.model_copy(update={"visible_to": visible_to}), seconds=21.0, sensors=("lidar",))
     scan = [m for t, m in farm.outputs if t == "lidar/rear"][-1]
     mount = farm.vehicle.sensors.lidar["rear"].mount.T_base_sensor
@@ -294,7 +294,7 @@ def test_who_is_seen_by_others_is_air_to_the_lidar(visible_to):
     assert (near.sum() > 5) == ("lidar" in visible_to)
 
 
-def test_unknown_sensor_is_refused():
+def test_unknown_sensor_rejected():
     values = DEMO.model_dump()
     values["encounters"] = [{**values["encounters"][0], "visible_to": ["nose"]}]
     with pytest.raises(ConfigError, match="visible_to"):

@@ -1,4 +1,4 @@
-"""What broken devices give: every kind on messages and on frames, and who may be broken how."""
+"""Fault injection: every kind of fault on messages and frames, and validation of faults."""
 
 import math
 
@@ -27,62 +27,66 @@ def wheel(k: int) -> WheelSample:
     return WheelSample(START + 20 * k * MS, 2.0 + 0.001 * k, 0.1)
 
 
-def come(kind: FaultKind, n: int = 40, from_s: float = 0.2, for_s: float = 0.4) -> list[tuple[int, WheelSample]]:
-    """Wheel samples every 20 ms through one fault, with the time of their coming (ms)."""
+def faulty_samples(
+    kind: FaultKind, n: int = 40, from_s: float = 0.2, for_s: float = 0.4
+) -> list[tuple[int, WheelSample]]:
+    """Wheel samples every 20 ms through one fault, with their time of arrival (ms)."""
     injection = FaultInjection([InjectedFault(topic="wheel", kind=kind, from_s=from_s, for_s=for_s)], CONFIG, START, 1)
-    got = []
+    received = []
     for k in range(n):
         now_ns = START + 20 * k * MS
-        got += [((now_ns - START) // MS, m) for _, m in injection.due(now_ns)]
-        got += [((now_ns - START) // MS, m) for _, m in injection.apply(now_ns, [("wheel", wheel(k))])]
-    return got
+        received += [((now_ns - START) // MS, m) for _, m in injection.due(now_ns)]
+        received += [((now_ns - START) // MS, m) for _, m in injection.apply(now_ns, [("wheel", wheel(k))])]
+    return received
 
 
 @pytest.mark.parametrize("kind", SENSOR_FAULTS)
-def test_before_and_after_its_time_nothing_is_wrong(kind: FaultKind) -> None:
-    whole = [wheel(k) for k in range(40)]
-    got = [m for t, m in come(kind) if t < 200 or t >= 600]
+def test_no_change_outside_fault_interval(kind: FaultKind) -> None:
+    samples = [wheel(k) for k in range(40)]
+    received = [m for t, m in faulty_samples(kind) if t < 200 or t >= 600]
     for k in (*range(10), *range(30, 40)):
-        assert any(m.stamp_ns == whole[k].stamp_ns and m.speed_mps == whole[k].speed_mps for m in got), k
+        assert any(m.stamp_ns == samples[k].stamp_ns and m.speed_mps == samples[k].speed_mps for m in received), k
 
 
-def within(kind: FaultKind) -> list[tuple[int, WheelSample]]:
-    return [(t, m) for t, m in come(kind) if 200 <= t < 600]
+def samples_within_fault(kind: FaultKind) -> list[tuple[int, WheelSample]]:
+    return [(t, m) for t, m in faulty_samples(kind) if 200 <= t < 600]
 
 
-def test_off_is_silence() -> None:
-    assert within(FaultKind.OFF) == []
+def test_off_without_messages() -> None:
+    assert samples_within_fault(FaultKind.OFF) == []
 
 
-def test_frozen_renews_the_stamp_and_repeated_does_not() -> None:
-    frozen, repeated = within(FaultKind.FROZEN), within(FaultKind.REPEATED)
+def test_frozen_and_repeated_stamps() -> None:
+    frozen, repeated = samples_within_fault(FaultKind.FROZEN), samples_within_fault(FaultKind.REPEATED)
     assert {m.speed_mps for _, m in frozen} == {m.speed_mps for _, m in repeated} == {2.010}
     assert [m.stamp_ns for _, m in frozen] == [START + t * MS for t, _ in frozen]
     assert {m.stamp_ns for _, m in repeated} == {START + 200 * MS}
 
 
-def test_out_of_order_swaps_pairs_and_loses_none() -> None:
-    numbers = [round((m.speed_mps - 2.0) * 1000) for _, m in within(FaultKind.OUT_OF_ORDER)]
+def test_out_of_order_pairs() -> None:
+    numbers = [round((m.speed_mps - 2.0) * 1000) for _, m in samples_within_fault(FaultKind.OUT_OF_ORDER)]
     assert numbers[:6] == [11, 10, 13, 12, 15, 14]
 
 
-def test_delayed_comes_by_twice_its_greatest_age_late() -> None:
-    late = [(t - (m.stamp_ns - START) // MS) for t, m in come(FaultKind.DELAYED) if m.stamp_ns >= START + 200 * MS]
+def test_delay_twice_max_age() -> None:
+    late = [
+        (t - (m.stamp_ns - START) // MS) for t, m in faulty_samples(FaultKind.DELAYED) if m.stamp_ns >= START + 200 * MS
+    ]
     assert max(late) == round(2000 * TOPICS["wheel"].max_age_s)
 
 
-def test_slow_leaves_gaps_of_more_than_its_greatest_age() -> None:
-    times = [t for t, _ in within(FaultKind.SLOW)]
+def test_slow_gaps_exceed_max_age() -> None:
+    times = [t for t, _ in samples_within_fault(FaultKind.SLOW)]
     assert min(np.diff(times)) >= 3000 * TOPICS["wheel"].max_age_s - 20
 
 
-def test_values_are_broken_as_the_table_says() -> None:
-    assert all(math.isnan(m.speed_mps) for _, m in within(FaultKind.NAN))
-    assert within(FaultKind.OFFSET)[0][1].speed_mps == pytest.approx(2.010 + 0.5)
-    assert within(FaultKind.WRONG_UNIT)[0][1].speed_mps == pytest.approx(2.010 * 3.6)
-    noisy = np.array([m.speed_mps for _, m in within(FaultKind.NOISY)])
+def test_corrupted_values() -> None:
+    assert all(math.isnan(m.speed_mps) for _, m in samples_within_fault(FaultKind.NAN))
+    assert samples_within_fault(FaultKind.OFFSET)[0][1].speed_mps == pytest.approx(2.010 + 0.5)
+    assert samples_within_fault(FaultKind.WRONG_UNIT)[0][1].speed_mps == pytest.approx(2.010 * 3.6)
+    noisy = np.array([m.speed_mps for _, m in samples_within_fault(FaultKind.NOISY)])
     assert 0.2 < noisy.std() < 1.0
-    assert len({m.speed_mps for _, m in within(FaultKind.GARBAGE)}) > 15
+    assert len({m.speed_mps for _, m in samples_within_fault(FaultKind.GARBAGE)}) > 15
 
 
 def scan() -> LidarScan:
@@ -103,7 +107,7 @@ SAMPLES = {
 
 @pytest.mark.parametrize("topic", SAMPLES)
 @pytest.mark.parametrize("kind", SENSOR_FAULTS)
-def test_every_kind_gives_messages_of_the_same_type(topic: str, kind: FaultKind) -> None:
+def test_fault_kinds_keep_message_type(topic: str, kind: FaultKind) -> None:
     injection = FaultInjection([InjectedFault(topic=topic, kind=kind, from_s=0.0, for_s=9.0)], CONFIG, START, 1)
     outputs = [output for k in range(5) for output in injection.apply(START + k * MS, [(topic, SAMPLES[topic])])]
     assert all(type(message) is type(SAMPLES[topic]) for _, message in outputs)
@@ -111,7 +115,7 @@ def test_every_kind_gives_messages_of_the_same_type(topic: str, kind: FaultKind)
     assert repr(outputs) == repr([o for k in range(5) for o in again.apply(START + k * MS, [(topic, SAMPLES[topic])])])
 
 
-def test_a_lidar_says_no_number_as_no_return_and_stays_within_its_range() -> None:
+def test_lidar_faults_within_integer_range() -> None:
     for kind, expected in ((FaultKind.NAN, [0, 0, 0]), (FaultKind.OFFSET, [0, 6000, 65535]),
                            (FaultKind.WRONG_UNIT, [0, 500, 6554])):  # fmt: skip
         injection = FaultInjection(
@@ -122,10 +126,10 @@ def test_a_lidar_says_no_number_as_no_return_and_stays_within_its_range() -> Non
         assert message.ranges_mm.tolist() == [expected]
 
 
-def test_what_cannot_be_broken_is_refused() -> None:
-    with pytest.raises(ConfigError, match="nobody"):
+def test_invalid_fault_rejected() -> None:
+    with pytest.raises(ConfigError, match="absent"):
         FaultInjection([], CONFIG, START, 1).check_topics([]) or FaultInjection(
-            [InjectedFault(topic="lidar/nobody", kind=FaultKind.OFF, from_s=0, for_s=1)], CONFIG, START, 1
+            [InjectedFault(topic="lidar/absent", kind=FaultKind.OFF, from_s=0, for_s=1)], CONFIG, START, 1
         ).check_topics(["lidar/front"])
     with pytest.raises(ValueError, match="cannot be"):
         InjectedFault(topic="imu", kind=FaultKind.RAISES, from_s=0, for_s=1)
@@ -134,7 +138,7 @@ def test_what_cannot_be_broken_is_refused() -> None:
     assert fault_kinds_of("node/localizer") == (FaultKind.RAISES, FaultKind.HANGS)
 
 
-def test_clock_and_disk() -> None:
+def test_clock_step_and_full_disk() -> None:
     faults = [InjectedFault(topic="clock", kind=FaultKind.BEHIND, from_s=1.0, for_s=1.0),
               InjectedFault(topic="log", kind=FaultKind.FULL, from_s=0.0, for_s=1.0)]  # fmt: skip
     injection = FaultInjection(faults, CONFIG, START, 1)
@@ -144,7 +148,7 @@ def test_clock_and_disk() -> None:
 
 
 class Rig:
-    """A tractor's frames, through a faulty bus, read as the gateway reads them."""
+    """Frames of a tractor through a faulty bus, decoded as in the gateway."""
 
     VALUES = {  # noqa: RUF012
         "WheelBasedSpeed": {"Speed": 2.0, "Direction": 1},
@@ -165,7 +169,7 @@ class Rig:
         self.bus = FaultyBus(self.near, self.injection, load_database())
         self.frame = StatusFrame(load_database().get_message_by_name(name))
         self.receiver, self.name, self.count = CanReceiver(240), name, 0
-        self.got: list[bytes] = []
+        self.received: list[bytes] = []
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds * 10)):
@@ -177,7 +181,7 @@ class Rig:
             data = self.frame.encode(values)
             self.far.send(can.Message(arbitration_id=self.frame.identifier, data=data, is_extended_id=True))
             while (frame := self.bus.recv(0)) is not None:
-                self.got.append(bytes(frame.data))
+                self.received.append(bytes(frame.data))
                 self.receiver.receive(self.injection.now_ns, 28, frame.arbitration_id, bytes(frame.data))
 
     def close(self) -> None:
@@ -187,16 +191,16 @@ class Rig:
 
 @pytest.mark.parametrize("name", Rig.VALUES)
 @pytest.mark.parametrize("kind", SENSOR_FAULTS)
-def test_frames_break_only_when_they_should(name: str, kind: FaultKind) -> None:
+def test_frame_faults_only_in_interval(name: str, kind: FaultKind) -> None:
     rig = Rig(name, kind)
     try:
         rig.run(0.4)
         assert rig.receiver.rejected == 0
-        assert len(rig.got) == 4
+        assert len(rig.received) == 4
         rig.run(2.0)
     finally:
         rig.close()
-    after = rig.got[4:]
+    after = rig.received[4:]
     assert len(after) == {FaultKind.OFF: 0, FaultKind.DELAYED: 14, FaultKind.SLOW: 3}.get(kind, 20)
     if kind is FaultKind.NAN and name != "HeartbeatTractor":
         fresh = {"WheelBasedSpeed": rig.receiver.motion_ns, "GuidanceMachineStatus": rig.receiver.steering_ns,
@@ -205,15 +209,15 @@ def test_frames_break_only_when_they_should(name: str, kind: FaultKind) -> None:
         assert fresh == START + 400 * MS
 
 
-def test_a_frozen_sensor_behind_a_living_computer_keeps_counting() -> None:
+def test_frozen_signal_with_running_counter() -> None:
     rig = Rig("CabState", FaultKind.FROZEN)
     rig.run(3.0)
     rig.close()
     assert rig.receiver.rejected == 0
-    assert len({data[7] for data in rig.got[5:]}) == 16
+    assert len({data[7] for data in rig.received[5:]}) == 16
 
 
-def test_repeated_frames_are_refused_where_they_count() -> None:
+def test_repeated_counter_rejected() -> None:
     for name in ("CabState", "HeartbeatTractor"):
         rig = Rig(name, FaultKind.REPEATED)
         rig.run(3.0)
@@ -221,7 +225,7 @@ def test_repeated_frames_are_refused_where_they_count() -> None:
         assert rig.receiver.rejected >= 20
 
 
-def test_a_wrong_speed_is_a_speed() -> None:
+def test_wrong_unit_speed_accepted() -> None:
     rig = Rig("WheelBasedSpeed", FaultKind.WRONG_UNIT)
     rig.run(1.0)
     rig.close()

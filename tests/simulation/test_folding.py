@@ -1,4 +1,4 @@
-"""Folding: when wings turn, how fast, what the bus says, and how wide the machine then is."""
+"""Folding: conditions, duration, status on the bus, and the machine's width."""
 
 import itertools
 
@@ -24,16 +24,16 @@ def farm():
     farm.close()
 
 
-def test_folds_in_its_time_and_tells_so(farm):
+def test_fold_duration_and_status(farm):
     farm.is_folded = True
     farm.drive(0.5 * DURATION_S)
     assert farm.machine.attached.fold == pytest.approx(0.5, abs=0.02)
     farm.drive(0.5 * DURATION_S + 0.3)
     assert farm.machine.attached.fold == 1.0
-    told = [v["FoldPosition"] for _, v in farm.frames["CabState"] if v["Group"] == 3]
-    assert told[0] == 0.0
-    assert told[-1] == 100.0
-    assert all(b >= a for a, b in itertools.pairwise(told))
+    reported = [v["FoldPosition"] for _, v in farm.frames["CabState"] if v["Group"] == 3]
+    assert reported[0] == 0.0
+    assert reported[-1] == 100.0
+    assert all(b >= a for a, b in itertools.pairwise(reported))
     times = [t for t, v in farm.frames["CabState"] if v["Group"] == 3]
     assert set(np.diff(times)) == {100_000_000}
     farm.is_folded = False
@@ -41,7 +41,7 @@ def test_folds_in_its_time_and_tells_so(farm):
     assert farm.machine.attached.fold == 0.0
 
 
-def test_holds_while_it_moves_and_without_order(farm):
+def test_fold_held_while_driving_or_without_request(farm):
     farm.is_folded = True
     farm.drive(2.0)
     before = farm.machine.attached.fold
@@ -57,7 +57,7 @@ def test_holds_while_it_moves_and_without_order(farm):
 
 
 @pytest.mark.parametrize("why", ["lowered", "stop all", "silent"])
-def test_does_not_turn_when_it_must_not(farm, why):
+def test_fold_inhibited(farm, why):
     if why == "lowered":
         farm.is_lowered = True
         farm.drive(2.0)
@@ -70,7 +70,7 @@ def test_does_not_turn_when_it_must_not(farm, why):
     assert farm.machine.attached.fold == 0.0
 
 
-def test_an_implement_that_does_not_fold_says_nothing():
+def test_no_fold_status_without_fold():
     twelve = load(ImplementFile, find("implements", "harrow_12m")).implement
     farm = Farm(config=flat(), implement=twelve, is_folded=True)
     farm.is_folded = True
@@ -81,12 +81,12 @@ def test_an_implement_that_does_not_fold_says_nothing():
 
 
 @pytest.mark.parametrize(("fold", "width_m"), [(0.0, WIDE_M), (0.5, 0.5 * (WIDE_M + NARROW_M)), (1.0, NARROW_M)])
-def test_width_follows_the_fold(fold, width_m):
+def test_width_by_fold(fold, width_m):
     assert at_fold(IMPLEMENT, fold).width_m == pytest.approx(width_m)
 
 
 @pytest.mark.parametrize("is_folded", [False, True])
-def test_ground_covered_and_lidar_shadow_follow_the_fold(is_folded):
+def test_outline_and_lidar_returns_by_fold(is_folded):
     farm = Farm(config=flat(), vehicle=machine_file(sensors=("lidar",)), is_folded=is_folded)
     outline = farm.world._ground_truth.outline(farm.machine)
     assert outline.bounds[3] - outline.bounds[1] == pytest.approx(NARROW_M if is_folded else WIDE_M)

@@ -1,4 +1,4 @@
-"""The tractor on its ground, what it pulls, and the shapes of what stands about."""
+"""Machine, ground, implement and meshes of scenery and actors."""
 
 import math
 
@@ -30,7 +30,7 @@ TRAILER = TrailedImplement(
 
 
 def volume_m3(mesh):
-    """Signed volume of a closed mesh; wrong when a face is missing or turned."""
+    """Signed volume of a closed mesh; wrong for a missing or reversed face."""
     a, b, c = (mesh.vertices_m[mesh.triangles[:, k]].astype(float) for k in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
@@ -52,7 +52,7 @@ def test_solids_are_closed():
      (ObstacleClass.VEHICLE, (3.7, 1.6, 1.6), (3.9, 1.7, 1.7))],
 )  # fmt: skip
 @pytest.mark.parametrize("gait", [-1.0, *(k / GAIT_STEPS for k in range(GAIT_STEPS))])
-def test_figures_have_their_size_and_stand_on_the_ground(label, low, high, gait):
+def test_actor_mesh_dimensions(label, low, high, gait):
     vertices = actor_mesh(label, gait).vertices_m
     size = np.ptp(vertices, axis=0)
     assert np.all(size >= low)
@@ -60,12 +60,12 @@ def test_figures_have_their_size_and_stand_on_the_ground(label, low, high, gait)
     assert -0.05 < vertices[:, 2].min() < 0.15
 
 
-def test_legs_move():
+def test_gait_changes_mesh():
     shapes = {actor_mesh(ObstacleClass.PERSON, k / GAIT_STEPS).vertices_m.tobytes() for k in range(GAIT_STEPS)}
     assert len(shapes) > GAIT_STEPS / 2
 
 
-def test_machine_mesh_keeps_within_the_body():
+def test_machine_mesh_within_body():
     vehicle = machine_file()
     vertices, b = machine_mesh(vehicle).vertices_m, vehicle.body
     assert vertices[:, 0].max() == pytest.approx(b.front_m)
@@ -75,7 +75,7 @@ def test_machine_mesh_keeps_within_the_body():
     assert vertices[:, 2].min() >= -0.02
 
 
-def test_implement_mesh_lifts():
+def test_implement_mesh_by_hitch():
     low, high = (implement_mesh(IMPLEMENT, h).vertices_m[:8, 2].min() for h in (0.0, 1.0))
     assert low < 0.1
     assert high > 0.5
@@ -92,16 +92,16 @@ def test_outlines():
 
 @given(st.floats(0, 1), st.floats(0, 1))
 @settings(derandomize=True, max_examples=100)
-def test_hitch_moves_no_faster_than_it_can(hitch, target):
+def test_hitch_rate_limit(hitch, target):
     after = step_hitch(hitch, target, 1.2, 1.0, 0.005)
     assert -0.005 / 1.0 - 1e-12 <= after - hitch <= 0.005 / 1.2 + 1e-12
     assert abs(target - after) <= abs(target - hitch)
 
 
-def test_trailer_follows_on_a_smaller_circle():
+def test_trailer_articulation_in_turn():
     farm = Farm(implement=TRAILER, config=flat(machine={"tyres": {"soil_lateral_sigma_mps2": 0.0}}))
     farm.curvature_radpm = 0.1
-    farm.get_going(1.5, seconds=25.0)
+    farm.drive_at(1.5, seconds=25.0)
     m = farm.machine
     farm.close()
     radius = m.speed_mps / m.yaw_rate_radps
@@ -113,12 +113,12 @@ def test_trailer_follows_on_a_smaller_circle():
 def test_reversing_trailer_jackknifes():
     farm = Farm(implement=TRAILER)
     farm.machine.attached.yaw_rad = -0.05
-    farm.get_going(-1.0, seconds=12.0)
+    farm.drive_at(-1.0, seconds=12.0)
     assert abs(farm.machine.yaw_rad - farm.machine.attached.yaw_rad) > 0.3
     farm.close()
 
 
-def test_side_slope_makes_it_crab():
+def test_crab_angle_on_side_slope():
     site = SITE.model_copy(update={"boundary_m": ((-20.0, -30.0), (-20.0, 120.0), (100.0, 120.0), (100.0, -30.0))})
     config = flat(
         terrain={"grade": 0.0524, "grade_length_m": 400.0, "flat_m": 0.0},
@@ -126,7 +126,7 @@ def test_side_slope_makes_it_crab():
     )
     yard = site.yard.model_copy(update={"outline_m": ((-5.0, -105.0), (5.0, -105.0), (5.0, -95.0), (-5.0, -95.0))})
     farm = Farm(site=site.model_copy(update={"yard": yard}), config=config)
-    farm.get_going(2.0)
+    farm.drive_at(2.0)
     m = farm.machine
     farm.close()
     roll = rpy_of(m.T_map_base)[0]
@@ -135,8 +135,8 @@ def test_side_slope_makes_it_crab():
     assert slip == pytest.approx(math.sin(roll) / CONFIG.machine.tyres.rear_stiffness, rel=0.2)
 
 
-def test_terrain_bounds_grade_and_bend():
-    """Grade at most 8 % plus its waves; and no bump that rises into a protective field 10 m ahead."""
+def test_terrain_grade_and_curvature_limits():
+    """Grade at most 8 % plus waves; no rise into a protective field 10 m ahead."""
     terrain = Terrain(SITE, CONFIG.terrain, 3)
     x = np.arange(-20.0, 100.0, 0.5)
     for y in (-25.0, 0.0, 25.0):
@@ -149,12 +149,12 @@ def test_terrain_bounds_grade_and_bend():
     assert terrain.height_m(0.0, 0.0) == pytest.approx(0.0)
 
 
-def test_terrain_differs_by_seed_and_repeats():
+def test_terrain_by_seed():
     a, b, c = (Terrain(SITE, CONFIG.terrain, s).height_m(50.0, 10.0) for s in (1, 1, 2))
     assert a == b != c
 
 
-def test_pose_stands_on_the_ground():
+def test_pose_on_ground():
     terrain = Terrain(SITE, CONFIG.terrain, 3)
     T = terrain.pose_on_ground(60.0, 10.0, 0.7, 2.55, 1.9)
     assert T[:3, :3] @ T[:3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
@@ -164,7 +164,7 @@ def test_pose_stands_on_the_ground():
     assert math.atan2(T[1, 0], T[0, 0]) == pytest.approx(0.7)
 
 
-def test_fence_is_open_at_the_gate():
+def test_fence_gap_at_gate():
     gate = Gate(name="gate", posts_m=((10.0, -30.0), (18.0, -30.0)))
     lane = Lane(name="lane", center_m=((14.0, -40.0), (14.0, -20.0)), width_m=7.0)
     site = SITE.model_copy(update={"gates": (gate,), "lanes": (lane,)})
@@ -177,7 +177,7 @@ def test_fence_is_open_at_the_gate():
     assert sum(len(p.mesh.triangles) for p in pieces) < 400_000
 
 
-def test_allowed_area_leaves_out_what_must_not_be_entered():
+def test_allowed_area_without_no_go():
     pond = SITE.yard.model_copy(
         update={"name": "pond", "outline_m": ((40.0, 0.0), (50.0, 0.0), (50.0, 9.0), (40.0, 9.0))}
     )
@@ -193,6 +193,6 @@ def test_small_turn(angle):
     assert small_turn_rad(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])) == pytest.approx([0, 0, angle], abs=1e-12)
 
 
-def test_rays_towards_a_ball():
+def test_rays_near_ball():
     rays = np.array([[0, 0, 0, 1, 0, 0], [0, 0, 0, -1, 0, 0], [0, 1.1, 0, 1, 0, 0], [0, 0.9, 0, 1, 0, 0]], np.float32)
     assert rays_near_ball(rays, np.array([10.0, 0.0, 0.0]), 1.0).tolist() == [1, 0, 0, 1]

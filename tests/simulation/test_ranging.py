@@ -1,4 +1,4 @@
-"""Radar, ultrasonic sensors, UWB and satellites near the shed, against geometry and physics worked out by hand."""
+"""Radar, ultrasonic sensors, UWB and GNSS near the shed, against geometry and physics computed by hand."""
 
 import math
 
@@ -26,7 +26,7 @@ def of(outputs, topic):
 
 
 def farm_with(kind, start=YARD, actors=(), seed=1, **sections):
-    """A standing machine with one kind of sensors, and figures that stay as they are."""
+    """A standing machine with one kind of sensors, and constant actors."""
     farm = Farm(vehicle=machine_file(sensors=(kind,)), site=SITE, start=start, is_folded=True, seed=seed,
                 config=flat(**sections))  # fmt: skip
     farm.world._update_actors = lambda elapsed_s: setattr(farm.world._scene, "actors", tuple(actors))
@@ -41,7 +41,7 @@ def actor(x, y, label=ObstacleClass.PERSON, velocity=(0.0, 0.0), yaw=0.0, gait=-
 def radar_scans(seconds=3.0, actors=(), start=YARD, speed_mps=0.0, **config):
     farm = farm_with("radar", start, actors, radar={**QUIET, **config})
     if speed_mps:
-        farm.get_going(speed_mps, seconds=5.0)
+        farm.drive_at(speed_mps, seconds=5.0)
         farm.outputs.clear()
     before = farm.machine.T_map_base
     scans = of(farm.drive(seconds), "radar/front")
@@ -55,18 +55,18 @@ def near(scan, range_m, azimuth_deg, within_m=1.0, within_deg=6.0):
     )
 
 
-@pytest.mark.parametrize(("range_m", "least"), [(5.0, 0.9), (20.0, 0.85), (40.0, 0.6)])
-def test_radar_finds_a_person_where_they_stand(range_m, least):
-    """The radar sits 3.5 m ahead of base; a person has -8 to 0 dBsm."""
+@pytest.mark.parametrize(("range_m", "min_share"), [(5.0, 0.9), (20.0, 0.85), (40.0, 0.6)])
+def test_radar_person_detection(range_m, min_share):
+    """The radar is 3.5 m ahead of base; a person has -8 to 0 dBsm."""
     y = YARD.y_m + 3.5 + range_m * math.cos(0.2)
     scans, _, _ = radar_scans(actors=[actor(20.0 - range_m * math.sin(0.2), y)])
     hits = [near(s, range_m, math.degrees(0.2)) & (s.rcs_dbsm > -18.0) for s in scans]
-    assert np.mean([h.any() for h in hits]) > least
+    assert np.mean([h.any() for h in hits]) > min_share
     strongest = [s.rcs_dbsm[h].max() for s, h in zip(scans, hits, strict=True) if h.any()]
     assert -9.0 < np.median(strongest) < 0.0
 
 
-def test_radar_resolves_several_points_of_a_vehicle_and_more_of_its_side():
+def test_radar_vehicle_by_aspect():
     def strength(yaw):
         scans, _, _ = radar_scans(actors=[actor(20.0, -30.0, ObstacleClass.VEHICLE, yaw=yaw)])
         return [(s.rcs_dbsm[near(s, 11.5, 0.0, 3.0, 15.0)]) for s in scans]
@@ -76,7 +76,7 @@ def test_radar_resolves_several_points_of_a_vehicle_and_more_of_its_side():
     assert np.mean([s.max() for s in side if len(s)]) > np.mean([s.max() for s in oblique if len(s)]) + 6.0
 
 
-def test_radar_doppler_of_standing_things_is_the_ego_motion():
+def test_radar_doppler_of_static_targets():
     scans, _, farm = radar_scans(seconds=1.0, speed_mps=2.0)
     assert farm.machine.speed_mps == pytest.approx(2.0, abs=0.1)
     radial = np.concatenate([
@@ -87,7 +87,7 @@ def test_radar_doppler_of_standing_things_is_the_ego_motion():
     assert np.percentile(np.abs(radial), 90) < 0.3
 
 
-def test_radar_doppler_of_a_walker_and_their_legs():
+def test_radar_micro_doppler_of_walker():
     coming = actor(20.0, -31.5, velocity=(0.0, -1.2), yaw=-math.pi / 2, gait=0.25)
     scans, _, _ = radar_scans(actors=[coming])
     doppler = np.concatenate([s.doppler_mps[near(s, 10.0, 0.0)] for s in scans])
@@ -96,22 +96,22 @@ def test_radar_doppler_of_a_walker_and_their_legs():
     assert doppler.max() > -0.7
 
 
-@pytest.mark.parametrize("hidden_by", ["post", "vehicle", "nothing", "not seen"])
-def test_radar_does_not_see_through_things(hidden_by):
-    if hidden_by == "post":  # the back wall of the shed is behind the post; who stands outside it is not seen
+@pytest.mark.parametrize("occluded_by", ["post", "vehicle", "nothing", "not visible"])
+def test_radar_occlusion(occluded_by):
+    if occluded_by == "post":  # the person is behind the post and the shed's back wall
         start, person = PoseConfig(x_m=10.0, y_m=-40.0, heading_deg=180.0), actor(-12.0, -40.0)
         others = []
     else:
-        start, person = YARD, actor(20.0, -20.0, visible_to=("lidar",) if hidden_by == "not seen" else None)
-        others = [actor(20.0, -30.0, ObstacleClass.VEHICLE)] if hidden_by == "vehicle" else []
+        start, person = YARD, actor(20.0, -20.0, visible_to=("lidar",) if occluded_by == "not visible" else None)
+        others = [actor(20.0, -30.0, ObstacleClass.VEHICLE)] if occluded_by == "vehicle" else []
     scans, _, _ = radar_scans(actors=[person, *others], start=start)
-    away = 18.5 if hidden_by == "post" else 21.5
-    share = np.mean([(near(s, away, 0.0, 0.6, 3.0) & (s.rcs_dbsm > -18.0)).any() for s in scans])
-    assert (share > 0.8) == (hidden_by == "nothing")
-    assert share < 0.05 or hidden_by == "nothing"
+    distance_m = 18.5 if occluded_by == "post" else 21.5
+    share = np.mean([(near(s, distance_m, 0.0, 0.6, 3.0) & (s.rcs_dbsm > -18.0)).any() for s in scans])
+    assert (share > 0.8) == (occluded_by == "nothing")
+    assert share < 0.05 or occluded_by == "nothing"
 
 
-def test_radar_keeps_within_its_view_and_has_clutter_and_ghosts():
+def test_radar_field_of_view_clutter_ghosts():
     farm = farm_with("radar", actors=[actor(20.0, -35.0)], radar={"clutter_per_cycle": 5.0, "ghost_probability": 0.3})
     scans = of(farm.drive(3.0), "radar/front")
     farm.close()
@@ -121,7 +121,7 @@ def test_radar_keeps_within_its_view_and_has_clutter_and_ghosts():
         assert np.abs(np.degrees(s.azimuth_rad)).max() <= 60.0
         assert s.range_m.min() >= 0.3
         assert s.range_m.max() <= 70.0
-    assert len(scans) in (59, 60)  # the last is still on its way
+    assert len(scans) in (59, 60)  # the last is not yet delivered
 
 
 def ranges(x, y, seconds=4.0, label=ObstacleClass.PERSON, start=YARD, name="front_middle", **config):
@@ -134,8 +134,8 @@ def ranges(x, y, seconds=4.0, label=ObstacleClass.PERSON, start=YARD, name="fron
 
 
 @pytest.mark.parametrize("ahead_m", [0.6, 1.0, 2.0, 3.0])
-def test_ultrasonic_hears_a_person_before_it(ahead_m):
-    """3.5 m ahead of base and a person half 0.15 m deep; cloth is heard to 0.7 of the reach."""
+def test_ultrasonic_person_range(ahead_m):
+    """Sensor 3.5 m ahead of base, half depth of a person 0.15 m; cloth is detected to 0.7 of the range."""
     found = ranges(20.0, YARD.y_m + 3.5 + ahead_m)
     assert np.isfinite(found).mean() > 0.9
     assert np.nanmedian(found) == pytest.approx(ahead_m - 0.15, abs=0.2)
@@ -143,28 +143,28 @@ def test_ultrasonic_hears_a_person_before_it(ahead_m):
 
 
 @pytest.mark.parametrize(("x", "y"), [(None, 0.0), (20.0, -41.6 + 4.7), (23.5, -39.5), (20.0, -41.45)])
-def test_ultrasonic_hears_nothing_of_ground_the_far_the_aside_and_the_dead_zone(x, y):
+def test_ultrasonic_without_echo(x, y):
     assert np.isnan(ranges(x, y)).all()
 
 
-def test_ultrasonic_hears_hard_things_farther_than_soft_ones():
+def test_ultrasonic_range_by_target_strength():
     y = YARD.y_m + 3.5 + 4.3
     assert np.isnan(ranges(20.0, y)).all()
     assert np.isfinite(ranges(20.0, y, label=ObstacleClass.VEHICLE)).mean() > 0.9
 
 
-def test_ultrasonic_cross_talk_is_stray():
+def test_ultrasonic_cross_talk():
     found = ranges(None, 0.0, seconds=20.0, cross_talk_probability=0.1)
     share = np.isfinite(found).mean()
     assert 0.1 < share < 0.32  # two neighbours, 0.1 each
     assert np.nanstd(found) > 1.0
 
 
-def test_ultrasonic_meets_a_wall_square_on_and_not_obliquely():
+def test_ultrasonic_wall_by_incidence():
     y = SHED.bay("narrow").dock.y_m
     found = ranges(None, 0.0, start=PoseConfig(x_m=-4.9, y_m=y, heading_deg=180.0))
     assert np.nanmedian(found) == pytest.approx((-4.9 - 3.5) - (-9.0 + 0.075), abs=0.03)
-    oblique = PoseConfig(x_m=-15.0, y_m=-40.0, heading_deg=50.0)  # outside, the wall 75 degrees off its normal's way
+    oblique = PoseConfig(x_m=-15.0, y_m=-40.0, heading_deg=50.0)  # outside, 75 degrees off the wall's normal
     assert np.isnan(ranges(None, 0.0, start=oblique, name="front_left")).mean() > 0.8
 
 
@@ -179,10 +179,10 @@ def uwb_messages(start, actors=(), seconds=10.0, seed=1, **config):
     return messages, truth, errors
 
 
-def test_uwb_has_scale_and_bias_in_sight():
+def test_uwb_line_of_sight_errors():
     exact = {"scale_sigma": 0.0, "bias_sigma_m": 0.0}
     messages, _, errors = uwb_messages(SHED.bay("wide").dock, **exact)
-    assert len(messages) in (99, 100)  # the last is still on its way
+    assert len(messages) in (99, 100)  # the last is not yet delivered
     for name in ("south_west", "north_west"):
         assert np.mean(errors[name]) == pytest.approx(0.0, abs=0.03)
         assert np.std(errors[name]) == pytest.approx(0.05, rel=0.4)
@@ -193,8 +193,8 @@ def test_uwb_has_scale_and_bias_in_sight():
     assert abs(factor[0]) > 0.02
 
 
-def test_uwb_behind_a_wall_is_late_rare_and_says_so():
-    """West of the shed's back wall the anchors within are hidden by sheet metal."""
+def test_uwb_behind_wall():
+    """West of the shed's back wall sheet metal obstructs the anchors inside."""
     start = PoseConfig(x_m=-14.0, y_m=-40.0, heading_deg=90.0)
     messages, _, errors = uwb_messages(start, scale_sigma=0.0, bias_sigma_m=0.0)
     assert np.mean(errors["south_east"]) > 0.25
@@ -203,14 +203,14 @@ def test_uwb_behind_a_wall_is_late_rare_and_says_so():
     assert np.mean(quality) < 0.4
 
 
-def test_uwb_line_of_sight_by_hand():
+def test_line_of_sight_geometry():
     a, b = np.array([0.0, 0.0, 3.0]), np.array([10.0, 0.0, 3.0])
     assert intersects_ball(np.array([5.0, 0.5, 3.0]), 0.6, a, b)
     assert not intersects_ball(np.array([5.0, 0.7, 3.0]), 0.6, a, b)
     assert not intersects_ball(np.array([12.0, 0.0, 3.0]), 0.6, a, b)
 
 
-def test_sky_under_the_roof_near_it_and_after():
+def test_sky_view_near_shed():
     sky, config = SkyView(SHED, CONFIG.gnss), CONFIG.gnss
     assert sky.best_solution(20.0, -40.0, 0.0) == GnssSolution.RTK_FIXED
     assert sky.best_solution(-4.0, -40.0, 1.0) == GnssSolution.NONE
@@ -222,13 +222,13 @@ def test_sky_under_the_roof_near_it_and_after():
     assert SkyView(None, config).best_solution(-4.0, -40.0, 0.0) == GnssSolution.RTK_FIXED
 
 
-def test_gnss_says_nothing_in_the_bay():
+def test_gnss_no_solution_in_bay():
     farm = farm_with("gnss", SHED.bay("wide").dock)
     assert {m.solution for m in of(farm.drive(2.0), "gnss/main")} == {GnssSolution.NONE}
     farm.close()
 
 
-def test_carried_sensors_rise_with_the_implement():
+def test_implement_sensor_height():
     farm = farm_with("ultrasonic")
     (model,) = [s for s in farm.world._sensors if s.topic.endswith("front_middle")]
     moment = type("M", (), {"poses": farm.world._poses, "machine": farm.machine})()
@@ -239,7 +239,7 @@ def test_carried_sensors_rise_with_the_implement():
     farm.close()
 
 
-def test_rear_sensors_hear_who_stands_behind_the_raised_harrow():
+def test_rear_ultrasonic_behind_raised_implement():
     behind = actor(20.0, YARD.y_m - 2.4 - 1.5)
     vehicle = with_implement_sensors(machine_file(), IMPLEMENT)
     farm = Farm(vehicle=vehicle, site=SITE, start=YARD, is_folded=True, config=flat())

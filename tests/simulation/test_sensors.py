@@ -1,4 +1,4 @@
-"""Sensor models against geometry and physics worked out by hand."""
+"""Sensor models against geometry and physics computed by hand."""
 
 import math
 
@@ -14,7 +14,7 @@ from simulation.sensors.imu import mean_motion
 from tests.simulation.simulated_farm import CONFIG, EMPTY, SITE, Farm, flat, machine_file
 
 G = 9.80665
-FENCE_M = 30.0 + CONFIG.scenery.fence_offset_m  # the field ends at 30 m to either side
+FENCE_M = 30.0 + CONFIG.scenery.fence_offset_m  # the field extends to 30 m on either side
 
 
 def of(outputs, topic):
@@ -23,14 +23,14 @@ def of(outputs, topic):
 
 @pytest.fixture(scope="module")
 def scans():
-    """Two seconds of both lidars on even ground, standing at the origin, 20 m and more from the fence."""
+    """Scans of both lidars on level ground, at rest at the origin, at least 20 m from the fence."""
     farm = Farm(vehicle=machine_file(sensors=("lidar",)), config=flat(scenery={"crop_height_m": 0.0, "trees": 0}))
     outputs = farm.drive(0.5)
     farm.close()
     return outputs, farm.vehicle
 
 
-def test_rates_and_stamps():
+def test_message_rates_and_stamps():
     farm = Farm(vehicle=machine_file(sensors=("gnss", "imu", "wheels")))
     outputs = farm.drive(2.0)
     farm.close()
@@ -42,33 +42,33 @@ def test_rates_and_stamps():
     assert set(np.diff(stamps)) == {10_000_000}
 
 
-def test_start_order_comes_once_at_its_time():
+def test_start_command_time():
     farm = Farm()
     outputs = farm.drive(4.0)
     farm.close()
-    (order,) = of(outputs, "operator_command")
-    assert order.kind.name == "START"
-    assert order.stamp_ns - farm.start_ns == 3_000_000_000
-    assert order.expires_ns > order.stamp_ns
+    (command,) = of(outputs, "operator_command")
+    assert command.kind.name == "START"
+    assert command.stamp_ns - farm.start_ns == 3_000_000_000
+    assert command.expires_ns > command.stamp_ns
 
 
-def test_imu_at_rest_reads_gravity():
+def test_imu_gravity_at_rest():
     farm = Farm(vehicle=machine_file(sensors=("imu",)))
     samples = [m for m in of(farm.drive(5.0), "imu") if isinstance(m, ImuSample)]
     farm.close()
     force = np.mean([m.acceleration_mps2 for m in samples], axis=0)
     rate = np.mean([m.rate_radps for m in samples], axis=0)
-    assert force == pytest.approx([0.0, 0.0, G], abs=4e-3 * G)  # 1 mg of bias a sigma
+    assert force == pytest.approx([0.0, 0.0, G], abs=4e-3 * G)  # bias sigma 1 mg
     assert rate == pytest.approx([0.0, 0.0, 0.0], abs=4 * 4 * math.pi / 180 / 3600 + 2e-4)
 
 
-def test_imu_on_a_slope_reads_the_slope():
+def test_imu_gravity_on_slope():
     T = transform((0.0, 0.0, 0.0), (0.05, -0.08, 1.0))
     force = mean_motion(T, T, T, 0.01)[:3]
     assert force == pytest.approx(T[:3, :3].T @ [0.0, 0.0, G])
 
 
-def test_imu_in_a_turn_reads_centripetal_and_rate():
+def test_imu_in_turn():
     v, r = 3.0, 0.4
     T_base_imu = transform((1.0, 0.5, 1.0))
 
@@ -80,11 +80,11 @@ def test_imu_in_a_turn_reads_centripetal_and_rate():
     assert motion == pytest.approx([-(r**2) * 1.0, v * r - r**2 * 0.5, G, 0.0, 0.0, r], abs=1e-5)
 
 
-def test_imu_integrates_back_to_the_true_heading_and_speed():
+def test_imu_integrates_to_true_motion():
     config = flat(imu={"idle_vibration_mps2": 0.0, "driving_vibration_mps2_per_mps": 0.0})
     farm = Farm(vehicle=machine_file(sensors=("imu",)), config=config)
     farm.curvature_radpm = 0.1
-    farm.get_going(2.0)
+    farm.drive_at(2.0)
     samples = of(farm.outputs, "imu")
     farm.close()
     turned = sum(m.rate_radps[2] for m in samples) * 0.01
@@ -98,7 +98,7 @@ def test_imu_integrates_back_to_the_true_heading_and_speed():
     assert np.linalg.norm(speed) == pytest.approx(farm.machine.speed_mps, abs=0.3)
 
 
-def test_imu_saturates():
+def test_imu_saturation():
     vehicle = machine_file(sensors=("imu",))
     tight = vehicle.sensors.imu.model_copy(update={"accelerometer_range_g": 0.5})
     vehicle = vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"imu": tight})})
@@ -107,7 +107,7 @@ def test_imu_saturates():
     farm.close()
 
 
-def test_gnss_gives_the_antenna_not_base():
+def test_gnss_antenna_position():
     vehicle = machine_file(sensors=("gnss",))
     mount = vehicle.sensors.gnss["main"].mount.model_copy(update={"xyz_m": (1.5, 0.7, 3.0)})
     gnss = vehicle.sensors.gnss["main"].model_copy(update={"mount": mount})
@@ -124,11 +124,11 @@ def test_gnss_gives_the_antenna_not_base():
     )
 
 
-def test_gnss_velocity_has_the_lever_arm():
+def test_gnss_velocity_lever_arm():
     vehicle = machine_file(sensors=("gnss",))
     farm = Farm(vehicle=vehicle)
     farm.curvature_radpm = 0.2
-    farm.get_going(1.5)
+    farm.drive_at(1.5)
     fix = of(farm.outputs, "gnss/main")[-1]
     truth = of(farm.outputs, "truth_machine")[-1]
     farm.close()
@@ -150,7 +150,7 @@ def test_gnss_episodes(elapsed_s, solution):
     assert solution_at(episodes, elapsed_s) == solution
 
 
-def test_gnss_outage_says_so_and_states_its_sigma():
+def test_gnss_outage_states_and_sigma():
     nothing, poor = {"from_s": 1.0, "for_s": 1.0, "state": "none"}, {"from_s": 2.0, "for_s": 2.0, "state": "rtk_float"}
     values = {"name": "outage", "operator_commands": [], "gnss": [nothing, poor]}
     farm = Farm(vehicle=machine_file(sensors=("gnss",)), scenario=parse(Scenario, values, "test"))
@@ -163,7 +163,7 @@ def test_gnss_outage_says_so_and_states_its_sigma():
     assert states[GnssSolution.RTK_FIXED].sigma_enu_m[0] == pytest.approx(0.008)
 
 
-def test_wheels_read_slip_and_the_angle_zero():
+def test_wheel_slip_and_angle_offset():
     farm = Farm(vehicle=machine_file(sensors=("wheels",)))
     still = of(farm.drive(0.5), "wheel")
     assert {m.speed_mps for m in still if isinstance(m, WheelSample)} == {0.0}
@@ -171,13 +171,13 @@ def test_wheels_read_slip_and_the_angle_zero():
     assert angle == pytest.approx(farm.machine.angle_offset_rad, abs=math.radians(0.1))
     assert abs(farm.machine.angle_offset_rad) <= math.radians(0.3)
     farm.is_lowered = True
-    farm.get_going(2.78)
+    farm.drive_at(2.78)
     moving = of(farm.outputs, "wheel")[-100:]
     farm.close()
     assert np.mean([m.speed_mps for m in moving]) > 1.02 * farm.machine.speed_mps
 
 
-def test_angle_zero_differs_by_seed():
+def test_angle_offset_by_seed():
     zeros = set()
     for seed in range(4):
         farm = Farm(seed=seed)
@@ -200,7 +200,7 @@ def test_lidar_shape_and_offsets(scans):
     assert vehicle.sensors.lidar["front"].columns == 1024
 
 
-def test_lidar_sees_even_ground_as_even(scans):
+def test_lidar_level_ground(scans):
     outputs, vehicle = scans
     for name in ("front", "rear"):
         scan = of(outputs, f"lidar/{name}")[-1]
@@ -213,7 +213,7 @@ def test_lidar_sees_even_ground_as_even(scans):
         assert np.percentile(np.abs(low[:, 2]), 95) < 0.06
 
 
-def test_lidar_sees_its_own_machine(scans):
+def test_lidar_self_returns(scans):
     outputs, vehicle = scans
     scan = of(outputs, "lidar/front")[-1]
     points = apply(vehicle.sensors.lidar["front"].mount.T_base_sensor, scan.points_m)
@@ -224,7 +224,7 @@ def test_lidar_sees_its_own_machine(scans):
     assert np.sum(inside & (points[:, 2] > 0.5)) > 1000
 
 
-def test_lidar_finds_the_fence_where_it_stands(scans):
+def test_lidar_fence_distance(scans):
     outputs, vehicle = scans
     scan = of(outputs, "lidar/front")[-1]
     points = apply(vehicle.sensors.lidar["front"].mount.T_base_sensor, scan.points_m)
@@ -233,12 +233,12 @@ def test_lidar_finds_the_fence_where_it_stands(scans):
     assert np.median(left[:, 1]) == pytest.approx(FENCE_M, abs=0.06)
 
 
-def test_lidar_rays_are_fired_from_where_the_machine_then_was():
-    """Turning, the points of one sweep must fit the fence once each is put where its column was fired."""
+def test_lidar_motion_distortion():
+    """In a turn the points fit the fence when each column is placed by its own pose."""
     vehicle = machine_file(sensors=("lidar",))
     farm = Farm(vehicle=vehicle, config=flat(scenery={"crop_height_m": 0.0, "trees": 0}))
     farm.curvature_radpm = 0.15
-    farm.get_going(2.0, seconds=8.0)
+    farm.drive_at(2.0, seconds=8.0)
     poses = {}
     farm.outputs.clear()
     farm.drive(0.5, each=lambda f: poses.__setitem__(f.now_ns, f.machine.T_map_base))
@@ -258,10 +258,10 @@ def test_lidar_rays_are_fired_from_where_the_machine_then_was():
     assert np.percentile(np.abs(np.abs(fence[:, 1]) - FENCE_M), 80) < 0.08
 
 
-def test_same_seed_same_bytes_other_seed_other_bytes():
+def test_messages_by_seed():
     def digest(seed):
         farm = Farm(vehicle=machine_file(sensors=("lidar", "gnss", "imu", "wheels")), config=CONFIG, seed=seed)
-        farm.get_going(2.0, seconds=1.0)
+        farm.drive_at(2.0, seconds=1.0)
         farm.close()
         return [
             (
@@ -279,7 +279,7 @@ def test_same_seed_same_bytes_other_seed_other_bytes():
         assert [d for d in first if d[0] == kind] != [d for d in other if d[0] == kind], kind
 
 
-def test_a_further_sensor_changes_nothing_for_the_others():
+def test_additional_sensor_independent():
     def imu(sensors):
         farm = Farm(vehicle=machine_file(sensors=sensors))
         outputs = farm.drive(0.3)
@@ -289,7 +289,7 @@ def test_a_further_sensor_changes_nothing_for_the_others():
     assert np.array_equal(imu(("imu",)), imu(("imu", "gnss", "wheels")))
 
 
-def test_scenario_without_start_never_starts():
+def test_scenario_without_command():
     farm = Farm(scenario=EMPTY.model_copy(update={"operator_commands": ()}))
     assert not of(farm.drive(4.0), "operator_command")
     farm.close()

@@ -1,4 +1,4 @@
-"""The shed: level, solid, free in its bays, and a contact where one runs into it."""
+"""Shed: level floor, closed solids, free bays, contacts with walls and posts."""
 
 import math
 
@@ -22,7 +22,7 @@ SHED = SITE.shed
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_floor_apron_and_yard_are_level_and_nothing_steps(seed):
+def test_floor_and_yard_level_without_steps(seed):
     terrain = Terrain(SITE, CONFIG.terrain, seed)
     for x in np.linspace(-9.0, 38.0, 12):
         assert {terrain.height_m(x, y) for y in np.linspace(-52.0, -25.0, 8)} == {0.0}
@@ -40,7 +40,7 @@ def test_prism_is_closed():
     assert all(volume_m3(s.mesh) == pytest.approx(s.ground.area * s.top_m, rel=1e-3) for s in shed_solids(SHED, 1))
 
 
-def test_walls_posts_masts_and_store():
+def test_shed_solids():
     solids = shed_solids(SHED, 1)
     kinds = [s.kind for s in solids]
     assert (kinds.count("wall"), kinds.count("post"), kinds.count("mast")) == (1, 6, 2)
@@ -51,7 +51,7 @@ def test_walls_posts_masts_and_store():
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_store_leaves_bays_free_and_differs(seed):
+def test_stored_goods_clear_of_bays(seed):
     stored = [s.ground for s in shed_solids(SHED, seed) if s.kind == "store"]
     (floor,) = storage_floor(SHED)
     assert floor.bounds[1] > -37.72
@@ -73,7 +73,7 @@ def at_dock(name, dx=0.0, dy=0.0, is_folded=True):
 
 
 @pytest.mark.parametrize("name", ["narrow", "wide"])
-def test_docked_it_touches_nothing_and_is_no_exit(name):
+def test_docked_without_contact_or_exit(name):
     truth = at_dock(name)
     assert (truth.contacts, truth.zone_exits) == (0, 0)
     assert truth.T_map_base[2, 3] == 0.0
@@ -85,24 +85,24 @@ def test_docked_it_touches_nothing_and_is_no_exit(name):
     [(-0.4, 0.0, True, False), (-0.7, 0.0, True, True), (0.0, 0.0, False, True), (2.7, 0.25, True, False),
      (2.7, 0.5, True, True)],
 )  # fmt: skip
-def test_walls_and_posts_are_contacts(dx, dy, is_folded, touches):
-    """Behind the raised harrow 0.6 m to the wall; beside the folded one 0.33 m to the post at x = -4."""
+def test_wall_and_post_contacts(dx, dy, is_folded, touches):
+    """Clearance 0.6 m behind the raised harrow, 0.33 m beside the folded one to the post at x = -4."""
     truth = at_dock("narrow", dx, dy, is_folded)
     assert (truth.contacts > 0) == touches
-    assert (truth.zone_exits > 0) == (not is_folded)  # unfolded it reaches through the wall
+    assert (truth.zone_exits > 0) == (not is_folded)  # unfolded it extends through the wall
 
 
-def test_shed_and_yard_are_one_allowed_area():
+def test_allowed_area_of_shed_and_yard():
     area = allowed_area(SITE)
     assert area.covers(shapely.box(-8.9, -45.0, 30.0, -35.0))
 
 
-def test_pieces_stand_in_the_scene():
+def test_shed_pieces_in_scenery():
     names = [p.name for p in build_scenery(SITE, Terrain(SITE, CONFIG.terrain, 1), CONFIG.scenery, 1)]
     assert {"roof", "wall", "post", "mast", "store"} <= set(names)
 
 
-def test_lidar_in_the_bay_sees_walls_and_posts_where_they_are():
+def test_lidar_in_bay():
     vehicle = machine_file(sensors=("lidar",))
     dock = SHED.bay("narrow").dock
     farm = Farm(site=SITE, config=flat(), vehicle=vehicle, start=dock, is_folded=True)

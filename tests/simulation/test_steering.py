@@ -1,4 +1,4 @@
-"""Both steering actuators: dead time, rate limit, dead band, backlash, and the loop around them."""
+"""Both steering actuators: dead time, rate limit, dead band, backlash, and the position loop."""
 
 import itertools
 import math
@@ -27,7 +27,7 @@ def respond(name, target_rad, seconds=3.0):
 
 @pytest.mark.parametrize("name", ["tractor_e", "tractor_h"])
 @pytest.mark.parametrize("target_deg", [1.0, -3.0, 10.0, -25.0])
-def test_step_arrives_after_the_dead_time_within_the_rate(name, target_deg):
+def test_step_response(name, target_deg):
     angles, steering, vehicle = respond(name, math.radians(target_deg))
     dead = round(vehicle.steering.dead_time_s / DT)
     assert all(a == 0.0 for a in angles[: dead - 1])
@@ -39,14 +39,14 @@ def test_step_arrives_after_the_dead_time_within_the_rate(name, target_deg):
 
 
 @pytest.mark.parametrize("name", ["tractor_e", "tractor_h"])
-def test_loop_does_not_hunt(name):
+def test_no_limit_cycle(name):
     angles, _, _ = respond(name, math.radians(5.0), 6.0)
     tail = angles[-400:]
     assert max(tail) - min(tail) < math.radians(0.02)
 
 
 @pytest.mark.parametrize("name", ["tractor_e", "tractor_h"])
-def test_released_steering_stays(name):
+def test_released_steering_held(name):
     _, steering, _ = respond(name, math.radians(5.0))
     before = steering.angle_rad
     for _ in range(400):
@@ -54,7 +54,7 @@ def test_released_steering_stays(name):
     assert steering.angle_rad == pytest.approx(before, abs=1e-4)
 
 
-def test_large_turn_needs_the_rate():
+def test_steering_rate_limit():
     angles, steering, _ = respond("tractor_e", math.radians(25.0))
     half = next(k for k, a in enumerate(angles) if a > math.radians(12.5)) * DT
     assert half > math.radians(12.5) / steering.rate_limit_radps + 0.06
@@ -67,19 +67,19 @@ def test_valve_dead_band(command, share):
     assert open_valve(command, 0.06) == pytest.approx(share, abs=2e-5)
 
 
-def test_play_leaves_the_output_until_taken_up():
+def test_backlash():
     assert follow_play(0.0, 0.5, 1.0) == 0.0
     assert follow_play(0.0, 0.6, 1.0) == pytest.approx(0.1)
     assert follow_play(0.1, -0.3, 1.0) == 0.1
     assert follow_play(0.1, -0.9, 1.0) == pytest.approx(-0.4)
 
 
-def test_delay_line_delays():
+def test_delay_line():
     line = DelayLine(0.02, 0.005)
     assert [line.step(float(k)) for k in range(1, 7)] == [0, 0, 0, 0, 1, 2]
 
 
-def test_lag_reaches_63_percent_after_its_time():
+def test_first_order_lag():
     value = 0.0
     for _ in range(20):
         value = follow_lag(value, 1.0, 0.1, 0.005)

@@ -1,4 +1,4 @@
-"""The tractor on its bus: what it obeys, what it refuses, and its own time-outs."""
+"""Tractor ECU: accepted and rejected frames, time-outs, safe state, status frames."""
 
 import itertools
 import math
@@ -24,17 +24,17 @@ def farm():
     farm.close()
 
 
-def test_nothing_moves_without_frames(farm):
-    farm.speak = lambda: None
+def test_standstill_without_frames(farm):
+    farm.send_commands = lambda: None
     farm.drive(2.0)
     assert farm.machine.speed_mps == 0.0
     assert farm.machine.park_brake == 1.0
 
 
 @pytest.mark.parametrize(("curvature", "is_left"), [(0.1, True), (-0.1, False)])
-def test_curvature_on_the_wire_is_positive_to_the_right(farm, curvature, is_left):
+def test_curvature_sign_on_bus(farm, curvature, is_left):
     farm.curvature_radpm = curvature
-    farm.get_going(1.5)
+    farm.drive_at(1.5)
     assert (farm.machine.yaw_rate_radps > 0.0) == is_left
     assert farm.machine.yaw_rate_radps / farm.machine.speed_mps == pytest.approx(curvature, abs=0.012)
     _, status = farm.frames["GuidanceMachineStatus"][-1]
@@ -46,34 +46,34 @@ def test_curvature_on_the_wire_is_positive_to_the_right(farm, curvature, is_left
     [("GuidanceSystemCommand", 0.15), ("MachineSelectedSpeedCommand", 0.3), ("ExternalBrakeRequest", 0.3),
      ("AuxiliaryCommand", 0.3), ("HeartbeatGateway", 0.3)],
 )  # fmt: skip
-def test_silence_of_one_frame_is_a_full_stop_in_time(farm, name, timeout_s):
-    farm.get_going(2.78)
+def test_frame_timeout_full_stop(farm, name, timeout_s):
+    farm.drive_at(2.78)
     x, v = farm.machine.x_m, farm.machine.speed_mps
     farm.silent.add(name)
     farm.drive(timeout_s - 0.11)
     assert farm.machine.brakes.deceleration_mps2 == 0.0
     farm.drive(3.0)
     assert farm.machine.speed_mps == 0.0
-    last = 0.1 if name == "HeartbeatGateway" else 0.02  # since the last one
+    last = 0.1 if name == "HeartbeatGateway" else 0.02  # since the last frame
     braking = v * 0.45 - 0.06 + (v - 0.6) ** 2 / 8.0
     assert farm.machine.x_m - x < v * (timeout_s + last + 0.02) + braking
     assert farm.frames["GuidanceMachineStatus"][-1][1]["ExitCode"] == 5
 
 
-def test_safe_state_is_left_only_after_the_drive_request_was_taken_back(farm):
-    farm.get_going(2.0)
+def test_safe_state_until_drive_request_withdrawn(farm):
+    farm.drive_at(2.0)
     farm.silent.add("GuidanceSystemCommand")
     farm.drive(2.0)
     farm.silent.clear()
     farm.drive(2.0)
     assert farm.machine.speed_mps == 0.0
-    farm.get_going(2.0)
+    farm.drive_at(2.0)
     assert farm.machine.speed_mps > 1.5
 
 
-def test_safe_state_stops_the_implement(farm):
+def test_safe_state_implement_stop(farm):
     farm.is_lowered = farm.is_pto_on = True
-    farm.get_going(1.5)
+    farm.drive_at(1.5)
     assert farm.machine.attached.is_working
     assert farm.frames["RearPtoStatus"][-1][1]["Engaged"] == 1
     farm.silent.add("HeartbeatGateway")
@@ -81,16 +81,16 @@ def test_safe_state_stops_the_implement(farm):
     assert farm.machine.attached.pto_radps < 1.0
 
 
-def test_stop_all_stops_implement_work(farm):
+def test_stop_all_implement(farm):
     farm.is_lowered = farm.is_pto_on = True
-    farm.get_going(1.5)
+    farm.drive_at(1.5)
     farm.permit, farm.is_lowered = 0, False
     farm.drive(3.0)
     assert farm.machine.attached.pto_radps < 1.0
-    assert farm.machine.attached.hitch == 0.0  # it stays where it is
+    assert farm.machine.attached.hitch == 0.0  # position held
 
 
-def test_hitch_moves_in_its_times(farm):
+def test_hitch_times(farm):
     farm.is_lowered = True
     farm.drive(0.5)
     assert 0.4 < farm.machine.attached.hitch < 0.65
@@ -103,25 +103,25 @@ def test_hitch_moves_in_its_times(farm):
     assert farm.machine.attached.hitch == 1.0
 
 
-def test_bad_checksum_and_repeated_counter_are_refused(farm):
+def test_checksum_and_counter_rejected(farm):
     farm.drive(0.5)
     message = farm.dbc.get_message_by_name("ExternalBrakeRequest")
     before = farm.world._bus.rejected_frames
     farm.bus.send(can.Message(arbitration_id=message.frame_id, data=bytes(8), is_extended_id=True))
-    farm._counts -= 1  # the same counter once more
+    farm._counts -= 1  # repeated counter
     farm.drive(0.02)
     assert farm.world._bus.rejected_frames >= before + 2
 
 
 @pytest.mark.parametrize("data", [b"", b"\x00", bytes(7), b"\xff" * 8])
 @pytest.mark.parametrize("identifier", [0x0C04F01C, 0x0CADF01C, 0x0CFD431C, 0x0CEFF01C, 0x0CF0E41C, 0x12345678])
-def test_rubbish_moves_nothing(farm, identifier, data):
+def test_invalid_frame_standstill(farm, identifier, data):
     farm.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=True))
     farm.drive(0.2)
     assert farm.machine.speed_mps == 0.0
 
 
-def test_status_frames_come_at_their_periods(farm):
+def test_status_frame_periods(farm):
     farm.drive(2.0)
     for name, period_ms, groups in [
         ("GuidanceMachineStatus", 100, (None,)),
@@ -135,16 +135,16 @@ def test_status_frames_come_at_their_periods(farm):
     assert beats[:3] == [251, 0, 1]
 
 
-def test_wheel_based_speed_tells_direction():
+def test_wheel_based_speed_direction():
     farm = Farm(config=flat())
-    farm.get_going(-1.0)
+    farm.drive_at(-1.0)
     values = farm.frames["WheelBasedSpeed"][-1][1]
     assert values["Speed"] == pytest.approx(1.0, abs=0.03)
     assert values["Direction"] == 0
     farm.close()
 
 
-def test_xbr_checksum_by_hand():
+def test_xbr_checksum():
     data = bytes([1, 2, 3, 4, 5, 6, 7, 0x0A])
     total = 28 + 10 + 0x0C + 0x04 + 0xF0 + 0x1C
     expected = ((total >> 4) + total) & 15
@@ -166,7 +166,7 @@ def test_heartbeat_sequence(last, sequence, is_good):
     assert is_sequence_good(last, sequence) == is_good
 
 
-def test_heartbeat_recovers_after_eight():
+def test_heartbeat_recovery():
     heartbeat, now = Heartbeat(0.3), 0
     for k in (0, 1, 2, 2):
         now += 100_000_000
@@ -194,8 +194,8 @@ def test_stop_all_transitions(states, is_permitted):
     assert not stop_all.is_permitted(3_000_000_000)
 
 
-def test_end_stop_is_told(farm):
+def test_end_stop_reported(farm):
     farm.curvature_radpm = 0.5
-    farm.get_going(0.8)
+    farm.drive_at(0.8)
     assert farm.frames["GuidanceMachineStatus"][-1][1]["LimitStatus"] in (2, 3)
     assert math.degrees(farm.machine.steering.angle_rad) > 28.0
