@@ -170,12 +170,12 @@ def run(model: Path, worlds: int, out: Path | None) -> bool:
     for label in GROUPS:
         print_label(label, [(s.distance_m, f) for s, f, _, _ in rows if s.label is label])
     print_false(rows)
-    wanted = [
+    in_range = [
         f for s, f, _, _ in rows if s.label is ObstacleClass.PERSON and EVALUATED_M[0] <= s.distance_m < EVALUATED_M[1]
     ]
-    share = float(np.mean(wanted))
+    share = float(np.mean(in_range))
     at = f"person at {EVALUATED_M[0]:.0f} to {EVALUATED_M[1]:.0f} m"
-    print(f"{at}: {sum(wanted)}/{len(wanted)} = {share:.3f} (limit {LIMIT}, goal {GOAL})")
+    print(f"{at}: {sum(in_range)}/{len(in_range)} = {share:.3f} (limit {LIMIT}, goal {GOAL})")
     return share >= LIMIT
 
 

@@ -93,7 +93,7 @@ def _leg(side: float, share: float | None, sides: int, more: int) -> list[Part]:
     at_ankle = (at_knee[0] + SHANK_M * math.sin(shank), at_knee[1] - SHANK_M * math.cos(shank))
 
     def on(t: float, half_x: float, half_y: float) -> tuple[float, float, float, float, float]:
-        """A section on the way down the leg: the knee is at 1, the ankle at 2."""
+        """A section of the leg: hip at 0, knee at 1, ankle at 2."""
         a, b = ((0.0, HIP_M), at_knee) if t < 1.0 else (at_knee, at_ankle)
         f = t if t < 1.0 else t - 1.0
         return (a[0] + f * (b[0] - a[0]), y * (1.0 + 0.12 * t), a[1] + f * (b[1] - a[1]), half_x, half_y)

@@ -13,7 +13,8 @@ from geometry.arrays import Float32, Float64, Int32, UInt8
 from simulation.rendering.light import Light
 from simulation.rendering.raster import project, project_parallel, rasterize
 from simulation.rendering.scene_mesh import Material, Surface, TriangleGrid, arrays_of, merge
-from simulation.rendering.shading import BLOCK, block_maxima, shade
+from simulation.rendering.shading import shade
+from simulation.rendering.shadow import BLOCK, block_maxima
 from simulation.rendering.skybox import render_panorama
 from simulation.rendering.textures import texture_table, textures
 

@@ -21,23 +21,23 @@ def farm():
 def test_braking_distance(speed_mps):
     brake = machine_file().brake
     dt = 0.005
-    add_fault, v, way = BrakeSystem(brake, dt), speed_mps, 0.0
+    system, v, distance_m = BrakeSystem(brake, dt), speed_mps, 0.0
     while v > 0.0:
-        v = advance_speed(v, 0.0, add_fault.step(9.0), dt)
-        way += v * dt
+        v = advance_speed(v, 0.0, system.step(9.0), dt)
+        distance_m += v * dt
     a, tb, tau = brake.deceleration_mps2, brake.build_up_s, brake.dead_time_s
     if speed_mps >= a * tb / 2:
         formula = speed_mps * (tau + tb) - a * tb**2 / 6 + (speed_mps - a * tb / 2) ** 2 / (2 * a)
     else:
         formula = speed_mps * tau + 2 / 3 * speed_mps * math.sqrt(2 * speed_mps * tb / a)
-    assert way == pytest.approx(formula, rel=0.02, abs=0.01)
+    assert distance_m == pytest.approx(formula, rel=0.02, abs=0.01)
 
 
 def test_brake_capacity_and_partial_request():
     brake = machine_file().brake
-    add_fault = BrakeSystem(brake, 0.005)
-    assert max(add_fault.step(9.0) for _ in range(200)) == pytest.approx(4.0)
-    assert [add_fault.step(1.5) for _ in range(200)][-1] == pytest.approx(1.5)
+    system = BrakeSystem(brake, 0.005)
+    assert max(system.step(9.0) for _ in range(200)) == pytest.approx(4.0)
+    assert [system.step(1.5) for _ in range(200)][-1] == pytest.approx(1.5)
 
 
 def test_braking_distance_over_bus(farm):

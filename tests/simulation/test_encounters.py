@@ -110,11 +110,11 @@ def test_encounter_spacing(seed):
     drawn = place_encounters(DEMO.encounters, paths, SETTING, generator(seed, "scenario"))
     assert len({d.point.line for d in drawn}) == 3
     for d in drawn:
-        way = math.dist(swaths[d.point.line].start_map_m, d.point.p_map_m)
-        assert way > 20.0
-        assert swaths[d.point.line].length_m - way >= 8.0
+        s_m = math.dist(swaths[d.point.line].start_map_m, d.point.p_map_m)
+        assert s_m > 20.0
+        assert swaths[d.point.line].length_m - s_m >= 8.0
         if isinstance(d, Walk):
-            assert way >= d.trigger_m + 12.0
+            assert s_m >= d.trigger_m + 12.0
     grounds = [ground_geometry(d) for d in drawn]
     assert all(a.distance(b) >= 6.0 for k, a in enumerate(grounds) for b in grounds[:k])
 
@@ -169,13 +169,15 @@ def test_approach(x, y, heading_deg, is_seen):
     assert (distance_to(point, np.array([x, y, 0.0]), math.radians(heading_deg)) <= 20.0) == is_seen
 
 
-@pytest.mark.parametrize(("comes_from_m", "starts"), [(8.0, True), (4.0, False)])
-def test_trigger_needs_approach_on_path(comes_from_m, starts):
+@pytest.mark.parametrize(("approach_m", "starts"), [(8.0, True), (4.0, False)])
+def test_trigger_needs_approach_on_path(approach_m, starts):
     walk = walk_of("person", 0)
     actor = Actor(0, DEMO.encounters[0], walk, Terrain(SITE, flat().terrain, 0))
     (x, y), heading = walk.point.p_map_m, walk.point.heading_rad
-    ways = np.arange(walk.trigger_m + comes_from_m, 1.0, -0.1)
-    tips = np.column_stack([x - ways * math.cos(heading), y - ways * math.sin(heading), np.zeros(len(ways))])
+    distances = np.arange(walk.trigger_m + approach_m, 1.0, -0.1)
+    tips = np.column_stack(
+        [x - distances * math.cos(heading), y - distances * math.sin(heading), np.zeros(len(distances))]
+    )
     states = [actor.update(0.036 * k, tip, heading) for k, tip in enumerate(tips)]
     assert any(f is not None and f.gait >= 0.0 for f in states) == any(f is not None for f in states) == starts
 
