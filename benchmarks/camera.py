@@ -11,7 +11,6 @@ vehicle as the stack reports them. "At d m" scales each Penn-Fudan image until i
 import argparse
 import json
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -22,13 +21,13 @@ from re import findall
 import cv2
 import numpy as np
 
+from benchmarks.recordings import DATA
 from configs.strict import parse, read_yaml
 from geometry.arrays import Float64, Int64, UInt8
 from perception.camera.boxes import Boxes, Candidates, area, intersection, iou, non_max_suppression
 from perception.camera.classes import COCO, GROUPS, MEMBERS, group_scores
 from perception.camera.detector import Detector, DetectorConfig, load_detector
 
-DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[2] / "shared" / "data"))
 MODEL = DATA / "onnx-detectors" / "yolox-nano" / "model" / "yolox_nano.onnx"
 PENNFUDAN_LIMIT, COCO128_LIMIT = 0.93, 0.60
 PERSON_M, VIEW_PX, VIEW_DEG = 1.7, (1280, 720), 80.0

@@ -4,13 +4,13 @@ Labels stand in rectified camera coordinates (y down); they are taken over the c
 what the camera saw is labelled, so that nothing outside ±40° can be called false.
 """
 
-import os
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.recordings import DATA
 from configs.strict import CONFIGS, parse, read_yaml
 from configs.vehicle import Lidar, Vehicle
 from geometry.arrays import Bool, Float32, Float64
@@ -19,7 +19,6 @@ from perception.fusion.tracks import TrackerConfig
 from perception.lidar.obstacles import LidarConfig
 
 ROOT = Path(__file__).resolve().parent.parent
-DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
 FRAMES = 40
 PERIOD_NS = 100_000_000
 START_NS = 1_000_000_000_000

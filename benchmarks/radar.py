@@ -9,7 +9,6 @@ reference velocity is the change of the device track's position over ground with
 """
 
 import argparse
-import os
 import sqlite3
 import struct
 import sys
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from benchmarks.recordings import DATA
 from configs.strict import load, parse, read_yaml
 from configs.vehicle import Mount, Radar, Vehicle
 from geometry.arrays import Float64
@@ -35,7 +35,6 @@ from perception.radar.doppler import estimate_velocity, to_base, usable
 from perception.radar.obstacles import RadarConfig, RadarObstacles, warm
 
 ROOT = Path(__file__).parents[1]
-DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
 FIELDS = {
     "azimuth_angle": "azimuth_rad", "azimuth_angle_std": "azimuth_sigma_rad", "elevation_angle": "elevation_rad",
     "elevation_angle_std": "elevation_sigma_rad", "range": "range_m", "range_std": "range_sigma_m",

@@ -13,7 +13,6 @@ One configuration for all; every estimate uses past measurements only; no alignm
 """
 
 import argparse
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,11 +22,11 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.optimize import least_squares
 
+from benchmarks.recordings import DATA
 from configs.strict import CONFIGS, load
 from geometry.arrays import Float64
 from localization.uwb.tag_smoother import OdometryStep, TagSmoother, TagSmootherConfig, start_headings
 
-DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[2] / "shared" / "data"))
 HANYANG = ("LOS/Trajectory_A/Case_1", "LOS/Trajectory_A/Case_2", "NLOS/Trajectory_A/Case_1", "NLOS/Trajectory_A/Case_2")
 PLAZA_BAR_M = 0.6
 HANYANG_START_M, TAG_M, BUNDLE_NS = (-2.5775, -4.25), 1.0, 100_000_000

@@ -8,7 +8,6 @@ demo log every fourth log is an excerpt of it around its first obstacle stop.
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from benchmarks.recordings import DATA
 from datasets.importers.excerpt import excerpt
 from datasets.importers.formats import open_recording
 from datasets.importers.recording import Recording
@@ -25,7 +25,6 @@ from messages.command import Mode, SupervisorState
 from runtime.stack import load_stack
 
 ROOT = Path(__file__).resolve().parent.parent
-DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
 LOG, TRUTH = DATA / "kitti-seq-pcd", DATA / "kitti-tracking-truth"
 
 

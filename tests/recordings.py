@@ -1,13 +1,12 @@
 """Locations of recordings: samples in tests/data, and larger ones in HEADLAND_DATA (default ../shared/data)."""
 
-import os
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from benchmarks.recordings import DATA, ROOT
+
 SAMPLES = ROOT / "tests" / "data"
-DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
 REASON = "needs recordings"
 
 

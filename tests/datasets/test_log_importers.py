@@ -2,7 +2,6 @@
 
 import base64
 import json
-import os
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -42,21 +41,14 @@ from messages.motion import Odometry
 from messages.sensors import GnssFix, GnssSolution, ImuSample, LidarScan, WheelSample
 from messages.truth import TrueObject, TrueObjects
 from tests.datasets.log_samples import bits
+from tests.recordings import recording
 
-DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 LOG = LogConfig(chunk_kib=256, flush_s=1.0, sync_s=9.0, min_free_mb=0.0)
 VIEW = parse(ViewerConfig, read_yaml(CONFIGS / "stack/datasets.yaml")["viewer"], "viewer")
 NS = 1_000_000_000
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 ROS1 = ros_types("ROS1_NOETIC")
 MOUNT = transform((1.0, 2.0, 3.0), (0.1, -0.2, 0.3))
-
-
-def data(name: str) -> Path:
-    path = DATA / name
-    if not path.exists():
-        pytest.skip(f"{path} is not here (HEADLAND_DATA names the folder)")
-    return path
 
 
 # --- ROS in all containers
@@ -178,8 +170,8 @@ def write_ros2_mcap(path: Path) -> Path:
 
 @pytest.mark.parametrize("make", [write_ros1_bag, write_ros2_bag, write_ros2_mcap])
 def test_ros_in_all_containers(tmp_path: Path, make: Any) -> None:
-    recording = open_recording(make(tmp_path / "odd.name"))
-    about = recording.description
+    source = open_recording(make(tmp_path / "odd.name"))
+    about = source.description
     assert {s.topic: s.frame for s in about.sensors} == {
         "imu/imu_data": "imu", "gnss/fix": "gps", "odom/odom": "base_link", "lidar/points": "velodyne"
     }  # fmt: skip
@@ -187,7 +179,7 @@ def test_ros_in_all_containers(tmp_path: Path, make: Any) -> None:
     (mount,) = about.extrinsics
     assert (mount.parent, mount.child) == ("base_link", "velodyne")
     np.testing.assert_allclose(mount.T_parent_child, MOUNT, atol=1e-12)
-    received = list(recording.read())
+    received = list(source.read())
     assert Counter(topic for _, topic, _ in received) == {s.topic: 3 for s in about.sensors}
     assert [t for t, _, _ in received] == sorted(t for t, _, _ in received)
     check_ros_values({topic: m for t, topic, m in received[:4]})
@@ -219,11 +211,11 @@ def test_truncated_ros_mcap(tmp_path: Path) -> None:
     path = write_ros2_mcap(tmp_path / "x.mcap")
     complete = list(open_recording(path).read())
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
-    recording = open_recording(path)
-    left = list(recording.read())
+    source = open_recording(path)
+    left = list(source.read())
     assert 0 < len(left) < len(complete)
     assert [bits(m) for _, _, m in left] == [bits(m) for _, _, m in complete[: len(left)]]
-    assert any("lost" in note for note in recording.description.notes)
+    assert any("lost" in note for note in source.description.notes)
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -267,12 +259,12 @@ def test_foxglove_protobuf(tmp_path: Path) -> None:
             writer.write_message("/top", cloud(t, "top", points, 100), t, t)
             fix = LocationFix(timestamp=time_of(t), frame_id="antenna", latitude=50.0, longitude=8.0, altitude=1.0)
             writer.write_message("/gps", fix, t, t)
-    recording = open_recording(path)
-    assert {s.topic: s.frame for s in recording.description.sensors} == {"lidar/top": "top", "gnss/gps": "antenna"}
-    (mount,) = recording.description.extrinsics
+    source = open_recording(path)
+    assert {s.topic: s.frame for s in source.description.sensors} == {"lidar/top": "top", "gnss/gps": "antenna"}
+    (mount,) = source.description.extrinsics
     assert (mount.parent, mount.child) == ("base", "top")
     np.testing.assert_allclose(mount.T_parent_child, MOUNT, atol=1e-12)
-    first = {topic: m for _, topic, m in list(recording.read())[:2]}
+    first = {topic: m for _, topic, m in list(source.read())[:2]}
     np.testing.assert_allclose(first["lidar/top"].points_m, points, atol=0.01)
     assert np.isnan(first["gnss/gps"].sigma_enu_m).all()
     assert first["gnss/gps"].solution == GnssSolution.SINGLE
@@ -286,8 +278,8 @@ def test_foxglove_json_with_pose(tmp_path: Path) -> None:
         "pose": {"position": {"x": 10.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0, "y": 0, "z": 1, "w": 0}},
         "data": base64.b64encode(raw.tobytes()).decode(),
     }  # fmt: skip
-    recording = open_recording(write_json(tmp_path / "j.mcap", json.dumps(message).encode()))
-    ((receive_ns, topic, scan),) = recording.read()
+    source = open_recording(write_json(tmp_path / "j.mcap", json.dumps(message).encode()))
+    ((receive_ns, topic, scan),) = source.read()
     assert (receive_ns, topic, scan.stamp_ns) == (9, "lidar/points", 3 * NS + 5)
     np.testing.assert_allclose(scan.points_m, [[9.0, -2.0, 3.0]], atol=1e-6)
     for bad in (b"{", b"[]", b'{"timestamp": 3}', b'{"data": "!"}'):
@@ -315,9 +307,9 @@ def test_headland_log_round_trip(tmp_path: Path) -> None:
     with LogWriter(path, {}, LOG) as log:
         for k in range(50):
             log.write(Envelope("wheel", k, 10 + k, WheelSample(k, 1.0, 0.0)))
-    recording = open_recording(path)
-    assert recording.description.format == "headland"
-    assert write_recording(recording, tmp_path / "copy.mcap", LOG, VIEW) == {"wheel": 50}
+    source = open_recording(path)
+    assert source.description.format == "headland"
+    assert write_recording(source, tmp_path / "copy.mcap", LOG, VIEW) == {"wheel": 50}
     assert summarize_log(tmp_path / "copy.mcap").digest == summarize_log(path).digest
     assert "headland" in read_metadata(tmp_path / "copy.mcap")["source"]["description"]
 
@@ -345,9 +337,9 @@ def inside(box: TrueObject, points_m: np.ndarray) -> int:
 
 
 def test_packed_kitti_returns_lie_in_label_boxes() -> None:
-    recording = open_recording(data("kitti-seq-pcd"), data("kitti-tracking-truth"))
-    assert recording.description.truth_frame == "velodyne"
-    received = list(recording.read())
+    source = open_recording(recording("kitti-seq-pcd"), recording("kitti-tracking-truth"))
+    assert source.description.truth_frame == "velodyne"
+    received = list(source.read())
     scans = {m.stamp_ns: m for _, _, m in received if isinstance(m, LidarScan)}
     truths = [m for _, _, m in received if isinstance(m, TrueObjects)]
     assert sorted(scans) == [k * NS // 10 for k in range(40)]
@@ -362,10 +354,10 @@ def test_packed_kitti_returns_lie_in_label_boxes() -> None:
 
 
 def test_kitti_import_to_log(tmp_path: Path) -> None:
-    frames = data("kitti-seq-pcd") / "frames"
+    frames = recording("kitti-seq-pcd") / "frames"
     for k in (4, 5, 7):
         (tmp_path / f"{k:06d}.npz").symlink_to(frames / f"{k:06d}.npz")
-    source = open_recording(tmp_path, data("kitti-tracking-truth"))
+    source = open_recording(tmp_path, recording("kitti-tracking-truth"))
     counts = write_recording(source, tmp_path / "kitti.mcap", LOG, VIEW)
     assert counts == {"lidar/velodyne": 3, "truth_objects/velodyne": 3}
     summary = summarize_log(tmp_path / "kitti.mcap")
@@ -378,7 +370,7 @@ def test_kitti_import_to_log(tmp_path: Path) -> None:
 
 
 def test_detections_of_ab3dmot(tmp_path: Path) -> None:
-    folder = data("kitti-tracking-truth") / "data" / "KITTI" / "detection"
+    folder = recording("kitti-tracking-truth") / "data" / "KITTI" / "detection"
     (score, car), *_ = kitti_labels.read_detections(folder / "pointrcnn_Car_val" / "0000.txt")
     assert (score, car.frame, car.name, car.size_hwl_m) == (8.2981, 0, "Car", (1.9605, 1.8137, 4.7549))
     assert car.p_camera_m == (-4.5720, 1.8435, 13.5308)  # the van of the labels
@@ -421,9 +413,9 @@ def write_tracking(root: Path) -> Path:
 def test_kitti_tracking_by_root_and_sequence(tmp_path: Path) -> None:
     root = write_tracking(tmp_path / "kitti")
     for path in (root, root / "training", root / "training" / "velodyne" / "0007"):
-        recording = open_recording(path)
-        assert recording.description.format == "kitti tracking"
-        received = list(recording.read())
+        source = open_recording(path)
+        assert source.description.format == "kitti tracking"
+        received = list(source.read())
         assert [t for t, _, _ in received] == sorted(t for t, _, _ in received)
         truths = [m for _, _, m in received if isinstance(m, TrueObjects)]
         assert [len(t.objects) for t in truths] == [0, 1, 0]
@@ -447,10 +439,10 @@ def test_kitti_raw_times_and_calibration(tmp_path: Path) -> None:
     (drive.parent / "calib_velo_to_cam.txt").write_text("calib_time: 25-May\n" + pose)
     (drive.parent / "calib_imu_to_velo.txt").write_text(pose)
     (drive.parent / "calib_cam_to_cam.txt").write_text("R_rect_00: 1 0 0 0 1 0 0 0 1\n")
-    recording = open_recording(drive)
-    assert recording.description.format == "kitti raw"
-    assert len(recording.description.extrinsics) == 2
-    received = list(recording.read())
+    source = open_recording(drive)
+    assert source.description.format == "kitti raw"
+    assert len(source.description.extrinsics) == 2
+    received = list(source.read())
     scans = [(t, m) for t, topic, m in received if topic == "lidar/velodyne"]
     start = 1_317_042_145 * NS
     assert [t for t, _ in scans] == [start + 51_199_337, start + 251_199_337]
@@ -539,8 +531,8 @@ def test_lzf_overlapping_references() -> None:
 
 
 def test_pcd_equals_packed_frame() -> None:
-    (_, _, pcd), *_ = open_recording(data("kitti-seq-pcd") / "frames" / "0000000000.pcd").read()
-    (_, _, packed) = next(iter(open_recording(data("kitti-seq-pcd")).read()))
+    (_, _, pcd), *_ = open_recording(recording("kitti-seq-pcd") / "frames" / "0000000000.pcd").read()
+    (_, _, packed) = next(iter(open_recording(recording("kitti-seq-pcd")).read()))
     assert len(pcd.points_m) == len(packed.points_m)
     assert np.abs(pcd.points_m - packed.points_m).max() <= 0.0026
 
@@ -566,20 +558,20 @@ def test_candump(tmp_path: Path) -> None:
 
 
 def test_tractor_can_log_complete() -> None:
-    path = data("jd-can-logs") / "tractoronSitUp.log"
+    path = recording("jd-can-logs") / "tractoronSitUp.log"
     received = list(open_recording(path).read())
     assert all(isinstance(m, CanFrames) for _, _, m in received)
     assert sum(len(m.frames) for _, _, m in received) == len(path.read_text().split("\n")) - 1
 
 
 def test_jackal_bag() -> None:
-    recording = open_recording(data("robot-localization-bags") / "test" / "test2.bag")
-    counts = Counter(topic for _, topic, _ in recording.read())
+    source = open_recording(recording("robot-localization-bags") / "test" / "test2.bag")
+    counts = Counter(topic for _, topic, _ in source.read())
     assert counts == {"imu/imu_data": 3061, "odom/jackal_velocity_controller_odom": 3060}
 
 
 def test_unread_types_of_radar_bag() -> None:
-    about = open_recording(data("tier4-nebula") / "ars548" / "1708578204").description
+    about = open_recording(recording("tier4-nebula") / "ars548" / "1708578204").description
     assert about.sensors == ()
     assert [i.source_type for i in about.ignored] == ["nebula_msgs/msg/NebulaPackets"]
 
@@ -611,8 +603,8 @@ def test_missing_empty_and_unsuitable_inputs_refused(tmp_path: Path) -> None:
 
 def test_failed_import_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "can").write_text("(1.0) can0 1#00\n(2.0) can0 1#00\n")
-    recording = open_recording(tmp_path / "can")
+    source = open_recording(tmp_path / "can")
     (tmp_path / "can").write_text("(1.0) can0 1#00\n(2.0) can0 1#00\nbroken\n")
     with pytest.raises(LogError, match="can:3"):
-        write_recording(recording, tmp_path / "out.mcap", LOG, VIEW)
+        write_recording(source, tmp_path / "out.mcap", LOG, VIEW)
     assert not (tmp_path / "out.mcap").exists()

@@ -1,8 +1,6 @@
 """ARS548 datagrams: recorded cycle against its reference; malformed datagrams are counted."""
 
-import os
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +17,8 @@ from interfaces.radar.ars548 import (
     decode_detections,
     to_scan,
 )
+from tests.recordings import DATA, needs
 
-DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[3] / "shared" / "data"))
 RECORDING = DATA / "tier4-nebula" / "ars548"
 
 
@@ -35,7 +33,7 @@ def datagram(count: int = 2, invalid: int = 0, sync: int = 1) -> bytes:
     return bytes(raw)
 
 
-@pytest.mark.skipif(not RECORDING.is_dir(), reason=f"no recording at {RECORDING}")
+@needs("tier4-nebula/ars548")
 def test_recorded_cycle_against_reference() -> None:
     import yaml
 

@@ -1,8 +1,6 @@
 """Lidar odometry: accuracy, and rejection in degenerate surroundings."""
 
 import itertools
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,10 +15,10 @@ from messages.motion import LidarOdometry
 from tests.localization.harness import StubInbox, configuration, errors, run
 from tests.localization.synthetic_drive import START_NS, SensorErrors, drive, tractor
 from tests.localization.synthetic_surroundings import corridor, relative, scan, yard
+from tests.recordings import DATA, needs
 
 CONFIG = configuration()
 MATCHING = CONFIG.lidar_odometry.matching
-DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[3] / "shared" / "data"))
 KITTI = DATA / "kitti-seq-pcd" / "frames"
 
 
@@ -147,7 +145,7 @@ def test_unknown_sensor_raises():
         LidarOdometryNode(tractor(), CONFIG.lidar_odometry.model_copy(update={"sensor": "top"}))
 
 
-@pytest.mark.skipif(not KITTI.is_dir(), reason="no kitti-seq-pcd")
+@needs("kitti-seq-pcd/frames")
 def test_matching_of_kitti_scans():
     """KITTI 2011_09_26_drive_0005, the first second: a bend at about 12 km/h (10 Hz: 0.33 m, 0.75° a scan)."""
     cfg = MATCHING.model_copy(update={"max_step_m": 2.0, "max_turn_deg": 10.0, "kernel_m": 0.5})

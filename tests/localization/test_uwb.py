@@ -1,7 +1,5 @@
 """UWB tag smoother: derivatives, calibration, outliers, unknown heading, invalid input, and recorded ranges."""
 
-from pathlib import Path
-
 import gtsam
 import numpy as np
 import pytest
@@ -32,6 +30,7 @@ from localization.uwb.window import (
     solve,
 )
 from messages.errors import FieldError
+from tests.recordings import recording
 
 CONFIG = load(TagSmootherConfig, CONFIGS / "uwb.yaml")
 ANCHORS = {
@@ -240,21 +239,13 @@ def plain(factor: gtsam.CustomFactor, pose: gtsam.Pose3, calibration: Float64) -
     return np.asarray(factor.unwhitenedError(values)) / np.array([0.5, 0.2])
 
 
-def folder(name: str) -> Path:
-    """Folder of a data set; skips the test without it."""
-    path: Path = benchmark.DATA / name
-    if not path.is_dir():
-        pytest.skip(f"{path} is not there")
-    return path
-
-
 def test_labyrinth() -> None:
-    ours, truth = benchmark.tuc(folder("tuc-labyrinth-uwb") / "datasets" / "Indoor_UWB", CONFIG)
+    ours, truth = benchmark.tuc(recording("tuc-labyrinth-uwb") / "datasets" / "Indoor_UWB", CONFIG)
     assert benchmark.rms(benchmark.errors_m(ours, truth)) < 0.10
 
 
 def test_authors_result_is_reproduced() -> None:
-    run = folder("hanyang-outdoor-uwb") / benchmark.HANYANG[0]
+    run = recording("hanyang-outdoor-uwb") / benchmark.HANYANG[0]
     truth = benchmark.hanyang_track(run / "trajectory.csv")
     part = benchmark.hanyang_track(run / "LS.csv").between(*benchmark.authors_window(truth))
     assert benchmark.rms(benchmark.errors_m(part, truth)) == pytest.approx(1.0383547, abs=2e-3)

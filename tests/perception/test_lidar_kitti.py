@@ -1,17 +1,17 @@
 """Recorded scans: part of the acceptance limits of benchmarks/perception_kitti.py."""
 
 import numpy as np
-import pytest
 
 from benchmarks.perception_kitti import add_noise
-from benchmarks.perception_kitti_data import DATA, frame, has_frames, labels
+from benchmarks.perception_kitti_data import frame, labels
 from benchmarks.perception_pasting import paste_trials
 from benchmarks.perception_scoring import perceive, recall, strict, thin
 from messages.perception import Tracks
 from perception.fusion.tracker import Tracker
 from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
+from tests.recordings import needs
 
-pytestmark = pytest.mark.skipif(not has_frames(), reason=f"no KITTI frames under {DATA}")
+pytestmark = needs("kitti-seq-pcd", "kitti-tracking-truth")
 SOME = range(0, 40, 8)
 
 

@@ -1,7 +1,6 @@
 """Fields from GeoJSON: valid ones are read, invalid ones are refused with value or position."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,8 @@ from planning.config import PlanningConfig
 from planning.field.field import read_field
 from planning.field.site_generation import site_around
 from planning.plan import plan_field
+from tests.recordings import DATA, needs
 
-DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[3] / "shared" / "data"))
 M = 1e-5  # degrees of latitude: about 1.1 m
 SQUARE = [[6.0, 51.0], [6.0 + 100 * M, 51.0], [6.0 + 100 * M, 51.0 + 70 * M], [6.0, 51.0 + 70 * M], [6.0, 51.0]]
 
@@ -111,7 +110,7 @@ def test_missing_file_refused(tmp_path: Path) -> None:
         read_field(tmp_path / "none.geojson")
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"no recordings at {DATA}")
+@needs("fields2cover")
 class TestRealParcels:
     folder = DATA / "fields2cover" / "data"
 

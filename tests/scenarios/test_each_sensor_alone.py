@@ -1,8 +1,5 @@
 """Stop before a person who is visible to a single kind of sensor."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,11 +11,11 @@ from messages.perception import Tracks
 from messages.truth import TrueMachine, TrueObjects
 from runtime.setup import load_setup, with_model
 from simulation.scenario import Scenario
+from tests.recordings import recording
 from tests.scenarios.forward import Drive, forward
 from tests.scenarios.straight import on_a_line
 
-DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-YOLOX = DATA / "onnx-detectors" / "yolox-nano" / "model" / "yolox_nano.onnx"
+YOLOX = "onnx-detectors/yolox-nano/model/yolox_nano.onnx"
 
 
 def walker(kind: str) -> Scenario:
@@ -43,10 +40,8 @@ def walker(kind: str) -> Scenario:
     [("lidar", 50.0, 10.0), ("radar", 50.0, 10.0), ("camera", 50.0, 10.0), ("ultrasonic", 40.0, 2.0)],
 )
 def test_stop_by_single_sensor(kind: str, length_m: float, speed_kmh: float) -> None:
-    if kind == "camera" and not YOLOX.is_file():
-        pytest.skip(f"no {YOLOX}")
     setup = on_a_line(load_setup("yard", None, None, None, 1), length_m, speed_kmh)
-    setup = with_model(setup, YOLOX if kind == "camera" else None)
+    setup = with_model(setup, recording(YOLOX) if kind == "camera" else None)
 
     def stands(drive: Drive) -> bool:
         if "safe_command" not in drive.newest:

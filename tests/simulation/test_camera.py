@@ -26,6 +26,7 @@ from simulation.machine.pose_buffer import PoseBuffer
 from simulation.scenario import CameraEpisode
 from simulation.sensors.camera import CameraModel, Lens
 from simulation.sensors.sensor import WorldState
+from tests.recordings import needs
 from tests.simulation.simulated_farm import CONFIG, Farm, machine_file
 
 SITE, VEHICLE = load(Site, find("sites", "demo")), load(Vehicle, find("machines", "tractor_e"))
@@ -168,7 +169,7 @@ def outside_m(a, b):
     return scene.compute_signed_distance(tensor(a.vertices_m), nthreads=1, nsamples=11).numpy().max()
 
 
-@pytest.mark.skipif(not MODEL.is_file(), reason=f"{MODEL} is not there")
+@needs("onnx-detectors")
 def test_detection_network_recall():
     """Limit 80 % at 5 to 15 m; `benchmarks/camera_simulated.py` uses more images."""
     detector = load_detector(MODEL, configured())

@@ -1,6 +1,5 @@
 """Decoders against manual calculation, model recognition, unsupported files, published networks on photographs."""
 
-import os
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,12 +15,12 @@ from perception.camera.classes import COCO, class_scores, group_scores
 from perception.camera.detector import DetectorConfig, join_tiles, letterbox, load_detector, split_tiles
 from perception.camera.networks import Nanodet, Yolox, expectation, recognize
 from tests.perception.camera.onnx_files import write
+from tests.recordings import DATA, needs, recording
 
-DATA = Path(os.environ.get("HEADLAND_DATA", Path(__file__).parents[4] / "shared" / "data"))
 YOLOX = DATA / "onnx-detectors" / "yolox-nano" / "model" / "yolox_nano.onnx"
 NANODET = DATA / "onnx-detectors" / "nanodet-m" / "model" / "nanodet_m_416.onnx"
 CONFIG = DetectorConfig(min_score=0.3, max_iou=0.45, max_tile_ratio=1.5, input_px=64)
-needs_models = pytest.mark.skipif(not YOLOX.is_file(), reason=f"no real networks at {YOLOX.parents[2]}")
+needs_models = needs("onnx-detectors")
 
 
 def yolox_cells(side: int = 64) -> int:
@@ -201,9 +200,7 @@ def test_class_groups() -> None:
 @needs_models
 @pytest.mark.parametrize(("file", "family"), [(YOLOX, Yolox), (NANODET, Nanodet)])
 def test_published_networks_detect_persons(file: Path, family: type) -> None:
-    image = DATA / "pennfudan" / "images" / "FudanPed00001.png"
-    if not image.is_file():
-        pytest.skip(f"no image {image}")
+    image = recording("pennfudan/images/FudanPed00001.png")
     detector = load_detector(file, CONFIG)
     assert isinstance(detector.network, family)
     bgr = cv2.imread(str(image))

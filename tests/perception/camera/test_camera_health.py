@@ -1,11 +1,9 @@
 """Image quality of photographs and synthetic images, and the states of the health node."""
 
-import os
 from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
 from configs.strict import parse, read_yaml
 from configs.vehicle import Camera, Mount
@@ -17,16 +15,16 @@ from perception.camera.health import CameraHealth
 from perception.camera.image_quality import inspect
 from perception.camera.obstacles import CameraConfig
 from runtime.bus import NodeInbox
+from tests.recordings import DATA, needs
 
 ROOT = Path(__file__).parents[3]
-DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
 CONFIG = parse(CameraConfig, read_yaml(ROOT / "configs/stack/perception.yaml")["camera"], "stack/perception.yaml")
 CAMERA = Camera(
     mount=Mount(xyz_m=(2.0, 0.0, 2.6), rpy_deg=(0.0, 8.0, 0.0)), size_px=(640, 480), focal_px=(400.0, 400.0),
     center_px=(320.0, 240.0), rate_hz=2.0,
 )  # fmt: skip
 PHOTOGRAPHS = sorted((DATA / "coco128" / "train2017").glob("*.jpg"))
-needs_photographs = pytest.mark.skipif(not PHOTOGRAPHS, reason=f"no photographs in {DATA / 'coco128'}")
+needs_photographs = needs("coco128")
 S = 1_000_000_000
 
 

@@ -1,7 +1,6 @@
 """Verdicts on the first forty KITTI frames, and on the same replay with altered outputs."""
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -16,17 +15,17 @@ from messages.message import Envelope
 from messages.perception import Obstacles, Tracks
 from runtime.replay.prepare import ReplayInput, load_configuration, prepare
 from runtime.replay.replay import replay
+from tests.recordings import DATA, needs
 from validation.obstacle_stop.conditions import load_conditions
 from validation.obstacle_stop.evaluation import evaluate_log
 from validation.obstacle_stop.observer import Observer
 from validation.obstacle_stop.totals import aggregate
 
 ROOT = Path(__file__).resolve().parents[3]
-DATA = Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
 LOG, TRUTH = DATA / "kitti-seq-pcd", DATA / "kitti-tracking-truth"
 CONDITIONS = load_conditions(None)
 pytestmark = [
-    pytest.mark.skipif(not (LOG.is_dir() and TRUTH.is_dir()), reason="no KITTI recording in shared/data"),
+    needs("kitti-seq-pcd", "kitti-tracking-truth"),
     pytest.mark.slow,
 ]
 
