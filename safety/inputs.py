@@ -1,4 +1,4 @@
-"""What the supervisor reads: which topics follow from the machine's sensors, and what of them is missing."""
+"""Inputs of the supervisor: topics of the configured sensors, message ages and failed sensors."""
 
 import math
 
@@ -40,12 +40,12 @@ class SupervisorInputs:
     @property
     def reads(self) -> dict[str, Read]:
         """All of it."""
-        heard = (one.topic for one in self._monitored if SENSOR_KINDS[one.kind].is_raw_source)
-        told = (one.obstacles_topic for one in self._monitored)
-        return {topic: Latest() for topic in (*self._watched, "path", *heard, *told, *self._health.values())}
+        raw = (one.topic for one in self._monitored if SENSOR_KINDS[one.kind].is_raw_source)
+        obstacles = (one.obstacles_topic for one in self._monitored)
+        return {topic: Latest() for topic in (*self._watched, "path", *raw, *obstacles, *self._health.values())}
 
     def read(self, inbox: Inbox, machine: MachineState | None) -> MonitorInputs:
-        """What came."""
+        """The newest messages; missing, stale or not finite ones are None."""
         measurements = SourceData(
             {name: inbox.latest(f"lidar/{name}", LidarScan) for name in self._sensors.lidar},
             {one.name: inbox.latest(one.topic, RadarScan) for one in self._of("radar")},
@@ -79,7 +79,7 @@ class SupervisorInputs:
     def sensor_failures(
         self, now_ns: int, inbox: Inbox, inputs: MonitorInputs, collision_monitor: CollisionMonitor, direction: int
     ) -> tuple[SensorFailure, ...]:
-        """Radars, cameras and ultrasonic sensors that do not see the way, or of which nobody tells what they see."""
+        """Radars, cameras and ultrasonic sensors that cover the direction of travel but give no usable output."""
         silent = {f"radar_{name}" for name, scan in inputs.source_data.radars.items() if scan is None}
         silent |= {f"ultrasonic_{name}" for name, echo in inputs.source_data.echoes.items() if echo is None}
         frozen = {f"radar_{radar.name}" for radar in collision_monitor.sources.radars if radar.is_frozen}

@@ -1,9 +1,9 @@
-"""The mode machine as one table: what leads from where to where, and nothing else does.
+"""Transition table of the mode machine.
 
-        AUTOMATIC order          START               warned               obstacle
+        AUTOMATIC command        START               warned               obstacle
 MANUAL ───────────────► STANDBY ───────► START_WARNING ─────► AUTOMATIC ─────────► OBSTACLE_STOP
   ▲                      ▲   ▲                 ▲                  │ done                │ clear for some seconds
-  │ hand, MANUAL order   │   │ RESET           └──────────────────┼─────────────────────┘
+  │ hand, MANUAL command   │   │ RESET           └──────────────────┼─────────────────────┘
   └── all but EMERGENCY  │   └─ FAULT_STOP, EMERGENCY_STOP        └─► FINISHED
 """
 
@@ -13,7 +13,7 @@ from messages.command import Mode
 
 
 class Event(IntEnum):
-    """What can change the mode, the most urgent first; of several at once the first that the table knows counts."""
+    """Events by urgency; of several at once the first that has a transition in the mode counts."""
 
     EMERGENCY = 0
     HAND = 1
@@ -31,7 +31,7 @@ class Event(IntEnum):
 
 PERSON = frozenset({Event.MANUAL, Event.PAUSE, Event.RESET, Event.AUTOMATIC, Event.START})
 MOVING = frozenset({Mode.AUTOMATIC})
-WATCHED = frozenset({Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP})  # a fault here stops and stays
+WATCHED = frozenset({Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP})  # engaged: a fault stop is latched
 
 _ENGAGED = {
     Event.EMERGENCY: Mode.EMERGENCY_STOP,
@@ -56,7 +56,7 @@ TRANSITIONS: dict[Mode, dict[Event, Mode]] = {
 
 
 def next_mode(mode: Mode, events: frozenset[Event]) -> Mode:
-    """The mode after the most urgent event that means something in this one."""
+    """The mode after the most urgent event that has a transition in this mode."""
     row = TRANSITIONS[mode]
     urgent = min((event for event in events if event in row), default=None)
     return mode if urgent is None else row[urgent]

@@ -1,4 +1,4 @@
-"""Builds the safe command, the only one there is."""
+"""Builds the safe command; no other part of the tree may."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ BEACON = frozenset({Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP})
 
 @dataclass(frozen=True)
 class CommandInputs:
-    """What the command is made of."""
+    """Inputs of one safe command."""
 
     now_ns: int
     mode: Mode
@@ -38,13 +38,13 @@ class CommandInputs:
     has_driver: bool
 
     @property
-    def is_drivers(self) -> bool:
-        """Whether the machine is a driver's; in manual mode with the seat empty it is nobody's and must stand."""
+    def is_driver_controlled(self) -> bool:
+        """Whether a driver controls the machine: manual mode with an occupied seat."""
         return self.mode is Mode.MANUAL and self.has_driver
 
 
 class CommandBuilder:
-    """Keeps what the next command must follow on: speed, brake, curvature, and how long the machine has stood."""
+    """Keeps the last command and the time at standstill."""
 
     def __init__(self, vehicle: Vehicle, config: SafetyConfig) -> None:
         self.last: SafeCommand | None = None
@@ -85,7 +85,7 @@ class CommandBuilder:
         return self.last
 
     def _standing_s(self, inputs: CommandInputs) -> float:
-        """For how long the machine has stood; 0 while it moves or nobody knows."""
+        """Time at standstill; 0 while moving or while the speed is unknown."""
         if inputs.mode is not self._mode:
             self._mode, self._has_stopped = inputs.mode, False
         still = inputs.measured_mps is not None and abs(inputs.measured_mps) <= self._config.modes.standstill_mps
@@ -98,7 +98,7 @@ class CommandBuilder:
         return (inputs.now_ns - self._standing_since_ns) * 1e-9
 
     def _is_enabled(self, mode: Mode) -> bool:
-        """Drive and steering are ours while engaged, and to the end of a controlled stop."""
+        """Whether drive and steering are enabled: while engaged, and until the end of a controlled stop."""
         if mode in WATCHED:
             return True
         is_stopping = mode in (Mode.FAULT_STOP, Mode.STANDBY, Mode.FINISHED)
@@ -112,7 +112,7 @@ class CommandBuilder:
         brake_before = 0.0 if before is None else before.deceleration_mps2
         if inputs.mode is not Mode.AUTOMATIC:
             asked = stopping_deceleration(abs(measured), inputs.clearance_m, braking)
-            if inputs.mode is Mode.FAULT_STOP:  # what has failed has had its time: at once, and all that S counts on
+            if inputs.mode is Mode.FAULT_STOP:  # debounced already: at once, with the deceleration that S assumes
                 return SpeedDemand(0.0, self._standstill_brake(max(asked, braking.deceleration_mps2)))
             asked = self._standstill_brake(asked)
             return SpeedDemand(
@@ -134,11 +134,11 @@ class CommandBuilder:
         return max(self._config.braking.hold_mps2, 0.0 if is_standing else moving_mps2)
 
     def _disabled_brake(self, inputs: CommandInputs) -> float:
-        """Full in an emergency; under a driver's hands until the first standstill, then the pedals are the driver's.
+        """Brake while disabled: full in an emergency; for a driver only until the first standstill.
 
-        With nobody on the seat it holds on: whoever touched the wheel from outside does not brake the machine.
+        With an empty seat the brake holds: a touch of the wheel from outside does not release the machine.
         """
-        if inputs.is_drivers:
+        if inputs.is_driver_controlled:
             return 0.0 if self._has_stopped else self._config.braking.controlled_mps2
         is_standing = self._standing_since_ns is not None
         if inputs.mode is Mode.EMERGENCY_STOP and not is_standing:
@@ -146,9 +146,9 @@ class CommandBuilder:
         return self._config.braking.hold_mps2 if is_standing else self._config.braking.controlled_mps2
 
     def _park(self, inputs: CommandInputs, speed: SpeedDemand, standing_s: float) -> bool:
-        """Set after some standing, released to drive; while nobody knows the speed it stays as it is."""
+        """Park brake: set after a time at standstill, released to drive; unchanged while the speed is unknown."""
         is_leaving = inputs.mode is Mode.AUTOMATIC and speed.speed_mps != 0.0
-        if inputs.is_drivers or is_leaving:
+        if inputs.is_driver_controlled or is_leaving:
             self._is_parked = False
         elif standing_s > self._config.modes.park_after_s:
             self._is_parked = True
@@ -162,7 +162,7 @@ class CommandBuilder:
         return 0.0 if is_set else speed_mps
 
     def _curvature(self, inputs: CommandInputs, is_enabled: bool, dt_s: float) -> float:
-        """The wish while driving; what is measured while the steering is not ours."""
+        """The limited command while enabled, else the measured curvature."""
         measured = inputs.curvature_radpm
         before = measured if self.last is None else self.last.curvature_radpm
         if not is_enabled or before is None:
@@ -172,7 +172,7 @@ class CommandBuilder:
         return limit_curvature(control_command, before, self._most_radpm, self._config.curvature_rate_radpms * dt_s)
 
     def _implement(self, inputs: CommandInputs) -> tuple[bool, bool]:
-        """Lowered and PTO: as wished in automatic mode; while waiting only up and off; else as it is, and off."""
+        """Lowered and PTO: as commanded in automatic mode; while waiting only raised or off; else as measured, and off."""
         machine, control_command = inputs.machine, inputs.control_command
         was_lowered = self.last.is_implement_lowered if self.last is not None else False
         was_on = self.last.is_pto_on if self.last is not None else False
@@ -186,7 +186,7 @@ class CommandBuilder:
         return machine.is_hitch_in_work if machine is not None else was_lowered, False
 
     def _fold(self, inputs: CommandInputs, standing_s: float, is_lowered: bool) -> bool:
-        """As wished while driving by itself, standing, with the hitch raised; else as commanded last, or measured."""
+        """Fold as commanded in automatic mode at standstill with the hitch raised; else as commanded last, or measured."""
         machine, control_command = inputs.machine, inputs.control_command
         is_raised = machine is not None and not machine.is_hitch_in_work and not is_lowered
         is_still = standing_s >= self._config.modes.fold_after_s

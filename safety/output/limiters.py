@@ -1,4 +1,4 @@
-"""From what is allowed to what is commanded: speed, brake, curvature and park brake."""
+"""Limiters of the safe command: speed, acceleration, braking, jerk and curvature."""
 
 import math
 from dataclasses import dataclass
@@ -7,13 +7,13 @@ from messages.command import ControlCommand
 from safety.config import BrakingConfig
 from safety.stopping_distance import Braking, needed_deceleration
 
-TOLERANCE_MPS = 0.05  # measured speed may be this much above what is allowed before the brake is asked for
-CORRECTION_S = 0.5  # time in which an excess of speed is to be gone
+TOLERANCE_MPS = 0.05  # measured speed above the limit at which braking begins
+CORRECTION_S = 0.5  # time constant of the correction of excess speed
 
 
 @dataclass(frozen=True)
 class SpeedDemand:
-    """Signed speed commanded and deceleration asked of the brakes."""
+    """Commanded signed speed and demanded deceleration."""
 
     speed_mps: float
     deceleration_mps2: float
@@ -30,7 +30,7 @@ def curve_deceleration(speed_mps: float, braking: Braking) -> float:
 def target_speed(
     control_command: ControlCommand | None, allowed_mps: float, measured_mps: float, creep_mps: float
 ) -> float:
-    """The signed wish within what is allowed; 0 when too little is allowed, the wish is no number or turns round."""
+    """The commanded signed speed within the limit; 0 below the creep speed, when not finite or on reversal at speed."""
     if control_command is None or not math.isfinite(control_command.speed_mps) or allowed_mps < creep_mps:
         return 0.0
     is_turning_round = control_command.speed_mps * measured_mps < 0.0 and abs(measured_mps) > 2.0 * creep_mps
@@ -42,7 +42,7 @@ def target_speed(
 
 
 def limit_acceleration(target_mps: float, before_mps: float, measured_mps: float, step_mps: float) -> float:
-    """The target, but never more than a step above what was commanded before; falling is free."""
+    """The target speed, at most one step above the previous command; decreases are not limited."""
     if target_mps == 0.0:
         return 0.0
     sign = math.copysign(1.0, target_mps)
@@ -58,7 +58,7 @@ def braking_demand(
     braking: Braking,
     config: BrakingConfig,
 ) -> float:
-    """Deceleration asked of the brakes while driving: the wish's own, or what the limit needs, at most full."""
+    """Deceleration demanded while driving, m/s²: of the control command or needed for the limit, at most full."""
     asked = (
         max(0.0, -control_command.acceleration_mps2)
         if control_command is not None and math.isfinite(control_command.acceleration_mps2)
@@ -74,7 +74,7 @@ def braking_demand(
 
 
 def stopping_deceleration(measured_mps: float, clearance_m: float, config: BrakingConfig) -> float:
-    """Deceleration of a controlled stop: comfortable, or what a gap needs."""
+    """Deceleration of a controlled stop, m/s²: the controlled one, or more if the clearance needs it."""
     if not math.isfinite(clearance_m):
         return config.controlled_mps2
     needed = needed_deceleration(measured_mps, clearance_m, config.dead_time_s, config.full_mps2)
@@ -82,14 +82,14 @@ def stopping_deceleration(measured_mps: float, clearance_m: float, config: Braki
 
 
 def limit_jerk(asked_mps2: float, before_mps2: float, gentle_mps2: float, step_mps2: float) -> float:
-    """Braking that grows no faster than a step while it is gentle; hard braking is not delayed."""
+    """Rise of gentle braking limited to one step; hard braking is not limited."""
     return asked_mps2 if asked_mps2 > gentle_mps2 else min(asked_mps2, before_mps2 + step_mps2)
 
 
 def limit_curvature(
     control_command: ControlCommand | None, before_radpm: float, most_radpm: float, step_radpm: float
 ) -> float:
-    """The wished curvature within the machine's limit and rate; without a wish the one before is held."""
+    """The commanded curvature within the limit and rate of the machine; without a command the previous one."""
     wanted = (
         before_radpm
         if control_command is None or not math.isfinite(control_command.curvature_radpm)
