@@ -172,7 +172,7 @@ class CommandBuilder:
         return limit_curvature(control_command, before, self._most_radpm, self._config.curvature_rate_radpms * dt_s)
 
     def _implement(self, inputs: CommandInputs) -> tuple[bool, bool]:
-        """Lowered and PTO: as commanded in automatic mode; while waiting only raised or off; else as measured, and off."""
+        """Lowered and PTO: as commanded in automatic mode; while waiting only up or off; else as measured, off."""
         machine, control_command = inputs.machine, inputs.control_command
         was_lowered = self.last.is_implement_lowered if self.last is not None else False
         was_on = self.last.is_pto_on if self.last is not None else False
@@ -186,7 +186,7 @@ class CommandBuilder:
         return machine.is_hitch_in_work if machine is not None else was_lowered, False
 
     def _fold(self, inputs: CommandInputs, standing_s: float, is_lowered: bool) -> bool:
-        """Fold as commanded in automatic mode at standstill with the hitch raised; else as commanded last, or measured."""
+        """Fold as commanded in automatic mode at standstill with the hitch raised; else as before, or measured."""
         machine, control_command = inputs.machine, inputs.control_command
         is_raised = machine is not None and not machine.is_hitch_in_work and not is_lowered
         is_still = standing_s >= self._config.modes.fold_after_s

@@ -67,7 +67,7 @@ def main(only: list[str]) -> int:
     if only == ["survivors"]:
         only = [name for name, (_, status) in results().items() if status in SURVIVED | UNSURE]
     if only != ["none"]:
-        (ROOT / "mutants/mutmut-stats.json").unlink(missing_ok=True)  # which test calls what, learned anew
+        (ROOT / "mutants/mutmut-stats.json").unlink(missing_ok=True)  # coverage by test, collected again
         cli(["run", "--max-children", "1", *only], standalone_mode=False)
     found = results()
     survivors = Counter(change(name, file) for name, (file, status) in found.items() if status in SURVIVED)

@@ -174,7 +174,7 @@ class Target:
     vx_mps: float = 0.0
     vy_mps: float = 0.0
     rcs_dbsm: float = -3.0
-    is_heard: bool = False
+    has_echo: bool = False
 
 
 def healthy(stamp_ns: int, sensor: str, state: HealthState = HealthState.GOOD, reason: str = "") -> SensorHealth:
@@ -224,12 +224,12 @@ def radar_scan(world: "World", radar: Radar, now_ns: int) -> RadarScan:
 
 
 def echo_of(world: "World", sensor: Ultrasonic) -> float:
-    """Range of the nearest target that ultrasonic hears in its cone, NaN without."""
+    """Range of the nearest target with an echo in the cone, NaN without."""
     half, near = math.radians(sensor.cone_deg / 2), math.nan
     for target in world.targets:
         place, _ = in_sensor(world, sensor.mount, target)
         range_m = math.hypot(place[0], place[1])
-        is_in = target.is_heard and abs(math.atan2(place[1], place[0])) <= half
+        is_in = target.has_echo and abs(math.atan2(place[1], place[0])) <= half
         if is_in and sensor.range_m[0] <= range_m <= sensor.range_m[1] and not near < range_m:
             near = range_m
     return near + world.rng.normal(0.0, sensor.range_sigma_m)

@@ -1,4 +1,4 @@
-"""The lookout by itself: when it looks again, what each part is asked, and how its gaps shrink between looks."""
+"""The collision monitor with spied parts: when it updates, with which arguments, and distances between updates."""
 
 import math
 from collections.abc import Callable
@@ -91,7 +91,7 @@ def footprints(full: Vehicle, implement) -> FootprintSet:
 
 @pytest.fixture
 def parts(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """What the lookout asks, each a spy."""
+    """Spies for the functions that the collision monitor calls."""
     found = SimpleNamespace(
         sweep_field=Spy(SweptField(sweep(), sweep(), True)), look_ahead_m=Spy(17.0), arc_length_m=Spy(8.0),
         nearest_critical_object=Spy(CriticalObject(9.0, ObstacleClass.PERSON, 4)),
@@ -112,7 +112,7 @@ def known_structure() -> Any:
 def make(
     full: Vehicle, footprints: FootprintSet, config: SafetyConfig, parts: Any, known_structure: Any
 ) -> Callable[..., Any]:
-    """A lookout with senses of its own, which have looked and found a gap of 7 m."""
+    """A collision monitor with spied sources that report a clearance of 7 m."""
 
     def made(**what: Any) -> Any:
         around = (what.get("geofence"), what.get("known_structure", known_structure), config)

@@ -1,4 +1,4 @@
-"""The commander alone: each command from a moment made by hand, and from the command before."""
+"""The command builder with constructed inputs; each command depends on the previous one."""
 
 import math
 from dataclasses import replace
@@ -19,7 +19,7 @@ STEP_S = 0.02
 
 
 class Bench:
-    """A commander that is shown one moment after the other."""
+    """A command builder and its last inputs."""
 
     def __init__(self, vehicle: Vehicle, config: SafetyConfig) -> None:
         self.command_builder, self.now_ns = CommandBuilder(vehicle, config), START_NS
@@ -28,7 +28,7 @@ class Bench:
                              config.braking.flat, False)  # fmt: skip
 
     def show(self, after_s: float = STEP_S, **changes: Any) -> SafeCommand:
-        """The command after a moment; changes stay."""
+        """The command after a time; changes of the inputs persist."""
         self.now_ns += round(after_s * 1e9)
         self.inputs = replace(self.inputs, now_ns=self.now_ns, **changes)
         return self.command_builder.command(self.inputs)
@@ -43,7 +43,7 @@ def bench(vehicle: Vehicle, config: SafetyConfig) -> Bench:
     return Bench(vehicle, config)
 
 
-def test_the_first_command_leaves_everything_as_it_is(bench: Bench) -> None:
+def test_first_command(bench: Bench) -> None:
     command = bench.show(0.0, reason="standby", machine=replace(UP, fold_position=0.5), curvature_radpm=0.1)
     assert command == SafeCommand(
         stamp_ns=START_NS, mode=Mode.STANDBY, is_drive_enabled=False, speed_mps=0.0, deceleration_mps2=1.0,
@@ -53,7 +53,7 @@ def test_the_first_command_leaves_everything_as_it_is(bench: Bench) -> None:
     assert bench.command_builder.last is command
 
 
-def test_a_fault_stop_brakes_at_once_and_hard_and_an_obstacle_stop_gently(bench: Bench, config: SafetyConfig) -> None:
+def test_braking_of_fault_stop_and_obstacle_stop(bench: Bench, config: SafetyConfig) -> None:
     bench.driving()
     gentle = bench.show(mode=Mode.OBSTACLE_STOP)
     assert (gentle.speed_mps, gentle.deceleration_mps2) == (0.0, pytest.approx(config.jerk_mps3 * STEP_S))
@@ -65,14 +65,14 @@ def test_a_fault_stop_brakes_at_once_and_hard_and_an_obstacle_stop_gently(bench:
 
 @pytest.mark.parametrize("mode", Mode)
 @clause("BD-5.5.1b")
-def test_lights_horn_and_drive_of_each_mode(bench: Bench, mode: Mode) -> None:
+def test_beacon_horn_and_drive_of_each_mode(bench: Bench, mode: Mode) -> None:
     engaged = mode in (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
     command = bench.show(mode=mode)
     assert (command.is_beacon_on, command.is_drive_enabled) == (engaged, engaged)
     assert command.is_horn_on == (mode is Mode.START_WARNING)
 
 
-def test_speed_rises_by_what_the_machine_accelerates(bench: Bench) -> None:
+def test_acceleration_limit(bench: Bench) -> None:
     assert bench.show(mode=Mode.AUTOMATIC).speed_mps == 0.0  # no time has passed yet
     assert bench.show().speed_mps == pytest.approx(0.6 * STEP_S)
     assert bench.show().speed_mps == pytest.approx(2 * 0.6 * STEP_S)
@@ -81,14 +81,14 @@ def test_speed_rises_by_what_the_machine_accelerates(bench: Bench) -> None:
     assert bench.show(measured_mps=1.9, machine=machine_state(START_NS, is_park_brake_set=True)).speed_mps == 0.0
 
 
-def test_no_speed_below_the_creep(bench: Bench) -> None:
+def test_creep_limit(bench: Bench) -> None:
     for allowed in around(0.1, 0.01):
         command = bench.driving(0.09).show(allowed_mps=allowed)
         assert (command.speed_mps > 0.0) == (allowed >= 0.1), allowed
         assert (command.deceleration_mps2 > 0.0) == (allowed < 0.1), allowed
 
 
-def test_a_limit_below_the_creep_is_none_at_all(bench: Bench) -> None:
+def test_limit_below_the_creep_speed(bench: Bench) -> None:
     by_curve = 2.0 / (0.6 + 0.2 + 0.8)
     assert bench.driving(2.0).show(allowed_mps=0.09).deceleration_mps2 == pytest.approx(by_curve + 2.0 / 0.5)
 
@@ -107,7 +107,7 @@ def test_braking_to_a_limit(bench: Bench) -> None:
     assert bench.show(control_command=None, measured_mps=None, allowed_mps=8.0).speed_mps == 0.0
 
 
-def test_gentle_braking_grows_by_3_per_s(bench: Bench) -> None:
+def test_jerk_limit(bench: Bench) -> None:
     bench.driving()
     assert bench.show(
         control_command=replace(CONTROL_COMMAND, acceleration_mps2=-1.0)
@@ -117,12 +117,12 @@ def test_gentle_braking_grows_by_3_per_s(bench: Bench) -> None:
     assert bench.show().deceleration_mps2 == pytest.approx(0.24)
 
 
-def test_gentle_braking_grows_from_nothing(bench: Bench) -> None:
+def test_jerk_limit_from_the_first_command(bench: Bench) -> None:
     gentle = replace(CONTROL_COMMAND, acceleration_mps2=-0.7)
     assert bench.show(mode=Mode.AUTOMATIC, measured_mps=1.0, control_command=gentle).deceleration_mps2 == 0.0
 
 
-def test_the_brakes_hold_as_configured(vehicle: Vehicle, config: SafetyConfig) -> None:
+def test_configured_holding_brake(vehicle: Vehicle, config: SafetyConfig) -> None:
     weak = config.model_copy(update={"braking": config.braking.model_copy(update={"hold_mps2": 0.5})})
     bench = Bench(vehicle, weak)
     for _ in range(20):
@@ -130,7 +130,7 @@ def test_the_brakes_hold_as_configured(vehicle: Vehicle, config: SafetyConfig) -
     assert command.deceleration_mps2 == 0.5
 
 
-def test_at_standstill_the_brakes_hold(bench: Bench) -> None:
+def test_holding_brake_at_standstill(bench: Bench) -> None:
     bench.show(1.0, mode=Mode.AUTOMATIC, control_command=replace(CONTROL_COMMAND, speed_mps=0.0))
     for _ in range(20):
         command = bench.show()
@@ -144,7 +144,7 @@ def test_at_standstill_the_brakes_hold(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("mode", [Mode.FAULT_STOP, Mode.STANDBY, Mode.FINISHED])
-def test_steered_to_the_end_of_a_controlled_stop_and_no_further(bench: Bench, mode: Mode) -> None:
+def test_drive_enabled_until_the_end_of_a_controlled_stop(bench: Bench, mode: Mode) -> None:
     bench.driving()
     for speed, is_enabled in ((1.0, True), (0.06, True), (None, True), (0.05, False), (1.0, False)):
         command = bench.show(mode=mode, measured_mps=speed)
@@ -154,20 +154,20 @@ def test_steered_to_the_end_of_a_controlled_stop_and_no_further(bench: Bench, mo
 
 
 @clause("BD-5.5.1a", "BD-5.5.2d")
-def test_not_enabled_before_it_was_engaged(bench: Bench) -> None:
+def test_drive_not_enabled_before_engagement(bench: Bench) -> None:
     assert not bench.show(mode=Mode.FAULT_STOP, measured_mps=1.0).is_drive_enabled
     assert not bench.driving().show(mode=Mode.EMERGENCY_STOP).is_drive_enabled
     assert not bench.show(mode=Mode.STANDBY).is_drive_enabled
 
 
-def test_brakes_of_an_emergency(bench: Bench) -> None:
+def test_emergency_brake(bench: Bench) -> None:
     assert bench.driving().show(mode=Mode.EMERGENCY_STOP).deceleration_mps2 == 6.0
     assert bench.show(measured_mps=None).deceleration_mps2 == 6.0
     assert bench.show(measured_mps=0.05).deceleration_mps2 == 1.0
     assert bench.show(measured_mps=-0.06).deceleration_mps2 == 6.0
 
 
-def test_brakes_are_a_drivers_after_the_first_standstill(bench: Bench) -> None:
+def test_brake_with_a_driver(bench: Bench) -> None:
     assert bench.driving().show(mode=Mode.MANUAL, has_driver=True).deceleration_mps2 == 1.5
     assert bench.show(measured_mps=0.0).deceleration_mps2 == 0.0
     assert bench.show(measured_mps=1.0).deceleration_mps2 == 0.0
@@ -181,10 +181,10 @@ def test_park_brake_after_1500_ms(bench: Bench) -> None:
     assert not bench.show(measured_mps=0.0).is_park_brake_set
     assert not bench.show(1.5).is_park_brake_set
     assert bench.show(0.001).is_park_brake_set
-    assert bench.show(measured_mps=None).is_park_brake_set  # as it is
+    assert bench.show(measured_mps=None).is_park_brake_set  # unchanged
     assert not bench.show(measured_mps=1.0).is_park_brake_set
     assert not bench.show(measured_mps=None).is_park_brake_set
-    assert not bench.show(measured_mps=0.0).is_park_brake_set  # counted anew
+    assert not bench.show(measured_mps=0.0).is_park_brake_set  # restarted
     assert not bench.show(1.5).is_park_brake_set
     assert bench.show().is_park_brake_set
     assert bench.show(mode=Mode.AUTOMATIC, control_command=replace(CONTROL_COMMAND, speed_mps=0.0)).is_park_brake_set
@@ -193,7 +193,7 @@ def test_park_brake_after_1500_ms(bench: Bench) -> None:
     assert bench.show(has_driver=True).is_park_brake_set is False
 
 
-def test_steering_is_wished_held_or_measured(bench: Bench) -> None:
+def test_curvature_by_mode(bench: Bench) -> None:
     bench.driving()
     left = replace(CONTROL_COMMAND, curvature_radpm=1.0)
     assert bench.show(control_command=left).curvature_radpm == pytest.approx(0.3 * STEP_S)
@@ -203,14 +203,14 @@ def test_steering_is_wished_held_or_measured(bench: Bench) -> None:
     assert command.curvature_radpm == pytest.approx(1.02 / 4.6)
     assert bench.show(mode=Mode.OBSTACLE_STOP, control_command=CONTROL_COMMAND).curvature_radpm < 1.02 / 4.6
     held = bench.show(measured_mps=0.0).curvature_radpm
-    assert bench.show().curvature_radpm == held  # it does not turn its wheels while it stands and waits
+    assert bench.show().curvature_radpm == held  # no steering at standstill
     assert bench.show(mode=Mode.AUTOMATIC).curvature_radpm < held
     assert bench.show(mode=Mode.EMERGENCY_STOP).curvature_radpm == 0.05
     assert bench.show(curvature_radpm=math.nan).curvature_radpm == 0.05
     assert bench.show(curvature_radpm=None).curvature_radpm == 0.05
 
 
-def test_steering_begins_where_it_is(vehicle: Vehicle, config: SafetyConfig) -> None:
+def test_first_curvature(vehicle: Vehicle, config: SafetyConfig) -> None:
     for known, begun in ((0.1, 0.1), (None, 0.0)):
         bench = Bench(vehicle, config)
         assert bench.show(0.0, mode=Mode.AUTOMATIC, curvature_radpm=known).curvature_radpm == begun
@@ -224,7 +224,7 @@ def test_implement_and_pto(bench: Bench) -> None:
         return command.is_implement_lowered, command.is_pto_on
 
     lowered, running = (replace(CONTROL_COMMAND, is_implement_lowered=a, is_pto_on=not a) for a in (True, False))
-    assert asked(mode=Mode.START_WARNING, machine=None) == (False, False)  # before anything is known
+    assert asked(mode=Mode.START_WARNING, machine=None) == (False, False)  # before the first machine state
     assert asked(mode=Mode.STANDBY, machine=machine_state(START_NS)) == (True, False)
     assert asked(mode=Mode.AUTOMATIC, machine=UP, control_command=lowered) == (True, False)
     assert asked(control_command=running) == (False, True)
@@ -242,13 +242,13 @@ def test_implement_and_pto(bench: Bench) -> None:
         assert asked(mode=Mode.AUTOMATIC, machine=replace(UP, fold_position=fold)) == (is_open, is_open), fold
 
 
-def test_the_fold_moves_half_a_second_after_the_machine_stands_with_the_hitch_raised(bench: Bench) -> None:
+def test_fold_after_standstill_with_raised_hitch(bench: Bench) -> None:
     fold = replace(CONTROL_COMMAND, is_implement_lowered=False, is_implement_folded=True)
     bench.show(0.0, mode=Mode.AUTOMATIC, control_command=fold, machine=UP)
     for after_s, is_folded in ((0.499, False), (0.001, True)):
         assert bench.show(after_s).is_implement_folded == is_folded
     assert bench.show(machine=machine_state(START_NS), control_command=CONTROL_COMMAND).is_implement_folded
-    assert bench.show(machine=UP).is_implement_folded  # what is to be lowered does not unfold
+    assert bench.show(machine=UP).is_implement_folded  # not unfolded while it is to be lowered
     assert bench.show(
         mode=Mode.OBSTACLE_STOP, control_command=replace(CONTROL_COMMAND, is_implement_lowered=False)
     ).is_implement_folded
@@ -260,7 +260,7 @@ def test_the_fold_moves_half_a_second_after_the_machine_stands_with_the_hitch_ra
     assert not bench.show(0.5).is_implement_folded
 
 
-def test_a_fold_found_half_way_counts_as_folded(vehicle: Vehicle, config: SafetyConfig) -> None:
+def test_half_folded_counts_as_folded(vehicle: Vehicle, config: SafetyConfig) -> None:
     for fold in around(0.5, 0.01):
         assert Bench(vehicle, config).show(machine=replace(UP, fold_position=fold)).is_implement_folded == (
             fold >= 0.5

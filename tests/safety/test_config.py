@@ -51,6 +51,6 @@ def test_no_value_has_a_default(path: tuple[str, ...]) -> None:
     0.9),
     (("modes", "authorities"), []), (("field", "extra"), 1.0),
 ])  # fmt: skip
-def test_bad_values_are_named(path: tuple[str, ...], bad: Any) -> None:
+def test_error_names_the_key(path: tuple[str, ...], bad: Any) -> None:
     with pytest.raises(ConfigError, match=path[-1]):
         parse(SupervisorConfig, changed(path, bad), "stack/safety.yaml")

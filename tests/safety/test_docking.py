@@ -222,7 +222,7 @@ def test_echoes_of_known_walls_filtered(shed_world: World, config, full, impleme
     world = at_shed(World(Supervisor(full, implement, config, geofence_of(site), (),
     known_structure=known_structure), full,
                           straight_path()), site, "wide", -1)  # fmt: skip
-    world.targets = (Target(-8.9, -40.0, rcs_dbsm=-60.0, is_heard=True),)
+    world.targets = (Target(-8.9, -40.0, rcs_dbsm=-60.0, has_echo=True),)
     drive_in(world)
     assert world.mode == Mode.AUTOMATIC
     assert world.x_m == pytest.approx(-5.9, abs=0.1)

@@ -1,4 +1,4 @@
-"""Brake trial, empty seat, clock steps, alarms; and what more of a bad thing may never do."""
+"""Brake proof test, empty seat, clock steps, alarms; monotonicity: worse inputs never allow a higher speed."""
 
 import math
 from dataclasses import replace
@@ -38,7 +38,7 @@ def trying(world: World) -> World:
     return world
 
 
-def test_the_brake_is_tried_within_the_first_metre(world: World, config: SupervisorConfig) -> None:
+def test_brake_test_within_the_first_metre(world: World, config: SupervisorConfig) -> None:
     trying(world).start()
     world.run(5.0)
     driven = [c for mode, c in world.history if mode == Mode.AUTOMATIC]
@@ -52,10 +52,10 @@ def test_the_brake_is_tried_within_the_first_metre(world: World, config: Supervi
     assert world.faults == []
 
 
-def test_a_brake_that_does_nothing_is_an_emergency_and_is_tried_again(world: World) -> None:
+def test_failed_brake_test_and_retry(world: World) -> None:
     trying(world).start()
     world.run(0.7)
-    world.is_obedient, world.speed_mps = False, 0.45  # it rolls on
+    world.is_obedient, world.speed_mps = False, 0.45  # it keeps rolling
     world.run(2.0)
     assert world.mode == Mode.EMERGENCY_STOP
     assert world.command.reason == "brake.test_failed"
@@ -66,7 +66,7 @@ def test_a_brake_that_does_nothing_is_an_emergency_and_is_tried_again(world: Wor
     assert world.supervisor._brake_test.phase is Phase.CREEP
 
 
-def test_brake_trial_at_its_limit(config: SupervisorConfig) -> None:
+def test_brake_test_limit(config: SupervisorConfig) -> None:
     way_m = stopping_distance(0.45, config.braking.flat)
     for left in around(way_m, 1e-3):
         test = BrakeTest(config)
@@ -91,7 +91,7 @@ def test_brake_trial_at_its_limit(config: SupervisorConfig) -> None:
     assert broken.update(Mode.OBSTACLE_STOP, 0.3, 0.1) is Phase.CREEP
 
 
-def test_what_the_brake_trial_asks_for() -> None:
+def test_results_of_the_brake_test() -> None:
     asked = {phase: RULES["brake"](situation_of(CONFIG, brake_test=phase)) for phase in Phase}
     assert asked[Phase.CREEP].speed_limit_mps == pytest.approx(0.5)
     assert asked[Phase.BRAKE].speed_limit_mps == 0.0
@@ -100,7 +100,7 @@ def test_what_the_brake_trial_asks_for() -> None:
     assert [asked[phase].code for phase in Phase] == ["brake.test", "brake.test", "brake.weak", "brake.test_failed"]
 
 
-def test_a_hand_on_the_wheel_with_nobody_on_the_seat_leaves_the_machine_braked_and_parked(world: World) -> None:
+def test_driver_override_with_an_empty_seat(world: World) -> None:
     world.start().run(3.0)
     assert world.speed_mps > 1.0
     world.machine_changes = {"driver_rate_radps": 2.0}
@@ -111,12 +111,12 @@ def test_a_hand_on_the_wheel_with_nobody_on_the_seat_leaves_the_machine_braked_a
     assert world.speed_mps == 0.0
     assert world.command.deceleration_mps2 == 1.0
     assert world.command.is_park_brake_set
-    world.machine_changes = {"is_seat_occupied": True}  # somebody climbs up
+    world.machine_changes = {"is_seat_occupied": True}  # a driver sits down
     world.step(1)
     assert (world.command.deceleration_mps2, world.command.is_park_brake_set) == (0.0, False)
 
 
-def test_a_driver_lifted_off_the_seat_is_still_the_driver_for_a_moment(world: World, config: SupervisorConfig) -> None:
+def test_seat_off_delay(world: World, config: SupervisorConfig) -> None:
     world.machine_changes = {"is_seat_occupied": True}
     world.run(0.2)
     world.order(OperatorCommandKind.MANUAL)
@@ -125,7 +125,7 @@ def test_a_driver_lifted_off_the_seat_is_still_the_driver_for_a_moment(world: Wo
     world.machine_changes = {"is_seat_occupied": False}
     world.run(config.modes.seat_empty_s - 0.4)
     assert world.command.deceleration_mps2 == 0.0
-    world.mute.add("machine")  # what is not known stays as it was
+    world.mute.add("machine")  # without a machine state the seat counts as before
     world.run(2.0)
     assert world.command.deceleration_mps2 == 0.0
     world.mute.clear()
@@ -135,12 +135,12 @@ def test_a_driver_lifted_off_the_seat_is_still_the_driver_for_a_moment(world: Wo
 
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])
 @pytest.mark.parametrize("is_driving", [True, False])
-def test_the_clock_steps_by_an_hour(world: World, step_ns: int, is_driving: bool) -> None:
-    """The whole machine's clock, and later back to work."""
+def test_clock_step_of_an_hour(world: World, step_ns: int, is_driving: bool) -> None:
+    """The clock of all sources; later a restart."""
     if is_driving:
         world.start().run(2.0)
     else:
-        world.mute.add("map_pose")  # a start waits
+        world.mute.add("map_pose")  # the start command waits
         world.run(0.2)
         world.order(OperatorCommandKind.START, expires_s=2.0)
         world.run(0.2)
@@ -162,7 +162,7 @@ def test_the_clock_steps_by_an_hour(world: World, step_ns: int, is_driving: bool
 
 @pytest.mark.parametrize("topic", ["odom", "lidar/front", "machine"])
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])
-def test_one_source_with_another_clock_stops_the_machine(world: World, topic: str, step_ns: int) -> None:
+def test_source_with_another_clock(world: World, topic: str, step_ns: int) -> None:
     world.start().run(1.0)
     world.mute.add(topic)
     for _ in range(100):
@@ -175,14 +175,14 @@ def test_one_source_with_another_clock_stops_the_machine(world: World, topic: st
     assert world.speed_mps == 0.0
 
 
-def test_a_small_delay_is_no_step(world: World, config: SupervisorConfig) -> None:
+def test_small_delay(world: World, config: SupervisorConfig) -> None:
     world.start()
     world.inbox.now_ns += round(0.4 * config.limits.clock_step_s * 1e9)
     world.step(1)
     assert world.command.reason != "clock_step"
 
 
-def test_many_faults_at_once_are_told_one_a_second_the_cause_first(world: World) -> None:
+def test_alarm_spacing_of_simultaneous_faults(world: World) -> None:
     world.start().run(1.0)
     world.mute |= {"imu", "wheel", "odom", "map_pose", "tracks", "lidar/front", "control_command"}
     world.machine_changes = {"supply_v": 5.0, "is_steering_ready": False}
@@ -199,7 +199,7 @@ def test_many_faults_at_once_are_told_one_a_second_the_cause_first(world: World)
 
 
 def allowed(**changes: float) -> float:
-    """The highest speed that the rules on what lies ahead allow."""
+    """The highest speed that all rules allow."""
     clearance = Clearance(changes.pop("main_m", math.inf), changes.pop("arc_m", math.inf), np.empty((0, 3)))
     critical_object = CriticalObject(changes.pop("critical_m", math.inf), ObstacleClass.UNKNOWN, 1)
     pitch = changes.pop("pitch_rad", 0.0)
@@ -220,7 +220,7 @@ def allowed(**changes: float) -> float:
 
 @QUICK
 @given(metres, metres, speeds)
-def test_a_nearer_obstacle_is_never_faster(a: float, b: float, speed: float) -> None:
+def test_monotonic_obstacle_distance(a: float, b: float, speed: float) -> None:
     near, far = sorted((a, b))
     for key in ("main_m", "arc_m", "critical_m", "wall_distance_m", "geofence_distance_m", "detection_range_m"):
         assert allowed(**{key: near, "speed_mps": speed}) <= allowed(**{key: far, "speed_mps": speed}), key
@@ -228,20 +228,20 @@ def test_a_nearer_obstacle_is_never_faster(a: float, b: float, speed: float) -> 
 
 @QUICK
 @given(st.floats(0.0, 0.25), st.floats(0.0, 0.25), metres)
-def test_steeper_is_never_faster(a: float, b: float, clearance: float) -> None:
+def test_monotonic_slope(a: float, b: float, clearance: float) -> None:
     flat, steep = sorted((a, b))
     assert allowed(pitch_rad=steep, main_m=clearance) <= allowed(pitch_rad=flat, main_m=clearance)
 
 
 @QUICK
 @given(metres, metres, metres)
-def test_more_obstacles_are_never_faster(a: float, b: float, c: float) -> None:
+def test_monotonic_obstacle_count(a: float, b: float, c: float) -> None:
     assert allowed(main_m=a, arc_m=b, critical_m=c) <= min(allowed(main_m=a), allowed(arc_m=b), allowed(critical_m=c))
 
 
 @QUICK
 @given(st.integers(0, 3), st.integers(0, 3), metres)
-def test_more_lost_sensors_are_never_faster(a: int, b: int, clearance: float) -> None:
+def test_monotonic_sensor_loss(a: int, b: int, clearance: float) -> None:
     few, many = sorted((a, b))
     assert allowed(lost=many, main_m=clearance) <= allowed(lost=few, main_m=clearance)
     assert allowed(lost=3) > 0.5
@@ -249,7 +249,7 @@ def test_more_lost_sensors_are_never_faster(a: int, b: int, clearance: float) ->
 
 @QUICK
 @given(st.floats(0.0, 2.0), st.floats(0.0, 2.0))
-def test_older_is_never_fresher(a: float, b: float) -> None:
+def test_monotonic_age(a: float, b: float) -> None:
     young, old = sorted((a, b))
     ages = [age_of("odom", START_NS - round(age * 1e9), START_NS) for age in (young, old)]
     assert len(timed_out_topics(ages[:1])) <= len(timed_out_topics(ages[1:]))
@@ -257,7 +257,7 @@ def test_older_is_never_fresher(a: float, b: float) -> None:
 
 @QUICK
 @given(st.floats(0.0, 200.0), st.floats(0.0, 200.0), st.floats(0.0, 2.0), st.floats(0.0, 2.0))
-def test_a_worse_place_is_never_faster(age_a: float, age_b: float, level_a: float, level_b: float) -> None:
+def test_monotonic_position_accuracy(age_a: float, age_b: float, level_a: float, level_b: float) -> None:
     (good_age, bad_age), (good, bad) = sorted((age_a, age_b)), sorted((level_a, level_b))
 
     def speed(age_s: float, level_m: float, is_under_roof: bool) -> float:
@@ -268,7 +268,7 @@ def test_a_worse_place_is_never_faster(age_a: float, age_b: float, level_a: floa
     assert speed(good_age, good, True) <= speed(good_age, good, False)
 
 
-def test_uwb_age_at_its_limit() -> None:
+def test_uwb_age_limit() -> None:
     for age in around(CONFIG.docking.max_uwb_age_s, 0.01):
         pose = {"uwb_age_s": age, "gnss_age_s": 5.0}
         result = RULES["localization"](situation_of(CONFIG, pose=pose, is_under_roof=True))
@@ -282,13 +282,13 @@ def test_uwb_age_at_its_limit() -> None:
 @pytest.mark.parametrize(("kind", "section", "changes"), [
     (BrakeTestConfig, "brake_test", {"brake_kmh": 1.8}), (DetectionRangeConfig, "detection_range", {"good_ratio": 0.1}),
 ])  # fmt: skip
-def test_values_that_contradict_each_other_are_refused(kind, section: str, changes: dict[str, float]) -> None:
+def test_contradictory_values(kind, section: str, changes: dict[str, float]) -> None:
     values = getattr(CONFIG, section).model_dump() | changes
     with pytest.raises(ConfigError, match=r"never reached|good_ratio"):
         parse(kind, values, "test")
 
 
-def test_before_any_lidar_has_looked_nothing_is_free(world: World) -> None:
+def test_no_clearance_before_the_first_scan(world: World) -> None:
     world.mute |= {"lidar/front", "lidar/rear"}
     world.run(0.4)
     assert world.supervisor.collision_monitor.clearance() is None

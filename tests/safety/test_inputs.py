@@ -1,4 +1,4 @@
-"""What the supervisor reads and tells: topics, ages, lost sensors, and its state."""
+"""Inputs of the supervisor (topics, ages, sensor failures) and its state message."""
 
 import math
 from dataclasses import replace
@@ -52,7 +52,7 @@ def stamped(stamp_ns: int = NOW_NS) -> Any:
 
 
 def collision_monitor(*away: str, frozen: tuple[str, ...] = ()) -> Any:
-    """Two lidars, of which some look away, and a radar."""
+    """Two lidars, some of which do not cover the direction of travel, and a radar."""
     lidars = [
         SimpleNamespace(name=name, covers=lambda direction, name=name: name not in away or direction != 1)
         for name in ("front", "rear")
@@ -61,14 +61,14 @@ def collision_monitor(*away: str, frozen: tuple[str, ...] = ()) -> Any:
     return SimpleNamespace(sources=SimpleNamespace(lidars=lidars, radars=radars))
 
 
-def test_all_of_the_machines_sensors_are_read(inputs: SupervisorInputs) -> None:
+def test_topics_of_all_sensors(inputs: SupervisorInputs) -> None:
     others = ("radar_front", "camera_front", *(f"ultrasonic_{name}" for name in ULTRASONIC))
-    heard = ("radar/front", *(f"ultrasonic/{name}" for name in ULTRASONIC))
-    told = [f"{kind}/{label}" for kind in ("obstacles", "health") for label in others]
-    assert inputs.reads == dict.fromkeys((*OWN, "path", *heard, *told), Latest())
+    raw = ("radar/front", *(f"ultrasonic/{name}" for name in ULTRASONIC))
+    derived = [f"{kind}/{label}" for kind in ("obstacles", "health") for label in others]
+    assert inputs.reads == dict.fromkeys((*OWN, "path", *raw, *derived), Latest())
 
 
-def test_what_the_machine_lacks_is_not_waited_for(full: Vehicle, config: SupervisorConfig) -> None:
+def test_no_topics_of_missing_sensors(full: Vehicle, config: SupervisorConfig) -> None:
     bare = full.sensors.model_copy(update={"imu": None, "wheels": None, "radar": {}, "ultrasonic": {}})
     reads = SupervisorInputs(bare, frozenset({"camera_front"}), config).reads
     assert set(reads) == {*OWN, "path"} - {"imu", "wheel"}
@@ -78,7 +78,7 @@ def odometry(**changes: Any) -> Odometry:
     return replace(Odometry(NOW_NS, np.eye(4), 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), **changes)
 
 
-def test_what_came_is_seen_by_name(inputs: SupervisorInputs) -> None:
+def test_read(inputs: SupervisorInputs) -> None:
     inbox, machine = SyntheticInbox(), machine_state(NOW_NS, fold_position=0.7)
     inbox.now_ns = NOW_NS
     pose = MapPose(NOW_NS, np.eye(4), np.eye(4), np.eye(6), PositionSource.RTK_FIXED, 0.1, 0.1, True)
@@ -106,7 +106,7 @@ def test_what_came_is_seen_by_name(inputs: SupervisorInputs) -> None:
     assert (broken.odom, broken.map_pose, broken.fold) == (None, None, None)
 
 
-def test_ages_are_of_all_that_the_direction_needs(inputs: SupervisorInputs) -> None:
+def test_ages_by_direction(inputs: SupervisorInputs) -> None:
     inbox = SyntheticInbox()
     inbox.messages.update({"lidar/front": stamped(NOW_NS - 300_000_000), "odom": stamped(NOW_NS)})
     ages = {age.topic: age for age in inputs.ages(NOW_NS, inbox, collision_monitor(), 1)}
@@ -142,7 +142,7 @@ def sensor_failures(
     ]
 
 
-def test_nothing_is_lost_when_all_tell(inputs: SupervisorInputs) -> None:
+def test_no_sensor_failure(inputs: SupervisorInputs) -> None:
     inbox, _ = all_well(inputs)
     assert sensor_failures(inputs, inbox) == sensor_failures(inputs, inbox, -1) == []
 
@@ -152,16 +152,14 @@ def test_nothing_is_lost_when_all_tell(inputs: SupervisorInputs) -> None:
     ("ultrasonic/rear", -1, "ultrasonic/rear.silent"), ("health/camera_front", 1, "health/camera_front.silent"),
     ("obstacles/camera_front", 1, "obstacles/camera_front.silent"),
 ])  # fmt: skip
-def test_who_does_not_tell_is_lost_where_it_looks(
-    inputs: SupervisorInputs, topic: str, direction: int, code: str
-) -> None:
+def test_sensor_timeout_in_its_direction(inputs: SupervisorInputs, topic: str, direction: int, code: str) -> None:
     inbox, _ = all_well(inputs)
     del inbox.messages[topic]
     assert sensor_failures(inputs, inbox, direction) == [code]
     assert sensor_failures(inputs, inbox, -direction) == []
 
 
-def test_a_frozen_radar_and_a_blind_sector_are_lost(inputs: SupervisorInputs, config: SupervisorConfig) -> None:
+def test_frozen_radar_and_blind_sector(inputs: SupervisorInputs, config: SupervisorConfig) -> None:
     inbox, _ = all_well(inputs)
     assert sensor_failures(inputs, inbox, frozen=("front",)) == ["radar/front.frozen"]
     half_rad = math.radians(config.detection_range.half_cone_deg)
@@ -176,9 +174,7 @@ def test_a_frozen_radar_and_a_blind_sector_are_lost(inputs: SupervisorInputs, co
 
 
 @pytest.mark.parametrize(("label", "max_output_age_s"), [("radar_front", 0.4), ("camera_front", 1.5)])
-def test_what_was_told_may_be_as_old_as_its_sensor_is_slow(
-    inputs: SupervisorInputs, label: str, max_output_age_s: float
-) -> None:
+def test_max_output_age(inputs: SupervisorInputs, label: str, max_output_age_s: float) -> None:
     inbox, _ = all_well(inputs)
     for age_s, is_told in (
         (max_output_age_s, True),
@@ -190,7 +186,7 @@ def test_what_was_told_may_be_as_old_as_its_sensor_is_slow(
         assert (sensor_failures(inputs, inbox) == []) == is_told, age_s
 
 
-def test_each_kind_that_is_lost_leaves_its_own_range(config: SupervisorConfig) -> None:
+def test_range_without_each_kind(config: SupervisorConfig) -> None:
     left = [config.rules.sensor_loss.without_m[kind] for kind in ("radar", "camera", "ultrasonic")]
     assert left == [5.0, 4.3, 3.0]
 
@@ -249,7 +245,7 @@ def test_supervisor_state(vehicle: Vehicle, config: SupervisorConfig) -> None:
 
 
 @pytest.mark.parametrize(("count", "every"), [(1, 1), (300, 1), (301, 2), (600, 2), (601, 3)])
-def test_at_most_300_hits_are_told(config: SupervisorConfig, count: int, every: int) -> None:
+def test_at_most_300_triggering_points(config: SupervisorConfig, count: int, every: int) -> None:
     hits = np.column_stack([np.arange(float(count)), np.zeros(count), np.zeros(count)])
     monitor: Any = SimpleNamespace(swept_field=None, obstacle_class=lambda odom, tracks: ObstacleClass.UNKNOWN)
     decision: Any = SimpleNamespace(results=(), clearance_m=4.5)
@@ -258,7 +254,7 @@ def test_at_most_300_hits_are_told(config: SupervisorConfig, count: int, every: 
     assert state.triggering_points_base_m[:, 0].tolist() == list(range(0, count, every))
 
 
-def test_each_topic_is_read_as_its_kind(inputs: SupervisorInputs) -> None:
+def test_message_types(inputs: SupervisorInputs) -> None:
     asked: set[tuple[str, type[Message]]] = set()
 
     class Asked(SyntheticInbox):

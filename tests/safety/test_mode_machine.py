@@ -1,4 +1,4 @@
-"""The helm alone, fed with moments made by hand."""
+"""The mode machine with constructed situations."""
 
 import math
 from dataclasses import replace
@@ -36,7 +36,7 @@ def mission(state: MissionState) -> MissionStatus:
 
 
 class Bench:
-    """A helm, and the moment it was last shown."""
+    """A mode machine and its last situation."""
 
     def __init__(self, config: SupervisorConfig) -> None:
         self.config, self.now_ns, self.sequence = config, START_NS, 0
@@ -48,7 +48,7 @@ class Bench:
     def show(
         self, *orders: OperatorCommandKind, after_s: float = 0.02, state: MissionState | None = None, **changes: Any
     ) -> Mode:
-        """The mode after a moment; all is well in it but the changes."""
+        """The mode after a situation to which no rule objects, except for the changes."""
         self.now_ns += round(after_s * 1e9)
         self.situation = situation_of(self.config, now_ns=self.now_ns, **changes)
         self.decision = evaluate_rules(self.situation, RULES)
@@ -80,7 +80,7 @@ def bench(config: SupervisorConfig) -> Bench:
     return Bench(config)
 
 
-def test_a_start_is_warned_of_for_3_s(bench: Bench) -> None:
+def test_start_warning_of_3_s(bench: Bench) -> None:
     assert (bench.mode_machine.mode, bench.reason) == (Mode.STANDBY, "standby")
     assert bench.show(OperatorCommandKind.START, **STANDING) is Mode.START_WARNING
     assert bench.reason == "start_warning"
@@ -90,7 +90,7 @@ def test_a_start_is_warned_of_for_3_s(bench: Bench) -> None:
     assert bench.reason == ""
 
 
-def test_clear_for_2500_ms_and_warned_for_1500_it_goes_on(bench: Bench) -> None:
+def test_resume_after_2500_ms_clear_and_1500_ms_warning(bench: Bench) -> None:
     bench.driving()
     assert bench.show(**near(1.0)) is Mode.OBSTACLE_STOP
     assert bench.reason == "protective_field"
@@ -112,10 +112,10 @@ def test_clear_for_2500_ms_and_warned_for_1500_it_goes_on(bench: Bench) -> None:
     bench.show(OperatorCommandKind.PAUSE, **STANDING)
     bench.show(OperatorCommandKind.START, **STANDING)
     bench.show(**STANDING)
-    assert bench.show(after_s=2.9, **STANDING) is Mode.START_WARNING  # the whole time again
+    assert bench.show(after_s=2.9, **STANDING) is Mode.START_WARNING  # the full time again
 
 
-def test_what_is_clear_allows_1800_metres_an_hour(config: SupervisorConfig) -> None:
+def test_resume_speed(config: SupervisorConfig) -> None:
     for way in around(required_range(0.5, config.braking.flat, 2.1) + 1e-6, 0.005):
         bench = Bench(config).driving()
         bench.show(**near(1.0))
@@ -124,7 +124,7 @@ def test_what_is_clear_allows_1800_metres_an_hour(config: SupervisorConfig) -> N
         assert is_clear == (way > required_range(0.5, config.braking.flat, 2.1)), way
 
 
-def test_an_obstacle_on_the_way_stops_a_standing_machine_that_would_go(bench: Bench) -> None:
+def test_obstacle_stop_at_standstill(bench: Bench) -> None:
     bench.driving()
     control_command = bench.situation.inputs.control_command
     assert control_command is not None
@@ -138,14 +138,14 @@ def test_an_obstacle_on_the_way_stops_a_standing_machine_that_would_go(bench: Be
     assert bench.show(**STANDING, **near(1.0), control_command=None) is Mode.OBSTACLE_STOP
 
 
-def test_creep_is_enough_to_go_on(config: SupervisorConfig) -> None:
+def test_creep_speed(config: SupervisorConfig) -> None:
     least = required_range(config.modes.creep_mps, config.braking.flat, 2.1)
     for way in around(least, 0.002):
         bench = Bench(config).driving()
         assert (bench.show(**STANDING, **near(way + 1e-6)) is Mode.AUTOMATIC) == (way >= least - 1e-9), way
 
 
-def test_at_the_limits_themselves(bench: Bench) -> None:
+def test_creep_and_resume_speed_at_their_limits(bench: Bench) -> None:
     def show(after_s: float, allowed_mps: float) -> Mode:
         bench.now_ns += round(after_s * 1e9)
         situation = situation_of(bench.config, now_ns=bench.now_ns, **STANDING)
@@ -171,23 +171,23 @@ ASKED = frozenset({Event.RESET, Event.START, Event.PAUSE})
     (FAULTY, {Event.PAUSE, Event.RESET}),
     (PRESSED, {Event.PAUSE}),
 ])  # fmt: skip
-def test_what_may_be_ordered_now(config: SupervisorConfig, changes: dict[str, Any], left: set[Event]) -> None:
+def test_filter_permitted(config: SupervisorConfig, changes: dict[str, Any], left: set[Event]) -> None:
     situation = situation_of(config, **STANDING | changes)
     assert filter_permitted(ASKED, situation, evaluate_rules(situation, RULES)) == left
 
 
-def test_a_fault_is_kept_until_reset(bench: Bench) -> None:
+def test_fault_latch(bench: Bench) -> None:
     bench.show(**STANDING, **FAULTY)
     assert (bench.mode_machine.mode, bench.reason, bench.mode_machine.latched) == (Mode.STANDBY, "imu.silent", None)
     bench.driving()
     assert bench.show(**FAULTY) is Mode.FAULT_STOP
     bench.show(**STANDING, brake_ineffective_s=0.0, timed_out_topics=("odom",))
-    assert bench.reason == "imu.silent"  # what came first
+    assert bench.reason == "imu.silent"  # the first fault
     assert bench.show(OperatorCommandKind.RESET, **STANDING) is Mode.STANDBY
     assert (bench.reason, bench.mode_machine.latched) == ("standby", None)
 
 
-def test_an_emergency_stop_is_told_by_what_began_it(bench: Bench) -> None:
+def test_reason_of_an_emergency_stop(bench: Bench) -> None:
     bench.driving()
     assert bench.show(OperatorCommandKind.EMERGENCY_STOP) is Mode.EMERGENCY_STOP
     assert bench.reason == "operator_command.emergency_stop"
@@ -197,7 +197,7 @@ def test_an_emergency_stop_is_told_by_what_began_it(bench: Bench) -> None:
     assert bench.reason == "emergency_stop.button"
 
 
-def test_manual_mode_is_told_by_the_hand_or_the_order(bench: Bench) -> None:
+def test_reason_of_manual_mode(bench: Bench) -> None:
     bench.driving()
     assert bench.show(driver_override_s=2.0) is Mode.MANUAL
     assert bench.reason == "driver_override"
@@ -206,7 +206,7 @@ def test_manual_mode_is_told_by_the_hand_or_the_order(bench: Bench) -> None:
     assert (bench.reason, bench.mode_machine.latched) == ("manual", None)
 
 
-def test_a_limit_is_told_when_it_is_2_cm_per_s_below_the_wish(bench: Bench) -> None:
+def test_reason_of_a_limit_below_the_command(bench: Bench) -> None:
     bench.driving()
     for speed, reason in ((2.0, ""), (2.0 - 0.02, ""), (1.9799, "speed_limit"), (1.0, "speed_limit")):
         bench.show(max_speed_mps=speed)
@@ -219,7 +219,7 @@ def test_a_limit_is_told_when_it_is_2_cm_per_s_below_the_wish(bench: Bench) -> N
     assert bench.reason == "speed_limit"
 
 
-def test_the_brakes_keep_to_the_gap_of_what_binds(bench: Bench) -> None:
+def test_braking_clearance(bench: Bench) -> None:
     bench.driving()
     bench.show(**near(20.0), max_speed_mps=1.0)
     assert math.isinf(bench.clearance_m)
@@ -228,7 +228,7 @@ def test_the_brakes_keep_to_the_gap_of_what_binds(bench: Bench) -> None:
     bench.show(**near(1.0))
     assert bench.clearance_m == 0.0
     bench.show(**near(30.0), max_speed_mps=1.0)
-    assert bench.clearance_m == 0.0  # all the brakes to the end, even when it is gone
+    assert bench.clearance_m == 0.0  # full braking until standstill, also without the obstacle
     bench.show(**STANDING, **near(30.0), max_speed_mps=1.0)
     assert bench.clearance_m == 30.0
     bench.show(**near(30.0), max_speed_mps=1.0)
@@ -236,18 +236,16 @@ def test_the_brakes_keep_to_the_gap_of_what_binds(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("state", MissionState)
-def test_finished_is_a_mission_that_is_over_and_a_machine_that_stands(
-    config: SupervisorConfig, state: MissionState
-) -> None:
+def test_finished_mode(config: SupervisorConfig, state: MissionState) -> None:
     bench = Bench(config).driving()
     assert bench.show(state=state) is Mode.AUTOMATIC
     is_over = state in (MissionState.FINISHED, MissionState.ABORTED)
     assert bench.show(state=state, **STANDING) is (Mode.FINISHED if is_over else Mode.AUTOMATIC)
     bench.show(**STANDING)
-    assert bench.mode_machine.mode is (Mode.FINISHED if is_over else Mode.AUTOMATIC)  # the start was followed once
+    assert bench.mode_machine.mode is (Mode.FINISHED if is_over else Mode.AUTOMATIC)  # the start command is used once
 
 
-def test_a_start_that_waits_does_not_outlive_a_clock_step(bench: Bench) -> None:
+def test_waiting_start_after_a_clock_step(bench: Bench) -> None:
     bench.show(OperatorCommandKind.START, **STANDING, **FAULTY)
     bench.show(**STANDING, **FAULTY, clock_step_s=-1.0)
     assert bench.show(**STANDING) is Mode.STANDBY
@@ -256,7 +254,7 @@ def test_a_start_that_waits_does_not_outlive_a_clock_step(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("stop", [FAULTY, PRESSED, {"driver_override_s": 2.0}])
-def test_who_ends_a_stop_has_seen_the_faults_that_ended(bench: Bench, stop: dict[str, Any]) -> None:
+def test_reset_of_ended_faults(bench: Bench, stop: dict[str, Any]) -> None:
     response = Response.CONTROLLED_STOP
     fault = Fault(0, "a", "part", Severity.ALARM, True, response, True, "broken", "kaputt")
     bench.fault_memory.update([fault, replace(fault, is_active=False)])

@@ -1,4 +1,4 @@
-"""The mode machine, explored whole; orders; the watchdog; alarms and reports."""
+"""Transition table in full; operator commands, time-outs, alarms, fault memory and timers."""
 
 import math
 from itertools import chain, combinations
@@ -23,8 +23,8 @@ ENGAGED = (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
 
 
 @clause("BD-5.5.1b")
-def test_every_mode_and_event_is_meant() -> None:
-    """The whole table, written a second time: what is not here changes nothing."""
+def test_transition_table() -> None:
+    """The table written a second time; all other pairs leave the mode unchanged."""
     e, m = Event, Mode
     engaged = {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.FAULT: m.FAULT_STOP, e.MANUAL: m.MANUAL,
                e.PAUSE: m.STANDBY, e.DONE: m.FINISHED}  # fmt: skip
@@ -47,8 +47,8 @@ def every_set() -> list[frozenset[Event]]:
     return [frozenset(s) for s in chain.from_iterable(combinations(Event, n) for n in range(len(Event) + 1))]
 
 
-def test_several_events_at_once_explored() -> None:
-    """All 4 096 sets in all modes: the result is that of one of the set's own events, and never bolder than needed."""
+def test_all_sets_of_events() -> None:
+    """All 4 096 sets in all modes: the result is that of one of the set's events, and of the safest."""
     for mode in Mode:
         for events in every_set():
             after = next_mode(mode, events)
@@ -60,8 +60,8 @@ def test_several_events_at_once_explored() -> None:
                 assert after not in ENGAGED
 
 
-def test_no_way_from_fault_or_emergency_to_motion_without_a_person() -> None:
-    """Walks every sequence of events that no person gives, from every mode in which the machine must wait."""
+def test_no_motion_after_a_stop_without_a_person() -> None:
+    """Every sequence of events other than operator commands, from every mode in which the machine must wait."""
     unattended = [event for event in Event if event not in PERSON]
     for start in (*STOPPED, Mode.MANUAL, Mode.STANDBY, Mode.FINISHED):
         reached, frontier = {start}, [start]
@@ -75,14 +75,14 @@ def test_no_way_from_fault_or_emergency_to_motion_without_a_person() -> None:
         assert not reached & set(ENGAGED), start
 
 
-def test_from_a_stop_it_takes_a_reset_and_then_a_start() -> None:
+def test_reset_and_start_after_a_stop() -> None:
     for mode in STOPPED:
         assert Event.START not in TRANSITIONS[mode]
         for events in every_set():
             assert next_mode(mode, events) not in ENGAGED
 
 
-def test_from_emergency_only_a_reset_leads_away() -> None:
+def test_only_reset_ends_an_emergency_stop() -> None:
     assert set(TRANSITIONS[Mode.EMERGENCY_STOP]) == {Event.RESET}
 
 
@@ -92,7 +92,7 @@ def order(
     return OperatorCommand(0, kind, authority, sequence, expires_ns)
 
 
-def test_each_order_is_its_event() -> None:
+def test_event_of_each_operator_command() -> None:
     expected = {OperatorCommandKind.START: Event.START, OperatorCommandKind.RESUME: Event.START,
     OperatorCommandKind.PAUSE: Event.PAUSE,
                 OperatorCommandKind.EMERGENCY_STOP: Event.EMERGENCY, OperatorCommandKind.RESET: Event.RESET,
@@ -103,7 +103,7 @@ def test_each_order_is_its_event() -> None:
 
 
 @pytest.mark.parametrize("kind", [k for k in OperatorCommandKind if k is not OperatorCommandKind.EMERGENCY_STOP])
-def test_orders_without_authority_order_or_time_are_refused(kind: OperatorCommandKind) -> None:
+def test_refused_operator_commands(kind: OperatorCommandKind) -> None:
     orders = OperatorCommands(("operator", "remote"))
     assert orders.events(0, [order(kind, authority="passer-by")]) == frozenset()
     assert orders.events(101, [order(kind)]) == frozenset()
@@ -116,19 +116,19 @@ def test_orders_without_authority_order_or_time_are_refused(kind: OperatorComman
     assert orders.events(0, [order(kind, 0, "remote")])
 
 
-def test_an_order_counts_from_number_0_to_the_moment_it_expires() -> None:
+def test_first_sequence_and_expiry() -> None:
     orders = OperatorCommands(("operator",))
     assert orders.events(0, [order(OperatorCommandKind.PAUSE, -1)]) == frozenset()
     assert orders.events(100, [order(OperatorCommandKind.PAUSE, 0)]) == {Event.PAUSE}
 
 
-def test_emergency_stop_is_taken_from_anyone() -> None:
+def test_emergency_stop_without_authority() -> None:
     orders = OperatorCommands(("operator",))
     stop = order(OperatorCommandKind.EMERGENCY_STOP, -5, "passer-by", -1)
     assert orders.events(1000, [stop, stop]) == {Event.EMERGENCY}
 
 
-def test_a_start_waits_until_it_expires_or_another_order_comes() -> None:
+def test_waiting_start() -> None:
     orders = OperatorCommands(("operator",))
     assert orders.events(0, [order(OperatorCommandKind.START, 1)]) == {Event.START}
     for now in around(100, 1):
@@ -146,7 +146,7 @@ def test_a_start_waits_until_it_expires_or_another_order_comes() -> None:
         assert orders.events(2, []) == frozenset()
 
 
-def test_age_at_its_limit() -> None:
+def test_topic_age_limit() -> None:
     for age_ms in around(100, 1):
         age = age_of("odom", START_NS, START_NS + round(age_ms * 1e6))
         assert age.is_stale == (age_ms > 100), age_ms
@@ -168,7 +168,7 @@ def blamed(**ages_s: float) -> tuple[str, ...]:
     return timed_out_topics([TopicAge(topic, ages_s.get(topic.replace("/", "_"), FINE), 0.1) for topic in order_of])
 
 
-def test_the_cause_is_blamed() -> None:
+def test_root_cause() -> None:
     assert blamed() == ()
     assert blamed(odom=STALE) == ("odom",)
     assert blamed(odom=STALE, imu=LATE) == ("imu",)
@@ -191,7 +191,7 @@ def fault(code: str, is_active: bool = True, is_latched: bool = False) -> Fault:
     return Fault(0, code, "part", Severity.ALARM, is_latched, stop, is_active, "broken", "kaputt")
 
 
-def test_reports_begin_end_and_stay() -> None:
+def test_fault_memory() -> None:
     fault_memory = FaultMemory()
     fault_memory.update([fault("a"), fault("b", is_latched=True), fault("c", is_active=False)])
     assert [f.code for f in fault_memory.active] == ["a", "b"]
@@ -211,7 +211,7 @@ def result(code: str, response: Response = Response.CONTROLLED_STOP) -> RuleResu
     return RuleResult(code, response, 0.0, "text")
 
 
-def test_alarms_come_one_a_second_cause_first() -> None:
+def test_alarm_spacing() -> None:
     alarms, reported = Alarms(TEXTS), []
     wanted = [result("imu.silent"), result("odom.silent"), result("localization.gnss_lost", Response.NONE)]
     for k in range(150):
@@ -241,12 +241,12 @@ def test_chinese_texts() -> None:
     assert text_zh(TEXTS, "silent") == "部件报告故障：silent"
 
 
-def test_held_and_window() -> None:
+def test_debounce_timer_and_recent_range() -> None:
     held = DebounceTimer()
     assert not held.is_held
     assert [held.update(k * 10**9, k >= 2) for k in range(5)] == [0.0, 0.0, 0.0, 1.0, 2.0]
     assert held.is_held
-    assert held.update(1, True) == 0.0  # the clock went back: counted anew
+    assert held.update(1, True) == 0.0  # the clock went back: restarted
     assert held.update(2, False) == 0.0
     window = RecentRange(1.0)
     assert window.distance(3.0) == 0.0

@@ -50,7 +50,7 @@ def with_machine(**changes: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_nothing_is_wrong(rule: str, config: SupervisorConfig) -> None:
+def test_no_objection(rule: str, config: SupervisorConfig) -> None:
     response, code, limit = ask(rule, config)
     assert response <= LIMIT
     assert limit >= 8.0
@@ -61,13 +61,13 @@ def test_nothing_is_wrong(rule: str, config: SupervisorConfig) -> None:
     "rule",
     ["emergency_stop", "driver_override", "supply_voltage", "steering", "localization", "tilt", "implement_fold"],
 )
-def test_what_is_missing_is_the_watchdogs_matter(rule: str, config: SupervisorConfig) -> None:
+def test_missing_inputs_are_left_to_message_timeout(rule: str, config: SupervisorConfig) -> None:
     missing = ask(rule, config, machine=None, map_pose=None, odom=None, is_foldable=True)
     assert missing == (NONE, NO_OBJECTION[rule], math.inf)
 
 
 @clause(rule="clock_step")
-def test_clock(config: SupervisorConfig) -> None:
+def test_clock_step(config: SupervisorConfig) -> None:
     for step in around(0.0, 0.6):
         assert ask("clock_step", config, clock_step_s=step)[:2] == (STOP if step else NONE, "clock_step"), step
 
@@ -87,7 +87,7 @@ def test_emergency_button_and_pedal(config: SupervisorConfig) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 @clause("BD-5.5.2e", rule="driver_override")
-def test_hand_on_the_wheel(config: SupervisorConfig, sign: int) -> None:
+def test_driver_override(config: SupervisorConfig, sign: int) -> None:
     for rate in around(50.0, 0.125):
         expected = STOP if rate >= 50.0 else NONE
         assert (
@@ -119,7 +119,7 @@ def test_reported_faults(config: SupervisorConfig, response: Response) -> None:
 
 
 @clause("BD-5.5.1a", "BD-5.5.2d", rule="message_timeout")
-def test_silence(config: SupervisorConfig) -> None:
+def test_message_timeout(config: SupervisorConfig) -> None:
     assert ask("message_timeout", config, timed_out_topics=("imu", "odom"))[:2] == (STOP, "imu.silent")
     assert ask("message_timeout", config, timed_out_topics=("control_command",))[:2] == (STOP, "control_command.silent")
     assert ask("message_timeout", config, timed_out_topics=("control_command",), speed_mps=0.0) == (
@@ -141,7 +141,7 @@ def test_silence(config: SupervisorConfig) -> None:
 
 @pytest.mark.parametrize("group", ["heartbeat", "motion", "steering", "cab"])
 @clause("BD-5.5.1a", "BD-5.5.2d", rule="message_timeout")
-def test_silent_group_of_the_machine(config: SupervisorConfig, group: str) -> None:
+def test_timeout_of_a_machine_state_group(config: SupervisorConfig, group: str) -> None:
     for age_ms in around(350, 1):
         changes = {f"{group}_stamp_ns": START_NS - round(age_ms * 1e6)}
         expected = (STOP, f"machine.{group}.silent") if age_ms > 350 else (NONE, "message_timeout")
@@ -149,7 +149,7 @@ def test_silent_group_of_the_machine(config: SupervisorConfig, group: str) -> No
 
 
 @clause("BD-5.6.1a", "BD-5.1d", rule="supply_voltage")
-def test_supply(config: SupervisorConfig) -> None:
+def test_supply_voltage(config: SupervisorConfig) -> None:
     for volts in around(9.0, 0.05):
         assert ask("supply_voltage", config, **with_machine(supply_v=volts))[0] is (NONE if volts >= 9.0 else STOP), (
             volts
@@ -224,7 +224,7 @@ def test_tilt(config: SupervisorConfig, axis: str, sign: int) -> None:
 
 
 @clause(rule="geofence")
-def test_fence(config: SupervisorConfig) -> None:
+def test_geofence(config: SupervisorConfig) -> None:
     assert ask("geofence", config, geofence_distance_m=None) == (LIMIT, "geofence.unknown", 0.0)
     assert ask("geofence", config, geofence_distance_m=-1.0)[:2] == (STOP, "geofence.outside")
     assert ask("geofence", config, geofence_distance_m=0.0) == (LIMIT, "geofence", 0.0)
@@ -242,7 +242,7 @@ def clearance(main: float, arc: float = math.inf) -> dict[str, Any]:
 
 
 @clause("BD-5.2.4", "BD-5.2.5b", rule="protective_field")
-def test_obstacle(config: SupervisorConfig) -> None:
+def test_protective_field(config: SupervisorConfig) -> None:
     assert ask("protective_field", config, clearance=None) == (LIMIT, "protective_field.no_scan", 0.0)
     stopping = stopping_distance(2.0, config.braking.flat)
     for main in around(stopping, 0.01):
@@ -261,7 +261,7 @@ def test_obstacle(config: SupervisorConfig) -> None:
 
 
 @clause("BD-5.2.4", "BD-5.2.5b", rule="tracked_obstacle")
-def test_tracked(config: SupervisorConfig) -> None:
+def test_tracked_obstacle(config: SupervisorConfig) -> None:
     stopping = stopping_distance(2.0, config.braking.flat)
     for away in around(stopping, 0.01):
         expected = STOP if away < stopping else LIMIT
@@ -280,7 +280,7 @@ def test_tracked(config: SupervisorConfig) -> None:
 
 
 @clause("BD-5.2.4", rule="detection_range")
-def test_proven_range(config: SupervisorConfig) -> None:
+def test_detection_range(config: SupervisorConfig) -> None:
     assert ask("detection_range", config, detection_range_m=0.0) == (LIMIT, "detection_range.limit", 0.0)
     assert ask("detection_range", config, detection_range_m=0.0, blind=("lidar/front",)) == (
         LIMIT,
@@ -298,7 +298,7 @@ def test_proven_range(config: SupervisorConfig) -> None:
 
 
 @clause("BD-5.2.4", rule="sensor_loss")
-def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SupervisorConfig) -> None:
+def test_sensor_loss(config: SupervisorConfig) -> None:
     flat = config.braking.flat
     for kind, half_m, whole_m in (("radar", 2.5, 5.0), ("camera", 2.15, 4.3), ("ultrasonic", 1.5, 3.0)):
         sensor_failures = (SensorFailure(kind, f"{kind}.lost", "lost"),)
@@ -309,7 +309,7 @@ def test_a_lost_sensor_leaves_half_of_what_the_others_prove(config: SupervisorCo
 
 
 @clause(rule="implement_fold")
-def test_fold(config: SupervisorConfig) -> None:
+def test_implement_fold(config: SupervisorConfig) -> None:
     assert ask("implement_fold", config, is_foldable=True, fold=None)[:2] == (STOP, "machine.implement.silent")
     assert ask("implement_fold", config, is_foldable=True, fold=0.5) == (LIMIT, "implement_fold", 0.0)
     for changes in ({"is_foldable": False, "fold": None}, {"is_foldable": True, "fold": 1.0}):
@@ -317,18 +317,18 @@ def test_fold(config: SupervisorConfig) -> None:
 
 
 @clause(rule="speed_limit")
-def test_speed(config: SupervisorConfig) -> None:
+def test_speed_limit(config: SupervisorConfig) -> None:
     assert ask("speed_limit", config) == (LIMIT, "speed_limit", 8.0)
     assert ask("speed_limit", config, is_docking=True) == (LIMIT, "speed_limit.docking", 0.5)
 
 
 @clause(rule="wall_clearance")
-def test_survey(config: SupervisorConfig) -> None:
+def test_wall_clearance(config: SupervisorConfig) -> None:
     assert ask("wall_clearance", config, wall_distance_m=0.0) == (LIMIT, "wall_clearance", 0.0)
     assert ask("wall_clearance", config, wall_distance_m=2.0)[2] == highest_speed(2.0, config.braking.flat, 0.0)
 
 
-def test_most_restrictive_wins(config: SupervisorConfig) -> None:
+def test_most_restrictive_rule(config: SupervisorConfig) -> None:
     near = {**clearance(5.0), "critical_object": CriticalObject(4.0, ObstacleClass.PERSON, 1)}
     slow = evaluate_rules(situation_of(config, **near), RULES)
     assert slow.binding.code == "tracked_obstacle"
@@ -343,9 +343,7 @@ def test_most_restrictive_wins(config: SupervisorConfig) -> None:
     for main, arc in ((3.0, 5.0), (5.0, 3.0)):
         either = evaluate_rules(situation_of(config, speed_mps=0.0, **near | clearance(main, arc)), RULES)
         assert either.clearance_m == 3.0
-    inside = evaluate_rules(
-        situation_of(config, geofence_distance_m=None, **clearance(1.0)), RULES
-    )  # both allow nothing
+    inside = evaluate_rules(situation_of(config, geofence_distance_m=None, **clearance(1.0)), RULES)  # both limit to 0
     assert inside.binding.code == "protective_field"
     blind = evaluate_rules(situation_of(config, clearance=None, geofence_distance_m=None), RULES)
     assert (blind.clearance_m, blind.is_ready) == (math.inf, False)

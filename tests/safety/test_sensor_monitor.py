@@ -160,8 +160,8 @@ def test_sensor_loss_speed_and_code(seeing: World, config: SafetyConfig, topic: 
     assert seeing.mode == Mode.AUTOMATIC
     assert seeing.command.reason == LOST[topic]
     assert 0.5 < seeing.speed_mps < 0.8 * 2.78
-    told = [fault for fault in seeing.faults if fault.is_active]
-    assert [fault.code for fault in told] == [LOST[topic]]
+    reported = [fault for fault in seeing.faults if fault.is_active]
+    assert [fault.code for fault in reported] == [LOST[topic]]
     seeing.mute.clear()
     seeing.run(4.0)
     assert seeing.command.reason == ""

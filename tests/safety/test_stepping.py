@@ -1,4 +1,4 @@
-"""One step of the supervisor among parts that only say what they were asked: who is told what, in which order."""
+"""One step of the supervisor with spies for its parts: their arguments and the order of the outputs."""
 
 import math
 from collections.abc import Callable
@@ -36,13 +36,13 @@ from tests.safety.test_collision_monitor import CONTROL_COMMAND, SEEN, Spy
 
 FAULT_TOPICS = ("fault/executor", "fault/planner")
 COMMAND, STATE = object(), object()
-ADVISORIES = [advisory("a.b", "something to be told")]
+ADVISORIES = [advisory("a.b", "advisory text")]
 GAP = Clearance(7.0, 3.0, np.empty((0, 3)))
 THREAT = CriticalObject(9.0, ObstacleClass.PERSON, 4)
 
 
 class KindInbox(SyntheticInbox):
-    """Gives nothing to who asks for another kind than the topic's."""
+    """Asserts the message type of the topic."""
 
     def latest(self, topic: str, kind: type) -> Any:
         assert kind is spec_of(topic).type
@@ -55,7 +55,7 @@ class KindInbox(SyntheticInbox):
 
 @pytest.fixture(scope="module")
 def machine(full: Vehicle) -> Vehicle:
-    """Its lidars differ in noise."""
+    """A machine whose lidars differ in noise."""
     lidars = full.sensors.lidar
     noisy = {"front": lidars["front"], "rear": lidars["rear"].model_copy(update={"range_sigma_m": 0.07})}
     return full.model_copy(update={"sensors": full.sensors.model_copy(update={"lidar": noisy})})
@@ -79,7 +79,7 @@ def source(name: str, covers: int, is_frozen: bool) -> Any:
 
 @pytest.fixture
 def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
-    """Stands for all that a supervisor asks."""
+    """Spies for all parts of a supervisor."""
     proven = {"lidar/rear": 30.0, "lidar/low": 0.5, "lidar/side": 0.0}
     lidars = [source("rear", -1, True), source("low", -1, False), source("front", 1, True)]
     decision: Any = SimpleNamespace(allowed_mps=1.2, advisories=tuple(ADVISORIES))
@@ -109,7 +109,7 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
 
 @pytest.fixture
 def among(make: Callable[..., Any], parts: Any) -> Callable[..., Any]:
-    """A supervisor among these parts."""
+    """A supervisor with these parts."""
 
     def made(**what: Any) -> Any:
         supervisor = make(**what)
@@ -133,7 +133,7 @@ def inbox() -> KindInbox:
     return found
 
 
-def test_what_it_reads_writes_and_when_it_runs(make: Any, machine: Vehicle, config: SupervisorConfig) -> None:
+def test_topics_and_period(make: Any, machine: Vehicle, config: SupervisorConfig) -> None:
     supervisor = make()
     reads = SupervisorInputs(machine.sensors, frozenset(), config).reads
     assert supervisor.reads == reads | dict.fromkeys(("operator_command", *FAULT_TOPICS), All(50))
@@ -143,7 +143,7 @@ def test_what_it_reads_writes_and_when_it_runs(make: Any, machine: Vehicle, conf
     assert set(supervisor.reads) - set(idle.reads) == {"obstacles/camera_front", "health/camera_front"}
 
 
-def test_all_parts_are_of_the_same_machine(
+def test_parts_have_the_same_configuration(
     make: Any, machine: Vehicle, implement, config: SupervisorConfig, geofence: Geofence
 ) -> None:
     known_structure = KnownStructure(
@@ -166,7 +166,7 @@ def test_composed_parts(make: Any, config: SupervisorConfig) -> None:
     assert supervisor._mode_machine is mode_machine
 
 
-def test_nothing_known_is_standby_in_one_step(make: Any) -> None:
+def test_standby_without_inputs(make: Any) -> None:
     outputs = dict(make().step(START_NS, KindInbox()))
     command, state = outputs["safe_command"], outputs["supervisor"]
     assert isinstance(command, SafeCommand)
@@ -175,7 +175,7 @@ def test_nothing_known_is_standby_in_one_step(make: Any) -> None:
     assert (state.detection_range_m, state.clearance_m, state.mode) == (0.0, math.inf, Mode.STANDBY)
 
 
-def test_measured_and_looked_at_is_what_was_seen(among: Any, parts: Any, inbox: Any, config: SupervisorConfig) -> None:
+def test_monitors_get_the_inputs(among: Any, parts: Any, inbox: Any, config: SupervisorConfig) -> None:
     supervisor, machine = among(), inbox.messages["machine"]
     supervisor.step(START_NS, inbox)
     assert parts.inputs.read.asked == (inbox, machine)
@@ -187,9 +187,7 @@ def test_measured_and_looked_at_is_what_was_seen(among: Any, parts: Any, inbox: 
     assert [fault.code for fault in parts.mode_machine.fault_memory.active] == list(FAULT_TOPICS)
 
 
-def test_the_situation_says_it_all(
-    among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SupervisorConfig
-) -> None:
+def test_situation(among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SupervisorConfig) -> None:
     supervisor = among()
     supervisor.step(START_NS, inbox)
     situation, rules = parts.evaluate_rules.asked
@@ -211,7 +209,7 @@ def test_the_situation_says_it_all(
     assert parts.brake_test.update.asked == (Mode.AUTOMATIC, -1.5, 12.0)
 
 
-def test_what_is_not_known_is_not_taken_for_known(among: Any, parts: Any, inbox: Any, config: SupervisorConfig) -> None:
+def test_situation_with_unknown_values(among: Any, parts: Any, inbox: Any, config: SupervisorConfig) -> None:
     parts.vehicle_monitor.update.answer = measured(config, None)
     parts.monitor.sources.detection_range_m.answer = {}
     supervisor = among()
@@ -221,16 +219,14 @@ def test_what_is_not_known_is_not_taken_for_known(among: Any, parts: Any, inbox:
     assert (situation.detection_range_m, situation.blind) == (0.0, ())
 
 
-def test_no_faster_than_machine_and_configuration_allow(
-    among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SupervisorConfig
-) -> None:
+def test_max_speed(among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SupervisorConfig) -> None:
     for kmh in (12.0, 90.0):
         among(vehicle=machine.model_copy(update={"max_speed_kmh": kmh})).step(START_NS, inbox)
         most_mps = parts.evaluate_rules.asked[0].max_speed_mps
         assert most_mps == pytest.approx(min(kmh, config.limits.speed_kmh) / 3.6)
 
 
-def test_without_lidars_there_is_no_noise(
+def test_allowance_without_lidars(
     among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SupervisorConfig
 ) -> None:
     bare = machine.model_copy(update={"sensors": machine.sensors.model_copy(update={"lidar": {}})})
@@ -238,7 +234,9 @@ def test_without_lidars_there_is_no_noise(
     assert parts.evaluate_rules.asked[0].allowance_m == allowance_m(config.docked.field, 0.0, 0.03)
 
 
-def test_helm_and_commander_get_the_judgement(among: Any, parts: Any, inbox: Any, config: SupervisorConfig) -> None:
+def test_mode_machine_and_command_builder_get_the_decision(
+    among: Any, parts: Any, inbox: Any, config: SupervisorConfig
+) -> None:
     supervisor = among()
     supervisor.step(START_NS, inbox)
     situation = parts.evaluate_rules.asked[0]
@@ -262,7 +260,7 @@ def test_helm_and_commander_get_the_judgement(among: Any, parts: Any, inbox: Any
     assert parts.command_builder.command.asked[0].curvature_radpm is None
 
 
-def test_command_faults_and_state_leave_it(among: Any, parts: Any, inbox: Any) -> None:
+def test_outputs(among: Any, parts: Any, inbox: Any) -> None:
     supervisor = among()
     parts.alarms.update.answer = ["one", "other"]
     assert supervisor.step(START_NS, inbox) == [
@@ -295,7 +293,7 @@ def test_alarms_of_the_latched_cause_and_of_advisories_while_engaged(among: Any,
         assert parts.alarms.update.asked == (START_NS, expected)
 
 
-def test_the_state_is_due_ten_times_a_second_and_when_mode_or_reason_change(among: Any, parts: Any) -> None:
+def test_state_period(among: Any, parts: Any) -> None:
     supervisor = among()
     due = supervisor._is_state_due
     assert due(START_NS, "")
@@ -312,7 +310,7 @@ def test_the_state_is_due_ten_times_a_second_and_when_mode_or_reason_change(amon
     assert due(START_NS + 2 * STATE_NS, "x")
 
 
-def test_after_a_step_of_the_clock_nothing_seen_before_counts(make: Any, config: SupervisorConfig, parts: Any) -> None:
+def test_monitors_restart_after_a_clock_step(make: Any, config: SupervisorConfig, parts: Any) -> None:
     supervisor = make()
     limit_ns = round(config.limits.clock_step_s * 1e9)
     collision_monitor, vehicle_monitor, now_ns = supervisor.collision_monitor, supervisor._vehicle_monitor, START_NS
@@ -334,7 +332,7 @@ def test_after_a_step_of_the_clock_nothing_seen_before_counts(make: Any, config:
     assert supervisor._watch_clock(now_ns) == 0.0
 
 
-def test_the_step_of_the_clock_is_judged(among: Any, parts: Any, inbox: Any) -> None:
+def test_clock_step_in_the_situation(among: Any, parts: Any, inbox: Any) -> None:
     supervisor = among()
     supervisor._new_monitor = lambda: parts.monitor
     supervisor.step(START_NS, inbox)

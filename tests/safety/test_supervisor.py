@@ -1,4 +1,4 @@
-"""The supervisor in a closed loop: a machine that obeys its commands, over ground seen by its lidars."""
+"""The supervisor in a closed loop: a machine that obeys its commands, over ground scanned by its lidars."""
 
 import copy
 import math
@@ -29,7 +29,7 @@ STARTED: list[World] = []
 
 
 def driving(world: World, speed_mps: float = 2.0) -> World:
-    """In automatic mode and at speed; the start of an untouched world is driven once and copied."""
+    """A world in automatic mode at speed; the start of an unchanged world is simulated once and copied."""
     is_untouched = world.is_plain and world.steps == 0 and (world.boxes, world.mute, world.slope) == ((), set(), 0.0)
     if is_untouched and STARTED:
         world.__dict__.update(copy.deepcopy(STARTED[0]).__dict__)
@@ -44,7 +44,7 @@ def driving(world: World, speed_mps: float = 2.0) -> World:
     return world.run(0.2)
 
 
-def test_nothing_known_is_standby(world: World) -> None:
+def test_standby_without_inputs(world: World) -> None:
     inbox = SyntheticInbox()
     outputs = dict(world.supervisor.step(START_NS, inbox))
     command, state = outputs["safe_command"], outputs["supervisor"]
@@ -58,13 +58,13 @@ def test_nothing_known_is_standby(world: World) -> None:
     assert len(state.protective_field_base_m) == 0
 
 
-def test_a_start_without_knowledge_does_nothing(world: World) -> None:
+def test_start_waits_for_inputs(world: World) -> None:
     world.mute |= {"odom", "machine"}
     world.order(OperatorCommandKind.START)
     world.run(5.0)
     assert world.mode == Mode.STANDBY
     world.mute.clear()
-    world.run(3.4)  # the order still waits
+    world.run(3.4)  # the operator command still waits
     assert world.mode == Mode.AUTOMATIC
 
 
@@ -85,7 +85,7 @@ def test_start_warning_before_the_first_motion(world: World, config: SafetyConfi
     assert rises.max() <= 0.6 * 0.02 + 1e-9
 
 
-def test_every_step_commands_and_state_comes_at_10_hz(world: World) -> None:
+def test_command_every_step_and_state_at_10_hz(world: World) -> None:
     states = commands = 0
     for _ in range(50):
         world.inbox.now_ns += STEP_NS
@@ -99,7 +99,7 @@ def test_every_step_commands_and_state_comes_at_10_hz(world: World) -> None:
 
 
 @clause("BD-5.2.4", "BD-5.2.5b", rule="protective_field")
-def test_stops_the_margin_before_an_obstacle_and_resumes(world: World, config: SafetyConfig) -> None:
+def test_stop_before_an_obstacle_and_resume(world: World, config: SafetyConfig) -> None:
     world.start()
     world.boxes = (Box(20.0, 0.0),)
     world.run(13.0)
@@ -112,7 +112,7 @@ def test_stops_the_margin_before_an_obstacle_and_resumes(world: World, config: S
     assert world.command.is_park_brake_set
     assert world.faults == []
     hardest = max(c.deceleration_mps2 for _, c in world.history)
-    assert hardest < 2.5  # seen in time, so braked in comfort
+    assert hardest < 2.5  # detected in time: gentle braking
     world.boxes = ()
     world.run(config.modes.resume_clear_s - 0.3)
     assert world.mode == Mode.OBSTACLE_STOP
@@ -126,7 +126,7 @@ def test_stops_the_margin_before_an_obstacle_and_resumes(world: World, config: S
     assert not world.command.is_park_brake_set
 
 
-def test_an_obstacle_that_comes_and_goes_does_not_let_it_resume(world: World) -> None:
+def test_no_resume_with_an_intermittent_obstacle(world: World) -> None:
     driving(world)
     world.boxes = (Box(world.x_m + 8.0, 0.0),)
     world.run(5.0)
@@ -139,7 +139,7 @@ def test_an_obstacle_that_comes_and_goes_does_not_let_it_resume(world: World) ->
 
 
 @clause("BD-5.2.5b", rule="protective_field")
-def test_suddenly_inside_the_stopping_distance(world: World) -> None:
+def test_obstacle_inside_the_stopping_distance(world: World) -> None:
     driving(world, 2.78)
     world.boxes = (Box(world.x_m + FRONT_M + 3.6, 0.0),)
     world.run(0.3)
@@ -150,7 +150,7 @@ def test_suddenly_inside_the_stopping_distance(world: World) -> None:
     assert world.boxes[0].x_m - 0.25 > world.x_m + FRONT_M
 
 
-def test_an_obstacle_in_the_start_warning(world: World) -> None:
+def test_obstacle_during_the_start_warning(world: World) -> None:
     world.run(0.2)
     world.boxes = (Box(5.0, 0.0),)
     world.order(OperatorCommandKind.START)
@@ -171,7 +171,7 @@ def test_posts_beside_the_implement(world: World, side: int, beside_m: float, st
         assert all(c.reason == "" for mode, c in world.history if mode == Mode.AUTOMATIC)
 
 
-def test_crops_slopes_and_the_own_implement_do_not_slow(world: World) -> None:
+def test_no_slowing_by_crops_slopes_and_own_implement(world: World) -> None:
     world.slope = 0.08
     crops = tuple(Box(6.0 + 2.0 * k, y, (1.2, 0.3, 0.2)) for k in range(3) for y in (-1.0, 1.0))
     world.shape_boxes = (Box(-1.75, 0.0, (1.3, 6.1, 1.2)), *crops)
@@ -180,8 +180,8 @@ def test_crops_slopes_and_the_own_implement_do_not_slow(world: World) -> None:
     assert len(world.state.triggering_points_base_m) == 0
 
 
-def test_a_curve_keeps_clear_of_what_only_the_arc_would_meet(config, sparse, implement, geofence) -> None:
-    """The plan goes straight on after a bend: a fence that the bend would meet later neither stops nor slows."""
+def test_obstacle_beside_the_planned_path_on_the_arc(config, sparse, implement, geofence) -> None:
+    """Straight path after a bend: a fence on the extended arc neither stops nor slows."""
     world = World(Supervisor(sparse, implement, config, geofence, ()), sparse, straight_path())
     driving(world, 1.4)
     world.curvature = 0.15
@@ -191,7 +191,7 @@ def test_a_curve_keeps_clear_of_what_only_the_arc_would_meet(config, sparse, imp
     world.step(5)
     assert world.command.reason == ""
     world.boxes = (Box(world.x_m + 4.9, 1.5, (0.4, 0.4, 1.5)),)
-    world.path = straight_path(2, start=(world.x_m, -30.0))  # no place on this plan: the arc takes its part
+    world.path = straight_path(2, start=(world.x_m, -30.0))  # far from this path: the arc alone
     world.run(0.3)
     assert world.mode == Mode.OBSTACLE_STOP
 
@@ -201,7 +201,7 @@ def backing(world: World) -> World:
     return world
 
 
-def test_reverse_sees_with_the_rear_lidar(world: World, config: SafetyConfig) -> None:
+def test_reverse_with_the_rear_lidar(world: World, config: SafetyConfig) -> None:
     backing(world).commanded_mps = 1.2
     world.boxes = (Box(-12.0, 0.0), Box(8.0, 0.0))
     world.start()
@@ -211,7 +211,7 @@ def test_reverse_sees_with_the_rear_lidar(world: World, config: SafetyConfig) ->
     assert config.field.margin_m <= left <= config.field.margin_m + 0.4
 
 
-def test_where_no_sensor_looks_it_does_not_drive(config, sparse: Vehicle, implement, geofence) -> None:
+def test_no_driving_without_a_sensor_in_the_direction(config, sparse: Vehicle, implement, geofence) -> None:
     only_front = sparse.sensors.model_copy(update={"lidar": {"front": sparse.sensors.lidar["front"]}})
     blind = sparse.model_copy(update={"sensors": only_front})
     world = backing(World(Supervisor(blind, implement, config, geofence, ()), blind, straight_path()))
@@ -221,7 +221,7 @@ def test_where_no_sensor_looks_it_does_not_drive(config, sparse: Vehicle, implem
     assert world.state.reason == "detection_range.limit"
 
 
-def test_a_silent_rear_lidar_matters_only_in_reverse(world: World) -> None:
+def test_rear_lidar_timeout_only_in_reverse(world: World) -> None:
     world.mute.add("lidar/rear")
     driving(world).run(1.0)
     assert world.mode == Mode.AUTOMATIC
@@ -246,7 +246,7 @@ SILENT = {"imu": "imu.silent", "wheel": "wheel.silent", "lidar/front": "lidar/fr
 
 @pytest.mark.parametrize("topic", SILENT)
 @clause("BD-5.5.1a", "BD-5.5.2d", rule="message_timeout")
-def test_whatever_falls_silent_it_stands_in_time_with_the_right_reason(world: World, config, topic: str) -> None:
+def test_topic_timeout(world: World, config, topic: str) -> None:
     driving(world, 2.78)
     world.mute.add(topic)
     before = world.x_m
@@ -266,7 +266,7 @@ def test_whatever_falls_silent_it_stands_in_time_with_the_right_reason(world: Wo
     assert not world.command.is_pto_on
 
 
-def test_a_frozen_lidar_stops(world: World) -> None:
+def test_frozen_lidar(world: World) -> None:
     driving(world)
     frozen = world.inbox.messages["lidar/front"]
     for _ in range(50):
@@ -278,7 +278,7 @@ def test_a_frozen_lidar_stops(world: World) -> None:
     assert world.command.reason == "lidar/front.frozen"
 
 
-def test_a_lidar_of_few_returns_stops_and_is_named(world: World) -> None:
+def test_lidar_with_few_returns(world: World) -> None:
     driving(world)
     scan = world.inbox.messages["lidar/front"]
     world.mute.add("lidar/front")
@@ -304,7 +304,7 @@ def test_a_lidar_of_few_returns_stops_and_is_named(world: World) -> None:
     ({"driver_angle_rad": math.radians(31.0)}, Mode.MANUAL, "driver_override"),
     ({"driver_torque_nm": 3.0}, Mode.MANUAL, "driver_override"),
 ])  # fmt: skip
-def test_something_is_wrong_with_the_machine(world: World, changes: dict[str, Any], mode: Mode, reason: str) -> None:
+def test_machine_fault(world: World, changes: dict[str, Any], mode: Mode, reason: str) -> None:
     driving(world)
     world.machine_changes = changes
     world.run(1.4)
@@ -318,7 +318,7 @@ def test_something_is_wrong_with_the_machine(world: World, changes: dict[str, An
 
 @pytest.mark.parametrize("changes", [{"driver_rate_radps": 1.0}, {"driver_angle_rad": 1.0}])
 @clause("BD-5.5.2e", rule="driver_override")
-def test_hand_takes_over_within_one_step(world: World, changes: dict[str, float]) -> None:
+def test_driver_override_within_one_step(world: World, changes: dict[str, float]) -> None:
     driving(world)
     world.machine_changes = {"is_seat_occupied": True, **changes}
     world.step(1)
@@ -329,13 +329,13 @@ def test_hand_takes_over_within_one_step(world: World, changes: dict[str, float]
     world.step(5)
     assert world.command.deceleration_mps2 == 0.0
     assert not world.command.is_park_brake_set
-    world.speed_mps = 1.0  # the driver drives: nothing of ours interferes
+    world.speed_mps = 1.0  # with a driver nothing is commanded
     world.run(1.0)
     assert world.command.deceleration_mps2 == 0.0
 
 
 @clause("BD-5.8.1b")
-def test_emergency_stop_waits_for_reset_and_start(world: World) -> None:
+def test_emergency_stop_latch(world: World) -> None:
     driving(world)
     world.order(OperatorCommandKind.EMERGENCY_STOP, "anyone", sequence=-1)
     world.step(1)
@@ -368,7 +368,7 @@ def test_emergency_stop_waits_for_reset_and_start(world: World) -> None:
 
 
 @clause("BD-5.8.1b")
-def test_no_reset_while_the_button_is_pressed(world: World) -> None:
+def test_no_reset_with_pressed_button(world: World) -> None:
     driving(world)
     world.machine_changes = {"is_emergency_button_pressed": True}
     world.run(3.0)
@@ -377,7 +377,7 @@ def test_no_reset_while_the_button_is_pressed(world: World) -> None:
     assert world.mode == Mode.EMERGENCY_STOP
 
 
-def test_brake_that_does_not_act(world: World) -> None:
+def test_ineffective_brake(world: World) -> None:
     driving(world, 2.78)
     world.is_obedient = False
     world.mute.add("control_command")
@@ -392,7 +392,7 @@ def test_brake_that_does_not_act(world: World) -> None:
     ({"is_initialized": False}, "localization.none"),
     ({"source": PositionSource.NONE}, "localization.none"),
 ])  # fmt: skip
-def test_position_not_good_enough(world: World, changes: dict[str, Any], reason: str) -> None:
+def test_insufficient_position(world: World, changes: dict[str, Any], reason: str) -> None:
     driving(world)
     world.pose_changes = changes
     world.run(3.0)
@@ -401,7 +401,7 @@ def test_position_not_good_enough(world: World, changes: dict[str, Any], reason:
     assert world.speed_mps == 0.0
 
 
-def test_lost_fixes_alarm_at_once_and_work_goes_on(world: World) -> None:
+def test_alarm_without_stop_on_lost_fixes(world: World) -> None:
     driving(world)
     world.pose_changes = {"gnss_age_s": 1.5}
     world.run(1.0)
@@ -414,7 +414,7 @@ def test_lost_fixes_alarm_at_once_and_work_goes_on(world: World) -> None:
     assert world.speed_mps == pytest.approx(5.0 / 3.6, abs=0.1)
 
 
-def test_fence_stops_before_the_edge(world: World) -> None:
+def test_stop_before_the_geofence(world: World) -> None:
     world.start()
     world.supervisor.collision_monitor._geofence = Geofence(
         (np.array([(-50.0, -50.0), (20.0, -50.0), (20.0, 50.0), (-50.0, 50.0)]),)
@@ -427,7 +427,7 @@ def test_fence_stops_before_the_edge(world: World) -> None:
     assert world.command.is_park_brake_set
 
 
-def test_outside_the_fence_is_a_fault(world: World) -> None:
+def test_fault_outside_the_geofence(world: World) -> None:
     driving(world)
     world.y_m = 48.0
     world.run(2.0)
@@ -440,7 +440,7 @@ def person(x: float, y: float, vy: float) -> Track:
                  np.array([0.5, 0.5, 1.7]), 0.0, START_NS, START_NS + 10**9, True, ("lidar/front",))  # fmt: skip
 
 
-def test_someone_about_to_step_into_the_way(world: World) -> None:
+def test_person_crossing(world: World) -> None:
     driving(world, 2.78)
     world.tracks = (person(world.x_m + 11.0, 5.0, -1.4),)
     world.run(0.5)
@@ -453,7 +453,7 @@ def test_someone_about_to_step_into_the_way(world: World) -> None:
     assert world.state.obstacle_class is ObstacleClass.PERSON
 
 
-def test_class_of_what_stands_in_the_way(world: World) -> None:
+def test_obstacle_class_in_the_state(world: World) -> None:
     driving(world)
     x = world.x_m + 9.0
     world.boxes = (Box(x, 0.0),)
@@ -466,8 +466,8 @@ def test_class_of_what_stands_in_the_way(world: World) -> None:
     assert world.state.obstacle_class is ObstacleClass.UNKNOWN
 
 
-def test_a_detour_backwards_starts_by_itself(world: World) -> None:
-    """What stays is driven round: the new path leads away from it, and its own field is free."""
+def test_automatic_start_of_a_reverse_detour(world: World) -> None:
+    """Detour around a static obstacle: the field on the new path is free."""
     driving(world)
     world.boxes = (Box(world.x_m + 9.0, 0.0, (2.0, 2.0, 1.6)),)
     world.run(8.0)
@@ -479,7 +479,7 @@ def test_a_detour_backwards_starts_by_itself(world: World) -> None:
     assert world.x_m < stood - 0.5
 
 
-def test_a_plan_into_the_obstacle_does_not_resume(world: World) -> None:
+def test_no_resume_on_a_path_into_the_obstacle(world: World) -> None:
     driving(world)
     world.boxes = (Box(world.x_m + 9.0, 0.0, (2.0, 2.0, 1.6)),)
     world.run(8.0)
@@ -488,7 +488,7 @@ def test_a_plan_into_the_obstacle_does_not_resume(world: World) -> None:
     assert world.mode == Mode.OBSTACLE_STOP
 
 
-def test_only_the_rules_passed_in_are_evaluated(config, sparse, implement, geofence) -> None:
+def test_rules_passed_in(config, sparse, implement, geofence) -> None:
     rules = {name: rule for name, rule in RULES.items() if Effect.OBSTACLE not in rule.effect}
     supervisor = Supervisor(sparse, implement, config, geofence, (), rules=rules)
     world = driving(World(supervisor, sparse, straight_path()))
@@ -504,7 +504,7 @@ def test_pause_manual_and_back(world: World) -> None:
     world.order(OperatorCommandKind.PAUSE)
     world.step(2)
     assert world.mode == Mode.STANDBY
-    assert world.command.is_drive_enabled  # steered to the end of the stop
+    assert world.command.is_drive_enabled  # enabled until the end of the stop
     world.run(3.0)
     assert world.speed_mps == 0.0
     assert not world.command.is_drive_enabled
@@ -522,7 +522,7 @@ def test_pause_manual_and_back(world: World) -> None:
 
 
 @pytest.mark.parametrize("state", [MissionState.FINISHED, MissionState.ABORTED])
-def test_the_mission_ends(world: World, state: MissionState) -> None:
+def test_end_of_mission(world: World, state: MissionState) -> None:
     driving(world)
     world.mission = state
     world.run(0.5)
@@ -535,7 +535,7 @@ def test_the_mission_ends(world: World, state: MissionState) -> None:
     assert world.command.is_park_brake_set
 
 
-def test_implement_and_pto_answer_only_in_automatic_mode(world: World) -> None:
+def test_implement_and_pto_only_in_automatic_mode(world: World) -> None:
     world.machine_changes = {"is_hitch_in_work": False}
     world.run(0.5)
     assert (world.command.is_implement_lowered, world.command.is_pto_on) == (False, False)
@@ -569,7 +569,7 @@ def test_reported_faults(world: World) -> None:
     assert world.mode == Mode.AUTOMATIC
 
 
-def test_downhill_is_slower_before_the_same_obstacle(world: World) -> None:
+def test_lower_speed_downhill(world: World) -> None:
     driving(world)
     world.boxes = (Box(world.x_m + 10.5, 0.0),)
     world.step(5)
@@ -581,13 +581,13 @@ def test_downhill_is_slower_before_the_same_obstacle(world: World) -> None:
     assert steep < flat
 
 
-def test_no_fence_known_in_a_log(config, sparse, implement) -> None:
+def test_no_geofence_in_a_log(config, sparse, implement) -> None:
     world = World(Supervisor(sparse, None, config, None, ()), sparse, straight_path())
     driving(world).run(1.0)
     assert world.command.reason == ""
 
 
-def test_steering_is_within_limit_and_rate(world: World, config: SafetyConfig) -> None:
+def test_curvature_limit_and_rate(world: World, config: SafetyConfig) -> None:
     driving(world)
     world.command_changes = {"curvature_radpm": 1.0}
     world.run(1.0)
@@ -597,7 +597,7 @@ def test_steering_is_within_limit_and_rate(world: World, config: SafetyConfig) -
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_wishes_that_are_no_numbers(world: World, bad: float) -> None:
+def test_control_command_not_finite(world: World, bad: float) -> None:
     driving(world)
     world.command_changes = {"speed_mps": bad, "acceleration_mps2": bad, "curvature_radpm": bad, "path_s_m": bad}
     world.run(0.5)
@@ -615,7 +615,7 @@ def test_wishes_that_are_no_numbers(world: World, bad: float) -> None:
     ("pose", {"protection_level_m": math.nan}, "localization.protection"),
     ("machine", {"curvature_radpm": math.nan, "speed_mps": math.nan}, "steering.not_following"),
 ])  # fmt: skip
-def test_measured_values_that_are_no_numbers(world: World, where: str, changes: dict[str, Any], reason: str) -> None:
+def test_measured_values_not_finite(world: World, where: str, changes: dict[str, Any], reason: str) -> None:
     driving(world)
     setattr(world, f"{where}_changes", changes)
     world.run(2.5)

@@ -1,4 +1,4 @@
-"""The gauge alone: what it measures, and since when something has been so."""
+"""The vehicle monitor with constructed messages: measured values and debounce times."""
 
 import math
 from dataclasses import replace
@@ -28,7 +28,7 @@ def odometry(speed_mps: float = 2.0, acceleration_mps2: float = 0.0, pitch_rad: 
 
 
 class Bench:
-    """A gauge that is shown one moment after the other."""
+    """A vehicle monitor and its last messages."""
 
     def __init__(self, config: SafetyConfig) -> None:
         self.vehicle_monitor, self.now_ns = VehicleMonitor(config), START_NS
