@@ -69,19 +69,20 @@ class Decision:
 
 def evaluate_rules(situation: Situation, rules: Mapping[str, Rule]) -> Decision:
     """The decision of these rules."""
-    results = [rule(situation) for rule in rules.values()]
-    found = [(result, rule.effect_of(result.code)) for result, rule in zip(results, rules.values(), strict=True)]
-    stops = [(result, effect) for result, effect in found if result.response >= Response.CONTROLLED_STOP]
+    found = [(rule, rule(situation)) for rule in rules.values()]
+    objections = [(r, rule.effect_of(r.code)) for rule, r in found if r.response is not Response.NONE]
+    stops = [(result, effect) for result, effect in objections if result.response >= Response.CONTROLLED_STOP]
     faults = [result for result, effect in stops if Effect.FAULT in effect]
-    faults += [result for result, effect in found if Effect.BLOCKS_START in effect]
+    faults += [result for result, effect in objections if Effect.BLOCKS_START in effect]
+    reported = [id(result) for result, effect in objections if Effect.ADVISORY in effect]
     gaps = () if situation.clearance is None else (situation.clearance.main_m, situation.clearance.arc_m)
     return Decision(
-        tuple(results),
-        most_restrictive(results),
-        most_restrictive([result for result, effect in found if Effect.OBSTACLE_STOP & effect]),
+        tuple(result for _, result in found),
+        most_restrictive([result for _, result in found]),
+        most_restrictive([result for rule, result in found if rule.is_obstacle_rule]),
         most_restrictive(faults),
         any(Effect.TAKEOVER in effect for _, effect in stops),
-        tuple(r for r, effect in found if r.text and (r.response is Response.NONE or Effect.ADVISORY in effect)),
+        tuple(r for _, r in found if r.text and (r.response is Response.NONE or id(r) in reported)),
         min(*gaps, situation.critical_object.clearance_m, math.inf),
     )
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Flag, auto
+from functools import cached_property
 from typing import Any
 
 from configs.strict import Config
@@ -43,10 +44,15 @@ class Rule:
     config_keys: tuple[str, ...] = ()
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def name(self) -> str:
         """The name of the file."""
         return self.evaluate.__module__.rpartition(".")[2]
+
+    @cached_property
+    def is_obstacle_rule(self) -> bool:
+        """Whether its stops are obstacle stops."""
+        return bool(self.effect & Effect.OBSTACLE_STOP)
 
     def effect_of(self, code: str) -> Effect:
         """The effect of a result with this code."""
