@@ -101,11 +101,9 @@ def is_confirmed_by_track(echo_arc_odom_m: Float64, tracks: Tracks | None, near_
     from the far end of the cone.
     """
     x, y = echo_arc_odom_m.mean(axis=0).tolist()
-    nominal_range_m = (
-        float(np.hypot(*(echo_arc_odom_m - (x, y)).T).max()) + 2.0 * near_m
-    )  # more than the diagonal of `near_m`
+    reach_m = float(np.hypot(*(echo_arc_odom_m - (x, y)).T).max()) + 2.0 * near_m  # above the diagonal of `near_m`
     for track in () if tracks is None else tracks.tracks:
-        if is_beyond(track, x, y, nominal_range_m) or not track.is_confirmed:
+        if is_beyond(track, x, y, reach_m) or not track.is_confirmed:
             continue
         is_narrow = float(np.min(track.size_m[:2])) <= NARROW_M
         if not is_narrow or not any(name.startswith("lidar") for name in track.sensors):
@@ -118,10 +116,10 @@ def is_confirmed_by_track(echo_arc_odom_m: Float64, tracks: Tracks | None, near_
     return False
 
 
-def is_beyond(track: Track, x_m: float, y_m: float, nominal_range_m: float) -> bool:
-    """Whether the box of a track lies farther than a reach from a position in odom, by distance alone."""
+def is_beyond(track: Track, x_m: float, y_m: float, reach_m: float) -> bool:
+    """Whether the box of a track lies farther than `reach_m` from a position in odom, by distance alone."""
     (x, y), (length, width) = track.p_odom_m[:2].tolist(), track.size_m[:2].tolist()
-    return math.hypot(x - x_m, y - y_m) > nominal_range_m + math.hypot(length, width)
+    return math.hypot(x - x_m, y - y_m) > reach_m + math.hypot(length, width)
 
 
 def ground_range_m(T: Float64) -> float:

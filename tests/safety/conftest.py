@@ -1,4 +1,4 @@
-"""The supervisor's configuration, a machine, and a world around it."""
+"""Fixtures: configuration of the supervisor, machines, closed loops."""
 
 import inspect
 from typing import Any
@@ -17,7 +17,7 @@ DRIVES = {"world", "seeing", "shed_world", "sparse"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tells the tests that drive a machine through a world, which a mutation run leaves out."""
+    """Marks the tests that drive a machine in a closed loop, which a mutation run leaves out."""
     for item in items:
         if isinstance(item, pytest.Function) and DRIVES & inspect.signature(item.function).parameters.keys():
             item.add_marker("drive")
@@ -30,7 +30,7 @@ def config() -> SupervisorConfig:
 
 @pytest.fixture(scope="session")
 def vehicle() -> Vehicle:
-    """With its lidars alone beside what measures its own motion."""
+    """Machine with lidars and motion sensors only."""
     machine = load(Vehicle, ROOT / "configs/machines/tractor_e.yaml")
     none: dict[str, Any] = {"radar": {}, "camera": {}, "ultrasonic": {}, "uwb": {}}
     return machine.model_copy(update={"sensors": machine.sensors.model_copy(update=none)})
@@ -48,7 +48,7 @@ def geofence() -> Geofence:
 
 @pytest.fixture(scope="session")
 def sparse(vehicle: Vehicle) -> Vehicle:
-    """The same machine with a quarter of the columns, so that the loop is quick."""
+    """The same machine with a quarter of the lidar columns, for speed."""
     lidars = {n: lidar.model_copy(update={"columns": lidar.columns // 4}) for n, lidar in vehicle.sensors.lidar.items()}
     return vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"lidar": lidars})})
 
@@ -61,7 +61,7 @@ def world(config, sparse, implement, geofence) -> World:
 
 @pytest.fixture(scope="session")
 def full(sparse: Vehicle) -> Vehicle:
-    """The thin machine with a radar and a camera in front, and ultrasonic sensors in front and behind."""
+    """The sparse machine with a radar and a camera in front, and ultrasonic sensors in front and behind."""
     around = Radar(
         mount=Mount(xyz_m=(3.5, 0.0, 0.8)), field_of_view_deg=120.0, rate_hz=25.0, range_m=(0.5, 60.0),
         range_sigma_m=0.15, azimuth_sigma_deg=1.0, doppler_sigma_mps=0.1,
@@ -80,5 +80,5 @@ def full(sparse: Vehicle) -> Vehicle:
 
 @pytest.fixture
 def seeing(config, full, implement, geofence) -> World:
-    """A world around that machine."""
+    """Closed loop with that machine."""
     return World(Supervisor(full, implement, config, geofence, ("fault/executor",)), full, straight_path())

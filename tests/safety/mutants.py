@@ -1,6 +1,6 @@
-"""Runs mutants of safety/, and compares those that no test tells from the original with survivors.yaml.
+"""Runs mutants of safety/ and compares those that no test detects with survivors.yaml.
 
-`make mutants` runs what is left to run. ONLY="safety.stopping.* safety.modes.*" runs those alone, and again;
+`make mutants` runs what is left to run. ONLY="safety.stopping_distance.* safety.modes.*" runs those again;
 ONLY=survivors all that were not killed; ONLY=none nothing. A file newly in only_mutate needs `rm -r mutants` first.
 """
 
@@ -35,7 +35,7 @@ def results() -> dict[str, tuple[str, str]]:
 
 
 def change(name: str, file: str) -> Change:
-    """What a mutant changes."""
+    """Function and lines that a mutant changes."""
     lines = get_diff_for_mutant(name, path=file).splitlines()[2:]
     before, after = (" ".join(line[1:].strip() for line in lines if line.startswith(sign)) for sign in "-+")
     function = name.partition("__mutmut_")[0].replace(".x_", ".").replace(".xǁ", ".").replace("ǁ", ".")
@@ -43,7 +43,7 @@ def change(name: str, file: str) -> Change:
 
 
 def is_wording(before: str, after: str) -> bool:
-    """Whether only a text for people changed: no code, topic or key has a space."""
+    """Whether only a text for operators changed: no code, topic or key has a space."""
 
     def bare(line: str) -> str:
         return STRING.sub(lambda text: '" "' if " " in text[0] else text[0], line)
@@ -52,7 +52,7 @@ def is_wording(before: str, after: str) -> bool:
 
 
 def argued() -> Counter[Change]:
-    """The survivors that survivors.yaml argues."""
+    """Survivors argued in survivors.yaml."""
     groups = yaml.safe_load(ARGUED.read_text())
     return Counter((one["in"], one["was"], one["now"]) for group in groups for one in group["mutants"])
 

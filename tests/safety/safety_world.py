@@ -1,4 +1,4 @@
-"""A world of synthetic messages around the supervisor: flat ground seen by the real lidars, boxes put on it."""
+"""Closed loop of synthetic messages around the supervisor: level ground scanned by configured lidars, with boxes."""
 
 import functools
 import math
@@ -38,7 +38,7 @@ WAGON = TrailedImplement(
 
 
 class SyntheticInbox:
-    """The semantic of messages.node.Inbox: stale by the topic table, `all` since the last step."""
+    """Semantics of messages.node.Inbox: stale by the topic table, `all` since the last step."""
 
     def __init__(self) -> None:
         self.now_ns = START_NS
@@ -67,22 +67,22 @@ class SyntheticInbox:
 
 
 def put_box(points: np.ndarray, origin: np.ndarray, center: tuple[float, float], size: tuple[float, float, float]):
-    """Where rays from `origin` to points (N, 3) meet an upright box standing at `center`, nearest first."""
+    """First intersections of the rays from `origin` to points (N, 3) with an upright box at `center`, (N, 3)."""
     low = np.array([center[0] - size[0] / 2, center[1] - size[1] / 2, 0.0])
     high = np.array([center[0] + size[0] / 2, center[1] + size[1] / 2, size[2]])
-    way = points - origin
+    distance = points - origin
     with np.errstate(divide="ignore", invalid="ignore"):
-        t0, t1 = (low - origin) / way, (high - origin) / way
+        t0, t1 = (low - origin) / distance, (high - origin) / distance
     enter, leave = np.minimum(t0, t1).max(axis=1), np.maximum(t0, t1).min(axis=1)
     hit = (enter <= leave) & (enter > 0.0) & (enter < 1.0)
     out = points.copy()
-    out[hit] = origin + way[hit] * enter[hit, None]
+    out[hit] = origin + distance[hit] * enter[hit, None]
     return out
 
 
 @dataclass(frozen=True)
 class Box:
-    """An upright box standing in odom (= map): centre and length, width, height."""
+    """Upright box in odom (= map): centre; length, width, height."""
 
     x_m: float
     y_m: float
@@ -91,7 +91,7 @@ class Box:
 
 @functools.cache
 def _bare_ground(lidar: Lidar, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Elevations, azimuths, origin in base, and where each ray meets the ground (or goes on to 1 km)."""
+    """Elevations, azimuths, origin in base, and ground point of each ray (at most 1 km away)."""
     el = np.radians(np.asarray(lidar.elevation_deg))
     fov = math.radians(lidar.field_of_view_deg)
     az = -fov / 2 + fov * (np.arange(lidar.columns) + 0.5) / lidar.columns
@@ -117,7 +117,7 @@ def scan_of(
     lidar: Lidar, stamp_ns: int, pose: tuple[float, float, float], boxes: tuple[Box, ...], rng: np.random.Generator,
     slope: float = 0.0, shape_boxes: tuple[Box, ...] = (),
 ) -> LidarScan:  # fmt: skip
-    """A scan over level ground (or one that rises by `slope` ahead of x = 3 of base) with boxes on it."""
+    """Scan of level ground (or ground that rises by `slope` ahead of x = 3 in base) with boxes on it."""
     el, az, origin, points = _bare_ground(lidar, slope)
     far = lidar.range_m[1]
     T_odom_base = planar(*pose)
@@ -137,12 +137,12 @@ def scan_of(
 
 def straight_path(path_id: int = 1, length_m: float = 100.0, start: tuple[float, float] = (0.0, 0.0),
                   direction: int = 1, curvature: float = 0.0, speed_mps: float = 3.0) -> Path:  # fmt: skip
-    """A straight or circular path from `start` with the machine heading east at its beginning."""
+    """Straight or circular path from `start`, heading east at its start."""
     s = np.arange(0.0, length_m + 0.05, 0.1)
-    way = direction * s
-    heading = curvature * way
+    distance = direction * s
+    heading = curvature * distance
     half = 0.5 * heading
-    chord = way * np.sinc(half / math.pi)
+    chord = distance * np.sinc(half / math.pi)
     p = np.column_stack([start[0] + chord * np.cos(half), start[1] + chord * np.sin(half)])
     n = len(s)
     section = PathSection(PathSectionType.SWATH, 1, 0, n - 1)
@@ -153,7 +153,7 @@ def straight_path(path_id: int = 1, length_m: float = 100.0, start: tuple[float,
 
 
 def machine_state(stamp_ns: int, **changes: Any) -> MachineState:
-    """A healthy machine at standstill."""
+    """Healthy machine at standstill."""
     state = MachineState(
         stamp_ns=stamp_ns, motion_stamp_ns=stamp_ns, steering_stamp_ns=stamp_ns, implement_stamp_ns=stamp_ns,
         cab_stamp_ns=stamp_ns, heartbeat_stamp_ns=stamp_ns, speed_mps=0.0, curvature_radpm=0.0, is_steering_ready=True,
@@ -167,7 +167,7 @@ def machine_state(stamp_ns: int, **changes: Any) -> MachineState:
 
 @dataclass(frozen=True)
 class Target:
-    """Something at a place in odom that moves along x and y, as radar (by its cross-section) or ultrasonic sees it."""
+    """Object at a position in odom with a velocity, for radar (by its cross-section) and ultrasonic (if `has_echo`)."""
 
     x_m: float
     y_m: float
@@ -178,13 +178,13 @@ class Target:
 
 
 def healthy(stamp_ns: int, sensor: str, state: HealthState = HealthState.GOOD, reason: str = "") -> SensorHealth:
-    """A health that covers every direction."""
+    """Health that covers every direction."""
     edges = np.array([-math.pi, math.pi])
     return SensorHealth(stamp_ns, sensor, state, reason, edges, np.array([40.0]), 0)
 
 
 def nothing_seen(stamp_ns: int, sensor: str) -> Obstacles:
-    """A sensor that sees nothing."""
+    """Obstacles message without obstacles."""
     empty, none = np.empty((0, 3)), np.empty(0, np.int32)
     return Obstacles(
         stamp_ns, sensor, stamp_ns, empty, empty, np.empty(0), empty, np.empty((0, 2)), np.empty((0, 7)),
@@ -193,7 +193,7 @@ def nothing_seen(stamp_ns: int, sensor: str) -> Obstacles:
 
 
 def in_sensor(world: "World", mount: Mount, target: Target) -> tuple[np.ndarray, np.ndarray]:
-    """Place in the sensor's frame, and velocity against the sensor, of a target 1 m above the ground."""
+    """Position in the sensor frame and velocity relative to the sensor of a target 1 m above the ground."""
     T = planar(world.x_m, world.y_m, world.yaw_rad) @ mount.T_base_sensor
     place = T[:3, :3].T @ (np.array([target.x_m, target.y_m, 1.0]) - T[:3, 3])
     own = world.speed_mps * np.array([math.cos(world.yaw_rad), math.sin(world.yaw_rad), 0.0])
@@ -268,18 +268,18 @@ class World:
     history: list = field(default_factory=list)
     steps: int = 0
     sequence: int = 0
-    is_obedient: bool = True
-    place_m: float = 0.0
+    follows_commands: bool = True
+    path_s_m: float = 0.0
     acceleration: float = 0.0
     is_plain: bool = False
-    tries_brake: bool = False
+    has_brake_test: bool = False
     targets: tuple[Target, ...] = ()
     clutter: int = 0
     fold: float = 0.0
     folds: bool = False
 
     def __post_init__(self) -> None:
-        if not self.tries_brake:
+        if not self.has_brake_test:
             self.supervisor._brake_test.phase = Phase.PASSED
 
     @property
@@ -331,7 +331,7 @@ class World:
         self.put_others(now)
         if self.steps % 10 == 0:
             status = MissionStatus(
-                now, self.mission, PathSectionType.SWATH, 1, self.path.path_id, self.place_m, 0.0, 1.0, "", ()
+                now, self.mission, PathSectionType.SWATH, 1, self.path.path_id, self.path_s_m, 0.0, 1.0, "", ()
             )
             self.put("mission", status)
         control_command = ControlCommand(
@@ -342,7 +342,7 @@ class World:
             True,
             True,
             self.path.path_id,
-            self.place_m,
+            self.path_s_m,
             0.0,
             0.0,
             False,
@@ -352,7 +352,7 @@ class World:
             self.put("path", self.path)
 
     def put_others(self, now: int) -> None:
-        """Radars at 25 Hz, ultrasonic sensors and healths at 10 Hz, cameras at 2 Hz, and what each of them sees."""
+        """Radars at 25 Hz, ultrasonic sensors and health at 10 Hz, cameras at 2 Hz, with their obstacles messages."""
         sensors = self.vehicle.sensors
         if self.steps % 2 == 0:
             for name, radar in sensors.radar.items():
@@ -372,7 +372,7 @@ class World:
     def move(self) -> None:
         dt = STEP_NS * 1e-9
         before = self.speed_mps
-        if self.is_obedient and self.command is not None:
+        if self.follows_commands and self.command is not None:
             target = self.command.speed_mps
             up = 0.6 if abs(target) > abs(self.speed_mps) else max(0.5, min(4.0, self.command.deceleration_mps2))
             if abs(target) <= abs(self.speed_mps) and self.command.deceleration_mps2 > 0.0 and abs(target) == 0.0:
@@ -382,12 +382,12 @@ class World:
         curvature = self.curvature if self.curvature is not None else float(self.path.curvature_radpm[0])
         if self.folds and self.command is not None:
             self.fold = min(1.0, max(0.0, self.fold + (dt / 8.0 if self.command.is_implement_folded else -dt / 8.0)))
-        way = self.speed_mps * dt
-        self.yaw_rad += 0.5 * curvature * way
-        self.x_m += way * math.cos(self.yaw_rad)
-        self.y_m += way * math.sin(self.yaw_rad)
-        self.yaw_rad += 0.5 * curvature * way
-        self.place_m = max(0.0, self.place_m + way * self.path.direction)
+        distance = self.speed_mps * dt
+        self.yaw_rad += 0.5 * curvature * distance
+        self.x_m += distance * math.cos(self.yaw_rad)
+        self.y_m += distance * math.sin(self.yaw_rad)
+        self.yaw_rad += 0.5 * curvature * distance
+        self.path_s_m = max(0.0, self.path_s_m + distance * self.path.direction)
 
     def step(self, count: int = 1) -> "World":
         for _ in range(count):
@@ -417,7 +417,7 @@ class World:
 
 
 def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
-    """A situation to which no rule objects, with changes to it or to its inputs and vehicle state."""
+    """Situation to which no rule objects, with changes to it or to its inputs and vehicle state."""
     T = transform((0.0, 0.0, 0.0), (changes.pop("roll_rad", 0.0), changes.pop("pitch_rad", 0.0), 0.0))
     pose = MapPose(START_NS, np.eye(4), np.eye(4), np.eye(6) * 1e-4, PositionSource.RTK_FIXED, 0.1, 0.1, True)
     control_command = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
@@ -443,5 +443,5 @@ def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
 
 
 def around(limit: float, step: float, count: int = 5) -> list[float]:
-    """The limit and `count` steps to either side."""
+    """The limit and `count` steps on either side."""
     return [limit + k * step for k in range(-count, count + 1)]

@@ -38,7 +38,7 @@ SIGMA_M = 0.02
 
 
 class Spy:
-    """Answers always the same, and keeps what it was asked."""
+    """Callable with a fixed answer that records its calls."""
 
     def __init__(self, answer: Any) -> None:
         self.answer = answer
@@ -54,7 +54,7 @@ class Spy:
 
 
 def sweep(direction: int = 1, step_m: float = 0.4) -> Any:
-    """Ten metres by one, whatever its part."""
+    """Swept area of ten metres by one, the same for each part of it."""
     found: Any = SimpleNamespace(direction=direction, step_m=step_m, box=Box((0.0, 10.0), (-0.5, 0.5)))
     found.up_to = Spy(found)
     return found
@@ -273,8 +273,8 @@ def test_field_along_plan_in_its_direction(make: Any, config: SafetyConfig, part
 def test_clearance_and_critical_object_on_swept_field(make: Any, config: SafetyConfig, parts: Any) -> None:
     collision_monitor = make()
     look(collision_monitor, config)
-    way, pose_odom, speed_mps, is_known, tracks = collision_monitor.sources.clearance.asked
-    assert (way, speed_mps, is_known, tracks) == (collision_monitor.swept_field, 2.0, None, SEEN.tracks)
+    swept_field, pose_odom, speed_mps, is_known, tracks = collision_monitor.sources.clearance.asked
+    assert (swept_field, speed_mps, is_known, tracks) == (collision_monitor.swept_field, 2.0, None, SEEN.tracks)
     assert pose_odom == pytest.approx(POSE_ODOM)
     main, footprint, tracks, pose_odom, curvature, stop_s, tracked, is_known = parts.nearest_critical_object.asked
     assert (main, footprint, tracks) == (
@@ -360,21 +360,21 @@ def test_known_structure_filter_in_docking(make: Any, config: SafetyConfig, part
 def test_wall_distance_is_minimum_of_swept_areas(
     make: Any, config: SafetyConfig, parts: Any, known_structure: Any
 ) -> None:
-    collision_monitor, way = make(), parts.sweep_field.answer
+    collision_monitor, swept_field = make(), parts.sweep_field.answer
     look(collision_monitor, config, DOCKING)
     assert (collision_monitor.wall_distance_m(), collision_monitor.is_under_roof) == (6.0, True)
-    assert [args[0] for args in known_structure.clear_distance_m.calls] == [way.main, way.arc]
+    assert [args[0] for args in known_structure.clear_distance_m.calls] == [swept_field.main, swept_field.arc]
     for _, pose_map, clearance_m in known_structure.clear_distance_m.calls:
         assert clearance_m == pytest.approx(config.docking.clearance_m + 3.0 * SIGMA_M)
         assert pose_map == pytest.approx(POSE_MAP)
-    assert known_structure.is_under_roof.asked[0] is way.main
+    assert known_structure.is_under_roof.asked[0] is swept_field.main
     assert known_structure.is_under_roof.asked[1] == pytest.approx(POSE_MAP)
     assert known_structure.is_near.asked[1] == 8.0
     assert known_structure.is_near.asked[0] == pytest.approx(POSE_MAP)
-    known_structure.clear_distance_m = lambda one, *_: 4.0 if one is way.arc else 5.0
+    known_structure.clear_distance_m = lambda one, *_: 4.0 if one is swept_field.arc else 5.0
     look(collision_monitor, config, replace(DOCKING, tracks=None))
     assert collision_monitor.wall_distance_m() == 4.0
-    parts.sweep_field.answer = SweptField(way.main, None, True)
+    parts.sweep_field.answer = SweptField(swept_field.main, None, True)
     look(collision_monitor, config, DOCKING)
     assert collision_monitor.wall_distance_m() == 5.0
     look(collision_monitor, config, replace(DOCKING, path=SEEN.path, tracks=None))

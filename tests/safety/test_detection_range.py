@@ -1,4 +1,4 @@
-"""What a lidar proves, at its limits: reach, direction, expected returns, shares by sector."""
+"""Detection range: nominal range, coverage, expected returns, ratios by sector, limit by health."""
 
 import math
 from typing import Any
@@ -32,7 +32,7 @@ def footprint(vehicle: Vehicle, implement) -> Footprint:
 
 @pytest.fixture
 def lidar(vehicle: Vehicle) -> Lidar:
-    """One level ring, 1.2 m high, whose columns are dense."""
+    """One level ring, 1.2 m high, with dense columns."""
     mount = Mount(xyz_m=(3.3, 0.0, 1.2))
     return changed(vehicle.sensors.lidar["front"], mount=mount, elevation_deg=(0.0,), columns=8192)
 

@@ -1,4 +1,4 @@
-"""At the shed: its own field against the surveyed bay, out and in reverse in; and the fold that it takes."""
+"""Docking in closed loop: field and known structure at the shed, in both directions; fold of the implement."""
 
 import math
 from dataclasses import replace
@@ -52,7 +52,7 @@ def dock_path(direction: int, start: tuple[float, float], length_m: float) -> Pa
 
 
 def at_shed(world: World, site: Site, bay: str, direction: int) -> World:
-    """Docked and heading out, or 4 m before the dock and backing in."""
+    """Docked and heading out, or 4 m before the dock and reversing in."""
     assert site.shed is not None
     dock: PoseConfig = site.shed.bay(bay).dock
     length_m = 12.0 if direction > 0 else 4.0
@@ -75,7 +75,7 @@ def shed_world(config, sparse, implement, site: Site, known_structure: KnownStru
 
 
 def engaged(world: World) -> World:
-    """As after the start warning."""
+    """State after the start warning."""
     world.run(0.3)
     assert world.command.reason == "standby"
     world.supervisor._mode_machine.mode = Mode.AUTOMATIC
@@ -83,13 +83,13 @@ def engaged(world: World) -> World:
 
 
 def drive_in(world: World, until_s: float = 11.0) -> World:
-    """Back in; control wishes to stand at the end of the path."""
+    """Reverses in; the control command stops at the end of the path."""
     world.mute.add("lidar/front")
     engaged(world)
     length_m = float(world.path.s_m[-1])
     for _ in range(round(until_s * 50)):
         left_m = length_m - abs(world.x_m - float(world.path.p_map_m[0, 0]))
-        world.place_m = length_m - left_m
+        world.path_s_m = length_m - left_m
         world.commanded_mps = min(0.5, math.sqrt(max(0.0, 0.6 * (left_m - 0.02)))) if left_m > 0.03 else 0.0
         world.step()
     return world
@@ -109,7 +109,7 @@ def test_leaves_bay(shed_world: World, site: Site, bay: str) -> None:
 
 @pytest.mark.parametrize("bay", ["narrow", "wide"])
 def test_reverses_into_bay_to_dock(shed_world: World, site: Site, bay: str) -> None:
-    """0.6 m before the back wall."""
+    """The dock is 0.6 m before the back wall."""
     drive_in(at_shed(shed_world, site, bay, -1))
     assert shed_world.mode == Mode.AUTOMATIC
     assert shed_world.speed_mps == pytest.approx(0.0, abs=0.01)

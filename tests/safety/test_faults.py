@@ -33,7 +33,7 @@ speeds = st.floats(0.0, 9.0)
 
 
 def trying(world: World) -> World:
-    world.tries_brake = True
+    world.has_brake_test = True
     world.supervisor._brake_test.phase = Phase.CREEP
     return world
 
@@ -55,11 +55,11 @@ def test_brake_test_within_the_first_metre(world: World, config: SupervisorConfi
 def test_failed_brake_test_and_retry(world: World) -> None:
     trying(world).start()
     world.run(0.7)
-    world.is_obedient, world.speed_mps = False, 0.45  # it keeps rolling
+    world.follows_commands, world.speed_mps = False, 0.45  # it keeps rolling
     world.run(2.0)
     assert world.mode == Mode.EMERGENCY_STOP
     assert world.command.reason == "brake.test_failed"
-    world.is_obedient, world.speed_mps = True, 0.0
+    world.follows_commands, world.speed_mps = True, 0.0
     world.order(OperatorCommandKind.RESET)
     world.run(0.2)
     assert world.mode == Mode.STANDBY
@@ -121,7 +121,7 @@ def test_seat_off_delay(world: World, config: SupervisorConfig) -> None:
     world.run(0.2)
     world.order(OperatorCommandKind.MANUAL)
     world.run(0.2)
-    world.is_obedient, world.speed_mps = False, 1.5
+    world.follows_commands, world.speed_mps = False, 1.5
     world.machine_changes = {"is_seat_occupied": False}
     world.run(config.modes.seat_empty_s - 0.4)
     assert world.command.deceleration_mps2 == 0.0

@@ -105,20 +105,20 @@ def test_distance_across_first_side(size: float) -> None:
     ring, start = size * L_SHAPE, size * np.array([2.0, 3.0])
     for angle in np.arange(0.01, 2 * math.pi, 0.07):
         ahead = np.array([math.cos(angle), math.sin(angle)])
-        way = distance_across(start, ahead, ring)
-        assert is_within(start + np.linspace(0.0, way - 1e-6, 200)[:, None] * ahead, ring).all(), angle
-        assert not is_within((start + (way + 1e-6) * ahead)[None], ring)[0], angle
+        distance = distance_across(start, ahead, ring)
+        assert is_within(start + np.linspace(0.0, distance - 1e-6, 200)[:, None] * ahead, ring).all(), angle
+        assert not is_within((start + (distance + 1e-6) * ahead)[None], ring)[0], angle
     assert distance_across(start, np.array([1.0, 0.0]), ring) == pytest.approx(8.0 * size)
 
 
 def test_distance_inside() -> None:
     geofence = Geofence((L_SHAPE,))
     points = np.array([(x, 2.0) for x in np.arange(5.0, 15.0, 0.5)])
-    ways = np.arange(0.0, 10.0, 0.5)
-    assert distance_inside_m(geofence, points, ways, 0.5) == pytest.approx(4.5)
-    assert distance_inside_m(geofence, points[:5], ways[:5], 0.5) == math.inf
-    assert distance_inside_m(geofence, points[-5:], ways[:5], 0.5) == -1.0
-    assert distance_inside_m(geofence, points[-5:], ways[1:6], 1.0) == 0.0
+    distances = np.arange(0.0, 10.0, 0.5)
+    assert distance_inside_m(geofence, points, distances, 0.5) == pytest.approx(4.5)
+    assert distance_inside_m(geofence, points[:5], distances[:5], 0.5) == math.inf
+    assert distance_inside_m(geofence, points[-5:], distances[:5], 0.5) == -1.0
+    assert distance_inside_m(geofence, points[-5:], distances[1:6], 1.0) == 0.0
 
 
 def test_geofence_contains_box() -> None:

@@ -1,4 +1,4 @@
-"""From scan to hits: lowest height, terrain, mask, cells, what a lidar proves."""
+"""Ground filter: minimum height, terrain, self mask, deskewing, patches against a slow reference."""
 
 import math
 
@@ -94,12 +94,12 @@ def test_ground_bounds(config: SafetyConfig) -> None:
 
 
 def test_deskew() -> None:
-    """A post seen at the begin of a sweep in which the machine drove on and turned."""
+    """A post scanned at the beginning of a rotation during which the machine drove and turned."""
     speed, rate, before = 8.0, 0.5, -0.1
     post_at_stamp = np.array([20.0, 3.0])
-    yaw, way = rate * before, speed * before
+    yaw, distance = rate * before, speed * before
     c, s = math.cos(yaw), math.sin(yaw)
-    seen = np.array([[c, s], [-s, c]]) @ (post_at_stamp - np.array([way, 0.0]))
+    seen = np.array([[c, s], [-s, c]]) @ (post_at_stamp - np.array([distance, 0.0]))
     point = np.array([[seen[0]], [seen[1]], [1.0]], np.float32)
     found = deskew(point, np.array([before], np.float32), Motion(speed, rate))
     assert np.hypot(*(found[:2, 0] - post_at_stamp)) < 0.05
@@ -177,7 +177,7 @@ def test_bound_ground(config: SafetyConfig) -> None:
 
 
 def limits_of(xyz: np.ndarray, box: Area, field: FieldConfig) -> np.ndarray:
-    """The height from which on each return counts, one by one."""
+    """Height above which each return counts, computed one by one."""
     size = field.ground_patch_m
 
     def index(value: float, ends: tuple[float, float]) -> int:

@@ -1,4 +1,4 @@
-"""The surveyed shed by distances alone: surfaces, the roof's edge, discs that stand for walls."""
+"""Known structure: distances to surfaces, roof outline, discs of the walls."""
 
 import math
 from dataclasses import replace
@@ -77,8 +77,8 @@ def test_clear_distance(area: SweptArea) -> None:
 
 def test_clear_distance_without_lateral_margin(area: SweptArea) -> None:
     for y in around(8.0 - 0.3 - 3.05 - 0.2, 0.01):
-        way = SURVEY.clear_distance_m(area, np.array([-6.0, y, 0.0]), 0.2)
-        assert math.isfinite(way) == (y >= 8.0 - 0.3 - 3.05 - 0.2 - 1e-9), y
+        distance = SURVEY.clear_distance_m(area, np.array([-6.0, y, 0.0]), 0.2)
+        assert math.isfinite(distance) == (y >= 8.0 - 0.3 - 3.05 - 0.2 - 1e-9), y
 
 
 def test_disc_reach(vehicle: Vehicle, config: SafetyConfig) -> None:

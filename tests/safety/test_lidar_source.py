@@ -26,7 +26,7 @@ def front(vehicle: Vehicle) -> Lidar:
     return vehicle.sensors.lidar["front"]
 
 
-def eye_of(vehicle: Vehicle, implement, config: SafetyConfig, name: str = "front") -> LidarSource:
+def lidar_source(vehicle: Vehicle, implement, config: SafetyConfig, name: str = "front") -> LidarSource:
     return LidarSource(name, vehicle.sensors.lidar[name], footprint_of(vehicle, implement), config)
 
 
@@ -41,7 +41,7 @@ def take(
 
 def test_full_detection_range(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
     for name, direction in (("front", 1), ("rear", -1)):
-        source = eye_of(vehicle, implement, config, name)
+        source = lidar_source(vehicle, implement, config, name)
         assert source.detection_range_m(direction) == 0.0
         take(source, vehicle.sensors.lidar[name])
         assert source.detection_range_m(direction) == source.nominal_range_m
@@ -49,7 +49,7 @@ def test_full_detection_range(vehicle: Vehicle, implement, config: SafetyConfig)
 
 
 def dark(share: float, columns: slice = slice(None)):
-    """Takes away a share of the returns of some columns."""
+    """Removes a ratio of the returns of some columns."""
 
     def blank(scan: LidarScan) -> np.ndarray:
         ranges = scan.ranges_mm.copy()
@@ -63,7 +63,7 @@ def dark(share: float, columns: slice = slice(None)):
 def test_detection_range_with_fewer_returns(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
     detection_range = []
     for share in (0.0, 0.3, 0.5, 0.6, 0.7, 0.9, 1.0):
-        source = eye_of(vehicle, implement, config)
+        source = lidar_source(vehicle, implement, config)
         take(source, front(vehicle), ranges_mm=dark(share))
         detection_range.append(source.detection_range_m(1))
     assert detection_range == sorted(detection_range, reverse=True)
@@ -74,13 +74,13 @@ def test_detection_range_with_fewer_returns(vehicle: Vehicle, implement, config:
 def test_blind_sector_ahead(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
     middle, aside = slice(512, 597), slice(700, 785)
     for columns, expected in ((middle, 0.0), (aside, 40.0)):
-        source = eye_of(vehicle, implement, config)
+        source = lidar_source(vehicle, implement, config)
         take(source, front(vehicle), ranges_mm=dark(1.0, columns))
         assert source.detection_range_m(1) == expected
 
 
 def test_frozen_lidar_range(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
-    source = eye_of(vehicle, implement, config)
+    source = lidar_source(vehicle, implement, config)
     for k in range(5):
         take(source, front(vehicle), stamp_ns=START_NS + k * 100_000_000)
         assert source.is_frozen == (k >= config.detection_range.frozen_scans)
@@ -93,8 +93,8 @@ def test_frozen_lidar_range(vehicle: Vehicle, implement, config: SafetyConfig) -
 
 
 def test_person_hits_and_blind_zone_hold(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
-    """A thing 0.4 m high goes below the lowest beam before the bumper: it is kept for a while, then forgotten."""
-    source, lidar = eye_of(vehicle, implement, config), front(vehicle)
+    """An object 0.4 m high enters the blind zone before the bumper: held for a time, then dropped."""
+    source, lidar = lidar_source(vehicle, implement, config), front(vehicle)
     thing = (Box(5.4, 0.0, (0.4, 0.4, 0.4)),)
     take(source, lidar, thing)
     seen = len(source.hits_odom_m)
@@ -112,7 +112,7 @@ def test_person_hits_and_blind_zone_hold(vehicle: Vehicle, implement, config: Sa
 
 
 def test_hit_outside_blind_zone_dropped(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
-    source = eye_of(vehicle, implement, config)
+    source = lidar_source(vehicle, implement, config)
     take(source, front(vehicle), (Box(9.0, 0.0),))
     assert len(source.hits_odom_m) > 20
     take(source, front(vehicle), (), START_NS + 100_000_000)
@@ -120,8 +120,8 @@ def test_hit_outside_blind_zone_dropped(vehicle: Vehicle, implement, config: Saf
 
 
 def test_dust(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
-    """2 000 returns a scan at random places within 40 m and 4 m of height: none is confirmed in 50 scans."""
-    source = eye_of(vehicle, implement, config)
+    """2 000 returns per scan at random positions within 40 m and 4 m of height: none is confirmed in 50 scans."""
+    source = lidar_source(vehicle, implement, config)
     rng, hits = np.random.default_rng(5), 0
 
     def dusty(scan: LidarScan) -> np.ndarray:
@@ -146,7 +146,7 @@ NOWHERE = np.zeros(3)
 
 @pytest.fixture
 def lidar(vehicle: Vehicle) -> Lidar:
-    """2 m above base, whose lowest ring falls by 45 degrees."""
+    """Lidar 2 m above base with a lowest ring at -45 degrees."""
     front = vehicle.sensors.lidar["front"]
     return front.model_copy(update={"mount": Mount(xyz_m=(0.0, 0.0, 2.0))})
 
@@ -157,7 +157,7 @@ def source(lidar: Lidar, config: SafetyConfig) -> LidarSource:
 
 
 def scan(*base: tuple[float, float, float], stamp_ns: int = START_NS, offset_s: float = 0.0) -> LidarScan:
-    """Four returns about each place in base."""
+    """Four returns about each position in base."""
     some = np.array([(x + dx, y, z + dz - 2.0) for x, y, z in base for dx in (0.0, 0.01) for dz in (0.0, 0.01)])
     offsets = np.full(len(some), offset_s, np.float32)
     nothing = np.empty((0, 0), np.uint16)

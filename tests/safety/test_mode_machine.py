@@ -116,12 +116,12 @@ def test_resume_after_2500_ms_clear_and_1500_ms_warning(bench: Bench) -> None:
 
 
 def test_resume_speed(config: SupervisorConfig) -> None:
-    for way in around(required_range(0.5, config.braking.flat, 2.1) + 1e-6, 0.005):
+    for distance in around(required_range(0.5, config.braking.flat, 2.1) + 1e-6, 0.005):
         bench = Bench(config).driving()
         bench.show(**near(1.0))
-        bench.show(**STANDING, **near(way))
-        is_clear = bench.show(after_s=2.5, **STANDING, **near(way)) is Mode.START_WARNING
-        assert is_clear == (way > required_range(0.5, config.braking.flat, 2.1)), way
+        bench.show(**STANDING, **near(distance))
+        is_clear = bench.show(after_s=2.5, **STANDING, **near(distance)) is Mode.START_WARNING
+        assert is_clear == (distance > required_range(0.5, config.braking.flat, 2.1)), distance
 
 
 def test_obstacle_stop_at_standstill(bench: Bench) -> None:
@@ -130,8 +130,8 @@ def test_obstacle_stop_at_standstill(bench: Bench) -> None:
     assert control_command is not None
     for nothing in (None, replace(control_command, speed_mps=0.0)):
         assert bench.show(**STANDING, **near(1.0), control_command=nothing) is Mode.AUTOMATIC
-    way = required_range(2.0, bench.config.braking.flat, 0.0) + 0.05  # within the margin, not inside the distance
-    assert bench.show(**near(way), allowance_m=way) is Mode.AUTOMATIC
+    distance = required_range(2.0, bench.config.braking.flat, 0.0) + 0.05  # within the margin, not inside the distance
+    assert bench.show(**near(distance), allowance_m=distance) is Mode.AUTOMATIC
     assert bench.show(**STANDING, **near(2.1 + 0.062)) is Mode.OBSTACLE_STOP
     assert bench.show(OperatorCommandKind.PAUSE, **STANDING) is Mode.STANDBY
     assert bench.show(OperatorCommandKind.START, **STANDING) is Mode.START_WARNING
@@ -140,9 +140,11 @@ def test_obstacle_stop_at_standstill(bench: Bench) -> None:
 
 def test_creep_speed(config: SupervisorConfig) -> None:
     least = required_range(config.modes.creep_mps, config.braking.flat, 2.1)
-    for way in around(least, 0.002):
+    for distance in around(least, 0.002):
         bench = Bench(config).driving()
-        assert (bench.show(**STANDING, **near(way + 1e-6)) is Mode.AUTOMATIC) == (way >= least - 1e-9), way
+        assert (bench.show(**STANDING, **near(distance + 1e-6)) is Mode.AUTOMATIC) == (distance >= least - 1e-9), (
+            distance
+        )
 
 
 def test_creep_and_resume_speed_at_their_limits(bench: Bench) -> None:

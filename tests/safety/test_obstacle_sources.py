@@ -1,4 +1,4 @@
-"""One lidar by itself, and all sensors of the raw channel together: what counts, is kept, and is asked for again."""
+"""Obstacle sources: update of all sensors, clearance, detection range."""
 
 import math
 from types import SimpleNamespace
@@ -31,7 +31,7 @@ POSE = np.array([5.0, -3.0, 0.7])
 
 @pytest.fixture
 def lidar(vehicle: Vehicle) -> Lidar:
-    """2 m above base, whose lowest ring falls by 45 degrees."""
+    """Lidar 2 m above base with a lowest ring at -45 degrees."""
     front = vehicle.sensors.lidar["front"]
     return front.model_copy(update={"mount": Mount(xyz_m=(0.0, 0.0, 2.0))})
 
@@ -42,7 +42,7 @@ def source(lidar: Lidar, config: SafetyConfig) -> LidarSource:
 
 
 def scan(*base: tuple[float, float, float], stamp_ns: int = START_NS, offset_s: float = 0.0) -> LidarScan:
-    """Four returns about each place in base."""
+    """Four returns about each position in base."""
     some = np.array([(x + dx, y, z + dz - 2.0) for x, y, z in base for dx in (0.0, 0.01) for dz in (0.0, 0.01)])
     offsets = np.full(len(some), offset_s, np.float32)
     nothing = np.empty((0, 0), np.uint16)
@@ -164,7 +164,7 @@ def test_last_scan_reprocessed_for_new_field(sources: ObstacleSources) -> None:
 
 
 @pytest.fixture
-def way(full: Vehicle, implement, config: SafetyConfig) -> SweptField:
+def swept_field(full: Vehicle, implement, config: SafetyConfig) -> SweptField:
     return sweep_field(None, None, 0.0, 1, 20.0, 8.0, footprint_of(full, implement), config.field)
 
 
@@ -173,43 +173,43 @@ def odom_of(*base: tuple[float, ...]) -> np.ndarray:
     return np.column_stack([to_frame(POSE, some[:, :2]), some[:, 2:]])
 
 
-def gap_of(sources: ObstacleSources, way: SweptField, speed_mps: float = 1.0, **how: Any) -> Any:
-    return sources.clearance(way, POSE, speed_mps, how.get("is_known"), how.get("tracks"))
+def clearance_of(sources: ObstacleSources, swept_field: SweptField, speed_mps: float = 1.0, **how: Any) -> Any:
+    return sources.clearance(swept_field, POSE, speed_mps, how.get("is_known"), how.get("tracks"))
 
 
-def test_no_clearance_before_first_scan(sources: ObstacleSources, way: SweptField) -> None:
-    assert gap_of(sources, way) is None
+def test_no_clearance_before_first_scan(sources: ObstacleSources, swept_field: SweptField) -> None:
+    assert clearance_of(sources, swept_field) is None
     sources.lidars[1].stamp_ns = START_NS
-    found = gap_of(sources, way)
+    found = clearance_of(sources, swept_field)
     assert (found.main_m, found.arc_m, found.triggering_points_base_m.shape) == (math.inf, math.inf, (0, 3))
 
 
-def test_clearance_of_lidar_and_radar_hits(sources: ObstacleSources, way: SweptField) -> None:
+def test_clearance_of_lidar_and_radar_hits(sources: ObstacleSources, swept_field: SweptField) -> None:
     front, rear = sources.lidars
     front.stamp_ns = START_NS
     front.hits_odom_m, rear.hits_odom_m = odom_of((12.0, 1.0, 1.5), (12.0, 30.0, 1.0)), odom_of((14.0, 0.0, 0.5))
-    found = gap_of(sources, way)
+    found = clearance_of(sources, swept_field)
     assert found.main_m == pytest.approx(8.5)
     assert sorted(found.triggering_points_base_m[:, 2].tolist()) == [0.5, 1.5]
     sources.radars[0].hits = odom_of((10.0, 0.0, 0.7, 0.1))
-    assert gap_of(sources, way).main_m == pytest.approx(6.5)
+    assert clearance_of(sources, swept_field).main_m == pytest.approx(6.5)
     for y in (3.35 - 0.2 - 0.01, 3.35 - 0.2 + 0.01):  # a bearing of 0.1 m, twice
         sources.radars[0].hits = odom_of((6.0, y, 0.7, 0.1))
-        assert (gap_of(sources, way).main_m < 8.0) == (y < 3.15), y
+        assert (clearance_of(sources, swept_field).main_m < 8.0) == (y < 3.15), y
 
     def is_known(points: np.ndarray) -> np.ndarray:
         return from_frame(POSE, points)[:, 0] < 13.0
 
     sources.radars[0].hits = odom_of((10.0, 0.0, 0.7, 0.1))
-    assert gap_of(sources, way, is_known=is_known).main_m == pytest.approx(10.5)
-    assert gap_of(sources, way, is_known=lambda points: np.ones(len(points), bool)).main_m == math.inf
+    assert clearance_of(sources, swept_field, is_known=is_known).main_m == pytest.approx(10.5)
+    assert clearance_of(sources, swept_field, is_known=lambda points: np.ones(len(points), bool)).main_m == math.inf
 
 
-def test_thinning(sources: ObstacleSources, way: SweptField) -> None:
+def test_thinning(sources: ObstacleSources, swept_field: SweptField) -> None:
     sources.lidars[0].stamp_ns = START_NS
     x, y = 0.05 * 400 + 0.01, 0.01
     sources.lidars[0].hits_odom_m = np.array([(x, y, 1.0), (x + 0.02, y, 2.0), (x + 0.05, y, 3.0)])
-    found = sources.clearance(way, np.array([10.0, 0.0, 0.0]), 9.0, None, None)
+    found = sources.clearance(swept_field, np.array([10.0, 0.0, 0.0]), 9.0, None, None)
     assert found is not None
     assert found.triggering_points_base_m[:, 2].tolist() == [1.0, 3.0]
 
@@ -221,38 +221,40 @@ def arc(*base: tuple[float, float]) -> np.ndarray:
 IN_WAY = [(7.0, 0.1 * k) for k in range(10)]
 
 
-def test_min_arc_ratio(sources: ObstacleSources, way: SweptField) -> None:
+def test_min_arc_ratio(sources: ObstacleSources, swept_field: SweptField) -> None:
     sources.lidars[0].stamp_ns = START_NS
     source = sources.ultrasonics[0]
     for beside, main_m in ((0, 3.5), (2, 3.5), (3, math.inf), (10, math.inf)):
         source.echo_arc_odom_m = arc(*IN_WAY[beside:], *[(7.0, 4.0)] * beside)
-        found = gap_of(sources, way)
+        found = clearance_of(sources, swept_field)
         assert found.main_m == pytest.approx(main_m), beside
         assert set(found.triggering_points_base_m[:, 2].tolist()) == ({0.25} if main_m < 9.0 else set())
         assert len(found.triggering_points_base_m) == (10 - beside if main_m < 9.0 else 0)
     source.echo_arc_odom_m = arc(*[(60.0, 0.0)] * 10)
-    assert gap_of(sources, way).main_m == math.inf
+    assert clearance_of(sources, swept_field).main_m == math.inf
 
 
-def test_echo_conditions(sources: ObstacleSources, way: SweptField, config: SafetyConfig) -> None:
+def test_echo_conditions(sources: ObstacleSources, swept_field: SweptField, config: SafetyConfig) -> None:
     sources.lidars[0].stamp_ns = START_NS
     sources.ultrasonics[2].echo_arc_odom_m = arc(*IN_WAY)
     most_mps = config.ultrasonic.max_speed_kmh / 3.6
-    assert gap_of(sources, way, most_mps).main_m == pytest.approx(3.5)
-    assert gap_of(sources, way, most_mps + 1e-6).main_m == math.inf
+    assert clearance_of(sources, swept_field, most_mps).main_m == pytest.approx(3.5)
+    assert clearance_of(sources, swept_field, most_mps + 1e-6).main_m == math.inf
 
     def explained(count: int) -> Any:
         return lambda points: np.arange(len(points)) < count
 
-    assert gap_of(sources, way, is_known=explained(0)).main_m == pytest.approx(3.5)
-    assert gap_of(sources, way, is_known=explained(1)).main_m == math.inf
+    assert clearance_of(sources, swept_field, is_known=explained(0)).main_m == pytest.approx(3.5)
+    assert clearance_of(sources, swept_field, is_known=explained(1)).main_m == math.inf
     for away, main_m in ((0.29, math.inf), (0.31, 3.5)):
         place = np.array([*to_frame(POSE, np.array([[7.0, -0.05 - away]]))[0], 0.5])
         post = Track(1, ObstacleClass.POLE, 0.9, place, np.zeros(3), np.eye(4), np.array([0.1, 0.1, 1.0]), 0.7, 0, 1,
                      True, ("lidar_front",))  # fmt: skip
-        assert gap_of(sources, way, tracks=Tracks(START_NS, (post,))).main_m == pytest.approx(main_m), away
+        assert clearance_of(sources, swept_field, tracks=Tracks(START_NS, (post,))).main_m == pytest.approx(main_m), (
+            away
+        )
     sources.ultrasonics[0].echo_arc_odom_m = arc(*[(6.0, 0.1 * k) for k in range(7)])
-    assert gap_of(sources, way).main_m == pytest.approx(2.5)
+    assert clearance_of(sources, swept_field).main_m == pytest.approx(2.5)
 
 
 def test_detection_range_of_covering_lidars(sources: ObstacleSources) -> None:
@@ -275,7 +277,7 @@ def test_detection_range_of_covering_lidars(sources: ObstacleSources) -> None:
         assert (sources.detection_range_m(now_ns, 1, {}) != {}) == proves, age_ns
 
 
-def test_reachable_box(way: SweptField) -> None:
+def test_reachable_box(swept_field: SweptField) -> None:
     def way_of(step_m: float, arc_step_m: float | None = None) -> Any:
         arc = None if arc_step_m is None else SimpleNamespace(box=Box((0.0, 1.0), (0.0, 1.0)), step_m=arc_step_m)
         return SimpleNamespace(main=SimpleNamespace(box=Box((-1.0, 5.0), (-2.0, 9.0)), step_m=step_m), arc=arc)

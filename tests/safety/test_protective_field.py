@@ -1,4 +1,4 @@
-"""The raw field piece by piece: bodies, place on the path, ways, gaps, and cells of returns."""
+"""Protective field: path position, swept field, box, clearance."""
 
 import math
 from dataclasses import fields, replace
@@ -51,7 +51,7 @@ def pulling(vehicle: Vehicle) -> Footprint:
 
 
 def bent_path(sections: tuple[PathSection, ...] = ()) -> Path:
-    """East for 2 m, then north for 2 m, with a corner at each metre; ways count from 3 m on."""
+    """East for 2 m, then north for 2 m, a point at each metre; distances start at 3 m."""
     path = straight_path(7, 0.4)
     p = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (2.0, 1.0), (2.0, 2.0)])
     heading = np.array([0.0, 0.0, 0.5, 1.5, 2.0])
@@ -123,12 +123,12 @@ def test_look_ahead_speed_margin(config: SafetyConfig) -> None:
     assert arc_length_m(5.0, helpless, config.field) == pytest.approx(60.8)
 
 
-@pytest.mark.parametrize(("place_m", "left_m"), [(10.0, 12.7), (90.15, 9.85), (99.9, 0.4), (100.0, 0.4)])
-def test_field_along_plan(config: SafetyConfig, pulling: Footprint, place_m: float, left_m: float) -> None:
-    path, field, pose = straight_path(), config.field, np.array([place_m, 0.2, 0.1])
-    way = sweep_field(PathPosition(path, place_m), pose, 0.1, 1, 8.0, 3.0, pulling, field)
+@pytest.mark.parametrize(("path_s_m", "left_m"), [(10.0, 12.7), (90.15, 9.85), (99.9, 0.4), (100.0, 0.4)])
+def test_field_along_plan(config: SafetyConfig, pulling: Footprint, path_s_m: float, left_m: float) -> None:
+    path, field, pose = straight_path(), config.field, np.array([path_s_m, 0.2, 0.1])
+    way = sweep_field(PathPosition(path, path_s_m), pose, 0.1, 1, 8.0, 3.0, pulling, field)
     s = spaced(left_m, 0.4)
-    poses = path_poses(path, place_m, pose, s, field.blend_m)
+    poses = path_poses(path, path_s_m, pose, s, field.blend_m)
     assert way.is_planned
     assert_equal(way.main, sweep_along(pulling, 1, s, poses, 0.1, field, True))
     s = spaced(3.0, 0.1)
@@ -145,7 +145,7 @@ def test_field_without_plan(config: SafetyConfig, pulling: Footprint, direction:
 
 
 def way_of(main: Any, arc: Any = None) -> SweptField:
-    """A way of which only the boxes are asked for."""
+    """Swept field of which only the boxes are used."""
     return SweptField(SimpleNamespace(box=main), None if arc is None else SimpleNamespace(box=arc), True)  # type: ignore[arg-type]
 
 

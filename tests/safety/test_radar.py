@@ -1,4 +1,4 @@
-"""Ultrasonic and radar at their limits: echoes that repeat, what is kept, cycles that agree, places in base."""
+"""Radar source: usable detections, confirmation over cycles, limits, self mask, frozen cycles."""
 
 import math
 from dataclasses import replace

@@ -229,11 +229,11 @@ def test_geofence(config: SupervisorConfig) -> None:
     assert ask("geofence", config, geofence_distance_m=-1.0)[:2] == (STOP, "geofence.outside")
     assert ask("geofence", config, geofence_distance_m=0.0) == (LIMIT, "geofence", 0.0)
     margin = config.limits.geofence_margin_m
-    for way in around(margin, 0.008):
-        response, _, limit = ask("geofence", config, geofence_distance_m=way)
+    for distance in around(margin, 0.008):
+        response, _, limit = ask("geofence", config, geofence_distance_m=distance)
         assert response is LIMIT
-        assert (limit > 0.0) == (way > margin), way
-    speeds = [ask("geofence", config, geofence_distance_m=way)[2] for way in (0.5, 1.0, 3.0, 9.0)]
+        assert (limit > 0.0) == (distance > margin), distance
+    speeds = [ask("geofence", config, geofence_distance_m=distance)[2] for distance in (0.5, 1.0, 3.0, 9.0)]
     assert speeds == sorted(speeds)
 
 

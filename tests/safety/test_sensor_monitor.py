@@ -1,4 +1,4 @@
-"""Radar, ultrasonic sensors and camera: each alone stops the machine, and each is missed when it is lost."""
+"""Radar, ultrasonic sensors and camera in closed loop: each alone stops the machine; failures limit the speed."""
 
 import copy
 import math
@@ -37,7 +37,7 @@ STARTED: dict[str, World] = {}
 
 
 def driving(world: World, speed_mps: float) -> World:
-    """In automatic mode and at speed; the start of the usual world is driven once and copied."""
+    """In automatic mode and at speed; the start of the usual world is run once and copied."""
     is_usual = world.steps == 0 and not world.clutter and "health/camera_front" in world.supervisor.reads
     if is_usual and "usual" in STARTED:
         world.__dict__.update(copy.deepcopy(STARTED["usual"]).__dict__)
@@ -343,7 +343,7 @@ def test_malformed_radar_scan(full: Vehicle, implement, config: SafetyConfig) ->
     assert len(source.hits) == 0
 
 
-def listen(
+def measure_all(
     full: Vehicle, config: SafetyConfig, ranges: list[float], speed_mps: float = 0.0, name: str = "left"
 ) -> UltrasonicSource:
     source = UltrasonicSource(name, full.sensors.ultrasonic[name], config.ultrasonic)
@@ -374,21 +374,21 @@ def test_echo_confirmed_by_lidar_track(y: float, width: float, sensor: str, is_c
 
 def test_echo_repeats(full: Vehicle, config: SafetyConfig) -> None:
     for count in range(6):
-        source = listen(full, config, [2.0] * count)
+        source = measure_all(full, config, [2.0] * count)
         assert (len(source.echo_arc_odom_m) > 0) == (count >= config.ultrasonic.repeats)
-    assert len(listen(full, config, [2.0, 3.5, 1.0, 4.0, 2.6]).echo_arc_odom_m) == 0
-    assert len(listen(full, config, [4.6] * 5).echo_arc_odom_m) == 0  # beyond its reach
-    assert len(listen(full, config, [math.nan] * 5).echo_arc_odom_m) == 0
+    assert len(measure_all(full, config, [2.0, 3.5, 1.0, 4.0, 2.6]).echo_arc_odom_m) == 0
+    assert len(measure_all(full, config, [4.6] * 5).echo_arc_odom_m) == 0  # beyond its reach
+    assert len(measure_all(full, config, [math.nan] * 5).echo_arc_odom_m) == 0
 
 
 def test_dead_zone_hold(full: Vehicle, config: SafetyConfig) -> None:
     near = [1.0 - 0.05 * k for k in range(13)]  # down to 0.4 m
     gone = [math.nan] * 20
-    source = listen(full, config, near + gone, speed_mps=0.5)
+    source = measure_all(full, config, near + gone, speed_mps=0.5)
     assert len(source.echo_arc_odom_m) == 7
-    assert len(listen(full, config, [1.0] * 5 + gone).echo_arc_odom_m) == 0
+    assert len(measure_all(full, config, [1.0] * 5 + gone).echo_arc_odom_m) == 0
     lasting = [math.nan] * round(config.ultrasonic.dead_zone_hold_s * 10 + 20)
-    assert len(listen(full, config, near + lasting, speed_mps=0.5).echo_arc_odom_m) == 0
+    assert len(measure_all(full, config, near + lasting, speed_mps=0.5).echo_arc_odom_m) == 0
 
 
 def test_ground_echo_range() -> None:

@@ -1,4 +1,4 @@
-"""Stopping distance and its inverse."""
+"""Stopping distance, required range, highest speed."""
 
 import math
 
@@ -34,19 +34,19 @@ def test_caps_of_a_40_m_sensor() -> None:
 
 
 def simulated(speed: float, braking: Braking) -> tuple[float, float]:
-    """Way and time by integrating the brake's build-up, the formula's own physics."""
-    v, way, t, dt = speed, speed * braking.reaction_s, 0.0, 1e-4
+    """Distance and time by integration of the brake's build-up."""
+    v, distance, t, dt = speed, speed * braking.reaction_s, 0.0, 1e-4
     while v > 0.0:
         a = braking.deceleration_mps2 * min(1.0, (t + dt / 2) / braking.build_up_s)
-        way += max(0.0, v * dt - a * dt * dt / 2)
+        distance += max(0.0, v * dt - a * dt * dt / 2)
         v, t = v - a * dt, t + dt
-    return way, braking.reaction_s + t
+    return distance, braking.reaction_s + t
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.3, *around(0.5, 0.02), 1.0, 2.78, 8.3])
 def test_stopping_distance_against_integration(speed: float) -> None:
-    way, time = simulated(speed, NOMINAL)
-    assert stopping_distance(speed, NOMINAL) == pytest.approx(way, abs=2e-3)
+    distance, time = simulated(speed, NOMINAL)
+    assert stopping_distance(speed, NOMINAL) == pytest.approx(distance, abs=2e-3)
     assert stopping_time(speed, NOMINAL) == pytest.approx(time, abs=2e-3)
 
 

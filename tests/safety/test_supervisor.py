@@ -229,7 +229,7 @@ def test_rear_lidar_timeout_only_in_reverse(world: World) -> None:
     world.order(OperatorCommandKind.PAUSE)
     world.run(3.0)
     backing(world)
-    world.place_m = 0.0
+    world.path_s_m = 0.0
     world.path = straight_path(9, 30.0, (world.x_m, 0.0), -1)
     world.order(OperatorCommandKind.START, expires_s=1.0)
     world.run(3.0)
@@ -325,7 +325,7 @@ def test_driver_override_within_one_step(world: World, changes: dict[str, float]
     assert world.mode == Mode.MANUAL
     assert not world.command.is_drive_enabled
     assert world.command.deceleration_mps2 > 0.0
-    world.is_obedient, world.speed_mps = False, 0.0
+    world.follows_commands, world.speed_mps = False, 0.0
     world.step(5)
     assert world.command.deceleration_mps2 == 0.0
     assert not world.command.is_park_brake_set
@@ -344,7 +344,7 @@ def test_emergency_stop_latch(world: World) -> None:
     assert not world.command.is_drive_enabled
     assert world.command.reason == "operator_command.emergency_stop"
     world.speed_mps = 1.0
-    world.is_obedient = False
+    world.follows_commands = False
     world.order(OperatorCommandKind.RESET)
     world.run(0.3)
     assert world.mode == Mode.EMERGENCY_STOP  # not while it moves
@@ -353,7 +353,7 @@ def test_emergency_stop_latch(world: World) -> None:
     world.run(2.0)
     assert world.mode == Mode.EMERGENCY_STOP
     assert world.command.deceleration_mps2 == 1.0
-    world.is_obedient = True
+    world.follows_commands = True
     world.order(OperatorCommandKind.RESET)
     world.run(0.2)
     assert world.mode == Mode.STANDBY
@@ -379,7 +379,7 @@ def test_no_reset_with_pressed_button(world: World) -> None:
 
 def test_ineffective_brake(world: World) -> None:
     driving(world, 2.78)
-    world.is_obedient = False
+    world.follows_commands = False
     world.mute.add("control_command")
     world.run(2.0)
     assert world.mode == Mode.EMERGENCY_STOP
@@ -473,7 +473,7 @@ def test_automatic_start_of_a_reverse_detour(world: World) -> None:
     world.run(8.0)
     assert world.mode == Mode.OBSTACLE_STOP
     stood = world.x_m
-    world.path, world.place_m, world.commanded_mps = straight_path(2, 8.0, (world.x_m, 0.0), -1), 0.0, 1.0
+    world.path, world.path_s_m, world.commanded_mps = straight_path(2, 8.0, (world.x_m, 0.0), -1), 0.0, 1.0
     world.run(2.5 + 1.5 + 3.0)
     assert world.mode == Mode.AUTOMATIC
     assert world.x_m < stood - 0.5
@@ -483,7 +483,7 @@ def test_no_resume_on_a_path_into_the_obstacle(world: World) -> None:
     driving(world)
     world.boxes = (Box(world.x_m + 9.0, 0.0, (2.0, 2.0, 1.6)),)
     world.run(8.0)
-    world.path, world.place_m = straight_path(2, 50.0, (world.x_m, 0.0), 1), 0.0
+    world.path, world.path_s_m = straight_path(2, 50.0, (world.x_m, 0.0), 1), 0.0
     world.run(6.0)
     assert world.mode == Mode.OBSTACLE_STOP
 
@@ -575,7 +575,7 @@ def test_lower_speed_downhill(world: World) -> None:
     world.step(5)
     flat = next(r for r in world.state.rules if r.code == "protective_field").speed_limit_mps
     world.pitch_rad = math.atan(0.08)
-    world.is_obedient = False
+    world.follows_commands = False
     world.step(5)
     steep = next(r for r in world.state.rules if r.code == "protective_field").speed_limit_mps
     assert steep < flat

@@ -1,4 +1,4 @@
-"""The swept area: contact against brute force, margins at their boundary, curves, reverse, trailed implements."""
+"""Swept area: contact against brute force, margins, curves, reverse, trailed implements."""
 
 import itertools
 import math
@@ -58,15 +58,15 @@ def arc(
 
 def test_straight_contact(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.0, 20.0)
-    ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [10.0, 4.0], [-3.0, 0.0], [30.0, 0.0]]), area)
-    assert ways[:2] == pytest.approx([6.5, 11.1])  # the machine's front at 3.5, the implement's at -1.1
-    assert np.all(np.isinf(ways[2:]))
+    distances = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [10.0, 4.0], [-3.0, 0.0], [30.0, 0.0]]), area)
+    assert distances[:2] == pytest.approx([6.5, 11.1])  # the machine's front at 3.5, the implement's at -1.1
+    assert np.all(np.isinf(distances[2:]))
 
 
 def test_distance_from_foremost_point(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.0, 20.0, foremost=True)
-    ways = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), area)
-    assert ways == pytest.approx([6.5, 6.5, 0.0])
+    distances = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), area)
+    assert distances == pytest.approx([6.5, 6.5, 0.0])
 
 
 def test_nan_points(footprint: Footprint, config: SafetyConfig) -> None:
@@ -74,11 +74,11 @@ def test_nan_points(footprint: Footprint, config: SafetyConfig) -> None:
     poses = arc_poses(0.0, 1, s)
     poses[-1] = np.nan
     area = sweep_along(footprint, 1, s, poses, 0.0, config.field, False)
-    ways = distance_to_contact_m(
+    distances = distance_to_contact_m(
         np.array([[10.0, 0.0], [np.nan, 0.0], [10.0, 2.0]]), area, np.array([0.0, 0.0, np.nan])
     )
-    assert ways[0] == pytest.approx(6.5)
-    assert np.all(np.isinf(ways[1:]))
+    assert distances[0] == pytest.approx(6.5)
+    assert np.all(np.isinf(distances[1:]))
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -120,10 +120,10 @@ def test_outline_width(footprint: Footprint, config: SafetyConfig) -> None:
 
 def test_outline_points(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.15, 6.0)
-    points, ways = outline_points(area, 0.5)
+    points, distances = outline_points(area, 0.5)
     expected = [to_frame(pose, outline(body)) for body, poses in area.bodies for pose in poses[::2]]
     assert points == pytest.approx(np.concatenate(expected))
-    assert ways == pytest.approx(np.concatenate([np.repeat(area.s_m[::2], 8) for _ in area.bodies]))
+    assert distances == pytest.approx(np.concatenate([np.repeat(area.s_m[::2], 8) for _ in area.bodies]))
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -131,7 +131,7 @@ def test_outline_points(footprint: Footprint, config: SafetyConfig) -> None:
 def test_contact_on_outside_of_curve(
     footprint: Footprint, config: SafetyConfig, curvature: float, direction: int
 ) -> None:
-    """It moves farther than base does: by 60 % beside a harrow of 6 m in the tightest bend."""
+    """The outer end travels farther than base: by 60 % at a harrow of 6 m in the tightest curve."""
     area = arc(footprint, config, curvature, 7.0, direction)
     for x, y in itertools.product(np.arange(-10.0, 10.0, 1.3), np.arange(-8.0, 9.0, 1.7)):
         bare = brute_contact(np.array([x, y]), footprint, curvature, direction, area.length_m)
@@ -187,7 +187,7 @@ def test_unwrapped_headings() -> None:
 
 
 def brute_contact(point: np.ndarray, footprint: Footprint, curvature: float, direction: int, length: float) -> float:
-    """First place, in steps of 5 mm, at which a bare body covers the point."""
+    """First distance, in steps of 5 mm, at which a body without margins covers the point."""
     s = np.arange(0.0, length, 0.005)
     best = math.inf
     for body, poses in carriers(footprint, arc_poses(curvature, direction, s), curvature):
@@ -221,7 +221,7 @@ CONFIG: SafetyConfig
 
 
 def test_implement_swing_out(footprint: Footprint, config: SafetyConfig) -> None:
-    """Turning left, the right rear corner swings out beyond the straight sweep; the point lies beside it."""
+    """Turning left, the right rear corner swings out beyond the straight swept area, onto the point."""
     point = np.array([[-1.0, -3.3]])
     assert np.isinf(distance_to_contact_m(point, arc(footprint, config, 0.0, 4.0))[0])
     assert np.isfinite(distance_to_contact_m(point, arc(footprint, config, 0.2, 4.0))[0])
@@ -271,10 +271,10 @@ def test_path_headings_of_other_turns(turns: int) -> None:
 
 def test_up_to(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.1, 20.0)
-    points, ways = outline_points(area, 0.1)
+    points, distances = outline_points(area, 0.1)
     for way_m in (0.0, 4.9, 5.0, 5.1, 30.0):
         part_points, part_ways = outline_points(area.up_to(way_m), 0.1)
-        assert sorted(map(tuple, part_points)) == sorted(map(tuple, points[ways <= way_m])), way_m
+        assert sorted(map(tuple, part_points)) == sorted(map(tuple, points[distances <= way_m])), way_m
         assert part_ways.max() == area.up_to(way_m).length_m
 
 
@@ -308,11 +308,11 @@ def test_field_without_position(config: SafetyConfig, footprint: Footprint) -> N
 
 
 def test_field_ends_with_path(config: SafetyConfig, footprint: Footprint) -> None:
-    way = sweep_field(
+    distance = sweep_field(
         position_on_path(straight_path(1, 3.0), None), np.zeros(3), 0.0, 1, 20.0, 1.0, footprint, config.field
     )
-    assert way.main.length_m == pytest.approx(3.0, abs=0.4)
-    assert np.isinf(distance_to_contact_m(np.array([[8.0, 0.0]]), way.main)[0])
+    assert distance.main.length_m == pytest.approx(3.0, abs=0.4)
+    assert np.isinf(distance_to_contact_m(np.array([[8.0, 0.0]]), distance.main)[0])
 
 
 def test_look_ahead_minimum(config: SafetyConfig) -> None:
@@ -321,13 +321,13 @@ def test_look_ahead_minimum(config: SafetyConfig) -> None:
 
 
 def test_box_and_outline_contain_area(config: SafetyConfig, footprint: Footprint) -> None:
-    way = sweep_field(None, None, 0.2, 1, 8.0, 3.0, footprint, config.field)
-    box = box_of(way, 0.0)
-    points, ways = outline_points(way.main, 0.5)
+    distance = sweep_field(None, None, 0.2, 1, 8.0, 3.0, footprint, config.field)
+    box = box_of(distance, 0.0)
+    points, distances = outline_points(distance.main, 0.5)
     assert np.all((points[:, 0] >= box.x_m[0]) & (points[:, 0] <= box.x_m[1]))
     assert np.all((points[:, 1] >= box.y_m[0]) & (points[:, 1] <= box.y_m[1]))
-    assert ways.max() <= way.main.length_m
-    assert outline_of(way.main).shape == (2 * len(way.main.s_m), 2)
+    assert distances.max() <= distance.main.length_m
+    assert outline_of(distance.main).shape == (2 * len(distance.main.s_m), 2)
     assert outline_of(arc(footprint, config, 0.0, 3.0, -1))[0, 0] < 0.0
     assert len(outline(Rectangle(-1.0, 1.0, 2.0))) == 8
 

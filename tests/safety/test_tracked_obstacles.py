@@ -1,4 +1,4 @@
-"""Tracked obstacles piece by piece: what may be left out before its gap is measured, and what may not."""
+"""Tracked obstacles: selection of tracks, prediction, fragments, clearance."""
 
 import itertools
 import math

@@ -28,7 +28,7 @@ def turned(roll_deg: float = 0.0, pitch_deg: float = 0.0, yaw_deg: float = 0.0) 
     return SENSOR.model_copy(update={"mount": Mount(xyz_m=(3.5, 0.6, 0.7), rpy_deg=(roll_deg, pitch_deg, yaw_deg))})
 
 
-def listen(
+def measure_all(
     config: SafetyConfig, ranges: list[float], speeds: Any = 0.0, every_ns: int = 100_000_000, **how: Any
 ) -> UltrasonicSource:
     source = UltrasonicSource("left", how.get("sensor", SENSOR), config.ultrasonic)
@@ -40,13 +40,13 @@ def listen(
 
 
 def is_confirmed(config: SafetyConfig, ranges: list[float], *args: Any, **how: Any) -> bool:
-    return len(listen(config, ranges, *args, **how).echo_arc_odom_m) > 0
+    return len(measure_all(config, ranges, *args, **how).echo_arc_odom_m) > 0
 
 
 def test_initial_state(config: SafetyConfig) -> None:
-    source = listen(config, [])
+    source = measure_all(config, [])
     assert (source.name, source.stamp_ns, source.echo_arc_odom_m.shape) == ("left", None, (0, 2))
-    assert listen(config, [1.0, 1.0]).stamp_ns == START_NS + 100_000_000
+    assert measure_all(config, [1.0, 1.0]).stamp_ns == START_NS + 100_000_000
 
 
 def test_echo_range_limits(config: SafetyConfig) -> None:
@@ -78,7 +78,7 @@ def test_window_length(config: SafetyConfig) -> None:
 def test_hold_times(config: SafetyConfig) -> None:
     for range_m, hold_ns in ((1.0, 500_000_000), (0.4, 10_000_000_000), (0.401, 500_000_000)):
         for later_ns, is_kept in ((0, True), (1000, False)):
-            source = listen(config, [range_m] * 3)
+            source = measure_all(config, [range_m] * 3)
             heard_ns = START_NS + 200_000_000
             source.update(UltrasonicRange(heard_ns + hold_ns + later_ns, NONE), np.zeros(3), STILL)
             assert (len(source.echo_arc_odom_m) > 0) == is_kept, (range_m, later_ns)
@@ -112,7 +112,7 @@ def test_cone_arc() -> None:
 
 
 def test_arc_at_pose_of_stamp(config: SafetyConfig) -> None:
-    source = listen(config, [2.0, 2.0])
+    source = measure_all(config, [2.0, 2.0])
     pose = np.array([5.0, -2.0, 0.7])
     source.update(UltrasonicRange(START_NS + 200_000_000, 2.1), pose, STILL)
     assert source.echo_arc_odom_m == pytest.approx(to_frame(pose, cone_arc(2.1, SENSOR, SENSOR.mount.T_base_sensor)))

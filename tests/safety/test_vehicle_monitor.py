@@ -38,7 +38,7 @@ class Bench:
         }  # fmt: skip
 
     def show(self, after_s: float = 0.02, **changes: Any) -> VehicleState:
-        """What is measured in a moment; changes stay, `machine` names those of its state."""
+        """State after one step; changes persist, `machine` holds those of the machine state."""
         self.now_ns += round(after_s * 1e9)
         if isinstance(changes.get("machine"), dict):
             changes["machine"] = machine_state(START_NS, **{"speed_mps": 2.0, **changes["machine"]})
