@@ -110,7 +110,7 @@ def test_radar_posts_beside_path(seeing: World, side: int) -> None:
 @pytest.mark.parametrize("y", [0.0, 0.6, -1.0])
 def test_ultrasonic_stops_slow_machine(seeing: World, y: float) -> None:
     driving(seeing, 0.8)
-    seeing.targets = (Target(seeing.x_m + 9.0, y, rcs_dbsm=-60.0, is_confirmed=True),)
+    seeing.targets = (Target(seeing.x_m + 9.0, y, rcs_dbsm=-60.0, has_echo=True),)
     seeing.run(12.0)
     assert seeing.mode == Mode.OBSTACLE_STOP
     assert seeing.command.reason == "protective_field"
@@ -121,7 +121,7 @@ def test_rear_ultrasonic_stops_reversing(seeing: World) -> None:
     seeing.path = straight_path(5, 40.0, direction=-1)
     seeing.commanded_mps = 0.8
     seeing.start()
-    seeing.targets = (Target(seeing.x_m - 9.0, 0.0, rcs_dbsm=-60.0, is_confirmed=True),)
+    seeing.targets = (Target(seeing.x_m - 9.0, 0.0, rcs_dbsm=-60.0, has_echo=True),)
     seeing.run(15.0)
     assert seeing.mode == Mode.OBSTACLE_STOP
     assert 0.5 < seeing.x_m - 2.4 - seeing.targets[0].x_m < 4.0
@@ -130,11 +130,11 @@ def test_rear_ultrasonic_stops_reversing(seeing: World) -> None:
 def test_single_echo_and_speed_limit_of_echoes(seeing: World) -> None:
     driving(seeing, 0.8)
     for k in range(20):
-        seeing.targets = (Target(seeing.x_m + 6.0, 0.0, rcs_dbsm=-60.0, is_confirmed=True),) if k % 4 == 0 else ()
+        seeing.targets = (Target(seeing.x_m + 6.0, 0.0, rcs_dbsm=-60.0, has_echo=True),) if k % 4 == 0 else ()
         seeing.step(5)
     assert seeing.command.reason == ""
     driving(seeing, 2.78)
-    seeing.targets = (Target(seeing.x_m + 9.0, 2.0, rcs_dbsm=-60.0, is_confirmed=True),)
+    seeing.targets = (Target(seeing.x_m + 9.0, 2.0, rcs_dbsm=-60.0, has_echo=True),)
     seeing.run(1.2)
     assert seeing.command.reason == ""
 
@@ -419,7 +419,7 @@ def test_start_with_failed_sensor(seeing: World) -> None:
 
 def test_echo_of_known_wall(seeing: World) -> None:
     driving(seeing, 0.8)
-    seeing.targets = (Target(seeing.x_m + 9.0, 0.0, rcs_dbsm=-60.0, is_confirmed=True),)
+    seeing.targets = (Target(seeing.x_m + 9.0, 0.0, rcs_dbsm=-60.0, has_echo=True),)
     seeing.run(12.0)
     collision_monitor = seeing.supervisor.collision_monitor
     assert collision_monitor.swept_field is not None
