@@ -10,8 +10,7 @@ from tests.recordings import ROOT
 # Each word is written in two parts so that this file does not contain it.
 WORDS = ("to" "ld", "wi" "sh", "look" "out", "he" "lm", "gau" "ge", "sight" "ing", "an" "ew", "hea" "rs")  # fmt: skip
 FORMER = re.compile(rf"\b({'|'.join(WORDS)})\b", re.IGNORECASE)
-# Ordinary English, reviewed: file → lines that may contain such a word.
-ALLOWED: dict[str, tuple[str, ...]] = {}
+QUOTED_NAMES = re.compile(r"`[^`]*`")  # CHANGELOG.md quotes former names, so that users find what replaces them
 SUFFIXES = (".py", ".yaml", ".md", ".toml", ".html", ".dbc", ".sh")
 
 
@@ -26,7 +25,7 @@ def test_former_words() -> None:
         f"{name}:{number}: {line.strip()}"
         for name in files()
         for number, line in enumerate((ROOT / name).read_text(encoding="utf-8").splitlines(), 1)
-        if FORMER.search(line) and line.strip() not in ALLOWED.get(name, ())
+        if FORMER.search(QUOTED_NAMES.sub("", line) if name == "CHANGELOG.md" else line)
     ]
     assert not found, "\n".join(found)
 
