@@ -18,7 +18,7 @@ from time import process_time
 import numpy as np
 from scipy.stats import beta
 
-from benchmarks.perception_kitti_data import DATA, FRAMES, Label, detections, frame, has_frames, labels
+from benchmarks.perception_kitti_data import FRAMES, Label, detections, frame, has_frames, labels
 from benchmarks.perception_pasting import paste_trials
 from benchmarks.perception_scoring import (
     Drive,
@@ -30,6 +30,7 @@ from benchmarks.perception_scoring import (
     recall,
     thin,
 )
+from benchmarks.recordings import DATA
 from geometry.arrays import Float32
 
 NOISE = 2000
