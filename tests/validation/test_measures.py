@@ -1,6 +1,7 @@
 """Measures of a drive on records with known results."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -113,8 +114,10 @@ def supervisor(t_ns: int, mode: Mode, reason: str, clearance_m: float, hits: np.
     )
 
 
-def with_stop(role: str, place_m: tuple[float, float]) -> DriveRecord:
-    """A stop from 2 s to 4 s with triggering points 5 m ahead of a machine at the origin."""
+def with_stop(
+    role: str, place_m: tuple[float, float], cause: Callable[[int], str] = lambda k: "protective_field"
+) -> DriveRecord:
+    """A stop from 2 s to 4 s with triggering points 5 m ahead of a machine at the origin; `cause` by 0.1 s."""
     rows: list[tuple[str, Message]] = []
     hits = np.array([[5.0, 0.0, 1.0]])
     for k in range(1, 60):
@@ -134,7 +137,7 @@ def with_stop(role: str, place_m: tuple[float, float]) -> DriveRecord:
         clearance_m = max(8.0 - 0.5 * (k - 10), 3.0) if is_limited else math.inf
         rows.append(("truth_machine", machine(t_ns, 0.0, 0.0, 0.0)))
         rows.append(("truth_objects", TrueObjects(t_ns, (person,))))
-        reason = "protective_field" if is_limited else ""
+        reason = cause(k) if is_limited else ""
         rows.append(("supervisor", supervisor(t_ns, mode, reason, clearance_m, hits if is_limited else hits[:0])))
     return collect(Envelope(topic, i, m.stamp_ns, m) for i, (topic, m) in enumerate(rows))
 
@@ -146,6 +149,18 @@ def test_stop_cause_first_range_and_true_margin() -> None:
     assert stop.range_m == pytest.approx(8.0)
     assert stop.margin_m == pytest.approx(1.7)
     assert false_stops([stop], {"person": 1}) == []
+
+
+@pytest.mark.parametrize("first", ["tracked_obstacle", "protective_field"])
+def test_stop_begins_with_the_first_of_both_obstacle_channels(first: str) -> None:
+    (stop,) = find_stops(with_stop("person", (5.2, 0.3), lambda k: first if k < 18 else "protective_field"))
+    assert stop.cause == "protective_field"
+    assert stop.range_m == pytest.approx(8.0)
+
+
+def test_stop_does_not_begin_with_another_cause() -> None:
+    (stop,) = find_stops(with_stop("person", (5.2, 0.3), lambda k: "speed_limit" if k < 15 else "tracked_obstacle"))
+    assert stop.range_m == pytest.approx(5.5)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from messages.truth import TrueMachine, TrueObject, TrueObjects
 from validation.drive.record import DriveRecord, stamps_of
 
 STOPS = (Mode.OBSTACLE_STOP, Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
+OBSTACLE_CHANNELS = ("protective_field", "tracked_obstacle")
 ONE_EPISODE_NS = 1_000_000_000  # a cause that disappears for less is the same
 ASSOCIATION_M = 1.5  # a triggering point this near to the box of an object belongs to it
 
@@ -50,12 +51,12 @@ def find_stops(record: DriveRecord) -> list[Stop]:
 def _describe(record: DriveRecord, states: list[SupervisorState], entry: int) -> Stop:
     """Cause, first range and margin; the stop begins with the first state with a reason of the same kind."""
     state, first = states[entry], entry
-    kind = state.reason.partition(".")[0]
+    kind = cause_kind(state.reason)
     since_ns = state.stamp_ns
     for k in range(entry, -1, -1):
         if since_ns - states[k].stamp_ns > ONE_EPISODE_NS:
             break
-        if states[k].reason.partition(".")[0] == kind:
+        if cause_kind(states[k].reason) == kind:
             first, since_ns = k, states[k].stamp_ns
     last = entry
     while last + 1 < len(states) and states[last + 1].mode is state.mode:
@@ -68,6 +69,12 @@ def _describe(record: DriveRecord, states: list[SupervisorState], entry: int) ->
         began.clearance_m, began.stopping_distance_m, began.required_range_m,
         state.clearance_m if margin is None else margin,
     )  # fmt: skip
+
+
+def cause_kind(reason: str) -> str:
+    """Kind of a cause: both obstacle channels are one, other codes go by their first part."""
+    first = reason.partition(".")[0]
+    return "obstacle" if first in OBSTACLE_CHANNELS else first
 
 
 def _truth_at(record: DriveRecord, during: list[SupervisorState]) -> tuple[str, float | None]:

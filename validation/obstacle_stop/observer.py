@@ -17,6 +17,7 @@ from messages.perception import Obstacles, Tracks
 from messages.plan import Path
 from messages.sensors import LidarScan
 from messages.truth import TrueMachine, TrueObjects
+from validation.drive.stops import OBSTACLE_CHANNELS
 from validation.obstacle_stop.boxes import Box, box_of, count_beams, points_near, points_towards
 from validation.obstacle_stop.conditions import Conditions
 from validation.obstacle_stop.driving_corridor import DrivingCorridor, corridor_along
@@ -39,7 +40,6 @@ from validation.obstacle_stop.visibility import (
     is_under_vehicle,
 )
 
-RULES = ("protective_field", "tracked_obstacle")
 TOLERANCE_MPS = 0.05  # tolerance of the supervisor's speed limits
 STOP_MPS = 0.3
 MAX_RANGE_M = 90.0
@@ -230,7 +230,9 @@ class Observer:
         k = out.motion.index(state.stamp_ns)
         speed = 0.0 if k is None else abs(out.motion.speeds_mps[k])
         wanted_mps = speed if self._control_command is None else max(speed, abs(self._control_command.speed_mps))
-        binding = [r for r in state.rules if r.code in RULES and r.speed_limit_mps < wanted_mps - TOLERANCE_MPS]
+        binding = [
+            r for r in state.rules if r.code in OBSTACLE_CHANNELS and r.speed_limit_mps < wanted_mps - TOLERANCE_MPS
+        ]
         stops = [r for r in binding if r.response >= Response.CONTROLLED_STOP or r.speed_limit_mps < STOP_MPS]
         hits = state.triggering_points_base_m.astype(np.float64)
         touched, has_no_true_cause = self._true_causes(k, hits) if binding and k is not None else ((), False)
