@@ -152,7 +152,8 @@ def tree(tmp_path: Path) -> Path:
 def run(tree: Path, expression: str) -> str:
     """Value of an expression over this module in a process in the copied tree."""
     command = f"from tests.test_sensor_kinds import *; print({expression})"
-    env = os.environ | {"NUMBA_DISABLE_JIT": "1"}  # no kernel is cached for the copy
+    # the copy alone is on the path, as ./headland sets one; no kernel is cached for the copy
+    env = os.environ | {"PYTHONPATH": str(tree), "NUMBA_DISABLE_JIT": "1"}
     words = [sys.executable, "-c", command]
     done = subprocess.run(words, cwd=tree, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
