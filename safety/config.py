@@ -140,8 +140,7 @@ class RadarConfig(Config):
 class UltrasonicConfig(Config):
     """Confirmation of ultrasonic echoes."""
 
-    window: int = Field(ge=1, le=50)
-    repeats: int = Field(ge=1, le=50)
+    window_s: Seconds = Field(description="longest time from the first to the last of three echoes that agree")
     gate_m: Metres
     max_object_speed_mps: Speed
     ground_ratio: float = Field(
@@ -153,12 +152,6 @@ class UltrasonicConfig(Config):
     max_speed_kmh: Kmh = Field(description="above it echoes are not used")
     min_arc_ratio: float = Field(gt=0.0, le=1.0, description="of the arc that must lie in the swept area")
     track_match_m: Metres = Field(description="greatest distance from the arc of a lidar track that explains the echo")
-
-    @model_validator(mode="after")
-    def _window_holds_repeats(self) -> "UltrasonicConfig":
-        if self.repeats > self.window:
-            raise ValueError(f"repeats {self.repeats} do not fit a window of {self.window}")
-        return self
 
 
 class DockingConfig(Config):

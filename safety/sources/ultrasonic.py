@@ -1,12 +1,14 @@
-"""Ultrasonic source: repeated echoes give an arc of the cone on which an obstacle lies.
+"""Ultrasonic source: successive echoes that agree give an arc of the cone on which an obstacle lies.
 
-An echo gives a range, not the position on the arc. Single echoes are cross-talk; several that fit the machine's own
-motion are an obstacle. An echo that entered the dead zone is held until the machine has left or the echo returns.
+An echo gives a range, not the position on the arc. Single echoes are cross-talk; three successive ones that fit the
+machine's own motion are an obstacle (perception counts votes over a window of measurements instead). An echo that
+entered the dead zone is held until the machine has left or the echo returns.
 """
 
 import math
 from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from messages.sensors import UltrasonicRange
 from safety.config import UltrasonicConfig
 
 ARC_POINTS = 7
+SUCCESSIVE = 3  # echoes that confirm an obstacle
 NARROW_M = 1.0  # the centre of a wider box may be empty: two sides of a fence in one track
 
 
@@ -41,19 +44,18 @@ class UltrasonicSource:
         self._sensor, self._config = sensor, config
         self._T = sensor.mount.T_base_sensor
         self._reach_m = min(sensor.range_m[1], config.ground_ratio * ground_range_m(self._T))
-        self._echoes: deque[Echo] = deque(maxlen=config.window)
+        self._measured: Echo | None = None
+        self._echoes: deque[Echo] = deque(maxlen=SUCCESSIVE)
         self._confirmed: Echo | None = None
 
     def update(self, message: UltrasonicRange, pose_odom: Float64, odom: Odometry) -> None:
         """Processes a measurement; `pose_odom` (3,) is base at its stamp."""
-        before = self._echoes[-1] if self._echoes else None
-        travel_m = 0.0
+        before, travel_m = self._measured, 0.0
         if before is not None:
             travel_m = before.travel_m + self._axis_mps(odom) * (message.stamp_ns - before.stamp_ns) * 1e-9
-        echo = Echo(message.stamp_ns, message.range_m, travel_m)
+        self._measured = echo = Echo(message.stamp_ns, message.range_m, travel_m)
         self.stamp_ns = message.stamp_ns
-        self._echoes.append(echo)
-        if self._is_repeated(echo):
+        if self._is_confirmed(echo):
             self._confirmed = echo
             self.echo_arc_odom_m = to_frame(pose_odom, cone_arc(echo.range_m, self._sensor, self._T))
         elif not self._is_held(echo):
@@ -64,17 +66,19 @@ class UltrasonicSource:
         velocity = (odom.speed_mps - turn * y, odom.lateral_mps + turn * x)
         return float(self._T[0, 0] * velocity[0] + self._T[1, 0] * velocity[1])
 
-    def _is_repeated(self, echo: Echo) -> bool:
-        """Whether enough of the last measurements fit an object at rest or up to walking speed."""
+    def _is_confirmed(self, echo: Echo) -> bool:
+        """Whether the last three echoes, missing ones left out, fit an object at rest or up to walking speed."""
         near_m, _ = self._sensor.range_m
         if not near_m <= echo.range_m <= self._reach_m:
             return False
-        fits = [
-            abs(old.range_m + old.travel_m - echo.range_m - echo.travel_m)
-            <= self._config.gate_m + self._config.max_object_speed_mps * (echo.stamp_ns - old.stamp_ns) * 1e-9
-            for old in self._echoes
-        ]
-        return sum(fits) >= self._config.repeats
+        self._echoes.append(echo)
+        if len(self._echoes) < SUCCESSIVE or (echo.stamp_ns - self._echoes[0].stamp_ns) * 1e-9 > self._config.window_s:
+            return False
+        return all(
+            abs(old.range_m + old.travel_m - new.range_m - new.travel_m)
+            <= self._config.gate_m + self._config.max_object_speed_mps * (new.stamp_ns - old.stamp_ns) * 1e-9
+            for old, new in pairwise(self._echoes)
+        )
 
     def _is_held(self, echo: Echo) -> bool:
         """Whether the last confirmed echo still holds: recent, or by now in the dead zone."""

@@ -6,7 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from configs.strict import parse, read_yaml
 from configs.vehicle import Mount, Ultrasonic
 from geometry.pose2 import to_frame
 from messages.motion import Odometry
@@ -14,7 +17,8 @@ from messages.perception import ObstacleClass, Track, Tracks
 from messages.sensors import UltrasonicRange
 from safety.config import SafetyConfig
 from safety.sources.ultrasonic import UltrasonicSource, cone_arc, ground_range_m, is_beyond, is_confirmed_by_track
-from tests.safety.safety_world import START_NS
+from safety.supervisor_config import SupervisorConfig
+from tests.safety.safety_world import ROOT, START_NS
 
 STILL = Odometry(START_NS, np.eye(4), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
 
@@ -22,6 +26,7 @@ SENSOR = Ultrasonic(mount=Mount(xyz_m=(3.5, 0.6, 0.7)), cone_deg=60.0, rate_hz=1
                     range_sigma_m=0.01)  # fmt: skip
 
 NONE = math.nan
+CONFIG = parse(SupervisorConfig, read_yaml(ROOT / "configs/stack/safety.yaml"), "stack/safety.yaml")
 
 
 def turned(roll_deg: float = 0.0, pitch_deg: float = 0.0, yaw_deg: float = 0.0) -> Ultrasonic:
@@ -73,6 +78,40 @@ def test_motion_compensation(config: SafetyConfig) -> None:
 def test_window_length(config: SafetyConfig) -> None:
     assert is_confirmed(config, [2.0, 2.0, NONE, NONE, 2.0])
     assert not is_confirmed(config, [2.0, 2.0, NONE, NONE, NONE, 2.0])
+
+
+def test_three_successive_echoes(config: SafetyConfig) -> None:
+    for ranges, confirmed in (
+        ([2.0], False), ([2.0, 2.0], False), ([2.0, 2.0, 2.0], True), ([2.0, NONE, 2.0, NONE, 2.0], True),
+        ([2.0, 2.0, 3.0, 2.0], False), ([3.0, 2.0, 2.0, 2.0], True), ([2.0, 2.0, 2.0, 3.0], True),
+        ([2.0, 4.6, 2.0, 2.0], True),  # beyond the reach: not an echo
+    ):  # fmt: skip
+        assert is_confirmed(config, ranges) == confirmed, ranges
+
+
+def is_confirmed_by_vote(config: SafetyConfig, ranges: list[float]) -> bool:
+    """Whether the newest echo agrees with two of the four measurements before: perception's way of confirmation."""
+    *before, newest = ranges[-5:]
+    gate_m, speed_mps = config.ultrasonic.gate_m, config.ultrasonic.max_object_speed_mps
+    gates = [gate_m + 0.1 * k * speed_mps for k in range(len(before), 0, -1)]
+    return sum(abs(old - newest) <= gate for old, gate in zip(before, gates, strict=True)) >= 2
+
+
+@given(
+    start_m=st.floats(1.0, 3.5),
+    speed_mps=st.floats(-1.4, 1.4),
+    noise_m=st.lists(st.floats(-0.03, 0.03), min_size=8, max_size=8),
+    is_missed=st.lists(st.booleans(), min_size=8, max_size=8),
+)
+@settings(derandomize=True, deadline=None, max_examples=200)
+def test_never_later_than_a_vote(start_m: float, speed_mps: float, noise_m: list[float], is_missed: list[bool]) -> None:
+    ranges = [
+        NONE if missed else start_m + 0.1 * k * speed_mps + noise
+        for k, (noise, missed) in enumerate(zip(noise_m, is_missed, strict=True))
+    ]
+    for count in range(1, 9):
+        if is_confirmed_by_vote(CONFIG, ranges[:count]):
+            assert is_confirmed(CONFIG, ranges[:count]), ranges[:count]
 
 
 def test_hold_times(config: SafetyConfig) -> None:
