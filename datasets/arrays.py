@@ -20,13 +20,14 @@ import numpy as np
 import numpy.typing as npt
 
 from geometry.arrays import UInt8
+from geometry.jit import kernel
 from messages.errors import LogError
 
 Array = npt.NDArray[Any]
 # Elements; for smaller arrays a filter costs more time than it saves in size.
 MIN_FILTERED = 256
 PNG, SENT = "png", "sent"
-KNOWN_DTYPES = frozenset({"<f8", "<f4", "<i8", "<i4", "<u2", "|u1", "|i1", "<i2", "<u4", "<u8", "|b1"})
+KINDS = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8", "<i4", "<u2", "|u1", "|i1", "<i2", "<u4", "<u8", "|b1")}
 
 
 def filter_of(array: Array) -> str:
@@ -54,16 +55,18 @@ def pack(array: Array, name: str) -> bytes:
 
 def unpack(data: bytes, dtype: str, shape: tuple[int, ...], name: str) -> Array:
     """Inverse of `pack`, read-only; raises LogError when type, shape, filter and bytes do not agree."""
-    if dtype not in KNOWN_DTYPES:
-        raise LogError(f"array of type {dtype!r}: not one of {', '.join(sorted(KNOWN_DTYPES))}")
+    kind = KINDS.get(dtype)
+    if kind is None:
+        raise LogError(f"array of type {dtype!r}: not one of {', '.join(sorted(KINDS))}")
     if name in (PNG, SENT):
         return _image(data, dtype, shape)
-    kind = np.dtype(dtype)
     if math.prod(shape) * kind.itemsize != len(data):
         raise LogError(f"array of shape {shape} and type {dtype}: {len(data)} bytes do not fill it")
+    if not name:
+        return np.frombuffer(data, kind).reshape(shape)
     undo = _UNDO.get(name)
     if undo is None:
-        raise LogError(f"array filter {name!r}: not one of {', '.join(map(repr, (*_UNDO, PNG, SENT)))}")
+        raise LogError(f"array filter {name!r}: not one of {', '.join(map(repr, ('', *_UNDO, PNG, SENT)))}")
     return undo(data, kind, shape)
 
 
@@ -99,24 +102,38 @@ def _unfold(axis: int) -> Callable[[bytes, np.dtype[Any], tuple[int, ...]], Arra
     def undo(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
         if kind.itemsize not in (2, 4) or len(shape) <= axis:
             raise LogError(f"array of shape {shape} and type {kind.str}: has no differences along axis {axis}")
-        unsigned = _unsigned(kind)
-        folded = _merge(data, unsigned, shape)
-        step = (folded >> 1) ^ (unsigned.type(0) - (folded & unsigned.type(1)))
-        return np.cumsum(step, axis=axis, dtype=unsigned).view(kind)
+        out = np.empty(math.prod(shape), _unsigned(kind))
+        planes: UInt8 = np.frombuffer(data, np.uint8).reshape(kind.itemsize, -1)
+        stride, line = math.prod(shape[axis + 1 :]), math.prod(shape[axis:])
+        _sum_steps(planes[:2], planes[2:], out, stride, max(line, 1))
+        return out.view(kind).reshape(shape)
 
     return undo
+
+
+@kernel
+def _sum_steps(low: UInt8, high: UInt8, out: Array, stride: int, line: int) -> None:
+    """Adds up the folded differences in byte planes (2, N) and (0 or 2, N) to `out` (N,).
+
+    An element follows the one `stride` before; a sum starts again every `line` elements.
+    """
+    for i in range(len(out)):
+        out[i] = np.uint32(low[0, i]) | np.uint32(low[1, i]) << np.uint32(8)
+    if len(high):
+        for i in range(len(out)):
+            out[i] |= np.uint32(high[0, i]) << np.uint32(16) | np.uint32(high[1, i]) << np.uint32(24)
+    for i in range(len(out)):
+        out[i] = (out[i] >> 1) ^ (0 - (out[i] & 1))
+    for begin in range(0, len(out), line):
+        for i in range(begin + stride, begin + line):
+            out[i] += out[i - stride]
 
 
 def _unsigned(kind: np.dtype[Any]) -> np.dtype[Any]:
     return np.dtype(f"<u{kind.itemsize}")
 
 
-def _plain(data: bytes, kind: np.dtype[Any], shape: tuple[int, ...]) -> Array:
-    return np.frombuffer(data, kind).reshape(shape)
-
-
 _UNDO: dict[str, Callable[[bytes, np.dtype[Any], tuple[int, ...]], Array]] = {
-    "": _plain,
     "planes": _merge,
     "delta0-planes": _unfold(0),
     "delta1-planes": _unfold(1),

@@ -16,13 +16,14 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
 
-from datasets.arrays import SENT, Array, filter_of, pack, unpack
+from datasets.arrays import MIN_FILTERED, SENT, Array, filter_of, pack, unpack
 from datasets.schema import PACKAGE, FieldKind, descriptors_of, fields_of, once, proto_of
 from messages.errors import LogError
 from messages.message import Message, MessagePart
-from messages.sensors import CameraImage
+from messages.sensors import CameraImage, LidarScan
 from messages.topics import TOPICS
 
+KEPT = "_encoded"  # attribute of a decoded scan with its bytes: a copy in another log is not encoded again
 Fill = Callable[[Any, Any], None]
 Build = Callable[[Any], Any]
 
@@ -39,6 +40,9 @@ class Codec:
 
     def encode(self, message: Message) -> bytes:
         """Protobuf bytes of a message; raises LogError with the class for an invalid value."""
+        kept: bytes | None = getattr(message, KEPT, None)
+        if kept is not None:
+            return kept
         proto = self.proto()
         try:
             self.fill(proto, message)
@@ -53,6 +57,8 @@ class Codec:
             message: Message = self.build(self.proto.FromString(data))
         except (DecodeError, LogError, TypeError, ValueError) as error:
             raise LogError(f"{self.name}: cannot be decoded ({error})") from error
+        if isinstance(message, LidarScan) and self is codec_of(LidarScan):
+            object.__setattr__(message, KEPT, data)
         return message
 
 
@@ -64,6 +70,13 @@ def codec_of(cls: type[Message]) -> Codec:
 
 def _functions_of(cls: type[Message], missing: frozenset[str]) -> tuple[Fill, Build]:
     return (_fill_image, _build_image) if cls is CameraImage else (_fill_of(cls), _build_of(cls, missing))
+
+
+def proto_message(part: MessagePart) -> Any:
+    """The protobuf message of a part that is no message of the bus."""
+    proto = proto_of(type(part))()
+    _fill_of(type(part))(proto, part)
+    return proto
 
 
 @cache
@@ -134,6 +147,9 @@ def _with_default(cls: type[MessagePart]) -> frozenset[str]:
 def _fill_array(proto: Any, array: Array) -> None:
     proto.dtype = array.dtype.str
     proto.shape.extend(array.shape)
+    if array.size < MIN_FILTERED:
+        proto.data = array.tobytes()
+        return
     name = filter_of(array)
     if name:
         proto.filter = name
@@ -188,7 +204,7 @@ def _fill_lines(kind: FieldKind) -> list[str]:
 
 def _build_of(cls: type[MessagePart], missing: frozenset[str] = frozenset()) -> Build:
     """`missing` are dotted names of fields that get their defaults."""
-    scope: dict[str, Any] = {"cls": cls}
+    scope: dict[str, Any] = {"cls": cls, "_has": _has}
     values = []
     for kind in fields_of(cls):
         if kind.name not in missing:
@@ -213,4 +229,9 @@ def _build_text(kind: FieldKind) -> str:
     if kind.is_repeated:
         return f"tuple(map({call}, p.{name}))" if call else f"tuple(p.{name})"
     text = f"{call}(p.{name})"
-    return f"({text} if p.HasField('{name}') else None)" if kind.is_optional else text
+    return f"({text} if _has(p, '{name}') else None)" if kind.is_optional else text
+
+
+def _has(proto: Any, name: str) -> bool:
+    """Whether an optional field is set; always so in a log of a version in which it was not optional."""
+    return not proto.DESCRIPTOR.fields_by_name[name].has_presence or bool(proto.HasField(name))

@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from google.protobuf.message import Message as Proto
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 from pydantic import Field
@@ -87,8 +88,13 @@ class LogWriter:
             self._add(channel, envelope.receive_ns, data, message.stamp_ns, envelope.sequence)
             self._thread.call_later(self._digest.add, topic, message.stamp_ns, data)
             self.messages += 1
-        if self._viewer is not None:
-            self._show(envelope)
+        for name, shown in self._viewer.show(envelope) if self._viewer is not None else ():
+            self.write_view(envelope.receive_ns, message.stamp_ns, name, shown)
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Appends metadata known at the end only; replaces earlier ones of this name for readers."""
+        self._thread.drain()
+        self._writer.add_metadata(name, dict(values))
 
     def digest(self) -> str:
         """Digest over all messages so far, without viewer topics."""
@@ -98,7 +104,7 @@ class LogWriter:
     def close(self) -> None:
         """Writes end record and index, which complete the log."""
         try:
-            self._writer.add_metadata(END, {"messages": str(self.messages), "digest": self.digest()})
+            self.add_metadata(END, {"messages": str(self.messages), "digest": self.digest()})
             self._writer.finish()
             self._file.sync()
         finally:
@@ -123,14 +129,12 @@ class LogWriter:
             known = self._logged[topic] = spec_of(topic.removeprefix(RECORDED)).is_logged
         return known
 
-    def _show(self, envelope: Envelope) -> None:
-        assert self._viewer is not None
-        for topic, shown in self._viewer.show(envelope):
-            channel = self._channels.get(topic)
-            if channel is None:
-                channel = self._open(topic, shown.DESCRIPTOR.full_name, descriptor_set(shown.DESCRIPTOR.file))
-            data = shown.SerializeToString()
-            self._add(channel, envelope.receive_ns, data, envelope.message.stamp_ns, 0)
+    def write_view(self, receive_ns: int, stamp_ns: int, topic: str, shown: Proto) -> None:
+        """Appends a message of a viewer topic."""
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._open(topic, shown.DESCRIPTOR.full_name, descriptor_set(shown.DESCRIPTOR.file))
+        self._add(channel, receive_ns, shown.SerializeToString(), stamp_ns, 0)
 
     def _add(self, channel: int, receive_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
         self._thread.call_later(self._writer.add_message, channel, receive_ns, data, stamp_ns, sequence)

@@ -14,6 +14,8 @@ from datasets.schema import PACKAGE
 from messages.errors import LogError
 from messages.message import Envelope
 
+VIEW = "/view/"
+
 
 @dataclass(frozen=True, slots=True)
 class Entry:
@@ -47,6 +49,12 @@ class LogScan:
     def is_complete(self) -> bool:
         """Whether the log was closed and every byte was readable."""
         return self.is_ended and not self.damages
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Damaged and missing parts as text."""
+        lost = tuple(f"byte {d.offset}: {d.reason}; {d.length} bytes lost" for d in self.damages)
+        return lost if lost or self.is_ended else (f"byte {self.path.stat().st_size}: the log was not closed",)
 
     def __iter__(self) -> Iterator[Entry]:
         schemas: dict[int, Schema] = {}
@@ -82,8 +90,9 @@ class LogScan:
 
 
 def is_ours(entry: Entry) -> bool:
-    """Whether the entry is a Headland message."""
-    return entry.schema is not None and entry.schema.name.startswith(f"{PACKAGE}.")
+    """Whether the entry is a Headland message, not one for viewers."""
+    is_view = entry.topic.startswith(VIEW)
+    return entry.schema is not None and entry.schema.name.startswith(f"{PACKAGE}.") and not is_view
 
 
 def decode(entry: Entry) -> Envelope:
@@ -103,10 +112,7 @@ def read_log(path: Path, topics: Container[str] | None = None) -> Iterator[Envel
 
 def read_metadata(path: Path) -> dict[str, dict[str, str]]:
     """Metadata of a log: configuration, versions, calibration, conditions, and the end record if any."""
-    scan = LogScan(path, ())
-    for _ in scan:
-        pass
-    return scan.metadata
+    return {record.name: record.metadata for record in walk(path, has_chunks=False) if isinstance(record, Metadata)}
 
 
 class ProtobufDecoders:

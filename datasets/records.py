@@ -68,8 +68,8 @@ class End:
 WalkRecord = RawMessage | Schema | Channel | Metadata | Statistics | Damage | End
 
 
-def walk(path: Path) -> Iterator[WalkRecord]:
-    """All readable records in file order; raises LogError for a file that is not MCAP."""
+def walk(path: Path, has_chunks: bool = True) -> Iterator[WalkRecord]:
+    """All readable records in file order, or those outside the chunks; raises LogError for a file that is not MCAP."""
     try:
         with path.open("rb") as file:
             start = file.read(len(MAGIC))
@@ -78,17 +78,20 @@ def walk(path: Path) -> Iterator[WalkRecord]:
             if not MAGIC.startswith(start):
                 raise LogError(f"{path}: is not an MCAP log (it begins with {start!r})")
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                yield from _walk(data)
+                yield from _walk(data, has_chunks)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _walk(data: mmap.mmap) -> Iterator[WalkRecord]:
+def _walk(data: mmap.mmap, has_chunks: bool) -> Iterator[WalkRecord]:
     at, size = len(MAGIC), len(data)
     while True:
         reason, end = _bounds(data, at)
         if not reason:
             opcode = data[at]
+            if opcode == Opcode.CHUNK and not has_chunks:
+                at = end
+                continue
             try:
                 records = list(_read(opcode, data[at + _HEAD.size : end]))
             except _BAD as error:

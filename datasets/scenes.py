@@ -4,13 +4,16 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration as CalibrationMessage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from configs.site import Shed, Site
-from configs.vehicle import Implement, MountedImplement, Ultrasonic, Vehicle
+from configs.vehicle import Camera, Implement, MountedImplement, Ultrasonic, Vehicle
+from datasets.importers.recording import CameraCalibration
+from datasets.plots import PlottedEvent
 from datasets.primitives import Rgba, cube, frame, line, scene, text, time_of
 from geometry.arrays import Float32, Float64
 from geometry.transforms import apply, planar
@@ -38,6 +41,7 @@ MAX_TRIGGERING_POINTS = 60
 PATH_STEP = 5
 BAY_MARK_M = 3.0
 ARC_POINTS = 7
+T_BODY_OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 def implement_x_m(implement: Implement) -> float:
@@ -56,11 +60,18 @@ def mounts(stamp_ns: int, vehicle: Vehicle, implement: Implement | None) -> list
         if isinstance(named, dict)
         for name, one in named.items()
     }
+    optical = {f"camera/{name}": optical_frame(f"camera/{name}") for name in sensors.camera}
     if sensors.imu is not None:
         poses["imu"] = sensors.imu.mount.T_base_sensor
     if implement is not None:
         poses["implement"] = planar(implement_x_m(implement), 0.0, 0.0)
-    return [frame(stamp_ns, "base", child, T) for child, T in poses.items()]
+    links = [frame(stamp_ns, "base", child, T) for child, T in poses.items()]
+    return links + [frame(stamp_ns, body, child, T_BODY_OPTICAL) for body, child in optical.items()]
+
+
+def optical_frame(topic: str) -> str:
+    """Frame of the images of a camera topic."""
+    return f"{topic}/optical"
 
 
 def machine_scene(stamp_ns: int, vehicle: Vehicle) -> SceneUpdate:
@@ -173,6 +184,22 @@ def path_scene(stamp_ns: int, path: Path) -> SceneUpdate:
     keep = np.unique(np.append(np.arange(0, len(path.p_map_m), PATH_STEP), max(len(path.p_map_m) - 1, 0)))
     points: Float64 = path.p_map_m[keep] if len(path.p_map_m) else path.p_map_m
     return scene(stamp_ns, "path", "map", lines=[line(points, 0.1, YELLOW)])
+
+
+def calibration(stamp_ns: int, frame_id: str, camera: Camera | CameraCalibration) -> CalibrationMessage:
+    """Intrinsics of a camera; its frame is the optical frame (x right, y down, z forward)."""
+    (fx, fy), (cx, cy) = camera.focal_px, camera.center_px
+    width, height = camera.size_px
+    return CalibrationMessage(
+        timestamp=time_of(stamp_ns), frame_id=frame_id, width=width, height=height, distortion_model="plumb_bob",
+        D=camera.distortion, K=(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0), R=np.eye(3).ravel().tolist(),
+        P=(fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0),
+    )  # fmt: skip
+
+
+def event_line(stamp_ns: int, event: PlottedEvent) -> Log:
+    """A stop or encounter as a line in the viewer's log panel."""
+    return Log(timestamp=time_of(stamp_ns), level=Log.WARNING, message=event.text, name=event.kind)
 
 
 def location(stamp_ns: int, fix: GnssFix, frame_id: str) -> LocationFix:

@@ -1,10 +1,11 @@
-"""Viewer topics `/view/...` of a log, for Foxglove or Lichtblick.
+"""Viewer topics `/view/...` of a log, for Foxglove, Lichtblick, Rerun or PlotJuggler.
 
 Frame tree: map → odom → base → implement and sensors. Each topic has its own period; static topics are repeated, so
 that they are present after a seek.
 """
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -13,8 +14,11 @@ from pydantic import Field
 
 from configs.site import Site
 from configs.strict import Config
-from configs.vehicle import FOLDED, Implement, Vehicle
+from configs.vehicle import FOLDED, Camera, Implement, Vehicle
 from datasets import scenes
+from datasets.codec import proto_message
+from datasets.importers.recording import CameraCalibration
+from datasets.plots import PlottedEvent, plotted_pose, plotted_state, stop_request
 from datasets.primitives import cloud, compressed_image, frame
 from messages.command import MachineState, SupervisorState
 from messages.faults import Fault
@@ -43,12 +47,21 @@ class ViewerConfig(Config):
 
 
 class Viewer:
-    """Converts messages to viewer topics; vehicle, implement and site are optional."""
+    """Converts messages to viewer topics; vehicle, implement and site are optional.
+
+    `calibrations` are the intrinsics of a recording, for cameras that the vehicle does not have.
+    """
 
     def __init__(
-        self, config: ViewerConfig, vehicle: Vehicle | None, implement: Implement | None, site: Site | None
-    ) -> None:
+        self, config: ViewerConfig, vehicle: Vehicle | None, implement: Implement | None, site: Site | None,
+        calibrations: Iterable[CameraCalibration] = (),
+    ) -> None:  # fmt: skip
         self._config = config
+        own = vehicle.sensors.camera if vehicle is not None else {}
+        self._cameras: dict[str, Camera | CameraCalibration] = {one.topic: one for one in calibrations}
+        self._cameras |= {f"camera/{name}": camera for name, camera in own.items()}
+        self._motion = math.nan, math.nan
+        self._stop_code = ""
         self._vehicle, self._implement, self._site = vehicle, implement, site
         self._height_m = vehicle.body.height_m if vehicle is not None else 2.0
         self._shown_at_ns: dict[str, int] = {}
@@ -63,7 +76,7 @@ class Viewer:
             MapPose: self._show_map_pose,
             Tracks: self._show_tracks,
             TrueObjects: self._show_truth,
-            SupervisorState: self._show_field,
+            SupervisorState: self._show_state,
             Path: self._show_path,
             GnssFix: self._show_fix,
             Fault: self._show_fault,
@@ -74,6 +87,9 @@ class Viewer:
         message = envelope.message
         if self._is_due("static", message.stamp_ns, self._config.static_s):
             yield from self._show_static(message.stamp_ns)
+            for name, camera in self._cameras.items():
+                calibration = scenes.calibration(message.stamp_ns, scenes.optical_frame(name), camera)
+                yield f"/view/{name}/calibration", calibration
         handler = self._handlers.get(type(message))
         if handler is not None and not envelope.topic.startswith("/"):
             yield from handler(envelope.topic, message)
@@ -104,7 +120,8 @@ class Viewer:
 
     def _show_image(self, topic: str, image: CameraImage) -> Iterator[Shown]:
         if self._is_due(topic, image.stamp_ns, self._config.image_s):
-            yield f"/view/{topic}", compressed_image(image, topic, self._config.image_quality)
+            frame_id = scenes.optical_frame(topic) if topic in self._cameras else topic
+            yield f"/view/{topic}", compressed_image(image, frame_id, self._config.image_quality)
 
     def _show_radar(self, topic: str, scan: RadarScan) -> Iterator[Shown]:
         if self._is_due(topic, scan.stamp_ns, self._config.cloud_s):
@@ -124,7 +141,12 @@ class Viewer:
         return iter(())
 
     def _show_odometry(self, topic: str, message: Odometry) -> Iterator[Shown]:
-        if topic == "odom" and self._is_due(topic, message.stamp_ns, self._config.frames_s):
+        if not self._is_due(topic, message.stamp_ns, self._config.frames_s):
+            return
+        motion = message.speed_mps, message.yaw_rate_radps
+        yield f"/view/{topic}", proto_message(plotted_pose(message.T_odom_base, *motion))
+        if topic == "odom":
+            self._motion = motion
             one = frame(message.stamp_ns, "odom", "base", message.T_odom_base)
             yield "/view/frames", FrameTransforms(transforms=[one])
 
@@ -132,6 +154,7 @@ class Viewer:
         if message.is_initialized and self._is_due(topic, message.stamp_ns, self._config.frames_s):
             one = frame(message.stamp_ns, "map", "odom", message.T_map_odom)
             yield "/view/frames", FrameTransforms(transforms=[one])
+            yield f"/view/{topic}", proto_message(plotted_pose(message.T_map_base, *self._motion))
 
     def _show_tracks(self, topic: str, message: Tracks) -> Iterator[Shown]:
         if self._is_due(topic, message.stamp_ns, self._config.scene_s):
@@ -144,7 +167,15 @@ class Viewer:
             frame_id = f"lidar/{instance}" if instance else "map"
             yield f"/view/{topic}", scenes.truth_scene(message.stamp_ns, message, frame_id)
 
-    def _show_field(self, topic: str, state: SupervisorState) -> Iterator[Shown]:
+    def _show_state(self, topic: str, state: SupervisorState) -> Iterator[Shown]:
+        """The protective field, numbers to plot, and the begin and end of a request to stop as events."""
+        yield "/view/state", proto_message(plotted_state(state))
+        code = stop_request(state)
+        if code != self._stop_code:
+            text = f"stop requested by {code}" if code else f"stop request of {self._stop_code} over"
+            text += f" at {state.clearance_m:.1f} m" if code and math.isfinite(state.clearance_m) else ""
+            yield from show_event(state.stamp_ns, PlottedEvent("stop", -1, "requested" if code else "over", text))
+        self._stop_code = code
         if self._is_due(topic, state.stamp_ns, self._config.scene_s):
             yield "/view/field", scenes.field_scene(state.stamp_ns, state, self._height_m)
 
@@ -157,3 +188,9 @@ class Viewer:
 
     def _show_fault(self, topic: str, fault: Fault) -> Iterator[Shown]:
         yield "/view/log", scenes.log_line(fault.stamp_ns, fault)
+
+
+def show_event(stamp_ns: int, event: PlottedEvent) -> Iterator[Shown]:
+    """A stop or encounter for plots and for the log panel."""
+    yield "/view/events", proto_message(event)
+    yield "/view/log", scenes.event_line(stamp_ns, event)

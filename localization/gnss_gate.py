@@ -46,6 +46,7 @@ class GnssConfig(Config):
     heading_slow_share: float = Field(ge=0.0, lt=1.0, description="as slow_share of a solution")
     min_satellites: int = Field(ge=4, le=30)
     max_correction_age_s: float = Field(gt=0.0, le=600.0)
+    unknown_sigma_factor: float = Field(ge=1.0, le=10.0, description="of a solution's accuracy, for unknown sigmas")
     confirmation_fixes: int = Field(ge=1, le=100, description="consistent fixes after an outage or upgrade")
     outage_s: float = Field(gt=0.0, le=60.0)
 
@@ -93,23 +94,23 @@ def source_of(solution: GnssSolution) -> PositionSource:
 
 
 def is_sane(fix: GnssFix) -> bool:
-    """Whether position and sigmas are finite and in range (heading and velocity may be NaN: not measured)."""
+    """Whether the position is finite and all values are in range (NaN sigmas, heading and velocity: unknown)."""
     position = (fix.latitude_rad, fix.longitude_rad, fix.height_m)
     on_earth = abs(fix.latitude_rad) <= math.pi / 2 and abs(fix.longitude_rad) <= math.pi and abs(fix.height_m) < 2e4
-    sigmas = fix.sigma_enu_m.shape == (3,) and bool(np.all(np.isfinite(fix.sigma_enu_m) & (fix.sigma_enu_m >= 0.0)))
+    sigmas = fix.sigma_enu_m.shape == (3,) and not np.any((fix.sigma_enu_m < 0.0) | np.isinf(fix.sigma_enu_m))
     return all(map(math.isfinite, position)) and on_earth and sigmas
 
 
 def check(fix: GnssFix, config: GnssConfig) -> RejectionReason:
-    """Checks a fix by itself."""
+    """Checks a fix by what is known of it: an unknown value is no reason to refuse it, and vouches for nothing."""
     if config.of(fix.solution) is None:  # a receiver without a position reports NaN
         return RejectionReason.NO_SOLUTION
     if not is_sane(fix):
         return RejectionReason.INVALID
-    if fix.satellites < config.min_satellites:
+    if fix.satellites is not None and fix.satellites < config.min_satellites:
         return RejectionReason.FEW_SATELLITES
     needs_corrections = fix.solution in (GnssSolution.RTK_FIXED, GnssSolution.RTK_FLOAT)
-    if needs_corrections and not fix.correction_age_s <= config.max_correction_age_s:
+    if needs_corrections and fix.correction_age_s > config.max_correction_age_s:
         return RejectionReason.OLD_CORRECTIONS
     return RejectionReason.NONE
 
@@ -117,12 +118,14 @@ def check(fix: GnssFix, config: GnssConfig) -> RejectionReason:
 def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) -> Position:
     """A checked fix in `map`, with sigmas widened for time correlation.
 
+    Unknown sigmas are those of the solution times `unknown_sigma_factor`.
     Noise of correlation time τ sampled at rate f has the information of one independent sample per 2 τ (2 τ f > 1).
     """
     row = config.of(fix.solution)
     assert row is not None, "check comes first"
     floor = np.array([row.horizontal_m, row.horizontal_m, row.vertical_m])
-    sigma = np.maximum(fix.sigma_enu_m, floor)
+    unknown = config.unknown_sigma_factor * floor
+    sigma = np.where(np.isnan(fix.sigma_enu_m), unknown, np.maximum(fix.sigma_enu_m, floor))
     fast = sigma * math.sqrt(1.0 - row.slow_share**2) * math.sqrt(max(1.0, 2.0 * row.correlation_s * rate_hz))
     heading_sigma = max(fix.sigma_heading_rad, math.radians(config.heading_sigma_deg))  # NaN sigma: stays NaN, not used
     has_heading = math.isfinite(fix.heading_rad) and math.isfinite(fix.sigma_heading_rad)

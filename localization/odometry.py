@@ -69,7 +69,8 @@ class OdometryEstimator:
             return False
         self._speed, self._angle = sample.speed_mps, sample.steering_angle_rad
         dt_s = (sample.stamp_ns - previous_ns) * 1e-9
-        self.steering_offset.update(self._angle, self.speed_mps, float(self._rate[2]), dt_s)
+        if math.isfinite(self._angle):
+            self.steering_offset.update(self._angle, self.speed_mps, float(self._rate[2]), dt_s)
         return True
 
     def clear_samples(self) -> None:
@@ -118,8 +119,15 @@ class OdometryEstimator:
         forward = float(np.mean(steps.acceleration_mps2[:, 0])) - 9.81 * up_x
         self._acceleration += min(1.0, dt / self._config.acceleration_time_s) * (forward - self._acceleration)
         self._rate = np.mean(steps.rate_radps, axis=0) - dead_reckoning.calibration.gyro_bias_radps
-        rate, curvature = float(self._rate[2]), self.steering_offset.curvature(self._angle)
-        self.plausibility.advance(self.stamp_ns, dt, (rate, forward), (self.speed_mps, curvature))
+        rate = float(self._rate[2])
+        self.plausibility.advance(self.stamp_ns, dt, (rate, forward), (self.speed_mps, self._curvature()))
+
+    def _curvature(self) -> float:
+        """Curvature by the steering angle; of the present motion when the angle is unknown, which compares nothing."""
+        if math.isfinite(self._angle):
+            return self.steering_offset.curvature(self._angle)
+        is_moving = abs(self.speed_mps) > self._config.wheels.standstill_mps
+        return float(self._rate[2]) / self.speed_mps if is_moving else 0.0
 
     def message(self, bias_sigma_radps: float, slip_sigma: Float64) -> Odometry:
         """Builds the Odometry message at the newest sample, with sigmas of gyro bias and slip (4,)."""
@@ -128,7 +136,7 @@ class OdometryEstimator:
         speed, drift = self._velocity()
         return Odometry(
             self.stamp_ns, dead_reckoning.T_odom_base.copy(), speed, drift, self._acceleration, float(self._rate[2]),
-            self.steering_offset.curvature(self._angle), self._covariance(bias_sigma_radps, slip_sigma),
+            self._curvature(), self._covariance(bias_sigma_radps, slip_sigma),
         )  # fmt: skip
 
     def _covariance(self, bias_sigma_radps: float, slip_sigma: Float64) -> Float64:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from datasets.importers.recording import Received, Recording
+from datasets.importers.recording import Received, Recording, Skipped
 from messages.errors import LogError
 from messages.message import Message
 
@@ -23,17 +23,17 @@ def excerpt(recording: Recording, from_s: float, to_s: float) -> Recording:
     return Recording(recording.path, about, lambda: _between(recording, from_s, to_s))
 
 
-def _between(recording: Recording, from_s: float, to_s: float) -> Iterator[Received]:
+def _between(recording: Recording, from_s: float, to_s: float) -> Iterator[Received | Skipped]:
     begin_ns: int | None = None
     held: list[tuple[str, Message]] = []
-    for receive_ns, topic, message in recording.read():
-        begin_ns = receive_ns if begin_ns is None else begin_ns
-        at_s = (receive_ns - begin_ns) * 1e-9
+    for item in recording.messages():
+        begin_ns = item[0] if begin_ns is None else begin_ns
+        at_s = (item[0] - begin_ns) * 1e-9
         if at_s > to_s:
             return
         if at_s >= from_s:
-            yield from ((receive_ns, t, m) for t, m in held)
+            yield from ((item[0], t, m) for t, m in held)
             held.clear()
-            yield receive_ns, topic, message
-        elif topic in HELD:
-            held.append((topic, message))
+            yield item
+        elif not isinstance(item, Skipped) and item[1] in HELD:
+            held.append((item[1], item[2]))

@@ -11,6 +11,7 @@ from typing import Protocol, cast
 
 from datasets import importers
 from datasets.importers.recording import Open, Recording, read_head
+from datasets.importers.unread_formats import name_of
 from messages.errors import LogError
 
 
@@ -57,4 +58,6 @@ def _find(path: Path) -> tuple[Importer, Open]:
     if path.is_dir():
         some = ", ".join(sorted(p.name for p in path.iterdir())[:6]) or "nothing"
         raise LogError(f"{path}: no known recording format ({names}); it holds {some}")
+    if (name := name_of(head)) is not None:
+        raise LogError(f"{path}: is {name}, which is not read; read are {names}")
     raise LogError(f"{path}: no known recording format ({names}); it begins with {head[:16]!r}")

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from datasets.importers.point_clouds import list_scan, read_points, scan_of_points
-from datasets.importers.ros_messages import FIXED_SIGMA_M, NAN3, decode_image, pose_matrix
+from datasets.importers.images import VideoDecoder, codec_of_video, decode_image, decode_raw, refusal
+from datasets.importers.point_clouds import DOPPLER_FIELDS, list_scan, read_points, scan_of_points
+from datasets.importers.ros_messages import FIXED_SIGMA_M, NAN3, pose_matrix, sigmas_of
+from datasets.importers.translation import NotRead, Translation
 from geometry.arrays import Float64
 from geometry.transforms import apply
 from messages.errors import LogError
-from messages.message import Message
 from messages.sensors import CameraImage, GnssFix, GnssSolution, LidarScan
 
 # foxglove.PackedElementField.NumericType
@@ -45,10 +46,8 @@ def scan_of_cloud(proto: Any, receive_ns: int) -> LidarScan:
     """foxglove.PointCloud, points transformed by its pose."""
     fields = {f.name: (int(f.offset), _POINT_TYPES[f.type]) for f in proto.fields if f.type in _POINT_TYPES}
     stride = int(proto.point_stride)
-    if stride <= 0:
-        raise LogError(f"point cloud with point_stride {stride}")
-    points = read_points(fields, stride, len(proto.data) // stride, proto.data)
-    scan = scan_of_points(points, stamp_of(proto, receive_ns))
+    points = read_points(fields, stride, len(proto.data) // max(stride, 1), proto.data)
+    scan = scan_of_points(points, stamp_of(proto, receive_ns), receive_ns)
     T = _pose_of(proto)
     if np.array_equal(T, np.eye(4)):
         return scan
@@ -64,8 +63,7 @@ def _pose_of(proto: Any) -> Float64:
 
 def gnss_fix(proto: Any, receive_ns: int) -> GnssFix:
     """foxglove.LocationFix; RTK fixed when its sigma is that small, since it has no solution type."""
-    variance = np.asarray(list(proto.position_covariance) or [np.nan] * 9, np.float64).reshape(3, 3).diagonal()
-    sigma_m = np.sqrt(variance) if proto.position_covariance_type else NAN3
+    sigma_m = sigmas_of(list(proto.position_covariance)) if proto.position_covariance_type else NAN3
     is_fixed = bool(max(sigma_m[:2]) <= FIXED_SIGMA_M)
     return GnssFix(
         stamp_ns=stamp_of(proto, receive_ns),
@@ -78,7 +76,7 @@ def gnss_fix(proto: Any, receive_ns: int) -> GnssFix:
         heading_rad=math.nan,
         sigma_heading_rad=math.nan,
         solution=GnssSolution.RTK_FIXED if is_fixed else GnssSolution.SINGLE,
-        satellites=-1,
+        satellites=None,
         hdop=math.nan,
         correction_age_s=math.nan,
         constellations="",
@@ -90,11 +88,43 @@ def compressed_image(proto: Any, receive_ns: int) -> CameraImage:
     return CameraImage(stamp_of(proto, receive_ns), decode_image(proto.data), bytes(proto.data))
 
 
-TRANSLATIONS: dict[str, tuple[str, Callable[[Any, int], Message]]] = {
-    "foxglove.PointCloud": ("lidar", scan_of_cloud),
-    "foxglove.LocationFix": ("gnss", gnss_fix),
-    "foxglove.CompressedImage": ("camera", compressed_image),
+def raw_image(proto: Any, receive_ns: int) -> CameraImage:
+    """foxglove.RawImage."""
+    bgr = decode_raw(proto.encoding, int(proto.width), int(proto.height), int(proto.step), bytes(proto.data))
+    return CameraImage(stamp_of(proto, receive_ns), bgr)
+
+
+def video_frames() -> Callable[[Any, int], CameraImage]:
+    """Translation of one stream of foxglove.CompressedVideo."""
+    decoder = VideoDecoder()
+
+    def frame(proto: Any, receive_ns: int) -> CameraImage:
+        codec = codec_of_video(proto.format)
+        if codec is None:
+            raise LogError(f"{proto.format!r} is no known video format")
+        return decoder.decode(codec, bytes(proto.data), stamp_of(proto, receive_ns))
+
+    return frame
+
+
+TRANSLATIONS: dict[str, Translation] = {
+    "foxglove.PointCloud": Translation("lidar", scan_of_cloud),
+    "foxglove.LocationFix": Translation("gnss", gnss_fix),
+    "foxglove.CompressedImage": Translation("camera", compressed_image),
+    "foxglove.RawImage": Translation("camera", raw_image),
+    "foxglove.CompressedVideo": Translation("camera", make=video_frames),
 }
+
+
+def translation_of(kind: str, proto: Any) -> Translation:
+    """Translation of a stream by its first message; raises NotRead."""
+    if kind == "foxglove.RawImage" and refusal(proto.encoding):
+        raise NotRead(refusal(proto.encoding))
+    if kind == "foxglove.PointCloud" and {f.name for f in proto.fields} & set(DOPPLER_FIELDS):
+        raise NotRead("a cloud of a radar: read from sensor_msgs/PointCloud2 only")
+    return TRANSLATIONS[kind]
+
+
 TRANSFORMS = {"foxglove.FrameTransform", "foxglove.FrameTransforms"}
 
 

@@ -3,11 +3,8 @@
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
-
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from datasets.importers import foxglove_messages
 from datasets.importers.recording import (
@@ -18,27 +15,19 @@ from datasets.importers.recording import (
     Received,
     Recording,
     Sensor,
+    Skipped,
     description_from,
     read_head,
 )
-from datasets.importers.ros_messages import TRANSFORMS
+from datasets.importers.ros_types import ROS1, ROS2, decoder_of, type_name
 from datasets.importers.streams import Item, recording_of
-from datasets.reader import Entry, LogScan, ProtobufDecoders, is_ours, read_log
+from datasets.reader import Entry, LogScan, ProtobufDecoders, decode, is_ours
 from datasets.records import MAGIC
 from messages.errors import LogError
 
 NAME = "MCAP"
 OWN = "headland"  # format of a Headland log that was not imported
 BAG_METADATA = "metadata.yaml"  # in the folder of a ROS 2 bag
-
-
-@cache
-def ros_types(name: str) -> Any:
-    """rosbags type store of a ROS distribution, with the transforms of tf2 added for ROS 1."""
-    store = get_typestore(Stores[name])
-    if TRANSFORMS not in store.types:
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
-    return store
 
 
 def sniff(path: Path, head: bytes) -> Open | None:
@@ -53,11 +42,10 @@ def sniff(path: Path, head: bytes) -> Open | None:
 def open_mcap(path: Path, _: Path | None = None) -> Recording:
     """An MCAP file, complete or truncated; raises LogError."""
     scan = LogScan(path)
-    has_ours = any(is_ours(entry) for entry in scan)
-    notes = tuple(f"byte {d.offset}: {d.reason}; {d.length} bytes lost" for d in scan.damages)
+    has_ours = sum(map(is_ours, scan)) > 0  # to the end, for all losses
     if has_ours:
-        return _own_log(path, scan.metadata, notes)
-    return recording_of(path, "mcap", lambda: _items(path), notes)
+        return _own_log(path, scan.metadata, scan.losses)
+    return recording_of(path, "mcap", lambda: entries_of(path))
 
 
 def _own_log(path: Path, metadata: dict[str, dict[str, str]], notes: tuple[str, ...]) -> Recording:
@@ -71,7 +59,7 @@ def _own_log(path: Path, metadata: dict[str, dict[str, str]], notes: tuple[str, 
 
 
 def _own_description(path: Path) -> Description:
-    views = recording_of(path, OWN, lambda: _items(path)).description
+    views = recording_of(path, OWN, lambda: entries_of(path)).description
     types = {e.topic: e.schema.name for e in LogScan(path) if is_ours(e) and e.schema is not None}
     sensors = tuple(Sensor(topic, topic, topic, name) for topic, name in types.items())
     ignored = tuple(Ignored(s.source, s.source_type, "for viewers") for s in views.sensors)
@@ -79,24 +67,33 @@ def _own_description(path: Path) -> Description:
     return Description(OWN, sensors, views.extrinsics, ignored, truth_frame)
 
 
-def _own_messages(path: Path) -> Iterator[Received]:
-    for envelope in read_log(path):
-        yield envelope.receive_ns, envelope.topic, envelope.message
-
-
-def _items(path: Path) -> Iterator[Item]:
-    decoders = ProtobufDecoders()
+def _own_messages(path: Path) -> Iterator[Received | Skipped]:
     for entry in LogScan(path):
         if not is_ours(entry):
-            name = entry.schema.name if entry.schema is not None else ""
-            yield Item(entry.topic, _type_name(entry.encoding, name), entry.receive_ns, _decoder(entry, decoders))
+            continue
+        try:
+            yield entry.receive_ns, entry.topic, decode(entry).message
+        except LogError as error:
+            yield Skipped(entry.receive_ns, entry.topic, _type_of(entry), str(error))
 
 
-def _type_name(encoding: str, name: str) -> str:
-    """ROS types as `package/msg/Type`, also for schemas without `msg`."""
-    if encoding in ("cdr", "ros1") and name.count("/") == 1:
-        return name.replace("/", "/msg/")
-    return {"tf/msg/tfMessage": TRANSFORMS}.get(name, name)
+def entries_of(path: Path) -> Iterator[Item | Skipped]:
+    """Messages of a log that are not Headland's, and lost parts."""
+    decoders, scan, receive_ns = ProtobufDecoders(), LogScan(path), 0
+    for entry in scan:
+        receive_ns = entry.receive_ns
+        if not is_ours(entry):
+            yield Item(entry.topic, _type_of(entry), receive_ns, _decoder(entry, decoders))
+    for damage in scan.damages:
+        reason = f"byte {damage.offset}: {damage.length} bytes lost: {damage.reason}"
+        yield Skipped(receive_ns, path.name, "mcap", reason)
+    for _ in range(scan.orphans):
+        yield Skipped(receive_ns, path.name, "mcap", "message of a channel in a lost part")
+
+
+def _type_of(entry: Entry) -> str:
+    name = entry.schema.name if entry.schema is not None else ""
+    return type_name(name) if entry.encoding in ("cdr", "ros1") else name
 
 
 def _decoder(entry: Entry, decoders: ProtobufDecoders) -> Callable[[], Any]:
@@ -104,12 +101,17 @@ def _decoder(entry: Entry, decoders: ProtobufDecoders) -> Callable[[], Any]:
         return lambda: decoders.decode(entry)
     if entry.encoding == "json":
         return lambda: foxglove_messages.from_json(entry.data)
-    name = _type_name(entry.encoding, entry.schema.name if entry.schema is not None else "")
-    if entry.encoding == "cdr":
-        return lambda: ros_types("ROS2_HUMBLE").deserialize_cdr(entry.data, name)
-    if entry.encoding == "ros1":
-        return lambda: ros_types("ROS1_NOETIC").deserialize_ros1(entry.data, name)
+    if entry.encoding in ("cdr", "ros1"):
+        ros = ROS2 if entry.encoding == "cdr" else ROS1
+        return lambda: decoder_of(ros, _type_of(entry), _definition(entry))(entry.data)
     return lambda: _refuse(entry)
+
+
+def _definition(entry: Entry) -> str:
+    """Definition of a ROS type in the log, "" in another notation."""
+    schema = entry.schema
+    is_text = schema is not None and schema.encoding in ("ros1msg", "ros2msg")
+    return schema.data.decode("utf-8", "replace") if schema is not None and is_text else ""
 
 
 def _refuse(entry: Entry) -> Any:

@@ -1,25 +1,19 @@
-"""PCD files (Point Cloud Library, version 0.7): ASCII, binary and compressed; one file or a folder of files."""
+"""PCD files (Point Cloud Library, version 0.7): ASCII, binary and compressed."""
 
 import re
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
-from datasets.importers.point_clouds import read_points, scan_of_points
-from datasets.importers.recording import Description, Open, Received, Recording, Sensor, read_head
+from datasets.importers.point_clouds import read_points
+from datasets.importers.point_files import PointFormat, Points, points_of_text
 from messages.errors import LogError
-from messages.sensors import LidarScan
 
 NAME = "PCD"
-TOPIC = "lidar/pcd"
-FRAME_NS = 100_000_000
 HEADER = re.compile(rb"\A(?:#[^\n]*\n)*(?:VERSION|FIELDS)\b")
 ELEMENT_TYPES = {"F": "f", "U": "u", "I": "i"}
-NO_TIMES = "no time stamps: the time of a scan is its position in the folder at 10 Hz"
 
 
 @dataclass(frozen=True)
@@ -34,43 +28,17 @@ class _Header:
     size: int
 
 
-def sniff(path: Path, head: bytes) -> Open | None:
-    """Opens a PCD file or a folder of them."""
-    first = next(iter(sorted(path.glob("*.pcd"))), None) if path.is_dir() else None
-    start = head if first is None else read_head(first)
-    return open_pcd if HEADER.match(start) else None
-
-
-def open_pcd(path: Path, _: Path | None = None) -> Recording:
-    """A PCD file or a folder of them; raises LogError."""
-    files = sorted(path.glob("*.pcd")) if path.is_dir() else [path]
-    description = Description("pcd", (Sensor(TOPIC, "pcd", str(path), "pcd"),), notes=(NO_TIMES,))
-
-    def read() -> Iterator[Received]:
-        for number, file in enumerate(files):
-            yield number * FRAME_NS, TOPIC, read_pcd(file, number * FRAME_NS)
-
-    return Recording(path, description, read)
-
-
-def read_pcd(path: Path, stamp_ns: int) -> LidarScan:
-    """One scan; raises LogError naming the file."""
-    try:
-        data = path.read_bytes()
-        header = _read_header(data)
-        body = data[header.size :]
-        if header.storage == "ascii":
-            body = _from_text(header, body)
-        elif header.storage == "binary_compressed":
-            body = _from_columns(header, body)
-        elif header.storage != "binary":
-            raise LogError(f"DATA {header.storage} is not one of ascii, binary, binary_compressed")
-        points = read_points(header.fields, header.stride, header.count, body)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
-    except (LogError, ValueError, KeyError, IndexError, struct.error) as error:
-        raise LogError(f"{path}: no PCD scan ({error})") from error
-    return scan_of_points(points, stamp_ns)
+def read_pcd(data: bytes) -> Points:
+    """Points with the names and types of the header; raises one of `DAMAGED`."""
+    header = _read_header(data)
+    body = data[header.size :]
+    if header.storage == "ascii":
+        body = _from_text(header, body)
+    elif header.storage == "binary_compressed":
+        body = _from_columns(header, body)
+    elif header.storage != "binary":
+        raise LogError(f"DATA {header.storage} is not one of ascii, binary, binary_compressed")
+    return read_points(header.fields, header.stride, header.count, body)
 
 
 def _read_header(data: bytes) -> _Header:
@@ -86,15 +54,17 @@ def _read_header(data: bytes) -> _Header:
         if counts[k] == 1 and name != "_":
             fields[name] = (sum(widths[:k]), f"<{ELEMENT_TYPES[kind]}{widths[k]}")
     count = int(rows["POINTS"][0])
+    if count < 0 or min(widths) <= 0:
+        raise LogError(f"{count} points with fields of {widths} bytes")
     return _Header(fields, tuple(widths), sum(widths), count, found.group(1).decode(), found.end())
 
 
 def _from_text(header: _Header, body: bytes) -> bytes:
-    kinds = np.dtype([(name, kind) for name, (_, kind) in header.fields.items()])
-    if kinds.itemsize != header.stride:
+    fields = [(name, kind) for name, (_, kind) in header.fields.items()]
+    if np.dtype(fields).itemsize != header.stride:
         raise LogError("text with fields of more than one value is not read")
-    rows = [tuple(line.split()) for line in body.decode("ascii").splitlines() if line.strip()]
-    return np.array(rows[: header.count], kinds).tobytes()
+    lines = [line for line in body.decode("ascii").splitlines() if line.strip()]
+    return points_of_text(lines[: header.count], fields).tobytes()
 
 
 def _from_columns(header: _Header, body: bytes) -> bytes:
@@ -137,3 +107,7 @@ def _repeat(out: bytearray, back: int, length: int) -> None:
         raise LogError("refers to bytes before its start")
     piece = out[start : start + length]
     out += (piece * (length // len(piece) + 1))[:length]
+
+
+FORMAT = PointFormat("pcd", (".pcd",), lambda head: HEADER.match(head) is not None, read_pcd)
+sniff = FORMAT.sniff

@@ -1,10 +1,11 @@
 """A recording: its description, and its messages in order of reception."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,18 @@ SOURCE = "source"
 # receive_ns, topic, message
 Received = tuple[int, str, Message]
 HEAD_BYTES = 4096
+# Reasons of skipped messages listed for one stream.
+MAX_REASONS = 5
+OTHER_REASONS = "other reasons"
+
+
+class Skipped(NamedTuple):
+    """A message that cannot be read, in place of its `Received`, with the reason."""
+
+    receive_ns: int
+    source: str
+    source_type: str
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -39,12 +52,49 @@ class Extrinsic:
 
 
 @dataclass(frozen=True)
+class CameraCalibration:
+    """Intrinsics of the images of a topic: pinhole with Brown's distortion (k1, k2, p1, p2, k3; OpenCV's order).
+
+    `frame` is the optical frame (x right, y down, z forward); the distortion of rectified images is zero.
+    """
+
+    topic: str
+    frame: str
+    size_px: tuple[int, int]
+    focal_px: tuple[float, float]
+    center_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Ignored:
-    """A stream that is not read, with the reason."""
+    """Messages of a stream that are not read, with the reason; `count` None = not counted."""
 
     source: str
     source_type: str
     reason: str
+    count: int | None = None
+
+
+@dataclass
+class TopicCount:
+    """Row of the table of a recording: messages of a stream, read to `topic` ("" = none is read) and skipped.
+
+    `skipped` is None where the messages of an ignored stream were not counted; `reasons` has the number by reason.
+    """
+
+    source: str
+    source_type: str
+    topic: str
+    read: int = 0
+    skipped: int | None = 0
+    reasons: Counter[str] = field(default_factory=Counter)
+
+    def skip(self, reason: str, count: int | None) -> None:
+        """Adds skipped messages."""
+        self.skipped = None if count is None or self.skipped is None else self.skipped + count
+        is_listed = reason in self.reasons or len(self.reasons) < MAX_REASONS
+        self.reasons[reason if is_listed else OTHER_REASONS] += count or 0
 
 
 @dataclass(frozen=True)
@@ -64,15 +114,56 @@ class Description:
     notes: tuple[str, ...] = ()
     truth_view_deg: float = 180.0
     vehicle: str | None = None
+    cameras: tuple[CameraCalibration, ...] = ()
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording on disk; each call of `read` starts a new pass over its messages."""
+    """A recording on disk; each call of `messages` starts a new pass over it, which never ends at a bad message."""
 
     path: Path
     description: Description
-    read: Callable[[], Iterator[Received]]
+    messages: Callable[[], Iterator[Received | Skipped]]
+    _pass: Counter[str | Skipped] = field(init=False, default_factory=Counter, repr=False, compare=False)
+
+    def read(self) -> Iterator[Received]:
+        """Messages of a new pass, bad ones skipped and counted; raises LogError at its end if none was readable."""
+        counts: Counter[str | Skipped] = Counter()
+        is_empty = True
+        for item in self.messages():
+            if isinstance(item, Skipped):
+                counts[item._replace(receive_ns=0)] += 1
+                continue
+            counts[item[1]] += 1
+            is_empty = False
+            yield item
+        self._pass.clear()
+        self._pass.update(counts)
+        if is_empty:
+            raise LogError(f"{self.path}: contains no readable message; {_unread(self.table())}")
+
+    def table(self) -> tuple[TopicCount, ...]:
+        """All streams, with the numbers of the last complete pass; of an imported log also what the import skipped."""
+        read = {item: count for item, count in self._pass.items() if not isinstance(item, Skipped)}
+        skipped = [Ignored(*item[1:], count) for item, count in self._pass.items() if isinstance(item, Skipped)]
+        return table_of(self.description, read, skipped)
+
+
+def table_of(about: Description, read: Mapping[str, int], skipped: Iterable[Ignored] = ()) -> tuple[TopicCount, ...]:
+    """Rows of all streams, from the messages read by topic and those skipped beyond `about.ignored`."""
+    rows = [TopicCount(s.source, s.source_type, s.topic, read.get(s.topic, 0)) for s in about.sensors]
+    by_source = {row.source: row for row in reversed(rows)}
+    for ignored in (*about.ignored, *skipped):
+        if ignored.source not in by_source:
+            by_source[ignored.source] = TopicCount(ignored.source, ignored.source_type, "")
+            rows.append(by_source[ignored.source])
+        by_source[ignored.source].skip(ignored.reason, ignored.count)
+    return tuple(rows)
+
+
+def _unread(table: tuple[TopicCount, ...]) -> str:
+    rows = [f"{row.source} ({row.source_type}): {', '.join(row.reasons) or 'without messages'}" for row in table]
+    return f"streams: {'; '.join(rows) or 'none'}"
 
 
 # Opens a path, with label files as truth; raises LogError.
@@ -107,6 +198,7 @@ def describe(description: Description) -> dict[str, Any]:
         "notes": list(description.notes),
         "truth_view_deg": description.truth_view_deg,
         "vehicle": description.vehicle,
+        "cameras": [vars(c) for c in description.cameras],
     }
 
 
@@ -123,7 +215,14 @@ def description_from(values: dict[str, Any]) -> Description:
         notes=tuple(values["notes"]),
         truth_view_deg=float(values["truth_view_deg"]),
         vehicle=values["vehicle"],
+        cameras=tuple(_camera_from(c) for c in values.get("cameras", ())),
     )
+
+
+def _camera_from(values: dict[str, Any]) -> CameraCalibration:
+    """A calibration from plain values, where tuples are lists."""
+    fields: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    return CameraCalibration(**fields)
 
 
 def numbered(sources: Iterable[tuple[str, str]]) -> dict[str, str]:

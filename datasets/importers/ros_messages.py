@@ -1,18 +1,37 @@
 """ROS 1 and ROS 2 messages to Headland messages; frames and units of REP-103 on both sides."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import cv2
 import numpy as np
+import numpy.typing as npt
 
-from datasets.importers.point_clouds import list_scan, read_points, scan_of_points
+from datasets.importers.captures import ars548
+from datasets.importers.images import VideoDecoder, codec_of_video, decode_image, decode_raw, refusal
+from datasets.importers.livox import scan_of_livox
+from datasets.importers.point_clouds import (
+    DOPPLER_FIELDS,
+    Fields,
+    list_scan,
+    radar_scan_of_points,
+    read_points,
+    scan_of_points,
+)
+from datasets.importers.translation import NotRead, Translation
 from geometry.arrays import Float64
 from messages.errors import LogError
-from messages.message import Message
 from messages.motion import Odometry
-from messages.sensors import CameraImage, GnssFix, GnssSolution, ImuSample, LidarScan, UltrasonicRange, WheelSample
+from messages.sensors import (
+    CameraImage,
+    GnssFix,
+    GnssSolution,
+    ImuSample,
+    LidarScan,
+    RadarScan,
+    UltrasonicRange,
+    WheelSample,
+)
 
 # sensor_msgs/PointField
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -21,12 +40,6 @@ _SERVICES = {4: "BDS", 1: "GPS", 2: "GLONASS", 8: "Galileo"}
 # Below this sigma a GBAS solution counts as RTK fixed.
 FIXED_SIGMA_M = 0.05
 _TO_ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
-_COLORS = {
-    "rgb8": cv2.COLOR_RGB2BGR,
-    "rgba8": cv2.COLOR_RGBA2BGR,
-    "bgra8": cv2.COLOR_BGRA2BGR,
-    "mono8": cv2.COLOR_GRAY2BGR,
-}
 NAN3 = np.full(3, np.nan)
 
 
@@ -54,17 +67,60 @@ def pose_matrix(position: Any, q: Any) -> Float64:
     return T
 
 
-def scan_of_cloud(ros: Any, receive_ns: int) -> LidarScan:
-    """sensor_msgs/PointCloud2."""
+def fields_of_cloud(ros: Any) -> Fields:
+    """Fields of a sensor_msgs/PointCloud2 with one number each."""
     order = ">" if ros.is_bigendian else "<"
-    fields = {
-        f.name: (int(f.offset), order + _POINT_TYPES[f.datatype])
-        for f in ros.fields
-        if f.datatype in _POINT_TYPES and f.count <= 1
-    }
-    count = int(ros.width) * int(ros.height)
-    points = read_points(fields, int(ros.point_step), count, _bytes(ros))
-    return scan_of_points(points, stamp_of(ros, receive_ns))
+    known = (f for f in ros.fields if f.datatype in _POINT_TYPES and f.count <= 1)
+    return {f.name: (int(f.offset), order + _POINT_TYPES[f.datatype]) for f in known}
+
+
+def points_of_cloud(ros: Any) -> npt.NDArray[Any]:
+    """Points of a sensor_msgs/PointCloud2, also with padded rows; raises LogError."""
+    step, width, height, data = int(ros.point_step), int(ros.width), int(ros.height), _bytes(ros)
+    row, used = int(ros.row_step), width * step
+    if height > 1 and row > used and len(data) >= height * row:
+        data = np.frombuffer(data, np.uint8, height * row).reshape(height, row)[:, :used].tobytes()
+    return read_points(fields_of_cloud(ros), step, width * height, data)
+
+
+def scan_of_cloud(ros: Any, receive_ns: int) -> LidarScan:
+    """sensor_msgs/PointCloud2 of a lidar."""
+    return scan_of_points(points_of_cloud(ros), stamp_of(ros, receive_ns), receive_ns)
+
+
+def radar_scan_of_cloud(ros: Any, receive_ns: int) -> RadarScan:
+    """sensor_msgs/PointCloud2 with a Doppler field."""
+    return radar_scan_of_points(points_of_cloud(ros), stamp_of(ros, receive_ns))
+
+
+def radar_scan(ros: Any, receive_ns: int) -> RadarScan:
+    """radar_msgs/RadarScan; Doppler receding positive, cross-section unknown (the amplitude is not calibrated)."""
+    rows = [(r.range, r.azimuth, r.elevation, r.doppler_velocity) for r in ros.returns]
+    range_m, azimuth, elevation, doppler = _columns(rows, 4)
+    return RadarScan(stamp_of(ros, receive_ns), range_m, azimuth, elevation, doppler, np.full(len(rows), np.nan))
+
+
+def scan_of_packets(ros: Any, receive_ns: int) -> RadarScan:
+    """nebula_msgs/NebulaPackets: the detection list of an ARS548; raises LogError for other packets."""
+    for packet in ros.packets:
+        cycle = ars548.decode_detections(bytes(packet.data))
+        if cycle is not None:
+            return ars548.to_scan(cycle, cycle.stamp_ns if cycle.is_synchronized else stamp_of(ros, receive_ns))
+    raise LogError(f"packets of a device, without a detection list of a {ars548.NAME}")
+
+
+def ars548_scan(ros: Any, receive_ns: int) -> RadarScan:
+    """continental_msgs/ContinentalArs548DetectionList, without detections that the device marks as invalid."""
+    rows = [
+        (d.range, d.azimuth_angle, math.nan if d.invalid_elevation else d.elevation_angle, d.range_rate, d.rcs)
+        for d in ros.detections
+        if not (d.invalid_distance or d.invalid_azimuth or d.invalid_range_rate)
+    ]
+    return RadarScan(stamp_of(ros, receive_ns), *_columns(rows, 5))
+
+
+def _columns(rows: Sequence[tuple[float, ...]], count: int) -> Float64:
+    return np.array(rows, np.float64).reshape(-1, count).T.copy()
 
 
 def scan_of_laser(ros: Any, receive_ns: int) -> LidarScan:
@@ -84,10 +140,15 @@ def imu_sample(ros: Any, receive_ns: int) -> ImuSample:
     return ImuSample(stamp_of(ros, receive_ns), vector(ros.linear_acceleration), vector(ros.angular_velocity))
 
 
+def sigmas_of(covariance: Any) -> Float64:
+    """Sigmas (3,) of a covariance (3, 3) in one row; NaN (unknown) for variances that are not positive."""
+    variance = np.asarray(covariance, np.float64).reshape(3, 3).diagonal()
+    return np.sqrt(np.where(variance > 0.0, variance, np.nan))
+
+
 def gnss_fix(ros: Any, receive_ns: int) -> GnssFix:
-    """sensor_msgs/NavSatFix; missing values are NaN, the number of satellites -1."""
-    variance = np.asarray(ros.position_covariance, np.float64).reshape(3, 3).diagonal()
-    sigma_m = np.sqrt(variance) if ros.position_covariance_type else NAN3
+    """sensor_msgs/NavSatFix; unknown values are NaN, the number of satellites None."""
+    sigma_m = sigmas_of(ros.position_covariance) if ros.position_covariance_type else NAN3
     solution = {-1: GnssSolution.NONE, 0: GnssSolution.SINGLE, 1: GnssSolution.SBAS}.get(ros.status.status)
     if solution is None:
         solution = GnssSolution.RTK_FIXED if max(sigma_m[:2]) <= FIXED_SIGMA_M else GnssSolution.RTK_FLOAT
@@ -102,7 +163,7 @@ def gnss_fix(ros: Any, receive_ns: int) -> GnssFix:
         heading_rad=math.nan,
         sigma_heading_rad=math.nan,
         solution=solution,
-        satellites=-1,
+        satellites=None,
         hdop=math.nan,
         correction_age_s=math.nan,
         constellations="+".join(name for bit, name in _SERVICES.items() if ros.status.service & bit),
@@ -139,32 +200,32 @@ def ultrasonic_range(ros: Any, receive_ns: int) -> UltrasonicRange:
 
 
 def compressed_image(ros: Any, receive_ns: int) -> CameraImage:
-    """sensor_msgs/CompressedImage."""
+    """sensor_msgs/CompressedImage in JPEG or PNG."""
     data = _bytes(ros)
     return CameraImage(stamp_of(ros, receive_ns), decode_image(data), data)
 
 
-def decode_image(data: bytes) -> Any:
-    """JPEG or PNG to BGR; raises LogError."""
-    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    if bgr is None:
-        raise LogError(f"image of {len(data)} bytes is neither JPEG nor PNG (it begins with {data[:8]!r})")
-    return bgr
-
-
 def image(ros: Any, receive_ns: int) -> CameraImage:
-    """sensor_msgs/Image with 8 bits per channel."""
-    channels = {"bgr8": 3, "rgb8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}.get(ros.encoding)
-    if channels is None:
-        raise LogError(f"image encoding {ros.encoding!r} is not one of bgr8, rgb8, rgba8, bgra8, mono8")
-    height, width, data = int(ros.height), int(ros.width), _bytes(ros)
-    if len(data) < height * int(ros.step) or int(ros.step) < width * channels:
-        raise LogError(f"image of {width} x {height} with {ros.step} bytes per row holds {len(data)} bytes only")
-    rows = np.frombuffer(data, np.uint8, height * int(ros.step)).reshape(height, -1)[:, : width * channels]
-    pixels = rows.reshape(height, width, channels)
-    color = _COLORS.get(ros.encoding)
-    bgr = pixels.copy() if color is None else cv2.cvtColor(pixels, color)
-    return CameraImage(stamp_of(ros, receive_ns), np.asarray(bgr, np.uint8))
+    """sensor_msgs/Image."""
+    bgr = decode_raw(ros.encoding, int(ros.width), int(ros.height), int(ros.step), _bytes(ros), bool(ros.is_bigendian))
+    return CameraImage(stamp_of(ros, receive_ns), bgr)
+
+
+def video_frames() -> Callable[[Any, int], CameraImage]:
+    """Translation of one stream of packets: sensor_msgs/CompressedImage or ffmpeg_image_transport_msgs/FFMPEGPacket."""
+    decoder = VideoDecoder()
+
+    def frame(ros: Any, receive_ns: int) -> CameraImage:
+        codec = codec_of_video(_format_of(ros))
+        if codec is None:
+            raise LogError(f"{_format_of(ros)!r} is no known video format")
+        return decoder.decode(codec, _bytes(ros), stamp_of(ros, receive_ns))
+
+    return frame
+
+
+def _format_of(ros: Any) -> str:
+    return str(getattr(ros, "format", "") or getattr(ros, "encoding", ""))
 
 
 def _bytes(ros: Any) -> bytes:
@@ -172,19 +233,41 @@ def _bytes(ros: Any) -> bytes:
 
 
 # ROS type → topic kind and translation
-TRANSLATIONS: dict[str, tuple[str, Callable[[Any, int], Message]]] = {
-    "sensor_msgs/msg/PointCloud2": ("lidar", scan_of_cloud),
-    "sensor_msgs/msg/LaserScan": ("lidar", scan_of_laser),
-    "sensor_msgs/msg/Imu": ("imu", imu_sample),
-    "sensor_msgs/msg/NavSatFix": ("gnss", gnss_fix),
-    "nav_msgs/msg/Odometry": ("odom", odometry),
-    "geometry_msgs/msg/TwistStamped": ("wheel", wheel_sample),
-    "geometry_msgs/msg/TwistWithCovarianceStamped": ("wheel", wheel_sample),
-    "sensor_msgs/msg/Range": ("ultrasonic", ultrasonic_range),
-    "sensor_msgs/msg/CompressedImage": ("camera", compressed_image),
-    "sensor_msgs/msg/Image": ("camera", image),
+TRANSLATIONS: dict[str, Translation] = {
+    "sensor_msgs/msg/PointCloud2": Translation("lidar", scan_of_cloud),
+    "sensor_msgs/msg/LaserScan": Translation("lidar", scan_of_laser),
+    "livox_ros_driver/msg/CustomMsg": Translation("lidar", scan_of_livox),
+    "livox_ros_driver2/msg/CustomMsg": Translation("lidar", scan_of_livox),
+    "radar_msgs/msg/RadarScan": Translation("radar", radar_scan),
+    "continental_msgs/msg/ContinentalArs548DetectionList": Translation("radar", ars548_scan),
+    "nebula_msgs/msg/NebulaPackets": Translation("radar", scan_of_packets),
+    "sensor_msgs/msg/Imu": Translation("imu", imu_sample),
+    "sensor_msgs/msg/NavSatFix": Translation("gnss", gnss_fix),
+    "nav_msgs/msg/Odometry": Translation("odom", odometry),
+    "geometry_msgs/msg/TwistStamped": Translation("wheel", wheel_sample),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": Translation("wheel", wheel_sample),
+    "sensor_msgs/msg/Range": Translation("ultrasonic", ultrasonic_range),
+    "sensor_msgs/msg/CompressedImage": Translation("camera", compressed_image),
+    "sensor_msgs/msg/Image": Translation("camera", image),
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": Translation("camera", make=video_frames),
 }
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+
+def translation_of(kind: str, ros: Any) -> Translation:
+    """Translation of a stream by its first message, where the type alone does not decide; raises NotRead."""
+    if kind == "sensor_msgs/msg/PointCloud2":
+        names = fields_of_cloud(ros).keys()
+        if not ros.width * ros.height:
+            raise LogError("a cloud without points")
+        if names & set(DOPPLER_FIELDS):
+            return Translation("radar", radar_scan_of_cloud)
+        if {"vx", "vy"} <= names:
+            raise NotRead("a cloud of objects with velocities (vx, vy), not of returns")
+    if kind == "sensor_msgs/msg/CompressedImage" and codec_of_video(ros.format):
+        return Translation("camera", make=video_frames)
+    if kind in ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image") and refusal(_format_of(ros)):
+        raise NotRead(refusal(_format_of(ros)))
+    return TRANSLATIONS[kind]
 
 
 def frame_of(ros: Any) -> str:

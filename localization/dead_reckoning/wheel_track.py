@@ -75,8 +75,8 @@ class WheelTrack:
         self._speeds.clear()
 
     def add(self, sample: WheelSample) -> bool:
-        """Takes a sample; False when it is out of order, not finite or too fast."""
-        if not (abs(sample.speed_mps) <= self._limit and abs(sample.steering_angle_rad) <= 1.57):
+        """Takes a sample; False when it is out of order, too fast, or its speed is unknown; the angle may be (NaN)."""
+        if not abs(sample.speed_mps) <= self._limit or abs(sample.steering_angle_rad) > 1.57:
             return False
         if self._stamps and sample.stamp_ns <= self._stamps[-1]:
             return False

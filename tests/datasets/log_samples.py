@@ -2,6 +2,7 @@
 
 from dataclasses import fields
 from enum import Enum
+from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -30,6 +31,8 @@ def values(hint: Any) -> st.SearchStrategy[Any]:
         return arrays(np.dtype(get_args(get_args(hint)[1])[0]))
     if get_origin(hint) is tuple:
         return st.lists(values(get_args(hint)[0]), max_size=3).map(tuple)
+    if get_origin(hint) is UnionType:
+        return st.one_of(*(st.none() if h is NoneType else values(h) for h in get_args(hint)))
     if issubclass(hint, Enum):
         return st.sampled_from(hint)
     if issubclass(hint, MessagePart):

@@ -65,7 +65,7 @@ def test_viewer_topics_decode_with_frames_of_tree(log: Path) -> None:
             file, decoder_factories=[DecoderFactory()]
         ).iter_decoded_messages():
             if channel.topic.startswith("/view/"):
-                assert schema.name.startswith("foxglove.")
+                assert schema.name.startswith(("foxglove.", "headland.v1.Plotted"))
                 used |= {proto.frame_id} if hasattr(proto, "frame_id") else set()
                 used |= {e.frame_id for e in getattr(proto, "entities", ())}
                 counts[channel.topic] += 1

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from datasets.importers.formats import open_recording
-from interfaces.gnss.nmea import NmeaReader
 from messages.command import CanFrames
-from messages.sensors import GnssSolution, ImuSample, LidarScan
+from messages.sensors import GnssFix, GnssSolution, ImuSample, LidarScan
 from tests.recordings import SAMPLES
 
 
@@ -42,14 +41,13 @@ def test_ros1_bag() -> None:
 
 
 def test_nmea_fixes_agree_with_gpsd() -> None:
-    data = (SAMPLES / "gnss/nmea_rtk.log").read_bytes()
-    reader = NmeaReader("RMC", 0, math.radians(0.1))
-    fixes = [fix for line in data.splitlines(keepends=True) for fix in reader.receive(0, line)]
+    recording = open_recording(SAMPLES / "gnss/nmea_rtk.log")
+    fixes = [message for _, _, message in recording.read() if isinstance(message, GnssFix)]
     reference = [json.loads(line) for line in (SAMPLES / "gnss/nmea_rtk.tpv.jsonl").read_text().splitlines()]
-    assert reader.rejected == sum(line.startswith(b"#") for line in data.splitlines())
+    assert not any(row.skipped for row in recording.table())
     assert {fix.solution for fix in fixes} >= {GnssSolution.SBAS}
     expected = np.array([(r["lat"], r["lon"], r["altHAE"]) for r in reference])
     for fix in fixes:
         place = math.degrees(fix.latitude_rad), math.degrees(fix.longitude_rad), fix.height_m
         assert (np.abs(expected - place) <= (2e-9, 2e-9, 2e-3)).all(axis=1).any(), place
-    assert len(fixes) == data.count(b"RMC,")
+    assert len(fixes) == (SAMPLES / "gnss/nmea_rtk.log").read_bytes().count(b"RMC,")

@@ -6,11 +6,13 @@ import math
 import numpy as np
 import pytest
 
+from datasets.importers.formats import open_recording
 from localization.gnss_gate import GnssGate, Position, RejectionReason, check, position_of, source_of
 from messages.motion import PositionSource
 from messages.sensors import GnssFix, GnssSolution
 from tests.localization.harness import configuration
 from tests.localization.synthetic_drive import DATUM, START_NS
+from tests.recordings import SAMPLES
 
 CONFIG = configuration().map_alignment.gnss
 NAN = math.nan
@@ -50,11 +52,10 @@ def test_valid_fix_passes():
         ({"latitude_rad": NAN}, RejectionReason.INVALID),
         ({"height_m": math.inf}, RejectionReason.INVALID),
         ({"latitude_rad": math.pi / 2 + 1e-9}, RejectionReason.INVALID),
-        ({"sigma_enu_m": np.array([NAN, 0.01, 0.01])}, RejectionReason.INVALID),
+        ({"sigma_enu_m": np.array([math.inf, 0.01, 0.01])}, RejectionReason.INVALID),
         ({"sigma_enu_m": np.array([-0.01, 0.01, 0.01])}, RejectionReason.INVALID),
         ({"solution": GnssSolution.NONE, "latitude_rad": NAN}, RejectionReason.NO_SOLUTION),
         ({"satellites": CONFIG.min_satellites - 1}, RejectionReason.FEW_SATELLITES),
-        ({"correction_age_s": NAN}, RejectionReason.OLD_CORRECTIONS),
         ({"correction_age_s": CONFIG.max_correction_age_s + 1e-6}, RejectionReason.OLD_CORRECTIONS),
     ],
 )
@@ -65,6 +66,19 @@ def test_rejection_reason(change, rejection):
 def test_fix_at_limits_passes():
     edge = dataclasses.replace(GOOD, satellites=CONFIG.min_satellites, correction_age_s=CONFIG.max_correction_age_s)
     assert check(edge, CONFIG) is RejectionReason.NONE
+
+
+def test_unknown_values_are_no_reason_to_refuse():
+    unknown = dataclasses.replace(
+        GOOD, satellites=None, correction_age_s=NAN, hdop=NAN, sigma_enu_m=np.array([NAN, NAN, 0.1])
+    )
+    assert check(unknown, CONFIG) is RejectionReason.NONE
+    found = position_of(unknown, DATUM, CONFIG, 10.0)
+    factor = CONFIG.unknown_sigma_factor
+    assert np.hypot(found.sigma_m, found.slow_m) == pytest.approx([0.008 * factor, 0.008 * factor, 0.1])
+    assert check(dataclasses.replace(unknown, satellites=0), CONFIG) is RejectionReason.FEW_SATELLITES
+    old = dataclasses.replace(unknown, correction_age_s=CONFIG.max_correction_age_s + 1.0)
+    assert check(old, CONFIG) is RejectionReason.OLD_CORRECTIONS
 
 
 def test_sigma_lower_bound():
@@ -109,3 +123,17 @@ def test_confirmation_after_upgrade():
     g = GnssGate(CONFIG)
     g.trust(position(solution=GnssSolution.RTK_FLOAT))
     assert g.evaluate(position(k=1), np.zeros(3), np.eye(3)) is RejectionReason.CONFIRMATION
+
+
+def test_fixes_of_a_receiver_with_unknown_sigmas_are_judged_by_what_is_known():
+    """The committed NMEA sample has neither GST nor the age of corrections in all of its fixes."""
+    fixes = [m for _, _, m in open_recording(SAMPLES / "gnss/nmea_rtk.log").read()]
+    usable = [fix for fix in fixes if CONFIG.of(fix.solution) is not None]
+    assert {fix.solution for fix in usable} >= {GnssSolution.RTK_FIXED}
+    reasons = {check(fix, CONFIG) for fix in usable}
+    assert reasons <= {RejectionReason.NONE, RejectionReason.OLD_CORRECTIONS}
+    accepted = [fix for fix in usable if check(fix, CONFIG) is RejectionReason.NONE]
+    assert accepted
+    for fix in accepted:
+        assert np.isnan(fix.sigma_enu_m).all()
+        assert np.isfinite(position_of(fix, DATUM, CONFIG, 10.0).sigma_m).all()

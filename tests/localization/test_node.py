@@ -96,6 +96,21 @@ def test_speed_and_yaw_rate_accuracy():
     assert np.sqrt(np.mean(rate[m] ** 2)) < 0.005
 
 
+def test_unknown_steering_angle_is_no_reason_to_refuse_the_speed():
+    def without_angle(entry):
+        arrival, topic, message = entry
+        if topic == "wheel":
+            message = replace(message, steering_angle_rad=math.nan)
+        return arrival, topic, message
+
+    known, unknown = run(short_truth().messages), run(edited(short_truth(), without_angle))
+    assert len(unknown.poses) == len(known.poses) > 50
+    ends = [r.odom[-1].T_odom_base[:2, 3] for r in (known, unknown)]
+    assert np.linalg.norm(ends[0] - ends[1]) < 0.01
+    assert np.isfinite([m.curvature_radpm for m in unknown.odom]).all()
+    assert codes(unknown) == codes(known)
+
+
 def test_same_input_same_output_to_the_bit():
     first, second = (run(short_truth().messages) for _ in range(2))
     for a, b in ((first.odom, second.odom), (first.poses, second.poses)):

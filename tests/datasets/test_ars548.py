@@ -1,13 +1,14 @@
 """ARS548 datagrams: recorded cycle against its reference; malformed datagrams are counted."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interfaces.radar.ars548 import (
+from datasets.importers.captures.ars548 import (
     DETECTION,
     DETECTIONS_OFFSET,
     LENGTH,
@@ -15,8 +16,12 @@ from interfaces.radar.ars548 import (
     METHOD,
     Ars548,
     decode_detections,
+    open_decoder,
+    recognize,
     to_scan,
 )
+from datasets.importers.captures.devices import Stream
+from messages.errors import LogError
 from tests.recordings import DATA, needs
 
 RECORDING = DATA / "tier4-nebula" / "ars548"
@@ -70,12 +75,9 @@ def test_invalid_flags(bit: int, kept: int, level: int) -> None:
 
 
 def test_stamp_by_synchronization() -> None:
-    device = Ars548()
     for sync, stamp in ((1, 7_000_000_005), (2, 42), (3, 42)):
-        scan = device.receive(datagram(sync=sync), 42)
-        assert scan is not None
+        (scan,) = Ars548().receive(datagram(sync=sync), 42)
         assert scan.stamp_ns == stamp
-    assert device.rejected == 0
 
 
 @pytest.mark.parametrize("count", [0, 1, MAX_DETECTIONS, MAX_DETECTIONS + 1, 2**32 - 1])
@@ -85,13 +87,16 @@ def test_count_limit(count: int) -> None:
 
 
 def test_other_and_malformed_messages() -> None:
-    device = Ars548()
+    assert recognize(datagram()) == "Continental ARS548 detections"
     for method in (329, 380, 396):
-        assert device.receive(struct.pack(">HHI", 0, method, 10) + bytes(10), 0) is None
-    assert device.rejected == 0
+        other = recognize(struct.pack(">HHI", 0, method, 10) + bytes(10))
+        assert other is not None
+        with pytest.raises(LogError, match="only the detection lists"):
+            open_decoder(Stream("10.0.0.1", 42102, other), b"", Path())
     for broken in (b"", b"\0\0\1", datagram()[:-1], datagram() + b"\0", b"\1" + datagram()[1:]):
-        assert device.receive(broken, 0) is None
-    assert device.rejected == 5
+        assert recognize(broken) is None
+        with pytest.raises(LogError, match="is no detection list"):
+            list(Ars548().receive(broken, 0))
 
 
 @given(st.binary(max_size=64), st.integers(0, LENGTH - 64))
@@ -99,6 +104,7 @@ def test_other_and_malformed_messages() -> None:
 def test_arbitrary_bytes(noise: bytes, place: int) -> None:
     raw = bytearray(datagram())
     raw[place : place + len(noise)] = noise
-    device = Ars548()
-    scan = device.receive(bytes(raw), 0)
-    assert scan is not None or device.rejected == 1 or raw[2:4] != datagram()[2:4]
+    try:
+        assert len(list(Ars548().receive(bytes(raw), 0))) == 1
+    except LogError:
+        assert decode_detections(bytes(raw)) is None

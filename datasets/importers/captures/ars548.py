@@ -9,16 +9,24 @@ and up positive, range rate away positive (ARS548 interface description, checked
 """
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from datasets.importers.captures.devices import Decoder, Lost, Stream
+from datasets.importers.recording import Extrinsic
 from geometry.arrays import Bool, Float64
+from messages.errors import LogError
+from messages.message import Message
 from messages.sensors import RadarScan
 
+NAME = "Continental ARS548"
 METHOD = 336
+METHODS = {METHOD: "detections", 329: "objects", 380: "sensor status", 396: "filter status"}
 LENGTH = 35336
 MAX_DETECTIONS = 800
 DETECTIONS_OFFSET = 101
@@ -94,18 +102,36 @@ def to_scan(cycle: DetectionList, stamp_ns: int) -> RadarScan:
     return RadarScan(stamp_ns, range_m, azimuth, elevation, doppler, rcs)
 
 
+def recognize(payload: bytes) -> str | None:
+    """A detection list, or another message of the device."""
+    if len(payload) < 8:
+        return None
+    service, method, length = struct.unpack_from(">HHI", payload)
+    if service != 0 or length != len(payload) - 8 or method not in METHODS:
+        return None
+    return f"{NAME} {METHODS[method]}"
+
+
+def open_decoder(stream: Stream, payload: bytes, capture: Path) -> Decoder:
+    """The decoder of detection lists; raises LogError for the other messages."""
+    if stream.model != f"{NAME} {METHODS[METHOD]}":
+        raise LogError("only the detection lists of this radar are read")
+    return Ars548()
+
+
 class Ars548:
-    """Decoder of the device's datagrams; malformed ones are counted in `rejected`, other messages are ignored."""
+    """Detection lists of one radar as scans, stamped by the device's clock once that is synchronized."""
 
-    def __init__(self) -> None:
-        self.rejected = 0
+    kind = "radar"
+    frame = "ars548"
+    notes: tuple[str, ...] = ()
+    extrinsics: tuple[Extrinsic, ...] = ()
 
-    def receive(self, datagram: bytes, receive_ns: int) -> RadarScan | None:
-        """A scan when the datagram is a detection list, stamped by the device's clock once that is synchronized."""
-        if len(datagram) >= 4 and struct.unpack_from(">HH", datagram)[1] in (329, 380, 396):
-            return None  # objects, sensor status, filter status
-        cycle = decode_detections(datagram)
+    def receive(self, payload: bytes, receive_ns: int) -> Iterator[Message | Lost]:
+        cycle = decode_detections(payload)
         if cycle is None:
-            self.rejected += 1
-            return None
-        return to_scan(cycle, cycle.stamp_ns if cycle.is_synchronized else receive_ns)
+            raise LogError(f"datagram of {len(payload)} bytes is no detection list of {LENGTH} bytes")
+        yield to_scan(cycle, cycle.stamp_ns if cycle.is_synchronized else receive_ns)
+
+    def finish(self) -> Iterator[Message | Lost]:
+        yield from ()

@@ -1,0 +1,1 @@
+"""Packet captures: container, network layers, and one decoder module per maker."""

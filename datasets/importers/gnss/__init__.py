@@ -1,0 +1,1 @@
+"""Streams of GNSS receivers: framing, NMEA 0183 and UBX epochs, times."""

@@ -1,1 +1,0 @@
-"""Radars by their protocols, as `RadarScan`."""
