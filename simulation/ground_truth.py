@@ -50,7 +50,7 @@ class GroundTruth:
         is_inside = bool(self._allowed.covers(outline))
         self.zone_exits += int(self._was_inside and not is_inside)
         self._was_inside = is_inside
-        hit = [actor.id for actor in actors if outline.intersects(actor.footprint)]
+        hit = [actor.id for actor in actors if actor.solid.must_avoid and outline.intersects(actor.footprint)]
         if self._structures.intersects(outline):
             hit += [-1 - k for k, solid in enumerate(self._solids) if solid.intersects(outline)]
         self.contact_ids += tuple(id for id in hit if id not in self.contact_ids)
@@ -80,7 +80,9 @@ class GroundTruth:
             center, size = f.box_m()
             gap = float(outline.distance(f.footprint))
             velocity = np.array([*f.velocity_mps, 0.0])
-            objects.append(TrueObject(f.id, f.label, f.role, center, size, f.yaw_rad, velocity, gap))
+            solid = f.solid
+            objects.append(TrueObject(f.id, solid.label, f.role, center, size, f.yaw_rad, velocity, gap,
+                                      kind=solid.kind, must_avoid=solid.must_avoid))  # fmt: skip
         return TrueObjects(stamp_ns, tuple(objects))
 
 

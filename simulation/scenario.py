@@ -1,24 +1,17 @@
-"""Scenario: encounters with people, animals and vehicles, operator commands, GNSS and camera episodes, faults."""
+"""Scenario: objects, encounters, operator commands, GNSS and camera episodes, faults (docs/scenarios.md)."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import Field, model_validator
 
-from configs.sensor_kinds import SENSOR_KINDS
 from configs.strict import Config
 from messages.command import OperatorCommandKind
 from messages.perception import ObstacleClass
 from simulation.faults.config import InjectedFault
+from simulation.scenario_objects import ScenarioObject, check_objects
+from simulation.scenario_values import ALL_SENSORS, KindName, Range
 
-
-def _is_rising(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] > value[1]:
-        raise ValueError(f"{value[0]} to {value[1]} is not a range")
-    return value
-
-
-Bound = Annotated[float, Field(ge=-1000.0, le=1000.0)]
-Range = Annotated[tuple[Bound, Bound], AfterValidator(_is_rising)]
+PlantKind = Literal["nominal", "drawn", "worst"]
 CommandName = Literal["start", "pause", "resume", "emergency_stop", "reset", "manual", "automatic"]
 
 
@@ -49,16 +42,6 @@ class CameraEpisode(Config):
     from_s: float = Field(ge=0.0, le=1e6)
     for_s: float = Field(gt=0.0, le=1e6)
     state: Literal["blocked", "blurred"]
-
-
-def _is_known_kind(value: str) -> str:
-    if value not in SENSOR_KINDS:
-        raise ValueError(f"{value!r} is not a kind of sensor ({', '.join(SENSOR_KINDS)})")
-    return value
-
-
-KindName = Annotated[str, AfterValidator(_is_known_kind)]
-ALL_SENSORS = tuple(SENSOR_KINDS)
 
 
 class _Encounter(Config):
@@ -134,12 +117,19 @@ class Scenario(Config):
 
     name: str
     operator_commands: tuple[ScenarioCommand, ...]
+    plant: PlantKind = "nominal"
     gnss: tuple[GnssEpisode, ...] = ()
     camera: tuple[CameraEpisode, ...] = ()
     encounters: tuple[Encounter, ...] = ()
+    objects: tuple[ScenarioObject, ...] = ()
     faults: tuple[InjectedFault, ...] = ()
+
+    @model_validator(mode="after")
+    def _objects_fit(self) -> Self:
+        check_objects(self.objects, tuple(e.name for e in self.encounters))
+        return self
 
     @property
     def expected_stops(self) -> dict[str, int]:
-        """Stops that each encounter must cause, by its name."""
-        return {e.name: e.expected_stops for e in self.encounters}
+        """Stops that each encounter and each object must cause, by its name."""
+        return {e.name: e.expected_stops for e in (*self.encounters, *self.objects)}

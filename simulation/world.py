@@ -4,6 +4,7 @@ import heapq
 import math
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 
 import can
 import numpy as np
@@ -11,9 +12,7 @@ from pydantic import Field
 from shapely import Polygon
 
 from configs.sensor_kinds import sensors_of
-from configs.site import PoseConfig, Site
 from configs.strict import Config
-from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from messages.command import OperatorCommand
 from messages.message import Message
 from messages.node import Output, World
@@ -23,15 +22,18 @@ from messages.topics import TOPICS
 from simulation.actors.actors import Actor
 from simulation.actors.encounter import EncounterSite
 from simulation.actors.placement import place_encounters
+from simulation.actors.scripted import ScriptedObjects
 from simulation.environment.scene import Scene
 from simulation.environment.scenery import SceneryConfig, build_scenery
 from simulation.environment.terrain import Terrain, TerrainConfig
 from simulation.ground_truth import GroundTruth, GroundTruthConfig
 from simulation.kernels import warm
+from simulation.machine.body_motion import BodyMotion
 from simulation.machine.machine import Machine, MachineConfig
 from simulation.machine.pose_buffer import PoseBuffer
 from simulation.machine.tractor_bus import BusConfig, TractorBus, load_database
 from simulation.machine.tractor_status import TractorStatus
+from simulation.plant import Clock, Plant, PlantConfig
 from simulation.randomness import generator
 from simulation.scenario import Bystander, Scenario
 from simulation.sensor_registry import MODELS
@@ -68,6 +70,24 @@ class SimulationConfig(Config):
     gnss: GnssConfig
     imu: ImuConfig
     ground_truth: GroundTruthConfig
+    plant: PlantConfig
+
+
+class SensorLink:
+    """Clock and link of one sensor: stamps with an offset, and delivery in order with a random additional delay."""
+
+    def __init__(self, clock: Clock, random: np.random.Generator) -> None:
+        self._offset_ns, self._jitter_s, self._random = round(clock.offset_s * 1e9), clock.jitter_s, random
+        self._last_ns = 0
+
+    def stamp_ns(self, now_ns: int) -> int:
+        """Stamp of a measurement now."""
+        return now_ns + self._offset_ns
+
+    def receive_ns(self, at_ns: int) -> int:
+        """Time of delivery of a message that leaves the sensor at `at_ns`."""
+        self._last_ns = max(self._last_ns, at_ns + round(self._random.exponential(self._jitter_s) * 1e9))
+        return self._last_ns
 
 
 class SimulationWorld(World):
@@ -78,19 +98,20 @@ class SimulationWorld(World):
     """
 
     def __init__(
-        self, site: Site, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, scenario: Scenario,
-        plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int, config: SimulationConfig, start: PoseConfig,
-        is_folded: bool, renders_in_thread: bool = False,
+        self, plant: Plant, scenario: Scenario, plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int,
+        config: SimulationConfig, is_folded: bool, renders_in_thread: bool = False,
     ) -> None:  # fmt: skip
+        site, vehicle, implement = plant.site, plant.vehicle, plant.implement
         self._now_ns = self._start_ns = config.start_stamp_ns
         self._terrain = Terrain(site, config.terrain, seed)
         self.machine = Machine(
-            vehicle, implement, self._terrain, start, is_folded, config.machine, STEP_NS * 1e-9,
+            vehicle, implement, self._terrain, plant.start, is_folded, plant.models.machine, STEP_NS * 1e-9,
             generator(seed, "machine"),
         )  # fmt: skip
         self._vehicle, self._scenario = vehicle, scenario
         self._ends_m = vehicle.body.front_m, min(-vehicle.body.rear_m, implement.ends_m[1])
         self._poses = PoseBuffer(STEP_NS, POSE_BUFFER_S)
+        self._body = BodyMotion(plant.models.machine.body_motion, STEP_NS * 1e-9, generator(seed, "body"))
         self._poses.append(self.machine.T_map_base)
         database = load_database()
         brake = vehicle.brake.deceleration_mps2
@@ -100,8 +121,13 @@ class SimulationWorld(World):
         docks = {} if site.shed is None else {bay.name: bay.dock for bay in site.shed.bays}
         setting = EncounterSite(Polygon(site.boundary_m), 0.5 * max(implement.width_m, vehicle.body.width_m), docks)
         self._actors = self._create_actors(plan_paths, setting, seed)
+        self._objects = ScriptedObjects(scenario.objects, plan_paths, site, vehicle, self._terrain, seed)
         self._scene = Scene(lambda: build_scenery(site, self._terrain, config.scenery, seed))
-        self._sensors = make_sensors(SensorContext(site, vehicle, implement, scenario, seed), config)
+        models = config.model_copy(update={"gnss": plant.models.gnss, "imu": plant.models.imu})
+        self._sensors = make_sensors(SensorContext(site, vehicle, implement, scenario, seed), models)
+        self._links = {
+            topic: SensorLink(clock, generator(seed, f"clock/{topic}")) for topic, clock in plant.clocks.items()
+        }
         self._render_thread = ThreadPoolExecutor(1) if renders_in_thread else None
         self._pending: list[tuple[int, int, str, Pending]] = []
         self._put_count = 0
@@ -153,7 +179,9 @@ class SimulationWorld(World):
         command = self._bus.command(self._now_ns)
         for _ in range(TICK_NS // STEP_NS):
             self.machine.step(command)
-            self._poses.append(self.machine.T_map_base)
+            m = self.machine
+            left_mps2 = m.speed_mps * m.yaw_rate_radps
+            self._poses.append(self._body.step(m.T_map_base, m.speed_mps, m.acceleration_mps2, left_mps2))
         self._now_ns = now_ns
         self._update_actors(elapsed_ns * 1e-9)
         self._measure(now_ns, elapsed_ns)
@@ -172,15 +200,20 @@ class SimulationWorld(World):
         tip = T[:3, 3] + self._ends_m[is_reversing] * T[:3, 0]
         heading = self.machine.yaw_rad + math.pi * is_reversing
         actors = (actor.update(elapsed_s, tip, heading) for actor in self._actors)
-        self._scene.actors = tuple(f for f in actors if f is not None)
+        objects = self._objects.update(elapsed_s, self.machine, self._bus.is_horn_on, (tip, heading))
+        self._scene.actors = (*(f for f in actors if f is not None), *objects)
 
     def _measure(self, now_ns: int, elapsed_ns: int) -> None:
         state = WorldState(now_ns, elapsed_ns * 1e-9, self._poses, self.machine, self._scene)
         for sensor in self._sensors:
             is_due = elapsed_ns // sensor.period_ns > (elapsed_ns - TICK_NS) // sensor.period_ns
-            message = self._sample(sensor, state) if is_due else None
+            if not is_due:
+                continue
+            link = self._links.get(sensor.topic)
+            message = self._sample(sensor, state if link is None else replace(state, stamp_ns=link.stamp_ns(now_ns)))
             if message is not None:
-                self._put(now_ns + sensor.latency_ns, sensor.topic, message)
+                at_ns = now_ns + sensor.latency_ns
+                self._put(at_ns if link is None else link.receive_ns(at_ns), sensor.topic, message)
 
     def _sample(self, sensor: Sensor, state: WorldState) -> Pending | None:
         if self._render_thread is not None and isinstance(sensor, CameraModel):

@@ -10,13 +10,14 @@ from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Float32, Float64
 from geometry.transforms import apply, planar
-from messages.perception import ObstacleClass
-from simulation.actors.actor_meshes import STRIDE_M, actor_mesh
 from simulation.actors.encounter import NO_SWATH, Walk, WalkState, distance_to, walk_state_at
 from simulation.actors.placement import ParkedVehicle, PlacedEncounter
 from simulation.environment.meshes import Mesh
 from simulation.environment.terrain import Terrain
-from simulation.scenario import ALL_SENSORS, Encounter
+from simulation.objects.encountered import ENCOUNTERED
+from simulation.objects.solid import Solid
+from simulation.scenario import Encounter
+from simulation.scenario_values import ALL_SENSORS
 
 APPEAR_MARGIN_M = 12.0  # before the trigger: visible while waiting, absent while the machine works nearby before
 APPROACH_MARGIN_M = (
@@ -30,7 +31,7 @@ class ActorState:
     """An actor at one instant; `gait` is the gait phase, negative when standing."""
 
     id: int
-    label: ObstacleClass
+    solid: Solid
     role: str
     p_map_m: tuple[float, float, float]
     yaw_rad: float
@@ -41,7 +42,7 @@ class ActorState:
     @cached_property
     def local_mesh(self) -> Mesh:
         """Mesh about the actor's own origin."""
-        return actor_mesh(self.label, self.gait)
+        return self.solid.mesh(self.gait)
 
     def mesh_at(self, ago_s: float) -> Mesh:
         """Mesh in `map`, `ago_s` before this instant."""
@@ -110,13 +111,14 @@ class Actor:
         self._is_present = self._is_present or path_m <= walk.trigger_m + APPEAR_MARGIN_M
 
     def _state(self, walk_state: WalkState) -> ActorState:
-        label, (x, y) = self._encounter.label, walk_state.p_map_m
+        solid, (x, y) = ENCOUNTERED[self._encounter.label], walk_state.p_map_m
         speed, heading = walk_state.speed_mps, walk_state.heading_rad
         velocity = (speed * math.cos(heading), speed * math.sin(heading))
-        gait = walk_state.walked_m / STRIDE_M[label] % 1.0 if walk_state.speed_mps > 0.0 else -1.0
+        is_walking = solid.stride_m is not None and speed > 0.0
+        gait = walk_state.walked_m / (solid.stride_m or 1.0) % 1.0 if is_walking else -1.0
         p = (x, y, self._terrain.height_m(x, y))
         name, visible_to = self._encounter.name, self._encounter.visible_to
-        state = ActorState(self._id, label, name, p, walk_state.heading_rad, velocity, gait, visible_to)
+        state = ActorState(self._id, solid, name, p, walk_state.heading_rad, velocity, gait, visible_to)
         # an unchanged state keeps its object, and with it its cached meshes
         if self._last is None or state != self._last:
             self._last = state

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from geometry.arrays import Float64
-from messages.perception import ObstacleClass
 from simulation.actors.actors import Actor, ActorState
 from simulation.environment.terrain import Terrain
 from simulation.machine.machine import Machine
+from simulation.objects.encountered import PERSON
 
 ID = 900
 STANDING_MPS = 0.02
@@ -43,7 +43,7 @@ class PopUp(Actor):
             y = float(tip_map_m[1]) + self._ahead_m * math.sin(heading_rad)
             self.count += 1
             self.state = ActorState(
-                ID + self.count, ObstacleClass.PERSON, "popup", (x, y, self._terrain.height_m(x, y)), heading_rad,
+                ID + self.count, PERSON, "popup", (x, y, self._terrain.height_m(x, y)), heading_rad,
                 (0.0, 0.0), -1.0,
             )  # fmt: skip
             self._ready_s = self._still_s = None

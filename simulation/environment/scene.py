@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from geometry.arrays import Float32, UInt8
-from simulation.actors.actor_meshes import REFLECTIVITY
 from simulation.actors.actors import ActorState
 from simulation.environment.meshes import Mesh
 from simulation.environment.scenery import SURFACE_KINDS, Piece
@@ -72,4 +71,4 @@ class Scene:
 
     def actor_scene(self, actors: list[ActorState], ago_s: float) -> RaycastScene:
         """Actors as they were `ago_s` before."""
-        return RaycastScene([f.mesh_at(ago_s) for f in actors], [REFLECTIVITY[f.label] for f in actors])
+        return RaycastScene([f.mesh_at(ago_s) for f in actors], [f.solid.reflectivity for f in actors])

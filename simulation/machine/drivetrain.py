@@ -27,6 +27,7 @@ class DriveConfig(Config):
     max_slip: float = Field(ge=0.0, le=0.5)
     park_brake_mps2: float = Field(gt=0.0, le=10.0)
     park_brake_s: float = Field(ge=0.0, le=5.0, description="time to set or release")
+    wheel_radius_error: float = Field(ge=-0.2, le=0.2, description="of the true radius, relative to the calibrated one")
 
 
 class Drive:

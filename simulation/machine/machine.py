@@ -11,6 +11,7 @@ from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from geometry.arrays import Float64
 from simulation.environment.terrain import Terrain
+from simulation.machine.body_motion import BodyMotionConfig
 from simulation.machine.drivetrain import GRAVITY_MPS2, BrakeSystem, Drive, DriveConfig, advance_speed
 from simulation.machine.implement import AttachedImplement, ImplementConfig
 from simulation.machine.steering import Steering, SteeringConfig, clamp, follow_lag
@@ -34,6 +35,7 @@ class MachineConfig(Config):
     drive: DriveConfig
     tyres: TyreConfig
     implement: ImplementConfig
+    body_motion: BodyMotionConfig
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ class Machine:
         self.acceleration_mps2 = (self.speed_mps - before) / self._dt_s
         braking = math.copysign(self.brakes.deceleration_mps2, before)
         slip = clamp(drive.slip_per_traction * (traction - braking) / GRAVITY_MPS2, -drive.max_slip, drive.max_slip)
-        self.wheel_speed_mps = self.speed_mps * (1.0 + math.copysign(1.0, before) * slip)
+        circumferential_mps = self.speed_mps * (1.0 + math.copysign(1.0, before) * slip)
+        self.wheel_speed_mps = circumferential_mps / (1.0 + drive.wheel_radius_error)
         self.wheel_distance_m += abs(self.wheel_speed_mps) * self._dt_s
 
     def _step_sideways(self) -> None:

@@ -8,10 +8,10 @@ from shapely import LineString, Polygon
 
 from configs.site import Site
 from geometry.arrays import Float64
-from messages.perception import ObstacleClass
-from simulation.actors.actor_meshes import GAIT_STEPS, REFLECTIVITY, actor_mesh, actor_parts, gait_step
 from simulation.environment.meshes import Mesh
 from simulation.environment.scenery import Piece
+from simulation.objects.encountered import ENCOUNTERED
+from simulation.objects.solid import GAIT_STEPS, Solid
 from simulation.randomness import generator
 from simulation.rendering.scene_mesh import Material, Surface, merge, surface_of
 
@@ -50,7 +50,9 @@ FIXED_APPEARANCE: dict[str, Appearance] = {
     "dark": ((0.012, 0.011, 0.011), Material.SMOOTH), "white": ((0.6, 0.59, 0.56), Material.SMOOTH),
     "glass": ((0.012, 0.014, 0.016), Material.GLASS), "rubber": ((0.018, 0.018, 0.018), Material.SMOOTH),
     "rim": ((0.38, 0.38, 0.39), Material.GLOSS), "lamp": ((0.62, 0.62, 0.60), Material.GLOSS),
-    "tail": ((0.35, 0.015, 0.015), Material.GLOSS),
+    "tail": ((0.35, 0.015, 0.015), Material.GLOSS), "wood": ((0.24, 0.18, 0.12), Material.WOOD),
+    "steel": ((0.30, 0.31, 0.32), Material.METAL), "stone": ((0.24, 0.23, 0.21), Material.GRAVEL),
+    "straw": ((0.42, 0.33, 0.15), Material.GRASS), "water": ((0.05, 0.06, 0.07), Material.GLOSS),
 }  # fmt: skip
 
 
@@ -72,16 +74,16 @@ def palette(seed: int, id: int) -> dict[str, Appearance]:
 
 
 @cache
-def _uncolored(label: ObstacleClass, step: int) -> tuple[tuple[str, Surface], ...]:
+def _uncolored(solid: Solid, step: int) -> tuple[tuple[str, Surface], ...]:
     """Surfaces without colour, with normals; computed once per gait step."""
-    parts = actor_parts(label, step, True)
+    parts = solid.parts(step, True)
     return tuple((part.region, surface_of(part.mesh, np.zeros(3), Material.SMOOTH)) for part in parts)
 
 
-def actor_surface(label: ObstacleClass, step: int, appearance: dict[str, Appearance]) -> Surface:
+def actor_surface(solid: Solid, step: int, appearance: dict[str, Appearance]) -> Surface:
     """An actor about its own origin."""
     colored = []
-    for region, uncolored in _uncolored(label, step):
+    for region, uncolored in _uncolored(solid, step):
         color, material = appearance[region]
         colors = np.broadcast_to(np.array(color, np.float32), uncolored.vertices_m.shape)
         kinds = np.full(len(uncolored.triangles), material, np.uint8)
@@ -93,10 +95,10 @@ def actor_surface(label: ObstacleClass, step: int, appearance: dict[str, Appeara
 
 def build_actor_surfaces() -> None:
     """Builds every actor at every gait step: each takes about 40 ms at first use."""
-    for label in REFLECTIVITY:
-        for step in range(-1, GAIT_STEPS):
-            actor_mesh(label, step / GAIT_STEPS)
-            _uncolored(label, gait_step(step / GAIT_STEPS))
+    for solid in ENCOUNTERED.values():
+        for step in range(-1, 0 if solid.stride_m is None else GAIT_STEPS):
+            solid.mesh(step / GAIT_STEPS)
+            _uncolored(solid, step)
 
 
 def static_surface(pieces: list[Piece], site: Site, seed: int) -> Surface:

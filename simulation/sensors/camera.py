@@ -16,7 +16,6 @@ from configs.vehicle import Camera, Vehicle
 from geometry.arrays import Float64, UInt8
 from geometry.transforms import planar
 from messages.sensors import CameraImage
-from simulation.actors.actor_meshes import gait_step
 from simulation.actors.actors import ActorState
 from simulation.environment.scene import Scene
 from simulation.machine.body import machine_mesh
@@ -101,7 +100,7 @@ class CameraModel:
             appearance = palette(self._seed, f.id)
             T_map_figure = planar(f.p_map_m[0], f.p_map_m[1], f.yaw_rad)
             T_map_figure[2, 3] = f.p_map_m[2]
-            moving.append(actor_surface(f.label, gait_step(f.gait), appearance).transformed(T_map_figure))
+            moving.append(actor_surface(f.solid, f.solid.step(f.gait), appearance).transformed(T_map_figure))
             occluders[k] = *f.p_map_m[:2], (0.4 * f.ball_m[1]) ** -2
         bgr, mean, gain = request.renderer.render(view, moving, occluders, self._gain, self._curve)
         self._gain = gain * exposure_factor(mean, self._config.target_brightness)

@@ -36,6 +36,12 @@ class GnssConfig(Config):
     ambiguity_fix_s: float = Field(
         ge=0.0, le=600.0, description="from free sky to fixed ambiguities after roof or multipath"
     )
+    error_scale: float = Field(gt=0.0, le=10.0, description="true error over the stated sigma")
+    wrong_fixes_per_hour: float = Field(ge=0.0, le=600.0, description="wrong ambiguities that are stated as fixed")
+    multipath_per_hour: float = Field(ge=0.0, le=600.0, description="multipath that is stated as fixed")
+    wrong_fix_m: tuple[float, float] = Field(description="horizontal error of a wrong fix")
+    multipath_m: tuple[float, float] = Field(description="largest horizontal error of multipath")
+    episode_s: tuple[float, float] = Field(description="duration of a wrong fix or of multipath")
 
 
 class SkyView:
@@ -62,6 +68,39 @@ class SkyView:
         return GnssSolution.RTK_FIXED if is_fixed else GnssSolution.RTK_FLOAT
 
 
+class UnstatedErrors:
+    """Wrong fixes (a step) and multipath (a slow rise and fall) that the receiver states as fixed, one at a time."""
+
+    def __init__(self, config: GnssConfig, random: np.random.Generator) -> None:
+        self._config, self._random = config, random
+        self._rates = np.array([config.wrong_fixes_per_hour, config.multipath_per_hour]) / 3600.0
+        self._next_s = self._draw_start(0.0)
+        self._began_s = self._end_s = -math.inf
+        self._peak_m, self._is_step = np.zeros(3), True
+
+    def error_m(self, elapsed_s: float) -> Float64:
+        """Error (3,) east, north, up at this time."""
+        if elapsed_s >= self._next_s:
+            self._begin(elapsed_s)
+        if elapsed_s >= self._end_s:
+            return np.zeros(3)
+        share = (self._end_s - elapsed_s) / (self._end_s - self._began_s)
+        return self._peak_m if self._is_step else self._peak_m * math.sin(math.pi * share)
+
+    def _begin(self, elapsed_s: float) -> None:
+        random, config = self._random, self._config
+        self._is_step = bool(random.random() < self._rates[0] / self._rates.sum())
+        size_m = random.uniform(*(config.wrong_fix_m if self._is_step else config.multipath_m))
+        angle = random.uniform(0.0, 2.0 * math.pi)
+        self._peak_m = size_m * np.array([math.cos(angle), math.sin(angle), random.uniform(-2.0, 2.0)])
+        self._began_s, self._end_s = elapsed_s, elapsed_s + random.uniform(*config.episode_s)
+        self._next_s = self._draw_start(self._end_s)
+
+    def _draw_start(self, after_s: float) -> float:
+        rate = float(self._rates.sum())
+        return after_s + float(self._random.exponential(1.0 / rate)) if rate > 0.0 else math.inf
+
+
 class GnssModel:
     """One receiver with its antenna (and a second one, ahead of it, if it measures heading)."""
 
@@ -77,6 +116,7 @@ class GnssModel:
         self._sky_view = SkyView(shed, config)
         self._correlated = random.standard_normal(4)
         self._corrected_s = 0.0
+        self._unstated = UnstatedErrors(config, random)
 
     def sample(self, state: WorldState) -> Message:
         """The fix now; NaN position without a solution."""
@@ -90,7 +130,8 @@ class GnssModel:
         before = state.poses.steps_ago(2) @ self._T_base_antenna
         velocity = (antenna[:3, 3] - before[:3, 3]) / (2e-9 * state.poses.step_ns)
         sigma = self._sigma_enu(solution)
-        latitude, longitude, height = self._datum.to_ellipsoid(*map(float, antenna[:3, 3] + sigma * errors[:3]))
+        error_m = self._config.error_scale * sigma * errors[:3] + self._unstated.error_m(state.elapsed_s)
+        latitude, longitude, height = self._datum.to_ellipsoid(*map(float, antenna[:3, 3] + error_m))
         heading_sigma = math.radians(self._gnss.sigma_heading_deg) if self._has_heading(solution) else math.nan
         age = 1.0 if solution >= GnssSolution.RTK_FLOAT else state.elapsed_s - self._corrected_s
         return GnssFix(

@@ -25,6 +25,7 @@ class ImuConfig(Config):
     driving_vibration_radps_per_mps: float = Field(ge=0.0, le=1.0)
     bias_drift_share: float = Field(ge=0.0, le=1.0, description="bias change over `bias_drift_s`, relative to the bias")
     bias_drift_s: float = Field(gt=1.0, le=1e5)
+    scale_sigma: float = Field(ge=0.0, le=0.1, description="relative error of the scale of each axis")
 
 
 class ImuModel:
@@ -51,6 +52,9 @@ class ImuModel:
             [config.driving_vibration_mps2_per_mps, config.driving_vibration_radps_per_mps], 3
         )
         self._noise_last, self._noise_before = np.zeros(6), np.zeros(6)
+        self._scale = 1.0 + config.scale_sigma * (
+            random.standard_normal(6) if config.scale_sigma > 0.0 else np.zeros(6)
+        )
 
     def sample(self, state: WorldState) -> Message:
         """True mean over the last interval with bias, vibration and noise, limited to the range."""
@@ -59,7 +63,7 @@ class ImuModel:
         truth = mean_motion(poses[0], poses[1], poses[2], self.period_ns * 1e-9)
         self._bias = self._bias + self._bias_step * self._random.standard_normal(6)
         noise = self._bias + self._sigma * self._random.standard_normal(6) + self._vibration(state.machine.speed_mps)
-        values = np.minimum(np.maximum(truth + noise, -self._limit), self._limit)
+        values = np.minimum(np.maximum(self._scale * truth + noise, -self._limit), self._limit)
         return ImuSample(state.stamp_ns, values[:3].copy(), values[3:].copy())
 
     def _vibration(self, speed_mps: float) -> Float64:

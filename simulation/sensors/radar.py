@@ -16,7 +16,6 @@ from configs.strict import Config
 from configs.vehicle import Radar
 from geometry.arrays import Float32, Float64
 from messages.message import Message
-from messages.perception import ObstacleClass
 from messages.sensors import RadarScan
 from simulation.actors.actors import ActorState
 from simulation.environment.scene import Scene
@@ -33,42 +32,6 @@ NEAR_M = 0.3  # tolerance: a body does not occlude itself
 MAX_PATCH_DEPTH_M = 1.0  # of a ray's patch on the ground, along the ray
 # steps per m, rad, rad, m/s and dB of the output: a tenth of the errors
 RESOLUTION = np.array([128.0, 2048.0, 2048.0, 128.0, 16.0])
-
-
-@dataclass(frozen=True)
-class Scatterer:
-    """A scatterer: position, horizontal normal ((0, 0): omnidirectional), cross-section and its gain at normal
-    incidence, and swing of its speed with the gait (share of the walking speed, phase of the cycle).
-    """
-
-    at_m: tuple[float, float, float]
-    normal: tuple[float, float] = (0.0, 0.0)
-    rcs_dbsm: float = 0.0
-    mirror_db: float = 0.0
-    swing: float = 0.0
-    phase: float = 0.0
-
-
-# a person has -8 to 0 dBsm at 77 GHz (Yamada 2005), a small car 0 to 20 by aspect
-SCATTERERS: dict[ObstacleClass, tuple[Scatterer, ...]] = {
-    ObstacleClass.PERSON: (
-        Scatterer((0.0, 0.0, 1.15), rcs_dbsm=-5.0),
-        Scatterer((0.0, 0.1, 0.5), rcs_dbsm=-10.0, swing=0.8),
-        Scatterer((0.0, -0.1, 0.5), rcs_dbsm=-10.0, swing=0.8, phase=0.5),
-    ),
-    ObstacleClass.ANIMAL: (
-        Scatterer((0.3, 0.0, 0.65), rcs_dbsm=-8.0),
-        Scatterer((-0.3, 0.0, 0.65), rcs_dbsm=-8.0),
-        Scatterer((0.38, 0.0, 0.3), rcs_dbsm=-14.0, swing=0.8),
-        Scatterer((-0.38, 0.0, 0.3), rcs_dbsm=-14.0, swing=0.8, phase=0.5),
-    ),
-    ObstacleClass.VEHICLE: (
-        *(Scatterer((1.75 * x, 0.75 * y, 0.6), (0.7 * x, 0.7 * y), 0.0) for x in (1, -1) for y in (1, -1)),
-        *(Scatterer((1.2 * x, 0.8 * y, 0.35), (0.0, 1.0 * y), 2.0) for x in (1, -1) for y in (1, -1)),
-        *(Scatterer((0.0, 0.81 * y, 0.7), (0.0, 1.0 * y), -2.0, 18.0) for y in (1, -1)),
-        *(Scatterer((1.9 * x, 0.0, 0.7), (1.0 * x, 0.0), 0.0, 15.0) for x in (1, -1)),
-    ),
-}
 
 
 class RadarConfig(Config):
@@ -160,7 +123,7 @@ class RadarModel:
 
     def _scatterers_of(self, scene: Scene, actor: ActorState, T: Float64, velocity_mps: Float64) -> Scatterers:
         """Unobstructed scatterers of one actor."""
-        points = SCATTERERS.get(actor.label, SCATTERERS[ObstacleClass.PERSON])
+        points = actor.solid.scatterers
         c, s = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         p_map = np.array([p.at_m for p in points]) @ turn.T + actor.p_map_m
@@ -244,12 +207,17 @@ def rays_from(origin_m: Float64, u: Float64) -> Float32:
 
 
 def is_occluded(actor: ActorState, others: list[ActorState], T_map_sensor: Float64) -> bool:
-    """True if another actor is between it and the sensor, in plan view."""
-    sensor = T_map_sensor[:2, 3]
-    line = LineString(np.stack([sensor, actor.p_map_m[:2]]))
-    distance_m = math.dist(sensor, actor.p_map_m[:2])
-    nearer = [f for f in others if f is not actor and math.dist(sensor, f.p_map_m[:2]) < distance_m]
-    return any(line.intersects(f.footprint) for f in nearer)
+    """True if another actor is between it and the sensor and reaches the height of the line between them."""
+    (x, y, height), (center, _) = T_map_sensor[:3, 3], actor.ball_m
+    line = LineString([(x, y), actor.p_map_m[:2]])
+    for other in others:
+        share = math.dist((x, y), other.p_map_m[:2]) / max(line.length, 1e-9)
+        if other is actor or share >= 1.0 or not other.solid.is_radar_opaque:
+            continue
+        low, high = other.vertices_map_m[:, 2].min(), other.vertices_map_m[:, 2].max()
+        if low <= height + share * (center[2] - height) <= high and line.intersects(other.footprint):
+            return True
+    return False
 
 
 def make_model(name: str, radar: Radar, config: RadarConfig, context: SensorContext) -> RadarModel:

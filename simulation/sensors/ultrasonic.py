@@ -13,7 +13,6 @@ from configs.strict import Config
 from configs.vehicle import MountedImplement, Ultrasonic
 from geometry.arrays import Float32, Float64
 from messages.message import Message
-from messages.perception import ObstacleClass
 from messages.sensors import UltrasonicRange
 from simulation.environment.scenery import by_kind
 from simulation.machine.body import LIFT_M
@@ -22,7 +21,6 @@ from simulation.sensors.sensor import SensorContext, WorldState, period_ns_of
 
 STRENGTH = {"wall": 1.5, "roof": 1.5, "store": 1.0, "post": 0.7, "mast": 0.4, "gate": 0.6, "fence": 0.5, "trees": 0.3,
             "crop": 0.02, "ground": 0.0}  # fmt: skip
-ACTOR_STRENGTH = {ObstacleClass.PERSON: 0.5, ObstacleClass.ANIMAL: 0.3, ObstacleClass.VEHICLE: 1.2}
 SURFACE_STRENGTH, IS_SMOOTH = by_kind(STRENGTH), by_kind({"wall": 1.0, "roof": 1.0}) > 0.0
 MIRROR_DEG, ROUGH = 25.0, 0.1  # 1/e angle of the specular lobe of a corrugated wall; diffuse share
 EDGE = 0.5  # beam pattern at the edge of the cone
@@ -96,13 +94,11 @@ class UltrasonicModel:
         far = self._sensor.range_m[1]
         found: list[tuple[float, float]] = []
         for actor in state.scene.visible_to("ultrasonic"):
-            if math.dist(actor.p_map_m[:2], T[:2, 3]) > far + 3.0:
+            if math.dist(actor.p_map_m[:2], T[:2, 3]) > far + max(3.0, 1.2 * actor.ball_m[1]):
                 continue
             echo = self._nearest(actor.vertices_map_m, T)
             if echo is not None and not self._is_occluded(state, T, echo):
-                loudness = ACTOR_STRENGTH.get(actor.label, 0.5) * EDGE ** (
-                    (math.acos(echo[0] / echo[3]) / self._half) ** 2
-                )
+                loudness = actor.solid.ultrasonic_strength * EDGE ** ((math.acos(echo[0] / echo[3]) / self._half) ** 2)
                 found.append((echo[3], loudness))
         pairs = np.array(found).reshape(-1, 2)
         return pairs[:, 0], pairs[:, 1]

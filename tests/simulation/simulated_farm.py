@@ -10,6 +10,7 @@ from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import ImplementFile, Vehicle
 from messages.plan import Path, PathSection, PathSectionType
 from simulation.machine.tractor_bus import load_database
+from simulation.plant import Plant, PlantModels, draw_plant
 from simulation.scenario import Scenario
 from simulation.world import SimulationConfig, SimulationWorld
 
@@ -59,9 +60,10 @@ class Farm:
         self.vehicle = vehicle or machine_file()
         config = config or flat()
         start = start or site.start
-        self.world = SimulationWorld(
-            site, self.vehicle, implement, scenario, paths, tractor, seed, config, start, is_folded, renders_in_thread
-        )
+        models = PlantModels(config.machine, config.gnss, config.imu)
+        configured = Plant(site, self.vehicle, implement, models, start)
+        self.plant = draw_plant(scenario.plant, configured, config.plant, seed)
+        self.world = SimulationWorld(self.plant, scenario, paths, tractor, seed, config, is_folded, renders_in_thread)
         self.machine = self.world.machine
         self.start_ns = self.now_ns = config.start_stamp_ns
         self.bus = can.Bus(interface="virtual", channel=channel)

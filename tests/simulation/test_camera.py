@@ -16,13 +16,14 @@ from messages.perception import HealthState, ObstacleClass
 from perception.camera.detector import load_detector
 from perception.camera.image_quality import ImageQualityConfig, inspect
 from perception.camera.ranging import CameraGeometry
-from simulation.actors.actor_meshes import GAIT_STEPS, actor_mesh, actor_parts, gait_step
 from simulation.actors.actors import ActorState
 from simulation.environment.meshes import join
 from simulation.environment.scene import Scene
 from simulation.environment.scenery import build_scenery
 from simulation.environment.terrain import Terrain
 from simulation.machine.pose_buffer import PoseBuffer
+from simulation.objects.encountered import ENCOUNTERED
+from simulation.objects.solid import GAIT_STEPS
 from simulation.scenario import CameraEpisode
 from simulation.sensors.camera import CameraModel, Lens
 from simulation.sensors.sensor import WorldState
@@ -41,7 +42,7 @@ EPISODES = (
 
 def actor_ahead(ahead_m, left_m=0.0, label=ObstacleClass.PERSON, **changes):
     x, y = (T_MAP_BASE @ np.array([CAMERA.mount.xyz_m[0] + ahead_m, left_m, 0.0, 1.0]))[:2]
-    actor = ActorState(1, label, "", (x, y, TERRAIN.height_m(x, y)), 2.0, (0.0, 0.0), 0.3)
+    actor = ActorState(1, ENCOUNTERED[label], "", (x, y, TERRAIN.height_m(x, y)), 2.0, (0.0, 0.0), 0.3)
     return dataclasses.replace(actor, **changes)
 
 
@@ -154,9 +155,10 @@ def test_pinhole_without_distortion():
 @pytest.mark.parametrize("label", [ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE])
 @pytest.mark.parametrize("gait", [-1.0, 0.0, 3 / GAIT_STEPS, 10 / GAIT_STEPS])
 def test_coarse_and_fine_mesh_agree(label, gait):
-    coarse = actor_mesh(label, gait)
+    solid = ENCOUNTERED[label]
+    coarse = solid.mesh(gait)
     assert len(coarse.triangles) < 2500
-    fine = join([part.mesh for part in actor_parts(label, gait_step(gait), True)])
+    fine = join([part.mesh for part in solid.parts(solid.step(gait), True)])
     assert outside_m(fine, coarse) < 0.02
     assert outside_m(coarse, fine) < 0.02
 

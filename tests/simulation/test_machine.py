@@ -12,7 +12,6 @@ from configs.site import Gate, Lane
 from configs.vehicle import TrailedImplement
 from geometry.transforms import rpy_of
 from messages.perception import ObstacleClass
-from simulation.actors.actor_meshes import GAIT_STEPS, actor_mesh
 from simulation.environment.meshes import box, ellipsoid, join, limb
 from simulation.environment.scenery import build_scenery, fence_line
 from simulation.environment.terrain import Terrain
@@ -20,6 +19,8 @@ from simulation.ground_truth import allowed_area
 from simulation.kernels import rays_near_ball
 from simulation.machine.body import implement_mesh, implement_outline_m, machine_mesh, machine_outline_m
 from simulation.machine.implement import step_hitch, working_point_m
+from simulation.objects.encountered import ENCOUNTERED, PERSON
+from simulation.objects.solid import GAIT_STEPS
 from simulation.sensors.imu import small_turn_rad
 from tests.simulation.simulated_farm import CONFIG, IMPLEMENT, SITE, Farm, flat, machine_file
 
@@ -53,7 +54,7 @@ def test_solids_are_closed():
 )  # fmt: skip
 @pytest.mark.parametrize("gait", [-1.0, *(k / GAIT_STEPS for k in range(GAIT_STEPS))])
 def test_actor_mesh_dimensions(label, low, high, gait):
-    vertices = actor_mesh(label, gait).vertices_m
+    vertices = ENCOUNTERED[label].mesh(gait).vertices_m
     size = np.ptp(vertices, axis=0)
     assert np.all(size >= low)
     assert np.all(size <= high)
@@ -61,7 +62,7 @@ def test_actor_mesh_dimensions(label, low, high, gait):
 
 
 def test_gait_changes_mesh():
-    shapes = {actor_mesh(ObstacleClass.PERSON, k / GAIT_STEPS).vertices_m.tobytes() for k in range(GAIT_STEPS)}
+    shapes = {PERSON.mesh(k / GAIT_STEPS).vertices_m.tobytes() for k in range(GAIT_STEPS)}
     assert len(shapes) > GAIT_STEPS / 2
 
 

@@ -11,6 +11,7 @@ from messages.perception import ObstacleClass
 from messages.sensors import GnssSolution
 from runtime.setup import with_implement_sensors
 from simulation.actors.actors import ActorState
+from simulation.objects.encountered import ENCOUNTERED
 from simulation.sensors.gnss import SkyView
 from simulation.sensors.uwb import intersects_ball
 from tests.simulation.simulated_farm import CONFIG, IMPLEMENT, Farm, flat, machine_file
@@ -35,7 +36,7 @@ def farm_with(kind, start=YARD, actors=(), seed=1, **sections):
 
 def actor(x, y, label=ObstacleClass.PERSON, velocity=(0.0, 0.0), yaw=0.0, gait=-1.0, visible_to=None):
     seen = {} if visible_to is None else {"visible_to": visible_to}
-    return ActorState(0, label, "test", (x, y, 0.0), yaw, velocity, gait, **seen)
+    return ActorState(0, ENCOUNTERED[label], "test", (x, y, 0.0), yaw, velocity, gait, **seen)
 
 
 def radar_scans(seconds=3.0, actors=(), start=YARD, speed_mps=0.0, **config):

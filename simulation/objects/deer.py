@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 
 from simulation.environment.lofting import Keys, Part, blob, loft
+from simulation.objects.solid import GAIT_STEPS
 
-STEPS = 16
 BODY: Keys = (
     (-0.53, 0.0, 0.72, 0.02, 0.02), (-0.52, 0.0, 0.71, 0.10, 0.08), (-0.44, 0.0, 0.69, 0.155, 0.125),
     (-0.25, 0.0, 0.67, 0.165, 0.145), (0.0, 0.0, 0.66, 0.170, 0.150), (0.22, 0.0, 0.66, 0.180, 0.145),
@@ -37,7 +37,7 @@ def deer(step: int, is_fine: bool) -> tuple[Part, ...]:
         parts.append(Part(loft(ear, 8, 4 * more), "coat"))
         for is_front in (True, False):
             phase = side if is_front else -side
-            swing = phase * math.sin(2.0 * math.pi * step / STEPS) if step >= 0 else 0.06 * phase
+            swing = phase * math.sin(2.0 * math.pi * step / GAIT_STEPS) if step >= 0 else 0.06 * phase
             parts += _leg(is_front, side, swing, max(sides // 2, 6), more)
         if is_fine:
             parts.append(Part(blob((0.645, 0.056 * side, 1.115), (0.014, 0.010, 0.013), 8, 5), "dark"))

@@ -5,12 +5,13 @@ Proportions: DIN 33402-2 (50th percentile, men). Hip, knee and ankle angles over
 
 import math
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from simulation.environment.lofting import Keys, Part, blob, loft
+from simulation.objects.solid import GAIT_STEPS
 
-STEPS = 16  # of a gait cycle
 _AT = np.arange(0.0, 1.05, 0.1)
 HIP_DEG = (22.0, 18.0, 10.0, 1.0, -7.0, -12.0, -5.0, 9.0, 19.0, 23.0, 22.0)
 KNEE_DEG = (5.0, 16.0, 14.0, 8.0, 6.0, 12.0, 34.0, 56.0, 50.0, 16.0, 5.0)
@@ -47,9 +48,35 @@ SHOE: Keys = (
 )  # fmt: skip
 
 
+class Leg(NamedTuple):
+    """Flexion of hip and knee and pitch of the foot (toes up), in rad, against an upright trunk."""
+
+    hip: float
+    knee: float
+    foot: float
+
+
+class Arm(NamedTuple):
+    """Flexion of shoulder and elbow, in rad."""
+
+    swing: float
+    bend: float
+
+
 @cache
 def person(step: int, is_fine: bool) -> tuple[Part, ...]:
     """All parts at a gait step (-1: standing); the lowest sole is at height 0."""
+    return on_soles(*body(*gait(step), is_fine))
+
+
+def gait(step: int) -> tuple[list[Leg], list[Arm]]:
+    """Joint angles at a gait step (-1: standing), left before right."""
+    shares = [None if step < 0 else (step / GAIT_STEPS + late) % 1.0 for late in (0.0, 0.5)]
+    return [_walking_leg(share) for share in shares], [_walking_arm(share) for share in shares]
+
+
+def body(legs: list[Leg], arms: list[Arm], is_fine: bool) -> tuple[list[Part], list[Part]]:
+    """Trunk with head, and limbs, with the hips at `HIP_M`; left before right."""
     sides, more = (24, 3) if is_fine else (10, 1)
     trunk = [
         Part(loft(TROUSERS, sides, 5 * more + 1), "trousers"),
@@ -59,10 +86,14 @@ def person(step: int, is_fine: bool) -> tuple[Part, ...]:
     if is_fine:
         trunk += [Part(loft(NECK, sides, 4), "skin"), *_face()]
     limbs = []
-    for side in (1.0, -1.0):
-        share = (step / STEPS + (0.0 if side > 0.0 else 0.5)) % 1.0
-        limbs += _leg(side, share if step >= 0 else None, sides, more)
-        limbs += _arm(side, share if step >= 0 else None, sides, more)
+    for side, leg, arm in zip((1.0, -1.0), legs, arms, strict=True):
+        limbs += _leg(side, leg, sides, more)
+        limbs += _arm(side, arm, sides, more)
+    return trunk, limbs
+
+
+def on_soles(trunk: list[Part], limbs: list[Part]) -> tuple[Part, ...]:
+    """All parts, moved so that the lowest point of the limbs is at height 0."""
     sole = min(float(p.mesh.vertices_m[:, 2].min()) for p in limbs)
     T = np.eye(4)
     T[2, 3] = -sole
@@ -84,9 +115,22 @@ def _bent(share: float | None, degrees: tuple[float, ...], standing_deg: float) 
     return math.radians(standing_deg if share is None else float(np.interp(share, _AT, degrees)))
 
 
-def _leg(side: float, share: float | None, sides: int, more: int) -> list[Part]:
+def _walking_leg(share: float | None) -> Leg:
     hip, knee = _bent(share, HIP_DEG, 1.0), _bent(share, KNEE_DEG, 2.0)
     ankle = _bent(share, ANKLE_DEG, 0.0)
+    return Leg(hip, knee, 0.6 * (hip - knee) - ankle if share is not None else 0.0)
+
+
+def _walking_arm(share: float | None) -> Arm:
+    """The arm swings against the leg of its side."""
+    if share is None:
+        return Arm(math.radians(2.0), math.radians(14.0))
+    wave = math.cos(2.0 * math.pi * share)
+    return Arm(math.radians(-20.0 * wave - 2.0), math.radians(22.0 - 12.0 * wave))
+
+
+def _leg(side: float, leg: Leg, sides: int, more: int) -> list[Part]:
+    hip, knee, pitch = leg
     y = 0.09 * side
     shank = hip - knee
     at_knee = (THIGH_M * math.sin(hip), HIP_M - THIGH_M * math.cos(hip))
@@ -101,7 +145,6 @@ def _leg(side: float, share: float | None, sides: int, more: int) -> list[Part]:
     cloth = (on(0.0, 0.085, 0.078), on(0.12, 0.102, 0.086), on(0.35, 0.093, 0.084), on(0.65, 0.080, 0.074),
              on(0.92, 0.068, 0.064), on(1.08, 0.067, 0.062), on(1.35, 0.070, 0.062), on(1.65, 0.063, 0.058),
              on(1.93, 0.060, 0.056), on(1.94, 0.03, 0.03))  # fmt: skip
-    pitch = 0.6 * (hip - knee) - ankle if share is not None else 0.0
     shoe = loft(SHOE, max(sides // 2, 8), 7 * max(more - 1, 1))
     c, s = math.cos(pitch), math.sin(pitch)
     out = side * math.radians(7.0)
@@ -111,10 +154,9 @@ def _leg(side: float, share: float | None, sides: int, more: int) -> list[Part]:
     return [Part(loft(cloth, sides, 9 * more), "trousers"), Part(shoe.transformed(T @ turn), "shoes")]
 
 
-def _arm(side: float, share: float | None, sides: int, more: int) -> list[Part]:
-    """Sleeve and hand; the arm swings against the leg of its side."""
-    swing = math.radians(2.0) if share is None else math.radians(-20.0 * math.cos(2.0 * math.pi * share) - 2.0)
-    bend = math.radians(14.0) if share is None else math.radians(22.0 - 12.0 * math.cos(2.0 * math.pi * share))
+def _arm(side: float, arm: Arm, sides: int, more: int) -> list[Part]:
+    """Sleeve and hand."""
+    swing, bend = arm
     aside = math.radians(7.0)
     shoulder = np.array([-0.005, 0.182 * side, SHOULDER_M])
 
