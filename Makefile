@@ -11,7 +11,7 @@ test:
 	./headland test
 
 docs: # generate the tables and figures in docs/ and README.md from recorded results, configuration and tests
-	for name in results protective_field safety; do \
+	for name in results protective_field safety scenarios; do \
 	  PYTHONPATH=$(CURDIR) PYTHONSAFEPATH=1 .venv/bin/python -m runtime.documents.$$name || exit; \
 	done
 

@@ -34,6 +34,7 @@ from simulation.environment.scenery import build_scenery
 from simulation.environment.terrain import Terrain
 from simulation.machine.machine import Machine
 from simulation.machine.pose_buffer import PoseBuffer
+from simulation.objects.encountered import ENCOUNTERED
 from simulation.sensors.camera import CameraModel
 from simulation.sensors.sensor import WorldState
 from simulation.world import SimulationConfig
@@ -113,7 +114,7 @@ def draw_actor(
         ahead, left = distance * math.cos(bearing), distance * math.sin(bearing)
         p = T_map_base @ np.array([camera.mount.xyz_m[0] + ahead, left, 0.0, 1.0])
         place = (float(p[0]), float(p[1]), terrain.height_m(float(p[0]), float(p[1])))
-        actor = ActorState(id, label, "", place, yaw, (0.0, 0.0), gait)
+        actor = ActorState(id, ENCOUNTERED[label], "", place, yaw, (0.0, 0.0), gait)
         low, high = box_of(actor, T_map_base, camera).reshape(2, 2)
         if (low >= 0.0).all() and (high < camera.size_px).all():
             return actor, float(distance)

@@ -24,12 +24,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from configs.mission import Mission
 from configs.site import Site
 from configs.strict import CONFIGS, Config, load, parse
+from datasets.importers.gnss.framing import NMEA, frames
+from datasets.importers.gnss.protocols import NmeaFixes, Timing
+from datasets.importers.recording import Skipped
 from datasets.log import LogConfig, LogWriter
 from datasets.reader import read_log
 from interfaces.can_receiver import CanReceiver
-from interfaces.gnss.nmea import NmeaReader
-from interfaces.gnss.sentence import BadSentence
-from interfaces.gnss.sentence import parse as parse_sentence
 from interfaces.isobus.checksum import checksum, protect
 from messages.errors import HeadlandError
 from messages.message import Envelope
@@ -133,22 +133,19 @@ def _check_state(state: object, given: object) -> None:
 
 
 def fuzz_lines(count: int, random: np.random.Generator) -> Count:
-    """NMEA lines of a GNSS receiver."""
-    result, nmea = Count(), NmeaReader("HDT", 0, 0.002)
-    for k in range(count):
+    """NMEA lines of a GNSS receiver, read as by the importer."""
+    result, fixes = Count(), NmeaFixes(Timing())
+    for _ in range(count):
         line = mutated(_line(LINES[int(random.integers(len(LINES)))]), random)
         if random.random() < 0.3:  # valid checksum: errors must be found by the ranges of the fields
             line = _line(mutated(line[1:-5], random).decode("latin-1"))
-        for fix in nmea.receive(k * MS, line + b"\r\n"):
-            _check_fix(fix, line)
-        try:
-            sentence = parse_sentence(line)
-        except BadSentence:
-            result.add(False)
-            continue
-        if not sentence.formatter.isalpha():
-            raise InvalidAccepted(f"{line!r} was accepted as {sentence}")
-        result.add(True)
+        framed = [f for f in frames(line + b"\r\n") if f.protocol == NMEA and fixes.reads(f.kind)]
+        items = [item for frame in framed for item in fixes.add(frame)]
+        for item in items:
+            if not isinstance(item, Skipped):
+                assert isinstance(item[2], GnssFix)
+                _check_fix(item[2], line)
+        result.add(bool(framed) and not any(isinstance(item, Skipped) for item in items))
     return result
 
 
@@ -160,10 +157,12 @@ def _line(body: str) -> bytes:
 
 
 def _check_fix(fix: GnssFix, line: bytes) -> None:
-    position = abs(fix.latitude_rad) <= 0.5 * math.pi and abs(fix.longitude_rad) <= math.pi and abs(fix.height_m) < 2e5
+    position = (
+        abs(fix.latitude_rad) <= 0.5 * math.pi and abs(fix.longitude_rad) <= math.pi and not abs(fix.height_m) >= 2e5
+    )
     is_empty = fix.solution == 0 and math.isnan(fix.latitude_rad)
     sigmas = [*fix.sigma_enu_m, fix.hdop, fix.correction_age_s]
-    is_speed = not np.hypot(*fix.velocity_enu_mps[:2]) > 210.0
+    is_speed = not np.hypot(*fix.velocity_enu_mps[:2]) > 515.0
     if not (position or is_empty or fix.solution == 0) or any(s < 0.0 for s in sigmas) or not is_speed:
         raise InvalidAccepted(f"{line!r} became {fix}")
 

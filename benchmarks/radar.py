@@ -24,9 +24,9 @@ import yaml
 from benchmarks.recordings import DATA
 from configs.strict import load, parse, read_yaml
 from configs.vehicle import Mount, Radar, Vehicle
+from datasets.importers.captures.ars548 import INVALID, DetectionList, decode_detections, is_invalid, to_scan
 from geometry.arrays import Float64
 from geometry.transforms import apply, planar
-from interfaces.radar.ars548 import INVALID, DetectionList, decode_detections, is_invalid, to_scan
 from messages.motion import Odometry
 from messages.perception import Obstacles
 from messages.sensors import RadarScan

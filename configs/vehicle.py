@@ -33,7 +33,13 @@ class Mount(Config):
         return transform(self.xyz_m, np.radians(self.rpy_deg))
 
 
-class Lidar(Config):
+class Sensor(Config):
+    """Part common to all sensors: `topic` names the stream of a recording with its messages (None: by equal name)."""
+
+    topic: str | None = Field(default=None, min_length=1, max_length=200)
+
+
+class Lidar(Sensor):
     """Lidar: rings at the given elevations (lowest first), columns over the field of view."""
 
     mount: Mount
@@ -45,7 +51,7 @@ class Lidar(Config):
     range_sigma_m: float = Field(ge=0.0, le=1.0)
 
 
-class Camera(Config):
+class Camera(Sensor):
     """A camera: pinhole with Brown's distortion (k1, k2, p1, p2, k3; OpenCV's order), none in rectified images.
 
     The mount is that of the body frame (x forward, y left, z up); the optical axis is its x.
@@ -65,7 +71,7 @@ class Camera(Config):
         return self
 
 
-class Radar(Config):
+class Radar(Sensor):
     """Radar with detections of range, azimuth, Doppler and cross-section (BD-5.4.4)."""
 
     mount: Mount
@@ -77,7 +83,7 @@ class Radar(Config):
     doppler_sigma_mps: float = Field(gt=0.0, le=5.0)
 
 
-class Ultrasonic(Config):
+class Ultrasonic(Sensor):
     """An ultrasonic sensor: a cone along x of its mount, no echo below the first of `range_m` (BD-5.4.5)."""
 
     mount: Mount
@@ -87,7 +93,7 @@ class Ultrasonic(Config):
     range_sigma_m: float = Field(gt=0.0, le=1.0)
 
 
-class Uwb(Config):
+class Uwb(Sensor):
     """Ultra-wideband tag, measures ranges to the anchors of the site."""
 
     mount: Mount
@@ -96,7 +102,7 @@ class Uwb(Config):
     range_m: tuple[float, float] = Field(description="nearest and farthest")
 
 
-class Gnss(Config):
+class Gnss(Sensor):
     """An antenna; with `has_heading` a second one measures the heading of the baseline."""
 
     mount: Mount
@@ -107,7 +113,7 @@ class Gnss(Config):
     sigma_heading_deg: float = Field(gt=0.0, le=10.0)
 
 
-class Imu(Config):
+class Imu(Sensor):
     """An IMU; noise as densities and in-run bias instability."""
 
     mount: Mount
@@ -120,7 +126,7 @@ class Imu(Config):
     accelerometer_range_g: float = Field(gt=0.0, le=1000.0)
 
 
-class Wheels(Config):
+class Wheels(Sensor):
     """Wheel speed and steering angle sensors."""
 
     rate_hz: float = Field(gt=0.0, le=1000.0)

@@ -111,7 +111,8 @@ class GnssSolution(IntEnum):
 class GnssFix(Message):
     """Position of the antenna and, with two antennas, heading of the baseline (else NaN).
 
-    `constellations` in use, such as "BDS" or "BDS+GPS"; `correction_age_s` is NaN without corrections.
+    `constellations` in use, such as "BDS" or "BDS+GPS". Unknown: `satellites` None, `correction_age_s`, `hdop` and
+    sigmas NaN; a solution without corrections has no age either.
     """
 
     latitude_rad: float
@@ -123,7 +124,7 @@ class GnssFix(Message):
     heading_rad: float
     sigma_heading_rad: float
     solution: GnssSolution
-    satellites: int
+    satellites: int | None
     hdop: float
     correction_age_s: float
     constellations: str
@@ -131,7 +132,7 @@ class GnssFix(Message):
 
 @dataclass(frozen=True)
 class WheelSample(Message):
-    """Signed speed of the rear axle from its wheels and the angle of the front wheels (left positive)."""
+    """Signed speed of the rear axle from its wheels and the angle of the front wheels (left positive; NaN: unknown)."""
 
     speed_mps: float
     steering_angle_rad: float

@@ -1,6 +1,7 @@
 """True states, from simulation or labels; read only by validation and viewers."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 from geometry.arrays import Float64
 from messages.message import Message, MessagePart
@@ -28,11 +29,21 @@ class TrueMachine(Message):
     zone_exits: int
 
 
+class Occlusion(IntEnum):
+    """How far other things hide an object from the sensors, as a label says; `UNKNOWN` says nothing."""
+
+    UNKNOWN = 0
+    NONE = 1
+    PARTLY = 2
+    LARGELY = 3
+
+
 @dataclass(frozen=True)
 class TrueObject(MessagePart):
     """True object: box centre and size, yaw and velocity in `map`; `role` is its name in the scenario ("" = scenery).
 
-    `clearance_m` is the distance from its outline to machine and implement.
+    `clearance_m` is the distance from its outline to machine and implement; `kind` its name in the catalogue of the
+    simulation ("" = unknown). One that not `must_avoid` (a gull, a puddle) may be touched.
     """
 
     id: int
@@ -43,6 +54,9 @@ class TrueObject(MessagePart):
     yaw_rad: float
     velocity_mps: Float64
     clearance_m: float
+    occlusion: Occlusion = Occlusion.UNKNOWN
+    kind: str = ""
+    must_avoid: bool = True
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from simulation.faults.frames import FaultyBus
 from simulation.faults.injection import FaultInjection
 from simulation.faults.node_faults import FaultyNode, SteppingClock
 from simulation.machine.tractor_bus import load_database
+from simulation.plant import Plant, PlantModels, draw_plant
 from simulation.scenario import Scenario
 from simulation.world import SimulationWorld
 
@@ -66,20 +67,19 @@ def simulated_world(
 ) -> SimulationWorld:
     """Simulated world whose machine is on this bus, with all kernels compiled."""
     world = SimulationWorld(
-        setup.site,
-        setup.vehicle,
-        setup.implement,
-        scenario,
-        setup.plan.paths,
-        bus,
-        setup.seed,
-        setup.stack.simulation,
-        setup.start,
-        setup.is_folded,
+        plant_of(setup, scenario), scenario, setup.plan.paths, bus, setup.seed, setup.stack.simulation, setup.is_folded,
         renders_in_thread,
-    )
+    )  # fmt: skip
     world.warm()
     return world
+
+
+def plant_of(setup: Setup, scenario: Scenario) -> Plant:
+    """Plant of a scenario and seed, drawn around the configuration of the stack."""
+    config = setup.stack.simulation
+    models = PlantModels(config.machine, config.gnss, config.imu)
+    configured = Plant(setup.site, setup.vehicle, setup.implement, models, setup.start)
+    return draw_plant(scenario.plant, configured, config.plant, setup.seed)
 
 
 def fault_injection_for(setup: Setup, scenario: Scenario) -> FaultInjection | None:

@@ -15,6 +15,7 @@ from configs.strict import Config
 from messages.errors import HeadlandError
 
 ROOT = Path(__file__).resolve().parent.parent
+RUNS = Path("runs")
 
 
 class RunFolder:
@@ -24,8 +25,7 @@ class RunFolder:
     """
 
     def __init__(self, verb: str, out: Path | None) -> None:
-        runs = Path("runs")
-        self.path = (out or _unused(runs, f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{verb}")).absolute()
+        self.path = (out or unused_run(verb)).absolute()
         if self.path.exists() and any(self.path.iterdir()):
             raise HeadlandError(f"--out {self.path}: not empty; name another folder or remove it")
         self._events = 0
@@ -35,7 +35,7 @@ class RunFolder:
         except OSError as error:
             raise HeadlandError(f"{self.path}: cannot write the run folder ({error})") from error
         if out is None:
-            _link_latest(runs / "latest", self.path)
+            link_latest(self.path)
 
     def record(self, kind: str, values: dict[str, Any]) -> None:
         """Appends one record to `result.jsonl`."""
@@ -48,13 +48,16 @@ class RunFolder:
         self.record("end", {"records": self._events})
 
 
-def _unused(runs: Path, name: str) -> Path:
-    """Unused folder name, numbered if two runs start within one second."""
-    candidates = (runs / (name if k == 0 else f"{name}-{k}") for k in range(1000))
+def unused_run(verb: str) -> Path:
+    """Unused folder `runs/<stamp>-<verb>`, numbered if two runs start within one second."""
+    name = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{verb}"
+    candidates = (RUNS / (name if k == 0 else f"{name}-{k}") for k in range(1000))
     return next(path for path in candidates if not path.exists())
 
 
-def _link_latest(link: Path, target: Path) -> None:
+def link_latest(target: Path) -> None:
+    """Points `runs/latest` to a run folder."""
+    link = RUNS / "latest"
     fresh = link.with_name(f".{link.name}.{target.name}")
     fresh.symlink_to(target.name)
     fresh.replace(link)

@@ -4,9 +4,11 @@ import re
 import subprocess
 
 import pytest
+import yaml
 
-from configs.strict import load
-from runtime.documents import results, safety
+from configs.strict import load, parse
+from runtime.documents import results, safety, scenarios
+from simulation.scenario import Scenario
 from tests.recordings import ROOT
 
 CLAUSE = re.compile(r"\b(?:BD|T14)-\d+(?:\.\d+)*[a-z]?\b")
@@ -43,6 +45,14 @@ def test_safety_document_is_current() -> None:
     marked = safety.marked_tests(safety.TESTS)
     assert safety.TARGET.read_text() == safety.document(marked), "run `make docs`"
     assert safety.TARGET.read_text() != safety.document(marked[1:])
+
+
+def test_scenarios_document_is_current() -> None:
+    """Keys, values and defaults of every section, the catalogue, and an example that loads."""
+    text = scenarios.TARGET.read_text()
+    assert text == scenarios.document(), "run `make docs`"
+    example = yaml.safe_load(text.split("```yaml")[1].split("```")[0])
+    assert [one.name for one in parse(Scenario, example, "docs/scenarios.md").objects] == ["car", "child"]
 
 
 def test_clauses_of_safety_have_tests() -> None:

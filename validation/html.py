@@ -25,5 +25,6 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode()
+    environment.filters["number"] = lambda pair: (str(pair[0]).replace("_", " "), f"{pair[1]:.4g}")
     environment.filters["words"] = lambda key: str(key).replace("_", " ")
     return environment

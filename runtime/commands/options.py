@@ -23,6 +23,7 @@ class Command:
     help: str
     module: str
     options: tuple[Option, ...]
+    exit_codes: str = "0 as required, 1 not as required, 2 wrong input or configuration"
 
 
 def _option(*names: str, **settings: Any) -> Option:
@@ -79,10 +80,25 @@ COMMANDS = (
         _option("--conditions", type=Path, metavar="FILE", help="pass conditions (default: validation/conditions/)"),
         TRUTH, MODEL,
         _option("--remove-object", metavar="NAME", help="remove this object of the ground truth from all sensor data"),
+        _option("--without-sensor-data", action="store_true", help="leave scans and images out of replay.mcap"),
         _option("--jobs", type=int, metavar="N", help="logs at a time (default: all cores)"),
         _option("--scheduler", metavar="ADDRESS", help="run on this Dask cluster"),
         _out("validate", RESUMES), JSON,
-    )),
+    ), "0 passed, 1 failed, 2 bad input (a log could not be read), 3 not shown"),
+    Command("label", "decide on the objects that validate proposes as truth", "runtime.commands.label", (
+        _option("log", type=Path, metavar="LOG", help="a log that validate has replayed without truth"),
+        _option("--list", action="store_true", help="only list the objects (the default without a decision)"),
+        _option("--accept", type=int, nargs="+", action="extend", default=[], metavar="ID", help="objects that exist"),
+        _option("--reject", type=int, nargs="+", action="extend", default=[], metavar="ID",
+                help="what was perceived but is no obstacle; braking for it is a false stop"),
+        _option("--class", dest="label", metavar="CLASS", help="class of the accepted or added objects"),
+        _option("--size", metavar="L,W,H", help="size (m) of the accepted or added objects"),
+        _option("--add", nargs="+", action="append", default=[], metavar="T:X,Y",
+                help="an object that was not perceived: seconds in the log, m ahead and left of the lidar"),
+        _option("--complete", action="store_true", help="the log was reviewed: no object in the path is missing"),
+        _option("--proposed", type=Path, metavar="FILE", help="default: beside the log, else of the newest run"),
+        _option("--truth", type=Path, metavar="FILE", help="file that is written (default LOG.truth.jsonl)"), JSON,
+    ), "0 done, 2 wrong input; nothing is written then"),
     Command("campaign", "run many drives or faults and write one table", "runtime.commands.campaign", (
         _option(
             "campaign", choices=["demo", "ablation", "dock", "fault-injection"],
@@ -99,6 +115,7 @@ COMMANDS = (
         _option("source", type=Path, metavar="SOURCE"),
         _option("--out", type=Path, required=True, metavar="LOG.mcap"),
         TRUTH,
+        _option("--topics", metavar="A,B", help="import these topics of the recording only"),
         _option("--from", dest="start", type=float, default=0.0, metavar="S", help="start second of the excerpt"),
         _option("--to", dest="end", type=float, default=math.inf, metavar="S", help="end second of the excerpt"),
         JSON,
@@ -124,7 +141,10 @@ def make_parser() -> argparse.ArgumentParser:
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for command in COMMANDS:
-        verb = verbs.add_parser(command.verb, help=command.help, description=command.help, allow_abbrev=False)
+        verb = verbs.add_parser(
+            command.verb, help=command.help, description=command.help, allow_abbrev=False,
+            epilog=f"Exit codes: {command.exit_codes}.",
+        )  # fmt: skip
         for option in command.options:
             verb.add_argument(*option.names, **option.settings)
         verb.set_defaults(module=command.module)

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from configs.site import Bay
+from configs.strict import Config
 from configs.vehicle import Vehicle
 from datasets.log import LogWriter
 from datasets.reader import LogScan, decode, is_ours
 from messages.errors import HeadlandError
 from messages.message import Envelope
-from runtime.assembly import assemble, fault_injection_for
+from runtime.assembly import assemble, fault_injection_for, plant_of
 from runtime.commands.end_of_run import EndOfDrive
 from runtime.commands.progress import Progress
 from runtime.executor import Executor
@@ -59,7 +60,7 @@ def drive(
     began_s = time.monotonic()
     config = resolved(
         mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,
-        scenario=scenario,
+        scenario=scenario, **_drawn_plant(setup, scenario),
     )  # fmt: skip
     (folder.path / "config.yaml").write_text(config, encoding="utf-8")
     conditions = versions() | {"seed": str(setup.seed), "ablation": str(is_ablation)}
@@ -91,6 +92,17 @@ def drive(
     folder.record("result", {"result": result})
     folder.finish()
     return result
+
+
+def _drawn_plant(setup: Setup, scenario: Scenario) -> dict[str, Config]:
+    """True values of a plant that is not nominal, for the record."""
+    if scenario.plant == "nominal":
+        return {}
+    plant = plant_of(setup, scenario)
+    return {
+        "true_site": plant.site, "true_machine": plant.vehicle, "true_implement": plant.implement,
+        "true_start": plant.start, "true_dynamics": plant.models.machine, "true_gnss": plant.models.gnss,
+    }  # fmt: skip
 
 
 def _drive_into_log(

@@ -1,5 +1,6 @@
 """Inspection of a recorded log: its streams, and the machine that recorded it."""
 
+from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,8 +18,10 @@ from geometry.arrays import Float64
 from geometry.transforms import invert, rpy_of
 from messages.errors import ConfigError, LogError
 from messages.message import Message
-from messages.sensors import WheelSample
+from messages.motion import Odometry
+from messages.sensors import CameraImage, GnssFix, GnssSolution, LidarScan, WheelSample
 from messages.truth import TrueMachine, TrueObjects
+from runtime.replay.trajectory import OdometrySamples
 
 EXAMPLE = """\
 name: a name
@@ -47,6 +50,8 @@ UNUSED: dict[str, Any] = {
 }  # fmt: skip
 BODY_KEYS = ("front_m", "rear_m", "width_m", "height_m")
 LIDAR_KEYS = ("mount.xyz_m", "elevation_deg", "columns", "rate_hz", "range_m", "range_sigma_m")
+CLOCK_MESSAGES = 1000
+CLOCK_TOLERANCE_S = 0.5  # clocks of sensors differ slightly
 MAX_PAUSE_NS = 3600 * 10**9
 BASE_FRAMES = ("base", "base_link", "base_footprint")
 CHILD_FRAMES = (*BASE_FRAMES, "")
@@ -54,14 +59,14 @@ CHILD_FRAMES = (*BASE_FRAMES, "")
 
 @dataclass
 class Stream:
-    """Statistics of one topic of a log by receive time; `clock_s` are receive times minus stamps."""
+    """Statistics of one topic of a log by receive time; `clock_s`: receive times minus stamps of its first messages."""
 
     topic: str
     count: int = 0
     first_ns: int = 0
     last_ns: int = 0
     longest_gap_s: float = 0.0
-    clock_s: list[float] = field(default_factory=list)
+    clock_s: "array[float]" = field(default_factory=lambda: array("d"))
 
     def add(self, receive_ns: int, message: Message) -> None:
         """Adds one message."""
@@ -70,7 +75,8 @@ class Stream:
         else:
             self.first_ns = receive_ns
         self.count, self.last_ns = self.count + 1, receive_ns
-        self.clock_s.append((receive_ns - message.stamp_ns) * 1e-9)
+        if len(self.clock_s) < CLOCK_MESSAGES:
+            self.clock_s.append((receive_ns - message.stamp_ns) * 1e-9)
 
     @property
     def rate_hz(self) -> float | None:
@@ -81,13 +87,20 @@ class Stream:
 
 @dataclass
 class LogInspection:
-    """Result of one pass over a log: streams, duration, ground truth, and initial standstill."""
+    """Result of one pass over a log: streams, duration, odometry, initial standstill.
+
+    `truth_age_ns` is the largest receive time minus stamp of the ground truth, 0 without any; `sensor_bytes` is the
+    size of scans and images.
+    """
 
     streams: dict[str, Stream] = field(default_factory=dict)
     first_ns: int | None = None
     last_ns: int = 0
     moved_ns: int | None = None
-    truth: list[tuple[str, Message]] = field(default_factory=list)
+    truth_age_ns: int = 0
+    sensor_bytes: int = 0
+    odometry: dict[str, OdometrySamples] = field(default_factory=dict)
+    first_fixes: dict[str, GnssFix] = field(default_factory=dict)
 
     @property
     def span_s(self) -> float:
@@ -101,15 +114,21 @@ class LogInspection:
             return 0.0
         return ((self.moved_ns if self.moved_ns is not None else self.last_ns) - self.first_ns) * 1e-9
 
-    def clock_offset_ns(self, max_s: float) -> int:
-        """Median offset of receive times against stamps of the lidars in ns; 0 up to `max_s`."""
-        ages = [a for s in self.streams.values() if s.topic.startswith("lidar/") for a in s.clock_s]
-        offset_s = float(np.median(ages)) if ages else 0.0
-        return round(offset_s * 1e9) if abs(offset_s) > max_s else 0
+    def clock_offset_ns(self, max_latency_s: float) -> int:
+        """Difference of the clocks of receive times and stamps in ns; 0 where a latency explains it.
+
+        A difference of clocks is common to all streams, and larger than any latency or of the wrong sign. The smallest
+        median of the streams is the difference; what the others have beyond it is their latency. Streams with their
+        receive times as stamps say nothing.
+        """
+        medians = [float(np.median(stream.clock_s)) for stream in self.streams.values() if any(stream.clock_s)]
+        least, greatest = min(medians, default=0.0), max(medians, default=0.0)
+        is_early = greatest < -CLOCK_TOLERANCE_S and greatest - least <= max_latency_s
+        return round(least * 1e9) if least > max_latency_s or is_early else 0
 
 
 def inspect(recording: Recording) -> LogInspection:
-    """Reads a log once; raises LogError for a log without messages or without a lidar."""
+    """Reads a log once; raises LogError for a log without messages."""
     out = LogInspection()
     for receive_ns, topic, message in recording.read():
         if out.first_ns is not None and abs(receive_ns - out.last_ns) > MAX_PAUSE_NS:
@@ -118,18 +137,20 @@ def inspect(recording: Recording) -> LogInspection:
                 f"{(receive_ns - out.last_ns) * 1e-9:+.0f} s after the previous message, which exceeds any clock error"
             )
         if isinstance(message, TrueMachine | TrueObjects):
-            out.truth.append((topic, message))
+            out.truth_age_ns = max(out.truth_age_ns, receive_ns - message.stamp_ns)
+        elif isinstance(message, Odometry):
+            out.odometry.setdefault(topic, OdometrySamples()).add(message)
+        elif isinstance(message, GnssFix) and message.solution is not GnssSolution.NONE:
+            out.first_fixes.setdefault(topic, message)
+        elif isinstance(message, LidarScan):
+            out.sensor_bytes += message.ranges_mm.nbytes + message.xyz_m.nbytes + message.intensity.nbytes
+        elif isinstance(message, CameraImage):
+            out.sensor_bytes += len(message.encoded) or message.bgr.nbytes
         out.first_ns = receive_ns if out.first_ns is None else min(out.first_ns, receive_ns)
         out.last_ns = max(out.last_ns, receive_ns)
         out.streams.setdefault(topic, Stream(topic)).add(receive_ns, message)
         if isinstance(message, WheelSample) and abs(message.speed_mps) > 0.02 and out.moved_ns is None:
             out.moved_ns = receive_ns
-    if out.first_ns is None:
-        unread = ", ".join(f"{i.source} ({i.source_type})" for i in recording.description.ignored) or "nothing"
-        raise LogError(f"{recording.path}: contains no readable message; ignored: {unread}")
-    if not any(topic.startswith("lidar/") for topic in out.streams):
-        known = ", ".join(sorted(out.streams)) or "none"
-        raise LogError(f"{recording.path}: no lidar topic, evaluation is not possible (topics: {known})")
     return out
 
 
@@ -150,17 +171,19 @@ def find_machine(recording: Recording, inspection: LogInspection, file: Path | N
         own = _logged_machine(recording.path, sorted(inspection.streams))
         if own is not None:
             return own
-    known = recording.description.vehicle
-    if file is None and known is not None:
-        file = CONFIGS / "vehicles" / f"{known}.yaml"
-    values = _values(file)
+    values, file = vehicle_values(file, recording.description)
     where = str(file or "--vehicle")
     return _machine_from(values, recording.description, inspection.streams, topics, where, file is not None)
 
 
-def _values(file: Path | None) -> dict[str, Any]:
-    if file is None:
-        return {}
+def vehicle_values(file: Path | None, about: Description) -> tuple[dict[str, Any], Path | None]:
+    """Content of a vehicle file, by default that of the recording's format, and the file; raises ConfigError."""
+    if file is None and about.vehicle is not None:
+        file = CONFIGS / "vehicles" / f"{about.vehicle}.yaml"
+    return ({} if file is None else _values(file)), file
+
+
+def _values(file: Path) -> dict[str, Any]:
     path = file if file.is_file() else CONFIGS / "vehicles" / f"{file}.yaml"
     path = path if path.is_file() or file.suffix else CONFIGS / "machines" / f"{file}.yaml"
     values = read_yaml(path if path.is_file() else file)
@@ -202,7 +225,7 @@ def _machine_from(
         lidars[name] = lidar
     missing = missing_values(values, {name: lidars[name] for name in names})
     if missing:
-        raise ConfigError(_missing_text(where, missing, next(iter(names)), is_given))
+        raise ConfigError(_missing_text(where, missing, next(iter(names), "name"), is_given))
     sensors = dict(values.get("sensors") or {}) | {"lidar": {name: lidars[name] for name in names}}
     body = {"mass_kg": 1000.0} | dict(values["body"])
     name = values.get("name") or "recorded vehicle"

@@ -30,6 +30,9 @@ def render(values: dict[str, Any]) -> str:
         gap = "—" if row["longest_gap_s"] is None else f"{row['longest_gap_s']:.2f}"
         count = str(row["count"]) if row["found"] else "missing"
         lines.append(f"  {row['topic']:<30}{row['needed_for']:<26}{count:>8}{rate:>9}{gap:>9}")
+    skipped = [row for row in values["streams"] if row["reasons"]]
+    lines += [f"  not read: {row['source']}: {reason} ({count or '?'} messages)"
+              for row in skipped for reason, count in row["reasons"].items()]  # fmt: skip
     lines += [f"  {note}" for note in values["notes"]]
     lines.append(f"  can be evaluated: {', '.join(values['evaluable']) or 'nothing'}")
     lines += [f"  not shown: {text}" for text in values["not_shown"]]

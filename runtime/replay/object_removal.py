@@ -7,7 +7,7 @@ from typing import cast
 
 from configs.sensor_kinds import sensors_of
 from configs.vehicle import Sensors
-from datasets.importers.recording import Received
+from datasets.importers.recording import Received, Skipped
 from geometry.arrays import Float64
 from geometry.transforms import invert
 from messages.errors import LogError
@@ -27,7 +27,7 @@ def remove_object(replay_input: ReplayInput, name: str) -> ReplayInput:
     objects: list[tuple[int, TrueObject]] = []
     machines: list[TrueMachine] = []
     known: set[str] = set()
-    for topic, message in replay_input.inspection.truth:
+    for _, topic, message in replay_input.recording.read():
         if isinstance(message, TrueObjects) and topic == replay_input.truth_topic:
             known |= {true_object.role or true_object.label.value for true_object in message.objects}
             objects += [(message.stamp_ns, t) for t in message.objects if name in (t.role, t.label.value, str(t.id))]
@@ -48,17 +48,20 @@ def remove_object(replay_input: ReplayInput, name: str) -> ReplayInput:
     sensors = replay_input.machine.vehicle.sensors
     recording = replay_input.recording
 
-    def read() -> Iterator[Received]:
-        for receive_ns, topic, message in recording.read():
+    def read() -> Iterator[Received | Skipped]:
+        for item in recording.messages():
+            if isinstance(item, Skipped):
+                yield item
+                continue
+            receive_ns, topic, message = item
             for box_at in boxes:
                 box = box_at(message.stamp_ns)
                 message = message if box is None else without_object(names.get(topic, topic), message, box, sensors)
             yield receive_ns, topic, message
 
     notes = (*recording.description.notes, f"{name} removed from all sensor data, replaced by its surroundings")
-    return replace(
-        replay_input, recording=replace(recording, description=replace(recording.description, notes=notes), read=read)
-    )
+    about = replace(recording.description, notes=notes)
+    return replace(replay_input, recording=replace(recording, description=about, messages=read))
 
 
 def _box_by_time(

@@ -10,13 +10,16 @@ from pydantic import Field
 
 from configs.site import DatumConfig, PoseConfig, Shed
 from configs.strict import CONFIGS, Config, load, parse
+from configs.vehicle import Body, MountedImplement, TrailedImplement, Vehicle, outlines
+from datasets.importers.import_table import rows_of as streams_of
 from datasets.importers.recording import Recording
 from datasets.reader import LogScan, read_metadata
 from datasets.records import MAGIC
+from datasets.viewer import ViewerConfig
 from geometry.geodesy import Datum
+from geometry.rectangle import Rectangle
 from localization.lidar.scan_odometry import ScanOdometryConfig
-from messages.errors import ConfigError
-from messages.motion import Odometry
+from messages.errors import ConfigError, LogError
 from runtime.replay.log_inspection import (
     CHILD_FRAMES,
     LogInspection,
@@ -24,14 +27,19 @@ from runtime.replay.log_inspection import (
     find_machine,
     inspect,
     pose_between,
+    vehicle_values,
 )
 from runtime.replay.log_inspection_table import rows_of
-from runtime.replay.trajectory import (
-    is_steady,
-)
+from runtime.replay.recorded_localization import localization_note
+from runtime.replay.topic_binding import ODOMETRY, bind_sensors
+from runtime.replay.trajectory import is_steady
 from runtime.stack import StackConfig, load_stack, with_detector
 from validation.obstacle_stop.conditions import Conditions
 from validation.obstacle_stop.observation import Setting
+from validation.obstacle_stop.swept_path import Outline, Trailer
+from validation.obstacle_stop.visibility import View
+
+RADAR_ELEVATION_RAD = (math.radians(-15.0), math.radians(15.0))  # not in the vehicle file
 
 
 class ReplayConfig(Config):
@@ -41,7 +49,9 @@ class ReplayConfig(Config):
     extension_m: float = Field(ge=0.0, le=500.0)
     max_pose_jump_m: float = Field(gt=0.0, le=10.0)
     min_standstill_s: float = Field(ge=0.0, le=60.0)
-    max_clock_offset_s: float = Field(gt=0.0, le=100.0)
+    max_wheel_gap_s: float = Field(gt=0.0, le=1.0)
+    max_latency_s: float = Field(gt=0.0, le=1000.0)
+    viewer: ViewerConfig
 
 
 @dataclass(frozen=True)
@@ -90,8 +100,8 @@ class ReplayInput:
     truth_topic: str | None
     clock_offset_ns: int
     config: Configuration
-    damage: tuple[str, ...]
     site: RecordingSite | None
+    localization: str | None = None
 
     @property
     def half_width_m(self) -> float:
@@ -109,10 +119,12 @@ class ReplayInput:
         by_frame = {s.frame: n for n, t in self.machine.lidars.items() for s in about.sensors if s.topic == t}
         frame = None if self.truth_topic is None else about.truth_frame
         frame = by_frame.get(frame, frame) if frame is not None else None
-        body = self.machine.vehicle.body
+        body, implement = self.machine.vehicle.body, self.machine.implement
         return Setting(
             name, {n: lidar.mount.T_base_sensor for n, lidar in lidars.items()}, body.front_m, body.width_m,
-            self.half_width_m, frame, math.radians(about.truth_view_deg),
+            self.half_width_m, frame, math.radians(about.truth_view_deg), outline_of(body, implement),
+            outline_of(body, None if implement is None else implement.folded), views_of(self.machine.vehicle),
+            not self.is_planned,
         )  # fmt: skip
 
     def inspection_table(self) -> dict[str, Any]:
@@ -121,8 +133,9 @@ class ReplayInput:
         needed |= {self.truth_topic: "truth"} if self.truth_topic else {"truth_objects": "truth"}
         needed |= dict.fromkeys(self.odometry.topic.split(), "speed and path") if self.odometry.topic else {}
         needed |= {"path": "planned path", "control_command": "position on path"} if self.is_planned else {}
-        notes = [*self.recording.description.notes, *self.damage, *self.machine.notes, self.odometry.note]
+        notes = [*self.recording.description.notes, *self.machine.notes, self.odometry.note]
         notes += [] if self.site is None else self.site.notes
+        notes += [] if self.localization is None else [self.localization]
         if self.clock_offset_ns:
             notes.append(f"receive times differ from the stamps by {self.clock_offset_ns * 1e-9:+.1f} s: shifted")
         has_truth = self.truth_topic is not None
@@ -134,11 +147,33 @@ class ReplayInput:
             "span_s": round(self.inspection.span_s, 3),
             "topics": rows_of(self.inspection, needed),
             "extrinsics": [f"{e.parent} → {e.child}" for e in about.extrinsics],
-            "ignored": [f"{i.source} ({i.source_type}): {i.reason}" for i in about.ignored],
+            "streams": streams_of(self.recording.table()),
             "notes": notes,
             "evaluable": evaluable,
             "not_shown": [] if has_truth else ["misses, false stops and recall: no ground truth"],
         }
+
+
+def outline_of(body: Body, implement: MountedImplement | TrailedImplement | None) -> Outline:
+    """Rectangles of a machine and its implement, a trailed one on its drawbar."""
+    if not isinstance(implement, TrailedImplement):
+        return Outline(outlines(body, implement))
+    trailed = Rectangle(-implement.total_length_m, 0.0, implement.width_m)
+    return Outline(outlines(body, None), Trailer(trailed, implement.hitch_m, implement.axle_length_m))
+
+
+def views_of(vehicle: Vehicle) -> tuple[View, ...]:
+    """Fields of view of the lidars and radars, which measure the distance of an obstacle."""
+    lidars = [
+        View(one.mount.T_base_sensor, math.radians(0.5 * one.field_of_view_deg),
+             (math.radians(min(one.elevation_deg)), math.radians(max(one.elevation_deg))), one.range_m[1])
+        for one in vehicle.sensors.lidar.values()
+    ]  # fmt: skip
+    radars = [
+        View(one.mount.T_base_sensor, math.radians(0.5 * one.field_of_view_deg), RADAR_ELEVATION_RAD, one.range_m[1])
+        for one in vehicle.sensors.radar.values()
+    ]
+    return (*lidars, *radars)
 
 
 def prepare(path: FilePath, truth: FilePath | None, vehicle: FilePath | None, config: Configuration) -> ReplayInput:
@@ -146,28 +181,47 @@ def prepare(path: FilePath, truth: FilePath | None, vehicle: FilePath | None, co
     from datasets.importers.truth_sidecar import open_with_truth
 
     recording = open_with_truth(path, truth, config.conditions.truth.source)
+    recording = bind_sensors(recording, vehicle_values(vehicle, recording.description)[0])
     inspection = inspect(recording)
+    is_imported = recording.description.format != "headland"
+    has_lidar = any(topic.startswith("lidar/") for topic in inspection.streams)
+    known = ", ".join(sorted(inspection.streams)) or "none"
+    refusal = f"{recording.path}: no lidar topic, evaluation of stops is not possible (topics: {known})"
+    if not has_lidar and vehicle is None:
+        raise LogError(refusal)
     machine = find_machine(recording, inspection, vehicle)
-    is_planned = recording.description.format == "headland" and {"path", "control_command"} <= inspection.streams.keys()
-    site = site_of(path) if recording.description.format == "headland" else None
+    localization = _localization_note(recording, inspection, machine, config) if is_imported else None
+    if not has_lidar:
+        raise LogError(refusal if localization is None else f"{refusal}; {localization}")
+    is_planned = not is_imported and {"path", "control_command"} <= inspection.streams.keys()
+    site = None if is_imported else site_of(path)
     truths = [t for t in inspection.streams if t.partition("/")[0] == "truth_objects"]
     odometry = find_odometry_source(recording, inspection, machine, site, config)
-    offset_ns = inspection.clock_offset_ns(config.replay.max_clock_offset_s)
+    offset_ns = inspection.clock_offset_ns(config.replay.max_latency_s)
     truth_topic = truths[0] if truths else None
     return ReplayInput(
-        recording, inspection, machine, odometry, is_planned, truth_topic, offset_ns, config, damage_of(path), site
+        recording, inspection, machine, odometry, is_planned, truth_topic, offset_ns, config, site, localization
     )
 
 
+def _localization_note(
+    recording: Recording, inspection: LogInspection, machine: RecordingMachine, config: Configuration
+) -> str | None:
+    stack = config.stack
+    wheels = stack.localization.odometry.wheels.model_copy(update={"max_gap_s": config.replay.max_wheel_gap_s})
+    odometry = stack.localization.odometry.model_copy(update={"wheels": wheels})
+    localization = stack.localization.model_copy(update={"odometry": odometry})
+    return localization_note(recording, inspection, machine, localization, stack.executor.latency_ns("localizer"))
+
+
 def damage_of(path: FilePath) -> tuple[str, ...]:
-    """Lost parts of an MCAP file; empty for other formats, whose readers refuse truncated files."""
+    """Lost parts of an MCAP file; empty for other formats."""
     if not path.is_file() or path.open("rb").read(len(MAGIC)) != MAGIC:
         return ()
     scan = LogScan(path)
     for _ in scan:
         pass
-    lost = tuple(f"byte {d.offset}: {d.reason}; {d.length} bytes lost" for d in scan.damages)
-    return lost if lost or scan.is_ended else (f"byte {path.stat().st_size}: the log was not closed",)
+    return scan.losses
 
 
 def find_odometry_source(
@@ -187,27 +241,43 @@ def find_odometry_source(
         if {"odom", "map_pose"} <= streams.keys():
             note = "odometry: from the log, because the localizer needs a standstill at the start"
             return OdometrySource("record", "odom map_pose", note)
-    for topic in sorted(t for t in streams if t.partition("/")[0] == "odom"):
-        if child_pose(recording, machine, topic) is not None:
-            messages = [m for _, t, m in recording.read() if t == topic and isinstance(m, Odometry)]
-            if len(messages) > 2 and is_steady(messages, config.replay.max_pose_jump_m):
-                return OdometrySource("topic", topic, f"odometry: {topic} of the log")
+    found = [ODOMETRY] if ODOMETRY in streams else sorted(t for t in streams if t.partition("/")[0] == "odom")
+    unusable: list[str] = []
+    for topic in found:
+        samples = inspection.odometry[topic]
+        if child_pose(recording, machine, topic) is None:
+            unusable.append(f"{topic} (child frame {_frame_of(recording, topic)!r})")
+        elif len(samples.stamps_ns) > 2 and is_steady(samples, config.replay.max_pose_jump_m):
+            return OdometrySource("topic", topic, f"odometry: {topic} of the log")
+    if ODOMETRY in streams:
+        raise LogError(f"{recording.path}: sensors.wheels.topic: the odometry is too short or jumps")
+    remedy = f"the frame of {', '.join(unusable)} is unknown; sensors.wheels.topic in the vehicle file selects one"
+    if len(unusable) > 1:
+        raise LogError(f"{recording.path}: no odometry is usable: {remedy}")
     lidar = next(iter(machine.lidars.values()))
-    return OdometrySource("scans", "", f"no usable speed: replaced by planar lidar odometry from {lidar}")
+    note = f"no usable speed: replaced by planar lidar odometry from {lidar}"
+    return OdometrySource("scans", "", f"{note}; {remedy}" if unusable else note)
+
+
+def _frame_of(recording: Recording, topic: str) -> str:
+    return next((s.frame for s in recording.description.sensors if s.topic == topic), "")
 
 
 def child_pose(recording: Recording, machine: RecordingMachine, topic: str) -> np.ndarray | None:
-    """Pose (4, 4) of base in the child frame of an odometry topic, or None if unknown."""
+    """Pose (4, 4) of base in the child frame of an odometry topic, or None if unknown.
+
+    The child frame of the odometry that the vehicle file names is base, unless the log has its transform.
+    """
     about = recording.description
     if topic == "odom" and about.format == "headland":
         return np.eye(4)
-    frame = next((s.frame for s in about.sensors if s.topic == topic), "")
+    frame = _frame_of(recording, topic)
     frames = {s.topic: s.frame for s in about.sensors}
     for name, lidar_topic in machine.lidars.items():
         T = pose_between(about, frame, frames.get(lidar_topic, "?")) if frame else None
         if T is not None:
             return np.asarray(T @ np.linalg.inv(machine.vehicle.sensors.lidar[name].mount.T_base_sensor))
-    return np.eye(4) if frame in CHILD_FRAMES else None
+    return np.eye(4) if frame in CHILD_FRAMES or topic == ODOMETRY else None
 
 
 def site_of(path: FilePath) -> RecordingSite | None:

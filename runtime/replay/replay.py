@@ -17,7 +17,7 @@ from messages.errors import HeadlandError, LogError
 from messages.faults import Fault
 from messages.message import Envelope
 from messages.motion import Odometry
-from messages.node import Node, Output, World
+from messages.node import Node
 from messages.sensors import LidarScan
 from messages.topics import TOPICS
 from perception.lidar.obstacles import LidarObstacles
@@ -27,12 +27,15 @@ from runtime.perception_nodes import perception_nodes
 from runtime.replay.prepare import ReplayInput, child_pose
 from runtime.replay.shadow_supervisor import ShadowSupervisor
 from runtime.replay.trajectory import (
+    OdometrySamples,
     Trajectory,
     driven_sections,
     map_pose_of,
     odometry_of,
+    sample_times,
     trajectory_of,
 )
+from runtime.replay.world import ReplayWorld, in_order
 from safety.zones.known_structure import structure_of_shed
 
 RECOMPUTED = {
@@ -44,39 +47,24 @@ TRUTH = ("truth_machine", "truth_objects")
 TRUTH_LEAD_NS = 250_000_000
 REORDER_NS = 300_000_000  # window in which scans received out of order are sorted
 POSES_EVERY = 5  # every n-th odometry message at 50 Hz
-
-
-class ReplayWorld(World):
-    """World that delivers a stream of messages at their receive times."""
-
-    def __init__(self, stream: Iterable[Received], writes: Iterable[str]) -> None:
-        self.writes = tuple(writes)
-        self._stream = iter(stream)
-        self._next = next(self._stream, None)
-
-    def next_ns(self) -> int | None:
-        """Receive time of the next message, or None at the end."""
-        return None if self._next is None else self._next[0]
-
-    def step(self, now_ns: int) -> list[Output]:
-        """Messages received by `now_ns`."""
-        out: list[Output] = []
-        while self._next is not None and self._next[0] <= now_ns:
-            out.append((self._next[1], self._next[2]))
-            self._next = next(self._stream, None)
-        return out
+EARLY, SYNTHETIC, LOGGED = range(3)  # order at equal time
 
 
 def replay(replay_input: ReplayInput, sinks: Iterable[Sink]) -> None:
     """Runs the nodes over the log; raises HeadlandError if a node fails."""
-    synthetic: list[Received] = []
+    world = ReplayWorld(delivered(replay_input), ())
+    Executor(world, nodes_for(replay_input), [_raise_fault, *sinks]).run(lambda: False)
+
+
+def delivered(replay_input: ReplayInput) -> Iterator[Received]:
+    """Messages of the log and of its trajectory in order of delivery."""
+    synthetic: Iterator[Received] = iter(())
     if replay_input.odometry.kind in ("topic", "scans"):
         synthetic = synthetic_stream(trajectory_before(replay_input), replay_input.config.replay.extension_m)
-    nodes = nodes_for(replay_input)
-    stream = recorded_stream(replay_input)
-    streams = (early_truth(replay_input), synthetic, stream)
-    world = ReplayWorld(in_order(heapq.merge(*streams, key=lambda r: r[0])), ())
-    Executor(world, nodes, [_raise_fault, *sinks]).run(lambda: False)
+    log = with_early_truth(replay_input, recorded_stream(replay_input))
+    between = ((received[0], SYNTHETIC, received) for received in synthetic)
+    merged = heapq.merge(log, between, key=lambda r: r[:2])
+    return in_order(received for _, _, received in merged)
 
 
 def _raise_fault(envelope: Envelope) -> None:
@@ -84,21 +72,28 @@ def _raise_fault(envelope: Envelope) -> None:
         raise HeadlandError(envelope.message.text_en)
 
 
-def in_order(stream: Iterator[Received]) -> Iterator[Received]:
-    """Stream with non-decreasing receive times."""
-    last_ns: int | None = None
-    for receive_ns, topic, message in stream:
-        last_ns = receive_ns if last_ns is None else max(last_ns, receive_ns)
-        yield last_ns, topic, message
+def with_early_truth(replay_input: ReplayInput, stream: Iterator[Received]) -> Iterator[tuple[int, int, Received]]:
+    """Stream by (time, rank), with ground truth by stamp and TRUTH_LEAD_NS early: the observer has it before the scan.
 
-
-def early_truth(replay_input: ReplayInput) -> list[Received]:
-    """Ground truth by stamp, delivered TRUTH_LEAD_NS early so that the observer has it before the sensor data."""
-    inspection = replay_input.inspection
-    first_ns = (inspection.first_ns or 0) - replay_input.clock_offset_ns
-    last_ns = inspection.last_ns - replay_input.clock_offset_ns
-    timed = ((min(max(m.stamp_ns - TRUTH_LEAD_NS, first_ns), last_ns), topic, m) for topic, m in inspection.truth)
-    return sorted(timed, key=lambda r: (r[0], r[2].stamp_ns))
+    Messages wait for truth that was received later than it is delivered.
+    """
+    inspection, offset_ns = replay_input.inspection, replay_input.clock_offset_ns
+    first_ns, last_ns = (inspection.first_ns or 0) - offset_ns, inspection.last_ns - offset_ns
+    lead_ns = max(0, inspection.truth_age_ns - offset_ns + TRUTH_LEAD_NS)
+    waiting: list[tuple[int, int, int, int, Received]] = []
+    newest_ns = first_ns
+    for number, (at_ns, topic, message) in enumerate(stream):
+        if topic.partition("/")[0] in TRUTH:
+            early_ns = min(max(message.stamp_ns - TRUTH_LEAD_NS, first_ns), last_ns)
+            heapq.heappush(waiting, (early_ns, EARLY, message.stamp_ns, number, (early_ns, topic, message)))
+        else:
+            newest_ns = max(newest_ns, at_ns)
+            heapq.heappush(waiting, (newest_ns, LOGGED, 0, number, (newest_ns, topic, message)))
+        while waiting and waiting[0][0] < newest_ns - lead_ns:
+            at_ns, rank, *_, received = heapq.heappop(waiting)
+            yield at_ns, rank, received
+    for at_ns, rank, *_, received in sorted(waiting):
+        yield at_ns, rank, received
 
 
 def recorded_stream(replay_input: ReplayInput) -> Iterator[Received]:
@@ -108,6 +103,8 @@ def recorded_stream(replay_input: ReplayInput) -> Iterator[Received]:
     for receive_ns, topic, message in replay_input.recording.read():
         kind = topic.partition("/")[0]
         if kind in TRUTH:
+            lidar = names.get(f"lidar/{topic.partition('/')[2]}", "")
+            yield receive_ns, f"{kind}/{lidar.partition('/')[2]}" if lidar else topic, message
             continue
         is_input = kind in TOPICS and (kind not in RECOMPUTED or topic in kept)
         is_input = (
@@ -134,9 +131,8 @@ def trajectory_before(replay_input: ReplayInput) -> Trajectory:
     """First pass: trajectory of the vehicle; raises LogError for fewer than two poses."""
     kind, topic = replay_input.odometry.kind, replay_input.odometry.topic
     if kind == "topic":
-        messages = [m for _, t, m in replay_input.recording.read() if t == topic and isinstance(m, Odometry)]
         T = child_pose(replay_input.recording, replay_input.machine, topic)
-        trajectory = trajectory_of(messages, np.eye(4) if T is None else T, True)
+        trajectory = trajectory_of(replay_input.inspection.odometry[topic], np.eye(4) if T is None else T, True)
     else:
         trajectory = trajectory_of(_scan_odometry(replay_input), np.eye(4), False)
     if len(trajectory.stamps_ns) < 2:
@@ -144,18 +140,18 @@ def trajectory_before(replay_input: ReplayInput) -> Trajectory:
     return trajectory
 
 
-def _scan_odometry(replay_input: ReplayInput) -> list[Odometry]:
+def _scan_odometry(replay_input: ReplayInput) -> OdometrySamples:
     vehicle = replay_input.machine.vehicle
     name, topic = next(iter(replay_input.machine.lidars.items()))
     lidar, stack = vehicle.sensors.lidar[name], replay_input.config.stack
     ground = LidarObstacles(name, lidar, vehicle, None, stack.perception.lidar)
     node = ScanOdometry(name, lidar, vehicle.body, replay_input.config.replay.scan_odometry)
-    out: list[Odometry] = []
+    out = OdometrySamples()
 
     def take(envelope: Envelope) -> None:
         _raise_fault(envelope)
         if isinstance(envelope.message, Odometry):
-            out.append(envelope.message)
+            out.add(envelope.message)
 
     scans = ((m.stamp_ns, f"lidar/{name}", m) for _, t, m in replay_input.recording.read() if t == topic)
     ends = with_repeated_end(reordered(scans, REORDER_NS))
@@ -184,23 +180,28 @@ def with_repeated_end(stream: Iterator[Received]) -> Iterator[Received]:
         yield last[0] + 1_000_000_000, last[1], last[2]
 
 
-def synthetic_stream(trajectory: Trajectory, extension_m: float) -> list[Received]:
+def synthetic_stream(trajectory: Trajectory, extension_m: float) -> Iterator[Received]:
     """Odometry, pose, path and path position of the recorded drive; ends half a second after the log."""
-    odometry = odometry_of(trajectory)
-    out: list[Received] = []
-    for section in driven_sections(trajectory, extension_m):
-        out.append((section.path.stamp_ns, "path", section.path))
-        for odom in odometry:
-            if section.stamps_ns[0] <= odom.stamp_ns <= section.stamps_ns[-1]:
-                s = float(np.interp(odom.stamp_ns, section.stamps_ns, section.s_m))
-                out.append((odom.stamp_ns, "control_command", _control_command(odom, section.path.path_id, s)))
-    for number, odom in enumerate(odometry):
-        out.append((odom.stamp_ns, "odom", odom))
+    sections, current = driven_sections(trajectory, extension_m), -1
+    sample_ns, s_m = sample_times(trajectory), np.zeros(0)
+    for number, odom in enumerate(odometry_of(trajectory)):
+        stamp_ns = odom.stamp_ns
+        if current + 1 < len(sections) and stamp_ns >= sections[current + 1].stamps_ns[0]:
+            current += 1
+            section = sections[current]
+            s_m = np.interp(sample_ns, section.stamps_ns, section.s_m)
+            yield stamp_ns, "path", section.path
+        if current >= 0:
+            yield (
+                stamp_ns,
+                "control_command",
+                _control_command(odom, sections[current].path.path_id, float(s_m[number])),
+            )
+        yield stamp_ns, "odom", odom
         if number % POSES_EVERY == 0:
-            out.append((odom.stamp_ns, "map_pose", map_pose_of(odom)))
-    last = odometry[-1]
-    out += [(last.stamp_ns + k * 20_000_000, "operator_command", _time_command(last.stamp_ns)) for k in range(1, 26)]
-    return sorted(out, key=lambda r: r[0])
+            yield stamp_ns, "map_pose", map_pose_of(odom)
+    for k in range(1, 26):
+        yield stamp_ns + k * 20_000_000, "operator_command", _time_command(stamp_ns)
 
 
 def _time_command(stamp_ns: int) -> Any:

@@ -1,7 +1,9 @@
 """Trajectory of a recorded vehicle: smoothed motion, and its driven line as paths."""
 
 import math
-from dataclasses import dataclass
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -10,10 +12,11 @@ from geometry.arrays import Float64, Int64
 from geometry.transforms import interpolate, invert, yaw_of
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.plan import Path, PathSection, PathSectionType
+from validation.obstacle_stop.recorded_motion import direction_of, turning_points
+from validation.obstacle_stop.swept_path import arc
 
 ODOM_NS = 20_000_000
 STEP_M = 0.25
-REVERSE_MPS = -0.2
 CURVE_S = 1.0  # interval at the end of a log whose mean curvature is extrapolated
 MIN_CURVE_M = 0.5  # minimum distance for a mean curvature
 SMOOTH_S = 0.5
@@ -30,17 +33,38 @@ class Trajectory:
     motion: Float64
 
 
-def trajectory_of(messages: list[Odometry], T_child_base: Float64, is_level_known: bool) -> Trajectory:
+@dataclass
+class OdometrySamples:
+    """Odometry messages of one topic as columns, which take a tenth of the memory of the messages."""
+
+    stamps_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    values: "array[float]" = field(default_factory=lambda: array("d"))
+
+    def add(self, message: Odometry) -> None:
+        """Appends a message."""
+        self.stamps_ns.append(message.stamp_ns)
+        self.values.extend(message.T_odom_base.ravel().tolist())
+        self.values.extend((message.speed_mps, message.lateral_mps))
+
+    def by_stamp(self) -> tuple[Int64, Float64, Float64]:
+        """Stamps (N,), poses (N, 4, 4), and forward and left speed (N, 2), sorted by stamp."""
+        stamps = np.array(self.stamps_ns, np.int64)
+        order = np.argsort(stamps, kind="stable")
+        rows = np.array(self.values, np.float64).reshape(-1, 18)[order]
+        return stamps[order], rows[:, :16].reshape(-1, 4, 4), rows[:, 16:]
+
+
+def trajectory_of(samples: OdometrySamples, T_child_base: Float64, is_level_known: bool) -> Trajectory:
     """Trajectory from odometry of a frame fixed to the vehicle; projected to a plane without a gravity reference.
 
-    Messages are sorted by stamp; poses with NaN or a repeated stamp are dropped.
+    Poses with NaN or a repeated stamp are dropped.
     """
-    kept: list[Odometry] = []
-    for message in sorted(messages, key=lambda m: m.stamp_ns):
-        if np.isfinite(message.T_odom_base).all() and (not kept or message.stamp_ns > kept[-1].stamp_ns):
-            kept.append(message)
-    stamps = np.array([m.stamp_ns for m in kept], np.int64)
-    poses = np.array([m.T_odom_base @ T_child_base for m in kept]).reshape(-1, 4, 4)
+    stamps, child_poses, _ = samples.by_stamp()
+    is_real = np.isfinite(child_poses).all(axis=(1, 2))
+    stamps, child_poses = stamps[is_real], child_poses[is_real]
+    is_new = np.diff(stamps, prepend=-1) > 0
+    stamps = stamps[is_new]
+    poses = np.array([T @ T_child_base for T in child_poses[is_new]]).reshape(-1, 4, 4)
     poses = poses if is_level_known else flattened(poses)
     return Trajectory(stamps, poses, motion_of(stamps, poses))
 
@@ -95,34 +119,30 @@ def motion_of(stamps_ns: Int64, poses: Float64) -> Float64:
     return out
 
 
-def is_steady(messages: list[Odometry], max_jump_m: float) -> bool:
+def is_steady(samples: OdometrySamples, max_jump_m: float) -> bool:
     """Whether pose steps agree with the speeds to `max_jump_m`; GNSS without corrections jumps."""
-    for before, after in pairwise(sorted(messages, key=lambda m: m.stamp_ns)):
-        dt_s = (after.stamp_ns - before.stamp_ns) * 1e-9
-        distance_m = float(np.linalg.norm(after.T_odom_base[:2, 3] - before.T_odom_base[:2, 3]))
-        mean_mps = 0.5 * (
-            math.hypot(before.speed_mps, before.lateral_mps) + math.hypot(after.speed_mps, after.lateral_mps)
-        )
-        if dt_s < 1.0 and math.isfinite(mean_mps) and abs(distance_m - mean_mps * dt_s) > max_jump_m:
-            return False
-    return True
+    stamps, poses, speeds = samples.by_stamp()
+    dt_s, speed_mps = np.diff(stamps) * 1e-9, np.hypot(*speeds.T)
+    distance_m = np.hypot(*np.diff(poses[:, :2, 3], axis=0).T)
+    off_m = np.abs(distance_m - 0.5 * (speed_mps[1:] + speed_mps[:-1]) * dt_s)
+    return not ((dt_s < 1.0) & (off_m > max_jump_m)).any()  # a comparison with NaN is false
 
 
-def odometry_of(trajectory: Trajectory) -> list[Odometry]:
-    """Odometry at 50 Hz and at every pose, sorted by time."""
+def sample_times(trajectory: Trajectory) -> Int64:
+    """Stamps (N,) of the odometry of a trajectory: at 50 Hz and at every pose."""
     stamps = trajectory.stamps_ns
-    grid = np.arange(stamps[0], stamps[-1], ODOM_NS, dtype=np.int64)
-    sample_ns = np.union1d(grid, stamps)
-    after = (
-        np.clip(np.searchsorted(stamps, sample_ns), 1, len(stamps) - 1) if len(stamps) > 1 else np.zeros(1, np.int64)
-    )
-    out = []
+    return np.union1d(np.arange(stamps[0], stamps[-1], ODOM_NS, dtype=np.int64), stamps)
+
+
+def odometry_of(trajectory: Trajectory) -> Iterator[Odometry]:
+    """Odometry at the sample times of a trajectory of at least two poses."""
+    stamps, sample_ns = trajectory.stamps_ns, sample_times(trajectory)
+    after = np.clip(np.searchsorted(stamps, sample_ns), 1, len(stamps) - 1)
     for stamp_ns, k in zip(sample_ns.tolist(), after.tolist(), strict=True):
-        share = (stamp_ns - stamps[k - 1]) / max(int(stamps[k] - stamps[k - 1]), 1) if len(stamps) > 1 else 0.0
-        T = interpolate(trajectory.poses[k - 1], trajectory.poses[k], float(share)) if len(stamps) > 1 else np.eye(4)
+        share = (stamp_ns - stamps[k - 1]) / max(int(stamps[k] - stamps[k - 1]), 1)
+        T = interpolate(trajectory.poses[k - 1], trajectory.poses[k], float(share))
         motion = (1.0 - share) * trajectory.motion[k - 1] + share * trajectory.motion[k]
-        out.append(_odometry(stamp_ns, T, motion))
-    return out
+        yield _odometry(stamp_ns, T, motion)
 
 
 def _odometry(stamp_ns: int, T: Float64, motion: Float64) -> Odometry:
@@ -148,7 +168,7 @@ def map_pose_of(odom: Odometry) -> MapPose:
 
 @dataclass(frozen=True, eq=False)
 class DrivenSection:
-    """Interval of forward driving: its path, and the path positions (K,) at stamps (K,)."""
+    """Interval of driving in one direction: its path, and the path positions (K,) at stamps (K,)."""
 
     path: Path
     stamps_ns: Int64
@@ -156,49 +176,48 @@ class DrivenSection:
 
 
 def driven_sections(trajectory: Trajectory, extension_m: float) -> list[DrivenSection]:
-    """Driven line as paths, split at reversing; the last one is extended by `extension_m`."""
-    is_forward = trajectory.motion[:, 0] > REVERSE_MPS
-    edges = np.flatnonzero(np.diff(is_forward.astype(int))) + 1
-    runs = [run for run in np.split(np.arange(len(is_forward)), edges) if len(run) > 1 and is_forward[run[0]]]
-    out = []
-    for number, run in enumerate(runs):
-        is_last = run[-1] == len(is_forward) - 1
-        out.append(_section(trajectory, run, number, extension_m if is_last else 0.0))
-    return out
+    """Driven line as paths, forward and reverse, split at reversals; the last one is extended by `extension_m`."""
+    ahead = steps_of(trajectory.poses)[:, 0]
+    bounds = [*turning_points(ahead), len(ahead) - 1]
+    return [
+        _section(trajectory, np.arange(first, last + 1), number, extension_m if last == len(ahead) - 1 else 0.0)
+        for number, (first, last) in enumerate(pairwise(bounds))
+        if last > first
+    ]
 
 
 def _section(trajectory: Trajectory, run: Int64, number: int, extension_m: float) -> DrivenSection:
     stamps, poses = trajectory.stamps_ns[run], trajectory.poses[run]
-    summed = steps_of(poses)
-    s = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(summed[:, 0]), 0.0))])
+    ahead = steps_of(poses)[:, 0]
+    direction = direction_of(ahead)
+    s = np.maximum.accumulate(np.maximum(direction * ahead, 0.0))
     yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
     rows = np.column_stack([s, poses[:, 0, 3], poses[:, 1, 3], yaw])
     rows = rows[np.concatenate([[True], np.diff(s) > 1e-3])]
-    rows = np.vstack([rows, extrapolate(rows[-1], _last_curvature(stamps, s, yaw), extension_m)])
+    curvature = direction * _last_curvature(stamps, s, yaw)
+    rows = np.vstack([rows, _continued(rows[-1], curvature, direction, extension_m)])
     if len(rows) < 2:
-        rows = np.vstack([rows, extrapolate(rows[-1], 0.0, STEP_M)])
+        rows = np.vstack([rows, _continued(rows[-1], 0.0, direction, STEP_M)])
     grid = np.append(np.arange(0.0, rows[-1, 0], STEP_M), rows[-1, 0])
     grid = grid[np.concatenate([[True], np.diff(grid) > 1e-6])]
     x, y, heading = (np.interp(grid, rows[:, 0], rows[:, k]) for k in (1, 2, 3))
     n = len(grid)
     path = Path(
-        int(stamps[0]), number, 1, np.column_stack([x, y]), heading, np.gradient(heading, grid), grid, np.ones(n),
-        np.zeros(n, np.uint8), (PathSection(PathSectionType.LANE, -1, 0, n - 1),), np.zeros(n, np.int32), False,
+        int(stamps[0]), number, direction, np.column_stack([x, y]), heading, direction * np.gradient(heading, grid),
+        grid, np.ones(n), np.zeros(n, np.uint8), (PathSection(PathSectionType.LANE, -1, 0, n - 1),),
+        np.zeros(n, np.int32), False,
     )  # fmt: skip
     return DrivenSection(path, stamps, s)
 
 
 def _last_curvature(stamps: Int64, s: Float64, yaw: Float64) -> float:
-    """Mean curvature of the last second; 0 for less than MIN_CURVE_M."""
+    """Mean turn per metre driven of the last second; 0 for less than MIN_CURVE_M."""
     first = int(np.searchsorted(stamps, stamps[-1] - round(CURVE_S * 1e9)))
     distance_m = float(s[-1] - s[first])
     return float(yaw[-1] - yaw[first]) / distance_m if distance_m >= MIN_CURVE_M else 0.0
 
 
-def extrapolate(row: Float64, curvature_radpm: float, distance_m: float) -> Float64:
-    """Rows (K, 4: distance, x, y, heading) that continue a row on a circle."""
+def _continued(row: Float64, curvature_radpm: float, direction: int, distance_m: float) -> Float64:
+    """Rows (K, 4: distance, x, y, heading) that continue a row on a circle in the direction of driving."""
     ds = np.arange(STEP_M, distance_m + 0.5 * STEP_M, STEP_M)
-    turn = curvature_radpm * ds
-    chord = ds * np.sinc(turn / (2.0 * math.pi))
-    x, y = row[1] + chord * np.cos(row[3] + 0.5 * turn), row[2] + chord * np.sin(row[3] + 0.5 * turn)
-    return np.column_stack([row[0] + ds, x, y, row[3] + turn])
+    return np.column_stack([row[0] + ds, arc(row[1:], curvature_radpm, direction * ds)])

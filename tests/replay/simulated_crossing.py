@@ -37,7 +37,7 @@ def crossing(path: Path) -> Path:
     )  # fmt: skip
     with (
         assemble(setup, SCENARIO) as (world, nodes),
-        LogWriter(path, {"config": {"yaml": config}}, setup.stack.datasets.log) as log,
+        LogWriter(path, {"config": {"yaml": config}}, setup.stack.datasets.log, setup.viewer()) as log,
     ):
         failures: list[Envelope] = []
         executor = Executor(

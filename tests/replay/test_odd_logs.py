@@ -103,7 +103,7 @@ def test_person_within_stopping_distance_at_start_is_censored(tmp_path: Path) ->
     inside = evaluate(drive(tmp_path / "in.mcap", (8.0, 0.3), seconds=1.0), vehicle_file(tmp_path))
     assert ([e["outcome"] for e in inside["encounters"]], inside["state"]) == (["censored"], "not_shown")
     standing = evaluate(drive(tmp_path / "s.mcap", (9.0, 0.3), seconds=1.0, speed_mps=0.0), vehicle_file(tmp_path))
-    assert [(e["outcome"], e["is_stop_requested"]) for e in standing["encounters"]] == [("in time", False)]
+    assert [(e["outcome"], e["is_stop_requested"]) for e in standing["encounters"]] == [("not shown", False)]
 
 
 def test_clock_jump_error_message(log: Path, tmp_path: Path) -> None:
@@ -112,8 +112,8 @@ def test_clock_jump_error_message(log: Path, tmp_path: Path) -> None:
         prepare(jump, None, vehicle_file(tmp_path), CONFIGURATION)
 
 
-def write_bag(path: Path, log: Path, has_mount: bool) -> Path:
-    """The drive as a ROS 2 bag: point clouds, odometry and optionally the lidar mount."""
+def write_bag(path: Path, log: Path, has_mount: bool, frames: tuple[str, ...] = ("base_link",)) -> Path:
+    """The drive as a ROS 2 bag: point clouds, odometry per child frame and optionally the lidar mount."""
     kind: dict[str, Any] = ROS2.types
 
     def header(stamp_ns: int, frame: str) -> Any:
@@ -131,7 +131,7 @@ def write_bag(path: Path, log: Path, has_mount: bool) -> Path:
             header(scan.stamp_ns, "lidar_top"), 1, n, fields, False, 12, 12 * n, data, True
         )
 
-    def odometry(odom: Odometry) -> Any:
+    def odometry(odom: Odometry, frame: str) -> Any:
         turn = vector(quaternion_of(odom.T_odom_base), "Quaternion")
         pose = kind["geometry_msgs/msg/Pose"](vector(odom.T_odom_base[:3, 3], "Point"), turn)
         twist = kind["geometry_msgs/msg/Twist"](
@@ -139,7 +139,7 @@ def write_bag(path: Path, log: Path, has_mount: bool) -> Path:
         )
         many = np.zeros(36)
         return kind["nav_msgs/msg/Odometry"](
-            header(odom.stamp_ns, "odom"), "base_link", kind["geometry_msgs/msg/PoseWithCovariance"](pose, many),
+            header(odom.stamp_ns, "odom"), frame, kind["geometry_msgs/msg/PoseWithCovariance"](pose, many),
             kind["geometry_msgs/msg/TwistWithCovariance"](twist, many),
         )  # fmt: skip
 
@@ -147,8 +147,7 @@ def write_bag(path: Path, log: Path, has_mount: bool) -> Path:
         named = {
             name: bag.add_connection(topic, name, typestore=ROS2)
             for topic, name in (
-                ("/top/points", "sensor_msgs/msg/PointCloud2"), ("/odometry", "nav_msgs/msg/Odometry"),
-                ("/tf_static", "tf2_msgs/msg/TFMessage"),
+                ("/top/points", "sensor_msgs/msg/PointCloud2"), ("/tf_static", "tf2_msgs/msg/TFMessage"),
             )
         }  # fmt: skip
         rows = [(e.receive_ns, e.message) for e in read_log(log, {"odom", "lidar/points"})]
@@ -159,12 +158,16 @@ def write_bag(path: Path, log: Path, has_mount: bool) -> Path:
             message = kind["tf2_msgs/msg/TFMessage"]([fixed])
             connection = named["tf2_msgs/msg/TFMessage"]
             bag.write(connection, rows[0][0], ROS2.serialize_cdr(message, connection.msgtype))
+        odometries = {
+            frame: bag.add_connection(f"/odometry_{frame}", "nav_msgs/msg/Odometry", typestore=ROS2) for frame in frames
+        }
+        clouds = named["sensor_msgs/msg/PointCloud2"]
         for receive_ns, ours in rows:
-            message = cloud(ours) if isinstance(ours, LidarScan) else odometry(ours)
-            connection = named[
-                "sensor_msgs/msg/PointCloud2" if isinstance(ours, LidarScan) else "nav_msgs/msg/Odometry"
-            ]
-            bag.write(connection, receive_ns, ROS2.serialize_cdr(message, connection.msgtype))
+            if isinstance(ours, LidarScan):
+                bag.write(clouds, receive_ns, ROS2.serialize_cdr(cloud(ours), clouds.msgtype))
+                continue
+            for frame, connection in odometries.items():
+                bag.write(connection, receive_ns, ROS2.serialize_cdr(odometry(ours, frame), connection.msgtype))
     return path
 
 
@@ -184,3 +187,35 @@ def test_ros2_bag_with_vehicle_file(log: Path, tmp_path: Path) -> None:
     bare = write_bag(tmp_path / "bare", log, has_mount=False)
     with pytest.raises(ConfigError, match=r"missing sensors\.lidar\.points\.mount\.xyz_m\. There are no defaults"):
         prepare(bare, None, file, CONFIGURATION)
+
+
+def test_sensors_bound_to_topics(log: Path, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", log, has_mount=False, frames=("wheels", "visual"))
+    file = tmp_path / "car.yaml"
+
+    def vehicle(lidar_topic: str, wheels: str = "") -> Path:
+        file.write_text(VEHICLE.replace("    points:\n", f"    roof:\n      topic: {lidar_topic}\n") + wheels)
+        return file
+
+    two = r"no odometry is usable: the frame of odom/odometry_visual .*'visual'.*, odom/odometry_wheels .* is unknown"
+    with pytest.raises(LogError, match=two):
+        prepare(bag, None, vehicle("/top/points"), CONFIGURATION)
+    wheels = "  wheels: {topic: /odometry_wheels, rate_hz: 10, speed_sigma_mps: 0.1, angle_sigma_deg: 1}\n"
+    prepared = prepare(bag, None, vehicle("/top/points", wheels), CONFIGURATION)
+    assert prepared.machine.lidars == {"roof": "lidar/roof"}
+    assert (prepared.odometry.kind, prepared.odometry.topic) == ("topic", "odom/wheels")
+    (encounter,) = evaluate(bag, file)["encounters"]
+    assert encounter["entry_speed_mps"] == pytest.approx(6.0, abs=0.05)
+    known = r"sensors\.lidar\.roof\.topic: no topic '/front'; the recording has .*/top/points \(lidar\)"
+    with pytest.raises(LogError, match=known):
+        prepare(bag, None, vehicle("/front", wheels), CONFIGURATION)
+    with pytest.raises(LogError, match=r"sensors\.lidar\.roof\.topic: '/odometry_wheels' has messages of kind 'odom'"):
+        prepare(bag, None, vehicle("/odometry_wheels"), CONFIGURATION)
+
+
+def test_single_odometry_of_unknown_frame_is_named(log: Path, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", log, has_mount=False, frames=("visual",))
+    prepared = prepare(bag, None, vehicle_file(tmp_path), CONFIGURATION)
+    assert prepared.odometry.kind == "scans"
+    unknown = "the frame of odom/odometry_visual (child frame 'visual') is unknown; sensors.wheels.topic"
+    assert unknown in prepared.odometry.note

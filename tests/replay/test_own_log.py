@@ -8,7 +8,6 @@ from messages.errors import LogError
 from runtime.replay.object_removal import remove_object
 from runtime.replay.prepare import ReplayInput, load_configuration, prepare
 from runtime.replay.replay import replay
-from tests.replay.simulated_crossing import crossing
 from validation.obstacle_stop.conditions import load_conditions
 from validation.obstacle_stop.evaluation import evaluate_log
 from validation.obstacle_stop.observer import Observer
@@ -16,11 +15,6 @@ from validation.obstacle_stop.totals import aggregate
 
 CONDITIONS = load_conditions(None)
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="session")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return crossing(tmp_path_factory.mktemp("crossing") / "log.mcap")
 
 
 def evaluate(prepared: ReplayInput) -> dict:

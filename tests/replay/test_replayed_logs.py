@@ -49,6 +49,16 @@ def test_person_without_returns_is_missed(tmp_path: Path) -> None:
     assert result["missed"] == 1
 
 
+def test_reverse_driving_is_monitored_and_judged(tmp_path: Path) -> None:
+    """A rear at −1 m and a person from −14.25 m on: due at a gap below S(3 m/s) = 4.18 m, after 3.02 s."""
+    seen = evaluate(drive(tmp_path / "seen.mcap", (-14.5, 0.3), seconds=4.0, speed_mps=-3.0), tmp_path)
+    (encounter,) = seen["encounters"]
+    assert (encounter["outcome"], encounter["direction"], seen["false_stops"]) == ("in time", -1, 0)
+    assert encounter["due_s"] == pytest.approx(3.1, abs=0.01)
+    hidden = drive(tmp_path / "hidden.mcap", (-14.5, 0.3), seconds=4.0, speed_mps=-3.0, is_person_hidden=True)
+    assert [e["outcome"] for e in evaluate(hidden, tmp_path)["encounters"]] == ["missed"]
+
+
 def test_person_beside_corridor_is_no_encounter(tmp_path: Path) -> None:
     result = evaluate(drive(tmp_path / "beside.mcap", (20.0, 3.0), seconds=2.5), tmp_path)
     assert (result["encounters"], result["stops"], result["state"]) == ([], [], "not_shown")
@@ -99,6 +109,7 @@ def test_unreadable_logs_reported_and_results_reused(tmp_path: Path) -> None:
     one, two = json.loads(first.stdout), json.loads(second.stdout)
     assert first.returncode == 2, first.stderr
     assert [f["log"] for f in one["failed_to_read"]] == ["empty.mcap", "none.log"]
+    assert one["state"] == "not_shown"
     assert "1 of 3 evaluated before" in second.stderr
     assert one == two
     last = (tmp_path / "out" / "result.jsonl").read_text().splitlines()[-1]

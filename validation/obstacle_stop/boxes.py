@@ -1,4 +1,4 @@
-"""True objects as boxes in base, and their returns: inside, beyond and in front of the box."""
+"""True objects as boxes in base, and their returns."""
 
 import math
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Bool, Float32, Float64, Int64
+from geometry.jit import kernel
 from messages.truth import TrueObject
 
 GRID = 5  # points along each side of a footprint
@@ -60,26 +61,14 @@ def box_of(true: TrueObject, T_base_truth: Float64) -> Box:
 def points_near(points_m: Float32, box: Box, margin_m: float) -> Int64:
     """Indices of the points (N, 3) in a square around a box."""
     reach = 0.5 * float(np.linalg.norm(box.size_m)) + margin_m
-    d = np.abs(points_m[:, :2] - box.center_m[:2].astype(np.float32))
-    return np.flatnonzero((d[:, 0] < reach) & (d[:, 1] < reach))
+    return _near(points_m, np.float32(box.center_m[0]), np.float32(box.center_m[1]), reach)
 
 
-def count_beams(points_m: Float32, origin_m: Float64, box: Box) -> tuple[int, int]:
-    """Numbers of beams through the box that end behind it, and that end in front of it."""
-    start, d = box.local(origin_m[None])[0], box.local(points_m) - box.local(origin_m[None])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        one, two = (-0.5 * box.size_m - start) / d, (0.5 * box.size_m - start) / d
-    enter, leave = np.fmax.reduce(np.fmin(one, two), axis=1), np.fmin.reduce(np.fmax(one, two), axis=1)
-    is_met = (enter < leave) & (leave > 0.0)
-    return int(np.count_nonzero(is_met & (leave < 1.0))), int(np.count_nonzero(is_met & (enter > 1.0)))
-
-
-def points_towards(points_m: Float32, origin_m: Float64, box: Box) -> Int64:
-    """Indices of the points in the horizontal sector of the box, seen from the origin."""
-    d = box.center_m[:2] - origin_m[:2]
-    distance = max(float(np.hypot(*d)), 1e-6)
-    half = math.asin(min(1.0, 0.5 * float(np.hypot(*box.size_m[:2])) / distance)) if distance > 0.0 else math.pi
-    rel = points_m[:, :2] - origin_m[:2].astype(np.float32)
-    c, s = math.cos(math.atan2(d[1], d[0])), math.sin(math.atan2(d[1], d[0]))
-    along, across = rel[:, 0] * c + rel[:, 1] * s, rel[:, 1] * c - rel[:, 0] * s
-    return np.flatnonzero((along > 0.0) & (np.abs(across) <= along * math.tan(min(half, 1.5)) + 1e-6))
+@kernel
+def _near(points_m: Float32, x_m: np.float32, y_m: np.float32, reach_m: float) -> Int64:
+    found, n = np.empty(len(points_m), np.int64), 0
+    for i in range(len(points_m)):
+        if abs(points_m[i, 0] - x_m) < reach_m and abs(points_m[i, 1] - y_m) < reach_m:
+            found[n] = i
+            n += 1
+    return found[:n].copy()

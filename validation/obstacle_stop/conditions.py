@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from configs.strict import Config, load
 from messages.perception import ObstacleClass
+from validation.obstacle_stop.consistency.config import ConsistencyConditions
 
 FILE = Path(__file__).parent.parent / "conditions" / "obstacle_stop.yaml"
 Metres = Annotated[float, Field(ge=0.0, le=500.0)]
@@ -63,6 +64,13 @@ class MaxCounts(Config):
     false_stops: Count
 
 
+class RequiredBounds(Config):
+    """Exact 95 % bounds that a verdict needs to be shown: upper of the missed share, lower of the recall."""
+
+    missed_share: float = Field(default=1.0, gt=0.0, le=1.0)
+    recall: float = Field(default=0.0, ge=0.0, lt=1.0)
+
+
 class Window(Config):
     """Time interval of the logs whose name matches `log`."""
 
@@ -98,11 +106,14 @@ class Conditions(Config):
     classes: tuple[ObstacleClass, ...] = Field(min_length=1)
     recognition_m: Metres
     settling_s: float = Field(ge=0.0, le=10.0)
+    margin_m: Metres = 0.0
     max_counts: MaxCounts
+    required_bounds: RequiredBounds = RequiredBounds()
     windows: tuple[Window, ...]
     ignored: tuple[IgnoredArea, ...]
     must_stop: tuple[ListedObject, ...]
     must_not_stop: tuple[ListedObject, ...]
+    consistency: ConsistencyConditions
 
     def is_evaluated(self, log: str, t_s: float) -> bool:
         """Whether a time of a log is evaluated: inside one of its windows, or no window is given."""

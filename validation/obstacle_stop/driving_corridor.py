@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Float64
+from geometry.jit import kernel
 from geometry.polyline import arc_length
 from messages.plan import Path
 
@@ -42,8 +43,9 @@ def corridor_along(
     """Corridor along a path from about arc length `s_m` on, for a pose in map (3,): x, y, yaw."""
     first, last = max(s_m - SEARCH_M, float(path.s_m[0])), min(s_m + length_m, float(path.s_m[-1]))
     s = np.append(np.arange(first, last, STEP_M), last)
-    x, y = (np.interp(s, path.s_m, path.p_map_m[:, k]) for k in (0, 1))
-    heading = np.interp(s, path.s_m, np.unwrap(path.heading_rad))
+    near = slice(max(0, int(np.searchsorted(path.s_m, first)) - 1), int(np.searchsorted(path.s_m, last)) + 2)
+    x, y = (np.interp(s, path.s_m[near], path.p_map_m[near, k]) for k in (0, 1))
+    heading = np.interp(s, path.s_m[near], np.unwrap(path.heading_rad[near]))
     front = np.column_stack([x + front_m * np.cos(heading), y + front_m * np.sin(heading)]) - pose_map[:2]
     c, n = math.cos(pose_map[2]), math.sin(pose_map[2])
     front_base = np.column_stack([c * front[:, 0] + n * front[:, 1], c * front[:, 1] - n * front[:, 0]])
@@ -56,15 +58,27 @@ def corridor_along(
 
 def project(path_m: Float64, xy_m: Float64) -> tuple[Float64, Float64]:
     """Arc length of the nearest position on a polyline for each point (N,), and distance; infinite beyond its ends."""
-    a, d = path_m[:-1], np.diff(path_m, axis=0)
-    length = np.hypot(d[:, 0], d[:, 1])
-    u = d / length[:, None]
-    along = xy_m @ u.T - np.einsum("ij,ij->i", a, u)
-    across = u[:, 0] * (xy_m[:, 1:] - a[:, 1]) - u[:, 1] * (xy_m[:, :1] - a[:, 0])
-    over = along - np.clip(along, 0.0, length)
-    k = np.argmin(np.hypot(over, across), axis=1)
-    row = np.arange(len(xy_m))
-    is_past = ((k == 0) & (over[row, k] < 0.0)) | ((k == len(length) - 1) & (over[row, k] > 0.0))
-    # outside a bend the nearest position is the corner
-    aside = np.where(is_past, np.inf, np.hypot(over[row, k], across[row, k]))
-    return arc_length(path_m)[k] + np.clip(along, 0.0, length)[row, k], aside
+    s, aside = np.empty(len(xy_m)), np.empty(len(xy_m))
+    at_m = arc_length(path_m)
+    length = np.diff(at_m)
+    _project(path_m, np.diff(path_m, axis=0) / length[:, None], length, at_m, xy_m, s, aside)
+    return s, aside
+
+
+@kernel
+def _project(
+    path: Float64, u: Float64, length: Float64, at_m: Float64, xy: Float64, s: Float64, aside: Float64
+) -> None:
+    last = len(u) - 1
+    for i in range(len(xy)):
+        nearest, best, past = 0, np.inf, 0.0
+        for k in range(last + 1):
+            x, y = xy[i, 0] - path[k, 0], xy[i, 1] - path[k, 1]
+            along, across = x * u[k, 0] + y * u[k, 1], u[k, 0] * y - u[k, 1] * x
+            over = along - min(max(along, 0.0), length[k])
+            distance = over * over + across * across
+            if distance < best:
+                nearest, best, past, s[i] = k, distance, over, at_m[k] + along - over
+        is_past = (nearest == 0 and past < 0.0) or (nearest == last and past > 0.0)
+        # outside a bend the nearest position is the corner
+        aside[i] = np.inf if is_past else np.sqrt(best)

@@ -1,49 +1,40 @@
-"""Encounters: objects that entered the driving corridor, with the outcome of each.
-
-               entry within S?
-               ├─ at the start of the log ────────────────► censored (missed without a request for a second)
-               ├─ occluded before, always in the corridor ► occluded
-               ├─ from the side ──────────────────────────► cut-in
-stop request ──┤ no: requested while it could still stop? ► in time, else late
-no request ────┴─ needed, or not detected within 10 m ────► missed; else in time (no request was necessary)
-"""
+"""Encounters: true objects in the swept path, judged by truth and physics (avoidability.py, ghost.py)."""
 
 import math
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
+from geometry.arrays import Bool, Float64
+from validation.obstacle_stop.approaches import Approaches, Course
+from validation.obstacle_stop.avoidability import STANDING_MPS, Approach, Limits, Outcome, due_index, outcome_of
 from validation.obstacle_stop.conditions import Conditions
-from validation.obstacle_stop.observation import LogObservation, ObjectObservation, StopRequest
-from validation.obstacle_stop.ranges import confirmed, range_without_failure
+from validation.obstacle_stop.ghost import STEP_S, GhostDrive, drive_ghost
+from validation.obstacle_stop.observation import LogObservation, ObjectObservation
+from validation.obstacle_stop.ranges import IN_A_ROW, confirmed, range_without_failure
+from validation.obstacle_stop.recorded_motion import RecordedMotion, Section
+from validation.obstacle_stop.requests import limits_for
 from validation.obstacle_stop.stopping import stopping_distance_m
-from validation.obstacle_stop.visibility import clearance_of, in_forward_region, is_in_corridor
+from validation.obstacle_stop.true_tracks import TrueTrack
 
-EARLY_NS = 1_000_000_000  # a tracked obstacle may cause a request before its entry
-START_S = 0.25
-
-
-class Outcome(StrEnum):
-    """Outcome of an encounter; not shown without truth."""
-
-    IN_TIME = "in time"
-    LATE = "late"
-    MISSED = "missed"
-    CUT_IN = "cut-in"
-    OCCLUDED = "occluded"
-    CENSORED = "censored"
-    NOT_SHOWN = "not shown"
+EARLY_NS = 5_000_000_000  # requests so long before the object is in the path belong to it
+AFTER_NS = 300_000_000
+MIN_DRIVEN_M = 1.0  # a machine that drives less is no trial
+AHEAD_RAD = math.radians(45.0)  # BD-5.4.1b: the region on the working path is 90 degrees wide
+GAP_EVERY = 10  # steps of the ghost between two gaps
 
 
 @dataclass(frozen=True)
 class Encounter:
-    """One object in the driving corridor.
+    """One object in the swept path of the recorded drive.
 
-    `clearance_m`, `stopping_distance_m` (S alone), `required_range_m` and `margin_m` (clearance − S) hold at
-    `decision_s`: the entry for cut-in, occluded and censored, the stop request if there is one, else the smallest
-    margin. `request_delay_s` counts from the entry; ranges are from the front of the vehicle.
+    `entry_*`: first moment in the path. `due_s`: the gap falls below S (None: never). `decision_s`: the first request,
+    else `due_s`, else the smallest margin; `clearance_m` is the gap to the true box then and `stopping_distance_m` S.
+    `margin_m` belongs to the ghost with the worst-case brake: its smallest gap up to `standstill_s`, negative: how far
+    it drives on after it reaches the object; None without a request, without standstill, or out of the path.
+    `has_contact` and `impact_speed_mps`: the outline itself touches, of the ghost, without a request of the recording.
+    `gaps`: time, gap and S at each label in the path.
     """
 
     log: str
@@ -51,22 +42,30 @@ class Encounter:
     label: str
     role: str
     outcome: Outcome
+    direction: int
     entry_s: float
+    exit_s: float
+    due_s: float | None
     decision_s: float
     clearance_m: float
     stopping_distance_m: float
-    required_range_m: float
-    margin_m: float
+    margin_m: float | None
+    standstill_s: float | None
+    has_contact: bool
+    impact_speed_mps: float | None
     entry_clearance_m: float
     entry_speed_mps: float
     entry_stopping_distance_m: float
     least_margin_m: float
     relative_speed_mps: float | None
+    visible_s: float | None
+    visible_range_m: float | None
     first_range_m: float | None
     confirmed_range_m: float | None
     stop_requested_s: float | None
     request_delay_s: float | None
     is_stop_requested: bool
+    gaps: tuple[tuple[float, float, float], ...]
 
     @property
     def as_dict(self) -> dict[str, Any]:
@@ -74,186 +73,214 @@ class Encounter:
         values = asdict(self)
         values["class"] = values.pop("label")
         values["outcome"] = self.outcome.value
-        return {k: _plain(v) for k, v in values.items()}
+        values["gaps"] = [[plain(v) for v in row] for row in self.gaps]
+        return {k: plain(v) for k, v in values.items()}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Value of `--json`: rounded, null for infinite and unknown."""
     if isinstance(value, float):
         return round(value, 3) if math.isfinite(value) else None
     return value
 
 
 @dataclass(frozen=True)
-class Moment:
-    """An object in the corridor at one scan."""
+class Result:
+    """Result of a ghost for one object; `margin_m` as in `Encounter`; `is_avoided`: it stops in time."""
 
-    stamp_ns: int
-    clearance_m: float
-    speed_mps: float
-    stopping_distance_m: float
-    required_range_m: float
-
-    @property
-    def margin_m(self) -> float:
-        """Clearance beyond S."""
-        return self.clearance_m - self.stopping_distance_m
+    has_contact: bool
+    impact_speed_mps: float | None
+    margin_m: float | None
+    standstill_ns: int | None
+    is_avoided: bool
 
 
 def find_encounters(log: str, observed: LogObservation, conditions: Conditions) -> list[Encounter]:
-    """All encounters of a log in order of entry."""
-    least = conditions.corridor.min_returns
-    found = []
-    for observations in observed.observations.values():
-        rows = sorted(observations, key=lambda s: s.stamp_ns)
-        if any(is_in_corridor(s, least) for s in rows):
-            found.append(_encounter(log, rows, observed, conditions))
+    """All encounters of a log with truth in order of entry."""
+    if observed.recorded is None:
+        return []
+    approaches = Approaches(observed, observed.recorded, conditions)
+    judge = _Judge(log, observed, observed.recorded, conditions, approaches)
+    found = [judge(course, *interval) for course in approaches.courses.values() for interval in course.intervals()]
     return sorted(found, key=lambda e: (e.entry_s, e.id))
 
 
-def _encounter(log: str, rows: list[ObjectObservation], observed: LogObservation, conditions: Conditions) -> Encounter:
-    inside = [s for s in rows if is_in_corridor(s, conditions.corridor.min_returns)]
-    moments = [moment_of(s, observed, conditions) for s in inside]
-    entry, least = moments[0], min(moments, key=lambda m: m.margin_m)
-    request = first_request(rows[0].id, entry.stamp_ns, moments[-1].stamp_ns, observed)
-    outcome = classify(rows, moments, request, observed, conditions)
-    decision = entry
-    if outcome in (Outcome.IN_TIME, Outcome.LATE):
-        decision = least if request is None else moment_at(moments, request.stamp_ns)
-    elif outcome is Outcome.MISSED:
-        decision = least
-    countable = in_forward_region(rows, conditions.recall.min_returns)
-    stop_requested_s = None if request is None else observed.time_s(request.stamp_ns)
-    entry_s = observed.time_s(entry.stamp_ns)
-    return Encounter(
-        log, rows[0].id, rows[0].label, rows[0].role, outcome, entry_s, observed.time_s(decision.stamp_ns),
-        decision.clearance_m, decision.stopping_distance_m, decision.required_range_m, decision.margin_m,
-        entry.clearance_m, entry.speed_mps,
-        entry.stopping_distance_m, least.margin_m, relative_speed(moments),
-        range_without_failure([(s.front_distance_m, s.is_detected) for s in countable]),
-        range_without_failure(confirmed([(s.front_distance_m, s.is_detected) for s in countable])),
-        stop_requested_s, None if stop_requested_s is None else stop_requested_s - entry_s,
-        any(a.is_stop for a in requests_for(rows[0].id, observed)),
-    )  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    log: str
+    observed: LogObservation
+    recorded: RecordedMotion
+    conditions: Conditions
+    approaches: Approaches
+
+    def __call__(self, course: Course, first: int, last: int) -> Encounter:
+        """The encounter of one interval of a course."""
+        observed, track, section = self.observed, course.track, course.sections[first]
+        a, rows = self.approaches.approach(course, first, last)
+        due = due_index(a.gap_m, a.stopping_distance_m, a.speed_mps)
+        due_ns = None if due is None else course.stamps_ns[rows[due]]
+        from_ns, until_ns = self._interval_ns(course, first, last)
+        requests = limits_for(
+            track.id,
+            lambda t: self.approaches.ids_before(track.id, t) if due is not None else set(),
+            observed.requests,
+            from_ns,
+            until_ns,
+        )
+        request_ns = next((t for t, limit in requests if limit < math.inf), None)
+        drive = self._ghost(requests, due_ns, request_ns, from_ns, until_ns)
+        result = judge_ghost(drive, from_ns, request_ns, track, section, self.conditions)
+        is_avoided = result.is_avoided and not self._is_released(drive, course, from_ns)
+        outcome = self._outcome(a, due, _effective_ns(drive, from_ns, request_ns), is_avoided, track.id)
+        return self._encounter(a, outcome, result, course, last, due_ns, request_ns, section.direction)
+
+    def _interval_ns(self, course: Course, first: int, last: int) -> tuple[int, int]:
+        """From when requests count, and until when: not beyond the section of the drive."""
+        section, sections, end_ns = course.sections[first], self.recorded.sections, int(self.recorded.stamps_ns[-1])
+        follows = [s.start_ns for s in sections if s.start_ns > section.start_ns]
+        from_ns = max(section.start_ns, course.stamps_ns[first] - EARLY_NS)
+        return from_ns, min(course.stamps_ns[last] + AFTER_NS, follows[0] if follows else end_ns, end_ns)
+
+    def _ghost(
+        self, requests: list[tuple[int, float]], due_ns: int | None, request_ns: int | None, from_ns: int, until_ns: int
+    ) -> GhostDrive:
+        """The ghost of the interval; braking of a driver after the request was due does not help it."""
+        count = max(2, math.ceil((until_ns - from_ns) * 1e-9 / STEP_S) + 1)
+        stamps = from_ns + (np.arange(count) * STEP_S * 1e9).astype(np.int64)
+        s, v = self.recorded.at(stamps)
+        if due_ns is not None and request_ns is not None and request_ns > due_ns:
+            s_due, v_due = self.recorded.at(due_ns)
+            is_after = (stamps > due_ns) & (stamps <= request_ns)
+            steady = s_due + v_due * (stamps - due_ns) * 1e-9
+            s, v = np.where(is_after, np.maximum(s, steady), s), np.where(is_after, np.maximum(v, v_due), v)
+        times = np.array([t for t, _ in requests], np.int64)
+        values = np.array([math.inf, *(limit for _, limit in requests)])
+        limits = values[np.searchsorted(times, stamps, side="right")]
+        return drive_ghost(STEP_S * np.arange(count, dtype=np.float64), s, v, limits, self.conditions.braking)
+
+    def _is_released(self, drive: GhostDrive, course: Course, from_ns: int) -> bool:
+        """Whether the request was taken back although it was still due then or later."""
+        if drive.is_requested[-1]:
+            return False
+        own = np.flatnonzero(drive.is_requested)
+        since_ns = from_ns + round(float(drive.t_s[own[-1]]) * 1e9) if len(own) else from_ns
+        end_ns = from_ns + round((float(drive.t_s[-1]) + STEP_S) * 1e9)
+        later = [i for i, t in enumerate(course.stamps_ns) if since_ns <= t <= end_ns]
+        braking = self.conditions.braking
+        speeds = [float(self.recorded.at(course.stamps_ns[i])[1]) for i in later]
+        return any(
+            v > STANDING_MPS and course.gaps_m[i] < stopping_distance_m(v, braking.reaction_s, braking)
+            for i, v in zip(later, speeds, strict=True)
+        )
+
+    def _outcome(
+        self, a: Approach, due: int | None, request_ns: int | None, is_avoided: bool, object_id: int
+    ) -> Outcome:
+        if self.observed.driven_m < MIN_DRIVEN_M:
+            return Outcome.NOT_SHOWN
+        braking = self.conditions.braking
+        prompt_s = max(braking.reaction_s - braking.dead_time_s, self.observed.period_s) + 0.02
+        request_s = None if request_ns is None else self.observed.time_s(request_ns)
+        limits = Limits(prompt_s, self.conditions.settling_s)
+        outcome = outcome_of(a, due, request_s, is_avoided, limits, self.observed.setting.is_manual)
+        is_unjudged = outcome in (Outcome.NO_DEMAND, Outcome.DRIVER)
+        return Outcome.MISSED if is_unjudged and self._is_unrecognized(a, object_id) else outcome
+
+    def _is_unrecognized(self, a: Approach, object_id: int) -> bool:
+        """BD-5.4.1b: visible ahead in the path within the recognition range in three moments, and never detected."""
+        rows = self.observed.observations.get(object_id, [])
+        ahead = [r for r in rows if abs(r.bearing_rad) <= AHEAD_RAD]
+        times = np.array([self.observed.time_s(r.stamp_ns) for r in ahead])
+        is_near = (a.gap_m <= self.conditions.recognition_m) & a.is_visible
+        is_seen = [bool(len(times)) and float(np.abs(times - t).min()) < 0.1 for t in a.t_s[is_near].tolist()]
+        return sum(is_seen) >= IN_A_ROW and not any(r.is_detected for r in rows)
+
+    def _encounter(
+        self, a: Approach, outcome: Outcome, result: Result, course: Course, last: int,
+        due_ns: int | None, request_ns: int | None, direction: int,
+    ) -> Encounter:  # fmt: skip
+        observed, track = self.observed, course.track
+        inside = np.flatnonzero(np.isfinite(a.gap_m))
+        margins = a.gap_m - a.stopping_distance_m
+        entry, least = int(inside[0]), int(inside[np.argmin(margins[inside])])
+        requested_s = None if request_ns is None else observed.time_s(request_ns)
+        due_s = None if due_ns is None else observed.time_s(due_ns)
+        decision_s = requested_s if requested_s is not None else due_s if due_s is not None else float(a.t_s[least])
+        at = int(inside[np.argmin(np.abs(a.t_s[inside] - decision_s))])
+        seen = np.flatnonzero(a.is_visible & np.isfinite(a.gap_m))
+        rows = in_forward_region(observed.observations.get(track.id, []), self.conditions.recall.min_returns)
+        entry_s = float(a.t_s[entry])
+        touching = [r for r in observed.requests if track.id in r.touched]
+        return Encounter(
+            self.log, track.id, track.label, track.role, outcome, direction, entry_s,
+            observed.time_s(course.stamps_ns[last]), due_s, decision_s, _at(a.t_s, a.gap_m, inside, decision_s),
+            float(a.stopping_distance_m[at]), result.margin_m if request_ns is not None else None,
+            None if result.standstill_ns is None else observed.time_s(result.standstill_ns), result.has_contact,
+            result.impact_speed_mps, float(a.gap_m[entry]), float(a.speed_mps[entry]),
+            float(a.stopping_distance_m[entry]), float(margins[least]), closing_speed(a.t_s[inside], a.gap_m[inside]),
+            float(a.t_s[seen[0]]) if len(seen) else None, float(a.gap_m[seen[0]]) if len(seen) else None,
+            range_without_failure([(s.front_distance_m, s.is_detected) for s in rows]),
+            range_without_failure(confirmed([(s.front_distance_m, s.is_detected) for s in rows])),
+            requested_s, None if requested_s is None else requested_s - entry_s, any(r.is_stop for r in touching),
+            tuple((float(a.t_s[k]), float(a.gap_m[k]), float(a.stopping_distance_m[k])) for k in inside),
+        )  # fmt: skip
 
 
-def classify(
-    rows: list[ObjectObservation],
-    moments: list[Moment],
-    request: StopRequest | None,
-    observed: LogObservation,
-    conditions: Conditions,
-) -> Outcome:
-    """Outcome by the decision tree above."""
-    entry = moments[0]
-    is_inside = entry.clearance_m < entry.stopping_distance_m
-    after_s = math.inf if request is None else (request.stamp_ns - entry.stamp_ns) * 1e-9
-    if is_inside and observed.time_s(entry.stamp_ns) <= START_S:
-        return Outcome.CENSORED if after_s <= conditions.settling_s else Outcome.MISSED
-    if request is None:
-        is_needed = any(m.margin_m < 0.0 for m in moments)
-        return Outcome.MISSED if is_needed or is_undetected(rows, moments, conditions) else Outcome.IN_TIME
-    if is_inside:
-        braking = conditions.braking
-        allowed_s = max(braking.reaction_s - braking.dead_time_s, observed.period_s) + 0.02
-        if after_s > allowed_s:
-            return Outcome.LATE
-        return Outcome.OCCLUDED if was_occluded(rows, entry.stamp_ns, conditions) else Outcome.CUT_IN
-    if request.stamp_ns < entry.stamp_ns:
-        return Outcome.IN_TIME
-    then = moment_at(moments, request.stamp_ns)
-    left_m = stopping_distance_m(then.speed_mps, conditions.braking.dead_time_s, conditions.braking)
-    return Outcome.IN_TIME if then.clearance_m >= left_m else Outcome.LATE
+def _at(t_s: Float64, gap_m: Float64, inside: np.ndarray, at_s: float) -> float:
+    """Gap at a time, linear between moments in the path."""
+    return float(np.interp(at_s, t_s[inside], gap_m[inside]))
 
 
-def is_undetected(rows: list[ObjectObservation], moments: list[Moment], conditions: Conditions) -> bool:
-    """Whether it was never detected although it came within the required recognition range."""
-    near_m = min(m.clearance_m - max(m.required_range_m, conditions.recognition_m) for m in moments)
-    return near_m < 0.0 and not any(s.is_detected for s in rows)
+def _effective_ns(drive: GhostDrive, from_ns: int, request_ns: int | None) -> int | None:
+    """Delivery of the request that the ghost obeys in the end: an earlier one that was released counts for nothing."""
+    starts = np.flatnonzero(np.diff(drive.is_own.astype(np.int8)) > 0) + 1
+    return request_ns if not len(starts) else from_ns + round(float(drive.t_s[starts[-1]]) * 1e9)
 
 
-def was_occluded(rows: list[ObjectObservation], entry_ns: int, conditions: Conditions) -> bool:
-    """Whether its box was in the corridor in the scans before entry, with beams ending in front of it."""
-    previous = [s for s in rows if s.stamp_ns < entry_ns][-3:]
-    least = conditions.corridor.min_returns
-    return any(s.above_ground < least <= s.beams_before and math.isfinite(s.box_clearance_m) for s in previous)
+def judge_ghost(
+    drive: GhostDrive, from_ns: int, request_ns: int | None, track: TrueTrack, section: Section, conditions: Conditions
+) -> Result:
+    """Contact, impact speed and margin of a ghost that starts at `from_ns`."""
+    stamps = from_ns + np.round(drive.t_s * 1e9).astype(np.int64)
+    poses, path = track.poses_at(stamps), section.path
+    is_counted = (drive.speed_mps > STANDING_MPS) & (stamps >= track.stamps_ns[0])
+    touch = _first_touch(path.separations_m(drive.s_m, poses, track.half_m), drive, is_counted)
+    standstill_ns = int(stamps[-1]) if drive.stands else None
+    if touch is not None:
+        contact = _first_touch(section.body_path.separations_m(drive.s_m, poses, track.half_m), drive, is_counted)
+        margin = touch[0] - float(drive.s_m[-1]) if drive.stands else None
+        return Result(contact is not None, None if contact is None else contact[1], margin, standstill_ns, False)
+    chosen = [*range(0, len(stamps), GAP_EVERY), len(stamps) - 1]
+    if request_ns is not None:
+        chosen = [k for k in chosen if stamps[k] >= request_ns] or [len(stamps) - 1]
+    gaps = [path.gap_m(float(drive.s_m[k]), poses[k], track.half_m, conditions.corridor.length_m) for k in chosen]
+    braking, least = conditions.braking, min(gaps)
+    left = stopping_distance_m(float(drive.speed_mps[-1]), braking.dead_time_s, braking)
+    is_avoided = least >= conditions.margin_m and (drive.stands or gaps[-1] >= left)
+    margin = least if drive.stands and math.isfinite(least) else None
+    return Result(False, None, margin, standstill_ns, is_avoided)
 
 
-def moment_of(observation: ObjectObservation, observed: LogObservation, conditions: Conditions) -> Moment:
-    """Clearance and required distances at one observation."""
-    speed = observed.motion.max_speed_at(observation.stamp_ns)
-    stopping = stopping_distance_m(speed, conditions.braking.reaction_s, conditions.braking)
-    return Moment(
-        observation.stamp_ns,
-        clearance_of(observation),
-        speed,
-        stopping,
-        stopping + allowance_at(observation.stamp_ns, observed),
-    )
-
-
-def allowance_at(stamp_ns: int, observed: LogObservation) -> float:
-    """Margin and uncertainties that the supervisor added to S at that time."""
-    nearest = min(observed.requests, key=lambda a: abs(a.stamp_ns - stamp_ns), default=None)
-    return 0.0 if nearest is None or not math.isfinite(nearest.allowance_m) else nearest.allowance_m
-
-
-def moment_at(moments: list[Moment], stamp_ns: int) -> Moment:
-    """Values at a time, linear between scans."""
-    stamps = np.array([m.stamp_ns for m in moments], np.float64)
-    rows = np.array([(m.clearance_m, m.speed_mps, m.stopping_distance_m, m.required_range_m) for m in moments])
-    at = [float(np.interp(float(stamp_ns), stamps, rows[:, k])) for k in range(4)]
-    return Moment(min(max(stamp_ns, moments[0].stamp_ns), moments[-1].stamp_ns), at[0], at[1], at[2], at[3])
-
-
-def requests_for(object_id: int, observed: LogObservation) -> list[StopRequest]:
-    """Stop requests caused by an object."""
-    return [a for a in observed.requests if a.is_braking and object_id in a.touched]
-
-
-def first_request(object_id: int, entry_ns: int, left_ns: int, observed: LogObservation) -> StopRequest | None:
-    """First request from 1 s before entry until shortly after exit."""
-    late_ns = left_ns + round((observed.period_s + 0.2) * 1e9)
-    mine = [a for a in requests_for(object_id, observed) if entry_ns - EARLY_NS <= a.stamp_ns <= late_ns]
-    return mine[0] if mine else None
-
-
-def relative_speed(moments: list[Moment]) -> float | None:
-    """Closing speed in the first second (m/s, positive: closing); None for a single scan."""
-    some = [m for m in moments if m.stamp_ns - moments[0].stamp_ns <= 1_000_000_000]
-    if len(some) < 2:
+def _first_touch(apart_m: Float64, drive: GhostDrive, is_counted: Bool) -> tuple[float, float] | None:
+    """Distance and speed of a ghost at the first contact; None without one."""
+    hits = np.flatnonzero((apart_m < 0.0) & is_counted)
+    if not len(hits):
         return None
-    t = np.array([(m.stamp_ns - some[0].stamp_ns) * 1e-9 for m in some])
-    return -float(np.polynomial.polynomial.polyfit(t, np.array([m.clearance_m for m in some]), 1)[1])
+    k = int(hits[0])
+    if k == 0 or apart_m[k - 1] <= 0.0:
+        return float(drive.s_m[k]), float(drive.speed_mps[k])
+    share = float(apart_m[k - 1] / (apart_m[k - 1] - apart_m[k]))
+    return float(drive.s_m[k - 1] + share * (drive.s_m[k] - drive.s_m[k - 1])), float(drive.speed_mps[k])
 
 
-def encounters_without_truth(log: str, observed: LogObservation, conditions: Conditions) -> list[Encounter]:
-    """Encounters of a log without truth: confirmed tracks in the corridor, outcome not shown."""
-    out = []
-    for rows in observed.tracks.values():
-        if not any(r.is_confirmed for r in rows):
-            continue
-        moments = []
-        for r in rows:
-            speed = observed.motion.max_speed_at(r.stamp_ns)
-            s = stopping_distance_m(speed, conditions.braking.reaction_s, conditions.braking)
-            moments.append(Moment(r.stamp_ns, r.clearance_m, speed, s, s + allowance_at(r.stamp_ns, observed)))
-        entry, least = moments[0], min(moments, key=lambda m: m.margin_m)
-        first = max(r.clearance_m for r in rows)
-        confirmed_range_m = max(r.clearance_m for r in rows if r.is_confirmed)
-        stops = [
-            a for a in observed.requests
-            if a.is_braking and abs(a.clearance_m - moment_at(moments, a.stamp_ns).clearance_m) < 2.0
-            and moments[0].stamp_ns <= a.stamp_ns <= moments[-1].stamp_ns
-        ]  # fmt: skip
-        stop_requested_s = observed.time_s(stops[0].stamp_ns) if stops else None
-        entry_s = observed.time_s(entry.stamp_ns)
-        out.append(Encounter(
-            log, rows[0].id, rows[-1].label, f"track {rows[0].id}", Outcome.NOT_SHOWN, entry_s,
-            observed.time_s(least.stamp_ns), least.clearance_m, least.stopping_distance_m, least.required_range_m,
-            least.margin_m, entry.clearance_m,
-            entry.speed_mps, entry.stopping_distance_m, least.margin_m, relative_speed(moments), first,
-            confirmed_range_m,
-            stop_requested_s, None if stop_requested_s is None else stop_requested_s - entry_s,
-            any(a.is_stop for a in stops),
-        ))  # fmt: skip
-    return sorted(out, key=lambda e: (e.entry_s, e.id))
+def in_forward_region(rows: list[ObjectObservation], min_returns: int) -> list[ObjectObservation]:
+    """Observations with enough returns in the 90° region ahead, from which detection ranges are computed."""
+    return [s for s in rows if abs(s.bearing_rad) <= AHEAD_RAD and s.returns >= min_returns]
+
+
+def closing_speed(t_s: Float64, gap_m: Float64) -> float | None:
+    """Closing speed in the first second (m/s, positive: closing); None for a single moment."""
+    some = t_s <= t_s[0] + 1.0
+    if np.count_nonzero(some) < 2:
+        return None
+    return -float(np.polynomial.polynomial.polyfit(t_s[some] - t_s[0], gap_m[some], 1)[1])

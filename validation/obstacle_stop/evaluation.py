@@ -4,16 +4,16 @@ from collections import Counter
 from typing import Any
 
 from validation.obstacle_stop.conditions import Conditions, listed_ids
-from validation.obstacle_stop.encounters import Encounter, encounters_without_truth, find_encounters
+from validation.obstacle_stop.encounters import MIN_DRIVEN_M, Encounter, find_encounters, in_forward_region
 from validation.obstacle_stop.observation import LogObservation, ObjectObservation
 from validation.obstacle_stop.ranges import confirmed
-from validation.obstacle_stop.stops import Stop, find_stops
-from validation.obstacle_stop.visibility import in_forward_region
+from validation.obstacle_stop.stops import Stop, false_stop_scans, find_stops
+from validation.obstacle_stop.tracked_encounters import encounters_without_truth
 
 
 def evaluate_log(log: str, observed: LogObservation, has_truth: bool, conditions: Conditions) -> dict[str, Any]:
     """Result of one log, input of `totals.aggregate`."""
-    has_truth = has_truth and observed.evaluated_scans > 0
+    has_truth = has_truth and (observed.evaluated_scans > 0 or bool(observed.true_tracks))
     encounters = (
         find_encounters(log, observed, conditions) if has_truth else encounters_without_truth(log, observed, conditions)
     )
@@ -23,6 +23,7 @@ def evaluate_log(log: str, observed: LogObservation, has_truth: bool, conditions
         "has_truth": has_truth,
         "encounters": [e.as_dict for e in encounters],
         "stops": [s.as_dict for s in stops],
+        "false_stop_scans": false_stop_scans(observed) if has_truth else None,
         "recall": recall_rows(observed, conditions) if has_truth else [],
         "confirmation": confirmation(observed),
         "detection_range": detection_range(observed, conditions),
@@ -32,7 +33,14 @@ def evaluate_log(log: str, observed: LogObservation, has_truth: bool, conditions
         "evaluated_scans": observed.evaluated_scans,
         "scan_period_s": round(observed.period_s, 4),
         "violations": violations(log, encounters, stops, conditions),
+        "not_shown": reasons(observed),
     }
+
+
+def reasons(observed: LogObservation) -> list[str]:
+    """Why the log is no trial: the machine did not move."""
+    driven_m = observed.driven_m
+    return [] if driven_m >= MIN_DRIVEN_M else [f"the machine did not move ({driven_m:.1f} m driven)"]
 
 
 def recall_rows(observed: LogObservation, conditions: Conditions) -> list[dict[str, Any]]:

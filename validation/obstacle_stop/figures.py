@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from validation.obstacle_stop.observation import LogObservation, ObjectObservation, Scene
-from validation.obstacle_stop.visibility import clearance_of, is_in_corridor
+from validation.obstacle_stop.observation import LogObservation, Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,22 +31,19 @@ def draw(plot: Callable[[Sequence[Axes]], None], columns: int, size: tuple[float
     return out.getvalue()
 
 
-def encounter_figure(
-    encounter: dict[str, Any], observed: LogObservation, front_m: float, width_m: float, least: int
-) -> bytes:
+def encounter_figure(encounter: dict[str, Any], observed: LogObservation, front_m: float, width_m: float) -> bytes:
     """Scenes at entry and at the smallest clearance, and clearance and S over time."""
     scenes = [
         observed.scenes[key]
         for key in ((encounter["id"], "entry"), (encounter["id"], "least"))
         if key in observed.scenes
     ]
-    rows = [s for s in observed.observations.get(encounter["id"], []) if is_in_corridor(s, least)]
 
     def plot(axes: Sequence[Axes]) -> None:
         for ax, scene, title in zip(axes, scenes, ("entry", "smallest clearance"), strict=False):
             _from_above(ax, scene, encounter["role"], front_m, width_m)
             ax.set_title(f"{title}, {scene.t_s:.1f} s", fontsize=9)
-        _over_time(axes[-1], rows, encounter, observed)
+        _over_time(axes[-1], encounter, observed)
 
     return draw(plot, len(scenes) + 1, (3.7 * (len(scenes) + 1), 4.2))
 
@@ -66,27 +62,15 @@ def _from_above(ax: Axes, scene: Scene, role: str, front_m: float, width_m: floa
     ax.set(xlim=(-14, 14), ylim=(-4, 36), aspect="equal", xlabel="right (m)", ylabel="ahead (m)")
 
 
-def _over_time(ax: Axes, rows: list[ObjectObservation], encounter: dict[str, Any], observed: LogObservation) -> None:
-    t = [observed.time_s(s.stamp_ns) for s in rows]
-    ax.plot(t, [clearance_of(s) for s in rows], ".-", color=THIS, label="clearance")
-    states = [
-        a for a in observed.requests if rows and rows[0].stamp_ns - 1_000_000_000 <= a.stamp_ns <= rows[-1].stamp_ns
-    ]
-    first_s, last_s = (t[0] - 1.0, t[-1] + 0.5) if t else (0.0, 1.0)
-    ax.axhline(
-        encounter["stopping_distance_m"], color=SPEED, lw=1, label=f"S = {encounter['stopping_distance_m']:.1f} m"
-    )
-    ax.axhline(
-        encounter["required_range_m"],
-        color=SPEED,
-        lw=1,
-        ls="--",
-        label=f"required {encounter['required_range_m']:.1f} m",
-    )
-    requested = [observed.time_s(a.stamp_ns) for a in states if a.is_braking and encounter["id"] in a.touched]
+def _over_time(ax: Axes, encounter: dict[str, Any], observed: LogObservation) -> None:
+    t, gaps, needed = zip(*encounter["gaps"], strict=True)
+    ax.plot(t, gaps, ".-", color=THIS, label="clearance")
+    ax.plot(t, needed, "-", color=SPEED, lw=1, label="S")
+    requested = [observed.time_s(r.receive_ns) for r in observed.requests if encounter["id"] in r.touched]
     ax.plot(requested, np.zeros(len(requested)), "|", color=OWN, label="braking requested")
-    ax.set(xlim=(first_s, last_s), ylim=(-0.5, None), xlabel="s", ylabel="m")
-    ax.set_title(f"{encounter['outcome']}: margin {encounter['margin_m']:.1f} m", fontsize=9)
+    ax.set(xlim=(t[0] - 1.0, t[-1] + 0.5), ylim=(-0.5, None), xlabel="s", ylabel="m")
+    margin = "—" if encounter["margin_m"] is None else f"{encounter['margin_m']:.1f} m"
+    ax.set_title(f"{encounter['outcome']}: margin {margin}", fontsize=9)
     ax.legend(fontsize=7)
 
 

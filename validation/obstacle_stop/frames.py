@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from geometry.arrays import Float32, Float64
-from geometry.pose2 import to_frame
+from geometry.pose2 import from_frame, to_frame
 from messages.sensors import LidarScan
 
 
@@ -23,6 +23,13 @@ def odom_pose_to_map(T_map_odom: Float64, pose: Float64) -> Float64:
     yaw = math.atan2(T_map_odom[1, 0], T_map_odom[0, 0])
     xy = to_frame(np.array([T_map_odom[0, 3], T_map_odom[1, 3], yaw]), pose[None, :2])[0]
     return np.array([xy[0], xy[1], pose[2] + yaw])
+
+
+def map_pose_to_odom(T_map_odom: Float64, poses: Float64) -> Float64:
+    """Poses (N, 3) from map to odom."""
+    yaw = math.atan2(T_map_odom[1, 0], T_map_odom[0, 0])
+    xy = from_frame(np.array([T_map_odom[0, 3], T_map_odom[1, 3], yaw]), poses[:, :2])
+    return np.column_stack([xy, poses[:, 2] - yaw])
 
 
 def is_in_ring(xy_m: Float64, ring_m: Float64) -> np.ndarray:

@@ -1,15 +1,17 @@
-"""Data gathered from a replay: observations of each true object by scan, stop requests, odometry."""
+"""Data gathered from a replay: motion, true objects, stop requests, and observations of each true object by scan."""
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from geometry.arrays import Float64
-from geometry.transforms import yaw_of
+from validation.obstacle_stop.recorded_motion import OdometryHistory, RecordedMotion
+from validation.obstacle_stop.structure import Structure
+from validation.obstacle_stop.swept_path import Outline
+from validation.obstacle_stop.true_tracks import TrueTrack
+from validation.obstacle_stop.visibility import View
 
 NO_CLEARANCE = float("inf")
-STANDSTILL_MPS = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +19,9 @@ class Setting:
     """Geometry of the recording vehicle and frame of the truth.
 
     `T_base_lidar` by lidar name; `truth_frame` is `map` (by the true machine pose) or a lidar name; `view_rad` is the
-    labelled half angle about the x axis of that lidar, π without limit; `half_width_m` is that of the corridor.
+    labelled half angle about the x axis of that lidar, π without limit. `half_width_m` is that of the corridor of the
+    stack; `working` and `transport` outlines decide contact. `views` are those of the obstacle sensors. `is_manual`: a
+    person drove.
     """
 
     log: str
@@ -27,6 +31,16 @@ class Setting:
     half_width_m: float
     truth_frame: str | None
     view_rad: float
+    working: Outline
+    transport: Outline
+    views: tuple[View, ...]
+    is_manual: bool
+
+    @property
+    def side_margin_m(self) -> float:
+        """Margin of the corridor beside the widest body."""
+        bodies = [*self.working.bodies, *([] if self.working.trailer is None else [self.working.trailer.body])]
+        return max(0.0, self.half_width_m - max(body.half_width_m for body in bodies))
 
 
 @dataclass(frozen=True)
@@ -44,11 +58,9 @@ class Scene:
 class ObjectObservation:
     """One true object in one scan.
 
-    `returns` in its box, `above_ground` those above the ground margin, `in_corridor` those of them in the corridor;
-    `clearance_m` to the nearest of these, `box_clearance_m` to the box (infinite: not in the corridor).
-    `beams_through` end behind the box, `beams_before` in front of it. `front_distance_m` is the horizontal distance
-    from the vehicle front, `bearing_rad` the direction of the box centre from there. `is_detected`: clusters hold half
-    of the returns; `is_detected_strictly`: one cluster does, and half of that cluster lies at the box.
+    `returns` in its box; `front_distance_m` is the horizontal distance from the vehicle front, `bearing_rad` the
+    direction of the box centre from there. `is_detected`: clusters hold half of the returns; `is_detected_strictly`:
+    one cluster does, and half of that cluster lies at the box.
     """
 
     id: int
@@ -56,37 +68,36 @@ class ObjectObservation:
     role: str
     stamp_ns: int
     returns: int
-    above_ground: int
-    in_corridor: int
-    clearance_m: float
-    box_clearance_m: float
-    beams_through: int
-    beams_before: int
     front_distance_m: float
     bearing_rad: float
     is_detected: bool
     is_detected_strictly: bool
-    center_odom_m: Float64
 
 
 @dataclass(frozen=True)
 class StopRequest:
-    """Output of the supervisor at one time; `is_braking`: less speed requested, `is_stop`: standstill requested.
+    """Output of the supervisor, delivered at `receive_ns`; `limit_mps` is the requested speed (infinite: no request).
 
-    `touched` are ids of true objects at the triggering points; `has_no_true_cause`: triggering points lie where truth
-    is complete, and no true object is there.
+    `touched` are ids of true objects at any triggering point, `cause` those at the nearest ones. `is_false`: truth is
+    complete at the nearest ones and no true object is there; None where truth does not decide it.
     """
 
+    receive_ns: int
     stamp_ns: int
     reason: str
+    label: str
     clearance_m: float
-    allowance_m: float
-    is_braking: bool
+    limit_mps: float
     is_stop: bool
     touched: tuple[int, ...]
-    has_no_true_cause: bool
+    cause: tuple[int, ...]
+    is_false: bool | None
     hit_odom_m: Float64 | None
-    label: str
+
+    @property
+    def is_braking(self) -> bool:
+        """Whether less speed is requested."""
+        return bool(np.isfinite(self.limit_mps))
 
 
 @dataclass(frozen=True)
@@ -101,69 +112,33 @@ class TrackObservation:
 
 
 @dataclass
-class OdometryHistory:
-    """Odometry as columns, looked up by time."""
-
-    stamps_ns: list[int] = field(default_factory=list)
-    poses: list[Float64] = field(default_factory=list)
-    speeds_mps: list[float] = field(default_factory=list)
-    turns_radps: list[float] = field(default_factory=list)
-    sigmas_mps: list[float] = field(default_factory=list)
-
-    def add(self, stamp_ns: int, T_odom_base: Float64, speed_mps: float, turn_radps: float, variance: float) -> None:
-        """Appends a sample; a stamp that does not increase is ignored."""
-        if self.stamps_ns and stamp_ns <= self.stamps_ns[-1]:
-            return
-        self.stamps_ns.append(stamp_ns)
-        self.poses.append(np.array([T_odom_base[0, 3], T_odom_base[1, 3], yaw_of(T_odom_base)]))
-        self.speeds_mps.append(speed_mps)
-        self.turns_radps.append(turn_radps)
-        self.sigmas_mps.append(math.sqrt(variance) if variance > 0.0 else 0.0)
-
-    def index(self, stamp_ns: int) -> int | None:
-        """Index of the nearest sample within 0.2 s, or None."""
-        if not self.stamps_ns:
-            return None
-        stamps = self.stamps_ns
-        k = int(np.searchsorted(stamps, stamp_ns)) if stamp_ns <= stamps[-1] else len(stamps)
-        best = min((j for j in (k - 1, k) if 0 <= j < len(stamps)), key=lambda j: abs(stamps[j] - stamp_ns))
-        return best if abs(stamps[best] - stamp_ns) <= 200_000_000 else None
-
-    def speed_at(self, stamp_ns: int) -> float:
-        """Forward speed (m/s) at a time; 0 when unknown."""
-        k = self.index(stamp_ns)
-        return 0.0 if k is None else self.speeds_mps[k]
-
-    def max_speed_at(self, stamp_ns: int) -> float:
-        """Upper speed (m/s) at a time: measured plus one standard deviation, 0 when unknown."""
-        k = self.index(stamp_ns)
-        return (
-            0.0
-            if k is None
-            else abs(self.speeds_mps[k]) + (self.sigmas_mps[k] if abs(self.speeds_mps[k]) > STANDSTILL_MPS else 0.0)
-        )
-
-
-@dataclass
 class LogObservation:
     """Input of the evaluation; times are stamps, `first_ns` to `last_ns` the evaluated interval.
 
-    By object id: `countable_ns` is the first scan with enough returns, `confirmed_ns` the receive time of the first
-    confirmed track there.
+    `observations` by object id (recall), `true_tracks` by object id, `requests` by delivery. By object id too:
+    `countable_ns` is the first scan with enough returns, `confirmed_ns` the receive time of the first confirmed track.
     """
 
-    observations: dict[int, list[ObjectObservation]] = field(default_factory=dict)
-    requests: list[StopRequest] = field(default_factory=list)
-    tracks: dict[int, list[TrackObservation]] = field(default_factory=dict)
+    setting: Setting
     motion: OdometryHistory = field(default_factory=OdometryHistory)
+    recorded: RecordedMotion | None = None
+    true_tracks: dict[int, TrueTrack] = field(default_factory=dict)
+    requests: list[StopRequest] = field(default_factory=list)
+    structure: Structure = field(default_factory=Structure)
+    observations: dict[int, list[ObjectObservation]] = field(default_factory=dict)
+    tracks: dict[int, list[TrackObservation]] = field(default_factory=dict)
     scans: list[int] = field(default_factory=list)
     evaluated_scans: int = 0
     first_ns: int = 0
     last_ns: int = 0
     scenes: dict[tuple[int, str], Scene] = field(default_factory=dict)
-    driven_m: float = 0.0
     countable_ns: dict[int, int] = field(default_factory=dict)
     confirmed_ns: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def driven_m(self) -> float:
+        """Distance driven."""
+        return 0.0 if self.recorded is None else float(self.recorded.s_m[-1])
 
     @property
     def period_s(self) -> float:

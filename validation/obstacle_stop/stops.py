@@ -1,11 +1,13 @@
 """Stop requests grouped into stops, and their classification as true or false."""
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Any
 
 from validation.obstacle_stop.observation import LogObservation, StopRequest
 
+Cause = tuple[tuple[int, ...], bool | None] | None
 MAX_PAUSE_NS = 600_000_000  # requests further apart are separate stops
 
 
@@ -36,30 +38,38 @@ class Stop:
 
 
 def find_stops(log: str, observed: LogObservation, has_truth: bool) -> list[Stop]:
-    """All intervals of requested braking."""
+    """All intervals of requested braking, one for each cause: the objects at the nearest triggering points, or none."""
     groups: list[list[StopRequest]] = []
+    latest: dict[Cause, list[StopRequest]] = {}
+    last: Cause = None
     for one in observed.requests:
         if not one.is_braking:
             continue
-        if groups and one.stamp_ns - groups[-1][-1].stamp_ns <= MAX_PAUSE_NS:
-            groups[-1].append(one)
-        else:
-            groups.append([one])
+        is_known = has_truth and (one.cause or one.is_false is not None)
+        last = (one.cause, one.is_false) if is_known else last  # one of unknown cause continues the last
+        group = latest.get(last)
+        if group is None or one.receive_ns - group[-1].receive_ns > MAX_PAUSE_NS:
+            group = latest[last] = []
+            groups.append(group)
+        group.append(one)
     return [_stop(log, group, observed, has_truth) for group in groups]
 
 
 def _stop(log: str, group: list[StopRequest], observed: LogObservation, has_truth: bool) -> Stop:
-    """A stop is false when no true object was at its triggering points although truth was complete there."""
-    objects = tuple(sorted({i for one in group for i in one.touched}))
+    """A stop is false when truth is complete at its cause and no true object is there."""
     worst = min(group, key=lambda a: a.clearance_m)
-    has_no_true_cause = any(one.has_no_true_cause and one.is_stop for one in group)
-    is_false = (not objects and has_no_true_cause) if has_truth else None
-    if has_truth and not objects and not any(one.has_no_true_cause for one in group):
-        is_false = None
+    is_stop = any(a.is_stop for a in group)
+    is_false = group[0].is_false if has_truth else None
     at = next((one.hit_odom_m for one in group if one.hit_odom_m is not None), None)
     return Stop(
-        log, observed.time_s(group[0].stamp_ns), observed.time_s(group[-1].stamp_ns), group[0].reason, worst.label,
-        round(worst.clearance_m, 3) if math.isfinite(worst.clearance_m) else None, objects,
-        any(a.is_stop for a in group), is_false,
+        log, observed.time_s(group[0].receive_ns), observed.time_s(group[-1].receive_ns), group[0].reason, worst.label,
+        round(worst.clearance_m, 3) if math.isfinite(worst.clearance_m) else None, group[0].cause, is_stop,
+        None if is_false is None else is_false and is_stop,
         None if at is None else (round(float(at[0]), 3), round(float(at[1]), 3)),
     )  # fmt: skip
+
+
+def false_stop_scans(observed: LogObservation) -> int:
+    """Number of scans during which a stop was requested that no true object explains."""
+    scans = sorted(set(observed.scans))
+    return len({bisect_right(scans, r.stamp_ns) for r in observed.requests if r.is_false and r.is_stop})

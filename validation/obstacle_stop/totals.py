@@ -4,12 +4,14 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+from validation.obstacle_stop.avoidability import Outcome
 from validation.obstacle_stop.conditions import Conditions
-from validation.obstacle_stop.encounters import Outcome
+from validation.obstacle_stop.headline import headline
 from validation.obstacle_stop.ranges import rate_bounds, share_bounds
 from validation.obstacle_stop.stopping import safe_speed_mps
 from validation.verdict import State
 
+UNUSABLE = ("truth", "odometry", "no_motion")  # first words of the codes of such findings
 FACTORS = {"simple": 2.0, "complex": 1.5}  # BD-5.2.4
 EVALUATED = (
     Outcome.IN_TIME.value,
@@ -27,30 +29,89 @@ def aggregate(logs: Sequence[dict[str, Any]], conditions: Conditions) -> dict[st
     encounters = [e for log in read for e in log["encounters"]]
     stops = [s for log in read for s in log["stops"]]
     counts = Counter(e["outcome"] for e in encounters)
-    hours, evaluated = sum(log["hours"] for log in read), sum(counts[o] for o in EVALUATED)
+    hours, evaluated = sum(log["hours"] for log in read), sum(is_trial(e) for e in encounters)
     missed = counts[Outcome.MISSED.value] if with_truth else None
     false_stops = sum(s["is_false"] is True for s in stops) if with_truth else None
     truth_hours = sum(log["hours"] for log in with_truth)
     known = [s for s in stops if s["is_false"] is not None]
-    return {
-        "state": state_of(read, counts, false_stops, evaluated, conditions).value,
+    shown, share = recall(with_truth), missed_share(with_truth)
+    not_shown = [*reasons_not_shown(logs, evaluated), *_below_bounds(share, shown, conditions)]
+    result = {
+        "state": state_of(read, counts, false_stops, not_shown, conditions).value,
+        "not_shown": not_shown,
+        "findings": [{"log": log["log"]} | finding for log in read for finding in log.get("findings", [])],
         "encounters": encounters,
         "outcomes": dict(sorted(counts.items())),
         "missed": missed,
-        "missed_share": _share(missed, evaluated),
+        "missed_share": share,
         "false_stops": false_stops,
         "false_stops_per_hour": _rate(false_stops, truth_hours),
+        "false_stop_scans": _share(*_false_scans(with_truth)),
+        "false_stop_causes": false_causes(stops),
         "false_stop_share": _share(false_stops, len(known)),
         "stops": stops,
         "hours": hours,
         "driven_m": round(sum(log["driven_m"] for log in read), 2),
         "safe_speed_kmh": safe_speeds(read, conditions),
-        "recall": recall(with_truth),
+        "recall": shown,
         "violations": [text for log in read for text in log["violations"]],
         "failed_to_read": [{"log": log["log"], "reason": log["failed"]} for log in logs if "failed" in log],
         "damaged": [{"log": log["log"], "reason": note} for log in read for note in damages(log)],
         "logs": len(logs),
     }
+    return result | {"headline": headline(result)}
+
+
+def reasons_not_shown(logs: Sequence[dict[str, Any]], evaluated: int) -> list[dict[str, str]]:
+    """Reasons why the logs cannot pass, blocking findings first; `log` is "" for a reason that concerns all."""
+    read = [log for log in logs if "failed" not in log]
+    blocking = [(log["log"], f["text"]) for log in read for f in log.get("findings", []) if f["is_blocking"]]
+    unread = [(log["log"], log["failed"]) for log in logs if "failed" in log]
+    own = [(log["log"], reason) for log in read for reason in log.get("not_shown", [])]
+    if not any(log["has_truth"] for log in read):
+        own.append(("", "no ground truth"))
+    elif not evaluated:
+        own.append(("", "no encounter"))
+    return [{"log": name, "reason": reason} for name, reason in (*blocking, *unread, *own)]
+
+
+def is_trial(encounter: dict[str, Any]) -> bool:
+    """Whether the stack was put to the proof; an excused object without a request shows nothing."""
+    outcome = encounter["outcome"]
+    return outcome == Outcome.MISSED.value or (outcome in EVALUATED and encounter["stop_requested_s"] is not None)
+
+
+def missed_share(with_truth: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Missed encounters among the trials; without logs whose truth lists only what was perceived."""
+    complete = [log for log in with_truth if log.get("is_truth_complete", True)]
+    trials = [e for log in complete for e in log["encounters"] if is_trial(e)]
+    return _share(sum(e["outcome"] == Outcome.MISSED.value for e in trials), len(trials))
+
+
+def _below_bounds(
+    share: dict[str, Any] | None, rows: list[dict[str, Any]], conditions: Conditions
+) -> list[dict[str, str]]:
+    """Bounds that the conditions require and that so few trials, or so little recall, do not show."""
+    required, out = conditions.required_bounds, []
+    high, trials = (1.0, 0) if share is None else (share["high"], share["of"])
+    if high > required.missed_share:
+        out.append(f"missed share up to {high:.3g} with {trials} encounters, {required.missed_share:g} required")
+    counted = [(row["found"], row["n"]) for row in rows if row["class"] == "all"]
+    low = share_bounds(sum(k for k, _ in counted), sum(n for _, n in counted))[0] if counted else 0.0
+    if low < required.recall:
+        out.append(f"recall from {low:.3g}, {required.recall:g} required")
+    return [{"log": "", "reason": reason} for reason in out]
+
+
+def _false_scans(with_truth: list[dict[str, Any]]) -> tuple[int | None, int]:
+    """Scans during which a stop was requested that no true object explains, and all evaluated scans."""
+    scans = sum(log["evaluated_scans"] for log in with_truth)
+    return (sum(log["false_stop_scans"] or 0 for log in with_truth) if with_truth else None), scans
+
+
+def false_causes(stops: list[dict[str, Any]]) -> dict[str, int]:
+    """Number of false stops by rule and perceived class."""
+    return dict(sorted(Counter(f"{s['reason']}, {s['class']}" for s in stops if s["is_false"]).items()))
 
 
 def damages(log: dict[str, Any]) -> list[str]:
@@ -59,14 +120,24 @@ def damages(log: dict[str, Any]) -> list[str]:
 
 
 def state_of(
-    read: list[dict[str, Any]], counts: Counter[str], false_stops: int | None, evaluated: int, conditions: Conditions
-) -> State:
-    """Failed above a limit or with a violation; passed with truth and an evaluated encounter; else not shown."""
+    read: list[dict[str, Any]], counts: Counter[str], false_stops: int | None, not_shown: Sequence[Any],
+    conditions: Conditions,
+) -> State:  # fmt: skip
+    """Not shown with unusable truth or motion; failed above a limit or with a violation; not shown with a reason for
+    it; else passed."""
     limits = conditions.max_counts
+    unusable = [f for log in read for f in log.get("findings", []) if f["is_blocking"] and is_unusable(f["code"])]
+    if unusable:
+        return State.NOT_SHOWN
     is_over = counts[Outcome.MISSED.value] > limits.missed or counts[Outcome.LATE.value] > limits.late
     if is_over or (false_stops or 0) > limits.false_stops or any(log["violations"] for log in read):
         return State.FAILED
-    return State.PASSED if evaluated and any(log["has_truth"] for log in read) else State.NOT_SHOWN
+    return State.NOT_SHOWN if not_shown else State.PASSED
+
+
+def is_unusable(code: str) -> bool:
+    """Whether a finding makes the truth or the motion unusable, so that not even a failure is shown."""
+    return code.startswith(UNUSABLE)
 
 
 def _share(count: int | None, of: int) -> dict[str, Any] | None:

@@ -1,64 +1,97 @@
-"""Visibility and detection of one object in one scan."""
+"""Visibility of true objects from the sensors: field of view, range, and what stands in between. Numbers only.
+
+A box is visible when a sensor sees at least `MIN_SHARE` of the points on it and no label says that it is largely
+hidden.
+What hides it: other true boxes, and static structure of the log (returns at other times, see structure.py).
+"""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from geometry.arrays import Float32, Float64
-from messages.perception import Obstacles
-from validation.obstacle_stop.boxes import Box
-from validation.obstacle_stop.observation import ObjectObservation, Setting
+from geometry.arrays import Bool, Float64
+from messages.truth import Occlusion
 
-BEHIND_M = 3.0
-AHEAD_RAD = math.radians(45.0)  # BD-5.4.1b: the region on the working path is 90 degrees wide
-
-
-def in_forward_region(rows: list[ObjectObservation], min_returns: int) -> list[ObjectObservation]:
-    """Observations with enough returns in the 90° region ahead, from which detection ranges are computed."""
-    return [s for s in rows if abs(s.bearing_rad) <= AHEAD_RAD and s.returns >= min_returns]
+MIN_SHARE = 0.25
+SHARES = (0.15, 0.5, 0.85)  # of length, width and height: points on a box
+ELEVATION_SLACK_RAD = math.radians(0.5)
 
 
-def is_under_vehicle(box: Box, setting: Setting) -> bool:
-    """Whether the box overlaps the vehicle, as when a log is driven through an inserted object."""
-    x, y = box.center_m[:2]
-    reach = 0.5 * float(box.size_m[:2].min())
-    return bool(-BEHIND_M < x < setting.front_m + reach and abs(y) < 0.5 * setting.width_m + reach)
+@dataclass(frozen=True, eq=False)
+class View:
+    """Field of view of a mounted sensor: `T_base_sensor` (4, 4), half angle in azimuth, elevations, farthest range."""
+
+    T_base_sensor: Float64
+    half_azimuth_rad: float
+    elevation_rad: tuple[float, float]
+    range_m: float
+
+    def covers(self, points_base_m: Float64) -> Bool:
+        """Mask (N,) of the points (N, 3) in base inside the field of view."""
+        p = (points_base_m - self.T_base_sensor[:3, 3]) @ self.T_base_sensor[:3, :3]
+        flat = np.hypot(p[:, 0], p[:, 1])
+        elevation = np.arctan2(p[:, 2], flat)
+        low, high = self.elevation_rad
+        is_seen = (elevation >= low - ELEVATION_SLACK_RAD) & (elevation <= high + ELEVATION_SLACK_RAD)
+        is_seen &= np.abs(np.arctan2(p[:, 1], p[:, 0])) <= self.half_azimuth_rad
+        return np.asarray(is_seen & (np.hypot(flat, p[:, 2]) <= self.range_m))
 
 
-def is_in_corridor(observation: ObjectObservation, min_returns: int) -> bool:
-    """Whether the object is in the corridor: by its returns or, without returns, by beams through its box."""
-    if observation.in_corridor >= min_returns:
-        return True
-    return observation.above_ground < min_returns <= observation.beams_through and math.isfinite(
-        observation.box_clearance_m
-    )
+class Solid(Protocol):
+    """Something that hides what is behind it."""
+
+    def blocks(self, origin_m: Float64, points_m: Float64) -> Bool:
+        """Mask (N,): whether it lies between the origin (3,) and each point (N, 3)."""
 
 
-def clearance_of(observation: ObjectObservation) -> float:
-    """Clearance to the nearest return in the corridor, else to the box."""
-    return observation.clearance_m if math.isfinite(observation.clearance_m) else observation.box_clearance_m
+@dataclass(frozen=True, eq=False)
+class SolidBox:
+    """A box that hides what is behind it: centre (3,), size (3,), yaw."""
+
+    center_m: Float64
+    size_m: Float64
+    yaw_rad: float
+
+    def points_m(self) -> Float64:
+        """Points (27, 3) spread over the box."""
+        x, y, z = (np.array(SHARES) * side - 0.5 * side for side in self.size_m)
+        grid = np.stack(np.meshgrid(x, y, z), axis=-1).reshape(-1, 3)
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        turned = np.column_stack([c * grid[:, 0] - s * grid[:, 1], s * grid[:, 0] + c * grid[:, 1], grid[:, 2]])
+        return np.asarray(turned + self.center_m)
+
+    def blocks(self, origin_m: Float64, points_m: Float64) -> Bool:
+        """Mask (N,): whether the box lies between the origin and each point; not when either is inside."""
+        start, end = self._local(origin_m[None])[0], self._local(points_m)
+        d, half = end - start, 0.5 * self.size_m
+        with np.errstate(divide="ignore", invalid="ignore"):
+            one, two = (-half - start) / d, (half - start) / d
+        enter, leave = np.fmax.reduce(np.fmin(one, two), axis=1), np.fmin.reduce(np.fmax(one, two), axis=1)
+        return np.asarray((enter < leave) & (enter > 0.0) & (leave < 1.0))
+
+    def _local(self, points_m: Float64) -> Float64:
+        d = points_m - self.center_m
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]])
 
 
-def detection_of(
-    mine: np.ndarray, points: Float32, box: Box, obstacles: Obstacles | None, association_m: float
-) -> tuple[bool, bool]:
-    """`is_detected` and `is_detected_strictly` for the returns with indices `mine`."""
-    sizes = np.diff(obstacles.offsets) if obstacles is not None else np.empty(0, np.int64)
-    if obstacles is None or not len(mine) or not len(sizes):
-        return False, False
-    is_mine = np.zeros(len(points), bool)
-    is_mine[mine] = True
-    hits = np.bincount(np.repeat(np.arange(len(sizes)), sizes), is_mine[obstacles.indices], len(sizes))
-    k = int(hits.argmax())
-    is_detected = bool(hits.sum() >= 0.5 * len(mine))
-    if hits[k] < 0.5 * len(mine):
-        return is_detected, False
-    own = points[obstacles.indices[obstacles.offsets[k] : obstacles.offsets[k + 1]]]
-    return True, bool(box.contains(own, association_m).mean() >= 0.5)
+def visible_share(box: SolidBox, views: Sequence[View], solids: Sequence[Solid]) -> float:
+    """Greatest share of the points on a box that one of the sensors sees; all coordinates in base."""
+    points, best = box.points_m(), 0.0
+    for view in views:
+        is_free = view.covers(points)
+        for solid in solids:
+            if is_free.any():
+                is_free[is_free] = ~solid.blocks(view.T_base_sensor[:3, 3], points[is_free])
+        best = max(best, float(is_free.mean()))
+    return best
 
 
-def front_distance_m(points_m: Float32 | Float64, setting: Setting) -> float:
-    """Horizontal distance of the nearest point from the front edge of the vehicle."""
-    ahead = np.maximum(points_m[:, 0] - setting.front_m, 0.0)
-    aside = np.maximum(np.abs(points_m[:, 1]) - 0.5 * setting.width_m, 0.0)
-    return float(np.hypot(ahead, aside).min())
+def is_visible(box: SolidBox, occlusion: Occlusion, views: Sequence[View], solids: Sequence[Solid]) -> bool:
+    """Whether an object is visible; a label overrules what its surroundings suggest, not the fields of view."""
+    if occlusion is Occlusion.LARGELY:
+        return False
+    return visible_share(box, views, () if occlusion is Occlusion.NONE else solids) >= MIN_SHARE

@@ -1,4 +1,19 @@
-"""Verdicts on the first forty KITTI frames, and on the same replay with altered outputs."""
+"""Verdicts on the first forty KITTI frames, and on the same replay with altered outputs.
+
+By hand, from labels and odometry. Frame k is at 0.1 k s; the camera is 0.27 m ahead of the lidar, the lidar 0.76 m
+ahead of the rear axle, the bumper 3.66 m ahead of it.
+
+*Van*: at 0 s it is at z = 13.41 m, turned by 31°; its nearest corner in the path is 9.3 m ahead of the bumper, and it
+drives away. The car drives at 3.45 m/s: S = 3.45·(0.6 + 0.4) − 2.5·0.4²/6 + (3.45 − 0.5)²/5 = 5.1 m. Margin 4.2 m at
+0 s, more later: no demand.
+
+*Cyclist*: drifts from the right into the path, predictably. At 3.6 s z ≈ 8.0 m, so that its centre is 9.03 m ahead of
+the rear axle; length 1.79 m and width 0.82 m at 21° reach 0.98 m back: 9.03 − 0.98 − 3.66 = 4.4 m ahead of the bumper.
+S(3.6 m/s) = 3.6 − 0.07 + 1.92 = 5.5 m: a stop is due when it comes into the path at 3.3 s. The request stands since
+2.65 s, so the brake of the ghost acts from 2.95 s: it is behind the car by 2.5·0.4²/6 = 0.07 m at 3.35 s and by
+0.07 + 0.075 + 0.03 = 0.17 m at 3.5 s, when the car is nearest, and 0.07 m more because the car accelerates. Margin
+4.25 + 0.17 + 0.07 = 4.5 m: in time.
+"""
 
 import math
 from collections.abc import Callable
@@ -56,9 +71,10 @@ def failures(result: dict) -> list[str]:
     van, cyclist = by_id.get(0), by_id.get(1)
     delays = {row["id"]: row["after_s"] for row in result["confirmation"]}
     checks = {
-        "van": van is not None and abs(van["margin_m"] - 4.1) <= 0.4 and van["stop_requested_s"] is None,
-        "cyclist": cyclist is not None and cyclist["outcome"] == "cut-in" and abs(cyclist["clearance_m"] - 4.9) <= 0.6
-        and abs(cyclist["stopping_distance_m"] - 6.1) <= 0.5 and 3.2 <= cyclist["entry_s"] <= 3.9,
+        "van": van is not None and van["outcome"] == "no demand" and abs(van["least_margin_m"] - 4.2) <= 0.3,
+        "cyclist": cyclist is not None and cyclist["outcome"] == "in time"
+        and cyclist["margin_m"] is not None and abs(cyclist["margin_m"] - 4.5) <= 0.3
+        and cyclist["due_s"] is not None and 3.1 <= cyclist["due_s"] <= 3.5 and not cyclist["has_contact"],
         "request": cyclist is not None and cyclist["request_delay_s"] is not None and cyclist["request_delay_s"] <= 0.1,
         "others": set(by_id) == {0, 1} and all(set(s["objects"]) <= {1} for s in result["stops"]),
         "false stops": result["false_stops"] == 0,
@@ -71,6 +87,11 @@ def failures(result: dict) -> list[str]:
 
 def test_unaltered_replay_meets_all_expectations() -> None:
     assert failures(evaluate()) == []
+
+
+def test_state_is_passed_with_the_cyclist_as_the_only_trial() -> None:
+    result = evaluate()
+    assert (result["state"], result["missed_share"]["of"], result["false_stop_scans"]["count"]) == ("passed", 1, 0)
 
 
 def test_permanent_stop_request_counts_as_false_stop() -> None:

@@ -5,13 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from runtime.replay.trajectory import Trajectory, driven_sections, extrapolate, motion_of
-from validation.obstacle_stop.boxes import Box, count_beams
+from messages.message import Message
+from runtime.replay.log_inspection import LogInspection, Stream
+from runtime.replay.trajectory import Trajectory, driven_sections, motion_of
 from validation.obstacle_stop.conditions import load_conditions
 from validation.obstacle_stop.driving_corridor import DrivingCorridor, project
 from validation.obstacle_stop.frames import is_in_ring
 from validation.obstacle_stop.ranges import confirmed, range_without_failure, rate_bounds, share_bounds
+from validation.obstacle_stop.recorded_motion import turning_points
 from validation.obstacle_stop.stopping import safe_speed_mps, stopping_distance_m
+from validation.obstacle_stop.swept_path import arc
 
 BRAKING = load_conditions(None).braking
 
@@ -62,15 +65,6 @@ def test_corridor_clearance_from_front_within_half_width() -> None:
     assert clearances.tolist() == pytest.approx([2.0, math.inf, math.inf, 6.0])
 
 
-def test_beam_counts_before_and_through_box() -> None:
-    box = Box(1, "person", "p", np.array([10.0, 0.0, 1.0]), np.array([1.0, 1.0, 2.0]), 0.3)
-    origin = np.array([0.0, 0.0, 1.0])
-    points = np.array(
-        [[20.0, 0.0, 1.0], [5.0, 0.0, 1.0], [10.0, 0.0, 1.0], [20.0, 9.0, 1.0], [-20.0, 0.0, 1.0]], np.float32
-    )
-    assert count_beams(points, origin, box) == (1, 1)
-
-
 def test_point_in_ring() -> None:
     ring = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]])
     assert is_in_ring(np.array([[2.0, 2.0], [5.0, 2.0]]), ring).tolist() == [True, False]
@@ -86,8 +80,8 @@ def test_path_extension_keeps_last_curvature(side: float) -> None:
         poses[k, :2, 3] = side * math.sin(a) / (side * 0.05) * side, side * (1.0 - math.cos(a)) / 0.05
     poses[:, 0, 3] = np.abs(poses[:, 0, 3])
     (stage,) = driven_sections(Trajectory(stamps, poses, motion_of(stamps, poses)), 20.0)
-    end = extrapolate(np.array([0.0, 0.0, 0.0, 0.0]), side * 0.05, 35.0)[-1]
-    assert stage.path.p_map_m[-1] == pytest.approx(end[1:3], abs=0.05)
+    end = arc(np.zeros(3), side * 0.05, np.array([35.0]))[0]
+    assert stage.path.p_map_m[-1] == pytest.approx(end[:2], abs=0.05)
     assert motion_of(stamps, poses)[15, 0] == pytest.approx(5.0, abs=1e-3)
 
 
@@ -97,5 +91,41 @@ def test_path_split_at_reversal() -> None:
     poses = np.tile(np.eye(4), (60, 1, 1))
     poses[:, 0, 3] = x
     stages = driven_sections(Trajectory(stamps, poses, motion_of(stamps, poses)), 10.0)
-    assert len(stages) == 2
-    assert stages[0].path.s_m[-1] < 4.0 < stages[1].path.s_m[-1]
+    assert [stage.path.direction for stage in stages] == [1, -1, 1]
+    assert [round(float(stage.s_m[-1]), 3) for stage in stages] == pytest.approx([3.8, 3.8, 3.8])
+    assert stages[1].path.p_map_m[-1] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert (np.abs(stages[1].path.heading_rad) < 1e-9).all()  # of the machine, not of the motion
+    assert stages[0].path.s_m[-1] < 4.0 < stages[2].path.s_m[-1]
+
+
+def test_noise_at_standstill_is_no_reversal() -> None:
+    ahead = np.concatenate([np.linspace(0.0, 5.0, 50), 5.0 + np.random.default_rng(1).normal(0.0, 0.03, 100)])
+    assert turning_points(ahead) == [0]
+    assert turning_points(np.concatenate([ahead, np.linspace(5.0, 4.0, 20)])) == [0, int(np.argmax(ahead))]
+
+
+def inspection(**ages_s: float) -> LogInspection:
+    """Streams whose messages are received so long after their stamps."""
+    out = LogInspection()
+    for name, age_s in ages_s.items():
+        stream = out.streams[name] = Stream(name)
+        for k in range(10):
+            stream.add(round((k + age_s) * 1e9), Message(k * 10**9))
+    return out
+
+
+@pytest.mark.parametrize(
+    ("ages_s", "expected_s"),
+    [
+        ({"lidar": 0.1, "imu": 0.01}, 0.0),
+        ({"lidar": 8.0, "imu": 8.0}, 0.0),  # all late by the same: a latency
+        ({"lidar": 50.0, "imu": 0.01}, 0.0),  # one stream alone
+        ({"lidar": 5000.1, "imu": 5000.0}, 5000.0),
+        ({"lidar": -30.0, "imu": -29.9}, -30.0),  # received before it was measured
+        ({"lidar": -0.01, "imu": 0.0}, 0.0),
+    ],
+)
+def test_clock_difference_is_common_to_all_streams_and_larger_than_any_latency(
+    ages_s: dict[str, float], expected_s: float
+) -> None:
+    assert inspection(**ages_s).clock_offset_ns(10.0) == pytest.approx(expected_s * 1e9, abs=1e3)

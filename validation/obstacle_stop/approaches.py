@@ -1,0 +1,143 @@
+"""Approaches: the intervals in which a true object is in the swept path, with gap, S and speed at each label."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import Float64
+from validation.obstacle_stop.avoidability import Approach
+from validation.obstacle_stop.boxes import Box
+from validation.obstacle_stop.by_stamp import nearest
+from validation.obstacle_stop.conditions import Conditions
+from validation.obstacle_stop.observation import LogObservation
+from validation.obstacle_stop.recorded_motion import RecordedMotion, Section
+from validation.obstacle_stop.stopping import stopping_distance_m
+from validation.obstacle_stop.structure import StaticCells
+from validation.obstacle_stop.true_tracks import TrueTrack
+from validation.obstacle_stop.visibility import Solid, SolidBox, is_visible
+
+PAUSE_NS = 5_000_000_000  # an object longer out of the path is a new encounter
+FRONT_M = 1.0  # what comes into the path further behind the front comes from the side: braking avoids nothing
+BEFORE_NS = 10_000_000_000
+HORIZON_S = np.arange(0.5, 4.01, 0.5)  # of the constant-velocity prediction
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """One true object along the drive: gaps (M,) at the evaluated labels `k` (M,) of its track."""
+
+    track: TrueTrack
+    k: list[int]
+    stamps_ns: list[int]
+    gaps_m: Float64
+    sections: list[Section]
+
+    def gap_at(self, stamp_ns: int) -> float:
+        """Gap at the nearest label, infinite without one."""
+        i = nearest(self.stamps_ns, stamp_ns, 300_000_000)
+        return math.inf if i is None else float(self.gaps_m[i])
+
+    def intervals(self) -> list[tuple[int, int]]:
+        """First and last index of each time in the path, in one section of the drive."""
+        out: list[tuple[int, int]] = []
+        for i in np.flatnonzero(np.isfinite(self.gaps_m)).tolist():
+            is_same = bool(out) and self.sections[i] is self.sections[out[-1][1]]
+            if is_same and self.stamps_ns[i] - self.stamps_ns[out[-1][1]] <= PAUSE_NS:
+                out[-1] = (out[-1][0], i)
+            else:
+                out.append((i, i))
+        return out
+
+
+class Approaches:
+    """Courses of all true objects of a log."""
+
+    def __init__(self, observed: LogObservation, recorded: RecordedMotion, conditions: Conditions) -> None:
+        self._observed, self._recorded, self._conditions = observed, recorded, conditions
+        self._setting = observed.setting
+        self._cells: StaticCells | None = None
+        self.courses = {id: self._course(track) for id, track in observed.true_tracks.items()}
+
+    def _course(self, track: TrueTrack) -> Course:
+        observed, conditions, recorded = self._observed, self._conditions, self._recorded
+        kept = [k for k, t in enumerate(track.stamps_ns)
+                if conditions.is_evaluated(self._setting.log, observed.time_s(t))]  # fmt: skip
+        stamps = [track.stamps_ns[k] for k in kept]
+        sections = [recorded.section_at(t) for t in stamps]
+        reach, s = conditions.corridor.length_m, recorded.at(np.array(stamps, np.int64))[0]
+        gaps: list[float] = []
+        for k, at, section in zip(kept, s.tolist(), sections, strict=True):
+            gap = section.path.gap_m(at, track.poses[k], track.half_m, reach)
+            if gap == 0.0 and not (gaps and math.isfinite(gaps[-1])):
+                gap = 0.0 if section.path.gap_m(at - FRONT_M, track.poses[k], track.half_m) > 0.0 else math.inf
+            gaps.append(gap)
+        return Course(track, kept, stamps, np.array(gaps), sections)
+
+    def ids_before(self, object_id: int, stamp_ns: int) -> set[int]:
+        """Objects in the path that are not further than this one, at a time."""
+        own = self.courses[object_id].gap_at(stamp_ns)
+        gaps = {i: course.gap_at(stamp_ns) for i, course in self.courses.items() if i != object_id}
+        return {i for i, gap in gaps.items() if gap <= own and math.isfinite(gap)}
+
+    def approach(self, course: Course, first: int, last: int) -> tuple[Approach, range]:
+        """Numbers of one interval, from `BEFORE_NS` before it, and the indices of its moments in the course."""
+        start = first
+        while start > 0 and course.stamps_ns[first] - course.stamps_ns[start - 1] <= BEFORE_NS \
+                and course.sections[start - 1] is course.sections[first]:  # fmt: skip
+            start -= 1
+        rows = range(start, last + 1)
+        stamps = np.array([course.stamps_ns[i] for i in rows], np.int64)
+        speeds = self._recorded.at(stamps)[1]
+        braking = self._conditions.braking
+        needed = np.array([stopping_distance_m(v, braking.reaction_s, braking) for v in speeds.tolist()])
+        gaps = course.gaps_m[start : last + 1]
+        is_open = course.stamps_ns[last] >= int(self._recorded.stamps_ns[-1]) - 2 * round(self._period_ns)
+        t_s = np.array([self._observed.time_s(int(t)) for t in stamps])
+        is_due = (gaps < needed) & np.isfinite(gaps)
+        until = int(np.argmax(is_due)) if is_due.any() else -1
+        predicted = np.array([self._predicted_gap_m(course, i) if n <= until and not math.isfinite(gaps[n]) else -1.0
+                              for n, i in enumerate(rows)])  # fmt: skip
+        seen = np.array([self.is_visible(course, i) if is_due.any() else True for i in rows])
+        return Approach(t_s, gaps, needed, speeds, predicted, seen, is_open), rows
+
+    @property
+    def _period_ns(self) -> float:
+        return self._observed.period_s * 1e9
+
+    def _predicted_gap_m(self, course: Course, i: int) -> float:
+        """Greatest gap at which the constant-velocity prediction from label `i` on meets the path; −1: never."""
+        track, k = course.track, course.k[i]
+        velocity = track.velocity_mps(k)
+        if not velocity.any():
+            return -1.0
+        s = float(self._recorded.at(course.stamps_ns[i])[0])
+        poses = [track.poses[k] + np.array([*(velocity * t), 0.0]) for t in HORIZON_S]
+        path, reach = course.sections[i].path, self._conditions.corridor.length_m
+        gaps = [path.gap_m(s, pose, track.half_m, reach) for pose in poses]
+        return max((gap for gap in gaps if math.isfinite(gap)), default=-1.0)
+
+    def is_visible(self, course: Course, i: int) -> bool:
+        """Whether a sensor sees the object at label `i`."""
+        track, k, stamp = course.track, course.k[i], course.stamps_ns[i]
+        base = self._observed.motion.pose_at(stamp)
+        assert base is not None, "tracks have only labels with odometry"
+        if self._cells is None:
+            self._cells = self._observed.structure.cells(self._recorded.sections)
+        box = track.boxes[k]
+        solids: list[Solid] = [solid_of(other) for other in self._others(track.id, stamp)]
+        solids.append(self._cells.around(base, box.center_m[:2], float(np.hypot(*track.half_m))))
+        return is_visible(solid_of(box), track.occlusions[k], self._setting.views, solids)
+
+    def _others(self, object_id: int, stamp_ns: int) -> list[Box]:
+        out = []
+        for id, track in self._observed.true_tracks.items():
+            k = nearest(track.stamps_ns, stamp_ns, 1_000_000) if id != object_id else None
+            if k is not None:
+                out.append(track.boxes[k])
+        return out
+
+
+def solid_of(box: Box) -> SolidBox:
+    """The box as something that hides and is hidden."""
+    return SolidBox(box.center_m, box.size_m, box.yaw_rad)

@@ -1,0 +1,1 @@
+"""Consistency of the inputs of an evaluation: odometry, mounts, ring model, times and truth."""

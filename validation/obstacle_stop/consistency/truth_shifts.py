@@ -1,0 +1,118 @@
+"""Shifts of the truth in place, yaw and time that are compared, and true boxes at any time."""
+
+import math
+from bisect import bisect_left
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import Float64
+from geometry.transforms import interpolate, invert
+from messages.truth import TrueMachine, TrueObjects
+from validation.obstacle_stop.boxes import Box, box_of
+from validation.obstacle_stop.consistency.config import TruthLimits
+
+KEEP_NS = 8_000_000_000
+YAWS_DEG = (-4.0, -3.0, -2.0, -1.5, 1.5, 2.0, 3.0, 4.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Shifts:
+    """Displacements (S, 2) of all boxes in base, turns (Y,) about the sensor, and delays (D,) of the truth.
+
+    Truth in map is displaced along the axes of map. The places from `first_wide` on are an even grid over the search
+    range. A positive delay means that the truth is late: the boxes of a scan have later stamps. With poses of the
+    machine in the truth a delay holds for both, and `has_objects_late` adds delays of the objects alone.
+    """
+
+    places_m: Float64
+    first_wide: int
+    yaws_rad: Float64
+    delays_s: Float64
+    has_objects_late: bool
+
+    @classmethod
+    def of(cls, limits: TruthLimits, has_machine: bool) -> "Shifts":
+        """Coarse grid over the search range and a fine one near zero."""
+        wide = np.arange(-limits.search_m, limits.search_m + 1e-9, limits.step_m)
+        fine = np.arange(-1.5, 1.5 + 1e-9, 0.5 * limits.step_m)
+        places = np.concatenate([np.stack(np.meshgrid(g, g), axis=-1).reshape(-1, 2) for g in (fine, wide)])
+        count = round(limits.search_s / limits.step_s)
+        delays = np.arange(-count, count + 1) * np.float64(limits.step_s)
+        return cls(places, len(fine) ** 2, np.radians(YAWS_DEG), delays, has_machine)
+
+    @property
+    def zero(self) -> int:
+        """Index of no displacement."""
+        return int(np.argmin(np.abs(self.places_m).sum(axis=1)))
+
+    def __len__(self) -> int:
+        return len(self.places_m) + len(self.yaws_rad) + len(self.delays_s) * (1 + self.has_objects_late)
+
+    def size_of(self, k: int) -> tuple[str, float, float]:
+        """Kind of shift `k` (`place`, `yaw`, `time`, `objects_time`) and its values."""
+        n, m, d = len(self.places_m), len(self.yaws_rad), len(self.delays_s)
+        if k < n:
+            return "place", float(self.places_m[k, 0]), float(self.places_m[k, 1])
+        if k < n + m:
+            return "yaw", math.degrees(self.yaws_rad[k - n]), 0.0
+        return ("time" if k < n + m + d else "objects_time"), float(self.delays_s[(k - n - m) % d]), 0.0
+
+
+class TrueBoxes:
+    """Recent truth; `at` gives the boxes in base at a time, `is_complete_until` the time of the newest truth."""
+
+    def __init__(self, truth_frame: str | None, T_base_lidar: dict[str, Float64], classes: set[str]) -> None:
+        self._frame, self._mounts, self._classes = truth_frame, T_base_lidar, classes
+        self._objects: deque[TrueObjects] = deque()
+        self._machines: deque[TrueMachine] = deque()
+        self.latest_ns = 0
+
+    @property
+    def has_machine(self) -> bool:
+        """Whether the truth is in map, by poses of the machine."""
+        return self._frame is not None and self._frame not in self._mounts
+
+    def add(self, message: TrueObjects | TrueMachine) -> None:
+        """Stores truth of the last 8 s."""
+        queue: deque[TrueObjects] | deque[TrueMachine]
+        queue = self._objects if isinstance(message, TrueObjects) else self._machines
+        if queue and message.stamp_ns <= queue[-1].stamp_ns:
+            return
+        queue.append(message)  # type: ignore[arg-type]
+        while queue[-1].stamp_ns - queue[0].stamp_ns > KEEP_NS:
+            queue.popleft()
+        if isinstance(message, TrueObjects):
+            self.latest_ns = message.stamp_ns
+
+    def at(self, machine_ns: int, objects_ns: int, max_age_ns: int) -> dict[int, Box]:
+        """Boxes by id, of the nearest truth; empty without truth within `max_age_ns`."""
+        truth, T = _nearest(self._objects, objects_ns), self._T_base_truth(machine_ns)
+        if truth is None or T is None or abs(truth.stamp_ns - objects_ns) > max_age_ns:
+            return {}
+        return {one.id: box_of(one, T) for one in truth.objects if one.label.value in self._classes}
+
+    def is_known(self, stamp_ns: int, max_age_ns: int) -> bool:
+        """Whether there is truth at a time; it arrives before the scans."""
+        truth = _nearest(self._objects, stamp_ns)
+        return truth is not None and abs(truth.stamp_ns - stamp_ns) <= max_age_ns
+
+    def yaw_at(self, stamp_ns: int) -> float:
+        """Yaw of map in base; 0 for truth in the frame of a lidar."""
+        T = self._T_base_truth(stamp_ns) if self.has_machine else None
+        return 0.0 if T is None else math.atan2(T[1, 0], T[0, 0])
+
+    def _T_base_truth(self, stamp_ns: int) -> Float64 | None:
+        if self._frame is None or self._frame in self._mounts:
+            return None if self._frame is None else self._mounts[self._frame]
+        stamps = [m.stamp_ns for m in self._machines]
+        k = min(max(bisect_left(stamps, stamp_ns), 1), len(stamps) - 1)
+        if len(stamps) < 2 or not stamps[k - 1] - 200_000_000 <= stamp_ns <= stamps[k] + 200_000_000:
+            return None
+        share = (stamp_ns - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
+        return invert(interpolate(self._machines[k - 1].T_map_base, self._machines[k].T_map_base, share))
+
+
+def _nearest(messages: "deque[TrueObjects]", stamp_ns: int) -> TrueObjects | None:
+    return min(messages, key=lambda m: abs(m.stamp_ns - stamp_ns), default=None)
