@@ -5,8 +5,8 @@ shifts of all boxes in place, yaw and time. An object without returns scores zer
 sensor, which is no fault of the truth. A single standing object can coincide with any unlabelled thing, so that a
 finding needs agreement of most objects at the same shift, and agreement by chance must be improbable. The share of
 places within the search range at which an object fits at least as well is the chance that it does so at a random one;
-the product of these shares over all objects, times the number of distinct shifts that are tried, is the expected number
-of such shifts by chance.
+the product of these shares over the objects that a shift improves, times the number of distinct shifts that are tried,
+is the expected number of such shifts by chance.
 """
 
 import math
@@ -183,7 +183,7 @@ class TruthFit:
         is_better = (score >= limits.min_score) & (gain >= limits.min_gain)
         is_better &= agrees.sum(axis=0) >= limits.min_share * votes
         is_better &= (scores >= INFORMATIVE).sum(axis=0) >= limits.min_share * known.sum(axis=0)
-        is_better &= self._by_chance(scores, known) <= limits.max_by_chance
+        is_better &= self._by_chance(scores, agrees) <= limits.max_by_chance
         is_better &= np.where(does_vote, gains, 0.0).sum(axis=0) >= 2.0 * limits.min_gain
         is_better &= np.array([self._size_m(k) >= MIN_SHIFT_M for k in range(len(score))])
         if not is_better.any():
@@ -205,13 +205,16 @@ class TruthFit:
         )
         return [Finding("truth_shifted", text, numbers, True)]
 
-    def _by_chance(self, scores: Float64, is_known: Bool) -> Float64:
-        """Expected number of shifts of the same kind at which all objects fit as well by chance (S,)."""
+    def _by_chance(self, scores: Float64, agrees: Bool) -> Float64:
+        """Expected number of shifts of the same kind at which the objects that agree fit as well by chance (S,).
+
+        An object that fits as well without shift is no evidence for one.
+        """
         wide = np.sort(scores[:, self._shifts.first_wide : len(self._shifts.places_m)], axis=1)
         out = np.array([self._tries(k) for k in range(scores.shape[1])])
-        for mine, row, known in zip(wide, scores, is_known, strict=True):
+        for mine, row, does_agree in zip(wide, scores, agrees, strict=True):
             share = 1.0 - np.searchsorted(mine, row - SAME_SCORE) / len(mine)
-            out *= np.where(known, np.maximum(share, 1.0 / len(mine)), 1.0)
+            out *= np.where(does_agree, np.maximum(share, 1.0 / len(mine)), 1.0)
         return out
 
     def _tries(self, k: int) -> float:
