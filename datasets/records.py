@@ -25,6 +25,7 @@ from messages.errors import LogError
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 1 << 30
+RELEASE_BYTES = 1 << 24
 _HEAD = struct.Struct("<BQ")
 # start, end, uncompressed size and CRC, length of the compression's name
 _CHUNK = struct.Struct("<QQQII")
@@ -84,8 +85,12 @@ def walk(path: Path, has_chunks: bool = True) -> Iterator[WalkRecord]:
 
 
 def _walk(data: mmap.mmap, has_chunks: bool) -> Iterator[WalkRecord]:
-    at, size = len(MAGIC), len(data)
+    at, size, released = len(MAGIC), len(data), 0
     while True:
+        if at - released > RELEASE_BYTES:
+            # pages that were read count as memory of the process until it releases them
+            data.madvise(mmap.MADV_DONTNEED, released, (at - released) // mmap.PAGESIZE * mmap.PAGESIZE)
+            released += (at - released) // mmap.PAGESIZE * mmap.PAGESIZE
         reason, end = _bounds(data, at)
         if not reason:
             opcode = data[at]

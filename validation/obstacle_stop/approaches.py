@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Float64
+from messages.truth import Occlusion
 from validation.obstacle_stop.avoidability import Approach
 from validation.obstacle_stop.boxes import Box
 from validation.obstacle_stop.by_stamp import nearest
@@ -51,15 +52,17 @@ class Course:
 
 
 class Approaches:
-    """Courses of all true objects of a log."""
+    """Courses of the true objects that are in the swept path at some time."""
 
     def __init__(self, observed: LogObservation, recorded: RecordedMotion, conditions: Conditions) -> None:
         self._observed, self._recorded, self._conditions = observed, recorded, conditions
         self._setting = observed.setting
         self._cells: StaticCells | None = None
-        self.courses = {id: self._course(track) for id, track in observed.true_tracks.items()}
+        courses = {id: self._course(track) for id, track in observed.true_tracks.items()}
+        self.courses = {id: course for id, course in courses.items() if course is not None}
 
-    def _course(self, track: TrueTrack) -> Course:
+    def _course(self, track: TrueTrack) -> Course | None:
+        """Course of an object; None for one that is never in the path."""
         observed, conditions, recorded = self._observed, self._conditions, self._recorded
         kept = [k for k, t in enumerate(track.stamps_ns)
                 if conditions.is_evaluated(self._setting.log, observed.time_s(t))]  # fmt: skip
@@ -68,10 +71,13 @@ class Approaches:
         reach, s = conditions.corridor.length_m, recorded.at(np.array(stamps, np.int64))[0]
         gaps: list[float] = []
         for k, at, section in zip(kept, s.tolist(), sections, strict=True):
-            gap = section.path.gap_m(at, track.poses[k], track.half_m, reach)
+            pose = track.pose(k)
+            gap = section.path.gap_m(at, pose, track.half_m, reach)
             if gap == 0.0 and not (gaps and math.isfinite(gaps[-1])):
-                gap = 0.0 if section.path.gap_m(at - FRONT_M, track.poses[k], track.half_m) > 0.0 else math.inf
+                gap = 0.0 if section.path.gap_m(at - FRONT_M, pose, track.half_m) > 0.0 else math.inf
             gaps.append(gap)
+        if not any(map(math.isfinite, gaps)):
+            return None
         return Course(track, kept, stamps, np.array(gaps), sections)
 
     def ids_before(self, object_id: int, stamp_ns: int) -> set[int]:
@@ -112,7 +118,8 @@ class Approaches:
         if not velocity.any():
             return -1.0
         s = float(self._recorded.at(course.stamps_ns[i])[0])
-        poses = [track.poses[k] + np.array([*(velocity * t), 0.0]) for t in HORIZON_S]
+        pose = track.pose(k)
+        poses = [pose + np.array([*(velocity * t), 0.0]) for t in HORIZON_S]
         path, reach = course.sections[i].path, self._conditions.corridor.length_m
         gaps = [path.gap_m(s, pose, track.half_m, reach) for pose in poses]
         return max((gap for gap in gaps if math.isfinite(gap)), default=-1.0)
@@ -124,17 +131,17 @@ class Approaches:
         assert base is not None, "tracks have only labels with odometry"
         if self._cells is None:
             self._cells = self._observed.structure.cells(self._recorded.sections)
-        box = track.boxes[k]
+        box = track.box(k)
         solids: list[Solid] = [solid_of(other) for other in self._others(track.id, stamp)]
         solids.append(self._cells.around(base, box.center_m[:2], float(np.hypot(*track.half_m))))
-        return is_visible(solid_of(box), track.occlusions[k], self._setting.views, solids)
+        return is_visible(solid_of(box), Occlusion(track.occlusions[k]), self._setting.views, solids)
 
     def _others(self, object_id: int, stamp_ns: int) -> list[Box]:
         out = []
         for id, track in self._observed.true_tracks.items():
             k = nearest(track.stamps_ns, stamp_ns, 1_000_000) if id != object_id else None
             if k is not None:
-                out.append(track.boxes[k])
+                out.append(track.box(k))
         return out
 
 

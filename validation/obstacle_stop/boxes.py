@@ -9,6 +9,7 @@ from geometry.arrays import Bool, Float32, Float64, Int64
 from geometry.jit import kernel
 from messages.truth import TrueObject
 
+NEAR_M = 0.1  # margin of the preselection of points
 GRID = 5  # points along each side of a footprint
 
 
@@ -31,7 +32,15 @@ class Box:
 
     def contains(self, points_m: Float32 | Float64, grow_m: float = 0.0) -> Bool:
         """Mask (N,) of the points (N, 3) inside the box, grown by `grow_m` on all sides."""
-        return np.asarray((np.abs(self.local(points_m)) <= 0.5 * self.size_m + grow_m).all(axis=1))
+        half = 0.5 * self.size_m + grow_m
+        return _contains(points_m, self.center_m, half, math.cos(self.yaw_rad), math.sin(self.yaw_rad))
+
+    def returns(self, points_m: Float32) -> Int64:
+        """Indices of the points (N, 3) inside the box."""
+        reach = 0.5 * float(np.linalg.norm(self.size_m)) + NEAR_M
+        x, y = np.float32(self.center_m[0]), np.float32(self.center_m[1])
+        near = _near(points_m, x, y, reach)
+        return near[self.contains(points_m[near])]
 
     def distance_m(self, xy_m: Float64) -> Float64:
         """Horizontal distance of points (N, 2) from the box, 0 inside."""
@@ -58,14 +67,18 @@ def box_of(true: TrueObject, T_base_truth: Float64) -> Box:
     return Box(true.id, true.label.value, true.role or f"{true.label.value} {true.id}", center, true.size_m, yaw)
 
 
-def points_near(points_m: Float32, box: Box, margin_m: float) -> Int64:
-    """Indices of the points (N, 3) in a square around a box."""
-    reach = 0.5 * float(np.linalg.norm(box.size_m)) + margin_m
-    return _near(points_m, np.float32(box.center_m[0]), np.float32(box.center_m[1]), reach)
+@kernel
+def _contains(points_m: Float32 | Float64, center_m: Float64, half_m: Float64, c: float, s: float) -> Bool:
+    inside = np.empty(len(points_m), np.bool_)
+    for i in range(len(points_m)):
+        x, y, z = points_m[i, 0] - center_m[0], points_m[i, 1] - center_m[1], points_m[i, 2] - center_m[2]
+        inside[i] = abs(c * x + s * y) <= half_m[0] and abs(c * y - s * x) <= half_m[1] and abs(z) <= half_m[2]
+    return inside
 
 
 @kernel
 def _near(points_m: Float32, x_m: np.float32, y_m: np.float32, reach_m: float) -> Int64:
+    """Indices of the points (N, 3) in a square."""
     found, n = np.empty(len(points_m), np.int64), 0
     for i in range(len(points_m)):
         if abs(points_m[i, 0] - x_m) < reach_m and abs(points_m[i, 1] - y_m) < reach_m:

@@ -1,6 +1,7 @@
 """Messages looked up by their stamps."""
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from typing import Generic, TypeVar
 
 from messages.message import Message
@@ -8,7 +9,7 @@ from messages.message import Message
 M = TypeVar("M", bound=Message)
 
 
-def nearest(stamps_ns: list[int], stamp_ns: int, max_age_ns: int) -> int | None:
+def nearest(stamps_ns: Sequence[int], stamp_ns: int, max_age_ns: int) -> int | None:
     """Index of the nearest of sorted stamps within an age, or None."""
     k = bisect_left(stamps_ns, stamp_ns)
     near = [j for j in (k - 1, k) if 0 <= j < len(stamps_ns)]
@@ -17,7 +18,7 @@ def nearest(stamps_ns: list[int], stamp_ns: int, max_age_ns: int) -> int | None:
 
 
 class ByStamp(Generic[M]):
-    """Messages in order of their stamps."""
+    """Messages in order of their stamps; `take_before` bounds their number."""
 
     def __init__(self) -> None:
         self.stamps_ns: list[int] = []
@@ -34,3 +35,10 @@ class ByStamp(Generic[M]):
         """The nearest message within an age, or None."""
         k = nearest(self.stamps_ns, stamp_ns, max_age_ns)
         return None if k is None else self.messages[k]
+
+    def take_before(self, stamp_ns: int) -> list[M]:
+        """Removes and returns the messages with earlier stamps."""
+        k = bisect_left(self.stamps_ns, stamp_ns)
+        taken = self.messages[:k]
+        del self.stamps_ns[:k], self.messages[:k]
+        return taken

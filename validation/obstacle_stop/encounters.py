@@ -1,6 +1,7 @@
 """Encounters: true objects in the swept path, judged by truth and physics (avoidability.py, ghost.py)."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -188,7 +189,7 @@ class _Judge:
 
     def _is_unrecognized(self, a: Approach, object_id: int) -> bool:
         """BD-5.4.1b: visible ahead in the path within the recognition range in three moments, and never detected."""
-        rows = self.observed.observations.get(object_id, [])
+        rows = list(self.observed.observations.get(object_id, ()))
         ahead = [r for r in rows if abs(r.bearing_rad) <= AHEAD_RAD]
         times = np.array([self.observed.time_s(r.stamp_ns) for r in ahead])
         is_near = (a.gap_m <= self.conditions.recognition_m) & a.is_visible
@@ -208,7 +209,7 @@ class _Judge:
         decision_s = requested_s if requested_s is not None else due_s if due_s is not None else float(a.t_s[least])
         at = int(inside[np.argmin(np.abs(a.t_s[inside] - decision_s))])
         seen = np.flatnonzero(a.is_visible & np.isfinite(a.gap_m))
-        rows = in_forward_region(observed.observations.get(track.id, []), self.conditions.recall.min_returns)
+        rows = in_forward_region(observed.observations.get(track.id, ()), self.conditions.recall.min_returns)
         entry_s = float(a.t_s[entry])
         touching = [r for r in observed.requests if track.id in r.touched]
         return Encounter(
@@ -273,7 +274,7 @@ def _first_touch(apart_m: Float64, drive: GhostDrive, is_counted: Bool) -> tuple
     return float(drive.s_m[k - 1] + share * (drive.s_m[k] - drive.s_m[k - 1])), float(drive.speed_mps[k])
 
 
-def in_forward_region(rows: list[ObjectObservation], min_returns: int) -> list[ObjectObservation]:
+def in_forward_region(rows: Iterable[ObjectObservation], min_returns: int) -> list[ObjectObservation]:
     """Observations with enough returns in the 90° region ahead, from which detection ranges are computed."""
     return [s for s in rows if abs(s.bearing_rad) <= AHEAD_RAD and s.returns >= min_returns]
 

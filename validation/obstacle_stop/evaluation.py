@@ -1,6 +1,7 @@
 """Evaluation of one log: encounters, stops, recall, detection range and hours as plain values."""
 
 from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 from validation.obstacle_stop.conditions import Conditions, listed_ids
@@ -68,9 +69,9 @@ def confirmation(observed: LogObservation) -> list[dict[str, Any]]:
     ]
 
 
-def countable(observed: LogObservation, conditions: Conditions) -> list[ObjectObservation]:
+def countable(observed: LogObservation, conditions: Conditions) -> Iterator[ObjectObservation]:
     """Observations with enough returns."""
-    return [s for rows in observed.observations.values() for s in rows if s.returns >= conditions.recall.min_returns]
+    return (s for rows in observed.observations.values() for s in rows if s.returns >= conditions.recall.min_returns)
 
 
 def detection_range(observed: LogObservation, conditions: Conditions) -> dict[str, float | None]:

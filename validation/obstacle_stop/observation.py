@@ -1,5 +1,7 @@
 """Data gathered from a replay: motion, true objects, stop requests, and observations of each true object by scan."""
 
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,7 +56,7 @@ class Scene:
     hits_m: Float64
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class ObjectObservation:
     """One true object in one scan.
 
@@ -74,7 +76,31 @@ class ObjectObservation:
     is_detected_strictly: bool
 
 
-@dataclass(frozen=True)
+@dataclass
+class ObservedObject:
+    """All observations of one true object as columns; iteration gives them in their order."""
+
+    id: int
+    label: str
+    role: str
+    integers: "array[int]" = field(default_factory=lambda: array("q"))  # stamp, returns, detected, detected strictly
+    values: "array[float]" = field(default_factory=lambda: array("d"))  # distance, bearing
+
+    def add(self, one: ObjectObservation) -> None:
+        """Appends an observation."""
+        self.integers.extend((one.stamp_ns, one.returns, one.is_detected, one.is_detected_strictly))
+        self.values.extend((one.front_distance_m, one.bearing_rad))
+
+    def __iter__(self) -> Iterator[ObjectObservation]:
+        for k in range(len(self.values) // 2):
+            stamp_ns, returns, is_detected, is_strict = self.integers[4 * k : 4 * k + 4]
+            distance, bearing = self.values[2 * k : 2 * k + 2]
+            yield ObjectObservation(
+                self.id, self.label, self.role, stamp_ns, returns, distance, bearing, bool(is_detected), bool(is_strict)
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class StopRequest:
     """Output of the supervisor, delivered at `receive_ns`; `limit_mps` is the requested speed (infinite: no request).
 
@@ -125,7 +151,7 @@ class LogObservation:
     true_tracks: dict[int, TrueTrack] = field(default_factory=dict)
     requests: list[StopRequest] = field(default_factory=list)
     structure: Structure = field(default_factory=Structure)
-    observations: dict[int, list[ObjectObservation]] = field(default_factory=dict)
+    observations: dict[int, ObservedObject] = field(default_factory=dict)
     tracks: dict[int, list[TrackObservation]] = field(default_factory=dict)
     scans: list[int] = field(default_factory=list)
     evaluated_scans: int = 0

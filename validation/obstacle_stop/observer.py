@@ -1,6 +1,7 @@
 """Bus sink that gathers the input of the evaluation from the messages of a replay."""
 
 import math
+from array import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from messages.perception import Obstacles, Tracks
 from messages.plan import Path
 from messages.sensors import LidarScan
 from messages.truth import TrueMachine, TrueObjects
-from validation.obstacle_stop.boxes import Box, box_of, points_near
+from validation.obstacle_stop.boxes import Box, box_of
 from validation.obstacle_stop.by_stamp import ByStamp
 from validation.obstacle_stop.conditions import Conditions
 from validation.obstacle_stop.driving_corridor import DrivingCorridor, corridor_along
@@ -25,11 +26,12 @@ from validation.obstacle_stop.observation import (
     NO_CLEARANCE,
     LogObservation,
     ObjectObservation,
+    ObservedObject,
     Scene,
     Setting,
     TrackObservation,
 )
-from validation.obstacle_stop.recall import detection_of, front_distance_m
+from validation.obstacle_stop.recall import Clusters, detection_of, front_distance_m
 from validation.obstacle_stop.recorded_motion import OdometryHistory, recorded_motion
 from validation.obstacle_stop.requests import Delivered, stop_requests
 from validation.obstacle_stop.swept_path import Outline
@@ -40,6 +42,8 @@ MAX_MACHINE_AGE_NS = 200_000_000
 FIGURE_THINNING = 12
 STRUCTURE_MARGIN_M = 0.3
 MAX_PENDING = 6
+KEEP_NS = 15_000_000_000  # of truth, after odometry and scans of its time: scans come late
+LATEST_NS = (1 << 63) - 1
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,8 @@ class Observer:
         self._setting, self._conditions = setting, conditions
         self._out = LogObservation(setting)
         self._scans: dict[tuple[str, int], _PendingScan] = {}
-        self._truths, self._machines = ByStamp[TrueObjects](), ByStamp[TrueMachine]()
+        self._truths, self._machines = ByStamp[TrueObjects](), ByStamp[TrueMachine]()  # recent ones
+        self._truth_stamps = array("q")
         self._delivered: list[Delivered] = []
         self._path: Path | None = None
         self._control_command: ControlCommand | None = None
@@ -82,9 +87,7 @@ class Observer:
             if waiting is not None:
                 self._evaluate_scan(name, waiting, message)
         elif isinstance(message, SupervisorState):
-            command = self._control_command
-            speed = 0.0 if command is None else abs(command.speed_mps)
-            self._delivered.append(Delivered.of(envelope, message, speed))
+            self._record_state(envelope, message)
         elif isinstance(message, Tracks) and kind == "tracks":
             self._record_tracks(message)
             self._record_confirmation(message, envelope.receive_ns)
@@ -94,6 +97,7 @@ class Observer:
     def _remember(self, kind: str, message: object) -> None:
         if isinstance(message, Odometry) and kind == "odom":
             self._out.motion.add(message.stamp_ns, message.T_odom_base, message.speed_mps, message.yaw_rate_radps)
+            self._track_truth(min([message.stamp_ns, *(stamp_ns for _, stamp_ns in self._scans)]) - KEEP_NS)
         elif isinstance(message, TrueObjects):
             self._truths.add(message)
         elif isinstance(message, TrueMachine):
@@ -125,6 +129,7 @@ class Observer:
             self._evaluate_scan(name, waiting, None)
         self._scans.clear()
         out = self._out
+        self._track_truth(None)
         known = out.scans or out.motion.stamps_ns
         out.first_ns, out.last_ns = (min(known), max(known)) if known else (0, 0)
         out.recorded = recorded_motion(
@@ -134,8 +139,7 @@ class Observer:
             self._conditions.corridor.length_m,
             self._planned_poses(),
         )
-        self._track_truth()
-        out.requests = stop_requests(self._delivered, self._truths.stamps_ns, out, self._conditions)
+        out.requests = stop_requests(self._delivered, self._truth_stamps, out, self._conditions)
         return out
 
     def _planned_poses(self) -> Float64 | None:
@@ -147,10 +151,24 @@ class Observer:
         poses = np.column_stack([path.p_map_m, path.heading_rad])[rest]
         return map_pose_to_odom(self._T_map_odom, poses)
 
-    def _track_truth(self) -> None:
-        """True objects in odom, of the evaluated classes and within range."""
+    def _record_state(self, envelope: Envelope, state: SupervisorState) -> None:
+        """Keeps a state that limits the speed, and the first one after it: a log has many states."""
+        command = self._control_command
+        one = Delivered.of(envelope, state, 0.0 if command is None else abs(command.speed_mps))
+        if one.rules or not self._delivered or self._delivered[-1].rules:
+            self._delivered.append(one)
+
+    def _track_truth(self, until_ns: int | None) -> None:
+        """True objects in odom before a time (None: all), of the evaluated classes and within range.
+
+        Their messages are not needed any more: objects of a long log are kept as numbers.
+        """
+        first_ns = self._truths.stamps_ns[0] if self._truths.stamps_ns else None
+        if first_ns is None or (until_ns is not None and until_ns - first_ns < KEEP_NS):
+            return
         classes, out = {label.value for label in self._conditions.classes}, self._out
-        for message in self._truths.messages:
+        for message in self._truths.take_before(LATEST_NS if until_ns is None else until_ns):
+            self._truth_stamps.append(message.stamp_ns)
             pose, T = out.motion.pose_at(message.stamp_ns), self._T_base_truth(message.stamp_ns)
             if pose is None or T is None:
                 continue
@@ -159,12 +177,15 @@ class Observer:
                 if true.label.value in classes and float(np.hypot(*box.center_m[:2])) < MAX_RANGE_M:
                     track = out.true_tracks.setdefault(true.id, TrueTrack(true.id, box.label, box.role))
                     track.add(message.stamp_ns, box, true.occlusion, pose)
+        self._machines.take_before(0 if until_ns is None else until_ns - MAX_MACHINE_AGE_NS)
 
     def _queue(self, name: str, scan: LidarScan) -> None:
         self._scans[(name, scan.stamp_ns)] = _PendingScan(scan, self._path, self._control_command)
         mine = sorted(stamp for other, stamp in self._scans if other == name)
-        for stamp_ns in mine[:-MAX_PENDING]:
-            self._evaluate_scan(name, self._scans.pop((name, stamp_ns)), None)
+        late = [(name, stamp_ns) for stamp_ns in mine[:-MAX_PENDING]]
+        late += [key for key in self._scans if scan.stamp_ns - key[1] > KEEP_NS and key not in late]
+        for key in late:
+            self._evaluate_scan(key[0], self._scans.pop(key), None)
 
     def _evaluate_scan(self, name: str, waiting: _PendingScan, obstacles: Obstacles | None) -> None:
         """Observes all true objects in one scan."""
@@ -174,23 +195,25 @@ class Observer:
         if k is None or name not in setting.T_base_lidar or not len(scan.points_m):
             return
         T = setting.T_base_lidar[name]
-        points = deskew(scan, T, out.motion.speeds_mps[k], out.motion.turns_radps[k])
+        points = deskew(scan, T, *out.motion.rates(k))
         corridor = self._corridor(out.motion, k, waiting.path, waiting.control_command)
         self._last_points = (scan.stamp_ns, points[::FIGURE_THINNING])
         boxes = self._boxes_at(scan.stamp_ns)
-        self._keep_structure(scan.stamp_ns, self._last_points[1], boxes or [], out.motion.poses[k])
+        self._keep_structure(scan.stamp_ns, self._last_points[1], boxes or [], out.motion.pose(k))
         if boxes is None or not self._is_evaluated(scan.stamp_ns):
             self._boxes = (0, [])
             return
         out.evaluated_scans += 1
         self._boxes = (scan.stamp_ns, boxes)
+        clusters = None if obstacles is None else Clusters.of(obstacles, points)
         for box in boxes:
-            observation = self._observe(scan.stamp_ns, points, box, obstacles)
-            out.observations.setdefault(box.id, []).append(observation)
+            observation = self._observe(scan.stamp_ns, points, box, clusters)
+            mine = out.observations.setdefault(box.id, ObservedObject(box.id, box.label, box.role))
+            mine.add(observation)
             if observation.returns >= self._conditions.recall.min_returns:
                 out.countable_ns.setdefault(box.id, scan.stamp_ns)
-            if corridor is not None:
-                self._keep_scene(box, scan.stamp_ns, corridor)
+        if corridor is not None:
+            self._keep_scenes(boxes, scan.stamp_ns, corridor)
 
     def _keep_structure(self, stamp_ns: int, points: Float32, boxes: list[Box], pose: Float64) -> None:
         """Adds the returns outside of all true boxes to the static structure."""
@@ -215,7 +238,7 @@ class Observer:
             else float(path.s_m[0])
         )
         setting = self._setting
-        pose = odom_pose_to_map(self._T_map_odom, motion.poses[k])
+        pose = odom_pose_to_map(self._T_map_odom, motion.pose(k))
         return corridor_along(
             path, s_m, pose, setting.front_m, setting.half_width_m, self._conditions.corridor.length_m
         )
@@ -237,12 +260,9 @@ class Observer:
         machine = self._machines.nearest(stamp_ns, MAX_MACHINE_AGE_NS)
         return None if machine is None else invert(machine.T_map_base)
 
-    def _observe(self, stamp_ns: int, points: Float32, box: Box, obstacles: Obstacles | None) -> ObjectObservation:
-        about = points_near(points, box, 0.1)
-        mine = about[box.contains(points[about])]
-        is_detected, is_detected_strictly = detection_of(
-            mine, points, box, obstacles, self._conditions.truth.association_m
-        )
+    def _observe(self, stamp_ns: int, points: Float32, box: Box, clusters: Clusters | None) -> ObjectObservation:
+        mine = box.returns(points)
+        is_detected, is_detected_strictly = detection_of(mine, box, clusters, self._conditions.truth.association_m)
         edge = front_distance_m(points[mine] if len(mine) else box.footprint_m(), self._setting)
         bearing = math.atan2(box.center_m[1], box.center_m[0] - self._setting.front_m)
         return ObjectObservation(
@@ -256,7 +276,7 @@ class Observer:
         corridor = self._corridor(motion, k, self._path, self._control_command) if k is not None else None
         if k is None or corridor is None or not tracks.tracks:
             return
-        xy = from_frame(motion.poses[k], np.array([t.p_odom_m[:2] for t in tracks.tracks]))
+        xy = from_frame(motion.pose(k), np.array([t.p_odom_m[:2] for t in tracks.tracks]))
         for track, clearance_m in zip(tracks.tracks, corridor.clearances(xy).tolist(), strict=True):
             if math.isfinite(clearance_m):
                 one = TrackObservation(track.id, track.label.value, tracks.stamp_ns, clearance_m, track.is_confirmed)
@@ -269,7 +289,7 @@ class Observer:
         confirmed = [t.p_odom_m[:2] for t in tracks.tracks if t.is_confirmed]
         if k is None or not confirmed or abs(tracks.stamp_ns - stamp_ns) > 50_000_000:
             return
-        xy = from_frame(self._out.motion.poses[k], np.array(confirmed))
+        xy = from_frame(self._out.motion.pose(k), np.array(confirmed))
         for box in boxes:
             if (
                 box.id not in self._out.confirmed_ns
@@ -277,11 +297,17 @@ class Observer:
             ):
                 self._out.confirmed_ns[box.id] = receive_ns
 
-    def _keep_scene(self, box: Box, stamp_ns: int, corridor: DrivingCorridor) -> None:
-        """Keeps the scenes of the entry into the corridor and of the smallest clearance."""
-        clearance = float(corridor.clearances(box.footprint_m()).min())
-        if not math.isfinite(clearance):
+    def _keep_scenes(self, boxes: list[Box], stamp_ns: int, corridor: DrivingCorridor) -> None:
+        """Keeps the scenes of the entry of objects into the corridor and of the smallest clearance."""
+        if not boxes:
             return
+        points = np.concatenate([box.footprint_m() for box in boxes])
+        clearances = corridor.clearances(points).reshape(len(boxes), -1).min(axis=1)
+        for box, clearance in zip(boxes, clearances.tolist(), strict=True):
+            if math.isfinite(clearance):
+                self._keep_scene(box, stamp_ns, corridor, clearance)
+
+    def _keep_scene(self, box: Box, stamp_ns: int, corridor: DrivingCorridor, clearance: float) -> None:
         scenes, key = self._out.scenes, (box.id, "least")
         if (box.id, "entry") not in scenes:
             scenes[(box.id, "entry")] = scenes[key] = self._scene(stamp_ns, corridor)

@@ -241,7 +241,7 @@ def pose_of(T: Float64) -> Float64:
 def _pose(observed: LogObservation, stamp_ns: int) -> Float64:
     k = observed.motion.index(stamp_ns)
     assert k is not None, "checked by the caller"
-    return observed.motion.poses[k]
+    return observed.motion.pose(k)
 
 
 def _box_of(corners: Float64) -> Float64:

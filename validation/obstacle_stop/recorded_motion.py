@@ -6,6 +6,7 @@ than `REVERSAL_M` is noise of the odometry, not a reversal.
 """
 
 import math
+from array import array
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -25,21 +26,29 @@ MIN_CURVE_M = 0.5
 
 @dataclass
 class OdometryHistory:
-    """Odometry as columns, looked up by time."""
+    """Odometry as columns, looked up by time; `rows` has x, y, yaw, speed and yaw rate of each sample."""
 
-    stamps_ns: list[int] = field(default_factory=list)
-    poses: list[Float64] = field(default_factory=list)
-    speeds_mps: list[float] = field(default_factory=list)
-    turns_radps: list[float] = field(default_factory=list)
+    stamps_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    rows: "array[float]" = field(default_factory=lambda: array("d"))
 
     def add(self, stamp_ns: int, T_odom_base: Float64, speed_mps: float, turn_radps: float) -> None:
         """Appends a sample; a stamp that does not increase is ignored."""
         if self.stamps_ns and stamp_ns <= self.stamps_ns[-1]:
             return
         self.stamps_ns.append(stamp_ns)
-        self.poses.append(np.array([T_odom_base[0, 3], T_odom_base[1, 3], yaw_of(T_odom_base)]))
-        self.speeds_mps.append(speed_mps)
-        self.turns_radps.append(turn_radps)
+        self.rows.extend((T_odom_base[0, 3], T_odom_base[1, 3], yaw_of(T_odom_base), speed_mps, turn_radps))
+
+    def columns(self) -> tuple[Int64, Float64]:
+        """Stamps (N,) and rows (N, 5)."""
+        return np.array(self.stamps_ns, np.int64), np.array(self.rows, np.float64).reshape(-1, 5)
+
+    def pose(self, k: int) -> Float64:
+        """Pose (3,) in odom of sample `k`."""
+        return np.array(self.rows[5 * k : 5 * k + 3])
+
+    def rates(self, k: int) -> tuple[float, float]:
+        """Speed and yaw rate of sample `k`."""
+        return self.rows[5 * k + 3], self.rows[5 * k + 4]
 
     def index(self, stamp_ns: int) -> int | None:
         """Index of the nearest sample within 0.2 s, or None."""
@@ -48,7 +57,7 @@ class OdometryHistory:
     def speed_at(self, stamp_ns: int) -> float:
         """Forward speed (m/s) at a time; 0 when unknown."""
         k = self.index(stamp_ns)
-        return 0.0 if k is None else self.speeds_mps[k]
+        return 0.0 if k is None else self.rates(k)[0]
 
     def pose_at(self, stamp_ns: int) -> Float64 | None:
         """Pose (3,) in odom, linear between two samples; None further than 0.2 s from any."""
@@ -57,8 +66,8 @@ class OdometryHistory:
         if self.index(stamp_ns) is None:
             return None
         if k == 0 or k == len(stamps) or stamps[k] == stamp_ns:
-            return self.poses[min(k, len(stamps) - 1)]
-        a, b = self.poses[k - 1], self.poses[k]
+            return self.pose(min(k, len(stamps) - 1))
+        a, b = self.pose(k - 1), self.pose(k)
         d = b - a
         d[2] = math.remainder(d[2], 2.0 * math.pi)
         return np.asarray(a + (stamp_ns - stamps[k - 1]) / (stamps[k] - stamps[k - 1]) * d)
@@ -111,7 +120,8 @@ def recorded_motion(
     """
     if len(history.stamps_ns) < 2:
         return None
-    stamps, poses = np.array(history.stamps_ns, np.int64), np.array(history.poses)
+    stamps, rows = history.columns()
+    poses = rows[:, :3]
     ahead = forward_distance(poses)
     bounds = [*turning_points(ahead), len(ahead) - 1]
     s, sections = np.zeros(len(ahead)), []
@@ -128,7 +138,7 @@ def recorded_motion(
         path = swept_path(*line, outline.widened(side_margin_m), direction > 0)
         body_path = swept_path(*line, outline, direction > 0)
         sections.append(Section(start_ns, direction, float(s[last]), path, body_path))
-    return RecordedMotion(stamps, s, np.abs(np.array(history.speeds_mps)), tuple(sections))
+    return RecordedMotion(stamps, s, np.abs(rows[:, 3]), tuple(sections))
 
 
 def forward_distance(poses: Float64) -> Float64:

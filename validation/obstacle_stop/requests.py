@@ -2,14 +2,14 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.arrays import Bool, Float64
+from geometry.arrays import Bool, Float32, Float64
 from geometry.pose2 import to_frame
-from messages.command import SupervisorState
+from messages.command import RuleResult, SupervisorState
 from messages.faults import Response
 from messages.message import Envelope
 from validation.drive.stops import OBSTACLE_CHANNELS
@@ -22,46 +22,53 @@ from validation.obstacle_stop.swept_path import separation_m
 TOLERANCE_MPS = 0.05  # tolerance of the supervisor's speed limits
 STOP_MPS = 0.3
 LATENCY_NS = 300_000_000  # of the measurement behind a request
-NO_POINTS, NO_OUTLINE = np.empty((0, 3), np.float32), np.empty((0, 2))
+NO_POINTS = np.empty((0, 3), np.float32)
 CAUSE_M = 1.0  # triggering points so much further than the nearest one belong to the same cause
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Delivered:
-    """A supervisor state with its time of delivery, and the speed that was wanted then."""
+    """What a request needs of a supervisor state, its time of delivery, and the speed that was wanted then.
+
+    `rules` are those of obstacles that limit the speed, `points_m` (N, 3) the triggering points in base, if there are
+    any such rules.
+    """
 
     receive_ns: int
-    state: SupervisorState
+    stamp_ns: int
+    label: str
+    clearance_m: float
     commanded_mps: float
+    rules: tuple[RuleResult, ...]
+    points_m: Float32
 
     @classmethod
     def of(cls, envelope: Envelope, state: SupervisorState, commanded_mps: float) -> "Delivered":
-        """Only what a request needs is kept: a log has many states."""
-        rules = tuple(r for r in state.rules if r.code in OBSTACLE_CHANNELS)
-        points = state.triggering_points_base_m if any(r.speed_limit_mps < math.inf for r in rules) else NO_POINTS
-        kept = replace(state, rules=rules, triggering_points_base_m=points, protective_field_base_m=NO_OUTLINE)
-        return cls(envelope.receive_ns, kept, commanded_mps)
+        """The delivered state with the speed that was commanded then."""
+        rules = tuple(r for r in state.rules if r.code in OBSTACLE_CHANNELS and r.speed_limit_mps < math.inf)
+        points = state.triggering_points_base_m if rules else NO_POINTS
+        label, clearance_m = (state.obstacle_class.value, state.clearance_m) if rules else ("", math.inf)
+        return cls(envelope.receive_ns, state.stamp_ns, label, clearance_m, commanded_mps, rules, points)
 
 
 def stop_requests(
-    delivered: list[Delivered], truth_stamps_ns: list[int], observed: LogObservation, conditions: Conditions
+    delivered: list[Delivered], truth_stamps_ns: Sequence[int], observed: LogObservation, conditions: Conditions
 ) -> list[StopRequest]:
-    """All states as requests in the order of their delivery."""
+    """The delivered states as requests in the order of their delivery."""
     explain = _Explanation(truth_stamps_ns, observed, conditions)
     return [_request(one, observed, explain) for one in sorted(delivered, key=lambda d: d.receive_ns)]
 
 
 def _request(one: Delivered, observed: LogObservation, explain: "_Explanation") -> StopRequest:
-    state = one.state
-    wanted_mps = max(abs(observed.motion.speed_at(state.stamp_ns)), one.commanded_mps)
-    binding = [r for r in state.rules if r.speed_limit_mps < wanted_mps - TOLERANCE_MPS]
+    wanted_mps = max(abs(observed.motion.speed_at(one.stamp_ns)), one.commanded_mps)
+    binding = [r for r in one.rules if r.speed_limit_mps < wanted_mps - TOLERANCE_MPS]
     stops = [r for r in binding if r.response >= Response.CONTROLLED_STOP or r.speed_limit_mps < STOP_MPS]
     is_stop = any(r.response >= Response.CONTROLLED_STOP for r in binding)
     limit = 0.0 if is_stop else min((max(0.0, r.speed_limit_mps) for r in binding), default=math.inf)
     reason = (stops or binding)[0].code if binding else ""
-    touched, cause, is_false, hit = explain(state) if binding else ((), (), None, None)
+    touched, cause, is_false, hit = explain(one) if binding else ((), (), None, None)
     return StopRequest(
-        one.receive_ns, state.stamp_ns, reason, state.obstacle_class.value, state.clearance_m, limit, bool(stops),
+        one.receive_ns, one.stamp_ns, reason, one.label, one.clearance_m, limit, bool(stops),
         touched, cause, is_false, hit,
     )  # fmt: skip
 
@@ -69,21 +76,21 @@ def _request(one: Delivered, observed: LogObservation, explain: "_Explanation") 
 class _Explanation:
     """Relates triggering points to true objects."""
 
-    def __init__(self, truth_stamps_ns: list[int], observed: LogObservation, conditions: Conditions) -> None:
+    def __init__(self, truth_stamps_ns: Sequence[int], observed: LogObservation, conditions: Conditions) -> None:
         self._stamps, self._observed, self._conditions = truth_stamps_ns, observed, conditions
         self._setting = observed.setting
 
-    def __call__(self, state: SupervisorState) -> tuple[tuple[int, ...], tuple[int, ...], bool | None, Float64 | None]:
+    def __call__(self, one: Delivered) -> tuple[tuple[int, ...], tuple[int, ...], bool | None, Float64 | None]:
         """Ids at any triggering point, ids at the nearest ones, whether these are false, and the nearest in odom."""
-        pose, points = self._observed.motion.pose_at(state.stamp_ns), state.triggering_points_base_m.astype(np.float64)
+        pose, points = self._observed.motion.pose_at(one.stamp_ns), one.points_m.astype(np.float64)
         if pose is None or not len(points):
             return (), (), None, None
         points = points[np.isfinite(points).all(axis=1)]
         away = self._from_outline(points)
         odom = to_frame(pose, points[:, :2])
         near = away <= away.min(initial=math.inf) + CAUSE_M
-        touched, cause = self._ids_at(odom, state.stamp_ns), self._ids_at(odom[near], state.stamp_ns)
-        is_false = None if cause else self._is_decided(points[near], odom[near], state.stamp_ns)
+        touched, cause = self._ids_at(odom, one.stamp_ns), self._ids_at(odom[near], one.stamp_ns)
+        is_false = None if cause else self._is_decided(points[near], odom[near], one.stamp_ns)
         first = odom[int(np.argmin(away))] if len(away) else None
         return touched, cause, False if cause else is_false, first
 
@@ -107,7 +114,7 @@ class _Explanation:
             for k in range(last - 1, -1, -1):
                 if track.stamps_ns[k] < stamp_ns - LATENCY_NS - self._max_age_ns:
                     break
-                if separation_m(track.poses[k], track.half_m, points, np.zeros(2)).min(initial=math.inf) <= reach:
+                if separation_m(track.pose(k), track.half_m, points, np.zeros(2)).min(initial=math.inf) <= reach:
                     out.append(track.id)
                     break
         return tuple(out)
