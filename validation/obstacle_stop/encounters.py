@@ -184,7 +184,8 @@ class _Judge:
         request_s = None if request_ns is None else self.observed.time_s(request_ns)
         limits = Limits(prompt_s, self.conditions.settling_s)
         outcome = outcome_of(a, due, request_s, is_avoided, limits, self.observed.setting.is_manual)
-        is_unjudged = outcome in (Outcome.NO_DEMAND, Outcome.DRIVER)
+        # a request before any was due may be that of another object
+        is_unjudged = due is None and outcome in (Outcome.NO_DEMAND, Outcome.DRIVER, Outcome.IN_TIME)
         return Outcome.MISSED if is_unjudged and self._is_unrecognized(a, object_id) else outcome
 
     def _is_unrecognized(self, a: Approach, object_id: int) -> bool:

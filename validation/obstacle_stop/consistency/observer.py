@@ -183,5 +183,7 @@ class ConsistencyObserver:
     def _of_truth(self) -> list[Finding]:
         if self._setting.truth_frame is None:
             return []
-        out = coverage.check_truth(self._scan_stamps, self._has_truth, self._limits.coverage)
-        return out + coverage.check_sector(self._setting.view_rad) + self._fit.findings()
+        # a shift in time is the cause of truth that is missing at one end
+        out = self._fit.findings()
+        out += coverage.check_truth(self._scan_stamps, self._has_truth, self._limits.coverage)
+        return out + coverage.check_sector(self._setting.view_rad)

@@ -198,9 +198,10 @@ class TruthFit:
             kind, a, b = self._shifts.size_of(k)
             numbers |= {"place": {"shift_x_m": -a, "shift_y_m": -b}, "yaw": {"turn_deg": -a}, "time": {"delay_s": a},
                         "objects_time": {"objects_delay_s": a}}[kind]  # fmt: skip
+        plural = "" if votes[best] == 1 else "s"
         text = (
             f"the truth does not fit the returns: they fit markedly better if it is {texts} (share of returns at the "
-            f"faces of {votes[best]} objects {100 * numbers['score']:.0f} % instead of "
+            f"faces of {votes[best]} object{plural} {100 * numbers['score']:.0f} % instead of "
             f"{100 * numbers['score_unshifted']:.0f} %)"
         )
         return [Finding("truth_shifted", text, numbers, True)]
@@ -240,4 +241,4 @@ class TruthFit:
         if kind == "yaw":
             return f"turned by {-a:+.1f}°"
         what = "its objects are " if kind == "objects_time" else ""
-        return f"{what}{abs(a):.1f} s {'late' if a > 0 else 'early'}"
+        return f"{what}{abs(a):.1f} s {'late' if a > 0 else 'early'} against the scans"
