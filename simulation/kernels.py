@@ -7,13 +7,14 @@ import numpy.typing as npt
 
 from geometry.arrays import Float32, Float64, UInt8, UInt16
 from geometry.jit import kernel
+from simulation.environment.ground_kernels import COLUMNS, feature_height
 
 UInt32 = npt.NDArray[np.uint32]
 
 
 @kernel
-def height_at(x: float, y: float, profile: Float64, waves: Float64) -> float:
-    """Height of the smooth ground; `profile` and `waves` as in `simulation.environment.terrain.Terrain`."""
+def height_at(x: float, y: float, profile: Float64, waves: Float64, features: Float64, field: Float64) -> float:
+    """Height of the smooth ground; arrays as in `simulation.environment.terrain.Terrain`."""
     x0, y0, c, s, flat, rise_u, k_u, rise_v, k_v, zero, west, south, east, north, blend = profile
     share = 1.0
     if blend > 0.0:
@@ -28,29 +29,32 @@ def height_at(x: float, y: float, profile: Float64, waves: Float64) -> float:
     z += 0.5 * rise_v * (1.0 - math.cos(k_v * max(abs(v) - flat, 0.0)))
     for i in range(waves.shape[0]):
         z += waves[i, 0] * math.sin(waves[i, 1] * x + waves[i, 2] * y + waves[i, 3])
+    if features.shape[0] > 0:
+        z += feature_height(x, y, features, field)
     return float(share * (z - zero))
 
 
 @kernel
-def heights_at(xy: Float64, profile: Float64, waves: Float64) -> Float64:
+def heights_at(xy: Float64, profile: Float64, waves: Float64, features: Float64, field: Float64) -> Float64:
     """Heights at (N, 2)."""
     out = np.empty(xy.shape[0])
     for i in range(xy.shape[0]):
-        out[i] = height_at(xy[i, 0], xy[i, 1], profile, waves)
+        out[i] = height_at(xy[i, 0], xy[i, 1], profile, waves, features, field)
     return out
 
 
 @kernel
 def pose_on_ground(
-    x: float, y: float, yaw: float, wheelbase: float, track: float, profile: Float64, waves: Float64
-) -> Float64:
+    x: float, y: float, yaw: float, wheelbase: float, track: float, profile: Float64, waves: Float64, features: Float64,
+    field: Float64,
+) -> Float64:  # fmt: skip
     """Pose (4, 4) of a machine whose rear wheels and front axle centre touch the ground."""
     c, s, half = math.cos(yaw), math.sin(yaw), 0.5 * track
     fx, fy = x + wheelbase * c, y + wheelbase * s
-    left = height_at(x - half * s, y + half * c, profile, waves)
-    right = height_at(x + half * s, y - half * c, profile, waves)
-    front = height_at(fx - half * s, fy + half * c, profile, waves)
-    front = 0.5 * (front + height_at(fx + half * s, fy - half * c, profile, waves))
+    left = height_at(x - half * s, y + half * c, profile, waves, features, field)
+    right = height_at(x + half * s, y - half * c, profile, waves, features, field)
+    front = height_at(fx - half * s, fy + half * c, profile, waves, features, field)
+    front = 0.5 * (front + height_at(fx + half * s, fy - half * c, profile, waves, features, field))
     rear = 0.5 * (left + right)
     pitch, roll = -math.atan2(front - rear, wheelbase), math.atan2(left - right, track)
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
@@ -143,8 +147,9 @@ def ranges_mm(
 def warm() -> None:
     """Compile or load every kernel, so that no step waits for it."""
     profile, waves, one = np.zeros(15), np.zeros((1, 4)), np.zeros((1, 6), np.float32)
-    heights_at(np.zeros((1, 2)), profile, waves)
-    pose_on_ground(0.0, 0.0, 0.0, 1.0, 1.0, profile, waves)
+    features, field = np.zeros((0, COLUMNS)), np.zeros((1, 2))
+    heights_at(np.zeros((1, 2)), profile, waves, features, field)
+    pose_on_ground(0.0, 0.0, 0.0, 1.0, 1.0, profile, waves, features, field)
     sweep_rays(np.eye(4)[None], np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.uint8))
     rays_near_ball(one, np.zeros(3), 1.0)
     signal_of(one, np.zeros((1, 3), np.float32), np.zeros(1, np.uint32), np.zeros(1, np.float32))

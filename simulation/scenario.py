@@ -1,4 +1,4 @@
-"""Scenario: objects, encounters, operator commands, GNSS and camera episodes, faults (docs/scenarios.md)."""
+"""Scenario: objects, encounters, environment, operator commands, episodes, faults (docs/scenarios.md)."""
 
 from typing import Annotated, Literal, Self
 
@@ -8,6 +8,7 @@ from configs.strict import Config
 from messages.command import OperatorCommandKind
 from messages.perception import ObstacleClass
 from simulation.faults.config import InjectedFault
+from simulation.scenario_environment import Environment
 from simulation.scenario_objects import ScenarioObject, check_objects
 from simulation.scenario_values import ALL_SENSORS, KindName, Range
 
@@ -122,6 +123,7 @@ class Scenario(Config):
     camera: tuple[CameraEpisode, ...] = ()
     encounters: tuple[Encounter, ...] = ()
     objects: tuple[ScenarioObject, ...] = ()
+    environment: Environment | None = None
     faults: tuple[InjectedFault, ...] = ()
 
     @model_validator(mode="after")

@@ -20,11 +20,14 @@ from messages.plan import Path
 from messages.sensors import CameraImage
 from messages.topics import TOPICS
 from simulation.actors.actors import Actor
+from simulation.actors.background import Background
 from simulation.actors.encounter import EncounterSite
 from simulation.actors.placement import place_encounters
 from simulation.actors.scripted import ScriptedObjects
+from simulation.environment.media import Media
+from simulation.environment.scenario_scenery import scenery_of
 from simulation.environment.scene import Scene
-from simulation.environment.scenery import SceneryConfig, build_scenery
+from simulation.environment.scenery import SceneryConfig
 from simulation.environment.terrain import Terrain, TerrainConfig
 from simulation.ground_truth import GroundTruth, GroundTruthConfig
 from simulation.kernels import warm
@@ -103,7 +106,8 @@ class SimulationWorld(World):
     ) -> None:  # fmt: skip
         site, vehicle, implement = plant.site, plant.vehicle, plant.implement
         self._now_ns = self._start_ns = config.start_stamp_ns
-        self._terrain = Terrain(site, config.terrain, seed)
+        environment = scenario.environment
+        self._terrain = Terrain(site, config.terrain, seed, None if environment is None else environment.ground)
         self.machine = Machine(
             vehicle, implement, self._terrain, plant.start, is_folded, plant.models.machine, STEP_NS * 1e-9,
             generator(seed, "machine"),
@@ -122,7 +126,9 @@ class SimulationWorld(World):
         setting = EncounterSite(Polygon(site.boundary_m), 0.5 * max(implement.width_m, vehicle.body.width_m), docks)
         self._actors = self._create_actors(plan_paths, setting, seed)
         self._objects = ScriptedObjects(scenario.objects, plan_paths, site, vehicle, self._terrain, seed)
-        self._scene = Scene(lambda: build_scenery(site, self._terrain, config.scenery, seed))
+        self._media = None if environment is None else Media(environment, site, vehicle, self._terrain, seed)
+        self._scene = Scene(lambda: scenery_of(site, self._terrain, config.scenery, environment, seed), self._media)
+        self._background = Background(environment, site, self._terrain, seed)
         models = config.model_copy(update={"gnss": plant.models.gnss, "imu": plant.models.imu})
         self._sensors = make_sensors(SensorContext(site, vehicle, implement, scenario, seed), models)
         self._links = {
@@ -201,7 +207,10 @@ class SimulationWorld(World):
         heading = self.machine.yaw_rad + math.pi * is_reversing
         actors = (actor.update(elapsed_s, tip, heading) for actor in self._actors)
         objects = self._objects.update(elapsed_s, self.machine, self._bus.is_horn_on, (tip, heading))
-        self._scene.actors = (*(f for f in actors if f is not None), *objects)
+        background = self._background.update(elapsed_s, self.machine)
+        self._scene.actors = (*(f for f in actors if f is not None), *objects, *background)
+        if self._media is not None:
+            self._media.update(elapsed_s, self.machine)
 
     def _measure(self, now_ns: int, elapsed_ns: int) -> None:
         state = WorldState(now_ns, elapsed_ns * 1e-9, self._poses, self.machine, self._scene)

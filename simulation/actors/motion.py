@@ -7,8 +7,9 @@ from typing import Protocol
 import numpy as np
 
 from simulation.actors.actors import ActorState
-from simulation.actors.surroundings import Condition, Surroundings, draw
+from simulation.actors.surroundings import Condition, Surroundings
 from simulation.scenario_objects import Accompany, Behaviour, Cross, LieDown, Stand, When
+from simulation.scenario_values import draw
 
 Pose = tuple[float, float, float]
 REACHED_M = 0.6  # between the origins of two objects that meet

@@ -14,7 +14,7 @@ from simulation.actors.actors import ActorState
 from simulation.actors.motion import Motion, Step, motion_of
 from simulation.actors.outline import Outline, compose
 from simulation.actors.phases import PhaseTracker, PlanPosition, Situation
-from simulation.actors.surroundings import Condition, Surroundings, draw
+from simulation.actors.surroundings import Condition, Surroundings
 from simulation.environment.terrain import Terrain
 from simulation.machine.machine import Machine
 from simulation.objects.catalogue import CATALOGUE, solid_of
@@ -23,6 +23,7 @@ from simulation.objects.postures import STAND_TO_LIE_STEPS
 from simulation.objects.solid import Solid
 from simulation.randomness import generator
 from simulation.scenario_objects import MapPlace, ObjectPlace, OutlinePlace, PathPlace, ScenarioObject
+from simulation.scenario_values import draw
 
 FIRST_ID = 100  # encounters count from 0, shed solids from -1 downwards
 RUN_MPS, WALK_MPS = 2.2, 0.05  # slowest running and walking (Minetti 1998: transition at 2.0 to 2.2 m/s)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from configs.strict import Config
 from geometry.arrays import Float64
 from simulation.actors.actors import ActorState
 from simulation.actors.outline import Outline
 from simulation.actors.phases import PhaseName, PlanPosition, Situation
 from simulation.environment.terrain import Terrain
 from simulation.scenario_objects import When
+from simulation.scenario_values import draw
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,3 @@ class Condition:
             return around.outline.ground.distance(own.footprint) <= values["near_m"]
         other = around.others.get(when.meets or "")
         return other is not None and math.dist(own.p_map_m[:2], other.p_map_m[:2]) <= values["within_m"]
-
-
-def draw(config: Config, random: np.random.Generator) -> dict[str, float]:
-    """A value for each range of a section, in the order of its keys."""
-    ranges = {name: getattr(config, name) for name in type(config).model_fields}
-    return {name: float(random.uniform(*value)) for name, value in ranges.items() if _is_range(value)}
-
-
-def _is_range(value: object) -> bool:
-    return isinstance(value, tuple) and len(value) == 2 and all(isinstance(v, float) for v in value)

@@ -8,6 +8,7 @@ import numpy as np
 
 from geometry.arrays import Float32, UInt8
 from simulation.actors.actors import ActorState
+from simulation.environment.media import Media
 from simulation.environment.meshes import Mesh
 from simulation.environment.scenery import SURFACE_KINDS, Piece
 from simulation.kernels import UInt32, signal_of
@@ -48,10 +49,11 @@ class RaycastScene:
 
 
 class Scene:
-    """Surroundings of the machine; `actors` are those present now."""
+    """Surroundings of the machine; `actors` are those present now, `media` None without an environment."""
 
-    def __init__(self, build: Callable[[], list[Piece]]) -> None:
+    def __init__(self, build: Callable[[], list[Piece]], media: Media | None = None) -> None:
         self.actors: tuple[ActorState, ...] = ()
+        self.media = media
         self._build = build
 
     @cached_property
@@ -61,9 +63,10 @@ class Scene:
 
     @cached_property
     def static(self) -> RaycastScene:
-        """Static pieces for ray casting."""
-        kinds = tuple(SURFACE_KINDS.index(p.name) for p in self.pieces)
-        return RaycastScene([p.mesh for p in self.pieces], [p.reflectivity for p in self.pieces], kinds)
+        """Solid static pieces for ray casting."""
+        solid = [p for p in self.pieces if p.is_solid]
+        kinds = tuple(SURFACE_KINDS.index(p.name) for p in solid)
+        return RaycastScene([p.mesh for p in solid], [p.reflectivity for p in solid], kinds)
 
     def visible_to(self, kind: str) -> list[ActorState]:
         """Actors that sensors of a kind detect."""

@@ -38,11 +38,15 @@ class SceneryConfig(Config):
 
 @dataclass(frozen=True)
 class Piece:
-    """A mesh in `map` of one material; `name` is one of SURFACE_KINDS."""
+    """A mesh in `map` of one material; `name` is one of SURFACE_KINDS.
+
+    Plants of an environment are not solid: only images show their mesh, whose `name` is the kind of stand.
+    """
 
     name: str
     mesh: Mesh
     reflectivity: float
+    is_solid: bool = True
 
 
 def by_kind(values: Mapping[str, float], otherwise: float = 0.0) -> Float64:
@@ -82,7 +86,7 @@ def ground_mesh(site: Site, terrain: Terrain, config: SceneryConfig) -> Mesh:
     corners = _turn(shapely.get_coordinates(surveyed_area(site)), -terrain.axis_rad)
     low, high = corners.min(axis=0) - config.margin_m, corners.max(axis=0) + config.margin_m
     across = _turn(np.array(site.boundary_m), -terrain.axis_rad)[:, 1]
-    along_m, across_m = config.grid_m
+    along_m, across_m = (min(pair) for pair in zip(config.grid_m, terrain.features.cells_m, strict=True))
     u = np.arange(low[0], high[0] + along_m, along_m)
     fine = np.arange(across.min(), across.max() + across_m, across_m)
     v = np.concatenate(
@@ -167,11 +171,14 @@ def tree_meshes(site: Site, terrain: Terrain, config: SceneryConfig, seed: int) 
     meshes: list[Mesh] = []
     for _ in range(config.trees):
         place = ring.interpolate(random.uniform(0.0, ring.length))
-        x, y, size = place.x, place.y, random.uniform(3.0, 5.0)
+        size = random.uniform(3.0, 5.0)
         if not near.contains(place):
-            z = terrain.height_m(x, y)
-            meshes += [
-                limb((x, y, z + 2.5), (x, y, z - 0.2), 0.2),
-                ellipsoid((x, y, z + 2.0 + 0.5 * size), (size, size, size)),
-            ]
+            meshes += tree(terrain, place.x, place.y, size)
     return meshes
+
+
+def tree(terrain: Terrain, x: float, y: float, size_m: float) -> list[Mesh]:
+    """Trunk and crown of this diameter."""
+    z = terrain.height_m(x, y)
+    crown = ellipsoid((x, y, z + 2.0 + 0.5 * size_m), (size_m, size_m, size_m))
+    return [limb((x, y, z + 2.5), (x, y, z - 0.2), 0.2), crown]

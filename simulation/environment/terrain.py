@@ -1,4 +1,5 @@
-"""Ground height: smooth, seeded, level in the yard, with grade along and side slope across the field.
+"""Ground height: smooth, seeded, level in the yard, with grade along and side slope across the field, and the features
+of the scenario.
 
 z │      ___          u along the longest edge of the field, v across it, from the yard's centre:
   │   __/             level, then a cosine whose steepest part has the configured grade; superimposed waves
@@ -15,8 +16,10 @@ from shapely import Polygon
 from configs.site import Site
 from configs.strict import Config
 from geometry.arrays import Float64
+from simulation.environment.ground import NO_FEATURES, draw_features
 from simulation.kernels import height_at, heights_at, pose_on_ground
 from simulation.randomness import generator
+from simulation.scenario_environment import Ground
 
 
 class TerrainConfig(Config):
@@ -40,7 +43,7 @@ class TerrainConfig(Config):
 class Terrain:
     """Ground height in `map`; 0 at the site's start and around shed and yard."""
 
-    def __init__(self, site: Site, config: TerrainConfig, seed: int) -> None:
+    def __init__(self, site: Site, config: TerrainConfig, seed: int, ground: Ground | None = None) -> None:
         self.config = config
         self.axis_rad = longest_edge_rad(site.boundary_m)
         yard = Polygon(site.yard.outline_m).centroid
@@ -52,27 +55,41 @@ class Terrain:
             *([0.0] * 5),
         ])  # fmt: skip
         self._waves = draw_waves(config, generator(seed, "terrain"))
-        self._profile[9] = self.height_m(site.start.x_m, site.start.y_m)
+        self._field, start = np.array(site.boundary_m), (site.start.x_m, site.start.y_m)
+        if ground is None:
+            self.features = NO_FEATURES
+        else:
+            self.features = draw_features(ground, self._field, self.axis_rad, start, seed)
+        self._profile[9] = self.height_m(*start)
         if site.shed is not None:
             level = Polygon(site.shed.outline_m).union(Polygon(site.yard.outline_m)).bounds
             self._profile[10:] = [*level, config.blend_m]
 
+    @property
+    def _shape(self) -> tuple[Float64, Float64, Float64, Float64]:
+        return self._profile, self._waves, self.features.rows, self._field
+
     def height_m(self, x_m: float, y_m: float) -> float:
         """Height of the smooth ground (tyre contact)."""
-        return height_at(x_m, y_m, self._profile, self._waves)
+        return height_at(x_m, y_m, *self._shape)
 
     def heights_m(self, xy_m: Float64) -> Float64:
         """Heights of the smooth ground at (N, 2)."""
-        return heights_at(np.ascontiguousarray(xy_m, np.float64), self._profile, self._waves)
+        return heights_at(np.ascontiguousarray(xy_m, np.float64), *self._shape)
 
     def pose_on_ground(self, x_m: float, y_m: float, yaw_rad: float, wheelbase_m: float, track_m: float) -> Float64:
         """Pose of base (4, 4), both rear wheels and the centre of the pivoting front axle on the ground."""
-        return pose_on_ground(x_m, y_m, yaw_rad, wheelbase_m, track_m, self._profile, self._waves)
+        return pose_on_ground(x_m, y_m, yaw_rad, wheelbase_m, track_m, *self._shape)
 
     def furrows_m(self, xy_m: Float64) -> Float64:
-        """Height of the furrows, parallel to the longest edge, at (N, 2)."""
+        """Height of the furrows, parallel to the longest edge, at (N, 2), as far as tyres bridge them."""
+        depth, spacing, bridged = self.features.furrow_m or (
+            self.config.furrow_depth_m,
+            self.config.furrow_spacing_m,
+            1.0,
+        )
         v = xy_m[:, 1] * math.cos(self.axis_rad) - xy_m[:, 0] * math.sin(self.axis_rad)
-        return 0.5 * self.config.furrow_depth_m * np.sin(2.0 * math.pi / self.config.furrow_spacing_m * v)
+        return 0.5 * depth * bridged * np.sin(2.0 * math.pi / spacing * v)
 
 
 def longest_edge_rad(outline_m: tuple[tuple[float, float], ...]) -> float:

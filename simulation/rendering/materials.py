@@ -21,6 +21,8 @@ Appearance = tuple[tuple[float, float, float], Material]
 SOIL, GRASS_A, GRASS_B, GRAVEL = (0.145, 0.095, 0.058), (0.09, 0.125, 0.03), (0.14, 0.15, 0.05), (0.24, 0.21, 0.17)
 PIECE_APPEARANCE: dict[str, tuple[Appearance, int]] = {
     "crop": (((0.075, 0.15, 0.03), Material.LEAF), 1),
+    "grass": (((0.11, 0.16, 0.035), Material.LEAF), 1),
+    "stubble": (((0.36, 0.28, 0.12), Material.LEAF), 1),
     "fence": (((0.26, 0.19, 0.12), Material.WOOD), 0),
     "gate": (((0.20, 0.14, 0.09), Material.BARK), 0),
     "roof": (((0.22, 0.23, 0.24), Material.METAL), 0),

@@ -17,10 +17,11 @@ from geometry.arrays import Float64, UInt8
 from geometry.transforms import planar
 from messages.sensors import CameraImage
 from simulation.actors.actors import ActorState
+from simulation.environment.air import draw_air
 from simulation.environment.scene import Scene
 from simulation.machine.body import machine_mesh
 from simulation.randomness import generator
-from simulation.rendering.light import SkyConfig, draw_light
+from simulation.rendering.light import SkyConfig, draw_light, in_fog
 from simulation.rendering.materials import MACHINE_APPEARANCE, actor_surface, palette, static_surface
 from simulation.rendering.renderer import CameraView, Renderer, exposure_factor
 from simulation.rendering.scene_mesh import surface_of
@@ -64,13 +65,15 @@ class CameraModel:
 
     def __init__(
         self, name: str, camera: Camera, vehicle: Vehicle, site: Site, episodes: tuple[CameraEpisode, ...], seed: int,
-        config: CameraConfig,
+        config: CameraConfig, extinction_per_m: float = 0.0,
     ) -> None:  # fmt: skip
         self.topic = f"camera/{name}"
         self.period_ns = period_ns_of(camera.rate_hz)
         self.latency_ns = round(config.latency_s * 1e9)
         self._camera, self._site, self._episodes, self._seed, self._config = camera, site, episodes, seed, config
         self._light = draw_light(config.sky, generator(seed, "sky"))  # the same sky for all cameras
+        if extinction_per_m > 0.0:
+            self._light = in_fog(self._light, math.log(20.0) / extinction_per_m)
         self._random = generator(seed, f"camera/{name}")
         self._noise = draw_noise(camera.size_px, config.noise_sigma, self._random)
         self._machine = surface_of(
@@ -192,4 +195,6 @@ def roof_of(site: Site) -> Float64 | None:
 
 def make_model(name: str, camera: Camera, config: CameraConfig, context: SensorContext) -> CameraModel:
     """Model of one camera of the vehicle."""
-    return CameraModel(name, camera, context.vehicle, context.site, context.scenario.camera, context.seed, config)
+    scenario, seed = context.scenario, context.seed
+    extinction = 0.0 if scenario.environment is None else draw_air(scenario.environment, seed).extinction_per_m
+    return CameraModel(name, camera, context.vehicle, context.site, scenario.camera, seed, config, extinction)

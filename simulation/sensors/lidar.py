@@ -15,10 +15,12 @@ from geometry.arrays import Float32, Float64, UInt16
 from geometry.transforms import invert
 from messages.message import Message
 from messages.sensors import LidarScan
+from simulation.environment.media import Media
 from simulation.environment.scene import RaycastScene
 from simulation.kernels import ranges_mm, rays_near_ball, sweep_rays
 from simulation.machine.body import T_base_implement, implement_mesh, machine_mesh
 from simulation.machine.implement import at_fold
+from simulation.sensors.lidar_beams import Beams
 from simulation.sensors.sensor import SensorContext, WorldState, period_ns_of
 
 MAX_RANGE_M = 65.5  # uint16 in mm
@@ -43,7 +45,7 @@ class LidarModel:
 
     def __init__(
         self, name: str, lidar: Lidar, vehicle: Vehicle, implement: MountedImplement | TrailedImplement,
-        config: LidarConfig, random: np.random.Generator,
+        config: LidarConfig, random: np.random.Generator, beam_random: np.random.Generator,
     ) -> None:  # fmt: skip
         self.topic = f"lidar/{name}"
         self.period_ns = period_ns_of(lidar.rate_hz)
@@ -65,6 +67,8 @@ class LidarModel:
         parameters = [config.range_at_10_percent_m, 1.0 - config.dropout_probability, lidar.range_sigma_m, low,
                       min(high, MAX_RANGE_M), 1000.0 / step_mm, step_mm]  # fmt: skip
         self._parameters = np.array(parameters, np.float32)
+        self._beam_random = beam_random
+        self._beams: Beams | None = None
         self._self_masks: dict[tuple[int, int, int], tuple[Float32, Float32]] = {}
 
     def sample(self, state: WorldState) -> Message:
@@ -75,11 +79,23 @@ class LidarModel:
         T_map_lidar = state.poses.interpolate(-self._offset_s.astype(np.float64)) @ self._T_base_lidar
         rays = sweep_rays(T_map_lidar, self._directions, is_open.reshape(len(self._elevation), -1).view(np.uint8))
         found = state.scene.static.cast(rays)
-        distance[open_rays], signal[open_rays] = self._add_actors(state, rays, found)
+        if state.scene.media is None:
+            found = self._add_actors(state, rays, found)
+        else:
+            beams = self._beams_in(state.scene.media)
+            found = beams.returns(state.scene, rays, found, distance.copy(), is_open)
+        distance[open_rays], signal[open_rays] = found
+        measured = self._measure(state, distance, signal).reshape(len(self._elevation), -1)
         return LidarScan(
-            state.stamp_ns, self._measure(distance, signal).reshape(len(self._elevation), -1), self._elevation.copy(),
+            state.stamp_ns, measured, self._elevation.copy(),
             self._azimuth.copy(), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), self._offset_s.copy(),
         )  # fmt: skip
+
+    def _beams_in(self, media: Media) -> Beams:
+        if self._beams is None:
+            far, age_s = self._lidar.range_m[1], 0.5 / self._lidar.rate_hz
+            self._beams = Beams(media, self._elevation, far, age_s, self._beam_random)
+        return self._beams
 
     def _self_returns(self, state: WorldState) -> tuple[Float32, Float32]:
         """Distance and signal of the machine's own body, infinite where the view is free."""
@@ -118,11 +134,13 @@ class LidarModel:
         distance[is_candidate], signal[is_candidate] = found
         return distance, signal
 
-    def _measure(self, distance: Float32, signal: Float32) -> UInt16:
+    def _measure(self, state: WorldState, distance: Float32, signal: Float32) -> UInt16:
         """Measured ranges: dropout, noise, dust, resolution; 0 without a return."""
-        random, n = self._random, len(distance)
+        random, n, dust_probability = self._random, len(distance), self._config.dust_probability
+        if state.scene.media is not None and state.scene.media.dust_ray_share is not None:
+            dust_probability = state.scene.media.dust_ray_share
         detection_draw = random.random(n, np.float32)
-        is_dust = random.random(n, np.float32) < self._config.dust_probability
+        is_dust = random.random(n, np.float32) < dust_probability
         noise, dust_m = random.standard_normal(n, np.float32), np.full(n, np.inf, np.float32)
         dust_m[is_dust] = random.uniform(*self._config.dust_range_m, np.count_nonzero(is_dust))
         return ranges_mm(distance, signal, detection_draw, dust_m, noise, self._parameters)
@@ -143,4 +161,5 @@ def nearer_hit(a: tuple[Float32, Float32], b: tuple[Float32, Float32]) -> tuple[
 
 def make_model(name: str, lidar: Lidar, config: LidarConfig, context: SensorContext) -> LidarModel:
     """Model of one lidar of the vehicle."""
-    return LidarModel(name, lidar, context.vehicle, context.implement, config, context.generator(f"lidar/{name}"))
+    random, beam_random = context.generator(f"lidar/{name}"), context.generator(f"environment/lidar/{name}")
+    return LidarModel(name, lidar, context.vehicle, context.implement, config, random, beam_random)

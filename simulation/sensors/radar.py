@@ -14,12 +14,12 @@ from shapely import LineString
 
 from configs.strict import Config
 from configs.vehicle import Radar
-from geometry.arrays import Float32, Float64
+from geometry.arrays import Float32, Float64, UInt8
 from messages.message import Message
 from messages.sensors import RadarScan
 from simulation.actors.actors import ActorState
 from simulation.environment.scene import Scene
-from simulation.environment.scenery import by_kind
+from simulation.environment.scenery import SURFACE_KINDS, by_kind
 from simulation.sensors.sensor import SensorContext, WorldState, period_ns_of
 
 # backscatter of rough surfaces in dB (times cosine of incidence and area); specular gain at normal incidence
@@ -27,6 +27,7 @@ ROUGH_DB = {"ground": -14.0, "crop": -15.0, "fence": -4.0, "gate": 0.0, "wall": 
             "mast": 0.0, "store": -3.0, "trees": -9.0}  # fmt: skip
 MIRROR_DB = {"wall": 25.0, "roof": 25.0, "store": 10.0}
 ROUGH, MIRROR = by_kind(ROUGH_DB), by_kind(MIRROR_DB)
+CROP = SURFACE_KINDS.index("crop")
 MIRROR_DEG = 6.0
 NEAR_M = 0.3  # tolerance: a body does not occlude itself
 MAX_PATCH_DEPTH_M = 1.0  # of a ray's patch on the ground, along the ray
@@ -70,11 +71,14 @@ class Scatterers:
 class RadarModel:
     """One radar on one machine."""
 
-    def __init__(self, name: str, radar: Radar, config: RadarConfig, random: np.random.Generator) -> None:
+    def __init__(
+        self, name: str, radar: Radar, config: RadarConfig, random: np.random.Generator,
+        plant_random: np.random.Generator,
+    ) -> None:  # fmt: skip
         self.topic = f"radar/{name}"
         self.period_ns = period_ns_of(radar.rate_hz)
         self.latency_ns = round(config.latency_s * 1e9)
-        self._radar, self._config, self._random = radar, config, random
+        self._radar, self._config, self._random, self._plant_random = radar, config, random, plant_random
         self._T_base_radar = radar.mount.T_base_sensor
         self._half = math.radians(0.5 * radar.field_of_view_deg)
         columns = max(1, round(radar.field_of_view_deg / config.ray_spacing_deg))
@@ -105,7 +109,7 @@ class RadarModel:
         elevation = self._fan[1] + row_height * self._random.uniform(-0.5, 0.5, n)
         u = directions(azimuth, elevation)
         u_map = u @ T[:3, :3].T
-        distance, kind, cosine = scene.static.cast_surface(rays_from(T[:3, 3], u_map))
+        distance, kind, cosine = surfaces(scene, rays_from(T[:3, 3], u_map), self._plant_random)
         near, far = self._radar.range_m
         is_hit = (distance >= near) & (distance <= far)
         r, cosine = distance[is_hit].astype(np.float64), np.maximum(cosine[is_hit].astype(np.float64), 1e-3)
@@ -137,6 +141,8 @@ class RadarModel:
         off_deg = np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
         rcs = np.array([p.rcs_dbsm for p in points])
         rcs = rcs + np.array([p.mirror_db for p in points]) * np.exp(-((off_deg / (2.0 * MIRROR_DEG)) ** 2))
+        if scene.media is not None:
+            rcs = rcs - scene.media.radar_loss_db(rays_from(T[:3, 3], u), r)
         gait = np.array([1.0 + p.swing * math.sin(2.0 * math.pi * (actor.gait + p.phase)) for p in points])
         body_velocity = np.array([*actor.velocity_mps, 0.0])
         doppler = np.einsum("ij,ij->i", gait[:, None] * body_velocity - velocity_mps, u)
@@ -192,6 +198,15 @@ class RadarModel:
         ])  # fmt: skip
 
 
+def surfaces(scene: Scene, rays: Float32, random: np.random.Generator) -> tuple[Float32, UInt8, Float32]:
+    """As `RaycastScene.cast_surface` of the static scene, with the first plants of the environment as crop."""
+    distance, kind, cosine = scene.static.cast_surface(rays)
+    if scene.media is None or scene.media.canopy is None:
+        return distance, kind, cosine
+    distance, is_plant = scene.media.canopy.first(rays, distance, random)
+    return distance, np.where(is_plant, CROP, kind).astype(np.uint8), np.where(is_plant, np.float32(1.0), cosine)
+
+
 def directions(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:
     """Unit vectors (N, 3)."""
     flat, u = np.cos(elevation_rad), np.empty((len(elevation_rad), 3))
@@ -222,4 +237,5 @@ def is_occluded(actor: ActorState, others: list[ActorState], T_map_sensor: Float
 
 def make_model(name: str, radar: Radar, config: RadarConfig, context: SensorContext) -> RadarModel:
     """Model of one radar of the vehicle."""
-    return RadarModel(name, radar, config, context.generator(f"radar/{name}"))
+    plant_random = context.generator(f"environment/radar/{name}")
+    return RadarModel(name, radar, config, context.generator(f"radar/{name}"), plant_random)

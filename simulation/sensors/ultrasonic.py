@@ -16,7 +16,7 @@ from messages.message import Message
 from messages.sensors import UltrasonicRange
 from simulation.environment.scenery import by_kind
 from simulation.machine.body import LIFT_M
-from simulation.sensors.radar import directions, rays_from
+from simulation.sensors.radar import CROP, directions, rays_from, surfaces
 from simulation.sensors.sensor import SensorContext, WorldState, period_ns_of
 
 STRENGTH = {"wall": 1.5, "roof": 1.5, "store": 1.0, "post": 0.7, "mast": 0.4, "gate": 0.6, "fence": 0.5, "trees": 0.3,
@@ -26,6 +26,7 @@ MIRROR_DEG, ROUGH = 25.0, 0.1  # 1/e angle of the specular lobe of a corrugated 
 EDGE = 0.5  # beam pattern at the edge of the cone
 COLUMNS, ROWS = 31, 5
 NEAR_M = 0.1
+PLANT_STRENGTH = 0.15  # of a stand of plants (assumed: half of trees)
 
 
 class UltrasonicConfig(Config):
@@ -43,8 +44,9 @@ class UltrasonicModel:
 
     def __init__(
         self, name: str, sensor: Ultrasonic, neighbours: int, is_on_implement: bool, config: UltrasonicConfig,
-        random: np.random.Generator,
+        random: np.random.Generator, plant_random: np.random.Generator,
     ) -> None:  # fmt: skip
+        self._plant_random = plant_random
         self.topic = f"ultrasonic/{name}"
         self.period_ns = period_ns_of(sensor.rate_hz)
         self.latency_ns = round(config.latency_s * 1e9)
@@ -82,12 +84,15 @@ class UltrasonicModel:
 
     def _static_returns(self, state: WorldState, T: Float64) -> tuple[Float64, Float64]:
         """Range and loudness at the maximum range of static surfaces, per ray."""
-        distance, kind, cosine = state.scene.static.cast_surface(rays_from(T[:3, 3], self._u @ T[:3, :3].T))
+        rays = rays_from(T[:3, 3], self._u @ T[:3, :3].T)
+        distance, kind, cosine = surfaces(state.scene, rays, self._plant_random)
         if not (SURFACE_STRENGTH[kind] > 0.0).any():
             return distance.astype(np.float64), np.zeros(len(distance))
         off = np.degrees(np.arccos(np.minimum(cosine, 1.0))) / MIRROR_DEG
         mirrored = np.where(IS_SMOOTH[kind], np.maximum(np.exp(-(off**2)), ROUGH), 1.0)
-        return distance.astype(np.float64), SURFACE_STRENGTH[kind] * mirrored * self._beam
+        is_plant = (kind == CROP) & (state.scene.media is not None)
+        strength = np.where(is_plant, PLANT_STRENGTH, SURFACE_STRENGTH[kind])
+        return distance.astype(np.float64), strength * mirrored * self._beam
 
     def _actor_returns(self, state: WorldState, T: Float64) -> tuple[Float64, Float64]:
         """Range and loudness of each actor's nearest vertex in the cone."""
@@ -99,7 +104,7 @@ class UltrasonicModel:
             echo = self._nearest(actor.vertices_map_m, T)
             if echo is not None and not self._is_occluded(state, T, echo):
                 loudness = actor.solid.ultrasonic_strength * EDGE ** ((math.acos(echo[0] / echo[3]) / self._half) ** 2)
-                found.append((echo[3], loudness))
+                found.append((echo[3], loudness * self._transmission(state, T, echo)))
         pairs = np.array(found).reshape(-1, 2)
         return pairs[:, 0], pairs[:, 1]
 
@@ -112,6 +117,13 @@ class UltrasonicModel:
             return None
         k = int(inside[np.argmin(r[inside])])
         return float(p[k, 0]), float(p[k, 1]), float(p[k, 2]), max(float(r[k]), 1e-3)
+
+    def _transmission(self, state: WorldState, T: Float64, echo: tuple[float, float, float, float]) -> float:
+        """Share of the sound that comes back through the plants of the environment."""
+        if state.scene.media is None or state.scene.media.canopy is None:
+            return 1.0
+        rays = rays_from(T[:3, 3], np.array([echo[:3]]) / echo[3] @ T[:3, :3].T)
+        return math.exp(-2.0 * float(state.scene.media.canopy.optical_depth(rays, np.array([echo[3]], np.float32))[0]))
 
     def _is_occluded(self, state: WorldState, T: Float64, echo: tuple[float, float, float, float]) -> bool:
         u = np.array([echo[:3]]) / echo[3]
@@ -136,4 +148,5 @@ def make_model(name: str, sensor: Ultrasonic, config: UltrasonicConfig, context:
     axes = [one.mount.T_base_sensor[:3, 0] for one in context.vehicle.sensors.ultrasonic.values()]
     neighbours = sum(float(x @ other) > 0.0 for other in axes) - 1
     random = context.generator(f"ultrasonic/{name}")
-    return UltrasonicModel(name, sensor, neighbours, is_on_implement, config, random)
+    plant_random = context.generator(f"environment/ultrasonic/{name}")
+    return UltrasonicModel(name, sensor, neighbours, is_on_implement, config, random, plant_random)
