@@ -1,6 +1,6 @@
-"""Mission: field work, machine, implement and docking."""
+"""Mission: field work or a line, machine, implement and docking."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -28,11 +28,29 @@ class Spread(Config):
     heading_deg: float = Field(ge=0.0, le=180.0)
 
 
+class Leg(Config):
+    """Part of a line: an arc of constant curvature (left positive, of the forward motion)."""
+
+    section: Literal["swath", "headland", "lane", "turn"] = "swath"
+    length_m: float = Field(gt=0.5, le=500.0)
+    curvature_radpm: float = Field(default=0.0, ge=-0.3, le=0.3)
+    is_working: bool = False
+    is_reverse: bool = False
+
+
+class Line(Config):
+    """Legs that are driven one after the other, without coverage planning; top speed forward and in reverse."""
+
+    speed_kmh: Kmh
+    reverse_kmh: Kmh = 3.0
+    legs: tuple[Leg, ...] = Field(min_length=1)
+
+
 class Mission(Config):
     """Mission by the names of its parts in `configs/`; with `bay` it starts and ends docked there.
 
-    `start` sets another start pose with the implement unfolded, drawn by the seed within `spread`. Without `work` the
-    mission is docking only.
+    `start` sets another start pose with the implement unfolded, drawn by the seed within `spread`. A mission has field
+    `work`, or only drives a `line` from its `start`, or is docking only.
     """
 
     name: str
@@ -40,14 +58,17 @@ class Mission(Config):
     machine: str
     implement: str
     work: Work | None = None
+    line: Line | None = None
     bay: str | None = None
     start: PoseConfig | None = None
     spread: Spread | None = None
 
     @model_validator(mode="after")
     def _check_tasks(self) -> "Mission":
-        if self.work is None and (self.bay is None or self.start is None):
-            raise ValueError("a mission without work needs a bay to dock in and a start")
+        if self.line is not None and (self.work is not None or self.bay is not None or self.start is None):
+            raise ValueError("line: a mission with a line needs a start, and has neither work nor a bay")
+        if self.work is None and self.line is None and (self.bay is None or self.start is None):
+            raise ValueError("a mission without work or a line needs a bay to dock in and a start")
         if self.work is not None and self.start is not None:
             raise ValueError("start: a mission with work starts docked or at the start of its site")
         return self

@@ -51,6 +51,7 @@ TOPICS: dict[str, TopicSpec] = {
     "fault": TopicSpec(faults.Fault, 0.0, NEVER_STALE_S),
     "truth_machine": TopicSpec(truth.TrueMachine, 0.05, NEVER_STALE_S),
     "truth_objects": TopicSpec(truth.TrueObjects, 0.1, NEVER_STALE_S),
+    "truth_shapes": TopicSpec(truth.TrueShapes, 0.1, NEVER_STALE_S),
 }
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import IntEnum
 
-from geometry.arrays import Float64
+from geometry.arrays import Float64, Int32, Int64
 from messages.message import Message, MessagePart
 from messages.perception import ObstacleClass
 
@@ -64,3 +64,19 @@ class TrueObjects(Message):
     """All true objects that count as obstacles."""
 
     objects: tuple[TrueObject, ...]
+
+
+@dataclass(frozen=True)
+class TrueShapes(Message):
+    """Shapes of the objects of a scenario as upright prisms in `map`, and the implement's state that no outline shows.
+
+    Prism k of K belongs to object `object_id[k]`, extends over the heights `z_m[k]` (K, 2) and has the outline
+    `outline_map_m[offsets[k]:offsets[k + 1]]` (M, 2). `fold` is 0 at working width, 1 at transport width.
+    """
+
+    object_id: Int64
+    z_m: Float64
+    offsets: Int32
+    outline_map_m: Float64
+    pto_radps: float
+    fold: float

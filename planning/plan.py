@@ -8,7 +8,7 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from configs.mission import Mission, Work
+from configs.mission import Line, Mission, Work
 from configs.site import PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
 from geometry.footprint import is_inside, worked
@@ -21,6 +21,7 @@ from planning.coverage.route import route
 from planning.coverage.swath import Swath, remains, swaths_of, trimmed
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
 from planning.field.drivable_area import DrivableArea, describe, drivable_area_of
+from planning.line import line_paths
 from planning.path import path_of
 from planning.rig import Rig, rig_of
 from planning.turns.connector import PathConnector
@@ -80,7 +81,9 @@ def plan_mission(
 
     Raises FieldError with the position when it cannot be driven.
     """
-    if mission.work is None:
+    if mission.line is not None:
+        plan = plan_line(mission.line, site, rig_of(vehicle, implement, None, config.planner), start)
+    elif mission.work is None:
         plan = _nothing_planned(site, rig_of(vehicle, implement.folded, None, config.planner))
     else:
         plan = plan_field(site, vehicle, implement, mission.work, config.planner, seed)
@@ -126,6 +129,17 @@ def plan_field(
         drivable,
         rig,
     )
+
+
+def plan_line(line: Line, site: Site, rig: Rig, start: PoseConfig) -> Plan:
+    """Plan of a line; raises FieldError where the rig would leave field, lane or yard."""
+    drivable = drivable_area_of(site, PROOF_SLACK_M)
+    paths = line_paths(line, rig, start.pose)
+    paths = (*paths[:-1], replace(paths[-1], is_last=True))
+    check_inside(paths, rig, drivable)
+    area = worked_area(paths, rig).intersection(drivable.free)
+    size_m2 = drivable.free.area
+    return Plan(paths, area, size_m2, area.area / size_m2, _length_m(paths), (), (), (), drivable, rig)
 
 
 def _nothing_planned(site: Site, rig: Rig) -> Plan:

@@ -49,6 +49,7 @@ from simulation.sensors.sensor import Sensor, SensorContext, WorldState
 from simulation.sensors.ultrasonic import UltrasonicConfig
 from simulation.sensors.uwb import UwbConfig, UwbModel
 from simulation.sensors.wheels import WheelModel
+from simulation.true_shapes import shapes_message, shapes_text
 
 Pending = Message | Future[CameraImage]
 
@@ -112,7 +113,7 @@ class SimulationWorld(World):
             vehicle, implement, self._terrain, plant.start, is_folded, plant.models.machine, STEP_NS * 1e-9,
             generator(seed, "machine"),
         )  # fmt: skip
-        self._vehicle, self._scenario = vehicle, scenario
+        self._vehicle, self._implement, self._site, self._scenario = vehicle, implement, site, scenario
         self._ends_m = vehicle.body.front_m, min(-vehicle.body.rear_m, implement.ends_m[1])
         self._poses = PoseBuffer(STEP_NS, POSE_BUFFER_S)
         self._body = BodyMotion(plant.models.machine.body_motion, STEP_NS * 1e-9, generator(seed, "body"))
@@ -137,7 +138,10 @@ class SimulationWorld(World):
         self._render_thread = ThreadPoolExecutor(1) if renders_in_thread else None
         self._pending: list[tuple[int, int, str, Pending]] = []
         self._put_count = 0
-        self.writes = (*(s.topic for s in self._sensors), "operator_command", "truth_machine", "truth_objects")
+        self._seed = seed
+        # shapes are logged where a judge needs them: for the objects of a scenario
+        self._truth = ("truth_machine", "truth_objects", *(["truth_shapes"] if scenario.objects else []))
+        self.writes = (*(s.topic for s in self._sensors), "operator_command", *self._truth)
 
     def next_ns(self) -> int | None:
         """Time of the next tick; the simulated world has no end."""
@@ -172,6 +176,10 @@ class SimulationWorld(World):
     def add_actor(self, actor: Actor) -> None:
         """Adds an actor from now on."""
         self._actors.append(actor)
+
+    def shapes_text(self) -> str:
+        """True shapes of machine, implement and static solids (simulation/true_shapes.py)."""
+        return shapes_text(self._vehicle, self._implement, self._site, self._scene.pieces, self._seed)
 
     def close(self) -> None:
         """Closes the bus."""
@@ -238,8 +246,7 @@ class SimulationWorld(World):
                 )
 
     def _publish_truth(self, now_ns: int, elapsed_ns: int) -> None:
-        topics = ("truth_machine", "truth_objects")
-        due = [topic for topic in topics if elapsed_ns % round(TOPICS[topic].period_s * 1e9) == 0]
+        due = [topic for topic in self._truth if elapsed_ns % round(TOPICS[topic].period_s * 1e9) == 0]
         if not due:
             return
         outline, actors = self._ground_truth.outline(self.machine), self._scene.actors
@@ -248,6 +255,8 @@ class SimulationWorld(World):
             self._put(now_ns, "truth_machine", self._ground_truth.machine_message(now_ns, self.machine))
         if "truth_objects" in due:
             self._put(now_ns, "truth_objects", self._ground_truth.objects_message(now_ns, outline, actors))
+        if "truth_shapes" in due:
+            self._put(now_ns, "truth_shapes", shapes_message(now_ns, actors, self.machine.attached))
 
     def _put(self, receive_ns: int, topic: str, message: Pending) -> None:
         self._put_count += 1

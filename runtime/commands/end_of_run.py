@@ -13,10 +13,13 @@ LATCHED = (Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
 
 
 class EndOfDrive:
-    """Sink that detects the end of the mission at standstill, or a stuck machine; `length_m` is the planned path."""
+    """Sink that detects the end of the mission at standstill, or a stuck machine; `length_m` is the planned path.
 
-    def __init__(self, length_m: float) -> None:
-        self._limit_s = 600.0 + length_m / MIN_MEAN_SPEED_MPS
+    `limit_s` ends the drive in any case.
+    """
+
+    def __init__(self, length_m: float, limit_s: float | None = None) -> None:
+        self._limit_s = 600.0 + length_m / MIN_MEAN_SPEED_MPS if limit_s is None else limit_s
         self._start_ns: int | None = None
         self._now_ns = 0
         self._moved_ns = 0

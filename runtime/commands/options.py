@@ -54,7 +54,7 @@ def _out(verb: str, more: str = "") -> Option:
 RESUMES = "; results already in it are kept"
 COMMANDS = (
     Command("run", "drive a mission in simulation and write the report", "runtime.commands.run", (
-        FIELD, *MISSION, SCENARIO, SEED, MODEL,
+        FIELD, *MISSION, SCENARIO, SEED, MODEL, DURATION,
         _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
         _out("run"), JSON,
     )),

@@ -23,6 +23,7 @@ from runtime.executor import Executor
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, load_scenario, load_setup, with_model
 from simulation.scenario import Scenario
+from simulation.world import SimulationWorld
 from validation.drive.detections import Detections, DetectionSample, range_rows, share_rows
 from validation.drive.docking import bodies_of, docking_drive
 from validation.drive.figures import draw_all
@@ -41,7 +42,7 @@ def main(arguments: argparse.Namespace) -> int:
     scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
     folder = RunFolder("run", arguments.out)
     try:
-        result = drive(setup, scenario, folder, sys.stderr, arguments.without_obstacle_rules)
+        result = drive(setup, scenario, folder, sys.stderr, arguments.without_obstacle_rules, arguments.duration)
     except (HeadlandError, OSError) as error:
         shutil.rmtree(folder.path)
         raise HeadlandError(f"run aborted, {folder.path} removed: {error}") from error
@@ -54,20 +55,14 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def drive(
-    setup: Setup, scenario: Scenario, folder: RunFolder, console: TextIO, is_ablation: bool = False
-) -> dict[str, Any]:
-    """Drives one mission into a run folder; returns the object of `run --json`."""
+    setup: Setup, scenario: Scenario, folder: RunFolder, console: TextIO, is_ablation: bool = False,
+    limit_s: float | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Drives one mission into a run folder, at most `limit_s` simulated seconds; returns the object of `run --json`."""
     began_s = time.monotonic()
-    config = resolved(
-        mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,
-        scenario=scenario, **_drawn_plant(setup, scenario),
-    )  # fmt: skip
-    (folder.path / "config.yaml").write_text(config, encoding="utf-8")
     conditions = versions() | {"seed": str(setup.seed), "ablation": str(is_ablation)}
     folder.record("conditions", conditions)
-    digest = _drive_into_log(
-        setup, scenario, folder, {"run": conditions, "config": {"yaml": config}}, console, is_ablation
-    )
+    digest = drive_into_log(setup, scenario, folder.path, conditions, console, is_ablation, limit_s)
     record, samples = read_drive(folder.path / "log.mcap", setup.vehicle)
     bay = None if setup.mission.bay is None else setup.site.bay(setup.mission.bay)
     planned = Planned(
@@ -105,18 +100,26 @@ def _drawn_plant(setup: Setup, scenario: Scenario) -> dict[str, Config]:
     }  # fmt: skip
 
 
-def _drive_into_log(
-    setup: Setup, scenario: Scenario, folder: RunFolder, metadata: dict[str, dict[str, str]], console: TextIO,
-    is_ablation: bool,
+def drive_into_log(
+    setup: Setup, scenario: Scenario, folder: Path, conditions: dict[str, str], console: TextIO,
+    is_ablation: bool = False, limit_s: float | None = None,
 ) -> str:  # fmt: skip
-    """Runs the stack until the drive ends, with its log; returns the digest of the log."""
+    """Runs the stack until the drive ends, or `limit_s` have passed, and writes its log; returns the log's digest."""
+    config = resolved(
+        mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,
+        scenario=scenario, **_drawn_plant(setup, scenario),
+    )  # fmt: skip
+    (folder / "config.yaml").write_text(config, encoding="utf-8")
+    metadata = {"run": conditions, "config": {"yaml": config}}
     faults = fault_injection_for(setup, scenario)
     with (
         assemble(setup, scenario, is_ablation, faults) as (world, nodes),
-        (folder.path / "console.log").open("w") as file,
+        (folder / "console.log").open("w") as file,
     ):
-        end = EndOfDrive(setup.plan.length_m)
-        with LogWriter(folder.path / "log.mcap", metadata, setup.stack.datasets.log, setup.viewer()) as log:
+        end = EndOfDrive(setup.plan.length_m, limit_s)
+        with LogWriter(folder / "log.mcap", metadata, setup.stack.datasets.log, setup.viewer()) as log:
+            if isinstance(world, SimulationWorld):
+                log.add_metadata("shapes", {"json": world.shapes_text()})
             sinks = (log.write, Progress((console, file)), end)
             Executor(world, nodes, sinks if faults is None else (*sinks, faults), faults).run(end.is_reached)
             return log.digest()

@@ -39,7 +39,7 @@ from simulation.faults.config import FaultsConfig, InjectedFault, fault_kinds_of
 from simulation.faults.injection import FaultInjection
 from simulation.scenario import Scenario
 
-NOT_INJECTED = ("operator_command", "truth_machine", "truth_objects")
+NOT_INJECTED = ("operator_command", "truth_machine", "truth_objects", "truth_shapes")
 LIMIT_S = 600.0  # simulated time to reach a situation
 CELL_LIMIT_S = 900.0  # wall time
 SEED = 1

@@ -16,33 +16,46 @@ from simulation.machine.implement import extent_m, origin_m
 LIFT_M, FRAME_M = 0.6, 0.9  # stroke of the hitch; height of the lowered implement's frame
 
 
-def machine_mesh(vehicle: Vehicle) -> Mesh:
-    """Hood, cab, ballast, mudguards and wheels within the body's extent, in `base`."""
+def machine_parts(vehicle: Vehicle) -> dict[str, Mesh]:
+    """Frame, hood, ballast, cab, mudguards and wheels within the body's extent, in `base`."""
     b, d = vehicle.body, vehicle.drivetrain
     wheel, front = d.wheel_radius_m, 0.62 * d.wheel_radius_m
     half = 0.5 * b.width_m
     cab_front = 0.45 * d.wheelbase_m
-    parts = [
-        box((-b.rear_m, -0.35, 0.4), (b.front_m - 0.3, 0.35, 0.9)),  # frame
-        box((cab_front, -0.42, 0.9), (b.front_m - 0.25, 0.42, 0.57 * b.height_m)),  # hood
-        box((b.front_m - 0.25, -0.4, 0.55), (b.front_m, 0.4, 1.0)),  # ballast
-        box((-0.8, -0.75, 1.0), (cab_front, 0.75, b.height_m)),  # cab
-    ]
-    parts += [box((-0.8, s * half - 0.25 * (1 + s), 2.0 * wheel), (0.7, s * half + 0.25 * (1 - s), 2.0 * wheel + 0.06))
-              for s in (1, -1)]  # fmt: skip
-    for s in (1.0, -1.0):
-        parts.append(limb((0.0, s * half, wheel), (0.0, s * (half - 0.45), wheel), wheel, 16))
+    parts = {
+        "frame": box((-b.rear_m, -0.35, 0.4), (b.front_m - 0.3, 0.35, 0.9)),
+        "hood": box((cab_front, -0.42, 0.9), (b.front_m - 0.25, 0.42, 0.57 * b.height_m)),
+        "ballast": box((b.front_m - 0.25, -0.4, 0.55), (b.front_m, 0.4, 1.0)),
+        "cab": box((-0.8, -0.75, 1.0), (cab_front, 0.75, b.height_m)),
+    }
+    sides = {"left": 1.0, "right": -1.0}
+    for name, s in sides.items():
+        low, high = s * half - 0.25 * (1 + s), s * half + 0.25 * (1 - s)
+        parts[f"mudguard_{name}"] = box((-0.8, low, 2.0 * wheel), (0.7, high, 2.0 * wheel + 0.06))
+    for name, s in sides.items():
+        parts[f"wheel_rear_{name}"] = limb((0.0, s * half, wheel), (0.0, s * (half - 0.45), wheel), wheel, 16)
         x = d.wheelbase_m
-        parts.append(limb((x, s * 0.5 * d.track_m, front), (x, s * (0.5 * d.track_m - 0.35), front), front, 16))
-    return join(parts)
+        ends = (x, s * 0.5 * d.track_m, front), (x, s * (0.5 * d.track_m - 0.35), front)
+        parts[f"wheel_front_{name}"] = limb(*ends, front, 16)
+    return parts
 
 
-def implement_mesh(implement: MountedImplement | TrailedImplement, hitch: float) -> Mesh:
-    """The implement's frame as a box, raised by the hitch, about its origin."""
+def machine_mesh(vehicle: Vehicle) -> Mesh:
+    """All of the machine's parts as one mesh, in `base`."""
+    return join(list(machine_parts(vehicle).values()))
+
+
+def implement_parts(implement: MountedImplement | TrailedImplement, hitch: float) -> dict[str, Mesh]:
+    """Its frame as a box, raised by the hitch, and its linkage, about its origin."""
     (ahead, behind), half = extent_m(implement), 0.5 * implement.width_m
     low = 0.05 + LIFT_M * hitch
     frame = box((behind, -half, low), (ahead, half, low + FRAME_M))
-    return join([frame, box((ahead, -0.25, 0.4), (0.0, 0.25, 0.6))])
+    return {"implement": frame, "linkage": box((ahead, -0.25, 0.4), (0.0, 0.25, 0.6))}
+
+
+def implement_mesh(implement: MountedImplement | TrailedImplement, hitch: float) -> Mesh:
+    """All of the implement's parts as one mesh, about its origin."""
+    return join(list(implement_parts(implement, hitch).values()))
 
 
 def machine_outline_m(vehicle: Vehicle, base: tuple[float, float, float]) -> Polygon:

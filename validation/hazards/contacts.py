@@ -1,0 +1,121 @@
+"""Contact of machine and objects in 3-D, and the smallest distance, from truth."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.prism import Nearest, Solids
+from validation.hazards.tracks import REACH_M, Drive, MachineState, ObjectTrack, to_map
+
+TOUCH_M = 1e-4
+MIN_STEP_S, MAX_STEP_S = 0.01, 0.2
+RESOLUTION_S = 1e-3
+NEAR_MISS_M = 0.5
+
+
+@dataclass(frozen=True)
+class Contact:
+    """First contact: time, part, point in `map`, speed of both against each other and of the machine alone.
+
+    `is_walked_into`: wheels, hitch and PTO stood still.
+    """
+
+    t_s: float
+    part: str
+    point_map_m: tuple[float, float, float]
+    relative_mps: float
+    machine_mps: float
+    is_walked_into: bool
+
+
+@dataclass(frozen=True)
+class Approach:
+    """How near an object came: smallest distance to any part, and to a moving one, with time and part; contacts."""
+
+    margin_m: float
+    margin_s: float
+    part: str
+    moving_margin_m: float
+    contact: Contact | None
+    walked_into: Contact | None
+
+    @property
+    def is_near_miss(self) -> bool:
+        """Whether a moving part came near without contact."""
+        return self.contact is None and self.moving_margin_m < NEAR_MISS_M
+
+
+def approach_of(drive: Drive, one: ObjectTrack) -> Approach:
+    """Smallest distances and first contacts of an object over the drive."""
+    machine = drive.machine
+    t, end = (float(machine.t_s[0] if one.is_static else max(machine.t_s[0], one.t_s[0]))), float(machine.t_s[-1])
+    best, best_s, part, moving_m = math.inf, t, "", math.inf
+    contact = walked = None
+    before = t
+    while t <= end and one.is_present(t):
+        state = machine.at(t)
+        found, speed = _gap(drive, one, state)
+        k = machine.index(t)
+        moving = _moving_gap(drive, one, state, k, found)
+        if found.distance_m < best:
+            best, best_s, part = found.distance_m, t, found.part
+        moving_m = min(moving_m, moving)
+        if found.distance_m <= TOUCH_M:
+            if machine.is_moving[k]:
+                contact = _contact(drive, one, _first_touch(drive, one, before, t))
+                break
+            walked = walked or _contact(drive, one, _first_touch(drive, one, before, t))
+        before = t
+        t += float(np.clip(0.5 * found.distance_m / max(speed, 0.1), MIN_STEP_S, MAX_STEP_S))
+    return Approach(best, best_s, part, moving_m, contact, walked)
+
+
+def _gap(drive: Drive, one: ObjectTrack, state: MachineState) -> tuple[Nearest, float]:
+    """Distance now, and a bound of the speed at which it can shrink."""
+    shape = _near(one.shape_at(state.t_s), state) if one.is_static else one.shape_at(state.t_s)
+    speed = abs(state.speed_mps) + 4.0 * abs(state.yaw_rate_radps) + float(np.hypot(*one.velocity_at(state.t_s)))
+    if not len(shape.polygons):
+        return Nearest(REACH_M - 4.0, "", (math.nan,) * 3), speed
+    return drive.gap(state, shape), speed
+
+
+def _near(shape: Solids, state: MachineState) -> Solids:
+    """The solids around the machine."""
+    d = np.array([[p.bounds[0] - state.x_m, p.bounds[1] - state.y_m, state.x_m - p.bounds[2], state.y_m - p.bounds[3]]
+                  for p in shape.polygons])  # fmt: skip
+    mine = np.flatnonzero((d < REACH_M).all(axis=1)) if len(d) else np.zeros(0, int)
+    return Solids(shape.polygons[mine], shape.z_m[mine], tuple(shape.names[k] for k in mine))
+
+
+def _moving_gap(drive: Drive, one: ObjectTrack, state: MachineState, k: int, found: Nearest) -> float:
+    """Distance to a moving part: all of them while driving, the implement while only it moves."""
+    machine = drive.machine
+    if machine.is_driving[k] or found.distance_m > NEAR_MISS_M:
+        return found.distance_m if machine.is_driving[k] else math.inf
+    if not machine.is_moving[k]:
+        return math.inf
+    shape = _near(one.shape_at(state.t_s), state) if one.is_static else one.shape_at(state.t_s)
+    return drive.gap(state, shape, only_implement=True).distance_m
+
+
+def _first_touch(drive: Drive, one: ObjectTrack, free_s: float, touch_s: float) -> float:
+    """Time of the first touch between a moment without and one with contact."""
+    while touch_s - free_s > RESOLUTION_S:
+        middle = 0.5 * (free_s + touch_s)
+        if _gap(drive, one, drive.machine.at(middle))[0].distance_m <= TOUCH_M:
+            touch_s = middle
+        else:
+            free_s = middle
+    return touch_s
+
+
+def _contact(drive: Drive, one: ObjectTrack, t_s: float) -> Contact:
+    state = drive.machine.at(t_s)
+    found = _gap(drive, one, state)[0]
+    own = drive.velocity_of_point(state, found.point_m)
+    relative = float(np.hypot(*(own - one.velocity_at(t_s))))
+    is_moving = bool(drive.machine.is_moving[drive.machine.index(t_s)])
+    return Contact(
+        t_s, found.part, to_map(state, found.point_m), relative, abs(state.speed_mps), not is_moving
+    )  # fmt: skip
