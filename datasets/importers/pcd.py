@@ -12,7 +12,7 @@ from datasets.importers.point_files import PointFormat, Points, points_of_text
 from messages.errors import LogError
 
 NAME = "PCD"
-HEADER = re.compile(rb"\A(?:#[^\n]*\n)*(?:VERSION|FIELDS)\b")
+HEADER = re.compile(rb"\A(?:#[^\n]*\n)*(?:VERSION\s+\.?\d|FIELDS\b)")
 ELEMENT_TYPES = {"F": "f", "U": "u", "I": "i"}
 
 

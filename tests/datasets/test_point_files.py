@@ -69,6 +69,12 @@ def test_pcd_storages(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_one(tmp_path / "odd.name", pcd_text()).points_m, XYZ)
 
 
+def test_can_database_is_no_pcd(tmp_path: Path) -> None:
+    (tmp_path / "ThinkCity.dbc").write_text('VERSION ""\n\nNS_ :\n')
+    with pytest.raises(LogError, match="no known recording format"):
+        open_recording(tmp_path / "ThinkCity.dbc")
+
+
 def test_lzf_overlapping_references() -> None:
     assert unpack_lzf(bytes([1, 65, 66, (5 << 5) | 0, 1]), 9) == b"ABABABABA"
     assert unpack_lzf(bytes([0, 90, (7 << 5) | 0, 4, 0]), 14) == b"Z" * 14
