@@ -11,6 +11,7 @@ from messages.truth import TrueObject
 
 NEAR_M = 0.1  # margin of the preselection of points
 GRID = 5  # points along each side of a footprint
+UNIT_GRID = np.array([(x, y) for x in np.linspace(-0.5, 0.5, GRID) for y in np.linspace(-0.5, 0.5, GRID)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +51,7 @@ class Box:
 
     def footprint_m(self) -> Float64:
         """Grid of points (25, 2) over the base of the box."""
-        x, y = (np.linspace(-0.5, 0.5, GRID) * side for side in self.size_m[:2])
-        grid = np.array([(a, b) for a in x for b in y])
+        grid = UNIT_GRID * self.size_m[:2]
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return np.column_stack([c * grid[:, 0] - s * grid[:, 1], s * grid[:, 0] + c * grid[:, 1]]) + self.center_m[:2]
 

@@ -14,6 +14,7 @@ from validation.obstacle_stop.boxes import Box, box_of
 from validation.obstacle_stop.consistency.config import TruthLimits
 
 KEEP_NS = 8_000_000_000
+MAX_MACHINE_AGE_NS = 200_000_000
 YAWS_DEG = (-4.0, -3.0, -2.0, -1.5, 1.5, 2.0, 3.0, 4.0)
 
 
@@ -67,6 +68,7 @@ class TrueBoxes:
         self._frame, self._mounts, self._classes = truth_frame, T_base_lidar, classes
         self._objects: deque[TrueObjects] = deque()
         self._machines: deque[TrueMachine] = deque()
+        self._boxes: dict[int, dict[int, Box]] = {}  # of messages in the frame of a lidar, by stamp
         self.latest_ns = 0
 
     @property
@@ -82,7 +84,7 @@ class TrueBoxes:
             return
         queue.append(message)  # type: ignore[arg-type]
         while queue[-1].stamp_ns - queue[0].stamp_ns > KEEP_NS:
-            queue.popleft()
+            self._boxes.pop(queue.popleft().stamp_ns, None)
         if isinstance(message, TrueObjects):
             self.latest_ns = message.stamp_ns
 
@@ -91,7 +93,12 @@ class TrueBoxes:
         truth, T = _nearest(self._objects, objects_ns), self._T_base_truth(machine_ns)
         if truth is None or T is None or abs(truth.stamp_ns - objects_ns) > max_age_ns:
             return {}
-        return {one.id: box_of(one, T) for one in truth.objects if one.label.value in self._classes}
+        known = None if self.has_machine else self._boxes.get(truth.stamp_ns)
+        if known is None:
+            known = {one.id: box_of(one, T) for one in truth.objects if one.label.value in self._classes}
+            if not self.has_machine:
+                self._boxes[truth.stamp_ns] = known
+        return known
 
     def is_known(self, stamp_ns: int, max_age_ns: int) -> bool:
         """Whether there is truth at a time; it arrives before the scans."""
@@ -106,13 +113,16 @@ class TrueBoxes:
     def _T_base_truth(self, stamp_ns: int) -> Float64 | None:
         if self._frame is None or self._frame in self._mounts:
             return None if self._frame is None else self._mounts[self._frame]
-        stamps = [m.stamp_ns for m in self._machines]
-        k = min(max(bisect_left(stamps, stamp_ns), 1), len(stamps) - 1)
-        if len(stamps) < 2 or not stamps[k - 1] - 200_000_000 <= stamp_ns <= stamps[k] + 200_000_000:
+        if len(self._machines) < 2:
             return None
-        share = (stamp_ns - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
-        return invert(interpolate(self._machines[k - 1].T_map_base, self._machines[k].T_map_base, share))
+        k = min(max(bisect_left(self._machines, stamp_ns, key=lambda m: m.stamp_ns), 1), len(self._machines) - 1)
+        a, b = self._machines[k - 1], self._machines[k]
+        if not a.stamp_ns - MAX_MACHINE_AGE_NS <= stamp_ns <= b.stamp_ns + MAX_MACHINE_AGE_NS:
+            return None
+        return invert(interpolate(a.T_map_base, b.T_map_base, (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)))
 
 
 def _nearest(messages: "deque[TrueObjects]", stamp_ns: int) -> TrueObjects | None:
-    return min(messages, key=lambda m: abs(m.stamp_ns - stamp_ns), default=None)
+    k = bisect_left(messages, stamp_ns, key=lambda m: m.stamp_ns)
+    near = [messages[j] for j in (k - 1, k) if 0 <= j < len(messages)]
+    return min(near, key=lambda m: abs(m.stamp_ns - stamp_ns), default=None)
