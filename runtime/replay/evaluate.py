@@ -95,6 +95,7 @@ def _evaluate(task: Task) -> dict[str, Any]:
     from runtime.replay.log_inspection_table import render
     from runtime.replay.object_removal import remove_object
     from runtime.replay.prepare import load_configuration, prepare
+    from runtime.replay.progress import PassProgress
     from runtime.replay.replay import replay
     from runtime.replay.replay_log import replay_log
     from validation.obstacle_stop.conditions import load_conditions
@@ -115,7 +116,9 @@ def _evaluate(task: Task) -> dict[str, Any]:
     sidecar = sidecar_of(task.log, task.truth, conditions.truth.source)
     perceived = None if has_truth or sidecar is not None else PerceivedObjects(setting, observer.tracks)
     consistency = consistency_observer(replay_input, setting)
-    sinks: list[Sink] = [observer, consistency] if perceived is None else [observer, consistency, perceived]
+    progress = PassProgress(task.name, "replayed", replay_input.delivery_span_ns)
+    sinks: list[Sink] = [lambda envelope: progress.at(envelope.receive_ns), observer, consistency]
+    sinks += [] if perceived is None else [perceived]
     task.folder.mkdir(parents=True, exist_ok=True)
     with replay_log(task.folder / "replay.mcap", replay_input, inspection, task.has_sensor_data) as log:
         replay(replay_input, [*sinks, log])

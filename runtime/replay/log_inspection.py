@@ -21,6 +21,7 @@ from messages.message import Message
 from messages.motion import Odometry
 from messages.sensors import CameraImage, GnssFix, GnssSolution, LidarScan, WheelSample
 from messages.truth import TrueMachine, TrueObjects
+from runtime.replay.progress import PassProgress
 from runtime.replay.trajectory import OdometrySamples
 
 EXAMPLE = """\
@@ -129,8 +130,9 @@ class LogInspection:
 
 def inspect(recording: Recording) -> LogInspection:
     """Reads a log once; raises LogError for a log without messages."""
-    out = LogInspection()
+    out, progress = LogInspection(), PassProgress(recording.path.name, "read")
     for receive_ns, topic, message in recording.read():
+        progress.at(receive_ns)
         if out.first_ns is not None and abs(receive_ns - out.last_ns) > MAX_PAUSE_NS:
             raise LogError(
                 f"{recording.path}: topic {topic!r} was received at {receive_ns} ns, "

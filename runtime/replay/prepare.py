@@ -113,6 +113,11 @@ class ReplayInput:
         corridor = self.config.conditions.corridor
         return max(corridor.half_width_m, 0.5 * widest + corridor.side_margin_m)
 
+    @property
+    def delivery_span_ns(self) -> tuple[int, int]:
+        """First and last time of delivery in the replay."""
+        return (self.inspection.first_ns or 0) - self.clock_offset_ns, self.inspection.last_ns - self.clock_offset_ns
+
     def setting(self, name: str) -> Setting:
         """Setting of the log for the observer."""
         about, lidars = self.recording.description, self.machine.vehicle.sensors.lidar

@@ -77,9 +77,8 @@ def with_early_truth(replay_input: ReplayInput, stream: Iterator[Received]) -> I
 
     Messages wait for truth that was received later than it is delivered.
     """
-    inspection, offset_ns = replay_input.inspection, replay_input.clock_offset_ns
-    first_ns, last_ns = (inspection.first_ns or 0) - offset_ns, inspection.last_ns - offset_ns
-    lead_ns = max(0, inspection.truth_age_ns - offset_ns + TRUTH_LEAD_NS)
+    first_ns, last_ns = replay_input.delivery_span_ns
+    lead_ns = max(0, replay_input.inspection.truth_age_ns - replay_input.clock_offset_ns + TRUTH_LEAD_NS)
     waiting: list[tuple[int, int, int, int, Received]] = []
     newest_ns = first_ns
     for number, (at_ns, topic, message) in enumerate(stream):

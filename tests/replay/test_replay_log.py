@@ -15,6 +15,7 @@ from benchmarks.long_drive import VEHICLE, motion, write_drive
 from configs.strict import CONFIGS
 from datasets.reader import LogScan
 from runtime.__main__ import main
+from runtime.replay import progress
 from runtime.replay import replay_log as module
 from tests.replay.recorded_drive import drive, vehicle_file
 
@@ -37,6 +38,7 @@ def raw(log: Path, topic: str) -> list[bytes]:
 
 def validate(monkeypatch: pytest.MonkeyPatch, log: Path, folder: Path, *words: str) -> tuple[int, Path]:
     """Exit code of `headland validate`, and its replay.mcap."""
+    folder.mkdir(exist_ok=True)
     vehicle = folder / "vehicle.yaml"
     vehicle.exists() or vehicle.write_text(VEHICLE)
     out = folder / f"out{len(words)}"
@@ -87,6 +89,34 @@ def test_disk_without_space_for_the_sensor_data(
     assert code == 2
     assert "--without-sensor-data" in capsys.readouterr().err
     assert not replayed.exists()
+
+
+def test_interrupted_replay_leaves_no_result(
+    monkeypatch: pytest.MonkeyPatch, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "EVERY_S", 0.0)
+    _, whole = validate(monkeypatch, recorded, tmp_path / "whole")
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith(f"{recorded.name}: replayed")]
+    assert lines[-1].startswith(f"{recorded.name}: replayed 6 of 6 s, about 0 min left")
+
+    def interrupt(self: progress.PassProgress, log_ns: int) -> None:
+        if self._span_ns is not None and log_ns - self._span_ns[0] > 3e9:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(progress.PassProgress, "at", interrupt)
+        code, replayed = validate(patch, recorded, tmp_path)
+    assert code == 130
+    assert {path.parts[0] for path in relative_files(tmp_path / "out0")} == {".incomplete"}
+    code, replayed = validate(monkeypatch, recorded, tmp_path)
+    assert code == 3
+    assert not (tmp_path / "out0" / ".incomplete").exists()
+    results = [json.loads((log.parent / "result.json").read_text()) for log in (whole, replayed)]
+    assert results[0]["digest"] == results[1]["digest"]
+
+
+def relative_files(folder: Path) -> list[Path]:
+    return [path.relative_to(folder) for path in folder.rglob("*") if path.is_file()]
 
 
 def test_encounters_and_stops_are_events(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
