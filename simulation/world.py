@@ -44,6 +44,7 @@ from simulation.sensors.camera import CameraConfig, CameraModel
 from simulation.sensors.gnss import GnssConfig, GnssModel
 from simulation.sensors.imu import ImuConfig, ImuModel
 from simulation.sensors.lidar import LidarConfig
+from simulation.sensors.lidar_beams import warm_beams
 from simulation.sensors.radar import RadarConfig
 from simulation.sensors.sensor import Sensor, SensorContext, WorldState
 from simulation.sensors.ultrasonic import UltrasonicConfig
@@ -143,6 +144,11 @@ class SimulationWorld(World):
         self._truth = ("truth_machine", "truth_objects", *(["truth_shapes"] if scenario.objects else []))
         self.writes = (*(s.topic for s in self._sensors), "operator_command", *self._truth)
 
+    @property
+    def terrain(self) -> Terrain:
+        """The ground."""
+        return self._terrain
+
     def next_ns(self) -> int | None:
         """Time of the next tick; the simulated world has no end."""
         return self._now_ns + TICK_NS
@@ -165,6 +171,8 @@ class SimulationWorld(World):
     def warm(self) -> None:
         """Loads and builds everything that would delay the first scan."""
         warm()
+        if self._media is not None:
+            warm_beams(self._media)
         found = self._vehicle.sensors
         if found.lidar or found.radar or found.ultrasonic or found.uwb:
             up = np.array([[0.0, 0.0, 50.0, 0.0, 0.0, 1.0]], np.float32)

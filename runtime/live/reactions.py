@@ -11,7 +11,6 @@ from messages.node import Output, World
 from messages.sensors import LidarScan
 from runtime.live.can_bus import SharedBus
 from simulation.actors.popup import PopUp
-from simulation.environment.terrain import Terrain
 from simulation.randomness import generator
 from simulation.world import SimulationWorld
 
@@ -32,8 +31,7 @@ class ReactionTrials(World):
         self._front = next(
             f"lidar/{name}" for name, one in setup.vehicle.sensors.lidar.items() if one.mount.xyz_m[0] > 0
         )
-        terrain = Terrain(setup.site, setup.stack.simulation.terrain, setup.seed)
-        self._popup = PopUp(world.machine, terrain, generator(setup.seed, "popup"), AHEAD_M)
+        self._popup = PopUp(world.machine, world.terrain, generator(setup.seed, "popup"), AHEAD_M)
         world.add_actor(self._popup)
         self._appeared: float | None = None  # wall time, as for frame stamps
         self._scanned: float | None = None

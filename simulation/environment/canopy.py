@@ -12,6 +12,7 @@ rows, clumps and what the machine has rolled or worked down are not modelled.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -19,6 +20,8 @@ import shapely
 from configs.site import Site
 from geometry.arrays import Float32, Float64, UInt8
 from simulation.environment.canopy_kernels import canopy_hits, optical_depths
+from simulation.environment.meshes import grid
+from simulation.environment.raycast import RaycastScene
 from simulation.environment.scenario_scenery import area_of
 from simulation.environment.scenery import surveyed_area
 from simulation.environment.terrain import Terrain
@@ -56,8 +59,8 @@ class Canopy:
         x, y = np.arange(west, east + CELL_M, CELL_M), np.arange(south, north + CELL_M, CELL_M)
         xy = np.stack(np.meshgrid(x, y, indexing="xy"), axis=-1).reshape(-1, 2)
         self._ground = terrain.heights_m(xy).reshape(len(y), len(x)).astype(np.float32)
-        slope = max(float(np.abs(np.diff(self._ground, axis=k)).max()) for k in (0, 1)) / CELL_M
-        self._max_slope = min(1.5 * slope + 0.01, MAX_SLOPE)  # also between the axes of the grid
+        down, aside = np.gradient(self._ground, CELL_M)
+        self._max_slope = min(1.1 * float(np.hypot(down, aside).max()) + 0.01, MAX_SLOPE)
         self._stand = np.zeros((len(y), len(x)), np.uint8)
         self._grid = np.array([west, south, CELL_M])
         rows = []
@@ -71,6 +74,15 @@ class Canopy:
             self._stand[inside] = len(rows)
         self.stands: Float64 = np.array(rows)
 
+    @cached_property
+    def _tops(self) -> RaycastScene:
+        """Surface over the plants: rays enter where they meet it."""
+        rows, columns = self._ground.shape
+        x, y = (self._grid[k] + CELL_M * np.arange(n) for k, n in enumerate((columns, rows)))
+        heights = np.concatenate([[0.0], self.stands[:, 0]])[self._stand]
+        xyz = np.dstack([*np.meshgrid(x, y, indexing="xy"), self._ground + heights])
+        return RaycastScene([grid(xyz)], [0.0])
+
     def hits(self, rays: Float32, until_m: Float32, depths: Float32, divergence_rad: float) -> tuple[Float32, UInt8]:
         """Range of the first plant in each of S parts of beams (N, 6), infinite where it passes, and its stand, (N, S).
 
@@ -78,12 +90,23 @@ class Canopy:
         Parts closer to each other than the plants are thick share a hit.
         """
         return canopy_hits(
-            rays, until_m, depths, divergence_rad, self._ground, self._stand, self._grid, self.stands, self._max_slope
+            rays,
+            self._tops.cast(rays)[0],
+            until_m,
+            depths,
+            divergence_rad,
+            self._ground,
+            self._stand,
+            self._grid,
+            self.stands,
+            self._max_slope,
         )
 
     def optical_depth(self, rays: Float32, until_m: Float32) -> Float64:
         """Optical depth of each ray (N, 6) up to a range (N,)."""
-        return optical_depths(rays, until_m, self._ground, self._stand, self._grid, self.stands, self._max_slope)
+        return optical_depths(
+            rays, self._tops.cast(rays)[0], until_m, self._ground, self._stand, self._grid, self.stands, self._max_slope
+        )
 
     def first(self, rays: Float32, until_m: Float32, random: np.random.Generator) -> tuple[Float32, UInt8]:
         """Range of what a thin ray hits, (N,), and 1 where that is a plant."""

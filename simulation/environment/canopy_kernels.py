@@ -7,7 +7,8 @@ import numpy as np
 from geometry.arrays import Float32, Float64, UInt8
 from geometry.jit import inline_kernel, kernel
 
-STEP_M = 0.15  # inside the canopy, where extinction is constant
+STEP_M = 0.25  # inside the canopy, where extinction is constant
+BEFORE_M = 0.05
 NEAR_M = 0.02  # shortest step towards it
 MAX_STEPS = 500
 
@@ -23,6 +24,13 @@ def ground_at(x: float, y: float, ground: Float32, grid: Float64) -> tuple[float
     low = (1.0 - a) * ground[i, j] + a * ground[i, j + 1]
     high = (1.0 - a) * ground[i + 1, j] + a * ground[i + 1, j + 1]
     return (1.0 - b) * low + b * high, i + int(b + 0.5), j + int(a + 0.5)
+
+
+@inline_kernel
+def entry(ray: Float32, top: float, ground: Float32, grid: Float64, tallest: float) -> float:
+    """Range from which plants can follow: just before the surface of their tops, 0 for a sensor below the tallest."""
+    g, i, _ = ground_at(ray[0], ray[1], ground, grid)
+    return 0.0 if i >= 0 and ray[2] - g < tallest else max(top - BEFORE_M, 0.0)
 
 
 @inline_kernel
@@ -49,8 +57,8 @@ def next_piece(
 
 @kernel
 def canopy_hits(
-    rays: Float32, until: Float32, depths: Float32, divergence: float, ground: Float32, stand: UInt8, grid: Float64,
-    stands: Float64, max_slope: float,
+    rays: Float32, tops: Float32, until: Float32, depths: Float32, divergence: float, ground: Float32, stand: UInt8,
+    grid: Float64, stands: Float64, max_slope: float,
 ) -> tuple[Float32, UInt8]:  # fmt: skip
     """See `Canopy.hits`."""
     n, parts = until.shape
@@ -60,10 +68,10 @@ def canopy_hits(
         ray = rays[m]
         flat = math.sqrt(ray[3] * ray[3] + ray[4] * ray[4])
         far, deepest, shallowest = until[m].max(), depths[m].max(), depths[m].min()
-        t, depth, separate = 0.0, 0.0, 0
+        t, depth, separate = entry(ray, tops[m], ground, grid, tallest), 0.0, 0
         for _ in range(MAX_STEPS):
             length, k, s = next_piece(t, ray, flat, ground, stand, grid, stands, tallest, max_slope)
-            if length == 0.0:
+            if length == 0.0 or t > far:
                 break
             if k > 0.0 and separate == 0:  # plant parts in the beam where it enters
                 separate = int(min(max((divergence * t / stands[s - 1, 3]) ** 2, 1.0), float(parts)))
@@ -75,19 +83,27 @@ def canopy_hits(
                         out[m, p], which[m, p] = at, s
             depth += k * length
             t += length
-            if t > far or depth > deepest:
+            if depth > deepest:
                 break
     return out, which
 
 
 @kernel
 def optical_depths(
-    rays: Float32, until: Float32, ground: Float32, stand: UInt8, grid: Float64, stands: Float64, max_slope: float
+    rays: Float32,
+    tops: Float32,
+    until: Float32,
+    ground: Float32,
+    stand: UInt8,
+    grid: Float64,
+    stands: Float64,
+    max_slope: float,
 ) -> Float64:
     """See `Canopy.optical_depth`."""
     out, tallest = np.zeros(rays.shape[0]), stands[:, 0].max()
     for m in range(rays.shape[0]):
-        ray, t = rays[m], 0.0
+        ray = rays[m]
+        t = entry(ray, tops[m], ground, grid, tallest)
         flat = math.sqrt(ray[3] * ray[3] + ray[4] * ray[4])
         for _ in range(MAX_STEPS):
             length, k, _s = next_piece(t, ray, flat, ground, stand, grid, stands, tallest, max_slope)

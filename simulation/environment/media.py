@@ -50,9 +50,14 @@ class Media:
             self._clouds.update(elapsed_s, machine)
 
     @property
+    def has_clouds(self) -> bool:
+        """Whether the machine stirs up dust."""
+        return self._clouds is not None
+
+    @property
     def has_returns(self) -> bool:
         """Whether anything but surfaces returns or weakens a beam."""
-        return self._clouds is not None or self.air.extinction_per_m > 0.0
+        return self.has_clouds or self.air.extinction_per_m > 0.0
 
     def puffs(self) -> Float64:
         """Dust now, as in `DustClouds.puffs`."""

@@ -9,7 +9,6 @@ from pydantic import Field
 from configs.strict import Config
 from geometry.arrays import Float64
 
-NO_CLOUDS = -10.0  # of `overcast`: the sky is even
 FOG_LENGTHS = math.sqrt(39.0) - 1.0  # x at which 1 + x + x²/2 = 20
 SILHOUETTE = 2048  # columns of the skyline, 360 degrees
 
@@ -70,13 +69,13 @@ def draw_light(config: SkyConfig, random: np.random.Generator) -> Light:
 
 
 def in_fog(light: Light, visibility_m: float) -> Light:
-    """The light in fog or rain of a visibility (5 % contrast, Koschmieder): no sun, and an even sky.
+    """The light in fog or rain of a visibility (5 % contrast, Koschmieder): no sun, and no sky but the veil.
 
     The shading kernel's transmission 1 / (1 + x + x²/2), x = range over haze length, is 5 % at x = 5.245.
     """
-    even = 0.8 * light.horizon  # the colour of the shading kernel's veil
-    return replace(light, sun=np.zeros(3), sky=light.sky + 0.3 * light.sun, zenith=even, overcast=NO_CLOUDS,
-                   haze_length_m=visibility_m / FOG_LENGTHS, skyline=np.zeros(SILHOUETTE))  # fmt: skip
+    everywhere = np.full(SILHOUETTE, 1e6)  # woods up to the zenith, behind fog
+    return replace(light, sun=np.zeros(3), sky=light.sky + 0.3 * light.sun, haze_length_m=visibility_m / FOG_LENGTHS,
+                   skyline=everywhere)  # fmt: skip
 
 
 def draw_skyline(config: SkyConfig, random: np.random.Generator) -> Float64:

@@ -105,11 +105,12 @@ def strongest_returns(
     alpha, pulse = air[0], air[1]
     for m in range(n):
         found = meet_puffs(rays[m], puffs, met)
-        count = 0
+        count, d, depth = 0, -1.0, 0.0
         for p in range(parts):
             if distance[m, p] < np.inf:
-                d = float(distance[m, p])
-                depth = alpha * d + dust_depth(d, found, met)
+                if distance[m, p] != d:  # parts often meet the same surface
+                    d = float(distance[m, p])
+                    depth = alpha * d + dust_depth(d, found, met)
                 at[count], power[count] = d, signal[m, p] / parts * math.exp(-2.0 * depth) / (d * d)
                 count += 1
         count = add_fog(at, power, count, draws[m], air, fog_ranges, found, met)

@@ -16,7 +16,7 @@ from geometry.transforms import invert
 from messages.message import Message
 from messages.sensors import LidarScan
 from simulation.environment.media import Media
-from simulation.environment.scene import RaycastScene
+from simulation.environment.raycast import RaycastScene
 from simulation.kernels import ranges_mm, rays_near_ball, sweep_rays
 from simulation.machine.body import T_base_implement, implement_mesh, machine_mesh
 from simulation.machine.implement import at_fold

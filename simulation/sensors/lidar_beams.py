@@ -95,3 +95,16 @@ class Beams:
             draws[:, [1, 2, 3, 5]] = random.standard_exponential((n, 4), np.float32)
             draws[:, 6] = random.standard_normal(n, np.float32)
         return draws
+
+
+def warm_beams(media: Media) -> None:
+    """Compiles or loads the kernels, and builds what the first sweep would wait for."""
+    up = np.array([[0.0, 0.0, 50.0, 0.0, 0.0, 1.0]], np.float32)
+    none, one = np.full((1, PARTS), np.inf, np.float32), np.ones((1, PARTS), np.float32)
+    parts_of(up, np.zeros((1, 2), np.float32), media.divergence_rad)
+    is_uneven(none, np.zeros(1))
+    if media.canopy is not None:
+        media.canopy.hits(up, none, one, media.divergence_rad)
+        media.canopy.optical_depth(up, none[:, 0].copy())
+    draws = np.ones((1, DRAWS), np.float32)
+    strongest_returns(up, none, one, draws, media.packed_air(), media.air.fog_ranges_m, media.puffs())
