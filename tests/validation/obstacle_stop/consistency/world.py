@@ -1,6 +1,7 @@
 """Synthetic drives: ground, boxes and poles scanned by ray casting with a true mount, described with another one."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -61,6 +62,23 @@ def cast(origin, rays, boxes, ground, max_range):  # type: ignore[no-untyped-def
 
 
 @dataclass(frozen=True)
+class Actor:
+    """A labelled object: pose (x, y, yaw) in map by time, size, and whether a scan of a time has returns of it."""
+
+    id: int
+    at: Callable[[float], tuple[float, float, float]]
+    size_m: tuple[float, float, float] = (0.6, 0.6, 1.75)
+    label: ObstacleClass = ObstacleClass.PERSON
+    has_returns: Callable[[float], bool] = lambda t: True
+
+    def true_object(self, t_s: float, ground_m: float) -> TrueObject:
+        """The truth at a time."""
+        (x, y, yaw), size = self.at(t_s), np.array(self.size_m)
+        center = np.array([x, y, ground_m + 0.5 * size[2]])
+        return TrueObject(self.id, self.label, "", center, size, yaw, np.full(2, np.nan), math.nan)
+
+
+@dataclass(frozen=True)
 class Drive:
     """A drive and its surroundings; the `configured` mount describes the scans of the `mount`."""
 
@@ -82,6 +100,8 @@ class Drive:
     configured: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     invisible: tuple[int, ...] = ()
     elevation_deg: tuple[float, ...] = field(default=())
+    seconds: float = SECONDS
+    actors: tuple[Actor, ...] = ()
 
     def lidar(self) -> Lidar:
         """The lidar as configured."""
@@ -111,7 +131,7 @@ class Drive:
         rng = np.random.default_rng(self.seed)
         labelled, boxes = [], []
         for number in range(self.objects):
-            t = rng.uniform(0.2, 1.0) * SECONDS
+            t = rng.uniform(0.2, 1.0) * self.seconds
             x, y, yaw = self.pose(t)
             side = rng.choice([-1.0, 1.0]) * rng.uniform(3.0, 9.0)
             size = np.array([0.6, 0.6, 1.75]) if number < 2 else np.array([4.2, 1.8, 1.6])
@@ -123,7 +143,7 @@ class Drive:
             labelled.append(TrueObject(number, label, "", np.array([x, y, z]), size, turn, np.zeros(2), math.nan))
         others = []
         for _ in range(45 if self.has_structure else 0):
-            x, y, yaw = self.pose(rng.uniform(-0.2, 1.6) * SECONDS)
+            x, y, yaw = self.pose(rng.uniform(-0.2, 1.6) * self.seconds)
             side = rng.choice([-1.0, 1.0]) * rng.uniform(11.0, 30.0)
             x, y = x - side * math.sin(yaw) + rng.normal(0, 3), y + side * math.cos(yaw) + rng.normal(0, 1)
             if rng.random() < 0.5:
@@ -137,8 +157,8 @@ class Drive:
     def envelopes(self) -> list[Envelope]:
         """All messages in order of delivery."""
         rng = np.random.default_rng(self.seed + 1000)
-        boxes, labelled = self.scene()
-        visible = np.array([k for k in range(len(boxes)) if k not in self.invisible], int)
+        fixed, standing = self.scene()
+        visible = fixed[[k for k in range(len(fixed)) if k not in self.invisible]]
         lidar, (xyz, rpy) = self.lidar(), self.mount
         el, az = np.radians(lidar.elevation_deg), np.linspace(-math.pi, math.pi, self.columns, endpoint=False)
         flat, up = np.cos(el)[:, None], np.sin(el)[:, None] + 0.0 * az
@@ -146,7 +166,7 @@ class Drive:
         rays += 1e-9
         ground = np.array([self.slope, 0.0, 0.0])
         phase, out = rng.uniform(0, 6, 3), []
-        for k in range(round(SECONDS / ODOM_S)):
+        for k in range(round(self.seconds / ODOM_S)):
             t = k * ODOM_S
             stamp, pose, (speed, turn) = START_NS + round(t * 1e9), self.pose(t), self.rates(t)
             odom = Odometry(stamp, planar(*pose), float(speed), 0.0, 0.0, float(turn), 0.0, np.eye(6))
@@ -161,12 +181,15 @@ class Drive:
             T = transform((x, y, self.slope * x), (0, 0, yaw)) @ tilt
             T_sensor = T @ transform(xyz, np.radians(rpy))
             directions = rays @ T_sensor[:3, :3].T
-            distance = cast(T_sensor[:3, 3], directions, boxes[visible], ground, 70.0)
+            acting = [(actor, actor.true_object(t, self.slope * actor.at(t)[0])) for actor in self.actors]
+            boxes = [[*o.center_map_m, *(0.5 * o.size_m), o.yaw_rad] for actor, o in acting if actor.has_returns(t)]
+            solid = np.concatenate([np.array(boxes).reshape(-1, 7), visible])
+            distance = cast(T_sensor[:3, 3], directions, solid, ground, 70.0)
             distance += rng.normal(0.0, self.noise_m, len(distance))
             found = np.isfinite(distance)
             scan = list_scan(stamp, (rays[found] * distance[found, None]).astype(np.float32))
             machine = TrueMachine(stamp, T, float(speed), 0.0, float(turn), 0.0, np.zeros(3), 0.0, 0.0, False, 0, 0)
-            objects = labelled
+            objects = labelled = [*standing, *(true for _, true in acting)]
             if not self.truth_in_map:
                 T_lidar = invert(T_sensor)
                 objects = [
