@@ -1,11 +1,12 @@
 """Approaches: the intervals in which a true object is in the swept path, with gap, S and speed at each label."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geometry.arrays import Float64
+from geometry.pose2 import from_frame
 from messages.truth import Occlusion
 from validation.obstacle_stop.avoidability import Approach
 from validation.obstacle_stop.boxes import Box
@@ -49,6 +50,16 @@ class Course:
             else:
                 out.append((i, i))
         return out
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """An object at a moment without its label: gap, S and speed of the machine, and whether a sensor would see it."""
+
+    gap_m: float
+    stopping_distance_m: float
+    speed_mps: float
+    is_visible: bool
 
 
 class Approaches:
@@ -124,17 +135,42 @@ class Approaches:
         gaps = [path.gap_m(s, pose, track.half_m, reach) for pose in poses]
         return max((gap for gap in gaps if math.isfinite(gap)), default=-1.0)
 
-    def is_visible(self, course: Course, i: int) -> bool:
-        """Whether a sensor sees the object at label `i`."""
-        track, k, stamp = course.track, course.k[i], course.stamps_ns[i]
-        base = self._observed.motion.pose_at(stamp)
+    def is_visible(self, course: Course, i: int, occlusion: Occlusion | None = None) -> bool:
+        """Whether a sensor sees the object at label `i`; `occlusion` in place of that of the label."""
+        k = course.k[i]
+        of_label = Occlusion(course.track.occlusions[k]) if occlusion is None else occlusion
+        return self._is_seen(course.track, course.track.box(k), course.stamps_ns[i], of_label)
+
+    def predicted(self, track: TrueTrack, k: int, stamp_ns: int, velocity_mps: Float64) -> Predicted:
+        """An object at any time, by its label `k` and a velocity (2,) in odom."""
+        s, v = (float(one) for one in self._recorded.at(stamp_ns))
+        dt_s = (stamp_ns - track.stamps_ns[k]) * 1e-9
+        pose = track.pose(k) + np.array([*(velocity_mps * dt_s), 0.0])
+        section, braking = self._recorded.section_at(stamp_ns), self._conditions.braking
+        gap = section.path.gap_m(s, pose, track.half_m, self._conditions.corridor.length_m)
+        needed, base = stopping_distance_m(v, braking.reaction_s, braking), self._observed.motion.pose_at(stamp_ns)
+        if base is None:
+            return Predicted(gap, needed, v, False)
+        box = track.box(k)
+        center = np.array([*from_frame(base, pose[None, :2])[0], box.center_m[2]])
+        there = replace(box, center_m=center, yaw_rad=float(pose[2] - base[2]))
+        is_seen = self._is_labelled(center) and self._is_seen(track, there, stamp_ns, Occlusion.UNKNOWN)
+        return Predicted(gap, needed, v, is_seen)
+
+    def _is_labelled(self, center_m: Float64) -> bool:
+        """Whether a place in base is in the labelled sector."""
+        T = self._setting.T_base_lidar.get(self._setting.truth_frame or "", np.eye(4))
+        d = T[:3, :3].T @ (center_m - T[:3, 3])
+        return abs(math.atan2(d[1], d[0])) <= self._setting.view_rad
+
+    def _is_seen(self, track: TrueTrack, box: Box, stamp_ns: int, occlusion: Occlusion) -> bool:
+        base = self._observed.motion.pose_at(stamp_ns)
         assert base is not None, "tracks have only labels with odometry"
         if self._cells is None:
             self._cells = self._observed.structure.cells(self._recorded.sections)
-        box = track.box(k)
-        solids: list[Solid] = [solid_of(other) for other in self._others(track.id, stamp)]
+        solids: list[Solid] = [solid_of(other) for other in self._others(track.id, stamp_ns)]
         solids.append(self._cells.around(base, box.center_m[:2], float(np.hypot(*track.half_m))))
-        return is_visible(solid_of(box), Occlusion(track.occlusions[k]), self._setting.views, solids)
+        return is_visible(solid_of(box), occlusion, self._setting.views, solids)
 
     def _others(self, object_id: int, stamp_ns: int) -> list[Box]:
         out = []

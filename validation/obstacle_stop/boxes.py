@@ -12,6 +12,8 @@ from messages.truth import TrueObject
 NEAR_M = 0.1  # margin of the preselection of points
 GRID = 5  # points along each side of a footprint
 UNIT_GRID = np.array([(x, y) for x in np.linspace(-0.5, 0.5, GRID) for y in np.linspace(-0.5, 0.5, GRID)])
+MIN_SIDE_M = 0.05
+GROUND_M, SLOPE = 1.0, 0.15  # height of a box over the ground at the machine: noise, and slope of the ground
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +60,18 @@ class Box:
     def corners_m(self) -> Float64:
         """Corners of the base (4, 2)."""
         return self.footprint_m()[[0, GRID - 1, GRID * GRID - 1, GRID * (GRID - 1)]]
+
+
+def box_fault(box: Box) -> str | None:
+    """Why a labelled box in base cannot be an object on the ground; None for a possible one."""
+    if not np.isfinite([*box.center_m, *box.size_m, box.yaw_rad]).all():
+        return "place, size or yaw is not a number"
+    if box.size_m.min() < MIN_SIDE_M:
+        return f"size {' × '.join(f'{side:g}' for side in box.size_m)} m"
+    low, high = box.center_m[2] + np.array([-0.5, 0.5]) * box.size_m[2]
+    away = float(low if low > 0.0 else min(high, 0.0))
+    limit = GROUND_M + SLOPE * float(np.hypot(*box.center_m[:2]))
+    return f"{abs(away):.1f} m {'above' if away > 0.0 else 'below'} the ground" if abs(away) > limit else None
 
 
 def box_of(true: TrueObject, T_base_truth: Float64) -> Box:

@@ -96,11 +96,13 @@ class Result:
     is_avoided: bool
 
 
-def find_encounters(log: str, observed: LogObservation, conditions: Conditions) -> list[Encounter]:
-    """All encounters of a log with truth in order of entry."""
+def find_encounters(
+    log: str, observed: LogObservation, conditions: Conditions, approaches: Approaches | None = None
+) -> list[Encounter]:
+    """All encounters of a log with truth in order of entry; `approaches` are those of the log, if already known."""
     if observed.recorded is None:
         return []
-    approaches = Approaches(observed, observed.recorded, conditions)
+    approaches = approaches or Approaches(observed, observed.recorded, conditions)
     judge = _Judge(log, observed, observed.recorded, conditions, approaches)
     found = [judge(course, *interval) for course in approaches.courses.values() for interval in course.intervals()]
     return sorted(found, key=lambda e: (e.entry_s, e.id))

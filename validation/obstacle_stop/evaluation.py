@@ -4,8 +4,10 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
+from validation.obstacle_stop.approaches import Approaches
 from validation.obstacle_stop.conditions import Conditions, listed_ids
 from validation.obstacle_stop.encounters import MIN_DRIVEN_M, Encounter, find_encounters, in_forward_region
+from validation.obstacle_stop.label_faults import label_faults
 from validation.obstacle_stop.observation import LogObservation, ObjectObservation
 from validation.obstacle_stop.ranges import confirmed
 from validation.obstacle_stop.stops import Stop, false_stop_scans, find_stops
@@ -15,9 +17,13 @@ from validation.obstacle_stop.tracked_encounters import encounters_without_truth
 def evaluate_log(log: str, observed: LogObservation, has_truth: bool, conditions: Conditions) -> dict[str, Any]:
     """Result of one log, input of `totals.aggregate`."""
     has_truth = has_truth and (observed.evaluated_scans > 0 or bool(observed.true_tracks))
-    encounters = (
-        find_encounters(log, observed, conditions) if has_truth else encounters_without_truth(log, observed, conditions)
-    )
+    recorded, faults = observed.recorded, list[str]()
+    if has_truth:
+        approaches = None if recorded is None else Approaches(observed, recorded, conditions)
+        encounters = find_encounters(log, observed, conditions, approaches)
+        faults = label_faults(observed, approaches, encounters)
+    else:
+        encounters = encounters_without_truth(log, observed, conditions)
     stops = find_stops(log, observed, has_truth)
     return {
         "log": log,
@@ -34,7 +40,7 @@ def evaluate_log(log: str, observed: LogObservation, has_truth: bool, conditions
         "evaluated_scans": observed.evaluated_scans,
         "scan_period_s": round(observed.period_s, 4),
         "violations": violations(log, encounters, stops, conditions),
-        "not_shown": reasons(observed),
+        "not_shown": [*faults, *reasons(observed)],
     }
 
 

@@ -1,7 +1,9 @@
 """Labels that would excuse or hide an encounter although the rest of the log contradicts them.
 
-A verdict is as good as its truth. These faults need no second truth: things do not appear, vanish or jump in the path,
-and what a label calls occluded is hidden by something. Each fault is a reason why a log is *not shown*.
+A verdict is as good as its truth, and some faults of labels need no second truth to be seen: an object has a place and
+a size, does not jump, and does not appear or vanish in the path in plain view; what is called occluded is hidden by
+something. Each fault is a reason why a log is *not shown*. Apart from jumps and impossible boxes only what excused an
+object, or kept it from being judged, is looked at.
 """
 
 import math
@@ -9,95 +11,82 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from geometry.arrays import Float64
 from messages.truth import Occlusion
 from validation.obstacle_stop.approaches import Approaches, Course
 from validation.obstacle_stop.avoidability import STANDING_MPS, Outcome
-from validation.obstacle_stop.boxes import Box
 from validation.obstacle_stop.encounters import Encounter
+from validation.obstacle_stop.observation import LogObservation
+from validation.obstacle_stop.true_tracks import TrueTrack
 
-PAUSE_NS = 500_000_000  # truth without the object for so long: its labels began late, or ended
-AHEAD_S = np.arange(0.0, 4.01, 0.1)  # of the constant-velocity prediction
+ABSENT_NS = 500_000_000  # truth without the object for so long: its labels began late, or ended
+PREDICTED_NS = 4_000_000_000  # by constant velocity
+STEP_NS = 100_000_000
 JUMP_M, JUMP_MPS = 2.0, 3.0  # noise of labels; change of the velocity between two labels
-MIN_SIDE_M = 0.05
-GROUND_M, SLOPE = 1.0, 0.15  # height above or below the ground at the machine: noise, and slope of the ground
 
 
-def box_fault(box: Box) -> str | None:
-    """Why a labelled box cannot be an object on the ground; None for a possible one."""
-    if not np.isfinite([*box.center_m, *box.size_m, box.yaw_rad]).all():
-        return "place, size or yaw is not a number"
-    if box.size_m.min() < MIN_SIDE_M:
-        return f"size {' × '.join(f'{side:g}' for side in box.size_m)} m"
-    above, below = box.center_m[2] + np.array([-0.5, 0.5]) * box.size_m[2]
-    limit = GROUND_M + SLOPE * float(np.hypot(*box.center_m[:2]))
-    away = above if above > 0.0 else min(below, 0.0)
-    return f"{abs(away):.1f} m {'above' if away > 0 else 'below'} the ground" if abs(away) > limit else None
-
-
-def label_faults(approaches: Approaches, encounters: Sequence[Encounter], truth_ns: Sequence[int]) -> list[str]:
-    """All faults of the labels of a log, a line for each object; `truth_ns` are the stamps of the truth."""
-    out: dict[int, str] = {}
-    for id, course in approaches.courses.items():
-        mine = [e.outcome for e in encounters if e.id == id]
-        for fault in _faults(approaches, course, mine, truth_ns):
-            out.setdefault(id, f"the labels of {course.track.label} {id} contradict the log: {fault}")
-    return list(out.values())
+def label_faults(observed: LogObservation, approaches: Approaches | None, encounters: Sequence[Encounter]) -> list[str]:
+    """A line for each object with a fault; `encounters` are all of the log."""
+    found = dict(observed.box_faults)
+    for id, track in observed.true_tracks.items():
+        outcomes = {e.outcome for e in encounters if e.id == id}
+        faults = () if approaches is None else _faults(observed, approaches, track, outcomes)
+        for fault in faults:
+            found.setdefault(id, fault)
+    labels = {id: track.label for id, track in observed.true_tracks.items()}
+    return [f"labels of {labels.get(id, 'object')} {id}: {fault}" for id, fault in found.items()]
 
 
 def _faults(
-    approaches: Approaches, course: Course, outcomes: list[Outcome], truth_ns: Sequence[int]
+    observed: LogObservation, approaches: Approaches, track: TrueTrack, outcomes: set[Outcome]
 ) -> Iterator[str]:
-    """Faults of one object; those of excuses only where they excused it."""
-    if outcomes:
-        yield from _jumps(course)
-    if Outcome.CENSORED in outcomes:
-        yield from _late_start(approaches, course, truth_ns)
-    if Outcome.OCCLUDED in outcomes:
-        yield from _not_hidden(approaches, course)
-    if not {Outcome.IN_TIME, Outcome.LATE, Outcome.MISSED} & set(outcomes):
-        yield from _early_end(approaches, course, truth_ns)
+    course = approaches.courses.get(track.id)
+    if course is not None:
+        yield from _jumps(track)
+        if Outcome.CENSORED in outcomes:
+            yield from _late_start(observed, approaches, course)
+        if Outcome.OCCLUDED in outcomes:
+            yield from _not_hidden(approaches, course)
+    if not {Outcome.IN_TIME, Outcome.LATE, Outcome.MISSED} & outcomes:
+        yield from _early_end(observed, approaches, track)
 
 
-def _jumps(course: Course) -> Iterator[str]:
-    track = course.track
-    for k in course.k[1:]:
-        before, dt_s = course.track.poses[k - 1], (track.stamps_ns[k] - track.stamps_ns[k - 1]) * 1e-9
-        velocity = track.velocity_mps(k - 1) if k > 1 else track.velocity_mps(min(k + 3, len(track.poses) - 1))
-        away = float(np.hypot(*(track.poses[k][:2] - before[:2] - velocity * dt_s)))
+def _jumps(track: TrueTrack) -> Iterator[str]:
+    """Away from constant velocity by more than noise and acceleration explain."""
+    poses, stamps = track.poses(), np.array(track.stamps_ns, np.int64)
+    for k in range(2, len(stamps)):
+        dt_s = float(stamps[k] - stamps[k - 1]) * 1e-9
+        away = float(np.hypot(*(poses[k, :2] - poses[k - 1, :2] - track.velocity_mps(k - 1) * dt_s)))
         if away > JUMP_M + JUMP_MPS * dt_s:
-            yield f"it jumps by {away:.1f} m"
+            yield f"a jump by {away:.1f} m at {(stamps[k] - stamps[0]) * 1e-9:.1f} s after the first"
+            return
 
 
-def _late_start(approaches: Approaches, course: Course, truth_ns: Sequence[int]) -> Iterator[str]:
-    """It was in the path, in view, when the truth did not have it yet."""
-    first_ns = course.stamps_ns[0]
-    before = [t for t in truth_ns if t < first_ns - PAUSE_NS]
-    if course.k[0] == 0 and before and math.isfinite(course.gaps_m[0]) and approaches.is_in_view(course, 0):
-        yield f"they begin {course.gaps_m[0]:.1f} m ahead in the path, with truth and free view before"
+def _late_start(observed: LogObservation, approaches: Approaches, course: Course) -> Iterator[str]:
+    """In the path in plain view, at a moment whose truth does not have it."""
+    first_ns, gap_m = course.stamps_ns[0], float(course.gaps_m[0])
+    absent = [t for t in observed.truth_ns if first_ns - 2 * ABSENT_NS <= t <= first_ns - ABSENT_NS]
+    velocity = course.track.velocity_mps(course.track.index(first_ns + ABSENT_NS))
+    before = (approaches.predicted(course.track, 0, t, velocity) for t in absent)
+    if math.isfinite(gap_m) and any(one.is_visible and math.isfinite(one.gap_m) for one in before):
+        yield f"they begin {gap_m:.1f} m ahead in the path, where it would have been in plain view before"
 
 
 def _not_hidden(approaches: Approaches, course: Course) -> Iterator[str]:
-    moments = [i for i in np.flatnonzero(np.isfinite(course.gaps_m)).tolist() if course.gaps_m[i] > 0.0]
-    largely = [i for i in moments if course.track.occlusions[course.k[i]] is Occlusion.LARGELY]
+    ahead = [i for i, gap in enumerate(course.gaps_m.tolist()) if 0.0 < gap < math.inf]
+    largely = [i for i in ahead if course.track.occlusions[course.k[i]] == Occlusion.LARGELY]
     if any(approaches.is_visible(course, i, Occlusion.UNKNOWN) for i in largely):
         yield "largely occluded, but nothing in the log hides it"
 
 
-def _early_end(approaches: Approaches, course: Course, truth_ns: Sequence[int]) -> Iterator[str]:
-    """By its last motion it would have been due later, when the truth does not have it any more."""
-    last, k = len(course.k) - 1, course.k[-1]
-    after = [t for t in truth_ns if t > course.stamps_ns[last] + PAUSE_NS]
-    if not after or k + 1 < len(course.track.stamps_ns) or not approaches.is_in_view(course, last):
+def _early_end(observed: LogObservation, approaches: Approaches, track: TrueTrack) -> Iterator[str]:
+    """By its last motion the request would have been due later, when the truth does not have it any more."""
+    last, last_ns = len(track.stamps_ns) - 1, track.stamps_ns[-1]
+    truth_ns, velocity = observed.truth_ns[-1], track.velocity_mps(last)
+    if truth_ns - last_ns < ABSENT_NS:
         return
-    until_s = (truth_ns[-1] - course.stamps_ns[last]) * 1e-9
-    for t in AHEAD_S[until_s >= AHEAD_S].tolist():
-        gap, needed, speed = approaches.predicted(course, last, t)
-        if gap < needed and speed > STANDING_MPS:
-            yield f"they end {t:.1f} s before it would have been in the path within the stopping distance"
+    for stamp_ns in range(last_ns + STEP_NS, min(truth_ns, last_ns + PREDICTED_NS), STEP_NS):
+        then = approaches.predicted(track, last, stamp_ns, velocity)
+        if 0.0 < then.gap_m < then.stopping_distance_m and then.speed_mps > STANDING_MPS and then.is_visible:
+            after_s = (stamp_ns - last_ns) * 1e-9
+            yield f"they end {after_s:.1f} s before it would be within the stopping distance in the path"
             return
-
-
-def gap_of(values: Float64) -> float:
-    """Smallest gap."""
-    return float(values.min())

@@ -153,6 +153,8 @@ class LogObservation:
     structure: Structure = field(default_factory=Structure)
     observations: dict[int, ObservedObject] = field(default_factory=dict)
     tracks: dict[int, list[TrackObservation]] = field(default_factory=dict)
+    truth_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    box_faults: dict[int, str] = field(default_factory=dict)
     scans: list[int] = field(default_factory=list)
     evaluated_scans: int = 0
     first_ns: int = 0

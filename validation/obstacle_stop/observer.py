@@ -1,7 +1,6 @@
 """Bus sink that gathers the input of the evaluation from the messages of a replay."""
 
 import math
-from array import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from messages.perception import Obstacles, Tracks
 from messages.plan import Path
 from messages.sensors import LidarScan
 from messages.truth import TrueMachine, TrueObjects
-from validation.obstacle_stop.boxes import Box, box_of
+from validation.obstacle_stop.boxes import Box, box_fault, box_of
 from validation.obstacle_stop.by_stamp import ByStamp
 from validation.obstacle_stop.conditions import Conditions
 from validation.obstacle_stop.driving_corridor import DrivingCorridor, corridor_along
@@ -63,7 +62,6 @@ class Observer:
         self._out = LogObservation(setting)
         self._scans: dict[tuple[str, int], _PendingScan] = {}
         self._truths, self._machines = ByStamp[TrueObjects](), ByStamp[TrueMachine]()  # recent ones
-        self._truth_stamps = array("q")
         self._delivered: list[Delivered] = []
         self._path: Path | None = None
         self._control_command: ControlCommand | None = None
@@ -139,7 +137,7 @@ class Observer:
             self._conditions.corridor.length_m,
             self._planned_poses(),
         )
-        out.requests = stop_requests(self._delivered, self._truth_stamps, out, self._conditions)
+        out.requests = stop_requests(self._delivered, out.truth_ns, out, self._conditions)
         return out
 
     def _planned_poses(self) -> Float64 | None:
@@ -168,12 +166,14 @@ class Observer:
             return
         classes, out = {label.value for label in self._conditions.classes}, self._out
         for message in self._truths.take_before(LATEST_NS if until_ns is None else until_ns):
-            self._truth_stamps.append(message.stamp_ns)
+            self._out.truth_ns.append(message.stamp_ns)
             pose, T = out.motion.pose_at(message.stamp_ns), self._T_base_truth(message.stamp_ns)
             if pose is None or T is None:
                 continue
             for true in message.objects:
                 box = box_of(true, T)
+                if true.label.value in classes and (fault := box_fault(box)) is not None:
+                    out.box_faults.setdefault(true.id, fault)
                 if true.label.value in classes and float(np.hypot(*box.center_m[:2])) < MAX_RANGE_M:
                     track = out.true_tracks.setdefault(true.id, TrueTrack(true.id, box.label, box.role))
                     track.add(message.stamp_ns, box, true.occlusion, pose)

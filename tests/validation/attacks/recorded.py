@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from datasets.importers.recording import SOURCE, Description, Extrinsic, Sensor, describe
