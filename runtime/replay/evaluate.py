@@ -146,7 +146,8 @@ def consistency_observer(replay_input: ReplayInput, setting: Setting) -> Consist
     bodies = outlines(machine.vehicle.body, machine.implement)
     T_imu = None if sensors.imu is None else sensors.imu.mount.T_base_sensor
     is_from_scans = replay_input.odometry.kind == "scans"
-    return ConsistencyObserver(setting, lidars, bodies, is_from_scans, replay_input.config.conditions, T_imu)
+    conditions, topic = replay_input.config.conditions, replay_input.odometry.topic
+    return ConsistencyObserver(setting, lidars, bodies, is_from_scans, conditions, T_imu, topic)
 
 
 def _proposal(

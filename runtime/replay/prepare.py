@@ -124,6 +124,9 @@ class ReplayInput:
         by_frame = {s.frame: n for n, t in self.machine.lidars.items() for s in about.sensors if s.topic == t}
         frame = None if self.truth_topic is None else about.truth_frame
         frame = by_frame.get(frame, frame) if frame is not None else None
+        if frame is not None and frame != "map" and frame not in lidars:
+            known = ", ".join(["map", *by_frame])
+            raise LogError(f"{self.recording.path}: the truth is in frame {frame!r}, which is none of {known}")
         body, implement = self.machine.vehicle.body, self.machine.implement
         return Setting(
             name, {n: lidar.mount.T_base_sensor for n, lidar in lidars.items()}, body.front_m, body.width_m,

@@ -135,6 +135,8 @@ class _Judge:
         result = judge_ghost(drive, from_ns, request_ns, track, section, self.conditions)
         is_avoided = result.is_avoided and not self._is_released(drive, course, from_ns)
         outcome = self._outcome(a, due, _effective_ns(drive, from_ns, request_ns), is_avoided, track.id)
+        if outcome is Outcome.IN_TIME and due is None and a.is_open and drive.is_requested[-1] and not drive.stands:
+            outcome = Outcome.CENSORED  # a limit of the speed was requested; what follows is not in the recording
         return self._encounter(a, outcome, result, course, last, due_ns, request_ns, section.direction)
 
     def _interval_ns(self, course: Course, first: int, last: int) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from validation.obstacle_stop.ranges import rate_bounds, share_bounds
 from validation.obstacle_stop.stopping import safe_speed_mps
 from validation.verdict import State
 
-UNUSABLE = ("truth", "odometry", "no_motion")  # first words of the codes of such findings
+UNUSABLE = ("truth", "odometry", "no_motion", "clock")  # first words of the codes of such findings
 FACTORS = {"simple": 2.0, "complex": 1.5}  # BD-5.2.4
 EVALUATED = (
     Outcome.IN_TIME.value,

@@ -37,6 +37,7 @@ class MotionLimits(Config):
     block_s: Seconds
     speed_mps: float = Field(gt=0.0, le=10.0)
     speed_share: Share
+    turn_degps: Degrees
     min_blocks: Count
     min_block_share: Share
     min_gain: Share

@@ -31,12 +31,15 @@ class MotionSeries:
 
     def add_odometry(self, odom: Odometry) -> None:
         """Appends a message of odometry."""
-        T = odom.T_odom_base
+        self.add_pose(odom.stamp_ns, odom.T_odom_base, odom.speed_mps)
+
+    def add_pose(self, stamp_ns: int, T: Float64, speed_mps: float = math.nan) -> None:
+        """Appends a pose (4, 4) and a speed."""
         yaw = math.atan2(T[1, 0], T[0, 0])
-        if self._is_next(odom.stamp_ns) and np.isfinite(T).all():
+        if self._is_next(stamp_ns) and np.isfinite(T).all():
             before, distance = self._last()[2:4]
             yaw = before + math.remainder(yaw - before, 2.0 * math.pi)
-            self._append(odom.stamp_ns, float(T[0, 3]), float(T[1, 3]), yaw, distance, odom.speed_mps)
+            self._append(stamp_ns, float(T[0, 3]), float(T[1, 3]), yaw, distance, speed_mps)
 
     def add_speed(self, stamp_ns: int, speed_mps: float) -> None:
         """Appends a speed."""

@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from validation.obstacle_stop.observation import Setting
 
 MAX_RANGE_M = 60.0
 OWN_MARGIN_M = 0.2
-USED = "odom"
+USED, TRUTH = "odom", "truth_machine"
 RECORDED = "/recorded/"
 
 
@@ -44,15 +45,16 @@ class ConsistencyObserver:
     """Call with every envelope of a replay; `finish` returns the findings.
 
     `is_odometry_from_scans`: the odometry was computed from the scans, for want of another one. `imu_T` (4, 4) is the
-    pose of the IMU in base, None unknown.
+    pose of the IMU in base, None unknown. `odometry_topic` is the recorded one that is used, if any.
     """
 
     def __init__(
         self, setting: Setting, lidars: Mapping[str, Lidar], outlines: tuple[Rectangle, ...],
-        is_odometry_from_scans: bool, conditions: Conditions, imu_T: Float64 | None = None,
+        is_odometry_from_scans: bool, conditions: Conditions, imu_T: Float64 | None = None, odometry_topic: str = "",
     ) -> None:  # fmt: skip
         self._setting, self._conditions, self._limits = setting, conditions, conditions.consistency
         self._is_from_scans, self._imu_T = is_odometry_from_scans, imu_T
+        self._own_source = RECORDED + odometry_topic
         self._lidars = {name: _LidarState(name, lidar) for name, lidar in lidars.items()}
         self._own = np.array(
             [[r.rear_m - OWN_MARGIN_M, r.front_m + OWN_MARGIN_M, r.half_width_m + OWN_MARGIN_M] for r in outlines]
@@ -78,6 +80,9 @@ class ConsistencyObserver:
         elif isinstance(message, TrueObjects | TrueMachine):
             self._truth.add(message)
             self._fit.advance()
+            if isinstance(message, TrueMachine) and self._truth.has_machine:
+                series = self._series.setdefault(TRUTH, MotionSeries("the machine of the truth"))
+                series.add_pose(message.stamp_ns, message.T_map_base)
         else:
             self._add_motion(topic, message)
 
@@ -147,7 +152,7 @@ class ConsistencyObserver:
     def finish(self) -> tuple[Finding, ...]:
         """All findings, blocking ones first."""
         used, limits = self._series[USED], self._limits
-        others = [s for topic, s in self._series.items() if topic != USED]
+        others = [s for topic, s in self._series.items() if topic not in (USED, TRUTH)]
         out = odometry.check_driven(used, limits.motion)
         stamps = [
             s for state in self._lidars.values() for s in (state.stamps[:1].tolist() + state.stamps[-1:].tolist())
@@ -158,7 +163,12 @@ class ConsistencyObserver:
         for series in [used, *others]:
             out += odometry.check_own_speed(series, limits.motion) if series.has_positions else []
         steps = {name: state.motion.steps() for name, state in self._lidars.items()}
-        known = list(steps.values())
+        known, truth = list(steps.values()), self._series.get(TRUTH)
+        if truth is not None:
+            found = odometry.check_against(used, truth, [], self._is_from_scans, limits.motion)
+            out += [replace(f, code="truth_poses") if f.is_blocking else f for f in found]
+        sources = [s for topic, s in self._series.items() if topic not in (USED, self._own_source)]
+        out += [] if self._is_from_scans else odometry.check_confirmed(used, sources, known, limits.motion)
         for other in (o for o in others if o.has_speed):
             out += odometry.check_against(used, other, known, self._is_from_scans, limits.motion)
         for name, state in self._lidars.items():

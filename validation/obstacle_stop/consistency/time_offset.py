@@ -15,9 +15,10 @@ from validation.obstacle_stop.consistency.motion_series import MotionSeries
 from validation.obstacle_stop.consistency.scan_motion import ScanSteps
 
 LAG_STEP_S = 0.02
-MIN_STEPS = 12
+MIN_STEPS = 8
 SEARCH_SHARE = 0.15  # of the duration of the log at most
 NOISE = {"yaw": 0.003, "forward": 0.02}  # rad and m per step: least noise of a registration
+MAX_STEP_BACK_S = 1.0  # more than scans out of order
 NEAR_S = 0.08  # lags of halves of a log may differ by this much
 
 
@@ -92,4 +93,9 @@ def check_stamps(name: str, stamps_ns: Float64) -> list[Finding]:
         return []
     numbers = {"scans": float(len(stamps_ns)), "backwards": float((back <= 0).sum())}
     text = f"lidar {name}: {numbers['backwards']:.0f} of {len(stamps_ns)} scans have a stamp not after the one before"
-    return [Finding("stamps_backwards", text, numbers, numbers["backwards"] > 0.1 * len(stamps_ns))]
+    out = [Finding("stamps_backwards", text, numbers, numbers["backwards"] > 0.1 * len(stamps_ns))]
+    step_s = -float(back.min()) * 1e-9
+    if step_s > MAX_STEP_BACK_S:
+        text = f"lidar {name}: the clock was set back by {step_s:.1f} s in the log; cut it there"
+        out.append(Finding("clock_set_back", text, {"step_s": step_s}, True))
+    return out

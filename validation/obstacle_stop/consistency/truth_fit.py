@@ -113,6 +113,7 @@ class TruthFit:
                 to_frame(np.array([*origin, yaw]), (box.center_m[:2] - origin)[None])[0], box.center_m[2]
             )
             others.append(score_at(wide, center, box.size_m, box.yaw_rad + yaw, needed))
+        others.append(self._score_mirrored(sample, box, needed))
         for then in late:
             if then is None:
                 others.append(math.nan)
@@ -127,6 +128,13 @@ class TruthFit:
         )
         unshifted = np.concatenate([np.full(len(places), zero_image), np.full(len(others), zero)])
         self._accumulate(sample, box, np.concatenate([places, others]), unshifted)
+
+    def _score_mirrored(self, sample: _Sample, box: Box, needed: float) -> float:
+        """Score with left and right of the sensor swapped; as it is where that changes little."""
+        across_m = 2.0 * float(box.center_m[1] - sample.lidar.mount.T_base_sensor[1, 3])
+        center = box.center_m - np.array([0.0, across_m, 0.0])
+        about = points_around(sample.points_m, center[0], center[1], 0.5 * float(np.hypot(*box.size_m[:2])) + 1.0)
+        return score_at(about, center, box.size_m, -box.yaw_rad, needed)
 
     def _accumulate(self, sample: _Sample, box: Box, scores: Float64, unshifted: Float64) -> None:
         mine = self._objects.setdefault(box.id, _Object(*np.zeros((3, len(self._shifts)), np.float32)))
@@ -190,14 +198,14 @@ class TruthFit:
             return []
         total = np.where(is_better, gains.sum(axis=0), -1.0)
         best = int(np.argmax(total))
-        kinds = [self._best_of(kind, total) for kind in ("place", "yaw", "time", "objects_time")]
+        kinds = [self._best_of(kind, total) for kind in ("place", "yaw", "mirror", "time", "objects_time")]
         alike = [k for k in kinds if k is not None and total[k] > 0.85 * total[best]]
         texts = " or ".join(self._text_of(k) for k in sorted(alike, key=lambda k: -total[k]))
         numbers = numbers | {"score": float(score[best]), "score_unshifted": float(score[best] - gain[best])}
         for k in alike:
             kind, a, b = self._shifts.size_of(k)
-            numbers |= {"place": {"shift_x_m": -a, "shift_y_m": -b}, "yaw": {"turn_deg": -a}, "time": {"delay_s": a},
-                        "objects_time": {"objects_delay_s": a}}[kind]  # fmt: skip
+            numbers |= {"place": {"shift_x_m": -a, "shift_y_m": -b}, "yaw": {"turn_deg": -a}, "mirror": {},
+                        "time": {"delay_s": a}, "objects_time": {"objects_delay_s": a}}[kind]  # fmt: skip
         plural = "" if votes[best] == 1 else "s"
         text = (
             f"the truth does not fit the returns: they fit markedly better if it is {texts} (share of returns at the "
@@ -222,7 +230,7 @@ class TruthFit:
         kind = self._shifts.size_of(k)[0]
         if kind == "place":
             return (2.0 * self._limits.search_m / DISTINCT_M) ** 2
-        return float(len(self._shifts.yaws_rad) if kind == "yaw" else len(self._shifts.delays_s))
+        return float({"yaw": len(self._shifts.yaws_rad), "mirror": 1}.get(kind, len(self._shifts.delays_s)))
 
     def _size_m(self, k: int) -> float:
         kind, a, b = self._shifts.size_of(k)
@@ -240,5 +248,7 @@ class TruthFit:
             return f"{-a:+.2f} m and {-b:+.2f} m {axes} out of place"
         if kind == "yaw":
             return f"turned by {-a:+.1f}°"
+        if kind == "mirror":
+            return "mirrored: left and right are swapped"
         what = "its objects are " if kind == "objects_time" else ""
         return f"{what}{abs(a):.1f} s {'late' if a > 0 else 'early'} against the scans"

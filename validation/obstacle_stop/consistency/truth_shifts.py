@@ -20,7 +20,8 @@ YAWS_DEG = (-4.0, -3.0, -2.0, -1.5, 1.5, 2.0, 3.0, 4.0)
 
 @dataclass(frozen=True, eq=False)
 class Shifts:
-    """Displacements (S, 2) of all boxes in base, turns (Y,) about the sensor, and delays (D,) of the truth.
+    """Displacements (S, 2) of all boxes in base, turns (Y,) about the sensor, one swap of left and right, and delays
+    (D,) of the truth.
 
     Truth in map is displaced along the axes of map. The places from `first_wide` on are an even grid over the search
     range. A positive delay means that the truth is late: the boxes of a scan have later stamps. With poses of the
@@ -49,16 +50,18 @@ class Shifts:
         return int(np.argmin(np.abs(self.places_m).sum(axis=1)))
 
     def __len__(self) -> int:
-        return len(self.places_m) + len(self.yaws_rad) + len(self.delays_s) * (1 + self.has_objects_late)
+        return len(self.places_m) + len(self.yaws_rad) + 1 + len(self.delays_s) * (1 + self.has_objects_late)
 
     def size_of(self, k: int) -> tuple[str, float, float]:
-        """Kind of shift `k` (`place`, `yaw`, `time`, `objects_time`) and its values."""
+        """Kind of shift `k` (`place`, `yaw`, `mirror`, `time`, `objects_time`) and its values."""
         n, m, d = len(self.places_m), len(self.yaws_rad), len(self.delays_s)
         if k < n:
             return "place", float(self.places_m[k, 0]), float(self.places_m[k, 1])
         if k < n + m:
             return "yaw", math.degrees(self.yaws_rad[k - n]), 0.0
-        return ("time" if k < n + m + d else "objects_time"), float(self.delays_s[(k - n - m) % d]), 0.0
+        if k == n + m:
+            return "mirror", 1.0, 0.0
+        return ("time" if k <= n + m + d else "objects_time"), float(self.delays_s[(k - n - m - 1) % d]), 0.0
 
 
 class TrueBoxes:

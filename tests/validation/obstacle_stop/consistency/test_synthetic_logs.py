@@ -114,7 +114,7 @@ def test_odometry_from_scans_without_structure_is_degenerate() -> None:
 @pytest.mark.parametrize(("kept", "codes"), [
     ((), {"no_motion", "odometry_missing", "too_few_scans"}),
     ((LidarScan,), {"no_motion", "odometry_missing", "odometry_contradicts_scans"}),
-    ((Odometry,), {"too_few_scans"}),
+    ((Odometry,), {"too_few_scans", "speed_unconfirmed"}),
     (TRUTH, {"no_motion", "odometry_missing", "too_few_scans"}),
 ], ids=["nothing", "scans", "odometry", "truth"])  # fmt: skip
 def test_logs_with_one_kind_of_message(kept: tuple[type, ...], codes: set[str]) -> None:
