@@ -140,8 +140,12 @@ class SimulationWorld(World):
         self._pending: list[tuple[int, int, str, Pending]] = []
         self._put_count = 0
         self._seed = seed
-        # shapes are logged where a judge needs them: for the objects of a scenario
-        self._truth = ("truth_machine", "truth_objects", *(["truth_shapes"] if scenario.objects else []))
+        # shapes are logged where a judge needs them: for the objects and the environment of a scenario
+        self._truth = (
+            "truth_machine",
+            "truth_objects",
+            *(["truth_shapes"] if scenario.objects or scenario.environment else []),
+        )
         self.writes = (*(s.topic for s in self._sensors), "operator_command", *self._truth)
 
     @property

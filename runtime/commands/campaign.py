@@ -21,6 +21,7 @@ COLUMNS = (
 BAYS = ("wide", "narrow")
 REFUSED = 2  # exit code of a run that did not start
 DONE = ("finished", "docked")
+DEFAULT_SEEDS = {"hazards": 1}
 
 
 @dataclass(frozen=True)
@@ -79,10 +80,15 @@ def trials_of(campaign: str, seeds: int, top: Path) -> list[Trial]:
 
 def main(arguments: argparse.Namespace) -> int:
     """Runs the missing trials; 0 if every trial passed."""
+    arguments.seeds = DEFAULT_SEEDS.get(arguments.campaign, 10) if arguments.seeds is None else arguments.seeds
     if arguments.campaign == "fault-injection":
         from runtime.fault_injection import campaign as fault_injection
 
         return fault_injection.main(arguments)
+    if arguments.campaign == "hazards":
+        from runtime.hazards import campaign as hazards
+
+        return hazards.main(arguments)
     if arguments.seeds < 1 or arguments.jobs < 1:
         raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
     top = arguments.out or RunFolder(f"campaign-{arguments.campaign}", None).path

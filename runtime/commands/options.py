@@ -101,13 +101,15 @@ COMMANDS = (
     ), "0 done, 2 wrong input; nothing is written then"),
     Command("campaign", "run many drives or faults and write one table", "runtime.commands.campaign", (
         _option(
-            "campaign", choices=["demo", "ablation", "dock", "fault-injection"],
+            "campaign", choices=["demo", "ablation", "dock", "fault-injection", "hazards"],
             help="demo: field work; ablation: demo without the obstacle rules; dock: docking into each bay; "
-            "fault-injection: each fault in each situation",
+            "fault-injection: each fault in each situation; hazards: objects by placement, phase and environment",
         ),
-        _option("--seeds", type=int, default=10, metavar="N", help="seeds 1 to N (default 10)"),
+        _option("--seeds", type=int, metavar="N", help="seeds 1 to N (default 10; hazards: 1)"),
         _option("--jobs", type=int, default=2, metavar="N", help="runs at a time (default 2)"),
-        _option("--only", metavar="REGEX", help="fault-injection: cells whose name matches, e.g. swath-imu-off"),
+        _option("--core", action="store_true", help="hazards: the first 60 drives of the list"),
+        _option("--scheduler", metavar="ADDRESS", help="hazards: run on this Dask cluster"),
+        _option("--only", metavar="REGEX", help="fault-injection, hazards: what has a matching name, e.g. swath-imu-off"),
         _option("--situations", metavar="NAMES", help="fault-injection: of turn,swath,obstacle,docking (default all)"),
         _out("campaign", RESUMES), JSON,
     )),

@@ -127,8 +127,8 @@ def _key(log: Path, version: str, arguments: argparse.Namespace) -> str:
 
 def _evaluate_all(tasks: list[Task], arguments: argparse.Namespace, folder: ResultFolder) -> list[dict[str, Any]]:
     """Results in the order of the logs; a line on standard error for each as it completes."""
-    from runtime.replay.evaluate import stored_result
-    from runtime.replay.workers import evaluate_all
+    from runtime.replay.evaluate import evaluate_task, lost_task, stored_result
+    from runtime.workers import Work, run_all
     from validation.obstacle_stop.tables import summary_line
 
     done: dict[str, dict[str, Any]] = {}
@@ -140,7 +140,7 @@ def _evaluate_all(tasks: list[Task], arguments: argparse.Namespace, folder: Resu
     if done:
         sys.stderr.write(f"{len(done)} of {len(tasks)} evaluated before\n")
     waiting = [task for task in tasks if task.name not in done]
-    for task, values in evaluate_all(waiting, arguments.jobs, arguments.scheduler):
+    for task, values in run_all(Work(evaluate_task, lost_task), waiting, arguments.jobs, arguments.scheduler):
         done[task.name] = values
         sys.stderr.write(f"[{len(done)}/{len(tasks)}] {task.name}: {summary_line(values)}\n")
     return [done[task.name] for task in tasks]

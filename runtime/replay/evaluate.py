@@ -50,6 +50,11 @@ def stored_result(folder: Path, key: str) -> dict[str, Any] | None:
     return values if isinstance(values, dict) and values.get("key") == key else None
 
 
+def lost_task(task: Task, error: Exception) -> dict[str, Any]:
+    """Result of a log whose worker died."""
+    return {"log": task.name, "failed": f"{task.log}: the worker died ({error!r})"}
+
+
 def evaluate_task(task: Task) -> dict[str, Any]:
     """Evaluates one log in this process; errors are part of the result, except those in writing it (HeadlandError)."""
     try:

@@ -181,5 +181,9 @@ def _outcome(log: HazardLog, driven_m: float) -> str:
 
 
 def row_dict(row: ObjectRow) -> dict[str, Any]:
-    """A row as plain values; NaN becomes None."""
-    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(row).items()}
+    """A row as plain values, numbers rounded to 0.1 mm, ms and mm/s or finer; NaN becomes None."""
+    return {k: _plain(v) if isinstance(v, float) else v for k, v in asdict(row).items()}
+
+
+def _plain(value: float) -> float | None:
+    return None if math.isnan(value) or math.isinf(value) else round(float(value), 4)

@@ -1,0 +1,58 @@
+"""`headland campaign hazards`: every drive of `configs/hazards.yaml` on processes that are reused, judged by truth."""
+
+import argparse
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from messages.errors import HeadlandError
+from runtime.hazards.cases import drives_of, load_list
+from runtime.hazards.drive import Task, drive_task, lost_task, stored_result, task_of
+from runtime.run_folder import RunFolder, versions
+from runtime.workers import Work, run_all
+from validation.hazards.tables import failure_text, page, totals, unavoidable, write_parquet
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Drives what is missing; 0 without avoidable contact, false stop and failed drive."""
+    if arguments.seeds < 1 or arguments.jobs < 1:
+        raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
+    drives = drives_of(load_list(), arguments.seeds, arguments.core)
+    if arguments.only is not None:
+        drives = [one for one in drives if re.search(arguments.only, one.name)]
+        if not drives:
+            raise HeadlandError(f"--only {arguments.only!r}: no drive has such a name")
+    top = (arguments.out or RunFolder("campaign-hazards", None).path).absolute()
+    commit = versions()["commit"]
+    results = _all_results([task_of(one, top, commit) for one in drives], arguments)
+    summary = totals(results) | {"unavoidable": unavoidable(results), "run_dir": str(top)}
+    write_parquet(top, results)
+    (top / "table.html").write_text(page(results), encoding="utf-8")
+    (top / "result.json").write_text(json.dumps(summary) + "\n", encoding="utf-8")
+    if arguments.json:
+        sys.stdout.write(json.dumps(summary) + "\n")
+    else:
+        sys.stdout.write(_text(summary, top))
+    return 1 if summary["avoidable_contacts"] or summary["false_stops"] or summary["failed_drives"] else 0
+
+
+def _all_results(tasks: list[Task], arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """Results in the order of the drives; a line on standard error for each as it ends."""
+    done = {task.drive.name: values for task in tasks if (values := stored_result(task)) is not None}
+    if done:
+        sys.stderr.write(f"{len(done)} of {len(tasks)} driven before\n")
+    waiting = [task for task in tasks if task.drive.name not in done]
+    for task, values in run_all(Work(drive_task, lost_task), waiting, arguments.jobs, arguments.scheduler):
+        done[task.drive.name] = values
+        is_failed = "failed" in values or values["contacts"] or values["false_stops"]
+        text = failure_text(values) if is_failed else f"{', '.join(filter(None, task.drive.labels.values()))}: passed"
+        sys.stderr.write(f"[{len(done)}/{len(tasks)}] {task.drive.name}: {text}, {values.get('wall_s', 0.0):.0f} s\n")
+    return [done[task.drive.name] for task in tasks]
+
+
+def _text(summary: dict[str, Any], top: Path) -> str:
+    counts = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in summary.items()
+                       if isinstance(value, (int, float)))  # fmt: skip
+    return f"{counts}; table: {top / 'table.html'}\n"

@@ -1,0 +1,143 @@
+"""Drives of the campaign: the named scenarios and the pairwise list of `configs/hazards.yaml`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from configs.strict import CONFIGS, Config, load, parse, read_yaml
+from simulation.scenario import Scenario
+
+FILE = CONFIGS / "hazards.yaml"
+CORE = 60  # drives of `--core`: the first of the list
+START = {"at_s": 3.0, "command": "start", "expires_s": 5.0}
+Plain = dict[str, Any]
+
+
+class NamedDrive(Config):
+    """A scenario file with its mission, seeds and longest duration."""
+
+    scenario: str
+    mission: str
+    seeds: tuple[int, ...] = Field(min_length=1)
+    limit_s: float = Field(gt=0.0, le=600.0)
+
+
+class ObjectLevel(Config):
+    """An object of the catalogue, and the placements that it can have."""
+
+    object: Plain
+    moves: bool = False
+    lies_down: bool = False
+
+
+class PlacementLevel(Config):
+    """Place and behaviour, objects before it, and what the object must be able to do."""
+
+    place: Plain
+    behaviour: Plain = Field(default_factory=lambda: {"kind": "stand"})
+    others: tuple[Plain, ...] = ()
+    needs: Literal["moves", "lies_down"] | None = None
+
+
+class PhaseLevel(Config):
+    """Mission, appearance of the object, and longest duration."""
+
+    mission: str
+    when: Plain
+    limit_s: float = Field(gt=0.0, le=600.0)
+    operator_commands: tuple[Plain, ...] = ()
+
+
+class HazardList(Config):
+    """Named drives, levels of the four factors, and rows of one level each: object, placement, phase, environment."""
+
+    version: Literal[1]
+    named: tuple[NamedDrive, ...]
+    objects: dict[str, ObjectLevel]
+    placements: dict[str, PlacementLevel]
+    phases: dict[str, PhaseLevel]
+    environments: dict[str, Plain]
+    drives: tuple[tuple[str, str, str, str], ...] = ()
+
+    @model_validator(mode="after")
+    def _rows_are_possible(self) -> Self:
+        factors = self.factors
+        for row in self.drives:
+            for level, (factor, known) in zip(row, factors.items(), strict=True):
+                if level not in known:
+                    raise ValueError(f"drives {list(row)}: {level!r} is not one of the {factor}s")
+            if not self.is_possible(row[0], row[1]):
+                raise ValueError(f"drives {list(row)}: {row[0]!r} cannot {row[1]!r}")
+        return self
+
+    @property
+    def factors(self) -> dict[str, tuple[str, ...]]:
+        """Levels of each factor, in the order of a row."""
+        return {"object": tuple(self.objects), "placement": tuple(self.placements), "phase": tuple(self.phases),
+                "environment": tuple(self.environments)}  # fmt: skip
+
+    def is_possible(self, one: str, placement: str) -> bool:
+        """Whether an object can have a placement."""
+        needs = self.placements[placement].needs
+        return needs is None or bool(getattr(self.objects[one], needs))
+
+
+@dataclass(frozen=True)
+class HazardDrive:
+    """One drive: mission, scenario as plain data, seed, longest duration and levels of its factors."""
+
+    name: str
+    mission: str
+    scenario: Plain
+    seed: int
+    limit_s: float
+    labels: dict[str, str]
+
+
+def load_list(path: Path = FILE) -> HazardList:
+    """The list; raises ConfigError."""
+    return load(HazardList, path)
+
+
+def drives_of(hazards: HazardList, seeds: int, is_core: bool) -> list[HazardDrive]:
+    """Named drives, then the rows with seeds 1 to `seeds`; with `is_core` the first `CORE` of them with one seed."""
+    named = [_named(one, seed) for one in hazards.named for seed in one.seeds]
+    if is_core:
+        rows = [_row(hazards, number, 1) for number in range(1, CORE - len(named) + 1)]
+        return [*named, *rows]
+    numbers = range(1, len(hazards.drives) + 1)
+    return [*named, *(_row(hazards, number, seed) for seed in range(1, seeds + 1) for number in numbers)]
+
+
+def _named(one: NamedDrive, seed: int) -> HazardDrive:
+    folder, _, name = one.scenario.rpartition("/")
+    values = read_yaml(CONFIGS / "scenarios" / f"{one.scenario}.yaml")
+    parse(Scenario, values, one.scenario)
+    label = "" if folder == "hazards" else name
+    labels = {"object": name if folder == "hazards" else "", "placement": "", "phase": "", "environment": label}
+    return HazardDrive(f"{name}-{seed}", one.mission, values, seed, one.limit_s, labels)
+
+
+def _row(hazards: HazardList, number: int, seed: int) -> HazardDrive:
+    row = hazards.drives[number - 1]
+    phase = hazards.phases[row[2]]
+    labels = dict(zip(hazards.factors, row, strict=True))
+    return HazardDrive(f"{number:03d}-{seed}", phase.mission, scenario_of(hazards, row), seed, phase.limit_s, labels)
+
+
+def scenario_of(hazards: HazardList, row: tuple[str, str, str, str]) -> Plain:
+    """Scenario of a row as plain data; raises ConfigError."""
+    one, placement = hazards.objects[row[0]], hazards.placements[row[1]]
+    phase, environment = hazards.phases[row[2]], hazards.environments[row[3]]
+    late = {"when": phase.when}
+    objects = [{**other, **late} for other in placement.others]
+    main = {"name": "object", **one.object, "place": placement.place, "behaviour": placement.behaviour, **late}
+    values: Plain = {
+        "name": ", ".join(row), "operator_commands": [START, *phase.operator_commands], "objects": [*objects, main],
+    }  # fmt: skip
+    if environment:
+        values["environment"] = environment
+    parse(Scenario, values, f"{FILE.name} {list(row)}")
+    return values

@@ -1,0 +1,66 @@
+"""Independent tasks: one after another, on processes of this machine that are reused, or on a Dask cluster."""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from messages.errors import HeadlandError
+
+T = TypeVar("T")
+Values = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Work(Generic[T]):
+    """What a worker does with a task, and the result of a task whose worker died; both are importable functions."""
+
+    run: Callable[[T], Values]
+    lost: Callable[[T, Exception], Values]
+
+    def result(self, get: Callable[[], Any], task: T) -> Values:
+        """Result of a worker."""
+        try:
+            return dict(get())
+        except HeadlandError:
+            raise
+        except Exception as error:  # a failed worker must not end the run
+            return self.lost(task, error)
+
+
+def run_all(work: Work[T], tasks: list[T], jobs: int | None, scheduler: str | None) -> Iterator[tuple[T, Values]]:
+    """Results in the order of completion; `jobs` None uses all cores. Raises HeadlandError of the work."""
+    count = min(jobs or len(os.sched_getaffinity(0)), len(tasks))
+    if scheduler is not None:
+        yield from _on_cluster(work, tasks, scheduler)
+    elif count <= 1:
+        for task in tasks:
+            yield task, work.run(task)
+    else:
+        # threads of loaded libraries do not survive a fork
+        with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+            futures = {pool.submit(work.run, task): task for task in tasks}
+            try:
+                for future in as_completed(futures):
+                    yield futures[future], work.result(future.result, futures[future])
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _on_cluster(work: Work[T], tasks: list[T], address: str) -> Iterator[tuple[T, Values]]:
+    """Runs the tasks on a Dask cluster; results are returned as values."""
+    try:
+        from distributed import Client
+        from distributed import as_completed as completed
+    except ImportError as error:
+        raise HeadlandError("--scheduler needs the package distributed, which is not installed") from error
+    try:
+        client = Client(address, timeout="10s")  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TimeoutError) as error:
+        raise HeadlandError(f"--scheduler {address}: no reply from the scheduler ({error})") from error
+    with client:
+        futures = {client.submit(work.run, task, pure=False): task for task in tasks}
+        for future in completed(list(futures)):  # type: ignore[no-untyped-call]
+            yield futures[future], work.result(future.result, futures[future])
