@@ -109,7 +109,7 @@ COMMANDS = (
         _option("--jobs", type=int, default=2, metavar="N", help="runs at a time (default 2)"),
         _option("--core", action="store_true", help="hazards: the first 60 drives of the list"),
         _option("--scheduler", metavar="ADDRESS", help="hazards: run on this Dask cluster"),
-        _option("--only", metavar="REGEX", help="fault-injection, hazards: what has a matching name, e.g. swath-imu-off"),
+        _option("--only", metavar="REGEX", help="fault-injection, hazards: matching names, e.g. swath-imu-off"),
         _option("--situations", metavar="NAMES", help="fault-injection: of turn,swath,obstacle,docking (default all)"),
         _out("campaign", RESUMES), JSON,
     )),

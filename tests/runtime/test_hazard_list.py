@@ -1,0 +1,113 @@
+"""List of the campaign of hazards: pairs, scenarios, missions and refusals; one drive up to the table."""
+
+import json
+from types import SimpleNamespace
+
+import pyarrow.parquet as parquet
+import pytest
+
+from configs.mission import Mission
+from configs.strict import find, load, parse, read_yaml
+from messages.errors import ConfigError, HeadlandError
+from runtime.hazards import campaign
+from runtime.hazards.cases import CORE, FILE, HazardList, drives_of, load_list, scenario_of
+from runtime.hazards.pairwise import pairs_of, possible_pairs, rows_of
+from simulation.scenario import Scenario
+
+HAZARDS = load_list()
+
+
+def small():
+    """The same levels, two or three of each factor, without rows."""
+    values = read_yaml(FILE)
+    for factor in ("placements", "phases", "environments"):
+        values[factor] = dict(list(values[factor].items())[:3])
+    values["placements"]["crosses"] = read_yaml(FILE)["placements"]["crosses"]
+    values["objects"] = {name: values["objects"][name] for name in ("adult", "fawn", "stone")}
+    return values | {"drives": [], "named": []}
+
+
+def test_every_possible_pair_is_in_a_row():
+    covered = set().union(*(pairs_of(dict(enumerate(row))) for row in HAZARDS.drives))
+    assert possible_pairs(HAZARDS) <= covered
+
+
+def test_a_list_without_a_row_lacks_pairs():
+    rows = HAZARDS.drives[:-1]
+    covered = set().union(*(pairs_of(dict(enumerate(row))) for row in rows))
+    assert not possible_pairs(HAZARDS) <= covered
+
+
+def test_generated_rows_cover_all_pairs_with_few_rows():
+    hazards = parse(HazardList, small(), "small")
+    rows = rows_of(hazards)
+    assert possible_pairs(hazards) <= set().union(*(pairs_of(dict(enumerate(row))) for row in rows))
+    assert all(hazards.is_possible(row[0], row[1]) for row in rows)
+    assert not any(row[:2] == ("stone", "crosses") for row in rows)
+    assert len(rows) < 20  # of 3 x 4 x 3 x 3 combinations
+
+
+def test_number_of_drives():
+    assert len(drives_of(HAZARDS, 1, False)) >= 300
+    assert len(drives_of(HAZARDS, 1, True)) == CORE == 60
+    names = [one.name for one in drives_of(HAZARDS, 2, False)]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("number", range(0, len(HAZARDS.drives), 7))
+def test_rows_are_valid_scenarios(number):
+    row = HAZARDS.drives[number]
+    scenario = parse(Scenario, scenario_of(HAZARDS, row), "row")
+    assert scenario.objects[-1].object == HAZARDS.objects[row[0]].object["object"]
+    assert (scenario.environment is None) is (row[3] == "as configured")
+
+
+@pytest.mark.parametrize("name", sorted({one.mission for one in drives_of(HAZARDS, 1, False)}))
+def test_missions_exist(name):
+    assert load(Mission, find("missions", name)).start is not None
+
+
+BAD = {
+    "'moon' is not one of the objects": lambda v: v.update(drives=[["moon", "ahead", "docking", "dust"]]),
+    "'stone' cannot 'crosses'": lambda v: v.update(drives=[["stone", "crosses", "start", "as configured"]]),
+    "limit_s": lambda v: v["phases"]["start"].update(limit_s=-1),
+    "needs": lambda v: v["placements"]["crosses"].update(needs="wings"),
+    "version": lambda v: v.update(version=2),
+}
+
+
+@pytest.mark.parametrize("expected", BAD)
+def test_bad_list_is_refused(expected):
+    values = small()
+    BAD[expected](values)
+    with pytest.raises(ConfigError, match=expected):
+        parse(HazardList, values, "bad.yaml")
+
+
+def options(folder, **more):
+    values = {"seeds": 1, "jobs": 1, "core": False, "only": None, "scheduler": None, "json": True, "out": folder}
+    return SimpleNamespace(**(values | more))
+
+
+def test_unknown_name_is_refused(tmp_path):
+    with pytest.raises(HeadlandError, match="no drive has such a name"):
+        campaign.main(options(tmp_path, only="^unicorn$"))
+
+
+@pytest.mark.slow
+def test_named_contact_is_reported_and_not_driven_again(tmp_path, capsys):
+    """Adult before the wing at the start: contact with the lowering or moving harrow at walking speed."""
+    arguments = options(tmp_path, only="^adult_before_wing-1$")
+    assert campaign.main(arguments) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert (result["drives"], result["contacts"], result["avoidable_contacts"]) == (1, 1, 1)
+    (row,) = parquet.read_table(tmp_path / "objects.parquet").to_pylist()
+    assert row["is_contact"]
+    assert row["is_promised"]
+    assert row["part"] in ("implement", "wing_left")
+    assert row["impact_mps"] < 1.0
+    page = (tmp_path / "table.html").read_text()
+    assert "./headland run --mission line" in page
+    assert "data:image/png" in page
+    assert campaign.main(arguments) == 1
+    assert "1 of 1 driven before" in capsys.readouterr().err
