@@ -34,8 +34,8 @@ def scenery_of(
 def scenario_pieces(site: Site, terrain: Terrain, environment: Environment, seed: int) -> list[Piece]:
     """Pieces besides those of `build_scenery`."""
     pieces = []
-    if terrain.features.clod is not None and 0.0 not in terrain.features.clod:
-        pieces.append(Piece("ground", clod_mesh(site, terrain, *terrain.features.clod, seed), 0.25))
+    if terrain.features.clods is not None and 0.0 not in terrain.features.clods:
+        pieces.append(Piece("ground", clod_mesh(site, terrain, *terrain.features.clods, seed), 0.25))
     if environment.boundary is not None:
         pieces += boundary_pieces(site, terrain, environment.boundary, seed)
     for stand in environment.vegetation:

@@ -2,8 +2,11 @@
 
 Where the machine stands, the ground is the plane z = 0 of base. Bumps, furrows and the start of a slope tilt the plane
 of single scans by some degrees in both directions; their median over a drive does not. Intervals of 3 m of travel count
-as independent (a standing machine sees the same ground again); a tilt or height must exceed its limit by the 99 %
-quantile of Student's distribution times the standard error of the median.
+as independent (a standing machine sees the same ground again). A tilt or height must exceed its limit by the 99 %
+quantile of Student's distribution times the standard error of the median; few intervals hardly show how much they
+scatter, so that the scatter of usual ground counts as `USUAL` more of them. Or all intervals exceed the limit in one
+direction and differ by at most three times the usual scatter: waves of the ground that last for a short drive differ
+more.
 """
 
 import math
@@ -12,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from configs.vehicle import Lidar
-from geometry.arrays import Float32, Float64
+from geometry.arrays import Bool, Float32, Float64
 from geometry.jit import kernel
 from validation.obstacle_stop.consistency.config import MountLimits
 from validation.obstacle_stop.consistency.finding import Finding, not_checked
@@ -21,6 +24,7 @@ RADIUS_M = 14.0
 CELLS = 28  # of 1 m per side
 MIN_CELLS, MIN_INTERVALS = 15, 3
 BLOCK_M = 3.0
+USUAL, USUAL_SCATTER = 4, np.array([math.radians(0.5), math.radians(0.5), 0.03, 0.0])  # roll, pitch, height, share
 BELOW_M = 0.4
 INLIER_M = 0.08
 LAYER_M = 0.2  # half thickness of the layer of ground returns
@@ -137,40 +141,45 @@ class GroundPlane:
         blocks = self._blocks()
         roll, pitch, height, below = np.median(blocks, axis=0)
         n = len(blocks)
-        error = 1.25 * blocks.std(axis=0, ddof=1) / math.sqrt(n) if n > 1 else np.full(4, np.inf)
+        squares = USUAL * USUAL_SCATTER**2 + ((blocks - blocks.mean(axis=0)) ** 2).sum(axis=0)
+        error = 1.25 * np.sqrt(squares / (USUAL + n - 1) / n)
         numbers = {
             "roll_deg": math.degrees(roll), "pitch_deg": math.degrees(pitch), "height_m": height,
             "share_below": below, "intervals": float(n), "scans": float(self._scans),
         }  # fmt: skip
-        return self._tilt(numbers, np.degrees(error[:2]), limits) + self._height(numbers, error[2], limits)
+        allowed = np.array([math.radians(limits.tilt_deg), math.radians(limits.tilt_deg), limits.height_m])
+        is_shown = _is_shown(blocks[:, :3], allowed, error[:3])
+        return self._tilt(numbers, np.degrees(error[:2]), is_shown, limits) + self._height(numbers, is_shown, limits)
 
-    def _tilt(self, numbers: dict[str, float], error_deg: Float64, limits: MountLimits) -> list[Finding]:
+    def _tilt(
+        self, numbers: dict[str, float], error_deg: Float64, is_shown: Bool, limits: MountLimits
+    ) -> list[Finding]:
         out = []
-        for axis, error in zip(("roll", "pitch"), error_deg.tolist(), strict=True):
-            angle = numbers[f"{axis}_deg"]
+        for k, axis in enumerate(("roll", "pitch")):
+            angle, error = numbers[f"{axis}_deg"], float(error_deg[k])
             if abs(angle) <= limits.tilt_deg:
                 continue
-            is_shown = abs(angle) > limits.tilt_deg + _quantile(numbers["intervals"]) * error
             text = (
                 f"lidar {self._name}: the ground is tilted by {angle:+.1f}° in {axis} against the machine (median of "
                 f"{numbers['intervals']:.0f} intervals, standard error {error:.1f}°): the {axis} of its mount is wrong "
                 f"by about {-angle:+.1f}°"
             )
-            out.append(Finding(f"mount_{axis}", text, numbers, True) if is_shown else self._unsure(axis, numbers))
+            found = Finding(f"mount_{axis}", text, numbers, True)
+            out.append(found if is_shown[k] else self._unsure(axis, numbers))
         return out
 
     def _unsure(self, what: str, numbers: dict[str, float]) -> Finding:
         return not_checked(f"{what} of lidar {self._name}", "too few intervals in motion, or they differ", numbers)
 
-    def _height(self, numbers: dict[str, float], error_m: float, limits: MountLimits) -> list[Finding]:
+    def _height(self, numbers: dict[str, float], is_shown: Bool, limits: MountLimits) -> list[Finding]:
         height, out = numbers["height_m"], []
         if abs(height) > limits.height_m:
-            is_shown = abs(height) > limits.height_m + _quantile(numbers["intervals"]) * error_m
             text = (
                 f"lidar {self._name}: the ground at the machine lies at {height:+.2f} m, not 0 (median of "
                 f"{numbers['intervals']:.0f} intervals): the height of its mount is wrong by about {-height:+.2f} m"
             )
-            out.append(Finding("mount_height", text, numbers, True) if is_shown else self._unsure("height", numbers))
+            found = Finding("mount_height", text, numbers, True)
+            out.append(found if is_shown[2] else self._unsure("height", numbers))
         if numbers["share_below"] > limits.max_share_below:
             text = (
                 f"lidar {self._name}: {100 * numbers['share_below']:.0f} % of the returns within {RADIUS_M:.0f} m lie "
@@ -194,6 +203,11 @@ class GroundPlane:
         return Finding("mount_without_ground", text, numbers, True)
 
 
-def _quantile(intervals: float) -> float:
-    """99 % quantile of the t distribution; infinite for fewer than three."""
-    return float(stats.t.ppf(0.99, intervals - 1.0)) if intervals >= MIN_INTERVALS else math.inf
+def _is_shown(blocks: Float64, limit: Float64, error: Float64) -> Bool:
+    """Whether the medians of intervals (N, K) exceed limits (K,), by their errors (K,) or in all intervals alike."""
+    n, median = len(blocks), np.median(blocks, axis=0)
+    if n < MIN_INTERVALS:
+        return np.zeros(len(limit), bool)
+    is_significant = np.abs(median) > limit + stats.t.ppf(0.99, USUAL + n - 1) * error
+    is_alike = (np.sign(median) * blocks > limit).all(axis=0) & (np.ptp(blocks, axis=0) <= 3.0 * USUAL_SCATTER[:3])
+    return np.asarray(is_significant | is_alike)

@@ -2,8 +2,8 @@
 
 The rear axle does not slip sideways: the motion of base that the scans give with the configured mount is along x. A yaw
 error turns it, tan(error) = left / forward; a lateral error adds error × yaw rate to the speed forward, a longitudinal
-one to the speed left, for which a limit is allowed. A finding exceeds its limit by two standard errors, and the limits
-are themselves at least two: the probability of a false one is below 1e-4 per log.
+one to the speed left, for which a limit is allowed. A finding exceeds its limit by the 95 % quantile of its error,
+and a clean log is below the limit by most of it.
 """
 
 import math
@@ -21,6 +21,7 @@ MIN_FORWARD_M = 0.15  # per step
 MIN_BLOCKS = 3
 MIN_STEPS = 6
 NOISE_M = 0.03  # least noise of a step
+SIGMAS = 1.65  # 95 % of a normal distribution
 
 
 def check_yaw(name: str, steps: ScanSteps, limits: MountLimits) -> list[Finding]:
@@ -34,7 +35,7 @@ def check_yaw(name: str, steps: ScanSteps, limits: MountLimits) -> list[Finding]
     forward, left, turn = (steps.motion[pairs] + steps.motion[pairs + 1]).T
     slope, error = _slope(forward, left, steps.error_m[pairs])
     curvature = abs(float(np.median(turn / forward)))
-    limit = math.radians(limits.yaw_deg) + limits.axle_m * curvature + 2.0 * error
+    limit = math.radians(limits.yaw_deg) + limits.axle_m * curvature + SIGMAS * error
     numbers = {"yaw_deg": math.degrees(slope), "error_deg": math.degrees(error), "pairs": float(len(pairs))}
     if error > 0.5 * math.radians(limits.yaw_deg):
         return [not_checked(f"yaw of the mount of lidar {name}", "its standard error is too large", numbers)]
@@ -59,7 +60,7 @@ def check_lateral(name: str, steps: ScanSteps, used: MotionSeries, limits: Mount
     numbers = {"place_error_m": place, "error_m": error}
     if not math.isfinite(error) or limits.sigmas * error > limits.position_m:
         return [not_checked(what, "too little turning", numbers)]
-    if abs(place) <= limits.position_m + 2.0 * error:
+    if abs(place) <= limits.position_m + SIGMAS * error:
         return []
     text = (
         f"lidar {name}: in curves standing structure moves as if its mount were {place:+.2f} ± {error:.2f} m to the "
@@ -69,15 +70,16 @@ def check_lateral(name: str, steps: ScanSteps, used: MotionSeries, limits: Mount
 
 
 def _slope(forward: Float64, left: Float64, error_m: Float64) -> tuple[float, float]:
-    """Median angle of the steps and its standard error (rad): by their scatter, and at least that of one step.
+    """Mean angle of the usual steps and its standard error (rad): by their scatter, and at least that of one step.
 
     Few structures shift all registrations alike, so that the error of one step does not fall with their number.
     """
     angles = np.arctan2(left * np.sign(forward), np.abs(forward))
     middle = float(np.median(angles))
     spread = 1.48 * float(np.median(np.abs(angles - middle)))
+    mean = float(angles[np.abs(angles - middle) <= 3.0 * spread].mean())
     # overlapping pairs: half as many independent ones
-    return middle, math.hypot(1.25 * spread / math.sqrt(0.5 * len(angles)), float(np.median(error_m / np.abs(forward))))
+    return mean, math.hypot(spread / math.sqrt(0.5 * len(angles)), float(np.median(error_m / np.abs(forward))))
 
 
 def _lateral(turn: Float64, forward: Float64, excess: Float64, block: Int64) -> tuple[float, float]:

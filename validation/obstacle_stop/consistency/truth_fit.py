@@ -6,7 +6,8 @@ sensor, which is no fault of the truth. A single standing object can coincide wi
 finding needs agreement of most objects at the same shift, and agreement by chance must be improbable. The share of
 places within the search range at which an object fits at least as well is the chance that it does so at a random one;
 the product of these shares over the objects that a shift improves, times the number of distinct shifts that are tried,
-is the expected number of such shifts by chance.
+is the expected number of such shifts by chance. An object that moves fits nothing that stands, and seldom another one
+that moves alike.
 """
 
 import math
@@ -33,6 +34,7 @@ MIN_VOTE = 0.1  # change of the score that matters
 MIN_SHIFT_M = 0.4
 DISTINCT_M = 0.8  # places closer than this are not independent
 SAME_SCORE = 0.02
+ALIKE = 0.03  # things within the search range that move as a moving object does, at a constant displacement
 
 
 @dataclass
@@ -177,9 +179,9 @@ class TruthFit:
         if not numbers["objects_with_returns"]:
             reason = f"none of {len(objects)} objects holds returns at any shift"
             return [not_checked("place and time of the truth", reason, numbers)]
-        return self._better(means, unshifted, numbers)
+        return self._better(means, unshifted, np.array([o.is_moving for o in objects]), numbers)
 
-    def _better(self, means: Float64, unshifted: Float64, numbers: dict[str, float]) -> list[Finding]:
+    def _better(self, means: Float64, unshifted: Float64, is_moving: Bool, numbers: dict[str, float]) -> list[Finding]:
         """Objects vote for a shift or against it by their gain; one whose score hardly changes does not vote."""
         limits = self._limits
         known = np.isfinite(means)
@@ -191,7 +193,7 @@ class TruthFit:
         is_better = (score >= limits.min_score) & (gain >= limits.min_gain)
         is_better &= agrees.sum(axis=0) >= limits.min_share * votes
         is_better &= (scores >= INFORMATIVE).sum(axis=0) >= limits.min_share * known.sum(axis=0)
-        is_better &= self._by_chance(scores, agrees) <= limits.max_by_chance
+        is_better &= self._by_chance(scores, agrees, is_moving) <= limits.max_by_chance
         is_better &= np.where(does_vote, gains, 0.0).sum(axis=0) >= 2.0 * limits.min_gain
         is_better &= np.array([self._size_m(k) >= MIN_SHIFT_M for k in range(len(score))])
         if not is_better.any():
@@ -214,16 +216,22 @@ class TruthFit:
         )
         return [Finding("truth_shifted", text, numbers, True)]
 
-    def _by_chance(self, scores: Float64, agrees: Bool) -> Float64:
+    def _by_chance(self, scores: Float64, agrees: Bool, is_moving: Bool) -> Float64:
         """Expected number of shifts of the same kind at which the objects that agree fit as well by chance (S,).
 
         An object that fits as well without shift is no evidence for one.
         """
-        wide = np.sort(scores[:, self._shifts.first_wide : len(self._shifts.places_m)], axis=1)
+        wide = slice(self._shifts.first_wide, len(self._shifts.places_m))
+        places, alike = self._shifts.places_m[wide], ALIKE / self._tries(0)
         out = np.array([self._tries(k) for k in range(scores.shape[1])])
-        for mine, row, does_agree in zip(wide, scores, agrees, strict=True):
-            share = 1.0 - np.searchsorted(mine, row - SAME_SCORE) / len(mine)
-            out *= np.where(does_agree, np.maximum(share, 1.0 / len(mine)), 1.0)
+        for row, does_agree, moves in zip(scores, agrees, is_moving, strict=True):
+            mine = row[wide]
+            if moves:  # its own returns are all at the best place
+                apart = np.hypot(*(places - places[np.argmax(mine)]).T)
+                mine = mine[apart > 2.0 * DISTINCT_M]
+            share = 1.0 - np.searchsorted(np.sort(mine), row - SAME_SCORE) / len(mine)
+            least = alike if moves else 1.0 / len(mine)
+            out *= np.where(does_agree, np.maximum(share, least), 1.0)
         return out
 
     def _tries(self, k: int) -> float:
