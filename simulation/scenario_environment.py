@@ -40,9 +40,10 @@ class Crest(Config):
 
 
 class Waves(Config):
-    """Parallel sine waves; their phase is drawn."""
+    """Superposed sine waves; height, length, direction and phase of each are drawn."""
 
-    height_m: GroundHeight = Field(description="from trough to crest")
+    count: int = Field(default=1, ge=1, le=20)
+    height_m: GroundHeight = Field(description="from trough to crest, of each")
     length_m: WaveLength
     heading_deg: Angle = Field(default=(0.0, 0.0), description="across the crests, against the longest edge")
 

@@ -25,12 +25,12 @@ PATCH_RADIUS_M = 0.25  # a tractor's rear tyre on soil: 0.5 m long and wide (ass
 class Features:
     """`rows` (N, COLUMNS) under the tyres; `furrow_m`: depth and spacing, and their share that tyres bridge.
 
-    `clods`: largest height and number per m². `cells_m`: mesh cells along and across the longest edge that resolve it.
+    `clod`: largest height and number per m². `cells_m`: mesh cells along and across the longest edge that resolve it.
     """
 
     rows: Float64
     furrow_m: tuple[float, float, float] | None
-    clods: tuple[float, float] | None
+    clod: tuple[float, float] | None
     cells_m: tuple[float, float]
 
 
@@ -45,79 +45,87 @@ def patch_share(length_m: float) -> float:
 
 def draw_features(ground: Ground, field: Float64, axis_rad: float, start: tuple[float, float], seed: int) -> Features:
     """Features of one run; `field` (K, 2): its corners, `axis_rad`: direction of its longest edge."""
-    found = _Rows(seed)
-    middle, across = field.mean(axis=0), axis_rad + 0.5 * math.pi
-    furrow, clods = None, None
+    drawn = _Drawn(field, axis_rad, start, seed)
     if ground.waves is not None:
-        v = found.draw("waves", ground.waves)
-        phase = float(found.random.uniform(0.0, 2.0 * math.pi))
-        found.add(
-            WAVES, (0.0, 0.0), axis_rad + math.radians(v["heading_deg"]), 0.5 * v["height_m"], v["length_m"], phase
-        )
-        found.resolve(v["length_m"])
-    if ground.crest is not None:
-        v = found.draw("crest", ground.crest)
-        found.add(CREST, (v["x_m"], v["y_m"]), _across(v), v["height_m"], v["length_m"])
-        found.resolve(v["length_m"])
-    if ground.ditch is not None:
-        v = found.draw("ditch", ground.ditch)
-        found.add(CREST, (v["x_m"], v["y_m"]), _across(v), -v["depth_m"], v["width_m"])
-        found.resolve(v["width_m"])
-    slope = found.draw("slope", ground)["side_slope_deg"]
-    if slope != 0.0:
-        edge, uphill = _edge_at(start, field, across)
-        found.add(SLOPE, edge, uphill, math.tan(math.radians(slope)))
-    across_m = found.cell_m
-    if ground.furrows is not None:
-        v = found.draw("furrows", ground.furrows)
-        share = patch_share(v["spacing_m"])
-        found.add(FURROWS, (0.0, 0.0), across, 0.5 * v["depth_m"] * share, v["spacing_m"])
-        furrow = (v["depth_m"], v["spacing_m"], 1.0 - share)
-        across_m = min(across_m, _cell(v["spacing_m"]))
-    if ground.ruts is not None:
-        v = found.draw("ruts", ground.ruts)
-        place = (float(middle[0]), float(middle[1]))
-        found.add(RUTS, place, across, v["depth_m"], v["width_m"], v["track_m"], v["spacing_m"])
-        across_m = min(across_m, _cell(v["width_m"]))
-    if ground.clods is not None:
-        v = found.draw("clods", ground.clods)
-        clods = (v["height_m"], v["per_m2"])
-    return Features(np.array(found.rows).reshape(-1, COLUMNS), furrow, clods, (found.cell_m, across_m))
+        for k in range(ground.waves.count):
+            drawn.wave(k, drawn.values(f"wave/{k}", ground.waves))
+    for name in ("crest", "ditch", "furrows", "ruts", "clods"):
+        section = getattr(ground, name)
+        if section is not None:
+            getattr(drawn, name)(drawn.values(name, section))
+    drawn.side_slope(drawn.values("slope", ground))
+    rows = np.array(drawn.rows).reshape(-1, COLUMNS)
+    return Features(rows, drawn.furrow_m, drawn.clod, (drawn.along_m, min(drawn.along_m, drawn.across_m)))
 
 
-class _Rows:
-    def __init__(self, seed: int) -> None:
-        self.random, self._seed = generator(seed, "environment/waves"), seed
+class _Drawn:
+    """Rows of the features, one method per key of `ground`, and the mesh cells that resolve them."""
+
+    def __init__(self, field: Float64, axis_rad: float, start: tuple[float, float], seed: int) -> None:
+        self._field, self._axis_rad, self._start, self._seed = field, axis_rad, start, seed
         self.rows: list[list[float]] = []
-        self.cell_m = math.inf  # of the mesh, in any direction
+        self.furrow_m: tuple[float, float, float] | None = None
+        self.clod: tuple[float, float] | None = None
+        self.along_m = self.across_m = math.inf
 
-    def draw(self, name: str, section: Config) -> dict[str, float]:
+    def values(self, name: str, section: Config) -> dict[str, float]:
         """Values of a section, by a generator of its own."""
         return draw(section, generator(self._seed, f"environment/ground/{name}"))
 
-    def resolve(self, length_m: float) -> None:
-        """Makes the cells of the mesh small enough for a feature of this length."""
-        self.cell_m = min(self.cell_m, _cell(length_m))
+    def wave(self, number: int, v: dict[str, float]) -> None:
+        """Waves of one length, through the origin of `map`, with a drawn phase."""
+        phase = float(generator(self._seed, f"environment/wave phase/{number}").uniform(0.0, 2.0 * math.pi))
+        across = self._axis_rad + math.radians(v["heading_deg"])
+        self._add(WAVES, (0.0, 0.0), across, 0.5 * v["height_m"], v["length_m"], phase)
+        self.along_m = min(self.along_m, _cell(v["length_m"]))
 
-    def add(self, kind: float, at: tuple[float, float], heading_rad: float, height_m: float, *numbers: float) -> None:
-        """A row; `heading_rad` across the feature."""
-        row = [kind, *at, math.cos(heading_rad), math.sin(heading_rad), height_m, *numbers]
+    def crest(self, v: dict[str, float]) -> None:
+        """Crest or hollow."""
+        across = math.radians(v["heading_deg"]) + 0.5 * math.pi
+        self._add(CREST, (v["x_m"], v["y_m"]), across, v["height_m"], v["length_m"])
+        self.along_m = min(self.along_m, _cell(v["length_m"]))
+
+    def ditch(self, v: dict[str, float]) -> None:
+        """A narrow hollow."""
+        self.crest(v | {"height_m": -v["depth_m"], "length_m": v["width_m"]})
+
+    def furrows(self, v: dict[str, float]) -> None:
+        """What tyres follow; the rest is added to the mesh."""
+        share = patch_share(v["spacing_m"])
+        self._add(FURROWS, (0.0, 0.0), self._left_rad, 0.5 * v["depth_m"] * share, v["spacing_m"])
+        self.furrow_m = (v["depth_m"], v["spacing_m"], 1.0 - share)
+        self.across_m = min(self.across_m, _cell(v["spacing_m"]))
+
+    def ruts(self, v: dict[str, float]) -> None:
+        """Pairs about the middle of the field."""
+        x, y = (float(c) for c in self._field.mean(axis=0))
+        self._add(RUTS, (x, y), self._left_rad, v["depth_m"], v["width_m"], v["track_m"], v["spacing_m"])
+        self.across_m = min(self.across_m, _cell(v["width_m"]))
+
+    def clods(self, v: dict[str, float]) -> None:
+        """Not under the tyres."""
+        self.clod = (v["height_m"], v["per_m2"])
+
+    def side_slope(self, v: dict[str, float]) -> None:
+        """Rises from the corner next to the start, across the longest edge."""
+        if v["side_slope_deg"] == 0.0:
+            return
+        left = np.array([math.cos(self._left_rad), math.sin(self._left_rad)])
+        off = self._field @ left
+        is_left = float(np.dot(self._start, left)) > 0.5 * (off.min() + off.max())
+        x, y = (float(c) for c in self._field[np.argmax(off) if is_left else np.argmin(off)])
+        self._add(SLOPE, (x, y), self._left_rad + math.pi * is_left, math.tan(math.radians(v["side_slope_deg"])))
+
+    @property
+    def _left_rad(self) -> float:
+        """Direction across the longest edge."""
+        return self._axis_rad + 0.5 * math.pi
+
+    def _add(self, kind: float, at: tuple[float, float], across_rad: float, height_m: float, *numbers: float) -> None:
+        row = [kind, *at, math.cos(across_rad), math.sin(across_rad), height_m, *numbers]
         self.rows.append(row + [0.0] * (COLUMNS - len(row)))
 
 
 def _cell(length_m: float) -> float:
     """A sixth of the length, at least 0.1 m."""
     return max(length_m / 6.0, 0.1)
-
-
-def _across(values: dict[str, float]) -> float:
-    return math.radians(values["heading_deg"]) + 0.5 * math.pi
-
-
-def _edge_at(start: tuple[float, float], field: Float64, across_rad: float) -> tuple[tuple[float, float], float]:
-    """A corner on the edge of the field on the side of the start, and the direction away from it."""
-    n = np.array([math.cos(across_rad), math.sin(across_rad)])
-    v = field @ n
-    is_left = float(np.dot(start, n)) > 0.5 * (v.min() + v.max())
-    corner = field[np.argmax(v) if is_left else np.argmin(v)]
-    return (float(corner[0]), float(corner[1])), across_rad + math.pi * is_left

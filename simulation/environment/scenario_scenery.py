@@ -34,8 +34,8 @@ def scenery_of(
 def scenario_pieces(site: Site, terrain: Terrain, environment: Environment, seed: int) -> list[Piece]:
     """Pieces besides those of `build_scenery`."""
     pieces = []
-    if terrain.features.clods is not None and 0.0 not in terrain.features.clods:
-        pieces.append(Piece("ground", clod_mesh(site, terrain, *terrain.features.clods, seed), 0.25))
+    if terrain.features.clod is not None and 0.0 not in terrain.features.clod:
+        pieces.append(Piece("ground", clod_mesh(site, terrain, *terrain.features.clod, seed), 0.25))
     if environment.boundary is not None:
         pieces += boundary_pieces(site, terrain, environment.boundary, seed)
     for stand in environment.vegetation:
@@ -93,7 +93,7 @@ def boundary_pieces(site: Site, terrain: Terrain, boundary: Boundary, seed: int)
 
 
 def _hedge(line: Float64, terrain: Terrain, height_m: float, random: np.random.Generator) -> Mesh:
-    """A closed band along a line (N, 2), about 1 m wide, with uneven sides and top."""
+    """Closed blocks along a line (N, 2), about 1 m wide, with uneven sides and top; neighbours share no vertex."""
     n = len(line)
     tangent = np.gradient(line, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -103,12 +103,12 @@ def _hedge(line: Float64, terrain: Terrain, height_m: float, random: np.random.G
     aside = section[:, 0] * random.uniform(0.7, 1.3, (n, k))
     up = section[:, 1] * random.uniform(0.85, 1.0, (n, k)) * height_m
     xy = line[:, None] + aside[..., None] * normal[:, None]
-    z = terrain.heights_m(line)[:, None] + up
-    vertices = np.concatenate([xy, z[..., None]], axis=-1).reshape(-1, 3)
-    a = (k * np.arange(n - 1)[:, None] + np.arange(k - 1)).ravel()
-    triangles = np.concatenate([np.stack([a, a + 1, a + k], axis=1), np.stack([a + 1, a + 1 + k, a + k], axis=1)])
-    ends = [[base, base + j, base + j + 1] for base in (0, k * (n - 1)) for j in range(1, k - 1)]
-    return Mesh(vertices.astype(np.float32), np.concatenate([triangles, np.array(ends)]).astype(np.int32))
+    rings = np.concatenate([xy, (terrain.heights_m(line)[:, None] + up)[..., None]], axis=-1)
+    blocks = np.concatenate([rings[:-1], rings[1:]], axis=1)  # (n - 1, 2 k, 3)
+    side = [f for j in range(k) for f in ((j, (j + 1) % k, j + k), ((j + 1) % k, (j + 1) % k + k, j + k))]
+    ends = [(base, base + j, base + j + 1) for base in (0, k) for j in range(1, k - 1)]
+    triangles = np.array(side + ends)[None] + 2 * k * np.arange(n - 1)[:, None, None]
+    return Mesh(blocks.reshape(-1, 3).astype(np.float32), triangles.reshape(-1, 3).astype(np.int32))
 
 
 def plant_mesh(area: BaseGeometry, terrain: Terrain, height_m: float, seed: int) -> Mesh:

@@ -90,8 +90,9 @@ class UltrasonicModel:
             return distance.astype(np.float64), np.zeros(len(distance))
         off = np.degrees(np.arccos(np.minimum(cosine, 1.0))) / MIRROR_DEG
         mirrored = np.where(IS_SMOOTH[kind], np.maximum(np.exp(-(off**2)), ROUGH), 1.0)
-        is_plant = (kind == CROP) & (state.scene.media is not None)
-        strength = np.where(is_plant, PLANT_STRENGTH, SURFACE_STRENGTH[kind])
+        strength = SURFACE_STRENGTH[kind]
+        if state.scene.media is not None and state.scene.media.canopy is not None:  # then all crop is canopy
+            strength = np.where(kind == CROP, PLANT_STRENGTH, strength)
         return distance.astype(np.float64), strength * mirrored * self._beam
 
     def _actor_returns(self, state: WorldState, T: Float64) -> tuple[Float64, Float64]:

@@ -1,11 +1,14 @@
 """Environment of a scenario: files, ground under wheels and in scans against formulas, background, determinism."""
 
+import json
 import math
 
 import numpy as np
 import pytest
+import shapely
 import yaml
 from scipy.special import j1
+from shapely import Polygon
 
 from configs.strict import CONFIGS, load, parse
 from messages.errors import ConfigError
@@ -174,6 +177,21 @@ def test_gulls_circle_around_the_implement():
         assert not gull.solid.must_avoid
     assert abs(after["neighbour"].p_map_m[1]) > 30.0  # the field ends at 30 m
     assert np.hypot(*after["neighbour"].velocity_mps) >= 2.0
+
+
+def test_hedge_and_trees_are_solid_outside_of_the_field_alone():
+    """True shapes of the site: a hedge along the boundary, and nothing on the field."""
+    farm = Farm(config=flat(scenery={"trees": 0}), scenario=scenario_of(boundary={"hedge_height_m": 2.0, "trees": 9}))
+    static = [p for p in json.loads(farm.world.shapes_text())["static"] if p["name"] == "trees"]
+    farm.close()
+    field = Polygon(SITE.boundary_m)
+    hedge = [Polygon(p["outline_m"]) for p in static]
+    crowns = [p for p in static if p["z_m"][1] > 4.0]
+    assert (
+        min(field.buffer(-0.1).distance(p) for p, one in zip(hedge, static, strict=True) if one["z_m"][1] < 2.1) > 0.5
+    )
+    assert shapely.union_all(hedge).buffer(0.5).length > 1.5 * field.length  # its outline, outside and inside
+    assert crowns
 
 
 def test_same_seed_same_scans():

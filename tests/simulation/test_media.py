@@ -253,3 +253,17 @@ def test_radar_loss_in_plants():
     loss = media.radar_loss_db(rays_at(0.0, (0.0, 0.0, 0.5), 1), np.array([3.0]))
     assert loss[0] == pytest.approx(10.0 * math.log10(math.exp(2.0 * 0.5 * 4.0 * 3.0)), rel=1e-3)
     assert media_of().radar_loss_db(rays_at(0.0, n=1), np.array([3.0]))[0] == 0.0
+
+
+def test_ultrasonic_echo_of_plants():
+    """Plants 0.35 m high reach into the cone of a sensor at 0.6 m; the crop rows of the configuration stay silent."""
+
+    def share_of_echoes(environment):
+        values = {"name": "t", "operator_commands": [], "environment": environment}
+        farm = Farm(vehicle=machine_file(sensors=("ultrasonic",)), scenario=parse(Scenario, values, "t"))
+        found = [m.range_m for topic, m in farm.drive(2.0) if topic == "ultrasonic/front_middle"]
+        farm.close()
+        return np.isfinite(found).mean()
+
+    assert share_of_echoes({}) < 0.2
+    assert share_of_echoes({"vegetation": [{"kind": "crop", "height_m": 0.35}]}) > 0.8
