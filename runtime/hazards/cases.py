@@ -39,6 +39,7 @@ class PlacementLevel(Config):
     behaviour: Plain = Field(default_factory=lambda: {"kind": "stand"})
     others: tuple[Plain, ...] = ()
     needs: Literal["moves", "lies_down"] | None = None
+    is_near: bool = Field(default=False, description="beside the machine: only where it stands or sets off")
 
 
 class PhaseLevel(Config):
@@ -47,6 +48,7 @@ class PhaseLevel(Config):
     mission: str
     when: Plain
     limit_s: float = Field(gt=0.0, le=600.0)
+    stands: bool = Field(default=False, description="the machine stands, or has just set off, as the object appears")
     operator_commands: tuple[Plain, ...] = ()
 
 
@@ -68,8 +70,8 @@ class HazardList(Config):
             for level, (factor, known) in zip(row, factors.items(), strict=True):
                 if level not in known:
                     raise ValueError(f"drives {list(row)}: {level!r} is not one of the {factor}s")
-            if not self.is_possible(row[0], row[1]):
-                raise ValueError(f"drives {list(row)}: {row[0]!r} cannot {row[1]!r}")
+            if not self.is_possible(dict(enumerate(row))):
+                raise ValueError(f"drives {list(row)}: {row[1]!r} is not possible for {row[0]!r} in {row[2]!r}")
         return self
 
     @property
@@ -78,10 +80,13 @@ class HazardList(Config):
         return {"object": tuple(self.objects), "placement": tuple(self.placements), "phase": tuple(self.phases),
                 "environment": tuple(self.environments)}  # fmt: skip
 
-    def is_possible(self, one: str, placement: str) -> bool:
-        """Whether an object can have a placement."""
-        needs = self.placements[placement].needs
-        return needs is None or bool(getattr(self.objects[one], needs))
+    def is_possible(self, row: dict[int, str]) -> bool:
+        """Whether object and phase of a row, or of part of one (factor number -> level), allow its placement."""
+        if 1 not in row:
+            return True
+        placement = self.placements[row[1]]
+        can = placement.needs is None or 0 not in row or bool(getattr(self.objects[row[0]], placement.needs))
+        return can and (not placement.is_near or 2 not in row or self.phases[row[2]].stands)
 
 
 @dataclass(frozen=True)

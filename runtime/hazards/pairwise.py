@@ -6,7 +6,8 @@ that covers most further pairs; early rows so cover most. Writes the rows to `co
 
 from itertools import combinations
 
-from runtime.hazards.cases import FILE, HazardList, load_list
+from configs.strict import parse, read_yaml
+from runtime.hazards.cases import FILE, HazardList
 
 Row = tuple[str, str, str, str]
 Pair = tuple[tuple[int, str], tuple[int, str]]
@@ -26,7 +27,7 @@ def possible_pairs(hazards: HazardList) -> set[Pair]:
         for i, j in combinations(range(len(levels)), 2)
         for a in levels[i]
         for b in levels[j]
-        if (i, j) != (0, 1) or hazards.is_possible(a, b)
+        if hazards.is_possible({i: a, j: b})
     }
 
 
@@ -45,7 +46,7 @@ def rows_of(hazards: HazardList) -> list[Row]:
         row = {i: a, j: b}
         for factor in range(len(levels)):
             if factor not in row:
-                fits = [x for x in levels[factor] if _is_possible(hazards, {**row, factor: x})]
+                fits = [x for x in levels[factor] if hazards.is_possible({**row, factor: x})]
                 row[factor] = max(fits, key=lambda x, f=factor: gain(row, f, x))  # type: ignore[misc]
         for one in row.items():
             used[one] = used.get(one, 0) + 1
@@ -54,15 +55,10 @@ def rows_of(hazards: HazardList) -> list[Row]:
     return rows
 
 
-def _is_possible(hazards: HazardList, row: dict[int, str]) -> bool:
-    """Whether a row or part of one has a possible object and placement; each object has a placement for any other."""
-    return 0 not in row or 1 not in row or hazards.is_possible(row[0], row[1])
-
-
 def main() -> None:
     """Writes the list."""
     text = FILE.read_text(encoding="utf-8").partition(MARK)[0]
-    rows = rows_of(load_list().model_copy(update={"drives": ()}))
+    rows = rows_of(parse(HazardList, read_yaml(FILE) | {"drives": []}, str(FILE)))
     lines = "".join(f"  - [{', '.join(row)}]\n" for row in rows)
     FILE.write_text(text + MARK + lines, encoding="utf-8")
 

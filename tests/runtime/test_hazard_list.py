@@ -42,7 +42,7 @@ def test_generated_rows_cover_all_pairs_with_few_rows():
     hazards = parse(HazardList, small(), "small")
     rows = rows_of(hazards)
     assert possible_pairs(hazards) <= set().union(*(pairs_of(dict(enumerate(row))) for row in rows))
-    assert all(hazards.is_possible(row[0], row[1]) for row in rows)
+    assert all(hazards.is_possible(dict(enumerate(row))) for row in rows)
     assert not any(row[:2] == ("stone", "crosses") for row in rows)
     assert len(rows) < 20  # of 3 x 4 x 3 x 3 combinations
 
@@ -69,7 +69,9 @@ def test_missions_exist(name):
 
 BAD = {
     "'moon' is not one of the objects": lambda v: v.update(drives=[["moon", "ahead", "docking", "dust"]]),
-    "'stone' cannot 'crosses'": lambda v: v.update(drives=[["stone", "crosses", "start", "as configured"]]),
+    "'crosses' is not possible for 'stone'": lambda v: v.update(
+        drives=[["stone", "crosses", "start", "as configured"]]
+    ),
     "limit_s": lambda v: v["phases"]["start"].update(limit_s=-1),
     "needs": lambda v: v["placements"]["crosses"].update(needs="wings"),
     "version": lambda v: v.update(version=2),
