@@ -32,9 +32,15 @@ PROFILED = "--profiled"
 
 def profiled(out: Path, words: list[str]) -> int:
     """Runs `validate` and writes the seconds spent in nodes, sinks, log and passes over the recording to `out`."""
+    began_s = time.thread_time()
     from datasets.log import LogWriter
     from runtime import __main__, bus, executor
+    from runtime.replay import evaluate, prepare
+    from runtime.replay import replay as passes
     from runtime.replay.world import ReplayWorld
+    from validation.obstacle_stop import evaluation
+    from validation.obstacle_stop.consistency.observer import ConsistencyObserver
+    from validation.obstacle_stop.observer import Observer
 
     spent: dict[str, float] = defaultdict(float)
 
@@ -58,10 +64,15 @@ def profiled(out: Path, words: list[str]) -> int:
 
     executor.Executor.__init__ = with_timed_nodes  # type: ignore[method-assign,assignment]
     bus.Bus._pass_to_sinks = timed("sinks", bus.Bus._pass_to_sinks)  # type: ignore[method-assign]
+    for sink in (Observer, ConsistencyObserver):
+        sink.__call__ = timed(f"  {sink.__name__}", sink.__call__)  # type: ignore[method-assign]
     LogWriter.write = timed("  log", LogWriter.write)  # type: ignore[method-assign]
     ReplayWorld.step = timed("reading", ReplayWorld.step)  # type: ignore[method-assign]
+    prepare.prepare = timed("opening and inspection", prepare.prepare)
+    passes.trajectory_before = timed("trajectory", passes.trajectory_before)
+    evaluation.evaluate_log = timed("evaluation", evaluation.evaluate_log)
+    evaluate._figures = timed("figures", evaluate._figures)
     sys.argv[1:] = words
-    began_s = time.thread_time()
     code = __main__.main()
     spent["main thread"] = time.thread_time() - began_s
     out.write_text(json.dumps(spent))
@@ -142,6 +153,7 @@ def main() -> int:
           f"time ({measured.wall_s:.1f} s)")  # fmt: skip
     print(f"peak of resident memory {measured.resident_bytes / 2**20:.0f} MiB, proportional "
           f"{measured.proportional_bytes / 2**20:.0f} MiB")  # fmt: skip
+    measured.spent["other threads"] = used_s - measured.spent["main thread"]
     for part, part_s in sorted(measured.spent.items(), key=lambda row: -row[1]):
         print(f"  {part:<28}{1e3 * part_s / real_s:8.2f} ms per s")
     return 1 if measured.resident_bytes > MAX_BYTES or used_s > MAX_SHARE * real_s else 0
