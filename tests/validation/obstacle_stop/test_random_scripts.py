@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from tests.validation.obstacle_stop.closed_form import BUILD_UP, DEAD, TAU, A, braked_m
 from tests.validation.obstacle_stop.scripted import (
     CONDITIONS,
     FRONT_M,
@@ -21,19 +22,9 @@ from tests.validation.obstacle_stop.scripted import (
     straight,
 )
 
-TAU, DEAD, BUILD_UP, A = 0.6, 0.3, 0.4, 2.5
 SPLIT_M, SETTLING_S, PROMPT_S, START_S = 0.5, 1.0, 0.32, 0.25
 SIDE_M = 0.3  # half size of the box
 COUNT = 500
-
-
-def braked_m(v: float) -> float:
-    """Distance from the start of the build-up to standstill."""
-    if v < 0.5 * A * BUILD_UP:  # v = A t² / (2 BUILD_UP): standstill within the build-up
-        t = math.sqrt(2.0 * v * BUILD_UP / A)
-        return v * t - A * t**3 / (6.0 * BUILD_UP)
-    rest = v - 0.5 * A * BUILD_UP
-    return v * BUILD_UP - A * BUILD_UP**2 / 6.0 + rest**2 / (2.0 * A)
 
 
 def lag_m(v: float, t: float) -> float:

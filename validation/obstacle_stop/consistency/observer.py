@@ -159,7 +159,8 @@ class ConsistencyObserver:
         ]
         if stamps:
             span = (min(stamps), max(stamps))
-            out += coverage.check_odometry(used.name, used.stamps, span, limits.coverage)
+            recorded = self._series.get(self._own_source, used)  # what is used is interpolated over gaps
+            out += coverage.check_odometry(used.name, recorded.stamps, span, limits.coverage)
         for series in [used, *others]:
             out += odometry.check_own_speed(series, limits.motion) if series.has_positions else []
         steps = {name: state.motion.steps() for name, state in self._lidars.items()}
