@@ -26,7 +26,7 @@ MIRROR_DEG, ROUGH = 25.0, 0.1  # 1/e angle of the specular lobe of a corrugated 
 EDGE = 0.5  # beam pattern at the edge of the cone
 COLUMNS, ROWS = 31, 5
 NEAR_M = 0.1
-PLANT_STRENGTH = 0.15  # of a stand of plants (assumed: half of trees)
+PLANT_STRENGTH = 0.05  # on the axis up to 1.1 m (assumed; cereals are measured from 1 m, Scotford and Miller 2004)
 
 
 class UltrasonicConfig(Config):

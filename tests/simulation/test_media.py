@@ -266,4 +266,5 @@ def test_ultrasonic_echo_of_plants():
         return np.isfinite(found).mean()
 
     assert share_of_echoes({}) < 0.2
+    assert share_of_echoes({"vegetation": [{"kind": "crop", "height_m": 0.1}]}) < 0.2
     assert share_of_echoes({"vegetation": [{"kind": "crop", "height_m": 0.35}]}) > 0.8
