@@ -103,6 +103,7 @@ def test_named_contact_is_reported_and_not_driven_again(tmp_path, capsys):
     assert campaign.main(arguments) == 1
     result = json.loads(capsys.readouterr().out)
     assert (result["drives"], result["contacts"], result["avoidable_contacts"]) == (1, 1, 1)
+    assert (result["unavoidable_share"], result["unavoidable"]) == (0.0, [])
     (row,) = parquet.read_table(tmp_path / "objects.parquet").to_pylist()
     assert row["is_contact"]
     assert row["is_promised"]

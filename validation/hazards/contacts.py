@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from geometry.prism import Nearest, Solids
 from validation.hazards.tracks import REACH_M, Drive, MachineState, ObjectTrack, to_map
@@ -82,9 +83,9 @@ def _gap(drive: Drive, one: ObjectTrack, state: MachineState) -> tuple[Nearest, 
 
 def _near(shape: Solids, state: MachineState) -> Solids:
     """The solids around the machine."""
-    d = np.array([[p.bounds[0] - state.x_m, p.bounds[1] - state.y_m, state.x_m - p.bounds[2], state.y_m - p.bounds[3]]
-                  for p in shape.polygons])  # fmt: skip
-    mine = np.flatnonzero((d < REACH_M).all(axis=1)) if len(d) else np.zeros(0, int)
+    low, high = np.split(shapely.bounds(shape.polygons), 2, axis=1)
+    here = np.array([state.x_m, state.y_m])
+    mine = np.flatnonzero(((low - here < REACH_M) & (here - high < REACH_M)).all(axis=1))
     return Solids(shape.polygons[mine], shape.z_m[mine], tuple(shape.names[k] for k in mine))
 
 

@@ -17,6 +17,8 @@ from validation.hazards.log import HazardLog, ground_m
 from validation.hazards.stops import STANDING_REACH_M, is_justified
 from validation.hazards.tracks import Drive, ObjectTrack
 
+STARTED_M = 0.5  # driven less: it never set off
+
 
 @dataclass(frozen=True)
 class ObjectRow:
@@ -158,7 +160,7 @@ def _stops(log: HazardLog) -> tuple[StopRow, ...]:
 def _refusals(log: HazardLog, driven_m: float) -> tuple[StopRow, ...]:
     """A machine that never sets off without cause, and without another stop, is one false stop."""
     states = log.record.supervisor
-    if driven_m > 0.5 or not states or any(s.mode in STOPS for s in states):
+    if driven_m >= STARTED_M or not states or any(s.mode in STOPS for s in states):
         return ()
     t = float(log.drive.machine.t_s[-1])
     is_near = any(_is_near(log.drive, one, t) for one in log.drive.objects if one.must_avoid and not one.is_static)
@@ -171,12 +173,10 @@ def _is_near(drive: Drive, one: ObjectTrack, t_s: float) -> bool:
 
 def _outcome(log: HazardLog, driven_m: float) -> str:
     mission, states = log.record.mission, log.record.supervisor
-    if mission and mission[-1].state is MissionState.FINISHED:
-        return "finished"
-    if mission and mission[-1].state is MissionState.ABORTED:
-        return "aborted"
-    if driven_m < 0.5:
+    if driven_m < STARTED_M:
         return "never started"
+    if mission and mission[-1].state in (MissionState.FINISHED, MissionState.ABORTED):
+        return mission[-1].state.name.lower()
     return str(states[-1].mode) if states and states[-1].mode is not Mode.AUTOMATIC else "driving"
 
 
