@@ -204,6 +204,8 @@ def prepare(path: FilePath, truth: FilePath | None, vehicle: FilePath | None, co
     is_planned = not is_imported and {"path", "control_command"} <= inspection.streams.keys()
     site = None if is_imported else site_of(path)
     truths = [t for t in inspection.streams if t.partition("/")[0] == "truth_objects"]
+    if len(truths) > 1:
+        raise LogError(f"{recording.path}: several topics of true objects ({', '.join(sorted(truths))}); one is needed")
     odometry = find_odometry_source(recording, inspection, machine, site, config)
     offset_ns = inspection.clock_offset_ns(config.replay.max_latency_s)
     truth_topic = truths[0] if truths else None

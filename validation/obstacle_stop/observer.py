@@ -1,6 +1,7 @@
 """Bus sink that gathers the input of the evaluation from the messages of a replay."""
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -170,6 +171,9 @@ class Observer:
             pose, T = out.motion.pose_at(message.stamp_ns), self._T_base_truth(message.stamp_ns)
             if pose is None or T is None:
                 continue
+            for i, count in Counter(true.id for true in message.objects).items():
+                if count > 1:
+                    out.box_faults.setdefault(i, f"{count} boxes at one time")
             for true in message.objects:
                 box = box_of(true, T)
                 if true.label.value in classes and (fault := box_fault(box)) is not None:

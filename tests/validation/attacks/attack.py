@@ -64,12 +64,12 @@ class Attack:
     drive: Drive = DRIVE
     change: Change = unchanged
     vehicle: dict[str, Any] | None = None
-    frame: str | None = None
+    about: dict[str, Any] | None = None
     conditions: dict[str, Any] = field(default_factory=dict)
 
     def check(self, bench: Bench) -> dict[str, Any]:
         """Judges the log; returns the result."""
-        result = bench.judge(self.drive, self.change, self.vehicle, self.frame, **self.conditions)
+        result = bench.judge(self.drive, self.change, self.vehicle, self.about, **self.conditions)
         assert result["state"] == self.state, reasons(result)
         assert re.search(self.reason, reasons(result)), reasons(result)
         assert result["headline"].startswith(self.state.replace("_", " "))

@@ -16,7 +16,7 @@ from datasets.log import LogWriter
 from messages.message import Envelope
 from messages.motion import Odometry
 from messages.sensors import ImuSample, WheelSample
-from messages.truth import TrueMachine, TrueObjects
+from messages.truth import TrueMachine
 from runtime.replay.evaluate import Task, evaluate_task
 from runtime.replay.log_inspection import UNUSED
 from runtime.stack import load_stack
@@ -58,22 +58,22 @@ def vehicle_values(drive: Drive) -> dict[str, Any]:
     return {"name": "a test car", "body": size, "sensors": {"lidar": {"top": top}}}
 
 
-def write_log(path: Path, drive: Drive, envelopes: Iterable[Envelope], frame: str | None = None) -> Path:
+def write_log(path: Path, drive: Drive, envelopes: Iterable[Envelope], about: dict[str, Any] | None = None) -> Path:
     """Log of a drive as an import writes it: with a description, truth in map or in the frame of the lidar.
 
-    `frame`: the description names another frame of the truth.
+    `about` has values of the description that are not those of the drive.
     """
-    frame = frame or (None if not drive.has_truth else "map" if drive.truth_in_map else "top")
+    frame = None if not drive.has_truth else "map" if drive.truth_in_map else "top"
     topic = "truth_objects" if drive.truth_in_map else "truth_objects/top"
     frames = {"lidar/top": "top", "odom": "base", topic: "map" if drive.truth_in_map else "top"}
     sensors = tuple(Sensor(topic, frame, topic, "generated") for topic, frame in frames.items())
     path.unlink(missing_ok=True)
     mount = Extrinsic("base", "top", drive.lidar().mount.T_base_sensor)
-    about = Description("generated", sensors, (mount,), truth_frame=frame)
-    metadata = {SOURCE: {"path": "generated", "description": json.dumps(describe(about))}}
+    description = replace(Description("generated", sensors, (mount,), truth_frame=frame), **(about or {}))
+    metadata = {SOURCE: {"path": "generated", "description": json.dumps(describe(description))}}
     with LogWriter(path, metadata, LOG) as log:
         for number, envelope in enumerate(envelopes):
-            named = topic if isinstance(envelope.message, TrueObjects) else envelope.topic
+            named = topic if envelope.topic == "truth_objects" else envelope.topic
             if drive.truth_in_map or not isinstance(envelope.message, TrueMachine):
                 log.write(replace(envelope, topic=named, sequence=number))
     return path
@@ -98,10 +98,10 @@ class Bench:
 
     def judge(
         self, drive: Drive, change: Change = lambda es: es, vehicle: dict[str, Any] | None = None,
-        frame: str | None = None, **conditions: Any,
+        about: dict[str, Any] | None = None, **conditions: Any,
     ) -> dict[str, Any]:  # fmt: skip
         """Result of `headland validate` for the log of a drive after a change of its messages."""
-        log = write_log(self.folder / "drive.mcap", drive, change(list(envelopes_of(drive))), frame)
+        log = write_log(self.folder / "drive.mcap", drive, change(list(envelopes_of(drive))), about)
         return self.judge_log(log, vehicle or vehicle_values(drive), **conditions)
 
     def judge_log(self, log: Path, vehicle: dict[str, Any] | None, **conditions: Any) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from datasets.importers.point_clouds import list_scan
 from geometry.transforms import planar
 from messages.message import Envelope
 from messages.motion import Odometry
@@ -16,6 +17,7 @@ from tests.validation.attacks.attack import DRIVE, PERSON, Attack, blind, config
 from tests.validation.attacks.damages import (
     TRUTH,
     both,
+    cloud,
     cut,
     delivered_late,
     each,
@@ -103,6 +105,18 @@ def swapped(one: TrueObject, t_s: float) -> TrueObject:
     return replace(one, id={6: 7, 7: 6}.get(one.id, one.id)) if t_s > 1.0 else one
 
 
+def of_one_id(truth: TrueObjects) -> TrueObjects:
+    """Person 7 has the id of person 9, and comes after it."""
+    mine = [replace(one, id=9) for one in truth.objects if one.id == 7]
+    return replace(truth, objects=(*(one for one in truth.objects if one.id != 7), *mine))
+
+
+def on_two_topics(envelopes: list[Envelope]) -> list[Envelope]:
+    """The truth a second time, under another topic."""
+    more = [replace(e, topic="truth_objects/more") for e in envelopes if isinstance(e.message, TrueObjects)]
+    return sorted([*envelopes, *more], key=lambda e: e.receive_ns)
+
+
 class Braking(Drive):
     """The driver brakes with 2 m/s² after 0.8 s."""
 
@@ -152,6 +166,13 @@ LABELS: dict[str, Attack] = {
         9, lambda o, t: moved(o, 0.0, 6.0 * (round(10.0 * t) % 2)))),
     "ids of two persons swapped": Attack(
         "not_shown", "person 6: a jump by", drive(standing(7, 16.0, 0.2), standing(6, 16.0, 3.5)), labels(swapped)),
+    "one id for two persons": Attack("not_shown", "person 9: 2 boxes at one time", two(), of(TrueObjects, of_one_id)),
+    "another id at every fourth scan": Attack(
+        "not_shown", r"person 10\d\d: they begin", two(), one_label(
+            7, lambda o, t: replace(o, id=1000 + round(10.0 * t) // 4)), conditions=NO_RECOGNITION),
+    "on two topics": Attack("not_shown", "several topics of true objects", change=on_two_topics),
+    "labelled sector beside the path": Attack(
+        "not_shown", "truth_sector: .*± 5°", IN_LIDAR, cloud((3.4, 0.0, -1.2), 0.2, 60), about={"truth_view_deg": 5.0}),
     "may be touched": Attack("failed", "7: (missed|late)", two(), one_label(
         7, lambda o, t: replace(o, must_avoid=False))),
     "no objects": Attack("failed", "false stop: protective_field", change=labels(lambda o, t: None)),
@@ -165,8 +186,9 @@ LABELS: dict[str, Attack] = {
     "a leap of 18 s": Attack("not_shown", "truth_missing: no truth for 100 %", change=each(late_truth(18.0))),
     "times since the start": Attack("not_shown", "no ground truth", change=of(TRUTH, lambda m: replace(
         m, stamp_ns=m.stamp_ns - START_NS))),
-    "frame that does not exist": Attack("not_shown", "the truth is in frame 'nowhere'", frame="nowhere"),
-    "map given as frame of the lidar": Attack("failed", "false stop: ", frame="top"),
+    "frame that does not exist": Attack("not_shown", "the truth is in frame 'nowhere'", about={
+        "truth_frame": "nowhere"}),
+    "map given as frame of the lidar": Attack("failed", "false stop: ", about={"truth_frame": "top"}),
     "machine of the truth stands": Attack("not_shown", "truth_poses: .*contradict", change=of(
         TrueMachine, lambda m: replace(m, T_map_base=np.eye(4)))),
     "machine of the truth 0.5 s late": Attack(
@@ -194,6 +216,12 @@ MOTION: dict[str, Attack] = {
     "one stamp": Attack("not_shown", "fewer than two poses with different stamps", change=of(
         Odometry, lambda m: replace(m, stamp_ns=START_NS))),
     "missing for 2 s": Attack("not_shown", "odometry_missing", change=each(between(Odometry, 1.0, 3.0, START_NS))),
+    "not a number for 2 s": Attack("not_shown", "odometry_missing", change=moved_poses(
+        lambda T, t: math.nan * T if 1.0 < t < 3.0 else T)),
+    "yaw drifts by 4°/s": Attack("not_shown", r"odometry_turn: .*4\.0 °/s against", change=moved_poses(
+        lambda T, t: planar(0.0, 0.0, math.radians(4.0 * t)) @ T)),
+    "in km/h": Attack("not_shown", r"odometry_contradicts_scans: .*14\.4 m/s against 4\.0", change=each(
+        scaled_odometry(3.6))),
     "the driver brakes first": Attack(
         "not_shown", "no encounter", Braking(**vars(drive(standing(9, 20.0, 0.2)))), conditions=NO_RECOGNITION),
     "the driver brakes for a person without returns": Attack(
@@ -210,6 +238,12 @@ SCANS: dict[str, Attack] = {
         lambda p, t: p * [-1.0, 1.0, 1.0])),
     "in millimetres": Attack("failed", "mount_without_ground", change=points(lambda p, t: 1000.0 * p)),
     "in feet": Attack("failed", "mount_height", change=points(lambda p, t: p / 0.3048)),
+    "upside down": Attack("failed", "returns_below_ground", change=points(lambda p, t: p * [1.0, 1.0, -1.0])),
+    "x and y swapped": Attack("not_shown", "odometry_contradicts_scans", change=points(lambda p, t: p[:, [1, 0, 2]])),
+    "blind ahead": Attack("failed", "9: missed", change=points(
+        lambda p, t: p[(np.abs(p[:, 1]) > 1.5) | (p[:, 0] < 0)])),
+    "times of the points 0.5 s early": Attack("not_shown", "truth_shifted", change=of(LidarScan, lambda s: list_scan(
+        s.stamp_ns, s.points_m, offset_s=np.full(len(s.points_m), -0.5)))),
     "empty": Attack("failed", "9: missed", change=points(lambda p, t: p[:0])),
     "empty before the encounter": Attack("failed", "9: (late|missed)", change=points(
         lambda p, t: p[:0] if 0.5 < t < 2.5 else p)),
@@ -260,6 +294,10 @@ HARMLESS: dict[str, tuple[Attack, float]] = {
     "scans delivered 0.1 s late": (Attack("", "", change=delivered_late(LidarScan, 0.1)), 0.0),
     "jump of the odometry": (Attack("", "", change=moved_poses(
         lambda T, t: T @ planar(5.0, 0.0, 0.0) if t > 1.0 else T)), 0.0),
+    "wrong speed beside right places": (Attack("", "", change=of(Odometry, lambda m: replace(
+        m, speed_mps=0.5 * m.speed_mps))), 0.0),
+    "a third of the points is not a number": (Attack("", "", change=points(lambda p, t: np.where(
+        np.random.default_rng(1).random((len(p), 1)) < 0.33, np.nan, p))), 0.0),
     "front edge 1 m short": (Attack("", "", vehicle=with_body(front_m=2.6)), 1.0),
     "narrow outline": (Attack("", "", vehicle=with_body(width_m=0.6)), 0.0),
 }  # fmt: skip
