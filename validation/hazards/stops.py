@@ -1,11 +1,13 @@
 """False stops from truth: nothing solid was where machine and implement would have driven."""
 
+import shapely
+
 from validation.hazards.avoidability import along_path
 from validation.hazards.braking import stopping_time, travel_after
 from validation.hazards.tracks import Drive, ObjectTrack
 
 BESIDE_M = 1.0  # beside the swept area
-BEYOND_M = 4.0  # of the stopping distance
+BEYOND_M = 4.0  # of the stopping distance, ahead of the front
 BEFORE_S = 1.0  # what was there so long before counts
 STEP_M = 0.5
 STANDING_REACH_M = 4.0
@@ -23,7 +25,8 @@ def _is_cause(drive: Drive, one: ObjectTrack, t_s: float) -> bool:
     speed = abs(state.speed_mps)
     if drive.gap(state, one.shape_at(t_s)).distance_m <= STANDING_REACH_M:
         return True
-    reach, ahead = travel_after(speed, stopping_time(speed)) + BEYOND_M, 0.0
+    x0, _, x1, _ = shapely.total_bounds(drive.body_at(state).polygons).tolist()  # the wings follow far behind the front
+    reach, ahead = travel_after(speed, stopping_time(speed)) + BEYOND_M + x1 - x0, 0.0
     while ahead <= reach:
         dt = ahead / max(speed, 0.5)
         there = along_path(drive, t_s, ahead)

@@ -109,6 +109,13 @@ def test_stop_before_an_object_is_justified():
     assert is_justified(drive(track, runs_in(1.5, 9.5, 2.0, 8.0)), 2.0)
 
 
+def test_early_stop_before_an_object_in_the_lane_of_a_wing_is_justified():
+    """5 m ahead of the front, but 9.6 m ahead of the wing that would touch it."""
+    track = machine(lambda t: max(0.0, 0.5 - 2.5 * max(0.0, t - 2.0)))
+    assert is_justified(drive(track, still_object(1.0 + FRONT_M + 5.0, 2.4)), 2.0)
+    assert not is_justified(drive(track, still_object(1.0 + FRONT_M + 5.0, 4.6)), 2.0)
+
+
 def test_stop_without_an_object_near_the_path_is_false():
     track = machine(lambda t: max(0.0, V - 2.5 * max(0.0, t - 2.0)))
     assert not is_justified(drive(track), 2.0)
