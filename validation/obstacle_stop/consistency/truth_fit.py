@@ -192,7 +192,9 @@ class TruthFit:
         score = np.where(does_vote, scores, 0.0).sum(axis=0) / votes
         is_better = (score >= limits.min_score) & (gain >= limits.min_gain)
         is_better &= agrees.sum(axis=0) >= limits.min_share * votes
-        is_better &= (scores >= INFORMATIVE).sum(axis=0) >= limits.min_share * known.sum(axis=0)
+        # standing objects that the sensor misses coincide with many things; one that moves does not
+        do_hold = (scores >= INFORMATIVE).sum(axis=0) >= limits.min_share * known.sum(axis=0)
+        is_better &= do_hold | agrees[is_moving].any(axis=0)
         is_better &= self._by_chance(scores, agrees, is_moving) <= limits.max_by_chance
         is_better &= np.where(does_vote, gains, 0.0).sum(axis=0) >= 2.0 * limits.min_gain
         is_better &= np.array([self._size_m(k) >= MIN_SHIFT_M for k in range(len(score))])
