@@ -113,7 +113,7 @@ LABELS: dict[str, Attack] = {
         m, stamp_ns=m.stamp_ns - START_NS))),
     "frame that does not exist": Attack("not_shown", "the truth is in frame 'nowhere'", about={
         "truth_frame": "nowhere"}),
-    "map given as frame of the lidar": Attack("failed", "false stop: ", about={"truth_frame": "top"}),
+    "map given as frame of the lidar": Attack("not_shown", "truth_shifted", about={"truth_frame": "top"}),
     "machine of the truth stands": Attack("not_shown", "truth_poses: .*contradict", change=of(
         TrueMachine, lambda m: replace(m, T_map_base=np.eye(4)))),
     "machine of the truth 0.5 s late": Attack(
