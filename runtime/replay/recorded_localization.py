@@ -33,9 +33,9 @@ def localization_note(
     recording: Recording, inspection: LogInspection, machine: RecordingMachine, config: LocalizationConfig,
     latency_ns: int,
 ) -> str | None:  # fmt: skip
-    """Result of the localizer as text; None when streams or vehicle lack its sensors.
+    """Result of the localizer as text; None when vehicle or streams (which need no fixes) lack its sensors.
 
-    `map` begins at the first fix. Wheel speed and steering angle of an odometry are those of a vehicle that turns by
+    `map` begins at the first fix, without one there is dead reckoning only. Wheel speed and steering angle of an odometry are those of a vehicle that turns by
     its front wheels.
     """
     vehicle, receiver = machine.vehicle, f"gnss/{config.map_alignment.gnss.sensor}"
@@ -43,9 +43,9 @@ def localization_note(
     first = inspection.first_fixes.get(receiver)
     sensors = vehicle.sensors
     has_sensors = sensors.imu is not None and sensors.wheels is not None and receiver.partition("/")[2] in sensors.gnss
-    if first is None or wheels is None or IMU not in inspection.streams or not has_sensors:
+    if wheels is None or IMU not in inspection.streams or not has_sensors:
         return None
-    datum = Datum(first.latitude_rad, first.longitude_rad, first.height_m)
+    datum = Datum(0.0, 0.0, 0.0) if first is None else Datum(first.latitude_rad, first.longitude_rad, first.height_m)
     localized = LocalizedDrive(config)
     read = {IMU, receiver, wheels}
 
@@ -92,9 +92,13 @@ class LocalizedDrive:
         """Fixes that are usable, poses, motion against the recorded odometry, and faults."""
         fixes, usable = sum(self._checks.values()), self._checks[RejectionReason.NONE.name]
         refused = ", ".join(f"{name.lower()} {n}" for name, n in self._checks.items() if name != "NONE")
-        parts = [f"{usable} of {fixes} fixes usable" + (f" ({refused})" if refused else "")]
+        parts = [f"{usable} of {fixes} fixes usable" + (f" ({refused})" if refused else "")] if fixes else ["no fixes"]
         parts.append(f"{len(self._odometry.stamps_ns)} odometries, {self._initialized} poses in map")
-        parts += [] if self._headings else ["no fix has a heading (second antenna), which the first pose needs"]
+        if not len(self._odometry.stamps_ns):
+            parts.append("the initial tilt, which needs a standstill, was not found")
+        parts += (
+            [] if self._headings or not fixes else ["no fix has a heading (second antenna), which the first pose needs"]
+        )
         off = None if recorded is None else motion_difference(self._odometry, recorded)
         if off is not None:
             parts.append(f"in {STEP_S:.0f} s {off[0]:.2f} m (median; 95 %: {off[1]:.2f} m) from the recorded odometry")

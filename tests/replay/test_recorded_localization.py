@@ -13,7 +13,7 @@ from messages.errors import LogError
 from runtime.replay.prepare import load_configuration, prepare
 from runtime.replay.recorded_localization import motion_difference, wheel_sample
 from runtime.replay.trajectory import OdometrySamples
-from tests.recordings import DATA, needs
+from tests.recordings import DATA, SAMPLES, needs
 from validation.obstacle_stop.conditions import load_conditions
 
 CONFIGURATION = load_configuration(load_conditions(None))
@@ -26,6 +26,17 @@ GNSS_AND_IMU = """
     gyro_range_dps: 400, accelerometer_noise_ug_rthz: 60, accelerometer_bias_mg: 1.0, accelerometer_range_g: 6}
   wheels: {topic: odom, rate_hz: 50, speed_sigma_mps: 0.01, angle_sigma_deg: 0.1}
 """
+
+
+def test_localizer_on_a_recording_without_fixes(tmp_path: Path) -> None:
+    """A Jackal with IMU and wheel odometry that sets off after one second, before the initial tilt."""
+    vehicle = tmp_path / "vehicle.yaml"
+    husky = (CONFIGS / "vehicles" / "husky.yaml").read_text()
+    vehicle.write_text(husky.replace("      topic: /fix\n", "").replace("/husky_velocity", "/jackal_velocity"))
+    with pytest.raises(LogError, match="no lidar topic") as error:
+        prepare(SAMPLES / "bag" / "jackal.bag", None, vehicle, CONFIGURATION)
+    assert "no fixes; 0 odometries, 0 poses in map; the initial tilt, which needs a standstill" in str(error.value)
+    assert "samples dropped" not in str(error.value)  # all 6,121 were read by the localizer
 
 
 @needs(HUSKY)
