@@ -35,8 +35,8 @@ def localization_note(
 ) -> str | None:  # fmt: skip
     """Result of the localizer as text; None when vehicle or streams (which need no fixes) lack its sensors.
 
-    `map` begins at the first fix, without one there is dead reckoning only. Wheel speed and steering angle of an odometry are those of a vehicle that turns by
-    its front wheels.
+    `map` begins at the first fix; without one there is dead reckoning only. Wheel speed and steering angle of an
+    odometry are those of a vehicle that turns by its front wheels.
     """
     vehicle, receiver = machine.vehicle, f"gnss/{config.map_alignment.gnss.sensor}"
     wheels = next((topic for topic in (WHEEL, ODOMETRY) if topic in inspection.streams), None)
