@@ -1,9 +1,14 @@
 """Conversion between the ellipsoid and the `map` frame (east-north-up at a datum)."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 from pyproj import Transformer
+
+
+@cache
+def _from_earth() -> Transformer:
+    return Transformer.from_pipeline("+proj=pipeline +step +inv +proj=cart +ellps=WGS84")
 
 
 @dataclass(frozen=True)
@@ -31,3 +36,9 @@ class Datum:
         """Latitude, longitude (radians) and height of a point in `map`."""
         lon, lat, h = self._transformer.transform(x_m, y_m, z_m, radians=True, direction="INVERSE")
         return float(lat), float(lon), float(h)
+
+
+def ellipsoidal(x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
+    """Latitude, longitude (radians) and height of an earth-fixed position."""
+    lon, lat, h = _from_earth().transform(x_m, y_m, z_m, radians=True)
+    return float(lat), float(lon), float(h)

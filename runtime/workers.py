@@ -1,16 +1,38 @@
-"""Independent tasks: one after another, on processes of this machine that are reused, or on a Dask cluster."""
+"""Independent tasks: one after another, on processes of this machine that are reused, or on a Dask cluster.
 
+A task has a folder, and a key: the hash of all that determines its result, by which it is found again.
+"""
+
+import json
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from messages.errors import HeadlandError
 
 T = TypeVar("T")
 Values = dict[str, Any]
+RESULT = "result.json"
+
+
+def stored_result(folder: Path, key: str) -> Values | None:
+    """Result of the same task from an earlier run, or None."""
+    try:
+        values = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return values if isinstance(values, dict) and values.get("key") == key else None
+
+
+def store_result(folder: Path, values: Values) -> None:
+    """Writes the result of a task with its `key`, whole or not at all; raises OSError."""
+    temporary = folder / f"{RESULT}.new"
+    temporary.write_text(json.dumps(values), encoding="utf-8")
+    temporary.replace(folder / RESULT)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from datasets.importers.images import VideoDecoder, codec_of_video, decode_image, decode_raw, refusal
+from datasets.importers import images
+from datasets.importers.images import decode_image, decode_raw, refusal
 from datasets.importers.point_clouds import DOPPLER_FIELDS, list_scan, read_points, scan_of_points
 from datasets.importers.ros_messages import FIXED_SIGMA_M, NAN3, pose_matrix, sigmas_of
 from datasets.importers.translation import NotRead, Translation
@@ -96,15 +97,7 @@ def raw_image(proto: Any, receive_ns: int) -> CameraImage:
 
 def video_frames() -> Callable[[Any, int], CameraImage]:
     """Translation of one stream of foxglove.CompressedVideo."""
-    decoder = VideoDecoder()
-
-    def frame(proto: Any, receive_ns: int) -> CameraImage:
-        codec = codec_of_video(proto.format)
-        if codec is None:
-            raise LogError(f"{proto.format!r} is no known video format")
-        return decoder.decode(codec, bytes(proto.data), stamp_of(proto, receive_ns))
-
-    return frame
+    return images.video_frames(lambda proto, ns: (proto.format, bytes(proto.data), stamp_of(proto, ns)))
 
 
 TRANSLATIONS: dict[str, Translation] = {

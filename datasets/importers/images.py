@@ -1,5 +1,6 @@
 """Camera images: raw encodings of ROS and Foxglove, JPEG, PNG, and video packets, to BGR."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,3 +120,17 @@ class VideoDecoder:
         bgr = frames[-1].to_ndarray(format="bgr24")
         encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, VIDEO_QUALITY])[1].tobytes()
         return CameraImage(stamp_ns, decode_image(encoded), encoded)
+
+
+def video_frames(packet_of: Callable[[Any, int], tuple[str, bytes, int]]) -> Callable[[Any, int], CameraImage]:
+    """Translation of one stream of video packets; `packet_of` gives format, data and stamp of a message."""
+    decoder = VideoDecoder()
+
+    def frame(message: Any, receive_ns: int) -> CameraImage:
+        text, data, stamp_ns = packet_of(message, receive_ns)
+        codec = codec_of_video(text)
+        if codec is None:
+            raise LogError(f"{text!r} is no known video format")
+        return decoder.decode(codec, data, stamp_ns)
+
+    return frame

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from datasets.importers import images
 from datasets.importers.captures import ars548
-from datasets.importers.images import VideoDecoder, codec_of_video, decode_image, decode_raw, refusal
+from datasets.importers.images import codec_of_video, decode_image, decode_raw, refusal
 from datasets.importers.livox import scan_of_livox
 from datasets.importers.point_clouds import (
     DOPPLER_FIELDS,
@@ -213,15 +214,7 @@ def image(ros: Any, receive_ns: int) -> CameraImage:
 
 def video_frames() -> Callable[[Any, int], CameraImage]:
     """Translation of one stream of packets: sensor_msgs/CompressedImage or ffmpeg_image_transport_msgs/FFMPEGPacket."""
-    decoder = VideoDecoder()
-
-    def frame(ros: Any, receive_ns: int) -> CameraImage:
-        codec = codec_of_video(_format_of(ros))
-        if codec is None:
-            raise LogError(f"{_format_of(ros)!r} is no known video format")
-        return decoder.decode(codec, _bytes(ros), stamp_of(ros, receive_ns))
-
-    return frame
+    return images.video_frames(lambda ros, ns: (_format_of(ros), _bytes(ros), stamp_of(ros, ns)))
 
 
 def _format_of(ros: Any) -> str:

@@ -14,13 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import Transformer
 
 from datasets.importers.gnss.clock import GPS_START_NS, WEEK_NS, S, utc_of_gps
 from datasets.importers.gnss.fix import fix_of
 from datasets.importers.recording import Description, Open, Received, Recording, Sensor, Skipped
-from geometry.arrays import Float64
-from geometry.geodesy import Datum
+from geometry.geodesy import Datum, ellipsoidal
 from messages.errors import LogError
 from messages.sensors import GnssSolution
 
@@ -34,7 +32,6 @@ SOLUTIONS = {1: GnssSolution.RTK_FIXED, 2: GnssSolution.RTK_FLOAT, 3: GnssSoluti
              5: GnssSolution.SINGLE, 6: GnssSolution.PPP}  # fmt: skip
 WITH_CORRECTIONS = (1, 2, 3, 4)
 GEODETIC = "geodetic heights: the ellipsoidal height is unknown"
-TO_ELLIPSOID = Transformer.from_pipeline("+proj=pipeline +step +inv +proj=cart +ellps=WGS84")
 Row = dict[str, float]
 Values = dict[str, Any]
 
@@ -114,7 +111,7 @@ def _reference(words: list[str]) -> Datum | None:
         return None
     if abs(a) <= 90.0 and abs(b) <= 360.0:
         return Datum(math.radians(a), math.radians(b), c)
-    return Datum(*_ellipsoidal(np.array((a, b, c))))
+    return Datum(*ellipsoidal(a, b, c))
 
 
 def _row(header: _Header, line: str) -> tuple[int, Row]:
@@ -185,7 +182,7 @@ def _place(header: _Header, row: Row) -> Values:
 
 def _of_earth(row: Row) -> Values:
     """An earth-fixed position; RTKLIB's covariances are the signed roots of their magnitudes."""
-    latitude, longitude, height = _ellipsoidal(np.array((row["x-ecef"], row["y-ecef"], row["z-ecef"])))
+    latitude, longitude, height = ellipsoidal(row["x-ecef"], row["y-ecef"], row["z-ecef"])
     place = _geodetic((latitude, longitude, height))
     names = (("sdx", "sdxy", "sdzx"), ("sdxy", "sdy", "sdyz"), ("sdzx", "sdyz", "sdz"))
     if not {name for line in names for name in line} <= row.keys() or not row["sdx"]:
@@ -198,13 +195,6 @@ def _of_earth(row: Row) -> Values:
     turn = np.stack((east, np.cross(up, east), up))
     variance = np.diagonal(turn @ (np.sign(root) * root**2) @ turn.T)
     return place | {"sigma_enu_m": np.sqrt(np.where(variance >= 0.0, variance, np.nan))}
-
-
-def _ellipsoidal(position_m: Float64) -> tuple[float, float, float]:
-    """Latitude, longitude (radians) and height of an earth-fixed position."""
-    x, y, z = position_m
-    longitude, latitude, height = TO_ELLIPSOID.transform(x, y, z, radians=True)
-    return float(latitude), float(longitude), float(height)
 
 
 def _geodetic(place: tuple[float, float, float]) -> Values:

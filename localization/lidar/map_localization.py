@@ -14,6 +14,7 @@ from configs.site import Shed
 from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from geometry.arrays import Float64
+from geometry.pose2 import Pose2
 from geometry.transforms import invert, planar, yaw_of
 from localization.lidar.scan_preprocessing import ScanPoints, ScanPreprocessor
 from localization.lidar.surface_map import SurfaceMap, SurfaceMapConfig
@@ -94,7 +95,7 @@ class LidarMap(Node):
         if is_learning and self._is_good(pose, found):
             self._learned_ns = stamp_ns
             T = found.T_map_base if found is not None and pose.source is not PositionSource.RTK_FIXED else T_guess
-            self._map.learn(points, _flat(T))
+            self._map.learn(points, np.array(Pose2.of(T)))
         return [] if found is None else [(LIDAR_LOCALIZATION, found)]
 
     def _newest(self, inbox: Inbox) -> dict[str, tuple[LidarScan, LidarGround]]:
@@ -125,7 +126,7 @@ class LidarMap(Node):
         return np.concatenate(rows) if rows else np.zeros((0, 5))
 
     def _match(self, stamp_ns: int, points: Float64, T_guess: Float64) -> LidarLocalization:
-        cfg, guess = self._config, _flat(T_guess)
+        cfg, guess = self._config, np.array(Pose2.of(T_guess))
         part = np.ascontiguousarray(points[:: max(1, math.ceil(len(points) / cfg.max_points))])
         pose, covariance, found = self._map.match(part, guess)
         reason = _rejection_reason(pose - guess, covariance, found, cfg)
@@ -148,10 +149,6 @@ class LidarMap(Node):
             return False
         position, yaw = np.linalg.eigvalsh(pose.covariance[3:5, 3:5])[1], pose.covariance[2, 2]
         return bool(position < cfg.learn_sigma_m**2 and yaw < math.radians(cfg.learn_sigma_deg) ** 2)
-
-
-def _flat(T: Float64) -> Float64:
-    return np.array([T[0, 3], T[1, 3], yaw_of(T)])
 
 
 def _rows(scan: ScanPoints, T_level_base: Float64) -> Float64:

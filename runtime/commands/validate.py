@@ -127,8 +127,8 @@ def _key(log: Path, version: str, arguments: argparse.Namespace) -> str:
 
 def _evaluate_all(tasks: list[Task], arguments: argparse.Namespace, folder: ResultFolder) -> list[dict[str, Any]]:
     """Results in the order of the logs; a line on standard error for each as it completes."""
-    from runtime.replay.evaluate import evaluate_task, lost_task, stored_result
-    from runtime.workers import Work, run_all
+    from runtime.replay.evaluate import evaluate_task, lost_task
+    from runtime.workers import Work, run_all, stored_result
     from validation.obstacle_stop.tables import summary_line
 
     done: dict[str, dict[str, Any]] = {}

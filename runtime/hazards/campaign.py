@@ -9,9 +9,9 @@ from typing import Any
 
 from messages.errors import HeadlandError
 from runtime.hazards.cases import drives_of, load_list
-from runtime.hazards.drive import Task, drive_task, lost_task, stored_result, task_of
+from runtime.hazards.drive import Task, drive_task, lost_task, task_of
 from runtime.run_folder import RunFolder, versions
-from runtime.workers import Work, run_all
+from runtime.workers import Work, run_all, stored_result
 from validation.hazards.tables import failure_text, page, totals, unavoidable, write_parquet
 
 MAX_UNAVOIDABLE = 0.05  # of the drives
@@ -45,7 +45,7 @@ def main(arguments: argparse.Namespace) -> int:
 
 def _all_results(tasks: list[Task], arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """Results in the order of the drives; a line on standard error for each as it ends."""
-    done = {task.drive.name: values for task in tasks if (values := stored_result(task)) is not None}
+    done = {task.drive.name: values for task in tasks if (values := stored_result(task.folder, task.key)) is not None}
     if done:
         sys.stderr.write(f"{len(done)} of {len(tasks)} driven before\n")
     waiting = [task for task in tasks if task.drive.name not in done]

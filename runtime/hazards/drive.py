@@ -18,12 +18,11 @@ from runtime.commands.run import drive_into_log
 from runtime.hazards.cases import HazardDrive
 from runtime.run_folder import versions
 from runtime.setup import load_setup
+from runtime.workers import store_result
 from simulation.scenario import Scenario
 from validation.hazards.judge import judge, row_dict
 from validation.hazards.log import read_hazard_log
 from validation.hazards.picture import draw
-
-RESULT = "result.json"
 
 
 @dataclass(frozen=True)
@@ -47,15 +46,6 @@ def task_of(drive: HazardDrive, top: Path, commit: str) -> Task:
     return Task(drive, (top / "drives" / drive.name).absolute(), sha256(text.encode()).hexdigest())
 
 
-def stored_result(task: Task) -> dict[str, Any] | None:
-    """Result of the same drive from an earlier, interrupted campaign, or None."""
-    try:
-        values = json.loads((task.folder / RESULT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return values if isinstance(values, dict) and values.get("key") == task.key else None
-
-
 def lost_task(task: Task, error: Exception) -> dict[str, Any]:
     """Result of a drive whose worker died."""
     return {"name": task.drive.name, "labels": task.drive.labels, "command": task.command, "failed": repr(error)}
@@ -71,9 +61,7 @@ def drive_task(task: Task) -> dict[str, Any]:
     except Exception as error:  # one failed drive must not end the campaign
         where = traceback.format_exc().strip().splitlines()[-3:]
         return lost_task(task, error) | {"where": " ".join(where)}
-    fresh = task.folder / f"{RESULT}.new"
-    fresh.write_text(json.dumps(values), encoding="utf-8")
-    fresh.replace(task.folder / RESULT)
+    store_result(task.folder, values)
     return values
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import errno
-import json
 import os
 import sys
 import traceback
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import HeadlandError
+from runtime.workers import store_result
 
 if TYPE_CHECKING:
     from runtime.bus import Sink
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from validation.obstacle_stop.perceived_objects import PerceivedObjects
 
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-RESULT = "result.json"
 
 
 @dataclass(frozen=True)
@@ -39,15 +38,6 @@ class Task:
     model: Path | None
     folder: Path
     key: str
-
-
-def stored_result(folder: Path, key: str) -> dict[str, Any] | None:
-    """Result of the same evaluation from an earlier run, or None."""
-    try:
-        values = json.loads((folder / RESULT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return values if isinstance(values, dict) and values.get("key") == key else None
 
 
 def lost_task(task: Task, error: Exception) -> dict[str, Any]:
@@ -69,9 +59,7 @@ def evaluate_task(task: Task) -> dict[str, Any]:
     values["key"] = task.key
     if "failed" not in values:
         try:
-            temporary = task.folder / f"{RESULT}.new"
-            temporary.write_text(json.dumps(values), encoding="utf-8")
-            temporary.replace(task.folder / RESULT)
+            store_result(task.folder, values)
         except OSError as error:
             raise _cannot_write(task, error) from error
     return values

@@ -12,13 +12,11 @@ from geometry.arrays import Float64, Int64
 from geometry.transforms import interpolate, invert, yaw_of
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.plan import Path, PathSection, PathSectionType
-from validation.obstacle_stop.recorded_motion import direction_of, turning_points
+from validation.obstacle_stop.recorded_motion import direction_of, last_curvature, turning_points
 from validation.obstacle_stop.swept_path import arc
 
 ODOM_NS = 20_000_000
 STEP_M = 0.25
-CURVE_S = 1.0  # interval at the end of a log whose mean curvature is extrapolated
-MIN_CURVE_M = 0.5  # minimum distance for a mean curvature
 SMOOTH_S = 0.5
 MIN_POSES = 3
 
@@ -194,7 +192,7 @@ def _section(trajectory: Trajectory, run: Int64, number: int, extension_m: float
     yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
     rows = np.column_stack([s, poses[:, 0, 3], poses[:, 1, 3], yaw])
     rows = rows[np.concatenate([[True], np.diff(s) > 1e-3])]
-    curvature = direction * _last_curvature(stamps, s, yaw)
+    curvature = last_curvature(stamps, direction * s, yaw)
     rows = np.vstack([rows, _continued(rows[-1], curvature, direction, extension_m)])
     if len(rows) < 2:
         rows = np.vstack([rows, _continued(rows[-1], 0.0, direction, STEP_M)])
@@ -208,13 +206,6 @@ def _section(trajectory: Trajectory, run: Int64, number: int, extension_m: float
         np.zeros(n, np.int32), False,
     )  # fmt: skip
     return DrivenSection(path, stamps, s)
-
-
-def _last_curvature(stamps: Int64, s: Float64, yaw: Float64) -> float:
-    """Mean turn per metre driven of the last second; 0 for less than MIN_CURVE_M."""
-    first = int(np.searchsorted(stamps, stamps[-1] - round(CURVE_S * 1e9)))
-    distance_m = float(s[-1] - s[first])
-    return float(yaw[-1] - yaw[first]) / distance_m if distance_m >= MIN_CURVE_M else 0.0
 
 
 def _continued(row: Float64, curvature_radpm: float, direction: int, distance_m: float) -> Float64:

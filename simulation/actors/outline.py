@@ -15,11 +15,10 @@ from shapely.geometry.base import BaseGeometry
 
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from geometry.arrays import Float32
+from geometry.pose2 import Pose2
 from simulation.machine.body import implement_outline_m, machine_outline_m
 from simulation.machine.implement import extent_m, origin_m
 from simulation.machine.machine import Machine
-
-Pose = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -28,13 +27,13 @@ class Outline:
 
     vehicle: Vehicle
     implement: MountedImplement | TrailedImplement
-    base: Pose
+    base: Pose2
     implement_yaw_rad: float
 
     @staticmethod
     def of(machine: Machine, vehicle: Vehicle) -> "Outline":
         """The outline now."""
-        base = (machine.x_m, machine.y_m, machine.yaw_rad)
+        base = Pose2(machine.x_m, machine.y_m, machine.yaw_rad)
         return Outline(vehicle, machine.attached.current, base, machine.attached.yaw_rad)
 
     @property
@@ -49,7 +48,7 @@ class Outline:
         offset = 0.0 if isinstance(self.implement, MountedImplement) else self.implement.hitch_m
         return self.vehicle.body.front_m, min(-self.vehicle.body.rear_m, offset + extent_m(self.implement)[1])
 
-    def side(self, name: str) -> Pose:
+    def side(self, name: str) -> Pose2:
         """Middle of a side in `map` and its outward direction."""
         body, (ahead, behind), half = self.vehicle.body, extent_m(self.implement), 0.5 * self.implement.width_m
         is_left = name.endswith("left")
@@ -57,8 +56,8 @@ class Outline:
         wing = 0.5 * (0.5 * body.width_m + half)
         d = self.vehicle.drivetrain
         origin = origin_m(self.implement, self.base)
-        tool = (float(origin[0]), float(origin[1]), self.implement_yaw_rad)
-        places: dict[str, tuple[Pose, Pose]] = {
+        tool = Pose2(float(origin[0]), float(origin[1]), self.implement_yaw_rad)
+        places: dict[str, tuple[Pose2, tuple[float, float, float]]] = {
             "front": (self.base, (body.front_m, 0.0, 0.0)),
             "rear": (tool, (behind, 0.0, math.pi)),
             "side": (self.base, (0.5 * (body.front_m - body.rear_m), 0.5 * sign * body.width_m, across)),
@@ -69,7 +68,8 @@ class Outline:
             "wheel_rear": (self.base, (0.0, 0.5 * sign * body.width_m, across)),
         }
         key = name if name in ("front", "rear") else name.removesuffix("left").removesuffix("right").rstrip("_")
-        return compose(*places[key or "side"])
+        frame, place = places[key or "side"]
+        return frame @ Pose2(*place)
 
     def beside(
         self, name: str, gap_m: float, along_m: float, vertices_m: Float32, yaw_rad: float
@@ -78,17 +78,12 @@ class Outline:
 
         `along_m` is forward on the left and right and to the left in front and behind.
         """
-        x, y, out = self.side(name)
-        u, v = math.cos(out - yaw_rad), math.sin(out - yaw_rad)  # outward, in the frame of the body
+        middle = self.side(name)
+        u, v = (
+            math.cos(middle.yaw_rad - yaw_rad),
+            math.sin(middle.yaw_rad - yaw_rad),
+        )  # outward, in the frame of the body
         away = gap_m - float((vertices_m[:, 0] * u + vertices_m[:, 1] * v).min())
         is_across = name in ("left", "right", "wing_left", "wing_right") or name.startswith("wheel")
         turns_left = name.endswith("right") if is_across else "front" in name
-        tangent = out + (0.5 * math.pi if turns_left else -0.5 * math.pi)
-        return compose((x, y, 0.0), (away * math.cos(out) + along_m * math.cos(tangent),
-                                     away * math.sin(out) + along_m * math.sin(tangent), 0.0))[:2]  # fmt: skip
-
-
-def compose(a: Pose, b: Pose) -> Pose:
-    """Pose b of frame a, in the frame of a's parent."""
-    c, s = math.cos(a[2]), math.sin(a[2])
-    return a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], a[2] + b[2]
+        return middle.ahead(away).beside(along_m if turns_left else -along_m)[:2]

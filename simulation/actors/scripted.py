@@ -9,10 +9,11 @@ from shapely import Point, Polygon
 from configs.site import Site
 from configs.vehicle import Vehicle
 from geometry.arrays import Float64
+from geometry.pose2 import Pose2
 from messages.plan import Path
 from simulation.actors.actors import ActorState
 from simulation.actors.motion import Motion, Step, motion_of
-from simulation.actors.outline import Outline, compose
+from simulation.actors.outline import Outline
 from simulation.actors.phases import PhaseTracker, PlanPosition, Situation
 from simulation.actors.surroundings import Condition, Surroundings
 from simulation.environment.terrain import Terrain
@@ -112,8 +113,8 @@ class ScriptedObject:
             return x, y, yaw
         if isinstance(place, ObjectPlace):
             other = around.others.get(place.of)
-            offset = (values["ahead_m"], values["left_m"], turn)
-            return None if other is None else compose((*other.p_map_m[:2], other.yaw_rad), offset)
+            offset = Pose2(values["ahead_m"], values["left_m"], turn)
+            return None if other is None else Pose2(*other.p_map_m[:2], other.yaw_rad) @ offset
         return self._on_path(place, around, turn)
 
     def _on_path(self, place: PathPlace, around: Surroundings, turn: float) -> tuple[float, float, float] | None:
@@ -122,12 +123,12 @@ class ScriptedObject:
             if place.ahead_m is None:
                 return None
             (x, y), heading = around.leading_end[0][:2], around.leading_end[1]
-            return compose((float(x), float(y), heading), (values["ahead_m"], values["left_m"], turn))
+            return Pose2(float(x), float(y), heading) @ Pose2(values["ahead_m"], values["left_m"], turn)
         if place.ahead_m is None:
             at_m = values["path_m"]
         else:
             at_m = plan.path_m_of_leading_end(*around.outline.ends_m) + values["ahead_m"]
-        return compose(plan.pose_at(at_m), (0.0, values["left_m"], turn))
+        return Pose2(*plan.pose_at(at_m)) @ Pose2(0.0, values["left_m"], turn)
 
 
 class ScriptedObjects:

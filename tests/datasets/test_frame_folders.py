@@ -19,7 +19,8 @@ from messages.sensors import CameraImage, RadarScan
 from messages.truth import Occlusion, TrueObjects
 from tests.datasets import folder_samples as samples
 from tests.datasets.folder_samples import NS
-from tests.datasets.test_kitti_folders import check_box, of_type, reasons, skipped
+from tests.datasets.imported import reason_text
+from tests.datasets.test_kitti_folders import check_box, of_type, skipped
 
 # --- KITTI detection
 
@@ -79,7 +80,7 @@ def test_damaged_detection_file(
     source = open_recording(tmp_path)
     counts = Counter(topic for _, topic, _ in source.read())
     assert {topic: counts[topic] for topic in left} == left
-    assert says in reasons(source)
+    assert says in reason_text(source)
 
 
 # --- View-of-Delft
@@ -203,7 +204,7 @@ def test_damaged_view_of_delft_file(tmp_path: Path, name: str, content: bytes, s
     counts = Counter(topic for _, topic, _ in source.read())
     assert {topic: counts[topic] for topic in left} == left
     assert counts["lidar/velodyne"] == 4
-    assert says in reasons(source)
+    assert says in reason_text(source)
 
 
 def test_published_pose_is_the_place_of_the_camera(tmp_path: Path) -> None:

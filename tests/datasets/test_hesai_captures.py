@@ -14,8 +14,8 @@ from datasets.importers.captures.hesai_models import MODELS, START, TAILS, Model
 from datasets.importers.formats import open_recording
 from datasets.importers.recording import Recording
 from messages.errors import LogError
-from messages.sensors import LidarScan
 from tests.datasets.capture_samples import SECOND, write_packets
+from tests.datasets.imported import reasons, scans_of
 from tests.recordings import DATA, needs
 
 FOLDER = DATA / "devices/lidar/nebula-hesai"
@@ -71,20 +71,12 @@ def capture(folder: Path, model: Model, payloads: list[bytes]) -> Recording:
     return open_recording(write_packets(folder / "x.pcap", sent))
 
 
-def scans(source: Recording) -> list[LidarScan]:
-    return [m for _, _, m in source.read() if isinstance(m, LidarScan)]
-
-
-def reasons(source: Recording) -> dict[str, int]:
-    return {reason: count for row in source.table() for reason, count in row.reasons.items()}
-
-
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 def test_wall(tmp_path: Path, model: Model) -> None:
     source = capture(tmp_path, model, packets(model, 3.0))
     assert [s.source_type for s in source.description.sensors] == [f"Hesai {model.name}"]
     assert source.description.notes[0] == "10.0.0.7:2368: angles of x.csv"
-    found = scans(source)
+    found = scans_of(source)
     assert len(found) == 4  # cut at the rear: half, two whole, half
     elevation_deg, _ = angles(model)
     for scan in found[1:3]:
@@ -105,9 +97,9 @@ def test_wall(tmp_path: Path, model: Model) -> None:
 @pytest.mark.parametrize(("name", "near"), [("40p", 0.3), ("qt64", 0.1), ("xt32", 0.05)])
 @needs("devices/lidar/nebula-hesai")
 def test_truth_clouds_of_nebula(name: str, near: float) -> None:
-    truth = scans(open_recording(next(FOLDER.glob(f"{name}.*.truth.pcd"))))[0].xyz_m
+    truth = scans_of(open_recording(next(FOLDER.glob(f"{name}.*.truth.pcd"))))[0].xyz_m
     truth = np.stack([truth[:, 1], -truth[:, 0], truth[:, 2]], axis=1)  # nebula: y at azimuth 0, x right
-    found = scans(open_recording(FOLDER / f"{name}.pcap"))
+    found = scans_of(open_recording(FOLDER / f"{name}.pcap"))
     everything = np.concatenate([s.xyz_m for s in found])
     assert cKDTree(everything).query(truth)[0].max() < 1e-4
     # The truth is one turn between azimuth 0 and 0, at the end of the capture: ours with the same times lie in it.
@@ -126,8 +118,8 @@ def test_returns_of_one_firing_are_kept_once() -> None:
 
 
 def test_dual_returns(tmp_path: Path) -> None:
-    single = sum(len(s.xyz_m) for s in scans(capture(tmp_path, XT32, packets(XT32))))
-    dual = scans(capture(tmp_path, XT32, packets(XT32, mode=0x39)))
+    single = sum(len(s.xyz_m) for s in scans_of(capture(tmp_path, XT32, packets(XT32))))
+    dual = scans_of(capture(tmp_path, XT32, packets(XT32, mode=0x39)))
     assert sum(len(s.xyz_m) for s in dual) == single  # equal pairs
 
 
@@ -165,7 +157,7 @@ def test_design_angles_are_noted(tmp_path: Path) -> None:
     (tmp_path / "x.csv").unlink()
     source = open_recording(tmp_path / "x.pcap")
     assert source.description.notes[0] == "10.0.0.7:2368: design angles of PandarXT32, not of the unit"
-    assert len(scans(source)) == 2
+    assert len(scans_of(source)) == 2
 
 
 TURN = packets(XT32)
@@ -196,7 +188,7 @@ TAIL = 12 + 8 * 130  # offset of the tail
 )  # fmt: skip
 def test_damaged_streams(tmp_path: Path, change: Any, count: int, expected: dict[str, int]) -> None:
     source = capture(tmp_path, XT32, change(TURN))
-    found = scans(source)
+    found = scans_of(source)
     assert len(found) == count
     total = reasons(source)
     assert {r: c for r, c in total.items() if "azimuth" not in r} == {
@@ -214,7 +206,7 @@ def test_random_bytes_in_packets(tmp_path: Path, seed: int) -> None:
     for packet in sent[1:]:
         at = int(random.integers(0, 1060))
         packet[at : at + 20] = random.bytes(20)
-    found = scans(capture(tmp_path, XT32, [bytes(p) for p in sent]))
+    found = scans_of(capture(tmp_path, XT32, [bytes(p) for p in sent]))
     assert all(np.isfinite(s.xyz_m).all() for s in found)
 
 

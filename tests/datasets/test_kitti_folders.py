@@ -22,6 +22,7 @@ from messages.sensors import GnssFix, GnssSolution, ImuSample, LidarScan
 from messages.truth import Occlusion, TrueObject, TrueObjects
 from tests.datasets import folder_samples as samples
 from tests.datasets.folder_samples import NS, OXTS
+from tests.datasets.imported import reason_text
 from tests.datasets.log_samples import bits
 from tests.datasets.test_log_importers import LOG, VIEW
 from tests.recordings import recording
@@ -98,10 +99,6 @@ def of_type(source: Recording, kind: type) -> list:
 def skipped(source: Recording) -> dict[str, int | None]:
     """Rows of the table with skipped messages, by the end of their source."""
     return {Path(row.source).name: row.skipped for row in source.table() if row.skipped != 0}
-
-
-def reasons(source: Recording) -> str:
-    return " | ".join(reason for row in source.table() for reason in row.reasons)
 
 
 def check_box(source: Recording, vehicle: str = "kitti_car", moved_m: float = 0.0) -> None:
@@ -247,7 +244,7 @@ def test_damaged_tracking_file_is_skipped_with_reason(
     counts = Counter(topic for _, topic, _ in source.read())
     assert {topic: counts[topic] for topic in left} == left
     assert row in skipped(source).items()
-    assert says in reasons(source)
+    assert says in reason_text(source)
 
 
 def test_unknown_class_is_an_unknown_obstacle(tmp_path: Path) -> None:
@@ -289,7 +286,7 @@ def test_damaged_raw_file_keeps_the_rest(tmp_path: Path, damage: str) -> None:
     source = open_recording(drive)
     counts = Counter(topic for _, topic, _ in source.read())
     assert {topic: counts[topic] for topic in expected} == expected
-    assert says in reasons(source)
+    assert says in reason_text(source)
 
 
 def test_plain_scans_not_readable(tmp_path: Path) -> None:

@@ -11,10 +11,10 @@ import pytest
 
 from datasets.importers.formats import open_recording
 from datasets.importers.pcd import unpack_lzf
-from datasets.importers.recording import Recording
 from messages.errors import LogError
 from messages.sensors import LidarScan
 from tests.datasets.folder_samples import NS
+from tests.datasets.imported import reason_text, scans_of
 from tests.recordings import recording
 
 XYZ = np.round(np.random.default_rng(2).uniform(-20, 20, (40, 3)), 3).astype("<f4")
@@ -25,18 +25,10 @@ PCD_HEAD = (
 )
 
 
-def scans_of(source: Recording) -> list[LidarScan]:
-    return [message for _, _, message in source.read() if isinstance(message, LidarScan)]
-
-
 def read_one(path: Path, content: bytes | str) -> LidarScan:
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     (scan,) = scans_of(open_recording(path))
     return scan
-
-
-def reasons(source: Recording) -> str:
-    return " | ".join(reason for row in source.table() for reason in row.reasons)
 
 
 # --- PCD
@@ -297,7 +289,7 @@ def test_damaged_file_in_folder_is_skipped(tmp_path: Path, suffix: str, content:
     (tmp_path / f"1{suffix}").write_bytes(content if isinstance(content, bytes) else content.encode())
     source = open_recording(tmp_path)
     assert [t for t, _, _ in source.read()] == [0, 2 * NS // 10]
-    assert f"1{suffix}: no " in reasons(source)
+    assert f"1{suffix}: no " in reason_text(source)
     assert sum(row.skipped or 0 for row in source.table()) == 1
 
 

@@ -12,6 +12,7 @@ from datasets.importers.gnss.sentence import BadSentence, parse
 from datasets.importers.recording import Recording
 from messages.errors import LogError
 from messages.sensors import GnssFix, GnssSolution
+from tests.datasets.imported import fixes_of
 
 MS, S = 1_000_000, 1_000_000_000
 START_NS = 1_795_255_872_300 * MS  # 2026-11-21 10:11:12.3
@@ -32,10 +33,6 @@ def opened(folder: Path, data: bytes) -> Recording:
     path = folder / "stream"
     path.write_bytes(data)
     return open_recording(path)
-
-
-def fixes_of(recording: Recording) -> list[GnssFix]:
-    return [message for _, _, message in recording.read() if isinstance(message, GnssFix)]
 
 
 def skipped(recording: Recording) -> dict[str, int]:

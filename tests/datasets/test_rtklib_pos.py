@@ -10,6 +10,7 @@ from datasets.importers.formats import open_recording
 from datasets.importers.recording import Recording
 from messages.errors import LogError
 from messages.sensors import GnssFix, GnssSolution
+from tests.datasets.imported import fixes_of
 
 S = 1_000_000_000
 NOON_NS = 1_433_160_000 * S  # 2015-06-01 12:00 UTC; GPS time is 16 s ahead
@@ -28,10 +29,6 @@ def opened(folder: Path, text: str) -> Recording:
     path = folder / "solution.pos"
     path.write_text(text)
     return open_recording(path)
-
-
-def fixes_of(recording: Recording) -> list[GnssFix]:
-    return [message for _, _, message in recording.read() if isinstance(message, GnssFix)]
 
 
 def test_geodetic(tmp_path: Path) -> None:

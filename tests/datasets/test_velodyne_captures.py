@@ -16,6 +16,7 @@ from datasets.importers.recording import Recording
 from messages.errors import LogError
 from messages.sensors import GnssFix, GnssSolution, LidarScan
 from tests.datasets.capture_samples import SECOND, write_packets
+from tests.datasets.imported import reasons, scans_of
 from tests.recordings import DATA, needs
 
 LIDAR = DATA / "devices/lidar"
@@ -54,17 +55,9 @@ def capture(path: Path, payloads: list[bytes]) -> Recording:
     return open_recording(write_packets(path / "x.pcap", sent))
 
 
-def scans(source: Recording) -> list[LidarScan]:
-    return [m for _, _, m in source.read() if isinstance(m, LidarScan)]
-
-
-def reasons(source: Recording) -> dict[str, int]:
-    return {reason: count for row in source.table() for reason, count in row.reasons.items()}
-
-
 def test_wall(tmp_path: Path) -> None:
     source = capture(tmp_path, [data_packet(k) for k in range(3 * PER_TURN)])
-    found = scans(source)
+    found = scans_of(source)
     assert [s.source_type for s in source.description.sensors] == ["Velodyne VLP-16"]
     assert len(found) == 4  # cut at the rear: half, two whole, half
     for scan in found[1:3]:
@@ -85,10 +78,10 @@ def test_wall(tmp_path: Path) -> None:
 @needs("devices/lidar/nebula-velodyne")
 def test_truth_cloud_of_nebula() -> None:
     folder = LIDAR / "nebula-velodyne"
-    truth = scans(open_recording(next(folder.glob("*.truth.pcd"))))[
+    truth = scans_of(open_recording(next(folder.glob("*.truth.pcd"))))[
         0
     ].xyz_m  # nebula: x at azimuth 0, y left, as ours; cut there
-    found = scans(open_recording(folder / "vlp16.pcap"))
+    found = scans_of(open_recording(folder / "vlp16.pcap"))
     everything = np.concatenate([s.xyz_m for s in found])
     assert cKDTree(everything).query(truth)[0].max() < 0.05
     distance_m = cKDTree(truth).query(found[-1].xyz_m)[0]
@@ -99,7 +92,7 @@ def test_truth_cloud_of_nebula() -> None:
 @needs("devices/lidar/mrpt-velodyne")
 def test_recorded_hdl32() -> None:
     source = open_recording(LIDAR / "mrpt-velodyne/sample_velodyne_hdl32.pcap")
-    found = scans(source)
+    found = scans_of(source)
     assert [s.source_type for s in source.description.sensors] == ["Velodyne HDL-32E"]
     # every nonzero distance of the 500 packets of 12 blocks of 32 channels
     assert sum(len(s.xyz_m) for s in found) == 146_705
@@ -184,7 +177,7 @@ COUNT = sum(count_returns(p) for p in TURN)
 )
 def test_damaged_streams(tmp_path: Path, change: Any, points: int | None, expected: dict[str, int]) -> None:
     source = capture(tmp_path, change(TURN))
-    found = scans(source)
+    found = scans_of(source)
     total = sum(len(s.xyz_m) for s in found)
     assert total == points if points is not None else 0 < total < COUNT
     assert reasons(source) == expected
@@ -217,7 +210,7 @@ def test_random_bytes_in_packets(tmp_path: Path, seed: int) -> None:
     for packet in sent[1:]:
         at = int(random.integers(0, 1186))
         packet[at : at + 20] = random.bytes(20)
-    found = scans(capture(tmp_path, [bytes(p) for p in sent]))
+    found = scans_of(capture(tmp_path, [bytes(p) for p in sent]))
     assert all(np.isfinite(s.xyz_m).all() for s in found)
 
 

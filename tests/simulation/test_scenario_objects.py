@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from configs.strict import CONFIGS, load, parse
+from geometry.pose2 import Pose2
 from messages.errors import ConfigError
 from runtime.__main__ import main
 from simulation.actors.outline import Outline
@@ -193,7 +194,7 @@ def test_offset_along_a_side(side, along, ahead, left):
 def test_gap_beside_a_turned_machine():
     place = OutlinePlace(frame="outline", side="wing_front_left", gap_m=(0.0, 0.0))
     farm = farm_of()
-    outline = Outline(farm.vehicle, farm.machine.attached.current, (3.0, 4.0, math.pi / 2), math.pi / 2)
+    outline = Outline(farm.vehicle, farm.machine.attached.current, Pose2(3.0, 4.0, math.pi / 2), math.pi / 2)
     x, y = outline.beside(place.side, 0.4, 0.0, np.array([[0.2, 0.0, 0.0], [-0.2, 0.0, 1.0]], np.float32), 0.0)
     # front edge at -1.1, wing from 1.15 to 3.05 m to the left, which is west; the body reaches 0 across it
     assert (x, y) == pytest.approx((3.0 - 2.1, 4.0 - 1.1 + 0.4))

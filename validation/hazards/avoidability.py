@@ -11,12 +11,13 @@ contact faster than the closed form? ──yes──► avoidable        else �
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 
 from geometry.arrays import Float64
+from geometry.pose2 import to_frame
 from geometry.prism import Solids
 from validation.hazards.braking import MIN_SPEED_MPS, speed_after, stopping_time, travel_after
 from validation.hazards.contacts import TOUCH_M, Contact
@@ -102,10 +103,8 @@ def along_path(drive: Drive, t_s: float, ahead_m: float) -> MachineState:
         return machine.at(float(machine.t_s[k] + share * (machine.t_s[n] - machine.t_s[k])))
     end, sign = machine.at(float(machine.t_s[-1])), -1.0 if machine.at(t_s).speed_mps < 0.0 else 1.0
     over = sign * (s - total)
-    return MachineState(
-        end.t_s, end.x_m + over * math.cos(end.yaw_rad), end.y_m + over * math.sin(end.yaw_rad), end.z_m, end.yaw_rad,
-        end.speed_mps, 0.0, end.slope, end.implement_yaw_rad, end.hitch, end.fold,
-    )  # fmt: skip
+    x, y, _ = end.pose.ahead(over)
+    return replace(end, x_m=x, y_m=y, yaw_rate_radps=0.0)
 
 
 def closed_form_contact_mps(drive: Drive, one: ObjectTrack, known_s: float, speed_mps: float) -> float | None:
@@ -152,15 +151,14 @@ class Eyes:
         """Points (N, 3) on the outlines of machine and implement, in `map`."""
         body = self._drive.body_at(state)
         count = len(self._drive.shapes.machine.names)
-        c, s = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
         points = []
         for part in (slice(0, count), slice(count, None)):
             if len(body.polygons[part]):
                 x0, y0, x1, y1 = shapely.total_bounds(body.polygons[part]).tolist()
                 top = float(body.z_m[part, 1].max()) - state.z_m
-                ring = [(x, y) for x in (x0, 0.5 * (x0 + x1), x1) for y in (y0, 0.5 * (y0 + y1), y1)]
-                points += [(state.x_m + c * x - s * y, state.y_m + s * x + c * y, state.z_m + min(h, top))
-                           for x, y in ring for h in EYE_HEIGHTS_M]  # fmt: skip
+                grid = [(x, y) for x in (x0, 0.5 * (x0 + x1), x1) for y in (y0, 0.5 * (y0 + y1), y1)]
+                ring = to_frame(state.pose, np.array(grid)).tolist()
+                points += [(x, y, state.z_m + min(h, top)) for x, y in ring for h in EYE_HEIGHTS_M]
         return np.array(points)
 
 

@@ -45,7 +45,7 @@ def draw(drive: Drive, judgement: Judgement, title: str) -> bytes:
 
 def _scene(ax: Axes, drive: Drive, t_s: float) -> None:
     state = drive.machine.at(t_s)
-    body = drive.body_at(state).moved(state.x_m, state.y_m, state.yaw_rad)
+    body = drive.body_at(state).moved(*state.pose)
     ax.plot(drive.machine.pose[:, 0], drive.machine.pose[:, 1], color=TRACK, linewidth=1)
     count = len(drive.shapes.machine.names)
     for k, polygon in enumerate(body.polygons):

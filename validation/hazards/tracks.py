@@ -8,11 +8,17 @@ import numpy as np
 import shapely
 
 from geometry.arrays import Bool, Float64
+from geometry.pose2 import Pose2
 from geometry.prism import Nearest, Solids, nearest
 
 STANDING_MPS, STANDING_PTO_RADPS = 0.02, 0.5
 STANDING_HITCH_PER_S, STANDING_FOLD_PER_S = 0.01, 0.005
 REACH_M = 8.0  # around base, for static solids
+
+
+def last_index(times_s: Float64, t_s: float) -> int:
+    """Index of the last of sorted times at or before a time; the first one where there is none."""
+    return max(0, int(np.searchsorted(times_s, t_s + 1e-9, side="right")) - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +52,11 @@ class MachineState:
     implement_yaw_rad: float
     hitch: float
     fold: float
+
+    @property
+    def pose(self) -> Pose2:
+        """Level pose of base in `map`."""
+        return Pose2(self.x_m, self.y_m, self.yaw_rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +100,7 @@ class MachineTrack:
 
     def index(self, t_s: float) -> int:
         """Index of the last moment at or before a time."""
-        return max(0, int(np.searchsorted(self.t_s, t_s + 1e-9, side="right")) - 1)
+        return last_index(self.t_s, t_s)
 
     def at(self, t_s: float) -> MachineState:
         """State at a time, interpolated."""
@@ -141,7 +152,7 @@ class ObjectTrack:
 
     def index(self, t_s: float) -> int:
         """Index of the last moment at or before a time."""
-        return max(0, int(np.searchsorted(self.t_s, t_s + 1e-9, side="right")) - 1)
+        return last_index(self.t_s, t_s)
 
     def velocity_at(self, t_s: float) -> Float64:
         """Velocity (2,)."""
@@ -191,9 +202,7 @@ class Drive:
         if only_implement:
             mine = [k for k, name in enumerate(body.names) if name in ("implement", "linkage")]
             body = Solids(body.polygons[mine], body.z_m[mine], tuple(body.names[k] for k in mine))
-        c, s = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-        x, y = -c * state.x_m - s * state.y_m, s * state.x_m - c * state.y_m
-        found = nearest(body, shape.moved(x, y, -state.yaw_rad))
+        found = nearest(body, shape.moved(*state.pose.inverse()))
         if found.part == "implement" and abs(found.point_m[1]) > 0.5 * self.shapes.machine_width_m:
             side = "left" if found.point_m[1] > 0.0 else "right"
             return Nearest(found.distance_m, f"wing_{side}", found.point_m)
@@ -215,6 +224,5 @@ def _tilted(solids: Solids, state: MachineState) -> Solids:
 
 def to_map(state: MachineState, point_base_m: tuple[float, float, float]) -> tuple[float, float, float]:
     """A point with coordinates of `base` and height of `map`, in `map`."""
-    c, s = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-    x, y, z = point_base_m
-    return state.x_m + c * x - s * y, state.y_m + s * x + c * y, z
+    x, y, _ = state.pose @ Pose2(point_base_m[0], point_base_m[1], 0.0)
+    return x, y, point_base_m[2]

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from geometry.arrays import Float32, Float64, Int64, UInt8
-from geometry.pose2 import from_frame, to_frame
-from geometry.transforms import yaw_of
+from geometry.pose2 import Pose2, from_frame, to_frame
 from messages.command import SupervisorState
 from messages.message import Envelope
 from messages.motion import Odometry
@@ -105,7 +104,7 @@ class PerceivedObjects:
             self._scans.append(message.stamp_ns)
             self._last_scan = message
         elif isinstance(message, Odometry) and topic.partition("/")[0] == "odom":
-            self._pose = pose_of(message.T_odom_base)
+            self._pose = np.array(Pose2.of(message.T_odom_base))
         elif isinstance(message, CameraImage) and topic.startswith("camera/") and message.bgr.size:
             step = max(1, math.ceil(message.bgr.shape[1] / MAX_WIDTH_PX))
             self._bgr = message.bgr[::step, ::step]
@@ -231,11 +230,6 @@ class PerceivedObjects:
             if is_known and stamp_ns - last_ns >= EVERY_NS:
                 last_ns = stamp_ns
                 yield stamp_ns
-
-
-def pose_of(T: Float64) -> Float64:
-    """Planar pose (3,) of a transform."""
-    return np.array([T[0, 3], T[1, 3], yaw_of(T)])
 
 
 def _pose(observed: LogObservation, stamp_ns: int) -> Float64:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from geometry.arrays import Float64
+from geometry.pose2 import to_frame
 from geometry.transforms import invert
 from validation.obstacle_stop.figures import BOX, OWN, POINT, THIS, draw
 from validation.obstacle_stop.observation import LogObservation, Setting
@@ -82,9 +83,8 @@ def _from_above(ax: Any, points: Any, box: Float64, setting: Setting) -> None:
     ax.plot(-high[:, 1], high[:, 0], ".", color=POINT, ms=1.5, mew=0)
     half = 0.5 * setting.width_m
     ax.fill([-half, half, half, -half], [-1.0, -1.0, setting.front_m, setting.front_m], color=OWN)
-    c, s = math.cos(box[6]), math.sin(box[6])
     corners = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1), (1, 1)]) * 0.5 * box[3:5]
-    x, y = box[0] + c * corners[:, 0] - s * corners[:, 1], box[1] + s * corners[:, 0] + c * corners[:, 1]
+    x, y = to_frame(box[[0, 1, 6]], corners).T
     ax.plot(-y, x, color=THIS, lw=1.4)
     ax.plot(-box[1], box[0], "o", color=THIS, ms=14, mfc="none", lw=0.8)
     reach = max(20.0, 1.3 * float(np.hypot(*box[:2])))

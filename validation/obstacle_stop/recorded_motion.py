@@ -180,15 +180,15 @@ def _line(
     line = poses[keep]
     beyond = planned
     if beyond is None or not len(beyond):
-        curvature = _last_curvature(stamps, direction * (s - s[0]), np.unwrap(poses[:, 2]))
+        curvature = last_curvature(stamps, direction * (s - s[0]), np.unwrap(poses[:, 2]))
         beyond = arc(line[-1], curvature, direction * np.arange(STEP_M, length_m + 0.5 * STEP_M, STEP_M))
     along, rest = s[keep], joined(line[-1:], beyond)
     distances = np.concatenate([along, along[-1] + rest[1][1:]])
     return distances, np.vstack([line, rest[0][1:]])
 
 
-def _last_curvature(stamps: Int64, ahead_m: Float64, yaw: Float64) -> float:
-    """Mean curvature of the last second; 0 for less than `MIN_CURVE_M`."""
+def last_curvature(stamps: Int64, ahead_m: Float64, yaw: Float64) -> float:
+    """Mean curvature (rad/m) of the last second; `ahead_m` falls in reverse; 0 for less than `MIN_CURVE_M`."""
     first = int(np.searchsorted(stamps, stamps[-1] - CURVE_NS))
     distance_m = float(ahead_m[-1] - ahead_m[first])
     return float(yaw[-1] - yaw[first]) / distance_m if abs(distance_m) >= MIN_CURVE_M else 0.0

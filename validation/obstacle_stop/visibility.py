@@ -1,4 +1,4 @@
-"""Visibility of true objects from the sensors: field of view, range, and what stands in between. Numbers only.
+"""Visibility of true objects from the sensors: field of view, range, occlusion. Numbers only.
 
 A box is visible when a sensor sees at least `MIN_SHARE` of the points on it and no label says that it is largely
 hidden.

@@ -11,12 +11,12 @@ from datetime import date
 from typing import Any
 
 import numpy as np
-from pyproj import Transformer
 from pyubx2 import UBXReader
 from pyubx2.exceptions import UBXMessageError, UBXParseError, UBXStreamError, UBXTypeError
 
 from datasets.importers.gnss.clock import WEEK_NS, S, day_ns, gps_of_utc
 from geometry.angles import wrap
+from geometry.geodesy import ellipsoidal
 from messages.errors import LogError
 from messages.sensors import GnssSolution
 
@@ -28,7 +28,6 @@ SYSTEMS = {0: "GPS", 6: "GLO", 2: "GAL", 3: "BDS", 5: "QZSS", 7: "NAVIC"}  # gns
 SVIDS = {"GPS": (1, 32), "GLO": (65, 96), "GAL": (211, 246), "BDS": (159, 163), "QZSS": (193, 197)}  # of NAV-SVINFO
 POSITIONS = ("NAV-PVT", "NAV-HPPOSLLH", "NAV-POSLLH", "NAV-SOL")
 PLACE = ("latitude_rad", "longitude_rad", "height_m", "sigma_enu_m", "velocity_enu_mps", "sigma_velocity_mps")
-TO_ELLIPSOID = Transformer.from_pipeline("+proj=pipeline +step +inv +proj=cart +ellps=WGS84")
 Values = dict[str, Any]
 
 
@@ -187,9 +186,8 @@ def _place(m: Any) -> Values:
 
 def _of_earth(position_m: Any, sigma_m: float) -> Values:
     """An earth-fixed position with one accuracy for all directions."""
-    x, y, z = position_m
-    longitude, latitude, height = TO_ELLIPSOID.transform(x, y, z, radians=True)
-    place = {"latitude_rad": float(latitude), "longitude_rad": float(longitude), "height_m": float(height)}
+    latitude, longitude, height = ellipsoidal(*position_m)
+    place = {"latitude_rad": latitude, "longitude_rad": longitude, "height_m": height}
     return place | {"sigma_enu_m": np.full(3, sigma_m)}
 
 

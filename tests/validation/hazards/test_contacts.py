@@ -96,7 +96,7 @@ def test_standing_machine_that_is_walked_into_is_no_contact():
 
 
 def test_touched_machine_that_sets_off_is_a_contact():
-    """What stands against a standing machine is hit when the wheels begin to turn."""
+    """An object in touch with a machine at standstill is hit when the wheels begin to turn."""
     one = still_object(FRONT_M + 0.2, 0.0)
     contact = approach_of(drive(machine(lambda t: 0.0 if t < 3.0 else 0.5 * (t - 3.0)), one), one).contact
     assert contact.t_s == pytest.approx(3.05, abs=0.06)

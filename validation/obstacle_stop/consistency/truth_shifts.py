@@ -2,7 +2,6 @@
 
 import math
 from bisect import bisect_left
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ from geometry.arrays import Float64
 from geometry.transforms import interpolate, invert
 from messages.truth import TrueMachine, TrueObjects
 from validation.obstacle_stop.boxes import Box, box_of
+from validation.obstacle_stop.by_stamp import ByStamp, M
 from validation.obstacle_stop.consistency.config import TruthLimits
 
 KEEP_NS = 8_000_000_000
@@ -69,8 +69,7 @@ class TrueBoxes:
 
     def __init__(self, truth_frame: str | None, T_base_lidar: dict[str, Float64], classes: set[str]) -> None:
         self._frame, self._mounts, self._classes = truth_frame, T_base_lidar, classes
-        self._objects: deque[TrueObjects] = deque()
-        self._machines: deque[TrueMachine] = deque()
+        self._objects, self._machines = ByStamp[TrueObjects](), ByStamp[TrueMachine]()
         self._boxes: dict[int, dict[int, Box]] = {}  # of messages in the frame of a lidar, by stamp
         self.latest_ns = 0
 
@@ -81,20 +80,17 @@ class TrueBoxes:
 
     def add(self, message: TrueObjects | TrueMachine) -> None:
         """Stores truth of the last 8 s."""
-        queue: deque[TrueObjects] | deque[TrueMachine]
-        queue = self._objects if isinstance(message, TrueObjects) else self._machines
-        if queue and message.stamp_ns <= queue[-1].stamp_ns:
-            return
-        queue.append(message)  # type: ignore[arg-type]
-        while queue[-1].stamp_ns - queue[0].stamp_ns > KEEP_NS:
-            self._boxes.pop(queue.popleft().stamp_ns, None)
-        if isinstance(message, TrueObjects):
+        if isinstance(message, TrueMachine):
+            _append(self._machines, message)
+        elif _append(self._objects, message):
             self.latest_ns = message.stamp_ns
+            for stamp_ns in [ns for ns in self._boxes if ns < message.stamp_ns - KEEP_NS]:
+                del self._boxes[stamp_ns]
 
     def at(self, machine_ns: int, objects_ns: int, max_age_ns: int) -> dict[int, Box]:
         """Boxes by id, of the nearest truth; empty without truth within `max_age_ns`."""
-        truth, T = _nearest(self._objects, objects_ns), self._T_base_truth(machine_ns)
-        if truth is None or T is None or abs(truth.stamp_ns - objects_ns) > max_age_ns:
+        truth, T = self._objects.nearest(objects_ns, max_age_ns), self._T_base_truth(machine_ns)
+        if truth is None or T is None:
             return {}
         known = None if self.has_machine else self._boxes.get(truth.stamp_ns)
         if known is None:
@@ -105,8 +101,7 @@ class TrueBoxes:
 
     def is_known(self, stamp_ns: int, max_age_ns: int) -> bool:
         """Whether there is truth at a time; it arrives before the scans."""
-        truth = _nearest(self._objects, stamp_ns)
-        return truth is not None and abs(truth.stamp_ns - stamp_ns) <= max_age_ns
+        return self._objects.nearest(stamp_ns, max_age_ns) is not None
 
     def yaw_at(self, stamp_ns: int) -> float:
         """Yaw of map in base; 0 for truth in the frame of a lidar."""
@@ -116,16 +111,20 @@ class TrueBoxes:
     def _T_base_truth(self, stamp_ns: int) -> Float64 | None:
         if self._frame is None or self._frame in self._mounts:
             return None if self._frame is None else self._mounts[self._frame]
-        if len(self._machines) < 2:
+        stamps, machines = self._machines.stamps_ns, self._machines.messages
+        if len(machines) < 2:
             return None
-        k = min(max(bisect_left(self._machines, stamp_ns, key=lambda m: m.stamp_ns), 1), len(self._machines) - 1)
-        a, b = self._machines[k - 1], self._machines[k]
+        k = min(max(bisect_left(stamps, stamp_ns), 1), len(machines) - 1)
+        a, b = machines[k - 1], machines[k]
         if not a.stamp_ns - MAX_MACHINE_AGE_NS <= stamp_ns <= b.stamp_ns + MAX_MACHINE_AGE_NS:
             return None
         return invert(interpolate(a.T_map_base, b.T_map_base, (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)))
 
 
-def _nearest(messages: "deque[TrueObjects]", stamp_ns: int) -> TrueObjects | None:
-    k = bisect_left(messages, stamp_ns, key=lambda m: m.stamp_ns)
-    near = [messages[j] for j in (k - 1, k) if 0 <= j < len(messages)]
-    return min(near, key=lambda m: abs(m.stamp_ns - stamp_ns), default=None)
+def _append(queue: ByStamp[M], message: M) -> bool:
+    """Adds a message of a later stamp than all others, and drops those older than `KEEP_NS`."""
+    if queue.stamps_ns and message.stamp_ns <= queue.stamps_ns[-1]:
+        return False
+    queue.add(message)
+    queue.take_before(message.stamp_ns - KEEP_NS)
+    return True
