@@ -62,13 +62,11 @@ def assemble(
             yield SteppingClock(world, injection), [(FaultyNode(node, injection), ns) for node, ns in nodes]
 
 
-def simulated_world(
-    setup: Setup, scenario: Scenario, bus: can.BusABC, renders_in_thread: bool = False
-) -> SimulationWorld:
+def simulated_world(setup: Setup, scenario: Scenario, bus: can.BusABC, delivers_late: bool = False) -> SimulationWorld:
     """Simulated world whose machine is on this bus, with all kernels compiled."""
     world = SimulationWorld(
         plant_of(setup, scenario), scenario, setup.plan.paths, bus, setup.seed, setup.stack.simulation, setup.is_folded,
-        renders_in_thread,
+        delivers_late,
     )  # fmt: skip
     world.warm()
     return world

@@ -98,13 +98,13 @@ class SensorLink:
 class SimulationWorld(World):
     """Deterministic: equal arguments and equal frames on the bus give bit-identical messages.
 
-    `bus` is the tractor's end of its bus; the world closes it. With `renders_in_thread` a thread renders camera images:
-    identical ones, delivered when rendered; the process must not fork.
+    `bus` is the tractor's end of its bus; the world closes it. A thread renders camera images, so the process must not
+    fork; with `delivers_late` an image that is not rendered when it is due is delivered later instead of waited for.
     """
 
     def __init__(
         self, plant: Plant, scenario: Scenario, plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int,
-        config: SimulationConfig, is_folded: bool, renders_in_thread: bool = False,
+        config: SimulationConfig, is_folded: bool, delivers_late: bool = False,
     ) -> None:  # fmt: skip
         site, vehicle, implement = plant.site, plant.vehicle, plant.implement
         self._now_ns = self._start_ns = config.start_stamp_ns
@@ -136,7 +136,8 @@ class SimulationWorld(World):
         self._links = {
             topic: SensorLink(clock, generator(seed, f"clock/{topic}")) for topic, clock in plant.clocks.items()
         }
-        self._render_thread = ThreadPoolExecutor(1) if renders_in_thread else None
+        self._render_thread = ThreadPoolExecutor(1, "camera")
+        self._delivers_late = delivers_late
         self._pending: list[tuple[int, int, str, Pending]] = []
         self._put_count = 0
         self._seed = seed
@@ -166,10 +167,10 @@ class SimulationWorld(World):
             _, _, topic, message = heapq.heappop(self._pending)
             if not isinstance(message, Future):
                 received.append((topic, message))
-            elif message.done():
-                received.append((topic, message.result()))
-            else:  # a late image must not delay other messages
+            elif self._delivers_late and not message.done():
                 self._put(now_ns + TICK_NS, topic, message)
+            else:
+                received.append((topic, message.result()))
         return received
 
     def warm(self) -> None:
@@ -196,8 +197,7 @@ class SimulationWorld(World):
     def close(self) -> None:
         """Closes the bus."""
         self._bus.close()
-        if self._render_thread is not None:
-            self._render_thread.shutdown()
+        self._render_thread.shutdown()
 
     def _tick(self, now_ns: int) -> None:
         elapsed_ns = now_ns - self._start_ns
@@ -245,7 +245,7 @@ class SimulationWorld(World):
                 self._put(at_ns if link is None else link.receive_ns(at_ns), sensor.topic, message)
 
     def _sample(self, sensor: Sensor, state: WorldState) -> Pending | None:
-        if self._render_thread is not None and isinstance(sensor, CameraModel):
+        if isinstance(sensor, CameraModel):
             return self._render_thread.submit(sensor.render, sensor.prepare(state))
         return sensor.sample(state)
 

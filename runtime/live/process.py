@@ -106,7 +106,7 @@ def _stack_nodes(start: Start) -> list[Node]:
 @contextmanager
 def _machine(start: Start) -> Iterator[World]:
     bus = SharedBus(open_bus(start.config.can))
-    with closing(assembly.simulated_world(start.setup, start.scenario, bus, renders_in_thread=True)) as world:
+    with closing(assembly.simulated_world(start.setup, start.scenario, bus, delivers_late=True)) as world:
         build_actor_surfaces()
         yield ReactionTrials(world, bus, start) if start.reaction_trials else world
 

@@ -79,9 +79,9 @@ def test_image_of_request_time():
     assert np.array_equal(later.model.render(request).bgr, at_once)
 
 
-def test_threaded_rendering_equal_and_not_blocking():
-    def pictures(renders_in_thread):
-        farm = Farm(vehicle=machine_file(sensors=("camera", "imu")), renders_in_thread=renders_in_thread)
+def test_late_images_equal_and_not_blocking():
+    def pictures(delivers_late):
+        farm = Farm(vehicle=machine_file(sensors=("camera", "imu")), delivers_late=delivers_late)
         given = farm.drive(2.0)
         waiting = [message for *_, message in farm.world._pending if isinstance(message, Future)]
         farm.close()
@@ -89,9 +89,10 @@ def test_threaded_rendering_equal_and_not_blocking():
         taken = [message for topic, message in given if topic == "camera/front"]
         return {image.stamp_ns: image.bgr for image in (*taken, *(future.result() for future in waiting))}
 
-    at_once, aside = pictures(False), pictures(True)
-    assert len(at_once) >= 3
-    assert all(np.array_equal(aside[stamp_ns], bgr) for stamp_ns, bgr in at_once.items())
+    on_time, late = pictures(False), pictures(True)
+    assert len(on_time) >= 3
+    assert on_time.keys() == late.keys()
+    assert all(np.array_equal(late[stamp_ns], bgr) for stamp_ns, bgr in on_time.items())
 
 
 def changed(a, b):
