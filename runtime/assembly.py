@@ -25,15 +25,16 @@ from simulation.faults.node_faults import FaultyNode, SteppingClock
 from simulation.machine.tractor_bus import load_database
 from simulation.plant import Plant, PlantModels, draw_plant
 from simulation.scenario import Scenario
-from simulation.world import SimulationWorld
+from simulation.world import Rendering, SimulationWorld
 
 _CHANNELS = count()
 
 
 @contextmanager
 def assemble(
-    setup: Setup, scenario: Scenario, is_ablation: bool = False, injection: FaultInjection | None = None
-) -> Iterator[tuple[World, list[tuple[Node, int]]]]:
+    setup: Setup, scenario: Scenario, is_ablation: bool = False, injection: FaultInjection | None = None,
+    rendering: Rendering = Rendering.IN_THREAD,
+) -> Iterator[tuple[World, list[tuple[Node, int]]]]:  # fmt: skip
     """Simulated world and nodes with their latencies (ns), wired and checked; closes the CAN bus afterwards.
 
     `is_ablation` omits the supervisor's obstacle rules. The executor must have `injection` as its tap.
@@ -43,7 +44,7 @@ def assemble(
     with (
         can.Bus(interface="virtual", channel=channel) as bus,
         can.Bus(interface="virtual", channel=channel) as tractor,
-        closing(simulated_world(setup, scenario, tractor)) as world,
+        closing(simulated_world(setup, scenario, tractor, rendering)) as world,
     ):
         stack_bus = bus if injection is None else FaultyBus(bus, injection, load_database())
         chain = [
@@ -62,11 +63,13 @@ def assemble(
             yield SteppingClock(world, injection), [(FaultyNode(node, injection), ns) for node, ns in nodes]
 
 
-def simulated_world(setup: Setup, scenario: Scenario, bus: can.BusABC, delivers_late: bool = False) -> SimulationWorld:
+def simulated_world(
+    setup: Setup, scenario: Scenario, bus: can.BusABC, rendering: Rendering = Rendering.IN_THREAD
+) -> SimulationWorld:
     """Simulated world whose machine is on this bus, with all kernels compiled."""
     world = SimulationWorld(
         plant_of(setup, scenario), scenario, setup.plan.paths, bus, setup.seed, setup.stack.simulation, setup.is_folded,
-        delivers_late,
+        rendering,
     )  # fmt: skip
     world.warm()
     return world

@@ -59,10 +59,14 @@ def load_setup(
     return Setup(chosen, site, vehicle, mounted, stack, plan, seed, start, is_folded)
 
 
-def load_scenario(name: str | None, mission: Mission, field: str | None) -> Scenario:
-    """Named scenario; by default `demo`, or `empty` with a field outline or without field work. Raises ConfigError."""
+def load_scenario(name: str | None, mission: Mission, field: str | None, plant: str | None = None) -> Scenario:
+    """Named scenario with this plant (None: its own); default `demo`, or `empty` with a field outline or without work.
+
+    Raises ConfigError.
+    """
     is_demo = field is None and mission.work is not None
-    return load(Scenario, find("scenarios", name or ("demo" if is_demo else "empty")))
+    scenario = load(Scenario, find("scenarios", name or ("demo" if is_demo else "empty")))
+    return scenario if plant is None else scenario.model_copy(update={"plant": plant})
 
 
 def with_model(setup: Setup, model: Path | None) -> Setup:

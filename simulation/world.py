@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from enum import Enum, auto
 
 import can
 import numpy as np
@@ -95,16 +96,23 @@ class SensorLink:
         return self._last_ns
 
 
+class Rendering(Enum):
+    """Where camera images are rendered: in the step, or in a thread, waited for when due or delivered when ready."""
+
+    IN_STEP = auto()
+    IN_THREAD = auto()
+    LATE = auto()
+
+
 class SimulationWorld(World):
     """Deterministic: equal arguments and equal frames on the bus give bit-identical messages.
 
-    `bus` is the tractor's end of its bus; the world closes it. A thread renders camera images, so the process must not
-    fork; with `delivers_late` an image that is not rendered when it is due is delivered later instead of waited for.
+    `bus` is the tractor's end of its bus; the world closes it. Only with `Rendering.IN_STEP` the process may fork.
     """
 
     def __init__(
         self, plant: Plant, scenario: Scenario, plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int,
-        config: SimulationConfig, is_folded: bool, delivers_late: bool = False,
+        config: SimulationConfig, is_folded: bool, rendering: Rendering = Rendering.IN_THREAD,
     ) -> None:  # fmt: skip
         site, vehicle, implement = plant.site, plant.vehicle, plant.implement
         self._now_ns = self._start_ns = config.start_stamp_ns
@@ -136,8 +144,8 @@ class SimulationWorld(World):
         self._links = {
             topic: SensorLink(clock, generator(seed, f"clock/{topic}")) for topic, clock in plant.clocks.items()
         }
-        self._render_thread = ThreadPoolExecutor(1, "camera")
-        self._delivers_late = delivers_late
+        self._rendering = rendering
+        self._render_thread = ThreadPoolExecutor(1, "camera")  # starts with the first image
         self._pending: list[tuple[int, int, str, Pending]] = []
         self._put_count = 0
         self._seed = seed
@@ -167,7 +175,7 @@ class SimulationWorld(World):
             _, _, topic, message = heapq.heappop(self._pending)
             if not isinstance(message, Future):
                 received.append((topic, message))
-            elif self._delivers_late and not message.done():
+            elif self._rendering is Rendering.LATE and not message.done():
                 self._put(now_ns + TICK_NS, topic, message)
             else:
                 received.append((topic, message.result()))
@@ -245,7 +253,7 @@ class SimulationWorld(World):
                 self._put(at_ns if link is None else link.receive_ns(at_ns), sensor.topic, message)
 
     def _sample(self, sensor: Sensor, state: WorldState) -> Pending | None:
-        if isinstance(sensor, CameraModel):
+        if isinstance(sensor, CameraModel) and self._rendering is not Rendering.IN_STEP:
             return self._render_thread.submit(sensor.render, sensor.prepare(state))
         return sensor.sample(state)
 

@@ -61,11 +61,12 @@ class Trial:
         raise HeadlandError(f"{self.name} did not finish: {reason}")
 
 
-def trials_of(campaign: str, seeds: int, top: Path) -> list[Trial]:
-    """All runs of a campaign; `dock` has one run per bay and seed."""
+def trials_of(campaign: str, seeds: int, top: Path, plant: str | None = None) -> list[Trial]:
+    """All runs of a campaign with this plant (None: the scenario's); `dock` has one run per bay and seed."""
 
     def trial(name: str, *arguments: str, may_refuse: bool = False) -> Trial:
-        return Trial(name, (top / name).absolute(), arguments, may_refuse)
+        chosen = () if plant is None else ("--plant", plant)
+        return Trial(name, (top / name).absolute(), (*arguments, *chosen), may_refuse)
 
     numbers = range(1, seeds + 1)
     if campaign == "dock":
@@ -93,7 +94,7 @@ def main(arguments: argparse.Namespace) -> int:
         raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
     top = arguments.out or RunFolder(f"campaign-{arguments.campaign}", None).path
     top.mkdir(parents=True, exist_ok=True)
-    trials = trials_of(arguments.campaign, arguments.seeds, top)
+    trials = trials_of(arguments.campaign, arguments.seeds, top, arguments.plant)
     found = {trial.name: result for trial, result in _drive_all(trials, arguments.jobs)}
     results = [{"trial": trial.name, **found[trial.name]} for trial in trials if trial.name in found]
     rows = [_row(result) for result in results]

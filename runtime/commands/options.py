@@ -38,6 +38,11 @@ TRUTH = _option("--truth", type=Path, metavar="PATH", help="ground truth: KITTI 
 SCENARIO = _option(
     "--scenario", help="a file, or a name in configs/scenarios (default demo; empty with --field or without field work)"
 )
+PLANT = _option(
+    "--plant", choices=["nominal", "drawn", "worst"],
+    help="true parameters of the machine: as configured, drawn from the seed, or as bad as the stopping distance "
+    "allows (default: the scenario's)",
+)  # fmt: skip
 FIELD = _option("--field", metavar="FILE.geojson", help="field outline that replaces the mission's site")
 MISSION = (
     _option("--mission", default="demo", help="a file, or a name in configs/missions (default demo)"),
@@ -54,7 +59,7 @@ def _out(verb: str, more: str = "") -> Option:
 RESUMES = "; results already in it are kept"
 COMMANDS = (
     Command("run", "drive a mission in simulation and write the report", "runtime.commands.run", (
-        FIELD, *MISSION, SCENARIO, SEED, MODEL, DURATION,
+        FIELD, *MISSION, SCENARIO, PLANT, SEED, MODEL, DURATION,
         _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
         _out("run"), JSON,
     )),
@@ -107,6 +112,7 @@ COMMANDS = (
         ),
         _option("--seeds", type=int, metavar="N", help="seeds 1 to N (default 10; hazards: 1)"),
         _option("--jobs", type=int, default=2, metavar="N", help="runs at a time (default 2)"),
+        PLANT,
         _option("--core", action="store_true", help="hazards: the first 60 drives of the list"),
         _option("--scheduler", metavar="ADDRESS", help="hazards: run on this Dask cluster"),
         _option("--only", metavar="REGEX", help="fault-injection, hazards: matching names, e.g. swath-imu-off"),

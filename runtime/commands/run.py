@@ -39,7 +39,7 @@ def main(arguments: argparse.Namespace) -> int:
         arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
     )
     setup = with_model(setup, arguments.model)
-    scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
+    scenario = load_scenario(arguments.scenario, setup.mission, arguments.field, arguments.plant)
     folder = RunFolder("run", arguments.out)
     try:
         result = drive(setup, scenario, folder, sys.stderr, arguments.without_obstacle_rules, arguments.duration)

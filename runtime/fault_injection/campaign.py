@@ -1,7 +1,7 @@
 """`headland campaign fault-injection`: drives to each situation and forks a process there for each fault.
 
-The simulation is deterministic and single-threaded, so a fork continues exactly as the drive itself: a cell costs only
-the seconds after its fault. Cells with a result in the folder are not repeated.
+Simulation and stack are deterministic and run in one thread here, so a fork continues exactly as the drive itself: a
+cell costs only the seconds after its fault. Cells with a result in the folder are not repeated.
 """
 
 import argparse
@@ -38,6 +38,7 @@ from safety.monitors.sensors import monitored_sensors
 from simulation.faults.config import FaultsConfig, InjectedFault, fault_kinds_of
 from simulation.faults.injection import FaultInjection
 from simulation.scenario import Scenario
+from simulation.world import Rendering
 
 NOT_INJECTED = ("operator_command", "truth_machine", "truth_objects", "truth_shapes")
 LIMIT_S = 600.0  # simulated time to reach a situation
@@ -112,7 +113,7 @@ def drive_to(
     config = load(FaultsConfig, CONFIGS / "faults.yaml")
     injection = FaultInjection((), config, setup.stack.simulation.start_stamp_ns, SEED)
     monitor, recorded = DriveMonitor(), list[Envelope]()
-    with assemble(setup, scenario, injection=injection) as (world, nodes):
+    with assemble(setup, scenario, injection=injection, rendering=Rendering.IN_STEP) as (world, nodes):
         executor = Executor(world, nodes, (monitor, injection), injection)
         drive = Drive(setup, world, nodes, executor, injection, monitor, config, recorded)
         for situation, is_reached in situations.items():

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import HeadlandError
-from runtime.hazards.cases import drives_of, load_list
+from runtime.hazards.cases import drives_of, load_list, with_plant
 from runtime.hazards.drive import Task, drive_task, lost_task, task_of
 from runtime.run_folder import RunFolder, versions
 from runtime.workers import Work, run_all, stored_result
@@ -22,6 +22,8 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.seeds < 1 or arguments.jobs < 1:
         raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
     drives = drives_of(load_list(), arguments.seeds, arguments.core)
+    if arguments.plant is not None:
+        drives = [with_plant(one, arguments.plant) for one in drives]
     if arguments.only is not None:
         drives = [one for one in drives if re.search(arguments.only, one.name)]
         if not drives:

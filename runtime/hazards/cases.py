@@ -1,6 +1,6 @@
 """Drives of the campaign: the named scenarios and the pairwise list of `configs/hazards.yaml`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -104,6 +104,11 @@ class HazardDrive:
 def load_list(path: Path = FILE) -> HazardList:
     """The list; raises ConfigError."""
     return load(HazardList, path)
+
+
+def with_plant(drive: HazardDrive, plant: str) -> HazardDrive:
+    """The same drive with the plant `drawn`, `worst` or `nominal`."""
+    return replace(drive, name=f"{drive.name}-{plant}", scenario=drive.scenario | {"plant": plant})
 
 
 def drives_of(hazards: HazardList, seeds: int, is_core: bool) -> list[HazardDrive]:

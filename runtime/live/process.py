@@ -26,6 +26,7 @@ from runtime.safety_nodes import safety_nodes
 from runtime.setup import Setup
 from simulation.rendering.materials import build_actor_surfaces
 from simulation.scenario import Scenario
+from simulation.world import Rendering
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def _stack_nodes(start: Start) -> list[Node]:
 @contextmanager
 def _machine(start: Start) -> Iterator[World]:
     bus = SharedBus(open_bus(start.config.can))
-    with closing(assembly.simulated_world(start.setup, start.scenario, bus, delivers_late=True)) as world:
+    with closing(assembly.simulated_world(start.setup, start.scenario, bus, Rendering.LATE)) as world:
         build_actor_surfaces()
         yield ReactionTrials(world, bus, start) if start.reaction_trials else world
 

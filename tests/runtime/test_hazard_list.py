@@ -10,7 +10,7 @@ from configs.mission import Mission
 from configs.strict import find, load, parse, read_yaml
 from messages.errors import ConfigError, HeadlandError
 from runtime.hazards import campaign
-from runtime.hazards.cases import CORE, FILE, HazardList, drives_of, load_list, scenario_of
+from runtime.hazards.cases import CORE, FILE, HazardList, drives_of, load_list, scenario_of, with_plant
 from runtime.hazards.pairwise import pairs_of, possible_pairs, rows_of
 from simulation.scenario import Scenario
 
@@ -54,6 +54,14 @@ def test_number_of_drives():
     assert len(set(names)) == len(names)
 
 
+def test_plant_of_a_drive():
+    drive = drives_of(HAZARDS, 1, True)[0]
+    worst = with_plant(drive, "worst")
+    assert worst.name == f"{drive.name}-worst"
+    assert parse(Scenario, worst.scenario, "worst").plant == "worst"
+    assert parse(Scenario, drive.scenario, "as listed").plant == "nominal"
+
+
 @pytest.mark.parametrize("number", range(0, len(HAZARDS.drives), 7))
 def test_rows_are_valid_scenarios(number):
     row = HAZARDS.drives[number]
@@ -87,7 +95,16 @@ def test_bad_list_is_refused(expected):
 
 
 def options(folder, **more):
-    values = {"seeds": 1, "jobs": 1, "core": False, "only": None, "scheduler": None, "json": True, "out": folder}
+    values = {
+        "seeds": 1,
+        "jobs": 1,
+        "core": False,
+        "plant": None,
+        "only": None,
+        "scheduler": None,
+        "json": True,
+        "out": folder,
+    }
     return SimpleNamespace(**(values | more))
 
 

@@ -12,7 +12,7 @@ from messages.plan import Path, PathSection, PathSectionType
 from simulation.machine.tractor_bus import load_database
 from simulation.plant import Plant, PlantModels, draw_plant
 from simulation.scenario import Scenario
-from simulation.world import SimulationConfig, SimulationWorld
+from simulation.world import Rendering, SimulationConfig, SimulationWorld
 
 _CHANNELS = itertools.count()
 IMPLEMENT = load(ImplementFile, find("implements", "harrow_6m")).implement
@@ -53,7 +53,7 @@ class Farm:
 
     def __init__(
         self, vehicle=None, config=None, scenario=EMPTY, paths=(), seed=1, site=SITE, implement=IMPLEMENT, start=None,
-        is_folded=False, delivers_late=False,
+        is_folded=False, rendering=Rendering.IN_STEP,
     ):  # fmt: skip
         channel = f"farm-{next(_CHANNELS)}"
         tractor = can.Bus(interface="virtual", channel=channel)
@@ -63,7 +63,7 @@ class Farm:
         models = PlantModels(config.machine, config.gnss, config.imu)
         configured = Plant(site, self.vehicle, implement, models, start)
         self.plant = draw_plant(scenario.plant, configured, config.plant, seed)
-        self.world = SimulationWorld(self.plant, scenario, paths, tractor, seed, config, is_folded, delivers_late)
+        self.world = SimulationWorld(self.plant, scenario, paths, tractor, seed, config, is_folded, rendering)
         self.machine = self.world.machine
         self.start_ns = self.now_ns = config.start_stamp_ns
         self.bus = can.Bus(interface="virtual", channel=channel)

@@ -27,6 +27,7 @@ from simulation.objects.solid import GAIT_STEPS
 from simulation.scenario import CameraEpisode
 from simulation.sensors.camera import CameraModel, Lens
 from simulation.sensors.sensor import WorldState
+from simulation.world import Rendering
 from tests.recordings import needs
 from tests.simulation.simulated_farm import CONFIG, Farm, machine_file
 
@@ -79,9 +80,9 @@ def test_image_of_request_time():
     assert np.array_equal(later.model.render(request).bgr, at_once)
 
 
-def test_late_images_equal_and_not_blocking():
-    def pictures(delivers_late):
-        farm = Farm(vehicle=machine_file(sensors=("camera", "imu")), delivers_late=delivers_late)
+def test_images_equal_wherever_rendered():
+    def pictures(rendering):
+        farm = Farm(vehicle=machine_file(sensors=("camera", "imu")), rendering=rendering)
         given = farm.drive(2.0)
         waiting = [message for *_, message in farm.world._pending if isinstance(message, Future)]
         farm.close()
@@ -89,10 +90,11 @@ def test_late_images_equal_and_not_blocking():
         taken = [message for topic, message in given if topic == "camera/front"]
         return {image.stamp_ns: image.bgr for image in (*taken, *(future.result() for future in waiting))}
 
-    on_time, late = pictures(False), pictures(True)
-    assert len(on_time) >= 3
-    assert on_time.keys() == late.keys()
-    assert all(np.array_equal(late[stamp_ns], bgr) for stamp_ns, bgr in on_time.items())
+    in_step = pictures(Rendering.IN_STEP)
+    assert len(in_step) >= 3
+    for rendering in (Rendering.IN_THREAD, Rendering.LATE):
+        found = pictures(rendering)
+        assert all(np.array_equal(found[stamp_ns], bgr) for stamp_ns, bgr in in_step.items())
 
 
 def changed(a, b):
