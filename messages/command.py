@@ -100,7 +100,7 @@ class SupervisorState(Message):
 
 
 class OperatorCommandKind(IntEnum):
-    """Commands of an operator."""
+    """Commands of an operator; `CONFIRM_CLEAR`: nobody is near the machine where its sensors have not looked."""
 
     START = 0
     PAUSE = 1
@@ -109,6 +109,7 @@ class OperatorCommandKind(IntEnum):
     RESET = 4
     MANUAL = 5
     AUTOMATIC = 6
+    CONFIRM_CLEAR = 7
 
 
 @dataclass(frozen=True)

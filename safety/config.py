@@ -209,6 +209,7 @@ class ModesConfig(Config):
     park_after_s: Seconds
     fold_after_s: Seconds = Field(description="standstill before the implement folds")
     seat_empty_s: Seconds = Field(description="off-delay of the seat switch")
+    max_confirmation_s: float = Field(gt=0.0, le=60.0, description="longest validity of a confirm_clear")
     authorities: tuple[str, ...] = Field(min_length=1)
 
 

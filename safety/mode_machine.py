@@ -15,6 +15,7 @@ from safety.rules.situation import Situation
 
 COMMANDED = emergency("operator_command.emergency_stop", "emergency stop commanded")
 COMMANDED_ZH = "操作员急停"
+UNCONFIRMED = "operator_command.unconfirmed"
 LATCHING = frozenset({Mode.FAULT_STOP, Mode.EMERGENCY_STOP, Mode.MANUAL})
 BOUND_MPS = 0.02  # a limit this little below the commanded speed is not reported as the reason
 
@@ -27,7 +28,8 @@ class ModeMachine:
         self.latched: RuleResult | None = None
         self.fault_memory = FaultMemory()
         self._config = config
-        self._orders = OperatorCommands(config.authorities)
+        self._orders = OperatorCommands(config.authorities, config.max_confirmation_s)
+        self._needs_confirmation = True
         self._cause, self._is_urgent = "", False
         self._clear, self._warned = DebounceTimer(), DebounceTimer()
         self._warning_s = config.start_warning_s
@@ -42,8 +44,12 @@ class ModeMachine:
         """Takes the transition of this step."""
         if situation.clock_step_s != 0.0:
             self._orders.forget_start()
+            self._require_confirmation()
         asked = self._orders.events(situation.now_ns, orders)
-        events = filter_permitted(asked, situation, decision) | self._observed(situation, decision, mission)
+        permitted = filter_permitted(asked, situation, decision)
+        if self._needs_confirmation and not self._orders.is_confirmed(situation.now_ns):
+            permitted -= {Event.START}
+        events = permitted | self._observed(situation, decision, mission)
         before, self.mode = self.mode, next_mode(self.mode, events)
         if Event.EMERGENCY in asked and before is not Mode.EMERGENCY_STOP:
             self.latched = COMMANDED
@@ -87,9 +93,19 @@ class ModeMachine:
         self._clear.update(situation.now_ns, False)
         if self.mode is Mode.OBSTACLE_STOP:
             self._cause = decision.blocking.code
+        if self.mode is Mode.MANUAL:
+            self._require_confirmation()
+        if self.mode is Mode.START_WARNING and not is_resuming:
+            self._needs_confirmation = False
+            self._orders.forget_confirmation()
         if before in LATCHING and self.mode is Mode.STANDBY:
             self.fault_memory.reset()
         self._orders.forget_start()
+
+    def _require_confirmation(self) -> None:
+        """Somebody may be near the machine, unseen: after power-on, a clock step, and manual driving."""
+        self._needs_confirmation = True
+        self._orders.forget_confirmation()
 
     def reason(self, situation: Situation, decision: Decision) -> str:
         """The code that bounds the safe command; "" when the control command passes unchanged."""
@@ -103,6 +119,8 @@ class ModeMachine:
             return decision.binding.code if is_bound else ""
         if self.mode is Mode.STANDBY and not decision.is_ready:
             return decision.fault.code
+        if self.mode is Mode.STANDBY and self._orders.is_start_pending and self._needs_confirmation:
+            return UNCONFIRMED
         return str(self.mode)
 
     def braking_clearance_m(self, situation: Situation, decision: Decision) -> float:

@@ -13,20 +13,23 @@ from simulation.scenario_objects import ScenarioObject, check_objects
 from simulation.scenario_values import ALL_SENSORS, KindName, Range
 
 PlantKind = Literal["nominal", "drawn", "worst"]
-CommandName = Literal["start", "pause", "resume", "emergency_stop", "reset", "manual", "automatic"]
+CommandName = Literal["start", "pause", "resume", "emergency_stop", "reset", "manual", "automatic", "confirm_clear"]
 
 
 class ScenarioCommand(Config):
-    """An operator command at a time after the start."""
+    """An operator command at a time after the start; a start or resume comes with a `confirm_clear`, right or wrong."""
 
     at_s: float = Field(ge=0.0, le=1e6)
     command: CommandName
     expires_s: float = Field(gt=0.0, le=600.0)
+    is_confirmed: bool = Field(default=True, description="start and resume: the operator confirms that nobody is near")
 
     @property
-    def code(self) -> OperatorCommandKind:
-        """The kind of the OperatorCommand message."""
-        return OperatorCommandKind[self.command.upper()]
+    def kinds(self) -> tuple[OperatorCommandKind, ...]:
+        """The kinds of the OperatorCommand messages, in their order."""
+        kind = OperatorCommandKind[self.command.upper()]
+        is_start = kind in (OperatorCommandKind.START, OperatorCommandKind.RESUME)
+        return (OperatorCommandKind.CONFIRM_CLEAR, kind) if is_start and self.is_confirmed else (kind,)
 
 
 class GnssEpisode(Config):

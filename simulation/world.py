@@ -258,12 +258,11 @@ class SimulationWorld(World):
         return sensor.sample(state)
 
     def _issue_commands(self, now_ns: int, elapsed_ns: int) -> None:
-        for sequence, command in enumerate(self._scenario.operator_commands):
+        every = [(command, kind) for command in self._scenario.operator_commands for kind in command.kinds]
+        for sequence, (command, kind) in enumerate(every):
             if elapsed_ns - TICK_NS < command.at_s * 1e9 <= elapsed_ns:
                 expires_ns = now_ns + round(command.expires_s * 1e9)
-                self._put(
-                    now_ns, "operator_command", OperatorCommand(now_ns, command.code, "remote", sequence, expires_ns)
-                )
+                self._put(now_ns, "operator_command", OperatorCommand(now_ns, kind, "remote", sequence, expires_ns))
 
     def _publish_truth(self, now_ns: int, elapsed_ns: int) -> None:
         due = [topic for topic in self._truth if elapsed_ns % round(TOPICS[topic].period_s * 1e9) == 0]

@@ -1,6 +1,6 @@
 """Operator commands: accepted with a known authority, a rising sequence number and before their expiry.
 
-An emergency stop is always accepted.
+An emergency stop is always accepted, a confirmation that nobody is near the machine only with a short validity.
 """
 
 from collections.abc import Iterable
@@ -22,17 +22,33 @@ EVENTS = {
 class OperatorCommands:
     """Accepts or refuses commands; a start stays pending until executed, expired or superseded by another command."""
 
-    def __init__(self, authorities: tuple[str, ...]) -> None:
+    def __init__(self, authorities: tuple[str, ...], max_confirmation_s: float) -> None:
         self.refused_count = 0
+        self._max_confirmation_ns = round(max_confirmation_s * 1e9)
+        self._confirmed_until_ns: int | None = None
         self._sequence = dict.fromkeys(authorities, -1)
         self._pending: OperatorCommand | None = None
 
     def events(self, now_ns: int, commands: Iterable[OperatorCommand]) -> frozenset[Event]:
         """Events of the accepted commands and of a pending start."""
-        requested = {EVENTS[command.kind] for command in commands if self._accept(now_ns, command)}
+        accepted = [command.kind for command in commands if self._accept(now_ns, command)]
+        requested = {EVENTS[kind] for kind in accepted if kind in EVENTS}
         if self._pending is not None and now_ns > self._pending.expires_ns:
             self._pending = None
         return frozenset(requested - {Event.START} if self._pending is None else requested | {Event.START})
+
+    def is_confirmed(self, now_ns: int) -> bool:
+        """Whether an operator has confirmed that nobody is near the machine, and the confirmation has not expired."""
+        return self._confirmed_until_ns is not None and now_ns <= self._confirmed_until_ns
+
+    def forget_confirmation(self) -> None:
+        """Clears the confirmation: used for a start, or no longer valid."""
+        self._confirmed_until_ns = None
+
+    @property
+    def is_start_pending(self) -> bool:
+        """Whether a start waits for its execution."""
+        return self._pending is not None
 
     def forget_start(self) -> None:
         """Clears the pending start: executed, or superseded by a stop."""
@@ -46,6 +62,13 @@ class OperatorCommands:
         if last is None or command.sequence <= last or now_ns > command.expires_ns:
             self.refused_count += 1
             return False
+        is_confirmation = command.kind is OperatorCommandKind.CONFIRM_CLEAR
+        if is_confirmation and command.expires_ns - now_ns > self._max_confirmation_ns:
+            self.refused_count += 1
+            return False
         self._sequence[command.authority] = command.sequence
+        if is_confirmation:
+            self._confirmed_until_ns = command.expires_ns
+            return True
         self._pending = command if command.kind in (OperatorCommandKind.START, OperatorCommandKind.RESUME) else None
         return True

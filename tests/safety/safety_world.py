@@ -292,7 +292,11 @@ class World:
         authority: str = "operator",
         expires_s: float = 10.0,
         sequence: int | None = None,
+        is_confirmed: bool = True,
     ):
+        """Puts a command; a confirmation that nobody is near goes before a start."""
+        if is_confirmed and order is OperatorCommandKind.START:
+            self.order(OperatorCommandKind.CONFIRM_CLEAR)
         self.sequence += 1
         number = self.sequence if sequence is None else sequence
         now = self.inbox.now_ns + STEP_NS

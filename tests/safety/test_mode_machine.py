@@ -20,6 +20,7 @@ from safety.rules.situation import Situation
 from safety.stopping_distance import required_range
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.protective_field import Clearance
+from tests.clause import clause
 from tests.safety.safety_world import START_NS, around, machine_state, situation_of
 
 STANDING: dict[str, Any] = {"speed_mps": 0.0}
@@ -39,7 +40,7 @@ class Bench:
     """A mode machine and its last situation."""
 
     def __init__(self, config: SupervisorConfig) -> None:
-        self.config, self.now_ns, self.sequence = config, START_NS, 0
+        self.config, self.now_ns, self.sequence, self.confirms = config, START_NS, 0, True
         self.mode_machine = ModeMachine(config.modes)
         self.fault_memory = self.mode_machine.fault_memory
         self.situation: Situation = situation_of(config)
@@ -52,13 +53,18 @@ class Bench:
         self.now_ns += round(after_s * 1e9)
         self.situation = situation_of(self.config, now_ns=self.now_ns, **changes)
         self.decision = evaluate_rules(self.situation, RULES)
-        given = tuple(self.order(kind) for kind in orders)
+        given = tuple(one for kind in orders for one in self.given(kind))
         self.mode_machine.update(given, self.situation, self.decision, None if state is None else mission(state))
         return self.mode_machine.mode
 
-    def order(self, kind: OperatorCommandKind) -> OperatorCommand:
+    def given(self, kind: OperatorCommandKind) -> list[OperatorCommand]:
+        """A command; a confirmation that nobody is near goes before a start, unless the bench is without."""
+        start = kind is OperatorCommandKind.START and self.confirms
+        return [*([self.order(OperatorCommandKind.CONFIRM_CLEAR, 60.0)] if start else []), self.order(kind)]
+
+    def order(self, kind: OperatorCommandKind, expires_s: float = 1000.0) -> OperatorCommand:
         self.sequence += 1
-        return OperatorCommand(self.now_ns, kind, "operator", self.sequence, self.now_ns + 10**12)
+        return OperatorCommand(self.now_ns, kind, "operator", self.sequence, self.now_ns + round(expires_s * 1e9))
 
     def driving(self) -> "Bench":
         self.show(OperatorCommandKind.START, **STANDING)
@@ -88,6 +94,39 @@ def test_start_warning_of_3_s(bench: Bench) -> None:
     assert bench.show(after_s=2.999, **STANDING) is Mode.START_WARNING
     assert bench.show(after_s=0.001, **STANDING) is Mode.AUTOMATIC
     assert bench.reason == ""
+
+
+@clause("BD-5.5.1b")
+def test_start_after_power_on_needs_a_confirmation(bench: Bench) -> None:
+    bench.confirms = False
+    start, confirm = OperatorCommandKind.START, OperatorCommandKind.CONFIRM_CLEAR
+    assert bench.show(start, **STANDING) is Mode.STANDBY
+    assert bench.reason == "operator_command.unconfirmed"
+    late = bench.order(confirm, 60.001)
+    bench.mode_machine.update((late,), bench.situation, bench.decision, None)
+    assert bench.show(**STANDING) is Mode.STANDBY  # a confirmation is valid for at most 60 s
+    valid = bench.order(confirm, 60.0)
+    bench.mode_machine.update((valid,), bench.situation, bench.decision, None)
+    assert bench.mode_machine.mode is Mode.START_WARNING  # by the start that waits
+    bench.show(OperatorCommandKind.PAUSE, **STANDING)
+    assert bench.show(start, **STANDING) is Mode.START_WARNING  # the sensors watched since
+    for kind in (OperatorCommandKind.MANUAL, OperatorCommandKind.AUTOMATIC, start):
+        bench.show(kind, **STANDING)
+    assert bench.mode_machine.mode is Mode.STANDBY  # who drove the machine may stand beside it
+
+
+def test_a_confirmation_expires_and_ends_with_a_clock_step(config: SupervisorConfig) -> None:
+    start, confirm = OperatorCommandKind.START, OperatorCommandKind.CONFIRM_CLEAR
+    for after_s in around(60.0, 0.001):
+        bench = Bench(config)
+        bench.confirms = False
+        bench.mode_machine.update((bench.order(confirm, 60.0),), bench.situation, bench.decision, None)
+        assert (bench.show(start, after_s=after_s, **STANDING) is Mode.START_WARNING) == (after_s <= 60.0), after_s
+    bench = Bench(config)
+    bench.confirms = False
+    bench.mode_machine.update((bench.order(confirm, 60.0),), bench.situation, bench.decision, None)
+    bench.show(clock_step_s=1.0, **STANDING)
+    assert bench.show(start, **STANDING) is Mode.STANDBY
 
 
 def test_resume_after_2500_ms_clear_and_1500_ms_warning(bench: Bench) -> None:
