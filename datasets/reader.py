@@ -91,8 +91,33 @@ class LogScan:
 
 def is_ours(entry: Entry) -> bool:
     """Whether the entry is a Headland message, not one for viewers."""
-    is_view = entry.topic.startswith(VIEW)
-    return entry.schema is not None and entry.schema.name.startswith(f"{PACKAGE}.") and not is_view
+    return _is_own(entry.topic, entry.schema)
+
+
+def _is_own(topic: str, schema: Schema | None) -> bool:
+    return schema is not None and schema.name.startswith(f"{PACKAGE}.") and not topic.startswith(VIEW)
+
+
+def has_own_messages(path: Path) -> bool | None:
+    """Whether the index of a log counts Headland messages; None for a log without a complete index.
+
+    The chunks, nearly all of the file, are not read: damage inside them is found by a pass over the log.
+    """
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    counts: dict[int, int] | None = None
+    for record in walk(path, has_chunks=False):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Statistics):
+            counts = record.channel_message_counts
+        elif isinstance(record, Damage):
+            return None
+    if counts is None or not channels.keys() >= counts.keys():
+        return None
+    return any(n and _is_own(channels[i].topic, schemas.get(channels[i].schema_id)) for i, n in counts.items())
 
 
 def decode(entry: Entry) -> Envelope:

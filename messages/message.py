@@ -22,9 +22,9 @@ class MessagePart:
     def __post_init__(self) -> None:
         for name, dtype in _array_dtypes(type(self)):  # type: ignore[arg-type]
             array = getattr(self, name)
-            if not isinstance(array, np.ndarray) or array.dtype != dtype:
+            if not isinstance(array, np.ndarray) or (array.dtype is not dtype and array.dtype != dtype):
                 raise TypeError(f"{type(self).__name__}.{name}: {getattr(array, 'dtype', type(array))}, not {dtype}")
-            array.flags.writeable = False
+            array.setflags(write=False)
 
 
 @dataclass(frozen=True)

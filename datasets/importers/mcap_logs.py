@@ -21,7 +21,15 @@ from datasets.importers.recording import (
 )
 from datasets.importers.ros_types import ROS1, ROS2, decoder_of, type_name
 from datasets.importers.streams import Item, recording_of
-from datasets.reader import Entry, LogScan, ProtobufDecoders, decode, is_ours
+from datasets.reader import (
+    Entry,
+    LogScan,
+    ProtobufDecoders,
+    decode,
+    has_own_messages,
+    is_ours,
+    read_metadata,
+)
 from datasets.records import MAGIC
 from messages.errors import LogError
 
@@ -41,21 +49,26 @@ def sniff(path: Path, head: bytes) -> Open | None:
 
 def open_mcap(path: Path, _: Path | None = None) -> Recording:
     """An MCAP file, complete or truncated; raises LogError."""
-    scan = LogScan(path)
-    has_ours = sum(map(is_ours, scan)) > 0  # to the end, for all losses
+    has_ours = has_own_messages(path)
     if has_ours:
+        return _own_log(path, read_metadata(path), ())
+    scan = LogScan(path)
+    if has_ours is None and sum(map(is_ours, scan)) > 0:  # to the end, for all losses
         return _own_log(path, scan.metadata, scan.losses)
     return recording_of(path, "mcap", lambda: entries_of(path))
 
 
 def _own_log(path: Path, metadata: dict[str, dict[str, str]], notes: tuple[str, ...]) -> Recording:
-    """A Headland log: its messages; description of an imported log from its metadata, else from the viewer frames."""
+    """A Headland log: its messages; description of an imported log from its metadata, else from the viewer frames.
+
+    `notes` are the losses of a log without index; those of another one are skipped messages of each pass.
+    """
     source = metadata.get(SOURCE)
     try:
         about = description_from(json.loads(source["description"])) if source is not None else _own_description(path)
     except (ValueError, KeyError, TypeError) as error:
         raise LogError(f"{path}: its record {SOURCE!r} is no description ({error})") from error
-    return Recording(path, replace(about, notes=about.notes + notes), lambda: _own_messages(path))
+    return Recording(path, replace(about, notes=about.notes + notes), lambda: _own_messages(path, not notes))
 
 
 def _own_description(path: Path) -> Description:
@@ -67,14 +80,18 @@ def _own_description(path: Path) -> Description:
     return Description(OWN, sensors, views.extrinsics, ignored, truth_frame)
 
 
-def _own_messages(path: Path) -> Iterator[Received | Skipped]:
-    for entry in LogScan(path):
+def _own_messages(path: Path, are_losses_skipped: bool) -> Iterator[Received | Skipped]:
+    scan, receive_ns = LogScan(path), 0
+    for entry in scan:
+        receive_ns = entry.receive_ns
         if not is_ours(entry):
             continue
         try:
             yield entry.receive_ns, entry.topic, decode(entry).message
         except LogError as error:
             yield Skipped(entry.receive_ns, entry.topic, _type_of(entry), str(error))
+    if are_losses_skipped:
+        yield from _lost(scan, receive_ns)
 
 
 def entries_of(path: Path) -> Iterator[Item | Skipped]:
@@ -84,11 +101,16 @@ def entries_of(path: Path) -> Iterator[Item | Skipped]:
         receive_ns = entry.receive_ns
         if not is_ours(entry):
             yield Item(entry.topic, _type_of(entry), receive_ns, _decoder(entry, decoders))
+    yield from _lost(scan, receive_ns)
+
+
+def _lost(scan: LogScan, receive_ns: int) -> Iterator[Skipped]:
+    """Lost parts after a pass."""
     for damage in scan.damages:
         reason = f"byte {damage.offset}: {damage.length} bytes lost: {damage.reason}"
-        yield Skipped(receive_ns, path.name, "mcap", reason)
+        yield Skipped(receive_ns, scan.path.name, "mcap", reason)
     for _ in range(scan.orphans):
-        yield Skipped(receive_ns, path.name, "mcap", "message of a channel in a lost part")
+        yield Skipped(receive_ns, scan.path.name, "mcap", "message of a channel in a lost part")
 
 
 def _type_of(entry: Entry) -> str:

@@ -119,9 +119,9 @@ def recorded_stream(replay_input: ReplayInput) -> Iterator[Received]:
 
 def finite(scan: LidarScan) -> LidarScan:
     """Scan without NaN or infinite points."""
-    is_real = np.isfinite(scan.xyz_m).all(axis=1)
-    if is_real.all():
+    if np.isfinite(scan.xyz_m).all():
         return scan
+    is_real = np.isfinite(scan.xyz_m).all(axis=1)
     times = scan.offset_s[is_real] if len(scan.offset_s) else None
     return list_scan(scan.stamp_ns, scan.xyz_m[is_real], offset_s=times)
 

@@ -9,17 +9,20 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from configs.strict import CONFIGS, parse, read_yaml
 from datasets.digest import Digest
+from datasets.importers.formats import open_recording
 from datasets.log import LogConfig, LogWriter
-from datasets.reader import LogScan, read_log, read_metadata
+from datasets.reader import LogScan, has_own_messages, read_log, read_metadata
 from datasets.summary import FrameTree, render_summary, summarize_log, summary_json
 from messages.errors import LogError
 from messages.message import Envelope
@@ -162,6 +165,42 @@ def test_damaged_chunk_loses_only_itself(complete: Path, tmp_path: Path) -> None
         assert not summary.is_complete
         assert summary.messages == 210 - per_chunk[k]
         assert any("chunk" in p for p in summary.problems)
+
+
+def test_index_tells_whose_log_it_is(complete: Path, tmp_path: Path) -> None:
+    assert has_own_messages(complete) is True
+    foreign = tmp_path / "foreign.mcap"
+    with foreign.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        schema = writer.register_schema("headland.v1.ImuSample", "protobuf", b"")
+        channels = [writer.register_channel(name, "protobuf", schema) for name in ("/view/imu", "imu")]
+        writer.add_message(channels[0], 1, b"", 1)  # the other one has no message
+        writer.finish()
+    assert has_own_messages(foreign) is False
+    data = complete.read_bytes()
+    for length in (len(data) - 1, len(data) - 100, len(data) // 2, 200):
+        (tmp_path / "cut.mcap").write_bytes(data[:length])
+        assert has_own_messages(tmp_path / "cut.mcap") is None
+
+
+def test_opening_names_the_losses_of_a_damaged_log(complete: Path, tmp_path: Path) -> None:
+    data, ends = complete.read_bytes(), chunk_ends(complete)
+    whole = [bits(m) for _, _, m in open_recording(complete).read()]
+    path = tmp_path / "broken.mcap"
+    middle = (ends[2][0] + ends[3][0]) // 2
+    path.write_bytes(data[:middle] + bytes([data[middle] ^ 0x5A]) + data[middle + 1 :])
+    source = open_recording(path)
+    left = [bits(m) for _, _, m in source.read()]
+    assert left == whole[: ends[2][1]] + whole[ends[3][1] :]
+    (row,) = (row for row in source.table() if row.skipped)
+    assert (row.skipped, row.source) == (1, "broken.mcap")
+    assert [reason for reason in row.reasons if "chunk" in reason and "bytes lost" in reason]
+    path.write_bytes(data[: ends[5][0] + 10])
+    source = open_recording(path)
+    assert [bits(m) for _, _, m in source.read()] == whole[: ends[5][1]]
+    assert any("bytes lost" in note for note in source.description.notes)
+    assert not any(row.skipped for row in source.table())
 
 
 @pytest.mark.parametrize("length", [0, 7, 100, 10**6, 2**63])

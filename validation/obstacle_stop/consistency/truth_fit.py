@@ -22,7 +22,7 @@ from geometry.pose2 import to_frame
 from validation.obstacle_stop.boxes import Box
 from validation.obstacle_stop.consistency.config import TruthLimits
 from validation.obstacle_stop.consistency.finding import Finding, not_checked
-from validation.obstacle_stop.consistency.truth_kernels import points_around, score_at, scores_of_shifts
+from validation.obstacle_stop.consistency.truth_kernels import foot_m, points_around, score_at, scores_of_shifts
 from validation.obstacle_stop.consistency.truth_shifts import Shifts, TrueBoxes
 
 MAX_RANGE_M = 40.0
@@ -104,7 +104,8 @@ class TruthFit:
         needed = min(max(0.2 * expected, 3.0), 20.0)
         size = 0.5 * float(np.hypot(*box.size_m[:2]))
         x, y = box.center_m[:2]
-        wide = points_around(sample.points_m, x, y, 1.5 * self._limits.search_m + size)
+        lowest = min(foot_m(one) for one in (box, *late) if one is not None)
+        wide = points_around(sample.points_m, x, y, 1.5 * self._limits.search_m + size, lowest)
         c, s = math.cos(sample.truth_yaw_rad), math.sin(sample.truth_yaw_rad)
         shifts = self._shifts.places_m @ np.array([[c, s], [-s, c]])
         places = scores_of_shifts(wide, box.center_m, box.size_m, box.yaw_rad, needed, shifts)
@@ -122,7 +123,7 @@ class TruthFit:
                 continue
             about = wide
             if np.hypot(*(then.center_m[:2] - box.center_m[:2])) > self._limits.search_m:
-                about = points_around(sample.points_m, then.center_m[0], then.center_m[1], size + 1.0)
+                about = points_around(sample.points_m, then.center_m[0], then.center_m[1], size + 1.0, lowest)
             others.append(score_at(about, then.center_m, then.size_m, then.yaw_rad, needed))
         zero_image, zero = (
             float(places[self._shifts.zero]),
@@ -135,7 +136,8 @@ class TruthFit:
         """Score with left and right of the sensor swapped; as it is where that changes little."""
         across_m = 2.0 * float(box.center_m[1] - sample.lidar.mount.T_base_sensor[1, 3])
         center = box.center_m - np.array([0.0, across_m, 0.0])
-        about = points_around(sample.points_m, center[0], center[1], 0.5 * float(np.hypot(*box.size_m[:2])) + 1.0)
+        reach = 0.5 * float(np.hypot(*box.size_m[:2])) + 1.0
+        about = points_around(sample.points_m, center[0], center[1], reach, foot_m(box))
         return score_at(about, center, box.size_m, -box.yaw_rad, needed)
 
     def _accumulate(self, sample: _Sample, box: Box, scores: Float64, unshifted: Float64) -> None:

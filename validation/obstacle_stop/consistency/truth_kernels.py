@@ -6,6 +6,7 @@ import numpy as np
 
 from geometry.arrays import Float32, Float64
 from geometry.jit import kernel
+from validation.obstacle_stop.boxes import Box
 
 FACE_M = 0.25  # returns this far outside of a box still belong to its faces: accuracy of labels, noise
 DEPTH_M = 0.45  # and this far inside
@@ -16,15 +17,23 @@ GROUND_M = 0.25  # lowest part of a box, with returns of the ground
 
 
 @kernel
-def points_around(points_m: Float32, x: float, y: float, reach_m: float) -> Float32:
-    """Points (K, 3) in a square around a place."""
+def points_around(points_m: Float32, x: float, y: float, reach_m: float, lowest_m: float) -> Float32:
+    """Points (K, 3) in a square around a place, none below `lowest_m`."""
     out = np.empty((len(points_m), 3), np.float32)
     count = 0
     for k in range(len(points_m)):
+        if points_m[k, 2] < lowest_m:
+            continue
         if abs(points_m[k, 0] - x) < reach_m and abs(points_m[k, 1] - y) < reach_m:
             out[count] = points_m[k]
             count += 1
     return out[:count]
+
+
+def foot_m(box: Box) -> float:
+    """Height in base below which no return counts for a box, 1 mm less: most returns around an object are ground."""
+    height_m = float(box.size_m[2])
+    return float(box.center_m[2]) - 0.5 * height_m + min(GROUND_M, 0.4 * height_m) - 1e-3
 
 
 @kernel
