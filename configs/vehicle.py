@@ -209,14 +209,34 @@ class Brake(Config):
     deceleration_mps2: float = Field(gt=0.0, le=12.0)
 
 
+class Solid(Config):
+    """Box in `base` that beams do not pass: limits along each axis."""
+
+    x_m: tuple[Offset, Offset]
+    y_m: tuple[Offset, Offset]
+    z_m: tuple[Offset, Offset]
+
+    @model_validator(mode="after")
+    def _limits_rise(self) -> "Solid":
+        for key in ("x_m", "y_m", "z_m"):
+            low, high = getattr(self, key)
+            if low >= high:
+                raise ValueError(f"{key}: {low} is not below {high}")
+        return self
+
+
 class Body(Config):
-    """Extent of the machine without implement around `base`."""
+    """Extent of the machine without implement around `base`; `solids` are its parts that hide what lies behind.
+
+    Without `solids` the machine hides like one box of its extent.
+    """
 
     front_m: Length
     rear_m: Length
     width_m: Length
     height_m: Length
     mass_kg: float = Field(gt=0.0, le=100000.0)
+    solids: dict[str, Solid] = Field(default_factory=dict)
 
 
 class Vehicle(Config):
@@ -272,6 +292,8 @@ class MountedImplement(_Implement):
     working_point_m: Offset
     front_end_m: Offset
     rear_end_m: Offset
+    height_m: Annotated[float, Field(gt=0.0, le=5.0, description="of its top above the ground when lowered")]
+    lift_m: Annotated[float, Field(ge=0.0, le=3.0, description="stroke: height above the ground when raised")]
     fold: Fold | None = None
     ultrasonic: dict[str, Ultrasonic] = Field(default_factory=dict)
 

@@ -79,6 +79,12 @@ COMMANDS = (
         _option("field", metavar="FIELD.geojson", help="field outline in WGS 84; holes are excluded areas"),
         *MISSION, SEED, _out("plan"), JSON,
     )),
+    Command("coverage", "show which swept places the sensors cover", "runtime.commands.coverage", (
+        _option("machine", metavar="MACHINE", help="a file, or a name in configs/machines"),
+        _option("implement", metavar="IMPLEMENT", nargs="?", help="a file, or a name in configs/implements"),
+        _option("--mission", default="demo", help="mission whose speeds count (default demo)"),
+        _out("coverage"), JSON,
+    )),
     Command("validate", "replay recorded logs and evaluate the obstacle stops", "runtime.commands.validate", (
         _option("log", type=Path, nargs="+", metavar="LOG", help="MCAP, ROS bag, KITTI folder or PCD folder"),
         _option("--vehicle", type=Path, metavar="FILE", help="recording vehicle: dimensions, lidars, mounts"),
