@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from types import TracebackType
+from types import SimpleNamespace, TracebackType
 from typing import Any, Self
 
+import mcap.writer
 import numpy as np
+import zstandard
 from google.protobuf.message import Message as Proto
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
@@ -22,6 +25,11 @@ from datasets.writer_thread import WriterThread
 from messages.message import Envelope, Message
 from messages.perception import Obstacles
 from messages.topics import spec_of
+
+# The writer of `mcap` has no option for the level. Against level 3, level 1 takes two thirds of the time for 4 to
+# 6 % more bytes of scans; lz4 takes half of it, for 50 to 66 % more bytes (its window is 64 kB).
+_LEVEL_1: Any = SimpleNamespace(compress=partial(zstandard.compress, level=1))
+mcap.writer.zstandard = _LEVEL_1  # type: ignore[attr-defined]
 
 PROFILE = "headland"
 RECORDED = "/recorded/"
@@ -70,7 +78,6 @@ class LogWriter:
         self._synced_at_ns = 0
         self._file = LogFile(path, round(config.min_free_mb * MB))
         untyped: Any = Writer
-        # lz4 would save 3 ms per second of log, but its 64 kB window gives a third more bytes for scans
         self._writer = untyped(self._file, chunk_size=self._chunk_bytes, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="headland")
         for name, values in metadata.items():

@@ -52,10 +52,15 @@ def frame(stamp_ns: int, parent: str, child: str, T_parent_child: Float64) -> Fr
 
 def cube(center_m: Sequence[float], size_m: Sequence[float], yaw_rad: float, rgba: Rgba) -> CubePrimitive:
     """Upright box; a centre (x, y) puts it on the ground."""
+    out = CubePrimitive()  # filled in place: a third of the time of parts that are copied, for 150 tracks in a scene
+    pose = out.pose
     z = center_m[2] if len(center_m) > 2 else 0.5 * size_m[2]
-    turn = Quaternion(z=math.sin(0.5 * yaw_rad), w=math.cos(0.5 * yaw_rad))
-    pose = Pose(position=_vector((center_m[0], center_m[1], z)), orientation=turn)
-    return CubePrimitive(pose=pose, size=_vector(size_m), color=_color(rgba))
+    _set_vector(pose.position, center_m[0], center_m[1], z)
+    turn = pose.orientation
+    turn.z, turn.w = math.sin(0.5 * yaw_rad), math.cos(0.5 * yaw_rad)
+    _set_vector(out.size, *size_m)
+    _set_color(out.color, rgba)
+    return out
 
 
 def line(points_m: npt.NDArray[np.floating], width_m: float, rgba: Rgba, is_closed: bool = False) -> LinePrimitive:
@@ -69,8 +74,12 @@ def line(points_m: npt.NDArray[np.floating], width_m: float, rgba: Rgba, is_clos
 
 def text(words: str, at_m: Sequence[float], size_m: float, rgba: Rgba) -> TextPrimitive:
     """Text facing the viewer."""
-    pose = Pose(position=_vector(at_m), orientation=_LEVEL)
-    return TextPrimitive(pose=pose, billboard=True, font_size=size_m, color=_color(rgba), text=words)
+    out = TextPrimitive(billboard=True, font_size=size_m, text=words)
+    pose = out.pose
+    _set_vector(pose.position, *at_m)
+    pose.orientation.w = 1.0
+    _set_color(out.color, rgba)
+    return out
 
 
 def scene(
@@ -113,5 +122,13 @@ def _vector(v: Sequence[float]) -> Vector3:
     return Vector3(x=v[0], y=v[1], z=v[2])
 
 
+def _set_vector(at: Vector3, x: float, y: float, z: float) -> None:
+    at.x, at.y, at.z = x, y, z
+
+
 def _color(rgba: Rgba) -> Color:
     return Color(r=rgba[0], g=rgba[1], b=rgba[2], a=rgba[3])
+
+
+def _set_color(color: Color, rgba: Rgba) -> None:
+    color.r, color.g, color.b, color.a = rgba

@@ -1,6 +1,7 @@
 """Approaches: the intervals in which a true object is in the swept path, with gap, S and speed at each label."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,7 +60,12 @@ class Predicted:
     gap_m: float
     stopping_distance_m: float
     speed_mps: float
-    is_visible: bool
+    _is_seen: Callable[[], bool]
+
+    @property
+    def is_visible(self) -> bool:
+        """Computed at each call, from all objects and structure around: by far the most expensive value."""
+        return self._is_seen()
 
 
 class Approaches:
@@ -148,14 +154,18 @@ class Approaches:
         pose = track.pose(k) + np.array([*(velocity_mps * dt_s), 0.0])
         section, braking = self._recorded.section_at(stamp_ns), self._conditions.braking
         gap = section.path.gap_m(s, pose, track.half_m, self._conditions.corridor.length_m)
-        needed, base = stopping_distance_m(v, braking.reaction_s, braking), self._observed.motion.pose_at(stamp_ns)
+        needed = stopping_distance_m(v, braking.reaction_s, braking)
+        return Predicted(gap, needed, v, lambda: self._is_seen_at(track, k, pose, stamp_ns))
+
+    def _is_seen_at(self, track: TrueTrack, k: int, pose_odom: Float64, stamp_ns: int) -> bool:
+        """Whether a sensor would see the object of label `k` at another pose (3,)."""
+        base = self._observed.motion.pose_at(stamp_ns)
         if base is None:
-            return Predicted(gap, needed, v, False)
+            return False
         box = track.box(k)
-        center = np.array([*from_frame(base, pose[None, :2])[0], box.center_m[2]])
-        there = replace(box, center_m=center, yaw_rad=float(pose[2] - base[2]))
-        is_seen = self._is_labelled(center) and self._is_seen(track, there, stamp_ns, Occlusion.UNKNOWN)
-        return Predicted(gap, needed, v, is_seen)
+        center = np.array([*from_frame(base, pose_odom[None, :2])[0], box.center_m[2]])
+        there = replace(box, center_m=center, yaw_rad=float(pose_odom[2] - base[2]))
+        return self._is_labelled(center) and self._is_seen(track, there, stamp_ns, Occlusion.UNKNOWN)
 
     def _is_labelled(self, center_m: Float64) -> bool:
         """Whether a place in base is in the labelled sector."""

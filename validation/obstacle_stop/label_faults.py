@@ -67,7 +67,7 @@ def _late_start(observed: LogObservation, approaches: Approaches, course: Course
     absent = [t for t in observed.truth_ns if first_ns - 2 * ABSENT_NS <= t <= first_ns - ABSENT_NS]
     velocity = course.track.velocity_mps(course.track.index(first_ns + ABSENT_NS))
     before = (approaches.predicted(course.track, 0, t, velocity) for t in absent)
-    if math.isfinite(gap_m) and any(one.is_visible and math.isfinite(one.gap_m) for one in before):
+    if math.isfinite(gap_m) and any(math.isfinite(one.gap_m) and one.is_visible for one in before):
         yield f"they begin {gap_m:.1f} m ahead in the path, where it would have been in plain view before"
 
 
