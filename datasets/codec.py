@@ -185,7 +185,7 @@ def _fill_of(cls: type[MessagePart]) -> Fill:
         scope[f"_fill_{kind.name}"] = _filler(cls, kind)
         is_plain_array = kind.type is np.ndarray and not kind.is_repeated and not kind.is_optional
         if is_plain_array:
-            arrays.append(f"_fill_{kind.name}(m.{kind.name})")
+            arrays.append(f"_fill_{kind.name}(p, m.{kind.name})")
         else:
             lines += [f"    {line}" for line in _fill_lines(kind)]
     lines += [f"    p.MergeFromString({' + '.join(arrays)})"] if arrays else []
@@ -196,14 +196,14 @@ def _fill_of(cls: type[MessagePart]) -> Fill:
 
 def _filler(cls: type[MessagePart], kind: FieldKind) -> Callable[..., Any] | None:
     if kind.type is np.ndarray:
-        return _array_encoder(cls, kind)
+        return _array_filler(cls, kind)
     return _fill_of(kind.type) if issubclass(kind.type, MessagePart) else None
 
 
 def _fill_lines(kind: FieldKind) -> list[str]:
     name, is_message = kind.name, issubclass(kind.type, MessagePart)
     if kind.type is np.ndarray:
-        value = f"p.MergeFromString(_fill_{name}(x))"
+        value = f"p.MergeFromString(_fill_{name}(p, x))"
         return [f"for x in {f'm.{name}' if kind.is_repeated else f'() if m.{name} is None else (m.{name},)'}: {value}"]
     if kind.is_repeated and is_message:
         return [f"for x in m.{name}: _fill_{name}(p.{name}.add(), x)"]
@@ -213,31 +213,31 @@ def _fill_lines(kind: FieldKind) -> list[str]:
     return [f"if m.{name} is not None:", *(f"    {line}" for line in lines)] if kind.is_optional else lines
 
 
-def _array_encoder(cls: type[MessagePart], kind: FieldKind) -> Callable[[Array], bytes]:
-    """Encoder of an array as bytes of its field in the message.
+def _array_filler(cls: type[MessagePart], kind: FieldKind) -> Callable[[Any, Array], bytes]:
+    """Fills the field with a large array; returns a small one as bytes of the field, to be merged with others.
 
-    Access to a nested message costs 4 µs, and a track has four arrays. The bytes of a small array are the end of its
+    Access to a nested message costs 1 µs, and a track has four arrays. The bytes of a small array are the end of its
     field; what precedes them depends on type and shape only.
     """
     heads: dict[tuple[np.dtype[Any], tuple[int, ...]], bytes] = {}
 
-    def whole(array: Array) -> bytes:
-        proto = proto_of(cls)()
+    def fill_field(proto: Any, array: Array) -> None:
         field = getattr(proto, kind.name)
         _fill_array(field.add() if kind.is_repeated else field, array)
-        data: bytes = proto.SerializeToString()
-        return data
 
-    def encode(array: Array) -> bytes:
+    def fill(proto: Any, array: Array) -> bytes:
         if array.size >= MIN_FILTERED:
-            return whole(array)
+            fill_field(proto, array)
+            return b""
         head = heads.get((array.dtype, array.shape))
         if head is None:
-            data = whole(array)
+            alone = proto_of(cls)()
+            fill_field(alone, array)
+            data: bytes = alone.SerializeToString()
             head = heads[array.dtype, array.shape] = data[: len(data) - array.nbytes]
         return head + array.tobytes()
 
-    return encode
+    return fill
 
 
 def _build_of(cls: type[MessagePart], missing: frozenset[str] = frozenset()) -> Build:

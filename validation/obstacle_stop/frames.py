@@ -15,7 +15,7 @@ def deskew(scan: LidarScan, T_base_lidar: Float64, speed_mps: float, turn_radps:
     dt = scan.point_offset_s
     turn = dt * np.float32(turn_radps)
     x, y = p[:, 0] - turn * p[:, 1] + dt * np.float32(speed_mps), p[:, 1] + turn * p[:, 0]
-    return np.column_stack([x, y, p[:, 2]]).astype(np.float32)
+    return np.column_stack([x, y, p[:, 2]]).astype(np.float32, copy=False)
 
 
 def odom_pose_to_map(T_map_odom: Float64, pose: Float64) -> Float64:
