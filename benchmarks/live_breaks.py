@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from configs.strict import find, load
-from runtime.live.command import SIGNALS, ProcessKill, drive
+from runtime.commands.live import ProcessKill
+from runtime.live.command import SIGNALS, drive
 from runtime.live.config import ROLES
 from runtime.run_folder import RunFolder
 from runtime.setup import Setup, load_setup
@@ -35,7 +36,8 @@ def is_readable(result: dict[str, Any]) -> bool:
 def drive_with_kill(setup: Setup, scenario: Scenario, folder: Path, kill: ProcessKill) -> dict[str, Any]:
     """First drive in which the machine was at full speed at the kill."""
     for attempt in range(ATTEMPTS):
-        result = drive(setup, scenario, RunFolder("live", folder / str(attempt)), kill, None, 0)
+        with RunFolder("live", folder / str(attempt)) as run_folder:
+            result = drive(setup, scenario, run_folder, kill, None, 0)
         if "killed" in result and result["speed_mps"] > FAST_MPS:
             return result
         print(f"{folder.name}: not at full speed; {result['outcome']} ({', '.join(result['alarms'][-1:])})", flush=True)

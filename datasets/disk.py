@@ -1,6 +1,9 @@
-"""File of a log: only complete writes, errors with path and free space."""
+"""Files that are complete or not there; the file of a log: only complete writes, errors with path and free space."""
 
+import fcntl
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from messages.errors import LogError
@@ -90,3 +93,51 @@ class LogFile:
 def _free_bytes(path: Path) -> int:
     stat = os.statvfs(path.parent)
     return stat.f_bavail * stat.f_frsize
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """Path of a file that gets the name `path` when the context ends without an error, and is removed otherwise.
+
+    It is in the folder `.NAME.incomplete` beside `path`, which a killed process leaves and the next one uses. Raises
+    LogError if `path` exists, also when it appears meanwhile, and if another process writes it.
+    """
+    if path.is_char_device():
+        yield path
+        return
+    folder = path.with_name(f".{path.name}.incomplete")
+    lock, fresh = _locked(folder, path), folder / path.name
+    try:
+        fresh.unlink(missing_ok=True)
+        _refuse_existing(path)
+        yield fresh
+        _refuse_existing(path)
+        try:
+            fresh.rename(path)
+        except OSError as error:
+            raise LogError(f"{path}: cannot be written ({error.strerror})") from error
+    finally:
+        fresh.unlink(missing_ok=True)
+        with suppress(OSError):
+            folder.rmdir()
+        os.close(lock)
+
+
+def _locked(folder: Path, path: Path) -> int:
+    """Descriptor of the lock of a folder that is created for a new file."""
+    try:
+        folder.mkdir(exist_ok=True)
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be created ({error.strerror})") from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(lock)
+        raise LogError(f"{path}: another process is writing it") from error
+    return lock
+
+
+def _refuse_existing(path: Path) -> None:
+    if os.path.lexists(path):
+        raise LogError(f"{path}: exists and is not overwritten; choose another path")

@@ -19,6 +19,8 @@ from configs.strict import Config
 from datasets.codec import codec_of
 from datasets.digest import Digest
 from datasets.disk import MB, LogFile
+from datasets.parts import CONTINUED, PART, PartName
+from datasets.reader import END
 from datasets.schema import descriptor_set
 from datasets.viewer import Viewer
 from datasets.writer_thread import WriterThread
@@ -33,21 +35,22 @@ mcap.writer.zstandard = _LEVEL_1  # type: ignore[attr-defined]
 
 PROFILE = "headland"
 RECORDED = "/recorded/"
-END = "end"
 NO_POINTS = np.empty((0, 3), np.float32)
 
 
 class LogConfig(Config):
-    """Intervals of chunks and disk synchronization (log time), and free space on the disk.
+    """Intervals of chunks, disk synchronization and parts (log time), size of parts, and free space on the disk.
 
     A chunk ends after `flush_s` or `chunk_kib`, and then survives a crash of the process; after `sync_s` it also
-    survives a power failure.
+    survives a power failure. A rotated log begins a new part after `part_s` or `part_mb`.
     """
 
     chunk_kib: int = Field(ge=16, le=65536)
     flush_s: float = Field(gt=0.0, le=60.0)
     sync_s: float = Field(gt=0.0, le=600.0)
     min_free_mb: float = Field(ge=0.0, le=1e6)
+    part_s: float = Field(default=3600.0, gt=0.0, le=86400.0)
+    part_mb: float = Field(default=1000.0, ge=0.1, le=1e6)
 
 
 class LogWriter:
@@ -55,7 +58,8 @@ class LogWriter:
 
     `metadata` (name → key → text: configuration, versions, calibration, conditions) precedes the first message, also in
     a truncated log. `viewer` adds `/view/...` topics. A log that was not closed has no index and no end record and is
-    read as incomplete. Chunks are compressed and written by a thread, so its errors are raised by a later call.
+    read as incomplete. Chunks are compressed and written by a thread, so its errors are raised by a later call. With
+    `rotates` the log has parts (datasets/parts.py).
     """
 
     def __init__(
@@ -64,8 +68,12 @@ class LogWriter:
         metadata: Mapping[str, Mapping[str, str]],
         config: LogConfig,
         viewer: Viewer | None = None,
+        rotates: bool = False,
     ) -> None:
         self.path = path
+        self._config, self._rotates, self._part = config, rotates, PartName(path, 1)
+        self._metadata = {name: dict(values) for name, values in metadata.items()}
+        self._part_began_ns: int | None = None
         self.messages = 0
         self._viewer = viewer
         self._digest = Digest()
@@ -76,12 +84,8 @@ class LogWriter:
         self._flushed_at_ns: int | None = None
         self._held_bytes, self._chunk_bytes = 0, config.chunk_kib * 1024
         self._synced_at_ns = 0
-        self._file = LogFile(path, round(config.min_free_mb * MB))
-        untyped: Any = Writer
-        self._writer = untyped(self._file, chunk_size=self._chunk_bytes, compression=CompressionType.ZSTD)
-        self._writer.start(profile=PROFILE, library="headland")
-        for name, values in metadata.items():
-            self._writer.add_metadata(name, dict(values))
+        self._is_open = False
+        self._open_part({})
         self._thread = WriterThread()
 
     def write(self, envelope: Envelope) -> None:
@@ -101,6 +105,7 @@ class LogWriter:
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Appends metadata known at the end only; replaces earlier ones of this name for readers."""
         self._thread.drain()
+        self._metadata[name] = dict(values)
         self._writer.add_metadata(name, dict(values))
 
     def digest(self) -> str:
@@ -111,9 +116,8 @@ class LogWriter:
     def close(self) -> None:
         """Writes end record and index, which complete the log."""
         try:
-            self.add_metadata(END, {"messages": str(self.messages), "digest": self.digest()})
-            self._writer.finish()
-            self._file.sync()
+            if self._is_open:
+                self._finish_part(END, {"messages": str(self.messages), "digest": self.digest()})
         finally:
             self.abandon()
 
@@ -121,6 +125,37 @@ class LogWriter:
         """Closes the file without end record: readable up to the last chunk, incomplete."""
         self._thread.stop()
         self._file.close()
+
+    def _open_part(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
+        self._file = LogFile(self._part.path, round(self._config.min_free_mb * MB))
+        untyped: Any = Writer
+        self._writer = untyped(self._file, chunk_size=self._chunk_bytes, compression=CompressionType.ZSTD)
+        self._writer.start(profile=PROFILE, library="headland")
+        for name, values in {**metadata, **self._metadata}.items():
+            self._writer.add_metadata(name, dict(values))
+        self._is_open = True
+
+    def _finish_part(self, name: str, values: Mapping[str, str]) -> None:
+        """Writes the last metadata of a part, then index and end record."""
+        self._thread.drain()
+        self._is_open = False
+        self._writer.add_metadata(name, dict(values))
+        self._writer.finish()
+        self._file.sync()
+
+    def _rotate_when_due(self, now_ns: int) -> None:
+        """Begins a new part after `part_s` or `part_mb`; raises LogError without the space for one."""
+        if self._part_began_ns is None:
+            self._part_began_ns = now_ns
+        is_old = abs(now_ns - self._part_began_ns) >= self._config.part_s * 1e9
+        if not is_old and self._file.tell() < self._config.part_mb * MB:
+            return
+        digest = self.digest()
+        self._finish_part(CONTINUED, {"digest": digest})
+        self._file.close()
+        self._part, self._part_began_ns = self._part.next, now_ns
+        self._channels, self._schemas = {}, {}
+        self._open_part({PART: {"number": str(self._part.number), "digest": digest}})
 
     def __enter__(self) -> Self:
         return self
@@ -173,6 +208,8 @@ class LogWriter:
             self._synced_at_ns = now_ns
             self._thread.call_later(self._file.sync)
         self._submit()
+        if self._rotates:
+            self._rotate_when_due(now_ns)
 
 
 def without_points(message: Message) -> Message:

@@ -9,12 +9,14 @@ from google.protobuf.message import DecodeError
 from mcap.records import Channel, Metadata, Schema, Statistics
 
 from datasets.codec import codec_for, proto_from
+from datasets.parts import CONTINUED, PART, part_name
 from datasets.records import Damage, End, RawMessage, walk
 from datasets.schema import PACKAGE
 from messages.errors import LogError
 from messages.message import Envelope
 
 VIEW = "/view/"
+END = "end"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,7 @@ class Entry:
 
 @dataclass
 class LogScan:
-    """A pass over a log (all topics or `topics`): the attributes hold the result after iteration.
+    """A pass over all parts of a log (all topics or `topics`): the attributes hold the result after iteration.
 
     Damaged sections are skipped and listed; messages of a lost channel are counted in `orphans`.
     """
@@ -42,6 +44,7 @@ class LogScan:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     damages: list[Damage] = field(default_factory=list)
     declared_messages: int | None = None
+    size_bytes: int = 0
     orphans: int = 0
     is_ended: bool = False
 
@@ -57,9 +60,33 @@ class LogScan:
         return lost if lost or self.is_ended else (f"byte {self.path.stat().st_size}: the log was not closed",)
 
     def __iter__(self) -> Iterator[Entry]:
+        path: Path | None = self.path
+        while path is not None:
+            damages, self.is_ended = len(self.damages), False
+            yield from self._entries_of(path)
+            path = self._part_after(path, len(self.damages) > damages)
+
+    def _part_after(self, path: Path, is_damaged: bool) -> Path | None:
+        """The part that continues a part just read, or None; a missing or foreign one is a damage."""
+        continued, part = self.metadata.pop(CONTINUED, None), self.metadata.pop(PART, {})
+        number = part.get("number", "1")
+        found = part_name(path, int(number) if number.isdecimal() else 1).next.path
+        if continued is None and not (is_damaged and found.is_file() and END not in self.metadata):
+            return None
+        head = first_metadata(found, PART) if found.is_file() else None
+        if head is not None and (continued is None or continued.get("digest") == head.get("digest")):
+            return found
+        if continued is not None:
+            reason = f"{found.name} is missing" if head is None else f"{found.name} does not continue {path.name}"
+            self.damages.append(Damage(path.stat().st_size, 0, reason, True))
+            self.is_ended = False
+        return None
+
+    def _entries_of(self, path: Path) -> Iterator[Entry]:
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
-        for record in walk(self.path):
+        self.size_bytes += path.stat().st_size if path.is_file() else 0
+        for record in walk(path):
             if isinstance(record, RawMessage):
                 channel = channels.get(record.channel_id)
                 if channel is None:
@@ -84,7 +111,7 @@ class LogScan:
         elif isinstance(record, Damage):
             self.damages.append(record)
         elif isinstance(record, Statistics):
-            self.declared_messages = record.message_count
+            self.declared_messages = (self.declared_messages or 0) + record.message_count
         else:
             self.is_ended = True
 
@@ -136,8 +163,20 @@ def read_log(path: Path, topics: Container[str] | None = None) -> Iterator[Envel
 
 
 def read_metadata(path: Path) -> dict[str, dict[str, str]]:
-    """Metadata of a log: configuration, versions, calibration, conditions, and the end record if any."""
-    return {record.name: record.metadata for record in walk(path, has_chunks=False) if isinstance(record, Metadata)}
+    """Metadata of a log or of its first part: configuration, versions, calibration, conditions, end record if any."""
+    found = (record for record in walk(path, has_chunks=False) if isinstance(record, Metadata))
+    return {record.name: record.metadata for record in found if record.name not in (PART, CONTINUED)}
+
+
+def first_metadata(path: Path, name: str) -> dict[str, str] | None:
+    """Metadata of this name before the first message of a file, or None."""
+    try:
+        for record in walk(path, has_chunks=False):
+            if isinstance(record, Metadata) and record.name == name:
+                return record.metadata
+    except LogError:
+        return None
+    return None
 
 
 class ProtobufDecoders:

@@ -109,7 +109,7 @@ def summarize_log(path: Path) -> LogSummary:
     digest = statistics.digest.text()
     return LogSummary(
         path=str(path),
-        size_bytes=path.stat().st_size,
+        size_bytes=scan.size_bytes,
         is_complete=scan.is_complete,
         problems=tuple(_problems(scan, statistics)),
         lost_bytes=sum(damage.length for damage in scan.damages),

@@ -28,6 +28,7 @@ from messages.node import All, Every, Inbox, Node, Output, Read
 from messages.sensors import GnssFix, ImuSample, UwbRanges, WheelSample
 
 IMU, WHEEL = "imu", "wheel"
+LONG_AGO_NS = -(2**62)
 
 
 class Localizer(Node):
@@ -78,6 +79,7 @@ class Localizer(Node):
         self._map_alignment = MapAlignment(alignment, keyframes, self._odometry, dock_prior)
         self._faults = FaultReporter(self.name)
         self._now_ns: int | None = None
+        self._first_ns = 0  # silence before the first sample counts from here
         self._gnss_ns: int | None = None
         self._pose_ns: int | None = None
         self._gap_s: float | None = None
@@ -97,12 +99,15 @@ class Localizer(Node):
     def _check_clock(self, now_ns: int) -> None:
         """Drops all stamps when the clock jumps; a jump of more than 1 s cannot be distinguished from a pause."""
         previous, self._now_ns = self._now_ns, now_ns
+        if previous is None:
+            self._first_ns = now_ns
         if previous is None or 0 <= now_ns - previous <= 1_000_000_000:
             return
         gap_s = max(0.1, (now_ns - previous) * 1e-9)
         self._faults.report_event(FAULTS["clock.jumped"], f"{(now_ns - previous) * 1e-9:+.3f} s")
         self._clear_samples(gap_s)
         self._gnss_ns = self._pose_ns = None
+        self._first_ns = LONG_AGO_NS
 
     def _clear_samples(self, gap_s: float) -> None:
         self._gap_s = gap_s if self._gap_s is None else self._gap_s + gap_s
@@ -190,7 +195,7 @@ class Localizer(Node):
         for code in CODES:
             is_suspected = suspicion is not None and suspicion.code == code
             faults.set(FAULTS[code], is_suspected, "" if suspicion is None else suspicion.detail)
-        gnss_ns = self._gnss_ns if self._gnss_ns is not None else -(2**62)
+        gnss_ns = self._gnss_ns if self._gnss_ns is not None else self._first_ns
         faults.set(FAULTS["gnss.silent"], now_ns - gnss_ns > self._config.gnss_timeout_s * 1e9)
         faults.set(FAULTS["gnss.refused"], alignment.is_rejecting, "contradict the prediction")
         faults.set(FAULTS["localization.lost"], self._was_initialized and not alignment.is_initialized)
@@ -221,6 +226,5 @@ class Localizer(Node):
             return self._gyro_bias_sigma, self._config.odometry.wheels.start_sigma
         return float(state.sigmas[14]), state.sigmas[15:19]
 
-    @staticmethod
-    def _is_silent(track: ImuTrack | WheelTrack, now_ns: int, max_gap_s: float) -> bool:
-        return len(track) == 0 or now_ns - track.last_ns > max_gap_s * 1e9
+    def _is_silent(self, track: ImuTrack | WheelTrack, now_ns: int, max_gap_s: float) -> bool:
+        return now_ns - (track.last_ns if len(track) else self._first_ns) > max_gap_s * 1e9

@@ -1,21 +1,29 @@
 """Results of `validate`: written beside those of an earlier run and put in their place when they are complete."""
 
-import fcntl
 import json
 import os
 import shlex
 import shutil
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
 from messages.errors import HeadlandError
-from runtime.run_folder import link_latest, unused_run
+from runtime.run_folder import (
+    FRESH_MANIFEST,
+    MANIFEST,
+    check_empty,
+    link_latest,
+    lock_folder,
+    named_errors,
+    read_manifest,
+    remove_folders,
+    unused_run,
+    write_manifest,
+)
 
-MANIFEST, INCOMPLETE = "manifest.json", ".incomplete"
+INCOMPLETE = ".incomplete"
 Hashes = dict[str, list[str]]
 
 
@@ -30,13 +38,12 @@ class ResultFolder:
         self._is_named = out is not None
         self.path = (out or unused_run(verb)).absolute()
         self.new = self.path / INCOMPLETE
-        self._had_folder = self.path.exists()
-        with _named_errors(self.path):
-            self.path.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(self.path, os.O_RDONLY)
+        self._verb, self._files = verb, Hashes()
+        self._lock, self._created = lock_folder(self.path)
         try:
             self._prepare()
         except BaseException:
+            remove_folders(self._created)
             os.close(self._lock)
             raise
 
@@ -48,7 +55,7 @@ class ResultFolder:
 
     def write(self, name: str, content: str | bytes) -> None:
         """Writes a new result; raises HeadlandError if it cannot be written."""
-        with _named_errors(self.path):
+        with named_errors(self.path):
             path = self.new / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -61,7 +68,7 @@ class ResultFolder:
 
     def replace(self, folders: set[str]) -> None:
         """Puts the new results in place of the earlier ones; files in other folders than `folders` are removed."""
-        with _named_errors(self.path):
+        with named_errors(self.path):
             found = [n for n in _relative_files(self.new) if str(Path(n).parent) in {".", *folders}]
             new = {name: [_hash(self.new / name)] for name in found}
             before = {n: h for n, h in self._files.items() if n not in new and str(Path(n).parent) in folders}
@@ -81,17 +88,15 @@ class ResultFolder:
     def discard(self) -> None:
         """Removes the new results, and the folder if it was made for them."""
         shutil.rmtree(self.new, ignore_errors=True)
-        if not self._had_folder:
-            _remove_empty(self.path.parent, self.path)
+        if not self._files:
+            (self.path / MANIFEST).unlink(missing_ok=True)
+            remove_folders(self._created)
 
     def _prepare(self) -> None:
-        """Locks the folder, then removes what an interrupted run left outside of the folders of logs."""
-        with _named_errors(self.path):
-            try:
-                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise HeadlandError(f"{self.path}: another validation writes to this folder") from error
+        """Removes what an interrupted run left outside of the folders of logs."""
+        with named_errors(self.path):
             self._files = self._own_files()
+            self._write_manifest(self._files)
             self.new.mkdir(exist_ok=True)
             for path in self.new.iterdir():
                 if path.is_file():
@@ -99,14 +104,15 @@ class ResultFolder:
 
     def _own_files(self) -> Hashes:
         """Listed files that exist; raises HeadlandError for any other file, and for a changed one."""
-        manifest = self.path / MANIFEST
-        listed: Hashes = {}
-        if manifest.is_file():
-            try:
-                listed = json.loads(manifest.read_text(encoding="utf-8"))["files"]
-            except (ValueError, KeyError, TypeError) as error:
-                raise HeadlandError(f"{manifest}: cannot be read ({error!r}); name another folder") from error
-        found = [name for name in _relative_files(self.path) if Path(name).parts[0] not in (MANIFEST, INCOMPLETE)]
+        manifest = read_manifest(self.path)
+        if manifest is None:
+            check_empty(self.path)
+            return {}
+        listed: Hashes = manifest["files"]
+        if manifest.get("verb", self._verb) != self._verb or not isinstance(listed, dict):
+            raise HeadlandError(f"--out {self.path}: of another command ({manifest.get('verb')}); name another folder")
+        own = (MANIFEST, FRESH_MANIFEST, INCOMPLETE)
+        found = [name for name in _relative_files(self.path) if Path(name).parts[0] not in own]
         for name in found:
             if name not in listed:
                 raise HeadlandError(f"--out {self.path}: contains {name}, not of a validation; name another folder")
@@ -117,18 +123,7 @@ class ResultFolder:
         return {name: listed[name] for name in found}
 
     def _write_manifest(self, files: Hashes) -> None:
-        temporary = self.path / f"{INCOMPLETE}/{MANIFEST}"
-        temporary.write_text(json.dumps({"files": files}, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-        temporary.replace(self.path / MANIFEST)
-
-
-@contextmanager
-def _named_errors(path: Path) -> Iterator[None]:
-    """Turns an OSError into a HeadlandError that names the folder."""
-    try:
-        yield
-    except OSError as error:
-        raise HeadlandError(f"{path}: cannot write the results ({error.strerror or error})") from error
+        write_manifest(self.path, {"verb": self._verb, "files": files})
 
 
 def _relative_files(folder: Path) -> list[str]:

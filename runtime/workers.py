@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from messages.errors import HeadlandError
+from runtime.processes import begin_worker, terminate_children
 
 T = TypeVar("T")
 Values = dict[str, Any]
@@ -62,11 +63,15 @@ def run_all(work: Work[T], tasks: list[T], jobs: int | None, scheduler: str | No
             yield task, work.run(task)
     else:
         # threads of loaded libraries do not survive a fork
-        with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(count, context, begin_worker, (os.getpid(),)) as pool:
             futures = {pool.submit(work.run, task): task for task in tasks}
             try:
                 for future in as_completed(futures):
                     yield futures[future], work.result(future.result, futures[future])
+            except KeyboardInterrupt:
+                terminate_children()
+                raise
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.commands.options import COMMANDS
+from runtime.commands.options import COMMANDS, version
 
 ROOT = Path(__file__).parents[1]
 BASH = "#!/usr/bin/env bash\n"
@@ -75,13 +75,22 @@ def test_script_parses() -> None:
         subprocess.run(["bash", "-n", str(ROOT / script)], check=True)
 
 
-@pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), (["help"], 0), ([], 2), (["--no-such"], 2)])
+@pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), (["help"], 0), ([], 2)])
 def test_help_without_install(project: Project, arguments: list[str], code: int) -> None:
     returned, out, err = project.run(*arguments)
     assert returned == code
     assert "usage: ./headland VERB" in (err if code else out)
     assert project.calls() == []
     assert not (project.root / ".venv").exists()
+
+
+def test_version_and_wrong_option_without_install(project: Project) -> None:
+    shutil.copy(ROOT / "pyproject.toml", project.root)
+    code, out, _ = project.run("--version")
+    assert (code, out) == (0, f"headland {version()}\n")
+    code, _, err = project.run("--no-such")
+    assert (code, err) == (2, "headland: --no-such: no such option; see ./headland --help\n")
+    assert project.calls() == []
 
 
 def test_help_lists_every_command(project: Project) -> None:

@@ -21,6 +21,7 @@ from datasets.importers.recording import (
 )
 from datasets.importers.ros_types import ROS1, ROS2, decoder_of, type_name
 from datasets.importers.streams import Item, recording_of
+from datasets.parts import parts_after
 from datasets.reader import (
     Entry,
     LogScan,
@@ -42,7 +43,9 @@ def sniff(path: Path, head: bytes) -> Open | None:
     """Opens an MCAP file, also a truncated one, or a folder with one MCAP file that is no ROS 2 bag."""
     if not path.is_dir():
         return open_mcap if head.startswith(MAGIC) or MAGIC.startswith(head) else None
-    logs = [p for p in path.glob("*.mcap") if read_head(p).startswith(MAGIC)]
+    found = [p for p in path.glob("*.mcap") if read_head(p).startswith(MAGIC)]
+    later = {part for log in found for part in parts_after(log)}
+    logs = [p for p in found if p not in later]
     is_bag = (path / BAG_METADATA).is_file()
     return (lambda _, __: open_mcap(logs[0])) if len(logs) == 1 and not is_bag else None
 

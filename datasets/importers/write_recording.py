@@ -5,6 +5,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+from datasets.disk import new_file
 from datasets.importers.mcap_logs import OWN
 from datasets.importers.recording import SOURCE, Ignored, Recording, describe
 from datasets.log import END, LogConfig, LogWriter
@@ -23,17 +24,17 @@ def write_recording(recording: Recording, out: Path, log: LogConfig, viewer: Vie
     metadata = {name: values for name, values in own.items() if name != END}
     metadata[SOURCE] = _source(recording)
     counts: Counter[str] = Counter()
-    writer = LogWriter(out, metadata, log, Viewer(viewer, None, None, None, recording.description.cameras))
-    try:
-        for receive_ns, topic, message in recording.read():
-            writer.write(Envelope(topic, counts[topic], receive_ns, message))
-            counts[topic] += 1
-    except BaseException:
-        writer.abandon()
-        out.unlink(missing_ok=True)
-        raise
-    writer.add_metadata(SOURCE, _source(recording))
-    writer.close()
+    with new_file(out) as fresh:
+        writer = LogWriter(fresh, metadata, log, Viewer(viewer, None, None, None, recording.description.cameras))
+        try:
+            for receive_ns, topic, message in recording.read():
+                writer.write(Envelope(topic, counts[topic], receive_ns, message))
+                counts[topic] += 1
+            writer.add_metadata(SOURCE, _source(recording))
+        except BaseException:
+            writer.abandon()
+            raise
+        writer.close()
     return dict(counts)
 
 

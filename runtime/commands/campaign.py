@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -11,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import HeadlandError
-from runtime.run_folder import ROOT, RunFolder
+from runtime.processes import run_headland, terminate_children
+from runtime.run_folder import ROOT, RunFolder, named_errors
 from validation.html import render_page
 
 COLUMNS = (
@@ -38,25 +38,20 @@ class Trial:
         """Object of `run --json` if the trial has ended, else None."""
         try:
             lines = (self.folder / "result.jsonl").read_text(encoding="utf-8").splitlines()
-        except OSError:
+            records = [json.loads(line) for line in lines]
+        except (OSError, ValueError):  # not written yet, or cut off
             return None
-        records = [json.loads(line) for line in lines]
         return records[-2]["result"] if records and records[-1]["record"] == "end" else None
 
     def drive(self) -> dict[str, Any]:
-        """Runs the trial in a process unless it has ended already; an interrupted folder is renamed."""
+        """Runs the trial in a process unless it has ended already; `run` keeps the files of an interrupted one."""
         if (found := self.result) is not None:
             return found
-        if self.folder.exists():
-            self.folder.rename(
-                self.folder.with_name(f"{self.folder.name}-cut-{len(list(self.folder.parent.iterdir()))}")
-            )
-        command = [sys.executable, "-m", "runtime", "run", *self.arguments, "--out", str(self.folder), "--json"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+        code, text = run_headland(["run", *self.arguments, "--out", str(self.folder), "--json"], ROOT)
         if (result := self.result) is not None:
             return result
-        reason = " ".join(done.stderr.strip().splitlines()[-1:])
-        if self.may_refuse and done.returncode == REFUSED:
+        reason = " ".join(text.strip().splitlines()[-1:])
+        if self.may_refuse and code == REFUSED:
             return {"outcome": f"refused: {reason}"}
         raise HeadlandError(f"{self.name} did not finish: {reason}")
 
@@ -82,30 +77,37 @@ def trials_of(campaign: str, seeds: int, top: Path, plant: str | None = None) ->
 def main(arguments: argparse.Namespace) -> int:
     """Runs the missing trials; 0 if every trial passed."""
     arguments.seeds = DEFAULT_SEEDS.get(arguments.campaign, 10) if arguments.seeds is None else arguments.seeds
-    if arguments.campaign == "fault-injection":
+    name = arguments.campaign
+    verb, command = f"campaign-{name}", {"campaign": name}
+    command |= {} if name in ("fault-injection", "hazards") else {"plant": arguments.plant}
+    with RunFolder(verb, arguments.out, command, resumes=True):
+        pass  # a folder of another command is refused before the imports, which take seconds
+    if name == "fault-injection":
         from runtime.fault_injection import campaign as fault_injection
 
         return fault_injection.main(arguments)
-    if arguments.campaign == "hazards":
+    if name == "hazards":
         from runtime.hazards import campaign as hazards
 
         return hazards.main(arguments)
-    if arguments.seeds < 1 or arguments.jobs < 1:
-        raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
-    top = arguments.out or RunFolder(f"campaign-{arguments.campaign}", None).path
-    top.mkdir(parents=True, exist_ok=True)
-    trials = trials_of(arguments.campaign, arguments.seeds, top, arguments.plant)
-    found = {trial.name: result for trial, result in _drive_all(trials, arguments.jobs)}
-    results = [{"trial": trial.name, **found[trial.name]} for trial in trials if trial.name in found]
-    rows = [_row(result) for result in results]
-    (top / "table.html").write_text(page(arguments.campaign, rows), encoding="utf-8")
-    passed = sum(_has_passed(result, arguments.campaign) for result in results)
+    with RunFolder(
+        f"campaign-{name}", arguments.out, {"campaign": name, "plant": arguments.plant}, resumes=True
+    ) as folder:
+        trials = trials_of(name, arguments.seeds, folder.path, arguments.plant)
+        for trial in trials:
+            folder.file(trial.name)
+        found = {trial.name: result for trial, result in _drive_all(trials, arguments.jobs)}
+        results = [{"trial": trial.name, **found[trial.name]} for trial in trials if trial.name in found]
+        rows = [_row(result) for result in results]
+        table = folder.file("table.html")
+        with named_errors(folder.path):
+            table.write_text(page(name, rows), encoding="utf-8")
+    passed = sum(_has_passed(result, name) for result in results)
     if arguments.json:
-        sys.stdout.write(
-            json.dumps({"campaign": arguments.campaign, "passed": passed, "runs": results, "run_dir": str(top)}) + "\n"
-        )
+        values = {"campaign": name, "passed": passed, "runs": results, "run_dir": str(folder.path)}
+        sys.stdout.write(json.dumps(values) + "\n")
     else:
-        sys.stdout.write(f"{passed} of {len(trials)} passed; table: {top / 'table.html'}\n")
+        sys.stdout.write(f"{passed} of {len(trials)} passed; table: {table}\n")
     return 0 if passed == len(trials) else 1
 
 
@@ -113,15 +115,20 @@ def _drive_all(trials: list[Trial], jobs: int) -> Iterator[tuple[Trial, dict[str
     """Results in the order of completion, with a progress line each; a failed trial does not end the campaign."""
     with ThreadPoolExecutor(jobs) as pool:  # each thread only waits for its process
         waiting = {pool.submit(trial.drive): trial for trial in trials}
-        for number, future in enumerate(as_completed(waiting), 1):
-            trial = waiting[future]
-            try:
-                result = future.result()
-            except HeadlandError as error:
-                sys.stderr.write(f"[{number}/{len(trials)}] {error}\n")
-                continue
-            sys.stderr.write(f"[{number}/{len(trials)}] {trial.name}: {_summary(result)}\n")
-            yield trial, result
+        try:
+            for number, future in enumerate(as_completed(waiting), 1):
+                trial = waiting[future]
+                try:
+                    result = future.result()
+                except HeadlandError as error:
+                    sys.stderr.write(f"[{number}/{len(trials)}] {error}\n")
+                    continue
+                sys.stderr.write(f"[{number}/{len(trials)}] {trial.name}: {_summary(result)}\n")
+                yield trial, result
+        except BaseException:  # interrupted: each drive closes its log
+            pool.shutdown(wait=False, cancel_futures=True)
+            terminate_children()
+            raise
 
 
 def _summary(result: dict[str, Any]) -> str:

@@ -14,7 +14,7 @@ from runtime.coverage.config import CoverageConfig
 from runtime.coverage.drawing import draw
 from runtime.coverage.evaluation import evaluate
 from runtime.coverage.states import states_of
-from runtime.run_folder import RunFolder, resolved, versions
+from runtime.run_folder import RunFolder, command_of, named_errors, resolved, versions
 from runtime.setup import with_implement_sensors
 from runtime.stack import load_stack
 
@@ -29,21 +29,22 @@ def main(arguments: argparse.Namespace) -> int:
     mission, stack = load(Mission, find("missions", arguments.mission)), load_stack()
     config = load(CoverageConfig, CONFIGS / "coverage.yaml")
     states = states_of(mission, vehicle, implement, stack.planning)
-    folder = RunFolder("coverage", arguments.out)
-    found = evaluate(vehicle, implement, states, stack.safety, config)
-    rows = [one.row() for one in found]
-    uncovered_m2 = round(sum(float(str(row["uncovered_m2"])) for row in rows), 2)
-    result = {
-        "machine": vehicle.name, "implement": implement and implement.name, "uncovered_m2": uncovered_m2,
-        "rows": rows, "run_dir": str(folder.path),
-    }  # fmt: skip
-    sections = {"machine": vehicle, "mission": mission, "coverage": config}
-    (folder.path / "config.yaml").write_text(resolved(**sections), encoding="utf-8")
-    (folder.path / "coverage.csv").write_text(table_csv(rows), encoding="utf-8")
-    draw(found, vehicle, implement, folder.path / "coverage.png")
-    folder.record("conditions", versions())
-    folder.record("result", {"result": result})
-    folder.finish()
+    with RunFolder("coverage", arguments.out, command_of(arguments)) as folder:
+        found = evaluate(vehicle, implement, states, stack.safety, config)
+        rows = [one.row() for one in found]
+        uncovered_m2 = round(sum(float(str(row["uncovered_m2"])) for row in rows), 2)
+        result = {
+            "machine": vehicle.name, "implement": implement and implement.name, "uncovered_m2": uncovered_m2,
+            "rows": rows, "run_dir": str(folder.path),
+        }  # fmt: skip
+        sections = {"machine": vehicle, "mission": mission, "coverage": config}
+        with named_errors(folder.path):
+            folder.file("config.yaml").write_text(resolved(**sections), encoding="utf-8")
+            folder.file("coverage.csv").write_text(table_csv(rows), encoding="utf-8")
+            draw(found, vehicle, implement, folder.file("coverage.png"))
+        folder.record("conditions", versions())
+        folder.record("result", {"result": result})
+        folder.finish()
     sys.stdout.write(json.dumps(result) + "\n" if arguments.json else table_text(rows) + f"{folder.path}\n")
     return 0 if all(one.worst_m is None for one in found) else 1
 

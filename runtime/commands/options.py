@@ -2,9 +2,15 @@
 
 import argparse
 import math
+import re
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+
+from runtime.commands.argument_types import existing, file, file_name, folder, names_of, new_file, number, regex, whole
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
@@ -30,11 +36,12 @@ def _option(*names: str, **settings: Any) -> Option:
     return Option(names, settings)
 
 
+SECONDS, POSITIVE_SECONDS = number(0.0, 1e6, " s"), number(0.001, 1e6, " s")
 JSON = _option("--json", action="store_true", help="print the result as one JSON object on standard output")
-SEED = _option("--seed", type=int, default=1, help="seed of all random draws (default 1)")
-DURATION = _option("--duration", type=float, metavar="S", help="end after this many seconds")
-MODEL = _option("--model", type=Path, metavar="FILE", help="ONNX file of the camera detector (YOLOX or NanoDet)")
-TRUTH = _option("--truth", type=Path, metavar="PATH", help="ground truth: KITTI labels or a JSONL sidecar file")
+SEED = _option("--seed", type=whole(0, 2**32 - 1), default=1, help="seed of all random draws (default 1)")
+DURATION = _option("--duration", type=POSITIVE_SECONDS, metavar="S", help="end after this many seconds")
+MODEL = _option("--model", type=file, metavar="FILE", help="ONNX file of the camera detector (YOLOX or NanoDet)")
+TRUTH = _option("--truth", type=existing, metavar="PATH", help="ground truth: KITTI labels or a JSONL sidecar file")
 SCENARIO = _option(
     "--scenario", help="a file, or a name in configs/scenarios (default demo; empty with --field or without field work)"
 )
@@ -43,7 +50,9 @@ PLANT = _option(
     help="true parameters of the machine: as configured, drawn from the seed, or as bad as the stopping distance "
     "allows (default: the scenario's)",
 )  # fmt: skip
-FIELD = _option("--field", metavar="FILE.geojson", help="field outline that replaces the mission's site")
+FIELD = _option(
+    "--field", type=file_name, metavar="FILE.geojson", help="field outline that replaces the mission's site"
+)
 MISSION = (
     _option("--mission", default="demo", help="a file, or a name in configs/missions (default demo)"),
     _option("--machine", help="a file, or a name in configs/machines (default: the mission's)"),
@@ -53,9 +62,10 @@ MISSION = (
 
 
 def _out(verb: str, more: str = "") -> Option:
-    return _option("--out", type=Path, metavar="FOLDER", help=f"run folder (default runs/<stamp>-{verb}){more}")
+    return _option("--out", type=folder, metavar="FOLDER", help=f"run folder (default runs/<stamp>-{verb}){more}")
 
 
+SITUATIONS = ("turn", "swath", "obstacle", "docking")
 RESUMES = "; results already in it are kept"
 COMMANDS = (
     Command("run", "drive a mission in simulation and write the report", "runtime.commands.run", (
@@ -63,11 +73,12 @@ COMMANDS = (
         _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
         _out("run"), JSON,
     )),
-    Command("live", "run the stack in real time, one process per part", "runtime.live.command", (
+    Command("live", "run the stack in real time, one process per part", "runtime.commands.live", (
         _option("--world", choices=["simulation"], required=True, help="the machine that is driven"),
         FIELD, *MISSION, SCENARIO, SEED, DURATION,
         _option("--kill", metavar="PROCESS:SIGNAL:S", help="send KILL or STOP to a process, e.g. safety:KILL:20"),
-        _option("--reaction-trials", type=int, default=0, metavar="N", help="measure reaction times to N pop-ups"),
+        _option("--reaction-trials", type=whole(0, 1_000_000), default=0, metavar="N",
+                help="measure reaction times to N pop-ups"),
         _out("live"), JSON,
     )),
     Command("shadow", "log a machine's CAN bus without sending", "runtime.live.shadow", (
@@ -76,7 +87,7 @@ COMMANDS = (
         DURATION, _out("shadow"), JSON,
     )),
     Command("plan", "plan a field: figure, GeoJSON, path length and area", "runtime.commands.plan", (
-        _option("field", metavar="FIELD.geojson", help="field outline in WGS 84; holes are excluded areas"),
+        _option("field", type=file_name, metavar="FIELD.geojson", help="field outline (WGS 84); holes are excluded"),
         *MISSION, SEED, _out("plan"), JSON,
     )),
     Command("coverage", "show which swept places the sensors cover", "runtime.commands.coverage", (
@@ -86,18 +97,18 @@ COMMANDS = (
         _out("coverage"), JSON,
     )),
     Command("validate", "replay recorded logs and evaluate the obstacle stops", "runtime.commands.validate", (
-        _option("log", type=Path, nargs="+", metavar="LOG", help="MCAP, ROS bag, KITTI folder or PCD folder"),
+        _option("log", type=existing, nargs="+", metavar="LOG", help="MCAP, ROS bag, KITTI folder or PCD folder"),
         _option("--vehicle", type=Path, metavar="FILE", help="recording vehicle: dimensions, lidars, mounts"),
-        _option("--conditions", type=Path, metavar="FILE", help="pass conditions (default: validation/conditions/)"),
+        _option("--conditions", type=file, metavar="FILE", help="pass conditions (default: validation/conditions/)"),
         TRUTH, MODEL,
         _option("--remove-object", metavar="NAME", help="remove this object of the ground truth from all sensor data"),
         _option("--without-sensor-data", action="store_true", help="leave scans and images out of replay.mcap"),
-        _option("--jobs", type=int, metavar="N", help="logs at a time (default: all cores)"),
+        _option("--jobs", type=whole(1, 1024), metavar="N", help="logs at a time (default: all cores)"),
         _option("--scheduler", metavar="ADDRESS", help="run on this Dask cluster"),
         _out("validate", RESUMES), JSON,
     ), "0 passed, 1 failed, 2 bad input (a log could not be read), 3 not shown"),
     Command("label", "decide on the objects that validate proposes as truth", "runtime.commands.label", (
-        _option("log", type=Path, metavar="LOG", help="a log that validate has replayed without truth"),
+        _option("log", type=existing, metavar="LOG", help="a log that validate has replayed without truth"),
         _option("--list", action="store_true", help="only list the objects (the default without a decision)"),
         _option("--accept", type=int, nargs="+", action="extend", default=[], metavar="ID", help="objects that exist"),
         _option("--reject", type=int, nargs="+", action="extend", default=[], metavar="ID",
@@ -107,7 +118,7 @@ COMMANDS = (
         _option("--add", nargs="+", action="append", default=[], metavar="T:X,Y",
                 help="an object that was not perceived: seconds in the log, m ahead and left of the lidar"),
         _option("--complete", action="store_true", help="the log was reviewed: no object in the path is missing"),
-        _option("--proposed", type=Path, metavar="FILE", help="default: beside the log, else of the newest run"),
+        _option("--proposed", type=file, metavar="FILE", help="default: beside the log, else of the newest run"),
         _option("--truth", type=Path, metavar="FILE", help="file that is written (default LOG.truth.jsonl)"), JSON,
     ), "0 done, 2 wrong input; nothing is written then"),
     Command("campaign", "run many drives or faults and write one table", "runtime.commands.campaign", (
@@ -116,43 +127,61 @@ COMMANDS = (
             help="demo: field work; ablation: demo without the obstacle rules; dock: docking into each bay; "
             "fault-injection: each fault in each situation; hazards: objects by placement, phase and environment",
         ),
-        _option("--seeds", type=int, metavar="N", help="seeds 1 to N (default 10; hazards: 1)"),
-        _option("--jobs", type=int, default=2, metavar="N", help="runs at a time (default 2)"),
+        _option("--seeds", type=whole(1, 10_000), metavar="N", help="seeds 1 to N (default 10; hazards: 1)"),
+        _option("--jobs", type=whole(1, 1024), default=2, metavar="N", help="runs at a time (default 2)"),
         PLANT,
         _option("--core", action="store_true", help="hazards: the first 60 drives of the list"),
         _option("--scheduler", metavar="ADDRESS", help="hazards: run on this Dask cluster"),
-        _option("--only", metavar="REGEX", help="fault-injection, hazards: matching names, e.g. swath-imu-off"),
-        _option("--situations", metavar="NAMES", help="fault-injection: of turn,swath,obstacle,docking (default all)"),
+        _option("--only", type=regex, metavar="REGEX",
+                help="fault-injection, hazards: matching names, e.g. swath-imu-off"),
+        _option("--situations", type=names_of(SITUATIONS), metavar="NAMES",
+                help=f"fault-injection: of {','.join(SITUATIONS)} (default all)"),
         _out("campaign", RESUMES), JSON,
     )),
     Command("import", "convert a recording into a Headland log", "runtime.commands.import_log", (
-        _option("source", type=Path, metavar="SOURCE"),
-        _option("--out", type=Path, required=True, metavar="LOG.mcap"),
+        _option("source", type=existing, metavar="SOURCE"),
+        _option("--out", type=new_file, required=True, metavar="LOG.mcap"),
         TRUTH,
         _option("--topics", metavar="A,B", help="import these topics of the recording only"),
-        _option("--from", dest="start", type=float, default=0.0, metavar="S", help="start second of the excerpt"),
-        _option("--to", dest="end", type=float, default=math.inf, metavar="S", help="end second of the excerpt"),
+        _option("--from", dest="start", type=SECONDS, default=0.0, metavar="S", help="start second"),
+        _option("--to", dest="end", type=SECONDS, default=math.inf, metavar="S", help="end second"),
         JSON,
     )),
     Command("animate", "write an animation of a logged drive", "runtime.commands.animate", (
-        _option("log", type=Path, metavar="LOG", help="log of `headland run`"),
-        _option("--out", type=Path, required=True, metavar="FILE.webp"),
-        _option("--from", dest="start", type=float, default=0.0, metavar="S", help="start second of the log"),
-        _option("--duration", type=float, default=20.0, metavar="S", help="seconds of the drive (default 20)"),
-        _option("--rate", type=float, default=2.0, metavar="X", help="times real time (default 2)"),
-        _option("--quality", type=int, default=65, metavar="Q", help="WebP quality, 0 to 100 (default 65)"),
+        _option("log", type=existing, metavar="LOG", help="log of `headland run`"),
+        _option("--out", type=new_file, required=True, metavar="FILE.webp"),
+        _option("--from", dest="start", type=SECONDS, default=0.0, metavar="S", help="start second of the log"),
+        _option("--duration", type=number(0.1, 1e6, " s"), default=20.0, metavar="S",
+                help="seconds of the drive (default 20)"),
+        _option("--rate", type=number(0.1, 100.0), default=2.0, metavar="X", help="times real time (default 2)"),
+        _option("--quality", type=whole(0, 100), default=65, metavar="Q", help="WebP quality, 0 to 100 (default 65)"),
     )),
     Command("inspect-log", "list the topics, gaps and damage of a log", "runtime.commands.inspect_log", (
-        _option("log", type=Path, metavar="LOG"), JSON,
+        _option("log", type=existing, metavar="LOG"), JSON,
     )),
 )  # fmt: skip
 
 
-def make_parser() -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """Parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Prints the error and exits with code 2."""
+        text = re.sub(r"^argument ([^ :]+):", r"\1", message)
+        text = re.sub(r"[\x00-\x1f\x7f]", lambda match: repr(match[0])[1:-1], text)
+        self.exit(2, f"{self.prog}: {text}; see ./{self.prog} --help\n")
+
+
+def version() -> str:
+    """Version of the project, from pyproject.toml."""
+    found = re.search(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE)
+    return found[1] if found else "unknown"
+
+
+def make_parser() -> Parser:
     """Parser of the command line; the namespace holds the command's `module`."""
-    parser = argparse.ArgumentParser(
-        prog="headland", description="Autonomous driving of a farm machine.", allow_abbrev=False
-    )
+    parser = Parser(prog="headland", description="Autonomous driving of a farm machine.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"headland {version()}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for command in COMMANDS:
         verb = verbs.add_parser(
@@ -163,3 +192,14 @@ def make_parser() -> argparse.ArgumentParser:
             verb.add_argument(*option.names, **option.settings)
         verb.set_defaults(module=command.module)
     return parser
+
+
+def parse_arguments(words: list[str] | None = None) -> argparse.Namespace:
+    """Arguments of the command line; prints one line and exits with code 2 for wrong ones."""
+    parser, given = make_parser(), sys.argv[1:] if words is None else words
+    for word in given:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            parser.error(f"{word!r}: not valid UTF-8")
+    return parser.parse_args(given)

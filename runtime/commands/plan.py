@@ -2,44 +2,44 @@
 
 import argparse
 import json
-import shutil
 import sys
 
-from messages.errors import HeadlandError
-from planning.drawing import draw_plan, write_geojson
-from runtime.run_folder import RunFolder, resolved, versions
-from runtime.setup import load_setup
+from runtime.commands.checks import check_drive
+from runtime.run_folder import RunFolder, command_of, named_errors, resolved, versions
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Plans and writes the results; raises FieldError before writing if the field cannot be worked."""
-    setup = load_setup(
-        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
-    )
-    folder, plan = RunFolder("plan", arguments.out), setup.plan
-    result = {
-        "length_m": round(plan.length_m, 1),
-        "field_m2": round(plan.field_area_m2, 1),
-        "planned_m2": round(plan.planned_area.area, 1),
-        "planned_share": round(plan.planned_share, 4),
-        "swaths": len(plan.swaths),
-        "headland_passes": len(plan.headland_passes),
-        "uncovered": [
-            {"reason": u.reason, "area_m2": round(u.area_m2, 2), "place_m": u.place_map_m} for u in plan.uncovered
-        ],
-        "run_dir": str(folder.path),
-    }
-    try:
+    check_drive(arguments)
+    with RunFolder("plan", arguments.out, command_of(arguments)) as folder:
+        # only now: these imports take seconds, and a wrong argument is reported at once
+        from planning.drawing import draw_plan, write_geojson
+        from runtime.setup import load_setup
+
+        setup = load_setup(
+            arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
+        )
+        plan = setup.plan
+        result = {
+            "length_m": round(plan.length_m, 1),
+            "field_m2": round(plan.field_area_m2, 1),
+            "planned_m2": round(plan.planned_area.area, 1),
+            "planned_share": round(plan.planned_share, 4),
+            "swaths": len(plan.swaths),
+            "headland_passes": len(plan.headland_passes),
+            "uncovered": [
+                {"reason": u.reason, "area_m2": round(u.area_m2, 2), "place_m": u.place_map_m} for u in plan.uncovered
+            ],
+            "run_dir": str(folder.path),
+        }
         folder.record("conditions", versions() | {"seed": str(setup.seed)})
         config = resolved(mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement)
-        (folder.path / "config.yaml").write_text(config, encoding="utf-8")
-        draw_plan(plan, setup.site, folder.path / "plan.png")
-        write_geojson(plan, setup.site, folder.path / "plan.geojson")
+        with named_errors(folder.path):
+            folder.file("config.yaml").write_text(config, encoding="utf-8")
+            draw_plan(plan, setup.site, folder.file("plan.png"))
+            write_geojson(plan, setup.site, folder.file("plan.geojson"))
         folder.record("result", {"result": result})
         folder.finish()
-    except OSError as error:
-        shutil.rmtree(folder.path)
-        raise HeadlandError(f"{folder.path}: cannot be written ({error}); removed") from error
     if arguments.json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:

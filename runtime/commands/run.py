@@ -2,153 +2,33 @@
 
 import argparse
 import json
-import shutil
 import sys
-import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, TextIO
 
-from configs.site import Bay
-from configs.strict import Config
-from configs.vehicle import Vehicle
-from datasets.log import LogWriter
-from datasets.reader import LogScan, decode, is_ours
-from messages.errors import HeadlandError
-from messages.message import Envelope
-from runtime.assembly import assemble, fault_injection_for, plant_of
-from runtime.commands.end_of_run import EndOfDrive
-from runtime.commands.progress import Progress
-from runtime.executor import Executor
-from runtime.run_folder import RunFolder, resolved, versions
-from runtime.setup import Setup, load_scenario, load_setup, with_model
-from simulation.scenario import Scenario
-from simulation.world import SimulationWorld
-from validation.drive.detections import Detections, DetectionSample, range_rows, share_rows
-from validation.drive.docking import bodies_of, docking_drive
-from validation.drive.figures import draw_all
-from validation.drive.record import TOPICS, DriveRecord, collect
-from validation.drive.report import render
-from validation.drive.sensing_figures import detections_figure, docking_figure, shares_figure
-from validation.drive.summary import Planned, summarize
+from runtime.commands.checks import check_drive
+from runtime.interruption import Interruption
+from runtime.run_folder import RunFolder, command_of
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Drives; 0 if the mission finished without contact, zone exit or false stop, else 1."""
-    setup = load_setup(
-        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
-    )
-    setup = with_model(setup, arguments.model)
-    scenario = load_scenario(arguments.scenario, setup.mission, arguments.field, arguments.plant)
-    folder = RunFolder("run", arguments.out)
-    try:
-        result = drive(setup, scenario, folder, sys.stderr, arguments.without_obstacle_rules, arguments.duration)
-    except (HeadlandError, OSError) as error:
-        shutil.rmtree(folder.path)
-        raise HeadlandError(f"run aborted, {folder.path} removed: {error}") from error
+    """Drives; 0 if the mission finished without contact, zone exit or false stop, else 1; 130 or 143 after a signal."""
+    check_drive(arguments)
+    with RunFolder("run", arguments.out, command_of(arguments)) as folder, Interruption() as interruption:
+        # only now: these imports take seconds, and a wrong argument is reported at once
+        from runtime.setup import load_scenario, load_setup, with_model
+        from runtime.simulated_drive import drive
+
+        setup = load_setup(
+            arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
+        )
+        setup = with_model(setup, arguments.model)
+        scenario = load_scenario(arguments.scenario, setup.mission, arguments.field, arguments.plant)
+        is_ablation, limit_s = arguments.without_obstacle_rules, arguments.duration
+        result = drive(setup, scenario, folder, sys.stderr, is_ablation, limit_s, interruption)
+        report = folder.path / "report.html"
     if arguments.json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
-        sys.stdout.write(f"{result['outcome']}; report: {folder.path / 'report.html'}\n")
+        sys.stdout.write(f"{result['outcome']}; report: {report}\n")
     is_complete = result["outcome"] in ("finished", "docked")
-    return 0 if is_complete and not (result["contacts"] or result["zone_exits"] or result["false_stops"]) else 1
-
-
-def drive(
-    setup: Setup, scenario: Scenario, folder: RunFolder, console: TextIO, is_ablation: bool = False,
-    limit_s: float | None = None,
-) -> dict[str, Any]:  # fmt: skip
-    """Drives one mission into a run folder, at most `limit_s` simulated seconds; returns the object of `run --json`."""
-    began_s = time.monotonic()
-    conditions = versions() | {"seed": str(setup.seed), "ablation": str(is_ablation)}
-    folder.record("conditions", conditions)
-    digest = drive_into_log(setup, scenario, folder.path, conditions, console, is_ablation, limit_s)
-    record, samples = read_drive(folder.path / "log.mcap", setup.vehicle)
-    bay = None if setup.mission.bay is None else setup.site.bay(setup.mission.bay)
-    planned = Planned(
-        setup.plan.planned_area, setup.plan.field_area_m2, setup.implement.working_width_m, scenario.expected_stops, bay
-    )
-    summary = summarize(record, planned)
-    result = summary.as_dict | {
-        "seed": setup.seed,
-        "wall_s": round(time.monotonic() - began_s, 1),
-        "expected_stops": scenario.expected_stops,
-        "digest": digest,
-        "run_dir": str(folder.path),
-    }
-    figures = draw_all(record, planned, summary) | _sensing_figures(record, samples, setup, bay)
-    for title, png in figures.items():
-        (folder.path / f"{title.lower().replace(',', '').replace(' ', '-')}.png").write_bytes(png)
-    ranges = range_rows(samples)
-    (folder.path / "report.html").write_text(render(summary, result, figures, ranges), encoding="utf-8")
-    folder.record("ranges", {"ranges": ranges, "shares": share_rows(samples)})
-    for stop in summary.stops:
-        folder.record("stop", stop.as_dict)
-    folder.record("result", {"result": result})
-    folder.finish()
-    return result
-
-
-def _drawn_plant(setup: Setup, scenario: Scenario) -> dict[str, Config]:
-    """True values of a plant that is not nominal, for the record."""
-    if scenario.plant == "nominal":
-        return {}
-    plant = plant_of(setup, scenario)
-    return {
-        "true_site": plant.site, "true_machine": plant.vehicle, "true_implement": plant.implement,
-        "true_start": plant.start, "true_dynamics": plant.models.machine, "true_gnss": plant.models.gnss,
-    }  # fmt: skip
-
-
-def drive_into_log(
-    setup: Setup, scenario: Scenario, folder: Path, conditions: dict[str, str], console: TextIO,
-    is_ablation: bool = False, limit_s: float | None = None,
-) -> str:  # fmt: skip
-    """Runs the stack until the drive ends, or `limit_s` have passed, and writes its log; returns the log's digest."""
-    config = resolved(
-        mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement, stack=setup.stack,
-        scenario=scenario, **_drawn_plant(setup, scenario),
-    )  # fmt: skip
-    (folder / "config.yaml").write_text(config, encoding="utf-8")
-    metadata = {"run": conditions, "config": {"yaml": config}}
-    faults = fault_injection_for(setup, scenario)
-    with (
-        assemble(setup, scenario, is_ablation, faults) as (world, nodes),
-        (folder / "console.log").open("w") as file,
-    ):
-        end = EndOfDrive(setup.plan.length_m, limit_s)
-        with LogWriter(folder / "log.mcap", metadata, setup.stack.datasets.log, setup.viewer()) as log:
-            if isinstance(world, SimulationWorld):
-                log.add_metadata("shapes", {"json": world.shapes_text()})
-            sinks = (log.write, Progress((console, file)), end)
-            Executor(world, nodes, sinks if faults is None else (*sinks, faults), faults).run(end.is_reached)
-            return log.digest()
-
-
-def read_drive(path: Path, vehicle: Vehicle) -> tuple[DriveRecord, list[DetectionSample]]:
-    """Drive record of a log, and the observations of the scenario's objects by each sensor."""
-    detections = Detections(vehicle)
-
-    def envelopes() -> Iterator[Envelope]:
-        for entry in LogScan(path, detections.topics.union(TOPICS)):
-            if is_ours(entry) and detections.needs(entry.topic):
-                envelope = decode(entry)
-                detections(envelope)
-                yield envelope
-
-    return collect(envelopes()), detections.samples
-
-
-def _sensing_figures(
-    record: DriveRecord, samples: list[DetectionSample], setup: Setup, bay: Bay | None
-) -> dict[str, bytes]:
-    """Figures of the detections against ground truth, and of the docking if there was one."""
-    found = {
-        "Detections near by": detections_figure(samples, record.first_ns),
-        "Detections over range": shares_figure(samples),
-    }
-    poses, speed_mps = docking_drive(record)
-    if bay is not None and setup.site.shed is not None and len(poses):
-        bodies = bodies_of(setup.vehicle, setup.implement)
-        found["Docking"] = docking_figure(setup.site.shed, bay, poses, speed_mps, bodies)
-    return {title: png for title, png in found.items() if png is not None}
+    is_required = is_complete and not (result["contacts"] or result["zone_exits"] or result["false_stops"])
+    return interruption.exit_code or (0 if is_required else 1)

@@ -11,6 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from datasets.parts import files_of
 from messages.errors import HeadlandError
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ def _key(log: Path, version: str, arguments: argparse.Namespace) -> str:
     inputs = (log, beside, arguments.truth, arguments.vehicle, arguments.conditions or FILE, arguments.model)
     parts = [version, *map(str, (arguments.remove_object, arguments.without_sensor_data, arguments.vehicle))]
     for path in inputs:
-        files = [] if path is None else sorted(path.rglob("*")) if path.is_dir() else [path]
+        files = [] if path is None else sorted(path.rglob("*")) if path.is_dir() else files_of(path)
         parts += [f"{p}:{p.stat().st_size}:{p.stat().st_mtime_ns}" for p in files if p.is_file()] + [""]
     return sha256("\n".join(parts).encode()).hexdigest()
 

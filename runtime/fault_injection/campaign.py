@@ -31,7 +31,8 @@ from runtime.executor import Executor
 from runtime.fault_injection.evaluation import Cell, MeasuredReaction, Outcome, evaluate
 from runtime.fault_injection.situations import SITUATIONS, DriveMonitor
 from runtime.fault_injection.table import write_tables
-from runtime.run_folder import RunFolder
+from runtime.processes import begin_worker
+from runtime.run_folder import RunFolder, named_errors
 from runtime.safety_nodes import sensors_without_detector
 from runtime.setup import Setup, load_setup
 from safety.monitors.sensors import monitored_sensors
@@ -82,20 +83,20 @@ class Drive:
 
 def main(arguments: argparse.Namespace) -> int:
     """Runs the missing cells; 0 if every cell passed."""
-    if arguments.jobs < 1:
-        raise HeadlandError(f"--jobs {arguments.jobs}: must be at least 1")
-    known = [name for named in SITUATIONS.values() for name in named]
-    requested = arguments.situations.split(",") if arguments.situations else known
-    if unknown := [name for name in requested if name not in known]:
-        raise HeadlandError(f"--situations {unknown[0]}: must be of {', '.join(known)}")
-    top = (arguments.out or RunFolder("campaign-fault-injection", None).path).absolute()
-    (top / "cells").mkdir(parents=True, exist_ok=True)
-    for mission, named in SITUATIONS.items():
-        situations = {name: is_reached for name, is_reached in named.items() if name in requested}
-        if situations:
-            drive_to(mission, situations, top / "cells", arguments.only, arguments.jobs)
-    rows = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((top / "cells").glob("*.json"))]
-    write_tables(top, rows)
+    requested = (arguments.situations or ",".join(name for named in SITUATIONS.values() for name in named)).split(",")
+    with RunFolder("campaign-fault-injection", arguments.out, {"campaign": "fault-injection"}, resumes=True) as folder:
+        top = folder.path
+        for made in ("cells", "table.html", "table.parquet"):
+            folder.file(made)
+        with named_errors(top):
+            (top / "cells").mkdir(exist_ok=True)
+        for mission, named in SITUATIONS.items():
+            situations = {name: is_reached for name, is_reached in named.items() if name in requested}
+            if situations:
+                drive_to(mission, situations, top / "cells", arguments.only, arguments.jobs)
+        rows = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((top / "cells").glob("*.json"))]
+        with named_errors(top):
+            write_tables(top, rows)
     failed = [row for row in rows if not row["passed"]]
     if arguments.json:
         sys.stdout.write(json.dumps({"cells": len(rows), "failed": failed, "run_dir": str(top)}) + "\n")
@@ -157,8 +158,9 @@ def _fork_all(drive: Drive, missing: list[Cell], folder: Path, jobs: int) -> Non
 
 def _run_and_exit(drive: Drive, cell: Cell, folder: Path) -> NoReturn:
     """Body of a forked process."""
-    code = 1
+    code, parent = 1, os.getppid()
     try:
+        begin_worker(parent)
         outcome = run_cell(drive, cell)
         if not outcome.passed:
             _write_log(drive, folder / f"{cell.name}.mcap")

@@ -10,7 +10,7 @@ from typing import Any
 from messages.errors import HeadlandError
 from runtime.hazards.cases import drives_of, load_list, with_plant
 from runtime.hazards.drive import Task, drive_task, lost_task, task_of
-from runtime.run_folder import RunFolder, versions
+from runtime.run_folder import RunFolder, named_errors, versions
 from runtime.workers import Work, run_all, stored_result
 from validation.hazards.tables import failure_text, page, totals, unavoidable, write_parquet
 
@@ -19,8 +19,6 @@ MAX_UNAVOIDABLE = 0.05  # of the drives
 
 def main(arguments: argparse.Namespace) -> int:
     """Drives what is missing; 0 without avoidable contact, false stop, failed drive, and too many unavoidable ones."""
-    if arguments.seeds < 1 or arguments.jobs < 1:
-        raise HeadlandError(f"--seeds {arguments.seeds}, --jobs {arguments.jobs}: both must be at least 1")
     drives = drives_of(load_list(), arguments.seeds, arguments.core)
     if arguments.plant is not None:
         drives = [with_plant(one, arguments.plant) for one in drives]
@@ -28,15 +26,18 @@ def main(arguments: argparse.Namespace) -> int:
         drives = [one for one in drives if re.search(arguments.only, one.name)]
         if not drives:
             raise HeadlandError(f"--only {arguments.only!r}: no drive has such a name")
-    top = (arguments.out or RunFolder("campaign-hazards", None).path).absolute()
-    commit = versions()["commit"]
-    results = _all_results([task_of(one, top, commit) for one in drives], arguments)
-    excused = unavoidable(results)
-    share = round(len({row["drive"] for row in excused}) / len(results), 4)
-    summary = totals(results) | {"unavoidable_share": share, "unavoidable": excused, "run_dir": str(top)}
-    write_parquet(top, results)
-    (top / "table.html").write_text(page(results), encoding="utf-8")
-    (top / "result.json").write_text(json.dumps(summary) + "\n", encoding="utf-8")
+    with RunFolder("campaign-hazards", arguments.out, {"campaign": "hazards"}, resumes=True) as folder:
+        for made in ("drives", "drives.parquet", "objects.parquet"):
+            folder.file(made)
+        top, commit = folder.path, versions()["commit"]
+        results = _all_results([task_of(one, top, commit) for one in drives], arguments)
+        excused = unavoidable(results)
+        share = round(len({row["drive"] for row in excused}) / len(results), 4)
+        summary = totals(results) | {"unavoidable_share": share, "unavoidable": excused, "run_dir": str(top)}
+        with named_errors(top):
+            write_parquet(top, results)
+            folder.file("table.html").write_text(page(results), encoding="utf-8")
+            folder.file("result.json").write_text(json.dumps(summary) + "\n", encoding="utf-8")
     if arguments.json:
         sys.stdout.write(json.dumps(summary) + "\n")
     else:

@@ -14,10 +14,11 @@ import yaml
 
 from configs.odd import load_odd
 from configs.strict import parse
-from runtime.commands.run import drive_into_log
+from datasets.parts import files_of
 from runtime.hazards.cases import HazardDrive
 from runtime.run_folder import versions
 from runtime.setup import load_setup
+from runtime.simulated_drive import drive_into_log
 from runtime.workers import store_result
 from simulation.scenario import Scenario
 from validation.hazards.judge import judge, row_dict
@@ -65,16 +66,21 @@ def drive_task(task: Task) -> dict[str, Any]:
     return values
 
 
+def _remove(log_path: Path) -> None:
+    for part in files_of(log_path):
+        part.unlink(missing_ok=True)
+
+
 def _judged(task: Task) -> dict[str, Any]:
     began_s, cpu_s, drive, log_path = time.monotonic(), time.process_time(), task.drive, task.folder / "log.mcap"
-    log_path.unlink(missing_ok=True)
+    _remove(log_path)
     setup = load_setup(drive.mission, None, None, None, drive.seed)
     scenario = parse(Scenario, drive.scenario, drive.name)
     conditions = versions() | {"seed": str(drive.seed)}
     digest = drive_into_log(setup, scenario, task.folder, conditions, io.StringIO(), limit_s=drive.limit_s)
     log = read_hazard_log(log_path)
     judgement = judge(log, load_odd())
-    log_path.unlink()  # the command repeats it bit for bit
+    _remove(log_path)  # the command repeats it bit for bit
     is_failed = bool(judgement.contacts or judgement.false_stops)
     picture = base64.b64encode(draw(log.drive, judgement, drive.name)).decode() if is_failed else None
     return {

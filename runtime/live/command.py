@@ -18,11 +18,14 @@ from typing import Any
 import numpy as np
 
 from configs.strict import CONFIGS, load
+from datasets.reader import LogScan
 from messages.errors import HeadlandError
 from messages.message import Envelope
 from runtime.commands.end_of_run import LATCHED, EndOfDrive
+from runtime.commands.live import ProcessKill
 from runtime.commands.progress import Progress
 from runtime.fault_injection.situations import DriveMonitor
+from runtime.interruption import Interruption
 from runtime.live.config import ROLES, LiveConfig
 from runtime.live.process import Start, run_process, started_at
 from runtime.live.ring import RingReader, make_ring
@@ -46,18 +49,16 @@ SHUTDOWN_S = 10.0  # time for a process to close its files
 OBSERVATION_S = 10.0  # observation time after a process was killed
 MACHINE_OBSERVATION_S = 2.0  # the same after the machine process, which published the true motion
 
-ProcessKill = tuple[str, str, float]  # process, signal, seconds after the start
 
-
-def main(arguments: argparse.Namespace) -> int:
-    """Drives; 0 if the mission ended without a fault, or the machine stopped in time after the kill."""
-    kill = parse_kill(arguments.kill)
+def run_live(
+    arguments: argparse.Namespace, folder: RunFolder, kill: ProcessKill | None, interruption: Interruption
+) -> int:
+    """Drives and prints the result; 0 if the mission ended without a fault, or the machine stopped after the kill."""
     setup = load_setup(
         arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
     )
     scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
-    folder = RunFolder("live", arguments.out)
-    result = drive(setup, scenario, folder, kill, arguments.duration, arguments.reaction_trials)
+    result = drive(setup, scenario, folder, kill, arguments.duration, arguments.reaction_trials, interruption)
     sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _summary(result))
     return 0 if result["passed"] else 1
 
@@ -69,13 +70,16 @@ def drive(
     kill: ProcessKill | None,
     duration_s: float | None,
     reaction_trials: int,
+    interruption: Interruption | None = None,
 ) -> dict[str, Any]:
     """Starts all processes, drives, and stops them; returns the result, which is also in the folder."""
     config = load(LiveConfig, CONFIGS / "live.yaml")
     setup = started_at(setup, time.time_ns())
     text = resolved(mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement,
                     stack=setup.stack, scenario=scenario, live=config)  # fmt: skip
-    (folder.path / "config.yaml").write_text(text, encoding="utf-8")
+    folder.file("config.yaml").write_text(text, encoding="utf-8")
+    for name in ("log.mcap", "reactions.jsonl"):
+        folder.file(name)
     conditions = versions() | {"seed": str(setup.seed)}
     folder.record("conditions", conditions)
     with _rings(config) as rings:
@@ -83,17 +87,18 @@ def drive(
         barrier, zero = context.Barrier(len(ROLES) + 1), context.Value("q", 0, lock=False)
         starts = [
             Start(role, setup, scenario, config, folder.path, rings, {"run": conditions, "config": {"yaml": text}},
-                  reaction_trials, barrier, zero)
+                  reaction_trials, barrier, zero, os.getpid())
             for role in ROLES
         ]  # fmt: skip
         processes = {s.role: context.Process(target=run_process, args=(s,), name=s.role) for s in starts}
         try:
             _start(processes, barrier, zero, config)
-            with (folder.path / "console.log").open("w") as file:
+            with folder.file("console.log").open("w") as file:
                 monitored = _Drive(processes, rings, setup.plan.length_m, Progress((sys.stderr, file)))
                 result = monitored.run(
                     kill, duration_s, lambda: 0 < reaction_trials <= len(_reaction_rows(folder.path))
-                )
+                    or (interruption is not None and interruption.is_requested),
+                )  # fmt: skip
         finally:
             _stop(processes)
     result |= {"reactions": _reactions(folder.path), "run_dir": str(folder.path)}
@@ -210,19 +215,6 @@ def _rings(config: LiveConfig) -> Iterator[dict[str, Path]]:
         shutil.rmtree(folder)
 
 
-def parse_kill(text: str | None) -> ProcessKill | None:
-    """Value of `--kill`, PROCESS:SIGNAL:SECONDS such as perception:KILL:20; raises HeadlandError."""
-    if text is None:
-        return None
-    parts = text.split(":")
-    if len(parts) != 3 or parts[0] not in ROLES or parts[1] not in SIGNALS:
-        raise HeadlandError(f"--kill {text}: PROCESS:SIGNAL:SECONDS with {', '.join(ROLES)} and KILL or STOP")
-    try:
-        return parts[0], parts[1], float(parts[2])
-    except ValueError as error:
-        raise HeadlandError(f"--kill {text}: {parts[2]!r} is not a number of seconds") from error
-
-
 def _reaction_rows(folder: Path) -> list[str]:
     """Lines of `reactions.jsonl`, one per reaction."""
     path = folder / "reactions.jsonl"
@@ -244,13 +236,10 @@ def _reactions(folder: Path) -> dict[str, Any] | None:
 
 def _log_end(path: Path, start_ns: int) -> dict[str, Any]:
     """Number of readable log messages and time of the last one."""
-    from datasets.records import RawMessage, walk
-
     last_ns, count = start_ns, 0
     if path.is_file():
-        for record in walk(path):
-            if isinstance(record, RawMessage):
-                last_ns, count = max(last_ns, record.receive_ns), count + 1
+        for entry in LogScan(path):
+            last_ns, count = max(last_ns, entry.receive_ns), count + 1
     return {"log_messages": count, "log_until_s": round((last_ns - start_ns) * 1e-9, 2)}
 
 

@@ -22,6 +22,7 @@ from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
 from runtime.live.reactions import ReactionTrials
 from runtime.live.ring import RingReader, RingWriter
 from runtime.perception_nodes import perception_nodes
+from runtime.processes import begin_worker, end_with_parent
 from runtime.safety_nodes import safety_nodes
 from runtime.setup import Setup
 from simulation.rendering.materials import build_actor_surfaces
@@ -43,15 +44,14 @@ class Start:
     reaction_trials: int
     barrier: Barrier
     zero_ns: Any
+    parent: int
 
 
 def run_process(start: Start) -> None:
     """Runs one process until SIGTERM; errors go to standard error."""
-    stop_signals: list[int] = []
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # handled by the parent
-    signal.signal(signal.SIGTERM, lambda number, frame: stop_signals.append(number))
+    begin_worker(start.parent)
     try:
-        _run(start, stop_signals)
+        _run(start)
     except HeadlandError as error:
         sys.stderr.write(f"headland: {start.role}: {error}\n")
         sys.exit(2)
@@ -60,13 +60,16 @@ def run_process(start: Start) -> None:
         sys.exit(3)
 
 
-def _run(start: Start, stop_signals: list[int]) -> None:
+def _run(start: Start) -> None:
     others = {name: RingReader(path) for name, path in start.rings.items() if name != start.role}
     timeouts = start.config.timeout_s if start.role == "safety" else {}
     links = ProcessLinks(RingWriter(start.rings[start.role]), others, timeouts)
     with _parts(start) as (world, nodes, sinks):
         gc.collect()
         gc.freeze()  # a full garbage collection takes 0.1 s
+        stop_signals: list[int] = []
+        signal.signal(signal.SIGTERM, lambda number, frame: stop_signals.append(number))
+        end_with_parent(start.parent, signal.SIGTERM)  # closes its files
         start.barrier.wait(start.config.startup_s)
         start.barrier.wait(start.config.startup_s)
         clock = Clock(start.setup.stack.simulation.start_stamp_ns, start.zero_ns.value)
@@ -85,7 +88,7 @@ def _parts(start: Start) -> Iterator[tuple[World, list[Node], list[Any]]]:
             yield world, [], []
     elif start.role == "log":
         config = start.setup.stack.datasets.log
-        with LogWriter(start.folder / "log.mcap", start.metadata, config, start.setup.viewer()) as log:
+        with LogWriter(start.folder / "log.mcap", start.metadata, config, start.setup.viewer(), rotates=True) as log:
             yield NoWorld(), [], [log.write]
     elif start.role == "safety":
         with closing_bus(SharedBus(open_bus(start.config.can))) as bus:

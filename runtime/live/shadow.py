@@ -14,9 +14,10 @@ from interfaces.can_receiver import CanReceiver
 from messages.command import CanFrame, CanFrames, MachineState
 from messages.errors import HeadlandError
 from messages.message import Envelope, Message
+from runtime.interruption import Interruption
 from runtime.live.clock import Clock
 from runtime.live.config import CanConfig, LiveConfig, open_bus
-from runtime.run_folder import RunFolder, versions
+from runtime.run_folder import RunFolder, command_of, versions
 from runtime.stack import load_stack
 
 STATE_NS, FRAMES_NS, LINE_NS = 20_000_000, 100_000_000, 1_000_000_000
@@ -66,41 +67,42 @@ def main(arguments: argparse.Namespace) -> int:
     config = CanConfig(interface=arguments.interface, channel=arguments.bus, port=live.can.port)
     addresses = stack.interfaces.gateway
     listener = Listener(addresses.tractor_address, addresses.address)
-    bus = open_bus(config)
-    try:
-        folder = RunFolder("shadow", arguments.out)
+    with (
+        RunFolder("shadow", arguments.out, command_of(arguments)) as folder,
+        Interruption() as interruption,
+        open_bus(config) as bus,
+    ):
         conditions = versions()
         folder.record("conditions", conditions | {"bus": f"{config.interface}:{config.channel}"})
-        with LogWriter(folder.path / "log.mcap", {"run": conditions}, stack.datasets.log) as log:
-            _record(bus, listener, log, arguments.duration)
-    finally:
-        bus.shutdown()
-    state = listener.receiver.state(0)
-    result: dict[str, Any] = {"frames": listener.count, "rejected": state.rejected_frames, "run_dir": str(folder.path)}
-    folder.record("result", {"result": result})
-    folder.finish()
+        with LogWriter(folder.file("log.mcap"), {"run": conditions}, stack.datasets.log, rotates=True) as log:
+            _record(bus, listener, log, arguments.duration, interruption)
+        state = listener.receiver.state(0)
+        result: dict[str, Any] = {
+            "frames": listener.count, "rejected": state.rejected_frames, "run_dir": str(folder.path),
+        }  # fmt: skip
+        folder.record("result", {"result": result})
+        folder.finish()
     sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _summary(result))
     return 0 if listener.count else 1
 
 
-def _record(bus: can.BusABC, listener: Listener, log: LogWriter, duration_s: float | None) -> None:
+def _record(
+    bus: can.BusABC, listener: Listener, log: LogWriter, duration_s: float | None, interruption: Interruption
+) -> None:
     clock = Clock(time.time_ns(), time.monotonic_ns())
     began_ns = printed_ns = clock()
     sequence: dict[str, int] = {}
-    try:
-        while duration_s is None or clock() - began_ns < duration_s * 1e9:
-            frame = _receive(bus)
-            now_ns = clock()
-            if frame is not None:
-                listener.receive(now_ns, frame)
-            for topic, message in listener.due(now_ns):
-                sequence[topic] = sequence.get(topic, -1) + 1
-                log.write(Envelope(topic, sequence[topic], now_ns, message))
-            if now_ns - printed_ns >= LINE_NS:
-                printed_ns = now_ns
-                sys.stderr.write(_status_line(listener.count, listener.receiver.state(now_ns)))
-    except KeyboardInterrupt:
-        return
+    while not interruption.is_requested and (duration_s is None or clock() - began_ns < duration_s * 1e9):
+        frame = _receive(bus)
+        now_ns = clock()
+        if frame is not None:
+            listener.receive(now_ns, frame)
+        for topic, message in listener.due(now_ns):
+            sequence[topic] = sequence.get(topic, -1) + 1
+            log.write(Envelope(topic, sequence[topic], now_ns, message))
+        if now_ns - printed_ns >= LINE_NS:
+            printed_ns = now_ns
+            sys.stderr.write(_status_line(listener.count, listener.receiver.state(now_ns)))
 
 
 def _receive(bus: can.BusABC) -> can.Message | None:

@@ -216,6 +216,15 @@ def test_no_odom_after_sensor_timeout(topic):
     assert np.max(np.linalg.norm(e.p_m[e.t_s > 12, :2], axis=1)) < 0.1
 
 
+@pytest.mark.parametrize("topic", [None, "imu", "wheel", "gnss/main"])
+def test_start_without_fault_unless_a_sensor_stays_silent(topic):
+    truth = short_truth()
+    result = run([m for m in truth.messages if m[1] != topic], seconds=3)
+    silent = [f for f in result.faults if f.code.endswith(".silent")]
+    assert [f.code for f in silent] == ([] if topic is None else [f"{topic.partition('/')[0]}.silent"])
+    assert all(f.stamp_ns < at(1.2) for f in silent)
+
+
 @pytest.mark.parametrize("hours", [-1, 1])
 def test_clock_jump(hours):
     leap = round(hours * 3600e9)

@@ -96,7 +96,7 @@ def test_interrupted_replacement_is_repaired(out: Path, monkeypatch: pytest.Monk
         for name in ("command", "report.html", "logs/a log.mcap/result.json"):
             folder.write(name, "second")
         monkeypatch.setattr(Path, "replace", fails_at_report)
-        with pytest.raises(HeadlandError, match="cannot write the results"):
+        with pytest.raises(HeadlandError, match="cannot be written"):
             folder.replace({"logs/a log.mcap"})
     monkeypatch.undo()
     assert contents(out)["report.html"] == "first"
@@ -104,9 +104,17 @@ def test_interrupted_replacement_is_repaired(out: Path, monkeypatch: pytest.Monk
     assert {v for k, v in contents(out).items() if k != "manifest.json"} == {"third"}
 
 
+def test_folder_without_manifest_is_refused_even_with_a_folder_of_our_name(tmp_path: Path) -> None:
+    (tmp_path / ".incomplete").mkdir()
+    (tmp_path / ".incomplete" / "photo.png").write_text("mine")
+    with pytest.raises(HeadlandError, match=r"contains \.incomplete"):
+        ResultFolder("validate", tmp_path)
+    assert contents(tmp_path) == {".incomplete/photo.png": "mine"}
+
+
 def test_second_run_in_the_same_folder_is_refused(out: Path) -> None:
     with ResultFolder("validate", out) as first:
-        with pytest.raises(HeadlandError, match="another validation writes"):
+        with pytest.raises(HeadlandError, match="another run is writing"):
             ResultFolder("validate", out)
         first.discard()
     assert contents(out)["report.html"] == "first"

@@ -1,0 +1,100 @@
+"""Types of command line arguments: what they refuse is one line, before anything is imported."""
+
+import argparse
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """Type of a whole number within bounds."""
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text}: must be a whole number from {low} to {high}")
+        return value
+
+    return parse
+
+
+def number(low: float, high: float, unit: str = "") -> Callable[[str], float]:
+    """Type of a finite number within bounds."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text}: must be a number from {low:g} to {high:g}{unit}")
+        return value
+
+    return parse
+
+
+def file(text: str) -> Path:
+    """Type of an existing file."""
+    path = Path(text)
+    if not path.is_file():
+        why = "is a folder, a file is needed" if path.is_dir() else "no such file"
+        raise argparse.ArgumentTypeError(f"{text}: {why}")
+    return path
+
+
+def file_name(text: str) -> str:
+    """Type of the name of an existing file."""
+    return str(file(text))
+
+
+def existing(text: str) -> Path:
+    """Type of an existing file or folder."""
+    path = Path(text)
+    if not path.exists():
+        target = f"the link target {path.readlink()} does not exist" if path.is_symlink() else "does not exist"
+        raise argparse.ArgumentTypeError(f"{text}: {target}")
+    return path
+
+
+def new_file(text: str) -> Path:
+    """Type of a file that is written: its folder exists, and no file of its name."""
+    path = Path(text)
+    if path.exists() and not path.is_char_device():
+        raise argparse.ArgumentTypeError(f"{text}: exists and is not overwritten; choose another path or remove it")
+    if not path.absolute().parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{text}: the folder {path.parent} does not exist")
+    return path
+
+
+def folder(text: str) -> Path:
+    """Type of a run folder: new, or an existing folder."""
+    path = Path(text)
+    if not text or (path.exists() and not path.is_dir()):
+        raise argparse.ArgumentTypeError(
+            f"{text}: is a file, not a folder" if text else "the name of a folder is empty"
+        )
+    return path
+
+
+def names_of(known: tuple[str, ...]) -> Callable[[str], str]:
+    """Type of names of a list, with commas between them."""
+
+    def parse(text: str) -> str:
+        if unknown := [name for name in text.split(",") if name not in known]:
+            raise argparse.ArgumentTypeError(f"{unknown[0]!r}: must be of {', '.join(known)}")
+        return text
+
+    return parse
+
+
+def regex(text: str) -> str:
+    """Type of a regular expression."""
+    try:
+        re.compile(text)
+    except (re.error, RecursionError, OverflowError) as error:
+        raise argparse.ArgumentTypeError(f"{text}: not a regular expression ({error})") from error
+    return text
