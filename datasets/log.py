@@ -99,8 +99,26 @@ class LogWriter:
             self._add(channel, envelope.receive_ns, data, message.stamp_ns, envelope.sequence)
             self._thread.call_later(self._digest.add, topic, message.stamp_ns, data)
             self.messages += 1
+        self._show(envelope)
+
+    def show(self, envelope: Envelope) -> None:
+        """Appends the viewer topics of a message, without the message."""
+        self._flush_when_due(envelope.receive_ns)
+        self._show(envelope)
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Metadata so far, for another log of the same drive."""
+        return dict(self._metadata)
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes written to the present part."""
+        return self._file.tell()
+
+    def _show(self, envelope: Envelope) -> None:
         for name, shown in self._viewer.show(envelope) if self._viewer is not None else ():
-            self.write_view(envelope.receive_ns, message.stamp_ns, name, shown)
+            self.write_view(envelope.receive_ns, envelope.message.stamp_ns, name, shown)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Appends metadata known at the end only; replaces earlier ones of this name for readers."""

@@ -30,10 +30,10 @@ def run_headland(arguments: list[str], folder: Path) -> tuple[int, str]:
 
 def terminate_children() -> None:
     """Sends SIGTERM to all processes of `run_headland` and of `multiprocessing`."""
-    for child in (*_children, *multiprocessing.active_children()):
-        if child.pid is not None:
-            with suppress(OSError):
-                os.kill(child.pid, signal.SIGTERM)
+    pids = [child.pid for child in _children] + [worker.pid for worker in multiprocessing.active_children()]
+    for pid in filter(None, pids):
+        with suppress(OSError):
+            os.kill(pid, signal.SIGTERM)
 
 
 def begin_worker(parent: int) -> None:

@@ -35,9 +35,11 @@ class Setup:
     start: PoseConfig
     is_folded: bool
 
-    def viewer(self) -> Viewer:
-        """Converter to the topics of common log viewers."""
-        return Viewer(self.stack.datasets.viewer, self.vehicle, self.implement, self.site)
+    def viewer(self, image_s: float | None = None) -> Viewer:
+        """Converter to the topics of common log viewers, with one image in `image_s` instead of the configured."""
+        config = self.stack.datasets.viewer
+        config = config if image_s is None else config.model_copy(update={"image_s": image_s})
+        return Viewer(config, self.vehicle, self.implement, self.site)
 
 
 def load_setup(

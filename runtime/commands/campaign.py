@@ -90,9 +90,7 @@ def main(arguments: argparse.Namespace) -> int:
         from runtime.hazards import campaign as hazards
 
         return hazards.main(arguments)
-    with RunFolder(
-        f"campaign-{name}", arguments.out, {"campaign": name, "plant": arguments.plant}, resumes=True
-    ) as folder:
+    with RunFolder(verb, arguments.out, command, resumes=True) as folder:
         trials = trials_of(name, arguments.seeds, folder.path, arguments.plant)
         for trial in trials:
             folder.file(trial.name)

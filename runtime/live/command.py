@@ -78,7 +78,7 @@ def drive(
     text = resolved(mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement,
                     stack=setup.stack, scenario=scenario, live=config)  # fmt: skip
     folder.file("config.yaml").write_text(text, encoding="utf-8")
-    for name in ("log.mcap", "reactions.jsonl"):
+    for name in ("log.mcap", "events", "reactions.jsonl"):
         folder.file(name)
     conditions = versions() | {"seed": str(setup.seed)}
     folder.record("conditions", conditions)

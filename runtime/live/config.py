@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from configs.strict import Config
 from messages.errors import HeadlandError
+from runtime.live.thinned_log_config import ThinnedLogConfig
 
 ROLES = ("machine", "perception", "localization", "planning", "safety", "log")
 Seconds = Annotated[float, Field(gt=0.0, le=600.0)]
@@ -27,6 +28,7 @@ class LiveConfig(Config):
     ring_mib: dict[str, Annotated[int, Field(ge=1, le=1024)]]
     timeout_s: dict[str, Seconds]
     startup_s: Seconds
+    thinned_log: ThinnedLogConfig
 
     @model_validator(mode="after")
     def _has_every_process(self) -> "LiveConfig":

@@ -21,6 +21,7 @@ from runtime.live.config import LiveConfig, open_bus
 from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
 from runtime.live.reactions import ReactionTrials
 from runtime.live.ring import RingReader, RingWriter
+from runtime.live.thinned_log import NO_IMAGES_S, THINNED, ThinnedLog
 from runtime.perception_nodes import perception_nodes
 from runtime.processes import begin_worker, end_with_parent
 from runtime.safety_nodes import safety_nodes
@@ -88,8 +89,14 @@ def _parts(start: Start) -> Iterator[tuple[World, list[Node], list[Any]]]:
             yield world, [], []
     elif start.role == "log":
         config = start.setup.stack.datasets.log
-        with LogWriter(start.folder / "log.mcap", start.metadata, config, start.setup.viewer(), rotates=True) as log:
-            yield NoWorld(), [], [log.write]
+        thinned = start.config.thinned_log
+        metadata = start.metadata | {THINNED: {"left_out": ", ".join(thinned.left_out)}}
+        viewer, event_viewer = start.setup.viewer(thinned.image_s), start.setup.viewer(NO_IMAGES_S)
+        with (
+            LogWriter(start.folder / "log.mcap", metadata, config, viewer, rotates=True) as log,
+            closing(ThinnedLog(log, start.folder / "events", thinned, config, event_viewer)) as sink,
+        ):
+            yield NoWorld(), [], [sink]
     elif start.role == "safety":
         with closing_bus(SharedBus(open_bus(start.config.can))) as bus:
             yield NoWorld(), safety_nodes(start.setup, bus, is_ablation=False), []

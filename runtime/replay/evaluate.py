@@ -40,6 +40,10 @@ class Task:
     key: str
 
 
+class NotShown(HeadlandError):
+    """A log that is readable and cannot show anything."""
+
+
 def lost_task(task: Task, error: Exception) -> dict[str, Any]:
     """Result of a log whose worker died."""
     return {"log": task.name, "failed": f"{task.log}: the worker died ({error!r})"}
@@ -51,6 +55,7 @@ def evaluate_task(task: Task) -> dict[str, Any]:
         values = _evaluate(task)
     except HeadlandError as error:
         values = {"log": task.name, "failed": "; ".join([str(error), *_damage(task.log)])}
+        values["is_not_shown"] = isinstance(error, NotShown)
     except Exception as error:  # an invalid log may raise any error; the other logs continue
         if isinstance(error, OSError) and error.errno in NO_SPACE:
             raise _cannot_write(task, error) from error
@@ -98,6 +103,7 @@ def _evaluate(task: Task) -> dict[str, Any]:
     from validation.obstacle_stop.perceived_objects import PerceivedObjects
 
     conditions = load_conditions(task.conditions)
+    check_thinned(task.log)
     replay_input = prepare(task.log, task.truth, task.vehicle, load_configuration(conditions, task.model))
     if task.removed_object is not None:
         replay_input = remove_object(replay_input, task.removed_object)
@@ -126,6 +132,17 @@ def _evaluate(task: Task) -> dict[str, Any]:
     labels = {} if sidecar is None else open_questions(read_sidecar(sidecar), observed)
     labels["not_shown"] = [*values.get("not_shown", []), *labels.get("not_shown", [])]
     return values | labels | {"figures": _figures(values, observed, setting) if has_truth else {}}
+
+
+def check_thinned(log: Path) -> None:
+    """Raises NotShown for a log of `live`, which has the sensor data of events only, in logs of their own."""
+    from datasets.importers.recording import read_head
+    from datasets.reader import read_metadata
+    from datasets.records import MAGIC
+
+    if log.is_file() and read_head(log).startswith(MAGIC) and (thinned := read_metadata(log).get("thinned")):
+        left_out = thinned.get("left_out")
+        raise NotShown(f"{log}: thinned, without {left_out}; the logs in events/ have the seconds around events")
 
 
 def consistency_observer(replay_input: ReplayInput, setting: Setting) -> ConsistencyObserver:
