@@ -8,8 +8,8 @@ from pathlib import Path
 from datasets.disk import new_file
 from datasets.importers.mcap_logs import OWN
 from datasets.importers.recording import SOURCE, Ignored, Recording, describe
-from datasets.log import END, LogConfig, LogWriter
-from datasets.reader import read_metadata
+from datasets.log import LogConfig, LogWriter
+from datasets.reader import END, read_metadata
 from datasets.viewer import Viewer, ViewerConfig
 from messages.message import Envelope
 
