@@ -8,9 +8,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import butter, filtfilt
 
 from control.scalars import as_floats
+from control.zero_phase import low_pass
 from geometry.angles import wrap
 from geometry.arrays import Float64
 from messages.plan import Path
@@ -132,8 +132,7 @@ def smooth(
     count = math.ceil(EXTENSION_M / step_m)
     before = _arc(p_m[0], headings[0], curvatures[0], np.arange(-count, 0, dtype=np.float64) * step_m)
     after = _arc(p_m[-1], headings[1], curvatures[1], np.arange(1, count + 1, dtype=np.float64) * step_m)
-    b, a = butter(3, min(cutoff_radpm * step_m / math.pi, 0.99))
-    return np.asarray(filtfilt(b, a, np.vstack([before, p_m, after]), axis=0), np.float64)
+    return low_pass(np.vstack([before, p_m, after]), min(cutoff_radpm * step_m / math.pi, 0.99))
 
 
 def _arc(p_m: Float64, heading_rad: float, curvature_radpm: float, s_m: Float64) -> Float64:

@@ -10,26 +10,26 @@ from typing import Any
 from configs.mission import Mission
 from configs.strict import CONFIGS, find, load
 from configs.vehicle import ImplementFile, Vehicle
-from runtime.coverage.config import CoverageConfig
-from runtime.coverage.drawing import draw
-from runtime.coverage.evaluation import evaluate
-from runtime.coverage.states import states_of
 from runtime.run_folder import RunFolder, command_of, named_errors, resolved, versions
-from runtime.setup import with_implement_sensors
-from runtime.stack import load_stack
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Evaluates and writes picture and table; 0 if every reached place is covered or enclosed, else 1."""
     vehicle = load(Vehicle, find("machines", arguments.machine))
-    implement = None
-    if arguments.implement is not None:
-        implement = load(ImplementFile, find("implements", arguments.implement)).implement
-        vehicle = with_implement_sensors(vehicle, implement)
-    mission, stack = load(Mission, find("missions", arguments.mission)), load_stack()
-    config = load(CoverageConfig, CONFIGS / "coverage.yaml")
-    states = states_of(mission, vehicle, implement, stack.planning)
+    mission, name = load(Mission, find("missions", arguments.mission)), arguments.implement
+    implement = None if name is None else load(ImplementFile, find("implements", name)).implement
     with RunFolder("coverage", arguments.out, command_of(arguments)) as folder:
+        # only now: these imports take seconds, and a wrong argument is reported at once
+        from runtime.coverage.config import CoverageConfig
+        from runtime.coverage.drawing import draw
+        from runtime.coverage.evaluation import evaluate
+        from runtime.coverage.states import states_of
+        from runtime.setup import with_implement_sensors
+        from runtime.stack import load_stack
+
+        vehicle = vehicle if implement is None else with_implement_sensors(vehicle, implement)
+        config, stack = load(CoverageConfig, CONFIGS / "coverage.yaml"), load_stack()
+        states = states_of(mission, vehicle, implement, stack.planning)
         found = evaluate(vehicle, implement, states, stack.safety, config)
         rows = [one.row() for one in found]
         uncovered_m2 = round(sum(float(str(row["uncovered_m2"])) for row in rows), 2)

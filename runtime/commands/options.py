@@ -81,7 +81,7 @@ COMMANDS = (
                 help="measure reaction times to N pop-ups"),
         _out("live"), JSON,
     )),
-    Command("shadow", "log a machine's CAN bus without sending", "runtime.live.shadow", (
+    Command("shadow", "log a machine's CAN bus without sending", "runtime.commands.shadow", (
         _option("--bus", required=True, metavar="CHANNEL", help="python-can channel, e.g. can0"),
         _option("--interface", default="socketcan", help="python-can interface (default socketcan)"),
         DURATION, _out("shadow"), JSON,

@@ -8,7 +8,6 @@ from typing import Any
 
 import can
 
-from configs.strict import CONFIGS, load
 from datasets.log import LogWriter
 from interfaces.can_receiver import CanReceiver
 from messages.command import CanFrame, CanFrames, MachineState
@@ -16,8 +15,7 @@ from messages.errors import HeadlandError
 from messages.message import Envelope, Message
 from runtime.interruption import Interruption
 from runtime.live.clock import Clock
-from runtime.live.config import CanConfig, LiveConfig, open_bus
-from runtime.run_folder import RunFolder, command_of, versions
+from runtime.run_folder import RunFolder, versions
 from runtime.stack import load_stack
 
 STATE_NS, FRAMES_NS, LINE_NS = 20_000_000, 100_000_000, 1_000_000_000
@@ -61,27 +59,23 @@ class Listener:
         return outputs
 
 
-def main(arguments: argparse.Namespace) -> int:
+def log_bus(
+    arguments: argparse.Namespace, folder: RunFolder, interruption: Interruption, bus: can.BusABC, name: str
+) -> int:
     """Logs until interrupted or for the given time; 0 if a frame was received."""
-    stack, live = load_stack(), load(LiveConfig, CONFIGS / "live.yaml")
-    config = CanConfig(interface=arguments.interface, channel=arguments.bus, port=live.can.port)
+    stack = load_stack()
     addresses = stack.interfaces.gateway
     listener = Listener(addresses.tractor_address, addresses.address)
-    with (
-        RunFolder("shadow", arguments.out, command_of(arguments)) as folder,
-        Interruption() as interruption,
-        open_bus(config) as bus,
-    ):
-        conditions = versions()
-        folder.record("conditions", conditions | {"bus": f"{config.interface}:{config.channel}"})
-        with LogWriter(folder.file("log.mcap"), {"run": conditions}, stack.datasets.log, rotates=True) as log:
-            _record(bus, listener, log, arguments.duration, interruption)
-        state = listener.receiver.state(0)
-        result: dict[str, Any] = {
-            "frames": listener.count, "rejected": state.rejected_frames, "run_dir": str(folder.path),
-        }  # fmt: skip
-        folder.record("result", {"result": result})
-        folder.finish()
+    conditions = versions()
+    folder.record("conditions", conditions | {"bus": name})
+    with LogWriter(folder.file("log.mcap"), {"run": conditions}, stack.datasets.log, rotates=True) as log:
+        _record(bus, listener, log, arguments.duration, interruption)
+    state = listener.receiver.state(0)
+    result: dict[str, Any] = {
+        "frames": listener.count, "rejected": state.rejected_frames, "run_dir": str(folder.path),
+    }  # fmt: skip
+    folder.record("result", {"result": result})
+    folder.finish()
     sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _summary(result))
     return 0 if listener.count else 1
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from scipy.stats import beta, chi2
+from scipy.special import betaincinv, gammaincinv
 
 IN_A_ROW = 3
 Flag = tuple[float, bool]
@@ -34,8 +34,8 @@ def lost_from(flags: Iterable[Flag]) -> float | None:
 def share_bounds(count: int, of: int, confidence: float = 0.95) -> tuple[float, float]:
     """Exact bounds of a share (Clopper and Pearson 1934)."""
     tail = 0.5 * (1.0 - confidence)
-    low = 0.0 if count == 0 else float(beta.ppf(tail, count, of - count + 1))
-    high = 1.0 if count >= of else float(beta.ppf(1.0 - tail, count + 1, of - count))
+    low = 0.0 if count == 0 else float(betaincinv(count, of - count + 1, tail))
+    high = 1.0 if count >= of else float(betaincinv(count + 1, of - count, 1.0 - tail))
     return low, high
 
 
@@ -44,5 +44,5 @@ def rate_bounds(count: int, time: float, confidence: float = 0.95) -> tuple[floa
     if time <= 0.0:
         return 0.0, None
     tail = 0.5 * (1.0 - confidence)
-    low = 0.0 if count == 0 else 0.5 * float(chi2.ppf(tail, 2 * count)) / time
-    return low, 0.5 * float(chi2.ppf(1.0 - tail, 2 * count + 2)) / time
+    low = 0.0 if count == 0 else float(gammaincinv(count, tail)) / time
+    return low, float(gammaincinv(count + 1, 1.0 - tail)) / time
