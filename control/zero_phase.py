@@ -28,7 +28,8 @@ def butterworth(share: float) -> tuple[Float64, Float64]:
     warped = 4.0 * np.tan(np.pi * share / 2.0)
     poles = warped * -np.exp(1j * np.pi * np.arange(-ORDER + 1, ORDER, 2, dtype=np.float64) / (2 * ORDER))
     gain = warped**ORDER * np.real(1.0 / np.prod(4.0 - poles))
-    return gain * np.poly(-np.ones(ORDER)), np.poly((4.0 + poles) / (4.0 - poles))
+    denominator = np.asarray(np.poly((4.0 + poles) / (4.0 - poles)), np.float64)
+    return np.asarray(gain * np.poly(-np.ones(ORDER)), np.float64), denominator
 
 
 def steady_state(b: Float64, a: Float64) -> Float64:
