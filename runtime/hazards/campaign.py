@@ -12,7 +12,7 @@ from runtime.hazards.cases import drives_of, load_list, with_plant
 from runtime.hazards.drive import Task, drive_task, lost_task, task_of
 from runtime.run_folder import RunFolder, named_errors, versions
 from runtime.workers import Work, run_all, stored_result
-from validation.hazards.tables import failure_text, page, totals, unavoidable, write_parquet
+from validation.hazards.tables import failure_text, markdown, page, totals, unavoidable, write_parquet
 
 MAX_UNAVOIDABLE = 0.05  # of the drives
 
@@ -37,6 +37,7 @@ def main(arguments: argparse.Namespace) -> int:
         with named_errors(top):
             write_parquet(top, results)
             folder.file("table.html").write_text(page(results), encoding="utf-8")
+            folder.file("summary.md").write_text(markdown(results), encoding="utf-8")
             folder.file("result.json").write_text(json.dumps(summary) + "\n", encoding="utf-8")
     if arguments.json:
         sys.stdout.write(json.dumps(summary) + "\n")

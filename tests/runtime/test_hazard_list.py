@@ -126,6 +126,9 @@ def test_named_contact_is_reported_and_not_driven_again(tmp_path, capsys):
     assert row["is_promised"]
     assert row["part"] in ("implement", "wing_left")
     assert row["impact_mps"] < 1.0
+    summary = (tmp_path / "summary.md").read_text()
+    assert summary.startswith("drives 1, contacts 1, avoidable contacts 1, ")
+    assert "- adult_before_wing-1: " in summary
     page = (tmp_path / "table.html").read_text()
     assert "./headland run --mission line" in page
     assert "data:image/png" in page

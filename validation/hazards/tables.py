@@ -1,4 +1,4 @@
-"""Tables of the campaign of hazards: Parquet and one HTML page with a picture and the command of each failure."""
+"""Tables of the campaign of hazards: Parquet, Markdown, and an HTML page with picture and command of each failure."""
 
 import base64
 from collections import Counter
@@ -87,6 +87,21 @@ def page(results: Sequence[dict[str, Any]]) -> str:
         "hazards.html", totals=totals(results), keys=SHOWN, rows=rows, failures=failures,
         marked=[k for k, r in enumerate(ordered) if _rank(r) > 0],
     )  # fmt: skip
+
+
+def markdown(results: Sequence[dict[str, Any]]) -> str:
+    """Markdown: totals, counts for each level of each factor, and every contact."""
+    counted = ("drives", *COUNTS)
+    lines = [", ".join(f"{key.replace('_', ' ')} {value}" for key, value in totals(results).items())]
+    for factor in FACTORS:
+        lines += ["", f"| {factor} | {' | '.join(key.replace('_', ' ') for key in counted)} |"]
+        lines += ["| --- " * (len(counted) + 1) + "|"]
+        for level in dict.fromkeys(r["labels"][factor] for r in results):
+            sums = totals([r for r in results if r["labels"][factor] == level])
+            lines += [f"| {level or '—'} | {' | '.join(str(sums[key]) for key in counted)} |"]
+    lines += ["", "Contacts:", ""]
+    lines += [f"- {r['name']}: {failure_text(r)}" for r in results if "failed" in r or r["contacts"]]
+    return "\n".join(lines) + "\n"
 
 
 def _rank(result: dict[str, Any]) -> int:
