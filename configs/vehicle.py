@@ -22,15 +22,25 @@ Focal = Annotated[float, Field(gt=1.0, le=100000.0)]
 
 
 class Mount(Config):
-    """Mount of a sensor: origin and fixed-axis roll, pitch and yaw in `base`."""
+    """Mount of a sensor: origin and fixed-axis roll, pitch and yaw in `base`.
+
+    On an implement it is that of the raised one, and the sensor is `sinks_m` lower when the implement is lowered.
+    """
 
     xyz_m: tuple[Offset, Offset, Offset]
     rpy_deg: tuple[Degrees, Degrees, Degrees] = (0.0, 0.0, 0.0)
+    sinks_m: float = Field(default=0.0, ge=0.0, le=3.0)
 
     @property
     def T_base_sensor(self) -> Float64:
-        """Pose of the sensor in base, (4, 4)."""
+        """Pose of the sensor in base, (4, 4); on an implement when raised."""
         return transform(self.xyz_m, np.radians(self.rpy_deg))
+
+    def at_hitch(self, hitch: float) -> Float64:
+        """Pose of the sensor in base, (4, 4), at a hitch position from 0 (lowest) to 1 (highest)."""
+        T = self.T_base_sensor
+        T[2, 3] -= self.sinks_m * (1.0 - hitch)
+        return T
 
 
 class Sensor(Config):
@@ -285,7 +295,8 @@ class Fold(Config):
 class MountedImplement(_Implement):
     """Implement on the hitch; `working_point_m` and the ends are along x of `base` (negative: behind).
 
-    `fold` None means that it cannot be folded. `ultrasonic` are sensors on the implement, mounts in `base`.
+    `fold` None means that it cannot be folded. `sensors` are on the implement, outside of wings that fold; their mounts
+    are in `base` with raised implement, from where they sink by `lift_m` with it.
     """
 
     kind: Literal["mounted"]
@@ -295,7 +306,18 @@ class MountedImplement(_Implement):
     height_m: Annotated[float, Field(gt=0.0, le=5.0, description="of its top above the ground when lowered")]
     lift_m: Annotated[float, Field(ge=0.0, le=3.0, description="stroke: height above the ground when raised")]
     fold: Fold | None = None
-    ultrasonic: dict[str, Ultrasonic] = Field(default_factory=dict)
+    sensors: Sensors = Sensors()
+
+    @model_validator(mode="after")
+    def _sensors_move_with_the_hitch_only(self) -> "MountedImplement":
+        for kind, some in self.sensors:
+            if some and not any(isinstance(fact, SensorKind) for fact in Sensors.model_fields[kind].metadata):
+                raise ValueError(f"sensors.{kind}: not on an implement")
+            for name, one in (some or {}).items():
+                x_m, y_m, _ = one.mount.xyz_m
+                if self.fold is not None and abs(y_m) > 0.5 * self.fold.width_m:
+                    raise ValueError(f"sensors.{kind}.{name}: y {y_m} m is on a wing that folds (x {x_m} m)")
+        return self
 
     @property
     def ends_m(self) -> tuple[float, float]:

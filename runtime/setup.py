@@ -3,10 +3,12 @@
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from configs.mission import Mission, Spread
+from configs.sensor_kinds import SENSOR_KINDS, sensors_of
 from configs.site import PoseConfig, Site
 from configs.strict import find, load
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
@@ -110,11 +112,18 @@ def _site(
 
 def with_implement_sensors(vehicle: Vehicle, implement: MountedImplement | TrailedImplement) -> Vehicle:
     """Vehicle with the sensors of its implement added; raises ConfigError for a duplicate name."""
-    if not isinstance(implement, MountedImplement) or not implement.ultrasonic:
+    if not isinstance(implement, MountedImplement):
         return vehicle
-    own = vehicle.sensors.ultrasonic
-    duplicates = sorted(own.keys() & implement.ultrasonic.keys())
-    if duplicates:
-        raise ConfigError(f"ultrasonic {duplicates[0]!r} is on {vehicle.name!r} and on {implement.name!r}; rename one")
-    sensors = vehicle.sensors.model_copy(update={"ultrasonic": own | implement.ultrasonic})
-    return vehicle.model_copy(update={"sensors": sensors})
+    found = dict[str, dict[str, Any]]()
+    for kind in SENSOR_KINDS:
+        own, more = sensors_of(vehicle.sensors, kind), sensors_of(implement.sensors, kind)
+        duplicates = sorted(own.keys() & more.keys())
+        if duplicates:
+            raise ConfigError(f"{kind} {duplicates[0]!r} is on {vehicle.name!r} and on {implement.name!r}; rename one")
+        found[kind] = {**own, **{name: _sinking(one, implement.lift_m) for name, one in more.items()}}
+    return vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update=found)})
+
+
+def _sinking(sensor: Any, lift_m: float) -> Any:
+    """The sensor of an implement with this stroke."""
+    return sensor.model_copy(update={"mount": sensor.mount.model_copy(update={"sinks_m": lift_m})})

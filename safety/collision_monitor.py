@@ -61,6 +61,7 @@ class MonitorInputs:
     path: Path | None
     tracks: Tracks | None
     fold: float | None
+    hitch: float
     source_data: SourceData
     health: Mapping[str, SensorHealth | None]
 
@@ -101,6 +102,7 @@ class CollisionMonitor:
             return
         self.pose_history.add(odom)
         is_new_footprint = self._set_footprint(inputs.fold)
+        self.sources.set_hitch(inputs.hitch)
         is_relevant = self.sources.update(inputs.source_data, self.pose_history, odom)
         stamps, new = stamps_of(inputs), self.sources.with_new_scan(inputs.source_data)
         if stamps == self._stamps and not new and not is_relevant and not is_new_footprint:

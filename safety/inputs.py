@@ -18,7 +18,7 @@ from safety.monitors.sensors import MonitoredSensor, SensorFailure, failure_of, 
 from safety.monitors.watchdog import TopicAge, age_of
 from safety.obstacle_sources import SourceData
 from safety.pose_history import valid_map_pose, valid_odometry
-from safety.zones.footprint import fold_of
+from safety.zones.footprint import fold_of, hitch_of
 
 
 class SupervisorInputs:
@@ -58,6 +58,7 @@ class SupervisorInputs:
             inbox.latest("path", Path),
             inbox.latest("tracks", Tracks),
             fold_of(machine, self._config.limits.max_group_age_s),
+            hitch_of(machine, self._config.limits.max_group_age_s),
             measurements,
             {name: inbox.latest(topic, SensorHealth) for name, topic in self._health.items()},
         )

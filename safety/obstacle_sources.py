@@ -59,6 +59,11 @@ class ObstacleSources:
         for source in self.lidars:
             source.footprint = footprint
 
+    def set_hitch(self, hitch: float) -> None:
+        """Sets the hitch position, which moves the lidars on the implement."""
+        for source in self.lidars:
+            source.hitch = hitch
+
     def update(self, data: SourceData, pose_history: PoseHistory, odom: Odometry) -> bool:
         """Processes new radar and ultrasonic data; returns whether any of it has, or had before, a confirmed echo."""
         is_relevant = False

@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 from pydantic import Field
 
+from configs.sensor_kinds import sensors_of
 from configs.site import Bay, PoseConfig, Post, Shed, Site
 from configs.strict import Config
 from configs.vehicle import Brake, Camera, Lidar, Mount, MountedImplement, Sensors, TrailedImplement, Vehicle
@@ -103,8 +104,12 @@ def draw_plant(kind: PlantKind, configured: Plant, config: PlantConfig, seed: in
     start = draw.start(configured.start, configured.site, site)
     vehicle, implement = draw.vehicle(configured.vehicle), draw.implement(configured.implement)
     if isinstance(implement, MountedImplement):
-        own = {name: vehicle.sensors.ultrasonic.get(name, one) for name, one in implement.ultrasonic.items()}
-        implement = implement.model_copy(update={"ultrasonic": own})
+        own = {
+            kind: {name: sensors_of(vehicle.sensors, kind).get(name, one) for name, one in some.items()}
+            for kind, some in implement.sensors
+            if isinstance(some, dict)
+        }
+        implement = implement.model_copy(update={"sensors": implement.sensors.model_copy(update=own)})
     models = draw.models(configured.models)
     topics = [f"{name}/{one}" for name, some in configured.vehicle.sensors if isinstance(some, dict) for one in some]
     clocks = {topic: draw.clock() for topic in (*topics, "imu", "wheel")}
@@ -151,7 +156,7 @@ class _Draw:
         """True mount of a sensor."""
         x, y, z = (value + self.error(self._config.mount_m) for value in mount.xyz_m)
         roll, pitch, yaw = (value + self.error(self._config.mount_deg) for value in mount.rpy_deg)
-        return Mount(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
+        return Mount(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw), sinks_m=mount.sinks_m)
 
     def vehicle(self, vehicle: Vehicle) -> Vehicle:
         """True machine."""

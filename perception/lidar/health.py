@@ -19,7 +19,7 @@ from messages.perception import HealthState
 from perception.lidar.grid import MAX_GRID_POINTS
 
 RANGES_M = np.arange(1.0, 201.0)
-STEEPEST, STEPS = 2.0, 2000.0  # greatest tangent of the ring table, and its steps per unit
+STEEPEST, STEPS = 8.0, 2000.0  # greatest tangent of the ring table (83 degrees), and its steps per unit
 SELF_SHELL_M = 1.5  # a sensor on the hood lies inside the self filter's box: beams are checked from here
 
 

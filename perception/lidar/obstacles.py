@@ -74,8 +74,11 @@ class LidarObstacles(Node):
             self._rejected_count += 1
             return ((self.writes[2], self._blind_health(scan.stamp_ns, reason)),)
         odom = inbox.at("odom", Odometry, scan.stamp_ns) or inbox.latest("odom", Odometry)
-        folded = is_folded(inbox.latest("machine", MachineState))
-        ground, obstacles, health = self._pipeline.run(scan, odom, self.name, self._rejected_count, folded)
+        machine = inbox.latest("machine", MachineState)
+        hitch = 1.0 if machine is None or not np.isfinite(machine.hitch) else machine.hitch
+        ground, obstacles, health = self._pipeline.run(
+            scan, odom, self.name, self._rejected_count, is_folded(machine), hitch
+        )
         if health.state is HealthState.BLIND:
             return ((self.writes[2], health),)
         return ((self.writes[0], ground), (self.writes[1], obstacles), (self.writes[2], health))
@@ -120,8 +123,8 @@ class Pipeline:
 
     def __init__(self, lidar: Lidar, vehicle: Vehicle, implement: Implement | None, config: LidarConfig) -> None:
         self.config, self._reach_m = config, lidar.range_m[1]
-        self._T: Float64 = lidar.mount.T_base_sensor
-        self._center = self._T[:2, 3].copy()
+        self._mount = lidar.mount
+        self._center: Float64 = lidar.mount.T_base_sensor[:2, 3].copy()
         by_fold = (implement, implement and implement.folded)
         self._own = tuple(self_boxes(vehicle, one, config.self_filter) for one in by_fold)
         g = config.ground
@@ -146,11 +149,13 @@ class Pipeline:
             self.run(LidarScan(0, image, none.copy(), none.copy(), two.copy(), intensity, offset_s), None, "", 0)
 
     def run(
-        self, scan: LidarScan, odom: Odometry | None, sensor: str, rejected_count: int, is_folded: bool = False
-    ) -> tuple[LidarGround, Obstacles, SensorHealth]:
+        self, scan: LidarScan, odom: Odometry | None, sensor: str, rejected_count: int, is_folded: bool = False,
+        hitch: float = 1.0,
+    ) -> tuple[LidarGround, Obstacles, SensorHealth]:  # fmt: skip
         """The three messages of a valid scan."""
         own, nominal = self._own[is_folded], self.coverages[is_folded]
-        points, usable = to_base(scan.points_m, scan.point_offset_s, self._T, motion_of(odom), own)
+        T = self._mount.at_hitch(hitch)
+        points, usable = to_base(scan.points_m, scan.point_offset_s, T, motion_of(odom), own)
         ground = find_ground(points, usable, self._center, self._grid, self.config.ground)
         point_class = np.empty(len(points), np.uint8)
         is_obstacle_point = np.empty(len(points), np.uint8)

@@ -96,7 +96,8 @@ def evaluate(
         key = state.is_raised, state.is_folded
         if key not in seen:
             solids = solids_of(vehicle, implement, *key)
-            seen[key] = covered(vehicle.sensors.lidar.values(), solids, footprints[key[1]], places, safety, config)
+            rays = [(one, rays_of(one, float(state.is_raised))) for one in vehicle.sensors.lidar.values()]
+            seen[key] = covered(rays, solids, footprints[key[1]], places, safety, config)
         reached = reached_places(footprints[state.is_folded], state, stop_m, places, config)
         slowest_s = max((1.0 / one.rate_hz for one in vehicle.sensors.lidar.values()), default=math.inf)
         band_m = (state.speed_mps + config.person_mps) * 2.0 * slowest_s
@@ -107,10 +108,10 @@ def evaluate(
 
 
 def covered(
-    lidars: Iterable[Lidar], solids: Float64, footprint: Footprint, places: Places, safety: SafetyConfig,
-    config: CoverageConfig,
+    lidars: Iterable[tuple[Lidar, Float64]], solids: Float64, footprint: Footprint, places: Places,
+    safety: SafetyConfig, config: CoverageConfig,
 ) -> Bool:  # fmt: skip
-    """Whether a body of each height at each place gives enough returns of one of the lidars, (H, X, Y).
+    """Whether a body of each height at each place gives enough returns of one of the lidars with their rays, (H, X, Y).
 
     At rest `min_returns_multiple_scan` returns repeat in the next scan, and are fewer than for a single scan.
     """
@@ -120,8 +121,7 @@ def covered(
     heights = np.array(config.heights_m)
     own = _own(footprint, field.mask_m)
     enough = np.zeros((len(heights), *x.shape), bool)
-    for lidar in lidars:
-        rays = rays_of(lidar)
+    for lidar, rays in lidars:
         reach = np.column_stack([np.full(len(rays), lidar.range_m[0]), free_range_m(rays, solids)])
         reach[:, 1] = np.minimum(reach[:, 1], lidar.range_m[1])
         counts = np.zeros(enough.shape, np.int64)

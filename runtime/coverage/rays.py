@@ -6,15 +6,15 @@ from configs.vehicle import Implement, Lidar, MountedImplement, Vehicle
 from geometry.arrays import Float64
 
 
-def rays_of(lidar: Lidar) -> Float64:
-    """Origin and direction in base (N, 6) of every ray of one scan."""
+def rays_of(lidar: Lidar, hitch: float) -> Float64:
+    """Origin and direction in base (N, 6) of every ray of one scan at a hitch position (0 lowest, 1 highest)."""
     fov = np.radians(lidar.field_of_view_deg)
     azimuth = fov * ((np.arange(lidar.columns) + 0.5) / lidar.columns - 0.5)
     elevation, azimuth = (a.ravel() for a in np.meshgrid(np.radians(lidar.elevation_deg), azimuth, indexing="ij"))
     local = np.column_stack([
         np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
     ])  # fmt: skip
-    T = lidar.mount.T_base_sensor
+    T = lidar.mount.at_hitch(hitch)
     return np.column_stack([np.broadcast_to(T[:3, 3], local.shape), local @ T[:3, :3].T])
 
 

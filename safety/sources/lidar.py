@@ -27,7 +27,7 @@ from safety.zones.footprint import Box, Footprint, is_own
 class LidarSource:
     """Processes the scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground.
 
-    `footprint` is that of the self mask; it is set on a change of fold position.
+    `footprint` is that of the self mask, set on a change of fold position; `hitch` moves a lidar on the implement.
     """
 
     def __init__(self, name: str, lidar: Lidar, footprint: Footprint, config: SafetyConfig) -> None:
@@ -37,6 +37,7 @@ class LidarSource:
         self.hits_odom_m: Float64 = np.empty((0, 3))
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
         self.footprint, self._config = footprint, config
+        self.hitch, self._mount = 1.0, lidar.mount
         self._T_base_sensor = lidar.mount.T_base_sensor
         self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_density(lidar, config.detection_range)
@@ -70,6 +71,7 @@ class LidarSource:
         else:
             self._equal_scans = self._equal_scans + 1 if is_same(scan, self.scan) else 0
         self.scan, self.stamp_ns = scan, scan.stamp_ns
+        self._T_base_sensor = self._mount.at_hitch(self.hitch)
         xyz = to_base(scan.points_m, self._T_base_sensor)
         self._update_detection_range(xyz, curvature_radpm)
         field = self._config.field

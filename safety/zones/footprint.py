@@ -123,6 +123,13 @@ def fold_of(machine: MachineState | None, max_group_age_s: float) -> float | Non
     return machine.fold_position
 
 
+def hitch_of(machine: MachineState | None, max_group_age_s: float) -> float:
+    """Measured hitch position; that of the raised implement when unknown: low objects then appear higher, not lower."""
+    if machine is None or machine.stamp_ns - machine.implement_stamp_ns > max_group_age_s * 1e9:
+        return 1.0
+    return machine.hitch if math.isfinite(machine.hitch) else 1.0
+
+
 def is_between(fold: float) -> bool:
     """Whether an implement is locked in neither end position of its fold."""
     return not (fold <= 1.0 - FOLDED or fold >= FOLDED)

@@ -18,7 +18,7 @@ from messages.sensors import LidarScan
 from simulation.environment.media import Media
 from simulation.environment.raycast import RaycastScene
 from simulation.kernels import ranges_mm, rays_near_ball, sweep_rays
-from simulation.machine.body import T_base_implement, implement_mesh, machine_mesh
+from simulation.machine.body import LIFT_M, T_base_implement, implement_mesh, machine_mesh
 from simulation.machine.implement import at_fold
 from simulation.sensors.lidar_beams import Beams
 from simulation.sensors.sensor import SensorContext, WorldState, period_ns_of
@@ -57,7 +57,7 @@ class LidarModel:
             config,
             random,
         )
-        self._T_base_lidar = lidar.mount.T_base_sensor
+        self._T_base_raised, self._is_on_implement = lidar.mount.T_base_sensor, lidar.mount.sinks_m > 0.0
         fov = math.radians(lidar.field_of_view_deg)
         self._elevation = np.radians(np.array(lidar.elevation_deg, np.float64))
         self._azimuth = fov * ((np.arange(lidar.columns) + 0.5) / lidar.columns - 0.5)
@@ -76,7 +76,8 @@ class LidarModel:
         distance, signal = (a.copy() for a in self._self_returns(state))
         is_open = np.isinf(distance)
         open_rays = np.flatnonzero(is_open)
-        T_map_lidar = state.poses.interpolate(-self._offset_s.astype(np.float64)) @ self._T_base_lidar
+        T_base_lidar = self._T_base_lidar(state.machine.attached.hitch)
+        T_map_lidar = state.poses.interpolate(-self._offset_s.astype(np.float64)) @ T_base_lidar
         rays = sweep_rays(T_map_lidar, self._directions, is_open.reshape(len(self._elevation), -1).view(np.uint8))
         found = state.scene.static.cast(rays)
         if state.scene.media is None:
@@ -90,6 +91,14 @@ class LidarModel:
             state.stamp_ns, measured, self._elevation.copy(),
             self._azimuth.copy(), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), self._offset_s.copy(),
         )  # fmt: skip
+
+    def _T_base_lidar(self, hitch: float) -> Float64:
+        """Pose in base, (4, 4); on an implement it moves with the hitch."""
+        T = self._T_base_raised
+        if self._is_on_implement:
+            T = T.copy()
+            T[2, 3] -= LIFT_M * (1.0 - hitch)
+        return T
 
     def _beams_in(self, media: Media) -> Beams:
         if self._beams is None:
@@ -107,7 +116,7 @@ class LidarModel:
             round(attached.fold * SELF_MASK_STEPS),
         )
         if key not in self._self_masks:
-            T_lidar_base = invert(self._T_base_lidar)
+            T_lidar_base = invert(self._T_base_lidar(key[0] / SELF_MASK_STEPS))
             T_lidar_implement = T_lidar_base @ T_base_implement(self._implement, math.radians(key[1]))
             body = RaycastScene([machine_mesh(self._vehicle).transformed(T_lidar_base)], [BODY_REFLECTIVITY])
             shape = implement_mesh(at_fold(self._implement, key[2] / SELF_MASK_STEPS), key[0] / SELF_MASK_STEPS)

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from configs.vehicle import MountedImplement, Ultrasonic
+from configs.vehicle import Ultrasonic
 from geometry.arrays import Float32, Float64
 from messages.message import Message
 from messages.sensors import UltrasonicRange
@@ -143,8 +143,7 @@ def cone_rays(half_rad: float) -> Float64:
 
 def make_model(name: str, sensor: Ultrasonic, config: UltrasonicConfig, context: SensorContext) -> UltrasonicModel:
     """Model of one ultrasonic sensor of vehicle or implement; its neighbours face the same half-space."""
-    implement = context.implement
-    is_on_implement = isinstance(implement, MountedImplement) and name in implement.ultrasonic
+    is_on_implement = sensor.mount.sinks_m > 0.0
     x = sensor.mount.T_base_sensor[:3, 0]
     axes = [one.mount.T_base_sensor[:3, 0] for one in context.vehicle.sensors.ultrasonic.values()]
     neighbours = sum(float(x @ other) > 0.0 for other in axes) - 1

@@ -427,7 +427,7 @@ def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
     control_command = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 1, 0.0, 0.0, 0.0, False)
     inputs = MonitorInputs(
         Odometry(START_NS, T, 2.0, 0.0, 0.0, 0.0, 0.0, np.eye(6)), replace(pose, **changes.pop("pose", {})),
-        control_command, None, None, 0.0, SourceData({}, {}, {}), {},
+        control_command, None, None, 0.0, 1.0, SourceData({}, {}, {}), {},
     )  # fmt: skip
     speed_mps, is_known = changes.pop("speed_mps", 2.0), changes.pop("is_speed_known", True)
     vehicle = VehicleState(

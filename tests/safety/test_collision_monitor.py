@@ -77,7 +77,7 @@ def docking_path() -> Any:
 
 CONTROL_COMMAND = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 7, 3.0, 0.0, 0.0, False)
 
-SEEN = MonitorInputs(odometry(), pose(), CONTROL_COMMAND, straight_path(7), Tracks(START_NS, ()), 0.0, NOTHING, {})
+SEEN = MonitorInputs(odometry(), pose(), CONTROL_COMMAND, straight_path(7), Tracks(START_NS, ()), 0.0, 1.0, NOTHING, {})
 
 DOCKING = replace(SEEN, fold=1.0, path=docking_path())
 
@@ -118,8 +118,8 @@ def make(
         around = (what.get("geofence"), what.get("known_structure", known_structure), config)
         collision_monitor: Any = CollisionMonitor(footprints, full.sensors, *around)
         collision_monitor.sources = SimpleNamespace(
-            update=Spy(False), with_new_scan=Spy([]), set_footprint=Spy(None), update_lidars=Spy(None),
-            clearance=Spy(Clearance(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
+            update=Spy(False), with_new_scan=Spy([]), set_footprint=Spy(None), set_hitch=Spy(None),
+            update_lidars=Spy(None), clearance=Spy(Clearance(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
         )  # fmt: skip
         return collision_monitor
 
@@ -249,6 +249,12 @@ def test_footprint_by_fold(make: Any, config: SafetyConfig, parts: Any, footprin
         assert parts.sweep_field.asked[6] is footprint
         assert parts.nearest_critical_object.asked[1] is footprint
         assert count == 0 or collision_monitor.sources.set_footprint.asked[0] is footprint
+
+
+def test_hitch_position_is_passed_to_the_sources(make: Any, config: SafetyConfig) -> None:
+    collision_monitor = make()
+    look(collision_monitor, config, replace(SEEN, hitch=0.3))
+    assert collision_monitor.sources.set_hitch.asked == (0.3,)
 
 
 def test_field_along_plan_in_its_direction(make: Any, config: SafetyConfig, parts: Any) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from configs.vehicle import FOLDED, Vehicle
 from geometry.pose2 import from_frame, point_from_frame, to_frame
-from safety.zones.footprint import Box, Footprint, fold_of, footprint_of, footprints_of, is_between
+from safety.zones.footprint import Box, Footprint, fold_of, footprint_of, footprints_of, hitch_of, is_between
 from safety.zones.swept_area import arc_poses
 from tests.safety.safety_world import START_NS, around
 
@@ -62,6 +62,14 @@ def test_fold_position_age_limit() -> None:
     assert fold_of(None, 0.35) is None
     for fold, between in ((1.0 - FOLDED, False), (FOLDED, False), (0.5, True), (0.011, True), (0.989, True)):
         assert is_between(fold) == between, fold
+
+
+def test_hitch_position_age_limit() -> None:
+    for age_ms in around(350, 1):
+        machine = machine_state(START_NS, hitch=0.2, implement_stamp_ns=START_NS - round(age_ms * 1e6))
+        assert hitch_of(machine, 0.35) == (0.2 if age_ms <= 350 else 1.0), age_ms
+    assert hitch_of(None, 0.35) == 1.0
+    assert hitch_of(machine_state(START_NS, hitch=math.nan), 0.35) == 1.0
 
 
 AREA = Box((-4.0, 20.0), (-7.0, 5.0))

@@ -93,7 +93,7 @@ def test_read(inputs: SupervisorInputs) -> None:
     inbox.messages.update(came)
     seen = inputs.read(inbox, machine)
     assert seen == MonitorInputs(
-        came["odom"], pose, control_command, path, came["tracks"], 0.7,
+        came["odom"], pose, control_command, path, came["tracks"], 0.7, 0.0,
         SourceData({"front": came["lidar/front"], "rear": None}, {"front": came["radar/front"]},
                      {"left": None, "right": None, "rear": came["ultrasonic/rear"]}),
         {"lidar_front": None, "lidar_rear": came["health/lidar_rear"], "radar_front": None,
@@ -103,7 +103,7 @@ def test_read(inputs: SupervisorInputs) -> None:
     inbox.messages["odom"] = odometry(speed_mps=math.nan)
     inbox.messages["map_pose"] = replace(pose, T_map_odom=np.full((4, 4), math.nan))
     broken = inputs.read(inbox, replace(machine, implement_stamp_ns=0))
-    assert (broken.odom, broken.map_pose, broken.fold) == (None, None, None)
+    assert (broken.odom, broken.map_pose, broken.fold, broken.hitch) == (None, None, None, 1.0)
 
 
 def test_ages_by_direction(inputs: SupervisorInputs) -> None:

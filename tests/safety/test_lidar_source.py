@@ -268,3 +268,20 @@ def test_held_hits_keep_their_age(source: LidarSource) -> None:
     assert source.hits_odom_m[4:].tolist() == old.tolist()
     assert process(source, scan(stamp_ns=START_NS + 9_000_000_000), there) == 4
     assert process(source, scan(stamp_ns=START_NS + 10_000_000_000), there) == 0
+
+
+def test_lidar_on_a_lowered_implement(sparse: Vehicle, implement, config: SafetyConfig) -> None:
+    """Ground seen from 0.6 m lower is ground, and a low box on it a hit; with a wrong hitch position all is a hit."""
+    mount = Mount(xyz_m=(-2.5, 0.0, 1.7), rpy_deg=(0.0, 0.0, 180.0), sinks_m=0.6)
+    raised = sparse.sensors.lidar["rear"].model_copy(update={"mount": mount})
+    lowered = raised.model_copy(update={"mount": mount.model_copy(update={"xyz_m": (-2.5, 0.0, 1.1)})})
+    body = Box(-4.25, 0.0, (0.5, 0.6, 0.6))
+    for hitch, truth in ((1.0, raised), (0.0, lowered)):
+        for boxes in ((), (body,)):
+            source = LidarSource("rear_near", raised, footprint_of(sparse, implement), config)
+            source.hitch = hitch
+            take(source, truth, boxes)
+            assert bool(len(source.hits_odom_m)) == bool(boxes), (hitch, boxes)
+    wrong = LidarSource("rear_near", raised, footprint_of(sparse, implement), config)
+    take(wrong, lowered)
+    assert len(wrong.hits_odom_m)

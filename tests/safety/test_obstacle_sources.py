@@ -83,6 +83,12 @@ def test_one_source_per_sensor(sources: ObstacleSources) -> None:
     assert sources._footprint is SMALL
 
 
+def test_hitch_position_of_all_lidars(sources: ObstacleSources) -> None:
+    assert {source.hitch for source in sources.lidars} == {1.0}
+    sources.set_hitch(0.3)
+    assert {source.hitch for source in sources.lidars} == {0.3}
+
+
 def test_is_newer() -> None:
     assert [is_newer(5, taken) for taken in (None, 4, 5, 6)] == [True, True, False, False]
 

@@ -204,7 +204,7 @@ def test_rays_of_a_turned_lidar() -> None:
         elevation_deg=[-30.0],
         mount={"xyz_m": [1.0, 2.0, 3.0], "rpy_deg": [0.0, 0.0, 90.0]},
     )
-    rays = rays_of(lidar.sensors.lidar["mast"])
+    rays = rays_of(lidar.sensors.lidar["mast"], 1.0)
     assert rays[:, :3] == pytest.approx(np.broadcast_to([1.0, 2.0, 3.0], (16, 3)))
     azimuth = np.degrees(np.arctan2(rays[:, 4], rays[:, 3]))
     assert azimuth.min() == pytest.approx(90.0 - 45.0 + 45.0 / 16)
