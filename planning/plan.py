@@ -11,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 from configs.mission import Line, Mission, Work
 from configs.site import PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
-from geometry.footprint import is_inside, worked
+from geometry.footprint import worked
 from geometry.polygon import parts, place_of, shrink
 from messages.errors import FieldError
 from messages.plan import Path
@@ -25,7 +25,7 @@ from planning.line import line_paths
 from planning.path import path_of
 from planning.rig import Rig, rig_of
 from planning.turns.connector import PathConnector
-from planning.turns.turn import FreeSpace
+from planning.turns.free_space import FreeSpace
 
 PROOF_SLACK_M = 0.02  # margin added in planning over the one verified
 MIN_UNCOVERED_M2 = 0.25
@@ -168,10 +168,11 @@ def _swaths(drivable: DrivableArea, rig: Rig, headland_passes: list[HeadlandPass
 
 def check_inside(paths: Sequence[Path], rig: Rig, drivable: DrivableArea) -> None:
     """Raises FieldError with the position where a body leaves the drivable area."""
+    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     for path in paths:
-        inside = is_inside(rig.bodies, path.p_map_m, path.heading_rad, drivable.allowed)
-        if not inside.all():
-            k = int(np.argmin(inside))
+        outside = space.touching(path.p_map_m, path.heading_rad)
+        if outside.any():
+            k = int(np.argmax(outside))
             x, y = path.p_map_m[k]
             section_type = path.sections[path.section_index[k]].section_type
             raise FieldError(

@@ -11,7 +11,8 @@ from shapely.geometry.base import BaseGeometry
 from geometry.arrays import Float64
 from geometry.polygon import edge_angles, grow, open_by, parts, polygon_of, shrink
 from geometry.pose2 import Pose2
-from planning.turns.turn import FreeSpace, is_free
+from planning.turns.free_space import FreeSpace
+from planning.turns.turn import is_free
 
 MIN_STRIP_M2 = 0.5
 REMAINS_RIM_M = 1.0

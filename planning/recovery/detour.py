@@ -21,7 +21,8 @@ from geometry.pose2 import Pose2
 from messages.plan import Path
 from planning.config import MissionConfig
 from planning.rig import Rig
-from planning.turns.turn import ConnectionRequest, FreeSpace, dubins_connection, is_free
+from planning.turns.free_space import FreeSpace
+from planning.turns.turn import ConnectionRequest, dubins_connection, is_free
 
 LATERAL_STEP_M, LATERAL_STEPS = 0.3, 8
 REVERSE_STEP_M = 1.0

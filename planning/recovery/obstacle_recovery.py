@@ -28,9 +28,10 @@ from planning.recovery.detour import (
 from planning.recovery.static_obstacles import StaticObstacle, extended_depth
 from planning.rig import Rig
 from planning.turns.connector import RoutePiece
+from planning.turns.free_space import FreeSpace
 from planning.turns.headland_transit import along_headland
 from planning.turns.sampling import sampled_connection
-from planning.turns.turn import ConnectionRequest, FreeSpace, dubins_connection
+from planning.turns.turn import ConnectionRequest, dubins_connection
 
 BYPASS_REVERSE_M = (0.0, 4.0, 8.0, 12.0)
 BYPASS_SECTIONS = 3

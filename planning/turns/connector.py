@@ -1,6 +1,7 @@
 """Route pieces, and a cached search for free connections between poses."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -10,9 +11,10 @@ from messages.plan import PathSectionType
 from planning.coverage.headland import HeadlandPass
 from planning.field.drivable_area import DrivableArea, describe
 from planning.rig import Rig
+from planning.turns.free_space import FreeSpace
 from planning.turns.headland_transit import along_headland
 from planning.turns.sampling import sampled_connection
-from planning.turns.turn import ConnectionRequest, FreeSpace, dubins_connection, is_free
+from planning.turns.turn import ConnectionRequest, dubins_connection, is_free
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class PathConnector:
             self.cache[key] = self._search(request, is_thorough, before)
         return self.cache[key]
 
-    @property
+    @cached_property
     def space(self) -> FreeSpace:
         """Free space of this plan."""
         return FreeSpace(self.drivable.allowed, self.rig.bodies, self.rig.radius_m, self.rig.config.smoothing_m)

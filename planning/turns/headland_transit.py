@@ -6,7 +6,8 @@ from geometry.arrays import Float64
 from geometry.polyline import without_repeats
 from geometry.pose2 import Pose2
 from planning.turns.dubins import dubins_paths
-from planning.turns.turn import ConnectionRequest, FreeSpace, dubins_connection, is_free
+from planning.turns.free_space import FreeSpace
+from planning.turns.turn import ConnectionRequest, dubins_connection, is_free
 
 STRIDE = 30  # points of a pass, 3 m
 MAX_TRIED = 14

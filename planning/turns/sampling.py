@@ -7,7 +7,8 @@ from geometry.polyline import without_repeats
 from geometry.pose2 import Pose2
 from planning.ompl_worker import search_poses, search_task, within_area
 from planning.turns.dubins import dubins_paths, points_of
-from planning.turns.turn import STEP_M, ConnectionRequest, FreeSpace, is_free
+from planning.turns.free_space import FreeSpace
+from planning.turns.turn import STEP_M, ConnectionRequest, is_free
 
 VALID_EVERY_M = 0.3
 SPACING_M = 2.0

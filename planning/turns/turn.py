@@ -4,27 +4,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Float64
-from geometry.footprint import Bodies, intrusion, is_inside
 from geometry.polyline import headings, resample, smooth, without_repeats
 from geometry.pose2 import Pose2
 from planning.turns.dubins import DubinsPath, dubins_paths, points_of
+from planning.turns.free_space import FreeSpace
 
 STEP_M = 0.1
 RADII = (1.0, 1.25, 1.6, 2.2)
 MORE_STRAIGHT_M = (0.0, 1.5, 3.5, 6.0)
-
-
-@dataclass(frozen=True)
-class FreeSpace:
-    """Allowed area, bodies, turning radius and smoothing of a collision check."""
-
-    allowed: BaseGeometry
-    bodies: Bodies
-    radius_m: float
-    smoothing_m: float
 
 
 @dataclass(frozen=True)
@@ -46,11 +35,7 @@ def smoothed(points_m: Float64, smoothing_m: float) -> tuple[Float64, Float64]:
 def is_free(points_m: Float64, space: FreeSpace) -> bool:
     """True if all bodies stay in the allowed area along the smoothed points (N, 2), checked every 0.1 m."""
     points, heading = smoothed(points_m, space.smoothing_m)
-    coarse = slice(None, None, 10)
-    corners = np.vstack([b.corners_m for b in space.bodies])
-    if intrusion(corners, points[coarse], heading[coarse], space.allowed).max() > 0.0:
-        return False
-    return bool(is_inside(space.bodies, points, heading, space.allowed).all())
+    return space.is_free(points, heading)
 
 
 def candidates(request: ConnectionRequest, radius_m: float, limit: int) -> Iterator[Float64]:

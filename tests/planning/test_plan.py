@@ -17,8 +17,9 @@ from messages.plan import Path, PathSectionType
 from planning.config import PlanningConfig
 from planning.drawing import draw_plan, plan_to_geojson
 from planning.plan import Plan, plan_field
+from planning.turns.free_space import FreeSpace
 from planning.turns.sampling import sampled_connection
-from planning.turns.turn import ConnectionRequest, FreeSpace, is_free
+from planning.turns.turn import ConnectionRequest, is_free
 
 SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
     "L": (((0, 0), (80, 0), (80, 40), (45, 40), (45, 70), (0, 70)), ()),
