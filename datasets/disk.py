@@ -90,6 +90,16 @@ class LogFile:
         raise self._failure from error
 
 
+def check_room(folder: Path, seconds: float, mb_per_s: float, min_free_mb: float) -> None:
+    """Raises LogError if the disk of a folder has no room for the log of a drive of about this duration."""
+    free_mb, needed_mb = _free_bytes(folder / "log") / MB, seconds * mb_per_s + min_free_mb
+    if free_mb < needed_mb:
+        raise LogError(
+            f"{folder}: {free_mb:.0f} MB are free on its disk, and a drive of about {seconds / 60.0:.0f} min needs "
+            f"{needed_mb:.0f} MB ({min_free_mb:.0f} MB of it are kept free); free space or choose another --out"
+        )
+
+
 def _free_bytes(path: Path) -> int:
     stat = os.statvfs(path.parent)
     return stat.f_bavail * stat.f_frsize

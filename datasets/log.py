@@ -42,13 +42,15 @@ class LogConfig(Config):
     """Intervals of chunks, disk synchronization and parts (log time), size of parts, and free space on the disk.
 
     A chunk ends after `flush_s` or `chunk_kib`, and then survives a crash of the process; after `sync_s` it also
-    survives a power failure. A rotated log begins a new part after `part_s` or `part_mb`.
+    survives a power failure. A rotated log begins a new part after `part_s` or `part_mb`. A drive needs about
+    `drive_mb_per_s` of space.
     """
 
     chunk_kib: int = Field(ge=16, le=65536)
     flush_s: float = Field(gt=0.0, le=60.0)
     sync_s: float = Field(gt=0.0, le=600.0)
     min_free_mb: float = Field(ge=0.0, le=1e6)
+    drive_mb_per_s: float = Field(default=0.6, gt=0.0, le=1000.0)
     part_s: float = Field(default=3600.0, gt=0.0, le=86400.0)
     part_mb: float = Field(default=1000.0, ge=0.1, le=1e6)
 

@@ -8,12 +8,13 @@ from typing import Any, TextIO
 from configs.site import Bay
 from configs.strict import Config
 from configs.vehicle import Vehicle
+from datasets.disk import check_room
 from datasets.log import LogWriter
 from datasets.reader import LogScan, decode, is_ours
 from messages.errors import HeadlandError
 from messages.message import Envelope
 from runtime.assembly import assemble, fault_injection_for, plant_of
-from runtime.commands.end_of_run import EndOfDrive
+from runtime.commands.end_of_run import EndOfDrive, expected_s
 from runtime.commands.progress import Progress
 from runtime.executor import Executor
 from runtime.interruption import Interruption
@@ -41,6 +42,8 @@ def drive(
     Raises HeadlandError if log or report cannot be written; what was written until then stays in the folder.
     """
     began_s = time.monotonic()
+    log = setup.stack.datasets.log
+    check_room(folder.path, expected_s(setup.plan.length_m, limit_s), log.drive_mb_per_s, log.min_free_mb)
     conditions = versions() | {"seed": str(setup.seed), "ablation": str(is_ablation)}
     folder.record("conditions", conditions)
     log_path = folder.file("log.mcap")

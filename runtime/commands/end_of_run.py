@@ -9,7 +9,14 @@ STANDING_MPS = 0.02
 REST_S = 3.0  # standstill after the end of the mission
 STUCK_S = 120.0  # standstill that ends an unfinished drive; the simulated operator does not intervene
 MIN_MEAN_SPEED_MPS = 0.25  # slower drives are aborted
+USUAL_MEAN_SPEED_MPS = 1.6  # of the demo, stops included
 LATCHED = (Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
+
+
+def expected_s(length_m: float, limit_s: float | None) -> float:
+    """Usual duration of a drive along a planned path (s)."""
+    usual_s = length_m / USUAL_MEAN_SPEED_MPS
+    return usual_s if limit_s is None else min(usual_s, limit_s)
 
 
 class EndOfDrive:

@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from configs.strict import CONFIGS, load
+from datasets.disk import check_room
 from datasets.reader import LogScan
 from messages.errors import HeadlandError
 from messages.message import Envelope
-from runtime.commands.end_of_run import LATCHED, EndOfDrive
+from runtime.commands.end_of_run import LATCHED, EndOfDrive, expected_s
 from runtime.commands.live import ProcessKill
 from runtime.commands.progress import Progress
 from runtime.fault_injection.situations import DriveMonitor
@@ -74,6 +75,8 @@ def drive(
 ) -> dict[str, Any]:
     """Starts all processes, drives, and stops them; returns the result, which is also in the folder."""
     config = load(LiveConfig, CONFIGS / "live.yaml")
+    min_free_mb = setup.stack.datasets.log.min_free_mb
+    check_room(folder.path, expected_s(setup.plan.length_m, duration_s), config.thinned_log.mb_per_s, min_free_mb)
     setup = started_at(setup, time.time_ns())
     text = resolved(mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement,
                     stack=setup.stack, scenario=scenario, live=config)  # fmt: skip

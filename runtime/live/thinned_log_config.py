@@ -15,6 +15,7 @@ class ThinnedLogConfig(Config):
 
     left_out: tuple[str, ...]
     period_s: dict[str, Annotated[float, Field(gt=0.0, le=60.0)]]
+    mb_per_s: float = Field(gt=0.0, le=1000.0)
     image_s: float = Field(gt=0.0, le=60.0)
     before_s: float = Field(ge=0.0, le=60.0)
     after_s: float = Field(ge=0.0, le=60.0)

@@ -20,6 +20,7 @@ from mcap.writer import Writer
 
 from configs.strict import CONFIGS, parse, read_yaml
 from datasets.digest import Digest
+from datasets.disk import check_room
 from datasets.importers.formats import open_recording
 from datasets.log import LogConfig, LogWriter
 from datasets.reader import LogScan, has_own_messages, read_log, read_metadata
@@ -379,3 +380,9 @@ def test_frame_trees() -> None:
 def test_stack_configuration_is_valid() -> None:
     parse(LogConfig, read_yaml(CONFIGS / "stack/datasets.yaml")["log"], "log")
     assert os.sep
+
+
+def test_drive_without_room_is_refused_before_it_starts(tmp_path: Path) -> None:
+    check_room(tmp_path, 60.0, 0.001, 0.0)
+    with pytest.raises(LogError, match=r"a drive of about 1000 min needs 60000000064 MB \(64 MB of it are kept free\)"):
+        check_room(tmp_path, 60_000.0, 1e6, 64.0)
