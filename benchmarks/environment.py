@@ -13,6 +13,7 @@ import numpy as np
 from configs.site import PoseConfig, Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import ImplementFile, Vehicle
+from simulation.operator import SimulatedOperator
 from simulation.plant import Plant, PlantModels
 from simulation.scenario import Scenario
 from simulation.sensors.lidar import LidarModel
@@ -44,7 +45,8 @@ def world_of(environment: Values | None, channel: str) -> SimulationWorld:
     implement = load(ImplementFile, find("implements", "harrow_6m")).implement
     models = PlantModels(config.machine, config.gnss, config.imu)
     plant = Plant(site, vehicle.model_copy(update={"sensors": sensors}), implement, models, START)
-    return SimulationWorld(plant, scenario, (), can.Bus(interface="virtual", channel=channel), 1, config, False)
+    bus, operator = can.Bus(interface="virtual", channel=channel), SimulatedOperator(1, "benchmark", "00")
+    return SimulationWorld(plant, scenario, (), bus, 1, config, False, operator)
 
 
 def ns_per_ray(world: SimulationWorld, sweeps: int) -> float:

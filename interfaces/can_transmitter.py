@@ -1,7 +1,7 @@
 """CAN transmitter: machine commands from phase and safe command, and their frames with individual periods."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from configs.vehicle import Vehicle, steering_rate
 from interfaces.engagement import Phase
@@ -32,6 +32,7 @@ class Commands:
     """Content of the frames; None leaves a value to the machine or its driver.
 
     `curvature_radpm` is the set point or, without `is_steering`, only reported; with `is_accepted` it is rate-limited.
+    `is_error` reports an error in the heartbeat: the machine enters its safe state whatever else is on the bus.
     """
 
     is_steering: bool | None = None
@@ -48,6 +49,7 @@ class Commands:
     is_horn_on: bool | None = None
     is_beacon_on: bool | None = None
     is_folded: bool | None = None
+    is_error: bool = False
 
 
 def commands_for(
@@ -78,6 +80,11 @@ def commands_for(
         is_beacon_on=command.is_beacon_on,
         is_folded=command.is_implement_folded if is_active else None,
     )
+
+
+def contested_commands(stop: Commands) -> Commands:
+    """Commands while another sender is on the bus; the drive request is not withdrawn, as the safe state ends then."""
+    return replace(stop, is_drive_enabled=None, is_error=True)
 
 
 def limit_curvature_rate(
@@ -153,7 +160,7 @@ class CanTransmitter:
         self._curvature_radpm, self._stepped_ns = 0.0, 0
 
     def step(self, now_ns: int, own_address: int, commands: Commands, is_urgent: bool) -> list[Frame]:
-        """Frames that are due; with `is_urgent` (phase changed) without minimum interval."""
+        """Frames that are due; with `is_urgent` (phase changed) without minimum interval; an error at each step."""
         if commands != self._commands:
             self._commands, self._bodies = commands, self._encode(commands)
         self._bodies[1] = self._steer(now_ns, commands)
@@ -161,7 +168,9 @@ class CanTransmitter:
         for channel, body, wait_ns in zip(self._channels, self._bodies, self._waits_ns, strict=True):
             if channel.is_due(now_ns, body, 0 if is_urgent else wait_ns):
                 frames.append(channel.frame(now_ns, own_address, body))
-        if self._heartbeat.is_due(now_ns, b"", CONTROL_PERIOD_NS):
+        if commands.is_error:
+            frames.insert(0, self._heartbeat.frame(now_ns, own_address, self._beat.encode_error()))
+        elif self._heartbeat.is_due(now_ns, b"", CONTROL_PERIOD_NS):
             frames.append(self._heartbeat.frame(now_ns, own_address, self._beat.encode()))
         return frames
 

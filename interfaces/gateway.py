@@ -13,8 +13,9 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Vehicle
+from interfaces.bus_watch import BusWatch, BusWatchConfig
 from interfaces.can_receiver import CanReceiver
-from interfaces.can_transmitter import ActualValues, CanTransmitter, Commands, commands_for
+from interfaces.can_transmitter import ActualValues, CanTransmitter, commands_for, contested_commands
 from interfaces.engagement import Engagement, Phase, Steering
 from interfaces.isobus.address import AddressClaim
 from interfaces.isobus.frame import Frame
@@ -27,7 +28,7 @@ from messages.node import Every, Inbox, Latest, Node, Output
 
 STATE_PERIOD_NS = 20_000_000
 LOG_PERIOD_NS = 100_000_000
-MAX_FRAMES = 400  # per step; a flooded bus must not delay the gateway
+MAX_FRAMES = 64  # per step; a bus of 250 kbit/s carries 38 in 20 ms, and a flood must not delay the gateway
 MAX_SPEED_MPS = 30.0
 MAX_CURVATURE_RADPM = 1.0
 MAX_DECELERATION_MPS2 = 12.0
@@ -44,7 +45,6 @@ LOST = FaultType("gateway.steering_lost", _ALARM, _STOP, "Steering has left auto
 TRACTOR = FaultType("gateway.tractor_silent", _ALARM, _STOP, "Tractor heartbeat missing or wrong",
                     "拖拉机心跳信号缺失或错误")  # fmt: skip
 ADDRESS = FaultType("gateway.address", _ALARM, _STOP, "No address obtained on the machine bus", "未能取得机器总线地址")
-BUS = FaultType("gateway.bus", _ALARM, _STOP, "Machine bus failed", "机器总线故障")
 
 
 class GatewayConfig(Config):
@@ -64,6 +64,7 @@ class GatewayConfig(Config):
     steering_lost_timeout_s: float = Field(
         ge=0.1, le=1.0, description="for the supervisor to react to disengaged steering; then full brake"
     )
+    watch: BusWatchConfig
 
 
 class CanBus(Protocol):
@@ -87,6 +88,7 @@ class Gateway(Node):
         self._bus, self._config = bus, config
         self._claim = AddressClaim(_own_name(config), config.address)
         self._receiver = CanReceiver(config.tractor_address)
+        self._watch = BusWatch(config.tractor_address, config.watch)
         self._engagement = Engagement()
         self._transmitter = CanTransmitter(vehicle, config.tractor_address, round(config.min_interval_s * 1e9))
         self._faults = FaultReporter(self.name)
@@ -102,7 +104,7 @@ class Gateway(Node):
         newest = inbox.latest("safe_command", SafeCommand)
         if newest is self._last_command and now_ns - self._stepped_ns < STATE_PERIOD_NS:
             return []
-        self._last_command, self._stepped_ns, self._is_bus_failed = newest, now_ns, False
+        self._last_command, self._stepped_ns = newest, now_ns
         if self._started_ns is None:
             self._started_ns = now_ns
             self._send(now_ns, self._claim.start(now_ns))
@@ -114,23 +116,25 @@ class Gateway(Node):
         return self._outputs(now_ns, self._fault_states(now_ns, is_bad))
 
     def _receive(self, now_ns: int) -> None:
-        own = self._config.address if (address := self._claim.address(now_ns)) is None else address
+        address, count = self._claim.address(now_ns), 0
         try:
-            for _ in range(MAX_FRAMES):
-                message = self._bus.recv(0)
-                if message is None:
-                    break
-                self._receive_frame(now_ns, own, message)
+            while count < MAX_FRAMES and (message := self._bus.recv(0)) is not None:
+                count += 1
+                self._receive_frame(now_ns, address, message)
         except can.CanError:
             self._is_bus_failed = True
+        self._watch.step(now_ns, self._is_bus_failed)  # with the sending of the step before
+        self._is_bus_failed = False
 
-    def _receive_frame(self, now_ns: int, own_address: int, message: can.Message) -> None:
-        if message.is_error_frame or message.is_remote_frame or not message.is_extended_id:
-            self._receiver.rejected += message.is_error_frame
-            return
-        data = bytes(message.data)
-        self._received.append(CanFrame(now_ns, message.arbitration_id, data))
-        self._receiver.receive(now_ns, own_address, message.arbitration_id, data)
+    def _receive_frame(self, now_ns: int, address: int | None, message: can.Message) -> None:
+        if message.is_error_frame:
+            self._receiver.rejected += 1
+            self._watch.receive_error(message.arbitration_id)
+        elif message.is_extended_id and not message.is_remote_frame:
+            data, own = bytes(message.data), self._config.address if address is None else address
+            self._received.append(CanFrame(now_ns, message.arbitration_id, data))
+            self._watch.receive(now_ns, own, address is not None, message.arbitration_id, data)
+            self._receiver.receive(now_ns, own, message.arbitration_id, data)
 
     def _answer_network(self, now_ns: int) -> None:
         receiver = self._receiver
@@ -149,15 +153,15 @@ class Gateway(Node):
         address = self._claim.address(now_ns)
         if address is None:
             return
-        if phase is Phase.LOST and now_ns - self._engagement.since_ns > self._config.steering_lost_timeout_s * 1e9:
+        is_contested = self._watch.is_contested(now_ns) and phase is not Phase.RELEASED
+        is_lost = now_ns - self._engagement.since_ns > self._config.steering_lost_timeout_s * 1e9
+        if is_contested or (phase is Phase.LOST and is_lost):
             command = None
         commands = commands_for(
             phase, command, self._actual_values(), self._config.full_brake_mps2, self._config.pto_rpm
         )
-        self._send_all(now_ns, address, commands, is_urgent=phase is not before)
-
-    def _send_all(self, now_ns: int, address: int, commands: Commands, is_urgent: bool) -> None:
-        for frame in self._transmitter.step(now_ns, address, commands, is_urgent):
+        commands = contested_commands(commands) if is_contested else commands
+        for frame in self._transmitter.step(now_ns, address, commands, is_urgent=phase is not before):
             self._send(now_ns, frame)
 
     def _actual_values(self) -> ActualValues:
@@ -189,10 +193,11 @@ class Gateway(Node):
             (LOST, phase is Phase.LOST),
             (TRACTOR, is_started and not self._receiver.heartbeat.is_good(now_ns)),
             (ADDRESS, self._claim.is_refused),
-            (BUS, self._is_bus_failed),
         ]
 
     def _outputs(self, now_ns: int, states: list[tuple[FaultType, bool]]) -> list[Output]:
+        for fault, is_active, detail in self._watch.states(now_ns):
+            self._faults.set(fault, is_active, detail)
         outputs: list[Output] = [("fault/gateway", fault) for fault in self._faults.update(now_ns, states)]
         if now_ns - self._state_ns >= STATE_PERIOD_NS:
             self._state_ns = now_ns

@@ -113,13 +113,43 @@ class OperatorCommandKind(IntEnum):
 
 
 @dataclass(frozen=True)
+class SignedOrder(Message):
+    """Order of an operator as it was sent: `payload` in JSON, its Ed25519 `signature`, and the sender's `public_key`.
+
+    docs/orders.md has the contents of the payload. Nothing in it counts before `interfaces/orders` has verified it.
+    """
+
+    public_key: bytes
+    signature: bytes
+    payload: bytes
+
+
+@dataclass(frozen=True)
 class OperatorCommand(Message):
-    """Command of an operator, local or remote; invalid after `expires_ns` or when `sequence` does not increase."""
+    """Verified order of an operator; invalid after `expires_ns` or when `sequence` does not increase."""
 
     kind: OperatorCommandKind
     authority: str
     sequence: int
     expires_ns: int
+
+
+@dataclass(frozen=True)
+class RefusedOrders(MessagePart):
+    """Number of orders refused since the start for one reason, such as "forged"."""
+
+    reason: str
+    count: int
+
+
+@dataclass(frozen=True)
+class OrderStatus(Message):
+    """What an order must be signed for (`machine`, nonce `session` of this start), and how many came since then."""
+
+    machine: str
+    session: str
+    accepted: int
+    refused: tuple[RefusedOrders, ...]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from localization.localizer import Localizer
 from messages.node import Node, World
 from planning.mission import MissionNode
 from runtime.executor import check_wiring
+from runtime.order_gate import order_gate
 from runtime.perception_nodes import perception_nodes
 from runtime.safety_nodes import safety_nodes
 from runtime.setup import Setup
@@ -23,6 +24,7 @@ from simulation.faults.frames import FaultyBus
 from simulation.faults.injection import FaultInjection
 from simulation.faults.node_faults import FaultyNode, SteppingClock
 from simulation.machine.tractor_bus import load_database
+from simulation.operator import SimulatedOperator
 from simulation.plant import Plant, PlantModels, draw_plant
 from simulation.scenario import Scenario
 from simulation.world import Rendering, SimulationWorld
@@ -48,6 +50,7 @@ def assemble(
     ):
         stack_bus = bus if injection is None else FaultyBus(bus, injection, load_database())
         chain = [
+            order_gate(setup),
             *perception_nodes(setup.vehicle, setup.implement, setup.stack.perception),
             *localization_nodes(setup),
             *planning_nodes(setup),
@@ -69,7 +72,7 @@ def simulated_world(
     """Simulated world whose machine is on this bus, with all kernels compiled."""
     world = SimulationWorld(
         plant_of(setup, scenario), scenario, setup.plan.paths, bus, setup.seed, setup.stack.simulation, setup.is_folded,
-        rendering,
+        SimulatedOperator(setup.seed, setup.machine_id, setup.session), rendering,
     )  # fmt: skip
     world.warm()
     return world

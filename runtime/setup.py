@@ -13,19 +13,22 @@ from configs.site import PoseConfig, Site
 from configs.strict import find, load
 from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from datasets.viewer import Viewer
+from interfaces.orders.config import ORDERS, OrderKey
 from messages.errors import ConfigError
 from planning.field.field import read_field
 from planning.field.site_generation import site_around
 from planning.plan import Plan, plan_mission
-from runtime.stack import StackConfig, load_stack, with_detector
+from runtime.stack import StackConfig, load_stack, with_detector, with_order_key
+from simulation.operator import AUTHORITY, operator_key, public_bytes
 from simulation.scenario import Scenario
 
 START_STREAM = 0x5747  # random stream of the start pose, separate from world and planner
+SESSION_STREAM = 0x5E55  # of the session, which a real start draws from the operating system
 
 
 @dataclass(frozen=True)
 class Setup:
-    """All inputs of a run except its world; `start` is the initial pose in map."""
+    """All inputs of a run except its world; `start` is the initial pose in map, `session` the nonce of the orders."""
 
     mission: Mission
     site: Site
@@ -36,6 +39,12 @@ class Setup:
     seed: int
     start: PoseConfig
     is_folded: bool
+    session: str
+
+    @property
+    def machine_id(self) -> str:
+        """Name and serial number of the machine, for which orders are signed."""
+        return f"{self.vehicle.name}-{self.stack.interfaces.gateway.name_identity}"
 
     def viewer(self, image_s: float | None = None) -> Viewer:
         """Converter to the topics of common log viewers, with one image in `image_s` instead of the configured."""
@@ -56,11 +65,18 @@ def load_setup(
     vehicle = load(Vehicle, find("machines", chosen.machine))
     mounted = load(ImplementFile, find("implements", chosen.implement)).implement
     vehicle = with_implement_sensors(vehicle, mounted)
-    stack = load_stack()
+    stack = with_order_key(load_stack(), "simulated_operator", simulated_operator_key(seed))
     site = _site(chosen, field, vehicle, mounted)
     start, is_folded = start_pose(chosen, site, seed)
     plan = plan_mission(chosen, site, vehicle, mounted, stack.planning, start, seed)
-    return Setup(chosen, site, vehicle, mounted, stack, plan, seed, start, is_folded)
+    session = np.random.default_rng([seed, SESSION_STREAM]).bytes(16).hex()
+    return Setup(chosen, site, vehicle, mounted, stack, plan, seed, start, is_folded, session)
+
+
+def simulated_operator_key(seed: int) -> OrderKey:
+    """Public key of the simulated operator, who may order everything."""
+    key = public_bytes(operator_key(seed)).hex()
+    return OrderKey(public_key=key, authority=AUTHORITY, orders=tuple(ORDERS))
 
 
 def load_scenario(name: str | None, mission: Mission, field: str | None, plant: str | None = None) -> Scenario:

@@ -3,13 +3,14 @@
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from configs.strict import CONFIGS, Config, parse, read_yaml
 from control.controller import ControlConfig
 from datasets.log import LogConfig
 from datasets.viewer import ViewerConfig
 from interfaces.gateway import GatewayConfig
+from interfaces.orders.config import OrderKey, OrdersConfig
 from localization.config import LocalizationConfig
 from messages.errors import ConfigError
 from perception.config import PerceptionConfig
@@ -22,6 +23,7 @@ class InterfacesConfig(Config):
     """Section `interfaces`."""
 
     gateway: GatewayConfig
+    orders: OrdersConfig
 
 
 class DatasetsConfig(Config):
@@ -56,6 +58,14 @@ class StackConfig(Config):
     safety: SupervisorConfig
     simulation: SimulationConfig
 
+    @model_validator(mode="after")
+    def _authorities_are_known(self) -> "StackConfig":
+        known = self.safety.modes.authorities
+        for name, key in self.interfaces.orders.keys.items():
+            if key.authority not in known:
+                raise ValueError(f"interfaces.orders.keys.{name}.authority {key.authority!r}: not one of {known}")
+        return self
+
 
 def load_stack() -> StackConfig:
     """Stack configuration of the repository; raises ConfigError that names file, key and value."""
@@ -72,3 +82,10 @@ def with_detector(stack: StackConfig, model: Path | None) -> StackConfig:
     detector = stack.perception.camera.detector.model_copy(update={"model": str(model.resolve())})
     camera = stack.perception.camera.model_copy(update={"detector": detector})
     return stack.model_copy(update={"perception": stack.perception.model_copy(update={"camera": camera})})
+
+
+def with_order_key(stack: StackConfig, name: str, key: OrderKey) -> StackConfig:
+    """Stack that accepts the orders of this key too."""
+    orders = stack.interfaces.orders
+    orders = orders.model_copy(update={"keys": orders.keys | {name: key}})
+    return stack.model_copy(update={"interfaces": stack.interfaces.model_copy(update={"orders": orders})})

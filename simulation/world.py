@@ -14,7 +14,6 @@ from shapely import Polygon
 
 from configs.sensor_kinds import sensors_of
 from configs.strict import Config
-from messages.command import OperatorCommand
 from messages.message import Message
 from messages.node import Output, World
 from messages.plan import Path
@@ -37,6 +36,7 @@ from simulation.machine.machine import Machine, MachineConfig
 from simulation.machine.pose_buffer import PoseBuffer
 from simulation.machine.tractor_bus import BusConfig, TractorBus, load_database
 from simulation.machine.tractor_status import TractorStatus
+from simulation.operator import SimulatedOperator
 from simulation.plant import Clock, Plant, PlantConfig
 from simulation.randomness import generator
 from simulation.scenario import Bystander, Scenario
@@ -58,6 +58,7 @@ Pending = Message | Future[CameraImage]
 STEP_NS = 5_000_000  # of the dynamics
 TICK_NS = 10_000_000  # of bus and sensors: two steps
 POSE_BUFFER_S = 0.25
+ORDERS_TOPIC = "order/operator"
 
 
 class SimulationConfig(Config):
@@ -112,7 +113,8 @@ class SimulationWorld(World):
 
     def __init__(
         self, plant: Plant, scenario: Scenario, plan_paths: tuple[Path, ...], bus: can.BusABC, seed: int,
-        config: SimulationConfig, is_folded: bool, rendering: Rendering = Rendering.IN_THREAD,
+        config: SimulationConfig, is_folded: bool, operator: SimulatedOperator,
+        rendering: Rendering = Rendering.IN_THREAD,
     ) -> None:  # fmt: skip
         site, vehicle, implement = plant.site, plant.vehicle, plant.implement
         self._now_ns = self._start_ns = config.start_stamp_ns
@@ -148,14 +150,14 @@ class SimulationWorld(World):
         self._render_thread = ThreadPoolExecutor(1, "camera")  # starts with the first image
         self._pending: list[tuple[int, int, str, Pending]] = []
         self._put_count = 0
-        self._seed = seed
+        self._seed, self._operator = seed, operator
         # shapes are logged where a judge needs them: for the objects and the environment of a scenario
         self._truth = (
             "truth_machine",
             "truth_objects",
             *(["truth_shapes"] if scenario.objects or scenario.environment else []),
         )
-        self.writes = (*(s.topic for s in self._sensors), "operator_command", *self._truth)
+        self.writes = (*(s.topic for s in self._sensors), ORDERS_TOPIC, *self._truth)
 
     @property
     def terrain(self) -> Terrain:
@@ -258,11 +260,10 @@ class SimulationWorld(World):
         return sensor.sample(state)
 
     def _issue_commands(self, now_ns: int, elapsed_ns: int) -> None:
-        every = [(command, kind) for command in self._scenario.operator_commands for kind in command.kinds]
-        for sequence, (command, kind) in enumerate(every):
+        for command in self._scenario.operator_commands:
             if elapsed_ns - TICK_NS < command.at_s * 1e9 <= elapsed_ns:
-                expires_ns = now_ns + round(command.expires_s * 1e9)
-                self._put(now_ns, "operator_command", OperatorCommand(now_ns, kind, "remote", sequence, expires_ns))
+                for kind in command.kinds:
+                    self._put(now_ns, ORDERS_TOPIC, self._operator.order(now_ns, kind, command.expires_s))
 
     def _publish_truth(self, now_ns: int, elapsed_ns: int) -> None:
         due = [topic for topic in self._truth if elapsed_ns % round(TOPICS[topic].period_s * 1e9) == 0]

@@ -11,15 +11,20 @@ GOOD_TO_RECOVER = 8
 
 
 class Heartbeat:
-    """Sender: 251 first, then 0 to 250 repeatedly."""
+    """Sender: 251 first and after an error, then 0 to 250 repeatedly."""
 
     def __init__(self) -> None:
         self._sent: int | None = None
 
     def encode(self) -> bytes:
         """The next byte."""
-        self._sent = START if self._sent is None else _after(self._sent)
+        self._sent = START if self._sent is None else after(self._sent)
         return bytes([self._sent])
+
+    def encode_error(self) -> bytes:
+        """The byte that sends every receiver to its safe state."""
+        self._sent = None
+        return bytes([ERROR])
 
 
 class HeartbeatCheck:
@@ -53,8 +58,9 @@ class HeartbeatCheck:
             return self._last != START
         if self._last is None:
             return True
-        return (sequence - _after(self._last)) % COUNTS < MAX_JUMP
+        return (sequence - after(self._last)) % COUNTS < MAX_JUMP
 
 
-def _after(sequence: int) -> int:
+def after(sequence: int) -> int:
+    """The byte that follows."""
     return 0 if sequence >= COUNTS - 1 else sequence + 1

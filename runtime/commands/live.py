@@ -5,6 +5,7 @@ import argparse
 from messages.errors import HeadlandError
 from runtime.commands.checks import check_drive
 from runtime.interruption import Interruption
+from runtime.live.can_bus import named_bus
 from runtime.live.config import ROLES
 from runtime.run_folder import RunFolder, command_of
 
@@ -15,12 +16,12 @@ ProcessKill = tuple[str, str, float]  # process, signal, seconds after the start
 def main(arguments: argparse.Namespace) -> int:
     """Drives; 0 if the mission ended without a fault, or the machine stopped in time after the kill."""
     check_drive(arguments)
-    kill = parse_kill(arguments.kill)
+    kill, bus = parse_kill(arguments.kill), named_bus(arguments.bus)
     with RunFolder("live", arguments.out, command_of(arguments)) as folder, Interruption() as interruption:
         # only now: these imports take seconds, and a wrong argument is reported at once
         from runtime.live.command import run_live
 
-        code = run_live(arguments, folder, kill, interruption)
+        code = run_live(arguments, folder, kill, interruption, bus)
     return interruption.exit_code or code
 
 

@@ -53,6 +53,7 @@ PLANT = _option(
 FIELD = _option(
     "--field", type=file_name, metavar="FILE.geojson", help="field outline that replaces the mission's site"
 )
+BUS_NAMES = "CAN bus: loopback:GROUP:PORT, or INTERFACE:CHANNEL of python-can such as socketcan:can0"
 MISSION = (
     _option("--mission", default="demo", help="a file, or a name in configs/missions (default demo)"),
     _option("--machine", help="a file, or a name in configs/machines (default: the mission's)"),
@@ -75,6 +76,7 @@ COMMANDS = (
     )),
     Command("live", "run the stack in real time, one process per part", "runtime.commands.live", (
         _option("--world", choices=["simulation"], required=True, help="the machine that is driven"),
+        _option("--bus", default="loopback", metavar="NAME", help=f"{BUS_NAMES} (default: a loopback bus of its own)"),
         FIELD, *MISSION, SCENARIO, SEED, DURATION,
         _option("--kill", metavar="PROCESS:SIGNAL:S", help="send KILL or STOP to a process, e.g. safety:KILL:20"),
         _option("--reaction-trials", type=whole(0, 1_000_000), default=0, metavar="N",
@@ -82,8 +84,7 @@ COMMANDS = (
         _out("live"), JSON,
     )),
     Command("shadow", "log a machine's CAN bus without sending", "runtime.commands.shadow", (
-        _option("--bus", required=True, metavar="CHANNEL", help="python-can channel, e.g. can0"),
-        _option("--interface", default="socketcan", help="python-can interface (default socketcan)"),
+        _option("--bus", required=True, metavar="NAME", help=f"{BUS_NAMES}, as `live` reports it"),
         DURATION, _out("shadow"), JSON,
     )),
     Command("plan", "plan a field: figure, GeoJSON, path length and area", "runtime.commands.plan", (

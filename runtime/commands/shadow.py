@@ -2,23 +2,20 @@
 
 import argparse
 
-from configs.strict import CONFIGS, load, parse
 from runtime.interruption import Interruption
-from runtime.live.config import CanConfig, LiveConfig, open_bus
+from runtime.live.can_bus import named_bus, open_bus
 from runtime.run_folder import RunFolder, command_of
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Logs until interrupted or for the given time; 0 if a frame was received."""
-    port = load(LiveConfig, CONFIGS / "live.yaml").can.port
-    values = {"interface": arguments.interface, "channel": arguments.bus, "port": port}
-    config = parse(CanConfig, values, "--bus and --interface")
+    name = named_bus(arguments.bus)
     with (
         RunFolder("shadow", arguments.out, command_of(arguments)) as folder,
         Interruption() as interruption,
-        open_bus(config) as bus,
+        open_bus(name) as bus,
     ):
         # only now: these imports take seconds, and a wrong argument is reported at once
         from runtime.live.shadow import log_bus
 
-        return log_bus(arguments, folder, interruption, bus, f"{config.interface}:{config.channel}")
+        return log_bus(arguments, folder, interruption, bus, name)

@@ -41,7 +41,7 @@ from simulation.faults.injection import FaultInjection
 from simulation.scenario import Scenario
 from simulation.world import Rendering
 
-NOT_INJECTED = ("operator_command", "truth_machine", "truth_objects", "truth_shapes")
+NOT_INJECTED = ("order/operator", "truth_machine", "truth_objects", "truth_shapes")
 LIMIT_S = 600.0  # simulated time to reach a situation
 CELL_LIMIT_S = 900.0  # wall time
 SEED = 1

@@ -2,7 +2,7 @@
 
 machine (simulation) ──sensors──► perception ──tracks──► planning     each ──► is a ring buffer in shared memory
     ▲   └──────sensors──────────► localization ─pose──►  (mission)    with a non-blocking writer; all rings ──► log
-    └─ CAN, udp_multicast ──────► safety: supervisor and gateway
+    └─ CAN, loopback ───────────► safety: supervisor and gateway
 """
 
 import os

@@ -20,6 +20,7 @@ import numpy as np
 from configs.strict import CONFIGS, load
 from datasets.disk import check_room
 from datasets.reader import LogScan
+from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
 from messages.message import Envelope
 from runtime.commands.end_of_run import LATCHED, EndOfDrive, expected_s
@@ -27,6 +28,7 @@ from runtime.commands.live import ProcessKill
 from runtime.commands.progress import Progress
 from runtime.fault_injection.situations import DriveMonitor
 from runtime.interruption import Interruption
+from runtime.live.can_bus import LOOPBACK, named_bus, open_bus
 from runtime.live.config import ROLES, LiveConfig
 from runtime.live.process import Start, run_process, started_at
 from runtime.live.ring import RingReader, make_ring
@@ -52,14 +54,14 @@ MACHINE_OBSERVATION_S = 2.0  # the same after the machine process, which publish
 
 
 def run_live(
-    arguments: argparse.Namespace, folder: RunFolder, kill: ProcessKill | None, interruption: Interruption
+    arguments: argparse.Namespace, folder: RunFolder, kill: ProcessKill | None, interruption: Interruption, bus: str
 ) -> int:
     """Drives and prints the result; 0 if the mission ended without a fault, or the machine stopped after the kill."""
     setup = load_setup(
         arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
     )
     scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
-    result = drive(setup, scenario, folder, kill, arguments.duration, arguments.reaction_trials, interruption)
+    result = drive(setup, scenario, folder, kill, arguments.duration, arguments.reaction_trials, interruption, bus)
     sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _summary(result))
     return 0 if result["passed"] else 1
 
@@ -72,8 +74,14 @@ def drive(
     duration_s: float | None,
     reaction_trials: int,
     interruption: Interruption | None = None,
+    bus: str | None = None,
 ) -> dict[str, Any]:
-    """Starts all processes, drives, and stops them; returns the result, which is also in the folder."""
+    """Starts all processes, drives, and stops them; returns the result, which is also in the folder.
+
+    `bus` is a name for `open_bus`; None is a loopback bus of this run's own.
+    """
+    bus = bus or named_bus(LOOPBACK)
+    open_bus(bus).shutdown()  # before the start of the processes: raises HeadlandError
     config = load(LiveConfig, CONFIGS / "live.yaml")
     min_free_mb = setup.stack.datasets.log.min_free_mb
     check_room(folder.path, expected_s(setup.plan.length_m, duration_s), config.thinned_log.mb_per_s, min_free_mb)
@@ -83,14 +91,16 @@ def drive(
     folder.file("config.yaml").write_text(text, encoding="utf-8")
     for name in ("log.mcap", "events", "reactions.jsonl"):
         folder.file(name)
-    conditions = versions() | {"seed": str(setup.seed)}
+    port = OrderPort(0)
+    conditions = versions() | {"seed": str(setup.seed), "bus": bus, "order_port": str(port.number)}
     folder.record("conditions", conditions)
     with _rings(config) as rings:
         context = multiprocessing.get_context("fork")  # common modules are loaded once; no thread is running yet
         barrier, zero = context.Barrier(len(ROLES) + 1), context.Value("q", 0, lock=False)
         starts = [
-            Start(role, setup, scenario, config, folder.path, rings, {"run": conditions, "config": {"yaml": text}},
-                  reaction_trials, barrier, zero, os.getpid())
+            Start(role, setup, scenario, config, bus, port, folder.path, rings,
+                  {"run": conditions, "config": {"yaml": text}}, reaction_trials, barrier, zero,
+                  os.getpid())
             for role in ROLES
         ]  # fmt: skip
         processes = {s.role: context.Process(target=run_process, args=(s,), name=s.role) for s in starts}
@@ -104,6 +114,7 @@ def drive(
                 )  # fmt: skip
         finally:
             _stop(processes)
+            port.close()
     result |= {"reactions": _reactions(folder.path), "run_dir": str(folder.path)}
     result |= _log_end(folder.path / "log.mcap", setup.stack.simulation.start_stamp_ns)
     folder.record("result", {"result": result})

@@ -1,6 +1,7 @@
 """Processes of `headland live`: world, nodes and sinks of each role."""
 
 import gc
+import secrets
 import signal
 import sys
 import traceback
@@ -12,18 +13,21 @@ from pathlib import Path
 from typing import Any
 
 from datasets.log import LogWriter
+from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError, LogError
 from messages.node import Node, World
 from runtime import assembly
-from runtime.live.can_bus import SharedBus
+from runtime.live.can_bus import open_bus
 from runtime.live.clock import Clock
-from runtime.live.config import LiveConfig, open_bus
+from runtime.live.config import LiveConfig
 from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
 from runtime.live.reactions import ReactionTrials
 from runtime.live.ring import RingReader, RingWriter
 from runtime.live.thinned_log import NO_IMAGES_S, THINNED, ThinnedLog
+from runtime.order_gate import order_gate
 from runtime.perception_nodes import perception_nodes
 from runtime.processes import begin_worker, end_with_parent
+from runtime.run_folder import ROOT
 from runtime.safety_nodes import safety_nodes
 from runtime.setup import Setup
 from simulation.rendering.materials import build_actor_surfaces
@@ -39,6 +43,8 @@ class Start:
     setup: Setup
     scenario: Scenario
     config: LiveConfig
+    bus: str
+    order_port: OrderPort
     folder: Path
     rings: dict[str, Path]
     metadata: dict[str, dict[str, str]]
@@ -98,8 +104,9 @@ def _parts(start: Start) -> Iterator[tuple[World, list[Node], list[Any]]]:
         ):
             yield NoWorld(), [], [sink]
     elif start.role == "safety":
-        with closing_bus(SharedBus(open_bus(start.config.can))) as bus:
-            yield NoWorld(), safety_nodes(start.setup, bus, is_ablation=False), []
+        gate = order_gate(start.setup, ROOT / start.config.order_folder, start.order_port)
+        with closing_bus(open_bus(start.bus)) as bus:
+            yield NoWorld(), [gate, *safety_nodes(start.setup, bus, is_ablation=False)], []
     else:
         yield NoWorld(), _stack_nodes(start), []
 
@@ -116,7 +123,7 @@ def _stack_nodes(start: Start) -> list[Node]:
 
 @contextmanager
 def _machine(start: Start) -> Iterator[World]:
-    bus = SharedBus(open_bus(start.config.can))
+    bus = open_bus(start.bus)
     with closing(assembly.simulated_world(start.setup, start.scenario, bus, Rendering.LATE)) as world:
         build_actor_surfaces()
         yield ReactionTrials(world, bus, start) if start.reaction_trials else world
@@ -132,6 +139,8 @@ def closing_bus(bus: Any) -> Iterator[Any]:
 
 
 def started_at(setup: Setup, start_stamp_ns: int) -> Setup:
-    """Setup whose world clock starts at this time (ns)."""
+    """Setup whose world clock starts at this time (ns), with a new session."""
     simulation = setup.stack.simulation.model_copy(update={"start_stamp_ns": start_stamp_ns})
-    return replace(setup, stack=setup.stack.model_copy(update={"simulation": simulation}))
+    return replace(
+        setup, session=secrets.token_hex(16), stack=setup.stack.model_copy(update={"simulation": simulation})
+    )

@@ -7,9 +7,10 @@ from typing import Any
 
 import can
 
+from messages.errors import HeadlandError
 from messages.node import Output, World
 from messages.sensors import LidarScan
-from runtime.live.can_bus import SharedBus
+from runtime.live.can_bus import LoopbackBus
 from simulation.actors.popup import PopUp
 from simulation.randomness import generator
 from simulation.world import SimulationWorld
@@ -23,7 +24,7 @@ AHEAD_M = 3.5  # inside the stopping distance at work speed, and more than the m
 class ReactionTrials(World):
     """Simulated world with a person who pops up repeatedly; writes one line per reaction to `reactions.jsonl`."""
 
-    def __init__(self, world: SimulationWorld, bus: SharedBus, start: Any) -> None:
+    def __init__(self, world: SimulationWorld, bus: can.BusABC, start: Any) -> None:
         self.writes = world.writes
         self._world = world
         self._path = start.folder / "reactions.jsonl"
@@ -35,6 +36,8 @@ class ReactionTrials(World):
         world.add_actor(self._popup)
         self._appeared: float | None = None  # wall time, as for frame stamps
         self._scanned: float | None = None
+        if not isinstance(bus, LoopbackBus):
+            raise HeadlandError(f"--reaction-trials: not on {bus.channel_info}, only on --bus loopback")
         bus.listener = self._on_frame
 
     def next_ns(self) -> int | None:

@@ -36,6 +36,7 @@ class VehicleState:
     steering_deviation_s: float
     steering_unavailable_s: float
     brake_ineffective_s: float
+    overspeed_s: float
     has_driver: bool
 
 
@@ -50,6 +51,8 @@ class VehicleMonitor:
         self._curvatures = RecentRange(config.limits.curvature_delay_s)
         self._has_driver, self._seat_empty = False, DebounceTimer()
         self._override, self._ineffective = DebounceTimer(), DebounceTimer()
+        self._overspeed = DebounceTimer()
+        self._expected_mps, self._expected_ns = 0.0, 0
         self._deviation, self._unavailable = DebounceTimer(), DebounceTimer()
 
     def update(
@@ -82,6 +85,7 @@ class VehicleMonitor:
             self._deviation.update(now_ns, is_watched and self._steering_deviates(now_ns, machine, command)),
             self._unavailable.update(now_ns, is_watched and self._steering_unavailable(machine)),
             self._ineffective.update(now_ns, self._brake_ineffective(odom, command)),
+            self._overspeed.update(now_ns, self._is_overspeed(now_ns, is_watched, command)),
             self._driver_present(now_ns, machine),
         )
 
@@ -110,6 +114,17 @@ class VehicleMonitor:
         measured = -math.copysign(odom.acceleration_mps2, odom.acceleration_mps2 * odom.speed_mps)
         commanded = command.deceleration_mps2
         return commanded >= BRAKE_COMMANDED_MPS2 and measured < self._config.limits.min_brake_ratio * commanded
+
+    def _is_overspeed(self, now_ns: int, is_watched: bool, command: SafeCommand | None) -> bool:
+        """Whether the speed is above that of the commands, which falls as slowly as a machine may follow them."""
+        if not is_watched or command is None:
+            self._expected_mps, self._expected_ns = self._fastest_mps, now_ns
+            return False
+        limits = self._config.limits
+        fallen_mps = limits.min_slowing_mps2 * max(now_ns - self._expected_ns, 0) * 1e-9
+        self._expected_mps = max(abs(command.speed_mps), self._expected_mps - fallen_mps)
+        self._expected_ns = now_ns
+        return self._fastest_mps > self._expected_mps + limits.overspeed_mps
 
 
 def direction_of(

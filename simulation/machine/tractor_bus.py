@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cache
 
 import can
@@ -16,6 +17,7 @@ from simulation.machine.machine import ActuatorCommand
 
 CURVATURE_MAX_RAW, SPEED_MAX_RAW, HITCH_MAX_RAW = 64255, 64255, 250  # largest valid; above: error or not available
 ON = 1
+MAX_FRAMES = 200  # per reception; an ECU has hardware filters, so that a flood does not stop it
 
 
 class BusConfig(Config):
@@ -70,14 +72,17 @@ class TractorBus:
         self._bus.shutdown()
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Sends one frame."""
-        self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=True))
+        """Sends one frame; with the bus down it is lost."""
+        with suppress(can.CanError):
+            self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=True))
 
     def receive(self, now_ns: int) -> None:
-        """Processes all received frames."""
-        while (frame := self._bus.recv(0)) is not None:
-            if not self._process_frame(now_ns, frame):
-                self.rejected_frames += 1
+        """Processes the received frames; with the bus down there are none."""
+        with suppress(can.CanError):
+            for _ in range(MAX_FRAMES):
+                if (frame := self._bus.recv(0)) is None:
+                    break
+                self.rejected_frames += not self._process_frame(now_ns, frame)
 
     def _process_frame(self, now_ns: int, frame: can.Message) -> bool:
         try:

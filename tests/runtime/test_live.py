@@ -1,31 +1,30 @@
-"""Links between the processes of the live stack: rings, records, CAN bus without echo; and passive logging."""
+"""Links between the processes of the live stack: rings, records, CAN bus on this computer alone; passive logging."""
 
-import itertools
 import json
+import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
 
-from configs.strict import CONFIGS, load
+from messages.errors import HeadlandError
 from messages.faults import Fault
 from messages.message import Envelope
 from messages.node import Every, Latest, Node
 from messages.sensors import LidarScan, WheelSample
-from runtime.live.can_bus import SharedBus
+from runtime.live.can_bus import LOOPBACK, named_bus, open_bus
 from runtime.live.clock import Clock
-from runtime.live.config import LiveConfig
 from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
 from runtime.live.ring import RingReader, RingWriter, make_ring
 from runtime.live.serialization import pack, unpack
 from runtime.live.shadow import Listener
 
 ROOT = Path(__file__).resolve().parents[2]
-NUMBERS = itertools.count()
 
 
 @pytest.fixture
@@ -121,19 +120,64 @@ def frame(k: int) -> can.Message:
     return can.Message(arbitration_id=0x0CFE48F0, data=bytes([k] * 8), is_extended_id=True)
 
 
-def test_echo_of_own_frames_is_dropped() -> None:
-    channel = f"echo{next(NUMBERS)}"
-    own = SharedBus(can.Bus(channel, interface="virtual", receive_own_messages=True))
-    other = can.Bus(channel, interface="virtual")
+@pytest.fixture
+def pair() -> Iterator[tuple[can.BusABC, can.BusABC]]:
+    name = named_bus(LOOPBACK)
+    with open_bus(name) as own, open_bus(name) as other:
+        yield own, other
+
+
+def test_loopback_bus_receives_frames_of_others_only(pair: tuple[can.BusABC, can.BusABC]) -> None:
+    own, other = pair
     own.send(frame(1))
-    other.send(frame(1))
+    other.send(frame(1))  # equal to an own frame
     other.send(frame(2))
-    received = []
-    while (found := own.recv(0)) is not None:
-        received.append(found.data[0])
-    assert received == [1, 2]
-    own.shutdown()
-    other.shutdown()
+    received = [own.recv(0.2) for _ in range(2)]
+    assert [f.data[0] for f in received if f] == [1, 2]
+    assert all(f and abs(f.timestamp - time.time()) < 1.0 for f in received)
+    assert own.recv(0.01) is None
+    assert [(f.arbitration_id, bytes(f.data)) for f in [other.recv(0.2)] if f] == [(0x0CFE48F0, bytes([1] * 8))]
+
+
+@pytest.mark.parametrize("data", [b"", b"junk", bytes(15), b"\xff" * 16, bytes(17), bytes(5000)])
+def test_datagram_that_is_no_frame_is_an_error_frame(pair: tuple[can.BusABC, can.BusABC], data: bytes) -> None:
+    group, port = pair[0].channel_info.split(":")[1:]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        sender.sendto(data, (group, int(port)))
+    received = pair[0].recv(0.2)
+    assert received is not None
+    assert received.is_error_frame
+
+
+def test_two_runs_do_not_hear_each_other(pair: tuple[can.BusABC, can.BusABC]) -> None:
+    port = pair[0].channel_info.split(":")[2]
+    others = [named_bus(LOOPBACK), f"{LOOPBACK}:239.74.0.1:{port}"]  # even at the same port
+    for name in others:
+        with open_bus(name) as stranger:
+            stranger.send(frame(1))
+            pair[0].send(frame(2))
+            assert stranger.recv(0.05) is None
+    assert pair[0].recv(0.05) is None
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unicast:
+        unicast.sendto(bytes(16), ("127.0.0.1", int(port)))
+    assert pair[0].recv(0.05) is None
+
+
+@pytest.mark.parametrize(
+    "name", ["can0", "socketcan", "udp_multicast:239.74.163.2", "virtual:x", "none:x", "", "loopback:", ":x"]
+)
+def test_bus_names_that_are_refused(name: str) -> None:
+    with pytest.raises(HeadlandError, match=f"--bus {name}: loopback"):
+        named_bus(name)
+
+
+@pytest.mark.parametrize(
+    "name", ["socketcan:absent0", "loopback:x", "loopback:127.0.0.1:9:9", "loopback:239.1.1.1:99999", "pcan:absent"]
+)
+def test_bus_that_cannot_be_opened_is_named(name: str) -> None:
+    with pytest.raises(HeadlandError, match=f"^CAN bus {name} cannot be opened \\(.+\\)$"):
+        open_bus(named_bus(name))
 
 
 def test_listener_never_answers(tmp_path: Path) -> None:
@@ -147,21 +191,16 @@ def test_listener_never_answers(tmp_path: Path) -> None:
 
 
 def test_shadow_receives_and_sends_nothing(tmp_path: Path) -> None:
-    group, port = "239.74.163.2", load(LiveConfig, CONFIGS / "live.yaml").can.port
-    try:
-        bus = can.Bus(interface="udp_multicast", channel=group, port=port)
-    except (can.CanError, OSError) as error:
-        pytest.skip(f"no multicast here: {error}")
-    words = [sys.executable, "-m", "runtime", "shadow", "--bus", group, "--interface", "udp_multicast",
+    bus = open_bus(named_bus(LOOPBACK))
+    words = [sys.executable, "-m", "runtime", "shadow", "--bus", bus.channel_info,
              "--duration", "2", "--json", "--out", str(tmp_path / "run")]  # fmt: skip
     process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    sent = looped = 0
+    sent = received = 0
     while process.poll() is None:
         bus.send(frame(3))
         sent += 1
-        while bus.recv(0.02) is not None:
-            looped += 1
+        received += bus.recv(0.02) is not None
     result = json.loads(process.communicate()[0])
     bus.shutdown()
     assert 0 < result["frames"] <= sent
-    assert looped == sent  # loop-back of the own frames only
+    assert received == 0

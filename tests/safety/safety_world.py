@@ -10,7 +10,7 @@ import numpy as np
 
 from configs.vehicle import Lidar, Mount, Radar, TrailedImplement, Ultrasonic, Vehicle
 from geometry.transforms import planar, transform
-from messages.command import ControlCommand, MachineState, OperatorCommand, OperatorCommandKind
+from messages.command import ControlCommand, MachineState, OperatorCommand, OperatorCommandKind, OrderStatus
 from messages.message import Message
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.perception import HealthState, Obstacles, SensorHealth, Tracks
@@ -327,6 +327,7 @@ class World:
         if self.steps % 5 == 0:
             pose_message = MapPose(now, np.eye(4), T.copy(), np.eye(6) * 1e-4, PositionSource.RTK_FIXED, 0.1, 0.1, True)
             self.put("map_pose", replace(pose_message, **self.pose_changes))
+            self.put("order_status", OrderStatus(now, "tractor", "00", 0, ()))
             self.put("tracks", Tracks(now, self.tracks))
             for name, lidar in self.vehicle.sensors.lidar.items():
                 if f"lidar/{name}" not in self.mute:
@@ -431,7 +432,7 @@ def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
     )  # fmt: skip
     speed_mps, is_known = changes.pop("speed_mps", 2.0), changes.pop("is_speed_known", True)
     vehicle = VehicleState(
-        speed_mps if is_known else None, speed_mps, 1, config.braking.flat, 0.01, 0.0, 0.0, 0.0, 0.0, False
+        speed_mps if is_known else None, speed_mps, 1, config.braking.flat, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0, False
     )
     inputs = replace(inputs, **{name: changes.pop(name) for name in vars(inputs).keys() & changes.keys()})
     vehicle = replace(vehicle, **{name: changes.pop(name) for name in vars(vehicle).keys() & changes.keys()})

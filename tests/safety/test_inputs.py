@@ -39,7 +39,7 @@ from tests.safety.safety_world import (
 NOW_NS = START_NS + 10_000_000_000
 ULTRASONIC = ("left", "right", "rear")
 OWN = ("machine", "imu", "wheel", "lidar/front", "health/lidar_front", "lidar/rear", "health/lidar_rear", "odom",
-       "map_pose", "tracks", "control_command", "mission")  # fmt: skip
+       "map_pose", "tracks", "control_command", "mission", "order_status")  # fmt: skip
 
 
 @pytest.fixture

@@ -22,7 +22,8 @@ from tests.safety.safety_world import ROOT
 RESULTS = {"emergency", "stop", "limit", "advisory"}
 ORDER = (
     "emergency_stop", "driver_override", "clock_step", "reported_fault", "message_timeout", "supply_voltage",
-    "steering", "brake", "localization", "tilt", "geofence", "implement_fold", "protective_field", "tracked_obstacle",
+    "steering", "brake", "overspeed", "localization", "tilt", "geofence", "implement_fold",
+    "protective_field", "tracked_obstacle",
     "detection_range", "sensor_loss", "wall_clearance", "speed_limit",
 )  # fmt: skip
 

@@ -29,7 +29,7 @@ NO_OBJECTION = {
     "emergency_stop": "emergency_stop.button", "driver_override": "driver_override", "clock_step": "clock_step",
     "reported_fault": "reported_fault",
     "message_timeout": "message_timeout", "supply_voltage": "supply_voltage", "steering": "steering",
-    "brake": "brake.weak",
+    "brake": "brake.weak", "overspeed": "overspeed",
     "localization": "localization", "tilt": "tilt", "geofence": "geofence", "implement_fold": "implement_fold",
     "protective_field": "protective_field",
     "tracked_obstacle": "tracked_obstacle", "detection_range": "detection_range.limit", "sensor_loss": "sensor_loss",
@@ -183,6 +183,12 @@ def test_brake(config: SupervisorConfig) -> None:
         ), held
     for phase in (Phase.CREEP, Phase.BRAKE, Phase.FAILED):
         assert ask("brake", config, brake_test=phase)[1].startswith("brake.test"), phase
+
+
+@clause("BD-5.2.5a", rule="overspeed")
+def test_overspeed(config: SupervisorConfig) -> None:
+    for held in around(0.1, 0.02):
+        assert ask("overspeed", config, overspeed_s=held)[:2] == (EMERGENCY if held > 0.1 else NONE, "overspeed"), held
 
 
 @clause("BD-5.3d", "BD-5.2.6a", rule="localization")

@@ -241,6 +241,7 @@ SILENT = {"imu": "imu.silent", "wheel": "wheel.silent", "lidar/front": "lidar/fr
           "map_pose": "map_pose.silent", "machine": "machine.silent", "control_command": "control_command.silent",
           "tracks": "tracks.silent",
           "health/lidar_front": "health/lidar_front.silent", "mission": "mission.silent",
+          "order_status": "order_status.silent",
           }  # fmt: skip
 
 

@@ -170,6 +170,38 @@ def test_brake_ineffective(bench: Bench, sign: int) -> None:
     assert not weak(2.0, 0.0, None)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("source", ["odom", "machine"])
+def test_overspeed(bench: Bench, sign: int, source: str) -> None:
+    command = replace(COMMAND, speed_mps=sign * 2.0)
+    for speed in around(2.5, 0.01):
+        bench.show(command=command, odom=odometry(2.0), machine={"speed_mps": 2.0})
+        fast = odometry(sign * speed) if source == "odom" else {"speed_mps": sign * speed}
+        bench.show(**{source: fast})
+        assert (bench.show(0.1).overspeed_s > 0.0) == (speed > 2.5), speed
+
+
+def test_overspeed_after_a_lowered_command(bench: Bench) -> None:
+    bench.show()
+    bench.show(command=replace(COMMAND, speed_mps=0.0))
+    held = [bench.show(0.1).overspeed_s > 0.0 for _ in range(40)]  # 2 m/s, while 0.3 m/s² of slowing are expected
+    assert 15 <= held.index(True) <= 17
+    slowing = [bench.show(0.1, odom=odometry(v), machine={"speed_mps": v}) for v in np.arange(2.0, 0.0, -0.04)]
+    assert slowing[-1].overspeed_s == 0.0
+
+
+@pytest.mark.parametrize("idle", [{"mode": Mode.STANDBY}, {"command": None}])
+def test_overspeed_only_while_engaged(bench: Bench, idle: dict[str, Any]) -> None:
+    fast = {"odom": odometry(6.0), "machine": {"speed_mps": 6.0}}
+    assert bench.show(**idle, **fast).overspeed_s == 0.0
+    assert bench.show(1.0).overspeed_s == 0.0
+    assert bench.show(0.1, mode=Mode.AUTOMATIC, command=COMMAND).overspeed_s == 0.0  # as fast as it was
+    assert bench.show(1.0).overspeed_s == 0.0  # 0.33 m/s less are expected
+    bench.show(1.0)
+    assert bench.show(0.1).overspeed_s > 0.0
+    assert bench.show(-0.2).overspeed_s == 0.0  # the clock was set back
+
+
 def test_seat_off_delay(bench: Bench) -> None:
     assert not bench.show().has_driver
     assert bench.show(machine={"is_seat_occupied": True}).has_driver

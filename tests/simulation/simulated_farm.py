@@ -10,6 +10,7 @@ from configs.strict import CONFIGS, find, load, parse, read_yaml
 from configs.vehicle import ImplementFile, Vehicle
 from messages.plan import Path, PathSection, PathSectionType
 from simulation.machine.tractor_bus import load_database
+from simulation.operator import SimulatedOperator
 from simulation.plant import Plant, PlantModels, draw_plant
 from simulation.scenario import Scenario
 from simulation.world import Rendering, SimulationConfig, SimulationWorld
@@ -63,7 +64,10 @@ class Farm:
         models = PlantModels(config.machine, config.gnss, config.imu)
         configured = Plant(site, self.vehicle, implement, models, start)
         self.plant = draw_plant(scenario.plant, configured, config.plant, seed)
-        self.world = SimulationWorld(self.plant, scenario, paths, tractor, seed, config, is_folded, rendering)
+        self.world = SimulationWorld(
+            self.plant, scenario, paths, tractor, seed, config, is_folded, SimulatedOperator(seed, "farm", "00"),
+            rendering,
+        )  # fmt: skip
         self.machine = self.world.machine
         self.start_ns = self.now_ns = config.start_stamp_ns
         self.bus = can.Bus(interface="virtual", channel=channel)

@@ -1,9 +1,11 @@
 """Sensor models against geometry and physics computed by hand."""
 
+import json
 import math
 
 import numpy as np
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from configs.strict import parse
 from geometry.transforms import apply, planar, transform, yaw_of
@@ -46,10 +48,13 @@ def test_start_command_time():
     farm = Farm()
     outputs = farm.drive(4.0)
     farm.close()
-    (command,) = of(outputs, "operator_command")
-    assert command.kind.name == "START"
-    assert command.stamp_ns - farm.start_ns == 3_000_000_000
-    assert command.expires_ns > command.stamp_ns
+    confirmation, order = of(outputs, "order/operator")
+    assert json.loads(confirmation.payload)["order"] == "confirm_clear"
+    content = json.loads(order.payload)
+    assert (content["order"], content["machine"], content["session"]) == ("start", "farm", "00")
+    assert order.stamp_ns - farm.start_ns == 3_000_000_000
+    assert content["expires_ns"] > order.stamp_ns == content["sequence"] - 1
+    Ed25519PublicKey.from_public_bytes(order.public_key).verify(order.signature, order.payload)
 
 
 def test_imu_gravity_at_rest():
@@ -275,7 +280,7 @@ def test_messages_by_seed():
     first, again, other = digest(3), digest(3), digest(4)
     assert first == again
     kinds = {topic for topic, *_ in first}
-    for kind in kinds - {"operator_command", "truth_objects"}:
+    for kind in kinds - {"order/operator", "truth_objects"}:
         assert [d for d in first if d[0] == kind] != [d for d in other if d[0] == kind], kind
 
 
@@ -291,5 +296,5 @@ def test_additional_sensor_independent():
 
 def test_scenario_without_command():
     farm = Farm(scenario=EMPTY.model_copy(update={"operator_commands": ()}))
-    assert not of(farm.drive(4.0), "operator_command")
+    assert not of(farm.drive(4.0), "order/operator")
     farm.close()

@@ -1,0 +1,143 @@
+"""Verification of one order: signature, machine, session, authority, permission, expiry, sequence and frequency."""
+
+import json
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+from pydantic import Field, ValidationError
+
+from configs.strict import Config
+from interfaces.orders.config import ORDERS, OrderKey, OrdersConfig
+from interfaces.orders.sequence import SequenceStore
+from messages.command import OperatorCommand, OperatorCommandKind, SignedOrder
+from messages.errors import HeadlandError
+
+SECOND_NS = 1_000_000_000
+REMEMBERED = 64  # accepted numbers that are recognized as repeated
+ANYONE = "anyone"
+MAX_BYTES = 1024
+STOP = "emergency_stop"
+
+
+class Reason(StrEnum):
+    """Why an order is refused."""
+
+    MALFORMED = "malformed"
+    UNKNOWN_KEY = "unknown_key"
+    FORGED = "forged"
+    WRONG_MACHINE = "wrong_machine"
+    WRONG_SESSION = "wrong_session"
+    NOT_PERMITTED = "not_permitted"
+    STALE = "stale"
+    REPLAYED = "replayed"
+    REORDERED = "reordered"
+    TOO_FREQUENT = "too_frequent"
+    NOT_STORED = "not_stored"
+
+
+class Refusal(Exception):
+    """An order that is not accepted; the text has the details."""
+
+    def __init__(self, reason: Reason, detail: str) -> None:
+        super().__init__(detail)
+        self.reason = reason
+
+
+class Payload(Config):
+    """What is signed. The orders of today have no parameters; a parameter would be a key here."""
+
+    machine: str = Field(max_length=80)
+    session: str = Field(max_length=80)
+    authority: str = Field(max_length=40)
+    sequence: int = Field(ge=0, lt=1 << 63, strict=True)
+    order: str = Field(max_length=40)
+    expires_ns: int = Field(ge=0, lt=1 << 63, strict=True)
+
+
+@dataclass
+class _Sender:
+    """A configured key, the numbers accepted of it lately and when."""
+
+    key: OrderKey
+    public_key: Ed25519PublicKey
+    accepted: deque[tuple[int, int]]
+
+
+class OrderVerifier:
+    """Verifies the orders for one machine and one session (a nonce of this start)."""
+
+    def __init__(self, machine: str, session: str, config: OrdersConfig, store: SequenceStore) -> None:
+        self._machine, self._session, self._config, self._store = machine, session, config, store
+        self._senders = {
+            bytes.fromhex(key.public_key): _Sender(
+                key, Ed25519PublicKey.from_public_bytes(bytes.fromhex(key.public_key)), deque(maxlen=REMEMBERED)
+            )
+            for key in config.keys.values()
+        }
+
+    def command(self, now_ns: int, order: SignedOrder) -> OperatorCommand:
+        """The command of an order; raises Refusal."""
+        sender = self._senders.get(order.public_key)
+        if sender is None:
+            raise Refusal(Reason.UNKNOWN_KEY, order.public_key.hex()[:16])
+        payload = self._signed_payload(sender, order)
+        self._check_address(sender, payload)
+        self._check_time(now_ns, payload)
+        self._check_sequence(now_ns, sender, payload)
+        try:
+            self._store.advance(sender.key.public_key, payload.sequence)
+        except HeadlandError as error:
+            raise Refusal(Reason.NOT_STORED, str(error)) from error
+        sender.accepted.append((payload.sequence, now_ns))
+        kind = ORDERS[payload.order]
+        return OperatorCommand(now_ns, kind, payload.authority, payload.sequence, payload.expires_ns)
+
+    def _signed_payload(self, sender: _Sender, order: SignedOrder) -> Payload:
+        """The payload of a valid signature; nothing is parsed before."""
+        try:
+            sender.public_key.verify(order.signature, order.payload)
+        except InvalidSignature as error:
+            raise Refusal(Reason.FORGED, f"key of {sender.key.authority}") from error
+        try:
+            return Payload.model_validate_json(order.payload)
+        except ValidationError as error:
+            raise Refusal(Reason.MALFORMED, f"{error.error_count()} errors in the payload") from error
+
+    def _check_address(self, sender: _Sender, payload: Payload) -> None:
+        if payload.machine != self._machine:
+            raise Refusal(Reason.WRONG_MACHINE, payload.machine)
+        if payload.session != self._session:
+            raise Refusal(Reason.WRONG_SESSION, payload.session)
+        if payload.authority != sender.key.authority or payload.order not in sender.key.orders:
+            raise Refusal(Reason.NOT_PERMITTED, f"{payload.order} by {payload.authority}")
+
+    def _check_time(self, now_ns: int, payload: Payload) -> None:
+        left_s = (payload.expires_ns - now_ns) * 1e-9
+        if not 0.0 <= left_s <= self._config.max_validity_s:
+            raise Refusal(Reason.STALE, f"{payload.order} expires in {left_s:.1f} s")
+
+    def _check_sequence(self, now_ns: int, sender: _Sender, payload: Payload) -> None:
+        try:
+            last = self._store.last(sender.key.public_key)
+        except HeadlandError as error:
+            raise Refusal(Reason.NOT_STORED, str(error)) from error
+        if payload.sequence <= last:
+            is_known = payload.sequence == last or any(number == payload.sequence for number, _ in sender.accepted)
+            raise Refusal(Reason.REPLAYED if is_known else Reason.REORDERED, f"{payload.sequence} after {last}")
+        recent = sum(abs(now_ns - at_ns) < SECOND_NS for _, at_ns in sender.accepted)
+        if recent >= self._config.max_per_s:
+            raise Refusal(Reason.TOO_FREQUENT, f"{recent} within a second")
+
+
+def unsigned_stop(now_ns: int, order: SignedOrder) -> OperatorCommand | None:
+    """The command of an emergency stop, which needs no key, or None for another order."""
+    try:
+        content: Any = json.loads(order.payload[:MAX_BYTES])
+    except (ValueError, RecursionError):
+        return None
+    is_stop = isinstance(content, dict) and content.get("order") == STOP
+    return OperatorCommand(now_ns, OperatorCommandKind.EMERGENCY_STOP, ANYONE, 0, now_ns) if is_stop else None

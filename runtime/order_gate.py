@@ -1,0 +1,16 @@
+"""Order gate of a setup."""
+
+from pathlib import Path
+
+from interfaces.orders.gate import OrderGate
+from interfaces.orders.port import OrderPort
+from interfaces.orders.sequence import SequenceStore
+from interfaces.orders.verifier import OrderVerifier
+from runtime.setup import Setup
+
+
+def order_gate(setup: Setup, folder: Path | None = None, port: OrderPort | None = None) -> OrderGate:
+    """Gate for the orders of a topic and of `port`; `folder` keeps the sequence numbers over restarts."""
+    config = setup.stack.interfaces.orders
+    verifier = OrderVerifier(setup.machine_id, setup.session, config, SequenceStore(folder))
+    return OrderGate(setup.machine_id, setup.session, verifier, config.report_s, port)

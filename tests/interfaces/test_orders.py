@@ -1,0 +1,256 @@
+"""Orders: only what a configured key signed for this machine, this session and this moment becomes a command."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from configs.strict import parse
+from interfaces.orders.config import ORDERS, OrdersConfig
+from interfaces.orders.gate import FAULTS, MAX_VERIFIED, OrderGate
+from interfaces.orders.port import OrderPort
+from interfaces.orders.sequence import SequenceStore
+from interfaces.orders.verifier import OrderVerifier, Reason
+from messages.command import OperatorCommand, OperatorCommandKind, OrderStatus, SignedOrder
+from messages.errors import ConfigError
+from messages.faults import Fault, Response
+from simulation.operator import SimulatedOperator, operator_key, public_bytes
+
+NOW = 1_700_000_000_000_000_000
+S = 1_000_000_000
+PAGE, RADIO, STRANGER = (Ed25519PrivateKey.from_private_bytes(bytes([k]) * 32) for k in range(3))
+KEYS = {
+    "page": {"public_key": public_bytes(PAGE).hex(), "authority": "operator", "orders": list(ORDERS)},
+    "radio": {"public_key": public_bytes(RADIO).hex(), "authority": "remote", "orders": ["pause"]},
+}
+VALUES = {"keys": KEYS, "max_per_s": 5, "max_validity_s": 600.0, "report_s": 0.5}
+CONFIG = parse(OrdersConfig, VALUES, "test")
+GOOD = {
+    "machine": "tractor-1", "session": "abc", "authority": "operator", "sequence": 10, "order": "start",
+    "expires_ns": NOW + 5 * S,
+}  # fmt: skip
+
+
+def signed(key: Ed25519PrivateKey = PAGE, **changes: Any) -> SignedOrder:
+    content = {name: value for name, value in (GOOD | changes).items() if value is not None}
+    return signed_bytes(json.dumps(content).encode(), key)
+
+
+def signed_bytes(payload: bytes, key: Ed25519PrivateKey = PAGE) -> SignedOrder:
+    return SignedOrder(NOW, public_bytes(key), key.sign(payload), payload)
+
+
+class Bench:
+    """A gate and its outputs."""
+
+    def __init__(self, folder: Path | None = None, session: str = "abc", port: OrderPort | None = None) -> None:
+        verifier = OrderVerifier("tractor-1", session, CONFIG, SequenceStore(folder))
+        self.gate = OrderGate("tractor-1", session, verifier, CONFIG.report_s, port)
+        self.now_ns, self.orders = NOW, ()
+        self.outputs: list[Any] = []
+
+    def all(self, topic: str, kind: type[SignedOrder]) -> tuple[SignedOrder, ...]:
+        assert topic == "order/operator"
+        return self.orders
+
+    def give(self, *orders: SignedOrder, after_s: float = 0.01) -> list[OperatorCommandKind]:
+        """Kinds of the commands of one step."""
+        self.now_ns += round(after_s * 1e9)
+        self.orders = orders
+        self.outputs = list(self.gate.step(self.now_ns, self))  # type: ignore[arg-type]
+        return [m.kind for m in self.of(OperatorCommand)]
+
+    def of(self, kind: type[Any]) -> list[Any]:
+        return [message for _, message in self.outputs if isinstance(message, kind)]
+
+    @property
+    def refused(self) -> dict[str, int]:
+        return {one.reason: one.count for one in self.of(OrderStatus)[-1].refused}
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_signed_order_becomes_a_command(bench: Bench, name: str) -> None:
+    assert bench.give(signed(order=name)) == [ORDERS[name]]
+    (command,) = bench.of(OperatorCommand)
+    if name != "emergency_stop":
+        assert (command.authority, command.sequence, command.expires_ns) == ("operator", 10, NOW + 5 * S)
+    assert not bench.of(Fault)
+
+
+REFUSED = {
+    "unknown key": (signed(STRANGER), Reason.UNKNOWN_KEY),
+    "key of another size": (SignedOrder(NOW, b"", b"", b"{}"), Reason.UNKNOWN_KEY),
+    "other machine": (signed(machine="tractor-2"), Reason.WRONG_MACHINE),
+    "earlier session": (signed(session="abb"), Reason.WRONG_SESSION),
+    "authority of another key": (signed(authority="remote"), Reason.NOT_PERMITTED),
+    "order of another key": (signed(RADIO, authority="remote"), Reason.NOT_PERMITTED),
+    "unknown order": (signed(order="fly"), Reason.NOT_PERMITTED),
+    "expired": (signed(expires_ns=NOW), Reason.STALE),
+    "valid for too long": (signed(expires_ns=NOW + 601 * S), Reason.STALE),
+    "no sequence": (signed(sequence=None), Reason.MALFORMED),
+    "negative": (signed(sequence=-1), Reason.MALFORMED),
+    "text for a number": (signed(sequence="11"), Reason.MALFORMED),
+    "number beyond 63 bits": (signed(sequence=1 << 63), Reason.MALFORMED),
+    "unknown parameter": (signed(speed_mps=9.0), Reason.MALFORMED),
+    "no object": (signed_bytes(b"[]"), Reason.MALFORMED),
+    "no JSON": (signed_bytes(b"\xff\x00"), Reason.MALFORMED),
+    "empty": (signed_bytes(b""), Reason.MALFORMED),
+    "nested": (signed_bytes(b"[" * 1000), Reason.MALFORMED),
+    "forged": (SignedOrder(NOW, public_bytes(PAGE), bytes(64), signed().payload), Reason.FORGED),
+    "signature of another key": (
+        SignedOrder(NOW, public_bytes(PAGE), signed(RADIO).signature, signed().payload), Reason.FORGED,
+    ),
+    "signature cut": (SignedOrder(NOW, public_bytes(PAGE), signed().signature[:63], signed().payload), Reason.FORGED),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_order_is_counted_and_named(bench: Bench, case: str) -> None:
+    order, reason = REFUSED[case]
+    assert bench.give(order) == []
+    assert bench.refused == {reason: 1}
+    (fault,) = bench.of(Fault)
+    assert (fault.code, fault.is_active, fault.response) == (f"orders.{reason}", True, Response.NONE)
+    bench.give(after_s=0.6)
+    assert [(f.code, f.is_active) for f in bench.of(Fault)] == [(f"orders.{reason}", False)]
+    assert bench.give(signed()) == [OperatorCommandKind.START]
+
+
+def test_replay_reordering_and_frequency(bench: Bench) -> None:
+    first, second = signed(sequence=10), signed(sequence=12, order="pause")
+    assert bench.give(first, second) == [OperatorCommandKind.START, OperatorCommandKind.PAUSE]
+    assert bench.give(second, first, signed(sequence=11)) == []
+    assert bench.refused == {"replayed": 2, "reordered": 1}
+    many = [signed(sequence=20 + k, order="pause") for k in range(5)]
+    assert len(bench.give(*many)) == 3  # with the two before: five within a second
+    assert bench.refused["too_frequent"] == 2
+    assert bench.give(signed(sequence=30), after_s=1.0) == [OperatorCommandKind.START]
+
+
+def test_sequence_and_session_over_a_restart(tmp_path: Path) -> None:
+    order = signed(sequence=50)
+    assert Bench(tmp_path).give(order) == [OperatorCommandKind.START]
+    again = Bench(tmp_path)  # the same session: what a clock or nonce that repeats would give
+    assert again.give(order, signed(sequence=49)) == []
+    assert again.refused == {"replayed": 1, "reordered": 1}
+    assert again.give(signed(sequence=51)) == [OperatorCommandKind.START]
+    other = Bench(tmp_path, session="next")
+    assert other.give(signed(sequence=60)) == []
+    assert other.refused == {"wrong_session": 1}
+    assert [path.suffix for path in tmp_path.iterdir()] == [".json"]
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b'{"sequence": "5"}', b'{"sequence": true}', b"\xff", b"[]"])
+def test_damaged_sequence_file_refuses_all_but_the_stop(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / f"{public_bytes(PAGE).hex()}.json"
+    path.write_bytes(content)
+    bench = Bench(tmp_path)
+    assert bench.give(signed(), signed(order="emergency_stop")) == [OperatorCommandKind.EMERGENCY_STOP]
+    assert bench.refused == {"not_stored": 1}
+    assert str(path) in bench.of(Fault)[0].text_en
+    assert path.read_bytes() == content
+
+
+def test_folder_that_cannot_be_written_refuses(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    bench = Bench(tmp_path / "file" / "orders")
+    assert bench.give(signed()) == []
+    assert bench.refused == {"not_stored": 1}
+
+
+@pytest.mark.parametrize(
+    "stop",
+    [
+        signed(STRANGER, order="emergency_stop", machine="x", session="y", sequence=0, expires_ns=0),
+        SignedOrder(NOW, b"", b"", b'{"order": "emergency_stop"}'),
+        SignedOrder(NOW, bytes(32), bytes(64), b'{"order": "emergency_stop", "sequence": -1}'),
+    ],
+)
+def test_emergency_stop_needs_no_key(bench: Bench, stop: SignedOrder) -> None:
+    bench.give(signed(sequence=10))
+    assert bench.give(stop) == [OperatorCommandKind.EMERGENCY_STOP]
+    assert bench.give(stop, stop) == [OperatorCommandKind.EMERGENCY_STOP]
+    assert bench.give(signed(sequence=11)) == [OperatorCommandKind.START]  # it uses up no number
+
+
+def test_emergency_stop_behind_a_flood(bench: Bench) -> None:
+    flood = [SignedOrder(NOW, public_bytes(PAGE), bytes(64), signed(sequence=k).payload) for k in range(350)]
+    assert bench.give(*flood, signed(STRANGER, order="emergency_stop")) == [OperatorCommandKind.EMERGENCY_STOP]
+    assert bench.refused == {"forged": MAX_VERIFIED, "too_frequent": 350 - MAX_VERIFIED}
+
+
+@settings(derandomize=True, max_examples=200)
+@given(st.integers(0, 2**20), st.integers(0, 7))
+def test_no_order_with_a_changed_bit_is_accepted(at: int, bit: int) -> None:
+    order = signed()
+    parts = [order.public_key, order.signature, order.payload]
+    flat = bytearray(b"".join(parts))
+    flat[at % len(flat)] ^= 1 << bit
+    changed = SignedOrder(NOW, bytes(flat[:32]), bytes(flat[32:96]), bytes(flat[96:]))
+    bench = Bench()
+    assert bench.give(changed) == []
+    assert set(bench.refused) <= {"unknown_key", "forged"}
+
+
+def test_every_reason_has_texts() -> None:
+    assert set(FAULTS) == set(Reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"public_key": "00"}, "public_key"),
+        ({"public_key": "Z" * 64}, "public_key"),
+        ({"orders": ["fly"]}, "no such order"),
+        ({"orders": []}, "orders"),
+        ({"private_key": "00" * 32}, "private_key"),
+    ],
+)
+def test_configuration_names_what_is_wrong(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        parse(OrdersConfig, VALUES | {"keys": {"page": KEYS["page"] | change}}, "test")
+
+
+@pytest.fixture
+def port() -> Iterator[OrderPort]:
+    port = OrderPort(0)
+    yield port
+    port.close()
+
+
+def test_orders_and_status_through_the_port(port: OrderPort) -> None:
+    import socket
+
+    bench = Bench(port=port)
+    order = signed()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(1.0)
+        client.connect(("127.0.0.1", port.number))
+        client.send(b"")
+        bench.give()
+        status = json.loads(client.recv(4096))
+        assert (status["machine"], status["session"], status["accepted"]) == ("tractor-1", "abc", 0)
+        client.send(order.signature + order.public_key + order.payload)
+        client.send(b"junk")
+        assert bench.give() == [OperatorCommandKind.START]
+        client.send(b"")
+        bench.give()
+        status = json.loads(client.recv(4096))
+        assert (status["accepted"], status["refused"]) == (1, {"unknown_key": 1})
+
+
+def test_simulated_operator_signs_the_same_for_the_same_seed() -> None:
+    start = OperatorCommandKind.START
+    first, again, other = (SimulatedOperator(seed, "m", "s").order(NOW, start, 5.0) for seed in (1, 1, 2))
+    assert first == again
+    assert first.public_key == public_bytes(operator_key(1)) != other.public_key
