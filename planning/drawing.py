@@ -15,17 +15,18 @@ from geometry.footprint import footprints
 from geometry.polygon import parts
 from messages.plan import PathSectionType
 from planning.docking.dock import Docking
-from planning.plan import Plan
+from planning.plan import EDGE_MARGIN, TIGHT_CORNER, Plan
 
 COLOURS = {
     PathSectionType.LANE: "#404040", PathSectionType.HEADLAND: "#1f5fa8", PathSectionType.SWATH: "#1a7f37",
     PathSectionType.TURN: "#d9822b", PathSectionType.DETOUR: "#8a2be2",
     PathSectionType.DOCK: "#8a2be2",
 }  # fmt: skip
+UNCOVERED = {EDGE_MARGIN: "#f4c7c3", TIGHT_CORNER: "#d62728"}
 
 
 def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
-    """Writes a PNG: field, lanes, gate, yard, shed, planned strips, and the path by section type."""
+    """Writes a PNG: field, lanes, gate, yard, shed, planned strips, uncovered areas by reason, path by section type."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -35,6 +36,11 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
     axes.set_aspect("equal")
     for shape in parts(plan.planned_area):
         _fill(axes, shape, "#cfe8cf")
+    for part in plan.uncovered:
+        for shape in parts(part.outline):
+            _fill(axes, shape, UNCOVERED[part.reason])
+    for reason, area_m2 in plan.uncovered_m2.items():
+        axes.fill([], [], color=UNCOVERED[reason], label=f"{reason}: {area_m2:.0f} m²")
     axes.fill(*zip(*site.yard.outline_m, strict=True), color="#e6e0d4")
     if site.shed is not None:
         _draw_shed(axes, site.shed, plan.docking)

@@ -29,6 +29,7 @@ from planning.turns.free_space import FreeSpace
 
 PROOF_SLACK_M = 0.02  # margin added in planning over the one verified
 MIN_UNCOVERED_M2 = 0.25
+EDGE_MARGIN, TIGHT_CORNER = "edge margin", "corner too tight to turn in"  # reasons of uncovered areas
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,14 @@ class Plan:
     rig: Rig
     docking: Docking | None = None
     docking_paths: tuple[Path, ...] = ()
+
+    @property
+    def uncovered_m2(self) -> dict[str, float]:
+        """Uncovered area by reason, m², largest first."""
+        areas: dict[str, float] = {}
+        for part in self.uncovered:
+            areas[part.reason] = areas.get(part.reason, 0.0) + part.area_m2
+        return dict(sorted(areas.items(), key=lambda a: -a[1]))
 
     @property
     def fixed_paths(self) -> tuple[Path, ...]:
@@ -198,6 +207,6 @@ def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
 def _uncovered(drivable: DrivableArea, area: BaseGeometry, rig: Rig) -> tuple[Uncovered, ...]:
     rim = drivable.free.difference(shrink(drivable.free, drivable.margin_m + rig.width_m - rig.working_width_m + 0.1))
     missed = drivable.free.difference(area)
-    found = [("edge margin", p) for p in parts(missed.intersection(rim), MIN_UNCOVERED_M2)]
-    found += [("corner too tight to turn in", p) for p in parts(missed.difference(rim), MIN_UNCOVERED_M2)]
+    found = [(EDGE_MARGIN, p) for p in parts(missed.intersection(rim), MIN_UNCOVERED_M2)]
+    found += [(TIGHT_CORNER, p) for p in parts(missed.difference(rim), MIN_UNCOVERED_M2)]
     return tuple(Uncovered(reason, p.area, place_of(p), p) for reason, p in found)

@@ -9,7 +9,10 @@ from runtime.run_folder import RunFolder, command_of, named_errors, resolved, ve
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Plans and writes the results; raises FieldError before writing if the field cannot be worked."""
+    """Plans and writes the results; returns 1 below the mission's `least_planned_share`.
+
+    Raises FieldError before writing if the field cannot be worked.
+    """
     check_drive(arguments)
     with RunFolder("plan", arguments.out, command_of(arguments)) as folder:
         # only now: these imports take seconds, and a wrong argument is reported at once
@@ -47,4 +50,10 @@ def main(arguments: argparse.Namespace) -> int:
         sys.stdout.write(
             f"{plan.length_m:.0f} m path, {share:.1f} % of {plan.field_area_m2:.0f} m² planned: {folder.path}\n"
         )
-    return 0
+    least = 0.0 if setup.mission.work is None else setup.mission.work.least_planned_share
+    if plan.planned_share >= least:
+        return 0
+    sys.stderr.write(f"warning: {plan.planned_share:.1%} of the field planned, less than {least:.1%}:\n")
+    for reason, area_m2 in plan.uncovered_m2.items():
+        sys.stderr.write(f"  {area_m2:.0f} m² {reason}\n")
+    return 1

@@ -132,6 +132,7 @@ def test_planned_and_uncovered_area(shaped: tuple[Site, Plan]) -> None:
     assert plan.field_area_m2 == pytest.approx(free)
     assert plan.planned_share > 0.94
     listed = sum(u.area_m2 for u in plan.uncovered)
+    assert sum(plan.uncovered_m2.values()) == pytest.approx(listed)
     assert plan.planned_area.area + listed == pytest.approx(free, rel=0.003)
     assert plan.length_m == pytest.approx(float(plan.paths[0].s_m[-1]))
 
