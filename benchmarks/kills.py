@@ -54,7 +54,7 @@ VERBS = {
     "run": Verb("run --mission line --duration 5 --out {out}"),
     "plan": Verb("plan {top}/field.geojson --out {out}"),
     "live": Verb("live --world simulation --mission line --duration 5 --out {out}"),
-    "shadow": Verb(f"shadow --interface udp_multicast --bus {GROUP} --duration 3 --out {{out}}"),
+    "shadow": Verb(f"shadow --bus loopback:{GROUP}:42999 --duration 3 --out {{out}}"),
     "validate": Verb("validate {top}/drive/log.mcap --out {out}"),
     "campaign": Verb("campaign hazards --only ^adult_before_wing-1$ --jobs 1 --out {out}"),
     "import": Verb("import {top}/drive/log.mcap --out {out}", is_file=True),
