@@ -43,7 +43,7 @@ class Verb:
     """A command line; `{top}` is the folder of the inputs, `{out}` what the command writes."""
 
     line: str
-    is_file: bool = False
+    out: str = "out"
 
     def words(self, top: Path, out: Path) -> list[str]:
         """Words of the command line."""
@@ -57,8 +57,8 @@ VERBS = {
     "shadow": Verb(f"shadow --bus loopback:{GROUP}:42999 --duration 3 --out {{out}}"),
     "validate": Verb("validate {top}/drive/log.mcap --out {out}"),
     "campaign": Verb("campaign hazards --only ^adult_before_wing-1$ --jobs 1 --out {out}"),
-    "import": Verb("import {top}/drive/log.mcap --out {out}", is_file=True),
-    "animate": Verb("animate {top}/drive/log.mcap --duration 4 --out {out}", is_file=True),
+    "import": Verb("import {top}/drive/log.mcap --out {out}", "out.mcap"),
+    "animate": Verb("animate {top}/drive/log.mcap --duration 4 --out {out}", "out.webp"),
 }
 
 
@@ -111,7 +111,7 @@ def duration_s(name: str, top: Path) -> float:
     if name not in known:
         with tempfile.TemporaryDirectory(dir=top) as folder:
             began_s = time.monotonic()
-            process = start(VERBS[name].words(top, Path(folder) / "out"), Path(folder))
+            process = start(VERBS[name].words(top, Path(folder) / VERBS[name].out), Path(folder))
             process.communicate(timeout=WAIT_S)
             known[name] = time.monotonic() - began_s
         path.write_text(json.dumps(known))
@@ -125,7 +125,7 @@ def one_trial(name: str, top: Path, moment: float, trial: int, is_full_disk: boo
         with disk(top / f"disk-{name}") as folder:
             return {"after_s": after_s, "failure": fill(name, top, folder, after_s)}
     folder = top / name / str(trial // COMPLETE_EVERY)
-    out = folder / ("out.mcap" if VERBS[name].is_file else "out")
+    out = folder / VERBS[name].out
     if not folder.is_dir():
         folder.mkdir(parents=True)
         (folder / "mine.txt").write_text("mine")
@@ -180,7 +180,7 @@ def changed(before: dict[Path, str], folder: Path) -> list[str]:
 def unreadable(folder: Path) -> list[str]:
     """Logs that cannot be read; a log that was just begun may be empty."""
     failures = []
-    for path in folder.rglob("*.mcap"):
+    for path in (one for one in folder.rglob("*.mcap") if one.is_file()):
         try:
             scan = LogScan(path)
             sum(1 for _ in scan)
@@ -228,7 +228,7 @@ def disk(folder: Path) -> Iterator[Path]:
 
 def fill(name: str, top: Path, folder: Path, after_s: float) -> str:
     """Fills the disk at the moment; the command ends by itself and what it wrote is readable."""
-    out = folder / ("out.mcap" if VERBS[name].is_file else "out")
+    out = folder / VERBS[name].out
     (folder / "mine.txt").write_text("mine")
     before = users_files(folder, out)
     process = start(VERBS[name].words(top, out), top)

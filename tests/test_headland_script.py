@@ -186,7 +186,7 @@ def test_benchmark_names(project: Project) -> None:
     for name, code in ([], 2), (["nonsense"], 2), (["perception_scoring"], 2), (["--help"], 0):
         found, _, err = project.run("benchmark", *name)
         assert found == code
-        assert "camera_simulated docking" in err
+        assert "camera_simulated command_lines docking" in err
         assert "perception_scoring " not in err.partition("one of")[2]
 
 

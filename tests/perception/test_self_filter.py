@@ -17,7 +17,7 @@ REAR = VEHICLE.sensors.lidar["rear"]
 
 
 def machine(fold):
-    return SimpleNamespace(fold_position=fold)
+    return SimpleNamespace(fold_position=fold, hitch=1.0)
 
 
 @pytest.mark.parametrize(("fold", "folded"), [(0.0, False), (0.5, False), (0.989, False), (0.99, True), (1.0, True)])

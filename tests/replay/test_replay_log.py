@@ -107,7 +107,7 @@ def test_interrupted_replay_leaves_no_result(
         patch.setattr(progress.PassProgress, "at", interrupt)
         code, replayed = validate(patch, recorded, tmp_path)
     assert code == 130
-    assert {path.parts[0] for path in relative_files(tmp_path / "out0")} == {".incomplete"}
+    assert {path.parts[0] for path in relative_files(tmp_path / "out0")} == {".incomplete", "manifest.json"}
     code, replayed = validate(monkeypatch, recorded, tmp_path)
     assert code == 3
     assert not (tmp_path / "out0" / ".incomplete").exists()
