@@ -66,7 +66,7 @@ class BusRig:
 
     @property
     def is_standing(self) -> bool:
-        """Whether the machine stands."""
+        """Whether the machine is at standstill."""
         return self.speed_mps < 0.01
 
     def stopping_distance_m(self) -> float:

@@ -1,6 +1,6 @@
 """Independent check of a plan: a second implementation of the sweep, of the worked area, and of the curvature.
 
-It knows the outline of machine and implement, the polygon of the field and the points of the paths, and shares no code
+It reads the outline of machine and implement, the polygon of the field and the points of the paths, and shares no code
 with the planner.
 """
 
