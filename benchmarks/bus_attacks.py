@@ -4,9 +4,9 @@
 
 Gateway, order gate, simulated tractor and the sockets are the real ones. The clock is simulated (20 ms per step, the
 attacker sends within the step), so that a busy computer changes no result. The supervisor is replaced by one that
-demands a fault stop 100 ms after the first fault, later than the real one. Rows are kept in rows.jsonl; the same command
-continues. A trial passes if the attack is named within 200 ms and the machine stops within its stopping distance S;
-an order must be refused and named within 200 ms.
+demands a fault stop 100 ms after the first fault, later than the real one. Rows are kept in rows.jsonl; the same
+command continues. A trial passes if the attack is named within 200 ms and the machine stops within its stopping
+distance S; an order must be refused and named within 200 ms.
 """
 
 import argparse
