@@ -41,13 +41,14 @@ def time_of(stamp_ns: int) -> Timestamp:
 def frame(stamp_ns: int, parent: str, child: str, T_parent_child: Float64) -> FrameTransform:
     """The pose of frame `child` in frame `parent`."""
     x, y, z, w = quaternion_of(T_parent_child).tolist()
-    return FrameTransform(
+    out = FrameTransform(
         timestamp=time_of(stamp_ns),
         parent_frame_id=parent,
         child_frame_id=child,
-        translation=_vector(T_parent_child[:3, 3].tolist()),
         rotation=Quaternion(x=x, y=y, z=z, w=w),
     )
+    _set_vector(out.translation, *T_parent_child[:3, 3].tolist())
+    return out
 
 
 def cube(center_m: Sequence[float], size_m: Sequence[float], yaw_rad: float, rgba: Rgba) -> CubePrimitive:
@@ -66,7 +67,8 @@ def cube(center_m: Sequence[float], size_m: Sequence[float], yaw_rad: float, rgb
 def line(points_m: npt.NDArray[np.floating], width_m: float, rgba: Rgba, is_closed: bool = False) -> LinePrimitive:
     """Line through points (N, 3), or (N, 2) at 0.1 m above the ground."""
     kind = LinePrimitive.LINE_LOOP if is_closed else LinePrimitive.LINE_STRIP
-    out = LinePrimitive(type=kind, thickness=width_m, pose=Pose(orientation=_LEVEL), color=_color(rgba))
+    out = LinePrimitive(type=kind, thickness=width_m, pose=Pose(orientation=_LEVEL))
+    _set_color(out.color, rgba)
     rows = points_m.tolist()
     out.points.extend([Point3(x=p[0], y=p[1], z=p[2] if len(p) > 2 else 0.1) for p in rows])
     return out
@@ -118,16 +120,8 @@ def compressed_image(image: CameraImage, frame_id: str, quality: int) -> Compres
     return CompressedImage(timestamp=time_of(image.stamp_ns), frame_id=frame_id, data=data, format=kind)
 
 
-def _vector(v: Sequence[float]) -> Vector3:
-    return Vector3(x=v[0], y=v[1], z=v[2])
-
-
 def _set_vector(at: Vector3, x: float, y: float, z: float) -> None:
     at.x, at.y, at.z = x, y, z
-
-
-def _color(rgba: Rgba) -> Color:
-    return Color(r=rgba[0], g=rgba[1], b=rgba[2], a=rgba[3])
 
 
 def _set_color(color: Color, rgba: Rgba) -> None:

@@ -55,9 +55,13 @@ def existing(text: str) -> Path:
     """Type of an existing file or folder."""
     path = Path(text)
     if not path.exists():
-        target = f"the link target {path.readlink()} does not exist" if path.is_symlink() else "does not exist"
-        raise argparse.ArgumentTypeError(f"{text}: {target}")
+        raise argparse.ArgumentTypeError(f"{text}: {why_missing(path)}")
     return path
+
+
+def why_missing(path: Path) -> str:
+    """Why there is nothing at a path."""
+    return f"the link target {path.readlink()} does not exist" if path.is_symlink() else "does not exist"
 
 
 def new_file(text: str) -> Path:

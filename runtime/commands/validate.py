@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from datasets.parts import files_of
 from messages.errors import HeadlandError
+from runtime.commands.argument_types import why_missing
 
 if TYPE_CHECKING:
     from runtime.replay.evaluate import Task
@@ -47,32 +48,17 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Raises HeadlandError for a missing file, a log given twice, or an invalid number."""
-    if arguments.jobs is not None and arguments.jobs < 1:
-        raise HeadlandError(f"--jobs {arguments.jobs}: must be at least 1")
+    """Raises HeadlandError for a log given twice, a missing vehicle file, or one file of truth for several logs."""
     seen: dict[Path, Path] = {}
     for log in arguments.log:
-        if not log.exists():
-            raise HeadlandError(f"{log}: {_why_missing(log)}")
         if (first := seen.setdefault(log.resolve(), log)) is not log:
             raise HeadlandError(f"{log}: the same log as {first}; encounters of one log count once")
-    truth = arguments.truth
-    for name, path in (
-        ("vehicle", arguments.vehicle),
-        ("conditions", arguments.conditions),
-        ("model", arguments.model),
-    ):
-        is_name = name == "vehicle" and path is not None and len(path.parts) == 1 and not path.suffix
-        if path is not None and not path.is_file() and not is_name:
-            raise HeadlandError(f"--{name} {path}: {'not a file' if path.exists() else _why_missing(path)}")
-    if truth is not None and not truth.exists():
-        raise HeadlandError(f"--truth {truth}: {_why_missing(truth)}")
+    vehicle, truth = arguments.vehicle, arguments.truth
+    is_name = vehicle is not None and len(vehicle.parts) == 1 and not vehicle.suffix
+    if vehicle is not None and not vehicle.is_file() and not is_name:
+        raise HeadlandError(f"--vehicle {vehicle}: {'not a file' if vehicle.exists() else why_missing(vehicle)}")
     if truth is not None and truth.suffix in (".jsonl", ".json") and len(arguments.log) > 1:
         raise HeadlandError(f"--truth {truth}: a file belongs to one log; place it beside its log as LOG.truth.jsonl")
-
-
-def _why_missing(path: Path) -> str:
-    return f"the link target {path.readlink()} does not exist" if path.is_symlink() else "does not exist"
 
 
 def _tasks(arguments: argparse.Namespace, folder: ResultFolder) -> list[Task]:
