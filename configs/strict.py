@@ -26,8 +26,8 @@ class Config(BaseModel):
         return super().model_copy(update=update, deep=deep)
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML loader that refuses duplicate keys (SafeLoader keeps the last one)."""
+class _UniqueKeyLoader(yaml.CSafeLoader):
+    """YAML loader of libyaml that refuses duplicate keys (CSafeLoader keeps the last one)."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()

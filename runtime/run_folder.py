@@ -238,4 +238,5 @@ def versions() -> dict[str, str]:
 
 def resolved(**sections: Config) -> str:
     """Resolved configuration of a run as YAML text."""
-    return yaml.safe_dump({k: v.model_dump(mode="json") for k, v in sections.items()}, sort_keys=False)
+    values = {name: section.model_dump(mode="json") for name, section in sections.items()}
+    return str(yaml.dump(values, Dumper=yaml.CSafeDumper, sort_keys=False))

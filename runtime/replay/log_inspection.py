@@ -199,7 +199,7 @@ def _logged_machine(path: Path, topics: list[str]) -> RecordingMachine | None:
     text = read_metadata(path).get("config", {}).get("yaml")
     if text is None:
         return None
-    config = yaml.safe_load(text)
+    config = yaml.load(text, yaml.CSafeLoader)
     if not isinstance(config, dict) or "machine" not in config:
         return None
     vehicle = parse(Vehicle, config["machine"], f"{path}: machine")

@@ -295,7 +295,7 @@ def site_of(path: FilePath) -> RecordingSite | None:
     import yaml
 
     text = read_metadata(path).get("config", {}).get("yaml") if path.is_file() else None
-    config = yaml.safe_load(text) if text is not None else None
+    config = yaml.load(text, yaml.CSafeLoader) if text is not None else None
     site = config.get("site") if isinstance(config, dict) else None
     if not isinstance(site, dict):
         return None

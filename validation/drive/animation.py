@@ -176,7 +176,7 @@ def machine_of(scan: LogScan, log: Path) -> tuple[Vehicle, Implement]:
     text = scan.metadata.get("config", {}).get("yaml")
     if text is None:
         raise LogError(f"{log}: carries no configuration of its machine; only logs of `headland run` can be animated")
-    values = yaml.safe_load(text)
+    values = yaml.load(text, yaml.CSafeLoader)
     where = f"{log}: configuration"
     implement = parse(ImplementFile, {"implement": values["implement"]}, where).implement
     return parse(Vehicle, values["machine"], where), implement

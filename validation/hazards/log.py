@@ -40,7 +40,7 @@ def read_hazard_log(path: Path) -> HazardLog:
     metadata = read_metadata(path)
     if "shapes" not in metadata or "config" not in metadata:
         raise LogError(f"{path}: no true shapes in it; they are logged by `headland run` since 0.4")
-    config = yaml.safe_load(metadata["config"]["yaml"])
+    config = yaml.load(metadata["config"]["yaml"], yaml.CSafeLoader)
     detections, record = Detections(parse(Vehicle, config["machine"], str(path))), DriveRecord()
     shapes: list[TrueShapes] = []
     for entry in LogScan(path, {*detections.topics, *TOPICS, "truth_shapes"}):
