@@ -1,7 +1,7 @@
 """Coverage plans of textbook fields, random polygons and parcels of national registers: share, coverage, time.
 
-    ./headland benchmark planning [--groups textbook random registers] [--widths 3 6 12] [--every N]
-                                  [--limit SECONDS] [--pictures] [--out FOLDER]
+    ./headland benchmark planning [--groups textbook random registers] [--widths 3 6 12] [--turns reverse forward]
+                                  [--every N] [--limit SECONDS] [--pictures] [--out FOLDER]
 
 Each plan runs in a process of its own, forked after imports and kernels; its processor time is that of the process and
 its children. Results are appended to FOLDER/results.jsonl; a second call continues, and prints the tables.
@@ -20,7 +20,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,12 +35,13 @@ from messages.errors import FieldError
 from planning.config import PlanningConfig
 from planning.drawing import draw_plan
 from planning.field.field import FieldOutline
-from planning.field.site_generation import site_around
+from planning.field.site_generation import site_within
 from planning.plan import plan_field
 
 LEAST_PLANNED_SHARE = 0.95
 WALL = 30.0  # wall time to processor time that is waited
-PASSES = {3.0: 3, 6.0: 2, 12.0: 2}
+PASSES = {3.0: 4, 6.0: 2, 12.0: 2}
+Turns = Literal["forward", "reverse"]
 GROUPS = {"textbook": textbook, "random": lambda data: random_fields(), "registers": registers}
 
 
@@ -50,11 +51,12 @@ class Case:
 
     parcel: Parcel
     width_m: float
+    turns: Turns
 
     @property
     def key(self) -> str:
         """Name in the results."""
-        return f"{self.parcel.group} {self.parcel.name} {self.width_m:g}"
+        return f"{self.parcel.group} {self.parcel.name} {self.width_m:g} {self.turns}"
 
 
 def implement_of(width_m: float) -> MountedImplement:
@@ -63,11 +65,11 @@ def implement_of(width_m: float) -> MountedImplement:
     return parse(MountedImplement, values | {"working_width_m": width_m, "width_m": width_m}, "benchmark")
 
 
-def work_of(width_m: float) -> Work:
+def work_of(width_m: float, turns: Turns) -> Work:
     """Field work without overlap, 0.1 m from the edge."""
     return Work(
         headland_passes=PASSES[width_m], overlap_m=0.0, work_speed_kmh=10.0, turn_speed_kmh=5.0, lane_speed_kmh=10.0,
-        boundary_margin_m=0.1,
+        boundary_margin_m=0.1, turns=turns,
     )  # fmt: skip
 
 
@@ -75,11 +77,11 @@ def run(case: Case, picture: Path | None) -> dict[str, Any]:
     """Plans and checks one case; the processor time is that of planning alone."""
     vehicle, implement = load(Vehicle, find("machines", "tractor_e")), implement_of(case.width_m)
     planning = parse(PlanningConfig, read_yaml(CONFIGS / "stack/planning.yaml"), "stack/planning.yaml")
-    polygon, work = case.parcel.polygon, work_of(case.width_m)
+    polygon, work = case.parcel.polygon, work_of(case.width_m, case.turns)
     datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
     before = busy_s()
     try:
-        site = site_around(FieldOutline(case.parcel.name, datum, polygon), vehicle, implement, work)
+        site = site_within(FieldOutline(case.parcel.name, datum, polygon), vehicle, implement, work)
         plan = plan_field(site, vehicle, implement, work, planning.planner, 1)
     except FieldError as error:
         return {"state": "refused", "reason": str(error), "cpu_s": busy_s() - before}
@@ -87,9 +89,8 @@ def run(case: Case, picture: Path | None) -> dict[str, Any]:
     if picture is not None:
         draw_plan(plan, site, picture)
     paths = [p for p in plan.paths if p.p_map_m.shape[0] > 1]
-    found = check(
-        paths, polygon, plan.drivable.allowed.union(polygon.buffer(-work.boundary_margin_m)), vehicle, implement
-    )
+    free = plan.drivable.allowed.union(polygon.buffer(-work.boundary_margin_m))
+    found = check(paths, polygon, free, vehicle, implement)
     return {
         "state": "planned" if plan.planned_share >= LEAST_PLANNED_SHARE else "below share",
         "share": plan.planned_share, "coverage": found.coverage, "outside_m": found.outside_m, "gap_m": found.gap_m,
@@ -141,17 +142,17 @@ def cases(arguments: argparse.Namespace) -> Iterator[Case]:
             widths = [3.0] if group == "textbook" else sorted(arguments.widths)
             for width in widths[-1:] if parcel.polygon.area > LARGE_M2 and group != "textbook" else widths:
                 if width_m >= MIN_WIDTHS * width:
-                    yield Case(parcel, width)
+                    yield from (Case(parcel, width, turns) for turns in arguments.turns)
 
 
 def table(results: list[dict[str, Any]]) -> str:
     """One line for each group, width and kind of turns, and one for each textbook field."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for r in results:
-        group, *_, width = r["key"].split(" ")
-        groups.setdefault(f"{group} {width} m", []).append(r)
+        group, *_, width, turns = r["key"].split(" ")
+        groups.setdefault(f"{group} {width} m {turns}", []).append(r)
     lines = [
-        "group, width               n  planned  below  refused  long  outside  coverage median/p5  "
+        "group, width, turns        n  planned  below  refused  long  outside  coverage median/p5  "
         "cpu s median/p95/max  length/bound  idle  reverse  MiB"
     ]
     for name, found in groups.items():
@@ -167,17 +168,15 @@ def table(results: list[dict[str, Any]]) -> str:
         line += f"   {np.median(cpu):6.2f}/{np.quantile(cpu, 0.95):6.2f}/{max(cpu):6.2f} "
         if done:
             total, work = sum(r["length_m"] for r in done), sum(r["working_m"] for r in done)
-            ideal = sum(r["area_ha"] * 1e4 / float(r["key"].split(" ")[-1]) for r in done)
+            ideal = sum(r["area_ha"] * 1e4 / float(r["key"].split(" ")[-2]) for r in done)
             line += f"  {total / ideal:8.3f}  {1 - work / total:.1%}  {sum(r['reverse_m'] for r in done) / total:.1%}"
             line += f"  {max(r['rss_mib'] for r in done):5.0f}"
         lines.append(line)
     for r in results:
         if r["key"].startswith("textbook"):
-            detail = (
-                f"{r['coverage']:.2%} {r['length_m']:.0f} m, {r['cusps']} cusps"
-                if "coverage" in r
-                else r.get("reason", "")
-            )
+            detail = r.get("reason", "")
+            if "coverage" in r:
+                detail = f"{r['coverage']:.2%} {r['length_m']:.0f} m, {r['cusps']} cusps"
             lines.append(f"  {r['key'][9:]:24} {r['state']:12} {r['cpu_s']:6.2f} s {detail}")
     return "\n".join(lines)
 
@@ -188,6 +187,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--groups", nargs="+", choices=GROUPS, default=list(GROUPS))
     parser.add_argument("--widths", nargs="+", type=float, choices=PASSES, default=list(PASSES))
+    parser.add_argument("--turns", nargs="+", choices=("reverse", "forward"), default=["reverse"])
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--only", default="")
     parser.add_argument("--limit", type=float, default=60.0)
@@ -198,7 +198,7 @@ def main() -> int:
     file = arguments.out / "results.jsonl"
     known = {r["key"]: r for r in map(json.loads, file.read_text().splitlines())} if file.is_file() else {}
     wanted = list(cases(arguments))
-    run(Case(next(textbook(DATA)), 12.0), None)  # compiles the kernels
+    run(Case(next(textbook(DATA)), 12.0, arguments.turns[0]), None)  # compiles the kernels
     sys.stdout.write(f"imports and kernels {busy_s() - began_s:.1f} s, {len(wanted)} cases\n")
     for case in wanted:
         if case.key in known:

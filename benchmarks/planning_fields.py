@@ -95,7 +95,7 @@ def _random(rng: np.random.Generator) -> Polygon:
                 [np.cos(np.arange(6) * math.pi / 3), np.sin(np.arange(6) * math.pi / 3)]
             )
             hole = Polygon(corners)
-            if (inner.contains(hole) and hole.distance(holes) > 30.0) or (holes.is_empty and inner.contains(hole)):
+            if inner.contains(hole) and (holes.is_empty or hole.distance(holes) > 30.0):
                 holes = holes.union(hole)
         found = outline.difference(holes)
         if isinstance(found, Polygon) and found.is_valid:

@@ -20,6 +20,9 @@ class Work(Config):
     lane_speed_kmh: Kmh
     boundary_margin_m: float = Field(ge=0.0, le=5.0, description="between the swept area and the field edge")
     least_planned_share: float = Field(default=0.95, ge=0.0, le=1.0, description="`plan` returns 1 below it")
+    turns: Literal["forward", "reverse"] = Field(
+        default="forward", description="reverse: turns may reverse with the lifted implement, and corners are filled"
+    )
 
 
 class Spread(Config):

@@ -5,10 +5,11 @@ import numpy.typing as npt
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from geometry.arrays import Bool, Float64
+from geometry.arrays import Bool, Float64, Int64
 from geometry.rectangle import Rectangle
 
 Bodies = tuple[Rectangle, ...]
+STRAIGHT_RAD = 0.04
 
 
 def place(points_base_m: Float64, p_map_m: Float64, heading_rad: Float64) -> Float64:
@@ -49,6 +50,13 @@ def sweep(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> BaseGeometr
         pairs = np.concatenate([corners[:-1], corners[1:]], axis=1) if len(corners) > 1 else corners
         shapes.append(shapely.union_all(shapely.convex_hull(shapely.multipoints(pairs))))
     return shapely.union_all(shapes)
+
+
+def corners_of(heading_rad: Float64) -> Int64:
+    """Indices between which the heading changes by less than `STRAIGHT_RAD`, with both ends, (M,)."""
+    level = np.floor((heading_rad - heading_rad[0]) / STRAIGHT_RAD + 0.5)
+    changes = np.flatnonzero(np.diff(level))
+    return np.unique(np.concatenate([[0], changes, changes + 1, [len(heading_rad) - 1]]))
 
 
 def worked(left_m: Float64, right_m: Float64) -> BaseGeometry:

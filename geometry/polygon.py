@@ -10,6 +10,7 @@ from shapely.geometry.base import BaseGeometry
 from geometry.arrays import Float64
 
 ARC_SEGMENTS = 32  # per quarter turn: an arc of 5 m is 1.5 mm off
+ARC_ERROR_M = 0.003
 
 
 def parts(shape: BaseGeometry, min_area_m2: float = 0.0) -> list[Polygon]:
@@ -49,6 +50,13 @@ def open_by(shape: BaseGeometry, radius_m: float) -> BaseGeometry:
 def close_by(shape: BaseGeometry, radius_m: float) -> BaseGeometry:
     """Closing by a disc of `radius_m`: concave corners become arcs."""
     return shrink(grow(shape, radius_m), radius_m)
+
+
+def rounded(shape: BaseGeometry, radius_m: float) -> BaseGeometry:
+    """Closing, then opening by a disc: all corners become arcs of at least `radius_m`; narrow necks are removed."""
+    for by_m in (radius_m, -2.0 * radius_m, radius_m):
+        shape = shape.simplify(ARC_ERROR_M).buffer(by_m, quad_segs=ARC_SEGMENTS)
+    return shape
 
 
 def polygon_of(shape: BaseGeometry) -> MultiPolygon:

@@ -21,6 +21,9 @@ class PlannerConfig(Config):
     run_out_m: float = Field(ge=0.0, le=20.0, description="straight after the implement has left the line")
     line_up_m: float = Field(ge=0.5, le=20.0, description="straight before the implement reaches the line")
     min_swath_m: Metres
+    reverse_kmh: Kmh = Field(description="in turns")
+    cusp_s: float = Field(ge=0.0, le=60.0, description="time of a change of direction: stop, steer, start")
+    corner_fill_m2: float = Field(ge=0.0, le=1000.0, description="smaller bare corners of a pass are not filled")
     edge_slack_m: float = Field(
         ge=0.0, le=0.5, description="added to the margin of the first headland pass, for tail swing"
     )

@@ -9,9 +9,8 @@ from configs.vehicle import kmh
 from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 from messages.plan import Path, PathSectionType
-from planning.path import path_of
+from planning.path import RawPiece, path_of
 from planning.rig import Rig
-from planning.turns.connector import RoutePiece
 from planning.turns.turn import STEP_M
 
 
@@ -22,7 +21,7 @@ def line_paths(line: Line, rig: Rig, start: Pose2) -> tuple[Path, ...]:
         pieces = []
         for number, leg in enumerate(group):
             points, pose = _drive(leg, pose)
-            pieces.append(RoutePiece(PathSectionType(leg.section), number, points, leg.is_working))
+            pieces.append(RawPiece(PathSectionType(leg.section), number, points, leg.is_working))
         top_mps = kmh(line.reverse_kmh if is_reverse else line.speed_kmh)
         paths.append(path_of(pieces, rig, len(paths) + 1, False, -1 if is_reverse else 1, top_mps))
     return tuple(paths)

@@ -1,12 +1,13 @@
-"""Path messages from route pieces: smoothed, with headings, curvature, speeds and sections."""
+"""Path messages from pieces: with headings, curvature, speeds and sections."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
 
+from configs.vehicle import kmh
 from geometry.arrays import Float64, Int32, UInt8
 from geometry.polyline import arc_length, at_length, curvatures, extend, headings, project, smooth
 from messages.plan import Path, PathSection, PathSectionType
@@ -18,12 +19,74 @@ from planning.turns.turn import STEP_M
 FADE_M = 5.0  # length over which the initial offset from a path fades
 MIN_SPACING_M = 0.02
 BEFORE_M = 0.5
+STEP_RADPM = 0.03  # of curvature from point to point
+EASED_M, FADING_M = 1.0, 4.0  # a shorter transition would itself add curvature
+
+
+@dataclass(frozen=True)
+class RawPiece:
+    """Part of a path: points of `base` (N, 2) before smoothing; `is_working`: the implement works on all of it."""
+
+    section_type: PathSectionType
+    line: int
+    points_m: Float64
+    is_working: bool
+
+
+def paths_of(pieces: Sequence[RoutePiece], rig: Rig, first_id: int) -> tuple[Path, ...]:
+    """Paths of a route, one for each run of pieces in the same direction, each from standstill to standstill."""
+    groups = [list(group) for _, group in groupby(pieces, key=lambda p: p.leg.direction)]
+    found = [_path(group, rig, first_id + k) for k, group in enumerate(groups)]
+    return (*found[:-1], replace(found[-1], is_last=True))
+
+
+def _path(pieces: Sequence[RoutePiece], rig: Rig, path_id: int) -> Path:
+    direction = pieces[0].leg.direction
+    points = np.vstack([p.leg.p_map_m for p in pieces])
+    heading = np.unwrap(np.concatenate([p.leg.heading_rad for p in pieces]))
+    curvature = np.concatenate([p.leg.curvature_radpm for p in pieces])
+    owner = np.concatenate([np.full(len(p.leg.p_map_m), k, np.int32) for k, p in enumerate(pieces)])
+    keep = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-3])
+    points, heading, curvature, owner = points[keep], heading[keep], curvature[keep], owner[keep]
+    raw_s = arc_length(points)
+    s = np.linspace(0.0, raw_s[-1], max(2, int(np.ceil(raw_s[-1] / STEP_M)) + 1))
+    p = np.column_stack([np.interp(s, raw_s, points[:, k]) for k in range(2)])
+    heading, curvature = np.interp(s, raw_s, heading), np.interp(s, raw_s, curvature)
+    owner = owner[np.clip(np.searchsorted(raw_s, s - 1e-9), 0, len(owner) - 1)]
+    p, heading, curvature = _eased(p, heading, curvature)
+    top_mps = np.inf if direction > 0 else kmh(rig.config.reverse_kmh)
+    section_speed = np.array([min(_section_speed(piece.section_type, rig), top_mps) for piece in pieces])[owner]
+    s = arc_length(p)
+    speed = speed_profile(s, curvature, section_speed, rig)
+    index, sections = _sections(owner, pieces)
+    return Path(
+        0, path_id, direction, p, _wrap(heading), curvature, s, speed, _working(owner, pieces), sections, index, False
+    )
+
+
+def _eased(p: Float64, heading: Float64, curvature: Float64) -> tuple[Float64, Float64, Float64]:
+    """The points with steps of curvature at joints spread over `EASED_M`; they move by some millimetres."""
+    steps = np.flatnonzero(np.abs(np.diff(curvature)) > STEP_RADPM)
+    if not len(steps):
+        return p, heading, curvature
+    near = np.zeros(len(p))
+    for k in steps:
+        at = np.abs(np.arange(len(p)) - (k + 0.5)) * STEP_M
+        fading = np.clip((at - EASED_M) / FADING_M, 0.0, 1.0)
+        near = np.maximum(near, 0.5 + 0.5 * np.cos(np.pi * fading))
+    near[[0, -1]] = 0.0
+    eased = p + near[:, None] * (smooth(p, EASED_M) - p)
+    turned = headings(eased)
+    turned += 2.0 * np.pi * np.round((heading[0] - turned[0]) / (2.0 * np.pi))
+    is_near = near > 0.0
+    bent = curvatures(turned, arc_length(eased))
+    return eased, np.where(is_near, turned, heading), np.where(is_near, bent, curvature)
 
 
 def path_of(
-    pieces: Sequence[RoutePiece], rig: Rig, path_id: int, is_last: bool, direction: int = 1, top_mps: float = np.inf
+    pieces: Sequence[RawPiece], rig: Rig, path_id: int, is_last: bool, direction: int = 1, top_mps: float = np.inf
 ) -> Path:
-    """One path in one direction, from standstill to standstill, at most `top_mps`.
+    """One smoothed path in one direction, from standstill to standstill, at most `top_mps`.
 
     Reverse paths are not smoothed: they follow smoothed points, and a second smoothing would turn their ends.
     """
@@ -104,7 +167,7 @@ def started_at(points_m: Float64, p_map_m: Float64) -> Float64:
     return np.asarray(kept + push[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]), np.float64)
 
 
-def _concatenated(pieces: Sequence[RoutePiece]) -> tuple[Float64, Int32]:
+def _concatenated(pieces: Sequence[RawPiece]) -> tuple[Float64, Int32]:
     points = np.vstack([p.points_m for p in pieces])
     owner = np.concatenate([np.full(len(p.points_m), k, np.int32) for k, p in enumerate(pieces)])
     keep = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
@@ -118,7 +181,7 @@ def _equally_spaced(points: Float64, owner: Int32) -> tuple[Float64, Int32]:
     return at_length(points, spaced), owner[nearest]
 
 
-def _sections(owner: Int32, pieces: Sequence[RoutePiece]) -> tuple[Int32, tuple[PathSection, ...]]:
+def _sections(owner: Int32, pieces: Sequence[RawPiece] | Sequence[RoutePiece]) -> tuple[Int32, tuple[PathSection, ...]]:
     starts = np.concatenate([[0], np.flatnonzero(np.diff(owner)) + 1, [len(owner)]])
     sections = []
     for first, end in pairwise(starts):
@@ -127,7 +190,7 @@ def _sections(owner: Int32, pieces: Sequence[RoutePiece]) -> tuple[Int32, tuple[
     return np.repeat(np.arange(len(sections), dtype=np.int32), np.diff(starts)).astype(np.int32), tuple(sections)
 
 
-def _working(owner: Int32, pieces: Sequence[RoutePiece]) -> UInt8:
+def _working(owner: Int32, pieces: Sequence[RawPiece] | Sequence[RoutePiece]) -> UInt8:
     """1 from the last point before work to the first after it, else 0, (N,)."""
     working = np.array([p.is_working for p in pieces], np.uint8)[owner]
     wider = working.copy()

@@ -11,18 +11,20 @@ from shapely.geometry.base import BaseGeometry
 from configs.mission import Line, Mission, Work
 from configs.site import PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
-from geometry.footprint import worked
+from geometry.arrays import runs_of
+from geometry.footprint import corners_of, worked
 from geometry.polygon import parts, place_of, shrink
 from messages.errors import FieldError
-from messages.plan import Path
+from messages.plan import Path, PathSectionType
 from planning.config import PlannerConfig, PlanningConfig
-from planning.coverage.headland import HeadlandPass, depth_m, headland_passes_of, pass_coverage
+from planning.coverage.headland import HeadlandPass, headland_passes_of
+from planning.coverage.interior import swaths_inside
 from planning.coverage.route import route
-from planning.coverage.swath import Swath, remains, swaths_of, trimmed
+from planning.coverage.swath import Swath
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
 from planning.field.drivable_area import DrivableArea, describe, drivable_area_of
 from planning.line import line_paths
-from planning.path import path_of
+from planning.path import paths_of
 from planning.rig import Rig, rig_of
 from planning.turns.connector import PathConnector
 from planning.turns.free_space import FreeSpace
@@ -118,11 +120,18 @@ def plan_field(
     rig = rig_of(vehicle, implement, work, config)
     drivable = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
     headland_passes = headland_passes_of(drivable, rig, work.headland_passes, work.overlap_m)
-    swaths = _swaths(drivable, rig, headland_passes, work)
-    pieces = route(PathConnector(drivable, rig, headland_passes, seed), swaths)
-    paths = (path_of(pieces, rig, 1, True),)
-    verified = drivable_area_of(site, work.boundary_margin_m)
-    check_inside(paths, rig, verified)
+    swaths = swaths_inside(drivable, rig, headland_passes, work)
+    if not headland_passes and not swaths:
+        x, y = drivable.field.centroid.coords[0]
+        raise FieldError(
+            f"field of {drivable.field.area:.0f} m² around {describe(drivable.site, x, y)} is too small for this "
+            f"machine with an implement of {rig.working_width_m:g} m: use a narrower implement"
+        )
+    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    found = route(PathConnector(drivable, rig, headland_passes, seed, space), swaths)
+    paths = paths_of(found, rig, 1)
+    check_inside(paths, rig, drivable_area_of(site, work.boundary_margin_m))
+    driven = {s.line for p in paths for s in p.sections if s.section_type is PathSectionType.SWATH}
     area = worked_area(paths, rig).intersection(drivable.free)
     uncovered = _uncovered(drivable, area, rig)
     share = area.area / drivable.free.area
@@ -133,7 +142,7 @@ def plan_field(
         share,
         _length_m(paths),
         uncovered,
-        tuple(swaths),
+        tuple(s for s in swaths if s.number in driven),
         tuple(headland_passes),
         drivable,
         rig,
@@ -160,21 +169,6 @@ def _length_m(paths: Sequence[Path]) -> float:
     return sum(float(p.s_m[-1]) for p in paths)
 
 
-def _swaths(drivable: DrivableArea, rig: Rig, headland_passes: list[HeadlandPass], work: Work) -> list[Swath]:
-    depth = (
-        depth_m(drivable, rig, work.overlap_m, work.headland_passes - 1) + rig.working_width_m / 2.0 - work.overlap_m
-    )
-    inner = shrink(drivable.free, depth)
-    worked_by_passes = shapely.union_all([pass_coverage(r, rig) for r in headland_passes])
-    area = shapely.union_all([inner, remains(drivable.free, worked_by_passes, inner, rig.working_width_m)])
-    direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
-    least = rig.config.min_swath_m
-    swaths = swaths_of(area, rig.working_width_m, work.overlap_m, least, direction)
-    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-    kept = (trimmed(s, -rig.working_x_m, space, least) for s in swaths)
-    return [replace(s, number=k) for k, s in enumerate(s for s in kept if s is not None)]
-
-
 def check_inside(paths: Sequence[Path], rig: Rig, drivable: DrivableArea) -> None:
     """Raises FieldError with the position where a body leaves the drivable area."""
     space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
@@ -195,11 +189,8 @@ def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
     shapes = []
     for path in paths:
         left, right = rig.working_edges(path.p_map_m, path.heading_rad)
-        is_working = path.is_working.astype(bool)
-        starts = np.flatnonzero(np.diff(np.concatenate([[0], is_working.astype(int)])) == 1)
-        ends = np.flatnonzero(np.diff(np.concatenate([is_working.astype(int), [0]])) == -1)
-        for a, b in zip(starts, ends, strict=True):
-            keep = np.unique(np.append(np.arange(a, b + 1, 2), b))
+        for a, b in runs_of(path.is_working > 0):
+            keep = corners_of(np.unwrap(path.heading_rad[a : b + 1])) + a
             shapes.append(worked(left[keep], right[keep]))
     return shapely.union_all(shapes).buffer(0.005, join_style="mitre").buffer(-0.005, join_style="mitre")
 

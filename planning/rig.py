@@ -11,11 +11,15 @@ from geometry.arrays import Float64
 from geometry.footprint import Bodies, place
 from messages.errors import FieldError
 from planning.config import PlannerConfig
+from planning.turns.search import TurnTimes
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Parameters of machine with implement, SI; `working_x_m` is the position of the working line along x of `base`."""
+    """Parameters of machine with implement, SI; `working_x_m` is the position of the working line along x of `base`.
+
+    `has_reverse`: turns between lines may reverse.
+    """
 
     bodies: Bodies
     working_x_m: float
@@ -28,6 +32,7 @@ class Rig:
     work_mps: float
     turn_mps: float
     lane_mps: float
+    has_reverse: bool
     config: PlannerConfig
 
     @property
@@ -44,6 +49,12 @@ class Rig:
     def rear_m(self) -> float:
         """Rear end along x of `base` (negative)."""
         return min(b.rear_m for b in self.bodies)
+
+    @property
+    def turn_times(self) -> TurnTimes:
+        """Speeds of turns."""
+        reverse_mps = min(kmh(self.config.reverse_kmh), self.turn_mps)
+        return TurnTimes(self.turn_mps, reverse_mps, self.config.cusp_s, self.has_reverse)
 
     def working_edges(self, p_map_m: Float64, heading_rad: Float64) -> tuple[Float64, Float64]:
         """Left and right ends of the working line at N poses, (N, 2) each."""
@@ -64,7 +75,7 @@ def rig_of(vehicle: Vehicle, implement: Implement, work: Work | None, config: Pl
         outlines(vehicle.body, implement), implement.working_point_m, implement.working_width_m,
         1.0 / (limit * config.curvature_share), limit, vehicle.drivetrain.wheelbase_m,
         steering_rate(vehicle) * config.steering_rate_share, vehicle.acceleration_mps2,
-        work_mps, turn_mps, lane_mps, config,
+        work_mps, turn_mps, lane_mps, work is not None and work.turns == "reverse", config,
     )  # fmt: skip
 
 

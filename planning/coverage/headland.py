@@ -2,10 +2,12 @@
 
 A pass starts as the field outline moved inwards, with all corners rounded to the turning radius. Where a body at a pose
 on it leaves the allowed area, the pass is pushed inwards there, with a smooth transition (a sharp bend would swing the
-tail out again), and its corners are rounded again, until no body is outside.
+tail out again), and its corners are rounded again, until no body is outside. Where that fails the pass is cut: what
+remains are open passes. With reversing a rounded corner is filled: the rig reverses straight into it from behind its
+arc, and works out of it again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -13,46 +15,86 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Bool, Float64
-from geometry.footprint import intrusion, is_inside, worked
-from geometry.polygon import close_by, open_by, parts, ring_points, shrink
-from geometry.polyline import arc_length, headings, resample, smooth
-from messages.errors import FieldError
-from planning.field.drivable_area import DrivableArea, describe
+from geometry.footprint import intrusion, worked
+from geometry.polygon import parts, ring_points, rounded, shrink
+from geometry.polyline import arc_length, curvatures, headings, resample, smooth
+from planning.field.drivable_area import DrivableArea
 from planning.rig import Rig
-from planning.turns.turn import STEP_M
+from planning.turns.free_space import FreeSpace
 
+STEP_M = 0.1
 COARSE_M = 0.4
-PUSHES = 25
+PUSHES, LOCAL_PUSHES = 16, 8
+SMALL_M = 0.06  # an intrusion that is left after the local pushes: the complete pass is moved inwards
 MIN_RING_M2 = 1.0
+MIN_OPEN_M = 8.0
+STRAIGHT_RADPM, MAX_JOINT_RADPM = 0.004, 0.03
+MIN_FILL_RAD = 0.7
+MAX_FILL_RAD = 2.6
+LEVEL = 15  # points
+FILL_RUN_M = (1.0, 16.0)  # straight behind the arc before reversing
+MIN_REVERSE_M = 1.0
+MANY_PEAKS = 60
+MIN_SHIFT_M, SHIFT_RADPM = 4.0, 0.08  # of a push in a left bend
+
+
+@dataclass(frozen=True)
+class CornerFill:
+    """Straight excursion of `by_m` from point `index` of a pass into a corner and back.
+
+    Behind the corner (`by_m` negative) the rig reverses into it and works out of it; before it the rig works into it
+    and reverses out of it.
+    """
+
+    index: int
+    by_m: float
 
 
 @dataclass(frozen=True)
 class HeadlandPass:
-    """Closed path of `base` (first point repeated) in driving order; `number` counts from the edge, from 0.
+    """Path of `base` in driving order, points 0.1 m apart; a closed one repeats its first point at the end.
 
-    Its corners are arcs: curvature becomes continuous when the complete path is smoothed (`planning/turns/turn.py`).
+    `number` counts from the edge, from 0.
     """
 
     number: int
     points_m: Float64
+    heading_rad: Float64
     is_around_obstacle: bool
+    is_closed: bool
+    fills: tuple[CornerFill, ...] = ()
+
+    @property
+    def curvature_radpm(self) -> Float64:
+        """Curvature at each point, (N,)."""
+        return curvatures(self.heading_rad, arc_length(self.points_m))
 
 
 def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: float) -> list[HeadlandPass]:
-    """All passes from the edge inwards; raises FieldError when none fits."""
+    """All passes from the edge inwards; none where the field is too narrow for them."""
+    space = FreeSpace(drivable.inner, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     found: list[HeadlandPass] = []
     for k in range(count):
         shape = shrink(drivable.free, depth_m(drivable, rig, overlap_m, k))
-        found += [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, drivable, rig, k)]
-    if not found:
-        x, y = drivable.field.centroid.coords[0]
-        min_m = 2.0 * (depth_m(drivable, rig, overlap_m, 0) + rig.radius_m)
-        raise FieldError(
-            f"field of {drivable.field.area:.0f} m² around {describe(drivable.site, x, y)} is too small for this "
-            f"machine: one headland pass of {rig.working_width_m:g} m needs at least {min_m:.1f} m in each direction; "
-            "use a narrower implement"
-        )
+        found += [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, space, rig, k)]
+    if rig.has_reverse:
+        found = _all_filled(found, drivable, space, rig)
     return sorted(found, key=lambda r: (r.is_around_obstacle, r.number))
+
+
+def _all_filled(passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig) -> list[HeadlandPass]:
+    """The passes with the fills that each work at least `corner_fill_m2` of what else stays bare."""
+    covered = shapely.union_all([pass_coverage(p, rig) for p in passes])
+    found = []
+    for ring in passes:
+        kept: list[CornerFill] = []
+        for fill in _fills(ring, space, rig) if ring.is_closed else ():
+            gain = _fill_area(ring, fill, rig).intersection(drivable.free).difference(covered)
+            if gain.area >= rig.config.corner_fill_m2:
+                kept.append(fill)
+                covered = shapely.union_all([covered, gain])
+        found.append(replace(ring, fills=tuple(kept)))
+    return found
 
 
 def depth_m(drivable: DrivableArea, rig: Rig, overlap_m: float, number: int) -> float:
@@ -62,39 +104,108 @@ def depth_m(drivable: DrivableArea, rig: Rig, overlap_m: float, number: int) -> 
 
 
 def pass_coverage(ring: HeadlandPass, rig: Rig) -> BaseGeometry:
-    """Area worked by a pass."""
-    points = smooth(ring.points_m, rig.config.smoothing_m, is_closed=True)
-    left, right = rig.working_edges(points, headings(points, is_closed=True))
-    keep = np.unique(np.append(np.arange(0, len(points), 4), len(points) - 1))
-    return worked(left[keep], right[keep]).buffer(0.01)
+    """Area worked by a pass and its fills."""
+    left, right = rig.working_edges(ring.points_m, ring.heading_rad)
+    keep = np.unique(np.append(np.arange(0, len(ring.points_m), 4), len(ring.points_m) - 1))
+    shapes = [worked(left[keep], right[keep])]
+    return shapely.union_all([*shapes, *(_fill_area(ring, fill, rig) for fill in ring.fills)]).buffer(0.01)
 
 
-def _passes_in(part: Polygon, drivable: DrivableArea, rig: Rig, number: int) -> list[HeadlandPass]:
+def _fill_area(ring: HeadlandPass, fill: CornerFill, rig: Rig) -> BaseGeometry:
+    p, h = ring.points_m[[fill.index]], ring.heading_rad[[fill.index]]
+    away = p + fill.by_m * np.column_stack([np.cos(h), np.sin(h)])
+    left, right = rig.working_edges(np.vstack([away, p]), np.append(h, h))
+    return worked(left, right)
+
+
+def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[HeadlandPass]:
     shape: BaseGeometry = part
-    for _ in range(PUSHES):
-        shape = open_by(close_by(shape, rig.radius_m), rig.radius_m)
-        pieces = parts(shape, MIN_RING_M2)
+    found: list[HeadlandPass] = []
+    for attempt in range(PUSHES):
+        pieces = parts(rounded(shape, rig.radius_m), MIN_RING_M2)
         raw = [(resample(ring, STEP_M), k > 0) for p in pieces for k, ring in enumerate(ring_points(p))]
-        rings = [smooth(ring, rig.config.smoothing_m, is_closed=True) for ring, _ in raw]
-        depths = [_outside(ring, drivable, rig) for ring in rings]
+        found, depths = [], []
+        for ring, is_hole in raw:
+            smoothed = smooth(ring, rig.config.smoothing_m, is_closed=True)
+            heading = headings(smoothed, is_closed=True)
+            found.append(HeadlandPass(number, smoothed, heading, is_hole, True))
+            depths.append(_outside(smoothed, heading, space))
         if all(d.max() <= 0.0 for d in depths):
-            return [HeadlandPass(number, ring, is_hole) for ring, is_hole in raw]
-        shape = _pushed(pieces, [ring for ring, _ in raw], depths)
-    worst = max(range(len(rings)), key=lambda k: depths[k].max())
-    x, y = rings[worst][int(np.argmax(depths[worst]))]
-    raise FieldError(f"headland pass {number + 1} cannot be driven inside the field at {describe(drivable.site, x, y)}")
+            return found
+        worst = max(float(d.max()) for d in depths)
+        if attempt >= LOCAL_PUSHES and worst < SMALL_M:
+            shape = shrink(shapely.union_all(pieces), worst + 0.005)
+        else:
+            shape = _pushed(pieces, [ring for ring, _ in raw], [(1.0 + 0.15 * attempt) * d for d in depths])
+    return [p for ring, depth in zip(found, depths, strict=True) for p in _cut(ring, depth)]
 
 
-def _outside(ring: Float64, drivable: DrivableArea, rig: Rig) -> Float64:
-    heading = headings(ring, is_closed=True)
-    stride = max(1, int(COARSE_M / STEP_M))
-    outline = np.vstack([b.outline_m(0.5) for b in rig.bodies])
-    coarse = intrusion(outline, ring[::stride], heading[::stride], drivable.inner)
-    out = np.repeat(coarse, stride)[: len(ring)]
-    if out.max() <= 0.0:
-        inside = is_inside(rig.bodies, ring, heading, drivable.inner)
-        out = np.where(inside, 0.0, 0.01)
+def _cut(ring: HeadlandPass, depth: Float64) -> list[HeadlandPass]:
+    """The drivable parts of a closed pass."""
+    outside = depth > 0.0
+    if not outside.any():
+        return [ring]
+    n = len(outside) - 1
+    first = int(np.argmax(outside[:-1]))
+    order = (first + np.arange(n)) % n
+    runs = np.split(order, np.flatnonzero(np.diff(outside[order].astype(int))) + 1)
+    least = int(MIN_OPEN_M / STEP_M)
+    kept = [run for run in runs if not outside[run[0]] and len(run) > least]
+    return [
+        HeadlandPass(ring.number, ring.points_m[run], np.unwrap(ring.heading_rad[run]), ring.is_around_obstacle, False)
+        for run in kept
+    ]
+
+
+def _outside(ring: Float64, heading: Float64, space: FreeSpace) -> Float64:
+    """Greatest distance of a body outside the allowed area at each pose, (N,); 0 inside."""
+    out = space.touching(ring, heading).astype(np.float64) * 0.01
+    at = np.flatnonzero(out)[:: max(1, int(COARSE_M / STEP_M))]
+    if len(at):
+        outline = np.vstack([b.outline_m(0.5) for b in space.bodies])
+        out[at] = np.maximum(out[at], intrusion(outline, ring[at], heading[at], space.allowed))
     return out
+
+
+def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[CornerFill]:
+    """Possible fills at the convex corners of a closed pass: behind each, then before each."""
+    curvature = ring.curvature_radpm[:-1]
+    bends = curvature > 0.5 / rig.radius_m
+    n, behind, before = len(bends), list[CornerFill](), list[CornerFill]()
+    reach = rig.radius_m + rig.working_width_m / 2.0
+    for start in np.flatnonzero(~bends & np.roll(bends, -1)):
+        length = int(np.argmin(np.roll(bends, -start - 1))) + 1
+        turn = float(curvature[(start + np.arange(length + 1)) % n].sum()) * STEP_M
+        if turn < MIN_FILL_RAD:
+            continue
+        corner_m = reach * np.tan(min(turn, MAX_FILL_RAD) / 2.0)  # from the ends of the arc
+        for ends, sign in ((start + length, 1), (start, -1)):
+            index = _straight_near(curvature, int(ends), sign)
+            if index is not None:
+                gap_m = ((index - ends) * sign % n) * STEP_M
+                most = gap_m + corner_m + sign * rig.working_x_m
+                free = _free_m(ring, index, -sign * most, space)
+                if free > gap_m + MIN_REVERSE_M:
+                    (behind if sign > 0 else before).append(CornerFill(index, -sign * free))
+    return [*behind, *before]
+
+
+def _straight_near(curvature: Float64, end: int, sign: int) -> int | None:
+    """Point beyond one end of an arc where a pass is straight again."""
+    at = (end + sign * np.arange(*(int(m / STEP_M) for m in FILL_RUN_M))) % len(curvature)
+    bend = np.abs(curvature[at])
+    level = np.convolve(bend < STRAIGHT_RADPM, np.ones(LEVEL), "valid") > LEVEL - 0.5  # and straight from there on
+    index = int(at[int(np.argmax(level)) if level.any() else int(np.argmin(bend))])
+    return index if abs(curvature[index]) < MAX_JOINT_RADPM else None
+
+
+def _free_m(ring: HeadlandPass, index: int, by_m: float, space: FreeSpace) -> float:
+    """Distance that the rig can drive straight from a point of a pass, at most |`by_m`|, in reverse when negative."""
+    s = np.arange(0.0, abs(by_m), STEP_M)
+    h = float(ring.heading_rad[index])
+    line = ring.points_m[index] + np.sign(by_m) * s[:, None] * np.array([np.cos(h), np.sin(h)])
+    out = np.append(space.touching(line, np.full(len(s), h)), True)
+    return float(max(int(np.argmax(out)) - 1, 0) * STEP_M)
 
 
 def _pushed(pieces: list[Polygon], rings: list[Float64], depths: list[Float64]) -> BaseGeometry:
@@ -102,13 +213,18 @@ def _pushed(pieces: list[Polygon], rings: list[Float64], depths: list[Float64]) 
     for ring, depth in zip(rings, depths, strict=True):
         heading = headings(ring, is_closed=True)
         push = _spread(depth, arc_length(ring), is_left=np.gradient(heading) > -1e-3)
-        outlines.append(ring + push[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]))
+        outlines.append((ring + push[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]))[::4])
     out, k = [], 0
     for piece in pieces:
         holes = len(piece.interiors)
         out.append(Polygon(outlines[k], outlines[k + 1 : k + 1 + holes]).buffer(0.0))
         k += 1 + holes
     return shapely.union_all(out)
+
+
+def _shift_m(by_m: float) -> float:
+    """Length of a lateral shift of gentle curvature."""
+    return max(MIN_SHIFT_M, float(np.pi * np.sqrt(by_m / (2.0 * SHIFT_RADPM))))
 
 
 def _spread(depth: Float64, s: Float64, is_left: Bool) -> Float64:
@@ -119,10 +235,14 @@ def _spread(depth: Float64, s: Float64, is_left: Bool) -> Float64:
     part of it back.
     """
     total, out = s[-1], np.zeros(len(s))
-    for k in np.flatnonzero(depth > 0.0):
+    peaks = np.flatnonzero(depth > 0.0)
+    peaks = peaks[depth[peaks] > depth[peaks - 1] - 1e-9] if len(peaks) > MANY_PEAKS else peaks
+    peaks = peaks[:: 1 + len(peaks) // MANY_PEAKS]
+    for k in peaks:
         ahead = (s[k] - s + total / 2.0) % total - total / 2.0  # > 0: point k is ahead
-        push, flat, after = (1.05, 1.0, 5.0) if is_left[k] else (1.5, 4.0, 12.0)
-        reach = np.where(ahead > 0.0, 12.0, after)
+        shift = _shift_m(depth[k])
+        push, flat, before, after = (1.2, 1.0, shift, shift) if is_left[k] else (1.5, 2.5, shift + 2.0, shift + 2.0)
+        reach = np.where(ahead > 0.0, before, after)
         u = np.clip((np.abs(ahead) - flat) / reach, 0.0, 1.0)
         out = np.maximum(out, (push * depth[k] + 0.005) * (0.5 + 0.5 * np.cos(np.pi * u)))
     return np.asarray(out, np.float64)

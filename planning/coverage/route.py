@@ -1,123 +1,84 @@
 """Complete route as pieces: from the yard along the lane, headland passes, swaths, and back."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
-from shapely.geometry import Polygon
+from shapely.geometry import Point, Polygon
 
 from geometry.arrays import Float64
 from geometry.footprint import is_inside
-from geometry.polyline import arc_length, headings, polyline, resample
+from geometry.polyline import arc_length, curvatures, headings, polyline, resample, smooth
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import PathSectionType
-from planning.coverage.headland_route import JOINT, STRIDE, pose_at, route_headland
-from planning.coverage.order import Visit, order
+from planning.coverage.line_route import Tour, drive_lines, lines_of
+from planning.coverage.pass_route import drive_passes, turn_pieces
 from planning.coverage.swath import Swath
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.turn import STEP_M, ConnectionRequest, shortest_length_m
+from planning.turns.search import ConnectionRequest, Leg, straight
 
-REORDERINGS = 8
-NO_CONNECTION_M = 1e4
-HOME_STRAIGHT_M = 1.0
+STEP_M = 0.1
 
 
-def route(connector: PathConnector, swaths: list[Swath]) -> list[RoutePiece]:
+def route(connector: PathConnector, swaths: Sequence[Swath]) -> list[RoutePiece]:
     """All pieces in order; raises FieldError with the position where no connection is found."""
-    site = connector.drivable.site
-    start = site.start.pose
-    pieces, pose = _lane_entry(connector, start)
-    passes, rest = route_headland(connector, pose)
-    home, home_start = _return_lane(connector)
-    return [*pieces, *passes, *_after_headland(connector, rest, home_start, swaths), *home]
+    lane = lane_leg(connector) if connector.drivable.site.lanes else None
+    pieces, pose = _entry(connector, lane)
+    driven, pose, _ = drive_passes(connector, pose)
+    pieces += driven
+    home = None if lane is None else _reversed_end(lane)
+    lines = lines_of(swaths, connector.headland_passes, -connector.rig.working_x_m)
+    tour = drive_lines(connector, pose, home, lines)
+    pieces += tour.pieces
+    return pieces if lane is None else [*pieces, *_return(connector, tour, lane)]
 
 
-def _after_headland(connector: PathConnector, rest: Float64, home: Pose2, swaths: list[Swath]) -> list[RoutePiece]:
-    """Swaths and return; before them the part of the last pass up to where it can be left."""
-    for k in range(JOINT, len(rest) - 1, STRIDE):
-        pose, driven = pose_at(rest, k), rest[k - JOINT : k + 1]
-        if (
-            k > JOINT
-            and connector.find(_return_request(connector, pose, home), is_thorough=False, before=driven) is None
-        ):
-            continue
-        pieces = _drive_swaths(connector, pose, driven, home, swaths)
-        if pieces is not None:
-            return [*([RoutePiece(PathSectionType.TURN, -1, rest[JOINT : k + 1], False)] if k > JOINT else []), *pieces]
-    connector.require(_return_request(connector, pose_at(rest, JOINT), home), "back to the lane")
-    raise AssertionError
-
-
-def _drive_swaths(
-    connector: PathConnector, start: Pose2, driven: Float64, home: Pose2, swaths: list[Swath]
-) -> list[RoutePiece] | None:
-    """The swaths and the return; a swath that cannot be reached or left is dropped and reported as uncovered.
-
-    None where `start`, at the end of the points `driven`, cannot be left.
-    """
-    while True:
-        pieces, stuck = _drive_tour(connector, start, driven, home, _ordered(connector, start, home, swaths))
-        if pieces is not None or stuck is None:
-            return pieces
-        swaths = [s for s in swaths if s is not stuck]
-
-
-def _return_request(connector: PathConnector, pose: Pose2, home: Pose2) -> ConnectionRequest:
-    return ConnectionRequest(pose, home, connector.rig.config.run_out_m, HOME_STRAIGHT_M)
-
-
-def _drive_tour(
-    connector: PathConnector, start: Pose2, driven: Float64, home: Pose2, tour: list[tuple[Swath, bool]]
-) -> tuple[list[RoutePiece] | None, Swath | None]:
-    """Pieces of a tour, or None and the unreachable swath."""
-    pose, last_swath = start, None
-    pieces: list[RoutePiece] = []
-    for swath, is_reversed in tour:
-        first, last = swath.poses(is_reversed, -connector.rig.working_x_m)
-        connection = connector.find(_request(connector, pose, first), before=driven if last_swath is None else None)
-        if connection is None:
-            is_trap = last_swath is not None and connector.find(_return_request(connector, pose, home)) is None
-            return None, last_swath if is_trap else swath
-        pieces += [RoutePiece(PathSectionType.TURN, swath.number, connection, False)]
-        pieces += [RoutePiece(PathSectionType.SWATH, swath.number, _straight(first, last), True)]
-        pose, last_swath = last, swath
-    connection = connector.find(_return_request(connector, pose, home), before=driven if last_swath is None else None)
-    if connection is None:
-        return None, last_swath
-    return [*pieces, RoutePiece(PathSectionType.TURN, -1, connection, False)], None
-
-
-def _straight(a: Pose2, b: Pose2) -> Float64:
-    return resample(np.array([[a.x_m, a.y_m], [b.x_m, b.y_m]]), STEP_M)
-
-
-def _lane_entry(connector: PathConnector, start: Pose2) -> tuple[list[RoutePiece], Pose2]:
-    lane = lane_line(connector)
-    first, last = _end_poses(lane)
-    request = ConnectionRequest(start, first, 0.0, 0.0)
+def _entry(connector: PathConnector, lane: Leg | None) -> tuple[list[RoutePiece], Pose2]:
+    """From the start along the lane into the field; without a lane the machine starts in the field."""
+    start = connector.drivable.site.start.pose
+    if lane is None:
+        if not connector.drivable.field.contains(Point(start.x_m, start.y_m)):
+            where = describe(connector.drivable.site, start.x_m, start.y_m)
+            raise FieldError(f"the site has no lane, and its start at {where} is not within the field: draw a lane")
+        return [], start
     _check_lane(connector, lane)
-    pieces = [RoutePiece(PathSectionType.LANE, -1, connector.require(request, "out of the yard"), False)]
+    first, last = (_pose(lane, k) for k in (0, -1))
+    connection = connector.require(ConnectionRequest(start, first, 0.0, 0.0), "out of the yard")
+    pieces = [RoutePiece(PathSectionType.LANE, -1, leg, False) for leg in connection.legs]
     return [*pieces, RoutePiece(PathSectionType.LANE, -1, lane, False)], last
 
 
-def _check_lane(connector: PathConnector, lane: Float64) -> None:
-    for line, heading in ((lane, headings(lane)), (lane, headings(lane) + np.pi)):
-        inside = is_inside(connector.rig.bodies, line, heading, connector.drivable.allowed)
-        if not inside.all():
-            where = describe(connector.drivable.site, *map(float, line[int(np.argmin(inside))]))
+def _return(connector: PathConnector, tour: Tour, lane: Leg) -> list[RoutePiece]:
+    """Back to the lane, along it, and straight on to where the rig stands in the yard."""
+    home = _reversed_end(lane)
+    pieces = turn_pieces(
+        connector.require(connector.home_request(tour.end, home, tour.behind_m), "back to the lane"), -1
+    )
+    back = Leg(1, lane.p_map_m[::-1], lane.heading_rad[::-1] + np.pi, -lane.curvature_radpm[::-1])
+    last = _pose(back, -1)
+    parking = straight(last, _parking(connector, last))
+    return [*pieces, *(RoutePiece(PathSectionType.LANE, -1, leg, False) for leg in (back, parking))]
+
+
+def _check_lane(connector: PathConnector, lane: Leg) -> None:
+    for heading in (lane.heading_rad, lane.heading_rad + np.pi):
+        outside = connector.space.touching(lane.p_map_m, heading)
+        if outside.any():
+            where = describe(connector.drivable.site, *map(float, lane.p_map_m[int(np.argmax(outside))]))
             raise FieldError(
                 f"a rig {connector.rig.width_m:g} m wide does not fit on the lane at {where}: widen gate or lane"
             )
 
 
-def lane_line(connector: PathConnector) -> Float64:
+def lane_leg(connector: PathConnector) -> Leg:
     """Centre line of all lanes in order, with corners rounded."""
-    site = connector.drivable.site
-    if not site.lanes:
-        raise FieldError(f"site {site.name!r} has no lane: draw one from the yard through the gate into the field")
-    return fillet(polyline([p for lane in site.lanes for p in lane.center_m]), connector.rig.radius_m)
+    points = fillet(
+        polyline([p for lane in connector.drivable.site.lanes for p in lane.center_m]), connector.rig.radius_m
+    )
+    p = resample(smooth(points, connector.rig.config.smoothing_m), STEP_M)
+    heading = headings(p)
+    return Leg(1, p, heading, curvatures(heading, arc_length(p)))
 
 
 def fillet(points_m: Float64, radius_m: float) -> Float64:
@@ -140,30 +101,13 @@ def fillet(points_m: Float64, radius_m: float) -> Float64:
     return resample(np.vstack(out), STEP_M)
 
 
-def _end_poses(points_m: Float64) -> tuple[Pose2, Pose2]:
-    def pose(p: Float64, q: Float64, at: Float64) -> Pose2:
-        return Pose2(float(at[0]), float(at[1]), float(np.arctan2(q[1] - p[1], q[0] - p[0])))
-
-    return pose(points_m[0], points_m[1], points_m[0]), pose(points_m[-2], points_m[-1], points_m[-1])
-
-
-def _return_lane(connector: PathConnector) -> tuple[list[RoutePiece], Pose2]:
-    lane = lane_line(connector)[::-1]
-    first, last = _end_poses(lane)
-    parked = _parking(connector, last)
-    line = np.vstack([lane, _straight(last, parked)[1:]])
-    return [RoutePiece(PathSectionType.LANE, -1, line, False)], first
-
-
 def _parking(connector: PathConnector, lane_end: Pose2) -> Pose2:
+    """First pose straight on from the lane where the rig is within the yard; raises FieldError."""
     yard = Polygon(connector.drivable.site.yard.outline_m)
     for ahead in np.arange(0.5, 40.0, 0.5):
         pose = lane_end.ahead(float(ahead))
         p, h = np.array([[pose.x_m, pose.y_m]]), np.array([pose.yaw_rad])
-        if (
-            is_inside(connector.rig.bodies, p, h, yard)[0]
-            and is_inside(connector.rig.bodies, p, h, connector.drivable.allowed)[0]
-        ):
+        if is_inside(connector.rig.bodies, p, h, yard)[0] and connector.space.is_free(p, h):
             return pose
     where = describe(connector.drivable.site, lane_end.x_m, lane_end.y_m)
     raise FieldError(
@@ -171,33 +115,11 @@ def _parking(connector: PathConnector, lane_end: Pose2) -> Pose2:
     )
 
 
-def _ordered(connector: PathConnector, start: Pose2, home: Pose2, swaths: list[Swath]) -> list[tuple[Swath, bool]]:
-    """Swaths ordered by connection length: too short lower bounds are replaced by real lengths iteratively."""
-    visits = [s.poses(r, -connector.rig.working_x_m) for s in swaths for r in (False, True)]
-    starts, ends = [a for a, _ in visits] + [home], [b for _, b in visits] + [start]
-    cost = np.zeros((len(starts), len(starts)))
-    for i, end in enumerate(ends):
-        for j, first in enumerate(starts):
-            cost[i, j] = (
-                NO_CONNECTION_M
-                if i // 2 == j // 2
-                else shortest_length_m(_request(connector, end, first), connector.rig.radius_m)
-            )
-    cost[-1, -1] = 0.0
-    best: tuple[float, Sequence[Visit]] = (np.inf, [])
-    for _ in range(REORDERINGS):
-        tour = order(cost)
-        stops = [len(starts) - 1, *(2 * k + r for k, r in tour), len(starts) - 1]
-        real = [connector.find(_request(connector, ends[i], starts[j]), is_thorough=False) for i, j in pairwise(stops)]
-        lengths = [NO_CONNECTION_M if connection is None else float(arc_length(connection)[-1]) for connection in real]
-        best = min(best, (sum(lengths), tour), key=lambda b: b[0])
-        bounds = [cost[i, j] for i, j in pairwise(stops)]
-        for i, j, length in zip(stops[:-1], stops[1:], lengths, strict=True):
-            cost[i, j] = min(length, NO_CONNECTION_M / 10) if length < NO_CONNECTION_M else 150.0
-        if sum(lengths) < sum(bounds) + 0.5:
-            break
-    return [(swaths[k], r) for k, r in best[1]]
+def _reversed_end(lane: Leg) -> Pose2:
+    """Pose at the field end of the lane, heading back."""
+    last = _pose(lane, -1)
+    return Pose2(last.x_m, last.y_m, last.yaw_rad + np.pi)
 
 
-def _request(connector: PathConnector, a: Pose2, b: Pose2) -> ConnectionRequest:
-    return ConnectionRequest(a, b, connector.rig.config.run_out_m, connector.rig.config.line_up_m)
+def _pose(leg: Leg, k: int) -> Pose2:
+    return Pose2(*map(float, (*leg.p_map_m[k], leg.heading_rad[k])))

@@ -1,87 +1,101 @@
-"""Swaths: parallel strips over the area inside the headland passes, split where that area is split."""
+"""Swaths: parallel strips over the area inside the headland passes, cut where the rig cannot drive."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from shapely.affinity import rotate
-from shapely.geometry import MultiPolygon, Polygon, box
+from shapely.geometry import Polygon, box
 from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Float64
-from geometry.polygon import edge_angles, grow, open_by, parts, polygon_of, shrink
+from geometry.polygon import edge_angles, parts
 from geometry.pose2 import Pose2
 from planning.turns.free_space import FreeSpace
-from planning.turns.turn import is_free
 
 MIN_STRIP_M2 = 0.5
-REMAINS_RIM_M = 1.0
-REMAINS_THICK_M = 2.4
-REMAINS_LEAST_SQUARES = (
-    0.6  # of the squared working width: smaller remains are corners of passes that no swath can leave
-)
-TRIM_M = 0.5
+STEP_M = 0.1
 TURN_COST_M = 20.0  # cost of one more swath in turns, as distance
+SAME_RAD = math.radians(1.0)
+MAX_DIRECTIONS = 8
 
 
 @dataclass(frozen=True)
 class Swath:
-    """A straight line of the implement's working line, worked from one end to the other in either direction."""
+    """A straight line of the implement's working line, worked from one end to the other in either direction.
+
+    Near an edge the two directions reach different ends: the front of the rig is far ahead of the working line.
+    `onwards_m` and `back_m` are start and end of work (2, 2) from a to b and from b to a; None where not drivable.
+    """
 
     number: int
-    a_m: Float64
-    b_m: Float64
+    onwards_m: Float64 | None
+    back_m: Float64 | None
 
     @property
     def length_m(self) -> float:
-        """End to end."""
-        return float(np.hypot(*(self.b_m - self.a_m)))
+        """End to end, of the longer direction."""
+        return max(float(np.hypot(*(e[1] - e[0]))) for e in (self.onwards_m, self.back_m) if e is not None)
 
-    def poses(self, is_reversed: bool, lead_m: float) -> tuple[Pose2, Pose2]:
+    def poses(self, is_reversed: bool, lead_m: float) -> tuple[Pose2, Pose2] | None:
         """Poses of `base` at start and end of work; `lead_m` is the distance of `base` ahead of the working line."""
-        first, last = (self.b_m, self.a_m) if is_reversed else (self.a_m, self.b_m)
-        heading = math.atan2(*(last - first)[::-1])
-        ends = [Pose2(float(p[0]), float(p[1]), heading).ahead(lead_m) for p in (first, last)]
-        return ends[0], ends[1]
+        ends = self.back_m if is_reversed else self.onwards_m
+        if ends is None:
+            return None
+        heading = math.atan2(*(ends[1] - ends[0])[::-1])
+        first, last = (Pose2(float(p[0]), float(p[1]), heading).ahead(lead_m) for p in ends)
+        return first, last
 
 
-def swaths_of(
+def strips_of(
     area: BaseGeometry, width_m: float, overlap_m: float, min_m: float, direction_rad: float | None
-) -> list[Swath]:
-    """Swaths that cover the area; without a direction along the edge of lowest cost.
+) -> list[Float64]:
+    """Ends (2, 2) of strips that cover the area; without a direction each part along its edge of lowest cost.
 
-    `width_m` is the width of one swath; neighbours overlap by at least `overlap_m`.
+    `width_m` is the width of one strip; neighbours overlap by at least `overlap_m`.
     """
-    if area.is_empty:
-        return []
-    angles = [direction_rad] if direction_rad is not None else _directions(area)
-    tried = [_along(area, width_m, overlap_m, min_m, angle) for angle in angles]
-    return min(tried, key=lambda swaths: round(sum(s.length_m + TURN_COST_M for s in swaths), 3))
+    found: list[Float64] = []
+    for part in parts(area, MIN_STRIP_M2):
+        angles = [direction_rad] if direction_rad is not None else _directions(part)
+        tried = [_along(part, width_m, overlap_m, min_m, angle) for angle in angles]
+        found += min(tried, key=cost_m)
+    return found
 
 
-def _directions(area: BaseGeometry) -> list[float]:
-    angles: list[float] = []
-    for part in parts(area):
-        for angle, length in edge_angles(part)[:12]:
-            is_new = all(abs((angle - a + math.pi / 2) % math.pi - math.pi / 2) > math.radians(1.0) for a in angles)
-            if is_new and length > 3.0:
-                angles.append(angle)
-    return angles or [0.0]
+def cost_m(strips: Iterable[Float64]) -> float:
+    """Length of strips with their turns."""
+    return round(sum(float(np.hypot(*(s[1] - s[0]))) + TURN_COST_M for s in strips), 3)
 
 
-def _along(area: BaseGeometry, width_m: float, overlap_m: float, min_m: float, angle_rad: float) -> list[Swath]:
-    flat = rotate(area, -angle_rad, origin=(0.0, 0.0), use_radians=True)
-    pieces = [strip for part in parts(flat, MIN_STRIP_M2) for strip in _strips(part, width_m, overlap_m, min_m)]
+def _directions(part: Polygon) -> list[float]:
+    """Directions of the longest edges, and of the longer side of the smallest rectangle around the part."""
+    outline = part.simplify(0.5)
+    hull = outline.minimum_rotated_rectangle
+    sums: list[tuple[float, float]] = []
+    edges = edge_angles(outline) if isinstance(outline, Polygon) else []
+    for angle, length in [*(edge_angles(hull)[:1] if isinstance(hull, Polygon) else []), *edges]:
+        for k, (known, total) in enumerate(sums):
+            if abs((angle - known + math.pi / 2) % math.pi - math.pi / 2) < SAME_RAD:
+                sums[k] = (known, total + length)
+                break
+        else:
+            sums.append((angle, length))
+    return [angle for angle, _ in sorted(sums, key=lambda e: -e[1])[:MAX_DIRECTIONS]] or [0.0]
+
+
+def _along(part: Polygon, width_m: float, overlap_m: float, min_m: float, angle_rad: float) -> list[Float64]:
+    flat = rotate(part, -angle_rad, origin=(0.0, 0.0), use_radians=True)
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     R = np.array([[c, -s], [s, c]])
-    return [Swath(k, R @ np.array([x0, y]), R @ np.array([x1, y])) for k, (x0, x1, y) in enumerate(pieces)]
+    return [np.array([[x0, y], [x1, y]]) @ R.T for x0, x1, y in _strips(flat, width_m, overlap_m, min_m)]
 
 
 def _strips(part: Polygon, width_m: float, overlap_m: float, min_m: float) -> list[tuple[float, float, float]]:
     """Start, end and height of the strips of a polygon along x, from below."""
     x0, y0, x1, y1 = part.bounds
     height = y1 - y0
-    count = max(1, math.ceil((height - overlap_m) / (width_m - overlap_m) - 1e-9))
+    count = max(1, math.ceil((height - overlap_m) / (width_m - overlap_m) - 1e-3))
     pitch = (height - width_m) / (count - 1) if count > 1 else 0.0
     middles = [y0 + width_m / 2.0 + k * pitch for k in range(count)] if count > 1 else [(y0 + y1) / 2.0]
     found = []
@@ -101,22 +115,32 @@ def _min_length(a: float, b: float, min_m: float) -> tuple[float, float]:
     return a - more, b + more
 
 
-def remains(free: BaseGeometry, worked: BaseGeometry, inner: BaseGeometry, width_m: float) -> BaseGeometry:
-    """Area left by passes and swaths that is large enough for a swath of its own."""
-    left = shrink(free, REMAINS_RIM_M).difference(worked).difference(grow(inner, 0.05))
-    return polygon_of(MultiPolygon(parts(open_by(left, REMAINS_THICK_M / 2.0), REMAINS_LEAST_SQUARES * width_m**2)))
+def swaths_on(strip: Float64, lead_m: float, space: FreeSpace, min_m: float) -> list[Swath]:
+    """Parts of a strip that can be driven, each in one direction or both; numbers are left 0."""
+    runs = [_free_runs(ends, lead_m, space, min_m) for ends in (strip, strip[::-1])]
+    found, backs = [], list(runs[1])
+    for onwards in runs[0]:
+        partner = next((b for b in backs if _overlap_m(onwards, b) > 0.5 * min_m), None)
+        if partner is not None:
+            backs = [b for b in backs if b is not partner]
+        found.append(Swath(0, onwards, partner))
+    return [*found, *(Swath(0, None, b) for b in backs)]
 
 
-def trimmed(swath: Swath, lead_m: float, space: FreeSpace, min_m: float) -> Swath | None:
-    """Longest part of a swath whose straight path is free, in steps of `TRIM_M`, or None."""
-    count = int(swath.length_m / TRIM_M)
-    along = (swath.b_m - swath.a_m) / max(swath.length_m, 1e-9)
-    cuts = [(i, k - i) for k in range(count) for i in range(k + 1)] if count <= 60 else [(0, 0)]
-    for first, last in cuts:
-        part = Swath(swath.number, swath.a_m + first * TRIM_M * along, swath.b_m - last * TRIM_M * along)
-        if part.length_m < min_m:
-            return None
-        ends = [part.poses(is_reversed, lead_m) for is_reversed in (False, True)]
-        if all(is_free(np.array([[a.x_m, a.y_m], [b.x_m, b.y_m]]), space) for a, b in ends[:1]):
-            return part
-    return None
+def _overlap_m(onwards: Float64, back: Float64) -> float:
+    along = onwards[1] - onwards[0]
+    length = float(np.hypot(*along))
+    s = np.sort((back - onwards[0]) @ along / length)
+    return float(min(s[1], length) - max(s[0], 0.0))
+
+
+def _free_runs(ends: Float64, lead_m: float, space: FreeSpace, min_m: float) -> list[Float64]:
+    """Parts of a line of the implement, (2, 2), on which the rig is free, in driving order."""
+    length = float(np.hypot(*(ends[1] - ends[0])))
+    along = (ends[1] - ends[0]) / length
+    s = np.linspace(0.0, length, max(2, math.ceil(length / STEP_M) + 1))
+    p = ends[0] + (s[:, None] + lead_m) * along
+    free = ~space.touching(p, np.full(len(s), math.atan2(along[1], along[0])))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
+    runs = [(s[a], s[b - 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [np.array([ends[0] + a * along, ends[0] + b * along]) for a, b in runs if b - a >= min_m - 1e-6]

@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 import shapely
-from shapely.geometry import LineString, Polygon
+from shapely.geometry import LinearRing, LineString, Polygon
 from shapely.geometry.polygon import orient
 
 from configs.mission import Work
 from configs.site import Area, Gate, Lane, Point, PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
 from geometry.arrays import Float64
-from geometry.polygon import as_polygon
+from geometry.polygon import as_polygon, shrink
 from messages.errors import FieldError
 from planning.field.field import FieldOutline
 
@@ -20,6 +20,7 @@ INTO_FIELD_M = 6.0
 GATE_SPARE_M = 1.6  # width beyond body and margins, both sides together
 YARD_DEPTH_M = 24.0
 POSTS_OUT_M = 0.5  # distance of the fence outside the field edge
+SPARE_M = 0.1  # at the start, beyond the margin to the edge
 EDGE_SHARES = (0.5, 0.35, 0.65, 0.2, 0.8)
 
 
@@ -37,6 +38,46 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
     raise FieldError(
         f"field {outline.name!r}: no edge has room for a gate {gate_m:.1f} m wide; give a site with gate and lane"
     )
+
+
+def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
+    """Site of a bare field without gate: the machine starts within it, along an edge; raises FieldError."""
+    widest = max(vehicle.body.width_m, implement.width_m)
+    front, rear = vehicle.body.front_m, max(vehicle.body.rear_m, -implement.ends_m[1])
+    room = shrink(outline.polygon, work.boundary_margin_m + SPARE_M)
+    for a, b in _edges(outline.polygon):
+        along = (b - a) / np.hypot(*(b - a))
+        out = np.array([along[1], -along[0]])
+        for share in EDGE_SHARES:
+            middle = a + share * (b - a) - (work.boundary_margin_m + SPARE_M + 0.5 * widest) * out
+            ends = [middle + x * along + y * out for x, y in _corners(-rear, front, 0.5 * widest)]
+            if room.covers(Polygon(ends)):
+                yard = Area(name="start", outline_m=tuple((round(float(x), 3), round(float(y), 3)) for x, y in ends))
+                heading = math.degrees(math.atan2(along[1], along[0]))
+                start = PoseConfig(x_m=round(float(middle[0]), 3), y_m=round(float(middle[1]), 3), heading_deg=heading)
+                return _bare(outline, yard, start)
+    raise FieldError(f"field {outline.name!r}: no place for a machine {widest:.1f} m wide along any edge")
+
+
+def _corners(rear: float, front: float, half: float) -> tuple[tuple[float, float], ...]:
+    return (rear, -half), (front, -half), (front, half), (rear, half)
+
+
+def _bare(outline: FieldOutline, yard: Area, start: PoseConfig) -> Site:
+    return Site(
+        name=outline.name, version=1, datum=outline.datum, boundary_m=_points(outline.polygon.exterior),
+        no_go=_holes(outline), yard=yard, start=start, is_fenced=False,
+    )  # fmt: skip
+
+
+def _holes(outline: FieldOutline) -> tuple[Area, ...]:
+    return tuple(
+        Area(name=f"no-go area {k + 1}", outline_m=_points(ring)) for k, ring in enumerate(outline.polygon.interiors)
+    )
+
+
+def _points(ring: LinearRing) -> tuple[Point, ...]:
+    return tuple((float(x), float(y)) for x, y in ring.coords[:-1])
 
 
 def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:
@@ -58,16 +99,12 @@ def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float)
     near, far = LANE_M, LANE_M + YARD_DEPTH_M
     start = at(0.0, far - 8.0)
     heading = math.degrees(math.atan2(-out[1], -out[0]))
-    no_go = tuple(
-        Area(name=f"no-go area {k + 1}", outline_m=tuple((float(x), float(y)) for x, y in ring.coords[:-1]))
-        for k, ring in enumerate(outline.polygon.interiors)
-    )
     return Site(
         name=outline.name,
         version=1,
         datum=outline.datum,
-        boundary_m=tuple((float(x), float(y)) for x, y in outline.polygon.exterior.coords[:-1]),
-        no_go=no_go,
+        boundary_m=_points(outline.polygon.exterior),
+        no_go=_holes(outline),
         lanes=(Lane(name="lane", center_m=(at(0.0, near + 4.0), at(0.0, -INTO_FIELD_M)), width_m=gate_m),),
         gates=(Gate(name="gate", posts_m=(at(-half, POSTS_OUT_M), at(half, POSTS_OUT_M))),),
         yard=Area(name="yard", outline_m=(at(-wide, near), at(-wide, far), at(wide, far), at(wide, near))),

@@ -22,7 +22,8 @@ from messages.plan import Path
 from planning.config import MissionConfig
 from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
-from planning.turns.turn import ConnectionRequest, dubins_connection, is_free
+from planning.turns.search import ConnectionRequest
+from planning.turns.turn import dubins_connection, is_free
 
 LATERAL_STEP_M, LATERAL_STEPS = 0.3, 8
 REVERSE_STEP_M = 1.0

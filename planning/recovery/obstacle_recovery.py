@@ -12,7 +12,7 @@ from geometry.arrays import Float64
 from geometry.footprint import is_inside
 from messages.plan import Path, PathSectionType, UncoveredArea
 from planning.config import MissionConfig
-from planning.path import path_of, rest_of, spliced, started_at
+from planning.path import RawPiece, path_of, rest_of, spliced, started_at
 from planning.plan import Plan
 from planning.recovery.detour import (
     STRAIGHT_M,
@@ -27,11 +27,11 @@ from planning.recovery.detour import (
 )
 from planning.recovery.static_obstacles import StaticObstacle, extended_depth
 from planning.rig import Rig
-from planning.turns.connector import RoutePiece
 from planning.turns.free_space import FreeSpace
 from planning.turns.headland_transit import along_headland
 from planning.turns.sampling import sampled_connection
-from planning.turns.turn import ConnectionRequest, dubins_connection
+from planning.turns.search import ConnectionRequest
+from planning.turns.turn import dubins_connection
 
 BYPASS_REVERSE_M = (0.0, 4.0, 8.0, 12.0)
 BYPASS_SECTIONS = 3
@@ -101,7 +101,7 @@ def plan_recovery(blockage: Blockage, plan: Plan, config: MissionConfig, seed: i
     if len(detour.reverse_m) > 1:
         steps.append(_reverse_path(started_at(detour.reverse_m, start), rig, config, new_id()))
         start = detour.reverse_m[-1]
-    around = RoutePiece(PathSectionType.DETOUR, -1, started_at(detour.around_m, start), False)
+    around = RawPiece(PathSectionType.DETOUR, -1, started_at(detour.around_m, start), False)
     steps.append(path_of([around], rig, new_id(), False))
     return [*steps, ResumeStep(blockage, detour.leave_s_m, active.line_s_at(detour.rejoin_s_m))]
 
@@ -175,7 +175,7 @@ def _is_clear(line: Path, first_m: float, last_m: float, drivable: BaseGeometry,
 
 
 def _reverse_path(points: Float64, rig: Rig, config: MissionConfig, path_id: int) -> Path:
-    piece = RoutePiece(PathSectionType.DETOUR, -1, points, False)
+    piece = RawPiece(PathSectionType.DETOUR, -1, points, False)
     return path_of([piece], rig, path_id, False, direction=-1, top_mps=kmh(config.reverse_kmh))
 
 
@@ -198,7 +198,7 @@ def _bypass(blockage: Blockage, allowed: BaseGeometry, plan: Plan, config: Missi
         for s in goals
         for b in reverses
     ]
-    rings = [r.points_m for r in plan.headland_passes]
+    rings = [r.points_m for r in plan.headland_passes if r.is_closed]
     searches: tuple[Callable[[ConnectionRequest], Float64 | None], ...] = (
         lambda w: dubins_connection(w, space, 20), lambda w: along_headland(w, space, rings)
     )  # fmt: skip

@@ -1,29 +1,27 @@
-"""Route pieces, and a cached search for free connections between poses."""
+"""Connections between poses: turns, then along a headland pass, then by sampling."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
-import numpy as np
-
-from geometry.arrays import Float64
+from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import PathSectionType
 from planning.coverage.headland import HeadlandPass
 from planning.field.drivable_area import DrivableArea, describe
 from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
-from planning.turns.headland_transit import along_headland
-from planning.turns.sampling import sampled_connection
-from planning.turns.turn import ConnectionRequest, dubins_connection, is_free
+from planning.turns.search import Connection, ConnectionRequest, Leg, find_turn
+from planning.turns.transit import Track, along_passes, both_ways
+
+HOME_STRAIGHT_M = 1.0
 
 
 @dataclass(frozen=True)
 class RoutePiece:
-    """Part of a route: points of `base` (N, 2) before smoothing; `is_working`: the implement works on all of it."""
+    """Part of a route in one direction; `is_working`: the implement works on all of it."""
 
     section_type: PathSectionType
     line: int
-    points_m: Float64
+    leg: Leg
     is_working: bool
 
 
@@ -35,37 +33,39 @@ class PathConnector:
     rig: Rig
     headland_passes: list[HeadlandPass]
     seed: int
-    cache: dict[tuple[ConnectionRequest, bool], Float64 | None] = field(default_factory=dict)
+    space: FreeSpace
+    tracks: list[Track] = field(default_factory=list)
+    turns: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
+    transits: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
 
-    def find(
-        self, request: ConnectionRequest, is_thorough: bool = True, before: Float64 | None = None
-    ) -> Float64 | None:
-        """Free connection (N, 2) or None; a thorough search also tries the headland passes and sampling.
+    def __post_init__(self) -> None:
+        for p in self.headland_passes:
+            self.tracks += both_ways(p.points_m, p.heading_rad, p.curvature_radpm, p.is_closed)
 
-        `before` are the points driven up to the start where these are no straight line: the joint is then checked too.
-        """
-        key = (request, is_thorough)
-        if key not in self.cache:
-            self.cache[key] = self._search(request, is_thorough, before)
-        return self.cache[key]
+    def turn(self, request: ConnectionRequest) -> Connection | None:
+        """Fastest free turn, or None."""
+        if request not in self.turns:
+            self.turns[request] = find_turn(request, self.space, self.rig.turn_times)
+        return self.turns[request]
 
-    @cached_property
-    def space(self) -> FreeSpace:
-        """Free space of this plan."""
-        return FreeSpace(self.drivable.allowed, self.rig.bodies, self.rig.radius_m, self.rig.config.smoothing_m)
+    def find(self, request: ConnectionRequest) -> Connection | None:
+        """Free connection or None, thoroughly: also along the headland passes."""
+        turn = self.turn(request)
+        if turn is not None:
+            return turn
+        if request not in self.transits:
+            self.transits[request] = along_passes(request, self.space, self.rig.turn_times, self.tracks)
+        return self.transits[request]
 
-    def _search(self, request: ConnectionRequest, is_thorough: bool, before: Float64 | None) -> Float64 | None:
-        connection = dubins_connection(request, self.space, before=before)
-        if connection is not None or not is_thorough:
-            return connection
-        connection = along_headland(request, self.space, [r.points_m for r in self.headland_passes])
-        if connection is None:
-            connection = sampled_connection(request, self.space, self.seed, self.rig.config.sampling_iterations)
-        if connection is not None and before is not None and not is_free(np.vstack([before, connection]), self.space):
-            return None
-        return connection
+    def request(self, a: Pose2, b: Pose2, behind_m: float = 0.0, ahead_m: float = 0.0) -> ConnectionRequest:
+        """From the end of one line, `behind_m` long, to the beginning of the next, `ahead_m` long."""
+        return ConnectionRequest(a, b, self.rig.config.run_out_m, self.rig.config.line_up_m, behind_m, ahead_m)
 
-    def require(self, request: ConnectionRequest, purpose: str) -> Float64:
+    def home_request(self, a: Pose2, home: Pose2, behind_m: float = 0.0) -> ConnectionRequest:
+        """From the end of a line, `behind_m` long, to the lane."""
+        return ConnectionRequest(a, home, self.rig.config.run_out_m, HOME_STRAIGHT_M, behind_m)
+
+    def require(self, request: ConnectionRequest, purpose: str) -> Connection:
         """Free connection; raises FieldError that names both positions."""
         connection = self.find(request)
         if connection is None:

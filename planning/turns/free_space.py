@@ -53,9 +53,16 @@ class FreeSpace:
         """Bodies as (B, 3): rear, front and half width."""
         return np.array([[b.rear_m, b.front_m, b.half_width_m] for b in self.bodies])
 
+    def __post_init__(self) -> None:
+        shapely.prepare(self.allowed)
+
+    def contains(self, x_m: float, y_m: float) -> bool:
+        """Whether a point is inside."""
+        return bool(shapely.contains_xy(self.allowed, x_m, y_m))
+
     def is_free(self, p_map_m: Float64, heading_rad: Float64) -> bool:
         """Whether all bodies are inside at all N poses, (N, 2) and (N,), dense enough to pass no edge between two."""
-        if not shapely.contains_xy(self.allowed, p_map_m[0, 0], p_map_m[0, 1]):
+        if not self.contains(*p_map_m[0]):
             return False
         return first_touching(p_map_m, heading_rad, self.boxes_m, *self.grid) == len(p_map_m)
 

@@ -7,7 +7,8 @@ from geometry.polyline import without_repeats
 from geometry.pose2 import Pose2
 from planning.turns.dubins import dubins_paths
 from planning.turns.free_space import FreeSpace
-from planning.turns.turn import ConnectionRequest, dubins_connection, is_free
+from planning.turns.search import ConnectionRequest
+from planning.turns.turn import dubins_connection, is_free
 
 STRIDE = 30  # points of a pass, 3 m
 MAX_TRIED = 14

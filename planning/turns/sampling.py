@@ -8,7 +8,8 @@ from geometry.pose2 import Pose2
 from planning.ompl_worker import search_poses, search_task, within_area
 from planning.turns.dubins import dubins_paths, points_of
 from planning.turns.free_space import FreeSpace
-from planning.turns.turn import STEP_M, ConnectionRequest, is_free
+from planning.turns.search import ConnectionRequest
+from planning.turns.turn import STEP_M, is_free
 
 VALID_EVERY_M = 0.3
 SPACING_M = 2.0

@@ -1,29 +1,18 @@
 """Connections between poses by Dubins paths, checked by the swept footprint of machine and implement."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from geometry.arrays import Float64
 from geometry.polyline import headings, resample, smooth, without_repeats
-from geometry.pose2 import Pose2
 from planning.turns.dubins import DubinsPath, dubins_paths, points_of
 from planning.turns.free_space import FreeSpace
+from planning.turns.search import ConnectionRequest
 
 STEP_M = 0.1
 RADII = (1.0, 1.25, 1.6, 2.2)
 MORE_STRAIGHT_M = (0.0, 1.5, 3.5, 6.0)
-
-
-@dataclass(frozen=True)
-class ConnectionRequest:
-    """From `start` to `goal`, straight for at least `run_out_m` after the first and `line_up_m` before the second."""
-
-    start: Pose2
-    goal: Pose2
-    run_out_m: float
-    line_up_m: float
 
 
 def smoothed(points_m: Float64, smoothing_m: float) -> tuple[Float64, Float64]:

@@ -20,6 +20,7 @@ from planning.plan import Plan
 
 STEP_NS = 1_000_000_000  # coarser than the node's own period, for speed
 STOP_GAP_M = 2.5  # distance kept by the supervisor to an obstacle
+SUPERVISOR_GAP_M = 0.3  # beside the sweep ahead
 CLEAR_S = 3.0
 
 
@@ -142,7 +143,7 @@ class Ideal:
         ahead = (path.s_m >= self.s_m) & (path.s_m <= self.s_m + STOP_GAP_M)
         if np.count_nonzero(ahead) < 2 or not self._is_near():
             return False
-        area = sweep(self.plan.rig.bodies, path.p_map_m[ahead], path.heading_rad[ahead]).buffer(0.3)
+        area = sweep(self.plan.rig.bodies, path.p_map_m[ahead], path.heading_rad[ahead]).buffer(SUPERVISOR_GAP_M)
         return any(area.intersects(outline) for _, outline in self.obstacles.values())
 
     def _messages(self, now: int) -> dict[str, Message]:

@@ -2,20 +2,21 @@
 
 import numpy as np
 import pytest
+import shapely
 from shapely.affinity import rotate, translate
 from shapely.geometry import Polygon, box
 
 from configs.mission import Mission
 from configs.site import PoseConfig, Site
 from configs.vehicle import MountedImplement, Vehicle
-from geometry.footprint import is_inside
+from geometry.footprint import footprints, is_inside
 from messages.command import OperatorCommand, OperatorCommandKind
 from messages.perception import ObstacleClass
 from messages.plan import MissionState, MissionStatus, Path, PathSectionType
 from planning.config import MissionConfig, PlanningConfig
 from planning.mission import MissionNode
 from planning.plan import Plan, plan_mission
-from tests.planning.ideal import Box, Ideal
+from tests.planning.ideal import SUPERVISOR_GAP_M, Box, Ideal
 
 SECOND = 1_000_000_000
 
@@ -68,6 +69,15 @@ def car(x: float, y: float, degrees: float) -> Polygon:
     return translate(rotate(box(-2.2, -0.9, 2.2, 0.9), degrees), x, y)
 
 
+def is_detour(path: Path) -> bool:
+    return any(t.section_type is PathSectionType.DETOUR for t in path.sections)
+
+
+def gap_m(plan: Plan, path: Path, outline: Polygon) -> float:
+    bodies = footprints(plan.rig.bodies, path.p_map_m, path.heading_rad)
+    return float(shapely.distance(bodies, outline).min())
+
+
 @pytest.mark.parametrize(
     ("x", "y", "degrees"),
     [
@@ -83,11 +93,12 @@ def test_detour_around_static_obstacle(plan: Plan, config: MissionConfig, x: flo
     drive.run(2000)
     assert drive.status is not None
     assert drive.status.state is MissionState.FINISHED
-    assert drive.least_gap_m > 0.5
+    assert drive.least_gap_m > SUPERVISOR_GAP_M  # also where the plan passes it later
+    assert min(gap_m(plan, p, outline) for p in drive.paths if is_detour(p)) > 0.5
     poses = np.array(drive.trail)
     assert is_inside(plan.rig.bodies, poses[:, :2], poses[:, 2], plan.drivable.allowed.buffer(0.05)).all()
     assert {p.direction for p in drive.paths} == {1, -1}
-    assert any(t.section_type is PathSectionType.DETOUR for p in drive.paths for t in p.sections)
+    assert any(map(is_detour, drive.paths))
     (uncovered,) = drive.status.uncovered_areas
     rectangle = np.asarray(Polygon(uncovered.outline_map_m).minimum_rotated_rectangle.exterior.coords)
     assert np.hypot(*np.diff(rectangle[:3], axis=0).T).max() < 4.4 + 12.0

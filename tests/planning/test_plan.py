@@ -1,6 +1,7 @@
 """Plans of fields of several shapes, verified by an independent check, and refusals."""
 
 import math
+from itertools import pairwise
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -19,7 +20,8 @@ from planning.drawing import draw_plan, plan_to_geojson
 from planning.plan import Plan, plan_field
 from planning.turns.free_space import FreeSpace
 from planning.turns.sampling import sampled_connection
-from planning.turns.turn import ConnectionRequest, is_free
+from planning.turns.search import ConnectionRequest
+from planning.turns.turn import is_free
 
 SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
     "L": (((0, 0), (80, 0), (80, 40), (45, 40), (45, 70), (0, 70)), ()),
@@ -33,10 +35,11 @@ SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
         (Area(name="pond", outline_m=((38, 26), (47, 25), (48, 31), (43, 35), (37, 32))),),
     ),
 }
+REVERSE = {"demo, reverse": "demo", "L, reverse": "L"}
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("pond", "narrow about a pond")]
 
 
-@pytest.fixture(scope="module", params=["demo", "L", "trapezoid", *SLOW])
+@pytest.fixture(scope="module", params=["demo", "L", "trapezoid", *REVERSE, *SLOW])
 def shaped(
     request: pytest.FixtureRequest,
     plan: Plan,
@@ -48,9 +51,12 @@ def shaped(
 ) -> tuple[Site, Plan]:
     if request.param == "demo":
         return site, plan
-    boundary, no_go = SHAPES[request.param]
+    name, work = request.param, mission.work
+    if name in REVERSE:
+        name, work = REVERSE[name], work.model_copy(update={"turns": "reverse"})
+    boundary, no_go = SHAPES.get(name, (site.boundary_m, ()))
     other = site.model_copy(update={"boundary_m": boundary, "no_go": no_go})
-    return other, plan_field(other, vehicle, harrow, mission.work, planning.planner, 0)
+    return other, plan_field(other, vehicle, harrow, work, planning.planner, 0)
 
 
 def body_shapes(vehicle: Vehicle, harrow: MountedImplement, path: Path) -> list[shapely.Polygon]:
@@ -76,7 +82,7 @@ def test_bodies_inside_drivable_area(shaped: tuple[Site, Plan], vehicle: Vehicle
     gate = LineString(site.gates[0].posts_m).buffer(1.5, cap_style="flat")
     fence = field.exterior.difference(gate)
     shapely.prepare(drivable)
-    bodies = np.array(body_shapes(vehicle, harrow, plan.paths[0]))
+    bodies = np.array([shape for path in plan.paths for shape in body_shapes(vehicle, harrow, path)])
     assert shapely.covers(drivable, bodies).all()
     posts = shapely.MultiPoint(site.gates[0].posts_m)
     assert shapely.distance(bodies, fence.union(posts)).min() > 0.09
@@ -84,46 +90,55 @@ def test_bodies_inside_drivable_area(shaped: tuple[Site, Plan], vehicle: Vehicle
 
 def test_path_consistency(shaped: tuple[Site, Plan]) -> None:
     site, plan = shaped
-    (path,) = plan.paths
-    gaps = np.hypot(*np.diff(path.p_map_m, axis=0).T)
-    assert gaps.max() < 0.105
-    assert gaps.min() > 0.09
-    assert np.diff(path.s_m) == pytest.approx(gaps)
-    heading = np.unwrap(path.heading_rad)
-    travel = np.arctan2(*np.diff(path.p_map_m, axis=0).T[::-1])
-    assert np.abs(np.angle(np.exp(1j * (travel - heading[:-1])))).max() < 0.02
-    assert np.abs(path.curvature_radpm).max() < 1 / 4.6
-    assert np.abs(np.diff(path.curvature_radpm)).max() < 0.03
-    assert path.speed_mps[-1] == 0
-    assert path.speed_mps[:-1].min() > 0
-    v2 = np.diff(path.speed_mps**2) / (2 * gaps)
-    assert v2.max() < 0.61
-    assert v2.min() > -0.51
-    assert path.p_map_m[0] == pytest.approx([site.start.x_m, site.start.y_m])
-    assert Polygon(site.yard.outline_m).contains(shapely.Point(path.p_map_m[-1]))
-    assert path.is_last
+    for path in plan.paths:
+        gaps = np.hypot(*np.diff(path.p_map_m, axis=0).T)
+        assert gaps.max() < 0.105
+        assert gaps.min() > 0.08
+        assert np.diff(path.s_m) == pytest.approx(gaps)
+        heading = np.unwrap(path.heading_rad)
+        travel = np.arctan2(*(path.direction * np.diff(path.p_map_m, axis=0)).T[::-1])
+        assert np.abs(np.angle(np.exp(1j * (travel - heading[:-1])))).max() < 0.02
+        assert np.abs(path.curvature_radpm).max() < 1 / 4.6
+        assert np.abs(np.diff(path.curvature_radpm)).max() < 0.03
+        assert path.speed_mps[-1] == 0
+        assert path.speed_mps[:-1].min() > 0
+        v2 = np.diff(path.speed_mps**2) / (2 * gaps)
+        assert v2.max() < 0.61
+        assert v2.min() > -0.51
+    assert plan.paths[0].p_map_m[0] == pytest.approx([site.start.x_m, site.start.y_m])
+    assert Polygon(site.yard.outline_m).contains(shapely.Point(plan.paths[-1].p_map_m[-1]))
+    assert [path.is_last for path in plan.paths] == [False] * (len(plan.paths) - 1) + [True]
+
+
+def test_paths_join_at_standstill_and_work_forward(shaped: tuple[Site, Plan]) -> None:
+    paths = shaped[1].paths
+    for a, b in pairwise(paths):
+        assert a.direction == -b.direction
+        assert a.p_map_m[-1] == pytest.approx(b.p_map_m[0], abs=0.01)
+        assert math.remainder(a.heading_rad[-1] - b.heading_rad[0], 2 * math.pi) == pytest.approx(0.0, abs=0.01)
+    assert not any(path.is_working.any() for path in paths if path.direction < 0)
 
 
 def test_sections_cover_path(shaped: tuple[Site, Plan]) -> None:
-    (path,) = shaped[1].paths
-    assert path.sections[0].first == 0
-    assert path.sections[-1].last == len(path.s_m) - 1
-    for k, (a, b) in enumerate(zip(path.sections[:-1], path.sections[1:], strict=True)):
-        assert b.first == a.last + 1
-        assert (path.section_index[a.first : a.last + 1] == k).all()
-    work = path.is_working.astype(bool)
-    section_types = np.array([path.sections[k].section_type for k in path.section_index])
-    assert (np.isin(section_types, [PathSectionType.SWATH, PathSectionType.HEADLAND]) <= work).all()
-    extra = work & ~np.isin(section_types, [PathSectionType.SWATH, PathSectionType.HEADLAND])
-    assert extra.sum() <= 2 * len(path.sections)
+    for path in shaped[1].paths:
+        assert path.sections[0].first == 0
+        assert path.sections[-1].last == len(path.s_m) - 1
+        for k, (a, b) in enumerate(zip(path.sections[:-1], path.sections[1:], strict=True)):
+            assert b.first == a.last + 1
+            assert (path.section_index[a.first : a.last + 1] == k).all()
+        work = path.is_working.astype(bool)
+        section_types = np.array([path.sections[k].section_type for k in path.section_index])
+        is_line = np.isin(section_types, [PathSectionType.SWATH, PathSectionType.HEADLAND])
+        assert (is_line <= work).all()
+        assert (work & ~is_line).sum() <= 2 * len(path.sections)
 
 
 def test_straight_line_up_before_swath(shaped: tuple[Site, Plan]) -> None:
-    (path,) = shaped[1].paths
-    for t in path.sections:
-        if t.section_type is PathSectionType.SWATH:
-            before = slice(max(0, t.first - 15), t.last - 8)
-            assert np.abs(path.curvature_radpm[before]).max() < 0.01
+    for path in shaped[1].paths:
+        for t in path.sections:
+            if t.section_type is PathSectionType.SWATH:
+                before = slice(max(0, t.first - 15), t.last - 8)
+                assert np.abs(path.curvature_radpm[before]).max() < 0.01
 
 
 def test_planned_and_uncovered_area(shaped: tuple[Site, Plan]) -> None:
@@ -134,7 +149,7 @@ def test_planned_and_uncovered_area(shaped: tuple[Site, Plan]) -> None:
     listed = sum(u.area_m2 for u in plan.uncovered)
     assert sum(plan.uncovered_m2.values()) == pytest.approx(listed)
     assert plan.planned_area.area + listed == pytest.approx(free, rel=0.003)
-    assert plan.length_m == pytest.approx(float(plan.paths[0].s_m[-1]))
+    assert plan.length_m == pytest.approx(sum(float(path.s_m[-1]) for path in plan.paths))
 
 
 def test_demo_coverage(plan: Plan) -> None:
@@ -154,7 +169,8 @@ def test_plan_determinism(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"boundary_m": ((0, 0), (15, 0), (15, 15), (0, 15))}, "too small for this machine"),
+        ({"boundary_m": ((0, 0), (15, 0), (15, 15), (0, 15))}, "does not fit on the lane"),
+        ({"boundary_m": ((14, 0), (26, 0), (26, 5), (14, 5))}, "too small for this"),
         ({"boundary_m": ((0, 0), (80, 0), (0, 50), (80, 50))}, "Self-intersection"),
         ({"gates": (Gate(name="narrow", posts_m=((17.5, 0), (22.5, 0))),)}, "widen gate"),
         ({"lanes": ()}, "no lane"),
@@ -174,7 +190,8 @@ def test_given_swath_direction(
 ) -> None:
     work = Work(**{**mission.work.model_dump(), "swath_direction_deg": 90.0, "headland_passes": 2})
     plan = plan_field(site, vehicle, harrow, work, planning.planner, 0)
-    assert all(abs(s.a_m[0] - s.b_m[0]) < 1e-6 for s in plan.swaths)
+    ends = [e for s in plan.swaths for e in (s.onwards_m, s.back_m) if e is not None]
+    assert all(abs(a[0] - b[0]) < 1e-6 for a, b in ends)
     assert len(plan.swaths) > 8
 
 

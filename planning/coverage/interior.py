@@ -1,0 +1,46 @@
+"""Swaths over what the headland passes leave: the area inside them, gaps between them, narrow necks."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from configs.mission import Work
+from geometry.polygon import open_by, parts, polygon_of, shrink
+from planning.coverage.blocks import blocks_of
+from planning.coverage.headland import HeadlandPass, pass_coverage
+from planning.coverage.swath import Swath, strips_of, swaths_on
+from planning.field.drivable_area import DrivableArea
+from planning.rig import Rig
+from planning.turns.free_space import FreeSpace
+
+SLIVER_M = 0.3  # thinner remains are no reason for a swath
+MIN_REMAINS_M2, MIN_REMAINS = 4.0, 0.1  # and share of the squared working width: smaller remains get no swath
+GROWN_M = 0.05
+
+
+def swaths_inside(drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], work: Work) -> list[Swath]:
+    """Swaths over all that the passes leave bare, numbered."""
+    bare = shrink(drivable.free, drivable.margin_m + rig.width_m / 2.0 - rig.working_width_m / 2.0)
+    if passes:
+        bare = bare.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
+    found = swaths_over(bare, drivable, rig, work)
+    return [replace(s, number=k) for k, s in enumerate(found)]
+
+
+def swaths_over(bare: BaseGeometry, drivable: DrivableArea, rig: Rig, work: Work) -> list[Swath]:
+    """Swaths over an area, in the direction of the mission or the cheapest of each part."""
+    least_m2 = max(MIN_REMAINS_M2, MIN_REMAINS * rig.working_width_m**2)
+    area = polygon_of(open_by(bare, SLIVER_M / 2.0))
+    direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
+    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    min_m = rig.config.min_swath_m
+    found = []
+    for part in parts(area, least_m2):
+        for block in blocks_of(part, rig.working_width_m) if direction is None else [part]:
+            grown = block.buffer(GROWN_M, join_style="mitre")
+            for strip in strips_of(grown, rig.working_width_m, work.overlap_m, min_m, direction):
+                found += swaths_on(strip, -rig.working_x_m, space, min_m)
+    return found

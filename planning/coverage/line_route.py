@@ -1,0 +1,191 @@
+"""Driving swaths and open headland passes in an order of short turns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from geometry.arrays import Float64
+from geometry.pose2 import Pose2
+from messages.plan import PathSectionType
+from planning.coverage.headland import HeadlandPass
+from planning.coverage.order import Visit, order
+from planning.coverage.pass_route import turn_pieces
+from planning.coverage.swath import Swath
+from planning.turns.connector import PathConnector, RoutePiece
+from planning.turns.search import Connection, Leg, bounds_s, straight
+
+REORDERINGS = 6
+TRIED = 5  # lines to which a connection is searched thoroughly
+NO_TURN_S = 400.0
+NOT_DRIVABLE_S = 1e6
+
+
+@dataclass(frozen=True)
+class WorkLine:
+    """A line to be worked: its leg from a to b and from b to a, None where it cannot be driven."""
+
+    section_type: PathSectionType
+    number: int
+    legs: tuple[Leg | None, Leg | None]
+
+    def straight_m(self, is_reversed: bool) -> float:
+        """Length in one direction of a straight line, 0 of others."""
+        leg = self.legs[is_reversed]
+        return (
+            float(np.hypot(*(leg.p_map_m[-1] - leg.p_map_m[0])))
+            if leg is not None and not leg.curvature_radpm.any()
+            else 0.0
+        )
+
+    def ends(self, is_reversed: bool) -> tuple[Pose2, Pose2] | None:
+        """Poses of `base` at start and end of work."""
+        leg = self.legs[is_reversed]
+        return None if leg is None else (_pose(leg, 0), _pose(leg, -1))
+
+
+@dataclass(frozen=True)
+class Tour:
+    """Pieces of a drive over the lines, its last pose, straight length behind it, visits, lines not reached."""
+
+    pieces: list[RoutePiece]
+    end: Pose2
+    behind_m: float
+    visits: list[Visit]
+    unreached: list[WorkLine]
+
+
+def lines_of(swaths: Sequence[Swath], passes: Sequence[HeadlandPass], lead_m: float) -> list[WorkLine]:
+    """Swaths and the open ones of the passes as lines."""
+    found = []
+    for swath in swaths:
+        ends = [swath.poses(is_reversed, lead_m) for is_reversed in (False, True)]
+        legs = tuple(None if e is None else straight(*e) for e in ends)
+        found.append(WorkLine(PathSectionType.SWATH, swath.number, (legs[0], legs[1])))
+    for p in passes:
+        if not p.is_closed:
+            leg = Leg(1, p.points_m, p.heading_rad, p.curvature_radpm)
+            found.append(WorkLine(PathSectionType.HEADLAND, p.number, (leg, None)))
+    return found
+
+
+def drive_lines(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> Tour:
+    """The lines in order from `start`, so that `home` is reached from the last.
+
+    A line that is not reached is left out, and so is one that cannot be left.
+    """
+    left = _ordered(connector, start, home, lines)
+    driven: list[tuple[Visit, Connection]] = []
+    out: list[Visit] = []
+    while True:
+        pose = _end(lines, driven[-1][0]) if driven else start
+        behind_m = _straight_m(lines, driven[-1][0]) if driven else 0.0
+        found = _next(connector, pose, behind_m, lines, left)
+        if found is not None:
+            driven.append((left.pop(found[0]), found[1]))
+        elif driven and _is_trap(connector, pose, home, lines, driven):
+            out.append(driven.pop()[0])
+        else:
+            break
+    pieces: list[RoutePiece] = []
+    for (number, is_reversed), connection in driven:
+        line, leg = lines[number], lines[number].legs[is_reversed]
+        assert leg is not None
+        pieces += [*turn_pieces(connection, line.number), RoutePiece(line.section_type, line.number, leg, True)]
+    return Tour(pieces, pose, behind_m, [visit for visit, _ in driven], [lines[number] for number, _ in [*out, *left]])
+
+
+def _next(
+    connector: PathConnector, pose: Pose2, behind_m: float, lines: Sequence[WorkLine], left: Sequence[Visit]
+) -> tuple[int, Connection] | None:
+    """Index of the first visit that is reached by a turn, else thoroughly, and the connection."""
+    starts = [lines[number].ends(is_reversed) for number, is_reversed in left]
+    for find, first in ((connector.turn, 1), (connector.find, 1), (connector.turn, len(left)), (connector.find, TRIED)):
+        for k, ends in enumerate(starts[:first]):
+            if ends is None:
+                continue
+            connection = find(connector.request(pose, ends[0], behind_m, _straight_m(lines, left[k])))
+            if connection is not None:
+                return k, connection
+    return None
+
+
+def _is_trap(
+    connector: PathConnector, pose: Pose2, home: Pose2 | None, lines: Sequence[WorkLine],
+    driven: Sequence[tuple[Visit, Connection]],
+) -> bool:  # fmt: skip
+    """Whether neither `home` nor, without one, the line before the last is reached from the end of the last."""
+    behind_m = _straight_m(lines, driven[-1][0])
+    if home is not None:
+        return connector.find(connector.home_request(pose, home, behind_m)) is None
+    if len(driven) < 2:
+        return False
+    (number, is_reversed), _ = driven[-2]
+    ends = lines[number].ends(is_reversed)
+    return ends is not None and connector.find(connector.request(pose, ends[0], behind_m)) is None
+
+
+def _straight_m(lines: Sequence[WorkLine], visit: Visit) -> float:
+    return lines[visit[0]].straight_m(visit[1])
+
+
+def _end(lines: Sequence[WorkLine], visit: Visit) -> Pose2:
+    leg = lines[visit[0]].legs[visit[1]]
+    assert leg is not None
+    return _pose(leg, -1)
+
+
+def _ordered(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> list[Visit]:
+    """Order by time: bounds of turns that turn out too short are replaced by real times, and the order is repeated."""
+    if not lines:
+        return []
+    visits = [line.ends(r) for line in lines for r in (False, True)]
+    cost = _bounds(connector, start, home, visits)
+    starts = [None if v is None else v[0] for v in visits] + [home]
+    ends = [None if v is None else v[1] for v in visits] + [start]
+    best: tuple[float, list[Visit]] = (np.inf, [])
+    for _ in range(REORDERINGS):
+        tour = order(cost)
+        stops = [len(visits), *(2 * k + r for k, r in tour), len(visits)]
+        total, expected = 0.0, 0.0
+        for i, j in pairwise(stops):
+            a, b = ends[i], starts[j]
+            expected += cost[i, j]
+            if a is None or b is None:
+                total += cost[i, j]
+                continue
+            behind_m = _straight_m(lines, (i // 2, bool(i % 2))) if i < len(visits) else 0.0
+            if j == len(visits):
+                turn = connector.turn(connector.home_request(a, b, behind_m))
+            else:
+                turn = connector.turn(connector.request(a, b, behind_m, _straight_m(lines, (j // 2, bool(j % 2)))))
+            time = NO_TURN_S if turn is None else turn.time_s
+            total += time
+            cost[i, j] = max(time, cost[i, j])
+            if i < len(visits) and j < len(visits):
+                cost[j ^ 1, i ^ 1] = max(cost[j ^ 1, i ^ 1], cost[i, j])
+        best = min(best, (total, tour), key=lambda b: b[0])
+        if total < expected + 0.5:
+            break
+    return best[1]
+
+
+def _bounds(
+    connector: PathConnector, start: Pose2, home: Pose2 | None, visits: Sequence[tuple[Pose2, Pose2] | None]
+) -> Float64:
+    config, rig = connector.rig.config, connector.rig
+    known = [k for k, v in enumerate(visits) if v is not None]
+    pairs = [v for v in visits if v is not None]
+    ends, starts = [*(b for _, b in pairs), start], [a for a, _ in pairs] + ([home] if home is not None else [])
+    bound = bounds_s(ends, starts, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
+    n = len(visits)
+    cost = np.full((n + 1, n + 1), NOT_DRIVABLE_S)
+    cost[np.ix_([*known, n], known)] = bound[:, : len(known)]
+    cost[known, n] = bound[:-1, -1] if home is not None else 0.0
+    cost[n, n] = 0.0
+    return cost
+
+
+def _pose(leg: Leg, k: int) -> Pose2:
+    return Pose2(*map(float, (*leg.p_map_m[k], leg.heading_rad[k])))

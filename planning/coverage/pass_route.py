@@ -1,0 +1,127 @@
+"""Driving the headland passes one after the other: entry point of each, its legs with corner fills, and its exit."""
+
+import numpy as np
+
+from geometry.pose2 import Pose2
+from messages.plan import PathSectionType
+from planning.coverage.headland import STEP_M, HeadlandPass
+from planning.turns.connector import PathConnector, RoutePiece
+from planning.turns.search import Connection, Leg, bounds_s, straight
+
+STRIDE = 25  # points of a pass between two candidates, 2.5 m
+CLOSING = 3  # points by which a pass overlaps its own beginning
+AROUND = 20  # points before and after an entry that are straight
+STRAIGHT_RADPM = 0.02
+MAX_ENTRIES, MAX_LINKS = 10, 6
+NO_LINK_S = 100.0
+
+
+def drive_passes(connector: PathConnector, start: Pose2) -> tuple[list[RoutePiece], Pose2, list[HeadlandPass]]:
+    """Pieces over all closed passes, the pose at the end, and the passes that were not reached.
+
+    A pass along the edge is left before a corner: on a straight the tail would swing over the edge.
+    """
+    rings = [r for r in connector.headland_passes if r.is_closed]
+    entries = [_entries(ring, connector.rig.radius_m) for ring in rings]
+    pieces: list[RoutePiece] = []
+    pose, unreached = start, list[HeadlandPass]()
+    for number, ring in enumerate(rings):
+        following = (rings[number + 1], entries[number + 1]) if number + 1 < len(rings) else None
+        best = _best(connector, pose, ring, entries[number], following)
+        if best is None:
+            unreached.append(ring)
+            continue
+        connection, k = best
+        pieces += [*turn_pieces(connection, ring.number), *_loop(ring, k)]
+        pose = _pose(ring, k + CLOSING)
+    return pieces, pose, unreached
+
+
+def _best(
+    connector: PathConnector, start: Pose2, ring: HeadlandPass, entries: list[int],
+    following: tuple[HeadlandPass, list[int]] | None,
+) -> tuple[Connection, int] | None:  # fmt: skip
+    """Connection to the entry of least time together with the connection from there to the next pass."""
+    poses = [_pose(ring, k) for k in entries]
+    order = _by_time(connector, start, poses)
+    found: list[tuple[float, int, Connection]] = []
+    for n in order:
+        connection = connector.turn(connector.request(start, poses[n]))
+        if connection is None:
+            continue
+        onwards_s = 0.0
+        if following is not None:
+            goals = [_pose(following[0], k) for k in following[1]]
+            leave = _pose(ring, entries[n] + CLOSING)
+            links = (
+                connector.turn(connector.request(leave, goals[k]))
+                for k in _by_time(connector, leave, goals)[:MAX_LINKS]
+            )
+            onwards_s = min((link.time_s for link in links if link is not None), default=NO_LINK_S)
+        found.append((round(connection.time_s + onwards_s, 6), n, connection))
+        if len(found) == MAX_ENTRIES:
+            break
+    if found:
+        _, n, connection = min(found, key=lambda f: f[:2])
+        return connection, entries[n]
+    for n in order[:2]:
+        thorough = connector.find(connector.request(start, poses[n]))
+        if thorough is not None:
+            return thorough, entries[n]
+    return None
+
+
+def _by_time(connector: PathConnector, start: Pose2, goals: list[Pose2]) -> list[int]:
+    """Indices of the goals, nearest in time first."""
+    rig = connector.rig
+    bound = bounds_s([start], goals, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)[0]
+    return [int(k) for k in np.argsort(bound, kind="stable")]
+
+
+def turn_pieces(connection: Connection, line: int) -> list[RoutePiece]:
+    """A connection as pieces."""
+    return [RoutePiece(PathSectionType.TURN, line, leg, False) for leg in connection.legs]
+
+
+def _entries(ring: HeadlandPass, radius_m: float) -> list[int]:
+    """Points where a pass is straight for some metres, and those before its corners; else those of least curvature."""
+    n = len(ring.points_m) - 1
+    curvature = ring.curvature_radpm[:-1]
+    around = np.max([np.roll(np.abs(curvature), k) for k in range(-AROUND, AROUND + 1, 2)], axis=0)
+    candidates = np.arange(0, n, STRIDE)
+    flat = [int(k) for k in candidates[around[candidates] < STRAIGHT_RADPM]]
+    bends = curvature > 0.5 / radius_m
+    for start in np.flatnonzero(~bends & np.roll(bends, -1)):
+        before = (start - np.arange(40)) % n
+        level = np.abs(curvature[before]) < STRAIGHT_RADPM
+        if level.any():
+            flat.append(int(before[int(np.argmax(level))]))
+    return flat or [int(k) for k in candidates[np.argsort(around[candidates], kind="stable")[:3]]]
+
+
+def _pose(ring: HeadlandPass, k: int) -> Pose2:
+    k %= len(ring.points_m) - 1
+    return Pose2(*map(float, (*ring.points_m[k], ring.heading_rad[k])))
+
+
+def _loop(ring: HeadlandPass, first: int) -> list[RoutePiece]:
+    n = len(ring.points_m) - 1
+    index = (first + np.arange(n + CLOSING + 1)) % n
+    heading, curvature = np.unwrap(ring.heading_rad[index]), ring.curvature_radpm[index]
+
+    def piece(a: int, b: int) -> RoutePiece:
+        leg = Leg(1, ring.points_m[index[a : b + 1]], heading[a : b + 1], curvature[a : b + 1])
+        return RoutePiece(PathSectionType.HEADLAND, ring.number, leg, True)
+
+    pieces, done = [], 0
+    for offset, by_m in sorted(((f.index - first) % n, f.by_m) for f in ring.fills):
+        if offset - done < 1.0 / STEP_M or n - offset < 1.0 / STEP_M:
+            continue
+        corner = Pose2(*map(float, (*ring.points_m[index[offset]], heading[offset])))
+        pieces.append(piece(done, offset))
+        for leg in (straight(corner, corner.ahead(by_m)), straight(corner.ahead(by_m), corner)):
+            is_working = leg.direction > 0
+            section = PathSectionType.HEADLAND if is_working else PathSectionType.TURN
+            pieces.append(RoutePiece(section, ring.number, leg, is_working))
+        done = offset
+    return [*pieces, piece(done, n + CLOSING)]

@@ -1,0 +1,250 @@
+"""Fastest free turn between two poses: all words with straight ends, ranked by time, checked against the free space."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import Float64, Int32
+from geometry.jit import kernel
+from geometry.pose2 import Pose2
+from planning.turns.curve import MAX_SEGMENTS, solve, trace
+from planning.turns.free_space import FreeSpace, is_touching
+from planning.turns.words import MAX_WORDS, SEGMENTS, words
+
+STEP_M = 0.1
+COARSE_M = 0.5
+COARSE_SLACK_M = 0.1  # of the first check, before ramps are corrected
+MAX_POSES = 6000
+MAX_CANDIDATES = 6144
+MIN_RUN_M = 0.6
+FACTORS = (1.0, 1.3, 1.8)
+MORE_M = (0.0, 1.5, 3.5, 6.5)  # longer straight ends
+BACK_M = (-3.0, -5.5, -9.0)  # straight ends in reverse
+OVER_M = (3.0, 8.0)  # beyond the other end of a line
+FIRST_LIMIT, LIMIT = 24, 160
+NEAR_M, FAR_S = 40.0, 12.0  # farther apart a bound is the straight distance and this time
+
+
+@dataclass(frozen=True)
+class TurnTimes:
+    """Speeds of turns and the time of one change of direction; `has_reverse`: turns may reverse."""
+
+    forward_mps: float
+    reverse_mps: float
+    cusp_s: float
+    has_reverse: bool
+
+
+@dataclass(frozen=True)
+class ConnectionRequest:
+    """From `start` to `goal`, straight for at least `run_out_m` after the first and `line_up_m` before the second.
+
+    The rig may also reverse over the line just driven, `behind_m` long, or over the one to come, `ahead_m` long.
+    """
+
+    start: Pose2
+    goal: Pose2
+    run_out_m: float
+    line_up_m: float
+    behind_m: float = 0.0
+    ahead_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Part of a path in one direction: points (N, 2) at most 0.1 m apart, heading and curvature (N,)."""
+
+    direction: int
+    p_map_m: Float64
+    heading_rad: Float64
+    curvature_radpm: Float64
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Free connection of two poses, one leg for each direction."""
+
+    legs: tuple[Leg, ...]
+    time_s: float
+
+    @property
+    def points_m(self) -> Float64:
+        """All points (N, 2)."""
+        return np.vstack([leg.p_map_m for leg in self.legs])
+
+
+def find_turn(
+    request: ConnectionRequest, space: FreeSpace, times: TurnTimes, is_first_only: bool = False
+) -> Connection | None:
+    """Fastest free turn, or None; first the shortest straight ends, then all (not with `is_first_only`)."""
+    if not space.contains(request.start.x_m, request.start.y_m):
+        return None
+    back = BACK_M if times.has_reverse else ()
+    outs, ups = ([m + more for more in MORE_M] for m in (request.run_out_m, request.line_up_m))
+    found = _search(request, space, times, ([outs[0], *back[:1]], [ups[0], *back[:1]], FACTORS[:1]), FIRST_LIMIT)
+    if found is not None or is_first_only:
+        return found
+    over = [
+        [-line_m - more for more in OVER_M if line_m > 0.0 and back] for line_m in (request.behind_m, request.ahead_m)
+    ]
+    return _search(request, space, times, ([*outs, *back, *over[0]], [*ups, *back, *over[1]], FACTORS), LIMIT)
+
+
+def _search(
+    request: ConnectionRequest, space: FreeSpace, times: TurnTimes,
+    ends: tuple[Sequence[float], Sequence[float], Sequence[float]], limit: int,
+) -> Connection | None:  # fmt: skip
+    outs, ups, factors = (np.array(values, np.float64) for values in ends)
+    speeds = np.array([times.forward_mps, times.reverse_mps, times.cusp_s])
+    start, goal = np.array(request.start, np.float64), np.array(request.goal, np.float64)
+    poses = np.empty((MAX_POSES, 5))
+    count, time_s = search_kernel(
+        start, goal, outs, ups, factors, speeds, times.has_reverse, space.radius_m, space.smoothing_m, limit,
+        space.boxes_m, *space.grid, poses,
+    )  # fmt: skip
+    return Connection(_legs(poses[:count]), time_s) if count > 0 else None
+
+
+def straight(a: Pose2, b: Pose2) -> Leg:
+    """Straight leg from a pose to another ahead of it (in reverse: behind it), at the heading of the first."""
+    ahead = math.cos(a.yaw_rad) * (b.x_m - a.x_m) + math.sin(a.yaw_rad) * (b.y_m - a.y_m)
+    count = max(2, math.ceil(abs(ahead) / STEP_M) + 1)
+    p = np.linspace((a.x_m, a.y_m), (b.x_m, b.y_m), count)
+    return Leg(1 if ahead >= 0.0 else -1, p, np.full(count, a.yaw_rad), np.zeros(count))
+
+
+def _legs(poses: Float64) -> tuple[Leg, ...]:
+    cuts = np.flatnonzero(np.diff(poses[:, 4])) + 1
+    return tuple(
+        Leg(int(part[0, 4]), part[:, :2].copy(), part[:, 2].copy(), part[:, 3].copy()) for part in np.split(poses, cuts)
+    )
+
+
+def bounds_s(ends: Sequence[Pose2], starts: Sequence[Pose2], run_out_m: float, line_up_m: float, radius_m: float,
+             times: TurnTimes) -> Float64:  # fmt: skip
+    """Time of the fastest turn with shortest straight ends from each end to each start, (E, S), s, without obstacles.
+
+    With reversing, longer straight ends may be faster.
+    """
+    speeds = np.array([times.forward_mps, times.reverse_mps, times.cusp_s])
+    back = BACK_M[:1] if times.has_reverse else ()
+    return _bounds(
+        np.array(ends, np.float64).reshape(-1, 3), np.array(starts, np.float64).reshape(-1, 3),
+        np.array([run_out_m, *back]), np.array([line_up_m, *back]), radius_m, speeds, times.has_reverse,
+    )  # fmt: skip
+
+
+@kernel
+def _bounds(
+    ends: Float64, starts: Float64, outs: Float64, ups: Float64, radius_m: float, speeds: Float64, has_reverse: bool
+) -> Float64:
+    found = np.empty((len(ends), len(starts)))
+    lengths, sides = np.empty((MAX_WORDS, SEGMENTS)), np.empty((MAX_WORDS, SEGMENTS))
+    row = np.empty(MAX_SEGMENTS)
+    for i in range(len(ends)):
+        for j in range(len(starts)):
+            far = math.hypot(starts[j, 0] - ends[i, 0], starts[j, 1] - ends[i, 1])
+            if far > NEAR_M:
+                found[i, j] = far / speeds[0] + FAR_S
+                continue
+            best = np.inf
+            for out in outs:
+                for up in ups:
+                    if out < 0.0 and up < 0.0:
+                        continue
+                    count = _words_between(ends[i], starts[j], out, up, radius_m, has_reverse, lengths, sides)
+                    for k in range(count):
+                        best = min(best, _time(lengths[k], radius_m, out, up, speeds, row))
+            found[i, j] = best
+    return found
+
+
+@kernel
+def _words_between(
+    start: Float64, goal: Float64, out: float, up: float, radius_m: float, has_reverse: bool, lengths: Float64,
+    sides: Float64,
+) -> int:  # fmt: skip
+    c, s = math.cos(start[2]), math.sin(start[2])
+    dx = goal[0] - up * math.cos(goal[2]) - start[0] - out * c
+    dy = goal[1] - up * math.sin(goal[2]) - start[1] - out * s
+    return words(
+        (c * dx + s * dy) / radius_m, (c * dy - s * dx) / radius_m, goal[2] - start[2], has_reverse, lengths, sides
+    )
+
+
+@kernel
+def _time(lengths: Float64, radius_m: float, out: float, up: float, speeds: Float64, row: Float64) -> float:
+    """Time of a word with its straight ends; infinite when a run is too short. Fills `row` with lengths in metres."""
+    row[0], row[MAX_SEGMENTS - 1] = out, up
+    for k in range(SEGMENTS):
+        row[k + 1] = lengths[k] * radius_m if abs(lengths[k]) > 1e-6 else 0.0
+    time, run, direction = 0.0, 0.0, 0.0
+    for k in range(MAX_SEGMENTS):
+        if row[k] == 0.0:
+            continue
+        sign = 1.0 if row[k] > 0.0 else -1.0
+        if direction != 0.0 and sign != direction:
+            if run < MIN_RUN_M:
+                return np.inf
+            run, time = 0.0, time + speeds[2]
+        direction, run = sign, run + abs(row[k])
+        time += abs(row[k]) / (speeds[0] if sign > 0.0 else speeds[1])
+    if direction < 0.0:
+        time += speeds[2]
+    return time if run >= MIN_RUN_M else np.inf
+
+
+@kernel
+def search_kernel(
+    start: Float64, goal: Float64, outs: Float64, ups: Float64, factors: Float64, speeds: Float64, has_reverse: bool,
+    radius_m: float, ramp_m: float, limit: int, boxes_m: Float64, edges_m: Float64, west_m: float, south_m: float,
+    columns: int, rows: int, first: Int32, items: Int32, poses: Float64,
+) -> tuple[int, float]:  # fmt: skip
+    """Fills `poses` with the fastest free one of the first `limit` candidates; their number (0: none) and its time."""
+    lengths, sides = np.empty((MAX_WORDS, SEGMENTS)), np.empty((MAX_WORDS, SEGMENTS))
+    rows_m, rows_radpm = np.zeros((MAX_CANDIDATES, MAX_SEGMENTS)), np.zeros((MAX_CANDIDATES, MAX_SEGMENTS))
+    time, total = np.empty(MAX_CANDIDATES), 0
+    row = np.empty(MAX_SEGMENTS)
+    for factor in factors:
+        radius = factor * radius_m
+        for out in outs:
+            for up in ups:
+                count = _words_between(start, goal, out, up, radius, has_reverse, lengths, sides)
+                for k in range(count):
+                    needed = _time(lengths[k], radius, out, up, speeds, row)
+                    if needed < np.inf and total < MAX_CANDIDATES:
+                        rows_m[total], time[total] = row, needed
+                        rows_radpm[total, 0] = rows_radpm[total, MAX_SEGMENTS - 1] = 0.0
+                        for n in range(SEGMENTS):
+                            rows_radpm[total, n + 1] = sides[k, n] / radius
+                        total += 1
+    order = np.argsort(time[:total], kind="mergesort")
+    slim = boxes_m.copy()
+    slim[:, 0] += COARSE_SLACK_M
+    slim[:, 1:] -= COARSE_SLACK_M
+    for n in range(min(limit, total)):
+        k = order[n]
+        count = trace(rows_m[k], rows_radpm[k], start, ramp_m, COARSE_M, poses)
+        if count == 0 or not _is_free(poses, count, slim, edges_m, west_m, south_m, columns, rows, first, items):
+            continue
+        if not solve(rows_m[k], rows_radpm[k], start, goal, ramp_m, STEP_M, poses):
+            continue
+        count = trace(rows_m[k], rows_radpm[k], start, ramp_m, STEP_M, poses)
+        if count > 0 and _is_free(poses, count, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
+            return count, time[k]
+    return 0, np.inf
+
+
+@kernel
+def _is_free(
+    poses: Float64, count: int, boxes_m: Float64, edges_m: Float64, west_m: float, south_m: float, columns: int,
+    rows: int, first: Int32, items: Int32,
+) -> bool:  # fmt: skip
+    for k in range(count):
+        if is_touching(
+            poses[k, 0], poses[k, 1], poses[k, 2], boxes_m, edges_m, west_m, south_m, columns, rows, first, items
+        ):
+            return False
+    return True
