@@ -185,7 +185,7 @@ def run(model: Path, data: Path) -> bool:
     config = configured()
     # AP needs the complete curve, with candidates far below the configured score
     detector = load_detector(model, config.model_copy(update={"min_score": CURVE_FROM}))
-    print(f"{model.name}: {type(detector.network).__name__}, {detector.size_px[1]} x {detector.size_px[0]}")
+    print(f"{model.name}: {type(detector.network).__name__}, {detector.model.size_px[1]} x {detector.model.size_px[0]}")
     people, samples = list(pennfudan(data / "pennfudan")), list(coco128(data / "coco128"))
     found, ms = detect_all(people, detector)
     print(f"pennfudan, {len(people)} images, {ms:.1f} ms each")

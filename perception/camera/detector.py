@@ -1,7 +1,7 @@
 """Object detector from an ONNX file; the network family is recognized by its outputs.
 
-image 1280 x 720 ──► tiles by aspect ratio ──► letterbox to the input ──► network ──► candidates
-                       ┌───────┬─┬───────┐     (scaled, top left, rest grey)               in the image
+image 1280 x 720 ──► tiles by aspect ratio ──► fitted to the input ──► network ──► candidates
+                       ┌───────┬─┬───────┐     (letterbox or stretched) in the image
                        │   1   │ │   2   │
                        └───────┴─┴───────┘
 """
@@ -9,7 +9,6 @@ image 1280 x 720 ──► tiles by aspect ratio ──► letterbox to the inpu
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -20,7 +19,9 @@ from geometry.arrays import Float32, UInt8
 from messages.errors import ConfigError
 from perception.camera.boxes import Candidates, area, intersection
 from perception.camera.classes import COCO
-from perception.camera.networks import Network, recognize
+from perception.camera.model import Model, open_model, trial
+from perception.camera.networks import recognize
+from perception.camera.networks.network import Network
 
 PADDING = 114  # grey level beside the image, as in training (YOLOX data_augment.py, preproc)
 
@@ -28,7 +29,10 @@ PADDING = 114  # grey level beside the image, as in training (YOLOX data_augment
 class DetectorConfig(Config):
     """Model file and selection of a network's candidates."""
 
-    model: str | None = Field(default=None, description="ONNX file; without one the camera has no detection range")
+    model: str | None = Field(
+        default=None,
+        description="name in configs/models.yaml, or ONNX file from the repository root; none: nothing is detected",
+    )
     min_score: float = Field(gt=0.0, lt=1.0)
     max_iou: float = Field(gt=0.0, lt=1.0, description="boxes of a class that overlap more are one object")
     max_tile_ratio: float = Field(
@@ -39,22 +43,13 @@ class DetectorConfig(Config):
     )
 
 
-class Session(Protocol):
-    """Used part of the interface of onnxruntime's session."""
-
-    def run(self, output_names: None, feed: dict[str, Float32]) -> list[Float32]: ...
-
-
 @dataclass(frozen=True)
 class Detector:
-    """Loaded and recognized model; `size_px` is height and width of its input."""
+    """Loaded and recognized model."""
 
-    session: Session
-    input_name: str
+    model: Model
     network: Network
-    size_px: tuple[int, int]
     config: DetectorConfig
-    model: str
 
     def detect(self, bgr: UInt8) -> Candidates:
         """Candidates of at least `min_score` in an image (H, W, 3), in its pixels."""
@@ -63,10 +58,11 @@ class Detector:
         return join_tiles(found, tiles, bgr.shape[1])
 
     def _detect_in(self, bgr: UInt8, left: int, right: int) -> Candidates:
-        blob, scale = letterbox(bgr[:, left:right], self.size_px, self.network)
-        candidates = self.network.decode(self.session.run(None, {self.input_name: blob}))
+        canvas, scale = fit(bgr[:, left:right], self.model.size_px, self.network.is_stretched)
+        planes = np.ascontiguousarray(canvas.transpose(2, 0, 1)).astype(np.float32)
+        candidates = self.network.decode(self.model.run(self.network.prepare(planes)))
         good = candidates.scores.max(axis=1) >= self.config.min_score
-        corners = candidates.corners_px[good] / scale
+        corners = candidates.corners_px[good] / np.tile(scale, 2)
         limits = np.array([right - left, bgr.shape[0]] * 2, np.float32)
         corners = np.clip(corners, 0.0, limits) + np.array([left, 0, left, 0], np.float32)
         return Candidates(corners.astype(np.float32), candidates.scores[good])
@@ -96,68 +92,33 @@ def join_tiles(found: list[Candidates], tiles: list[tuple[int, int]], width: int
     return Candidates(np.concatenate([c.corners_px for c in kept]), np.concatenate([c.scores for c in kept]))
 
 
-def letterbox(bgr: UInt8, size_px: tuple[int, int], network: Network) -> tuple[Float32, float]:
-    """Network input (1, 3, H, W) with the image at its top left, and input pixels per image pixel."""
+def fit(bgr: UInt8, size_px: tuple[int, int], is_stretched: bool) -> tuple[UInt8, Float32]:
+    """Image (H, W, 3) of the input's size, and input pixels per image pixel (2,) in x and y.
+
+    Stretched: scaled in each direction. Otherwise in one ratio, at the top left, the rest grey.
+    """
+    ratio = np.array([size_px[1] / bgr.shape[1], size_px[0] / bgr.shape[0]], np.float32)
+    if is_stretched:
+        return np.asarray(cv2.resize(bgr, size_px[::-1], interpolation=cv2.INTER_LINEAR), np.uint8), ratio
     scale = min(size_px[0] / bgr.shape[0], size_px[1] / bgr.shape[1])
     width, height = max(1, int(bgr.shape[1] * scale)), max(1, int(bgr.shape[0] * scale))
     canvas = np.full((*size_px, 3), PADDING, np.uint8)
     canvas[:height, :width] = cv2.resize(bgr, (width, height), interpolation=cv2.INTER_LINEAR)
-    planes = np.ascontiguousarray(canvas.transpose(2, 0, 1)).astype(np.float32)
-    return network.prepare(planes)[None], scale
+    return canvas, np.full(2, scale, np.float32)
 
 
 def load_detector(path: Path, config: DetectorConfig) -> Detector:
     """Detector in an ONNX file; raises ConfigError with the file and its outputs when it is not supported."""
-    session = _open(path)
-    inputs = session.get_inputs()
-    size = _input_size(inputs[0].shape, config.input_px) if len(inputs) == 1 else None
-    given = ", ".join(f"{o.name} {list(o.shape)}" for o in session.get_outputs())
-    if size is None or inputs[0].type != "tensor(float)":
-        taken = ", ".join(f"{i.name} {list(i.shape)} {i.type}" for i in inputs)
-        raise ConfigError(f"{path}: takes {taken}, not one float image (1, 3, H, W); its outputs are {given}")
-    name = inputs[0].name
-    # trial run: true shapes, also where the file leaves them open, and warm-up
-    outputs = _try(path, session, name, size)
-    names = [o.name for o in session.get_outputs()]
-    network = recognize(dict(zip(names, outputs, strict=True)), *size)
+    model = open_model(path, config.input_px)
+    height, width = model.size_px
+    network = recognize(trial(path, model), height, width)
     if network is None:
         raise ConfigError(
-            f"{path}: its outputs {given} are neither those of YOLOX nor of NanoDet for {size[1]} x {size[0]}"
+            f"{path}: its outputs {model.outputs()} are those of none of YOLOX, NanoDet, PicoDet and RT-DETR for "
+            f"{width} x {height}"
         )
     if network.classes != len(COCO):
-        raise ConfigError(f"{path}: its outputs {given} have {network.classes} classes, not COCO's {len(COCO)}")
-    return Detector(session, name, network, size, config, path.name)
-
-
-def _open(path: Path) -> Any:
-    import onnxruntime  # late import: heavy, and needed only with a model
-
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such model file")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 3  # NanoDet's file causes 300 lines of warnings
-    try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime raises a separate class per cause
-        raise ConfigError(f"{path}: not a model that onnxruntime can load ({_first_line(error)})") from error
-
-
-def _try(path: Path, session: Session, name: str, size: tuple[int, int]) -> list[Float32]:
-    try:
-        return session.run(None, {name: np.zeros((1, 3, *size), np.float32)})
-    except Exception as error:  # as above
-        raise ConfigError(f"{path}: cannot run on an image of {size[1]} x {size[0]} ({_first_line(error)})") from error
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0][:200] if str(error) else type(error).__name__
-
-
-def _input_size(shape: list[int | str | None], open_px: int) -> tuple[int, int] | None:
-    if len(shape) != 4 or shape[1] != 3 or (shape[0] not in (1, None) and not isinstance(shape[0], str)):
-        return None
-    height, width = (n if isinstance(n, int) and n > 0 else open_px for n in shape[2:])
-    return height, width
+        raise ConfigError(
+            f"{path}: its outputs {model.outputs()} have {network.classes} classes, not COCO's {len(COCO)}"
+        )
+    return Detector(model, network, config)

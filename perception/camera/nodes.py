@@ -1,8 +1,6 @@
 """Nodes of the cameras of a vehicle."""
 
-from pathlib import Path
-
-from configs.strict import CONFIGS
+from configs.known_models import model_path
 from configs.vehicle import Implement, Vehicle
 from messages.node import Node
 from perception.camera.detector import Detector, DetectorConfig, load_detector
@@ -21,5 +19,5 @@ def make_nodes(vehicle: Vehicle, implement: Implement | None, config: CameraConf
 
 
 def detector_of(config: DetectorConfig) -> Detector | None:
-    """Detector of the configured model, None without a model; relative paths start at the repository root."""
-    return load_detector(CONFIGS.parent / Path(config.model), config) if config.model else None
+    """Detector of the configured model, None without a model; raises ConfigError."""
+    return load_detector(model_path(config.model), config) if config.model else None

@@ -46,6 +46,17 @@ def file(text: str) -> Path:
     return path
 
 
+def model(text: str) -> Path:
+    """Type of a detector model: a known name whose file is in the cache, or an existing file."""
+    from configs.known_models import known_models, model_path
+    from messages.errors import HeadlandError
+
+    try:
+        return model_path(text) if text in known_models().models else file(text)
+    except HeadlandError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
 def file_name(text: str) -> str:
     """Type of the name of an existing file."""
     return str(file(text))

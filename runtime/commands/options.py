@@ -8,7 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from runtime.commands.argument_types import existing, file, file_name, folder, names_of, new_file, number, regex, whole
+from runtime.commands.argument_types import (
+    existing,
+    file,
+    file_name,
+    folder,
+    model,
+    names_of,
+    new_file,
+    number,
+    regex,
+    whole,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,7 +51,10 @@ SECONDS, POSITIVE_SECONDS = number(0.0, 1e6, " s"), number(0.001, 1e6, " s")
 JSON = _option("--json", action="store_true", help="print the result as one JSON object on standard output")
 SEED = _option("--seed", type=whole(0, 2**32 - 1), default=1, help="seed of all random draws (default 1)")
 DURATION = _option("--duration", type=POSITIVE_SECONDS, metavar="S", help="end after this many seconds")
-MODEL = _option("--model", type=file, metavar="FILE", help="ONNX file of the camera detector (YOLOX or NanoDet)")
+MODEL = _option(
+    "--model", type=model, metavar="MODEL",
+    help="detector of the cameras: ONNX file (YOLOX, NanoDet, PicoDet or RT-DETR), or a name that `model` downloaded",
+)  # fmt: skip
 TRUTH = _option("--truth", type=existing, metavar="PATH", help="ground truth: KITTI labels or a JSONL sidecar file")
 SCENARIO = _option(
     "--scenario", help="a file, or a name in configs/scenarios (default demo; empty with --field or without field work)"
@@ -157,6 +171,9 @@ COMMANDS = (
         _option("--rate", type=number(0.1, 100.0), default=2.0, metavar="X", help="times real time (default 2)"),
         _option("--quality", type=whole(0, 100), default=65, metavar="Q", help="WebP quality, 0 to 100 (default 65)"),
     )),
+    Command("model", "download a known network of the camera detector", "runtime.commands.model", (
+        _option("name", metavar="NAME", help="a name in configs/models.yaml"), JSON,
+    ), "0 the file is in the cache, 2 it is not, or is damaged"),
     Command("inspect-log", "list the topics, gaps and damage of a log", "runtime.commands.inspect_log", (
         _option("log", type=existing, metavar="LOG"), JSON,
     )),

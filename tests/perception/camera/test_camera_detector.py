@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from messages.errors import ConfigError
 from perception.camera.boxes import Boxes, Candidates, iou, non_max_suppression
 from perception.camera.classes import COCO, class_scores, group_scores
-from perception.camera.detector import DetectorConfig, join_tiles, letterbox, load_detector, split_tiles
-from perception.camera.networks import Nanodet, Yolox, expectation, recognize
+from perception.camera.detector import DetectorConfig, fit, join_tiles, load_detector, split_tiles
+from perception.camera.networks import Nanodet, Yolox, recognize
+from perception.camera.networks.focal import expectation
 from tests.perception.camera.onnx_files import write
 from tests.recordings import DATA, needs, recording
 
@@ -42,7 +43,7 @@ def test_yolox_offset_decoding() -> None:
     network = recognize({"output": raw}, 64, 64)
     assert isinstance(network, Yolox)
     assert not network.is_decoded
-    found = network.decode([raw])
+    found = network.decode({"output": raw})
     np.testing.assert_allclose(found.corners_px[cell], [36 - 16, 24 - 24, 36 + 16, 24 + 24], atol=1e-4)
     assert found.scores[cell, 16] == pytest.approx(0.4)
     assert found.scores.sum() == pytest.approx(0.4)
@@ -57,7 +58,9 @@ def test_yolox_decoded_export() -> None:
     decoded = recognize({"output": pixels}, 64, 64)
     assert isinstance(decoded, Yolox)
     assert decoded.is_decoded
-    np.testing.assert_allclose(decoded.decode([pixels]).corners_px, plain.decode([raw]).corners_px, atol=1e-4)
+    np.testing.assert_allclose(
+        decoded.decode({"output": pixels}).corners_px, plain.decode({"output": raw}).corners_px, atol=1e-4
+    )
 
 
 def test_nanodet_decoding_and_output_order() -> None:
@@ -67,7 +70,7 @@ def test_nanodet_decoding_and_output_order() -> None:
         given_ = {name: outputs[name] for name in order}
         network = recognize(given_, 64, 64)
         assert isinstance(network, Nanodet)
-        corners = network.decode(list(given_.values())).corners_px
+        corners = network.decode(given_).corners_px
         wanted = [23.5 - 16, 23.5 - 32, 23.5 + 48, 23.5 + 64]
         assert np.isclose(corners, wanted, atol=1e-3).all(axis=1).any()
 
@@ -104,7 +107,7 @@ def test_unsupported_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"broken\.onnx: not a model"):
         load_detector(broken, CONFIG)
     other = write(tmp_path / "other.onnx", (1, 3, 64, 64), {"probabilities": np.zeros((1, 1000), np.float32)})
-    with pytest.raises(ConfigError, match=r"other\.onnx: its outputs probabilities \[1, 1000\] are neither"):
+    with pytest.raises(ConfigError, match=r"other\.onnx: its outputs probabilities \[1, 1000\] are those of none"):
         load_detector(other, CONFIG)
     flat = write(tmp_path / "flat.onnx", (1, 10), {"output": np.zeros((1, 10), np.float32)})
     with pytest.raises(ConfigError, match=r"flat\.onnx: takes image \[1, 10\]"):
@@ -119,7 +122,7 @@ def test_input_size_from_file_or_configuration(tmp_path: Path, takes: tuple[int 
     raw = np.full((1, yolox_cells(), 85), 0.0, np.float32)
     raw[0, 70, 4:6] = 1.0
     detector = load_detector(write(tmp_path / "m.onnx", takes, {"output": raw}), CONFIG)
-    assert detector.size_px == (64, 64)
+    assert detector.model.size_px == (64, 64)
     found = detector.detect(np.zeros((128, 128, 3), np.uint8))
     assert found.scores.shape == (1, 80)  # one cell with class person
     # cell 70 is row 1, column 2 of stride 16; the image is twice the input
@@ -127,14 +130,18 @@ def test_input_size_from_file_or_configuration(tmp_path: Path, takes: tuple[int 
 
 
 def test_letterbox_aspect_ratio_and_padding() -> None:
-    network = recognize({"output": np.zeros((1, yolox_cells(), 85), np.float32)}, 64, 64)
-    assert network is not None
-    blob, scale = letterbox(np.full((100, 200, 3), (1, 2, 3), np.uint8), (64, 64), network)
-    assert blob.shape == (1, 3, 64, 64)
-    assert blob.dtype == np.float32
-    assert scale == pytest.approx(0.32)
-    np.testing.assert_array_equal(blob[0, :, 0, 0], [1, 2, 3])  # BGR, not normalized
-    np.testing.assert_array_equal(blob[0, :, 32, 0], [114, 114, 114])
+    canvas, scale = fit(np.full((100, 200, 3), (1, 2, 3), np.uint8), (64, 64), is_stretched=False)
+    assert canvas.shape == (64, 64, 3)
+    np.testing.assert_allclose(scale, 0.32)
+    np.testing.assert_array_equal(canvas[0, 0], [1, 2, 3])
+    np.testing.assert_array_equal(canvas[32, 0], [114, 114, 114])
+
+
+def test_stretched_image() -> None:
+    canvas, scale = fit(np.full((100, 200, 3), (1, 2, 3), np.uint8), (64, 96), is_stretched=True)
+    assert (canvas == [1, 2, 3]).all()
+    assert canvas.shape == (64, 96, 3)
+    np.testing.assert_allclose(scale, [0.48, 0.64])
 
 
 @given(st.integers(16, 4000), st.integers(16, 4000), st.floats(1.0, 4.0))
