@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,9 +40,10 @@ NOT_A_CRASH = (0, 1, 2, 3)
 
 @dataclass(frozen=True)
 class Verb:
-    """A command line; `{top}` is the folder of the inputs, `{out}` what the command writes."""
+    """A command line; `{top}` is the folder of the inputs, `{out}` what the command writes, `main` its main file."""
 
     line: str
+    main: str
     out: str = "out"
 
     def words(self, top: Path, out: Path) -> list[str]:
@@ -51,14 +52,14 @@ class Verb:
 
 
 VERBS = {
-    "run": Verb("run --mission line --duration 5 --out {out}"),
-    "plan": Verb("plan {top}/field.geojson --out {out}"),
-    "live": Verb("live --world simulation --mission line --duration 5 --out {out}"),
-    "shadow": Verb(f"shadow --bus loopback:{GROUP}:42999 --duration 3 --out {{out}}"),
-    "validate": Verb("validate {top}/drive/log.mcap --out {out}"),
-    "campaign": Verb("campaign hazards --only ^adult_before_wing-1$ --jobs 1 --out {out}"),
-    "import": Verb("import {top}/drive/log.mcap --out {out}", "out.mcap"),
-    "animate": Verb("animate {top}/drive/log.mcap --duration 4 --out {out}", "out.webp"),
+    "run": Verb("run --mission line --duration 5 --out {out}", "log.mcap"),
+    "plan": Verb("plan {top}/field.geojson --out {out}", "plan.png"),
+    "live": Verb("live --world simulation --mission line --duration 3 --out {out}", "log.mcap"),
+    "shadow": Verb(f"shadow --bus loopback:{GROUP}:42999 --duration 2 --out {{out}}", "log.mcap"),
+    "validate": Verb("validate {top}/drive/log.mcap --out {out}", "replay.mcap"),
+    "campaign": Verb("campaign hazards --only ^adult_before_wing-1$ --jobs 1 --out {out}", "log.mcap"),
+    "import": Verb("import {top}/drive/log.mcap --out {out}", "out.mcap*", "out.mcap"),
+    "animate": Verb("animate {top}/drive/log.mcap --duration 4 --out {out}", "out.webp*", "out.webp"),
 }
 
 
@@ -124,7 +125,19 @@ def one_trial(name: str, top: Path, moment: float, trial: int, is_full_disk: boo
     if is_full_disk:
         with disk(top / f"disk-{name}") as folder:
             return {"after_s": after_s, "failure": fill(name, top, folder, after_s)}
+
+    def wait(process: subprocess.Popen[str], folder: Path) -> None:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(after_s)
+
     folder = top / name / str(trial // COMPLETE_EVERY)
+    return {"after_s": after_s, "failure": kill(name, top, folder, wait, trial % COMPLETE_EVERY == COMPLETE_EVERY - 1)}
+
+
+def kill(
+    name: str, top: Path, folder: Path, wait: Callable[[subprocess.Popen[str], Path], None], is_run_again: bool
+) -> str:
+    """Runs a verb in `folder` and kills it when `wait` returns; what failed ("" for nothing)."""
     out = folder / VERBS[name].out
     if not folder.is_dir():
         folder.mkdir(parents=True)
@@ -132,8 +145,7 @@ def one_trial(name: str, top: Path, moment: float, trial: int, is_full_disk: boo
         (folder / "out.1.png").write_text("mine")
     before = users_files(folder, out)
     process = start(VERBS[name].words(top, out), folder)
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(after_s)
+    wait(process, folder)
     was_over = process.poll() is not None
     process.kill()
     text = process.communicate()[1]
@@ -141,13 +153,13 @@ def one_trial(name: str, top: Path, moment: float, trial: int, is_full_disk: boo
     failures += remaining(process.pid) + changed(before, folder) + unreadable(folder)
     if name != "validate" and (out / "manifest.json").is_file():  # validate accepts only its own files
         (out / "notes.txt").write_text("mine")
-    if trial % COMPLETE_EVERY == COMPLETE_EVERY - 1:
+    if is_run_again:
         again = start(VERBS[name].words(top, out), folder)
         text = again.communicate(timeout=WAIT_S)[1]
         is_done = again.returncode in (0, 1, 3) or "is complete" in text or "exists and is not overwritten" in text
         failures += [] if is_done else [f"again: ended with {again.returncode}: {text[-300:]}"]
         failures += changed(before, folder) + unreadable(folder)
-    return {"after_s": after_s, "failure": "; ".join(failures)}
+    return "; ".join(failures)
 
 
 def start(words: list[str], folder: Path) -> subprocess.Popen[str]:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pyarrow.parquet as parquet
 import pytest
 
+from benchmarks.kills import VERBS, kill
 from configs.mission import Mission
 from configs.strict import find, load, parse, read_yaml
 from messages.errors import ConfigError, HeadlandError
@@ -13,6 +14,7 @@ from runtime.hazards import campaign
 from runtime.hazards.cases import CORE, FILE, HazardList, drives_of, load_list, scenario_of, with_plant
 from runtime.hazards.pairwise import pairs_of, possible_pairs, rows_of
 from simulation.scenario import Scenario
+from tests.runtime.written_file import after_file
 
 HAZARDS = load_list()
 
@@ -114,23 +116,27 @@ def test_unknown_name_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_named_contact_is_reported_and_not_driven_again(tmp_path, capsys):
+def test_named_contact_is_reported_after_a_kill_and_not_driven_again(tmp_path, capsys):
     """Adult before the wing at the start: contact with the lowering or moving harrow at walking speed."""
-    arguments = options(tmp_path, only="^adult_before_wing-1$")
+    arguments = options(tmp_path / "campaign" / "out", only="^adult_before_wing-1$")
+    wait = after_file(VERBS["campaign"].main, 0.5)
+    assert kill("campaign", tmp_path, tmp_path / "campaign", wait, is_run_again=False) == ""
     assert campaign.main(arguments) == 1
     result = json.loads(capsys.readouterr().out)
     assert (result["drives"], result["contacts"], result["avoidable_contacts"]) == (1, 1, 1)
     assert (result["unavoidable_share"], result["unavoidable"]) == (0.0, [])
-    (row,) = parquet.read_table(tmp_path / "objects.parquet").to_pylist()
+    (row,) = parquet.read_table(arguments.out / "objects.parquet").to_pylist()
     assert row["is_contact"]
     assert row["is_promised"]
     assert row["part"] in ("implement", "wing_left")
     assert row["impact_mps"] < 1.0
-    summary = (tmp_path / "summary.md").read_text()
+    summary = (arguments.out / "summary.md").read_text()
     assert summary.startswith("drives 1, contacts 1, avoidable contacts 1, ")
     assert "- adult_before_wing-1: " in summary
-    page = (tmp_path / "table.html").read_text()
+    page = (arguments.out / "table.html").read_text()
     assert "./headland run --mission line" in page
     assert "data:image/png" in page
+    assert (tmp_path / "campaign" / "mine.txt").read_text() == "mine"
+    assert (arguments.out / "notes.txt").read_text() == "mine"
     assert campaign.main(arguments) == 1
     assert "1 of 1 driven before" in capsys.readouterr().err
