@@ -4,7 +4,7 @@ from interfaces.gateway import CanBus, Gateway
 from messages.node import Node
 from runtime.ablation import REMAINING_RULES, ReportedAblation
 from runtime.executor import FAULT_TOPIC
-from runtime.setup import Setup
+from runtime.setup import Setup, sensors_without_detector
 from safety.rules import RULES
 from safety.supervisor import Supervisor
 from safety.zones.geofence import geofence_of
@@ -29,9 +29,3 @@ def safety_nodes(setup: Setup, bus: CanBus, is_ablation: bool) -> list[Node]:
         ReportedAblation(supervisor) if is_ablation else supervisor,
         Gateway(bus, setup.vehicle, setup.stack.interfaces.gateway),
     ]
-
-
-def sensors_without_detector(setup: Setup) -> frozenset[str]:
-    """Labels (`camera_front`) of the cameras if there is no detector model; the supervisor does not require these."""
-    has_model = setup.stack.perception.camera.detector.model is not None
-    return frozenset() if has_model else frozenset(f"camera_{name}" for name in setup.vehicle.sensors.camera)

@@ -94,6 +94,18 @@ def with_model(setup: Setup, model: Path | None) -> Setup:
     return replace(setup, stack=with_detector(setup.stack, model))
 
 
+def start_notes(setup: Setup) -> tuple[str, ...]:
+    """Lines of the console at the start of a drive: cameras that detect nothing."""
+    idle = ", ".join(sorted(sensors_without_detector(setup)))
+    return (f"without a detector model nothing is detected by {idle} (./headland model --help)",) if idle else ()
+
+
+def sensors_without_detector(setup: Setup) -> frozenset[str]:
+    """Labels (`camera_front`) of the cameras if there is no detector model; the supervisor does not require these."""
+    has_model = setup.stack.perception.camera.detector.model is not None
+    return frozenset() if has_model else frozenset(f"camera_{name}" for name in setup.vehicle.sensors.camera)
+
+
 def start_pose(mission: Mission, site: Site, seed: int) -> tuple[PoseConfig, bool]:
     """Initial pose in map and whether the implement is folded: drawn by seed, docked, or the site's start."""
     if mission.start is not None:

@@ -19,7 +19,7 @@ from runtime.commands.progress import Progress
 from runtime.executor import Executor
 from runtime.interruption import Interruption
 from runtime.run_folder import RunFolder, resolved, versions
-from runtime.setup import Setup
+from runtime.setup import Setup, start_notes
 from simulation.scenario import Scenario
 from simulation.world import SimulationWorld
 from validation.drive.detections import Detections, DetectionSample, range_rows, share_rows
@@ -130,7 +130,7 @@ def drive_into_log(
         with LogWriter(folder / "log.mcap", metadata, setup.stack.datasets.log, setup.viewer(), rotates=True) as log:
             if isinstance(world, SimulationWorld):
                 log.add_metadata("shapes", {"json": world.shapes_text()})
-            sinks = (log.write, Progress((console, file)), end)
+            sinks = (log.write, Progress((console, file), start_notes(setup)), end)
             Executor(world, nodes, sinks if faults is None else (*sinks, faults), faults).run(
                 lambda: end.is_reached() or (interruption is not None and interruption.is_requested)
             )

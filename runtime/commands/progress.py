@@ -16,10 +16,10 @@ FIRST_DATA_S = 1.0  # within which every part has sent
 class Progress:
     """Sink that prints a line every ten simulated seconds and at each change of mode or fault, with its reason.
 
-    A stream that cannot be written any more is left out.
+    `notes` are printed at once. A stream that cannot be written any more is left out.
     """
 
-    def __init__(self, streams: tuple[TextIO, ...]) -> None:
+    def __init__(self, streams: tuple[TextIO, ...], notes: tuple[str, ...] = ()) -> None:
         self._streams = list(streams)
         self._start_ns: int | None = None
         self._wall_s = time.monotonic()
@@ -29,6 +29,8 @@ class Progress:
         self._status: MissionStatus | None = None
         self._texts: dict[str, str] = {}  # newest words of each rule code
         self._reported: set[str] = set()  # active faults of the parts; the supervisor repeats them as its alarms
+        for text in notes:
+            self._print(0.0, text)
 
     def __call__(self, envelope: Envelope) -> None:
         """Processes a message."""

@@ -33,8 +33,7 @@ from runtime.fault_injection.situations import SITUATIONS, DriveMonitor
 from runtime.fault_injection.table import write_tables
 from runtime.processes import begin_worker
 from runtime.run_folder import RunFolder, named_errors
-from runtime.safety_nodes import sensors_without_detector
-from runtime.setup import Setup, load_setup
+from runtime.setup import Setup, load_setup, sensors_without_detector
 from safety.monitors.sensors import monitored_sensors
 from simulation.faults.config import FaultsConfig, InjectedFault, fault_kinds_of
 from simulation.faults.injection import FaultInjection

@@ -34,7 +34,7 @@ from runtime.live.process import Start, run_process, started_at
 from runtime.live.ring import RingReader, make_ring
 from runtime.live.serialization import unpack
 from runtime.run_folder import RunFolder, resolved, versions
-from runtime.setup import Setup, load_scenario, load_setup
+from runtime.setup import Setup, load_scenario, load_setup, start_notes
 from simulation.scenario import Scenario
 
 TOPICS = (
@@ -107,7 +107,8 @@ def drive(
         try:
             _start(processes, barrier, zero, config)
             with folder.file("console.log").open("w") as file:
-                monitored = _Drive(processes, rings, setup.plan.length_m, Progress((sys.stderr, file)))
+                progress = Progress((sys.stderr, file), start_notes(setup))
+                monitored = _Drive(processes, rings, setup.plan.length_m, progress)
                 result = monitored.run(
                     kill, duration_s, lambda: 0 < reaction_trials <= len(_reaction_rows(folder.path))
                     or (interruption is not None and interruption.is_requested),

@@ -3,6 +3,7 @@
 import argparse
 import hashlib
 import http.server
+import io
 import json
 import os
 import resource
@@ -21,7 +22,9 @@ from perception.camera.detector import DetectorConfig
 from perception.camera.nodes import detector_of
 from runtime.commands import model as command
 from runtime.commands.options import make_parser
+from runtime.commands.progress import Progress
 from runtime.download import download
+from runtime.setup import load_setup, start_notes, with_model
 from tests.recordings import DATA, needs
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -261,6 +264,15 @@ def test_run_uses_the_cached_model(cache: Path) -> None:
     assert detector is not None
     assert detector.model.size_px == (416, 416)
     assert detector_of(config.model_copy(update={"model": None})) is None
+
+
+@needs("onnx-detectors")
+def test_start_without_a_model() -> None:
+    setup, console = load_setup("line", None, None, None, 1), io.StringIO()
+    Progress((console,), start_notes(setup))
+    words = "without a detector model nothing is detected by camera_front (./headland model --help)"
+    assert console.getvalue() == f"    0.0 s  {words}\n"
+    assert start_notes(with_model(setup, YOLOX)) == ()
 
 
 @needs("onnx-detectors")
