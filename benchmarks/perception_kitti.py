@@ -22,6 +22,7 @@ from benchmarks.perception_kitti_data import FRAMES, Label, detections, frame, h
 from benchmarks.perception_pasting import paste_trials
 from benchmarks.perception_scoring import (
     Drive,
+    classes,
     drive,
     false_stops,
     gap_errors,
@@ -88,6 +89,17 @@ def show_drives() -> None:
             )
             wrong = {track for _, track, _ in false_stops(run)}
             print_row(f"{name}, {10 / step:g} Hz: false stops", str(len(wrong)), "0")
+            if change is changes["as recorded"]:
+                show_classes(run, f"{10 / step:g} Hz")
+
+
+def show_classes(run: Drive, rate: str) -> None:
+    """Class of the confirmed tracks on labelled objects; a cyclist is a person."""
+    found = classes(run)
+    for name, right, bar in (("Pedestrian", "person", 90), ("Cyclist", "person", 90), ("Van", "vehicle", 95)):
+        n = sum(count for (label, _), count in found.items() if label == name)
+        good = found[name, right]
+        print_row(f"{name} as {right}, {rate}", f"{good} of {n}, {100 * good / max(n, 1):.0f} %", f">= {bar} %")
 
 
 def _could_be_confirmed(run: Drive, object_id: int, first: int, step: int) -> bool:

@@ -1,6 +1,7 @@
 """Evaluation of obstacles against labels: strict rule, inserted objects, gaps, latencies and false stops."""
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -27,7 +28,7 @@ from geometry.arrays import Float32, Float64
 from geometry.transforms import invert
 from messages.message import Message
 from messages.motion import Odometry
-from messages.perception import LidarGround, Obstacles, Tracks
+from messages.perception import LidarGround, Obstacles, Track, Tracks
 from perception.fusion.tracker import Tracker
 from perception.lidar.obstacles import LidarObstacles
 
@@ -220,10 +221,29 @@ def latencies(run: Drive) -> dict[int, tuple[int, float]]:
     return {k: found.get(k, (f, np.inf)) for k, f in first.items()}
 
 
+def classes(run: Drive) -> Counter[tuple[str, str]]:
+    """Number of tracked objects with ten returns, over all scans, by the name of their label and the track's class."""
+    found: Counter[tuple[str, str]] = Counter()
+    for number, result, tracks in zip(run.numbers, run.results, run.tracks, strict=True):
+        for label in labels().get(number, ()):
+            if label.contains(result.points_m).sum() >= 10 and (own := _tracks_of(tracks, label, poses()[number])):
+                found[label.name, own[0].label.value] += 1
+    return found
+
+
 def _is_tracked(tracks: Tracks, label: Label, T_odom_base: Float64) -> bool:
+    return len(_tracks_of(tracks, label, T_odom_base)) > 0
+
+
+def _tracks_of(tracks: Tracks, label: Label, T_odom_base: Float64) -> list[Track]:
+    """Confirmed tracks in a label's box enlarged by 0.5 m, the nearest to its centre first."""
     T = invert(T_odom_base)
-    at = [(T @ [*t.p_odom_m, 1.0])[:3] - LIDAR_XYZ_M for t in tracks.tracks if t.is_confirmed]
-    return len(at) > 0 and bool(label.contains(np.array(at, np.float32), 0.5).any())
+    own = []
+    for track in tracks.tracks:
+        at = (T @ [*track.p_odom_m, 1.0])[:3] - LIDAR_XYZ_M
+        if track.is_confirmed and label.contains(np.array([at], np.float32), 0.5).any():
+            own.append((float(np.hypot(*(label.T_box_lidar @ [*at, 1.0])[:2])), track))
+    return [track for _, track in sorted(own, key=lambda pair: pair[0])]
 
 
 def false_stops(run: Drive, half_width_m: float = HALF_WIDTH_M) -> list[tuple[int, int, float]]:

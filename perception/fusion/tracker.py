@@ -9,13 +9,13 @@ from messages.motion import Odometry
 from messages.node import All, At, Inbox, Node, On, Output
 from messages.perception import Obstacles, Track, Tracks
 from messages.topics import spec_of
+from perception.fusion.classes import classify
 from perception.fusion.detections import to_odom
 from perception.fusion.static_occupancy import StaticOccupancy
 from perception.fusion.tracks import (
     CLASSES,
     TrackerConfig,
     active_rows,
-    classify,
     confirm,
     drop_fragments,
     empty_table,

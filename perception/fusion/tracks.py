@@ -19,13 +19,6 @@ MOVING_CLASSES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, O
 UNKNOWN, POLE = CLASSES.index(ObstacleClass.UNKNOWN), CLASSES.index(ObstacleClass.POLE)
 SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
 GATED_COST = 1e9
-CLASS_SPEEDS_MPS = {
-    ObstacleClass.PERSON: 4.0,
-    ObstacleClass.POLE: 0.7,
-    ObstacleClass.MOUND: 0.7,
-    ObstacleClass.DITCH: 0.7,
-}
-MAX_SPEED_MPS = np.array([CLASS_SPEEDS_MPS.get(label, np.inf) for label in CLASSES])
 
 
 class TrackerConfig(Config):
@@ -267,18 +260,3 @@ def is_upright(size_m: Float64, label: Int64) -> Bool:
     """Which tracks (T,) are posts or wall edges: the edge of a wall seen end-on moves along the wall with the view."""
     is_slender = (label == POLE) | (label == UNKNOWN) & (size_m[:, 0] <= SLENDER_M)
     return np.asarray(is_slender & (size_m[:, 2] > PERSON_HEIGHT_M))
-
-
-def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
-    """Index in `CLASSES` and probability (T,) of the most likely class, from shape over time and speed."""
-    speed = np.hypot(velocity_mps[:, 0], velocity_mps[:, 1])
-    log = (
-        table.class_evidence - table.class_evidence.max(axis=1, keepdims=True, initial=-np.inf)
-        if len(speed)
-        else table.class_evidence
-    )
-    share = np.exp(log)
-    share *= np.where(speed[:, None] > MAX_SPEED_MPS, 0.01, 1.0)
-    share /= share.sum(axis=1, keepdims=True)
-    best = share.argmax(axis=1).astype(np.int64)
-    return best, share[np.arange(len(best)), best]

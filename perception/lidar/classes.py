@@ -23,10 +23,11 @@ def class_scores(size_m: Float64, top_m: Float64) -> Float64:
     scores = np.zeros((len(size_m), len(CLASSES)))
     scores[:, 0] = UNKNOWN_WEIGHT
     for label, (height, length, width) in SHAPES.items():
-        fit = _trapezoid(top_m, *height) * _trapezoid(size_m[:, 0], *length) * _trapezoid(size_m[:, 1], *width)
+        fit = trapezoid(top_m, *height) * trapezoid(size_m[:, 0], *length) * trapezoid(size_m[:, 1], *width)
         scores[:, CLASSES.index(label)] = fit
     return np.asarray(scores / scores.sum(axis=1, keepdims=True), np.float64)
 
 
-def _trapezoid(x: Float64, a: float, b: float, c: float, d: float) -> Float64:
+def trapezoid(x: Float64, a: float, b: float, c: float, d: float) -> Float64:
+    """Zero up to `a`, rising to one at `b`, one up to `c`, falling to zero at `d`."""
     return np.clip(np.minimum((x - a) / (b - a), (d - x) / (d - c)), 0.0, 1.0)

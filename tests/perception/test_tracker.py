@@ -11,6 +11,7 @@ from geometry.transforms import planar
 from messages.perception import ObstacleClass, Obstacles
 from perception.fusion.kalman import box_noise, correct, distances, predict
 from perception.fusion.tracker import Tracker
+from perception.lidar.classes import class_scores
 from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
 START = 5_000_000_000
@@ -236,6 +237,28 @@ def test_class_by_shape_and_speed():
     published = run(new_tracker(), [message(t, [[12.0, 1.0, 0.9]], seed=t) for t in stamps(10, 1.0)])
     assert published[-1].tracks[0].label is ObstacleClass.PERSON
     assert published[-1].tracks[0].confidence > 0.9
+
+
+@pytest.mark.parametrize(
+    ("size_m", "speed_mps", "is_person"),
+    [
+        ((1.75, 0.75, 1.7), 4.7, True), ((1.65, 0.6, 1.6), 3.0, True), ((1.9, 0.8, 1.8), 8.0, True),
+        ((1.75, 0.75, 1.7), 0.0, False),  # a shrub, a parked bicycle
+        ((1.75, 0.75, 1.7), 1.0, False),  # a shrub whose visible part changes
+        ((1.2, 0.5, 1.0), 6.0, False),  # a deer
+        ((4.2, 1.8, 1.5), 5.0, False), ((1.75, 1.6, 1.7), 5.0, False),  # a car, its rear
+        ((1.75, 0.75, 1.7), 16.0, False),  # a motorcycle
+    ],
+)  # fmt: skip
+def test_cyclist_is_a_person(size_m, speed_mps, is_person):
+    scores = class_scores(np.array([size_m]), np.array([size_m[2]]))
+    scans = [
+        replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, 0.9]], sizes=size_m), class_scores=scores)
+        for t in stamps(10, 2.0)
+    ]
+    published = run(new_tracker(LIDAR), scans)
+    (track,) = published[-1].tracks
+    assert (track.label is ObstacleClass.PERSON) == is_person
 
 
 def test_no_output_without_odometry():

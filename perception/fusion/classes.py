@@ -1,0 +1,45 @@
+"""Class of tracks from shape over time and speed; a cyclist, whom no shape of a standing person covers, is a person."""
+
+import numpy as np
+
+from geometry.arrays import Float64, Int64
+from messages.perception import ObstacleClass
+from perception.fusion.tracks import CLASSES, TrackTable
+from perception.lidar.classes import UNKNOWN_WEIGHT, trapezoid
+
+PERSON = CLASSES.index(ObstacleClass.PERSON)
+CLASS_SPEEDS_MPS = {
+    ObstacleClass.PERSON: 4.0,
+    ObstacleClass.POLE: 0.7,
+    ObstacleClass.MOUND: 0.7,
+    ObstacleClass.DITCH: 0.7,
+}
+MAX_SPEED_MPS = np.array([CLASS_SPEEDS_MPS.get(label, np.inf) for label in CLASSES])
+# length, width and height of bicycle and rider (m), and their speed (m/s): zero below, one from, one to, zero above
+CYCLIST = ((1.3, 1.55, 1.95, 2.2), (0.2, 0.4, 0.9, 1.1), (1.2, 1.45, 2.0, 2.3), (1.5, 2.5, 10.0, 14.0))
+
+
+def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
+    """Index in `CLASSES` and probability (T,) of the most likely class."""
+    speed = np.hypot(velocity_mps[:, 0], velocity_mps[:, 1])
+    log = (
+        table.class_evidence - table.class_evidence.max(axis=1, keepdims=True, initial=-np.inf)
+        if len(speed)
+        else table.class_evidence
+    )
+    share = np.exp(log)
+    share *= np.where(speed[:, None] > MAX_SPEED_MPS, 0.01, 1.0)
+    share /= share.sum(axis=1, keepdims=True)
+    cyclist = cyclist_probability(table.size_m, speed)
+    share *= 1.0 - cyclist[:, None]
+    share[:, PERSON] += cyclist
+    best = share.argmax(axis=1).astype(np.int64)
+    return best, share[np.arange(len(best)), best]
+
+
+def cyclist_probability(size_m: Float64, speed_mps: Float64) -> Float64:
+    """Probability (T,) that boxes (T, 3) at these speeds (T,) are cyclists, against an unknown object."""
+    length, width, height, speed = CYCLIST
+    fit = trapezoid(size_m[:, 0], *length) * trapezoid(size_m[:, 1], *width) * trapezoid(size_m[:, 2], *height)
+    fit = fit * trapezoid(speed_mps, *speed)
+    return np.asarray(fit / (fit + UNKNOWN_WEIGHT), np.float64)
