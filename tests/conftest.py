@@ -1,4 +1,4 @@
-"""Counts the tests that were skipped because recordings are absent."""
+"""Order of the tests, garbage collection, and the number of tests that were skipped because recordings are absent."""
 
 import gc
 
@@ -6,6 +6,12 @@ import pytest
 
 import runtime  # noqa: F401  sets the thresholds of the garbage collection
 from tests.recordings import DATA, REASON
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Modules with slow tests come first: at the end no core waits for one of them."""
+    slow = {item.path for item in items if item.get_closest_marker("slow") or "scenarios" in item.path.parts}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 def pytest_collection_finish() -> None:

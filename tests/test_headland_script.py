@@ -175,7 +175,9 @@ def test_checks_before_full_test_run_only(project: Project) -> None:
     code, out, _ = project.run("test", VERB_EXIT="1")
     assert code == 1
     headlines = [line for line in out.splitlines() if line.startswith("== ")]
-    assert headlines[-2:] == ["== pytest, every branch of safety/", "== pytest"]
+    checks = [f"== {name}" for name in ("ruff check", "ruff format --check", "mypy")]
+    failed = [line for name in checks for line in (name, f"{name}: FAILED")]
+    assert headlines == ["== pytest, every branch of safety/", *failed, "== pytest"]
     assert out.count("FAILED") == 3
 
 
