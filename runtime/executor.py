@@ -82,6 +82,10 @@ class Executor:
         start_ns = world.next_ns() or 0
         self.now_ns = start_ns
         self._nodes = [ScheduledNode(node, latency_ns, next_tick_ns=start_ns) for node, latency_ns in nodes]
+        self._triggered_by: dict[str, list[ScheduledNode]] = {}
+        for scheduled in self._nodes:
+            for topic in scheduled.topics:
+                self._triggered_by.setdefault(topic, []).append(scheduled)
         self._bus = Bus([node for node, _ in nodes], sinks)
         self._deliveries: list[tuple[int, int, list[Output]]] = []
         self._delivery_count = 0
@@ -137,9 +141,10 @@ class Executor:
         topics = self._bus.deliver(self.now_ns, outputs)
         if len(self._bus.sink_errors) > failed:
             self._schedule(self.now_ns, [(FAULT_TOPIC, log_fault(self.now_ns, str(self._bus.sink_errors[-1])))])
-        for scheduled in self._nodes:
-            if scheduled.triggered_ns is None and not scheduled.topics.isdisjoint(topics):
-                scheduled.triggered_ns = self.now_ns
+        for topic in topics:
+            for scheduled in self._triggered_by.get(topic, ()):
+                if scheduled.triggered_ns is None:
+                    scheduled.triggered_ns = self.now_ns
 
     def _step(self, scheduled: ScheduledNode) -> None:
         inbox = self._bus.inboxes[scheduled.node.name]
