@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -155,7 +156,11 @@ class Drive:
         return np.array(boxes + others).reshape(-1, 7), labelled
 
     def envelopes(self) -> list[Envelope]:
-        """All messages in order of delivery."""
+        """All messages in order of delivery; shared by drives that differ in the configured mount alone."""
+        return list(_envelopes_of(replace(self, configured=None)))
+
+    def generate(self) -> list[Envelope]:
+        """All messages in order of delivery, anew."""
         rng = np.random.default_rng(self.seed + 1000)
         fixed, standing = self.scene()
         visible = fixed[[k for k in range(len(fixed)) if k not in self.invisible]]
@@ -216,6 +221,11 @@ class Drive:
         for envelope in sorted(early, key=lambda e: e.receive_ns):
             observer(envelope)
         return observer.finish()
+
+
+@lru_cache(maxsize=8)
+def _envelopes_of(drive: Drive) -> tuple[Envelope, ...]:
+    return tuple(drive.generate())
 
 
 def blocking(findings: tuple[Finding, ...]) -> set[str]:
