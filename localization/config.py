@@ -1,8 +1,12 @@
 """Configuration of the localizer."""
 
+import math
+
+import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.arrays import Float64
 from localization.dead_reckoning.dead_reckoning import DeadReckoningConfig
 from localization.dead_reckoning.imu_track import ImuTrackConfig
 from localization.dead_reckoning.initial_alignment import InitialAlignmentConfig
@@ -11,6 +15,7 @@ from localization.dead_reckoning.steering_offset import SteeringOffsetConfig
 from localization.dead_reckoning.wheel_track import WheelConfig
 from localization.dock_prior import DockPriorConfig
 from localization.gnss_gate import GnssConfig
+from localization.gnss_monitor import GnssMonitorConfig
 from localization.graph.smoother import SmootherConfig
 from localization.integrity import IntegrityConfig
 from localization.lidar.lidar_odometry import LidarOdometryConfig
@@ -36,6 +41,7 @@ class MapAlignmentConfig(Config):
     """Section `map_alignment` of localization."""
 
     gnss: GnssConfig
+    gnss_monitor: GnssMonitorConfig
     smoother: SmootherConfig
     initial_alignment: InitialAlignmentConfig
     odometry_spans: OdometrySpansConfig
@@ -46,7 +52,14 @@ class MapAlignmentConfig(Config):
     resume_turn_radps: float = Field(gt=0.0, le=2.0, description="assumed turn rate during a gap")
     resume_speed_ratio: float = Field(gt=0.0, le=2.0, description="assumed error of the speed during a gap")
     max_bridge_s: float = Field(gt=0.0, le=10.0, description="a longer gap while driving loses the position")
+    reset_sigma_m: float = Field(gt=0.0, le=10.0, description="added when a failed graph is reset")
+    reset_sigma_deg: float = Field(gt=0.0, le=20.0)
     realign_s: float = Field(gt=0.0, le=600.0, description="fixes rejected at standstill for longer: restart")
+
+    @property
+    def reset_sigmas(self) -> Float64:
+        """Sigmas (6,) added to the pose at a reset: rotation then translation."""
+        return np.repeat([math.radians(self.reset_sigma_deg), self.reset_sigma_m], 3)
 
 
 class LocalizationConfig(Config):

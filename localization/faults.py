@@ -4,6 +4,7 @@ from messages.fault_reporter import FaultType
 from messages.faults import Response, Severity
 
 STOP = Severity.ALARM, Response.CONTROLLED_STOP
+ALARM = Severity.ALARM, Response.NONE
 WARNING, NOTICE = (Severity.WARNING, Response.NONE), (Severity.NOTICE, Response.NONE)
 
 FAULTS = {
@@ -18,6 +19,9 @@ FAULTS = {
         FaultType("imu_or_wheel.implausible", *STOP, "IMU and wheels contradict", "惯性传感器与车轮数据矛盾"),
         FaultType("gnss.silent", *WARNING, "GNSS: no position", "无卫星定位数据"),
         FaultType("gnss.refused", *WARNING, "GNSS positions rejected", "卫星定位数据被拒绝"),
+        FaultType("gnss.contradicts_velocity", *ALARM, "GNSS contradicts its own velocity", "卫星位置与速度矛盾"),
+        FaultType("gnss.contradicts_odometry", *ALARM, "GNSS contradicts wheels and IMU", "卫星定位与车轮和惯导矛盾"),
+        FaultType("wheel.slipping", *WARNING, "Wheels slip, or GNSS is spoofed", "车轮打滑或卫星信号被欺骗"),
         FaultType("gnss.no_heading", *STOP, "No GNSS heading: start not possible", "无卫星航向:无法启动"),
         FaultType("localization.not_docked", *STOP, "Position at the dock not confirmed", "停靠位置未确认"),
         FaultType("uwb.refused", *WARNING, "UWB ranges rejected", "UWB测距数据被拒绝"),

@@ -70,11 +70,15 @@ class RejectionReason(StrEnum):
     OLD_CORRECTIONS = "corrections too old"
     CONFIRMATION = "first fixes after an outage must agree"
     OUTLIER = "contradicts the prediction"
+    SUSPECTED = "has contradicted what is independent of it, and not yet agreed with it again"
 
 
 @dataclass(frozen=True)
 class Position:
-    """A fix in `map`: `sigma_m` (3,) for one factor, `slow_m` (3,) the slowly varying error."""
+    """A fix in `map`: `sigma_m` (3,) for one factor, `slow_m` (3,) the slowly varying error.
+
+    `velocity_mps` (3,) of the antenna with sigma, NaN when unknown.
+    """
 
     stamp_ns: int
     p_map_m: Float64
@@ -84,6 +88,8 @@ class Position:
     heading_sigma_rad: float
     heading_slow_rad: float
     solution: GnssSolution
+    velocity_mps: Float64
+    velocity_sigma_mps: float
 
 
 def source_of(solution: GnssSolution) -> PositionSource:
@@ -133,7 +139,10 @@ def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) 
     heading = fix.heading_rad if has_heading else math.nan
     share = config.heading_slow_share
     heading_fast, heading_slow = heading_sigma * math.sqrt(1.0 - share**2), heading_sigma * share
-    return Position(fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution)
+    return Position(
+        fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution,
+        fix.velocity_enu_mps, fix.sigma_velocity_mps,
+    )  # fmt: skip
 
 
 def propagate(fix: Position, T_then: Float64, T_now: Float64, arm_m: Float64, T_map_odom: Float64) -> Position:
@@ -162,6 +171,10 @@ class GnssGate:
         """Records an accepted fix."""
         self._trusted, self._accepted_ns = position.solution, position.stamp_ns
 
+    def is_recent(self, stamp_ns: int) -> bool:
+        """Whether a fix was accepted within the outage time."""
+        return self._accepted_ns is not None and stamp_ns - self._accepted_ns <= self._config.outage_s * 1e9
+
     def evaluate(self, position: Position, predicted_m: Float64, covariance: Float64) -> RejectionReason:
         """Tests a fix against the predicted antenna position with its covariance (3, 3)."""
         innovation = position.p_map_m - predicted_m
@@ -182,7 +195,7 @@ class GnssGate:
     def _is_new(self, position: Position) -> bool:
         if self._accepted_ns is None or position.solution > self._trusted:
             return True
-        return position.stamp_ns - self._accepted_ns > self._config.outage_s * 1e9
+        return not self.is_recent(position.stamp_ns)
 
     def _are_consistent(self, sigma_m: Float64, covariance: Float64) -> bool:
         """Whether the spread of the last innovations agrees with their sigmas."""

@@ -1,16 +1,22 @@
 """Integrity: position source, output covariance and protection level."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
 from geometry.arrays import Float64
+from geometry.transforms import invert
 from localization.gnss_gate import Position, source_of
+from localization.gnss_monitor import Finding
+from localization.graph.smoother import State
 from localization.lidar.pose_measurement import PoseMeasurementConfig
 from messages.motion import PositionSource
 
+BY_GNSS = (PositionSource.SINGLE, PositionSource.RTK_FLOAT, PositionSource.RTK_FIXED)
+SIGMAS_95 = 2.45  # of a two-dimensional Gaussian
 Metres = Field(ge=0.0, le=100.0)
 
 
@@ -66,10 +72,29 @@ def output_covariance(
     return 0.5 * (out + out.T)
 
 
-def protection_level(
+def accuracy_and_level(
     covariance: Float64, T_map_base: Float64, source: PositionSource, config: IntegrityConfig
-) -> float:
-    """Horizontal protection level, m: factor times the major semi-axis of the error ellipse, plus the floor."""
+) -> tuple[float, float]:
+    """Horizontal accuracy (95 %) and protection level of the fault-free case, m.
+
+    Both are factors times the major semi-axis of the error ellipse; the level has a floor in addition.
+    """
     R = T_map_base[:3, :3]
     flat = (R @ covariance[3:, 3:] @ R.T)[:2, :2]
-    return config.factor * math.sqrt(max(0.0, float(np.linalg.eigvalsh(flat)[1]))) + config.floor_m(source)
+    sigma_m = math.sqrt(max(0.0, float(np.linalg.eigvalsh(flat)[1])))
+    return SIGMAS_95 * sigma_m, config.factor * sigma_m + config.floor_m(source)
+
+
+def excluded(state: State, T_base_body: Float64, reference_m: Float64, finding: Finding) -> State:
+    """The state without the positions that a finding excludes: base at `reference_m` (2,), calibration of before."""
+    T, covariance, sigmas = state.T_map_body.copy(), state.covariance.copy(), state.sigmas.copy()
+    offset_m = (T @ invert(T_base_body))[:2, 3] - reference_m
+    if float(np.linalg.norm(offset_m)) > finding.separation.sigma_m:  # else the graph has not followed
+        T[:2, 3] -= offset_m
+    added = np.zeros((3, 3))
+    added[:2, :2] = finding.separation.covariance
+    covariance[3:, 3:] += T[:3, :3].T @ added @ T[:3, :3]
+    sigmas[:6] = np.sqrt(np.diag(covariance))
+    sigmas[6:9] = np.maximum(sigmas[6:9], finding.separation.sigma_m / max(finding.separation.age_s, 1.0))
+    sigmas[15:19] = finding.slip_sigma
+    return replace(state, T_map_body=T, covariance=covariance, slip=finding.slip, sigmas=sigmas)

@@ -15,6 +15,7 @@ from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.dock_prior import DockPrior
 from localization.faults import FAULTS
 from localization.gnss_gate import RejectionReason, check, position_of
+from localization.gnss_monitor import ODOMETRY, VELOCITY
 from localization.graph.imu_preintegration import bias_sigmas
 from localization.graph.keyframes import KeyframeBuilder
 from localization.lidar.map_localization import LIDAR_LOCALIZATION
@@ -198,6 +199,9 @@ class Localizer(Node):
         gnss_ns = self._gnss_ns if self._gnss_ns is not None else self._first_ns
         faults.set(FAULTS["gnss.silent"], now_ns - gnss_ns > self._config.gnss_timeout_s * 1e9)
         faults.set(FAULTS["gnss.refused"], alignment.is_rejecting, "contradict the prediction")
+        for code in (VELOCITY, ODOMETRY):
+            faults.set(FAULTS[code], alignment.monitor.suspicion == code, alignment.monitor.detail)
+        faults.set(FAULTS["wheel.slipping"], alignment.monitor.is_slipping)
         faults.set(FAULTS["localization.lost"], self._was_initialized and not alignment.is_initialized)
         # far from the shed few ranges are received, and beside good fixes they are not needed
         is_needed = faults.is_active("gnss.silent") or faults.is_active("gnss.refused")

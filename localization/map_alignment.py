@@ -12,12 +12,15 @@ from localization.config import MapAlignmentConfig
 from localization.dead_reckoning.dead_reckoning import Calibration
 from localization.dock_prior import DockPrior
 from localization.gnss_gate import Position, RejectionReason, propagate
+from localization.gnss_monitor import GnssMonitor
 from localization.graph.keyframes import KeyframeBuilder
 from localization.graph.smoother import SmootherFailure, State
 from localization.integrity import (
+    BY_GNSS,
+    accuracy_and_level,
+    excluded,
     output_covariance,
     position_source,
-    protection_level,
     slow_part,
 )
 from localization.lidar.odometry_spans import OdometrySpans, motion_between
@@ -37,12 +40,14 @@ class MapAlignment:
         self.keyframes = keyframes
         self.odometry_spans = OdometrySpans(config.odometry_spans)
         self.pose_measurements = PoseMeasurements(config.pose_measurement)
+        self.monitor = GnssMonitor(config.gnss_monitor, keyframes.separation(config.gnss_monitor.separation))
         self._queue: deque[Position] = deque()
         self._pending: list[Position] = []
         self._T_map_odom = np.eye(4)
         self._accepted: Position | None = None
         self._accepted_ns = 0
         self._rejected_since_ns: int | None = None
+        self._failed_ns: int | None = None
         self.is_initialized = False
         self.failures: list[str] = []
         self.dock_rejection, self._was_initialized = "", False
@@ -67,6 +72,7 @@ class MapAlignment:
         if position.stamp_ns <= newest:
             self.late += 1
             return
+        self.monitor.add(position)
         self._queue.append(position)
 
     def _newest_ns(self) -> int:
@@ -79,6 +85,7 @@ class MapAlignment:
         self._pending.clear()
         self.odometry_spans.clear()
         self.pose_measurements.clear()
+        self.monitor.clear()
         if self.keyframes.range_gate is not None:
             self.keyframes.range_gate.clear()
         self._rejected_since_ns = None
@@ -88,7 +95,11 @@ class MapAlignment:
 
         The dock is used for the first start only; afterwards the machine may be anywhere.
         """
-        self.is_initialized = (not self._was_initialized and self._start_at_dock()) or self._start_from_gnss()
+        try:
+            self.is_initialized = (not self._was_initialized and self._start_at_dock()) or self._start_from_gnss()
+        except SmootherFailure as failure:
+            self.failures.append(str(failure))
+        self.monitor.clear()
         self._was_initialized |= self.is_initialized
         return self.is_initialized
 
@@ -99,7 +110,8 @@ class MapAlignment:
             return False
         T_base_body = self.keyframes.lever_arms.T_base_body
         T = self._dock_prior.pose(tilt) @ T_base_body
-        sigmas = self._dock_prior.sigmas(math.radians(self._config.initial_alignment.tilt_sigma_deg))
+        tilt_sigma = math.hypot(math.radians(self._config.initial_alignment.tilt_sigma_deg), tilt.sigma_rad)
+        sigmas = self._dock_prior.sigmas(tilt_sigma)
         batch = range_gate.mean_since(still_ns, invert(T_base_body))
         if batch is None:
             self.dock_rejection = "no UWB ranges"
@@ -148,8 +160,7 @@ class MapAlignment:
             state, stamp_ns=self._odometry.stamp_ns, T_map_body=T, velocity_mps=velocity,
             covariance=state.covariance + np.diag(added_sigmas**2), sigmas=sigmas,
         )  # fmt: skip
-        self._align(self.keyframes.restart(resumed))
-        return True
+        return self._restart(resumed)
 
     def _odom_now(self) -> Float64:
         dead_reckoning = self._odometry.dead_reckoning
@@ -183,8 +194,9 @@ class MapAlignment:
         batch = range_gate.take(stamp_ns, odometry.history, T_body_base) if range_gate is not None else None
         try:
             propagated = [self._propagate(fix, stamp_ns) for fix in fixes]
+            used = [] if self.monitor.suspicion else propagated
             reasons = self.keyframes.add(
-                stamp_ns, odometry.track, odometry.wheels, propagated, batch,
+                stamp_ns, odometry.track, odometry.wheels, used, batch,
                 self.pose_measurements.take(stamp_ns, odometry.history), self._needs_ranges(stamp_ns),
             )  # fmt: skip
         except SmootherFailure as failure:
@@ -193,8 +205,29 @@ class MapAlignment:
         state = self.state
         assert state is not None, "a keyframe was added"
         self._align(state)
+        reasons = reasons if used else [RejectionReason.SUSPECTED] * len(fixes)
         for fix, reason in zip(fixes, reasons, strict=True):
             self._count(fix, reason)
+        if before is not None:
+            self._monitor(before, propagated, RejectionReason.OUTLIER in reasons)
+
+    def _monitor(self, before: State, fixes: list[Position], is_outlier: bool) -> None:
+        """Compares fixes at the newest keyframe with their references; excludes wrong ones from the graph."""
+        state, columns, T_odom_before = self.state, self.keyframes.columns, self._odometry.history.at(before.stamp_ns)
+        if state is None or columns is None or T_odom_before is None:
+            self.monitor.odometry.clear()
+            return
+        self.monitor.odometry.advance(T_odom_before, columns)
+        if not fixes:
+            return
+        T_base_body, arm_m = self.keyframes.lever_arms.T_base_body, self.keyframes.lever_arms.antenna_m
+        R = state.T_map_body[:3, :3]
+        base_m = fixes[-1].p_map_m - R @ (arm_m + T_base_body[:3, 3])
+        self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom)
+        finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
+        if finding is not None:
+            reference_m = base_m[:2] - finding.separation.d_m
+            self._restart(excluded(state, T_base_body, reference_m, finding))
 
     def _needs_ranges(self, stamp_ns: int) -> bool:
         """Whether ranges justify their unknowns: far from the shed they add nothing to fixed ambiguities."""
@@ -218,17 +251,28 @@ class MapAlignment:
         return propagate(fix, then, now, antenna, self._T_map_odom)
 
     def _recover(self, stamp_ns: int, before: State | None, reason: str) -> None:
-        """Restarts at the time of a failed keyframe, at the pose by dead reckoning."""
+        """Restarts a failed graph at the pose by dead reckoning; a second failure within the lag loses the position."""
         self.failures.append(reason)
         odom = self._odometry.history.at(stamp_ns)
         assert before is not None, "keyframes follow a start"
-        if odom is None:
+        lag_ns, failed_ns = round(self._config.smoother.lag_s * 1e9), self._failed_ns
+        self._failed_ns = stamp_ns
+        if odom is None or (failed_ns is not None and stamp_ns - failed_ns <= lag_ns):
+            self.is_initialized = False
             return
         T = self._T_map_odom @ odom @ self.keyframes.lever_arms.T_base_body
-        widened = replace(
-            before, stamp_ns=stamp_ns, T_map_body=T, covariance=4.0 * before.covariance, sigmas=2.0 * before.sigmas
-        )
-        self._align(self.keyframes.restart(widened))
+        covariance = before.covariance + np.diag(self._config.reset_sigmas**2)
+        reset = replace(before, stamp_ns=stamp_ns, T_map_body=T, covariance=covariance)
+        self._restart(reset)
+
+    def _restart(self, state: State) -> bool:
+        """Restarts the graph at a state; False when that is not possible, and the position is lost."""
+        try:
+            self._align(self.keyframes.restart(state))
+        except SmootherFailure as failure:
+            self.failures.append(str(failure))
+            self.is_initialized = False
+        return self.is_initialized
 
     def _add_spans(self) -> None:
         smoother, tolerance_ns = self.keyframes.smoother, int(self._config.odometry_spans.tolerance_s * 1e9)
@@ -279,10 +323,14 @@ class MapAlignment:
         age_s = math.inf if self._accepted is None else max(0, stamp_ns - self._accepted_ns) * 1e-9
         source = position_source(self._accepted, age_s, self._is_uwb_active(stamp_ns), self._config.integrity.outage_s)
         covariance = self._covariance(state, T, stamp_ns, source)
-        level_m = protection_level(covariance, T, source, self._config.integrity)
+        accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
+        if source in BY_GNSS or self.monitor.suspicion:
+            level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns, self._odometry.speed_mps))
         range_gate = self.keyframes.range_gate
         uwb_age_s = range_gate.age_s(stamp_ns) if range_gate is not None else math.inf
-        return MapPose(stamp_ns, self._T_map_odom.copy(), T, covariance, source, level_m, age_s, True, uwb_age_s)
+        return MapPose(
+            stamp_ns, self._T_map_odom.copy(), T, covariance, source, level_m, age_s, True, uwb_age_s, accuracy_m
+        )
 
     def _covariance(self, state: State, T_map_base: Float64, stamp_ns: int, source: PositionSource) -> Float64:
         slow, turn_rad = slow_part(source, self._accepted, self._config.pose_measurement)

@@ -53,6 +53,7 @@ class MapPose(Message):
 
     `T_map_odom` and `T_map_base` (4, 4) at `stamp_ns`; `covariance` (6, 6) of `T_map_base`: rotation, then translation,
     in `base` (order of gtsam); `protection_level_m` bounds the horizontal error at 1e-4 per hour, or is infinite;
+    `accuracy_95_m` is the horizontal accuracy (95 %) while no sensor is at fault;
     `gnss_age_s` and `uwb_age_s` are the ages of the last accepted fix and UWB range (infinite: none yet).
     """
 
@@ -64,6 +65,7 @@ class MapPose(Message):
     gnss_age_s: float
     is_initialized: bool
     uwb_age_s: float = math.inf
+    accuracy_95_m: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Initial alignment at standstill: roll and pitch from gravity, heading and position from GNSS fixes."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -20,6 +20,7 @@ class InitialAlignmentConfig(Config):
     window_s: float = Field(gt=0.1, le=7.0)
     max_rate_radps: float = Field(gt=0.0, le=1.0, description="faster rotation is no standstill")
     max_noise_mps2: float = Field(gt=0.0, le=10.0, description="standard deviation of the specific force")
+    vibration_s: float = Field(gt=0.0, le=1.0, description="time in which the vibration is correlated")
     fixes: int = Field(ge=2, le=200)
     tilt_sigma_deg: float = Field(gt=0.0, le=10.0)
     heading_sigma_deg: float = Field(gt=0.0, le=20.0)
@@ -28,12 +29,16 @@ class InitialAlignmentConfig(Config):
 
 @dataclass(frozen=True)
 class TiltEstimate:
-    """Roll, pitch, gyro bias (3,) and magnitude of the specific force at standstill."""
+    """Roll, pitch, gyro bias (3,) and magnitude of the specific force at standstill.
+
+    `sigma_rad`: of roll and pitch by vibration, in addition to the configured sigma.
+    """
 
     roll_rad: float
     pitch_rad: float
     gyro_bias_radps: Float64
     gravity_mps2: float
+    sigma_rad: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -77,11 +82,12 @@ def initial_pose(tilt: TiltEstimate, position: InitialPosition, arm_m: Float64) 
 
 
 class Standstill:
-    """Duration of the present standstill, and its fixes."""
+    """Duration of the present standstill, its fixes, and whether vibration hides the tilt."""
 
     def __init__(self, config: InitialAlignmentConfig) -> None:
         self._config = config
         self.since_ns: int | None = None
+        self.is_vibrating = False
         self._positions: list[Position] = []
 
     def reset(self) -> None:
@@ -105,13 +111,18 @@ class Standstill:
 
     def tilt(self, track: ImuTrack) -> TiltEstimate | None:
         """Tilt and bias after a standstill of the window; None before, or with too much vibration."""
-        end, window_ns = track.last_ns, int(self._config.window_s * 1e9)
+        self.is_vibrating = False
+        cfg, end, window_ns = self._config, track.last_ns, int(self._config.window_s * 1e9)
         if self.since_ns is None or end - max(self.since_ns, track.first_ns) < window_ns:
             return None
         steps = track.between(end - window_ns, end)
-        if float(np.max(np.std(steps.acceleration_mps2, axis=0))) > self._config.max_noise_mps2:
+        noise_mps2 = float(np.max(np.std(steps.acceleration_mps2, axis=0)))
+        self.is_vibrating = noise_mps2 > cfg.max_noise_mps2
+        if self.is_vibrating:
             return None
-        return tilt_from_gravity(steps.acceleration_mps2.mean(axis=0), steps.rate_radps.mean(axis=0))
+        found = tilt_from_gravity(steps.acceleration_mps2.mean(axis=0), steps.rate_radps.mean(axis=0))
+        sigma_mps2 = noise_mps2 * math.sqrt(min(1.0, cfg.vibration_s / cfg.window_s))
+        return replace(found, sigma_rad=sigma_mps2 / found.gravity_mps2)
 
     def position(self) -> InitialPosition | None:
         """Mean position, once there are enough fixes."""

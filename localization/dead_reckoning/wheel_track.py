@@ -31,6 +31,7 @@ class WheelConfig(Config):
     slip_angle_per_lateral_force: float = Field(ge=0.0, le=1.0, description="rad per force over weight, initial")
     slip_angle_per_lateral_force_sigma: float = Field(gt=0.0, le=1.0)
     force_response_per_rts: float = Field(gt=0.0, le=0.1, description="change of these two with the ground")
+    max_slip_mps: float = Field(gt=0.0, le=5.0, description="against the IMU; above, it is their sigma")
     max_speed_mps: float = Field(gt=0.0, le=50.0)
     standstill_mps: float = Field(gt=0.0, le=0.5, description="lower speeds are standstill")
     max_gap_s: float = Field(gt=0.0, le=1.0)

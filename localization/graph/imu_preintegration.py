@@ -31,9 +31,8 @@ def bias_sigmas(imu: Imu) -> tuple[float, float]:
 def imu_parameters(imu: Imu, config: ImuTrackConfig, gravity_mps2: float) -> gtsam.PreintegrationCombinedParams:
     """Noise parameters with z upwards, for samples in `base` axes with the origin at the IMU."""
     parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(gravity_mps2)
-    accelerometer = imu.accelerometer_noise_ug_rthz * 1e-6 * STANDARD_GRAVITY_MPS2 * config.accelerometer_noise_factor
     bias_accelerometer, bias_gyro = (b / math.sqrt(config.bias_time_s) for b in bias_sigmas(imu))
-    parameters.setAccelerometerCovariance(np.eye(3) * accelerometer**2)
+    parameters.setAccelerometerCovariance(np.eye(3) * accelerometer_density(imu, config) ** 2)
     parameters.setGyroscopeCovariance(np.eye(3) * gyro_density(imu, config) ** 2)
     parameters.setIntegrationCovariance(np.eye(3) * INTEGRATION_SIGMA**2)
     parameters.setBiasAccCovariance(np.eye(3) * bias_accelerometer**2)
@@ -41,10 +40,24 @@ def imu_parameters(imu: Imu, config: ImuTrackConfig, gravity_mps2: float) -> gts
     return parameters
 
 
+def accelerometer_density(imu: Imu, config: ImuTrackConfig) -> float:
+    """Velocity random walk with the configured factor, m/s/√s."""
+    return imu.accelerometer_noise_ug_rthz * 1e-6 * STANDARD_GRAVITY_MPS2 * config.accelerometer_noise_factor
+
+
+def vibration_density(steps: Steps) -> float:
+    """Velocity random walk by the noise that the steps show, m/s/√s."""
+    if len(steps.dt_s) < 3:
+        return 0.0
+    change = np.diff(steps.acceleration_mps2, axis=0)
+    return math.sqrt(0.5 * float(np.max(np.mean(change**2, axis=0))) * float(np.mean(steps.dt_s)))
+
+
 def preintegrate(
-    parameters: gtsam.PreintegrationCombinedParams, bias: Float64, steps: Steps
+    parameters: gtsam.PreintegrationCombinedParams, bias: Float64, steps: Steps, density: float
 ) -> gtsam.PreintegratedCombinedMeasurements:
-    """Preintegrates the steps with a bias (6,) of accelerometer, then gyro."""
+    """Preintegrates the steps with a bias (6,) of accelerometer, then gyro; `density` of the accelerometer."""
+    parameters.setAccelerometerCovariance(np.eye(3) * density**2)
     total = gtsam.PreintegratedCombinedMeasurements(parameters, constant_bias(bias))
     for acceleration, rate, dt in zip(steps.acceleration_mps2, steps.rate_radps, steps.dt_s.tolist(), strict=True):
         total.integrateMeasurement(acceleration, rate, dt)

@@ -34,16 +34,19 @@ from localization.graph.factors import (
     wheel_factor,
 )
 from localization.graph.imu_preintegration import (
+    accelerometer_density,
     bias_sigmas,
     constant_bias,
     gyro_density,
     imu_parameters,
     normal_gravity,
     preintegrate,
+    vibration_density,
 )
 from localization.graph.smoother import Smoother, SmootherConfig, State
 from localization.graph.uwb_factor import ranges_factor
 from localization.lidar.pose_measurement import PoseMeasurement, PoseMeasurementConfig, agrees
+from localization.separation import OdometrySeparation, SeparationConfig
 from localization.uwb.range_gate import RangeBatch, RangeGate
 
 GRAVITY_SIGMA_MPS2 = 0.02
@@ -66,7 +69,10 @@ class LeverArms:
 
 
 class KeyframeBuilder:
-    """Builds keyframes from IMU steps, wheels, fixes, UWB ranges and lidar measurements."""
+    """Builds keyframes from IMU steps, wheels, fixes, UWB ranges and lidar measurements.
+
+    `columns` (3, 4): displacement per slip parameter before the newest keyframe, None without wheels.
+    """
 
     def __init__(
         self, vehicle: Vehicle, gravity_at: tuple[float, float], imu_track: ImuTrackConfig, wheels: WheelConfig,
@@ -80,18 +86,27 @@ class KeyframeBuilder:
         self._parameters = imu_parameters(imu, imu_track, self._gravity)
         self._bias_sigmas = bias_sigmas(imu)
         self._gyro_density = gyro_density(imu, imu_track)
+        self._accelerometer_density = accelerometer_density(imu, imu_track)
         self._wheel_density = _wheel_density(vehicle)
         self._wheels, self._initial_alignment, self._gnss = wheels, initial_alignment, gnss
         self.gnss_gate = GnssGate(gnss)
         self.smoother = Smoother(smoother)
         self._pending_factors: list[gtsam.NonlinearFactor] = []
         self.range_gate, self._pose_measurement = range_gate, pose_measurement
+        self.columns: Float64 | None = None
         self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
+
+    def separation(self, config: SeparationConfig) -> OdometrySeparation:
+        """Separation of fixes from wheels and gyro, with the errors that the graph assumes."""
+        wheels = self._wheels
+        density = math.hypot(self._wheel_density, wheels.longitudinal_m_per_rts, wheels.lateral_m_per_rts)
+        return OdometrySeparation(config, wheels.walk, density, self._gyro_density)
 
     def start(self, stamp_ns: int, tilt: TiltEstimate, position: InitialPosition) -> State:
         """Starts the graph at standstill, at the position of the fixes."""
         cfg = self._initial_alignment
-        tilt_sigma, heading_sigma = math.radians(cfg.tilt_sigma_deg), math.radians(cfg.heading_sigma_deg)
+        heading_sigma = math.radians(cfg.heading_sigma_deg)
+        tilt_sigma = math.hypot(math.radians(cfg.tilt_sigma_deg), tilt.sigma_rad)
         pose_sigma = np.concatenate([[tilt_sigma, tilt_sigma, heading_sigma], position.sigma_m])
         return self.start_at(stamp_ns, tilt, initial_pose(tilt, position, self.lever_arms.antenna_m), pose_sigma)
 
@@ -127,15 +142,16 @@ class KeyframeBuilder:
         """Adds a keyframe with the measurements since the last one; returns a rejection reason for each fix.
 
         All measurements have been propagated to `stamp_ns`. Without `needs_ranges`, ranges are gated but not added.
-        Raises SmootherFailure when the graph had to be rebuilt at the last state.
+        Raises SmootherFailure; `restart` comes next.
         """
         last = self.smoother.state
         assert last is not None, "start comes first"
         steps = track.between(last.stamp_ns, stamp_ns)
-        preintegrated = preintegrate(self._parameters, last.bias, steps)
+        density = max(self._accelerometer_density, vibration_density(steps))
+        preintegrated = preintegrate(self._parameters, last.bias, steps, density)
         guess, key = self._predict(last, stamp_ns, preintegrated), self.smoother.next_key
         factors, self._pending_factors = self._pending_factors, []
-        factors += self._wheel_factors(key, last, stamp_ns, steps, wheels)
+        factors += self._wheel_factors(key, last, guess, steps, wheels, density)
         antenna = self._antenna(guess, (stamp_ns - last.stamp_ns) * 1e-9)
         reasons = [self.gnss_gate.evaluate(position, *antenna) for position in positions]
         for position, reason in zip(positions, reasons, strict=True):
@@ -212,20 +228,31 @@ class KeyframeBuilder:
         return factors
 
     def _wheel_factors(
-        self, key: int, last: State, stamp_ns: int, steps: Steps, wheels: WheelTrack
+        self, key: int, last: State, guess: State, steps: Steps, wheels: WheelTrack, accelerometer_density: float
     ) -> list[gtsam.NonlinearFactor]:
-        cfg = self._wheels
+        cfg, self.columns, stamp_ns = self._wheels, None, guess.stamp_ns
         if len(wheels) == 0 or stamp_ns - wheels.last_ns > cfg.max_gap_s * 1e9:
             return []
         speed = wheels.speed_at(steps.middle_ns, last.stamp_ns)
-        columns = displacement_columns(steps, speed, last.bias[3:])
+        self.columns = columns = displacement_columns(steps, speed, last.bias[3:])
         is_standstill = float(np.max(np.abs(speed))) < cfg.standstill_mps
         along = math.hypot(self._wheel_density, cfg.longitudinal_m_per_rts)
         density = np.array([along, cfg.lateral_m_per_rts, cfg.vertical_m_per_rts])
-        sigma = density * math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
+        dt_s = (stamp_ns - last.stamp_ns) * 1e-9
         if is_standstill:
             return [standstill_factor(key - 1, key, cfg.standstill_rad, cfg.standstill_m)]
+        sigma = density * math.sqrt(dt_s)
+        slip_mps, max_slip_mps = self._slip_mps(last, guess, columns, dt_s), cfg.max_slip_mps
+        max_slip_mps += 3.0 * accelerometer_density * math.sqrt(dt_s)
+        if self.gnss_gate.is_recent(stamp_ns) and slip_mps > max_slip_mps:
+            sigma[0] = slip_mps * dt_s
         return [wheel_factor(key - 1, key, columns, self.lever_arms.base_m, sigma)]
+
+    def _slip_mps(self, last: State, guess: State, columns: Float64, dt_s: float) -> float:
+        """Difference of the speeds by the wheels and by the IMU from the last keyframe."""
+        base = [T[:3, 3] + T[:3, :3] @ self.lever_arms.base_m for T in (last.T_map_body, guess.T_map_body)]
+        moved_m = last.T_map_body[:3, :3].T @ (base[1] - base[0])
+        return abs(float(moved_m[0] - (columns @ last.slip)[0])) / dt_s
 
 
 def _wheel_density(vehicle: Vehicle) -> float:

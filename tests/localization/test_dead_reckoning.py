@@ -57,7 +57,16 @@ def test_initial_pose_on_slope_subtracts_lever_arm():
 def fixes(start_headings, spread_m=0.0):
     return [
         Position(
-            k, np.array([k % 2 * spread_m, 0, 0]), np.full(3, 0.01), np.zeros(3), h, 0.002, 0.0, GnssSolution.RTK_FIXED
+            k,
+            np.array([k % 2 * spread_m, 0, 0]),
+            np.full(3, 0.01),
+            np.zeros(3),
+            h,
+            0.002,
+            0.0,
+            GnssSolution.RTK_FIXED,
+            np.zeros(3),
+            0.03,
         )
         for k, h in enumerate(start_headings)
     ]

@@ -32,6 +32,8 @@ def position(offset_m=0.0, k=0, solution=GnssSolution.RTK_FIXED):
         NAN,
         NAN,
         solution,
+        np.zeros(3),
+        0.03,
     )
 
 

@@ -1,0 +1,185 @@
+"""GNSS monitor: whether positions that the receiver states as good agree with what is independent of them.
+
+Hypotheses of one fault at a time, each with the sigmas that its prior leaves of the integrity budget (IntegrityConfig):
+
+    wrong fix or multipath:  the position is wrong, the Doppler velocity right    1e-2 / h
+    spoofing:                position and velocity are wrong and agree             1e-4 / h
+    stamps:                  all fixes are late or early                           present for good
+
+A fault that began within a window shows as separation of that window; what does not show is bounded by
+`Separation.bound_m`. A fault slower than the longest covered window shows is not bounded (docs/localization.md).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from geometry.arrays import Float64
+from localization.gnss_gate import Position
+from localization.separation import OdometrySeparation, Separation, SeparationConfig, VelocitySeparation
+
+VELOCITY, ODOMETRY, REFUSED = "gnss.contradicts_velocity", "gnss.contradicts_odometry", "gnss.refused"
+
+
+class WindowConfig(Config):
+    """A window, and the sigmas of what it cannot see that the protection level covers, by hypothesis."""
+
+    window_s: float = Field(gt=0.0, le=120.0)
+    wrong_fix_sigmas: float = Field(ge=0.0, le=10.0)
+    spoofing_sigmas: float = Field(ge=0.0, le=10.0)
+
+
+class GnssMonitorConfig(Config):
+    """Section `gnss_monitor` of map alignment."""
+
+    separation: SeparationConfig
+    windows: tuple[WindowConfig, ...] = Field(min_length=1, description="shortest first")
+    detect_sigmas: float = Field(gt=1.0, le=10.0)
+    cover_m: float = Field(gt=0.0, le=5.0, description="windows with a larger bound of unseen errors detect only")
+    slip_s: float = Field(gt=0.0, le=120.0, description="longer windows do not bound what slip of the wheels explains")
+    refused_fixes: int = Field(ge=1, le=100, description="refused in a row: suspected")
+    agree_sigmas: float = Field(gt=0.0, le=10.0, description="of a suspected receiver with its reference")
+    agree_floor_m: float = Field(gt=0.0, le=1.0)
+    agree_s: float = Field(gt=0.0, le=60.0, description="duration of the agreement that ends a suspicion")
+    reference_m: float = Field(gt=0.0, le=10.0, description="sigma above which a reference proves nothing")
+    return_sigmas: float = Field(ge=0.0, le=10.0, description="of the bound at the return")
+    hold_s: float = Field(ge=0.0, le=600.0, description="for which that bound is held")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What begins a suspicion: separation from the reference, and slip (4,) with sigmas before the fault."""
+
+    code: str
+    separation: Separation
+    slip: Float64
+    slip_sigma: Float64
+
+
+class GnssMonitor:
+    """Suspects the receiver of wrong positions, and ends the suspicion when they agree with the reference again."""
+
+    def __init__(self, config: GnssMonitorConfig, odometry: OdometrySeparation) -> None:
+        self._config = config
+        self.odometry, self._velocity = odometry, VelocitySeparation(config.separation)
+        self._anchor_ns: int | None = None
+        self._agreed_ns: int | None = None
+        self._refused = 0
+        self._held_m, self._held_until_ns = 0.0, 0
+        self._level_m = 0.0
+        self.suspicion = ""
+        self.detail = ""
+        self.is_slipping = False
+
+    def clear(self) -> None:
+        """Drops all measurements, after a gap, clock jump or start."""
+        self.odometry.clear()
+        self._velocity.clear()
+        self._anchor_ns = self._agreed_ns = None
+        self._refused, self._level_m, self._held_m = 0, 0.0, 0.0
+        self.suspicion, self.is_slipping = "", False
+
+    def add(self, fix: Position) -> None:
+        """Takes every fix that passed the checks of form, whether or not it is used."""
+        self._velocity.add(fix)
+
+    def level_m(self, stamp_ns: int, speed_mps: float) -> float:
+        """Largest error by the hypotheses, in addition to that of the fault-free case."""
+        held_m = self._held_m if stamp_ns < self._held_until_ns else 0.0
+        return max(self._level_m, held_m, self._config.separation.stamp_s * abs(speed_mps))
+
+    def evaluate(self, stamp_ns: int, is_outlier: bool) -> Finding | None:
+        """Evaluates the newest fix; the finding that begins a suspicion.
+
+        `is_outlier`: the fix contradicts the prediction of the graph.
+        """
+        self._refused = self._refused + 1 if is_outlier else 0
+        if self.suspicion:
+            self._follow(stamp_ns)
+            return None
+        velocity, odometry = self._by_window(self._velocity, stamp_ns), self._by_window(self.odometry, stamp_ns)
+        self._level_m = self._bound_m(velocity, odometry)
+        return self._suspect(stamp_ns, velocity, odometry)
+
+    def _by_window(
+        self, source: VelocitySeparation | OdometrySeparation, stamp_ns: int
+    ) -> dict[WindowConfig, Separation]:
+        found = {w: source.since(stamp_ns - round(w.window_s * 1e9)) for w in self._config.windows}
+        return {w: separation for w, separation in found.items() if separation is not None}
+
+    def _bound_m(self, velocity: dict[WindowConfig, Separation], odometry: dict[WindowConfig, Separation]) -> float:
+        bounds = [0.0]
+        for w in self._config.windows:
+            both = [s for s in (velocity.get(w), odometry.get(w)) if s is not None]
+            best = min(both, key=lambda s: s.bound_m(w.wrong_fix_sigmas), default=None)
+            bounds += self._bounds_m(w, best, w.wrong_fix_sigmas) + self._bounds_m(
+                w, odometry.get(w), w.spoofing_sigmas
+            )
+        return max(bounds)
+
+    def _bounds_m(self, window: WindowConfig, separation: Separation | None, sigmas: float) -> list[float]:
+        """The bound of a window, if it sees well enough or if it sees an error."""
+        if separation is None:
+            return []
+        is_seen = separation.ratio > self._config.detect_sigmas and window.window_s <= self._config.slip_s
+        return [separation.bound_m(sigmas)] if is_seen or sigmas * separation.sigma_m <= self._config.cover_m else []
+
+    def _suspect(
+        self, stamp_ns: int, velocity: dict[WindowConfig, Separation], odometry: dict[WindowConfig, Separation]
+    ) -> Finding | None:
+        limit = self._config.detect_sigmas
+        ratios = {w: s.ratio for w, s in velocity.items()}
+        if max(ratios.values(), default=0.0) > limit:
+            return self._begin(VELOCITY, stamp_ns, ratios)
+        self.is_slipping = max((s.ratio for s in odometry.values()), default=0.0) > limit
+        parts_m = [s.wheel_m for s in odometry.values()]  # shortest first; slip may begin or end within a window
+        ratios = {w: s.ratio_beside_slip(parts_m[: k + 1]) for k, (w, s) in enumerate(odometry.items())}
+        if self.is_slipping and max(ratios.values()) > limit:
+            return self._begin(ODOMETRY, stamp_ns, ratios)
+        if self._refused >= self._config.refused_fixes and not self.is_slipping:
+            return self._begin(REFUSED, stamp_ns, dict.fromkeys(odometry, 0.0))
+        return None
+
+    def _begin(self, code: str, stamp_ns: int, ratios: dict[WindowConfig, float]) -> Finding | None:
+        """Begins a suspicion, anchored one window before the one that shows it best: nothing was wrong there yet."""
+        windows = list(ratios)
+        if not windows:
+            return None
+        best = windows.index(max(windows, key=lambda w: ratios[w]))
+        anchor_ns = stamp_ns - round(windows[min(best + 1, len(windows) - 1)].window_s * 1e9)
+        self.suspicion, self._anchor_ns, self._agreed_ns = code, anchor_ns, None
+        reference, slip = self._reference(), self.odometry.slip_at(anchor_ns)
+        if reference is None or slip is None:
+            self.suspicion = ""
+            return None
+        self.detail = f"{float(np.linalg.norm(reference.d_m)):.2f} m apart in {reference.age_s:.0f} s"
+        return Finding(code, reference, *slip)
+
+    def _reference(self) -> Separation | None:
+        """Separation since the anchor from the best reference that the suspicion leaves."""
+        assert self._anchor_ns is not None, "called while a suspicion lasts"
+        odometry = self.odometry.since(self._anchor_ns)
+        velocity = None if self.suspicion == ODOMETRY else self._velocity.since(self._anchor_ns)
+        return min((s for s in (odometry, velocity) if s is not None), key=lambda s: s.sigma_m, default=None)
+
+    def _follow(self, stamp_ns: int) -> None:
+        """Ends the suspicion when the receiver has agreed with the reference for the configured time."""
+        cfg, reference = self._config, self._reference()
+        if self.suspicion == VELOCITY:
+            self._level_m = 0.0  # the receiver contradicts itself: the reference is right
+        elif reference is not None:
+            self._level_m = reference.bound_m(cfg.return_sigmas)  # either may be right
+        if reference is None or reference.sigma_m > cfg.reference_m or not self._agrees(reference):
+            self._agreed_ns = None
+        elif self._agreed_ns is None:
+            self._agreed_ns = stamp_ns
+        elif stamp_ns - self._agreed_ns >= cfg.agree_s * 1e9:
+            self.clear()
+            self._held_m = reference.bound_m(cfg.return_sigmas)
+            self._held_until_ns = stamp_ns + round(cfg.hold_s * 1e9)
+
+    def _agrees(self, reference: Separation) -> bool:
+        distance_m = float(np.linalg.norm(reference.d_m))
+        return distance_m <= self._config.agree_floor_m or reference.ratio <= self._config.agree_sigmas

@@ -1,0 +1,231 @@
+"""Solution separation: displacement by GNSS positions over a window against displacements that do not use them.
+
+Two references: the receiver's own Doppler velocity, which wrong ambiguities and multipath of the position leave right;
+and wheels with gyro at the calibration of the window's begin, which no GNSS signal reaches. Both are horizontal.
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from pydantic import Field
+
+from configs.strict import Config
+from geometry.arrays import Float64
+from geometry.transforms import yaw_of
+from localization.gnss_gate import Position
+from localization.graph.smoother import State
+
+KEEP_S = 150.0
+SLIP_SIGMA = 0.4
+
+
+class SeparationConfig(Config):
+    """Errors of the references over a window T, in addition to those that graph and receiver state."""
+
+    velocity_sigma_mps: float = Field(gt=0.0, le=1.0, description="lower bound of the Doppler velocity's sigma")
+    velocity_bias_mps: float = Field(ge=0.0, le=0.1, description="part of its error that does not average out")
+    velocity_stamp_s: float = Field(ge=0.0, le=0.5, description="between the times of position and velocity")
+    stamp_s: float = Field(ge=0.0, le=0.5, description="error of the stamps of fixes")
+    slip_change: float = Field(ge=0.0, le=0.5, description="sigma of a change of slip at once: load, soil")
+    gnss_gap_s: float = Field(gt=0.0, le=5.0, description="a longer time between fixes ends the integration")
+    tilt_m: float = Field(ge=0.0, le=1.0, description="lever arm of the antenna times the error of roll and pitch")
+
+
+@dataclass(frozen=True)
+class Separation:
+    """Difference `d_m` (2,) of two displacements in `map` over `age_s`, with its covariance (2, 2).
+
+    `wheel_m` (2,): displacement by the wheels per unit of their scale, zero where no wheels are used.
+    """
+
+    age_s: float
+    d_m: Float64
+    covariance: Float64
+    wheel_m: Float64
+
+    @property
+    def ratio(self) -> float:
+        """Mahalanobis distance."""
+        return math.sqrt(float(self.d_m @ np.linalg.solve(self.covariance, self.d_m)))
+
+    def ratio_beside_slip(self, wheels_m: Iterable[Float64]) -> float:
+        """Mahalanobis distance when the wheels slip by any share in any of the parts with displacements `wheels_m`."""
+        widened = self.covariance + SLIP_SIGMA**2 * sum(np.outer(w, w) for w in wheels_m)
+        return math.sqrt(float(self.d_m @ np.linalg.solve(widened, self.d_m)))
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation along the major axis."""
+        return math.sqrt(float(np.linalg.eigvalsh(self.covariance)[1]))
+
+    def bound_m(self, sigmas: float) -> float:
+        """Bound of an error of the positions that began in the window."""
+        return float(np.linalg.norm(self.d_m)) + sigmas * self.sigma_m
+
+
+class _Row(Protocol):
+    @property
+    def stamp_ns(self) -> int: ...
+
+
+R = TypeVar("R", bound=_Row)
+
+
+class _Rows(Generic[R]):
+    """Rows of the last `KEEP_S` seconds by stamp."""
+
+    def __init__(self) -> None:
+        self._stamps: list[int] = []
+        self._rows: list[R] = []
+
+    def clear(self) -> None:
+        """Drops all rows."""
+        self._stamps.clear()
+        self._rows.clear()
+
+    def add(self, row: R) -> None:
+        """Appends a row newer than all others."""
+        self._stamps.append(row.stamp_ns)
+        self._rows.append(row)
+        if row.stamp_ns - self._stamps[0] > 1.2e9 * KEEP_S:
+            drop = bisect_right(self._stamps, row.stamp_ns - int(KEEP_S * 1e9))
+            del self._stamps[:drop], self._rows[:drop]
+
+    @property
+    def newest(self) -> R | None:
+        """The newest row."""
+        return self._rows[-1] if self._rows else None
+
+    def at(self, stamp_ns: int) -> R | None:
+        """The newest row not after a time."""
+        k = bisect_right(self._stamps, stamp_ns)
+        return self._rows[k - 1] if k else None
+
+
+@dataclass(frozen=True)
+class _Fix:
+    """A fix with the integral of the velocity so far, and its variance."""
+
+    stamp_ns: int
+    p_map_m: Float64
+    sigma_m: float
+    velocity_mps: Float64
+    path_m: Float64
+    variance_m2: float
+
+
+class VelocitySeparation:
+    """Positions of the antenna against the integral of its Doppler velocity."""
+
+    def __init__(self, config: SeparationConfig) -> None:
+        self._config = config
+        self._rows: _Rows[_Fix] = _Rows()
+
+    def clear(self) -> None:
+        """Drops all fixes."""
+        self._rows.clear()
+
+    def add(self, fix: Position) -> None:
+        """Takes the next fix; one without velocity, or after a gap, starts anew."""
+        velocity, last = fix.velocity_mps[:2], self._rows.newest
+        if not np.isfinite(velocity).all():
+            self.clear()
+            return
+        path_m, variance_m2 = np.zeros(2), 0.0
+        if last is not None:
+            dt_s = (fix.stamp_ns - last.stamp_ns) * 1e-9
+            if 0.0 < dt_s <= self._config.gnss_gap_s:
+                path_m = last.path_m + 0.5 * dt_s * (last.velocity_mps + velocity)
+                sigma = max(self._config.velocity_sigma_mps, fix.velocity_sigma_mps)  # NaN: unknown
+                variance_m2 = last.variance_m2 + (sigma * dt_s) ** 2
+            else:
+                self.clear()
+        self._rows.add(_Fix(fix.stamp_ns, fix.p_map_m[:2], _sigma_m(fix), velocity, path_m, variance_m2))
+
+    def since(self, stamp_ns: int) -> Separation | None:
+        """Separation of the newest fix since a time; None when fixes do not reach back to it."""
+        first, last, cfg = self._rows.at(stamp_ns), self._rows.newest, self._config
+        if first is None or last is None or last.stamp_ns <= stamp_ns:
+            return None
+        age_s = (last.stamp_ns - first.stamp_ns) * 1e-9
+        turned_m = cfg.velocity_stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
+        variance = last.variance_m2 - first.variance_m2 + (cfg.velocity_bias_mps * age_s) ** 2 + turned_m**2
+        variance += first.sigma_m**2 + last.sigma_m**2
+        d_m = last.p_map_m - first.p_map_m - (last.path_m - first.path_m)
+        return Separation(age_s, d_m, variance * np.eye(2), np.zeros(2))
+
+
+@dataclass(frozen=True)
+class _Keyframe:
+    """A keyframe with a fix: position of base by that fix, and all that predicts later ones.
+
+    `columns` (2, 4) is the displacement per slip parameter since the start, in `odom`.
+    """
+
+    stamp_ns: int
+    p_map_m: Float64
+    sigma_m: float
+    velocity_mps: Float64
+    columns: Float64
+    yaw_map_odom_rad: float
+    yaw_variance: float
+    gyro_sigma_radps: float
+    slip: Float64
+    slip_sigma: Float64
+
+
+class OdometrySeparation:
+    """Positions of base against wheels and gyro, at the calibration of the window's begin."""
+
+    def __init__(self, config: SeparationConfig, slip_walk: Float64, density_m_per_rts: float, gyro: float) -> None:
+        self._config, self._slip_walk, self._density, self._gyro = config, slip_walk, density_m_per_rts, gyro
+        self._rows: _Rows[_Keyframe] = _Rows()
+        self._columns = np.zeros((2, 4))
+
+    def clear(self) -> None:
+        """Drops all keyframes."""
+        self._rows.clear()
+
+    def advance(self, T_odom_base: Float64, columns: Float64) -> None:
+        """Adds the displacement between two keyframes: `columns` (3, 4) in base at the first one, which is given."""
+        self._columns = self._columns + (T_odom_base[:3, :3] @ columns)[:2]
+
+    def add(self, fix: Position, base_m: Float64, state: State, T_map_odom: Float64) -> None:
+        """Takes a fix propagated to the newest keyframe, and the position of base that follows from it."""
+        heading_slow = fix.heading_slow_rad if math.isfinite(fix.heading_slow_rad) else 0.0
+        row = _Keyframe(
+            state.stamp_ns, base_m[:2], _sigma_m(fix), state.velocity_mps[:2], self._columns, yaw_of(T_map_odom),
+            float(state.covariance[2, 2]) + heading_slow**2, float(state.sigmas[14]), state.slip, state.sigmas[15:19],
+        )  # fmt: skip
+        self._rows.add(row)
+
+    def slip_at(self, stamp_ns: int) -> tuple[Float64, Float64] | None:
+        """Slip (4,) and its sigmas (4,) at a time, None before the first keyframe."""
+        row = self._rows.at(stamp_ns)
+        return None if row is None else (row.slip, row.slip_sigma)
+
+    def since(self, stamp_ns: int) -> Separation | None:
+        """Separation of the newest keyframe since a time; None when keyframes do not reach back to it."""
+        first, last, cfg = self._rows.at(stamp_ns), self._rows.newest, self._config
+        if first is None or last is None or last.stamp_ns <= stamp_ns:
+            return None
+        age_s = (last.stamp_ns - first.stamp_ns) * 1e-9
+        c, s = math.cos(first.yaw_map_odom_rad), math.sin(first.yaw_map_odom_rad)
+        columns = np.array([[c, -s], [s, c]]) @ (last.columns - first.columns)
+        moved_m = columns @ first.slip
+        slip = first.slip_sigma**2 + self._slip_walk**2 * age_s / 3.0
+        slip[0] += cfg.slip_change**2
+        across = np.array([-moved_m[1], moved_m[0]])
+        yaw = first.yaw_variance + self._gyro**2 * age_s / 3.0 + (first.gyro_sigma_radps * age_s) ** 2 / 3.0
+        turned_m = cfg.stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
+        white = first.sigma_m**2 + last.sigma_m**2 + self._density**2 * age_s + turned_m**2 + cfg.tilt_m**2
+        covariance = columns @ np.diag(slip) @ columns.T + yaw * np.outer(across, across) + white * np.eye(2)
+        return Separation(age_s, last.p_map_m - first.p_map_m - moved_m, covariance, columns[:, 0])
+
+
+def _sigma_m(fix: Position) -> float:
+    return float(np.max(np.hypot(fix.sigma_m, fix.slow_m)[:2]))

@@ -1,0 +1,83 @@
+"""Positions stated as fixed that are wrong, slip, and starts in float or with vibration."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.localization_faults import CASES, Case, Draw, edited
+from benchmarks.localization_robustness import judged
+from localization.separation import Separation
+from tests.localization.harness import run
+from tests.localization.synthetic_drive import SensorErrors, drive
+
+BY_NAME = {case.name: case for case in CASES}
+
+
+def driven(name: str, from_s: float, for_s: float, seconds: float = 36.0):
+    """One drive on a straight with the fault of a case at another time; its row and faults by code."""
+    case: Case = dataclasses.replace(BY_NAME[name], from_s=from_s, for_s=for_s)
+    draw = Draw(2)
+    draw.delay_s = 0.0
+    truth = drive(seconds, legs=[(4.0, 0.0, 0.0), (100.0, 2.5, 0.0)], sensor_errors=SensorErrors(seed=2))
+    result = run(edited(truth, case, draw))
+    row = judged(case, "open", 2, result, truth, draw, 0.0)
+    return row, [(f.code, f.is_active) for f in result.faults]
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("ramp 0.033 m/s 30 s", "gnss.contradicts_velocity"),
+        ("multipath 0.3 m 10 s", "gnss.contradicts_velocity"),
+        ("wrong fix 0.2 m 20 s", "gnss.contradicts_velocity"),
+        ("spoofed ramp 0.3 m/s 30 s", "gnss.contradicts_odometry"),
+    ],
+)
+def test_a_wrong_position_stated_as_fixed_is_named_and_bounded(name, code):
+    row, faults = driven(name, 14.0, 10.0 if name.startswith("multipath") else 14.0)
+    assert (code, True) in faults
+    assert row.misleading_s == [0.0] * 4
+    assert row.max_excess_m < 0.0
+    assert row.false_alarms == 0
+
+
+def test_what_returns_agrees_with_the_reference_before_it_is_used():
+    row, faults = driven("multipath 0.3 m 10 s", 14.0, 10.0)
+    assert ("gnss.contradicts_velocity", False) in faults
+    assert row.after[3] > 0.9
+    row, faults = driven("wrong fix 0.5 m 20 s", 14.0, math.inf)
+    assert ("gnss.contradicts_velocity", False) not in faults
+    assert row.max_error_m < 0.4
+
+
+def test_slip_of_the_wheels_is_not_taken_for_a_fault_of_gnss():
+    row, faults = driven("slip 25 % 10 s", 14.0, 10.0)
+    assert ("wheel.slipping", True) in faults
+    assert not any(code.startswith("gnss.contradicts") for code, _ in faults)
+    assert row.max_error_m < 0.2  # 0.2 s of dead reckoning with the slip
+
+
+def test_start_in_float():
+    row, faults = driven("start in float 20 s", 0.0, 12.0, 20.0)
+    assert row.start_s is not None
+    assert ("localization.rebuilt", True) not in faults
+    assert row.max_excess_m < 0.0
+    assert row.after[3] > 0.9
+
+
+@pytest.mark.parametrize("name", ["vibration 1 m/s²", "vibration 2 m/s²"])
+def test_start_with_vibration(name):
+    row, _ = driven(name, 0.0, math.inf, 16.0)
+    assert row.start_s is not None
+    assert row.start_s < 5.0
+    assert row.max_excess_m < 0.0
+
+
+def test_slip_explains_only_what_lies_along_the_wheels():
+    along = Separation(5.0, np.array([1.0, 0.0]), np.eye(2) * 0.01, np.array([10.0, 0.0]))
+    across = dataclasses.replace(along, d_m=np.array([0.0, 1.0]))
+    assert along.ratio == pytest.approx(10.0)
+    assert along.ratio_beside_slip([along.wheel_m]) < 0.5
+    assert across.ratio_beside_slip([across.wheel_m]) == pytest.approx(10.0)
