@@ -130,7 +130,7 @@ class VelocitySeparation:
         self._rows.clear()
 
     def add(self, fix: Position) -> None:
-        """Takes the next fix; one without velocity, or after a gap, starts anew."""
+        """Takes the next fix; one without velocity, or after a gap, starts a new integral."""
         velocity, last = fix.velocity_mps[:2], self._rows.newest
         if not np.isfinite(velocity).all():
             self.clear()
