@@ -23,6 +23,7 @@ class PlannerConfig(Config):
     min_swath_m: Metres
     reverse_kmh: Kmh = Field(description="in turns")
     cusp_s: float = Field(ge=0.0, le=60.0, description="time of a change of direction: stop, steer, start")
+    stop_gap_m: float = Field(ge=0.0, le=5.0, description="to an edge ahead of the rig where it changes direction")
     corner_fill_m2: float = Field(ge=0.0, le=1000.0, description="smaller bare corners of a pass are not filled")
     edge_slack_m: float = Field(
         ge=0.0, le=0.5, description="added to the margin of the first headland pass, for tail swing"

@@ -52,9 +52,9 @@ class Rig:
 
     @property
     def turn_times(self) -> TurnTimes:
-        """Speeds of turns."""
+        """Speeds of turns and their changes of direction."""
         reverse_mps = min(kmh(self.config.reverse_kmh), self.turn_mps)
-        return TurnTimes(self.turn_mps, reverse_mps, self.config.cusp_s, self.has_reverse)
+        return TurnTimes(self.turn_mps, reverse_mps, self.config.cusp_s, self.config.stop_gap_m, self.has_reverse)
 
     def working_edges(self, p_map_m: Float64, heading_rad: Float64) -> tuple[Float64, Float64]:
         """Left and right ends of the working line at N poses, (N, 2) each."""

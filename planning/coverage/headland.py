@@ -184,7 +184,7 @@ def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[CornerFill]:
             if index is not None:
                 gap_m = ((index - ends) * sign % n) * STEP_M
                 most = gap_m + corner_m + sign * rig.working_x_m
-                free = _free_m(ring, index, -sign * most, space)
+                free = _free_m(ring, index, -sign * (most + rig.config.stop_gap_m), space) - rig.config.stop_gap_m
                 if free > gap_m + MIN_REVERSE_M:
                     (behind if sign > 0 else before).append(CornerFill(index, -sign * free))
     return [*behind, *before]

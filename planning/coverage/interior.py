@@ -11,6 +11,7 @@ from configs.mission import Work
 from geometry.polygon import open_by, parts, polygon_of, shrink
 from planning.coverage.blocks import blocks_of
 from planning.coverage.headland import HeadlandPass, pass_coverage
+from planning.coverage.remains import strip_of, swaths_over_remains
 from planning.coverage.swath import Swath, strips_of, swaths_on
 from planning.field.drivable_area import DrivableArea
 from planning.rig import Rig
@@ -19,28 +20,36 @@ from planning.turns.free_space import FreeSpace
 SLIVER_M = 0.3  # thinner remains are no reason for a swath
 MIN_REMAINS_M2, MIN_REMAINS = 4.0, 0.1  # and share of the squared working width: smaller remains get no swath
 GROWN_M = 0.05
+REMAINS_M = 1.0  # thinner remains of evenly spaced swaths
 
 
 def swaths_inside(drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], work: Work) -> list[Swath]:
-    """Swaths over all that the passes leave bare, numbered."""
+    """Swaths over all that the passes leave bare, numbered; with reversing also over what even spacing leaves bare."""
     bare = shrink(drivable.free, drivable.margin_m + rig.width_m / 2.0 - rig.working_width_m / 2.0)
     if passes:
         bare = bare.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
     found = swaths_over(bare, drivable, rig, work)
+    if rig.has_reverse:  # tips and tails are dead ends
+        space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+        left = bare.difference(shapely.union_all([strip_of(s, rig.working_width_m) for s in found]))
+        found += swaths_over_remains(open_by(left, REMAINS_M / 2.0), rig, space, _least_m2(rig))
     return [replace(s, number=k) for k, s in enumerate(found)]
 
 
 def swaths_over(bare: BaseGeometry, drivable: DrivableArea, rig: Rig, work: Work) -> list[Swath]:
     """Swaths over an area, in the direction of the mission or the cheapest of each part."""
-    least_m2 = max(MIN_REMAINS_M2, MIN_REMAINS * rig.working_width_m**2)
     area = polygon_of(open_by(bare, SLIVER_M / 2.0))
     direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
     space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     min_m = rig.config.min_swath_m
     found = []
-    for part in parts(area, least_m2):
+    for part in parts(area, _least_m2(rig)):
         for block in blocks_of(part, rig.working_width_m) if direction is None else [part]:
             grown = block.buffer(GROWN_M, join_style="mitre")
             for strip in strips_of(grown, rig.working_width_m, work.overlap_m, min_m, direction):
                 found += swaths_on(strip, -rig.working_x_m, space, min_m)
     return found
+
+
+def _least_m2(rig: Rig) -> float:
+    return max(MIN_REMAINS_M2, MIN_REMAINS * rig.working_width_m**2)

@@ -18,6 +18,7 @@ from planning.turns.search import Connection, Leg, bounds_s, straight
 
 REORDERINGS = 6
 TRIED = 5  # lines to which a connection is searched thoroughly
+MAX_FAILURES = 4
 NO_TURN_S = 400.0
 NOT_DRIVABLE_S = 1e6
 
@@ -47,13 +48,13 @@ class WorkLine:
 
 @dataclass(frozen=True)
 class Tour:
-    """Pieces of a drive over the lines, its last pose, straight length behind it, visits, lines not reached."""
+    """Pieces of a drive over the lines, its last pose, straight length behind it, the lines, and time of the turns."""
 
     pieces: list[RoutePiece]
     end: Pose2
     behind_m: float
-    visits: list[Visit]
-    unreached: list[WorkLine]
+    lines: list[WorkLine]
+    turns_s: float
 
 
 def lines_of(swaths: Sequence[Swath], passes: Sequence[HeadlandPass], lead_m: float) -> list[WorkLine]:
@@ -73,19 +74,29 @@ def lines_of(swaths: Sequence[Swath], passes: Sequence[HeadlandPass], lead_m: fl
 def drive_lines(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> Tour:
     """The lines in order from `start`, so that `home` is reached from the last.
 
-    A line that is not reached is left out, and so is one that cannot be left.
+    A line that is not reached is left out, and so is one that cannot be left. With reversing, where lines lie in dead
+    ends, the others are then ordered again.
     """
+    tour = _drive(connector, start, home, lines)
+    if connector.rig.has_reverse and len(tour.lines) < len(lines):
+        again = _drive(connector, start, home, [line for line in lines if any(line is t for t in tour.lines)])
+        if len(again.lines) == len(tour.lines) and again.turns_s < tour.turns_s:
+            return again
+    return tour
+
+
+def _drive(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> Tour:
     left = _ordered(connector, start, home, lines)
     driven: list[tuple[Visit, Connection]] = []
-    out: list[Visit] = []
+    failures = [0] * len(lines)
     while True:
         pose = _end(lines, driven[-1][0]) if driven else start
         behind_m = _straight_m(lines, driven[-1][0]) if driven else 0.0
-        found = _next(connector, pose, behind_m, lines, left)
+        found = _next(connector, pose, behind_m, lines, left, failures)
         if found is not None:
             driven.append((left.pop(found[0]), found[1]))
         elif driven and _is_trap(connector, pose, home, lines, driven):
-            out.append(driven.pop()[0])
+            driven.pop()
         else:
             break
     pieces: list[RoutePiece] = []
@@ -93,21 +104,28 @@ def drive_lines(connector: PathConnector, start: Pose2, home: Pose2 | None, line
         line, leg = lines[number], lines[number].legs[is_reversed]
         assert leg is not None
         pieces += [*turn_pieces(connection, line.number), RoutePiece(line.section_type, line.number, leg, True)]
-    return Tour(pieces, pose, behind_m, [visit for visit, _ in driven], [lines[number] for number, _ in [*out, *left]])
+    turns_s = sum(connection.time_s for _, connection in driven)
+    return Tour(pieces, pose, behind_m, [lines[number] for (number, _), _ in driven], turns_s)
 
 
 def _next(
-    connector: PathConnector, pose: Pose2, behind_m: float, lines: Sequence[WorkLine], left: Sequence[Visit]
-) -> tuple[int, Connection] | None:
-    """Index of the first visit that is reached by a turn, else thoroughly, and the connection."""
+    connector: PathConnector, pose: Pose2, behind_m: float, lines: Sequence[WorkLine], left: Sequence[Visit],
+    failures: list[int],
+) -> tuple[int, Connection] | None:  # fmt: skip
+    """Index of the first visit that is reached by a turn, else thoroughly, and the connection.
+
+    `failures` counts thorough searches to each line that found nothing; after `MAX_FAILURES` there are no more.
+    """
     starts = [lines[number].ends(is_reversed) for number, is_reversed in left]
     for find, first in ((connector.turn, 1), (connector.find, 1), (connector.turn, len(left)), (connector.find, TRIED)):
         for k, ends in enumerate(starts[:first]):
-            if ends is None:
+            is_thorough = find == connector.find
+            if ends is None or (is_thorough and failures[left[k][0]] >= MAX_FAILURES):
                 continue
             connection = find(connector.request(pose, ends[0], behind_m, _straight_m(lines, left[k])))
             if connection is not None:
                 return k, connection
+            failures[left[k][0]] += is_thorough
     return None
 
 

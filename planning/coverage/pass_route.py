@@ -12,7 +12,7 @@ STRIDE = 25  # points of a pass between two candidates, 2.5 m
 CLOSING = 3  # points by which a pass overlaps its own beginning
 AROUND = 20  # points before and after an entry that are straight
 STRAIGHT_RADPM = 0.02
-MAX_ENTRIES, MAX_LINKS = 10, 6
+MAX_ENTRIES, MAX_LINKS, THOROUGH, THOROUGH_NEAR = 10, 6, 8, 2
 NO_LINK_S = 100.0
 
 
@@ -21,20 +21,21 @@ def drive_passes(connector: PathConnector, start: Pose2) -> tuple[list[RoutePiec
 
     A pass along the edge is left before a corner: on a straight the tail would swing over the edge.
     """
-    rings = [r for r in connector.headland_passes if r.is_closed]
-    entries = [_entries(ring, connector.rig.radius_m) for ring in rings]
+    left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in connector.headland_passes if ring.is_closed]
     pieces: list[RoutePiece] = []
-    pose, unreached = start, list[HeadlandPass]()
-    for number, ring in enumerate(rings):
-        following = (rings[number + 1], entries[number + 1]) if number + 1 < len(rings) else None
-        best = _best(connector, pose, ring, entries[number], following)
+    pose, number = start, 0
+    while number < len(left):
+        ring, entries = left[number]
+        best = _best(connector, pose, ring, entries, left[number + 1] if number + 1 < len(left) else None)
         if best is None:
-            unreached.append(ring)
+            number += 1
             continue
         connection, k = best
         pieces += [*turn_pieces(connection, ring.number), *_loop(ring, k)]
         pose = _pose(ring, k + CLOSING)
-    return pieces, pose, unreached
+        del left[number]
+        number = 0  # those that were not reached before may be now
+    return pieces, pose, [ring for ring, _ in left]
 
 
 def _best(
@@ -64,11 +65,21 @@ def _best(
     if found:
         _, n, connection = min(found, key=lambda f: f[:2])
         return connection, entries[n]
-    for n in order[:2]:
-        thorough = connector.find(connector.request(start, poses[n]))
-        if thorough is not None:
-            return thorough, entries[n]
+    tried = [*order[:THOROUGH_NEAR], *_nearest_to_others(connector, ring, poses)[:THOROUGH]]
+    for n in dict.fromkeys(tried):
+        found_along = connector.find(connector.request(start, poses[n]))
+        if found_along is not None:
+            return found_along, entries[n]
     return None
+
+
+def _nearest_to_others(connector: PathConnector, ring: HeadlandPass, entries: list[Pose2]) -> list[int]:
+    """Entries of a pass, nearest to another pass first."""
+    others = [p.points_m[::STRIDE] for p in connector.headland_passes if p is not ring]
+    if not others:
+        return []
+    gaps = np.array([pose[:2] for pose in entries])[:, None] - np.vstack(others)
+    return [int(k) for k in np.argsort(np.hypot(*gaps.T).min(axis=0), kind="stable")]
 
 
 def _by_time(connector: PathConnector, start: Pose2, goals: list[Pose2]) -> list[int]:

@@ -57,7 +57,7 @@ def strips_of(
     """
     found: list[Float64] = []
     for part in parts(area, MIN_STRIP_M2):
-        angles = [direction_rad] if direction_rad is not None else _directions(part)
+        angles = [direction_rad] if direction_rad is not None else directions_of(part)
         tried = [_along(part, width_m, overlap_m, min_m, angle) for angle in angles]
         found += min(tried, key=cost_m)
     return found
@@ -68,7 +68,7 @@ def cost_m(strips: Iterable[Float64]) -> float:
     return round(sum(float(np.hypot(*(s[1] - s[0]))) + TURN_COST_M for s in strips), 3)
 
 
-def _directions(part: Polygon) -> list[float]:
+def directions_of(part: Polygon) -> list[float]:
     """Directions of the longest edges, and of the longer side of the smallest rectangle around the part."""
     outline = part.simplify(0.5)
     hull = outline.minimum_rotated_rectangle

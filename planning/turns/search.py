@@ -29,11 +29,15 @@ NEAR_M, FAR_S = 40.0, 12.0  # farther apart a bound is the straight distance and
 
 @dataclass(frozen=True)
 class TurnTimes:
-    """Speeds of turns and the time of one change of direction; `has_reverse`: turns may reverse."""
+    """Speeds of turns; time of one change of direction and length that it keeps free ahead of the rig.
+
+    `has_reverse`: turns may reverse.
+    """
 
     forward_mps: float
     reverse_mps: float
     cusp_s: float
+    gap_m: float
     has_reverse: bool
 
 
@@ -101,8 +105,8 @@ def _search(
     start, goal = np.array(request.start, np.float64), np.array(request.goal, np.float64)
     poses = np.empty((MAX_POSES, 5))
     count, time_s = search_kernel(
-        start, goal, outs, ups, factors, speeds, times.has_reverse, space.radius_m, space.smoothing_m, limit,
-        space.boxes_m, *space.grid, poses,
+        start, goal, outs, ups, factors, speeds, times.has_reverse, times.gap_m, space.radius_m, space.smoothing_m,
+        limit, space.boxes_m, *space.grid, poses,
     )  # fmt: skip
     return Connection(_legs(poses[:count]), time_s) if count > 0 else None
 
@@ -199,8 +203,8 @@ def _time(lengths: Float64, radius_m: float, out: float, up: float, speeds: Floa
 @kernel
 def search_kernel(
     start: Float64, goal: Float64, outs: Float64, ups: Float64, factors: Float64, speeds: Float64, has_reverse: bool,
-    radius_m: float, ramp_m: float, limit: int, boxes_m: Float64, edges_m: Float64, west_m: float, south_m: float,
-    columns: int, rows: int, first: Int32, items: Int32, poses: Float64,
+    gap_m: float, radius_m: float, ramp_m: float, limit: int, boxes_m: Float64, edges_m: Float64, west_m: float,
+    south_m: float, columns: int, rows: int, first: Int32, items: Int32, poses: Float64,
 ) -> tuple[int, float]:  # fmt: skip
     """Fills `poses` with the fastest free one of the first `limit` candidates; their number (0: none) and its time."""
     lengths, sides = np.empty((MAX_WORDS, SEGMENTS)), np.empty((MAX_WORDS, SEGMENTS))
@@ -227,24 +231,30 @@ def search_kernel(
     for n in range(min(limit, total)):
         k = order[n]
         count = trace(rows_m[k], rows_radpm[k], start, ramp_m, COARSE_M, poses)
-        if count == 0 or not _is_free(poses, count, slim, edges_m, west_m, south_m, columns, rows, first, items):
+        if count == 0 or not _is_free(poses, count, gap_m, slim, edges_m, west_m, south_m, columns, rows, first, items):
             continue
         if not solve(rows_m[k], rows_radpm[k], start, goal, ramp_m, STEP_M, poses):
             continue
         count = trace(rows_m[k], rows_radpm[k], start, ramp_m, STEP_M, poses)
-        if count > 0 and _is_free(poses, count, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
+        if count > 0 and _is_free(poses, count, gap_m, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
             return count, time[k]
     return 0, np.inf
 
 
 @kernel
 def _is_free(
-    poses: Float64, count: int, boxes_m: Float64, edges_m: Float64, west_m: float, south_m: float, columns: int,
-    rows: int, first: Int32, items: Int32,
+    poses: Float64, count: int, gap_m: float, boxes_m: Float64, edges_m: Float64, west_m: float, south_m: float,
+    columns: int, rows: int, first: Int32, items: Int32,
 ) -> bool:  # fmt: skip
+    """Whether the rig is free at all poses, and `gap_m` farther where it changes direction."""
     for k in range(count):
-        if is_touching(
-            poses[k, 0], poses[k, 1], poses[k, 2], boxes_m, edges_m, west_m, south_m, columns, rows, first, items
-        ):
+        x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
+        if is_touching(x, y, heading, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
             return False
+        before = poses[k - 1, 4] if k > 0 else 1.0
+        if poses[k, 4] != before or (k == count - 1 and poses[k, 4] < 0.0):
+            by = gap_m * (before if poses[k, 4] != before else -1.0)
+            x, y = x + by * math.cos(heading), y + by * math.sin(heading)
+            if is_touching(x, y, heading, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
+                return False
     return True

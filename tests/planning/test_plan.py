@@ -170,7 +170,7 @@ def test_plan_determinism(
     ("change", "words"),
     [
         ({"boundary_m": ((0, 0), (15, 0), (15, 15), (0, 15))}, "does not fit on the lane"),
-        ({"boundary_m": ((14, 0), (26, 0), (26, 5), (14, 5))}, "too small for this"),
+        ({"boundary_m": ((19, 0), (21, 0), (21, 2), (19, 2))}, "too small for this"),
         ({"boundary_m": ((0, 0), (80, 0), (0, 50), (80, 50))}, "Self-intersection"),
         ({"gates": (Gate(name="narrow", posts_m=((17.5, 0), (22.5, 0))),)}, "widen gate"),
         ({"lanes": ()}, "no lane"),
@@ -193,6 +193,23 @@ def test_given_swath_direction(
     ends = [e for s in plan.swaths for e in (s.onwards_m, s.back_m) if e is not None]
     assert all(abs(a[0] - b[0]) < 1e-6 for a, b in ends)
     assert len(plan.swaths) > 8
+
+
+@pytest.mark.parametrize(("low", "high"), [(49, 58), (30, 41)])
+def test_part_beyond_a_neck(
+    low: float, high: float, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission,
+    planning: PlanningConfig,
+) -> None:  # fmt: skip
+    """The headland passes beyond a neck, too narrow for a closed pass, are reached."""
+    boundary = (
+        (0, 0), (70, 0), (70, low), (95, low), (95, 0), (150, 0), (150, 60), (95, 60), (95, high), (70, high),
+        (70, 60), (0, 60),
+    )  # fmt: skip
+    work = mission.work.model_copy(update={"turns": "reverse"})
+    divided = site.model_copy(update={"boundary_m": boundary})
+    plan = plan_field(divided, vehicle, harrow, work, planning.planner, 0)
+    beyond = box(96, 1, 149, 59)
+    assert plan.planned_area.intersection(beyond).area > 0.95 * beyond.area
 
 
 def test_figure_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None:

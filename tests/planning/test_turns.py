@@ -22,7 +22,8 @@ from planning.turns.words import MAX_WORDS, SEGMENTS, end_of, words
 
 RADIUS_M, RAMP_M = 5.0, 1.8
 BODIES = (Rectangle(-1.0, 3.5, 2.3), Rectangle(-2.4, -1.1, 6.1))
-FORWARD, REVERSE = TurnTimes(1.4, 0.8, 8.0, False), TurnTimes(1.4, 0.8, 8.0, True)
+GAP_M = 0.4
+FORWARD, REVERSE = TurnTimes(1.4, 0.8, 8.0, GAP_M, False), TurnTimes(1.4, 0.8, 8.0, GAP_M, True)
 FIELD = Polygon([(0, 0), (70, 0), (70, 40), (40, 40), (40, 60), (0, 60)], [[(20, 20), (26, 19), (27, 26), (21, 27)]])
 POSES = st.builds(Pose2, st.floats(-40, 40), st.floats(-40, 40), st.floats(-7, 7))
 
@@ -89,6 +90,9 @@ def check(found: Connection, request: ConnectionRequest, times: TurnTimes, area:
     assert times.has_reverse or all(leg.direction > 0 for leg in legs)
     for a, b in pairwise(legs):
         assert a.p_map_m[-1] == pytest.approx(b.p_map_m[0], abs=2e-3)
+        heading = a.heading_rad[-1:]
+        ahead = a.p_map_m[-1:] + a.direction * GAP_M * np.array([[math.cos(heading[0]), math.sin(heading[0])]])
+        assert shapely.covers(area.buffer(2e-3), footprints(BODIES, ahead, heading)).all()
     for leg in legs:
         gaps = np.hypot(*np.diff(leg.p_map_m, axis=0).T)
         assert gaps.max() < 0.105

@@ -1,0 +1,67 @@
+"""Swaths over what evenly spaced swaths leave bare: tips and tails of a field, where a strip along an edge is not free.
+
+Each is the best of lines in several directions at closely spaced offsets: the one that works most of the bare area.
+"""
+
+import math
+
+import numpy as np
+import shapely
+from shapely.affinity import rotate
+from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from geometry.arrays import Float64
+from geometry.polygon import parts
+from planning.coverage.swath import Swath, directions_of, swaths_on
+from planning.rig import Rig
+from planning.turns.free_space import FreeSpace
+
+OFFSETS = 6.0  # per working width
+MAX_SWATHS = 4  # over one part
+LEAST_SHARE = 0.2  # of the worked area that was bare
+
+
+def swaths_over_remains(area: BaseGeometry, rig: Rig, space: FreeSpace, least_m2: float) -> list[Swath]:
+    """Swaths that each work at least `least_m2` of the area; numbers are left 0."""
+    found = []
+    for part in parts(area, least_m2):
+        left: BaseGeometry = part
+        for _ in range(MAX_SWATHS):
+            best = _best(left, part, rig, space, least_m2)
+            if best is None:
+                break
+            found.append(best)
+            left = left.difference(strip_of(best, rig.working_width_m))
+    return found
+
+
+def strip_of(swath: Swath, width_m: float) -> Polygon:
+    """Area worked by a swath in its longer direction."""
+    ends = [e for e in (swath.onwards_m, swath.back_m) if e is not None]
+    a, b = max(ends, key=lambda e: float(np.hypot(*(e[1] - e[0]))))
+    side = 0.5 * width_m * np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a))
+    return Polygon([a + side, b + side, b - side, a - side])
+
+
+def _best(left: BaseGeometry, part: Polygon, rig: Rig, space: FreeSpace, least_m2: float) -> Swath | None:
+    best: tuple[float, Swath | None] = (least_m2, None)
+    shapely.prepare(left)
+    for angle_rad in directions_of(part):
+        for strip in _strips(left, rig.working_width_m, angle_rad):
+            for swath in swaths_on(strip, -rig.working_x_m, space, rig.config.min_swath_m):
+                worked = strip_of(swath, rig.working_width_m)
+                gain = round(float(left.intersection(worked).area), 3)
+                if gain > best[0] and gain > LEAST_SHARE * worked.area:
+                    best = gain, swath
+    return best[1]
+
+
+def _strips(left: BaseGeometry, width_m: float, angle_rad: float) -> list[Float64]:
+    """Lines (2, 2) in one direction over an area, closely spaced, as long as the area."""
+    x0, y0, x1, y1 = rotate(left, -angle_rad, origin=(0.0, 0.0), use_radians=True).bounds
+    low, high = y0 - 0.25 * width_m, y1 + 0.25 * width_m
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    R = np.array([[c, -s], [s, c]])
+    offsets = np.linspace(low, high, max(2, math.ceil((high - low) / width_m * OFFSETS)))
+    return [np.array([[x0, y], [x1, y]]) @ R.T for y in offsets]
