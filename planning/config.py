@@ -37,7 +37,7 @@ class MissionConfig(Config):
     """Reaction of the mission node to a persistent obstacle."""
 
     blocked_s: float = Field(gt=0.0, le=600.0, description="duration of an obstacle stop before a detour is planned")
-    blocked_living_s: float = Field(gt=0.0, le=600.0, description="the same before a person or animal")
+    blocked_unknown_s: float = Field(gt=0.0, le=600.0, description="the same before an obstacle without a class")
     static_speed_mps: float = Field(gt=0.0, le=1.0, description="slower objects and machines count as static")
     clearance_m: Metres = Field(description="to an obstacle passed; above the supervisor's lateral margin")
     rear_clearance_m: Metres = Field(description="behind the implement when reversing to the point where work resumes")

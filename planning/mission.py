@@ -12,7 +12,7 @@ from messages.command import ControlCommand, Mode, OperatorCommand, OperatorComm
 from messages.errors import FieldError
 from messages.motion import MapPose, Odometry
 from messages.node import All, Every, Inbox, Latest, Node, Output, Read
-from messages.perception import Tracks
+from messages.perception import ObstacleClass, Tracks
 from messages.plan import MissionState, MissionStatus, Path, PathSectionType, UncoveredArea
 from planning.config import MissionConfig
 from planning.docking.dock import Docking, plan_docking
@@ -67,6 +67,7 @@ class MissionNode(Node):
         self._blocked_ns: int | None = None
         self._retry_ns = 0  # earliest next search for another path into the dock
         self._detours = 0
+        self._is_waiting = False
         self._uncovered: tuple[UncoveredArea, ...] = ()
         self._drivable = plan.drivable.allowed.buffer(-EDGE_M)  # static objects beyond it are fence or hedge
 
@@ -166,8 +167,8 @@ class MissionNode(Node):
         supervisor = inbox.latest("supervisor", SupervisorState)
         if supervisor is None or supervisor.mode is not Mode.OBSTACLE_STOP:
             self._blocked_ns = None
-            if self._state is MissionState.REPLANNING:
-                self._state, self._text = MissionState.DRIVING, "driving"
+            if self._is_waiting or self._state is MissionState.REPLANNING:
+                self._is_waiting, self._state, self._text = False, MissionState.DRIVING, "driving"
             return
         self._blocked_ns = now_ns if self._blocked_ns is None else self._blocked_ns
         waited_s = (now_ns - self._blocked_ns) / 1e9
@@ -178,7 +179,8 @@ class MissionNode(Node):
             return
         found = self._static_obstacles(pose, inbox)
         cause = self._cause(found, pose, supervisor)
-        if cause is None or (cause.label in LIVING_CLASSES and waited_s < self._config.blocked_living_s):
+        is_unknown = cause is not None and cause.label is ObstacleClass.UNKNOWN
+        if cause is None or (is_unknown and waited_s < self._config.blocked_unknown_s):
             return
         if self._path is not None and self._path.is_transport:
             self._retry_ns = now_ns + round(self._config.blocked_s * 1e9)
@@ -206,13 +208,17 @@ class MissionNode(Node):
     def _avoid(self, cause: StaticObstacle, found: list[StaticObstacle], pose: MapPose) -> None:
         path, p = self._path, pose.T_map_base[:2, 3]
         assert path is not None
+        is_leaving = path.direction < 0 and self._resume_step is None  # reversing ends, work goes on forward
+        if cause.label in LIVING_CLASSES and not is_leaving:
+            self._is_waiting, self._text = True, f"waiting until {cause.label} has left the path"
+            return
         self._detours += 1
         if self._detours > self._config.max_detours:
             self._abort(f"aborted after {self._config.max_detours} detours")
             return
         self._state, self._text = MissionState.REPLANNING, f"planning a detour around: {cause.label}"
         self._blocked_ns = None
-        if path.direction < 0 and self._resume_step is None:
+        if is_leaving:
             self._cancel_reverse(p)
             return
         blockage = self._blockage(path, p, cause, tuple(o for o in found if o is not cause))
@@ -228,7 +234,9 @@ class MissionNode(Node):
         self, cause: StaticObstacle, found: list[StaticObstacle], pose: MapPose, waited_s: float
     ) -> None:
         """Switches to another path into the dock; without one, and when undocking, waits and aborts after a time."""
-        if self._active_docking is not None:
+        if cause.label in LIVING_CLASSES:
+            reason = "it is not driven around"
+        elif self._active_docking is not None:
             outlines = [cause.outline, *(o.outline for o in found if o is not cause)]
             try:
                 paths = plan_docking(Pose2.of(pose.T_map_base), self._active_docking, self._last_id + 1, outlines)

@@ -3,6 +3,7 @@
 from interfaces.gateway import CanBus, Gateway
 from messages.node import Node
 from runtime.ablation import REMAINING_RULES, ReportedAblation
+from runtime.coverage.check import require_coverage
 from runtime.executor import FAULT_TOPIC
 from runtime.setup import Setup, sensors_without_detector
 from safety.rules import RULES
@@ -14,7 +15,12 @@ FAULT_TOPICS = ("fault/localizer", "fault/gateway", FAULT_TOPIC)
 
 
 def safety_nodes(setup: Setup, bus: CanBus, is_ablation: bool) -> list[Node]:
-    """Supervisor and gateway, from the control command to the CAN bus; `is_ablation` omits the obstacle rules."""
+    """Supervisor and gateway, from the control command to the CAN bus; `is_ablation` omits the obstacle rules.
+
+    Raises ConfigError for a machine that can reach a place which its sensors do not cover.
+    """
+    stack = setup.stack
+    require_coverage(setup.mission, setup.vehicle, setup.implement, stack.planning, stack.safety)
     supervisor = Supervisor(
         setup.vehicle,
         setup.implement,

@@ -20,10 +20,12 @@ from messages.perception import ObstacleClass, SensorHealth, Tracks
 from messages.plan import Path, PathSectionType
 from safety.config import SafetyConfig
 from safety.monitors.vehicle import position_sigma_m
-from safety.obstacle_sources import ObstacleSources, SourceData
+from safety.obstacle_sources import THIN_M, ObstacleSources, SourceData
 from safety.pose_history import PoseHistory, planar_pose
 from safety.sources.lidar import LidarSource
+from safety.sources.multiple_evaluation import thin
 from safety.stopping_distance import Braking, stopping_distance, stopping_time
+from safety.zones.departure import Departure
 from safety.zones.footprint import FootprintSet
 from safety.zones.geofence import Geofence, distance_inside_m
 from safety.zones.known_structure import KnownStructure
@@ -76,6 +78,7 @@ class CollisionMonitor:
         self.sources = ObstacleSources(sensors, footprints.working, config)
         self.swept_field: SweptField | None = None
         self.pose_history = PoseHistory()
+        self.departure = Departure(config.departure)
         self.is_docking, self.is_under_roof = False, False
         self._footprints, self._footprint = footprints, footprints.working
         self._geofence, self._known_structure = geofence, known_structure
@@ -115,6 +118,11 @@ class CollisionMonitor:
         self.swept_field = swept_field
         self._update_lidars(inputs, odom, swept_field, new, is_new_footprint)
         self._update_distances(inputs, odom, swept_field, pose_map, speed_mps, braking)
+
+    def confirm_clear(self) -> None:
+        """An operator has confirmed that nobody is near the machine: what is held without being seen is dropped."""
+        self.departure.forget()
+        self.sources.forget_held()
 
     def clearance(self) -> Clearance | None:
         """Clearance of the raw protective field now; None before the first lidar scan."""
@@ -209,6 +217,7 @@ class CollisionMonitor:
         sigma_m = self._config.docking.sigmas * position_sigma_m(inputs.map_pose)
         is_known = self._known_structure_filter(pose_odom, pose_map, sigma_m)
         self._clearance = self.sources.clearance(swept_field, pose_odom, speed_mps, is_known, inputs.tracks)
+        self._follow_departure(swept_field, pose_odom, is_known)
         stop_s = stopping_time(speed_mps, braking)
         self._critical_object = nearest_critical_object(
             swept_field.main, self._footprint, inputs.tracks, pose_odom, odom.curvature_radpm, stop_s,
@@ -216,6 +225,17 @@ class CollisionMonitor:
         )  # fmt: skip
         self._geofence_distance_m = self._distance_inside_m(pose_map, swept_field, speed_mps, braking)
         self._update_wall_distance(pose_map, swept_field, sigma_m)
+
+    def _follow_departure(
+        self, swept_field: SweptField, pose_odom: Float64, is_known: KnownStructureFilter | None
+    ) -> None:
+        is_blocked = self._clearance is not None and math.isfinite(self._clearance.main_m)
+        if not is_blocked and not self.departure.is_unresolved:
+            return
+        hits = self.sources.lidar_hits_odom_m
+        if is_known is not None and len(hits):
+            hits = hits[~is_known(hits)]
+        self.departure.update(thin(hits, THIN_M), swept_field.main, pose_odom)
 
     def _known_structure_filter(
         self, pose_odom: Float64, pose_map: Float64 | None, sigma_m: float

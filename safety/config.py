@@ -54,7 +54,10 @@ class FieldConfig(Config):
     cell_m: float = Field(gt=0.05, le=2.0)
     min_returns_single_scan: int = Field(ge=1, le=50, description="returns in a cell in one scan for a hit")
     min_returns_multiple_scan: int = Field(ge=1, le=50, description="returns in a cell in each of two scans for a hit")
-    blind_zone_hold_s: float = Field(ge=0.0, le=600.0, description="hold time of a hit below the lowest beam")
+    blind_zone_hold_s: float = Field(
+        ge=0.0, le=600.0, description="hold time of a hit at the edge of the lowest beam; one farther below has none"
+    )
+    blind_zone_edge_m: Metres = Field(description="depth of that edge")
     step_m: float = Field(gt=0.05, le=2.0)
     min_length_m: Metres
     max_path_deviation_m: Metres = Field(description="distance of the pose from its path position")
@@ -71,6 +74,30 @@ class FieldConfig(Config):
             far_m, near_m = self.lateral_margin_far_m, self.lateral_margin_near_m
             raise ValueError(f"lateral_margin_far_m {far_m} is less than lateral_margin_near_m {near_m}")
         return self
+
+
+class NearFieldConfig(Config):
+    """Low objects on the measured ground near machine and implement."""
+
+    range_m: Metres = Field(description="before the foremost and behind the rearmost point of the machine")
+    aside_m: Metres = Field(description="to either side of the machine")
+    min_height_m: Metres = Field(description="least height above the measured ground that counts")
+    cell_m: float = Field(gt=0.1, le=2.0)
+    ground_quantile: float = Field(ge=0.0, le=0.5, description="of the heights in a cell that is its ground")
+    max_slope: float = Field(ge=0.0, le=1.0, description="greatest rise of the ground from a lower place to its trend")
+    max_residual_slope: float = Field(ge=0.0, le=1.0, description="the same of the ground against its trend")
+    max_roughness_m: Metres = Field(description="what is higher above the ground is not its roughness")
+    roughness_cells: int = Field(ge=1, le=20, description="cells to each side of a place in which it is measured")
+    roughness_quantile: float = Field(ge=0.5, le=1.0, description="over cells, of the height that the ground reaches")
+    roughness_factor: float = Field(ge=1.0, le=10.0, description="least height that counts, over the quantile")
+
+
+class DepartureConfig(Config):
+    """Following what blocked the path until it has left."""
+
+    ahead_m: Metres = Field(description="part of the swept area in which an object counts as blocking")
+    follow_m: Metres = Field(description="greatest movement of a person or animal from one scan to the next")
+    away_m: Metres = Field(description="distance from the swept area at which it has left")
 
 
 class DetectionRangeConfig(Config):
@@ -222,6 +249,8 @@ class SafetyConfig(Config):
 
     braking: BrakingConfig
     field: FieldConfig
+    near_field: NearFieldConfig
+    departure: DepartureConfig
     detection_range: DetectionRangeConfig
     tracked: TrackedConfig
     radar: RadarConfig

@@ -71,14 +71,17 @@ class ModeMachine:
             Event.FAULT: decision.is_fault,
             Event.DONE: is_over and not situation.is_moving,
             Event.OBSTACLE: self._is_blocked(situation, decision),
-            Event.CLEAR: clear_s >= self._config.resume_clear_s,
+            Event.CLEAR: clear_s >= self._config.resume_clear_s and not situation.is_departure_unresolved,
             Event.WARNED: warned_s >= self._warning_s,
         }
         return frozenset(event for event, holds in happened.items() if holds)
 
     def _is_blocked(self, situation: Situation, decision: Decision) -> bool:
-        """Whether an obstacle stops the machine: inside the stopping distance, or at standstill in the path."""
-        if decision.is_obstacle_inside:
+        """Whether an obstacle stops the machine: inside the stopping distance, or at standstill in the path.
+
+        One that was lost from view in the path prevents a start as well.
+        """
+        if decision.is_obstacle_inside or (self.mode is Mode.START_WARNING and situation.is_departure_unresolved):
             return True
         if decision.passable_mps >= self._config.creep_mps or situation.is_moving:
             return False
@@ -102,6 +105,11 @@ class ModeMachine:
             self.fault_memory.reset()
         self._orders.forget_start()
 
+    @property
+    def is_just_confirmed(self) -> bool:
+        """Whether an operator confirmed in this step that nobody is near the machine."""
+        return self._orders.is_just_confirmed
+
     def _require_confirmation(self) -> None:
         """Somebody may be near the machine, unseen: after power-on, a clock step, and manual driving."""
         self._needs_confirmation = True
@@ -112,7 +120,8 @@ class ModeMachine:
         if self.latched is not None:
             return self.latched.code
         if self.mode is Mode.OBSTACLE_STOP:
-            return self._cause
+            is_passable = self.resume_in_s(situation.now_ns) == 0.0
+            return UNCONFIRMED if is_passable and situation.is_departure_unresolved else self._cause
         if self.mode is Mode.AUTOMATIC:
             command = situation.inputs.control_command
             is_bound = command is None or decision.allowed_mps < abs(command.speed_mps) - BOUND_MPS

@@ -64,6 +64,16 @@ class ObstacleSources:
         for source in self.lidars:
             source.hitch = hitch
 
+    @property
+    def lidar_hits_odom_m(self) -> Float64:
+        """Confirmed returns (N, 2) of all lidars."""
+        return np.concatenate([np.empty((0, 2)), *(source.hits_odom_m[:, :2] for source in self.lidars)])
+
+    def forget_held(self) -> None:
+        """Drops the hits that are held in blind zones."""
+        for source in self.lidars:
+            source.forget_held()
+
     def update(self, data: SourceData, pose_history: PoseHistory, odom: Odometry) -> bool:
         """Processes new radar and ultrasonic data; returns whether any of it has, or had before, a confirmed echo."""
         is_relevant = False

@@ -91,6 +91,8 @@ class Supervisor(Node):
         decision = evaluate_rules(situation, self._rules)
         mission = inbox.latest("mission", MissionStatus)
         self._mode_machine.update(inbox.all("operator_command", OperatorCommand), situation, decision, mission)
+        if self._mode_machine.is_just_confirmed:
+            self.collision_monitor.confirm_clear()
         reason = self._mode_machine.reason(situation, decision)
         command = self._command_builder.command(self._command_inputs(situation, decision, reason))
         outputs: list[Output] = [("safe_command", command)]
@@ -146,6 +148,7 @@ class Supervisor(Node):
             clock_step_s=clock_step_s,
             brake_test=self._brake_test.update(self.mode, vehicle.speed_mps, monitor.pose_history.driven_m),
             sensor_failures=self._inputs.sensor_failures(now_ns, inbox, inputs, monitor, direction),
+            is_departure_unresolved=monitor.departure.is_unresolved,
             is_docking=monitor.is_docking,
             is_under_roof=monitor.is_under_roof,
             wall_distance_m=monitor.wall_distance_m(),

@@ -15,7 +15,7 @@ from geometry.polygon import as_polygon
 from geometry.transforms import apply, yaw_of
 from messages.perception import ObstacleClass, Track, Tracks
 
-LIVING_CLASSES = frozenset({ObstacleClass.PERSON, ObstacleClass.ANIMAL})
+LIVING_CLASSES = frozenset({ObstacleClass.PERSON, ObstacleClass.ANIMAL})  # are not driven around
 
 
 @dataclass(frozen=True)

@@ -116,11 +116,9 @@ def covered(
     At rest `min_returns_multiple_scan` returns repeat in the next scan, and are fewer than for a single scan.
     """
     field = safety.field
-    x, y = np.meshgrid(places.x_m, places.y_m, indexing="ij")
-    low_m = field.min_height_m + field.min_height_slope * np.hypot(x, y)
-    heights = np.array(config.heights_m)
+    heights, low_m = np.array(config.heights_m), counted_from_m(footprint, places, safety)
     own = _own(footprint, field.mask_m)
-    enough = np.zeros((len(heights), *x.shape), bool)
+    enough = np.zeros((len(heights), *low_m.shape), bool)
     for lidar, rays in lidars:
         reach = np.column_stack([np.full(len(rays), lidar.range_m[0]), free_range_m(rays, solids)])
         reach[:, 1] = np.minimum(reach[:, 1], lidar.range_m[1])
@@ -131,6 +129,15 @@ def covered(
         )
         enough |= counts >= min(field.min_returns_multiple_scan, field.min_returns_single_scan)
     return enough
+
+
+def counted_from_m(footprint: Footprint, places: Places, safety: SafetyConfig) -> Float64:
+    """Height (X, Y) from which the supervisor counts a return over smooth ground."""
+    field, near = safety.field, safety.near_field
+    x, y = np.meshgrid(places.x_m, places.y_m, indexing="ij")
+    low_m = field.min_height_m + field.min_height_slope * np.hypot(x, y)
+    is_near = (x <= footprint.foremost_m(1) + near.range_m) & (x >= footprint.foremost_m(-1) - near.range_m)
+    return np.where(is_near, np.minimum(low_m, near.min_height_m), low_m)
 
 
 def _own(footprint: Footprint, mask_m: float) -> Float64:

@@ -24,6 +24,7 @@ class OperatorCommands:
 
     def __init__(self, authorities: tuple[str, ...], max_confirmation_s: float) -> None:
         self.refused_count = 0
+        self.is_just_confirmed = False
         self._max_confirmation_ns = round(max_confirmation_s * 1e9)
         self._confirmed_until_ns: int | None = None
         self._sequence = dict.fromkeys(authorities, -1)
@@ -32,6 +33,7 @@ class OperatorCommands:
     def events(self, now_ns: int, commands: Iterable[OperatorCommand]) -> frozenset[Event]:
         """Events of the accepted commands and of a pending start."""
         accepted = [command.kind for command in commands if self._accept(now_ns, command)]
+        self.is_just_confirmed = OperatorCommandKind.CONFIRM_CLEAR in accepted
         requested = {EVENTS[kind] for kind in accepted if kind in EVENTS}
         if self._pending is not None and now_ns > self._pending.expires_ns:
             self._pending = None

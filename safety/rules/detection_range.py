@@ -10,9 +10,12 @@ CODE = "detection_range.limit"
 
 
 def evaluate(situation: Situation) -> RuleResult:
-    """The lower of two speeds: S within the range over the factor, and the required range within the range."""
+    """The lower of two speeds: S within the range over the factor, and the required range within the range.
+
+    Any blind lidar stops the machine: each covers places that no other covers.
+    """
     range_m, config = situation.detection_range_m, situation.config.field
-    if situation.blind and range_m <= 0.0:
+    if situation.blind:
         return limit(f"{situation.blind[0]}.blind", 0.0, f"{situation.blind[0]} is blind")
     by_factor = highest_speed(range_m / config.slow_range_factor, situation.braking, 0.0)
     by_range = highest_speed(range_m, situation.braking, situation.allowance_m)

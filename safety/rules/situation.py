@@ -23,7 +23,8 @@ class Situation:
     `frozen` the lidars that repeat one scan, `blind` those that look in the direction of travel and detect nothing,
     `lost` the failed sensors of other kinds, `proven_m` the detection range. `gap` is None before the first scan.
     `geofence_m` is the distance to drive inside the geofence (None: position unknown; below 0: outside), `survey_m`
-    that clear of surveyed walls, `clock_step_s` the jump of the clock since the last step.
+    that clear of surveyed walls, `clock_step_s` the jump of the clock since the last step. `is_departure_unresolved`:
+    what blocked the path was lost from view in it.
     """
 
     now_ns: int
@@ -46,6 +47,7 @@ class Situation:
     clock_step_s: float
     brake_test: Phase
     sensor_failures: tuple[SensorFailure, ...]
+    is_departure_unresolved: bool
     is_docking: bool
     is_under_roof: bool
     wall_distance_m: float

@@ -21,6 +21,7 @@ from safety.sources.detection_range import (
 )
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.multiple_evaluation import cell_keys, evaluate
+from safety.sources.near_field import enclosing, mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, is_own
 
 
@@ -75,14 +76,19 @@ class LidarSource:
         xyz = to_base(scan.points_m, self._T_base_sensor)
         self._update_detection_range(xyz, curvature_radpm)
         field = self._config.field
-        near = crop(xyz, box, self.footprint.height_m + field.overhead_margin_m)
+        near_field = near_box(self.footprint, self._config.near_field)
+        area = enclosing(box, near_field)
+        near = crop(xyz, area, self.footprint.height_m + field.overhead_margin_m)
+        near = near[~is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)]  # moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
-        near_xyz = near_xyz.compress(mark_obstacles(near_xyz, box, field), axis=1)
-        near_xyz = near_xyz.compress(~is_own(near_xyz, self.footprint, curvature_radpm, field.mask_m), axis=1)
-        obstacles = np.asarray(near_xyz, np.float64)
+        is_low = mark_low_obstacles(near_xyz, near_field, self._config.near_field)
+        is_high = mark_obstacles(near_xyz, area, field)
+        is_obstacle = is_high | is_low
+        obstacles = np.asarray(near_xyz.compress(is_obstacle, axis=1), np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         is_hit, self._cells = evaluate(
             cell_keys(points_odom, field.cell_m),
+            is_high[is_obstacle],
             self._cells,
             field.min_returns_single_scan,
             field.min_returns_multiple_scan,
@@ -100,20 +106,30 @@ class LidarSource:
     def _hold_in_blind_zone(
         self, hits_odom: Float64, pose_odom: Float64, curvature_radpm: float, stamp_ns: int
     ) -> None:
-        """Holds hits that entered the blind zone below the lowest beam, right before the bumper."""
+        """Holds hits that entered the blind zone below the lowest beam, right before the bumper.
+
+        At its edge, where noise decides what is visible, they are held for a time; farther below until the machine has
+        moved on, because nothing shows there whether they have left.
+        """
         old, seen_ns = self._kept
         base = np.vstack([from_frame(pose_odom, old[:, :2]).T, old[:, 2]])
         is_young = stamp_ns - seen_ns < self._config.field.blind_zone_hold_s * 1e9
         is_outside = ~is_own(base, self.footprint, curvature_radpm, self._config.field.mask_m)
-        keep = is_young & is_outside & self._is_in_blind_zone(base)
+        depth_m = self._depth_in_blind_zone_m(base)
+        is_hidden = (depth_m > self._config.field.blind_zone_edge_m) | (is_young & (depth_m > 0.0))
+        keep = is_hidden & is_outside
         self.hits_odom_m = np.concatenate([hits_odom, old[keep]])
         stamps = np.concatenate([np.full(len(hits_odom), stamp_ns, np.int64), seen_ns[keep]])
         self._kept = (self.hits_odom_m, stamps)
 
-    def _is_in_blind_zone(self, base: Float64) -> np.ndarray:
-        """Whether each point (3, N) lies below the lowest beam."""
+    def forget_held(self) -> None:
+        """Drops the held hits: an operator has confirmed that nobody is there."""
+        self.hits_odom_m, self._kept = np.empty((0, 3)), (np.empty((0, 3)), np.empty(0, np.int64))
+
+    def _depth_in_blind_zone_m(self, base: Float64) -> Float64:
+        """Depth of each point (3, N) below the lowest beam, (N,); below 0 above it."""
         x, y, z = base - self._T_base_sensor[:3, 3:]
-        return np.asarray(z < self._min_slope * np.hypot(x, y))
+        return np.asarray(self._min_slope * np.hypot(x, y) - z)
 
 
 def is_same(scan: LidarScan, before: LidarScan | None) -> bool:

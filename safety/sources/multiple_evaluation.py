@@ -1,4 +1,7 @@
-"""Multiple evaluation (IEC 61496-3): a cell is hit by enough returns in one scan, or by some in each of two scans."""
+"""Multiple evaluation (IEC 61496-3): a cell is hit by enough returns in one scan, or by some in each of two scans.
+
+Low returns, near the height of the ground itself, count in two scans only.
+"""
 
 import numpy as np
 
@@ -13,13 +16,16 @@ def cell_keys(points_odom_m: Float64, cell_m: float) -> Int64:
     return np.asarray((cell[:, 0] << (2 * BITS)) | (cell[:, 1] << BITS) | cell[:, 2])
 
 
-def evaluate(keys: Int64, before: Int64, single: int, multiple: int) -> tuple[np.ndarray, Int64]:
+def evaluate(
+    keys: Int64, is_high: np.ndarray, before: Int64, single: int, multiple: int
+) -> tuple[np.ndarray, Int64]:
     """Whether each point is a hit, (N,) bool, and the sorted cells with at least `multiple` returns, for the next scan.
 
-    `single`: minimum of returns in this scan alone; `before`: cells returned by the previous scan.
+    `single`: minimum of high returns in this scan alone, `is_high` (N,) bool; `before`: cells of the previous scan.
     """
     cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    is_hit = (counts >= single) | ((counts >= multiple) & np.isin(cells, before, assume_unique=True))
+    is_hit = (counts >= multiple) & np.isin(cells, before, assume_unique=True)
+    is_hit |= np.bincount(which, is_high, len(cells)) >= single
     return is_hit[which], cells[counts >= multiple]
 
 

@@ -107,11 +107,26 @@ def test_detour_around_static_obstacle(plan: Plan, config: MissionConfig, x: flo
 
 
 @pytest.mark.slow
-def test_longer_wait_before_person(plan: Plan, config: MissionConfig) -> None:
+def test_longer_wait_before_an_unknown_obstacle(plan: Plan, config: MissionConfig) -> None:
     outline = box(44.7, 24.7, 45.3, 25.3)
-    drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.PERSON, outline)})
+    drive = Ideal(plan, MissionNode(plan, config, 0), {1: (ObstacleClass.UNKNOWN, outline)})
     drive.run(10_000, until="driving around an obstacle")
-    assert drive.stopped_s == pytest.approx(config.blocked_living_s, abs=3.0)
+    assert drive.stopped_s == pytest.approx(config.blocked_unknown_s, abs=3.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("label", [ObstacleClass.PERSON, ObstacleClass.ANIMAL])
+def test_person_or_animal_is_not_driven_around(plan: Plan, config: MissionConfig, label: ObstacleClass) -> None:
+    outline = box(44.7, 24.7, 45.3, 25.3)
+    drive = Ideal(plan, MissionNode(plan, config, 0), {1: (label, outline)})
+    waiting = f"waiting until {label} has left the path"
+    drive.run(10_000, until=waiting)
+    drive.run(100)
+    assert drive.status is not None
+    assert drive.status.text == waiting
+    drive.obstacles = {}
+    drive.run(5)
+    assert drive.status.text == "driving"
 
 
 @pytest.mark.slow

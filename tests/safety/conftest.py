@@ -30,9 +30,10 @@ def config() -> SupervisorConfig:
 
 @pytest.fixture(scope="session")
 def vehicle() -> Vehicle:
-    """Machine with lidars and motion sensors only."""
+    """Machine with motion sensors and one lidar in each direction of travel only."""
     machine = load(Vehicle, ROOT / "configs/machines/tractor_e.yaml")
     none: dict[str, Any] = {"radar": {}, "camera": {}, "ultrasonic": {}, "uwb": {}}
+    none["lidar"] = {name: machine.sensors.lidar[name] for name in ("front", "rear")}
     return machine.model_copy(update={"sensors": machine.sensors.model_copy(update=none)})
 
 

@@ -26,7 +26,7 @@ from safety.zones.footprint import (
     footprints_of,
 )
 from safety.zones.geofence import Geofence
-from safety.zones.protective_field import Clearance, PathPosition, SweptField
+from safety.zones.protective_field import FREE, Clearance, PathPosition, SweptField
 from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT, CriticalObject
 from tests.safety.safety_world import START_NS, straight_path
 
@@ -120,7 +120,9 @@ def make(
         collision_monitor.sources = SimpleNamespace(
             update=Spy(False), with_new_scan=Spy([]), set_footprint=Spy(None), set_hitch=Spy(None),
             update_lidars=Spy(None), clearance=Spy(Clearance(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
+            lidar_hits_odom_m=np.array([(8.0, 2.0)]), forget_held=Spy(None),
         )  # fmt: skip
+        collision_monitor.departure = SimpleNamespace(is_unresolved=False, update=Spy(None), forget=Spy(None))
         return collision_monitor
 
     return made
@@ -393,6 +395,32 @@ def test_wall_distance_is_minimum_of_swept_areas(
     look(collision_monitor, config, DOCKING)
     look(collision_monitor, config, replace(DOCKING, map_pose=None))
     assert (collision_monitor.wall_distance_m(), collision_monitor.is_under_roof) == (math.inf, False)
+
+
+def test_departure_is_followed_while_blocked_or_unresolved(
+    make: Any, config: SafetyConfig, parts: Any, known_structure: Any
+) -> None:
+    collision_monitor = make()
+    look(collision_monitor, config)
+    hits, area, pose_odom = collision_monitor.departure.update.asked
+    assert hits.tolist() == [[8.0, 2.0]]
+    assert area is parts.sweep_field.answer.main
+    assert pose_odom == pytest.approx(POSE_ODOM)
+    look(collision_monitor, config, DOCKING)  # known structure does not leave
+    assert len(collision_monitor.departure.update.asked[0]) == 0
+    collision_monitor.sources.lidar_hits_odom_m = np.empty((0, 2))
+    look(collision_monitor, config, replace(DOCKING, tracks=None))
+    assert len(collision_monitor.departure.update.asked[0]) == 0
+    count = len(collision_monitor.departure.update.calls)
+    for clearance in (FREE, None):
+        collision_monitor.sources.clearance.answer = clearance
+        look(collision_monitor, config, replace(SEEN, tracks=None if clearance is None else SEEN.tracks))
+        assert len(collision_monitor.departure.update.calls) == count
+    collision_monitor.departure.is_unresolved = True
+    look(collision_monitor, config)
+    assert len(collision_monitor.departure.update.calls) == count + 1
+    collision_monitor.confirm_clear()
+    assert len(collision_monitor.departure.forget.calls) == len(collision_monitor.sources.forget_held.calls) == 1
 
 
 def test_geofence_reach(make: Any, config: SafetyConfig, parts: Any, monkeypatch: pytest.MonkeyPatch) -> None:

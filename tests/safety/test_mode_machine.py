@@ -154,6 +154,24 @@ def test_resume_after_2500_ms_clear_and_1500_ms_warning(bench: Bench) -> None:
     assert bench.show(after_s=2.9, **STANDING) is Mode.START_WARNING  # the full time again
 
 
+@clause("BD-5.2.4")
+def test_no_resume_while_a_departure_is_unresolved(bench: Bench) -> None:
+    bench.driving()
+    assert bench.show(**near(1.0)) is Mode.OBSTACLE_STOP
+    lost: dict[str, Any] = {**STANDING, "is_departure_unresolved": True}
+    bench.show(**lost)
+    assert (bench.show(after_s=2.4, **lost), bench.reason) == (Mode.OBSTACLE_STOP, "protective_field")
+    assert (bench.show(after_s=0.1, **lost), bench.reason) == (Mode.OBSTACLE_STOP, "operator_command.unconfirmed")
+    assert bench.show(after_s=60.0, **lost) is Mode.OBSTACLE_STOP
+    assert bench.show(**STANDING) is Mode.START_WARNING
+    assert bench.show(**lost) is Mode.OBSTACLE_STOP
+    bench.show(**STANDING)
+    bench.show(after_s=2.5, **STANDING)
+    bench.show(**STANDING)
+    assert bench.show(after_s=1.5, **STANDING) is Mode.AUTOMATIC
+    assert bench.show(**lost) is Mode.AUTOMATIC  # only standstill shows whether it has left
+
+
 def test_resume_speed(config: SupervisorConfig) -> None:
     for distance in around(required_range(0.5, config.braking.flat, 2.1) + 1e-6, 0.005):
         bench = Bench(config).driving()

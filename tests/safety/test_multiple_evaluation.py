@@ -15,9 +15,20 @@ def test_cell_keys() -> None:
 
 def test_evaluate() -> None:
     keys = np.array([9, 5, 9, 7, 9, 9, 5, 4])
-    hits, cells = evaluate(keys, np.array([4, 5, 11]), 4, 2)
+    high = np.ones(len(keys), bool)
+    hits, cells = evaluate(keys, high, np.array([4, 5, 11]), 4, 2)
     assert hits.tolist() == [True, True, True, False, True, True, True, False]
     assert cells.tolist() == [5, 9]
+
+
+def test_low_returns_need_two_scans() -> None:
+    keys = np.full(6, 9)
+    low, mixed = np.zeros(6, bool), np.array([True, True, True, False, False, False])
+    hits, cells = evaluate(keys, low, np.empty(0, np.int64), 4, 2)
+    assert not hits.any()
+    assert evaluate(keys, low, cells, 4, 2)[0].all()
+    assert not evaluate(keys, mixed, np.array([7]), 4, 2)[0].any()
+    assert evaluate(keys, mixed, np.array([7]), 3, 2)[0].all()
 
 
 def test_thin_keeps_order() -> None:
@@ -30,16 +41,16 @@ def test_min_returns_per_cell() -> None:
     none = np.empty(0, np.int64)
     for count in range(1, 8):
         keys = cell_keys(np.tile([[10.1, 0.1, 0.6]], (count, 1)), 0.5)
-        hits, cells = evaluate(keys, none, 4, 2)
+        hits, cells = evaluate(keys, np.ones(count, bool), none, 4, 2)
         assert hits.all() == (count >= 4)
         assert len(cells) == (1 if count >= 2 else 0)
-        again, _ = evaluate(keys, cells, 4, 2)
+        again, _ = evaluate(keys, np.ones(count, bool), cells, 4, 2)
         assert again.all() == (count >= 2)
     apart = [[10.1, 0.1, 0.6], [10.6, 0.1, 0.6], [10.1, 0.6, 0.6], [10.1, 0.1, 1.1], [-0.1, 0, 0]]
     spread = cell_keys(np.array(apart), 0.5)
     assert len(set(spread.tolist())) == 5
-    assert not evaluate(spread, none, 2, 2)[0].any()
-    hits, cells = evaluate(none, none, 4, 2)
+    assert not evaluate(spread, np.ones(5, bool), none, 2, 2)[0].any()
+    hits, cells = evaluate(none, np.empty(0, bool), none, 4, 2)
     assert len(hits) == len(cells) == 0
 
 

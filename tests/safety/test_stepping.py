@@ -91,13 +91,15 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
             config=config.docked, update=Spy(None), clearance=Spy(GAP), critical_object=Spy(THREAT),
             geofence_distance_m=Spy(8.0),
             wall_distance_m=Spy(6.0), is_docking=True, is_under_roof=False,
+            departure=SimpleNamespace(is_unresolved=True), confirm_clear=Spy(None),
             swept_field=SimpleNamespace(is_planned=True),
             pose_history=SimpleNamespace(driven_m=12.0), sources=SimpleNamespace(lidars=lidars,
             detection_range_m=Spy(proven)),
         ),
-        mode_machine=SimpleNamespace(mode=Mode.AUTOMATIC, latched=None, fault_memory=FaultMemory(), update=Spy(None),
-        reason=Spy("why"),
-                             braking_clearance_m=Spy(4.5), resume_in_s=Spy(0.5)),
+        mode_machine=SimpleNamespace(
+            mode=Mode.AUTOMATIC, latched=None, is_just_confirmed=True, fault_memory=FaultMemory(), update=Spy(None),
+            reason=Spy("why"), braking_clearance_m=Spy(4.5), resume_in_s=Spy(0.5),
+        ),
         command_builder=SimpleNamespace(last=COMMAND, command=Spy(COMMAND)),
         brake_test=SimpleNamespace(update=Spy("phase")),
         alarms=SimpleNamespace(update=Spy(["fault"])),
@@ -199,14 +201,22 @@ def test_situation(among: Any, parts: Any, inbox: Any, machine: Vehicle, config:
         allowance_m=allowance_m(config.docked.field, 0.07, 0.03), timed_out_topics=("odom",), frozen=("lidar/rear",),
         faults=parts.mode_machine.fault_memory.active,
         clearance=GAP, critical_object=THREAT, detection_range_m=30.0, blind=("lidar/side",), geofence_distance_m=8.0,
-        is_foldable=True, clock_step_s=0.0, brake_test="phase", sensor_failures=("lost",), is_docking=True,
-        is_under_roof=False, wall_distance_m=6.0,
+        is_foldable=True, clock_step_s=0.0, brake_test="phase", sensor_failures=("lost",),
+        is_departure_unresolved=True, is_docking=True, is_under_roof=False, wall_distance_m=6.0,
     )  # fmt: skip
     assert parts.timed_out_topics.asked == (["ages"],)
     assert parts.inputs.ages.asked == (START_NS, inbox, parts.monitor, -1)
     assert parts.inputs.sensor_failures.asked == (START_NS, inbox, SEEN, parts.monitor, -1)
     assert parts.monitor.sources.detection_range_m.asked == (START_NS, -1, SEEN.health)
     assert parts.brake_test.update.asked == (Mode.AUTOMATIC, -1.5, 12.0)
+
+
+def test_a_confirmation_reaches_the_monitor(among: Any, parts: Any, inbox: Any) -> None:
+    among().step(START_NS, inbox)
+    assert parts.monitor.confirm_clear.calls == [()]
+    parts.mode_machine.is_just_confirmed = False
+    among().step(START_NS, inbox)
+    assert parts.monitor.confirm_clear.calls == [()]
 
 
 def test_situation_with_unknown_values(among: Any, parts: Any, inbox: Any, config: SupervisorConfig) -> None:

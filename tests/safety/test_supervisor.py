@@ -114,7 +114,9 @@ def test_stop_before_an_obstacle_and_resume(world: World, config: SafetyConfig) 
     hardest = max(c.deceleration_mps2 for _, c in world.history)
     assert hardest < 2.5  # detected in time: gentle braking
     world.boxes = ()
-    world.run(config.modes.resume_clear_s - 0.3)
+    world.step(5)
+    world.order(OperatorCommandKind.CONFIRM_CLEAR)  # it was not seen leaving
+    world.run(config.modes.resume_clear_s - 0.4)
     assert world.mode == Mode.OBSTACLE_STOP
     assert 0.0 < world.state.resume_in_s < 0.6
     world.run(0.6)

@@ -152,7 +152,8 @@ def mast(**lidar: object) -> Vehicle:
 
 def near_ground(min_height_m: float = 0.05) -> object:
     return SAFETY.model_copy(update={
-        "field": SAFETY.field.model_copy(update={"min_height_m": min_height_m, "min_height_slope": 0.0})
+        "field": SAFETY.field.model_copy(update={"min_height_m": min_height_m, "min_height_slope": 0.0}),
+        "near_field": SAFETY.near_field.model_copy(update={"min_height_m": min_height_m}),
     })  # fmt: skip
 
 
@@ -237,8 +238,10 @@ def test_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest
     bare = tmp_path / "bare.yaml"
     text = (CONFIGS / "machines/tractor_e.yaml").read_text()
     bare.write_text(text[: text.index("  lidar:")] + text[text.index("  camera:") :])
+    blind, text = tmp_path / "blind.yaml", (CONFIGS / "implements/harrow_6m.yaml").read_text()
+    blind.write_text(text[: text.index("    lidar:")] + text[text.index("    ultrasonic:") :])
     assert (
-        run(monkeypatch, str(bare), "harrow_6m", "--json", "--out", str(tmp_path / "out"), "--mission", "line_turn")
+        run(monkeypatch, str(bare), str(blind), "--json", "--out", str(tmp_path / "out"), "--mission", "line_turn")
         == 1
     )
     result = json.loads(capsys.readouterr().out)

@@ -1,0 +1,54 @@
+"""Near field: low objects on the measured ground around machine and implement.
+
+The ground filter counts from 0.25 m above a plane through the wheels, because the ground itself reaches that height
+farther away. Near the machine returns are dense enough to measure the ground in cells of 0.5 m: a return counts there
+from 0.12 m above it, or from what the roughness of the ground around the machine requires if that is more.
+"""
+
+import numpy as np
+
+from geometry.arrays import Float32
+from geometry.ground_surface import heights_above_ground, local_roughness
+from safety.config import NearFieldConfig
+from safety.zones.footprint import Box, Footprint
+
+MIN_CELLS = 2  # in each direction, for interpolation
+
+
+def mark_low_obstacles(xyz: Float32, box: Box, config: NearFieldConfig) -> np.ndarray:
+    """Whether each return (3, N), none of them on the machine itself, stands out of the ground in the box, (N,) bool."""
+    (x_low, x_high), (y_low, y_high) = box.x_m, box.y_m
+    inside = np.flatnonzero((xyz[0] > x_low) & (xyz[0] < x_high) & (xyz[1] > y_low) & (xyz[1] < y_high))
+    is_obstacle = np.zeros(xyz.shape[1], bool)
+    if len(inside) == 0:
+        return is_obstacle
+    shape = (cells(x_high - x_low, config.cell_m), cells(y_high - y_low, config.cell_m))
+    height_m, cell = heights_above_ground(
+        np.ascontiguousarray(xyz[:, inside]), (x_low, y_low), shape, config.cell_m, config.ground_quantile,
+        config.max_slope, config.max_residual_slope,
+    )  # fmt: skip
+    roughness_m = local_roughness(
+        height_m, cell, shape, config.max_roughness_m, config.roughness_cells, config.roughness_quantile
+    )
+    is_obstacle[inside] = height_m > np.maximum(config.min_height_m, config.roughness_factor * roughness_m[cell])
+    return is_obstacle
+
+
+def near_box(footprint: Footprint, config: NearFieldConfig) -> Box:
+    """Area around machine and implement in which the ground is measured, whatever the swept field is."""
+    front_m, rear_m = footprint.foremost_m(1) + config.range_m, footprint.foremost_m(-1) - config.range_m
+    bodies = footprint.rigid if footprint.trailed is None else (*footprint.rigid, footprint.trailed)
+    half_m = max(body.half_width_m for body in bodies) + config.aside_m
+    return Box((rear_m, front_m), (-half_m, half_m))
+
+
+def enclosing(box: Box, other: Box) -> Box:
+    """Smallest box about two."""
+    low_x, low_y = min(box.x_m[0], other.x_m[0]), min(box.y_m[0], other.y_m[0])
+    high_x, high_y = max(box.x_m[1], other.x_m[1]), max(box.y_m[1], other.y_m[1])
+    return Box((low_x, high_x), (low_y, high_y))
+
+
+def cells(length_m: float, cell_m: float) -> int:
+    """Number of cells over a length, enough to interpolate between."""
+    return max(MIN_CELLS, int(np.ceil(length_m / cell_m)))

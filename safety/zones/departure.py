@@ -1,0 +1,57 @@
+"""Departure of what blocked the path: seen leaving the swept area, or lost from view inside of it.
+
+A person who stops the machine and walks away is followed from scan to scan by returns alone. One who is no longer seen
+without having left may lie before the machine, or have entered a zone that no sensor covers.
+"""
+
+import numpy as np
+
+from geometry.arrays import Float64
+from geometry.pose2 import from_frame
+from safety.config import DepartureConfig
+from safety.zones.swept_area import SweptArea, distance_to_contact_m
+
+NOWHERE = np.empty((0, 2))
+
+
+class Departure:
+    """Follows the returns (N, 2) in odom that last blocked the swept area."""
+
+    def __init__(self, config: DepartureConfig) -> None:
+        self._config = config
+        self._last_seen_odom_m: Float64 = NOWHERE
+
+    @property
+    def is_unresolved(self) -> bool:
+        """Whether what blocked the swept area has not been seen leaving it."""
+        return len(self._last_seen_odom_m) > 0
+
+    def forget(self) -> None:
+        """An operator has confirmed that nobody is near the machine."""
+        self._last_seen_odom_m = NOWHERE
+
+    def update(self, hits_odom_m: Float64, area: SweptArea, pose_odom: Float64) -> None:
+        """Takes the present hits (N, 2), for base at `pose_odom` (3,)."""
+        blocking = hits_odom_m[self._is_within(hits_odom_m, area, pose_odom, 0.0)]
+        if len(blocking):
+            self._last_seen_odom_m = blocking
+        elif self.is_unresolved:
+            followed = hits_odom_m[is_near(hits_odom_m, self._last_seen_odom_m, self._config.follow_m)]
+            if len(followed):
+                self._last_seen_odom_m = followed
+            if not self._is_within(self._last_seen_odom_m, area, pose_odom, self._config.away_m).any():
+                self._last_seen_odom_m = NOWHERE
+
+    def _is_within(self, points_odom_m: Float64, area: SweptArea, pose_odom: Float64, aside_m: float) -> np.ndarray:
+        """Whether each point (N, 2) lies in the near part of the area widened by `aside_m` on each side, (N,) bool."""
+        distance_m = distance_to_contact_m(from_frame(pose_odom, points_odom_m), area, 0.0, aside_m)
+        return np.asarray(distance_m <= self._config.ahead_m)
+
+
+def is_near(points_m: Float64, others_m: Float64, within_m: float) -> np.ndarray:
+    """Whether each point (N, 2) lies within a distance of one of the others (M, 2; at least one), (N,) bool."""
+    low, high = others_m.min(axis=0) - within_m, others_m.max(axis=0) + within_m
+    near = ((points_m >= low) & (points_m <= high)).all(axis=1)  # a hedge has thousands of returns
+    apart = points_m[near][:, None] - others_m[None]
+    near[near] = (np.einsum("nmk,nmk->nm", apart, apart) <= within_m**2).any(axis=1)
+    return np.asarray(near)

@@ -1,0 +1,63 @@
+"""Heights of returns above the ground under them."""
+
+import numpy as np
+import pytest
+
+from geometry.ground_surface import heights_above_ground, local_roughness
+
+SHAPE, CELL_M = (16, 24), 0.5
+
+
+def heights(xyz: np.ndarray) -> np.ndarray:
+    return heights_above_ground(xyz.astype(np.float32), (0.0, -6.0), SHAPE, CELL_M, 0.1, 0.10, 0.05)[0]
+
+
+def ground(rng: np.random.Generator, count: int = 4000) -> np.ndarray:
+    return np.stack([rng.uniform(0.0, 8.0, count), rng.uniform(-6.0, 6.0, count), np.zeros(count)])
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.08, -0.08])
+def test_a_slope_is_ground(slope: float) -> None:
+    xyz = ground(np.random.default_rng(1))
+    xyz[2] = slope * xyz[0] + 0.03 * xyz[1]
+    assert np.abs(heights(xyz)).max() < 0.06
+
+
+def test_waves_are_ground() -> None:
+    xyz = ground(np.random.default_rng(2))
+    xyz[2] = 0.05 * np.sin(2.0 * np.pi * xyz[0] / 6.0)
+    assert np.abs(heights(xyz)).max() < 0.08
+
+
+def test_a_body_that_fills_its_cells_stands_out() -> None:
+    xyz = ground(np.random.default_rng(3))
+    is_body = (np.abs(xyz[0] - 4.0) < 0.9) & (np.abs(xyz[1]) < 0.25)
+    xyz[2, is_body] = 0.2
+    found = heights(xyz)
+    assert found[is_body].min() > 0.12
+    assert found[~is_body].max() < 0.03
+
+
+def test_single_returns_and_returns_beyond_the_grid() -> None:
+    xyz = np.array([[4.0, -3.0, 50.0], [0.0, 0.0, 50.0], [0.3, 0.0, 0.0]])
+    assert np.isfinite(heights(xyz)).all()
+    assert heights(xyz[:, :1]) == pytest.approx([0.0], abs=1e-6)  # nothing lower is known
+
+
+def test_few_returns_below_the_ground_do_not_lower_it() -> None:
+    xyz = ground(np.random.default_rng(4), 12_000)
+    xyz[2, ::200] = -0.5
+    assert np.median(heights(xyz)) < 0.01
+
+
+def test_local_roughness() -> None:
+    shape = (3, 10)
+    cell, height = np.repeat(np.arange(30), 4), np.tile([0.0, 0.02, 0.05, 0.9], 30)  # 0.9 m is above the limit
+    height[4 * 9 : 4 * 10] = 0.1  # the last cell of the first row
+    height[4 * 25] = 0.9  # two returns are too few
+    found = local_roughness(height, cell, shape, 0.3, 1, 1.0)
+    expected = np.full(30, 0.02)
+    expected[[8, 9, 18, 19]] = 0.1
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert local_roughness(height, cell, shape, 0.3, 1, 0.5).max() == pytest.approx(0.02)
+    assert not local_roughness(np.array([0.2, 0.2]), np.array([4, 4]), shape, 0.3, 2, 1.0).any()

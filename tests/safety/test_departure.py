@@ -1,0 +1,108 @@
+"""Departure of what blocked the path, and the resume that depends on it."""
+
+import numpy as np
+import pytest
+
+from configs.vehicle import MountedImplement, Vehicle
+from geometry.arrays import Float64
+from messages.command import Mode, OperatorCommandKind
+from safety.supervisor_config import SupervisorConfig
+from safety.zones.departure import Departure, is_near
+from safety.zones.footprint import footprint_of
+from safety.zones.protective_field import sweep_field
+from safety.zones.swept_area import SweptArea
+from tests.clause import clause
+from tests.safety.safety_world import Box, World
+
+HERE = np.zeros(3)
+
+
+def hits(*places: tuple[float, float]) -> Float64:
+    return np.array(places, np.float64).reshape(-1, 2)
+
+
+@pytest.fixture(scope="session")
+def area(vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig) -> SweptArea:
+    footprint = footprint_of(vehicle, implement)
+    return sweep_field(None, None, 0.0, 1, 8.0, 4.0, footprint, config.field).main
+
+
+@pytest.fixture
+def departure(config: SupervisorConfig) -> Departure:
+    return Departure(config.departure)
+
+
+def test_nothing_blocked(departure: Departure, area: SweptArea) -> None:
+    departure.update(hits((6.0, 9.0)), area, HERE)
+    assert not departure.is_unresolved
+
+
+def test_who_walks_out_has_left(departure: Departure, area: SweptArea) -> None:
+    for k in range(60):
+        departure.update(hits((6.0, 0.15 * k)), area, HERE)
+        assert departure.is_unresolved == (0.15 * k < 4.2) or abs(0.15 * k - 3.9) < 0.4, k
+    assert not departure.is_unresolved
+
+
+def test_who_is_lost_in_the_path_has_not_left(departure: Departure, area: SweptArea) -> None:
+    departure.update(hits((6.0, 0.0), (9.0, 8.0)), area, HERE)
+    for _ in range(600):
+        departure.update(hits((9.0, 8.0)), area, HERE)  # somebody else
+    assert departure.is_unresolved
+    departure.forget()
+    assert not departure.is_unresolved
+
+
+def test_a_jump_is_somebody_else(departure: Departure, area: SweptArea, config: SupervisorConfig) -> None:
+    departure.update(hits((6.0, 3.0)), area, HERE)
+    beyond = 3.0 + config.departure.follow_m + 0.01
+    departure.update(hits((6.0, beyond + 2.0)), area, HERE)
+    assert departure.is_unresolved
+
+
+def test_lost_beside_the_path_within_the_distance(departure: Departure, area: SweptArea) -> None:
+    edge = max(body.half_width_m for body, _ in area.bodies)
+    departure.update(hits((6.0, edge)), area, HERE)
+    departure.update(hits((6.0, edge + 0.55)), area, HERE)
+    departure.update(hits(), area, HERE)
+    assert departure.is_unresolved  # a step from the path, and lost
+
+
+def test_the_path_turns_away(departure: Departure, area: SweptArea) -> None:
+    departure.update(hits((6.0, 0.0)), area, HERE)
+    departure.update(hits((6.0, 0.0)), area, np.array([0.0, 0.0, np.pi]))
+    assert not departure.is_unresolved
+
+
+def test_is_near() -> None:
+    assert is_near(hits((0.0, 0.0), (1.0, 0.0)), hits((0.0, 1.0)), 1.0).tolist() == [True, False]
+    assert is_near(hits(), hits((0.0, 1.0)), 1.0).tolist() == []
+
+
+@clause("BD-5.2.4")
+def test_resume_waits_for_a_confirmation_when_a_person_was_lost(world: World) -> None:
+    world.start().run(3.0)
+    world.boxes = (Box(world.x_m + 9.0, 0.0),)
+    world.run(6.0)
+    assert world.mode == Mode.OBSTACLE_STOP
+    world.boxes = ()
+    world.run(20.0)
+    assert world.mode == Mode.OBSTACLE_STOP
+    assert world.command.reason == "operator_command.unconfirmed"
+    world.order(OperatorCommandKind.CONFIRM_CLEAR)
+    world.run(5.0)
+    assert world.mode == Mode.AUTOMATIC
+
+
+@clause("BD-5.2.4")
+def test_resume_after_a_person_was_seen_leaving(world: World) -> None:
+    world.start().run(3.0)
+    place = world.x_m + 9.0
+    world.boxes = (Box(place, 0.0),)
+    world.run(6.0)
+    for k in range(40):
+        world.boxes = (Box(place, 0.15 * k),)
+        world.run(0.1)
+    assert world.mode == Mode.OBSTACLE_STOP
+    world.run(4.5)
+    assert world.mode == Mode.AUTOMATIC

@@ -1,0 +1,92 @@
+"""Near field: low objects on the measured ground."""
+
+import numpy as np
+import pytest
+
+from configs.vehicle import MountedImplement, Vehicle
+from geometry.rectangle import Rectangle
+from safety.sources.near_field import enclosing, mark_low_obstacles, near_box
+from safety.supervisor_config import SupervisorConfig
+from safety.zones.footprint import Box, Drawbar, Footprint, footprints_of
+from tests.clause import clause
+
+AREA = Box((3.5, 11.0), (-4.0, 4.0))
+
+
+def field_of(rng: np.random.Generator, rough_m: float = 0.0) -> np.ndarray:
+    """Returns (3, N) of ground whose height is normally distributed."""
+    count = 3000
+    return np.stack([
+        rng.uniform(3.5, 11.0, count), rng.uniform(-4.0, 4.0, count), rng.normal(0.0, rough_m, count)
+    ]).astype(np.float32)  # fmt: skip
+
+
+def put_body(xyz: np.ndarray, height_m: float, size_m: tuple[float, float]) -> np.ndarray:
+    """Raises the returns on a body at (7, 0); returns which they are."""
+    is_body = (np.abs(xyz[0] - 7.0) < 0.5 * size_m[0]) & (np.abs(xyz[1]) < 0.5 * size_m[1])
+    xyz[2, is_body] += height_m
+    return is_body
+
+
+@clause("BD-5.2.4", rule="protective_field")
+@pytest.mark.parametrize("size_m", [(1.7, 0.45), (0.45, 1.7), (0.5, 0.3)])
+def test_a_lying_person_stands_out_and_the_ground_does_not(
+    config: SupervisorConfig, size_m: tuple[float, float]
+) -> None:
+    for seed in range(5):
+        xyz = field_of(np.random.default_rng(seed), 0.01)
+        is_body = put_body(xyz, 0.22, size_m)
+        found = mark_low_obstacles(xyz, AREA, config.near_field)
+        assert found[is_body].mean() > 0.8
+        assert found[~is_body].mean() < 0.001
+
+
+@pytest.mark.parametrize("rough_m", [0.002, 0.04])
+def test_least_height_follows_the_roughness(config: SupervisorConfig, rough_m: float) -> None:
+    xyz = field_of(np.random.default_rng(1), rough_m)
+    assert not mark_low_obstacles(xyz, AREA, config.near_field).any()
+    xyz[2, 0] += config.near_field.min_height_m + 0.03
+    assert mark_low_obstacles(xyz, AREA, config.near_field)[0] == (rough_m < 0.01)
+
+
+def test_roughness_is_local(config: SupervisorConfig) -> None:
+    """A low body on smooth ground stands out beside rough ground, which does not."""
+    xyz = field_of(np.random.default_rng(2), 0.002)
+    is_rough = xyz[1] < 0.0
+    xyz[2, is_rough] += np.random.default_rng(3).uniform(0.0, 0.12, is_rough.sum()).astype(np.float32)
+    is_body = (np.abs(xyz[0] - 7.0) < 0.5) & (np.abs(xyz[1] - 3.0) < 0.15)
+    xyz[2, is_body] += 0.17
+    found = mark_low_obstacles(xyz, AREA, config.near_field)
+    assert found[is_body].mean() > 0.8
+    assert not found[is_rough].any()
+
+
+def test_only_returns_in_the_box_count(config: SupervisorConfig) -> None:
+    xyz = field_of(np.random.default_rng(2))
+    put_body(xyz, 0.3, (1.0, 1.0))
+    assert not mark_low_obstacles(xyz, Box((20.0, 30.0), (-4.0, 4.0)), config.near_field).any()
+    assert not mark_low_obstacles(np.empty((3, 0), np.float32), AREA, config.near_field).any()
+    high = np.array([[5.0], [0.0], [2.0]], np.float32)  # no ground around it: left to the ground filter
+    assert not mark_low_obstacles(high, AREA, config.near_field).any()
+
+
+def test_a_wall_is_no_roughness(config: SupervisorConfig) -> None:
+    xyz = field_of(np.random.default_rng(3), 0.005)
+    wall = xyz[:, :2000].copy()
+    wall[1], wall[2] = 3.0, np.abs(wall[0]) * 0.2
+    is_body = put_body(xyz, 0.22, (1.7, 0.45))
+    found = mark_low_obstacles(np.concatenate([xyz, wall], axis=1), AREA, config.near_field)
+    assert found[: xyz.shape[1]][is_body].mean() > 0.8
+
+
+def test_near_box(vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig) -> None:
+    footprints, near = footprints_of(vehicle, implement), config.near_field
+    wide, narrow = (near_box(one, near) for one in (footprints.working, footprints.transport))
+    assert wide.x_m == (footprints.working.foremost_m(-1) - near.range_m, footprints.working.foremost_m(1) + near.range_m)
+    assert wide.y_m[1] == 0.5 * implement.width_m + near.aside_m > narrow.y_m[1]
+    cart = Footprint(footprints.transport.rigid[:1], Rectangle(-4.0, 0.0, 9.0), Drawbar(-1.1, 3.0), 2.0)
+    assert near_box(cart, near).y_m == (-4.5 - near.aside_m, 4.5 + near.aside_m)
+
+
+def test_enclosing() -> None:
+    assert enclosing(Box((0.0, 5.0), (-2.0, 1.0)), Box((-1.0, 4.0), (-1.0, 3.0))) == Box((-1.0, 5.0), (-2.0, 3.0))
