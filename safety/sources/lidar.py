@@ -79,7 +79,9 @@ class LidarSource:
         near_field = near_box(self.footprint, self._config.near_field)
         area = enclosing(box, near_field)
         near = crop(xyz, area, self.footprint.height_m + field.overhead_margin_m)
-        near = near[~is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)]  # moves with the sensor
+        near = near[
+            ~is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
+        ]  # moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
         is_low = mark_low_obstacles(near_xyz, near_field, self._config.near_field)
         is_high = mark_obstacles(near_xyz, area, field)

@@ -16,9 +16,7 @@ def cell_keys(points_odom_m: Float64, cell_m: float) -> Int64:
     return np.asarray((cell[:, 0] << (2 * BITS)) | (cell[:, 1] << BITS) | cell[:, 2])
 
 
-def evaluate(
-    keys: Int64, is_high: np.ndarray, before: Int64, single: int, multiple: int
-) -> tuple[np.ndarray, Int64]:
+def evaluate(keys: Int64, is_high: np.ndarray, before: Int64, single: int, multiple: int) -> tuple[np.ndarray, Int64]:
     """Whether each point is a hit, (N,) bool, and the sorted cells with at least `multiple` returns, for the next scan.
 
     `single`: minimum of high returns in this scan alone, `is_high` (N,) bool; `before`: cells of the previous scan.

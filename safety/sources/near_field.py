@@ -16,7 +16,7 @@ MIN_CELLS = 2  # in each direction, for interpolation
 
 
 def mark_low_obstacles(xyz: Float32, box: Box, config: NearFieldConfig) -> np.ndarray:
-    """Whether each return (3, N), none of them on the machine itself, stands out of the ground in the box, (N,) bool."""
+    """Whether each return (3, N), none of them on the machine, stands out of the ground in the box, (N,) bool."""
     (x_low, x_high), (y_low, y_high) = box.x_m, box.y_m
     inside = np.flatnonzero((xyz[0] > x_low) & (xyz[0] < x_high) & (xyz[1] > y_low) & (xyz[1] < y_high))
     is_obstacle = np.zeros(xyz.shape[1], bool)

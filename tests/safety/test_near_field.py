@@ -82,7 +82,10 @@ def test_a_wall_is_no_roughness(config: SupervisorConfig) -> None:
 def test_near_box(vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig) -> None:
     footprints, near = footprints_of(vehicle, implement), config.near_field
     wide, narrow = (near_box(one, near) for one in (footprints.working, footprints.transport))
-    assert wide.x_m == (footprints.working.foremost_m(-1) - near.range_m, footprints.working.foremost_m(1) + near.range_m)
+    assert wide.x_m == (
+        footprints.working.foremost_m(-1) - near.range_m,
+        footprints.working.foremost_m(1) + near.range_m,
+    )
     assert wide.y_m[1] == 0.5 * implement.width_m + near.aside_m > narrow.y_m[1]
     cart = Footprint(footprints.transport.rigid[:1], Rectangle(-4.0, 0.0, 9.0), Drawbar(-1.1, 3.0), 2.0)
     assert near_box(cart, near).y_m == (-4.5 - near.aside_m, 4.5 + near.aside_m)

@@ -241,8 +241,7 @@ def test_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest
     blind, text = tmp_path / "blind.yaml", (CONFIGS / "implements/harrow_6m.yaml").read_text()
     blind.write_text(text[: text.index("    lidar:")] + text[text.index("    ultrasonic:") :])
     assert (
-        run(monkeypatch, str(bare), str(blind), "--json", "--out", str(tmp_path / "out"), "--mission", "line_turn")
-        == 1
+        run(monkeypatch, str(bare), str(blind), "--json", "--out", str(tmp_path / "out"), "--mission", "line_turn") == 1
     )
     result = json.loads(capsys.readouterr().out)
     assert {row["state"] for row in result["rows"]} == {"raised", "reversing"}
