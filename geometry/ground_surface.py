@@ -14,9 +14,10 @@ REACH = 3  # cells over which a lower place lowers the surface
 def heights_above_ground(
     xyz: Float32, corner_m: tuple[float, float], shape: tuple[int, int], cell_m: float, quantile: float, slope: float,
     residual_slope: float,
-) -> tuple[Float64, Int64]:  # fmt: skip
-    """Height (N,) of each return (3, N) above the surface through the low returns of the cells around it, and its cell
-    (N,), counted by rows.
+    ground_limit_m: float,
+) -> tuple[Float64, Float64]:  # fmt: skip
+    """Height (N,) of each return (3, N) above the surface through the low returns of the cells around it, and the
+    second largest height below `ground_limit_m` in each cell with at least three such returns (M,).
 
     The grid of `shape` cells begins at `corner_m`; returns beyond it belong to its outermost cells. The low `quantile`
     of each cell may rise by `slope` (rise over run) from its lowest neighbour; the mean of 3 x 3 cells of that is the
@@ -50,39 +51,8 @@ def heights_above_ground(
     rest = _envelope(_low(by_cell, begin, quantile, rows, columns), residual_slope * cell_m)
     for k in range(count):
         height[k] -= rest[cell[k] // columns, cell[k] % columns]
-    return height, cell
-
-
-@kernel
-def local_roughness(
-    height: Float64, cell: Int64, shape: tuple[int, int], limit_m: float, reach: int, quantile: float
-) -> Float64:
-    """Quantile of the heights to which the ground reaches in the cells around each cell, in at most `reach` cells (M,).
-
-    The ground of a cell reaches to the second largest height below `limit_m` of at least three returns (N,); 0 where no
-    cell has three.
-    """
-    rows, columns = shape
-    largest, tops = np.full(rows * columns, -np.inf), np.full(rows * columns, -np.inf)
-    counts = np.zeros(rows * columns, np.int64)
-    for k in range(len(height)):
-        here, value = cell[k], height[k]
-        if value < limit_m:
-            counts[here] += 1
-            tops[here] = max(tops[here], min(value, largest[here]))
-            largest[here] = max(largest[here], value)
-    out, around = np.zeros(rows * columns), np.empty((2 * reach + 1) ** 2)
-    for row in range(rows):
-        for column in range(columns):
-            number = 0
-            for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
-                for j in range(max(column - reach, 0), min(column + reach + 1, columns)):
-                    if counts[i * columns + j] >= 3:
-                        around[number] = tops[i * columns + j]
-                        number += 1
-            if number > 0:
-                out[row * columns + column] = np.sort(around[:number])[int(quantile * (number - 1))]
-    return out
+        by_cell[place[k]] = height[k]
+    return height, _second_largest(by_cell, begin, ground_limit_m)
 
 
 @inline_kernel
@@ -95,6 +65,25 @@ def _low(by_cell: Float64, begin: Int64, quantile: float, rows: int, columns: in
             some = np.sort(by_cell[begin[here] : begin[here + 1]])
             low[here // columns, here % columns] = some[int(quantile * count)]
     return low
+
+
+@inline_kernel
+def _second_largest(by_cell: Float64, begin: Int64, limit: float) -> Float64:
+    """Second largest value below the limit of each cell that has at least three."""
+    found = np.empty(len(begin) - 1, np.float64)
+    used = 0
+    for here in range(len(begin) - 1):
+        largest, second, count = -np.inf, -np.inf, 0
+        for k in range(begin[here], begin[here + 1]):
+            value = by_cell[k]
+            if value < limit:
+                count += 1
+                second = max(second, min(value, largest))
+                largest = max(largest, value)
+        if count >= 3:
+            found[used] = second
+            used += 1
+    return found[:used]
 
 
 @inline_kernel

@@ -217,7 +217,7 @@ class CollisionMonitor:
         sigma_m = self._config.docking.sigmas * position_sigma_m(inputs.map_pose)
         is_known = self._known_structure_filter(pose_odom, pose_map, sigma_m)
         self._clearance = self.sources.clearance(swept_field, pose_odom, speed_mps, is_known, inputs.tracks)
-        self._follow_departure(swept_field, pose_odom, is_known)
+        self._follow_departure(swept_field, pose_odom, is_known, odom.stamp_ns)
         stop_s = stopping_time(speed_mps, braking)
         self._critical_object = nearest_critical_object(
             swept_field.main, self._footprint, inputs.tracks, pose_odom, odom.curvature_radpm, stop_s,
@@ -227,7 +227,7 @@ class CollisionMonitor:
         self._update_wall_distance(pose_map, swept_field, sigma_m)
 
     def _follow_departure(
-        self, swept_field: SweptField, pose_odom: Float64, is_known: KnownStructureFilter | None
+        self, swept_field: SweptField, pose_odom: Float64, is_known: KnownStructureFilter | None, now_ns: int
     ) -> None:
         is_blocked = self._clearance is not None and math.isfinite(self._clearance.main_m)
         if not is_blocked and not self.departure.is_unresolved:
@@ -235,7 +235,7 @@ class CollisionMonitor:
         hits = self.sources.lidar_hits_odom_m
         if is_known is not None and len(hits):
             hits = hits[~is_known(hits)]
-        self.departure.update(thin(hits, THIN_M), swept_field.main, pose_odom)
+        self.departure.update(thin(hits, THIN_M), swept_field.main, pose_odom, now_ns)
 
     def _known_structure_filter(
         self, pose_odom: Float64, pose_map: Float64 | None, sigma_m: float

@@ -87,7 +87,6 @@ class NearFieldConfig(Config):
     max_slope: float = Field(ge=0.0, le=1.0, description="greatest rise of the ground from a lower place to its trend")
     max_residual_slope: float = Field(ge=0.0, le=1.0, description="the same of the ground against its trend")
     max_roughness_m: Metres = Field(description="what is higher above the ground is not its roughness")
-    roughness_cells: int = Field(ge=1, le=20, description="cells to each side of a place in which it is measured")
     roughness_quantile: float = Field(ge=0.5, le=1.0, description="over cells, of the height that the ground reaches")
     roughness_factor: float = Field(ge=1.0, le=10.0, description="least height that counts, over the quantile")
 
@@ -95,6 +94,7 @@ class NearFieldConfig(Config):
 class DepartureConfig(Config):
     """Following what blocked the path until it has left."""
 
+    seen_s: Seconds = Field(description="time for which an object must have been seen to be followed")
     ahead_m: Metres = Field(description="part of the swept area in which an object counts as blocking")
     follow_m: Metres = Field(description="greatest movement of a person or animal from one scan to the next")
     away_m: Metres = Field(description="distance from the swept area at which it has left")

@@ -79,11 +79,10 @@ class LidarSource:
         near_field = near_box(self.footprint, self._config.near_field)
         area = enclosing(box, near_field)
         near = crop(xyz, area, self.footprint.height_m + field.overhead_margin_m)
-        near = near[
-            ~is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
-        ]  # moves with the sensor
+        is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
+        near = near[~is_machine]  # before deskewing: the machine moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
-        is_low = mark_low_obstacles(near_xyz, near_field, self._config.near_field)
+        is_low = mark_low_obstacles(near_xyz, near_field, self._config.near_field).is_obstacle
         is_high = mark_obstacles(near_xyz, area, field)
         is_obstacle = is_high | is_low
         obstacles = np.asarray(near_xyz.compress(is_obstacle, axis=1), np.float64)

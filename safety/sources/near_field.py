@@ -5,33 +5,41 @@ farther away. Near the machine returns are dense enough to measure the ground in
 from 0.12 m above it, or from what the roughness of the ground around the machine requires if that is more.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from geometry.arrays import Float32
-from geometry.ground_surface import heights_above_ground, local_roughness
+from geometry.arrays import Float32, Float64
+from geometry.ground_surface import heights_above_ground
 from safety.config import NearFieldConfig
 from safety.zones.footprint import Box, Footprint
 
 MIN_CELLS = 2  # in each direction, for interpolation
 
 
-def mark_low_obstacles(xyz: Float32, box: Box, config: NearFieldConfig) -> np.ndarray:
-    """Whether each return (3, N), none of them on the machine, stands out of the ground in the box, (N,) bool."""
+@dataclass(frozen=True)
+class NearField:
+    """Whether each return is above the ground, (N,) bool; `min_height_m` is the least height that counts."""
+
+    is_obstacle: np.ndarray
+    min_height_m: float
+
+
+def mark_low_obstacles(xyz: Float32, box: Box, config: NearFieldConfig) -> NearField:
+    """Returns (3, N), none of them on the machine itself, that stand out of the ground in the box."""
     (x_low, x_high), (y_low, y_high) = box.x_m, box.y_m
     inside = np.flatnonzero((xyz[0] > x_low) & (xyz[0] < x_high) & (xyz[1] > y_low) & (xyz[1] < y_high))
     is_obstacle = np.zeros(xyz.shape[1], bool)
     if len(inside) == 0:
-        return is_obstacle
+        return NearField(is_obstacle, config.min_height_m)
     shape = (cells(x_high - x_low, config.cell_m), cells(y_high - y_low, config.cell_m))
-    height_m, cell = heights_above_ground(
+    height_m, tops_m = heights_above_ground(
         np.ascontiguousarray(xyz[:, inside]), (x_low, y_low), shape, config.cell_m, config.ground_quantile,
-        config.max_slope, config.max_residual_slope,
+        config.max_slope, config.max_residual_slope, config.max_roughness_m,
     )  # fmt: skip
-    roughness_m = local_roughness(
-        height_m, cell, shape, config.max_roughness_m, config.roughness_cells, config.roughness_quantile
-    )
-    is_obstacle[inside] = height_m > np.maximum(config.min_height_m, config.roughness_factor * roughness_m[cell])
-    return is_obstacle
+    min_height_m = max(config.min_height_m, config.roughness_factor * roughness_m(tops_m, config))
+    is_obstacle[inside] = height_m > min_height_m
+    return NearField(is_obstacle, min_height_m)
 
 
 def near_box(footprint: Footprint, config: NearFieldConfig) -> Box:
@@ -52,3 +60,8 @@ def enclosing(box: Box, other: Box) -> Box:
 def cells(length_m: float, cell_m: float) -> int:
     """Number of cells over a length, enough to interpolate between."""
     return max(MIN_CELLS, int(np.ceil(length_m / cell_m)))
+
+
+def roughness_m(tops_m: Float64, config: NearFieldConfig) -> float:
+    """High quantile of the heights to which the ground reaches in each cell: objects are in few of the cells."""
+    return float(np.quantile(tops_m, config.roughness_quantile)) if len(tops_m) else 0.0

@@ -1,7 +1,8 @@
 """Departure of what blocked the path: seen leaving the swept area, or lost from view inside of it.
 
 A person who stops the machine and walks away is followed from scan to scan by returns alone. One who is no longer seen
-without having left may lie before the machine, or have entered a zone that no sensor covers.
+without having left may lie before the machine, or have entered a zone that no sensor covers. Returns that vanish within
+less than `seen_s` are no body: dust, a bird, single plants.
 """
 
 import numpy as np
@@ -20,21 +21,29 @@ class Departure:
     def __init__(self, config: DepartureConfig) -> None:
         self._config = config
         self._last_seen_odom_m: Float64 = NOWHERE
+        self._span_ns = (0, 0)
 
     @property
     def is_unresolved(self) -> bool:
-        """Whether what blocked the swept area has not been seen leaving it."""
-        return len(self._last_seen_odom_m) > 0
+        """Whether what blocked the swept area, seen for long enough, has not been seen leaving it."""
+        first_ns, last_ns = self._span_ns
+        return len(self._last_seen_odom_m) > 0 and last_ns - first_ns >= self._seen_ns
+
+    @property
+    def _seen_ns(self) -> int:
+        return round(self._config.seen_s * 1e9)
 
     def forget(self) -> None:
         """An operator has confirmed that nobody is near the machine."""
         self._last_seen_odom_m = NOWHERE
 
-    def update(self, hits_odom_m: Float64, area: SweptArea, pose_odom: Float64) -> None:
+    def update(self, hits_odom_m: Float64, area: SweptArea, pose_odom: Float64, now_ns: int) -> None:
         """Takes the present hits (N, 2), for base at `pose_odom` (3,)."""
         blocking = hits_odom_m[self._is_within(hits_odom_m, area, pose_odom, 0.0)]
         if len(blocking):
-            self._last_seen_odom_m = blocking
+            first_ns, last_ns = self._span_ns
+            is_new = not self.is_unresolved and now_ns - last_ns > self._seen_ns
+            self._last_seen_odom_m, self._span_ns = blocking, (now_ns if is_new else first_ns, now_ns)
         elif self.is_unresolved:
             followed = hits_odom_m[is_near(hits_odom_m, self._last_seen_odom_m, self._config.follow_m)]
             if len(followed):

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from geometry.ground_surface import heights_above_ground, local_roughness
+from geometry.ground_surface import heights_above_ground
 
 SHAPE, CELL_M = (16, 24), 0.5
 
 
 def heights(xyz: np.ndarray) -> np.ndarray:
-    return heights_above_ground(xyz.astype(np.float32), (0.0, -6.0), SHAPE, CELL_M, 0.1, 0.10, 0.05)[0]
+    return heights_above_ground(xyz.astype(np.float32), (0.0, -6.0), SHAPE, CELL_M, 0.1, 0.10, 0.05, 0.3)[0]
 
 
 def ground(rng: np.random.Generator, count: int = 4000) -> np.ndarray:
@@ -50,14 +50,7 @@ def test_few_returns_below_the_ground_do_not_lower_it() -> None:
     assert np.median(heights(xyz)) < 0.01
 
 
-def test_local_roughness() -> None:
-    shape = (3, 10)
-    cell, height = np.repeat(np.arange(30), 4), np.tile([0.0, 0.02, 0.05, 0.9], 30)  # 0.9 m is above the limit
-    height[4 * 9 : 4 * 10] = 0.1  # the last cell of the first row
-    height[4 * 25] = 0.9  # two returns are too few
-    found = local_roughness(height, cell, shape, 0.3, 1, 1.0)
-    expected = np.full(30, 0.02)
-    expected[[8, 9, 18, 19]] = 0.1
-    assert found == pytest.approx(expected, abs=1e-9)
-    assert local_roughness(height, cell, shape, 0.3, 1, 0.5).max() == pytest.approx(0.02)
-    assert not local_roughness(np.array([0.2, 0.2]), np.array([4, 4]), shape, 0.3, 2, 1.0).any()
+def test_second_largest_height_of_each_cell_with_three_returns() -> None:
+    xyz = np.array([[1.1, 1.2, 1.3, 1.4, 3.1, 3.2], [0.1] * 6, [0.0, 0.05, 0.07, 0.9, 0.0, 0.2]]).astype(np.float32)
+    _, tops = heights_above_ground(xyz, (0.0, -6.0), SHAPE, CELL_M, 0.1, 0.10, 0.05, 0.3)
+    assert tops == pytest.approx([0.05], abs=0.02)

@@ -27,51 +27,74 @@ def area(vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig
     return sweep_field(None, None, 0.0, 1, 8.0, 4.0, footprint, config.field).main
 
 
+class Clocked(Departure):
+    """Takes the hits of scans 0.1 s apart."""
+
+    now_ns = 5_000_000_000
+
+    def see(self, hits_m: Float64, area: SweptArea, pose: Float64 = HERE, scans: int = 1) -> None:
+        for _ in range(scans):
+            self.now_ns += 100_000_000
+            self.update(hits_m, area, pose, self.now_ns)
+
+
 @pytest.fixture
-def departure(config: SupervisorConfig) -> Departure:
-    return Departure(config.departure)
+def departure(config: SupervisorConfig) -> Clocked:
+    return Clocked(config.departure)
 
 
-def test_nothing_blocked(departure: Departure, area: SweptArea) -> None:
-    departure.update(hits((6.0, 9.0)), area, HERE)
+def test_nothing_blocked(departure: Clocked, area: SweptArea) -> None:
+    departure.see(hits((6.0, 9.0)), area)
     assert not departure.is_unresolved
 
 
-def test_who_walks_out_has_left(departure: Departure, area: SweptArea) -> None:
+def test_who_walks_out_has_left(departure: Clocked, area: SweptArea) -> None:
+    departure.see(hits((6.0, 0.0)), area, scans=4)
     for k in range(60):
-        departure.update(hits((6.0, 0.15 * k)), area, HERE)
+        departure.see(hits((6.0, 0.15 * k)), area)
         assert departure.is_unresolved == (0.15 * k < 4.2) or abs(0.15 * k - 3.9) < 0.4, k
     assert not departure.is_unresolved
 
 
-def test_who_is_lost_in_the_path_has_not_left(departure: Departure, area: SweptArea) -> None:
-    departure.update(hits((6.0, 0.0), (9.0, 8.0)), area, HERE)
+def test_who_is_lost_in_the_path_has_not_left(departure: Clocked, area: SweptArea) -> None:
+    departure.see(hits((6.0, 0.0), (9.0, 8.0)), area, scans=4)
     for _ in range(600):
-        departure.update(hits((9.0, 8.0)), area, HERE)  # somebody else
+        departure.see(hits((9.0, 8.0)), area)  # somebody else
     assert departure.is_unresolved
     departure.forget()
     assert not departure.is_unresolved
 
 
-def test_a_jump_is_somebody_else(departure: Departure, area: SweptArea, config: SupervisorConfig) -> None:
-    departure.update(hits((6.0, 3.0)), area, HERE)
+def test_a_jump_is_somebody_else(departure: Clocked, area: SweptArea, config: SupervisorConfig) -> None:
+    departure.see(hits((6.0, 3.0)), area, scans=4)
     beyond = 3.0 + config.departure.follow_m + 0.01
-    departure.update(hits((6.0, beyond + 2.0)), area, HERE)
+    departure.see(hits((6.0, beyond + 2.0)), area)
     assert departure.is_unresolved
 
 
-def test_lost_beside_the_path_within_the_distance(departure: Departure, area: SweptArea) -> None:
+def test_lost_beside_the_path_within_the_distance(departure: Clocked, area: SweptArea) -> None:
     edge = max(body.half_width_m for body, _ in area.bodies)
-    departure.update(hits((6.0, edge)), area, HERE)
-    departure.update(hits((6.0, edge + 0.55)), area, HERE)
-    departure.update(hits(), area, HERE)
+    departure.see(hits((6.0, edge)), area, scans=4)
+    departure.see(hits((6.0, edge + 0.55)), area)
+    departure.see(hits(), area)
     assert departure.is_unresolved  # a step from the path, and lost
 
 
-def test_the_path_turns_away(departure: Departure, area: SweptArea) -> None:
-    departure.update(hits((6.0, 0.0)), area, HERE)
-    departure.update(hits((6.0, 0.0)), area, np.array([0.0, 0.0, np.pi]))
+def test_the_path_turns_away(departure: Clocked, area: SweptArea) -> None:
+    departure.see(hits((6.0, 0.0)), area, scans=4)
+    assert departure.is_unresolved
+    departure.see(hits((6.0, 0.0)), area, np.array([0.0, 0.0, np.pi]))
     assert not departure.is_unresolved
+
+
+def test_returns_that_vanish_at_once_are_no_body(departure: Clocked, area: SweptArea) -> None:
+    for _ in range(20):
+        departure.see(hits((6.0, 0.0)), area, scans=2)
+        assert not departure.is_unresolved
+        departure.see(hits(), area, scans=3)
+        assert not departure.is_unresolved
+    departure.see(hits((6.0, 0.0)), area, scans=4)
+    assert departure.is_unresolved
 
 
 def test_is_near() -> None:

@@ -50,7 +50,17 @@ def nodes(model: Path | None) -> list[tuple[Node, int]]:
 class MadeUp(World):
     """A machine at rest with a repeated echo and a repeated radar target."""
 
-    writes = ("odom", "machine", "camera/front", "radar/front", "ultrasonic/left", "lidar/front", "lidar/rear")
+    writes = (
+        "odom",
+        "machine",
+        "camera/front",
+        "radar/front",
+        "ultrasonic/left",
+        "lidar/front",
+        "lidar/front_left",
+        "lidar/front_right",
+        "lidar/rear",
+    )
 
     def __init__(self, seconds: float) -> None:
         self._tick, self._ticks = 0, round(seconds * 100)
@@ -83,7 +93,7 @@ def drive(found: list[tuple[Node, int]], seconds: float) -> dict[str, Message]:
 
 def test_nodes_and_load_of_each_sensor(tmp_path: Path) -> None:
     model = write(tmp_path / "always.onnx", (1, 3, 64, 64), {"output": np.zeros((1, 84, 85), np.float32)})
-    for file, eyes in ((None, 4), (model, 5)):
+    for file, eyes in ((None, 6), (model, 7)):
         found = nodes(file)
         tracker = found[-1][0]
         assert len([t for t in tracker.reads if t.startswith("obstacles/")]) == eyes
