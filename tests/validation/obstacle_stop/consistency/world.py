@@ -160,7 +160,7 @@ class Drive:
         return list(_envelopes_of(replace(self, configured=None)))
 
     def generate(self) -> list[Envelope]:
-        """All messages in order of delivery, anew."""
+        """All messages in order of delivery, generated again."""
         rng = np.random.default_rng(self.seed + 1000)
         fixed, standing = self.scene()
         visible = fixed[[k for k in range(len(fixed)) if k not in self.invisible]]
