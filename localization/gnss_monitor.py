@@ -120,8 +120,11 @@ class GnssMonitor:
         return max(bounds)
 
     def _bounds_m(self, window: WindowConfig, separation: Separation | None, sigmas: float) -> list[float]:
-        """The bound of a window, if it sees well enough or if it sees an error."""
-        if separation is None:
+        """The bound of a window, if it sees well enough or if it sees an error.
+
+        Wheels bound nothing over longer windows than `slip_s`: in turns and in reverse slip explains decimetres there.
+        """
+        if separation is None or (window.window_s > self._config.slip_s and separation.wheel_m.any()):
             return []
         is_seen = separation.ratio > self._config.detect_sigmas and window.window_s <= self._config.slip_s
         return [separation.bound_m(sigmas)] if is_seen or sigmas * separation.sigma_m <= self._config.cover_m else []
