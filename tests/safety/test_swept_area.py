@@ -337,7 +337,7 @@ def test_box_and_outline_contain_area(config: SafetyConfig, footprint: Footprint
 def test_more_points_never_lengthen_the_gap(points: list[tuple[float, float]]) -> None:
     area = arc(SHAPES[False], CONFIG, 0.05, 10.0)
     clearances = [distance_to_contact_m(np.array(points[: k + 1]), area).min() for k in range(len(points))]
-    assert all(b <= a for a, b in pairwise(clearances))
+    assert all(b <= a + 1e-9 for a, b in pairwise(clearances))  # one point or several: products round differently
     wider = distance_to_contact_m(np.array(points), area, 0.5)
     assert np.all(wider <= distance_to_contact_m(np.array(points), area) + 1e-9)
     assert len(distance_to_contact_m(np.empty((0, 2)), area)) == 0
