@@ -93,7 +93,7 @@ def drive(found: list[tuple[Node, int]], seconds: float) -> dict[str, Message]:
 
 def test_nodes_and_load_of_each_sensor(tmp_path: Path) -> None:
     model = write(tmp_path / "always.onnx", (1, 3, 64, 64), {"output": np.zeros((1, 84, 85), np.float32)})
-    for file, eyes in ((None, 6), (model, 7)):
+    for file, eyes in ((None, 4), (model, 5)):
         found = nodes(file)
         tracker = found[-1][0]
         assert len([t for t in tracker.reads if t.startswith("obstacles/")]) == eyes
