@@ -173,6 +173,15 @@ class Sensors(Config):
     imu: Imu | None = None
     wheels: Wheels | None = None
 
+    @property
+    def segmented_lidars(self) -> dict[str, Lidar]:
+        """Lidars whose scans are divided into ground and objects: those with a beam at or above their horizon.
+
+        Others cut objects off and serve the raw protective field alone; all, where no lidar has such a beam.
+        """
+        upright = {name: one for name, one in self.lidar.items() if max(one.elevation_deg) >= 0.0}
+        return upright or self.lidar
+
 
 class Ackermann(Config):
     """Front-wheel steering with a fixed rear axle."""

@@ -55,7 +55,7 @@ class LidarMap(Node):
         self, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, shed: Shed | None,
         config: LidarMapConfig,
     ) -> None:  # fmt: skip
-        lidars = vehicle.sensors.lidar
+        lidars = vehicle.sensors.segmented_lidars
         self.name = "lidar_map"
         self.reads: Mapping[str, Read] = {
             **{f"lidar/{name}": All(4) for name in lidars},
