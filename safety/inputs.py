@@ -31,10 +31,11 @@ class SupervisorInputs:
         self._sensors, self._config = sensors, config
         self._monitored = monitored_sensors(sensors, idle)
         own = ("imu",) * (sensors.imu is not None) + ("wheel",) * (sensors.wheels is not None)
-        lidars = [topic for name in sensors.lidar for topic in (f"lidar/{name}", f"health/lidar_{name}")]
+        self._health = {f"lidar_{name}": f"health/lidar_{name}" for name in sensors.segmented_lidars}
+        topics = [(f"lidar/{name}", self._health.get(f"lidar_{name}")) for name in sensors.lidar]
+        lidars = [topic for scan_and_health in topics for topic in scan_and_health if topic is not None]
         watched = ("machine", *own, *lidars, "odom", "map_pose", "tracks", "control_command", "mission", "order_status")
         self._watched: dict[str, type[Message]] = {topic: spec_of(topic).type for topic in watched}
-        self._health = {f"lidar_{name}": f"health/lidar_{name}" for name in sensors.lidar}
         self._health |= {one.label: one.health_topic for one in self._monitored}
 
     @property

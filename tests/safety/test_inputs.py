@@ -268,3 +268,13 @@ def test_message_types(inputs: SupervisorInputs) -> None:
     inputs.ages(NOW_NS, inbox, collision_monitor(), 1)
     inputs.sensor_failures(NOW_NS, inbox, seen, collision_monitor(), 1)
     assert asked == {(topic, spec_of(topic).type) for topic in inputs.reads}
+
+
+def test_a_lidar_that_looks_down_only_has_no_health(vehicle: Vehicle, config: SupervisorConfig) -> None:
+    low = vehicle.sensors.lidar["front"].model_copy(update={"elevation_deg": [-40.0, -10.0]})
+    sensors = vehicle.sensors.model_copy(update={"lidar": {**vehicle.sensors.lidar, "low": low}})
+    reads = SupervisorInputs(sensors, frozenset(), config).reads
+    assert "lidar/low" in reads
+    assert "health/lidar_low" not in reads
+    only_low = vehicle.sensors.model_copy(update={"lidar": {"low": low}})
+    assert "health/lidar_low" in SupervisorInputs(only_low, frozenset(), config).reads
