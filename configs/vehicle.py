@@ -60,6 +60,11 @@ class Lidar(Sensor):
     range_m: tuple[float, float] = Field(description="nearest and farthest")
     range_sigma_m: float = Field(ge=0.0, le=1.0)
 
+    @property
+    def looks_down(self) -> bool:
+        """Whether all beams are below the horizon of the sensor: it measures the ground around the machine."""
+        return max(self.elevation_deg) < 0.0
+
 
 class Camera(Sensor):
     """A camera: pinhole with Brown's distortion (k1, k2, p1, p2, k3; OpenCV's order), none in rectified images.
@@ -179,7 +184,7 @@ class Sensors(Config):
 
         Others cut objects off and serve the raw protective field alone; all, where no lidar has such a beam.
         """
-        upright = {name: one for name, one in self.lidar.items() if max(one.elevation_deg) >= 0.0}
+        upright = {name: one for name, one in self.lidar.items() if not one.looks_down}
         return upright or self.lidar
 
 

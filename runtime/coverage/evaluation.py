@@ -116,10 +116,11 @@ def covered(
     At rest `min_returns_multiple_scan` returns repeat in the next scan, and are fewer than for a single scan.
     """
     field = safety.field
-    heights, low_m = np.array(config.heights_m), counted_from_m(footprint, places, safety)
+    heights = np.array(config.heights_m)
     own = _own(footprint, field.mask_m)
-    enough = np.zeros((len(heights), *low_m.shape), bool)
+    enough = np.zeros((len(heights), len(places.x_m), len(places.y_m)), bool)
     for lidar, rays in lidars:
+        low_m = counted_from_m(lidar, footprint, places, safety)
         reach = np.column_stack([np.full(len(rays), lidar.range_m[0]), free_range_m(rays, solids)])
         reach[:, 1] = np.minimum(reach[:, 1], lidar.range_m[1])
         counts = np.zeros(enough.shape, np.int64)
@@ -131,11 +132,13 @@ def covered(
     return enough
 
 
-def counted_from_m(footprint: Footprint, places: Places, safety: SafetyConfig) -> Float64:
-    """Height (X, Y) from which the supervisor counts a return over smooth ground."""
+def counted_from_m(lidar: Lidar, footprint: Footprint, places: Places, safety: SafetyConfig) -> Float64:
+    """Height (X, Y) from which the supervisor counts a return of a lidar over smooth ground."""
     field, near = safety.field, safety.near_field
     x, y = np.meshgrid(places.x_m, places.y_m, indexing="ij")
     low_m = field.min_height_m + field.min_height_slope * np.hypot(x, y)
+    if not lidar.looks_down:
+        return low_m
     is_near = (x <= footprint.foremost_m(1) + near.range_m) & (x >= footprint.foremost_m(-1) - near.range_m)
     return np.where(is_near, np.minimum(low_m, near.min_height_m), low_m)
 

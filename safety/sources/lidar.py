@@ -39,6 +39,7 @@ class LidarSource:
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
         self.footprint, self._config = footprint, config
         self.hitch, self._mount = 1.0, lidar.mount
+        self._looks_down = lidar.looks_down
         self._T_base_sensor = lidar.mount.T_base_sensor
         self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_density(lidar, config.detection_range)
@@ -77,14 +78,14 @@ class LidarSource:
         self._update_detection_range(xyz, curvature_radpm)
         field = self._config.field
         near_field = near_box(self.footprint, self._config.near_field)
-        area = enclosing(box, near_field)
+        area = enclosing(box, near_field) if self._looks_down else box
         near = crop(xyz, area, self.footprint.height_m + field.overhead_margin_m)
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
         near = near[~is_machine]  # before deskewing: the machine moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
-        is_low = mark_low_obstacles(near_xyz, near_field, self._config.near_field).is_obstacle
-        is_high = mark_obstacles(near_xyz, area, field)
-        is_obstacle = is_high | is_low
+        is_obstacle = is_high = mark_obstacles(near_xyz, area, field)
+        if self._looks_down:
+            is_obstacle = is_high | mark_low_obstacles(near_xyz, near_field, self._config.near_field).is_obstacle
         obstacles = np.asarray(near_xyz.compress(is_obstacle, axis=1), np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         is_hit, self._cells = evaluate(

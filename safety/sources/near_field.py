@@ -1,8 +1,9 @@
 """Near field: low objects on the measured ground around machine and implement.
 
 The ground filter counts from 0.25 m above a plane through the wheels, because the ground itself reaches that height
-farther away. Near the machine returns are dense enough to measure the ground in cells of 0.5 m: a return counts there
-from 0.12 m above it, or from what the roughness of the ground around the machine requires if that is more.
+farther away. Lidars that look down have enough returns near the machine to measure the ground in cells of 0.5 m: one
+counts there from 0.12 m above it, or from what the roughness of the ground requires if that is more. Others have their
+first ring metres away, and reflections there lie below the ground.
 """
 
 from dataclasses import dataclass

@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
-from configs.vehicle import MountedImplement, Vehicle
+from configs.vehicle import Mount, MountedImplement, Vehicle
 from geometry.rectangle import Rectangle
+from messages.sensors import LidarScan
+from safety.sources.ground_filter import Motion
+from safety.sources.lidar import LidarSource
 from safety.sources.near_field import enclosing, mark_low_obstacles, near_box
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.footprint import Box, Drawbar, Footprint, footprints_of
 from tests.clause import clause
+from tests.safety.safety_world import NO_BYTES, START_NS
 
 AREA = Box((3.5, 11.0), (-4.0, 4.0))
 
@@ -83,3 +87,20 @@ def test_near_box(vehicle: Vehicle, implement: MountedImplement, config: Supervi
 
 def test_enclosing() -> None:
     assert enclosing(Box((0.0, 5.0), (-2.0, 1.0)), Box((-1.0, 4.0), (-1.0, 3.0))) == Box((-1.0, 5.0), (-2.0, 3.0))
+
+
+def test_only_lidars_that_look_down_measure_the_ground(config: SupervisorConfig, vehicle: Vehicle) -> None:
+    """A body of 0.2 m before the machine, in two scans of the same beams."""
+    mount = Mount(xyz_m=(3.0, 0.0, 2.0))
+    down = vehicle.sensors.lidar["front"].model_copy(update={"mount": mount, "elevation_deg": [-40.0, -10.0]})
+    footprint = footprints_of(vehicle, None).working
+    xyz = field_of(np.random.default_rng(4), 0.002)
+    is_body = put_body(xyz, 0.2, (0.5, 1.7))
+    points_m = np.ascontiguousarray((xyz - np.array([[3.0], [0.0], [2.0]])).T, np.float32)
+    for lidar, count in ((down, is_body.sum()), (down.model_copy(update={"elevation_deg": [-40.0, 5.0]}), 0)):
+        source = LidarSource("low", lidar, footprint, config)
+        for k in range(2):
+            stamp_ns, none = START_NS + k * 100_000_000, np.empty(0)
+            scan = LidarScan(stamp_ns, np.empty((0, 0), np.uint16), none, none, points_m, NO_BYTES, none.astype("f4"))
+            source.update(scan, np.zeros(3), Motion(0.0, 0.0), 0.0, AREA)
+        assert len(source.hits_odom_m) == pytest.approx(count, abs=0.1 * count)
