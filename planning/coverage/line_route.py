@@ -14,11 +14,12 @@ from planning.coverage.order import Visit, order
 from planning.coverage.pass_route import turn_pieces
 from planning.coverage.swath import Swath
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.search import Connection, Leg, bounds_s, straight
+from planning.turns.search import STEP_M, Connection, Leg, bounds_s, straight
 
 REORDERINGS = 6
 TRIED = 5  # lines to which a connection is searched thoroughly
 MAX_FAILURES = 4
+MAX_STEPS_BACK = 12
 NO_TURN_S = 400.0
 NOT_DRIVABLE_S = 1e6
 
@@ -86,19 +87,31 @@ def drive_lines(connector: PathConnector, start: Pose2, home: Pose2 | None, line
 
 
 def _drive(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> Tour:
-    left = _ordered(connector, start, home, lines)
-    driven: list[tuple[Visit, Connection]] = []
-    failures = [0] * len(lines)
+    """The lines in order; where none is reached from the last one, that is put aside until another has been driven.
+
+    It is left out the second time. Of the tours up to such dead ends the one that works most is taken.
+    """
+    left, aside = _ordered(connector, start, home, lines), list[Visit]()
+    driven, best = list[tuple[Visit, Connection]](), list[tuple[Visit, Connection]]()
+    failures, times_aside, steps_back = [0] * len(lines), [0] * len(lines), 0
     while True:
-        pose = _end(lines, driven[-1][0]) if driven else start
-        behind_m = _straight_m(lines, driven[-1][0]) if driven else 0.0
+        pose, behind_m = _place(lines, driven, start)
         found = _next(connector, pose, behind_m, lines, left, failures)
         if found is not None:
             driven.append((left.pop(found[0]), found[1]))
-        elif driven and _is_trap(connector, pose, home, lines, driven):
-            driven.pop()
-        else:
+            left, aside = [*left, *aside], []
+            continue
+        is_end = _is_end(connector, pose, behind_m, home)
+        if is_end and _worked_m(lines, driven) > _worked_m(lines, best):
+            best = driven.copy()
+        if not driven or (best and not left) or steps_back == MAX_STEPS_BACK:
             break
+        visit, _ = driven.pop()
+        times_aside[visit[0]] += 1
+        if times_aside[visit[0]] == 1:
+            aside.append(visit)
+        steps_back += is_end
+    driven, (pose, behind_m) = best, _place(lines, best, start)
     pieces: list[RoutePiece] = []
     for (number, is_reversed), connection in driven:
         line, leg = lines[number], lines[number].legs[is_reversed]
@@ -129,19 +142,19 @@ def _next(
     return None
 
 
-def _is_trap(
-    connector: PathConnector, pose: Pose2, home: Pose2 | None, lines: Sequence[WorkLine],
-    driven: Sequence[tuple[Visit, Connection]],
-) -> bool:  # fmt: skip
-    """Whether neither `home` nor, without one, the line before the last is reached from the end of the last."""
-    behind_m = _straight_m(lines, driven[-1][0])
-    if home is not None:
-        return connector.find(connector.home_request(pose, home, behind_m)) is None
-    if len(driven) < 2:
-        return False
-    (number, is_reversed), _ = driven[-2]
-    ends = lines[number].ends(is_reversed)
-    return ends is not None and connector.find(connector.request(pose, ends[0], behind_m)) is None
+def _is_end(connector: PathConnector, pose: Pose2, behind_m: float, home: Pose2 | None) -> bool:
+    """Whether a tour can end here: `home` is reached, where there is one."""
+    return home is None or connector.find(connector.home_request(pose, home, behind_m)) is not None
+
+
+def _place(lines: Sequence[WorkLine], driven: Sequence[tuple[Visit, Connection]], start: Pose2) -> tuple[Pose2, float]:
+    """Pose at the end of what was driven, and the straight length behind it."""
+    return (_end(lines, driven[-1][0]), _straight_m(lines, driven[-1][0])) if driven else (start, 0.0)
+
+
+def _worked_m(lines: Sequence[WorkLine], driven: Sequence[tuple[Visit, Connection]]) -> float:
+    legs = [lines[number].legs[is_reversed] for (number, is_reversed), _ in driven]
+    return sum(float(len(leg.p_map_m)) * STEP_M for leg in legs if leg is not None)
 
 
 def _straight_m(lines: Sequence[WorkLine], visit: Visit) -> float:
