@@ -44,7 +44,7 @@ class WorkLine:
     def ends(self, is_reversed: bool) -> tuple[Pose2, Pose2] | None:
         """Poses of `base` at start and end of work."""
         leg = self.legs[is_reversed]
-        return None if leg is None else (_pose(leg, 0), _pose(leg, -1))
+        return None if leg is None else (leg.pose(0), leg.pose(-1))
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def _straight_m(lines: Sequence[WorkLine], visit: Visit) -> float:
 def _end(lines: Sequence[WorkLine], visit: Visit) -> Pose2:
     leg = lines[visit[0]].legs[visit[1]]
     assert leg is not None
-    return _pose(leg, -1)
+    return leg.pose(-1)
 
 
 def _ordered(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> list[Visit]:
@@ -216,7 +216,3 @@ def _bounds(
     cost[known, n] = bound[:-1, -1] if home is not None else 0.0
     cost[n, n] = 0.0
     return cost
-
-
-def _pose(leg: Leg, k: int) -> Pose2:
-    return Pose2(*map(float, (*leg.p_map_m[k], leg.heading_rad[k])))

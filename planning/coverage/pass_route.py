@@ -16,8 +16,8 @@ MAX_ENTRIES, MAX_LINKS, THOROUGH, THOROUGH_NEAR = 10, 6, 8, 2
 NO_LINK_S = 100.0
 
 
-def drive_passes(connector: PathConnector, start: Pose2) -> tuple[list[RoutePiece], Pose2, list[HeadlandPass]]:
-    """Pieces over all closed passes, the pose at the end, and the passes that were not reached.
+def drive_passes(connector: PathConnector, start: Pose2) -> tuple[list[RoutePiece], Pose2]:
+    """Pieces over all closed passes that are reached, and the pose at the end.
 
     A pass along the edge is left before a corner: on a straight the tail would swing over the edge.
     """
@@ -35,7 +35,7 @@ def drive_passes(connector: PathConnector, start: Pose2) -> tuple[list[RoutePiec
         pose = _pose(ring, k + CLOSING)
         del left[number]
         number = 0  # those that were not reached before may be now
-    return pieces, pose, [ring for ring, _ in left]
+    return pieces, pose
 
 
 def _best(

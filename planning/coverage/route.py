@@ -16,16 +16,14 @@ from planning.coverage.pass_route import drive_passes, turn_pieces
 from planning.coverage.swath import Swath
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.search import ConnectionRequest, Leg, straight
-
-STEP_M = 0.1
+from planning.turns.search import STEP_M, ConnectionRequest, Leg, straight
 
 
 def route(connector: PathConnector, swaths: Sequence[Swath]) -> list[RoutePiece]:
     """All pieces in order; raises FieldError with the position where no connection is found."""
     lane = lane_leg(connector) if connector.drivable.site.lanes else None
     pieces, pose = _entry(connector, lane)
-    driven, pose, _ = drive_passes(connector, pose)
+    driven, pose = drive_passes(connector, pose)
     pieces += driven
     home = None if lane is None else _reversed_end(lane)
     lines = lines_of(swaths, connector.headland_passes, -connector.rig.working_x_m)
@@ -43,7 +41,7 @@ def _entry(connector: PathConnector, lane: Leg | None) -> tuple[list[RoutePiece]
             raise FieldError(f"the site has no lane, and its start at {where} is not within the field: draw a lane")
         return [], start
     _check_lane(connector, lane)
-    first, last = (_pose(lane, k) for k in (0, -1))
+    first, last = (lane.pose(k) for k in (0, -1))
     connection = connector.require(ConnectionRequest(start, first, 0.0, 0.0), "out of the yard")
     pieces = [RoutePiece(PathSectionType.LANE, -1, leg, False) for leg in connection.legs]
     return [*pieces, RoutePiece(PathSectionType.LANE, -1, lane, False)], last
@@ -55,10 +53,9 @@ def _return(connector: PathConnector, tour: Tour, lane: Leg) -> list[RoutePiece]
     pieces = turn_pieces(
         connector.require(connector.home_request(tour.end, home, tour.behind_m), "back to the lane"), -1
     )
-    back = Leg(1, lane.p_map_m[::-1], lane.heading_rad[::-1] + np.pi, -lane.curvature_radpm[::-1])
-    last = _pose(back, -1)
+    last = lane.back.pose(-1)
     parking = straight(last, _parking(connector, last))
-    return [*pieces, *(RoutePiece(PathSectionType.LANE, -1, leg, False) for leg in (back, parking))]
+    return [*pieces, *(RoutePiece(PathSectionType.LANE, -1, leg, False) for leg in (lane.back, parking))]
 
 
 def _check_lane(connector: PathConnector, lane: Leg) -> None:
@@ -117,9 +114,5 @@ def _parking(connector: PathConnector, lane_end: Pose2) -> Pose2:
 
 def _reversed_end(lane: Leg) -> Pose2:
     """Pose at the field end of the lane, heading back."""
-    last = _pose(lane, -1)
+    last = lane.pose(-1)
     return Pose2(last.x_m, last.y_m, last.yaw_rad + np.pi)
-
-
-def _pose(leg: Leg, k: int) -> Pose2:
-    return Pose2(*map(float, (*leg.p_map_m[k], leg.heading_rad[k])))

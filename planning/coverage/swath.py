@@ -9,7 +9,7 @@ from shapely.affinity import rotate
 from shapely.geometry import Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from geometry.arrays import Float64
+from geometry.arrays import Float64, runs_of
 from geometry.polygon import edge_angles, parts
 from geometry.pose2 import Pose2
 from planning.turns.free_space import FreeSpace
@@ -141,6 +141,5 @@ def _free_runs(ends: Float64, lead_m: float, space: FreeSpace, min_m: float) -> 
     s = np.linspace(0.0, length, max(2, math.ceil(length / STEP_M) + 1))
     p = ends[0] + (s[:, None] + lead_m) * along
     free = ~space.touching(p, np.full(len(s), math.atan2(along[1], along[0])))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
-    runs = [(s[a], s[b - 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    runs = [(s[a], s[b]) for a, b in runs_of(free)]
     return [np.array([ends[0] + a * along, ends[0] + b * along]) for a, b in runs if b - a >= min_m - 1e-6]

@@ -65,6 +65,15 @@ class Leg:
     heading_rad: Float64
     curvature_radpm: Float64
 
+    def pose(self, k: int) -> Pose2:
+        """Pose at an index."""
+        return Pose2(*map(float, (*self.p_map_m[k], self.heading_rad[k])))
+
+    @property
+    def back(self) -> "Leg":
+        """The same way driven the other way round, turned by half a circle."""
+        return Leg(self.direction, self.p_map_m[::-1], self.heading_rad[::-1] + math.pi, -self.curvature_radpm[::-1])
+
 
 @dataclass(frozen=True)
 class Connection:

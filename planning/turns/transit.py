@@ -31,10 +31,6 @@ class Track:
         n = len(self.leg.p_map_m) - int(self.is_closed)
         return tuple(k for k in range(0, n, STRIDE) if abs(float(self.leg.curvature_radpm[k])) < STRAIGHT_RADPM)
 
-    def pose(self, k: int) -> Pose2:
-        """Pose at an index."""
-        return Pose2(*map(float, (*self.leg.p_map_m[k], self.leg.heading_rad[k])))
-
     def part(self, first: int, last: int) -> Leg | None:
         """From one index to another, around the end of a closed one; None where an open one does not lead there."""
         n = len(self.leg.p_map_m) - int(self.is_closed)
@@ -46,8 +42,8 @@ class Track:
 
 def both_ways(points_m: Float64, heading_rad: Float64, curvature_radpm: Float64, is_closed: bool) -> list[Track]:
     """The tracks of a pass."""
-    back = Leg(1, points_m[::-1], heading_rad[::-1] + np.pi, -curvature_radpm[::-1])
-    return [Track(Leg(1, points_m, heading_rad, curvature_radpm), is_closed), Track(back, is_closed)]
+    leg = Leg(1, points_m, heading_rad, curvature_radpm)
+    return [Track(leg, is_closed), Track(leg.back, is_closed)]
 
 
 def along_passes(
@@ -58,7 +54,7 @@ def along_passes(
     for track in tracks:
         if not track.places:
             continue
-        poses = [track.pose(k) for k in track.places]
+        poses = [track.leg.pose(k) for k in track.places]
         near = _near(poses, request.start)
         on_s = bounds_s(
             [request.start], [poses[k] for k in near], request.run_out_m, STRAIGHT_M, space.radius_m, times

@@ -21,8 +21,8 @@ from safety.sources.detection_range import (
 )
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.multiple_evaluation import cell_keys, evaluate
-from safety.sources.near_field import enclosing, mark_low_obstacles, near_box
-from safety.zones.footprint import Box, Footprint, is_own
+from safety.sources.near_field import mark_low_obstacles, near_box
+from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
 
 class LidarSource:
@@ -77,14 +77,14 @@ class LidarSource:
         xyz = to_base(scan.points_m, self._T_base_sensor)
         self._update_detection_range(xyz, curvature_radpm)
         field = self._config.field
-        near_field = near_box(self.footprint, self._config.near_field)
-        area = enclosing(box, near_field) if self._looks_down else box
+        near_field = near_box(self.footprint, self._config.near_field) if self._looks_down else None
+        area = box if near_field is None else enclosing(box, near_field)
         near = crop(xyz, area, self.footprint.height_m + field.overhead_margin_m)
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
         near = near[~is_machine]  # before deskewing: the machine moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
         is_obstacle = is_high = mark_obstacles(near_xyz, area, field)
-        if self._looks_down:
+        if near_field is not None:
             is_obstacle = is_high | mark_low_obstacles(near_xyz, near_field, self._config.near_field).is_obstacle
         obstacles = np.asarray(near_xyz.compress(is_obstacle, axis=1), np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])

@@ -51,13 +51,6 @@ def near_box(footprint: Footprint, config: NearFieldConfig) -> Box:
     return Box((rear_m, front_m), (-half_m, half_m))
 
 
-def enclosing(box: Box, other: Box) -> Box:
-    """Smallest box about two."""
-    low_x, low_y = min(box.x_m[0], other.x_m[0]), min(box.y_m[0], other.y_m[0])
-    high_x, high_y = max(box.x_m[1], other.x_m[1]), max(box.y_m[1], other.y_m[1])
-    return Box((low_x, high_x), (low_y, high_y))
-
-
 def cells(length_m: float, cell_m: float) -> int:
     """Number of cells over a length, enough to interpolate between."""
     return max(MIN_CELLS, int(np.ceil(length_m / cell_m)))

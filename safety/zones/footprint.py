@@ -32,6 +32,11 @@ class Box:
         x, y = xy[:, 0], xy[:, 1]
         return np.asarray(~((x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)))
 
+    def enlarged(self, by_m: float) -> "Box":
+        """Box with `by_m` more on every side."""
+        (x_low, x_high), (y_low, y_high) = self.x_m, self.y_m
+        return Box((x_low - by_m, x_high + by_m), (y_low - by_m, y_high + by_m))
+
     def in_parent(self, pose: Float64) -> "Box":
         """Box in the parent frame that contains this one, whose frame has the pose (3,) there."""
         c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -40,6 +45,13 @@ class Box:
         wide, deep = abs(c) * half_x + abs(s) * half_y, abs(s) * half_x + abs(c) * half_y
         x, y = pose[0] + c * x - s * y, pose[1] + s * x + c * y
         return Box((x - wide, x + wide), (y - deep, y + deep))
+
+
+def enclosing(box: Box, other: Box) -> Box:
+    """Smallest box about two."""
+    low_x, low_y = min(box.x_m[0], other.x_m[0]), min(box.y_m[0], other.y_m[0])
+    high_x, high_y = max(box.x_m[1], other.x_m[1]), max(box.y_m[1], other.y_m[1])
+    return Box((low_x, high_x), (low_y, high_y))
 
 
 def bounding_box(points: Float64) -> Box:

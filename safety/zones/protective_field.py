@@ -15,7 +15,7 @@ from messages.command import ControlCommand
 from messages.plan import Path, PathSectionType
 from safety.config import FieldConfig
 from safety.stopping_distance import Braking, required_range, stopping_distance
-from safety.zones.footprint import Box, Footprint
+from safety.zones.footprint import Box, Footprint, enclosing
 from safety.zones.swept_area import SweptArea, arc_poses, distance_to_contact_m, path_poses, spaced, sweep_along
 
 NOTHING = np.empty((0, 3))
@@ -120,12 +120,8 @@ def arc_length_m(speed_mps: float, braking: Braking, config: FieldConfig) -> flo
 
 def box_of(swept_field: SweptField, slack_m: float) -> Box:
     """Box of base about all swept areas, enlarged by `slack_m`."""
-    main = swept_field.main.box
-    arc = main if swept_field.arc is None else swept_field.arc.box
-    return Box(
-        (min(main.x_m[0], arc.x_m[0]) - slack_m, max(main.x_m[1], arc.x_m[1]) + slack_m),
-        (min(main.y_m[0], arc.y_m[0]) - slack_m, max(main.y_m[1], arc.y_m[1]) + slack_m),
-    )
+    main, arc = swept_field.main, swept_field.arc
+    return (main.box if arc is None else enclosing(main.box, arc.box)).enlarged(slack_m)
 
 
 def clearance_to(

@@ -8,9 +8,9 @@ from geometry.rectangle import Rectangle
 from messages.sensors import LidarScan
 from safety.sources.ground_filter import Motion
 from safety.sources.lidar import LidarSource
-from safety.sources.near_field import enclosing, mark_low_obstacles, near_box
+from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.supervisor_config import SupervisorConfig
-from safety.zones.footprint import Box, Drawbar, Footprint, footprints_of
+from safety.zones.footprint import Box, Drawbar, Footprint, enclosing, footprints_of
 from tests.clause import clause
 from tests.safety.safety_world import NO_BYTES, START_NS
 
