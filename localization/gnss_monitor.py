@@ -10,6 +10,7 @@ A fault that began within a window shows as separation of that window; what does
 `Separation.bound_m`. A fault slower than the longest covered window shows is not bounded (docs/localization.md).
 """
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +46,8 @@ class GnssMonitorConfig(Config):
     agree_s: float = Field(gt=0.0, le=60.0, description="duration of the agreement that ends a suspicion")
     reference_m: float = Field(gt=0.0, le=10.0, description="sigma above which a reference proves nothing")
     return_sigmas: float = Field(ge=0.0, le=10.0, description="of the bound at the return")
-    hold_s: float = Field(ge=0.0, le=600.0, description="for which that bound is held")
+    seen_sigmas: float = Field(gt=0.0, le=10.0, description="separations above may be the begin of an error")
+    hold_s: float = Field(ge=0.0, le=600.0, description="longest multipath: for which those bounds are held")
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class GnssMonitor:
         self._anchor_ns: int | None = None
         self._agreed_ns: int | None = None
         self._refused = 0
-        self._held_m, self._held_until_ns = 0.0, 0
+        self._held: deque[tuple[int, float]] = deque()  # end of validity and bound, each lower than the one before
         self._level_m = 0.0
         self.suspicion = ""
         self.detail = ""
@@ -78,7 +80,8 @@ class GnssMonitor:
         self.odometry.clear()
         self._velocity.clear()
         self._anchor_ns = self._agreed_ns = None
-        self._refused, self._level_m, self._held_m = 0, 0.0, 0.0
+        self._held.clear()
+        self._refused, self._level_m = 0, 0.0
         self.suspicion, self.is_slipping = "", False
 
     def add(self, fix: Position) -> None:
@@ -87,8 +90,16 @@ class GnssMonitor:
 
     def level_m(self, stamp_ns: int, speed_mps: float) -> float:
         """Largest error by the hypotheses, in addition to that of the fault-free case."""
-        held_m = self._held_m if stamp_ns < self._held_until_ns else 0.0
+        while self._held and self._held[0][0] <= stamp_ns:
+            self._held.popleft()
+        held_m = self._held[0][1] if self._held else 0.0
         return max(self._level_m, held_m, self._config.separation.stamp_s * abs(speed_mps))
+
+    def _hold(self, stamp_ns: int, bound_m: float) -> None:
+        """Holds a bound: an error that a window has shown lasts when the window has passed its begin."""
+        while self._held and self._held[-1][1] <= bound_m:
+            self._held.pop()
+        self._held.append((stamp_ns + round(self._config.hold_s * 1e9), bound_m))
 
     def evaluate(self, stamp_ns: int, is_outlier: bool) -> Finding | None:
         """Evaluates the newest fix; the finding that begins a suspicion.
@@ -100,7 +111,7 @@ class GnssMonitor:
             self._follow(stamp_ns)
             return None
         velocity, odometry = self._by_window(self._velocity, stamp_ns), self._by_window(self.odometry, stamp_ns)
-        self._level_m = self._bound_m(velocity, odometry)
+        self._level_m = self._bound_m(stamp_ns, velocity, odometry)
         return self._suspect(stamp_ns, velocity, odometry)
 
     def _by_window(
@@ -109,15 +120,19 @@ class GnssMonitor:
         found = {w: source.since(stamp_ns - round(w.window_s * 1e9)) for w in self._config.windows}
         return {w: separation for w, separation in found.items() if separation is not None}
 
-    def _bound_m(self, velocity: dict[WindowConfig, Separation], odometry: dict[WindowConfig, Separation]) -> float:
-        bounds = [0.0]
+    def _bound_m(
+        self, stamp_ns: int, velocity: dict[WindowConfig, Separation], odometry: dict[WindowConfig, Separation]
+    ) -> float:
+        bounds_m = [0.0]
         for w in self._config.windows:
             both = [s for s in (velocity.get(w), odometry.get(w)) if s is not None]
             best = min(both, key=lambda s: s.bound_m(w.wrong_fix_sigmas), default=None)
-            bounds += self._bounds_m(w, best, w.wrong_fix_sigmas) + self._bounds_m(
-                w, odometry.get(w), w.spoofing_sigmas
-            )
-        return max(bounds)
+            wrong_fix_m = self._bounds_m(w, best, w.wrong_fix_sigmas)
+            if best is not None and best.ratio > self._config.seen_sigmas:
+                for bound_m in wrong_fix_m:
+                    self._hold(stamp_ns, bound_m)
+            bounds_m += wrong_fix_m + self._bounds_m(w, odometry.get(w), w.spoofing_sigmas)
+        return max(bounds_m)
 
     def _bounds_m(self, window: WindowConfig, separation: Separation | None, sigmas: float) -> list[float]:
         """The bound of a window, if it sees well enough or if it sees an error.
@@ -180,8 +195,7 @@ class GnssMonitor:
             self._agreed_ns = stamp_ns
         elif stamp_ns - self._agreed_ns >= cfg.agree_s * 1e9:
             self.clear()
-            self._held_m = reference.bound_m(cfg.return_sigmas)
-            self._held_until_ns = stamp_ns + round(cfg.hold_s * 1e9)
+            self._hold(stamp_ns, reference.bound_m(cfg.return_sigmas))
 
     def _agrees(self, reference: Separation) -> bool:
         distance_m = float(np.linalg.norm(reference.d_m))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.localization_faults import CASES, Case, Draw, edited
-from benchmarks.localization_robustness import judged
+from benchmarks.localization_robustness import judged, measured
 from localization.separation import Separation
 from tests.localization.harness import run
 from tests.localization.synthetic_drive import SensorErrors, drive
@@ -50,6 +50,13 @@ def test_what_returns_agrees_with_the_reference_before_it_is_used():
     row, faults = driven("wrong fix 0.5 m 20 s", 14.0, math.inf)
     assert ("gnss.contradicts_velocity", False) not in faults
     assert row.max_error_m < 0.4
+
+
+def test_an_error_that_a_window_has_shown_is_covered_after_the_window_has_passed_its_begin():
+    row = measured(BY_NAME["multipath 0.3 m 60 s"], "open", 1, 110.0)
+    assert row.max_error_m > 0.25
+    assert row.max_excess_m < 0.0
+    assert row.misleading_s == [0.0] * 4
 
 
 def test_slip_of_the_wheels_is_not_taken_for_a_fault_of_gnss():
