@@ -58,10 +58,7 @@ def nominal_coverage(lidar: Lidar, own: Float64, config: HealthConfig) -> Nomina
     order = np.sort(np.radians(np.array(lidar.elevation_deg)))
     T = lidar.mount.T_base_sensor
     middle = (edges[:-1] + edges[1:]) / 2
-    ground = np.full((sectors, len(order)), np.inf)
-    for s, azimuth in enumerate(middle):
-        for r, elevation in enumerate(order):
-            ground[s, r] = _ground_range(T, azimuth, elevation, own, lidar.range_m[1])
+    ground = _ground_ranges(T, middle, order, own, lidar.range_m[1])
     local = np.abs(_wrap(middle - math.atan2(T[1, 0], T[0, 0])))
     coverage = np.clip((math.radians(lidar.field_of_view_deg) / 2 - local) / (math.pi / sectors) / 2 + 0.5, 0.0, 1.0)
     beams = lidar.columns * (360.0 / lidar.field_of_view_deg) / sectors * coverage[:, None] * np.isfinite(ground)
@@ -78,19 +75,27 @@ def _wrap(angle: Float64) -> Float64:
     return np.asarray((angle + math.pi) % (2 * math.pi) - math.pi, np.float64)
 
 
-def _ground_range(T: Float64, azimuth: float, elevation: float, own: Float64, reach_m: float) -> float:
-    """Horizontal range at which a beam meets z = 0; infinite when it does not, or meets the machine first."""
+def _ground_ranges(T: Float64, azimuth: Float64, elevation: Float64, own: Float64, reach_m: float) -> Float64:
+    """Horizontal range (S, R) at which each beam meets z = 0; infinite when it does not, or meets the machine first."""
     R, t = T[:3, :3], T[:3, 3]
-    flat = azimuth - math.atan2(R[1, 0], R[0, 0])
-    beam = R @ [math.cos(elevation) * math.cos(flat), math.cos(elevation) * math.sin(flat), math.sin(elevation)]
-    if beam[2] >= -1e-6 or -t[2] / beam[2] > reach_m:
-        return math.inf
-    length = -t[2] / beam[2]
-    if length <= SELF_SHELL_M:
-        return float(length * math.hypot(beam[0], beam[1]))
-    along = np.linspace(SELF_SHELL_M, length, 60)[:, None] * beam + t
-    inside = ((along[None] > own[:, None, 0]) & (along[None] < own[:, None, 1])).all(axis=2)
-    return math.inf if inside.any() else float(length * math.hypot(beam[0], beam[1]))
+    flat, up = azimuth[:, None] - math.atan2(R[1, 0], R[0, 0]), elevation[None]
+    in_lidar = np.stack(np.broadcast_arrays(np.cos(up) * np.cos(flat), np.cos(up) * np.sin(flat), np.sin(up)), axis=-1)
+    beams = in_lidar @ R.T
+    falls = beams[..., 2] < -1e-6
+    length = np.divide(-t[2], beams[..., 2], out=np.full(falls.shape, np.inf), where=falls)
+    meets = falls & (length <= reach_m)
+    meets[meets] = ~_are_hidden(beams[meets], length[meets], t, own)
+    return np.where(meets, np.where(meets, length, 0.0) * np.hypot(beams[..., 0], beams[..., 1]), np.inf)
+
+
+def _are_hidden(beams: Float64, length_m: Float64, t: Float64, own: Float64) -> np.ndarray:
+    """Which beams (N, 3) from `t` enter a box of the machine within their length, beyond the sensor shell."""
+    hidden = np.zeros(len(beams), bool)
+    far = length_m > SELF_SHELL_M
+    along = np.linspace(SELF_SHELL_M, length_m[far], 60, axis=1)[..., None] * beams[far, None] + t
+    for low, high in own:
+        hidden[far] |= ((along > low) & (along < high)).all(axis=2).any(axis=1)
+    return hidden
 
 
 def _target_returns(lidar: Lidar, order: Float64, height_m: float, config: HealthConfig) -> Float64:
