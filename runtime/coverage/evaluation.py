@@ -18,6 +18,7 @@ from runtime.coverage.kernels import count_returns, mark_reached
 from runtime.coverage.rays import free_range_m, rays_of, solids_of
 from runtime.coverage.states import DriveState
 from safety.config import SafetyConfig
+from safety.sources.near_field import near_box
 from safety.stopping_distance import stopping_distance
 from safety.zones.footprint import Footprint, carriers, footprint_of
 from safety.zones.swept_area import arc_poses
@@ -139,7 +140,8 @@ def counted_from_m(lidar: Lidar, footprint: Footprint, places: Places, safety: S
     low_m = field.min_height_m + field.min_height_slope * np.hypot(x, y)
     if not lidar.looks_down:
         return low_m
-    is_near = (x <= footprint.foremost_m(1) + near.range_m) & (x >= footprint.foremost_m(-1) - near.range_m)
+    box = near_box(footprint, near)
+    is_near = box.contains(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
     return np.where(is_near, np.minimum(low_m, near.min_height_m), low_m)
 
 

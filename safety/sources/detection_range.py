@@ -36,12 +36,13 @@ def nominal_range_m(lidar: Lidar, field: FieldConfig, config: DetectionRangeConf
 
 def covers(lidar: Lidar, footprint: Footprint, direction: int) -> bool:
     """Whether a lidar covers a direction of travel, unobstructed by the machine's own body."""
-    x, _, z = lidar.mount.xyz_m
+    x, y, z = lidar.mount.xyz_m
     away = math.radians(lidar.mount.rpy_deg[2]) - (0.0 if direction > 0 else math.pi)
     is_turned_there = abs(math.remainder(away, TURN_RAD)) <= math.radians(0.5 * lidar.field_of_view_deg) + 1e-9
     machine = footprint.rigid[0]
     is_at_that_end = direction * (x - 0.5 * (machine.front_m + machine.rear_m)) > 0.0
-    return is_turned_there and (is_at_that_end or z >= footprint.height_m - 0.1)
+    is_beside = abs(y) > machine.half_width_m
+    return is_turned_there and (is_at_that_end or is_beside or z >= footprint.height_m - 0.1)
 
 
 def expected_density(lidar: Lidar, config: DetectionRangeConfig) -> tuple[tuple[float, float], float]:

@@ -21,7 +21,7 @@ SCENARIO = parse(
             "kind": "crossing", "name": "person", "actor": "person", "expected_stops": 1,
             "swath_fraction": [0.72, 0.74], "start_lateral_m": [4.0, 4.1], "skew_deg": [0.0, 1.0],
             "walk_speed_mps": [1.4, 1.5], "leave_speed_mps": [1.4, 1.5],
-            "arrival_margin_s": [1.2, 1.3], "extra_stand_s": [4.5, 4.6],
+            "arrival_margin_s": [1.5, 1.6], "extra_stand_s": [4.5, 4.6],
         }],
     },
     "crossing",

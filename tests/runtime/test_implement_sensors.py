@@ -8,7 +8,9 @@ from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from messages.errors import ConfigError
 from messages.perception import HealthState
 from perception.lidar.obstacles import LidarObstacles
-from runtime.setup import with_implement_sensors
+from runtime.setup import load_setup, with_implement_sensors
+from safety.sources.detection_range import covers
+from safety.zones.footprint import footprint_of
 from tests.perception.lidar_scenes import LIDAR_CONFIG, Feed, box, cast, odometry
 from tests.safety.safety_world import START_NS, machine_state
 from tests.simulation.simulated_farm import Farm, flat
@@ -97,3 +99,10 @@ def test_perceived_obstacle_behind_a_lidar_on_the_implement(hitch: float) -> Non
     found = dict(node.step(scan.stamp_ns, feed))["obstacles/lidar_near"]
     assert len(found.yaw_rad) == 1
     assert found.center_base_m[0] == pytest.approx([-4.8, 0.5, 0.5], abs=0.3)
+
+
+def test_silence_of_every_lidar_of_the_wide_harrow_is_watched_in_forward_drive() -> None:
+    setup = load_setup("line", None, "harrow_12m", None, 1)
+    footprint = footprint_of(setup.vehicle, setup.implement)
+    forward = {name for name, one in setup.vehicle.sensors.lidar.items() if covers(one, footprint, 1)}
+    assert forward == {"front", "front_left", "front_right", "wing_left", "wing_right"}

@@ -91,6 +91,13 @@ def test_coverage_by_mount_position(lidar: Lidar, footprint: Footprint) -> None:
         assert [d for d in (1, -1) if covers(around_it, footprint, d)] == seen, (x, z)
 
 
+def test_a_lidar_beside_the_machine_covers_both_directions(lidar: Lidar, footprint: Footprint) -> None:
+    half_m = footprint.rigid[0].half_width_m
+    for y, seen in ((half_m, []), (half_m + 0.01, [1, -1]), (-half_m - 0.01, [1, -1])):
+        on_wing = changed(lidar, mount=Mount(xyz_m=(1.25, y, 1.0)))
+        assert [d for d in (1, -1) if covers(on_wing, footprint, d)] == seen, y
+
+
 def test_expected_slope_limits(lidar: Lidar, config: SafetyConfig) -> None:
     slope = -float(np.tan(np.radians(-20.0)))
     high = changed(lidar, 4.0 * slope, elevation_deg=(-20.0,), columns=100, field_of_view_deg=180.0)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import Float64
+from geometry.arrays import Float64, Int64
 from geometry.pose2 import from_frame
 from messages.truth import Occlusion
 from validation.obstacle_stop.avoidability import Approach
@@ -40,6 +40,14 @@ class Course:
         """Gap at the nearest label, infinite without one."""
         i = nearest(self.stamps_ns, stamp_ns, 300_000_000)
         return math.inf if i is None else float(self.gaps_m[i])
+
+    def gaps_between(self, stamps_ns: Int64) -> Float64:
+        """Gaps (N,) at times, linear between two labels in the path; infinite elsewhere."""
+        after = np.searchsorted(self.stamps_ns, stamps_ns).clip(1, max(1, len(self.stamps_ns) - 1))
+        gaps = np.interp(stamps_ns, self.stamps_ns, np.nan_to_num(self.gaps_m, posinf=0.0))
+        is_in_path = np.isfinite(self.gaps_m)
+        is_between = is_in_path[after - 1] & is_in_path[np.minimum(after, len(is_in_path) - 1)]
+        return np.where(is_between, gaps, math.inf)
 
     def intervals(self) -> list[tuple[int, int]]:
         """First and last index of each time in the path, in one section of the drive."""

@@ -131,7 +131,7 @@ class _Judge:
             until_ns,
         )
         request_ns = next((t for t, limit in requests if limit < math.inf), None)
-        drive = self._ghost(requests, due_ns, request_ns, from_ns, until_ns)
+        drive = self._ghost(course, requests, due_ns, request_ns, from_ns, until_ns)
         result = judge_ghost(drive, from_ns, request_ns, track, section, self.conditions)
         is_avoided = result.is_avoided and not self._is_released(drive, course, from_ns)
         outcome = self._outcome(a, due, _effective_ns(drive, from_ns, request_ns), is_avoided, track.id)
@@ -147,8 +147,9 @@ class _Judge:
         return from_ns, min(course.stamps_ns[last] + AFTER_NS, follows[0] if follows else end_ns, end_ns)
 
     def _ghost(
-        self, requests: list[tuple[int, float]], due_ns: int | None, request_ns: int | None, from_ns: int, until_ns: int
-    ) -> GhostDrive:
+        self, course: Course, requests: list[tuple[int, float]], due_ns: int | None, request_ns: int | None,
+        from_ns: int, until_ns: int,
+    ) -> GhostDrive:  # fmt: skip
         """The ghost of the interval; braking of a driver after the request was due does not help it."""
         count = max(2, math.ceil((until_ns - from_ns) * 1e-9 / STEP_S) + 1)
         stamps = from_ns + (np.arange(count) * STEP_S * 1e9).astype(np.int64)
@@ -161,7 +162,8 @@ class _Judge:
         times = np.array([t for t, _ in requests], np.int64)
         values = np.array([math.inf, *(limit for _, limit in requests)])
         limits = values[np.searchsorted(times, stamps, side="right")]
-        return drive_ghost(STEP_S * np.arange(count, dtype=np.float64), s, v, limits, self.conditions.braking)
+        t_s = STEP_S * np.arange(count, dtype=np.float64)
+        return drive_ghost(t_s, s, v, limits, course.gaps_between(stamps), self.conditions.braking)
 
     def _is_released(self, drive: GhostDrive, course: Course, from_ns: int) -> bool:
         """Whether the request was taken back although it was still due then or later."""

@@ -13,6 +13,16 @@ def test_shipped_machine_may_drive(mission: str) -> None:
     require_coverage(setup.mission, setup.vehicle, setup.implement, setup.stack.planning, setup.stack.safety)
 
 
+def test_places_beside_the_near_field_are_uncovered() -> None:
+    """The ring around the raised harrow of 12 m is closed with the shipped width of the near field, open with 3 m."""
+    setup = load_setup("line", None, "harrow_12m", None, 1)
+    safety, planning = setup.stack.safety, setup.stack.planning
+    require_coverage(setup.mission, setup.vehicle, setup.implement, planning, safety)
+    narrow = safety.model_copy(update={"near_field": safety.near_field.model_copy(update={"aside_m": 3.0})})
+    with pytest.raises(ConfigError, match="covers the place"):
+        require_coverage(setup.mission, setup.vehicle, setup.implement, planning, narrow)
+
+
 @pytest.mark.parametrize(
     ("gone", "state"), [("front_left", "working"), ("front_right", "working"), ("rear_near", "reversing")]
 )

@@ -5,12 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from geometry.arrays import Float64
 from messages.message import Message
 from runtime.replay.log_inspection import LogInspection, Stream
 from runtime.replay.trajectory import Trajectory, driven_sections, motion_of
 from validation.obstacle_stop.conditions import load_conditions
 from validation.obstacle_stop.driving_corridor import DrivingCorridor, project
 from validation.obstacle_stop.frames import is_in_ring
+from validation.obstacle_stop.ghost import STEP_S, drive_ghost
 from validation.obstacle_stop.ranges import confirmed, range_without_failure, rate_bounds, share_bounds
 from validation.obstacle_stop.recorded_motion import turning_points
 from validation.obstacle_stop.stopping import safe_speed_mps, stopping_distance_m
@@ -129,3 +131,35 @@ def test_clock_difference_is_common_to_all_streams_and_larger_than_any_latency(
     ages_s: dict[str, float], expected_s: float
 ) -> None:
     assert inspection(**ages_s).clock_offset_ns(10.0) == pytest.approx(expected_s * 1e9, abs=1e3)
+
+
+def _better_brake(first_gap_m: float, least_mps: float) -> tuple[Float64, Float64, Float64, Float64, Float64]:
+    """Recording of a machine without dead time: times, distances, speeds, limits and gaps to something that stands.
+
+    The limit falls with the root of the gap beyond 2 m, down to `least_mps`; the machine drives at 0.7 of it.
+    """
+    t_s = np.arange(0.0, 20.0, STEP_S)
+    s_m, v_mps, limit_mps = np.zeros(len(t_s)), np.full(len(t_s), 2.8), np.full(len(t_s), math.inf)
+    for k in range(1, len(t_s)):
+        s_m[k] = s_m[k - 1] + v_mps[k - 1] * STEP_S
+        limit = max(least_mps, math.sqrt(1.5 * max(0.0, first_gap_m - s_m[k] - 2.0)))
+        limit_mps[k] = limit if limit < 2.8 else math.inf
+        v_mps[k] = min(2.8, max(least_mps, 0.7 * float(limit_mps[k - 1])))
+    return t_s, s_m, v_mps, limit_mps, first_gap_m - s_m
+
+
+def test_ghost_nearer_than_a_machine_that_brakes_better_obeys_the_request_at_its_gap() -> None:
+    t_s, s_m, v_mps, limit_mps, gap_m = _better_brake(20.0, 0.0)
+    ghost = drive_ghost(t_s, s_m, v_mps, limit_mps, gap_m, BRAKING)
+    assert ghost.speed_mps[-1] == 0.0
+    assert 18.0 <= ghost.s_m[-1] < 18.2
+    unknown = drive_ghost(t_s, s_m, v_mps, limit_mps, np.full(len(gap_m), math.inf), BRAKING)
+    assert unknown.s_m[-1] > 20.0  # by time alone it obeys what was requested farther away
+
+
+def test_ghost_is_not_stopped_by_a_request_that_was_never_made() -> None:
+    """A limit that never falls below 1 m/s stops no machine, however near it is."""
+    t_s, s_m, v_mps, limit_mps, gap_m = _better_brake(20.0, 1.0)
+    ghost = drive_ghost(t_s, s_m, v_mps, limit_mps, gap_m, BRAKING)
+    assert ghost.speed_mps.min() >= 1.0 - 1e-9
+    assert ghost.s_m[-1] > 20.0

@@ -1,5 +1,6 @@
 """Bus sink that checks the inputs of an evaluation against each other."""
 
+import math
 from array import array
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,6 +10,7 @@ import numpy as np
 from configs.vehicle import Lidar
 from geometry.arrays import Float64
 from geometry.rectangle import Rectangle
+from messages.command import MachineState
 from messages.message import Envelope
 from messages.motion import Odometry
 from messages.sensors import GnssFix, ImuSample, LidarScan, WheelSample
@@ -35,10 +37,24 @@ class _LidarState:
     """Checks of one lidar."""
 
     def __init__(self, name: str, lidar: Lidar) -> None:
-        self.lidar, self.T = lidar, lidar.mount.T_base_sensor
+        self.name, self.lidar = name, lidar
         self.motion = ScanMotion()
         self.ground, self.rings = GroundPlane(name, lidar), RingModel(name, lidar)
-        self.stamps, self.ground_ns = array("q"), 0
+        self.stamps, self.ground_ns, self.unplaced = array("q"), 0, 0
+
+    def T_base_sensor(self, hitch: float) -> Float64 | None:
+        """Pose in base (4, 4) at a measured hitch position; None on an implement whose hitch is unknown."""
+        if self.lidar.mount.sinks_m > 0.0 and not math.isfinite(hitch):
+            self.unplaced += 1
+            return None
+        return self.lidar.mount.at_hitch(hitch if math.isfinite(hitch) else 1.0)
+
+    def findings_of_place(self) -> list[Finding]:
+        """Scans that could not be placed."""
+        if not self.unplaced:
+            return []
+        reason = f"the hitch that carries it was not measured in {self.unplaced} of {len(self.stamps)} scans"
+        return [not_checked(f"these scans of lidar {self.name}", reason)]
 
 
 class ConsistencyObserver:
@@ -65,7 +81,7 @@ class ConsistencyObserver:
         self._fit = TruthFit(self._truth, self._limits.truth, conditions.truth.max_age_s)
         self._fit_ns = self._first_ns = 0
         self._scan_stamps, self._has_truth = array("q"), array("b")
-        self._driven_m, self._last_xy = 0.0, np.zeros(2)
+        self._driven_m, self._last_xy, self._hitch = 0.0, np.zeros(2), math.nan
 
     def __call__(self, envelope: Envelope) -> None:
         """Processes a message."""
@@ -83,6 +99,8 @@ class ConsistencyObserver:
             if isinstance(message, TrueMachine) and self._truth.has_machine:
                 series = self._series.setdefault(TRUTH, MotionSeries("the machine of the truth"))
                 series.add_pose(message.stamp_ns, message.T_map_base)
+        elif isinstance(message, MachineState):
+            self._hitch = message.hitch
         else:
             self._add_motion(topic, message)
 
@@ -115,10 +133,13 @@ class ConsistencyObserver:
         is_motion = state.motion.is_due(stamp_ns, step, sampling.registration_s)
         if not (is_ground or is_fit or is_motion) or not len(scan.points_m):
             return
+        T_base_sensor = state.T_base_sensor(self._hitch)
+        if T_base_sensor is None:
+            return
         keep = len(scan.points_m) // sampling.max_points + 1
         speed, turn = self._series[USED].rates_at(stamp_ns)
         points = reduce_scan(
-            scan.points_m, scan.point_offset_s, keep, state.T, speed, turn, self._own, MAX_RANGE_M
+            scan.points_m, scan.point_offset_s, keep, T_base_sensor, speed, turn, self._own, MAX_RANGE_M
         )  # fmt: skip
         if is_motion:
             state.motion.add(stamp_ns, points, step)
@@ -182,7 +203,7 @@ class ConsistencyObserver:
         limits, used = self._limits, self._series[USED]
         out = odometry.check_against_scans(used, steps, self._is_from_scans, limits.motion)
         out += state.ground.findings(limits.mount) + state.rings.findings(limits.rings)
-        out += mount_motion.check_yaw(name, steps, limits.mount)
+        out += state.findings_of_place() + mount_motion.check_yaw(name, steps, limits.mount)
         independent = others if self._is_from_scans else [used, *others]
         out += time_offset.check_lags(name, steps, independent, limits.time)
         if self._is_from_scans:
