@@ -1,12 +1,12 @@
 """Plant: what is true of site, machine, implement, sensors and clocks, drawn around the configuration of the stack.
 
 `nominal` equals the configuration, `drawn` differs in every quantity, `worst` is `drawn` with the slowest brake that
-the stopping distance allows. The stack never reads a plant.
+the stopping distance allows, `slow_brake` differs in that brake alone. The stack never reads a plant.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -99,6 +99,8 @@ def draw_plant(kind: PlantKind, configured: Plant, config: PlantConfig, seed: in
     """Plant of a seed around the configured values."""
     if kind == "nominal":
         return configured
+    if kind == "slow_brake":
+        return _with_slowest_brake(configured, config)
     draw = _Draw(config, generator(seed, "plant"))
     site = draw.site(configured.site)
     start = draw.start(configured.start, configured.site, site)
@@ -113,10 +115,13 @@ def draw_plant(kind: PlantKind, configured: Plant, config: PlantConfig, seed: in
     models = draw.models(configured.models)
     topics = [f"{name}/{one}" for name, some in configured.vehicle.sensors if isinstance(some, dict) for one in some]
     clocks = {topic: draw.clock() for topic in (*topics, "imu", "wheel")}
-    if kind == "worst":
-        vehicle = vehicle.model_copy(update={"brake": config.worst_brake})
-        models = _with_resistance(models, config.worst_resistance_factor)
-    return Plant(site, vehicle, implement, models, start, clocks)
+    drawn = Plant(site, vehicle, implement, models, start, clocks)
+    return _with_slowest_brake(drawn, config) if kind == "worst" else drawn
+
+
+def _with_slowest_brake(plant: Plant, config: PlantConfig) -> Plant:
+    vehicle = plant.vehicle.model_copy(update={"brake": config.worst_brake})
+    return replace(plant, vehicle=vehicle, models=_with_resistance(plant.models, config.worst_resistance_factor))
 
 
 def _with_resistance(models: PlantModels, factor: float) -> PlantModels:

@@ -12,7 +12,7 @@ from simulation.scenario_environment import Environment
 from simulation.scenario_objects import ScenarioObject, check_objects
 from simulation.scenario_values import ALL_SENSORS, KindName, Range
 
-PlantKind = Literal["nominal", "drawn", "worst"]
+PlantKind = Literal["nominal", "drawn", "worst", "slow_brake"]
 CommandName = Literal["start", "pause", "resume", "emergency_stop", "reset", "manual", "automatic", "confirm_clear"]
 
 

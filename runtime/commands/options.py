@@ -60,9 +60,9 @@ SCENARIO = _option(
     "--scenario", help="a file, or a name in configs/scenarios (default demo; empty with --field or without field work)"
 )
 PLANT = _option(
-    "--plant", choices=["nominal", "drawn", "worst"],
-    help="true parameters of the machine: as configured, drawn from the seed, or as bad as the stopping distance "
-    "allows (default: the scenario's)",
+    "--plant", choices=["nominal", "drawn", "worst", "slow_brake"],
+    help="true parameters of the machine: as configured, drawn from the seed, as bad as the stopping distance allows, "
+    "or as configured with that brake (default: the scenario's)",
 )  # fmt: skip
 FIELD = _option(
     "--field", type=file_name, metavar="FILE.geojson", help="field outline that replaces the mission's site"
@@ -149,6 +149,7 @@ COMMANDS = (
         _option("--scheduler", metavar="ADDRESS", help="hazards: run on this Dask cluster"),
         _option("--only", type=regex, metavar="REGEX",
                 help="fault-injection, hazards: matching names, e.g. swath-imu-off"),
+        MODEL,
         _option("--situations", type=names_of(SITUATIONS), metavar="NAMES",
                 help=f"fault-injection: of {','.join(SITUATIONS)} (default all)"),
         _out("campaign", RESUMES), JSON,

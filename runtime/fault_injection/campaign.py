@@ -30,15 +30,17 @@ from runtime.assembly import assemble
 from runtime.executor import Executor
 from runtime.fault_injection.evaluation import Cell, MeasuredReaction, Outcome, evaluate
 from runtime.fault_injection.situations import SITUATIONS, DriveMonitor
-from runtime.fault_injection.table import write_tables
+from runtime.fault_injection.table import summary, totals, write_tables
 from runtime.processes import begin_worker
 from runtime.run_folder import RunFolder, named_errors
-from runtime.setup import Setup, load_setup, sensors_without_detector
+from runtime.setup import Setup, load_setup, sensors_without_detector, with_model
 from safety.monitors.sensors import monitored_sensors
-from simulation.faults.config import FaultsConfig, InjectedFault, fault_kinds_of
+from simulation.faults.config import Demanded, FaultKind, FaultsConfig, InjectedFault, fault_kinds_of
 from simulation.faults.injection import FaultInjection
 from simulation.scenario import Scenario
 from simulation.world import Rendering
+from validation.obstacle_stop.conditions import load_conditions
+from validation.obstacle_stop.stopping import stopping_distance_m
 
 NOT_INJECTED = ("order/operator", "truth_machine", "truth_objects", "truth_shapes")
 LIMIT_S = 600.0  # simulated time to reach a situation
@@ -64,6 +66,10 @@ class Drive:
         sensors = [topic for topic in self.world.writes if topic not in NOT_INJECTED]
         frames = [f"can/{name}" for name in self.config.frames]
         return [*sensors, *frames, *(f"node/{node.name}" for node, _ in self.nodes), "clock", "log"]
+
+    def demanded(self, cell: Cell) -> Demanded:
+        """The demand on a cell in the present direction of travel."""
+        return self.config.campaign.demanded(cell.situation, cell.topic, cell.kind, cell.topic not in self.unused())
 
     def unused(self) -> tuple[str, ...]:
         """Sensors that do not cover the direction of travel or detect nothing, with their nodes."""
@@ -92,24 +98,25 @@ def main(arguments: argparse.Namespace) -> int:
         for mission, named in SITUATIONS.items():
             situations = {name: is_reached for name, is_reached in named.items() if name in requested}
             if situations:
-                drive_to(mission, situations, top / "cells", arguments.only, arguments.jobs)
+                drive_to(mission, situations, top / "cells", arguments)
         rows = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((top / "cells").glob("*.json"))]
         with named_errors(top):
             write_tables(top, rows)
     failed = [row for row in rows if not row["passed"]]
     if arguments.json:
-        sys.stdout.write(json.dumps({"cells": len(rows), "failed": failed, "run_dir": str(top)}) + "\n")
+        sys.stdout.write(json.dumps({**summary(rows), "failed": failed, "run_dir": str(top)}) + "\n")
     else:
-        sys.stdout.write(f"{len(rows) - len(failed)} of {len(rows)} passed; table: {top / 'table.html'}\n")
+        sys.stdout.write(f"{totals(rows)}\ntable: {top / 'table.html'}\n")
     return 0 if rows and not failed else 1
 
 
 def drive_to(
-    mission: str, situations: Mapping[str, Callable[[DriveMonitor], bool]], folder: Path, only: str | None, jobs: int
+    mission: str, situations: Mapping[str, Callable[[DriveMonitor], bool]], folder: Path, arguments: argparse.Namespace
 ) -> None:
     """Drives a mission and runs the cells of each situation; raises HeadlandError if a situation is not reached."""
-    setup = load_setup(mission, None, None, None, SEED)
+    setup = with_model(load_setup(mission, None, None, None, SEED), arguments.model)
     scenario = load(Scenario, find("scenarios", "empty" if mission == "dock" else "faults"))
+    scenario = scenario.model_copy(update={"plant": "slow_brake"})
     config = load(FaultsConfig, CONFIGS / "faults.yaml")
     injection = FaultInjection((), config, setup.stack.simulation.start_stamp_ns, SEED)
     monitor, recorded = DriveMonitor(), list[Envelope]()
@@ -117,7 +124,7 @@ def drive_to(
         executor = Executor(world, nodes, (monitor, injection), injection)
         drive = Drive(setup, world, nodes, executor, injection, monitor, config, recorded)
         for situation, is_reached in situations.items():
-            missing = [c for c in cells(drive, situation, only) if not (folder / f"{c.name}.json").is_file()]
+            missing = [c for c in cells(drive, situation, arguments.only) if not (folder / f"{c.name}.json").is_file()]
             if not missing:
                 continue
             sys.stderr.write(f"{situation}: {len(missing)} cells to run; driving to the situation\n")
@@ -125,12 +132,15 @@ def drive_to(
             executor.run(lambda reached=is_reached: reached(monitor) or monitor.seconds > LIMIT_S)  # type: ignore[misc]
             if not is_reached(monitor):
                 raise HeadlandError(f"situation {situation!r} was not reached within {LIMIT_S:.0f} s of {mission!r}")
-            _fork_all(drive, missing, folder, jobs)
+            for cell in missing:
+                drive.demanded(cell)  # a cell without demand is refused before any runs
+            _fork_all(drive, missing, folder, arguments.jobs)
 
 
 def cells(drive: Drive, situation: str, only: str | None) -> list[Cell]:
     """Cells of every fault of every target whose name matches `only`."""
     found = [Cell(situation, topic, kind) for topic in drive.topics() for kind in fault_kinds_of(topic)]
+    found = [c for c in found if c.kind is not FaultKind.SWAPPED or drive.injection.partner_of(c.topic) is not None]
     return [cell for cell in found if only is None or re.search(only, cell.name)]
 
 
@@ -177,10 +187,9 @@ def _run_and_exit(drive: Drive, cell: Cell, folder: Path) -> NoReturn:
 def run_cell(drive: Drive, cell: Cell) -> Outcome:
     """Injects the fault of a cell now and measures the reaction."""
     monitor, injection, config = drive.monitor, drive.injection, drive.config.campaign
-    truth, state = monitor.truth, monitor.state
+    truth = monitor.truth
     assert truth is not None
-    assert state is not None
-    unused = drive.unused()  # before the stop: at standstill there is no direction of travel
+    demanded = drive.demanded(cell)  # before the stop: at standstill there is no direction of travel
     elapsed_s = (drive.executor.now_ns - drive.setup.stack.simulation.start_stamp_ns) * 1e-9
     injection.add_fault(InjectedFault(topic=cell.topic, kind=cell.kind, from_s=elapsed_s, for_s=1e6))
     monitor.reset()
@@ -189,21 +198,24 @@ def run_cell(drive: Drive, cell: Cell) -> Outcome:
         drive.executor.run(
             lambda: monitor.standstill_s >= config.standstill_s or monitor.seconds >= config.observation_s
         )
-    now = monitor.truth
+    now, braking = monitor.truth, load_conditions(None).braking
     assert now is not None
     stopped_s = monitor.seconds - monitor.standstill_s if monitor.standstill_s >= config.standstill_s else None
+    speed_mps = abs(truth.speed_mps)
     measured = MeasuredReaction(
-        abs(truth.speed_mps), max(state.stopping_distance_m, 0.0), monitor.travel_m, stopped_s, monitor.path_error_m,
-        now.contacts - truth.contacts, now.zone_exits - truth.zone_exits, monitor.reason, tuple(monitor.alarms),
+        speed_mps, stopping_distance_m(speed_mps, braking.reaction_s, braking), monitor.travel_m, stopped_s,
+        max(monitor.speeds_mps, default=0.0), monitor.path_error_m, now.contacts - truth.contacts,
+        now.zone_exits - truth.zone_exits, monitor.reason, dict(monitor.alarms),
     )  # fmt: skip
     writes = {node.name: node.writes for node, _ in drive.nodes}
     identifiers = {
         topic: Cell(cell.situation, topic, cell.kind).identifiers(config, writes) for topic in drive.topics()
     }
     own = identifiers.pop(cell.topic)
+    if cell.kind is FaultKind.SWAPPED:  # either of the two names the fault
+        own += identifiers.pop(injection.partner_of(cell.topic) or cell.topic)
     devices = {topic: texts for topic, texts in identifiers.items() if not topic.startswith("node/")}
-    max_age_s = cell.max_age_s(writes) if cell.requires_stop(config, unused) else None
-    return evaluate(cell, measured, config, own, devices, max_age_s, cell.requires_alarm(config, unused))
+    return evaluate(cell, measured, config, demanded, own, devices)
 
 
 def _write_log(drive: Drive, path: Path) -> None:

@@ -1,6 +1,7 @@
 """Situations in which faults are injected, and the monitor that detects them."""
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,20 +20,22 @@ MODE_NAMES = tuple(str(mode) for mode in Mode)
 
 @dataclass
 class DriveMonitor:
-    """Sink: newest message of each topic; motion and alarms since the last `reset`."""
+    """Sink: newest message of each topic; since the last `reset` motion, and texts of alarms with their first time."""
 
     newest: dict[str, Message] = field(default_factory=dict)
     seconds: float = 0.0  # since the reset, counted in true machine messages: clocks may be faulty
     travel_m: float = 0.0
     standstill_s: float = 0.0
     path_error_m: float = 0.0
-    alarms: list[str] = field(default_factory=list)
-    reasons: list[tuple[float, str]] = field(default_factory=list)
+    speeds_mps: deque[float] = field(default_factory=lambda: deque(maxlen=round(1.0 / PERIOD_S)))
+    alarms: dict[str, float] = field(default_factory=dict)
+    reasons: list[str] = field(default_factory=list)
 
     def reset(self) -> None:
         """Clears motion, alarms and reasons."""
         self.seconds = self.travel_m = self.standstill_s = self.path_error_m = 0.0
-        self.alarms, self.reasons = [], []
+        self.alarms, self.reasons = {}, []
+        self.speeds_mps.clear()
 
     def __call__(self, envelope: Envelope) -> None:
         """Processes a message."""
@@ -49,6 +52,7 @@ class DriveMonitor:
         if not isinstance(before, TrueMachine):
             return
         self.seconds += PERIOD_S
+        self.speeds_mps.append(abs(now.speed_mps))
         self.travel_m += math.dist(before.T_map_base[:2, 3], now.T_map_base[:2, 3])
         self.standstill_s = self.standstill_s + PERIOD_S if abs(now.speed_mps) < STANDING_MPS else 0.0
         path = self.newest.get("path")
@@ -56,20 +60,20 @@ class DriveMonitor:
             self.path_error_m = max(self.path_error_m, _distance_m(path, now.T_map_base[:2, 3]))
 
     def _add_state(self, state: SupervisorState) -> None:
-        if state.reason and (not self.reasons or self.reasons[-1][1] != state.reason):
-            self.reasons.append((self.seconds, state.reason))
+        if state.reason and (not self.reasons or self.reasons[-1] != state.reason):
+            self.reasons.append(state.reason)
+            self._add_alarm(state.reason)
         for rule in state.rules:
             if rule.text:
                 self._add_alarm(rule.code)
 
     def _add_alarm(self, code: str) -> None:
-        if code not in self.alarms:
-            self.alarms.append(code)
+        self.alarms.setdefault(code, self.seconds)
 
     @property
     def reason(self) -> str:
         """First reason of the supervisor that is not the name of a mode; "" without one."""
-        return next((reason for _, reason in self.reasons if reason not in MODE_NAMES), "")
+        return next((reason for reason in self.reasons if reason not in MODE_NAMES), "")
 
     @property
     def truth(self) -> TrueMachine | None:

@@ -1,15 +1,18 @@
 """Result table of the fault injection campaign, as HTML and Parquet."""
 
 from pathlib import Path
+from statistics import median
 from typing import Any
 
+from simulation.faults.config import Demand
 from validation.html import render_page
 
 COLUMNS = {
-    "situation": "string", "topic": "string", "fault": "string", "speed_mps": "float64", "travel_m": "float64",
-    "allowed_m": "float64", "stopping_distance_m": "float64", "stopped_s": "float64", "path_error_m": "float64",
-    "contacts": "int64", "zone_exits": "int64", "reason": "string", "alarms": "string",
-    "is_fault_identified": "bool_", "is_misattributed": "bool_", "passed": "bool_", "failure": "string",
+    "situation": "string", "topic": "string", "fault": "string", "demand": "string", "speed_mps": "float64",
+    "travel_m": "float64", "allowed_m": "float64", "stopped_s": "float64", "named_s": "float64",
+    "is_naming_demanded": "bool_", "path_error_m": "float64", "contacts": "int64", "zone_exits": "int64",
+    "reason": "string", "alarms": "string", "is_misattributed": "bool_", "passed": "bool_", "failure": "string",
+    "why": "string",
 }  # fmt: skip
 
 
@@ -35,15 +38,32 @@ def page(rows: list[dict[str, Any]]) -> str:
 
 def totals(rows: list[dict[str, Any]]) -> str:
     """Totals of the campaign in one line."""
-    stopped = [row for row in rows if row["travel_m"] is not None]
-    late_stops = [row for row in stopped if row["allowed_m"] is not None and row["travel_m"] > row["allowed_m"]]
-    required = [row for row in stopped if row["allowed_m"] is not None]
-    within = sum(row["travel_m"] <= row["stopping_distance_m"] for row in required)
-    identified = sum(bool(row["is_fault_identified"]) for row in required)
+    values = summary(rows)
     return (
-        f"{sum(bool(row['passed']) for row in rows)} of {len(rows)} cells passed; {len(late_stops)} stopped late; "
-        f"{sum(row['contacts'] for row in rows)} contacts, {sum(row['zone_exits'] for row in rows)} zone exits; "
-        f"{within} of {len(required)} required stops within the stopping distance alone; "
-        f"device identified in {identified} of {len(required)} required stops; "
-        f"attributed to another device in {sum(bool(row['is_misattributed']) for row in rows)}"
+        f"{values['passed']} of {values['cells']} cells passed; {values['stops_within']} of {values['stops_demanded']} "
+        f"demanded stops within the stopping distance; {values['named']} of {values['naming_demanded']} named where "
+        f"that is demanded, after {_seconds(values['named_median_s'])} (median), at most "
+        f"{_seconds(values['named_worst_s'])}; {values['contacts']} contacts, {values['zone_exits']} zone exits; "
+        "attributed to another device in "
+        f"{values['misattributed']}; never named: {', '.join(values['never_named']) or 'none'}"
     )
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Counts of the campaign, and by target and fault what was never named where that is demanded."""
+    stops = [row for row in rows if row["demand"] == Demand.STOP.value]
+    naming = [row for row in rows if row["is_naming_demanded"]]
+    times = [row["named_s"] for row in naming if row["named_s"] is not None]
+    never = {f"{row['topic']} {row['fault']}" for row in naming if row["named_s"] is None}
+    return {
+        "cells": len(rows), "passed": sum(bool(row["passed"]) for row in rows), "stops_demanded": len(stops),
+        "stops_within": sum(row["travel_m"] is not None and row["travel_m"] <= row["allowed_m"] for row in stops),
+        "naming_demanded": len(naming), "named": len(times), "named_median_s": median(times) if times else None,
+        "named_worst_s": max(times, default=None), "never_named": sorted(never),
+        "contacts": sum(row["contacts"] for row in rows), "zone_exits": sum(row["zone_exits"] for row in rows),
+        "misattributed": sum(bool(row["is_misattributed"]) for row in rows),
+    }  # fmt: skip
+
+
+def _seconds(value: float | None) -> str:
+    return "—" if value is None else f"{value:.2f} s"

@@ -10,6 +10,7 @@ from cantools.database.can import Database, Message
 from messages.errors import ConfigError
 from simulation.faults.config import FaultKind, FieldErrors
 from simulation.faults.injection import FaultInjection
+from simulation.faults.measurement import Corruption
 from simulation.faults.stream import FaultStream
 from simulation.machine.ecu_checks import xbr_checksum
 
@@ -60,37 +61,34 @@ class FaultyBus:
         errors = self._injection.config.frames.get(message.name)
         if errors is None:
             raise ConfigError(f"faults.yaml: frames has no {message.name!r}")
-        random = self._injection.generator(f"{PREFIX}{message.name}")
+        plausible = self._injection.config.plausible
+        wrong = Corruption(kind, plausible, self._injection.generator(f"{PREFIX}{message.name}"))
         return FaultStream(
             kind,
             MAX_AGE_NS,
+            plausible.replay_s,
             lambda last, new: with_data(
                 new, with_checksum(message, _with_counter(message, bytes(last.data), bytes(new.data)))
             ),
-            lambda k, frame: with_data(frame, corrupt(k, message, bytes(frame.data), errors, random)),
+            lambda frame, since_s: with_data(frame, corrupt(message, bytes(frame.data), errors, wrong, since_s)),
         )
 
 
-def corrupt(
-    kind: FaultKind, message: Message, data: bytes, errors: dict[str, FieldErrors], random: np.random.Generator
-) -> bytes:
+def corrupt(message: Message, data: bytes, errors: dict[str, FieldErrors], wrong: Corruption, since_s: float) -> bytes:
     """The frame with corrupted signals and a valid checksum; `garbage` is random bytes."""
-    if kind is FaultKind.GARBAGE:
-        return random.bytes(len(data))
+    if wrong.kind is FaultKind.GARBAGE:
+        return wrong.random.bytes(len(data))
     raw: dict[str, Any] = dict(message.decode(data, decode_choices=False, scaling=False))  # type: ignore[arg-type]
     for name in [name for name in errors if name in raw]:
         signal = message.get_signal_by_name(name)
         ones = (1 << signal.length) - 1
-        if kind is FaultKind.NAN:
+        if wrong.kind is FaultKind.NAN:
             raw[name] = ones
             continue
         factor, offset = float(signal.scale), float(signal.offset)
-        value = raw[name] * factor + offset
-        wrong = value + errors[name].noise * random.standard_normal() if kind is FaultKind.NOISY else value
-        wrong = value + errors[name].offset if kind is FaultKind.OFFSET else wrong
-        wrong = value * errors[name].factor if kind is FaultKind.WRONG_UNIT else wrong
+        value = float(wrong.values(np.array([raw[name] * factor + offset]), errors[name], since_s)[0])
         highest = (0xFB << (signal.length - 8)) - 1 if signal.length >= 8 else ones
-        raw[name] = int(np.clip(round((wrong - offset) / factor), 0, highest))
+        raw[name] = int(np.clip(round((value - offset) / factor), 0, highest))
     return with_checksum(message, message.encode(raw, scaling=False, padding=True, strict=False))
 
 

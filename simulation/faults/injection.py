@@ -9,9 +9,9 @@ from messages.message import Envelope, Message
 from messages.node import Output
 from messages.topics import spec_of
 from simulation import randomness
-from simulation.faults.config import SYSTEM_FAULTS, FaultKind, FaultsConfig, InjectedFault
-from simulation.faults.measurement import corrupt, with_stamp_of
-from simulation.faults.stream import STREAM_KINDS, FaultStream
+from simulation.faults.config import STREAM_FAULTS, SYSTEM_FAULTS, FaultKind, FaultsConfig, InjectedFault
+from simulation.faults.measurement import Corruption, with_stamp_of
+from simulation.faults.stream import FaultStream
 
 HOUR_NS = 3_600_000_000_000
 NOT_TOPICS = ("can/", "node/")
@@ -31,6 +31,7 @@ class FaultInjection:
         self._streams: dict[tuple[str, FaultKind], FaultStream[Message]] = {}
         self._later: list[tuple[int, int, Output]] = []
         self._held = 0
+        self._topics: tuple[str, ...] = ()
         for fault in faults:
             self.add_fault(fault)
 
@@ -38,7 +39,8 @@ class FaultInjection:
         """Adds a fault; raises ConfigError for an unknown topic kind, or one without configured fields."""
         if fault.topic not in SYSTEM_FAULTS and not fault.topic.startswith(NOT_TOPICS):
             spec_of(fault.topic)
-            if fault.topic.partition("/")[0] not in self.config.messages and fault.kind not in STREAM_KINDS:
+            has_values = fault.kind not in (*STREAM_FAULTS, FaultKind.SWAPPED)
+            if has_values and fault.topic.partition("/")[0] not in self.config.messages:
                 raise ConfigError(
                     f"fault {fault.kind.value!r} on {fault.topic!r}: faults.yaml describes no field of it"
                 )
@@ -46,7 +48,8 @@ class FaultInjection:
 
     def check_topics(self, topics: Iterable[str]) -> None:
         """Raises ConfigError when a fault is on a topic without writer."""
-        known = {*topics, *SYSTEM_FAULTS}
+        self._topics = tuple(sorted(topics))
+        known = {*self._topics, *SYSTEM_FAULTS}
         for fault in self._faults:
             if fault.topic not in known and not fault.topic.startswith(NOT_TOPICS):
                 raise ConfigError(f"fault on {fault.topic!r}: there are {', '.join(sorted(known))}")
@@ -88,8 +91,9 @@ class FaultInjection:
         if not self._faults:
             return outputs
         come: list[Output] = []
-        for topic, message in outputs:
-            kinds = self.active_kinds(topic)
+        for written, message in outputs:
+            topic = self._swapped(written)
+            kinds = [kind for kind in self.active_kinds(topic) if kind is not FaultKind.SWAPPED]
             for due_ns, changed in (
                 self._stream(topic, kinds[0]).apply(now_ns, message) if kinds else [(now_ns, message)]
             ):
@@ -100,12 +104,28 @@ class FaultInjection:
                     self._later.append((due_ns, self._held, (topic, changed)))
         return come
 
+    def partner_of(self, topic: str) -> str | None:
+        """The sensor of the same kind with which a topic is exchanged: the next one by name; None without another."""
+        kind = topic.partition("/")[0]
+        same = [one for one in self._topics if one.partition("/")[0] == kind and "/" in one]
+        return same[(same.index(topic) + 1) % len(same)] if topic in same and len(same) > 1 else None
+
+    def _swapped(self, topic: str) -> str:
+        """Topic as which a message is delivered."""
+        for fault in self._faults:
+            if fault.kind is FaultKind.SWAPPED and fault.is_on(self.now_ns - self._start_ns):
+                pair = (fault.topic, self.partner_of(fault.topic))
+                if topic in pair:
+                    return pair[1 - pair.index(topic)] or topic
+        return topic
+
     def _stream(self, topic: str, kind: FaultKind) -> FaultStream[Message]:
         if (topic, kind) not in self._streams:
-            row, random = spec_of(topic), self.generator(topic)
+            row, wrong = spec_of(topic), Corruption(kind, self.config.plausible, self.generator(topic))
             errors = self.config.messages.get(topic.partition("/")[0], {})
             max_age_ns = round(row.max_age_s * 1e9) if np.isfinite(row.max_age_s) else MAX_AGE_NS
             self._streams[topic, kind] = FaultStream(
-                kind, max_age_ns, with_stamp_of, lambda k, message: corrupt(k, message, errors, random)
-            )
+                kind, max_age_ns, self.config.plausible.replay_s, with_stamp_of,
+                lambda message, since_s: wrong.message(message, errors, since_s),
+            )  # fmt: skip
         return self._streams[topic, kind]

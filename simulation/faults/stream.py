@@ -3,24 +3,28 @@
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from simulation.faults.config import FaultKind
+from simulation.faults.config import STREAM_FAULTS, FaultKind
 
 T = TypeVar("T")
 DELAY_IN_AGES, SLOW_IN_AGES = 2.0, 3.0
-STREAM_KINDS = tuple(FaultKind)[:6]
 
 
 class FaultStream(Generic[T]):
     """One faulty device: `apply` takes a sent item and returns delivered items with their times.
 
-    `renew` gives the content of its first argument the stamp or counter of its second; `corrupt` changes the content.
+    `renew` gives the content of its first argument the stamp or counter of its second; `corrupt` changes the content,
+    the given seconds after the fault began.
     """
 
     def __init__(
-        self, kind: FaultKind, max_age_ns: int, renew: Callable[[T, T], T], corrupt: Callable[[FaultKind, T], T]
-    ) -> None:
+        self, kind: FaultKind, max_age_ns: int, replay_s: float, renew: Callable[[T, T], T],
+        corrupt: Callable[[T, float], T],
+    ) -> None:  # fmt: skip
         self._kind, self._renew, self._corrupt = kind, renew, corrupt
         self._delay_ns, self._pause_ns = round(DELAY_IN_AGES * max_age_ns), round(SLOW_IN_AGES * max_age_ns)
+        self._replay_ns, self._replayed = round(1e9 * replay_s), list[T]()
+        self._began_ns: int | None = None
+        self._count = 0
         self._last: T | None = None
         self._held: T | None = None
         self._passed_ns: int | None = None
@@ -28,8 +32,9 @@ class FaultStream(Generic[T]):
     def apply(self, now_ns: int, item: T) -> list[tuple[int, T]]:
         """Delivery times and items after one sent item."""
         kind = self._kind
-        if kind not in STREAM_KINDS:
-            return [(now_ns, self._corrupt(kind, item))]
+        self._began_ns = now_ns if self._began_ns is None else self._began_ns
+        if kind not in STREAM_FAULTS:
+            return [(now_ns, self._corrupt(item, (now_ns - self._began_ns) * 1e-9))]
         if kind is FaultKind.OFF:
             return []
         if kind is FaultKind.DELAYED:
@@ -38,8 +43,17 @@ class FaultStream(Generic[T]):
             return self._swap(now_ns, item)
         if kind is FaultKind.SLOW:
             return self._decimate(now_ns, item)
+        if kind is FaultKind.REPLAY:
+            return [(now_ns, self._replay(now_ns - self._began_ns, item))]
         self._last = item if self._last is None else self._last
         return [(now_ns, self._last if kind is FaultKind.REPEATED else self._renew(self._last, item))]
+
+    def _replay(self, since_ns: int, item: T) -> T:
+        if since_ns < self._replay_ns or not self._replayed:
+            self._replayed.append(item)
+            return item
+        self._count += 1
+        return self._renew(self._replayed[(self._count - 1) % len(self._replayed)], item)
 
     def _swap(self, now_ns: int, item: T) -> list[tuple[int, T]]:
         before, self._held = self._held, item

@@ -1,81 +1,130 @@
-"""Evaluation of fault injection cells: each failure alone, and the maximum age."""
+"""Evaluation of fault injection cells: the demand on each fault, each failure alone, and the totals."""
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from configs.strict import CONFIGS, load
+from configs.strict import CONFIGS, load, read_yaml
+from messages.errors import ConfigError
 from runtime.fault_injection.evaluation import Cell, MeasuredReaction, evaluate
-from simulation.faults.config import FaultKind, FaultsConfig
+from runtime.fault_injection.table import summary, totals
+from simulation.faults.config import Demand, Demanded, FaultKind, FaultsConfig, fault_kinds_of
 
 CONFIG = load(FaultsConfig, CONFIGS / "faults.yaml").campaign
-WRITES = {"mission": ("mission", "path"), "localizer": ("odom", "map_pose", "fault/localizer")}
 CELL = Cell("turn", "imu", FaultKind.OFF)
-GOOD = MeasuredReaction(2.0, 1.0, 1.1, 1.0, 0.1, 0, 0, "imu.silent", ("imu.silent",))
+WHY = "a reason of at least twenty characters"
+STOP = Demanded(targets=("imu",), demand=Demand.STOP, is_named=True, why=WHY)
+GO_ON = Demanded(targets=("imu",), demand=Demand.CONTINUE, is_named=False, why=WHY)
+GOOD = MeasuredReaction(2.0, 1.1, 1.0, 1.0, 0.0, 0.1, 0, 0, "imu.silent", {"imu.silent": 0.15, "(imu)": 0.3})
 OTHERS = {"wheel": ("wheel",)}
+TARGETS = (
+    "lidar/front", "camera/front", "radar/front", "ultrasonic/rear_left", "imu", "gnss/main", "wheel", "uwb/main",
+    "can/GuidanceMachineStatus", "can/WheelBasedSpeed", "can/RearHitchStatus", "can/RearPtoStatus", "can/CabState",
+    "can/HeartbeatTractor", "node/lidar_front", "node/health_lidar_front", "node/camera_front", "node/tracker",
+    "node/supervisor", "node/lidar_map", "node/radar_front", "clock", "log",
+)  # fmt: skip
 
 
-def failure(measured: MeasuredReaction, max_age_s: float | None = 0.1) -> str:
-    return evaluate(CELL, measured, CONFIG, ("imu",), OTHERS, max_age_s, False).failure
+def failure(measured: MeasuredReaction, demanded: Demanded = STOP) -> str:
+    return evaluate(CELL, measured, CONFIG, demanded, ("imu",), OTHERS).failure
+
+
+@pytest.mark.parametrize("situation", ["swath", "turn", "obstacle", "docking"])
+@pytest.mark.parametrize("is_used", [True, False])
+def test_every_fault_has_a_demand(situation: str, is_used: bool) -> None:
+    for target in TARGETS:
+        for kind in fault_kinds_of(target):
+            assert CONFIG.demanded(situation, target, kind, is_used).why
+
+
+def test_fault_without_demand_is_refused() -> None:
+    with pytest.raises(ConfigError, match="no demand on 'off' of 'sonar/front'"):
+        CONFIG.demanded("turn", "sonar/front", FaultKind.OFF, True)
+
+
+def test_limit_of_a_demand() -> None:
+    for values in ({"demand": Demand.LIMIT}, {"demand": Demand.STOP, "limit_kmh": 6.0}):
+        with pytest.raises(ValueError, match="limit_kmh belongs"):
+            Demanded(targets=("imu",), is_named=True, why=WHY, **values)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("topic", "age_s"),
-    [("imu", 0.1), ("lidar/front", 0.35), ("node/mission", 0.4), ("node/localizer", 0.1), ("can/CabState", 0.3),
-     ("log", 0.4)],
+    ("target", "kind", "demand", "is_named"),
+    [("lidar/front", "off", "stop", True), ("lidar/front", "replay", "stop", True),
+     ("lidar/front", "swapped", "stop", True), ("lidar/front", "out_of_order", "continue", False),
+     ("camera/front", "off", "limit", True), ("node/camera_front", "hangs", "limit", True),
+     ("camera/front", "noisy", "continue", False), ("radar/front", "off", "continue", True),
+     ("radar/front", "sign", "continue", False), ("node/health_radar_front", "hangs", "continue", True),
+     ("imu", "nan", "stop", True), ("wheel", "sign", "continue", True), ("gnss/main", "drift", "continue", True),
+     ("can/CabState", "off", "stop", True), ("can/CabState", "frozen", "continue", False),
+     ("can/HeartbeatTractor", "frozen", "stop", True), ("node/lidar_map", "hangs", "continue", True),
+     ("node/mission", "hangs", "stop", True), ("clock", "ahead", "stop", True), ("log", "full", "stop", True)],
 )  # fmt: skip
-def test_max_age_of_a_cell(topic: str, age_s: float) -> None:
-    assert Cell("turn", topic, FaultKind.OFF).max_age_s(WRITES) == pytest.approx(age_s)
+def test_demand_on_a_used_device(target: str, kind: str, demand: str, is_named: bool) -> None:
+    found = CONFIG.demanded("turn", target, FaultKind(kind), True)
+    assert (found.demand.value, found.is_named) == (demand, is_named)
 
 
 def test_passed_cell() -> None:
-    outcome = evaluate(CELL, GOOD, CONFIG, ("imu",), OTHERS, 0.1, False)
-    assert (outcome.passed, outcome.is_fault_identified, outcome.allowed_m) == (True, True, pytest.approx(1.2))
+    outcome = evaluate(CELL, GOOD, CONFIG, STOP, ("imu",), OTHERS)
+    assert (outcome.passed, outcome.named_s, outcome.allowed_m, outcome.demand) == (True, 0.15, 1.1, "stop")
 
 
 @pytest.mark.parametrize("step_m", [-0.05, -0.01, 0.01, 0.05])
-def test_allowed_travel_limit(step_m: float) -> None:
-    assert failure(replace(GOOD, travel_m=1.2 + step_m)) == ("stopped late" if step_m > 0 else "")
+def test_limits_of_travel_and_path(step_m: float) -> None:
+    assert failure(replace(GOOD, travel_m=1.1 + step_m)) == ("stopped late" if step_m > 0 else "")
     assert failure(replace(GOOD, path_error_m=CONFIG.max_path_error_m + step_m)).startswith("left") == (step_m > 0)
 
 
 @pytest.mark.parametrize(
     ("changes", "text"),
     [({"contacts": 1}, "contact"), ({"zone_exits": 1}, "zone exit"), ({"stopped_s": None}, "did not stop"),
-     ({"reason": "tilt.roll", "alarms": ("tilt.roll",)}, "not identified"),
-     ({"reason": "wheel.silent", "alarms": ("wheel.silent",)}, "attributed to wheel; not identified")],
+     ({"reason": "tilt.roll", "alarms": {"tilt.roll": 0.1}}, "not named"),
+     ({"reason": "wheel.silent", "alarms": {"wheel.silent": 0.1}}, "attributed to wheel; not named")],
 )  # fmt: skip
-def test_failure_text(changes: dict[str, object], text: str) -> None:
+def test_failure_text(changes: dict[str, Any], text: str) -> None:
     assert failure(replace(GOOD, **changes)) == text
 
 
-def test_no_stop_required() -> None:
-    assert failure(replace(GOOD, stopped_s=None, reason="", alarms=()), None) == ""
+def test_naming_is_demanded_before_an_obstacle_too() -> None:
+    stopped = replace(GOOD, reason="obstacle.tracked", alarms={"obstacle.tracked": 0.1})
+    assert failure(stopped) == "not named"
+    assert failure(replace(stopped, alarms={"obstacle.tracked": 0.1, "imu.silent": 0.4})) == ""
 
 
-@pytest.mark.parametrize(
-    ("topic", "kind", "requires_stop", "requires_alarm"),
-    [("lidar/front", "off", True, False), ("lidar/rear", "off", False, False),
-     ("node/lidar_front", "hangs", True, False), ("radar/front", "off", False, True),
-     ("radar/front", "garbage", False, False),
-     ("node/radar_front", "hangs", False, True), ("node/health_radar_front", "hangs", False, True),
-     ("node/health_camera_front", "hangs", False, False), ("node/lidar_map", "hangs", False, False),
-     ("node/mission", "hangs", True, False), ("imu", "noisy", False, False)],
-)  # fmt: skip
-def test_required_reaction_by_topic(topic: str, kind: str, requires_stop: bool, requires_alarm: bool) -> None:
-    cell, unused = Cell("turn", topic, FaultKind(kind)), ("lidar/rear", "node/health_camera_front")
-    assert (cell.requires_stop(CONFIG, unused), cell.requires_alarm(CONFIG, unused)) == (requires_stop, requires_alarm)
+def test_speed_limit() -> None:
+    limited = STOP.model_copy(update={"demand": Demand.LIMIT, "limit_kmh": 6.0})
+    slow = replace(GOOD, stopped_s=None, end_speed_mps=6.0 / 3.6)
+    assert failure(slow, limited) == ""
+    assert failure(replace(slow, end_speed_mps=1.7), limited) == "not limited"
 
 
-def test_loss_must_be_identified() -> None:
-    silent = replace(GOOD, stopped_s=None, reason="", alarms=("detection_range.limit",))
-    assert evaluate(CELL, silent, CONFIG, ("imu",), OTHERS, None, True).failure == "loss not reported"
-    assert evaluate(CELL, replace(silent, alarms=("imu.silent",)), CONFIG, ("imu",), OTHERS, None, True).failure == ""
+def test_nothing_demanded() -> None:
+    assert failure(replace(GOOD, stopped_s=None, reason="", alarms={}, end_speed_mps=2.0), GO_ON) == ""
 
 
-def test_gnss_bridging_time() -> None:
-    cell = Cell("turn", "gnss/main", FaultKind.OFF)
-    for stopped_s in (4.9, 5.1):
-        measured = replace(GOOD, stopped_s=stopped_s, reason="gnss.silent")
-        expected = "" if stopped_s > 5.0 else "stopped too early"
-        assert evaluate(cell, measured, CONFIG, ("gnss",), OTHERS, None, False).failure == expected
+def test_bridging_time() -> None:
+    bridged = GO_ON.model_copy(update={"bridged_s": 5.0})
+    for stopped_s, text in ((4.9, "stopped too early"), (5.1, "")):
+        assert failure(replace(GOOD, stopped_s=stopped_s), bridged) == text
+    assert failure(replace(GOOD, stopped_s=1.0, reason="tracked_obstacle"), bridged) == ""
+
+
+def test_totals() -> None:
+    late = replace(GOOD, travel_m=1.2, alarms={}, reason="")
+    rows = [evaluate(CELL, one, CONFIG, STOP, ("imu",), OTHERS).as_dict() for one in (GOOD, late)]
+    rows.append(evaluate(CELL, late, CONFIG, GO_ON, ("imu",), OTHERS).as_dict())
+    values = summary(rows)
+    assert (values["stops_demanded"], values["stops_within"]) == (2, 1)
+    assert (values["naming_demanded"], values["named"]) == (2, 1)
+    assert (values["named_median_s"], values["named_worst_s"], values["never_named"]) == (0.15, 0.15, ["imu off"])
+    assert "1 of 2 demanded stops" in totals(rows)
+    assert math.isclose(values["cells"], 3)
+
+
+def test_demands_name_existing_faults_only() -> None:
+    kinds = {kind.value for kind in FaultKind}
+    rows = read_yaml(CONFIGS / "faults.yaml")["campaign"]["demands"]
+    assert {fault for row in rows for fault in row.get("faults", [])} <= kinds

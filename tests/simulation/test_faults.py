@@ -89,6 +89,34 @@ def test_corrupted_values() -> None:
     assert len({m.speed_mps for _, m in samples_within_fault(FaultKind.GARBAGE)}) > 15
 
 
+def test_plausible_values() -> None:
+    assert samples_within_fault(FaultKind.SCALE)[0][1].speed_mps == pytest.approx(2.010 * CONFIG.plausible.scale)
+    assert samples_within_fault(FaultKind.SIGN)[0][1].speed_mps == pytest.approx(-2.010)
+    errors = [m.speed_mps - 2.0 - (m.stamp_ns - START) * 5e-11 for _, m in samples_within_fault(FaultKind.DRIFT)]
+    assert errors[0] == pytest.approx(0.0, abs=1e-9)
+    assert errors[-1] == pytest.approx(0.5 * 0.38 / CONFIG.plausible.drift_s)
+
+
+def test_replay_repeats_content_with_new_stamps() -> None:
+    long = [m for t, m in faulty_samples(FaultKind.REPLAY, n=400, from_s=0.2, for_s=7.0) if 200 <= t < 7000]
+    period = round(CONFIG.plausible.replay_s * 1e3 / 20)
+    assert [m.speed_mps for m in long[period : 2 * period]] == [m.speed_mps for m in long[:period]]
+    assert [m.stamp_ns for m in long] == [START + 200 * MS + 20 * k * MS for k in range(len(long))]
+
+
+def test_swapped_sensors_exchange_their_topics() -> None:
+    topics = ["lidar/rear", "lidar/front", "imu"]
+    fault = InjectedFault(topic="lidar/front", kind=FaultKind.SWAPPED, from_s=0.1, for_s=9.0)
+    injection = FaultInjection([fault], CONFIG, START, 1)
+    injection.check_topics(topics)
+    sent = [(topic, SAMPLES.get(topic, SAMPLES["lidar/front"])) for topic in topics]
+    assert [topic for topic, _ in injection.apply(START, sent)] == topics
+    assert [topic for topic, _ in injection.apply(START + 200 * MS, sent)] == ["lidar/front", "lidar/rear", "imu"]
+    alone = FaultInjection([fault], CONFIG, START, 1)
+    alone.check_topics(["lidar/front"])
+    assert alone.apply(START + 200 * MS, sent[1:2]) == sent[1:2]
+
+
 def scan() -> LidarScan:
     ranges = np.array([[0, 5000, 65535]], np.uint16)
     return LidarScan(START, ranges, np.zeros(1), np.zeros(3), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8),

@@ -63,6 +63,14 @@ def test_nominal_plant_is_the_configuration():
     assert draw_plant("nominal", plant, CONFIG.plant, 7) is plant
 
 
+def test_slow_brake_differs_in_the_brake_alone():
+    given = configured()
+    slow = draw_plant("slow_brake", given, CONFIG.plant, 7)
+    assert slow.vehicle == given.vehicle.model_copy(update={"brake": CONFIG.plant.worst_brake})
+    assert slow.models.machine != given.models.machine
+    assert (slow.site, slow.implement, slow.start, slow.clocks) == (given.site, given.implement, given.start, {})
+
+
 @pytest.mark.parametrize("kind", ["drawn", "worst"])
 def test_plant_and_stack_share_no_number(kind):
     given = configured()
