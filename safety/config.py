@@ -111,7 +111,8 @@ class DetectionRangeConfig(Config):
     good_ratio: float = Field(gt=0.0, le=1.0)
     sectors: int = Field(ge=4, le=72)
     half_cone_deg: float = Field(gt=0.0, le=90.0, description="half angle of the cone about the direction of travel")
-    frozen_scans: int = Field(ge=1, le=20, description="identical scans in a row that mean a frozen lidar")
+    frozen_scans: int = Field(ge=1, le=20, description="repeated scans in a row that mean a frozen lidar")
+    repeat_memory_scans: int = Field(ge=1, le=10_000, description="earlier scans that a repeated one is compared with")
 
     @model_validator(mode="after")
     def _ratios_rise(self) -> "DetectionRangeConfig":

@@ -29,6 +29,7 @@ SAFETY_LIBRARIES = {
     "functools",
     "importlib",
     "pkgutil",
+    "zlib",
 }
 
 

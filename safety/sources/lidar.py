@@ -1,6 +1,8 @@
 """Lidar source: confirmed obstacle returns in odom, and detection range by direction of travel."""
 
 import math
+import zlib
+from collections import deque
 
 import numpy as np
 
@@ -23,6 +25,8 @@ from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, t
 from safety.sources.multiple_evaluation import cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
+
+CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a millisecond
 
 
 class LidarSource:
@@ -48,6 +52,7 @@ class LidarSource:
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
         self._cells: Int64 = np.empty(0, np.int64)
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
+        self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
         self._equal_scans = 0
 
     def covers(self, direction: int) -> bool:
@@ -60,7 +65,7 @@ class LidarSource:
 
     @property
     def is_frozen(self) -> bool:
-        """Whether the last scans are identical."""
+        """Whether the last scans repeat earlier ones."""
         return self._equal_scans >= self._config.detection_range.frozen_scans
 
     def update(self, scan: LidarScan, pose_odom: Float64, motion: Motion, curvature_radpm: float, box: Box) -> None:
@@ -71,7 +76,7 @@ class LidarSource:
         if scan is self.scan:
             self._cells = np.empty(0, np.int64)
         else:
-            self._equal_scans = self._equal_scans + 1 if is_same(scan, self.scan) else 0
+            self._count_repetition(content_of(scan))
         self.scan, self.stamp_ns = scan, scan.stamp_ns
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
         xyz = to_base(scan.points_m, self._T_base_sensor)
@@ -96,6 +101,12 @@ class LidarSource:
             field.min_returns_multiple_scan,
         )
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
+
+    def _count_repetition(self, content: int | None) -> None:
+        """Counts scans in a row whose ranges an earlier one had bit for bit: frozen, or a replayed recording."""
+        self._equal_scans = self._equal_scans + 1 if content in self._contents else 0
+        if content is not None:
+            self._contents.append(content)
 
     def _update_detection_range(self, xyz: np.ndarray, curvature_radpm: float) -> None:
         config, origin = self._config.detection_range, self._T_base_sensor[:3, 3]
@@ -134,8 +145,8 @@ class LidarSource:
         return np.asarray(self._min_slope * np.hypot(x, y) - z)
 
 
-def is_same(scan: LidarScan, before: LidarScan | None) -> bool:
-    """Whether a scan repeats the previous ranges bit for bit under a new stamp; an empty scan does not."""
-    if before is None or (scan.ranges_mm.size == 0 and scan.xyz_m.size == 0):
-        return False
-    return np.array_equal(scan.ranges_mm, before.ranges_mm) and np.array_equal(scan.xyz_m, before.xyz_m)
+def content_of(scan: LidarScan) -> int | None:
+    """Checksum of the ranges, or of number and every `CONTENT_EVERY`-th point of a list; None of an empty scan."""
+    if scan.ranges_mm.size == 0 and scan.xyz_m.size == 0:
+        return None
+    return zlib.crc32(scan.xyz_m[::CONTENT_EVERY].tobytes(), zlib.crc32(scan.ranges_mm.tobytes(), len(scan.xyz_m)))

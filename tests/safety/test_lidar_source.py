@@ -14,7 +14,7 @@ from safety.sources.detection_range import (
     nominal_range_m,
 )
 from safety.sources.ground_filter import Motion, deskew
-from safety.sources.lidar import LidarSource, is_same
+from safety.sources.lidar import LidarSource, content_of
 from safety.zones.footprint import Box as Area
 from safety.zones.footprint import Footprint, footprint_of
 from tests.safety.safety_world import NO_BYTES, START_NS, Box, scan_of
@@ -88,8 +88,31 @@ def test_frozen_lidar_range(vehicle: Vehicle, implement, config: SafetyConfig) -
     take(source, front(vehicle), seed=2, stamp_ns=START_NS + 1_000_000_000)
     assert not source.is_frozen
     empty = replace(source.scan, ranges_mm=np.empty((0, 0), np.uint16))
-    assert not is_same(empty, replace(empty, stamp_ns=1))
-    assert not is_same(empty, None)
+    assert content_of(empty) is None
+
+
+def test_replayed_scans_are_frozen(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
+    source = lidar_source(vehicle, implement, config)
+    for k in range(20):
+        take(source, front(vehicle), seed=k % 8, stamp_ns=START_NS + k * 100_000_000)
+        assert source.is_frozen == (k >= 8 + config.detection_range.frozen_scans - 1), k
+    take(source, front(vehicle), seed=9, stamp_ns=START_NS + 3_000_000_000)
+    assert not source.is_frozen
+
+
+def test_memory_of_repeated_scans_ends(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
+    short = config.detection_range.model_copy(update={"repeat_memory_scans": 7})
+    source = lidar_source(vehicle, implement, config.model_copy(update={"detection_range": short}))
+    for k in range(20):
+        take(source, front(vehicle), seed=k % 8, stamp_ns=START_NS + k * 100_000_000)
+        assert not source.is_frozen
+
+
+def test_empty_scans_are_not_frozen(source: LidarSource, config: SafetyConfig) -> None:
+    whole = scan((8.1, 0.1, 1.6))
+    for k in range(5):
+        process(source, few(whole, START_NS + k, 0))
+        assert not source.is_frozen
 
 
 def test_person_hits_and_blind_zone_hold(vehicle: Vehicle, implement, config: SafetyConfig) -> None:
@@ -237,17 +260,16 @@ def test_frozen_scan_count(source: LidarSource, config: SafetyConfig) -> None:
     assert states == [False] * 5 + [True, False]
 
 
-def test_is_same() -> None:
+def test_content_of_a_scan() -> None:
     listed, other = scan((8.0, 0.0, 1.0)), scan((8.1, 0.0, 1.0))
-    assert is_same(listed, scan((8.0, 0.0, 1.0), stamp_ns=7))
-    assert not is_same(listed, other)
-    assert not is_same(listed, None)
+    assert content_of(listed) == content_of(scan((8.0, 0.0, 1.0), stamp_ns=7))
+    assert content_of(listed) != content_of(other)
     ranges = np.ones((1, 2), np.uint16)
     image, more = (LidarScan(1, one, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), NO_BYTES,
                              np.empty(0, np.float32)) for one in (ranges, 2 * ranges))  # fmt: skip
-    assert is_same(image, image)
-    assert not is_same(image, more)
-    assert not is_same(few(listed, 1, 0), few(listed, 2, 0))
+    assert content_of(image) != content_of(more)
+    assert content_of(image) == content_of(replace(image, stamp_ns=2))
+    assert content_of(few(listed, 1, 0)) is None
 
 
 @pytest.mark.parametrize(("x", "later_ns", "count"), [
