@@ -49,7 +49,7 @@ def _best(left: BaseGeometry, part: Polygon, rig: Rig, space: FreeSpace, least_m
     shapely.prepare(left)
     for angle_rad in directions_of(part):
         for strip in _strips(left, rig.working_width_m, angle_rad):
-            for swath in swaths_on(strip, -rig.working_x_m, space, rig.config.min_swath_m):
+            for swath in swaths_on(strip, rig, space):
                 worked = strip_of(swath, rig.working_width_m)
                 gain = round(float(left.intersection(worked).area), 3)
                 if gain > best[0] and gain > LEAST_SHARE * worked.area:

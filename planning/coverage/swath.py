@@ -12,6 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from geometry.arrays import Float64, runs_of
 from geometry.polygon import edge_angles, parts
 from geometry.pose2 import Pose2
+from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
 
 MIN_STRIP_M2 = 0.5
@@ -115,12 +116,12 @@ def _min_length(a: float, b: float, min_m: float) -> tuple[float, float]:
     return a - more, b + more
 
 
-def swaths_on(strip: Float64, lead_m: float, space: FreeSpace, min_m: float) -> list[Swath]:
+def swaths_on(strip: Float64, rig: Rig, space: FreeSpace) -> list[Swath]:
     """Parts of a strip that can be driven, each in one direction or both; numbers are left 0."""
-    runs = [_free_runs(ends, lead_m, space, min_m) for ends in (strip, strip[::-1])]
+    runs = [_free_runs(ends, rig, space) for ends in (strip, strip[::-1])]
     found, backs = [], list(runs[1])
     for onwards in runs[0]:
-        partner = next((b for b in backs if _overlap_m(onwards, b) > 0.5 * min_m), None)
+        partner = next((b for b in backs if _overlap_m(onwards, b) > 0.5 * rig.config.min_swath_m), None)
         if partner is not None:
             backs = [b for b in backs if b is not partner]
         found.append(Swath(0, onwards, partner))
@@ -134,12 +135,19 @@ def _overlap_m(onwards: Float64, back: Float64) -> float:
     return float(min(s[1], length) - max(s[0], 0.0))
 
 
-def _free_runs(ends: Float64, lead_m: float, space: FreeSpace, min_m: float) -> list[Float64]:
-    """Parts of a line of the implement, (2, 2), on which the rig is free, in driving order."""
+def _free_runs(ends: Float64, rig: Rig, space: FreeSpace) -> list[Float64]:
+    """Parts of a line of the implement, (2, 2), on which the rig is free, in driving order.
+
+    With reversing they end `stop_gap_m` before an edge: a turn there begins or ends with a change of direction.
+    """
     length = float(np.hypot(*(ends[1] - ends[0])))
     along = (ends[1] - ends[0]) / length
-    s = np.linspace(0.0, length, max(2, math.ceil(length / STEP_M) + 1))
-    p = ends[0] + (s[:, None] + lead_m) * along
+    count = max(1, math.ceil(length / STEP_M))
+    gap = math.ceil(rig.config.stop_gap_m * count / length) if rig.has_reverse else 0
+    beyond_m = gap * length / count
+    s = np.linspace(-beyond_m, length + beyond_m, count + 1 + 2 * gap)
+    p = ends[0] + (s[:, None] - rig.working_x_m) * along
     free = ~space.touching(p, np.full(len(s), math.atan2(along[1], along[0])))
-    runs = [(s[a], s[b]) for a, b in runs_of(free)]
-    return [np.array([ends[0] + a * along, ends[0] + b * along]) for a, b in runs if b - a >= min_m - 1e-6]
+    runs = [(s[a] + beyond_m, s[b] - beyond_m) for a, b in runs_of(free)]
+    kept = [(a, b) for a, b in runs if b - a >= rig.config.min_swath_m - 1e-6]
+    return [np.array([ends[0] + a * along, ends[0] + b * along]) for a, b in kept]

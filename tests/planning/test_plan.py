@@ -212,6 +212,18 @@ def test_part_beyond_a_neck(
     assert plan.planned_area.intersection(beyond).area > 0.95 * beyond.area
 
 
+def test_dead_end(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """An arm of the field too narrow to turn in is worked, and left in reverse."""
+    boundary = ((0, 0), (60, 0), (60, 20), (95, 20), (95, 29), (60, 29), (60, 45), (0, 45))
+    work = mission.work.model_copy(update={"turns": "reverse"})
+    dead_end = site.model_copy(update={"boundary_m": boundary})
+    plan = plan_field(dead_end, vehicle, harrow, work, planning.planner, 0)
+    arm = box(62, 20, 95, 29)
+    assert plan.planned_area.intersection(arm).area > 0.7 * arm.area
+
+
 def test_figure_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None:
     draw_plan(plan, site, tmp_path / "plan.png")
     assert (tmp_path / "plan.png").read_bytes()[:4] == b"\x89PNG"
