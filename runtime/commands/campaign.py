@@ -79,13 +79,16 @@ def main(arguments: argparse.Namespace) -> int:
     arguments.seeds = DEFAULT_SEEDS.get(arguments.campaign, 10) if arguments.seeds is None else arguments.seeds
     name = arguments.campaign
     verb, command = f"campaign-{name}", {"campaign": name}
-    command |= {} if name in ("fault-injection", "hazards") else {"plant": arguments.plant}
+    if name == "fault-injection":
+        command |= {"model": arguments.model and str(arguments.model)}
+    elif name != "hazards":
+        command |= {"plant": arguments.plant}
     with RunFolder(verb, arguments.out, command, resumes=True):
         pass  # a folder of another command is refused before the imports, which take seconds
     if name == "fault-injection":
         from runtime.fault_injection import campaign as fault_injection
 
-        return fault_injection.main(arguments)
+        return fault_injection.main(arguments, command)
     if name == "hazards":
         from runtime.hazards import campaign as hazards
 

@@ -149,7 +149,7 @@ COMMANDS = (
         _option("--scheduler", metavar="ADDRESS", help="hazards: run on this Dask cluster"),
         _option("--only", type=regex, metavar="REGEX",
                 help="fault-injection, hazards: matching names, e.g. swath-imu-off"),
-        MODEL,
+        _option("--model", type=model, metavar="MODEL", help="fault-injection: detector of the cameras, as of `run`"),
         _option("--situations", type=names_of(SITUATIONS), metavar="NAMES",
                 help=f"fault-injection: of {','.join(SITUATIONS)} (default all)"),
         _out("campaign", RESUMES), JSON,

@@ -16,7 +16,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -86,10 +86,10 @@ class Drive:
         return (*unused, *nodes)
 
 
-def main(arguments: argparse.Namespace) -> int:
-    """Runs the missing cells; 0 if every cell passed."""
+def main(arguments: argparse.Namespace, command: dict[str, Any]) -> int:
+    """Runs the missing cells; 0 if every cell passed; `command` is the one that may continue the folder."""
     requested = (arguments.situations or ",".join(name for named in SITUATIONS.values() for name in named)).split(",")
-    with RunFolder("campaign-fault-injection", arguments.out, {"campaign": "fault-injection"}, resumes=True) as folder:
+    with RunFolder("campaign-fault-injection", arguments.out, command, resumes=True) as folder:
         top = folder.path
         for made in ("cells", "table.html", "table.parquet"):
             folder.file(made)

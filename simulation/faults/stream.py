@@ -1,5 +1,6 @@
 """Faults of order, number and time of a device's messages; changes of content are passed in."""
 
+from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -22,9 +23,8 @@ class FaultStream(Generic[T]):
     ) -> None:  # fmt: skip
         self._kind, self._renew, self._corrupt = kind, renew, corrupt
         self._delay_ns, self._pause_ns = round(DELAY_IN_AGES * max_age_ns), round(SLOW_IN_AGES * max_age_ns)
-        self._replay_ns, self._replayed = round(1e9 * replay_s), list[T]()
+        self._replay_ns, self._replayed = round(1e9 * replay_s), deque[T]()
         self._began_ns: int | None = None
-        self._count = 0
         self._last: T | None = None
         self._held: T | None = None
         self._passed_ns: int | None = None
@@ -52,8 +52,8 @@ class FaultStream(Generic[T]):
         if since_ns < self._replay_ns or not self._replayed:
             self._replayed.append(item)
             return item
-        self._count += 1
-        return self._renew(self._replayed[(self._count - 1) % len(self._replayed)], item)
+        self._replayed.rotate(-1)
+        return self._renew(self._replayed[-1], item)
 
     def _swap(self, now_ns: int, item: T) -> list[tuple[int, T]]:
         before, self._held = self._held, item
