@@ -121,6 +121,18 @@ class DetectionRangeConfig(Config):
         return self
 
 
+class LidarAgreementConfig(Config):
+    """Comparison of the ground that lidars find in the same places."""
+
+    cell_m: float = Field(ge=0.2, le=5.0)
+    range_m: Metres = Field(description="beams that meet level ground within it are compared")
+    min_cells: int = Field(ge=3, le=1000, description="cells that two lidars must have in common")
+    max_difference_m: Metres = Field(description="of the median height over the cells")
+    max_height_m: Metres = Field(description="of the median over all cells, above or below the wheels")
+    max_interval_s: Seconds = Field(description="between the scans that are compared")
+    hold_s: Seconds = Field(description="time for which a lidar must contradict the others")
+
+
 class TrackedConfig(Config):
     """Tracked obstacle channel."""
 
@@ -253,6 +265,7 @@ class SafetyConfig(Config):
     near_field: NearFieldConfig
     departure: DepartureConfig
     detection_range: DetectionRangeConfig
+    lidar_agreement: LidarAgreementConfig
     tracked: TrackedConfig
     radar: RadarConfig
     ultrasonic: UltrasonicConfig

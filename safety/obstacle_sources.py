@@ -19,6 +19,8 @@ from messages.perception import SensorHealth, Tracks
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
 from messages.topics import TOPICS
 from safety.config import SafetyConfig
+from safety.monitors.lidar_agreement import LidarAgreement
+from safety.monitors.sensors import SensorFailure
 from safety.pose_history import PoseHistory
 from safety.sources.detection_range import limit_by_health
 from safety.sources.ground_filter import Motion
@@ -51,6 +53,7 @@ class ObstacleSources:
         self.lidars = tuple(LidarSource(name, lidar, footprint, config) for name, lidar in sensors.lidar.items())
         self.radars = tuple(RadarSource(n, one, height, field.mask_m, config.radar) for n, one in sensors.radar.items())
         self.ultrasonics = tuple(UltrasonicSource(n, one, ultrasonic) for n, one in sensors.ultrasonic.items())
+        self._agreement = LidarAgreement(config.lidar_agreement)
         self._config, self._footprint = config, footprint
 
     def set_footprint(self, footprint: Footprint) -> None:
@@ -106,6 +109,12 @@ class ObstacleSources:
             scan = data.scans[source.name] if source in new else source.scan if is_new_field else None
             if scan is not None:
                 source.update(scan, pose_history.pose_at(scan.stamp_ns), motion, odom.curvature_radpm, box)
+        if new:
+            self._agreement.update(self.lidars)
+
+    def lidar_failures(self, direction: int) -> tuple[SensorFailure, ...]:
+        """Lidars that cover a direction of travel and measure wrongly."""
+        return self._agreement.failures(self.lidars, direction)
 
     def clearance(
         self, swept_field: SweptField, pose_odom: Float64, speed_mps: float, is_known: KnownStructureFilter | None,

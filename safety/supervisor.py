@@ -149,6 +149,7 @@ class Supervisor(Node):
             brake_test=self._brake_test.update(self.mode, vehicle.speed_mps, monitor.pose_history.driven_m),
             sensor_failures=self._inputs.sensor_failures(now_ns, inbox, inputs, monitor, direction),
             is_departure_unresolved=monitor.departure.is_unresolved,
+            lidar_failures=monitor.sources.lidar_failures(direction),
             is_docking=monitor.is_docking,
             is_under_roof=monitor.is_under_roof,
             wall_distance_m=monitor.wall_distance_m(),

@@ -22,6 +22,7 @@ from safety.sources.detection_range import (
     sector_edges,
 )
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
+from safety.sources.ground_heights import NO_GROUND, ground_heights
 from safety.sources.multiple_evaluation import cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
@@ -33,6 +34,7 @@ class LidarSource:
     """Processes the scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground.
 
     `footprint` is that of the self mask, set on a change of fold position; `hitch` moves a lidar on the implement.
+    `ground` is that near the lidar; `has_other_rings`: the last range image is not one of the configured lidar.
     """
 
     def __init__(self, name: str, lidar: Lidar, footprint: Footprint, config: SafetyConfig) -> None:
@@ -54,6 +56,8 @@ class LidarSource:
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
         self._equal_scans = 0
+        self.ground = NO_GROUND
+        self.has_other_rings, self._rings = False, len(lidar.elevation_deg)
 
     def covers(self, direction: int) -> bool:
         """Whether the lidar covers a direction of travel."""
@@ -78,9 +82,10 @@ class LidarSource:
         else:
             self._count_repetition(content_of(scan))
         self.scan, self.stamp_ns = scan, scan.stamp_ns
+        self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
         xyz = to_base(scan.points_m, self._T_base_sensor)
-        self._update_detection_range(xyz, curvature_radpm)
+        self._update_detection_range(xyz, pose_odom, curvature_radpm)
         field = self._config.field
         near_field = near_box(self.footprint, self._config.near_field) if self._looks_down else None
         area = box if near_field is None else enclosing(box, near_field)
@@ -108,10 +113,12 @@ class LidarSource:
         if content is not None:
             self._contents.append(content)
 
-    def _update_detection_range(self, xyz: np.ndarray, curvature_radpm: float) -> None:
+    def _update_detection_range(self, xyz: np.ndarray, pose_odom: Float64, curvature_radpm: float) -> None:
         config, origin = self._config.detection_range, self._T_base_sensor[:3, 3]
+        agreement = self._config.lidar_agreement
         some = down_beams(xyz, origin, self._slopes)
         some = some.compress(~is_own(some, self.footprint, curvature_radpm, self._config.field.mask_m), axis=1)
+        self.ground = ground_heights(some, origin, agreement.range_m, pose_odom, agreement.cell_m)
         ratios = return_ratios(some, origin, self._density, config.sectors)
         ranges, half_rad = range_by_ratio(ratios, self.nominal_range_m, config), math.radians(config.half_cone_deg)
         self._detection_range_m = {d: min_range_towards(self._edges, ranges, d, half_rad) for d in self._directions}

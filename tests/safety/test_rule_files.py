@@ -21,7 +21,8 @@ from tests.safety.safety_world import ROOT
 
 RESULTS = {"emergency", "stop", "limit", "advisory"}
 ORDER = (
-    "emergency_stop", "driver_override", "clock_step", "reported_fault", "message_timeout", "supply_voltage",
+    "emergency_stop", "driver_override", "clock_step", "reported_fault", "message_timeout", "lidar_agreement",
+    "supply_voltage",
     "steering", "brake", "overspeed", "localization", "tilt", "geofence", "implement_fold",
     "protective_field", "tracked_obstacle",
     "detection_range", "sensor_loss", "wall_clearance", "speed_limit",
@@ -86,6 +87,8 @@ def test_codes_have_chinese_texts(name: str) -> None:
     own = set(called_codes(RULES[name]))
     if name == "sensor_loss":
         own = own - {"other.code"} | {"x/y.silent", "x/y.frozen", "x/y.blind"}
+    if name == "lidar_agreement":
+        own = own - {"other.code"} | {"x/y.contradicted", "x/y.foreign"}
     for code in own:
         text = text_zh(RULES[name].texts_zh, code)
         assert any("一" <= letter <= "鿿" for letter in text), (code, text)
