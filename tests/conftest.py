@@ -8,10 +8,13 @@ import runtime  # noqa: F401  sets the thresholds of the garbage collection
 from tests.recordings import DATA, REASON
 
 
+DRIVES = {"attacks", "replay", "runtime", "scenarios"}  # folders whose tests drive or replay
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Modules with slow tests come first: at the end no core waits for one of them."""
-    slow = {item.path for item in items if item.get_closest_marker("slow") or "scenarios" in item.path.parts}
-    items.sort(key=lambda item: item.path not in slow)
+    """Modules with slow tests come first: a core takes the next module, and at the end none waits for a slow one."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (item.path not in slow, DRIVES.isdisjoint(item.path.parts)))
 
 
 def pytest_collection_finish() -> None:

@@ -169,7 +169,7 @@ def test_unsupported_python(project: Project) -> None:
     assert "Python 3.9.2" in err
 
 
-def test_checks_before_full_test_run_only(project: Project) -> None:
+def test_checks_in_full_test_run_only(project: Project) -> None:
     code, out, _ = project.run("test", "-k", "foo")
     assert (code, out.count("== ")) == (0, 1)
     code, out, _ = project.run("test", VERB_EXIT="1")
@@ -177,7 +177,7 @@ def test_checks_before_full_test_run_only(project: Project) -> None:
     headlines = [line for line in out.splitlines() if line.startswith("== ")]
     checks = [f"== {name}" for name in ("ruff check", "ruff format --check", "mypy")]
     failed = [line for name in checks for line in (name, f"{name}: FAILED")]
-    assert headlines == ["== pytest, every branch of safety/", *failed, "== pytest"]
+    assert headlines == ["== pytest, every branch of safety/", "== pytest", *failed]
     assert out.count("FAILED") == 3
 
 

@@ -29,6 +29,12 @@ def recorded() -> ReplayInput:
 
 
 @cache
+def messages() -> tuple[Received | Skipped, ...]:
+    """All messages of the log: decompressed once."""
+    return tuple(recorded().recording.messages())
+
+
+@cache
 def outputs() -> tuple[Envelope, ...]:
     """All messages of the replay of the log."""
     return run(recorded())
@@ -69,7 +75,7 @@ def replayed(change: Change = unchanged, **mount: tuple[float, float, float]) ->
     machine = replace(prepared.machine, vehicle=vehicle.model_copy(update={"sensors": sensors}))
 
     def read() -> Iterator[Received | Skipped]:
-        for item in recording.messages():
+        for item in messages():
             if isinstance(item, Skipped):
                 yield item
                 continue
