@@ -7,7 +7,6 @@ import pytest
 import runtime  # noqa: F401  sets the thresholds of the garbage collection
 from tests.recordings import DATA, REASON
 
-
 DRIVES = {"attacks", "replay", "runtime", "scenarios"}  # folders whose tests drive or replay
 
 
