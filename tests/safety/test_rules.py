@@ -28,7 +28,8 @@ NONE, LIMIT, STOP, EMERGENCY = Response.NONE, Response.LIMIT, Response.CONTROLLE
 NO_OBJECTION = {
     "emergency_stop": "emergency_stop.button", "driver_override": "driver_override", "clock_step": "clock_step",
     "reported_fault": "reported_fault",
-    "message_timeout": "message_timeout", "supply_voltage": "supply_voltage", "steering": "steering",
+    "message_timeout": "message_timeout", "lidar_agreement": "lidar_agreement",
+    "supply_voltage": "supply_voltage", "steering": "steering",
     "brake": "brake.weak", "overspeed": "overspeed",
     "localization": "localization", "tilt": "tilt", "geofence": "geofence", "implement_fold": "implement_fold",
     "protective_field": "protective_field",

@@ -93,8 +93,10 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
             wall_distance_m=Spy(6.0), is_docking=True, is_under_roof=False,
             departure=SimpleNamespace(is_unresolved=True), confirm_clear=Spy(None),
             swept_field=SimpleNamespace(is_planned=True),
-            pose_history=SimpleNamespace(driven_m=12.0), sources=SimpleNamespace(lidars=lidars,
-            detection_range_m=Spy(proven)),
+            pose_history=SimpleNamespace(driven_m=12.0),
+            sources=SimpleNamespace(
+                lidars=lidars, lidar_failures=Spy(("wrong",)), detection_range_m=Spy(proven)
+            ),
         ),
         mode_machine=SimpleNamespace(
             mode=Mode.AUTOMATIC, latched=None, is_just_confirmed=True, fault_memory=FaultMemory(), update=Spy(None),
@@ -202,11 +204,13 @@ def test_situation(among: Any, parts: Any, inbox: Any, machine: Vehicle, config:
         faults=parts.mode_machine.fault_memory.active,
         clearance=GAP, critical_object=THREAT, detection_range_m=30.0, blind=("lidar/side",), geofence_distance_m=8.0,
         is_foldable=True, clock_step_s=0.0, brake_test="phase", sensor_failures=("lost",),
-        is_departure_unresolved=True, is_docking=True, is_under_roof=False, wall_distance_m=6.0,
+        is_departure_unresolved=True, lidar_failures=("wrong",), is_docking=True, is_under_roof=False,
+        wall_distance_m=6.0,
     )  # fmt: skip
     assert parts.timed_out_topics.asked == (["ages"],)
     assert parts.inputs.ages.asked == (START_NS, inbox, parts.monitor, -1)
     assert parts.inputs.sensor_failures.asked == (START_NS, inbox, SEEN, parts.monitor, -1)
+    assert parts.monitor.sources.lidar_failures.asked == (-1,)
     assert parts.monitor.sources.detection_range_m.asked == (START_NS, -1, SEEN.health)
     assert parts.brake_test.update.asked == (Mode.AUTOMATIC, -1.5, 12.0)
 
