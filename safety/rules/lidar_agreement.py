@@ -10,9 +10,10 @@ CODE = "lidar_agreement"
 
 def evaluate(situation: Situation) -> RuleResult:
     """Stop on the first failed lidar that covers the direction of travel: where it looks, no other may see."""
-    for failure in situation.lidar_failures:
-        return stop(failure.code, failure.text)
-    return no_objection(CODE)
+    if not situation.lidar_failures:
+        return no_objection(CODE)
+    first = situation.lidar_failures[0]
+    return stop(first.code, first.text)
 
 
 RULE = Rule(

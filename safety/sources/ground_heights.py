@@ -24,9 +24,8 @@ def ground_heights(xyz: Float32, origin_m: Float64, range_m: float, pose_odom: F
     """Heights by the returns (3, N) in base of beams that meet level ground within a range of the sensor."""
     x, y, z = (xyz[row] - origin_m[row] for row in range(3))
     near = xyz.compress(z * range_m <= -origin_m[2] * np.hypot(x, y), axis=1).astype(np.float64)
-    if near.shape[1] == 0:
-        return NO_GROUND
     keys = cell_keys(np.column_stack([to_frame(pose_odom, near[:2].T), np.zeros(near.shape[1])]), cell_m)
-    order = np.argsort(keys, kind="stable")
-    cells, begin = np.unique(keys[order], return_index=True)
-    return GroundHeights(cells, np.minimum.reduceat(near[2][order], begin))
+    cells, which = np.unique(keys, return_inverse=True)
+    height_m = np.full(len(cells), np.inf)
+    np.minimum.at(height_m, which, near[2])
+    return GroundHeights(cells, height_m)

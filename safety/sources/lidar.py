@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from configs.vehicle import Lidar
-from geometry.arrays import Float64, Int64
+from geometry.arrays import Float32, Float64, Int64
 from geometry.pose2 import from_frame, to_frame
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
@@ -85,7 +85,10 @@ class LidarSource:
         self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
         xyz = to_base(scan.points_m, self._T_base_sensor)
-        self._update_detection_range(xyz, pose_odom, curvature_radpm)
+        down = self._down_returns(xyz, curvature_radpm)
+        self._update_detection_range(down)
+        agreement, origin = self._config.lidar_agreement, self._T_base_sensor[:3, 3]
+        self.ground = ground_heights(down, origin, agreement.range_m, pose_odom, agreement.cell_m)
         field = self._config.field
         near_field = near_box(self.footprint, self._config.near_field) if self._looks_down else None
         area = box if near_field is None else enclosing(box, near_field)
@@ -113,13 +116,15 @@ class LidarSource:
         if content is not None:
             self._contents.append(content)
 
-    def _update_detection_range(self, xyz: np.ndarray, pose_odom: Float64, curvature_radpm: float) -> None:
-        config, origin = self._config.detection_range, self._T_base_sensor[:3, 3]
-        agreement = self._config.lidar_agreement
-        some = down_beams(xyz, origin, self._slopes)
-        some = some.compress(~is_own(some, self.footprint, curvature_radpm, self._config.field.mask_m), axis=1)
-        self.ground = ground_heights(some, origin, agreement.range_m, pose_odom, agreement.cell_m)
-        ratios = return_ratios(some, origin, self._density, config.sectors)
+    def _down_returns(self, xyz: Float32, curvature_radpm: float) -> Float32:
+        """Returns (3, K) of beams that meet level ground, without those of the machine."""
+        some = down_beams(xyz, self._T_base_sensor[:3, 3], self._slopes)
+        is_machine = is_own(some, self.footprint, curvature_radpm, self._config.field.mask_m)
+        return np.asarray(some.compress(~is_machine, axis=1))
+
+    def _update_detection_range(self, down: Float32) -> None:
+        config = self._config.detection_range
+        ratios = return_ratios(down, self._T_base_sensor[:3, 3], self._density, config.sectors)
         ranges, half_rad = range_by_ratio(ratios, self.nominal_range_m, config), math.radians(config.half_cone_deg)
         self._detection_range_m = {d: min_range_towards(self._edges, ranges, d, half_rad) for d in self._directions}
 

@@ -1,7 +1,6 @@
 """Fixtures: configuration of the supervisor, machines, closed loops."""
 
 import inspect
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +10,9 @@ from configs.vehicle import Camera, ImplementFile, Mount, Radar, Ultrasonic, Veh
 from safety.supervisor import Supervisor
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.geofence import Geofence
-from tests.safety.safety_world import ROOT, World, straight_path
+from tests.safety.safety_world import ROOT, World, straight_path, tractor
 
-DRIVES = {"world", "seeing", "shed_world", "sparse"}
+DRIVES = {"world", "seeing", "shed_world", "sparse", "lidar_world"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -31,10 +30,7 @@ def config() -> SupervisorConfig:
 @pytest.fixture(scope="session")
 def vehicle() -> Vehicle:
     """Machine with motion sensors and one lidar in each direction of travel only."""
-    machine = load(Vehicle, ROOT / "configs/machines/tractor_e.yaml")
-    none: dict[str, Any] = {"radar": {}, "camera": {}, "ultrasonic": {}, "uwb": {}}
-    none["lidar"] = {name: machine.sensors.lidar[name] for name in ("front", "rear")}
-    return machine.model_copy(update={"sensors": machine.sensors.model_copy(update=none)})
+    return tractor("front", "rear")
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from configs.strict import load
 from configs.vehicle import Lidar, Mount, Radar, TrailedImplement, Ultrasonic, Vehicle
 from geometry.transforms import planar, transform
 from messages.command import ControlCommand, MachineState, OperatorCommand, OperatorCommandKind, OrderStatus
@@ -35,6 +36,14 @@ WAGON = TrailedImplement(
     kind="trailed", name="wagon", working_width_m=3.0, width_m=3.0, lift_s=1.0, lower_s=1.0, uses_pto=False,
     hitch_m=-1.2, axle_length_m=4.0, working_length_m=4.0, total_length_m=5.5,
 )  # fmt: skip
+
+
+def tractor(*lidars: str) -> Vehicle:
+    """The shipped machine with its motion sensors and the named lidars only."""
+    machine = load(Vehicle, ROOT / "configs/machines/tractor_e.yaml")
+    only: dict[str, Any] = {"radar": {}, "camera": {}, "ultrasonic": {}, "uwb": {}}
+    only["lidar"] = {name: machine.sensors.lidar[name] for name in lidars}
+    return machine.model_copy(update={"sensors": machine.sensors.model_copy(update=only)})
 
 
 class SyntheticInbox:

@@ -3,12 +3,10 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from configs.strict import load
 from configs.vehicle import Lidar, Vehicle
 from geometry.arrays import Float64
 from messages.command import Mode
@@ -22,7 +20,7 @@ from safety.sources.lidar import LidarSource
 from safety.supervisor import Supervisor
 from safety.zones.footprint import Box, footprint_of
 from safety.zones.geofence import Geofence
-from tests.safety.safety_world import NO_BYTES, ROOT, START_NS, World, scan_of, straight_path
+from tests.safety.safety_world import NO_BYTES, START_NS, World, scan_of, straight_path, tractor
 
 AREA = Box((-12.0, 15.0), (-8.0, 8.0))
 FRONT = ("front", "front_left", "front_right")
@@ -115,10 +113,8 @@ class Rig:
 
 @pytest.fixture(scope="module")
 def shipped() -> Vehicle:
-    """The shipped machine with its lidars alone."""
-    machine = load(Vehicle, ROOT / "configs/machines/tractor_e.yaml")
-    none: dict[str, Any] = {"radar": {}, "camera": {}, "ultrasonic": {}, "uwb": {}}
-    return machine.model_copy(update={"sensors": machine.sensors.model_copy(update=none)})
+    """The shipped machine with its lidars alone: three that see the same ground ahead, one behind."""
+    return tractor(*FRONT, "rear")
 
 
 @pytest.fixture
@@ -212,9 +208,14 @@ def test_ground_heights_by_cell() -> None:
     assert len(ground_heights(xyz[:, 3:], origin, 8.0, pose, 1.0).cells) == 0
 
 
-def test_machine_stops_and_waits_for_a_person(shipped: Vehicle, implement, config, geofence: Geofence) -> None:
-    world = World(Supervisor(shipped, implement, config, geofence, ()), shipped, straight_path(), is_plain=True)
-    world.start()
+@pytest.fixture
+def lidar_world(shipped: Vehicle, implement, config, geofence: Geofence) -> World:
+    """Closed loop with that machine."""
+    return World(Supervisor(shipped, implement, config, geofence, ()), shipped, straight_path(), is_plain=True)
+
+
+def test_machine_stops_and_waits_for_a_person(lidar_world: World) -> None:
+    world = lidar_world.start()
     assert world.mode == Mode.AUTOMATIC
     put = world.put
 
