@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import fcntl
 import json
 import multiprocessing
 import os
@@ -36,6 +37,9 @@ from runtime.live.serialization import unpack
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, load_scenario, load_setup, start_notes
 from simulation.scenario import Scenario
+
+RINGS_PREFIX = "headland-rings-"
+LEFT_S = 60.0  # a run locks its folder long before
 
 TOPICS = (
     "truth_machine",
@@ -218,16 +222,35 @@ def _stop(processes: Mapping[str, BaseProcess]) -> None:
 
 @contextlib.contextmanager
 def _rings(config: LiveConfig) -> Iterator[dict[str, Path]]:
-    """One ring per process, in shared memory."""
-    memory = Path("/dev/shm")
-    folder = Path(tempfile.mkdtemp(prefix="headland-", dir=memory if memory.is_dir() else None))
+    """One ring per process, in shared memory, in a folder that is locked while a process of this run lives."""
+    shared = Path("/dev/shm")
+    memory = shared if shared.is_dir() else Path(tempfile.gettempdir())
+    remove_left_rings(memory)
+    folder = Path(tempfile.mkdtemp(prefix=RINGS_PREFIX, dir=memory))
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
+        fcntl.flock(lock, fcntl.LOCK_SH)
         rings = {role: folder / role for role in ROLES}
         for role, path in rings.items():
             make_ring(path, config.ring_mib[role] << 20)
         yield rings
     finally:
+        os.close(lock)
         shutil.rmtree(folder)
+
+
+def remove_left_rings(memory: Path) -> None:
+    """Removes folders of rings of this user that a killed run left: unlocked, and at least `LEFT_S` old."""
+    for folder in memory.glob(f"{RINGS_PREFIX}*"):
+        with contextlib.suppress(OSError):  # another user's, locked, or removed meanwhile
+            if folder.stat().st_uid != os.getuid() or time.time() - folder.stat().st_mtime < LEFT_S:
+                continue
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder)
+            finally:
+                os.close(lock)
 
 
 def _reaction_rows(folder: Path) -> list[str]:
