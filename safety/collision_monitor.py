@@ -25,6 +25,7 @@ from safety.pose_history import PoseHistory, planar_pose
 from safety.sources.lidar import LidarSource
 from safety.sources.multiple_evaluation import thin
 from safety.stopping_distance import Braking, stopping_distance, stopping_time
+from safety.zones.bystanders import Bystanders
 from safety.zones.departure import Departure
 from safety.zones.footprint import FootprintSet
 from safety.zones.geofence import Geofence, distance_inside_m
@@ -45,7 +46,10 @@ from safety.zones.tracked_obstacles import (
     NO_CRITICAL_OBJECT,
     CriticalObject,
     KnownStructureFilter,
+    horizon_s,
+    is_ahead,
     nearest_critical_object,
+    tracks_near,
 )
 
 GEOFENCE_SPACING_M = 0.1
@@ -78,7 +82,7 @@ class CollisionMonitor:
         self.sources = ObstacleSources(sensors, footprints.working, config)
         self.swept_field: SweptField | None = None
         self.pose_history = PoseHistory()
-        self.departure = Departure(config.departure)
+        self.departure, self.bystanders = Departure(config.departure), Bystanders(config.bystanders, config.tracked)
         self.is_docking, self.is_under_roof = False, False
         self._footprints, self._footprint = footprints, footprints.working
         self._geofence, self._known_structure = geofence, known_structure
@@ -122,6 +126,7 @@ class CollisionMonitor:
     def confirm_clear(self) -> None:
         """An operator has confirmed that nobody is near the machine: what is held without being seen is dropped."""
         self.departure.forget()
+        self.bystanders.forget_unseen()
         self.sources.forget_held()
 
     def clearance(self) -> Clearance | None:
@@ -218,13 +223,24 @@ class CollisionMonitor:
         is_known = self._known_structure_filter(pose_odom, pose_map, sigma_m)
         self._clearance = self.sources.clearance(swept_field, pose_odom, speed_mps, is_known, inputs.tracks)
         self._follow_departure(swept_field, pose_odom, is_known, odom.stamp_ns)
-        stop_s = stopping_time(speed_mps, braking)
-        self._critical_object = nearest_critical_object(
-            swept_field.main, self._footprint, inputs.tracks, pose_odom, odom.curvature_radpm, stop_s,
-            self._config.tracked, is_known,
-        )  # fmt: skip
+        self._critical_object = self._nearest_object(inputs, odom, swept_field, pose_odom, speed_mps, braking, is_known)
         self._geofence_distance_m = self._distance_inside_m(pose_map, swept_field, speed_mps, braking)
         self._update_wall_distance(pose_map, swept_field, sigma_m)
+
+    def _nearest_object(
+        self, inputs: MonitorInputs, odom: Odometry, swept_field: SweptField, pose_odom: Float64, speed_mps: float,
+        braking: Braking, is_known: KnownStructureFilter | None,
+    ) -> CriticalObject:  # fmt: skip
+        """Critical object of all tracks: a bystander who comes towards the machine, else the nearest one ahead."""
+        area, tracked = swept_field.main, self._config.tracked
+        predicted_s = horizon_s(stopping_time(speed_mps, braking), tracked)
+        near = tracks_near(area, inputs.tracks, pose_odom, predicted_s, tracked, is_known)
+        side = odom.curvature_radpm, area.direction, tracked.self_filter_m
+        ahead = [one for one in near if is_ahead(one[0], self._footprint, pose_odom, *side)]
+        ids = {track.id for track, _ in ahead}
+        beside = [track for track, moves in near if moves and track.id not in ids]
+        self.bystanders.update(beside, inputs.tracks, area, pose_odom, speed_mps, predicted_s)
+        return self.bystanders.coming or nearest_critical_object(area, ahead, pose_odom, predicted_s, tracked)
 
     def _follow_departure(
         self, swept_field: SweptField, pose_odom: Float64, is_known: KnownStructureFilter | None, now_ns: int

@@ -154,6 +154,16 @@ class TrackedConfig(Config):
     uncertainty_cap_m: Metres
 
 
+class BystanderConfig(Config):
+    """Tracked bodies that come towards machine or implement from any side."""
+
+    min_unclassified_age_s: Seconds = Field(description="minimum age of an unclassified track for its motion to count")
+    closing_m: Metres = Field(description="a predicted approach by less is none")
+    follow_m: Metres = Field(description="a track this near to the last place of a lost one continues it")
+    away_m: Metres = Field(description="distance from machine and implement at which a bystander seen there has left")
+    lost_m: Metres = Field(description="the same for one that is no longer seen")
+
+
 class RadarConfig(Config):
     """Confirmation of radar detections."""
 
@@ -267,6 +277,7 @@ class SafetyConfig(Config):
     detection_range: DetectionRangeConfig
     lidar_agreement: LidarAgreementConfig
     tracked: TrackedConfig
+    bystanders: BystanderConfig
     radar: RadarConfig
     ultrasonic: UltrasonicConfig
     docking: DockingConfig

@@ -148,7 +148,7 @@ class Supervisor(Node):
             clock_step_s=clock_step_s,
             brake_test=self._brake_test.update(self.mode, vehicle.speed_mps, monitor.pose_history.driven_m),
             sensor_failures=self._inputs.sensor_failures(now_ns, inbox, inputs, monitor, direction),
-            is_departure_unresolved=monitor.departure.is_unresolved,
+            is_departure_unresolved=monitor.departure.is_unresolved or monitor.bystanders.is_near,
             lidar_failures=monitor.sources.lidar_failures(direction),
             is_docking=monitor.is_docking,
             is_under_roof=monitor.is_under_roof,

@@ -24,7 +24,8 @@ class Situation:
     `lost` the failed sensors of other kinds, `proven_m` the detection range. `gap` is None before the first scan.
     `geofence_m` is the distance to drive inside the geofence (None: position unknown; below 0: outside), `survey_m`
     that clear of surveyed walls, `clock_step_s` the jump of the clock since the last step. `is_departure_unresolved`:
-    what blocked the path was lost from view in it. `lidar_failures`: lidars that measure wrongly.
+    what blocked the path was lost from view in it, or a bystander has not been seen leaving. `lidar_failures`: lidars
+    that measure wrongly.
     """
 
     now_ns: int

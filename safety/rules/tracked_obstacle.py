@@ -1,4 +1,4 @@
-"""Tracked obstacles: the predicted path of a track crosses that of the machine before it can stop."""
+"""Tracked obstacles: the predicted path of a track meets that of machine or implement before it can stop."""
 
 import math
 
@@ -30,6 +30,8 @@ RULE = Rule(
     config_keys=(
         "tracked.min_horizon_s",
         "tracked.max_horizon_s",
+        "bystanders.away_m",
+        "bystanders.lost_m",
         "field.margin_m",
         "braking.reaction_s",
         "braking.build_up_s",

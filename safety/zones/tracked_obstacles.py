@@ -1,7 +1,7 @@
 """Tracked obstacle channel: the nearest track that is in, or will enter, the swept area within the stopping time."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,25 +89,18 @@ def box_points(track: Track) -> Float64:
 
 
 def is_ahead(
-    track: Track,
-    moves: bool,
-    footprint: Footprint,
-    pose_odom: Float64,
-    curvature: float,
-    direction: int,
-    own_margin_m: float,
+    track: Track, footprint: Footprint, pose_odom: Float64, curvature: float, direction: int, own_margin_m: float
 ) -> bool:
-    """Whether a track lies ahead of a leading edge and is not the machine's own implement, tracked by mistake.
+    """Whether a track lies ahead of the foremost edge, and is not the machine's own implement, tracked by mistake.
 
-    An object behind or beside the rear is not hit by driving on. Between the foremost and the rearmost leading edge
-    only classified moving tracks count: static objects there are covered by the raw field.
+    Static objects behind it are covered by the raw field, moving ones by `bystanders`.
     """
     x, y = point_from_frame(pose_odom, *track.p_odom_m[:2].tolist())
     ahead_m = direction * x + 0.5 * length_m(track)
     foremost_m = direction * footprint.foremost_m(direction)
-    counts_beside = moves and track.label is not ObstacleClass.UNKNOWN
-    edge_m = foremost_m - max(footprint.leads_m(direction)) if counts_beside else foremost_m
-    return ahead_m >= edge_m and not bool(is_own(np.array([[x], [y], [0.0]]), footprint, curvature, own_margin_m)[0])
+    return ahead_m >= foremost_m and not bool(
+        is_own(np.array([[x], [y], [0.0]]), footprint, curvature, own_margin_m)[0]
+    )
 
 
 def is_within_reach(track: Track, pose_odom: Float64, length_m: float, horizon_s: float) -> bool:
@@ -156,39 +149,52 @@ def without_known_structure(tracks: list[Track], is_known: KnownStructureFilter,
     return [track for track, known in zip(compact, is_structure, strict=True) if not known]
 
 
-def nearest_critical_object(
+def horizon_s(stop_s: float, config: TrackedConfig) -> float:
+    """Time over which moving tracks are predicted, for the time in which the machine can have stopped."""
+    return min(config.max_horizon_s, max(config.min_horizon_s, stop_s))
+
+
+def tracks_near(
     area: SweptArea,
-    footprint: Footprint,
     tracks: Tracks | None,
     pose_odom: Float64,
-    curvature_radpm: float,
-    stop_s: float,
+    predicted_s: float,
     config: TrackedConfig,
     is_known: KnownStructureFilter | None = None,
-) -> CriticalObject:
-    """Nearest critical object of all confirmed tracks, for base at `pose_odom` (3,) in odom.
+) -> list[tuple[Track, bool]]:
+    """Confirmed tracks that could reach the swept area within the prediction, each with whether it moves.
 
-    A moving track counts with its predicted positions until the machine can have stopped. A static track counts with
-    its box if it has a class; the raw field covers the rest. `is_known` tests positions (N, 2) in odom for known
-    structure: tracks there, and boxes long enough to combine several walls, are left to the raw field.
+    `is_known` tests positions (N, 2) in odom for known structure: tracks there, and boxes long enough to combine
+    several walls, are left to the raw field.
     """
-    horizon_s = min(config.max_horizon_s, max(config.min_horizon_s, stop_s))
-    times_s = np.linspace(0.0, horizon_s, config.steps)
-    best = NO_CRITICAL_OBJECT
     confirmed = [t for t in (() if tracks is None else tracks.tracks) if t.is_confirmed]
-    reached = [t for t in confirmed if is_within_reach(t, pose_odom, area.length_m, horizon_s)]
+    reached = [t for t in confirmed if is_within_reach(t, pose_odom, area.length_m, predicted_s)]
     if is_known is not None:
         reached = without_known_structure(reached, is_known, config.max_unclassified_length_m)
     stamp_ns = 0 if tracks is None else tracks.stamp_ns
     near = [(track, is_moving(track, config) and not is_coasting(track, stamp_ns, config)) for track in reached]
     static = [track for track, moves in near if length_m(track) >= config.fragment_parent_m and not moves]
-    for track, seems_moving in near:
-        moves = seems_moving and not is_fragment_of(track, static, config.fragment_margin_m)
+    return [(track, moves and not is_fragment_of(track, static, config.fragment_margin_m)) for track, moves in near]
+
+
+def nearest_critical_object(
+    area: SweptArea,
+    near: Iterable[tuple[Track, bool]],
+    pose_odom: Float64,
+    predicted_s: float,
+    config: TrackedConfig,
+) -> CriticalObject:
+    """Nearest critical object of tracks ahead, each with whether it moves, for base at `pose_odom` (3,) in odom.
+
+    A moving track counts with its predicted positions until the machine can have stopped. A static track counts with
+    its box if it has a class; the raw field covers the rest.
+    """
+    times_s = np.linspace(0.0, predicted_s, config.steps)
+    best = NO_CRITICAL_OBJECT
+    for track, moves in near:
         if not moves and (track.label is ObstacleClass.UNKNOWN or length_m(track) > config.max_static_length_m):
             continue  # left to the raw field: unclassified, or a fence or hedge whose box covers free ground
         if not moves and is_beside(track, pose_odom, area):
-            continue
-        if not is_ahead(track, moves, footprint, pose_odom, curvature_radpm, area.direction, config.self_filter_m):
             continue
         clearance = _clearance_to_track(area, track, moves, pose_odom, times_s, config)
         if clearance < best.clearance_m:

@@ -27,7 +27,7 @@ from safety.zones.footprint import (
 )
 from safety.zones.geofence import Geofence
 from safety.zones.protective_field import FREE, Clearance, PathPosition, SweptField
-from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT, CriticalObject
+from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT, CriticalObject, horizon_s
 from tests.safety.safety_world import START_NS, straight_path
 
 POSE_ODOM, T_MAP_ODOM = (5.0, -3.0, 0.7), planar(2.0, 1.0, 0.3)
@@ -94,7 +94,7 @@ def parts(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Spies for the functions that the collision monitor calls."""
     found = SimpleNamespace(
         sweep_field=Spy(SweptField(sweep(), sweep(), True)), look_ahead_m=Spy(17.0), arc_length_m=Spy(8.0),
-        nearest_critical_object=Spy(CriticalObject(9.0, ObstacleClass.PERSON, 4)),
+        nearest_critical_object=Spy(CriticalObject(9.0, ObstacleClass.PERSON, 4)), tracks_near=Spy([]),
     )  # fmt: skip
     for name, spy in vars(found).items():
         monkeypatch.setattr(f"safety.collision_monitor.{name}", spy)
@@ -249,7 +249,6 @@ def test_footprint_by_fold(make: Any, config: SafetyConfig, parts: Any, footprin
         assert len(collision_monitor.sources.set_footprint.calls) == count
         footprint = footprints.transport if fold == 1.0 else footprints.working
         assert parts.sweep_field.asked[6] is footprint
-        assert parts.nearest_critical_object.asked[1] is footprint
         assert count == 0 or collision_monitor.sources.set_footprint.asked[0] is footprint
 
 
@@ -284,15 +283,35 @@ def test_clearance_and_critical_object_on_swept_field(make: Any, config: SafetyC
     swept_field, pose_odom, speed_mps, is_known, tracks = collision_monitor.sources.clearance.asked
     assert (swept_field, speed_mps, is_known, tracks) == (collision_monitor.swept_field, 2.0, None, SEEN.tracks)
     assert pose_odom == pytest.approx(POSE_ODOM)
-    main, footprint, tracks, pose_odom, curvature, stop_s, tracked, is_known = parts.nearest_critical_object.asked
-    assert (main, footprint, tracks) == (
-        collision_monitor.swept_field.main,
-        collision_monitor._footprints.working,
-        SEEN.tracks,
-    )
-    assert (curvature, tracked, is_known) == (0.1, config.tracked, None)
+    main, tracks, pose_odom, predicted_s, tracked, is_known = parts.tracks_near.asked
+    assert (main, tracks) == (collision_monitor.swept_field.main, SEEN.tracks)
+    assert (tracked, is_known) == (config.tracked, None)
     assert pose_odom == pytest.approx(POSE_ODOM)
-    assert stop_s == stopping_time(2.0, config.braking.flat)
+    assert predicted_s == horizon_s(stopping_time(2.0, config.braking.flat), config.tracked)
+    assert parts.nearest_critical_object.asked[0] is main
+    assert parts.nearest_critical_object.asked[1:] == ([], pose_odom, predicted_s, config.tracked)
+
+
+def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, parts: Any) -> None:
+    def person(number: int, x: float) -> Track:
+        at = to_frame(POSE_ODOM, np.array([(x, 6.0)]))[0]
+        return Track(number, ObstacleClass.PERSON, 0.9, np.array([*at, 0.8]), np.zeros(3), np.eye(4),
+                     np.array([0.5, 0.5, 1.7]), 0.0, 0, 1, True, ())  # fmt: skip
+
+    ahead, beside, stands = person(1, 9.0), person(2, -1.5), person(3, -1.5)
+    collision_monitor = make()
+    parts.tracks_near.answer = [(ahead, True), (beside, True), (stands, False)]
+    coming = CriticalObject(0.0, ObstacleClass.PERSON, 2)
+    collision_monitor.bystanders = SimpleNamespace(update=Spy(None), coming=coming)
+    look(collision_monitor, config)
+    moving, tracks, area, _, speed_mps, predicted_s = collision_monitor.bystanders.update.asked
+    assert (moving, tracks, area) == ([beside], SEEN.tracks, collision_monitor.swept_field.main)
+    assert (speed_mps, predicted_s) == (2.0, parts.tracks_near.asked[3])
+    assert collision_monitor.critical_object() == coming
+    collision_monitor.bystanders.coming = None
+    look(collision_monitor, config, replace(SEEN, tracks=Tracks(START_NS + 1, ())))
+    assert collision_monitor.critical_object().id == 4
+    assert parts.nearest_critical_object.asked[1] == [(ahead, True)]
 
 
 def test_distances_shrink_by_distance_driven(make: Any, config: SafetyConfig, parts: Any) -> None:
@@ -357,7 +376,7 @@ def test_known_structure_filter_in_docking(make: Any, config: SafetyConfig, part
     collision_monitor = make()
     look(collision_monitor, config, DOCKING)
     is_known = collision_monitor.sources.clearance.asked[3]
-    assert parts.nearest_critical_object.asked[7] is is_known
+    assert parts.tracks_near.asked[5] is is_known
     points = np.array([(6.0, 1.0), (2.0, 9.0)])
     tolerance_m = config.docking.known_structure_tolerance_m + 3.0 * SIGMA_M
     known_structure.distance_m.answer = np.array([tolerance_m, tolerance_m + 1e-9])
@@ -420,7 +439,9 @@ def test_departure_is_followed_while_blocked_or_unresolved(
     collision_monitor.departure.is_unresolved = True
     look(collision_monitor, config)
     assert len(collision_monitor.departure.update.calls) == count + 1
+    collision_monitor.bystanders = SimpleNamespace(forget_unseen=Spy(None))
     collision_monitor.confirm_clear()
+    assert len(collision_monitor.bystanders.forget_unseen.calls) == 1
     assert len(collision_monitor.departure.forget.calls) == len(collision_monitor.sources.forget_held.calls) == 1
 
 

@@ -11,19 +11,23 @@ import pytest
 from configs.vehicle import Vehicle
 from geometry.pose2 import to_frame
 from messages.perception import ObstacleClass, Track, Tracks
-from safety.config import SafetyConfig
+from safety.config import SafetyConfig, TrackedConfig
 from safety.zones.footprint import Footprint, footprint_of
 from safety.zones.swept_area import SweptArea, arc_poses, spaced, sweep_along
 from safety.zones.tracked_obstacles import (
     NO_CRITICAL_OBJECT,
     CriticalObject,
+    KnownStructureFilter,
     box_points,
+    horizon_s,
+    is_ahead,
     is_beside,
     is_fragment_of,
     is_moving,
     is_within_reach,
     nearest_critical_object,
     predicted,
+    tracks_near,
     velocity_sigma_mps,
     without_known_structure,
 )
@@ -55,7 +59,18 @@ def critical_object(
 ) -> CriticalObject:
     is_known = changes.pop("is_known", None)
     tracked = config.tracked.model_copy(update=changes)
-    return nearest_critical_object(area, footprint, Tracks(START_NS, tracks), HERE, 0.0, 4.0, tracked, is_known)
+    return nearest_ahead(area, footprint, Tracks(START_NS, tracks), 4.0, tracked, is_known)
+
+
+def nearest_ahead(
+    area: SweptArea, footprint: Footprint, tracks: Tracks | None, stop_s: float, config: TrackedConfig,
+    is_known: KnownStructureFilter | None = None, curvature: float = 0.0,
+) -> CriticalObject:  # fmt: skip
+    """What the collision monitor does with the tracks ahead."""
+    predicted_s = horizon_s(stop_s, config)
+    near = tracks_near(area, tracks, HERE, predicted_s, config, is_known)
+    ahead = [one for one in near if is_ahead(one[0], footprint, HERE, curvature, area.direction, config.self_filter_m)]
+    return nearest_critical_object(area, ahead, HERE, predicted_s, config)
 
 
 def test_velocity_sigma() -> None:
@@ -165,7 +180,7 @@ def test_own_trailer_in_curve(vehicle: Vehicle, config: SafetyConfig) -> None:
     area = sweep_along(footprint, 1, s, arc_poses(0.1, 1, s), 0.1, config.field, True)
     for x, counts in ((-3.0, False), (9.0, True)):
         moving = track(x, -0.8 if x < 0.0 else 3.0, vx=2.5, size=(0.4, 0.4, 1.0))
-        found = nearest_critical_object(area, footprint, Tracks(START_NS, (moving,)), HERE, 0.1, 4.0, config.tracked)
+        found = nearest_ahead(area, footprint, Tracks(START_NS, (moving,)), 4.0, config.tracked, curvature=0.1)
         assert (found != NO_CRITICAL_OBJECT) == counts, x
 
 
@@ -187,9 +202,7 @@ def sweep(vehicle: Vehicle, implement, config: SafetyConfig) -> SweptArea:
 
 
 def clearance(sweep: SweptArea, config: SafetyConfig, *tracks: Track, stop_s: float = 2.0) -> float:
-    return nearest_critical_object(
-        sweep, SHAPES[0], Tracks(START_NS, tracks), HERE, 0.0, stop_s, config.tracked
-    ).clearance_m
+    return nearest_ahead(sweep, SHAPES[0], Tracks(START_NS, tracks), stop_s, config.tracked).clearance_m
 
 
 def test_crossing_track(sweep: SweptArea, config: SafetyConfig) -> None:
@@ -206,16 +219,12 @@ def test_receding_track(sweep: SweptArea, config: SafetyConfig) -> None:
     assert math.isinf(clearance(sweep, config, moving_track(10.0, 5.0, vy=-0.3)))
 
 
-def test_own_implement_and_following_track(sweep: SweptArea, config: SafetyConfig) -> None:
-    for x in around(-1.1, 0.02):
-        beside = moving_track(x - 0.05 + 1e-6, 4.2, vx=0.5, vy=-1.5, size=(0.1, 0.1, 1.0))
-        assert math.isfinite(clearance(sweep, config, beside)) == (x >= -1.1 - 1e-9), x
-    assert math.isinf(clearance(sweep, config, moving_track(1.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
-    assert math.isfinite(clearance(sweep, config, moving_track(4.0, 4.2, vy=-1.5, label=ObstacleClass.UNKNOWN)))
+def test_track_beside_is_left_to_the_bystanders(sweep: SweptArea, config: SafetyConfig) -> None:
+    foremost_m = SHAPES[0].foremost_m(1)
+    for x in around(foremost_m - 0.05, 0.02):
+        walker = moving_track(x + 1e-9, 3.4, vy=-1.5, size=(0.1, 0.1, 1.0))
+        assert math.isfinite(clearance(sweep, config, walker)) == (x >= foremost_m - 0.05 - 1e-9), x
     assert math.isinf(clearance(sweep, config, moving_track(-2.6, 0.9, vx=2.3, sigma=0.7)))
-    for y in around(3.45, 0.02):
-        near = moving_track(-1.1, y + 1e-6, vx=1.0, vy=-1.5, size=(0.1, 0.1, 0.1))
-        assert math.isfinite(clearance(sweep, config, near)) == (y >= 3.45 - 1e-9), y
 
 
 def test_approaching_track_clearance(sweep: SweptArea, config: SafetyConfig) -> None:
@@ -238,7 +247,7 @@ def test_static_track_by_class(sweep: SweptArea, config: SafetyConfig) -> None:
 
 
 def test_no_tracks(sweep: SweptArea, config: SafetyConfig) -> None:
-    assert nearest_critical_object(sweep, SHAPES[0], None, HERE, 0.0, 2.0, config.tracked) == NO_CRITICAL_OBJECT
+    assert nearest_ahead(sweep, SHAPES[0], None, 2.0, config.tracked) == NO_CRITICAL_OBJECT
 
 
 def test_fragment_of_static_track(sweep: SweptArea, config: SafetyConfig) -> None:
@@ -253,9 +262,7 @@ def test_fragment_of_static_track(sweep: SweptArea, config: SafetyConfig) -> Non
 def test_static_track_length_limit(sweep: SweptArea, config: SafetyConfig) -> None:
     for long in (3.0, 11.9, 12.0, 12.1, 17.0):
         geofence = moving_track(8.0, 0.0, label=ObstacleClass.VEHICLE, size=(long, 1.5, 1.5))
-        critical_object = nearest_critical_object(
-            sweep, SHAPES[0], Tracks(START_NS, (geofence,)), np.zeros(3), 0.0, 4.0, config.tracked
-        )
+        critical_object = nearest_ahead(sweep, SHAPES[0], Tracks(START_NS, (geofence,)), 4.0, config.tracked)
         assert (critical_object != NO_CRITICAL_OBJECT) == (long <= config.tracked.max_static_length_m), long
 
 
@@ -263,7 +270,7 @@ def test_coasting_unclassified_track(sweep: SweptArea, config: SafetyConfig) -> 
     for label, unseen_ms in itertools.product((ObstacleClass.UNKNOWN, ObstacleClass.PERSON), (0, 240, 250, 260, 900)):
         crossing = moving_track(7.0, 3.0, vy=-1.5, label=label)
         tracks = Tracks(crossing.last_seen_ns + unseen_ms * 1_000_000, (crossing,))
-        critical_object = nearest_critical_object(sweep, SHAPES[0], tracks, np.zeros(3), 0.0, 4.0, config.tracked)
+        critical_object = nearest_ahead(sweep, SHAPES[0], tracks, 4.0, config.tracked)
         counts = label is ObstacleClass.PERSON or unseen_ms <= 250
         assert (critical_object != NO_CRITICAL_OBJECT) == counts, (label, unseen_ms)
 

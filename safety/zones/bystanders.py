@@ -1,0 +1,122 @@
+"""Bystanders: tracked bodies that come towards machine or implement from any side, and have not been seen leaving.
+
+The swept area begins at the leading edges. Somebody who walks into a wing from the side or from behind is touched by a
+machine that drives on, and by one that sets off beside them. A bystander stops the machine before the contact, and it
+stays at standstill until they were seen at a distance, or an operator has confirmed that nobody is there.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.arrays import Float64
+from geometry.pose2 import from_frame
+from messages.perception import ObstacleClass, Track, Tracks
+from safety.config import BystanderConfig, TrackedConfig
+from safety.zones.swept_area import SweptArea
+from safety.zones.tracked_obstacles import CriticalObject, box_points, predicted
+
+
+@dataclass(frozen=True)
+class Place:
+    """Last box of a bystander, points (9, 2) in odom, and whether it is seen now."""
+
+    box_odom_m: Float64
+    is_seen: bool
+
+    @property
+    def center_odom_m(self) -> Float64:
+        """Centre (2,) in odom."""
+        return np.asarray(self.box_odom_m.mean(axis=0))
+
+
+class Bystanders:
+    """Follows by track number those who came; `coming` is one that reaches the machine within the prediction."""
+
+    def __init__(self, config: BystanderConfig, tracked: TrackedConfig) -> None:
+        self._config, self._tracked = config, tracked
+        self._places: dict[int, Place] = {}
+        self.coming: CriticalObject | None = None
+
+    @property
+    def is_near(self) -> bool:
+        """Whether a bystander has not been seen leaving."""
+        return bool(self._places)
+
+    def forget_unseen(self) -> None:
+        """An operator has confirmed that nobody is near the machine: only who is seen there remains."""
+        self._places = {number: place for number, place in self._places.items() if place.is_seen}
+
+    def update(
+        self, moving: Iterable[Track], tracks: Tracks | None, area: SweptArea, pose_odom: Float64, speed_mps: float,
+        predicted_s: float,
+    ) -> None:  # fmt: skip
+        """Takes the moving tracks and all tracks, for base at `pose_odom` (3,) in odom with a speed along the area."""
+        times_s = np.linspace(0.0, predicted_s, self._tracked.steps)
+        coming = [track for track in moving if self._is_coming(track, area, pose_odom, speed_mps, times_s)]
+        self.coming = CriticalObject(0.0, coming[0].label, coming[0].id) if coming else None
+        seen = {} if tracks is None else {track.id: track for track in tracks.tracks if track.is_confirmed}
+        followed = dict(self._followed(seen))
+        self._places = {
+            number: place
+            for number, place in followed.items()
+            if _gap_m(place, area, pose_odom) <= (self._config.away_m if place.is_seen else self._config.lost_m)
+        } | {track.id: place_of(track) for track in coming}
+
+    def _is_coming(self, track: Track, area: SweptArea, pose_odom: Float64, speed_mps: float, times_s: Float64) -> bool:
+        """Whether a moving track gets nearer to the bodies, as they move on, and meets one of them."""
+        age_s = (track.last_seen_ns - track.first_seen_ns) * 1e-9
+        if track.label is ObstacleClass.UNKNOWN and age_s < self._config.min_unclassified_age_s:
+            return False
+        centers, reach_m = predicted(track, times_s, self._tracked)
+        gaps_m = distance_to_bodies_m(from_frame(pose_odom, centers), area, speed_mps * times_s) - reach_m
+        is_own = gaps_m[0] + reach_m[0] <= self._tracked.self_filter_m
+        nearest_m = float(gaps_m.min())
+        return not is_own and nearest_m <= self._tracked.lateral_m and nearest_m < gaps_m[0] - self._config.closing_m
+
+    def _followed(self, seen: dict[int, Track]) -> Iterable[tuple[int, Place]]:
+        """Each bystander at its new place, under the number of the track that continues it."""
+        for number, place in self._places.items():
+            track = seen.get(number) or nearest_track(seen.values(), place, self._config.follow_m)
+            if track is None:
+                yield number, replace(place, is_seen=False)
+            else:
+                yield track.id, place_of(track)
+
+
+def place_of(track: Track) -> Place:
+    """The present place of a track."""
+    return Place(box_points(track), True)
+
+
+def nearest_track(tracks: Iterable[Track], place: Place, within_m: float) -> Track | None:
+    """Nearest track within a distance of a place."""
+    near = [(math.hypot(*(track.p_odom_m[:2] - place.center_odom_m)), track.id, track) for track in tracks]
+    distance_m, _, track = min(near, key=lambda entry: entry[:2], default=(math.inf, -1, None))
+    return track if distance_m <= within_m else None
+
+
+def distance_to_bodies_m(points_base_m: Float64, area: SweptArea, travel_m: Float64) -> Float64:
+    """Distance of each point (N, 2) in base now from the nearest body after a travel (N,) along the area, (N,)."""
+    pose = np.minimum(np.searchsorted(area.s_m, travel_m), len(area.s_m) - 1)
+    best = np.full(len(points_base_m), np.inf)
+    for body, poses in area.bodies:
+        x, y = _in_frames(points_base_m, poses[pose])
+        along = np.maximum(np.maximum(body.rear_m - x, x - body.front_m), 0.0)
+        best = np.minimum(best, np.hypot(along, np.maximum(np.abs(y) - body.half_width_m, 0.0)))
+    return best
+
+
+def _in_frames(points: Float64, poses: Float64) -> tuple[Float64, Float64]:
+    """Coordinates of each point (N, 2) in the frame of its own pose (N, 3)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    dx, dy = points[:, 0] - poses[:, 0], points[:, 1] - poses[:, 1]
+    return c * dx + s * dy, c * dy - s * dx
+
+
+def _gap_m(place: Place, area: SweptArea, pose_odom: Float64) -> float:
+    """Distance of a bystander from machine and implement now."""
+    points = from_frame(pose_odom, place.box_odom_m)
+    return float(distance_to_bodies_m(points, area, np.zeros(len(points))).min())

@@ -1,0 +1,224 @@
+"""Bystanders: who comes towards machine or implement from any side, and who has left."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from configs.vehicle import MountedImplement, Vehicle
+from geometry.arrays import Float64
+from messages.command import Mode, OperatorCommandKind
+from messages.perception import ObstacleClass, Track, Tracks
+from safety.supervisor_config import SupervisorConfig
+from safety.zones.bystanders import Bystanders, distance_to_bodies_m, nearest_track, place_of
+from safety.zones.footprint import footprint_of
+from safety.zones.swept_area import SweptArea, arc_poses, spaced, sweep_along
+from tests.clause import clause
+from tests.safety.safety_world import START_NS, WAGON, World, around
+
+HERE = np.zeros(3)
+WING_X, WING_Y = -1.7, 3.05  # on the left wing of the harrow, 6.1 m wide
+
+
+def person(
+    x: float, y: float, vx: float = 0.0, vy: float = 0.0, id: int = 1, label: ObstacleClass = ObstacleClass.PERSON,
+    age_s: float = 2.0, size: tuple[float, float, float] = (0.5, 0.4, 1.7), stamp_ns: int = START_NS,
+) -> Track:  # fmt: skip
+    covariance = np.diag([0.01, 0.01, 1e-6, 1e-6])
+    return Track(id, label, 0.9, np.array([x, y, 0.8]), np.array([vx, vy, 0.0]), covariance, np.array(size), 0.0,
+                 stamp_ns - round(age_s * 1e9), stamp_ns, True, ("lidar/front",))  # fmt: skip
+
+
+@pytest.fixture
+def area(vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig) -> SweptArea:
+    return swept(vehicle, implement, config, 0.0)
+
+
+def swept(vehicle: Vehicle, implement, config: SupervisorConfig, curvature: float) -> SweptArea:
+    s = spaced(14.0, 0.4)
+    footprint = footprint_of(vehicle, implement)
+    return sweep_along(footprint, 1, s, arc_poses(curvature, 1, s), curvature, config.field, True)
+
+
+@pytest.fixture
+def bystanders(config: SupervisorConfig) -> Bystanders:
+    return Bystanders(config.bystanders, config.tracked)
+
+
+def see(bystanders: Bystanders, area: SweptArea, *tracks: Track, speed_mps: float = 0.0, pose: Float64 = HERE) -> bool:
+    """Whether somebody comes, of tracks that move as their velocity says."""
+    moving = [track for track in tracks if track.velocity_mps.any()]
+    bystanders.update(moving, Tracks(START_NS, tracks), area, pose, speed_mps, 2.0)
+    return bystanders.coming is not None
+
+
+def test_distance_to_bodies(area: SweptArea) -> None:
+    points = np.array([(WING_X, WING_Y + 1.0), (-3.7, 4.0), (0.0, 0.0), (9.0, 0.0), (WING_X + 3.6, WING_Y + 1.0)])
+    travel = np.array([0.0, 0.0, 0.0, 0.0, 3.6])
+    found = distance_to_bodies_m(points, area, travel)
+    rear = min(body.rear_m for body, _ in area.bodies)
+    front = max(body.front_m for body, _ in area.bodies)
+    corner = math.hypot(max(0.0, rear + 3.7), 4.0 - WING_Y)
+    assert found == pytest.approx([1.0, corner, 0.0, 9.0 - front, 1.0])
+    beyond = distance_to_bodies_m(np.array([(WING_X + area.s_m[-1], WING_Y + 1.0)]), area, np.array([99.0]))
+    assert beyond == pytest.approx([1.0])  # the sweep ends
+
+
+def test_distance_to_bodies_in_a_turn(vehicle: Vehicle, config: SupervisorConfig) -> None:
+    area = swept(vehicle, WAGON, config, 0.1)
+    for k in (0, 10):
+        for body, poses in area.bodies:
+            x, y, yaw = poses[k]
+            left = np.array([[x - math.sin(yaw) * 9.0, y + math.cos(yaw) * 9.0]])
+            inside = np.array([[x, y]]) + 0.5 * body.front_m * np.array([[math.cos(yaw), math.sin(yaw)]])
+            assert distance_to_bodies_m(inside, area, area.s_m[k : k + 1])[0] == 0.0 or body.rear_m > 0.0
+            assert 0.0 < distance_to_bodies_m(left, area, area.s_m[k : k + 1])[0] <= 9.0 - body.half_width_m
+
+
+@pytest.mark.parametrize(("x", "y", "vx", "vy"), [
+    (WING_X, 6.0, 0.0, -1.5), (WING_X, -6.0, 0.0, 1.5), (-6.0, 0.0, 2.0, 0.0), (-5.0, 5.0, 1.5, -1.5),
+])  # fmt: skip
+def test_comes_from_every_side(
+    bystanders: Bystanders, area: SweptArea, x: float, y: float, vx: float, vy: float
+) -> None:
+    assert see(bystanders, area, person(x, y, vx, vy))
+    assert bystanders.is_near
+    assert bystanders.coming is not None
+    assert (bystanders.coming.clearance_m, bystanders.coming.id) == (0.0, 1)
+    other = Bystanders(bystanders._config, bystanders._tracked)
+    assert not see(other, area, person(x, y, -vx, -vy))  # goes away
+    assert not see(other, area, person(x, y, vy, -vx))  # passes by
+    assert not other.is_near
+
+
+def test_reach_of_the_prediction(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
+    reach_m = 0.2 + config.tracked.lateral_m + 2.0 * 1e-3  # half of the box, margin, uncertainty after 2 s
+    for y in around(WING_Y + 2.0 * 1.5 + reach_m, 0.02):
+        assert see(bystanders, area, person(WING_X, y - 1e-6, vy=-1.5)) == (y <= WING_Y + 3.0 + reach_m + 1e-9), y
+
+
+def test_the_machine_drives_into_a_slow_walker(bystanders: Bystanders, area: SweptArea) -> None:
+    walker = person(1.5, WING_Y + 0.8, vy=-0.5)
+    assert not see(bystanders, area, walker, speed_mps=0.0)  # in front of a wing that stands
+    assert see(bystanders, area, walker, speed_mps=2.7)
+    assert not see(bystanders, area, person(-6.0, 0.0, vx=2.7), speed_mps=2.7)  # follows at the same speed
+    assert see(bystanders, area, person(-6.0, 0.0, vx=4.7), speed_mps=2.7)
+
+
+def test_own_implement_is_no_bystander(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
+    for y in around(WING_Y + config.tracked.self_filter_m, 0.02):
+        coming = see(bystanders, area, person(WING_X, y + 1e-6, vy=-1.0))
+        assert coming == (y >= WING_Y + config.tracked.self_filter_m), y
+
+
+def test_age_of_unclassified_tracks(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
+    for age_s in around(config.bystanders.min_unclassified_age_s, 0.05):
+        one = person(WING_X, 5.5, vy=-1.5, label=ObstacleClass.UNKNOWN, age_s=age_s)
+        assert see(bystanders, area, one) == (age_s >= config.bystanders.min_unclassified_age_s), age_s
+        assert see(bystanders, area, replace(one, label=ObstacleClass.ANIMAL))
+
+
+def test_stays_until_seen_away(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
+    away = config.bystanders.away_m + 0.2  # half of the box
+    assert see(bystanders, area, person(WING_X, 5.0, vy=-1.5))
+    for y in (4.0, WING_Y + 0.2, WING_Y + 1.0, WING_Y + away - 0.01):
+        assert not see(bystanders, area, person(WING_X, y))
+        assert bystanders.is_near, y
+    see(bystanders, area, person(WING_X, WING_Y + away + 0.01))
+    assert not bystanders.is_near
+
+
+def test_long_body_is_near_with_its_nearest_end(
+    bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
+) -> None:
+    calf = replace(person(WING_X, 6.0, vy=-2.0, size=(1.4, 0.4, 1.0)), yaw_rad=math.pi / 2)
+    assert see(bystanders, area, calf)
+    stands = np.array([WING_X, WING_Y + config.bystanders.away_m + 0.6, 0.5])
+    see(bystanders, area, replace(calf, p_odom_m=stands, velocity_mps=np.zeros(3)))
+    assert bystanders.is_near
+    see(bystanders, area, replace(calf, p_odom_m=stands, velocity_mps=np.zeros(3), yaw_rad=0.0))
+    assert not bystanders.is_near
+
+
+def test_lost_beside_the_machine(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
+    somebody_else = person(20.0, 0.0, id=9)
+    assert see(bystanders, area, person(WING_X, 4.0, vy=-1.5))
+    for _ in range(50):
+        see(bystanders, area, somebody_else)
+        assert bystanders.is_near
+    bystanders.update((), None, area, HERE, 0.0, 2.0)
+    assert bystanders.is_near
+    edge = 4.0 - 0.2 - WING_Y  # gap of the nearest side of the box
+    for gap_m, is_near in ((-0.01, True), (0.01, False)):  # the machine has moved on to the right
+        pose = np.array([0.0, edge - config.bystanders.lost_m - gap_m, 0.0])
+        see(bystanders, area, somebody_else, pose=pose)
+        assert bystanders.is_near == is_near, gap_m
+
+
+def test_another_track_continues_a_lost_one(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
+    assert see(bystanders, area, person(WING_X, 4.0, vy=-1.5))
+    see(bystanders, area, person(WING_X, 4.0 + config.bystanders.follow_m - 0.01, id=5))
+    assert bystanders.is_near
+    see(bystanders, area, person(WING_X, 9.0, id=5))
+    assert not bystanders.is_near
+    place = place_of(person(0.0, 0.0))
+    far, near = person(0.9, 0.0, id=3), person(0.5, 0.0, id=4)
+    assert nearest_track([far, near], place, 1.0) is near
+    assert nearest_track([far], place, 0.8) is None
+    assert nearest_track([], place, 9.0) is None
+
+
+def test_unconfirmed_track_continues_nobody(bystanders: Bystanders, area: SweptArea) -> None:
+    assert see(bystanders, area, person(WING_X, 4.0, vy=-1.5))
+    see(bystanders, area, replace(person(WING_X, 9.0), is_confirmed=False))
+    assert bystanders.is_near
+
+
+def test_confirmation_keeps_who_is_seen(bystanders: Bystanders, area: SweptArea) -> None:
+    assert see(bystanders, area, person(WING_X, 4.0, vy=-1.5), person(-6.0, 0.0, vx=2.0, id=2))
+    see(bystanders, area, person(WING_X, 4.0))
+    bystanders.forget_unseen()
+    assert bystanders.is_near
+    see(bystanders, area, person(WING_X, 9.0))
+    assert not bystanders.is_near  # the other one was forgotten
+    assert see(bystanders, area, person(WING_X, 4.0, vy=-1.5))
+    see(bystanders, area)
+    bystanders.forget_unseen()
+    assert not bystanders.is_near
+
+
+def walker(world: World, y: float, vy: float) -> tuple[Track, ...]:
+    now = world.inbox.now_ns
+    return (person(world.x_m + WING_X, world.y_m + y, vy=vy, stamp_ns=now, age_s=3.0),)
+
+
+@clause("BD-5.2.4")
+def test_no_start_beside_somebody_who_came(world: World) -> None:
+    world.tracks = walker(world, 6.0, -1.5)
+    world.order(OperatorCommandKind.AUTOMATIC)
+    world.run(0.2)
+    world.start().run(0.5)
+    for y in (5.0, 4.0, 3.3):
+        world.tracks = walker(world, y, -1.5)
+        world.run(0.4)
+    world.tracks = walker(world, 3.3, 0.0)
+    world.run(8.0)
+    assert world.mode == Mode.OBSTACLE_STOP
+    assert world.speed_mps == 0.0
+    world.order(OperatorCommandKind.CONFIRM_CLEAR)  # wrong: somebody is seen there
+    world.run(6.0)
+    assert world.mode == Mode.OBSTACLE_STOP
+    world.tracks = walker(world, 6.0, 0.0)
+    world.run(8.0)
+    assert world.mode == Mode.AUTOMATIC
+
+
+@clause("BD-5.2.4")
+def test_stop_for_somebody_who_walks_into_a_wing(world: World) -> None:
+    world.start().run(5.0)
+    assert world.mode == Mode.AUTOMATIC
+    assert world.speed_mps > 2.0
+    world.tracks = (person(world.x_m + WING_X + 2.0, 5.0, vx=1.0, vy=-2.0, stamp_ns=world.inbox.now_ns, age_s=3.0),)
+    world.run(0.1)
+    assert world.mode == Mode.OBSTACLE_STOP
