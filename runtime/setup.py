@@ -1,5 +1,6 @@
 """Setup of a run: mission, site, machine, implement, stack configuration and plan."""
 
+import argparse
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,9 +16,9 @@ from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, V
 from datasets.viewer import Viewer
 from interfaces.orders.config import ORDERS, OrderKey
 from messages.errors import ConfigError
-from planning.field.field import read_field
-from planning.field.site_generation import site_around
-from planning.plan import Plan, plan_mission
+from planning.field.field import FieldOutline, read_field
+from planning.field.site_generation import site_around, site_of_original
+from planning.plan import Plan, check_within, plan_mission
 from runtime.stack import StackConfig, load_stack, with_detector, with_order_key
 from simulation.operator import AUTHORITY, operator_key, public_bytes
 from simulation.scenario import Scenario
@@ -53,10 +54,28 @@ class Setup:
         return Viewer(config, self.vehicle, self.implement, self.site)
 
 
+def setup_from(arguments: argparse.Namespace) -> Setup:
+    """Setup of a command that drives or plans; raises ConfigError or FieldError."""
+    given = arguments
+    return load_setup(
+        given.mission, given.machine, given.implement, given.field, given.seed, given.bay, feature=given.feature
+    )
+
+
 def load_setup(
-    mission: str, machine: str | None, implement: str | None, field: str | None, seed: int, bay: str | None = None
+    mission: str,
+    machine: str | None,
+    implement: str | None,
+    field: str | None,
+    seed: int,
+    bay: str | None = None,
+    *,
+    feature: str | None = None,
 ) -> Setup:
-    """Loads the named files and plans the mission, docking in `bay` if given; raises ConfigError or FieldError."""
+    """Loads the named files and plans the mission, docking in `bay` if given; raises ConfigError or FieldError.
+
+    `feature` is one of the fields of the file `field`; the plan is checked against its outline before simplification.
+    """
     chosen = load(Mission, find("missions", mission))
     # a site generated from a field outline has no shed
     chosen = chosen.model_copy(update={"site": field, "bay": None} if field else {})
@@ -66,9 +85,12 @@ def load_setup(
     mounted = load(ImplementFile, find("implements", chosen.implement)).implement
     vehicle = with_implement_sensors(vehicle, mounted)
     stack = with_order_key(load_stack(), "simulated_operator", simulated_operator_key(seed))
-    site = _site(chosen, field, vehicle, mounted)
+    outline = _outline(chosen, field, feature)
+    site = _site(chosen, outline, vehicle, mounted)
     start, is_folded = start_pose(chosen, site, seed)
     plan = plan_mission(chosen, site, vehicle, mounted, stack.planning, start, seed)
+    if outline is not None and chosen.work is not None:
+        check_within(plan, site_of_original(site, outline), chosen.work.boundary_margin_m)
     session = np.random.default_rng([seed, SESSION_STREAM]).bytes(16).hex()
     return Setup(chosen, site, vehicle, mounted, stack, plan, seed, start, is_folded, session)
 
@@ -128,14 +150,23 @@ def _random_pose(pose: PoseConfig, spread: Spread | None, seed: int) -> PoseConf
     )
 
 
-def _site(
-    mission: Mission, field: str | None, vehicle: Vehicle, implement: MountedImplement | TrailedImplement
-) -> Site:
+def _outline(mission: Mission, field: str | None, feature: str | None) -> FieldOutline | None:
     if field is None:
-        return load(Site, find("sites", mission.site))
+        return None
     if mission.work is None:
         raise ConfigError(f"mission {mission.name!r} has no field work for {field}; select another mission")
-    return site_around(read_field(Path(field)), vehicle, implement, mission.work)
+    return read_field(Path(field), feature)
+
+
+def _site(
+    mission: Mission,
+    outline: FieldOutline | None,
+    vehicle: Vehicle,
+    implement: MountedImplement | TrailedImplement,
+) -> Site:
+    if outline is None or mission.work is None:
+        return load(Site, find("sites", mission.site))
+    return site_around(outline, vehicle, implement, mission.work)
 
 
 def with_implement_sensors(vehicle: Vehicle, implement: MountedImplement | TrailedImplement) -> Vehicle:

@@ -66,14 +66,22 @@ def _corners(rear: float, front: float, half: float) -> tuple[tuple[float, float
 def _bare(outline: FieldOutline, yard: Area, start: PoseConfig) -> Site:
     return Site(
         name=outline.name, version=1, datum=outline.datum, boundary_m=_points(outline.polygon.exterior),
-        no_go=_holes(outline), yard=yard, start=start, is_fenced=False,
+        no_go=_no_go(outline, outline.polygon), yard=yard, start=start, is_fenced=False,
     )  # fmt: skip
 
 
-def _holes(outline: FieldOutline) -> tuple[Area, ...]:
-    return tuple(
-        Area(name=f"no-go area {k + 1}", outline_m=_points(ring)) for k, ring in enumerate(outline.polygon.interiors)
-    )
+def site_of_original(site: Site, outline: FieldOutline) -> Site:
+    """The site with the outline of the field as in its file, before simplification."""
+    if outline.original is None:
+        return site
+    boundary = _points(outline.original.exterior)
+    return site.model_copy(update={"boundary_m": boundary, "no_go": _no_go(outline, outline.original)})
+
+
+def _no_go(outline: FieldOutline, polygon: Polygon) -> tuple[Area, ...]:
+    """Holes of the polygon, and the further areas to keep out of."""
+    holes = (Area(name=f"no-go area {k + 1}", outline_m=_points(r)) for k, r in enumerate(polygon.interiors))
+    return (*holes, *(Area(name=name, outline_m=_points(area.exterior)) for name, area in outline.no_go))
 
 
 def _points(ring: LinearRing) -> tuple[Point, ...]:
@@ -104,7 +112,7 @@ def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float)
         version=1,
         datum=outline.datum,
         boundary_m=_points(outline.polygon.exterior),
-        no_go=_holes(outline),
+        no_go=_no_go(outline, outline.polygon),
         lanes=(Lane(name="lane", center_m=(at(0.0, near + 4.0), at(0.0, -INTO_FIELD_M)), width_m=gate_m),),
         gates=(Gate(name="gate", posts_m=(at(-half, POSTS_OUT_M), at(half, POSTS_OUT_M))),),
         yard=Area(name="yard", outline_m=(at(-wide, near), at(-wide, far), at(wide, far), at(wide, near))),

@@ -1,6 +1,8 @@
 """Arguments that name files of `configs/`, checked before the imports that take seconds."""
 
 import argparse
+import sys
+from pathlib import Path
 
 from configs.mission import Mission
 from configs.site import Site
@@ -10,15 +12,38 @@ from messages.errors import HeadlandError
 
 
 def check_drive(arguments: argparse.Namespace) -> None:
-    """Raises HeadlandError for a mission, machine, implement, scenario or bay that does not exist or is invalid."""
+    """Raises HeadlandError for a mission, machine, implement, scenario, field or bay that is missing or invalid.
+
+    Prints what a field file holds beside the field, one line each.
+    """
     mission = load(Mission, find("missions", arguments.mission))
     load(Vehicle, find("machines", arguments.machine or mission.machine))
     load(ImplementFile, find("implements", arguments.implement or mission.implement))
     if getattr(arguments, "scenario", None) is not None:
         find("scenarios", arguments.scenario)
+    check_field(arguments)
     if arguments.bay is None or arguments.field is not None:
         return
     site = load(Site, find("sites", mission.site))
     if site.shed is None:
         raise HeadlandError(f"--bay {arguments.bay}: the site {mission.site} has no shed")
     site.shed.bay(arguments.bay)
+
+
+def check_field(arguments: argparse.Namespace) -> None:
+    """Raises HeadlandError for a field file without the field that is asked for; prints its notes."""
+    if arguments.field is None:
+        if arguments.feature is not None:
+            raise HeadlandError(f"--feature {arguments.feature}: names a field of a file; give the file by --field")
+        return
+    from planning.field.feature_choice import choose
+    from planning.field.formats.known_formats import read_file
+
+    path = Path(arguments.field)
+    contents = read_file(path)
+    choose(contents, arguments.feature, str(path))
+    # only now: the import takes 0.5 s, and a file of another kind is reported at once
+    from planning.field.field import outline_of
+
+    for note in outline_of(contents, path, arguments.feature).notes:
+        sys.stderr.write(f"{arguments.field}: {note}\n")

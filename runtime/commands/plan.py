@@ -17,11 +17,9 @@ def main(arguments: argparse.Namespace) -> int:
     with RunFolder("plan", arguments.out, command_of(arguments)) as folder:
         # only now: these imports take seconds, and a wrong argument is reported at once
         from planning.drawing import draw_plan, write_geojson
-        from runtime.setup import load_setup
+        from runtime.setup import setup_from
 
-        setup = load_setup(
-            arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
-        )
+        setup = setup_from(arguments)
         plan = setup.plan
         result = {
             "length_m": round(plan.length_m, 1),
