@@ -1,6 +1,7 @@
 """A plan as a figure (PNG) and as GeoJSON."""
 
 import json
+import warnings
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -57,11 +58,13 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
             line = path.p_map_m[section.first : section.last + 2]
             axes.plot(line[:, 0], line[:, 1], color=COLOURS[section.section_type], linewidth=1.0, label=label)
     worked = f", {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha" if plan.planned_share > 0.0 else ""
-    axes.set_title(f"{site.name}: {plan.length_m:.0f} m{worked}")
+    axes.set_title(f"{site.name}: {plan.length_m:.0f} m{worked}", parse_math=False)
     axes.set_xlabel("east in m")
     axes.set_ylabel("north in m")
     axes.legend(loc="upper right", fontsize=8)
-    figure.savefig(file, format="png", dpi=110)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # a name in a script that no installed font has
+        figure.savefig(file, format="png", dpi=110)
 
 
 def _draw_shed(axes: Any, shed: Shed, docking: Docking | None) -> None:

@@ -63,7 +63,7 @@ def _find(features: Sequence[Feature], wanted: str, where: str) -> tuple[int, in
         if features[found].problem or 1 <= int(part) <= count:
             return found, int(part) - 1
         raise FieldError(f"{where}: feature {stem!r} has {count_of(count, 'part')}, not a part {part}")
-    raise FieldError(f"{where}: no feature {wanted!r}; there is: {_listed(features)}")
+    raise FieldError(f"{where}: no feature {wanted[:60]!r}; there is: {_listed(features)}")
 
 
 def _feature(features: Sequence[Feature], text: str, where: str) -> int | None:

@@ -3,11 +3,13 @@
 import numpy as np
 import shapely
 from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Bool, Float64
-from geometry.polygon import ring_points
+from geometry.polygon import as_polygon, ring_points
 
-TOLERANCES_M = (0.02, 0.05, 0.1)
+TOLERANCE_M = 0.02
+SHRUNK_M = (0.02, 0.05, 0.1)
 MANY_VERTICES = 2000
 ROUNDS = 200
 ROUNDING_M = 1e-6
@@ -16,17 +18,21 @@ ROUNDING_M = 1e-6
 def simplified_inwards(polygon: Polygon) -> Polygon:
     """Polygon without vertices that lie up to 2 cm outside the line through their neighbours.
 
-    With more than 2,000 vertices left the tolerance rises to 5 cm and 10 cm. The polygon itself where the result would
-    not lie within it.
+    With more than 2,000 vertices left it is shrunk by 2, 5 or 10 cm and simplified by as much. The polygon itself where
+    the result would not lie within it.
     """
-    best, outer = polygon, polygon.buffer(ROUNDING_M, join_style="mitre")
-    for tolerance_m in TOLERANCES_M:
-        found = Polygon(*_rings(polygon, tolerance_m))
-        if found.is_valid and not found.is_empty and outer.covers(found):
-            best = found
+    outer = polygon.buffer(ROUNDING_M, join_style="mitre")
+    best = _within(outer, Polygon(*_rings(polygon, TOLERANCE_M))) or polygon
+    for by_m in SHRUNK_M:
         if len(shapely.get_coordinates(best)) <= MANY_VERTICES:
             break
+        best = _within(outer, polygon.buffer(-by_m, join_style="mitre").simplify(0.99 * by_m)) or best
     return best
+
+
+def _within(outer: BaseGeometry, found: BaseGeometry) -> Polygon | None:
+    is_inside = isinstance(found, Polygon) and found.is_valid and not found.is_empty and outer.covers(found)
+    return as_polygon(found) if is_inside else None
 
 
 def _rings(polygon: Polygon, tolerance_m: float) -> tuple[Float64, list[Float64]]:

@@ -96,7 +96,7 @@ def _layer(shape: bytes, parts: dict[str, bytes | None]) -> tuple[list[Any], lis
         except (DataSourceError, DataLayerError, AttributeFieldError, ValueError, OSError, UnicodeError) as error:
             reason = " ".join(str(error).replace(folder, "").split())[:100]
             raise CoordinateError(f"damaged Shapefile ({reason}); export it again") from error
-    rows = [dict(zip(meta["fields"], values, strict=True)) for values in zip(*columns, strict=True)]
+    rows: list[dict[str, Any]] = [dict(zip(meta["fields"], v, strict=True)) for v in zip(*columns, strict=True)]
     return found, rows or [{}] * len(found)
 
 
