@@ -18,6 +18,7 @@ from interfaces.orders.config import ORDERS, OrderKey
 from messages.errors import ConfigError
 from planning.field.field import FieldOutline, read_field
 from planning.field.site_generation import site_around, site_of_original
+from planning.guidance.recorded import choose_line, straight_in_map
 from planning.plan import Plan, check_within, plan_mission
 from runtime.stack import StackConfig, load_stack, with_detector, with_order_key
 from simulation.operator import AUTHORITY, operator_key, public_bytes
@@ -58,8 +59,9 @@ def setup_from(arguments: argparse.Namespace) -> Setup:
     """Setup of a command that drives or plans; raises ConfigError or FieldError."""
     given = arguments
     return load_setup(
-        given.mission, given.machine, given.implement, given.field, given.seed, given.bay, feature=given.feature
-    )
+        given.mission, given.machine, given.implement, given.field, given.seed, given.bay,
+        feature=given.feature, guidance=given.guidance,
+    )  # fmt: skip
 
 
 def load_setup(
@@ -71,10 +73,12 @@ def load_setup(
     bay: str | None = None,
     *,
     feature: str | None = None,
+    guidance: str | None = None,
 ) -> Setup:
     """Loads the named files and plans the mission, docking in `bay` if given; raises ConfigError or FieldError.
 
-    `feature` is one of the fields of the file `field`; the plan is checked against its outline before simplification.
+    `feature` is one of the fields of the file `field` and `guidance` one of its lines, to which the swaths are parallel;
+    the plan is checked against the outline of the file, before simplification.
     """
     chosen = load(Mission, find("missions", mission))
     # a site generated from a field outline has no shed
@@ -86,6 +90,7 @@ def load_setup(
     vehicle = with_implement_sensors(vehicle, mounted)
     stack = with_order_key(load_stack(), "simulated_operator", simulated_operator_key(seed))
     outline = _outline(chosen, field, feature)
+    chosen = _with_guidance(chosen, outline, guidance)
     site = _site(chosen, outline, vehicle, mounted)
     start, is_folded = start_pose(chosen, site, seed)
     plan = plan_mission(chosen, site, vehicle, mounted, stack.planning, start, seed)
@@ -156,6 +161,19 @@ def _outline(mission: Mission, field: str | None, feature: str | None) -> FieldO
     if mission.work is None:
         raise ConfigError(f"mission {mission.name!r} has no field work for {field}; select another mission")
     return read_field(Path(field), feature)
+
+
+def _with_guidance(mission: Mission, outline: FieldOutline | None, guidance: str | None) -> Mission:
+    """Mission whose swaths are parallel to the guidance line that the caller or the mission names."""
+    work = mission.work
+    guidance = guidance or (None if work is None else work.guidance)
+    if guidance is None or work is None:
+        return mission
+    if outline is None:
+        raise ConfigError(f"guidance {guidance!r}: is a line of a field file; give the file by --field")
+    line = straight_in_map(choose_line(outline.lines, guidance), outline.datum.datum)
+    direction = {"swath_direction_deg": math.degrees(line.heading_rad), "swath_through_m": line.a_m}
+    return mission.model_copy(update={"work": work.model_copy(update=direction | {"guidance": guidance})})
 
 
 def _site(

@@ -35,8 +35,9 @@ def check_drive(arguments: argparse.Namespace) -> None:
 def check_field(arguments: argparse.Namespace) -> None:
     """Raises HeadlandError for a field file without the field that is asked for; prints its notes."""
     if arguments.field is None:
-        if arguments.feature is not None:
-            raise HeadlandError(f"--feature {arguments.feature}: names a field of a file; give the file by --field")
+        for name in ("feature", "guidance"):
+            if (given := getattr(arguments, name)) is not None:
+                raise HeadlandError(f"--{name} {given}: is taken from a field file; give the file by --field")
         return
     from planning.field.feature_choice import choose
     from planning.field.formats.known_formats import read_file
@@ -46,6 +47,10 @@ def check_field(arguments: argparse.Namespace) -> None:
     choose(contents, arguments.feature, str(path))
     # only now: the import takes 0.5 s, and a file of another kind is reported at once
     from planning.field.field import outline_of
+    from planning.guidance.recorded import choose_line, straight_in_map
 
-    for note in outline_of(contents, path, arguments.feature).notes:
+    outline = outline_of(contents, path, arguments.feature)
+    if arguments.guidance is not None:
+        straight_in_map(choose_line(outline.lines, arguments.guidance), outline.datum.datum)
+    for note in outline.notes:
         sys.stderr.write(f"{arguments.field}: {note}\n")

@@ -72,6 +72,9 @@ FEATURE = _option(
     "--feature", metavar="NAME",
     help="field of a file with several: its name, or its number from 1; with .PART one part of it",
 )  # fmt: skip
+GUIDANCE = _option(
+    "--guidance", metavar="LINE", help="AB or A+ line of the field file, by name or number: swaths are parallel to it"
+)
 BUS_NAMES = "CAN bus: loopback:GROUP:PORT, or INTERFACE:CHANNEL of python-can such as socketcan:can0"
 MISSION = (
     _option("--mission", default="demo", help="a file, or a name in configs/missions (default demo)"),
@@ -89,14 +92,14 @@ SITUATIONS = ("turn", "swath", "obstacle", "docking")
 RESUMES = "; results already in it are kept"
 COMMANDS = (
     Command("run", "drive a mission in simulation and write the report", "runtime.commands.run", (
-        FIELD, FEATURE, *MISSION, SCENARIO, PLANT, SEED, MODEL, DURATION,
+        FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, PLANT, SEED, MODEL, DURATION,
         _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
         _out("run"), JSON,
     )),
     Command("live", "run the stack in real time, one process per part", "runtime.commands.live", (
         _option("--world", choices=["simulation"], required=True, help="the machine that is driven"),
         _option("--bus", default="loopback", metavar="NAME", help=f"{BUS_NAMES} (default: a loopback bus of its own)"),
-        FIELD, FEATURE, *MISSION, SCENARIO, SEED, DURATION,
+        FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, SEED, DURATION,
         _option("--kill", metavar="PROCESS:SIGNAL:S", help="send KILL or STOP to a process, e.g. safety:KILL:20"),
         _option("--reaction-trials", type=whole(0, 1_000_000), default=0, metavar="N",
                 help="measure reaction times to N pop-ups"),
@@ -108,7 +111,7 @@ COMMANDS = (
     )),
     Command("plan", "plan a field: figure, GeoJSON, path length and area", "runtime.commands.plan", (
         _option("field", type=path_name, metavar="FIELD", help=f"field outline, holes are excluded: {FIELD_FILE}"),
-        FEATURE, *MISSION, SEED, _out("plan"), JSON,
+        FEATURE, GUIDANCE, *MISSION, SEED, _out("plan"), JSON,
     )),
     Command("coverage", "show which swept places the sensors cover", "runtime.commands.coverage", (
         _option("machine", metavar="MACHINE", help="a file, or a name in configs/machines"),
