@@ -30,10 +30,14 @@ SESSION_STREAM = 0x5E55  # of the session, which a real start draws from the ope
 
 @dataclass(frozen=True)
 class Setup:
-    """All inputs of a run except its world; `start` is the initial pose in map, `session` the nonce of the orders."""
+    """All inputs of a run except its world; `start` is the initial pose in map, `session` the nonce of the orders.
+
+    `surveyed` is the site with the outline of its field file before simplification.
+    """
 
     mission: Mission
     site: Site
+    surveyed: Site
     vehicle: Vehicle
     implement: MountedImplement | TrailedImplement
     stack: StackConfig
@@ -77,7 +81,7 @@ def load_setup(
 ) -> Setup:
     """Loads the named files and plans the mission, docking in `bay` if given; raises ConfigError or FieldError.
 
-    `feature` is one of the fields of the file `field` and `guidance` one of its lines, to which the swaths are parallel;
+    `feature` is one of the fields of the file `field` and `guidance` one of its lines, to which swaths are parallel;
     the plan is checked against the outline of the file, before simplification.
     """
     chosen = load(Mission, find("missions", mission))
@@ -94,10 +98,11 @@ def load_setup(
     site = _site(chosen, outline, vehicle, mounted)
     start, is_folded = start_pose(chosen, site, seed)
     plan = plan_mission(chosen, site, vehicle, mounted, stack.planning, start, seed)
-    if outline is not None and chosen.work is not None:
-        check_within(plan, site_of_original(site, outline), chosen.work.boundary_margin_m)
+    surveyed = site if outline is None else site_of_original(site, outline)
+    if surveyed is not site and chosen.work is not None:
+        check_within(plan, surveyed, chosen.work.boundary_margin_m)
     session = np.random.default_rng([seed, SESSION_STREAM]).bytes(16).hex()
-    return Setup(chosen, site, vehicle, mounted, stack, plan, seed, start, is_folded, session)
+    return Setup(chosen, site, surveyed, vehicle, mounted, stack, plan, seed, start, is_folded, session)
 
 
 def simulated_operator_key(seed: int) -> OrderKey:

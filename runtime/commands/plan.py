@@ -1,10 +1,11 @@
-"""`headland plan`: plans a field without driving; writes figure, GeoJSON, path length and areas."""
+"""`headland plan`: plans a field without driving; writes figure, GeoJSON, KML, ISOXML, path length and areas."""
 
 import argparse
 import json
 import sys
 
 from runtime.commands.checks import check_drive
+from runtime.commands.options import version
 from runtime.run_folder import RunFolder, command_of, named_errors, resolved, versions
 
 
@@ -16,7 +17,10 @@ def main(arguments: argparse.Namespace) -> int:
     check_drive(arguments)
     with RunFolder("plan", arguments.out, command_of(arguments)) as folder:
         # only now: these imports take seconds, and a wrong argument is reported at once
-        from planning.drawing import draw_plan, write_geojson
+        from planning.drawing import draw_plan
+        from planning.export.geojson import write_geojson
+        from planning.export.isoxml import write_isoxml
+        from planning.export.kml import write_kml
         from runtime.setup import setup_from
 
         setup = setup_from(arguments)
@@ -38,7 +42,9 @@ def main(arguments: argparse.Namespace) -> int:
         with named_errors(folder.path):
             folder.file("config.yaml").write_text(config, encoding="utf-8")
             draw_plan(plan, setup.site, folder.file("plan.png"))
-            write_geojson(plan, setup.site, folder.file("plan.geojson"))
+            write_geojson(plan, setup.surveyed, folder.file("plan.geojson"))
+            write_kml(plan, setup.surveyed, folder.file("plan.kml"))
+            write_isoxml(plan, setup.surveyed, folder.file("TASKDATA"), version())
         folder.record("result", {"result": result})
         folder.finish()
     if arguments.json:

@@ -12,6 +12,8 @@ from pyogrio.raw import write as write_layer
 from pyproj import Transformer
 from shapely.geometry import Polygon
 
+from configs.site import DatumConfig
+from planning.field.field import FieldOutline
 from planning.field.formats.contents import Ring
 
 M = 1e-5  # degrees of latitude: about 1.1 m
@@ -109,3 +111,13 @@ def zipped(path: Path, files: dict[str, bytes | str]) -> Path:
         for name, content in files.items():
             archive.writestr(name, content)
     return path
+
+
+def in_datum(outline: FieldOutline, datum: DatumConfig) -> Polygon:
+    """Polygon of a field, as in its file, in `map` about another datum."""
+
+    def to_other(points: np.ndarray) -> np.ndarray:
+        found = [outline.datum.datum.to_ellipsoid(float(x), float(y), 0.0)[:2] for x, y in points]
+        return np.array([datum.datum.to_map(lat, lon, 0.0)[:2] for lat, lon in found])
+
+    return shapely.transform(outline.original or outline.polygon, to_other)

@@ -14,7 +14,7 @@ from configs.mission import Mission
 from configs.vehicle import MountedImplement, Vehicle
 from messages.errors import FieldError
 from planning.field.drivable_area import drivable_area_of
-from planning.field.field import FieldOutline, read_field
+from planning.field.field import read_field
 from planning.field.formats.known_formats import known_formats, read_file
 from planning.field.simplification import simplified_inwards
 from planning.field.site_generation import site_around
@@ -25,6 +25,7 @@ from tests.planning.field_samples import (
     M,
     gaos,
     geojson,
+    in_datum,
     isoxml,
     isoxml_area,
     isoxml_line,
@@ -171,15 +172,7 @@ def test_slivers_beside_a_field_are_no_fields(tmp_path: Path) -> None:
 def test_projected_system_is_transformed(code: int, tmp_path: Path) -> None:
     plain = read_field(made("f.json", geojson([("F", "Polygon", RINGS)]))(tmp_path))
     projected = read_field(shapefile(tmp_path, {"F": RINGS}, f"EPSG:{code}"))
-    assert shapely.hausdorff_distance(_in_datum(projected, plain), plain.polygon) < 0.01
-
-
-def _in_datum(outline: FieldOutline, other: FieldOutline) -> Polygon:
-    def moved_points(points: np.ndarray) -> np.ndarray:
-        found = [outline.datum.datum.to_ellipsoid(float(x), float(y), 0.0)[:2] for x, y in points]
-        return np.array([other.datum.datum.to_map(lat, lon, 0.0)[:2] for lat, lon in found])
-
-    return shapely.transform(outline.polygon, moved_points)
+    assert shapely.hausdorff_distance(in_datum(projected, plain.datum), plain.polygon) < 0.01
 
 
 @pytest.mark.parametrize("name", ["urn:ogc:def:crs:EPSG::32631", "EPSG:32631"])
