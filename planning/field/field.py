@@ -129,7 +129,8 @@ def _invalid(polygon: Polygon, datum: Datum) -> str:
         return reason
     x, y = (float(v) for v in place.rstrip("]").split())
     lat, lon, _ = datum.to_ellipsoid(x, y, 0.0)
-    text = "outline crosses itself" if text.startswith(("Self-inter", "Ring Self")) else text.lower()
+    known = {"Self-inter": "outline crosses itself", "Ring Self-": "outline crosses itself"}
+    text = known.get(text[:10], "less than three corners" if text.startswith("Too few") else text.lower())
     return f"{text} at {_at((math.degrees(lon), math.degrees(lat)))}"
 
 

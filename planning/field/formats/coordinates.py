@@ -34,6 +34,11 @@ class CoordinateSystem:
         is_noted = self._error_m > NOTED_ERROR_M
         return (f"{self._known.name} is transformed within {self._error_m:g} m",) if is_noted else ()
 
+    def check(self) -> None:
+        """Checks that the system is known and can be transformed."""
+        if self.crs is not None:
+            _ = self._transformer
+
     def to_degrees(self, points: Ring) -> Ring:
         """Points as longitude and latitude."""
         for x, y in points:

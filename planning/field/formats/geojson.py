@@ -52,6 +52,7 @@ class _Document:
 
     def __init__(self, content: Any) -> None:
         self._system = CoordinateSystem(_crs(content))
+        self._system.check()
         self._features: list[Feature] = []
         self._lines: list[RecordedLine] = []
         self._points = self._empty = 0

@@ -65,20 +65,17 @@ def _read(shape: bytes, parts: dict[str, bytes | None], where: str) -> FieldFile
     """Contents of a Shapefile; raises FieldError that begins with `where`."""
     if not shape.startswith(MAGIC) or len(shape) < 100:
         raise FieldError(f"{where}: no Shapefile, or cut off in its header; export it again")
-    for end, content in parts.items():
-        if content is None and end in (".shx", ".prj"):
-            why = "its coordinate system is unknown" if end == ".prj" else "it cannot be read"
-            raise FieldError(
-                f"{where}: has no {end} file beside it, {why}; copy the .shp, .shx, .dbf and .prj together"
-            )
+    for end, why in ((".shx", "it cannot be read"), (".prj", "its coordinate system is unknown")):
+        if not (parts[end] or b"").strip():
+            raise FieldError(f"{where}: has no {end} file, {why}; copy .shp, .shx, .dbf and .prj together")
     try:
-        return _contents(*_layer(shape, parts), str((parts[".prj"] or b"").decode("utf-8", "replace")).strip())
+        return _contents(*_layer(shape, parts), (parts[".prj"] or b"").decode("utf-8", "replace").strip())
     except CoordinateError as error:
         raise FieldError(f"{where}: {error}") from error
 
 
 def _layer(shape: bytes, parts: dict[str, bytes | None]) -> tuple[list[Any], list[dict[str, Any]]]:
-    """Geometries and attributes, read from a copy: GDAL takes the companions from the folder of the file."""
+    """Geometries and attributes, read from a copy without .prj: GDAL takes what lies beside the file."""
     # only now: the import takes 0.5 s
     import shapely
     from pyogrio.errors import DataLayerError, DataSourceError
@@ -88,7 +85,7 @@ def _layer(shape: bytes, parts: dict[str, bytes | None]) -> tuple[list[Any], lis
     with TemporaryDirectory(prefix="headland-") as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # damage that matters shows as missing geometry
         for end, content in {".shp": shape, **parts}.items():
-            if content is not None:
+            if content is not None and end != ".prj":
                 (Path(folder) / f"field{end}").write_bytes(content)
         try:
             meta, _, geometries, columns = read(Path(folder) / "field.shp", force_2d=True)
@@ -104,6 +101,7 @@ def _contents(geometries: list[Any], rows: list[dict[str, Any]], crs: str) -> Fi
     import shapely
 
     system = CoordinateSystem(crs, "x, y")
+    system.check()
     features: list[Feature] = []
     lines: list[RecordedLine] = []
     points = empty = 0
