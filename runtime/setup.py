@@ -17,7 +17,7 @@ from datasets.viewer import Viewer
 from interfaces.orders.config import ORDERS, OrderKey
 from messages.errors import ConfigError
 from planning.field.field import FieldOutline, read_field
-from planning.field.site_generation import site_around, site_of_original
+from planning.field.site_generation import site_of, site_of_original
 from planning.guidance.recorded import choose_line, straight_in_map
 from planning.plan import Plan, check_within, plan_mission
 from runtime.stack import StackConfig, load_stack, with_detector, with_order_key
@@ -189,7 +189,7 @@ def _site(
 ) -> Site:
     if outline is None or mission.work is None:
         return load(Site, find("sites", mission.site))
-    return site_around(outline, vehicle, implement, mission.work)
+    return site_of(outline, vehicle, implement, mission.work)
 
 
 def with_implement_sensors(vehicle: Vehicle, implement: MountedImplement | TrailedImplement) -> Vehicle:

@@ -30,6 +30,7 @@ def main(arguments: argparse.Namespace) -> int:
             "field_m2": round(plan.field_area_m2, 1),
             "planned_m2": round(plan.planned_area.area, 1),
             "planned_share": round(plan.planned_share, 4),
+            "gate": bool(setup.site.gates),
             "swaths": len(plan.swaths),
             "headland_passes": len(plan.headland_passes),
             "uncovered": [
@@ -51,8 +52,9 @@ def main(arguments: argparse.Namespace) -> int:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
         share = 100.0 * plan.planned_share
+        gate = "" if setup.site.lanes else ", from a start within the field without a gate"
         sys.stdout.write(
-            f"{plan.length_m:.0f} m path, {share:.1f} % of {plan.field_area_m2:.0f} m² planned: {folder.path}\n"
+            f"{plan.length_m:.0f} m path, {share:.1f} % of {plan.field_area_m2:.0f} m² planned{gate}: {folder.path}\n"
         )
     least = 0.0 if setup.mission.work is None else setup.mission.work.least_planned_share
     if plan.planned_share >= least:

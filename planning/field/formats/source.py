@@ -33,7 +33,7 @@ class Source:
             self.names = _sorted(str(p.relative_to(path)) for p in _files(path))
         elif self.head.startswith(ZIP):
             self._archive = self._guarded(lambda: zipfile.ZipFile(io.BytesIO(self.read())))
-            self.names = _sorted(i.filename for i in self._archive.infolist() if not i.is_dir())
+            self.names = _sorted(n for n in self._archive.namelist() if n and not n.endswith("/"))
             if not self.names:
                 raise FieldError(f"{path}: the archive is empty")
 
