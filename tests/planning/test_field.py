@@ -109,7 +109,7 @@ def test_round_field_starts_within(
     assert (site.gates, site.lanes) == ((), ())
     assert np.hypot(site.start.x_m - 70.2, site.start.y_m - 77.9) < 5.0
     plan = plan_field(site, vehicle, harrow, mission.work, planning.planner, 0)
-    assert plan.planned_share > 0.9
+    assert plan.planned_share > 0.8
     assert plan.paths[0].p_map_m[0] == pytest.approx([site.start.x_m, site.start.y_m])
 
 
