@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import shapely
 from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
 
 from configs.site import DatumConfig
+from geometry.arrays import Float64
 from geometry.geodesy import Datum
 from geometry.polygon import as_polygon
 from messages.errors import FieldError
@@ -21,6 +23,7 @@ MIN_AREA_M2 = 100.0
 MAX_EXTENT_M = 5000.0
 MAX_POINTS = 200_000
 SAME_POINT_M = 0.01
+OBSTACLE_M = 1.0  # kept clear around obstacles without area
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ def _in_map(choice: Choice) -> tuple[Polygon, DatumConfig, tuple[tuple[str, Poly
     if sum(map(len, choice.rings)) > MAX_POINTS:
         raise FieldError(f"more than {MAX_POINTS} points; simplify the outline")
     rings = _continuous([*choice.rings, *(ring for _, ring in choice.feature.no_go)])
-    for ring in rings:
+    for ring in rings[: len(choice.rings)]:
         if len(ring) < 4:
             raise FieldError(f"{len(ring)} points have no area; a ring has three corners and its first point again")
     datum = _datum(rings[0])
@@ -81,11 +84,12 @@ def _in_map(choice: Choice) -> tuple[Polygon, DatumConfig, tuple[tuple[str, Poly
     count = len(choice.rings)
     polygon = Polygon(in_map[0], in_map[1:count])
     _check(polygon, datum.datum)
-    names = (name for name, _ in choice.feature.no_go)
-    no_go = tuple(
-        (name, area) for name, ring in zip(names, in_map[count:], strict=True)
-        if not (area := _repaired(Polygon(ring))).is_empty and area.intersects(polygon)
-    )  # fmt: skip
+    names = [name for name, _ in choice.feature.no_go]
+    areas = [(name, _to_avoid(ring)) for name, ring in zip(names, in_map[count:], strict=True) if len(ring)]
+    no_go = tuple((name, area) for name, area in areas if area.intersects(polygon))
+    left_m2 = polygon.difference(shapely.union_all([area for _, area in no_go])).area
+    if left_m2 < MIN_AREA_M2:
+        raise FieldError(f"its no-go areas leave {left_m2:.1f} m² of the field (at least {MIN_AREA_M2:g} m²)")
     return as_polygon(shapely.remove_repeated_points(polygon, SAME_POINT_M).normalize()), datum, no_go
 
 
@@ -97,9 +101,16 @@ def _continuous(rings: list[Ring]) -> list[Ring]:
     return [[(x + 360.0 if x < 0.0 else x, y) for x, y in ring] for ring in rings]
 
 
-def _repaired(area: Polygon) -> Polygon:
-    """Outer outline of an area to keep out of, valid and not smaller."""
-    return area if area.is_valid else as_polygon(area.convex_hull)
+def _to_avoid(points_m: Float64) -> Polygon:
+    """Area of a closed ring, or its hull where it crosses itself; 1 m around lines, points, rings without area."""
+    is_closed = len(points_m) >= 4 and bool((points_m[0] == points_m[-1]).all())
+    area: BaseGeometry = Polygon(points_m) if is_closed else Polygon()
+    if not area.is_valid:
+        area = area.convex_hull
+    if not isinstance(area, Polygon) or area.is_empty:
+        area = shapely.MultiPoint(points_m) if len(points_m) == 1 else shapely.LineString(points_m)
+        area = area.buffer(OBSTACLE_M, quad_segs=4)
+    return as_polygon(area)
 
 
 def _datum(ring: Ring) -> DatumConfig:
@@ -108,9 +119,8 @@ def _datum(ring: Ring) -> DatumConfig:
     return DatumConfig(latitude_deg=round(float(lat), 6), longitude_deg=round(float(lon), 6), height_m=0.0)
 
 
-def _to_map(ring: Ring, datum: Datum) -> Ring:
-    points = [datum.to_map(math.radians(lat), math.radians(lon), 0.0) for lon, lat in ring]
-    return [(round(x, 4), round(y, 4)) for x, y, _ in points]
+def _to_map(ring: Ring, datum: Datum) -> Float64:
+    return np.round(datum.points_to_map(np.array(ring, np.float64)), 4)
 
 
 def _check(polygon: Polygon, datum: Datum) -> None:

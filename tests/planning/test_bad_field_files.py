@@ -22,7 +22,6 @@ from tests.planning.field_samples import (
     geojson,
     isoxml,
     isoxml_area,
-    isoxml_line,
     kml,
     kml_polygon,
     moved,
@@ -120,6 +119,8 @@ BAD: dict[str, tuple[Content, str]] = {
     "json cut off": (POLYGON[:-30], "not valid JSON"),
     "json number": ("[1, 2, 3]", "list where a Polygon is needed"),
     "json too deep": ("[" * 100_000, "not valid JSON"),
+    "json nested collections": (
+        '{"type": "GeometryCollection", "geometries": [' * 900 + '{"type": "Point"}' + "]}" * 900, "; export the field as GeoJSON"),
     "json of another kind": ('{"type": "Topology", "arcs": []}', "Topology where a Polygon is needed"),
     "json type is a list": ('{"type": ["Polygon"]}', "where a Polygon is needed"),
     "json features is a number": ('{"type": "FeatureCollection", "features": 5}', "5 where a list is needed"),
@@ -199,10 +200,7 @@ BAD: dict[str, tuple[Content, str]] = {
     "isoxml crossing": (isoxml(isoxml_area([BOW])), "crosses itself"),
     "isoxml missing part": (isoxml().replace("</ISO", '<XFR A="PFD00007" B="1"/></ISO'), "'PFD00007.XML' with"),
     "isoxml part elsewhere": (isoxml().replace("</ISO", '<XFR A="PFD/../../x"/></ISO'), "is missing beside it"),
-    "isoxml heading": (
-        isoxml(isoxml_area([SQUARE]) + f'<GGP A="G"><GPN A="P" C="2" G="north">{isoxml_line(POND[:1], 5)}</GPN></GGP>'),
-        "guidance pattern: 'north' is not a number",
-    ),
+    "isoxml no-go area over all": (isoxml(isoxml_area([SQUARE]) + isoxml_area([SQUARE], 6)), "no-go areas leave 0.0"),
     "gaos without field": ("<GAOS_parcel/>", "no Field with a polygon"),
     "gaos words": (gaos([SQUARE]).replace("51.0009", "x"), "are no pairs of numbers"),
     "gaos unknown system": (gaos([SQUARE], "EPSG:1"), "unknown coordinate system 'EPSG:1'"),

@@ -15,6 +15,7 @@ from configs.vehicle import MountedImplement, Vehicle
 from messages.errors import FieldError
 from planning.field.drivable_area import drivable_area_of
 from planning.field.field import read_field
+from planning.field.formats.contents import Ring
 from planning.field.formats.known_formats import known_formats, read_file
 from planning.field.simplification import simplified_inwards
 from planning.field.site_generation import site_around
@@ -79,6 +80,8 @@ SAME: dict[str, Make] = {
     "kml with prefixes": made("f.kml", kml(NESTED).replace("<Pol", "<k:Pol").replace("</Pol", "</k:Pol")),
     "kml with spaces at commas": made("f.kml", kml(NESTED).replace(",51", " ,  51")),
     "kml with an undeclared encoding": made("f.kml", kml(NESTED.replace(">A<", ">Süd<")).encode("iso-8859-1")),
+    "kml UTF-8 called UTF-16": made("f.kml", kml(NESTED).replace("UTF-8", "UTF-16")),
+    "kml UTF-16 called UTF-8": made("f.kml", kml(NESTED).encode("utf-16")),
     "kml geometry in a collection": made(
         "f.kml", kml(placemark("F", f"<MultiGeometry>{kml_polygon(RINGS)}</MultiGeometry>"))
     ),
@@ -194,14 +197,32 @@ def test_no_go_areas_of_isoxml(tmp_path: Path, vehicle: Vehicle, harrow: Mounted
     beyond = moved(POND, 0.0012)  # partly outside the field
     far = moved(POND, 0.01)
     areas = isoxml_area([SQUARE]) + isoxml_area([POND], 6, "pylon") + isoxml_area([beyond], 4) + isoxml_area([far], 3)
-    path = made("TASKDATA.XML", isoxml(areas + '<PNT A="5" C="51.0" D="6.0"/>'))(tmp_path)
-    outline = read_field(path)
-    assert [name for name, _ in outline.no_go] == ["obstacle pylon", "building"]
-    assert outline.notes == ("not kept clear of, as the file has no outline: 1 obstacle",)
+    lines = isoxml_line([(6.0002, 51.0002), (6.0003, 51.0003)], 9) + '<PNT A="5" B="pole" C="51.0001" D="6.0001"/>'
+    outline = read_field(made("TASKDATA.XML", isoxml(areas + lines))(tmp_path))
+    assert [name for name, _ in outline.no_go] == ["obstacle pylon", "building", "obstacle", "obstacle pole"]
+    assert outline.no_go[3][1].area == pytest.approx(math.pi, rel=0.05)
+    assert outline.no_go[2][1].length == pytest.approx(2 * 13.15 + 2 * math.pi, rel=0.02)
     site = site_around(outline, vehicle, harrow, mission.work)
     drivable = drivable_area_of(site, 0.1)
     assert not any(drivable.free.intersection(area).area > 0.01 for _, area in outline.no_go)
     assert drivable.free.area < outline.polygon.area - 300.0
+
+
+@pytest.mark.parametrize("ring", [POND[:1] * 4, [*POND[:2], POND[0], POND[0]], [POND[k] for k in (0, 2, 1, 3, 0)]])
+def test_no_go_area_without_a_valid_outline(ring: Ring, tmp_path: Path) -> None:
+    path = made("TASKDATA.XML", isoxml(isoxml_area([SQUARE]) + isoxml_area([ring], 6)))(tmp_path)
+    ((_, area),) = read_field(path).no_go
+    assert area.is_valid
+    assert area.area > 3.0
+
+
+def test_unreadable_lines_are_noted(tmp_path: Path) -> None:
+    group = f'<GGP A="G"><GPN A="P" C="2" G="north">{isoxml_line(POND[:1], 5)}</GPN></GGP>'
+    task_data = read_field(made("TASKDATA.XML", isoxml(isoxml_area([SQUARE]) + group))(tmp_path))
+    assert task_data.notes == ("ignored: guidance patterns ('north' is not a number)",)
+    line = placemark("L", "<LineString><coordinates>x</coordinates></LineString>")
+    drawn = read_field(made("f.kml", kml(placemark("F", kml_polygon([SQUARE])) + line))(tmp_path))
+    assert drawn.notes == ("ignored: line 'L' (coordinates 'x' are not longitude,latitude,height in degrees)",)
 
 
 def test_several_outlines_in_a_partfield(tmp_path: Path) -> None:

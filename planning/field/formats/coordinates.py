@@ -41,17 +41,21 @@ class CoordinateSystem:
 
     def to_degrees(self, points: Ring) -> Ring:
         """Points as longitude and latitude."""
-        for x, y in points:
-            if not (math.isfinite(x) and math.isfinite(y)):
-                raise CoordinateError(f"point {x:g}, {y:g} is not a finite number; correct or remove it")
+        if (wrong := _not_finite(points)) is not None:
+            x, y = points[wrong]
+            raise CoordinateError(f"point {x:g}, {y:g} is not a finite number; correct or remove it")
         if self.crs is not None and points:
+            before = points
             x, y = self._transformer.transform([p[0] for p in points], [p[1] for p in points])
-            for before, longitude, latitude in zip(points, x, y, strict=True):
-                if not (math.isfinite(longitude) and math.isfinite(latitude)):
-                    raise CoordinateError(f"{before[0]:g}, {before[1]:g} is outside the area of {self._known.name!r}")
+            points = list(zip(map(float, x), map(float, y), strict=True))
+            if (wrong := _not_finite(points)) is not None:
+                outside = f"{before[wrong][0]:g}, {before[wrong][1]:g}"
+                raise CoordinateError(f"{outside} is outside the area of {self._known.name!r}")
             self._check_accuracy()
-            points = [(float(longitude), float(latitude)) for longitude, latitude in zip(x, y, strict=True)]
-        return [_checked(point, self.order) for point in points]
+        for point in points:
+            if not (-180.0 <= point[0] <= 180.0 and -90.0 <= point[1] <= 90.0):
+                raise CoordinateError(_beyond(point, self.order))
+        return points
 
     @cached_property
     def _known(self) -> Any:
@@ -87,18 +91,23 @@ class CoordinateSystem:
         self._error_m = max(self._error_m, accuracy_m)
 
 
-def _checked(point: LonLat, order: str) -> LonLat:
+def _not_finite(points: Ring) -> int | None:
+    """Index of the first point that is not finite."""
+    found = (k for k, (x, y) in enumerate(points) if not (math.isfinite(x) and math.isfinite(y)))
+    return next(found, None)
+
+
+def _beyond(point: LonLat, order: str) -> str:
+    """Reason why a point is not in degrees."""
     longitude, latitude = point
     if max(abs(longitude), abs(latitude)) > DEGREES_PROBABLE:
-        raise CoordinateError(
+        return (
             f"{longitude:.10g}, {latitude:.10g} are no degrees but metres of a projected system such as UTM, which the "
             f"file does not name; {REMEDY}"
         )
     if abs(latitude) > 90.0:
-        raise CoordinateError(f"latitude {latitude:g} is beyond ±90°; points are {order}, in this order")
-    if abs(longitude) > 180.0:
-        raise CoordinateError(f"longitude {longitude:g} is beyond ±180°; points are {order} in degrees")
-    return point
+        return f"latitude {latitude:g} is beyond ±90°; points are {order}, in this order"
+    return f"longitude {longitude:g} is beyond ±180°; points are {order} in degrees"
 
 
 def closed(ring: Ring) -> Ring:

@@ -45,6 +45,8 @@ def read_geojson(data: bytes, where: str) -> FieldFile:
         return _Document(content).contents()
     except CoordinateError as error:
         raise FieldError(f"{where}: {error}") from error
+    except RecursionError as error:
+        raise FieldError(f"{where}: nested too deep; export the field as GeoJSON") from error
 
 
 class _Document:
@@ -56,11 +58,13 @@ class _Document:
         self._features: list[Feature] = []
         self._lines: list[RecordedLine] = []
         self._points = self._empty = 0
+        self._unread: list[str] = []
         for node in _features(content):
             self._add(node)
 
     def contents(self) -> FieldFile:
-        notes = ignored_note(self._points, [f"{self._empty} without geometry"] if self._empty else [])
+        empty = [f"{self._empty} without geometry"] if self._empty else []
+        notes = ignored_note(self._points, [*empty, *self._unread])
         return FieldFile(tuple(self._features), tuple(self._lines), (*notes, *self._system.notes))
 
     def _add(self, node: Any) -> None:
@@ -83,7 +87,10 @@ class _Document:
                 else:
                     self._points += len(_list(coordinates)) if kind.startswith("Multi") else 1
             except CoordinateError as error:
-                problem = problem or (str(error) if kind in POLYGONS else "")
+                if kind in POLYGONS:
+                    problem = problem or str(error)
+                else:
+                    self._unread.append(f"line {name!r} ({error})")
         if has_polygon:
             problem = problem or ("" if parts else "the polygon is empty; give it an outline")
             self._features.append(Feature(name, tuple(parts), problem))

@@ -6,7 +6,16 @@ from itertools import pairwise
 from xml.etree.ElementTree import Element
 
 from messages.errors import FieldError
-from planning.field.formats.contents import Feature, FieldFile, RecordedLine, Ring, Rings, count_of, plain_name
+from planning.field.formats.contents import (
+    Feature,
+    FieldFile,
+    RecordedLine,
+    Ring,
+    Rings,
+    count_of,
+    ignored_note,
+    plain_name,
+)
 from planning.field.formats.coordinates import CoordinateError, CoordinateSystem, closed
 from planning.field.formats.isoxml_guidance import guidance_lines
 from planning.field.formats.source import Source
@@ -45,22 +54,21 @@ def _read(root: Element, beside: Callable[[str], bytes | None], where: str) -> F
         raise FieldError(f"{where}: root <{root.tag[:40]}> instead of <{ROOTS[0]}>; export the task data again")
     features: list[Feature] = []
     lines: list[RecordedLine] = []
-    zones = obstacles = without = 0
+    unread: list[str] = []
+    zones = without = 0
     for partfield in _partfields(root, beside, where):
         has_boundary, feature = _feature(partfield)
         zones += sum(1 for _ in partfield.iter("TZN"))
         if not has_boundary:
             without += 1
-            lines += _guidance(partfield, where)
+            lines += _guidance(partfield, unread)
             continue
-        lines += [replace(line, feature=len(features)) for line in _guidance(partfield, where)]
-        obstacles += _unused_obstacles(partfield)
+        lines += [replace(line, feature=len(features)) for line in _guidance(partfield, unread)]
         features.append(feature)
     zones += sum(1 for task in root.iter("TSK") for _ in task.iter("TZN"))
-    notes = [f"ignored: {count_of(zones, 'treatment zone')}"] if zones else []
-    notes += [f"ignored: {count_of(without, 'partfield')} without boundary"] if without else []
-    notes += [f"not kept clear of, as the file has no outline: {count_of(obstacles, 'obstacle')}"] if obstacles else []
-    return FieldFile(tuple(features), tuple(lines), tuple(notes))
+    others = [count_of(zones, "treatment zone")] if zones else []
+    others += [f"{count_of(without, 'partfield')} without boundary"] if without else []
+    return FieldFile(tuple(features), tuple(lines), ignored_note(0, [*others, *unread]))
 
 
 def _partfields(root: Element, beside: Callable[[str], bytes | None], where: str) -> Iterator[Element]:
@@ -83,17 +91,25 @@ def _feature(partfield: Element) -> tuple[bool, Feature]:
     boundaries = [p for p in partfield.findall("PLN") if p.get("A") == BOUNDARY]
     try:
         parts = [rings for p in boundaries for rings in _polygons(p)]
-        no_go = [
-            (f"{NO_GO[p.get('A', '')]} {plain_name(p.get('B'))}".strip(), closed(_points(ring)))
-            for p in partfield.findall("PLN")
-            if p.get("A") in NO_GO
-            for ring in p.findall("LSG")
-            if ring.get("A") == EXTERIOR
-        ]
+        no_go = tuple(_no_go(partfield))
     except CoordinateError as error:
         return True, Feature(name, (), str(error))
     problem = "" if parts or not boundaries else "the boundary has no outline (LSG of type 1)"
-    return bool(boundaries), Feature(name, tuple(parts), problem, tuple(no_go))
+    return bool(boundaries), Feature(name, tuple(parts), problem, no_go)
+
+
+def _no_go(partfield: Element) -> Iterator[tuple[str, Ring]]:
+    """Areas, lines and points to keep out of, with their names; lines are not closed."""
+    for area in partfield.findall("PLN"):
+        if area.get("A") in NO_GO:
+            name = f"{NO_GO[area.get('A', '')]} {plain_name(area.get('B'))}".strip()
+            yield from ((name, closed(_points(ring))) for ring in area.findall("LSG") if ring.get("A") == EXTERIOR)
+    for line in partfield.findall("LSG"):
+        if line.get("A") == LINE_OBSTACLE:
+            yield f"obstacle {plain_name(line.get('B'))}".strip(), _points(line)
+    for point in partfield.findall("PNT"):
+        if point.get("A") == POINT_OBSTACLE:
+            yield f"obstacle {plain_name(point.get('B'))}".strip(), SYSTEM.to_degrees([_point(point)])
 
 
 def _polygons(area: Element) -> list[Rings]:
@@ -116,16 +132,13 @@ def _is_inside(hole: Ring, outline: Ring) -> bool:
     return inside
 
 
-def _unused_obstacles(partfield: Element) -> int:
-    points = sum(1 for p in partfield.findall("PNT") if p.get("A") == POINT_OBSTACLE)
-    return points + sum(1 for line in partfield.findall("LSG") if line.get("A") == LINE_OBSTACLE)
-
-
-def _guidance(partfield: Element, where: str) -> list[RecordedLine]:
+def _guidance(partfield: Element, unread: list[str]) -> list[RecordedLine]:
+    """Guidance patterns; a pattern that cannot be read is put into `unread`."""
     try:
         return guidance_lines(partfield, _points)
     except CoordinateError as error:
-        raise FieldError(f"{where}: guidance pattern: {error}") from error
+        unread.append(f"guidance patterns ({error})")
+        return []
 
 
 def _points(line: Element) -> Ring:

@@ -4,13 +4,13 @@ import re
 from collections.abc import Callable, Iterator
 from xml.etree.ElementTree import Element
 
-from messages.errors import FieldError
 from planning.field.formats.contents import (
     Feature,
     FieldFile,
     RecordedLine,
     Ring,
     Rings,
+    count_of,
     ignored_note,
     line_of,
     plain_name,
@@ -30,20 +30,19 @@ def sniff(source: Source) -> Callable[[], FieldFile] | None:
     """Reads XML with a root of KML, and the KML files of an archive or folder."""
     root = source.xml
     if root is not None:
-        return (lambda: read_kml([root], str(source.path))) if root.tag in ROOTS else None
+        return (lambda: read_kml([root])) if root.tag in ROOTS else None
     found = source.named(".kml")
     main = [name for name in found if name.rpartition("/")[2].lower() == "doc.kml"]
     if not found:
         return None
-    return lambda: read_kml(
-        [parse_xml(source.read(n), f"{source.path}: {n}") for n in main[:1] or found], str(source.path)
-    )
+    return lambda: read_kml([parse_xml(source.read(n), f"{source.path}: {n}") for n in main[:1] or found])
 
 
-def read_kml(roots: list[Element], where: str) -> FieldFile:
-    """Fields and lines of documents; raises FieldError that begins with `where`."""
+def read_kml(roots: list[Element]) -> FieldFile:
+    """Fields and lines of documents."""
     features: list[Feature] = []
     lines: list[RecordedLine] = []
+    unread: list[str] = []
     points = links = 0
     for root in roots:
         links += sum(1 for _ in root.iter("NetworkLink"))
@@ -53,10 +52,10 @@ def read_kml(roots: list[Element], where: str) -> FieldFile:
             try:
                 lines += _lines(placemark, name)
             except CoordinateError as error:
-                raise FieldError(f"{where}: line {name!r}: {error}") from error
+                unread.append(f"line {name!r} ({error})")
             if (feature := _feature(placemark, name)) is not None:
                 features.append(feature)
-    notes = ignored_note(points, [f"{links} links to other files"] if links else [])
+    notes = ignored_note(points, [*([count_of(links, "link")] if links else []), *unread])
     return FieldFile(tuple(features), tuple(lines), notes)
 
 

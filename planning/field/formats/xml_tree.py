@@ -1,6 +1,7 @@
 """XML without entity declarations, in any encoding, as a tree of elements without name spaces."""
 
 import codecs
+from contextlib import suppress
 from typing import Any, NoReturn
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
@@ -9,6 +10,7 @@ from messages.errors import FieldError
 
 MAX_DEPTH = 200
 MAX_ELEMENTS = 500_000
+MISLABELLED = (expat.errors.XML_ERROR_INVALID_TOKEN, expat.errors.XML_ERROR_INCORRECT_ENCODING)
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -19,16 +21,18 @@ def is_xml(head: bytes) -> bool:
 
 
 def parse_xml(data: bytes, name: str) -> Element:
-    """Root of a document; tags and attributes lose their prefixes. Raises FieldError that names `name`."""
+    """Root of a document; tags and attributes lose their prefixes. Raises FieldError that names `name`.
+
+    A document whose declared encoding is not its own is read in its own: names are often in another encoding.
+    """
     data = data if data.startswith(UTF_16) else data.lstrip()
     try:
-        return _tree(data, None, name)
+        return _tree(data, name)
     except expat.ExpatError as error:
-        if expat.errors.messages.get(error.code) == expat.errors.XML_ERROR_INVALID_TOKEN and not _is_utf8(data):
-            try:  # names in a national encoding that is not declared
-                return _tree(data, "iso-8859-1", name)
-            except expat.ExpatError:
-                pass
+        reason = expat.errors.messages.get(error.code)
+        if reason in MISLABELLED and (text := _decoded(data)) is not None:
+            with suppress(expat.ExpatError):
+                return _tree(text, name)
         raise FieldError(f"{name}: not valid XML ({error}); export the file again") from error
     except (LookupError, ValueError) as error:
         raise FieldError(f"{name}: unreadable XML ({error}); export it in UTF-8") from error
@@ -39,17 +43,16 @@ def local(tag: str) -> str:
     return tag.rpartition(":")[2]
 
 
-def _is_utf8(data: bytes) -> bool:
-    if data.startswith(UTF_16):
-        return True
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError:
-        return False
-    return True
+def _decoded(data: bytes) -> str | None:
+    """Text in UTF-16, UTF-8 or else ISO 8859-1."""
+    encodings = ("utf-16",) if data.startswith(UTF_16) else ("utf-8-sig", "iso-8859-1")
+    for encoding in encodings:
+        with suppress(UnicodeDecodeError):
+            return data.decode(encoding)
+    return None
 
 
-def _tree(data: bytes, encoding: str | None, name: str) -> Element:
+def _tree(data: bytes | str, name: str) -> Element:
     builder, depth, count = TreeBuilder(), 0, 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -67,7 +70,7 @@ def _tree(data: bytes, encoding: str | None, name: str) -> Element:
     def refuse(entity: str, *_: Any) -> NoReturn:
         raise FieldError(f"{name}: declares the XML entity {entity!r}; export the field without a DTD")
 
-    parser = expat.ParserCreate(encoding)
+    parser = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler = builder.data
