@@ -109,7 +109,7 @@ COMMANDS = (
         _option("--bus", required=True, metavar="NAME", help=f"{BUS_NAMES}, as `live` reports it"),
         DURATION, _out("shadow"), JSON,
     )),
-    Command("plan", "plan a field: figure, GeoJSON, path length and area", "runtime.commands.plan", (
+    Command("plan", "plan a field: figure, GeoJSON, KML, ISOXML, path length and area", "runtime.commands.plan", (
         _option("field", type=path_name, metavar="FIELD", help=f"field outline, holes are excluded: {FIELD_FILE}"),
         FEATURE, GUIDANCE, *MISSION, SEED, _out("plan"), JSON,
     )),

@@ -120,7 +120,9 @@ BAD: dict[str, tuple[Content, str]] = {
     "json number": ("[1, 2, 3]", "list where a Polygon is needed"),
     "json too deep": ("[" * 100_000, "not valid JSON"),
     "json nested collections": (
-        '{"type": "GeometryCollection", "geometries": [' * 900 + '{"type": "Point"}' + "]}" * 900, "; export the field as GeoJSON"),
+        '{"type": "GeometryCollection", "geometries": [' * 900 + '{"type": "Point"}' + "]}" * 900,
+        "; export the field as GeoJSON",
+    ),
     "json of another kind": ('{"type": "Topology", "arcs": []}', "Topology where a Polygon is needed"),
     "json type is a list": ('{"type": ["Polygon"]}', "where a Polygon is needed"),
     "json features is a number": ('{"type": "FeatureCollection", "features": 5}', "5 where a list is needed"),
