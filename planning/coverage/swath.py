@@ -60,7 +60,7 @@ def strips_of(
     """Ends (2, 2) of strips that cover the area; without a direction each part along its edge of lowest cost.
 
     `width_m` is the width of one strip; neighbours overlap by at least `overlap_m`. With `through_m` they overlap by
-    just that, but for the outermost, and the middle of one of them, prolonged, passes through that point.
+    just that, and the middle of one of them, prolonged, passes through that point.
     """
     found: list[Float64] = []
     for part in parts(area, MIN_STRIP_M2):
@@ -114,8 +114,7 @@ def _middles(
     if through is not None:
         pitch = width_m - overlap_m
         first, last = math.ceil((low - through) / pitch - 0.5), math.floor((high - through) / pitch + 0.5)
-        # the outermost may lie outside, where the rig would meet the field edge: they overlap more
-        return [min(max(through + k * pitch, low), high) for k in range(first, max(last, first) + 1)], pitch
+        return [through + k * pitch for k in range(first, max(last, first) + 1)], pitch
     height = high - low
     count = max(1, math.ceil((height - overlap_m) / (width_m - overlap_m) - 1e-3))
     if count == 1:
