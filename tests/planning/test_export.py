@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from pyogrio.raw import read
 from shapely.geometry import Polygon
 
 from configs.site import Area, Site
@@ -53,6 +54,21 @@ def test_field_round_trip(export: Callable[..., FieldOutline], plan: Plan, holed
     found = export(plan, holed, tmp_path)
     assert found.name == holed.name
     assert shapely.hausdorff_distance(in_datum(found, holed.datum), Polygon(OUTLINE, [POND])) < WITHIN_M
+
+
+@pytest.mark.parametrize(
+    ("write", "name", "layer"), [(write_kml, "plan.kml", "Field"), (write_geojson, "plan.geojson", 0)]
+)
+def test_field_as_gdal_reads_it(
+    write: Callable[..., None], name: str, layer: str | int, plan: Plan, holed: Site, tmp_path: Path
+) -> None:
+    write(plan, holed, tmp_path / name)
+    meta, _, geometries, columns = read(tmp_path / name, layer=layer, force_2d=True)
+    names = dict(zip([f.lower() for f in meta["fields"]], columns, strict=True))["name"]
+    assert names[0] == holed.name
+    datum = holed.datum.datum
+    found = shapely.transform(shapely.from_wkb(geometries)[0], datum.points_to_map)
+    assert shapely.hausdorff_distance(found, Polygon(OUTLINE, [POND])) < WITHIN_M
 
 
 def test_no_go_area_across_the_outline_in_isoxml(plan: Plan, holed: Site, tmp_path: Path) -> None:
