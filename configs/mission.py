@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from configs.site import PoseConfig
+from configs.site import Coordinate, PoseConfig
 from configs.strict import Config
 from configs.vehicle import Kmh
 
@@ -14,6 +14,13 @@ class Work(Config):
 
     headland_passes: int = Field(ge=1, le=10)
     swath_direction_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
+    swath_through_m: Annotated[
+        tuple[Coordinate, Coordinate] | None,
+        Field(description="point in `map`: swaths lie at whole spacings from the line through it, in that direction"),
+    ] = None
+    guidance: str | None = Field(
+        default=None, description="name or number of an AB or A+ line of the field file: sets direction and point"
+    )
     overlap_m: float = Field(ge=0.0, le=2.0)
     work_speed_kmh: Kmh
     turn_speed_kmh: Kmh
@@ -23,6 +30,14 @@ class Work(Config):
     turns: Literal["forward", "reverse"] = Field(
         default="forward", description="reverse: turns may reverse with the lifted implement, and corners are filled"
     )
+
+    @model_validator(mode="after")
+    def _check_swaths(self) -> "Work":
+        if self.swath_through_m is not None and self.swath_direction_deg is None:
+            raise ValueError("swath_through_m: needs swath_direction_deg")
+        if self.guidance is not None and self.swath_direction_deg is not None and self.swath_through_m is None:
+            raise ValueError("guidance: gives the direction; leave out swath_direction_deg")
+        return self
 
 
 class Spread(Config):

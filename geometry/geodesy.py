@@ -3,7 +3,10 @@
 from dataclasses import dataclass
 from functools import cache, cached_property
 
+import numpy as np
 from pyproj import Transformer
+
+from geometry.arrays import Float64
 
 
 @cache
@@ -31,6 +34,12 @@ class Datum:
         """East, north and up of a point on the ellipsoid."""
         e, n, u = self._transformer.transform(longitude_rad, latitude_rad, height_m, radians=True)
         return float(e), float(n), float(u)
+
+    def points_to_map(self, longitude_latitude_deg: Float64) -> Float64:
+        """East and north (N, 2) of points (N, 2) in degrees on the ellipsoid at height 0."""
+        longitude, latitude = longitude_latitude_deg.T
+        e, n, _ = self._transformer.transform(longitude, latitude, np.zeros(len(longitude)))
+        return np.column_stack([e, n])
 
     def to_ellipsoid(self, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
         """Latitude, longitude (radians) and height of a point in `map`."""

@@ -1,16 +1,13 @@
-"""A plan as a figure (PNG) and as GeoJSON."""
+"""A plan as a figure (PNG)."""
 
-import json
+import warnings
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 import shapely
-from shapely.geometry import mapping
-from shapely.geometry.base import BaseGeometry
 
 from configs.site import Shed, Site
-from geometry.arrays import Float64
 from geometry.footprint import footprints
 from geometry.polygon import parts
 from messages.plan import PathSectionType
@@ -57,11 +54,13 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
             line = path.p_map_m[section.first : section.last + 2]
             axes.plot(line[:, 0], line[:, 1], color=COLOURS[section.section_type], linewidth=1.0, label=label)
     worked = f", {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha" if plan.planned_share > 0.0 else ""
-    axes.set_title(f"{site.name}: {plan.length_m:.0f} m{worked}")
+    axes.set_title(f"{site.name}: {plan.length_m:.0f} m{worked}", parse_math=False)
     axes.set_xlabel("east in m")
     axes.set_ylabel("north in m")
     axes.legend(loc="upper right", fontsize=8)
-    figure.savefig(file, format="png", dpi=110)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # a name in a script that no installed font has
+        figure.savefig(file, format="png", dpi=110)
 
 
 def _draw_shed(axes: Any, shed: Shed, docking: Docking | None) -> None:
@@ -88,40 +87,3 @@ def _fill(axes: Any, shape: shapely.Polygon, colour: str) -> None:
     rings = [shape.exterior, *shape.interiors]
     outline = Outline.make_compound_path(*(Outline(list(ring.coords)) for ring in rings))
     axes.add_patch(PathPatch(outline, facecolor=colour, edgecolor="none"))
-
-
-def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
-    """FeatureCollection in longitude and latitude: planned strips, path sections, uncovered areas."""
-    datum = site.datum.datum
-
-    def degrees(points: Float64) -> Float64:
-        found = [datum.to_ellipsoid(float(x), float(y), 0.0)[:2] for x, y in points]
-        return np.asarray(np.round(np.degrees(np.array(found)[:, ::-1]), 8), np.float64)
-
-    def feature(shape: BaseGeometry, **properties: Any) -> dict[str, Any]:
-        return {"type": "Feature", "properties": properties, "geometry": mapping(shapely.transform(shape, degrees))}
-
-    found = []
-    if not plan.planned_area.is_empty:
-        found.append(feature(plan.planned_area, kind="planned", area_m2=round(plan.planned_area.area, 1)))
-    for path in plan.paths:
-        for section in path.sections:
-            points = path.p_map_m[section.first : section.last + 2]
-            if len(points) > 1:
-                found.append(
-                    feature(
-                        shapely.LineString(points),
-                        kind="path",
-                        section_type=str(section.section_type),
-                        line=section.line,
-                    )
-                )
-    found += [
-        feature(u.outline, kind="uncovered", reason=u.reason, area_m2=round(u.area_m2, 1)) for u in plan.uncovered
-    ]
-    return {"type": "FeatureCollection", "name": site.name, "features": found}
-
-
-def write_geojson(plan: Plan, site: Site, file: FilePath) -> None:
-    """Writes `plan_to_geojson` to a file."""
-    file.write_text(json.dumps(plan_to_geojson(plan, site)) + "\n", encoding="utf-8")

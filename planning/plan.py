@@ -149,6 +149,11 @@ def plan_field(
     )
 
 
+def check_within(plan: Plan, site: Site, margin_m: float) -> None:
+    """Raises FieldError where the rig of a plan would leave field, lane or yard of another site."""
+    check_inside(plan.paths, plan.rig, drivable_area_of(site, margin_m))
+
+
 def plan_line(line: Line, site: Site, rig: Rig, start: PoseConfig) -> Plan:
     """Plan of a line; raises FieldError where the rig would leave field, lane or yard."""
     drivable = drivable_area_of(site, PROOF_SLACK_M)

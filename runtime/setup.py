@@ -1,5 +1,6 @@
 """Setup of a run: mission, site, machine, implement, stack configuration and plan."""
 
+import argparse
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,9 +16,10 @@ from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, V
 from datasets.viewer import Viewer
 from interfaces.orders.config import ORDERS, OrderKey
 from messages.errors import ConfigError
-from planning.field.field import read_field
-from planning.field.site_generation import site_around
-from planning.plan import Plan, plan_mission
+from planning.field.field import FieldOutline, read_field
+from planning.field.site_generation import site_of, site_of_original
+from planning.guidance.recorded import choose_line, straight_in_map
+from planning.plan import Plan, check_within, plan_mission
 from runtime.stack import StackConfig, load_stack, with_detector, with_order_key
 from simulation.operator import AUTHORITY, operator_key, public_bytes
 from simulation.scenario import Scenario
@@ -28,10 +30,14 @@ SESSION_STREAM = 0x5E55  # of the session, which a real start draws from the ope
 
 @dataclass(frozen=True)
 class Setup:
-    """All inputs of a run except its world; `start` is the initial pose in map, `session` the nonce of the orders."""
+    """All inputs of a run except its world; `start` is the initial pose in map, `session` the nonce of the orders.
+
+    `surveyed` is the site with the outline of its field file before simplification.
+    """
 
     mission: Mission
     site: Site
+    surveyed: Site
     vehicle: Vehicle
     implement: MountedImplement | TrailedImplement
     stack: StackConfig
@@ -53,10 +59,31 @@ class Setup:
         return Viewer(config, self.vehicle, self.implement, self.site)
 
 
+def setup_from(arguments: argparse.Namespace) -> Setup:
+    """Setup of a command that drives or plans; raises ConfigError or FieldError."""
+    given = arguments
+    return load_setup(
+        given.mission, given.machine, given.implement, given.field, given.seed, given.bay,
+        feature=given.feature, guidance=given.guidance,
+    )  # fmt: skip
+
+
 def load_setup(
-    mission: str, machine: str | None, implement: str | None, field: str | None, seed: int, bay: str | None = None
+    mission: str,
+    machine: str | None,
+    implement: str | None,
+    field: str | None,
+    seed: int,
+    bay: str | None = None,
+    *,
+    feature: str | None = None,
+    guidance: str | None = None,
 ) -> Setup:
-    """Loads the named files and plans the mission, docking in `bay` if given; raises ConfigError or FieldError."""
+    """Loads the named files and plans the mission, docking in `bay` if given; raises ConfigError or FieldError.
+
+    `feature` is one of the fields of the file `field` and `guidance` one of its lines, to which swaths are parallel;
+    the plan is checked against the outline of the file, before simplification.
+    """
     chosen = load(Mission, find("missions", mission))
     # a site generated from a field outline has no shed
     chosen = chosen.model_copy(update={"site": field, "bay": None} if field else {})
@@ -66,11 +93,16 @@ def load_setup(
     mounted = load(ImplementFile, find("implements", chosen.implement)).implement
     vehicle = with_implement_sensors(vehicle, mounted)
     stack = with_order_key(load_stack(), "simulated_operator", simulated_operator_key(seed))
-    site = _site(chosen, field, vehicle, mounted)
+    outline = _outline(chosen, field, feature)
+    chosen = _with_guidance(chosen, outline, guidance)
+    site = _site(chosen, outline, vehicle, mounted)
     start, is_folded = start_pose(chosen, site, seed)
     plan = plan_mission(chosen, site, vehicle, mounted, stack.planning, start, seed)
+    surveyed = site if outline is None else site_of_original(site, outline)
+    if surveyed is not site and chosen.work is not None:
+        check_within(plan, surveyed, chosen.work.boundary_margin_m)
     session = np.random.default_rng([seed, SESSION_STREAM]).bytes(16).hex()
-    return Setup(chosen, site, vehicle, mounted, stack, plan, seed, start, is_folded, session)
+    return Setup(chosen, site, surveyed, vehicle, mounted, stack, plan, seed, start, is_folded, session)
 
 
 def simulated_operator_key(seed: int) -> OrderKey:
@@ -128,14 +160,36 @@ def _random_pose(pose: PoseConfig, spread: Spread | None, seed: int) -> PoseConf
     )
 
 
-def _site(
-    mission: Mission, field: str | None, vehicle: Vehicle, implement: MountedImplement | TrailedImplement
-) -> Site:
+def _outline(mission: Mission, field: str | None, feature: str | None) -> FieldOutline | None:
     if field is None:
-        return load(Site, find("sites", mission.site))
+        return None
     if mission.work is None:
         raise ConfigError(f"mission {mission.name!r} has no field work for {field}; select another mission")
-    return site_around(read_field(Path(field)), vehicle, implement, mission.work)
+    return read_field(Path(field), feature)
+
+
+def _with_guidance(mission: Mission, outline: FieldOutline | None, guidance: str | None) -> Mission:
+    """Mission whose swaths are parallel to the guidance line that the caller or the mission names."""
+    work = mission.work
+    guidance = guidance or (None if work is None else work.guidance)
+    if guidance is None or work is None:
+        return mission
+    if outline is None:
+        raise ConfigError(f"guidance {guidance!r}: is a line of a field file; give the file by --field")
+    line = straight_in_map(choose_line(outline.lines, guidance), outline.datum.datum)
+    direction = {"swath_direction_deg": math.degrees(line.heading_rad), "swath_through_m": line.a_m}
+    return mission.model_copy(update={"work": work.model_copy(update=direction | {"guidance": guidance})})
+
+
+def _site(
+    mission: Mission,
+    outline: FieldOutline | None,
+    vehicle: Vehicle,
+    implement: MountedImplement | TrailedImplement,
+) -> Site:
+    if outline is None or mission.work is None:
+        return load(Site, find("sites", mission.site))
+    return site_of(outline, vehicle, implement, mission.work)
 
 
 def with_implement_sensors(vehicle: Vehicle, implement: MountedImplement | TrailedImplement) -> Vehicle:

@@ -46,7 +46,7 @@ def swaths_over(bare: BaseGeometry, drivable: DrivableArea, rig: Rig, work: Work
     for part in parts(area, _least_m2(rig)):
         for block in blocks_of(part, rig.working_width_m) if direction is None else [part]:
             grown = block.buffer(GROWN_M, join_style="mitre")
-            for strip in strips_of(grown, rig.working_width_m, work.overlap_m, min_m, direction):
+            for strip in strips_of(grown, rig.working_width_m, work.overlap_m, min_m, direction, work.swath_through_m):
                 found += swaths_on(strip, rig, space)
     return found
 

@@ -50,16 +50,22 @@ class Swath:
 
 
 def strips_of(
-    area: BaseGeometry, width_m: float, overlap_m: float, min_m: float, direction_rad: float | None
+    area: BaseGeometry,
+    width_m: float,
+    overlap_m: float,
+    min_m: float,
+    direction_rad: float | None,
+    through_m: tuple[float, float] | None = None,
 ) -> list[Float64]:
     """Ends (2, 2) of strips that cover the area; without a direction each part along its edge of lowest cost.
 
-    `width_m` is the width of one strip; neighbours overlap by at least `overlap_m`.
+    `width_m` is the width of one strip; neighbours overlap by at least `overlap_m`. With `through_m` they overlap by
+    just that, and the middle of one of them, prolonged, passes through that point.
     """
     found: list[Float64] = []
     for part in parts(area, MIN_STRIP_M2):
         angles = [direction_rad] if direction_rad is not None else directions_of(part)
-        tried = [_along(part, width_m, overlap_m, min_m, angle) for angle in angles]
+        tried = [_along(part, width_m, overlap_m, min_m, angle, through_m) for angle in angles]
         found += min(tried, key=cost_m)
     return found
 
@@ -85,26 +91,47 @@ def directions_of(part: Polygon) -> list[float]:
     return [angle for angle, _ in sorted(sums, key=lambda e: -e[1])[:MAX_DIRECTIONS]] or [0.0]
 
 
-def _along(part: Polygon, width_m: float, overlap_m: float, min_m: float, angle_rad: float) -> list[Float64]:
+def _along(
+    part: Polygon,
+    width_m: float,
+    overlap_m: float,
+    min_m: float,
+    angle_rad: float,
+    through_m: tuple[float, float] | None,
+) -> list[Float64]:
     flat = rotate(part, -angle_rad, origin=(0.0, 0.0), use_radians=True)
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     R = np.array([[c, -s], [s, c]])
-    return [np.array([[x0, y], [x1, y]]) @ R.T for x0, x1, y in _strips(flat, width_m, overlap_m, min_m)]
+    through = None if through_m is None else float((np.array(through_m) @ R)[1])
+    middles, pitch = _middles(flat.bounds[1], flat.bounds[3], width_m, overlap_m, through)
+    return [np.array([[x0, y], [x1, y]]) @ R.T for x0, x1, y in _strips(flat, middles, pitch, min_m)]
 
 
-def _strips(part: Polygon, width_m: float, overlap_m: float, min_m: float) -> list[tuple[float, float, float]]:
+def _middles(
+    low: float, high: float, width_m: float, overlap_m: float, through: float | None
+) -> tuple[list[float], float]:
+    """Heights of the middles of strips over an interval, and their distance, the width for a single one."""
+    if through is not None:
+        pitch = width_m - overlap_m
+        first, last = math.ceil((low - through) / pitch - 0.5), math.floor((high - through) / pitch + 0.5)
+        return [through + k * pitch for k in range(first, max(last, first) + 1)], pitch
+    height = high - low
+    count = max(1, math.ceil((height - overlap_m) / (width_m - overlap_m) - 1e-3))
+    if count == 1:
+        return [(low + high) / 2.0], width_m
+    pitch = (height - width_m) / (count - 1)
+    return [low + width_m / 2.0 + k * pitch for k in range(count)], pitch
+
+
+def _strips(part: Polygon, middles: list[float], pitch: float, min_m: float) -> list[tuple[float, float, float]]:
     """Start, end and height of the strips of a polygon along x, from below."""
     x0, y0, x1, y1 = part.bounds
-    height = y1 - y0
-    count = max(1, math.ceil((height - overlap_m) / (width_m - overlap_m) - 1e-3))
-    pitch = (height - width_m) / (count - 1) if count > 1 else 0.0
-    middles = [y0 + width_m / 2.0 + k * pitch for k in range(count)] if count > 1 else [(y0 + y1) / 2.0]
     found = []
     for k, y in enumerate(middles):
         # neighbours share the overlap: each strip covers up to its middle
-        reach = pitch / 2.0 + 1e-6 if count > 1 else width_m / 2.0
+        reach = pitch / 2.0 + 1e-6
         low = y0 if k == 0 else y - reach
-        high = y1 if k == count - 1 else y + reach
+        high = y1 if k == len(middles) - 1 else y + reach
         for piece in parts(part.intersection(box(x0 - 1.0, low, x1 + 1.0, high)), MIN_STRIP_M2):
             a, _, b, _ = piece.bounds
             found.append((*_min_length(a, b, min_m), y))

@@ -1,142 +1,135 @@
-"""Reader of fields from GeoJSON (RFC 7946: longitude, latitude on WGS 84); each error names value and position."""
+"""Reader of one field from a file; each error names value and position."""
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import shapely
 from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
 
 from configs.site import DatumConfig
+from geometry.arrays import Float64
 from geometry.geodesy import Datum
 from geometry.polygon import as_polygon
 from messages.errors import FieldError
+from planning.field.feature_choice import Choice, choose
+from planning.field.formats.contents import FieldFile, LonLat, RecordedLine, Ring
+from planning.field.formats.known_formats import read_file
+from planning.field.simplification import simplified_inwards
 
 MIN_AREA_M2 = 100.0
 MAX_EXTENT_M = 5000.0
-MAX_POINTS = 20_000
-MAX_BYTES = 20_000_000
-LonLat = list[tuple[float, float]]
+MAX_POINTS = 200_000
+SAME_POINT_M = 0.01
+OBSTACLE_M = 1.0  # kept clear around obstacles without area
 
 
 @dataclass(frozen=True)
 class FieldOutline:
-    """Outline and no-go areas (holes) of a field in `map` about `datum`."""
+    """A field in `map` about `datum`.
+
+    `polygon` has its outline and, as holes, areas without work; it lies within `original`, from which it was
+    simplified (None: it was not). `no_go` are further areas with their names, which may overlap the outline. `lines`
+    are the guidance lines of the file for this field, `notes` what the file holds beside it.
+    """
 
     name: str
     datum: DatumConfig
     polygon: Polygon
+    original: Polygon | None = None
+    no_go: tuple[tuple[str, Polygon], ...] = ()
+    lines: tuple[RecordedLine, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
-def read_field(path: Path) -> FieldOutline:
-    """The single field of a GeoJSON file; raises FieldError."""
-    name, rings = _only_polygon(_content(path), path)
-    for ring in rings:
-        _check_closed(ring, path)
+def read_field(path: Path, feature: str | None = None) -> FieldOutline:
+    """The field of a file that `feature` names (name, number from 1, with `.` the part), or the only one.
+
+    Raises FieldError.
+    """
+    return outline_of(read_file(path), path, feature)
+
+
+def outline_of(contents: FieldFile, path: Path, feature: str | None = None) -> FieldOutline:
+    """The same from the contents of the file."""
+    choice = choose(contents, feature, str(path))
+    try:
+        original, datum, no_go = _in_map(choice)
+    except FieldError as error:
+        raise FieldError(f"{path}: {error}") from error
+    polygon = simplified_inwards(original)
+    lines = tuple(line for line in contents.lines if line.feature in (None, choice.index))
+    return FieldOutline(
+        choice.name or path.stem, datum, polygon, original, no_go, lines, (*contents.notes, *_notes(original, polygon))
+    )
+
+
+def _notes(original: Polygon, polygon: Polygon) -> tuple[str, ...]:
+    before, after = (len(shapely.get_coordinates(p)) for p in (original, polygon))
+    return (f"simplified inwards: {before} vertices to {after}",) if before - after > 1000 else ()
+
+
+def _in_map(choice: Choice) -> tuple[Polygon, DatumConfig, tuple[tuple[str, Polygon], ...]]:
+    """Polygon as in the file, its datum, and further no-go areas; raises FieldError without the name of the file."""
+    if sum(map(len, choice.rings)) > MAX_POINTS:
+        raise FieldError(f"more than {MAX_POINTS} points; simplify the outline")
+    rings = _continuous([*choice.rings, *(ring for _, ring in choice.feature.no_go)])
+    for ring in rings[: len(choice.rings)]:
+        if len(ring) < 4:
+            raise FieldError(f"{len(ring)} points have no area; a ring has three corners and its first point again")
     datum = _datum(rings[0])
-    polygon = Polygon(_to_map(rings[0], datum.datum), [_to_map(r, datum.datum) for r in rings[1:]])
-    _check(polygon, datum.datum, path)
-    return FieldOutline(name or path.stem, datum, as_polygon(shapely.remove_repeated_points(polygon, 0.01).normalize()))
+    in_map = [_to_map(ring, datum.datum) for ring in rings]
+    count = len(choice.rings)
+    polygon = Polygon(in_map[0], in_map[1:count])
+    _check(polygon, datum.datum)
+    names = [name for name, _ in choice.feature.no_go]
+    areas = [(name, _to_avoid(ring)) for name, ring in zip(names, in_map[count:], strict=True) if len(ring)]
+    no_go = tuple((name, area) for name, area in areas if area.intersects(polygon))
+    left_m2 = polygon.difference(shapely.union_all([area for _, area in no_go])).area
+    if left_m2 < MIN_AREA_M2:
+        raise FieldError(f"its no-go areas leave {left_m2:.1f} m² of the field (at least {MIN_AREA_M2:g} m²)")
+    return as_polygon(shapely.remove_repeated_points(polygon, SAME_POINT_M).normalize()), datum, no_go
 
 
-def _content(path: Path) -> Any:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise FieldError(f"{path}: larger than {MAX_BYTES // 10**6} MB; export the outline of one field alone")
-        return json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise FieldError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise FieldError(f"{path}: not valid JSON ({error}); export the field as GeoJSON") from error
+def _continuous(rings: list[Ring]) -> list[Ring]:
+    """Rings of a field on both sides of 180° with longitudes above 180°."""
+    longitudes = [point[0] for ring in rings for point in ring]
+    if not longitudes or max(longitudes) - min(longitudes) <= 180.0:
+        return rings
+    return [[(x + 360.0 if x < 0.0 else x, y) for x, y in ring] for ring in rings]
 
 
-def _only_polygon(content: Any, path: Path) -> tuple[str, list[LonLat]]:
-    found = _polygons(content, "", path)
-    if len(found) != 1:
-        count = f"{len(found)} fields" if found else "no polygon"
-        raise FieldError(f"{path}: holds {count}; give a file with one Polygon")
-    name, coordinates = found[0]
-    if not isinstance(coordinates, list) or not coordinates or not coordinates[0]:
-        raise FieldError(f"{path}: the polygon is empty; give it an outline")
-    rings = [[_lon_lat(p, path) for p in _list(ring, path)] for ring in coordinates]
-    if sum(map(len, rings)) > MAX_POINTS:
-        raise FieldError(f"{path}: more than {MAX_POINTS} points; simplify the outline")
-    return name, rings
+def _to_avoid(points_m: Float64) -> Polygon:
+    """Area of a closed ring, or its hull where it crosses itself; 1 m around lines, points, rings without area."""
+    is_closed = len(points_m) >= 4 and bool((points_m[0] == points_m[-1]).all())
+    area: BaseGeometry = Polygon(points_m) if is_closed else Polygon()
+    if not area.is_valid:
+        area = area.convex_hull
+    if not isinstance(area, Polygon) or area.is_empty:
+        area = shapely.MultiPoint(points_m) if len(points_m) == 1 else shapely.LineString(points_m)
+        area = area.buffer(OBSTACLE_M, quad_segs=4)
+    return as_polygon(area)
 
 
-def _polygons(node: Any, name: str, path: Path) -> list[tuple[str, Any]]:
-    """All polygons at or below a GeoJSON object, with the name of their feature."""
-    kind = node.get("type") if isinstance(node, dict) else None
-    if kind == "FeatureCollection":
-        return [p for feature in _list(node.get("features"), path) for p in _polygons(feature, name, path)]
-    if kind == "Feature":
-        properties = node.get("properties")
-        own = [v for k, v in properties.items() if k.lower() == "name"] if isinstance(properties, dict) else []
-        return _polygons(node.get("geometry"), str(own[0]) if own else name, path)
-    if kind == "GeometryCollection":
-        return [p for g in _list(node.get("geometries"), path) for p in _polygons(g, name, path)]
-    if kind == "MultiPolygon":
-        return [(name, polygon) for polygon in _list(node.get("coordinates"), path)]
-    if kind == "Polygon":
-        return [(name, node.get("coordinates"))]
-    raise FieldError(f"{path}: {kind or type(node).__name__!s} where a Polygon is needed; draw the field as a polygon")
-
-
-def _list(value: Any, path: Path) -> list[Any]:
-    if not isinstance(value, list):
-        raise FieldError(f"{path}: {_short(value)} where a list is needed; export the field as GeoJSON again")
-    return value
-
-
-def _lon_lat(point: Any, path: Path) -> tuple[float, float]:
-    numbers = isinstance(point, list) and len(point) >= 2
-    if not numbers or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in point[:2]):
-        raise FieldError(f"{path}: point {_short(point)} is not [longitude, latitude] in degrees")
-    try:
-        longitude, latitude = float(point[0]), float(point[1])
-    except OverflowError:
-        longitude = latitude = math.inf
-    if not (math.isfinite(longitude) and math.isfinite(latitude)):
-        raise FieldError(f"{path}: point {_short(point)} is not a finite number; correct or remove it")
-    if abs(latitude) > 90.0:
-        raise FieldError(
-            f"{path}: latitude {latitude:g} is beyond ±90°; points are [longitude, latitude], in this order"
-        )
-    if abs(longitude) > 180.0:
-        raise FieldError(
-            f"{path}: longitude {longitude:g} is beyond ±180°; points are [longitude, latitude] in degrees"
-        )
-    return longitude, latitude
-
-
-def _check_closed(ring: LonLat, path: Path) -> None:
-    if len(ring) < 4:
-        raise FieldError(f"{path}: {len(ring)} points have no area; a ring has three corners and its first point again")
-    if ring[0] != ring[-1]:
-        raise FieldError(f"{path}: not closed: {_at(ring[0])} is not the last point too; repeat it at the end")
-
-
-def _datum(ring: LonLat) -> DatumConfig:
+def _datum(ring: Ring) -> DatumConfig:
     """Origin near the south-west corner, rounded to 1e-6 degrees."""
     lon, lat = np.min(np.array(ring), axis=0)
     return DatumConfig(latitude_deg=round(float(lat), 6), longitude_deg=round(float(lon), 6), height_m=0.0)
 
 
-def _to_map(ring: LonLat, datum: Datum) -> list[tuple[float, float]]:
-    points = [datum.to_map(math.radians(lat), math.radians(lon), 0.0) for lon, lat in ring]
-    return [(round(x, 4), round(y, 4)) for x, y, _ in points]
+def _to_map(ring: Ring, datum: Datum) -> Float64:
+    return np.round(datum.points_to_map(np.array(ring, np.float64)), 4)
 
 
-def _check(polygon: Polygon, datum: Datum, path: Path) -> None:
+def _check(polygon: Polygon, datum: Datum) -> None:
     if not np.isfinite(polygon.bounds).all() or max(polygon.bounds[2:]) - min(polygon.bounds[:2]) > MAX_EXTENT_M:
-        raise FieldError(f"{path}: wider than {MAX_EXTENT_M / 1000:g} km; points are [longitude, latitude] in degrees")
+        raise FieldError(f"wider than {MAX_EXTENT_M / 1000:g} km; points are [longitude, latitude] in degrees")
     if not polygon.is_valid:
-        raise FieldError(f"{path}: {_invalid(polygon, datum)}; draw the outline without crossings")
+        raise FieldError(f"{_invalid(polygon, datum)}; draw the outline without crossings")
     if polygon.area < MIN_AREA_M2:
-        raise FieldError(f"{path}: {polygon.area:.1f} m² is too small for a field (at least {MIN_AREA_M2:g} m²)")
+        raise FieldError(f"{polygon.area:.1f} m² is too small for a field (at least {MIN_AREA_M2:g} m²)")
 
 
 def _invalid(polygon: Polygon, datum: Datum) -> str:
@@ -146,14 +139,10 @@ def _invalid(polygon: Polygon, datum: Datum) -> str:
         return reason
     x, y = (float(v) for v in place.rstrip("]").split())
     lat, lon, _ = datum.to_ellipsoid(x, y, 0.0)
-    text = "outline crosses itself" if text.startswith(("Self-inter", "Ring Self")) else text.lower()
+    known = {"Self-inter": "outline crosses itself", "Ring Self-": "outline crosses itself"}
+    text = known.get(text[:10], "less than three corners" if text.startswith("Too few") else text.lower())
     return f"{text} at {_at((math.degrees(lon), math.degrees(lat)))}"
 
 
-def _at(point: tuple[float, float]) -> str:
+def _at(point: LonLat) -> str:
     return f"longitude {point[0]:.7g}, latitude {point[1]:.7g}"
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

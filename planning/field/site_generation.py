@@ -1,17 +1,18 @@
-"""Site of a bare field: gate, lane and yard outside its longest suitable edge."""
+"""Site of a bare field: gate, lane and yard outside its longest suitable edge, or a start within the field."""
 
 import math
 
 import numpy as np
 import shapely
 from shapely.geometry import LinearRing, LineString, Polygon
+from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from configs.mission import Work
 from configs.site import Area, Gate, Lane, Point, PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
 from geometry.arrays import Float64
-from geometry.polygon import as_polygon, shrink
+from geometry.polygon import as_polygon, polygon_of, shrink
 from messages.errors import FieldError
 from planning.field.field import FieldOutline
 
@@ -21,11 +22,28 @@ GATE_SPARE_M = 1.6  # width beyond body and margins, both sides together
 YARD_DEPTH_M = 24.0
 POSTS_OUT_M = 0.5  # distance of the fence outside the field edge
 SPARE_M = 0.1  # at the start, beyond the margin to the edge
+CENTRE_ERROR_M = 0.1
 EDGE_SHARES = (0.5, 0.35, 0.65, 0.2, 0.8)
 
 
-def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
-    """Site of a bare field; raises FieldError when no edge has room for gate and yard."""
+def site_of(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
+    """Site of a bare field: with a gate where an edge has room for it, else the machine starts within the field.
+
+    It starts where it is furthest from all edges, parallel to the longest one. Raises FieldError when it has no place.
+    """
+    if (site := site_around(outline, vehicle, implement, work)) is not None:
+        return site
+    room = outline.polygon.difference(shapely.union_all([area for _, area in outline.no_go]))
+    circle = shapely.maximum_inscribed_circle(polygon_of(room), CENTRE_ERROR_M)
+    a, b = _edges(outline.polygon)[0]
+    centre, along = np.array(circle.coords[0]), (b - a) / np.hypot(*(b - a))
+    inner = shrink(room, work.boundary_margin_m + SPARE_M)
+    site = _start_at(outline, centre, along, _extent(vehicle, implement), inner)
+    return site or site_within(outline, vehicle, implement, work)
+
+
+def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site | None:
+    """Site of a bare field with a gate, None when no edge has room for gate and yard."""
     widest = max(vehicle.body.width_m, implement.width_m)
     gate_m = widest + 2.0 * work.boundary_margin_m + GATE_SPARE_M
     for a, b in _edges(outline.polygon):
@@ -33,47 +51,64 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
             if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
                 continue
             site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m)
-            if _is_clear(site, outline.polygon):
+            if _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
                 return site
-    raise FieldError(
-        f"field {outline.name!r}: no edge has room for a gate {gate_m:.1f} m wide; give a site with gate and lane"
-    )
+    return None
 
 
 def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
     """Site of a bare field without gate: the machine starts within it, along an edge; raises FieldError."""
-    widest = max(vehicle.body.width_m, implement.width_m)
-    front, rear = vehicle.body.front_m, max(vehicle.body.rear_m, -implement.ends_m[1])
+    extent = _extent(vehicle, implement)
     room = shrink(outline.polygon, work.boundary_margin_m + SPARE_M)
     for a, b in _edges(outline.polygon):
         along = (b - a) / np.hypot(*(b - a))
         out = np.array([along[1], -along[0]])
         for share in EDGE_SHARES:
-            middle = a + share * (b - a) - (work.boundary_margin_m + SPARE_M + 0.5 * widest) * out
-            ends = [middle + x * along + y * out for x, y in _corners(-rear, front, 0.5 * widest)]
-            if room.covers(Polygon(ends)):
-                yard = Area(name="start", outline_m=tuple((round(float(x), 3), round(float(y), 3)) for x, y in ends))
-                heading = math.degrees(math.atan2(along[1], along[0]))
-                start = PoseConfig(x_m=round(float(middle[0]), 3), y_m=round(float(middle[1]), 3), heading_deg=heading)
-                return _bare(outline, yard, start)
-    raise FieldError(f"field {outline.name!r}: no place for a machine {widest:.1f} m wide along any edge")
+            middle = a + share * (b - a) - (work.boundary_margin_m + SPARE_M + extent[2]) * out
+            if (site := _start_at(outline, middle, along, extent, room)) is not None:
+                return site
+    raise FieldError(f"field {outline.name!r}: no place for a machine {2.0 * extent[2]:.1f} m wide along any edge")
 
 
-def _corners(rear: float, front: float, half: float) -> tuple[tuple[float, float], ...]:
-    return (rear, -half), (front, -half), (front, half), (rear, half)
+def _extent(vehicle: Vehicle, implement: Implement) -> tuple[float, float, float]:
+    """Rear and front of the machine with its implement along x of `base`, and half the width."""
+    rear = max(vehicle.body.rear_m, -implement.ends_m[1])
+    return -rear, vehicle.body.front_m, 0.5 * max(vehicle.body.width_m, implement.width_m)
+
+
+def _start_at(
+    outline: FieldOutline, at: Float64, along: Float64, extent: tuple[float, float, float], room: BaseGeometry
+) -> Site | None:
+    """Site without gate whose start is at a point, heading along a unit vector; None when it leaves `room`."""
+    (rear, front, half), left = extent, np.array([-along[1], along[0]])
+    ends = [at + x * along + y * left for x, y in ((rear, -half), (front, -half), (front, half), (rear, half))]
+    if not room.covers(Polygon(ends)):
+        return None
+    yard = Area(name="start", outline_m=tuple((round(float(x), 3), round(float(y), 3)) for x, y in ends))
+    heading = math.degrees(math.atan2(along[1], along[0]))
+    start = PoseConfig(x_m=round(float(at[0]), 3), y_m=round(float(at[1]), 3), heading_deg=heading)
+    return _bare(outline, yard, start)
 
 
 def _bare(outline: FieldOutline, yard: Area, start: PoseConfig) -> Site:
     return Site(
         name=outline.name, version=1, datum=outline.datum, boundary_m=_points(outline.polygon.exterior),
-        no_go=_holes(outline), yard=yard, start=start, is_fenced=False,
+        no_go=_no_go(outline, outline.polygon), yard=yard, start=start, is_fenced=False,
     )  # fmt: skip
 
 
-def _holes(outline: FieldOutline) -> tuple[Area, ...]:
-    return tuple(
-        Area(name=f"no-go area {k + 1}", outline_m=_points(ring)) for k, ring in enumerate(outline.polygon.interiors)
-    )
+def site_of_original(site: Site, outline: FieldOutline) -> Site:
+    """The site with the outline of the field as in its file, before simplification."""
+    if outline.original is None:
+        return site
+    boundary = _points(outline.original.exterior)
+    return site.model_copy(update={"boundary_m": boundary, "no_go": _no_go(outline, outline.original)})
+
+
+def _no_go(outline: FieldOutline, polygon: Polygon) -> tuple[Area, ...]:
+    """Holes of the polygon, and the further areas to keep out of."""
+    holes = (Area(name=f"no-go area {k + 1}", outline_m=_points(r)) for k, r in enumerate(polygon.interiors))
+    return (*holes, *(Area(name=name, outline_m=_points(area.exterior)) for name, area in outline.no_go))
 
 
 def _points(ring: LinearRing) -> tuple[Point, ...]:
@@ -104,13 +139,20 @@ def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float)
         version=1,
         datum=outline.datum,
         boundary_m=_points(outline.polygon.exterior),
-        no_go=_holes(outline),
+        no_go=_no_go(outline, outline.polygon),
         lanes=(Lane(name="lane", center_m=(at(0.0, near + 4.0), at(0.0, -INTO_FIELD_M)), width_m=gate_m),),
         gates=(Gate(name="gate", posts_m=(at(-half, POSTS_OUT_M), at(half, POSTS_OUT_M))),),
         yard=Area(name="yard", outline_m=(at(-wide, near), at(-wide, far), at(wide, far), at(wide, near))),
         start=PoseConfig(x_m=start[0], y_m=start[1], heading_deg=heading),
         is_fenced=False,
     )
+
+
+def _meets_no_go(site: Site, outline: FieldOutline) -> bool:
+    """True if lane or yard meet an area to keep out of that is no hole of the field."""
+    lane = LineString(site.lanes[0].center_m).buffer(site.lanes[0].width_m / 2.0, cap_style="flat")
+    used = shapely.union_all([lane, Polygon(site.yard.outline_m)])
+    return any(bool(area.intersects(used)) for _, area in outline.no_go)
 
 
 def _is_clear(site: Site, field: Polygon) -> bool:

@@ -57,9 +57,11 @@ def model(text: str) -> Path:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def file_name(text: str) -> str:
-    """Type of the name of an existing file."""
-    return str(file(text))
+def path_name(text: str) -> str:
+    """Type of the name of an existing file or folder."""
+    if not Path(text).exists():
+        raise argparse.ArgumentTypeError(f"{text}: no such file or folder")
+    return text
 
 
 def existing(text: str) -> Path:

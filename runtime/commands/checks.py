@@ -1,16 +1,24 @@
 """Arguments that name files of `configs/`, checked before the imports that take seconds."""
 
 import argparse
+import sys
+from pathlib import Path
 
-from configs.mission import Mission
-from configs.site import Site
-from configs.strict import find, load
-from configs.vehicle import ImplementFile, Vehicle
 from messages.errors import HeadlandError
 
 
 def check_drive(arguments: argparse.Namespace) -> None:
-    """Raises HeadlandError for a mission, machine, implement, scenario or bay that does not exist or is invalid."""
+    """Raises HeadlandError for a mission, machine, implement, scenario, field or bay that is missing or invalid.
+
+    Prints what a field file holds beside the field, one line each.
+    """
+    check_field(arguments)
+    # only now: the imports take 0.5 s, and a wrong field file is reported at once
+    from configs.mission import Mission
+    from configs.site import Site
+    from configs.strict import find, load
+    from configs.vehicle import ImplementFile, Vehicle
+
     mission = load(Mission, find("missions", arguments.mission))
     load(Vehicle, find("machines", arguments.machine or mission.machine))
     load(ImplementFile, find("implements", arguments.implement or mission.implement))
@@ -22,3 +30,27 @@ def check_drive(arguments: argparse.Namespace) -> None:
     if site.shed is None:
         raise HeadlandError(f"--bay {arguments.bay}: the site {mission.site} has no shed")
     site.shed.bay(arguments.bay)
+
+
+def check_field(arguments: argparse.Namespace) -> None:
+    """Raises HeadlandError for a field file without the field that is asked for; prints its notes."""
+    if arguments.field is None:
+        for name in ("feature", "guidance"):
+            if (given := getattr(arguments, name)) is not None:
+                raise HeadlandError(f"--{name} {given}: is taken from a field file; give the file by --field")
+        return
+    from planning.field.feature_choice import choose
+    from planning.field.formats.known_formats import read_file
+
+    path = Path(arguments.field)
+    contents = read_file(path)
+    choose(contents, arguments.feature, str(path))
+    # only now: the import takes 0.5 s, and a file of another kind is reported at once
+    from planning.field.field import outline_of
+    from planning.guidance.recorded import choose_line, straight_in_map
+
+    outline = outline_of(contents, path, arguments.feature)
+    if arguments.guidance is not None:
+        straight_in_map(choose_line(outline.lines, arguments.guidance), outline.datum.datum)
+    for note in outline.notes:
+        sys.stderr.write(f"{arguments.field}: {note}\n")

@@ -11,12 +11,12 @@ from typing import Any, NoReturn
 from runtime.commands.argument_types import (
     existing,
     file,
-    file_name,
     folder,
     model,
     names_of,
     new_file,
     number,
+    path_name,
     regex,
     whole,
 )
@@ -64,8 +64,16 @@ PLANT = _option(
     help="true parameters of the machine: as configured, drawn from the seed, as bad as the stopping distance allows, "
     "or as configured with that brake (default: the scenario's)",
 )  # fmt: skip
+FIELD_FILE = "GeoJSON, KML, KMZ, Shapefile, ISOXML or GAOS file, or a folder or ZIP archive of it"
 FIELD = _option(
-    "--field", type=file_name, metavar="FILE.geojson", help="field outline that replaces the mission's site"
+    "--field", type=path_name, metavar="FILE", help=f"field outline that replaces the mission's site: {FIELD_FILE}"
+)
+FEATURE = _option(
+    "--feature", metavar="NAME",
+    help="field of a file with several: its name, or its number from 1; with .PART one part of it",
+)  # fmt: skip
+GUIDANCE = _option(
+    "--guidance", metavar="LINE", help="AB or A+ line of the field file, by name or number: swaths are parallel to it"
 )
 BUS_NAMES = "CAN bus: loopback:GROUP:PORT, or INTERFACE:CHANNEL of python-can such as socketcan:can0"
 MISSION = (
@@ -84,14 +92,14 @@ SITUATIONS = ("turn", "swath", "obstacle", "docking")
 RESUMES = "; results already in it are kept"
 COMMANDS = (
     Command("run", "drive a mission in simulation and write the report", "runtime.commands.run", (
-        FIELD, *MISSION, SCENARIO, PLANT, SEED, MODEL, DURATION,
+        FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, PLANT, SEED, MODEL, DURATION,
         _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
         _out("run"), JSON,
     )),
     Command("live", "run the stack in real time, one process per part", "runtime.commands.live", (
         _option("--world", choices=["simulation"], required=True, help="the machine that is driven"),
         _option("--bus", default="loopback", metavar="NAME", help=f"{BUS_NAMES} (default: a loopback bus of its own)"),
-        FIELD, *MISSION, SCENARIO, SEED, DURATION,
+        FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, SEED, DURATION,
         _option("--kill", metavar="PROCESS:SIGNAL:S", help="send KILL or STOP to a process, e.g. safety:KILL:20"),
         _option("--reaction-trials", type=whole(0, 1_000_000), default=0, metavar="N",
                 help="measure reaction times to N pop-ups"),
@@ -101,9 +109,9 @@ COMMANDS = (
         _option("--bus", required=True, metavar="NAME", help=f"{BUS_NAMES}, as `live` reports it"),
         DURATION, _out("shadow"), JSON,
     )),
-    Command("plan", "plan a field: figure, GeoJSON, path length and area", "runtime.commands.plan", (
-        _option("field", type=file_name, metavar="FIELD.geojson", help="field outline (WGS 84); holes are excluded"),
-        *MISSION, SEED, _out("plan"), JSON,
+    Command("plan", "plan a field: figure, GeoJSON, KML, ISOXML, path length and area", "runtime.commands.plan", (
+        _option("field", type=path_name, metavar="FIELD", help=f"field outline, holes are excluded: {FIELD_FILE}"),
+        FEATURE, GUIDANCE, *MISSION, SEED, _out("plan"), JSON,
     )),
     Command("coverage", "show which swept places the sensors cover", "runtime.commands.coverage", (
         _option("machine", metavar="MACHINE", help="a file, or a name in configs/machines"),

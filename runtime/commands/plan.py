@@ -1,10 +1,11 @@
-"""`headland plan`: plans a field without driving; writes figure, GeoJSON, path length and areas."""
+"""`headland plan`: plans a field without driving; writes figure, GeoJSON, KML, ISOXML, path length and areas."""
 
 import argparse
 import json
 import sys
 
 from runtime.commands.checks import check_drive
+from runtime.commands.options import version
 from runtime.run_folder import RunFolder, command_of, named_errors, resolved, versions
 
 
@@ -16,18 +17,20 @@ def main(arguments: argparse.Namespace) -> int:
     check_drive(arguments)
     with RunFolder("plan", arguments.out, command_of(arguments)) as folder:
         # only now: these imports take seconds, and a wrong argument is reported at once
-        from planning.drawing import draw_plan, write_geojson
-        from runtime.setup import load_setup
+        from planning.drawing import draw_plan
+        from planning.export.geojson import write_geojson
+        from planning.export.isoxml import write_isoxml
+        from planning.export.kml import write_kml
+        from runtime.setup import setup_from
 
-        setup = load_setup(
-            arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
-        )
+        setup = setup_from(arguments)
         plan = setup.plan
         result = {
             "length_m": round(plan.length_m, 1),
             "field_m2": round(plan.field_area_m2, 1),
             "planned_m2": round(plan.planned_area.area, 1),
             "planned_share": round(plan.planned_share, 4),
+            "gate": bool(setup.site.gates),
             "swaths": len(plan.swaths),
             "headland_passes": len(plan.headland_passes),
             "uncovered": [
@@ -40,15 +43,18 @@ def main(arguments: argparse.Namespace) -> int:
         with named_errors(folder.path):
             folder.file("config.yaml").write_text(config, encoding="utf-8")
             draw_plan(plan, setup.site, folder.file("plan.png"))
-            write_geojson(plan, setup.site, folder.file("plan.geojson"))
+            write_geojson(plan, setup.surveyed, folder.file("plan.geojson"))
+            write_kml(plan, setup.surveyed, folder.file("plan.kml"))
+            write_isoxml(plan, setup.surveyed, folder.file("TASKDATA"), version())
         folder.record("result", {"result": result})
         folder.finish()
     if arguments.json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
         share = 100.0 * plan.planned_share
+        gate = "" if setup.site.lanes else ", from a start within the field without a gate"
         sys.stdout.write(
-            f"{plan.length_m:.0f} m path, {share:.1f} % of {plan.field_area_m2:.0f} m² planned: {folder.path}\n"
+            f"{plan.length_m:.0f} m path, {share:.1f} % of {plan.field_area_m2:.0f} m² planned{gate}: {folder.path}\n"
         )
     least = 0.0 if setup.mission.work is None else setup.mission.work.least_planned_share
     if plan.planned_share >= least:

@@ -14,12 +14,10 @@ def main(arguments: argparse.Namespace) -> int:
     check_drive(arguments)
     with RunFolder("run", arguments.out, command_of(arguments)) as folder, Interruption() as interruption:
         # only now: these imports take seconds, and a wrong argument is reported at once
-        from runtime.setup import load_scenario, load_setup, with_model
+        from runtime.setup import load_scenario, setup_from, with_model
         from runtime.simulated_drive import drive
 
-        setup = load_setup(
-            arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
-        )
+        setup = setup_from(arguments)
         setup = with_model(setup, arguments.model)
         scenario = load_scenario(arguments.scenario, setup.mission, arguments.field, arguments.plant)
         is_ablation, limit_s = arguments.without_obstacle_rules, arguments.duration

@@ -35,7 +35,7 @@ from runtime.live.process import Start, run_process, started_at
 from runtime.live.ring import RingReader, make_ring
 from runtime.live.serialization import unpack
 from runtime.run_folder import RunFolder, resolved, versions
-from runtime.setup import Setup, load_scenario, load_setup, start_notes
+from runtime.setup import Setup, load_scenario, setup_from, start_notes
 from simulation.scenario import Scenario
 
 RINGS_PREFIX = "headland-rings-"
@@ -61,9 +61,7 @@ def run_live(
     arguments: argparse.Namespace, folder: RunFolder, kill: ProcessKill | None, interruption: Interruption, bus: str
 ) -> int:
     """Drives and prints the result; 0 if the mission ended without a fault, or the machine stopped after the kill."""
-    setup = load_setup(
-        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
-    )
+    setup = setup_from(arguments)
     scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
     result = drive(setup, scenario, folder, kill, arguments.duration, arguments.reaction_trials, interruption, bus)
     sys.stdout.write(json.dumps(result) + "\n" if arguments.json else _summary(result))

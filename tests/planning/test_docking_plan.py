@@ -25,7 +25,8 @@ from planning.docking.clearance import Bounds, clearance_m
 from planning.docking.curvature_ramps import runs_of, solve_endpoint
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
 from planning.docking.reeds_shepp import Segment, cusps, length_m, reeds_shepp_paths
-from planning.drawing import draw_plan, plan_to_geojson
+from planning.drawing import draw_plan
+from planning.export.geojson import plan_to_geojson
 from planning.plan import plan_mission
 from planning.rig import rig_of
 
@@ -307,7 +308,8 @@ def test_docking_only_mission(
     assert plan.planned_share == 0.0
     draw_plan(plan, site, tmp_path / "plan.png")
     assert (tmp_path / "plan.png").stat().st_size > 10_000
-    section_types = {f["properties"].get("section_type") for f in plan_to_geojson(plan, site)["features"]}
+    paths = [f["properties"] for f in plan_to_geojson(plan, site)["features"] if f["properties"]["kind"] == "path"]
+    section_types = {p["section_type"] for p in paths}
     assert section_types == {"dock"}
 
 

@@ -1,12 +1,13 @@
 """Fields from GeoJSON: valid ones are read, invalid ones are refused with value or position."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from shapely.geometry import Point, Polygon
+from shapely.geometry import LineString, Point, Polygon
 
 from configs.mission import Mission
 from configs.strict import find, load
@@ -14,7 +15,7 @@ from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from messages.errors import FieldError
 from planning.config import PlanningConfig
 from planning.field.field import read_field
-from planning.field.site_generation import site_around
+from planning.field.site_generation import site_around, site_of
 from planning.plan import plan_field
 from tests.recordings import DATA, needs
 
@@ -60,11 +61,11 @@ def test_hole_as_no_go_area(tmp_path: Path, vehicle: Vehicle, harrow: MountedImp
     ("content", "words"),
     [
         ("{", "not valid JSON"),
-        ("", "not valid JSON"),
+        ("", "the file is empty"),
         ("[]", "list where a Polygon"),
         ("null", "NoneType where a Polygon"),
-        ({"type": "Point", "coordinates": [6.0, 51.0]}, "Point where a Polygon"),
-        ({"type": "LineString", "coordinates": SQUARE}, "LineString where a Polygon"),
+        ({"type": "Point", "coordinates": [6.0, 51.0]}, "no polygon"),
+        ({"type": "LineString", "coordinates": SQUARE}, "no polygon, but 1 line"),
         ({"type": "FeatureCollection", "features": []}, "no polygon"),
         ({"type": "FeatureCollection"}, "None where a list"),
         (polygon(), "empty"),
@@ -92,6 +93,39 @@ def test_invalid_field_refused(tmp_path: Path, content: Any, words: str) -> None
         read_field(write(tmp_path, content))
     assert words in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_round_field_starts_within(
+    tmp_path: Path, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """No edge is long enough for a gate."""
+    assert mission.work is not None
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    ring = np.round(np.column_stack([6.0 + 100 * M * np.cos(angle), 51.0 + 70 * M * np.sin(angle)]), 9)
+    ring[-1] = ring[0]
+    outline = read_field(write(tmp_path, polygon(ring.tolist())))
+    assert site_around(outline, vehicle, harrow, mission.work) is None
+    site = site_of(outline, vehicle, harrow, mission.work)
+    assert (site.gates, site.lanes) == ((), ())
+    assert np.hypot(site.start.x_m - 70.2, site.start.y_m - 77.9) < 5.0
+    plan = plan_field(site, vehicle, harrow, mission.work, planning.planner, 0)
+    assert plan.planned_share > 0.8
+    assert plan.paths[0].p_map_m[0] == pytest.approx([site.start.x_m, site.start.y_m])
+
+
+def test_gate_away_from_a_no_go_area(
+    tmp_path: Path, vehicle: Vehicle, harrow: MountedImplement, mission: Mission
+) -> None:
+    """A pond of the file, across the middle of the edge where the gate would be."""
+    assert mission.work is not None
+    outline = read_field(write(tmp_path, polygon(SQUARE)))
+    free = site_around(outline, vehicle, harrow, mission.work)
+    assert free is not None
+    posts = np.array(free.gates[0].posts_m)
+    pond = Point(posts.mean(axis=0)).buffer(3.0)
+    moved = site_around(replace(outline, no_go=(("water", pond),)), vehicle, harrow, mission.work)
+    assert moved is not None
+    assert pond.distance(LineString(moved.lanes[0].center_m)) >= moved.lanes[0].width_m / 2.0
 
 
 @pytest.mark.parametrize("latitude", [89.9999, 90.0, -90.0])
@@ -133,9 +167,7 @@ class TestRealParcels:
         assert plan.planned_share > 0.985
         assert plan.length_m < 4000
 
-    @pytest.mark.parametrize(
-        "name", ["strips.geojson", "swaths.geojson", "test_ring.json", "test_2_cell.json", "test1.xml"]
-    )
+    @pytest.mark.parametrize("name", ["strips.geojson", "swaths.geojson", "test_ring.json", "test_2_cell.json"])
     def test_other_files_refused(self, name: str) -> None:
         with pytest.raises(FieldError) as refused:
             read_field(self.folder / name)

@@ -16,7 +16,8 @@ from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import Path, PathSectionType
 from planning.config import PlanningConfig
-from planning.drawing import draw_plan, plan_to_geojson
+from planning.drawing import draw_plan
+from planning.export.geojson import plan_to_geojson
 from planning.plan import Plan, plan_field
 from planning.turns.free_space import FreeSpace
 from planning.turns.sampling import sampled_connection

@@ -37,7 +37,7 @@ WRONG = {
     "live --world simulation --bus nix:0": "--bus nix:0: loopback",
     "shadow --bus socketcan:nix --out FILLED": "contains notes.txt",
     "plan /nix.geojson": "/nix.geojson: no such file",
-    "plan": "FIELD.geojson",
+    "plan": "FIELD",
     "validate /nix.mcap": "/nix.mcap: does not exist",
     "validate FILE --jobs 0": "--jobs 0",
     "validate FILE --out FILLED": "contains notes.txt",

@@ -1,0 +1,1 @@
+"""Plans as files: GeoJSON, KML and ISOXML task data."""

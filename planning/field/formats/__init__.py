@@ -1,0 +1,1 @@
+"""Formats of field files: one module each, found by `known_formats`."""

@@ -1,0 +1,60 @@
+"""Guidance lines of a field file as lines in `map`."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from geometry.geodesy import Datum
+from geometry.polyline import polyline
+from messages.errors import FieldError
+from planning.field.formats.contents import LonLat, RecordedLine
+from planning.guidance.line import Circle, Curve, Straight, a_plus, ab
+
+A_PLUS_LENGTH_M = 100.0
+SHOWN = 8
+Line = Straight | Circle | Curve
+
+
+def choose_line(lines: Sequence[RecordedLine], wanted: str) -> RecordedLine:
+    """The guidance line with this name or, from 1, number; raises FieldError that lists the lines."""
+    text = wanted.strip()
+    named = [line for line in lines if line.name == text]
+    if not named and text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= len(lines):
+        return lines[int(text[:9]) - 1]
+    if len(named) == 1:
+        return named[0]
+    shown = [f"{k + 1} {line.name!r} ({line.kind})" for k, line in enumerate(lines[:SHOWN])]
+    more = f" and {len(lines) - SHOWN} more" if len(lines) > SHOWN else ""
+    why = f"{len(named)} guidance lines are named" if named else "no guidance line"
+    raise FieldError(f"{why} {wanted[:60]!r}; the field has: {', '.join(shown) or 'none'}{more}")
+
+
+def line_in_map(recorded: RecordedLine, datum: Datum) -> Line:
+    """The line about a datum; raises FieldError where its points do not make one."""
+    points = [_to_map(p, datum) for p in recorded.points]
+    try:
+        if recorded.kind == "ab":
+            return ab(points[0], points[-1])
+        if recorded.kind == "a_plus":
+            return a_plus(points[0], math.radians(90.0 - (recorded.heading_deg or 0.0)), A_PLUS_LENGTH_M)
+        if recorded.kind == "pivot":
+            return Circle(points[0], recorded.radius_m or 0.0, recorded.is_clockwise)
+        return Curve(polyline(np.array(points)))
+    except (FieldError, ValueError) as error:
+        raise FieldError(f"guidance line {recorded.name!r}: {error}") from error
+
+
+def straight_in_map(recorded: RecordedLine, datum: Datum) -> Straight:
+    """An AB or A+ line about a datum; raises FieldError for a curve or a pivot."""
+    line = line_in_map(recorded, datum)
+    if not isinstance(line, Straight):
+        raise FieldError(
+            f"guidance line {recorded.name!r} is a {recorded.kind}; swaths are straight: choose an AB or A+ line"
+        )
+    return line
+
+
+def _to_map(point: LonLat, datum: Datum) -> tuple[float, float]:
+    x, y, _ = datum.to_map(math.radians(point[1]), math.radians(point[0]), 0.0)
+    return x, y
