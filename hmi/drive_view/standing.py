@@ -61,9 +61,10 @@ def _cause(state: PageState, supervisor: SupervisorState, texts: Texts, rule_tex
     text = text_of(state, supervisor, code, texts, rule_text_zh)
     if supervisor.mode is Mode.AUTOMATIC:
         text = texts("cause.limited", cause=text)
-    if supervisor.obstacle_class is not ObstacleClass.UNKNOWN and math.isfinite(supervisor.clearance_m):
-        label, range_m = texts(f"class.{supervisor.obstacle_class}"), number(supervisor.clearance_m, 1, "m")
-        text += texts("cause.obstacle", label=label, range=range_m)
+    label, range_m = texts(f"class.{supervisor.obstacle_class}"), supervisor.clearance_m
+    is_known = supervisor.obstacle_class is not ObstacleClass.UNKNOWN and math.isfinite(range_m)
+    if is_known and label.lower() not in text.lower():
+        text += texts("cause.obstacle", label=label, range=number(range_m, 1, "m"))
     return text
 
 

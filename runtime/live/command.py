@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,17 @@ OBSERVATION_S = 10.0  # observation time after a process was killed
 MACHINE_OBSERVATION_S = 2.0  # the same after the machine process, which published the true motion
 
 
+@dataclass(frozen=True)
+class Operated:
+    """A drive that a person orders by `port`: it ends when it is interrupted or a process dies.
+
+    `announce` is called with the rings by process and the resolved configuration before the processes start.
+    """
+
+    port: OrderPort
+    announce: Callable[[dict[str, Path], str], None]
+
+
 def run_live(
     arguments: argparse.Namespace, folder: RunFolder, kill: ProcessKill | None, interruption: Interruption, bus: str
 ) -> int:
@@ -79,6 +91,7 @@ def drive(
     reaction_trials: int,
     interruption: Interruption | None = None,
     bus: str | None = None,
+    operated: Operated | None = None,
 ) -> dict[str, Any]:
     """Starts all processes, drives, and stops them; returns the result, which is also in the folder.
 
@@ -95,10 +108,12 @@ def drive(
     folder.file("config.yaml").write_text(text, encoding="utf-8")
     for name in ("log.mcap", "events", "reactions.jsonl"):
         folder.file(name)
-    port = OrderPort(0)
+    port = OrderPort(0) if operated is None else operated.port
     conditions = versions() | {"seed": str(setup.seed), "bus": bus, "order_port": str(port.number)}
-    folder.record("conditions", conditions)
-    with _rings(config) as rings:
+    with rings_in_memory(config.ring_mib) as rings:
+        folder.record("conditions", conditions | {"rings": str(rings["safety"].parent)})
+        if operated is not None:
+            operated.announce(rings, text)
         context = multiprocessing.get_context("fork")  # common modules are loaded once; no thread is running yet
         barrier, zero = context.Barrier(len(ROLES) + 1), context.Value("q", 0, lock=False)
         starts = [
@@ -112,7 +127,8 @@ def drive(
             _start(processes, barrier, zero, config)
             with folder.file("console.log").open("w") as file:
                 progress = Progress((sys.stderr, file), start_notes(setup))
-                monitored = _Drive(processes, rings, setup.plan.length_m, progress)
+                end = EndOfDrive(setup.plan.length_m) if operated is None else None
+                monitored = _Drive(processes, rings, end, progress)
                 result = monitored.run(
                     kill, duration_s, lambda: 0 < reaction_trials <= len(_reaction_rows(folder.path))
                     or (interruption is not None and interruption.is_requested),
@@ -131,16 +147,17 @@ class _Drive:
     """Drive as observed by the parent process through the rings."""
 
     def __init__(
-        self, processes: Mapping[str, BaseProcess], rings: dict[str, Path], length_m: float, progress: Progress
+        self, processes: Mapping[str, BaseProcess], rings: dict[str, Path], end: EndOfDrive | None, progress: Progress
     ) -> None:
         self._processes = processes
         self._readers = [RingReader(path) for path in rings.values()]
-        self._monitor, self._end, self._progress = DriveMonitor(), EndOfDrive(length_m), progress
+        self._monitor, self._end = DriveMonitor(), end
+        self._sinks = (self._monitor, progress) if end is None else (self._monitor, end, progress)
 
     def run(self, kill: ProcessKill | None, duration_s: float | None, is_enough: Callable[[], bool]) -> dict[str, Any]:
         """Monitors until the drive has ended, the duration is over, or the observation after a kill is complete."""
         while (
-            not self._end.is_reached()
+            not (self._end is not None and self._end.is_reached())
             and (duration_s is None or self._monitor.seconds < duration_s)
             and not is_enough()
         ):
@@ -186,7 +203,7 @@ class _Drive:
             for record in reader.records():
                 if (output := unpack(record, TOPICS)) is not None:
                     envelope = Envelope(output[0], 0, now_ns, output[1])
-                    for sink in (self._monitor, self._end, self._progress):
+                    for sink in self._sinks:
                         sink(envelope)
         time.sleep(0.005)
 
@@ -221,7 +238,7 @@ def _stop(processes: Mapping[str, BaseProcess]) -> None:
 
 
 @contextlib.contextmanager
-def _rings(config: LiveConfig) -> Iterator[dict[str, Path]]:
+def rings_in_memory(size_mib: Mapping[str, int]) -> Iterator[dict[str, Path]]:
     """One ring per process, in shared memory, in a folder that is locked while a process of this run lives."""
     shared = Path("/dev/shm")
     memory = shared if shared.is_dir() else Path(tempfile.gettempdir())
@@ -230,9 +247,9 @@ def _rings(config: LiveConfig) -> Iterator[dict[str, Path]]:
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(lock, fcntl.LOCK_SH)
-        rings = {role: folder / role for role in ROLES}
+        rings = {role: folder / role for role in size_mib}
         for role, path in rings.items():
-            make_ring(path, config.ring_mib[role] << 20)
+            make_ring(path, size_mib[role] << 20)
         yield rings
     finally:
         os.close(lock)

@@ -13,13 +13,14 @@ from runtime.live.serialization import topic_of, unpack
 class LiveFeed(Feed):
     """Newest message of each shown topic, and every event, from the rings by process.
 
-    The time of the machine is estimated from the newest stamp and the monotonic clock, so that ages grow when nothing
-    arrives.
+    The time of the machine is the newest stamp and what has passed since it arrived, so that ages grow when nothing
+    arrives, and a simulation that is slower than real time is not taken for silent. `logged` is what happened before.
     """
 
-    def __init__(self, rings: Mapping[str, Path]) -> None:
+    def __init__(self, rings: Mapping[str, Path], logged: Iterable[Envelope] = ()) -> None:
+        self._logged: Iterable[Envelope] = logged
         self._readers = [RingReader(path) for path in rings.values()]
-        self._offset_ns: int | None = None
+        self._newest_ns = self._arrived_ns = 0
         self._sequence = 0
 
     def poll(self) -> Iterable[Envelope]:
@@ -35,11 +36,11 @@ class LiveFeed(Feed):
                     wanted.pop(key, None)
                     wanted[key] = record
         found = [self._envelope(record) for record in wanted.values()]
-        envelopes = [envelope for envelope in found if envelope is not None]
-        newest_ns = max((e.message.stamp_ns for e in envelopes), default=None)
-        if newest_ns is not None and (self._offset_ns is None or newest_ns - now_ns > self._offset_ns):
-            self._offset_ns = newest_ns - now_ns
-        self.now_ns = 0 if self._offset_ns is None else now_ns + self._offset_ns
+        envelopes = [*self._logged, *(envelope for envelope in found if envelope is not None)]
+        self._logged = ()
+        if envelopes:
+            self._newest_ns, self._arrived_ns = max(e.message.stamp_ns for e in envelopes), now_ns
+        self.now_ns = self._newest_ns + now_ns - self._arrived_ns
         return envelopes
 
     def _envelope(self, record: bytes) -> Envelope | None:

@@ -29,7 +29,7 @@ class LogFeed(Feed):
     """Plays a log from its start; raises LogError for one without messages of the supervisor."""
 
     def __init__(self, path: pathlib.Path) -> None:
-        self._entries = list(_kept(path))
+        self._entries = list(kept_entries(path))
         self._times_ns = [entry.receive_ns for entry in self._entries]
         states = [entry for entry in self._entries if entry.topic == "supervisor"]
         if not states:
@@ -82,7 +82,7 @@ class LogFeed(Feed):
             was_stopped = is_stopped
 
 
-def _kept(path: pathlib.Path) -> Iterator[Entry]:
+def kept_entries(path: pathlib.Path) -> Iterator[Entry]:
     """Entries of shown topics: every event, of the others one in `THIN_NS`, by time of reception."""
     last_ns: dict[str, int] = {}
     for entry in LogScan(path, _Shown()):
