@@ -99,6 +99,7 @@ class PageApp:
         why_barred = "replay" if parts.feed.playback is not None else "no_key" if parts.sender is None else ""
         client = ui.context.client
         ui.add_head_html('<link rel="stylesheet" href="/static/page.css"><script src="/static/page.js"></script>')
+        ui.add_head_html(f"<script>document.documentElement.lang = '{texts.language}'</script>")
         page = DrivePage(client, session, texts, parts.config, parts.sender, why_barred, self.state)
         seat = SeatBar(parts.access, session, token, texts)
         replay = None if parts.feed.playback is None else ReplayBar(parts.feed.playback, texts)

@@ -1,18 +1,13 @@
 """`headland live`: starts the processes, monitors the drive, kills one on request, and evaluates the stop."""
 
 import argparse
-import contextlib
-import fcntl
 import json
 import multiprocessing
 import os
-import shutil
 import signal
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
@@ -32,15 +27,14 @@ from runtime.fault_injection.situations import DriveMonitor
 from runtime.interruption import Interruption
 from runtime.live.can_bus import LOOPBACK, named_bus, open_bus
 from runtime.live.config import ROLES, LiveConfig
+from runtime.live.operated import Operated
 from runtime.live.process import Start, run_process, started_at
-from runtime.live.ring import RingReader, make_ring
+from runtime.live.ring import RingReader
+from runtime.live.ring_folder import rings_in_memory
 from runtime.live.serialization import unpack
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, load_scenario, load_setup, start_notes
 from simulation.scenario import Scenario
-
-RINGS_PREFIX = "headland-rings-"
-LEFT_S = 60.0  # a run locks its folder long before
 
 TOPICS = (
     "truth_machine",
@@ -56,17 +50,6 @@ SIGNALS = {"KILL": signal.SIGKILL, "STOP": signal.SIGSTOP}
 SHUTDOWN_S = 10.0  # time for a process to close its files
 OBSERVATION_S = 10.0  # observation time after a process was killed
 MACHINE_OBSERVATION_S = 2.0  # the same after the machine process, which published the true motion
-
-
-@dataclass(frozen=True)
-class Operated:
-    """A drive that a person orders by `port`: it ends when it is interrupted or a process dies.
-
-    `announce` is called with the rings by process and the resolved configuration before the processes start.
-    """
-
-    port: OrderPort
-    announce: Callable[[dict[str, Path], str], None]
 
 
 def run_live(
@@ -235,39 +218,6 @@ def _stop(processes: Mapping[str, BaseProcess]) -> None:
         if process.is_alive():
             process.kill()
             process.join()
-
-
-@contextlib.contextmanager
-def rings_in_memory(size_mib: Mapping[str, int]) -> Iterator[dict[str, Path]]:
-    """One ring per process, in shared memory, in a folder that is locked while a process of this run lives."""
-    shared = Path("/dev/shm")
-    memory = shared if shared.is_dir() else Path(tempfile.gettempdir())
-    remove_left_rings(memory)
-    folder = Path(tempfile.mkdtemp(prefix=RINGS_PREFIX, dir=memory))
-    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_SH)
-        rings = {role: folder / role for role in size_mib}
-        for role, path in rings.items():
-            make_ring(path, size_mib[role] << 20)
-        yield rings
-    finally:
-        os.close(lock)
-        shutil.rmtree(folder)
-
-
-def remove_left_rings(memory: Path) -> None:
-    """Removes folders of rings of this user that a killed run left: unlocked, and at least `LEFT_S` old."""
-    for folder in memory.glob(f"{RINGS_PREFIX}*"):
-        with contextlib.suppress(OSError):  # another user's, locked, or removed meanwhile
-            if folder.stat().st_uid != os.getuid() or time.time() - folder.stat().st_mtime < LEFT_S:
-                continue
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(folder)
-            finally:
-                os.close(lock)
 
 
 def _reaction_rows(folder: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""Simulation of the page: a real-time drive that waits for orders, in a process of its own."""
+"""Simulation of the page: a drive that waits for orders, in a process of its own."""
 
 import argparse
 import sys
@@ -42,7 +42,7 @@ def _drive(
     authority: str, connection: Connection,
 ) -> None:  # fmt: skip
     from interfaces.orders.config import ORDERS, OrderKey
-    from runtime.live.command import Operated, drive
+    from runtime.live.operated import Operated
     from runtime.setup import load_scenario, load_setup
     from runtime.stack import with_order_key
 
@@ -60,9 +60,11 @@ def _drive(
         connection.close()
 
     operated = Operated(port, announce)
-    if arguments.single_process:
+    if arguments.live:
+        from runtime.live.command import drive
+
+        drive(setup, scenario, folder, None, None, 0, interruption, None, operated)
+    else:
         from runtime.page.single_process import drive_in_one_process
 
         drive_in_one_process(setup, scenario, folder, interruption, operated)
-    else:
-        drive(setup, scenario, folder, None, None, 0, interruption, None, operated)

@@ -14,8 +14,9 @@ from runtime.assembly import assemble
 from runtime.commands.progress import Progress
 from runtime.executor import Executor
 from runtime.interruption import Interruption
-from runtime.live.command import Operated, rings_in_memory
+from runtime.live.operated import Operated
 from runtime.live.ring import RingWriter
+from runtime.live.ring_folder import rings_in_memory
 from runtime.live.serialization import pack
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, start_notes

@@ -12,7 +12,7 @@ from geometry.transforms import planar
 from hmi.page_state import PageState
 from hmi.scene import Scene
 from messages.command import MachineState, Mode, OrderStatus, RuleResult, SupervisorState
-from messages.faults import Response
+from messages.faults import Fault, Response, Severity
 from messages.message import Envelope, Message
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.node import Inbox
@@ -56,6 +56,12 @@ def supervisor(mode: Mode, reason: str = "", stamp_ns: int = NOW_NS, **values: A
         "triggering_points_base_m": np.empty((0, 3), np.float32), "protective_field_base_m": np.empty((0, 2)),
     } | values  # fmt: skip
     return SupervisorState(stamp_ns, mode, reason, **more)
+
+
+def fault(is_active: bool, severity: Severity = Severity.ALARM, code: str = "brake.weak") -> Fault:
+    return Fault(
+        NOW_NS, code, "supervisor", severity, True, Response.CONTROLLED_STOP, is_active, "brake weak", "制动弱"
+    )
 
 
 def rule(code: str, text: str) -> RuleResult:

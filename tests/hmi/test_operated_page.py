@@ -18,7 +18,7 @@ from tests.recordings import ROOT
 
 pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.drive]
 PASSWORD = "correct horse"
-MISSION = ("--single-process", "--mission", "line", "--scenario", "empty", "--stop-port", "0")
+MISSION = ("--mission", "line", "--scenario", "empty", "--stop-port", "0")
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from hmi.drive_view.standing import standing
 from hmi.shown import shown_of
 from hmi.texts import texts_of
 from messages.command import Mode
-from messages.faults import Fault, Response, Severity
+from messages.faults import Severity
 from messages.message import Envelope
 from messages.perception import ObstacleClass
 from messages.plan import MissionState
@@ -22,6 +22,7 @@ from tests.hmi.drive_messages import (
     NOW_NS,
     SECOND_NS,
     demo_scene,
+    fault,
     machine,
     map_pose,
     mission,
@@ -37,12 +38,6 @@ EN, ZH = texts_of("en"), texts_of("zh")
 
 def rule_text(code: str) -> str:
     return f"中文 {code}"
-
-
-def fault(is_active: bool, severity: Severity = Severity.ALARM, code: str = "brake.weak") -> Fault:
-    return Fault(
-        NOW_NS, code, "supervisor", severity, True, Response.CONTROLLED_STOP, is_active, "brake weak", "制动弱"
-    )
 
 
 def drive(coverage_of: list[tuple[float, float]], is_in_work: bool = True) -> float:
