@@ -9,6 +9,7 @@ import can
 from configs.site import PoseConfig
 from configs.strict import CONFIGS, load
 from control.controller import Controller
+from interfaces.orders.port import OrderPort
 from localization.lidar.lidar_odometry import LidarOdometryNode
 from localization.lidar.map_localization import LidarMap
 from localization.localizer import Localizer
@@ -35,12 +36,12 @@ _CHANNELS = count()
 @contextmanager
 def assemble(
     setup: Setup, scenario: Scenario, is_ablation: bool = False, injection: FaultInjection | None = None,
-    rendering: Rendering = Rendering.IN_THREAD,
+    rendering: Rendering = Rendering.IN_THREAD, order_port: OrderPort | None = None,
 ) -> Iterator[tuple[World, list[tuple[Node, int]]]]:  # fmt: skip
     """Simulated world and nodes with their latencies (ns), wired and checked; closes the CAN bus afterwards.
 
-    `is_ablation` omits the supervisor's obstacle rules. The executor must have `injection` as its tap.
-    Raises WiringError.
+    The order gate takes orders from `order_port` too. `is_ablation` omits the supervisor's obstacle rules. The executor
+    must have `injection` as its tap. Raises WiringError.
     """
     channel = f"headland-{next(_CHANNELS)}"
     with (
@@ -50,7 +51,7 @@ def assemble(
     ):
         stack_bus = bus if injection is None else FaultyBus(bus, injection, load_database())
         chain = [
-            order_gate(setup),
+            order_gate(setup, port=order_port),
             *perception_nodes(setup.vehicle, setup.implement, setup.stack.perception),
             *localization_nodes(setup),
             *planning_nodes(setup),

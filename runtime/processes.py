@@ -36,11 +36,12 @@ def terminate_children() -> None:
             os.kill(pid, signal.SIGTERM)
 
 
-def begin_worker(parent: int) -> None:
-    """Start of a worker process: it ends with its parent, which handles SIGINT for all."""
+def begin_worker(parent: int | None) -> None:
+    """Start of a worker process: it ends with its parent (None: not with it), which handles SIGINT for all."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    end_with_parent(parent)
+    if parent is not None:
+        end_with_parent(parent)
 
 
 def end_with_parent(parent: int | None = None, number: int = signal.SIGKILL) -> None:

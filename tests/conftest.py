@@ -1,13 +1,14 @@
-"""Order of the tests, garbage collection, and the number of tests that were skipped because recordings are absent."""
+"""Order of the tests, garbage collection, and the number of tests skipped for want of recordings or a browser."""
 
 import gc
 
 import pytest
 
 import runtime  # noqa: F401  sets the thresholds of the garbage collection
+from tests.hmi.browser import REASON as NO_BROWSER
 from tests.recordings import DATA, REASON
 
-DRIVES = {"attacks", "replay", "runtime", "scenarios"}  # folders whose tests drive or replay
+DRIVES = {"attacks", "hmi", "replay", "runtime", "scenarios"}  # folders whose tests drive or replay
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -23,8 +24,10 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Reports how many tests were skipped for want of recordings, and where they are looked for."""
+    """Reports how many tests were skipped for want of recordings or a browser, and what provides them."""
     skipped = terminalreporter.stats.get("skipped", [])
+    if count := sum(NO_BROWSER in str(report.longrepr) for report in skipped):
+        terminalreporter.write_line(f"{count} skipped without a browser (`make browser` installs one)")
     count = sum(REASON in str(report.longrepr) for report in skipped)
     if count:
         terminalreporter.write_line(

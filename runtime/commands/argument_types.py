@@ -115,3 +115,11 @@ def regex(text: str) -> str:
     except (re.error, RecursionError, OverflowError) as error:
         raise argparse.ArgumentTypeError(f"{text}: not a regular expression ({error})") from error
     return text
+
+
+def user(text: str) -> tuple[str, str]:
+    """Type of a user of the page, NAME:ROLE."""
+    name, _, role = text.partition(":")
+    if not re.fullmatch(r"[\w.-]{1,40}", name) or role not in ("view", "operate"):
+        raise argparse.ArgumentTypeError(f"{text}: NAME:ROLE with ROLE view or operate, NAME of letters and digits")
+    return name, role

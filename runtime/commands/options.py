@@ -18,6 +18,7 @@ from runtime.commands.argument_types import (
     number,
     path_name,
     regex,
+    user,
     whole,
 )
 
@@ -105,6 +106,21 @@ COMMANDS = (
                 help="measure reaction times to N pop-ups"),
         _out("live"), JSON,
     )),
+    Command("page", "serve the operator's page: simulation, running drive or log", "runtime.commands.page", (
+        FIELD, *MISSION, SCENARIO, SEED,
+        _option("--replay", type=file, metavar="LOG", help="play a log of `run` or `live` instead of a simulation"),
+        _option("--connect", type=existing, metavar="FOLDER", help="run folder of a running `live`, which is shown"),
+        _option("--key", type=file, metavar="FILE.pem",
+                help="with --connect: Ed25519 key for orders, whose public key the machine has (default: no orders)"),
+        _option("--live", action="store_true",
+                help="simulate as `live` does, one process per part (default: one process, not faster than real time)"),
+        _option("--port", type=whole(0, 65535), metavar="N", help="port of the page (default in configs/page.yaml)"),
+        _option("--stop-port", type=whole(0, 65535), metavar="N", help="port of the emergency stop"),
+        _option("--add-user", type=user, metavar="NAME:ROLE",
+                help="add or replace a user (view or operate) with the password from standard input, and end"),
+        _option("--state", type=folder, metavar="FOLDER", help="users and key of the page (default state/page)"),
+        _out("page"),
+    ), "2 wrong input or configuration, 130 and 143 ended by SIGINT and SIGTERM"),
     Command("shadow", "log a machine's CAN bus without sending", "runtime.commands.shadow", (
         _option("--bus", required=True, metavar="NAME", help=f"{BUS_NAMES}, as `live` reports it"),
         DURATION, _out("shadow"), JSON,

@@ -1,17 +1,13 @@
 """`headland live`: starts the processes, monitors the drive, kills one on request, and evaluates the stop."""
 
 import argparse
-import contextlib
-import fcntl
 import json
 import multiprocessing
 import os
-import shutil
 import signal
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
@@ -31,15 +27,14 @@ from runtime.fault_injection.situations import DriveMonitor
 from runtime.interruption import Interruption
 from runtime.live.can_bus import LOOPBACK, named_bus, open_bus
 from runtime.live.config import ROLES, LiveConfig
+from runtime.live.operated import Operated
 from runtime.live.process import Start, run_process, started_at
-from runtime.live.ring import RingReader, make_ring
+from runtime.live.ring import RingReader
+from runtime.live.ring_folder import rings_in_memory
 from runtime.live.serialization import unpack
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, load_scenario, setup_from, start_notes
 from simulation.scenario import Scenario
-
-RINGS_PREFIX = "headland-rings-"
-LEFT_S = 60.0  # a run locks its folder long before
 
 TOPICS = (
     "truth_machine",
@@ -77,6 +72,7 @@ def drive(
     reaction_trials: int,
     interruption: Interruption | None = None,
     bus: str | None = None,
+    operated: Operated | None = None,
 ) -> dict[str, Any]:
     """Starts all processes, drives, and stops them; returns the result, which is also in the folder.
 
@@ -93,10 +89,12 @@ def drive(
     folder.file("config.yaml").write_text(text, encoding="utf-8")
     for name in ("log.mcap", "events", "reactions.jsonl"):
         folder.file(name)
-    port = OrderPort(0)
+    port = OrderPort(0) if operated is None else operated.port
     conditions = versions() | {"seed": str(setup.seed), "bus": bus, "order_port": str(port.number)}
-    folder.record("conditions", conditions)
-    with _rings(config) as rings:
+    with rings_in_memory(config.ring_mib) as rings:
+        folder.record("conditions", conditions | {"rings": str(rings["safety"].parent)})
+        if operated is not None:
+            operated.announce(rings, text)
         context = multiprocessing.get_context("fork")  # common modules are loaded once; no thread is running yet
         barrier, zero = context.Barrier(len(ROLES) + 1), context.Value("q", 0, lock=False)
         starts = [
@@ -110,7 +108,8 @@ def drive(
             _start(processes, barrier, zero, config)
             with folder.file("console.log").open("w") as file:
                 progress = Progress((sys.stderr, file), start_notes(setup))
-                monitored = _Drive(processes, rings, setup.plan.length_m, progress)
+                end = EndOfDrive(setup.plan.length_m) if operated is None else None
+                monitored = _Drive(processes, rings, end, progress)
                 result = monitored.run(
                     kill, duration_s, lambda: 0 < reaction_trials <= len(_reaction_rows(folder.path))
                     or (interruption is not None and interruption.is_requested),
@@ -129,16 +128,17 @@ class _Drive:
     """Drive as observed by the parent process through the rings."""
 
     def __init__(
-        self, processes: Mapping[str, BaseProcess], rings: dict[str, Path], length_m: float, progress: Progress
+        self, processes: Mapping[str, BaseProcess], rings: dict[str, Path], end: EndOfDrive | None, progress: Progress
     ) -> None:
         self._processes = processes
         self._readers = [RingReader(path) for path in rings.values()]
-        self._monitor, self._end, self._progress = DriveMonitor(), EndOfDrive(length_m), progress
+        self._monitor, self._end = DriveMonitor(), end
+        self._sinks = (self._monitor, progress) if end is None else (self._monitor, end, progress)
 
     def run(self, kill: ProcessKill | None, duration_s: float | None, is_enough: Callable[[], bool]) -> dict[str, Any]:
         """Monitors until the drive has ended, the duration is over, or the observation after a kill is complete."""
         while (
-            not self._end.is_reached()
+            not (self._end is not None and self._end.is_reached())
             and (duration_s is None or self._monitor.seconds < duration_s)
             and not is_enough()
         ):
@@ -184,7 +184,7 @@ class _Drive:
             for record in reader.records():
                 if (output := unpack(record, TOPICS)) is not None:
                     envelope = Envelope(output[0], 0, now_ns, output[1])
-                    for sink in (self._monitor, self._end, self._progress):
+                    for sink in self._sinks:
                         sink(envelope)
         time.sleep(0.005)
 
@@ -216,39 +216,6 @@ def _stop(processes: Mapping[str, BaseProcess]) -> None:
         if process.is_alive():
             process.kill()
             process.join()
-
-
-@contextlib.contextmanager
-def _rings(config: LiveConfig) -> Iterator[dict[str, Path]]:
-    """One ring per process, in shared memory, in a folder that is locked while a process of this run lives."""
-    shared = Path("/dev/shm")
-    memory = shared if shared.is_dir() else Path(tempfile.gettempdir())
-    remove_left_rings(memory)
-    folder = Path(tempfile.mkdtemp(prefix=RINGS_PREFIX, dir=memory))
-    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_SH)
-        rings = {role: folder / role for role in ROLES}
-        for role, path in rings.items():
-            make_ring(path, config.ring_mib[role] << 20)
-        yield rings
-    finally:
-        os.close(lock)
-        shutil.rmtree(folder)
-
-
-def remove_left_rings(memory: Path) -> None:
-    """Removes folders of rings of this user that a killed run left: unlocked, and at least `LEFT_S` old."""
-    for folder in memory.glob(f"{RINGS_PREFIX}*"):
-        with contextlib.suppress(OSError):  # another user's, locked, or removed meanwhile
-            if folder.stat().st_uid != os.getuid() or time.time() - folder.stat().st_mtime < LEFT_S:
-                continue
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(folder)
-            finally:
-                os.close(lock)
 
 
 def _reaction_rows(folder: Path) -> list[str]:

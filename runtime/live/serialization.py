@@ -25,3 +25,8 @@ def unpack(record: bytes, wanted: Container[str] | None) -> Output | None:
         return topic, codec_of(spec_of(topic).type).decode(record[end:])
     except (UnicodeDecodeError, LogError, WiringError):
         return None
+
+
+def topic_of(record: bytes) -> str:
+    """Topic of a record, "" for an invalid one."""
+    return record[1 : 1 + record[0]].decode(errors="ignore")

@@ -4,7 +4,7 @@ import fcntl
 import os
 from pathlib import Path
 
-from runtime.live.command import LEFT_S, RINGS_PREFIX, remove_left_rings
+from runtime.live.ring_folder import LEFT_S, RINGS_PREFIX, remove_left_rings
 
 
 def rings(memory: Path, name: str, age_s: float) -> Path:

@@ -1,0 +1,78 @@
+"""Map: what does not move once, then only what has changed; coordinates in `map`, m, east and north."""
+
+from typing import Any
+
+import numpy as np
+
+from configs.vehicle import outlines
+from geometry.arrays import Float64
+from geometry.pose2 import Pose2, to_frame
+from hmi.drive_view.row import number
+from hmi.drive_view.sensing import near_tracks
+from hmi.page_state import PageState
+from hmi.scene import Scene
+from hmi.texts import Texts
+from messages.command import MachineState, SupervisorState
+from messages.motion import MapPose
+
+PATH_STEP = 5  # points are 0.1 m apart
+MAX_POINTS = 60
+
+
+def static_map(scene: Scene) -> dict[str, Any]:
+    """Boundary, no-go areas, lanes, yard, shed walls and planned lines."""
+    site = scene.site
+    walls = [] if site.shed is None else [_listed(np.array(wall)) for wall in site.shed.walls_m]
+    return {
+        "boundary": _listed(np.array(site.boundary_m)), "yard": _listed(np.array(site.yard.outline_m)),
+        "no_go": [_listed(np.array(area.outline_m)) for area in site.no_go],
+        "lanes": [_listed(np.array(lane.center_m)) for lane in site.lanes],
+        "gates": [_listed(np.array(gate.posts_m)) for gate in site.gates],
+        "walls": walls, "plan": [_listed(line) for line in scene.planned_map_m],
+    }  # fmt: skip
+
+
+def moving_map(state: PageState, texts: Texts) -> dict[str, Any]:
+    """Outlines of machine and implement, protective field, triggering points and tracks at this moment."""
+    pose = state.pose
+    if pose is None:
+        return {"pose": None}
+    machine, supervisor = state.newest("machine", MachineState), state.fresh("supervisor", SupervisorState)
+    is_folded = machine is not None and machine.fold_position > 0.5
+    implement = state.scene.implement.folded if is_folded else state.scene.implement
+    bodies = [
+        _listed(to_frame(pose, rectangle.corners_m)) for rectangle in outlines(state.scene.vehicle.body, implement)
+    ]
+    shown = {"pose": [round(pose.x_m, 2), round(pose.y_m, 2), round(pose.yaw_rad, 4)], "bodies": bodies}
+    shown["tracks"] = _tracks(state, pose, texts)
+    if supervisor is not None:
+        points = supervisor.triggering_points_base_m[:, :2].astype(np.float64)
+        shown["field"] = _listed(to_frame(pose, supervisor.protective_field_base_m))
+        shown["points"] = _listed(to_frame(pose, points[:: max(1, len(points) // MAX_POINTS)]))
+    return shown
+
+
+def path_map(state: PageState) -> list[list[list[float]]]:
+    """The paths published so far."""
+    return [_listed(path.p_map_m[::PATH_STEP]) for path in state.paths.values()]
+
+
+def _tracks(state: PageState, pose: Pose2, texts: Texts) -> list[dict[str, Any]]:
+    map_pose = state.newest("map_pose", MapPose)
+    turn_rad = 0.0 if map_pose is None else Pose2.of(map_pose.T_map_odom).yaw_rad
+    found = []
+    for track, x_m, y_m in near_tracks(state):
+        at = to_frame(pose, np.array([[x_m, y_m]]))[0]
+        velocity = to_frame(Pose2(0.0, 0.0, turn_rad), track.velocity_mps[None, :2])[0]
+        speed = number(float(np.hypot(*velocity)), 1, "m/s")
+        found.append({
+            "at": _listed(at[None])[0], "size": [round(float(v), 2) for v in track.size_m[:2]],
+            "yaw": round(float(track.yaw_rad) + turn_rad, 3), "velocity": _listed(velocity[None])[0],
+            "class": str(track.label), "text": f"{texts(f'class.{track.label}')} {speed}",
+        })  # fmt: skip
+    return found
+
+
+def _listed(points_m: Float64) -> list[list[float]]:
+    """Points (N, 2) to centimetres."""
+    return [[round(x, 2), round(y, 2)] for x, y in points_m.tolist()]

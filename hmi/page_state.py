@@ -1,0 +1,104 @@
+"""State of the page: the newest message of each topic, and what accumulates; a function of the messages alone."""
+
+from collections import deque
+from collections.abc import Iterable
+from typing import TypeVar
+
+from geometry.pose2 import Pose2
+from hmi.coverage import Coverage, Trail
+from hmi.scene import Scene
+from messages.command import MachineState, Mode, SupervisorState
+from messages.faults import Fault
+from messages.message import Envelope, Message
+from messages.motion import MapPose, Odometry
+from messages.plan import MissionState, MissionStatus, Path
+from messages.topics import spec_of
+
+M = TypeVar("M", bound=Message)
+SLACK_S = 1.0  # messages arrive once per period of the page
+KEPT_EVENTS = 200
+ENGAGED = (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
+
+
+class PageState:
+    """Newest messages, active faults, paths, track and worked area of one run."""
+
+    def __init__(self, scene: Scene, cell_m: float) -> None:
+        self.scene = scene
+        self.now_ns = 0
+        self.faults: dict[tuple[str, str], Fault] = {}
+        self.events: deque[Fault] = deque(maxlen=KEPT_EVENTS)
+        self.paths: dict[int, Path] = {}
+        self.trail = Trail()
+        self.coverage = Coverage(scene.field, scene.implement.working_width_m, scene.working_point_m, cell_m)
+        self.engaged_s = 0.0  # time in modes of automatic operation
+        self._newest: dict[str, Message] = {}
+        self._engaged_ns: int | None = None
+
+    def take(self, now_ns: int, envelopes: Iterable[Envelope]) -> None:
+        """Processes the messages up to `now_ns`."""
+        for envelope in envelopes:
+            self._newest[envelope.topic] = envelope.message
+            message = envelope.message
+            if isinstance(message, Fault):
+                self._take_fault(message)
+            elif isinstance(message, Path):
+                self.paths[message.path_id] = message
+            elif isinstance(message, Odometry):
+                self._take_motion()
+            elif isinstance(message, SupervisorState):
+                self._count_time(message)
+        self.now_ns = now_ns
+
+    def newest(self, topic: str, kind: type[M]) -> M | None:
+        """Newest message of a topic, of any age."""
+        message = self._newest.get(topic)
+        return message if isinstance(message, kind) else None
+
+    def fresh(self, topic: str, kind: type[M]) -> M | None:
+        """Newest message of a topic, None if it is older than the topic table allows."""
+        message = self.newest(topic, kind)
+        if message is None or self.age_s(message) > spec_of(topic).max_age_s + SLACK_S:
+            return None
+        return message
+
+    def age_s(self, message: Message) -> float:
+        """Age of a message (s)."""
+        return (self.now_ns - message.stamp_ns) * 1e-9
+
+    def topics(self, kind: str) -> list[str]:
+        """Received topics of a kind, sorted."""
+        return sorted(topic for topic in self._newest if topic.partition("/")[0] == kind)
+
+    @property
+    def pose(self) -> Pose2 | None:
+        """Pose of `base` in `map`: the newest odometry by the newest alignment; None before both are known."""
+        odometry, map_pose = self.newest("odom", Odometry), self.newest("map_pose", MapPose)
+        if map_pose is None or not map_pose.is_initialized or odometry is None:
+            return None
+        return Pose2.of(map_pose.T_map_odom) @ Pose2.of(odometry.T_odom_base)
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether the mission has been started."""
+        mission = self.newest("mission", MissionStatus)
+        return mission is not None and mission.state is not MissionState.WAITING
+
+    def _take_fault(self, fault: Fault) -> None:
+        key = (fault.source, fault.code)
+        if fault.is_active:
+            self.faults[key] = fault
+        else:
+            self.faults.pop(key, None)
+        self.events.append(fault)
+
+    def _take_motion(self) -> None:
+        pose, machine = self.pose, self.newest("machine", MachineState)
+        if pose is not None:
+            self.trail.update(pose)
+            self.coverage.update(pose, machine is not None and machine.is_hitch_in_work)
+
+    def _count_time(self, state: SupervisorState) -> None:
+        if self._engaged_ns is not None:
+            self.engaged_s += max(0.0, min(5.0, (state.stamp_ns - self._engaged_ns) * 1e-9))
+        self._engaged_ns = state.stamp_ns if state.mode in ENGAGED else None

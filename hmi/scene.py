@@ -1,0 +1,54 @@
+"""Scene: what does not move, and the dimensions of machine and implement, from the resolved configuration of a run."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import yaml
+from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from configs.site import Site
+from configs.strict import Config, parse
+from configs.vehicle import Implement, Vehicle
+from geometry.arrays import Float64
+from messages.errors import ConfigError
+
+
+class _Sections(Config):
+    site: Site
+    machine: Vehicle
+    implement: Implement
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Site, machine and implement of a run, and the planned lines, each (N, 2) in `map`, where they are known."""
+
+    site: Site
+    vehicle: Vehicle
+    implement: Implement
+    planned_map_m: tuple[Float64, ...] = ()
+
+    @property
+    def working_point_m(self) -> float:
+        """Working point of the implement along x of `base`; a trailed one is taken as straight behind."""
+        return float(getattr(self.implement, "working_point_m", np.mean(self.implement.ends_m)))
+
+    @cached_property
+    def field(self) -> BaseGeometry:
+        """The field without its no-go areas."""
+        field: BaseGeometry = Polygon(self.site.boundary_m)
+        for area in self.site.no_go:
+            field = field.difference(Polygon(area.outline_m))
+        return field
+
+
+def scene_of(text: str, where: str, planned_map_m: tuple[Float64, ...] = ()) -> Scene:
+    """Scene of the resolved configuration (`config.yaml` of a run or of a log); raises ConfigError."""
+    values: Any = yaml.load(text, yaml.CSafeLoader)
+    if not isinstance(values, dict) or not _Sections.model_fields.keys() <= values.keys():
+        raise ConfigError(f"{where}: has no site, machine and implement; a log of `headland run` or `live` is needed")
+    found = parse(_Sections, {name: values[name] for name in _Sections.model_fields}, where)
+    return Scene(found.site, found.machine, found.implement, planned_map_m)

@@ -1,0 +1,48 @@
+"""Feed of a running drive: the rings of its processes."""
+
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from hmi.feed import Feed, is_event, is_shown
+from messages.message import Envelope
+from runtime.live.ring import RingReader
+from runtime.live.serialization import topic_of, unpack
+
+
+class LiveFeed(Feed):
+    """Newest message of each shown topic, and every event, from the rings by process.
+
+    The time of the machine is the newest stamp and what has passed since it arrived, so that ages grow when nothing
+    arrives, and a simulation that is slower than real time is not taken for silent. `logged` is what happened before.
+    """
+
+    def __init__(self, rings: Mapping[str, Path], logged: Iterable[Envelope] = ()) -> None:
+        self._logged: Iterable[Envelope] = logged
+        self._readers = [RingReader(path) for path in rings.values()]
+        self._newest_ns = self._arrived_ns = 0
+        self._sequence = 0
+
+    def poll(self) -> Iterable[Envelope]:
+        """New messages, decoded only where shown."""
+        now_ns = time.monotonic_ns()
+        wanted: dict[tuple[str, int], bytes] = {}
+        for reader in self._readers:
+            for record in reader.records():
+                topic = topic_of(record)
+                if is_shown(topic):
+                    self._sequence += 1
+                    key = (topic, self._sequence if is_event(topic) else 0)
+                    wanted.pop(key, None)
+                    wanted[key] = record
+        found = [self._envelope(record) for record in wanted.values()]
+        envelopes = [*self._logged, *(envelope for envelope in found if envelope is not None)]
+        self._logged = ()
+        if envelopes:
+            self._newest_ns, self._arrived_ns = max(e.message.stamp_ns for e in envelopes), now_ns
+        self.now_ns = self._newest_ns + now_ns - self._arrived_ns
+        return envelopes
+
+    def _envelope(self, record: bytes) -> Envelope | None:
+        output = unpack(record, None)
+        return None if output is None else Envelope(output[0], self._sequence, self.now_ns, output[1])

@@ -1,0 +1,70 @@
+"""Simulation of the page: a drive that waits for orders, in a process of its own."""
+
+import argparse
+import sys
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from geometry.arrays import Float64
+from interfaces.orders.port import OrderPort
+from messages.errors import HeadlandError
+from runtime.interruption import Interruption
+from runtime.processes import begin_worker
+from runtime.run_folder import RunFolder, command_of
+
+
+@dataclass(frozen=True)
+class Announcement:
+    """Rings by process, order port, resolved configuration and planned lines (N, 2) in `map` of a drive that starts."""
+
+    rings: dict[str, Path]
+    order_port: int
+    config: str
+    planned_map_m: tuple[Float64, ...]
+
+
+def drive_simulation(
+    arguments: argparse.Namespace, port: OrderPort, public_key: str, authority: str, connection: Connection, parent: int
+) -> None:
+    """Drives until SIGTERM; accepts the orders of this key, and none of the scenario."""
+    begin_worker(parent)
+    try:
+        with RunFolder("page", arguments.out, command_of(arguments)) as folder, Interruption() as interruption:
+            _drive(arguments, folder, interruption, port, public_key, authority, connection)
+    except (HeadlandError, OSError) as error:
+        sys.stderr.write(f"headland: {error}\n")
+        sys.exit(2)
+
+
+def _drive(
+    arguments: argparse.Namespace, folder: RunFolder, interruption: Interruption, port: OrderPort, public_key: str,
+    authority: str, connection: Connection,
+) -> None:  # fmt: skip
+    from interfaces.orders.config import ORDERS, OrderKey
+    from runtime.live.operated import Operated
+    from runtime.setup import load_scenario, load_setup
+    from runtime.stack import with_order_key
+
+    setup = load_setup(
+        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
+    )
+    key = OrderKey(public_key=public_key, authority=authority, orders=tuple(ORDERS))
+    setup = replace(setup, stack=with_order_key(setup.stack, "page", key))
+    scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
+    scenario = scenario.model_copy(update={"operator_commands": ()})
+    planned = tuple(path.p_map_m[::5] for path in setup.plan.paths)
+
+    def announce(rings: dict[str, Path], config: str) -> None:
+        connection.send(Announcement(rings, port.number, config, planned))
+        connection.close()
+
+    operated = Operated(port, announce)
+    if arguments.live:
+        from runtime.live.command import drive
+
+        drive(setup, scenario, folder, None, None, 0, interruption, None, operated)
+    else:
+        from runtime.page.single_process import drive_in_one_process
+
+        drive_in_one_process(setup, scenario, folder, interruption, operated)

@@ -1,0 +1,75 @@
+"""Simulation of the page in one process: the executor of `run`, not faster than real time, with orders from a port.
+
+On a slow computer simulated time falls behind; the separate processes of `live` would miss their heartbeats there.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+
+from datasets.log import LogWriter
+from hmi.feed import is_shown
+from messages.message import Envelope
+from runtime.assembly import assemble
+from runtime.commands.progress import Progress
+from runtime.executor import Executor
+from runtime.interruption import Interruption
+from runtime.live.operated import Operated
+from runtime.live.ring import RingWriter
+from runtime.live.ring_folder import rings_in_memory
+from runtime.live.serialization import pack
+from runtime.run_folder import RunFolder, resolved, versions
+from runtime.setup import Setup, start_notes
+from simulation.scenario import Scenario
+
+RING_MIB = 64
+LAG_S = 0.5  # a simulation that has fallen behind does not catch up more than this
+
+
+def drive_in_one_process(
+    setup: Setup, scenario: Scenario, folder: RunFolder, interruption: Interruption, operated: Operated
+) -> None:
+    """Drives until it is interrupted, into the log of the folder; raises LogError."""
+    text = resolved(mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement,
+                    stack=setup.stack, scenario=scenario)  # fmt: skip
+    folder.file("config.yaml").write_text(text, encoding="utf-8")
+    conditions = versions() | {"seed": str(setup.seed)}
+    folder.record("conditions", conditions)
+    metadata = {"run": conditions, "config": {"yaml": text}}
+    with rings_in_memory({"simulation": RING_MIB}) as rings:
+        operated.announce(rings, text)
+        ring = RingWriter(rings["simulation"])
+        log_path = folder.file("log.mcap")
+        with (
+            assemble(setup, scenario, order_port=operated.port) as (world, nodes),
+            folder.file("console.log").open("w") as console,
+            LogWriter(log_path, metadata, setup.stack.datasets.log, setup.viewer(), rotates=True) as log,
+        ):
+            sinks = (log.write, Progress((sys.stderr, console), start_notes(setup)), _ring_sink(ring))
+            executor = Executor(world, nodes, sinks)
+            executor.run(_paced(executor, lambda: interruption.is_requested))
+    folder.finish()
+
+
+def _ring_sink(ring: RingWriter) -> Callable[[Envelope], None]:
+    def write(envelope: Envelope) -> None:
+        if is_shown(envelope.topic):
+            ring.write(pack((envelope.topic, envelope.message)))
+
+    return write
+
+
+def _paced(executor: Executor, is_done: Callable[[], bool]) -> Callable[[], bool]:
+    """End condition that sleeps while simulated time is ahead of real time."""
+    offset_s = time.monotonic() - executor.now_ns * 1e-9
+
+    def is_done_now() -> bool:
+        nonlocal offset_s
+        ahead_s = executor.now_ns * 1e-9 + offset_s - time.monotonic()
+        if ahead_s > 0.0:
+            time.sleep(min(ahead_s, LAG_S))
+        elif ahead_s < -LAG_S:
+            offset_s -= ahead_s + LAG_S
+        return is_done()
+
+    return is_done_now

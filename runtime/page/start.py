@@ -1,0 +1,185 @@
+"""Start of the page: ports first, then the processes of simulation and emergency stop, then the web server."""
+
+import argparse
+import multiprocessing
+import os
+import secrets
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import ThreadingHTTPServer
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+from datasets.reader import read_metadata
+from hmi import emergency_stop
+from hmi.access import Access, one_time_user, read_users
+from hmi.config import PageConfig
+from hmi.feed import Feed
+from hmi.orders import OrderSender, own_key, public_key_of, read_key
+from hmi.scene import Scene, scene_of
+from interfaces.orders.port import OrderPort
+from messages.errors import HeadlandError
+from runtime.page.log_feed import LogFeed
+from runtime.page.running import logged, running_drive
+from runtime.page.simulation import Announcement, drive_simulation
+from runtime.processes import begin_worker
+from safety.output.alarms import text_zh
+from safety.rules import RULES
+from safety.supervisor import texts_of
+
+HOST = "127.0.0.1"
+AUTHORITY = "operator"
+END_S = 20.0  # for the simulation to close its log
+UNANSWERED = 3  # checks of the emergency stop, then the machine is gone
+
+
+def serve_simulation(arguments: argparse.Namespace, config: PageConfig, users: Path, key_file: Path) -> int:
+    """Page with a simulation of its own, which waits for the orders of the page."""
+    from runtime.page.live_feed import LiveFeed
+
+    listening, stop_server = _listen(config.port), _stop_server(config.stop_port)
+    key, order_port = own_key(key_file), OrderPort(0)
+    with _stop_process(stop_server, order_port.number) as stop_url:
+        context = multiprocessing.get_context("fork")
+        here, there = context.Pipe(duplex=False)
+        work = (arguments, order_port, public_key_of(key).hex(), AUTHORITY, there, os.getpid())
+        simulation = context.Process(target=drive_simulation, args=work, name="simulation")
+        simulation.start()
+        there.close()
+        order_port.close()  # of this process; the simulation has it
+        try:
+            import hmi.app  # noqa: F401  loads the web server while the simulation is planned
+
+            found = _announced(here)
+            threading.Thread(target=_report_end, args=(simulation,), daemon=True).start()
+            scene = scene_of(found.config, "simulation", found.planned_map_m)
+            sender = OrderSender(key, AUTHORITY, found.order_port)
+            return _serve(LiveFeed(found.rings), scene, config, users, sender, stop_url, "simulation", listening)
+        finally:
+            _end(simulation)
+
+
+def serve_running(folder: Path, key_file: Path | None, config: PageConfig, users: Path) -> int:
+    """Page of a running drive; gives orders with a key that the machine knows."""
+    from runtime.page.live_feed import LiveFeed
+
+    found = running_drive(folder)
+    key = None if key_file is None else read_key(key_file)
+    sender = None
+    if key is not None and key_file is not None:
+        authority = found.authority_of(public_key_of(key).hex(), key_file)
+        sender = OrderSender(key, authority, found.order_port)
+    listening, stop_server = _listen(config.port), _stop_server(config.stop_port)
+    with _stop_process(stop_server, found.order_port) as stop_url:
+        feed = LiveFeed(found.rings, logged(folder))
+        scene = scene_of(found.config, str(folder / "config.yaml"))
+        return _serve(feed, scene, config, users, sender, stop_url, "connected", listening)
+
+
+def serve_log(path: Path, config: PageConfig, users: Path) -> int:
+    """Page that plays a log."""
+    listening = _listen(config.port)
+    feed = LogFeed(path)
+    text = read_metadata(path).get("config", {}).get("yaml", "")
+    scene = scene_of(text, str(path), feed.planned_map_m())
+    return _serve(feed, scene, config, users, None, None, "replay", listening)
+
+
+def _serve(
+    feed: Feed, scene: Scene, config: PageConfig, users_file: Path, sender: OrderSender | None, stop_url: str | None,
+    source: str, listening: socket.socket,
+) -> int:  # fmt: skip
+    """Serves until SIGINT or SIGTERM."""
+    from hmi.app import PageParts, make_app, serve
+
+    users, texts = read_users(users_file), texts_of(RULES)
+    number = listening.getsockname()[1]
+    sys.stdout.write(f"page: http://{HOST}:{number}/\n")
+    if stop_url is not None:
+        sys.stdout.write(f"emergency stop: {stop_url}\n")
+    if not users:
+        password = secrets.token_urlsafe(9)
+        users = one_time_user(password)
+        sys.stdout.write(f"log-in of this start: operator, password {password} (--add-user for lasting ones)\n")
+    sys.stdout.write("Ctrl+C ends it\n")
+    sys.stdout.flush()
+    access = Access(config.session, users)
+    parts = PageParts(feed, scene, config, access, sender, stop_url, source, lambda code: text_zh(texts, code))
+    serve(make_app(parts), listening)
+    return 0
+
+
+def _listen(port: int) -> socket.socket:
+    """Socket of the page; raises HeadlandError for a port that is taken."""
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((HOST, port))
+        listening.listen(64)
+    except OSError as error:
+        raise HeadlandError(f"--port {port}: cannot be opened ({error.strerror}); 0 takes a free one") from error
+    return listening
+
+
+def _stop_server(port: int) -> ThreadingHTTPServer:
+    try:
+        return emergency_stop.make_server(HOST, port)
+    except OSError as error:
+        raise HeadlandError(f"--stop-port {port}: cannot be opened ({error.strerror}); 0 takes a free one") from error
+
+
+@contextmanager
+def _stop_process(server: ThreadingHTTPServer, order_port: int) -> Iterator[str]:
+    """Process of the emergency stop; its address. It outlives a killed page for as long as the machine answers."""
+    process = multiprocessing.get_context("fork").Process(
+        target=_serve_stop, args=(server, order_port, os.getpid()), name="emergency stop"
+    )
+    process.start()
+    url = f"http://{HOST}:{server.server_address[1]}/"
+    server.server_close()
+    try:
+        yield url
+    finally:
+        process.terminate()
+        process.join()
+
+
+def _serve_stop(server: ThreadingHTTPServer, order_port: int, parent: int) -> None:
+    begin_worker(None)
+    unanswered = 0
+
+    def is_over(sender: emergency_stop.StopSender) -> bool:
+        nonlocal unanswered
+        if os.getppid() == parent:
+            return False
+        unanswered = 0 if sender.accepted() is not None else unanswered + 1
+        return unanswered >= UNANSWERED
+
+    emergency_stop.serve(server, order_port, is_over)
+
+
+def _announced(connection: Connection) -> Announcement:
+    """What the simulation says before its processes start; raises HeadlandError if it has failed."""
+    try:
+        found: Announcement = connection.recv()
+    except EOFError as error:
+        raise HeadlandError("the simulation did not start; see the message above") from error
+    return found
+
+
+def _report_end(simulation: BaseProcess) -> None:
+    simulation.join()
+    sys.stderr.write(f"headland: the simulation has ended (exit code {simulation.exitcode})\n")
+
+
+def _end(simulation: BaseProcess) -> None:
+    """Ends the simulation with its log closed."""
+    if simulation.is_alive():
+        simulation.terminate()
+        simulation.join(END_S)
+    if simulation.is_alive():
+        simulation.kill()

@@ -1,0 +1,192 @@
+"""Orders from the page in Chromium to a simulated machine: the whole stack in one process, in simulated time."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.hmi.accessibility import low_contrasts, small_targets
+from tests.hmi.browser import Browser, PageProcess, log_in, needs_browser, page_process, row, wait_for
+from tests.recordings import ROOT
+
+pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.drive]
+PASSWORD = "correct horse"
+MISSION = ("--mission", "line", "--scenario", "empty", "--stop-port", "0")
+
+
+@pytest.fixture(scope="module")
+def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
+    folder = tmp_path_factory.mktemp("page")
+    for user in ("anna:operate", "bo:operate", "cem:view"):
+        add_user(folder, user)
+    with page_process(folder, *MISSION) as found:
+        assert found.password == ""  # users are set up
+        yield found
+
+
+def add_user(folder: Path, user: str) -> None:
+    command = [sys.executable, "-m", "runtime", "page", "--state", str(folder / "state"), "--add-user", user]
+    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
+    subprocess.run(command, input=f"{PASSWORD}\n", text=True, env=env, cwd=folder, check=True)
+
+
+@pytest.fixture(scope="module")
+def anna(browser: Browser, process: PageProcess) -> Any:
+    page = browser.open()
+    log_in(page, process, "anna", PASSWORD)
+    return page
+
+
+def press(page: Any, order: str) -> None:
+    """Presses an order as soon as it is available."""
+    page.wait_for_selector(f"[data-hl=order-{order}]:not([disabled])")
+    page.click(f"[data-hl=order-{order}]")
+
+
+def why(page: Any, order: str, pattern: str) -> str:
+    """Shown reason for which an order cannot be given; its button is disabled."""
+    text = wait_for(page, f"[data-hl=why-{order}]", pattern)
+    assert page.locator(f"[data-hl=order-{order}]").is_disabled()
+    return text
+
+
+def stop_frame(page: Any) -> Any:
+    return page.frame_locator("iframe.hl-stop")
+
+
+def test_wrong_password(browser: Browser, process: PageProcess) -> None:
+    page = browser.open()
+    log_in(page, process, "anna", "wrong")
+    wait_for(page, "[role=alert]", "wrong")
+    page.goto(process.url)
+    assert "/log-in" in page.url
+    page.context.close()
+
+
+def test_orders_need_control_and_say_why_they_are_not_available(anna: Any) -> None:
+    """BD-4.1f: forbid, pause, start, manual, automatic are on the page; BD-5.8.1: nothing triggers by accident."""
+    wait_for(anna, "#mode", "Standby")
+    why(anna, "start", "Take control first")
+    anna.click("[data-hl=seat-button]")
+    wait_for(anna, "[data-hl=seat]", "You have control")
+    why(anna, "pause", "not in automatic operation")
+    why(anna, "resume", "has not begun|Not ready")
+    assert small_targets(anna) == low_contrasts(anna) == []
+
+
+def test_start_needs_a_confirmation_then_drives(anna: Any) -> None:
+    press(anna, "start")
+    wait_for(anna, "[data-hl=answer]", "Start: accepted")
+    wait_for(anna, "#cause", "Nobody has confirmed")
+    assert "confirm that nobody is near" in anna.text_content("#next")
+    press(anna, "confirm_clear")
+    wait_for(anna, "[data-hl=answer]", "Nobody is near: accepted")
+    if anna.text_content("#mode") == "Standby" and not anna.locator("[data-hl=order-start]").is_disabled():
+        anna.click("[data-hl=order-start]")  # the first one has expired meanwhile
+    wait_for(anna, "#mode", "Start warning|Automatic")
+    wait_for(anna, "#mode", "Automatic")
+    wait_for(anna, "#rows-motion [data-key=speed] dd", "^[1-9]")
+    assert row(anna, "machine", "park_brake") == "released"
+    why(anna, "start", "in automatic operation")
+
+
+def test_a_second_operator_and_a_viewer_give_no_orders(browser: Browser, process: PageProcess, anna: Any) -> None:
+    for name, reason in (("bo", "anna has control"), ("cem", "viewing only")):
+        page = browser.open()
+        log_in(page, process, name, PASSWORD)
+        why(page, "pause", reason)
+        button = page.locator("[data-hl=seat-button]")
+        assert button.count() == 0 if name == "cem" else button.is_disabled()
+        page.context.close()
+
+
+def test_pause_and_resume(anna: Any) -> None:
+    press(anna, "pause")
+    wait_for(anna, "#mode", "Standby")
+    wait_for(anna, "#rows-motion [data-key=speed] dd", r"^-?0\.0")
+    why(anna, "start", "has begun")
+    press(anna, "resume")
+    wait_for(anna, "#mode", "Automatic")
+
+
+def test_emergency_stop_works_while_the_page_hangs(anna: Any, process: PageProcess) -> None:
+    """BD-5.8.1: the form has a process of its own; the frozen page says that it is old."""
+    process.process.send_signal(signal.SIGSTOP)
+    try:
+        anna.wait_for_selector("#lost:not([hidden])")
+        stop_frame(anna).locator("#emergency-stop").click()
+        stop_frame(anna).get_by_text("The machine has answered").wait_for()
+    finally:
+        process.process.send_signal(signal.SIGCONT)
+    wait_for(anna, "#mode", "Emergency stop")
+    assert "remove the danger" in anna.text_content("#next")
+    wait_for(anna, "#rows-motion [data-key=speed] dd", r"^-?0\.0")
+
+
+def test_emergency_stop_is_released_in_two_steps(anna: Any) -> None:
+    why(anna, "resume", "Release the stop first")
+    press(anna, "reset")
+    wait_for(anna, "[data-hl=order-reset]", "Press again")
+    assert anna.text_content("#mode") == "Emergency stop"
+    anna.click("[data-hl=order-reset]")
+    wait_for(anna, "#mode", "Standby")
+
+
+def test_emergency_stop_without_log_in(browser: Browser, process: PageProcess, anna: Any) -> None:
+    page = browser.open("phone", "zh-CN")
+    page.goto(process.url)
+    assert small_targets(page) == low_contrasts(page) == []
+    stop_frame(page).locator("#emergency-stop").click()
+    stop_frame(page).get_by_text("机器已应答").wait_for()
+    wait_for(anna, "#mode", "Emergency stop")
+    page.context.close()
+
+
+def test_hand_over(browser: Browser, process: PageProcess, anna: Any) -> None:
+    anna.click("[data-hl=seat-button]")
+    wait_for(anna, "[data-hl=seat]", "Nobody")
+    page = browser.open()
+    log_in(page, process, "bo", PASSWORD)
+    page.click("[data-hl=seat-button]")
+    wait_for(page, "[data-hl=seat]", "You have control")
+    why(anna, "reset", "bo has control")
+    page.context.close()
+
+
+def test_a_killed_page_leaves_no_process(process: PageProcess, anna: Any, browser: Browser) -> None:
+    """The simulation ends with its page; the emergency stop when the machine no longer answers."""
+    children = descendants(process.process.pid)
+    assert len(children) >= 2
+    process.process.kill()
+    until_s = time.monotonic() + 60.0
+    while time.monotonic() < until_s and any(is_running(child) for child in children):
+        time.sleep(0.2)
+    assert not [child for child in children if is_running(child)]
+    anna.wait_for_selector("#lost:not([hidden])")
+    assert browser.requested == {"127.0.0.1"}
+    assert browser.errors == []
+
+
+def descendants(pid: int) -> list[int]:
+    """Child processes and theirs."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            if int(path.read_text().rpartition(")")[2].split()[1]) == pid:
+                child = int(path.parent.name)
+                found += [child, *descendants(child)]
+    return found
+
+
+def is_running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
