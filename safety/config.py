@@ -76,6 +76,21 @@ class FieldConfig(Config):
         return self
 
 
+class MeasuredGroundConfig(Config):
+    """Ground around each return above the plane through the wheels, by the lowest returns of cells."""
+
+    cell_m: float = Field(gt=0.1, le=2.0)
+    returns: int = Field(ge=1, le=50, description="order of the lowest return of a cell that is its ground")
+    slope: float = Field(ge=0.0, le=1.0, description="greatest rise of the ground, in base, from a lower place")
+    reach_cells: int = Field(ge=1, le=20, description="cells over which a lower place bounds the ground")
+    wheels_m: Metres = Field(description="distance from the centre between the axles that counts as beside the wheels")
+    wheels_cells: int = Field(ge=1, le=100, description="least number of cells there")
+    wheels_tolerance_m: Metres = Field(description="of their median height: farther off the lidar is misaligned")
+    plane_reach_cells: int = Field(ge=1, le=20, description="cells on each side for the plane that levels the ground")
+    plane_cells: int = Field(ge=3, le=400, description="least number of them with ground")
+    near_min_height_m: Metres = Field(description="least height above the levelled ground that counts")
+
+
 class NearFieldConfig(Config):
     """Low objects on the measured ground near machine and implement."""
 
@@ -272,6 +287,7 @@ class SafetyConfig(Config):
 
     braking: BrakingConfig
     field: FieldConfig
+    measured_ground: MeasuredGroundConfig
     near_field: NearFieldConfig
     departure: DepartureConfig
     detection_range: DetectionRangeConfig

@@ -37,6 +37,8 @@ RULE = Rule(
         "field.lateral_margin_near_m",
         "field.lateral_margin_far_m",
         "field.min_height_m",
+        "measured_ground.slope",
+        "measured_ground.wheels_tolerance_m",
         "near_field.range_m",
         "near_field.min_height_m",
         "near_field.roughness_factor",

@@ -23,6 +23,7 @@ from safety.sources.detection_range import (
 )
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.ground_heights import NO_GROUND, ground_heights
+from safety.sources.measured_ground import level, stands_out
 from safety.sources.multiple_evaluation import cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
@@ -44,6 +45,8 @@ class LidarSource:
         self.hits_odom_m: Float64 = np.empty((0, 3))
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
         self.footprint, self._config = footprint, config
+        least_m = config.measured_ground.near_min_height_m
+        self._on_slopes = config.near_field.model_copy(update={"min_height_m": least_m})
         self.hitch, self._mount = 1.0, lidar.mount
         self._looks_down = lidar.looks_down
         self._T_base_sensor = lidar.mount.T_base_sensor
@@ -96,9 +99,7 @@ class LidarSource:
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
         near = near[~is_machine]  # before deskewing: the machine moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
-        is_obstacle = is_high = mark_obstacles(near_xyz, area, field)
-        if near_field is not None:
-            is_obstacle = is_high | mark_low_obstacles(near_xyz, near_field, self._config.near_field).is_obstacle
+        is_obstacle, is_high = self._mark(near_xyz, area, near_field)
         obstacles = np.asarray(near_xyz.compress(is_obstacle, axis=1), np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         is_hit, self._cells = evaluate(
@@ -109,6 +110,22 @@ class LidarSource:
             field.min_returns_multiple_scan,
         )
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
+
+    def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray]:
+        """Which returns (3, N) are obstacles, and which of them are high, (N,) bool."""
+        config = self._config
+        is_above_plane = mark_obstacles(xyz, area, config.field)
+        is_high = stands_out(xyz, is_above_plane, area, config.field, config.measured_ground)
+        if near_field is None:
+            return is_high, is_high
+        near = mark_low_obstacles(xyz, near_field, config.near_field)
+        is_low, is_hidden = near.is_obstacle, is_above_plane & ~is_high
+        if near.min_height_m > config.field.min_height_m:
+            is_hidden[:] = True  # on such ground the near field misses what the plane may not reach
+        if is_hidden.any():
+            level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
+            is_low |= is_hidden & mark_low_obstacles(level_xyz, near_field, self._on_slopes).is_obstacle
+        return is_high | is_low, is_high
 
     def _count_repetition(self, content: int | None) -> None:
         """Counts scans in a row whose ranges an earlier one had bit for bit: frozen, or a replayed recording."""

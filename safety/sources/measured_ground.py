@@ -1,0 +1,126 @@
+"""Measured ground: what the bounded plane of the ground filter calls an obstacle must stand above the ground around it.
+
+Waves and crests rise out of the plane through the wheels, and that plane tilts with the machine. The lowest returns of
+each cell, raised by a slope with the distance from it, bound the ground from above: the lowest such bound at a place is
+its measured ground. Where there is one, more returns can only lower it, and an object is seen above the ground beside
+it.
+
+z   bound of A: slope │ × counts: above the lowest bound by the minimum height
+    A _____________---│ · does not: the rise from A explains it
+    ^ lowest returns of a cell
+
+The wheels stand on the ground: a lidar whose ground beside them lies elsewhere is misaligned, and one that sees no
+ground there proves nothing. Both keep every return above the plane, as does a place without ground around it. What the
+rise explains is levelled by planes through the cells around it, for the near field to find who lies on a slope.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import Float32, Float64, Int64
+from safety.config import FieldConfig, MeasuredGroundConfig
+from safety.sources.ground_filter import WHEELS_X_M, estimate_ground
+from safety.zones.footprint import Box
+
+RIDGE = 0.1  # keeps a plane through cells in one row level across it, in squares of cells
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Grid about a box: middle of the cells along x (R,) and y (C,), and the cell of each return (N,)."""
+
+    x_m: Float64
+    y_m: Float64
+    of: Int64
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return len(self.x_m), len(self.y_m)
+
+    def low_m(self, z: Float32, returns: int, share: float) -> Float64:
+        """Lowest returns of each cell (R, C) as in `estimate_ground`."""
+        rows, columns = self.shape
+        return estimate_ground(self.of, z, rows * columns, returns, share).reshape(self.shape)
+
+
+def cells_of(xyz: Float32, box: Box, size_m: float) -> Cells:
+    """Cells of returns (3, N); those beyond the box belong to its outermost cells."""
+    x0, y0 = np.floor(box.x_m[0] / size_m), np.floor(box.y_m[0] / size_m)
+    rows, columns = (int(np.floor(high / size_m) - low) + 1 for high, low in ((box.x_m[1], x0), (box.y_m[1], y0)))
+    scale = np.float32(1.0 / size_m)
+    row = np.clip((xyz[0] * scale - np.float32(x0)).astype(np.int64), 0, rows - 1)
+    column = np.clip((xyz[1] * scale - np.float32(y0)).astype(np.int64), 0, columns - 1)
+    x_m, y_m = (np.arange(rows) + x0 + 0.5) * size_m, (np.arange(columns) + y0 + 0.5) * size_m
+    return Cells(x_m, y_m, row * columns + column)
+
+
+def stands_out(
+    xyz: Float32, is_above_plane: np.ndarray, box: Box, field: FieldConfig, config: MeasuredGroundConfig
+) -> np.ndarray:
+    """Which of the returns (3, N) above the plane, (N,) bool, also stand above the measured ground, (N,) bool."""
+    if not is_above_plane.any():
+        return is_above_plane
+    cells = cells_of(xyz, box, config.cell_m)
+    low_m = cells.low_m(xyz[2], config.returns, 0.0)
+    if not is_below_wheels(low_m, np.hypot(cells.x_m[:, None] - WHEELS_X_M, cells.y_m), config):
+        return is_above_plane
+    above = np.flatnonzero(is_above_plane)
+    x, y, z = xyz.take(above, axis=1)
+    ground_m = lowest_bound(low_m, config).ravel()[cells.of[above]]
+    limit_m = ground_m + field.min_height_m + field.min_height_slope * np.hypot(x, y)
+    is_obstacle = is_above_plane.copy()
+    is_obstacle[above] = (z > limit_m) | np.isinf(ground_m)
+    return is_obstacle
+
+
+def is_below_wheels(low_m: Float64, distance_m: Float64, config: MeasuredGroundConfig) -> bool:
+    """Whether the ground of cells (R, C) near the wheels, by their distance (R, C), is that on which they stand."""
+    near = low_m[(distance_m <= config.wheels_m) & np.isfinite(low_m)]
+    return len(near) >= config.wheels_cells and abs(float(np.median(near))) <= config.wheels_tolerance_m
+
+
+def lowest_bound(low_m: Float64, config: MeasuredGroundConfig) -> Float64:
+    """Lowest of the bounds from each cell (R, C) within reach; infinite without any ground there."""
+    rows, columns = low_m.shape
+    reach = config.reach_cells
+    around = np.pad(low_m, reach, constant_values=np.inf)
+    bound = np.full(low_m.shape, np.inf)
+    for i in range(2 * reach + 1):
+        for j in range(2 * reach + 1):
+            rise_m = config.slope * config.cell_m * np.hypot(i - reach, j - reach)
+            np.minimum(bound, around[i : i + rows, j : j + columns] + rise_m, out=bound)
+    return bound
+
+
+def level(xyz: Float32, box: Box, share: float, config: MeasuredGroundConfig) -> Float32:
+    """Returns (3, N) with their height above the plane through the low returns of the cells around each.
+
+    `share`: quantile of the heights in a cell that is its ground. Unchanged where fewer than `plane_cells` have any.
+    """
+    cells = cells_of(xyz, box, config.cell_m)
+    low_m = cells.low_m(xyz[2], config.returns, share)
+    is_known = np.isfinite(low_m)
+    rows, columns = cells.shape
+    one, x, y = np.ones(cells.shape), *np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    products = [is_known * a * b for a, b in ((one, one), (one, x), (one, y), (x, x), (x, y), (y, y))]
+    heights = [np.where(is_known, low_m, 0.0) * a for a in (one, x, y)]
+    n, sx, sy, xx, xy, yy, z, zx, zy = window_sums(np.stack([*products, *heights]), config.plane_reach_cells)
+    normal = np.stack([n, sx, sy, sx, xx + RIDGE, xy, sy, xy, yy + RIDGE], axis=-1).reshape(rows, columns, 3, 3)
+    is_few = n < config.plane_cells
+    normal[is_few] = np.eye(3)
+    plane = np.linalg.solve(normal, np.stack([z, zx, zy], axis=-1)[..., None])[..., 0]
+    plane[is_few] = 0.0
+    at, bx, by = plane.reshape(-1, 3)[cells.of].T
+    row = (xyz[0] - cells.x_m[0]) / config.cell_m
+    column = (xyz[1] - cells.y_m[0]) / config.cell_m
+    return np.stack([xyz[0], xyz[1], xyz[2] - (at + bx * row + by * column)]).astype(np.float32)
+
+
+def window_sums(layers: Float64, reach: int) -> Float64:
+    """Sum of each layer (L, R, C) over the square of cells within reach of each."""
+    width = 2 * reach + 1
+    total = np.cumsum(np.cumsum(np.pad(layers, ((0, 0), (reach + 1, reach), (reach + 1, reach))), axis=1), axis=2)
+    upper, lower = total[:, :-width], total[:, width:]
+    return lower[:, :, width:] - lower[:, :, :-width] - upper[:, :, width:] + upper[:, :, :-width]
