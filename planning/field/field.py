@@ -22,7 +22,7 @@ from planning.field.simplification import simplified_inwards
 MIN_AREA_M2 = 100.0
 MAX_EXTENT_M = 5000.0
 MAX_POINTS = 200_000
-SAME_POINT_M = 0.01
+SAME_POINT_M = 0.002
 OBSTACLE_M = 1.0  # kept clear around obstacles without area
 
 

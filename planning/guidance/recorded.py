@@ -24,10 +24,14 @@ def choose_line(lines: Sequence[RecordedLine], wanted: str) -> RecordedLine:
         return lines[int(text[:9]) - 1]
     if len(named) == 1:
         return named[0]
-    shown = [f"{k + 1} {line.name!r} ({line.kind})" for k, line in enumerate(lines[:SHOWN])]
-    more = f" and {len(lines) - SHOWN} more" if len(lines) > SHOWN else ""
     why = f"{len(named)} guidance lines are named" if named else "no guidance line"
-    raise FieldError(f"{why} {wanted[:60]!r}; the field has: {', '.join(shown) or 'none'}{more}")
+    raise FieldError(f"{why} {wanted[:60]!r}; the field has: {listed(lines) or 'none'}")
+
+
+def listed(lines: Sequence[RecordedLine]) -> str:
+    """Numbers, names and kinds of lines."""
+    shown = [f"{k + 1} {line.name!r} ({line.kind})" for k, line in enumerate(lines[:SHOWN])]
+    return ", ".join(shown) + (f" and {len(lines) - SHOWN} more" if len(lines) > SHOWN else "")
 
 
 def line_in_map(recorded: RecordedLine, datum: Datum) -> Line:

@@ -12,7 +12,7 @@ def check_drive(arguments: argparse.Namespace) -> None:
 
     Prints what a field file holds beside the field, one line each.
     """
-    check_field(arguments)
+    notes = check_field(arguments)
     # only now: the imports take 0.5 s, and a wrong field file is reported at once
     from configs.mission import Mission
     from configs.site import Site
@@ -24,22 +24,24 @@ def check_drive(arguments: argparse.Namespace) -> None:
     load(ImplementFile, find("implements", arguments.implement or mission.implement))
     if getattr(arguments, "scenario", None) is not None:
         find("scenarios", arguments.scenario)
-    if arguments.bay is None or arguments.field is not None:
-        return
-    site = load(Site, find("sites", mission.site))
-    if site.shed is None:
-        raise HeadlandError(f"--bay {arguments.bay}: the site {mission.site} has no shed")
-    site.shed.bay(arguments.bay)
+    if arguments.bay is not None and arguments.field is None:
+        site = load(Site, find("sites", mission.site))
+        if site.shed is None:
+            raise HeadlandError(f"--bay {arguments.bay}: the site {mission.site} has no shed")
+        site.shed.bay(arguments.bay)
+    for note in notes:
+        sys.stderr.write(f"{arguments.field}: {note}\n")
 
 
-def check_field(arguments: argparse.Namespace) -> None:
-    """Raises HeadlandError for a field file without the field that is asked for; prints its notes."""
+def check_field(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """Notes on a field file; raises HeadlandError for one without the field or guidance line that is asked for."""
     if arguments.field is None:
         for name in ("feature", "guidance"):
             if (given := getattr(arguments, name)) is not None:
                 raise HeadlandError(f"--{name} {given}: is taken from a field file; give the file by --field")
-        return
+        return ()
     from planning.field.feature_choice import choose
+    from planning.field.formats.contents import count_of
     from planning.field.formats.known_formats import read_file
 
     path = Path(arguments.field)
@@ -47,10 +49,13 @@ def check_field(arguments: argparse.Namespace) -> None:
     choose(contents, arguments.feature, str(path))
     # only now: the import takes 0.5 s, and a file of another kind is reported at once
     from planning.field.field import outline_of
-    from planning.guidance.recorded import choose_line, straight_in_map
+    from planning.guidance.recorded import choose_line, listed, straight_in_map
 
     outline = outline_of(contents, path, arguments.feature)
     if arguments.guidance is not None:
         straight_in_map(choose_line(outline.lines, arguments.guidance), outline.datum.datum)
-    for note in outline.notes:
-        sys.stderr.write(f"{arguments.field}: {note}\n")
+        return outline.notes
+    if not outline.lines:
+        return outline.notes
+    count = count_of(len(outline.lines), "guidance line")
+    return (*outline.notes, f"{count}, used with --guidance LINE: {listed(outline.lines)}")

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,16 @@ import shapely
 from shapely.geometry import Polygon
 
 from configs.mission import Mission
+from configs.site import Site
 from configs.vehicle import MountedImplement, Vehicle
 from messages.errors import FieldError
 from planning.field.drivable_area import drivable_area_of
-from planning.field.field import read_field
+from planning.field.field import FieldOutline, read_field
 from planning.field.formats.contents import Ring
 from planning.field.formats.known_formats import known_formats, read_file
 from planning.field.simplification import simplified_inwards
-from planning.field.site_generation import site_around
+from planning.field.site_generation import site_around, site_of_original
+from planning.plan import Plan, check_within
 from tests.planning.field_samples import (
     AB,
     POND,
@@ -86,6 +89,13 @@ SAME: dict[str, Make] = {
         "f.kml", kml(placemark("F", f"<MultiGeometry>{kml_polygon(RINGS)}</MultiGeometry>"))
     ),
     "kmz": lambda f: zipped(f / "f.kmz", {"doc.kml": kml(NESTED), "files/icon.png": b"\x89PNG"}),
+    "kmz with links to its files": lambda f: zipped(
+        f / "f.kmz",
+        {
+            "doc.kml": kml("<NetworkLink><Link><href>layers/f.kml</href></Link></NetworkLink>"),
+            "layers/f.kml": kml(NESTED),
+        },
+    ),
     "shapefile": lambda f: shapefile(f, {"F": RINGS}),
     "shapefile UTM": lambda f: shapefile(f, {"F": RINGS}, "EPSG:32631"),
     "shapefile in a zip": zipped_shapefile,
@@ -317,3 +327,12 @@ def test_register(name: str) -> None:
     expected = [a for a, f in zip(stated, features, strict=True) if len(f.parts) == 1]
     assert len(found) > 70
     assert found == pytest.approx(expected, rel=0.003, abs=0.0005)
+
+
+def test_plan_is_checked_against_the_original(plan: Plan, site: Site, mission: Mission) -> None:
+    assert mission.work is not None
+    outline = FieldOutline("f", site.datum, Polygon(site.boundary_m), Polygon(site.boundary_m))
+    check_within(plan, site_of_original(site, outline), mission.work.boundary_margin_m)
+    narrower = replace(outline, original=Polygon(site.boundary_m).buffer(-0.1, join_style="mitre"))
+    with pytest.raises(FieldError, match="leaves the field"):
+        check_within(plan, site_of_original(site, narrower), mission.work.boundary_margin_m)

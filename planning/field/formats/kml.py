@@ -22,6 +22,7 @@ from planning.field.formats.xml_tree import parse_xml
 NAME = "KML"
 ROOTS = ("kml", "Document", "Folder", "Placemark")
 COMMA = re.compile(r"\s*,\s*")
+LINKED = (".kml", ".kmz")
 POINTS = ("Point", "Model")
 SYSTEM = CoordinateSystem(None, "longitude,latitude")
 
@@ -32,10 +33,8 @@ def sniff(source: Source) -> Callable[[], FieldFile] | None:
     if root is not None:
         return (lambda: read_kml([root])) if root.tag in ROOTS else None
     found = source.named(".kml")
-    main = [name for name in found if name.rpartition("/")[2].lower() == "doc.kml"]
-    if not found:
-        return None
-    return lambda: read_kml([parse_xml(source.read(n), f"{source.path}: {n}") for n in main[:1] or found])
+    # the main file may do no more than link to the others
+    return (lambda: read_kml([parse_xml(source.read(n), f"{source.path}: {n}") for n in found])) if found else None
 
 
 def read_kml(roots: list[Element]) -> FieldFile:
@@ -45,7 +44,8 @@ def read_kml(roots: list[Element]) -> FieldFile:
     unread: list[str] = []
     points = links = 0
     for root in roots:
-        links += sum(1 for _ in root.iter("NetworkLink"))
+        hrefs = [(node.text or "").strip().lower() for node in root.iter("href")]
+        links += sum(href.endswith(LINKED) and (len(roots) == 1 or "://" in href) for href in hrefs)
         for placemark, folder in _placemarks(root, ""):
             name = plain_name(placemark.findtext("name")) or folder
             points += sum(1 for kind in POINTS for _ in placemark.iter(kind))
@@ -55,7 +55,7 @@ def read_kml(roots: list[Element]) -> FieldFile:
                 unread.append(f"line {name!r} ({error})")
             if (feature := _feature(placemark, name)) is not None:
                 features.append(feature)
-    notes = ignored_note(points, [*([count_of(links, "link")] if links else []), *unread])
+    notes = ignored_note(points, [*([count_of(links, "file link")] if links else []), *unread])
     return FieldFile(tuple(features), tuple(lines), notes)
 
 

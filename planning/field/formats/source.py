@@ -30,7 +30,7 @@ class Source:
         self.names: tuple[str, ...] = ()
         self._archive: zipfile.ZipFile | None = None
         if path.is_dir():
-            self.names = _sorted(str(p.relative_to(path)) for p in _files(path))
+            self.names = self._guarded(lambda: _sorted(str(p.relative_to(path)) for p in _files(path)))
         elif self.head.startswith(ZIP):
             self._archive = self._guarded(lambda: zipfile.ZipFile(io.BytesIO(self.read())))
             self.names = _sorted(n for n in self._archive.namelist() if n and not n.endswith("/"))
