@@ -49,13 +49,13 @@ def odd(message: Message, value: float) -> Iterator[tuple[str, Message]]:
         if isinstance(present, np.ndarray) and present.dtype.kind == "f":
             yield (
                 field.name,
-                replace(message, **{field.name: np.full_like(present, min(value, 1e30) if value == 1e300 else value)}),
+                replace(message, **{field.name: np.full_like(present, value)}),
             )
         elif type(present) is float:
             yield field.name, replace(message, **{field.name: value})
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e30])
 @pytest.mark.parametrize("topic", sorted(usual()))
 def test_odd_numbers_are_shown_somehow(topic: str, value: float) -> None:
     for name, message in odd(usual()[topic], value):
