@@ -31,6 +31,7 @@ from hmi.shown import shown_of
 from hmi.texts import texts_of
 
 STATIC = Path(__file__).parent / "static"
+LOG = logging.getLogger(__name__)
 CONNECT_S = 30.0  # for a browser to connect after it has loaded the page
 
 
@@ -57,14 +58,17 @@ class PageApp:
         self.pages: dict[str, DrivePage] = {}
 
     async def run(self) -> None:
-        """Updates all pages once per period; an error of one page closes that page only."""
+        """Updates all pages once per period; after an error they say that what they show is old."""
         while True:
             began_s = time.monotonic()
-            self.step()
+            try:
+                self.step()
+            except Exception:
+                LOG.exception("the pages are not updated")
             await asyncio.sleep(max(0.02, self.parts.config.period_s - (time.monotonic() - began_s)))
 
     def step(self) -> None:
-        """Reads the feed and updates all pages."""
+        """Reads the feed and updates all pages; an error of one page closes that page only."""
         feed = self.parts.feed
         envelopes = feed.poll()
         is_restarted = feed.take_restart()
@@ -79,7 +83,7 @@ class PageApp:
             try:
                 page.update(shown[language], self.state, is_restarted)
             except Exception:
-                logging.getLogger(__name__).exception("a page is closed")
+                LOG.exception("a page is closed")
                 self.pages.pop(key, None)
 
     async def open(self, request: Request) -> RedirectResponse | None:

@@ -4,6 +4,8 @@ from collections import deque
 from collections.abc import Iterable
 from typing import TypeVar
 
+import numpy as np
+
 from geometry.pose2 import Pose2
 from hmi.coverage import Coverage, Trail
 from hmi.scene import Scene
@@ -72,9 +74,11 @@ class PageState:
 
     @property
     def pose(self) -> Pose2 | None:
-        """Pose of `base` in `map`: the newest odometry by the newest alignment; None before both are known."""
+        """Pose of `base` in `map`: the newest odometry by the newest alignment; None unless both are known."""
         odometry, map_pose = self.newest("odom", Odometry), self.newest("map_pose", MapPose)
         if map_pose is None or not map_pose.is_initialized or odometry is None:
+            return None
+        if not (np.isfinite(map_pose.T_map_odom).all() and np.isfinite(odometry.T_odom_base).all()):
             return None
         return Pose2.of(map_pose.T_map_odom) @ Pose2.of(odometry.T_odom_base)
 

@@ -82,7 +82,21 @@ def test_runtime_is_not_imported() -> None:
     assert not [path for folder in MAY_IMPORT for path in files(folder) if "runtime" in imported(path.read_text())]
 
 
+def test_web_server_in_hmi_only() -> None:
+    """The state of the page and what is shown of it need no browser and no server."""
+    folders = [folder for folder in FOLDERS if folder != "hmi"]
+    assert not [path for folder in folders for path in files(folder) if "nicegui" in imported(path.read_text())]
+    users = {path.relative_to(ROOT / "hmi").as_posix() for path in files("hmi") if uses_server(path.read_text())}
+    assert users == {"app.py", "drive_page.py", "log_in.py", "replay_bar.py", "seat_bar.py", "security.py"}
+
+
+def uses_server(source: str) -> bool:
+    return not imported(source).isdisjoint({"nicegui", "fastapi", "starlette", "uvicorn"})
+
+
 def test_injected_violations() -> None:
+    assert violations("hmi", "from datasets.reader import x\nfrom nicegui import ui") == {"datasets"}
+    assert uses_server("from nicegui import ui")
     assert violations("planning", "from control.speed import x\nimport numpy") == {"control"}
     assert violations("safety", "import shapely\nimport numpy") == {"shapely"}
     assert builds_safe_command("from messages import command\ncommand.SafeCommand(1)")

@@ -40,11 +40,11 @@ def _value(key: str, machine: MachineState, texts: Texts) -> tuple[str, Level]:
         return texts(f"machine_state.steering_{'ready' if machine.is_steering_ready else 'off'}"), "plain"
     if key == "hitch":
         work = texts(f"machine_state.hitch_{'work' if machine.is_hitch_in_work else 'up'}")
-        return f"{100.0 * machine.hitch:.0f}\u202f% · {work}", "plain"
+        return f"{number(100.0 * machine.hitch, 0, '%')} · {work}", "plain"
     if key == "pto":
         return number(machine.pto_radps * 30.0 / math.pi, 0, "1/min"), "plain"
     if key == "fold":
-        return f"{100.0 * machine.fold_position:.0f}\u202f%", "plain"
+        return number(100.0 * machine.fold_position, 0, "%"), "plain"
     if key == "brake_pedal":
-        return f"{100.0 * machine.brake_pedal:.0f}\u202f%", "plain"
-    return number(machine.supply_v, 1, "V"), "warning" if machine.supply_v < LOW_SUPPLY_V else "plain"
+        return number(100.0 * machine.brake_pedal, 0, "%"), "plain"
+    return number(machine.supply_v, 1, "V"), "plain" if machine.supply_v >= LOW_SUPPLY_V else "warning"

@@ -47,8 +47,8 @@ def moving_map(state: PageState, texts: Texts) -> dict[str, Any]:
     shown["tracks"] = _tracks(state, pose, texts)
     if supervisor is not None:
         points = supervisor.triggering_points_base_m[:, :2].astype(np.float64)
-        shown["field"] = _listed(to_frame(pose, supervisor.protective_field_base_m))
-        shown["points"] = _listed(to_frame(pose, points[:: max(1, len(points) // MAX_POINTS)]))
+        shown["field"] = _placed(pose, supervisor.protective_field_base_m)
+        shown["points"] = _placed(pose, points[:: max(1, len(points) // MAX_POINTS)])
     return shown
 
 
@@ -71,6 +71,11 @@ def _tracks(state: PageState, pose: Pose2, texts: Texts) -> list[dict[str, Any]]
             "class": str(track.label), "text": f"{texts(f'class.{track.label}')} {speed}",
         })  # fmt: skip
     return found
+
+
+def _placed(pose: Pose2, points_base_m: Float64) -> list[list[float]]:
+    """Finite ones of points (N, 2) of `base` in `map`."""
+    return _listed(to_frame(pose, points_base_m[np.isfinite(points_base_m).all(axis=1)]))
 
 
 def _listed(points_m: Float64) -> list[list[float]]:

@@ -54,7 +54,7 @@ def compass_deg(yaw_rad: float) -> float:
 def _sided(value: float, digits: int, unit: str, texts: Texts) -> str:
     """Amount with its side; left positive."""
     text = number(abs(value), digits, unit)
-    if float(f"{abs(value):.{digits}f}") == 0.0:
+    if not math.isfinite(value) or float(f"{abs(value):.{digits}f}") == 0.0:
         return text
     return f"{text} {texts('side.left' if value > 0.0 else 'side.right')}"
 
@@ -69,7 +69,7 @@ def _steering(state: PageState, texts: Texts) -> str:
 
 def _time_left(state: PageState, mission: MissionStatus) -> str:
     """Minutes to the end of the plan at the mean speed of the time in automatic operation."""
-    if state.engaged_s < MIN_ENGAGED_S or mission.driven_m < 1.0:
+    if state.engaged_s < MIN_ENGAGED_S or not mission.driven_m >= 1.0:
         return UNKNOWN
     left_s = (mission.total_m - mission.driven_m) * state.engaged_s / mission.driven_m
-    return number(math.ceil(left_s / 60.0), 0, "min")
+    return number(math.ceil(left_s / 60.0), 0, "min") if math.isfinite(left_s) else UNKNOWN

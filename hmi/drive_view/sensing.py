@@ -54,13 +54,15 @@ def obstacle_rows(state: PageState, texts: Texts) -> list[Row]:
 def near_tracks(state: PageState) -> list[tuple[Track, float, float]]:
     """Confirmed tracks within `NEAR_M` with their place in `base` (x, y), nearest first."""
     tracks, odometry = state.fresh("tracks", Tracks), state.fresh("odom", Odometry)
-    if tracks is None or odometry is None:
+    if tracks is None or odometry is None or not np.isfinite(odometry.T_odom_base).all():
         return []
     base = Pose2.of(odometry.T_odom_base)
     found = []
     for track in tracks.tracks:
+        if not track.is_confirmed or not np.isfinite(track.p_odom_m).all():
+            continue
         x_m, y_m = from_frame(base, track.p_odom_m[None, :2])[0].tolist()
-        if track.is_confirmed and math.hypot(x_m, y_m) <= NEAR_M:
+        if math.hypot(x_m, y_m) <= NEAR_M:
             found.append((track, x_m, y_m))
     return sorted(found, key=lambda one: math.hypot(*one[1:]))
 
