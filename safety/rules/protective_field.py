@@ -42,6 +42,7 @@ RULE = Rule(
         "near_field.range_m",
         "near_field.min_height_m",
         "near_field.roughness_factor",
+        "transmission.max_blocked_ratio",
         "braking.reaction_s",
         "braking.build_up_s",
         "braking.deceleration_mps2",
