@@ -16,6 +16,7 @@ from localization.dead_reckoning.wheel_track import WheelConfig
 from localization.dock_prior import DockPriorConfig
 from localization.gnss_gate import GnssConfig
 from localization.gnss_monitor import GnssMonitorConfig
+from localization.graph.motion_start import MotionStartConfig
 from localization.graph.smoother import SmootherConfig
 from localization.integrity import IntegrityConfig
 from localization.lidar.lidar_odometry import LidarOdometryConfig
@@ -44,6 +45,7 @@ class MapAlignmentConfig(Config):
     gnss_monitor: GnssMonitorConfig
     smoother: SmootherConfig
     initial_alignment: InitialAlignmentConfig
+    motion_start: MotionStartConfig
     odometry_spans: OdometrySpansConfig
     pose_measurement: PoseMeasurementConfig
     range_gate: RangeGateConfig
