@@ -56,6 +56,7 @@ class MapAlignmentConfig(Config):
     max_bridge_s: float = Field(gt=0.0, le=10.0, description="a longer gap while driving loses the position")
     reset_sigma_m: float = Field(gt=0.0, le=10.0, description="added when a failed graph is reset")
     reset_sigma_deg: float = Field(gt=0.0, le=20.0)
+    realign_moving_s: float = Field(gt=0.0, le=3600.0, description="the same in motion, where the start must be proven")
     realign_s: float = Field(gt=0.0, le=600.0, description="fixes rejected at standstill for longer: restart")
 
     @property

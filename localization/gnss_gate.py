@@ -86,7 +86,8 @@ class Position:
     """A fix in `map`: `sigma_m` (3,) for one factor, `slow_m` (3,) the slowly varying error.
 
     `velocity_mps` (3,) of the antenna with sigma, NaN when unknown. `total_m` (3,) is the sigma of the fix alone, and
-    `change_m` (3,) that from which its changes follow: an unknown accuracy does not make it change faster. Of it, the correlated part has the time `correlation_s` (0: not known) and `is_estimated` as variable of the graph.
+    `change_m` (3,) that from which its changes follow: an unknown accuracy does not make it change faster. The
+    correlated part has the time `correlation_s` (0: not known) and `is_estimated` as a variable of the graph.
     """
 
     stamp_ns: int
@@ -188,6 +189,11 @@ class GnssGate:
     def is_recent(self, stamp_ns: int) -> bool:
         """Whether a fix was accepted within the outage time."""
         return self._accepted_ns is not None and stamp_ns - self._accepted_ns <= self._config.outage_s * 1e9
+
+    @property
+    def innovation_m(self) -> float:
+        """Horizontal distance of the newest fix from its prediction."""
+        return float(np.linalg.norm(self._recent[-1][:2])) if self._recent else 0.0
 
     def evaluate(self, position: Position, predicted_m: Float64, covariance: Float64) -> RejectionReason:
         """Tests a fix against the predicted antenna position with its covariance (3, 3)."""

@@ -71,10 +71,11 @@ class MapAlignment:
     def add(self, position: Position) -> None:
         """Queues a fix until IMU samples reach its stamp; ignores fixes beside the shed while UWB is available.
 
-        Before the start, fixes go to the window of a start in motion.
+        Before the start, and while fixes are rejected, they go to the window of a start in motion.
         """
-        if not self.is_initialized:
+        if not self.is_initialized or self.is_rejecting:
             self.motion_start.window.add(position)
+        if not self.is_initialized:
             return
         if self._is_uwb_active(position.stamp_ns) and self._dock_prior.has_sky_obstruction(position.p_map_m):
             return
@@ -208,6 +209,8 @@ class MapAlignment:
     def advance(self) -> None:
         """Adds the keyframes that the samples received so far allow."""
         cfg, end_ns = self._config.smoother, self._odometry.track.last_ns
+        if self.is_rejecting:
+            self.motion_start.window.advance(self._odometry.track, self._wheels)
         period_ns = round(cfg.period_s * 1e9)
         while self._queue and self._queue[0].stamp_ns <= end_ns:
             fix = self._queue.popleft()
@@ -331,10 +334,13 @@ class MapAlignment:
             self._rejected_since_ns = position.stamp_ns
         still_ns = self._odometry.standstill.since_ns
         rejected_ns = position.stamp_ns - max(self._rejected_since_ns, still_ns or self._odometry.stamp_ns)
-        if rejected_ns > self._config.realign_s * 1e9:
+        moving_ns = position.stamp_ns - self._rejected_since_ns
+        if rejected_ns > self._config.realign_s * 1e9 or moving_ns > self._config.realign_moving_s * 1e9:
             self.is_initialized = False
 
     def _accept(self, position: Position) -> None:
+        if self.is_rejecting:
+            self.motion_start.clear()
         self._accepted, self._accepted_ns = position, position.stamp_ns
         self._rejected_since_ns = None
 
@@ -370,6 +376,8 @@ class MapAlignment:
         accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
         if source in BY_GNSS or self.monitor.suspicion:
             level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns, self._odometry.speed_mps))
+        if self.is_rejecting and self._wheels is None:  # nothing separates fixes from inertial motion: either is right
+            level_m = max(level_m, accuracy_m + self.keyframes.gnss_gate.innovation_m)
         range_gate = self.keyframes.range_gate
         uwb_age_s = range_gate.age_s(stamp_ns) if range_gate is not None else math.inf
         return MapPose(

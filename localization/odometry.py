@@ -105,7 +105,7 @@ class OdometryEstimator:
         self.resume()
 
     def start_in_motion(self, stamp_ns: int, T_map_base: Float64, calibration: Calibration) -> None:
-        """Starts `odom` at a pose in the past, which is its origin with yaw 0; samples since then come with `advance`."""
+        """Starts `odom` at a pose in the past: its origin with yaw 0; samples since then come with `advance`."""
         roll_rad, pitch_rad, _ = rpy_of(T_map_base).tolist()
         self._begin(roll_rad, pitch_rad, calibration)
         assert self.dead_reckoning is not None, "begun above"

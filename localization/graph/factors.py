@@ -72,7 +72,7 @@ def decay_factor(start: int, end: int, keep: float, sigma_m: Float64) -> gtsam.C
 
 
 def no_sideslip_factor(key: int, rate_radps: Float64, arm_m: Float64, sigma_mps: float) -> gtsam.CustomFactor:
-    """Base moves along its x axis, but for the mounting of the IMU: slip has its left and upward over its forward speed.
+    """Base moves along x, but for the mounting of the IMU: slip has the left and upward over the forward speed.
 
     `arm_m` is base relative to the IMU, which turns at `rate_radps` (3,). Without wheels, the first of slip has no use.
     """

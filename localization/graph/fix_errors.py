@@ -1,7 +1,7 @@
-"""Correlated error of fixes as a variable of the graph, one per keyframe: Gauss-Markov with sigma and time of the fixes.
+"""Correlated error of fixes as a variable of the graph, one per keyframe: Gauss-Markov, with their sigma and time.
 
-Without it a fix of 2.5 m at 10 Hz, correlated over 60 s, needs 35 times its sigma, and says nothing while dead reckoning
-drifts.
+Without it a fix of 2.5 m at 10 Hz, correlated over 60 s, needs 35 times its sigma, and says nothing while dead
+reckoning drifts.
 """
 
 import math

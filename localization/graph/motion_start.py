@@ -178,7 +178,7 @@ class MotionStart:
     def _state(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> State | None:
         """State of the newest keyframe, None when it is not observable.
 
-        The covariance is by QR: biases walk by 1e-6 beside priors of metres, and a Cholesky factor loses the difference.
+        The covariance is by QR: biases walk by 1e-6 beside priors of metres, and Cholesky loses the difference.
         """
         key, order = len(self.window.intervals), gtsam.Ordering()
         mine = [symbol(key) for symbol in (X, V, B, S)]

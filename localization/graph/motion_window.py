@@ -1,4 +1,4 @@
-"""Motion window: IMU steps, wheel displacements and fixes of the last seconds, divided at fixes, for a start in motion."""
+"""Motion window: IMU, wheels and fixes of the last seconds, divided at the fixes, for a start in motion."""
 
 from collections import deque
 from dataclasses import dataclass

@@ -68,8 +68,8 @@ class Smoother:
 
     def start(self, state: State) -> None:
         """Starts a new graph at `state`, with its covariance and sigmas as priors; raises SmootherFailure."""
-        # Cholesky takes 60 % of the time of QR, and fails at priors of metres beside standstill factors of 0.5 mm, and at
-        # biases that nothing has measured yet beside their random walk
+        # Cholesky takes 60 % of the time of QR, and fails at priors of metres beside standstill factors of 0.5 mm,
+        # and at biases that nothing has measured yet beside their random walk
         cfg, bias_sigma = self._config, float(np.max(state.sigmas[9:12]))
         is_wide = float(np.max(state.sigmas[3:6])) > cfg.wide_m or bias_sigma > cfg.wide_mps2
         self._graph, self._origin_ns = self._new_graph(is_wide), state.stamp_ns

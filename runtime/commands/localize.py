@@ -140,12 +140,12 @@ def _text(result: dict[str, Any]) -> str:
     lines += [f"  awaited {name}: {seconds:.1f} s" for name, seconds in result["awaited_s"].items()]
     if (level := result["protection_level_m"]) is not None:
         lines.append(f"  protection level: median {level['median_m']} m, largest {level['max_m']} m")
-    for name in ("error", "receiver_error"):
+    for name, text in (("error", "error"), ("receiver_error", "error of the receiver")):
         if (error := result[name]) is not None:
             nees = f", NEES {error['nees']}" if "nees" in error else ""
             lines.append(
-                f"  {name.replace('_', ' of the ').replace('error of the error', 'error')}: median {error['median_m']} m, "
-                f"RMSE {error['rmse_m']} m, 95 % {error['p95_m']} m, largest {error['max_m']} m (n = {error['n']}){nees}"
+                f"  {text}: median {error['median_m']} m, RMSE {error['rmse_m']} m, 95 % {error['p95_m']} m, "
+                f"largest {error['max_m']} m (n = {error['n']}){nees}"
             )
     lines += [f"  note: {note}" for note in result["notes"]]
     return "\n".join([*lines, str(Path(result["run_dir"]))]) + "\n"

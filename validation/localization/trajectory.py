@@ -4,6 +4,7 @@ import json
 import math
 from array import array
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class Trajectory:
         """Parts without a gap."""
         ends = np.flatnonzero(np.diff(self.stamps_ns) > GAP_S * 1e9) + 1
         bounds = [0, *ends.tolist(), len(self)]
-        return [slice(a, b) for a, b in zip(bounds, bounds[1:], strict=False) if b > a]
+        return [slice(a, b) for a, b in pairwise(bounds) if b > a]
 
     @property
     def placed_s(self) -> float:
