@@ -16,6 +16,7 @@ from localization.dead_reckoning.wheel_track import WheelConfig
 from localization.dock_prior import DockPriorConfig
 from localization.gnss_gate import GnssConfig
 from localization.gnss_monitor import GnssMonitorConfig
+from localization.graph.motion_start import MotionStartConfig
 from localization.graph.smoother import SmootherConfig
 from localization.integrity import IntegrityConfig
 from localization.lidar.lidar_odometry import LidarOdometryConfig
@@ -44,6 +45,7 @@ class MapAlignmentConfig(Config):
     gnss_monitor: GnssMonitorConfig
     smoother: SmootherConfig
     initial_alignment: InitialAlignmentConfig
+    motion_start: MotionStartConfig
     odometry_spans: OdometrySpansConfig
     pose_measurement: PoseMeasurementConfig
     range_gate: RangeGateConfig
@@ -54,6 +56,7 @@ class MapAlignmentConfig(Config):
     max_bridge_s: float = Field(gt=0.0, le=10.0, description="a longer gap while driving loses the position")
     reset_sigma_m: float = Field(gt=0.0, le=10.0, description="added when a failed graph is reset")
     reset_sigma_deg: float = Field(gt=0.0, le=20.0)
+    realign_moving_s: float = Field(gt=0.0, le=3600.0, description="the same in motion, where the start must be proven")
     realign_s: float = Field(gt=0.0, le=600.0, description="fixes rejected at standstill for longer: restart")
 
     @property

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -27,6 +27,7 @@ class SolutionConfig(Config):
     slow_share: float = Field(ge=0.0, lt=1.0, description="share of sigma that varies too slowly to average out")
     correlation_s: float = Field(ge=0.0, le=600.0, description="0: the rest is white from fix to fix")
     is_used: bool
+    is_estimated: bool = Field(description="its correlated error is a variable of the graph, else its sigma is widened")
 
 
 class GnssConfig(Config):
@@ -44,11 +45,18 @@ class GnssConfig(Config):
     heading_floor_deg: float = Field(gt=0.0, le=10.0)
     heading_sigma_deg: float = Field(gt=0.0, le=10.0, description="lower bound of the reported sigma")
     heading_slow_share: float = Field(ge=0.0, lt=1.0, description="as slow_share of a solution")
+    estimated_white_share: float = Field(
+        gt=0.0, le=1.0, description="white part of the sigma beside an estimated error"
+    )
     min_satellites: int = Field(ge=4, le=30)
     max_correction_age_s: float = Field(gt=0.0, le=600.0)
     unknown_sigma_factor: float = Field(ge=1.0, le=10.0, description="of a solution's accuracy, for unknown sigmas")
     confirmation_fixes: int = Field(ge=1, le=100, description="consistent fixes after an outage or upgrade")
     outage_s: float = Field(gt=0.0, le=60.0)
+
+    def at_rate(self, rate_hz: float) -> "GnssConfig":
+        """The same for a receiver whose fixes are further apart than `outage_s`: two may be missing."""
+        return self.model_copy(update={"outage_s": max(self.outage_s, 2.5 / rate_hz)})
 
     def of(self, solution: GnssSolution) -> SolutionConfig | None:
         """Configuration of a type of solution, None when it is unknown or not used."""
@@ -77,7 +85,9 @@ class RejectionReason(StrEnum):
 class Position:
     """A fix in `map`: `sigma_m` (3,) for one factor, `slow_m` (3,) the slowly varying error.
 
-    `velocity_mps` (3,) of the antenna with sigma, NaN when unknown.
+    `velocity_mps` (3,) of the antenna with sigma, NaN when unknown. `total_m` (3,) is the sigma of the fix alone, and
+    `change_m` (3,) that from which its changes follow: an unknown accuracy does not make it change faster. The
+    correlated part has the time `correlation_s` (0: not known) and `is_estimated` as a variable of the graph.
     """
 
     stamp_ns: int
@@ -90,6 +100,10 @@ class Position:
     solution: GnssSolution
     velocity_mps: Float64
     velocity_sigma_mps: float
+    total_m: Float64 = field(default_factory=lambda: np.full(3, math.nan))
+    change_m: Float64 = field(default_factory=lambda: np.full(3, math.nan))
+    correlation_s: float = 0.0
+    is_estimated: bool = False
 
 
 def source_of(solution: GnssSolution) -> PositionSource:
@@ -141,7 +155,8 @@ def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) 
     heading_fast, heading_slow = heading_sigma * math.sqrt(1.0 - share**2), heading_sigma * share
     return Position(
         fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution,
-        fix.velocity_enu_mps, fix.sigma_velocity_mps,
+        fix.velocity_enu_mps, fix.sigma_velocity_mps, sigma, np.where(np.isnan(fix.sigma_enu_m), floor, sigma),
+        row.correlation_s, row.is_estimated,
     )  # fmt: skip
 
 
@@ -174,6 +189,11 @@ class GnssGate:
     def is_recent(self, stamp_ns: int) -> bool:
         """Whether a fix was accepted within the outage time."""
         return self._accepted_ns is not None and stamp_ns - self._accepted_ns <= self._config.outage_s * 1e9
+
+    @property
+    def innovation_m(self) -> float:
+        """Horizontal distance of the newest fix from its prediction."""
+        return float(np.linalg.norm(self._recent[-1][:2])) if self._recent else 0.0
 
     def evaluate(self, position: Position, predicted_m: Float64, covariance: Float64) -> RejectionReason:
         """Tests a fix against the predicted antenna position with its covariance (3, 3)."""

@@ -52,7 +52,8 @@ def slow_part(
     """Slowly varying error of position (3,) and heading, which averaging does not remove."""
     if source is PositionSource.UWB or fix is None:
         return np.full(3, pose_measurement.slow_m), math.radians(pose_measurement.slow_deg)
-    return fix.slow_m, fix.heading_slow_rad if math.isfinite(fix.heading_rad) else 0.0
+    slow_m = np.zeros(3) if fix.is_estimated else fix.slow_m  # the graph's covariance has it already
+    return slow_m, fix.heading_slow_rad if math.isfinite(fix.heading_rad) else 0.0
 
 
 def output_covariance(

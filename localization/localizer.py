@@ -50,7 +50,10 @@ class Localizer(Node):
         self._uwb = tuple(f"uwb/{tag}" for tag in tags)
         sensor = config.lidar_odometry.sensor
         self._lidar_odometry, self._gnss = f"lidar_odometry/{sensor}", f"gnss/{receiver}"
-        self.reads: Mapping[str, Read] = {IMU: All(200), WHEEL: All(100), self._gnss: All(20)}
+        self.reads: Mapping[str, Read] = {IMU: All(200), self._gnss: All(20)}
+        self._has_wheels = vehicle.sensors.wheels is not None
+        if self._has_wheels:
+            self.reads = {IMU: All(200), WHEEL: All(100), self._gnss: All(20)}
         if sensor in vehicle.sensors.lidar:
             self.reads = {**self.reads, self._lidar_odometry: All(20)}
         if vehicle.sensors.lidar:
@@ -77,7 +80,8 @@ class Localizer(Node):
             self._range_gate,
         )
         dock_prior = DockPrior(start, shed, alignment.dock_prior)
-        self._map_alignment = MapAlignment(alignment, keyframes, self._odometry, dock_prior)
+        motion_start = keyframes.motion_start(alignment.motion_start, vehicle.sensors.imu, config.odometry.imu)
+        self._map_alignment = MapAlignment(alignment, keyframes, self._odometry, dock_prior, motion_start)
         self._faults = FaultReporter(self.name)
         self._now_ns: int | None = None
         self._first_ns = 0  # silence before the first sample counts from here
@@ -117,7 +121,7 @@ class Localizer(Node):
 
     def _take(self, now_ns: int, inbox: Inbox) -> None:
         before = self.dropped
-        for wheel in inbox.all(WHEEL, WheelSample):
+        for wheel in inbox.all(WHEEL, WheelSample) if self._has_wheels else ():
             self.dropped += not (self._is_timely(wheel.stamp_ns, now_ns) and self._odometry.add_wheels(wheel))
         for sample in inbox.all(IMU, ImuSample):
             self.dropped += not (self._is_timely(sample.stamp_ns, now_ns) and self._add_imu(sample))
@@ -155,9 +159,9 @@ class Localizer(Node):
         position = position_of(fix, self._datum, config, self._gnss_rate_hz)
         self._odometry.standstill.add(position)
         speed_mps = self._ground_speed_mps(fix, position.heading_rad)
-        self._odometry.plausibility.set_reference(fix.stamp_ns, position.heading_rad, speed_mps)
-        if self._map_alignment.is_initialized:
-            self._map_alignment.add(position)
+        if self._has_wheels:
+            self._odometry.plausibility.set_reference(fix.stamp_ns, position.heading_rad, speed_mps)
+        self._map_alignment.add(position)
         return True
 
     def _ground_speed_mps(self, fix: GnssFix, heading_rad: float) -> float:
@@ -171,9 +175,10 @@ class Localizer(Node):
         odometry, alignment = self._odometry, self._map_alignment
         if odometry.dead_reckoning is None:
             tilt = odometry.tilt()
-            if tilt is None:
+            if tilt is not None:
+                odometry.start(tilt)
+            elif not alignment.start():
                 return
-            odometry.start(tilt)
         elif self._gap_s is not None:
             odometry.resume()
             alignment.resume(self._gap_s, odometry.speed_mps)
@@ -189,7 +194,8 @@ class Localizer(Node):
         odometry, alignment, faults = self._odometry, self._map_alignment, self._faults
         imu_gap_s, wheel_gap_s = self._config.odometry.imu.max_gap_s, self._config.odometry.wheels.max_gap_s
         faults.set(FAULTS["imu.silent"], self._is_silent(odometry.track, now_ns, imu_gap_s))
-        faults.set(FAULTS["wheel.silent"], self._is_silent(odometry.wheels, now_ns, wheel_gap_s))
+        is_silent = self._has_wheels and self._is_silent(odometry.wheels, now_ns, wheel_gap_s)
+        faults.set(FAULTS["wheel.silent"], is_silent)
         if faults.is_active("imu.silent") or faults.is_active("wheel.silent"):
             odometry.plausibility.clear()
         suspicion = odometry.plausibility.evaluate(now_ns)
@@ -208,10 +214,32 @@ class Localizer(Node):
         faults.set(FAULTS["uwb.refused"], is_needed and self._range_gate is not None and self._range_gate.is_rejecting)
         reason = "" if alignment.is_initialized else alignment.dock_rejection
         faults.set(FAULTS["localization.not_docked"], bool(reason), reason)
-        faults.set(FAULTS["gnss.no_heading"], not alignment.is_initialized and odometry.standstill.lacks_heading)
+        lacks_heading = not alignment.is_initialized and odometry.standstill.lacks_heading
+        faults.set(FAULTS["gnss.no_heading"], lacks_heading, alignment.motion_start.awaited)
+        awaited = "" if odometry.standstill.since_ns is not None and not self._is_vibrating else self.awaited
+        faults.set(FAULTS["localization.awaits"], bool(awaited), awaited)
         for failure in alignment.failures:
             faults.report_event(FAULTS["localization.rebuilt"], failure)
         alignment.failures.clear()
+
+    @property
+    def _is_vibrating(self) -> bool:
+        return self._odometry.standstill.is_vibrating
+
+    @property
+    def awaited(self) -> str:
+        """What the start awaits, "" while the position is known."""
+        alignment, standstill = self._map_alignment, self._odometry.standstill
+        if alignment.is_initialized:
+            return ""
+        if not len(self._odometry.track):
+            return "IMU samples"
+        if self._is_vibrating and not alignment.motion_start.awaited:
+            return "less vibration, which hides the tilt"
+        if self._gnss_ns is None:
+            return "GNSS fixes"
+        is_waiting = standstill.since_ns is not None and standstill.position() is None and not standstill.lacks_heading
+        return "fixes at standstill" if is_waiting else alignment.motion_start.awaited or "fixes"
 
     def _poses(self, now_ns: int) -> list[Output]:
         is_silent = self._faults.is_active("imu.silent") or self._faults.is_active("wheel.silent")

@@ -10,10 +10,12 @@ from geometry.arrays import Float64
 from geometry.transforms import invert
 from localization.config import MapAlignmentConfig
 from localization.dead_reckoning.dead_reckoning import Calibration
+from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.dock_prior import DockPrior
 from localization.gnss_gate import Position, RejectionReason, propagate
 from localization.gnss_monitor import GnssMonitor
 from localization.graph.keyframes import KeyframeBuilder
+from localization.graph.motion_start import MotionStart
 from localization.graph.smoother import SmootherFailure, State
 from localization.integrity import (
     BY_GNSS,
@@ -34,13 +36,15 @@ class MapAlignment:
     """Owns the graph and derives `T_map_odom` from its newest keyframe."""
 
     def __init__(
-        self, config: MapAlignmentConfig, keyframes: KeyframeBuilder, odometry: OdometryEstimator, dock_prior: DockPrior
-    ) -> None:
+        self, config: MapAlignmentConfig, keyframes: KeyframeBuilder, odometry: OdometryEstimator,
+        dock_prior: DockPrior, motion_start: MotionStart,
+    ) -> None:  # fmt: skip
         self._config, self._odometry, self._dock_prior = config, odometry, dock_prior
         self.keyframes = keyframes
         self.odometry_spans = OdometrySpans(config.odometry_spans)
         self.pose_measurements = PoseMeasurements(config.pose_measurement)
         self.monitor = GnssMonitor(config.gnss_monitor, keyframes.separation(config.gnss_monitor.separation))
+        self.motion_start = motion_start
         self._queue: deque[Position] = deque()
         self._pending: list[Position] = []
         self._T_map_odom = np.eye(4)
@@ -65,7 +69,14 @@ class MapAlignment:
         return self._rejected_since_ns is not None
 
     def add(self, position: Position) -> None:
-        """Queues a fix until IMU samples reach its stamp; ignores fixes beside the shed while UWB is available."""
+        """Queues a fix until IMU samples reach its stamp; ignores fixes beside the shed while UWB is available.
+
+        Before the start, and while fixes are rejected, they go to the window of a start in motion.
+        """
+        if not self.is_initialized or self.is_rejecting:
+            self.motion_start.window.add(position)
+        if not self.is_initialized:
+            return
         if self._is_uwb_active(position.stamp_ns) and self._dock_prior.has_sky_obstruction(position.p_map_m):
             return
         newest = max((fix.stamp_ns for fix in (*self._pending, *self._queue)), default=self._newest_ns())
@@ -86,20 +97,28 @@ class MapAlignment:
         self.odometry_spans.clear()
         self.pose_measurements.clear()
         self.monitor.clear()
+        self.motion_start.clear()
         if self.keyframes.range_gate is not None:
             self.keyframes.range_gate.clear()
         self._rejected_since_ns = None
 
     def start(self) -> bool:
-        """Starts at standstill: at the dock when ranges confirm it, else from fixes with heading.
+        """Starts at standstill: at the dock when ranges confirm it, else from fixes with heading; else in motion.
 
         The dock is used for the first start only; afterwards the machine may be anywhere.
         """
+        self.motion_start.window.advance(self._odometry.track, self._wheels)
         try:
-            self.is_initialized = (not self._was_initialized and self._start_at_dock()) or self._start_from_gnss()
+            self.is_initialized = (
+                (not self._was_initialized and self._start_at_dock())
+                or self._start_from_gnss()
+                or self._start_in_motion()
+            )
         except SmootherFailure as failure:
             self.failures.append(str(failure))
         self.monitor.clear()
+        if self.is_initialized:
+            self.motion_start.clear()
         self._was_initialized |= self.is_initialized
         return self.is_initialized
 
@@ -133,6 +152,26 @@ class MapAlignment:
             return False
         self.keyframes.gnss_gate.trust(newest)
         self._align(self.keyframes.start(stamp_ns, tilt, position))
+        self._accept(newest)
+        return True
+
+    @property
+    def _wheels(self) -> WheelTrack | None:
+        return self._odometry.wheels if self._odometry.inertial is None else None
+
+    def _start_in_motion(self) -> bool:
+        """Starts at the newest fix of a window that proves pose and heading; `odom` begins there if it has not."""
+        odometry, newest = self._odometry, next(iter(reversed(self.motion_start.window.fixes)), None)
+        state = self.motion_start.state()
+        if state is None or newest is None:
+            return False
+        if odometry.dead_reckoning is None:
+            T_map_base = state.T_map_body @ invert(self.keyframes.lever_arms.T_base_body)
+            odometry.start_in_motion(state.stamp_ns, T_map_base, Calibration(state.bias[3:], state.slip))
+        if odometry.history.at(state.stamp_ns) is None:
+            return False
+        self.keyframes.gnss_gate.trust(newest)
+        self._align(self.keyframes.restart(state))
         self._accept(newest)
         return True
 
@@ -170,6 +209,8 @@ class MapAlignment:
     def advance(self) -> None:
         """Adds the keyframes that the samples received so far allow."""
         cfg, end_ns = self._config.smoother, self._odometry.track.last_ns
+        if self.is_rejecting:
+            self.motion_start.window.advance(self._odometry.track, self._wheels)
         period_ns = round(cfg.period_s * 1e9)
         while self._queue and self._queue[0].stamp_ns <= end_ns:
             fix = self._queue.popleft()
@@ -293,10 +334,13 @@ class MapAlignment:
             self._rejected_since_ns = position.stamp_ns
         still_ns = self._odometry.standstill.since_ns
         rejected_ns = position.stamp_ns - max(self._rejected_since_ns, still_ns or self._odometry.stamp_ns)
-        if rejected_ns > self._config.realign_s * 1e9:
+        moving_ns = position.stamp_ns - self._rejected_since_ns
+        if rejected_ns > self._config.realign_s * 1e9 or moving_ns > self._config.realign_moving_s * 1e9:
             self.is_initialized = False
 
     def _accept(self, position: Position) -> None:
+        if self.is_rejecting:
+            self.motion_start.clear()
         self._accepted, self._accepted_ns = position, position.stamp_ns
         self._rejected_since_ns = None
 
@@ -309,6 +353,12 @@ class MapAlignment:
         T_map_base = state.T_map_body @ invert(self.keyframes.lever_arms.T_base_body)
         self._T_map_odom = T_map_base @ invert(odom)
         calibration = Calibration(state.bias[3:], state.slip)
+        if odometry.inertial is not None:
+            calibration = Calibration(state.bias[3:], np.array([1.0, state.slip[1], 0.0, 0.0]))
+            R, arm_m = state.T_map_body[:3, :3], self.keyframes.lever_arms.base_m
+            turn = odometry.track.at(state.stamp_ns)[3:6] - state.bias[3:]
+            forward_mps = float((R.T @ state.velocity_mps + np.cross(turn, arm_m))[0])
+            odometry.inertial.correct(state.stamp_ns, forward_mps, float(state.bias[0]))
         odometry.dead_reckoning.correct(calibration, state.T_map_body[2, :3], odom)
 
     def pose(self) -> MapPose:
@@ -326,6 +376,8 @@ class MapAlignment:
         accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
         if source in BY_GNSS or self.monitor.suspicion:
             level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns, self._odometry.speed_mps))
+        if self.is_rejecting and self._wheels is None:  # nothing separates fixes from inertial motion: either is right
+            level_m = max(level_m, accuracy_m + self.keyframes.gnss_gate.innovation_m)
         range_gate = self.keyframes.range_gate
         uwb_age_s = range_gate.age_s(stamp_ns) if range_gate is not None else math.inf
         return MapPose(

@@ -6,10 +6,11 @@ import numpy as np
 
 from configs.vehicle import Vehicle
 from geometry.arrays import Float64
-from geometry.transforms import transform
+from geometry.transforms import rpy_of, transform
 from localization.config import OdometryConfig
 from localization.dead_reckoning.dead_reckoning import Calibration, DeadReckoning, PoseHistory
-from localization.dead_reckoning.imu_track import ImuTrack, Steps
+from localization.dead_reckoning.imu_track import STANDARD_GRAVITY_MPS2, ImuTrack, Steps
+from localization.dead_reckoning.inertial_speed import InertialSpeed
 from localization.dead_reckoning.initial_alignment import InitialAlignmentConfig, Standstill, TiltEstimate
 from localization.dead_reckoning.plausibility import Plausibility
 from localization.dead_reckoning.steering_offset import SteeringOffset
@@ -25,8 +26,8 @@ class OdometryEstimator:
 
     def __init__(self, vehicle: Vehicle, config: OdometryConfig, initial_alignment: InitialAlignmentConfig) -> None:
         imu, wheels = vehicle.sensors.imu, vehicle.sensors.wheels
-        if imu is None or wheels is None:
-            raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.imu and sensors.wheels")
+        if imu is None:
+            raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.imu")
         self._config = config
         self.track = ImuTrack(imu, config.imu.tyre_force_time_s)
         self.wheels = WheelTrack(config.wheels.max_speed_mps)
@@ -37,10 +38,11 @@ class OdometryEstimator:
         self.dead_reckoning: DeadReckoning | None = None
         self.stamp_ns = 0
         self._gyro_density = gyro_density(imu, config.imu)
-        self._wheel_density = wheels.speed_sigma_mps / math.sqrt(wheels.rate_hz)
+        self.inertial = InertialSpeed() if wheels is None else None
+        self._wheel_density = 0.0 if wheels is None else wheels.speed_sigma_mps / math.sqrt(wheels.rate_hz)
         self._rate = np.zeros(3)
         self._acceleration = 0.0
-        self._angle = self._speed = 0.0
+        self._angle, self._speed = (0.0 if wheels is not None else math.nan), 0.0
 
     @property
     def speed_mps(self) -> float:
@@ -57,10 +59,20 @@ class OdometryEstimator:
         if not self.track.add(sample):
             return False
         self.plausibility.imu.add(self.track.last[:6])
-        self.standstill.update(
-            sample.stamp_ns, self.track.last[3:6], abs(self._speed) > self._config.wheels.standstill_mps
-        )
+        self._add_inertial()
+        # without wheels nothing tells rest from steady motion
+        is_rolling = self.inertial is not None or abs(self._speed) > self._config.wheels.standstill_mps
+        self.standstill.update(sample.stamp_ns, self.track.last[3:6], is_rolling)
         return True
+
+    def _add_inertial(self) -> None:
+        """Without wheels: the speed by the accelerometer in their place."""
+        if self.inertial is None or self.dead_reckoning is None:
+            return
+        up_x, stamp_ns = float(self.dead_reckoning.T_odom_base[2, 0]), self.track.last_ns
+        self.inertial.advance(stamp_ns, float(self.track.last[0]) - STANDARD_GRAVITY_MPS2 * up_x)
+        self._speed = self.inertial.speed_mps
+        self.wheels.add(WheelSample(stamp_ns, self._speed, math.nan))
 
     def add_wheels(self, sample: WheelSample) -> bool:
         """Takes a sample; False when it was dropped."""
@@ -77,6 +89,8 @@ class OdometryEstimator:
         """Drops all samples after a gap or clock jump; keeps pose and calibration."""
         self.track.clear()
         self.wheels.clear()
+        if self.inertial is not None:
+            self.inertial.clear()
         self.history.clear()
         self.plausibility.clear()
         self.standstill.reset()
@@ -87,10 +101,20 @@ class OdometryEstimator:
 
     def start(self, tilt: TiltEstimate) -> None:
         """Starts `odom` at the present position with yaw 0."""
-        pose = transform((0.0, 0.0, 0.0), (tilt.roll_rad, tilt.pitch_rad, 0.0))
-        calibration = Calibration(tilt.gyro_bias_radps, self._config.wheels.start)
-        self.dead_reckoning = DeadReckoning(self._config.dead_reckoning, pose, calibration)
+        self._begin(tilt.roll_rad, tilt.pitch_rad, Calibration(tilt.gyro_bias_radps, self._config.wheels.start))
         self.resume()
+
+    def start_in_motion(self, stamp_ns: int, T_map_base: Float64, calibration: Calibration) -> None:
+        """Starts `odom` at a pose in the past: its origin with yaw 0; samples since then come with `advance`."""
+        roll_rad, pitch_rad, _ = rpy_of(T_map_base).tolist()
+        self._begin(roll_rad, pitch_rad, calibration)
+        assert self.dead_reckoning is not None, "begun above"
+        self.stamp_ns = stamp_ns
+        self.history.add(stamp_ns, self.dead_reckoning.T_odom_base)
+
+    def _begin(self, roll_rad: float, pitch_rad: float, calibration: Calibration) -> None:
+        pose = transform((0.0, 0.0, 0.0), (roll_rad, pitch_rad, 0.0))
+        self.dead_reckoning = DeadReckoning(self._config.dead_reckoning, pose, calibration)
 
     def resume(self) -> None:
         """Continues from the newest sample."""
@@ -120,6 +144,8 @@ class OdometryEstimator:
         self._acceleration += min(1.0, dt / self._config.acceleration_time_s) * (forward - self._acceleration)
         self._rate = np.mean(steps.rate_radps, axis=0) - dead_reckoning.calibration.gyro_bias_radps
         rate = float(self._rate[2])
+        if self.inertial is not None:
+            return
         self.plausibility.advance(self.stamp_ns, dt, (rate, forward), (self.speed_mps, self._curvature()))
 
     def _curvature(self) -> float:

@@ -70,6 +70,10 @@ class ImuTrack:
         """The newest sample: specific force, rate, tyre force, (8,)."""
         return self._values[-1]
 
+    def at(self, stamp_ns: int) -> Float64:
+        """The sample (8,) whose interval holds a time; the newest one beyond its stamp."""
+        return self._values[min(self._first_after(stamp_ns - 1), len(self._values) - 1)]
+
     def clear(self) -> None:
         """Drops all samples, after a gap or clock jump."""
         self._stamps.clear()

@@ -12,6 +12,7 @@ from localization.dead_reckoning.imu_track import Steps
 from messages.sensors import WheelSample
 
 KEEP = 400
+NO_SLIP = np.array([1.0, 0.0, 0.0, 0.0])  # without wheels; the third is then the vertical over the forward speed
 
 
 class WheelConfig(Config):
@@ -35,6 +36,7 @@ class WheelConfig(Config):
     max_speed_mps: float = Field(gt=0.0, le=50.0)
     standstill_mps: float = Field(gt=0.0, le=0.5, description="lower speeds are standstill")
     max_gap_s: float = Field(gt=0.0, le=1.0)
+    sideslip_mps: float = Field(gt=0.0, le=5.0, description="sigma of the velocity across base, without wheel speeds")
 
     @property
     def start(self) -> Float64:

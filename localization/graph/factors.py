@@ -2,7 +2,8 @@
 
 A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip
 S (4,): scale, drift, slip per longitudinal force, slip angle per lateral force (see `displacement_columns` in
-wheel_track.py); with UWB ranges also C, scale and bias of every anchor (see uwb_factor.py).
+wheel_track.py); with UWB ranges also C, scale and bias of every anchor (see uwb_factor.py); with
+fixes whose correlated error is estimated also E, that error (3,) in `map`.
 """
 
 import math
@@ -10,7 +11,7 @@ from collections.abc import Callable
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, S, V, X
+from gtsam.symbol_shorthand import B, C, E, S, V, X
 
 from geometry.angles import wrap
 from geometry.arrays import Float64
@@ -18,11 +19,15 @@ from geometry.arrays import Float64
 __all__ = [
     "B",
     "C",
+    "E",
     "S",
     "V",
     "X",
+    "antenna_factor",
+    "decay_factor",
     "gnss_factor",
     "heading_factor",
+    "no_sideslip_factor",
     "pose_factor",
     "relative_pose_factor",
     "standstill_factor",
@@ -40,6 +45,53 @@ def skew(p: Float64) -> Float64:
 def gnss_factor(key: int, p_map_m: Float64, arm_m: Float64, sigma_m: Float64) -> gtsam.GPSFactorArm:
     """Measured position of an antenna with lever arm `arm_m` from the IMU in `base` axes."""
     return gtsam.GPSFactorArm(X(key), p_map_m, arm_m, gtsam.noiseModel.Diagonal.Sigmas(sigma_m))
+
+
+def antenna_factor(pose: int, offset: int, p_map_m: Float64, arm_m: Float64, sigma_m: Float64) -> gtsam.CustomFactor:
+    """As `gnss_factor`, with the correlated error (3,) of the fixes as a variable: `pose` and `offset` are symbols."""
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
+        T = values.atPose3(pose).matrix()
+        if H is not None:
+            H[0] = T[:3, :3] @ np.hstack([-skew(arm_m), np.eye(3)])
+            H[1] = np.eye(3)
+        return T[:3, 3] + T[:3, :3] @ arm_m + values.atVector(offset) - p_map_m
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [pose, offset], error)
+
+
+def decay_factor(start: int, end: int, keep: float, sigma_m: Float64) -> gtsam.CustomFactor:
+    """Correlated error of fixes (3,) at the symbol `end`: `keep` of that at `start`, and a change of `sigma_m` (3,)."""
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
+        if H is not None:
+            H[0], H[1] = -keep * np.eye(3), np.eye(3)
+        return values.atVector(end) - keep * values.atVector(start)
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [start, end], error)
+
+
+def no_sideslip_factor(key: int, rate_radps: Float64, arm_m: Float64, sigma_mps: float) -> gtsam.CustomFactor:
+    """Base moves along x, but for the mounting of the IMU: slip has the left and upward over the forward speed.
+
+    `arm_m` is base relative to the IMU, which turns at `rate_radps` (3,). Without wheels, the first of slip has no use.
+    """
+    pose, velocity, bias, slip = X(key), V(key), B(key), S(key)
+    pick = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
+        back, v = values.atPose3(pose).rotation().matrix().T, values.atVector(velocity)
+        turn, share = rate_radps - values.atConstantBias(bias).gyroscope(), pick @ values.atVector(slip)
+        body = back @ v + np.cross(turn, arm_m)
+        across = np.column_stack([-share, np.eye(2)])
+        if H is not None:
+            H[0] = across @ np.hstack([skew(back @ v), np.zeros((3, 3))])
+            H[1] = across @ back
+            H[2] = across @ np.hstack([np.zeros((3, 3)), skew(arm_m)])
+            H[3] = -float(body[0]) * pick
+        return across @ body
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Isotropic.Sigma(2, sigma_mps), [pose, velocity, bias, slip], error)
 
 
 def heading_factor(key: int, heading_rad: float, sigma_rad: float) -> gtsam.CustomFactor:

@@ -18,7 +18,7 @@ from localization.dead_reckoning.initial_alignment import (
     TiltEstimate,
     initial_pose,
 )
-from localization.dead_reckoning.wheel_track import WheelConfig, WheelTrack, displacement_columns
+from localization.dead_reckoning.wheel_track import NO_SLIP, WheelConfig, WheelTrack, displacement_columns
 from localization.gnss_gate import GnssConfig, GnssGate, Position, RejectionReason
 from localization.graph.factors import (
     B,
@@ -27,12 +27,14 @@ from localization.graph.factors import (
     X,
     gnss_factor,
     heading_factor,
+    no_sideslip_factor,
     pose_factor,
     relative_pose_factor,
     skew,
     standstill_factor,
     wheel_factor,
 )
+from localization.graph.fix_errors import FixErrors
 from localization.graph.imu_preintegration import (
     accelerometer_density,
     bias_sigmas,
@@ -43,6 +45,8 @@ from localization.graph.imu_preintegration import (
     preintegrate,
     vibration_density,
 )
+from localization.graph.motion_start import Model, MotionStart, MotionStartConfig
+from localization.graph.motion_window import MotionWindow
 from localization.graph.smoother import Smoother, SmootherConfig, State
 from localization.graph.uwb_factor import ranges_factor
 from localization.lidar.pose_measurement import PoseMeasurement, PoseMeasurementConfig, agrees
@@ -80,6 +84,7 @@ class KeyframeBuilder:
         pose_measurement: PoseMeasurementConfig, range_gate: RangeGate | None,
     ) -> None:  # fmt: skip
         imu, antenna = vehicle.sensors.imu, vehicle.sensors.gnss[gnss.sensor]
+        gnss = gnss.at_rate(antenna.rate_hz)
         assert imu is not None, "checked by the localizer"
         self.lever_arms = LeverArms.of(imu, antenna.mount.xyz_m)
         self._gravity = normal_gravity(*gravity_at)
@@ -87,7 +92,9 @@ class KeyframeBuilder:
         self._bias_sigmas = bias_sigmas(imu)
         self._gyro_density = gyro_density(imu, imu_track)
         self._accelerometer_density = accelerometer_density(imu, imu_track)
-        self._wheel_density = _wheel_density(vehicle)
+        self._has_wheels, self._wheel_density = vehicle.sensors.wheels is not None, _wheel_density(vehicle)
+        self._slip = wheels.start if self._has_wheels else NO_SLIP
+        self._slip_sigma = wheels.start_sigma if self._has_wheels else np.full(4, wheels.drift_sigma)
         self._wheels, self._initial_alignment, self._gnss = wheels, initial_alignment, gnss
         self.gnss_gate = GnssGate(gnss)
         self.smoother = Smoother(smoother)
@@ -95,6 +102,7 @@ class KeyframeBuilder:
         self.range_gate, self._pose_measurement = range_gate, pose_measurement
         self.columns: Float64 | None = None
         self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
+        self._fix_errors = FixErrors(gnss.estimated_white_share)
 
     def separation(self, config: SeparationConfig) -> OdometrySeparation:
         """Separation of fixes from wheels and gyro, with the errors that the graph assumes."""
@@ -118,14 +126,30 @@ class KeyframeBuilder:
         bias_sigma = np.repeat([math.hypot(accelerometer, GRAVITY_SIGMA_MPS2), gyro], 3)
         bias_sigma[:2] = accelerometer
         bias = np.concatenate([[0.0, 0.0, tilt.gravity_mps2 - self._gravity], tilt.gyro_bias_radps])
-        sigmas = np.concatenate([pose_sigma, np.full(3, cfg.velocity_sigma_mps), bias_sigma, self._wheels.start_sigma])
-        state = State(stamp_ns, T_map_body, np.zeros(3), bias, self._wheels.start, np.diag(pose_sigma**2), sigmas)
+        sigmas = np.concatenate([pose_sigma, np.full(3, cfg.velocity_sigma_mps), bias_sigma, self._slip_sigma])
+        state = State(stamp_ns, T_map_body, np.zeros(3), bias, self._slip, np.diag(pose_sigma**2), sigmas)
         return self.restart(state)
+
+    def motion_start(self, config: MotionStartConfig, imu: Imu, imu_track: ImuTrackConfig) -> MotionStart:
+        """Start in motion with the errors that the graph assumes."""
+        wheels, arms = self._wheels, self.lever_arms
+        along = math.hypot(self._wheel_density, wheels.longitudinal_m_per_rts)
+        density = np.array([along, wheels.lateral_m_per_rts, wheels.vertical_m_per_rts])
+        model = Model(
+            arms.antenna_m, arms.base_m, density, self._slip, self._slip_sigma, wheels.walk, wheels.standstill_rad,
+            wheels.standstill_m, wheels.sideslip_mps,
+        )  # fmt: skip
+        window = MotionWindow(
+            imu_parameters(imu, imu_track, self._gravity), self._accelerometer_density, wheels.standstill_mps,
+            config.spacing_s, config.longest_s, config.keyframes,
+        )  # fmt: skip
+        return MotionStart(config, model, window)
 
     def restart(self, state: State) -> State:
         """Restarts the graph at a known state."""
         self._pending_factors.clear()
         self._calibrated = None
+        self._fix_errors.clear()
         self.smoother.start(state)
         return state
 
@@ -154,18 +178,23 @@ class KeyframeBuilder:
         factors += self._wheel_factors(key, last, guess, steps, wheels, density)
         antenna = self._antenna(guess, (stamp_ns - last.stamp_ns) * 1e-9)
         reasons = [self.gnss_gate.evaluate(position, *antenna) for position in positions]
-        for position, reason in zip(positions, reasons, strict=True):
-            factors += self._fix_factors(key, guess, position) if reason is RejectionReason.NONE else []
+        used = [p for p, reason in zip(positions, reasons, strict=True) if reason is RejectionReason.NONE]
+        factors += self._fix_errors.factors(key, stamp_ns, used)
+        for position in used:
+            factors += self._fix_factors(key, guess, position)
         factors += self._pose_factors(key, guess, pose_measurements)
         range_factors = self._range_factors(key, guess, batch, needs_ranges) if batch is not None else []
         imu_factor = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), preintegrated)
         root = math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
+        fix_error = self._fix_errors.guess
         if not range_factors or self.range_gate is None:
-            self.smoother.add(guess, imu_factor, root * self._wheels.walk, factors)
+            self.smoother.add(guess, imu_factor, root * self._wheels.walk, factors, fix_error=fix_error)
+            self._fix_errors.read(key, self.smoother)
             return reasons
         range_gate = self.range_gate
         factors += range_factors
-        self.smoother.add(guess, imu_factor, root * self._wheels.walk, factors, range_gate.calibration)
+        self.smoother.add(guess, imu_factor, root * self._wheels.walk, factors, range_gate.calibration, fix_error)
+        self._fix_errors.read(key, self.smoother)
         range_gate.calibration, range_gate.calibration_covariance = self.smoother.calibration(key)
         self._calibrated = key, stamp_ns
         return reasons
@@ -216,8 +245,11 @@ class KeyframeBuilder:
         return p, J @ guess.covariance @ J.T + growth
 
     def _fix_factors(self, key: int, guess: State, position: Position) -> list[gtsam.NonlinearFactor]:
+        arm_m = self.lever_arms.antenna_m
         factors: list[gtsam.NonlinearFactor] = [
-            gnss_factor(key, position.p_map_m, self.lever_arms.antenna_m, position.sigma_m)
+            self._fix_errors.position_factor(key, position, arm_m)
+            if position.is_estimated
+            else gnss_factor(key, position.p_map_m, arm_m, position.sigma_m)
         ]
         if math.isfinite(position.heading_rad):
             R = guess.T_map_body
@@ -231,6 +263,9 @@ class KeyframeBuilder:
         self, key: int, last: State, guess: State, steps: Steps, wheels: WheelTrack, accelerometer_density: float
     ) -> list[gtsam.NonlinearFactor]:
         cfg, self.columns, stamp_ns = self._wheels, None, guess.stamp_ns
+        if not self._has_wheels:
+            rate_radps = (steps.rate_radps * steps.dt_s[:, None]).sum(axis=0) / float(steps.dt_s.sum())
+            return [no_sideslip_factor(key, rate_radps, self.lever_arms.base_m, cfg.sideslip_mps)]
         if len(wheels) == 0 or stamp_ns - wheels.last_ns > cfg.max_gap_s * 1e9:
             return []
         speed = wheels.speed_at(steps.middle_ns, last.stamp_ns)
@@ -257,5 +292,4 @@ class KeyframeBuilder:
 
 def _wheel_density(vehicle: Vehicle) -> float:
     wheels = vehicle.sensors.wheels
-    assert wheels is not None, "checked by the localizer"
-    return wheels.speed_sigma_mps / math.sqrt(wheels.rate_hz)
+    return 0.0 if wheels is None else wheels.speed_sigma_mps / math.sqrt(wheels.rate_hz)

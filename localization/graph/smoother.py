@@ -10,7 +10,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.arrays import Float64
-from localization.graph.factors import B, C, S, V, X
+from localization.graph.factors import B, C, E, S, V, X
 from localization.graph.imu_preintegration import constant_bias
 
 POSE, VELOCITY, BIAS, SLIP = 6, 3, 6, 4
@@ -25,6 +25,8 @@ class SmootherConfig(Config):
     wait_s: float = Field(ge=0.0, le=1.0, description="for a late fix before a keyframe is added without it")
     relinearize_threshold: float = Field(gt=0.0, le=1.0)
     wide_m: float = Field(gt=0.0, le=100.0, description="sigma of a start above which QR replaces Cholesky")
+    max_jump_sigmas: float = Field(gt=1.0, le=100.0, description="of a solution from its prediction, beyond wide_m")
+    wide_mps2: float = Field(gt=0.0, le=100.0, description="the same for the accelerometer bias")
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,10 @@ class Smoother:
 
     def start(self, state: State) -> None:
         """Starts a new graph at `state`, with its covariance and sigmas as priors; raises SmootherFailure."""
-        # Cholesky takes 60 % of the time of QR, and fails at priors of metres beside standstill factors of 0.5 mm
-        is_wide = float(np.max(state.sigmas[3:6])) > self._config.wide_m
+        # Cholesky takes 60 % of the time of QR, and fails at priors of metres beside standstill factors of 0.5 mm,
+        # and at biases that nothing has measured yet beside their random walk
+        cfg, bias_sigma = self._config, float(np.max(state.sigmas[9:12]))
+        is_wide = float(np.max(state.sigmas[3:6])) > cfg.wide_m or bias_sigma > cfg.wide_mps2
         self._graph, self._origin_ns = self._new_graph(is_wide), state.stamp_ns
         self._stamps.clear()
         self._index += 1
@@ -112,8 +116,11 @@ class Smoother:
         slip_sigma: Float64,
         factors: Sequence[gtsam.NonlinearFactor],
         calibration: Float64 | None = None,
+        fix_error: Float64 | None = None,
     ) -> State:
         """Adds the keyframe `next_key` at `guess`, with a `calibration` of the anchors where `factors` refer to one.
+
+        `fix_error` (3,) is the first value of the error of the fixes, where `factors` refer to that.
 
         Raises SmootherFailure.
         """
@@ -126,12 +133,24 @@ class Smoother:
         for factor in factors:
             graph.add(factor)
         try:
-            self._update(k, guess, graph, calibration)
+            self._update(k, guess, graph, calibration, fix_error)
             state = self._read(k, guess.stamp_ns)
+            self._check_jump(guess, state)
         except FAILURES as error:
             raise SmootherFailure(_line(error)) from error
         self._index, self.state = k, state
         return state
+
+    def fix_error(self, key: int) -> Float64:
+        """Error (3,) of the fixes at a keyframe added with one."""
+        return np.asarray(self._graph.calculateEstimateVector(E(key)))
+
+    def _check_jump(self, guess: State, state: State) -> None:
+        """Raises ValueError for a solution far from what was expected: the solver has lost its way."""
+        jump_m = float(np.linalg.norm(state.T_map_body[:3, 3] - guess.T_map_body[:3, 3]))
+        limit_m = self._config.wide_m + self._config.max_jump_sigmas * float(np.linalg.norm(guess.sigmas[3:6]))
+        if jump_m > limit_m:
+            raise ValueError(f"the solution jumps by {jump_m:.1f} m")
 
     def _new_graph(self, is_wide: bool = False) -> gtsam.IncrementalFixedLagSmoother:
         parameters = gtsam.ISAM2Params()
@@ -142,8 +161,9 @@ class Smoother:
         return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, parameters)
 
     def _update(
-        self, k: int, state: State, factors: gtsam.NonlinearFactorGraph, calibration: Float64 | None = None
-    ) -> None:
+        self, k: int, state: State, factors: gtsam.NonlinearFactorGraph, calibration: Float64 | None = None,
+        fix_error: Float64 | None = None,
+    ) -> None:  # fmt: skip
         time_s = (state.stamp_ns - self._origin_ns) * 1e-9
         values = gtsam.Values()
         values.insert(X(k), gtsam.Pose3(state.T_map_body))
@@ -154,6 +174,9 @@ class Smoother:
         if calibration is not None:
             values.insert(C(k), calibration)
             keys.append(C(k))
+        if fix_error is not None:
+            values.insert(E(k), fix_error)
+            keys.append(E(k))
         self._graph.update(factors, values, dict.fromkeys(keys, time_s))
         self._stamps[k] = state.stamp_ns
         limit_ns = state.stamp_ns - int(self._config.lag_s * 1e9)

@@ -187,6 +187,16 @@ COMMANDS = (
         _option("--to", dest="end", type=SECONDS, default=math.inf, metavar="S", help="end second"),
         JSON,
     )),
+    Command("localize", "run the localizer over a recording", "runtime.commands.localize", (
+        _option("log", type=existing, metavar="LOG", help="any recording that `import` reads"),
+        _option("--truth", type=existing, metavar="PATH",
+                help="true positions: TUM, CSV, comma2k19's global_pose, or a recording with fixes such as .pos"),
+        _option("--vehicle", type=Path, metavar="FILE",
+                help="mounts and noise of the sensors (default: that of the format, or in a Headland log)"),
+        _option("--fixes-every", type=whole(1, 10_000), default=1, metavar="N",
+                help="use every N-th fix only; without --truth the others are the truth"),
+        _out("localize"), JSON,
+    ), "0 placed as required and never off by more than the protection level, 1 not, 2 bad input, 3 no position"),
     Command("animate", "write an animation of a logged drive", "runtime.commands.animate", (
         _option("log", type=existing, metavar="LOG", help="log of `headland run`"),
         _option("--out", type=new_file, required=True, metavar="FILE.webp"),

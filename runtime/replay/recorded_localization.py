@@ -70,7 +70,7 @@ class LocalizedDrive:
         self._gnss = config.map_alignment.gnss
         self._checks: Counter[str] = Counter()
         self._odometry = OdometrySamples()
-        self._headings = self._initialized = 0
+        self._initialized = 0
         self._faults: Counter[str] = Counter()
 
     def __call__(self, envelope: Envelope) -> None:
@@ -78,7 +78,6 @@ class LocalizedDrive:
         message = envelope.message
         if isinstance(message, GnssFix):
             self._checks[check(message, self._gnss).name] += 1
-            self._headings += math.isfinite(message.heading_rad)
         elif isinstance(message, Odometry):
             self._odometry.add(message)
         elif isinstance(message, MapPose):
@@ -95,10 +94,7 @@ class LocalizedDrive:
         parts = [f"{usable} of {fixes} fixes usable" + (f" ({refused})" if refused else "")] if fixes else ["no fixes"]
         parts.append(f"{len(self._odometry.stamps_ns)} odometries, {self._initialized} poses in map")
         if not len(self._odometry.stamps_ns):
-            parts.append("the initial tilt, which needs a standstill, was not found")
-        parts += (
-            [] if self._headings or not fixes else ["no fix has a heading (second antenna), which the first pose needs"]
-        )
+            parts.append("the initial tilt, which needs a standstill or fixes in motion, was not found")
         off = None if recorded is None else motion_difference(self._odometry, recorded)
         if off is not None:
             parts.append(f"in {STEP_S:.0f} s {off[0]:.2f} m (median; 95 %: {off[1]:.2f} m) from the recorded odometry")

@@ -45,7 +45,7 @@ def test_localizer_on_recorded_fixes_of_husky() -> None:
         prepare(DATA / HUSKY, None, CONFIGS / "vehicles" / "husky.yaml", CONFIGURATION)
     text = str(error.value)
     assert "989 of 989 fixes usable" in text
-    assert "0 poses in map; no fix has a heading" in text
+    assert int(text.partition("odometries, ")[2].partition(" poses")[0]) > 3500  # of 3,953 in 395 s
     median_m = float(text.partition("in 10 s ")[2].partition(" m")[0])
     assert 0.0 < median_m < 0.3
 

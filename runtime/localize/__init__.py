@@ -1,0 +1,1 @@
+"""`headland localize`: the localizer over a recording."""

@@ -1,0 +1,130 @@
+"""`localize` over generated and recorded drives: files, exit codes, refusals."""
+
+import json
+import math
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+
+from benchmarks.long_drive import DATUM, VEHICLE, motion, stamp_of, write_drive
+from configs.strict import CONFIGS
+from runtime.commands.options import parse_arguments
+from tests.recordings import DATA, SAMPLES, needs
+from tests.replay.test_recorded_localization import GNSS_AND_IMU
+
+HUSKY = "robot-localization-bags/test/test1.bag"
+SEGMENT = "comma2k19-example/Example_1/b0c9d2329ad1606b|2018-08-02--08-34-47/40"
+NMEA = "devices/gnss/gpsd/bu303-moving.log"
+KITTI = Path(gtsam.findExampleDataFile("KittiEquivBiasedImu.txt"))
+
+
+def localized(out: Path, *words: object) -> tuple[int, dict]:
+    from runtime.commands.localize import main
+
+    code = main(parse_arguments(["localize", *map(str, words), "--out", str(out)]))
+    return code, json.loads((out / "result.json").read_text())
+
+
+def truth_csv(path: Path, seconds: float, shift_m: float = 0.0) -> Path:
+    rows = ["stamp_s,latitude_deg,longitude_deg,height_m"]
+    for t_s in np.arange(0.0, seconds, 0.2):
+        x, y, yaw, *_ = motion(t_s)
+        place = DATUM.to_ellipsoid(x + 0.5 * math.cos(yaw) + shift_m, y + 0.5 * math.sin(yaw), 1.9)
+        rows.append(f"{stamp_of(t_s) / 1e9:.9f}," + ",".join(repr(v) for v in (*np.degrees(place[:2]), place[2])))
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def test_generated_drive_with_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, vehicle, seconds = tmp_path / "drive.mcap", tmp_path / "vehicle.yaml", 20.0
+    write_drive(log, seconds)
+    vehicle.write_text(VEHICLE + GNSS_AND_IMU)
+    truth = truth_csv(tmp_path / "truth.csv", seconds)
+    code, result = localized(tmp_path / "a", log, "--vehicle", vehicle, "--truth", truth)
+    assert (code, result["state"]) == (0, "passed")
+    assert result["first_position_s"] < 10.0
+    assert result["placed_after_alignment"] > 0.99
+    assert result["error"]["max_m"] < 0.1
+    assert result["error"]["above_protection_level"] == 0.0
+    assert "passed" in capsys.readouterr().out
+    rows = [line.split() for line in (tmp_path / "a/trajectory.tum").read_text().splitlines() if line[0] != "#"]
+    assert all(len(row) == 8 for row in rows)
+    assert len(rows) > 80
+    (line,) = json.loads((tmp_path / "a/trajectory.geojson").read_text())["features"]
+    assert len(line["geometry"]["coordinates"]) == len(rows)
+    assert (tmp_path / "a/picture.png").stat().st_size > 10_000
+    manifest = json.loads((tmp_path / "a/manifest.json").read_text())
+    assert manifest["is_complete"]
+    assert {"result.json", "trajectory.tum", "trajectory.geojson", "picture.png"} <= set(manifest["files"])
+    # its own trajectory is its truth, and 5 m beside it the error exceeds the protection level
+    code, result = localized(tmp_path / "b", log, "--vehicle", vehicle, "--truth", tmp_path / "a/trajectory.tum")
+    assert (code, result["error"]["max_m"] < 1e-3) == (0, True)
+    off = truth_csv(tmp_path / "off.csv", seconds, shift_m=5.0)
+    code, result = localized(tmp_path / "c", log, "--vehicle", vehicle, "--truth", off)
+    assert code == 1
+    assert result["error"]["median_m"] == pytest.approx(5.0, abs=0.2)
+    assert "above the protection level" in result["reason"]
+
+
+def test_recording_without_fixes_is_not_shown(tmp_path: Path) -> None:
+    husky = (CONFIGS / "vehicles/husky.yaml").read_text().replace("/husky_velocity", "/jackal_velocity")
+    vehicle = tmp_path / "jackal.yaml"
+    vehicle.write_text(husky)
+    code, result = localized(tmp_path / "a", SAMPLES / "bag" / "jackal.bag", "--vehicle", vehicle)
+    assert (code, result["state"]) == (3, "not_shown")
+    assert list(result["awaited_s"]) == ["GNSS fixes", *list(result["awaited_s"])[1:]]
+    assert "no GNSS: dead reckoning only, no position in map" in result["notes"]
+    assert not (tmp_path / "a/trajectory.tum").exists()
+
+
+@needs(NMEA)
+def test_fixes_alone_are_refused(tmp_path: Path) -> None:
+    from messages.errors import HeadlandError
+    from runtime.commands.localize import main
+
+    words = ["localize", str(DATA / NMEA), "--vehicle", "husky", "--out", str(tmp_path / "a")]
+    with pytest.raises(HeadlandError, match="no IMU, without which nothing is localized"):
+        main(parse_arguments(words))
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("stamp_s,x_m\n1,2\n", "needed are latitude_deg, longitude_deg or x_m, y_m"),
+        ("stamp_s,x_m,y_m\n1,2,three\n", "'1,2,three' is not a row of numbers"),
+        ("nothing of the kind\n", "no truth that is read"),
+    ],
+)
+def test_bad_truth_names_what_is_wrong(tmp_path: Path, text: str, reason: str) -> None:
+    from messages.errors import LogError
+    from validation.localization.truth import read_truth
+
+    path = tmp_path / "truth.csv"
+    path.write_text(text)
+    with pytest.raises(LogError, match=reason):
+        read_truth(path, DATUM)
+
+
+@needs(SEGMENT)
+def test_comma2k19_is_better_than_its_receiver(tmp_path: Path) -> None:
+    code, result = localized(tmp_path / "a", DATA / SEGMENT, "--truth", DATA / SEGMENT / "global_pose")
+    assert code == 0
+    assert result["placed_after_alignment"] == 1.0
+    assert result["error"]["rmse_m"] < result["receiver_error"]["rmse_m"]
+    assert result["error"]["median_m"] < result["receiver_error"]["median_m"]
+
+
+def test_kitti_with_every_tenth_fix(tmp_path: Path) -> None:
+    """The first 200 s of the drive."""
+    imu, gnss = tmp_path / "imu.txt", tmp_path / "gnss.txt"
+    imu.write_text("\n".join(KITTI.read_text().splitlines()[:20_000]) + "\n")
+    gnss.write_text((KITTI.parent / "KittiGps_converted.txt").read_text())
+    _, result = localized(tmp_path / "a", imu, "--fixes-every", 10)
+    assert result["truth"] == "fixes that were withheld"
+    assert result["fixes"] == {"used": 20}
+    assert result["error"]["n"] > 120
+    assert result["error"]["median_m"] < 3.5
+    assert result["placed_after_alignment"] > 0.95

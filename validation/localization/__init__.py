@@ -1,0 +1,1 @@
+"""Localization of a recording judged: truth, error, NEES, protection level, availability, pictures."""
