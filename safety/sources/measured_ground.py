@@ -97,11 +97,12 @@ def lowest_bound(low_m: Float64, config: MeasuredGroundConfig) -> Float64:
 def level(xyz: Float32, box: Box, share: float, config: MeasuredGroundConfig) -> Float32:
     """Returns (3, N) with their height above the plane through the low returns of the cells around each.
 
-    `share`: quantile of the heights in a cell that is its ground. Unchanged where fewer than `plane_cells` have any.
+    `share`: quantile of the heights in a cell that is its ground, unless the cell stands out of those around it: a wall
+    would tilt the plane. Unchanged where fewer than `plane_cells` have any.
     """
     cells = cells_of(xyz, box, config.cell_m)
     low_m = cells.low_m(xyz[2], config.returns, share)
-    is_known = np.isfinite(low_m)
+    is_known = np.isfinite(low_m) & (low_m <= lowest_bound(low_m, config))
     rows, columns = cells.shape
     one, x, y = np.ones(cells.shape), *np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
     products = [is_known * a * b for a, b in ((one, one), (one, x), (one, y), (x, x), (x, y), (y, y))]

@@ -238,3 +238,12 @@ def test_window_sums() -> None:
         for column in range(6):
             part = layers[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
             assert found[:, row, column] == pytest.approx(part.sum(axis=(1, 2)))
+
+
+def test_a_wall_does_not_tilt_the_level(config: SupervisorConfig) -> None:
+    """In a shed the ground beside walls and posts stays level: it stopped a docking machine as an obstacle."""
+    ground = surface(0.0, 0.1)
+    is_wall = ground[1] > float(np.quantile(ground[1], 0.85))
+    ground[2, is_wall] += np.random.default_rng(3).uniform(0.4, 2.5, int(is_wall.sum())).astype(np.float32)
+    found = level(ground, AREA, 0.1, config.measured_ground)
+    assert np.abs(found[2, ~is_wall]).max() < 0.13
