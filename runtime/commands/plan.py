@@ -6,7 +6,6 @@ import sys
 
 from runtime.commands.checks import check_drive
 from runtime.commands.options import version
-from runtime.run_folder import RunFolder, command_of, named_errors, resolved, versions
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -15,8 +14,10 @@ def main(arguments: argparse.Namespace) -> int:
     Raises FieldError before writing if the field cannot be worked.
     """
     check_drive(arguments)
+    # only now: these imports take seconds, and a wrong argument is reported at once
+    from runtime.run_folder import RunFolder, command_of, named_errors, resolved, versions
+
     with RunFolder("plan", arguments.out, command_of(arguments)) as folder:
-        # only now: these imports take seconds, and a wrong argument is reported at once
         from planning.drawing import draw_plan
         from planning.export.geojson import write_geojson
         from planning.export.isoxml import write_isoxml

@@ -5,15 +5,16 @@ import json
 import sys
 
 from runtime.commands.checks import check_drive
-from runtime.interruption import Interruption
-from runtime.run_folder import RunFolder, command_of
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Drives; 0 if the mission finished without contact, zone exit or false stop, else 1; 130 or 143 after a signal."""
     check_drive(arguments)
+    # only now: these imports take seconds, and a wrong argument is reported at once
+    from runtime.interruption import Interruption
+    from runtime.run_folder import RunFolder, command_of
+
     with RunFolder("run", arguments.out, command_of(arguments)) as folder, Interruption() as interruption:
-        # only now: these imports take seconds, and a wrong argument is reported at once
         from runtime.setup import load_scenario, setup_from, with_model
         from runtime.simulated_drive import drive
 
