@@ -15,7 +15,7 @@ from hmi.texts import Texts, texts_of
 
 DATAGRAM = bytes(96) + json.dumps({"order": "emergency_stop"}).encode()
 REPEAT_S = 0.02
-ANSWER_S = 0.5
+ANSWER_S = 2.0  # a simulation on a slow computer is late as well
 REQUEST_S = 5.0
 MAX_BODY = 1024
 CHECK_S = 1.0
