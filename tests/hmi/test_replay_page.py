@@ -53,8 +53,9 @@ def seconds(page: Any) -> float:
 def test_values_of_the_drive_are_shown(page: Any) -> None:
     """BD-4.2f and BD-4.1f: state, speed, heading, errors, steering, satellites, corrections, area, row."""
     set_paused(page, True)
-    seek(page, 0.4)
-    assert float(row(page, "motion", "speed").split("\u202f")[0]) > 3.0
+    seek(page, 0.6)
+    wait_for(page, "#replay-time", "0:1[56] /")
+    wait_for(page, "#rows-motion [data-key=speed] dd", "^([5-9]|1[0-9])\\.")
     for key in ("heading", "xte", "heading_error", "steering"):
         assert any(sign.isdigit() for sign in row(page, "motion", key)), key
     assert "RTK fixed" in row(page, "position", "solution")
