@@ -14,9 +14,7 @@ from runtime.commands.options import parse_arguments
 from tests.recordings import DATA, SAMPLES, needs
 from tests.replay.test_recorded_localization import GNSS_AND_IMU
 
-HUSKY = "robot-localization-bags/test/test1.bag"
 SEGMENT = "comma2k19-example/Example_1/b0c9d2329ad1606b|2018-08-02--08-34-47/40"
-NMEA = "devices/gnss/gpsd/bu303-moving.log"
 KITTI = Path(gtsam.findExampleDataFile("KittiEquivBiasedImu.txt"))
 
 
@@ -32,7 +30,7 @@ def truth_csv(path: Path, seconds: float, shift_m: float = 0.0) -> Path:
     for t_s in np.arange(0.0, seconds, 0.2):
         x, y, yaw, *_ = motion(t_s)
         place = DATUM.to_ellipsoid(x + 0.5 * math.cos(yaw) + shift_m, y + 0.5 * math.sin(yaw), 1.9)
-        rows.append(f"{stamp_of(t_s) / 1e9:.9f}," + ",".join(repr(v) for v in (*np.degrees(place[:2]), place[2])))
+        rows.append(f"{stamp_of(t_s) / 1e9:.9f}," + ",".join(repr(float(v)) for v in (*np.degrees(place[:2]), place[2])))
     path.write_text("\n".join(rows) + "\n")
     return path
 
@@ -79,12 +77,11 @@ def test_recording_without_fixes_is_not_shown(tmp_path: Path) -> None:
     assert not (tmp_path / "a/trajectory.tum").exists()
 
 
-@needs(NMEA)
 def test_fixes_alone_are_refused(tmp_path: Path) -> None:
     from messages.errors import HeadlandError
     from runtime.commands.localize import main
 
-    words = ["localize", str(DATA / NMEA), "--vehicle", "husky", "--out", str(tmp_path / "a")]
+    words = ["localize", str(SAMPLES / "gnss" / "nmea_rtk.log"), "--vehicle", "husky", "--out", str(tmp_path / "a")]
     with pytest.raises(HeadlandError, match="no IMU, without which nothing is localized"):
         main(parse_arguments(words))
     assert not (tmp_path / "a").exists()
