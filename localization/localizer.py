@@ -216,7 +216,8 @@ class Localizer(Node):
         faults.set(FAULTS["localization.not_docked"], bool(reason), reason)
         lacks_heading = not alignment.is_initialized and odometry.standstill.lacks_heading
         faults.set(FAULTS["gnss.no_heading"], lacks_heading, alignment.motion_start.awaited)
-        awaited = "" if odometry.standstill.since_ns is not None and not self._is_vibrating else self.awaited
+        is_moving = len(odometry.track) > 0 and odometry.standstill.since_ns is None
+        awaited = self.awaited if is_moving or self._is_vibrating else ""
         faults.set(FAULTS["localization.awaits"], bool(awaited), awaited)
         for failure in alignment.failures:
             faults.report_event(FAULTS["localization.rebuilt"], failure)

@@ -2,7 +2,7 @@
 
 All keyframes of the window are solved at once, from four headings about the course of the fixes. A start is proven when
 one solution is left: those that end elsewhere fit worse, the residuals agree with their sigmas, and the heading is
-known. Forwards and backwards are told apart by the sign of the wheel speeds, without wheels by the accelerometer.
+known. Forwards and backwards are distinguished by the sign of the wheel speeds, without wheels by the accelerometer.
 """
 
 import math

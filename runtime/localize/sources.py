@@ -41,6 +41,9 @@ class Sources:
 
 def sources_of(recording: Recording, file: Path | None, receiver: str) -> Sources:
     """Sensors, vehicle and site; raises LogError or ConfigError that names what is missing."""
+    if not any(s.topic.partition("/")[0] == IMU for s in recording.description.sensors):
+        known = ", ".join(sorted(s.topic for s in recording.description.sensors)) or "nothing that is read"
+        raise LogError(f"{recording.path}: no IMU, without which nothing is localized (streams: {known})")
     own = _own_vehicle(recording) if file is None else None
     values, where = (None, None) if own is not None else vehicle_values(file, recording.description)
     if own is None and not values:
@@ -49,8 +52,7 @@ def sources_of(recording: Recording, file: Path | None, receiver: str) -> Source
     topics = {s.topic for s in bound.description.sensors}
     vehicle = own if own is not None else _vehicle(values or {}, str(where))
     if IMU not in topics:
-        known = ", ".join(sorted(topics)) or "nothing that is read"
-        raise LogError(f"{recording.path}: no IMU, without which nothing is localized (streams: {known})")
+        raise LogError(f"{recording.path}: several IMUs; sensors.imu.topic in the vehicle file selects one")
     if vehicle.sensors.imu is None or receiver not in vehicle.sensors.gnss:
         raise ConfigError(f"{where or recording.path}: sensors.imu and sensors.gnss.{receiver} are needed")
     gnss = f"gnss/{receiver}"

@@ -8,15 +8,16 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.long_drive import DATUM, VEHICLE, motion, stamp_of, write_drive
 from configs.strict import CONFIGS
+from datasets.importers.recording import SOURCE, Description, Sensor, describe
+from datasets.log import LogWriter
+from messages.message import Envelope
 from runtime.commands.options import parse_arguments
+from runtime.stack import load_stack
+from tests.localization.synthetic_drive import DATUM, START_NS, SensorErrors, Truth, drive, tractor
 from tests.recordings import DATA, SAMPLES, needs
-from tests.replay.test_recorded_localization import GNSS_AND_IMU
 
-HUSKY = "robot-localization-bags/test/test1.bag"
 SEGMENT = "comma2k19-example/Example_1/b0c9d2329ad1606b|2018-08-02--08-34-47/40"
-NMEA = "devices/gnss/gpsd/bu303-moving.log"
 KITTI = Path(gtsam.findExampleDataFile("KittiEquivBiasedImu.txt"))
 
 
@@ -27,21 +28,31 @@ def localized(out: Path, *words: object) -> tuple[int, dict]:
     return code, json.loads((out / "result.json").read_text())
 
 
-def truth_csv(path: Path, seconds: float, shift_m: float = 0.0) -> Path:
+def write_log(path: Path, truth: Truth) -> None:
+    sensors = tuple(Sensor(topic, "", topic, "generated") for topic in ("imu", "gnss/main", "wheel"))
+    metadata = {SOURCE: {"path": "generated", "description": json.dumps(describe(Description("generated", sensors)))}}
+    with LogWriter(path, metadata, load_stack().datasets.log) as log:
+        for number, (arrival_ns, topic, message) in enumerate(truth.messages):
+            log.write(Envelope(topic, number, arrival_ns, message))
+
+
+def truth_csv(path: Path, truth: Truth, shift_m: float = 0.0) -> Path:
+    antenna = np.array([*tractor().sensors.gnss["main"].mount.xyz_m, 1.0])
     rows = ["stamp_s,latitude_deg,longitude_deg,height_m"]
-    for t_s in np.arange(0.0, seconds, 0.2):
-        x, y, yaw, *_ = motion(t_s)
-        place = DATUM.to_ellipsoid(x + 0.5 * math.cos(yaw) + shift_m, y + 0.5 * math.sin(yaw), 1.9)
-        rows.append(f"{stamp_of(t_s) / 1e9:.9f}," + ",".join(repr(v) for v in (*np.degrees(place[:2]), place[2])))
+    for k in range(5, 65):
+        stamp_ns = START_NS + k * 200_000_000
+        x, y, z, _ = (truth.at(stamp_ns) @ antenna).tolist()
+        latitude, longitude, height = DATUM.to_ellipsoid(x + shift_m, y, z)
+        rows.append(f"{stamp_ns / 1e9:.9f},{math.degrees(latitude)!r},{math.degrees(longitude)!r},{height!r}")
     path.write_text("\n".join(rows) + "\n")
     return path
 
 
 def test_generated_drive_with_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log, vehicle, seconds = tmp_path / "drive.mcap", tmp_path / "vehicle.yaml", 20.0
-    write_drive(log, seconds)
-    vehicle.write_text(VEHICLE + GNSS_AND_IMU)
-    truth = truth_csv(tmp_path / "truth.csv", seconds)
+    log, vehicle = tmp_path / "drive.mcap", "tractor_e"
+    drive_truth = drive(14, legs=[(4.0, 0.0, 0.0), (100.0, 2.0, 0.05)], sensor_errors=SensorErrors(seed=5))
+    write_log(log, drive_truth)
+    truth = truth_csv(tmp_path / "truth.csv", drive_truth)
     code, result = localized(tmp_path / "a", log, "--vehicle", vehicle, "--truth", truth)
     assert (code, result["state"]) == (0, "passed")
     assert result["first_position_s"] < 10.0
@@ -51,7 +62,7 @@ def test_generated_drive_with_truth(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "passed" in capsys.readouterr().out
     rows = [line.split() for line in (tmp_path / "a/trajectory.tum").read_text().splitlines() if line[0] != "#"]
     assert all(len(row) == 8 for row in rows)
-    assert len(rows) > 80
+    assert len(rows) > 80  # of 10 Hz
     (line,) = json.loads((tmp_path / "a/trajectory.geojson").read_text())["features"]
     assert len(line["geometry"]["coordinates"]) == len(rows)
     assert (tmp_path / "a/picture.png").stat().st_size > 10_000
@@ -61,7 +72,7 @@ def test_generated_drive_with_truth(tmp_path: Path, capsys: pytest.CaptureFixtur
     # its own trajectory is its truth, and 5 m beside it the error exceeds the protection level
     code, result = localized(tmp_path / "b", log, "--vehicle", vehicle, "--truth", tmp_path / "a/trajectory.tum")
     assert (code, result["error"]["max_m"] < 1e-3) == (0, True)
-    off = truth_csv(tmp_path / "off.csv", seconds, shift_m=5.0)
+    off = truth_csv(tmp_path / "off.csv", drive_truth, shift_m=5.0)
     code, result = localized(tmp_path / "c", log, "--vehicle", vehicle, "--truth", off)
     assert code == 1
     assert result["error"]["median_m"] == pytest.approx(5.0, abs=0.2)
@@ -79,12 +90,11 @@ def test_recording_without_fixes_is_not_shown(tmp_path: Path) -> None:
     assert not (tmp_path / "a/trajectory.tum").exists()
 
 
-@needs(NMEA)
 def test_fixes_alone_are_refused(tmp_path: Path) -> None:
     from messages.errors import HeadlandError
     from runtime.commands.localize import main
 
-    words = ["localize", str(DATA / NMEA), "--vehicle", "husky", "--out", str(tmp_path / "a")]
+    words = ["localize", str(SAMPLES / "gnss" / "nmea_rtk.log"), "--vehicle", "husky", "--out", str(tmp_path / "a")]
     with pytest.raises(HeadlandError, match="no IMU, without which nothing is localized"):
         main(parse_arguments(words))
     assert not (tmp_path / "a").exists()

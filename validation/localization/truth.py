@@ -106,7 +106,7 @@ def _of_tum(path: Path, text: str, rows: list[list[str]], datum: Datum) -> Truth
     own = next((line.split()[2:5] for line in text.splitlines() if line.startswith("# datum ")), None)
     try:
         values = np.array(rows, np.float64)
-        other = None if own is None else Datum(*np.radians([float(own[0]), float(own[1])]).tolist(), float(own[2]))
+        other = None if own is None else Datum(math.radians(float(own[0])), math.radians(float(own[1])), float(own[2]))
     except (ValueError, IndexError) as error:
         raise LogError(f"{path}: not a TUM file: {error}") from error
     stamps = [_stamp(row[0], path) for row in rows]
