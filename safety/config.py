@@ -110,7 +110,6 @@ class TransmissionConfig(Config):
     """Cells of few returns that most beams pass through."""
 
     max_returns: int = Field(ge=0, le=100, description="in a cell that is tested")
-    range_m: Metres = Field(description="from the sensor, of such a cell")
     max_blocked_ratio: float = Field(ge=0.0, le=0.2, description="of the beams through a cell that dust may reflect")
 
 

@@ -17,8 +17,7 @@ def are_transparent(
     """Which of the obstacle returns, cell `keys` (N,) and `is_hit` (N,) bool, lie in a transparent cell, (N,) bool.
 
     `hits` (3, N) are the same returns and `returns` (3, M) all of the scan, relative to the sensor and not deskewed.
-    Only cells of at most `max_returns` within `range_m` are tested: a body has more where beams are dense enough to
-    prove anything.
+    Only cells of at most `max_returns` are tested: a body has more where beams are dense enough to prove anything.
     """
     cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
     is_tested = np.zeros(len(cells), bool)
@@ -31,8 +30,6 @@ def are_transparent(
     for cell in tested:
         own = np.flatnonzero(which == cell)
         farthest_m = float(hit_range_m[own].max())
-        if farthest_m > config.range_m:
-            continue
         middle = (hits[:, own] / hit_range_m[own]).mean(axis=1)
         within = farthest_m / np.hypot(farthest_m, 0.5 * cell_m)  # cosine of the angle of half a cell
         is_about = middle @ returns > within * np.linalg.norm(middle) * range_m
