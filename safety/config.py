@@ -106,13 +106,6 @@ class NearFieldConfig(Config):
     roughness_factor: float = Field(ge=1.0, le=10.0, description="least height that counts, over the quantile")
 
 
-class TransmissionConfig(Config):
-    """Cells of few returns that most beams pass through."""
-
-    max_returns: int = Field(ge=0, le=100, description="in a cell that is tested")
-    max_blocked_ratio: float = Field(ge=0.0, le=0.2, description="of the beams through a cell that dust may reflect")
-
-
 class DepartureConfig(Config):
     """Following what blocked the path until it has left."""
 
@@ -296,7 +289,6 @@ class SafetyConfig(Config):
     field: FieldConfig
     measured_ground: MeasuredGroundConfig
     near_field: NearFieldConfig
-    transmission: TransmissionConfig
     departure: DepartureConfig
     detection_range: DetectionRangeConfig
     lidar_agreement: LidarAgreementConfig

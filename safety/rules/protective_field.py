@@ -42,7 +42,6 @@ RULE = Rule(
         "near_field.range_m",
         "near_field.min_height_m",
         "near_field.roughness_factor",
-        "transmission.max_blocked_ratio",
         "braking.reaction_s",
         "braking.build_up_s",
         "braking.deceleration_mps2",

@@ -26,7 +26,6 @@ from safety.sources.ground_heights import NO_GROUND, ground_heights
 from safety.sources.measured_ground import level, stands_out
 from safety.sources.multiple_evaluation import cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
-from safety.sources.transmission import are_transparent
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
 CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a millisecond
@@ -103,14 +102,13 @@ class LidarSource:
         is_obstacle, is_high = self._mark(near_xyz, area, near_field)
         obstacles = np.asarray(near_xyz.compress(is_obstacle, axis=1), np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
-        keys = cell_keys(points_odom, field.cell_m)
         is_hit, self._cells = evaluate(
-            keys, is_high[is_obstacle], self._cells, field.min_returns_single_scan, field.min_returns_multiple_scan
+            cell_keys(points_odom, field.cell_m),
+            is_high[is_obstacle],
+            self._cells,
+            field.min_returns_single_scan,
+            field.min_returns_multiple_scan,
         )
-        if is_hit.any():
-            from_sensor = xyz - origin[:, None].astype(np.float32)
-            hits = from_sensor.take(near[is_obstacle], axis=1)
-            is_hit &= ~are_transparent(keys, is_hit, hits, from_sensor, field.cell_m, self._config.transmission)
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
 
     def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray]:
