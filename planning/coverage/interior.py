@@ -8,6 +8,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from configs.mission import Work
+from geometry.footprint import corners_of, worked
 from geometry.polygon import open_by, parts, polygon_of, shrink
 from planning.coverage.blocks import blocks_of
 from planning.coverage.headland import HeadlandPass, pass_coverage
@@ -16,6 +17,7 @@ from planning.coverage.swath import Swath, strips_of, swaths_on
 from planning.field.drivable_area import DrivableArea
 from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
+from planning.turns.search import Leg
 
 SLIVER_M = 0.3  # thinner remains are no reason for a swath
 MIN_REMAINS_M2, MIN_REMAINS = 4.0, 0.1  # and share of the squared working width: smaller remains get no swath
@@ -25,7 +27,7 @@ REMAINS_M = 1.0  # thinner remains of evenly spaced swaths
 
 def swaths_inside(drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], work: Work) -> list[Swath]:
     """Swaths over all that the passes leave bare, numbered; with reversing also over what even spacing leaves bare."""
-    bare = shrink(drivable.free, drivable.margin_m + rig.width_m / 2.0 - rig.working_width_m / 2.0)
+    bare = _workable(drivable, rig)
     if passes:
         bare = bare.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
     found = swaths_over(bare, drivable, rig, work)
@@ -34,6 +36,30 @@ def swaths_inside(drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPas
         left = bare.difference(shapely.union_all([strip_of(s, rig.working_width_m) for s in found]))
         found += swaths_over_remains(open_by(left, REMAINS_M / 2.0), rig, space, _least_m2(rig))
     return [replace(s, number=k) for k, s in enumerate(found)]
+
+
+def swaths_left_bare(
+    drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], legs: Sequence[Leg], first: int
+) -> list[Swath]:
+    """Swaths over what passes and `legs` of lines leave bare, numbered from `first`."""
+    left = _workable(drivable, rig)
+    shapes = [pass_coverage(p, rig) for p in passes]
+    shapes += [_strip(leg, rig) for leg in legs]
+    left = left.difference(shapely.union_all(shapes))
+    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    found = swaths_over_remains(open_by(left, REMAINS_M / 2.0), rig, space, _least_m2(rig))
+    return [replace(s, number=first + k) for k, s in enumerate(found)]
+
+
+def _strip(leg: Leg, rig: Rig) -> BaseGeometry:
+    """Area worked over a leg."""
+    keep = corners_of(np.unwrap(leg.heading_rad))
+    return worked(*rig.working_edges(leg.p_map_m[keep], leg.heading_rad[keep]))
+
+
+def _workable(drivable: DrivableArea, rig: Rig) -> BaseGeometry:
+    """What the implement could reach beside every edge."""
+    return shrink(drivable.free, drivable.margin_m + rig.width_m / 2.0 - rig.working_width_m / 2.0)
 
 
 def swaths_over(bare: BaseGeometry, drivable: DrivableArea, rig: Rig, work: Work) -> list[Swath]:

@@ -4,6 +4,7 @@ Each is the best of lines in several directions at closely spaced offsets: the o
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -18,6 +19,7 @@ from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
 
 OFFSETS = 6.0  # per working width
+FLUSH_M = 0.01
 MAX_SWATHS = 4  # over one part
 LEAST_SHARE = 0.2  # of the worked area that was bare
 
@@ -49,7 +51,7 @@ def _best(left: BaseGeometry, part: Polygon, rig: Rig, space: FreeSpace, least_m
     shapely.prepare(left)
     for angle_rad in directions_of(part):
         for strip in _strips(left, rig.working_width_m, angle_rad):
-            for swath in swaths_on(strip, rig, space):
+            for swath in _swaths_near(strip, rig, space):
                 worked = strip_of(swath, rig.working_width_m)
                 gain = round(float(left.intersection(worked).area), 3)
                 if gain > best[0] and gain > LEAST_SHARE * worked.area:
@@ -57,11 +59,30 @@ def _best(left: BaseGeometry, part: Polygon, rig: Rig, space: FreeSpace, least_m
     return best[1]
 
 
+def _swaths_near(strip: Float64, rig: Rig, space: FreeSpace) -> list[Swath]:
+    """Swaths on a line over an area and a little beyond, each no longer than the area and the shortest swath need."""
+    least_m = rig.config.min_swath_m
+    length = float(np.hypot(*(strip[1] - strip[0])))
+    along = (strip[1] - strip[0]) / length
+    found = swaths_on(strip + np.array([[-least_m], [least_m]]) * along, rig, space)
+
+    def cut(ends: Float64 | None) -> Float64 | None:
+        if ends is None:
+            return None
+        a, b = sorted((ends - strip[0]) @ along)
+        low, high = max(a, min(0.0, b - least_m)), min(b, max(length, a + least_m))
+        kept = strip[0] + np.array([[low], [high]]) * along
+        return kept if (ends[1] - ends[0]) @ along > 0.0 else kept[::-1]
+
+    return [replace(s, onwards_m=cut(s.onwards_m), back_m=cut(s.back_m)) for s in found]
+
+
 def _strips(left: BaseGeometry, width_m: float, angle_rad: float) -> list[Float64]:
-    """Lines (2, 2) in one direction over an area, closely spaced, as long as the area."""
+    """Lines (2, 2) in one direction over an area, as long as it: closely spaced, and two flush with its sides."""
     x0, y0, x1, y1 = rotate(left, -angle_rad, origin=(0.0, 0.0), use_radians=True).bounds
-    low, high = y0 - 0.25 * width_m, y1 + 0.25 * width_m
+    low, high = y0 - 0.5 * width_m, y1 + 0.5 * width_m
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     R = np.array([[c, -s], [s, c]])
-    offsets = np.linspace(low, high, max(2, math.ceil((high - low) / width_m * OFFSETS)))
-    return [np.array([[x0, y], [x1, y]]) @ R.T for y in offsets]
+    offsets = np.linspace(low, high, max(2, math.ceil((high - low) / width_m * OFFSETS)))[1:-1]
+    flush = (y0 + 0.5 * width_m + FLUSH_M, y1 - 0.5 * width_m - FLUSH_M)
+    return [np.array([[x0, y], [x1, y]]) @ R.T for y in (*flush, *offsets)]
