@@ -128,7 +128,7 @@ def plan_field(
             f"machine with an implement of {rig.working_width_m:g} m: use a narrower implement"
         )
     space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-    found = route(PathConnector(drivable, rig, headland_passes, seed, space), swaths)
+    found = route(PathConnector(drivable, rig, headland_passes, seed, space), swaths, work)
     if not found.pieces:
         x, y = site.start.x_m, site.start.y_m
         raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")

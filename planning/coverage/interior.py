@@ -21,6 +21,8 @@ from planning.turns.search import Leg
 
 SLIVER_M = 0.3  # thinner remains are no reason for a swath
 MIN_REMAINS_M2, MIN_REMAINS = 4.0, 0.1  # and share of the squared working width: smaller remains get no swath
+MIN_LEFT_M2, MIN_LEFT = 2.0, 0.03  # the same of what all lines of a tour leave bare
+WIDE = 0.6  # of the working width: parts as wide get evenly spaced swaths
 GROWN_M = 0.05
 REMAINS_M = 1.0  # thinner remains of evenly spaced swaths
 
@@ -39,15 +41,16 @@ def swaths_inside(drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPas
 
 
 def swaths_left_bare(
-    drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], legs: Sequence[Leg], first: int
+    drivable: DrivableArea, rig: Rig, work: Work, passes: Sequence[HeadlandPass], legs: Sequence[Leg], first: int
 ) -> list[Swath]:
     """Swaths over what passes and `legs` of lines leave bare, numbered from `first`."""
-    left = _workable(drivable, rig)
-    shapes = [pass_coverage(p, rig) for p in passes]
-    shapes += [_strip(leg, rig) for leg in legs]
-    left = left.difference(shapely.union_all(shapes))
+    shapes = [*(pass_coverage(p, rig) for p in passes), *(_strip(leg, rig) for leg in legs)]
+    left = _workable(drivable, rig).difference(shapely.union_all(shapes))
+    found = swaths_over(open_by(left, WIDE * rig.working_width_m / 2.0), drivable, rig, work)
+    left = left.difference(shapely.union_all([strip_of(s, rig.working_width_m) for s in found]))
     space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-    found = swaths_over_remains(open_by(left, REMAINS_M / 2.0), rig, space, _least_m2(rig))
+    least_m2 = max(MIN_LEFT_M2, MIN_LEFT * rig.working_width_m**2)
+    found += swaths_over_remains(open_by(left, REMAINS_M / 2.0), rig, space, least_m2)
     return [replace(s, number=first + k) for k, s in enumerate(found)]
 
 

@@ -20,8 +20,8 @@ from planning.turns.free_space import FreeSpace
 
 OFFSETS = 6.0  # per working width
 FLUSH_M = 0.01
-MAX_SWATHS = 4  # over one part
-LEAST_SHARE = 0.2  # of the worked area that was bare
+MAX_SWATHS = 6  # over one part
+LEAST_SHARE = 0.08  # of the worked area that was bare
 
 
 def swaths_over_remains(area: BaseGeometry, rig: Rig, space: FreeSpace, least_m2: float) -> list[Swath]:
@@ -35,6 +35,8 @@ def swaths_over_remains(area: BaseGeometry, rig: Rig, space: FreeSpace, least_m2
                 break
             found.append(best)
             left = left.difference(strip_of(best, rig.working_width_m))
+            if left.area < least_m2:
+                break
     return found
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from shapely.geometry import Point, Polygon
 
+from configs.mission import Work
 from geometry.arrays import Float64
 from geometry.footprint import is_inside
 from geometry.polyline import arc_length, curvatures, headings, polyline, resample, smooth
@@ -33,7 +34,7 @@ class Route:
     headland_passes: list[HeadlandPass]
 
 
-def route(connector: PathConnector, swaths: Sequence[Swath]) -> Route:
+def route(connector: PathConnector, swaths: Sequence[Swath], work: Work) -> Route:
     """Complete route; raises FieldError with the position where no connection is found."""
     lane = lane_leg(connector) if connector.drivable.site.lanes else None
     pieces, pose = _entry(connector, lane)
@@ -42,7 +43,8 @@ def route(connector: PathConnector, swaths: Sequence[Swath]) -> Route:
     tour = drive_lines(connector, headland.end, home, _lines(connector, swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
     if connector.rig.has_reverse:
-        more = swaths_left_bare(connector.drivable, connector.rig, closed, [s.leg for s in tour.stops], len(swaths))
+        legs = [stop.leg for stop in tour.stops]
+        more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, len(swaths))
         tour = inserted(connector, tour, home, lines_of(more, (), -connector.rig.working_x_m))
     pieces += [*headland.pieces, *tour.pieces]
     if lane is not None:
