@@ -13,10 +13,10 @@ from geometry.pose2 import Pose2
 from planning.coverage.pass_route import turn_pieces
 from planning.coverage.work_line import WorkLine
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.search import Connection, ConnectionRequest, Leg, bounds_s
+from planning.turns.search import STEP_M, Connection, ConnectionRequest, Leg, bounds_s
 
 TRIED = 10  # places of a tour to which turns are searched
-TRIED_ALONG = 3  # to which a way along the headland passes is searched
+TRIED_ALONG, MIN_ALONG_M = 3, 10.0  # to which a way along the headland passes is searched, and length of such a line
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,8 @@ def _excursion(connector: PathConnector, tour: Tour, line: WorkLine) -> Tour | N
     places = [k for k in range(len(tour.stops) + 1) if k == len(tour.stops) or not tour.stops[k].is_excursion]
     options = [(at, r) for at in places for r in (False, True) if line.legs[r] is not None]
     near = _nearest(connector, tour, line, options)
-    for is_thorough, tried in ((False, near[:TRIED]), (True, near[:TRIED_ALONG])):
+    is_long = max(len(leg.p_map_m) for leg in line.legs if leg is not None) * STEP_M > MIN_ALONG_M
+    for is_thorough, tried in ((False, near[:TRIED]), (True, near[: TRIED_ALONG * is_long])):
         for at, is_reversed in tried:
             stop = _reached(connector, tour, line, at, is_reversed, is_thorough)
             if stop is not None:
