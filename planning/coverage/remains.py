@@ -88,7 +88,7 @@ def _swaths_near(strip: Float64, rig: Rig, space: FreeSpace) -> list[Swath]:
             return None
         a, b = sorted((ends - strip[0]) @ along)
         low, high = max(a, min(0.0, b - least_m)), min(b, max(length, a + least_m))
-        kept = strip[0] + np.array([[low], [high]]) * along
+        kept: Float64 = strip[0] + np.array([[low], [high]]) * along
         return kept if (ends[1] - ends[0]) @ along > 0.0 else kept[::-1]
 
     return [replace(s, onwards_m=cut(s.onwards_m), back_m=cut(s.back_m)) for s in found]
