@@ -25,6 +25,9 @@ class PlannerConfig(Config):
     cusp_s: float = Field(ge=0.0, le=60.0, description="time of a change of direction: stop, steer, start")
     stop_gap_m: float = Field(ge=0.0, le=5.0, description="to an edge ahead of the rig where it changes direction")
     corner_fill_m2: float = Field(ge=0.0, le=1000.0, description="smaller bare corners of a pass are not filled")
+    small_remains_share: float = Field(
+        ge=0.0, le=1.0, description="planned share below which also small remains are worked"
+    )
     edge_slack_m: float = Field(
         ge=0.0, le=0.5, description="added to the margin of the first headland pass, for tail swing"
     )

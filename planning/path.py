@@ -53,7 +53,7 @@ def _path(pieces: Sequence[RoutePiece], rig: Rig, path_id: int) -> Path:
     p = np.column_stack([np.interp(s, raw_s, points[:, k]) for k in range(2)])
     heading, curvature = np.interp(s, raw_s, heading), np.interp(s, raw_s, curvature)
     owner = owner[np.clip(np.searchsorted(raw_s, s - 1e-9), 0, len(owner) - 1)]
-    p, heading, curvature = _eased(p, heading, curvature)
+    p, heading, curvature = _eased(p, heading, curvature, direction)
     top_mps = np.inf if direction > 0 else kmh(rig.config.reverse_kmh)
     section_speed = np.array([min(_section_speed(piece.section_type, rig), top_mps) for piece in pieces])[owner]
     s = arc_length(p)
@@ -64,7 +64,7 @@ def _path(pieces: Sequence[RoutePiece], rig: Rig, path_id: int) -> Path:
     )
 
 
-def _eased(p: Float64, heading: Float64, curvature: Float64) -> tuple[Float64, Float64, Float64]:
+def _eased(p: Float64, heading: Float64, curvature: Float64, direction: int) -> tuple[Float64, Float64, Float64]:
     """The points with steps of curvature at joints spread over `EASED_M`; they move by some millimetres."""
     steps = np.flatnonzero(np.abs(np.diff(curvature)) > STEP_RADPM)
     if not len(steps):
@@ -76,10 +76,10 @@ def _eased(p: Float64, heading: Float64, curvature: Float64) -> tuple[Float64, F
         near = np.maximum(near, 0.5 + 0.5 * np.cos(np.pi * fading))
     near[[0, -1]] = 0.0
     eased = p + near[:, None] * (smooth(p, EASED_M) - p)
-    turned = headings(eased)
+    turned = headings(eased) if direction > 0 else headings(eased) + np.pi
     turned += 2.0 * np.pi * np.round((heading[0] - turned[0]) / (2.0 * np.pi))
     is_near = near > 0.0
-    bent = curvatures(turned, arc_length(eased))
+    bent = direction * curvatures(turned, arc_length(eased))
     return eased, np.where(is_near, turned, heading), np.where(is_near, bent, curvature)
 
 

@@ -15,7 +15,7 @@ from geometry.arrays import runs_of
 from geometry.footprint import corners_of, worked
 from geometry.polygon import parts, place_of, shrink
 from messages.errors import FieldError
-from messages.plan import Path, PathSectionType
+from messages.plan import Path
 from planning.config import PlannerConfig, PlanningConfig
 from planning.coverage.headland import HeadlandPass, headland_passes_of
 from planning.coverage.interior import swaths_inside
@@ -128,10 +128,12 @@ def plan_field(
             f"machine with an implement of {rig.working_width_m:g} m: use a narrower implement"
         )
     space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-    found = route(PathConnector(drivable, rig, headland_passes, seed, space), swaths)
-    paths = paths_of(found, rig, 1)
+    found = route(PathConnector(drivable, rig, headland_passes, seed, space), swaths, work)
+    if not found.pieces:
+        x, y = site.start.x_m, site.start.y_m
+        raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")
+    paths = paths_of(found.pieces, rig, 1)
     check_inside(paths, rig, drivable_area_of(site, work.boundary_margin_m))
-    driven = {s.line for p in paths for s in p.sections if s.section_type is PathSectionType.SWATH}
     area = worked_area(paths, rig).intersection(drivable.free)
     uncovered = _uncovered(drivable, area, rig)
     share = area.area / drivable.free.area
@@ -142,8 +144,8 @@ def plan_field(
         share,
         _length_m(paths),
         uncovered,
-        tuple(s for s in swaths if s.number in driven),
-        tuple(headland_passes),
+        tuple(found.swaths),
+        tuple(found.headland_passes),
         drivable,
         rig,
     )

@@ -187,7 +187,7 @@ class MotionStart:
         for one in mine:
             order.push_back(one)
         jacobian = np.asarray(graph.linearize(values).jacobian(order)[0])
-        root = np.linalg.qr(jacobian, mode="r")[-STATE:, -STATE:]
+        root = np.asarray(np.linalg.qr(jacobian, mode="r"))[-STATE:, -STATE:]
         if float(np.min(np.abs(np.diag(root)))) < 1e-6:
             return None
         inverse = np.linalg.inv(root)

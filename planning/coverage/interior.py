@@ -8,32 +8,61 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from configs.mission import Work
+from geometry.footprint import corners_of, worked
 from geometry.polygon import open_by, parts, polygon_of, shrink
 from planning.coverage.blocks import blocks_of
 from planning.coverage.headland import HeadlandPass, pass_coverage
-from planning.coverage.remains import strip_of, swaths_over_remains
+from planning.coverage.remains import strip_of, swaths_over_remains, worth_of
 from planning.coverage.swath import Swath, strips_of, swaths_on
 from planning.field.drivable_area import DrivableArea
 from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
+from planning.turns.search import Leg
 
 SLIVER_M = 0.3  # thinner remains are no reason for a swath
-MIN_REMAINS_M2, MIN_REMAINS = 4.0, 0.1  # and share of the squared working width: smaller remains get no swath
+WIDE = 0.6  # of the working width: parts as wide get evenly spaced swaths
 GROWN_M = 0.05
 REMAINS_M = 1.0  # thinner remains of evenly spaced swaths
 
 
 def swaths_inside(drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], work: Work) -> list[Swath]:
     """Swaths over all that the passes leave bare, numbered; with reversing also over what even spacing leaves bare."""
-    bare = shrink(drivable.free, drivable.margin_m + rig.width_m / 2.0 - rig.working_width_m / 2.0)
+    bare = _workable(drivable, rig)
     if passes:
         bare = bare.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
     found = swaths_over(bare, drivable, rig, work)
     if rig.has_reverse:  # tips and tails are dead ends
         space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
         left = bare.difference(shapely.union_all([strip_of(s, rig.working_width_m) for s in found]))
-        found += swaths_over_remains(open_by(left, REMAINS_M / 2.0), rig, space, _least_m2(rig))
+        found += swaths_over_remains(open_by(left, REMAINS_M / 2.0), rig, space, worth_of(rig, False))
     return [replace(s, number=k) for k, s in enumerate(found)]
+
+
+def swaths_left_bare(
+    drivable: DrivableArea, rig: Rig, work: Work, passes: Sequence[HeadlandPass], legs: Sequence[Leg], first: int
+) -> list[Swath]:
+    """Swaths over what passes and `legs` of lines leave bare, numbered from `first`."""
+    shapes = [*(pass_coverage(p, rig) for p in passes), *(_strip(leg, rig) for leg in legs)]
+    covered = shapely.union_all(shapes)
+    left = _workable(drivable, rig).difference(covered)
+    found = swaths_over(open_by(left, WIDE * rig.working_width_m / 2.0), drivable, rig, work)
+    strips = shapely.union_all([strip_of(s, rig.working_width_m) for s in found])
+    share = shapely.union_all([covered, strips]).intersection(drivable.free).area / drivable.free.area
+    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    remains = open_by(left.difference(strips), REMAINS_M / 2.0)
+    found += swaths_over_remains(remains, rig, space, worth_of(rig, share < rig.config.small_remains_share))
+    return [replace(s, number=first + k) for k, s in enumerate(found)]
+
+
+def _strip(leg: Leg, rig: Rig) -> BaseGeometry:
+    """Area worked over a leg."""
+    keep = corners_of(np.unwrap(leg.heading_rad))
+    return worked(*rig.working_edges(leg.p_map_m[keep], leg.heading_rad[keep]))
+
+
+def _workable(drivable: DrivableArea, rig: Rig) -> BaseGeometry:
+    """What the implement could reach beside every edge."""
+    return shrink(drivable.free, drivable.margin_m + rig.width_m / 2.0 - rig.working_width_m / 2.0)
 
 
 def swaths_over(bare: BaseGeometry, drivable: DrivableArea, rig: Rig, work: Work) -> list[Swath]:
@@ -43,13 +72,9 @@ def swaths_over(bare: BaseGeometry, drivable: DrivableArea, rig: Rig, work: Work
     space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     min_m = rig.config.min_swath_m
     found = []
-    for part in parts(area, _least_m2(rig)):
+    for part in parts(area, worth_of(rig, False).least_m2):
         for block in blocks_of(part, rig.working_width_m) if direction is None else [part]:
             grown = block.buffer(GROWN_M, join_style="mitre")
             for strip in strips_of(grown, rig.working_width_m, work.overlap_m, min_m, direction, work.swath_through_m):
                 found += swaths_on(strip, rig, space)
     return found
-
-
-def _least_m2(rig: Rig) -> float:
-    return max(MIN_REMAINS_M2, MIN_REMAINS * rig.working_width_m**2)

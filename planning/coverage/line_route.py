@@ -1,20 +1,17 @@
 """Driving swaths and open headland passes in an order of short turns."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from geometry.arrays import Float64
 from geometry.pose2 import Pose2
-from messages.plan import PathSectionType
-from planning.coverage.headland import HeadlandPass
+from planning.coverage.insertion import Stop, Tour, inserted
 from planning.coverage.order import Visit, order
-from planning.coverage.pass_route import turn_pieces
-from planning.coverage.swath import Swath
-from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.search import STEP_M, Connection, Leg, bounds_s, straight
+from planning.coverage.work_line import WorkLine
+from planning.turns.connector import PathConnector
+from planning.turns.search import STEP_M, Connection, bounds_s
 
 REORDERINGS = 6
 TRIED = 5  # lines to which a connection is searched thoroughly
@@ -24,66 +21,18 @@ NO_TURN_S = 400.0
 NOT_DRIVABLE_S = 1e6
 
 
-@dataclass(frozen=True)
-class WorkLine:
-    """A line to be worked: its leg from a to b and from b to a, None where it cannot be driven."""
-
-    section_type: PathSectionType
-    number: int
-    legs: tuple[Leg | None, Leg | None]
-
-    def straight_m(self, is_reversed: bool) -> float:
-        """Length in one direction of a straight line, 0 of others."""
-        leg = self.legs[is_reversed]
-        return (
-            float(np.hypot(*(leg.p_map_m[-1] - leg.p_map_m[0])))
-            if leg is not None and not leg.curvature_radpm.any()
-            else 0.0
-        )
-
-    def ends(self, is_reversed: bool) -> tuple[Pose2, Pose2] | None:
-        """Poses of `base` at start and end of work."""
-        leg = self.legs[is_reversed]
-        return None if leg is None else (leg.pose(0), leg.pose(-1))
-
-
-@dataclass(frozen=True)
-class Tour:
-    """Pieces of a drive over the lines, its last pose, straight length behind it, the lines, and time of the turns."""
-
-    pieces: list[RoutePiece]
-    end: Pose2
-    behind_m: float
-    lines: list[WorkLine]
-    turns_s: float
-
-
-def lines_of(swaths: Sequence[Swath], passes: Sequence[HeadlandPass], lead_m: float) -> list[WorkLine]:
-    """Swaths and the open ones of the passes as lines."""
-    found = []
-    for swath in swaths:
-        ends = [swath.poses(is_reversed, lead_m) for is_reversed in (False, True)]
-        legs = tuple(None if e is None else straight(*e) for e in ends)
-        found.append(WorkLine(PathSectionType.SWATH, swath.number, (legs[0], legs[1])))
-    for p in passes:
-        if not p.is_closed:
-            leg = Leg(1, p.points_m, p.heading_rad, p.curvature_radpm)
-            found.append(WorkLine(PathSectionType.HEADLAND, p.number, (leg, None)))
-    return found
-
-
 def drive_lines(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> Tour:
     """The lines in order from `start`, so that `home` is reached from the last.
 
     A line that is not reached is left out, and so is one that cannot be left. With reversing, where lines lie in dead
-    ends, the others are then ordered again.
+    ends, the others are then ordered again. Lines that were left out are then put in where a turn leads to them.
     """
     tour = _drive(connector, start, home, lines)
-    if connector.rig.has_reverse and len(tour.lines) < len(lines):
-        again = _drive(connector, start, home, [line for line in lines if any(line is t for t in tour.lines)])
-        if len(again.lines) == len(tour.lines) and again.turns_s < tour.turns_s:
-            return again
-    return tour
+    if connector.rig.has_reverse and len(tour.stops) < len(lines):
+        again = _drive(connector, start, home, [line for line in lines if tour.has(line)])
+        if len(again.stops) == len(tour.stops) and again.turns_s < tour.turns_s:
+            tour = again
+    return inserted(connector, tour, home, [line for line in lines if not tour.has(line)])
 
 
 def _drive(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> Tour:
@@ -111,14 +60,7 @@ def _drive(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Se
         if times_aside[visit[0]] == 1:
             aside.append(visit)
         steps_back += is_end
-    driven, (pose, behind_m) = best, _place(lines, best, start)
-    pieces: list[RoutePiece] = []
-    for (number, is_reversed), connection in driven:
-        line, leg = lines[number], lines[number].legs[is_reversed]
-        assert leg is not None
-        pieces += [*turn_pieces(connection, line.number), RoutePiece(line.section_type, line.number, leg, True)]
-    turns_s = sum(connection.time_s for _, connection in driven)
-    return Tour(pieces, pose, behind_m, [lines[number] for (number, _), _ in driven], turns_s)
+    return Tour(start, [Stop(lines[number], is_reversed, way) for (number, is_reversed), way in best])
 
 
 def _next(
@@ -127,7 +69,8 @@ def _next(
 ) -> tuple[int, Connection] | None:  # fmt: skip
     """Index of the first visit that is reached by a turn, else thoroughly, and the connection.
 
-    `failures` counts thorough searches to each line that found nothing; after `MAX_FAILURES` there are no more.
+    `failures` counts thorough searches to each line that found nothing, each once; after `MAX_FAILURES` there are no
+    more.
     """
     starts = [lines[number].ends(is_reversed) for number, is_reversed in left]
     for find, first in ((connector.turn, 1), (connector.find, 1), (connector.turn, len(left)), (connector.find, TRIED)):
@@ -135,10 +78,12 @@ def _next(
             is_thorough = find == connector.find
             if ends is None or (is_thorough and failures[left[k][0]] >= MAX_FAILURES):
                 continue
-            connection = find(connector.request(pose, ends[0], behind_m, _straight_m(lines, left[k])))
+            request = connector.request(pose, ends[0], behind_m, _straight_m(lines, left[k]))
+            is_new = is_thorough and request not in connector.transits
+            connection = find(request)
             if connection is not None:
                 return k, connection
-            failures[left[k][0]] += is_thorough
+            failures[left[k][0]] += is_new
     return None
 
 

@@ -1,6 +1,9 @@
 """Driving the headland passes one after the other: entry point of each, its legs with corner fills, and its exit."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
+from shapely.geometry import LineString
 
 from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
@@ -14,10 +17,20 @@ AROUND = 20  # points before and after an entry that are straight
 STRAIGHT_RADPM = 0.02
 MAX_ENTRIES, MAX_LINKS, THOROUGH, THOROUGH_NEAR = 10, 6, 8, 2
 NO_LINK_S = 100.0
+NEAR_WIDTHS = 1.5  # distance of neighbouring passes, in working widths
 
 
-def drive_passes(connector: PathConnector, start: Pose2) -> tuple[list[RoutePiece], Pose2]:
-    """Pieces over all closed passes that are reached, and the pose at the end.
+@dataclass(frozen=True)
+class PassDrive:
+    """Pieces over the closed passes that are reached, the pose at their end, and the passes that are not reached."""
+
+    pieces: list[RoutePiece]
+    end: Pose2
+    missed: list[HeadlandPass]
+
+
+def drive_passes(connector: PathConnector, start: Pose2) -> PassDrive:
+    """Drives the closed passes, from each to the one inside it first.
 
     A pass along the edge is left before a corner: on a straight the tail would swing over the edge.
     """
@@ -34,8 +47,31 @@ def drive_passes(connector: PathConnector, start: Pose2) -> tuple[list[RoutePiec
         pieces += [*turn_pieces(connection, ring.number), *_loop(ring, k)]
         pose = _pose(ring, k + CLOSING)
         del left[number]
+        left.sort(key=lambda other: not _is_inside(other[0], ring, connector.rig.working_width_m))
         number = 0  # those that were not reached before may be now
-    return pieces, pose
+    return PassDrive(pieces, pose, [ring for ring, _ in left])
+
+
+def _is_inside(ring: HeadlandPass, outer: HeadlandPass, width_m: float) -> bool:
+    """Whether a pass is the next one inwards from another."""
+    if ring.number != outer.number + 1 or ring.is_around_obstacle != outer.is_around_obstacle:
+        return False
+    return LineString(ring.points_m[::STRIDE]).distance(LineString(outer.points_m[::STRIDE])) < NEAR_WIDTHS * width_m
+
+
+def opened(ring: HeadlandPass, connector: PathConnector, ends: list[Pose2]) -> HeadlandPass:
+    """A closed pass cut open without its fills, where a turn leads from one of the `ends` of lines to it."""
+    rig, entries = connector.rig, _entries(ring, connector.rig.radius_m)
+    poses, first = [_pose(ring, k) for k in entries], entries[0]
+    if ends:
+        bound = bounds_s(ends, poses, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)
+        ranked = np.argsort(bound, axis=None, kind="stable")[:MAX_ENTRIES]
+        near = [(int(k) // len(poses), int(k) % len(poses)) for k in ranked]
+        found = (n for e, n in near if connector.turn(connector.request(ends[e], poses[n])) is not None)
+        first = entries[next(found, near[0][1])]
+    index = (first + np.arange(len(ring.points_m) + CLOSING)) % (len(ring.points_m) - 1)
+    heading = np.unwrap(ring.heading_rad[index])
+    return replace(ring, points_m=ring.points_m[index], heading_rad=heading, is_closed=False, fills=())
 
 
 def _best(

@@ -1,35 +1,65 @@
 """Complete route as pieces: from the yard along the lane, headland passes, swaths, and back."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from shapely.geometry import Point, Polygon
 
+from configs.mission import Work
 from geometry.arrays import Float64
 from geometry.footprint import is_inside
 from geometry.polyline import arc_length, curvatures, headings, polyline, resample, smooth
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import PathSectionType
-from planning.coverage.line_route import Tour, drive_lines, lines_of
-from planning.coverage.pass_route import drive_passes, turn_pieces
+from planning.coverage.headland import HeadlandPass
+from planning.coverage.insertion import Tour, inserted
+from planning.coverage.interior import swaths_left_bare
+from planning.coverage.line_route import drive_lines
+from planning.coverage.pass_route import drive_passes, opened, turn_pieces
 from planning.coverage.swath import Swath
+from planning.coverage.work_line import WorkLine, lines_of
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
 from planning.turns.search import STEP_M, ConnectionRequest, Leg, straight
 
 
-def route(connector: PathConnector, swaths: Sequence[Swath]) -> list[RoutePiece]:
-    """All pieces in order; raises FieldError with the position where no connection is found."""
+@dataclass(frozen=True)
+class Route:
+    """All pieces in order, with the swaths and headland passes that they work."""
+
+    pieces: list[RoutePiece]
+    swaths: list[Swath]
+    headland_passes: list[HeadlandPass]
+
+
+def route(connector: PathConnector, swaths: Sequence[Swath], work: Work) -> Route:
+    """Complete route; raises FieldError with the position where no connection is found."""
     lane = lane_leg(connector) if connector.drivable.site.lanes else None
     pieces, pose = _entry(connector, lane)
-    driven, pose = drive_passes(connector, pose)
-    pieces += driven
+    headland = drive_passes(connector, pose)
     home = None if lane is None else _reversed_end(lane)
-    lines = lines_of(swaths, connector.headland_passes, -connector.rig.working_x_m)
-    tour = drive_lines(connector, pose, home, lines)
-    pieces += tour.pieces
-    return pieces if lane is None else [*pieces, *_return(connector, tour, lane)]
+    tour = drive_lines(connector, headland.end, home, _lines(connector, swaths, headland.missed))
+    closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
+    if connector.rig.has_reverse:
+        legs = [stop.leg for stop in tour.stops]
+        more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, len(swaths))
+        tour = inserted(connector, tour, home, lines_of(more, (), -connector.rig.working_x_m))
+    pieces += [*headland.pieces, *tour.pieces]
+    if lane is not None:
+        pieces += _return(connector, tour, lane)
+    sources = [stop.line.source for stop in tour.stops]
+    passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
+    return Route(pieces, [s for s in sources if isinstance(s, Swath)], passes)
+
+
+def _lines(connector: PathConnector, swaths: Sequence[Swath], missed: Sequence[HeadlandPass]) -> list[WorkLine]:
+    """Swaths, open passes, and those of the closed passes that were not reached before."""
+    passes, lead_m = [p for p in connector.headland_passes if not p.is_closed], -connector.rig.working_x_m
+    lines = lines_of(swaths, passes, lead_m)
+    ends = [e[1] for line in lines for r in (False, True) if (e := line.ends(r)) is not None]
+    return [*lines, *lines_of((), [opened(ring, connector, ends) for ring in missed], lead_m)]
 
 
 def _entry(connector: PathConnector, lane: Leg | None) -> tuple[list[RoutePiece], Pose2]:
@@ -50,9 +80,8 @@ def _entry(connector: PathConnector, lane: Leg | None) -> tuple[list[RoutePiece]
 def _return(connector: PathConnector, tour: Tour, lane: Leg) -> list[RoutePiece]:
     """Back to the lane, along it, and straight on to where the rig stands in the yard."""
     home = _reversed_end(lane)
-    pieces = turn_pieces(
-        connector.require(connector.home_request(tour.end, home, tour.behind_m), "back to the lane"), -1
-    )
+    end, behind_m = tour.place(len(tour.stops))
+    pieces = turn_pieces(connector.require(connector.home_request(end, home, behind_m), "back to the lane"), -1)
     last = lane.back.pose(-1)
     parking = straight(last, _parking(connector, last))
     return [*pieces, *(RoutePiece(PathSectionType.LANE, -1, leg, False) for leg in (lane.back, parking))]

@@ -103,7 +103,7 @@ def _result(
         "state": {PASSED: "passed", FAILED: "failed", NOT_SHOWN: "not_shown"}[state], "reason": reason,
         "span_s": round(run.span_s, 2), "placed_s": round(run.placed_s, 2), "first_position_s": first_s,
         "placed_after_alignment": None if share is None else round(share, 4),
-        "awaited_s": {name: round(s, 2) for name, s in run.awaited_s.most_common()},
+        "awaited_s": {name: round(s, 2) for name, s in sorted(run.awaited_s.items(), key=lambda item: -item[1])},
         "path_m": round(run.path_m, 1), "start_to_end_m": loop_m,
         "protection_level_m": _levels(trajectory.level_m), "accuracy_95_m": _levels(trajectory.accuracy_m),
         "sources": {s: trajectory.sources.count(s) for s in sorted(set(trajectory.sources))},

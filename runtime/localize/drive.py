@@ -2,7 +2,7 @@
 
 import math
 from array import array
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -41,7 +41,7 @@ class Localized:
     _fix_m: "array[float]" = field(default_factory=lambda: array("d"))
     checks: Counter[str] = field(default_factory=Counter)
     faults: Counter[str] = field(default_factory=Counter)
-    awaited_s: Counter[str] = field(default_factory=Counter)
+    awaited_s: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     first_ns: int | None = None
     last_ns: int = 0
     placed_first_ns: int | None = None

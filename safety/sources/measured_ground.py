@@ -10,7 +10,8 @@ z   bound of A: slope │ × counts: above the lowest bound by the minimum heigh
     ^ lowest returns of a cell
 
 The wheels stand on the ground: a lidar whose ground beside them lies elsewhere is misaligned, and one that sees no
-ground there proves nothing. Both keep every return above the plane, as does a place without ground around it. What the
+ground there proves nothing. Both keep every return above the plane, as does a place without ground around it, and one
+beyond `range_m`, where the nearest ground is too far from a small body that hides what is behind it. What the
 rise explains is levelled by planes through the cells around it, for the near field to find who lies on a slope.
 """
 
@@ -71,7 +72,7 @@ def stands_out(
     ground_m = lowest_bound(low_m, config).ravel()[cells.of[above]]
     limit_m = ground_m + field.min_height_m + field.min_height_slope * np.hypot(x, y)
     is_obstacle = is_above_plane.copy()
-    is_obstacle[above] = (z > limit_m) | np.isinf(ground_m)
+    is_obstacle[above] = (z > limit_m) | np.isinf(ground_m) | (np.hypot(x, y) > config.range_m)
     return is_obstacle
 
 

@@ -16,12 +16,15 @@ from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import Path, PathSectionType
 from planning.config import PlanningConfig
+from planning.coverage.insertion import Stop, Tour
+from planning.coverage.swath import Swath
+from planning.coverage.work_line import WorkLine
 from planning.drawing import draw_plan
 from planning.export.geojson import plan_to_geojson
 from planning.plan import Plan, plan_field
 from planning.turns.free_space import FreeSpace
 from planning.turns.sampling import sampled_connection
-from planning.turns.search import ConnectionRequest
+from planning.turns.search import Connection, ConnectionRequest, straight
 from planning.turns.turn import is_free
 
 SHAPES: dict[str, tuple[tuple[tuple[float, float], ...], tuple[Area, ...]]] = {
@@ -223,6 +226,31 @@ def test_dead_end(
     plan = plan_field(dead_end, vehicle, harrow, work, planning.planner, 0)
     arm = box(62, 20, 95, 29)
     assert plan.planned_area.intersection(arm).area > 0.7 * arm.area
+
+
+def test_two_parts_joined_by_a_narrow_way(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """The inner passes and swaths of both parts are driven, wherever the first passes end."""
+    boundary = ((0, 0), (60, 0), (60, 62), (110, 62), (110, 0), (170, 0), (170, 72), (0, 72))
+    work = mission.work.model_copy(update={"turns": "reverse"})
+    joined = site.model_copy(update={"boundary_m": boundary})
+    plan = plan_field(joined, vehicle, harrow, work, planning.planner, 0)
+    assert plan.planned_share > 0.96
+    driven = {s.line for p in plan.paths for s in p.sections if s.section_type is PathSectionType.SWATH}
+    assert driven == {s.number for s in plan.swaths}
+
+
+def test_excursion_ends_where_it_began() -> None:
+    way = Connection((straight(Pose2(0, 0, 0), Pose2(8, 0, 0)),), 5.0)
+    line = WorkLine(PathSectionType.SWATH, 3, (straight(Pose2(8, 0, 0), Pose2(20, 0, 0)), None), Swath(3, None, None))
+    tour = Tour(Pose2(0, 0, 0), [Stop(line, False, way, is_excursion=True)])
+    legs = [piece.leg for piece in tour.pieces]
+    assert [leg.direction for leg in legs] == [1, 1, -1, -1]
+    assert [piece.is_working for piece in tour.pieces] == [False, True, False, False]
+    assert legs[-1].pose(-1) == legs[0].pose(0) == tour.place(1)[0]
+    for a, b in pairwise(legs):
+        assert a.pose(-1) == pytest.approx(b.pose(0))
 
 
 def test_figure_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None:

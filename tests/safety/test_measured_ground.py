@@ -247,3 +247,14 @@ def test_a_wall_does_not_tilt_the_level(config: SupervisorConfig) -> None:
     ground[2, is_wall] += np.random.default_rng(3).uniform(0.4, 2.5, int(is_wall.sum())).astype(np.float32)
     found = level(ground, AREA, 0.1, config.measured_ground)
     assert np.abs(found[2, ~is_wall]).max() < 0.13
+
+
+def test_beyond_the_range_the_plane_counts(config: SupervisorConfig) -> None:
+    field, measured = config.field, config.measured_ground
+    ground = surface()
+    ground[2] = 0.2 * np.maximum(ground[0] - 3.0, 0.0)
+    for x, counts in ((measured.range_m - 0.05, False), (measured.range_m + 0.05, True)):
+        xyz = np.concatenate([ground, [[x], [0.0], [0.2 * (x - 3.0) + 0.1]]], axis=1).astype(np.float32)
+        above = np.zeros(xyz.shape[1], bool)
+        above[-1] = True
+        assert stands_out(xyz, above, AREA, field, measured)[-1] == counts, x

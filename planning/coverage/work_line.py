@@ -1,0 +1,49 @@
+"""Lines to be worked one after the other: swaths and open headland passes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.pose2 import Pose2
+from messages.plan import PathSectionType
+from planning.coverage.headland import HeadlandPass
+from planning.coverage.swath import Swath
+from planning.turns.search import Leg, straight
+
+
+@dataclass(frozen=True)
+class WorkLine:
+    """A line to be worked: its leg from a to b and from b to a, None where it cannot be driven."""
+
+    section_type: PathSectionType
+    number: int
+    legs: tuple[Leg | None, Leg | None]
+    source: Swath | HeadlandPass
+
+    def straight_m(self, is_reversed: bool) -> float:
+        """Length in one direction of a straight line, 0 of others."""
+        leg = self.legs[is_reversed]
+        return (
+            float(np.hypot(*(leg.p_map_m[-1] - leg.p_map_m[0])))
+            if leg is not None and not leg.curvature_radpm.any()
+            else 0.0
+        )
+
+    def ends(self, is_reversed: bool) -> tuple[Pose2, Pose2] | None:
+        """Poses of `base` at start and end of work."""
+        leg = self.legs[is_reversed]
+        return None if leg is None else (leg.pose(0), leg.pose(-1))
+
+
+def lines_of(swaths: Sequence[Swath], passes: Sequence[HeadlandPass], lead_m: float) -> list[WorkLine]:
+    """Swaths and open passes as lines; `lead_m` is the distance of `base` ahead of the working line."""
+    found = []
+    for swath in swaths:
+        ends = [swath.poses(is_reversed, lead_m) for is_reversed in (False, True)]
+        legs = tuple(None if e is None else straight(*e) for e in ends)
+        found.append(WorkLine(PathSectionType.SWATH, swath.number, (legs[0], legs[1]), swath))
+    for p in passes:
+        leg = Leg(1, p.points_m, p.heading_rad, p.curvature_radpm)
+        found.append(WorkLine(PathSectionType.HEADLAND, p.number, (leg, None), p))
+    return found
