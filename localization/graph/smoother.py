@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -67,9 +67,13 @@ class Smoother:
         self.state: State | None = None
 
     def start(self, state: State) -> None:
-        """Starts a new graph at `state`, with its covariance and sigmas as priors; raises SmootherFailure."""
+        """Starts a new graph at `state`, with its covariance and the sigmas of the rest as priors.
+
+        Raises SmootherFailure.
+        """
         # Cholesky takes 60 % of the time of QR, and fails at priors of metres beside standstill factors of 0.5 mm,
         # and at biases that nothing has measured yet beside their random walk
+        state = replace(state, sigmas=np.concatenate([np.sqrt(np.diag(state.covariance)), state.sigmas[6:]]))
         cfg, bias_sigma = self._config, float(np.max(state.sigmas[9:12]))
         is_wide = float(np.max(state.sigmas[3:6])) > cfg.wide_m or bias_sigma > cfg.wide_mps2
         self._graph, self._origin_ns = self._new_graph(is_wide), state.stamp_ns
