@@ -52,17 +52,22 @@ def mark_low_obstacles(xyz: Float32, box: Box, config: NearFieldConfig) -> NearF
 
 
 def in_dense_patch(xy: Float32, height_m: Float64, config: NearFieldConfig) -> np.ndarray:
-    """Which returns (2, N) are above the least height with a share of all those around them, (N,) bool."""
-    high = height_m > config.min_height_m
-    if np.count_nonzero(high) < config.dense_returns:
-        return np.zeros(len(high), bool)
+    """Which returns (2, N) stand out of the mean surface with a share of all those around them, (N,) bool.
+
+    The mean, of their heights above the low ground, is above ruts and furrows, which lower that.
+    """
     row, column = np.floor((xy - xy.min(axis=1, keepdims=True)) / config.dense_cell_m).astype(np.int64)
     shape = (int(row.max()) + 1, int(column.max()) + 1)
     cell = row * shape[1] + column
-    count = [np.bincount(cell[some], minlength=shape[0] * shape[1]) for some in (slice(None), high)]
-    around, high_around = window_sums(np.stack(count).reshape(2, *shape), 1)
-    is_patch = (high_around >= config.dense_returns) & (high_around >= config.dense_share * around)
-    return np.asarray(high & is_patch.ravel()[cell])
+
+    def sums(values: Float64 | None, reach: int) -> Float64:
+        layer = np.bincount(cell, values, shape[0] * shape[1]).reshape(1, *shape)
+        return np.asarray(window_sums(layer, reach).ravel()[cell])
+
+    mean_m = sums(height_m, config.dense_reach_cells) / sums(None, config.dense_reach_cells)
+    is_high = height_m - mean_m > config.dense_rise_m
+    around = sums(is_high.astype(np.float64), 1)
+    return np.asarray(is_high & (around >= config.dense_returns) & (around >= config.dense_share * sums(None, 1)))
 
 
 def near_box(footprint: Footprint, config: NearFieldConfig) -> Box:
