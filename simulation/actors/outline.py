@@ -10,15 +10,19 @@ wing_rear_right     │  │ wing_front_right
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
+from shapely import MultiPoint, transform
 from shapely.geometry.base import BaseGeometry
 
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from geometry.arrays import Float32
-from geometry.pose2 import Pose2
+from geometry.pose2 import Pose2, to_frame
 from simulation.machine.body import implement_outline_m, machine_outline_m
 from simulation.machine.implement import extent_m, origin_m
 from simulation.machine.machine import Machine
+
+CLEAR_STEP_M, TOUCH_M2 = 0.05, 1e-4
 
 
 @dataclass(frozen=True)
@@ -87,3 +91,19 @@ class Outline:
         is_across = name in ("left", "right", "wing_left", "wing_right") or name.startswith("wheel")
         turns_left = name.endswith("right") if is_across else "front" in name
         return middle.ahead(away).beside(along_m if turns_left else -along_m)[:2]
+
+    def cleared(
+        self, name: str, place_m: tuple[float, float], vertices_m: Float32, yaw_rad: float
+    ) -> tuple[float, float]:
+        """`place_m` moved outward from a side until a body there overlaps no part of machine and implement.
+
+        Long bodies before a wing would begin within the rear wheel.
+        """
+        ground, hull = self.ground, MultiPoint(vertices_m[:, :2]).convex_hull
+        outward_rad = self.side(name).yaw_rad
+        place = Pose2(*place_m, outward_rad)
+        while True:
+            body = transform(hull, partial(to_frame, Pose2(place.x_m, place.y_m, yaw_rad)))
+            if body.intersection(ground).area < TOUCH_M2:
+                return place.x_m, place.y_m
+            place = place.ahead(CLEAR_STEP_M)
