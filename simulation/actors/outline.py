@@ -95,15 +95,17 @@ class Outline:
     def cleared(
         self, name: str, place_m: tuple[float, float], vertices_m: Float32, yaw_rad: float
     ) -> tuple[float, float]:
-        """`place_m` moved outward from a side until a body there overlaps no part of machine and implement.
+        """`place_m` moved until a body there overlaps no part of machine and implement.
 
-        Long bodies before a wing would begin within the rear wheel.
+        It moves outward or, before and behind a wing, away from the middle, whichever is less: a long body before a
+        wing, and any before a folded one, would begin within the rear wheel.
         """
-        ground, hull = self.ground, MultiPoint(vertices_m[:, :2]).convex_hull
-        outward_rad = self.side(name).yaw_rad
-        place = Pose2(*place_m, outward_rad)
+        ground, hull, outward_rad = self.ground, MultiPoint(vertices_m[:, :2]).convex_hull, self.side(name).yaw_rad
+        aside_rad = self.base.yaw_rad + (0.5 * math.pi if name.endswith("left") else -0.5 * math.pi)
+        ways = [Pose2(*place_m, direction) for direction in (aside_rad, outward_rad)[0 if "wing" in name else 1 :]]
         while True:
-            body = transform(hull, partial(to_frame, Pose2(place.x_m, place.y_m, yaw_rad)))
-            if body.intersection(ground).area < TOUCH_M2:
-                return place.x_m, place.y_m
-            place = place.ahead(CLEAR_STEP_M)
+            for way in ways:
+                body = transform(hull, partial(to_frame, Pose2(way.x_m, way.y_m, yaw_rad)))
+                if body.intersection(ground).area < TOUCH_M2:
+                    return way.x_m, way.y_m
+            ways = [way.ahead(CLEAR_STEP_M) for way in ways]
