@@ -16,10 +16,10 @@ from runtime.run_folder import RunFolder, command_of
 
 @dataclass(frozen=True)
 class Announcement:
-    """Rings by process, order port, resolved configuration and planned lines (N, 2) in `map` of a drive that starts."""
+    """Run folder, rings by process, resolved configuration and planned lines (N, 2) in `map` of a drive that starts."""
 
+    run: str
     rings: dict[str, Path]
-    order_port: int
     config: str
     planned_map_m: tuple[Float64, ...]
 
@@ -47,7 +47,13 @@ def _drive(
     from runtime.stack import with_order_key
 
     setup = load_setup(
-        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
+        arguments.mission,
+        arguments.machine,
+        arguments.implement,
+        arguments.field,
+        arguments.seed,
+        arguments.bay,
+        feature=getattr(arguments, "feature", None),
     )
     key = OrderKey(public_key=public_key, authority=authority, orders=tuple(ORDERS))
     setup = replace(setup, stack=with_order_key(setup.stack, "page", key))
@@ -56,8 +62,7 @@ def _drive(
     planned = tuple(path.p_map_m[::5] for path in setup.plan.paths)
 
     def announce(rings: dict[str, Path], config: str) -> None:
-        connection.send(Announcement(rings, port.number, config, planned))
-        connection.close()
+        connection.send(Announcement(folder.path.name, rings, config, planned))
 
     operated = Operated(port, announce)
     if arguments.live:
