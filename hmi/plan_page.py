@@ -149,16 +149,16 @@ class PlanPage(View):
         plan = desk.plan
         if plan is None:
             return rows
-        share, is_enough = plan["planned_share"], plan["planned_share"] >= plan["least_share"]
+        share, is_enough = plan.planned_share, plan.planned_share >= plan.least_share
         rows += [
-            Row("length", texts("plan.length"), number(plan["length_m"] * 1e-3, 2, "km")),
-            Row("time", texts("plan.time"), number(math.ceil(plan["time_s"] / 60.0), 0, "min")),
+            Row("length", texts("plan.length"), number(plan.length_m * 1e-3, 2, "km")),
+            Row("time", texts("plan.time"), number(math.ceil(plan.time_s / 60.0), 0, "min")),
             Row("share", texts("plan.share"), f"{share:.1%}", "plain" if is_enough else "warning"),
-            Row("area", texts("plan.area"), number(plan["field_m2"] * 1e-4, 3, "ha")),
-            Row("swaths", texts("plan.swaths"), f"{plan['swaths']} · {plan['headland_passes']}"),
-            Row("gate", texts("plan.gate"), texts(f"plan.gate_{'yes' if plan['has_gate'] else 'no'}")),
+            Row("area", texts("plan.area"), number(plan.field_m2 * 1e-4, 3, "ha")),
+            Row("swaths", texts("plan.swaths"), f"{plan.swaths} · {plan.headland_passes}"),
+            Row("gate", texts("plan.gate"), texts(f"plan.gate_{'yes' if plan.has_gate else 'no'}")),
         ]
-        for reason, area_m2 in plan["uncovered"]:
+        for reason, area_m2 in plan.uncovered:
             key = str(reason).replace(" ", "_")
             rows.append(
                 Row(key, texts("plan.uncovered"), f"{number(area_m2, 0, 'm²')}: {texts.named('uncovered', key)}")

@@ -42,7 +42,7 @@ class View(ABC):
         ui.html(self._head(), sanitize=False)
         lost = escape(self.texts("page.lost"))
         ui.html(f'<div id="lost" class="hl-lost" role="alert" hidden>{lost}</div>', sanitize=False)
-        with ui.element("main").classes("hl-main"):
+        with ui.element("main").classes(f"hl-main hl-view-{self.NAME}"):
             self.build_main()
         ui.html(stop_frame(self.parts.stop_url, self.texts), sanitize=False)
         self.client.layout.on("headland", self._take)

@@ -11,8 +11,9 @@ from configs.site import DatumConfig
 from hmi.plan_view.field_job import FieldJob, Task
 from hmi.plan_view.mission_store import MISSION, PLAN, MissionStore, StoredMission, file_name, plain_name
 from hmi.plan_view.options import PlanOptions, default_work, options_of, read_mission, write_mission
+from hmi.plan_view.plan_result import PlanResult, read_result
 from hmi.refusal import Refused
-from messages.errors import HeadlandError
+from messages.errors import ConfigError, HeadlandError
 
 MAX_POINTS = 500
 MIN_CORNERS = 3
@@ -44,7 +45,7 @@ class PlanDesk:
         self.feature: str | None = None
         self.notes: list[str] = []
         self.outline: dict[str, Any] | None = None
-        self.plan: dict[str, Any] | None = None
+        self.plan: PlanResult | None = None
         self.stored: StoredMission | None = None
 
     async def load(self, files: Mapping[str, bytes]) -> None:
@@ -122,7 +123,7 @@ class PlanDesk:
         write_mission(self.options.mission(self.name, default_work()), self.draft / MISSION)
         draft = self.draft
         if await self._run("plan", draft) is not None:
-            self.plan = await asyncio.to_thread(_json, draft / PLAN)
+            self.plan = await asyncio.to_thread(read_result, draft / PLAN)
 
     def cancel(self) -> None:
         """Ends the process that reads or plans."""
@@ -148,6 +149,10 @@ class PlanDesk:
         """Shows a stored mission."""
         self._check_free()
         stored = self.store.find(mission_id)
+        try:
+            read_result(stored.folder / PLAN)
+        except ConfigError as error:
+            raise Refused("damaged") from error
         draft = self.store.reopen(stored)
         self._clear()
         self.draft, self.is_drawing, self.points_m, self.error = draft, False, [], ""
@@ -166,8 +171,8 @@ class PlanDesk:
         if self.draft is None:
             self.draft = self.store.reopen(stored)
         self.options = options_of(mission, work)
-        self.plan = _json(stored.folder / PLAN)
-        self.outline = self.plan["map"]
+        self.plan = read_result(stored.folder / PLAN)
+        self.outline = self.plan.map
         self.stored = stored
         self.features, self.notes = [], []
         assert stored.about is not None
@@ -200,8 +205,3 @@ class PlanDesk:
     def _check_free(self) -> None:
         if self.job is not None:
             raise Refused("busy")
-
-
-def _json(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return found

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from configs.strict import Config, load
 from hmi.plan_view.options import read_mission
+from hmi.refusal import Refused
 from messages.errors import HeadlandError
 
 MISSION, FIELD, PLAN, ABOUT = "mission.yaml", "field", "plan.json", "about.yaml"
@@ -118,7 +119,7 @@ class MissionStore:
     def reopen(self, mission: StoredMission) -> Path:
         """Draft with the files of a stored mission; raises HeadlandError for one that is damaged."""
         if mission.about is None:
-            raise HeadlandError(f"mission {mission.id}: is damaged; delete it")
+            raise Refused("damaged")
         draft = self.new_draft()
         try:
             shutil.copytree(mission.folder, draft, dirs_exist_ok=True)

@@ -9,6 +9,7 @@ import yaml
 
 from configs.mission import Mission, Work
 from configs.strict import CONFIGS, load
+from configs.vehicle import ImplementFile, Vehicle
 from messages.errors import ConfigError
 
 MAX_PASSES = 10
@@ -85,13 +86,17 @@ def default_work() -> Work:
     return read_mission(CONFIGS / "missions" / "yard.yaml")[1]
 
 
-def default_options(machine: str, implement: str) -> PlanOptions:
-    """Options at the start, for these files of `configs/`, or the first ones where the names are of other files."""
-    known = choices()
-    chosen = [name if name in known[kind] else known[kind][0] for kind, name in
-              (("machine", machine), ("implement", implement))]  # fmt: skip
-    work = default_work()
-    return PlanOptions(chosen[0], chosen[1], work.headland_passes, work.turns)
+def default_options(vehicle_name: str, implement_name: str) -> PlanOptions:
+    """Options at the start: the files of `configs/` with these names, else the first ones."""
+    known, work = choices(), default_work()
+    machines = {load(Vehicle, CONFIGS / "machines" / f"{stem}.yaml").name: stem for stem in known["machine"]}
+    implements = {
+        load(ImplementFile, CONFIGS / "implements" / f"{stem}.yaml").implement.name: stem for stem in known["implement"]
+    }
+    return PlanOptions(
+        machines.get(vehicle_name, known["machine"][0]), implements.get(implement_name, known["implement"][0]),
+        work.headland_passes, work.turns,
+    )  # fmt: skip
 
 
 def _to_yaw(heading_deg: float) -> float:

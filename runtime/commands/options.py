@@ -107,7 +107,7 @@ COMMANDS = (
         _out("live"), JSON,
     )),
     Command("page", "serve the operator's page: simulation, running drive or log", "runtime.commands.page", (
-        FIELD, *MISSION, SCENARIO, SEED,
+        FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, SEED,
         _option("--replay", type=file, metavar="LOG", help="play a log of `run` or `live` instead of a simulation"),
         _option("--connect", type=existing, metavar="FOLDER", help="run folder of a running `live`, which is shown"),
         _option("--key", type=file, metavar="FILE.pem",

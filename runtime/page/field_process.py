@@ -17,6 +17,7 @@ import shapely
 from geometry.arrays import Float64
 from hmi.drive_view.map_view import static_map
 from hmi.plan_view.mission_store import MISSION, PLAN, field_of
+from hmi.plan_view.plan_result import PlanResult, write_result
 from hmi.scene import Scene
 from messages.errors import FieldError, HeadlandError
 from messages.plan import Path
@@ -43,7 +44,7 @@ def main(task: str, folder: pathlib.Path, feature: str | None) -> int:
     try:
         say(done=read(folder, feature) if task == "read" else plan(folder, feature))
     except (HeadlandError, OSError) as error:
-        say(error=str(error).replace(f"{folder}/", ""))
+        say(error=str(error).replace(f"{field_of(folder).parent}/", ""))
         return 1
     except MemoryError:
         say(error="the file needs too much memory; export the outline of one field alone")
@@ -103,20 +104,19 @@ def plan(folder: pathlib.Path, feature: str | None) -> dict[str, Any]:
     setup = load_setup(mission, None, None, field, SEED, feature=feature, report=lambda stage: say(stage=stage))
     found = setup.plan
     write_geojson(found, setup.surveyed, folder / "plan.geojson")
-    shown = {
-        "length_m": round(found.length_m, 1),
-        "time_s": round(sum(driving_s(path) for path in found.paths), 1),
-        "planned_share": round(found.planned_share, 4),
-        "field_m2": round(found.field_area_m2, 1),
-        "planned_m2": round(found.planned_area.area, 1),
-        "least_share": setup.mission.work.least_planned_share if setup.mission.work is not None else 0.0,
-        "swaths": len(found.swaths),
-        "headland_passes": len(found.headland_passes),
-        "has_gate": bool(setup.site.gates),
-        "uncovered": [[reason, round(area_m2, 1)] for reason, area_m2 in found.uncovered_m2.items()],
-        "map": static_map(Scene(setup.site, setup.vehicle, setup.implement)) | {"sections": sections_of(found)},
-    }
-    (folder / PLAN).write_text(json.dumps(shown) + "\n", encoding="utf-8")
+    result = PlanResult(
+        length_m=round(found.length_m, 1),
+        time_s=round(sum(driving_s(path) for path in found.paths), 1),
+        planned_share=round(found.planned_share, 4),
+        least_share=setup.mission.work.least_planned_share if setup.mission.work is not None else 0.0,
+        field_m2=round(found.field_area_m2, 1),
+        swaths=len(found.swaths),
+        headland_passes=len(found.headland_passes),
+        has_gate=bool(setup.site.gates),
+        uncovered=tuple((reason, round(area_m2, 1)) for reason, area_m2 in found.uncovered_m2.items()),
+        map=static_map(Scene(setup.site, setup.vehicle, setup.implement)) | {"sections": sections_of(found)},
+    )
+    write_result(result, folder / PLAN)
     return {}
 
 

@@ -43,18 +43,10 @@ def _drive(
 ) -> None:  # fmt: skip
     from interfaces.orders.config import ORDERS, OrderKey
     from runtime.live.operated import Operated
-    from runtime.setup import load_scenario, load_setup
+    from runtime.setup import load_scenario, setup_from
     from runtime.stack import with_order_key
 
-    setup = load_setup(
-        arguments.mission,
-        arguments.machine,
-        arguments.implement,
-        arguments.field,
-        arguments.seed,
-        arguments.bay,
-        feature=getattr(arguments, "feature", None),
-    )
+    setup = setup_from(arguments)
     key = OrderKey(public_key=public_key, authority=authority, orders=tuple(ORDERS))
     setup = replace(setup, stack=with_order_key(setup.stack, "page", key))
     scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
