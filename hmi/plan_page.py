@@ -13,6 +13,7 @@ from hmi.drive_view.row import Row, number
 from hmi.parts import Moment
 from hmi.plan_view.options import MAX_PASSES, choices
 from hmi.refusal import Refused
+from hmi.scene import Scene
 from hmi.view import View
 from messages.command import SupervisorState
 
@@ -24,6 +25,8 @@ class PlanPage(View):
     """Plan view; what it shows is the state of the desk, which all pages share."""
 
     NAME = "plan"
+
+    _mapped: object = None
 
     def build_main(self) -> None:
         """Builds the map, the controls, and the table of missions."""
@@ -45,10 +48,8 @@ class PlanPage(View):
         self._moment = moment
         desk, texts = self.parts.desk, self.texts
         barred = self.seat.update()
-        site = static_map(moment.state.scene) if desk.outline is None else desk.outline
         error = texts("plan.error", error=desk.error) if desk.error else ""
         self.send(moment, {
-            "still": site,
             "draft": desk.points_m if desk.is_drawing else None,
             "texts": {
                 "why": barred, "answer": self.answer or error or moment.drive_error, "hint": self._hint(),
@@ -57,7 +58,17 @@ class PlanPage(View):
             "controls": self._controls(barred),
             "rows.plan": [[r.key, r.label, r.value, texts(f"level.{r.level}"), r.level] for r in self._rows()],
             "tables.missions": self._missions(barred),
-        })  # fmt: skip
+        }, self._map(moment.state.scene))  # fmt: skip
+
+    def _map(self, scene: Scene) -> dict[str, Any]:
+        """What the map shows, if it is another than before: the plan, else the outline, else the present site."""
+        desk = self.parts.desk
+        source = desk.plan or desk.outline or scene
+        if source is self._mapped:
+            return {}
+        self._mapped = source
+        still = desk.outline or static_map(scene) if desk.plan is None else desk.plan.map
+        return {"still": still}
 
     async def act(self, action: str, values: Mapping[str, Any]) -> None:
         """Changes the desk."""

@@ -172,7 +172,7 @@ class PlanDesk:
             self.draft = self.store.reopen(stored)
         self.options = options_of(mission, work)
         self.plan = read_result(stored.folder / PLAN)
-        self.outline = self.plan.map
+        self.outline = {name: lines for name, lines in self.plan.map.items() if name != "sections"}
         self.stored = stored
         self.features, self.notes = [], []
         assert stored.about is not None

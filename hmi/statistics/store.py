@@ -51,7 +51,7 @@ class StatisticsStore:
         self._path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._link = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None)
+            self._link = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
             version = self._link.execute("PRAGMA user_version").fetchone()[0]
             if version not in (0, VERSION):
                 raise HeadlandError(f"{path}: statistics of version {version}, this program reads {VERSION}")

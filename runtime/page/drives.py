@@ -58,8 +58,8 @@ class SimulatedDrives(Drives):
         """Ends the present drive and begins one on a stored mission, in a run folder of its own."""
         feature = None if mission.about is None else mission.about.feature
         chosen = vars(self._arguments) | {
-            "mission": str(mission.folder / MISSION), "field": str(mission.field), "feature": feature, "guidance": None, "machine": None,
-            "implement": None, "bay": None, "scenario": None, "out": None,
+            "mission": str(mission.folder / MISSION), "field": str(mission.field), "feature": feature, "guidance": None,
+            "machine": None, "implement": None, "bay": None, "scenario": None, "out": None,
         }  # fmt: skip
         self._link.send(argparse.Namespace(**chosen))
 

@@ -1,7 +1,8 @@
 """Reads and plans fields for the page in a process of its own, which the page can end at any time.
 
 `python -m runtime.page.field_process read|plan FOLDER [FEATURE]` works in the folder of a mission
-(`hmi/plan_view/mission_store.py`) and prints one JSON object per line: `{"stage": ...}`, then `{"done": ...}` or `{"error": text}`.
+(`hmi/plan_view/mission_store.py`) and prints one JSON object per line: `{"stage": ...}`, then `{"done": ...}` or
+`{"error": text}`.
 """
 
 import json

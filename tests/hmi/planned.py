@@ -28,7 +28,7 @@ if text == "dies":
 if text == "bad":
     print(json.dumps({"error": "outline crosses itself"}))
     sys.exit(1)
-shown = {"boundary": [[0, 0], [9, 0], [9, 9]], "yard": [], "no_go": [], "lanes": [], "gates": [], "walls": [], "plan": []}
+shown = dict.fromkeys(("yard", "no_go", "lanes", "gates", "walls", "plan"), []) | {"boundary": [[0, 0], [9, 0], [9, 9]]}
 if task == "plan":
     print(json.dumps({"stage": "route"}), flush=True)
     (folder / "plan.json").write_text(json.dumps(PLAN | {"map": shown}))

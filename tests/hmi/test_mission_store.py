@@ -128,7 +128,7 @@ def test_a_full_disk_keeps_the_draft(store: MissionStore, monkeypatch: pytest.Mo
 
 @pytest.mark.slow
 def test_kill_during_store_and_delete_leaves_complete_missions_or_none(store: MissionStore) -> None:
-    """12 kills at different moments: what was reported as stored is there, and everything that is listed is complete."""
+    """12 kills at different moments: what was reported as stored is there, and what is listed is complete."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
     stored: set[str] = set()
     for trial in range(12):
