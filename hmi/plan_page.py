@@ -17,6 +17,7 @@ from hmi.scene import Scene
 from hmi.view import View
 from messages.command import SupervisorState
 
+MAX_VALUE = 200  # characters
 HEADINGS = range(0, 180, 5)
 COLUMNS = ("name", "stored_at", "author", "", "", "")
 
@@ -72,7 +73,8 @@ class PlanPage(View):
 
     async def act(self, action: str, values: Mapping[str, Any]) -> None:
         """Changes the desk."""
-        desk, value = self.parts.desk, str(values.get("value", ""))[:200]
+        desk, value = self.parts.desk, values.get("value")
+        value = value[:MAX_VALUE] if isinstance(value, str) else ""
         match action:
             case "draw":
                 desk.draw()

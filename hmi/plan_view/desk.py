@@ -133,7 +133,7 @@ class PlanDesk:
     def store_mission(self, name: str, author: str) -> StoredMission:
         """Stores field and plan under a name."""
         self._check_free()
-        if self.draft is None or self.plan is None:
+        if self.draft is None or self.plan is None or self.stored is not None:
             raise Refused("no_plan")
         name = plain_name(name) or self.name
         draft, self.draft = self.draft, None
