@@ -352,7 +352,8 @@ class MapAlignment:
             return
         T_map_base = state.T_map_body @ invert(self.keyframes.lever_arms.T_base_body)
         self._T_map_odom = T_map_base @ invert(odom)
-        calibration = Calibration(state.bias[3:], state.slip)
+        is_code = self._accepted is not None and self._accepted.solution < GnssSolution.PPP  # hides slip
+        calibration = Calibration(state.bias[3:], self.keyframes.slip if is_code else state.slip)
         if odometry.inertial is not None:
             calibration = Calibration(state.bias[3:], np.array([1.0, state.slip[1], 0.0, 0.0]))
             R, arm_m = state.T_map_body[:3, :3], self.keyframes.lever_arms.base_m

@@ -93,7 +93,7 @@ class KeyframeBuilder:
         self._gyro_density = gyro_density(imu, imu_track)
         self._accelerometer_density = accelerometer_density(imu, imu_track)
         self._has_wheels, self._wheel_density = vehicle.sensors.wheels is not None, _wheel_density(vehicle)
-        self._slip = wheels.start if self._has_wheels else NO_SLIP
+        self.slip = wheels.start if self._has_wheels else NO_SLIP
         self._slip_sigma = wheels.start_sigma if self._has_wheels else np.full(4, wheels.drift_sigma)
         self._wheels, self._initial_alignment, self._gnss = wheels, initial_alignment, gnss
         self.gnss_gate = GnssGate(gnss)
@@ -127,7 +127,7 @@ class KeyframeBuilder:
         bias_sigma[:2] = accelerometer
         bias = np.concatenate([[0.0, 0.0, tilt.gravity_mps2 - self._gravity], tilt.gyro_bias_radps])
         sigmas = np.concatenate([pose_sigma, np.full(3, cfg.velocity_sigma_mps), bias_sigma, self._slip_sigma])
-        state = State(stamp_ns, T_map_body, np.zeros(3), bias, self._slip, np.diag(pose_sigma**2), sigmas)
+        state = State(stamp_ns, T_map_body, np.zeros(3), bias, self.slip, np.diag(pose_sigma**2), sigmas)
         return self.restart(state)
 
     def motion_start(self, config: MotionStartConfig, imu: Imu, imu_track: ImuTrackConfig) -> MotionStart:
@@ -136,7 +136,7 @@ class KeyframeBuilder:
         along = math.hypot(self._wheel_density, wheels.longitudinal_m_per_rts)
         density = np.array([along, wheels.lateral_m_per_rts, wheels.vertical_m_per_rts])
         model = Model(
-            arms.antenna_m, arms.base_m, density, self._slip, self._slip_sigma, wheels.walk, wheels.standstill_rad,
+            arms.antenna_m, arms.base_m, density, self.slip, self._slip_sigma, wheels.walk, wheels.standstill_rad,
             wheels.standstill_m, wheels.sideslip_mps,
         )  # fmt: skip
         window = MotionWindow(
