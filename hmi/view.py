@@ -165,7 +165,7 @@ class View(ABC):
             f'<header class="hl-head"><h1>{escape(texts("page.title"))}</h1>'
             f"<span>{escape(texts(f'page.{self.parts.source}'))}</span>"
             f'<nav aria-label="{escape(texts("view.label"))}">{links}</nav><span class="hl-grow"></span>'
-            f"<span>{escape(user)}</span>"
+            f'<span class="hl-user">{escape(user)}</span>'
             f'<button id="sound" type="button" data-on="{on}" data-off="{off}">{on}</button>'
             f'<a id="language" href="{VIEWS[self.NAME]}?lang={other}">{escape(texts("page.language"))}</a>'
             f'<form method="post" action="/log-out?lang={texts.language}"><button id="log-out" type="submit">'

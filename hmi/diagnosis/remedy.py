@@ -4,8 +4,8 @@ from hmi.texts import Texts
 
 
 def remedy(code: str, texts: Texts) -> str:
-    """Text of the group of the code (`brake.weak`: `brake`), else of its ending (`lidar_front.blind`: `blind`)."""
-    for name in (code.partition(".")[0], code.rpartition(".")[2]):
+    """Text of the code, else of its group (`brake.weak`: `brake`), else of its ending (`lidar.blind`: `blind`)."""
+    for name in (code.replace(".", "_"), code.partition(".")[0], code.rpartition(".")[2]):
         if f"remedy.{name}" in texts:
             return texts(f"remedy.{name}")
     return texts("remedy.other")

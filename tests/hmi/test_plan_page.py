@@ -240,7 +240,7 @@ def test_alarms_are_listed_with_remedy_and_acknowledged(anna: Any) -> None:
     row = anna.locator("#table-alarm_log tbody tr", has_text="mergency stop commanded")
     row.wait_for()
     text = row.text_content()
-    for part in ("Supervisor", "Look around the machine", "latched"):
+    for part in ("Supervisor", "Remove the danger", "latched"):
         assert part in text
     anna.wait_for_function("() => window.tones >= 4")  # repeated
     row.get_by_text("Acknowledge").click()
