@@ -1,10 +1,13 @@
 """Files to and from the browser: field files of the plan view, logs and reports of runs, and the statistics."""
 
+import asyncio
+import os
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Iterator
+from pathlib import Path
 
 from fastapi import FastAPI, Request, Response
-from fastapi.responses import FileResponse, PlainTextResponse
+from fastapi.responses import PlainTextResponse, StreamingResponse
 from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
@@ -18,11 +21,13 @@ from hmi.statistics.store import to_csv
 from hmi.texts import texts_of
 from messages.errors import HeadlandError
 
+CHUNK_BYTES = 1 << 18
 FORM_BYTES = 100_000  # of a form beside its files
 
 
 def add_files(app: FastAPI, parts: PageParts) -> None:
-    """Adds the routes; all need a session, and the field file the seat of the operator."""
+    """Adds the routes; all need a session, and the field file the seat of the operator, one at a time."""
+    receiving = asyncio.Lock()
 
     @app.post("/plan/field")
     async def take_field(request: Request) -> Response:
@@ -30,11 +35,17 @@ def add_files(app: FastAPI, parts: PageParts) -> None:
         session = session_of(request, parts.access)
         if session is None:
             return PlainTextResponse(texts("refused.session"), 401)
-        if not _has_seat(session, parts):
-            return PlainTextResponse(texts("why.not_seated"), 403)
         session.used_s = time.monotonic()
         try:
-            await parts.desk.load(await _files(request))
+            _check_seat(session, parts)
+            if receiving.locked():
+                raise Refused("busy")
+            async with receiving:
+                files = await _files(request)
+            _check_seat(session, parts)
+            await parts.desk.load(files)
+        except _NoSeat:
+            return PlainTextResponse(texts("why.not_seated"), 403)
         except Refused as refused:
             code = 413 if refused.key == "too_large" else 400
             return PlainTextResponse(texts(f"refused.{refused.key}", **refused.values), code)
@@ -50,7 +61,12 @@ def add_files(app: FastAPI, parts: PageParts) -> None:
         path = file_of(parts.runs, run, name)
         if path is None:
             return PlainTextResponse(texts("refused.no_file"), 404)
-        return FileResponse(path, filename=f"{run}-{name}", media_type="application/octet-stream")
+        size = path.stat().st_size  # a log grows while it is sent
+        headers = {
+            "Content-Disposition": f'attachment; filename="{run}-{name}"', "Content-Length": str(size),
+            "Cache-Control": "no-store",
+        }  # fmt: skip
+        return StreamingResponse(_beginning(path, size), media_type="application/octet-stream", headers=headers)
 
     @app.get("/statistics.csv")
     async def give_statistics(request: Request) -> Response:
@@ -61,8 +77,21 @@ def add_files(app: FastAPI, parts: PageParts) -> None:
         return Response(to_csv(days), media_type="text/csv", headers=named)
 
 
-def _has_seat(session: Session, parts: PageParts) -> bool:
-    return session.role == "operate" and parts.access.seated(time.monotonic()) is session
+class _NoSeat(HeadlandError):
+    """The session has no control."""
+
+
+def _check_seat(session: Session, parts: PageParts) -> None:
+    if session.role != "operate" or parts.access.seated(time.monotonic()) is not session:
+        raise _NoSeat
+
+
+def _beginning(path: Path, size: int) -> Iterator[bytes]:
+    """The first `size` bytes of a file."""
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW), "rb") as file:
+        while size > 0 and (chunk := file.read(min(size, CHUNK_BYTES))):
+            size -= len(chunk)
+            yield chunk
 
 
 async def _files(request: Request) -> dict[str, bytes]:

@@ -13,7 +13,7 @@ from hmi.access import HASHER, Access, User
 from hmi.config import PageConfig, SessionConfig
 from hmi.diagnosis.run_files import file_of, runs_of
 from hmi.feed import Feed
-from hmi.files import add_files
+from hmi.files import _beginning, add_files
 from hmi.log_in import COOKIE, add_log_in
 from hmi.parts import Drive, PageParts
 from hmi.plan_view.desk import MAX_FIELD_BYTES, PlanDesk
@@ -200,6 +200,18 @@ def test_logs_and_reports_are_listed_and_downloaded(site: Site, run: Path, anna:
     assert report.headers["content-disposition"].startswith("attachment")  # not shown as a page of this server
     assert report.headers["content-type"] == "application/octet-stream"
     assert report.headers["x-content-type-options"] == "nosniff"
+
+
+def test_a_log_that_grows_while_it_is_sent_keeps_its_length(site: Site, run: Path, anna: TestClient) -> None:
+    """As long as it was when the download began."""
+    content = (run / "log.mcap").read_bytes()
+    with anna.stream("GET", f"/runs/{run.name}/log.mcap") as answer, (run / "log.mcap").open("ab") as log:
+        log.write(bytes(100_000))
+        log.flush()
+        assert answer.headers["content-length"] == str(len(content))
+    assert b"".join(_beginning(run / "log.mcap", len(content))) == content
+    with pytest.raises(OSError, match="symbolic links"):
+        next(_beginning(run / "log.3.mcap", 10))
 
 
 def test_a_download_needs_a_session(site: Site, run: Path) -> None:

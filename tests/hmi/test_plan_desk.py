@@ -4,6 +4,9 @@ import asyncio
 import json
 import math
 import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,24 @@ from hmi.plan_view.options import choices, default_work, options_of, read_missio
 from hmi.refusal import Refused
 from messages.errors import ConfigError, HeadlandError
 from tests.hmi.planned import PLANNER, desk_in, geojson
+from tests.recordings import ROOT
+
+PLANNING = """
+import asyncio, sys
+from pathlib import Path
+from tests.hmi.planned import L_SHAPE, PLANNER, desk_in, geojson
+
+async def plan():
+    desk = desk_in(Path(sys.argv[1]), PLANNER)
+    await desk.load({"a.geojson": geojson(tuple((9.0 * x, 9.0 * y) for x, y in L_SHAPE))})
+    planning = asyncio.create_task(desk.make_plan())
+    while desk.job is None or desk.job.stage != "route":
+        await asyncio.sleep(0.05)
+    print(desk.job._process.pid, flush=True)
+    await planning
+
+asyncio.run(plan())
+"""
 
 DATUM = DatumConfig(latitude_deg=48.0, longitude_deg=11.0, height_m=0.0)
 
@@ -207,6 +228,21 @@ def test_a_planner_that_dies_or_takes_too_long_is_an_error_in_words(tmp_path: Pa
     asyncio.run(slow.load({"a.kml": b"slow"}))
     assert slow.error == "no result within 0 s"
     assert slow.job is None
+
+
+@pytest.mark.slow
+def test_the_planner_ends_with_a_killed_page(tmp_path: Path) -> None:
+    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
+    page = subprocess.Popen([sys.executable, "-c", PLANNING, str(tmp_path)], env=env, stdout=subprocess.PIPE, text=True)
+    assert page.stdout is not None
+    planner = int(page.stdout.readline())
+    assert Path(f"/proc/{planner}").exists()
+    page.kill()
+    page.wait()
+    until_s = time.monotonic() + 20.0
+    while Path(f"/proc/{planner}").exists() and time.monotonic() < until_s:
+        time.sleep(0.05)
+    assert not Path(f"/proc/{planner}").exists()
 
 
 def test_another_field_removes_the_draft_of_the_first(tmp_path: Path) -> None:

@@ -275,9 +275,10 @@ def test_log_and_report_files_of_runs_are_downloaded(anna: Any, process: PagePro
     rows = anna.locator("#table-runs tbody tr")
     rows.first.wait_for()
     assert rows.count() == 2  # the first drive and that of the mission
-    with anna.expect_download() as download:
-        rows.last.get_by_text("log.mcap").click()
-    assert Path(download.value.path()).read_bytes().startswith(b"\x89MCAP")
+    for row in (rows.first, rows.last):  # the running one, whose log grows, and the finished one
+        with anna.expect_download() as download:
+            row.get_by_text("log.mcap").click()
+        assert Path(download.value.path()).read_bytes().startswith(b"\x89MCAP")
     href = rows.last.get_by_text("log.mcap").get_attribute("href")
     stranger = browser.open()
     assert stranger.request.get(process.url.rstrip("/") + href).status == 401
