@@ -21,6 +21,7 @@ from hmi.statistics.store import to_csv
 from hmi.texts import texts_of
 from messages.errors import HeadlandError
 
+RECEIVE_S = 60.0  # for a field file to arrive
 CHUNK_BYTES = 1 << 18
 FORM_BYTES = 100_000  # of a form beside its files
 
@@ -40,12 +41,14 @@ def add_files(app: FastAPI, parts: PageParts) -> None:
             _check_seat(session, parts)
             if receiving.locked():
                 raise Refused("busy")
-            async with receiving:
+            async with receiving, asyncio.timeout(RECEIVE_S):
                 files = await _files(request)
             _check_seat(session, parts)
             await parts.desk.load(files)
         except _NoSeat:
             return PlainTextResponse(texts("why.not_seated"), 403)
+        except TimeoutError:
+            return PlainTextResponse(texts("refused.upload_failed"), 408)
         except Refused as refused:
             code = 413 if refused.key == "too_large" else 400
             return PlainTextResponse(texts(f"refused.{refused.key}", **refused.values), code)

@@ -106,6 +106,20 @@ def test_pause_and_resume(anna: Any) -> None:
     wait_for(anna, "#mode", "Automatic")
 
 
+def test_forbid_pauses_and_prevents_a_start(anna: Any) -> None:
+    """BD-4.1f: until operation is permitted, which moves nothing."""
+    press(anna, "forbid")
+    wait_for(anna, "#mode", "Standby")
+    wait_for(anna, "#cause", "forbidden operation")
+    why(anna, "resume", "Operation is forbidden")
+    why(anna, "forbid", "already")
+    press(anna, "permit")
+    wait_for(anna, "[data-hl=why-permit]", "not forbidden")
+    assert anna.text_content("#mode") == "Standby"
+    press(anna, "resume")
+    wait_for(anna, "#mode", "Automatic")
+
+
 def test_emergency_stop_works_while_the_page_hangs(anna: Any, process: PageProcess) -> None:
     """BD-5.8.1: the form has a process of its own; the frozen page says that it is old."""
     process.process.send_signal(signal.SIGSTOP)
