@@ -10,6 +10,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import PlainTextResponse, StreamingResponse
 from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
+from starlette.requests import ClientDisconnect
 
 from hmi.access import Session
 from hmi.diagnosis.run_files import file_of
@@ -40,14 +41,14 @@ def add_files(app: FastAPI, parts: PageParts) -> None:
         try:
             _check_seat(session, parts)
             if receiving.locked():
-                raise Refused("busy")
+                raise Refused("receiving")
             async with receiving, asyncio.timeout(RECEIVE_S):
                 files = await _files(request)
             _check_seat(session, parts)
             await parts.desk.load(files)
         except _NoSeat:
             return PlainTextResponse(texts("why.not_seated"), 403)
-        except TimeoutError:
+        except (TimeoutError, ClientDisconnect):
             return PlainTextResponse(texts("refused.upload_failed"), 408)
         except Refused as refused:
             code = 413 if refused.key == "too_large" else 400

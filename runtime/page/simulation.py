@@ -1,6 +1,7 @@
 """Simulation of the page: a drive that waits for orders, in a process of its own."""
 
 import argparse
+import secrets
 import sys
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -48,7 +49,8 @@ def _drive(
 
     setup = setup_from(arguments)
     key = OrderKey(public_key=public_key, authority=authority, orders=tuple(ORDERS))
-    setup = replace(setup, stack=with_order_key(setup.stack, "page", key))
+    session = secrets.token_hex(16)  # as at a real start: no order for the drive before counts
+    setup = replace(setup, stack=with_order_key(setup.stack, "page", key), session=session)
     scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
     scenario = scenario.model_copy(update={"operator_commands": ()})
     planned = tuple(path.p_map_m[::5] for path in setup.plan.paths)
