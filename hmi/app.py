@@ -65,11 +65,13 @@ class PageApp:
         is_restarted = feed.take_restart() or is_new
         if is_restarted:
             self.state = PageState(self.parts.drive.scene, self.parts.config.cell_m)
-            self.alarms.end_all(time.time())
+            self._end_alarms()
         self.state.take(feed.now_ns, envelopes)
         self.alarms.take(self.state.new_faults, time.time())
         self.topics.take(feed.counts, now_s)
-        self._store_statistics(now_s)
+        if now_s - self._stored_s >= STORE_S:
+            self._stored_s = now_s
+            self.store_statistics()
         moment = Moment(self.parts, self.state, self.alarms, self.topics, is_restarted, self._drive_error)
         for key, page in list(self.pages.items()):
             try:
@@ -86,19 +88,24 @@ class PageApp:
         if isinstance(found, str):
             self._drive_error = found
             return False
+        self.store_statistics()
         self.parts.drive, self._drive_error, self._stored = found, "", None
         self.topics = TopicTable()
         return True
 
-    def _store_statistics(self, now_s: float) -> None:
+    def _end_alarms(self) -> None:
+        """Alarms of a drive that has ended remain in the history, those of another position in a log do not."""
+        if self.parts.drive.feed.playback is None:
+            self.alarms.end_all(time.time())
+        else:
+            self.alarms = AlarmLog()
+
+    def store_statistics(self) -> None:
         """Stores the totals of the drive when they have changed; an error is shown, and it is tried again."""
         store, state, drive = self.parts.statistics, self.state, self.parts.drive
-        if store is None or now_s - self._stored_s < STORE_S:
-            return
         totals = Totals(state.coverage.area_m2, state.engaged_s, state.distance_m, state.stops)
-        if totals == self._stored:
+        if store is None or totals == self._stored:
             return
-        self._stored_s = now_s
         try:
             store.put(drive.name, time.strftime("%Y-%m-%d"), drive.scene.site.name, totals)
             self._stored, self.parts.statistics_error = totals, ""
@@ -158,6 +165,7 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     for kind in (DrivePage, PlanPage, DiagnosisPage, StatisticsPage):
         add_page(kind)
     nicegui_app.on_startup(lambda: asyncio.create_task(page_app.run()))
+    nicegui_app.on_shutdown(page_app.store_statistics)
     ui.run_with(
         app, title="Headland", tailwind=False, dark=False, message_history_length=0, show_welcome_message=False,
         binding_refresh_interval=None, reconnect_timeout=10.0,

@@ -6,7 +6,7 @@ from typing import Any
 
 from nicegui import ui
 
-from hmi.diagnosis.alarm_log import Alarm, clock_text
+from hmi.diagnosis.alarm_log import Alarm, AlarmLog, clock_text
 from hmi.diagnosis.remedy import remedy
 from hmi.drive_view.alarms import LEVELS
 from hmi.drive_view.row import number
@@ -25,6 +25,7 @@ class DiagnosisPage(View):
     """Diagnosis view."""
 
     NAME = "diagnosis"
+    _alarms: AlarmLog | None = None
 
     def build_main(self) -> None:
         """Builds the tables."""
@@ -52,7 +53,7 @@ class DiagnosisPage(View):
     async def act(self, action: str, values: Mapping[str, Any]) -> None:
         """Acknowledges an alarm."""
         number_text = str(values.get("value", ""))
-        if action == "acknowledge" and number_text.isdecimal() and len(number_text) < 10:
+        if self._alarms is not None and action == "acknowledge" and number_text.isdecimal() and len(number_text) < 10:
             self._alarms.acknowledge(int(number_text), self.session.name)
 
     def _alarm(self, alarm: Alarm, barred: str) -> list[Any]:

@@ -76,9 +76,8 @@ def add_files(app: FastAPI, parts: PageParts) -> None:
     async def give_statistics(request: Request) -> Response:
         if session_of(request, parts.access) is None:
             return PlainTextResponse(texts_of(language_of(request))("refused.session"), 401)
-        days = [] if parts.statistics is None else parts.statistics.by_day()
         named = {"Content-Disposition": 'attachment; filename="headland-statistics.csv"', "Cache-Control": "no-store"}
-        return Response(to_csv(days), media_type="text/csv", headers=named)
+        return Response(to_csv(parts.days()), media_type="text/csv", headers=named)
 
 
 class _NoSeat(HeadlandError):

@@ -22,6 +22,7 @@ from hmi.scene import Scene
 from hmi.shown import shown_of
 from hmi.statistics.store import DayOfField, StatisticsStore
 from hmi.texts import Texts
+from messages.errors import HeadlandError
 
 READ_S = 2.0
 
@@ -73,8 +74,12 @@ class PageParts:
         return self._recent("runs", lambda: runs_of(self.runs))
 
     def days(self) -> list[DayOfField]:
-        """Statistics by day and field, read every `READ_S` at most."""
-        return self._recent("days", lambda: [] if self.statistics is None else self.statistics.by_day())
+        """Statistics by day and field, read every `READ_S` at most; none, and `statistics_error`, if it fails."""
+        try:
+            return self._recent("days", lambda: [] if self.statistics is None else self.statistics.by_day())
+        except HeadlandError as error:
+            self.statistics_error = str(error)
+            return []
 
     def _recent(self, name: str, read: Callable[[], list[Any]]) -> list[Any]:
         now_s = time.monotonic()

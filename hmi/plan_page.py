@@ -26,8 +26,8 @@ class PlanPage(View):
     """Plan view; what it shows is the state of the desk, which all pages share."""
 
     NAME = "plan"
-
     _mapped: object = None
+    _moment: Moment | None = None
 
     def build_main(self) -> None:
         """Builds the map, the controls, and the table of missions."""
@@ -103,7 +103,7 @@ class PlanPage(View):
 
     def _start(self, mission_id: str) -> None:
         """Starts a simulated drive on a stored mission; not while the machine drives."""
-        if self.parts.drives is None:
+        if self.parts.drives is None or self._moment is None:
             raise Refused("no_simulation")
         supervisor = self._moment.state.fresh("supervisor", SupervisorState)
         if supervisor is not None and supervisor.mode in ENGAGED:
@@ -211,7 +211,7 @@ class PlanPage(View):
         texts = self.texts
         language = texts.language
         upload = (
-            f'<label class="hl-file">{escape(texts("plan.file"))}<input id="field-file" type="file" multiple '
+            f'<label>{escape(texts("plan.file"))}<input id="field-file" type="file" multiple '
             f'data-upload="/plan/field?lang={language}" data-large="{escape(texts("refused.too_large"))}" '
             f'data-failed="{escape(texts("refused.upload_failed"))}"></label>'
         )

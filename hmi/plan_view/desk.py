@@ -31,15 +31,16 @@ class PlanDesk:
         self._command, self._limit_s = command, limit_s
         self.job: FieldJob | None = None
         self.error = ""
+        self.draft: Path | None = None
         self._clear()
         self.points_m: list[tuple[float, float]] = []
         self.is_drawing = False
 
     def _clear(self) -> None:
         """Without field and plan; the draft of another one is removed."""
-        if (draft := getattr(self, "draft", None)) is not None:
-            self.store.remove_draft(draft)
-        self.draft: Path | None = None
+        if self.draft is not None:
+            self.store.remove_draft(self.draft)
+        self.draft = None
         self.name = ""
         self.features: list[tuple[str, str]] = []
         self.feature: str | None = None

@@ -19,6 +19,7 @@ from messages.errors import HeadlandError
 MISSION, FIELD, PLAN, ABOUT = "mission.yaml", "field", "plan.json", "about.yaml"
 ID = re.compile(r"\d{8}-\d{6}-[0-9a-f]{6}")
 DRAFT, DELETED = ".draft-", ".deleted-"
+SEED = 1  # of the planner: a stored mission is driven as it was planned
 MAX_LISTED = 200
 MAX_NAME = 80
 

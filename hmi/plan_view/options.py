@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -58,6 +59,7 @@ def options_of(mission: Mission, work: Work) -> PlanOptions:
     return PlanOptions(mission.machine, mission.implement, work.headland_passes, work.turns, heading)
 
 
+@cache
 def choices() -> dict[str, tuple[str, ...]]:
     """Values of each option that is one of several names; machines and implements are files of `configs/`."""
     names = {one: tuple(sorted(path.stem for path in (CONFIGS / f"{one}s").glob("*.yaml"))) for one in _FOLDERS}

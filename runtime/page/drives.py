@@ -14,7 +14,7 @@ from multiprocessing.context import ForkContext, ForkProcess
 from types import FrameType
 
 from hmi.parts import Drive, Drives
-from hmi.plan_view.mission_store import MISSION, StoredMission
+from hmi.plan_view.mission_store import MISSION, SEED, StoredMission
 from hmi.scene import scene_of
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
@@ -60,6 +60,7 @@ class SimulatedDrives(Drives):
         chosen = vars(self._arguments) | {
             "mission": str(mission.folder / MISSION), "field": str(mission.field), "feature": feature, "guidance": None,
             "machine": None, "implement": None, "bay": None, "scenario": None, "out": None,
+            "seed": SEED,
         }  # fmt: skip
         self._link.send(argparse.Namespace(**chosen))
 

@@ -17,7 +17,7 @@ import shapely
 
 from geometry.arrays import Float64
 from hmi.drive_view.map_view import static_map
-from hmi.plan_view.mission_store import MISSION, PLAN, field_of
+from hmi.plan_view.mission_store import MISSION, PLAN, SEED, field_of
 from hmi.plan_view.plan_result import PlanResult, write_result
 from hmi.scene import Scene
 from messages.errors import FieldError, HeadlandError
@@ -33,7 +33,6 @@ MEMORY_BYTES = 6 << 30  # of addresses; compressed files may hold far more than 
 NICE = 10  # a machine that drives on this computer goes first
 MAX_FEATURES = 200
 PATH_M = 0.05  # deviation of a shown line from the path
-SEED = 1
 MIN_MPS = 0.05
 
 
