@@ -105,6 +105,11 @@ class NearFieldConfig(Config):
     max_roughness_m: Metres = Field(description="what is higher above the ground is not its roughness")
     roughness_quantile: float = Field(ge=0.5, le=1.0, description="over cells, of the height that the ground reaches")
     roughness_factor: float = Field(ge=1.0, le=10.0, description="least height that counts, over the quantile")
+    dense_cell_m: float = Field(gt=0.01, le=1.0, description="a patch is 3 x 3 of these")
+    dense_reach_cells: int = Field(ge=2, le=100, description="to either side, for the mean surface")
+    dense_rise_m: Metres = Field(description="above the mean surface")
+    dense_returns: int = Field(ge=2, le=100, description="of one scan that make a patch dense on any ground")
+    dense_share: float = Field(gt=0.0, le=1.0, description="of the returns of a dense patch that are that high")
 
 
 class DepartureConfig(Config):
@@ -174,6 +179,7 @@ class BystanderConfig(Config):
     """Tracked bodies that come towards machine or implement from any side."""
 
     min_unclassified_age_s: Seconds = Field(description="minimum age of an unclassified track for its motion to count")
+    manoeuvre_mps2: float = Field(ge=0.0, le=10.0, description="change of its velocity that a body may make")
     closing_m: Metres = Field(description="a predicted approach by less is none")
     follow_m: Metres = Field(description="a track this near to the last place of a lost one continues it")
     away_m: Metres = Field(description="distance from machine and implement at which a bystander seen there has left")

@@ -172,17 +172,14 @@ class CommandBuilder:
         return limit_curvature(control_command, before, self._most_radpm, self._config.curvature_rate_radpms * dt_s)
 
     def _implement(self, inputs: CommandInputs) -> tuple[bool, bool]:
-        """Lowered and PTO: as commanded in automatic mode; while waiting only up or off; else as measured, off."""
+        """Lowered and PTO: as commanded in automatic mode; while waiting only up, and off; else as measured, off."""
         machine, control_command = inputs.machine, inputs.control_command
         was_lowered = self.last.is_implement_lowered if self.last is not None else False
-        was_on = self.last.is_pto_on if self.last is not None else False
         is_folded = machine is not None and not machine.fold_position <= 1.0 - FOLDED
         if inputs.mode is Mode.AUTOMATIC and control_command is not None:
             return control_command.is_implement_lowered and not is_folded, control_command.is_pto_on and not is_folded
         if inputs.mode in WATCHED:
-            return was_lowered and (control_command is None or control_command.is_implement_lowered), was_on and (
-                control_command is None or control_command.is_pto_on
-            )
+            return was_lowered and (control_command is None or control_command.is_implement_lowered), False
         return machine.is_hitch_in_work if machine is not None else was_lowered, False
 
     def _fold(self, inputs: CommandInputs, standing_s: float, is_lowered: bool) -> bool:

@@ -66,15 +66,19 @@ class Bystanders:
         } | {track.id: place_of(track) for track in coming}
 
     def _is_coming(self, track: Track, area: SweptArea, pose_odom: Float64, speed_mps: float, times_s: Float64) -> bool:
-        """Whether a moving track gets nearer to the bodies, as they move on, and meets one of them."""
+        """Whether a moving track gets nearer to the bodies, as they move on, and can meet one of them.
+
+        It comes nearer at its velocity; to meet them it may also change that.
+        """
         age_s = (track.last_seen_ns - track.first_seen_ns) * 1e-9
         if track.label is ObstacleClass.UNKNOWN and age_s < self._config.min_unclassified_age_s:
             return False
         centers, reach_m = predicted(track, times_s, self._tracked)
         gaps_m = distance_to_bodies_m(from_frame(pose_odom, centers), area, speed_mps * times_s) - reach_m
         is_own = gaps_m[0] + reach_m[0] <= self._tracked.self_filter_m
-        nearest_m = float(gaps_m.min())
-        return not is_own and nearest_m <= self._tracked.lateral_m and nearest_m < gaps_m[0] - self._config.closing_m
+        is_closing = float(gaps_m.min()) < gaps_m[0] - self._config.closing_m
+        reached_m = 0.5 * self._config.manoeuvre_mps2 * times_s**2
+        return not is_own and is_closing and float((gaps_m - reached_m).min()) <= self._tracked.lateral_m
 
     def _followed(self, seen: dict[int, Track]) -> Iterable[tuple[int, Place]]:
         """Each bystander at its new place, under the number of the track that continues it."""

@@ -10,15 +10,19 @@ wing_rear_right     │  │ wing_front_right
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
+from shapely import MultiPoint, transform
 from shapely.geometry.base import BaseGeometry
 
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from geometry.arrays import Float32
-from geometry.pose2 import Pose2
+from geometry.pose2 import Pose2, to_frame
 from simulation.machine.body import implement_outline_m, machine_outline_m
 from simulation.machine.implement import extent_m, origin_m
 from simulation.machine.machine import Machine
+
+CLEAR_STEP_M, TOUCH_M2 = 0.05, 1e-4
 
 
 @dataclass(frozen=True)
@@ -87,3 +91,21 @@ class Outline:
         is_across = name in ("left", "right", "wing_left", "wing_right") or name.startswith("wheel")
         turns_left = name.endswith("right") if is_across else "front" in name
         return middle.ahead(away).beside(along_m if turns_left else -along_m)[:2]
+
+    def cleared(
+        self, name: str, place_m: tuple[float, float], vertices_m: Float32, yaw_rad: float
+    ) -> tuple[float, float]:
+        """`place_m` moved until a body there overlaps no part of machine and implement.
+
+        It moves outward or, before and behind a wing, away from the middle, whichever is less: a long body before a
+        wing, and any before a folded one, would begin within the rear wheel.
+        """
+        ground, hull, outward_rad = self.ground, MultiPoint(vertices_m[:, :2]).convex_hull, self.side(name).yaw_rad
+        aside_rad = self.base.yaw_rad + (0.5 * math.pi if name.endswith("left") else -0.5 * math.pi)
+        ways = [Pose2(*place_m, direction) for direction in (aside_rad, outward_rad)[0 if "wing" in name else 1 :]]
+        while True:
+            for way in ways:
+                body = transform(hull, partial(to_frame, Pose2(way.x_m, way.y_m, yaw_rad)))
+                if body.intersection(ground).area < TOUCH_M2:
+                    return way.x_m, way.y_m
+            ways = [way.ahead(CLEAR_STEP_M) for way in ways]

@@ -109,8 +109,10 @@ class ScriptedObject:
         if isinstance(place, OutlinePlace):
             yaw = around.outline.base[2] + turn
             vertices = self._bodies.of(Step((0.0, 0.0), 0.0)).mesh(-1.0).vertices_m
-            x, y = around.outline.beside(place.side, values["gap_m"], values["along_m"], vertices, yaw)
-            return x, y, yaw
+            beside_m = around.outline.beside(place.side, values["gap_m"], values["along_m"], vertices, yaw)
+            if place.side.startswith("wheel"):  # within the width of the machine
+                return *beside_m, yaw
+            return *around.outline.cleared(place.side, beside_m, vertices, yaw), yaw
         if isinstance(place, ObjectPlace):
             other = around.others.get(place.of)
             offset = Pose2(values["ahead_m"], values["left_m"], turn)

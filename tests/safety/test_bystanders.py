@@ -93,17 +93,30 @@ def test_comes_from_every_side(
 
 
 def test_reach_of_the_prediction(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
-    reach_m = 0.2 + config.tracked.lateral_m + 2.0 * 1e-3  # half of the box, margin, uncertainty after 2 s
+    change_m = 0.5 * config.bystanders.manoeuvre_mps2 * 2.0**2
+    reach_m = 0.2 + config.tracked.lateral_m + 2.0 * 1e-3 + change_m  # half of the box, margin, uncertainty after 2 s
     for y in around(WING_Y + 2.0 * 1.5 + reach_m, 0.02):
         assert see(bystanders, area, person(WING_X, y - 1e-6, vy=-1.5)) == (y <= WING_Y + 3.0 + reach_m + 1e-9), y
 
 
 def test_the_machine_drives_into_a_slow_walker(bystanders: Bystanders, area: SweptArea) -> None:
-    walker = person(1.5, WING_Y + 0.8, vy=-0.5)
+    walker = person(2.5, WING_Y + 1.5, vy=-0.3)
     assert not see(bystanders, area, walker, speed_mps=0.0)  # in front of a wing that stands
     assert see(bystanders, area, walker, speed_mps=2.7)
     assert not see(bystanders, area, person(-6.0, 0.0, vx=2.7), speed_mps=2.7)  # follows at the same speed
     assert see(bystanders, area, person(-6.0, 0.0, vx=4.7), speed_mps=2.7)
+
+
+def test_who_follows_the_wing_in_a_turn(
+    vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig
+) -> None:
+    """At a constant velocity the wing, which moves on, is passed behind."""
+    area, cyclist = swept(vehicle, implement, config, -0.2), person(-1.6, 6.4, vx=1.7, vy=-2.1)
+    straight = config.bystanders.model_copy(update={"manoeuvre_mps2": 0.0})
+    assert see(Bystanders(config.bystanders, config.tracked), area, cyclist, speed_mps=2.2)
+    assert not see(Bystanders(straight, config.tracked), area, cyclist, speed_mps=2.2)
+    away = person(-1.6, 6.4, vx=1.7, vy=0.3)
+    assert not see(Bystanders(config.bystanders, config.tracked), area, away, speed_mps=2.2)
 
 
 def test_own_implement_is_no_bystander(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:

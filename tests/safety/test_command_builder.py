@@ -230,8 +230,8 @@ def test_implement_and_pto(bench: Bench) -> None:
     assert asked(control_command=running) == (False, True)
     assert asked(control_command=CONTROL_COMMAND) == (True, True)
     assert asked(control_command=None) == (True, True)
-    assert asked(mode=Mode.OBSTACLE_STOP) == (True, True)
-    assert asked(control_command=running) == (False, True)
+    assert asked(mode=Mode.OBSTACLE_STOP) == (True, False)  # who walks into it meets no turning tines
+    assert asked(control_command=running) == (False, False)
     assert asked(control_command=lowered) == (False, False)
     assert asked(mode=Mode.AUTOMATIC, control_command=CONTROL_COMMAND) == (True, True)
     assert asked(mode=Mode.FAULT_STOP) == (False, False)

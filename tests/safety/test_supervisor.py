@@ -547,7 +547,7 @@ def test_implement_and_pto_only_in_automatic_mode(world: World) -> None:
     world.boxes = (Box(world.x_m + 7.0, 0.0),)
     world.run(6.0)
     assert world.mode == Mode.OBSTACLE_STOP
-    assert (world.command.is_implement_lowered, world.command.is_pto_on) == (True, True)
+    assert (world.command.is_implement_lowered, world.command.is_pto_on) == (True, False)
     world.command_changes = {"is_implement_lowered": False, "is_pto_on": False}
     world.step(2)
     assert (world.command.is_implement_lowered, world.command.is_pto_on) == (False, False)

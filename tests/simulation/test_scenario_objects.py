@@ -201,6 +201,18 @@ def test_gap_beside_a_turned_machine():
     farm.close()
 
 
+@pytest.mark.parametrize("heading_deg", [0.0, 60.0, 90.0])
+def test_long_bodies_beside_a_wing_begin_beside_every_part(heading_deg):
+    """A wall before the wing would reach into the rear wheel."""
+    place = {"frame": "outline", "side": "wing_front_right", "gap_m": 0.1, "heading_deg": heading_deg}
+    farm = farm_of({"name": "wall", "object": "low_wall", "place": place})
+    farm.drive(0.02)
+    actor, ground = actors_of(farm)["wall"], Outline.of(farm.machine, farm.vehicle).ground
+    assert ground.distance(actor.footprint) < 0.2
+    assert ground.intersection(actor.footprint).area < 1e-3
+    farm.close()
+
+
 def test_place_on_the_path():
     ahead = changed(place={"frame": "path", "ahead_m": 10.0, "left_m": 1.0, "heading_deg": 90.0})
     absolute = changed(name="other", place={"frame": "path", "path_m": 58.0, "left_m": 1.0})
