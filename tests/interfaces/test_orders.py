@@ -298,9 +298,12 @@ def test_operation_stays_forbidden_after_a_restart(tmp_path: Path) -> None:
     assert not Bench(tmp_path, session="ghi").gate._verifier.is_forbidden
 
 
-def test_forbid_that_cannot_be_stored_still_forbids(tmp_path: Path) -> None:
-    bench = Bench(tmp_path / "file")
-    (tmp_path / "file").write_text("")
+def test_forbid_that_cannot_be_stored_still_forbids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(self: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    bench = Bench(tmp_path)
+    monkeypatch.setattr(Path, "touch", fail)
     assert bench.give(signed(order="forbid", sequence=11)) == []
     assert bench.refused == {"not_stored": 1}
     assert bench.of(OrderStatus)[-1].is_forbidden
