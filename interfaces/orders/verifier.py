@@ -91,9 +91,11 @@ class OrderVerifier:
         self._check_time(now_ns, payload)
         self._check_sequence(now_ns, sender, payload)
         try:
-            if payload.order in (FORBID, PERMIT):
-                self._store.set_forbidden(payload.order == FORBID)
+            if payload.order == FORBID:
+                self._store.set_forbidden(True)
             self._store.advance(sender.key.public_key, payload.sequence)
+            if payload.order == PERMIT:
+                self._store.set_forbidden(False)
         except HeadlandError as error:
             raise Refusal(Reason.NOT_STORED, str(error)) from error
         sender.accepted.append((payload.sequence, now_ns))

@@ -17,7 +17,7 @@ from interfaces.orders.port import OrderPort
 from interfaces.orders.sequence import SequenceStore
 from interfaces.orders.verifier import OrderVerifier, Reason
 from messages.command import OperatorCommand, OperatorCommandKind, OrderStatus, SignedOrder
-from messages.errors import ConfigError
+from messages.errors import ConfigError, HeadlandError
 from messages.faults import Fault, Response
 from simulation.operator import SimulatedOperator, operator_key, public_bytes
 
@@ -305,6 +305,19 @@ def test_forbid_that_cannot_be_stored_still_forbids(tmp_path: Path, monkeypatch:
     bench = Bench(tmp_path)
     monkeypatch.setattr(Path, "touch", fail)
     assert bench.give(signed(order="forbid", sequence=11)) == []
+    assert bench.refused == {"not_stored": 1}
+    assert bench.of(OrderStatus)[-1].is_forbidden
+
+
+def test_a_permission_whose_number_cannot_be_stored_permits_nothing(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: SequenceStore, key: str, sequence: int) -> None:
+        raise HeadlandError("disk full")
+
+    bench.give(signed(order="forbid", sequence=11))
+    monkeypatch.setattr(SequenceStore, "advance", fail)
+    assert bench.give(signed(order="permit", sequence=12)) == []
     assert bench.refused == {"not_stored": 1}
     assert bench.of(OrderStatus)[-1].is_forbidden
 
