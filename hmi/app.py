@@ -4,9 +4,7 @@ import asyncio
 import logging
 import socket
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import uvicorn
 from fastapi import FastAPI, Request
@@ -15,38 +13,26 @@ from fastapi.staticfiles import StaticFiles
 from nicegui import app as nicegui_app
 from nicegui import ui
 
-from hmi.access import Access, Session
-from hmi.config import PageConfig
+from hmi.diagnosis.alarm_log import AlarmLog
+from hmi.diagnosis.topic_table import TopicTable
+from hmi.diagnosis_page import DiagnosisPage
 from hmi.drive_page import DrivePage
-from hmi.drive_view.standing import RuleText
-from hmi.feed import Feed
+from hmi.files import add_files
 from hmi.log_in import COOKIE, add_log_in, language_of, session_of
-from hmi.orders import OrderSender
 from hmi.page_state import PageState
-from hmi.replay_bar import ReplayBar
-from hmi.scene import Scene
-from hmi.seat_bar import SeatBar
+from hmi.parts import Moment, PageParts
+from hmi.plan_page import PlanPage
 from hmi.security import LOOPBACK, RequestChecks
-from hmi.shown import shown_of
+from hmi.statistics.store import Totals
+from hmi.statistics_page import StatisticsPage
 from hmi.texts import texts_of
+from hmi.view import VIEWS, View
+from messages.errors import HeadlandError
 
 STATIC = Path(__file__).parent / "static"
 LOG = logging.getLogger(__name__)
+STORE_S = 1.0  # between two transactions of the statistics
 CONNECT_S = 30.0  # for a browser to connect after it has loaded the page
-
-
-@dataclass
-class PageParts:
-    """What a page is made of; `source` is `simulation`, `connected` or `replay`, `sender` None gives no orders."""
-
-    feed: Feed
-    scene: Scene
-    config: PageConfig
-    access: Access
-    sender: OrderSender | None
-    stop_url: str | None
-    source: str
-    rule_text_zh: RuleText
 
 
 class PageApp:
@@ -54,8 +40,12 @@ class PageApp:
 
     def __init__(self, parts: PageParts) -> None:
         self.parts = parts
-        self.state = PageState(parts.scene, parts.config.cell_m)
-        self.pages: dict[str, DrivePage] = {}
+        self.state = PageState(parts.drive.scene, parts.config.cell_m)
+        self.alarms, self.topics = AlarmLog(), TopicTable()
+        self.pages: dict[str, View] = {}
+        self._drive_error = ""
+        self._stored: Totals | None = None
+        self._stored_s = 0.0
 
     async def run(self) -> None:
         """Updates all pages once per period; after an error they say that what they show is old."""
@@ -69,48 +59,77 @@ class PageApp:
 
     def step(self) -> None:
         """Reads the feed and updates all pages; an error of one page closes that page only."""
-        feed = self.parts.feed
+        is_new = self._take_drive()
+        feed, now_s = self.parts.drive.feed, time.monotonic()
         envelopes = feed.poll()
-        is_restarted = feed.take_restart()
+        is_restarted = feed.take_restart() or is_new
         if is_restarted:
-            self.state = PageState(self.parts.scene, self.parts.config.cell_m)
+            self.state = PageState(self.parts.drive.scene, self.parts.config.cell_m)
+            self._end_alarms()
         self.state.take(feed.now_ns, envelopes)
-        shown: dict[str, dict[str, Any]] = {}
+        self.alarms.take(self.state.new_faults, time.time())
+        self.topics.take(feed.counts, now_s)
+        if now_s - self._stored_s >= STORE_S:
+            self._stored_s = now_s
+            self.store_statistics()
+        moment = Moment(self.parts, self.state, self.alarms, self.topics, is_restarted, self._drive_error)
         for key, page in list(self.pages.items()):
-            language = page.texts.language
-            if language not in shown:
-                shown[language] = shown_of(self.state, page.texts, self.parts.rule_text_zh, feed.playback)
             try:
-                page.update(shown[language], self.state, is_restarted)
+                page.update(moment)
             except Exception:
                 LOG.exception("a page is closed")
                 self.pages.pop(key, None)
 
-    async def open(self, request: Request) -> RedirectResponse | None:
+    def _take_drive(self) -> bool:
+        """Shows a drive that has begun; whether there is one."""
+        found = None if self.parts.drives is None else self.parts.drives.take()
+        if found is None:
+            return False
+        if isinstance(found, str):
+            self._drive_error = found
+            return False
+        self.store_statistics()
+        self.parts.drive, self._drive_error, self._stored = found, "", None
+        self.topics = TopicTable()
+        return True
+
+    def _end_alarms(self) -> None:
+        """Alarms of a drive that has ended remain in the history, those of another position in a log do not."""
+        if self.parts.drive.feed.playback is None:
+            self.alarms.end_all(time.time())
+        else:
+            self.alarms = AlarmLog()
+
+    def store_statistics(self) -> None:
+        """Stores the totals of the drive when they have changed; an error is shown, and it is tried again."""
+        store, state, drive = self.parts.statistics, self.state, self.parts.drive
+        totals = Totals(state.coverage.area_m2, state.engaged_s, state.distance_m, state.stops)
+        if store is None or totals == self._stored:
+            return
+        try:
+            store.put(drive.name, time.strftime("%Y-%m-%d"), drive.scene.site.name, totals)
+            self._stored, self.parts.statistics_error = totals, ""
+        except HeadlandError as error:
+            self.parts.statistics_error = str(error)
+
+    async def open(self, request: Request, kind: type[View]) -> RedirectResponse | None:
         """Builds the page of a request, or sends it to the log-in."""
         session = session_of(request, self.parts.access)
         token = request.cookies.get(COOKIE)
         if session is None or token is None:
             return RedirectResponse(f"/log-in?lang={texts_of(language_of(request)).language}", 303)
         session.used_s = time.monotonic()
-        page = self._build(session, token, request)
-        await page.client.connected(CONNECT_S)
+        texts, client = texts_of(language_of(request)), ui.context.client
+        ui.add_head_html('<link rel="stylesheet" href="/static/page.css"><script src="/static/page.js"></script>')
+        ui.add_head_html('<script src="/static/controls.js"></script>')
+        ui.add_head_html(f"<script>document.documentElement.lang = '{texts.language}'</script>")
+        page = kind(self.parts, client, session, token, texts)
+        page.build()
+        await client.connected(CONNECT_S)
         self._join(page, token)
         return None
 
-    def _build(self, session: Session, token: str, request: Request) -> DrivePage:
-        parts, texts = self.parts, texts_of(language_of(request))
-        why_barred = "replay" if parts.feed.playback is not None else "no_key" if parts.sender is None else ""
-        client = ui.context.client
-        ui.add_head_html('<link rel="stylesheet" href="/static/page.css"><script src="/static/page.js"></script>')
-        ui.add_head_html(f"<script>document.documentElement.lang = '{texts.language}'</script>")
-        page = DrivePage(client, session, texts, parts.config, parts.sender, why_barred, self.state)
-        seat = SeatBar(parts.access, session, token, texts)
-        replay = None if parts.feed.playback is None else ReplayBar(parts.feed.playback, texts)
-        page.build(seat, replay, parts.source, parts.stop_url)
-        return page
-
-    def _join(self, page: DrivePage, token: str) -> None:
+    def _join(self, page: View, token: str) -> None:
         """Updates the page until its browser leaves or its session ends."""
         page.session.pages += 1
         self.pages[page.client.id] = page
@@ -135,13 +154,18 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     page_app = PageApp(parts)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     add_log_in(app, parts.access, parts.stop_url)
+    add_files(app, parts)
     app.mount("/static", StaticFiles(directory=STATIC))
 
-    @ui.page("/", title="Headland")
-    async def drive(request: Request) -> RedirectResponse | None:
-        return await page_app.open(request)
+    def add_page(kind: type[View]) -> None:
+        @ui.page(VIEWS[kind.NAME], title="Headland")
+        async def show(request: Request) -> RedirectResponse | None:
+            return await page_app.open(request, kind)
 
+    for kind in (DrivePage, PlanPage, DiagnosisPage, StatisticsPage):
+        add_page(kind)
     nicegui_app.on_startup(lambda: asyncio.create_task(page_app.run()))
+    nicegui_app.on_shutdown(page_app.store_statistics)
     ui.run_with(
         app, title="Headland", tailwind=False, dark=False, message_history_length=0, show_welcome_message=False,
         binding_refresh_interval=None, reconnect_timeout=10.0,

@@ -26,4 +26,5 @@ class PageConfig(Config):
     order_valid_s: float = Field(gt=0.0, le=60.0)
     confirmation_valid_s: float = Field(gt=0.0, le=60.0, description="at most modes.max_confirmation_s")
     cell_m: float = Field(ge=0.05, le=5.0, description="cells in which the worked area is counted")
+    plan_limit_s: float = Field(ge=1.0, le=86400.0, description="a planner without result is ended after this time")
     session: SessionConfig

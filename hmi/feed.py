@@ -1,6 +1,7 @@
 """Sources of the messages that a page shows: a running machine, or a log that is played."""
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -29,6 +30,9 @@ class Feed(ABC):
     """Messages since the last call, in order; `now_ns` is the present time of the machine or of the log."""
 
     now_ns: int = 0
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()  # messages since the start by topic, also of topics that are not shown
 
     @abstractmethod
     def poll(self) -> Iterable[Envelope]:

@@ -1,6 +1,6 @@
 """State of the page: the newest message of each topic, and what accumulates; a function of the messages alone."""
 
-from collections import deque
+import math
 from collections.abc import Iterable
 from typing import TypeVar
 
@@ -18,7 +18,8 @@ from messages.topics import spec_of
 
 M = TypeVar("M", bound=Message)
 SLACK_S = 1.0  # messages arrive once per period of the page
-KEPT_EVENTS = 200
+DISTANCE_STEP_M = 0.5  # standstill adds no distance
+STOPPED = (Mode.OBSTACLE_STOP, Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
 ENGAGED = (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
 
 
@@ -29,16 +30,21 @@ class PageState:
         self.scene = scene
         self.now_ns = 0
         self.faults: dict[tuple[str, str], Fault] = {}
-        self.events: deque[Fault] = deque(maxlen=KEPT_EVENTS)
         self.paths: dict[int, Path] = {}
         self.trail = Trail()
         self.coverage = Coverage(scene.field, scene.implement.working_width_m, scene.working_point_m, cell_m)
         self.engaged_s = 0.0  # time in modes of automatic operation
+        self.distance_m = 0.0
+        self.stops = 0  # of automatic operation, by obstacles, faults and emergencies
+        self.new_faults: list[Fault] = []  # of the last messages
+        self._counted_odom_m: tuple[float, float] | None = None
+        self._mode: Mode | None = None
         self._newest: dict[str, Message] = {}
         self._engaged_ns: int | None = None
 
     def take(self, now_ns: int, envelopes: Iterable[Envelope]) -> None:
         """Processes the messages up to `now_ns`."""
+        self.new_faults = []
         for envelope in envelopes:
             self._newest[envelope.topic] = envelope.message
             message = envelope.message
@@ -47,9 +53,11 @@ class PageState:
             elif isinstance(message, Path):
                 self.paths[message.path_id] = message
             elif isinstance(message, Odometry):
-                self._take_motion()
+                self._take_motion(message)
             elif isinstance(message, SupervisorState):
                 self._count_time(message)
+                self.stops += self._mode is Mode.AUTOMATIC and message.mode in STOPPED
+                self._mode = message.mode
         self.now_ns = now_ns
 
     def newest(self, topic: str, kind: type[M]) -> M | None:
@@ -94,13 +102,24 @@ class PageState:
             self.faults[key] = fault
         else:
             self.faults.pop(key, None)
-        self.events.append(fault)
+        self.new_faults.append(fault)
 
-    def _take_motion(self) -> None:
+    def _take_motion(self, odometry: Odometry) -> None:
+        self._count_distance(odometry)
         pose, machine = self.pose, self.newest("machine", MachineState)
         if pose is not None:
             self.trail.update(pose)
             self.coverage.update(pose, machine is not None and machine.is_hitch_in_work)
+
+    def _count_distance(self, odometry: Odometry) -> None:
+        """Adds the chord in `odom`, which does not jump, since the last counted position."""
+        x_m, y_m = (float(v) for v in odometry.T_odom_base[:2, 3])
+        if not (math.isfinite(x_m) and math.isfinite(y_m)):
+            return
+        moved_m = 0.0 if self._counted_odom_m is None else math.dist(self._counted_odom_m, (x_m, y_m))
+        if self._counted_odom_m is None or moved_m >= DISTANCE_STEP_M:
+            self._counted_odom_m = x_m, y_m
+            self.distance_m += moved_m
 
     def _count_time(self, state: SupervisorState) -> None:
         if self._engaged_ns is not None:

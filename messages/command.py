@@ -144,12 +144,16 @@ class RefusedOrders(MessagePart):
 
 @dataclass(frozen=True)
 class OrderStatus(Message):
-    """What an order must be signed for (`machine`, nonce `session` of this start), and how many came since then."""
+    """What an order must be signed for (`machine`, nonce `session` of this start), and how many came since then.
+
+    `is_forbidden`: a person has forbidden automatic operation, no start is accepted.
+    """
 
     machine: str
     session: str
     accepted: int
     refused: tuple[RefusedOrders, ...]
+    is_forbidden: bool = False
 
 
 @dataclass(frozen=True)

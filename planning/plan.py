@@ -1,6 +1,6 @@
 """Plan of a complete mission, verified by the swept footprint."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,7 +31,12 @@ from planning.turns.free_space import FreeSpace
 
 PROOF_SLACK_M = 0.02  # margin added in planning over the one verified
 MIN_UNCOVERED_M2 = 0.25
+Report = Callable[[str], object]
 EDGE_MARGIN, TIGHT_CORNER = "edge margin", "corner too tight to turn in"  # reasons of uncovered areas
+
+
+def ignore(stage: str) -> None:
+    """Nobody waits for the plan."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +92,11 @@ def plan_mission(
     config: PlanningConfig,
     start: PoseConfig,
     seed: int,
+    report: Report = ignore,
 ) -> Plan:
     """Plan of a mission from `start`: the field, and with a bay the paths out of it and back into it.
 
+    `report` is called with the name of each stage of a field.
     Raises FieldError with the position when it cannot be driven.
     """
     if mission.line is not None:
@@ -97,7 +104,7 @@ def plan_mission(
     elif mission.work is None:
         plan = _nothing_planned(site, rig_of(vehicle, implement.folded, None, config.planner))
     else:
-        plan = plan_field(site, vehicle, implement, mission.work, config.planner, seed)
+        plan = plan_field(site, vehicle, implement, mission.work, config.planner, seed, report)
     if mission.bay is None:
         return plan
     rig = rig_of(vehicle, implement.folded, mission.work, config.planner)
@@ -114,12 +121,20 @@ def plan_mission(
 
 
 def plan_field(
-    site: Site, vehicle: Vehicle, implement: Implement, work: Work, config: PlannerConfig, seed: int
+    site: Site,
+    vehicle: Vehicle,
+    implement: Implement,
+    work: Work,
+    config: PlannerConfig,
+    seed: int,
+    report: Report = ignore,
 ) -> Plan:
     """Plan of a field with lane and yard; raises FieldError where the rig would leave them."""
+    report("headland")
     rig = rig_of(vehicle, implement, work, config)
     drivable = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
     headland_passes = headland_passes_of(drivable, rig, work.headland_passes, work.overlap_m)
+    report("swaths")
     swaths = swaths_inside(drivable, rig, headland_passes, work)
     if not headland_passes and not swaths:
         x, y = drivable.field.centroid.coords[0]
@@ -127,11 +142,13 @@ def plan_field(
             f"field of {drivable.field.area:.0f} m² around {describe(drivable.site, x, y)} is too small for this "
             f"machine with an implement of {rig.working_width_m:g} m: use a narrower implement"
         )
+    report("route")
     space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     found = route(PathConnector(drivable, rig, headland_passes, seed, space), swaths, work)
     if not found.pieces:
         x, y = site.start.x_m, site.start.y_m
         raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")
+    report("check")
     paths = paths_of(found.pieces, rig, 1)
     check_inside(paths, rig, drivable_area_of(site, work.boundary_margin_m))
     area = worked_area(paths, rig).intersection(drivable.free)

@@ -19,7 +19,7 @@ from messages.errors import ConfigError
 from planning.field.field import FieldOutline, read_field
 from planning.field.site_generation import site_of, site_of_original
 from planning.guidance.recorded import choose_line, straight_in_map
-from planning.plan import Plan, check_within, plan_mission
+from planning.plan import Plan, Report, check_within, ignore, plan_mission
 from runtime.stack import StackConfig, load_stack, with_detector, with_order_key
 from simulation.operator import AUTHORITY, operator_key, public_bytes
 from simulation.scenario import Scenario
@@ -78,11 +78,12 @@ def load_setup(
     *,
     feature: str | None = None,
     guidance: str | None = None,
+    report: Report = ignore,
 ) -> Setup:
     """Loads the named files and plans the mission, docking in `bay` if given; raises ConfigError or FieldError.
 
     `feature` is one of the fields of the file `field` and `guidance` one of its lines, to which swaths are parallel;
-    the plan is checked against the outline of the file, before simplification.
+    the plan is checked against the outline of the file, before simplification. `report` gets the stages of the planner.
     """
     chosen = load(Mission, find("missions", mission))
     # a site generated from a field outline has no shed
@@ -97,7 +98,7 @@ def load_setup(
     chosen = _with_guidance(chosen, outline, guidance)
     site = _site(chosen, outline, vehicle, mounted)
     start, is_folded = start_pose(chosen, site, seed)
-    plan = plan_mission(chosen, site, vehicle, mounted, stack.planning, start, seed)
+    plan = plan_mission(chosen, site, vehicle, mounted, stack.planning, start, seed, report)
     surveyed = site if outline is None else site_of_original(site, outline)
     if surveyed is not site and chosen.work is not None:
         check_within(plan, surveyed, chosen.work.boundary_margin_m)

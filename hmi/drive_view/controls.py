@@ -6,7 +6,7 @@ from hmi.texts import Texts
 from messages.command import MachineState, Mode, OrderStatus, SupervisorState
 from messages.motion import Odometry
 
-ORDERS = ("confirm_clear", "start", "resume", "pause", "reset", "manual", "automatic")
+ORDERS = ("confirm_clear", "start", "resume", "pause", "forbid", "permit", "reset", "manual", "automatic")
 ENGAGED = (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
 STOPPED = (Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
 STANDING_MPS = 0.05
@@ -17,15 +17,19 @@ def unavailable(state: PageState, texts: Texts) -> dict[str, str]:
     supervisor, status = state.fresh("supervisor", SupervisorState), state.fresh("order_status", OrderStatus)
     if supervisor is None or status is None:
         return dict.fromkeys(ORDERS, texts("why.no_data"))
-    found = {order: _why_not(order, supervisor, state) for order in ORDERS}
+    found = {order: _why_not(order, supervisor, status, state) for order in ORDERS}
     return {order: texts(f"why.{key}") for order, key in found.items() if key}
 
 
-def _why_not(order: str, supervisor: SupervisorState, state: PageState) -> str:
+def _why_not(order: str, supervisor: SupervisorState, status: OrderStatus, state: PageState) -> str:
     """Key of the reason, "" for an order that is available."""
     mode = supervisor.mode
+    if order in ("forbid", "permit"):
+        if status.is_forbidden == (order == "permit"):
+            return ""
+        return "forbidden_now" if order == "forbid" else "permitted"
     if order in ("start", "resume"):
-        return _why_no_start(order, supervisor, state)
+        return "forbidden" if status.is_forbidden else _why_no_start(order, supervisor, state)
     if order == "pause":
         return "" if mode in ENGAGED else "not_engaged"
     if order == "confirm_clear":

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hmi.drive_view.row import Level, number
 from hmi.page_state import PageState
 from hmi.texts import Texts
-from messages.command import Mode, SupervisorState
+from messages.command import Mode, OrderStatus, SupervisorState
 from messages.faults import Fault
 from messages.perception import ObstacleClass
 
@@ -37,6 +37,9 @@ def standing(state: PageState, texts: Texts, rule_text_zh: RuleText) -> Standing
     mode = supervisor.mode
     cause = _cause(state, supervisor, texts, rule_text_zh)
     level = LEVELS.get(mode, "plain")
+    orders = state.fresh("order_status", OrderStatus)
+    if mode is Mode.STANDBY and orders is not None and orders.is_forbidden:
+        return Standing(texts(f"mode.{mode}"), level, texts("cause.forbidden"), texts("next.forbidden"))
     return Standing(texts(f"mode.{mode}"), level, cause, _next_step(supervisor, texts))
 
 

@@ -3,8 +3,10 @@
 window.headland = (() => {
   const STALE_MS = 2000; // without an update: what is shown is old
   const BAR_LIGHTS = 21, BAR_STEP_CM = 2;
+  const SECTION_COLORS = {swath: "#1d4ed8", headland: "#0b4a23", turn: "#7a8594", lane: "#5b3a1e", detour: "#b45a00", dock: "#5b3a1e"};
+  const CLICK_PX = 6; // a longer movement of the pointer moves the map
   const COLORS = {person: "#8a3b00", animal: "#5b2a86"};
-  const map = {still: null, moving: null, paths: [], trail: [], edges: [], scale: 7, follow: true, center: [0, 0]};
+  const map = {still: null, moving: null, paths: [], trail: [], edges: [], scale: 7, follow: true, center: [0, 0], draft: null};
   let updatedMs = performance.now();
 
   const byId = (id) => document.getElementById(id);
@@ -113,6 +115,7 @@ window.headland = (() => {
       if (s0 === s1) fill(context, [a.slice(0, 2), a.slice(2), b.slice(2), b.slice(0, 2)], toPx, "#b9d8a8");
     }
     still.plan.forEach((path) => stroke(context, path, toPx, "#7a8594", 1));
+    (still.sections || []).forEach(([kind, path]) => stroke(context, path, toPx, SECTION_COLORS[kind] || "#333", kind === "turn" ? 1 : 2));
     map.paths.forEach((path) => stroke(context, path, toPx, "#1d4ed8", 2));
     stroke(context, still.boundary, toPx, "#14532d", 3, true);
     stroke(context, still.yard, toPx, "#555", 2, true, [8, 6]);
@@ -132,7 +135,16 @@ window.headland = (() => {
     (moving.points || []).forEach((point) => { const [x, y] = toPx(point); context.fillStyle = "#a30014"; context.fillRect(x - 2, y - 2, 5, 5); });
     const labels = [];
     (moving.tracks || []).forEach((track) => drawTrack(context, track, toPx, scale, labels));
-    byId("map-waiting").hidden = Boolean(pose);
+    if (map.draft) drawDraft(context, toPx);
+    if (byId("map-waiting")) byId("map-waiting").hidden = Boolean(pose);
+  }
+
+  function drawDraft(context, toPx) { // outline that is drawn, with its corners
+    stroke(context, map.draft, toPx, "#7a0010", 3, true, [10, 5]);
+    map.draft.forEach((corner) => {
+      const [x, y] = toPx(corner);
+      context.fillStyle = "#7a0010"; context.beginPath(); context.arc(x, y, 7, 0, 2 * Math.PI); context.fill();
+    });
   }
 
   function showAll() {
@@ -149,25 +161,46 @@ window.headland = (() => {
 
   function watchMap() {
     const canvas = byId("map");
-    let last = null;
-    canvas.addEventListener("pointerdown", (event) => { last = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
-    canvas.addEventListener("pointerup", () => { last = null; });
+    let last = null, first = null;
+    canvas.addEventListener("pointerdown", (event) => { first = last = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
+    canvas.addEventListener("pointerup", (event) => {
+      if (first && map.draft) addCorner(event);
+      first = last = null;
+    });
     canvas.addEventListener("pointermove", (event) => {
       if (!last) return;
+      if (first && Math.hypot(event.clientX - first[0], event.clientY - first[1]) > CLICK_PX) first = null;
+      if (first) return;
       map.center = [map.center[0] - (event.clientX - last[0]) / map.scale, map.center[1] + (event.clientY - last[1]) / map.scale];
       map.follow = false; last = [event.clientX, event.clientY]; draw();
     });
     byId("map-larger").onclick = () => zoom(1.5);
     byId("map-smaller").onclick = () => zoom(1 / 1.5);
     byId("map-all").onclick = showAll;
-    byId("map-follow").onclick = () => { map.follow = true; if (map.scale < 4) map.scale = 7; draw(); };
+    if (byId("map-follow")) byId("map-follow").onclick = () => { map.follow = true; if (map.scale < 4) map.scale = 7; draw(); };
     new ResizeObserver(draw).observe(canvas);
   }
 
+  function addCorner(event) {
+    const box = byId("map").getBoundingClientRect();
+    const x = map.center[0] + (event.clientX - box.left - box.width / 2) / map.scale;
+    const y = map.center[1] - (event.clientY - box.top - box.height / 2) / map.scale;
+    window.headlandControls.send({action: "corner", x, y});
+  }
+
+  function showStill(still) {
+    const isFirst = !map.still;
+    map.still = still;
+    if (isFirst) watchMap();
+    if (!byId("map-follow")) showAll(); // a map without machine shows the field
+  }
+
   function update(shown) {
+    window.headlandControls.update(shown);
     updatedMs = performance.now();
     if (shown.clear) { map.trail = []; map.edges = []; }
-    if (shown.still) { map.still = shown.still; watchMap(); }
+    if (shown.still) showStill(shown.still);
+    if (shown.draft !== undefined) map.draft = shown.draft;
     if (shown.trail) map.trail.push(...shown.trail);
     if (shown.edges) map.edges.push(...shown.edges);
     if (shown.map) map.moving = shown.map;
@@ -176,7 +209,7 @@ window.headland = (() => {
     if (shown.bar !== undefined) showBar(shown.bar);
     Object.entries(shown.rows || {}).forEach(([name, rows]) => showRows(name, rows));
     if (shown.replay) text(byId("replay-time"), shown.replay[0] + " / " + shown.replay[1]);
-    if (shown.map || shown.paths || shown.still || shown.trail) draw();
+    if (shown.map || shown.paths || shown.still || shown.trail || shown.draft !== undefined) draw();
   }
 
   setInterval(() => {

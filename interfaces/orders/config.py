@@ -7,7 +7,10 @@ from pydantic import AfterValidator, Field
 from configs.strict import Config
 from messages.command import OperatorCommandKind
 
-ORDERS = {kind.name.lower(): kind for kind in OperatorCommandKind}
+FORBID, PERMIT = "forbid", "permit"  # both pause; between them no start and no resume is accepted
+ORDERS = {kind.name.lower(): kind for kind in OperatorCommandKind} | dict.fromkeys(
+    (FORBID, PERMIT), OperatorCommandKind.PAUSE
+)
 KEY_BYTES = 32
 
 

@@ -28,6 +28,7 @@ TEXTS = {
     Reason.REORDERED: ("Order refused: older than the last one", "指令被拒绝:早于上一条指令"),
     Reason.TOO_FREQUENT: ("Orders refused: too many", "指令被拒绝:过于频繁"),
     Reason.NOT_STORED: ("Order refused: its number cannot be stored", "指令被拒绝:无法保存序号"),
+    Reason.FORBIDDEN: ("Order refused: operation is forbidden", "指令被拒绝:已禁止作业"),
 }
 FAULTS = {
     reason: FaultType(f"orders.{reason}", Severity.WARNING, Response.NONE, *texts) for reason, texts in TEXTS.items()
@@ -99,4 +100,5 @@ class OrderGate(Node):
 
     def _newest_status(self, now_ns: int) -> OrderStatus:
         refused = tuple(RefusedOrders(reason.value, count) for reason, count in sorted(self._refused.items()))
-        return OrderStatus(now_ns, self._machine, self._session, self._accepted, refused)
+        is_forbidden = self._verifier.is_forbidden
+        return OrderStatus(now_ns, self._machine, self._session, self._accepted, refused, is_forbidden)

@@ -1,9 +1,11 @@
-"""Highest sequence number accepted of each key, on disk before an order takes effect."""
+"""Highest sequence number of each key, and whether operation is forbidden; on disk before an order takes effect."""
 
 import json
 from pathlib import Path
 
 from messages.errors import HeadlandError
+
+FORBIDDEN = "forbidden"  # file that is there while operation is forbidden
 
 
 class SequenceStore:
@@ -12,6 +14,7 @@ class SequenceStore:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._known: dict[str, int] = {}
+        self.is_forbidden = folder is not None and (folder / FORBIDDEN).exists()
 
     def last(self, key: str) -> int:
         """Highest number so far, -1 before the first; raises HeadlandError for a file that cannot be read."""
@@ -24,6 +27,20 @@ class SequenceStore:
         if self._folder is not None:
             _write(self._folder / f"{key}.json", sequence)
         self._known[key] = sequence
+
+    def set_forbidden(self, is_forbidden: bool) -> None:
+        """Forbids or permits operation; raises HeadlandError if it cannot be stored, and it is forbidden then."""
+        self.is_forbidden = True
+        if self._folder is not None:
+            try:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                if is_forbidden:
+                    (self._folder / FORBIDDEN).touch()
+                else:
+                    (self._folder / FORBIDDEN).unlink(missing_ok=True)
+            except OSError as error:
+                raise HeadlandError(f"{self._folder / FORBIDDEN}: cannot be written ({error.strerror})") from error
+        self.is_forbidden = is_forbidden
 
 
 def _read(path: Path) -> int:

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from pydantic import Field, ValidationError
 
 from configs.strict import Config
-from interfaces.orders.config import ORDERS, OrderKey, OrdersConfig
+from interfaces.orders.config import FORBID, ORDERS, PERMIT, OrderKey, OrdersConfig
 from interfaces.orders.sequence import SequenceStore
 from messages.command import OperatorCommand, OperatorCommandKind, SignedOrder
 from messages.errors import HeadlandError
@@ -21,6 +21,7 @@ REMEMBERED = 64  # accepted numbers that are recognized as repeated
 ANYONE = "anyone"
 MAX_BYTES = 1024
 STOP = "emergency_stop"
+STARTS = (OperatorCommandKind.START, OperatorCommandKind.RESUME)
 
 
 class Reason(StrEnum):
@@ -37,6 +38,7 @@ class Reason(StrEnum):
     REORDERED = "reordered"
     TOO_FREQUENT = "too_frequent"
     NOT_STORED = "not_stored"
+    FORBIDDEN = "forbidden"
 
 
 class Refusal(Exception):
@@ -89,12 +91,23 @@ class OrderVerifier:
         self._check_time(now_ns, payload)
         self._check_sequence(now_ns, sender, payload)
         try:
+            if payload.order == FORBID:
+                self._store.set_forbidden(True)
             self._store.advance(sender.key.public_key, payload.sequence)
+            if payload.order == PERMIT:
+                self._store.set_forbidden(False)
         except HeadlandError as error:
             raise Refusal(Reason.NOT_STORED, str(error)) from error
         sender.accepted.append((payload.sequence, now_ns))
         kind = ORDERS[payload.order]
+        if kind in STARTS and self.is_forbidden:  # its number is used up: it cannot be repeated after the permission
+            raise Refusal(Reason.FORBIDDEN, payload.order)
         return OperatorCommand(now_ns, kind, payload.authority, payload.sequence, payload.expires_ns)
+
+    @property
+    def is_forbidden(self) -> bool:
+        """Whether a person has forbidden automatic operation, also before the last restart."""
+        return self._store.is_forbidden
 
     def _signed_payload(self, sender: _Sender, order: SignedOrder) -> Payload:
         """The payload of a valid signature; nothing is parsed before."""

@@ -118,7 +118,8 @@ COMMANDS = (
         _option("--stop-port", type=whole(0, 65535), metavar="N", help="port of the emergency stop"),
         _option("--add-user", type=user, metavar="NAME:ROLE",
                 help="add or replace a user (view or operate) with the password from standard input, and end"),
-        _option("--state", type=folder, metavar="FOLDER", help="users and key of the page (default state/page)"),
+        _option("--state", type=folder, metavar="FOLDER",
+                help="users, key, missions and statistics (default state/page)"),
         _out("page"),
     ), "2 wrong input or configuration, 130 and 143 ended by SIGINT and SIGTERM"),
     Command("shadow", "log a machine's CAN bus without sending", "runtime.commands.shadow", (

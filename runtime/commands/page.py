@@ -31,10 +31,10 @@ def main(arguments: argparse.Namespace) -> int:
     from runtime.page.start import serve_log, serve_running, serve_simulation
 
     if arguments.replay is not None:
-        return serve_log(arguments.replay, config, users)
+        return serve_log(arguments.replay, config, state)
     if arguments.connect is not None:
-        return serve_running(arguments.connect, arguments.key, config, users)
-    return serve_simulation(arguments, config, users, state / "order_key.pem")
+        return serve_running(arguments.connect, arguments.key, config, state)
+    return serve_simulation(arguments, config, state)
 
 
 def _add_user(users: Path, name: str, role: str) -> int:

@@ -11,8 +11,13 @@ from messages.topics import spec_of
 def pack(output: Output) -> bytes:
     """Record of a message."""
     topic, message = output
+    return header(topic) + codec_of(type(message)).encode(message)
+
+
+def header(topic: str) -> bytes:
+    """First bytes of a record: the topic."""
     name = topic.encode()
-    return bytes([len(name)]) + name + codec_of(type(message)).encode(message)
+    return bytes([len(name)]) + name
 
 
 def unpack(record: bytes, wanted: Container[str] | None) -> Output | None:

@@ -18,6 +18,7 @@ class LiveFeed(Feed):
     """
 
     def __init__(self, rings: Mapping[str, Path], logged: Iterable[Envelope] = ()) -> None:
+        super().__init__()
         self._logged: Iterable[Envelope] = logged
         self._readers = [RingReader(path) for path in rings.values()]
         self._newest_ns = self._arrived_ns = 0
@@ -30,6 +31,7 @@ class LiveFeed(Feed):
         for reader in self._readers:
             for record in reader.records():
                 topic = topic_of(record)
+                self.counts[topic] += 1
                 if is_shown(topic):
                     self._sequence += 1
                     key = (topic, self._sequence if is_event(topic) else 0)

@@ -29,6 +29,7 @@ class LogFeed(Feed):
     """Plays a log from its start; raises LogError for one without messages of the supervisor."""
 
     def __init__(self, path: pathlib.Path) -> None:
+        super().__init__()
         self._entries = list(kept_entries(path))
         self._times_ns = [entry.receive_ns for entry in self._entries]
         states = [entry for entry in self._entries if entry.topic == "supervisor"]

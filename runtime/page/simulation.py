@@ -1,6 +1,7 @@
 """Simulation of the page: a drive that waits for orders, in a process of its own."""
 
 import argparse
+import secrets
 import sys
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -16,10 +17,10 @@ from runtime.run_folder import RunFolder, command_of
 
 @dataclass(frozen=True)
 class Announcement:
-    """Rings by process, order port, resolved configuration and planned lines (N, 2) in `map` of a drive that starts."""
+    """Run folder, rings by process, resolved configuration and planned lines (N, 2) in `map` of a drive that starts."""
 
+    run: str
     rings: dict[str, Path]
-    order_port: int
     config: str
     planned_map_m: tuple[Float64, ...]
 
@@ -43,21 +44,19 @@ def _drive(
 ) -> None:  # fmt: skip
     from interfaces.orders.config import ORDERS, OrderKey
     from runtime.live.operated import Operated
-    from runtime.setup import load_scenario, load_setup
+    from runtime.setup import load_scenario, setup_from
     from runtime.stack import with_order_key
 
-    setup = load_setup(
-        arguments.mission, arguments.machine, arguments.implement, arguments.field, arguments.seed, arguments.bay
-    )
+    setup = setup_from(arguments)
     key = OrderKey(public_key=public_key, authority=authority, orders=tuple(ORDERS))
-    setup = replace(setup, stack=with_order_key(setup.stack, "page", key))
+    session = secrets.token_hex(16)  # as at a real start: no order for the drive before counts
+    setup = replace(setup, stack=with_order_key(setup.stack, "page", key), session=session)
     scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
     scenario = scenario.model_copy(update={"operator_commands": ()})
     planned = tuple(path.p_map_m[::5] for path in setup.plan.paths)
 
     def announce(rings: dict[str, Path], config: str) -> None:
-        connection.send(Announcement(rings, port.number, config, planned))
-        connection.close()
+        connection.send(Announcement(folder.path.name, rings, config, planned))
 
     operated = Operated(port, announce)
     if arguments.live:

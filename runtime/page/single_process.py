@@ -17,7 +17,7 @@ from runtime.interruption import Interruption
 from runtime.live.operated import Operated
 from runtime.live.ring import RingWriter
 from runtime.live.ring_folder import rings_in_memory
-from runtime.live.serialization import pack
+from runtime.live.serialization import header, pack
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, start_notes
 from simulation.scenario import Scenario
@@ -52,9 +52,11 @@ def drive_in_one_process(
 
 
 def _ring_sink(ring: RingWriter) -> Callable[[Envelope], None]:
+    """Messages that the page shows, of the others the topic alone, which it counts."""
+
     def write(envelope: Envelope) -> None:
-        if is_shown(envelope.topic):
-            ring.write(pack((envelope.topic, envelope.message)))
+        is_whole = is_shown(envelope.topic)
+        ring.write(pack((envelope.topic, envelope.message)) if is_whole else header(envelope.topic))
 
     return write
 

@@ -6,64 +6,60 @@ import os
 import secrets
 import socket
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import ThreadingHTTPServer
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from datasets.reader import read_metadata
 from hmi import emergency_stop
 from hmi.access import Access, one_time_user, read_users
 from hmi.config import PageConfig
-from hmi.feed import Feed
 from hmi.orders import OrderSender, own_key, public_key_of, read_key
-from hmi.scene import Scene, scene_of
+from hmi.parts import Drive, Drives, PageParts
+from hmi.plan_view.desk import PlanDesk
+from hmi.plan_view.mission_store import MissionStore
+from hmi.plan_view.options import default_options
+from hmi.scene import scene_of
+from hmi.statistics.store import StatisticsStore
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
 from runtime.page.log_feed import LogFeed
 from runtime.page.running import logged, running_drive
-from runtime.page.simulation import Announcement, drive_simulation
 from runtime.processes import begin_worker
+from runtime.run_folder import RUNS
 from safety.output.alarms import text_zh
 from safety.rules import RULES
 from safety.supervisor import texts_of
 
 HOST = "127.0.0.1"
 AUTHORITY = "operator"
-END_S = 20.0  # for the simulation to close its log
+USERS, KEY, MISSIONS, STATISTICS = "users.yaml", "order_key.pem", "missions", "statistics.db"  # of the state folder
+PLANNER = (sys.executable, "-m", "runtime.page.field_process")
 UNANSWERED = 3  # checks of the emergency stop, then the machine is gone
 
 
-def serve_simulation(arguments: argparse.Namespace, config: PageConfig, users: Path, key_file: Path) -> int:
+def serve_simulation(arguments: argparse.Namespace, config: PageConfig, state: Path) -> int:
     """Page with a simulation of its own, which waits for the orders of the page."""
-    from runtime.page.live_feed import LiveFeed
+    from runtime.page.drives import SimulatedDrives
 
     listening, stop_server = _listen(config.port), _stop_server(config.stop_port)
-    key, order_port = own_key(key_file), OrderPort(0)
-    with _stop_process(stop_server, order_port.number) as stop_url:
-        context = multiprocessing.get_context("fork")
-        here, there = context.Pipe(duplex=False)
-        work = (arguments, order_port, public_key_of(key).hex(), AUTHORITY, there, os.getpid())
-        simulation = context.Process(target=drive_simulation, args=work, name="simulation")
-        simulation.start()
-        there.close()
-        order_port.close()  # of this process; the simulation has it
+    key, order_port = own_key(state / KEY), OrderPort(0)
+    statistics = StatisticsStore(state / STATISTICS)
+    number = order_port.number
+    with _stop_process(stop_server, number) as stop_url:
+        drives = SimulatedDrives(arguments, order_port, public_key_of(key).hex(), AUTHORITY)
+        order_port.close()  # of this process; that of the drives has it
         try:
             import hmi.app  # noqa: F401  loads the web server while the simulation is planned
 
-            found = _announced(here)
-            threading.Thread(target=_report_end, args=(simulation,), daemon=True).start()
-            scene = scene_of(found.config, "simulation", found.planned_map_m)
-            sender = OrderSender(key, AUTHORITY, found.order_port)
-            return _serve(LiveFeed(found.rings), scene, config, users, sender, stop_url, "simulation", listening)
+            sender = OrderSender(key, AUTHORITY, number)
+            return _serve(drives.first(), config, state, sender, stop_url, "simulation", listening, statistics, drives)
         finally:
-            _end(simulation)
+            drives.end()
 
 
-def serve_running(folder: Path, key_file: Path | None, config: PageConfig, users: Path) -> int:
+def serve_running(folder: Path, key_file: Path | None, config: PageConfig, state: Path) -> int:
     """Page of a running drive; gives orders with a key that the machine knows."""
     from runtime.page.live_feed import LiveFeed
 
@@ -77,26 +73,29 @@ def serve_running(folder: Path, key_file: Path | None, config: PageConfig, users
     with _stop_process(stop_server, found.order_port) as stop_url:
         feed = LiveFeed(found.rings, logged(folder))
         scene = scene_of(found.config, str(folder / "config.yaml"))
-        return _serve(feed, scene, config, users, sender, stop_url, "connected", listening)
+        drive = Drive(feed, scene, f"{folder.resolve().name}/{next(iter(found.rings.values())).parent.name}")
+        return _serve(
+            drive, config, state, sender, stop_url, "connected", listening, StatisticsStore(state / STATISTICS)
+        )
 
 
-def serve_log(path: Path, config: PageConfig, users: Path) -> int:
+def serve_log(path: Path, config: PageConfig, state: Path) -> int:
     """Page that plays a log."""
     listening = _listen(config.port)
     feed = LogFeed(path)
     text = read_metadata(path).get("config", {}).get("yaml", "")
     scene = scene_of(text, str(path), feed.planned_map_m())
-    return _serve(feed, scene, config, users, None, None, "replay", listening)
+    return _serve(Drive(feed, scene, path.name), config, state, None, None, "replay", listening)
 
 
 def _serve(
-    feed: Feed, scene: Scene, config: PageConfig, users_file: Path, sender: OrderSender | None, stop_url: str | None,
-    source: str, listening: socket.socket,
+    drive: Drive, config: PageConfig, state: Path, sender: OrderSender | None, stop_url: str | None, source: str,
+    listening: socket.socket, statistics: StatisticsStore | None = None, drives: Drives | None = None,
 ) -> int:  # fmt: skip
     """Serves until SIGINT or SIGTERM."""
-    from hmi.app import PageParts, make_app, serve
+    from hmi.app import make_app, serve
 
-    users, texts = read_users(users_file), texts_of(RULES)
+    users, texts = read_users(state / USERS), texts_of(RULES)
     number = listening.getsockname()[1]
     sys.stdout.write(f"page: http://{HOST}:{number}/\n")
     if stop_url is not None:
@@ -108,7 +107,15 @@ def _serve(
     sys.stdout.write("Ctrl+C ends it\n")
     sys.stdout.flush()
     access = Access(config.session, users)
-    parts = PageParts(feed, scene, config, access, sender, stop_url, source, lambda code: text_zh(texts, code))
+    scene = drive.scene
+    desk = PlanDesk(
+        MissionStore((state / MISSIONS).absolute()), PLANNER, default_options(scene.vehicle.name, scene.implement.name),
+        config.plan_limit_s,
+    )  # fmt: skip
+    parts = PageParts(
+        drive, config, access, sender, stop_url, source, lambda code: text_zh(texts, code), desk, RUNS.absolute(),
+        statistics, drives,
+    )  # fmt: skip
     serve(make_app(parts), listening)
     return 0
 
@@ -160,26 +167,3 @@ def _serve_stop(server: ThreadingHTTPServer, order_port: int, parent: int) -> No
         return unanswered >= UNANSWERED
 
     emergency_stop.serve(server, order_port, is_over)
-
-
-def _announced(connection: Connection) -> Announcement:
-    """What the simulation says before its processes start; raises HeadlandError if it has failed."""
-    try:
-        found: Announcement = connection.recv()
-    except EOFError as error:
-        raise HeadlandError("the simulation did not start; see the message above") from error
-    return found
-
-
-def _report_end(simulation: BaseProcess) -> None:
-    simulation.join()
-    sys.stderr.write(f"headland: the simulation has ended (exit code {simulation.exitcode})\n")
-
-
-def _end(simulation: BaseProcess) -> None:
-    """Ends the simulation with its log closed."""
-    if simulation.is_alive():
-        simulation.terminate()
-        simulation.join(END_S)
-    if simulation.is_alive():
-        simulation.kill()

@@ -2,7 +2,7 @@
 ({
   // Controls smaller than `limit` px in width or height.
   smallTargets: (limit) =>
-    [...document.querySelectorAll("button, a, input:not([type=range]), .q-slider")]
+    [...document.querySelectorAll("button, a, select, input:not([type=range]), .q-slider")]
       .filter((e) => e.offsetParent !== null)
       .map((e) => [e.textContent.trim() || e.name || e.className, e.getBoundingClientRect()])
       .filter(([, box]) => box.width < limit - 0.5 || box.height < limit - 0.5)

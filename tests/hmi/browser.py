@@ -54,6 +54,13 @@ def page_process(folder: Path, *arguments: str) -> Iterator[PageProcess]:
             process.wait()
 
 
+def add_user(folder: Path, user: str, password: str) -> None:
+    """Adds a user (`NAME:ROLE`) to the state in a folder."""
+    command = [sys.executable, "-m", "runtime", "page", "--state", str(folder / "state"), "--add-user", user]
+    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
+    subprocess.run(command, input=f"{password}\n", text=True, env=env, cwd=folder, check=True)
+
+
 def _first_lines(process: "subprocess.Popen[str]", errors: Path) -> str:
     """What the page says at its start."""
     assert process.stdout is not None

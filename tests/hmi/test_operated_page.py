@@ -1,9 +1,6 @@
 """Orders from the page in Chromium to a simulated machine: the whole stack in one process, in simulated time."""
 
-import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -13,8 +10,7 @@ from typing import Any
 import pytest
 
 from tests.hmi.accessibility import low_contrasts, small_targets
-from tests.hmi.browser import Browser, PageProcess, log_in, needs_browser, page_process, row, wait_for
-from tests.recordings import ROOT
+from tests.hmi.browser import Browser, PageProcess, add_user, log_in, needs_browser, page_process, row, wait_for
 
 pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.drive]
 PASSWORD = "correct horse"
@@ -25,16 +21,10 @@ MISSION = ("--mission", "line", "--scenario", "empty", "--stop-port", "0")
 def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
     folder = tmp_path_factory.mktemp("page")
     for user in ("anna:operate", "bo:operate", "cem:view"):
-        add_user(folder, user)
+        add_user(folder, user, PASSWORD)
     with page_process(folder, *MISSION) as found:
         assert found.password == ""  # users are set up
         yield found
-
-
-def add_user(folder: Path, user: str) -> None:
-    command = [sys.executable, "-m", "runtime", "page", "--state", str(folder / "state"), "--add-user", user]
-    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
-    subprocess.run(command, input=f"{PASSWORD}\n", text=True, env=env, cwd=folder, check=True)
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +102,20 @@ def test_pause_and_resume(anna: Any) -> None:
     wait_for(anna, "#mode", "Standby")
     wait_for(anna, "#rows-motion [data-key=speed] dd", r"^-?0\.0")
     why(anna, "start", "has begun")
+    press(anna, "resume")
+    wait_for(anna, "#mode", "Automatic")
+
+
+def test_forbid_pauses_and_prevents_a_start(anna: Any) -> None:
+    """BD-4.1f: until operation is permitted, which moves nothing."""
+    press(anna, "forbid")
+    wait_for(anna, "#mode", "Standby")
+    wait_for(anna, "#cause", "forbidden operation")
+    why(anna, "resume", "Operation is forbidden")
+    why(anna, "forbid", "already")
+    press(anna, "permit")
+    wait_for(anna, "[data-hl=why-permit]", "not forbidden")
+    assert anna.text_content("#mode") == "Standby"
     press(anna, "resume")
     wait_for(anna, "#mode", "Automatic")
 

@@ -1,6 +1,7 @@
 """Page state and drive view as functions of messages: worked area, ages, causes, next steps, orders available."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -156,7 +157,19 @@ def available(mode: Mode, reason: str, mission_state: MissionState, **values: ob
     ],
 )
 def test_orders_available_by_mode(mode: Mode, reason: str, mission_state: MissionState, expected: set[str]) -> None:
-    assert available(mode, reason, mission_state) == expected
+    assert available(mode, reason, mission_state) == expected | {"forbid"}
+
+
+def test_while_operation_is_forbidden_it_is_not_started_and_the_state_says_so() -> None:
+    forbidden = replace(status(), is_forbidden=True)
+    for mode in (Mode.STANDBY, Mode.AUTOMATIC, Mode.EMERGENCY_STOP):
+        state = state_of(("supervisor", supervisor(mode, str(mode))), ("order_status", forbidden))
+        found = unavailable(state, EN)
+        assert found["start"] == found["resume"] == "Operation is forbidden"
+        assert "permit" not in found
+        assert found["forbid"]
+    state = state_of(("supervisor", supervisor(Mode.STANDBY, "standby")), ("order_status", forbidden))
+    assert standing(state, EN, str).cause == "A person has forbidden operation."
 
 
 def test_a_stop_is_not_released_while_moving_or_with_the_button_pressed() -> None:

@@ -17,7 +17,7 @@ from interfaces.orders.port import OrderPort
 from interfaces.orders.sequence import SequenceStore
 from interfaces.orders.verifier import OrderVerifier, Reason
 from messages.command import OperatorCommand, OperatorCommandKind, OrderStatus, SignedOrder
-from messages.errors import ConfigError
+from messages.errors import ConfigError, HeadlandError
 from messages.faults import Fault, Response
 from simulation.operator import SimulatedOperator, operator_key, public_bytes
 
@@ -254,3 +254,76 @@ def test_simulated_operator_signs_the_same_for_the_same_seed() -> None:
     first, again, other = (SimulatedOperator(seed, "m", "s").order(NOW, start, 5.0) for seed in (1, 1, 2))
     assert first == again
     assert first.public_key == public_bytes(operator_key(1)) != other.public_key
+
+
+def test_forbid_pauses_and_no_start_or_resume_is_accepted_until_it_is_permitted(bench: Bench) -> None:
+    """BD-4.1f; pause, stop and confirmation are accepted meanwhile."""
+    assert bench.give(signed(order="forbid", sequence=11)) == [OperatorCommandKind.PAUSE]
+    assert bench.of(OrderStatus)[-1].is_forbidden
+    assert bench.give(signed(order="start", sequence=12), signed(order="resume", sequence=13)) == []
+    assert bench.refused == {"forbidden": 2}
+    assert [fault.code for fault in bench.of(Fault)] == ["orders.forbidden"]
+    others = [signed(order=order, sequence=14 + k) for k, order in enumerate(("pause", "confirm_clear"))]
+    assert len(bench.give(*others, after_s=2.0)) == 2
+    assert bench.give(signed_bytes(b'{"order": "emergency_stop"}', STRANGER)) == [OperatorCommandKind.EMERGENCY_STOP]
+    assert bench.give(signed(order="permit", sequence=20), after_s=2.0) == [OperatorCommandKind.PAUSE]
+    assert not bench.of(OrderStatus)[-1].is_forbidden
+    assert bench.give(signed(order="start", sequence=21)) == [OperatorCommandKind.START]
+
+
+def test_a_start_that_was_refused_is_not_repeated_after_the_permission(bench: Bench) -> None:
+    bench.give(signed(order="forbid", sequence=11))
+    start = signed(order="start", sequence=12)
+    assert bench.give(start) == []
+    bench.gate._verifier._store.set_forbidden(False)  # by another key, whose numbers are its own
+    assert bench.give(start) == []
+    assert bench.refused == {"forbidden": 1, "replayed": 1}
+
+
+def test_forbid_and_start_in_one_step_is_forbidden(bench: Bench) -> None:
+    orders = (
+        signed(order="start", sequence=10),
+        signed(order="forbid", sequence=11),
+        signed(order="resume", sequence=12),
+    )
+    assert bench.give(*orders) == [OperatorCommandKind.START, OperatorCommandKind.PAUSE]
+
+
+def test_operation_stays_forbidden_after_a_restart(tmp_path: Path) -> None:
+    Bench(tmp_path).give(signed(order="forbid", sequence=11))
+    restarted = Bench(tmp_path, session="def")
+    assert restarted.give(signed(order="start", sequence=12, session="def")) == []
+    assert restarted.refused == {"forbidden": 1}
+    restarted.give(signed(order="permit", sequence=13, session="def"))
+    assert not Bench(tmp_path, session="ghi").gate._verifier.is_forbidden
+
+
+def test_forbid_that_cannot_be_stored_still_forbids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(self: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    bench = Bench(tmp_path)
+    monkeypatch.setattr(Path, "touch", fail)
+    assert bench.give(signed(order="forbid", sequence=11)) == []
+    assert bench.refused == {"not_stored": 1}
+    assert bench.of(OrderStatus)[-1].is_forbidden
+
+
+def test_a_permission_whose_number_cannot_be_stored_permits_nothing(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: SequenceStore, key: str, sequence: int) -> None:
+        raise HeadlandError("disk full")
+
+    bench.give(signed(order="forbid", sequence=11))
+    monkeypatch.setattr(SequenceStore, "advance", fail)
+    assert bench.give(signed(order="permit", sequence=12)) == []
+    assert bench.refused == {"not_stored": 1}
+    assert bench.of(OrderStatus)[-1].is_forbidden
+
+
+@pytest.mark.parametrize("order", ["forbid", "permit"])
+def test_forbid_and_permit_need_a_key_that_may_order_them(bench: Bench, order: str) -> None:
+    for key, changes in ((RADIO, {"authority": "remote"}), (STRANGER, {})):
+        assert bench.give(signed(key, order=order, **changes)) == []
+    assert not bench.gate._verifier.is_forbidden

@@ -1,0 +1,1 @@
+"""Diagnosis: history of alarms, live topics, and the files of the runs."""

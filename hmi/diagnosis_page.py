@@ -1,0 +1,106 @@
+"""Diagnosis in a browser: history of alarms with acknowledgement, live topics, and files of the runs."""
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from nicegui import ui
+
+from hmi.diagnosis.alarm_log import Alarm, AlarmLog, clock_text
+from hmi.diagnosis.remedy import remedy
+from hmi.drive_view.alarms import LEVELS
+from hmi.drive_view.row import number
+from hmi.drive_view.standing import fault_text
+from hmi.parts import Moment
+from hmi.view import View
+from messages.faults import Severity
+
+ALARMS = ("began", "device", "cause", "remedy", "response", "ended", "count", "acknowledged")
+TOPICS = ("topic", "rate", "expected", "age", "state")
+RUNS = ("run", "command", "complete", "files")
+SHOWN_ALARMS = 100
+
+
+class DiagnosisPage(View):
+    """Diagnosis view."""
+
+    NAME = "diagnosis"
+    _alarms: AlarmLog | None = None
+
+    def build_main(self) -> None:
+        """Builds the tables."""
+        with ui.element("div").classes("hl-all"):
+            with ui.element("section").classes("hl-card"):
+                self.seat.build()
+                ui.html(
+                    '<p id="why" class="hl-note"></p><p id="answer" class="hl-answer" role="alert"></p>', sanitize=False
+                )
+            tables = (("alarm_log", ALARMS), ("topics", TOPICS), ("runs", RUNS))
+            ui.html("".join(self.table_card(name, columns) for name, columns in tables), sanitize=False)
+
+    def update(self, moment: Moment) -> None:
+        """Sends what has changed."""
+        self._alarms = moment.alarms
+        barred = self.seat.update()
+        entries = sorted(moment.alarms.entries, key=_urgency)[:SHOWN_ALARMS]
+        self.send(moment, {
+            "texts": {"why": barred, "answer": self.answer},
+            "tables.alarm_log": [self._alarm(one, barred) for one in entries],
+            "tables.topics": self._topics(moment),
+            "tables.runs": self._runs(),
+        })  # fmt: skip
+
+    async def act(self, action: str, values: Mapping[str, Any]) -> None:
+        """Acknowledges an alarm."""
+        number_text = str(values.get("value", ""))
+        if self._alarms is not None and action == "acknowledge" and number_text.isdecimal() and len(number_text) < 10:
+            self._alarms.acknowledge(int(number_text), self.session.name)
+
+    def _alarm(self, alarm: Alarm, barred: str) -> list[Any]:
+        texts, fault = self.texts, alarm.fault
+        level = LEVELS[fault.severity]
+        ended: str = texts("alarm.active") if alarm.ended_s is None else clock_text(alarm.ended_s)
+        latched = f" · {texts('alarm.latched')}" if fault.is_latched else ""
+        response = fault.response.name.lower()
+        seen: Any = alarm.acknowledged_by or {
+            "text": texts("alarm.acknowledge"), "action": "acknowledge", "value": str(alarm.number), "off": bool(barred)
+        }  # fmt: skip
+        is_active = alarm.ended_s is None
+        cause = f"{texts(f'level.{level}')} {fault_text(fault, texts)}".strip()
+        return [
+            clock_text(alarm.began_s), texts.named("source_name", fault.source),
+            {"text": cause, "level": level if is_active else "plain"},
+            remedy(fault.code, texts), f"{texts(f'response.{response}')}{latched}", ended, str(alarm.count), seen,
+        ]  # fmt: skip
+
+    def _topics(self, moment: Moment) -> list[list[Any]]:
+        texts, rows = self.texts, []
+        for one in moment.topics.rows(time.monotonic()):
+            expected = "" if one.expected_hz is None else number(one.expected_hz, 1, "Hz")
+            state = {
+                "text": texts("topic.late" if one.is_late else "topic.current"),
+                "level": "warning" if one.is_late else "good",
+            }
+            rows.append([one.topic, number(one.rate_hz, 1, "Hz"), expected, number(one.age_s, 1, "s"), state])
+        return rows
+
+    def _runs(self) -> list[list[Any]]:
+        texts, rows = self.texts, []
+        for run in self.parts.run_list():
+            links = [
+                {"text": f"{name} ({_size(size)})", "href": f"/runs/{run.name}/{name}"}
+                for name, size in run.files.items()
+            ]
+            complete = texts("run.complete" if run.is_complete else "run.incomplete")
+            rows.append([run.name, run.verb, complete, {"links": links}])
+        return rows
+
+
+def _urgency(alarm: Alarm) -> tuple[bool, bool, int]:
+    """Order of the table: what waits to be acknowledged, what is active, then the newest."""
+    waits = not alarm.acknowledged_by and alarm.fault.severity is Severity.ALARM
+    return not waits, alarm.ended_s is not None, -alarm.number
+
+
+def _size(size: int) -> str:
+    return number(size / 1e6, 1, "MB") if size >= 100_000 else number(size / 1e3, 1, "kB")

@@ -1,0 +1,109 @@
+"""What the pages of an application share, and the moment that one update shows."""
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hmi.access import Access
+from hmi.config import PageConfig
+from hmi.diagnosis.alarm_log import AlarmLog
+from hmi.diagnosis.run_files import Run, runs_of
+from hmi.diagnosis.topic_table import TopicTable
+from hmi.drive_view.standing import RuleText
+from hmi.feed import Feed
+from hmi.orders import OrderSender
+from hmi.page_state import PageState
+from hmi.plan_view.desk import PlanDesk
+from hmi.plan_view.mission_store import StoredMission
+from hmi.scene import Scene
+from hmi.shown import shown_of
+from hmi.statistics.store import DayOfField, StatisticsStore
+from hmi.texts import Texts
+from messages.errors import HeadlandError
+
+READ_S = 2.0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive that is shown: its messages, its scene, and a name that no other drive has."""
+
+    feed: Feed
+    scene: Scene
+    name: str
+
+
+class Drives(ABC):
+    """Simulated drives, one at a time."""
+
+    @abstractmethod
+    def start(self, mission: StoredMission) -> None:
+        """Ends the present drive and begins one on a stored mission."""
+
+    @abstractmethod
+    def take(self) -> Drive | str | None:
+        """The drive that has begun since the last call, or why it did not begin; None without news."""
+
+
+@dataclass
+class PageParts:
+    """What pages are made of; `source` is `simulation`, `connected` or `replay`, `sender` None gives no orders.
+
+    `runs` is the folder of the run folders, `statistics` None keeps none, `drives` None starts none.
+    """
+
+    drive: Drive
+    config: PageConfig
+    access: Access
+    sender: OrderSender | None
+    stop_url: str | None
+    source: str
+    rule_text_zh: RuleText
+    desk: PlanDesk
+    runs: Path
+    statistics: StatisticsStore | None = None
+    drives: Drives | None = None
+    statistics_error: str = ""
+    _read: dict[str, tuple[float, Any]] = field(default_factory=dict)
+
+    def run_list(self) -> list[Run]:
+        """The newest run folders, read every `READ_S` at most."""
+        return self._recent("runs", lambda: runs_of(self.runs))
+
+    def days(self) -> list[DayOfField]:
+        """Statistics by day and field, read every `READ_S` at most; none, and `statistics_error`, if it fails."""
+        try:
+            return self._recent("days", lambda: [] if self.statistics is None else self.statistics.by_day())
+        except HeadlandError as error:
+            self.statistics_error = str(error)
+            return []
+
+    def _recent(self, name: str, read: Callable[[], list[Any]]) -> list[Any]:
+        now_s = time.monotonic()
+        if name not in self._read or now_s - self._read[name][0] >= READ_S:
+            self._read[name] = now_s, read()
+        found: list[Any] = self._read[name][1]
+        return found
+
+
+@dataclass
+class Moment:
+    """What an update shows: the state, whether it is of another drive or position than before, and their texts."""
+
+    parts: PageParts
+    state: PageState
+    alarms: AlarmLog
+    topics: TopicTable
+    is_restarted: bool
+    drive_error: str = ""
+    _shown: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def shown(self, texts: Texts) -> dict[str, Any]:
+        """Sections of the drive view in a language."""
+        if texts.language not in self._shown:
+            playback = self.parts.drive.feed.playback
+            self._shown[texts.language] = shown_of(self.state, texts, self.parts.rule_text_zh, playback)
+        return self._shown[texts.language]

@@ -1,0 +1,245 @@
+"""Plan view in a browser: field, options, plan on the map, and stored missions."""
+
+import math
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+from nicegui import ui
+
+from hmi.drive_view.controls import ENGAGED
+from hmi.drive_view.map_view import static_map
+from hmi.drive_view.row import Row, number
+from hmi.parts import Moment
+from hmi.plan_view.options import MAX_PASSES, choices
+from hmi.refusal import Refused
+from hmi.scene import Scene
+from hmi.view import View
+from messages.command import SupervisorState
+
+MAX_VALUE = 200  # characters
+HEADINGS = range(0, 180, 5)
+COLUMNS = ("name", "stored_at", "author", "", "", "")
+
+
+class PlanPage(View):
+    """Plan view; what it shows is the state of the desk, which all pages share."""
+
+    NAME = "plan"
+    _mapped: object = None
+    _moment: Moment | None = None
+
+    def build_main(self) -> None:
+        """Builds the map, the controls, and the table of missions."""
+        with ui.element("div").classes("hl-act"):
+            with ui.element("section").classes("hl-card"):
+                self.seat.build()
+                ui.html(
+                    '<p id="why" class="hl-note"></p><p id="answer" class="hl-answer" role="alert"></p>', sanitize=False
+                )
+            ui.html(self._field_card() + self._options_card() + self._plan_card(), sanitize=False)
+        with ui.element("div").classes("hl-map"):
+            hint = '<p id="hint"></p>'
+            ui.html(self.map_card(("all", "smaller", "larger"), hint), sanitize=False)
+        cards = self.rows_card("plan") + self.table_card("missions", COLUMNS)
+        ui.html(cards, sanitize=False).classes("hl-info hl-wide")
+
+    def update(self, moment: Moment) -> None:
+        """Sends what has changed."""
+        self._moment = moment
+        desk, texts = self.parts.desk, self.texts
+        barred = self.seat.update()
+        error = texts("plan.error", error=desk.error) if desk.error else ""
+        self.send(moment, {
+            "draft": desk.points_m if desk.is_drawing else None,
+            "texts": {
+                "why": barred, "answer": self.answer or error or moment.drive_error, "hint": self._hint(),
+                "progress": self._progress(),
+            },
+            "controls": self._controls(barred),
+            "rows.plan": [[r.key, r.label, r.value, texts(f"level.{r.level}"), r.level] for r in self._rows()],
+            "tables.missions": self._missions(barred),
+        }, self._map(moment.state.scene))  # fmt: skip
+
+    def _map(self, scene: Scene) -> dict[str, Any]:
+        """What the map shows, if it is another than before: the plan, else the outline, else the present site."""
+        desk = self.parts.desk
+        source = desk.plan or desk.outline or scene
+        if source is self._mapped:
+            return {}
+        self._mapped = source
+        still = desk.outline or static_map(scene) if desk.plan is None else desk.plan.map
+        return {"still": still}
+
+    async def act(self, action: str, values: Mapping[str, Any]) -> None:
+        """Changes the desk."""
+        desk, value = self.parts.desk, values.get("value")
+        value = value[:MAX_VALUE] if isinstance(value, str) else ""
+        match action:
+            case "draw":
+                desk.draw()
+            case "corner":
+                desk.add_point(_number(values.get("x")), _number(values.get("y")))
+            case "undo":
+                desk.remove_point()
+            case "close":
+                await desk.close_outline(self.parts.drive.scene.site.datum, self.texts("plan.drawn_name"))
+            case "feature":
+                await desk.choose(value)
+            case "machine" | "implement" | "headland_passes" | "turns" | "heading_deg":
+                desk.set_option(action, value)
+            case "plan":
+                await desk.make_plan()
+            case "cancel":
+                desk.cancel()
+            case "store":
+                desk.store_mission(value, self.session.name)
+            case "open":
+                desk.reopen(value)
+            case "delete" if self.is_sure(f"delete {value}"):
+                desk.delete(value)
+            case "start" if self.is_sure(f"start {value}"):
+                self._start(value)
+
+    def _start(self, mission_id: str) -> None:
+        """Starts a simulated drive on a stored mission; not while the machine drives."""
+        if self.parts.drives is None or self._moment is None:
+            raise Refused("no_simulation")
+        supervisor = self._moment.state.fresh("supervisor", SupervisorState)
+        if supervisor is not None and supervisor.mode in ENGAGED:
+            raise Refused("engaged")
+        mission = self.parts.desk.store.find(mission_id)
+        if mission.about is None:
+            raise Refused("damaged")
+        self.parts.drives.start(mission)
+
+    def _hint(self) -> str:
+        desk = self.parts.desk
+        if desk.is_drawing:
+            return self.texts("plan.hint_draw", number=len(desk.points_m))
+        return self.texts("plan.hint_site" if desk.outline is None else "plan.hint_field", name=desk.name)
+
+    def _progress(self) -> str:
+        job = self.parts.desk.job
+        if job is None:
+            return ""
+        stage = self.texts(f"stage.{job.stage}") if f"stage.{job.stage}" in self.texts else self.texts("stage.read")
+        return self.texts("plan.progress", stage=stage, seconds=number(math.floor(job.elapsed_s), 0, "s"))
+
+    def _controls(self, barred: str) -> dict[str, Any]:
+        """State of each control by its id."""
+        desk, options = self.parts.desk, self.parts.desk.options
+        is_off = bool(barred) or desk.job is not None
+        heading = "" if options.heading_deg is None else f"{options.heading_deg:g}"
+        headings = sorted({f"{h}" for h in HEADINGS} | {heading} - {""}, key=float)
+        values: dict[str, tuple[str, list[list[str]]]] = {
+            "feature": (desk.feature or "", [["", self.texts("plan.choose")], *([k, n] for k, n in desk.features)]),
+            "machine": (options.machine, [[n, n] for n in choices()["machine"]]),
+            "implement": (options.implement, [[n, n] for n in choices()["implement"]]),
+            "turns": (options.turns, [[n, self.texts(f"turns.{n}")] for n in choices()["turns"]]),
+            "headland_passes": (str(options.headland_passes), [[str(n), str(n)] for n in range(1, MAX_PASSES + 1)]),
+            "heading_deg": (heading, [["", self.texts("plan.auto")], *([h, f"{h}°"] for h in headings)]),
+        }  # fmt: skip
+        found: dict[str, Any] = {
+            name: {"off": is_off, "value": value, "choices": listed} for name, (value, listed) in values.items()
+        }
+        found["feature"]["hidden"] = len(desk.features) < 2
+        found |= {
+            "field-file": {"off": is_off}, "draw": {"off": is_off},
+            "undo": {"off": is_off, "hidden": not desk.is_drawing},
+            "close": {"off": is_off or len(desk.points_m) < 3, "hidden": not desk.is_drawing},
+            "plan": {"off": is_off or desk.outline is None},
+            "cancel": {"off": bool(barred), "hidden": desk.job is None},
+            "mission-name": {"off": is_off or desk.plan is None or desk.stored is not None},
+            "store": {"off": is_off or desk.plan is None or desk.stored is not None},
+        }  # fmt: skip
+        return found
+
+    def _rows(self) -> list[Row]:
+        """Length, time and planned share of the plan, and what is not worked; notes of the file before."""
+        desk, texts = self.parts.desk, self.texts
+        rows = [Row(f"note{k}", texts("plan.note"), note) for k, note in enumerate(desk.notes)]
+        plan = desk.plan
+        if plan is None:
+            return rows
+        share, is_enough = plan.planned_share, plan.planned_share >= plan.least_share
+        rows += [
+            Row("length", texts("plan.length"), number(plan.length_m * 1e-3, 2, "km")),
+            Row("time", texts("plan.time"), number(math.ceil(plan.time_s / 60.0), 0, "min")),
+            Row("share", texts("plan.share"), f"{share:.1%}", "plain" if is_enough else "warning"),
+            Row("area", texts("plan.area"), number(plan.field_m2 * 1e-4, 3, "ha")),
+            Row("swaths", texts("plan.swaths"), f"{plan.swaths} · {plan.headland_passes}"),
+            Row("gate", texts("plan.gate"), texts(f"plan.gate_{'yes' if plan.has_gate else 'no'}")),
+        ]
+        for reason, area_m2 in plan.uncovered:
+            key = str(reason).replace(" ", "_")
+            rows.append(
+                Row(key, texts("plan.uncovered"), f"{number(area_m2, 0, 'm²')}: {texts.named('uncovered', key)}")
+            )
+        return rows
+
+    def _missions(self, barred: str) -> list[list[Any]]:
+        desk, texts = self.parts.desk, self.texts
+        rows: list[list[Any]] = []
+        for mission in desk.store.all():
+            about, key = mission.about, mission.id
+            is_off = bool(barred) or desk.job is not None
+            name = texts("plan.damaged") if about is None else about.name
+            is_shown = desk.stored is not None and desk.stored.id == key
+            start: Any = ""
+            if self.parts.drives is not None:
+                start = self._pressed("start", key, "plan.start", is_off or about is None)
+            rows.append([
+                {"text": f"▸ {name}" if is_shown else name}, mission.stored_at, "" if about is None else about.author,
+                {"text": texts("plan.open"), "action": "open", "value": key, "off": is_off or about is None},
+                start, self._pressed("delete", key, "plan.delete", is_off),
+            ])  # fmt: skip
+        return rows
+
+    def _pressed(self, action: str, key: str, text: str, is_off: bool) -> dict[str, Any]:
+        """Button of a table that is pressed twice."""
+        asks = self.asks(f"{action} {key}")
+        return {
+            "text": self.texts("plan.sure" if asks else text),
+            "action": action,
+            "value": key,
+            "off": is_off,
+            "sure": asks,
+        }
+
+    def _field_card(self) -> str:
+        texts = self.texts
+        language = texts.language
+        upload = (
+            f'<label>{escape(texts("plan.file"))}<input id="field-file" type="file" multiple '
+            f'data-upload="/plan/field?lang={language}" data-large="{escape(texts("refused.too_large"))}" '
+            f'data-failed="{escape(texts("refused.upload_failed"))}"></label>'
+        )
+        select = self._select("feature", "plan.feature")
+        buttons = (
+            self.button("draw", "plan.draw") + self.button("undo", "plan.undo") + self.button("close", "plan.close")
+        )
+        note = f'<p class="hl-note">{escape(texts("plan.formats"))}</p>'
+        return self.card("field", f'{upload}{note}{select}<div class="hl-pair">{buttons}</div>')
+
+    def _options_card(self) -> str:
+        names = ("machine", "implement", "headland_passes", "turns", "heading_deg")
+        return self.card("options", "".join(self._select(name, f"plan.{name}") for name in names))
+
+    def _plan_card(self) -> str:
+        texts = self.texts
+        field = '<input id="mission-name" maxlength="80" autocomplete="off">'
+        name = f"<label>{escape(texts('plan.mission_name'))}{field}</label>"
+        buttons = self.button("plan", "plan.make", " hl-go") + self.button("cancel", "plan.cancel")
+        return self.card(
+            "make_plan",
+            f'<div class="hl-pair">{buttons}</div><p id="progress" class="hl-answer" role="status"></p>{name}'
+            + self.button("store", "plan.store", taken_from="mission-name"),
+        )
+
+    def _select(self, name: str, label: str) -> str:
+        return f'<label>{escape(self.texts(label))}<select id="{name}" data-change="{name}"></select></label>'
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan

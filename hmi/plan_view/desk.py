@@ -1,0 +1,208 @@
+"""Planning desk: the field, options and plan that all pages show, and that the operator in control changes."""
+
+import asyncio
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from configs.site import DatumConfig
+from hmi.plan_view.field_job import FieldJob, Task
+from hmi.plan_view.mission_store import MISSION, PLAN, MissionStore, StoredMission, file_name, plain_name
+from hmi.plan_view.options import PlanOptions, default_work, options_of, read_mission, write_mission
+from hmi.plan_view.plan_result import PlanResult, read_result
+from hmi.refusal import Refused
+from messages.errors import ConfigError, HeadlandError
+
+MAX_POINTS = 500
+MIN_CORNERS = 3
+MAX_FIELD_BYTES = 20_000_000
+MAX_FILES = 20
+MAX_NOTE = 300
+MAX_AT_M = 20_000.0  # from the origin of the map
+
+
+class PlanDesk:
+    """Field, options and plan; every change raises HeadlandError with the reason for which it is not possible now."""
+
+    def __init__(self, store: MissionStore, command: tuple[str, ...], options: PlanOptions, limit_s: float) -> None:
+        self.store, self.options = store, options
+        self._command, self._limit_s = command, limit_s
+        self.job: FieldJob | None = None
+        self.error = ""
+        self.draft: Path | None = None
+        self._clear()
+        self.points_m: list[tuple[float, float]] = []
+        self.is_drawing = False
+
+    def _clear(self) -> None:
+        """Without field and plan; the draft of another one is removed."""
+        if self.draft is not None:
+            self.store.remove_draft(self.draft)
+        self.draft = None
+        self.name = ""
+        self.features: list[tuple[str, str]] = []
+        self.feature: str | None = None
+        self.notes: list[str] = []
+        self.outline: dict[str, Any] | None = None
+        self.plan: PlanResult | None = None
+        self.stored: StoredMission | None = None
+
+    async def load(self, files: Mapping[str, bytes]) -> None:
+        """Takes the files of a field as a browser has sent them, and reads it."""
+        self._check_free()
+        names = [file_name(name) for name in files]
+        if not files or len(set(names)) < len(names):
+            raise Refused("same_name" if files else "no_file")
+        self._clear()
+        self.is_drawing, self.points_m, self.error = False, [], ""
+        try:
+            self.draft = self.store.new_draft()
+            for name, data in zip(names, files.values(), strict=True):
+                (self.draft / "field" / name).write_bytes(data)
+        except OSError as error:
+            self._clear()
+            raise HeadlandError(f"{self.store.folder}: cannot be written ({error.strerror or error})") from error
+        await self._read()
+
+    async def choose(self, key: str) -> None:
+        """Takes one of several fields of the file."""
+        self._check_free()
+        if key not in dict(self.features):
+            raise Refused("no_feature", name=key[:60])
+        self.feature, self.plan, self.stored, self.error = key, None, None, ""
+        await self._read()
+
+    def draw(self) -> None:
+        """Begins a new outline, whose corners follow."""
+        self._check_free()
+        self._clear()
+        self.is_drawing, self.points_m, self.error = True, [], ""
+
+    def add_point(self, x_m: float, y_m: float) -> None:
+        """A corner of the outline in `map` of the shown site."""
+        if not (math.isfinite(x_m) and math.isfinite(y_m) and max(abs(x_m), abs(y_m)) <= MAX_AT_M):
+            raise Refused("outside_map", x=f"{x_m:g}", y=f"{y_m:g}")
+        if self.is_drawing and len(self.points_m) < MAX_POINTS:
+            self.points_m.append((round(x_m, 2), round(y_m, 2)))
+
+    def remove_point(self) -> None:
+        """Removes the last corner."""
+        if self.is_drawing and self.points_m:
+            self.points_m.pop()
+
+    async def close_outline(self, datum: DatumConfig, name: str) -> None:
+        """The drawn corners become a field file."""
+        self._check_free()
+        if len(self.points_m) < MIN_CORNERS:
+            raise Refused("few_corners", number=len(self.points_m), least=MIN_CORNERS)
+        corners, ring = self.points_m, []
+        for x_m, y_m in (*corners, corners[0]):
+            latitude, longitude, _ = datum.datum.to_ellipsoid(x_m, y_m, 0.0)
+            ring.append([round(math.degrees(longitude), 9), round(math.degrees(latitude), 9)])
+        geometry = {"type": "Polygon", "coordinates": [ring]}
+        feature = {"type": "Feature", "properties": {"name": name}, "geometry": geometry}
+        await self.load({"drawn.geojson": json.dumps(feature).encode()})
+        if self.error:  # the corners can be corrected
+            self.is_drawing, self.points_m = True, corners
+
+    def set_option(self, name: str, value: str) -> None:
+        """Changes an option; a plan with other ones is void."""
+        self._check_free()
+        changed = self.options.changed(name, value)
+        if changed != self.options:
+            self.options, self.plan, self.stored = changed, None, None
+
+    async def make_plan(self) -> None:
+        """Plans the field in a process of its own."""
+        self._check_free()
+        if self.draft is None or self.outline is None:
+            raise Refused("no_field")
+        self.plan, self.stored, self.error = None, None, ""
+        (self.draft / PLAN).unlink(missing_ok=True)
+        write_mission(self.options.mission(self.name, default_work()), self.draft / MISSION)
+        draft = self.draft
+        if await self._run("plan", draft) is not None:
+            self.plan = await asyncio.to_thread(read_result, draft / PLAN)
+
+    def cancel(self) -> None:
+        """Ends the process that reads or plans."""
+        if self.job is not None:
+            self.job.cancel()
+
+    def store_mission(self, name: str, author: str) -> StoredMission:
+        """Stores field and plan under a name."""
+        self._check_free()
+        if self.draft is None or self.plan is None or self.stored is not None:
+            raise Refused("no_plan")
+        name = plain_name(name) or self.name
+        draft, self.draft = self.draft, None
+        try:
+            stored = self.store.store(draft, name, self.feature, author)
+        except HeadlandError:
+            self.draft = draft
+            raise
+        self._show(stored)
+        return stored
+
+    def reopen(self, mission_id: str) -> None:
+        """Shows a stored mission."""
+        self._check_free()
+        stored = self.store.find(mission_id)
+        try:
+            read_result(stored.folder / PLAN)
+        except ConfigError as error:
+            raise Refused("damaged") from error
+        draft = self.store.reopen(stored)
+        self._clear()
+        self.draft, self.is_drawing, self.points_m, self.error = draft, False, [], ""
+        self._show(stored)
+
+    def delete(self, mission_id: str) -> None:
+        """Deletes a stored mission; what is shown of it stays."""
+        self._check_free()
+        self.store.delete(mission_id)
+        if self.stored is not None and self.stored.id == mission_id:
+            self.stored = None
+
+    def _show(self, stored: StoredMission) -> None:
+        """Takes field, options and plan of a stored mission."""
+        mission, work = read_mission(stored.folder / MISSION)
+        if self.draft is None:
+            self.draft = self.store.reopen(stored)
+        self.options = options_of(mission, work)
+        self.plan = read_result(stored.folder / PLAN)
+        self.outline = {name: lines for name, lines in self.plan.map.items() if name != "sections"}
+        self.stored = stored
+        self.features, self.notes = [], []
+        assert stored.about is not None
+        self.name, self.feature = stored.about.name, stored.about.feature
+
+    async def _read(self) -> None:
+        assert self.draft is not None
+        self.outline = None
+        found = await self._run("read", self.draft)
+        if found is None:
+            return
+        self.features = [(str(key), plain_name(str(name))) for key, name in found["features"]]
+        self.notes = [plain_name(str(note), MAX_NOTE) for note in found["notes"]]
+        self.name = plain_name(str(found["name"]))
+        self.outline = found.get("map")
+
+    async def _run(self, task: Task, folder: Path) -> dict[str, Any] | None:
+        """Result of a process, None if it was cancelled or has failed: `error` says why."""
+        job = self.job = FieldJob(self._command, task)
+        try:
+            result = await job.run(folder, self.feature, self._limit_s)
+        finally:
+            self.job = None
+        if job.is_cancelled:
+            return None
+        self.error = "" if "done" in result else str(result.get("error", "the planner has died"))[:500]
+        found: dict[str, Any] | None = result.get("done")
+        return found
+
+    def _check_free(self) -> None:
+        if self.job is not None:
+            raise Refused("busy")

@@ -1,0 +1,112 @@
+"""Choices of a plan: machine, implement, headland passes, turns and swath direction, as a mission file."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+
+from configs.mission import Mission, Work
+from configs.strict import CONFIGS, load
+from configs.vehicle import ImplementFile, Vehicle
+from messages.errors import ConfigError
+
+MAX_PASSES = 10
+Turns = Literal["forward", "reverse"]
+TURNS: tuple[Turns, ...] = ("forward", "reverse")
+AUTO = ""  # the planner finds the direction
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """What is chosen; `heading_deg` is clockwise from north, None: found by the planner."""
+
+    machine: str
+    implement: str
+    headland_passes: int
+    turns: Turns
+    heading_deg: float | None = None
+
+    def changed(self, name: str, value: str) -> "PlanOptions":
+        """Options with one changed; raises ConfigError that names the value."""
+        if name == "headland_passes":
+            return replace(self, headland_passes=_whole(name, value, 1, MAX_PASSES))
+        if name == "heading_deg":
+            return replace(self, heading_deg=None if value == AUTO else float(_whole(name, value, 0, 359)))
+        if name not in choices() or value not in choices()[name]:
+            raise ConfigError(f"{name} {value[:60]!r}: not one of {', '.join(choices().get(name, ()))}")
+        return replace(self, **{name: value})  # type: ignore[arg-type]
+
+    def mission(self, name: str, work: Work) -> Mission:
+        """Mission with these choices; speeds, overlap and margin are those of `work`."""
+        direction = None if self.heading_deg is None else _to_yaw(self.heading_deg)
+        changes = {
+            "headland_passes": self.headland_passes, "turns": self.turns, "swath_direction_deg": direction,
+            "swath_through_m": None, "guidance": None,
+        }  # fmt: skip
+        return Mission(
+            name=name, site="field", machine=self.machine, implement=self.implement,
+            work=work.model_copy(update=changes),
+        )  # fmt: skip
+
+
+def options_of(mission: Mission, work: Work) -> PlanOptions:
+    """Options that give this mission."""
+    yaw = work.swath_direction_deg
+    heading = None if yaw is None else round((90.0 - yaw) % 360.0, 1)
+    return PlanOptions(mission.machine, mission.implement, work.headland_passes, work.turns, heading)
+
+
+@cache
+def choices() -> dict[str, tuple[str, ...]]:
+    """Values of each option that is one of several names; machines and implements are files of `configs/`."""
+    names = {one: tuple(sorted(path.stem for path in (CONFIGS / f"{one}s").glob("*.yaml"))) for one in _FOLDERS}
+    return names | {"turns": TURNS}
+
+
+_FOLDERS = ("machine", "implement")
+
+
+def write_mission(mission: Mission, path: Path) -> None:
+    """Writes a mission file, which `headland run --mission` reads as well."""
+    values: dict[str, Any] = mission.model_dump(mode="json", exclude_none=True)
+    path.write_text(yaml.safe_dump(values, sort_keys=False, allow_unicode=True), encoding="utf-8")
+
+
+def read_mission(path: Path) -> tuple[Mission, Work]:
+    """A mission file with field work; raises ConfigError."""
+    mission = load(Mission, path)
+    if mission.work is None:
+        raise ConfigError(f"{path}: has no field work")
+    return mission, mission.work
+
+
+def default_work() -> Work:
+    """Field work of `configs/missions/yard.yaml`: speeds, overlap and margin of missions that are planned here."""
+    return read_mission(CONFIGS / "missions" / "yard.yaml")[1]
+
+
+def default_options(vehicle_name: str, implement_name: str) -> PlanOptions:
+    """Options at the start: the files of `configs/` with these names, else the first ones."""
+    known, work = choices(), default_work()
+    machines = {load(Vehicle, CONFIGS / "machines" / f"{stem}.yaml").name: stem for stem in known["machine"]}
+    implements = {
+        load(ImplementFile, CONFIGS / "implements" / f"{stem}.yaml").implement.name: stem for stem in known["implement"]
+    }
+    return PlanOptions(
+        machines.get(vehicle_name, known["machine"][0]), implements.get(implement_name, known["implement"][0]),
+        work.headland_passes, work.turns,
+    )  # fmt: skip
+
+
+def _to_yaw(heading_deg: float) -> float:
+    """Degrees counter-clockwise from east, in (-180, 180]."""
+    return 180.0 - math.fmod(heading_deg + 90.0, 360.0)
+
+
+def _whole(name: str, value: str, low: int, high: int) -> int:
+    if not (value.isascii() and value.isdecimal() and len(value) < 6 and low <= int(value) <= high):
+        raise ConfigError(f"{name} {value[:60]!r}: must be a whole number from {low} to {high}")
+    return int(value)

@@ -1,0 +1,136 @@
+"""Simulated drives of the page, one after the other: a process that starts them, forked before the web server.
+
+The order port belongs to it, so that emergency stop and orders reach each drive at the same address.
+"""
+
+import argparse
+import multiprocessing
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkContext, ForkProcess
+from types import FrameType
+
+from hmi.parts import Drive, Drives
+from hmi.plan_view.mission_store import MISSION, SEED, StoredMission
+from hmi.scene import scene_of
+from interfaces.orders.port import OrderPort
+from messages.errors import HeadlandError
+from runtime.page.live_feed import LiveFeed
+from runtime.page.simulation import Announcement, drive_simulation
+from runtime.processes import begin_worker
+
+END_S = 20.0  # for a simulation to close its log
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A drive has ended by itself."""
+
+    text: str
+
+
+class SimulatedDrives(Drives):
+    """Process of the simulated drives; begins with the arguments of the command line."""
+
+    def __init__(self, arguments: argparse.Namespace, port: OrderPort, public_key: str, authority: str) -> None:
+        self._arguments = arguments
+        context = multiprocessing.get_context("fork")
+        self._link, there = context.Pipe()
+        work = (context, arguments, port, public_key, authority, there, self._link, os.getpid())
+        self._process = context.Process(target=_keep, args=work, name="drives")
+        self._process.start()
+        there.close()
+
+    def first(self) -> Drive:
+        """The drive of the command line; raises HeadlandError if it has failed."""
+        try:
+            found = self._link.recv()
+        except EOFError:
+            found = None
+        if not isinstance(found, Announcement):
+            raise HeadlandError("the simulation did not start; see the message above")
+        return drive_of(found)
+
+    def start(self, mission: StoredMission) -> None:
+        """Ends the present drive and begins one on a stored mission, in a run folder of its own."""
+        feature = None if mission.about is None else mission.about.feature
+        chosen = vars(self._arguments) | {
+            "mission": str(mission.folder / MISSION), "field": str(mission.field), "feature": feature, "guidance": None,
+            "machine": None, "implement": None, "bay": None, "scenario": None, "out": None,
+            "seed": SEED,
+        }  # fmt: skip
+        self._link.send(argparse.Namespace(**chosen))
+
+    def take(self) -> Drive | str | None:
+        """The drive that has begun since the last call, or why one has ended."""
+        try:
+            found = self._link.recv() if self._link.poll() else None
+        except (EOFError, OSError):
+            return None
+        if isinstance(found, Announcement):
+            return drive_of(found)
+        return found.text if isinstance(found, Ended) else None
+
+    def end(self) -> None:
+        """Ends drive and process with the log closed."""
+        self._process.terminate()
+        self._process.join(END_S + 5.0)
+        self._process.kill()
+
+
+def drive_of(found: Announcement) -> Drive:
+    """The drive of an announcement; its rings have a name of their own."""
+    scene = scene_of(found.config, "simulation", found.planned_map_m)
+    return Drive(LiveFeed(found.rings), scene, f"{found.run}/{next(iter(found.rings.values())).parent.name}")
+
+
+def _keep(
+    context: ForkContext, arguments: argparse.Namespace, port: OrderPort, public_key: str, authority: str,
+    link: Connection, other: Connection, parent: int,
+) -> None:  # fmt: skip
+    """Keeps one drive at a time until SIGTERM."""
+    begin_worker(parent)
+    signal.signal(signal.SIGTERM, _terminate)
+    other.close()
+
+    def begin(given: argparse.Namespace) -> ForkProcess:
+        work = (given, port, public_key, authority, link, os.getpid())
+        process = context.Process(target=drive_simulation, args=work, name="simulation")
+        process.start()
+        return process
+
+    drive: ForkProcess | None = begin(arguments)
+    try:
+        while True:
+            ready = wait([link] if drive is None else [link, drive.sentinel])
+            if link in ready:
+                given = link.recv()
+                _end(drive)
+                drive = begin(given)
+            elif drive is not None:
+                drive.join()
+                text = f"the simulation has ended (exit code {drive.exitcode})"
+                sys.stderr.write(f"headland: {text}\n")
+                link.send(Ended(text))
+                drive = None
+    except EOFError:
+        pass
+    finally:
+        _end(drive)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise SystemExit
+
+
+def _end(drive: ForkProcess | None) -> None:
+    """Ends a drive with its log closed."""
+    if drive is None:
+        return
+    drive.terminate()
+    drive.join(END_S)
+    drive.kill()
+    drive.join()

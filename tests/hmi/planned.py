@@ -1,0 +1,62 @@
+"""Field files and stored missions for tests of the plan view."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from hmi.plan_view.desk import PlanDesk
+from hmi.plan_view.mission_store import MISSION, PLAN, MissionStore
+from hmi.plan_view.options import default_options, default_work, write_mission
+
+PLANNER = (sys.executable, "-m", "runtime.page.field_process")
+L_SHAPE = ((0.0, 0.0), (0.0012, 0.0), (0.0012, 0.0009), (0.0006, 0.0009), (0.0006, 0.0005), (0.0, 0.0005), (0.0, 0.0))
+RESULT = {
+    "length_m": 5.0, "time_s": 60.0, "planned_share": 0.97, "least_share": 0.95, "field_m2": 1e4, "swaths": 4,
+    "headland_passes": 2, "has_gate": True, "uncovered": [], "map": {},
+}  # fmt: skip
+FAKE = """
+import json, sys, time
+from pathlib import Path
+task, folder = sys.argv[1], Path(sys.argv[2])
+text = next((folder / "field").iterdir()).read_text()
+if text == "slow":
+    print(json.dumps({"stage": "route"}), flush=True)
+    time.sleep(60)
+if text == "dies":
+    sys.exit(3)
+if text == "bad":
+    print(json.dumps({"error": "outline crosses itself"}))
+    sys.exit(1)
+shown = dict.fromkeys(("yard", "no_go", "lanes", "gates", "walls", "plan"), []) | {"boundary": [[0, 0], [9, 0], [9, 9]]}
+if task == "plan":
+    print(json.dumps({"stage": "route"}), flush=True)
+    (folder / "plan.json").write_text(json.dumps(PLAN | {"map": shown}))
+    print(json.dumps({"done": {}}))
+else:
+    names = [["1", "north"], ["2", "south"]] if text == "two" and len(sys.argv) < 4 else [["1", "north"]]
+    found = {"features": names, "notes": ["a note"], "name": "north"}
+    print(json.dumps({"done": found if len(names) > 1 else found | {"map": shown}}))
+"""
+FAKE_PLANNER = (sys.executable, "-c", f"PLAN = {RESULT!r}\n{FAKE}")
+
+
+def geojson(corners: tuple[tuple[float, float], ...] = L_SHAPE, name: str = "corner field") -> bytes:
+    """A field file with corners in degrees from 11° E, 48° N."""
+    ring = [[11.0 + x, 48.0 + y] for x, y in corners]
+    geometry: dict[str, Any] = {"type": "Polygon", "coordinates": [ring]}
+    return json.dumps({"type": "Feature", "properties": {"name": name}, "geometry": geometry}).encode()
+
+
+def planned_draft(store: MissionStore, text: str = "field") -> Path:
+    """A draft with field, mission and plan."""
+    draft = store.new_draft()
+    (draft / "field" / "a.geojson").write_text(text, encoding="utf-8")
+    write_mission(default_options("", "").mission("north", default_work()), draft / MISSION)
+    (draft / PLAN).write_text(json.dumps(RESULT), encoding="utf-8")
+    return draft
+
+
+def desk_in(folder: Path, command: tuple[str, ...] = FAKE_PLANNER, limit_s: float = 60.0) -> PlanDesk:
+    """A desk with its missions in a folder."""
+    return PlanDesk(MissionStore(folder / "missions"), command, default_options("", ""), limit_s)

@@ -1,0 +1,308 @@
+"""The planning desk: loads, draws, plans, stores; refuses while the planner works; cancels."""
+
+import asyncio
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import shapely
+
+from configs.site import DatumConfig
+from hmi.plan_view.mission_store import MISSION, PLAN
+from hmi.plan_view.options import choices, default_work, options_of, read_mission
+from hmi.refusal import Refused
+from messages.errors import ConfigError, HeadlandError
+from tests.hmi.planned import PLANNER, desk_in, geojson
+from tests.recordings import ROOT
+
+PLANNING = """
+import asyncio, sys
+from pathlib import Path
+from tests.hmi.planned import L_SHAPE, PLANNER, desk_in, geojson
+
+async def plan():
+    desk = desk_in(Path(sys.argv[1]), PLANNER)
+    await desk.load({"a.geojson": geojson(tuple((9.0 * x, 9.0 * y) for x, y in L_SHAPE))})
+    planning = asyncio.create_task(desk.make_plan())
+    while desk.job is None or desk.job.stage != "route":
+        await asyncio.sleep(0.05)
+    print(desk.job._process.pid, flush=True)
+    await planning
+
+asyncio.run(plan())
+"""
+
+DATUM = DatumConfig(latitude_deg=48.0, longitude_deg=11.0, height_m=0.0)
+
+
+def test_a_field_is_read_planned_stored_and_opened_again(tmp_path: Path) -> None:
+    async def drive() -> None:
+        desk = desk_in(tmp_path)
+        await desk.load({"a.kml": b"ok"})
+        assert (desk.name, desk.notes, desk.error) == ("north", ["a note"], "")
+        with pytest.raises(Refused, match="no_plan"):
+            desk.store_mission("x", "anna")
+        desk.set_option("headland_passes", "3")
+        await desk.make_plan()
+        assert desk.plan is not None
+        stored = desk.store_mission(" my <b>mission</b> ", "anna")
+        assert stored.about is not None
+        assert stored.about.name == "my <b>mission</b>"
+        desk.draw()
+        assert desk.outline is desk.plan is None
+        desk.set_option("headland_passes", "1")
+        desk.reopen(stored.id)
+        assert desk.options.headland_passes == 3
+        assert desk.stored == stored
+        assert desk.plan is not None
+        assert desk.outline is not None
+        assert desk.outline["boundary"] == desk.plan.map["boundary"]
+        desk.set_option("turns", "reverse")
+        assert desk.plan is desk.stored is None
+        assert stored.folder.is_dir()
+
+    asyncio.run(drive())
+
+
+def test_the_same_planner_as_that_of_the_command_line(tmp_path: Path) -> None:
+    """The figures are those of `headland plan` with the stored mission file, the lines those of its paths."""
+
+    async def drive() -> None:
+        desk = desk_in(tmp_path, PLANNER)
+        desk.set_option("implement", "harrow_6m")
+        await desk.load({"corner.geojson": geojson()})
+        assert desk.error == ""
+        assert desk.outline is not None
+        assert shapely.Polygon(desk.outline["boundary"]).area == pytest.approx(6950.0, rel=0.02)
+        await desk.make_plan()
+        assert desk.error == ""
+        assert desk.plan is not None
+
+    asyncio.run(drive())
+    (draft,) = (tmp_path / "missions").iterdir()
+    shown: dict[str, Any] = json.loads((draft / PLAN).read_text())
+    from runtime.setup import load_setup
+
+    plan = load_setup(str(draft / MISSION), None, None, str(draft / "field" / "corner.geojson"), 1).plan
+    assert shown["length_m"] == pytest.approx(plan.length_m, abs=0.1)
+    assert shown["planned_share"] == pytest.approx(plan.planned_share, abs=1e-4)
+    assert 0.9 < shown["planned_share"] < 1.0
+    lengths = [shapely.LineString(points).length for _, points in shown["map"]["sections"]]
+    assert sum(lengths) == pytest.approx(plan.length_m, rel=0.01)
+    top_mps, least_mps = 10.0 / 3.6, 1.0
+    assert plan.length_m / top_mps < shown["time_s"] < plan.length_m / least_mps
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (b"", "empty"), (b"\x89PNG", "no known field format"), (b'{"type": "Point", "coordinates": [1, 2]}', "polygon"),
+        (geojson(((0.0, 0.0), (1e-3, 1e-3), (1e-3, 0.0), (0.0, 1e-3), (0.0, 0.0))), "crosses itself"),
+        (geojson(((0.0, 0.0), (1e-5, 0.0), (1e-5, 1e-5), (0.0, 0.0))), "too small"),
+        (b"[" * 300_000, "not valid JSON"),
+    ],
+)  # fmt: skip
+def test_a_bad_file_is_refused_in_words_without_the_path_of_the_folder(
+    tmp_path: Path, content: bytes, named: str
+) -> None:
+    desk = desk_in(tmp_path, PLANNER)
+    asyncio.run(desk.load({"a.geojson": content}))
+    assert named in desk.error
+    assert str(tmp_path) not in desk.error
+    assert desk.outline is None
+    with pytest.raises(Refused, match="no_field"):
+        asyncio.run(desk.make_plan())
+
+
+def test_one_of_several_fields_is_chosen(tmp_path: Path) -> None:
+    async def drive() -> None:
+        desk = desk_in(tmp_path)
+        await desk.load({"a.kml": b"two"})
+        assert desk.features == [("1", "north"), ("2", "south")]
+        assert desk.outline is None
+        for wrong in ("3", "", "../x", "--help"):
+            with pytest.raises(Refused, match="no_feature"):
+                await desk.choose(wrong)
+        await desk.choose("2")
+        assert desk.outline is not None
+
+    asyncio.run(drive())
+
+
+def test_drawn_corners_become_a_field_at_the_same_place(tmp_path: Path) -> None:
+    corners = [(100.0, 50.0), (200.0, 50.0), (200.0, 130.0), (100.0, 130.0)]
+
+    async def drive() -> None:
+        desk = desk_in(tmp_path, PLANNER)
+        desk.draw()
+        for corner in corners[:2]:
+            desk.add_point(*corner)
+        desk.add_point(0.0, 0.0)
+        desk.remove_point()
+        with pytest.raises(Refused, match="few_corners"):
+            await desk.close_outline(DATUM, "drawn")
+        for corner in corners[2:]:
+            desk.add_point(*corner)
+        await desk.close_outline(DATUM, "drawn")
+        assert (desk.error, desk.name, desk.is_drawing) == ("", "drawn", False)
+        assert desk.outline is not None
+        shape = shapely.Polygon(desk.outline["boundary"])
+        assert shape.area == pytest.approx(8000.0, rel=1e-4)
+        assert shape.bounds == pytest.approx((0.0, 0.0, 100.0, 80.0), abs=0.2)
+        assert desk.draft is not None
+        ring = json.loads((desk.draft / "field" / "drawn.geojson").read_text())["geometry"]["coordinates"][0]
+        assert DATUM.datum.to_map(math.radians(ring[0][1]), math.radians(ring[0][0]), 0.0)[:2] == pytest.approx(
+            corners[0], abs=0.01
+        )
+
+    asyncio.run(drive())
+
+
+def test_corners_of_a_crossing_outline_can_be_corrected(tmp_path: Path) -> None:
+    async def drive() -> None:
+        desk = desk_in(tmp_path, PLANNER)
+        desk.draw()
+        for corner in ((0.0, 0.0), (100.0, 100.0), (100.0, 0.0), (0.0, 100.0)):
+            desk.add_point(*corner)
+        await desk.close_outline(DATUM, "drawn")
+        assert "crosses itself" in desk.error
+        assert desk.is_drawing
+        assert len(desk.points_m) == 4
+
+    asyncio.run(drive())
+
+
+@pytest.mark.parametrize("corner", [(math.nan, 0.0), (0.0, math.inf), (1e9, 0.0)])
+def test_a_corner_outside_the_map_is_refused(tmp_path: Path, corner: tuple[float, float]) -> None:
+    desk = desk_in(tmp_path)
+    desk.draw()
+    with pytest.raises(Refused, match="outside_map"):
+        desk.add_point(*corner)
+    assert desk.points_m == []
+
+
+def test_corners_are_limited(tmp_path: Path) -> None:
+    desk = desk_in(tmp_path)
+    desk.draw()
+    for k in range(1000):
+        desk.add_point(float(k), 0.0)
+    assert len(desk.points_m) == 500
+
+
+def test_while_the_planner_works_nothing_changes_but_it_can_be_cancelled(tmp_path: Path) -> None:
+    async def drive() -> None:
+        desk = desk_in(tmp_path)
+        loading = asyncio.create_task(desk.load({"a.kml": b"slow"}))
+        while desk.job is None or desk.job.stage != "route":
+            await asyncio.sleep(0.02)
+        process = desk.job._process
+        assert process is not None
+        for change in (desk.draw, lambda: desk.set_option("turns", "reverse"), lambda: desk.reopen("x")):
+            with pytest.raises(Refused, match="busy"):
+                change()
+        for later in (desk.load({"b.kml": b"ok"}), desk.make_plan(), desk.choose("1")):
+            with pytest.raises(Refused, match="busy"):
+                await later
+        desk.cancel()
+        await loading
+        assert desk.job is None
+        assert (desk.error, desk.outline) == ("", None)
+        with pytest.raises(ProcessLookupError):
+            os.killpg(process.pid, 0)
+        await desk.load({"b.kml": b"ok"})
+        assert desk.outline is not None
+
+    asyncio.run(drive())
+
+
+def test_a_planner_that_dies_or_takes_too_long_is_an_error_in_words(tmp_path: Path) -> None:
+    dying, slow = desk_in(tmp_path / "a"), desk_in(tmp_path / "b", limit_s=0.5)
+    asyncio.run(dying.load({"a.kml": b"dies"}))
+    assert dying.error == "the planner has died"
+    asyncio.run(slow.load({"a.kml": b"slow"}))
+    assert slow.error == "no result within 0 s"
+    assert slow.job is None
+
+
+@pytest.mark.slow
+def test_the_planner_ends_with_a_killed_page(tmp_path: Path) -> None:
+    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
+    page = subprocess.Popen([sys.executable, "-c", PLANNING, str(tmp_path)], env=env, stdout=subprocess.PIPE, text=True)
+    assert page.stdout is not None
+    planner = int(page.stdout.readline())
+    assert Path(f"/proc/{planner}").exists()
+    page.kill()
+    page.wait()
+    until_s = time.monotonic() + 20.0
+    while Path(f"/proc/{planner}").exists() and time.monotonic() < until_s:
+        time.sleep(0.05)
+    assert not Path(f"/proc/{planner}").exists()
+
+
+def test_another_field_removes_the_draft_of_the_first(tmp_path: Path) -> None:
+    desk = desk_in(tmp_path)
+    for name in ("a.kml", "b.kml", "c.kml"):
+        asyncio.run(desk.load({name: b"ok"}))
+    (draft,) = (tmp_path / "missions").iterdir()
+    assert [path.name for path in (draft / "field").iterdir()] == ["c.kml"]
+
+
+def test_files_that_become_the_same_name_are_refused(tmp_path: Path) -> None:
+    desk = desk_in(tmp_path)
+    for files in ({}, {"x/a.shp": b"1", "y/a.shp": b"2"}):
+        with pytest.raises(Refused, match=r"no_file|same_name"):
+            asyncio.run(desk.load(files))
+
+
+def test_a_stored_mission_whose_plan_is_damaged_is_refused(tmp_path: Path) -> None:
+    async def drive() -> None:
+        desk = desk_in(tmp_path)
+        await desk.load({"a.kml": b"ok"})
+        await desk.make_plan()
+        stored = desk.store_mission("x", "anna")
+        (stored.folder / PLAN).write_text("{")
+        with pytest.raises(HeadlandError, match="damaged"):
+            desk.reopen(stored.id)
+        assert desk.plan is not None  # what was shown before
+
+    asyncio.run(drive())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("machine", "../../etc"), ("implement", ""), ("turns", "jump"), ("headland_passes", "0"), ("headland_passes", "x"),
+     ("heading_deg", "360"), ("heading_deg", "-1"), ("heading_deg", "²"), ("_FOLDERS", "a"), ("__class__", "x")],
+)  # fmt: skip
+def test_an_option_that_does_not_exist_names_the_value(tmp_path: Path, name: str, value: str) -> None:
+    desk = desk_in(tmp_path)
+    before = desk.options
+    with pytest.raises(ConfigError, match=name):
+        desk.set_option(name, value)
+    assert desk.options == before
+
+
+@pytest.mark.parametrize("heading", ["", "0", "45", "90", "175"])
+def test_options_come_back_from_their_mission_file(tmp_path: Path, heading: str) -> None:
+    from hmi.plan_view.options import write_mission
+
+    desk = desk_in(tmp_path)
+    desk.set_option("heading_deg", heading)
+    for name in ("machine", "implement", "turns"):
+        desk.set_option(name, choices()[name][-1])
+    write_mission(desk.options.mission("name: [x", default_work()), tmp_path / "m.yaml")
+    assert options_of(*read_mission(tmp_path / "m.yaml")) == desk.options
+
+
+def test_direction_is_a_compass_heading(tmp_path: Path) -> None:
+    desk = desk_in(tmp_path)
+    for heading, yaw in (("0", 90.0), ("90", 0.0), ("45", 45.0), ("135", -45.0)):
+        desk.set_option("heading_deg", heading)
+        work = desk.options.mission("x", default_work()).work
+        assert work is not None
+        assert work.swath_direction_deg == pytest.approx(yaw)
