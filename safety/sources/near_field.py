@@ -61,7 +61,7 @@ def in_dense_patch(xy: Float32, height_m: Float64, config: NearFieldConfig) -> n
     cell = row * shape[1] + column
 
     def sums(values: Float64 | None, reach: int) -> Float64:
-        layer = np.bincount(cell, values, shape[0] * shape[1]).reshape(1, *shape)
+        layer = np.bincount(cell, values, shape[0] * shape[1]).astype(np.float64).reshape(1, *shape)
         return np.asarray(window_sums(layer, reach).ravel()[cell])
 
     mean_m = sums(height_m, config.dense_reach_cells) / sums(None, config.dense_reach_cells)
