@@ -20,6 +20,7 @@ class FittedMotionConfig(Config):
     window_s: float = Field(gt=0.0, le=10.0)
     detections: int = Field(ge=3, le=KEPT, description="fewest")
     max_length_m: float = Field(gt=0.0, le=20.0, description="of a body; the visible part of a longer one changes")
+    min_height_m: float = Field(ge=0.0, le=2.0, description="of a body; the visible part of a wire moves with the view")
     max_residual_m: float = Field(gt=0.0, le=1.0, description="root mean square in each axis")
     min_residual_m: float = Field(gt=0.0, le=1.0, description="assumed at least, for sigma")
     min_speed_mps: float = Field(gt=0.0, le=5.0)
@@ -34,9 +35,9 @@ def remember(recent_ns: Int64, recent_m: Float64, stamp_ns: int, p_m: Float64) -
 
 
 def fitted_motion(
-    recent_ns: Int64, recent_m: Float64, length_m: Float64, config: FittedMotionConfig
+    recent_ns: Int64, recent_m: Float64, size_m: Float64, config: FittedMotionConfig
 ) -> tuple[Float64, Float64, Bool]:
-    """Velocity (T, 2), its sigma (T,) in each axis, and whether that is motion (T,), of tracks of a length (T,)."""
+    """Velocity (T, 2), its sigma (T,) in each axis, and whether that is motion (T,), of tracks of a size (T, 3)."""
     t = (recent_ns - recent_ns[:, -1:]) * 1e-9
     used = (recent_ns > 0) & (t >= -config.window_s)
     n = used.sum(axis=1)
@@ -49,6 +50,8 @@ def fitted_motion(
     sigma = np.maximum(residual.max(axis=1), config.min_residual_m) / np.sqrt(square)
     speed = np.hypot(*velocity.T)
     moves = (n >= config.detections) & (residual.max(axis=1) <= config.max_residual_m)
-    moves &= (length_m <= config.max_length_m) & (speed >= np.maximum(config.min_speed_mps, config.sigmas * sigma))
+    length_m, height_m = size_m[:, 0], size_m[:, 2]
+    moves &= (length_m <= config.max_length_m) & (height_m >= config.min_height_m)
+    moves &= speed >= np.maximum(config.min_speed_mps, config.sigmas * sigma)
     moves &= speed * (t.max(axis=1) - t.min(axis=1)) >= config.length_share * length_m
     return velocity, sigma, moves

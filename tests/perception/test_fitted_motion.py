@@ -16,6 +16,10 @@ def config() -> FittedMotionConfig:
     return parse(PerceptionConfig, values, "stack/perception.yaml").tracker.fitted_motion
 
 
+def body(length_m: float = 0.6, height_m: float = 1.2) -> np.ndarray:
+    return np.array([[length_m, 0.4, height_m]])
+
+
 def seen(p_m: np.ndarray, period_ns: int = PERIOD_NS) -> tuple[np.ndarray, np.ndarray]:
     """Last detections of one track at the places (N, 2)."""
     recent_ns, recent_m = np.zeros((1, KEPT), np.int64), np.zeros((1, KEPT, 2))
@@ -32,7 +36,7 @@ def walk(count: int, speed_mps: float, noise_m: float = 0.0, seed: int = 1, peri
 
 
 def test_velocity_of_a_slow_walker(config: FittedMotionConfig) -> None:
-    velocity, sigma, moves = fitted_motion(*seen(walk(12, 0.8)), np.array([0.6]), config)
+    velocity, sigma, moves = fitted_motion(*seen(walk(12, 0.8)), body(), config)
     assert velocity[0] == pytest.approx([-0.8, 0.0])
     t = 0.1 * np.arange(11)  # of one second
     assert sigma[0] == pytest.approx(config.min_residual_m / np.sqrt(((t - t.mean()) ** 2).sum()))
@@ -41,27 +45,27 @@ def test_velocity_of_a_slow_walker(config: FittedMotionConfig) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_noise_is_no_motion_and_hides_none(config: FittedMotionConfig, seed: int) -> None:
-    length_m = np.array([0.6])
-    assert not fitted_motion(*seen(walk(12, 0.0, 0.06, seed)), length_m, config)[2][0]
-    velocity, sigma, moves = fitted_motion(*seen(walk(12, 1.2, 0.05, seed)), length_m, config)
+    size_m = body()
+    assert not fitted_motion(*seen(walk(12, 0.0, 0.06, seed)), size_m, config)[2][0]
+    velocity, sigma, moves = fitted_motion(*seen(walk(12, 1.2, 0.05, seed)), size_m, config)
     assert moves[0]
     assert np.abs(velocity[0] - [-1.2, 0.0]).max() < 4.0 * sigma[0]
 
 
 def test_what_is_no_motion(config: FittedMotionConfig) -> None:
-    small = np.array([0.6])
-
-    def moves(p_m: np.ndarray, length_m: np.ndarray = small) -> bool:
-        return bool(fitted_motion(*seen(p_m), length_m, config)[2][0])
+    def moves(p_m: np.ndarray, **size: float) -> bool:
+        return bool(fitted_motion(*seen(p_m), body(**size), config)[2][0])
 
     fewest = config.detections
     assert moves(walk(fewest, 1.2))
     assert not moves(walk(fewest - 1, 1.2))
     assert not moves(walk(12, config.min_speed_mps - 0.01))
     assert moves(walk(12, config.min_speed_mps + 0.01))
-    assert moves(walk(12, 1.2), np.array([config.max_length_m]))
-    assert not moves(walk(12, 1.2), np.array([config.max_length_m + 0.01]))
-    assert not moves(walk(12, 0.9), np.array([0.9 / config.length_share + 0.01]))  # less than half of its length
+    assert moves(walk(12, 1.2), length_m=config.max_length_m)
+    assert not moves(walk(12, 1.2), length_m=config.max_length_m + 0.01)
+    assert not moves(walk(12, 0.9), length_m=0.9 / config.length_share + 0.01)  # less than half of its length
+    assert moves(walk(12, 1.2), height_m=config.min_height_m)
+    assert not moves(walk(12, 1.2), height_m=config.min_height_m - 0.01)
     jump = walk(12, 0.0)
     jump[6:, 0] += 1.0
     assert not moves(jump)
@@ -71,8 +75,8 @@ def test_only_the_window_counts(config: FittedMotionConfig) -> None:
     turned = np.concatenate([walk(6, -3.0), walk(6, 1.2, period_s=0.25)])
     recent_ns, recent_m = seen(turned)
     recent_ns[0, 6:] = recent_ns[0, 5] + 250_000_000 * np.arange(1, 7)
-    velocity, _, _ = fitted_motion(recent_ns, recent_m, np.array([0.6]), config)
+    velocity, _, _ = fitted_motion(recent_ns, recent_m, body(), config)
     assert velocity[0] == pytest.approx([-1.2, 0.0])
-    _, sigma, moves = fitted_motion(np.zeros((1, KEPT), np.int64), np.zeros((1, KEPT, 2)), np.array([0.6]), config)
+    _, sigma, moves = fitted_motion(np.zeros((1, KEPT), np.int64), np.zeros((1, KEPT, 2)), body(), config)
     assert np.isfinite(sigma).all()
     assert not moves.any()
