@@ -108,7 +108,7 @@ class Tracker(Node):
 
     def _tracks_message(self) -> Tracks:
         t = self._table
-        velocity = velocities(t, self._config)
+        velocity, covariance = velocities(t, self._config)
         is_static = self._static_occupancy.contradicts_motion(t.x, velocity, t.size_m, self._stamp_ns)
         velocity[is_static & ~is_moving_class(t.class_evidence)] = 0.0
         label, confidence = classify(t, velocity)
@@ -117,9 +117,11 @@ class Tracker(Node):
         unseen_s = np.where(velocity.any(axis=1), 0.0, (self._stamp_ns - t.last_ns) * 1e-9)
         p = t.x[:, :2] - t.x[:, 2:] * unseen_s[:, None]
         positions = np.concatenate([p, t.height_m[:, None]], axis=1)
+        P = t.P.copy()
+        P[:, 2:, 2:] = covariance
         names = {bits: self._names(bits) for bits in set(t.sensors.tolist())}
         columns = zip(
-            t.id.tolist(), label.tolist(), confidence.tolist(), positions, velocity, t.P.copy(), t.size_m.copy(),
+            t.id.tolist(), label.tolist(), confidence.tolist(), positions, velocity, P, t.size_m.copy(),
             t.yaw_rad.tolist(), t.first_ns.tolist(), t.last_ns.tolist(), t.is_confirmed.tolist(), t.sensors.tolist(),
             strict=True,
         )  # fmt: skip

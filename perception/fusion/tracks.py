@@ -10,6 +10,7 @@ from configs.strict import Config
 from geometry.arrays import Bool, Float64, Int64
 from messages.perception import ObstacleClass
 from perception.fusion.detections import Detections, KindConfig, KindConfigs, NoiseConfig
+from perception.fusion.fitted_motion import KEPT, FittedMotionConfig, fitted_motion
 from perception.fusion.fragments import VEHICLE, FragmentsConfig, ParentTracks, is_fragment
 from perception.fusion.kalman import distances, predict
 from perception.fusion.static_occupancy import StaticOccupancy, StaticOccupancyConfig
@@ -39,6 +40,7 @@ class TrackerConfig(Config):
     fragments: FragmentsConfig
     lost_s: float = Field(gt=0.0, le=10.0, description="gap after which the velocity of a track is reset")
     moving_sigma: float = Field(gt=0.0, le=10.0, description="a slower speed is published as 0")
+    fitted_motion: FittedMotionConfig
     class_memory: float = Field(
         ge=0.0, lt=1.0, description="share of the class evidence kept from one detection to the next"
     )
@@ -50,7 +52,8 @@ class TrackTable:
     """Tracks as columns of T rows, so that all are predicted and matched at once; state and size in `odom`.
 
     `moving_since_ns`: start of uninterrupted motion (0: none), `motion_origin_m`: position at that time; `has_moved`:
-    whether the distance since agrees with the speed; `box_measured_ns`: stamp of the last measured box.
+    whether the distance since agrees with the speed; `box_measured_ns`: stamp of the last measured box; `recent_ns` and
+    `recent_m`: the last detections by lidar.
     """
 
     id: Int64
@@ -70,6 +73,8 @@ class TrackTable:
     box_measured_ns: Int64
     is_confirmed: Int64
     sensors: Int64
+    recent_ns: Int64
+    recent_m: Float64
 
     def select(self, wanted: Int64) -> "TrackTable":
         """The given rows, in ascending order; the table itself when these are all rows."""
@@ -95,7 +100,7 @@ def warm(config: TrackerConfig) -> None:
     offsets.flags.writeable = False  # as in messages: kernels are compiled per array type
     static_occupancy.observe(np.zeros((1, 3), np.float32), offsets, 0)
     table = empty_table()
-    static_occupancy.contradicts_motion(table.x, velocities(table, config), table.size_m, 0)
+    static_occupancy.contradicts_motion(table.x, velocities(table, config)[0], table.size_m, 0)
     merge_fragments(table, parent_tracks(table, 0, config), 0, 0, config)
 
 
@@ -106,6 +111,7 @@ def empty_table() -> TrackTable:
     return TrackTable(
         no_int, np.zeros((0, 4)), np.zeros((0, 4, 4)), none, np.zeros((0, 3)), none, none, np.zeros((0, len(CLASSES))),
         no_int, no_int, no_int, no_int, np.zeros((0, 2)), no_int, no_int, no_int, no_int,
+        np.zeros((0, KEPT), np.int64), np.zeros((0, KEPT, 2)),
     )  # fmt: skip
 
 
@@ -119,13 +125,16 @@ def start_tracks(detections: Detections, rows: Int64, first_id: int, config: Tra
     sigma = np.where(measured, config.velocity_sigma_mps, config.initial_speed_sigma_mps)
     P[:, 2, 2] = P[:, 3, 3] = sigma**2
     stamp = np.full(n, detections.stamp_ns, np.int64)
+    recent_ns, recent_m = np.zeros((n, KEPT), np.int64), np.zeros((n, KEPT, 2))
+    if detections.is_lidar:
+        recent_ns[:, -1], recent_m[:, -1] = detections.stamp_ns, detections.p_m[rows, :2]
     return TrackTable(
         np.arange(first_id, first_id + n), x, P, detections.p_m[rows, 2], detections.size_m[rows],
         detections.yaw_rad[rows],
         detections.evidence[rows], detections.class_log_scores[rows], stamp, stamp.copy(),
         stamp + nanoseconds(detections.kind.keep_unconfirmed_s),
         np.zeros(n, np.int64), x[:, :2].copy(), np.zeros(n, np.int64), stamp.copy(), np.zeros(n, np.int64),
-        np.full(n, 1 << detections.sensor, np.int64),
+        np.full(n, 1 << detections.sensor, np.int64), recent_ns, recent_m,
     )  # fmt: skip
 
 
@@ -207,7 +216,7 @@ def parent_tracks(table: TrackTable, lidars: int, config: TrackerConfig) -> Pare
     """Confirmed tracks of lidars (bits of `sensors`)."""
     row = np.flatnonzero((table.is_confirmed > 0) & measured_by_lidar(table, lidars, config)).astype(np.int64)
     return ParentTracks(
-        row, table.x[row], table.size_m[row], table.yaw_rad[row], velocities(table, config)[row],
+        row, table.x[row], table.size_m[row], table.yaw_rad[row], velocities(table, config)[0][row],
         is_vehicle(table.class_evidence[row]),
     )  # fmt: skip
 
@@ -242,10 +251,14 @@ def merge_fragments(
     return np.flatnonzero(~found.any(axis=1)).astype(np.int64)
 
 
-def velocities(table: TrackTable, config: TrackerConfig) -> Float64:
-    """Velocity (T, 2) of tracks with confirmed motion, else 0: one jump is no motion."""
+def velocities(table: TrackTable, config: TrackerConfig) -> tuple[Float64, Float64]:
+    """Velocity (T, 2) of tracks with confirmed motion, else 0: one jump is no motion; and its covariance (T, 2, 2)."""
     moves = (table.has_moved > 0) & is_moving(table.x, table.P, config)
-    return np.where(moves[:, None], table.x[:, 2:], 0.0)
+    slow, sigma, is_slow = fitted_motion(table.recent_ns, table.recent_m, table.size_m, config.fitted_motion)
+    is_slow &= ~moves
+    velocity = np.where(moves[:, None], table.x[:, 2:], np.where(is_slow[:, None], slow, 0.0))
+    covariance = np.where(is_slow[:, None, None], (sigma**2)[:, None, None] * np.eye(2), table.P[:, 2:, 2:])
+    return velocity, covariance
 
 
 def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> Bool:

@@ -4,6 +4,7 @@ import numpy as np
 
 from geometry.arrays import Bool, Float64, Int64
 from perception.fusion.detections import Detections
+from perception.fusion.fitted_motion import remember
 from perception.fusion.fragments import shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.static_occupancy import StaticOccupancy
@@ -43,6 +44,7 @@ def update(
     _correct_velocity(x, P, detections, rows, static_occupancy, config)
     table.x[tracks], table.P[tracks] = x, P
     _confirm_motion(table, tracks, z, detections.stamp_ns, config)
+    _remember(table, tracks[~is_piece], detections, rows[~is_piece])
     _update_boxes(table, tracks, detections, rows, is_piece, fixed, lidars)
     _add_evidence(table, tracks, detections, rows, is_piece, config)
     table.last_ns[tracks] = detections.stamp_ns
@@ -87,6 +89,14 @@ def _confirm_motion(table: TrackTable, tracks: Int64, z: Float64, stamp_ns: int,
     table.has_moved[tracks] = moves & (has_moved | covered)
     table.moving_since_ns[tracks] = np.where(starts, stamp_ns, np.where(moves, since, 0))
     table.motion_origin_m[tracks[starts]] = z[starts]
+
+
+def _remember(table: TrackTable, tracks: Int64, detections: Detections, rows: Int64) -> None:
+    """Adds whole bodies seen by lidar, in place, to the last detections of their tracks."""
+    if detections.is_lidar:
+        recent_ns, recent_m = table.recent_ns[tracks], table.recent_m[tracks]
+        remember(recent_ns, recent_m, detections.stamp_ns, detections.p_m[rows, :2])
+        table.recent_ns[tracks], table.recent_m[tracks] = recent_ns, recent_m
 
 
 def _is_structure(size_m: Float64, config: TrackerConfig) -> Bool:

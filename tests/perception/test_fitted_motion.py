@@ -1,0 +1,82 @@
+"""Velocity by a line through the last detections of a track."""
+
+import numpy as np
+import pytest
+
+from configs.strict import CONFIGS, parse, read_yaml
+from perception.config import PerceptionConfig
+from perception.fusion.fitted_motion import KEPT, FittedMotionConfig, fitted_motion, remember
+
+PERIOD_NS = 100_000_000
+
+
+@pytest.fixture(scope="module")
+def config() -> FittedMotionConfig:
+    values = read_yaml(CONFIGS / "stack/perception.yaml")
+    return parse(PerceptionConfig, values, "stack/perception.yaml").tracker.fitted_motion
+
+
+def body(length_m: float = 0.6, height_m: float = 1.2) -> np.ndarray:
+    return np.array([[length_m, 0.4, height_m]])
+
+
+def seen(p_m: np.ndarray, period_ns: int = PERIOD_NS) -> tuple[np.ndarray, np.ndarray]:
+    """Last detections of one track at the places (N, 2)."""
+    recent_ns, recent_m = np.zeros((1, KEPT), np.int64), np.zeros((1, KEPT, 2))
+    for k, p in enumerate(p_m):
+        remember(recent_ns, recent_m, (k + 1) * period_ns, p[None])
+    return recent_ns, recent_m
+
+
+def walk(count: int, speed_mps: float, noise_m: float = 0.0, seed: int = 1, period_s: float = 0.1) -> np.ndarray:
+    t = period_s * np.arange(count)
+    return np.stack([5.0 - speed_mps * t, np.full(count, 3.0)], axis=1) + np.random.default_rng(seed).normal(
+        0.0, noise_m, (count, 2)
+    )
+
+
+def test_velocity_of_a_slow_walker(config: FittedMotionConfig) -> None:
+    velocity, sigma, moves = fitted_motion(*seen(walk(12, 0.8)), body(), config)
+    assert velocity[0] == pytest.approx([-0.8, 0.0])
+    t = 0.1 * np.arange(11)  # of one second
+    assert sigma[0] == pytest.approx(config.min_residual_m / np.sqrt(((t - t.mean()) ** 2).sum()))
+    assert moves[0]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_noise_is_no_motion_and_hides_none(config: FittedMotionConfig, seed: int) -> None:
+    size_m = body()
+    assert not fitted_motion(*seen(walk(12, 0.0, 0.06, seed)), size_m, config)[2][0]
+    velocity, sigma, moves = fitted_motion(*seen(walk(12, 1.2, 0.05, seed)), size_m, config)
+    assert moves[0]
+    assert np.abs(velocity[0] - [-1.2, 0.0]).max() < 4.0 * sigma[0]
+
+
+def test_what_is_no_motion(config: FittedMotionConfig) -> None:
+    def moves(p_m: np.ndarray, **size: float) -> bool:
+        return bool(fitted_motion(*seen(p_m), body(**size), config)[2][0])
+
+    fewest = config.detections
+    assert moves(walk(fewest, 1.2))
+    assert not moves(walk(fewest - 1, 1.2))
+    assert not moves(walk(12, config.min_speed_mps - 0.01))
+    assert moves(walk(12, config.min_speed_mps + 0.01))
+    assert moves(walk(12, 1.2), length_m=config.max_length_m)
+    assert not moves(walk(12, 1.2), length_m=config.max_length_m + 0.01)
+    assert not moves(walk(12, 0.9), length_m=0.9 / config.length_share + 0.01)  # less than half of its length
+    assert moves(walk(12, 1.2), height_m=config.min_height_m)
+    assert not moves(walk(12, 1.2), height_m=config.min_height_m - 0.01)
+    jump = walk(12, 0.0)
+    jump[6:, 0] += 1.0
+    assert not moves(jump)
+
+
+def test_only_the_window_counts(config: FittedMotionConfig) -> None:
+    turned = np.concatenate([walk(6, -3.0), walk(6, 1.2, period_s=0.25)])
+    recent_ns, recent_m = seen(turned)
+    recent_ns[0, 6:] = recent_ns[0, 5] + 250_000_000 * np.arange(1, 7)
+    velocity, _, _ = fitted_motion(recent_ns, recent_m, body(), config)
+    assert velocity[0] == pytest.approx([-1.2, 0.0])
+    _, sigma, moves = fitted_motion(np.zeros((1, KEPT), np.int64), np.zeros((1, KEPT, 2)), body(), config)
+    assert np.isfinite(sigma).all()
+    assert not moves.any()
