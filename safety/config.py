@@ -107,6 +107,14 @@ class NearFieldConfig(Config):
     roughness_factor: float = Field(ge=1.0, le=10.0, description="least height that counts, over the quantile")
 
 
+class AirborneConfig(Config):
+    """Evidence in a range image that returns are of dust or birds."""
+
+    dust_range_m: Metres = Field(description="from the sensor, within which a person has dozens of returns")
+    dust_returns: int = Field(ge=1, le=1000, description="isolated returns in a scan from which on they are dust")
+    clear_m: Metres = Field(description="height of the clear space beneath a return that floats")
+
+
 class DepartureConfig(Config):
     """Following what blocked the path until it has left."""
 
@@ -290,6 +298,7 @@ class SafetyConfig(Config):
     field: FieldConfig
     measured_ground: MeasuredGroundConfig
     near_field: NearFieldConfig
+    airborne: AirborneConfig
     departure: DepartureConfig
     detection_range: DetectionRangeConfig
     lidar_agreement: LidarAgreementConfig

@@ -9,6 +9,7 @@ import numpy as np
 from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
 from geometry.pose2 import from_frame, to_frame
+from geometry.range_image import floating, isolated, range_image
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -28,6 +29,7 @@ from safety.sources.multiple_evaluation import cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
+NO_CELLS: tuple[Int64, Int64] = (np.empty(0, np.int64), np.empty(0, np.int64))
 CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a millisecond
 
 
@@ -55,7 +57,7 @@ class LidarSource:
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
         self._edges = sector_edges(config.detection_range.sectors)
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
-        self._cells: Int64 = np.empty(0, np.int64)
+        self._cells = NO_CELLS
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
         self._equal_scans = 0
@@ -81,7 +83,7 @@ class LidarSource:
         The last scan may be processed again for another box; the cells of the scan before it are then dropped.
         """
         if scan is self.scan:
-            self._cells = np.empty(0, np.int64)
+            self._cells = NO_CELLS
         else:
             self._count_repetition(content_of(scan))
         self.scan, self.stamp_ns = scan, scan.stamp_ns
@@ -100,15 +102,20 @@ class LidarSource:
         near = near[~is_machine]  # before deskewing: the machine moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
         is_obstacle, is_high = self._mark(near_xyz, area, near_field)
-        obstacles = np.asarray(near_xyz.compress(is_obstacle, axis=1), np.float64)
+        marked = np.flatnonzero(is_obstacle)
+        is_dust, is_floating = self._in_air(scan, near[marked])
+        marked, is_floating = marked[~is_dust], is_floating[~is_dust]
+        obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
-        is_hit, self._cells = evaluate(
+        is_hit, cells = evaluate(
             cell_keys(points_odom, field.cell_m),
-            is_high[is_obstacle],
+            is_high[marked],
+            is_floating,
             self._cells,
             field.min_returns_single_scan,
             field.min_returns_multiple_scan,
         )
+        self._cells = (cells, self._cells[0])
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
 
     def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray]:
@@ -126,6 +133,22 @@ class LidarSource:
             level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
             is_low |= is_hidden & mark_low_obstacles(level_xyz, near_field, self._on_slopes).is_obstacle
         return is_high | is_low, is_high
+
+    def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the obstacle returns `which` (K,) of a scan are dust, and which float, (K,) bool.
+
+        A list of points is no evidence of either: it does not show what the beams passed.
+        """
+        if scan.ranges_mm.size == 0:
+            return np.zeros(len(which), bool), np.zeros(len(which), bool)
+        field, config = self._config.field, self._config.airborne
+        image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[which]
+        is_near = scan.ranges_mm.ravel()[pixels] <= 1000.0 * config.dust_range_m
+        is_dust = is_near & isolated(image, pixels)
+        if np.count_nonzero(is_dust) < config.dust_returns:
+            is_dust[:] = False
+        ground = (field.min_height_m, field.min_height_slope)
+        return is_dust, floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
 
     def _count_repetition(self, content: int | None) -> None:
         """Counts scans in a row whose ranges an earlier one had bit for bit: frozen, or a replayed recording."""

@@ -1,0 +1,143 @@
+"""Evidence in the range image of a lidar: whether a return belongs to a surface, and whether it is borne by the ground.
+
+Beams next to each other that meet a body return from next to each other; dust, drops and flakes return on single
+beams. What stands on the ground blocks all beams below its top; below what flies they go on and return from beyond.
+
+    column of one azimuth, seen from the side        o  sensor
+      o────────────────►x        x  the return         \\
+       \\ `──────.___        ►    beams that pass below it, and return from beyond
+        \\            `►   ►
+    ─────►──────────────────────── ground
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import Bool, Float64, Int64, UInt16
+from geometry.jit import inline_kernel, kernel
+
+COLUMNS_ASIDE = 2  # neighbours of a return: three rings by five columns
+NEAR_M, NEAR_SLOPE = 0.1, 2.0  # greatest difference of range of neighbours: noise, and per metre across: 63° of slant
+BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same body
+CLOSED_RAD = 6.2  # field of view whose first and last column are neighbours
+
+
+@dataclass(frozen=True)
+class RangeImage:
+    """Ranges (rings, columns) in mm, 0 = no return; `rows` (rings,) from the lowest ring to the highest, and `rank` of
+    each row in that order; elevation (rings,) and azimuth (columns,) of the beams."""
+
+    ranges_mm: UInt16
+    rows: Int64
+    rank: Int64
+    elevation_rad: Float64
+    azimuth_rad: Float64
+
+
+def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64) -> RangeImage:
+    """Range image of a scan whose azimuths are equally spaced."""
+    rows = np.argsort(elevation_rad, kind="stable")
+    return RangeImage(ranges_mm, rows, np.argsort(rows, kind="stable"), elevation_rad, azimuth_rad)
+
+
+def isolated(image: RangeImage, pixels: Int64) -> Bool:
+    """Which returns, by their places `pixels` (K,) in the flattened image, are fewer than three next to each other."""
+    azimuth = image.azimuth_rad
+    span_rad = float(azimuth[-1] - azimuth[0]) if len(azimuth) > 1 else 0.0
+    column_rad = span_rad / max(len(azimuth) - 1, 1)
+    out = np.empty(len(pixels), np.bool_)
+    _mark_isolated(
+        image.ranges_mm, image.rows, image.rank, image.elevation_rad, column_rad, span_rad + column_rad > CLOSED_RAD,
+        pixels, out,
+    )  # fmt: skip
+    return out
+
+
+def floating(
+    image: RangeImage, pixels: Int64, T_base_sensor: Float64, ground_m: float, ground_slope: float, clear_m: float
+) -> Bool:
+    """Which returns, by their places `pixels` (K,) in the flattened image, have `clear_m` of clear space beneath them.
+
+    The space reaches from the lowest return at the distance of the return down to `ground_m`, and `ground_slope` per
+    metre of distance from the sensor, above the plane z = 0 of base. Beams through `clear_m` of its height, two or more,
+    return from beyond. Beams without a return, or that end before it, prove nothing.
+    """
+    out = np.empty(len(pixels), np.bool_)
+    el, az = image.elevation_rad, image.azimuth_rad
+    _mark_floating(
+        image.ranges_mm, image.rows, image.rank, np.cos(el), np.sin(el), np.cos(az), np.sin(az),
+        np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, clear_m, pixels, out,
+    )  # fmt: skip
+    return out
+
+
+@inline_kernel
+def _near(
+    ranges: UInt16, rows: Int64, elevation: Float64, column_rad: float, is_closed: bool, rank: int, column: int,
+    found: Int64,
+) -> int:  # fmt: skip
+    """Number of returns next to one of a ring (by `rank`) and column, at a like range; `found` (., 2): their places."""
+    count, rings, columns = 0, ranges.shape[0], ranges.shape[1]
+    own = 1e-3 * ranges[rows[rank], column]
+    for a in range(max(rank - 1, 0), min(rank + 2, rings)):
+        up = elevation[rows[a]] - elevation[rows[rank]]
+        for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
+            c = column + d
+            if is_closed:
+                c %= columns
+            if (a == rank and d == 0) or c < 0 or c >= columns or ranges[rows[a], c] == 0:
+                continue
+            across = np.sqrt(up * up + (d * column_rad) ** 2)
+            if abs(1e-3 * ranges[rows[a], c] - own) <= NEAR_M + NEAR_SLOPE * across * own:
+                found[count, 0], found[count, 1] = a, c
+                count += 1
+    return count
+
+
+@kernel
+def _mark_isolated(
+    ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
+    out: Bool,
+) -> None:  # fmt: skip
+    columns = ranges.shape[1]
+    found = np.empty((3 * (2 * COLUMNS_ASIDE + 1), 2), np.int64)
+    for k in range(pixels.shape[0]):
+        ring, column = rank[pixels[k] // columns], pixels[k] % columns
+        count = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
+        if count == 1:  # the third may be next to the second
+            ring, column = found[0, 0], found[0, 1]
+            count = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
+        out[k] = count < 2
+
+
+@kernel
+def _mark_floating(
+    ranges: UInt16, rows: Int64, rank: Int64, cos_el: Float64, sin_el: Float64, cos_az: Float64, sin_az: Float64,
+    T: Float64, ground_m: float, ground_slope: float, clear_m: float, pixels: Int64, out: Bool,
+) -> None:  # fmt: skip
+    columns = ranges.shape[1]
+    for k in range(pixels.shape[0]):
+        column = pixels[k] % columns
+        at_m, above_m, clear, passing = 0.0, 0.0, 0.0, 0
+        out[k] = False
+        for a in range(rank[pixels[k] // columns], -1, -1):
+            r = rows[a]
+            x, y, z = cos_el[r] * cos_az[column], cos_el[r] * sin_az[column], sin_el[r]
+            flat = np.hypot(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z, T[1, 0] * x + T[1, 1] * y + T[1, 2] * z)
+            ends_m = 1e-3 * ranges[r, column] * flat
+            if at_m == 0.0:
+                at_m = ends_m
+            rise = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat
+            height_m, end_height_m = T[2, 3] + rise * at_m, T[2, 3] + rise * ends_m
+            if height_m <= ground_m + ground_slope * at_m:
+                break
+            if ends_m > at_m + BESIDE_M:
+                clear += above_m - height_m
+                passing += 1
+            elif end_height_m <= ground_m + ground_slope * ends_m:
+                break
+            elif ends_m >= at_m - BESIDE_M:  # a lower part of the body, or something below it
+                clear, passing = 0.0, 0
+            above_m = height_m
+        out[k] = passing >= 2 and clear >= clear_m
