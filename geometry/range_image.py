@@ -72,6 +72,24 @@ def floating(
     return out
 
 
+def clear_beneath(
+    image: RangeImage, points_base: Float64, T_base_sensor: Float64, ground_m: float, ground_slope: float,
+) -> Bool:  # fmt: skip
+    """Beneath which points (K, 3), seen by another sensor, this image shows clear space down to the ground, (K,).
+
+    As in `floating`, but over all columns within `BESIDE_M`: nothing returns from there, and beams through half of the
+    height, three or more, return from beyond.
+    """
+    out = np.zeros(len(points_base), np.bool_)
+    el, az = image.elevation_rad, image.azimuth_rad
+    away = (points_base - T_base_sensor[:3, 3]) @ T_base_sensor[:3, :3]
+    _mark_clear_beneath(
+        image.ranges_mm, image.rows, np.cos(el), np.sin(el), az, np.arctan2(away[:, 1], away[:, 0]),
+        np.ascontiguousarray(points_base), np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, out,
+    )  # fmt: skip
+    return out
+
+
 @inline_kernel
 def _near(
     ranges: UInt16, rows: Int64, elevation: Float64, column_rad: float, is_closed: bool, rank: int, column: int,
@@ -141,3 +159,40 @@ def _mark_floating(
                 clear, passing = 0.0, 0
             above_m = height_m
         out[k] = passing >= 2 and clear >= clear_m
+
+
+@kernel
+def _mark_clear_beneath(
+    ranges: UInt16, rows: Int64, cos_el: Float64, sin_el: Float64, azimuth: Float64, towards: Float64, points: Float64,
+    T: Float64, ground_m: float, ground_slope: float, out: Bool,
+) -> None:  # fmt: skip
+    for k in range(points.shape[0]):
+        at_m = np.hypot(points[k, 0] - T[0, 3], points[k, 1] - T[1, 3])
+        bottom_m = ground_m + ground_slope * at_m
+        half_rad = np.arctan2(BESIDE_M, at_m)
+        is_clear, columns = at_m > BESIDE_M, 0
+        for column in range(azimuth.shape[0]):
+            turn = (azimuth[column] - towards[k] + np.pi) % (2.0 * np.pi) - np.pi
+            if not is_clear or abs(turn) > half_rad:
+                continue
+            columns += 1
+            above_m, clear, passing = points[k, 2], 0.0, 0
+            for a in range(rows.shape[0] - 1, -1, -1):
+                r = rows[a]
+                x, y, z = cos_el[r] * np.cos(azimuth[column]), cos_el[r] * np.sin(azimuth[column]), sin_el[r]
+                flat = np.hypot(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z, T[1, 0] * x + T[1, 1] * y + T[1, 2] * z)
+                ends_m = 1e-3 * ranges[r, column] * flat
+                rise = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat
+                height_m, end_height_m = T[2, 3] + rise * at_m, T[2, 3] + rise * ends_m
+                if height_m >= points[k, 2] - BESIDE_M:
+                    continue
+                if height_m <= bottom_m:
+                    break
+                if ends_m > at_m + BESIDE_M:
+                    clear += above_m - height_m
+                    passing += 1
+                elif ends_m >= at_m - BESIDE_M and end_height_m > ground_m + ground_slope * ends_m:
+                    is_clear = False
+                above_m = height_m
+            is_clear = is_clear and passing >= 3 and clear >= 0.5 * (points[k, 2] - bottom_m)
+        out[k] = is_clear and columns > 0

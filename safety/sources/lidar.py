@@ -3,13 +3,14 @@
 import math
 import zlib
 from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
 
 from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
 from geometry.pose2 import from_frame, to_frame
-from geometry.range_image import floating, isolated, range_image
+from geometry.range_image import clear_beneath, floating, isolated, range_image
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -44,6 +45,7 @@ class LidarSource:
         self.name = name
         self.stamp_ns: int | None = None
         self.scan: LidarScan | None = None
+        self._pose_odom: Float64 = np.zeros(3)
         self.hits_odom_m: Float64 = np.empty((0, 3))
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
         self.footprint, self._config = footprint, config
@@ -77,8 +79,13 @@ class LidarSource:
         """Whether the last scans repeat earlier ones."""
         return self._equal_scans >= self._config.detection_range.frozen_scans
 
-    def update(self, scan: LidarScan, pose_odom: Float64, motion: Motion, curvature_radpm: float, box: Box) -> None:
+    def update(
+        self, scan: LidarScan, pose_odom: Float64, motion: Motion, curvature_radpm: float, box: Box,
+        others: Iterable["LidarSource"] = (),
+    ) -> None:  # fmt: skip
         """Processes a scan; `pose_odom` (3,) is base at its stamp, `box` the area of interest in base at that time.
+
+        `others`: lidars that may show what this one cannot see below a return.
 
         The last scan may be processed again for another box; the cells of the scan before it are then dropped.
         """
@@ -86,7 +93,7 @@ class LidarSource:
             self._cells = NO_CELLS
         else:
             self._count_repetition(content_of(scan))
-        self.scan, self.stamp_ns = scan, scan.stamp_ns
+        self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
         self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
         xyz = to_base(scan.points_m, self._T_base_sensor)
@@ -107,6 +114,7 @@ class LidarSource:
         marked, is_floating = marked[~is_dust], is_floating[~is_dust]
         obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
+        self._ask(others, points_odom, is_floating)
         is_hit, cells = evaluate(
             cell_keys(points_odom, field.cell_m),
             is_high[marked],
@@ -149,6 +157,28 @@ class LidarSource:
             is_dust[:] = False
         ground = (field.min_height_m, field.min_height_slope)
         return is_dust, floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
+
+    def _ask(self, others: Iterable["LidarSource"], points_odom: Float64, is_floating: np.ndarray) -> None:
+        """Adds to `is_floating` (N,) returns near this lidar, below which only other lidars see."""
+        base = from_frame(self._pose_odom, points_odom[:, :2])
+        away_m = np.hypot(*(base - self._T_base_sensor[:2, 3]).T)
+        lowest_m = self._T_base_sensor[2, 3] + self._min_slope * away_m
+        field = self._config.field
+        is_high = points_odom[:, 2] > field.min_height_m + self._config.airborne.clear_m
+        asked = np.flatnonzero(~is_floating & is_high & (lowest_m > field.min_height_m + field.min_height_slope * away_m))
+        for other in others if len(asked) else ():
+            is_floating[asked] |= other.shows_clear_beneath(points_odom[asked], self.stamp_ns)
+
+    def shows_clear_beneath(self, points_odom: Float64, stamp_ns: int | None) -> np.ndarray:
+        """Whether the last scan, if it is of the time of `stamp_ns`, shows clear space below points (N, 3), (N,) bool."""
+        scan, field = self.scan, self._config.field
+        interval_ns = self._config.lidar_agreement.max_interval_s * 1e9
+        is_usable = scan is not None and scan.ranges_mm.size > 0 and not self.is_frozen
+        if scan is None or stamp_ns is None or not is_usable or abs(scan.stamp_ns - stamp_ns) > interval_ns:
+            return np.zeros(len(points_odom), bool)
+        image = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
+        base = np.column_stack([from_frame(self._pose_odom, points_odom[:, :2]), points_odom[:, 2]])
+        return clear_beneath(image, base, self._T_base_sensor, field.min_height_m, field.min_height_slope)
 
     def _count_repetition(self, content: int | None) -> None:
         """Counts scans in a row whose ranges an earlier one had bit for bit: frozen, or a replayed recording."""

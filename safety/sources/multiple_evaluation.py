@@ -36,7 +36,8 @@ def evaluate(
 
 
 def thin(points_m: Float64, grid_m: float) -> Float64:
-    """One of the points (N, 3) per square of a horizontal grid, so that a wall costs no more than a post."""
+    """Lowest of the points (N, 3) per square of a horizontal grid, so that a wall costs no more than a post."""
+    points_m = points_m[np.argsort(points_m[:, 2], kind="stable")] if points_m.shape[1] > 2 else points_m
     square = np.floor(points_m[:, :2] / grid_m).astype(np.int64)
     _, first = np.unique((square[:, 0] << BITS) + square[:, 1], return_index=True)
     return points_m[first]
