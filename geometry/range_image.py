@@ -44,7 +44,7 @@ def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64)
 def isolated(image: RangeImage, pixels: Int64) -> Bool:
     """Which returns, by their places `pixels` (K,) in the flattened image, are fewer than three next to each other."""
     azimuth = image.azimuth_rad
-    span_rad = float(azimuth[-1] - azimuth[0]) if len(azimuth) > 1 else 0.0
+    span_rad = abs(float(azimuth[-1] - azimuth[0])) if len(azimuth) > 1 else 0.0
     column_rad = span_rad / max(len(azimuth) - 1, 1)
     out = np.empty(len(pixels), np.bool_)
     _mark_isolated(
@@ -60,7 +60,7 @@ def floating(
     """Which returns, by their places `pixels` (K,) in the flattened image, have `clear_m` of clear space beneath them.
 
     The space reaches from the lowest return at the distance of the return down to `ground_m`, and `ground_slope` per
-    metre of distance from the sensor, above the plane z = 0 of base. Beams through `clear_m` of its height, two or more,
+    metre of distance from the sensor, above the plane z = 0 of base. Two beams or more, through `clear_m` of its height,
     return from beyond. Beams without a return, or that end before it, prove nothing.
     """
     out = np.empty(len(pixels), np.bool_)
@@ -84,7 +84,8 @@ def clear_beneath(
     el, az = image.elevation_rad, image.azimuth_rad
     away = (points_base - T_base_sensor[:3, 3]) @ T_base_sensor[:3, :3]
     _mark_clear_beneath(
-        image.ranges_mm, image.rows, np.cos(el), np.sin(el), az, np.arctan2(away[:, 1], away[:, 0]),
+        image.ranges_mm, image.rows, np.cos(el), np.sin(el), az, np.cos(az), np.sin(az),
+        np.arctan2(away[:, 1], away[:, 0]),
         np.ascontiguousarray(points_base), np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, out,
     )  # fmt: skip
     return out
@@ -163,8 +164,8 @@ def _mark_floating(
 
 @kernel
 def _mark_clear_beneath(
-    ranges: UInt16, rows: Int64, cos_el: Float64, sin_el: Float64, azimuth: Float64, towards: Float64, points: Float64,
-    T: Float64, ground_m: float, ground_slope: float, out: Bool,
+    ranges: UInt16, rows: Int64, cos_el: Float64, sin_el: Float64, azimuth: Float64, cos_az: Float64, sin_az: Float64,
+    towards: Float64, points: Float64, T: Float64, ground_m: float, ground_slope: float, out: Bool,
 ) -> None:  # fmt: skip
     for k in range(points.shape[0]):
         at_m = np.hypot(points[k, 0] - T[0, 3], points[k, 1] - T[1, 3])
@@ -179,7 +180,7 @@ def _mark_clear_beneath(
             above_m, clear, passing = points[k, 2], 0.0, 0
             for a in range(rows.shape[0] - 1, -1, -1):
                 r = rows[a]
-                x, y, z = cos_el[r] * np.cos(azimuth[column]), cos_el[r] * np.sin(azimuth[column]), sin_el[r]
+                x, y, z = cos_el[r] * cos_az[column], cos_el[r] * sin_az[column], sin_el[r]
                 flat = np.hypot(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z, T[1, 0] * x + T[1, 1] * y + T[1, 2] * z)
                 ends_m = 1e-3 * ranges[r, column] * flat
                 rise = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat

@@ -24,7 +24,7 @@ class AirborneConfig(Config):
 
 
 def mark_airborne(scan: LidarScan, point_class: UInt8, T_base_sensor: Float64, config: AirborneConfig) -> None:
-    """Sets in place the class (N,) of obstacle returns that are dust or float; a list of points is evidence of neither."""
+    """Sets in place the class (N,) of obstacle returns that are dust or float; a list of points proves neither."""
     if scan.ranges_mm.size == 0:
         return
     range_mm = scan.ranges_mm.ravel()[scan.pixels]

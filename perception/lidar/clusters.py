@@ -77,7 +77,7 @@ def find_clusters(
 
 @kernel
 def _indices_of(point_class: UInt8, lowest: int, highest: int) -> Int32:
-    """Ascending indices of the classes from `lowest` to `highest`; without branches, which are costly for unordered returns."""
+    """Ascending indices of the classes from `lowest` to `highest`; branches are costly for unordered ones."""
     indices, n = np.empty(point_class.shape[0] + 1, np.int32), 0
     for i in range(point_class.shape[0]):
         indices[n] = i

@@ -181,10 +181,10 @@ class Pipeline:
         high = filled & (boxes.top_m >= limits.min_height_m)
         kept = select(found, high)
         size, yaw = boxes.size_m[high], boxes.yaw_rad[high]
-        share = floating_share(kept, point_class)
+        is_floating = floating_share(kept, point_class) >= self.config.airborne.min_share
         return Obstacles(
             stamp_ns, sensor, stamp_ns, boxes.center_m[high], size, yaw, boxes.nearest_m[high],
-            np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high], share >= self.config.airborne.min_share), kept.offsets, kept.indices,
+            np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high], is_floating), kept.offsets, kept.indices,
             _take_rows(points, kept.indices),
         )  # fmt: skip
 
@@ -205,7 +205,9 @@ def floating_share(clusters: Clusters, point_class: UInt8) -> Float64:
     if len(clusters.indices) == 0:
         return np.zeros(len(clusters.offsets) - 1)
     found = point_class[clusters.indices]
-    floats, obstacles = (np.add.reduceat(found >= one, clusters.offsets[:-1], dtype=np.float64) for one in (FLOATING, OBSTACLE))
+    floats, obstacles = (
+        np.add.reduceat(found >= one, clusters.offsets[:-1], dtype=np.float64) for one in (FLOATING, OBSTACLE)
+    )
     return np.asarray(floats / obstacles)
 
 

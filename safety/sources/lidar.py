@@ -114,9 +114,10 @@ class LidarSource:
         marked, is_floating = marked[~is_dust], is_floating[~is_dust]
         obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
-        self._ask(others, points_odom, is_floating)
+        keys = cell_keys(points_odom, field.cell_m)
+        self._ask(others, points_odom, keys, is_floating)
         is_hit, cells = evaluate(
-            cell_keys(points_odom, field.cell_m),
+            keys,
             is_high[marked],
             is_floating,
             self._cells,
@@ -158,19 +159,20 @@ class LidarSource:
         ground = (field.min_height_m, field.min_height_slope)
         return is_dust, floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
 
-    def _ask(self, others: Iterable["LidarSource"], points_odom: Float64, is_floating: np.ndarray) -> None:
-        """Adds to `is_floating` (N,) returns near this lidar, below which only other lidars see."""
-        base = from_frame(self._pose_odom, points_odom[:, :2])
-        away_m = np.hypot(*(base - self._T_base_sensor[:2, 3]).T)
-        lowest_m = self._T_base_sensor[2, 3] + self._min_slope * away_m
-        field = self._config.field
-        is_high = points_odom[:, 2] > field.min_height_m + self._config.airborne.clear_m
-        asked = np.flatnonzero(~is_floating & is_high & (lowest_m > field.min_height_m + field.min_height_slope * away_m))
-        for other in others if len(asked) else ():
-            is_floating[asked] |= other.shows_clear_beneath(points_odom[asked], self.stamp_ns)
+    def _ask(self, others: Iterable["LidarSource"], points_odom: Float64, keys: Int64, is_floating: np.ndarray) -> None:
+        """Adds to `is_floating` (N,) the returns of cells, above the ground, below which only other lidars see."""
+        cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        middle = np.column_stack([np.bincount(which, points_odom[:, k], len(cells)) / counts for k in range(3)])
+        np.minimum.at(middle[:, 2], which, points_odom[:, 2])
+        is_proven = np.bincount(which, ~is_floating, len(cells)) == 0
+        asked = ~is_proven & (middle[:, 2] > self._config.field.min_height_m + self._config.airborne.clear_m)
+        is_clear = np.zeros(len(cells), bool)
+        for other in others if asked.any() else ():
+            is_clear[asked] |= other.shows_clear_beneath(middle[asked], self.stamp_ns)
+        is_floating |= is_clear[which]
 
     def shows_clear_beneath(self, points_odom: Float64, stamp_ns: int | None) -> np.ndarray:
-        """Whether the last scan, if it is of the time of `stamp_ns`, shows clear space below points (N, 3), (N,) bool."""
+        """Whether the last scan, if taken about `stamp_ns`, shows clear space below points (N, 3), (N,) bool."""
         scan, field = self.scan, self._config.field
         interval_ns = self._config.lidar_agreement.max_interval_s * 1e9
         is_usable = scan is not None and scan.ranges_mm.size > 0 and not self.is_frozen

@@ -144,9 +144,7 @@ def _is_near(points_xy: Float64, area: SweptArea, extra_m: Float64 | float, asid
     return np.asarray(~is_beyond)
 
 
-def _contact_near(
-    points_xy: Float64, area: SweptArea, extra: Float64, beside: Float64, height_m: Float64
-) -> Float64:
+def _contact_near(points_xy: Float64, area: SweptArea, extra: Float64, beside: Float64, height_m: Float64) -> Float64:
     travel = np.full(len(points_xy), np.inf)
     carrier: Float64 | None = None
     for (body, poses), lead_m, top_m in zip(area.bodies, area.leads_m, area.tops_m, strict=True):

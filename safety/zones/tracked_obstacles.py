@@ -165,8 +165,8 @@ def tracks_near(
     """Confirmed tracks that could reach the swept area within the prediction, each with whether it moves.
 
     `is_known` tests positions (N, 2) in odom for known structure: tracks there, and boxes long enough to combine
-    several walls, are left to the raw field, as is what floats: a bird turns before the machine is there, and what stays
-    in the path is a hit.
+    several walls, are left to the raw field. So is what floats: a bird has left before the machine is there, and what
+    stays in the path is a hit.
     """
     all_tracks = () if tracks is None else tracks.tracks
     confirmed = [t for t in all_tracks if t.is_confirmed and t.label is not ObstacleClass.AIRBORNE]
