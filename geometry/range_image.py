@@ -60,8 +60,8 @@ def floating(
     """Which returns, by their places `pixels` (K,) in the flattened image, have `clear_m` of clear space beneath them.
 
     The space reaches from the lowest return at the distance of the return down to `ground_m`, and `ground_slope` per
-    metre of distance from the sensor, above the plane z = 0 of base. Two beams or more, through `clear_m` of its height,
-    return from beyond. Beams without a return, or that end before it, prove nothing.
+    metre of distance from the sensor, above the plane z = 0 of base. Two beams or more, through `clear_m` of its
+    height, return from beyond. Beams without a return, or that end before it, prove nothing.
     """
     out = np.empty(len(pixels), np.bool_)
     el, az = image.elevation_rad, image.azimuth_rad
