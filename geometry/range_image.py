@@ -77,8 +77,8 @@ def clear_beneath(
 ) -> Bool:  # fmt: skip
     """Beneath which points (K, 3), seen by another sensor, this image shows clear space down to the ground, (K,).
 
-    As in `floating`, but over all columns within `BESIDE_M`: nothing returns from there, and beams through half of the
-    height, three or more, return from beyond.
+    As in `floating`, but over all columns within `BESIDE_M`: nothing returns from there, and in half of the columns three
+    beams or more, through half of the height, return from beyond.
     """
     out = np.zeros(len(points_base), np.bool_)
     el, az = image.elevation_rad, image.azimuth_rad
@@ -171,7 +171,7 @@ def _mark_clear_beneath(
         at_m = np.hypot(points[k, 0] - T[0, 3], points[k, 1] - T[1, 3])
         bottom_m = ground_m + ground_slope * at_m
         half_rad = np.arctan2(BESIDE_M, at_m)
-        is_clear, columns = at_m > BESIDE_M, 0
+        is_clear, columns, clear_columns = at_m > BESIDE_M, 0, 0
         for column in range(azimuth.shape[0]):
             turn = (azimuth[column] - towards[k] + np.pi) % (2.0 * np.pi) - np.pi
             if not is_clear or abs(turn) > half_rad:
@@ -195,5 +195,5 @@ def _mark_clear_beneath(
                 elif ends_m >= at_m - BESIDE_M and end_height_m > ground_m + ground_slope * ends_m:
                     is_clear = False
                 above_m = height_m
-            is_clear = is_clear and passing >= 3 and clear >= 0.5 * (points[k, 2] - bottom_m)
-        out[k] = is_clear and columns > 0
+            clear_columns += passing >= 3 and clear >= 0.5 * (points[k, 2] - bottom_m)
+        out[k] = is_clear and columns > 0 and 2 * clear_columns >= columns
