@@ -77,8 +77,8 @@ def clear_beneath(
 ) -> Bool:  # fmt: skip
     """Beneath which points (K, 3), seen by another sensor, this image shows clear space down to the ground, (K,).
 
-    As in `floating`, but over all columns within `BESIDE_M`: nothing returns from there, and in half of the columns three
-    beams or more, through half of the height, return from beyond.
+    As in `floating`, but over all columns within `BESIDE_M`: nothing returns from there, and in half of the columns
+    three beams or more, through half of the height, return from beyond.
     """
     out = np.zeros(len(points_base), np.bool_)
     el, az = image.elevation_rad, image.azimuth_rad
