@@ -49,7 +49,9 @@ def test_dust_has_no_clusters_and_who_is_in_it_has_one(pipeline, share):
 def test_dust_in_a_list_has_clusters(pipeline):
     """Without the image there is no evidence, and dust is what it was before."""
     scans = [cast(seed=seed, extra=dust(0.02)) for seed in range(5)]
-    image, points = (sum(len(obstacles_of(pipeline, one).yaw_rad) for one in some) for some in (scans, map(listed, scans)))
+    image, points = (
+        sum(len(obstacles_of(pipeline, one).yaw_rad) for one in some) for some in (scans, map(listed, scans))
+    )
     assert points >= image + 10
 
 

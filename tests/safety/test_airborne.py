@@ -111,10 +111,9 @@ def test_a_bird_that_passes_is_no_hit_and_what_hangs_there_is(
         for k in range(8):
             bird = box(10.5 - 0.1 * k * BIRD_MPS, 0.5, *BIRD, low=low_m)
             assert take(source, cast([bird], lidar, seed=k, stamp_ns=START_NS + k * SCAN_NS)) == 0, k
-        branch, hits = box(6.5, 0.0, 0.4, 1.2, 0.15, low=low_m), []
+        branch = box(6.5, 0.0, 0.4, 1.2, 0.15, low=low_m)
         source = source_of(machine, implement, config, name)
-        for k in range(3):
-            hits.append(take(source, cast([branch], lidar, seed=k, stamp_ns=START_NS + k * SCAN_NS)))
+        hits = [take(source, cast([branch], lidar, seed=k, stamp_ns=START_NS + k * SCAN_NS)) for k in range(3)]
         assert hits[:2] == [0, 0]
         assert hits[2] > 0
     for body in (ADULT, CHILD):

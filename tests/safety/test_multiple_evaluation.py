@@ -47,7 +47,9 @@ def test_floating_returns_need_three_scans() -> None:
     keys, high, cells = np.full(8, 7), np.ones(8, bool), np.array([7])
     for floats, states in ((8, (False, False, True)), (6, (False, False, True)), (5, (True, True, True))):
         is_floating = np.arange(8) < floats
-        found = [evaluate(keys, high, is_floating, seen, 4, 2)[0] for seen in ((NONE, cells), (cells, NONE), (cells, cells))]
+        found = [
+            evaluate(keys, high, is_floating, seen, 4, 2)[0] for seen in ((NONE, cells), (cells, NONE), (cells, cells))
+        ]
         assert [one.all() for one in found] == [one.any() for one in found] == list(states), floats
 
 
