@@ -56,20 +56,22 @@ def isolated(image: RangeImage, pixels: Int64) -> Bool:
 
 def floating(
     image: RangeImage, pixels: Int64, T_base_sensor: Float64, ground_m: float, ground_slope: float, clear_m: float
-) -> Bool:
+) -> tuple[Bool, Bool]:
     """Which returns, by their places `pixels` (K,) in the flattened image, have `clear_m` of clear space beneath them.
+
+    And which stand, (K,): all beams down to the ground meet their body.
 
     The space reaches from the lowest return at the distance of the return down to `ground_m`, and `ground_slope` per
     metre of distance from the sensor, above the plane z = 0 of base. Two beams or more, through `clear_m` of its
     height, return from beyond. Beams without a return, or that end before it, prove nothing.
     """
-    out = np.empty(len(pixels), np.bool_)
+    floats, stands = np.empty(len(pixels), np.bool_), np.empty(len(pixels), np.bool_)
     el, az = image.elevation_rad, image.azimuth_rad
     _mark_floating(
         image.ranges_mm, image.rows, image.rank, np.cos(el), np.sin(el), np.cos(az), np.sin(az),
-        np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, clear_m, pixels, out,
+        np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, clear_m, pixels, floats, stands,
     )  # fmt: skip
-    return out
+    return floats, stands
 
 
 def clear_beneath(
@@ -133,13 +135,13 @@ def _mark_isolated(
 @kernel
 def _mark_floating(
     ranges: UInt16, rows: Int64, rank: Int64, cos_el: Float64, sin_el: Float64, cos_az: Float64, sin_az: Float64,
-    T: Float64, ground_m: float, ground_slope: float, clear_m: float, pixels: Int64, out: Bool,
+    T: Float64, ground_m: float, ground_slope: float, clear_m: float, pixels: Int64, floats: Bool, stands: Bool,
 ) -> None:  # fmt: skip
     columns = ranges.shape[1]
     for k in range(pixels.shape[0]):
         column = pixels[k] % columns
         at_m, above_m, clear, passing = 0.0, 0.0, 0.0, 0
-        out[k] = False
+        is_whole, is_down = True, False  # all beams down from the return meet its body; they reach the ground
         for a in range(rank[pixels[k] // columns], -1, -1):
             r = rows[a]
             x, y, z = cos_el[r] * cos_az[column], cos_el[r] * sin_az[column], sin_el[r]
@@ -150,16 +152,21 @@ def _mark_floating(
             rise = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat
             height_m, end_height_m = T[2, 3] + rise * at_m, T[2, 3] + rise * ends_m
             if height_m <= ground_m + ground_slope * at_m:
+                is_down = True
                 break
             if ends_m > at_m + BESIDE_M:
                 clear += above_m - height_m
                 passing += 1
             elif end_height_m <= ground_m + ground_slope * ends_m:
+                is_down = True
                 break
             elif ends_m >= at_m - BESIDE_M:  # a lower part of the body, or something below it
                 clear, passing = 0.0, 0
+            else:
+                is_whole = False
             above_m = height_m
-        out[k] = passing >= 2 and clear >= clear_m
+        floats[k] = passing >= 2 and clear >= clear_m
+        stands[k] = is_whole and is_down and passing == 0
 
 
 @kernel

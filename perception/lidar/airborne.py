@@ -30,7 +30,7 @@ def mark_airborne(scan: LidarScan, point_class: UInt8, T_base_sensor: Float64, c
     range_mm = scan.ranges_mm.ravel()[scan.pixels]
     near = np.flatnonzero((point_class == OBSTACLE) & (range_mm <= 1000.0 * config.range_m))
     image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[near]
-    is_floating = floating(image, pixels, T_base_sensor, config.ground_m, config.ground_growth, config.clear_m)
+    is_floating, _ = floating(image, pixels, T_base_sensor, config.ground_m, config.ground_growth, config.clear_m)
     point_class[near[is_floating]] = FLOATING
     is_dust = isolated(image, pixels) & (range_mm[near] <= 1000.0 * config.dust_range_m)
     if np.count_nonzero(is_dust) >= config.dust_returns:

@@ -110,12 +110,12 @@ class LidarSource:
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
         is_obstacle, is_high = self._mark(near_xyz, area, near_field)
         marked = np.flatnonzero(is_obstacle)
-        is_dust, is_floating = self._in_air(scan, near[marked])
-        marked, is_floating = marked[~is_dust], is_floating[~is_dust]
+        is_dust, is_floating, is_standing = self._in_air(scan, near[marked])
+        marked, is_floating, is_standing = (some[~is_dust] for some in (marked, is_floating, is_standing))
         obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         keys = cell_keys(points_odom, field.cell_m)
-        self._ask(others, points_odom, keys, is_floating)
+        self._ask(others, points_odom, keys, is_floating, is_standing)
         is_hit, cells = evaluate(
             keys,
             is_high[marked],
@@ -143,13 +143,14 @@ class LidarSource:
             is_low |= is_hidden & mark_low_obstacles(level_xyz, near_field, self._on_slopes).is_obstacle
         return is_high | is_low, is_high
 
-    def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray]:
-        """Which of the obstacle returns `which` (K,) of a scan are dust, and which float, (K,) bool.
+    def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which of the obstacle returns `which` (K,) of a scan are dust, which float, and which stand, (K,) bool.
 
-        A list of points is no evidence of either: it does not show what the beams passed.
+        A list of points is no evidence of the first two: it does not show what the beams passed.
         """
+        none, ones = np.zeros(len(which), bool), np.ones(len(which), bool)
         if scan.ranges_mm.size == 0:
-            return np.zeros(len(which), bool), np.zeros(len(which), bool)
+            return none, none, ones
         field, config = self._config.field, self._config.airborne
         image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[which]
         is_near = scan.ranges_mm.ravel()[pixels] <= 1000.0 * config.dust_range_m
@@ -157,18 +158,22 @@ class LidarSource:
         if np.count_nonzero(is_dust) < config.dust_returns:
             is_dust[:] = False
         ground = (field.min_height_m, field.min_height_slope)
-        return is_dust, floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
+        return is_dust, *floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
 
-    def _ask(self, others: Iterable["LidarSource"], points_odom: Float64, keys: Int64, is_floating: np.ndarray) -> None:
+    def _ask(
+        self, others: Iterable["LidarSource"], points_odom: Float64, keys: Int64, is_floating: np.ndarray,
+        is_standing: np.ndarray,
+    ) -> None:  # fmt: skip
         """Adds to `is_floating` (N,) the returns of cells, above the ground, below which only other lidars see."""
         cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
         middle = np.column_stack([np.bincount(which, points_odom[:, k], len(cells)) / counts for k in range(3)])
         np.minimum.at(middle[:, 2], which, points_odom[:, 2])
-        is_proven = np.bincount(which, ~is_floating, len(cells)) == 0
-        asked = ~is_proven & (middle[:, 2] > self._config.field.min_height_m + self._config.airborne.clear_m)
+        is_open = np.bincount(which, ~is_floating, len(cells)) > 0
+        is_open &= np.bincount(which, is_standing, len(cells)) == 0
+        is_open &= middle[:, 2] > self._config.field.min_height_m + self._config.airborne.clear_m
         is_clear = np.zeros(len(cells), bool)
-        for other in others if asked.any() else ():
-            is_clear[asked] |= other.shows_clear_beneath(middle[asked], self.stamp_ns)
+        for other in others if is_open.any() else ():
+            is_clear[is_open] |= other.shows_clear_beneath(middle[is_open], self.stamp_ns)
         is_floating |= is_clear[which]
 
     def shows_clear_beneath(self, points_odom: Float64, stamp_ns: int | None) -> np.ndarray:

@@ -32,7 +32,7 @@ def within(scan, lidar: Lidar, corners):
 def floating_share(scan, lidar: Lidar, corners):
     """Share of the returns in a box that float, and their number."""
     pixels = within(scan, lidar, corners)
-    found = floating(image_of(scan), pixels, lidar.mount.T_base_sensor, GROUND_M, GROUND_SLOPE, CLEAR_M)
+    found, _ = floating(image_of(scan), pixels, lidar.mount.T_base_sensor, GROUND_M, GROUND_SLOPE, CLEAR_M)
     return float(found.mean()) if len(found) else 0.0, len(found)
 
 
@@ -124,6 +124,18 @@ def test_who_stands_on_the_ground_does_not_float(lidar: Lidar, x: float) -> None
         share, count = floating_share(cast(bodies, lidar=lidar), lidar, whole)
         assert count > 2
         assert share <= limit, (bodies, share)
+
+
+@pytest.mark.parametrize("x", [6.0, 8.0, 11.0])
+def test_who_is_seen_down_to_the_ground_stands(x: float) -> None:
+    person, bird = box(x, 0.5, 0.3, 0.5, 1.75), box(x, 0.5, *BIRD, low=1.2)
+    behind = [person, box(x - 1.5, 0.5, 0.4, 1.2, 1.4)]
+    for bodies, corners, most in (([person], person, True), ([bird], bird, False), (behind, person, False)):
+        scan = cast(bodies)
+        found = floating(image_of(scan), within(scan, FRONT, corners), FRONT.mount.T_base_sensor, 0.25, 0.02, CLEAR_M)
+        assert (found[1].mean() > 0.9) == most
+        assert found[1].any() == most
+        assert not (found[0] & found[1]).any()
 
 
 def test_what_hides_or_swallows_the_beams_below_proves_nothing() -> None:
