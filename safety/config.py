@@ -83,7 +83,7 @@ class MeasuredGroundConfig(Config):
     returns: int = Field(ge=1, le=50, description="order of the lowest return of a cell that is its ground")
     slope: float = Field(ge=0.0, le=1.0, description="greatest rise of the ground, in base, from a lower place")
     reach_cells: int = Field(ge=1, le=20, description="cells over which a lower place bounds the ground")
-    range_m: Metres = Field(description="distance from the rear axle beyond which planes through cells bound the ground")
+    range_m: Metres = Field(description="distance from the rear axle; beyond it planes through cells bound the ground")
     wheels_m: Metres = Field(description="distance from the centre between the axles that counts as beside the wheels")
     wheels_cells: int = Field(ge=1, le=100, description="least number of cells there")
     wheels_tolerance_m: Metres = Field(description="of their median height: farther off the lidar is misaligned")

@@ -70,13 +70,12 @@ def stands_out(
     above = np.flatnonzero(is_above_plane)
     x, y, z = xyz.take(above, axis=1)
     ground_m = lowest_bound(low_m, config).ravel()[cells.of[above]]
-    limit_m = ground_m + field.min_height_m + field.min_height_slope * np.hypot(x, y)
+    least_m = field.min_height_m + field.min_height_slope * np.hypot(x, y)
     is_far = np.hypot(x, y) > config.range_m
     if is_far.any():
-        z, limit_m = z.copy(), np.where(is_far, limit_m - ground_m, limit_m)
-        z[is_far] = level(xyz, box, 0.0, config)[2].take(above[is_far])
+        z = np.where(is_far, level(xyz, box, 0.0, config)[2].take(above), z)
     is_obstacle = is_above_plane.copy()
-    is_obstacle[above] = (z > limit_m) | np.isinf(ground_m)
+    is_obstacle[above] = (z > np.where(is_far, 0.0, ground_m) + least_m) | np.isinf(ground_m)
     return is_obstacle
 
 

@@ -260,12 +260,17 @@ def test_a_wall_does_not_tilt_the_level(config: SupervisorConfig) -> None:
     assert np.abs(found[2, ~is_wall]).max() < 0.13
 
 
-def test_beyond_the_range_the_plane_counts(config: SupervisorConfig) -> None:
+def test_beyond_the_range_planes_through_cells_count(config: SupervisorConfig) -> None:
+    """On rising ground what is 0.25 m + 2 % above it counts; where no ground surrounds it, all does."""
     field, measured = config.field, config.measured_ground
-    ground = surface()
+    ground, x = surface(), measured.range_m + 0.55
     ground[2] = 0.2 * np.maximum(ground[0] - 3.0, 0.0)
-    for x, counts in ((measured.range_m - 0.05, False), (measured.range_m + 0.05, True)):
-        xyz = np.concatenate([ground, [[x], [0.0], [0.2 * (x - 3.0) + 0.1]]], axis=1).astype(np.float32)
+    limit_m = field.min_height_m + field.min_height_slope * x
+    bare = ground[:, (ground[0] < measured.range_m - 2.0) | (np.abs(ground[1]) > 3.0)]
+    for there, height_m, counts in (
+        (ground, limit_m - 0.2, False), (ground, limit_m + 0.05, True), (bare, 0.1, True),
+    ):  # fmt: skip
+        xyz = np.concatenate([there, [[x], [0.0], [0.2 * (x - 3.0) + height_m]]], axis=1).astype(np.float32)
         above = np.zeros(xyz.shape[1], bool)
         above[-1] = True
-        assert stands_out(xyz, above, AREA, field, measured)[-1] == counts, x
+        assert stands_out(xyz, above, AREA, field, measured)[-1] == counts, height_m
