@@ -27,7 +27,7 @@ GROUND_LAYERS = 5  # thickness of ground in layers: furrows, stubble, noise
 BINS_BEFORE = 4  # number of nearer bins that predict a cell
 SECTORS_ASIDE = 3  # sectors to either side that predict it
 SECTOR_WEIGHT = 1.0 / (1.0 + np.arange(-SECTORS_ASIDE, SECTORS_ASIDE + 1.0) ** 2)
-SLOPE_RIDGE_M2 = 0.05  # one cell beside another, 1 m off, has 0.3
+SLOPE_RIDGE_M2 = 0.15  # one cell beside another, 1 m off, has 0.3
 BLUR = 1.0 / (1.0 + np.arange(-2.0, 3.0)[:, None] ** 2 + 2.0 * np.arange(-1.0, 2.0)[None] ** 2)  # sectors by bins
 
 
