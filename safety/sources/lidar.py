@@ -26,11 +26,10 @@ from safety.sources.detection_range import (
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.ground_heights import NO_GROUND, ground_heights
 from safety.sources.measured_ground import level, stands_out
-from safety.sources.multiple_evaluation import cell_keys, evaluate
+from safety.sources.multiple_evaluation import NOTHING, cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
-NO_CELLS: tuple[Int64, Int64] = (np.empty(0, np.int64), np.empty(0, np.int64))
 CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a millisecond
 
 
@@ -59,7 +58,7 @@ class LidarSource:
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
         self._edges = sector_edges(config.detection_range.sectors)
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
-        self._cells = NO_CELLS
+        self._cells = (NOTHING, NOTHING)
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
         self._equal_scans = 0
@@ -90,7 +89,7 @@ class LidarSource:
         The last scan may be processed again for another box; the cells of the scan before it are then dropped.
         """
         if scan is self.scan:
-            self._cells = NO_CELLS
+            self._cells = (NOTHING, NOTHING)
         else:
             self._count_repetition(content_of(scan))
         self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
