@@ -26,10 +26,11 @@ from safety.sources.detection_range import (
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.ground_heights import NO_GROUND, ground_heights
 from safety.sources.measured_ground import level, stands_out
-from safety.sources.multiple_evaluation import NOTHING, cell_keys, evaluate
+from safety.sources.multiple_evaluation import cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
+NO_CELLS: tuple[Int64, Int64] = (np.empty(0, np.int64), np.empty(0, np.int64))
 CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a millisecond
 
 
@@ -58,7 +59,7 @@ class LidarSource:
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
         self._edges = sector_edges(config.detection_range.sectors)
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
-        self._cells = (NOTHING, NOTHING)
+        self._cells = NO_CELLS
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
         self._equal_scans = 0
@@ -89,7 +90,7 @@ class LidarSource:
         The last scan may be processed again for another box; the cells of the scan before it are then dropped.
         """
         if scan is self.scan:
-            self._cells = (NOTHING, NOTHING)
+            self._cells = NO_CELLS
         else:
             self._count_repetition(content_of(scan))
         self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
@@ -115,6 +116,8 @@ class LidarSource:
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         keys = cell_keys(points_odom, field.cell_m)
         self._ask(others, points_odom, keys, is_floating, is_standing)
+        if np.count_nonzero(is_floating) < self._config.airborne.bird_returns:
+            is_floating[:] = False
         is_hit, cells = evaluate(
             keys,
             is_high[marked],

@@ -1,11 +1,9 @@
 """Multiple evaluation (IEC 61496-3): a cell is hit by enough returns in one scan, or by some in each of two scans.
 
 Low returns, near the height of the ground itself, count in two scans only. A cell whose returns float, with clear space
-beneath them, and are many, counts if it had some two scans before: a bird at 6 m/s has left it by then; a branch, a
-barrier or a load has not. The few returns of a wire count in two scans, unless the first were many: a bird that leaves.
+beneath them, counts if it also had some two scans before: a bird at 6 m/s has left it by then; a branch, a barrier or a
+load has not.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,37 +19,21 @@ def cell_keys(points_odom_m: Float64, cell_m: float) -> Int64:
     return np.asarray((cell[:, 0] << (2 * BITS)) | (cell[:, 1] << BITS) | cell[:, 2])
 
 
-@dataclass(frozen=True)
-class SeenCells:
-    """Sorted cells with enough returns for a hit in two scans, and those of them that hold no dense floating body."""
-
-    every: Int64
-    without_birds: Int64
-
-
-NOTHING = SeenCells(np.empty(0, np.int64), np.empty(0, np.int64))
-
-
 def evaluate(
-    keys: Int64, is_high: np.ndarray, is_floating: np.ndarray, before: tuple[SeenCells, SeenCells], single: int,
-    multiple: int,
-) -> tuple[np.ndarray, SeenCells]:  # fmt: skip
-    """Whether each point is a hit, (N,) bool, and the cells with at least `multiple` returns, for the next scan.
+    keys: Int64, is_high: np.ndarray, is_floating: np.ndarray, before: tuple[Int64, Int64], single: int, multiple: int
+) -> tuple[np.ndarray, Int64]:
+    """Whether each point is a hit, (N,) bool, and the sorted cells with at least `multiple` returns, for the next scan.
 
     `single`: minimum of high returns in this scan alone; `is_high` and `is_floating` (N,) bool; `before`: cells of the
     previous scan and of the one before it.
     """
     cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    was_seen, was_there_before = (np.isin(cells, some, assume_unique=True) for some in before)
     is_seen = counts >= multiple
-    floats = np.bincount(which, is_floating, len(cells)) >= MIN_FLOATING_RATIO * counts
-    is_bird = floats & (counts >= single)
-    was_seen, was_no_bird, was_there = (
-        np.isin(cells, some, assume_unique=True) for some in (before[0].every, before[0].without_birds, before[1].every)
-    )
     in_one = np.bincount(which, is_high, len(cells)) >= single
-    stands = in_one | (is_seen & was_seen)
-    is_hit = np.where(is_bird, is_seen & was_there, np.where(floats, is_seen & was_no_bird, stands))
-    return is_hit[which], SeenCells(cells[is_seen], cells[is_seen & ~is_bird])
+    floats = np.bincount(which, is_floating, len(cells)) >= MIN_FLOATING_RATIO * counts
+    is_hit = np.where(floats, is_seen & was_there_before, in_one | (is_seen & was_seen))
+    return is_hit[which], cells[is_seen]
 
 
 def thin(points_m: Float64, grid_m: float) -> Float64:

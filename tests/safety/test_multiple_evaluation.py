@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from safety.sources.multiple_evaluation import NOTHING, SeenCells, cell_keys, evaluate, thin
+from safety.sources.multiple_evaluation import cell_keys, evaluate, thin
 
 NONE = np.empty(0, np.int64)
 
@@ -12,14 +12,9 @@ def stands(keys: np.ndarray) -> np.ndarray:
     return np.zeros(len(keys), bool)
 
 
-def seen(*cells: int) -> SeenCells:
-    """Cells without birds."""
-    return SeenCells(np.array(cells, np.int64), np.array(cells, np.int64))
-
-
-def before(*cells: int) -> tuple[SeenCells, SeenCells]:
+def before(*cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Cells of the previous scan; there was none before it."""
-    return seen(*cells), NOTHING
+    return np.array(cells, np.int64), NONE
 
 
 def test_cell_keys() -> None:
@@ -35,7 +30,7 @@ def test_evaluate() -> None:
     high = np.ones(len(keys), bool)
     hits, cells = evaluate(keys, high, stands(keys), before(4, 5, 11), 4, 2)
     assert hits.tolist() == [True, True, True, False, True, True, True, False]
-    assert cells.every.tolist() == [5, 9]
+    assert cells.tolist() == [5, 9]
 
 
 def test_low_returns_need_two_scans() -> None:
@@ -43,29 +38,19 @@ def test_low_returns_need_two_scans() -> None:
     low, mixed = np.zeros(6, bool), np.array([True, True, True, False, False, False])
     hits, cells = evaluate(keys, low, stands(keys), before(), 4, 2)
     assert not hits.any()
-    assert evaluate(keys, low, stands(keys), (cells, NOTHING), 4, 2)[0].all()
+    assert evaluate(keys, low, stands(keys), (cells, NONE), 4, 2)[0].all()
     assert not evaluate(keys, mixed, stands(keys), before(7), 4, 2)[0].any()
     assert evaluate(keys, mixed, stands(keys), before(7), 3, 2)[0].all()
 
 
-def test_many_floating_returns_must_have_been_there_two_scans_before() -> None:
-    keys, high, there = np.full(8, 7), np.ones(8, bool), seen(7)
-    for floats, states in ((8, [True, False, True]), (6, [True, False, True]), (5, [True, True, True])):
+def test_floating_returns_must_have_been_there_two_scans_before() -> None:
+    keys, high, cells = np.full(8, 7), np.ones(8, bool), np.array([7])
+    for floats, states in ((8, (True, False, True)), (6, (True, False, True)), (5, (True, True, True))):
         is_floating = np.arange(8) < floats
         found = [
-            evaluate(keys, high, is_floating, was, 4, 2) for was in ((NOTHING, there), (there, NOTHING), (there, there))
+            evaluate(keys, high, is_floating, seen, 4, 2)[0] for seen in ((NONE, cells), (cells, NONE), (cells, cells))
         ]
-        assert [hits.all() for hits, _ in found] == [hits.any() for hits, _ in found] == states, floats
-        assert [cells.without_birds.tolist() for _, cells in found] == [[7] if floats == 5 else []] * 3
-
-
-def test_few_floating_returns_need_two_scans() -> None:
-    keys, high, floats = np.full(3, 7), np.ones(3, bool), np.ones(3, bool)
-    bird = SeenCells(np.array([7]), NONE)
-    for was, expected in ((seen(7), True), (bird, False), (NOTHING, False)):
-        hits, cells = evaluate(keys, high, floats, (was, NOTHING), 4, 2)
-        assert hits.all() == hits.any() == expected
-        assert cells.without_birds.tolist() == [7]
+        assert [one.all() for one in found] == [one.any() for one in found] == list(states), floats
 
 
 def test_thin_keeps_the_lowest() -> None:
@@ -80,15 +65,15 @@ def test_min_returns_per_cell() -> None:
         keys = cell_keys(np.tile([[10.1, 0.1, 0.6]], (count, 1)), 0.5)
         hits, cells = evaluate(keys, np.ones(count, bool), stands(keys), before(), 4, 2)
         assert hits.all() == (count >= 4)
-        assert len(cells.every) == (1 if count >= 2 else 0)
-        again, _ = evaluate(keys, np.ones(count, bool), stands(keys), (cells, NOTHING), 4, 2)
+        assert len(cells) == (1 if count >= 2 else 0)
+        again, _ = evaluate(keys, np.ones(count, bool), stands(keys), (cells, NONE), 4, 2)
         assert again.all() == (count >= 2)
     apart = [[10.1, 0.1, 0.6], [10.6, 0.1, 0.6], [10.1, 0.6, 0.6], [10.1, 0.1, 1.1], [-0.1, 0, 0]]
     spread = cell_keys(np.array(apart), 0.5)
     assert len(set(spread.tolist())) == 5
     assert not evaluate(spread, np.ones(5, bool), stands(spread), before(), 2, 2)[0].any()
     hits, cells = evaluate(NONE, np.empty(0, bool), stands(NONE), before(), 4, 2)
-    assert len(hits) == len(cells.every) == 0
+    assert len(hits) == len(cells) == 0
 
 
 def test_thin() -> None:
