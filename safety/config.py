@@ -113,7 +113,6 @@ class AirborneConfig(Config):
     dust_range_m: Metres = Field(description="from the sensor, within which a person has dozens of returns")
     dust_returns: int = Field(ge=1, le=1000, description="isolated returns in a scan from which on they are dust")
     clear_m: Metres = Field(description="height of the clear space beneath a return that floats")
-    bird_returns: int = Field(ge=1, le=1000, description="floating returns in a scan from which on they count as such")
 
 
 class DepartureConfig(Config):

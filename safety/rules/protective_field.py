@@ -45,7 +45,6 @@ RULE = Rule(
         "airborne.dust_range_m",
         "airborne.dust_returns",
         "airborne.clear_m",
-        "airborne.bird_returns",
         "braking.reaction_s",
         "braking.build_up_s",
         "braking.deceleration_mps2",

@@ -116,8 +116,6 @@ class LidarSource:
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         keys = cell_keys(points_odom, field.cell_m)
         self._ask(others, points_odom, keys, is_floating, is_standing)
-        if np.count_nonzero(is_floating) < self._config.airborne.bird_returns:
-            is_floating[:] = False
         is_hit, cells = evaluate(
             keys,
             is_high[marked],

@@ -1,8 +1,7 @@
 """Multiple evaluation (IEC 61496-3): a cell is hit by enough returns in one scan, or by some in each of two scans.
 
 Low returns, near the height of the ground itself, count in two scans only. A cell whose returns float, with clear space
-beneath them, counts if it also had some two scans before: a bird at 6 m/s has left it by then; a branch, a barrier or a
-load has not.
+beneath them, counts in three: a bird at 6 m/s is not in it for so long, a branch, a barrier or a load is.
 """
 
 import numpy as np
@@ -28,12 +27,12 @@ def evaluate(
     previous scan and of the one before it.
     """
     cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    was_seen, was_there_before = (np.isin(cells, some, assume_unique=True) for some in before)
-    is_seen = counts >= multiple
+    was_seen, was_seen_twice = (np.isin(cells, some, assume_unique=True) for some in before)
+    in_two = was_seen & (counts >= multiple)
     in_one = np.bincount(which, is_high, len(cells)) >= single
     floats = np.bincount(which, is_floating, len(cells)) >= MIN_FLOATING_RATIO * counts
-    is_hit = np.where(floats, is_seen & was_there_before, in_one | (is_seen & was_seen))
-    return is_hit[which], cells[is_seen]
+    is_hit = np.where(floats, in_two & was_seen_twice, in_one | in_two)
+    return is_hit[which], cells[counts >= multiple]
 
 
 def thin(points_m: Float64, grid_m: float) -> Float64:

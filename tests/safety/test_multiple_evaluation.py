@@ -43,9 +43,9 @@ def test_low_returns_need_two_scans() -> None:
     assert evaluate(keys, mixed, stands(keys), before(7), 3, 2)[0].all()
 
 
-def test_floating_returns_must_have_been_there_two_scans_before() -> None:
+def test_floating_returns_need_three_scans() -> None:
     keys, high, cells = np.full(8, 7), np.ones(8, bool), np.array([7])
-    for floats, states in ((8, (True, False, True)), (6, (True, False, True)), (5, (True, True, True))):
+    for floats, states in ((8, (False, False, True)), (6, (False, False, True)), (5, (True, True, True))):
         is_floating = np.arange(8) < floats
         found = [
             evaluate(keys, high, is_floating, seen, 4, 2)[0] for seen in ((NONE, cells), (cells, NONE), (cells, cells))
