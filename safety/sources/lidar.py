@@ -65,6 +65,7 @@ class LidarSource:
         self._equal_scans = 0
         self.ground = NO_GROUND
         self.has_other_rings, self._rings = False, len(lidar.elevation_deg)
+        warm(self._T_base_sensor)
 
     def covers(self, direction: int) -> bool:
         """Whether the lidar covers a direction of travel."""
@@ -232,6 +233,16 @@ class LidarSource:
         """Depth of each point (3, N) below the lowest beam, (N,); below 0 above it."""
         x, y, z = base - self._T_base_sensor[:3, 3:]
         return np.asarray(self._min_slope * np.hypot(x, y) - z)
+
+
+def warm(T_base_sensor: Float64) -> None:
+    """Compiles or loads the kernels of range images, so that no scan waits for it."""
+    none, two = np.empty(0, np.float32), np.ones((1, 2), np.uint16)
+    scan = LidarScan(0, two, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), np.empty(0, np.uint8), none)
+    image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[scan.pixels]
+    isolated(image, pixels)
+    floating(image, pixels, T_base_sensor, 0.0, 0.0, 1.0)
+    clear_beneath(image, np.zeros((1, 3)), T_base_sensor, 0.0, 0.0)
 
 
 def content_of(scan: LidarScan) -> int | None:
