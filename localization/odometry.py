@@ -40,7 +40,8 @@ class OdometryEstimator:
         self._gyro_density = gyro_density(imu, config.imu)
         self.inertial = InertialSpeed() if wheels is None else None
         self._wheel_density = 0.0 if wheels is None else wheels.speed_sigma_mps / math.sqrt(wheels.rate_hz)
-        self._rate = np.zeros(3)
+        self._imu_base_m = imu.mount.T_base_sensor[:3, 3]
+        self._rate, self._imu_mps = np.zeros(3), 0.0
         self._acceleration = 0.0
         self._angle, self._speed = (0.0 if wheels is not None else math.nan), 0.0
 
@@ -146,6 +147,9 @@ class OdometryEstimator:
         rate = float(self._rate[2])
         if self.inertial is not None:
             return
+        # over a crest the IMU swings forward above the wheels
+        imu_mps = float(self._rate[1] * self._imu_base_m[2] - self._rate[2] * self._imu_base_m[1])
+        forward, self._imu_mps = forward - (imu_mps - self._imu_mps) / dt, imu_mps
         self.plausibility.advance(self.stamp_ns, dt, (rate, forward), (self.speed_mps, self._curvature()))
 
     def _curvature(self) -> float:

@@ -19,6 +19,7 @@ class ObstacleClass(StrEnum):
     POLE = "pole"
     MOUND = "mound"
     DITCH = "ditch"
+    AIRBORNE = "airborne"
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Obstacles(Message):
 
     K obstacles: `center_base_m` (K, 3), `size_m` (K, 3) and `yaw_rad` (K,) of the boxes; `nearest_base_m` (K, 3) the
     return nearest to the front of the machine; `velocity_mps` (K, 2) over ground in base axes, NaN where not measured;
-    `class_scores` (K, 7) in the order of `ObstacleClass`, rows sum to 1. The returns of obstacle k are
+    `class_scores` (K, 8) in the order of `ObstacleClass`, rows sum to 1. The returns of obstacle k are
     `indices[offsets[k]:offsets[k + 1]]` of the `points_m` of the scan `scan_stamp_ns`; `points_base_m` (M, 3) are the
     same returns in `base`, in that order (not logged). `sigma_m` (K, 2) of the centres, along and across the box yaw
     (then the line of sight); empty where the extent of the boxes is used.

@@ -35,10 +35,10 @@ class LidarScan(Message):
         range_m = self.ranges_mm.astype(np.float32) * np.float32(1e-3)
         el, az = self.elevation_rad[:, None], self.azimuth_rad
         flat = range_m * np.cos(el).astype(np.float32)
-        points = np.empty((len(self._returns), 3), np.float32)
-        points[:, 0] = (flat * np.cos(az).astype(np.float32)).ravel()[self._returns]
-        points[:, 1] = (flat * np.sin(az).astype(np.float32)).ravel()[self._returns]
-        points[:, 2] = (range_m * np.sin(el).astype(np.float32)).ravel()[self._returns]
+        points = np.empty((len(self.pixels), 3), np.float32)
+        points[:, 0] = (flat * np.cos(az).astype(np.float32)).ravel()[self.pixels]
+        points[:, 1] = (flat * np.sin(az).astype(np.float32)).ravel()[self.pixels]
+        points[:, 2] = (range_m * np.sin(el).astype(np.float32)).ravel()[self.pixels]
         points.flags.writeable = False
         return points
 
@@ -49,13 +49,13 @@ class LidarScan(Message):
             return np.zeros(len(self.points_m), np.float32)
         if self.ranges_mm.size == 0:
             return self.offset_s
-        offsets = np.broadcast_to(self.offset_s, self.ranges_mm.shape).ravel()[self._returns]
+        offsets = np.broadcast_to(self.offset_s, self.ranges_mm.shape).ravel()[self.pixels]
         offsets.flags.writeable = False
         return offsets
 
     @cached_property
-    def _returns(self) -> Int64:
-        """Indices of the returns in the flattened range image, (N,)."""
+    def pixels(self) -> Int64:
+        """Places of `points_m` in the flattened range image, (N,)."""
         return np.flatnonzero(self.ranges_mm != 0)  # of bool: a third of the time of np.nonzero of integers
 
 

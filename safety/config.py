@@ -83,7 +83,7 @@ class MeasuredGroundConfig(Config):
     returns: int = Field(ge=1, le=50, description="order of the lowest return of a cell that is its ground")
     slope: float = Field(ge=0.0, le=1.0, description="greatest rise of the ground, in base, from a lower place")
     reach_cells: int = Field(ge=1, le=20, description="cells over which a lower place bounds the ground")
-    range_m: Metres = Field(description="distance from the rear axle beyond which all above the plane counts")
+    range_m: Metres = Field(description="distance from the rear axle; beyond it planes through cells bound the ground")
     wheels_m: Metres = Field(description="distance from the centre between the axles that counts as beside the wheels")
     wheels_cells: int = Field(ge=1, le=100, description="least number of cells there")
     wheels_tolerance_m: Metres = Field(description="of their median height: farther off the lidar is misaligned")
@@ -110,6 +110,14 @@ class NearFieldConfig(Config):
     dense_rise_m: Metres = Field(description="above the mean surface")
     dense_returns: int = Field(ge=2, le=100, description="of one scan that make a patch dense on any ground")
     dense_share: float = Field(gt=0.0, le=1.0, description="of the returns of a dense patch that are that high")
+
+
+class AirborneConfig(Config):
+    """Evidence in a range image that returns are of dust or birds."""
+
+    dust_range_m: Metres = Field(description="from the sensor, within which a person has dozens of returns")
+    dust_returns: int = Field(ge=1, le=1000, description="isolated returns in a scan from which on they are dust")
+    clear_m: Metres = Field(description="height of the clear space beneath a return that floats")
 
 
 class DepartureConfig(Config):
@@ -296,6 +304,7 @@ class SafetyConfig(Config):
     field: FieldConfig
     measured_ground: MeasuredGroundConfig
     near_field: NearFieldConfig
+    airborne: AirborneConfig
     departure: DepartureConfig
     detection_range: DetectionRangeConfig
     lidar_agreement: LidarAgreementConfig

@@ -108,7 +108,8 @@ class ObstacleSources:
         for source in self.lidars:
             scan = data.scans[source.name] if source in new else source.scan if is_new_field else None
             if scan is not None:
-                source.update(scan, pose_history.pose_at(scan.stamp_ns), motion, odom.curvature_radpm, box)
+                others = [one for one in self.lidars if one is not source]
+                source.update(scan, pose_history.pose_at(scan.stamp_ns), motion, odom.curvature_radpm, box, others)
         if new:
             self._agreement.update(self.lidars)
 

@@ -51,7 +51,7 @@ class Detections:
 
     `static_share` (K,) is the share of long-occupied cells; `velocity_mps` (K, 2) and `body_length_m` (K,), the length
     of the class that a camera detects, are NaN where unknown; `evidence` (K,) is that of existence,
-    `class_log_scores` (K, 7) that of the classes.
+    `class_log_scores` (K, 8) that of the classes.
     """
 
     stamp_ns: int

@@ -196,12 +196,12 @@ def nanoseconds(seconds: float) -> int:
 
 
 def is_vehicle(class_evidence: Float64) -> Bool:
-    """Whether the most likely class is a vehicle, (T,), from class evidence (T, 7)."""
+    """Whether the most likely class is a vehicle, (T,), from class evidence (T, 8)."""
     return np.asarray(class_evidence.argmax(axis=1) == VEHICLE) if len(class_evidence) else np.zeros(0, np.bool_)
 
 
 def is_moving_class(class_evidence: Float64) -> Bool:
-    """Whether the most likely class moves (person, animal, vehicle), (T,), from class evidence (T, 7)."""
+    """Whether the most likely class moves (person, animal, vehicle), (T,), from class evidence (T, 8)."""
     return np.asarray(MOVING_CLASSES[class_evidence.argmax(axis=1)]) if len(class_evidence) else np.zeros(0, np.bool_)
 
 

@@ -147,11 +147,11 @@ def _nearest(
     offsets: Int32, indices: Int32, points: Float32, above: Float32, point_class: UInt8, front_x: float, half: float,
     nearest: Float64, top: Float64,
 ) -> None:  # fmt: skip
-    """Nearest return and top of each cluster, from obstacle points (class 2) alone: neither ghosts nor ground."""
+    """Nearest return and top of each cluster, from obstacle points alone (class 2 or more): no ghosts, no ground."""
     for k in range(offsets.shape[0] - 1):
         best = np.inf
         for i in indices[offsets[k] : offsets[k + 1]]:
-            if point_class[i] != 2:
+            if point_class[i] < 2:
                 continue
             top[k] = max(top[k], above[i])
             x, y = points[i, 0], points[i, 1]

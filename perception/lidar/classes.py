@@ -1,8 +1,8 @@
-"""Class scores of a single cluster from its shape; the tracker adds motion."""
+"""Class scores of a single cluster from its shape; the tracker adds motion. Shapes are of bodies on the ground."""
 
 import numpy as np
 
-from geometry.arrays import Float64
+from geometry.arrays import Bool, Float64
 from messages.perception import ObstacleClass
 
 CLASSES = tuple(ObstacleClass)
@@ -18,13 +18,17 @@ SHAPES: dict[ObstacleClass, tuple[tuple[float, float, float, float], ...]] = {
 }
 
 
-def class_scores(size_m: Float64, top_m: Float64) -> Float64:
-    """Scores (K, 7) in the order of `ObstacleClass`; sizes (K, 3) with the longer level side first, rows sum to 1."""
+def class_scores(size_m: Float64, top_m: Float64, is_floating: Bool) -> Float64:
+    """Scores (K, 8) in the order of `ObstacleClass`; sizes (K, 3) with the longer level side first, rows sum to 1.
+
+    `is_floating` (K,): there is clear space beneath the cluster.
+    """
     scores = np.zeros((len(size_m), len(CLASSES)))
     scores[:, 0] = UNKNOWN_WEIGHT
     for label, (height, length, width) in SHAPES.items():
         fit = trapezoid(top_m, *height) * trapezoid(size_m[:, 0], *length) * trapezoid(size_m[:, 1], *width)
-        scores[:, CLASSES.index(label)] = fit
+        scores[:, CLASSES.index(label)] = np.where(is_floating, 0.0, fit)
+    scores[:, CLASSES.index(ObstacleClass.AIRBORNE)] = is_floating
     return np.asarray(scores / scores.sum(axis=1, keepdims=True), np.float64)
 
 

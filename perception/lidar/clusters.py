@@ -58,7 +58,8 @@ def new_cell_grid(config: ClusterConfig) -> Int32:
 def find_clusters(
     points_base_m: Float32, point_class: UInt8, center_m: Float64, config: ClusterConfig, cell_grid: Int32
 ) -> Clusters:
-    """Clusters of returns (N, 3) in `base`; `point_class` (N,): 2 obstacle, 1 low (joins an occupied cell), 0 unused.
+    """Clusters of returns (N, 3) in `base`; `point_class` (N,): 3 floating obstacle, 2 obstacle,
+    1 low (joins a cell occupied by obstacles that do not float), 0 unused.
 
     `cell_grid` is from `new_cell_grid` and is all -1 again on return.
     """
@@ -75,12 +76,12 @@ def find_clusters(
 
 
 @kernel
-def _indices_of(point_class: UInt8, wanted: int) -> Int32:
-    """Ascending indices of a class; without branches, which are costly for unordered returns."""
+def _indices_of(point_class: UInt8, lowest: int, highest: int) -> Int32:
+    """Ascending indices of the classes from `lowest` to `highest`; branches are costly for unordered ones."""
     indices, n = np.empty(point_class.shape[0] + 1, np.int32), 0
     for i in range(point_class.shape[0]):
         indices[n] = i
-        n += point_class[i] == wanted
+        n += (point_class[i] >= lowest) & (point_class[i] <= highest)
     return indices[:n]
 
 
@@ -99,8 +100,8 @@ def _fill_cells(
         u, v = points[i, 0] * scale + u0, points[i, 1] * scale + v0
         inside = (point_class[i] > 0) & (u >= 0.0) & (u < end) & (v >= 0.0) & (v < end)
         cell[i] = np.int32(u) * span + np.int32(v) if inside else np.int32(-1)
-    obstacle_points, k = _indices_of(point_class, 2), 0
-    keys, total = np.empty(obstacle_points.shape[0], np.int32), np.empty((obstacle_points.shape[0] + 1, 3))
+    obstacle_points, k = _indices_of(point_class, 2, 3), 0
+    keys, total = np.empty(obstacle_points.shape[0], np.int32), np.empty((obstacle_points.shape[0] + 1, 4))
     for i in obstacle_points:
         key = cell[i]
         if key < 0:
@@ -114,11 +115,12 @@ def _fill_cells(
         total[c, 0] += points[i, 0]
         total[c, 1] += points[i, 1]
         total[c, 2] += 1.0
-    for i in _indices_of(point_class, 1):
+        total[c, 3] += point_class[i] == 2
+    for i in _indices_of(point_class, 1, 1):
         c = number[cell[i]] if cell[i] >= 0 else -1
         # a single return may be noise and would turn the ground below it into an obstacle
-        cell[i] = c if c >= 0 and total[c, 2] > 1.0 else -1
-    return keys[:k].copy(), total[:k, :2] / total[:k, 2:]
+        cell[i] = c if c >= 0 and total[c, 3] > 1.0 else -1
+    return keys[:k].copy(), total[:k, :2] / total[:k, 2:3]
 
 
 @kernel
@@ -184,7 +186,7 @@ def _collect(cell: Int32, point_class: UInt8, label: Int32, count: int, min_retu
     for i in members[:n]:
         c = label[cell[i]]
         size[c] += 1
-        obstacle_count[c] += point_class[i] == 2
+        obstacle_count[c] += point_class[i] >= 2
     offsets = np.zeros(count + 1, np.int32)
     kept = np.full(count, -1, np.int32)
     k = 0

@@ -14,6 +14,7 @@ from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
 from messages.sensors import LidarScan
+from perception.lidar.airborne import FLOATING, OBSTACLE, AirborneConfig, mark_airborne
 from perception.lidar.boxes import fit_boxes
 from perception.lidar.classes import class_scores
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid, select
@@ -42,6 +43,7 @@ class LidarConfig(Config):
 
     self_filter: SelfFilterConfig
     ground: GroundConfig
+    airborne: AirborneConfig
     clusters: ClusterConfig
     health: HealthConfig
     plane_radius_m: float = Field(ge=3.0, le=50.0)
@@ -160,6 +162,7 @@ class Pipeline:
         point_class = np.empty(len(points), np.uint8)
         is_obstacle_point = np.empty(len(points), np.uint8)
         _classify_points(points, ground.height_m, *self._limits, point_class, is_obstacle_point)
+        mark_airborne(scan, point_class, T, self.config.airborne)
         clusters = find_clusters(points, point_class, self._center, self.config.clusters, self._cell_grid)
         plane = fit_plane(ground, self._center, self._grid, self.config.plane_radius_m)
         return (
@@ -178,10 +181,11 @@ class Pipeline:
         high = filled & (boxes.top_m >= limits.min_height_m)
         kept = select(found, high)
         size, yaw = boxes.size_m[high], boxes.yaw_rad[high]
+        is_floating = floating_share(kept, point_class) >= self.config.airborne.min_share
         return Obstacles(
             stamp_ns, sensor, stamp_ns, boxes.center_m[high], size, yaw, boxes.nearest_m[high],
-            np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high]), kept.offsets, kept.indices,
-            _take_rows(points, kept.indices),
+            np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high], is_floating), kept.offsets,
+            kept.indices, _take_rows(points, kept.indices),
         )  # fmt: skip
 
     def _health(
@@ -194,6 +198,17 @@ class Pipeline:
         return SensorHealth(
             scan.stamp_ns, sensor, state, reason, nominal.sector_edges_rad.copy(), detected_m, rejected_count
         )
+
+
+def floating_share(clusters: Clusters, point_class: UInt8) -> Float64:
+    """Share (K,) of the obstacle returns of each cluster that float."""
+    if len(clusters.indices) == 0:
+        return np.zeros(len(clusters.offsets) - 1)
+    found = point_class[clusters.indices]
+    floats, obstacles = (
+        np.add.reduceat(found >= one, clusters.offsets[:-1], dtype=np.float64) for one in (FLOATING, OBSTACLE)
+    )
+    return np.asarray(floats / obstacles)
 
 
 @kernel

@@ -133,5 +133,5 @@ def warm() -> None:
 
 
 def no_evidence(n: int) -> Float64:
-    """Uniform class scores (n, 7)."""
+    """Uniform class scores (n, 8)."""
     return np.full((n, len(ObstacleClass)), 1.0 / len(ObstacleClass))

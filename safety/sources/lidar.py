@@ -3,12 +3,14 @@
 import math
 import zlib
 from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
 
 from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
 from geometry.pose2 import from_frame, to_frame
+from geometry.range_image import clear_beneath, floating, isolated, range_image
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -28,6 +30,7 @@ from safety.sources.multiple_evaluation import cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
+NO_CELLS: tuple[Int64, Int64] = (np.empty(0, np.int64), np.empty(0, np.int64))
 CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a millisecond
 
 
@@ -42,6 +45,7 @@ class LidarSource:
         self.name = name
         self.stamp_ns: int | None = None
         self.scan: LidarScan | None = None
+        self._pose_odom: Float64 = np.zeros(3)
         self.hits_odom_m: Float64 = np.empty((0, 3))
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
         self.footprint, self._config = footprint, config
@@ -55,13 +59,14 @@ class LidarSource:
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
         self._edges = sector_edges(config.detection_range.sectors)
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
-        self._cells: Int64 = np.empty(0, np.int64)
+        self._cells = NO_CELLS
         self._dense_cells: Int64 = np.empty(0, np.int64)
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
         self._equal_scans = 0
         self.ground = NO_GROUND
         self.has_other_rings, self._rings = False, len(lidar.elevation_deg)
+        warm(self._T_base_sensor)
 
     def covers(self, direction: int) -> bool:
         """Whether the lidar covers a direction of travel."""
@@ -76,16 +81,21 @@ class LidarSource:
         """Whether the last scans repeat earlier ones."""
         return self._equal_scans >= self._config.detection_range.frozen_scans
 
-    def update(self, scan: LidarScan, pose_odom: Float64, motion: Motion, curvature_radpm: float, box: Box) -> None:
+    def update(
+        self, scan: LidarScan, pose_odom: Float64, motion: Motion, curvature_radpm: float, box: Box,
+        others: Iterable["LidarSource"] = (),
+    ) -> None:  # fmt: skip
         """Processes a scan; `pose_odom` (3,) is base at its stamp, `box` the area of interest in base at that time.
+
+        `others`: lidars that may show what this one cannot see below a return.
 
         The last scan may be processed again for another box; the cells of the scan before it are then dropped.
         """
         if scan is self.scan:
-            self._cells = self._dense_cells = np.empty(0, np.int64)
+            self._cells, self._dense_cells = NO_CELLS, np.empty(0, np.int64)
         else:
             self._count_repetition(content_of(scan))
-        self.scan, self.stamp_ns = scan, scan.stamp_ns
+        self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
         self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
         xyz = to_base(scan.points_m, self._T_base_sensor)
@@ -101,20 +111,25 @@ class LidarSource:
         near = near[~is_machine]  # before deskewing: the machine moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
         is_obstacle, is_high, is_dense = self._mark(near_xyz, area, near_field)
-        some = is_obstacle | is_dense
-        obstacles = np.asarray(near_xyz.compress(some, axis=1), np.float64)
+        marked = np.flatnonzero(is_obstacle | is_dense)
+        is_dust, is_floating, is_standing = self._in_air(scan, near[marked])
+        obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
-        keys, is_high, is_dense = cell_keys(points_odom, field.cell_m), is_high[some], is_dense[some]
-        counts = is_obstacle[some] | np.isin(keys, self._dense_cells)
-        self._dense_cells = keys[is_dense]
-        keys, points_odom = keys[counts], points_odom[counts]
-        is_hit, self._cells = evaluate(
+        keys = cell_keys(points_odom, field.cell_m)
+        counts = ~is_dust & (is_obstacle[marked] | np.isin(keys, self._dense_cells))
+        self._dense_cells = keys[is_dense[marked] & ~is_dust]
+        marked, keys, points_odom = marked[counts], keys[counts], points_odom[counts]
+        is_floating, is_standing = is_floating[counts], is_standing[counts]
+        self._ask(others, points_odom, keys, is_floating, is_standing)
+        is_hit, cells = evaluate(
             keys,
-            is_high[counts],
+            is_high[marked],
+            is_floating,
             self._cells,
             field.min_returns_single_scan,
             field.min_returns_multiple_scan,
         )
+        self._cells = (cells, self._cells[0])
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
 
     def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -132,6 +147,50 @@ class LidarSource:
             level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
             is_low |= is_hidden & mark_low_obstacles(level_xyz, near_field, self._on_slopes).is_obstacle
         return is_high | is_low, is_high, near.is_dense
+
+    def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which of the obstacle returns `which` (K,) of a scan are dust, which float, and which stand, (K,) bool.
+
+        A list of points is no evidence of the first two: it does not show what the beams passed.
+        """
+        none, ones = np.zeros(len(which), bool), np.ones(len(which), bool)
+        if scan.ranges_mm.size == 0:
+            return none, none, ones
+        field, config = self._config.field, self._config.airborne
+        image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[which]
+        is_near = scan.ranges_mm.ravel()[pixels] <= 1000.0 * config.dust_range_m
+        is_dust = is_near & isolated(image, pixels)
+        if np.count_nonzero(is_dust) < config.dust_returns:
+            is_dust[:] = False
+        ground = (field.min_height_m, field.min_height_slope)
+        return is_dust, *floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
+
+    def _ask(
+        self, others: Iterable["LidarSource"], points_odom: Float64, keys: Int64, is_floating: np.ndarray,
+        is_standing: np.ndarray,
+    ) -> None:  # fmt: skip
+        """Adds to `is_floating` (N,) the returns of cells, above the ground, below which only other lidars see."""
+        cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        middle = np.column_stack([np.bincount(which, points_odom[:, k], len(cells)) / counts for k in range(3)])
+        np.minimum.at(middle[:, 2], which, points_odom[:, 2])
+        is_open = np.bincount(which, ~is_floating, len(cells)) > 0
+        is_open &= np.bincount(which, is_standing, len(cells)) == 0
+        is_open &= middle[:, 2] > self._config.field.min_height_m + self._config.airborne.clear_m
+        is_clear = np.zeros(len(cells), bool)
+        for other in others if is_open.any() else ():
+            is_clear[is_open] |= other.shows_clear_beneath(middle[is_open], self.stamp_ns)
+        is_floating |= is_clear[which]
+
+    def shows_clear_beneath(self, points_odom: Float64, stamp_ns: int | None) -> np.ndarray:
+        """Whether the last scan, if taken about `stamp_ns`, shows clear space below points (N, 3), (N,) bool."""
+        scan, field = self.scan, self._config.field
+        interval_ns = self._config.lidar_agreement.max_interval_s * 1e9
+        is_usable = scan is not None and scan.ranges_mm.size > 0 and not self.is_frozen
+        if scan is None or stamp_ns is None or not is_usable or abs(scan.stamp_ns - stamp_ns) > interval_ns:
+            return np.zeros(len(points_odom), bool)
+        image = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
+        base = np.column_stack([from_frame(self._pose_odom, points_odom[:, :2]), points_odom[:, 2]])
+        return clear_beneath(image, base, self._T_base_sensor, field.min_height_m, field.min_height_slope)
 
     def _count_repetition(self, content: int | None) -> None:
         """Counts scans in a row whose ranges an earlier one had bit for bit: frozen, or a replayed recording."""
@@ -178,6 +237,16 @@ class LidarSource:
         """Depth of each point (3, N) below the lowest beam, (N,); below 0 above it."""
         x, y, z = base - self._T_base_sensor[:3, 3:]
         return np.asarray(self._min_slope * np.hypot(x, y) - z)
+
+
+def warm(T_base_sensor: Float64) -> None:
+    """Compiles or loads the kernels of range images, so that no scan waits for it."""
+    none, two = np.empty(0, np.float32), np.ones((1, 2), np.uint16)
+    scan = LidarScan(0, two, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), np.empty(0, np.uint8), none)
+    image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[scan.pixels]
+    isolated(image, pixels)
+    floating(image, pixels, T_base_sensor, 0.0, 0.0, 1.0)
+    clear_beneath(image, np.zeros((1, 3)), T_base_sensor, 0.0, 0.0)
 
 
 def content_of(scan: LidarScan) -> int | None:

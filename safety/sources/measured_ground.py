@@ -10,9 +10,9 @@ z   bound of A: slope │ × counts: above the lowest bound by the minimum heigh
     ^ lowest returns of a cell
 
 The wheels stand on the ground: a lidar whose ground beside them lies elsewhere is misaligned, and one that sees no
-ground there proves nothing. Both keep every return above the plane, as does a place without ground around it, and one
-beyond `range_m`, where the nearest ground is too far from a small body that hides what is behind it. What the
-rise explains is levelled by planes through the cells around it, for the near field to find who lies on a slope.
+ground there proves nothing. Both keep every return above the plane, as does a place without ground around it. Beyond
+`range_m`, where the slope from the nearest ground could explain a small body, planes through the cells around it bound
+the ground instead. Such planes also level what the rise explains, for the near field to find who lies on a slope.
 """
 
 from dataclasses import dataclass
@@ -70,9 +70,12 @@ def stands_out(
     above = np.flatnonzero(is_above_plane)
     x, y, z = xyz.take(above, axis=1)
     ground_m = lowest_bound(low_m, config).ravel()[cells.of[above]]
-    limit_m = ground_m + field.min_height_m + field.min_height_slope * np.hypot(x, y)
+    least_m = field.min_height_m + field.min_height_slope * np.hypot(x, y)
+    is_far = np.hypot(x, y) > config.range_m
+    if is_far.any():
+        z = np.where(is_far, level(xyz, box, 0.0, config)[2].take(above), z)
     is_obstacle = is_above_plane.copy()
-    is_obstacle[above] = (z > limit_m) | np.isinf(ground_m) | (np.hypot(x, y) > config.range_m)
+    is_obstacle[above] = (z > np.where(is_far, 0.0, ground_m) + least_m) | np.isinf(ground_m)
     return is_obstacle
 
 

@@ -1,12 +1,14 @@
 """Multiple evaluation (IEC 61496-3): a cell is hit by enough returns in one scan, or by some in each of two scans.
 
-Low returns, near the height of the ground itself, count in two scans only.
+Low returns, near the height of the ground itself, count in two scans only. A cell whose returns float, with clear space
+beneath them, counts in three: a bird at 6 m/s is not in it for so long, a branch, a barrier or a load is.
 """
 
 import numpy as np
 
 from geometry.arrays import Float64, Int64
 
+MIN_FLOATING_RATIO = 0.75  # of a cell's returns: at the edges of a bird beams prove nothing
 BITS = 21  # per axis; with cells of 0.5 m ±500 km
 
 
@@ -16,19 +18,26 @@ def cell_keys(points_odom_m: Float64, cell_m: float) -> Int64:
     return np.asarray((cell[:, 0] << (2 * BITS)) | (cell[:, 1] << BITS) | cell[:, 2])
 
 
-def evaluate(keys: Int64, is_high: np.ndarray, before: Int64, single: int, multiple: int) -> tuple[np.ndarray, Int64]:
+def evaluate(
+    keys: Int64, is_high: np.ndarray, is_floating: np.ndarray, before: tuple[Int64, Int64], single: int, multiple: int
+) -> tuple[np.ndarray, Int64]:
     """Whether each point is a hit, (N,) bool, and the sorted cells with at least `multiple` returns, for the next scan.
 
-    `single`: minimum of high returns in this scan alone, `is_high` (N,) bool; `before`: cells of the previous scan.
+    `single`: minimum of high returns in this scan alone; `is_high` and `is_floating` (N,) bool; `before`: cells of the
+    previous scan and of the one before it.
     """
     cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    is_hit = (counts >= multiple) & np.isin(cells, before, assume_unique=True)
-    is_hit |= np.bincount(which, is_high, len(cells)) >= single
+    was_seen, was_seen_twice = (np.isin(cells, some, assume_unique=True) for some in before)
+    in_two = was_seen & (counts >= multiple)
+    in_one = np.bincount(which, is_high, len(cells)) >= single
+    floats = np.bincount(which, is_floating, len(cells)) >= MIN_FLOATING_RATIO * counts
+    is_hit = np.where(floats, in_two & was_seen_twice, in_one | in_two)
     return is_hit[which], cells[counts >= multiple]
 
 
 def thin(points_m: Float64, grid_m: float) -> Float64:
-    """One of the points (N, 3) per square of a horizontal grid, so that a wall costs no more than a post."""
+    """Lowest of the points (N, 3) per square of a horizontal grid, so that a wall costs no more than a post."""
+    points_m = points_m[np.argsort(points_m[:, 2], kind="stable")] if points_m.shape[1] > 2 else points_m
     square = np.floor(points_m[:, :2] / grid_m).astype(np.int64)
     _, first = np.unique((square[:, 0] << BITS) + square[:, 1], return_index=True)
     return points_m[first]

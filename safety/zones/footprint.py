@@ -70,12 +70,22 @@ class Drawbar:
 
 @dataclass(frozen=True)
 class Footprint:
-    """Rectangles rigid to base, and a trailed one with its drawbar."""
+    """Rectangles rigid to base, and a trailed one with its drawbar.
+
+    `height_m` is that of the machine, `mounted_height_m` that of a raised implement on its hitch.
+    """
 
     rigid: tuple[Rectangle, ...]
     trailed: Rectangle | None
     drawbar: Drawbar | None
     height_m: float
+    mounted_height_m: float = math.inf
+
+    @property
+    def tops_m(self) -> tuple[float, ...]:
+        """Height above the ground that each body reaches; a trailed one is taken to be as high as the machine."""
+        mounted = (min(self.height_m, self.mounted_height_m),) * (len(self.rigid) - 1)
+        return (self.height_m, *mounted, *(() if self.trailed is None else (self.height_m,)))
 
     def foremost_m(self, direction: int) -> float:
         """Coordinate along x of base of the foremost edge, driving straight in the direction."""
@@ -98,7 +108,8 @@ def footprint_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplemen
     """Footprint of a vehicle with its mounted or trailed implement."""
     height_m = vehicle.body.height_m
     if not isinstance(implement, TrailedImplement):
-        return Footprint(outlines(vehicle.body, implement), None, None, height_m)
+        mounted_m = math.inf if implement is None else implement.height_m + implement.lift_m
+        return Footprint(outlines(vehicle.body, implement), None, None, height_m, mounted_m)
     drawbar = Drawbar(implement.hitch_m, implement.axle_length_m)
     trailed = Rectangle(-implement.total_length_m, 0.0, implement.width_m)
     return Footprint(outlines(vehicle.body, None), trailed, drawbar, height_m)

@@ -131,9 +131,10 @@ def clearance_to(
     if len(hits_odom_m) == 0:
         return FREE
     xy = from_frame(pose_odom, hits_odom_m[:, :2])
-    main = distance_to_contact_m(xy, swept_field.main, 0.0, aside_m)
+    height_m = hits_odom_m[:, 2]
+    main = distance_to_contact_m(xy, swept_field.main, 0.0, aside_m, height_m)
     arc = (
-        distance_to_contact_m(xy, swept_field.arc, 0.0, aside_m)
+        distance_to_contact_m(xy, swept_field.arc, 0.0, aside_m, height_m)
         if swept_field.arc is not None
         else np.full(len(xy), np.inf)
     )

@@ -24,7 +24,7 @@ class SweptArea:
 
     `lateral_m` (M,) is the margin on either side, `step_m` the spacing of `s_m`, `length_m` the total distance.
     `leads_m` is the distance of each body's leading edge behind the foremost point; all 0 when distances are measured
-    from each body's own edge.
+    from each body's own edge. `tops_m` are the heights above which nothing touches each body.
     """
 
     direction: int
@@ -32,6 +32,7 @@ class SweptArea:
     poses: Float64
     bodies: tuple[tuple[Rectangle, Float64], ...]
     leads_m: tuple[float, ...]
+    tops_m: tuple[float, ...]
     lateral_m: Float64
     step_m: float
     length_m: float
@@ -112,21 +113,25 @@ def sweep_along(
     step = float(s_m[1] - s_m[0]) if len(s_m) > 1 else field.step_m
     bodies = carriers(footprint, poses, curvature_radpm)
     leads = footprint.leads_m(direction) if is_from_foremost else (0.0,) * len(bodies)
-    return SweptArea(direction, s_m, poses, bodies, leads, lateral, step, float(s_m[-1]))
+    tops = tuple(top_m + field.overhead_margin_m for top_m in footprint.tops_m)
+    return SweptArea(direction, s_m, poses, bodies, leads, tops, lateral, step, float(s_m[-1]))
 
 
 def distance_to_contact_m(
-    points_xy: Float64, area: SweptArea, extra_m: Float64 | float = 0.0, aside_m: Float64 | float = 0.0
-) -> Float64:
+    points_xy: Float64, area: SweptArea, extra_m: Float64 | float = 0.0, aside_m: Float64 | float = 0.0,
+    height_m: Float64 | float = 0.0,
+) -> Float64:  # fmt: skip
     """Distance travelled until contact with each point (N, 2) in base now, (N,); infinite without contact.
 
-    `extra_m` lengthens and widens all bodies; `aside_m` widens (below 0: narrows) their lateral margins.
+    `extra_m` lengthens and widens all bodies; `aside_m` widens (below 0: narrows) their lateral margins. `height_m` of
+    the points in base: a body does not touch what is above its top.
     """
     travel = np.full(len(points_xy), np.inf)
     near = np.flatnonzero(_is_near(points_xy, area, extra_m, aside_m))
     if len(near):
-        extra, aside = (np.broadcast_to(np.asarray(m, np.float64), len(travel))[near] for m in (extra_m, aside_m))
-        travel[near] = _contact_near(points_xy[near], area, extra[:, None], (extra + aside)[:, None])
+        every = (np.broadcast_to(np.asarray(m, np.float64), len(travel))[near] for m in (extra_m, aside_m, height_m))
+        extra, aside, height = every
+        travel[near] = _contact_near(points_xy[near], area, extra[:, None], (extra + aside)[:, None], height)
     return travel
 
 
@@ -139,14 +144,15 @@ def _is_near(points_xy: Float64, area: SweptArea, extra_m: Float64 | float, asid
     return np.asarray(~is_beyond)
 
 
-def _contact_near(points_xy: Float64, area: SweptArea, extra: Float64, beside: Float64) -> Float64:
+def _contact_near(points_xy: Float64, area: SweptArea, extra: Float64, beside: Float64, height_m: Float64) -> Float64:
     travel = np.full(len(points_xy), np.inf)
     carrier: Float64 | None = None
-    for (body, poses), lead_m in zip(area.bodies, area.leads_m, strict=True):
+    for (body, poses), lead_m, top_m in zip(area.bodies, area.leads_m, area.tops_m, strict=True):
         if poses is not carrier:
             carrier, (ahead, left) = poses, _relative_to(poses, points_xy, area.direction)
             closing, across = _closing(poses, left, area), np.abs(left)
         own = _body_contact(ahead, across, closing, body, area, extra, beside)
+        own[height_m > top_m] = np.inf
         travel = np.minimum(travel, np.maximum(own - lead_m, 0.0))
     return travel
 

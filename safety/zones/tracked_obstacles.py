@@ -165,9 +165,11 @@ def tracks_near(
     """Confirmed tracks that could reach the swept area within the prediction, each with whether it moves.
 
     `is_known` tests positions (N, 2) in odom for known structure: tracks there, and boxes long enough to combine
-    several walls, are left to the raw field.
+    several walls, are left to the raw field. So is what floats: a bird has left before the machine is there, and what
+    stays in the path is a hit.
     """
-    confirmed = [t for t in (() if tracks is None else tracks.tracks) if t.is_confirmed]
+    all_tracks = () if tracks is None else tracks.tracks
+    confirmed = [t for t in all_tracks if t.is_confirmed and t.label is not ObstacleClass.AIRBORNE]
     reached = [t for t in confirmed if is_within_reach(t, pose_odom, area.length_m, predicted_s)]
     if is_known is not None:
         reached = without_known_structure(reached, is_known, config.max_unclassified_length_m)

@@ -333,7 +333,7 @@ def test_existing_log_or_missing_folder_refused(tmp_path: Path) -> None:
 def test_obstacles_logged_without_points(tmp_path: Path) -> None:
     k, m = (1, 3), np.ones((4, 3), np.float32)
     obstacles = Obstacles(
-        1, "lidar_front", 1, np.ones(k), np.ones(k), np.ones(1), np.ones(k), np.ones((1, 2)), np.ones((1, 7)),
+        1, "lidar_front", 1, np.ones(k), np.ones(k), np.ones(1), np.ones(k), np.ones((1, 2)), np.ones((1, 8)),
         np.array([0, 4], np.int32), np.arange(4, dtype=np.int32), m,
     )  # fmt: skip
     with LogWriter(tmp_path / "log.mcap", {}, CONFIG) as log:

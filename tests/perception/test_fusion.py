@@ -10,7 +10,7 @@ from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
 START, NS = 5_000_000_000, 1_000_000_000
 TOPICS = tuple(f"obstacles/{kind}_front" for kind in ("lidar", "camera", "radar", "ultrasonic"))
-EVEN = np.full(7, 1.0 / 7.0)
+EVEN = np.full(8, 1.0 / 8.0)
 
 
 def detected(
@@ -32,13 +32,13 @@ def detected(
     sigmas = np.empty((0, 2)) if kind == "lidar" else np.broadcast_to(np.asarray(sigma, float), (k, 2)).copy()
     return Obstacles(
         stamp_ns, f"{kind}_front", stamp_ns, center, box, yaws, center.copy(), speeds,
-        np.broadcast_to(scores, (k, 7)).copy(), (np.arange(k + 1) * returns).astype(np.int32),
+        np.broadcast_to(scores, (k, 8)).copy(), (np.arange(k + 1) * returns).astype(np.int32),
         np.arange(k * returns, dtype=np.int32), points, sigmas,
     )  # fmt: skip
 
 
 def shape(label, share=0.6):
-    row = np.full(7, (1.0 - share) / 6.0)
+    row = np.full(8, (1.0 - share) / 7.0)
     row[tuple(ObstacleClass).index(label)] = share
     return row
 

@@ -88,3 +88,17 @@ def test_heights_invariant_to_rotation_and_order(sectors, seed):
     again = find_ground(turned[order], np.ones(len(points), np.uint8), CENTER, GRID, CONFIG)
     off = np.abs(again.height_m - ground.height_m[order])
     assert np.quantile(off, 0.99) < 0.03
+
+
+def test_ground_that_falls_away_begins_at_its_height():
+    """Beyond the top of a crest the nearest ring is as high as it is, though all ground next to it is lower."""
+    rng = np.random.default_rng(1)
+    range_m = np.repeat([2.4, 3.2, 4.2, 5.4, 6.8, 8.4, 10.2], 500)
+    azimuth = np.tile(np.linspace(-1.2, 1.2, 500), 7)
+    x, y = CENTER[0] + range_m * np.cos(azimuth), range_m * np.sin(azimuth)
+    for fall in (0.15, 0.25, 0.35, -0.25):
+        points = np.stack([x, y, -fall * (x - 4.0) + rng.normal(0.0, 0.01, len(x))], axis=1).astype(np.float32)
+        points = np.asfortranarray(points)
+        ground = find_ground(points, np.ones(len(points), np.uint8), CENTER, GRID, CONFIG)
+        nearest = (range_m == 2.4) & (np.abs(azimuth) < 0.3)
+        assert np.abs(ground.height_m[nearest]).max() < 0.12, fall

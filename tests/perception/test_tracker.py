@@ -32,7 +32,7 @@ def message(stamp_ns, centers, sizes=(0.4, 0.4, 1.7), returns=30, yaw=0.0, senso
     points = local.copy()
     points[..., 0], points[..., 1] = c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]
     points = (points + centers[:, None]).reshape(-1, 3).astype(np.float32)
-    scores = np.full((k, 7), 0.4 / 6)
+    scores = np.full((k, 8), 0.4 / 7)
     scores[:, 1] = 0.6
     speeds = np.full((k, 2), np.nan) if velocity is None else np.broadcast_to(velocity, (k, 2)).astype(float)
     return Obstacles(
@@ -182,7 +182,7 @@ def test_occupied_trail_contradicts_motion(is_left_empty):
         moving = [10.0 + 0.3 * i, 4.0, 1.0]
         behind = [[moving[0] - 1.2 - 0.3 * k, 4.0, 1.0] for k in range(8)]
         centers = [moving] if is_left_empty else [moving, *behind]
-        scores = np.full((len(centers), 7), 1.0 / 7.0)
+        scores = np.full((len(centers), 8), 1.0 / 8.0)
         return replace(message(t, centers, (0.4, 0.3, 1.2)), class_scores=scores)
 
     published = run(new_tracker(), [scan(i, t) for i, t in enumerate(stamps(10.0, 1.0))])
@@ -192,8 +192,8 @@ def test_occupied_trail_contradicts_motion(is_left_empty):
 
 def test_high_pole_is_static():
     def scan(t, height_m):
-        pole = np.full((1, 7), 0.02)
-        pole[0, 4] = 0.88
+        pole = np.full((1, 8), 0.02)
+        pole[0, 4] = 0.86
         return replace(message(t, [[10.0 + 1.5 * (t - START) / NS, 4.0, 1.0]], (0.1, 0.1, height_m)), class_scores=pole)
 
     for height_m, expected_mps in ((1.7, 1.5), (2.9, 0.0)):
@@ -204,7 +204,7 @@ def test_high_pole_is_static():
 def test_wall_edge_end_on_is_static():
     def scan(t, width_m, height_m):
         seen = message(t, [[10.0 + 6.0 * (t - START) / NS, 4.0, 1.3]], (width_m, 0.05, height_m))
-        return replace(seen, class_scores=np.full((1, 7), 1 / 7))
+        return replace(seen, class_scores=np.full((1, 8), 1 / 8))
 
     for width_m, height_m, expected_mps in ((0.1, 2.6, 0.0), (0.1, 1.7, 6.0), (0.6, 2.6, 6.0)):
         published = run(new_tracker(), [scan(t, width_m, height_m) for t in stamps(10.0, 1.5)])
@@ -251,7 +251,7 @@ def test_class_by_shape_and_speed():
     ],
 )  # fmt: skip
 def test_cyclist_is_a_person(size_m, speed_mps, is_person):
-    scores = class_scores(np.array([size_m]), np.array([size_m[2]]))
+    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool))
     scans = [
         replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, 0.9]], sizes=size_m), class_scores=scores)
         for t in stamps(10, 2.0)

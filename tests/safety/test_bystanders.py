@@ -111,11 +111,11 @@ def test_who_follows_the_wing_in_a_turn(
     vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig
 ) -> None:
     """At a constant velocity the wing, which moves on, is passed behind."""
-    area, cyclist = swept(vehicle, implement, config, -0.2), person(-1.6, 6.4, vx=1.7, vy=-2.1)
+    area, cyclist = swept(vehicle, implement, config, -0.2), person(-1.6, 5.4, vx=1.7, vy=-2.1)
     straight = config.bystanders.model_copy(update={"manoeuvre_mps2": 0.0})
     assert see(Bystanders(config.bystanders, config.tracked), area, cyclist, speed_mps=2.2)
     assert not see(Bystanders(straight, config.tracked), area, cyclist, speed_mps=2.2)
-    away = person(-1.6, 6.4, vx=1.7, vy=0.3)
+    away = person(-1.6, 5.4, vx=1.7, vy=0.3)
     assert not see(Bystanders(config.bystanders, config.tracked), area, away, speed_mps=2.2)
 
 

@@ -124,8 +124,11 @@ def pulling(vehicle: Vehicle) -> Footprint:
 def test_footprint_of_vehicle(vehicle: Vehicle, footprint: Footprint, pulling: Footprint) -> None:
     machine = Rectangle(-1.0, 3.5, 2.3)
     assert footprint_of(vehicle, None) == Footprint((machine,), None, None, 2.9)
-    assert footprint == Footprint((machine, Rectangle(-2.4, -1.1, 6.1)), None, None, 2.9)
+    assert footprint == Footprint((machine, Rectangle(-2.4, -1.1, 6.1)), None, None, 2.9, 0.95 + 0.6)
     assert pulling == Footprint((machine,), Rectangle(-5.5, 0.0, 3.2), Drawbar(-1.2, 4.0), 2.9)
+    assert footprint.tops_m == (2.9, 0.95 + 0.6)
+    assert pulling.tops_m == (2.9, 2.9)
+    assert footprint_of(vehicle, None).tops_m == (2.9,)
 
 
 def test_leading_edges(footprint: Footprint, pulling: Footprint) -> None:

@@ -94,7 +94,7 @@ def hits_of(lidar: Lidar, config: SupervisorConfig, footprint, ground: Height, *
         seen = scan_over(lidar, ground, bodies, START_NS + k * 100_000_001)
         source.update(seen, np.zeros(3), Motion(0.0, 0.0), 0.0, AREA)
     hits = source.hits_odom_m
-    return hits[(hits[:, 0] > 3.0) & (hits[:, 0] < 12.0) & (np.abs(hits[:, 1]) < 4.0)]
+    return hits[(hits[:, 0] > 3.0) & (hits[:, 0] < 13.0) & (np.abs(hits[:, 1]) < 4.0)]
 
 
 @pytest.fixture(scope="module")
@@ -115,14 +115,24 @@ GROUNDS = {
 
 
 @clause("BD-5.2.4", rule="protective_field")
+@pytest.mark.parametrize("x", [10.5, 11.0, 11.5, 12.0, 12.5])
+def test_a_small_child_far_off_stands_out(
+    vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig, lidars: dict[str, Lidar], x: float
+) -> None:
+    """Beyond `range_m`: by the rise from the nearest ground, a child of 0.8 m would be ground."""
+    footprint, child = footprint_of(vehicle, implement), (x, 0.7, (0.3, 0.3, 0.8))
+    for ground in (on_wheels(lambda x, y: 0.0 * x), GROUNDS["waves 0"], GROUNDS["waves 1"], GROUNDS["crest 7"]):
+        assert is_at(hits_of(lidars["front"], config, footprint, ground, child), child)
+
+
+@clause("BD-5.2.4", rule="protective_field")
 @pytest.mark.parametrize("name", GROUNDS)
 def test_ground_is_no_obstacle_and_who_is_on_it_is(
     vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig, lidars: dict[str, Lidar], name: str
 ) -> None:
     ground, footprint = GROUNDS[name], footprint_of(vehicle, implement)
     for lidar in lidars.values():
-        hits = hits_of(lidar, config, footprint, ground)
-        assert (np.hypot(hits[:, 0], hits[:, 1]) > config.measured_ground.range_m - 0.1).all()
+        assert len(hits_of(lidar, config, footprint, ground)) == 0
     for body in ((6.0, 1.0, CHILD), (9.0, -1.0, ADULT), (11.0, 1.5, ADULT), (5.5, 0.5, LYING), (7.0, 1.0, LYING)):
         assert any(is_at(hits_of(one, config, footprint, ground, body), body) for one in lidars.values()), body
 
@@ -250,12 +260,17 @@ def test_a_wall_does_not_tilt_the_level(config: SupervisorConfig) -> None:
     assert np.abs(found[2, ~is_wall]).max() < 0.13
 
 
-def test_beyond_the_range_the_plane_counts(config: SupervisorConfig) -> None:
+def test_beyond_the_range_planes_through_cells_count(config: SupervisorConfig) -> None:
+    """On rising ground what is 0.25 m + 2 % above it counts; where no ground surrounds it, all does."""
     field, measured = config.field, config.measured_ground
-    ground = surface()
+    ground, x = surface(), measured.range_m + 0.55
     ground[2] = 0.2 * np.maximum(ground[0] - 3.0, 0.0)
-    for x, counts in ((measured.range_m - 0.05, False), (measured.range_m + 0.05, True)):
-        xyz = np.concatenate([ground, [[x], [0.0], [0.2 * (x - 3.0) + 0.1]]], axis=1).astype(np.float32)
+    limit_m = field.min_height_m + field.min_height_slope * x
+    bare = ground[:, (ground[0] < measured.range_m - 2.0) | (np.abs(ground[1]) > 3.0)]
+    for there, height_m, counts in (
+        (ground, limit_m - 0.2, False), (ground, limit_m + 0.05, True), (bare, 0.1, True),
+    ):  # fmt: skip
+        xyz = np.concatenate([there, [[x], [0.0], [0.2 * (x - 3.0) + height_m]]], axis=1).astype(np.float32)
         above = np.zeros(xyz.shape[1], bool)
         above[-1] = True
-        assert stands_out(xyz, above, AREA, field, measured)[-1] == counts, x
+        assert stands_out(xyz, above, AREA, field, measured)[-1] == counts, height_m

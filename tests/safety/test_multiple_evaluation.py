@@ -4,6 +4,18 @@ import numpy as np
 
 from safety.sources.multiple_evaluation import cell_keys, evaluate, thin
 
+NONE = np.empty(0, np.int64)
+
+
+def stands(keys: np.ndarray) -> np.ndarray:
+    """No return floats."""
+    return np.zeros(len(keys), bool)
+
+
+def before(*cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cells of the previous scan; there was none before it."""
+    return np.array(cells, np.int64), NONE
+
 
 def test_cell_keys() -> None:
     zero = 1 << 20
@@ -16,7 +28,7 @@ def test_cell_keys() -> None:
 def test_evaluate() -> None:
     keys = np.array([9, 5, 9, 7, 9, 9, 5, 4])
     high = np.ones(len(keys), bool)
-    hits, cells = evaluate(keys, high, np.array([4, 5, 11]), 4, 2)
+    hits, cells = evaluate(keys, high, stands(keys), before(4, 5, 11), 4, 2)
     assert hits.tolist() == [True, True, True, False, True, True, True, False]
     assert cells.tolist() == [5, 9]
 
@@ -24,33 +36,43 @@ def test_evaluate() -> None:
 def test_low_returns_need_two_scans() -> None:
     keys = np.full(6, 9)
     low, mixed = np.zeros(6, bool), np.array([True, True, True, False, False, False])
-    hits, cells = evaluate(keys, low, np.empty(0, np.int64), 4, 2)
+    hits, cells = evaluate(keys, low, stands(keys), before(), 4, 2)
     assert not hits.any()
-    assert evaluate(keys, low, cells, 4, 2)[0].all()
-    assert not evaluate(keys, mixed, np.array([7]), 4, 2)[0].any()
-    assert evaluate(keys, mixed, np.array([7]), 3, 2)[0].all()
+    assert evaluate(keys, low, stands(keys), (cells, NONE), 4, 2)[0].all()
+    assert not evaluate(keys, mixed, stands(keys), before(7), 4, 2)[0].any()
+    assert evaluate(keys, mixed, stands(keys), before(7), 3, 2)[0].all()
 
 
-def test_thin_keeps_order() -> None:
+def test_floating_returns_need_three_scans() -> None:
+    keys, high, cells = np.full(8, 7), np.ones(8, bool), np.array([7])
+    for floats, states in ((8, (False, False, True)), (6, (False, False, True)), (5, (True, True, True))):
+        is_floating = np.arange(8) < floats
+        found = [
+            evaluate(keys, high, is_floating, seen, 4, 2)[0] for seen in ((NONE, cells), (cells, NONE), (cells, cells))
+        ]
+        assert [one.all() for one in found] == [one.any() for one in found] == list(states), floats
+
+
+def test_thin_keeps_the_lowest() -> None:
     grid = np.array([(x, y, z) for x in (-0.3, 0.1, 0.6) for y in (-0.3, 0.1, 0.6) for z in (2.0, 1.0)])
-    assert thin(grid, 0.5).tolist() == grid[::2].tolist()
+    assert thin(grid, 0.5).tolist() == grid[1::2].tolist()
+    assert thin(grid[:, :2], 0.5).tolist() == grid[::2, :2].tolist()
     assert len(thin(np.array([(0.0, 0.0, 0.0), (0.499, 0.499, 3.0), (0.5, 0.0, 0.0)]), 0.5)) == 2
 
 
 def test_min_returns_per_cell() -> None:
-    none = np.empty(0, np.int64)
     for count in range(1, 8):
         keys = cell_keys(np.tile([[10.1, 0.1, 0.6]], (count, 1)), 0.5)
-        hits, cells = evaluate(keys, np.ones(count, bool), none, 4, 2)
+        hits, cells = evaluate(keys, np.ones(count, bool), stands(keys), before(), 4, 2)
         assert hits.all() == (count >= 4)
         assert len(cells) == (1 if count >= 2 else 0)
-        again, _ = evaluate(keys, np.ones(count, bool), cells, 4, 2)
+        again, _ = evaluate(keys, np.ones(count, bool), stands(keys), (cells, NONE), 4, 2)
         assert again.all() == (count >= 2)
     apart = [[10.1, 0.1, 0.6], [10.6, 0.1, 0.6], [10.1, 0.6, 0.6], [10.1, 0.1, 1.1], [-0.1, 0, 0]]
     spread = cell_keys(np.array(apart), 0.5)
     assert len(set(spread.tolist())) == 5
-    assert not evaluate(spread, np.ones(5, bool), none, 2, 2)[0].any()
-    hits, cells = evaluate(none, np.empty(0, bool), none, 4, 2)
+    assert not evaluate(spread, np.ones(5, bool), stands(spread), before(), 2, 2)[0].any()
+    hits, cells = evaluate(NONE, np.empty(0, bool), stands(NONE), before(), 4, 2)
     assert len(hits) == len(cells) == 0
 
 

@@ -157,12 +157,12 @@ def test_last_scan_reprocessed_for_new_field(sources: ObstacleSources) -> None:
     fresh, last = scan(stamp_ns=7), scan(stamp_ns=6)
     rear.scan = last
     rest = (Motion(3.0, 0.2), 0.1, AREA)
-    for is_new_field, expected in ((False, []), (True, [("rear", last, 6, *rest)])):
+    for is_new_field, expected in ((False, []), (True, [("rear", last, 6, *rest, [front])])):
         taken.clear()
         sources.update_lidars(
             came(scans={"front": fresh, "rear": None}), [front], where, odometry(), AREA, is_new_field
         )
-        assert taken == [("front", fresh, 7, *rest), *expected]
+        assert taken == [("front", fresh, 7, *rest, [rear]), *expected]
     rear.scan = None
     taken.clear()
     sources.update_lidars(came(scans={"front": None, "rear": None}), [], where, odometry(), AREA, True)

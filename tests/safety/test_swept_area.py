@@ -63,6 +63,20 @@ def test_straight_contact(footprint: Footprint, config: SafetyConfig) -> None:
     assert np.all(np.isinf(distances[2:]))
 
 
+def test_what_is_above_a_body_is_not_touched(footprint: Footprint, config: SafetyConfig) -> None:
+    """The raised harrow reaches 1.55 m, the machine 2.9 m, and 0.3 m more count."""
+    area = arc(footprint, config, 0.0, 20.0)
+    points = np.array([[10.0, 0.0], [10.0, 2.0]])
+    for height_m, machine_m, harrow_m in (
+        (0.0, 6.5, 11.1),
+        (1.84, 6.5, 11.1),
+        (1.86, 6.5, math.inf),
+        (3.3, math.inf, math.inf),
+    ):
+        found = distance_to_contact_m(points, area, height_m=np.full(2, height_m))
+        assert found == pytest.approx([machine_m, harrow_m]), height_m
+
+
 def test_distance_from_foremost_point(footprint: Footprint, config: SafetyConfig) -> None:
     area = arc(footprint, config, 0.0, 20.0, foremost=True)
     distances = distance_to_contact_m(np.array([[10.0, 0.0], [10.0, 2.0], [2.0, 2.0]]), area)

@@ -236,7 +236,7 @@ def test_approaching_track_clearance(sweep: SweptArea, config: SafetyConfig) -> 
 def test_static_track_by_class(sweep: SweptArea, config: SafetyConfig) -> None:
     for label in ObstacleClass:
         assert math.isinf(clearance(sweep, config, moving_track(9.0, 0.0, label=label))) == (
-            label is ObstacleClass.UNKNOWN
+            label in (ObstacleClass.UNKNOWN, ObstacleClass.AIRBORNE)
         )
     assert math.isinf(clearance(sweep, config, moving_track(9.0, 0.0, is_confirmed=False)))
     assert math.isinf(clearance(sweep, config, moving_track(math.nan, 0.0)))
@@ -244,6 +244,12 @@ def test_static_track_by_class(sweep: SweptArea, config: SafetyConfig) -> None:
     turned = replace(moving_track(10.0, 4.5, size=(4.0, 1.0, 1.5), label=ObstacleClass.VEHICLE), yaw_rad=math.pi / 2)
     assert math.isfinite(clearance(sweep, config, turned))
     assert math.isinf(clearance(sweep, config, replace(turned, yaw_rad=0.0, p_odom_m=np.array([10.0, 5.0, 0.5]))))
+
+
+def test_what_floats_is_left_to_the_raw_field(sweep: SweptArea, config: SafetyConfig) -> None:
+    for label in (ObstacleClass.AIRBORNE, ObstacleClass.PERSON):
+        found = clearance(sweep, config, moving_track(9.0, -3.0, vy=4.0, label=label))
+        assert math.isinf(found) == (label is ObstacleClass.AIRBORNE)
 
 
 def test_no_tracks(sweep: SweptArea, config: SafetyConfig) -> None:

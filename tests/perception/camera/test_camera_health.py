@@ -97,7 +97,7 @@ class Bench:
         self.put(
             "obstacles/camera_front",
             Obstacles(
-                stamp_ns, "camera_front", stamp_ns, none, none, np.empty(0), none, np.empty((0, 2)), np.empty((0, 7)),
+                stamp_ns, "camera_front", stamp_ns, none, none, np.empty(0), none, np.empty((0, 2)), np.empty((0, 8)),
                 np.zeros(1, np.int32), np.empty(0, np.int32), np.empty((0, 3), np.float32),
             ),
         )  # fmt: skip

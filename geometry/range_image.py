@@ -1,0 +1,206 @@
+"""Evidence in the range image of a lidar: whether a return belongs to a surface, and whether it is borne by the ground.
+
+Beams next to each other that meet a body return from next to each other; dust, drops and flakes return on single
+beams. What stands on the ground blocks all beams below its top; below what flies they go on and return from beyond.
+
+    column of one azimuth, seen from the side        o  sensor
+      o────────────────►x        x  the return         \\
+       \\ `──────.___        ►    beams that pass below it, and return from beyond
+        \\            `►   ►
+    ─────►──────────────────────── ground
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import Bool, Float64, Int64, UInt16
+from geometry.jit import inline_kernel, kernel
+
+COLUMNS_ASIDE = 2  # neighbours of a return: three rings by five columns
+NEAR_M, NEAR_SLOPE = 0.1, 2.0  # greatest difference of range of neighbours: noise, and per metre across: 63° of slant
+BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same body
+CLOSED_RAD = 6.2  # field of view whose first and last column are neighbours
+
+
+@dataclass(frozen=True)
+class RangeImage:
+    """Ranges (rings, columns) in mm, 0 = no return; `rows` (rings,) from the lowest ring to the highest, and `rank` of
+    each row in that order; elevation (rings,) and azimuth (columns,) of the beams."""
+
+    ranges_mm: UInt16
+    rows: Int64
+    rank: Int64
+    elevation_rad: Float64
+    azimuth_rad: Float64
+
+
+def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64) -> RangeImage:
+    """Range image of a scan whose azimuths are equally spaced."""
+    rows = np.argsort(elevation_rad, kind="stable")
+    return RangeImage(ranges_mm, rows, np.argsort(rows, kind="stable"), elevation_rad, azimuth_rad)
+
+
+def isolated(image: RangeImage, pixels: Int64) -> Bool:
+    """Which returns, by their places `pixels` (K,) in the flattened image, are fewer than three next to each other."""
+    azimuth = image.azimuth_rad
+    span_rad = abs(float(azimuth[-1] - azimuth[0])) if len(azimuth) > 1 else 0.0
+    column_rad = span_rad / max(len(azimuth) - 1, 1)
+    out = np.empty(len(pixels), np.bool_)
+    _mark_isolated(
+        image.ranges_mm, image.rows, image.rank, image.elevation_rad, column_rad, span_rad + column_rad > CLOSED_RAD,
+        pixels, out,
+    )  # fmt: skip
+    return out
+
+
+def floating(
+    image: RangeImage, pixels: Int64, T_base_sensor: Float64, ground_m: float, ground_slope: float, clear_m: float
+) -> tuple[Bool, Bool]:
+    """Which returns, by their places `pixels` (K,) in the flattened image, have `clear_m` of clear space beneath them.
+
+    And which stand, (K,): all beams down to the ground meet their body.
+
+    The space reaches from the lowest return at the distance of the return down to `ground_m`, and `ground_slope` per
+    metre of distance from the sensor, above the plane z = 0 of base. Two beams or more, through `clear_m` of its
+    height, return from beyond. Beams without a return, or that end before it, prove nothing.
+    """
+    floats, stands = np.empty(len(pixels), np.bool_), np.empty(len(pixels), np.bool_)
+    el, az = image.elevation_rad, image.azimuth_rad
+    _mark_floating(
+        image.ranges_mm, image.rows, image.rank, np.cos(el), np.sin(el), np.cos(az), np.sin(az),
+        np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, clear_m, pixels, floats, stands,
+    )  # fmt: skip
+    return floats, stands
+
+
+def clear_beneath(
+    image: RangeImage, points_base: Float64, T_base_sensor: Float64, ground_m: float, ground_slope: float,
+) -> Bool:  # fmt: skip
+    """Beneath which points (K, 3), seen by another sensor, this image shows clear space down to the ground, (K,).
+
+    As in `floating`, but over all columns within `BESIDE_M`: nothing returns from there, and in half of the columns
+    three beams or more, through half of the height, return from beyond.
+    """
+    out = np.zeros(len(points_base), np.bool_)
+    el, az = image.elevation_rad, image.azimuth_rad
+    away = (points_base - T_base_sensor[:3, 3]) @ T_base_sensor[:3, :3]
+    _mark_clear_beneath(
+        image.ranges_mm, image.rows, np.cos(el), np.sin(el), az, np.cos(az), np.sin(az),
+        np.arctan2(away[:, 1], away[:, 0]),
+        np.ascontiguousarray(points_base), np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, out,
+    )  # fmt: skip
+    return out
+
+
+@inline_kernel
+def _near(
+    ranges: UInt16, rows: Int64, elevation: Float64, column_rad: float, is_closed: bool, rank: int, column: int,
+    found: Int64,
+) -> int:  # fmt: skip
+    """Number of returns next to one of a ring (by `rank`) and column, at a like range; `found` (., 2): their places."""
+    count, rings, columns = 0, ranges.shape[0], ranges.shape[1]
+    own = 1e-3 * ranges[rows[rank], column]
+    for a in range(max(rank - 1, 0), min(rank + 2, rings)):
+        up = elevation[rows[a]] - elevation[rows[rank]]
+        for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
+            c = column + d
+            if is_closed:
+                c %= columns
+            if (a == rank and d == 0) or c < 0 or c >= columns or ranges[rows[a], c] == 0:
+                continue
+            across = np.sqrt(up * up + (d * column_rad) ** 2)
+            if abs(1e-3 * ranges[rows[a], c] - own) <= NEAR_M + NEAR_SLOPE * across * own:
+                found[count, 0], found[count, 1] = a, c
+                count += 1
+    return count
+
+
+@kernel
+def _mark_isolated(
+    ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
+    out: Bool,
+) -> None:  # fmt: skip
+    columns = ranges.shape[1]
+    found = np.empty((3 * (2 * COLUMNS_ASIDE + 1), 2), np.int64)
+    for k in range(pixels.shape[0]):
+        ring, column = rank[pixels[k] // columns], pixels[k] % columns
+        count = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
+        if count == 1:  # the third may be next to the second
+            ring, column = found[0, 0], found[0, 1]
+            count = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
+        out[k] = count < 2
+
+
+@kernel
+def _mark_floating(
+    ranges: UInt16, rows: Int64, rank: Int64, cos_el: Float64, sin_el: Float64, cos_az: Float64, sin_az: Float64,
+    T: Float64, ground_m: float, ground_slope: float, clear_m: float, pixels: Int64, floats: Bool, stands: Bool,
+) -> None:  # fmt: skip
+    columns = ranges.shape[1]
+    for k in range(pixels.shape[0]):
+        column = pixels[k] % columns
+        at_m, above_m, clear, passing = 0.0, 0.0, 0.0, 0
+        is_whole, is_down = True, False  # all beams down from the return meet its body; they reach the ground
+        for a in range(rank[pixels[k] // columns], -1, -1):
+            r = rows[a]
+            x, y, z = cos_el[r] * cos_az[column], cos_el[r] * sin_az[column], sin_el[r]
+            flat = np.hypot(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z, T[1, 0] * x + T[1, 1] * y + T[1, 2] * z)
+            ends_m = 1e-3 * ranges[r, column] * flat
+            if at_m == 0.0:
+                at_m = ends_m
+            rise = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat
+            height_m, end_height_m = T[2, 3] + rise * at_m, T[2, 3] + rise * ends_m
+            if height_m <= ground_m + ground_slope * at_m:
+                is_down = True
+                break
+            if ends_m > at_m + BESIDE_M:
+                clear += above_m - height_m
+                passing += 1
+            elif end_height_m <= ground_m + ground_slope * ends_m:
+                is_down = True
+                break
+            elif ends_m >= at_m - BESIDE_M:  # a lower part of the body, or something below it
+                clear, passing = 0.0, 0
+            else:
+                is_whole = False
+            above_m = height_m
+        floats[k] = passing >= 2 and clear >= clear_m
+        stands[k] = is_whole and is_down and passing == 0
+
+
+@kernel
+def _mark_clear_beneath(
+    ranges: UInt16, rows: Int64, cos_el: Float64, sin_el: Float64, azimuth: Float64, cos_az: Float64, sin_az: Float64,
+    towards: Float64, points: Float64, T: Float64, ground_m: float, ground_slope: float, out: Bool,
+) -> None:  # fmt: skip
+    for k in range(points.shape[0]):
+        at_m = np.hypot(points[k, 0] - T[0, 3], points[k, 1] - T[1, 3])
+        bottom_m = ground_m + ground_slope * at_m
+        half_rad = np.arctan2(BESIDE_M, at_m)
+        is_clear, columns, clear_columns = at_m > BESIDE_M, 0, 0
+        for column in range(azimuth.shape[0]):
+            turn = (azimuth[column] - towards[k] + np.pi) % (2.0 * np.pi) - np.pi
+            if not is_clear or abs(turn) > half_rad:
+                continue
+            columns += 1
+            above_m, clear, passing = points[k, 2], 0.0, 0
+            for a in range(rows.shape[0] - 1, -1, -1):
+                r = rows[a]
+                x, y, z = cos_el[r] * cos_az[column], cos_el[r] * sin_az[column], sin_el[r]
+                flat = np.hypot(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z, T[1, 0] * x + T[1, 1] * y + T[1, 2] * z)
+                ends_m = 1e-3 * ranges[r, column] * flat
+                rise = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat
+                height_m, end_height_m = T[2, 3] + rise * at_m, T[2, 3] + rise * ends_m
+                if height_m >= points[k, 2] - BESIDE_M:
+                    continue
+                if height_m <= bottom_m:
+                    break
+                if ends_m > at_m + BESIDE_M:
+                    clear += above_m - height_m
+                    passing += 1
+                elif ends_m >= at_m - BESIDE_M and end_height_m > ground_m + ground_slope * ends_m:
+                    is_clear = False
+                above_m = height_m
+            clear_columns += passing >= 3 and clear >= 0.5 * (points[k, 2] - bottom_m)
+        out[k] = is_clear and columns > 0 and 2 * clear_columns >= columns

@@ -1,0 +1,144 @@
+"""Dust and birds are no hits, by evidence of the range image; who is among them is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from configs.vehicle import MountedImplement, Vehicle
+from messages.sensors import LidarScan
+from safety.config import SafetyConfig
+from safety.sources.ground_filter import Motion
+from safety.sources.lidar import LidarSource
+from safety.zones.footprint import Box as Area
+from safety.zones.footprint import footprint_of
+from tests.clause import clause
+from tests.perception.lidar_scenes import box, cast, listed
+from tests.safety.safety_world import START_NS, tractor
+
+AREA, STILL = Area((-6.0, 12.0), (-4.0, 4.0)), Motion(0.0, 0.0)
+SCAN_NS = 100_000_000
+BIRD, BIRD_MPS = (0.4, 1.2, 0.15), 7.0  # length along its path, span, height
+ADULT, CHILD = box(7.0, 0.5, 0.3, 0.5, 1.75), box(7.0, -0.5, 0.25, 0.3, 1.05)
+LYING = box(6.5, 0.3, 0.45, 1.7, 0.25)
+
+
+@pytest.fixture(scope="module")
+def machine() -> Vehicle:
+    """The shipped machine with the front lidar and a dome."""
+    return tractor("front", "front_left")
+
+
+def source_of(machine: Vehicle, implement: MountedImplement, config: SafetyConfig, name: str = "front") -> LidarSource:
+    return LidarSource(name, machine.sensors.lidar[name], footprint_of(machine, implement), config)
+
+
+def take(source: LidarSource, scan: LidarScan, *others: LidarSource) -> int:
+    """Number of hits after a scan."""
+    source.update(scan, np.zeros(3), STILL, 0.0, AREA, others)
+    return len(source.hits_odom_m)
+
+
+def dust(share: float):
+    """Isolated returns 0.8 to 8 m off on a share of the beams."""
+
+    def add(mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        found_mm = rng.uniform(800.0, 8000.0, mm.shape).astype(np.uint16)
+        return np.where((rng.random(mm.shape) < share) & ((mm == 0) | (found_mm < mm)), found_mm, mm)
+
+    return add
+
+
+@clause("BD-5.2.4", rule="protective_field")
+@pytest.mark.parametrize("name", ["front", "front_left"])
+def test_dust_is_no_hit_and_who_is_in_it_is(
+    machine: Vehicle, implement: MountedImplement, config: SafetyConfig, name: str
+) -> None:
+    lidar, scans = machine.sensors.lidar[name], range(15)
+    source = source_of(machine, implement, config, name)
+    for k in scans:
+        assert take(source, cast(lidar=lidar, seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=dust(0.01))) == 0, k
+    for body in (ADULT, CHILD, LYING) if lidar.looks_down else (ADULT, CHILD):
+        source = source_of(machine, implement, config, name)
+        hits = [
+            take(source, cast([body], lidar, seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=dust(0.01))) for k in scans
+        ]
+        assert all(hits[1:]), body
+
+
+def test_dust_would_be_hits_without_the_evidence(
+    machine: Vehicle, implement: MountedImplement, config: SafetyConfig
+) -> None:
+    trusting = config.model_copy(update={"airborne": config.airborne.model_copy(update={"dust_returns": 10_000})})
+    source = source_of(machine, implement, trusting)
+    hits = [take(source, cast(seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=dust(0.01))) for k in range(15)]
+    assert np.count_nonzero(hits) >= 2
+
+
+def test_few_isolated_returns_are_no_dust(machine: Vehicle, implement: MountedImplement, config: SafetyConfig) -> None:
+    """Two returns of a small body with nothing beneath it count in three scans, in a list in two."""
+    place = np.array([[7.3, 0.2, 1.2]])
+    clean, T = cast(noise_m=0.0), machine.sensors.lidar["front"].mount.T_base_sensor
+    away = np.linalg.norm(clean.points_m + T[:3, 3] - place, axis=1)
+
+    def with_two(mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        el, az = clean.elevation_rad[:, None], clean.azimuth_rad
+        d = np.stack(np.broadcast_arrays(np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)), axis=-1)
+        towards = (place[0] - T[:3, 3]) / np.linalg.norm(place[0] - T[:3, 3])
+        nearest = np.argsort(-(d @ towards).ravel())[:2]
+        out = mm.copy().ravel()
+        out[nearest] = round(1000.0 * float(np.linalg.norm(place[0] - T[:3, 3])))
+        return out.reshape(mm.shape)
+
+    assert away.min() > 1.0
+    for image in (True, False):
+        source = source_of(machine, implement, config)
+        counts = []
+        for k in range(3):
+            scan = cast(seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=with_two)
+            counts.append(take(source, scan if image else listed(scan)))
+        assert counts == ([0, 0, 2] if image else [0, 2, 2])
+
+
+@clause("BD-5.2.4", rule="protective_field")
+@pytest.mark.parametrize("name", ["front", "front_left"])
+def test_a_bird_that_passes_is_no_hit_and_what_hangs_there_is(
+    machine: Vehicle, implement: MountedImplement, config: SafetyConfig, name: str
+) -> None:
+    lidar = machine.sensors.lidar[name]
+    for low_m in (1.0, 1.3):
+        source = source_of(machine, implement, config, name)
+        for k in range(8):
+            bird = box(10.5 - 0.1 * k * BIRD_MPS, 0.5, *BIRD, low=low_m)
+            assert take(source, cast([bird], lidar, seed=k, stamp_ns=START_NS + k * SCAN_NS)) == 0, k
+        branch = box(6.5, 0.0, 0.4, 1.2, 0.15, low=low_m)
+        source = source_of(machine, implement, config, name)
+        hits = [take(source, cast([branch], lidar, seed=k, stamp_ns=START_NS + k * SCAN_NS)) for k in range(3)]
+        assert hits[:2] == [0, 0]
+        assert hits[2] > 0
+    for body in (ADULT, CHILD):
+        source = source_of(machine, implement, config, name)
+        assert take(source, cast([body, box(6.8, 0.5, *BIRD, low=1.6)], lidar)) > 0
+
+
+def test_another_lidar_shows_that_a_bird_floats(
+    machine: Vehicle, implement: MountedImplement, config: SafetyConfig
+) -> None:
+    """0.8 m before the bumper the front lidar sees nothing below 1 m; the dome beside it does, if its scan counts."""
+    dome = machine.sensors.lidar["front_left"]
+    bird, child = box(4.3, 0.3, 0.4, 0.8, 0.15, low=1.2), box(4.3, 0.3, 0.3, 0.3, 1.2)
+    for body, is_asked, late_ns, expected in (
+        (bird, True, 0, False), (bird, False, 0, True), (bird, True, 400_000_000, True), (child, True, 0, True),
+    ):  # fmt: skip
+        front, other = source_of(machine, implement, config), source_of(machine, implement, config, "front_left")
+        take(other, cast([body], dome, stamp_ns=START_NS))
+        seen = cast([body], stamp_ns=START_NS + late_ns)
+        assert bool(take(front, seen, *((other,) if is_asked else ()))) == expected
+    silent, listing, frozen = (source_of(machine, implement, config, "front_left") for _ in range(3))
+    take(listing, listed(cast([bird], dome, stamp_ns=START_NS)))
+    same = cast([bird], dome, stamp_ns=START_NS)
+    for k in range(5):
+        take(frozen, replace(same, stamp_ns=START_NS + k))
+    assert frozen.is_frozen
+    for other in (silent, listing, frozen):
+        assert take(source_of(machine, implement, config), cast([bird], stamp_ns=START_NS), other) > 0
