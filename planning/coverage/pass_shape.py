@@ -1,0 +1,251 @@
+"""Shape of a headland pass: the least inward displacement at which no body of the rig leaves the allowed area.
+
+A pass is its base line displaced to the left by d(s). A body point at x ahead of `base` moves by d + x·d', so along an
+edge the tail bounds how fast a pass may leave it. Clearance and curvature are linearized about the pass, the least sum
+of d is a linear program, and both are repeated until the bodies are free (sequential linear programming).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy.interpolate import CubicSpline
+from scipy.optimize import linprog
+from scipy.sparse import coo_array, csr_array, vstack
+
+from geometry.arrays import Bool, Float64, Int32, Int64, runs_of
+from geometry.footprint import place
+from geometry.jit import kernel
+from geometry.polyline import arc_length, at_length, curvatures, headings
+from geometry.rectangle import Rectangle
+from planning.turns.free_space import CELL_M, FreeSpace, edge_grid, edges_of
+
+STEP_M = 0.1
+KNOT = 5  # points of the base line between two knots, 0.5 m
+ROUNDS = 14
+WINDOW = 40  # knots before and after a place without clearance: a pass leaves an edge slowly
+NEAR_M = 0.8  # clearance beyond it is not constrained
+SLACK_M = 0.002  # clearance asked for, doubled at places still outside: between knots a body may be nearer
+MOST_SLACK_M = 0.1
+MOST_M = 0.6  # displacement in one round
+MOST_CURVATURE = 1.08  # of that of the smallest turning radius
+LESS_BENT = 0.96  # of the curvature asked for, at places where it is too high
+RATE_RADPM2 = 0.12  # change of curvature per metre: of a base line into an arc
+VIOLATION_COST = 1000.0  # of a metre of clearance, and of MISSING_RADPM2 of curvature
+MISSING_RADPM2 = 0.05
+
+
+@dataclass(frozen=True)
+class _Contacts:
+    """Clearances (C,) of body points at knots `knot`, m, and their change per displacement and per its slope."""
+
+    knot: Int64
+    clearance_m: Float64
+    by_shift: Float64
+    by_slope: Float64
+
+
+def displaced(line_m: Float64, space: FreeSpace) -> tuple[Float64, Float64]:
+    """Points (N, 2) and headings (N,) of the pass on a closed line, 0.1 m apart, with the interior to its left.
+
+    Where there is no way past an edge some poses of it are not drivable.
+    """
+    total = float(arc_length(line_m)[-1])
+    size = max(8, math.ceil(total / (KNOT * STEP_M)))
+    base = at_length(line_m, np.linspace(0.0, total, KNOT * size + 1))
+    points, heading = base, headings(base, is_closed=True)
+    normal = np.column_stack([-np.sin(heading), np.cos(heading)])
+    d, slack_m = np.zeros(size), np.full(size, SLACK_M)
+    limit_radpm = np.full(size, 1.0 / space.radius_m)
+    near = _Surroundings(space)
+    for _ in range(ROUNDS):
+        is_out, is_bent = (
+            wrong[:-1].reshape(size, KNOT).any(axis=1)
+            for wrong in (space.touching(points, heading), _is_too_bent(points, heading, space))
+        )
+        if not (is_out | is_bent).any():
+            break
+        contacts = near.contacts(points[:-1:KNOT], heading[:-1:KNOT])
+        s = arc_length(points)
+        bend, step_m = curvatures(heading, s)[:-1:KNOT], KNOT * np.gradient(s)[:-1:KNOT]
+        for window in _windows(is_out | is_bent, WINDOW):
+            d[window] += _increments(window, d, contacts, bend, step_m, slack_m, limit_radpm)
+        slack_m[is_out] = np.minimum(2.0 * slack_m[is_out], MOST_SLACK_M)
+        limit_radpm[is_bent] *= LESS_BENT
+        spline = CubicSpline(np.arange(size + 1), np.append(d, d[0]), bc_type="periodic")
+        points = base + spline(np.arange(KNOT * size + 1) / KNOT)[:, None] * normal
+        heading = headings(points, is_closed=True)
+    return points, heading
+
+
+def is_undrivable(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
+    """Poses of a closed pass, (N,), at which a body is outside or the curvature is too high."""
+    return space.touching(points_m, heading_rad) | _is_too_bent(points_m, heading_rad, space)
+
+
+def _is_too_bent(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
+    bend = np.abs(curvatures(heading_rad, arc_length(points_m)))
+    return np.asarray(bend > MOST_CURVATURE / space.radius_m, np.bool_)
+
+
+class _Surroundings:
+    """Edges of the allowed area around the bodies of the rig."""
+
+    def __init__(self, space: FreeSpace) -> None:
+        self._space = space
+        self._grid = edge_grid(edges_of(space.allowed), space.reach_m + NEAR_M)
+
+    def contacts(self, p_map_m: Float64, heading_rad: Float64) -> _Contacts:
+        """Contacts of the corners of each body with edges, and of its sides with the nearest vertex."""
+        found = [self._of_corners(body.corners_m, p_map_m, heading_rad) for body in self._space.bodies]
+        found += [self._of_sides(body, p_map_m, heading_rad) for body in self._space.bodies]
+        return _Contacts(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+    def _of_corners(
+        self, corners_m: Float64, p_map_m: Float64, heading_rad: Float64
+    ) -> tuple[Int64, Float64, Float64, Float64]:
+        at = place(corners_m, p_map_m, heading_rad)
+        away = _from_edges(p_map_m, at, *self._grid)
+        distance = np.minimum(np.hypot(away[..., 0], away[..., 1]), NEAR_M)
+        is_in = shapely.contains_xy(self._space.allowed, at[..., 0].ravel(), at[..., 1].ravel()).reshape(at.shape[:2])
+        clearance = np.where(is_in, distance, -distance)
+        knot, point = np.nonzero(clearance < NEAR_M)
+        c, s = np.cos(heading_rad[knot]), np.sin(heading_rad[knot])
+        is_known = (distance[knot, point] > 1e-6) & (distance[knot, point] < NEAR_M)
+        inwards = away[knot, point] / np.where(is_known, clearance[knot, point], 1.0)[:, None]
+        along = np.where(is_known, c * inwards[:, 0] + s * inwards[:, 1], 0.0)
+        across = np.where(is_known, c * inwards[:, 1] - s * inwards[:, 0], 1.0)
+        x, y = corners_m[point].T
+        return knot, clearance[knot, point], across, across * x - along * y
+
+    def _of_sides(
+        self, body: Rectangle, p_map_m: Float64, heading_rad: Float64
+    ) -> tuple[Int64, Float64, Float64, Float64]:
+        beyond_m = 0.5 * KNOT * STEP_M  # until the next knot
+        vertex = _beside(p_map_m, heading_rad, body.rear_m - beyond_m, body.front_m + beyond_m, *self._grid)
+        clearance = np.abs(vertex[:, 1]) - body.half_width_m
+        knot = np.flatnonzero(clearance < NEAR_M)
+        side = -np.sign(vertex[knot, 1])
+        return knot, clearance[knot], side, side * vertex[knot, 0]
+
+
+@kernel
+def _beside(
+    p_map_m: Float64, heading_rad: Float64, rear_m: float, front_m: float, edges_m: Float64, west_m: float,
+    south_m: float, columns: int, rows: int, first: Int32, items: Int32,
+) -> Float64:  # fmt: skip
+    """The vertex nearest to the x axis of `base` between `rear_m` and `front_m` at each pose, (N, 2) in `base`."""
+    found = np.full((len(p_map_m), 2), np.inf)
+    for n in range(len(p_map_m)):
+        i, j = math.floor((p_map_m[n, 0] - west_m) / CELL_M), math.floor((p_map_m[n, 1] - south_m) / CELL_M)
+        if i < 0 or j < 0 or i >= columns or j >= rows:
+            continue
+        cell, c, s = j * columns + i, math.cos(heading_rad[n]), math.sin(heading_rad[n])
+        for m in range(first[cell], first[cell + 1]):
+            dx, dy = edges_m[items[m], 0] - p_map_m[n, 0], edges_m[items[m], 1] - p_map_m[n, 1]
+            x, y = c * dx + s * dy, c * dy - s * dx
+            if rear_m <= x <= front_m and abs(y) < abs(found[n, 1]):
+                found[n, 0], found[n, 1] = x, y
+    return found
+
+
+@kernel
+def _from_edges(
+    p_map_m: Float64, points_m: Float64, edges_m: Float64, west_m: float, south_m: float, columns: int, rows: int,
+    first: Int32, items: Int32,
+) -> Float64:  # fmt: skip
+    """Vectors to body points (N, K, 2) at N poses from the nearest edge; infinite without one near the pose."""
+    found = np.full(points_m.shape, np.inf)
+    for n in range(len(p_map_m)):
+        i, j = math.floor((p_map_m[n, 0] - west_m) / CELL_M), math.floor((p_map_m[n, 1] - south_m) / CELL_M)
+        if i < 0 or j < 0 or i >= columns or j >= rows:
+            continue
+        cell = j * columns + i
+        for k in range(points_m.shape[1]):
+            x, y, least = points_m[n, k, 0], points_m[n, k, 1], np.inf
+            for m in range(first[cell], first[cell + 1]):
+                ax, ay, bx, by = edges_m[items[m]]
+                dx, dy = bx - ax, by - ay
+                share = ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-12)
+                share = min(max(share, 0.0), 1.0)
+                ex, ey = x - ax - share * dx, y - ay - share * dy
+                if ex * ex + ey * ey < least:
+                    least = ex * ex + ey * ey
+                    found[n, k, 0], found[n, k, 1] = ex, ey
+    return found
+
+
+def _windows(is_outside: Bool, margin: int) -> list[Int64]:
+    """Runs of knots of a closed pass with `margin` knots before and after each place outside."""
+    n = len(is_outside)
+    reach = np.arange(-margin, margin + 1)
+    wanted = np.zeros(n, np.bool_)
+    wanted[(np.flatnonzero(is_outside)[:, None] + reach).ravel() % n] = True
+    if wanted.all():
+        return [np.arange(n)]
+    first = int(np.argmin(wanted))
+    return [(first + np.arange(a, b + 1)) % n for a, b in runs_of(np.roll(wanted, -first))]
+
+
+def _increments(
+    window: Int64,
+    d: Float64,
+    contacts: _Contacts,
+    bend_radpm: Float64,
+    step_m: Float64,
+    slack_m: float,
+    limit_radpm: float,
+) -> Float64:
+    """Changes (W,) of the displacements of a window of knots, 0 before and after it: a linear program.
+
+    Unknowns are the changes and, for each knot, what stays missing of clearance and curvature.
+    """
+    n = len(window)
+    at = np.full(len(d), -1)
+    at[window] = np.arange(n)
+    used = at[contacts.knot] >= 0
+    k, shift = at[contacts.knot[used]], contacts.by_shift[used]
+    slope, row, ones = (
+        contacts.by_slope[used] / step_m[contacts.knot[used]],
+        np.arange(int(used.sum())),
+        np.ones(int(used.sum())),
+    )
+    clear = [  # with the slopes before and after the knot: their mean would not see a zigzag
+        _matrix([(row, k, shift + side * slope), (row, _inside(k - side, n), -side * slope), (row, n + k, ones)], n)
+        for side in (1, -1)
+    ]
+    at_knot, ones = np.arange(n), 1.0 / step_m[window] ** 2
+    before, after = _inside(at_knot - 1, n), _inside(at_knot + 1, n)
+    second = _matrix([(at_knot, before, ones), (at_knot, at_knot, -2.0 * ones), (at_knot, after, ones)], n)
+    third = second[1:] - second[:-1]
+    bend = bend_radpm[window]
+    second = second + _matrix([(at_knot, at_knot, bend**2)], n)  # an arc moved inwards is tighter
+    missing = _matrix([(at_knot, n + at_knot, np.full(n, MISSING_RADPM2))], n)
+    jump = np.diff(bend)
+    most = np.maximum(RATE_RADPM2 * step_m[window[1:]], np.abs(jump))
+    found = linprog(
+        np.concatenate([np.ones(n), np.full(n, VIOLATION_COST)]),
+        A_ub=vstack([-clear[0], -clear[1], second - missing, -second - missing, third, -third]),
+        b_ub=np.concatenate([
+            *2 * [contacts.clearance_m[used] - slack_m[contacts.knot[used]]], limit_radpm[window] - bend,
+            limit_radpm[window] + bend, most - jump, most + jump,
+        ]),
+        bounds=np.column_stack([
+            np.concatenate([-d[window], np.zeros(n)]), np.concatenate([np.full(n, MOST_M), np.full(n, np.inf)])
+        ]),
+        method="highs-ds",
+    )  # fmt: skip
+    return np.asarray(found.x[:n], np.float64) if found.x is not None else np.zeros(n)
+
+
+def _inside(knot: Int64, n: int) -> Int64:
+    """The knots, -1 for those outside a window of n."""
+    return np.where(knot < n, knot, -1)
+
+
+def _matrix(parts: list[tuple[Int64, Int64, Float64]], n: int) -> csr_array:
+    """Sparse matrix of rows, columns and values; columns of knots outside the window are left out."""
+    row, column, value = (np.concatenate(values) for values in zip(*parts, strict=True))
+    kept = column >= 0
+    return csr_array(coo_array((value[kept], (row[kept], column[kept])), shape=(int(row.max(initial=-1)) + 1, 2 * n)))
