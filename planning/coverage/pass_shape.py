@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.interpolate import CubicSpline
 from scipy.optimize import linprog
 from scipy.sparse import coo_array, csr_array, vstack
 
@@ -34,6 +33,7 @@ LESS_BENT = 0.96  # of the curvature asked for, at places where it is too high
 RATE_RADPM2 = 0.12  # change of curvature per metre: of a base line into an arc
 VIOLATION_COST = 1000.0  # of a metre of clearance, and of MISSING_RADPM2 of curvature
 MISSING_RADPM2 = 0.05
+STEP_COST = 0.5  # of a change of curvature of 1 1/m
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,17 @@ def displaced(line_m: Float64, space: FreeSpace) -> tuple[Float64, Float64]:
             d[window] += _increments(window, d, contacts, bend, step_m, slack_m, limit_radpm)
         slack_m[is_out] = np.minimum(2.0 * slack_m[is_out], MOST_SLACK_M)
         limit_radpm[is_bent] *= LESS_BENT
-        spline = CubicSpline(np.arange(size + 1), np.append(d, d[0]), bc_type="periodic")
-        points = base + spline(np.arange(KNOT * size + 1) / KNOT)[:, None] * normal
+        points = base + _between(d)[:, None] * normal
         heading = headings(points, is_closed=True)
     return points, heading
+
+
+def _between(d: Float64) -> Float64:
+    """The closed cubic B-spline of coefficients at knots, at all points of the base line."""
+    u = np.arange(KNOT) / KNOT
+    weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6.0
+    values = sum(np.outer(np.roll(d, 1 - k), weights[k]) for k in range(4)).ravel()
+    return np.append(values, values[0])
 
 
 def is_undrivable(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
@@ -194,58 +201,52 @@ def _increments(
     contacts: _Contacts,
     bend_radpm: Float64,
     step_m: Float64,
-    slack_m: float,
-    limit_radpm: float,
+    slack_m: Float64,
+    limit_radpm: Float64,
 ) -> Float64:
-    """Changes (W,) of the displacements of a window of knots, 0 before and after it: a linear program.
+    """Changes (W,) of the coefficients of a window of knots, 0 before and after it: a linear program.
 
-    Unknowns are the changes and, for each knot, what stays missing of clearance and curvature.
+    Unknowns are, for each knot, the change, what stays missing of clearance and curvature, and the step of curvature.
     """
-    n = len(window)
-    at = np.full(len(d), -1)
+    n, at = len(window), np.full(len(d), -1)
     at[window] = np.arange(n)
     used = at[contacts.knot] >= 0
-    k, shift = at[contacts.knot[used]], contacts.by_shift[used]
-    slope, row, ones = (
-        contacts.by_slope[used] / step_m[contacts.knot[used]],
-        np.arange(int(used.sum())),
-        np.ones(int(used.sum())),
-    )
-    clear = [  # with the slopes before and after the knot: their mean would not see a zigzag
-        _matrix([(row, k, shift + side * slope), (row, _inside(k - side, n), -side * slope), (row, n + k, ones)], n)
-        for side in (1, -1)
-    ]
-    at_knot, ones = np.arange(n), 1.0 / step_m[window] ** 2
-    before, after = _inside(at_knot - 1, n), _inside(at_knot + 1, n)
-    second = _matrix([(at_knot, before, ones), (at_knot, at_knot, -2.0 * ones), (at_knot, after, ones)], n)
-    third = second[1:] - second[:-1]
-    bend = bend_radpm[window]
-    second = second + _matrix([(at_knot, at_knot, bend**2)], n)  # an arc moved inwards is tighter
-    missing = _matrix([(at_knot, n + at_knot, np.full(n, MISSING_RADPM2))], n)
-    jump = np.diff(bend)
-    most = np.maximum(RATE_RADPM2 * step_m[window[1:]], np.abs(jump))
-    found = linprog(
-        np.concatenate([np.ones(n), np.full(n, VIOLATION_COST)]),
-        A_ub=vstack([-clear[0], -clear[1], second - missing, -second - missing, third, -third]),
-        b_ub=np.concatenate([
-            *2 * [contacts.clearance_m[used] - slack_m[contacts.knot[used]]], limit_radpm[window] - bend,
-            limit_radpm[window] + bend, most - jump, most + jump,
-        ]),
-        bounds=np.column_stack([
-            np.concatenate([-d[window], np.zeros(n)]), np.concatenate([np.full(n, MOST_M), np.full(n, np.inf)])
-        ]),
-        method="highs-ds",
+    knot, shift = contacts.knot[used], contacts.by_shift[used]
+    k, slope, row = at[knot], contacts.by_slope[used] / (2.0 * step_m[knot]), np.arange(len(knot))
+    clear = _matrix(
+        (row, _inside(k - 1, n), shift / 6.0 - slope), (row, k, shift * 4.0 / 6.0),
+        (row, _inside(k + 1, n), shift / 6.0 + slope), (row, n + k, 1.0), size=n,
     )  # fmt: skip
+    every, weight, bend = np.arange(n), 1.0 / step_m[window] ** 2, bend_radpm[window]
+    second = _matrix(
+        (every, every - 1, weight), (every, every, -2.0 * weight), (every, _inside(every + 1, n), weight), size=n
+    )
+    step = second[1:] - second[:-1]
+    second += _matrix((every, every, bend**2), size=n)  # an arc moved inwards is tighter
+    missing = _matrix((every, n + every, MISSING_RADPM2), size=n)
+    steps = _matrix((every[:-1], 2 * n + every[:-1], 1.0), size=n)
+    jump, limit = np.diff(bend), limit_radpm[window]
+    most = np.maximum(RATE_RADPM2 * step_m[window], np.abs(np.append(jump, 0.0)))
+    found = linprog(
+        np.repeat([1.0, VIOLATION_COST, STEP_COST], n),
+        A_ub=vstack([-clear, second - missing, -second - missing, step - steps, -step - steps]),
+        b_ub=np.concatenate([contacts.clearance_m[used] - slack_m[knot], limit - bend, limit + bend, -jump, jump]),
+        bounds=np.column_stack(
+            [np.concatenate([-d[window], np.zeros(2 * n)]), np.concatenate([np.full(n, MOST_M), np.full(n, 1e3), most])]
+        ),
+        method="highs-ds",
+    )
     return np.asarray(found.x[:n], np.float64) if found.x is not None else np.zeros(n)
 
 
 def _inside(knot: Int64, n: int) -> Int64:
-    """The knots, -1 for those outside a window of n."""
     return np.where(knot < n, knot, -1)
 
 
-def _matrix(parts: list[tuple[Int64, Int64, Float64]], n: int) -> csr_array:
-    """Sparse matrix of rows, columns and values; columns of knots outside the window are left out."""
-    row, column, value = (np.concatenate(values) for values in zip(*parts, strict=True))
-    kept = column >= 0
-    return csr_array(coo_array((value[kept], (row[kept], column[kept])), shape=(int(row.max(initial=-1)) + 1, 2 * n)))
+def _matrix(*entries: tuple[Int64, Int64, Float64 | float], size: int) -> csr_array:
+    """Sparse matrix of rows, columns and values; of the first `size` columns those of knots outside are left out."""
+    row, column = (np.concatenate([e[k] for e in entries]) for k in (0, 1))
+    value = np.concatenate([np.broadcast_to(e[2], len(e[0])) for e in entries])
+    kept, count = column >= 0, int(row.max(initial=-1)) + 1
+    row, column, value = row[kept], column[kept], value[kept]
+    return csr_array(coo_array((value, (row, column)), shape=(count, 3 * size)))
