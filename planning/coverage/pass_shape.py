@@ -61,7 +61,7 @@ def displaced(line_m: Float64, space: FreeSpace) -> tuple[Float64, Float64]:
     near = _Surroundings(space)
     for _ in range(ROUNDS):
         is_out, is_bent = (
-            wrong[:-1].reshape(size, KNOT).any(axis=1)
+            _near_knots(wrong[:-1].reshape(size, KNOT).any(axis=1))
             for wrong in (space.touching(points, heading), _is_too_bent(points, heading, space))
         )
         if not (is_out | is_bent).any():
@@ -76,6 +76,11 @@ def displaced(line_m: Float64, space: FreeSpace) -> tuple[Float64, Float64]:
         points = base + _between(d)[:, None] * normal
         heading = headings(points, is_closed=True)
     return points, heading
+
+
+def _near_knots(is_after: Bool) -> Bool:
+    """Knots before or after the marked places."""
+    return is_after | np.roll(is_after, 1)
 
 
 def _between(d: Float64) -> Float64:
