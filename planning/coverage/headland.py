@@ -24,6 +24,7 @@ from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
 
 MIN_RING_M2 = 1.0
+ROUNDING = (1.0, 1.3)  # of the turning radius; with the larger one passes end farther from the end of a narrow part
 MIN_OPEN_M = 8.0
 STRAIGHT_RADPM, MAX_JOINT_RADPM = 0.004, 0.03
 MIN_FILL_RAD = 0.7
@@ -114,14 +115,23 @@ def _fill_area(ring: HeadlandPass, fill: CornerFill, rig: Rig) -> BaseGeometry:
 
 
 def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[HeadlandPass]:
-    found: list[HeadlandPass] = []
-    for piece in parts(rounded(part, rig.radius_m), MIN_RING_M2):
-        for k, ring in enumerate(ring_points(piece)):
-            line = smooth(resample(ring, STEP_M), rig.config.smoothing_m, is_closed=True)
-            points, heading = displaced(line, space)
-            closed = HeadlandPass(number, points, heading, k > 0, True)
-            found += _cut(closed, is_undrivable(points, heading, space))
-    return found
+    """The passes of an area with corners of the smallest radius, or of a larger one where more of them is drivable."""
+    best: tuple[int, list[HeadlandPass]] | None = None
+    for factor in ROUNDING:
+        undrivable, found = 0, list[HeadlandPass]()
+        for piece in parts(rounded(part, factor * rig.radius_m), MIN_RING_M2):
+            for k, ring in enumerate(ring_points(piece)):
+                line = smooth(resample(ring, STEP_M), rig.config.smoothing_m, is_closed=True)
+                points, heading = displaced(line, space)
+                wrong = is_undrivable(points, heading, space)
+                undrivable += int(wrong.sum())
+                found += _cut(HeadlandPass(number, points, heading, k > 0, True), wrong)
+        if best is None or undrivable < best[0]:
+            best = undrivable, found
+        if undrivable == 0:
+            break
+    assert best is not None
+    return best[1]
 
 
 def _cut(ring: HeadlandPass, outside: Bool) -> list[HeadlandPass]:

@@ -29,6 +29,7 @@ SLACK_M = 0.002  # clearance asked for, doubled at places still outside: between
 MOST_SLACK_M = 0.1
 MOST_M = 0.6  # displacement in one round
 MOST_CURVATURE = 1.08  # of that of the smallest turning radius
+MOST_JUMP_RADPM = 0.025  # between points: more would be eased when the path is made, and moved
 LESS_BENT = 0.96  # of the curvature asked for, at places where it is too high
 RATE_RADPM2 = 0.12  # change of curvature per metre: of a base line into an arc
 VIOLATION_COST = 1000.0  # of a metre of clearance, and of MISSING_RADPM2 of curvature
@@ -97,8 +98,9 @@ def is_undrivable(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> 
 
 
 def _is_too_bent(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
-    bend = np.abs(curvatures(heading_rad, arc_length(points_m)))
-    return np.asarray(bend > MOST_CURVATURE / space.radius_m, np.bool_)
+    bend = curvatures(heading_rad, arc_length(points_m))
+    jump = np.maximum(np.abs(np.diff(bend, prepend=bend[0])), np.abs(np.diff(bend, append=bend[-1])))
+    return np.asarray((np.abs(bend) > MOST_CURVATURE / space.radius_m) | (jump > MOST_JUMP_RADPM), np.bool_)
 
 
 class _Surroundings:
@@ -229,15 +231,17 @@ def _increments(
     step = second[1:] - second[:-1]
     second += _matrix((every, every, bend**2), size=n)  # an arc moved inwards is tighter
     missing = _matrix((every, n + every, MISSING_RADPM2), size=n)
-    steps = _matrix((every[:-1], 2 * n + every[:-1], 1.0), size=n)
+    steps = _matrix((every[:-1], 2 * n + every[:-1], 1.0), (every[:-1], n + every[:-1], MISSING_RADPM2), size=n)
     jump, limit = np.diff(bend), limit_radpm[window]
-    most = np.maximum(RATE_RADPM2 * step_m[window], np.abs(np.append(jump, 0.0)))
     found = linprog(
         np.repeat([1.0, VIOLATION_COST, STEP_COST], n),
         A_ub=vstack([-clear, second - missing, -second - missing, step - steps, -step - steps]),
         b_ub=np.concatenate([contacts.clearance_m[used] - slack_m[knot], limit - bend, limit + bend, -jump, jump]),
         bounds=np.column_stack(
-            [np.concatenate([-d[window], np.zeros(2 * n)]), np.concatenate([np.full(n, MOST_M), np.full(n, 1e3), most])]
+            [
+                np.concatenate([-d[window], np.zeros(2 * n)]),
+                np.concatenate([np.full(n, MOST_M), np.full(n, np.inf), RATE_RADPM2 * step_m[window]]),
+            ]
         ),
         method="highs-ds",
     )
