@@ -22,14 +22,14 @@ from planning.turns.free_space import CELL_M, FreeSpace, edge_grid, edges_of
 
 STEP_M = 0.1
 KNOT = 5  # points of the base line between two knots, 0.5 m
-ROUNDS = 14
+ROUNDS = 24
 WINDOW = 40  # knots before and after a place without clearance: a pass leaves an edge slowly
 NEAR_M = 0.8  # clearance beyond it is not constrained
 SLACK_M = 0.002  # clearance asked for, doubled at places still outside: between knots a body may be nearer
 MOST_SLACK_M = 0.1
 MOST_M = 0.6  # displacement in one round
 MOST_CURVATURE = 1.08  # of that of the smallest turning radius
-MOST_JUMP_RADPM = 0.025  # between points: more would be eased when the path is made, and moved
+MOST_JUMP_RADPM = 0.029  # between points: more would be eased when the path is made, and moved
 LESS_BENT = 0.96  # of the curvature asked for, at places where it is too high
 RATE_RADPM2 = 0.12  # change of curvature per metre: of a base line into an arc
 VIOLATION_COST = 1000.0  # of a metre of clearance, and of MISSING_RADPM2 of curvature
