@@ -116,14 +116,16 @@ def _fill_area(ring: HeadlandPass, fill: CornerFill, rig: Rig) -> BaseGeometry:
 
 def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[HeadlandPass]:
     """The passes of an area with corners of the smallest radius, or of a larger one where more of them is drivable."""
+    leaving = space if rig.has_reverse else _straight_on(space, rig.config.run_out_m)
     best: tuple[int, list[HeadlandPass]] | None = None
     for factor in ROUNDING:
         undrivable, found = 0, list[HeadlandPass]()
         for piece in parts(rounded(part, factor * rig.radius_m), MIN_RING_M2):
             for k, ring in enumerate(ring_points(piece)):
                 line = smooth(resample(ring, STEP_M), rig.config.smoothing_m, is_closed=True)
-                points, heading = displaced(line, space)
-                wrong = is_undrivable(points, heading, space)
+                room = leaving if k > 0 else space
+                points, heading = displaced(line, room)
+                wrong = is_undrivable(points, heading, room)
                 undrivable += int(wrong.sum())
                 found += _cut(HeadlandPass(number, points, heading, k > 0, True), wrong)
         if best is None or undrivable < best[0]:
@@ -132,6 +134,11 @@ def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[H
             break
     assert best is not None
     return best[1]
+
+
+def _straight_on(space: FreeSpace, run_out_m: float) -> FreeSpace:
+    """Free space of bodies that reach `run_out_m` ahead: a pass around an obstacle can be left straight on."""
+    return replace(space, bodies=tuple(replace(b, front_m=max(b.front_m, run_out_m)) for b in space.bodies))
 
 
 def _cut(ring: HeadlandPass, outside: Bool) -> list[HeadlandPass]:

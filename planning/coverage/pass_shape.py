@@ -220,14 +220,16 @@ def _increments(
     used = at[contacts.knot] >= 0
     knot, shift = contacts.knot[used], contacts.by_shift[used]
     k, slope, row = at[knot], contacts.by_slope[used] / (2.0 * step_m[knot]), np.arange(len(knot))
+    every = np.arange(n)
+    before, after = np.append(-1, every[:-1]), np.append(every[1:], -1)  # -1: a knot outside the window
+    if n == len(d):
+        before[0], after[-1] = n - 1, 0
     clear = _matrix(
-        (row, _inside(k - 1, n), shift / 6.0 - slope), (row, k, shift * 4.0 / 6.0),
-        (row, _inside(k + 1, n), shift / 6.0 + slope), (row, n + k, 1.0), size=n,
+        (row, before[k], shift / 6.0 - slope), (row, k, shift * 4.0 / 6.0),
+        (row, after[k], shift / 6.0 + slope), (row, n + k, 1.0), size=n,
     )  # fmt: skip
-    every, weight, bend = np.arange(n), 1.0 / step_m[window] ** 2, bend_radpm[window]
-    second = _matrix(
-        (every, every - 1, weight), (every, every, -2.0 * weight), (every, _inside(every + 1, n), weight), size=n
-    )
+    weight, bend = 1.0 / step_m[window] ** 2, bend_radpm[window]
+    second = _matrix((every, before, weight), (every, every, -2.0 * weight), (every, after, weight), size=n)
     step = second[1:] - second[:-1]
     second += _matrix((every, every, bend**2), size=n)  # an arc moved inwards is tighter
     missing = _matrix((every, n + every, MISSING_RADPM2), size=n)
@@ -248,12 +250,8 @@ def _increments(
     return np.asarray(found.x[:n], np.float64) if found.x is not None else np.zeros(n)
 
 
-def _inside(knot: Int64, n: int) -> Int64:
-    return np.where(knot < n, knot, -1)
-
-
 def _matrix(*entries: tuple[Int64, Int64, Float64 | float], size: int) -> csr_array:
-    """Sparse matrix of rows, columns and values; of the first `size` columns those of knots outside are left out."""
+    """Sparse matrix of rows, columns and values; those with column -1, of a knot outside the window, are left out."""
     row, column = (np.concatenate([e[k] for e in entries]) for k in (0, 1))
     value = np.concatenate([np.broadcast_to(e[2], len(e[0])) for e in entries])
     kept, count = column >= 0, int(row.max(initial=-1)) + 1
