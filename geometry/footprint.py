@@ -9,7 +9,7 @@ from geometry.arrays import Bool, Float64, Int64
 from geometry.rectangle import Rectangle
 
 Bodies = tuple[Rectangle, ...]
-STRAIGHT_RAD = 0.04
+STRAIGHT_RAD = 0.01
 
 
 def place(points_base_m: Float64, p_map_m: Float64, heading_rad: Float64) -> Float64:

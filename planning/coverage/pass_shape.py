@@ -22,7 +22,7 @@ from planning.turns.free_space import CELL_M, FreeSpace, edge_grid, edges_of
 
 STEP_M = 0.1
 KNOT = 5  # points of the base line between two knots, 0.5 m
-ROUNDS = 24
+ROUNDS, PATIENCE = 24, 5  # at most, and without progress
 WINDOW = 40  # knots before and after a place without clearance: a pass leaves an edge slowly
 NEAR_M = 0.8  # clearance beyond it is not constrained
 SLACK_M = 0.002  # clearance asked for, doubled at places still outside: between knots a body may be nearer
@@ -48,7 +48,7 @@ class _Contacts:
 
 
 def displaced(line_m: Float64, space: FreeSpace) -> tuple[Float64, Float64]:
-    """Points (N, 2) and headings (N,) of the pass on a closed line, 0.1 m apart, with the interior to its left.
+    """Points (N, 2) and headings (N,) of the pass on a closed line, about 0.1 m apart, with the interior to its left.
 
     Where there is no way past an edge some poses of it are not drivable.
     """
@@ -60,12 +60,14 @@ def displaced(line_m: Float64, space: FreeSpace) -> tuple[Float64, Float64]:
     d, slack_m = np.zeros(size), np.full(size, SLACK_M)
     limit_radpm = np.full(size, 1.0 / space.radius_m)
     near = _Surroundings(space)
-    for _ in range(ROUNDS):
-        is_out, is_bent = (
-            _near_knots(wrong[:-1].reshape(size, KNOT).any(axis=1))
-            for wrong in (space.touching(points, heading), _is_too_bent(points, heading, space))
-        )
-        if not (is_out | is_bent).any():
+    best, best_round = (size + 1, points, heading), 0
+    for number in range(ROUNDS):
+        is_out = _near_knots(space.touching(points, heading))
+        is_bent = _near_knots(_is_too_bent(points, heading, space))
+        wrong = int((is_out | is_bent).sum())
+        if wrong < best[0]:
+            best, best_round = (wrong, points, heading), number
+        if wrong == 0 or number - best_round > PATIENCE:
             break
         contacts = near.contacts(points[:-1:KNOT], heading[:-1:KNOT])
         s = arc_length(points)
@@ -76,20 +78,21 @@ def displaced(line_m: Float64, space: FreeSpace) -> tuple[Float64, Float64]:
         limit_radpm[is_bent] *= LESS_BENT
         points = base + _between(d)[:, None] * normal
         heading = headings(points, is_closed=True)
-    return points, heading
+    return best[1], best[2]
 
 
-def _near_knots(is_after: Bool) -> Bool:
-    """Knots before or after the marked places."""
-    return is_after | np.roll(is_after, 1)
+def _near_knots(is_wrong: Bool) -> Bool:
+    """Knots before or after the marked points of a closed pass."""
+    is_after = is_wrong[:-1].reshape(-1, KNOT).any(axis=1)
+    return np.asarray(is_after | np.roll(is_after, 1), np.bool_)
 
 
 def _between(d: Float64) -> Float64:
     """The closed cubic B-spline of coefficients at knots, at all points of the base line."""
     u = np.arange(KNOT) / KNOT
     weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6.0
-    values = sum(np.outer(np.roll(d, 1 - k), weights[k]) for k in range(4)).ravel()
-    return np.append(values, values[0])
+    values = np.column_stack([np.roll(d, 1 - k) for k in range(4)]) @ weights
+    return np.append(values, values[0, 0])
 
 
 def is_undrivable(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
@@ -231,13 +234,13 @@ def _increments(
     weight, bend = 1.0 / step_m[window] ** 2, bend_radpm[window]
     second = _matrix((every, before, weight), (every, every, -2.0 * weight), (every, after, weight), size=n)
     step = second[1:] - second[:-1]
-    second += _matrix((every, every, bend**2), size=n)  # an arc moved inwards is tighter
+    tighter = _matrix((every, every, bend**2), size=n)  # an arc moved inwards
     missing = _matrix((every, n + every, MISSING_RADPM2), size=n)
     steps = _matrix((every[:-1], 2 * n + every[:-1], 1.0), (every[:-1], n + every[:-1], MISSING_RADPM2), size=n)
     jump, limit = np.diff(bend), limit_radpm[window]
-    found = linprog(
+    found = linprog(  # type: ignore[call-overload]  # the stubs know dense matrices alone
         np.repeat([1.0, VIOLATION_COST, STEP_COST], n),
-        A_ub=vstack([-clear, second - missing, -second - missing, step - steps, -step - steps]),
+        A_ub=vstack([-clear, second + tighter - missing, -second - tighter - missing, step - steps, -step - steps]),
         b_ub=np.concatenate([contacts.clearance_m[used] - slack_m[knot], limit - bend, limit + bend, -jump, jump]),
         bounds=np.column_stack(
             [
