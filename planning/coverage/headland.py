@@ -116,7 +116,7 @@ def _fill_area(ring: HeadlandPass, fill: CornerFill, rig: Rig) -> BaseGeometry:
 
 def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[HeadlandPass]:
     """The passes of an area with corners of the smallest radius, or of a larger one where more of them is drivable."""
-    leaving = space if rig.has_reverse else _straight_on(space, rig.config.run_out_m)
+    leaving = _straight_on(space, rig.config.run_out_m)
     best: tuple[int, list[HeadlandPass]] | None = None
     for factor in ROUNDING:
         undrivable, found = 0, list[HeadlandPass]()
