@@ -31,17 +31,6 @@ def is_inside(bodies: Bodies, p_map_m: Float64, heading_rad: Float64, allowed: B
     return np.asarray(shapely.covers(allowed, footprints(bodies, p_map_m, heading_rad)).all(axis=1), np.bool_)
 
 
-def intrusion(outline_base_m: Float64, p_map_m: Float64, heading_rad: Float64, allowed: BaseGeometry) -> Float64:
-    """Greatest distance of the body points (K, 2) outside `allowed` at each pose, (N,); 0 inside."""
-    points = place(outline_base_m, p_map_m, heading_rad)
-    flat = np.asarray(shapely.points(points.reshape(-1, 2)))
-    shapely.prepare(allowed)
-    out = ~shapely.covers(allowed, flat)
-    distance = np.zeros(len(flat))
-    distance[out] = shapely.distance(flat[out], allowed)
-    return np.asarray(distance.reshape(points.shape[:2]).max(axis=1), np.float64)
-
-
 def sweep(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> BaseGeometry:
     """Area swept along the poses: union of the convex hulls of consecutive footprints."""
     shapes = []

@@ -1,10 +1,8 @@
-"""Headland passes: closed paths along the field edge, pushed inwards where a body would leave the field.
+"""Headland passes: closed paths along the field edge, displaced inwards where a body would leave the field.
 
-A pass starts as the field outline moved inwards, with all corners rounded to the turning radius. Where a body at a pose
-on it leaves the allowed area, the pass is pushed inwards there, with a smooth transition (a sharp bend would swing the
-tail out again), and its corners are rounded again, until no body is outside. Where that fails the pass is cut: what
-remains are open passes. With reversing a rounded corner is filled: the rig reverses straight into it from behind its
-arc, and works out of it again.
+A pass starts as the field outline moved inwards, with all corners rounded to the turning radius, and is displaced by no
+more than the bodies need (`pass_shape.py`). Where that fails the pass is cut: what remains are open passes. With
+reversing a rounded corner is filled: the rig reverses straight into it from behind its arc, and works out of it again.
 """
 
 from dataclasses import dataclass, replace
