@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from configs.vehicle import MountedImplement, Vehicle
 from messages.plan import Path
 
-STRAIGHT_RAD = 0.02
+STRAIGHT_RAD = 0.005
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from geometry.arrays import Bool, Float64, Int64
 from geometry.rectangle import Rectangle
 
 Bodies = tuple[Rectangle, ...]
-STRAIGHT_RAD = 0.04
+STRAIGHT_RAD = 0.01
 
 
 def place(points_base_m: Float64, p_map_m: Float64, heading_rad: Float64) -> Float64:
@@ -29,17 +29,6 @@ def is_inside(bodies: Bodies, p_map_m: Float64, heading_rad: Float64, allowed: B
     """Whether all bodies lie completely within `allowed` at each pose, (N,)."""
     shapely.prepare(allowed)
     return np.asarray(shapely.covers(allowed, footprints(bodies, p_map_m, heading_rad)).all(axis=1), np.bool_)
-
-
-def intrusion(outline_base_m: Float64, p_map_m: Float64, heading_rad: Float64, allowed: BaseGeometry) -> Float64:
-    """Greatest distance of the body points (K, 2) outside `allowed` at each pose, (N,); 0 inside."""
-    points = place(outline_base_m, p_map_m, heading_rad)
-    flat = np.asarray(shapely.points(points.reshape(-1, 2)))
-    shapely.prepare(allowed)
-    out = ~shapely.covers(allowed, flat)
-    distance = np.zeros(len(flat))
-    distance[out] = shapely.distance(flat[out], allowed)
-    return np.asarray(distance.reshape(points.shape[:2]).max(axis=1), np.float64)
 
 
 def sweep(bodies: Bodies, p_map_m: Float64, heading_rad: Float64) -> BaseGeometry:

@@ -78,9 +78,8 @@ def _eased(p: Float64, heading: Float64, curvature: Float64, direction: int) -> 
     eased = p + near[:, None] * (smooth(p, EASED_M) - p)
     turned = headings(eased) if direction > 0 else headings(eased) + np.pi
     turned += 2.0 * np.pi * np.round((heading[0] - turned[0]) / (2.0 * np.pi))
-    is_near = near > 0.0
     bent = direction * curvatures(turned, arc_length(eased))
-    return eased, np.where(is_near, turned, heading), np.where(is_near, bent, curvature)
+    return eased, heading + near * (turned - heading), curvature + near * (bent - curvature)
 
 
 def path_of(

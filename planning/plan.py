@@ -29,7 +29,7 @@ from planning.rig import Rig, rig_of
 from planning.turns.connector import PathConnector
 from planning.turns.free_space import FreeSpace
 
-PROOF_SLACK_M = 0.02  # margin added in planning over the one verified
+PROOF_SLACK_M = 0.005  # margin added in planning over the one verified
 MIN_UNCOVERED_M2 = 0.25
 Report = Callable[[str], object]
 EDGE_MARGIN, TIGHT_CORNER = "edge margin", "corner too tight to turn in"  # reasons of uncovered areas

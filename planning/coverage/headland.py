@@ -1,10 +1,8 @@
-"""Headland passes: closed paths along the field edge, pushed inwards where a body would leave the field.
+"""Headland passes: closed paths along the field edge, displaced inwards where a body would leave the field.
 
-A pass starts as the field outline moved inwards, with all corners rounded to the turning radius. Where a body at a pose
-on it leaves the allowed area, the pass is pushed inwards there, with a smooth transition (a sharp bend would swing the
-tail out again), and its corners are rounded again, until no body is outside. Where that fails the pass is cut: what
-remains are open passes. With reversing a rounded corner is filled: the rig reverses straight into it from behind its
-arc, and works out of it again.
+A pass starts as the field outline moved inwards, with all corners rounded to the turning radius, and is displaced by no
+more than the bodies need (`pass_shape.py`). Where that fails the pass is cut: what remains are open passes. With
+reversing a rounded corner is filled: the rig reverses straight into it from behind its arc, and works out of it again.
 """
 
 from dataclasses import dataclass, replace
@@ -14,19 +12,17 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geometry.arrays import Bool, Float64
-from geometry.footprint import intrusion, worked
+from geometry.arrays import Bool, Float64, Int64
+from geometry.footprint import worked
 from geometry.polygon import parts, ring_points, rounded, shrink
-from geometry.polyline import arc_length, curvatures, headings, resample, smooth
+from geometry.polyline import arc_length, curvatures, resample, smooth
+from planning.coverage.pass_shape import STEP_M, displaced, is_undrivable
 from planning.field.drivable_area import DrivableArea
 from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
 
-STEP_M = 0.1
-COARSE_M = 0.4
-PUSHES, LOCAL_PUSHES = 16, 8
-SMALL_M = 0.06  # an intrusion that is left after the local pushes: the complete pass is moved inwards
 MIN_RING_M2 = 1.0
+ROUNDING = (1.0, 1.3)  # of the turning radius; with the larger one passes end farther from the end of a narrow part
 MIN_OPEN_M = 8.0
 STRAIGHT_RADPM, MAX_JOINT_RADPM = 0.004, 0.03
 MIN_FILL_RAD = 0.7
@@ -34,8 +30,6 @@ MAX_FILL_RAD = 2.6
 LEVEL = 15  # points
 FILL_RUN_M = (1.0, 16.0)  # straight behind the arc before reversing
 MIN_REVERSE_M = 1.0
-MANY_PEAKS = 60
-MIN_SHIFT_M, SHIFT_RADPM = 4.0, 0.08  # of a push in a left bend
 
 
 @dataclass(frozen=True)
@@ -119,52 +113,53 @@ def _fill_area(ring: HeadlandPass, fill: CornerFill, rig: Rig) -> BaseGeometry:
 
 
 def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[HeadlandPass]:
-    shape: BaseGeometry = part
-    found: list[HeadlandPass] = []
-    for attempt in range(PUSHES):
-        pieces = parts(rounded(shape, rig.radius_m), MIN_RING_M2)
-        raw = [(resample(ring, STEP_M), k > 0) for p in pieces for k, ring in enumerate(ring_points(p))]
-        found, depths = [], []
-        for ring, is_hole in raw:
-            smoothed = smooth(ring, rig.config.smoothing_m, is_closed=True)
-            heading = headings(smoothed, is_closed=True)
-            found.append(HeadlandPass(number, smoothed, heading, is_hole, True))
-            depths.append(_outside(smoothed, heading, space))
-        if all(d.max() <= 0.0 for d in depths):
-            return found
-        worst = max(float(d.max()) for d in depths)
-        if attempt >= LOCAL_PUSHES and worst < SMALL_M:
-            shape = shrink(shapely.union_all(pieces), worst + 0.005)
-        else:
-            shape = _pushed(pieces, [ring for ring, _ in raw], [(1.0 + 0.15 * attempt) * d for d in depths])
-    return [p for ring, depth in zip(found, depths, strict=True) for p in _cut(ring, depth)]
+    """The passes of an area with corners of the smallest radius, or of a larger one where more of them is drivable."""
+    leaving = _straight_on(space, rig.config.run_out_m)
+    best: tuple[int, list[HeadlandPass]] | None = None
+    for factor in ROUNDING:
+        undrivable, found = 0, list[HeadlandPass]()
+        for piece in parts(rounded(part, factor * rig.radius_m), MIN_RING_M2):
+            for k, ring in enumerate(ring_points(piece)):
+                line = smooth(resample(ring, STEP_M), rig.config.smoothing_m, is_closed=True)
+                room = leaving if k > 0 else space
+                points, heading = displaced(line, room)
+                wrong = is_undrivable(points, heading, room)
+                undrivable += int(wrong.sum())
+                found += _cut(HeadlandPass(number, points, heading, k > 0, True), wrong)
+        if best is None or undrivable < best[0]:
+            best = undrivable, found
+        if undrivable == 0:
+            break
+    assert best is not None
+    return best[1]
 
 
-def _cut(ring: HeadlandPass, depth: Float64) -> list[HeadlandPass]:
+def _straight_on(space: FreeSpace, run_out_m: float) -> FreeSpace:
+    """Free space of bodies that reach `run_out_m` ahead: a pass around an obstacle can be left straight on."""
+    return replace(space, bodies=tuple(replace(b, front_m=max(b.front_m, run_out_m)) for b in space.bodies))
+
+
+def _cut(ring: HeadlandPass, outside: Bool) -> list[HeadlandPass]:
     """The drivable parts of a closed pass."""
-    outside = depth > 0.0
     if not outside.any():
         return [ring]
     n = len(outside) - 1
     first = int(np.argmax(outside[:-1]))
     order = (first + np.arange(n)) % n
     runs = np.split(order, np.flatnonzero(np.diff(outside[order].astype(int))) + 1)
-    least = int(MIN_OPEN_M / STEP_M)
-    kept = [run for run in runs if not outside[run[0]] and len(run) > least]
+    least, bend = int(MIN_OPEN_M / STEP_M), np.abs(ring.curvature_radpm)
+    kept = [_trimmed(run, bend[run] < MAX_JOINT_RADPM) for run in runs if not outside[run[0]]]
+    kept = [run for run in kept if len(run) > least]
     return [
         HeadlandPass(ring.number, ring.points_m[run], np.unwrap(ring.heading_rad[run]), ring.is_around_obstacle, False)
         for run in kept
     ]
 
 
-def _outside(ring: Float64, heading: Float64, space: FreeSpace) -> Float64:
-    """Greatest distance of a body outside the allowed area at each pose, (N,); 0 inside."""
-    out = space.touching(ring, heading).astype(np.float64) * 0.01
-    at = np.flatnonzero(out)[:: max(1, int(COARSE_M / STEP_M))]
-    if len(at):
-        outline = np.vstack([b.outline_m(0.5) for b in space.bodies])
-        out[at] = np.maximum(out[at], intrusion(outline, ring[at], heading[at], space.allowed))
-    return out
+def _trimmed(run: Int64, is_level: Bool) -> Int64:
+    """A run of points without the bends at both ends: a line begins and ends straight."""
+    at = np.flatnonzero(is_level)
+    return run[at[0] : at[-1] + 1] if len(at) else run[:0]
 
 
 def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[CornerFill]:
@@ -206,43 +201,3 @@ def _free_m(ring: HeadlandPass, index: int, by_m: float, space: FreeSpace) -> fl
     line = ring.points_m[index] + np.sign(by_m) * s[:, None] * np.array([np.cos(h), np.sin(h)])
     out = np.append(space.touching(line, np.full(len(s), h)), True)
     return float(max(int(np.argmax(out)) - 1, 0) * STEP_M)
-
-
-def _pushed(pieces: list[Polygon], rings: list[Float64], depths: list[Float64]) -> BaseGeometry:
-    outlines = []
-    for ring, depth in zip(rings, depths, strict=True):
-        heading = headings(ring, is_closed=True)
-        push = _spread(depth, arc_length(ring), is_left=np.gradient(heading) > -1e-3)
-        outlines.append((ring + push[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]))[::4])
-    out, k = [], 0
-    for piece in pieces:
-        holes = len(piece.interiors)
-        out.append(Polygon(outlines[k], outlines[k + 1 : k + 1 + holes]).buffer(0.0))
-        k += 1 + holes
-    return shapely.union_all(out)
-
-
-def _shift_m(by_m: float) -> float:
-    """Length of a lateral shift of gentle curvature."""
-    return max(MIN_SHIFT_M, float(np.pi * np.sqrt(by_m / (2.0 * SHIFT_RADPM))))
-
-
-def _spread(depth: Float64, s: Float64, is_left: Bool) -> Float64:
-    """Push of each point, m: full around a point outside, falling smoothly to 0.
-
-    In a left bend the tail swings out at its beginning: the points before it are pushed. Around an inward corner (right
-    bend) the inner end of the implement cuts the corner: the complete bend is pushed, and more, since rounding takes
-    part of it back.
-    """
-    total, out = s[-1], np.zeros(len(s))
-    peaks = np.flatnonzero(depth > 0.0)
-    peaks = peaks[depth[peaks] > depth[peaks - 1] - 1e-9] if len(peaks) > MANY_PEAKS else peaks
-    peaks = peaks[:: 1 + len(peaks) // MANY_PEAKS]
-    for k in peaks:
-        ahead = (s[k] - s + total / 2.0) % total - total / 2.0  # > 0: point k is ahead
-        shift = _shift_m(depth[k])
-        push, flat, before, after = (1.2, 1.0, shift, shift) if is_left[k] else (1.5, 2.5, shift + 2.0, shift + 2.0)
-        reach = np.where(ahead > 0.0, before, after)
-        u = np.clip((np.abs(ahead) - flat) / reach, 0.0, 1.0)
-        out = np.maximum(out, (push * depth[k] + 0.005) * (0.5 + 0.5 * np.cos(np.pi * u)))
-    return np.asarray(out, np.float64)

@@ -7,7 +7,8 @@ from shapely.geometry import LineString
 
 from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
-from planning.coverage.headland import STEP_M, HeadlandPass
+from planning.coverage.headland import HeadlandPass
+from planning.coverage.pass_shape import STEP_M
 from planning.turns.connector import PathConnector, RoutePiece
 from planning.turns.search import Connection, Leg, bounds_s, straight
 

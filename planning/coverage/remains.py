@@ -58,7 +58,11 @@ def swaths_over_remains(area: BaseGeometry, rig: Rig, space: FreeSpace, worth: W
 def strip_of(swath: Swath, width_m: float) -> Polygon:
     """Area worked by a swath in its longer direction."""
     ends = [e for e in (swath.onwards_m, swath.back_m) if e is not None]
-    a, b = max(ends, key=lambda e: float(np.hypot(*(e[1] - e[0]))))
+    return _area_of(max(ends, key=lambda e: float(np.hypot(*(e[1] - e[0])))), width_m)
+
+
+def _area_of(ends_m: Float64, width_m: float) -> Polygon:
+    a, b = ends_m
     side = 0.5 * width_m * np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a))
     return Polygon([a + side, b + side, b - side, a - side])
 
@@ -68,6 +72,8 @@ def _best(left: BaseGeometry, part: Polygon, rig: Rig, space: FreeSpace, worth: 
     shapely.prepare(left)
     for angle_rad in directions_of(part):
         for strip, more in _strips(left, rig.working_width_m, angle_rad):
+            if left.intersection(_area_of(strip, rig.working_width_m)).area <= more * best[0]:
+                continue
             for swath in _swaths_near(strip, rig, space):
                 worked = strip_of(swath, rig.working_width_m)
                 gain = round(float(left.intersection(worked).area), 3)

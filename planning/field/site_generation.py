@@ -33,13 +33,17 @@ def site_of(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work:
     """
     if (site := site_around(outline, vehicle, implement, work)) is not None:
         return site
+    return _site_at_centre(outline, vehicle, implement, work) or site_within(outline, vehicle, implement, work)
+
+
+def _site_at_centre(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site | None:
+    """Site without gate whose start is furthest from all edges, parallel to the longest one."""
     room = outline.polygon.difference(shapely.union_all([area for _, area in outline.no_go]))
     circle = shapely.maximum_inscribed_circle(polygon_of(room), CENTRE_ERROR_M)
     a, b = _edges(outline.polygon)[0]
     centre, along = np.array(circle.coords[0]), (b - a) / np.hypot(*(b - a))
     inner = shrink(room, work.boundary_margin_m + SPARE_M)
-    site = _start_at(outline, centre, along, _extent(vehicle, implement), inner)
-    return site or site_within(outline, vehicle, implement, work)
+    return _start_at(outline, centre, along, _extent(vehicle, implement), inner)
 
 
 def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site | None:
@@ -57,7 +61,7 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
 
 
 def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
-    """Site of a bare field without gate: the machine starts within it, along an edge; raises FieldError."""
+    """Site of a bare field without gate: the start is along an edge, else furthest from all; raises FieldError."""
     extent = _extent(vehicle, implement)
     room = shrink(outline.polygon, work.boundary_margin_m + SPARE_M)
     for a, b in _edges(outline.polygon):
@@ -67,6 +71,8 @@ def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
             middle = a + share * (b - a) - (work.boundary_margin_m + SPARE_M + extent[2]) * out
             if (site := _start_at(outline, middle, along, extent, room)) is not None:
                 return site
+    if (site := _site_at_centre(outline, vehicle, implement, work)) is not None:
+        return site
     raise FieldError(f"field {outline.name!r}: no place for a machine {2.0 * extent[2]:.1f} m wide along any edge")
 
 

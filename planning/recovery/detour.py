@@ -23,10 +23,11 @@ from planning.config import MissionConfig
 from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
 from planning.turns.search import ConnectionRequest
-from planning.turns.turn import dubins_connection, is_free
+from planning.turns.turn import STEP_M, dubins_connection, smoothed
 
 LATERAL_STEP_M, LATERAL_STEPS = 0.3, 8
 REVERSE_STEP_M = 1.0
+NEAR_START_M = 1.5  # reversed on the path just driven before the clearance is asked for
 SHIFTS_M, SHIFT_FROM_M = (0.0, 0.7, -0.7), 7.0  # a lateral shift in reverse keeps the tail off a near edge
 REJOINS_M = (*range(1, 13), *range(14, 41, 2))
 REVERSE_COST = 2.0  # per metre: reversing is slow, and is driven again forward
@@ -118,9 +119,15 @@ def _leaving(
             if connection is None or _total_turn(connection) >= MAX_TURN_RAD:
                 continue
             points = _shifted(part_of(path, s_m, s_m - float(back)), -shift) if back > 0.0 else np.empty((0, 2))
-            if back == 0.0 or is_free(points[::-1], space):
+            if back == 0.0 or _is_left(points, space):
                 return points, s_m - float(back), connection
     return None
+
+
+def _is_left(reverse_m: Float64, space: FreeSpace) -> bool:
+    """Whether the rig, reversing, is free after at most `NEAR_START_M`: before, it may be near the obstacle."""
+    p, heading = smoothed(reverse_m[::-1], space.smoothing_m)
+    return not space.touching(p, heading)[: -1 - round(NEAR_START_M / STEP_M)].any()
 
 
 def _shifted(points: Float64, to_left_m: float) -> Float64:

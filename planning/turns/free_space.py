@@ -45,8 +45,12 @@ class FreeSpace:
     @cached_property
     def grid(self) -> EdgeGrid:
         """Edges of the allowed area."""
-        reach = max(math.hypot(max(b.front_m, -b.rear_m), b.half_width_m) for b in self.bodies)
-        return _grid(edges_of(self.allowed), reach)
+        return edge_grid(edges_of(self.allowed), self.reach_m)
+
+    @property
+    def reach_m(self) -> float:
+        """Greatest distance of a body point from `base`."""
+        return max(math.hypot(max(b.front_m, -b.rear_m), b.half_width_m) for b in self.bodies)
 
     @cached_property
     def boxes_m(self) -> Float64:
@@ -80,7 +84,8 @@ def edges_of(area: BaseGeometry) -> Float64:
     return np.vstack(found) if found else np.empty((0, 4))
 
 
-def _grid(edges_m: Float64, reach_m: float) -> EdgeGrid:
+def edge_grid(edges_m: Float64, reach_m: float) -> EdgeGrid:
+    """Edges (E, 4) by the cells of a grid: those of a cell include all within `reach_m` of each point in it."""
     if not len(edges_m):
         return EdgeGrid(edges_m, 0.0, 0.0, 0, 0, np.zeros(1, np.int32), np.zeros(0, np.int32))
     low = np.minimum(edges_m[:, :2], edges_m[:, 2:]).min(axis=0)

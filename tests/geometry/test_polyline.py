@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon, box
 
-from geometry.footprint import Rectangle, footprints, intrusion, is_inside, place, sweep, worked
+from geometry.footprint import Rectangle, footprints, is_inside, place, sweep, worked
 from geometry.polygon import close_by, edge_angles, open_by, parts, ring_points
 from geometry.polyline import (
     arc_length,
@@ -130,14 +130,6 @@ def test_intrusion_between_corners() -> None:
     """A wedge into the side of the implement, with all corners of the implement inside."""
     room = box(-20, -20, 20, 20).difference(Polygon([(-1.75, 2.9), (-1.5, 10), (-2.0, 10)]))
     assert not is_inside(BODIES, np.zeros((1, 2)), np.zeros(1), room)[0]
-
-
-def test_intrusion_distance() -> None:
-    outline = BODIES[1].outline_m(0.5)
-    room = box(-100, -3.0, 100, 100)
-    assert intrusion(outline, np.zeros((1, 2)), np.zeros(1), room)[0] == pytest.approx(0.05)
-    turned = intrusion(outline, np.array([[0.0, 3.0]]), np.array([np.pi / 2]), room)
-    assert turned[0] == 0.0
 
 
 @settings(derandomize=True, max_examples=30, deadline=None)
