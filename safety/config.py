@@ -105,11 +105,6 @@ class NearFieldConfig(Config):
     max_roughness_m: Metres = Field(description="what is higher above the ground is not its roughness")
     roughness_quantile: float = Field(ge=0.5, le=1.0, description="over cells, of the height that the ground reaches")
     roughness_factor: float = Field(ge=1.0, le=10.0, description="least height that counts, over the quantile")
-    dense_cell_m: float = Field(gt=0.01, le=1.0, description="a patch is 3 x 3 of these")
-    dense_reach_cells: int = Field(ge=2, le=100, description="to either side, for the mean surface")
-    dense_rise_m: Metres = Field(description="above the mean surface")
-    dense_returns: int = Field(ge=2, le=100, description="of one scan that make a patch dense on any ground")
-    dense_share: float = Field(gt=0.0, le=1.0, description="of the returns of a dense patch that are that high")
 
 
 class AirborneConfig(Config):

@@ -60,7 +60,6 @@ class LidarSource:
         self._edges = sector_edges(config.detection_range.sectors)
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
         self._cells = NO_CELLS
-        self._dense_cells: Int64 = np.empty(0, np.int64)
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
         self._equal_scans = 0
@@ -92,7 +91,7 @@ class LidarSource:
         The last scan may be processed again for another box; the cells of the scan before it are then dropped.
         """
         if scan is self.scan:
-            self._cells, self._dense_cells = NO_CELLS, np.empty(0, np.int64)
+            self._cells = NO_CELLS
         else:
             self._count_repetition(content_of(scan))
         self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
@@ -110,16 +109,13 @@ class LidarSource:
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
         near = near[~is_machine]  # before deskewing: the machine moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
-        is_obstacle, is_high, is_dense = self._mark(near_xyz, area, near_field)
-        marked = np.flatnonzero(is_obstacle | is_dense)
+        is_obstacle, is_high = self._mark(near_xyz, area, near_field)
+        marked = np.flatnonzero(is_obstacle)
         is_dust, is_floating, is_standing = self._in_air(scan, near[marked])
+        marked, is_floating, is_standing = (some[~is_dust] for some in (marked, is_floating, is_standing))
         obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         keys = cell_keys(points_odom, field.cell_m)
-        counts = ~is_dust & (is_obstacle[marked] | np.isin(keys, self._dense_cells))
-        self._dense_cells = keys[is_dense[marked] & ~is_dust]
-        marked, keys, points_odom = marked[counts], keys[counts], points_odom[counts]
-        is_floating, is_standing = is_floating[counts], is_standing[counts]
         self._ask(others, points_odom, keys, is_floating, is_standing)
         is_hit, cells = evaluate(
             keys,
@@ -132,13 +128,13 @@ class LidarSource:
         self._cells = (cells, self._cells[0])
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
 
-    def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Which returns (3, N) are obstacles, which of them are high, and which are in a dense patch, (N,) bool."""
+    def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray]:
+        """Which returns (3, N) are obstacles, and which of them are high, (N,) bool."""
         config = self._config
         is_above_plane = mark_obstacles(xyz, area, config.field)
         is_high = stands_out(xyz, is_above_plane, area, config.field, config.measured_ground)
         if near_field is None:
-            return is_high, is_high, np.zeros_like(is_high)
+            return is_high, is_high
         near = mark_low_obstacles(xyz, near_field, config.near_field)
         is_low, is_hidden = near.is_obstacle, is_above_plane & ~is_high
         if near.min_height_m > config.field.min_height_m:
@@ -146,7 +142,7 @@ class LidarSource:
         if is_hidden.any():
             level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
             is_low |= is_hidden & mark_low_obstacles(level_xyz, near_field, self._on_slopes).is_obstacle
-        return is_high | is_low, is_high, near.is_dense
+        return is_high | is_low, is_high
 
     def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which of the obstacle returns `which` (K,) of a scan are dust, which float, and which stand, (K,) bool.

@@ -53,56 +53,6 @@ def test_least_height_follows_the_roughness(config: SupervisorConfig) -> None:
     assert not rough.is_obstacle.any()
 
 
-def rows_of_crop(seed: int) -> np.ndarray:
-    """Returns (3, N) of ground with rows of plants, 1 m apart and up to 0.14 m high, that a third of the beams hit."""
-    rng = np.random.default_rng(seed)
-    xyz = field_of(rng, 0.005)
-    is_plant = (np.abs(xyz[1] - np.round(xyz[1])) < 0.15) & (rng.random(xyz.shape[1]) < 0.33)
-    xyz[2, is_plant] += rng.uniform(0.02, 0.14, is_plant.sum()).astype(np.float32)
-    return xyz
-
-
-@clause("BD-5.2.4", rule="protective_field")
-def test_a_dense_body_stands_out_of_crop_that_reaches_as_high(config: SupervisorConfig) -> None:
-    """A lying child of 0.16 m, which is below the least height on such ground."""
-    for seed in range(5):
-        xyz = rows_of_crop(seed)
-        before = mark_low_obstacles(xyz, AREA, config.near_field)
-        is_body = put_body(xyz, 0.16, (1.1, 0.4))
-        found = mark_low_obstacles(xyz, AREA, config.near_field)
-        assert found.min_height_m > 0.16
-        assert found.is_obstacle[is_body].mean() < 0.5
-        assert found.is_dense[is_body].sum() >= config.near_field.dense_returns
-        assert before.is_dense.mean() < 0.005  # by chance; not in three scans
-
-
-def test_few_high_returns_are_no_body(config: SupervisorConfig) -> None:
-    xyz = np.zeros((3, 400), np.float32)
-    xyz[0], xyz[1] = np.tile(np.linspace(5.0, 6.0, 20), 20), np.repeat(np.linspace(-0.5, 0.5, 20), 20)
-    at = np.flatnonzero(np.hypot(xyz[0] - 5.5, xyz[1]) < 0.08)
-    near = config.near_field
-    for count in range(1, len(at) + 1):
-        xyz[2, at[:count]] = 0.15
-        found = mark_low_obstacles(xyz, AREA, near)
-        is_enough = count >= near.dense_returns and count >= near.dense_share * (0.3 * 19.0) ** 2
-        assert found.is_dense.any() == is_enough, count
-
-
-def test_a_dense_body_counts_in_the_third_scan(config: SupervisorConfig, vehicle: Vehicle) -> None:
-    mount = Mount(xyz_m=(3.0, 0.0, 2.0))
-    lidar = vehicle.sensors.lidar["front"].model_copy(update={"mount": mount, "elevation_deg": [-40.0, -10.0]})
-    source = LidarSource("low", lidar, footprints_of(vehicle, None).working, config)
-    for k, is_there in enumerate((True, True, True, True, False, True, True, False, True, True, True)):
-        xyz = rows_of_crop(1)
-        if is_there:
-            put_body(xyz, 0.15, (1.1, 0.4))
-        points_m = np.ascontiguousarray((xyz - np.array([[3.0], [0.0], [2.0]])).T, np.float32)
-        stamp_ns, none = START_NS + k * 100_000_000, np.empty(0)
-        scan = LidarScan(stamp_ns, np.empty((0, 0), np.uint16), none, none, points_m, NO_BYTES, none.astype("f4"))
-        source.update(scan, np.zeros(3), Motion(0.0, 0.0), 0.0, AREA)
-        assert (len(source.hits_odom_m) > 0) == (k in (2, 3, 10)), k
-
-
 def test_only_returns_in_the_box_count(config: SupervisorConfig) -> None:
     xyz = field_of(np.random.default_rng(2))
     put_body(xyz, 0.3, (1.0, 1.0))
