@@ -10,7 +10,7 @@ from configs.vehicle import Camera, Implement, Vehicle
 from geometry.arrays import Float64, Int64, UInt8
 from messages.command import MachineState
 from messages.node import Inbox, Latest, Node, On, Output
-from messages.perception import Obstacles
+from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import CameraImage
 from perception.camera.boxes import Candidates, non_max_suppression
 from perception.camera.classes import class_scores, group_scores
@@ -77,7 +77,7 @@ def find_obstacles(
     apart = np.flatnonzero(~is_inside(found.foot_m, own)).astype(np.int64)
     rows = found.row[apart]
     classes = [class_scores(int(g), float(s)) for g, s in zip(boxes.label[rows], boxes.score[rows], strict=True)]
-    return _message(found, apart, np.array(classes, np.float64).reshape(-1, 7), stamp_ns, sensor)
+    return _message(found, apart, np.array(classes, np.float64).reshape(-1, len(ObstacleClass)), stamp_ns, sensor)
 
 
 def _message(found: RangedBoxes, rows: Int64, classes: Float64, stamp_ns: int, sensor: str) -> Obstacles:

@@ -179,7 +179,8 @@ class CommandBuilder:
         if inputs.mode is Mode.AUTOMATIC and control_command is not None:
             return control_command.is_implement_lowered and not is_folded, control_command.is_pto_on and not is_folded
         if inputs.mode in WATCHED:
-            return was_lowered and (control_command is None or control_command.is_implement_lowered), False
+            is_on = self.last is not None and self.last.is_pto_on and inputs.mode is Mode.AUTOMATIC
+            return was_lowered and (control_command is None or control_command.is_implement_lowered), is_on
         return machine.is_hitch_in_work if machine is not None else was_lowered, False
 
     def _fold(self, inputs: CommandInputs, standing_s: float, is_lowered: bool) -> bool:

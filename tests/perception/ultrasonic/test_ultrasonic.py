@@ -12,7 +12,7 @@ from configs.strict import load, parse, read_yaml
 from configs.vehicle import Implement, ImplementFile, Mount, Ultrasonic, Vehicle
 from messages.message import Envelope, Message
 from messages.motion import Odometry
-from messages.perception import HealthState, Obstacles, SensorHealth
+from messages.perception import HealthState, ObstacleClass, Obstacles, SensorHealth
 from messages.sensors import UltrasonicRange
 from perception.ultrasonic.echoes import Echo, LastObject, axis_speed, held_range, is_valid_range, repeated_range
 from perception.ultrasonic.health import UltrasonicHealth
@@ -159,7 +159,7 @@ def test_position_of_obstacle_behind() -> None:
     assert found.size_m[0, 1] == pytest.approx(2 * 2.0 * math.sin(math.radians(15)))
     assert found.sigma_m[0, 1] > found.sigma_m[0, 0]
     assert np.isnan(found.velocity_mps).all()
-    np.testing.assert_allclose(found.class_scores, 1 / 7)
+    np.testing.assert_allclose(found.class_scores, 1 / len(ObstacleClass))
 
 
 def test_person_in_dead_zone_while_reversing() -> None:
