@@ -1,7 +1,7 @@
 """Evidence in the range image of a lidar: whether a return belongs to a surface, and whether it is borne by the ground.
 
 Beams next to each other that meet a body return from next to each other; dust, drops and flakes return on single
-beams. What stands on the ground blocks all beams below its top; below what flies they go on and return from beyond.
+beams. A body on the ground blocks all beams below its top; below a body in the air they return from beyond it.
 
     column of one azimuth, seen from the side        o  sensor
       o────────────────►x        x  the return         \\
@@ -52,6 +52,12 @@ def isolated(image: RangeImage, pixels: Int64) -> Bool:
         pixels, out,
     )  # fmt: skip
     return out
+
+
+def dust(image: RangeImage, pixels: Int64, within_m: float, least: int) -> Bool:
+    """Which returns, as in `isolated`, are isolated within a range; none where fewer than `least` are, (K,)."""
+    is_dust = isolated(image, pixels) & (image.ranges_mm.ravel()[pixels] <= 1000.0 * within_m)
+    return is_dust & (np.count_nonzero(is_dust) >= least)
 
 
 def floating(

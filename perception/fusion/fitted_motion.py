@@ -1,8 +1,8 @@
 """Slow motion: velocity of a compact body by a straight line through its last lidar detections.
 
-The filter allows for a body that starts to walk: its velocity is uncertain by 0.4 to 0.6 m/s for good, and who walks
-slowly is never seen to move. The centre of the box of a small body moves with the view by a few centimetres only, so a
-line through one second of detections gives its velocity to 0.1 m/s.
+The filter allows for a body that starts to walk: its velocity remains uncertain by 0.4 to 0.6 m/s, and a slow one never
+counts as moving. The centre of the box of a small body moves with the view by a few centimetres only, so a line through
+one second of detections gives its velocity to 0.1 m/s.
 """
 
 import numpy as np

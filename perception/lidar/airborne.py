@@ -5,7 +5,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.arrays import Float64, UInt8
-from geometry.range_image import floating, isolated, range_image
+from geometry.range_image import dust, floating, range_image
 from messages.sensors import LidarScan
 
 UNUSED, OBSTACLE, FLOATING = 0, 2, 3  # classes of returns
@@ -32,6 +32,4 @@ def mark_airborne(scan: LidarScan, point_class: UInt8, T_base_sensor: Float64, c
     image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[near]
     is_floating, _ = floating(image, pixels, T_base_sensor, config.ground_m, config.ground_growth, config.clear_m)
     point_class[near[is_floating]] = FLOATING
-    is_dust = isolated(image, pixels) & (range_mm[near] <= 1000.0 * config.dust_range_m)
-    if np.count_nonzero(is_dust) >= config.dust_returns:
-        point_class[near[is_dust]] = UNUSED
+    point_class[near[dust(image, pixels, config.dust_range_m, config.dust_returns)]] = UNUSED

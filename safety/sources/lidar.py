@@ -10,7 +10,7 @@ import numpy as np
 from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
 from geometry.pose2 import from_frame, to_frame
-from geometry.range_image import clear_beneath, floating, isolated, range_image
+from geometry.range_image import clear_beneath, dust, floating, range_image
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -154,10 +154,7 @@ class LidarSource:
             return none, none, ones
         field, config = self._config.field, self._config.airborne
         image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[which]
-        is_near = scan.ranges_mm.ravel()[pixels] <= 1000.0 * config.dust_range_m
-        is_dust = is_near & isolated(image, pixels)
-        if np.count_nonzero(is_dust) < config.dust_returns:
-            is_dust[:] = False
+        is_dust = dust(image, pixels, config.dust_range_m, config.dust_returns)
         ground = (field.min_height_m, field.min_height_slope)
         return is_dust, *floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
 
@@ -240,7 +237,7 @@ def warm(T_base_sensor: Float64) -> None:
     none, two = np.empty(0, np.float32), np.ones((1, 2), np.uint16)
     scan = LidarScan(0, two, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), np.empty(0, np.uint8), none)
     image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[scan.pixels]
-    isolated(image, pixels)
+    dust(image, pixels, 0.0, 1)
     floating(image, pixels, T_base_sensor, 0.0, 0.0, 1.0)
     clear_beneath(image, np.zeros((1, 3)), T_base_sensor, 0.0, 0.0)
 

@@ -70,8 +70,8 @@ def stands_out(
     above = np.flatnonzero(is_above_plane)
     x, y, z = xyz.take(above, axis=1)
     ground_m = lowest_bound(low_m, config).ravel()[cells.of[above]]
-    least_m = field.min_height_m + field.min_height_slope * np.hypot(x, y)
-    is_far = np.hypot(x, y) > config.range_m
+    distance_m = np.hypot(x, y)
+    least_m, is_far = field.min_height_m + field.min_height_slope * distance_m, distance_m > config.range_m
     if is_far.any():
         z = np.where(is_far, level(xyz, box, 0.0, config)[2].take(above), z)
     is_obstacle = is_above_plane.copy()

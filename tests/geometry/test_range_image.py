@@ -1,4 +1,4 @@
-"""Range images: dust is isolated and bodies are not; birds float, and who or what stands on the ground does not."""
+"""Range images: dust is isolated and bodies are not; birds float, and bodies on the ground do not."""
 
 import math
 

@@ -1,10 +1,6 @@
 """Stored missions: plain files, complete or absent after kill -9, and nothing outside their folder."""
 
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -12,8 +8,8 @@ import pytest
 from hmi.plan_view.mission_store import ABOUT, MISSION, PLAN, MissionStore, file_name, plain_name
 from hmi.plan_view.options import read_mission
 from messages.errors import HeadlandError
+from tests.hmi.killed import lines_before_kill
 from tests.hmi.planned import planned_draft
-from tests.recordings import ROOT
 
 STORING = """
 import sys
@@ -129,19 +125,9 @@ def test_a_full_disk_keeps_the_draft(store: MissionStore, monkeypatch: pytest.Mo
 @pytest.mark.slow
 def test_kill_during_store_and_delete_leaves_complete_missions_or_none(store: MissionStore) -> None:
     """12 kills at different moments: what was reported as stored is there, and what is listed is complete."""
-    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
     stored: set[str] = set()
     for trial in range(12):
-        process = subprocess.Popen(
-            [sys.executable, "-c", STORING, str(store.folder)], env=env, stdout=subprocess.PIPE, text=True
-        )  # fmt: skip
-        assert process.stdout is not None
-        lines = [process.stdout.readline()]
-        time.sleep(0.013 * trial)
-        process.send_signal(signal.SIGKILL)
-        lines += process.stdout.readlines()
-        process.wait()
-        for line in (one.strip() for one in lines if one.endswith("\n")):
+        for line in lines_before_kill(STORING, store.folder, 0.013 * trial):
             stored.discard(line[1:]) if line.startswith("-") else stored.add(line)
         listed = MissionStore(store.folder).all()
         assert all(one.about is not None for one in listed)

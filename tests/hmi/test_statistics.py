@@ -1,12 +1,7 @@
 """Statistics: totals by day and field, right after kill -9, a second reading of a drive, and midnight."""
 
-import os
-import signal
 import sqlite3
-import subprocess
-import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +17,7 @@ from messages.message import Envelope
 from messages.truth import TrueMachine
 from runtime.page.log_feed import LogFeed
 from tests.hmi.drive_messages import SECOND_NS, demo_scene, odometry, supervisor
-from tests.recordings import ROOT
+from tests.hmi.killed import lines_before_kill
 
 STORING = """
 import sys
@@ -119,19 +114,9 @@ def test_two_pages_write_at_once(path: Path) -> None:
 @pytest.mark.slow
 def test_kill_while_storing_loses_at_most_what_was_not_yet_confirmed(path: Path) -> None:
     """15 kills: what was confirmed is there, and the columns of a row belong together."""
-    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
     confirmed = 0
     for trial in range(15):
-        process = subprocess.Popen(
-            [sys.executable, "-c", STORING, str(path)], env=env, stdout=subprocess.PIPE, text=True
-        )  # fmt: skip
-        assert process.stdout is not None
-        lines = [process.stdout.readline()]
-        time.sleep(0.011 * trial)
-        process.send_signal(signal.SIGKILL)
-        lines += process.stdout.readlines()
-        process.wait()
-        confirmed = int([line for line in lines if line.endswith("\n")][-1])
+        confirmed = int(lines_before_kill(STORING, path, 0.011 * trial)[-1])
         store = StatisticsStore(path)
         (found,) = store.by_day()
         store.close()
