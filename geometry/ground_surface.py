@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 
-from geometry.arrays import Float32, Float64, Int64
+from geometry.arrays import Float32, Float64, Int32, Int64
 from geometry.jit import inline_kernel, kernel
 
 REACH = 3  # cells over which a lower place lowers the surface
+RANKS = 32  # up to this rank a quantile is found without sorting
 
 
 @kernel
@@ -42,28 +43,81 @@ def heights_above_ground(
     for k in range(count):
         height[k] = xyz[2, k]
         by_cell[place[k]] = height[k]
-    trend = _smoothed(_envelope(_low(by_cell, begin, quantile, rows, columns), slope * cell_m))
+    trend = _smoothed(envelope(_low(by_cell, begin, quantile, rows, columns), slope * cell_m, REACH))
     for k in range(count):
         height[k] -= _interpolated(
             trend, (xyz[0, k] - corner_m[0]) / cell_m - 0.5, (xyz[1, k] - corner_m[1]) / cell_m - 0.5
         )
         by_cell[place[k]] = height[k]
-    rest = _envelope(_low(by_cell, begin, quantile, rows, columns), residual_slope * cell_m)
+    rest = envelope(_low(by_cell, begin, quantile, rows, columns), residual_slope * cell_m, REACH)
     for k in range(count):
         height[k] -= rest[cell[k] // columns, cell[k] % columns]
         by_cell[place[k]] = height[k]
     return height, _second_largest(by_cell, begin, ground_limit_m)
 
 
+@kernel
+def low_levels(cell: Int64, level: Int32, shape: tuple[int, int], order: int, share: float) -> Int32:
+    """Level of the `order`-th lowest return of each cell, or of the lowest `share` if that is more; -1: fewer returns.
+
+    `cell`, `level` (N,) of each return; `shape`: number of cells and of levels.
+    """
+    counts, found = np.zeros(shape, np.int32), np.full(shape[0], -1, np.int32)
+    for k in range(cell.shape[0]):
+        counts[cell[k], level[k]] += 1
+    for here in range(shape[0]):
+        total = counts[here].sum()
+        if total >= order:
+            needed, below = max(float(order), share * total), 0
+            while below < needed:
+                found[here] += 1
+                below += counts[here, found[here]]
+    return found
+
+
+@kernel
+def envelope(low: Float64, rise_m: float, reach: int) -> Float64:
+    """The greatest surface at or below `low` (R, C), which may be infinite, that rises by at most `rise_m` per cell
+    within reach."""
+    rows, columns = low.shape
+    rise = np.empty((2 * reach + 1, 2 * reach + 1))
+    for i in range(2 * reach + 1):
+        for j in range(2 * reach + 1):
+            rise[i, j] = rise_m * math.sqrt((i - reach) ** 2 + (j - reach) ** 2)
+    out = low.copy()
+    for row in range(rows):
+        for column in range(columns):
+            if low[row, column] == np.inf:
+                continue
+            for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                for j in range(max(column - reach, 0), min(column + reach + 1, columns)):
+                    bound = low[row, column] + rise[i - row + reach, j - column + reach]
+                    out[i, j] = min(out[i, j], bound)
+    return out
+
+
 @inline_kernel
 def _low(by_cell: Float64, begin: Int64, quantile: float, rows: int, columns: int) -> Float64:
     """Low quantile of the heights `by_cell[begin[c]:begin[c + 1]]` of each cell c; infinite in an empty one."""
-    low = np.full((rows, columns), np.inf)
+    low, lowest = np.full((rows, columns), np.inf), np.empty(RANKS)
     for here in range(rows * columns):
         count = begin[here + 1] - begin[here]
-        if count > 0:
-            some = np.sort(by_cell[begin[here] : begin[here + 1]])
-            low[here // columns, here % columns] = some[int(quantile * count)]
+        if count == 0:
+            continue
+        rank = int(quantile * count)
+        if rank >= RANKS:
+            low[here // columns, here % columns] = np.sort(by_cell[begin[here] : begin[here + 1]])[rank]
+            continue
+        lowest[: rank + 1] = np.inf  # the lowest so far, ascending
+        for k in range(begin[here], begin[here + 1]):
+            place = rank
+            if by_cell[k] >= lowest[rank]:
+                continue
+            while place > 0 and lowest[place - 1] > by_cell[k]:
+                lowest[place] = lowest[place - 1]
+                place -= 1
+            lowest[place] = by_cell[k]
+        low[here // columns, here % columns] = lowest[rank]
     return low
 
 
@@ -84,21 +138,6 @@ def _second_largest(by_cell: Float64, begin: Int64, limit: float) -> Float64:
             found[used] = second
             used += 1
     return found[:used]
-
-
-@inline_kernel
-def _envelope(low: Float64, rise_m: float) -> Float64:
-    """The greatest surface at or below `low` that rises by at most `rise_m` per cell within reach."""
-    rows, columns = low.shape
-    out = low.copy()
-    for row in range(rows):
-        for column in range(columns):
-            for i in range(max(row - REACH, 0), min(row + REACH + 1, rows)):
-                for j in range(max(column - REACH, 0), min(column + REACH + 1, columns)):
-                    above = low[i, j] + rise_m * math.sqrt((i - row) ** 2 + (j - column) ** 2)
-                    if above < out[row, column]:
-                        out[row, column] = above
-    return out
 
 
 @inline_kernel

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Float32, Float64
+from geometry.ground_surface import low_levels
 from safety.config import FieldConfig
 from safety.zones.footprint import Box
 
@@ -58,7 +59,7 @@ def mark_obstacles(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
     columns = int(np.floor(box.y_m[1] / size) - y0) + 1
     rows = int(np.floor(box.x_m[1] / size) - x0) + 1
     scale = np.float32(1.0 / size)
-    row, column = (x * scale - np.float32(x0)).astype(np.int32), (y * scale - np.float32(y0)).astype(np.int32)
+    row, column = (x * scale - np.float32(x0)).astype(np.int64), (y * scale - np.float32(y0)).astype(np.int64)
     patch = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
     ground = estimate_ground(patch, z, rows * columns, config.ground_returns, config.ground_ratio)
     center_x = (np.repeat(np.arange(rows), columns) + x0 + 0.5) * size
@@ -76,12 +77,8 @@ def estimate_ground(patch: np.ndarray, z: Float32, patches: int, order: int, sha
     In dense patches `share` of the returns replaces `order`: reflections (wet ground, paint) give ghosts below ground.
     """
     level = np.clip((z - np.float32(HEIGHT_FROM_M)) * np.float32(1.0 / HEIGHT_STEP_M), 0, HEIGHT_STEPS - 1)
-    counts = np.bincount(patch * HEIGHT_STEPS + level.astype(np.int32), minlength=patches * HEIGHT_STEPS)
-    below = np.cumsum(counts.reshape(patches, HEIGHT_STEPS), axis=1)
-    needed = np.maximum(order, share * below[:, -1:])
-    found = np.argmax(below >= needed, axis=1)
-    height = HEIGHT_FROM_M + HEIGHT_STEP_M * found
-    return np.where(below[:, -1] >= order, height, np.inf)
+    found = low_levels(patch, level.astype(np.int32), (patches, HEIGHT_STEPS), order, share)
+    return np.where(found >= 0, HEIGHT_FROM_M + HEIGHT_STEP_M * found, np.inf)
 
 
 def bound_ground(ground_m: Float64, distance_m: Float64, config: FieldConfig) -> Float64:

@@ -9,6 +9,7 @@ import numpy as np
 
 from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
+from geometry.ground_surface import envelope, heights_above_ground, low_levels
 from geometry.pose2 import from_frame, to_frame
 from geometry.range_image import clear_beneath, dust, floating, range_image
 from messages.sensors import LidarScan
@@ -233,13 +234,16 @@ class LidarSource:
 
 
 def warm(T_base_sensor: Float64) -> None:
-    """Compiles or loads the kernels of range images, so that no scan waits for it."""
+    """Compiles or loads the kernels of range images and of the ground, so that no scan waits for it."""
     none, two = np.empty(0, np.float32), np.ones((1, 2), np.uint16)
     scan = LidarScan(0, two, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), np.empty(0, np.uint8), none)
     image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[scan.pixels]
     dust(image, pixels, 0.0, 1)
     floating(image, pixels, T_base_sensor, 0.0, 0.0, 1.0)
     clear_beneath(image, np.zeros((1, 3)), T_base_sensor, 0.0, 0.0)
+    low_levels(np.zeros(1, np.int64), np.zeros(1, np.int32), (1, 1), 1, 0.0)
+    envelope(np.zeros((1, 1)), 0.0, 1)
+    heights_above_ground(np.zeros((3, 1), np.float32), (0.0, 0.0), (2, 2), 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def content_of(scan: LidarScan) -> int | None:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Float32, Float64, Int64
+from geometry.ground_surface import envelope
 from safety.config import FieldConfig, MeasuredGroundConfig
 from safety.sources.ground_filter import WHEELS_X_M, estimate_ground
 from safety.zones.footprint import Box
@@ -87,15 +88,7 @@ def is_below_wheels(low_m: Float64, distance_m: Float64, config: MeasuredGroundC
 
 def lowest_bound(low_m: Float64, config: MeasuredGroundConfig) -> Float64:
     """Lowest of the bounds from each cell (R, C) within reach; infinite without any ground there."""
-    rows, columns = low_m.shape
-    reach = config.reach_cells
-    around = np.pad(low_m, reach, constant_values=np.inf)
-    bound = np.full(low_m.shape, np.inf)
-    for i in range(2 * reach + 1):
-        for j in range(2 * reach + 1):
-            rise_m = config.slope * config.cell_m * np.hypot(i - reach, j - reach)
-            np.minimum(bound, around[i : i + rows, j : j + columns] + rise_m, out=bound)
-    return bound
+    return envelope(low_m, config.slope * config.cell_m, config.reach_cells)
 
 
 def level(xyz: Float32, box: Box, share: float, config: MeasuredGroundConfig) -> Float32:
@@ -112,11 +105,9 @@ def level(xyz: Float32, box: Box, share: float, config: MeasuredGroundConfig) ->
     products = [is_known * a * b for a, b in ((one, one), (one, x), (one, y), (x, x), (x, y), (y, y))]
     heights = [np.where(is_known, low_m, 0.0) * a for a in (one, x, y)]
     n, sx, sy, xx, xy, yy, z, zx, zy = window_sums(np.stack([*products, *heights]), config.plane_reach_cells)
-    normal = np.stack([n, sx, sy, sx, xx + RIDGE, xy, sy, xy, yy + RIDGE], axis=-1).reshape(rows, columns, 3, 3)
-    is_few = n < config.plane_cells
-    normal[is_few] = np.eye(3)
-    plane = np.linalg.solve(normal, np.stack([z, zx, zy], axis=-1)[..., None])[..., 0]
-    plane[is_few] = 0.0
+    plane, is_known = np.zeros((rows, columns, 3)), n >= config.plane_cells
+    normal = np.stack([n, sx, sy, sx, xx + RIDGE, xy, sy, xy, yy + RIDGE], axis=-1)[is_known].reshape(-1, 3, 3)
+    plane[is_known] = np.linalg.solve(normal, np.stack([z, zx, zy], axis=-1)[is_known][..., None])[..., 0]
     at, bx, by = plane.reshape(-1, 3)[cells.of].T
     row = (xyz[0] - cells.x_m[0]) / config.cell_m
     column = (xyz[1] - cells.y_m[0]) / config.cell_m

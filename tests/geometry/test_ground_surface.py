@@ -1,9 +1,11 @@
 """Heights of returns above the ground under them."""
 
+import math
+
 import numpy as np
 import pytest
 
-from geometry.ground_surface import heights_above_ground
+from geometry.ground_surface import envelope, heights_above_ground, low_levels
 
 SHAPE, CELL_M = (16, 24), 0.5
 
@@ -54,3 +56,37 @@ def test_second_largest_height_of_each_cell_with_three_returns() -> None:
     xyz = np.array([[1.1, 1.2, 1.3, 1.4, 3.1, 3.2], [0.1] * 6, [0.0, 0.05, 0.07, 0.9, 0.0, 0.2]]).astype(np.float32)
     _, tops = heights_above_ground(xyz, (0.0, -6.0), SHAPE, CELL_M, 0.1, 0.10, 0.05, 0.3)
     assert tops == pytest.approx([0.05], abs=0.02)
+
+
+def test_a_cell_is_measured_from_its_quantile() -> None:
+    """Few returns and many, which are sorted, give the same quantile."""
+    for count in (1, 9, 310, 330, 2000):
+        z = np.random.default_rng(count).normal(0.0, 0.05, count)
+        xyz = np.stack([np.full(count, 0.5), np.full(count, 0.5), z]).astype(np.float32)
+        height = heights_above_ground(xyz, (0.0, 0.0), (2, 2), CELL_M, 0.1, 0.10, 0.05, 0.3)[0]
+        z = xyz[2].astype(np.float64)
+        assert height == pytest.approx(z - np.sort(z)[int(0.1 * count)], abs=1e-9), count
+
+
+def test_envelope_is_the_lowest_of_the_bounds_within_reach() -> None:
+    random = np.random.default_rng(5)
+    low = np.where(random.random((12, 9)) < 0.4, random.normal(0.0, 1.0, (12, 9)), np.inf)
+    found = envelope(low, 0.3, 2)
+    for row, column in np.ndindex(low.shape):
+        bounds = [
+            low[i, j] + 0.3 * math.hypot(i - row, j - column)
+            for i in range(max(row - 2, 0), min(row + 3, 12))
+            for j in range(max(column - 2, 0), min(column + 3, 9))
+        ]
+        assert found[row, column] == pytest.approx(min(bounds))
+
+
+def test_low_levels_are_those_of_sorted_returns() -> None:
+    random = np.random.default_rng(6)
+    cell, level = random.integers(0, 40, 3000), random.integers(0, 30, 3000).astype(np.int32)
+    for order, share in ((1, 0.0), (2, 0.0), (90, 0.0), (3, 0.1), (3, 1.0)):
+        found = low_levels(cell, level, (41, 30), order, share)
+        for here in range(41):
+            some = np.sort(level[cell == here])
+            place = max(order, math.ceil(share * len(some) - 1e-9))
+            assert found[here] == (some[place - 1] if len(some) >= order else -1), (order, share, here)
