@@ -10,7 +10,8 @@ beams. A body on the ground blocks all beams below its top; below a body in the 
     ─────►──────────────────────── ground
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from geometry.jit import inline_kernel, kernel
 COLUMNS_ASIDE = 2  # neighbours of a return: three rings by five columns
 NEAR_M, NEAR_SLOPE = 0.1, 2.0  # greatest difference of range of neighbours: noise, and per metre across: 63° of slant
 BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same body
+BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
+SAMPLE, SCATTERED = 4000, 32  # returns by which scatter is found; its fewest returns without a neighbour
+BY_CHANCE = 0.5  # random returns of a scan and band that are left over, on average
 CLOSED_RAD = 6.2  # field of view whose first and last column are neighbours
 
 
@@ -41,23 +45,74 @@ def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64)
     return RangeImage(ranges_mm, rows, np.argsort(rows, kind="stable"), elevation_rad, azimuth_rad)
 
 
-def isolated(image: RangeImage, pixels: Int64) -> Bool:
-    """Which returns, by their places `pixels` (K,) in the flattened image, are fewer than three next to each other."""
+def isolated(image: RangeImage, pixels: Int64) -> tuple[Bool, Int64]:
+    """Which returns, by their places `pixels` (K,) in the flattened image, are fewer than three next to each other.
+
+    And the number of returns next to each, (K,).
+    """
     azimuth = image.azimuth_rad
     span_rad = abs(float(azimuth[-1] - azimuth[0])) if len(azimuth) > 1 else 0.0
     column_rad = span_rad / max(len(azimuth) - 1, 1)
-    out = np.empty(len(pixels), np.bool_)
+    out, beside = np.empty(len(pixels), np.bool_), np.empty(len(pixels), np.int64)
     _mark_isolated(
         image.ranges_mm, image.rows, image.rank, image.elevation_rad, column_rad, span_rad + column_rad > CLOSED_RAD,
-        pixels, out,
+        pixels, out, beside,
     )  # fmt: skip
-    return out
+    return out, beside
 
 
 def dust(image: RangeImage, pixels: Int64, within_m: float, least: int) -> Bool:
     """Which returns, as in `isolated`, are isolated within a range; none where fewer than `least` are, (K,)."""
-    is_dust = isolated(image, pixels) & (image.ranges_mm.ravel()[pixels] <= 1000.0 * within_m)
+    is_dust = isolated(image, pixels)[0] & (image.ranges_mm.ravel()[pixels] <= 1000.0 * within_m)
     return is_dust & (np.count_nonzero(is_dust) >= least)
+
+
+def scattered(image: RangeImage, pixels: Int64) -> Bool:
+    """Which returns of a whole scan, by their places `pixels` (K,) in the flattened image, are of fog, rain or dense
+    dust, (K,).
+
+    Returns that lie in the air at random have a Poisson number of others next to them: in a band of ranges fewer have
+    one than none, while of plants and other bodies more have. Those with no more than chance gives are scattered, and
+    those that are isolated without them.
+    """
+    every = max(1, len(pixels) // SAMPLE)
+    most = _most_by_chance(image, pixels[::every], every)
+    if not most.any():
+        return np.zeros(len(pixels), np.bool_)
+    is_isolated, beside = isolated(image, pixels)
+    band = np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[pixels])
+    limit = np.append(most, 0)[band]
+    found = np.where(limit > 1, beside <= limit, is_isolated & (limit == 1))
+    rest = image.ranges_mm.copy()
+    rest.ravel()[pixels[found]] = 0
+    left = np.flatnonzero(~found & (limit > 0))
+    found[left] = isolated(replace(image, ranges_mm=rest), pixels[left])[0]
+    return found
+
+
+def _most_by_chance(image: RangeImage, sample: Int64, every: int) -> Int64:
+    """Greatest number of neighbours by chance in each band (B,), 0 without scatter; `sample`: every so many returns."""
+    beside = isolated(image, sample)[1]
+    band = np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[sample])
+    none, one = (every * np.bincount(band[beside == n], minlength=len(BANDS_M))[: len(BANDS_M)] for n in (0, 1))
+    if one.sum() >= none.sum():
+        return np.zeros(len(BANDS_M), np.int64)
+    pairs = zip(none.tolist(), one.tolist(), strict=True)
+    return np.array([chance_neighbours(n, k / n) if n >= SCATTERED else 0 for n, k in pairs], np.int64)
+
+
+def chance_neighbours(none: int, mean: float) -> int:
+    """Greatest number of neighbours that a scan's random returns have by chance, from 1.
+
+    `none`: returns without a neighbour; `mean`: number of neighbours of one. Fewer than `BY_CHANCE` have more.
+    """
+    most, share = 1, math.exp(-mean) * mean
+    beyond = 1.0 - math.exp(-mean) - share
+    while none * math.exp(mean) * beyond > BY_CHANCE:
+        most += 1
+        share *= mean / most
+        beyond -= share
+    return most
 
 
 def floating(
@@ -125,13 +180,13 @@ def _near(
 @kernel
 def _mark_isolated(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
-    out: Bool,
+    out: Bool, beside: Int64,
 ) -> None:  # fmt: skip
     columns = ranges.shape[1]
     found = np.empty((3 * (2 * COLUMNS_ASIDE + 1), 2), np.int64)
     for k in range(pixels.shape[0]):
         ring, column = rank[pixels[k] // columns], pixels[k] % columns
-        count = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
+        count = beside[k] = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
         if count == 1:  # the third may be next to the second
             ring, column = found[0, 0], found[0, 1]
             count = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)

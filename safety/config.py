@@ -1,5 +1,6 @@
 """Configuration shared by the parts of the supervisor; no defaults. The limits of single rules are in rules/."""
 
+from itertools import pairwise
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -130,7 +131,9 @@ class DetectionRangeConfig(Config):
     cap_m: Metres
     object_m: tuple[float, float] = Field(description="width and height of the object to be detected")
     min_object_returns: int = Field(ge=1, le=100)
-    beams_m: tuple[float, float] = Field(description="beams that meet level ground in this range must return")
+    beams_m: tuple[Metres, ...] = Field(
+        min_length=2, description="bounds of bands of range: beams that meet level ground in them must return"
+    )
     blind_ratio: float = Field(ge=0.0, lt=1.0)
     good_ratio: float = Field(gt=0.0, le=1.0)
     sectors: int = Field(ge=4, le=72)
@@ -139,9 +142,11 @@ class DetectionRangeConfig(Config):
     repeat_memory_scans: int = Field(ge=1, le=10_000, description="earlier scans that a repeated one is compared with")
 
     @model_validator(mode="after")
-    def _ratios_rise(self) -> "DetectionRangeConfig":
+    def _values_rise(self) -> "DetectionRangeConfig":
         if self.good_ratio <= self.blind_ratio:
             raise ValueError(f"good_ratio {self.good_ratio} is not above blind_ratio {self.blind_ratio}")
+        if not all(low < high for low, high in pairwise(self.beams_m)):
+            raise ValueError(f"beams_m {self.beams_m} do not ascend")
         return self
 
 

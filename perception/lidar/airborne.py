@@ -4,8 +4,8 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
-from geometry.arrays import Float64, UInt8
-from geometry.range_image import dust, floating, range_image
+from geometry.arrays import Bool, Float64, UInt8
+from geometry.range_image import dust, floating, range_image, scattered
 from messages.sensors import LidarScan
 
 UNUSED, OBSTACLE, FLOATING = 0, 2, 3  # classes of returns
@@ -21,6 +21,13 @@ class AirborneConfig(Config):
     ground_m: float = Field(ge=0.0, le=1.0, description="above the plane of the machine; lower returns are its ground")
     ground_growth: float = Field(ge=0.0, le=0.1, description="added per metre of distance, m/m")
     min_share: float = Field(gt=0.0, le=1.0, description="of floating returns in a cluster that floats")
+
+
+def is_scattered(scan: LidarScan) -> Bool:
+    """Which returns (N,) are of fog or rain; of a list of points none."""
+    if scan.ranges_mm.size == 0:
+        return np.zeros(len(scan.points_m), np.bool_)
+    return scattered(range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels)
 
 
 def mark_airborne(scan: LidarScan, point_class: UInt8, T_base_sensor: Float64, config: AirborneConfig) -> None:

@@ -14,7 +14,7 @@ from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
 from messages.sensors import LidarScan
-from perception.lidar.airborne import FLOATING, OBSTACLE, AirborneConfig, mark_airborne
+from perception.lidar.airborne import FLOATING, OBSTACLE, AirborneConfig, is_scattered, mark_airborne
 from perception.lidar.boxes import fit_boxes
 from perception.lidar.classes import class_scores
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid, select
@@ -158,6 +158,7 @@ class Pipeline:
         own, nominal = self._own[is_folded], self.coverages[is_folded]
         T = self._mount.at_hitch(hitch)
         points, usable = to_base(scan.points_m, scan.point_offset_s, T, motion_of(odom), own)
+        usable[is_scattered(scan)] = 0
         ground = find_ground(points, usable, self._center, self._grid, self.config.ground)
         point_class = np.empty(len(points), np.uint8)
         is_obstacle_point = np.empty(len(points), np.uint8)

@@ -5,6 +5,7 @@ covered lens, a dead sector or a silent sensor has none. A health message can on
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -45,35 +46,53 @@ def covers(lidar: Lidar, footprint: Footprint, direction: int) -> bool:
     return is_turned_there and (is_at_that_end or is_beside or z >= footprint.height_m - 0.1)
 
 
-def expected_density(lidar: Lidar, config: DetectionRangeConfig) -> tuple[tuple[float, float], float]:
-    """Slopes (rise over run) between which beams must return, and the number of such beams per radian of azimuth."""
-    height_m = lidar.mount.xyz_m[2]
-    slopes = (-height_m / config.beams_m[0], -height_m / config.beams_m[1])
+def expected_density(lidar: Lidar, config: DetectionRangeConfig) -> tuple[Float64, Float64]:
+    """Slopes (rise over run) (B + 1,) between which beams must return, by bands of the range of the ground.
+
+    And the number of such beams per radian of azimuth, (B,).
+    """
+    slopes = -lidar.mount.xyz_m[2] / np.asarray(config.beams_m)
     tangents = np.tan(np.radians(np.asarray(lidar.elevation_deg)))
-    rings = np.count_nonzero((tangents >= slopes[0]) & (tangents <= slopes[1]))
-    return slopes, rings * lidar.columns / math.radians(lidar.field_of_view_deg)
+    rings = np.array([np.count_nonzero((tangents >= low) & (tangents <= high)) for low, high in pairwise(slopes)])
+    return slopes, rings * (lidar.columns / math.radians(lidar.field_of_view_deg))
 
 
-def down_beams(xyz: Float32, origin_m: Float64, slopes: tuple[float, float]) -> Float32:
-    """Every fourth return (3, N) in base whose beam slope lies between the two, (3, K)."""
+def down_beams(xyz: Float32, origin_m: Float64, slopes: Float64) -> Float32:
+    """Every fourth return (3, N) in base whose beam slope lies between the first and the last, (3, K)."""
     some = xyz[:, ::EVERY]
-    x, y, z = (some[row] - np.float32(origin_m[row]) for row in range(3))
-    flat = np.sqrt(x * x + y * y)
-    is_down = (z >= slopes[0] * flat) & (z <= slopes[1] * flat) & (flat > NEAREST_M)
+    flat, z = _run_and_rise(some, origin_m)
+    is_down = (z >= slopes[0] * flat) & (z <= slopes[-1] * flat) & (flat > NEAREST_M)
     return np.asarray(some.compress(is_down, axis=1))
 
 
-def return_ratios(xyz: Float32, origin_m: Float64, density: float, sectors: int) -> Float64:
-    """Ratio of received to expected returns by sector of azimuth about the sensor, from −π on, (sectors,)."""
+def return_ratios(xyz: Float32, origin_m: Float64, slopes: Float64, density: Float64, sectors: int) -> Float64:
+    """Ratio of received to expected returns by band and by sector of azimuth about the sensor, from −π on, (B, S).
+
+    Infinite in a band without beams.
+    """
     azimuth = np.arctan2(xyz[1] - origin_m[1], xyz[0] - origin_m[0])
     sector = np.clip((azimuth + math.pi) * (sectors / TURN_RAD), 0, sectors - 1).astype(np.int64)
-    expected = max(density * TURN_RAD / sectors / EVERY, 1e-9)
-    return np.asarray(np.bincount(sector, minlength=sectors) / expected)
+    flat, z = _run_and_rise(xyz, origin_m)
+    band = np.clip(np.searchsorted(slopes, z / flat) - 1, 0, len(density) - 1)
+    counts = np.bincount(band * sectors + sector, minlength=len(density) * sectors).reshape(-1, sectors)
+    expected = density[:, None] * (TURN_RAD / sectors / EVERY)
+    return np.divide(counts, expected, out=np.full(counts.shape, math.inf), where=expected > 0.0)
+
+
+def _run_and_rise(xyz: Float32, origin_m: Float64) -> tuple[Float32, Float32]:
+    x, y, z = (xyz[row] - np.float32(origin_m[row]) for row in range(3))
+    return np.sqrt(x * x + y * y), z
 
 
 def range_by_ratio(ratio: Float64, max_m: float, config: DetectionRangeConfig) -> Float64:
-    """Detection range by sector: 0 up to the blind ratio, `max_m` from the good ratio on, linear between."""
-    return max_m * np.clip((ratio - config.blind_ratio) / (config.good_ratio - config.blind_ratio), 0.0, 1.0)
+    """Detection range by sector (S,): the lowest of the bands (B, S).
+
+    In each 0 up to the blind ratio, `max_m` from the good ratio on, linear between; but in fog the near ground shows
+    that the range reaches the beginning of the band.
+    """
+    share = np.clip((ratio - config.blind_ratio) / (config.good_ratio - config.blind_ratio), 0.0, 1.0)
+    begins = np.array([0.0, *config.beams_m[1:-1]])
+    return np.asarray(np.maximum(max_m * share, np.minimum(begins, max_m)[:, None]).min(axis=0))
 
 
 def sector_edges(sectors: int) -> Float64:

@@ -11,7 +11,7 @@ from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
 from geometry.ground_surface import envelope, heights_above_ground, low_levels
 from geometry.pose2 import from_frame, to_frame
-from geometry.range_image import clear_beneath, dust, floating, range_image
+from geometry.range_image import clear_beneath, dust, floating, range_image, scattered
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -98,8 +98,8 @@ class LidarSource:
         self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
         self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
-        xyz = to_base(scan.points_m, self._T_base_sensor)
-        down = self._down_returns(xyz, curvature_radpm)
+        xyz, is_body = to_base(scan.points_m, self._T_base_sensor), ~self._is_scattered(scan)
+        down = self._down_returns(xyz.compress(is_body, axis=1), curvature_radpm)
         self._update_detection_range(down)
         agreement, origin = self._config.lidar_agreement, self._T_base_sensor[:3, 3]
         self.ground = ground_heights(down, origin, agreement.range_m, pose_odom, agreement.cell_m)
@@ -108,7 +108,7 @@ class LidarSource:
         area = box if near_field is None else enclosing(box, near_field)
         near = crop(xyz, area, self.footprint.height_m + field.overhead_margin_m)
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
-        near = near[~is_machine]  # before deskewing: the machine moves with the sensor
+        near = near[~is_machine & is_body[near]]  # before deskewing: the machine moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
         is_obstacle, is_high = self._mark(near_xyz, area, near_field)
         marked = np.flatnonzero(is_obstacle)
@@ -144,6 +144,12 @@ class LidarSource:
             level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
             is_low |= is_hidden & mark_low_obstacles(level_xyz, near_field, self._on_slopes).is_obstacle
         return is_high | is_low, is_high
+
+    def _is_scattered(self, scan: LidarScan) -> np.ndarray:
+        """Which returns of a scan are of fog or rain, (N,) bool; of a list of points none."""
+        if scan.ranges_mm.size == 0:
+            return np.zeros(len(scan.points_m), bool)
+        return scattered(range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels)
 
     def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which of the obstacle returns `which` (K,) of a scan are dust, which float, and which stand, (K,) bool.
@@ -200,7 +206,7 @@ class LidarSource:
 
     def _update_detection_range(self, down: Float32) -> None:
         config = self._config.detection_range
-        ratios = return_ratios(down, self._T_base_sensor[:3, 3], self._density, config.sectors)
+        ratios = return_ratios(down, self._T_base_sensor[:3, 3], self._slopes, self._density, config.sectors)
         ranges, half_rad = range_by_ratio(ratios, self.nominal_range_m, config), math.radians(config.half_cone_deg)
         self._detection_range_m = {d: min_range_towards(self._edges, ranges, d, half_rad) for d in self._directions}
 
@@ -239,6 +245,7 @@ def warm(T_base_sensor: Float64) -> None:
     scan = LidarScan(0, two, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), np.empty(0, np.uint8), none)
     image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[scan.pixels]
     dust(image, pixels, 0.0, 1)
+    scattered(image, pixels)
     floating(image, pixels, T_base_sensor, 0.0, 0.0, 1.0)
     clear_beneath(image, np.zeros((1, 3)), T_base_sensor, 0.0, 0.0)
     low_levels(np.zeros(1, np.int64), np.zeros(1, np.int32), (1, 1), 1, 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from configs.vehicle import Lidar
-from geometry.range_image import clear_beneath, floating, isolated, range_image
+from geometry.range_image import chance_neighbours, clear_beneath, floating, isolated, range_image, scattered
 from tests.perception.lidar_scenes import FRONT, VEHICLE, box, cast
 
 SIDE = VEHICLE.sensors.lidar["front_left"]
@@ -56,7 +56,48 @@ def test_dust_is_isolated(lidar: Lidar, share: float, left: float) -> None:
     is_dust = np.flatnonzero(dusty.ranges_mm.ravel() != clean.ranges_mm.ravel())
     above = is_dust[np.isin(is_dust, dusty.pixels[points_of(dusty, lidar)[:, 2] > 0.3])]
     assert len(above) > 3
-    assert isolated(image_of(dusty), above).mean() >= 1.0 - left
+    assert isolated(image_of(dusty), above)[0].mean() >= 1.0 - left
+
+
+def fog(share: float):
+    """Returns of fog on a share of the beams; their ranges as those of a receiver that is focused 10 m off."""
+    r = np.linspace(1.0, 20.0, 2000)
+    share_below = np.cumsum(np.minimum((r - 1.0) / 9.0, 1.0) / r**2 * np.exp(-0.1 * r))
+
+    def add(mm, rng):
+        found_mm = (1000.0 * np.interp(rng.random(mm.shape), share_below / share_below[-1], r)).astype(np.uint16)
+        return np.where((rng.random(mm.shape) < share) & ((mm == 0) | (found_mm < mm)), found_mm, mm)
+
+    return add
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.4])
+def test_fog_is_scattered_and_bodies_are_not(share: float) -> None:
+    corners = box(4.0, 1.0, 0.5, 0.4, 1.2)
+    clean, foggy = cast([corners], noise_m=0.0), cast([corners], noise_m=0.0, extra=fog(share))
+    pixels, found = foggy.pixels, scattered(image_of(foggy), foggy.pixels)
+    is_fog = foggy.ranges_mm.ravel()[pixels] != clean.ranges_mm.ravel()[pixels]
+    is_above = points_of(foggy, FRONT)[:, 2] > 0.3
+    assert found[is_fog & is_above].mean() > 0.96
+    assert found[~is_fog & np.isin(pixels, within(clean, FRONT, corners))].mean() < 0.1
+    assert not scattered(image_of(clean), clean.pixels).any()
+
+
+def test_returns_of_plants_are_not_scattered() -> None:
+    """Leaves and stems next to each other return from like ranges, with gaps between them."""
+    rng = np.random.default_rng(4)
+    scan = cast(noise_m=0.0, extra=lambda mm, _: np.where(rng.random(mm.shape) < 0.5, 0, mm))
+    assert not scattered(image_of(scan), scan.pixels).any()
+
+
+@pytest.mark.parametrize(("mean", "none", "most"), [(0.0, 10_000, 1), (0.45, 400, 4), (0.83, 860, 5), (0.1, 100, 2)])
+def test_neighbours_by_chance(mean: float, none: int, most: int) -> None:
+    """Of random returns fewer than one has more neighbours than by chance."""
+    found = chance_neighbours(none, mean)
+    assert found == most
+    drawn = np.random.default_rng(1).poisson(mean, round(1000 * none * math.exp(mean)))
+    assert np.count_nonzero(drawn > found) / 1000.0 < 0.6
+    assert found == 1 or np.count_nonzero(drawn > found - 1) / 1000.0 > 0.4
 
 
 @pytest.mark.parametrize(
@@ -71,7 +112,7 @@ def test_bodies_in_dust_are_not_isolated(name: str, corners: np.ndarray) -> None
     scan = cast([corners], extra=dust(0.01))
     own = within(scan, FRONT, corners)
     assert len(own) >= 3
-    assert isolated(image_of(scan), own).mean() <= 0.34, name
+    assert isolated(image_of(scan), own)[0].mean() <= 0.34, name
 
 
 def test_three_returns_next_to_each_other_are_no_dust() -> None:
@@ -81,11 +122,11 @@ def test_three_returns_next_to_each_other_are_no_dust() -> None:
         mm[row, column] = 3000 + 20 * k
     image = range_image(mm, np.radians([-3.0, -2.0, -1.0, 0.0]), np.radians(np.linspace(-4, 4, 8)))
     places = np.array([row * 8 + column for row, column in chain])
-    assert not isolated(image, places).any()
+    assert not isolated(image, places)[0].any()
     mm[2, 5] = 0
-    assert isolated(image, places[:2]).all()  # two are isolated
+    assert isolated(image, places[:2])[0].all()  # two are isolated
     mm[2, 5] = 4500
-    assert isolated(image, places).all()  # the third is at another distance
+    assert isolated(image, places)[0].all()  # the third is at another distance
 
 
 def test_first_and_last_column_of_a_full_turn_are_neighbours() -> None:
@@ -95,7 +136,7 @@ def test_first_and_last_column_of_a_full_turn_are_neighbours() -> None:
         mm = np.zeros((3, columns), np.uint16)
         mm[1, [0, 1, columns - 1]] = 2000
         image = range_image(mm, np.radians([-1.0, 0.0, 1.0]), azimuth)
-        assert isolated(image, np.array([2 * columns - 1]))[0] == expected
+        assert isolated(image, np.array([2 * columns - 1]))[0][0] == expected
 
 
 BIRD = (0.4, 1.2, 0.15)  # length, width and height of body and wings

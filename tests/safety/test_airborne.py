@@ -66,9 +66,53 @@ def test_dust_is_no_hit_and_who_is_in_it_is(
         assert all(hits[1:]), body
 
 
-def test_dust_would_be_hits_without_the_evidence(
-    machine: Vehicle, implement: MountedImplement, config: SafetyConfig
+def fog(share: float):
+    """Returns of fog on a share of the beams; their ranges as those of a receiver that is focused 10 m off."""
+    r = np.linspace(1.0, 20.0, 2000)
+    share_below = np.cumsum(np.minimum((r - 1.0) / 9.0, 1.0) / r**2 * np.exp(-0.1 * r))
+
+    def add(mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        found_mm = (1000.0 * np.interp(rng.random(mm.shape), share_below / share_below[-1], r)).astype(np.uint16)
+        return np.where((rng.random(mm.shape) < share) & ((mm == 0) | (found_mm < mm)), found_mm, mm)
+
+    return add
+
+
+@clause("BD-5.2.4", rule="protective_field")
+@pytest.mark.parametrize("share", [0.05, 0.1])
+@pytest.mark.parametrize("name", ["front", "front_left"])
+def test_fog_is_no_hit_and_who_is_in_it_is(
+    machine: Vehicle, implement: MountedImplement, config: SafetyConfig, name: str, share: float
 ) -> None:
+    lidar, scans = machine.sensors.lidar[name], range(15)
+    source = source_of(machine, implement, config, name)
+    for k in scans:
+        assert take(source, cast(lidar=lidar, seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=fog(share))) == 0, k
+    for body in (ADULT, CHILD):
+        source = source_of(machine, implement, config, name)
+        hits = [
+            take(source, cast([body], lidar, seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=fog(share))) for k in scans
+        ]
+        assert all(hits[1:]), body
+
+
+@clause("BD-5.2.4", rule="detection_range")
+def test_fog_does_not_count_as_sight(machine: Vehicle, implement: MountedImplement, config: SafetyConfig) -> None:
+    """Before, returns of fog counted as ground: a lidar that sees 6 m far reported 40 m."""
+    found = []
+    for share in (0.0, 0.3, 0.95):
+        source = source_of(machine, implement, config)
+        take(source, cast(stamp_ns=START_NS, extra=fog(share)))
+        found.append(source.detection_range_m(1))
+    assert found[0] == source.nominal_range_m
+    assert found[0] >= found[1] > 6.0
+    assert found[2] == 0.0
+
+
+def test_dust_would_be_hits_without_the_evidence(
+    machine: Vehicle, implement: MountedImplement, config: SafetyConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("safety.sources.lidar.scattered", lambda image, pixels: np.zeros(len(pixels), bool))
     trusting = config.model_copy(update={"airborne": config.airborne.model_copy(update={"dust_returns": 10_000})})
     source = source_of(machine, implement, trusting)
     hits = [take(source, cast(seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=dust(0.01))) for k in range(15)]

@@ -103,8 +103,8 @@ def test_expected_slope_limits(lidar: Lidar, config: SafetyConfig) -> None:
     high = changed(lidar, 4.0 * slope, elevation_deg=(-20.0,), columns=100, field_of_view_deg=180.0)
     for beams_m, count in (((4.0, 50.0), 1), ((1.0, 4.0), 1), ((4.1, 50.0), 0), ((1.0, 3.9), 0)):
         slopes, density = expected_density(high, config.detection_range.model_copy(update={"beams_m": beams_m}))
-        assert slopes == (-4.0 * slope / beams_m[0], -4.0 * slope / beams_m[1])
-        assert density == pytest.approx(count * 100 / math.pi), beams_m
+        assert slopes.tolist() == [-4.0 * slope / beams_m[0], -4.0 * slope / beams_m[1]]
+        assert density == pytest.approx([count * 100 / math.pi]), beams_m
 
 
 def test_down_beams_every_fourth_return() -> None:
@@ -114,24 +114,40 @@ def test_down_beams_every_fourth_return() -> None:
     some = np.array(places, np.float32) + origin.astype(np.float32)
     everything = np.repeat(some, 4, axis=0)
     everything[1::4] += 0.01
-    found = down_beams(everything.T.astype(np.float32), origin, (-0.5, -0.25))
+    found = down_beams(everything.T.astype(np.float32), origin, np.array([-0.5, -0.3, -0.25]))
     is_seen = [m > 0.5 and 0.25 <= slope <= 0.5 for m, _, _ in flat for slope in (0.26, 0.25, 0.5, 0.51, 0.24)]
     assert found.T.tolist() == some[is_seen].tolist()
 
 
-def test_return_ratios_by_sector() -> None:
-    origin = np.array([1.0, 2.0, 0.0])
+def test_return_ratios_by_band_and_sector() -> None:
+    """Two bands: one of slopes below -0.2, in which one beam is expected in each quarter, and one without beams."""
+    origin = np.array([1.0, 2.0, 1.0])
     azimuth = np.radians([-170.0, -100.0, -95.0, -80.0, 10.0, 100.0, 180.0])
-    xyz = np.stack([origin[0] + 3.0 * np.cos(azimuth), origin[1] + 3.0 * np.sin(azimuth), 0 * azimuth])
+    z = 1.0 - 3.0 * np.array([0.3, 0.3, 0.1, 0.3, 0.3, 0.3, 0.3])
+    xyz = np.stack([origin[0] + 3.0 * np.cos(azimuth), origin[1] + 3.0 * np.sin(azimuth), z])
     xyz[1, -1] = 2.0
-    density = 2.0 * 4 * 4 / TURN_RAD  # two expected in each quarter, of every fourth return
-    assert return_ratios(xyz.astype(np.float32), origin, density, 4) == pytest.approx([1.5, 0.5, 0.5, 1.0])
-    assert return_ratios(xyz[:, :1].astype(np.float32), origin, 0.0, 4) == pytest.approx([1e9, 0.0, 0.0, 0.0])
+    slopes, density = np.array([-0.4, -0.2, 0.0]), np.array([4.0 * 4.0, 0.0]) / TURN_RAD
+    ratios = return_ratios(xyz.astype(np.float32), origin, slopes, density, 4)
+    assert ratios[0] == pytest.approx([2.0, 1.0, 1.0, 2.0])
+    assert np.isinf(ratios[1]).all()
+    ratios = return_ratios(xyz.astype(np.float32), origin, slopes, density[0] * np.ones(2), 4)
+    assert ratios[1] == pytest.approx([1.0, 0.0, 0.0, 0.0])
 
 
 def test_range_by_ratio_linear(config: SafetyConfig) -> None:
-    share = np.array([0.1, 0.2, 0.4, 0.6, 0.9])
-    assert range_by_ratio(share, 40.0, config.detection_range) == pytest.approx([0.0, 0.0, 20.0, 40.0, 40.0])
+    share = np.array([[0.1, 0.2, 0.4, 0.6, 0.9]])
+    one = config.detection_range.model_copy(update={"beams_m": (4.0, 15.0)})
+    assert range_by_ratio(share, 40.0, one) == pytest.approx([0.0, 0.0, 20.0, 40.0, 40.0])
+
+
+def test_range_by_ratio_of_the_worst_band(config: SafetyConfig) -> None:
+    """Without returns from 6 to 9 m the range ends at 6 m; without those before them it is 0."""
+    bands = config.detection_range.model_copy(update={"beams_m": (4.0, 6.0, 9.0, 15.0)})
+    share = np.array(
+        [[0.9, 0.9, 0.2, 0.9, 0.4, math.inf], [0.9, 0.1, 0.9, 0.4, 0.9, 0.9], [0.9, 0.9, 0.9, 0.0, 0.2, 0.9]]
+    )
+    assert range_by_ratio(share, 40.0, bands) == pytest.approx([40.0, 6.0, 0.0, 9.0, 9.0, 40.0])
+    assert range_by_ratio(share, 8.0, bands) == pytest.approx([8.0, 6.0, 0.0, 6.0, 4.0, 8.0])
 
 
 def test_sector_edges() -> None:
@@ -199,8 +215,8 @@ def test_coverage_of_machine_lidars(vehicle: Vehicle, implement) -> None:
 
 def test_expected_density(vehicle: Vehicle, config: SafetyConfig) -> None:
     slopes, density = expected_density(front(vehicle), config.detection_range)
-    assert slopes == pytest.approx((-1.95 / 4.0, -1.95 / 15.0))
-    assert density == pytest.approx(10 * 1024 / (2 * math.pi))
+    assert slopes == pytest.approx(-1.95 / np.array(config.detection_range.beams_m))
+    assert density.sum() == pytest.approx(10 * 1024 / (2 * math.pi))
 
 
 def health(ranges: list[float], edges_rad: list[float] | None = None) -> SensorHealth:
@@ -230,7 +246,7 @@ def test_min_range_towards() -> None:
 
 def test_range_by_ratio_limits(config: SafetyConfig) -> None:
     for share in around(config.detection_range.blind_ratio, 0.01):
-        assert (range_by_ratio(np.array([share]), 40.0, config.detection_range)[0] > 0.0) == (share > 0.2), share
+        assert (range_by_ratio(np.full((3, 1), share), 40.0, config.detection_range)[0] > 0.0) == (share > 0.2), share
     for share in around(config.detection_range.good_ratio, 0.01):
-        full = range_by_ratio(np.array([share]), 40.0, config.detection_range)[0] >= 40.0
+        full = range_by_ratio(np.full((3, 1), share), 40.0, config.detection_range)[0] >= 40.0
         assert full == (share >= 0.6), share
