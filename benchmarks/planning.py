@@ -1,12 +1,13 @@
 """Coverage plans of textbook fields, random polygons and parcels of national registers: share, coverage, time.
 
     ./headland benchmark planning [--groups textbook random registers] [--widths 3 6 12] [--turns reverse forward]
-                                  [--every N] [--limit SECONDS] [--pictures] [--out FOLDER]
+                                  [--sample N] [--seed SEED] [--limit SECONDS] [--pictures] [--out FOLDER]
 
 Each plan runs in a process of its own, forked after imports and kernels; its processor time is that of the process and
 its children. Results are appended to FOLDER/results.jsonl; a second call continues, and prints the tables.
 Parcels are read from HEADLAND_DATA, else from ../shared/data. A parcel counts where its largest inscribed circle is at
-least 4 working widths wide; above 20 ha with the widest implement alone.
+least 4 working widths wide; above 20 ha with the widest implement alone. `--sample` draws N parcels of the registers,
+each with one of its widths.
 """
 
 import argparse
@@ -132,17 +133,23 @@ def run_apart(case: Case, picture: Path | None, limit_s: float) -> dict[str, Any
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Case]:
-    """All cases in order; every n-th of the registers."""
+    """All cases in order; of the registers with `--sample` those drawn by `--seed`."""
     for group in arguments.groups:
-        parcels = list(GROUPS[group](DATA))
-        for parcel in parcels[:: arguments.every] if group == "registers" else parcels:
-            if arguments.only and arguments.only not in parcel.name:
-                continue
-            width_m = parcel.min_width_m
-            widths = [3.0] if group == "textbook" else sorted(arguments.widths)
-            for width in widths[-1:] if parcel.polygon.area > LARGE_M2 and group != "textbook" else widths:
-                if width_m >= MIN_WIDTHS * width:
-                    yield from (Case(parcel, width, turns) for turns in arguments.turns)
+        parcels = [p for p in GROUPS[group](DATA) if arguments.only in p.name]
+        widths = [_widths(p, [3.0] if group == "textbook" else arguments.widths) for p in parcels]
+        if group == "registers" and arguments.sample:
+            rng = np.random.default_rng(arguments.seed)
+            drawn = [k for k in rng.permutation(len(parcels)) if widths[k]][: arguments.sample]
+            parcels, widths = [parcels[k] for k in drawn], [[float(rng.choice(widths[k]))] for k in drawn]
+        for parcel, fitting in zip(parcels, widths, strict=True):
+            yield from (Case(parcel, width, turns) for width in fitting for turns in arguments.turns)
+
+
+def _widths(parcel: Parcel, widths: list[float]) -> list[float]:
+    """The widths that a parcel is planned with."""
+    is_large = parcel.group != "textbook" and parcel.polygon.area > LARGE_M2
+    fitting = sorted(widths)[-1:] if is_large else sorted(widths)
+    return [w for w in fitting if parcel.min_width_m >= MIN_WIDTHS * w]
 
 
 def table(results: list[dict[str, Any]]) -> str:
@@ -188,7 +195,8 @@ def main() -> int:
     parser.add_argument("--groups", nargs="+", choices=GROUPS, default=list(GROUPS))
     parser.add_argument("--widths", nargs="+", type=float, choices=PASSES, default=list(PASSES))
     parser.add_argument("--turns", nargs="+", choices=("reverse", "forward"), default=["reverse"])
-    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--sample", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="")
     parser.add_argument("--limit", type=float, default=60.0)
     parser.add_argument("--pictures", action="store_true")

@@ -22,7 +22,7 @@ from planning.coverage.interior import swaths_inside
 from planning.coverage.route import route
 from planning.coverage.swath import Swath
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
-from planning.field.drivable_area import DrivableArea, describe, drivable_area_of
+from planning.field.drivable_area import DrivableArea, connected, describe, drivable_area_of
 from planning.line import line_paths
 from planning.path import paths_of
 from planning.rig import Rig, rig_of
@@ -33,6 +33,7 @@ PROOF_SLACK_M = 0.005  # margin added in planning over the one verified
 MIN_UNCOVERED_M2 = 0.25
 Report = Callable[[str], object]
 EDGE_MARGIN, TIGHT_CORNER = "edge margin", "corner too tight to turn in"  # reasons of uncovered areas
+NARROW_PASSAGE = "behind a passage narrower than the rig"
 
 
 def ignore(stage: str) -> None:
@@ -132,7 +133,8 @@ def plan_field(
     """Plan of a field with lane and yard; raises FieldError where the rig would leave them."""
     report("headland")
     rig = rig_of(vehicle, implement, work, config)
-    drivable = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
+    complete = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
+    drivable = connected(complete, rig.width_m)
     headland_passes = headland_passes_of(drivable, rig, work.headland_passes, work.overlap_m)
     report("swaths")
     swaths = swaths_inside(drivable, rig, headland_passes, work)
@@ -151,21 +153,13 @@ def plan_field(
     report("check")
     paths = paths_of(found.pieces, rig, 1)
     check_inside(paths, rig, drivable_area_of(site, work.boundary_margin_m))
-    area = worked_area(paths, rig).intersection(drivable.free)
-    uncovered = _uncovered(drivable, area, rig)
-    share = area.area / drivable.free.area
+    area = worked_area(paths, rig).intersection(complete.free)
+    uncovered = _uncovered(complete, drivable, area, rig)
+    size_m2 = complete.free.area
     return Plan(
-        paths,
-        area,
-        drivable.free.area,
-        share,
-        _length_m(paths),
-        uncovered,
-        tuple(found.swaths),
-        tuple(found.headland_passes),
-        drivable,
-        rig,
-    )
+        paths, area, size_m2, area.area / size_m2, _length_m(paths), uncovered, tuple(found.swaths),
+        tuple(found.headland_passes), complete, rig,
+    )  # fmt: skip
 
 
 def check_within(plan: Plan, site: Site, margin_m: float) -> None:
@@ -219,9 +213,15 @@ def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
     return shapely.union_all(shapes).buffer(0.005, join_style="mitre").buffer(-0.005, join_style="mitre")
 
 
-def _uncovered(drivable: DrivableArea, area: BaseGeometry, rig: Rig) -> tuple[Uncovered, ...]:
-    rim = drivable.free.difference(shrink(drivable.free, drivable.margin_m + rig.width_m - rig.working_width_m + 0.1))
-    missed = drivable.free.difference(area)
-    found = [(EDGE_MARGIN, p) for p in parts(missed.intersection(rim), MIN_UNCOVERED_M2)]
-    found += [(TIGHT_CORNER, p) for p in parts(missed.difference(rim), MIN_UNCOVERED_M2)]
+def _uncovered(complete: DrivableArea, connected: DrivableArea, area: BaseGeometry, rig: Rig) -> tuple[Uncovered, ...]:
+    """What of the complete area is not worked; `connected` is without what is behind narrow passages."""
+    free = connected.free
+    rim = free.difference(shrink(free, complete.margin_m + rig.width_m - rig.working_width_m + 0.1))
+    missed = free.difference(area)
+    shapes = {
+        EDGE_MARGIN: missed.intersection(rim),
+        TIGHT_CORNER: missed.difference(rim),
+        NARROW_PASSAGE: complete.free.difference(free).difference(area),
+    }
+    found = [(reason, p) for reason, shape in shapes.items() for p in parts(shape, MIN_UNCOVERED_M2)]
     return tuple(Uncovered(reason, p.area, place_of(p), p) for reason, p in found)

@@ -1,6 +1,6 @@
 """Driving swaths and open headland passes in an order of short turns."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +14,7 @@ from planning.turns.connector import PathConnector
 from planning.turns.search import STEP_M, Connection, bounds_s
 
 REORDERINGS = 6
-TRIED = 5  # lines to which a connection is searched thoroughly
+MAX_TURNS, TRIED = 40, 5  # lines to which a turn is searched, and a connection thoroughly
 MAX_FAILURES = 4
 MAX_STEPS_BACK = 12
 NO_TURN_S = 400.0
@@ -69,22 +69,35 @@ def _next(
 ) -> tuple[int, Connection] | None:  # fmt: skip
     """Index of the first visit that is reached by a turn, else thoroughly, and the connection.
 
-    `failures` counts thorough searches to each line that found nothing, each once; after `MAX_FAILURES` there are no
-    more.
+    `failures` counts poses from which a thorough search to a line found nothing, up to `MAX_FAILURES`.
     """
-    starts = [lines[number].ends(is_reversed) for number, is_reversed in left]
-    for find, first in ((connector.turn, 1), (connector.find, 1), (connector.turn, len(left)), (connector.find, TRIED)):
-        for k, ends in enumerate(starts[:first]):
-            is_thorough = find == connector.find
-            if ends is None or (is_thorough and failures[left[k][0]] >= MAX_FAILURES):
+    starts = {k: ends[0] for k, (n, is_reversed) in enumerate(left) if (ends := lines[n].ends(is_reversed)) is not None}
+
+    def tried(numbers: Iterable[int], is_thorough: bool) -> tuple[int, Connection] | None:
+        for k in numbers:
+            if is_thorough and failures[left[k][0]] >= MAX_FAILURES:
                 continue
-            request = connector.request(pose, ends[0], behind_m, _straight_m(lines, left[k]))
-            is_new = is_thorough and request not in connector.transits
-            connection = find(request)
+            request = connector.request(pose, starts[k], behind_m, _straight_m(lines, left[k]))
+            connection = connector.find(request) if is_thorough else connector.turn(request)
             if connection is not None:
                 return k, connection
-            failures[left[k][0]] += is_new
-    return None
+            failures[left[k][0]] += is_thorough
+        return None
+
+    numbers = list(starts)
+    return (
+        tried(numbers[:1], False)
+        or tried(numbers[:1], True)
+        or tried(sorted(_nearest(connector, pose, starts)), False)
+        or tried(numbers[1:TRIED], True)
+    )
+
+
+def _nearest(connector: PathConnector, pose: Pose2, starts: dict[int, Pose2]) -> list[int]:
+    """Those of the starts that are reached soonest without obstacles."""
+    rig, config = connector.rig, connector.rig.config
+    bound = bounds_s([pose], list(starts.values()), config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
+    return [list(starts)[k] for k in np.argsort(bound[0], kind="stable")[:MAX_TURNS]]
 
 
 def _is_end(connector: PathConnector, pose: Pose2, behind_m: float, home: Pose2 | None) -> bool:

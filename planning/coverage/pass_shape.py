@@ -62,7 +62,7 @@ def displaced(line_m: Float64, space: FreeSpace) -> tuple[Float64, Float64]:
     near = _Surroundings(space)
     best, best_round = (size + 1, points, heading), 0
     for number in range(ROUNDS):
-        is_out = _near_knots(space.touching(points, heading))
+        is_out = _near_knots(_is_out(points, heading, space))
         is_bent = _near_knots(_is_too_bent(points, heading, space))
         wrong = int((is_out | is_bent).sum())
         if wrong < best[0]:
@@ -97,7 +97,15 @@ def _between(d: Float64) -> Float64:
 
 def is_undrivable(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
     """Poses of a closed pass, (N,), at which a body is outside or the curvature is too high."""
-    return space.touching(points_m, heading_rad) | _is_too_bent(points_m, heading_rad, space)
+    return _is_out(points_m, heading_rad, space) | _is_too_bent(points_m, heading_rad, space)
+
+
+def _is_out(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
+    """Poses at which, or half a step before or after which, a body is outside: a path has poses between those of it."""
+    turn = np.diff(np.unwrap(heading_rad))
+    between = space.touching(0.5 * (points_m[:-1] + points_m[1:]), heading_rad[:-1] + 0.5 * turn)
+    at = space.touching(points_m, heading_rad)
+    return np.asarray(at | np.append(between, False) | np.append(False, between), np.bool_)
 
 
 def _is_too_bent(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:

@@ -1,18 +1,19 @@
 """Drivable area: field, lanes, gate and yard less fence, posts and no-go areas."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import shapely
-from shapely.geometry import LineString, Polygon
+from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from configs.site import Outline, Site
-from geometry.polygon import polygon_of, shrink
+from geometry.polygon import grow, parts, polygon_of, shrink
 from messages.errors import FieldError
 
 GATE_DEPTH_M = 1.2  # maximum distance of a fence outside the field
 POST_M = 0.1  # half the thickness of a gate post
+PASSAGE_SLACK_M = 0.1  # of half the width, where a passage is narrower than the rig
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,25 @@ def drivable_area_of(site: Site, margin_m: float) -> DrivableArea:
     allowed = shrink(connector, margin_m).difference(fence.buffer(max(margin_m, 0.01))).difference(posts)
     inner = shrink(free, margin_m).difference(posts)
     return DrivableArea(site, margin_m, field, free, polygon_of(inner), polygon_of(allowed), fence)
+
+
+def connected(drivable: DrivableArea, width_m: float) -> DrivableArea:
+    """The area without the parts of `free` behind passages narrower than a rig `width_m` wide, seen from the start."""
+    site = drivable.site
+    start = Point(site.lanes[-1].center_m[-1] if site.lanes else (site.start.x_m, site.start.y_m))
+    wide = wide_parts(drivable.inner, width_m)
+    if len(wide) < 2:
+        return drivable
+    first = min(wide, key=lambda part: part.distance(start))
+    others = shapely.union_all([part for part in wide if part is not first])
+    rest = parts(drivable.free.difference(grow(first, width_m / 2.0 + PASSAGE_SLACK_M)))
+    cut_off = shapely.union_all([part for part in rest if part.intersects(others)])
+    return replace(drivable, free=polygon_of(drivable.free.difference(cut_off)))
+
+
+def wide_parts(area: BaseGeometry, width_m: float) -> list[Polygon]:
+    """Where the middle of a rig `width_m` wide may be; no passage connects two of the parts."""
+    return parts(shrink(area, width_m / 2.0 - PASSAGE_SLACK_M), 1.0)
 
 
 def _openings(site: Site, lanes: list[Polygon]) -> BaseGeometry:

@@ -12,8 +12,9 @@ from configs.mission import Work
 from configs.site import Area, Gate, Lane, Point, PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
 from geometry.arrays import Float64
-from geometry.polygon import as_polygon, polygon_of, shrink
+from geometry.polygon import as_polygon, grow, polygon_of, shrink
 from messages.errors import FieldError
+from planning.field.drivable_area import wide_parts
 from planning.field.field import FieldOutline
 
 LANE_M = 25.0
@@ -38,24 +39,37 @@ def site_of(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work:
 
 def _site_at_centre(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site | None:
     """Site without gate whose start is furthest from all edges, parallel to the longest one."""
-    room = outline.polygon.difference(shapely.union_all([area for _, area in outline.no_go]))
+    room = _room(outline, _extent(vehicle, implement)[2], work)
+    if room.is_empty:
+        return None
     circle = shapely.maximum_inscribed_circle(polygon_of(room), CENTRE_ERROR_M)
     a, b = _edges(outline.polygon)[0]
     centre, along = np.array(circle.coords[0]), (b - a) / np.hypot(*(b - a))
-    inner = shrink(room, work.boundary_margin_m + SPARE_M)
-    return _start_at(outline, centre, along, _extent(vehicle, implement), inner)
+    return _start_at(outline, centre, along, _extent(vehicle, implement), room)
+
+
+def _room(outline: FieldOutline, half_m: float, work: Work) -> BaseGeometry:
+    """The largest part of the field, less the margin, without a passage too narrow for a rig 2 `half_m` wide."""
+    free = outline.polygon.difference(shapely.union_all([area for _, area in outline.no_go]))
+    inner = shrink(free, work.boundary_margin_m + SPARE_M)
+    wide = wide_parts(inner, 2.0 * half_m)
+    if len(wide) < 2:
+        return inner
+    return inner.intersection(grow(max(wide, key=lambda part: part.area), half_m))
 
 
 def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site | None:
     """Site of a bare field with a gate, None when no edge has room for gate and yard."""
     widest = max(vehicle.body.width_m, implement.width_m)
     gate_m = widest + 2.0 * work.boundary_margin_m + GATE_SPARE_M
+    room = _room(outline, _extent(vehicle, implement)[2], work)
     for a, b in _edges(outline.polygon):
         for share in EDGE_SHARES:
             if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
                 continue
             site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m)
-            if _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
+            is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1]))
+            if is_in and _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
                 return site
     return None
 
@@ -63,7 +77,7 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
 def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
     """Site of a bare field without gate: the start is along an edge, else furthest from all; raises FieldError."""
     extent = _extent(vehicle, implement)
-    room = shrink(outline.polygon, work.boundary_margin_m + SPARE_M)
+    room = _room(outline, _extent(vehicle, implement)[2], work)
     for a, b in _edges(outline.polygon):
         along = (b - a) / np.hypot(*(b - a))
         out = np.array([along[1], -along[0]])

@@ -1,7 +1,7 @@
 """Connections along a headland pass: onto it, along it in either direction, and off again."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 
@@ -20,10 +20,14 @@ STRAIGHT_RADPM = 0.05
 
 @dataclass(frozen=True)
 class Track:
-    """A pass in one direction: points (N, 2), heading, curvature (N,); closed when it ends where it begins."""
+    """A pass in one direction: points (N, 2), heading, curvature (N,); closed when it ends where it begins.
+
+    Turns from and to a pose are searched once, for one free space.
+    """
 
     leg: Leg
     is_closed: bool
+    known: dict[tuple[bool, Pose2, float], list[tuple[int, Connection]]] = field(default_factory=dict, compare=False)
 
     @cached_property
     def places(self) -> tuple[int, ...]:
@@ -39,6 +43,33 @@ class Track:
         index = np.arange(first, last + 1 if last > first else last + n + 1) % n
         return Leg(1, self.leg.p_map_m[index], np.unwrap(self.leg.heading_rad[index]), self.leg.curvature_radpm[index])
 
+    def joined(
+        self, start: Pose2, run_out_m: float, space: FreeSpace, times: TurnTimes
+    ) -> list[tuple[int, Connection]]:
+        """Places with the shortest free turns from a pose onto the pass."""
+
+        def request(place: Pose2) -> ConnectionRequest:
+            return ConnectionRequest(start, place, run_out_m, STRAIGHT_M)
+
+        return self._searched((True, start, run_out_m), request, space, times)
+
+    def left(self, goal: Pose2, line_up_m: float, space: FreeSpace, times: TurnTimes) -> list[tuple[int, Connection]]:
+        """Places with the shortest free turns from the pass to a pose."""
+
+        def request(place: Pose2) -> ConnectionRequest:
+            return ConnectionRequest(place, goal, STRAIGHT_M, line_up_m)
+
+        return self._searched((False, goal, line_up_m), request, space, times)
+
+    def _searched(
+        self, key: tuple[bool, Pose2, float], request: Callable[[Pose2], ConnectionRequest], space: FreeSpace,
+        times: TurnTimes,
+    ) -> list[tuple[int, Connection]]:  # fmt: skip
+        if key not in self.known:
+            poses = [self.leg.pose(k) for k in self.places]
+            self.known[key] = _free({k: request(poses[k]) for k in _near(poses, key[1])}, space, times)
+        return self.known[key]
+
 
 def both_ways(points_m: Float64, heading_rad: Float64, curvature_radpm: Float64, is_closed: bool) -> list[Track]:
     """The tracks of a pass."""
@@ -52,31 +83,8 @@ def along_passes(
     """Fastest free connection of those along one pass found by the shortest turns onto it and off it."""
     found: list[tuple[float, int, list[Leg]]] = []
     for track in tracks:
-        if not track.places:
-            continue
-        poses = [track.leg.pose(k) for k in track.places]
-        near = _near(poses, request.start)
-        on_s = bounds_s(
-            [request.start], [poses[k] for k in near], request.run_out_m, STRAIGHT_M, space.radius_m, times
-        )[0]
-        ons = _free(
-            {k: ConnectionRequest(request.start, poses[k], request.run_out_m, STRAIGHT_M) for k in near},
-            on_s,
-            space,
-            times,
-        )
-        if not ons:
-            continue
-        near = _near(poses, request.goal)
-        off_s = bounds_s(
-            [poses[k] for k in near], [request.goal], STRAIGHT_M, request.line_up_m, space.radius_m, times
-        )[:, 0]
-        offs = _free(
-            {k: ConnectionRequest(poses[k], request.goal, STRAIGHT_M, request.line_up_m) for k in near},
-            off_s,
-            space,
-            times,
-        )
+        ons = track.joined(request.start, request.run_out_m, space, times)
+        offs = track.left(request.goal, request.line_up_m, space, times) if ons else []
         for (i, on), (j, off) in product(ons, offs):
             part = track.part(track.places[i], track.places[j])
             if part is not None:
@@ -93,16 +101,18 @@ def _near(poses: Sequence[Pose2], place: Pose2) -> list[int]:
     return [int(k) for k in np.argsort(gaps, kind="stable")[:MAX_NEAR]]
 
 
-def _free(
-    requests: dict[int, ConnectionRequest], bound_s: Float64, space: FreeSpace, times: TurnTimes
-) -> list[tuple[int, Connection]]:
+def _free(requests: dict[int, ConnectionRequest], space: FreeSpace, times: TurnTimes) -> list[tuple[int, Connection]]:
+    """The first free turns, in order of the time that they would take without obstacles."""
     found: list[tuple[int, Connection]] = []
-    numbers = list(requests)
-    for n in np.argsort(bound_s, kind="stable")[:MAX_TRIED]:
-        k = numbers[n]
+    for k in sorted(requests, key=lambda k: _bound_s(requests[k], space, times))[:MAX_TRIED]:
         turn = find_turn(requests[k], space, times, is_first_only=True)
         if turn is not None:
             found.append((k, turn))
         if len(found) == MAX_FOUND:
             break
     return found
+
+
+def _bound_s(request: ConnectionRequest, space: FreeSpace, times: TurnTimes) -> float:
+    ends = [request.start], [request.goal]
+    return float(bounds_s(*ends, request.run_out_m, request.line_up_m, space.radius_m, times)[0, 0])

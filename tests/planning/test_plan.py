@@ -7,11 +7,12 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import LineString, Polygon, box
+from shapely.geometry import LineString, Point, Polygon, box
 
 from configs.mission import Mission, Work
-from configs.site import Area, Gate, Site
+from configs.site import Area, DatumConfig, Gate, Site
 from configs.vehicle import MountedImplement, Vehicle
+from geometry.polygon import as_polygon
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import Path, PathSectionType
@@ -21,7 +22,9 @@ from planning.coverage.swath import Swath
 from planning.coverage.work_line import WorkLine
 from planning.drawing import draw_plan
 from planning.export.geojson import plan_to_geojson
-from planning.plan import Plan, plan_field
+from planning.field.field import FieldOutline
+from planning.field.site_generation import site_of, site_within
+from planning.plan import NARROW_PASSAGE, Plan, plan_field
 from planning.turns.free_space import FreeSpace
 from planning.turns.sampling import sampled_connection
 from planning.turns.search import Connection, ConnectionRequest, straight
@@ -273,3 +276,20 @@ def test_sampling_determinism(plan: Plan) -> None:
     assert connection.tobytes() == again.tobytes()
     assert is_free(connection, space)
     assert sampled_connection(ConnectionRequest(Pose2(50, 11, 0), Pose2(12, 80, 0), 1.0, 1.0), space, 7, 200) is None
+
+
+def test_part_behind_a_narrow_passage(
+    vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    small, large = box(0.0, 0.0, 60.0, 50.0), box(90.0, 0.0, 170.0, 60.0)
+    field = shapely.union_all([small, box(60.0, 20.0, 90.0, 24.0), large])  # a passage of 4 m for a rig of 6 m
+    outline = FieldOutline("two", DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0), as_polygon(field))
+    assert mission.work is not None
+    start = site_within(outline, vehicle, harrow, mission.work).start
+    assert large.contains(Point(start.x_m, start.y_m))
+    plan = plan_field(
+        site_of(outline, vehicle, harrow, mission.work), vehicle, harrow, mission.work, planning.planner, 0
+    )
+    assert plan.planned_area.intersection(small).area == 0.0
+    assert plan.planned_area.intersection(large).area > 0.9 * large.area
+    assert plan.uncovered_m2[NARROW_PASSAGE] == pytest.approx(small.area, rel=0.05)
