@@ -22,6 +22,7 @@ from hmi.log_in import COOKIE, add_log_in, language_of, session_of
 from hmi.page_state import PageState
 from hmi.parts import Moment, PageParts
 from hmi.plan_page import PlanPage
+from hmi.plan_view.progress import ProgressKeeper
 from hmi.security import LOOPBACK, RequestChecks
 from hmi.statistics.store import Totals
 from hmi.statistics_page import StatisticsPage
@@ -46,6 +47,7 @@ class PageApp:
         self._drive_error = ""
         self._stored: Totals | None = None
         self._stored_s = 0.0
+        self._keeper: ProgressKeeper | None = None
 
     async def run(self) -> None:
         """Updates all pages once per period; after an error they say that what they show is old."""
@@ -72,6 +74,7 @@ class PageApp:
         if now_s - self._stored_s >= STORE_S:
             self._stored_s = now_s
             self.store_statistics()
+            self.store_progress()
         moment = Moment(self.parts, self.state, self.alarms, self.topics, is_restarted, self._drive_error)
         for key, page in list(self.pages.items()):
             try:
@@ -89,7 +92,9 @@ class PageApp:
             self._drive_error = found
             return False
         self.store_statistics()
+        self.store_progress()
         self.parts.drive, self._drive_error, self._stored = found, "", None
+        self._keeper = None if found.stored is None else ProgressKeeper(found.stored)
         self.topics = TopicTable()
         return True
 
@@ -111,6 +116,15 @@ class PageApp:
             self._stored, self.parts.statistics_error = totals, ""
         except HeadlandError as error:
             self.parts.statistics_error = str(error)
+
+    def store_progress(self) -> None:
+        """Stores how far the mission is driven; an error is shown, and it is tried again."""
+        try:
+            if self._keeper is not None:
+                self._keeper.store(self.state)
+            self.parts.progress_error = ""
+        except HeadlandError as error:
+            self.parts.progress_error = str(error)
 
     async def open(self, request: Request, kind: type[View]) -> RedirectResponse | None:
         """Builds the page of a request, or sends it to the log-in."""
