@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import math
 import socket
 import time
 from pathlib import Path
@@ -28,11 +29,14 @@ from hmi.statistics.store import Totals
 from hmi.statistics_page import StatisticsPage
 from hmi.texts import texts_of
 from hmi.view import VIEWS, View
+from messages.command import OrderStatus
 from messages.errors import HeadlandError
 
 STATIC = Path(__file__).parent / "static"
 LOG = logging.getLogger(__name__)
 STORE_S = 1.0  # between two transactions of the statistics
+PRESENT_S = 2.0  # an answer of the operator's page counts for so long
+BEAT_S = 1.0  # between two signed messages that the operator is there
 CONNECT_S = 30.0  # for a browser to connect after it has loaded the page
 
 
@@ -47,6 +51,7 @@ class PageApp:
         self._drive_error = ""
         self._stored: Totals | None = None
         self._stored_s = 0.0
+        self._beat_s = -math.inf
         self._keeper: ProgressKeeper | None = None
 
     async def run(self) -> None:
@@ -75,6 +80,7 @@ class PageApp:
             self._stored_s = now_s
             self.store_statistics()
             self.store_progress()
+        self._send_presence(now_s)
         moment = Moment(self.parts, self.state, self.alarms, self.topics, is_restarted, self._drive_error)
         for key, page in list(self.pages.items()):
             try:
@@ -83,11 +89,21 @@ class PageApp:
                 LOG.exception("a page is closed")
                 self.pages.pop(key, None)
 
+    def _send_presence(self, now_s: float) -> None:
+        """Tells the machine that the page of the operator in control answers."""
+        sender, status = self.parts.sender, self.state.fresh("order_status", OrderStatus)
+        if self.parts.is_switching or sender is None or status is None or now_s - self.parts.present_s > PRESENT_S:
+            return
+        if now_s - self._beat_s >= BEAT_S:
+            self._beat_s = now_s
+            sender.send("present", status, self.state.now_ns, self.parts.config.order_valid_s)
+
     def _take_drive(self) -> bool:
         """Shows a drive that has begun; whether there is one."""
         found = None if self.parts.drives is None else self.parts.drives.take()
         if found is None:
             return False
+        self.parts.is_switching = False
         if isinstance(found, str):
             self._drive_error = found
             return False

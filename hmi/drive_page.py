@@ -121,7 +121,7 @@ class DrivePage(View):
             return
         sender, state, config = self.parts.sender, self._state, self.parts.config
         status = None if state is None else state.fresh("order_status", OrderStatus)
-        if sender is None or state is None or status is None:
+        if self.parts.is_switching or sender is None or state is None or status is None:
             return
         valid_s = config.confirmation_valid_s if order == "confirm_clear" else config.order_valid_s
         self._order = sender.send(order, status, state.now_ns, valid_s)

@@ -1,5 +1,6 @@
 """What the pages of an application share, and the moment that one update shows."""
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -73,6 +74,8 @@ class PageParts:
     drives: Drives | None = None
     statistics_error: str = ""
     progress_error: str = ""
+    is_switching: bool = False  # a drive has been asked for that has not begun: the present one gets no order
+    present_s: float = -math.inf  # when a page of the operator in control answered last
     _read: dict[str, tuple[float, Any]] = field(default_factory=dict)
 
     def run_list(self) -> list[Run]:

@@ -115,6 +115,7 @@ class PlanPage(View):
         if mission.about is None:
             raise Refused("damaged")
         self.parts.drives.start(mission, progress)
+        self.parts.is_switching = True
 
     def _hint(self) -> str:
         desk = self.parts.desk

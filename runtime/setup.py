@@ -111,7 +111,7 @@ def load_setup(
 def simulated_operator_key(seed: int) -> OrderKey:
     """Public key of the simulated operator, who may order everything."""
     key = public_bytes(operator_key(seed)).hex()
-    return OrderKey(public_key=key, authority=AUTHORITY, orders=tuple(ORDERS))
+    return OrderKey(public_key=key, authority=AUTHORITY, orders=tuple(ORDERS), lost_operator_s=None)
 
 
 def load_scenario(name: str | None, mission: Mission, field: str | None, plant: str | None = None) -> Scenario:

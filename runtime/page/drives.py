@@ -16,6 +16,7 @@ from hmi.parts import Drive, Drives
 from hmi.plan_view.mission_store import MISSION, SEED, StoredMission
 from hmi.plan_view.progress import Progress
 from hmi.scene import scene_of
+from interfaces.orders.config import OrderKey
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
 from runtime.page.live_feed import LiveFeed
@@ -28,11 +29,11 @@ END_S = 20.0  # for a simulation to close its log
 class SimulatedDrives(Drives):
     """Process of the simulated drives; begins with the arguments of the command line."""
 
-    def __init__(self, arguments: argparse.Namespace, port: OrderPort, public_key: str, authority: str) -> None:
+    def __init__(self, arguments: argparse.Namespace, port: OrderPort, key: OrderKey) -> None:
         self._arguments = arguments
         context = multiprocessing.get_context("fork")
         self._link, there = context.Pipe()
-        work = (context, arguments, port, public_key, authority, there, self._link, os.getpid())
+        work = (context, arguments, port, key, there, self._link, os.getpid())
         self._process = context.Process(target=_keep, args=work, name="drives")
         self._process.start()
         there.close()
@@ -82,8 +83,8 @@ def drive_of(found: Announcement) -> Drive:
 
 
 def _keep(
-    context: ForkContext, arguments: argparse.Namespace, port: OrderPort, public_key: str, authority: str,
-    link: Connection, other: Connection, parent: int,
+    context: ForkContext, arguments: argparse.Namespace, port: OrderPort, key: OrderKey, link: Connection,
+    other: Connection, parent: int,
 ) -> None:  # fmt: skip
     """Keeps one drive at a time until SIGTERM."""
     begin_worker(parent)
@@ -91,7 +92,7 @@ def _keep(
     other.close()
 
     def begin(given: argparse.Namespace) -> ForkProcess:
-        work = (given, port, public_key, authority, link, os.getpid())
+        work = (given, port, key, link, os.getpid())
         process = context.Process(target=drive_simulation, args=work, name="simulation")
         process.start()
         return process

@@ -30,7 +30,7 @@ def resumed_setup(setup: Setup, progress: Progress) -> Setup:
     if s_m is None:
         raise HeadlandError(
             f"progress: the machine at x {at.x_m:.1f} m, y {at.y_m:.1f} m is not on path {progress.path_id} at "
-            f"{progress.path_s_m:.1f} m, it was driving around an obstacle; start the mission anew"
+            f"{progress.path_s_m:.1f} m, it was driving around an obstacle; start the mission from its beginning"
         )
     later = tuple(one for one in setup.plan.fixed_paths if one.path_id > path.path_id)
     if path.s_m[-1] - s_m >= LEFT_M:

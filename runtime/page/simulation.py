@@ -9,6 +9,7 @@ from pathlib import Path
 
 from geometry.arrays import Float64
 from hmi.plan_view.progress import Progress, StoredDrive
+from interfaces.orders.config import OrderKey
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
 from runtime.interruption import Interruption
@@ -37,13 +38,13 @@ class Ended:
 
 
 def drive_simulation(
-    arguments: argparse.Namespace, port: OrderPort, public_key: str, authority: str, connection: Connection, parent: int
+    arguments: argparse.Namespace, port: OrderPort, key: OrderKey, connection: Connection, parent: int
 ) -> None:
     """Drives until SIGTERM; accepts the orders of this key, and none of the scenario."""
     begin_worker(parent)
     try:
         with RunFolder("page", arguments.out, command_of(arguments)) as folder, Interruption() as interruption:
-            _drive(arguments, folder, interruption, port, public_key, authority, connection)
+            _drive(arguments, folder, interruption, port, key, connection)
     except (HeadlandError, OSError) as error:
         sys.stderr.write(f"headland: {error}\n")
         connection.send(Ended(str(error)))
@@ -51,10 +52,9 @@ def drive_simulation(
 
 
 def _drive(
-    arguments: argparse.Namespace, folder: RunFolder, interruption: Interruption, port: OrderPort, public_key: str,
-    authority: str, connection: Connection,
+    arguments: argparse.Namespace, folder: RunFolder, interruption: Interruption, port: OrderPort, key: OrderKey,
+    connection: Connection,
 ) -> None:  # fmt: skip
-    from interfaces.orders.config import ORDERS, OrderKey
     from runtime.live.operated import Operated
     from runtime.page.resume import resumed_setup
     from runtime.setup import load_scenario, setup_from
@@ -66,7 +66,6 @@ def _drive(
     stored = None if folder_of_mission is None else StoredDrive(folder_of_mission, resumed, last_id)
     if resumed is not None:
         setup = resumed_setup(setup, resumed)
-    key = OrderKey(public_key=public_key, authority=authority, orders=tuple(ORDERS))
     session = secrets.token_hex(16)  # as at a real start: no order for the drive before counts
     setup = replace(setup, stack=with_order_key(setup.stack, "page", key), session=session)
     scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)

@@ -22,6 +22,7 @@ from hmi.plan_view.mission_store import MissionStore
 from hmi.plan_view.options import default_options
 from hmi.scene import scene_of
 from hmi.statistics.store import StatisticsStore
+from interfaces.orders.config import ORDERS, OrderKey
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
 from runtime.page.log_feed import LogFeed
@@ -48,7 +49,11 @@ def serve_simulation(arguments: argparse.Namespace, config: PageConfig, state: P
     statistics = StatisticsStore(state / STATISTICS)
     number = order_port.number
     with _stop_process(stop_server, number) as stop_url:
-        drives = SimulatedDrives(arguments, order_port, public_key_of(key).hex(), AUTHORITY)
+        known = OrderKey(
+            public_key=public_key_of(key).hex(), authority=AUTHORITY, orders=tuple(ORDERS),
+            lost_operator_s=config.lost_operator_s,
+        )  # fmt: skip
+        drives = SimulatedDrives(arguments, order_port, known)
         order_port.close()  # of this process; that of the drives has it
         try:
             import hmi.app  # noqa: F401  loads the web server while the simulation is planned
