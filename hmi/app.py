@@ -14,12 +14,15 @@ from fastapi.staticfiles import StaticFiles
 from nicegui import app as nicegui_app
 from nicegui import ui
 
-from hmi.diagnosis.alarm_log import AlarmLog
+from hmi.diagnosis.alarm_log import AlarmLog, clock_text
 from hmi.diagnosis.topic_table import TopicTable
 from hmi.diagnosis_page import DiagnosisPage
 from hmi.drive_page import DrivePage
+from hmi.drive_view.standing import standing
 from hmi.files import add_files
 from hmi.log_in import COOKIE, add_log_in, language_of, session_of
+from hmi.notification.need import NeedWatch, notification_of
+from hmi.notification.sender import NotificationSender
 from hmi.page_state import PageState
 from hmi.parts import Moment, PageParts
 from hmi.plan_page import PlanPage
@@ -52,6 +55,8 @@ class PageApp:
         self._stored: Totals | None = None
         self._stored_s = 0.0
         self._beat_s = -math.inf
+        self._need = NeedWatch(parts.config.notification.after_s)
+        self.notifications = NotificationSender(parts.config.notification)
         self._keeper: ProgressKeeper | None = None
 
     async def run(self) -> None:
@@ -81,6 +86,7 @@ class PageApp:
             self.store_statistics()
             self.store_progress()
         self._send_presence(now_s)
+        self._notify(now_s)
         moment = Moment(self.parts, self.state, self.alarms, self.topics, is_restarted, self._drive_error)
         for key, page in list(self.pages.items()):
             try:
@@ -97,6 +103,14 @@ class PageApp:
         if now_s - self._beat_s >= BEAT_S:
             self._beat_s = now_s
             sender.send("present", status, self.state.now_ns, self.parts.config.order_valid_s)
+
+    def _notify(self, now_s: float) -> None:
+        """Calls somebody when the machine needs one; not in a replay."""
+        drive, config = self.parts.drive, self.parts.config.notification
+        if drive.feed.playback is None and self._need.is_due(self.state, now_s):
+            now = standing(self.state, texts_of(config.language), self.parts.rule_text_zh)
+            self.notifications.put(notification_of(drive.scene.vehicle.name, clock_text(time.time()), now))
+        self.parts.notification_error = self.notifications.error
 
     def _take_drive(self) -> bool:
         """Shows a drive that has begun; whether there is one."""

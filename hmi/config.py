@@ -3,6 +3,7 @@
 from pydantic import Field
 
 from configs.strict import Config
+from hmi.notification.config import NotificationConfig
 
 LANGUAGES = ("en", "zh")
 
@@ -33,3 +34,4 @@ class PageConfig(Config):
     cell_m: float = Field(ge=0.05, le=5.0, description="cells in which the worked area is counted")
     plan_limit_s: float = Field(ge=1.0, le=86400.0, description="a planner without result is ended after this time")
     session: SessionConfig
+    notification: NotificationConfig

@@ -74,6 +74,7 @@ class PageParts:
     drives: Drives | None = None
     statistics_error: str = ""
     progress_error: str = ""
+    notification_error: str = ""
     is_switching: bool = False  # a drive has been asked for that has not begun: the present one gets no order
     present_s: float = -math.inf  # when a page of the operator in control answered last
     _read: dict[str, tuple[float, Any]] = field(default_factory=dict)

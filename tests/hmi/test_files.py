@@ -15,6 +15,7 @@ from hmi.diagnosis.run_files import file_of, runs_of
 from hmi.feed import Feed
 from hmi.files import _beginning, add_files
 from hmi.log_in import COOKIE, add_log_in
+from hmi.notification.config import NotificationConfig
 from hmi.parts import Drive, PageParts
 from hmi.plan_view.desk import MAX_FIELD_BYTES, PlanDesk
 from hmi.security import LOOPBACK, RequestChecks
@@ -33,7 +34,7 @@ OWN = "http://127.0.0.1:8680"
 SESSION = SessionConfig(idle_s=100.0, max_s=1000.0, attempts=3, attempts_s=60.0, seat_s=15.0)
 CONFIG = PageConfig(
     port=0, stop_port=0, period_s=0.2, order_valid_s=1.0, confirmation_valid_s=1.0, lost_operator_s=10.0, cell_m=0.25,
-    plan_limit_s=60.0, session=SESSION,
+    plan_limit_s=60.0, session=SESSION, notification=NotificationConfig(after_s=60.0, language="en"),
 )  # fmt: skip
 
 

@@ -30,7 +30,7 @@ objects:
   - name: person
     object: adult
     place: {frame: path, path_m: 175.0, left_m: 10.0, heading_deg: -90.0}
-    behaviour: {kind: cross, when: {path_m: 156.0}, speed_mps: 1.4, distance_m: 26.0}
+    behaviour: {kind: cross, when: {path_m: 160.0}, speed_mps: 0.8, distance_m: 26.0}
     expected_stops: 1
 """
 
