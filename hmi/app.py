@@ -31,6 +31,7 @@ from hmi.security import LOOPBACK, RequestChecks
 from hmi.statistics.store import Totals
 from hmi.statistics_page import StatisticsPage
 from hmi.texts import texts_of
+from hmi.upload.platform_report import DriveName
 from hmi.view import VIEWS, View
 from messages.command import OrderStatus
 from messages.errors import HeadlandError
@@ -85,6 +86,7 @@ class PageApp:
             self._stored_s = now_s
             self.store_statistics()
             self.store_progress()
+            self.report(False)
         self._send_presence(now_s)
         self._notify(now_s)
         moment = Moment(self.parts, self.state, self.alarms, self.topics, is_restarted, self._drive_error)
@@ -123,6 +125,7 @@ class PageApp:
             return False
         self.store_statistics()
         self.store_progress()
+        self.report(True)
         self.parts.drive, self._drive_error, self._stored = found, "", None
         self._keeper = None if found.stored is None else ProgressKeeper(found.stored)
         self.topics = TopicTable()
@@ -138,7 +141,7 @@ class PageApp:
     def store_statistics(self) -> None:
         """Stores the totals of the drive when they have changed; an error is shown, and it is tried again."""
         store, state, drive = self.parts.statistics, self.state, self.parts.drive
-        totals = Totals(state.coverage.area_m2, state.engaged_s, state.distance_m, state.stops)
+        totals = totals_of(state)
         if store is None or totals == self._stored:
             return
         try:
@@ -146,6 +149,13 @@ class PageApp:
             self._stored, self.parts.statistics_error = totals, ""
         except HeadlandError as error:
             self.parts.statistics_error = str(error)
+
+    def report(self, is_last: bool) -> None:
+        """Queues what the platform is to know; `is_last` at the end of the drive."""
+        if self.parts.report is not None:
+            name = DriveName(self.parts.drive.name, self.parts.drive.scene.site.name)
+            day = time.strftime("%Y-%m-%d")
+            self.parts.report.take(name, day, totals_of(self.state), self.alarms, time.monotonic(), is_last)
 
     def store_progress(self) -> None:
         """Stores how far the mission is driven; an error is shown, and it is tried again."""
@@ -193,6 +203,11 @@ class PageApp:
             ui.timer(1.0, end_with_session)
 
 
+def totals_of(state: PageState) -> Totals:
+    """Totals of a drive since its start."""
+    return Totals(state.coverage.area_m2, state.engaged_s, state.distance_m, state.stops)
+
+
 def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     """The web application; NiceGUI's own object holds its routes, so there is one per process."""
     page_app = PageApp(parts)
@@ -210,6 +225,7 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
         add_page(kind)
     nicegui_app.on_startup(lambda: asyncio.create_task(page_app.run()))
     nicegui_app.on_shutdown(page_app.store_statistics)
+    nicegui_app.on_shutdown(lambda: page_app.report(True))
     ui.run_with(
         app, title="Headland", tailwind=False, dark=False, message_history_length=0, show_welcome_message=False,
         binding_refresh_interval=None, reconnect_timeout=10.0,

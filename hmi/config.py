@@ -4,6 +4,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from hmi.notification.config import NotificationConfig
+from hmi.upload.config import UploadConfig
 
 LANGUAGES = ("en", "zh")
 
@@ -35,3 +36,4 @@ class PageConfig(Config):
     plan_limit_s: float = Field(ge=1.0, le=86400.0, description="a planner without result is ended after this time")
     session: SessionConfig
     notification: NotificationConfig
+    upload: UploadConfig

@@ -24,6 +24,8 @@ from hmi.scene import Scene
 from hmi.shown import shown_of
 from hmi.statistics.store import DayOfField, StatisticsStore
 from hmi.texts import Texts
+from hmi.upload.platform_report import PlatformReport
+from hmi.upload.uploader import Uploader
 from messages.errors import HeadlandError
 
 READ_S = 2.0
@@ -73,6 +75,8 @@ class PageParts:
     statistics: StatisticsStore | None = None
     drives: Drives | None = None
     statistics_error: str = ""
+    report: PlatformReport | None = None
+    uploader: Uploader | None = None
     progress_error: str = ""
     notification_error: str = ""
     is_switching: bool = False  # a drive has been asked for that has not begun: the present one gets no order
