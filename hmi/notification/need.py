@@ -9,7 +9,7 @@ from messages.command import Mode, SupervisorState
 
 @dataclass(frozen=True)
 class Notification:
-    """What is told: which machine, when (local date and time), mode, cause and next step in words."""
+    """Content of a notification: which machine, when (local date and time), mode, cause and next step in words."""
 
     machine: str
     time: str

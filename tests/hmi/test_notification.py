@@ -27,7 +27,7 @@ from messages.plan import MissionState
 from tests.hmi.drive_messages import NOW_NS, SECOND_NS, mission, state_of, supervisor
 from tests.hmi.test_page_app import GivenFeed, app  # noqa: F401  the fixture
 
-TOLD = Notification("tractor_e", "2026-11-25 12:00:00", "障碍停车", "Person in the path", "Operator: look there.")
+GIVEN = Notification("tractor_e", "2026-11-25 12:00:00", "障碍停车", "Person in the path", "Operator: look there.")
 EMAIL = {"host": "127.0.0.1", "security": "none", "sender": "farm@example.org", "recipients": ["anna@example.org"]}
 
 
@@ -106,13 +106,13 @@ def url_of(port: int) -> str:
 
 def test_a_mail_has_mode_cause_and_next_step(mail_server: Any) -> None:
     sender = NotificationSender(config(email=EMAIL | {"port": mail_server.server_address[1]}))
-    sender.put(TOLD)
+    sender.put(GIVEN)
     mail = message_from_string(mail_server.mails.get(timeout=10.0))
     assert (mail["From"], mail["To"]) == ("farm@example.org", "anna@example.org")
     subject = "".join(line.strip() for line in mail["Subject"].splitlines())
     assert "tractor_e" in subject
     text = base64.b64decode(mail.get_payload()).decode()
-    for part in (TOLD.time, TOLD.mode, TOLD.cause, TOLD.next_step):
+    for part in (GIVEN.time, GIVEN.mode, GIVEN.cause, GIVEN.next_step):
         assert part in text
     sender.end()
 
@@ -120,8 +120,8 @@ def test_a_mail_has_mode_cause_and_next_step(mail_server: Any) -> None:
 def test_a_webhook_that_refuses_is_tried_again(hook: Any) -> None:
     hook.refuses = 2
     sender = NotificationSender(config(webhook=url_of(hook.server_address[1])), retry_s=(0.05, 0.05))
-    sender.put(TOLD)
-    assert hook.bodies.get(timeout=10.0)["cause"] == TOLD.cause
+    sender.put(GIVEN)
+    assert hook.bodies.get(timeout=10.0)["cause"] == GIVEN.cause
     assert hook.refuses == -1
     sender.end()
 
@@ -130,7 +130,7 @@ def test_a_mail_is_not_sent_twice_because_the_webhook_fails(mail_server: Any, ho
     hook.refuses = 3
     both = config(email=EMAIL | {"port": mail_server.server_address[1]}, webhook=url_of(hook.server_address[1]))
     sender = NotificationSender(both, retry_s=(0.05, 0.05, 0.05))
-    sender.put(TOLD)
+    sender.put(GIVEN)
     assert hook.bodies.get(timeout=10.0)["machine"] == "tractor_e"
     assert mail_server.mails.qsize() == 1
     sender.end()
@@ -140,7 +140,7 @@ def test_a_server_that_is_not_there_is_named() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     sender = NotificationSender(config(webhook=url_of(port)), retry_s=())
-    sender.put(TOLD)
+    sender.put(GIVEN)
     until_s = time.monotonic() + 10.0
     while not sender.error and time.monotonic() < until_s:
         time.sleep(0.02)
@@ -152,7 +152,7 @@ def test_a_server_that_hangs_delays_nobody(silent_port: int) -> None:
     sender = NotificationSender(config(webhook=url_of(silent_port)))
     began_s = time.monotonic()
     for _ in range(MAX_WAITING + 5):
-        sender.put(TOLD)
+        sender.put(GIVEN)
     assert time.monotonic() - began_s < 0.5
     assert "dropped" in sender.error
     sender.end()
@@ -162,7 +162,7 @@ def test_without_a_way_no_thread_runs() -> None:
     before = threading.active_count()
     sender = NotificationSender(config())
     for _ in range(MAX_WAITING + 5):
-        sender.put(TOLD)
+        sender.put(GIVEN)
     assert (threading.active_count(), sender.error) == (before, "")
 
 
@@ -187,7 +187,7 @@ def test_a_machine_that_falls_silent_needs_somebody_once_it_has_begun() -> None:
         assert needs_somebody(state_of(*messages, now_ns=later_ns)) is is_needed
 
 
-def test_each_stop_is_told_once_after_its_time() -> None:
+def test_each_stop_is_notified_once_after_its_time() -> None:
     watch = NeedWatch(60.0)
     stop, drives = (
         state_of(("supervisor", supervisor(Mode.OBSTACLE_STOP))),
@@ -206,10 +206,10 @@ def test_the_page_tells_why_the_machine_stands(app: PageApp, hook: Any) -> None:
     feed.now_ns = NOW_NS
     feed.given += [("supervisor", supervisor(Mode.FAULT_STOP))]
     app.step()
-    told = hook.bodies.get(timeout=10.0)
-    assert (told["machine"], told["mode"]) == (app.parts.drive.scene.vehicle.name, "Fault stop")
-    assert "A fault has stopped the machine" in told["cause"]
-    assert "remove the cause" in told["next_step"]
+    received = hook.bodies.get(timeout=10.0)
+    assert (received["machine"], received["mode"]) == (app.parts.drive.scene.vehicle.name, "Fault stop")
+    assert "A fault has stopped the machine" in received["cause"]
+    assert "remove the cause" in received["next_step"]
     app.notifications.end()
 
 
