@@ -160,6 +160,9 @@ class OrderRig:
         """The topic carries nothing here."""
         return ()
 
+    def latest(self, topic: str, kind: type[Any]) -> None:
+        """There is no supervisor here."""
+
     def step(self, seconds: float = 0.01) -> None:
         """Steps of 10 ms."""
         for _ in range(max(1, round(seconds * 100))):

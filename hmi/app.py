@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import math
 import socket
 import time
 from pathlib import Path
@@ -13,25 +14,33 @@ from fastapi.staticfiles import StaticFiles
 from nicegui import app as nicegui_app
 from nicegui import ui
 
-from hmi.diagnosis.alarm_log import AlarmLog
+from hmi.diagnosis.alarm_log import AlarmLog, clock_text
 from hmi.diagnosis.topic_table import TopicTable
 from hmi.diagnosis_page import DiagnosisPage
 from hmi.drive_page import DrivePage
+from hmi.drive_view.standing import standing
 from hmi.files import add_files
 from hmi.log_in import COOKIE, add_log_in, language_of, session_of
+from hmi.notification.need import NeedWatch, notification_of
+from hmi.notification.sender import NotificationSender
 from hmi.page_state import PageState
 from hmi.parts import Moment, PageParts
 from hmi.plan_page import PlanPage
+from hmi.plan_view.progress import ProgressKeeper
 from hmi.security import LOOPBACK, RequestChecks
 from hmi.statistics.store import Totals
 from hmi.statistics_page import StatisticsPage
 from hmi.texts import texts_of
+from hmi.upload.platform_report import DriveName
 from hmi.view import VIEWS, View
+from messages.command import OrderStatus
 from messages.errors import HeadlandError
 
 STATIC = Path(__file__).parent / "static"
 LOG = logging.getLogger(__name__)
 STORE_S = 1.0  # between two transactions of the statistics
+PRESENT_S = 2.0  # an answer of the operator's page counts for so long
+BEAT_S = 1.0  # between two signed messages that the operator is there
 CONNECT_S = 30.0  # for a browser to connect after it has loaded the page
 
 
@@ -46,6 +55,10 @@ class PageApp:
         self._drive_error = ""
         self._stored: Totals | None = None
         self._stored_s = 0.0
+        self._beat_s = -math.inf
+        self._need = NeedWatch(parts.config.notification.after_s)
+        self.notifications = NotificationSender(parts.config.notification)
+        self._keeper: ProgressKeeper | None = None
 
     async def run(self) -> None:
         """Updates all pages once per period; after an error they say that what they show is old."""
@@ -72,6 +85,10 @@ class PageApp:
         if now_s - self._stored_s >= STORE_S:
             self._stored_s = now_s
             self.store_statistics()
+            self.store_progress()
+            self.report(False)
+        self._send_presence(now_s)
+        self._notify(now_s)
         moment = Moment(self.parts, self.state, self.alarms, self.topics, is_restarted, self._drive_error)
         for key, page in list(self.pages.items()):
             try:
@@ -80,16 +97,37 @@ class PageApp:
                 LOG.exception("a page is closed")
                 self.pages.pop(key, None)
 
+    def _send_presence(self, now_s: float) -> None:
+        """Tells the machine that the page of the operator in control answers."""
+        sender, status = self.parts.sender, self.state.fresh("order_status", OrderStatus)
+        if self.parts.is_switching or sender is None or status is None or now_s - self.parts.present_s > PRESENT_S:
+            return
+        if now_s - self._beat_s >= BEAT_S:
+            self._beat_s = now_s
+            sender.send("present", status, self.state.now_ns, self.parts.config.order_valid_s)
+
+    def _notify(self, now_s: float) -> None:
+        """Calls somebody when the machine needs one; not in a replay."""
+        drive, config = self.parts.drive, self.parts.config.notification
+        if drive.feed.playback is None and self._need.is_due(self.state, now_s):
+            now = standing(self.state, texts_of(config.language), self.parts.rule_text_zh)
+            self.notifications.put(notification_of(drive.scene.vehicle.name, clock_text(time.time()), now))
+        self.parts.notification_error = self.notifications.error
+
     def _take_drive(self) -> bool:
         """Shows a drive that has begun; whether there is one."""
         found = None if self.parts.drives is None else self.parts.drives.take()
         if found is None:
             return False
+        self.parts.is_switching = False
         if isinstance(found, str):
             self._drive_error = found
             return False
         self.store_statistics()
+        self.store_progress()
+        self.report(True)
         self.parts.drive, self._drive_error, self._stored = found, "", None
+        self._keeper = None if found.stored is None else ProgressKeeper(found.stored)
         self.topics = TopicTable()
         return True
 
@@ -103,7 +141,7 @@ class PageApp:
     def store_statistics(self) -> None:
         """Stores the totals of the drive when they have changed; an error is shown, and it is tried again."""
         store, state, drive = self.parts.statistics, self.state, self.parts.drive
-        totals = Totals(state.coverage.area_m2, state.engaged_s, state.distance_m, state.stops)
+        totals = totals_of(state)
         if store is None or totals == self._stored:
             return
         try:
@@ -111,6 +149,22 @@ class PageApp:
             self._stored, self.parts.statistics_error = totals, ""
         except HeadlandError as error:
             self.parts.statistics_error = str(error)
+
+    def report(self, is_last: bool) -> None:
+        """Queues what the platform is to know; `is_last` at the end of the drive."""
+        if self.parts.report is not None:
+            name = DriveName(self.parts.drive.name, self.parts.drive.scene.site.name)
+            day = time.strftime("%Y-%m-%d")
+            self.parts.report.take(name, day, totals_of(self.state), self.alarms, time.monotonic(), is_last)
+
+    def store_progress(self) -> None:
+        """Stores how far the mission is driven; an error is shown, and it is tried again."""
+        try:
+            if self._keeper is not None:
+                self._keeper.store(self.state)
+            self.parts.progress_error = ""
+        except HeadlandError as error:
+            self.parts.progress_error = str(error)
 
     async def open(self, request: Request, kind: type[View]) -> RedirectResponse | None:
         """Builds the page of a request, or sends it to the log-in."""
@@ -149,6 +203,11 @@ class PageApp:
             ui.timer(1.0, end_with_session)
 
 
+def totals_of(state: PageState) -> Totals:
+    """Totals of a drive since its start."""
+    return Totals(state.coverage.area_m2, state.engaged_s, state.distance_m, state.stops)
+
+
 def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     """The web application; NiceGUI's own object holds its routes, so there is one per process."""
     page_app = PageApp(parts)
@@ -166,6 +225,7 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
         add_page(kind)
     nicegui_app.on_startup(lambda: asyncio.create_task(page_app.run()))
     nicegui_app.on_shutdown(page_app.store_statistics)
+    nicegui_app.on_shutdown(lambda: page_app.report(True))
     ui.run_with(
         app, title="Headland", tailwind=False, dark=False, message_history_length=0, show_welcome_message=False,
         binding_refresh_interval=None, reconnect_timeout=10.0,

@@ -3,6 +3,8 @@
 from pydantic import Field
 
 from configs.strict import Config
+from hmi.notification.config import NotificationConfig
+from hmi.upload.config import UploadConfig
 
 LANGUAGES = ("en", "zh")
 
@@ -25,6 +27,13 @@ class PageConfig(Config):
     period_s: float = Field(ge=0.1, le=5.0, description="between two updates of all pages")
     order_valid_s: float = Field(gt=0.0, le=60.0)
     confirmation_valid_s: float = Field(gt=0.0, le=60.0, description="at most modes.max_confirmation_s")
+    lost_operator_s: float | None = Field(
+        ge=2.0,
+        le=3600.0,
+        description="without the operator's page the simulated machine stops; null: it drives on",
+    )
     cell_m: float = Field(ge=0.05, le=5.0, description="cells in which the worked area is counted")
     plan_limit_s: float = Field(ge=1.0, le=86400.0, description="a planner without result is ended after this time")
     session: SessionConfig
+    notification: NotificationConfig
+    upload: UploadConfig

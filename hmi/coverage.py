@@ -51,15 +51,20 @@ class Coverage:
         self.edges.append([self._strip, *(round(float(value), 2) for value in edge.ravel())])
 
     def _mark(self, corners: Float64) -> None:
-        """Marks the cells whose centre lies in a quadrilateral with corners (4, 2) in order."""
+        """Marks the cells whose centre lies in a quadrilateral with corners (4, 2), by the even-odd rule.
+
+        In a tight turn the inner end moves back and two sides cross: the parts on both sides of the crossing count.
+        """
         cell = self._cell_m
         low, high = np.floor(corners.min(axis=0) / cell), np.ceil(corners.max(axis=0) / cell)
         ix, iy = (np.arange(int(a), int(b) + 1) for a, b in zip(low, high, strict=True))
         x, y = np.meshgrid((ix + 0.5) * cell, (iy + 0.5) * cell, indexing="ij")
         nxt = np.roll(corners, -1, axis=0)
-        turn = [(b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) for a, b in zip(corners, nxt, strict=True)]
-        signs = np.stack(turn)
-        inside = (signs >= 0.0).all(axis=0) | (signs <= 0.0).all(axis=0)
+        inside = np.zeros(x.shape, bool)
+        for a, b in zip(corners, nxt, strict=True):
+            if a[1] != b[1]:
+                is_between = (a[1] > y) != (b[1] > y)
+                inside ^= is_between & (x < a[0] + (y - a[1]) * (b[0] - a[0]) / (b[1] - a[1]))
         inside &= shapely.contains_xy(self._field, x, y)
         self._cells.update((int(ix[i]), int(iy[j])) for i, j in zip(*np.nonzero(inside), strict=True))
 

@@ -44,7 +44,7 @@ class DiagnosisPage(View):
         barred = self.seat.update()
         entries = sorted(moment.alarms.entries, key=_urgency)[:SHOWN_ALARMS]
         self.send(moment, {
-            "texts": {"why": barred, "answer": self.answer},
+            "texts": {"why": barred, "answer": self.answer or self._unsent()},
             "tables.alarm_log": [self._alarm(one, barred) for one in entries],
             "tables.topics": self._topics(moment),
             "tables.runs": self._runs(),
@@ -55,6 +55,10 @@ class DiagnosisPage(View):
         number_text = str(values.get("value", ""))
         if self._alarms is not None and action == "acknowledge" and number_text.isdecimal() and len(number_text) < 10:
             self._alarms.acknowledge(int(number_text), self.session.name)
+
+    def _unsent(self) -> str:
+        error = self.parts.notification_error
+        return self.texts("diagnosis.unsent", error=error) if error else ""
 
     def _alarm(self, alarm: Alarm, barred: str) -> list[Any]:
         texts, fault = self.texts, alarm.fault

@@ -16,7 +16,7 @@ from hmi.parts import Moment, PageParts
 from hmi.replay_bar import ReplayBar
 from hmi.shown import ROWS
 from hmi.texts import Texts
-from hmi.view import View
+from hmi.view import VIEWS, View
 from messages.command import OrderStatus
 
 ANSWER_SHOWN_S = 6.0
@@ -66,11 +66,23 @@ class DrivePage(View):
         if moment.is_restarted or state is not self._state:
             self._state, self._sent_points = state, (0, 0)
             news = {"clear": True, "still": static_map(state.scene)}
+        sections["texts"] = {"interrupted": self._interrupted()}
         self.send(moment, sections, news | self._new_points(state))
         if not self.why_barred:
             self._set_controls(shown["unavailable"], self.seat.update(), state)
         if self._replay is not None:
             self._replay.update()
+
+    def _interrupted(self) -> str:
+        """The newest mission that was interrupted, while no stored one is driven."""
+        parts, store = self.parts, self.parts.desk.store
+        if parts.drives is None or parts.drive.stored is not None:
+            return ""
+        for mission in store.all():
+            progress = store.interrupted().get(mission.id)
+            if progress is not None and mission.about is not None:
+                return self.texts("page.interrupted", name=mission.about.name, share=f"{progress.share:.0%}")
+        return ""
 
     def _new_points(self, state: PageState) -> dict[str, Any]:
         """Points of track and worked area since the last update."""
@@ -109,7 +121,7 @@ class DrivePage(View):
             return
         sender, state, config = self.parts.sender, self._state, self.parts.config
         status = None if state is None else state.fresh("order_status", OrderStatus)
-        if sender is None or state is None or status is None:
+        if self.parts.is_switching or sender is None or state is None or status is None:
             return
         valid_s = config.confirmation_valid_s if order == "confirm_clear" else config.order_valid_s
         self._order = sender.send(order, status, state.now_ns, valid_s)
@@ -148,5 +160,6 @@ class DrivePage(View):
             '<section class="hl-card hl-state" aria-live="polite"><div id="state" class="hl-mode">'
             f'<span id="mode">{escape(texts("mode.no_data"))}</span></div>'
             f'<h2>{escape(texts("cause.title"))}</h2><p id="cause">{escape(texts("page.starting"))}</p>'
-            f'<h2>{escape(texts("next.title"))}</h2><p id="next"></p></section>'
+            f'<h2>{escape(texts("next.title"))}</h2><p id="next"></p>'
+            f'<a id="interrupted" class="hl-link" href="{VIEWS["plan"]}?lang={texts.language}"></a></section>'
         )

@@ -1,5 +1,6 @@
 """What the pages of an application share, and the moment that one update shows."""
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -18,10 +19,13 @@ from hmi.orders import OrderSender
 from hmi.page_state import PageState
 from hmi.plan_view.desk import PlanDesk
 from hmi.plan_view.mission_store import StoredMission
+from hmi.plan_view.progress import Progress, StoredDrive
 from hmi.scene import Scene
 from hmi.shown import shown_of
 from hmi.statistics.store import DayOfField, StatisticsStore
 from hmi.texts import Texts
+from hmi.upload.platform_report import PlatformReport
+from hmi.upload.uploader import Uploader
 from messages.errors import HeadlandError
 
 READ_S = 2.0
@@ -29,19 +33,23 @@ READ_S = 2.0
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive that is shown: its messages, its scene, and a name that no other drive has."""
+    """A drive that is shown: its messages, its scene, and a name that no other drive has.
+
+    `stored` is None unless it drives a stored mission.
+    """
 
     feed: Feed
     scene: Scene
     name: str
+    stored: StoredDrive | None = None
 
 
 class Drives(ABC):
     """Simulated drives, one at a time."""
 
     @abstractmethod
-    def start(self, mission: StoredMission) -> None:
-        """Ends the present drive and begins one on a stored mission."""
+    def start(self, mission: StoredMission, progress: Progress | None = None) -> None:
+        """Ends the present drive and begins one on a stored mission, from `progress` if it was interrupted there."""
 
     @abstractmethod
     def take(self) -> Drive | str | None:
@@ -67,6 +75,12 @@ class PageParts:
     statistics: StatisticsStore | None = None
     drives: Drives | None = None
     statistics_error: str = ""
+    report: PlatformReport | None = None
+    uploader: Uploader | None = None
+    progress_error: str = ""
+    notification_error: str = ""
+    is_switching: bool = False  # a drive has been asked for that has not begun: the present one gets no order
+    present_s: float = -math.inf  # when a page of the operator in control answered last
     _read: dict[str, tuple[float, Any]] = field(default_factory=dict)
 
     def run_list(self) -> list[Run]:

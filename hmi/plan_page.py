@@ -12,6 +12,7 @@ from hmi.drive_view.map_view import static_map
 from hmi.drive_view.row import Row, number
 from hmi.parts import Moment
 from hmi.plan_view.options import MAX_PASSES, choices
+from hmi.plan_view.progress import Progress, read_progress
 from hmi.refusal import Refused
 from hmi.scene import Scene
 from hmi.view import View
@@ -19,7 +20,7 @@ from messages.command import SupervisorState
 
 MAX_VALUE = 200  # characters
 HEADINGS = range(0, 180, 5)
-COLUMNS = ("name", "stored_at", "author", "", "", "")
+COLUMNS = ("name", "stored_at", "author", "", "", "", "")
 
 
 class PlanPage(View):
@@ -50,11 +51,11 @@ class PlanPage(View):
         desk, texts = self.parts.desk, self.texts
         barred = self.seat.update()
         error = texts("plan.error", error=desk.error) if desk.error else ""
+        answer = self.answer or error or moment.drive_error or self.parts.progress_error
         self.send(moment, {
             "draft": desk.points_m if desk.is_drawing else None,
             "texts": {
-                "why": barred, "answer": self.answer or error or moment.drive_error, "hint": self._hint(),
-                "progress": self._progress(),
+                "why": barred, "answer": answer, "hint": self._hint(), "progress": self._progress(),
             },
             "controls": self._controls(barred),
             "rows.plan": [[r.key, r.label, r.value, texts(f"level.{r.level}"), r.level] for r in self._rows()],
@@ -99,10 +100,12 @@ class PlanPage(View):
             case "delete" if self.is_sure(f"delete {value}"):
                 desk.delete(value)
             case "start" if self.is_sure(f"start {value}"):
-                self._start(value)
+                self._start(value, None)
+            case "continue" if self.is_sure(f"continue {value}"):
+                self._start(value, read_progress(desk.store.find(value).folder))
 
-    def _start(self, mission_id: str) -> None:
-        """Starts a simulated drive on a stored mission; not while the machine drives."""
+    def _start(self, mission_id: str, progress: Progress | None) -> None:
+        """Starts a simulated drive on a stored mission, or where it was interrupted; not while the machine drives."""
         if self.parts.drives is None or self._moment is None:
             raise Refused("no_simulation")
         supervisor = self._moment.state.fresh("supervisor", SupervisorState)
@@ -111,7 +114,8 @@ class PlanPage(View):
         mission = self.parts.desk.store.find(mission_id)
         if mission.about is None:
             raise Refused("damaged")
-        self.parts.drives.start(mission)
+        self.parts.drives.start(mission, progress)
+        self.parts.is_switching = True
 
     def _hint(self) -> str:
         desk = self.parts.desk
@@ -181,18 +185,23 @@ class PlanPage(View):
     def _missions(self, barred: str) -> list[list[Any]]:
         desk, texts = self.parts.desk, self.texts
         rows: list[list[Any]] = []
+        interrupted = desk.store.interrupted()
         for mission in desk.store.all():
             about, key = mission.about, mission.id
             is_off = bool(barred) or desk.job is not None
             name = texts("plan.damaged") if about is None else about.name
             is_shown = desk.stored is not None and desk.stored.id == key
             start: Any = ""
+            resume: Any = ""
             if self.parts.drives is not None:
-                start = self._pressed("start", key, "plan.start", is_off or about is None)
+                start = self._pressed("start", key, texts("plan.start"), is_off or about is None)
+                if key in interrupted:
+                    text = texts("plan.continue", share=f"{interrupted[key].share:.0%}")
+                    resume = self._pressed("continue", key, text, is_off)
             rows.append([
                 {"text": f"▸ {name}" if is_shown else name}, mission.stored_at, "" if about is None else about.author,
                 {"text": texts("plan.open"), "action": "open", "value": key, "off": is_off or about is None},
-                start, self._pressed("delete", key, "plan.delete", is_off),
+                resume, start, self._pressed("delete", key, texts("plan.delete"), is_off),
             ])  # fmt: skip
         return rows
 
@@ -200,7 +209,7 @@ class PlanPage(View):
         """Button of a table that is pressed twice."""
         asks = self.asks(f"{action} {key}")
         return {
-            "text": self.texts("plan.sure" if asks else text),
+            "text": self.texts("plan.sure") if asks else text,
             "action": action,
             "value": key,
             "off": is_off,

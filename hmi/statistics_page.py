@@ -31,7 +31,16 @@ class StatisticsPage(View):
         rows = [[one.day, one.field, str(one.drives), *_cells(one.totals)] for one in days]
         if days:
             rows.append([self.texts("statistics.sum"), "", str(sum(one.drives for one in days)), *_cells(_sum(days))])
-        self.send(moment, {"tables.statistics": rows, "texts": {"answer": self.parts.statistics_error}})
+        self.send(
+            moment,
+            {"tables.statistics": rows, "texts": {"answer": self.parts.statistics_error or self._not_uploaded()}},
+        )
+
+    def _not_uploaded(self) -> str:
+        """Why the platform does not get what is to be uploaded."""
+        report, uploader = self.parts.report, self.parts.uploader
+        error = (report.error if report is not None else "") or (uploader.error if uploader is not None else "")
+        return self.texts("statistics.not_uploaded", error=error) if error else ""
 
 
 def _sum(days: list[Any]) -> Totals:

@@ -101,6 +101,10 @@ class View(ABC):
         values = event.args
         if not isinstance(values, dict) or not isinstance(values.get("action"), str):
             return
+        if values["action"] == "present":
+            if not self.seat.why_not():
+                self.parts.present_s = time.monotonic()
+            return
         self._answer = self.seat.why_not(is_action=True)
         if self._answer:
             return

@@ -75,6 +75,7 @@ def simulated_world(
         plant_of(setup, scenario), scenario, setup.plan.paths, bus, setup.seed, setup.stack.simulation, setup.is_folded,
         SimulatedOperator(setup.seed, setup.machine_id, setup.session), rendering,
     )  # fmt: skip
+    world.machine.attached.hitch = setup.hitch
     world.warm()
     return world
 

@@ -11,7 +11,7 @@ from safety.supervisor import Supervisor
 from safety.zones.geofence import geofence_of
 from safety.zones.known_structure import structure_of_site
 
-FAULT_TOPICS = ("fault/localizer", "fault/gateway", FAULT_TOPIC)
+FAULT_TOPICS = ("fault/localizer", "fault/gateway", "fault/orders", FAULT_TOPIC)
 
 
 def safety_nodes(setup: Setup, bus: CanBus, is_ablation: bool) -> list[Node]:

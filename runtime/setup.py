@@ -32,6 +32,7 @@ SESSION_STREAM = 0x5E55  # of the session, which a real start draws from the ope
 class Setup:
     """All inputs of a run except its world; `start` is the initial pose in map, `session` the nonce of the orders.
 
+    `hitch` is the initial position of the hitch, 0 (lowest) to 1 (highest).
     `surveyed` is the site with the outline of its field file before simplification.
     """
 
@@ -46,6 +47,7 @@ class Setup:
     start: PoseConfig
     is_folded: bool
     session: str
+    hitch: float = 1.0
 
     @property
     def machine_id(self) -> str:
@@ -109,7 +111,7 @@ def load_setup(
 def simulated_operator_key(seed: int) -> OrderKey:
     """Public key of the simulated operator, who may order everything."""
     key = public_bytes(operator_key(seed)).hex()
-    return OrderKey(public_key=key, authority=AUTHORITY, orders=tuple(ORDERS))
+    return OrderKey(public_key=key, authority=AUTHORITY, orders=tuple(ORDERS), lost_operator_s=None)
 
 
 def load_scenario(name: str | None, mission: Mission, field: str | None, plant: str | None = None) -> Scenario:

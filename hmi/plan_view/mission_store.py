@@ -1,6 +1,7 @@
 """Stored missions: a folder of plain files each, complete or absent after kill -9."""
 
 import fcntl
+import math
 import os
 import re
 import secrets
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from configs.strict import Config, load
 from hmi.plan_view.options import read_mission
+from hmi.plan_view.progress import Progress, read_progress
 from hmi.refusal import Refused
 from messages.errors import HeadlandError
 
@@ -22,6 +24,7 @@ DRAFT, DELETED = ".draft-", ".deleted-"
 SEED = 1  # of the planner: a stored mission is driven as it was planned
 MAX_LISTED = 200
 MAX_NAME = 80
+READ_S = 1.0
 
 
 class About(Config):
@@ -60,6 +63,8 @@ class MissionStore:
         self._locks: dict[Path, int] = {}
         self._listed: list[StoredMission] = []
         self._listed_ns = -1
+        self._progress: dict[str, Progress] = {}
+        self._progress_s = -math.inf
 
     def new_draft(self) -> Path:
         """New folder for a field and its plan, removed at the next start unless it is stored."""
@@ -99,6 +104,18 @@ class MissionStore:
             names = sorted((path.name for path in self.folder.iterdir() if ID.fullmatch(path.name)), reverse=True)
             self._listed, self._listed_ns = [self._read(name) for name in names[:MAX_LISTED]], changed_ns
         return self._listed
+
+    def interrupted(self) -> dict[str, Progress]:
+        """Progress of the missions that were interrupted, by id; read once in `READ_S`."""
+        now_s = time.monotonic()
+        if now_s - self._progress_s >= READ_S:
+            self._progress_s, self._progress = now_s, {}
+            for mission in self.all():
+                with suppress(HeadlandError):
+                    found = read_progress(mission.folder)
+                    if found is not None and mission.about is not None:
+                        self._progress[mission.id] = found
+        return self._progress
 
     def find(self, mission_id: str) -> StoredMission:
         """A stored mission; raises HeadlandError for one that is not there."""

@@ -7,7 +7,8 @@ window.headland = (() => {
   const CLICK_PX = 6; // a longer movement of the pointer moves the map
   const COLORS = {person: "#8a3b00", animal: "#5b2a86"};
   const map = {still: null, moving: null, paths: [], trail: [], edges: [], scale: 7, follow: true, center: [0, 0], draft: null};
-  let updatedMs = performance.now();
+  const ANSWER_MS = 1000; // between two answers to updates: this page is there
+  let updatedMs = performance.now(), answeredMs = 0;
 
   const byId = (id) => document.getElementById(id);
 
@@ -198,6 +199,7 @@ window.headland = (() => {
   function update(shown) {
     window.headlandControls.update(shown);
     updatedMs = performance.now();
+    if (updatedMs - answeredMs > ANSWER_MS) { answeredMs = updatedMs; window.headlandControls.send({action: "present"}); }
     if (shown.clear) { map.trail = []; map.edges = []; }
     if (shown.still) showStill(shown.still);
     if (shown.draft !== undefined) map.draft = shown.draft;

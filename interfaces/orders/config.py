@@ -11,6 +11,7 @@ FORBID, PERMIT = "forbid", "permit"  # both pause; between them no start and no 
 ORDERS = {kind.name.lower(): kind for kind in OperatorCommandKind} | dict.fromkeys(
     (FORBID, PERMIT), OperatorCommandKind.PAUSE
 )
+PRESENT = "present"  # no command: the operator is there; permitted to every key
 KEY_BYTES = 32
 
 
@@ -26,6 +27,12 @@ class OrderKey(Config):
     public_key: str = Field(pattern="^[0-9a-f]{64}$", description="Ed25519, 32 bytes in hexadecimal")
     authority: str = Field(min_length=1, max_length=40, description="one of modes.authorities of the supervisor")
     orders: tuple[Annotated[str, AfterValidator(_known_order)], ...] = Field(min_length=1)
+    lost_operator_s: float | None = Field(
+        default=10.0,
+        ge=1.0,
+        le=3600.0,
+        description="the machine stops after so long without an order; null: it drives on",
+    )
 
 
 class OrdersConfig(Config):

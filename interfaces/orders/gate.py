@@ -5,16 +5,17 @@ from collections.abc import Iterable
 
 from interfaces.orders.port import OrderPort
 from interfaces.orders.verifier import OrderVerifier, Reason, Refusal, unsigned_stop
-from messages.command import OperatorCommand, OrderStatus, RefusedOrders, SignedOrder
+from messages.command import Mode, OperatorCommand, OrderStatus, RefusedOrders, SignedOrder, SupervisorState
 from messages.fault_reporter import FaultReporter, FaultType
 from messages.faults import Response, Severity
-from messages.node import All, Every, Inbox, Node, Output
+from messages.node import All, Every, Inbox, Latest, Node, Output, Read
 
 PERIOD_NS = 10_000_000
 STATUS_NS = 100_000_000
 MAX_ORDERS = 400  # read in a step: an emergency stop is found behind a flood of others
 MAX_VERIFIED = 8  # in a step: a signature takes 0.2 ms
 TOPIC = "order/operator"
+ENGAGED = (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
 
 TEXTS = {
     Reason.MALFORMED: ("Order refused: not readable", "指令被拒绝:无法读取"),
@@ -33,16 +34,23 @@ TEXTS = {
 FAULTS = {
     reason: FaultType(f"orders.{reason}", Severity.WARNING, Response.NONE, *texts) for reason, texts in TEXTS.items()
 }
+LOST = FaultType(
+    "orders.lost_operator", Severity.ALARM, Response.CONTROLLED_STOP, "The operator's page no longer answers",
+    "操作员页面不再应答", is_latched=True,
+)  # fmt: skip
 
 
 class OrderGate(Node):
-    """Verifies the orders of topic and port; a refused order is counted and reported with its reason."""
+    """Verifies the orders of topic and port; a refused order is counted and reported with its reason.
+
+    In automatic operation whose operator is lost the machine is stopped by a fault.
+    """
 
     def __init__(
         self, machine: str, session: str, verifier: OrderVerifier, report_s: float, port: OrderPort | None = None
     ) -> None:
         self.name = "orders"
-        self.reads = {TOPIC: All(MAX_ORDERS)}
+        self.reads: dict[str, Read] = {TOPIC: All(MAX_ORDERS), "supervisor": Latest()}
         self.writes = ("operator_command", "order_status", "fault/orders")
         self.runs = Every(PERIOD_NS)
         self._machine, self._session = machine, session
@@ -70,6 +78,7 @@ class OrderGate(Node):
         commands = [*stops[:1], *(c for order in others[:MAX_VERIFIED] if (c := self._verified(now_ns, order)))]
         if others[MAX_VERIFIED:]:
             self._refuse(now_ns, Reason.TOO_FREQUENT, f"{len(others)} at once", len(others) - MAX_VERIFIED)
+        self._watch_operator(now_ns, inbox)
         self._accepted += len(commands)
         outputs: list[Output] = [("operator_command", command) for command in commands]
         return outputs + self._reports(now_ns)
@@ -80,6 +89,14 @@ class OrderGate(Node):
         except Refusal as refusal:
             self._refuse(now_ns, refusal.reason, str(refusal))
             return None
+
+    def _watch_operator(self, now_ns: int, inbox: Inbox) -> None:
+        """Reports a lost operator while the machine is in automatic operation, until an order comes again."""
+        supervisor = inbox.latest("supervisor", SupervisorState)
+        if not self._verifier.attendance.is_lost(now_ns):
+            self._faults.clear(LOST.code)
+        elif supervisor is not None and supervisor.mode in ENGAGED:
+            self._faults.set(LOST)
 
     def _refuse(self, now_ns: int, reason: Reason, detail: str, count: int = 1) -> None:
         self._refused[reason] += count

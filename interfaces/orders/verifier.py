@@ -11,7 +11,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from pydantic import Field, ValidationError
 
 from configs.strict import Config
-from interfaces.orders.config import FORBID, ORDERS, PERMIT, OrderKey, OrdersConfig
+from interfaces.orders.attendance import Attendance
+from interfaces.orders.config import FORBID, ORDERS, PERMIT, PRESENT, OrderKey, OrdersConfig
 from interfaces.orders.sequence import SequenceStore
 from messages.command import OperatorCommand, OperatorCommandKind, SignedOrder
 from messages.errors import HeadlandError
@@ -74,6 +75,7 @@ class OrderVerifier:
 
     def __init__(self, machine: str, session: str, config: OrdersConfig, store: SequenceStore) -> None:
         self._machine, self._session, self._config, self._store = machine, session, config, store
+        self.attendance = Attendance()
         self._senders = {
             bytes.fromhex(key.public_key): _Sender(
                 key, Ed25519PublicKey.from_public_bytes(bytes.fromhex(key.public_key)), deque(maxlen=REMEMBERED)
@@ -81,8 +83,8 @@ class OrderVerifier:
             for key in config.keys.values()
         }
 
-    def command(self, now_ns: int, order: SignedOrder) -> OperatorCommand:
-        """The command of an order; raises Refusal."""
+    def command(self, now_ns: int, order: SignedOrder) -> OperatorCommand | None:
+        """The command of an order, None for `present`; raises Refusal."""
         sender = self._senders.get(order.public_key)
         if sender is None:
             raise Refusal(Reason.UNKNOWN_KEY, order.public_key.hex()[:16])
@@ -99,9 +101,12 @@ class OrderVerifier:
         except HeadlandError as error:
             raise Refusal(Reason.NOT_STORED, str(error)) from error
         sender.accepted.append((payload.sequence, now_ns))
-        kind = ORDERS[payload.order]
+        kind = ORDERS.get(payload.order)
         if kind in STARTS and self.is_forbidden:  # its number is used up: it cannot be repeated after the permission
             raise Refusal(Reason.FORBIDDEN, payload.order)
+        self.attendance.take(now_ns, sender.key, payload.order)
+        if kind is None:
+            return None
         return OperatorCommand(now_ns, kind, payload.authority, payload.sequence, payload.expires_ns)
 
     @property
@@ -125,7 +130,8 @@ class OrderVerifier:
             raise Refusal(Reason.WRONG_MACHINE, payload.machine)
         if payload.session != self._session:
             raise Refusal(Reason.WRONG_SESSION, payload.session)
-        if payload.authority != sender.key.authority or payload.order not in sender.key.orders:
+        is_permitted = payload.order in sender.key.orders or payload.order == PRESENT
+        if payload.authority != sender.key.authority or not is_permitted:
             raise Refusal(Reason.NOT_PERMITTED, f"{payload.order} by {payload.authority}")
 
     def _check_time(self, now_ns: int, payload: Payload) -> None:

@@ -8,38 +8,32 @@ import multiprocessing
 import os
 import signal
 import sys
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkContext, ForkProcess
 from types import FrameType
 
 from hmi.parts import Drive, Drives
 from hmi.plan_view.mission_store import MISSION, SEED, StoredMission
+from hmi.plan_view.progress import Progress
 from hmi.scene import scene_of
+from interfaces.orders.config import OrderKey
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
 from runtime.page.live_feed import LiveFeed
-from runtime.page.simulation import Announcement, drive_simulation
+from runtime.page.simulation import REFUSED, Announcement, Ended, drive_simulation
 from runtime.processes import begin_worker
 
 END_S = 20.0  # for a simulation to close its log
 
 
-@dataclass(frozen=True)
-class Ended:
-    """A drive has ended by itself."""
-
-    text: str
-
-
 class SimulatedDrives(Drives):
     """Process of the simulated drives; begins with the arguments of the command line."""
 
-    def __init__(self, arguments: argparse.Namespace, port: OrderPort, public_key: str, authority: str) -> None:
+    def __init__(self, arguments: argparse.Namespace, port: OrderPort, key: OrderKey) -> None:
         self._arguments = arguments
         context = multiprocessing.get_context("fork")
         self._link, there = context.Pipe()
-        work = (context, arguments, port, public_key, authority, there, self._link, os.getpid())
+        work = (context, arguments, port, key, there, self._link, os.getpid())
         self._process = context.Process(target=_keep, args=work, name="drives")
         self._process.start()
         there.close()
@@ -54,13 +48,13 @@ class SimulatedDrives(Drives):
             raise HeadlandError("the simulation did not start; see the message above")
         return drive_of(found)
 
-    def start(self, mission: StoredMission) -> None:
+    def start(self, mission: StoredMission, progress: Progress | None = None) -> None:
         """Ends the present drive and begins one on a stored mission, in a run folder of its own."""
         feature = None if mission.about is None else mission.about.feature
         chosen = vars(self._arguments) | {
             "mission": str(mission.folder / MISSION), "field": str(mission.field), "feature": feature, "guidance": None,
-            "machine": None, "implement": None, "bay": None, "scenario": None, "out": None,
-            "seed": SEED,
+            "machine": None, "implement": None, "bay": None, "out": None, "seed": SEED,
+            "stored": mission.folder, "resumed": None if progress is None else progress.model_dump_json(),
         }  # fmt: skip
         self._link.send(argparse.Namespace(**chosen))
 
@@ -84,12 +78,13 @@ class SimulatedDrives(Drives):
 def drive_of(found: Announcement) -> Drive:
     """The drive of an announcement; its rings have a name of their own."""
     scene = scene_of(found.config, "simulation", found.planned_map_m)
-    return Drive(LiveFeed(found.rings), scene, f"{found.run}/{next(iter(found.rings.values())).parent.name}")
+    name = f"{found.run}/{next(iter(found.rings.values())).parent.name}"
+    return Drive(LiveFeed(found.rings), scene, name, found.stored)
 
 
 def _keep(
-    context: ForkContext, arguments: argparse.Namespace, port: OrderPort, public_key: str, authority: str,
-    link: Connection, other: Connection, parent: int,
+    context: ForkContext, arguments: argparse.Namespace, port: OrderPort, key: OrderKey, link: Connection,
+    other: Connection, parent: int,
 ) -> None:  # fmt: skip
     """Keeps one drive at a time until SIGTERM."""
     begin_worker(parent)
@@ -97,7 +92,7 @@ def _keep(
     other.close()
 
     def begin(given: argparse.Namespace) -> ForkProcess:
-        work = (given, port, public_key, authority, link, os.getpid())
+        work = (given, port, key, link, os.getpid())
         process = context.Process(target=drive_simulation, args=work, name="simulation")
         process.start()
         return process
@@ -112,9 +107,10 @@ def _keep(
                 drive = begin(given)
             elif drive is not None:
                 drive.join()
-                text = f"the simulation has ended (exit code {drive.exitcode})"
-                sys.stderr.write(f"headland: {text}\n")
-                link.send(Ended(text))
+                if drive.exitcode != REFUSED:  # that has said why
+                    text = f"the simulation has ended (exit code {drive.exitcode})"
+                    sys.stderr.write(f"headland: {text}\n")
+                    link.send(Ended(text))
                 drive = None
     except EOFError:
         pass

@@ -22,6 +22,9 @@ from hmi.plan_view.mission_store import MissionStore
 from hmi.plan_view.options import default_options
 from hmi.scene import scene_of
 from hmi.statistics.store import StatisticsStore
+from hmi.upload.platform_report import PlatformReport
+from hmi.upload.uploader import Uploader
+from interfaces.orders.config import ORDERS, OrderKey
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
 from runtime.page.log_feed import LogFeed
@@ -34,7 +37,8 @@ from safety.supervisor import texts_of
 
 HOST = "127.0.0.1"
 AUTHORITY = "operator"
-USERS, KEY, MISSIONS, STATISTICS = "users.yaml", "order_key.pem", "missions", "statistics.db"  # of the state folder
+USERS, KEY, MISSIONS = "users.yaml", "order_key.pem", "missions"  # of the state folder
+STATISTICS, UPLOAD = "statistics.db", "upload.db"
 PLANNER = (sys.executable, "-m", "runtime.page.field_process")
 UNANSWERED = 3  # checks of the emergency stop, then the machine is gone
 
@@ -48,7 +52,11 @@ def serve_simulation(arguments: argparse.Namespace, config: PageConfig, state: P
     statistics = StatisticsStore(state / STATISTICS)
     number = order_port.number
     with _stop_process(stop_server, number) as stop_url:
-        drives = SimulatedDrives(arguments, order_port, public_key_of(key).hex(), AUTHORITY)
+        known = OrderKey(
+            public_key=public_key_of(key).hex(), authority=AUTHORITY, orders=tuple(ORDERS),
+            lost_operator_s=config.lost_operator_s,
+        )  # fmt: skip
+        drives = SimulatedDrives(arguments, order_port, known)
         order_port.close()  # of this process; that of the drives has it
         try:
             import hmi.app  # noqa: F401  loads the web server while the simulation is planned
@@ -112,11 +120,17 @@ def _serve(
         MissionStore((state / MISSIONS).absolute()), PLANNER, default_options(scene.vehicle.name, scene.implement.name),
         config.plan_limit_s,
     )  # fmt: skip
+    report = uploader = None
+    if statistics is not None:
+        path = state / UPLOAD
+        report, uploader = PlatformReport(path, config.upload), Uploader(path, config.upload)
     parts = PageParts(
         drive, config, access, sender, stop_url, source, lambda code: text_zh(texts, code), desk, RUNS.absolute(),
-        statistics, drives,
+        statistics, drives, report=report, uploader=uploader,
     )  # fmt: skip
     serve(make_app(parts), listening)
+    if uploader is not None:
+        uploader.end()
     return 0
 
 

@@ -1,6 +1,7 @@
 """Field files and stored missions for tests of the plan view."""
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from hmi.plan_view.options import default_options, default_work, write_mission
 
 PLANNER = (sys.executable, "-m", "runtime.page.field_process")
 L_SHAPE = ((0.0, 0.0), (0.0012, 0.0), (0.0012, 0.0009), (0.0006, 0.0009), (0.0006, 0.0005), (0.0, 0.0005), (0.0, 0.0))
+DEGREE_M = 111_200.0  # of latitude
 RESULT = {
     "length_m": 5.0, "time_s": 60.0, "planned_share": 0.97, "least_share": 0.95, "field_m2": 1e4, "swaths": 4,
     "headland_passes": 2, "has_gate": True, "uncovered": [], "map": {},
@@ -39,6 +41,13 @@ else:
     print(json.dumps({"done": found if len(names) > 1 else found | {"map": shown}}))
 """
 FAKE_PLANNER = (sys.executable, "-c", f"PLAN = {RESULT!r}\n{FAKE}")
+
+
+def corner_field(side_m: float) -> tuple[tuple[float, float], ...]:
+    """A square without one of its quarters, as corners for `geojson`."""
+    corners = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.0, 0.5), (0.0, 0.0))
+    size, shrinks = side_m / DEGREE_M, math.cos(math.radians(48.0))
+    return tuple((size / shrinks * x, size * y) for x, y in corners)
 
 
 def geojson(corners: tuple[tuple[float, float], ...] = L_SHAPE, name: str = "corner field") -> bytes:

@@ -120,6 +120,29 @@ def test_forbid_pauses_and_prevents_a_start(anna: Any) -> None:
     wait_for(anna, "#mode", "Automatic")
 
 
+def test_without_the_page_of_the_operator_the_machine_stops(
+    browser: Browser, process: PageProcess, anna: Any
+) -> None:  # fmt: skip
+    """BD-5.8.1: 10 s after it was left; others see why. It drives on by an order only."""
+    witness = browser.open()
+    log_in(witness, process, "cem", PASSWORD)
+    wait_for(witness, "#mode", "Automatic")
+    anna.goto("about:blank")
+    wait_for(witness, "#mode", "Fault stop")
+    wait_for(witness, "#cause", "page no longer answers")
+    anna.goto(process.url)
+    if "Nobody" in wait_for(anna, "[data-hl=seat]", "You have control|Nobody"):
+        anna.click("[data-hl=seat-button]")
+    press(anna, "reset")
+    wait_for(anna, "[data-hl=order-reset]", "Press again")
+    anna.click("[data-hl=order-reset]")
+    wait_for(anna, "#mode", "Standby")
+    for order in ("confirm_clear", "resume"):
+        press(anna, order)
+    wait_for(witness, "#mode", "Automatic")
+    witness.context.close()
+
+
 def test_emergency_stop_works_while_the_page_hangs(anna: Any, process: PageProcess) -> None:
     """BD-5.8.1: the form has a process of its own; the frozen page says that it is old."""
     process.process.send_signal(signal.SIGSTOP)

@@ -10,6 +10,7 @@ from hmi.app import PageApp
 from hmi.feed import Feed
 from hmi.parts import Drive, Drives, PageParts
 from hmi.plan_view.mission_store import StoredMission
+from hmi.plan_view.progress import Progress
 from hmi.statistics.store import StatisticsStore, Totals
 from messages.errors import HeadlandError
 from messages.message import Envelope, Message
@@ -36,7 +37,7 @@ class GivenDrives(Drives):
 
     next: Drive | str | None = None
 
-    def start(self, mission: StoredMission) -> None:
+    def start(self, mission: StoredMission, progress: Progress | None = None) -> None:
         raise NotImplementedError
 
     def take(self) -> Drive | str | None:

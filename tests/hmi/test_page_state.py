@@ -3,7 +3,9 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from shapely import Polygon
 
 from geometry.pose2 import Pose2
 from hmi.coverage import Coverage
@@ -220,3 +222,11 @@ def test_equal_messages_show_equal_values() -> None:
     )  # fmt: skip
     first, second = (shown_of(state_of(*messages), ZH, rule_text, None) for _ in range(2))
     assert first == second
+
+
+def test_worked_area_of_a_turn_about_a_point_within_the_working_width() -> None:
+    """Half a turn of a line of 12 m about a point 2 m from its middle: its ends sweep half discs of 8 m and 4 m."""
+    coverage = Coverage(Polygon([(-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0)]), 12.0, 0.0, 0.05)
+    for angle in np.linspace(0.0, math.pi, 400):
+        coverage.update(Pose2(2.0 * math.sin(angle), -2.0 * math.cos(angle), float(angle)), True)
+    assert coverage.area_m2 == pytest.approx(0.5 * math.pi * (8.0**2 + 4.0**2), rel=0.02)

@@ -12,21 +12,27 @@ from hypothesis import strategies as st
 
 from configs.strict import parse
 from interfaces.orders.config import ORDERS, OrdersConfig
-from interfaces.orders.gate import FAULTS, MAX_VERIFIED, OrderGate
+from interfaces.orders.gate import FAULTS, LOST, MAX_VERIFIED, OrderGate
 from interfaces.orders.port import OrderPort
 from interfaces.orders.sequence import SequenceStore
 from interfaces.orders.verifier import OrderVerifier, Reason
-from messages.command import OperatorCommand, OperatorCommandKind, OrderStatus, SignedOrder
+from messages.command import Mode, OperatorCommand, OperatorCommandKind, OrderStatus, SignedOrder, SupervisorState
 from messages.errors import ConfigError, HeadlandError
 from messages.faults import Fault, Response
 from simulation.operator import SimulatedOperator, operator_key, public_bytes
+from tests.hmi.drive_messages import supervisor
 
 NOW = 1_700_000_000_000_000_000
 S = 1_000_000_000
 PAGE, RADIO, STRANGER = (Ed25519PrivateKey.from_private_bytes(bytes([k]) * 32) for k in range(3))
 KEYS = {
     "page": {"public_key": public_bytes(PAGE).hex(), "authority": "operator", "orders": list(ORDERS)},
-    "radio": {"public_key": public_bytes(RADIO).hex(), "authority": "remote", "orders": ["pause"]},
+    "radio": {
+        "public_key": public_bytes(RADIO).hex(),
+        "authority": "remote",
+        "orders": ["pause", "resume"],
+        "lost_operator_s": None,
+    },
 }
 VALUES = {"keys": KEYS, "max_per_s": 5, "max_validity_s": 600.0, "report_s": 0.5}
 CONFIG = parse(OrdersConfig, VALUES, "test")
@@ -52,11 +58,16 @@ class Bench:
         verifier = OrderVerifier("tractor-1", session, CONFIG, SequenceStore(folder))
         self.gate = OrderGate("tractor-1", session, verifier, CONFIG.report_s, port)
         self.now_ns, self.orders = NOW, ()
+        self.mode: Mode | None = None
         self.outputs: list[Any] = []
 
     def all(self, topic: str, kind: type[SignedOrder]) -> tuple[SignedOrder, ...]:
         assert topic == "order/operator"
         return self.orders
+
+    def latest(self, topic: str, kind: type[SupervisorState]) -> SupervisorState | None:
+        assert topic == "supervisor"
+        return None if self.mode is None else supervisor(self.mode)
 
     def give(self, *orders: SignedOrder, after_s: float = 0.01) -> list[OperatorCommandKind]:
         """Kinds of the commands of one step."""
@@ -327,3 +338,96 @@ def test_forbid_and_permit_need_a_key_that_may_order_them(bench: Bench, order: s
     for key, changes in ((RADIO, {"authority": "remote"}), (STRANGER, {})):
         assert bench.give(signed(key, order=order, **changes)) == []
     assert not bench.gate._verifier.is_forbidden
+
+
+def lost(bench: Bench) -> list[bool]:
+    """Reports of the last step that the operator is lost (True), or is there again."""
+    return [fault.is_active for fault in bench.of(Fault) if fault.code == LOST.code]
+
+
+def present(bench: Bench, sequence: int, key: Ed25519PrivateKey = PAGE, authority: str = "operator") -> SignedOrder:
+    """The statement that an operator is there."""
+    expires_ns = bench.now_ns + 5 * S
+    return signed(key, order="present", sequence=sequence, authority=authority, expires_ns=expires_ns)
+
+
+def test_a_lost_operator_stops_the_machine_in_automatic_operation(bench: Bench) -> None:
+    """10 s after the last order of the key that started, by a fault that is kept until it is reset."""
+    bench.mode = Mode.AUTOMATIC
+    assert bench.give(signed()) == [OperatorCommandKind.START]
+    for k in range(1, 4):
+        assert bench.give(present(bench, 10 + k), after_s=4.0) == []
+        assert bench.refused == {}
+        assert lost(bench) == []
+    assert bench.give(after_s=9.9) == []
+    assert lost(bench) == []
+    bench.give(after_s=0.2)
+    (fault,) = bench.of(Fault)
+    assert (fault.code, fault.response, fault.is_latched) == (LOST.code, Response.CONTROLLED_STOP, True)
+    assert fault.is_active
+    bench.give(after_s=5.0)
+    assert lost(bench) == []  # reported once
+    bench.give(present(bench, 20))
+    assert lost(bench) == [False]
+
+
+@pytest.mark.parametrize("mode", [None, Mode.MANUAL, Mode.STANDBY, Mode.FINISHED, Mode.FAULT_STOP])
+def test_a_lost_operator_is_no_fault_outside_automatic_operation(bench: Bench, mode: Mode | None) -> None:
+    bench.give(signed())
+    bench.mode = mode
+    bench.give(after_s=60.0)
+    assert lost(bench) == []
+
+
+def test_without_a_limit_the_machine_drives_on(bench: Bench) -> None:
+    bench.mode = Mode.AUTOMATIC
+    assert bench.give(signed(RADIO, authority="remote", order="resume"), after_s=0.1) == [OperatorCommandKind.RESUME]
+    bench.give(after_s=3000.0)
+    assert lost(bench) == []
+
+
+def test_who_resumes_or_resets_has_to_be_there_and_who_pauses_has_not(bench: Bench) -> None:
+    """The page started; a pause of the radio is no attendance, its resume takes over, and the page may go."""
+    bench.mode = Mode.AUTOMATIC
+    bench.give(signed())
+    bench.give(signed(RADIO, authority="remote", order="pause"), after_s=4.0)
+    bench.give(after_s=6.1)
+    assert lost(bench) == [True]
+    resume = signed(RADIO, authority="remote", order="resume", sequence=11, expires_ns=bench.now_ns + 5 * S)
+    bench.give(resume)
+    assert lost(bench) == [False]
+    bench.give(after_s=100.0)
+    assert lost(bench) == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sequence": 10}, {"sequence": 9}, {"session": "old"}, {"machine": "other"}, {"expires_ns": NOW - S},
+        {"authority": "remote"},
+    ],
+)  # fmt: skip
+def test_a_replayed_or_foreign_presence_is_none(bench: Bench, change: dict[str, Any]) -> None:
+    bench.mode = Mode.AUTOMATIC
+    bench.give(signed())
+    values = {"order": "present", "sequence": 11, "expires_ns": NOW + 60 * S} | change
+    bench.give(signed(**values), after_s=9.0)
+    assert sum(bench.refused.values()) == 1
+    bench.give(after_s=1.5)
+    assert lost(bench) == [True]
+
+
+def test_a_presence_signed_by_another_key_is_none(bench: Bench) -> None:
+    bench.mode = Mode.AUTOMATIC
+    bench.give(signed())
+    assert bench.give(present(bench, 50, RADIO, "remote"), after_s=9.0) == []
+    bench.give(after_s=1.5)
+    assert lost(bench) == [True]
+
+
+def test_no_presence_keeps_a_forbidden_start_alive(bench: Bench) -> None:
+    """A start that is refused because operation is forbidden makes nobody the operator."""
+    bench.mode = Mode.AUTOMATIC
+    bench.give(signed(order="forbid"), signed(sequence=11))
+    bench.give(after_s=60.0)
+    assert lost(bench) == []
