@@ -31,16 +31,18 @@ from localization.odometry import OdometryEstimator
 from messages.motion import MapPose, PositionSource
 from messages.sensors import GnssSolution
 
+SEARCH_NS = 5_000_000_000  # standstill without an answer of the lidars, after which it is reported as missing
+
 
 class MapAlignment:
     """Owns the graph and derives `T_map_odom` from its newest keyframe."""
 
     def __init__(
         self, config: MapAlignmentConfig, keyframes: KeyframeBuilder, odometry: OdometryEstimator,
-        dock_prior: DockPrior, motion_start: MotionStart,
+        dock_prior: DockPrior, motion_start: MotionStart, has_lidar: bool,
     ) -> None:  # fmt: skip
         self._config, self._odometry, self._dock_prior = config, odometry, dock_prior
-        self.keyframes = keyframes
+        self.keyframes, self._has_lidar = keyframes, has_lidar
         self.odometry_spans = OdometrySpans(config.odometry_spans)
         self.pose_measurements = PoseMeasurements(config.pose_measurement)
         self.monitor = GnssMonitor(config.gnss_monitor, keyframes.separation(config.gnss_monitor.separation))
@@ -55,7 +57,8 @@ class MapAlignment:
         self.is_initialized = False
         self.failures: list[str] = []
         self.dock_rejection, self._was_initialized = "", False
-        self.rejections = 0
+        self.rejections = self._rejected_in_row = 0
+        self.is_refusing = False  # not the first fixes after an outage, which are awaited until they agree
         self.late = 0
 
     @property
@@ -100,12 +103,13 @@ class MapAlignment:
         self.motion_start.clear()
         if self.keyframes.range_gate is not None:
             self.keyframes.range_gate.clear()
-        self._rejected_since_ns = None
+        self._end_rejection()
 
     def start(self) -> bool:
         """Starts at standstill: at the dock when ranges confirm it, else from fixes with heading; else in motion.
 
-        The dock is used for the first start only; afterwards the machine may be anywhere.
+        The dock is used for the first start only; afterwards the machine may be anywhere. With lidars the pose at the
+        dock is the one that they find in the shed, without any it is the surveyed one.
         """
         self.motion_start.window.advance(self._odometry.track, self._wheels)
         try:
@@ -128,9 +132,19 @@ class MapAlignment:
         if range_gate is None or self._dock_prior.start is None or tilt is None or still_ns is None:
             return False
         T_base_body = self.keyframes.lever_arms.T_base_body
-        T = self._dock_prior.pose(tilt) @ T_base_body
         tilt_sigma = math.hypot(math.radians(self._config.initial_alignment.tilt_sigma_deg), tilt.sigma_rad)
-        sigmas = self._dock_prior.sigmas(tilt_sigma)
+        sigmas, T_map_base = self._dock_prior.sigmas(tilt_sigma), self._dock_prior.pose(tilt)
+        if self._has_lidar:
+            found = self.pose_measurements.newest
+            if found is None or found.stamp_ns < still_ns:
+                is_late = stamp_ns - still_ns > SEARCH_NS
+                self.dock_rejection = "no lidar scans" if is_late else ""
+                return False
+            if not found.is_valid:
+                self.dock_rejection = found.reason
+                return False
+            sigmas, T_map_base = self._dock_prior.sigmas_of(found, tilt_sigma), found.T_map_base
+        T = T_map_base @ T_base_body
         batch = range_gate.mean_since(still_ns, invert(T_base_body))
         if batch is None:
             self.dock_rejection = "no UWB ranges"
@@ -139,6 +153,7 @@ class MapAlignment:
         if self.dock_rejection or odometry.history.at(stamp_ns) is None:
             return False
         range_gate.start(stamp_ns, batch, T)
+        self.pose_measurements.clear()
         self._align(self.keyframes.start_at(stamp_ns, tilt, T, sigmas))
         return True
 
@@ -330,6 +345,9 @@ class MapAlignment:
             self._accept(position)
             return
         self.rejections += 1
+        self._rejected_in_row += 1
+        is_late = self._rejected_in_row > 2 * self._config.gnss.confirmation_fixes
+        self.is_refusing = is_late or reason is not RejectionReason.CONFIRMATION
         if self._rejected_since_ns is None:
             self._rejected_since_ns = position.stamp_ns
         still_ns = self._odometry.standstill.since_ns
@@ -342,7 +360,10 @@ class MapAlignment:
         if self.is_rejecting:
             self.motion_start.clear()
         self._accepted, self._accepted_ns = position, position.stamp_ns
-        self._rejected_since_ns = None
+        self._end_rejection()
+
+    def _end_rejection(self) -> None:
+        self._rejected_since_ns, self._rejected_in_row, self.is_refusing = None, 0, False
 
     def _align(self, state: State) -> None:
         """Aligns `odom` with a keyframe and passes the calibration on to dead reckoning."""
