@@ -179,7 +179,7 @@ def judged(case: str, seed: int, result: Run, truth: Truth) -> Start:
         active.pop(fault.code, None)
         if fault.is_active and fault.code.startswith(REASONS):
             active[fault.code] = fault.text_en
-    reasons = "; ".join(f"{code} {detail}".strip() for code, detail in sorted(active.items()))
+    reasons = "; ".join(f"{code} {detail}".strip() for code, detail in sorted(active.items(), reverse=True))
     is_placed = bool(result.poses) and result.poses[-1].is_initialized
     outcome = "wrong" if is_wrong else "right" if is_placed else "refused" if reasons else "refused without a reason"
     after_s = (poses[0].stamp_ns - START_NS) * 1e-9 if poses else None

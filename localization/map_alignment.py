@@ -51,7 +51,7 @@ class MapAlignment:
         self._pending: list[Position] = []
         self._T_map_odom = np.eye(4)
         self._accepted: Position | None = None
-        self._accepted_ns = 0
+        self._accepted_ns = self._rejected_ns = 0
         self._rejected_since_ns: int | None = None
         self._failed_ns: int | None = None
         self.is_initialized = False
@@ -346,6 +346,7 @@ class MapAlignment:
             return
         self.rejections += 1
         self._rejected_in_row += 1
+        self._rejected_ns = position.stamp_ns
         is_late = self._rejected_in_row > 2 * self._config.gnss.confirmation_fixes
         self.is_refusing = is_late or reason is not RejectionReason.CONFIRMATION
         if self._rejected_since_ns is None:
@@ -399,12 +400,18 @@ class MapAlignment:
         if source in BY_GNSS or self.monitor.suspicion:
             level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns, self._odometry.speed_mps))
         if self.is_rejecting and self._wheels is None:  # nothing separates fixes from inertial motion: either is right
-            level_m = max(level_m, accuracy_m + self.keyframes.gnss_gate.innovation_m)
+            level_m = max(level_m, accuracy_m + self._refused_m(stamp_ns))
         range_gate = self.keyframes.range_gate
         uwb_age_s = range_gate.age_s(stamp_ns) if range_gate is not None else math.inf
         return MapPose(
             stamp_ns, self._T_map_odom.copy(), T, covariance, source, level_m, age_s, True, uwb_age_s, accuracy_m
         )
+
+    def _refused_m(self, stamp_ns: int) -> float:
+        """Distance of a refused fix, growing as errors of heading and tilt do since the last accepted one."""
+        grown_s = max(1e-3, (self._rejected_ns - self._accepted_ns) * 1e-9)
+        growth = max(1.0, (stamp_ns - self._accepted_ns) * 1e-9 / grown_s)
+        return self.keyframes.gnss_gate.innovation_m * growth**2
 
     def _covariance(self, state: State, T_map_base: Float64, stamp_ns: int, source: PositionSource) -> Float64:
         slow, turn_rad = slow_part(source, self._accepted, self._config.pose_measurement)

@@ -140,8 +140,10 @@ class LidarMap(Node):
         period_ns, last_ns = self._config.search.period_s * 1e9, self._searched_ns
         if self._search is None or (last_ns is not None and 0 <= stamp_ns - last_ns < period_ns):
             return []
-        self._searched_ns = stamp_ns
         points = self._points(pairs, odom, inbox, odom.T_odom_base)
+        if not len(points):  # `odom` does not reach back over the sweep yet
+            return []
+        self._searched_ns = stamp_ns
         found = self._search.find(self._map, self._thinned(points))
         T = _rotated(odom.T_odom_base, float(found.pose[2]) - yaw_of(odom.T_odom_base))
         T[:3, 3] = *found.pose[:2], 0.0
