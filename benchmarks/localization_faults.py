@@ -99,7 +99,9 @@ def _ramp(rate_mps: float, is_spoofed: bool) -> Case:
     return Case(f"{'spoofed ramp' if is_spoofed else 'ramp'} {rate_mps:g} m/s 30 s", _fix(edit), for_s=30.0)
 
 
-def _worse(solution: GnssSolution, for_s: float = 30.0, from_s: float = 40.0, is_start: bool = False) -> Case:
+def worse(solution: GnssSolution, for_s: float = 30.0, from_s: float = 40.0, is_start: bool = False) -> Case:
+    """Fixes of another type of solution, with its error correlated over 60 s; single ones have no heading."""
+
     def edit(fix: GnssFix, s: float, d: Draw) -> GnssFix | None:
         if solution is GnssSolution.NONE:
             return None
@@ -165,9 +167,9 @@ CASES = (
     *(_ramp(rate, False) for rate in (0.033, 0.05, 0.1, 0.3, 1.0)),
     *(_ramp(rate, True) for rate in (0.05, 0.1, 0.3, 1.0)),
     _stamps(-50), _stamps(50), _lever_arm(0.05), _heading(5.0, 40.0), _heading(180.0, 40.0), _heading(180.0, 0.0),
-    _worse(FLOAT), _worse(SINGLE), _worse(NONE, 5.0), _worse(NONE, 30.0), _worse(NONE, 60.0),
+    worse(FLOAT), worse(SINGLE), worse(NONE, 5.0), worse(NONE, 30.0), worse(NONE, 60.0),
     *(_vibration(sigma) for sigma in (1.0, 2.0, 5.0)), _slip(0.1), _slip(0.25),
-    _worse(FLOAT, 20.0, 0.0, True), _worse(SINGLE, 20.0, 0.0, True),
+    worse(FLOAT, 20.0, 0.0, True), worse(SINGLE, 20.0, 0.0, True),
     Case("start with one antenna", _fix(_without_heading), 0.0),
     Case("start in motion", lambda m, s, d: m, 0.0, legs="moving", is_clean=True),
 )  # fmt: skip

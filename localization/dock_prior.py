@@ -13,6 +13,7 @@ from configs.strict import Config
 from geometry.arrays import Float64
 from geometry.transforms import transform
 from localization.dead_reckoning.initial_alignment import TiltEstimate
+from messages.motion import LidarLocalization
 
 
 class DockPriorConfig(Config):
@@ -21,6 +22,8 @@ class DockPriorConfig(Config):
     sigma_m: float = Field(gt=0.0, le=2.0, description="of the parked machine about the surveyed pose")
     heading_sigma_deg: float = Field(gt=0.0, le=20.0)
     height_sigma_m: float = Field(gt=0.0, le=1.0)
+    found_sigma_m: float = Field(gt=0.0, le=1.0, description="of a pose that the lidars find: survey and mounts")
+    found_sigma_deg: float = Field(gt=0.0, le=10.0)
     roof_margin_m: float = Field(ge=0.0, le=30.0, description="about the roof, where it obstructs the sky")
     uwb_margin_m: float = Field(ge=0.0, le=200.0, description="about the roof, where ranges always enter the graph")
 
@@ -44,6 +47,13 @@ class DockPrior:
         c = self.config
         heading = math.radians(c.heading_sigma_deg)
         return np.array([tilt_sigma_rad, tilt_sigma_rad, heading, c.sigma_m, c.sigma_m, c.height_sigma_m])
+
+    def sigmas_of(self, found: LidarLocalization, tilt_sigma_rad: float) -> Float64:
+        """Sigmas (6,) of a pose that the lidars found in the shed."""
+        c, own = self.config, np.sqrt(np.diag(found.covariance))
+        heading = math.hypot(own[2], math.radians(c.found_sigma_deg))
+        x_m, y_m = np.hypot(own[3:5], c.found_sigma_m).tolist()
+        return np.array([tilt_sigma_rad, tilt_sigma_rad, heading, x_m, y_m, c.height_sigma_m])
 
     def has_sky_obstruction(self, p_map_m: Float64) -> bool:
         """Whether a position is under the roof or within its margin (blocked sky, multipath)."""

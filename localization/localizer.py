@@ -81,7 +81,8 @@ class Localizer(Node):
         )
         dock_prior = DockPrior(start, shed, alignment.dock_prior)
         motion_start = keyframes.motion_start(alignment.motion_start, vehicle.sensors.imu, config.odometry.imu)
-        self._map_alignment = MapAlignment(alignment, keyframes, self._odometry, dock_prior, motion_start)
+        has_lidar = LIDAR_LOCALIZATION in self.reads
+        self._map_alignment = MapAlignment(alignment, keyframes, self._odometry, dock_prior, motion_start, has_lidar)
         self._faults = FaultReporter(self.name)
         self._now_ns: int | None = None
         self._first_ns = 0  # silence before the first sample counts from here
@@ -204,7 +205,7 @@ class Localizer(Node):
             faults.set(FAULTS[code], is_suspected, "" if suspicion is None else suspicion.detail)
         gnss_ns = self._gnss_ns if self._gnss_ns is not None else self._first_ns
         faults.set(FAULTS["gnss.silent"], now_ns - gnss_ns > self._config.gnss_timeout_s * 1e9)
-        faults.set(FAULTS["gnss.refused"], alignment.is_rejecting, "contradict the prediction")
+        faults.set(FAULTS["gnss.refused"], alignment.is_refusing, "contradict the prediction")
         for code in (VELOCITY, ODOMETRY):
             faults.set(FAULTS[code], alignment.monitor.suspicion == code, alignment.monitor.detail)
         faults.set(FAULTS["wheel.slipping"], alignment.monitor.is_slipping)

@@ -31,16 +31,18 @@ from localization.odometry import OdometryEstimator
 from messages.motion import MapPose, PositionSource
 from messages.sensors import GnssSolution
 
+SEARCH_NS = 5_000_000_000  # standstill without an answer of the lidars, after which it is reported as missing
+
 
 class MapAlignment:
     """Owns the graph and derives `T_map_odom` from its newest keyframe."""
 
     def __init__(
         self, config: MapAlignmentConfig, keyframes: KeyframeBuilder, odometry: OdometryEstimator,
-        dock_prior: DockPrior, motion_start: MotionStart,
+        dock_prior: DockPrior, motion_start: MotionStart, has_lidar: bool,
     ) -> None:  # fmt: skip
         self._config, self._odometry, self._dock_prior = config, odometry, dock_prior
-        self.keyframes = keyframes
+        self.keyframes, self._has_lidar = keyframes, has_lidar
         self.odometry_spans = OdometrySpans(config.odometry_spans)
         self.pose_measurements = PoseMeasurements(config.pose_measurement)
         self.monitor = GnssMonitor(config.gnss_monitor, keyframes.separation(config.gnss_monitor.separation))
@@ -49,13 +51,14 @@ class MapAlignment:
         self._pending: list[Position] = []
         self._T_map_odom = np.eye(4)
         self._accepted: Position | None = None
-        self._accepted_ns = 0
+        self._accepted_ns = self._rejected_ns = 0
         self._rejected_since_ns: int | None = None
         self._failed_ns: int | None = None
         self.is_initialized = False
         self.failures: list[str] = []
         self.dock_rejection, self._was_initialized = "", False
-        self.rejections = 0
+        self.rejections = self._rejected_in_row = 0
+        self.is_refusing = False  # not the first fixes after an outage, which are awaited until they agree
         self.late = 0
 
     @property
@@ -100,12 +103,13 @@ class MapAlignment:
         self.motion_start.clear()
         if self.keyframes.range_gate is not None:
             self.keyframes.range_gate.clear()
-        self._rejected_since_ns = None
+        self._end_rejection()
 
     def start(self) -> bool:
         """Starts at standstill: at the dock when ranges confirm it, else from fixes with heading; else in motion.
 
-        The dock is used for the first start only; afterwards the machine may be anywhere.
+        The dock is used for the first start only; afterwards the machine may be anywhere. With lidars the pose at the
+        dock is the one that they find in the shed, without any it is the surveyed one.
         """
         self.motion_start.window.advance(self._odometry.track, self._wheels)
         try:
@@ -128,9 +132,19 @@ class MapAlignment:
         if range_gate is None or self._dock_prior.start is None or tilt is None or still_ns is None:
             return False
         T_base_body = self.keyframes.lever_arms.T_base_body
-        T = self._dock_prior.pose(tilt) @ T_base_body
         tilt_sigma = math.hypot(math.radians(self._config.initial_alignment.tilt_sigma_deg), tilt.sigma_rad)
-        sigmas = self._dock_prior.sigmas(tilt_sigma)
+        sigmas, T_map_base = self._dock_prior.sigmas(tilt_sigma), self._dock_prior.pose(tilt)
+        if self._has_lidar:
+            found = self.pose_measurements.newest
+            if found is None or found.stamp_ns < still_ns:
+                is_late = stamp_ns - still_ns > SEARCH_NS
+                self.dock_rejection = "no lidar scans" if is_late else ""
+                return False
+            if not found.is_valid:
+                self.dock_rejection = found.reason
+                return False
+            sigmas, T_map_base = self._dock_prior.sigmas_of(found, tilt_sigma), found.T_map_base
+        T = T_map_base @ T_base_body
         batch = range_gate.mean_since(still_ns, invert(T_base_body))
         if batch is None:
             self.dock_rejection = "no UWB ranges"
@@ -139,6 +153,7 @@ class MapAlignment:
         if self.dock_rejection or odometry.history.at(stamp_ns) is None:
             return False
         range_gate.start(stamp_ns, batch, T)
+        self.pose_measurements.clear()
         self._align(self.keyframes.start_at(stamp_ns, tilt, T, sigmas))
         return True
 
@@ -330,6 +345,10 @@ class MapAlignment:
             self._accept(position)
             return
         self.rejections += 1
+        self._rejected_in_row += 1
+        self._rejected_ns = position.stamp_ns
+        is_late = self._rejected_in_row > 2 * self._config.gnss.confirmation_fixes
+        self.is_refusing = is_late or reason is not RejectionReason.CONFIRMATION
         if self._rejected_since_ns is None:
             self._rejected_since_ns = position.stamp_ns
         still_ns = self._odometry.standstill.since_ns
@@ -342,7 +361,10 @@ class MapAlignment:
         if self.is_rejecting:
             self.motion_start.clear()
         self._accepted, self._accepted_ns = position, position.stamp_ns
-        self._rejected_since_ns = None
+        self._end_rejection()
+
+    def _end_rejection(self) -> None:
+        self._rejected_since_ns, self._rejected_in_row, self.is_refusing = None, 0, False
 
     def _align(self, state: State) -> None:
         """Aligns `odom` with a keyframe and passes the calibration on to dead reckoning."""
@@ -378,12 +400,18 @@ class MapAlignment:
         if source in BY_GNSS or self.monitor.suspicion:
             level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns, self._odometry.speed_mps))
         if self.is_rejecting and self._wheels is None:  # nothing separates fixes from inertial motion: either is right
-            level_m = max(level_m, accuracy_m + self.keyframes.gnss_gate.innovation_m)
+            level_m = max(level_m, accuracy_m + self._refused_m(stamp_ns))
         range_gate = self.keyframes.range_gate
         uwb_age_s = range_gate.age_s(stamp_ns) if range_gate is not None else math.inf
         return MapPose(
             stamp_ns, self._T_map_odom.copy(), T, covariance, source, level_m, age_s, True, uwb_age_s, accuracy_m
         )
+
+    def _refused_m(self, stamp_ns: int) -> float:
+        """Distance of a refused fix, growing as errors of heading and tilt do since the last accepted one."""
+        grown_s = max(1e-3, (self._rejected_ns - self._accepted_ns) * 1e-9)
+        growth = max(1.0, (stamp_ns - self._accepted_ns) * 1e-9 / grown_s)
+        return self.keyframes.gnss_gate.innovation_m * growth**2
 
     def _covariance(self, state: State, T_map_base: Float64, stamp_ns: int, source: PositionSource) -> Float64:
         slow, turn_rad = slow_part(source, self._accepted, self._config.pose_measurement)

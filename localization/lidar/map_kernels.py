@@ -97,6 +97,21 @@ def _nearest_surveyed(
 
 
 @kernel
+def scores(points: Float64, poses: Float64, faces: Float64, posts: Float64, gate: float) -> Float64:
+    """Number of points within the gate of a surveyed surface at each of the poses (P, 3)."""
+    counts, out = np.zeros(len(poses)), np.zeros(4)
+    for k in range(len(poses)):
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        for i in range(len(points)):
+            x = poses[k, 0] + c * points[i, 0] - s * points[i, 1]
+            y = poses[k, 1] + s * points[i, 0] + c * points[i, 1]
+            ex = poses[k, 0] + c * points[i, 3] - s * points[i, 4]
+            ey = poses[k, 1] + s * points[i, 3] + c * points[i, 4]
+            counts[k] += _nearest_surveyed(x, y, ex, ey, faces, posts, gate, out) != NONE
+    return counts
+
+
+@kernel
 def _learned_directions(x: float, y: float, cell_m: float, total: Float64, max_thickness2: float, out: Float64) -> int:
     """Thin directions of a cell: rows of normal, distance and variance in `out`; returns their number."""
     n = total[0]

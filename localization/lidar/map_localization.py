@@ -1,6 +1,7 @@
 """Lidar localization node: pose in a map of the surveyed shed and of surfaces learned before.
 
-The map is learned while the pose is accurate, and matched where fixes are missing or the shed is near.
+The map is learned while the pose is accurate, and matched where fixes are missing or the shed is near. Before the first
+position the pose is searched in the whole shed.
 """
 
 import math
@@ -17,6 +18,7 @@ from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 from geometry.transforms import invert, planar, yaw_of
 from localization.lidar.scan_preprocessing import ScanPoints, ScanPreprocessor
+from localization.lidar.shed_search import ShedSearch, ShedSearchConfig
 from localization.lidar.surface_map import SurfaceMap, SurfaceMapConfig
 from messages.motion import LidarLocalization, MapPose, Odometry, PositionSource
 from messages.node import All, At, Every, Inbox, Latest, Node, Output, Read
@@ -46,6 +48,7 @@ class LidarMapConfig(Config):
     max_turn_deg: float = Field(gt=0.0, le=20.0)
     floor_sigma_m: float = Field(gt=0.0, le=1.0, description="of height 0 on the level floor of the shed")
     surfaces: SurfaceMapConfig
+    search: ShedSearchConfig
 
 
 class LidarMap(Node):
@@ -71,6 +74,8 @@ class LidarMap(Node):
         self._roof = shapely.Polygon(shed.outline_m) if shed is not None else shapely.Polygon()
         self._map = SurfaceMap(config.surfaces, shed)
         self._learned_ns: int | None = None
+        self._search = ShedSearch(config.search, shed) if shed is not None and lidars else None
+        self._searched_ns: int | None = None
         none = np.zeros((0, 5))
         self._map.match(none, np.zeros(3))  # compiles the kernels or loads them from the cache
         self._map.learn(none, np.zeros(3))
@@ -79,12 +84,15 @@ class LidarMap(Node):
         """Matches the newest scan of every lidar and learns from it."""
         pairs = self._newest(inbox)
         pose = inbox.latest("map_pose", MapPose)
-        if not pairs or pose is None or not pose.is_initialized:
+        if not pairs or pose is None:
             return []
         stamp_ns = max(scan.stamp_ns for scan, _ in pairs.values())
         odom = inbox.at("odom", Odometry, stamp_ns)
         if odom is None:
             return []
+        if not pose.is_initialized:
+            return self._searched(stamp_ns, pairs, odom, inbox)
+        self._search = None
         T_guess = np.asarray(pose.T_map_odom @ odom.T_odom_base)
         is_matching = pose.source is not PositionSource.RTK_FIXED or self._distance(T_guess) < self._config.near_shed_m
         is_learning = self._learned_ns is None or abs(stamp_ns - self._learned_ns) >= self._config.learn_period_s * 1e9
@@ -125,18 +133,38 @@ class LidarMap(Node):
             rows.append(_rows(lidar.process(scan, ground, T_sweep), T))
         return np.concatenate(rows) if rows else np.zeros((0, 5))
 
+    def _searched(
+        self, stamp_ns: int, pairs: Mapping[str, tuple[LidarScan, LidarGround]], odom: Odometry, inbox: Inbox
+    ) -> Iterable[Output]:
+        """Pose in the shed without a first guess; once there was a position, nothing is searched any more."""
+        period_ns, last_ns = self._config.search.period_s * 1e9, self._searched_ns
+        if self._search is None or (last_ns is not None and 0 <= stamp_ns - last_ns < period_ns):
+            return []
+        points = self._points(pairs, odom, inbox, odom.T_odom_base)
+        if not len(points):  # `odom` does not reach back over the sweep yet
+            return []
+        self._searched_ns = stamp_ns
+        found = self._search.find(self._map, self._thinned(points))
+        T = _rotated(odom.T_odom_base, float(found.pose[2]) - yaw_of(odom.T_odom_base))
+        T[:3, 3] = *found.pose[:2], 0.0
+        return [(LIDAR_LOCALIZATION, self._located(stamp_ns, T, found.covariance, found.reason, found.points))]
+
     def _match(self, stamp_ns: int, points: Float64, T_guess: Float64) -> LidarLocalization:
         cfg, guess = self._config, np.array(Pose2.of(T_guess))
-        part = np.ascontiguousarray(points[:: max(1, math.ceil(len(points) / cfg.max_points))])
-        pose, covariance, found = self._map.match(part, guess)
+        pose, covariance, found = self._map.match(self._thinned(points), guess)
         reason = _rejection_reason(pose - guess, covariance, found, cfg)
         T = np.asarray(planar(pose[0] - guess[0], pose[1] - guess[1], 0.0) @ _rotated(T_guess, pose[2] - guess[2]))
+        return self._located(stamp_ns, T, covariance, reason, found)
+
+    def _thinned(self, points: Float64) -> Float64:
+        return np.ascontiguousarray(points[:: max(1, math.ceil(len(points) / self._config.max_points))])
+
+    def _located(self, stamp_ns: int, T: Float64, covariance: Float64, reason: str, found: int) -> LidarLocalization:
+        """Message with the height of the level floor under the roof; `covariance` (3, 3) of x, y, yaw in `map`."""
         unobserved = UNOBSERVED.copy()
-        if self._roof.contains(shapely.Point(pose[:2])):
-            T[2, 3], unobserved[5] = 0.0, cfg.floor_sigma_m**2
-        return LidarLocalization(
-            stamp_ns, T, _in_base(covariance, unobserved, float(pose[2])), not reason, reason, found
-        )
+        if self._roof.contains(shapely.Point(T[:2, 3])):
+            T[2, 3], unobserved[5] = 0.0, self._config.floor_sigma_m**2
+        return LidarLocalization(stamp_ns, T, _in_base(covariance, unobserved, yaw_of(T)), not reason, reason, found)
 
     def _distance(self, T_map_base: Float64) -> float:
         return float(self._roof.distance(shapely.Point(T_map_base[:2, 3]))) if not self._roof.is_empty else math.inf

@@ -59,14 +59,16 @@ class PoseMeasurements:
         self._config = config
         self._waiting: deque[LidarLocalization] = deque(maxlen=KEEP)
         self._newest_ns: int | None = None
+        self.newest: LidarLocalization | None = None
 
     def clear(self) -> None:
         """Drops all queued poses."""
         self._waiting.clear()
-        self._newest_ns = None
+        self._newest_ns = self.newest = None
 
     def add(self, pose: LidarLocalization) -> None:
-        """Queues a pose if it is valid and newer than the last one taken."""
+        """Queues a pose if it is valid and newer than the last one taken; keeps the newest with its reason."""
+        self.newest = pose
         if is_sane(pose) and (self._newest_ns is None or pose.stamp_ns > self._newest_ns):
             self._waiting.append(pose)
 

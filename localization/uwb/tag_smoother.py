@@ -4,14 +4,17 @@ A causal fixed-lag smoother on numpy: every anchor has a slowly drifting scale a
 weight (see `range_weight`), and an unknown initial heading is found by several windows in parallel.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
 from scipy.linalg import block_diag
+from scipy.optimize import least_squares
 
 from configs.strict import Config
+from geometry.angles import wrap
 from geometry.arrays import Float64
 from localization.uwb.motion_models import ConstantVelocityModel, MotionModel, OdometryModel
 from localization.uwb.window import (
@@ -30,6 +33,7 @@ from localization.uwb.window import (
 from messages.errors import FieldError
 
 MAX_COST_EXCESS = 20.0  # of a start above the best one: likelihood ratio e^-20
+SAME_SIGMAS = 2.0  # root mean square of the difference of two windows that have become one
 
 
 class TagSmootherConfig(Config):
@@ -46,6 +50,7 @@ class TagSmootherConfig(Config):
     bias_sigma_m: float = Field(ge=0.0, le=20.0, description="common to all anchors")
     bias_each_sigma_m: float = Field(gt=0.0, le=20.0, description="of each anchor")
     bias_walk_m: float = Field(ge=0.0, le=1.0, description="per root second")
+    start_sigma_deg: float = Field(gt=0.0, le=90.0, description="of each heading that a start without one tries")
     wheel_scale_sigma: float = Field(gt=0.0, le=0.5)
     gyro_bias_sigma_rps: float = Field(gt=0.0, le=0.5)
     acceleration_m2_s3: float = Field(gt=0.0, le=100.0, description="density of white acceleration without odometry")
@@ -123,6 +128,24 @@ class TagSmoother:
         ]
         self._costs, self._stamps_ns = [0.0] * len(starts), [stamp_ns]
 
+    def start_from_ranges(self, stamp_ns: int, names: Sequence[str], range_m: Float64, moved_m: float) -> bool:
+        """Starts from ranges to at least three anchors, received within `moved_m` of motion, and from nothing else.
+
+        Every position and heading that they leave is followed until `is_unique`. The ranges must not be added again.
+        """
+        new = self._known_ranges(names, range_m, np.zeros(len(names)))
+        if len(np.unique(new.anchor)) < min(3, len(self._rows)):
+            return False
+        places, sigma_m = positions(self._model, new, self._config)
+        sigma_m = math.hypot(sigma_m, moved_m)
+        if not self._model.motion.extra:
+            self.start(stamp_ns, [np.array([*p, 0.0, 0.0]) for p in places], np.array([sigma_m, sigma_m, 1.5, 1.5]))
+            return True
+        turn_deg = self._config.start_sigma_deg
+        starts = [x for p in places for x in start_headings(float(p[0]), float(p[1]), round(360.0 / turn_deg))]
+        self.start(stamp_ns, starts, np.array([sigma_m, sigma_m, math.radians(turn_deg)]))
+        return True
+
     def add(
         self, stamp_ns: int, step: OdometryStep | None, names: Sequence[str], range_m: Float64,
         age_s: Float64 | None = None,
@@ -161,12 +184,32 @@ class TagSmoother:
             self._costs[i] += cost(self._model, window) - cost(self._model, self._windows[i])
         return solve(self._model, window, self._config.iterations)
 
+    @property
+    def is_unique(self) -> bool:
+        """Whether one of the starts is left."""
+        return len(self._windows) == 1
+
     def _prune(self) -> None:
-        """Drops windows of too high cost; the best comes first."""
+        """Drops windows of too high cost and those that end where a better one does; the best comes first."""
         best = min(self._costs)
-        kept = sorted((c, i) for i, c in enumerate(self._costs) if c - best <= MAX_COST_EXCESS)
+        order = sorted((c, i) for i, c in enumerate(self._costs) if c - best <= MAX_COST_EXCESS)
+        kept: list[tuple[float, int]] = []
+        for c, i in order if len(order) > 1 else ():
+            size, window = self._model.motion.size, self._windows[i]
+            information = np.linalg.inv(covariance(self._model, window)[-size:, -size:])
+            others = [self._apart(self._windows[k].x[-1], window.x[-1]) for _, k in kept]
+            if all(d @ information @ d > size * SAME_SIGMAS**2 for d in others):
+                kept.append((c, i))
+        kept = kept or order
         self._windows = [self._windows[i] for _, i in kept]
         self._costs = [c - best for c, _ in kept]
+
+    def _apart(self, a: Float64, b: Float64) -> Float64:
+        """Difference of two keyframes, of headings the smaller one."""
+        d = a - b
+        if self._model.motion.extra:
+            d[2] = wrap(float(d[2]))
+        return d
 
     def _estimate_sigma(self, count: int) -> None:
         """Expectation maximisation of the scale of a Student t over the residuals of the window, with fading memory."""
@@ -208,3 +251,30 @@ def shared_covariance(count: int, common: float, each: float) -> Float64:
 def start_headings(x_m: float, y_m: float, count: int) -> list[Float64]:
     """Start keyframes at one position with `count` headings, for an unknown heading."""
     return [np.array([x_m, y_m, 2.0 * np.pi * i / count]) for i in range(count)]
+
+
+def positions(model: WindowModel, ranges: Ranges, config: TagSmootherConfig) -> tuple[list[Float64], float]:
+    """Positions (2,) that ranges leave with scale and bias unknown, best first, and the sigma of the best one.
+
+    The minima of the robust cost about the anchors; those worse by `MAX_COST_EXCESS` are no candidates.
+    """
+    anchors = model.anchors_m[ranges.anchor]
+    sigma = math.hypot(config.range_sigma_m, config.bias_each_sigma_m)
+    priors = np.array([config.scale_sigma, config.bias_sigma_m])
+
+    def residual(u: Float64) -> Float64:
+        d = np.hypot(np.linalg.norm(u[:2] - anchors[:, :2], axis=1), model.height_m - anchors[:, 2])
+        return np.concatenate([(ranges.range_m - (1.0 + u[2]) * d - u[3]) / sigma, u[2:] / priors])
+
+    center, reach_m = np.mean(anchors[:, :2], axis=0), float(np.median(ranges.range_m))
+    turns = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    guesses = [center, *(center + reach_m * np.array([np.cos(t), np.sin(t)]) for t in turns)]
+    found = [least_squares(residual, np.array([*g, 0.0, 0.0]), loss="soft_l1") for g in guesses]
+    found = sorted(found, key=lambda f: float(f.cost))
+    kept: list[Float64] = []
+    for f in found:
+        if f.cost - found[0].cost <= MAX_COST_EXCESS and all(np.linalg.norm(f.x[:2] - k) > sigma for k in kept):
+            kept.append(f.x[:2])
+    jacobian = np.asarray(found[0].jac, np.float64)
+    P = np.linalg.pinv(jacobian.T @ jacobian)
+    return kept, math.sqrt(float(np.linalg.eigvalsh(P[:2, :2])[1]))

@@ -36,18 +36,25 @@ NARROW = shed().bay("narrow").dock
 UWB_ERRORS = UwbErrors()
 
 
-def driven(truth, uwb_errors=UWB_ERRORS, has_lidar=True, start=NARROW, change=lambda entry: entry):
+def driven(truth, uwb_errors=UWB_ERRORS, has_lidar=True, start=NARROW, change=lambda entry: entry, surveyed=None):
     """A run from the dock."""
-    node = Localizer(tagged(), DATUM, CONFIG, shed(), start)
+    vehicle = tagged() if has_lidar else without_lidar()
+    surveyed = surveyed or shed()
+    node = Localizer(vehicle, DATUM, CONFIG, surveyed, start)
     rng, mapped = np.random.default_rng(0), None
     if has_lidar:
-        lidar_map = LidarMap(tagged(), harrow(), shed(), CONFIG.lidar_map)
+        lidar_map = LidarMap(tagged(), harrow(), surveyed, CONFIG.lidar_map)
         mapped = (
             lidar_map,
             lambda t: {s: simulate_scan(truth, t, s, rng) for s in ("front", "rear")} if t > START_NS + 2e8 else None,
         )
     kept = [m for m in map(change, messages(truth, uwb_errors)) if m is not None]
     return run(kept, localizer=node, lidar_map=mapped)
+
+
+def without_lidar():
+    v = tagged()
+    return v.model_copy(update={"sensors": v.sensors.model_copy(update={"lidar": {}})})
 
 
 @functools.cache
@@ -155,13 +162,48 @@ def test_dock_confirmed_with_two_blocked_anchors() -> None:
     assert not [f for f in result.faults if f.code == "localization.not_docked" and f.is_active]
 
 
-def test_lidar_corrects_dock_pose() -> None:
-    turned = PoseConfig(x_m=NARROW.x_m + 0.08, y_m=NARROW.y_m - 0.06, heading_deg=2.0)
-    truth = standstill()
-    e = errors(driven(truth, start=turned), truth)
-    assert np.linalg.norm(e.p_m[0, :2]) > 0.09
-    assert np.linalg.norm(e.p_m[-1, :2]) < 0.03
-    assert abs(np.degrees(e.turn_rad[-1, 2])) < 0.2
+def displaced(x_m=0.8, y_m=-0.5, turn_deg=24.0):
+    pose = (NARROW.x_m + x_m, NARROW.y_m + y_m, math.radians(NARROW.heading_deg + turn_deg))
+    return drive(4.5, legs=[(9.0, 0.0, 0.0)], sensor_errors=SensorErrors(seed=2), begin=pose, is_flat=True)
+
+
+@pytest.mark.parametrize("truth", [standstill(), displaced(), displaced(-0.9, 0.4, -28.0)])
+def test_lidars_find_the_pose_in_the_shed(truth) -> None:
+    """Displaced while it was off, UWB alone accepted the remembered pose: 1.1 m and 28 degrees wrong."""
+    e = errors(driven(truth), truth)
+    assert len(e.t_s)
+    assert np.max(np.linalg.norm(e.p_m[:, :2], axis=1)) < 0.05
+    assert np.degrees(np.max(np.abs(e.turn_rad[:, 2]))) < 0.5
+
+
+def test_start_needs_lidars_and_ranges_that_agree() -> None:
+    moved = {name: (x + 1.0, y, z) for name, (x, y, z) in shed().anchors.items()}
+    result = driven(standstill(), surveyed=shed().model_copy(update={"anchors": moved}))
+    assert not any(p.is_initialized for p in result.poses)
+    assert "of 6 UWB anchors agree" in reasons(result)[-1]
+
+
+def test_start_without_a_shed_around_names_the_lidars() -> None:
+    other = shed().model_copy(update={"walls_m": (((1.0, -60.0), (-9.0, -60.0)),), "posts": ()})
+    result = driven(standstill(), surveyed=other)
+    assert not any(p.is_initialized for p in result.poses)
+    assert "lie on the surveyed shed" in reasons(result)[-1]
+
+
+def test_two_poses_that_fit_are_refused() -> None:
+    """Nose first in the bay, the shed looks much the same from the other side of its back wall."""
+    result = driven(displaced(turn_deg=180.0))
+    assert not any(p.is_initialized for p in result.poses)
+    assert "ambiguous: a pose" in reasons(result)[-1]
+
+
+def reasons(result):
+    return [f.text_en for f in result.faults if f.code == "localization.not_docked" and f.is_active]
+
+
+def test_fixes_after_the_shed_are_awaited_without_an_alarm() -> None:
+    _, result = out_and_back()
+    assert not [f for f in result.faults if f.code == "gnss.refused"]
 
 
 def test_reflected_fixes_beside_shed_have_no_effect() -> None:

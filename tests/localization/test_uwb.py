@@ -168,6 +168,32 @@ def test_unknown_initial_heading() -> None:
     np.testing.assert_allclose(x[-1, :2], truth[-1, :2], atol=0.15)
 
 
+def from_ranges(measured: Drive) -> tuple[TagSmoother, Float64]:
+    """The smoother started from the first ranges, with the states (n, 3) and whether each was the only one."""
+    localizer = TagSmoother(CONFIG, ANCHORS, 1.0, ARM)
+    assert localizer.start_from_ranges(measured[0][0], list(ANCHORS), measured[0][2], 0.0)
+    return localizer, np.array(
+        [[*localizer.add(t, s, list(ANCHORS), r).x, localizer.is_unique] for t, s, r in measured[1:]]
+    )
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_start_from_ranges_alone(seed: int) -> None:
+    measured, truth = drive(20.0, seed=seed)
+    localizer, x = from_ranges(measured)
+    assert not x[0, 3]  # the heading is not known before the first metre
+    assert localizer.is_unique
+    placed = x[:, 3] > 0.5
+    assert np.max(np.linalg.norm(x[placed, :2] - truth[1:][placed, :2], axis=1)) < 1.0
+    assert np.max(np.abs(np.angle(np.exp(1j * (x[placed, 2] - truth[1:][placed, 2]))))) < 0.35
+    np.testing.assert_allclose(x[-1, :2], truth[-1, :2], atol=0.25)
+
+
+def test_start_needs_three_anchors() -> None:
+    localizer = TagSmoother(CONFIG, ANCHORS, 1.0, ARM)
+    assert not localizer.start_from_ranges(0, ["a", "b", "b"], np.array([15.0, 14.0, 14.1]), 0.0)
+
+
 def test_two_runs_are_equal_to_the_bit() -> None:
     measured, _ = drive(8.0, late=0.2)
     assert np.array_equal(follow(measured, START, KNOWN)[1], follow(measured, START, KNOWN)[1])
@@ -242,6 +268,14 @@ def plain(factor: gtsam.CustomFactor, pose: gtsam.Pose3, calibration: Float64) -
 def test_labyrinth() -> None:
     ours, truth = benchmark.tuc(recording("tuc-labyrinth-uwb") / "datasets" / "Indoor_UWB", CONFIG)
     assert benchmark.rms(benchmark.errors_m(ours, truth)) < 0.10
+
+
+@pytest.mark.parametrize("run", benchmark.HANYANG[:1])
+def test_recorded_ranges_without_a_start(run: str) -> None:
+    folder = recording("hanyang-outdoor-uwb") / run
+    truth, ours = benchmark.hanyang_track(folder / "trajectory.csv"), benchmark.hanyang(folder, CONFIG)
+    assert benchmark.rms(benchmark.errors_m(ours, truth)) < 0.65
+    assert benchmark.nees(ours, truth) < 3.0
 
 
 def test_authors_result_is_reproduced() -> None:
