@@ -1,5 +1,7 @@
 """Localization: the pose is accurate enough for the work, and GNSS fixes arrive (BD-5.2.6a, BD-5.3d)."""
 
+import math
+
 from pydantic import Field
 
 from configs.strict import Config
@@ -36,7 +38,7 @@ def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
     if not pose.is_initialized or pose.source is PositionSource.NONE:
         return stop(NONE, "no position yet")
     if not pose.gnss_age_s <= limits.gnss_stop_s and pose.source is not PositionSource.UWB:
-        return stop(GNSS_AGE, f"no fix for {pose.gnss_age_s:.0f} s")
+        return stop(GNSS_AGE, _without_fix(pose.gnss_age_s))
     if situation.is_under_roof and not pose.uwb_age_s <= docking.max_uwb_age_s:
         return stop(UWB_LOST, f"no UWB range for {pose.uwb_age_s:.1f} s in the shed")
     stop_m = docking.protection_stop_m if situation.is_under_roof else limits.protection_stop_m
@@ -46,8 +48,12 @@ def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
         reduced_mps = kmh(situation.config.limits.reduced_kmh)
         return limit(CODE, reduced_mps, f"position only within {pose.protection_level_m:.2f} m")
     if pose.gnss_age_s > limits.gnss_alarm_s and not situation.is_under_roof:
-        return advisory(GNSS_LOST, f"no fix for {pose.gnss_age_s:.1f} s")
+        return advisory(GNSS_LOST, _without_fix(pose.gnss_age_s))
     return no_objection(CODE)
+
+
+def _without_fix(age_s: float) -> str:
+    return "no fix yet" if math.isinf(age_s) else f"no fix for {age_s:.1f} s"
 
 
 RULE = Rule(
