@@ -97,8 +97,8 @@ def _most_by_chance(image: RangeImage, sample: Int64, every: int) -> Int64:
     none, one = (every * np.bincount(band[beside == n], minlength=len(BANDS_M))[: len(BANDS_M)] for n in (0, 1))
     if one.sum() >= none.sum():
         return np.zeros(len(BANDS_M), np.int64)
-    pairs = zip(none.tolist(), one.tolist(), strict=True)
-    return np.array([chance_neighbours(n, k / n) if n >= SCATTERED else 0 for n, k in pairs], np.int64)
+    pairs = zip(none.tolist(), one.tolist(), strict=True)  # where one > none there is also a body with gaps
+    return np.array([chance_neighbours(n, min(k / n, 1.0)) if n >= SCATTERED else 0 for n, k in pairs], np.int64)
 
 
 def chance_neighbours(none: int, mean: float) -> int:

@@ -28,7 +28,7 @@ class LocalizationLimits(Config):
 
 
 def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
-    """Advisory at once without fixes, slow above one protection level, stop above the other or after the time.
+    """Advisory at once without fixes while UWB gives no position, slow above one protection level, stop above the other or after the time.
 
     Under the roof GNSS is not received: the position comes from UWB, and the protection level is that of docking.
     """
@@ -47,7 +47,8 @@ def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
     if pose.protection_level_m > limits.protection_slow_m:
         reduced_mps = kmh(situation.config.limits.reduced_kmh)
         return limit(CODE, reduced_mps, f"position only within {pose.protection_level_m:.2f} m")
-    if pose.gnss_age_s > limits.gnss_alarm_s and not situation.is_under_roof:
+    is_by_uwb = situation.is_under_roof or pose.source is PositionSource.UWB
+    if pose.gnss_age_s > limits.gnss_alarm_s and not is_by_uwb:
         return advisory(GNSS_LOST, _without_fix(pose.gnss_age_s))
     return no_objection(CODE)
 

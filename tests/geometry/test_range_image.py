@@ -83,6 +83,18 @@ def test_fog_is_scattered_and_bodies_are_not(share: float) -> None:
     assert not scattered(image_of(clean), clean.pixels).any()
 
 
+def test_a_body_beside_a_fence_in_fog_is_not_scattered() -> None:
+    """Gaps between the slats give many returns with one neighbour in the same band of ranges."""
+    slats = [box(8.0, y, 0.05, 0.05, 2.0) for y in np.arange(-4.0, 4.0, 0.12)]
+    corners = box(7.2, 1.0, 0.5, 0.5, 1.7)
+    clean, foggy = cast([corners, *slats], noise_m=0.0), cast([corners, *slats], noise_m=0.0, extra=fog(0.1))
+    found = scattered(image_of(foggy), foggy.pixels)
+    is_same = foggy.ranges_mm.ravel()[foggy.pixels] == clean.ranges_mm.ravel()[foggy.pixels]
+    own = is_same & np.isin(foggy.pixels, within(clean, FRONT, corners))
+    assert own.sum() > 50
+    assert found[own].mean() < 0.2
+
+
 def test_returns_of_plants_are_not_scattered() -> None:
     """Leaves and stems next to each other return from like ranges, with gaps between them."""
     rng = np.random.default_rng(4)

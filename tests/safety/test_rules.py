@@ -214,10 +214,9 @@ def test_localization(config: SupervisorConfig) -> None:
     sensor_failures = ask("localization", config, is_under_roof=True, pose={"uwb_age_s": 9.0})
     assert sensor_failures[:2] == (STOP, "localization.uwb_lost")
     shed = {"gnss_age_s": 500.0, "source": PositionSource.UWB}
-    assert ask("localization", config, pose=shed)[0] is NONE
+    assert ask("localization", config, pose=shed)[:2] == (NONE, "localization")
     for age, text in ((500.0, "no fix for 500.0 s"), (math.inf, "no fix yet")):
-        before = situation_of(config, pose=shed | {"gnss_age_s": age})
-        assert RULES["localization"](before).text == text
+        assert RULES["localization"](situation_of(config, pose={"gnss_age_s": age})).text == text
 
 
 @pytest.mark.parametrize("sign", [1, -1])
