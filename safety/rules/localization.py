@@ -28,7 +28,9 @@ class LocalizationLimits(Config):
 
 
 def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
-    """Advisory at once without fixes while UWB gives no position, slow above one protection level, stop above the other or after the time.
+    """Advisory at once without fixes where UWB gives no position, slow above one protection level, stop above the other.
+
+    Stop also after the time without fixes.
 
     Under the roof GNSS is not received: the position comes from UWB, and the protection level is that of docking.
     """
