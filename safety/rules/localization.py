@@ -28,10 +28,10 @@ class LocalizationLimits(Config):
 
 
 def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
-    """Advisory at once without fixes where UWB gives no position, slow above one protection level, stop above the other.
+    """Advisory at once without fixes, stop after a time without them; slow above one protection level, stop above
+    the other.
 
-    Stop also after the time without fixes.
-
+    UWB gives the position without fixes, under the roof and right before it.
     Under the roof GNSS is not received: the position comes from UWB, and the protection level is that of docking.
     """
     pose, docking = situation.inputs.map_pose, situation.config.docking
