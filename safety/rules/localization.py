@@ -31,8 +31,8 @@ def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
     """Advisory at once without fixes, stop after a time without them; slow above one protection level, stop above
     the other.
 
-    UWB gives the position without fixes, under the roof and right before it.
-    Under the roof GNSS is not received: the position comes from UWB, and the protection level is that of docking.
+    Under the roof GNSS is not received: the position comes from UWB, as on leaving it, and the protection level is
+    that of docking.
     """
     pose, docking = situation.inputs.map_pose, situation.config.docking
     if pose is None:
