@@ -106,6 +106,7 @@ class NearFieldConfig(Config):
     max_roughness_m: Metres = Field(description="what is higher above the ground is not its roughness")
     roughness_quantile: float = Field(ge=0.5, le=1.0, description="over cells, of the height that the ground reaches")
     roughness_factor: float = Field(ge=1.0, le=10.0, description="least height that counts, over the quantile")
+    min_share: float = Field(ge=0.0, le=0.2, description="of the returns of a cell that are so high; fewer are noise")
 
 
 class AirborneConfig(Config):

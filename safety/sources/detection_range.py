@@ -76,7 +76,7 @@ def return_ratios(xyz: Float32, origin_m: Float64, slopes: Float64, density: Flo
     band = np.clip(np.searchsorted(slopes, z / flat) - 1, 0, len(density) - 1)
     counts = np.bincount(band * sectors + sector, minlength=len(density) * sectors).reshape(-1, sectors)
     expected = density[:, None] * (TURN_RAD / sectors / EVERY)
-    return np.divide(counts, expected, out=np.full(counts.shape, math.inf), where=expected > 0.0)
+    return np.asarray(np.divide(counts, expected, out=np.full(counts.shape, math.inf), where=expected > 0.0))
 
 
 def _run_and_rise(xyz: Float32, origin_m: Float64) -> tuple[Float32, Float32]:

@@ -2,8 +2,9 @@
 
 The ground filter counts from 0.25 m above a plane through the wheels, because the ground itself reaches that height
 farther away. Lidars that look down have enough returns near the machine to measure the ground in cells of 0.5 m: one
-counts there from 0.12 m above it, or from what the roughness of the ground requires if that is more. Others have their
-first ring metres away, and reflections there lie below the ground.
+counts there from 0.12 m above it, or from what the roughness of the ground requires if that is more, and if it is not
+one of a few in its cell: noise on single plants. Others have their first ring metres away, and reflections there lie
+below the ground.
 """
 
 from dataclasses import dataclass
@@ -39,7 +40,12 @@ def mark_low_obstacles(xyz: Float32, box: Box, config: NearFieldConfig) -> NearF
         config.max_slope, config.max_residual_slope, config.max_roughness_m,
     )  # fmt: skip
     min_height_m = max(config.min_height_m, config.roughness_factor * roughness_m(tops_m, config))
-    is_obstacle[inside] = height_m > min_height_m
+    is_above = height_m > min_height_m
+    if is_above.any():
+        row, column = ((xyz[k, inside] - low) // config.cell_m for k, low in enumerate((x_low, y_low)))
+        cell = (row * shape[1] + column).astype(np.int64)
+        is_above &= np.bincount(cell, is_above)[cell] >= config.min_share * np.bincount(cell)[cell]
+    is_obstacle[inside] = is_above
     return NearField(is_obstacle, min_height_m)
 
 

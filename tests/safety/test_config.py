@@ -41,7 +41,8 @@ def test_no_value_has_a_default(path: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(("path", "bad"), [
-    (("field", "lateral_margin_far_m"), 0.05), (("detection_range", "good_ratio"), 0.2), (("braking",
+    (("field", "lateral_margin_far_m"), 0.05), (("detection_range", "good_ratio"), 0.2),
+    (("detection_range", "beams_m"), [4.0, 9.0, 6.0]), (("braking",
     "deceleration_mps2"), 0.0),
     (("rules", "localization", "gnss_stop_s"), 120.1), (("rules", "driver_override", "rate_dps"), 50.1),
     (("rules", "driver_override",

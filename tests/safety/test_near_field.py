@@ -53,6 +53,16 @@ def test_least_height_follows_the_roughness(config: SupervisorConfig) -> None:
     assert not rough.is_obstacle.any()
 
 
+def test_few_returns_of_a_cell_are_a_plant(config: SupervisorConfig) -> None:
+    """Of 80 returns in a cell three on a plant do not count, and eight on a body do."""
+    rng = np.random.default_rng(3)
+    for count, expected in ((3, 0), (8, 8)):
+        cell = np.stack([rng.uniform(7.02, 7.48, 80), rng.uniform(0.02, 0.48, 80), rng.normal(0.0, 0.005, 80)])
+        cell[2, :count] = 0.2
+        xyz = np.concatenate([field_of(rng, 0.005), cell.astype(np.float32)], axis=1)
+        assert np.count_nonzero(mark_low_obstacles(xyz, AREA, config.near_field).is_obstacle) == expected
+
+
 def test_only_returns_in_the_box_count(config: SupervisorConfig) -> None:
     xyz = field_of(np.random.default_rng(2))
     put_body(xyz, 0.3, (1.0, 1.0))
