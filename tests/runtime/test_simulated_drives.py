@@ -13,6 +13,7 @@ import pytest
 
 from hmi.parts import Drive
 from hmi.plan_view.mission_store import StoredMission
+from interfaces.orders.config import ORDERS, OrderKey
 from interfaces.orders.port import OrderPort
 from runtime.commands.options import parse_arguments
 from runtime.page.drives import SimulatedDrives
@@ -76,7 +77,8 @@ def drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, port: int) -> Iterat
     monkeypatch.chdir(tmp_path)
     order_port = OrderPort(port)
     arguments = parse_arguments(["page", "--mission", "line", "--scenario", "empty"])
-    found = SimulatedDrives(arguments, order_port, "00" * 32, "operator")
+    key = OrderKey(public_key="00" * 32, authority="operator", orders=tuple(ORDERS), lost_operator_s=None)
+    found = SimulatedDrives(arguments, order_port, key)
     order_port.close()
     yield found
     found.end()
@@ -109,7 +111,7 @@ def test_a_mission_that_cannot_be_loaded_is_reported_and_another_one_starts(
     drives.first()
     mission.field.rename(mission.folder / "away")
     drives.start(mission)
-    assert waited(drives.take) == "the simulation has ended (exit code 2)"
+    assert waited(drives.take) == f"{mission.folder / 'field'}: an empty folder"
     assert status(port) == {}
     (mission.folder / "away").rename(mission.folder / "field" / "corner.geojson")
     drives.start(mission)
