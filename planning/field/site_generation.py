@@ -39,13 +39,14 @@ def site_of(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work:
 
 def _site_at_centre(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site | None:
     """Site without gate whose start is furthest from all edges, parallel to the longest one."""
-    room = _room(outline, _extent(vehicle, implement)[2], work)
+    extent = _extent(vehicle, implement)
+    room = _room(outline, extent[2], work)
     if room.is_empty:
         return None
     circle = shapely.maximum_inscribed_circle(polygon_of(room), CENTRE_ERROR_M)
     a, b = _edges(outline.polygon)[0]
     centre, along = np.array(circle.coords[0]), (b - a) / np.hypot(*(b - a))
-    return _start_at(outline, centre, along, _extent(vehicle, implement), room)
+    return _start_at(outline, centre, along, extent, room)
 
 
 def _room(outline: FieldOutline, half_m: float, work: Work) -> BaseGeometry:
@@ -77,7 +78,7 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
 def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
     """Site of a bare field without gate: the start is along an edge, else furthest from all; raises FieldError."""
     extent = _extent(vehicle, implement)
-    room = _room(outline, _extent(vehicle, implement)[2], work)
+    room = _room(outline, extent[2], work)
     for a, b in _edges(outline.polygon):
         along = (b - a) / np.hypot(*(b - a))
         out = np.array([along[1], -along[0]])

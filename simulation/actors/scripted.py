@@ -110,9 +110,8 @@ class ScriptedObject:
             yaw = around.outline.base[2] + turn
             vertices = self._bodies.of(Step((0.0, 0.0), 0.0)).mesh(-1.0).vertices_m
             beside_m = around.outline.beside(place.side, values["gap_m"], values["along_m"], vertices, yaw)
-            if (
-                place.side.startswith("wheel") or values["gap_m"] < 0.0
-            ):  # within the width of the machine; meant to overlap
+            is_within = place.side.startswith("wheel")  # the width of the machine
+            if is_within or values["gap_m"] < 0.0:  # meant to overlap
                 return *beside_m, yaw
             return *around.outline.cleared(place.side, beside_m, vertices, yaw), yaw
         if isinstance(place, ObjectPlace):
