@@ -40,6 +40,17 @@ class Work(Config):
         return self
 
 
+class Consent(Config):
+    """Consent of a person to work where plants hide whoever lies there; they keep the field free of people."""
+
+    by: str = Field(min_length=1, max_length=80, description="name of the person")
+    vegetation_m: float = Field(
+        ge=0.1,
+        le=0.35,
+        description="height of the plants up to which it holds; beyond 0.35 m the machine does not work",
+    )
+
+
 class Spread(Config):
     """Maximum deviation of a start pose drawn by the seed."""
 
@@ -69,7 +80,8 @@ class Mission(Config):
     """Mission by the names of its parts in `configs/`; with `bay` it starts and ends docked there.
 
     `start` sets another start pose with the implement unfolded, drawn by the seed within `spread`. A mission has field
-    `work`, or only drives a `line` from its `start`, or is docking only.
+    `work`, or only drives a `line` from its `start`, or is docking only. Without `consent` the machine stops in plants
+    that hide a person who lies.
     """
 
     name: str
@@ -81,6 +93,7 @@ class Mission(Config):
     bay: str | None = None
     start: PoseConfig | None = None
     spread: Spread | None = None
+    consent: Consent | None = None
 
     @model_validator(mode="after")
     def _check_tasks(self) -> "Mission":

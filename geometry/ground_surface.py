@@ -16,9 +16,10 @@ def heights_above_ground(
     xyz: Float32, corner_m: tuple[float, float], shape: tuple[int, int], cell_m: float, quantile: float, slope: float,
     residual_slope: float,
     ground_limit_m: float,
-) -> tuple[Float64, Float64]:  # fmt: skip
+) -> tuple[Float64, Float64, Float64]:  # fmt: skip
     """Height (N,) of each return (3, N) above the surface through the low returns of the cells around it, and the
-    second largest height below `ground_limit_m` in each cell with at least three such returns (M,).
+    second largest height in each cell (R, C), of all and of those below `ground_limit_m`; infinite where there are
+    fewer than three.
 
     The grid of `shape` cells begins at `corner_m`; returns beyond it belong to its outermost cells. The low `quantile`
     of each cell may rise by `slope` (rise over run) from its lowest neighbour; the mean of 3 x 3 cells of that is the
@@ -53,7 +54,8 @@ def heights_above_ground(
     for k in range(count):
         height[k] -= rest[cell[k] // columns, cell[k] % columns]
         by_cell[place[k]] = height[k]
-    return height, _second_largest(by_cell, begin, ground_limit_m)
+    tops, ground_tops = _second_largest(by_cell, begin, np.inf), _second_largest(by_cell, begin, ground_limit_m)
+    return height, tops.reshape(shape), ground_tops.reshape(shape)
 
 
 @kernel
@@ -96,6 +98,26 @@ def envelope(low: Float64, rise_m: float, reach: int) -> Float64:
     return out
 
 
+@kernel
+def plant_heights(tops: Float64, reach: int, low: float, high: float, share: float) -> Float64:
+    """Upper quartile of the tops (R, C) above `low`, at most `high`, within reach of each cell in rows and columns; 0
+    where fewer than `share` of the finite ones are."""
+    rows, columns = tops.shape
+    out, some = np.zeros((rows, columns)), np.empty((2 * reach + 1) ** 2)
+    for row in range(rows):
+        for column in range(columns):
+            known = count = 0
+            for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                for j in range(max(column - reach, 0), min(column + reach + 1, columns)):
+                    known += tops[i, j] < np.inf
+                    if low < tops[i, j] <= high:
+                        some[count] = tops[i, j]
+                        count += 1
+            if count > 0 and count >= share * known:
+                out[row, column] = np.sort(some[:count])[3 * count // 4]
+    return out
+
+
 @inline_kernel
 def _low(by_cell: Float64, begin: Int64, quantile: float, rows: int, columns: int) -> Float64:
     """Low quantile of the heights `by_cell[begin[c]:begin[c + 1]]` of each cell c; infinite in an empty one."""
@@ -123,9 +145,8 @@ def _low(by_cell: Float64, begin: Int64, quantile: float, rows: int, columns: in
 
 @inline_kernel
 def _second_largest(by_cell: Float64, begin: Int64, limit: float) -> Float64:
-    """Second largest value below the limit of each cell that has at least three."""
-    found = np.empty(len(begin) - 1, np.float64)
-    used = 0
+    """Second largest value below the limit of each cell; infinite where fewer than three are."""
+    found = np.full(len(begin) - 1, np.inf)
     for here in range(len(begin) - 1):
         largest, second, count = -np.inf, -np.inf, 0
         for k in range(begin[here], begin[here + 1]):
@@ -135,9 +156,8 @@ def _second_largest(by_cell: Float64, begin: Int64, limit: float) -> Float64:
                 second = max(second, min(value, largest))
                 largest = max(largest, value)
         if count >= 3:
-            found[used] = second
-            used += 1
-    return found[:used]
+            found[here] = second
+    return found
 
 
 @inline_kernel

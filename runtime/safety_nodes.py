@@ -29,6 +29,7 @@ def safety_nodes(setup: Setup, bus: CanBus, is_ablation: bool) -> list[Node]:
         FAULT_TOPICS,
         structure_of_site(setup.site),
         sensors_without_detector(setup),
+        setup.mission.consent,
         REMAINING_RULES if is_ablation else RULES,
     )
     return [

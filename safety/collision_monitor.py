@@ -77,9 +77,9 @@ class CollisionMonitor:
 
     def __init__(
         self, footprints: FootprintSet, sensors: Sensors, geofence: Geofence | None,
-        known_structure: KnownStructure | None, config: SafetyConfig,
+        known_structure: KnownStructure | None, config: SafetyConfig, consented_m: float = 0.0,
     ) -> None:  # fmt: skip
-        self.sources = ObstacleSources(sensors, footprints.working, config)
+        self.sources = ObstacleSources(sensors, footprints.working, config, consented_m)
         self.swept_field: SweptField | None = None
         self.pose_history = PoseHistory()
         self.departure, self.bystanders = Departure(config.departure), Bystanders(config.bystanders, config.tracked)

@@ -109,6 +109,23 @@ class NearFieldConfig(Config):
     min_share: float = Field(ge=0.0, le=0.2, description="of the returns of a cell that are so high; fewer are noise")
 
 
+class VegetationConfig(Config):
+    """Plants that cover the ground about a place and hide what is lower than they are."""
+
+    min_height_m: Metres = Field(description="lower plants hide nobody who lies")
+    max_height_m: Metres = Field(description="what is higher is not called plants")
+    margin_m: Metres = Field(description="above the plants from which on a return counts, with consent")
+    reach_cells: int = Field(ge=1, le=10, description="cells of the near field on each side over which plants are even")
+    share: float = Field(
+        gt=0.0, le=0.5, description="of these cells, or of all, that plants cover, and a body does not"
+    )
+    min_cells: int = Field(ge=1, le=1000, description="cells of the near field that show plants around the machine")
+
+    def highest_m(self, consented_m: float) -> float:
+        """Height to which plants may be measured that are as high as the mission consents to."""
+        return consented_m + 0.5 * self.margin_m
+
+
 class AirborneConfig(Config):
     """Evidence in a range image that returns are of dust or birds."""
 
@@ -305,6 +322,7 @@ class SafetyConfig(Config):
     field: FieldConfig
     measured_ground: MeasuredGroundConfig
     near_field: NearFieldConfig
+    vegetation: VegetationConfig
     airborne: AirborneConfig
     departure: DepartureConfig
     detection_range: DetectionRangeConfig

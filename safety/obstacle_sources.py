@@ -45,12 +45,14 @@ class SourceData:
 
 
 class ObstacleSources:
-    """One source per lidar, radar and ultrasonic sensor."""
+    """One source per lidar, radar and ultrasonic sensor; `consented_m` as for lidars."""
 
-    def __init__(self, sensors: Sensors, footprint: Footprint, config: SafetyConfig) -> None:
+    def __init__(self, sensors: Sensors, footprint: Footprint, config: SafetyConfig, consented_m: float = 0.0) -> None:
         field, ultrasonic = config.field, config.ultrasonic
         height = (field.min_height_m, footprint.height_m + field.overhead_margin_m)
-        self.lidars = tuple(LidarSource(name, lidar, footprint, config) for name, lidar in sensors.lidar.items())
+        self.lidars = tuple(
+            LidarSource(name, lidar, footprint, config, consented_m) for name, lidar in sensors.lidar.items()
+        )
         self.radars = tuple(RadarSource(n, one, height, field.mask_m, config.radar) for n, one in sensors.radar.items())
         self.ultrasonics = tuple(UltrasonicSource(n, one, ultrasonic) for n, one in sensors.ultrasonic.items())
         self._agreement = LidarAgreement(config.lidar_agreement)
@@ -71,6 +73,11 @@ class ObstacleSources:
     def lidar_hits_odom_m(self) -> Float64:
         """Confirmed returns (N, 2) of all lidars."""
         return np.concatenate([np.empty((0, 2)), *(source.hits_odom_m[:, :2] for source in self.lidars)])
+
+    @property
+    def vegetation_m(self) -> float:
+        """Height of the plants around the machine, the greatest that any lidar measures; 0 without."""
+        return max((source.vegetation_m for source in self.lidars), default=0.0)
 
     def forget_held(self) -> None:
         """Drops the hits that are held in blind zones."""
@@ -125,7 +132,8 @@ class ObstacleSources:
         if not any(source.stamp_ns is not None for source in self.lidars):
             return None
         found = [self._points_clearance(swept_field, pose_odom, is_known)]
-        if speed_mps <= kmh(self._config.ultrasonic.max_speed_kmh):
+        in_plants = self.vegetation_m > 0.0  # which give echoes themselves: rule `vegetation` asks for a consent
+        if speed_mps <= kmh(self._config.ultrasonic.max_speed_kmh) and not in_plants:
             near_m = self._config.ultrasonic.track_match_m
             arcs = [one.echo_arc_odom_m for one in self.ultrasonics if len(one.echo_arc_odom_m)]
             arcs = [arc for arc in arcs if not is_confirmed_by_track(arc, tracks, near_m)]

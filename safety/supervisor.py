@@ -9,6 +9,7 @@ operator commands ─► events ─► mode machine ◄────────�
 from collections.abc import Iterable, Mapping
 from functools import partial
 
+from configs.mission import Consent
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle, kmh
 from messages.command import MachineState, Mode, OperatorCommand, SupervisorState
 from messages.faults import Fault
@@ -42,6 +43,7 @@ class Supervisor(Node):
 
     `fault_topics` are those of other nodes. `fence` None means that no area is known (a recorded log), `survey` None
     that there is no shed. `idle` names sensors that detect nothing as configured: `camera_front` without a model.
+    `consent` None: the mission allows no work in plants that hide a person who lies.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class Supervisor(Node):
         fault_topics: tuple[str, ...],
         known_structure: KnownStructure | None = None,
         idle: frozenset[str] = frozenset(),
+        consent: Consent | None = None,
         rules: Mapping[str, Rule] = RULES,
         mode_machine: ModeMachine | None = None,
         monitor: type[CollisionMonitor] = CollisionMonitor,
@@ -70,7 +73,9 @@ class Supervisor(Node):
         self._max_speed_mps = min(kmh(vehicle.max_speed_kmh), kmh(config.limits.speed_kmh))
         self._range_sigma_m = max((lidar.range_sigma_m for lidar in sensors.lidar.values()), default=0.0)
         self._footprints = footprints_of(vehicle, implement)
-        self._new_monitor = partial(monitor, self._footprints, sensors, geofence, known_structure, config)
+        self._consent = consent
+        consented_m = 0.0 if consent is None else consent.vegetation_m
+        self._new_monitor = partial(monitor, self._footprints, sensors, geofence, known_structure, config, consented_m)
         self.collision_monitor, self._vehicle_monitor = self._new_monitor(), VehicleMonitor(config)
         self._command_builder, self._brake_test = CommandBuilder(vehicle, config), BrakeTest(config)
         self._mode_machine = mode_machine or ModeMachine(config.modes)
@@ -150,6 +155,8 @@ class Supervisor(Node):
             sensor_failures=self._inputs.sensor_failures(now_ns, inbox, inputs, monitor, direction),
             is_departure_unresolved=monitor.departure.is_unresolved or monitor.bystanders.is_near,
             lidar_failures=monitor.sources.lidar_failures(direction),
+            vegetation_m=monitor.sources.vegetation_m,
+            consent=self._consent,
             is_docking=monitor.is_docking,
             is_under_roof=monitor.is_under_roof,
             wall_distance_m=monitor.wall_distance_m(),

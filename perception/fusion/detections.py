@@ -49,6 +49,7 @@ class NoiseConfig(Config):
 class Detections:
     """One sensor's obstacles in `odom`, K rows; `R` (K, 2, 2) is the noise of their centres.
 
+    Without bearing, as of echoes, they show no motion: plants and walls seem to go along with the machine.
     `static_share` (K,) is the share of long-occupied cells; `velocity_mps` (K, 2) and `body_length_m` (K,), the length
     of the class that a camera detects, are NaN where unknown; `evidence` (K,) is that of existence,
     `class_log_scores` (K, 8) that of the classes.
@@ -58,6 +59,7 @@ class Detections:
     sensor: int
     kind: KindConfig
     is_lidar: bool
+    has_bearing: bool
     p_m: Float64
     R: Float64
     size_m: Float64
@@ -80,12 +82,12 @@ def to_odom(
     """Detections from the obstacles of one message; updates the static occupancy with them."""
     yaw, kind = yaw_of(T_odom_base), kinds[kind_of(obstacles.sensor)]
     c, s = np.cos(yaw), np.sin(yaw)
-    is_lidar, is_camera = (obstacles.sensor.startswith(name) for name in ("lidar", "camera"))
+    is_lidar, is_camera, is_echo = (obstacles.sensor.startswith(name) for name in ("lidar", "camera", "ultrasonic"))
     points = apply(T_odom_base, obstacles.points_base_m)
     yaws = obstacles.yaw_rad + yaw
     body = obstacles.size_m[:, :2].max(axis=1) if len(yaws) else np.empty(0)
     return Detections(
-        obstacles.stamp_ns, sensor, kind, is_lidar,
+        obstacles.stamp_ns, sensor, kind, is_lidar, not is_echo,
         np.asarray(apply(T_odom_base, obstacles.center_base_m), np.float64),
         box_noise(obstacles.sigma_m, yaws, 0.0, 1.0) if len(obstacles.sigma_m)
         else box_noise(obstacles.size_m, yaws, noise.position_sigma_m, noise.size_share),

@@ -43,7 +43,8 @@ def update(
     correct(x, P, z, R, 0)
     _correct_velocity(x, P, detections, rows, static_occupancy, config)
     table.x[tracks], table.P[tracks] = x, P
-    _confirm_motion(table, tracks, z, detections.stamp_ns, config)
+    if detections.has_bearing:
+        _confirm_motion(table, tracks, z, detections.stamp_ns, config)
     _remember(table, tracks[~is_piece], detections, rows[~is_piece])
     _update_boxes(table, tracks, detections, rows, is_piece, fixed, lidars)
     _add_evidence(table, tracks, detections, rows, is_piece, config)

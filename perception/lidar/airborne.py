@@ -8,7 +8,7 @@ from geometry.arrays import Bool, Float64, UInt8
 from geometry.range_image import dust, floating, range_image, scattered
 from messages.sensors import LidarScan
 
-UNUSED, OBSTACLE, FLOATING = 0, 2, 3  # classes of returns
+UNUSED, LOW, OBSTACLE, FLOATING = range(4)  # classes of returns
 
 
 class AirborneConfig(Config):

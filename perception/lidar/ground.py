@@ -20,6 +20,7 @@ from configs.strict import Config
 from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.jit import kernel
 from perception.lidar.grid import Grid, heights_above, sort_into_cells
+from perception.lidar.vegetation import VegetationConfig, is_within, plants
 
 LAYER_M = 0.05  # height resolution of the search for the lowest dense layer
 MAX_LAYERS = 64
@@ -45,18 +46,20 @@ class GroundConfig(Config):
     low_point_depth_m: float = Field(
         gt=0.0, le=0.5, description="depth below ground of low points that may join a cluster"
     )
+    vegetation: VegetationConfig
 
 
 @dataclass(frozen=True)
 class Ground:
     """Ground surface: `height_m` (N,) of each return above it (NaN: not used), and the cells of the grid.
 
-    `sector` (N,) is the azimuth of each return in sectors, counter-clockwise from the rear.
-    `cell_height_m` and `cell_weight` (sectors, bins): height of the ground in `base`, and weight of its returns
-    (0 = predicted only).
+    `is_plant` (N,) bool: within plants that cover the ground. `sector` (N,) is the azimuth of each return in sectors,
+    counter-clockwise from the rear. `cell_height_m` and `cell_weight` (sectors, bins): height of the ground in `base`,
+    and weight of its returns (0 = predicted only).
     """
 
     height_m: Float32
+    is_plant: np.ndarray
     sector: Float32
     cell_height_m: Float64
     cell_weight: Float64
@@ -68,7 +71,9 @@ def find_ground(points_base_m: Float32, usable: UInt8, center_m: Float64, grid: 
     height, weight = np.zeros((2, grid.sectors, grid.bins))
     _propagate(z, starts, grid.range_m, config.max_slope, config.step_m, height, weight)
     smooth = _smooth(height, weight, grid.range_m, config.step_m)
-    return Ground(heights_above(points_base_m, polar, smooth), polar[:, 0], smooth, weight)
+    above = heights_above(points_base_m, polar, smooth)
+    is_plant = is_within(above, polar, plants(z, starts, smooth, grid, config.vegetation))
+    return Ground(above, is_plant, polar[:, 0], smooth, weight)
 
 
 def fit_plane(ground: Ground, center_m: Float64, grid: Grid, radius_m: float) -> Float64:

@@ -14,7 +14,7 @@ from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
 from messages.sensors import LidarScan
-from perception.lidar.airborne import FLOATING, OBSTACLE, AirborneConfig, is_scattered, mark_airborne
+from perception.lidar.airborne import FLOATING, LOW, OBSTACLE, AirborneConfig, is_scattered, mark_airborne
 from perception.lidar.boxes import fit_boxes
 from perception.lidar.classes import class_scores
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid, select
@@ -163,6 +163,9 @@ class Pipeline:
         point_class = np.empty(len(points), np.uint8)
         is_obstacle_point = np.empty(len(points), np.uint8)
         _classify_points(points, ground.height_m, *self._limits, point_class, is_obstacle_point)
+        if ground.is_plant.any():
+            point_class[ground.is_plant & (point_class == OBSTACLE)] = LOW
+            is_obstacle_point[ground.is_plant] = 0
         mark_airborne(scan, point_class, T, self.config.airborne)
         clusters = find_clusters(points, point_class, self._center, self.config.clusters, self._cell_grid)
         plane = fit_plane(ground, self._center, self._grid, self.config.plane_radius_m)

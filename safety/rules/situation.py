@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from configs.mission import Consent
 from configs.strict import Config
 from messages.command import MachineState
 from messages.faults import Fault
@@ -25,7 +26,7 @@ class Situation:
     `geofence_m` is the distance to drive inside the geofence (None: position unknown; below 0: outside), `survey_m`
     that clear of surveyed walls, `clock_step_s` the jump of the clock since the last step. `is_departure_unresolved`:
     what blocked the path was lost from view in it, or a bystander has not been seen leaving. `lidar_failures`: lidars
-    that measure wrongly.
+    that measure wrongly. `vegetation_m`: height of the plants around the machine.
     """
 
     now_ns: int
@@ -50,6 +51,8 @@ class Situation:
     sensor_failures: tuple[SensorFailure, ...]
     is_departure_unresolved: bool
     lidar_failures: tuple[SensorFailure, ...]
+    vegetation_m: float
+    consent: Consent | None
     is_docking: bool
     is_under_roof: bool
     wall_distance_m: float

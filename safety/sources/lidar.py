@@ -9,7 +9,7 @@ import numpy as np
 
 from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
-from geometry.ground_surface import envelope, heights_above_ground, low_levels
+from geometry.ground_surface import envelope, heights_above_ground, low_levels, plant_heights
 from geometry.pose2 import from_frame, to_frame
 from geometry.range_image import clear_beneath, dust, floating, range_image, scattered
 from messages.sensors import LidarScan
@@ -39,17 +39,21 @@ class LidarSource:
     """Processes the scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground.
 
     `footprint` is that of the self mask, set on a change of fold position; `hitch` moves a lidar on the implement.
-    `ground` is that near the lidar; `has_other_rings`: the last range image is not one of the configured lidar.
+    `consented_m`: height of plants up to which the mission consents to objects that they hide; `vegetation_m` is that
+    of the plants around. `ground` is that near the lidar; `has_other_rings`: the last range image is not one of the
+    configured lidar.
     """
 
-    def __init__(self, name: str, lidar: Lidar, footprint: Footprint, config: SafetyConfig) -> None:
+    def __init__(
+        self, name: str, lidar: Lidar, footprint: Footprint, config: SafetyConfig, consented_m: float = 0.0
+    ) -> None:
         self.name = name
         self.stamp_ns: int | None = None
         self.scan: LidarScan | None = None
         self._pose_odom: Float64 = np.zeros(3)
         self.hits_odom_m: Float64 = np.empty((0, 3))
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
-        self.footprint, self._config = footprint, config
+        self.footprint, self._config, self._consented_m = footprint, config, consented_m
         least_m = config.measured_ground.near_min_height_m
         self._on_slopes = config.near_field.model_copy(update={"min_height_m": least_m})
         self.hitch, self._mount = 1.0, lidar.mount
@@ -64,7 +68,7 @@ class LidarSource:
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
         self._equal_scans = 0
-        self.ground = NO_GROUND
+        self.ground, self.vegetation_m = NO_GROUND, 0.0
         self.has_other_rings, self._rings = False, len(lidar.elevation_deg)
         warm(self._T_base_sensor)
 
@@ -104,7 +108,8 @@ class LidarSource:
         agreement, origin = self._config.lidar_agreement, self._T_base_sensor[:3, 3]
         self.ground = ground_heights(down, origin, agreement.range_m, pose_odom, agreement.cell_m)
         field = self._config.field
-        near_field = near_box(self.footprint, self._config.near_field) if self._looks_down else None
+        needs_near_field = self._looks_down or self._consented_m > 0.0
+        near_field = near_box(self.footprint, self._config.near_field) if needs_near_field else None
         area = box if near_field is None else enclosing(box, near_field)
         near = crop(xyz, area, self.footprint.height_m + field.overhead_margin_m)
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
@@ -136,13 +141,19 @@ class LidarSource:
         is_high = stands_out(xyz, is_above_plane, area, config.field, config.measured_ground)
         if near_field is None:
             return is_high, is_high
-        near = mark_low_obstacles(xyz, near_field, config.near_field)
+        plants = config.vegetation, self._consented_m
+        near = mark_low_obstacles(xyz, near_field, config.near_field, *plants)
+        is_high &= ~near.is_plant
+        if not self._looks_down:
+            return is_high, is_high
+        self.vegetation_m = near.vegetation_m
         is_low, is_hidden = near.is_obstacle, is_above_plane & ~is_high
         if near.min_height_m > config.field.min_height_m:
             is_hidden[:] = True  # on such ground the near field misses what the plane may not reach
         if is_hidden.any():
             level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
-            is_low |= is_hidden & mark_low_obstacles(level_xyz, near_field, self._on_slopes).is_obstacle
+            level_near = mark_low_obstacles(level_xyz, near_field, self._on_slopes, *plants)
+            is_low |= is_hidden & level_near.is_obstacle & ~near.is_plant
         return is_high | is_low, is_high
 
     def _is_scattered(self, scan: LidarScan) -> np.ndarray:
@@ -251,6 +262,7 @@ def warm(T_base_sensor: Float64) -> None:
     low_levels(np.zeros(1, np.int64), np.zeros(1, np.int32), (1, 1), 1, 0.0)
     envelope(np.zeros((1, 1)), 0.0, 1)
     heights_above_ground(np.zeros((3, 1), np.float32), (0.0, 0.0), (2, 2), 1.0, 0.0, 0.0, 0.0, 1.0)
+    plant_heights(np.zeros((1, 1)), 1, 0.0, 1.0, 0.5)
 
 
 def content_of(scan: LidarScan) -> int | None:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Float32, Float64
-from geometry.ground_surface import heights_above_ground
-from safety.config import NearFieldConfig
+from geometry.ground_surface import heights_above_ground, plant_heights
+from safety.config import NearFieldConfig, VegetationConfig
 from safety.zones.footprint import Box, Footprint
 
 MIN_CELLS = 2  # in each direction, for interpolation
@@ -21,32 +21,72 @@ MIN_CELLS = 2  # in each direction, for interpolation
 
 @dataclass(frozen=True)
 class NearField:
-    """Whether each return is above the ground, (N,) bool; `min_height_m` is the least height that counts."""
+    """Returns that stand out of the ground.
+
+    `is_obstacle` (N,) bool: above the ground and no plant; `is_plant` (N,) bool: within plants that the mission
+    consents to. `min_height_m`: least height that counts elsewhere. `vegetation_m`: height of the plants that cover
+    most of the ground.
+    """
 
     is_obstacle: np.ndarray
+    is_plant: np.ndarray
     min_height_m: float
+    vegetation_m: float
 
 
-def mark_low_obstacles(xyz: Float32, box: Box, config: NearFieldConfig) -> NearField:
-    """Returns (3, N), none of them on the machine itself, that stand out of the ground in the box."""
+def mark_low_obstacles(
+    xyz: Float32, box: Box, config: NearFieldConfig, vegetation: VegetationConfig, consented_m: float
+) -> NearField:
+    """Returns (3, N), none of them on the machine itself, that stand out of the ground in the box.
+
+    `consented_m`: height of plants up to which the mission consents to objects that they hide.
+    """
     (x_low, x_high), (y_low, y_high) = box.x_m, box.y_m
     inside = np.flatnonzero((xyz[0] > x_low) & (xyz[0] < x_high) & (xyz[1] > y_low) & (xyz[1] < y_high))
-    is_obstacle = np.zeros(xyz.shape[1], bool)
+    is_obstacle, is_plant = np.zeros(xyz.shape[1], bool), np.zeros(xyz.shape[1], bool)
     if len(inside) == 0:
-        return NearField(is_obstacle, config.min_height_m)
+        return NearField(is_obstacle, is_plant, config.min_height_m, 0.0)
     shape = (cells(x_high - x_low, config.cell_m), cells(y_high - y_low, config.cell_m))
-    height_m, tops_m = heights_above_ground(
+    height_m, tops_m, ground_tops_m = heights_above_ground(
         np.ascontiguousarray(xyz[:, inside]), (x_low, y_low), shape, config.cell_m, config.ground_quantile,
         config.max_slope, config.max_residual_slope, config.max_roughness_m,
     )  # fmt: skip
-    min_height_m = max(config.min_height_m, config.roughness_factor * roughness_m(tops_m, config))
+    even_m, plants_m = even_plants_m(tops_m, vegetation), np.zeros(shape)
+    if consented_m > 0.0:
+        plants_m = heights_of_plants(tops_m, vegetation, even_m, consented_m)
+    rough_m = quantile_of(ground_tops_m[plants_m == 0.0], config.roughness_quantile)
+    min_height_m = max(config.min_height_m, config.roughness_factor * rough_m)
     is_above = height_m > min_height_m
-    if is_above.any():
+    if is_above.any() or plants_m.any():
         row, column = ((xyz[k, inside] - low) // config.cell_m for k, low in enumerate((x_low, y_low)))
         cell = (row * shape[1] + column).astype(np.int64)
+        plant_m = plants_m.ravel()[cell]
+        is_plant[inside] = (plant_m > 0.0) & (height_m <= plant_m + vegetation.margin_m)
+        is_above = np.where(plant_m > 0.0, ~is_plant[inside], is_above)
         is_above &= np.bincount(cell, is_above)[cell] >= config.min_share * np.bincount(cell)[cell]
     is_obstacle[inside] = is_above
-    return NearField(is_obstacle, min_height_m)
+    return NearField(is_obstacle, is_plant, min_height_m, even_m)
+
+
+def heights_of_plants(tops_m: Float64, config: VegetationConfig, even_m: float, consented_m: float) -> Float64:
+    """Height of the plants about each cell (R, C), from the tops of cells; 0 where there are none or too high ones.
+
+    `even_m`: height of plants that cover most of the cells; they count in all, since plants also hide the ground.
+    """
+    highest_m = config.highest_m(consented_m)
+    found_m = plant_heights(tops_m, config.reach_cells, config.min_height_m, highest_m, config.share)
+    return np.maximum(found_m, even_m if even_m <= highest_m else 0.0)
+
+
+def even_plants_m(tops_m: Float64, config: VegetationConfig) -> float:
+    """Height of plants that cover at least a share of the cells (R, C) with the tops; 0 where they are low or too high.
+
+    Few cells are no evidence: walls beside a machine in its shed reach to all heights.
+    """
+    if np.count_nonzero(np.isfinite(tops_m)) < config.min_cells:
+        return 0.0
+    height_m = quantile_of(tops_m, 1.0 - config.share)
+    return height_m if config.min_height_m < height_m <= config.max_height_m else 0.0
 
 
 def near_box(footprint: Footprint, config: NearFieldConfig) -> Box:
@@ -62,6 +102,7 @@ def cells(length_m: float, cell_m: float) -> int:
     return max(MIN_CELLS, int(np.ceil(length_m / cell_m)))
 
 
-def roughness_m(tops_m: Float64, config: NearFieldConfig) -> float:
-    """High quantile of the heights to which the ground reaches in each cell: objects are in few of the cells."""
-    return float(np.quantile(tops_m, config.roughness_quantile)) if len(tops_m) else 0.0
+def quantile_of(tops_m: Float64, quantile: float) -> float:
+    """Quantile of the heights to which cells reach, but infinite ones; 0 without any."""
+    known = tops_m[np.isfinite(tops_m)]
+    return float(np.quantile(known, quantile)) if len(known) else 0.0

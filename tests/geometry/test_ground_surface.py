@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from geometry.ground_surface import envelope, heights_above_ground, low_levels
+from geometry.ground_surface import envelope, heights_above_ground, low_levels, plant_heights
 
 SHAPE, CELL_M = (16, 24), 0.5
 
@@ -54,8 +54,11 @@ def test_few_returns_below_the_ground_do_not_lower_it() -> None:
 
 def test_second_largest_height_of_each_cell_with_three_returns() -> None:
     xyz = np.array([[1.1, 1.2, 1.3, 1.4, 3.1, 3.2], [0.1] * 6, [0.0, 0.05, 0.07, 0.9, 0.0, 0.2]]).astype(np.float32)
-    _, tops = heights_above_ground(xyz, (0.0, -6.0), SHAPE, CELL_M, 0.1, 0.10, 0.05, 0.3)
-    assert tops == pytest.approx([0.05], abs=0.02)
+    _, tops, ground_tops = heights_above_ground(xyz, (0.0, -6.0), SHAPE, CELL_M, 0.1, 0.10, 0.05, 0.3)
+    assert tops[2, 12] == pytest.approx(0.07, abs=0.02)
+    assert ground_tops[2, 12] == pytest.approx(0.05, abs=0.02)  # of the returns below 0.3 m
+    for found in (tops, ground_tops):
+        assert np.isfinite(found).sum() == 1
 
 
 def test_a_cell_is_measured_from_its_quantile() -> None:
@@ -90,3 +93,15 @@ def test_low_levels_are_those_of_sorted_returns() -> None:
             some = np.sort(level[cell == here])
             place = max(order, math.ceil(share * len(some) - 1e-9))
             assert found[here] == (some[place - 1] if len(some) >= order else -1), (order, share, here)
+
+
+def test_plants_are_as_high_as_many_cells_around() -> None:
+    tops = np.full((20, 20), 0.02)
+    tops[:, :8] = np.random.default_rng(1).uniform(0.28, 0.34, (20, 8))
+    tops[10:14, 14:16], tops[3, 3], tops[5, 5] = 0.3, 1.7, np.inf  # a low body, a person in the plants, an empty cell
+    found = plant_heights(tops, 3, 0.15, 0.4, 0.4)
+    assert found[:, :8].min() > 0.3
+    assert found[:, :8].max() <= 0.34
+    assert (found[:, 9:] == 0.0).all()
+    assert (plant_heights(tops, 3, 0.15, 0.25, 0.4) == 0.0).all()
+    assert (plant_heights(np.full((4, 4), np.inf), 3, 0.15, 0.4, 0.4) == 0.0).all()

@@ -8,7 +8,7 @@ from geometry.rectangle import Rectangle
 from messages.sensors import LidarScan
 from safety.sources.ground_filter import Motion
 from safety.sources.lidar import LidarSource
-from safety.sources.near_field import mark_low_obstacles, near_box
+from safety.sources.near_field import NearField, mark_low_obstacles, near_box
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.footprint import Box, Drawbar, Footprint, enclosing, footprints_of
 from tests.clause import clause
@@ -32,6 +32,18 @@ def put_body(xyz: np.ndarray, height_m: float, size_m: tuple[float, float]) -> n
     return is_body
 
 
+def marked(xyz: np.ndarray, box: Box, config: SupervisorConfig, consented_m: float = 0.0) -> NearField:
+    return mark_low_obstacles(xyz, box, config.near_field, config.vegetation, consented_m)
+
+
+def crop_of(rng: np.random.Generator, height_m: float, from_m: float = 3.5) -> np.ndarray:
+    """Ground, from some distance on with plants of which half of the returns are."""
+    xyz = field_of(rng, 0.01)
+    is_plant = (xyz[0] > from_m) & (rng.random(xyz.shape[1]) < 0.5)
+    xyz[2, is_plant] = rng.uniform(0.2, 1.0, is_plant.sum()) * height_m
+    return xyz
+
+
 @clause("BD-5.2.4", rule="protective_field")
 @pytest.mark.parametrize("size_m", [(1.7, 0.45), (0.45, 1.7), (0.5, 0.3)])
 def test_a_lying_person_stands_out_and_the_ground_does_not(
@@ -40,15 +52,15 @@ def test_a_lying_person_stands_out_and_the_ground_does_not(
     for seed in range(5):
         xyz = field_of(np.random.default_rng(seed), 0.01)
         is_body = put_body(xyz, 0.22, size_m)
-        found = mark_low_obstacles(xyz, AREA, config.near_field)
+        found = marked(xyz, AREA, config)
         assert found.is_obstacle[is_body].mean() > 0.8
         assert found.is_obstacle[~is_body].mean() < 0.001
 
 
 def test_least_height_follows_the_roughness(config: SupervisorConfig) -> None:
-    smooth = mark_low_obstacles(field_of(np.random.default_rng(1), 0.002), AREA, config.near_field)
+    smooth = marked(field_of(np.random.default_rng(1), 0.002), AREA, config)
     assert smooth.min_height_m == config.near_field.min_height_m
-    rough = mark_low_obstacles(field_of(np.random.default_rng(1), 0.04), AREA, config.near_field)
+    rough = marked(field_of(np.random.default_rng(1), 0.04), AREA, config)
     assert rough.min_height_m > 2.0 * 0.04
     assert not rough.is_obstacle.any()
 
@@ -60,18 +72,53 @@ def test_few_returns_of_a_cell_are_a_plant(config: SupervisorConfig) -> None:
         cell = np.stack([rng.uniform(7.02, 7.48, 80), rng.uniform(0.02, 0.48, 80), rng.normal(0.0, 0.005, 80)])
         cell[2, :count] = 0.2
         xyz = np.concatenate([field_of(rng, 0.005), cell.astype(np.float32)], axis=1)
-        assert np.count_nonzero(mark_low_obstacles(xyz, AREA, config.near_field).is_obstacle) == expected
+        assert np.count_nonzero(marked(xyz, AREA, config).is_obstacle) == expected
+
+
+@clause("BD-5.2.4", rule="vegetation")
+@pytest.mark.parametrize("from_m", [3.5, 7.0])
+def test_plants_are_no_obstacle_with_consent_and_who_stands_in_them_is(config: SupervisorConfig, from_m: float) -> None:
+    for seed in range(5):
+        xyz = crop_of(np.random.default_rng(seed), 0.35, from_m)
+        assert not marked(xyz, AREA, config).is_plant.any()
+        found = marked(xyz, AREA, config, 0.35)
+        assert not found.is_obstacle.any()
+        assert not (found.is_plant & found.is_obstacle).any()
+        child = np.abs(xyz[:2] - [[8.5], [1.0]]).max(axis=0) < 0.2
+        xyz[2, child] = np.linspace(0.1, 0.8, child.sum())
+        found = marked(xyz, AREA, config, 0.35)
+        assert np.array_equal(found.is_obstacle, child & (xyz[2] > 0.48) | found.is_obstacle & child)
+        assert found.is_obstacle[child & (xyz[2] > 0.5)].all()
+
+
+def test_height_of_plants_around(config: SupervisorConfig) -> None:
+    for height_m, consented_m in ((0.35, 0.0), (0.35, 0.35), (0.6, 0.35)):
+        found = marked(crop_of(np.random.default_rng(1), height_m), AREA, config, consented_m)
+        assert found.vegetation_m == pytest.approx(height_m, abs=0.12)
+    for height_m in (0.1, 1.5):  # lower plants hide nobody, and what is higher is no plant that is worked
+        assert marked(crop_of(np.random.default_rng(1), height_m), AREA, config).vegetation_m == 0.0
+    some = crop_of(np.random.default_rng(1), 0.35)[:, :300]
+    few = some[:, (some[0] < 7.0) & (some[1] > 0.0)]
+    assert marked(few, AREA, config).vegetation_m == 0.0
+
+
+def test_consent_hides_nobody_on_bare_ground(config: SupervisorConfig) -> None:
+    for seed in range(5):
+        xyz = field_of(np.random.default_rng(seed), 0.01)
+        is_body = put_body(xyz, 0.22, (1.7, 0.45))
+        assert np.array_equal(marked(xyz, AREA, config, 0.35).is_obstacle, marked(xyz, AREA, config).is_obstacle)
+        assert marked(xyz, AREA, config, 0.35).is_obstacle[is_body].mean() > 0.8
 
 
 def test_only_returns_in_the_box_count(config: SupervisorConfig) -> None:
     xyz = field_of(np.random.default_rng(2))
     put_body(xyz, 0.3, (1.0, 1.0))
-    away = mark_low_obstacles(xyz, Box((20.0, 30.0), (-4.0, 4.0)), config.near_field)
+    away = marked(xyz, Box((20.0, 30.0), (-4.0, 4.0)), config)
     assert not away.is_obstacle.any()
     assert away.min_height_m == config.near_field.min_height_m
-    assert not mark_low_obstacles(np.empty((3, 0), np.float32), AREA, config.near_field).is_obstacle.any()
+    assert not marked(np.empty((3, 0), np.float32), AREA, config).is_obstacle.any()
     high = np.array([[5.0], [0.0], [2.0]], np.float32)  # no ground around it: left to the ground filter
-    assert not mark_low_obstacles(high, AREA, config.near_field).is_obstacle.any()
+    assert not marked(high, AREA, config).is_obstacle.any()
 
 
 def test_a_wall_is_no_roughness(config: SupervisorConfig) -> None:
@@ -79,7 +126,7 @@ def test_a_wall_is_no_roughness(config: SupervisorConfig) -> None:
     wall = xyz[:, :2000].copy()
     wall[1], wall[2] = 3.0, np.abs(wall[0]) * 0.2
     is_body = put_body(xyz, 0.22, (1.7, 0.45))
-    found = mark_low_obstacles(np.concatenate([xyz, wall], axis=1), AREA, config.near_field)
+    found = marked(np.concatenate([xyz, wall], axis=1), AREA, config)
     assert found.is_obstacle[: xyz.shape[1]][is_body].mean() > 0.8
 
 

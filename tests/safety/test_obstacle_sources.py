@@ -261,6 +261,9 @@ def test_echo_conditions(sources: ObstacleSources, swept_field: SweptField, conf
         )
     sources.ultrasonics[0].echo_arc_odom_m = arc(*[(6.0, 0.1 * k) for k in range(7)])
     assert clearance_of(sources, swept_field).main_m == pytest.approx(2.5)
+    sources.lidars[1].vegetation_m = 0.3
+    assert sources.vegetation_m == 0.3
+    assert clearance_of(sources, swept_field).main_m == math.inf  # the echo may be of a plant
 
 
 def test_detection_range_of_covering_lidars(sources: ObstacleSources) -> None:

@@ -25,7 +25,7 @@ ORDER = (
     "supply_voltage",
     "steering", "brake", "overspeed", "localization", "tilt", "geofence", "implement_fold",
     "protective_field", "tracked_obstacle",
-    "detection_range", "sensor_loss", "wall_clearance", "speed_limit",
+    "detection_range", "vegetation", "sensor_loss", "wall_clearance", "speed_limit",
 )  # fmt: skip
 
 ADDED = """

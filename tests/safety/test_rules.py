@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from configs.mission import Consent
 from messages.faults import Fault, Response, Severity
 from messages.motion import PositionSource
 from messages.perception import ObstacleClass
@@ -34,7 +35,7 @@ NO_OBJECTION = {
     "localization": "localization", "tilt": "tilt", "geofence": "geofence", "implement_fold": "implement_fold",
     "protective_field": "protective_field",
     "tracked_obstacle": "tracked_obstacle", "detection_range": "detection_range.limit", "sensor_loss": "sensor_loss",
-    "wall_clearance": "wall_clearance",
+    "vegetation": "vegetation", "wall_clearance": "wall_clearance",
     "speed_limit": "speed_limit",
 }  # fmt: skip
 
@@ -308,6 +309,16 @@ def test_sensor_loss(config: SupervisorConfig) -> None:
         assert ask("sensor_loss", config, sensor_failures=sensor_failures) == (LIMIT, f"{kind}.lost", speed), kind
         close = min(highest_speed(half_m, flat, 0.0), highest_speed(whole_m, flat, 0.1))
         assert ask("sensor_loss", config, sensor_failures=sensor_failures, allowance_m=0.1)[2] == close, kind
+
+
+@clause("BD-5.2.4", rule="vegetation")
+def test_vegetation(config: SupervisorConfig) -> None:
+    consent = Consent(by="A. Bauer", vegetation_m=0.3)
+    for given in (None, consent):
+        assert ask("vegetation", config, vegetation_m=0.0, consent=given) == (NONE, "vegetation", math.inf)
+    assert ask("vegetation", config, vegetation_m=0.2) == (LIMIT, "vegetation", 0.0)
+    assert ask("vegetation", config, vegetation_m=0.34, consent=consent) == (NONE, "vegetation.consented", math.inf)
+    assert ask("vegetation", config, vegetation_m=0.36, consent=consent) == (LIMIT, "vegetation", 0.0)
 
 
 @clause(rule="implement_fold")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from configs.mission import Consent
 from configs.vehicle import Vehicle
 from messages.command import Mode, SafeCommand, SupervisorState
 from messages.faults import Fault, Response, Severity
@@ -37,6 +38,7 @@ from tests.safety.test_collision_monitor import CONTROL_COMMAND, SEEN, Spy
 FAULT_TOPICS = ("fault/executor", "fault/planner")
 COMMAND, STATE = object(), object()
 ADVISORIES = [advisory("a.b", "advisory text")]
+CONSENT = Consent(by="A. Bauer", vegetation_m=0.3)
 GAP = Clearance(7.0, 3.0, np.empty((0, 3)))
 THREAT = CriticalObject(9.0, ObstacleClass.PERSON, 4)
 
@@ -95,7 +97,7 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
             swept_field=SimpleNamespace(is_planned=True),
             pose_history=SimpleNamespace(driven_m=12.0),
             sources=SimpleNamespace(
-                lidars=lidars, lidar_failures=Spy(("wrong",)), detection_range_m=Spy(proven)
+                lidars=lidars, lidar_failures=Spy(("wrong",)), detection_range_m=Spy(proven), vegetation_m=0.3
             ),
         ),
         mode_machine=SimpleNamespace(
@@ -192,7 +194,7 @@ def test_monitors_get_the_inputs(among: Any, parts: Any, inbox: Any, config: Sup
 
 
 def test_situation(among: Any, parts: Any, inbox: Any, machine: Vehicle, config: SupervisorConfig) -> None:
-    supervisor = among()
+    supervisor = among(consent=CONSENT)
     supervisor.step(START_NS, inbox)
     situation, rules = parts.evaluate_rules.asked
     assert rules is RULES
@@ -204,8 +206,8 @@ def test_situation(among: Any, parts: Any, inbox: Any, machine: Vehicle, config:
         faults=parts.mode_machine.fault_memory.active,
         clearance=GAP, critical_object=THREAT, detection_range_m=30.0, blind=("lidar/side",), geofence_distance_m=8.0,
         is_foldable=True, clock_step_s=0.0, brake_test="phase", sensor_failures=("lost",),
-        is_departure_unresolved=True, lidar_failures=("wrong",), is_docking=True, is_under_roof=False,
-        wall_distance_m=6.0,
+        is_departure_unresolved=True, lidar_failures=("wrong",), vegetation_m=0.3,
+        consent=CONSENT, is_docking=True, is_under_roof=False, wall_distance_m=6.0,
     )  # fmt: skip
     assert parts.timed_out_topics.asked == (["ages"],)
     assert parts.inputs.ages.asked == (START_NS, inbox, parts.monitor, -1)
