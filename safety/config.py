@@ -107,6 +107,8 @@ class NearFieldConfig(Config):
     roughness_quantile: float = Field(ge=0.5, le=1.0, description="over cells, of the height that the ground reaches")
     roughness_factor: float = Field(ge=1.0, le=10.0, description="least height that counts, over the quantile")
     min_share: float = Field(ge=0.0, le=0.2, description="of the returns of a cell that are so high; fewer are noise")
+    dense_factor: float = Field(ge=1.0, le=10.0, description="the same where many returns of a cell are so high")
+    dense_share: float = Field(ge=0.0, le=1.0, description="share that is many")
 
 
 class VegetationConfig(Config):

@@ -57,13 +57,17 @@ def mark_low_obstacles(
     rough_m = quantile_of(ground_tops_m[plants_m == 0.0], config.roughness_quantile)
     min_height_m = max(config.min_height_m, config.roughness_factor * rough_m)
     is_above = height_m > min_height_m
-    if is_above.any() or plants_m.any():
+    is_dense = height_m > max(config.min_height_m, config.dense_factor * rough_m)
+    if is_dense.any() or plants_m.any():
         row, column = ((xyz[k, inside] - low) // config.cell_m for k, low in enumerate((x_low, y_low)))
         cell = (row * shape[1] + column).astype(np.int64)
         plant_m = plants_m.ravel()[cell]
         is_plant[inside] = (plant_m > 0.0) & (height_m <= plant_m + vegetation.margin_m)
         is_above = np.where(plant_m > 0.0, ~is_plant[inside], is_above)
-        is_above &= np.bincount(cell, is_above)[cell] >= config.min_share * np.bincount(cell)[cell]
+        count = np.bincount(cell)[cell]
+        is_above &= np.bincount(cell, is_above)[cell] >= config.min_share * count
+        is_dense &= (plant_m == 0.0) & (np.bincount(cell, is_dense)[cell] >= config.dense_share * count)
+        is_above |= is_dense
     is_obstacle[inside] = is_above
     return NearField(is_obstacle, is_plant, min_height_m, even_m)
 

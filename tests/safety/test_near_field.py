@@ -65,6 +65,21 @@ def test_least_height_follows_the_roughness(config: SupervisorConfig) -> None:
     assert not rough.is_obstacle.any()
 
 
+@clause("BD-5.2.4", rule="protective_field")
+def test_a_low_body_among_rows_of_crop(config: SupervisorConfig) -> None:
+    """Rows reach 0.08 m, so a few returns count from 0.2 m on, and many from 0.12 m."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        xyz = field_of(rng, 0.01)
+        is_row = (xyz[1] % 1.0 < 0.2) & (rng.random(xyz.shape[1]) < 0.3)
+        xyz[2, is_row] += rng.uniform(0.02, 0.09, is_row.sum())
+        is_body = put_body(xyz, 0.16, (1.0, 0.3))
+        found = marked(xyz, AREA, config)
+        assert found.min_height_m > 0.17
+        assert np.count_nonzero(found.is_obstacle & is_body) >= 5
+        assert not found.is_obstacle[~is_body].any()
+
+
 def test_few_returns_of_a_cell_are_a_plant(config: SupervisorConfig) -> None:
     """Of 80 returns in a cell three on a plant do not count, and eight on a body do."""
     rng = np.random.default_rng(3)
