@@ -2,14 +2,16 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from shapely import box
 
 from geometry.transforms import planar
-from messages.command import ControlCommand, Mode, SupervisorState
+from messages.command import ControlCommand, Mode, RuleResult, SupervisorState
 from messages.errors import LogError
+from messages.faults import Response
 from messages.message import Envelope, Message
 from messages.motion import MapPose, PositionSource
 from messages.perception import ObstacleClass
@@ -196,8 +198,13 @@ def test_summary_of_complete_drive() -> None:
     status = MissionStatus(1, MissionState.FINISHED, PathSectionType.SWATH, 0, 0, 40.0, 40.0, 40.0, "done", ())
     record.messages["mission"].append(status)
     planned = Planned(box(1.0, -3.0, 39.0, 3.0), 240.0, 6.0, {"person": 1})
+    plants = RuleResult("vegetation.consented", Response.NONE, math.inf, "plants of 0.30 m")
+    for at_s, rules in ((5.0, (plants,)), (8.0, (replace(plants, text=""),))):
+        state = supervisor(round(at_s * 1e9), Mode.AUTOMATIC, "", 9.0, np.empty((0, 3), np.float32))
+        record.messages["supervisor"].append(replace(state, rules=rules))
     summary = summarize(record, planned)
     assert summary.outcome == "finished"
+    assert summary.in_plants_m == pytest.approx(3.0 * SPEED_MPS)
     assert summary.planned_share == pytest.approx(38.0 * 6.0 / 240.0)
     verdicts = {v.clause: v.state for v in summary.verdicts}
     assert verdicts["BD-5.2.3"] is State.PASSED

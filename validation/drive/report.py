@@ -39,6 +39,7 @@ def _facts(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [
         ("simulated time", f"{result['simulated_s']:.0f} s in {result['wall_s']:.0f} s"),
         ("distance", f"{result['distance_m']:.0f} m"),
+        ("of it among plants that hide who lies, with consent", f"{result['in_plants_m']:.0f} m"),
         ("worked area", f"{result['worked_m2']:.0f} m²"),
         ("planned share of the field", f"{100 * result['planned_share']:.1f} %"),
         ("coverage of the planned area", f"{100 * result['coverage']:.2f} %"),

@@ -8,6 +8,7 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from configs.site import Bay
+from geometry.arrays import Bool, Float64
 from messages.plan import MissionState, PathSectionType
 from validation.drive.coverage import Coverage, measure_coverage, worked_area
 from validation.drive.docking import Docking, measure_docking
@@ -16,6 +17,8 @@ from validation.drive.record import DriveRecord, true_poses
 from validation.drive.stops import Stop, false_stops, find_stops
 from validation.drive.tracking import CrossTrack, measure_cross_track, statistics
 from validation.verdict import Verdict, verdict_of
+
+CONSENTED = "vegetation.consented"  # code of the supervisor
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class Summary:
     contacts: int
     zone_exits: int
     simulated_s: float
+    in_plants_m: float
     docking: Docking | None = None
 
     @property
@@ -53,6 +57,7 @@ class Summary:
             "outcome": self.outcome,
             "simulated_s": round(self.simulated_s, 2),
             "distance_m": round(self.distance_m, 2),
+            "in_plants_m": round(self.in_plants_m, 2),
             "worked_m2": round(self.coverage.worked_m2, 1),
             "planned_share": round(self.planned_share, 4),
             "coverage": round(self.coverage.share, 5),
@@ -106,10 +111,10 @@ def summarize(record: DriveRecord, planned: Planned) -> Summary:
     stops = tuple(find_stops(record))
     worked = worked_area(truth, planned.working_width_m)
     uncovered_areas = mission[-1].uncovered_areas if mission else ()
-    poses = true_poses(truth)
+    driven_m = steps_m(true_poses(truth))
     return Summary(
         outcome=_outcome(mission[-1].state if mission else MissionState.WAITING, planned.bay is not None),
-        distance_m=float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()) if len(poses) > 1 else 0.0,
+        distance_m=float(driven_m.sum()),
         planned_share=planned.area.area / planned.field_area_m2 if planned.field_area_m2 else 0.0,
         coverage=measure_coverage(planned.area, worked, uncovered_areas),
         cross_track=measure_cross_track(record),
@@ -119,8 +124,22 @@ def summarize(record: DriveRecord, planned: Planned) -> Summary:
         contacts=truth[-1].contacts if truth else 0,
         zone_exits=truth[-1].zone_exits if truth else 0,
         simulated_s=record.seconds,
+        in_plants_m=float(driven_m[is_in_plants(record)].sum()),
         docking=measure_docking(record, planned.bay),
     )
+
+
+def steps_m(poses: Float64) -> Float64:
+    """Distance (N,) from each pose (N, 3) to the one before; 0 for the first."""
+    return np.asarray(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T))
+
+
+def is_in_plants(record: DriveRecord) -> Bool:
+    """Whether the supervisor reported plants that hide who lies there, with consent, at each true pose (N,)."""
+    stamps = np.array([state.stamp_ns for state in record.supervisor], np.int64)
+    found = [any(rule.code == CONSENTED and rule.text for rule in state.rules) for state in record.supervisor]
+    last = np.searchsorted(stamps, [true.stamp_ns for true in record.truth], side="right") - 1
+    return np.where(last >= 0, np.array([*found, False])[last], False)
 
 
 def _outcome(state: MissionState, has_bay: bool) -> str:
