@@ -42,6 +42,7 @@ RULE = Rule(
         "near_field.range_m",
         "near_field.min_height_m",
         "near_field.roughness_factor",
+        "near_field.dense_factor",
         "airborne.dust_range_m",
         "airborne.dust_returns",
         "airborne.clear_m",

@@ -2,9 +2,12 @@
 
 The ground filter counts from 0.25 m above a plane through the wheels, because the ground itself reaches that height
 farther away. Lidars that look down have enough returns near the machine to measure the ground in cells of 0.5 m: one
-counts there from 0.12 m above it, or from what the roughness of the ground requires if that is more, and if it is not
-one of a few in its cell: noise on single plants. Others have their first ring metres away, and reflections there lie
-below the ground.
+counts there from 0.12 m above it, or from what the roughness of the ground requires if that is more: less where many
+returns of its cell are so high, and never if only a few are: noise on single plants. Others have their first ring
+metres away, and reflections there lie below the ground.
+
+Plants cover many cells and are about as high in each: what does not stand out of them is no obstacle where the mission
+consents to plants of that height.
 """
 
 from dataclasses import dataclass
