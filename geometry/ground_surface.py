@@ -16,9 +16,9 @@ def heights_above_ground(
     xyz: Float32, corner_m: tuple[float, float], shape: tuple[int, int], cell_m: float, quantile: float, slope: float,
     residual_slope: float,
     ground_limit_m: float,
-) -> tuple[Float64, Float64, Float64]:  # fmt: skip
+) -> tuple[Float64, Float64]:  # fmt: skip
     """Height (N,) of each return (3, N) above the surface through the low returns of the cells around it, and the
-    second largest height in each cell (R, C), of all and of those below `ground_limit_m`; infinite where there are
+    tops (3, R, C) of the cells: second largest z, height, and height below `ground_limit_m`; infinite where there are
     fewer than three.
 
     The grid of `shape` cells begins at `corner_m`; returns beyond it belong to its outermost cells. The low `quantile`
@@ -40,10 +40,11 @@ def heights_above_ground(
     for k in range(count):
         place[k] = filled[cell[k]]
         filled[cell[k]] += 1
-    height, by_cell = np.empty(count, np.float64), np.empty(count, np.float64)
+    height, by_cell, tops = np.empty(count), np.empty(count), np.empty((3, rows * columns))
     for k in range(count):
         height[k] = xyz[2, k]
         by_cell[place[k]] = height[k]
+    tops[0] = _second_largest(by_cell, begin, np.inf)
     trend = _smoothed(envelope(_low(by_cell, begin, quantile, rows, columns), slope * cell_m, REACH))
     for k in range(count):
         height[k] -= _interpolated(
@@ -54,8 +55,8 @@ def heights_above_ground(
     for k in range(count):
         height[k] -= rest[cell[k] // columns, cell[k] % columns]
         by_cell[place[k]] = height[k]
-    tops, ground_tops = _second_largest(by_cell, begin, np.inf), _second_largest(by_cell, begin, ground_limit_m)
-    return height, tops.reshape(shape), ground_tops.reshape(shape)
+    tops[1], tops[2] = _second_largest(by_cell, begin, np.inf), _second_largest(by_cell, begin, ground_limit_m)
+    return height, tops.reshape((3, rows, columns))
 
 
 @kernel

@@ -122,6 +122,11 @@ class VegetationConfig(Config):
         gt=0.0, le=0.5, description="of these cells, or of all, that plants cover, and a body does not"
     )
     min_cells: int = Field(ge=1, le=1000, description="cells of the near field that show plants around the machine")
+    wheels_m: Metres = Field(
+        description="distance from the centre between the axles within which their plane is ground"
+    )
+    min_near_cells: int = Field(ge=1, le=1000, description="cells there that show how high plants are above that plane")
+    min_texture_m: Metres = Field(description="height of the tops of plants above the low returns between them")
 
     def highest_m(self, consented_m: float) -> float:
         """Height to which plants may be measured that are as high as the mission consents to."""

@@ -23,11 +23,13 @@ CODES = ("imu.frozen", "imu.noisy", "imu.implausible", "wheel.implausible", "imu
 
 
 class CrossCheckConfig(Config):
-    """Limit of the difference over the window: floor + per_change x smaller change + per_m x path length."""
+    """Limit of the difference over the window: floor + per_change x smaller change + per_m x path length + per_noise
+    x noise of the IMU, of acceleration (m/s2) or rate (rad/s)."""
 
     floor: float = Field(gt=0.0, le=10.0)
     per_change: float = Field(ge=0.0, le=1.0)
     per_m: float = Field(ge=0.0, le=1.0)
+    per_noise: float = Field(ge=0.0, le=1.0)
 
 
 class PlausibilityConfig(Config):
@@ -60,6 +62,7 @@ class ImuCheck:
         self._config = config
         self._values: deque[Float64] = deque(maxlen=config.samples)
         self._equal_count = 1
+        self.noise = (0.0, 0.0)
 
     def clear(self) -> None:
         """Drops all samples."""
@@ -80,9 +83,10 @@ class ImuCheck:
         if len(self._values) < cfg.samples:
             return None
         values = np.array(self._values)
-        noise = np.sqrt(0.5 * np.mean(np.diff(values, axis=0).reshape(-1, 2, 3) ** 2, axis=(0, 2)))
-        if not (noise[0] <= cfg.max_noise_mps2 and noise[1] <= cfg.max_noise_radps):
-            return Suspicion("imu.noisy", f"{noise[0]:.1f} m/s², {noise[1]:.2f} rad/s")
+        specific, rate = np.sqrt(0.5 * np.mean(np.diff(values, axis=0).reshape(-1, 2, 3) ** 2, axis=(0, 2))).tolist()
+        self.noise = (specific, rate)
+        if not (specific <= cfg.max_noise_mps2 and rate <= cfg.max_noise_radps):
+            return Suspicion("imu.noisy", f"{specific:.1f} m/s², {rate:.2f} rad/s")
         gravity = math.hypot(*values[:, :3].mean(axis=0).tolist())
         if not abs(gravity - STANDARD_GRAVITY_MPS2) <= cfg.max_gravity_error_mps2:
             return Suspicion("imu.implausible", f"gravity of {gravity:.1f} m/s²")
@@ -106,6 +110,7 @@ class CrossCheck:
         self._rows: deque[tuple[float, float, float]] = deque()
         self._references: deque[tuple[int, float]] = deque()
         self._since_ns: int | None = None
+        self._noise = 0.0
 
     def clear(self) -> None:
         """Drops all samples."""
@@ -114,8 +119,9 @@ class CrossCheck:
         self._references.clear()
         self._since_ns = None
 
-    def add(self, stamp_ns: int, first: float, second: float, path_m: float) -> None:
-        """Takes both measurements and the path length so far; stamps increase."""
+    def add(self, stamp_ns: int, first: float, second: float, path_m: float, noise: float) -> None:
+        """Takes both measurements, the path length so far and the noise of the first; stamps increase."""
+        self._noise = noise
         self._stamps.append(stamp_ns)
         self._rows.append((first, second, path_m))
         while stamp_ns - self._stamps[0] > self._window_ns:
@@ -138,7 +144,8 @@ class CrossCheck:
         (a, b, path), (a0, b0, path0) = self._rows[-1], self._rows[0]
         change = min(abs(a - a0), abs(b - b0))
         cfg = self._config
-        return abs((a - a0) - (b - b0)), cfg.floor + cfg.per_change * change + cfg.per_m * (path - path0)
+        limit = cfg.floor + cfg.per_change * change + cfg.per_m * (path - path0) + cfg.per_noise * self._noise
+        return abs((a - a0) - (b - b0)), limit
 
     def suspect(self) -> Suspect | None:
         """Sensor at fault, once the contradiction has lasted for the debounce time."""
@@ -184,8 +191,9 @@ class Plausibility:
         self._steering_rad += dt_s * speed_mps * curvature_radpm
         self._accelerated_mps += dt_s * acceleration_mps2
         self._path_m += dt_s * abs(speed_mps)
-        self.turn.add(stamp_ns, self._gyro_rad, self._steering_rad, self._path_m)
-        self.speed.add(stamp_ns, self._accelerated_mps, speed_mps, self._path_m)
+        specific, rate = self.imu.noise
+        self.turn.add(stamp_ns, self._gyro_rad, self._steering_rad, self._path_m, rate)
+        self.speed.add(stamp_ns, self._accelerated_mps, speed_mps, self._path_m, specific)
 
     def set_reference(self, stamp_ns: int, heading_rad: float, speed_mps: float) -> None:
         """Takes heading and signed speed by GNSS; NaN: not measured."""

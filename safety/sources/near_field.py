@@ -17,6 +17,7 @@ import numpy as np
 from geometry.arrays import Float32, Float64
 from geometry.ground_surface import heights_above_ground, plant_heights
 from safety.config import NearFieldConfig, VegetationConfig
+from safety.sources.ground_filter import WHEELS_X_M
 from safety.zones.footprint import Box, Footprint
 
 MIN_CELLS = 2  # in each direction, for interpolation
@@ -50,11 +51,13 @@ def mark_low_obstacles(
     if len(inside) == 0:
         return NearField(is_obstacle, is_plant, config.min_height_m, 0.0)
     shape = (cells(x_high - x_low, config.cell_m), cells(y_high - y_low, config.cell_m))
-    height_m, tops_m, ground_tops_m = heights_above_ground(
+    height_m, (top_z_m, tops_m, ground_tops_m) = heights_above_ground(
         np.ascontiguousarray(xyz[:, inside]), (x_low, y_low), shape, config.cell_m, config.ground_quantile,
         config.max_slope, config.max_residual_slope, config.max_roughness_m,
     )  # fmt: skip
-    even_m, plants_m = even_plants_m(tops_m, vegetation), np.zeros(shape)
+    x_m, y_m = (low + config.cell_m * (np.arange(n) + 0.5) for low, n in ((x_low, shape[0]), (y_low, shape[1])))
+    is_near = np.hypot(x_m[:, None] - WHEELS_X_M, y_m) <= vegetation.wheels_m
+    even_m, plants_m = even_plants_m(tops_m, top_z_m[is_near], vegetation), np.zeros(shape)
     if consented_m > 0.0:
         plants_m = heights_of_plants(tops_m, vegetation, even_m, consented_m)
     rough_m = quantile_of(ground_tops_m[plants_m == 0.0], config.roughness_quantile)
@@ -85,14 +88,19 @@ def heights_of_plants(tops_m: Float64, config: VegetationConfig, even_m: float, 
     return np.maximum(found_m, even_m if even_m <= highest_m else 0.0)
 
 
-def even_plants_m(tops_m: Float64, config: VegetationConfig) -> float:
+def even_plants_m(tops_m: Float64, near_top_z_m: Float64, config: VegetationConfig) -> float:
     """Height of plants that cover at least a share of the cells (R, C) with the tops; 0 where they are low or too high.
 
-    Few cells are no evidence: walls beside a machine in its shed reach to all heights.
+    The ground under dense plants is not seen, and what is found there lies within them: near the wheels (K,) the plane
+    on which these stand is the ground, where the plants make the surface rough; waves of the ground are smooth. Few
+    cells are no evidence: walls beside a machine in its shed reach to all heights.
     """
-    if np.count_nonzero(np.isfinite(tops_m)) < config.min_cells:
-        return 0.0
-    height_m = quantile_of(tops_m, 1.0 - config.share)
+    height_m = 0.0
+    if np.count_nonzero(np.isfinite(tops_m)) >= config.min_cells:
+        height_m = quantile_of(tops_m, 1.0 - config.share)
+        is_rough = config.min_texture_m <= height_m <= config.max_height_m
+        if is_rough and np.count_nonzero(np.isfinite(near_top_z_m)) >= config.min_near_cells:
+            height_m = max(height_m, quantile_of(near_top_z_m, 1.0 - config.share))
     return height_m if config.min_height_m < height_m <= config.max_height_m else 0.0
 
 

@@ -23,7 +23,7 @@ from tests.localization.synthetic_drive import START_NS, SensorErrors, drive
 CONFIG = configuration().odometry.plausibility
 REST = np.array([0.0, 0.0, 9.80665, 0.0, 0.0, 0.0])
 STEP_NS = 20_000_000
-RULE = CrossCheckConfig(floor=0.2, per_change=0.1, per_m=0.05)
+RULE = CrossCheckConfig(floor=0.2, per_change=0.1, per_m=0.05, per_noise=0.2)
 
 
 def around(limit, step):
@@ -68,24 +68,26 @@ def test_gravity_error_limits(sign):
         assert shaken(1e-6, rest=rest) == ("imu.implausible" if error > CONFIG.max_gravity_error_mps2 else None)
 
 
-def cross_check(first, second, reference=None, seconds=2.0, path=0.0, begins_s=0.0):
+def cross_check(first, second, reference=None, seconds=2.0, path=0.0, begins_s=0.0, noise=0.0):
     """A cross check after steady changes from a time on; the reference comes at 10 Hz."""
     check = CrossCheck(RULE, 1.0, 0.2)
     for k in range(round(seconds * 50) + 1):
         t, stamp_ns = max(0.0, k / 50 - begins_s), k * STEP_NS
-        check.add(stamp_ns, first * t, second * t, path * t)
+        check.add(stamp_ns, first * t, second * t, path * t, noise)
         if reference is not None and k % 5 == 0:
             check.set_reference(stamp_ns, reference * t)
     return check
 
 
-@pytest.mark.parametrize(("change", "path"), [(0.0, 0.0), (0.0, 3.0), (0.5, 0.0), (-0.5, 2.0)])
-def test_contradiction_limit(change, path):
-    limit = RULE.floor + RULE.per_change * abs(change) + RULE.per_m * path
+@pytest.mark.parametrize(
+    ("change", "path", "noise"), [(0.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.5, 0.0, 0.0), (-0.5, 2.0, 0.0), (0.5, 2.0, 3.0)]
+)
+def test_contradiction_limit(change, path, noise):
+    limit = RULE.floor + RULE.per_change * abs(change) + RULE.per_m * path + RULE.per_noise * noise
     for error in around(limit, 1e-4):
         further = change + math.copysign(error, change)
-        assert (cross_check(further, change, path=path).suspect() is not None) == (error > limit)
-        assert (cross_check(change, further, path=path).suspect() is not None) == (error > limit)
+        for pair in ((further, change), (change, further)):
+            assert (cross_check(*pair, path=path, noise=noise).suspect() is not None) == (error > limit)
 
 
 def test_contradiction_debounce():
@@ -111,6 +113,17 @@ def test_suspicion_recovery():
     plausibility.clear()
     assert plausibility.evaluate(START_NS + heal_ns).code == "imu.frozen"
     assert plausibility.evaluate(START_NS + heal_ns + 1) is None
+
+
+def test_noise_of_the_imu_is_allowed_for_in_its_changes():
+    """A vibration of 3 m/s²: a change of speed by 0.5 m/s that the wheels do not show is no contradiction."""
+    for vibration in (0.0, 3.0):
+        plausibility = Plausibility(CONFIG)
+        for k in range(120):
+            plausibility.imu.add(REST + vibration * (-1) ** k / math.sqrt(2.0) * np.array([1, 1, 1, 0, 0, 0]) + 1e-9 * k)
+            plausibility.evaluate(START_NS + k * STEP_NS)
+            plausibility.advance(START_NS + k * STEP_NS, 0.02, (0.0, 0.5), (0.0, 0.0))
+        assert (plausibility.speed.suspect() is None) == (vibration > 0.0)
 
 
 def test_every_suspicion_stops_and_has_two_texts():
