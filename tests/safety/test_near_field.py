@@ -117,6 +117,17 @@ def test_height_of_plants_around(config: SupervisorConfig) -> None:
     assert marked(few, AREA, config).vegetation_m == 0.0
 
 
+def test_dense_plants_are_as_high_as_their_surface_above_the_wheels(config: SupervisorConfig) -> None:
+    """Grass of which only the tops are seen is rough; a wave of bare ground as high is smooth."""
+    for rough_m, expected_m in ((0.04, 0.3), (0.005, 0.0)):
+        xyz = field_of(np.random.default_rng(1), rough_m)
+        xyz[2] += 0.27
+        assert marked(xyz, AREA, config).vegetation_m == pytest.approx(expected_m, abs=0.05)
+    far = xyz[:, xyz[0] > 6.0]
+    far[2] += np.random.default_rng(2).normal(0.0, 0.04, far.shape[1]).astype(np.float32)
+    assert marked(far, AREA, config).vegetation_m == 0.0  # nothing near the wheels says how high
+
+
 def test_consent_hides_nobody_on_bare_ground(config: SupervisorConfig) -> None:
     for seed in range(5):
         xyz = field_of(np.random.default_rng(seed), 0.01)
