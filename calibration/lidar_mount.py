@@ -19,6 +19,7 @@ MIN_POINTS = 300
 SEARCH_M = 0.35  # height above the ground by the present mount
 TRIMS_M = (0.35, 0.12, 0.06, 0.05)
 LEAST_M, LEAST_RAD = 1e-3, 1e-4
+BEAM_DEG = 0.05  # error of the elevation of a beam, by the calibration sheets of makers
 
 
 def lidar_mount(recording: Recording, vehicle: Vehicle, name: str) -> CalibrationResult:
@@ -43,15 +44,20 @@ def lidar_mount(recording: Recording, vehicle: Vehicle, name: str) -> Calibratio
     # distance of the lidar from the plane
     x, y, z = mount.xyz_m
     height = float((z - slope_x * x - slope_y * y - offset) * up[2])
-    sigma = [math.hypot(one, 0.5 * float(bend)) for (_, one), bend in zip(means, bent, strict=True)]
-    height_sigma = math.sqrt(sigma[2] ** 2 + (x * sigma[0]) ** 2 + (y * sigma[1]) ** 2 + LEAST_M**2)
+    # the ground is bent, and no beam looks exactly where its maker says
+    least = (math.radians(BEAM_DEG), math.radians(BEAM_DEG), LEAST_M)
+    sigma = [
+        math.sqrt(one**2 + (0.5 * float(bend)) ** 2 + error**2)
+        for (_, one), bend, error in zip(means, bent, least, strict=True)
+    ]
+    height_sigma = math.sqrt(sigma[2] ** 2 + (x * sigma[0]) ** 2 + (y * sigma[1]) ** 2)
     key = f"vehicle.sensors.lidar.{name}.mount"
     estimates = (
         Estimate(f"{key}.rpy_deg.0", float(rpy[0]), math.degrees(sigma[1]), mount.rpy_deg[0]),
         Estimate(f"{key}.rpy_deg.1", float(rpy[1]), math.degrees(sigma[0]), mount.rpy_deg[1]),
         Estimate(f"{key}.xyz_m.2", height, height_sigma, z),
     )
-    ratio = max(half_ratio(found[:, k], LEAST_RAD) for k in range(3))
+    ratio = max(half_ratio(found[:, k], least_one) for k, least_one in enumerate(least))
     points = apply(T, scans[-1].astype(np.float64))
     near = points[np.abs(points[:, 2] - points[:, :2] @ [slope_x, slope_y] - offset) < SEARCH_M]
     ends = [float(near[:, 0].min()), float(near[:, 0].max())]

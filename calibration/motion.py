@@ -47,10 +47,10 @@ def motion_of(recording: Recording, vehicle: Vehicle) -> Motion:
     t, speed = wheel[:, 0], wheel[:, 1]
     up_imu = vehicle.sensors.imu.mount.T_base_sensor[2, :3]
     rate = imu[:, 4:7] @ up_imu
-    still = np.interp(imu[:, 0], t, (np.abs(_smoothed(t, speed)) < 1e-3).astype(float)) > 0.99
+    still = np.interp(imu[:, 0], t, (np.abs(smoothed(t, speed)) < 1e-3).astype(float)) > 0.99
     bias = float(np.mean(rate[still])) if still.sum() > 50 else 0.0
-    yaw_rate = np.interp(t, imu[:, 0], _smoothed(imu[:, 0], rate - bias))
-    smooth = _smoothed(t, speed)
+    yaw_rate = np.interp(t, imu[:, 0], smoothed(imu[:, 0], rate - bias))
+    smooth = smoothed(t, speed)
     distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t))])
     hitch = np.interp(t, recording.machine[:, 0], recording.machine[:, 1]) if len(recording.machine) else np.ones(len(t))
     acceleration = np.gradient(smooth, t)
@@ -86,9 +86,9 @@ def antenna_of(vehicle: Vehicle) -> Mount:
     return next(iter(vehicle.sensors.gnss.values())).mount
 
 
-def _smoothed(t_s: Float64, values: Float64) -> Float64:
-    """Mean over `SMOOTH_S` around each sample."""
+def smoothed(t_s: Float64, values: Float64, window_s: float = SMOOTH_S) -> Float64:
+    """Mean over a window of time around each sample, (N,)."""
     integral = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t_s))])
-    low, high = np.maximum(t_s - 0.5 * SMOOTH_S, t_s[0]), np.minimum(t_s + 0.5 * SMOOTH_S, t_s[-1])
+    low, high = np.maximum(t_s - 0.5 * window_s, t_s[0]), np.minimum(t_s + 0.5 * window_s, t_s[-1])
     mean = (np.interp(high, t_s, integral) - np.interp(low, t_s, integral)) / np.maximum(high - low, 1e-9)
     return np.asarray(mean)

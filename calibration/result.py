@@ -63,10 +63,10 @@ def weighted_mean(values: Float64, least_sigma: float) -> tuple[float, float]:
 
 
 def half_ratio(values: Float64, least_sigma: float) -> float:
-    """Difference of the means of every second and the other values over its standard deviation; infinite for few."""
+    """Difference of the means of first and second half over its standard deviation; infinite for few values."""
     if len(values) < 4:
         return math.inf
-    (a, sigma_a), (b, sigma_b) = (weighted_mean(values[k::2], least_sigma) for k in (0, 1))
+    (a, sigma_a), (b, sigma_b) = (weighted_mean(half, least_sigma) for half in np.array_split(values, 2))
     return abs(a - b) / math.hypot(sigma_a, sigma_b)
 
 
