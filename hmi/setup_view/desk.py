@@ -8,7 +8,7 @@ from hmi.setup_view.store import SetupStore, SetupVersion
 
 
 class SetupDesk:
-    """Setup of one machine; `used` is the version that the machine drives with, None where it is not one of these.
+    """Setup of one machine; `used` is the version that it drives with, None: with `configured`, as a running machine.
 
     Every change raises HeadlandError with the reason for which it is not possible.
     """
@@ -22,6 +22,7 @@ class SetupDesk:
         self.used = used
         self.shown, self.draft = self.store.newest(configured)
         self.machine = configured.machine
+        self.in_use = configured if used is None else self.store.setup(self.machine, used)
         self._refresh()
 
     def _refresh(self) -> None:

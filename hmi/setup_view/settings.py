@@ -6,8 +6,13 @@ from typing import Any
 from configs.machine_setup import MachineSetup, leaves
 from messages.errors import ConfigError
 
-SECTIONS = ("vehicle", "implement", "mounts", "sensors", "corrections", "work")
-HIDDEN = (".solids.", ".elevation_deg.", ".kind", ".topic", "vehicle.name", "implement.name", ".guidance", "swath_")
+SECTIONS = ("vehicle", "implement", "corrections", "work")
+MOUNTS = "mounts"
+HIDDEN = (".solids.", ".kind", "vehicle.name", "implement.name", ".sinks_m", ".guidance", ".swath_")
+AXES = tuple(f"{name}.{k}" for name in ("xyz_m", "rpy_deg") for k in range(3))
+UNITS = {
+    "mps2": "m/s²", "kmh": "km/h", "deg": "°", "rpm": "1/min", "lpm": "L/min", "kg": "kg", "m": "m", "s": "s",
+}  # fmt: skip
 MAX_TEXT = 60
 
 
@@ -16,15 +21,28 @@ def section_of(key: str) -> str:
     if any(part in key for part in HIDDEN):
         return ""
     if ".mount." in key:
-        return "mounts"
-    if ".sensors." in key:
-        return "sensors"
+        return MOUNTS
+    if ".sensors." in key and not key.endswith("angle_zero_deg"):
+        return ""
     return key.partition(".")[0]
 
 
 def settings_of(setup: MachineSetup, section: str) -> dict[str, Any]:
-    """Values of a section by dotted key."""
-    return {key: value for key, value in leaves(setup).items() if section_of(key) == section}
+    """Values of a section by dotted key; none that is absent, such as the fold of an implement that does not fold."""
+    return {key: value for key, value in leaves(setup).items() if section_of(key) == section and value is not None}
+
+
+def mounts_of(setup: MachineSetup) -> dict[str, list[tuple[str, Any]]]:
+    """Keys and values of x, y, z, roll, pitch and yaw of each mount, by the key of its sensor."""
+    found = settings_of(setup, MOUNTS)
+    sensors = list(dict.fromkeys(key.partition(".mount.")[0] for key in found))
+    return {one: [(f"{one}.mount.{axis}", found[f"{one}.mount.{axis}"]) for axis in AXES] for one in sensors}
+
+
+def unit_of(key: str) -> str:
+    """Unit of a value by the last part of its name."""
+    name = key.rstrip("0123456789.")
+    return UNITS.get(name.rpartition("_")[2], "")
 
 
 def shown_text(value: Any) -> str:
