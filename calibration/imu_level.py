@@ -57,7 +57,7 @@ def imu_level(recording: Recording, vehicle: Vehicle) -> CalibrationResult:
     ratio = max(half_ratio(means[:, k], LEAST) for k in (0, 1))
     both = np.degrees(np.concatenate([a.tilt[:n, 0], b.tilt[:n, 0]]))
     level = math.degrees(along)
-    plot = plot_of("block", "tilt", np.arange(len(both)), both, [(0.0, level), (len(both) - 1.0, level)])
+    plot = plot_of("block", "tilt", np.arange(float(len(both))), both, [(0.0, level), (len(both) - 1.0, level)])
     return CalibrationResult(estimates, ratio, plot)
 
 

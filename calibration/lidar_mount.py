@@ -11,7 +11,7 @@ from calibration.recording import Recording
 from calibration.result import CalibrationResult, Estimate, NotEnough, half_ratio, plot_of, weighted_mean
 from calibration.tilt import levelled_rpy_deg
 from configs.vehicle import Vehicle
-from geometry.arrays import Float64
+from geometry.arrays import Float32, Float64
 from geometry.transforms import apply
 
 MIN_SCANS = 8
@@ -28,7 +28,7 @@ def lidar_mount(recording: Recording, vehicle: Vehicle, name: str) -> Calibratio
     T = mount.T_base_sensor
     planes, bends = [], []
     for scan in scans:
-        points = apply(T, scan.astype(np.float64))
+        points = _in_base(T, scan)
         plane = ground_plane(points)
         if plane is not None:
             planes.append(plane)
@@ -58,7 +58,7 @@ def lidar_mount(recording: Recording, vehicle: Vehicle, name: str) -> Calibratio
         Estimate(f"{key}.xyz_m.2", height, height_sigma, z),
     )
     ratio = max(half_ratio(found[:, k], least_one) for k, least_one in enumerate(least))
-    points = apply(T, scans[-1].astype(np.float64))
+    points = _in_base(T, scans[-1])
     near = points[np.abs(points[:, 2] - points[:, :2] @ [slope_x, slope_y] - offset) < SEARCH_M]
     ends = [float(near[:, 0].min()), float(near[:, 0].max())]
     line = [(end, slope_x * end + offset) for end in ends]
@@ -66,7 +66,7 @@ def lidar_mount(recording: Recording, vehicle: Vehicle, name: str) -> Calibratio
 
 
 def ground_plane(points_base_m: Float64) -> Float64 | None:
-    """Slope along x and y and height at `base` (3,) of the ground, None without enough returns; trimmed least squares."""
+    """Slope along x and y and height at `base` (3,) of the ground, trimmed; None without enough returns."""
     plane = np.zeros(3)
     for trim_m in TRIMS_M:
         away = points_base_m[:, 2] - points_base_m[:, :2] @ plane[:2] - plane[2]
@@ -88,4 +88,8 @@ def _bend(points_base_m: Float64, plane: Float64) -> Float64:
         np.linalg.lstsq(np.column_stack([half[:, :2], np.ones(len(half))]), half[:, 2], rcond=None)[0]
         for half in halves
     ]
-    return np.abs(planes[0] - planes[1])
+    return np.asarray(np.abs(planes[0] - planes[1]))
+
+
+def _in_base(T_base_lidar: Float64, points: Float32) -> Float64:
+    return np.asarray(apply(T_base_lidar, points.astype(np.float64)), np.float64)

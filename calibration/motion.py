@@ -52,7 +52,9 @@ def motion_of(recording: Recording, vehicle: Vehicle) -> Motion:
     yaw_rate = np.interp(t, imu[:, 0], smoothed(imu[:, 0], rate - bias))
     smooth = smoothed(t, speed)
     distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t))])
-    hitch = np.interp(t, recording.machine[:, 0], recording.machine[:, 1]) if len(recording.machine) else np.ones(len(t))
+    hitch = (
+        np.interp(t, recording.machine[:, 0], recording.machine[:, 1]) if len(recording.machine) else np.ones(len(t))
+    )
     acceleration = np.gradient(smooth, t)
     return Motion(t, speed, wheel[:, 2], yaw_rate, acceleration, distance, (hitch > RAISED).astype(float))
 

@@ -43,9 +43,7 @@ def steering_zero(recording: Recording, vehicle: Vehicle) -> CalibrationResult:
     )
     ratio = max(half_ratio(values[one], LEAST_RAD) for one in groups)
     line = [(at_m[0], math.degrees(zero)), (at_m[-1], math.degrees(zero))]
-    return CalibrationResult(
-        (estimate,), ratio, plot_of("distance", "angle", np.array(at_m), np.degrees(values), line)
-    )
+    return CalibrationResult((estimate,), ratio, plot_of("distance", "angle", np.array(at_m), np.degrees(values), line))
 
 
 def heading_at(base: np.ndarray, t_s: float) -> float:

@@ -41,9 +41,7 @@ def wheel_radius(recording: Recording, vehicle: Vehicle) -> CalibrationResult:
     formal = scatter / noise * math.sqrt(float(np.linalg.inv(A.T @ A)[0, 0]))
     sigma = math.hypot(formal, CORRELATED_M / (len(rows) * PIECE_M))
     present = vehicle.drivetrain.wheel_radius_m
-    estimate = Estimate(
-        "vehicle.drivetrain.wheel_radius_m", float(solution[0]) * present, sigma * present, present
-    )
+    estimate = Estimate("vehicle.drivetrain.wheel_radius_m", float(solution[0]) * present, sigma * present, present)
     radius = float(solution[0]) * present
     plot = plot_of("distance", "radius", at_m, level * present, [(at_m[0], radius), (at_m[-1], radius)])
     return CalibrationResult((estimate,), half_ratio(level, noise), plot)

@@ -29,7 +29,7 @@ def calibrations_of(vehicle: Vehicle) -> tuple[str, ...]:
 def calibrate(
     name: str, recording: Recording, vehicle: Vehicle, implement: MountedImplement | TrailedImplement
 ) -> CalibrationResult:
-    """Result of a calibration of `calibrations_of`, for a vehicle without the sensors of its implement; raises NotEnough."""
+    """Result of a calibration by its name, for a vehicle without the sensors of its implement; raises NotEnough."""
     kind, _, sensor = name.partition(".")
     if kind == LIDAR:
         return lidar_mount(recording, vehicle, sensor)

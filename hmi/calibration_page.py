@@ -33,7 +33,9 @@ class CalibrationPage(View):
             with ui.element("section").classes("hl-card"):
                 self.seat.build()
                 ui.html(self._controls_html(), sanitize=False)
-            plot = '<div id="plot-box" hidden><svg id="plot" class="hl-plot" role="img" viewBox="0 0 620 295"></svg></div>'
+            plot = (
+                '<div id="plot-box" hidden><svg id="plot" class="hl-plot" role="img" viewBox="0 0 620 295"></svg></div>'
+            )
             verdict = '<p id="verdict" class="hl-answer" role="status"></p>'
             table = self.table_card("estimates", ESTIMATES)
             ui.html(self.card("plot", verdict + plot) + table, sanitize=False)
@@ -124,7 +126,9 @@ class CalibrationPage(View):
         if desk.result is None:
             return ""
         ratio = f"{desk.result.ratio:.1f}" if math.isfinite(desk.result.ratio) else "∞"
-        return self.texts("calibration.verified" if desk.result.is_verified else "calibration.not_verified", ratio=ratio)
+        return self.texts(
+            "calibration.verified" if desk.result.is_verified else "calibration.not_verified", ratio=ratio
+        )
 
     def _row(self, one: Estimate) -> list[Any]:
         sensor, is_mount, axis = one.key.partition(".mount.")

@@ -130,10 +130,15 @@ class SetupPage(View):
         for sensor, axes in mounts_of(desk.draft).items():
             name = self.sensor_name(sensor)
             cells = zip(AXES[1:], axes, strict=True)
-            rows.append([
-                name,
-                *(self._cell(desk, k, v, f"{name}, {self.texts(f'column.{axis}')}", barred) for axis, (k, v) in cells),
-            ])
+            rows.append(
+                [
+                    name,
+                    *(
+                        self._cell(desk, k, v, f"{name}, {self.texts(f'column.{axis}')}", barred)
+                        for axis, (k, v) in cells
+                    ),
+                ]
+            )
         return rows
 
     def _cell(self, desk: SetupDesk, key: str, value: Any, label: str, barred: str) -> dict[str, Any]:
@@ -151,26 +156,21 @@ class SetupPage(View):
             state = [self.texts("setup.in_use")] if one.number == desk.used else []
             state += [self.texts("setup.shown")] if one.number == desk.shown else []
             author = self.texts("setup.files") if one.author == "configs" else one.author
-            button = {
-                "text": self.texts("setup.open"), "action": "open", "value": str(one.number), "off": bool(barred)
-            }
+            button = {"text": self.texts("setup.open"), "action": "open", "value": str(one.number), "off": bool(barred)}
             rows.append([str(one.number), one.stored_at, author, one.note, " · ".join(state), button])
         return rows
 
     def _controls(self, desk: SetupDesk | None, barred: str) -> dict[str, Any]:
+        off, asks = bool(barred), self.asks("apply")
         is_old = desk is not None and desk.shown != desk.newest
-        is_changed = desk is not None and bool(desk.changes)
+        is_new = not off and desk is not None and (is_old or bool(desk.changes))
         waits = desk is not None and desk.used not in (None, desk.newest) and self.parts.drives is not None
-        off = bool(barred)
-        asks = self.asks("apply")
+        store = self.texts("setup.restore" if is_old else "setup.store")
+        apply = self.texts("plan.sure" if asks else "setup.apply")
         return {
             "section": {"value": self._section, "choices": [[one, self.texts(f"setup.{one}")] for one in SECTIONS]},
-            "note": {"off": off or not (is_changed or is_old)},
-            "store": {
-                "off": off or not (is_changed or is_old), "text": self.texts("setup.restore" if is_old else "setup.store")
-            },
-            "discard": {"off": off or not (is_changed or is_old)},
-            "apply": {
-                "off": off or not waits, "text": self.texts("plan.sure" if asks else "setup.apply"), "sure": asks
-            },
-        }  # fmt: skip
+            "note": {"off": not is_new},
+            "store": {"off": not is_new, "text": store},
+            "discard": {"off": not is_new},
+            "apply": {"off": off or not waits, "text": apply, "sure": asks},
+        }

@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
+import yaml
+
 from configs.machine_setup import Corrections, MachineSetup
 from configs.mission import Mission
 from configs.strict import CONFIGS, find, load, parse, read_yaml
@@ -19,9 +21,7 @@ def configured_setup(mission: str, machine: str | None, implement: str | None) -
     chosen = load(Mission, find("missions", mission))
     vehicle = load(Vehicle, find("machines", machine or chosen.machine))
     mounted = load(ImplementFile, find("implements", implement or chosen.implement)).implement
-    return MachineSetup(
-        vehicle=vehicle, implement=mounted, corrections=configured_corrections(), work=default_work()
-    )
+    return MachineSetup(vehicle=vehicle, implement=mounted, corrections=configured_corrections(), work=default_work())
 
 
 def configured_corrections() -> Corrections:
@@ -46,14 +46,13 @@ def with_corrections(stack: "StackConfig", corrections: Corrections) -> "StackCo
     }
     changes |= {key: getattr(corrections, key) for key in ("min_satellites", "max_correction_age_s")}
     gnss = alignment.gnss.model_copy(update=changes)
-    localization = stack.localization.model_copy(
-        update={"map_alignment": alignment.model_copy(update={"gnss": gnss})}
-    )
+    localization = stack.localization.model_copy(update={"map_alignment": alignment.model_copy(update={"gnss": gnss})})
     return stack.model_copy(update={"localization": localization})
 
 
-def running_setup(values: dict[str, Any]) -> MachineSetup:
+def running_setup(text: str) -> MachineSetup:
     """Setup of a running machine by its resolved configuration, whose machine has the implement's sensors too."""
+    values: Any = yaml.load(text, yaml.CSafeLoader)
     implement: Implement = parse(ImplementFile, {"implement": values["implement"]}, "config.yaml").implement
     vehicle = parse(Vehicle, values["machine"], "config.yaml")
     if isinstance(implement, MountedImplement):

@@ -119,9 +119,7 @@ def load_setup(
     if surveyed is not site and chosen.work is not None:
         check_within(plan, surveyed, chosen.work.boundary_margin_m)
     session = np.random.default_rng([seed, SESSION_STREAM]).bytes(16).hex()
-    return Setup(
-        chosen, site, surveyed, vehicle, mounted, stack, plan, seed, start, is_folded, session, built=built
-    )
+    return Setup(chosen, site, surveyed, vehicle, mounted, stack, plan, seed, start, is_folded, session, built=built)
 
 
 def simulated_operator_key(seed: int) -> OrderKey:

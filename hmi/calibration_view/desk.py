@@ -1,4 +1,4 @@
-"""Desk of the calibration: one recording at a time, which all pages show and the operator in control begins and ends."""
+"""Desk of the calibration: one recording at a time, which all pages show and the operator in control makes."""
 
 import asyncio
 from collections.abc import Iterable
@@ -90,7 +90,9 @@ class CalibrationDesk:
             raise Refused("no_result")
         if not self.result.is_verified:
             raise Refused("not_verified")
-        number = self.setup.put_calibrated({one.key: round(one.value, 5) for one in self.result.estimates}, author, note)
+        number = self.setup.put_calibrated(
+            {one.key: round(one.value, 5) for one in self.result.estimates}, author, note
+        )
         self.result = None
         return number
 

@@ -8,26 +8,23 @@ from hmi.setup_view.store import SetupStore, SetupVersion
 
 
 class SetupDesk:
-    """Setup of one machine; `used` is the version that it drives with, None: with `configured`, as a running machine.
+    """Setup of one machine; it drives with `in_use`, which is version `used`, None for one that was started elsewhere.
 
     Every change raises HeadlandError with the reason for which it is not possible.
     """
 
-    def __init__(self, store: SetupStore, configured: MachineSetup, used: int | None) -> None:
+    def __init__(self, store: SetupStore, in_use: MachineSetup, used: int | None) -> None:
         self.store = store
-        self.show(configured, used)
+        self.show(in_use, used)
 
-    def show(self, configured: MachineSetup, used: int | None) -> None:
+    def show(self, in_use: MachineSetup, used: int | None) -> None:
         """Shows another machine, without the draft of the one before."""
-        self.used = used
-        self.shown, self.draft = self.store.newest(configured)
-        self.machine = configured.machine
-        self.in_use = configured if used is None else self.store.setup(self.machine, used)
-        self._refresh()
-
-    def _refresh(self) -> None:
+        self.in_use, self.used, self.machine = in_use, used, in_use.machine
+        self.draft = in_use
+        if used is None:
+            self.store.newest(in_use)
         self.versions: list[SetupVersion] = self.store.versions(self.machine)
-        self._shown_leaves = leaves(self.store.setup(self.machine, self.shown))
+        self.open(self.newest)
 
     @property
     def newest(self) -> int:
@@ -54,7 +51,8 @@ class SetupDesk:
     def open(self, number: int) -> None:
         """Shows a version; what was not stored is dropped."""
         self.draft, self.shown = self.store.setup(self.machine, number), number
-        self._refresh()
+        self.versions = self.store.versions(self.machine)
+        self._shown_leaves = leaves(self.draft)
 
     def keep(self, author: str, note: str) -> int:
         """Stores the draft as the newest version: a change, or an older version that is shown; its number."""
@@ -74,4 +72,3 @@ class SetupDesk:
         number = self.store.put(setup, author, note)
         self.open(number)
         return number
-

@@ -75,7 +75,7 @@ class SetupStore:
         return setup_from_json(rows[0][0], f"setup {number} of {machine}")
 
     def newest(self, configured: MachineSetup) -> tuple[int, MachineSetup]:
-        """Newest version of a machine; first `configured` becomes one if the files have changed since their last one."""
+        """Newest version of a machine; `configured` becomes one if the files have changed since their last version."""
         machine = configured.machine
         rows = self._rows(BY_AUTHOR, (machine, FILES))
         if not rows or rows[0][0] != configured.to_json():

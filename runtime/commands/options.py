@@ -107,7 +107,7 @@ COMMANDS = (
         _out("live"), JSON,
     )),
     Command("page", "serve the operator's page: simulation, running drive or log", "runtime.commands.page", (
-        FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, SEED,
+        FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, PLANT, SEED,
         _option("--replay", type=file, metavar="LOG", help="play a log of `run` or `live` instead of a simulation"),
         _option("--connect", type=existing, metavar="FOLDER", help="run folder of a running `live`, which is shown"),
         _option("--key", type=file, metavar="FILE.pem",
@@ -117,7 +117,7 @@ COMMANDS = (
         _option("--port", type=whole(0, 65535), metavar="N", help="port of the page (default in configs/page.yaml)"),
         _option("--stop-port", type=whole(0, 65535), metavar="N", help="port of the emergency stop"),
         _option("--add-user", type=user, metavar="NAME:ROLE",
-                help="add or replace a user (view or operate) with the password from standard input, and end"),
+                help="add or replace a user (view, operate or setup) with the password from standard input, and end"),
         _option("--state", type=folder, metavar="FOLDER",
                 help="users, key, missions and statistics (default state/page)"),
         _out("page"),

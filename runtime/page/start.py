@@ -14,6 +14,7 @@ from pathlib import Path
 from datasets.reader import read_metadata
 from hmi import emergency_stop
 from hmi.access import Access, one_time_user, read_users
+from hmi.calibration_view.desk import CalibrationDesk
 from hmi.config import PageConfig
 from hmi.orders import OrderSender, own_key, public_key_of, read_key
 from hmi.parts import Drive, Drives, PageParts
@@ -21,12 +22,15 @@ from hmi.plan_view.desk import PlanDesk
 from hmi.plan_view.mission_store import MissionStore
 from hmi.plan_view.options import default_options
 from hmi.scene import scene_of
+from hmi.setup_view.desk import SetupDesk
+from hmi.setup_view.store import SetupStore
 from hmi.statistics.store import StatisticsStore
 from hmi.upload.platform_report import PlatformReport
 from hmi.upload.uploader import Uploader
 from interfaces.orders.config import ORDERS, OrderKey
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
+from runtime.machine_setup import running_setup
 from runtime.page.log_feed import LogFeed
 from runtime.page.running import logged, running_drive
 from runtime.processes import begin_worker
@@ -38,7 +42,7 @@ from safety.supervisor import texts_of
 HOST = "127.0.0.1"
 AUTHORITY = "operator"
 USERS, KEY, MISSIONS = "users.yaml", "order_key.pem", "missions"  # of the state folder
-STATISTICS, UPLOAD = "statistics.db", "upload.db"
+STATISTICS, UPLOAD, SETUP = "statistics.db", "upload.db", "setup.db"
 PLANNER = (sys.executable, "-m", "runtime.page.field_process")
 UNANSWERED = 3  # checks of the emergency stop, then the machine is gone
 
@@ -49,20 +53,22 @@ def serve_simulation(arguments: argparse.Namespace, config: PageConfig, state: P
 
     listening, stop_server = _listen(config.port), _stop_server(config.stop_port)
     key, order_port = own_key(state / KEY), OrderPort(0)
-    statistics = StatisticsStore(state / STATISTICS)
+    statistics, setups = StatisticsStore(state / STATISTICS), SetupStore(state / SETUP)
     number = order_port.number
     with _stop_process(stop_server, number) as stop_url:
         known = OrderKey(
             public_key=public_key_of(key).hex(), authority=AUTHORITY, orders=tuple(ORDERS),
             lost_operator_s=config.lost_operator_s,
         )  # fmt: skip
-        drives = SimulatedDrives(arguments, order_port, known)
+        drives = SimulatedDrives(arguments, order_port, known, setups)
         order_port.close()  # of this process; that of the drives has it
         try:
             import hmi.app  # noqa: F401  loads the web server while the simulation is planned
 
             sender = OrderSender(key, AUTHORITY, number)
-            return _serve(drives.first(), config, state, sender, stop_url, "simulation", listening, statistics, drives)
+            return _serve(
+                drives.first(), config, state, sender, stop_url, "simulation", listening, statistics, drives, setups
+            )
         finally:
             drives.end()
 
@@ -81,10 +87,12 @@ def serve_running(folder: Path, key_file: Path | None, config: PageConfig, state
     with _stop_process(stop_server, found.order_port) as stop_url:
         feed = LiveFeed(found.rings, logged(folder))
         scene = scene_of(found.config, str(folder / "config.yaml"))
-        drive = Drive(feed, scene, f"{folder.resolve().name}/{next(iter(found.rings.values())).parent.name}")
+        name = f"{folder.resolve().name}/{next(iter(found.rings.values())).parent.name}"
+        drive = Drive(feed, scene, name, setup=running_setup(found.config))
         return _serve(
-            drive, config, state, sender, stop_url, "connected", listening, StatisticsStore(state / STATISTICS)
-        )
+            drive, config, state, sender, stop_url, "connected", listening, StatisticsStore(state / STATISTICS),
+            setups=SetupStore(state / SETUP),
+        )  # fmt: skip
 
 
 def serve_log(path: Path, config: PageConfig, state: Path) -> int:
@@ -99,6 +107,7 @@ def serve_log(path: Path, config: PageConfig, state: Path) -> int:
 def _serve(
     drive: Drive, config: PageConfig, state: Path, sender: OrderSender | None, stop_url: str | None, source: str,
     listening: socket.socket, statistics: StatisticsStore | None = None, drives: Drives | None = None,
+    setups: SetupStore | None = None,
 ) -> int:  # fmt: skip
     """Serves until SIGINT or SIGTERM."""
     from hmi.app import make_app, serve
@@ -124,9 +133,13 @@ def _serve(
     if statistics is not None:
         path = state / UPLOAD
         report, uploader = PlatformReport(path, config.upload), Uploader(path, config.upload)
+    setup = calibration = None
+    if setups is not None and drive.setup is not None:
+        setup = SetupDesk(setups, drive.setup, drive.setup_number)
+        calibration = CalibrationDesk(setup)
     parts = PageParts(
         drive, config, access, sender, stop_url, source, lambda code: text_zh(texts, code), desk, RUNS.absolute(),
-        statistics, drives, report=report, uploader=uploader,
+        statistics, drives, setup, calibration, report=report, uploader=uploader,
     )  # fmt: skip
     serve(make_app(parts), listening)
     if uploader is not None:

@@ -24,7 +24,7 @@ DRAWN = EMPTY.model_copy(update={"operator_commands": (), "plant": "drawn"})
 
 @dataclass(frozen=True)
 class Trial:
-    """Recording of a drive, the configured vehicle, the plant, and the true zero error of the angle sensor (degrees)."""
+    """Recording of a drive, configured vehicle, plant, and the true zero error of the angle sensor (degrees)."""
 
     recording: Recording
     vehicle: Vehicle

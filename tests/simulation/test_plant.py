@@ -22,7 +22,8 @@ SAME = {
     "range_m": "design", "cone_deg": "design", "size_px": "design", "center_px": "calibrated with the image",
     "distortion": "calibrated with the image", "sigma_horizontal_m": "gnss.error_scale instead",
     "sigma_vertical_m": "gnss.error_scale instead", "sigma_heading_deg": "gnss.error_scale instead",
-    "gyro_range_dps": "design", "accelerometer_range_g": "design", "working_width_m": "tools", "angle_zero_deg": "machine.angle_offset_rad instead",
+    "gyro_range_dps": "design", "accelerometer_range_g": "design", "working_width_m": "tools",
+    "angle_zero_deg": "machine.angle_offset_rad instead",
     "fold.width_m": "stop", "fold.duration_s": "not part of a stop", "brake": "",
 }  # fmt: skip
 
