@@ -116,7 +116,7 @@ class SetupPage(View):
         used = texts("setup.used_other") if desk.used is None else texts("setup.used", number=desk.used)
         waits = texts("setup.waits", number=desk.newest) if desk.used not in (None, desk.newest) else ""
         shown = "" if desk.shown == desk.newest else texts("setup.shows_old", number=desk.shown)
-        return " ".join(one for one in (desk.machine, used, waits, shown) if one)
+        return f"{desk.machine}. " + " ".join(one for one in (used, waits, shown) if one)
 
     def _settings(self, desk: SetupDesk, barred: str) -> list[list[Any]]:
         rows = []

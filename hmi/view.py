@@ -92,7 +92,8 @@ class View(ABC):
             self._answer = self.texts(f"refused.{error.key}", **error.values)
         else:
             self._answer = str(error)[:MAX_ANSWER]
-        self._sent.pop("controls", None)  # a control shows what the browser has chosen
+        for name in [one for one in self._sent if one == "controls" or one.startswith("tables.")]:
+            del self._sent[name]  # a control shows what the browser has chosen
 
     @property
     def answer(self) -> str:

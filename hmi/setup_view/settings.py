@@ -41,8 +41,8 @@ def mounts_of(setup: MachineSetup) -> dict[str, list[tuple[str, Any]]]:
 
 def unit_of(key: str) -> str:
     """Unit of a value by the last part of its name."""
-    name = key.rstrip("0123456789.")
-    return UNITS.get(name.rpartition("_")[2], "")
+    names = [name for name in key.split(".") if not name.isdecimal()]
+    return UNITS.get(names[-1].rpartition("_")[2], "")
 
 
 def shown_text(value: Any) -> str:

@@ -15,7 +15,7 @@ window.headlandControls = (() => {
   // {input, key, label, off, level, choices} for a value that is edited.
   function showCell(cell, td) {
     const shown = JSON.stringify(cell);
-    if (td.dataset.shown === shown) return;
+    if (td.dataset.shown === shown && !cell.key) return;
     td.dataset.shown = shown;
     const value = typeof cell === "string" ? {text: cell} : cell;
     if (value.action) {
@@ -34,7 +34,9 @@ window.headlandControls = (() => {
         td.replaceChildren(input);
       }
       input.dataset.change = "edit"; input.dataset.key = value.key; input.setAttribute("aria-label", value.label);
-      input.disabled = Boolean(value.off); input.value = value.input;
+      input.disabled = Boolean(value.off);
+      if (document.activeElement !== input || input.dataset.sent) input.value = value.input; // nobody is typing
+      delete input.dataset.sent;
       td.className = value.level ? "hl-" + value.level : "";
     } else if (value.links) {
       td.replaceChildren(...value.links.map((one) => {
@@ -128,6 +130,7 @@ window.headlandControls = (() => {
   });
   document.addEventListener("change", (event) => {
     const control = event.target;
+    if (control.dataset.key) control.dataset.sent = "1";
     if (control.dataset.change) send({action: control.dataset.change, value: control.value, key: control.dataset.key || ""});
     if (control.dataset.upload) upload(control);
   });

@@ -120,6 +120,8 @@ def regex(text: str) -> str:
 def user(text: str) -> tuple[str, str]:
     """Type of a user of the page, NAME:ROLE."""
     name, _, role = text.partition(":")
-    if not re.fullmatch(r"[\w.-]{1,40}", name) or role not in ("view", "operate"):
-        raise argparse.ArgumentTypeError(f"{text}: NAME:ROLE with ROLE view or operate, NAME of letters and digits")
+    if not re.fullmatch(r"[\w.-]{1,40}", name) or role not in ("view", "operate", "setup"):
+        raise argparse.ArgumentTypeError(
+            f"{text}: NAME:ROLE with ROLE view, operate or setup, NAME of letters and digits"
+        )
     return name, role
