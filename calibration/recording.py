@@ -1,4 +1,4 @@
-"""Recording of a trial: messages as arrays, times in seconds since its start."""
+"""Recording of a trial: messages as arrays, times in seconds since its first wheel sample."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from messages.message import Envelope
 from messages.sensors import GnssFix, GnssSolution, ImuSample, LidarScan, WheelSample
 
 KINDS = ("imu", "wheel", "gnss", "machine", "safe_command", "lidar")  # topics that a recording needs
-MAX_S = 900.0  # of a recording, the oldest are kept
+MAX_S = 900.0  # of a recording, whose beginning is kept
 SCANS = 40  # of a lidar, at standstill
 SCAN_S = 0.4  # between two of them
 SCAN_M, SCAN_POINTS = 12.0, 4000  # range and number of the returns that are kept
@@ -61,9 +61,10 @@ class Recorder:
         """Takes messages in order; those of other topics have no effect."""
         for envelope in envelopes:
             kind, _, name = envelope.topic.partition("/")
-            if kind in KINDS:
-                self._start_ns = envelope.message.stamp_ns if self._start_ns is None else self._start_ns
-                self._add(kind, name, (envelope.message.stamp_ns - self._start_ns) * 1e-9, envelope.message)
+            if self._start_ns is None and kind == "wheel":
+                self._start_ns = envelope.message.stamp_ns
+            if kind in KINDS and self._start_ns is not None:
+                self._add(name, (envelope.message.stamp_ns - self._start_ns) * 1e-9, envelope.message)
 
     def recording(self) -> Recording:
         """What was recorded so far."""
@@ -73,7 +74,7 @@ class Recorder:
         }
         return Recording(**arrays, scans={name: tuple(p for _, p in found) for name, found in self._scans.items()})
 
-    def _add(self, kind: str, name: str, at_s: float, message: object) -> None:
+    def _add(self, name: str, at_s: float, message: object) -> None:
         if not 0.0 <= at_s <= MAX_S:
             return
         if isinstance(message, ImuSample):

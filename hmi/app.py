@@ -15,6 +15,7 @@ from nicegui import app as nicegui_app
 from nicegui import ui
 
 from hmi.calibration_page import CalibrationPage
+from hmi.certificate import Certificate
 from hmi.diagnosis.alarm_log import AlarmLog, clock_text
 from hmi.diagnosis.topic_table import TopicTable
 from hmi.diagnosis_page import DiagnosisPage
@@ -219,7 +220,7 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     """The web application; NiceGUI's own object holds its routes, so there is one per process."""
     page_app = PageApp(parts)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    add_log_in(app, parts.access, parts.stop_url)
+    add_log_in(app, parts.access, parts.stop_url, parts.url.startswith("https:"))
     add_files(app, parts)
     app.mount("/static", StaticFiles(directory=STATIC))
 
@@ -241,7 +242,10 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     return app
 
 
-def serve(app: FastAPI, listening: socket.socket) -> None:
-    """Serves until SIGINT or SIGTERM."""
-    config = uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=2)
+def serve(app: FastAPI, listening: socket.socket, certificate: Certificate | None = None) -> None:
+    """Serves until SIGINT or SIGTERM, by HTTPS with a certificate."""
+    config = uvicorn.Config(
+        app, log_level="warning", access_log=False, timeout_graceful_shutdown=2,
+        ssl_certfile=certificate.path if certificate else None, ssl_keyfile=certificate.key if certificate else None,
+    )  # fmt: skip
     uvicorn.Server(config).run(sockets=[listening])

@@ -95,6 +95,7 @@ class PageParts:
     uploader: Uploader | None = None
     progress_error: str = ""
     notification_error: str = ""
+    url: str = ""  # of the page
     is_switching: bool = False  # a drive has been asked for that has not begun: the present one gets no order
     present_s: float = -math.inf  # when a page of the operator in control answered last
     _read: dict[str, tuple[float, Any]] = field(default_factory=dict)

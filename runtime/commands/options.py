@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from runtime.commands.argument_types import (
+    address,
     existing,
     file,
     folder,
@@ -116,6 +117,8 @@ COMMANDS = (
                 help="simulate as `live` does, one process per part (default: one process, not faster than real time)"),
         _option("--port", type=whole(0, 65535), metavar="N", help="port of the page (default in configs/page.yaml)"),
         _option("--stop-port", type=whole(0, 65535), metavar="N", help="port of the emergency stop"),
+        _option("--listen", type=address, metavar="ADDRESS",
+                help="IP address of this computer at which other devices reach the page, by TLS (default: loopback)"),
         _option("--add-user", type=user, metavar="NAME:ROLE",
                 help="add or replace a user (view, operate or setup) with the password from standard input, and end"),
         _option("--state", type=folder, metavar="FOLDER",

@@ -9,9 +9,8 @@ import pytest
 from calibration.recording import Recording
 from calibration.result import CalibrationResult, NotEnough
 from calibration.wizards import calibrate
-from configs.vehicle import Lidar
 from tests.calibration.driven import Trial, trial
-from tests.simulation.simulated_farm import IMPLEMENT
+from tests.simulation.simulated_farm import IMPLEMENT, machine_file
 
 SEEDS = (1, 2, 3)
 LIMITS = {  # largest standard deviation at which a value is worth to be stored
@@ -86,22 +85,10 @@ def test_one_direction_is_not_enough(driven: Trial) -> None:
 
 
 @pytest.mark.parametrize("name", [*LIMITS, "lidar_mount.front"])
-def test_an_empty_recording_is_not_enough(driven: Trial, name: str) -> None:
+def test_an_empty_recording_is_not_enough(name: str) -> None:
     empty = Recording(*(np.zeros((0, width)) for width in (7, 3, 8, 3, 3)), scans={})
-    vehicle = driven.vehicle.model_copy(update={"sensors": standing_sensors(driven)})
     with pytest.raises(NotEnough):
-        calibrate(name, empty, vehicle, IMPLEMENT)
-
-
-def standing_sensors(found: Trial) -> object:
-    lidar = trial_lidar()
-    return found.vehicle.sensors.model_copy(update={"lidar": {"front": lidar}})
-
-
-def trial_lidar() -> Lidar:
-    from tests.simulation.simulated_farm import machine_file
-
-    return machine_file("tractor_e", ("lidar",)).sensors.lidar["front"]
+        calibrate(name, empty, machine_file("tractor_e", ("lidar", "gnss", "imu", "wheels")), IMPLEMENT)
 
 
 @pytest.fixture(scope="module", params=SEEDS)
