@@ -123,7 +123,8 @@ def calibrated(plant: Plant, built: Vehicle, assumed: Vehicle) -> Plant:
     """Plant whose wheel and angle sensors are read with the wheel radius and steering zero of `assumed`."""
     machine, wheels = plant.models.machine, plant.vehicle.sensors.wheels
     ratio = built.drivetrain.wheel_radius_m / assumed.drivetrain.wheel_radius_m
-    error = (1.0 + machine.drive.wheel_radius_error) * ratio - 1.0
+    error = machine.drive.wheel_radius_error
+    error += (1.0 + error) * (ratio - 1.0)  # exact where nothing differs
     drive = machine.drive.model_copy(update={"wheel_radius_error": error})
     models = replace(plant.models, machine=machine.model_copy(update={"drive": drive}))
     if wheels is None or assumed.sensors.wheels is None:
