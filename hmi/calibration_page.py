@@ -108,7 +108,12 @@ class CalibrationPage(View):
     def wizard_name(self, name: str) -> str:
         """Name of a calibration."""
         kind, _, sensor = name.partition(".")
-        return " ".join(one for one in (self.texts(f"wizard.{kind}"), self.texts.named("place", sensor)) if one)
+        place = self.texts.named("place", sensor)
+        return (
+            self.texts("wizard.of", name=self.texts(f"wizard.{kind}"), place=place)
+            if place
+            else self.texts(f"wizard.{kind}")
+        )
 
     def _recorded(self, desk: CalibrationDesk) -> str:
         if desk.is_busy:

@@ -185,7 +185,7 @@ def test_the_mount_of_a_lidar_is_found_and_becomes_a_version(anna: Any, plant: P
         assert present in (0.0, 1.95)
     press_twice(anna, "accept")
     view(anna, "setup")
-    wait_for(anna, "#table-versions tbody tr:first-child", "^4.*anna.*Lidar mount against the ground front")
+    wait_for(anna, "#table-versions tbody tr:first-child", "^4.*anna.*Lidar mount against the ground: front")
 
 
 def test_a_version_is_applied_at_standstill(anna: Any, plant: Plant) -> None:
