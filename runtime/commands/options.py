@@ -96,6 +96,7 @@ COMMANDS = (
     Command("run", "drive a mission in simulation and write the report", "runtime.commands.run", (
         FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, PLANT, SEED, MODEL, DURATION,
         _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
+        _option("--page", action="store_true", help="show the drive in the browser while it goes on"),
         _out("run"), JSON,
     )),
     Command("live", "run the stack in real time, one process per part", "runtime.commands.live", (

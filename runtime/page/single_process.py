@@ -46,13 +46,13 @@ def drive_in_one_process(
             folder.file("console.log").open("w") as console,
             LogWriter(log_path, metadata, setup.stack.datasets.log, setup.viewer(), rotates=True) as log,
         ):
-            sinks = (log.write, Progress((sys.stderr, console), start_notes(setup)), _ring_sink(ring))
+            sinks = (log.write, Progress((sys.stderr, console), start_notes(setup)), ring_sink(ring))
             executor = Executor(world, nodes, sinks)
             executor.run(_paced(executor, lambda: interruption.is_requested))
     folder.finish()
 
 
-def _ring_sink(ring: RingWriter) -> Callable[[Envelope], None]:
+def ring_sink(ring: RingWriter) -> Callable[[Envelope], None]:
     """Messages that the page shows or records, of the others the topic alone, which it counts; scans thinned."""
     scanned_ns: dict[str, int] = {}
 

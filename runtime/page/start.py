@@ -8,6 +8,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from http.server import ThreadingHTTPServer
 from pathlib import Path
 
@@ -82,22 +83,23 @@ def serve_running(
     """Page of a running drive; gives orders with a key that the machine knows."""
     from runtime.page.live_feed import LiveFeed
 
-    found = running_drive(folder)
+    found, place = running_drive(folder), place_of(listen, state)
+    name = f"{folder.resolve().name}/{next(iter(found.rings.values())).parent.name}"
+    drive = Drive(LiveFeed(found.rings, logged(folder)), scene_of(found.config, str(folder / "config.yaml")), name)
+    if found.order_port is None:  # a drive of `run`: it takes no orders, and is not counted
+        if key_file is not None:
+            raise HeadlandError(f"--key {key_file}: a drive of `headland run` takes no orders")
+        return _serve(drive, config, state, None, None, "connected", place, _listen(place, config.port))
     key = None if key_file is None else read_key(key_file)
     sender = None
     if key is not None and key_file is not None:
         authority = found.authority_of(public_key_of(key).hex(), key_file)
         sender = OrderSender(key, authority, found.order_port)
-    place = place_of(listen, state)
     listening, stop_server = _listen(place, config.port), _stop_server(place, config.stop_port)
     with _stop_process(place, stop_server, found.order_port) as stop_url:
-        feed = LiveFeed(found.rings, logged(folder))
-        scene = scene_of(found.config, str(folder / "config.yaml"))
-        name = f"{folder.resolve().name}/{next(iter(found.rings.values())).parent.name}"
-        drive = Drive(feed, scene, name, setup=running_setup(found.config))
         return _serve(
-            drive, config, state, sender, stop_url, "connected", place, listening, StatisticsStore(state / STATISTICS),
-            setups=SetupStore(state / SETUP),
+            replace(drive, setup=running_setup(found.config)), config, state, sender, stop_url, "connected", place,
+            listening, StatisticsStore(state / STATISTICS), setups=SetupStore(state / SETUP),
         )  # fmt: skip
 
 
