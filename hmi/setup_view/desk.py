@@ -1,6 +1,7 @@
 """Desk of the setup: a draft that the operator in control changes, and the versions of the shown machine."""
 
 from configs.machine_setup import MachineSetup, leaves, with_values
+from configs.mission import Work
 from hmi.plan_view.mission_store import plain_name
 from hmi.refusal import Refused
 from hmi.setup_view.settings import section_of, value_from
@@ -25,6 +26,10 @@ class SetupDesk:
             self.store.newest(in_use)
         self.versions: list[SetupVersion] = self.store.versions(self.machine)
         self.open(self.newest)
+
+    def work(self) -> Work:
+        """Work mode of the newest version; raises HeadlandError."""
+        return self.store.setup(self.machine, self.newest).work
 
     @property
     def newest(self) -> int:

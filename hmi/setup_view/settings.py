@@ -8,7 +8,17 @@ from messages.errors import ConfigError
 
 SECTIONS = ("vehicle", "implement", "corrections", "work")
 MOUNTS = "mounts"
-HIDDEN = (".solids.", ".kind", "vehicle.name", "implement.name", ".sinks_m", ".guidance", ".swath_")
+HIDDEN = (
+    "work.headland_passes",
+    "work.turns",
+    ".solids.",
+    ".kind",
+    "vehicle.name",
+    "implement.name",
+    ".sinks_m",
+    ".guidance",
+    ".swath_",
+)
 AXES = tuple(f"{name}.{k}" for name in ("xyz_m", "rpy_deg") for k in range(3))
 UNITS = {
     "mps2": "m/s²", "kmh": "km/h", "deg": "°", "rpm": "1/min", "lpm": "L/min", "kg": "kg", "m": "m", "s": "s",

@@ -147,7 +147,7 @@ def _serve(
     setup = calibration = None
     if setups is not None and drive.setup is not None:
         setup = SetupDesk(setups, drive.setup, drive.setup_number)
-        calibration = CalibrationDesk(setup)
+        calibration, desk.work = CalibrationDesk(setup), setup.work
     parts = PageParts(
         drive, config, access, sender, stop_url, source, lambda code: text_zh(texts, code), desk, RUNS.absolute(),
         statistics, drives, setup, calibration, report=report, uploader=uploader, url=url,

@@ -1,11 +1,14 @@
 """Setup of the machine: versions in SQLite, drafts that stay valid, and what a drive takes from a version."""
 
+import asyncio
 import sqlite3
 from pathlib import Path
 
 import pytest
 
 from configs.machine_setup import MachineSetup, leaves, setup_from_json, with_values
+from hmi.plan_view.mission_store import MISSION
+from hmi.plan_view.options import read_mission
 from hmi.refusal import Refused
 from hmi.setup_view.desk import SetupDesk
 from hmi.setup_view.settings import SECTIONS, mounts_of, settings_of, shown_text, unit_of, value_from
@@ -15,6 +18,7 @@ from runtime.assembly import plant_of
 from runtime.machine_setup import configured_setup, running_setup
 from runtime.run_folder import resolved
 from runtime.setup import load_scenario, load_setup
+from tests.hmi.planned import desk_in
 
 RADIUS, ZERO = "vehicle.drivetrain.wheel_radius_m", "vehicle.sensors.wheels.angle_zero_deg"
 PITCH = "vehicle.sensors.lidar.front.mount.rpy_deg.1"
@@ -143,3 +147,14 @@ def test_the_setup_of_a_running_machine_is_that_of_its_configuration(configured:
     setup = load_setup("line", None, None, None, 1)
     text = resolved(machine=setup.vehicle, implement=setup.implement, stack=setup.stack)
     assert running_setup(text) == configured
+
+
+def test_new_plans_take_the_work_mode_of_the_newest_version(tmp_path: Path, desk: SetupDesk) -> None:
+    plans = desk_in(tmp_path)
+    plans.work = desk.work
+    desk.edit("work.work_speed_kmh", "7")
+    desk.keep("anna", "")
+    asyncio.run(plans.load({"a.geojson": b"field"}))
+    asyncio.run(plans.make_plan())
+    assert plans.draft is not None
+    assert read_mission(plans.draft / MISSION)[1].work_speed_kmh == 7.0
