@@ -118,6 +118,8 @@ COMMANDS = (
                 help="simulate as `live` does, one process per part (default: one process, not faster than real time)"),
         _option("--port", type=whole(0, 65535), metavar="N", help="port of the page (default in configs/page.yaml)"),
         _option("--stop-port", type=whole(0, 65535), metavar="N", help="port of the emergency stop"),
+        _option("--setup-version", type=whole(1, 1_000_000), metavar="N",
+                help="version of the machine's setup with which the first drive begins (default: the newest)"),
         _option("--listen", type=address, metavar="ADDRESS",
                 help="IP address of this computer at which other devices reach the page, by TLS (default: loopback)"),
         _option("--add-user", type=user, metavar="NAME:ROLE",

@@ -37,7 +37,7 @@ class SimulatedDrives(Drives):
 
     def __init__(self, arguments: argparse.Namespace, port: OrderPort, key: OrderKey, store: SetupStore) -> None:
         self._store = store
-        self._arguments = arguments = self._present = self._with_setup(arguments)
+        self._arguments = arguments = self._present = self._with_setup(arguments, arguments.setup_version)
         context = multiprocessing.get_context("fork")
         self._link, there = context.Pipe()
         work = (context, arguments, port, key, there, self._link, os.getpid())
@@ -52,7 +52,11 @@ class SimulatedDrives(Drives):
         except EOFError:
             found = None
         if not isinstance(found, Announcement):
-            raise HeadlandError("the simulation did not start; see the message above")
+            machine, number = self._present.setup_version
+            raise HeadlandError(
+                f"the simulation did not start; see the message above. Version {number} of the setup of {machine} "
+                "is in use: --setup-version N begins with another"
+            )
         return self._drive_of(found)
 
     def start(self, mission: StoredMission, progress: Progress | None = None) -> None:
@@ -81,10 +85,12 @@ class SimulatedDrives(Drives):
         self._present = self._with_setup(arguments)
         self._link.send(self._present)
 
-    def _with_setup(self, arguments: argparse.Namespace) -> argparse.Namespace:
-        """Arguments with the newest version of the setup."""
+    def _with_setup(self, arguments: argparse.Namespace, chosen: int | None = None) -> argparse.Namespace:
+        """Arguments with the newest version of the setup, or with the chosen one; raises HeadlandError."""
         configured = configured_setup(arguments.mission, arguments.machine, arguments.implement)
         number, setup = self._store.newest(configured)
+        if chosen is not None:
+            number, setup = chosen, self._store.setup(setup.machine, chosen)
         changes = {"assumed": setup.to_json(), "setup_version": (setup.machine, number)}
         return argparse.Namespace(**vars(arguments) | changes)
 

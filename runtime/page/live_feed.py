@@ -32,7 +32,8 @@ class LiveFeed(Feed):
             for record in reader.records():
                 topic = topic_of(record)
                 self.counts[topic] += 1
-                is_needed = self.is_recording and is_recorded(topic)
+                is_whole = len(record) > 1 + record[0]  # others have the topic alone, to be counted
+                is_needed = self.is_recording and is_whole and is_recorded(topic)
                 if is_shown(topic) or is_needed:
                     self._sequence += 1
                     is_each = is_event(topic) or (is_needed and not topic.startswith("lidar/"))

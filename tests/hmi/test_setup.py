@@ -1,7 +1,11 @@
 """Setup of the machine: versions in SQLite, drafts that stay valid, and what a drive takes from a version."""
 
 import asyncio
+import os
+import re
 import sqlite3
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,6 +23,7 @@ from runtime.machine_setup import configured_setup, running_setup
 from runtime.run_folder import resolved
 from runtime.setup import load_scenario, load_setup
 from tests.hmi.planned import desk_in
+from tests.recordings import ROOT
 
 RADIUS, ZERO = "vehicle.drivetrain.wheel_radius_m", "vehicle.sensors.wheels.angle_zero_deg"
 PITCH = "vehicle.sensors.lidar.front.mount.rpy_deg.1"
@@ -158,3 +163,28 @@ def test_new_plans_take_the_work_mode_of_the_newest_version(tmp_path: Path, desk
     asyncio.run(plans.make_plan())
     assert plans.draft is not None
     assert read_mission(plans.draft / MISSION)[1].work_speed_kmh == 7.0
+
+
+@pytest.mark.slow
+def test_a_version_that_cannot_be_planned_names_itself_and_the_way_out(
+    tmp_path: Path, configured: MachineSetup
+) -> None:
+    store = SetupStore(tmp_path / "setup.db")
+    store.newest(configured)
+    store.put(with_values(configured, {"implement.width_m": 40.0}), "anna", "")
+    store.close()
+    command = [sys.executable, "-m", "runtime", "page", "--mission", "calibration", "--port", "0", "--stop-port", "0"]
+    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
+    words = {(): "Version 2 .*--setup-version N begins", ("--setup-version", "9"): "setup 9 of .*: is not stored"}
+    for more, message in words.items():
+        done = subprocess.run(
+            [*command, "--state", str(tmp_path), *more],
+            cwd=tmp_path,
+            env=env,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 2
+        assert re.search(message, done.stderr), done.stderr
+        assert "Traceback" not in done.stderr
