@@ -35,22 +35,17 @@ class Recording:
     command: Float64
     scans: dict[str, tuple[Float32, ...]]
 
-    @property
-    def length_s(self) -> float:
-        """Time from the first to the last wheel sample."""
-        return float(self.wheel[-1, 0] - self.wheel[0, 0]) if len(self.wheel) else 0.0
-
-    @property
-    def distance_m(self) -> float:
-        """Distance by the wheels."""
-        return float(np.sum(np.abs(self.wheel[1:, 1]) * np.diff(self.wheel[:, 0]))) if len(self.wheel) > 1 else 0.0
-
 
 @dataclass
 class Recorder:
-    """Collects the messages of a trial; positions are in the `map` frame of `datum`."""
+    """Collects the messages of a trial; positions are in the `map` frame of `datum`.
+
+    `length_s` and `distance_m` are time and way by the wheel samples so far.
+    """
 
     datum: Datum
+    length_s: float = 0.0
+    distance_m: float = 0.0
     _start_ns: int | None = None
     _rows: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
     _scans: dict[str, list[tuple[float, Float32]]] = field(default_factory=dict)
@@ -77,11 +72,13 @@ class Recorder:
     def _add(self, name: str, at_s: float, message: object) -> None:
         if not 0.0 <= at_s <= MAX_S:
             return
-        if isinstance(message, ImuSample):
-            self._put("imu", at_s, *message.acceleration_mps2.tolist(), *message.rate_radps.tolist())
-        elif isinstance(message, WheelSample):
+        if isinstance(message, WheelSample):
+            self.distance_m += abs(message.speed_mps) * max(0.0, at_s - self.length_s)
+            self.length_s = max(at_s, self.length_s)
             self._speed_mps = message.speed_mps
             self._put("wheel", at_s, message.speed_mps, message.steering_angle_rad)
+        elif isinstance(message, ImuSample):
+            self._put("imu", at_s, *message.acceleration_mps2.tolist(), *message.rate_radps.tolist())
         elif isinstance(message, GnssFix) and message.solution is GnssSolution.RTK_FIXED:
             p = self.datum.to_map(message.latitude_rad, message.longitude_rad, message.height_m)
             east, north, _ = message.velocity_enu_mps.tolist()

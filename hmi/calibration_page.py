@@ -121,7 +121,7 @@ class CalibrationPage(View):
         if desk.recorder is None:
             return self.texts("calibration.nothing")
         state = "running" if desk.is_recording else "ended"
-        length, distance = number(desk.length_s, 0, "s"), number(desk.distance_m, 0, "m")
+        length, distance = number(desk.recorder.length_s, 0, "s"), number(desk.recorder.distance_m, 0, "m")
         return self.texts(f"calibration.{state}", length=length, distance=distance)
 
     def _verdict(self, desk: CalibrationDesk) -> str:

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Iterable
 
-from calibration.recording import Recorder, Recording
+from calibration.recording import Recorder
 from calibration.result import CalibrationResult, NotEnough
 from calibration.wizards import calibrate, calibrations_of
 from hmi.feed import Feed
@@ -11,8 +11,6 @@ from hmi.refusal import Refused
 from hmi.scene import Scene
 from hmi.setup_view.desk import SetupDesk
 from messages.message import Envelope
-
-SUMMARY_STEPS = 5  # updates of the page between two counts of what was recorded
 
 
 class CalibrationDesk:
@@ -25,9 +23,7 @@ class CalibrationDesk:
         self.name = "wheel_radius"
         self.result: CalibrationResult | None = None
         self.missing: NotEnough | None = None
-        self.length_s = self.distance_m = 0.0
         self._feed: Feed | None = None
-        self._steps = 0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,7 +46,6 @@ class CalibrationDesk:
         self.recorder, self._feed, self.is_recording = Recorder(scene.site.datum.datum), feed, True
         feed.is_recording = True
         self.result = self.missing = None
-        self.length_s = self.distance_m = 0.0
 
     def end(self) -> None:
         """Ends recording; what was recorded can be evaluated."""
@@ -60,12 +55,8 @@ class CalibrationDesk:
 
     def take(self, envelopes: Iterable[Envelope]) -> None:
         """Takes the messages of an update."""
-        if not self.is_recording or self.recorder is None:
-            return
-        self.recorder.take(envelopes)
-        self._steps += 1
-        if self._steps % SUMMARY_STEPS == 0:
-            self._summarize(self.recorder.recording())
+        if self.is_recording and self.recorder is not None:
+            self.recorder.take(envelopes)
 
     async def evaluate(self) -> None:
         """Estimates from what was recorded, also while the recording goes on."""
@@ -73,7 +64,6 @@ class CalibrationDesk:
         if self.recorder is None:
             raise Refused("no_recording")
         recording, used = self.recorder.recording(), self.setup.in_use
-        self._summarize(recording)
         self.result = self.missing = None
         self.is_busy = True
         try:
@@ -95,9 +85,6 @@ class CalibrationDesk:
         )
         self.result = None
         return number
-
-    def _summarize(self, recording: Recording) -> None:
-        self.length_s, self.distance_m = recording.length_s, recording.distance_m
 
     def _check_free(self) -> None:
         if self.is_busy:

@@ -40,7 +40,9 @@ def running_drive(folder: Path) -> RunningDrive:
     conditions = _conditions(folder)
     rings = Path(str(conditions.get("rings", "")))
     if "rings" not in conditions or not rings.is_dir():
-        raise HeadlandError(f"--connect {folder}: no drive of `headland live` or `run --page` is running there")
+        raise HeadlandError(
+            f"--connect {folder}: no drive of `headland live` is running there, nor one of `run --page`"
+        )
     text = (folder / "config.yaml").read_text(encoding="utf-8")
     found = {role: rings / role for role in (*ROLES, "simulation") if (rings / role).exists()}
     port = conditions.get("order_port")

@@ -46,5 +46,5 @@ def test_a_run_is_shown_while_it_goes_on(browser: Browser, tmp_path: Path) -> No
     assert json.loads(stdout)["outcome"] == "finished"  # nothing but the result
     page.wait_for_selector("#lost:not([hidden])")  # the page has ended with the run
     page.context.close()
-    with pytest.raises(HeadlandError, match=re.escape("no drive of `headland live` or `run --page` is running")):
+    with pytest.raises(HeadlandError, match=re.escape("nor one of `run --page`")):
         running_drive(out)
