@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from configs.machine_setup import MachineSetup, leaves, setup_from_json, with_values
+from hmi.calibration_view.desk import CalibrationDesk
 from hmi.plan_view.mission_store import MISSION
 from hmi.plan_view.options import read_mission
 from hmi.refusal import Refused
@@ -18,11 +19,14 @@ from hmi.setup_view.desk import SetupDesk
 from hmi.setup_view.settings import SECTIONS, mounts_of, settings_of, shown_text, unit_of, value_from
 from hmi.setup_view.store import FILES, SetupStore
 from messages.errors import ConfigError, HeadlandError
+from messages.sensors import WheelSample
 from runtime.assembly import plant_of
 from runtime.machine_setup import configured_setup, running_setup
 from runtime.run_folder import resolved
 from runtime.setup import load_scenario, load_setup
+from tests.hmi.drive_messages import NOW_NS, demo_scene
 from tests.hmi.planned import desk_in
+from tests.hmi.test_page_app import GivenFeed
 from tests.recordings import ROOT
 
 RADIUS, ZERO = "vehicle.drivetrain.wheel_radius_m", "vehicle.sensors.wheels.angle_zero_deg"
@@ -188,3 +192,25 @@ def test_a_version_that_cannot_be_planned_names_itself_and_the_way_out(
         assert done.returncode == 2
         assert re.search(message, done.stderr), done.stderr
         assert "Traceback" not in done.stderr
+
+
+def test_a_recording_counts_its_way_and_says_what_is_missing(desk: SetupDesk) -> None:
+    feed, calibration = GivenFeed(), CalibrationDesk(desk)
+    with pytest.raises(Refused, match="no_recording"):
+        asyncio.run(calibration.evaluate())
+    calibration.record(feed, demo_scene())
+    assert feed.is_recording
+    for k in range(101):
+        feed.given = [("wheel", WheelSample(NOW_NS + k * 100_000_000, 2.0, 0.0))]
+        calibration.take(feed.poll())
+    assert calibration.recorder is not None
+    assert (calibration.recorder.length_s, calibration.recorder.distance_m) == pytest.approx((10.0, 20.0))
+    asyncio.run(calibration.evaluate())
+    assert calibration.missing is not None
+    assert (calibration.missing.key, calibration.result) == ("straight_m", None)
+    with pytest.raises(Refused, match="no_result"):
+        calibration.accept("anna", "")
+    with pytest.raises(Refused, match="no_setting"):
+        calibration.choose("lidar_mount.nowhere")
+    calibration.end()
+    assert not feed.is_recording
