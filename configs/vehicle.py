@@ -147,6 +147,9 @@ class Wheels(Sensor):
     rate_hz: float = Field(gt=0.0, le=1000.0)
     speed_sigma_mps: float = Field(ge=0.0, le=1.0)
     angle_sigma_deg: float = Field(ge=0.0, le=5.0)
+    angle_zero_deg: float = Field(
+        default=0.0, ge=-15.0, le=15.0, description="angle of the sensor at straight wheels, which its driver subtracts"
+    )
 
 
 @dataclass(frozen=True)

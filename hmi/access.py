@@ -17,8 +17,9 @@ from configs.strict import Config, load
 from hmi.config import SessionConfig
 from messages.errors import HeadlandError
 
-Role = Literal["view", "operate"]
-ROLES: tuple[Role, ...] = ("view", "operate")
+Role = Literal["view", "operate", "setup"]
+ROLES: tuple[Role, ...] = ("view", "operate", "setup")
+OPERATORS = ("operate", "setup")  # roles that may have control; `setup` alone changes the setup of the machine
 MIN_PASSWORD = 8
 HASHER = PasswordHasher()
 UNKNOWN = HASHER.hash(secrets.token_hex(16))  # of unknown names: an answer takes as long as for known ones
@@ -109,7 +110,7 @@ class Access:
 
     def take_seat(self, session: Session, now_s: float) -> bool:
         """Takes a free seat for an operator; whether he holds it now."""
-        if session.role == "operate" and self.seated(now_s) is None:
+        if session.role in OPERATORS and self.seated(now_s) is None:
             self.holder = session
         return self.holder is session
 
@@ -143,7 +144,7 @@ def add_user(path: Path, name: str, role: Role, password: str) -> None:
 
 def one_time_user(password: str) -> dict[str, User]:
     """The operator of a start without users."""
-    return {"operator": User(role="operate", password_hash=HASHER.hash(password))}
+    return {"operator": User(role="setup", password_hash=HASHER.hash(password))}
 
 
 def _digest(token: str) -> str:

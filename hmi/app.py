@@ -14,6 +14,8 @@ from fastapi.staticfiles import StaticFiles
 from nicegui import app as nicegui_app
 from nicegui import ui
 
+from hmi.calibration_page import CalibrationPage
+from hmi.certificate import Certificate
 from hmi.diagnosis.alarm_log import AlarmLog, clock_text
 from hmi.diagnosis.topic_table import TopicTable
 from hmi.diagnosis_page import DiagnosisPage
@@ -28,6 +30,7 @@ from hmi.parts import Moment, PageParts
 from hmi.plan_page import PlanPage
 from hmi.plan_view.progress import ProgressKeeper
 from hmi.security import LOOPBACK, RequestChecks
+from hmi.setup_page import SetupPage
 from hmi.statistics.store import Totals
 from hmi.statistics_page import StatisticsPage
 from hmi.texts import texts_of
@@ -74,7 +77,9 @@ class PageApp:
         """Reads the feed and updates all pages; an error of one page closes that page only."""
         is_new = self._take_drive()
         feed, now_s = self.parts.drive.feed, time.monotonic()
-        envelopes = feed.poll()
+        envelopes = list(feed.poll())
+        if self.parts.calibration is not None:
+            self.parts.calibration.take(envelopes)
         is_restarted = feed.take_restart() or is_new
         if is_restarted:
             self.state = PageState(self.parts.drive.scene, self.parts.config.cell_m)
@@ -127,6 +132,9 @@ class PageApp:
         self.store_progress()
         self.report(True)
         self.parts.drive, self._drive_error, self._stored = found, "", None
+        if self.parts.setup is not None and self.parts.calibration is not None and found.setup is not None:
+            self.parts.calibration.end()
+            self.parts.setup.show(found.setup, found.setup_number)
         self._keeper = None if found.stored is None else ProgressKeeper(found.stored)
         self.topics = TopicTable()
         return True
@@ -212,7 +220,7 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     """The web application; NiceGUI's own object holds its routes, so there is one per process."""
     page_app = PageApp(parts)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    add_log_in(app, parts.access, parts.stop_url)
+    add_log_in(app, parts.access, parts.stop_url, parts.url.startswith("https:"))
     add_files(app, parts)
     app.mount("/static", StaticFiles(directory=STATIC))
 
@@ -221,7 +229,7 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
         async def show(request: Request) -> RedirectResponse | None:
             return await page_app.open(request, kind)
 
-    for kind in (DrivePage, PlanPage, DiagnosisPage, StatisticsPage):
+    for kind in (DrivePage, PlanPage, SetupPage, CalibrationPage, DiagnosisPage, StatisticsPage):
         add_page(kind)
     nicegui_app.on_startup(lambda: asyncio.create_task(page_app.run()))
     nicegui_app.on_shutdown(page_app.store_statistics)
@@ -234,7 +242,10 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     return app
 
 
-def serve(app: FastAPI, listening: socket.socket) -> None:
-    """Serves until SIGINT or SIGTERM."""
-    config = uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=2)
+def serve(app: FastAPI, listening: socket.socket, certificate: Certificate | None = None) -> None:
+    """Serves until SIGINT or SIGTERM, by HTTPS with a certificate."""
+    config = uvicorn.Config(
+        app, log_level="warning", access_log=False, timeout_graceful_shutdown=2,
+        ssl_certfile=certificate.path if certificate else None, ssl_keyfile=certificate.key if certificate else None,
+    )  # fmt: skip
     uvicorn.Server(config).run(sockets=[listening])

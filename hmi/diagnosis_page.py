@@ -7,6 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from hmi.diagnosis.alarm_log import Alarm, AlarmLog, clock_text
+from hmi.diagnosis.audit import audit_rows
 from hmi.diagnosis.remedy import remedy
 from hmi.drive_view.alarms import LEVELS
 from hmi.drive_view.row import number
@@ -16,6 +17,7 @@ from hmi.view import View
 from messages.faults import Severity
 
 ALARMS = ("began", "device", "cause", "remedy", "response", "ended", "count", "acknowledged")
+AUDIT = ("order", "number")
 TOPICS = ("topic", "rate", "expected", "age", "state")
 RUNS = ("run", "command", "complete", "files")
 SHOWN_ALARMS = 100
@@ -35,7 +37,7 @@ class DiagnosisPage(View):
                 ui.html(
                     '<p id="why" class="hl-note"></p><p id="answer" class="hl-answer" role="alert"></p>', sanitize=False
                 )
-            tables = (("alarm_log", ALARMS), ("topics", TOPICS), ("runs", RUNS))
+            tables = (("alarm_log", ALARMS), ("audit", AUDIT), ("topics", TOPICS), ("runs", RUNS))
             ui.html("".join(self.table_card(name, columns) for name, columns in tables), sanitize=False)
 
     def update(self, moment: Moment) -> None:
@@ -46,6 +48,7 @@ class DiagnosisPage(View):
         self.send(moment, {
             "texts": {"why": barred, "answer": self.answer or self._unsent()},
             "tables.alarm_log": [self._alarm(one, barred) for one in entries],
+            "tables.audit": audit_rows(moment.state, self.texts),
             "tables.topics": self._topics(moment),
             "tables.runs": self._runs(),
         })  # fmt: skip

@@ -5,6 +5,7 @@ It needs no log-in and no key. Without JavaScript; the answer shows whether the 
 
 import json
 import socket
+import ssl
 import time
 from collections.abc import Callable
 from html import escape
@@ -71,12 +72,14 @@ class StopSender:
                 return None
 
 
-def make_server(host: str, port: int) -> ThreadingHTTPServer:
-    """Server with its socket bound; raises OSError for a port that is taken. `port` 0 is a free one."""
+def make_server(host: str, port: int, tls: ssl.SSLContext | None = None) -> ThreadingHTTPServer:
+    """Server with its socket bound, for HTTPS with `tls`; raises OSError for a port that is taken, 0 is a free one."""
     ThreadingHTTPServer.allow_reuse_address = True
     server = ThreadingHTTPServer((host, port), _Handler)
     server.daemon_threads = True
     server.timeout = CHECK_S
+    if tls is not None:  # the thread of a request shakes hands: a slow client holds up nobody else
+        server.socket = tls.wrap_socket(server.socket, server_side=True, do_handshake_on_connect=False)
     return server
 
 

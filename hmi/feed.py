@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from calibration.recording import KINDS as RECORDED
 from messages.message import Envelope
 
 TOPICS = (
@@ -26,10 +27,19 @@ def is_event(topic: str) -> bool:
     return topic.partition("/")[0] in EVENTS
 
 
+def is_recorded(topic: str) -> bool:
+    """Whether a calibration needs the messages of a topic."""
+    return topic.partition("/")[0] in RECORDED
+
+
 class Feed(ABC):
-    """Messages since the last call, in order; `now_ns` is the present time of the machine or of the log."""
+    """Messages since the last call, in order; `now_ns` is the present time of the machine or of the log.
+
+    With `is_recording` every message that a calibration needs is among them, of scans the newest.
+    """
 
     now_ns: int = 0
+    is_recording: bool = False
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()  # messages since the start by topic, also of topics that are not shown

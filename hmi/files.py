@@ -12,7 +12,7 @@ from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
-from hmi.access import Session
+from hmi.access import OPERATORS, Session
 from hmi.diagnosis.run_files import file_of
 from hmi.log_in import language_of, session_of
 from hmi.parts import PageParts
@@ -85,7 +85,7 @@ class _NoSeat(HeadlandError):
 
 
 def _check_seat(session: Session, parts: PageParts) -> None:
-    if session.role != "operate" or parts.access.seated(time.monotonic()) is not session:
+    if session.role not in OPERATORS or parts.access.seated(time.monotonic()) is not session:
         raise _NoSeat
 
 

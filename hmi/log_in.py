@@ -45,8 +45,8 @@ def stop_frame(stop_url: str | None, texts: Texts) -> str:
     return f'<iframe class="hl-stop" title="{title}" src="{stop_url}?lang={texts.language}"></iframe>'
 
 
-def add_log_in(app: FastAPI, access: Access, stop_url: str | None) -> None:
-    """Adds the routes of log-in and log-out."""
+def add_log_in(app: FastAPI, access: Access, stop_url: str | None, is_secure: bool = False) -> None:
+    """Adds the routes of log-in and log-out; the cookie of an HTTPS page is never sent by HTTP."""
 
     def form(request: Request, error: str, code: int) -> Response:
         texts = texts_of(language_of(request))
@@ -72,7 +72,9 @@ def add_log_in(app: FastAPI, access: Access, stop_url: str | None) -> None:
         if token is None:
             return form(request, "log_in.wrong", 401)
         answer = RedirectResponse(f"/?lang={texts_of(language_of(request)).language}", 303)
-        answer.set_cookie(COOKIE, token, httponly=True, samesite="strict", max_age=round(access.config.max_s))
+        answer.set_cookie(
+            COOKIE, token, httponly=True, secure=is_secure, samesite="strict", max_age=round(access.config.max_s)
+        )
         return answer
 
     @app.post("/log-out")

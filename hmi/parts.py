@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from configs.machine_setup import MachineSetup
 from hmi.access import Access
+from hmi.calibration_view.desk import CalibrationDesk
 from hmi.config import PageConfig
 from hmi.diagnosis.alarm_log import AlarmLog
 from hmi.diagnosis.run_files import Run, runs_of
@@ -21,6 +23,7 @@ from hmi.plan_view.desk import PlanDesk
 from hmi.plan_view.mission_store import StoredMission
 from hmi.plan_view.progress import Progress, StoredDrive
 from hmi.scene import Scene
+from hmi.setup_view.desk import SetupDesk
 from hmi.shown import shown_of
 from hmi.statistics.store import DayOfField, StatisticsStore
 from hmi.texts import Texts
@@ -35,13 +38,15 @@ READ_S = 2.0
 class Drive:
     """A drive that is shown: its messages, its scene, and a name that no other drive has.
 
-    `stored` is None unless it drives a stored mission.
+    `stored` is None unless it drives a stored mission; `setup` is that of the machine, a version with `setup_number`.
     """
 
     feed: Feed
     scene: Scene
     name: str
     stored: StoredDrive | None = None
+    setup: MachineSetup | None = None
+    setup_number: int | None = None
 
 
 class Drives(ABC):
@@ -50,6 +55,14 @@ class Drives(ABC):
     @abstractmethod
     def start(self, mission: StoredMission, progress: Progress | None = None) -> None:
         """Ends the present drive and begins one on a stored mission, from `progress` if it was interrupted there."""
+
+    @abstractmethod
+    def restart(self) -> None:
+        """Ends the present drive and begins it once more, with the newest version of the setup."""
+
+    @abstractmethod
+    def start_trial(self) -> None:
+        """Ends the present drive and begins the one of the mission `calibration`."""
 
     @abstractmethod
     def take(self) -> Drive | str | None:
@@ -61,6 +74,7 @@ class PageParts:
     """What pages are made of; `source` is `simulation`, `connected` or `replay`, `sender` None gives no orders.
 
     `runs` is the folder of the run folders, `statistics` None keeps none, `drives` None starts none.
+    Without a machine there is no `setup` and no `calibration`.
     """
 
     drive: Drive
@@ -74,11 +88,14 @@ class PageParts:
     runs: Path
     statistics: StatisticsStore | None = None
     drives: Drives | None = None
+    setup: SetupDesk | None = None
+    calibration: CalibrationDesk | None = None
     statistics_error: str = ""
     report: PlatformReport | None = None
     uploader: Uploader | None = None
     progress_error: str = ""
     notification_error: str = ""
+    url: str = ""  # of the page
     is_switching: bool = False  # a drive has been asked for that has not begun: the present one gets no order
     present_s: float = -math.inf  # when a page of the operator in control answered last
     _read: dict[str, tuple[float, Any]] = field(default_factory=dict)

@@ -7,7 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
-from hmi.drive_view.controls import ENGAGED
+from hmi.drive_view.controls import check_standing
 from hmi.drive_view.map_view import static_map
 from hmi.drive_view.row import Row, number
 from hmi.parts import Moment
@@ -16,7 +16,6 @@ from hmi.plan_view.progress import Progress, read_progress
 from hmi.refusal import Refused
 from hmi.scene import Scene
 from hmi.view import View
-from messages.command import SupervisorState
 
 MAX_VALUE = 200  # characters
 HEADINGS = range(0, 180, 5)
@@ -108,9 +107,7 @@ class PlanPage(View):
         """Starts a simulated drive on a stored mission, or where it was interrupted; not while the machine drives."""
         if self.parts.drives is None or self._moment is None:
             raise Refused("no_simulation")
-        supervisor = self._moment.state.fresh("supervisor", SupervisorState)
-        if supervisor is not None and supervisor.mode in ENGAGED:
-            raise Refused("engaged")
+        check_standing(self._moment.state)
         mission = self.parts.desk.store.find(mission_id)
         if mission.about is None:
             raise Refused("damaged")
@@ -224,7 +221,7 @@ class PlanPage(View):
             f'data-upload="/plan/field?lang={language}" data-large="{escape(texts("refused.too_large"))}" '
             f'data-failed="{escape(texts("refused.upload_failed"))}"></label>'
         )
-        select = self._select("feature", "plan.feature")
+        select = self.select("feature", "plan.feature")
         buttons = (
             self.button("draw", "plan.draw") + self.button("undo", "plan.undo") + self.button("close", "plan.close")
         )
@@ -233,7 +230,7 @@ class PlanPage(View):
 
     def _options_card(self) -> str:
         names = ("machine", "implement", "headland_passes", "turns", "heading_deg")
-        return self.card("options", "".join(self._select(name, f"plan.{name}") for name in names))
+        return self.card("options", "".join(self.select(name, f"plan.{name}") for name in names))
 
     def _plan_card(self) -> str:
         texts = self.texts
@@ -245,9 +242,6 @@ class PlanPage(View):
             f'<div class="hl-pair">{buttons}</div><p id="progress" class="hl-answer" role="status"></p>{name}'
             + self.button("store", "plan.store", taken_from="mission-name"),
         )
-
-    def _select(self, name: str, label: str) -> str:
-        return f'<label>{escape(self.texts(label))}<select id="{name}" data-change="{name}"></select></label>'
 
 
 def _number(value: Any) -> float:

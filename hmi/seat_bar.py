@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from nicegui import ui
 
-from hmi.access import Access, Session
+from hmi.access import OPERATORS, Access, Session
 from hmi.texts import Texts
 
 
@@ -22,7 +22,7 @@ class SeatBar:
         """Builds the line; without a button for a role that only views."""
         self._label = ui.label("").classes("hl-note").props('data-hl="seat"')
         self._button: ui.button | None = None
-        if self.session.role == "operate":
+        if self.session.role in OPERATORS:
             self._button = ui.button("", on_click=self._press, color=None).classes("hl-button")
             self._button.props('unelevated no-caps data-hl="seat-button"')
 
@@ -43,7 +43,7 @@ class SeatBar:
     def why_not(self, is_action: bool = False) -> str:
         """Reason for which this session gives no orders now; an action prolongs the session."""
         now_s = time.monotonic()
-        if self.access.session(self.token, now_s) is not self.session or self.session.role != "operate":
+        if self.access.session(self.token, now_s) is not self.session or self.session.role not in OPERATORS:
             return self.texts("why.view_only")
         if is_action:
             self.session.used_s = now_s

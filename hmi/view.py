@@ -20,7 +20,10 @@ from hmi.seat_bar import SeatBar
 from hmi.texts import Texts
 from messages.errors import HeadlandError
 
-VIEWS = {"drive": "/", "plan": "/plan", "diagnosis": "/diagnosis", "statistics": "/statistics"}
+VIEWS = {
+    "drive": "/", "plan": "/plan", "setup": "/setup", "calibration": "/calibration", "diagnosis": "/diagnosis",
+    "statistics": "/statistics",
+}  # fmt: skip
 MAX_ANSWER = 500
 SURE_S = 5.0  # within which a press has to be repeated
 
@@ -89,7 +92,8 @@ class View(ABC):
             self._answer = self.texts(f"refused.{error.key}", **error.values)
         else:
             self._answer = str(error)[:MAX_ANSWER]
-        self._sent.pop("controls", None)  # a control shows what the browser has chosen
+        for name in [one for one in self._sent if one == "controls" or one.startswith("tables.")]:
+            del self._sent[name]  # a control shows what the browser has chosen
 
     @property
     def answer(self) -> str:
@@ -135,12 +139,21 @@ class View(ABC):
         )
 
     def button(self, action: str, text: str, more: str = "", taken_from: str = "") -> str:
-        """Button that sends an action, with the value of the input `taken_from`."""
+        """Button that sends an action, with the value of the input `taken_from`; until the first update it is off."""
         source = f' data-from="{taken_from}"' if taken_from else ""
         return (
-            f'<button type="button" id="{action}" data-action="{action}"{source} class="hl-primary{more}">'
+            f'<button type="button" id="{action}" data-action="{action}"{source} class="hl-primary{more}" disabled>'
             f"{escape(self.texts(text))}</button>"
         )
+
+    def select(self, name: str, label: str) -> str:
+        """Selection whose change is the action `name`."""
+        return f'<label>{escape(self.texts(label))}<select id="{name}" data-change="{name}"></select></label>'
+
+    def sensor_name(self, key: str) -> str:
+        """Name of a sensor by its key in the setup, such as `vehicle.sensors.lidar.front`."""
+        kind, _, name = key.partition(".sensors.")[2].partition(".")
+        return f"{self.texts.named('sensor_kind', kind)} {self.texts.named('place', name)}".strip()
 
     def map_card(self, tools: tuple[str, ...], content: str) -> str:
         """Canvas of the map with its tools."""

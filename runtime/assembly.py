@@ -26,7 +26,7 @@ from simulation.faults.injection import FaultInjection
 from simulation.faults.node_faults import FaultyNode, SteppingClock
 from simulation.machine.tractor_bus import load_database
 from simulation.operator import SimulatedOperator
-from simulation.plant import Plant, PlantModels, draw_plant
+from simulation.plant import Plant, PlantModels, calibrated, draw_plant
 from simulation.scenario import Scenario
 from simulation.world import Rendering, SimulationWorld
 
@@ -81,11 +81,16 @@ def simulated_world(
 
 
 def plant_of(setup: Setup, scenario: Scenario) -> Plant:
-    """Plant of a scenario and seed, drawn around the configuration of the stack."""
+    """Plant of a scenario and seed, drawn around the configuration files.
+
+    What the stack assumes instead of them changes what wheel and angle sensors report, and nothing that is true.
+    """
     config = setup.stack.simulation
     models = PlantModels(config.machine, config.gnss, config.imu)
-    configured = Plant(setup.site, setup.vehicle, setup.implement, models, setup.start)
-    return draw_plant(scenario.plant, configured, config.plant, setup.seed)
+    vehicle, implement = setup.built or (setup.vehicle, setup.implement)
+    configured = Plant(setup.site, vehicle, implement, models, setup.start)
+    plant = draw_plant(scenario.plant, configured, config.plant, setup.seed)
+    return plant if setup.built is None else calibrated(plant, vehicle, setup.vehicle)
 
 
 def fault_injection_for(setup: Setup, scenario: Scenario) -> FaultInjection | None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from configs.machine_setup import MachineSetup, setup_from_json
 from configs.mission import Mission, Spread
 from configs.sensor_kinds import SENSOR_KINDS, sensors_of
 from configs.site import PoseConfig, Site
@@ -20,6 +21,7 @@ from planning.field.field import FieldOutline, read_field
 from planning.field.site_generation import site_of, site_of_original
 from planning.guidance.recorded import choose_line, straight_in_map
 from planning.plan import Plan, Report, check_within, ignore, plan_mission
+from runtime.machine_setup import with_corrections
 from runtime.stack import StackConfig, load_stack, with_detector, with_order_key
 from simulation.operator import AUTHORITY, operator_key, public_bytes
 from simulation.scenario import Scenario
@@ -33,7 +35,8 @@ class Setup:
     """All inputs of a run except its world; `start` is the initial pose in map, `session` the nonce of the orders.
 
     `hitch` is the initial position of the hitch, 0 (lowest) to 1 (highest).
-    `surveyed` is the site with the outline of its field file before simplification.
+    `surveyed` is the site with the outline of its field file before simplification. A simulation draws its plant around
+    `built`, the machine and implement of the configuration files; None: they are `vehicle` and `implement`.
     """
 
     mission: Mission
@@ -48,6 +51,7 @@ class Setup:
     is_folded: bool
     session: str
     hitch: float = 1.0
+    built: tuple[Vehicle, MountedImplement | TrailedImplement] | None = None
 
     @property
     def machine_id(self) -> str:
@@ -64,9 +68,11 @@ class Setup:
 def setup_from(arguments: argparse.Namespace) -> Setup:
     """Setup of a command that drives or plans; raises ConfigError or FieldError."""
     given = arguments
+    assumed: str | None = getattr(given, "assumed", None)
     return load_setup(
         given.mission, given.machine, given.implement, given.field, given.seed, given.bay,
         feature=given.feature, guidance=given.guidance,
+        assumed=None if assumed is None else setup_from_json(assumed, "setup"),
     )  # fmt: skip
 
 
@@ -81,8 +87,11 @@ def load_setup(
     feature: str | None = None,
     guidance: str | None = None,
     report: Report = ignore,
+    assumed: MachineSetup | None = None,
 ) -> Setup:
     """Loads the named files and plans the mission, docking in `bay` if given; raises ConfigError or FieldError.
+
+    The stack takes machine, implement and corrections from `assumed` instead of the files, if given.
 
     `feature` is one of the fields of the file `field` and `guidance` one of its lines, to which swaths are parallel;
     the plan is checked against the outline of the file, before simplification. `report` gets the stages of the planner.
@@ -96,6 +105,11 @@ def load_setup(
     mounted = load(ImplementFile, find("implements", chosen.implement)).implement
     vehicle = with_implement_sensors(vehicle, mounted)
     stack = with_order_key(load_stack(), "simulated_operator", simulated_operator_key(seed))
+    built = None
+    if assumed is not None:
+        built, mounted = (vehicle, mounted), assumed.implement
+        vehicle = with_implement_sensors(assumed.vehicle, mounted)
+        stack = with_corrections(stack, assumed.corrections)
     outline = _outline(chosen, field, feature)
     chosen = _with_guidance(chosen, outline, guidance)
     site = _site(chosen, outline, vehicle, mounted)
@@ -105,7 +119,7 @@ def load_setup(
     if surveyed is not site and chosen.work is not None:
         check_within(plan, surveyed, chosen.work.boundary_margin_m)
     session = np.random.default_rng([seed, SESSION_STREAM]).bytes(16).hex()
-    return Setup(chosen, site, surveyed, vehicle, mounted, stack, plan, seed, start, is_folded, session)
+    return Setup(chosen, site, surveyed, vehicle, mounted, stack, plan, seed, start, is_folded, session, built=built)
 
 
 def simulated_operator_key(seed: int) -> OrderKey:

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from configs.site import Bay
 from configs.strict import Config
@@ -14,6 +14,7 @@ from datasets.reader import LogScan, decode, is_ours
 from messages.errors import HeadlandError
 from messages.message import Envelope
 from runtime.assembly import assemble, fault_injection_for, plant_of
+from runtime.bus import Sink
 from runtime.commands.end_of_run import EndOfDrive, expected_s
 from runtime.commands.progress import Progress
 from runtime.executor import Executor
@@ -30,14 +31,19 @@ from validation.drive.report import render
 from validation.drive.sensing_figures import detections_figure, docking_figure, shares_figure
 from validation.drive.summary import Planned, summarize
 
+if TYPE_CHECKING:
+    from runtime.page.shown_run import ShownRun
+
 INTERRUPTED = "interrupted"
 
 
 def drive(
     setup: Setup, scenario: Scenario, folder: RunFolder, console: TextIO, is_ablation: bool = False,
-    limit_s: float | None = None, interruption: Interruption | None = None,
+    limit_s: float | None = None, interruption: Interruption | None = None, shown: "ShownRun | None" = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Drives one mission into a run folder, at most `limit_s` simulated seconds; returns the object of `run --json`.
+
+    `shown` is the page on which it is seen meanwhile.
 
     Raises HeadlandError if log or report cannot be written; what was written until then stays in the folder.
     """
@@ -45,13 +51,15 @@ def drive(
     log = setup.stack.datasets.log
     check_room(folder.path, expected_s(setup.plan.length_m, limit_s), log.drive_mb_per_s, log.min_free_mb)
     conditions = versions() | {"seed": str(setup.seed), "ablation": str(is_ablation)}
-    folder.record("conditions", conditions)
+    folder.record("conditions", conditions if shown is None else conditions | {"rings": shown.rings})
     log_path = folder.file("log.mcap")
     for name in ("config.yaml", "console.log", "report.html"):
         folder.file(name)
     digest, failure = None, None
     try:
-        digest = drive_into_log(setup, scenario, folder.path, conditions, console, is_ablation, limit_s, interruption)
+        digest = drive_into_log(
+            setup, scenario, folder.path, conditions, console, is_ablation, limit_s, interruption, shown
+        )
     except (HeadlandError, OSError) as error:
         if not log_path.is_file():
             raise
@@ -113,6 +121,7 @@ def _drawn_plant(setup: Setup, scenario: Scenario) -> dict[str, Config]:
 def drive_into_log(
     setup: Setup, scenario: Scenario, folder: Path, conditions: dict[str, str], console: TextIO,
     is_ablation: bool = False, limit_s: float | None = None, interruption: Interruption | None = None,
+    shown: "ShownRun | None" = None,
 ) -> str:  # fmt: skip
     """Runs the stack until the drive ends or is interrupted, at most `limit_s`, into a log; returns its digest."""
     config = resolved(
@@ -120,6 +129,8 @@ def drive_into_log(
         scenario=scenario, **_drawn_plant(setup, scenario),
     )  # fmt: skip
     (folder / "config.yaml").write_text(config, encoding="utf-8")
+    if shown is not None:
+        shown.begin(folder)
     metadata = {"run": conditions, "config": {"yaml": config}}
     faults = fault_injection_for(setup, scenario)
     with (
@@ -130,8 +141,9 @@ def drive_into_log(
         with LogWriter(folder / "log.mcap", metadata, setup.stack.datasets.log, setup.viewer(), rotates=True) as log:
             if isinstance(world, SimulationWorld):
                 log.add_metadata("shapes", {"json": world.shapes_text()})
-            sinks = (log.write, Progress((console, file), start_notes(setup)), end)
-            Executor(world, nodes, sinks if faults is None else (*sinks, faults), faults).run(
+            sinks: list[Sink] = [log.write, Progress((console, file), start_notes(setup)), end]
+            sinks += [one for one in (faults, None if shown is None else shown.write) if one is not None]
+            Executor(world, nodes, sinks, faults).run(
                 lambda: end.is_reached() or (interruption is not None and interruption.is_requested)
             )
             return log.digest()

@@ -119,6 +119,21 @@ def draw_plant(kind: PlantKind, configured: Plant, config: PlantConfig, seed: in
     return _with_slowest_brake(drawn, config) if kind == "worst" else drawn
 
 
+def calibrated(plant: Plant, built: Vehicle, assumed: Vehicle) -> Plant:
+    """Plant whose wheel and angle sensors are read with the wheel radius and steering zero of `assumed`."""
+    machine, wheels = plant.models.machine, plant.vehicle.sensors.wheels
+    ratio = built.drivetrain.wheel_radius_m / assumed.drivetrain.wheel_radius_m
+    error = machine.drive.wheel_radius_error
+    error += (1.0 + error) * (ratio - 1.0)  # exact where nothing differs
+    drive = machine.drive.model_copy(update={"wheel_radius_error": error})
+    models = replace(plant.models, machine=machine.model_copy(update={"drive": drive}))
+    if wheels is None or assumed.sensors.wheels is None:
+        return replace(plant, models=models)
+    wheels = wheels.model_copy(update={"angle_zero_deg": assumed.sensors.wheels.angle_zero_deg})
+    sensors = plant.vehicle.sensors.model_copy(update={"wheels": wheels})
+    return replace(plant, models=models, vehicle=plant.vehicle.model_copy(update={"sensors": sensors}))
+
+
 def _with_slowest_brake(plant: Plant, config: PlantConfig) -> Plant:
     vehicle = plant.vehicle.model_copy(update={"brake": config.worst_brake})
     return replace(plant, vehicle=vehicle, models=_with_resistance(plant.models, config.worst_resistance_factor))

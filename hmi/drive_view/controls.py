@@ -2,6 +2,7 @@
 
 from hmi.drive_view.standing import is_ready
 from hmi.page_state import PageState
+from hmi.refusal import Refused
 from hmi.texts import Texts
 from messages.command import MachineState, Mode, OrderStatus, SupervisorState
 from messages.motion import Odometry
@@ -61,6 +62,15 @@ def _why_no_start(order: str, supervisor: SupervisorState, state: PageState) -> 
     if order == "start":
         return "begun" if state.is_begun else ""
     return "" if state.is_begun else "not_begun"
+
+
+def check_standing(state: PageState) -> None:
+    """Raises Refused in automatic operation, and while the machine moves; one that is silent can be replaced."""
+    supervisor, odometry = state.fresh("supervisor", SupervisorState), state.fresh("odom", Odometry)
+    if supervisor is not None and supervisor.mode in ENGAGED:
+        raise Refused("engaged")
+    if odometry is not None and abs(odometry.speed_mps) >= STANDING_MPS:
+        raise Refused("moving")
 
 
 def _is_still(state: PageState) -> bool:

@@ -3,10 +3,11 @@
 import asyncio
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from configs.mission import Work
 from configs.site import DatumConfig
 from hmi.plan_view.field_job import FieldJob, Task
 from hmi.plan_view.mission_store import MISSION, PLAN, MissionStore, StoredMission, file_name, plain_name
@@ -29,6 +30,7 @@ class PlanDesk:
     def __init__(self, store: MissionStore, command: tuple[str, ...], options: PlanOptions, limit_s: float) -> None:
         self.store, self.options = store, options
         self._command, self._limit_s = command, limit_s
+        self.work: Callable[[], Work] = default_work  # speeds, overlap and margin of new plans
         self.job: FieldJob | None = None
         self.error = ""
         self.draft: Path | None = None
@@ -121,7 +123,7 @@ class PlanDesk:
             raise Refused("no_field")
         self.plan, self.stored, self.error = None, None, ""
         (self.draft / PLAN).unlink(missing_ok=True)
-        write_mission(self.options.mission(self.name, default_work()), self.draft / MISSION)
+        write_mission(self.options.mission(self.name, self.work()), self.draft / MISSION)
         draft = self.draft
         if await self._run("plan", draft) is not None:
             self.plan = await asyncio.to_thread(read_result, draft / PLAN)

@@ -11,10 +11,11 @@ window.headlandControls = (() => {
 
   function send(values) { if (window.emitEvent) window.emitEvent("headland", values); }
 
-  // A cell: a text, or {text, level}, {text, action, value, off, sure} for a button, {links: [{text, href}]}.
+  // A cell: a text, or {text, level}, {text, action, value, off, sure} for a button, {links: [{text, href}]},
+  // {input, key, label, off, level, choices} for a value that is edited.
   function showCell(cell, td) {
     const shown = JSON.stringify(cell);
-    if (td.dataset.shown === shown) return;
+    if (td.dataset.shown === shown && !cell.key) return;
     td.dataset.shown = shown;
     const value = typeof cell === "string" ? {text: cell} : cell;
     if (value.action) {
@@ -24,6 +25,19 @@ window.headlandControls = (() => {
       button.dataset.action = value.action; button.dataset.value = value.value;
       button.disabled = Boolean(value.off);
       setText(button, value.text);
+    } else if (value.key) {
+      let input = td.firstElementChild;
+      if (!input) {
+        input = document.createElement(value.choices ? "select" : "input");
+        if (value.choices) input.replaceChildren(...value.choices.map(([one, text]) => new Option(text, one)));
+        else input.autocomplete = "off";
+        td.replaceChildren(input);
+      }
+      input.dataset.change = "edit"; input.dataset.key = value.key; input.setAttribute("aria-label", value.label);
+      input.disabled = Boolean(value.off);
+      if (document.activeElement !== input || input.dataset.sent) input.value = value.input; // nobody is typing
+      delete input.dataset.sent;
+      td.className = value.level ? "hl-" + value.level : "";
     } else if (value.links) {
       td.replaceChildren(...value.links.map((one) => {
         const link = document.createElement("a");
@@ -50,7 +64,7 @@ window.headlandControls = (() => {
     byId("empty-" + name).hidden = rows.length > 0;
   }
 
-  function showControl(id, {off, hidden, value, choices}) {
+  function showControl(id, {off, hidden, value, choices, text, sure}) {
     const control = byId(id);
     if (!control) return;
     control.disabled = Boolean(off);
@@ -63,6 +77,8 @@ window.headlandControls = (() => {
       }
     }
     if (value !== undefined && control.value !== value) control.value = value;
+    if (text !== undefined) setText(control, text);
+    if (sure !== undefined) control.classList.toggle("hl-sure", sure);
   }
 
   // Sound of alarms: a switch for each browser, kept there.
@@ -114,12 +130,43 @@ window.headlandControls = (() => {
   });
   document.addEventListener("change", (event) => {
     const control = event.target;
-    if (control.dataset.change) send({action: control.dataset.change, value: control.value});
+    if (control.dataset.key) control.dataset.sent = "1";
+    if (control.dataset.change) send({action: control.dataset.change, value: control.value, key: control.dataset.key || ""});
     if (control.dataset.upload) upload(control);
   });
   document.addEventListener("DOMContentLoaded", showSwitch);
 
+  // Plot of points and a line, with the ends of both axes: {x, y, points, line, title}.
+  function showPlot(plot) {
+    const svg = byId("plot");
+    if (!svg) return;
+    byId("plot-box").hidden = !plot;
+    if (!plot) { svg.replaceChildren(); return; }
+    const all = plot.points.concat(plot.line), [left, right, top, bottom] = [70, 590, 20, 250];
+    const ends = [0, 1].map((k) => [Math.min(...all.map((p) => p[k])), Math.max(...all.map((p) => p[k]))]);
+    const span = ends.map(([low, high]) => high - low || 1);
+    const toPx = ([x, y]) => [left + (right - left) * (x - ends[0][0]) / span[0], bottom - (bottom - top) * (y - ends[1][0]) / span[1]];
+    const add = (name, values, content) => {
+      const element = document.createElementNS("http://www.w3.org/2000/svg", name);
+      Object.entries(values).forEach(([key, value]) => element.setAttribute(key, value));
+      element.textContent = content || "";
+      return element;
+    };
+    const path = plot.line.map(toPx).map(([x, y], k) => (k ? "L" : "M") + x.toFixed(1) + " " + y.toFixed(1)).join("");
+    const text = (x, y, anchor, content) => add("text", {x, y, "text-anchor": anchor}, content);
+    const round = (value) => String(Number(value.toPrecision(4)));
+    svg.replaceChildren(
+      add("path", {d: `M${left} ${top}V${bottom}H${right}`, class: "hl-axis"}),
+      ...plot.points.map(toPx).map(([cx, cy]) => add("circle", {cx: cx.toFixed(1), cy: cy.toFixed(1), r: 3})),
+      add("path", {d: path, class: "hl-fit"}),
+      text(left - 6, bottom, "end", round(ends[1][0])), text(left - 6, top + 12, "end", round(ends[1][1])),
+      text(left, bottom + 20, "start", round(ends[0][0])), text(right, bottom + 20, "end", round(ends[0][1])),
+      text((left + right) / 2, bottom + 38, "middle", plot.x), text(left, top - 6, "start", plot.y));
+    svg.setAttribute("aria-label", plot.title);
+  }
+
   function update(shown) {
+    if (shown.plot !== undefined) showPlot(shown.plot);
     Object.entries(shown.tables || {}).forEach(([name, rows]) => showTable(name, rows));
     Object.entries(shown.controls || {}).forEach(([id, state]) => showControl(id, state));
     Object.entries(shown.texts || {}).forEach(([id, text]) => setText(byId(id), text));

@@ -1,6 +1,7 @@
 """Types of command line arguments: what they refuse is one line, before anything is imported."""
 
 import argparse
+import ipaddress
 import math
 import re
 from collections.abc import Callable
@@ -120,6 +121,19 @@ def regex(text: str) -> str:
 def user(text: str) -> tuple[str, str]:
     """Type of a user of the page, NAME:ROLE."""
     name, _, role = text.partition(":")
-    if not re.fullmatch(r"[\w.-]{1,40}", name) or role not in ("view", "operate"):
-        raise argparse.ArgumentTypeError(f"{text}: NAME:ROLE with ROLE view or operate, NAME of letters and digits")
+    if not re.fullmatch(r"[\w.-]{1,40}", name) or role not in ("view", "operate", "setup"):
+        raise argparse.ArgumentTypeError(
+            f"{text}: NAME:ROLE with ROLE view, operate or setup, NAME of letters and digits"
+        )
     return name, role
+
+
+def address(text: str) -> str:
+    """Type of an IP address of this computer."""
+    try:
+        found = ipaddress.ip_address(text)
+    except ValueError:
+        found = None
+    if found is None or found.version != 4 or found.is_unspecified or found.is_multicast:
+        raise argparse.ArgumentTypeError(f"{text}: not the IPv4 address of one interface, such as 192.168.1.5")
+    return str(found)

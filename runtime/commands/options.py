@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from runtime.commands.argument_types import (
+    address,
     existing,
     file,
     folder,
@@ -95,6 +96,7 @@ COMMANDS = (
     Command("run", "drive a mission in simulation and write the report", "runtime.commands.run", (
         FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, PLANT, SEED, MODEL, DURATION,
         _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
+        _option("--page", action="store_true", help="show the drive in the browser while it goes on"),
         _out("run"), JSON,
     )),
     Command("live", "run the stack in real time, one process per part", "runtime.commands.live", (
@@ -107,7 +109,7 @@ COMMANDS = (
         _out("live"), JSON,
     )),
     Command("page", "serve the operator's page: simulation, running drive or log", "runtime.commands.page", (
-        FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, SEED,
+        FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, PLANT, SEED,
         _option("--replay", type=file, metavar="LOG", help="play a log of `run` or `live` instead of a simulation"),
         _option("--connect", type=existing, metavar="FOLDER", help="run folder of a running `live`, which is shown"),
         _option("--key", type=file, metavar="FILE.pem",
@@ -116,8 +118,12 @@ COMMANDS = (
                 help="simulate as `live` does, one process per part (default: one process, not faster than real time)"),
         _option("--port", type=whole(0, 65535), metavar="N", help="port of the page (default in configs/page.yaml)"),
         _option("--stop-port", type=whole(0, 65535), metavar="N", help="port of the emergency stop"),
+        _option("--setup-version", type=whole(1, 1_000_000), metavar="N",
+                help="version of the machine's setup with which the first drive begins (default: the newest)"),
+        _option("--listen", type=address, metavar="ADDRESS",
+                help="IP address of this computer at which other devices reach the page, by TLS (default: loopback)"),
         _option("--add-user", type=user, metavar="NAME:ROLE",
-                help="add or replace a user (view or operate) with the password from standard input, and end"),
+                help="add or replace a user (view, operate or setup) with the password from standard input, and end"),
         _option("--state", type=folder, metavar="FOLDER",
                 help="users, key, missions and statistics (default state/page)"),
         _out("page"),

@@ -31,9 +31,9 @@ def main(arguments: argparse.Namespace) -> int:
     from runtime.page.start import serve_log, serve_running, serve_simulation
 
     if arguments.replay is not None:
-        return serve_log(arguments.replay, config, state)
+        return serve_log(arguments.replay, config, state, arguments.listen)
     if arguments.connect is not None:
-        return serve_running(arguments.connect, arguments.key, config, state)
+        return serve_running(arguments.connect, arguments.key, config, state, arguments.listen)
     return serve_simulation(arguments, config, state)
 
 

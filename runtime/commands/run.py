@@ -3,8 +3,13 @@
 import argparse
 import json
 import sys
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING
 
 from runtime.commands.checks import check_drive
+
+if TYPE_CHECKING:
+    from runtime.page.shown_run import ShownRun
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -22,7 +27,8 @@ def main(arguments: argparse.Namespace) -> int:
         setup = with_model(setup, arguments.model)
         scenario = load_scenario(arguments.scenario, setup.mission, arguments.field, arguments.plant)
         is_ablation, limit_s = arguments.without_obstacle_rules, arguments.duration
-        result = drive(setup, scenario, folder, sys.stderr, is_ablation, limit_s, interruption)
+        with _shown(arguments.page) as shown:
+            result = drive(setup, scenario, folder, sys.stderr, is_ablation, limit_s, interruption, shown)
         report = folder.path / "report.html"
     if arguments.json:
         sys.stdout.write(json.dumps(result) + "\n")
@@ -31,3 +37,12 @@ def main(arguments: argparse.Namespace) -> int:
     is_complete = result["outcome"] in ("finished", "docked")
     is_required = is_complete and not (result["contacts"] or result["zone_exits"] or result["false_stops"])
     return interruption.exit_code or (0 if is_required else 1)
+
+
+def _shown(is_shown: bool) -> "AbstractContextManager[ShownRun | None]":
+    """The page of the drive, None without one."""
+    if not is_shown:
+        return nullcontext()
+    from runtime.page.shown_run import shown_run
+
+    return shown_run()

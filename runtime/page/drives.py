@@ -16,21 +16,28 @@ from hmi.parts import Drive, Drives
 from hmi.plan_view.mission_store import MISSION, SEED, StoredMission
 from hmi.plan_view.progress import Progress
 from hmi.scene import scene_of
+from hmi.setup_view.store import SetupStore
 from interfaces.orders.config import OrderKey
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
+from runtime.machine_setup import configured_setup
 from runtime.page.live_feed import LiveFeed
 from runtime.page.simulation import REFUSED, Announcement, Ended, drive_simulation
 from runtime.processes import begin_worker
 
+TRIAL = "calibration"  # mission of the calibration wizards
 END_S = 20.0  # for a simulation to close its log
 
 
 class SimulatedDrives(Drives):
-    """Process of the simulated drives; begins with the arguments of the command line."""
+    """Process of the simulated drives; begins with the arguments of the command line.
 
-    def __init__(self, arguments: argparse.Namespace, port: OrderPort, key: OrderKey) -> None:
-        self._arguments = arguments
+    Each drive takes the newest version of the setup of its machine and implement; raises HeadlandError.
+    """
+
+    def __init__(self, arguments: argparse.Namespace, port: OrderPort, key: OrderKey, store: SetupStore) -> None:
+        self._store = store
+        self._arguments = arguments = self._present = self._with_setup(arguments, arguments.setup_version)
         context = multiprocessing.get_context("fork")
         self._link, there = context.Pipe()
         work = (context, arguments, port, key, there, self._link, os.getpid())
@@ -45,8 +52,12 @@ class SimulatedDrives(Drives):
         except EOFError:
             found = None
         if not isinstance(found, Announcement):
-            raise HeadlandError("the simulation did not start; see the message above")
-        return drive_of(found)
+            machine, number = self._present.setup_version
+            raise HeadlandError(
+                f"the simulation did not start; see the message above. Version {number} of the setup of {machine} "
+                "is in use: --setup-version N begins with another"
+            )
+        return self._drive_of(found)
 
     def start(self, mission: StoredMission, progress: Progress | None = None) -> None:
         """Ends the present drive and begins one on a stored mission, in a run folder of its own."""
@@ -56,7 +67,32 @@ class SimulatedDrives(Drives):
             "machine": None, "implement": None, "bay": None, "out": None, "seed": SEED,
             "stored": mission.folder, "resumed": None if progress is None else progress.model_dump_json(),
         }  # fmt: skip
-        self._link.send(argparse.Namespace(**chosen))
+        self._begin(argparse.Namespace(**chosen))
+
+    def restart(self) -> None:
+        """Ends the present drive and begins it once more, in a run folder of its own."""
+        self._begin(argparse.Namespace(**vars(self._present) | {"out": None, "resumed": None}))
+
+    def start_trial(self) -> None:
+        """Ends the present drive and begins the one of the mission `calibration`, in a run folder of its own."""
+        chosen = vars(self._arguments) | {
+            "mission": TRIAL, "scenario": "empty", "field": None, "feature": None, "guidance": None, "bay": None,
+            "out": None, "stored": None, "resumed": None,
+        }  # fmt: skip
+        self._begin(argparse.Namespace(**chosen))
+
+    def _begin(self, arguments: argparse.Namespace) -> None:
+        self._present = self._with_setup(arguments)
+        self._link.send(self._present)
+
+    def _with_setup(self, arguments: argparse.Namespace, chosen: int | None = None) -> argparse.Namespace:
+        """Arguments with the newest version of the setup, or with the chosen one; raises HeadlandError."""
+        configured = configured_setup(arguments.mission, arguments.machine, arguments.implement)
+        number, setup = self._store.newest(configured)
+        if chosen is not None:
+            number, setup = chosen, self._store.setup(setup.machine, chosen)
+        changes = {"assumed": setup.to_json(), "setup_version": (setup.machine, number)}
+        return argparse.Namespace(**vars(arguments) | changes)
 
     def take(self) -> Drive | str | None:
         """The drive that has begun since the last call, or why one has ended."""
@@ -65,21 +101,22 @@ class SimulatedDrives(Drives):
         except (EOFError, OSError):
             return None
         if isinstance(found, Announcement):
-            return drive_of(found)
+            return self._drive_of(found)
         return found.text if isinstance(found, Ended) else None
+
+    def _drive_of(self, found: Announcement) -> Drive:
+        """The drive of an announcement; its rings have a name of their own."""
+        scene = scene_of(found.config, "simulation", found.planned_map_m)
+        name = f"{found.run}/{next(iter(found.rings.values())).parent.name}"
+        machine, number = found.setup_version
+        setup = self._store.setup(machine, number)
+        return Drive(LiveFeed(found.rings), scene, name, found.stored, setup, number)
 
     def end(self) -> None:
         """Ends drive and process with the log closed."""
         self._process.terminate()
         self._process.join(END_S + 5.0)
         self._process.kill()
-
-
-def drive_of(found: Announcement) -> Drive:
-    """The drive of an announcement; its rings have a name of their own."""
-    scene = scene_of(found.config, "simulation", found.planned_map_m)
-    name = f"{found.run}/{next(iter(found.rings.values())).parent.name}"
-    return Drive(LiveFeed(found.rings), scene, name, found.stored)
 
 
 def _keep(

@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from hmi.feed import Feed, is_event, is_shown
+from hmi.feed import Feed, is_event, is_recorded, is_shown
 from messages.message import Envelope
 from runtime.live.ring import RingReader
 from runtime.live.serialization import topic_of, unpack
@@ -32,9 +32,12 @@ class LiveFeed(Feed):
             for record in reader.records():
                 topic = topic_of(record)
                 self.counts[topic] += 1
-                if is_shown(topic):
+                is_whole = len(record) > 1 + record[0]  # others have the topic alone, to be counted
+                is_needed = self.is_recording and is_whole and is_recorded(topic)
+                if is_shown(topic) or is_needed:
                     self._sequence += 1
-                    key = (topic, self._sequence if is_event(topic) else 0)
+                    is_each = is_event(topic) or (is_needed and not topic.startswith("lidar/"))
+                    key = (topic, self._sequence if is_each else 0)
                     wanted.pop(key, None)
                     wanted[key] = record
         found = [self._envelope(record) for record in wanted.values()]

@@ -18,10 +18,13 @@ from runtime.page.log_feed import HISTORY, kept_entries
 
 @dataclass(frozen=True)
 class RunningDrive:
-    """Rings by process, order port, resolved configuration, and authority by public key of a running drive."""
+    """Rings by process, order port, resolved configuration, and authority by public key of a running drive.
+
+    `order_port` is None for a drive of `run`, which takes no orders.
+    """
 
     rings: dict[str, Path]
-    order_port: int
+    order_port: int | None
     config: str
     keys: dict[str, str]
 
@@ -37,9 +40,13 @@ def running_drive(folder: Path) -> RunningDrive:
     conditions = _conditions(folder)
     rings = Path(str(conditions.get("rings", "")))
     if "rings" not in conditions or not rings.is_dir():
-        raise HeadlandError(f"--connect {folder}: no drive of `headland live` is running there")
+        raise HeadlandError(
+            f"--connect {folder}: no drive of `headland live` is running there, nor one of `run --page`"
+        )
     text = (folder / "config.yaml").read_text(encoding="utf-8")
-    return RunningDrive({role: rings / role for role in ROLES}, int(conditions["order_port"]), text, _keys(text))
+    found = {role: rings / role for role in (*ROLES, "simulation") if (rings / role).exists()}
+    port = conditions.get("order_port")
+    return RunningDrive(found, None if port is None else int(port), text, _keys(text))
 
 
 def logged(folder: Path) -> Iterable[Envelope]:

@@ -21,13 +21,17 @@ REFUSED = 2  # exit code of a drive that has said why it does not begin
 
 @dataclass(frozen=True)
 class Announcement:
-    """Run folder, rings by process, resolved configuration and planned lines (N, 2) in `map` of a drive that starts."""
+    """Run folder, rings by process, resolved configuration and planned lines (N, 2) in `map` of a drive that starts.
+
+    `setup_version` is the machine and number of the setup that it takes.
+    """
 
     run: str
     rings: dict[str, Path]
     config: str
     planned_map_m: tuple[Float64, ...]
     stored: StoredDrive | None
+    setup_version: tuple[str, int]
 
 
 @dataclass(frozen=True)
@@ -68,12 +72,12 @@ def _drive(
         setup = resumed_setup(setup, resumed)
     session = secrets.token_hex(16)  # as at a real start: no order for the drive before counts
     setup = replace(setup, stack=with_order_key(setup.stack, "page", key), session=session)
-    scenario = load_scenario(arguments.scenario, setup.mission, arguments.field)
+    scenario = load_scenario(arguments.scenario, setup.mission, arguments.field, arguments.plant)
     scenario = scenario.model_copy(update={"operator_commands": ()})
     planned = tuple(path.p_map_m[::5] for path in setup.plan.paths)
 
     def announce(rings: dict[str, Path], config: str) -> None:
-        connection.send(Announcement(folder.path.name, rings, config, planned, stored))
+        connection.send(Announcement(folder.path.name, rings, config, planned, stored, arguments.setup_version))
 
     operated = Operated(port, announce)
     if arguments.live:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 from datasets.log import LogWriter
-from hmi.feed import is_shown
+from hmi.feed import is_recorded, is_shown
 from messages.message import Envelope
 from runtime.assembly import assemble
 from runtime.commands.progress import Progress
@@ -23,6 +23,7 @@ from runtime.setup import Setup, start_notes
 from simulation.scenario import Scenario
 
 RING_MIB = 64
+SCAN_NS = 400_000_000  # between two scans of a lidar that a calibration may record
 LAG_S = 0.5  # a simulation that has fallen behind does not catch up more than this
 
 
@@ -45,17 +46,22 @@ def drive_in_one_process(
             folder.file("console.log").open("w") as console,
             LogWriter(log_path, metadata, setup.stack.datasets.log, setup.viewer(), rotates=True) as log,
         ):
-            sinks = (log.write, Progress((sys.stderr, console), start_notes(setup)), _ring_sink(ring))
+            sinks = (log.write, Progress((sys.stderr, console), start_notes(setup)), ring_sink(ring))
             executor = Executor(world, nodes, sinks)
             executor.run(_paced(executor, lambda: interruption.is_requested))
     folder.finish()
 
 
-def _ring_sink(ring: RingWriter) -> Callable[[Envelope], None]:
-    """Messages that the page shows, of the others the topic alone, which it counts."""
+def ring_sink(ring: RingWriter) -> Callable[[Envelope], None]:
+    """Messages that the page shows or records, of the others the topic alone, which it counts; scans thinned."""
+    scanned_ns: dict[str, int] = {}
 
     def write(envelope: Envelope) -> None:
-        is_whole = is_shown(envelope.topic)
+        topic, now_ns = envelope.topic, envelope.receive_ns
+        is_whole = is_shown(topic) or is_recorded(topic)
+        if topic.startswith("lidar/"):
+            is_whole = now_ns - scanned_ns.get(topic, -SCAN_NS) >= SCAN_NS
+            scanned_ns[topic] = now_ns if is_whole else scanned_ns.get(topic, now_ns)
         ring.write(pack((envelope.topic, envelope.message)) if is_whole else header(envelope.topic))
 
     return write

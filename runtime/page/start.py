@@ -8,12 +8,14 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from http.server import ThreadingHTTPServer
 from pathlib import Path
 
 from datasets.reader import read_metadata
 from hmi import emergency_stop
 from hmi.access import Access, one_time_user, read_users
+from hmi.calibration_view.desk import CalibrationDesk
 from hmi.config import PageConfig
 from hmi.orders import OrderSender, own_key, public_key_of, read_key
 from hmi.parts import Drive, Drives, PageParts
@@ -21,13 +23,18 @@ from hmi.plan_view.desk import PlanDesk
 from hmi.plan_view.mission_store import MissionStore
 from hmi.plan_view.options import default_options
 from hmi.scene import scene_of
+from hmi.security import LOOPBACK as LOCAL
+from hmi.setup_view.desk import SetupDesk
+from hmi.setup_view.store import SetupStore
 from hmi.statistics.store import StatisticsStore
 from hmi.upload.platform_report import PlatformReport
 from hmi.upload.uploader import Uploader
 from interfaces.orders.config import ORDERS, OrderKey
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
+from runtime.machine_setup import running_setup
 from runtime.page.log_feed import LogFeed
+from runtime.page.place import Place, place_of, qr_text
 from runtime.page.running import logged, running_drive
 from runtime.processes import begin_worker
 from runtime.run_folder import RUNS
@@ -35,10 +42,9 @@ from safety.output.alarms import text_zh
 from safety.rules import RULES
 from safety.supervisor import texts_of
 
-HOST = "127.0.0.1"
 AUTHORITY = "operator"
 USERS, KEY, MISSIONS = "users.yaml", "order_key.pem", "missions"  # of the state folder
-STATISTICS, UPLOAD = "statistics.db", "upload.db"
+STATISTICS, UPLOAD, SETUP = "statistics.db", "upload.db", "setup.db"
 PLANNER = (sys.executable, "-m", "runtime.page.field_process")
 UNANSWERED = 3  # checks of the emergency stop, then the machine is gone
 
@@ -47,71 +53,85 @@ def serve_simulation(arguments: argparse.Namespace, config: PageConfig, state: P
     """Page with a simulation of its own, which waits for the orders of the page."""
     from runtime.page.drives import SimulatedDrives
 
-    listening, stop_server = _listen(config.port), _stop_server(config.stop_port)
+    place = place_of(arguments.listen, state)
+    listening, stop_server = _listen(place, config.port), _stop_server(place, config.stop_port)
     key, order_port = own_key(state / KEY), OrderPort(0)
-    statistics = StatisticsStore(state / STATISTICS)
+    statistics, setups = StatisticsStore(state / STATISTICS), SetupStore(state / SETUP)
     number = order_port.number
-    with _stop_process(stop_server, number) as stop_url:
+    with _stop_process(place, stop_server, number) as stop_url:
         known = OrderKey(
             public_key=public_key_of(key).hex(), authority=AUTHORITY, orders=tuple(ORDERS),
             lost_operator_s=config.lost_operator_s,
         )  # fmt: skip
-        drives = SimulatedDrives(arguments, order_port, known)
+        drives = SimulatedDrives(arguments, order_port, known, setups)
         order_port.close()  # of this process; that of the drives has it
         try:
             import hmi.app  # noqa: F401  loads the web server while the simulation is planned
 
             sender = OrderSender(key, AUTHORITY, number)
-            return _serve(drives.first(), config, state, sender, stop_url, "simulation", listening, statistics, drives)
+            return _serve(
+                drives.first(), config, state, sender, stop_url, "simulation", place, listening, statistics, drives,
+                setups,
+            )  # fmt: skip
         finally:
             drives.end()
 
 
-def serve_running(folder: Path, key_file: Path | None, config: PageConfig, state: Path) -> int:
+def serve_running(
+    folder: Path, key_file: Path | None, config: PageConfig, state: Path, listen: str | None = None
+) -> int:
     """Page of a running drive; gives orders with a key that the machine knows."""
     from runtime.page.live_feed import LiveFeed
 
-    found = running_drive(folder)
+    found, place = running_drive(folder), place_of(listen, state)
+    name = f"{folder.resolve().name}/{next(iter(found.rings.values())).parent.name}"
+    drive = Drive(LiveFeed(found.rings, logged(folder)), scene_of(found.config, str(folder / "config.yaml")), name)
+    if found.order_port is None:  # a drive of `run`: it takes no orders, and is not counted
+        if key_file is not None:
+            raise HeadlandError(f"--key {key_file}: a drive of `headland run` takes no orders")
+        return _serve(drive, config, state, None, None, "connected", place, _listen(place, config.port))
     key = None if key_file is None else read_key(key_file)
     sender = None
     if key is not None and key_file is not None:
         authority = found.authority_of(public_key_of(key).hex(), key_file)
         sender = OrderSender(key, authority, found.order_port)
-    listening, stop_server = _listen(config.port), _stop_server(config.stop_port)
-    with _stop_process(stop_server, found.order_port) as stop_url:
-        feed = LiveFeed(found.rings, logged(folder))
-        scene = scene_of(found.config, str(folder / "config.yaml"))
-        drive = Drive(feed, scene, f"{folder.resolve().name}/{next(iter(found.rings.values())).parent.name}")
+    listening, stop_server = _listen(place, config.port), _stop_server(place, config.stop_port)
+    with _stop_process(place, stop_server, found.order_port) as stop_url:
         return _serve(
-            drive, config, state, sender, stop_url, "connected", listening, StatisticsStore(state / STATISTICS)
-        )
+            replace(drive, setup=running_setup(found.config)), config, state, sender, stop_url, "connected", place,
+            listening, StatisticsStore(state / STATISTICS), setups=SetupStore(state / SETUP),
+        )  # fmt: skip
 
 
-def serve_log(path: Path, config: PageConfig, state: Path) -> int:
+def serve_log(path: Path, config: PageConfig, state: Path, listen: str | None = None) -> int:
     """Page that plays a log."""
-    listening = _listen(config.port)
+    place = place_of(listen, state)
+    listening = _listen(place, config.port)
     feed = LogFeed(path)
     text = read_metadata(path).get("config", {}).get("yaml", "")
     scene = scene_of(text, str(path), feed.planned_map_m())
-    return _serve(Drive(feed, scene, path.name), config, state, None, None, "replay", listening)
+    return _serve(Drive(feed, scene, path.name), config, state, None, None, "replay", place, listening)
 
 
 def _serve(
     drive: Drive, config: PageConfig, state: Path, sender: OrderSender | None, stop_url: str | None, source: str,
-    listening: socket.socket, statistics: StatisticsStore | None = None, drives: Drives | None = None,
+    place: Place, listening: socket.socket, statistics: StatisticsStore | None = None, drives: Drives | None = None,
+    setups: SetupStore | None = None,
 ) -> int:  # fmt: skip
     """Serves until SIGINT or SIGTERM."""
     from hmi.app import make_app, serve
 
     users, texts = read_users(state / USERS), texts_of(RULES)
-    number = listening.getsockname()[1]
-    sys.stdout.write(f"page: http://{HOST}:{number}/\n")
+    url = place.url(listening.getsockname()[1])
+    sys.stdout.write(f"page: {url}\n")
     if stop_url is not None:
         sys.stdout.write(f"emergency stop: {stop_url}\n")
     if not users:
         password = secrets.token_urlsafe(9)
         users = one_time_user(password)
         sys.stdout.write(f"log-in of this start: operator, password {password} (--add-user for lasting ones)\n")
+    if place.certificate is not None:
+        sys.stdout.write(f"certificate (SHA-256): {place.certificate.fingerprint}\n{qr_text(url)}\n")
     sys.stdout.write("Ctrl+C ends it\n")
     sys.stdout.flush()
     access = Access(config.session, users)
@@ -124,43 +144,49 @@ def _serve(
     if statistics is not None:
         path = state / UPLOAD
         report, uploader = PlatformReport(path, config.upload), Uploader(path, config.upload)
+    setup = calibration = None
+    if setups is not None and drive.setup is not None:
+        setup = SetupDesk(setups, drive.setup, drive.setup_number)
+        calibration, desk.work = CalibrationDesk(setup), setup.work
     parts = PageParts(
         drive, config, access, sender, stop_url, source, lambda code: text_zh(texts, code), desk, RUNS.absolute(),
-        statistics, drives, report=report, uploader=uploader,
+        statistics, drives, setup, calibration, report=report, uploader=uploader, url=url,
     )  # fmt: skip
-    serve(make_app(parts), listening)
+    serve(make_app(parts, LOCAL | {place.host}), listening, place.certificate)
     if uploader is not None:
         uploader.end()
     return 0
 
 
-def _listen(port: int) -> socket.socket:
+def _listen(place: Place, port: int) -> socket.socket:
     """Socket of the page; raises HeadlandError for a port that is taken."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listening.bind((HOST, port))
+        listening.bind((place.host, port))
         listening.listen(64)
     except OSError as error:
-        raise HeadlandError(f"--port {port}: cannot be opened ({error.strerror}); 0 takes a free one") from error
+        raise HeadlandError(
+            f"--port {port}: cannot be opened on {place.host} ({error.strerror}); 0 takes a free one"
+        ) from error
     return listening
 
 
-def _stop_server(port: int) -> ThreadingHTTPServer:
+def _stop_server(place: Place, port: int) -> ThreadingHTTPServer:
     try:
-        return emergency_stop.make_server(HOST, port)
+        return emergency_stop.make_server(place.host, port, place.certificate.context() if place.certificate else None)
     except OSError as error:
         raise HeadlandError(f"--stop-port {port}: cannot be opened ({error.strerror}); 0 takes a free one") from error
 
 
 @contextmanager
-def _stop_process(server: ThreadingHTTPServer, order_port: int) -> Iterator[str]:
+def _stop_process(place: Place, server: ThreadingHTTPServer, order_port: int) -> Iterator[str]:
     """Process of the emergency stop; its address. It outlives a killed page for as long as the machine answers."""
     process = multiprocessing.get_context("fork").Process(
         target=_serve_stop, args=(server, order_port, os.getpid()), name="emergency stop"
     )
     process.start()
-    url = f"http://{HOST}:{server.server_address[1]}/"
+    url = place.url(server.server_address[1])
     server.server_close()
     try:
         yield url

@@ -63,7 +63,8 @@ class Machine:
         self.speed_mps = self.acceleration_mps2 = self.lateral_mps = self.yaw_rate_radps = 0.0
         self.wheel_speed_mps = self.wheel_distance_m = 0.0
         self.park_brake = 1.0
-        self.angle_offset_rad = math.radians(random.uniform(-1.0, 1.0) * config.tyres.max_angle_offset_deg)
+        offset_deg, wheels = random.uniform(-1.0, 1.0) * config.tyres.max_angle_offset_deg, vehicle.sensors.wheels
+        self.angle_offset_rad = math.radians(offset_deg - (0.0 if wheels is None else wheels.angle_zero_deg))
         self.wheelbase_m = vehicle.drivetrain.wheelbase_m
         self.steering = Steering(vehicle.steering, vehicle.drivetrain, config.steering, dt_s)
         self.drive = Drive(config.drive, vehicle.acceleration_mps2, dt_s)

@@ -88,10 +88,15 @@ class Browser:
         self.requested: set[str] = set()
         self.errors: list[str] = []
 
-    def open(self, size: str = "tablet", language: str = "en-US") -> Any:
-        """New page with cookies of its own; `language` is the one that the browser prefers."""
+    def open(self, size: str = "tablet", language: str = "en-US", trusts_all: bool = False) -> Any:
+        """New page with cookies of its own; `language` is the one that the browser prefers.
+
+        With `trusts_all` it accepts any certificate, as a person does who has compared the fingerprint.
+        """
         width, height = SIZES[size]
-        context = self._browser.new_context(viewport={"width": width, "height": height}, locale=language)
+        context = self._browser.new_context(
+            viewport={"width": width, "height": height}, locale=language, ignore_https_errors=trusts_all
+        )
         context.set_default_timeout(PATIENCE_MS)
         page = context.new_page()
         page.on("request", lambda request: self.requested.add(urlsplit(request.url).hostname or ""))

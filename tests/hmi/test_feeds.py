@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from datasets.log import LogWriter
@@ -10,8 +11,9 @@ from hmi.feed import Playback, is_event, is_shown
 from messages.command import Mode
 from messages.errors import HeadlandError, LogError
 from messages.message import Envelope, Message
+from messages.sensors import ImuSample, LidarScan
 from runtime.live.ring import RingWriter, make_ring
-from runtime.live.serialization import pack
+from runtime.live.serialization import header, pack
 from runtime.page.live_feed import LiveFeed
 from runtime.page.log_feed import LogFeed
 from runtime.page.running import running_drive
@@ -55,6 +57,22 @@ def test_topics_that_are_not_shown_are_not_decoded(ring: Ring) -> None:
     ring.write_bytes(bytes([4]) + b"odom" + b"\xff\xff\xff")
     ring.write_bytes(bytes([250]) + b"\xff")
     assert list(ring.feed.poll()) == []
+
+
+def test_a_recording_gets_every_message_and_the_newest_whole_scan(ring: Ring) -> None:
+    """Of a scan that was thinned out the topic alone is in the ring."""
+    scan = LidarScan(
+        NOW_NS, np.zeros((1, 2), np.uint16), np.zeros(1), np.zeros(2), np.zeros((0, 3), np.float32),
+        np.zeros(0, np.uint8), np.zeros(2, np.float32),
+    )  # fmt: skip
+    topics = ["imu"] * 20 + ["lidar/front"]
+    for is_recording in (False, True):
+        ring.feed.is_recording = is_recording
+        for k in range(20):
+            ring.write("imu", ImuSample(NOW_NS + k, np.zeros(3), np.zeros(3)))
+        ring.write("lidar/front", scan)
+        ring.write_bytes(header("lidar/front"))
+        assert [envelope.topic for envelope in ring.feed.poll()] == (topics if is_recording else [])
 
 
 def test_time_passes_while_nothing_arrives(ring: Ring) -> None:

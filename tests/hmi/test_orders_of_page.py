@@ -1,5 +1,6 @@
 """Orders of the page at a real order gate: accepted, refused with the reason, unanswered; and its key file."""
 
+import socket
 import stat
 import time
 from pathlib import Path
@@ -7,8 +8,10 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from hmi.diagnosis.audit import audit_rows
 from hmi.orders import OrderSender, SentOrder, outcome, own_key, public_key_of, read_key
 from hmi.page_state import PageState
+from hmi.texts import texts_of
 from interfaces.orders.config import OrderKey, OrdersConfig
 from interfaces.orders.gate import OrderGate
 from interfaces.orders.port import OrderPort
@@ -122,3 +125,23 @@ def test_damaged_key_is_named(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(HeadlandError, match="no private key"):
         own_key(path)
     assert path.read_bytes() == content
+
+
+def test_a_thousand_forged_orders_are_counted_and_shown(key: Ed25519PrivateKey) -> None:
+    """Nothing of it is accepted; the table of the diagnosis view has each reason with its number."""
+    machine = Machine(key)
+    machine.send("start", NOW_NS)
+    machine.step(NOW_NS + 10_000_000)
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    payload = b'{"machine": "tractor-1"}'
+    forged, unknown = bytes(64) + public_key_of(key) + payload, bytes(64) + bytes(32) + payload
+    for k in range(1000):
+        link.sendto(forged if k % 2 else unknown, ("127.0.0.1", machine.port.number))
+        if k % 8 == 7:  # more at once are refused as too many
+            machine.step(NOW_NS + 20_000_000 + k * 1_000_000)
+    link.close()
+    machine.step(NOW_NS + 2_000_000_000)
+    rows = audit_rows(machine.state, texts_of("en"))
+    counts = {cell if isinstance(cell, str) else cell["text"]: int(number) for cell, number in rows}
+    assert counts["Accepted"] == 1
+    assert counts["Refused: signature wrong"] == counts["Refused: key not known to the machine"] == 500

@@ -40,6 +40,12 @@ class GivenDrives(Drives):
     def start(self, mission: StoredMission, progress: Progress | None = None) -> None:
         raise NotImplementedError
 
+    def restart(self) -> None:
+        raise NotImplementedError
+
+    def start_trial(self) -> None:
+        raise NotImplementedError
+
     def take(self) -> Drive | str | None:
         found, self.next = self.next, None
         return found

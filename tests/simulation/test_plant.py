@@ -23,6 +23,7 @@ SAME = {
     "distortion": "calibrated with the image", "sigma_horizontal_m": "gnss.error_scale instead",
     "sigma_vertical_m": "gnss.error_scale instead", "sigma_heading_deg": "gnss.error_scale instead",
     "gyro_range_dps": "design", "accelerometer_range_g": "design", "working_width_m": "tools",
+    "angle_zero_deg": "machine.angle_offset_rad instead",
     "fold.width_m": "stop", "fold.duration_s": "not part of a stop", "brake": "",
 }  # fmt: skip
 

@@ -1,0 +1,1 @@
+"""Calibration wizards: the recording of a trial, and its result."""

@@ -1,0 +1,1 @@
+"""Setup of the machine: values that are shown and edited, and their versions."""
