@@ -4,7 +4,7 @@ import numpy as np
 
 from geometry.arrays import Bool, Float64, Int64
 from perception.fusion.detections import Detections
-from perception.fusion.fitted_motion import remember
+from perception.fusion.fitted_motion import fitted_motion, remember
 from perception.fusion.fragments import shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.static_occupancy import StaticOccupancy
@@ -45,6 +45,7 @@ def update(
     table.x[tracks], table.P[tracks] = x, P
     _confirm_motion(table, tracks, z, detections.stamp_ns, config)
     _remember(table, tracks[~is_piece], detections, rows[~is_piece])
+    _start_motion(table, tracks, detections, rows, config)
     _update_boxes(table, tracks, detections, rows, is_piece, fixed, lidars)
     _add_evidence(table, tracks, detections, rows, is_piece, config)
     table.last_ns[tracks] = detections.stamp_ns
@@ -97,6 +98,23 @@ def _remember(table: TrackTable, tracks: Int64, detections: Detections, rows: In
         recent_ns, recent_m = table.recent_ns[tracks], table.recent_m[tracks]
         remember(recent_ns, recent_m, detections.stamp_ns, detections.p_m[rows, :2])
         table.recent_ns[tracks], table.recent_m[tracks] = recent_ns, recent_m
+
+
+def _start_motion(table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, config: TrackerConfig) -> None:
+    """Sets, in place, state and motion of bodies that a line through their detections shows to start."""
+    if not detections.is_lidar:
+        return
+    fitted, sigma, starts = fitted_motion(
+        table.recent_ns[tracks], table.recent_m[tracks], table.size_m[tracks], config.fitted_motion
+    )
+    starts &= table.has_moved[tracks] == 0
+    which, seen = tracks[starts], rows[starts]
+    table.x[which] = np.concatenate([detections.p_m[seen, :2], fitted[starts]], axis=1)
+    table.P[which] = 0.0
+    table.P[which, :2, :2] = detections.R[seen]
+    table.P[which, 2:, 2:] = (sigma[starts] ** 2)[:, None, None] * np.eye(2)
+    table.has_moved[which], table.moving_since_ns[which] = 1, detections.stamp_ns
+    table.motion_origin_m[which] = detections.p_m[seen, :2]
 
 
 def _is_structure(size_m: Float64, config: TrackerConfig) -> Bool:
