@@ -4,11 +4,11 @@ import numpy as np
 
 from geometry.arrays import Bool, Float64, Int64
 from perception.fusion.detections import Detections
-from perception.fusion.fitted_motion import fitted_motion, remember
+from perception.fusion.fitted_motion import remember
 from perception.fusion.fragments import shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.static_occupancy import StaticOccupancy
-from perception.fusion.tracks import TrackerConfig, TrackTable, is_moving, is_vehicle, nanoseconds
+from perception.fusion.tracks import TrackerConfig, TrackTable, is_moving, is_vehicle, line_motion, nanoseconds
 
 FRAGMENT_LENGTH_RATIO = 0.6  # a shorter detection of a vehicle is a fragment of it
 FRAGMENT_GAIN = 0.01  # of a fragment on the size of its vehicle
@@ -104,9 +104,7 @@ def _start_motion(table: TrackTable, tracks: Int64, detections: Detections, rows
     """Sets, in place, state and motion of bodies that a line through their detections shows to start."""
     if not detections.is_lidar:
         return
-    fitted, sigma, starts = fitted_motion(
-        table.recent_ns[tracks], table.recent_m[tracks], table.size_m[tracks], config.fitted_motion
-    )
+    fitted, sigma, starts = line_motion(table.recent_ns[tracks], table.recent_m[tracks], table.size_m[tracks], config)
     starts &= table.has_moved[tracks] == 0
     which, seen = tracks[starts], rows[starts]
     table.x[which] = np.concatenate([detections.p_m[seen, :2], fitted[starts]], axis=1)
