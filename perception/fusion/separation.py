@@ -5,6 +5,7 @@ part becomes an obstacle of its own; otherwise the smaller body is lost in the l
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from pydantic import Field
@@ -15,6 +16,8 @@ from geometry.transforms import apply, yaw_of
 from messages.perception import Obstacles
 from perception.lidar.boxes import fit_boxes
 from perception.lidar.clusters import Clusters
+
+PART = -1
 
 
 class SeparationConfig(Config):
@@ -33,59 +36,54 @@ def separate(
 
     The parts have no class of their own; the indices of their returns are those of the cluster in another order.
     """
-    clusters = [(k, parts) for k, parts in _joined(obstacles, T_odom_base, p_m, size_m, may_move, config)]
-    if not clusters:
+    joined = _joined(obstacles, T_odom_base, p_m, size_m, may_move, config)
+    if not joined:
         return obstacles
-    bounds = list(zip(obstacles.offsets[:-1].tolist(), obstacles.offsets[1:].tolist(), strict=True))
-    order, counts, source = list[Int64](), list[int](), list[int]()
-    divided = dict(clusters)
-    for k, (first, last) in enumerate(bounds):
-        rows = np.arange(first, last)
-        parts = [rows]
-        if k in divided:
-            tracks = divided[k]
-            points = apply(T_odom_base, obstacles.points_base_m[first:last])
-            away = distance_to_boxes_m(points[:, :2], p_m[tracks], size_m[tracks], yaw_rad[tracks])
-            owner = away.argmin(axis=1)
-            found = [rows[owner == n] for n in range(len(tracks))]
-            if min(len(one) for one in found) >= config.min_returns:
-                parts = found
-        order += parts
-        counts += [len(one) for one in parts]
-        source += [k if len(parts) == 1 else -1] * len(parts)
-    return _rebuilt(obstacles, np.concatenate(order), np.array(counts), np.array(source))
+    parts, source = list[Int64](), list[int]()
+    for k, (first, last) in enumerate(pairwise(obstacles.offsets.tolist())):
+        rows, tracks = np.arange(first, last), joined.get(k)
+        own = [rows]
+        if tracks is not None:
+            points = np.asarray(apply(T_odom_base, obstacles.points_base_m[rows]), np.float64)
+            away_m = distance_to_boxes_m(points, p_m[tracks], size_m[tracks], yaw_rad[tracks])
+            found = [rows[away_m.argmin(axis=1) == n] for n in range(len(tracks))]
+            own = found if min(map(len, found)) >= config.min_returns else own
+        parts += own
+        source += [k] if len(own) == 1 else [PART] * len(own)
+    return _rebuilt(obstacles, parts, np.array(source))
 
 
 def _joined(
     obstacles: Obstacles, T_odom_base: Float64, p_m: Float64, size_m: Float64, may_move: Bool,
     config: SeparationConfig,
-) -> list[tuple[int, Int64]]:  # fmt: skip
+) -> dict[int, Int64]:  # fmt: skip
     """Clusters that hold the centres of two tracks or more, one of which may move, with the rows of these tracks."""
     length = obstacles.size_m[:, 0]
-    centers = apply(T_odom_base, obstacles.center_base_m)[:, :2]
+    centers = np.asarray(apply(T_odom_base, obstacles.center_base_m), np.float64)
     yaw = obstacles.yaw_rad + yaw_of(T_odom_base)
     inside = distance_to_boxes_m(p_m, centers, obstacles.size_m, yaw) <= 0.0
     inside &= size_m[:, :1] <= config.max_size_share * length
     is_joined = (length <= config.max_length_m) & (inside.sum(axis=0) >= 2) & (inside & may_move[:, None]).any(axis=0)
     # the smaller box first: it keeps the returns that lie in both
     by_size = np.argsort(size_m[:, 0] * size_m[:, 1], kind="stable")
-    return [(int(k), by_size[inside[by_size, k]]) for k in np.flatnonzero(is_joined)]
+    return {int(k): by_size[inside[by_size, k]] for k in np.flatnonzero(is_joined)}
 
 
 def distance_to_boxes_m(points: Float64, center_m: Float64, size_m: Float64, yaw_rad: Float64) -> Float64:
-    """Distance of points (N, 2) from boxes (K, ..), 0 inside, (N, K)."""
+    """Distance of points (N, ..) from boxes (K, ..) in the level plane, 0 inside, (N, K)."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    dx, dy = points[:, :1] - center_m[:, 0], points[:, 1:] - center_m[:, 1]
+    dx, dy = points[:, :1] - center_m[:, 0], points[:, 1:2] - center_m[:, 1]
     along = np.maximum(np.abs(c * dx + s * dy) - 0.5 * size_m[:, 0], 0.0)
     across = np.maximum(np.abs(c * dy - s * dx) - 0.5 * size_m[:, 1], 0.0)
     return np.asarray(np.hypot(along, across))
 
 
-def _rebuilt(obstacles: Obstacles, order: Int64, counts: Int64, source: Int64) -> Obstacles:
-    """Obstacles with the returns `order`, in parts of `counts` (K,); `source` (K,): the former obstacle, -1: a part."""
+def _rebuilt(obstacles: Obstacles, parts: list[Int64], source: Int64) -> Obstacles:
+    """Obstacles with the returns `parts` (K); `source` (K,): the obstacle that they were, or `PART` of one."""
+    order = np.concatenate(parts)
     points = np.asfortranarray(obstacles.points_base_m[order])
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-    n, is_part = len(points), source < 0
+    offsets = np.cumsum([0, *map(len, parts)], dtype=np.int32)
+    n, is_part = len(points), source == PART
     clusters = Clusters(offsets, np.arange(n, dtype=np.int32))
     boxes = fit_boxes(clusters, points, points[:, 2].copy(), np.full(n, 2, np.uint8), (0.0, 0.0))
 
