@@ -238,7 +238,9 @@ class CollisionMonitor:
         side = odom.curvature_radpm, area.direction, tracked.self_filter_m
         ahead = [one for one in near if is_ahead(one[0], self._footprint, pose_odom, *side)]
         ids = {track.id for track, _ in ahead}
-        beside = [track for track, moves in near if moves and track.id not in ids]
+        moving = [track for track, moves in near if moves]
+        beside = [track for track in moving if track.id not in ids]
+        self.bystanders.note_close(moving, area, pose_odom, odom.stamp_ns)
         self.bystanders.update(beside, inputs.tracks, area, pose_odom, speed_mps, predicted_s)
         return self.bystanders.coming or nearest_critical_object(area, ahead, pose_odom, predicted_s, tracked)
 

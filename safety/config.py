@@ -217,6 +217,10 @@ class BystanderConfig(Config):
     follow_m: Metres = Field(description="a track this near to the last place of a lost one continues it")
     away_m: Metres = Field(description="distance from machine and implement at which a bystander seen there has left")
     lost_m: Metres = Field(description="the same for one that is no longer seen")
+    pto_off_m: Metres = Field(
+        description="distance from machine and implement within which a moving body stops the PTO"
+    )
+    pto_hold_s: Seconds = Field(description="time for which the PTO stays off after that")
 
 
 class RadarConfig(Config):

@@ -13,6 +13,7 @@ from perception.fusion.detections import Detections, KindConfig, KindConfigs, No
 from perception.fusion.fitted_motion import KEPT, FittedMotionConfig, fitted_motion
 from perception.fusion.fragments import VEHICLE, FragmentsConfig, ParentTracks, is_fragment
 from perception.fusion.kalman import distances, predict
+from perception.fusion.separation import SeparationConfig
 from perception.fusion.static_occupancy import StaticOccupancy, StaticOccupancyConfig
 
 CLASSES = tuple(ObstacleClass)
@@ -41,6 +42,7 @@ class TrackerConfig(Config):
     lost_s: float = Field(gt=0.0, le=10.0, description="gap after which the velocity of a track is reset")
     moving_sigma: float = Field(gt=0.0, le=10.0, description="a slower speed is published as 0")
     fitted_motion: FittedMotionConfig
+    separation: SeparationConfig
     class_memory: float = Field(
         ge=0.0, lt=1.0, description="share of the class evidence kept from one detection to the next"
     )
@@ -221,6 +223,16 @@ def parent_tracks(table: TrackTable, lidars: int, config: TrackerConfig) -> Pare
     )  # fmt: skip
 
 
+def separable(table: TrackTable, lidars: int, config: TrackerConfig) -> tuple[Float64, Float64, Float64, Bool]:
+    """Position (T, 2), size, yaw and whether the class may move, of confirmed tracks that lidars (bits) measure.
+
+    The position is that of the last detection while no motion is confirmed: the filter follows it late.
+    """
+    row = np.flatnonzero((table.is_confirmed > 0) & measured_by_lidar(table, lidars, config))
+    p = np.where(table.has_moved[row, None] > 0, table.x[row, :2], table.recent_m[row, -1])
+    return p, table.size_m[row], table.yaw_rad[row], is_moving_class(table.class_evidence[row])
+
+
 def measured_by_lidar(table: TrackTable, lidars: int, config: TrackerConfig) -> Bool:
     """Whether a lidar measured the boxes (T,) within `lost_s`; otherwise only other sensors kept the track."""
     is_fresh = table.last_ns - table.box_measured_ns <= nanoseconds(config.lost_s)
@@ -254,11 +266,18 @@ def merge_fragments(
 def velocities(table: TrackTable, config: TrackerConfig) -> tuple[Float64, Float64]:
     """Velocity (T, 2) of tracks with confirmed motion, else 0: one jump is no motion; and its covariance (T, 2, 2)."""
     moves = (table.has_moved > 0) & is_moving(table.x, table.P, config)
-    slow, sigma, is_slow = fitted_motion(table.recent_ns, table.recent_m, table.size_m, config.fitted_motion)
-    is_slow &= ~moves
-    velocity = np.where(moves[:, None], table.x[:, 2:], np.where(is_slow[:, None], slow, 0.0))
-    covariance = np.where(is_slow[:, None, None], (sigma**2)[:, None, None] * np.eye(2), table.P[:, 2:, 2:])
+    fitted, sigma, is_fitted = line_motion(table.recent_ns, table.recent_m, table.size_m, config)
+    velocity = np.where(is_fitted[:, None], fitted, np.where(moves[:, None], table.x[:, 2:], 0.0))
+    covariance = np.where(is_fitted[:, None, None], (sigma**2)[:, None, None] * np.eye(2), table.P[:, 2:, 2:])
     return velocity, covariance
+
+
+def line_motion(
+    recent_ns: Int64, recent_m: Float64, size_m: Float64, config: TrackerConfig
+) -> tuple[Float64, Float64, Bool]:
+    """Result of `fitted_motion`; strips do not move: their visible ends move with the view."""
+    velocity, sigma, moves = fitted_motion(recent_ns, recent_m, size_m, config.fitted_motion)
+    return velocity, sigma, moves & ~config.noise.is_strip(size_m)
 
 
 def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> Bool:

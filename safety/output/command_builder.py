@@ -23,7 +23,7 @@ BEACON = frozenset({Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP})
 
 @dataclass(frozen=True)
 class CommandInputs:
-    """Inputs of one safe command."""
+    """Inputs of one safe command; `is_pto_barred`: a body moves near the machine."""
 
     now_ns: int
     mode: Mode
@@ -36,6 +36,7 @@ class CommandInputs:
     clearance_m: float
     braking: Braking
     has_driver: bool
+    is_pto_barred: bool
 
     @property
     def is_driver_controlled(self) -> bool:
@@ -177,7 +178,8 @@ class CommandBuilder:
         was_lowered = self.last.is_implement_lowered if self.last is not None else False
         is_folded = machine is not None and not machine.fold_position <= 1.0 - FOLDED
         if inputs.mode is Mode.AUTOMATIC and control_command is not None:
-            return control_command.is_implement_lowered and not is_folded, control_command.is_pto_on and not is_folded
+            is_pto_on = control_command.is_pto_on and not inputs.is_pto_barred
+            return control_command.is_implement_lowered and not is_folded, is_pto_on and not is_folded
         if inputs.mode in WATCHED:
             is_on = self.last is not None and self.last.is_pto_on and inputs.mode is Mode.AUTOMATIC
             return was_lowered and (control_command is None or control_command.is_implement_lowered), is_on

@@ -2,7 +2,8 @@
 
 The swept area begins at the leading edges. Somebody who walks into a wing from the side or from behind is touched by a
 machine that drives on, and by one that sets off beside them. A bystander stops the machine before the contact, and it
-stays at standstill until they were seen at a distance, or an operator has confirmed that nobody is there.
+stays at standstill until they were seen at a distance, or an operator has confirmed that nobody is there. Any body that
+moves near the machine stops the PTO, which runs down more slowly than the machine stops.
 """
 
 import math
@@ -39,11 +40,22 @@ class Bystanders:
         self._config, self._tracked = config, tracked
         self._places: dict[int, Place] = {}
         self.coming: CriticalObject | None = None
+        self._close_ns: int | None = None
 
     @property
     def is_near(self) -> bool:
         """Whether a bystander has not been seen leaving."""
         return bool(self._places)
+
+    def note_close(self, moving: Iterable[Track], area: SweptArea, pose_odom: Float64, now_ns: int) -> None:
+        """Takes all moving tracks, ahead too; one near a body stops the PTO."""
+        settled = [place_of(track) for track in moving if self._is_settled(track)]
+        if any(_gap_m(place, area, pose_odom) <= self._config.pto_off_m for place in settled):
+            self._close_ns = now_ns
+
+    def bars_pto(self, now_ns: int) -> bool:
+        """Whether a body moves near machine or implement, or did a moment ago."""
+        return self._close_ns is not None and now_ns - self._close_ns <= self._config.pto_hold_s * 1e9
 
     def forget_unseen(self) -> None:
         """An operator has confirmed that nobody is near the machine: only who is seen there remains."""
@@ -70,8 +82,7 @@ class Bystanders:
 
         It comes nearer at its velocity; to meet them it may also change that.
         """
-        age_s = (track.last_seen_ns - track.first_seen_ns) * 1e-9
-        if track.label is ObstacleClass.UNKNOWN and age_s < self._config.min_unclassified_age_s:
+        if not self._is_settled(track):
             return False
         centers, reach_m = predicted(track, times_s, self._tracked)
         gaps_m = distance_to_bodies_m(from_frame(pose_odom, centers), area, speed_mps * times_s) - reach_m
@@ -79,6 +90,11 @@ class Bystanders:
         is_closing = float(gaps_m.min()) < gaps_m[0] - self._config.closing_m
         reached_m = 0.5 * self._config.manoeuvre_mps2 * times_s**2
         return not is_own and is_closing and float((gaps_m - reached_m).min()) <= self._tracked.lateral_m
+
+    def _is_settled(self, track: Track) -> bool:
+        """Whether the motion of a moving track counts: it has a class, or is old enough."""
+        age_s = (track.last_seen_ns - track.first_seen_ns) * 1e-9
+        return track.label is not ObstacleClass.UNKNOWN or age_s >= self._config.min_unclassified_age_s
 
     def _followed(self, seen: dict[int, Track]) -> Iterable[tuple[int, Place]]:
         """Each bystander at its new place, under the number of the track that continues it."""

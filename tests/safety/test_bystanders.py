@@ -201,6 +201,24 @@ def test_confirmation_keeps_who_is_seen(bystanders: Bystanders, area: SweptArea)
     assert not bystanders.is_near
 
 
+def test_a_body_that_moves_near_the_machine_bars_the_pto(
+    bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
+) -> None:
+    near_m, hold_ns = config.bystanders.pto_off_m, round(config.bystanders.pto_hold_s * 1e9)
+    assert not bystanders.bars_pto(START_NS)
+    for y in around(WING_Y + near_m + 0.2, 0.02):  # half of the box
+        one = Bystanders(config.bystanders, config.tracked)
+        one.note_close([person(WING_X, y, vx=1.0)], area, HERE, START_NS)
+        assert one.bars_pto(START_NS) == (y <= WING_Y + near_m + 0.2 + 1e-9), y
+    clutter = person(WING_X, 4.0, vx=1.0, label=ObstacleClass.UNKNOWN, age_s=0.9)
+    bystanders.note_close([clutter], area, HERE, START_NS)
+    assert not bystanders.bars_pto(START_NS)
+    bystanders.note_close([clutter, person(WING_X, 4.0, vx=1.0)], area, HERE, START_NS)
+    bystanders.note_close([], area, HERE, START_NS + hold_ns)
+    assert bystanders.bars_pto(START_NS + hold_ns)
+    assert not bystanders.bars_pto(START_NS + hold_ns + 1)
+
+
 def walker(world: World, y: float, vy: float) -> tuple[Track, ...]:
     now = world.inbox.now_ns
     return (person(world.x_m + WING_X, world.y_m + y, vy=vy, stamp_ns=now, age_s=3.0),)
@@ -232,6 +250,11 @@ def test_stop_for_somebody_who_walks_into_a_wing(world: World) -> None:
     world.start().run(5.0)
     assert world.mode == Mode.AUTOMATIC
     assert world.speed_mps > 2.0
+    assert world.command.is_pto_on
+    world.tracks = (person(world.x_m + WING_X, 6.0, vx=2.5, stamp_ns=world.inbox.now_ns, age_s=3.0),)  # runs along
+    world.run(0.1)
+    assert world.mode == Mode.AUTOMATIC
+    assert not world.command.is_pto_on
     world.tracks = (person(world.x_m + WING_X + 2.0, 5.0, vx=1.0, vy=-2.0, stamp_ns=world.inbox.now_ns, age_s=3.0),)
     world.run(0.1)
     assert world.mode == Mode.OBSTACLE_STOP

@@ -302,8 +302,10 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
     collision_monitor = make()
     parts.tracks_near.answer = [(ahead, True), (beside, True), (stands, False)]
     coming = CriticalObject(0.0, ObstacleClass.PERSON, 2)
-    collision_monitor.bystanders = SimpleNamespace(update=Spy(None), coming=coming)
+    collision_monitor.bystanders = SimpleNamespace(update=Spy(None), note_close=Spy(None), coming=coming)
     look(collision_monitor, config)
+    moving, area, _, _ = collision_monitor.bystanders.note_close.asked
+    assert (moving, area) == ([ahead, beside], collision_monitor.swept_field.main)
     moving, tracks, area, _, speed_mps, predicted_s = collision_monitor.bystanders.update.asked
     assert (moving, tracks, area) == ([beside], SEEN.tracks, collision_monitor.swept_field.main)
     assert (speed_mps, predicted_s) == (2.0, parts.tracks_near.asked[3])

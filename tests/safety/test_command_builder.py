@@ -25,7 +25,7 @@ class Bench:
         self.command_builder, self.now_ns = CommandBuilder(vehicle, config), START_NS
         self.inputs = CommandInputs(START_NS, Mode.STANDBY, "", CONTROL_COMMAND, machine_state(START_NS), 0.0, 0.0,
         8.0, math.inf,
-                             config.braking.flat, False)  # fmt: skip
+                             config.braking.flat, False, False)  # fmt: skip
 
     def show(self, after_s: float = STEP_S, **changes: Any) -> SafeCommand:
         """The command after a time; changes of the inputs persist."""
@@ -234,6 +234,8 @@ def test_implement_and_pto(bench: Bench) -> None:
     assert asked(control_command=running) == (False, False)
     assert asked(control_command=lowered) == (False, False)
     assert asked(mode=Mode.AUTOMATIC, control_command=CONTROL_COMMAND) == (True, True)
+    assert asked(is_pto_barred=True) == (True, False)
+    assert asked(is_pto_barred=False) == (True, True)
     assert asked(mode=Mode.FAULT_STOP) == (False, False)
     assert asked(mode=Mode.AUTOMATIC) == (True, True)
     assert asked(mode=Mode.FAULT_STOP, machine=None) == (True, False)

@@ -94,6 +94,7 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
             geofence_distance_m=Spy(8.0),
             wall_distance_m=Spy(6.0), is_docking=True, is_under_roof=False,
             departure=SimpleNamespace(is_unresolved=True), confirm_clear=Spy(None),
+            bystanders=SimpleNamespace(bars_pto=Spy(True)),
             swept_field=SimpleNamespace(is_planned=True),
             pose_history=SimpleNamespace(driven_m=12.0),
             sources=SimpleNamespace(
@@ -271,6 +272,8 @@ def test_mode_machine_and_command_builder_get_the_decision(
     assert (inputs.machine, inputs.measured_mps, inputs.curvature_radpm) == (situation.machine, -1.5, 0.05)
     assert (inputs.allowed_mps, inputs.clearance_m, inputs.braking) == (1.2, 4.5, config.braking.flat)
     assert inputs.has_driver is True
+    assert inputs.is_pto_barred is True
+    assert parts.monitor.bystanders.bars_pto.asked == (START_NS,)
     del inbox.messages["machine"]
     supervisor.step(START_NS, inbox)
     assert parts.command_builder.command.asked[0].curvature_radpm is None

@@ -4,7 +4,7 @@ What could be known: from the first moment at which an object is visible from a 
 the path, or heads into it at its present velocity. From then on the closed form of a stop is driven
 along the true path while the object moves as it did. Crop, dust, fog and the machine itself hide nothing.
 
-moves? ──no──► avoidable        in reach before the machine set off? ──yes──► avoidable
+there before the machine set off, and does not move or is in reach? ──yes──► avoidable
 known in time for the closed form to stop before contact? ──yes──► avoidable
 hidden by something solid until then, and a stop possible from a lower speed, at least 3 km/h? ──yes──► avoidable
 contact faster than the closed form? ──yes──► avoidable        else ──► unavoidable
@@ -48,10 +48,11 @@ class Avoidability:
 
 def avoidability_of(drive: Drive, one: ObjectTrack, contact: Contact) -> Avoidability:
     """Avoidability of a contact with a moving machine."""
-    if one.is_static or not one.moves:
-        return Avoidability(False, "does not move")
     set_off_s = drive.machine.set_off_s(contact.t_s)
-    if one.is_present(set_off_s) and _distance(drive, one, set_off_s) <= AT_START_M:
+    was_there = one.is_static or one.is_present(set_off_s)
+    if was_there and not one.moves:
+        return Avoidability(False, "does not move")
+    if was_there and _distance(drive, one, set_off_s) <= AT_START_M:
         return Avoidability(False, "in reach before the machine set off")
     since_s = max(set_off_s, float(one.t_s[0]))
     times = np.arange(since_s, contact.t_s, STEP_S)

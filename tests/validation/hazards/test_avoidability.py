@@ -1,5 +1,7 @@
 """Avoidability of contacts and stops in truth scripts agrees with the closed form of a stop."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,22 @@ def test_closed_form(speed):
 def test_what_does_not_move_is_avoidable():
     one = still_object(10.0, 0.0, (0.0, 0.3))
     assert judged(machine(V, hitch=0.0), one)[1].reason == "does not move"
+
+
+@pytest.mark.parametrize(("appears_s", "gap_m", "reason"), [
+    (0.9, 0.05, "does not move"),
+    (1.1, 0.05, "entered the path too near"),
+    (1.1, 3.0, "visible in time to stop"),
+])  # fmt: skip
+def test_appears_beside_a_machine_that_has_just_set_off(appears_s, gap_m, reason):
+    """At standstill until 1 s, then 0.3 m/s: nobody stops within 0.05 m for what is there only after that."""
+    one = still_object(FRONT_M + 0.03 + gap_m + 0.25, 0.0)
+    since = one.t_s >= appears_s - 1e-6
+    one = replace(one, t_s=one.t_s[since], place_m=one.place_m[since], velocity_mps=one.velocity_mps[since],
+                  shapes=one.shapes[int(np.argmax(since)):])  # fmt: skip
+    track = machine(lambda t: 0.0 if t < 1.0 else 0.3, seconds=16.0)
+    found = judged(track, one)[1]
+    assert (found.is_unavoidable, found.reason) == (reason == "entered the path too near", reason)
 
 
 def test_runs_in_too_near_and_the_machine_brakes_as_it_can():
