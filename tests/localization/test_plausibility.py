@@ -120,7 +120,9 @@ def test_noise_of_the_imu_is_allowed_for_in_its_changes():
     for vibration in (0.0, 3.0):
         plausibility = Plausibility(CONFIG)
         for k in range(120):
-            plausibility.imu.add(REST + vibration * (-1) ** k / math.sqrt(2.0) * np.array([1, 1, 1, 0, 0, 0]) + 1e-9 * k)
+            plausibility.imu.add(
+                REST + vibration * (-1) ** k / math.sqrt(2.0) * np.array([1, 1, 1, 0, 0, 0]) + 1e-9 * k
+            )
             plausibility.evaluate(START_NS + k * STEP_NS)
             plausibility.advance(START_NS + k * STEP_NS, 0.02, (0.0, 0.5), (0.0, 0.0))
         assert (plausibility.speed.suspect() is None) == (vibration > 0.0)
