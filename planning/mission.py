@@ -198,7 +198,7 @@ class MissionNode(Node):
         path = self._path
         assert path is not None
         ahead = (path.s_m >= self._s_m) & (path.s_m <= self._s_m + self._config.search_distance_m)
-        rig = self._plan.docking.rig if path.is_transport and self._plan.docking is not None else self._plan.rig
+        rig = self._plan.folded_rig if path.is_transport else self._plan.rig
         cause = first_on_path(found, rig.bodies, path.p_map_m[ahead][::5], path.heading_rad[ahead][::5])
         if cause is not None:
             return cause

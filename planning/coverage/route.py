@@ -1,14 +1,19 @@
-"""Complete route as pieces: from the yard along the lane, headland passes, swaths, and back."""
+"""Complete route as pieces: from the yard along the lane, headland passes, swaths, and back.
+
+Regions behind passages narrower than the rig are worked first: the rig drives there folded, and back.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
 from shapely.geometry import Point, Polygon
 
 from configs.mission import Work
 from geometry.arrays import Float64
 from geometry.footprint import is_inside
+from geometry.polygon import parts, shrink
 from geometry.polyline import arc_length, curvatures, headings, polyline, resample, smooth
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
@@ -18,11 +23,23 @@ from planning.coverage.insertion import Tour, inserted
 from planning.coverage.interior import swaths_left_bare
 from planning.coverage.line_route import drive_lines
 from planning.coverage.pass_route import drive_passes, opened, turn_pieces
-from planning.coverage.swath import Swath
+from planning.coverage.swath import Swath, directions_of
 from planning.coverage.work_line import WorkLine, lines_of
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
+from planning.turns.free_space import FreeSpace
 from planning.turns.search import STEP_M, ConnectionRequest, Leg, straight
+from planning.turns.transport import transport_way
+
+CENTRE_ERROR_M = 0.1
+
+
+@dataclass(frozen=True)
+class Region:
+    """What the rig works without folding: connections, with the headland passes, and swaths."""
+
+    connector: PathConnector
+    swaths: Sequence[Swath]
 
 
 @dataclass(frozen=True)
@@ -33,25 +50,76 @@ class Route:
     swaths: list[Swath]
     headland_passes: list[HeadlandPass]
 
+    @property
+    def end(self) -> Pose2:
+        """Last pose."""
+        return self.pieces[-1].leg.pose(-1)
 
-def route(connector: PathConnector, swaths: Sequence[Swath], work: Work) -> Route:
-    """Complete route; raises FieldError with the position where no connection is found."""
+
+def route(regions: Sequence[Region], transport: FreeSpace | None, work: Work) -> Route:
+    """Complete route, the start is in the first region; raises FieldError where no connection is found.
+
+    `transport` is the free space of the folded rig, None where it does not fold.
+    """
+    connector = regions[0].connector
     lane = lane_leg(connector) if connector.drivable.site.lanes else None
-    pieces, pose = _entry(connector, lane)
-    headland = drive_passes(connector, pose)
-    home = None if lane is None else _reversed_end(lane)
-    tour = drive_lines(connector, headland.end, home, _lines(connector, swaths, headland.missed))
+    entry, pose = _entry(connector, lane)
+    tour, found = _worked(regions[0], pose, None if lane is None else _reversed_end(lane), work)
+    back = [] if lane is None else _return(connector, tour, lane)
+    visits = []
+    for region in regions[1:] if transport is not None else ():
+        visit = _visit(region, pose, transport, work)
+        visits += [visit] if visit is not None else []
+    parts = [*visits, found]
+    pieces = [piece for part in parts for piece in part.pieces]
+    return Route(
+        [*entry, *pieces, *back] if pieces else [], [s for part in parts for s in part.swaths],
+        [p for part in parts for p in part.headland_passes],
+    )  # fmt: skip
+
+
+def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work) -> tuple[Tour, Route]:
+    """Tour of a region after its passes, and all its pieces."""
+    connector = region.connector
+    headland = drive_passes(connector, start)
+    tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
     if connector.rig.has_reverse:
         legs = [stop.leg for stop in tour.stops]
-        more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, len(swaths))
+        number = 1 + max((s.number for s in region.swaths), default=-1)
+        more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, number)
         tour = inserted(connector, tour, home, lines_of(more, (), -connector.rig.working_x_m))
-    pieces += [*headland.pieces, *tour.pieces]
-    if lane is not None:
-        pieces += _return(connector, tour, lane)
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
-    return Route(pieces, [s for s in sources if isinstance(s, Swath)], passes)
+    swaths = [s for s in sources if isinstance(s, Swath)]
+    return tour, Route([*headland.pieces, *tour.pieces], swaths, passes)
+
+
+def _visit(region: Region, start: Pose2, transport: FreeSpace, work: Work) -> Route | None:
+    """Folded from a pose to a region, through its work, and back; None where it is not reached."""
+    pose = _room(region.connector)
+    if pose is None:
+        return None
+    times = region.connector.rig.turn_times
+    there = transport_way(start, pose, transport, times)
+    if there is None:
+        return None
+    _, found = _worked(region, pose, None, work)
+    back = transport_way(found.end, start, transport, times) if found.pieces else None
+    if back is None:
+        return None
+    legs = [[RoutePiece(PathSectionType.TURN, -1, leg, False, True) for leg in way.legs] for way in (there, back)]
+    return replace(found, pieces=[*legs[0], *found.pieces, *legs[1]])
+
+
+def _room(connector: PathConnector) -> Pose2 | None:
+    """Pose furthest from the edges of a region, along one of its longest edges, where the rig is free."""
+    inner = shrink(connector.drivable.free, connector.drivable.margin_m)
+    circle = shapely.maximum_inscribed_circle(inner, CENTRE_ERROR_M)
+    centre = circle.coords[0]
+    part = max(parts(inner), key=lambda p: p.area)
+    poses = (Pose2(*centre, angle + turn) for angle in directions_of(part) for turn in (0.0, np.pi))
+    return next((p for p in poses if connector.space.is_free(np.array([p[:2]]), np.array([p.yaw_rad]))), None)
 
 
 def _lines(connector: PathConnector, swaths: Sequence[Swath], missed: Sequence[HeadlandPass]) -> list[WorkLine]:

@@ -14,6 +14,7 @@ from messages.errors import FieldError
 GATE_DEPTH_M = 1.2  # maximum distance of a fence outside the field
 POST_M = 0.1  # half the thickness of a gate post
 PASSAGE_SLACK_M = 0.1  # of half the width, where a passage is narrower than the rig
+LEAST_REGION_SHARE = 0.01  # of the field: a smaller region is not worth folding the implement for
 
 
 @dataclass(frozen=True)
@@ -49,17 +50,27 @@ def drivable_area_of(site: Site, margin_m: float) -> DrivableArea:
     return DrivableArea(site, margin_m, field, free, polygon_of(inner), polygon_of(allowed), fence)
 
 
-def connected(drivable: DrivableArea, width_m: float) -> DrivableArea:
-    """The area without the parts of `free` behind passages narrower than a rig `width_m` wide, seen from the start."""
+def regions_of(drivable: DrivableArea, width_m: float) -> list[DrivableArea]:
+    """The area with `free` reduced to each region that passages narrower than a rig `width_m` wide separate.
+
+    The first one is that of the start; further ones are larger than `LEAST_REGION_SHARE` of the field.
+    """
     site = drivable.site
     start = Point(site.lanes[-1].center_m[-1] if site.lanes else (site.start.x_m, site.start.y_m))
     wide = wide_parts(drivable.inner, width_m)
     if len(wide) < 2:
-        return drivable
-    first = min(wide, key=lambda part: part.distance(start))
-    others = shapely.union_all([part for part in wide if part is not first])
-    rest = parts(drivable.free.difference(grow(first, width_m / 2.0 + PASSAGE_SLACK_M)))
-    cut_off = shapely.union_all([part for part in rest if part.intersects(others)])
+        return [drivable]
+    first, *others = sorted(wide, key=lambda part: part.distance(start))
+    least_m2 = LEAST_REGION_SHARE * drivable.free.area
+    found = [_region(drivable, wide, first, width_m)]
+    return found + [r for part in others if (r := _region(drivable, wide, part, width_m)).free.area > least_m2]
+
+
+def _region(drivable: DrivableArea, wide: list[Polygon], part: Polygon, width_m: float) -> DrivableArea:
+    """The area without what is behind narrow passages, seen from one of the wide parts."""
+    others = shapely.union_all([other for other in wide if other is not part])
+    rest = parts(drivable.free.difference(grow(part, width_m / 2.0 + PASSAGE_SLACK_M)))
+    cut_off = shapely.union_all([p for p in rest if p.intersects(others)])
     return replace(drivable, free=polygon_of(drivable.free.difference(cut_off)))
 
 
