@@ -29,7 +29,7 @@ from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
 from planning.turns.free_space import FreeSpace
 from planning.turns.search import STEP_M, ConnectionRequest, Leg, straight
-from planning.turns.transport import transport_way
+from planning.turns.transport import TransportWays
 
 CENTRE_ERROR_M = 0.1
 
@@ -50,11 +50,6 @@ class Route:
     swaths: list[Swath]
     headland_passes: list[HeadlandPass]
 
-    @property
-    def end(self) -> Pose2:
-        """Last pose."""
-        return self.pieces[-1].leg.pose(-1)
-
 
 def route(regions: Sequence[Region], transport: FreeSpace | None, work: Work) -> Route:
     """Complete route, the start is in the first region; raises FieldError where no connection is found.
@@ -66,10 +61,11 @@ def route(regions: Sequence[Region], transport: FreeSpace | None, work: Work) ->
     entry, pose = _entry(connector, lane)
     tour, found = _worked(regions[0], pose, None if lane is None else _reversed_end(lane), work)
     back = [] if lane is None else _return(connector, tour, lane)
-    visits = []
-    for region in regions[1:] if transport is not None else ():
-        visit = _visit(region, pose, transport, work)
-        visits += [visit] if visit is not None else []
+    visits = list[Route]()
+    if transport is not None:
+        ways = TransportWays(pose, transport, connector.rig.turn_times)
+        found_visits = (_visit(region, ways, work) for region in regions[1:])
+        visits = [visit for visit in found_visits if visit is not None]
     parts = [*visits, found]
     pieces = [piece for part in parts for piece in part.pieces]
     return Route(
@@ -95,21 +91,19 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work) -> tup
     return tour, Route([*headland.pieces, *tour.pieces], swaths, passes)
 
 
-def _visit(region: Region, start: Pose2, transport: FreeSpace, work: Work) -> Route | None:
-    """Folded from a pose to a region, through its work, and back; None where it is not reached."""
-    pose = _room(region.connector)
-    if pose is None:
+def _visit(region: Region, ways: TransportWays, work: Work) -> Route | None:
+    """Folded to a pose of a region, its work from there to there, and folded back; None where it is not reached."""
+    connector, pose = region.connector, _room(region.connector)
+    transports = None if pose is None else ways.there_and_back(pose)
+    if pose is None or transports is None:
         return None
-    times = region.connector.rig.turn_times
-    there = transport_way(start, pose, transport, times)
-    if there is None:
+    tour, found = _worked(region, pose, pose, work)
+    last, behind_m = tour.place(len(tour.stops))
+    end = connector.find(connector.home_request(last, pose, behind_m))
+    if end is None:
         return None
-    _, found = _worked(region, pose, None, work)
-    back = transport_way(found.end, start, transport, times) if found.pieces else None
-    if back is None:
-        return None
-    legs = [[RoutePiece(PathSectionType.TURN, -1, leg, False, True) for leg in way.legs] for way in (there, back)]
-    return replace(found, pieces=[*legs[0], *found.pieces, *legs[1]])
+    there, back = ([RoutePiece(PathSectionType.TURN, -1, leg, False, True) for leg in t.legs] for t in transports)
+    return replace(found, pieces=[*there, *found.pieces, *turn_pieces(end, -1), *back])
 
 
 def _room(connector: PathConnector) -> Pose2 | None:

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 import shapely
 from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
@@ -14,6 +15,7 @@ from messages.errors import FieldError
 GATE_DEPTH_M = 1.2  # maximum distance of a fence outside the field
 POST_M = 0.1  # half the thickness of a gate post
 PASSAGE_SLACK_M = 0.1  # of half the width, where a passage is narrower than the rig
+PASSAGE_WIDTHS = 1.2  # of the rig: through a narrower passage it drives folded, or not at all
 LEAST_REGION_SHARE = 0.01  # of the field: a smaller region is not worth folding the implement for
 
 
@@ -51,27 +53,25 @@ def drivable_area_of(site: Site, margin_m: float) -> DrivableArea:
 
 
 def regions_of(drivable: DrivableArea, width_m: float) -> list[DrivableArea]:
-    """The area with `free` reduced to each region that passages narrower than a rig `width_m` wide separate.
+    """The area with `free` reduced to each region that passages hardly wider than a rig `width_m` wide separate.
 
-    The first one is that of the start; further ones are larger than `LEAST_REGION_SHARE` of the field.
+    The first one is that of the start; further ones are larger than `LEAST_REGION_SHARE` of the field. Passages and
+    smaller regions belong to a region next to them.
     """
     site = drivable.site
     start = Point(site.lanes[-1].center_m[-1] if site.lanes else (site.start.x_m, site.start.y_m))
-    wide = wide_parts(drivable.inner, width_m)
-    if len(wide) < 2:
-        return [drivable]
-    first, *others = sorted(wide, key=lambda part: part.distance(start))
+    passage_m = PASSAGE_WIDTHS * width_m
+    wide = wide_parts(drivable.inner, passage_m)
     least_m2 = LEAST_REGION_SHARE * drivable.free.area
-    found = [_region(drivable, wide, first, width_m)]
-    return found + [r for part in others if (r := _region(drivable, wide, part, width_m)).free.area > least_m2]
-
-
-def _region(drivable: DrivableArea, wide: list[Polygon], part: Polygon, width_m: float) -> DrivableArea:
-    """The area without what is behind narrow passages, seen from one of the wide parts."""
-    others = shapely.union_all([other for other in wide if other is not part])
-    rest = parts(drivable.free.difference(grow(part, width_m / 2.0 + PASSAGE_SLACK_M)))
-    cut_off = shapely.union_all([p for p in rest if p.intersects(others)])
-    return replace(drivable, free=polygon_of(drivable.free.difference(cut_off)))
+    first, *others = sorted(wide, key=lambda part: part.distance(start)) or [Polygon()]
+    large = [first, *(part for part in others if grow(part, passage_m / 2.0).area > least_m2)]
+    if len(large) < 2:
+        return [drivable]
+    near = [drivable.free.intersection(grow(part, passage_m / 2.0 + PASSAGE_SLACK_M)) for part in large]
+    for rest in parts(drivable.free.difference(shapely.union_all(near))):
+        k = int(np.argmin([rest.distance(area) for area in near]))
+        near[k] = shapely.union_all([near[k], rest])
+    return [replace(drivable, free=polygon_of(area)) for area in near]
 
 
 def wide_parts(area: BaseGeometry, width_m: float) -> list[Polygon]:
