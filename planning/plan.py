@@ -140,9 +140,10 @@ def plan_field(
     report("swaths")
     space, transport = (FreeSpace(drivable.allowed, r.bodies, r.radius_m, r.config.smoothing_m) for r in (rig, folded))
     regions = list[Region]()
-    for area, around in zip(areas, passes, strict=True):
-        swaths = swaths_inside(area, rig, around, work)
-        regions.append(Region(PathConnector(area, rig, around, seed, space), swaths))
+    for region, around in zip(areas, passes, strict=True):
+        first = sum(len(r.swaths) for r in regions)
+        swaths = [replace(s, number=first + s.number) for s in swaths_inside(region, rig, around, work)]
+        regions.append(Region(PathConnector(region, rig, around, seed, space), swaths))
     if not any(passes) and not any(r.swaths for r in regions):
         x, y = drivable.field.centroid.coords[0]
         raise FieldError(

@@ -3,6 +3,7 @@
 Regions behind passages narrower than the rig are worked first: the rig drives there folded, and back.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from shapely.geometry import Point, Polygon
 from configs.mission import Work
 from geometry.arrays import Float64
 from geometry.footprint import is_inside
-from geometry.polygon import parts, shrink
+from geometry.polygon import parts
 from geometry.polyline import arc_length, curvatures, headings, polyline, resample, smooth
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
@@ -28,7 +29,7 @@ from planning.coverage.work_line import WorkLine, lines_of
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
 from planning.turns.free_space import FreeSpace
-from planning.turns.search import STEP_M, ConnectionRequest, Leg, straight
+from planning.turns.search import STEP_M, Connection, ConnectionRequest, Leg, straight
 from planning.turns.transport import TransportWays
 
 CENTRE_ERROR_M = 0.1
@@ -59,13 +60,15 @@ def route(regions: Sequence[Region], transport: FreeSpace | None, work: Work) ->
     connector = regions[0].connector
     lane = lane_leg(connector) if connector.drivable.site.lanes else None
     entry, pose = _entry(connector, lane)
-    tour, found = _worked(regions[0], pose, None if lane is None else _reversed_end(lane), work)
+    visits, number = list[Route](), sum(len(region.swaths) for region in regions)
+    ways = None if transport is None else TransportWays(pose, transport, connector.rig.turn_times)
+    for region in regions[1:]:
+        visit = None if ways is None else _visit(region, ways, work, number)
+        if visit is not None:
+            visits.append(visit)
+            number = max([number, *(s.number + 1 for s in visit.swaths)])
+    tour, found = _worked(regions[0], pose, None if lane is None else _reversed_end(lane), work, number)
     back = [] if lane is None else _return(connector, tour, lane)
-    visits = list[Route]()
-    if transport is not None:
-        ways = TransportWays(pose, transport, connector.rig.turn_times)
-        found_visits = (_visit(region, ways, work) for region in regions[1:])
-        visits = [visit for visit in found_visits if visit is not None]
     parts = [*visits, found]
     pieces = [piece for part in parts for piece in part.pieces]
     return Route(
@@ -74,15 +77,14 @@ def route(regions: Sequence[Region], transport: FreeSpace | None, work: Work) ->
     )  # fmt: skip
 
 
-def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work) -> tuple[Tour, Route]:
-    """Tour of a region after its passes, and all its pieces."""
+def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number: int) -> tuple[Tour, Route]:
+    """Tour of a region after its passes, and all its pieces; further swaths are numbered from `number`."""
     connector = region.connector
     headland = drive_passes(connector, start)
     tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
     if connector.rig.has_reverse:
         legs = [stop.leg for stop in tour.stops]
-        number = 1 + max((s.number for s in region.swaths), default=-1)
         more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, number)
         tour = inserted(connector, tour, home, lines_of(more, (), -connector.rig.working_x_m))
     sources = [stop.line.source for stop in tour.stops]
@@ -91,28 +93,30 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work) -> tup
     return tour, Route([*headland.pieces, *tour.pieces], swaths, passes)
 
 
-def _visit(region: Region, ways: TransportWays, work: Work) -> Route | None:
+def _visit(region: Region, ways: TransportWays, work: Work, number: int) -> Route | None:
     """Folded to a pose of a region, its work from there to there, and folded back; None where it is not reached."""
     connector, pose = region.connector, _room(region.connector)
-    transports = None if pose is None else ways.there_and_back(pose)
-    if pose is None or transports is None:
+    there, back = (None, None) if pose is None else (ways.to(pose), ways.back(pose))
+    if pose is None or there is None or back is None:
         return None
-    tour, found = _worked(region, pose, pose, work)
+    tour, found = _worked(region, pose, pose, work, number)
     last, behind_m = tour.place(len(tour.stops))
     end = connector.find(connector.home_request(last, pose, behind_m))
     if end is None:
         return None
-    there, back = ([RoutePiece(PathSectionType.TURN, -1, leg, False, True) for leg in t.legs] for t in transports)
-    return replace(found, pieces=[*there, *found.pieces, *turn_pieces(end, -1), *back])
+    pieces = [*_transport_pieces(there), *found.pieces, *turn_pieces(end, -1), *_transport_pieces(back)]
+    return replace(found, pieces=pieces)
+
+
+def _transport_pieces(way: Connection) -> list[RoutePiece]:
+    return [RoutePiece(PathSectionType.TURN, -1, leg, False, True) for leg in way.legs]
 
 
 def _room(connector: PathConnector) -> Pose2 | None:
     """Pose furthest from the edges of a region, along one of its longest edges, where the rig is free."""
-    inner = shrink(connector.drivable.free, connector.drivable.margin_m)
-    circle = shapely.maximum_inscribed_circle(inner, CENTRE_ERROR_M)
-    centre = circle.coords[0]
-    part = max(parts(inner), key=lambda p: p.area)
-    poses = (Pose2(*centre, angle + turn) for angle in directions_of(part) for turn in (0.0, np.pi))
+    part = max(parts(connector.drivable.free), key=lambda p: p.area)
+    x, y = map(float, shapely.maximum_inscribed_circle(part, CENTRE_ERROR_M).coords[0])
+    poses = (Pose2(x, y, angle + turn) for angle in directions_of(part) for turn in (0.0, math.pi))
     return next((p for p in poses if connector.space.is_free(np.array([p[:2]]), np.array([p.yaw_rad]))), None)
 
 

@@ -17,7 +17,10 @@ HOME_STRAIGHT_M = 1.0
 
 @dataclass(frozen=True)
 class RoutePiece:
-    """Part of a route in one direction; `is_working`: the implement works on all of it, `is_transport`: it is folded."""
+    """Part of a route in one direction.
+
+    `is_working`: the implement works on all of it. `is_transport`: it is folded.
+    """
 
     section_type: PathSectionType
     line: int

@@ -29,19 +29,21 @@ NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 @dataclass(frozen=True)
 class TransportWays:
-    """Ways from `start`, and back to it, of the bodies of `space`."""
+    """Ways of the bodies of `space` from a pose `hub` to others, and back to it."""
 
-    start: Pose2
+    hub: Pose2
     space: FreeSpace
     times: TurnTimes
 
-    def there_and_back(self, goal: Pose2) -> tuple[Connection, Connection] | None:
-        """Ways to a pose and from it back, or None."""
-        points = self._guide(goal)
-        if points is None:
-            return None
-        there, back = self._way(self.start, goal, points), self._way(goal, self.start, points[::-1])
-        return None if there is None or back is None else (there, back)
+    def to(self, pose: Pose2) -> Connection | None:
+        """Way to a pose, or None."""
+        points = self._guide(pose)
+        return None if points is None else self._way(self.hub, pose, points)
+
+    def back(self, pose: Pose2) -> Connection | None:
+        """Way from a pose back, or None."""
+        points = self._guide(pose)
+        return None if points is None else self._way(pose, self.hub, points[::-1])
 
     def _way(self, start: Pose2, goal: Pose2, points_m: Float64) -> Connection | None:
         """Fastest way that passes poses along a polyline (N, 2) from one of its ends to the other."""
@@ -61,14 +63,14 @@ class TransportWays:
     def _guide(self, goal: Pose2) -> Float64 | None:
         """Cheapest path over the grid to a pose, (N, 2), or None."""
         x, y, _ = self._grid
-        first, last = self._cell(self.start), self._cell(goal)
+        first, last = self._cell(self.hub), self._cell(goal)
         cells = [last]
         while cells[-1] != first:
             cells.append(int(self._before[cells[-1]]))
             if cells[-1] < 0:
                 return None
         column, row = np.divmod(np.array(cells[::-1]), len(y))
-        return np.vstack([self.start[:2], np.column_stack([x[column], y[row]]), goal[:2]])
+        return np.vstack([self.hub[:2], np.column_stack([x[column], y[row]]), goal[:2]])
 
     @cached_property
     def _grid(self) -> tuple[Float64, Float64, Bool]:
@@ -82,13 +84,13 @@ class TransportWays:
 
     @cached_property
     def _before(self) -> Int32:
-        """Cell before each cell on the cheapest path from the start, negative where there is none."""
+        """Cell before each cell on the cheapest path from the hub, negative where there is none."""
         x, _, is_free = self._grid
         away_m = distance_transform_edt(np.pad(is_free, 1))[1:-1, 1:-1] * (x[1] - x[0])
         cost = 1.0 + EDGE_COST * np.clip(1.0 - away_m / self.space.radius_m, 0.0, 1.0)
-        first = self._cell(self.start)
+        first = np.array([self._cell(self.hub)])
         found = dijkstra(_graph(is_free, cost), directed=False, indices=first, return_predecessors=True)[1]
-        return np.asarray(found, np.int32)
+        return np.asarray(found[0], np.int32)
 
     def _cell(self, pose: Pose2) -> int:
         """Number of the free cell nearest to a pose, -1 without any."""
@@ -108,7 +110,7 @@ def _poses(points_m: Float64) -> list[Pose2]:
     return [Pose2(*map(float, (*line[k], heading[k]))) for k in range(every, len(line) - every // 2, every)]
 
 
-def _graph(is_free: Bool, cost: Float64) -> csr_array:
+def _graph(is_free: Bool, cost: Float64) -> "csr_array[np.float64, tuple[int, int]]":
     """Costs between free neighbouring cells."""
     columns, rows = is_free.shape
     index = np.arange(columns * rows).reshape(columns, rows)
