@@ -247,7 +247,7 @@ class MissionNode(Node):
                 self._switch_to(list(paths), "driving around an obstacle")
                 return
         else:
-            reason = "there is only one path out of the bay"
+            reason = "there is no other path"
         if self._plan.docking is not None and waited_s >= self._plan.docking.config.blocked_timeout_s:
             x, y = cause.outline.centroid.coords[0]
             self._abort(f"{cause.label} on the path at x {x:.1f} m, y {y:.1f} m: {reason}")

@@ -135,7 +135,7 @@ def plan_field(
     report("headland")
     rig, folded = (rig_of(vehicle, i, work, config) for i in (implement, implement.folded))
     drivable = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
-    areas = regions_of(drivable, rig.width_m)
+    areas = regions_of(drivable, rig.width_m, folded.width_m)
     passes = [headland_passes_of(area, rig, work.headland_passes, work.overlap_m) for area in areas]
     report("swaths")
     space, transport = (FreeSpace(drivable.allowed, r.bodies, r.radius_m, r.config.smoothing_m) for r in (rig, folded))
@@ -151,7 +151,7 @@ def plan_field(
             f"machine with an implement of {rig.working_width_m:g} m: use a narrower implement"
         )
     report("route")
-    found = route(regions, transport if folded.width_m < rig.width_m else None, work)
+    found = route(regions, transport, work)
     if not found.pieces:
         x, y = site.start.x_m, site.start.y_m
         raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")

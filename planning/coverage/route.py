@@ -52,18 +52,18 @@ class Route:
     headland_passes: list[HeadlandPass]
 
 
-def route(regions: Sequence[Region], transport: FreeSpace | None, work: Work) -> Route:
+def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
     """Complete route, the start is in the first region; raises FieldError where no connection is found.
 
-    `transport` is the free space of the folded rig, None where it does not fold.
+    `transport` is the free space of the folded rig.
     """
     connector = regions[0].connector
     lane = lane_leg(connector) if connector.drivable.site.lanes else None
     entry, pose = _entry(connector, lane)
     visits, number = list[Route](), sum(len(region.swaths) for region in regions)
-    ways = None if transport is None else TransportWays(pose, transport, connector.rig.turn_times)
+    ways = TransportWays(pose, transport, connector.rig.turn_times)
     for region in regions[1:]:
-        visit = None if ways is None else _visit(region, ways, work, number)
+        visit = _visit(region, ways, work, number)
         if visit is not None:
             visits.append(visit)
             number = max([number, *(s.number + 1 for s in visit.swaths)])

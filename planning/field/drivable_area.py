@@ -52,25 +52,29 @@ def drivable_area_of(site: Site, margin_m: float) -> DrivableArea:
     return DrivableArea(site, margin_m, field, free, polygon_of(inner), polygon_of(allowed), fence)
 
 
-def regions_of(drivable: DrivableArea, width_m: float) -> list[DrivableArea]:
+def regions_of(drivable: DrivableArea, width_m: float, transport_m: float) -> list[DrivableArea]:
     """The area with `free` reduced to each region that passages hardly wider than a rig `width_m` wide separate.
 
     The first one is that of the start; further ones are larger than `LEAST_REGION_SHARE` of the field. Passages and
-    smaller regions belong to a region next to them.
+    smaller regions belong to a region next to them, and what a rig `transport_m` wide does not reach belongs to none.
     """
     site = drivable.site
     start = Point(site.lanes[-1].center_m[-1] if site.lanes else (site.start.x_m, site.start.y_m))
     passage_m = PASSAGE_WIDTHS * width_m
     wide = wide_parts(drivable.inner, passage_m)
-    least_m2 = LEAST_REGION_SHARE * drivable.free.area
-    first, *others = sorted(wide, key=lambda part: part.distance(start)) or [Polygon()]
-    large = [first, *(part for part in others if grow(part, passage_m / 2.0).area > least_m2)]
-    if len(large) < 2:
+    if not wide:
         return [drivable]
+    least_m2 = LEAST_REGION_SHARE * drivable.free.area
+    first, *others = sorted(wide, key=lambda part: part.distance(start))
+    passable = wide_parts(drivable.inner, transport_m)
+    out_of_reach = shapely.union_all([part for part in passable if not part.intersects(first)])
+    reached = (part for part in others if not part.intersects(out_of_reach))
+    large = [first, *(part for part in reached if grow(part, passage_m / 2.0).area > least_m2)]
     near = [drivable.free.intersection(grow(part, passage_m / 2.0 + PASSAGE_SLACK_M)) for part in large]
     for rest in parts(drivable.free.difference(shapely.union_all(near))):
-        k = int(np.argmin([rest.distance(area) for area in near]))
-        near[k] = shapely.union_all([near[k], rest])
+        if not rest.intersects(out_of_reach):
+            k = int(np.argmin([rest.distance(area) for area in near]))
+            near[k] = shapely.union_all([near[k], rest])
     return [replace(drivable, free=polygon_of(area)) for area in near]
 
 

@@ -303,13 +303,16 @@ def test_part_behind_a_passage_that_is_too_narrow(
     assert not any(path.is_transport for path in plan.paths)
 
 
-def test_part_behind_a_passage_is_reached_folded(
-    vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
-) -> None:
-    """Of a rig of 6 m, through 4 m: its sweep stays inside, folded on the ways there and back and nowhere else."""
+@pytest.mark.parametrize(("passage_m", "has_fold"), [(4.0, True), (7.0, False)])
+def test_part_behind_a_passage_is_reached(
+    passage_m: float, has_fold: bool, vehicle: Vehicle, harrow: MountedImplement, mission: Mission,
+    planning: PlanningConfig,
+) -> None:  # fmt: skip
+    """Of a rig of 6.1 m: its sweep stays inside, where it folds with the folded one on the ways there and back."""
     assert mission.work is not None
-    outline, work = field_of_two_parts(4.0), mission.work.model_copy(update={"turns": "reverse"})
-    plan = plan_field(site_of(outline, vehicle, harrow, work), vehicle, harrow, work, planning.planner, 0)
+    outline, work = field_of_two_parts(passage_m), mission.work.model_copy(update={"turns": "reverse"})
+    mounted = harrow if has_fold else harrow.model_copy(update={"fold": None})
+    plan = plan_field(site_of(outline, vehicle, mounted, work), vehicle, mounted, work, planning.planner, 0)
     for part in (SMALL, LARGE):
         assert plan.planned_area.intersection(part).area > 0.9 * part.area
     folded = [path.is_transport for path in plan.paths]
@@ -318,7 +321,7 @@ def test_part_behind_a_passage_is_reached_folded(
     allowed = plan.drivable.allowed
     shapely.prepare(allowed)
     for path in plan.paths:
-        bodies = body_shapes(vehicle, harrow.folded if path.is_transport else harrow, path)
+        bodies = body_shapes(vehicle, mounted.folded if path.is_transport else mounted, path)
         assert shapely.covers(allowed, np.array(bodies)).all()
     for a, b in pairwise(plan.paths):
         assert a.p_map_m[-1] == pytest.approx(b.p_map_m[0], abs=0.01)
