@@ -71,11 +71,12 @@ def regions_of(drivable: DrivableArea, width_m: float, transport_m: float) -> li
     reached = (part for part in others if not part.intersects(out_of_reach))
     large = [first, *(part for part in reached if grow(part, passage_m / 2.0).area > least_m2)]
     near = [drivable.free.intersection(grow(part, passage_m / 2.0 + PASSAGE_SLACK_M)) for part in large]
+    near.append(Polygon())  # what belongs to none
     for rest in parts(drivable.free.difference(shapely.union_all(near))):
-        if not rest.intersects(out_of_reach):
-            k = int(np.argmin([rest.distance(area) for area in near]))
-            near[k] = shapely.union_all([near[k], rest])
-    return [replace(drivable, free=polygon_of(area)) for area in near]
+        k = -1 if rest.intersects(out_of_reach) else int(np.argmin([rest.distance(area) for area in near[:-1]]))
+        near[k] = shapely.union_all([near[k], rest])
+    others_of = [shapely.union_all([*near[:k], *near[k + 1 :]]) for k in range(len(large))]
+    return [replace(drivable, free=polygon_of(drivable.free.difference(other))) for other in others_of]
 
 
 def wide_parts(area: BaseGeometry, width_m: float) -> list[Polygon]:
