@@ -1,6 +1,6 @@
 """Complete route as pieces: from the yard along the lane, headland passes, swaths, and back.
 
-Regions behind passages narrower than the rig are worked first: the rig drives there folded, and back.
+Regions behind narrow passages are worked first: the rig drives there folded, and back.
 """
 
 import math
@@ -69,11 +69,11 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
             number = max([number, *(s.number + 1 for s in visit.swaths)])
     tour, found = _worked(regions[0], pose, None if lane is None else _reversed_end(lane), work, number)
     back = [] if lane is None else _return(connector, tour, lane)
-    parts = [*visits, found]
-    pieces = [piece for part in parts for piece in part.pieces]
+    routes = [*visits, found]
+    pieces = [piece for one in routes for piece in one.pieces]
     return Route(
-        [*entry, *pieces, *back] if pieces else [], [s for part in parts for s in part.swaths],
-        [p for part in parts for p in part.headland_passes],
+        [*entry, *pieces, *back] if pieces else [], [s for one in routes for s in one.swaths],
+        [p for one in routes for p in one.headland_passes],
     )  # fmt: skip
 
 
