@@ -38,11 +38,16 @@ def check(
     paths: Sequence[Path], field: BaseGeometry, free: BaseGeometry, vehicle: Vehicle, implement: MountedImplement
 ) -> Finding:
     """Checks complete paths; `field` is what is to be worked, `free` where machine and implement may be."""
-    bodies = [
-        (-vehicle.body.rear_m, vehicle.body.front_m, vehicle.body.width_m),
-        (implement.rear_end_m, implement.front_end_m, implement.width_m),
-    ]
-    hulls = np.concatenate([_hulls(path, *body) for path in paths for body in bodies])
+    machine = -vehicle.body.rear_m, vehicle.body.front_m, vehicle.body.width_m
+    transport_m = implement.width_m if implement.fold is None else implement.fold.width_m
+    ends = implement.rear_end_m, implement.front_end_m
+    hulls = np.concatenate(
+        [
+            _hulls(path, *body)
+            for path in paths
+            for body in (machine, (*ends, transport_m if path.is_transport else implement.width_m))
+        ]
+    )
     shapely.prepare(free)
     out = hulls[~shapely.covers(free, hulls)]
     outside = max((_depth(h, free) for h in out), default=0.0)

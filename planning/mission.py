@@ -198,7 +198,7 @@ class MissionNode(Node):
         path = self._path
         assert path is not None
         ahead = (path.s_m >= self._s_m) & (path.s_m <= self._s_m + self._config.search_distance_m)
-        rig = self._plan.docking.rig if path.is_transport and self._plan.docking is not None else self._plan.rig
+        rig = self._plan.folded_rig if path.is_transport else self._plan.rig
         cause = first_on_path(found, rig.bodies, path.p_map_m[ahead][::5], path.heading_rad[ahead][::5])
         if cause is not None:
             return cause
@@ -247,7 +247,7 @@ class MissionNode(Node):
                 self._switch_to(list(paths), "driving around an obstacle")
                 return
         else:
-            reason = "there is only one path out of the bay"
+            reason = "there is no other path"
         if self._plan.docking is not None and waited_s >= self._plan.docking.config.blocked_timeout_s:
             x, y = cause.outline.centroid.coords[0]
             self._abort(f"{cause.label} on the path at x {x:.1f} m, y {y:.1f} m: {reason}")

@@ -34,8 +34,8 @@ class RawPiece:
 
 
 def paths_of(pieces: Sequence[RoutePiece], rig: Rig, first_id: int) -> tuple[Path, ...]:
-    """Paths of a route, one for each run of pieces in the same direction, each from standstill to standstill."""
-    groups = [list(group) for _, group in groupby(pieces, key=lambda p: p.leg.direction)]
+    """Paths of a route, one for each run of pieces in the same direction and width, from standstill to standstill."""
+    groups = [list(group) for _, group in groupby(pieces, key=lambda p: (p.leg.direction, p.is_transport))]
     found = [_path(group, rig, first_id + k) for k, group in enumerate(groups)]
     return (*found[:-1], replace(found[-1], is_last=True))
 
@@ -60,8 +60,9 @@ def _path(pieces: Sequence[RoutePiece], rig: Rig, path_id: int) -> Path:
     speed = speed_profile(s, curvature, section_speed, rig)
     index, sections = _sections(owner, pieces)
     return Path(
-        0, path_id, direction, p, _wrap(heading), curvature, s, speed, _working(owner, pieces), sections, index, False
-    )
+        0, path_id, direction, p, _wrap(heading), curvature, s, speed, _working(owner, pieces), sections, index, False,
+        pieces[0].is_transport,
+    )  # fmt: skip
 
 
 def _eased(p: Float64, heading: Float64, curvature: Float64, direction: int) -> tuple[Float64, Float64, Float64]:

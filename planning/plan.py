@@ -19,10 +19,10 @@ from messages.plan import Path
 from planning.config import PlannerConfig, PlanningConfig
 from planning.coverage.headland import HeadlandPass, headland_passes_of
 from planning.coverage.interior import swaths_inside
-from planning.coverage.route import route
+from planning.coverage.route import Region, route
 from planning.coverage.swath import Swath
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
-from planning.field.drivable_area import DrivableArea, connected, describe, drivable_area_of
+from planning.field.drivable_area import DrivableArea, describe, drivable_area_of, regions_of
 from planning.line import line_paths
 from planning.path import paths_of
 from planning.rig import Rig, rig_of
@@ -68,6 +68,7 @@ class Plan:
     headland_passes: tuple[HeadlandPass, ...]
     drivable: DrivableArea
     rig: Rig
+    folded_rig: Rig
     docking: Docking | None = None
     docking_paths: tuple[Path, ...] = ()
 
@@ -100,16 +101,16 @@ def plan_mission(
     `report` is called with the name of each stage of a field.
     Raises FieldError with the position when it cannot be driven.
     """
+    folded = rig_of(vehicle, implement.folded, mission.work, config.planner)
     if mission.line is not None:
-        plan = plan_line(mission.line, site, rig_of(vehicle, implement, None, config.planner), start)
+        plan = plan_line(mission.line, site, rig_of(vehicle, implement, None, config.planner), folded, start)
     elif mission.work is None:
-        plan = _nothing_planned(site, rig_of(vehicle, implement.folded, None, config.planner))
+        plan = _nothing_planned(site, folded)
     else:
         plan = plan_field(site, vehicle, implement, mission.work, config.planner, seed, report)
     if mission.bay is None:
         return plan
-    rig = rig_of(vehicle, implement.folded, mission.work, config.planner)
-    docking = Docking(site, rig, site.bay(mission.bay), config.docking, seed)
+    docking = Docking(site, folded, site.bay(mission.bay), config.docking, seed)
     undocking = plan_undocking(docking, 1) if mission.start is None else ()
     fixed_paths = [
         *undocking,
@@ -132,66 +133,70 @@ def plan_field(
 ) -> Plan:
     """Plan of a field with lane and yard; raises FieldError where the rig would leave them."""
     report("headland")
-    rig = rig_of(vehicle, implement, work, config)
-    complete = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
-    drivable = connected(complete, rig.width_m)
-    headland_passes = headland_passes_of(drivable, rig, work.headland_passes, work.overlap_m)
+    rig, folded = (rig_of(vehicle, i, work, config) for i in (implement, implement.folded))
+    drivable = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
+    areas = regions_of(drivable, rig.width_m, folded.width_m)
+    passes = [headland_passes_of(area, rig, work.headland_passes, work.overlap_m) for area in areas]
     report("swaths")
-    swaths = swaths_inside(drivable, rig, headland_passes, work)
-    if not headland_passes and not swaths:
+    space, transport = (FreeSpace(drivable.allowed, r.bodies, r.radius_m, r.config.smoothing_m) for r in (rig, folded))
+    regions = list[Region]()
+    for region, around in zip(areas, passes, strict=True):
+        first = sum(len(r.swaths) for r in regions)
+        swaths = [replace(s, number=first + s.number) for s in swaths_inside(region, rig, around, work)]
+        regions.append(Region(PathConnector(region, rig, around, seed, space), swaths))
+    if not any(passes) and not any(r.swaths for r in regions):
         x, y = drivable.field.centroid.coords[0]
         raise FieldError(
             f"field of {drivable.field.area:.0f} m² around {describe(drivable.site, x, y)} is too small for this "
             f"machine with an implement of {rig.working_width_m:g} m: use a narrower implement"
         )
     report("route")
-    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-    found = route(PathConnector(drivable, rig, headland_passes, seed, space), swaths, work)
+    found = route(regions, transport, work)
     if not found.pieces:
         x, y = site.start.x_m, site.start.y_m
         raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")
     report("check")
     paths = paths_of(found.pieces, rig, 1)
-    check_inside(paths, rig, drivable_area_of(site, work.boundary_margin_m))
-    area = worked_area(paths, rig).intersection(complete.free)
-    uncovered = _uncovered(complete, drivable, area, rig)
-    size_m2 = complete.free.area
+    check_inside(paths, rig, folded, drivable_area_of(site, work.boundary_margin_m))
+    area = worked_area(paths, rig).intersection(drivable.free)
+    uncovered = _uncovered(drivable, areas, area, rig)
+    size_m2 = drivable.free.area
     return Plan(
         paths, area, size_m2, area.area / size_m2, _length_m(paths), uncovered, tuple(found.swaths),
-        tuple(found.headland_passes), complete, rig,
+        tuple(found.headland_passes), drivable, rig, folded,
     )  # fmt: skip
 
 
 def check_within(plan: Plan, site: Site, margin_m: float) -> None:
     """Raises FieldError where the rig of a plan would leave field, lane or yard of another site."""
-    check_inside(plan.paths, plan.rig, drivable_area_of(site, margin_m))
+    check_inside(plan.paths, plan.rig, plan.folded_rig, drivable_area_of(site, margin_m))
 
 
-def plan_line(line: Line, site: Site, rig: Rig, start: PoseConfig) -> Plan:
+def plan_line(line: Line, site: Site, rig: Rig, folded: Rig, start: PoseConfig) -> Plan:
     """Plan of a line; raises FieldError where the rig would leave field, lane or yard."""
     drivable = drivable_area_of(site, PROOF_SLACK_M)
     paths = line_paths(line, rig, start.pose)
     paths = (*paths[:-1], replace(paths[-1], is_last=True))
-    check_inside(paths, rig, drivable)
+    check_inside(paths, rig, folded, drivable)
     area = worked_area(paths, rig).intersection(drivable.free)
     size_m2 = drivable.free.area
-    return Plan(paths, area, size_m2, area.area / size_m2, _length_m(paths), (), (), (), drivable, rig)
+    return Plan(paths, area, size_m2, area.area / size_m2, _length_m(paths), (), (), (), drivable, rig, folded)
 
 
-def _nothing_planned(site: Site, rig: Rig) -> Plan:
+def _nothing_planned(site: Site, folded: Rig) -> Plan:
     drivable = drivable_area_of(site, PROOF_SLACK_M)
-    return Plan((), Polygon(), drivable.free.area, 0.0, 0.0, (), (), (), drivable, rig)
+    return Plan((), Polygon(), drivable.free.area, 0.0, 0.0, (), (), (), drivable, folded, folded)
 
 
 def _length_m(paths: Sequence[Path]) -> float:
     return sum(float(p.s_m[-1]) for p in paths)
 
 
-def check_inside(paths: Sequence[Path], rig: Rig, drivable: DrivableArea) -> None:
+def check_inside(paths: Sequence[Path], rig: Rig, folded: Rig, drivable: DrivableArea) -> None:
     """Raises FieldError with the position where a body leaves the drivable area."""
-    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    spaces = [FreeSpace(drivable.allowed, r.bodies, r.radius_m, r.config.smoothing_m) for r in (rig, folded)]
     for path in paths:
-        outside = space.touching(path.p_map_m, path.heading_rad)
+        outside = spaces[path.is_transport].touching(path.p_map_m, path.heading_rad)
         if outside.any():
             k = int(np.argmax(outside))
             x, y = path.p_map_m[k]
@@ -213,9 +218,11 @@ def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
     return shapely.union_all(shapes).buffer(0.005, join_style="mitre").buffer(-0.005, join_style="mitre")
 
 
-def _uncovered(complete: DrivableArea, connected: DrivableArea, area: BaseGeometry, rig: Rig) -> tuple[Uncovered, ...]:
-    """What of the complete area is not worked; `connected` is without what is behind narrow passages."""
-    free = connected.free
+def _uncovered(
+    complete: DrivableArea, regions: Sequence[DrivableArea], area: BaseGeometry, rig: Rig
+) -> tuple[Uncovered, ...]:
+    """What of the complete area is not worked; of regions without work all counts as behind a narrow passage."""
+    free = shapely.union_all([r.free for r in regions if r is regions[0] or r.free.intersects(area)])
     rim = free.difference(shrink(free, complete.margin_m + rig.width_m - rig.working_width_m + 0.1))
     missed = free.difference(area)
     shapes = {

@@ -1,14 +1,20 @@
-"""Complete route as pieces: from the yard along the lane, headland passes, swaths, and back."""
+"""Complete route as pieces: from the yard along the lane, headland passes, swaths, and back.
 
+Regions behind narrow passages are worked first: the rig drives there folded, and back.
+"""
+
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
 from shapely.geometry import Point, Polygon
 
 from configs.mission import Work
 from geometry.arrays import Float64
 from geometry.footprint import is_inside
+from geometry.polygon import parts
 from geometry.polyline import arc_length, curvatures, headings, polyline, resample, smooth
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
@@ -18,11 +24,23 @@ from planning.coverage.insertion import Tour, inserted
 from planning.coverage.interior import swaths_left_bare
 from planning.coverage.line_route import drive_lines
 from planning.coverage.pass_route import drive_passes, opened, turn_pieces
-from planning.coverage.swath import Swath
+from planning.coverage.swath import Swath, directions_of
 from planning.coverage.work_line import WorkLine, lines_of
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.search import STEP_M, ConnectionRequest, Leg, straight
+from planning.turns.free_space import FreeSpace
+from planning.turns.search import STEP_M, Connection, ConnectionRequest, Leg, straight
+from planning.turns.transport import TransportWays
+
+CENTRE_ERROR_M = 0.1
+
+
+@dataclass(frozen=True)
+class Region:
+    """What the rig works without folding: connections, with the headland passes, and swaths."""
+
+    connector: PathConnector
+    swaths: Sequence[Swath]
 
 
 @dataclass(frozen=True)
@@ -34,24 +52,72 @@ class Route:
     headland_passes: list[HeadlandPass]
 
 
-def route(connector: PathConnector, swaths: Sequence[Swath], work: Work) -> Route:
-    """Complete route; raises FieldError with the position where no connection is found."""
+def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
+    """Complete route, the start is in the first region; raises FieldError where no connection is found.
+
+    `transport` is the free space of the folded rig.
+    """
+    connector = regions[0].connector
     lane = lane_leg(connector) if connector.drivable.site.lanes else None
-    pieces, pose = _entry(connector, lane)
-    headland = drive_passes(connector, pose)
-    home = None if lane is None else _reversed_end(lane)
-    tour = drive_lines(connector, headland.end, home, _lines(connector, swaths, headland.missed))
+    entry, pose = _entry(connector, lane)
+    visits, number = list[Route](), sum(len(region.swaths) for region in regions)
+    ways = TransportWays(pose, transport, connector.rig.turn_times)
+    for region in regions[1:]:
+        visit = _visit(region, ways, work, number)
+        if visit is not None:
+            visits.append(visit)
+            number = max([number, *(s.number + 1 for s in visit.swaths)])
+    tour, found = _worked(regions[0], pose, None if lane is None else _reversed_end(lane), work, number)
+    back = [] if lane is None else _return(connector, tour, lane)
+    routes = [*visits, found]
+    pieces = [piece for one in routes for piece in one.pieces]
+    return Route(
+        [*entry, *pieces, *back] if pieces else [], [s for one in routes for s in one.swaths],
+        [p for one in routes for p in one.headland_passes],
+    )  # fmt: skip
+
+
+def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number: int) -> tuple[Tour, Route]:
+    """Tour of a region after its passes, and all its pieces; further swaths are numbered from `number`."""
+    connector = region.connector
+    headland = drive_passes(connector, start)
+    tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
     if connector.rig.has_reverse:
         legs = [stop.leg for stop in tour.stops]
-        more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, len(swaths))
+        more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, number)
         tour = inserted(connector, tour, home, lines_of(more, (), -connector.rig.working_x_m))
-    pieces += [*headland.pieces, *tour.pieces]
-    if lane is not None:
-        pieces += _return(connector, tour, lane)
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
-    return Route(pieces, [s for s in sources if isinstance(s, Swath)], passes)
+    swaths = [s for s in sources if isinstance(s, Swath)]
+    return tour, Route([*headland.pieces, *tour.pieces], swaths, passes)
+
+
+def _visit(region: Region, ways: TransportWays, work: Work, number: int) -> Route | None:
+    """Folded to a pose of a region, its work from there to there, and folded back; None where it is not reached."""
+    connector, pose = region.connector, _room(region.connector)
+    there, back = (None, None) if pose is None else (ways.to(pose), ways.back(pose))
+    if pose is None or there is None or back is None:
+        return None
+    tour, found = _worked(region, pose, pose, work, number)
+    last, behind_m = tour.place(len(tour.stops))
+    end = connector.find(connector.home_request(last, pose, behind_m))
+    if end is None:
+        return None
+    pieces = [*_transport_pieces(there), *found.pieces, *turn_pieces(end, -1), *_transport_pieces(back)]
+    return replace(found, pieces=pieces)
+
+
+def _transport_pieces(way: Connection) -> list[RoutePiece]:
+    return [RoutePiece(PathSectionType.TURN, -1, leg, False, True) for leg in way.legs]
+
+
+def _room(connector: PathConnector) -> Pose2 | None:
+    """Pose furthest from the edges of a region, along one of its longest edges, where the rig is free."""
+    part = max(parts(connector.drivable.free), key=lambda p: p.area)
+    x, y = map(float, shapely.maximum_inscribed_circle(part, CENTRE_ERROR_M).coords[0])
+    poses = (Pose2(x, y, angle + turn) for angle in directions_of(part) for turn in (0.0, math.pi))
+    return next((p for p in poses if connector.space.is_free(np.array([p[:2]]), np.array([p.yaw_rad]))), None)
 
 
 def _lines(connector: PathConnector, swaths: Sequence[Swath], missed: Sequence[HeadlandPass]) -> list[WorkLine]:

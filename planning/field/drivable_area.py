@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 import shapely
 from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
@@ -14,6 +15,8 @@ from messages.errors import FieldError
 GATE_DEPTH_M = 1.2  # maximum distance of a fence outside the field
 POST_M = 0.1  # half the thickness of a gate post
 PASSAGE_SLACK_M = 0.1  # of half the width, where a passage is narrower than the rig
+PASSAGE_WIDTHS = 1.2  # of the rig: through a narrower passage it drives folded, or not at all
+LEAST_REGION_SHARE = 0.01  # of the field: a smaller region is not worth folding the implement for
 
 
 @dataclass(frozen=True)
@@ -49,18 +52,31 @@ def drivable_area_of(site: Site, margin_m: float) -> DrivableArea:
     return DrivableArea(site, margin_m, field, free, polygon_of(inner), polygon_of(allowed), fence)
 
 
-def connected(drivable: DrivableArea, width_m: float) -> DrivableArea:
-    """The area without the parts of `free` behind passages narrower than a rig `width_m` wide, seen from the start."""
+def regions_of(drivable: DrivableArea, width_m: float, transport_m: float) -> list[DrivableArea]:
+    """The area with `free` reduced to each region that passages hardly wider than a rig `width_m` wide separate.
+
+    The first one is that of the start; further ones are larger than `LEAST_REGION_SHARE` of the field. Passages and
+    smaller regions belong to a region next to them, and what a rig `transport_m` wide does not reach belongs to none.
+    """
     site = drivable.site
     start = Point(site.lanes[-1].center_m[-1] if site.lanes else (site.start.x_m, site.start.y_m))
-    wide = wide_parts(drivable.inner, width_m)
-    if len(wide) < 2:
-        return drivable
-    first = min(wide, key=lambda part: part.distance(start))
-    others = shapely.union_all([part for part in wide if part is not first])
-    rest = parts(drivable.free.difference(grow(first, width_m / 2.0 + PASSAGE_SLACK_M)))
-    cut_off = shapely.union_all([part for part in rest if part.intersects(others)])
-    return replace(drivable, free=polygon_of(drivable.free.difference(cut_off)))
+    passage_m = PASSAGE_WIDTHS * width_m
+    wide = wide_parts(drivable.inner, passage_m)
+    if not wide:
+        return [drivable]
+    least_m2 = LEAST_REGION_SHARE * drivable.free.area
+    first, *others = sorted(wide, key=lambda part: part.distance(start))
+    passable = wide_parts(drivable.inner, transport_m)
+    out_of_reach = shapely.union_all([part for part in passable if not part.intersects(first)])
+    reached = (part for part in others if not part.intersects(out_of_reach))
+    large = [first, *(part for part in reached if grow(part, passage_m / 2.0).area > least_m2)]
+    near = [drivable.free.intersection(grow(part, passage_m / 2.0 + PASSAGE_SLACK_M)) for part in large]
+    near.append(Polygon())  # what belongs to none
+    for rest in parts(drivable.free.difference(shapely.union_all(near))):
+        k = -1 if rest.intersects(out_of_reach) else int(np.argmin([rest.distance(area) for area in near[:-1]]))
+        near[k] = shapely.union_all([near[k], rest])
+    others_of = [shapely.union_all([*near[:k], *near[k + 1 :]]) for k in range(len(large))]
+    return [replace(drivable, free=polygon_of(drivable.free.difference(other))) for other in others_of]
 
 
 def wide_parts(area: BaseGeometry, width_m: float) -> list[Polygon]:

@@ -17,12 +17,16 @@ HOME_STRAIGHT_M = 1.0
 
 @dataclass(frozen=True)
 class RoutePiece:
-    """Part of a route in one direction; `is_working`: the implement works on all of it."""
+    """Part of a route in one direction.
+
+    `is_working`: the implement works on all of it. `is_transport`: it is folded.
+    """
 
     section_type: PathSectionType
     line: int
     leg: Leg
     is_working: bool
+    is_transport: bool = False
 
 
 @dataclass

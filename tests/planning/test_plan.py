@@ -278,18 +278,53 @@ def test_sampling_determinism(plan: Plan) -> None:
     assert sampled_connection(ConnectionRequest(Pose2(50, 11, 0), Pose2(12, 80, 0), 1.0, 1.0), space, 7, 200) is None
 
 
-def test_part_behind_a_narrow_passage(
-    vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
-) -> None:
-    small, large = box(0.0, 0.0, 60.0, 50.0), box(90.0, 0.0, 170.0, 60.0)
-    field = shapely.union_all([small, box(60.0, 20.0, 90.0, 24.0), large])  # a passage of 4 m for a rig of 6 m
-    outline = FieldOutline("two", DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0), as_polygon(field))
+SMALL, LARGE = box(0.0, 0.0, 60.0, 50.0), box(90.0, 0.0, 170.0, 60.0)
+
+
+def field_of_two_parts(passage_m: float) -> FieldOutline:
+    field = shapely.union_all([SMALL, box(60.0, 20.0, 90.0, 20.0 + passage_m), LARGE])
+    return FieldOutline("two", DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0), as_polygon(field))
+
+
+@pytest.mark.parametrize(("passage_m", "has_fold"), [(4.0, False), (2.4, True)])
+def test_part_behind_a_passage_that_is_too_narrow(
+    passage_m: float, has_fold: bool, vehicle: Vehicle, harrow: MountedImplement, mission: Mission,
+    planning: PlanningConfig,
+) -> None:  # fmt: skip
+    outline, work = field_of_two_parts(passage_m), mission.work
+    assert work is not None
+    mounted = harrow if has_fold else harrow.model_copy(update={"fold": None})
+    start = site_within(outline, vehicle, mounted, work).start
+    assert LARGE.contains(Point(start.x_m, start.y_m))
+    plan = plan_field(site_of(outline, vehicle, mounted, work), vehicle, mounted, work, planning.planner, 0)
+    assert plan.planned_area.intersection(SMALL).area == 0.0
+    assert plan.planned_area.intersection(LARGE).area > 0.9 * LARGE.area
+    assert plan.uncovered_m2[NARROW_PASSAGE] == pytest.approx(SMALL.area, rel=0.05)
+    assert not any(path.is_transport for path in plan.paths)
+
+
+@pytest.mark.parametrize(("passage_m", "has_fold"), [(4.0, True), (7.0, False)])
+def test_part_behind_a_passage_is_reached(
+    passage_m: float, has_fold: bool, vehicle: Vehicle, harrow: MountedImplement, mission: Mission,
+    planning: PlanningConfig,
+) -> None:  # fmt: skip
+    """Of a rig of 6.1 m: its sweep stays inside, where it folds with the folded one on the ways there and back."""
     assert mission.work is not None
-    start = site_within(outline, vehicle, harrow, mission.work).start
-    assert large.contains(Point(start.x_m, start.y_m))
-    plan = plan_field(
-        site_of(outline, vehicle, harrow, mission.work), vehicle, harrow, mission.work, planning.planner, 0
-    )
-    assert plan.planned_area.intersection(small).area == 0.0
-    assert plan.planned_area.intersection(large).area > 0.9 * large.area
-    assert plan.uncovered_m2[NARROW_PASSAGE] == pytest.approx(small.area, rel=0.05)
+    outline, work = field_of_two_parts(passage_m), mission.work.model_copy(update={"turns": "reverse"})
+    mounted = harrow if has_fold else harrow.model_copy(update={"fold": None})
+    plan = plan_field(site_of(outline, vehicle, mounted, work), vehicle, mounted, work, planning.planner, 0)
+    for part in (SMALL, LARGE):
+        assert plan.planned_area.intersection(part).area > 0.9 * part.area
+    folded = [path.is_transport for path in plan.paths]
+    assert sum(a and not b for a, b in pairwise(folded)) == 2
+    assert not any(path.is_working.any() for path in plan.paths if path.is_transport)
+    allowed = plan.drivable.allowed
+    shapely.prepare(allowed)
+    for path in plan.paths:
+        bodies = body_shapes(vehicle, mounted.folded if path.is_transport else mounted, path)
+        assert shapely.covers(allowed, np.array(bodies)).all()
+    for a, b in pairwise(plan.paths):
+        assert a.p_map_m[-1] == pytest.approx(b.p_map_m[0], abs=0.01)
+        assert math.remainder(a.heading_rad[-1] - b.heading_rad[0], 2 * math.pi) == pytest.approx(0.0, abs=0.01)
+    driven = {s.line for p in plan.paths for s in p.sections if s.section_type is PathSectionType.SWATH}
+    assert sorted(driven) == sorted(s.number for s in plan.swaths)

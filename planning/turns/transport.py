@@ -1,0 +1,126 @@
+"""Ways of the folded rig through passages that are too narrow for the rig at work.
+
+Cheapest paths over a grid, which keep away from edges, give poses to pass; near ones are joined by turns.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+from scipy.ndimage import distance_transform_edt, uniform_filter1d
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from geometry.arrays import Bool, Float64, Int32
+from geometry.polygon import shrink
+from geometry.polyline import headings, resample
+from geometry.pose2 import Pose2
+from planning.turns.free_space import FreeSpace
+from planning.turns.search import Connection, ConnectionRequest, TurnTimes, find_turn
+
+MIN_CELL_M, MAX_CELLS = 0.5, 1_000_000
+EDGE_COST = 4.0  # of a cell at an edge, in cells far from edges
+STEP_M, SMOOTHED_M, SPACING_M = 0.5, 6.0, 6.0
+SKIPPED = 6  # poses to the next one that is joined, at most
+NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
+
+
+@dataclass(frozen=True)
+class TransportWays:
+    """Ways of the bodies of `space` from a pose `hub` to others, and back to it."""
+
+    hub: Pose2
+    space: FreeSpace
+    times: TurnTimes
+
+    def to(self, pose: Pose2) -> Connection | None:
+        """Way to a pose, or None."""
+        points = self._guide(pose)
+        return None if points is None else self._way(self.hub, pose, points)
+
+    def back(self, pose: Pose2) -> Connection | None:
+        """Way from a pose back, or None."""
+        points = self._guide(pose)
+        return None if points is None else self._way(pose, self.hub, points[::-1])
+
+    def _way(self, start: Pose2, goal: Pose2, points_m: Float64) -> Connection | None:
+        """Fastest way that passes poses along a polyline (N, 2) from one of its ends to the other."""
+        poses, straight_m = [start, *_poses(points_m), goal], self.space.smoothing_m / 2.0  # no step of curvature
+        ways: list[tuple[float, tuple[Connection, ...]] | None] = [(0.0, ())]
+        for k, pose in enumerate(poses[1:], 1):
+            found = []
+            for n in range(max(0, k - SKIPPED), k):
+                if (way := ways[n]) is not None:
+                    request = ConnectionRequest(poses[n], pose, straight_m, straight_m)
+                    turn = find_turn(request, self.space, self.times)
+                    found += [(way[0] + turn.time_s, (*way[1], turn))] if turn is not None else []
+            ways.append(min(found, key=lambda f: f[0], default=None))
+        last = ways[-1]
+        return None if last is None else Connection(tuple(leg for turn in last[1] for leg in turn.legs), last[0])
+
+    def _guide(self, goal: Pose2) -> Float64 | None:
+        """Cheapest path over the grid to a pose, (N, 2), or None."""
+        x, y, _ = self._grid
+        first, last = self._cell(self.hub), self._cell(goal)
+        cells = [last]
+        while cells[-1] != first:
+            cells.append(int(self._before[cells[-1]]))
+            if cells[-1] < 0:
+                return None
+        column, row = np.divmod(np.array(cells[::-1]), len(y))
+        return np.vstack([self.hub[:2], np.column_stack([x[column], y[row]]), goal[:2]])
+
+    @cached_property
+    def _grid(self) -> tuple[Float64, Float64, Bool]:
+        """Coordinates of columns and rows, and where the middle of the rig may be, (columns, rows)."""
+        cell_m = max(MIN_CELL_M, math.sqrt(self.space.allowed.area / MAX_CELLS))
+        x0, y0, x1, y1 = self.space.allowed.bounds
+        x, y = np.arange(x0, x1 + cell_m, cell_m), np.arange(y0, y1 + cell_m, cell_m)
+        area = shrink(self.space.allowed, max(b.half_width_m for b in self.space.bodies) - MIN_CELL_M / 2.0)
+        shapely.prepare(area)
+        return x, y, np.asarray(shapely.contains_xy(area, *np.meshgrid(x, y, indexing="ij")), np.bool_)
+
+    @cached_property
+    def _before(self) -> Int32:
+        """Cell before each cell on the cheapest path from the hub, negative where there is none."""
+        x, _, is_free = self._grid
+        away_m = distance_transform_edt(np.pad(is_free, 1))[1:-1, 1:-1] * (x[1] - x[0])
+        cost = 1.0 + EDGE_COST * np.clip(1.0 - away_m / self.space.radius_m, 0.0, 1.0)
+        first = np.array([self._cell(self.hub)])
+        found = dijkstra(_graph(is_free, cost), directed=False, indices=first, return_predecessors=True)[1]
+        return np.asarray(found[0], np.int32)
+
+    def _cell(self, pose: Pose2) -> int:
+        """Number of the free cell nearest to a pose, -1 without any."""
+        x, y, is_free = self._grid
+        columns, rows = np.nonzero(is_free)
+        if not len(columns):
+            return -1
+        k = int(np.argmin(np.hypot(x[columns] - pose.x_m, y[rows] - pose.y_m)))
+        return int(columns[k] * len(y) + rows[k])
+
+
+def _poses(points_m: Float64) -> list[Pose2]:
+    """Poses along a polyline (N, 2) between its ends, `SPACING_M` apart."""
+    line = uniform_filter1d(resample(points_m, STEP_M), int(SMOOTHED_M / STEP_M), axis=0, mode="nearest")
+    line = resample(line, STEP_M)
+    heading, every = headings(line), int(SPACING_M / STEP_M)
+    return [Pose2(*map(float, (*line[k], heading[k]))) for k in range(every, len(line) - every // 2, every)]
+
+
+def _graph(is_free: Bool, cost: Float64) -> "csr_array[np.float64, tuple[int, int]]":
+    """Costs between free neighbouring cells."""
+    columns, rows = is_free.shape
+    index = np.arange(columns * rows).reshape(columns, rows)
+    first, second, weight = [], [], []
+    for i, j in NEIGHBOURS:
+        a = np.s_[: columns - i, max(0, -j) : rows - max(0, j)]
+        b = np.s_[i:, max(0, j) : rows - max(0, -j)]
+        both = is_free[a] & is_free[b]
+        first.append(index[a][both])
+        second.append(index[b][both])
+        weight.append(math.hypot(i, j) * 0.5 * (cost[a][both] + cost[b][both]))
+    ends = np.concatenate(first), np.concatenate(second)
+    return coo_array((np.concatenate(weight), ends), shape=(index.size, index.size)).tocsr()
