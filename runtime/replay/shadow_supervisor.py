@@ -72,8 +72,8 @@ class ShadowSupervisor(Node):
             field = config.field.model_copy(update={"lateral_margin_near_m": 0.0, "lateral_margin_far_m": 0.0})
             config = config.model_copy(update={"field": field})
         self.supervisor = Supervisor(
-            vehicle, implement, config, None, (), known_structure, idle, SHADOW_RULES, AutomaticMode(config.modes),
-            CollisionMonitor if half_width_m is None else PlannedPathMonitor,
+            vehicle, implement, config, None, (), known_structure, idle, None, SHADOW_RULES,
+            AutomaticMode(config.modes), CollisionMonitor if half_width_m is None else PlannedPathMonitor,
         )  # fmt: skip
         self.name, self.reads, self.runs = self.supervisor.name, self.supervisor.reads, self.supervisor.runs
         self.writes = ("supervisor",)
