@@ -110,7 +110,7 @@ class LidarSource:
         field = self._config.field
         needs_near_field = self._looks_down or self._consented_m > 0.0
         near_field = near_box(self.footprint, self._config.near_field) if needs_near_field else None
-        area = box if near_field is None else enclosing(box, near_field)
+        area = box if near_field is None or not self._looks_down else enclosing(box, near_field)
         near = crop(xyz, area, self.footprint.height_m + field.overhead_margin_m)
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
         near = near[~is_machine & is_body[near]]  # before deskewing: the machine moves with the sensor

@@ -60,7 +60,8 @@ def mark_low_obstacles(
     even_m, plants_m = even_plants_m(tops_m, top_z_m[is_near], vegetation), np.zeros(shape)
     if consented_m > 0.0:
         plants_m = heights_of_plants(tops_m, vegetation, even_m, consented_m)
-    rough_m = quantile_of(ground_tops_m[plants_m == 0.0], config.roughness_quantile)
+    is_ground = (plants_m == 0.0) | (even_m == 0.0)  # a few cells may be rough ground just as well
+    rough_m = quantile_of(ground_tops_m[is_ground], config.roughness_quantile)
     min_height_m = max(config.min_height_m, config.roughness_factor * rough_m)
     is_above = height_m > min_height_m
     is_dense = height_m > max(config.min_height_m, config.dense_factor * rough_m)
@@ -100,7 +101,8 @@ def even_plants_m(tops_m: Float64, near_top_z_m: Float64, config: VegetationConf
         height_m = quantile_of(tops_m, 1.0 - config.share)
         is_rough = config.min_texture_m <= height_m <= config.max_height_m
         if is_rough and np.count_nonzero(np.isfinite(near_top_z_m)) >= config.min_near_cells:
-            height_m = max(height_m, quantile_of(near_top_z_m, 1.0 - config.share))
+            low_m, surface_m = (quantile_of(near_top_z_m, share) for share in (0.25, 1.0 - config.share))
+            height_m = max(height_m, surface_m if low_m >= 0.5 * surface_m else 0.0)  # else a slope
     return height_m if config.min_height_m < height_m <= config.max_height_m else 0.0
 
 

@@ -187,3 +187,26 @@ def test_only_lidars_that_look_down_measure_the_ground(config: SupervisorConfig,
             scan = LidarScan(stamp_ns, np.empty((0, 0), np.uint16), none, none, points_m, NO_BYTES, none.astype("f4"))
             source.update(scan, np.zeros(3), Motion(0.0, 0.0), 0.0, AREA)
         assert len(source.hits_odom_m) == pytest.approx(count, abs=0.1 * count)
+
+
+@clause("BD-5.2.4", rule="vegetation")
+@pytest.mark.parametrize("elevation_deg", [[-40.0, -10.0], [-40.0, 5.0]])
+def test_lidar_in_crop(config: SupervisorConfig, vehicle: Vehicle, elevation_deg: list[float]) -> None:
+    """Near the machine crop of 0.35 m is above the least height of every lidar, whether it looks down or not."""
+    mount = Mount(xyz_m=(3.0, 0.0, 2.0))
+    lidar = vehicle.sensors.lidar["front"].model_copy(update={"mount": mount, "elevation_deg": elevation_deg})
+    footprint, rng = footprints_of(vehicle, None).working, np.random.default_rng(5)
+    crop = crop_of(rng, 0.35)
+    crop[2, crop[2] > 0.15] = rng.uniform(0.3, 0.36, np.count_nonzero(crop[2] > 0.15))
+    child = np.stack([rng.uniform(7.9, 8.1, 30), rng.uniform(-0.2, 0.2, 30), np.linspace(0.1, 0.9, 30)])
+    for consented_m, has_child, sees in ((0.0, False, True), (0.35, False, False), (0.35, True, True)):
+        source = LidarSource("low", lidar, footprint, config, consented_m)
+        points = np.concatenate([crop, child], axis=1) if has_child else crop
+        points_m = np.ascontiguousarray((points - np.array([[3.0], [0.0], [2.0]])).T, np.float32)
+        for k in range(2):
+            stamp_ns, none = START_NS + k * 100_000_000, np.empty(0)
+            scan = LidarScan(stamp_ns, np.empty((0, 0), np.uint16), none, none, points_m, NO_BYTES, none.astype("f4"))
+            source.update(scan, np.zeros(3), Motion(0.0, 0.0), 0.0, AREA)
+        assert bool(len(source.hits_odom_m)) == sees, (consented_m, has_child)
+        if has_child:
+            assert np.abs(source.hits_odom_m[:, :2] - [8.0, 0.0]).max() < 0.3
