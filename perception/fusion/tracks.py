@@ -267,7 +267,8 @@ def velocities(table: TrackTable, config: TrackerConfig) -> tuple[Float64, Float
     """Velocity (T, 2) of tracks with confirmed motion, else 0: one jump is no motion; and its covariance (T, 2, 2)."""
     moves = (table.has_moved > 0) & is_moving(table.x, table.P, config)
     fitted, sigma, is_fitted = line_motion(table.recent_ns, table.recent_m, table.size_m, config)
-    velocity = np.where(is_fitted[:, None], fitted, np.where(moves[:, None], table.x[:, 2:], 0.0))
+    is_fitted &= ~moves
+    velocity = np.where(moves[:, None], table.x[:, 2:], np.where(is_fitted[:, None], fitted, 0.0))
     covariance = np.where(is_fitted[:, None, None], (sigma**2)[:, None, None] * np.eye(2), table.P[:, 2:, 2:])
     return velocity, covariance
 

@@ -73,7 +73,8 @@ def mark_low_obstacles(
         is_above = np.where(plant_m > 0.0, ~is_plant[inside], is_above)
         count = np.bincount(cell)[cell]
         is_above &= np.bincount(cell, is_above)[cell] >= config.min_share * count
-        is_dense &= (plant_m == 0.0) & (np.bincount(cell, is_dense)[cell] >= config.dense_share * count)
+        many = np.bincount(cell, is_dense & (plant_m == 0.0))[cell]
+        is_dense &= (plant_m == 0.0) & (many >= np.maximum(config.dense_returns, config.dense_share * count))
         is_above |= is_dense
     is_obstacle[inside] = is_above
     return NearField(is_obstacle, is_plant, min_height_m, even_m)

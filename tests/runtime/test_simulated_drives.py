@@ -13,6 +13,7 @@ import pytest
 
 from hmi.parts import Drive
 from hmi.plan_view.mission_store import StoredMission
+from hmi.setup_view.store import SetupStore
 from interfaces.orders.config import ORDERS, OrderKey
 from interfaces.orders.port import OrderPort
 from runtime.commands.options import parse_arguments
@@ -78,7 +79,7 @@ def drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, port: int) -> Iterat
     order_port = OrderPort(port)
     arguments = parse_arguments(["page", "--mission", "line", "--scenario", "empty"])
     key = OrderKey(public_key="00" * 32, authority="operator", orders=tuple(ORDERS), lost_operator_s=None)
-    found = SimulatedDrives(arguments, order_port, key)
+    found = SimulatedDrives(arguments, order_port, key, SetupStore(tmp_path / "setup.db"))
     order_port.close()
     yield found
     found.end()

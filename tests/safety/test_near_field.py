@@ -70,10 +70,10 @@ def test_a_low_body_among_rows_of_crop(config: SupervisorConfig) -> None:
     """Rows reach 0.08 m, so a few returns count from 0.2 m on, and many from 0.12 m."""
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        xyz = field_of(rng, 0.01)
+        xyz = np.concatenate([field_of(rng, 0.01), field_of(rng, 0.01)], axis=1)
         is_row = (xyz[1] % 1.0 < 0.2) & (rng.random(xyz.shape[1]) < 0.3)
         xyz[2, is_row] += rng.uniform(0.02, 0.09, is_row.sum())
-        is_body = put_body(xyz, 0.16, (1.0, 0.3))
+        is_body = put_body(xyz, 0.17, (1.1, 0.45))
         found = marked(xyz, AREA, config)
         assert found.min_height_m > 0.17
         assert np.count_nonzero(found.is_obstacle & is_body) >= 5
