@@ -1,9 +1,8 @@
-"""Fitted motion: velocity of a compact body by a straight line through its last lidar detections.
+"""Slow motion: velocity of a compact body by a straight line through its last lidar detections.
 
 The filter allows for a body that starts to walk: its velocity remains uncertain by 0.4 to 0.6 m/s, and a slow one never
 counts as moving. The centre of the box of a small body moves with the view by a few centimetres only, so a line through
-one second of detections gives its velocity to 0.1 m/s. In half a second a fast one has moved as far, and a body that
-stood until then is seen to move the earlier.
+one second of detections gives its velocity to 0.1 m/s.
 """
 
 import numpy as np
@@ -15,22 +14,16 @@ from geometry.arrays import Bool, Float64, Int64
 KEPT = 12  # detections of a track
 
 
-class FittedWindow(Config):
-    """Detections through which a line is laid, and the least speed that is motion."""
-
-    window_s: float = Field(gt=0.0, le=10.0)
-    detections: int = Field(ge=3, le=KEPT, description="fewest")
-    min_speed_mps: float = Field(gt=0.0, le=5.0)
-
-
 class FittedMotionConfig(Config):
     """When a line through the last detections of a track is motion."""
 
-    windows: tuple[FittedWindow, ...] = Field(min_length=1, description="the first that shows motion counts")
+    window_s: float = Field(gt=0.0, le=10.0)
+    detections: int = Field(ge=3, le=KEPT, description="fewest")
     max_length_m: float = Field(gt=0.0, le=20.0, description="of a body; the visible part of a longer one changes")
     min_height_m: float = Field(ge=0.0, le=2.0, description="of a body; the visible part of a wire moves with the view")
     max_residual_m: float = Field(gt=0.0, le=1.0, description="root mean square in each axis")
     min_residual_m: float = Field(gt=0.0, le=1.0, description="assumed at least, for sigma")
+    min_speed_mps: float = Field(gt=0.0, le=5.0)
     sigmas: float = Field(gt=0.0, le=20.0, description="of a speed that is motion")
     length_share: float = Field(ge=0.0, le=5.0, description="least distance, over the length of the body")
 
@@ -45,24 +38,8 @@ def fitted_motion(
     recent_ns: Int64, recent_m: Float64, size_m: Float64, config: FittedMotionConfig
 ) -> tuple[Float64, Float64, Bool]:
     """Velocity (T, 2), its sigma (T,) in each axis, and whether that is motion (T,), of tracks of a size (T, 3)."""
-    length_m, height_m = size_m[:, 0], size_m[:, 2]
-    velocity, sigma, moves = np.zeros((len(size_m), 2)), np.zeros(len(size_m)), np.zeros(len(size_m), np.bool_)
-    for window in config.windows:
-        v, s, distance_m, is_line = _line(recent_ns, recent_m, window, config)
-        speed = np.hypot(*v.T)
-        is_motion = is_line & (speed >= np.maximum(window.min_speed_mps, config.sigmas * s))
-        is_motion &= (distance_m >= config.length_share * length_m) & ~moves
-        velocity[is_motion], sigma[is_motion] = v[is_motion], s[is_motion]
-        moves |= is_motion
-    return velocity, sigma, moves & (length_m <= config.max_length_m) & (height_m >= config.min_height_m)
-
-
-def _line(
-    recent_ns: Int64, recent_m: Float64, window: FittedWindow, config: FittedMotionConfig
-) -> tuple[Float64, Float64, Float64, Bool]:
-    """Velocity (T, 2), its sigma, the distance covered, and whether the detections of a window lie on a line (T,)."""
     t = (recent_ns - recent_ns[:, -1:]) * 1e-9
-    used = (recent_ns > 0) & (t >= -window.window_s)
+    used = (recent_ns > 0) & (t >= -config.window_s)
     n = used.sum(axis=1)
     share = used / np.maximum(n, 1)[:, None]
     t = np.where(used, t - (t * share).sum(axis=1, keepdims=True), 0.0)
@@ -70,7 +47,11 @@ def _line(
     square = np.maximum((t**2).sum(axis=1), 1e-9)
     velocity = (t[:, :, None] * p).sum(axis=1) / square[:, None]
     residual = np.sqrt(((p - t[:, :, None] * velocity[:, None]) ** 2).sum(axis=1) / np.maximum(n - 2, 1)[:, None])
-    residual_m = residual.max(axis=1)
-    sigma = np.maximum(residual_m, config.min_residual_m) / np.sqrt(square)
-    distance_m = np.hypot(*velocity.T) * (t.max(axis=1) - t.min(axis=1))
-    return velocity, sigma, distance_m, (n >= window.detections) & (residual_m <= config.max_residual_m)
+    sigma = np.maximum(residual.max(axis=1), config.min_residual_m) / np.sqrt(square)
+    speed = np.hypot(*velocity.T)
+    moves = (n >= config.detections) & (residual.max(axis=1) <= config.max_residual_m)
+    length_m, height_m = size_m[:, 0], size_m[:, 2]
+    moves &= (length_m <= config.max_length_m) & (height_m >= config.min_height_m)
+    moves &= speed >= np.maximum(config.min_speed_mps, config.sigmas * sigma)
+    moves &= speed * (t.max(axis=1) - t.min(axis=1)) >= config.length_share * length_m
+    return velocity, sigma, moves

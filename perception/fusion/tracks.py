@@ -266,19 +266,11 @@ def merge_fragments(
 def velocities(table: TrackTable, config: TrackerConfig) -> tuple[Float64, Float64]:
     """Velocity (T, 2) of tracks with confirmed motion, else 0: one jump is no motion; and its covariance (T, 2, 2)."""
     moves = (table.has_moved > 0) & is_moving(table.x, table.P, config)
-    fitted, sigma, is_fitted = line_motion(table.recent_ns, table.recent_m, table.size_m, config)
-    is_fitted &= ~moves
-    velocity = np.where(moves[:, None], table.x[:, 2:], np.where(is_fitted[:, None], fitted, 0.0))
-    covariance = np.where(is_fitted[:, None, None], (sigma**2)[:, None, None] * np.eye(2), table.P[:, 2:, 2:])
+    slow, sigma, is_slow = fitted_motion(table.recent_ns, table.recent_m, table.size_m, config.fitted_motion)
+    is_slow &= ~moves
+    velocity = np.where(moves[:, None], table.x[:, 2:], np.where(is_slow[:, None], slow, 0.0))
+    covariance = np.where(is_slow[:, None, None], (sigma**2)[:, None, None] * np.eye(2), table.P[:, 2:, 2:])
     return velocity, covariance
-
-
-def line_motion(
-    recent_ns: Int64, recent_m: Float64, size_m: Float64, config: TrackerConfig
-) -> tuple[Float64, Float64, Bool]:
-    """Result of `fitted_motion`; strips do not move: their visible ends move with the view."""
-    velocity, sigma, moves = fitted_motion(recent_ns, recent_m, size_m, config.fitted_motion)
-    return velocity, sigma, moves & ~config.noise.is_strip(size_m)
 
 
 def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> Bool:

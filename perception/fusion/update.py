@@ -8,7 +8,7 @@ from perception.fusion.fitted_motion import remember
 from perception.fusion.fragments import shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.static_occupancy import StaticOccupancy
-from perception.fusion.tracks import TrackerConfig, TrackTable, is_moving, is_vehicle, line_motion, nanoseconds
+from perception.fusion.tracks import TrackerConfig, TrackTable, is_moving, is_vehicle, nanoseconds
 
 FRAGMENT_LENGTH_RATIO = 0.6  # a shorter detection of a vehicle is a fragment of it
 FRAGMENT_GAIN = 0.01  # of a fragment on the size of its vehicle
@@ -46,7 +46,6 @@ def update(
     if detections.has_bearing:
         _confirm_motion(table, tracks, z, detections.stamp_ns, config)
     _remember(table, tracks[~is_piece], detections, rows[~is_piece])
-    _start_motion(table, tracks, detections, rows, config)
     _update_boxes(table, tracks, detections, rows, is_piece, fixed, lidars)
     _add_evidence(table, tracks, detections, rows, is_piece, config)
     table.last_ns[tracks] = detections.stamp_ns
@@ -99,21 +98,6 @@ def _remember(table: TrackTable, tracks: Int64, detections: Detections, rows: In
         recent_ns, recent_m = table.recent_ns[tracks], table.recent_m[tracks]
         remember(recent_ns, recent_m, detections.stamp_ns, detections.p_m[rows, :2])
         table.recent_ns[tracks], table.recent_m[tracks] = recent_ns, recent_m
-
-
-def _start_motion(table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, config: TrackerConfig) -> None:
-    """Sets, in place, state and motion of bodies that a line through their detections shows to start."""
-    if not detections.is_lidar:
-        return
-    fitted, sigma, starts = line_motion(table.recent_ns[tracks], table.recent_m[tracks], table.size_m[tracks], config)
-    starts &= table.has_moved[tracks] == 0
-    which, seen = tracks[starts], rows[starts]
-    table.x[which] = np.concatenate([detections.p_m[seen, :2], fitted[starts]], axis=1)
-    table.P[which] = 0.0
-    table.P[which, :2, :2] = detections.R[seen]
-    table.P[which, 2:, 2:] = (sigma[starts] ** 2)[:, None, None] * np.eye(2)
-    table.has_moved[which], table.moving_since_ns[which] = 1, detections.stamp_ns
-    table.motion_origin_m[which] = detections.p_m[seen, :2]
 
 
 def _is_structure(size_m: Float64, config: TrackerConfig) -> Bool:

@@ -66,7 +66,9 @@ def mark_low_obstacles(
     is_above = height_m > min_height_m
     is_dense = height_m > max(config.min_height_m, config.dense_factor * rough_m)
     if is_dense.any() or plants_m.any():
-        row, column = ((xyz[k, inside] - low) // config.cell_m for k, low in enumerate((x_low, y_low)))
+        row, column = (
+            np.minimum((xyz[k, inside] - low) // config.cell_m, shape[k] - 1) for k, low in enumerate((x_low, y_low))
+        )
         cell = (row * shape[1] + column).astype(np.int64)
         plant_m = plants_m.ravel()[cell]
         is_plant[inside] = (plant_m > 0.0) & (height_m <= plant_m + vegetation.margin_m)

@@ -312,25 +312,3 @@ def test_prediction_by_partial_steps(step_s):
         predict(b, Q, step_s / 5, 2.0)
     assert a == pytest.approx(b)
     assert pytest.approx(Q) == P
-
-
-def starts_to_walk(sizes, after_s=0.5):
-    """The track of a body that stands for a second and then walks at 1.5 m/s along its length, some time after that."""
-    times = np.arange(0.0, 1.0 + after_s + 1e-9, 0.1)
-    scans = [
-        message(START + round(t * NS), [[12.0 - 1.5 * max(0.0, t - 1.0), 4.0, 0.5]], sizes, seed=k, returns=60)
-        for k, t in enumerate(times.tolist())
-    ]
-    (track,) = run(new_tracker(), scans)[-1].tracks
-    return track
-
-
-def test_a_body_that_starts_to_walk():
-    track = starts_to_walk((1.2, 0.4, 0.9))
-    assert track.velocity_mps[:2] == pytest.approx([-1.3, 0.0], abs=0.3)
-    assert track.p_odom_m[:2] == pytest.approx([12.0 - 1.5 * 0.5, 4.0], abs=0.15)  # the filter alone is 0.4 m behind
-    assert np.sqrt(track.covariance[2, 2]) < 0.25
-
-
-def test_a_strip_of_a_fence_does_not_start():
-    assert not starts_to_walk((1.7, 0.05, 0.9)).velocity_mps.any()
