@@ -11,7 +11,6 @@ from messages.perception import Obstacles, Track, Tracks
 from messages.topics import spec_of
 from perception.fusion.classes import classify
 from perception.fusion.detections import to_odom
-from perception.fusion.separation import separate
 from perception.fusion.static_occupancy import StaticOccupancy
 from perception.fusion.tracks import (
     CLASSES,
@@ -28,7 +27,6 @@ from perception.fusion.tracks import (
     parent_tracks,
     penalize_misses,
     predict_tracks,
-    separable,
     start_tracks,
     unmatched,
     velocities,
@@ -83,10 +81,8 @@ class Tracker(Node):
 
     def _process(self, message: Obstacles, odom: Odometry, sensor: int) -> None:
         config, table = self._config, self._table
-        predict_tracks(table, (message.stamp_ns - self._stamp_ns) * 1e-9 if self._stamp_ns else 0.0, config)
-        if self._lidars >> sensor & 1:
-            message = separate(message, odom.T_odom_base, *separable(table, self._lidars, config), config.separation)
         detections = to_odom(message, odom.T_odom_base, sensor, self._static_occupancy, config.kinds, config.noise)
+        predict_tracks(table, (message.stamp_ns - self._stamp_ns) * 1e-9 if self._stamp_ns else 0.0, config)
         self._stamp_ns = max(self._stamp_ns, message.stamp_ns)
         tracks, rows = match(table, detections, config)
         if len(tracks):

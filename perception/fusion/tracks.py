@@ -13,7 +13,6 @@ from perception.fusion.detections import Detections, KindConfig, KindConfigs, No
 from perception.fusion.fitted_motion import KEPT, FittedMotionConfig, fitted_motion
 from perception.fusion.fragments import VEHICLE, FragmentsConfig, ParentTracks, is_fragment
 from perception.fusion.kalman import distances, predict
-from perception.fusion.separation import SeparationConfig
 from perception.fusion.static_occupancy import StaticOccupancy, StaticOccupancyConfig
 
 CLASSES = tuple(ObstacleClass)
@@ -42,7 +41,6 @@ class TrackerConfig(Config):
     lost_s: float = Field(gt=0.0, le=10.0, description="gap after which the velocity of a track is reset")
     moving_sigma: float = Field(gt=0.0, le=10.0, description="a slower speed is published as 0")
     fitted_motion: FittedMotionConfig
-    separation: SeparationConfig
     class_memory: float = Field(
         ge=0.0, lt=1.0, description="share of the class evidence kept from one detection to the next"
     )
@@ -221,16 +219,6 @@ def parent_tracks(table: TrackTable, lidars: int, config: TrackerConfig) -> Pare
         row, table.x[row], table.size_m[row], table.yaw_rad[row], velocities(table, config)[0][row],
         is_vehicle(table.class_evidence[row]),
     )  # fmt: skip
-
-
-def separable(table: TrackTable, lidars: int, config: TrackerConfig) -> tuple[Float64, Float64, Float64, Bool]:
-    """Position (T, 2), size, yaw and whether the class may move, of confirmed tracks that lidars (bits) measure.
-
-    The position is that of the last detection while no motion is confirmed: the filter follows it late.
-    """
-    row = np.flatnonzero((table.is_confirmed > 0) & measured_by_lidar(table, lidars, config))
-    p = np.where(table.has_moved[row, None] > 0, table.x[row, :2], table.recent_m[row, -1])
-    return p, table.size_m[row], table.yaw_rad[row], is_moving_class(table.class_evidence[row])
 
 
 def measured_by_lidar(table: TrackTable, lidars: int, config: TrackerConfig) -> Bool:
