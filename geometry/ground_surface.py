@@ -44,7 +44,7 @@ def heights_above_ground(
     for k in range(count):
         height[k] = xyz[2, k]
         by_cell[place[k]] = height[k]
-    tops[0] = _second_largest(by_cell, begin, np.inf)
+    tops[0] = second_largest(by_cell, begin, np.inf)
     trend = _smoothed(envelope(_low(by_cell, begin, quantile, rows, columns), slope * cell_m, REACH))
     for k in range(count):
         height[k] -= _interpolated(
@@ -55,7 +55,7 @@ def heights_above_ground(
     for k in range(count):
         height[k] -= rest[cell[k] // columns, cell[k] % columns]
         by_cell[place[k]] = height[k]
-    tops[1], tops[2] = _second_largest(by_cell, begin, np.inf), _second_largest(by_cell, begin, ground_limit_m)
+    tops[1], tops[2] = second_largest(by_cell, begin, np.inf), second_largest(by_cell, begin, ground_limit_m)
     return height, tops.reshape((3, rows, columns))
 
 
@@ -144,9 +144,10 @@ def _low(by_cell: Float64, begin: Int64, quantile: float, rows: int, columns: in
     return low
 
 
-@inline_kernel
-def _second_largest(by_cell: Float64, begin: Int64, limit: float) -> Float64:
-    """Second largest value below the limit of each cell; infinite where fewer than three are."""
+@kernel
+def second_largest(by_cell: Float32 | Float64, begin: Int32 | Int64, limit: float) -> Float64:
+    """Second largest value below the limit of each cell c, `by_cell[begin[c]:begin[c + 1]]`; infinite where fewer than
+    three are."""
     found = np.full(len(begin) - 1, np.inf)
     for here in range(len(begin) - 1):
         largest, second, count = -np.inf, -np.inf, 0

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from configs.machine_setup import MachineSetup, setup_from_json
+from hmi.database import open_database
 from messages.errors import HeadlandError
 
-VERSION = 1
-BUSY_S = 5.0
 FILES = "configs"  # author of the versions that come from the configuration files
 CREATE = """CREATE TABLE IF NOT EXISTS versions (
   machine TEXT NOT NULL, number INTEGER NOT NULL, stored_s REAL NOT NULL, author TEXT NOT NULL, note TEXT NOT NULL,
@@ -41,18 +40,7 @@ class SetupStore:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._link = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
-            version = self._link.execute("PRAGMA user_version").fetchone()[0]
-            if version not in (0, VERSION):
-                raise HeadlandError(f"{path}: setups of version {version}, this program reads {VERSION}")
-            self._link.execute("PRAGMA journal_mode = WAL")
-            self._link.execute("PRAGMA synchronous = FULL")
-            self._link.execute(CREATE)
-            self._link.execute(f"PRAGMA user_version = {VERSION}")
-        except (sqlite3.Error, OSError) as error:
-            raise HeadlandError(f"{path}: cannot be used for the setup ({error}); move it away") from error
+        self._link = open_database(path, "setup", "setups", CREATE)
 
     def close(self) -> None:
         """Closes the database."""

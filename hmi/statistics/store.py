@@ -6,10 +6,8 @@ import sqlite3
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
+from hmi.database import open_database
 from messages.errors import HeadlandError
-
-VERSION = 1
-BUSY_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -49,18 +47,7 @@ class StatisticsStore:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._link = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
-            version = self._link.execute("PRAGMA user_version").fetchone()[0]
-            if version not in (0, VERSION):
-                raise HeadlandError(f"{path}: statistics of version {version}, this program reads {VERSION}")
-            self._link.execute("PRAGMA journal_mode = WAL")
-            self._link.execute("PRAGMA synchronous = FULL")  # one transaction in some seconds, also after a power cut
-            self._link.execute(CREATE)
-            self._link.execute(f"PRAGMA user_version = {VERSION}")
-        except (sqlite3.Error, OSError) as error:
-            raise HeadlandError(f"{path}: cannot be used for the statistics ({error}); move it away") from error
+        self._link = open_database(path, "statistics", "statistics", CREATE)
 
     def close(self) -> None:
         """Closes the database."""

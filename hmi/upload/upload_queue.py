@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hmi.database import open_database
 from messages.errors import HeadlandError
 
-VERSION = 1
-BUSY_S = 5.0
 MAX_ITEMS = 200_000  # then the oldest are dropped, and counted
 CREATE = """CREATE TABLE IF NOT EXISTS items (
   number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, kind TEXT NOT NULL, body TEXT NOT NULL)"""
@@ -33,18 +32,7 @@ class UploadQueue:
     def __init__(self, path: Path, most: int = MAX_ITEMS) -> None:
         self._path, self._most = path, most
         self.dropped = 0
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._link = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
-            version = self._link.execute("PRAGMA user_version").fetchone()[0]
-            if version not in (0, VERSION):
-                raise HeadlandError(f"{path}: upload queue of version {version}, this program reads {VERSION}")
-            self._link.execute("PRAGMA journal_mode = WAL")
-            self._link.execute("PRAGMA synchronous = FULL")
-            self._link.execute(CREATE)
-            self._link.execute(f"PRAGMA user_version = {VERSION}")
-        except (sqlite3.Error, OSError) as error:
-            raise HeadlandError(f"{path}: cannot be used for the upload queue ({error}); move it away") from error
+        self._link = open_database(path, "upload queue", "upload queue", CREATE)
 
     def put(self, kind: str, body: Mapping[str, Any]) -> str:
         """Adds an item, on disk when this returns; its id."""

@@ -2,7 +2,7 @@
 
        ,  ,   o   , ,                 top of a cell: its second highest return above the ground
       ||,|||,/|\\,|||||,|              plants: upper quartile of such tops in the cells around it
-    --||||||||||||||||||-- ground      counts: what stands out of them by the margin
+    --||||||||||||||||||-- ground      counts: what is higher than the plants by the margin
 
 A body covers few of the cells. The ground between dense plants is not seen, and what is found there lies within them.
 """
@@ -13,16 +13,14 @@ from scipy.ndimage import maximum_filter
 
 from configs.strict import Config
 from geometry.arrays import Float32, Float64, Int32
-from geometry.ground_surface import plant_heights
-from geometry.jit import kernel
+from geometry.ground_surface import plant_heights, second_largest
 from perception.lidar.grid import Grid
 
 REACH = 2  # sectors and bins to either side over which plants are even
-MIN_RETURNS = 3
 
 
 class VegetationConfig(Config):
-    """Heights of plants above the ground that is found, and what stands out of them."""
+    """Heights of plants above the ground that is found, and how much higher than plants an obstacle is."""
 
     range_m: float = Field(ge=3.0, le=80.0, description="within which plants rise above the ground that is found")
     min_height_m: float = Field(gt=0.0, le=1.0)
@@ -38,7 +36,7 @@ def plants(z: Float32, starts: Int32, surface_m: Float64, grid: Grid, config: Ve
     `z`, `starts`: heights sorted by cell, as of `sort_into_cells`; `surface_m` (sectors, bins): the ground.
     """
     bins = int(np.searchsorted(grid.range_m, config.range_m))
-    tops = _tops(z, starts, surface_m, bins)
+    tops = (second_largest(z, starts, np.inf).reshape(surface_m.shape) - surface_m)[:, :bins]
     known = tops[np.isfinite(tops)]
     is_plant = (known > config.min_height_m) & (known <= config.max_height_m)
     if np.count_nonzero(is_plant) <= config.min_share * len(known):
@@ -59,21 +57,3 @@ def is_within(height_m: Float32, polar: Float32, plants_m: Float64 | None) -> np
     sector, at = polar[:, 0].astype(np.int64), polar[:, 1].astype(np.int64)
     plant_m = plants_m[sector, np.minimum(at, plants_m.shape[1] - 1)]
     return np.asarray((polar[:, 1] >= 0.0) & (plant_m > 0.0) & (height_m <= plant_m))
-
-
-@kernel
-def _tops(z: Float32, starts: Int32, surface: Float64, bins: int) -> Float64:
-    """Second highest return of each cell of the first `bins` above the surface; infinite with fewer than three."""
-    sectors, columns = surface.shape
-    out = np.full((sectors, bins), np.inf)
-    for sector in range(sectors):
-        for b in range(bins):
-            cell = sector * columns + b
-            if starts[cell + 1] - starts[cell] < MIN_RETURNS:
-                continue
-            largest = second = -np.inf
-            for k in range(starts[cell], starts[cell + 1]):
-                second = max(second, min(z[k], largest))
-                largest = max(largest, z[k])
-            out[sector, b] = second - surface[sector, b]
-    return out

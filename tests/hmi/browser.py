@@ -127,6 +127,12 @@ def log_in(page: Any, process: PageProcess, name: str = "operator", password: st
     page.click("button[type=submit]")
 
 
+def view(page: Any, name: str) -> None:
+    """Opens a view by its link."""
+    page.click(f"nav a[href^='/{'' if name == 'drive' else name}?']")
+    page.wait_for_selector(f".hl-view-{name}")
+
+
 def wait_for(page: Any, selector: str, pattern: str) -> str:
     """Waits until the text of an element matches a regular expression; returns it."""
     script = "([selector, pattern]) => new RegExp(pattern).test(document.querySelector(selector)?.textContent || '')"

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.hmi.accessibility import low_contrasts, small_targets
-from tests.hmi.browser import SIZES, Browser, PageProcess, add_user, log_in, needs_browser, page_process, wait_for
+from tests.hmi.browser import SIZES, Browser, PageProcess, add_user, log_in, needs_browser, page_process, view, wait_for
 from tests.hmi.planned import L_SHAPE, geojson
 
 pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.drive]
@@ -54,12 +54,6 @@ def anna(browser: Browser, process: PageProcess) -> Any:
     page.click("[data-hl=seat-button]")
     wait_for(page, "[data-hl=seat]", "You have control")
     return page
-
-
-def view(page: Any, name: str) -> None:
-    """Opens a view by its link."""
-    page.click(f"nav a[href^='/{'' if name == 'drive' else name}?']")
-    page.wait_for_selector(f".hl-view-{name}")
 
 
 def load(page: Any, path: Path) -> None:

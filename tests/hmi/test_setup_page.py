@@ -13,7 +13,7 @@ from runtime.assembly import plant_of
 from runtime.setup import load_scenario, load_setup
 from simulation.plant import Plant
 from tests.hmi.accessibility import low_contrasts, small_targets
-from tests.hmi.browser import SIZES, Browser, PageProcess, add_user, log_in, needs_browser, page_process, wait_for
+from tests.hmi.browser import SIZES, Browser, PageProcess, add_user, log_in, needs_browser, page_process, view, wait_for
 from tests.simulation.simulated_farm import CONFIG, Farm, machine_file
 
 pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.drive]
@@ -55,12 +55,6 @@ def in_control(browser: Browser, process: PageProcess) -> Any:
     page.click("[data-hl=seat-button]")
     wait_for(page, "[data-hl=seat]", "You have control")
     return page
-
-
-def view(page: Any, name: str) -> None:
-    """Opens a view by its link."""
-    page.click(f"nav a[href^='/{'' if name == 'drive' else name}?']")
-    page.wait_for_selector(f".hl-view-{name}")
 
 
 def edit(page: Any, key: str, text: str) -> None:

@@ -16,7 +16,7 @@ from hmi.plan_view.progress import PROGRESS
 from hmi.scene import Scene, scene_of
 from messages.truth import TrueMachine
 from tests.hmi.accessibility import low_contrasts, small_targets
-from tests.hmi.browser import Browser, PageProcess, add_user, log_in, needs_browser, page_process, wait_for
+from tests.hmi.browser import Browser, PageProcess, add_user, log_in, needs_browser, page_process, view, wait_for
 from tests.hmi.planned import corner_field, geojson
 
 pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.drive]
@@ -33,12 +33,6 @@ objects:
     behaviour: {kind: cross, when: {path_m: 160.0}, speed_mps: 0.8, distance_m: 26.0}
     expected_stops: 1
 """
-
-
-def view(page: Any, name: str) -> None:
-    """Opens a view by its link."""
-    page.click(f"nav a[href^='/{'' if name == 'drive' else name}?']")
-    page.wait_for_selector(f".hl-view-{name}")
 
 
 def seated(browser: Browser, process: PageProcess) -> Any:
