@@ -5,7 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.validation.hazards.scripts import FRONT_M, HALF_M, TOOL_HALF_M, drive, machine, moving_object, still_object, wall
+from tests.validation.hazards.scripts import (
+    FRONT_M,
+    HALF_M,
+    TOOL_HALF_M,
+    drive,
+    machine,
+    moving_object,
+    still_object,
+    wall,
+)
 from validation.hazards.avoidability import avoidability_of
 from validation.hazards.braking import BRAKING, speed_after, stopping_time, travel_after
 from validation.hazards.contacts import approach_of
