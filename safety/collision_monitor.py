@@ -6,7 +6,7 @@ geofence, known structure ───────┘   (updated on new data)      
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -230,7 +230,8 @@ class CollisionMonitor:
         self._critical_object = self._nearest_object(
             near, inputs.tracks, odom, swept_field.main, pose_odom, speed_mps, predicted_s
         )
-        self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns)
+        is_inside = self._inside_filter(pose_odom, pose_map)
+        self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside)
         self._geofence_distance_m = self._distance_inside_m(pose_map, swept_field, speed_mps, braking)
         self._update_wall_distance(pose_map, swept_field, sigma_m)
 
@@ -259,6 +260,15 @@ class CollisionMonitor:
         if is_known is not None and len(hits):
             hits = hits[~is_known(hits)]
         self.departure.update(thin(hits, THIN_M), swept_field.main, pose_odom, now_ns)
+
+    def _inside_filter(
+        self, pose_odom: Float64, pose_map: Float64 | None
+    ) -> Callable[[Float64], np.ndarray] | None:  # fmt: skip
+        """Tests points in odom for the geofence; None: not known."""
+        geofence = self._geofence
+        if geofence is None or pose_map is None:
+            return None
+        return lambda points_odom: geofence.contains(to_frame(pose_map, from_frame(pose_odom, points_odom)))
 
     def _known_structure_filter(
         self, pose_odom: Float64, pose_map: Float64 | None, sigma_m: float

@@ -3,11 +3,12 @@
 A body that sets off is known to move only after half a second, and reaches a wing 3 m away after one and a half: at
 10 km/h there is no time to stop. Before the place where it would be passed at a gap the machine is slow enough to stop
 short of it, and there to stand before the body has crossed the gap. A body that is lost from view, joined with what it
-stands beside, stays where it was for a time, and so does one whose class changes.
+stands beside, stays where it was for a time, and so does one whose class changes. Outside of the geofence, trunks and
+posts of hedge and fence have the shape of a person: who comes from there counts as soon as they move.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,13 +46,17 @@ class StandingBodies:
         self.slowest = NO_STANDING_BODY
 
     def update(
-        self, near: Iterable[tuple[Track, bool]], area: SweptArea, pose_odom: Float64, braking: Braking, now_ns: int
-    ) -> None:
-        """Takes the tracks, each with whether it moves, for base at `pose_odom` (3,) in odom."""
+        self, near: Iterable[tuple[Track, bool]], area: SweptArea, pose_odom: Float64, braking: Braking, now_ns: int,
+        is_inside: Callable[[Float64], np.ndarray] | None = None,
+    ) -> None:  # fmt: skip
+        """Takes the tracks, each with whether it moves, for base at `pose_odom` (3,) in odom.
+
+        `is_inside` tests points (N, 2) in odom for the geofence; None: not known, so every body counts.
+        """
         for track, moves in near:
             if moves:
                 self._places.pop(track.id, None)
-            elif self._may_walk(track):
+            elif self._may_walk(track) and (is_inside is None or is_inside(box_points(track)).all()):
                 self._places[track.id] = box_points(track), track.label, track.last_seen_ns
         oldest_ns = now_ns - self._config.hold_s * 1e9
         self._places = {number: place for number, place in self._places.items() if place[2] >= oldest_ns}

@@ -292,12 +292,13 @@ def test_clearance_and_critical_object_on_swept_field(make: Any, config: SafetyC
     assert parts.nearest_critical_object.asked[1:] == ([], pose_odom, predicted_s, config.tracked)
 
 
-def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, parts: Any) -> None:
-    def person(number: int, x: float) -> Track:
-        at = to_frame(POSE_ODOM, np.array([(x, 6.0)]))[0]
-        return Track(number, ObstacleClass.PERSON, 0.9, np.array([*at, 0.8]), np.zeros(3), np.eye(4),
-                     np.array([0.5, 0.5, 1.7]), 0.0, 0, 1, True, ())  # fmt: skip
+def person(number: int, x: float, y: float = 6.0) -> Track:
+    at = to_frame(POSE_ODOM, np.array([(x, y)]))[0]
+    return Track(number, ObstacleClass.PERSON, 0.9, np.array([*at, 0.8]), np.zeros(3), np.eye(4),
+                 np.array([0.5, 0.5, 1.7]), 0.0, START_NS - 2_000_000_000, START_NS, True, ())  # fmt: skip
 
+
+def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, parts: Any) -> None:
     ahead, beside, stands = person(1, 9.0), person(2, -1.5), person(3, -1.5)
     collision_monitor = make()
     parts.tracks_near.answer = [(ahead, True), (beside, True), (stands, False)]
@@ -314,6 +315,17 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
     look(collision_monitor, config, replace(SEEN, tracks=Tracks(START_NS + 1, ())))
     assert collision_monitor.critical_object().id == 4
     assert parts.nearest_critical_object.asked[1] == [(ahead, True)]
+
+
+@pytest.mark.parametrize("beyond_m", [-0.5, 0.1])
+def test_standing_body_counts_inside_the_geofence(make: Any, config: SafetyConfig, parts: Any, beyond_m: float) -> None:
+    """The edge of the area is so far from a person that it includes, or not, 0.5 m around them."""
+    stands, edge_m = person(3, 1.0, 6.0), 6.0 - beyond_m
+    base = np.array([(-40.0, edge_m), (-40.0, -40.0), (40.0, -40.0), (40.0, edge_m)])
+    collision_monitor = make(geofence=Geofence((to_frame(POSE_MAP, base),)))
+    parts.tracks_near.answer = [(stands, False)]
+    look(collision_monitor, config)
+    assert math.isfinite(collision_monitor.standing_bodies.slowest.gap_m) == (beyond_m < 0.0)
 
 
 def test_distances_shrink_by_distance_driven(make: Any, config: SafetyConfig, parts: Any) -> None:

@@ -24,8 +24,8 @@ def slowest(vehicle: Vehicle, implement: MountedImplement, config: SupervisorCon
     area = swept(vehicle, implement, config, 0.0)
     bodies = StandingBodies(config.standing_body)
 
-    def update(*tracks, pose=HERE, now_ns=START_NS, braking=BRAKING):
-        bodies.update([(t, bool(t.velocity_mps.any())) for t in tracks], area, pose, braking, now_ns)
+    def update(*tracks, pose=HERE, now_ns=START_NS, braking=BRAKING, is_inside=None):
+        bodies.update([(t, bool(t.velocity_mps.any())) for t in tracks], area, pose, braking, now_ns, is_inside)
         return bodies.slowest
 
     return update
@@ -90,6 +90,12 @@ def test_passed_body_no_longer_slows_the_machine(slowest) -> None:
     assert speeds[1] == speeds[2] == min(speeds)
     assert speeds[0] > TOP_MPS
     assert speeds[3] > TOP_MPS
+
+
+@pytest.mark.parametrize("edge_m", around(WING_Y + 2.2, 0.01, 2))
+def test_outside_of_the_geofence_nobody_stands(slowest, edge_m: float) -> None:
+    found = slowest(person(1.0, WING_Y + 2.0), is_inside=lambda points: points[:, 1] < edge_m)
+    assert (found is NO_STANDING_BODY) == (edge_m <= WING_Y + 2.2)
 
 
 def test_the_slowest_of_several_counts(slowest) -> None:
