@@ -123,6 +123,7 @@ def make(
             lidar_hits_odom_m=np.array([(8.0, 2.0)]), forget_held=Spy(None),
         )  # fmt: skip
         collision_monitor.departure = SimpleNamespace(is_unresolved=False, update=Spy(None), forget=Spy(None))
+        collision_monitor.standing_bodies = SimpleNamespace(update=Spy(None))
         return collision_monitor
 
     return made
@@ -292,10 +293,10 @@ def test_clearance_and_critical_object_on_swept_field(make: Any, config: SafetyC
     assert parts.nearest_critical_object.asked[1:] == ([], pose_odom, predicted_s, config.tracked)
 
 
-def person(number: int, x: float, y: float = 6.0) -> Track:
-    at = to_frame(POSE_ODOM, np.array([(x, y)]))[0]
+def person(number: int, x: float) -> Track:
+    at = to_frame(POSE_ODOM, np.array([(x, 6.0)]))[0]
     return Track(number, ObstacleClass.PERSON, 0.9, np.array([*at, 0.8]), np.zeros(3), np.eye(4),
-                 np.array([0.5, 0.5, 1.7]), 0.0, START_NS - 2_000_000_000, START_NS, True, ())  # fmt: skip
+                 np.array([0.5, 0.5, 1.7]), 0.0, 0, 1, True, ())  # fmt: skip
 
 
 def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, parts: Any) -> None:
@@ -317,15 +318,19 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
     assert parts.nearest_critical_object.asked[1] == [(ahead, True)]
 
 
-@pytest.mark.parametrize("beyond_m", [-0.5, 0.1])
-def test_standing_body_counts_inside_the_geofence(make: Any, config: SafetyConfig, parts: Any, beyond_m: float) -> None:
-    """The edge of the area is so far from a person that it includes, or not, 0.5 m around them."""
-    stands, edge_m = person(3, 1.0, 6.0), 6.0 - beyond_m
-    base = np.array([(-40.0, edge_m), (-40.0, -40.0), (40.0, -40.0), (40.0, edge_m)])
-    collision_monitor = make(geofence=Geofence((to_frame(POSE_MAP, base),)))
-    parts.tracks_near.answer = [(stands, False)]
+def test_standing_bodies_are_sought_inside_the_geofence(make: Any, config: SafetyConfig, parts: Any) -> None:
+    base = np.array([(-40.0, 6.0), (-40.0, -40.0), (40.0, -40.0), (40.0, 6.0)])
+    inside = Geofence((to_frame(POSE_MAP, base),)).contains
+    collision_monitor = make(geofence=SimpleNamespace(contains=inside, contains_box=Spy(True)))
     look(collision_monitor, config)
-    assert math.isfinite(collision_monitor.standing_bodies.slowest.gap_m) == (beyond_m < 0.0)
+    near, area, pose_odom, braking, now_ns, is_inside = collision_monitor.standing_bodies.update.asked
+    assert (near, area) == ([], collision_monitor.swept_field.main)
+    assert pose_odom == pytest.approx(POSE_ODOM)
+    assert (braking, now_ns) == (config.braking.flat, START_NS)
+    assert is_inside(to_frame(POSE_ODOM, np.array([(1.0, 5.9), (1.0, 6.1)]))).tolist() == [True, False]
+    unknown = make(geofence=None)
+    look(unknown, config)
+    assert unknown.standing_bodies.update.asked[-1] is None
 
 
 def test_distances_shrink_by_distance_driven(make: Any, config: SafetyConfig, parts: Any) -> None:
