@@ -24,6 +24,7 @@ BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same 
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
 SAMPLE, SCATTERED = 4000, 32  # returns by which scatter is found; its fewest returns without a neighbour
 BY_CHANCE = 0.5  # random returns of a scan and band that are left over, on average
+SLACK_RAD = 1e-6  # for rounding
 CLOSED_RAD = 6.2  # field of view whose first and last column are neighbours
 
 
@@ -50,15 +51,17 @@ def isolated(image: RangeImage, pixels: Int64) -> tuple[Bool, Int64]:
 
     And the number of returns next to each, (K,).
     """
+    out, beside = np.empty(len(pixels), np.bool_), np.empty(len(pixels), np.int64)
+    _mark_isolated(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), pixels, out, beside)
+    return out, beside
+
+
+def _columns(image: RangeImage) -> tuple[float, bool]:
+    """Angle between columns, and whether the first and the last are neighbours."""
     azimuth = image.azimuth_rad
     span_rad = abs(float(azimuth[-1] - azimuth[0])) if len(azimuth) > 1 else 0.0
     column_rad = span_rad / max(len(azimuth) - 1, 1)
-    out, beside = np.empty(len(pixels), np.bool_), np.empty(len(pixels), np.int64)
-    _mark_isolated(
-        image.ranges_mm, image.rows, image.rank, image.elevation_rad, column_rad, span_rad + column_rad > CLOSED_RAD,
-        pixels, out, beside,
-    )  # fmt: skip
-    return out, beside
+    return column_rad, span_rad + column_rad > CLOSED_RAD
 
 
 def dust(image: RangeImage, pixels: Int64, within_m: float, least: int) -> Bool:
@@ -92,9 +95,9 @@ def scattered(image: RangeImage, pixels: Int64) -> Bool:
 
 def _most_by_chance(image: RangeImage, sample: Int64, every: int) -> Int64:
     """Greatest number of neighbours by chance in each band (B,), 0 without scatter; `sample`: every so many returns."""
-    beside = isolated(image, sample)[1]
-    band = np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[sample])
-    none, one = (every * np.bincount(band[beside == n], minlength=len(BANDS_M))[: len(BANDS_M)] for n in (0, 1))
+    counts = np.zeros((2, len(BANDS_M) + 1), np.int64)
+    _count_beside(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), sample, counts)
+    none, one = every * counts[:, :-1]
     if one.sum() >= none.sum():
         return np.zeros(len(BANDS_M), np.int64)
     pairs = zip(none.tolist(), one.tolist(), strict=True)  # where one > none there is also a body with gaps
@@ -155,26 +158,40 @@ def clear_beneath(
 
 
 @inline_kernel
+def _slants(rows: Int64, elevation: Float64, column_rad: float) -> Float64:
+    """Difference of range per metre of range up to which the neighbours of each ring by rank, (rings, 3, columns), are
+    next to it."""
+    slants = np.zeros((len(rows), 3, 2 * COLUMNS_ASIDE + 1))
+    for rank in range(len(rows)):
+        for a in range(max(rank - 1, 0), min(rank + 2, len(rows))):
+            up = elevation[rows[a]] - elevation[rows[rank]]
+            for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
+                slants[rank, a - rank + 1, d + COLUMNS_ASIDE] = NEAR_SLOPE * np.sqrt(up * up + (d * column_rad) ** 2)
+    return slants
+
+
+@inline_kernel
 def _near(
-    ranges: UInt16, rows: Int64, elevation: Float64, column_rad: float, is_closed: bool, rank: int, column: int,
-    found: Int64,
-) -> int:  # fmt: skip
-    """Number of returns next to one of a ring (by `rank`) and column, at a like range; `found` (., 2): their places."""
-    count, rings, columns = 0, ranges.shape[0], ranges.shape[1]
+    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int
+) -> tuple[int, int, int]:  # fmt: skip
+    """Number of returns next to one of a ring (by `rank`) and column, at a like range; rank and column of the first."""
+    count, first, at, columns = 0, rank, column, ranges.shape[1]
     own = 1e-3 * ranges[rows[rank], column]
-    for a in range(max(rank - 1, 0), min(rank + 2, rings)):
-        up = elevation[rows[a]] - elevation[rows[rank]]
+    for a in range(max(rank - 1, 0), min(rank + 2, ranges.shape[0])):
         for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
             c = column + d
-            if is_closed:
+            if c < 0 or c >= columns:
+                if not is_closed:
+                    continue
                 c %= columns
-            if (a == rank and d == 0) or c < 0 or c >= columns or ranges[rows[a], c] == 0:
+            range_mm = ranges[rows[a], c]
+            if range_mm == 0 or (a == rank and d == 0):
                 continue
-            across = np.sqrt(up * up + (d * column_rad) ** 2)
-            if abs(1e-3 * ranges[rows[a], c] - own) <= NEAR_M + NEAR_SLOPE * across * own:
-                found[count, 0], found[count, 1] = a, c
+            if abs(1e-3 * range_mm - own) <= NEAR_M + slants[rank, a - rank + 1, d + COLUMNS_ASIDE] * own:
+                if count == 0:
+                    first, at = a, c
                 count += 1
-    return count
+    return count, first, at
 
 
 @kernel
@@ -182,15 +199,30 @@ def _mark_isolated(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
     out: Bool, beside: Int64,
 ) -> None:  # fmt: skip
-    columns = ranges.shape[1]
-    found = np.empty((3 * (2 * COLUMNS_ASIDE + 1), 2), np.int64)
+    columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         ring, column = rank[pixels[k] // columns], pixels[k] % columns
-        count = beside[k] = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
+        count, ring, column = _near(ranges, rows, slants, is_closed, ring, column)
+        beside[k] = count
         if count == 1:  # the third may be next to the second
-            ring, column = found[0, 0], found[0, 1]
-            count = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
+            count, ring, column = _near(ranges, rows, slants, is_closed, ring, column)
         out[k] = count < 2
+
+
+@kernel
+def _count_beside(
+    ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
+    counts: Int64,
+) -> None:  # fmt: skip
+    """Counts the returns without another next to them, and with one, by band of range, (2, B + 1)."""
+    columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
+    for k in range(pixels.shape[0]):
+        row, column, band = pixels[k] // columns, pixels[k] % columns, 0
+        count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column)
+        if count < 2:
+            while band < len(BANDS_M) and 1e-3 * ranges[row, column] > BANDS_M[band]:
+                band += 1
+            counts[count, band] += 1
 
 
 @kernel
@@ -198,36 +230,45 @@ def _mark_floating(
     ranges: UInt16, rows: Int64, rank: Int64, cos_el: Float64, sin_el: Float64, cos_az: Float64, sin_az: Float64,
     T: Float64, ground_m: float, ground_slope: float, clear_m: float, pixels: Int64, floats: Bool, stands: Bool,
 ) -> None:  # fmt: skip
-    columns = ranges.shape[1]
+    rings, columns = ranges.shape
+    flat, rise = np.empty(rings), np.empty(rings)  # of the beams of one column, by rank; 0: not computed yet
+    first, following = np.full(columns, -1), np.empty(len(pixels), np.int64)  # returns of each column
     for k in range(pixels.shape[0]):
         column = pixels[k] % columns
-        at_m, above_m, clear, passing = 0.0, 0.0, 0.0, 0
-        is_whole, is_down = True, False  # all beams down from the return meet its body; they reach the ground
-        for a in range(rank[pixels[k] // columns], -1, -1):
-            r = rows[a]
-            x, y, z = cos_el[r] * cos_az[column], cos_el[r] * sin_az[column], sin_el[r]
-            flat = np.hypot(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z, T[1, 0] * x + T[1, 1] * y + T[1, 2] * z)
-            ends_m = 1e-3 * ranges[r, column] * flat
-            if at_m == 0.0:
-                at_m = ends_m
-            rise = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat
-            height_m, end_height_m = T[2, 3] + rise * at_m, T[2, 3] + rise * ends_m
-            if height_m <= ground_m + ground_slope * at_m:
-                is_down = True
-                break
-            if ends_m > at_m + BESIDE_M:
-                clear += above_m - height_m
-                passing += 1
-            elif end_height_m <= ground_m + ground_slope * ends_m:
-                is_down = True
-                break
-            elif ends_m >= at_m - BESIDE_M:  # a lower part of the body, or something below it
-                clear, passing = 0.0, 0
-            else:
-                is_whole = False
-            above_m = height_m
-        floats[k] = passing >= 2 and clear >= clear_m
-        stands[k] = is_whole and is_down and passing == 0
+        following[k], first[column] = first[column], k
+    for column in range(columns):
+        flat[:] = 0.0
+        k = first[column]
+        while k >= 0:
+            at_m, above_m, clear, passing = 0.0, 0.0, 0.0, 0
+            is_whole, is_down = True, False  # all beams down from the return meet its body; they reach the ground
+            for a in range(rank[pixels[k] // columns], -1, -1):
+                r = rows[a]
+                if flat[a] == 0.0:
+                    x, y, z = cos_el[r] * cos_az[column], cos_el[r] * sin_az[column], sin_el[r]
+                    flat[a] = np.hypot(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z, T[1, 0] * x + T[1, 1] * y + T[1, 2] * z)
+                    rise[a] = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat[a]
+                ends_m = 1e-3 * ranges[r, column] * flat[a]
+                if at_m == 0.0:
+                    at_m = ends_m
+                height_m, end_height_m = T[2, 3] + rise[a] * at_m, T[2, 3] + rise[a] * ends_m
+                if height_m <= ground_m + ground_slope * at_m:
+                    is_down = True
+                    break
+                if ends_m > at_m + BESIDE_M:
+                    clear += above_m - height_m
+                    passing += 1
+                elif end_height_m <= ground_m + ground_slope * ends_m:
+                    is_down = True
+                    break
+                elif ends_m >= at_m - BESIDE_M:  # a lower part of the body, or something below it
+                    clear, passing = 0.0, 0
+                else:
+                    is_whole = False
+                above_m = height_m
+            floats[k] = passing >= 2 and clear >= clear_m
+            stands[k] = is_whole and is_down and passing == 0
+            k = following[k]
 
 
 @kernel
@@ -241,6 +282,9 @@ def _mark_clear_beneath(
         half_rad = np.arctan2(BESIDE_M, at_m)
         is_clear, columns, clear_columns = at_m > BESIDE_M, 0, 0
         for column in range(azimuth.shape[0]):
+            away = abs(azimuth[column] - towards[k])
+            if half_rad + SLACK_RAD < away < 2.0 * np.pi - half_rad - SLACK_RAD:
+                continue  # before the remainder, which takes most of the time
             turn = (azimuth[column] - towards[k] + np.pi) % (2.0 * np.pi) - np.pi
             if not is_clear or abs(turn) > half_rad:
                 continue
