@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Float32, Float64
-from geometry.ground_surface import low_levels
+from geometry.ground_surface import cells_in_grid, low_levels
 from safety.config import FieldConfig
 from safety.zones.footprint import Box
 
@@ -58,9 +58,7 @@ def mark_obstacles(xyz: Float32, box: Box, config: FieldConfig) -> np.ndarray:
     x0, y0 = np.floor(box.x_m[0] / size), np.floor(box.y_m[0] / size)
     columns = int(np.floor(box.y_m[1] / size) - y0) + 1
     rows = int(np.floor(box.x_m[1] / size) - x0) + 1
-    scale = np.float32(1.0 / size)
-    row, column = (x * scale - np.float32(x0)).astype(np.int64), (y * scale - np.float32(y0)).astype(np.int64)
-    patch = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
+    patch = cells_in_grid(xyz, (x0, y0), (rows, columns), size)
     ground = estimate_ground(patch, z, rows * columns, config.ground_returns, config.ground_ratio)
     center_x = (np.repeat(np.arange(rows), columns) + x0 + 0.5) * size
     center_y = (np.tile(np.arange(columns), rows) + y0 + 0.5) * size

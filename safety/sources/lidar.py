@@ -9,7 +9,16 @@ import numpy as np
 
 from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
-from geometry.ground_surface import envelope, heights_above_ground, low_levels, plant_heights
+from geometry.ground_surface import (
+    cells_in_grid,
+    envelope,
+    heights_above_ground,
+    heights_above_planes,
+    low_levels,
+    plane_sums,
+    plant_heights,
+    stand_out_of_cell,
+)
 from geometry.pose2 import from_frame, to_frame
 from geometry.range_image import clear_beneath, dust, floating, range_image, scattered
 from messages.sensors import LidarScan
@@ -261,7 +270,11 @@ def warm(T_base_sensor: Float64) -> None:
     clear_beneath(image, np.zeros((1, 3)), T_base_sensor, 0.0, 0.0)
     low_levels(np.zeros(1, np.int64), np.zeros(1, np.int32), (1, 1), 1, 0.0)
     envelope(np.zeros((1, 1)), 0.0, 1)
-    heights_above_ground(np.zeros((3, 1), np.float32), (0.0, 0.0), (2, 2), 1.0, 0.0, 0.0, 0.0, 1.0)
+    xyz, corner, shape = np.zeros((3, 1), np.float32), (0.0, 0.0), (2, 2)
+    heights_above_ground(xyz, corner, shape, 1.0, 0.0, 0.0, 0.0, 1.0)
+    stand_out_of_cell(xyz, np.zeros(1), np.zeros(shape), corner, 1.0, (0.0, 0.0, 0.0), (0.0, 0.0), 1)
+    plane_sums(np.zeros(shape), np.ones(shape, bool), 1)
+    heights_above_planes(xyz, cells_in_grid(xyz, corner, shape, 1.0), np.zeros((4, 3)), corner, 1.0)
     plant_heights(np.zeros((1, 1)), 1, 0.0, 1.0, 0.5)
 
 
