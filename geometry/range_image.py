@@ -46,14 +46,11 @@ def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64)
     return RangeImage(ranges_mm, rows, np.argsort(rows, kind="stable"), elevation_rad, azimuth_rad)
 
 
-def isolated(image: RangeImage, pixels: Int64) -> tuple[Bool, Int64]:
-    """Which returns, by their places `pixels` (K,) in the flattened image, are fewer than three next to each other.
-
-    And the number of returns next to each, (K,).
-    """
-    out, beside = np.empty(len(pixels), np.bool_), np.empty(len(pixels), np.int64)
-    _mark_isolated(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), pixels, out, beside)
-    return out, beside
+def isolated(image: RangeImage, pixels: Int64) -> Bool:
+    """Which returns, by their places `pixels` (K,) in the flattened image, are fewer than three next to each other."""
+    out = np.empty(len(pixels), np.bool_)
+    _mark_isolated(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), pixels, out)
+    return out
 
 
 def _columns(image: RangeImage) -> tuple[float, bool]:
@@ -66,7 +63,7 @@ def _columns(image: RangeImage) -> tuple[float, bool]:
 
 def dust(image: RangeImage, pixels: Int64, within_m: float, least: int) -> Bool:
     """Which returns, as in `isolated`, are isolated within a range; none where fewer than `least` are, (K,)."""
-    is_dust = isolated(image, pixels)[0] & (image.ranges_mm.ravel()[pixels] <= 1000.0 * within_m)
+    is_dust = isolated(image, pixels) & (image.ranges_mm.ravel()[pixels] <= 1000.0 * within_m)
     return is_dust & (np.count_nonzero(is_dust) >= least)
 
 
@@ -82,21 +79,22 @@ def scattered(image: RangeImage, pixels: Int64) -> Bool:
     most = _most_by_chance(image, pixels[::every], every)
     if not most.any():
         return np.zeros(len(pixels), np.bool_)
-    is_isolated, beside = isolated(image, pixels)
+    beside = np.empty(len(pixels), np.int64)
+    _count_beside(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), pixels, beside)
     band = np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[pixels])
     limit = np.append(most, 0)[band]
-    found = np.where(limit > 1, beside <= limit, is_isolated & (limit == 1))
+    found = np.where(limit > 1, beside <= limit, isolated(image, pixels) & (limit == 1))
     rest = image.ranges_mm.copy()
     rest.ravel()[pixels[found]] = 0
     left = np.flatnonzero(~found & (limit > 0))
-    found[left] = isolated(replace(image, ranges_mm=rest), pixels[left])[0]
+    found[left] = isolated(replace(image, ranges_mm=rest), pixels[left])
     return found
 
 
 def _most_by_chance(image: RangeImage, sample: Int64, every: int) -> Int64:
     """Greatest number of neighbours by chance in each band (B,), 0 without scatter; `sample`: every so many returns."""
     counts = np.zeros((2, len(BANDS_M) + 1), np.int64)
-    _count_beside(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), sample, counts)
+    _count_single(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), sample, counts)
     none, one = every * counts[:, :-1]
     if one.sum() >= none.sum():
         return np.zeros(len(BANDS_M), np.int64)
@@ -172,9 +170,12 @@ def _slants(rows: Int64, elevation: Float64, column_rad: float) -> Float64:
 
 @inline_kernel
 def _near(
-    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int
+    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int, most: int
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Number of returns next to one of a ring (by `rank`) and column, at a like range; rank and column of the first."""
+    """Number of returns next to one of a ring (by `rank`) and column, at a like range, counted up to `most`.
+
+    And rank and column of the first.
+    """
     count, first, at, columns = 0, rank, column, ranges.shape[1]
     own = 1e-3 * ranges[rows[rank], column]
     for a in range(max(rank - 1, 0), min(rank + 2, ranges.shape[0])):
@@ -191,26 +192,39 @@ def _near(
                 if count == 0:
                     first, at = a, c
                 count += 1
+                if count == most:
+                    return count, first, at
     return count, first, at
 
 
 @kernel
 def _mark_isolated(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
-    out: Bool, beside: Int64,
+    out: Bool,
 ) -> None:  # fmt: skip
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         ring, column = rank[pixels[k] // columns], pixels[k] % columns
-        count, ring, column = _near(ranges, rows, slants, is_closed, ring, column)
-        beside[k] = count
+        count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, 2)
         if count == 1:  # the third may be next to the second
-            count, ring, column = _near(ranges, rows, slants, is_closed, ring, column)
+            count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, 2)
         out[k] = count < 2
 
 
 @kernel
 def _count_beside(
+    ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
+    beside: Int64,
+) -> None:  # fmt: skip
+    """Number of returns next to each, (K,)."""
+    columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
+    for k in range(pixels.shape[0]):
+        ring, column = rank[pixels[k] // columns], pixels[k] % columns
+        beside[k], _, _ = _near(ranges, rows, slants, is_closed, ring, column, -1)
+
+
+@kernel
+def _count_single(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
     counts: Int64,
 ) -> None:  # fmt: skip
@@ -218,7 +232,7 @@ def _count_beside(
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         row, column, band = pixels[k] // columns, pixels[k] % columns, 0
-        count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column)
+        count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, 2)
         if count < 2:
             while band < len(BANDS_M) and 1e-3 * ranges[row, column] > BANDS_M[band]:
                 band += 1

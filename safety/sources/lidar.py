@@ -36,7 +36,7 @@ from safety.sources.detection_range import (
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.ground_heights import NO_GROUND, ground_heights
 from safety.sources.measured_ground import level, stands_out
-from safety.sources.multiple_evaluation import cell_keys, evaluate
+from safety.sources.multiple_evaluation import Returns, by_cell, cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
@@ -130,10 +130,10 @@ class LidarSource:
         marked, is_floating, is_standing = (some[~is_dust] for some in (marked, is_floating, is_standing))
         obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
-        keys = cell_keys(points_odom, field.cell_m)
-        self._ask(others, points_odom, keys, is_floating, is_standing)
+        returns = by_cell(cell_keys(points_odom, field.cell_m))
+        self._ask(others, points_odom, returns, is_floating, is_standing)
         is_hit, cells = evaluate(
-            keys,
+            returns,
             is_high[marked],
             is_floating,
             self._cells,
@@ -186,19 +186,21 @@ class LidarSource:
         return is_dust, *floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
 
     def _ask(
-        self, others: Iterable["LidarSource"], points_odom: Float64, keys: Int64, is_floating: np.ndarray,
+        self, others: Iterable["LidarSource"], points_odom: Float64, returns: Returns, is_floating: np.ndarray,
         is_standing: np.ndarray,
     ) -> None:  # fmt: skip
         """Adds to `is_floating` (N,) the returns of cells, above the ground, below which only other lidars see."""
-        cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
-        middle = np.column_stack([np.bincount(which, points_odom[:, k], len(cells)) / counts for k in range(3)])
-        np.minimum.at(middle[:, 2], which, points_odom[:, 2])
-        is_open = np.bincount(which, ~is_floating, len(cells)) > 0
-        is_open &= np.bincount(which, is_standing, len(cells)) == 0
-        is_open &= middle[:, 2] > self._config.field.min_height_m + self._config.airborne.clear_m
-        is_clear = np.zeros(len(cells), bool)
-        for other in others if is_open.any() else ():
-            is_clear[is_open] |= other.shows_clear_beneath(middle[is_open], self.stamp_ns)
+        which = returns.which
+        lowest_m = np.full(len(returns.cells), np.inf)
+        np.minimum.at(lowest_m, which, points_odom[:, 2])
+        is_open = (returns.number(~is_floating) > 0) & (returns.number(is_standing) == 0)
+        is_open &= lowest_m > self._config.field.min_height_m + self._config.airborne.clear_m
+        if not is_open.any():
+            return
+        x, y = (np.bincount(which, points_odom[:, k], len(returns.cells)) / returns.counts for k in range(2))
+        below, is_clear = np.column_stack([x, y, lowest_m])[is_open], np.zeros(len(returns.cells), bool)
+        for other in others:
+            is_clear[is_open] |= other.shows_clear_beneath(below, self.stamp_ns)
         is_floating |= is_clear[which]
 
     def shows_clear_beneath(self, points_odom: Float64, stamp_ns: int | None) -> np.ndarray:
