@@ -144,9 +144,9 @@ def plane_sums(low_m: Float64, is_known: Bool, reach: int) -> Float64:
 def heights_above_planes(
     xyz: Float32, cell: Int64, planes: Float64, middle_m: tuple[float, float], cell_m: float
 ) -> Float64:  # fmt: skip
-    """Height (N,) of each return (3, N) above the plane of its cell (N,): z = p + q row + r column, `planes` (cells, 3).
+    """Height (N,) of each return (3, N) above the plane z = p + q row + r column of its cell (N,), in `planes`.
 
-    `middle_m`: middle of the first cell, row 0 and column 0.
+    `middle_m`: middle of the first cell; `planes` (cells, 3).
     """
     out = np.empty(xyz.shape[1])
     for k in range(xyz.shape[1]):
@@ -154,6 +154,20 @@ def heights_above_planes(
         plane = planes[cell[k]]
         out[k] = xyz[2, k] - (plane[0] + plane[1] * row + plane[2] * column)
     return out
+
+
+@kernel
+def lowest_of_cells(order: Int64, cell: Int64, z: Float64) -> Int64:
+    """The lowest return of each cell, the first of equal ones, by ascending cell; `order` (N,) sorts `cell` (N,)."""
+    lowest, count = np.empty(len(order), np.int64), 0
+    for k in order:
+        last = lowest[count - 1]
+        if count == 0 or cell[k] != cell[last]:
+            lowest[count] = k
+            count += 1
+        elif z[k] < z[last] or (z[k] == z[last] and k < last):
+            lowest[count - 1] = k
+    return lowest[:count]
 
 
 @kernel

@@ -15,6 +15,7 @@ from geometry.ground_surface import (
     heights_above_ground,
     heights_above_planes,
     low_levels,
+    lowest_of_cells,
     plane_sums,
     plant_heights,
     stand_out_of_cell,
@@ -271,6 +272,7 @@ def warm(T_base_sensor: Float64) -> None:
     floating(image, pixels, T_base_sensor, 0.0, 0.0, 1.0)
     clear_beneath(image, np.zeros((1, 3)), T_base_sensor, 0.0, 0.0)
     low_levels(np.zeros(1, np.int64), np.zeros(1, np.int32), (1, 1), 1, 0.0)
+    lowest_of_cells(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1))
     envelope(np.zeros((1, 1)), 0.0, 1)
     xyz, corner, shape = np.zeros((3, 1), np.float32), (0.0, 0.0), (2, 2)
     heights_above_ground(xyz, corner, shape, 1.0, 0.0, 0.0, 0.0, 1.0)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geometry.arrays import Bool, Float64, Int64
+from geometry.ground_surface import lowest_of_cells
 
 MIN_FLOATING_RATIO = 0.75  # of a cell's returns: at the edges of a bird beams prove nothing
 BITS = 21  # per axis; with cells of 0.5 m ±500 km
@@ -64,7 +65,7 @@ def is_among(cells: Int64, some: Int64) -> Bool:
 
 def thin(points_m: Float64, grid_m: float) -> Float64:
     """Lowest of the points (N, 3) per square of a horizontal grid, so that a wall costs no more than a post."""
-    points_m = points_m[np.argsort(points_m[:, 2], kind="stable")] if points_m.shape[1] > 2 else points_m
     square = np.floor(points_m[:, :2] / grid_m).astype(np.int64)
-    _, first = np.unique((square[:, 0] << BITS) + square[:, 1], return_index=True)
-    return points_m[first]
+    key = (square[:, 0] << BITS) + square[:, 1]
+    z = points_m[:, 2] if points_m.shape[1] > 2 else np.zeros(len(points_m))
+    return points_m[lowest_of_cells(np.argsort(key), key, np.ascontiguousarray(z))]

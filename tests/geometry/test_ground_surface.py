@@ -11,6 +11,7 @@ from geometry.ground_surface import (
     heights_above_ground,
     heights_above_planes,
     low_levels,
+    lowest_of_cells,
     plane_sums,
     plant_heights,
     stand_out_of_cell,
@@ -162,3 +163,11 @@ def test_returns_stand_out_with_others_of_their_cell(heights: list[float], plant
     )
     assert is_above.tolist() == [*counts, True]
     assert is_plant.tolist() == [plant_m > 0.0 and h <= plant_m + 0.05 for h in heights] + [False]
+
+
+def test_lowest_of_each_cell_is_the_first_of_equal_ones() -> None:
+    random = np.random.default_rng(8)
+    cell, z = random.integers(-5, 5, 200), random.integers(0, 4, 200).astype(float)
+    found = lowest_of_cells(np.argsort(cell), cell, z)
+    assert found.tolist() == [min(np.flatnonzero(cell == here), key=lambda k: z[k]) for here in np.unique(cell)]
+    assert len(lowest_of_cells(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))) == 0

@@ -48,7 +48,8 @@ def test_floating_returns_need_three_scans() -> None:
     for floats, states in ((8, (False, False, True)), (6, (False, False, True)), (5, (True, True, True))):
         is_floating = np.arange(8) < floats
         found = [
-            evaluate(by_cell(keys), high, is_floating, seen, 4, 2)[0] for seen in ((NONE, cells), (cells, NONE), (cells, cells))
+            evaluate(by_cell(keys), high, is_floating, seen, 4, 2)[0]
+            for seen in ((NONE, cells), (cells, NONE), (cells, cells))
         ]
         assert [one.all() for one in found] == [one.any() for one in found] == list(states), floats
 
