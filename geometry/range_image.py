@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import Bool, Float64, Int64, UInt16
+from geometry.arrays import Bool, Float32, Float64, Int64, UInt16
 from geometry.jit import inline_kernel, kernel
 
 COLUMNS_ASIDE = 2  # neighbours of a return: three rings by five columns
@@ -44,6 +44,14 @@ def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64)
     """Range image of a scan whose azimuths are equally spaced."""
     rows = np.argsort(elevation_rad, kind="stable")
     return RangeImage(ranges_mm, rows, np.argsort(rows, kind="stable"), elevation_rad, azimuth_rad)
+
+
+def points_of(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64) -> Float32:
+    """Returns (K, 3) in the sensor frame, row by row of the image."""
+    el, az = (np.float32([np.cos(angle), np.sin(angle)]) for angle in (elevation_rad, azimuth_rad))
+    points = np.empty((np.count_nonzero(ranges_mm != 0), 3), np.float32)
+    _fill_points(ranges_mm, *el, *az, points)
+    return points
 
 
 def isolated(image: RangeImage, pixels: Int64) -> Bool:
@@ -153,6 +161,21 @@ def clear_beneath(
         np.ascontiguousarray(points_base), np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, out,
     )  # fmt: skip
     return out
+
+
+@kernel
+def _fill_points(
+    ranges: UInt16, cos_el: Float32, sin_el: Float32, cos_az: Float32, sin_az: Float32, points: Float32
+) -> None:  # fmt: skip
+    k = 0
+    for row in range(ranges.shape[0]):
+        for column in range(ranges.shape[1]):
+            if ranges[row, column] != 0:
+                range_m = np.float32(ranges[row, column]) * np.float32(1e-3)
+                flat = range_m * cos_el[row]
+                points[k, 0], points[k, 1] = flat * cos_az[column], flat * sin_az[column]
+                points[k, 2] = range_m * sin_el[row]
+                k += 1
 
 
 @inline_kernel
