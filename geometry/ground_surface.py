@@ -51,9 +51,9 @@ def heights_above_ground(
             trend, (xyz[0, k] - corner_m[0]) / cell_m - 0.5, (xyz[1, k] - corner_m[1]) / cell_m - 0.5
         )
         by_cell[place[k]] = height[k]
-    rest = envelope(_low(by_cell, begin, quantile, rows, columns), residual_slope * cell_m, REACH)
+    rest = envelope(_low(by_cell, begin, quantile, rows, columns), residual_slope * cell_m, REACH).reshape(-1)
     for k in range(count):
-        height[k] -= rest[cell[k] // columns, cell[k] % columns]
+        height[k] -= rest[cell[k]]
         by_cell[place[k]] = height[k]
     tops[1], tops[2] = second_largest(by_cell, begin, np.inf), second_largest(by_cell, begin, ground_limit_m)
     return height, tops.reshape((3, rows, columns))
@@ -73,13 +73,17 @@ def stand_out_of_cell(
     rows, columns = plants_m.shape
     least_m, dense_m, margin_m = limits_m
     x0, y0, size = np.float32(corner_m[0]), np.float32(corner_m[1]), np.float32(cell_m)
-    cell, count = np.empty(xyz.shape[1], np.int64), np.zeros((3, rows * columns), np.int64)
+    cell, count, plants = (
+        np.empty(xyz.shape[1], np.int64),
+        np.zeros((3, rows * columns), np.int64),
+        plants_m.reshape(-1),
+    )
     is_above, is_plant = np.empty(xyz.shape[1], np.bool_), np.empty(xyz.shape[1], np.bool_)
     for k in range(xyz.shape[1]):
         row = min(int((xyz[0, k] - x0) / size), rows - 1)
         column = min(int((xyz[1, k] - y0) / size), columns - 1)
-        plant_m, here = plants_m[row, column], row * columns + column
-        cell[k] = here
+        here = cell[k] = row * columns + column
+        plant_m = plants[here]
         is_plant[k] = plant_m > 0.0 and height_m[k] <= plant_m + margin_m
         is_above[k] = not is_plant[k] if plant_m > 0.0 else height_m[k] > least_m
         count[0, here] += 1
@@ -87,7 +91,7 @@ def stand_out_of_cell(
         count[2, here] += plant_m == 0.0 and height_m[k] > dense_m
     for k in range(xyz.shape[1]):
         all_of, above, dense = count[:, cell[k]]
-        is_dense = height_m[k] > dense_m and plants_m[cell[k] // columns, cell[k] % columns] == 0.0
+        is_dense = height_m[k] > dense_m and plants[cell[k]] == 0.0
         is_dense &= dense >= max(float(returns), shares[1] * all_of)
         is_above[k] = (is_above[k] and above >= shares[0] * all_of) or is_dense
     return is_above, is_plant

@@ -12,6 +12,7 @@ beams. A body on the ground blocks all beams below its top; below a body in the 
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -38,6 +39,12 @@ class RangeImage:
     rank: Int64
     elevation_rad: Float64
     azimuth_rad: Float64
+
+    @cached_property
+    def directions(self) -> tuple[Float64, Float64, Float64, Float64]:
+        """Cosine and sine of elevation (rings,), cosine and sine of azimuth (columns,)."""
+        el, az = self.elevation_rad, self.azimuth_rad
+        return np.cos(el), np.sin(el), np.cos(az), np.sin(az)
 
 
 def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64) -> RangeImage:
@@ -136,9 +143,8 @@ def floating(
     height, return from beyond. Beams without a return, or that end before it, prove nothing.
     """
     floats, stands = np.empty(len(pixels), np.bool_), np.empty(len(pixels), np.bool_)
-    el, az = image.elevation_rad, image.azimuth_rad
     _mark_floating(
-        image.ranges_mm, image.rows, image.rank, np.cos(el), np.sin(el), np.cos(az), np.sin(az),
+        image.ranges_mm, image.rows, image.rank, *image.directions,
         np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, clear_m, pixels, floats, stands,
     )  # fmt: skip
     return floats, stands
@@ -153,10 +159,10 @@ def clear_beneath(
     three beams or more, through half of the height, return from beyond.
     """
     out = np.zeros(len(points_base), np.bool_)
-    el, az = image.elevation_rad, image.azimuth_rad
+    cos_el, sin_el, cos_az, sin_az = image.directions
     away = (points_base - T_base_sensor[:3, 3]) @ T_base_sensor[:3, :3]
     _mark_clear_beneath(
-        image.ranges_mm, image.rows, np.cos(el), np.sin(el), az, np.cos(az), np.sin(az),
+        image.ranges_mm, image.rows, cos_el, sin_el, image.azimuth_rad, cos_az, sin_az,
         np.arctan2(away[:, 1], away[:, 0]),
         np.ascontiguousarray(points_base), np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, out,
     )  # fmt: skip

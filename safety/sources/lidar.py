@@ -21,7 +21,7 @@ from geometry.ground_surface import (
     stand_out_of_cell,
 )
 from geometry.pose2 import from_frame, to_frame
-from geometry.range_image import clear_beneath, dust, floating, range_image, scattered
+from geometry.range_image import RangeImage, clear_beneath, dust, floating, range_image, scattered
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -60,6 +60,7 @@ class LidarSource:
         self.name = name
         self.stamp_ns: int | None = None
         self.scan: LidarScan | None = None
+        self._image: RangeImage | None = None
         self._pose_odom: Float64 = np.zeros(3)
         self.hits_odom_m: Float64 = np.empty((0, 3))
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
@@ -109,6 +110,8 @@ class LidarSource:
             self._cells = NO_CELLS
         else:
             self._count_repetition(content_of(scan))
+            is_list = scan.ranges_mm.size == 0
+            self._image = None if is_list else range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
         self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
         self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
@@ -168,9 +171,7 @@ class LidarSource:
 
     def _is_scattered(self, scan: LidarScan) -> np.ndarray:
         """Which returns of a scan are of fog or rain, (N,) bool; of a list of points none."""
-        if scan.ranges_mm.size == 0:
-            return np.zeros(len(scan.points_m), bool)
-        return scattered(range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels)
+        return np.zeros(len(scan.points_m), bool) if self._image is None else scattered(self._image, scan.pixels)
 
     def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which of the obstacle returns `which` (K,) of a scan are dust, which float, and which stand, (K,) bool.
@@ -178,10 +179,11 @@ class LidarSource:
         A list of points is no evidence of the first two: it does not show what the beams passed.
         """
         none, ones = np.zeros(len(which), bool), np.ones(len(which), bool)
-        if scan.ranges_mm.size == 0:
+        image = self._image
+        if image is None:
             return none, none, ones
         field, config = self._config.field, self._config.airborne
-        image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[which]
+        pixels = scan.pixels[which]
         is_dust = dust(image, pixels, config.dust_range_m, config.dust_returns)
         ground = (field.min_height_m, field.min_height_slope)
         return is_dust, *floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
@@ -206,12 +208,16 @@ class LidarSource:
 
     def shows_clear_beneath(self, points_odom: Float64, stamp_ns: int | None) -> np.ndarray:
         """Whether the last scan, if taken about `stamp_ns`, shows clear space below points (N, 3), (N,) bool."""
-        scan, field = self.scan, self._config.field
+        image, field = self._image, self._config.field
         interval_ns = self._config.lidar_agreement.max_interval_s * 1e9
-        is_usable = scan is not None and scan.ranges_mm.size > 0 and not self.is_frozen
-        if scan is None or stamp_ns is None or not is_usable or abs(scan.stamp_ns - stamp_ns) > interval_ns:
+        if (
+            image is None
+            or self.stamp_ns is None
+            or stamp_ns is None
+            or self.is_frozen
+            or abs(self.stamp_ns - stamp_ns) > interval_ns
+        ):
             return np.zeros(len(points_odom), bool)
-        image = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
         base = np.column_stack([from_frame(self._pose_odom, points_odom[:, :2]), points_odom[:, 2]])
         return clear_beneath(image, base, self._T_base_sensor, field.min_height_m, field.min_height_slope)
 

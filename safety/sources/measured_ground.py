@@ -72,7 +72,8 @@ def stands_out(
     distance_m = np.hypot(x, y)
     least_m, is_far = field.min_height_m + field.min_height_slope * distance_m, distance_m > config.range_m
     if is_far.any():
-        z = np.where(is_far, heights_above(planes(low_m, bound_m, config), replace(cells, of=of), some, config), z)
+        far = np.flatnonzero(is_far)
+        z[far] = heights_above(low_m, bound_m, replace(cells, of=of.take(far)), some.take(far, axis=1), config)
     is_obstacle = is_above_plane.copy()
     is_obstacle[above] = (z > np.where(is_far, 0.0, ground_m) + least_m) | np.isinf(ground_m)
     return is_obstacle
@@ -97,24 +98,22 @@ def level(xyz: Float32, box: Box, share: float, config: MeasuredGroundConfig) ->
     """
     cells = cells_of(xyz, box, config.cell_m)
     low_m = cells.low_m(xyz[2], config.returns, share)
-    plane = planes(low_m, lowest_bound(low_m, config), config)
-    return np.stack([xyz[0], xyz[1], heights_above(plane, cells, xyz, config)])
+    return np.stack([xyz[0], xyz[1], heights_above(low_m, lowest_bound(low_m, config), cells, xyz, config)])
 
 
-def planes(low_m: Float64, bound_m: Float64, config: MeasuredGroundConfig) -> Float64:
-    """Planes z = p + q row + r column through the low returns of the cells around each, (R, C, 3); 0 where too few.
+def heights_above(
+    low_m: Float64, bound_m: Float64, cells: Cells, xyz: Float32, config: MeasuredGroundConfig
+) -> Float32:  # fmt: skip
+    """Height (N,) of returns (3, N) above the planes through the low returns (R, C) of the cells around theirs.
 
-    Cells above the bound (R, C) do not count.
+    Cells above the bound (R, C) do not count; where fewer than `plane_cells` do, the plane is z = 0.
     """
-    sums = plane_sums(low_m, np.isfinite(low_m) & (low_m <= bound_m), config.plane_reach_cells)
-    out, is_known = np.zeros((*low_m.shape, 3)), sums[..., 0] >= config.plane_cells
-    known = sums[is_known]
-    normal = known[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) + np.diag([0.0, RIDGE, RIDGE])
-    out[is_known] = np.linalg.solve(normal, known[:, 6:, None])[..., 0]
-    return out
-
-
-def heights_above(plane: Float64, cells: Cells, xyz: Float32, config: MeasuredGroundConfig) -> Float32:
-    """Height (N,) of returns (3, N) above the planes (R, C, 3) of their cells."""
+    sums = plane_sums(low_m, np.isfinite(low_m) & (low_m <= bound_m), config.plane_reach_cells).reshape(-1, 9)
+    is_found = np.zeros(len(sums), bool)
+    is_found[cells.of] = True
+    is_found &= sums[:, 0] >= config.plane_cells
+    found, planes = sums[is_found], np.zeros((len(sums), 3))
+    normal = found[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) + np.diag([0.0, RIDGE, RIDGE])
+    planes[is_found] = np.linalg.solve(normal, found[:, 6:, None])[..., 0]
     middle_m = float(cells.x_m[0]), float(cells.y_m[0])
-    return heights_above_planes(xyz, cells.of, plane.reshape(-1, 3), middle_m, config.cell_m).astype(np.float32)
+    return heights_above_planes(xyz, cells.of, planes, middle_m, config.cell_m).astype(np.float32)
