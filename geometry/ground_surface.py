@@ -112,6 +112,17 @@ def cells_in_grid(xyz: Float32, corner: tuple[float, float], shape: tuple[int, i
 
 
 @kernel
+def above_cells(xyz: Float32, cell: Int64, ground_m: Float32, height_m: np.float32, slope: np.float32) -> Bool:
+    """Which returns (3, N) are higher above the ground (C,) of their cell (N,) than a height and a slope from x = y = 0
+    on."""
+    out = np.empty(xyz.shape[1], np.bool_)
+    for k in range(xyz.shape[1]):
+        distance_m = np.sqrt(xyz[0, k] * xyz[0, k] + xyz[1, k] * xyz[1, k])
+        out[k] = xyz[2, k] > ground_m[cell[k]] + height_m + slope * distance_m
+    return out
+
+
+@kernel
 def plane_sums(low_m: Float64, is_known: Bool, reach: int) -> Float64:
     """Sums of 1, x, y, x², xy, y², z, zx, zy over the known cells in the square within reach of each, (R, C, 9).
 

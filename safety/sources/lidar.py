@@ -10,6 +10,7 @@ import numpy as np
 from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
 from geometry.ground_surface import (
+    above_cells,
     cells_in_grid,
     envelope,
     heights_above_ground,
@@ -116,7 +117,8 @@ class LidarSource:
         self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
         xyz, is_body = to_base(scan.points_m, self._T_base_sensor), ~self._is_scattered(scan)
-        down = self._down_returns(xyz.compress(is_body, axis=1), curvature_radpm)
+        body = xyz if is_body.all() else xyz.compress(is_body, axis=1)
+        down = self._down_returns(body, curvature_radpm)
         self._update_detection_range(down)
         agreement, origin = self._config.lidar_agreement, self._T_base_sensor[:3, 3]
         self.ground = ground_heights(down, origin, agreement.range_m, pose_odom, agreement.cell_m)
@@ -284,7 +286,9 @@ def warm(T_base_sensor: Float64) -> None:
     heights_above_ground(xyz, corner, shape, 1.0, 0.0, 0.0, 0.0, 1.0)
     stand_out_of_cell(xyz, np.zeros(1), np.zeros(shape), corner, 1.0, (0.0, 0.0, 0.0), (0.0, 0.0), 1)
     plane_sums(np.zeros(shape), np.ones(shape, bool), 1)
-    heights_above_planes(xyz, cells_in_grid(xyz, corner, shape, 1.0), np.zeros((4, 3)), corner, 1.0)
+    cell = cells_in_grid(xyz, corner, shape, 1.0)
+    above_cells(xyz, cell, np.zeros(4, np.float32), np.float32(0.0), np.float32(0.0))
+    heights_above_planes(xyz, cell, np.zeros((4, 3)), corner, 1.0)
     plant_heights(np.zeros((1, 1)), 1, 0.0, 1.0, 0.5)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from geometry.ground_surface import (
+    above_cells,
     cells_in_grid,
     envelope,
     heights_above_ground,
@@ -171,3 +172,10 @@ def test_lowest_of_each_cell_is_the_first_of_equal_ones() -> None:
     found = lowest_of_cells(np.argsort(cell), cell, z)
     assert found.tolist() == [min(np.flatnonzero(cell == here), key=lambda k: z[k]) for here in np.unique(cell)]
     assert len(lowest_of_cells(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))) == 0
+
+
+def test_returns_above_the_ground_of_their_cells() -> None:
+    xyz = np.array([[3.0] * 4, [4.0] * 4, [0.4, 0.3, 1.4, 1.3]], np.float32)  # 5 m away
+    ground_m = np.array([0.0, 1.0], np.float32)
+    found = above_cells(xyz, np.array([0, 0, 1, 1]), ground_m, np.float32(0.25), np.float32(0.02))
+    assert found.tolist() == [True, False, True, False]
