@@ -2,7 +2,6 @@
 
 import math
 import zlib
-from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
@@ -78,8 +77,8 @@ class LidarSource:
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
         self._cells = NO_CELLS
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
-        self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
-        self._equal_scans = 0
+        self._contents: dict[int, int] = {}  # number of the last scan with each content, oldest first
+        self._scans = self._equal_scans = 0
         self.ground, self.vegetation_m = NO_GROUND, 0.0
         self.has_other_rings, self._rings = False, len(lidar.elevation_deg)
         warm(self._T_base_sensor)
@@ -225,9 +224,14 @@ class LidarSource:
 
     def _count_repetition(self, content: int | None) -> None:
         """Counts scans in a row whose ranges an earlier one had bit for bit: frozen, or a replayed recording."""
-        self._equal_scans = self._equal_scans + 1 if content in self._contents else 0
+        memory = self._config.detection_range.repeat_memory_scans
+        last = None if content is None else self._contents.pop(content, None)
+        is_repeated = last is not None and self._scans - last < memory
+        self._equal_scans = self._equal_scans + 1 if is_repeated else 0
         if content is not None:
-            self._contents.append(content)
+            self._contents[content] = self._scans = self._scans + 1
+            if len(self._contents) > memory:
+                del self._contents[next(iter(self._contents))]
 
     def _down_returns(self, xyz: Float32, curvature_radpm: float) -> Float32:
         """Returns (3, K) of beams that meet level ground, without those of the machine."""
