@@ -21,7 +21,7 @@ from geometry.ground_surface import (
     stand_out_of_cell,
 )
 from geometry.pose2 import from_frame, to_frame
-from geometry.range_image import RangeImage, clear_beneath, dust, floating, range_image, scattered
+from geometry.range_image import RangeImage, clear_beneath, dust, floating, points_of, range_image, scattered
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -279,6 +279,7 @@ def warm(T_base_sensor: Float64) -> None:
     none, two = np.empty(0, np.float32), np.ones((1, 2), np.uint16)
     scan = LidarScan(0, two, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), np.empty(0, np.uint8), none)
     image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[scan.pixels]
+    points_of(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
     dust(image, pixels, 0.0, 1)
     scattered(image, pixels)
     floating(image, pixels, T_base_sensor, 0.0, 0.0, 1.0)

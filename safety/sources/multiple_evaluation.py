@@ -30,7 +30,7 @@ class Returns(NamedTuple):
 
     def number(self, is_some: Bool) -> Float64:
         """Number of some of the returns (N,) in each cell, (K,)."""
-        return np.bincount(self.which, is_some, len(self.cells))
+        return np.asarray(np.bincount(self.which, is_some, len(self.cells)), np.float64)
 
 
 def by_cell(keys: Int64) -> Returns:
