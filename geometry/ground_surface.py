@@ -8,7 +8,7 @@ from geometry.arrays import Bool, Float32, Float64, Int32, Int64
 from geometry.jit import inline_kernel, kernel
 
 REACH = 3  # cells over which a lower place lowers the surface
-RANKS = 32  # up to this rank a quantile is found without sorting
+RANKS = 32  # up to this rank a quantile is found in one pass
 
 
 @kernel
@@ -27,10 +27,10 @@ def heights_above_ground(
     """
     rows, columns = shape
     count = xyz.shape[1]
-    cell = np.empty(count, np.int64)
+    cell, at = np.empty(count, np.int64), np.empty((count, 2))
     for k in range(count):
-        row = min(max(int((xyz[0, k] - corner_m[0]) / cell_m), 0), rows - 1)
-        column = min(max(int((xyz[1, k] - corner_m[1]) / cell_m), 0), columns - 1)
+        at[k, 0], at[k, 1] = (xyz[0, k] - corner_m[0]) / cell_m, (xyz[1, k] - corner_m[1]) / cell_m
+        row, column = min(max(int(at[k, 0]), 0), rows - 1), min(max(int(at[k, 1]), 0), columns - 1)
         cell[k] = row * columns + column
     begin = np.zeros(rows * columns + 1, np.int64)
     for k in range(count):
@@ -47,9 +47,7 @@ def heights_above_ground(
     tops[0] = second_largest(by_cell, begin, np.inf)
     trend = _smoothed(envelope(_low(by_cell, begin, quantile, rows, columns), slope * cell_m, REACH))
     for k in range(count):
-        height[k] -= _interpolated(
-            trend, (xyz[0, k] - corner_m[0]) / cell_m - 0.5, (xyz[1, k] - corner_m[1]) / cell_m - 0.5
-        )
+        height[k] -= _interpolated(trend, at[k, 0] - 0.5, at[k, 1] - 0.5)
         by_cell[place[k]] = height[k]
     rest = envelope(_low(by_cell, begin, quantile, rows, columns), residual_slope * cell_m, REACH).reshape(-1)
     for k in range(count):
@@ -255,7 +253,7 @@ def _low(by_cell: Float64, begin: Int64, quantile: float, rows: int, columns: in
             continue
         rank = int(quantile * count)
         if rank >= RANKS:
-            low[here // columns, here % columns] = np.sort(by_cell[begin[here] : begin[here + 1]])[rank]
+            low[here // columns, here % columns] = np.partition(by_cell[begin[here] : begin[here + 1]], rank)[rank]
             continue
         lowest[: rank + 1] = np.inf  # the lowest so far, ascending
         for k in range(begin[here], begin[here + 1]):

@@ -256,10 +256,9 @@ class LidarSource:
         old, seen_ns = self._kept
         base = np.vstack([from_frame(pose_odom, old[:, :2]).T, old[:, 2]])
         is_young = stamp_ns - seen_ns < self._config.field.blind_zone_hold_s * 1e9
-        is_outside = ~is_own(base, self.footprint, curvature_radpm, self._config.field.mask_m)
         depth_m = self._depth_in_blind_zone_m(base)
-        is_hidden = (depth_m > self._config.field.blind_zone_edge_m) | (is_young & (depth_m > 0.0))
-        keep = is_hidden & is_outside
+        hidden = np.flatnonzero((depth_m > self._config.field.blind_zone_edge_m) | (is_young & (depth_m > 0.0)))
+        keep = hidden[~is_own(base[:, hidden], self.footprint, curvature_radpm, self._config.field.mask_m)]
         self.hits_odom_m = np.concatenate([hits_odom, old[keep]])
         stamps = np.concatenate([np.full(len(hits_odom), stamp_ns, np.int64), seen_ns[keep]])
         self._kept = (self.hits_odom_m, stamps)
