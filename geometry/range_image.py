@@ -54,7 +54,10 @@ def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64)
 
 
 def points_of(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64) -> Float32:
-    """Returns (K, 3) in the sensor frame, row by row of the image."""
+    """Returns (K, 3) in the sensor frame, row by row of the image; raises ValueError where the shapes disagree."""
+    if ranges_mm.shape != (len(elevation_rad), len(azimuth_rad)):
+        beams = f"{len(elevation_rad)} elevations and {len(azimuth_rad)} azimuths"
+        raise ValueError(f"range image of shape {ranges_mm.shape}: the beams have {beams}")
     el, az = (np.array([np.cos(angle), np.sin(angle)], np.float32) for angle in (elevation_rad, azimuth_rad))
     points = np.empty((np.count_nonzero(ranges_mm != 0), 3), np.float32)
     _fill_points(ranges_mm, el[0], el[1], az[0], az[1], points)

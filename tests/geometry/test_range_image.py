@@ -7,6 +7,7 @@ import pytest
 
 from configs.vehicle import Lidar
 from geometry.range_image import chance_neighbours, clear_beneath, floating, isolated, range_image, scattered
+from geometry.range_image import points_of as returns_of
 from tests.perception.lidar_scenes import FRONT, VEHICLE, box, cast
 
 SIDE = VEHICLE.sensors.lidar["front_left"]
@@ -34,6 +35,16 @@ def floating_share(scan, lidar: Lidar, corners):
     pixels = within(scan, lidar, corners)
     found, _ = floating(image_of(scan), pixels, lidar.mount.T_base_sensor, GROUND_M, GROUND_SLOPE, CLEAR_M)
     return float(found.mean()) if len(found) else 0.0, len(found)
+
+
+def test_points_of_an_image() -> None:
+    mm = np.array([[0, 2000], [5000, 1000]], np.uint16)
+    elevation, azimuth = np.radians([-30.0, 0.0]), np.radians([90.0, 0.0])
+    found = returns_of(mm, elevation, azimuth)
+    expected = [(2.0 * math.cos(math.radians(30.0)), 0.0, -1.0), (0.0, 5.0, 0.0), (1.0, 0.0, 0.0)]
+    assert found == pytest.approx(np.array(expected), abs=1e-6)
+    with pytest.raises(ValueError, match="2 elevations and 3 azimuths"):
+        returns_of(mm, elevation, np.zeros(3))
 
 
 def dust(share: float):
