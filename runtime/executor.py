@@ -1,6 +1,5 @@
 """Executor for all worlds: delivers due messages, then steps due nodes; a node is busy for its latency."""
 
-import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
@@ -11,8 +10,11 @@ from messages.faults import Fault, Response, Severity
 from messages.node import Every, Node, On, Output, World
 from messages.topics import spec_of
 from runtime.bus import Bus, Sink
+from runtime.node_process import NodeProcess
+from runtime.node_step import StepResult, step_node
 
 FAULT_TOPIC = "fault/executor"
+Delivery = list[Output] | Callable[[], list[Output]]
 MAX_TIME_JUMP_NS = 1_800_000_000_000  # a longer pause of the world is a clock step: no node steps in between
 
 
@@ -75,7 +77,8 @@ class Executor:
     """
 
     def __init__(
-        self, world: World, nodes: Sequence[tuple[Node, int]], sinks: Iterable[Sink], tap: Tap | None = None
+        self, world: World, nodes: Sequence[tuple[Node, int]], sinks: Iterable[Sink], tap: Tap | None = None,
+        processes: Iterable[NodeProcess] = (),
     ) -> None:
         self.world = world
         self._tap = tap
@@ -86,8 +89,12 @@ class Executor:
         for scheduled in self._nodes:
             for topic in scheduled.topics:
                 self._triggered_by.setdefault(topic, []).append(scheduled)
-        self._bus = Bus([node for node, _ in nodes], sinks)
-        self._deliveries: list[tuple[int, int, list[Output]]] = []
+        self._processes = tuple(processes)
+        self._process_of = {name: process for process in self._processes for name in process.names}
+        self._bus = Bus([node for node, _ in nodes if node.name not in self._process_of], sinks)
+        for process in self._processes:
+            self._bus.add_reader(process.topics, process)
+        self._deliveries: list[tuple[int, int, Delivery]] = []
         self._delivery_count = 0
 
     def run(self, is_done: Callable[[], bool]) -> None:
@@ -121,11 +128,13 @@ class Executor:
         if self.world.next_ns() == now_ns:
             self._deliver(list(self.world.step(now_ns)))
         while self._deliveries and self._deliveries[0][0] <= now_ns:
-            self._deliver(heappop(self._deliveries)[2])
-        for scheduled in self._nodes:
-            due_ns = scheduled.due_ns()
-            if due_ns is not None and due_ns <= now_ns:
-                self._step(scheduled)
+            self._deliver(self._take_delivery())
+        due = [one for one in self._nodes if (due_ns := one.due_ns()) is not None and due_ns <= now_ns]
+        for process in self._processes:
+            if names := [one.node.name for one in due if one.node.name in process.names]:
+                process.order(now_ns, names)
+        for scheduled in due:
+            self._step(scheduled)
 
     def _step_back(self, now_ns: int) -> None:
         """Handles a backward clock step: schedules restart now, pending deliveries become due now."""
@@ -147,28 +156,31 @@ class Executor:
                     scheduled.triggered_ns = self.now_ns
 
     def _step(self, scheduled: ScheduledNode) -> None:
-        inbox = self._bus.inboxes[scheduled.node.name]
-        inbox.now_ns = self.now_ns
-        scheduled.begin_step(self.now_ns)
-        try:
-            outputs = list(scheduled.node.step(self.now_ns, inbox))
-            self._check(scheduled.node, outputs)
-        except Exception:  # any failure of a node leads to a stop, not to a crash
-            scheduled.has_failed = True
-            outputs = [(FAULT_TOPIC, node_fault(self.now_ns, scheduled.node.name, traceback.format_exc()))]
-        inbox.clear()
-        if outputs:
-            self._schedule(self.now_ns + scheduled.latency_ns, outputs)
-
-    def _schedule(self, due_ns: int, outputs: list[Output]) -> None:
-        self._delivery_count += 1
-        heappush(self._deliveries, (due_ns, self._delivery_count, outputs))
+        name, now_ns = scheduled.node.name, self.now_ns
+        scheduled.begin_step(now_ns)
+        process = self._process_of.get(name)
+        if process is not None:
+            number = process.next_number()
+            self._schedule(now_ns + scheduled.latency_ns, lambda: self._outputs(scheduled, now_ns, process.result(number)))
+            return
+        result = step_node(scheduled.node, now_ns, self._bus.inboxes[name])
+        if outputs := self._outputs(scheduled, now_ns, result):
+            self._schedule(now_ns + scheduled.latency_ns, outputs)
 
     @staticmethod
-    def _check(node: Node, outputs: list[Output]) -> None:
-        for topic, _ in outputs:
-            if topic not in node.writes:
-                raise WiringError(f"node {node.name!r} writes {topic!r}, which it does not declare")
+    def _outputs(scheduled: ScheduledNode, now_ns: int, result: StepResult) -> list[Output]:
+        if not isinstance(result, str):
+            return result
+        scheduled.has_failed = True
+        return [(FAULT_TOPIC, node_fault(now_ns, scheduled.node.name, result))]
+
+    def _schedule(self, due_ns: int, delivery: Delivery) -> None:
+        self._delivery_count += 1
+        heappush(self._deliveries, (due_ns, self._delivery_count, delivery))
+
+    def _take_delivery(self) -> list[Output]:
+        delivery = heappop(self._deliveries)[2]
+        return delivery() if callable(delivery) else delivery
 
 
 def node_fault(now_ns: int, name: str, text: str) -> Fault:

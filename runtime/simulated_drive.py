@@ -135,6 +135,7 @@ def drive_into_log(
     faults = fault_injection_for(setup, scenario)
     with (
         assemble(setup, scenario, is_ablation, faults) as (world, nodes),
+        node_processes(nodes) as processes,
         (folder / "console.log").open("w") as file,
     ):
         end = EndOfDrive(setup.plan.length_m, limit_s)
@@ -143,10 +144,28 @@ def drive_into_log(
                 log.add_metadata("shapes", {"json": world.shapes_text()})
             sinks: list[Sink] = [log.write, Progress((console, file), start_notes(setup)), end]
             sinks += [one for one in (faults, None if shown is None else shown.write) if one is not None]
-            Executor(world, nodes, sinks, faults).run(
+            Executor(world, nodes, sinks, faults, processes).run(
                 lambda: end.is_reached() or (interruption is not None and interruption.is_requested)
             )
             return log.digest()
+
+
+import os
+from contextlib import contextmanager, ExitStack
+from runtime.node_process import NodeProcess
+@contextmanager
+def node_processes(nodes):
+    with ExitStack() as stack:
+        found=[]
+        for group in os.environ.get("GROUPS_","").split(";"):
+            if not group: continue
+            import re
+            some=[n for n,_ in nodes if re.match(f"({group})$", n.name)]
+            p=NodeProcess(some)
+            stack.callback(p.close)
+            found.append(p)
+            print(p.names)
+        yield found
 
 
 def read_drive(path: Path, vehicle: Vehicle) -> tuple[DriveRecord, list[DetectionSample]]:
