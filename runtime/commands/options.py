@@ -97,6 +97,9 @@ COMMANDS = (
         FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, PLANT, SEED, MODEL, DURATION,
         _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
         _option("--page", action="store_true", help="show the drive in the browser while it goes on"),
+        _option("--cores", type=whole(1, 2), metavar="N",
+                help="1: the whole drive in one process; 2: perception and localization in another (default: as this "
+                "computer has); the result is the same"),
         _out("run"), JSON,
     )),
     Command("live", "run the stack in real time, one process per part", "runtime.commands.live", (
