@@ -15,11 +15,6 @@ def _array_dtypes(cls: type[Any]) -> tuple[tuple[str, np.dtype[Any]], ...]:
     return tuple((name, np.dtype(get_args(get_args(h)[1])[0])) for name, h in named if get_origin(h) is np.ndarray)
 
 
-@cache
-def _field_names(cls: type[Any]) -> tuple[str, ...]:
-    return tuple(f.name for f in fields(cls))
-
-
 @dataclass(frozen=True, eq=False)
 class MessagePart:
     """Frozen part of a message; its arrays are made read-only. Raises TypeError for an array of another type."""
@@ -32,8 +27,8 @@ class MessagePart:
             array.setflags(write=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields, for another process: what is computed from them and kept is computed there again."""
-        return {name: self.__dict__[name] for name in _field_names(type(self))}
+        """The fields, for another process: without what a `cached_property` has computed from them."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from runtime.node_step import StepResult, step_node
 from runtime.processes import begin_worker
 
 PIPE_BYTES = 1 << 20  # several scans, so that the executor does not wait until they are read; Linux allows no more
-PREFIXES = ("lidar", "radar", "tracker", "localizer", "mission")  # nodes whose step takes longer than to send its input
+PREFIXES = ("lidar", "radar", "tracker", "localizer")  # nodes whose step takes longer than to send its input
 PICKLE = 5  # protocol that keeps arrays read-only
 
 Result = Callable[[], StepResult]

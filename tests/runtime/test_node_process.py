@@ -226,7 +226,12 @@ RUN = ["run", "--mission", "yard", "--cores", "2", "--duration", "300"]
         (signal.SIGINT, False, 130, "interrupted"),
         (signal.SIGTERM, False, 143, "interrupted"),
         (signal.SIGKILL, False, -9, ""),
-        (signal.SIGKILL, True, 2, "tracker, localizer, mission has ended (signal 9); the drive until then is kept in"),
+        (
+            signal.SIGKILL,
+            True,
+            2,
+            "tracker, lidar_odometry_front, lidar_map, localizer has ended (signal 9); the drive until then is kept in",
+        ),
     ],
 )
 def test_no_process_is_left_behind(tmp_path: Path, number: int, to_child: bool, code: int, words: str) -> None:
