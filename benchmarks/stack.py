@@ -1,8 +1,9 @@
-"""Computing time: wall seconds per simulated second of every node, the world and the log on one core, against the budget.
+"""Computing time: wall seconds per simulated second of every node, the world and the log, against the budget.
 
     ./headland benchmark stack [--seconds 60] [--seed 1]
 
-Then the total once more on two cores, as `run` drives. Exit code 1 if the total on one core exceeds 0.8 s per simulated second, or the 99th percentile of a node its latency.
+These are on one core; then the total on two, as `run` drives. Exit code 1 if the total on one core exceeds 0.8 s per
+simulated second, or the 99th percentile of a node its latency.
 """
 
 import argparse
