@@ -118,7 +118,7 @@ COMMANDS = (
         _option("--key", type=file, metavar="FILE.pem",
                 help="with --connect: Ed25519 key for orders, whose public key the machine has (default: no orders)"),
         _option("--live", action="store_true",
-                help="simulate as `live` does, one process per part (default: one process, not faster than real time)"),
+                help="simulate as `live` does, one process per part (default: not faster than real time)"),
         _option("--port", type=whole(0, 65535), metavar="N", help="port of the page (default in configs/page.yaml)"),
         _option("--stop-port", type=whole(0, 65535), metavar="N", help="port of the emergency stop"),
         _option("--setup-version", type=whole(1, 1_000_000), metavar="N",

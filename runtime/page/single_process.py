@@ -1,4 +1,4 @@
-"""Simulation of the page in one process: the executor of `run`, not faster than real time, with orders from a port.
+"""Simulation of the page with one executor: that of `run`, not faster than real time, with orders from a port.
 
 On a slow computer simulated time falls behind; the separate processes of `live` would miss their heartbeats there.
 """

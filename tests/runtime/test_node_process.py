@@ -242,7 +242,10 @@ def test_no_process_is_left_behind(tmp_path: Path, number: int, to_child: bool, 
         try:
             child = wait_for(lambda: next(iter(children_of(run.pid)), None), run)
             wait_for(lambda: "start warning" in (tmp_path / "text").read_text() or None, run)
-            os.kill(child if to_child else run.pid, number)
+            if number == signal.SIGKILL:
+                os.kill(child if to_child else run.pid, number)
+            else:
+                os.killpg(run.pid, number)  # as a terminal does
             assert run.wait(60.0) == code
         finally:
             run.kill()
