@@ -11,11 +11,14 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing.connection import Connection
+from typing import NoReturn
 
 from messages.errors import HeadlandError
 from messages.message import Envelope
@@ -107,16 +110,23 @@ def node_process(nodes: Sequence[tuple[Node, int]], cores: int) -> Iterator[Node
 
 
 def _serve(nodes: Sequence[Node], orders: Connection, results: Connection, parent: int) -> None:
-    """Steps the nodes as ordered until the parent ends this process."""
+    """Steps the nodes as ordered until the parent ends this process, or an error of these lines does."""
     begin_worker(parent)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # as SIGINT: the parent decides when the drive ends
+    try:
+        _step_as_ordered(nodes, orders, results)
+    except Exception:
+        sys.stderr.write(traceback.format_exc())
+        os._exit(1)  # without waiting for a result that the parent does not read
+
+
+def _step_as_ordered(nodes: Sequence[Node], orders: Connection, results: Connection) -> NoReturn:
     bus, by_name = Bus(nodes, ()), {node.name: node for node in nodes}
-    # sent in a thread: this one reads on while the parent, which is sending, does not read
-    with ThreadPoolExecutor(1, "results") as sender:
-        while True:
-            delivered, now_ns, names = pickle.loads(orders.recv_bytes())
-            for envelope in delivered:
-                bus.deliver(envelope.receive_ns, [(envelope.topic, envelope.message)])
-            for name in names:
-                result = step_node(by_name[name], now_ns, bus.inboxes[name])
-                sender.submit(results.send_bytes, pickle.dumps(result, PICKLE))
+    sender = ThreadPoolExecutor(1, "results")  # a thread, so that this one reads on while the parent is sending
+    while True:
+        delivered, now_ns, names = pickle.loads(orders.recv_bytes())
+        for envelope in delivered:
+            bus.deliver(envelope.receive_ns, [(envelope.topic, envelope.message)])
+        for name in names:
+            result = step_node(by_name[name], now_ns, bus.inboxes[name])
+            sender.submit(results.send_bytes, pickle.dumps(result, PICKLE))

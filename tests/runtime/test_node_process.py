@@ -208,6 +208,17 @@ def test_killed_process_ends_the_drive_with_one_line() -> None:
     assert children_of(os.getpid()) == []
 
 
+def sends_what_cannot_be_sent(now_ns: int, inbox: Inbox) -> Iterable[Output]:
+    return [("imu", lambda: now_ns)]  # type: ignore[list-item]
+
+
+def test_error_of_the_process_ends_the_drive_with_one_line(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(HeadlandError, match=r"lidar_a, tracker has ended \(exit code 1\)"):
+        drive(nodes_of(sends_what_cannot_be_sent), 2)
+    assert "pickle" in capfd.readouterr().err
+    assert children_of(os.getpid()) == []
+
+
 def children_of(pid: int) -> list[int]:
     """Processes forked by this one that do what it does."""
     found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
