@@ -15,7 +15,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import NoReturn
@@ -46,7 +46,8 @@ class NodeProcess:
         context = multiprocessing.get_context("fork")  # the nodes are made already
         orders, self._orders = context.Pipe(duplex=False)
         self._results, results = context.Pipe(duplex=False)
-        fcntl.fcntl(self._orders.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+        with suppress(OSError):  # the user has many pipes: this one stays small
+            fcntl.fcntl(self._orders.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         self._process = context.Process(target=_serve, args=(nodes, orders, results, os.getpid()), name="nodes")
         self._process.start()
         orders.close()
@@ -89,7 +90,7 @@ class NodeProcess:
         return self._results_by_number.pop(number)
 
     def _lost(self) -> HeadlandError:
-        self._process.join()
+        self._process.join(5.0)
         code = self._process.exitcode or 0
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         return HeadlandError(f"the process of the nodes {', '.join(self.names)} has ended ({how})")
