@@ -2,10 +2,12 @@
 
     ./headland benchmark stack [--seconds 60] [--seed 1]
 
-Exit code 1 if the total exceeds 0.8 s per simulated second, or the 99th percentile of a node its latency.
+These are on one core; then the total on two, as `run` drives. Exit code 1 if the total on one core exceeds 0.8 s per
+simulated second, or the 99th percentile of a node its latency.
 """
 
 import argparse
+import os
 import sys
 import tempfile
 import time
@@ -19,8 +21,10 @@ import numpy as np
 from configs.strict import find, load
 from datasets.log import LogWriter
 from runtime.assembly import assemble
+from runtime.bus import Sink
 from runtime.executor import Executor
-from runtime.setup import load_setup
+from runtime.node_process import node_process
+from runtime.setup import Setup, load_setup
 from simulation.scenario import Scenario
 
 LIMIT = 0.8
@@ -32,23 +36,38 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
+    setup, seconds = load_setup("demo", None, None, None, arguments.seed), arguments.seconds
     spent: dict[str, list[float]] = defaultdict(list)
-    setup = load_setup("demo", None, None, None, arguments.seed)
+    wall_s, latency_ns = drive(setup, seconds, spent)
+    over = print_table(spent, latency_ns, wall_s, seconds)
+    if len(os.sched_getaffinity(0)) > 1:
+        both_s, _ = drive(setup, seconds, None)
+        sys.stdout.write(f"{'total on two cores':<20}{both_s / seconds:>12.4f}\n")
+    return 1 if over or wall_s > LIMIT * seconds else 0
+
+
+def drive(setup: Setup, seconds: float, spent: dict[str, list[float]] | None) -> tuple[float, dict[str, int]]:
+    """Wall time (s) of the first seconds of the demo, and the latencies of the nodes.
+
+    On one core with the time of every step in `spent`; None: on two cores as `run`, without these times.
+    """
     scenario = load(Scenario, find("scenarios", "demo"))
     with (
         assemble(setup, scenario) as (world, nodes),
+        node_process(nodes, 2 if spent is None else 1) as process,
         tempfile.TemporaryDirectory() as folder,
         LogWriter(Path(folder) / "log.mcap", {}, setup.stack.datasets.log, setup.viewer()) as log,
     ):
-        for node, _ in nodes:
-            node.step = timed(node.step, spent[node.name])  # type: ignore[method-assign]
-        world.step = timed(world.step, spent["world"])  # type: ignore[method-assign]
-        executor = Executor(world, nodes, [timed(log.write, spent["log"])])
+        write: Sink = log.write
+        if spent is not None:
+            for node, _ in nodes:
+                node.step = timed(node.step, spent[node.name])  # type: ignore[method-assign]
+            world.step = timed(world.step, spent["world"])  # type: ignore[method-assign]
+            write = timed(write, spent["log"])
+        executor = Executor(world, nodes, [write], process=process)
         start_ns, began_s = executor.now_ns, time.perf_counter()
-        executor.run(lambda: executor.now_ns - start_ns > arguments.seconds * 1e9)
-        wall_s = time.perf_counter() - began_s
-    over = print_table(spent, {node.name: ns for node, ns in nodes}, wall_s, arguments.seconds)
-    return 1 if over or wall_s > LIMIT * arguments.seconds else 0
+        executor.run(lambda: executor.now_ns - start_ns > seconds * 1e9)
+        return time.perf_counter() - began_s, {node.name: ns for node, ns in nodes}
 
 
 def timed(function: Callable[..., Any], spent: list[float]) -> Callable[..., Any]:

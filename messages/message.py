@@ -15,6 +15,11 @@ def _array_dtypes(cls: type[Any]) -> tuple[tuple[str, np.dtype[Any]], ...]:
     return tuple((name, np.dtype(get_args(get_args(h)[1])[0])) for name, h in named if get_origin(h) is np.ndarray)
 
 
+@cache
+def _field_names(cls: type[Any]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(cls))
+
+
 @dataclass(frozen=True, eq=False)
 class MessagePart:
     """Frozen part of a message; its arrays are made read-only. Raises TypeError for an array of another type."""
@@ -25,6 +30,10 @@ class MessagePart:
             if not isinstance(array, np.ndarray) or (array.dtype is not dtype and array.dtype != dtype):
                 raise TypeError(f"{type(self).__name__}.{name}: {getattr(array, 'dtype', type(array))}, not {dtype}")
             array.setflags(write=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields, for another process: without what a `cached_property` has computed from them."""
+        return {name: self.__dict__[name] for name in _field_names(type(self))}  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,13 @@ class _Interpolable(Protocol):
     def interpolate(self, other: "_Interpolable", stamp_ns: int) -> Message: ...
 
 
+class Reader(Protocol):
+    """Takes delivered messages."""
+
+    def put(self, envelope: Envelope) -> None:
+        """Takes a delivered message."""
+
+
 class NodeInbox:
     """Inbox of one node; reading an undeclared topic raises WiringError."""
 
@@ -96,10 +103,15 @@ class Bus:
         self.sinks = list(sinks)
         self.sink_errors: list[LogError] = []
         self._sequence: dict[str, int] = {}
-        self._readers: dict[str, list[NodeInbox]] = {}
+        self._readers: dict[str, list[Reader]] = {}
         for node in nodes:
             for topic in node.reads:
                 self._readers.setdefault(topic, []).append(self.inboxes[node.name])
+
+    def add_reader(self, topics: Iterable[str], reader: Reader) -> None:
+        """Adds a reader of these topics beside the inboxes."""
+        for topic in topics:
+            self._readers.setdefault(topic, []).append(reader)
 
     def deliver(self, now_ns: int, outputs: Iterable[Output]) -> list[str]:
         """Delivers messages; returns their topics."""

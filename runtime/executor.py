@@ -1,7 +1,6 @@
 """Executor for all worlds: delivers due messages, then steps due nodes; a node is busy for its latency."""
 
-import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import Protocol
@@ -11,9 +10,13 @@ from messages.faults import Fault, Response, Severity
 from messages.node import Every, Node, On, Output, World
 from messages.topics import spec_of
 from runtime.bus import Bus, Sink
+from runtime.node_process import NodeProcess, Result
+from runtime.node_step import StepResult, step_node
 
 FAULT_TOPIC = "fault/executor"
 MAX_TIME_JUMP_NS = 1_800_000_000_000  # a longer pause of the world is a clock step: no node steps in between
+
+Delivery = list[Output] | Callable[[], list[Output]]  # outputs, or a call that waits for them
 
 
 class Tap(Protocol):
@@ -71,11 +74,17 @@ class ScheduledNode:
 class Executor:
     """Runs nodes in one world; `sinks` receive every message in the order of delivery.
 
-    A node or sink that raises is not called again; either is a fault with a controlled stop.
+    A node or sink that raises is not called again; either is a fault with a controlled stop. `process` steps some of
+    the nodes; with a tap there is none.
     """
 
     def __init__(
-        self, world: World, nodes: Sequence[tuple[Node, int]], sinks: Iterable[Sink], tap: Tap | None = None
+        self,
+        world: World,
+        nodes: Sequence[tuple[Node, int]],
+        sinks: Iterable[Sink],
+        tap: Tap | None = None,
+        process: NodeProcess | None = None,
     ) -> None:
         self.world = world
         self._tap = tap
@@ -86,8 +95,12 @@ class Executor:
         for scheduled in self._nodes:
             for topic in scheduled.topics:
                 self._triggered_by.setdefault(topic, []).append(scheduled)
-        self._bus = Bus([node for node, _ in nodes], sinks)
-        self._deliveries: list[tuple[int, int, list[Output]]] = []
+        self._process = process
+        elsewhere = () if process is None else process.names
+        self._bus = Bus([node for node, _ in nodes if node.name not in elsewhere], sinks)
+        if process is not None:
+            self._bus.add_reader(process.topics, process)
+        self._deliveries: list[tuple[int, int, Delivery]] = []
         self._delivery_count = 0
 
     def run(self, is_done: Callable[[], bool]) -> None:
@@ -121,11 +134,18 @@ class Executor:
         if self.world.next_ns() == now_ns:
             self._deliver(list(self.world.step(now_ns)))
         while self._deliveries and self._deliveries[0][0] <= now_ns:
-            self._deliver(heappop(self._deliveries)[2])
-        for scheduled in self._nodes:
-            due_ns = scheduled.due_ns()
-            if due_ns is not None and due_ns <= now_ns:
-                self._step(scheduled)
+            self._deliver(self._next_delivery())
+        due = [one for one in self._nodes if (due_ns := one.due_ns()) is not None and due_ns <= now_ns]
+        pending = self._order([one.node.name for one in due])
+        for scheduled in due:
+            self._step(scheduled, pending.get(scheduled.node.name))
+
+    def _order(self, names: list[str]) -> Mapping[str, Result]:
+        """Orders the steps of those of these nodes that are in the other process."""
+        if self._process is None:
+            return {}
+        ordered = [name for name in names if name in self._process.names]
+        return self._process.order(self.now_ns, ordered) if ordered else {}
 
     def _step_back(self, now_ns: int) -> None:
         """Handles a backward clock step: schedules restart now, pending deliveries become due now."""
@@ -146,29 +166,31 @@ class Executor:
                 if scheduled.triggered_ns is None:
                     scheduled.triggered_ns = self.now_ns
 
-    def _step(self, scheduled: ScheduledNode) -> None:
-        inbox = self._bus.inboxes[scheduled.node.name]
-        inbox.now_ns = self.now_ns
-        scheduled.begin_step(self.now_ns)
-        try:
-            outputs = list(scheduled.node.step(self.now_ns, inbox))
-            self._check(scheduled.node, outputs)
-        except Exception:  # any failure of a node leads to a stop, not to a crash
-            scheduled.has_failed = True
-            outputs = [(FAULT_TOPIC, node_fault(self.now_ns, scheduled.node.name, traceback.format_exc()))]
-        inbox.clear()
-        if outputs:
-            self._schedule(self.now_ns + scheduled.latency_ns, outputs)
+    def _step(self, scheduled: ScheduledNode, pending: Result | None = None) -> None:
+        """Steps a node, or takes the `pending` result of its step when that is due."""
+        now_ns, name = self.now_ns, scheduled.node.name
+        scheduled.begin_step(now_ns)
+        due_ns = now_ns + scheduled.latency_ns
+        if pending is not None:
+            self._schedule(due_ns, lambda: _outputs(scheduled, now_ns, pending()))
+        elif outputs := _outputs(scheduled, now_ns, step_node(scheduled.node, now_ns, self._bus.inboxes[name])):
+            self._schedule(due_ns, outputs)
 
-    def _schedule(self, due_ns: int, outputs: list[Output]) -> None:
+    def _schedule(self, due_ns: int, delivery: Delivery) -> None:
         self._delivery_count += 1
-        heappush(self._deliveries, (due_ns, self._delivery_count, outputs))
+        heappush(self._deliveries, (due_ns, self._delivery_count, delivery))
 
-    @staticmethod
-    def _check(node: Node, outputs: list[Output]) -> None:
-        for topic, _ in outputs:
-            if topic not in node.writes:
-                raise WiringError(f"node {node.name!r} writes {topic!r}, which it does not declare")
+    def _next_delivery(self) -> list[Output]:
+        delivery = heappop(self._deliveries)[2]
+        return delivery() if callable(delivery) else delivery
+
+
+def _outputs(scheduled: ScheduledNode, now_ns: int, result: StepResult) -> list[Output]:
+    """Outputs of a step at `now_ns`: a fault if it failed, after which the node is not stepped again."""
+    if not isinstance(result, str):
+        return result
+    scheduled.has_failed = True
+    return [(FAULT_TOPIC, node_fault(now_ns, scheduled.node.name, result))]
 
 
 def node_fault(now_ns: int, name: str, text: str) -> Fault:

@@ -23,7 +23,7 @@ from messages.errors import HeadlandError
 ROOT = Path(__file__).resolve().parent.parent
 RUNS = Path("runs")
 MANIFEST, FRESH_MANIFEST = "manifest.json", ".manifest.json.new"
-NOT_OF_THE_COMMAND = ("out", "json", "module", "verb")  # they do not change what a command makes
+NOT_OF_THE_COMMAND = ("out", "json", "cores", "module", "verb")  # they do not change what a command makes
 
 
 class RunFolder:

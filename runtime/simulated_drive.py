@@ -19,6 +19,7 @@ from runtime.commands.end_of_run import EndOfDrive, expected_s
 from runtime.commands.progress import Progress
 from runtime.executor import Executor
 from runtime.interruption import Interruption
+from runtime.node_process import node_process
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, start_notes
 from simulation.scenario import Scenario
@@ -40,10 +41,11 @@ INTERRUPTED = "interrupted"
 def drive(
     setup: Setup, scenario: Scenario, folder: RunFolder, console: TextIO, is_ablation: bool = False,
     limit_s: float | None = None, interruption: Interruption | None = None, shown: "ShownRun | None" = None,
+    cores: int = 1,
 ) -> dict[str, Any]:  # fmt: skip
     """Drives one mission into a run folder, at most `limit_s` simulated seconds; returns the object of `run --json`.
 
-    `shown` is the page on which it is seen meanwhile.
+    `shown` is the page on which it is seen meanwhile. The drive is the same on one core and on two `cores`.
 
     Raises HeadlandError if log or report cannot be written; what was written until then stays in the folder.
     """
@@ -58,7 +60,7 @@ def drive(
     digest, failure = None, None
     try:
         digest = drive_into_log(
-            setup, scenario, folder.path, conditions, console, is_ablation, limit_s, interruption, shown
+            setup, scenario, folder.path, conditions, console, is_ablation, limit_s, interruption, shown, cores
         )
     except (HeadlandError, OSError) as error:
         if not log_path.is_file():
@@ -121,7 +123,7 @@ def _drawn_plant(setup: Setup, scenario: Scenario) -> dict[str, Config]:
 def drive_into_log(
     setup: Setup, scenario: Scenario, folder: Path, conditions: dict[str, str], console: TextIO,
     is_ablation: bool = False, limit_s: float | None = None, interruption: Interruption | None = None,
-    shown: "ShownRun | None" = None,
+    shown: "ShownRun | None" = None, cores: int = 1,
 ) -> str:  # fmt: skip
     """Runs the stack until the drive ends or is interrupted, at most `limit_s`, into a log; returns its digest."""
     config = resolved(
@@ -135,6 +137,7 @@ def drive_into_log(
     faults = fault_injection_for(setup, scenario)
     with (
         assemble(setup, scenario, is_ablation, faults) as (world, nodes),
+        node_process(nodes, cores if faults is None else 1) as process,
         (folder / "console.log").open("w") as file,
     ):
         end = EndOfDrive(setup.plan.length_m, limit_s)
@@ -143,7 +146,7 @@ def drive_into_log(
                 log.add_metadata("shapes", {"json": world.shapes_text()})
             sinks: list[Sink] = [log.write, Progress((console, file), start_notes(setup)), end]
             sinks += [one for one in (faults, None if shown is None else shown.write) if one is not None]
-            Executor(world, nodes, sinks, faults).run(
+            Executor(world, nodes, sinks, faults, process).run(
                 lambda: end.is_reached() or (interruption is not None and interruption.is_requested)
             )
             return log.digest()

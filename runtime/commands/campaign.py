@@ -47,7 +47,7 @@ class Trial:
         """Runs the trial in a process unless it has ended already; `run` keeps the files of an interrupted one."""
         if (found := self.result) is not None:
             return found
-        code, text = run_headland(["run", *self.arguments, "--out", str(self.folder), "--json"], ROOT)
+        code, text = run_headland(["run", *self.arguments, "--cores", "1", "--out", str(self.folder), "--json"], ROOT)
         if (result := self.result) is not None:
             return result
         reason = " ".join(text.strip().splitlines()[-1:])

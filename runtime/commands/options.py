@@ -98,6 +98,9 @@ COMMANDS = (
         FIELD, FEATURE, GUIDANCE, *MISSION, SCENARIO, PLANT, SEED, MODEL, DURATION,
         _option("--without-obstacle-rules", action="store_true", help="ablation: no obstacle rules in the supervisor"),
         _option("--page", action="store_true", help="show the drive in the browser while it goes on"),
+        _option("--cores", type=whole(1, 2), metavar="N",
+                help="1: the whole drive in one process; 2: perception and localization in another (default: as this "
+                "computer has); the result is the same"),
         _out("run"), JSON,
     )),
     Command("live", "run the stack in real time, one process per part", "runtime.commands.live", (
@@ -116,7 +119,7 @@ COMMANDS = (
         _option("--key", type=file, metavar="FILE.pem",
                 help="with --connect: Ed25519 key for orders, whose public key the machine has (default: no orders)"),
         _option("--live", action="store_true",
-                help="simulate as `live` does, one process per part (default: one process, not faster than real time)"),
+                help="simulate as `live` does, one process per part (default: not faster than real time)"),
         _option("--port", type=whole(0, 65535), metavar="N", help="port of the page (default in configs/page.yaml)"),
         _option("--stop-port", type=whole(0, 65535), metavar="N", help="port of the emergency stop"),
         _option("--setup-version", type=whole(1, 1_000_000), metavar="N",

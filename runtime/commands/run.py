@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING
@@ -27,8 +28,9 @@ def main(arguments: argparse.Namespace) -> int:
         setup = with_model(setup, arguments.model)
         scenario = load_scenario(arguments.scenario, setup.mission, arguments.field, arguments.plant)
         is_ablation, limit_s = arguments.without_obstacle_rules, arguments.duration
+        cores = arguments.cores or len(os.sched_getaffinity(0))
         with _shown(arguments.page) as shown:
-            result = drive(setup, scenario, folder, sys.stderr, is_ablation, limit_s, interruption, shown)
+            result = drive(setup, scenario, folder, sys.stderr, is_ablation, limit_s, interruption, shown, cores)
         report = folder.path / "report.html"
     if arguments.json:
         sys.stdout.write(json.dumps(result) + "\n")

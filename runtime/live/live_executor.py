@@ -86,10 +86,10 @@ class LiveExecutor(Executor):
             if due_ns is not None and due_ns <= self.now_ns:
                 self._step(scheduled)
                 while self._deliveries:
-                    self._deliver(self._deliveries.pop(0)[2])
+                    self._deliver(self._next_delivery())
                 self.now_ns = self._clock()
         while self._deliveries:
-            self._deliver(self._deliveries.pop(0)[2])
+            self._deliver(self._next_delivery())
 
     def _deliver(self, outputs: list[Output]) -> None:
         """Writes messages to the ring and delivers them to the nodes of this process."""

@@ -1,8 +1,9 @@
-"""Simulation of the page in one process: the executor of `run`, not faster than real time, with orders from a port.
+"""Simulation of the page with one executor: that of `run`, not faster than real time, with orders from a port.
 
 On a slow computer simulated time falls behind; the separate processes of `live` would miss their heartbeats there.
 """
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from runtime.live.operated import Operated
 from runtime.live.ring import RingWriter
 from runtime.live.ring_folder import rings_in_memory
 from runtime.live.serialization import header, pack
+from runtime.node_process import node_process
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, start_notes
 from simulation.scenario import Scenario
@@ -43,11 +45,12 @@ def drive_in_one_process(
         log_path = folder.file("log.mcap")
         with (
             assemble(setup, scenario, order_port=operated.port) as (world, nodes),
+            node_process(nodes, len(os.sched_getaffinity(0))) as process,
             folder.file("console.log").open("w") as console,
             LogWriter(log_path, metadata, setup.stack.datasets.log, setup.viewer(), rotates=True) as log,
         ):
             sinks = (log.write, Progress((sys.stderr, console), start_notes(setup)), ring_sink(ring))
-            executor = Executor(world, nodes, sinks)
+            executor = Executor(world, nodes, sinks, process=process)
             executor.run(_paced(executor, lambda: interruption.is_requested))
     folder.finish()
 

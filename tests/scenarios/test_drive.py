@@ -1,5 +1,6 @@
 """The entire stack in closed loop, in short drives; the campaign runs the demo mission."""
 
+import io
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,8 @@ import pytest
 
 from messages.command import ControlCommand, Mode, SafeCommand
 from messages.truth import TrueMachine
-from runtime.setup import Setup, load_setup
+from runtime.setup import Setup, load_scenario, load_setup
+from runtime.simulated_drive import drive_into_log
 from simulation.faults.config import FaultKind, InjectedFault
 from tests.scenarios.forward import Drive, forward
 
@@ -94,6 +96,20 @@ def test_digest_by_seed_across_processes(tmp_path: Path) -> None:
     assert [len(digest) for digest in first] == [32, 32]
     assert first == again
     assert first[0] != other
+
+
+@pytest.mark.parametrize(
+    "faults", [(), (InjectedFault(topic="node/localizer", kind=FaultKind.RAISES, from_s=6.5, for_s=60.0),)]
+)
+def test_same_digest_on_one_core_and_on_two(setup: Setup, tmp_path: Path, faults: tuple[InjectedFault, ...]) -> None:
+    scenario = load_scenario("empty", setup.mission, None).model_copy(update={"faults": faults})
+    digests = []
+    for cores in (1, 2):
+        folder = tmp_path / str(cores)
+        folder.mkdir()
+        digests.append(drive_into_log(setup, scenario, folder, {}, io.StringIO(), limit_s=7.5, cores=cores))
+    assert len(digests[0]) == 32
+    assert digests[0] == digests[1]
 
 
 def test_standstill_before_start_command(setup: Setup) -> None:
