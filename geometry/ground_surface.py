@@ -64,18 +64,15 @@ def stand_out_of_cell(
 ) -> tuple[Bool, Bool]:  # fmt: skip
     """Which returns (3, N) of height (N,) stand out with enough others of their cell, (N,), and which are of plants.
 
-    Cells as in `heights_above_ground`, with the height of plants in each (R, C). `limits_m`: height from which returns
-    count, the same where many of their cell do, and margin above plants. `shares` of the returns of a cell and number
-    of `returns`: above either limit count those of at least the share, above the second at least of the number.
+    Cells as in `heights_above_ground`, with the height of plants in each (R, C). `limits_m`: height above which returns
+    count if the first of `shares` of their cell do, height above which they count if the second share and a number of
+    `returns` do, and margin above plants.
     """
     rows, columns = plants_m.shape
     least_m, dense_m, margin_m = limits_m
     x0, y0, size = np.float32(corner_m[0]), np.float32(corner_m[1]), np.float32(cell_m)
-    cell, count, plants = (
-        np.empty(xyz.shape[1], np.int64),
-        np.zeros((3, rows * columns), np.int64),
-        plants_m.reshape(-1),
-    )
+    cell, plants = np.empty(xyz.shape[1], np.int64), plants_m.reshape(-1)
+    count = np.zeros((3, rows * columns), np.int64)  # of all returns, of those above the first limit, of the second
     is_above, is_plant = np.empty(xyz.shape[1], np.bool_), np.empty(xyz.shape[1], np.bool_)
     for k in range(xyz.shape[1]):
         row = min(int((xyz[0, k] - x0) / size), rows - 1)
@@ -111,8 +108,8 @@ def cells_in_grid(xyz: Float32, corner: tuple[float, float], shape: tuple[int, i
 
 @kernel
 def above_cells(xyz: Float32, cell: Int64, ground_m: Float32, height_m: np.float32, slope: np.float32) -> Bool:
-    """Which returns (3, N) are higher above the ground (C,) of their cell (N,) than a height and a slope from x = y = 0
-    on."""
+    """Which returns (3, N) are higher above the ground (C,) of their cell (N,) than a height, plus a slope times their
+    distance from x = y = 0."""
     out = np.empty(xyz.shape[1], np.bool_)
     for k in range(xyz.shape[1]):
         distance_m = np.sqrt(xyz[0, k] * xyz[0, k] + xyz[1, k] * xyz[1, k])
