@@ -23,7 +23,7 @@ def walker(kind: str) -> Scenario:
     return parse(
         Scenario,
         {
-            "name": kind, "operator_commands": [{"at_s": 3.0, "command": "start", "expires_s": 5.0}],
+            "name": kind, "operator_commands": [{"at_s": 0.5, "command": "start", "expires_s": 5.0}],
             "encounters": [{
                 "kind": "crossing", "name": "person", "actor": "person", "expected_stops": 1, "visible_to": [kind],
                 "swath_fraction": [0.65, 0.66], "start_lateral_m": [3.0, 3.1], "skew_deg": [0.0, 1.0],
@@ -37,7 +37,7 @@ def walker(kind: str) -> Scenario:
 
 @pytest.mark.parametrize(
     ("kind", "length_m", "speed_kmh"),
-    [("lidar", 50.0, 10.0), ("radar", 50.0, 10.0), ("camera", 50.0, 10.0), ("ultrasonic", 40.0, 2.0)],
+    [("lidar", 40.0, 10.0), ("radar", 40.0, 10.0), ("camera", 40.0, 10.0), ("ultrasonic", 14.0, 2.0)],
 )
 def test_stop_by_single_sensor(kind: str, length_m: float, speed_kmh: float) -> None:
     setup = on_a_line(load_setup("yard", None, None, None, 1), length_m, speed_kmh)
