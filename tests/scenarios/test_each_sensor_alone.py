@@ -37,7 +37,7 @@ def walker(kind: str) -> Scenario:
 
 @pytest.mark.parametrize(
     ("kind", "length_m", "speed_kmh"),
-    [("lidar", 40.0, 10.0), ("radar", 40.0, 10.0), ("camera", 40.0, 10.0), ("ultrasonic", 14.0, 2.0)],
+    [("lidar", 50.0, 10.0), ("radar", 50.0, 10.0), ("camera", 50.0, 10.0), ("ultrasonic", 40.0, 2.0)],
 )
 def test_stop_by_single_sensor(kind: str, length_m: float, speed_kmh: float) -> None:
     setup = on_a_line(load_setup("yard", None, None, None, 1), length_m, speed_kmh)
