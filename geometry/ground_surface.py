@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from geometry.arrays import Float32, Float64, Int32, Int64
+from geometry.arrays import Bool, Float32, Float64, Int32, Int64
 from geometry.jit import inline_kernel, kernel
 
 REACH = 3  # cells over which a lower place lowers the surface
-RANKS = 32  # up to this rank a quantile is found without sorting
+RANKS = 32  # up to this rank a quantile is found in one pass
 
 
 @kernel
@@ -27,10 +27,10 @@ def heights_above_ground(
     """
     rows, columns = shape
     count = xyz.shape[1]
-    cell = np.empty(count, np.int64)
+    cell, at = np.empty(count, np.int64), np.empty((count, 2))
     for k in range(count):
-        row = min(max(int((xyz[0, k] - corner_m[0]) / cell_m), 0), rows - 1)
-        column = min(max(int((xyz[1, k] - corner_m[1]) / cell_m), 0), columns - 1)
+        at[k, 0], at[k, 1] = (xyz[0, k] - corner_m[0]) / cell_m, (xyz[1, k] - corner_m[1]) / cell_m
+        row, column = min(max(int(at[k, 0]), 0), rows - 1), min(max(int(at[k, 1]), 0), columns - 1)
         cell[k] = row * columns + column
     begin = np.zeros(rows * columns + 1, np.int64)
     for k in range(count):
@@ -47,16 +47,140 @@ def heights_above_ground(
     tops[0] = second_largest(by_cell, begin, np.inf)
     trend = _smoothed(envelope(_low(by_cell, begin, quantile, rows, columns), slope * cell_m, REACH))
     for k in range(count):
-        height[k] -= _interpolated(
-            trend, (xyz[0, k] - corner_m[0]) / cell_m - 0.5, (xyz[1, k] - corner_m[1]) / cell_m - 0.5
-        )
+        height[k] -= _interpolated(trend, at[k, 0] - 0.5, at[k, 1] - 0.5)
         by_cell[place[k]] = height[k]
-    rest = envelope(_low(by_cell, begin, quantile, rows, columns), residual_slope * cell_m, REACH)
+    rest = envelope(_low(by_cell, begin, quantile, rows, columns), residual_slope * cell_m, REACH).reshape(-1)
     for k in range(count):
-        height[k] -= rest[cell[k] // columns, cell[k] % columns]
+        height[k] -= rest[cell[k]]
         by_cell[place[k]] = height[k]
     tops[1], tops[2] = second_largest(by_cell, begin, np.inf), second_largest(by_cell, begin, ground_limit_m)
     return height, tops.reshape((3, rows, columns))
+
+
+@kernel
+def stand_out_of_cell(
+    xyz: Float32, height_m: Float64, plants_m: Float64, corner_m: tuple[float, float], cell_m: float,
+    limits_m: tuple[float, float, float], shares: tuple[float, float], returns: int,
+) -> tuple[Bool, Bool]:  # fmt: skip
+    """Which returns (3, N) of height (N,) stand out with enough others of their cell, (N,), and which are of plants.
+
+    Cells as in `heights_above_ground`, with the height of plants in each (R, C). `limits_m`: height from which returns
+    count, the same where many of their cell do, and margin above plants. `shares` of the returns of a cell and number
+    of `returns`: above either limit count those of at least the share, above the second at least of the number.
+    """
+    rows, columns = plants_m.shape
+    least_m, dense_m, margin_m = limits_m
+    x0, y0, size = np.float32(corner_m[0]), np.float32(corner_m[1]), np.float32(cell_m)
+    cell, count, plants = (
+        np.empty(xyz.shape[1], np.int64),
+        np.zeros((3, rows * columns), np.int64),
+        plants_m.reshape(-1),
+    )
+    is_above, is_plant = np.empty(xyz.shape[1], np.bool_), np.empty(xyz.shape[1], np.bool_)
+    for k in range(xyz.shape[1]):
+        row = min(int((xyz[0, k] - x0) / size), rows - 1)
+        column = min(int((xyz[1, k] - y0) / size), columns - 1)
+        here = cell[k] = row * columns + column
+        plant_m = plants[here]
+        is_plant[k] = plant_m > 0.0 and height_m[k] <= plant_m + margin_m
+        is_above[k] = not is_plant[k] if plant_m > 0.0 else height_m[k] > least_m
+        count[0, here] += 1
+        count[1, here] += is_above[k]
+        count[2, here] += plant_m == 0.0 and height_m[k] > dense_m
+    for k in range(xyz.shape[1]):
+        all_of, above, dense = count[:, cell[k]]
+        is_dense = height_m[k] > dense_m and plants[cell[k]] == 0.0
+        is_dense &= dense >= max(float(returns), shares[1] * all_of)
+        is_above[k] = (is_above[k] and above >= shares[0] * all_of) or is_dense
+    return is_above, is_plant
+
+
+@kernel
+def cells_in_grid(xyz: Float32, corner: tuple[float, float], shape: tuple[int, int], cell_m: float) -> Int64:
+    """Cell (N,) of each return (3, N), row by row, in a grid of `shape` that begins `corner` cells from the origin.
+
+    Returns beyond it belong to its outermost cells.
+    """
+    scale, x0, y0 = np.float32(1.0 / cell_m), np.float32(corner[0]), np.float32(corner[1])
+    cell = np.empty(xyz.shape[1], np.int64)
+    for k in range(xyz.shape[1]):
+        row, column = int(xyz[0, k] * scale - x0), int(xyz[1, k] * scale - y0)
+        cell[k] = min(max(row, 0), shape[0] - 1) * shape[1] + min(max(column, 0), shape[1] - 1)
+    return cell
+
+
+@kernel
+def above_cells(xyz: Float32, cell: Int64, ground_m: Float32, height_m: np.float32, slope: np.float32) -> Bool:
+    """Which returns (3, N) are higher above the ground (C,) of their cell (N,) than a height and a slope from x = y = 0
+    on."""
+    out = np.empty(xyz.shape[1], np.bool_)
+    for k in range(xyz.shape[1]):
+        distance_m = np.sqrt(xyz[0, k] * xyz[0, k] + xyz[1, k] * xyz[1, k])
+        out[k] = xyz[2, k] > ground_m[cell[k]] + height_m + slope * distance_m
+    return out
+
+
+@kernel
+def plane_sums(low_m: Float64, is_known: Bool, reach: int) -> Float64:
+    """Sums of 1, x, y, x², xy, y², z, zx, zy over the known cells in the square within reach of each, (R, C, 9).
+
+    x: row, y: column, z: `low_m` (R, C) of a cell. A sum over a square is the difference of four sums from the corner
+    of the grid.
+    """
+    rows, columns = low_m.shape
+    total = np.zeros((rows + 1, columns + 1, 9))  # of the rows before along the columns, then of both
+    for i in range(rows):
+        for j in range(columns):
+            for n in range(9):
+                total[i + 1, j + 1, n] = total[i, j + 1, n]
+            if is_known[i, j]:
+                x, y, z = float(i), float(j), low_m[i, j]
+                terms = (1.0, x, y, x * x, x * y, y * y, z, z * x, z * y)
+                for n in range(9):
+                    total[i + 1, j + 1, n] += terms[n]
+    for i in range(rows + 1):
+        for j in range(columns):
+            for n in range(9):
+                total[i, j + 1, n] += total[i, j, n]
+    out = np.empty((rows, columns, 9))
+    for i in range(rows):
+        top, bottom = max(i - reach, 0), min(i + reach + 1, rows)
+        for j in range(columns):
+            left, right = max(j - reach, 0), min(j + reach + 1, columns)
+            for n in range(9):
+                lower = total[bottom, right, n] - total[bottom, left, n]
+                out[i, j, n] = lower - total[top, right, n] + total[top, left, n]
+    return out
+
+
+@kernel
+def heights_above_planes(
+    xyz: Float32, cell: Int64, planes: Float64, middle_m: tuple[float, float], cell_m: float
+) -> Float64:  # fmt: skip
+    """Height (N,) of each return (3, N) above the plane z = p + q row + r column of its cell (N,), in `planes`.
+
+    `middle_m`: middle of the first cell; `planes` (cells, 3).
+    """
+    out = np.empty(xyz.shape[1])
+    for k in range(xyz.shape[1]):
+        row, column = (xyz[0, k] - middle_m[0]) / cell_m, (xyz[1, k] - middle_m[1]) / cell_m
+        plane = planes[cell[k]]
+        out[k] = xyz[2, k] - (plane[0] + plane[1] * row + plane[2] * column)
+    return out
+
+
+@kernel
+def lowest_of_cells(order: Int64, cell: Int64, z: Float64) -> Int64:
+    """The lowest return of each cell, the first of equal ones, by ascending cell; `order` (N,) sorts `cell` (N,)."""
+    lowest, count = np.empty(len(order), np.int64), 0
+    for k in order:
+        last = lowest[count - 1]
+        if count == 0 or cell[k] != cell[last]:
+            lowest[count] = k
+            count += 1
+        elif z[k] < z[last] or (z[k] == z[last] and k < last):
+            lowest[count - 1] = k
+    return lowest[:count]
 
 
 @kernel
@@ -129,7 +253,7 @@ def _low(by_cell: Float64, begin: Int64, quantile: float, rows: int, columns: in
             continue
         rank = int(quantile * count)
         if rank >= RANKS:
-            low[here // columns, here % columns] = np.sort(by_cell[begin[here] : begin[here + 1]])[rank]
+            low[here // columns, here % columns] = np.partition(by_cell[begin[here] : begin[here + 1]], rank)[rank]
             continue
         lowest[: rank + 1] = np.inf  # the lowest so far, ascending
         for k in range(begin[here], begin[here + 1]):

@@ -12,10 +12,11 @@ beams. A body on the ground blocks all beams below its top; below a body in the 
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from geometry.arrays import Bool, Float64, Int64, UInt16
+from geometry.arrays import Bool, Float32, Float64, Int64, UInt16
 from geometry.jit import inline_kernel, kernel
 
 COLUMNS_ASIDE = 2  # neighbours of a return: three rings by five columns
@@ -24,6 +25,7 @@ BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same 
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
 SAMPLE, SCATTERED = 4000, 32  # returns by which scatter is found; its fewest returns without a neighbour
 BY_CHANCE = 0.5  # random returns of a scan and band that are left over, on average
+SLACK_RAD = 1e-6  # for rounding
 CLOSED_RAD = 6.2  # field of view whose first and last column are neighbours
 
 
@@ -38,6 +40,12 @@ class RangeImage:
     elevation_rad: Float64
     azimuth_rad: Float64
 
+    @cached_property
+    def directions(self) -> tuple[Float64, Float64, Float64, Float64]:
+        """Cosine and sine of elevation (rings,), cosine and sine of azimuth (columns,)."""
+        el, az = self.elevation_rad, self.azimuth_rad
+        return np.cos(el), np.sin(el), np.cos(az), np.sin(az)
+
 
 def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64) -> RangeImage:
     """Range image of a scan whose azimuths are equally spaced."""
@@ -45,25 +53,35 @@ def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64)
     return RangeImage(ranges_mm, rows, np.argsort(rows, kind="stable"), elevation_rad, azimuth_rad)
 
 
-def isolated(image: RangeImage, pixels: Int64) -> tuple[Bool, Int64]:
-    """Which returns, by their places `pixels` (K,) in the flattened image, are fewer than three next to each other.
+def points_of(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64) -> Float32:
+    """Returns (K, 3) in the sensor frame, row by row of the image; raises ValueError where the shapes disagree."""
+    if ranges_mm.shape != (len(elevation_rad), len(azimuth_rad)):
+        beams = f"{len(elevation_rad)} elevations and {len(azimuth_rad)} azimuths"
+        raise ValueError(f"range image of shape {ranges_mm.shape}: the beams have {beams}")
+    el, az = (np.array([np.cos(angle), np.sin(angle)], np.float32) for angle in (elevation_rad, azimuth_rad))
+    points = np.empty((np.count_nonzero(ranges_mm != 0), 3), np.float32)
+    _fill_points(ranges_mm, el[0], el[1], az[0], az[1], points)
+    return points
 
-    And the number of returns next to each, (K,).
-    """
+
+def isolated(image: RangeImage, pixels: Int64) -> Bool:
+    """Which returns, by their places `pixels` (K,) in the flattened image, are fewer than three next to each other."""
+    out = np.empty(len(pixels), np.bool_)
+    _mark_isolated(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), pixels, out)
+    return out
+
+
+def _columns(image: RangeImage) -> tuple[float, bool]:
+    """Angle between columns, and whether the first and the last are neighbours."""
     azimuth = image.azimuth_rad
     span_rad = abs(float(azimuth[-1] - azimuth[0])) if len(azimuth) > 1 else 0.0
     column_rad = span_rad / max(len(azimuth) - 1, 1)
-    out, beside = np.empty(len(pixels), np.bool_), np.empty(len(pixels), np.int64)
-    _mark_isolated(
-        image.ranges_mm, image.rows, image.rank, image.elevation_rad, column_rad, span_rad + column_rad > CLOSED_RAD,
-        pixels, out, beside,
-    )  # fmt: skip
-    return out, beside
+    return column_rad, span_rad + column_rad > CLOSED_RAD
 
 
 def dust(image: RangeImage, pixels: Int64, within_m: float, least: int) -> Bool:
     """Which returns, as in `isolated`, are isolated within a range; none where fewer than `least` are, (K,)."""
-    is_dust = isolated(image, pixels)[0] & (image.ranges_mm.ravel()[pixels] <= 1000.0 * within_m)
+    is_dust = isolated(image, pixels) & (image.ranges_mm.ravel()[pixels] <= 1000.0 * within_m)
     return is_dust & (np.count_nonzero(is_dust) >= least)
 
 
@@ -79,22 +97,23 @@ def scattered(image: RangeImage, pixels: Int64) -> Bool:
     most = _most_by_chance(image, pixels[::every], every)
     if not most.any():
         return np.zeros(len(pixels), np.bool_)
-    is_isolated, beside = isolated(image, pixels)
+    beside = np.empty(len(pixels), np.int64)
+    _count_beside(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), pixels, beside)
     band = np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[pixels])
     limit = np.append(most, 0)[band]
-    found = np.where(limit > 1, beside <= limit, is_isolated & (limit == 1))
+    found = np.where(limit > 1, beside <= limit, isolated(image, pixels) & (limit == 1))
     rest = image.ranges_mm.copy()
     rest.ravel()[pixels[found]] = 0
     left = np.flatnonzero(~found & (limit > 0))
-    found[left] = isolated(replace(image, ranges_mm=rest), pixels[left])[0]
+    found[left] = isolated(replace(image, ranges_mm=rest), pixels[left])
     return found
 
 
 def _most_by_chance(image: RangeImage, sample: Int64, every: int) -> Int64:
     """Greatest number of neighbours by chance in each band (B,), 0 without scatter; `sample`: every so many returns."""
-    beside = isolated(image, sample)[1]
-    band = np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[sample])
-    none, one = (every * np.bincount(band[beside == n], minlength=len(BANDS_M))[: len(BANDS_M)] for n in (0, 1))
+    counts = np.zeros((2, len(BANDS_M) + 1), np.int64)
+    _count_single(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), sample, counts)
+    none, one = every * counts[:, :-1]
     if one.sum() >= none.sum():
         return np.zeros(len(BANDS_M), np.int64)
     pairs = zip(none.tolist(), one.tolist(), strict=True)  # where one > none there is also a body with gaps
@@ -127,9 +146,8 @@ def floating(
     height, return from beyond. Beams without a return, or that end before it, prove nothing.
     """
     floats, stands = np.empty(len(pixels), np.bool_), np.empty(len(pixels), np.bool_)
-    el, az = image.elevation_rad, image.azimuth_rad
     _mark_floating(
-        image.ranges_mm, image.rows, image.rank, np.cos(el), np.sin(el), np.cos(az), np.sin(az),
+        image.ranges_mm, image.rows, image.rank, *image.directions,
         np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, clear_m, pixels, floats, stands,
     )  # fmt: skip
     return floats, stands
@@ -144,53 +162,113 @@ def clear_beneath(
     three beams or more, through half of the height, return from beyond.
     """
     out = np.zeros(len(points_base), np.bool_)
-    el, az = image.elevation_rad, image.azimuth_rad
+    cos_el, sin_el, cos_az, sin_az = image.directions
     away = (points_base - T_base_sensor[:3, 3]) @ T_base_sensor[:3, :3]
     _mark_clear_beneath(
-        image.ranges_mm, image.rows, np.cos(el), np.sin(el), az, np.cos(az), np.sin(az),
+        image.ranges_mm, image.rows, cos_el, sin_el, image.azimuth_rad, cos_az, sin_az,
         np.arctan2(away[:, 1], away[:, 0]),
         np.ascontiguousarray(points_base), np.ascontiguousarray(T_base_sensor, np.float64), ground_m, ground_slope, out,
     )  # fmt: skip
     return out
 
 
+@kernel
+def _fill_points(
+    ranges: UInt16, cos_el: Float32, sin_el: Float32, cos_az: Float32, sin_az: Float32, points: Float32
+) -> None:  # fmt: skip
+    k = 0
+    for row in range(ranges.shape[0]):
+        for column in range(ranges.shape[1]):
+            if ranges[row, column] != 0:
+                range_m = np.float32(ranges[row, column]) * np.float32(1e-3)
+                flat = range_m * cos_el[row]
+                points[k, 0], points[k, 1] = flat * cos_az[column], flat * sin_az[column]
+                points[k, 2] = range_m * sin_el[row]
+                k += 1
+
+
+@inline_kernel
+def _slants(rows: Int64, elevation: Float64, column_rad: float) -> Float64:
+    """Difference of range per metre of range up to which the neighbours of each ring by rank, (rings, 3, columns), are
+    next to it."""
+    slants = np.zeros((len(rows), 3, 2 * COLUMNS_ASIDE + 1))
+    for rank in range(len(rows)):
+        for a in range(max(rank - 1, 0), min(rank + 2, len(rows))):
+            up = elevation[rows[a]] - elevation[rows[rank]]
+            for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
+                slants[rank, a - rank + 1, d + COLUMNS_ASIDE] = NEAR_SLOPE * np.sqrt(up * up + (d * column_rad) ** 2)
+    return slants
+
+
 @inline_kernel
 def _near(
-    ranges: UInt16, rows: Int64, elevation: Float64, column_rad: float, is_closed: bool, rank: int, column: int,
-    found: Int64,
-) -> int:  # fmt: skip
-    """Number of returns next to one of a ring (by `rank`) and column, at a like range; `found` (., 2): their places."""
-    count, rings, columns = 0, ranges.shape[0], ranges.shape[1]
+    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int, most: int
+) -> tuple[int, int, int]:  # fmt: skip
+    """Number of returns next to one of a ring (by `rank`) and column, at a like range, counted up to `most`.
+
+    And rank and column of the first.
+    """
+    count, first, at, columns = 0, rank, column, ranges.shape[1]
     own = 1e-3 * ranges[rows[rank], column]
-    for a in range(max(rank - 1, 0), min(rank + 2, rings)):
-        up = elevation[rows[a]] - elevation[rows[rank]]
+    for a in range(max(rank - 1, 0), min(rank + 2, ranges.shape[0])):
         for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
             c = column + d
-            if is_closed:
+            if c < 0 or c >= columns:
+                if not is_closed:
+                    continue
                 c %= columns
-            if (a == rank and d == 0) or c < 0 or c >= columns or ranges[rows[a], c] == 0:
+            range_mm = ranges[rows[a], c]
+            if range_mm == 0 or (a == rank and d == 0):
                 continue
-            across = np.sqrt(up * up + (d * column_rad) ** 2)
-            if abs(1e-3 * ranges[rows[a], c] - own) <= NEAR_M + NEAR_SLOPE * across * own:
-                found[count, 0], found[count, 1] = a, c
+            if abs(1e-3 * range_mm - own) <= NEAR_M + slants[rank, a - rank + 1, d + COLUMNS_ASIDE] * own:
+                if count == 0:
+                    first, at = a, c
                 count += 1
-    return count
+                if count == most:
+                    return count, first, at
+    return count, first, at
 
 
 @kernel
 def _mark_isolated(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
-    out: Bool, beside: Int64,
+    out: Bool,
 ) -> None:  # fmt: skip
-    columns = ranges.shape[1]
-    found = np.empty((3 * (2 * COLUMNS_ASIDE + 1), 2), np.int64)
+    columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         ring, column = rank[pixels[k] // columns], pixels[k] % columns
-        count = beside[k] = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
+        count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, 2)
         if count == 1:  # the third may be next to the second
-            ring, column = found[0, 0], found[0, 1]
-            count = _near(ranges, rows, elevation, column_rad, is_closed, ring, column, found)
+            count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, 2)
         out[k] = count < 2
+
+
+@kernel
+def _count_beside(
+    ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
+    beside: Int64,
+) -> None:  # fmt: skip
+    """Number of returns next to each, (K,)."""
+    columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
+    for k in range(pixels.shape[0]):
+        ring, column = rank[pixels[k] // columns], pixels[k] % columns
+        beside[k], _, _ = _near(ranges, rows, slants, is_closed, ring, column, -1)
+
+
+@kernel
+def _count_single(
+    ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
+    counts: Int64,
+) -> None:  # fmt: skip
+    """Counts the returns without another next to them, and with one, by band of range, (2, B + 1)."""
+    columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
+    for k in range(pixels.shape[0]):
+        row, column, band = pixels[k] // columns, pixels[k] % columns, 0
+        count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, 2)
+        if count < 2:
+            while band < len(BANDS_M) and 1e-3 * ranges[row, column] > BANDS_M[band]:
+                band += 1
+            counts[count, band] += 1
 
 
 @kernel
@@ -198,36 +276,45 @@ def _mark_floating(
     ranges: UInt16, rows: Int64, rank: Int64, cos_el: Float64, sin_el: Float64, cos_az: Float64, sin_az: Float64,
     T: Float64, ground_m: float, ground_slope: float, clear_m: float, pixels: Int64, floats: Bool, stands: Bool,
 ) -> None:  # fmt: skip
-    columns = ranges.shape[1]
+    rings, columns = ranges.shape
+    flat, rise = np.empty(rings), np.empty(rings)  # of the beams of one column, by rank; 0: not computed yet
+    first, following = np.full(columns, -1), np.empty(len(pixels), np.int64)  # returns of each column
     for k in range(pixels.shape[0]):
         column = pixels[k] % columns
-        at_m, above_m, clear, passing = 0.0, 0.0, 0.0, 0
-        is_whole, is_down = True, False  # all beams down from the return meet its body; they reach the ground
-        for a in range(rank[pixels[k] // columns], -1, -1):
-            r = rows[a]
-            x, y, z = cos_el[r] * cos_az[column], cos_el[r] * sin_az[column], sin_el[r]
-            flat = np.hypot(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z, T[1, 0] * x + T[1, 1] * y + T[1, 2] * z)
-            ends_m = 1e-3 * ranges[r, column] * flat
-            if at_m == 0.0:
-                at_m = ends_m
-            rise = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat
-            height_m, end_height_m = T[2, 3] + rise * at_m, T[2, 3] + rise * ends_m
-            if height_m <= ground_m + ground_slope * at_m:
-                is_down = True
-                break
-            if ends_m > at_m + BESIDE_M:
-                clear += above_m - height_m
-                passing += 1
-            elif end_height_m <= ground_m + ground_slope * ends_m:
-                is_down = True
-                break
-            elif ends_m >= at_m - BESIDE_M:  # a lower part of the body, or something below it
-                clear, passing = 0.0, 0
-            else:
-                is_whole = False
-            above_m = height_m
-        floats[k] = passing >= 2 and clear >= clear_m
-        stands[k] = is_whole and is_down and passing == 0
+        following[k], first[column] = first[column], k
+    for column in range(columns):
+        flat[:] = 0.0
+        k = first[column]
+        while k >= 0:
+            at_m, above_m, clear, passing = 0.0, 0.0, 0.0, 0
+            is_whole, is_down = True, False  # all beams down from the return meet its body; they reach the ground
+            for a in range(rank[pixels[k] // columns], -1, -1):
+                r = rows[a]
+                if flat[a] == 0.0:
+                    x, y, z = cos_el[r] * cos_az[column], cos_el[r] * sin_az[column], sin_el[r]
+                    flat[a] = np.hypot(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z, T[1, 0] * x + T[1, 1] * y + T[1, 2] * z)
+                    rise[a] = (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z) / flat[a]
+                ends_m = 1e-3 * ranges[r, column] * flat[a]
+                if at_m == 0.0:
+                    at_m = ends_m
+                height_m, end_height_m = T[2, 3] + rise[a] * at_m, T[2, 3] + rise[a] * ends_m
+                if height_m <= ground_m + ground_slope * at_m:
+                    is_down = True
+                    break
+                if ends_m > at_m + BESIDE_M:
+                    clear += above_m - height_m
+                    passing += 1
+                elif end_height_m <= ground_m + ground_slope * ends_m:
+                    is_down = True
+                    break
+                elif ends_m >= at_m - BESIDE_M:  # a lower part of the body, or something below it
+                    clear, passing = 0.0, 0
+                else:
+                    is_whole = False
+                above_m = height_m
+            floats[k] = passing >= 2 and clear >= clear_m
+            stands[k] = is_whole and is_down and passing == 0
+            k = following[k]
 
 
 @kernel
@@ -241,6 +328,9 @@ def _mark_clear_beneath(
         half_rad = np.arctan2(BESIDE_M, at_m)
         is_clear, columns, clear_columns = at_m > BESIDE_M, 0, 0
         for column in range(azimuth.shape[0]):
+            away = abs(azimuth[column] - towards[k])
+            if half_rad + SLACK_RAD < away < 2.0 * np.pi - half_rad - SLACK_RAD:
+                continue  # before the remainder, which takes most of the time
             turn = (azimuth[column] - towards[k] + np.pi) % (2.0 * np.pi) - np.pi
             if not is_clear or abs(turn) > half_rad:
                 continue

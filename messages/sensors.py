@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from geometry.arrays import Float32, Float64, Int64, UInt8, UInt16
+from geometry.range_image import points_of
 from messages.message import Message
 
 
@@ -32,13 +33,7 @@ class LidarScan(Message):
         """Returns in the sensor frame, (N, 3), row by row of the range image; indices of clusters refer to them."""
         if self.ranges_mm.size == 0:
             return self.xyz_m
-        range_m = self.ranges_mm.astype(np.float32) * np.float32(1e-3)
-        el, az = self.elevation_rad[:, None], self.azimuth_rad
-        flat = range_m * np.cos(el).astype(np.float32)
-        points = np.empty((len(self.pixels), 3), np.float32)
-        points[:, 0] = (flat * np.cos(az).astype(np.float32)).ravel()[self.pixels]
-        points[:, 1] = (flat * np.sin(az).astype(np.float32)).ravel()[self.pixels]
-        points[:, 2] = (range_m * np.sin(el).astype(np.float32)).ravel()[self.pixels]
+        points = points_of(self.ranges_mm, self.elevation_rad, self.azimuth_rad)
         points.flags.writeable = False
         return points
 

@@ -6,7 +6,7 @@ geofence, known structure ───────┘   (updated on new data)      
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from geometry.arrays import Float64
 from geometry.pose2 import from_frame, to_frame
 from messages.command import ControlCommand
 from messages.motion import MapPose, Odometry
-from messages.perception import ObstacleClass, SensorHealth, Tracks
+from messages.perception import ObstacleClass, SensorHealth, Track, Tracks
 from messages.plan import Path, PathSectionType
 from safety.config import SafetyConfig
 from safety.monitors.vehicle import position_sigma_m
@@ -41,7 +41,8 @@ from safety.zones.protective_field import (
     section_type_at,
     sweep_field,
 )
-from safety.zones.swept_area import outline_points
+from safety.zones.standing_bodies import StandingBodies
+from safety.zones.swept_area import SweptArea, outline_points
 from safety.zones.tracked_obstacles import (
     NO_CRITICAL_OBJECT,
     CriticalObject,
@@ -83,6 +84,7 @@ class CollisionMonitor:
         self.swept_field: SweptField | None = None
         self.pose_history = PoseHistory()
         self.departure, self.bystanders = Departure(config.departure), Bystanders(config.bystanders, config.tracked)
+        self.standing_bodies = StandingBodies(config.standing_body)
         self.is_docking, self.is_under_roof = False, False
         self._footprints, self._footprint = footprints, footprints.working
         self._geofence, self._known_structure = geofence, known_structure
@@ -223,25 +225,29 @@ class CollisionMonitor:
         is_known = self._known_structure_filter(pose_odom, pose_map, sigma_m)
         self._clearance = self.sources.clearance(swept_field, pose_odom, speed_mps, is_known, inputs.tracks)
         self._follow_departure(swept_field, pose_odom, is_known, odom.stamp_ns)
-        self._critical_object = self._nearest_object(inputs, odom, swept_field, pose_odom, speed_mps, braking, is_known)
+        predicted_s = horizon_s(stopping_time(speed_mps, braking), self._config.tracked)
+        near = tracks_near(swept_field.main, inputs.tracks, pose_odom, predicted_s, self._config.tracked, is_known)
+        self._critical_object = self._nearest_object(
+            near, inputs.tracks, odom, swept_field.main, pose_odom, speed_mps, predicted_s
+        )
+        is_inside = self._inside_filter(pose_odom, pose_map)
+        self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside)
         self._geofence_distance_m = self._distance_inside_m(pose_map, swept_field, speed_mps, braking)
         self._update_wall_distance(pose_map, swept_field, sigma_m)
 
     def _nearest_object(
-        self, inputs: MonitorInputs, odom: Odometry, swept_field: SweptField, pose_odom: Float64, speed_mps: float,
-        braking: Braking, is_known: KnownStructureFilter | None,
+        self, near: list[tuple[Track, bool]], tracks: Tracks | None, odom: Odometry, area: SweptArea,
+        pose_odom: Float64, speed_mps: float, predicted_s: float,
     ) -> CriticalObject:  # fmt: skip
         """Critical object of all tracks: a bystander who comes towards the machine, else the nearest one ahead."""
-        area, tracked = swept_field.main, self._config.tracked
-        predicted_s = horizon_s(stopping_time(speed_mps, braking), tracked)
-        near = tracks_near(area, inputs.tracks, pose_odom, predicted_s, tracked, is_known)
+        tracked = self._config.tracked
         side = odom.curvature_radpm, area.direction, tracked.self_filter_m
         ahead = [one for one in near if is_ahead(one[0], self._footprint, pose_odom, *side)]
         ids = {track.id for track, _ in ahead}
         moving = [track for track, moves in near if moves]
         beside = [track for track in moving if track.id not in ids]
         self.bystanders.note_close(moving, area, pose_odom, odom.stamp_ns)
-        self.bystanders.update(beside, inputs.tracks, area, pose_odom, speed_mps, predicted_s)
+        self.bystanders.update(beside, tracks, area, pose_odom, speed_mps, predicted_s)
         return self.bystanders.coming or nearest_critical_object(area, ahead, pose_odom, predicted_s, tracked)
 
     def _follow_departure(
@@ -254,6 +260,15 @@ class CollisionMonitor:
         if is_known is not None and len(hits):
             hits = hits[~is_known(hits)]
         self.departure.update(thin(hits, THIN_M), swept_field.main, pose_odom, now_ns)
+
+    def _inside_filter(
+        self, pose_odom: Float64, pose_map: Float64 | None
+    ) -> Callable[[Float64], np.ndarray] | None:  # fmt: skip
+        """Tests points in odom for the geofence; None: not known."""
+        geofence = self._geofence
+        if geofence is None or pose_map is None:
+            return None
+        return lambda points_odom: geofence.contains(to_frame(pose_map, from_frame(pose_odom, points_odom)))
 
     def _known_structure_filter(
         self, pose_odom: Float64, pose_map: Float64 | None, sigma_m: float

@@ -224,6 +224,16 @@ class BystanderConfig(Config):
     pto_hold_s: Seconds = Field(description="time for which the PTO stays off after that")
 
 
+class StandingBodyConfig(Config):
+    """Persons and animals that stand beside the swept area."""
+
+    min_age_s: Seconds = Field(description="minimum age of a track for its class to count")
+    walk_mps: Speed = Field(description="speed with which a body may set off towards the machine")
+    notice_s: Seconds = Field(description="time until its motion is known, before the reaction time")
+    min_mps: Speed = Field(description="speed that is always allowed")
+    hold_s: Seconds = Field(description="time for which one that is lost from view stays where it was")
+
+
 class RadarConfig(Config):
     """Confirmation of radar detections."""
 
@@ -341,6 +351,7 @@ class SafetyConfig(Config):
     lidar_agreement: LidarAgreementConfig
     tracked: TrackedConfig
     bystanders: BystanderConfig
+    standing_body: StandingBodyConfig
     radar: RadarConfig
     ultrasonic: UltrasonicConfig
     docking: DockingConfig

@@ -146,6 +146,7 @@ class Supervisor(Node):
             faults=self._mode_machine.fault_memory.active,
             clearance=monitor.clearance(),
             critical_object=monitor.critical_object(),
+            standing_body=monitor.standing_bodies.slowest,
             detection_range_m=max(detection_range_m.values(), default=0.0),
             blind=tuple(topic for topic, range_m in detection_range_m.items() if range_m <= 0.0),
             geofence_distance_m=monitor.geofence_distance_m(),

@@ -16,6 +16,9 @@ SHAPES: dict[ObstacleClass, tuple[tuple[float, float, float, float], ...]] = {
     ObstacleClass.POLE: ((0.8, 1.3, 9.0, 20.0), (0.0, 0.05, 0.35, 0.5), (0.0, 0.05, 0.3, 0.5)),
     ObstacleClass.MOUND: ((0.15, 0.25, 0.9, 1.4), (1.0, 1.6, 8.0, 15.0), (0.4, 0.8, 6.0, 12.0)),
 }
+Limit = Float64 | float
+LIMITS: Float64 = np.array(list(SHAPES.values())).transpose(2, 1, 0)[:, :, None]  # (4, 3, 1, classes)
+SHAPED = [CLASSES.index(label) for label in SHAPES]
 
 
 def class_scores(size_m: Float64, top_m: Float64, is_floating: Bool) -> Float64:
@@ -25,13 +28,12 @@ def class_scores(size_m: Float64, top_m: Float64, is_floating: Bool) -> Float64:
     """
     scores = np.zeros((len(size_m), len(CLASSES)))
     scores[:, 0] = UNKNOWN_WEIGHT
-    for label, (height, length, width) in SHAPES.items():
-        fit = trapezoid(top_m, *height) * trapezoid(size_m[:, 0], *length) * trapezoid(size_m[:, 1], *width)
-        scores[:, CLASSES.index(label)] = np.where(is_floating, 0.0, fit)
+    height, length, width = trapezoid(np.stack([top_m, size_m[:, 0], size_m[:, 1]])[:, :, None], *LIMITS)
+    scores[:, SHAPED] = np.where(is_floating[:, None], 0.0, height * length * width)
     scores[:, CLASSES.index(ObstacleClass.AIRBORNE)] = is_floating
     return np.asarray(scores / scores.sum(axis=1, keepdims=True), np.float64)
 
 
-def trapezoid(x: Float64, a: float, b: float, c: float, d: float) -> Float64:
+def trapezoid(x: Float64, a: Limit, b: Limit, c: Limit, d: Limit) -> Float64:
     """Zero up to `a`, rising to one at `b`, one up to `c`, falling to zero at `d`."""
     return np.clip(np.minimum((x - a) / (b - a), (d - x) / (d - c)), 0.0, 1.0)

@@ -27,6 +27,7 @@ class HealthConfig(Config):
     """Sectors, share below which a ring is silent, and the target that must be detected."""
 
     sector_deg: float = Field(ge=2.0, le=90.0)
+    sector_columns: int = Field(ge=1, le=100, description="fewest in a sector: of fewer beams all may meet fog")
     silent_share: float = Field(gt=0.0, lt=1.0)
     target_width_m: float = Field(gt=0.0, le=3.0)
     target_height_m: float = Field(gt=0.0, le=3.0)
@@ -53,7 +54,8 @@ class NominalCoverage:
 
 def nominal_coverage(lidar: Lidar, own: Float64, config: HealthConfig) -> NominalCoverage:
     """Expected returns from the sensor model, its mount and the boxes (K, 2, 3) of the self filter."""
-    sectors = round(360.0 / config.sector_deg)
+    column_deg = lidar.field_of_view_deg / lidar.columns
+    sectors = round(360.0 / max(config.sector_deg, config.sector_columns * column_deg))
     edges = np.linspace(-math.pi, math.pi, sectors + 1)
     order = np.sort(np.radians(np.array(lidar.elevation_deg)))
     T = lidar.mount.T_base_sensor

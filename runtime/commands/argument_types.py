@@ -23,6 +23,15 @@ def whole(low: int, high: int) -> Callable[[str], int]:
     return parse
 
 
+def seeds(text: str) -> range:
+    """Type of a range of seeds, FIRST-LAST."""
+    found = re.fullmatch(r"([0-9]{1,9})-([0-9]{1,9})", text)
+    first, last = (int(found[1]), int(found[2])) if found else (1, 0)
+    if first > last:
+        raise argparse.ArgumentTypeError(f"{text}: must be FIRST-LAST with whole numbers, e.g. 10001-10300")
+    return range(first, last + 1)
+
+
 def number(low: float, high: float, unit: str = "") -> Callable[[str], float]:
     """Type of a finite number within bounds."""
 

@@ -19,6 +19,7 @@ from runtime.commands.argument_types import (
     number,
     path_name,
     regex,
+    seeds,
     user,
     whole,
 )
@@ -177,6 +178,9 @@ COMMANDS = (
         _option("--jobs", type=whole(1, 1024), default=2, metavar="N", help="runs at a time (default 2)"),
         PLANT,
         _option("--core", action="store_true", help="hazards: the first 60 drives of the list"),
+        _option("--draws", type=seeds, metavar="FIRST-LAST",
+                help="hazards: instead of the list a random drive of its levels for each of these seeds"),
+        _option("--without", metavar="SENSOR", help="hazards: this sensor is off, e.g. lidar/front"),
         _option("--scheduler", metavar="ADDRESS", help="hazards: run on this Dask cluster"),
         _option("--only", type=regex, metavar="REGEX",
                 help="fault-injection, hazards: matching names, e.g. swath-imu-off"),

@@ -9,6 +9,7 @@ import can
 from configs.strict import find, load
 from runtime.assembly import localization_nodes, simulated_world
 from runtime.perception_nodes import perception_nodes
+from runtime.safety_nodes import safety_nodes
 from runtime.setup import Setup, load_setup
 from simulation.scenario import Scenario
 
@@ -18,7 +19,7 @@ def main() -> None:
 
     Only the mission `demo` compiles the planner of field work, which takes longest.
     """
-    parts = (_planning, _simulation, _perception, _localization)
+    parts = (_planning, _simulation, _safety, _perception, _localization)
     with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
         for built in [pool.submit(part) for part in parts]:
             built.result()
@@ -35,6 +36,11 @@ def _planning() -> None:
 def _simulation() -> None:
     with can.Bus(interface="virtual", channel="kernels") as bus:
         simulated_world(_setup("line"), load(Scenario, find("scenarios", "empty")), bus).close()
+
+
+def _safety() -> None:
+    with can.Bus(interface="virtual", channel="kernels") as bus:
+        safety_nodes(_setup("line"), bus, is_ablation=False)
 
 
 def _perception() -> None:

@@ -7,10 +7,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from configs.sensor_kinds import SENSOR_KINDS, sensors_of
 from messages.errors import HeadlandError
-from runtime.hazards.cases import drives_of, load_list, with_plant
+from runtime.hazards.cases import draws_of, drives_of, load_list, with_plant, without
 from runtime.hazards.drive import Task, drive_task, lost_task, task_of
 from runtime.run_folder import RunFolder, named_errors, versions
+from runtime.setup import load_setup
 from runtime.workers import Work, run_all, stored_result
 from validation.hazards.tables import failure_text, markdown, page, totals, unavoidable, write_parquet
 
@@ -19,9 +21,13 @@ MAX_UNAVOIDABLE = 0.05  # of the drives
 
 def main(arguments: argparse.Namespace) -> int:
     """Drives what is missing; 0 without avoidable contact, false stop, failed drive, and too many unavoidable ones."""
-    drives = drives_of(load_list(), arguments.seeds, arguments.core)
+    found = load_list()
+    drives = draws_of(found, arguments.draws) if arguments.draws else drives_of(found, arguments.seeds, arguments.core)
     if arguments.plant is not None:
         drives = [with_plant(one, arguments.plant) for one in drives]
+    if arguments.without is not None:
+        _require_sensor(arguments.without)
+        drives = [without(one, arguments.without) for one in drives]
     if arguments.only is not None:
         drives = [one for one in drives if re.search(arguments.only, one.name)]
         if not drives:
@@ -45,6 +51,13 @@ def main(arguments: argparse.Namespace) -> int:
         sys.stdout.write(_text(summary, top))
     is_failed = any(summary[key] for key in ("avoidable_contacts", "false_stops", "failed_drives"))
     return 1 if is_failed or share > MAX_UNAVOIDABLE else 0
+
+
+def _require_sensor(topic: str) -> None:
+    sensors = load_setup("line", None, None, None, 1).vehicle.sensors
+    known = [f"{kind}/{name}" for kind in SENSOR_KINDS for name in sensors_of(sensors, kind)]
+    if topic not in known:
+        raise HeadlandError(f"--without {topic!r}: not one of {', '.join(known)}")
 
 
 def _all_results(tasks: list[Task], arguments: argparse.Namespace) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Drives of the campaign: the named scenarios and the pairwise list of `configs/hazards.yaml`."""
+"""Drives of the campaign: the named scenarios and the pairwise list of `configs/hazards.yaml`, or draws of it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -7,12 +7,14 @@ from typing import Any, Literal, Self
 from pydantic import Field, model_validator
 
 from configs.strict import CONFIGS, Config, load, parse, read_yaml
+from simulation.randomness import generator
 from simulation.scenario import Scenario
 
 FILE = CONFIGS / "hazards.yaml"
 CORE = 60  # drives of `--core`: the first of the list
 START = {"at_s": 3.0, "command": "start", "expires_s": 5.0}
 Plain = dict[str, Any]
+Row = tuple[str, str, str, str]
 
 
 class NamedDrive(Config):
@@ -61,7 +63,7 @@ class HazardList(Config):
     placements: dict[str, PlacementLevel]
     phases: dict[str, PhaseLevel]
     environments: dict[str, Plain]
-    drives: tuple[tuple[str, str, str, str], ...] = ()
+    drives: tuple[Row, ...] = ()
 
     @model_validator(mode="after")
     def _rows_are_possible(self) -> Self:
@@ -111,6 +113,26 @@ def with_plant(drive: HazardDrive, plant: str) -> HazardDrive:
     return replace(drive, name=f"{drive.name}-{plant}", scenario=drive.scenario | {"plant": plant})
 
 
+def without(drive: HazardDrive, sensor: str) -> HazardDrive:
+    """The same drive with a sensor, such as `lidar/front`, that is off from the beginning."""
+    fault = {"topic": sensor, "kind": "off", "from_s": 0.0, "for_s": 1e6}
+    return replace(drive, name=f"{drive.name}-without-{sensor.replace('/', '_')}",
+                   scenario=drive.scenario | {"faults": [fault]})  # fmt: skip
+
+
+def draws_of(hazards: HazardList, seeds: range) -> list[HazardDrive]:
+    """A random possible row for each seed, all of them equally likely, with that seed."""
+    return [_drive(hazards, _drawn_row(hazards, seed), f"draw-{seed}", seed) for seed in seeds]
+
+
+def _drawn_row(hazards: HazardList, seed: int) -> Row:
+    random, levels = generator(seed, "hazards"), tuple(hazards.factors.values())
+    while True:
+        a, b, c, d = (names[int(random.integers(len(names)))] for names in levels)
+        if hazards.is_possible({0: a, 1: b, 2: c, 3: d}):
+            return a, b, c, d
+
+
 def drives_of(hazards: HazardList, seeds: int, is_core: bool) -> list[HazardDrive]:
     """Named drives, then the rows with seeds 1 to `seeds`; with `is_core` the first `CORE` of them with one seed."""
     named = [_named(one, seed) for one in hazards.named for seed in one.seeds]
@@ -131,13 +153,16 @@ def _named(one: NamedDrive, seed: int) -> HazardDrive:
 
 
 def _row(hazards: HazardList, number: int, seed: int) -> HazardDrive:
-    row = hazards.drives[number - 1]
+    return _drive(hazards, hazards.drives[number - 1], f"{number:03d}-{seed}", seed)
+
+
+def _drive(hazards: HazardList, row: Row, name: str, seed: int) -> HazardDrive:
     phase = hazards.phases[row[2]]
     labels = dict(zip(hazards.factors, row, strict=True))
-    return HazardDrive(f"{number:03d}-{seed}", phase.mission, scenario_of(hazards, row), seed, phase.limit_s, labels)
+    return HazardDrive(name, phase.mission, scenario_of(hazards, row), seed, phase.limit_s, labels)
 
 
-def scenario_of(hazards: HazardList, row: tuple[str, str, str, str]) -> Plain:
+def scenario_of(hazards: HazardList, row: Row) -> Plain:
     """Scenario of a row as plain data; raises ConfigError."""
     one, placement = hazards.objects[row[0]], hazards.placements[row[1]]
     phase, environment = hazards.phases[row[2]], hazards.environments[row[3]]

@@ -7,9 +7,8 @@ that covers most further pairs; early rows so cover most. Writes the rows to `co
 from itertools import combinations
 
 from configs.strict import parse, read_yaml
-from runtime.hazards.cases import FILE, HazardList
+from runtime.hazards.cases import FILE, HazardList, Row
 
-Row = tuple[str, str, str, str]
 Pair = tuple[tuple[int, str], tuple[int, str]]
 MARK = "drives: # generated\n"
 

@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from geometry.arrays import median
 from safety.config import LidarAgreementConfig
 from safety.monitors.sensors import SensorFailure
 from safety.sources.lidar import LidarSource
@@ -54,7 +55,7 @@ class LidarAgreement:
 
     def _is_far_from_wheels(self, one: LidarSource) -> bool:
         height_m = one.ground.height_m
-        return len(height_m) >= self._config.min_cells and abs(float(np.median(height_m))) > self._config.max_height_m
+        return len(height_m) >= self._config.min_cells and abs(median(height_m)) > self._config.max_height_m
 
     def _do_agree(self, one: LidarSource, other: LidarSource) -> bool | None:
         """Whether the grounds of two lidars agree; None without enough common cells of the same time."""
@@ -68,5 +69,5 @@ class LidarAgreement:
         )
         if len(common) < config.min_cells:
             return None
-        difference_m = float(np.median(one.ground.height_m[first] - other.ground.height_m[second]))
+        difference_m = median(one.ground.height_m[first] - other.ground.height_m[second])
         return abs(difference_m) <= config.max_difference_m

@@ -13,6 +13,7 @@ from safety.monitors.sensors import SensorFailure
 from safety.monitors.vehicle import VehicleState
 from safety.stopping_distance import Braking
 from safety.zones.protective_field import Clearance
+from safety.zones.standing_bodies import StandingBody
 from safety.zones.tracked_obstacles import CriticalObject
 
 
@@ -42,6 +43,7 @@ class Situation:
     faults: tuple[Fault, ...]
     clearance: Clearance | None
     critical_object: CriticalObject
+    standing_body: StandingBody
     detection_range_m: float
     blind: tuple[str, ...]
     geofence_distance_m: float | None

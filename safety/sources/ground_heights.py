@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Float32, Float64, Int64
+from geometry.ground_surface import lowest_of_cells
 from geometry.pose2 import to_frame
 from safety.sources.multiple_evaluation import cell_keys
 
@@ -25,7 +26,6 @@ def ground_heights(xyz: Float32, origin_m: Float64, range_m: float, pose_odom: F
     x, y, z = (xyz[row] - origin_m[row] for row in range(3))
     near = xyz.compress(z * range_m <= -origin_m[2] * np.hypot(x, y), axis=1).astype(np.float64)
     keys = cell_keys(np.column_stack([to_frame(pose_odom, near[:2].T), np.zeros(near.shape[1])]), cell_m)
-    cells, which = np.unique(keys, return_inverse=True)
-    height_m = np.full(len(cells), np.inf)
-    np.minimum.at(height_m, which, near[2])
-    return GroundHeights(cells, height_m)
+    z = near[2]
+    lowest = lowest_of_cells(np.argsort(keys), keys, z)
+    return GroundHeights(keys[lowest], z[lowest])

@@ -2,16 +2,26 @@
 
 import math
 import zlib
-from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
 
 from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, Int64
-from geometry.ground_surface import envelope, heights_above_ground, low_levels, plant_heights
+from geometry.ground_surface import (
+    above_cells,
+    cells_in_grid,
+    envelope,
+    heights_above_ground,
+    heights_above_planes,
+    low_levels,
+    lowest_of_cells,
+    plane_sums,
+    plant_heights,
+    stand_out_of_cell,
+)
 from geometry.pose2 import from_frame, to_frame
-from geometry.range_image import clear_beneath, dust, floating, range_image, scattered
+from geometry.range_image import RangeImage, clear_beneath, dust, floating, points_of, range_image, scattered
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -27,7 +37,7 @@ from safety.sources.detection_range import (
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.ground_heights import NO_GROUND, ground_heights
 from safety.sources.measured_ground import level, stands_out
-from safety.sources.multiple_evaluation import cell_keys, evaluate
+from safety.sources.multiple_evaluation import Returns, by_cell, cell_keys, evaluate
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
@@ -50,6 +60,7 @@ class LidarSource:
         self.name = name
         self.stamp_ns: int | None = None
         self.scan: LidarScan | None = None
+        self._image: RangeImage | None = None
         self._pose_odom: Float64 = np.zeros(3)
         self.hits_odom_m: Float64 = np.empty((0, 3))
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
@@ -66,8 +77,8 @@ class LidarSource:
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
         self._cells = NO_CELLS
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
-        self._contents = deque[int](maxlen=config.detection_range.repeat_memory_scans)
-        self._equal_scans = 0
+        self._contents: dict[int, int] = {}  # number of the last scan with each content, oldest first
+        self._scans = self._equal_scans = 0
         self.ground, self.vegetation_m = NO_GROUND, 0.0
         self.has_other_rings, self._rings = False, len(lidar.elevation_deg)
         warm(self._T_base_sensor)
@@ -99,11 +110,14 @@ class LidarSource:
             self._cells = NO_CELLS
         else:
             self._count_repetition(content_of(scan))
+            is_list = scan.ranges_mm.size == 0
+            self._image = None if is_list else range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
         self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
         self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
         xyz, is_body = to_base(scan.points_m, self._T_base_sensor), ~self._is_scattered(scan)
-        down = self._down_returns(xyz.compress(is_body, axis=1), curvature_radpm)
+        body = xyz if is_body.all() else xyz.compress(is_body, axis=1)
+        down = self._down_returns(body, curvature_radpm)
         self._update_detection_range(down)
         agreement, origin = self._config.lidar_agreement, self._T_base_sensor[:3, 3]
         self.ground = ground_heights(down, origin, agreement.range_m, pose_odom, agreement.cell_m)
@@ -121,10 +135,10 @@ class LidarSource:
         marked, is_floating, is_standing = (some[~is_dust] for some in (marked, is_floating, is_standing))
         obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
-        keys = cell_keys(points_odom, field.cell_m)
-        self._ask(others, points_odom, keys, is_floating, is_standing)
+        returns = by_cell(cell_keys(points_odom, field.cell_m))
+        self._ask(others, points_odom, returns, is_floating, is_standing)
         is_hit, cells = evaluate(
-            keys,
+            returns,
             is_high[marked],
             is_floating,
             self._cells,
@@ -158,9 +172,7 @@ class LidarSource:
 
     def _is_scattered(self, scan: LidarScan) -> np.ndarray:
         """Which returns of a scan are of fog or rain, (N,) bool; of a list of points none."""
-        if scan.ranges_mm.size == 0:
-            return np.zeros(len(scan.points_m), bool)
-        return scattered(range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels)
+        return np.zeros(len(scan.points_m), bool) if self._image is None else scattered(self._image, scan.pixels)
 
     def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which of the obstacle returns `which` (K,) of a scan are dust, which float, and which stand, (K,) bool.
@@ -168,46 +180,58 @@ class LidarSource:
         A list of points is no evidence of the first two: it does not show what the beams passed.
         """
         none, ones = np.zeros(len(which), bool), np.ones(len(which), bool)
-        if scan.ranges_mm.size == 0:
+        image = self._image
+        if image is None:
             return none, none, ones
         field, config = self._config.field, self._config.airborne
-        image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[which]
+        pixels = scan.pixels[which]
         is_dust = dust(image, pixels, config.dust_range_m, config.dust_returns)
         ground = (field.min_height_m, field.min_height_slope)
         return is_dust, *floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
 
     def _ask(
-        self, others: Iterable["LidarSource"], points_odom: Float64, keys: Int64, is_floating: np.ndarray,
+        self, others: Iterable["LidarSource"], points_odom: Float64, returns: Returns, is_floating: np.ndarray,
         is_standing: np.ndarray,
     ) -> None:  # fmt: skip
         """Adds to `is_floating` (N,) the returns of cells, above the ground, below which only other lidars see."""
-        cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
-        middle = np.column_stack([np.bincount(which, points_odom[:, k], len(cells)) / counts for k in range(3)])
-        np.minimum.at(middle[:, 2], which, points_odom[:, 2])
-        is_open = np.bincount(which, ~is_floating, len(cells)) > 0
-        is_open &= np.bincount(which, is_standing, len(cells)) == 0
-        is_open &= middle[:, 2] > self._config.field.min_height_m + self._config.airborne.clear_m
-        is_clear = np.zeros(len(cells), bool)
-        for other in others if is_open.any() else ():
-            is_clear[is_open] |= other.shows_clear_beneath(middle[is_open], self.stamp_ns)
+        which = returns.which
+        lowest_m = np.full(len(returns.cells), np.inf)
+        np.minimum.at(lowest_m, which, points_odom[:, 2])
+        is_open = (returns.number(~is_floating) > 0) & (returns.number(is_standing) == 0)
+        is_open &= lowest_m > self._config.field.min_height_m + self._config.airborne.clear_m
+        if not is_open.any():
+            return
+        x, y = (np.bincount(which, points_odom[:, k], len(returns.cells)) / returns.counts for k in range(2))
+        below, is_clear = np.column_stack([x, y, lowest_m])[is_open], np.zeros(len(returns.cells), bool)
+        for other in others:
+            is_clear[is_open] |= other.shows_clear_beneath(below, self.stamp_ns)
         is_floating |= is_clear[which]
 
     def shows_clear_beneath(self, points_odom: Float64, stamp_ns: int | None) -> np.ndarray:
         """Whether the last scan, if taken about `stamp_ns`, shows clear space below points (N, 3), (N,) bool."""
-        scan, field = self.scan, self._config.field
+        image, field = self._image, self._config.field
         interval_ns = self._config.lidar_agreement.max_interval_s * 1e9
-        is_usable = scan is not None and scan.ranges_mm.size > 0 and not self.is_frozen
-        if scan is None or stamp_ns is None or not is_usable or abs(scan.stamp_ns - stamp_ns) > interval_ns:
+        if (
+            image is None
+            or self.stamp_ns is None
+            or stamp_ns is None
+            or self.is_frozen
+            or abs(self.stamp_ns - stamp_ns) > interval_ns
+        ):
             return np.zeros(len(points_odom), bool)
-        image = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
         base = np.column_stack([from_frame(self._pose_odom, points_odom[:, :2]), points_odom[:, 2]])
         return clear_beneath(image, base, self._T_base_sensor, field.min_height_m, field.min_height_slope)
 
     def _count_repetition(self, content: int | None) -> None:
         """Counts scans in a row whose ranges an earlier one had bit for bit: frozen, or a replayed recording."""
-        self._equal_scans = self._equal_scans + 1 if content in self._contents else 0
+        memory = self._config.detection_range.repeat_memory_scans
+        last = None if content is None else self._contents.pop(content, None)
+        is_repeated = last is not None and self._scans - last < memory
+        self._equal_scans = self._equal_scans + 1 if is_repeated else 0
         if content is not None:
-            self._contents.append(content)
+            self._contents[content] = self._scans = self._scans + 1
+            if len(self._contents) > memory:
+                del self._contents[next(iter(self._contents))]
 
     def _down_returns(self, xyz: Float32, curvature_radpm: float) -> Float32:
         """Returns (3, K) of beams that meet level ground, without those of the machine."""
@@ -232,10 +256,9 @@ class LidarSource:
         old, seen_ns = self._kept
         base = np.vstack([from_frame(pose_odom, old[:, :2]).T, old[:, 2]])
         is_young = stamp_ns - seen_ns < self._config.field.blind_zone_hold_s * 1e9
-        is_outside = ~is_own(base, self.footprint, curvature_radpm, self._config.field.mask_m)
         depth_m = self._depth_in_blind_zone_m(base)
-        is_hidden = (depth_m > self._config.field.blind_zone_edge_m) | (is_young & (depth_m > 0.0))
-        keep = is_hidden & is_outside
+        hidden = np.flatnonzero((depth_m > self._config.field.blind_zone_edge_m) | (is_young & (depth_m > 0.0)))
+        keep = hidden[~is_own(base[:, hidden], self.footprint, curvature_radpm, self._config.field.mask_m)]
         self.hits_odom_m = np.concatenate([hits_odom, old[keep]])
         stamps = np.concatenate([np.full(len(hits_odom), stamp_ns, np.int64), seen_ns[keep]])
         self._kept = (self.hits_odom_m, stamps)
@@ -255,13 +278,21 @@ def warm(T_base_sensor: Float64) -> None:
     none, two = np.empty(0, np.float32), np.ones((1, 2), np.uint16)
     scan = LidarScan(0, two, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), np.empty(0, np.uint8), none)
     image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[scan.pixels]
+    points_of(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
     dust(image, pixels, 0.0, 1)
     scattered(image, pixels)
     floating(image, pixels, T_base_sensor, 0.0, 0.0, 1.0)
     clear_beneath(image, np.zeros((1, 3)), T_base_sensor, 0.0, 0.0)
     low_levels(np.zeros(1, np.int64), np.zeros(1, np.int32), (1, 1), 1, 0.0)
+    lowest_of_cells(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1))
     envelope(np.zeros((1, 1)), 0.0, 1)
-    heights_above_ground(np.zeros((3, 1), np.float32), (0.0, 0.0), (2, 2), 1.0, 0.0, 0.0, 0.0, 1.0)
+    xyz, corner, shape = np.zeros((3, 1), np.float32), (0.0, 0.0), (2, 2)
+    heights_above_ground(xyz, corner, shape, 1.0, 0.0, 0.0, 0.0, 1.0)
+    stand_out_of_cell(xyz, np.zeros(1), np.zeros(shape), corner, 1.0, (0.0, 0.0, 0.0), (0.0, 0.0), 1)
+    plane_sums(np.zeros(shape), np.ones(shape, bool), 1)
+    cell = cells_in_grid(xyz, corner, shape, 1.0)
+    above_cells(xyz, cell, np.zeros(4, np.float32), np.float32(0.0), np.float32(0.0))
+    heights_above_planes(xyz, cell, np.zeros((4, 3)), corner, 1.0)
     plant_heights(np.zeros((1, 1)), 1, 0.0, 1.0, 0.5)
 
 

@@ -15,12 +15,12 @@ ground there proves nothing. Both keep every return above the plane, as does a p
 the ground instead. Such planes also level what the rise explains, for the near field to find who lies on a slope.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import Float32, Float64, Int64
-from geometry.ground_surface import envelope
+from geometry.arrays import Float32, Float64, Int64, median
+from geometry.ground_surface import cells_in_grid, envelope, heights_above_planes, plane_sums
 from safety.config import FieldConfig, MeasuredGroundConfig
 from safety.sources.ground_filter import WHEELS_X_M, estimate_ground
 from safety.zones.footprint import Box
@@ -51,11 +51,8 @@ def cells_of(xyz: Float32, box: Box, size_m: float) -> Cells:
     """Cells of returns (3, N); those beyond the box belong to its outermost cells."""
     x0, y0 = np.floor(box.x_m[0] / size_m), np.floor(box.y_m[0] / size_m)
     rows, columns = (int(np.floor(high / size_m) - low) + 1 for high, low in ((box.x_m[1], x0), (box.y_m[1], y0)))
-    scale = np.float32(1.0 / size_m)
-    row = np.clip((xyz[0] * scale - np.float32(x0)).astype(np.int64), 0, rows - 1)
-    column = np.clip((xyz[1] * scale - np.float32(y0)).astype(np.int64), 0, columns - 1)
     x_m, y_m = (np.arange(rows) + x0 + 0.5) * size_m, (np.arange(columns) + y0 + 0.5) * size_m
-    return Cells(x_m, y_m, row * columns + column)
+    return Cells(x_m, y_m, cells_in_grid(xyz, (x0, y0), (rows, columns), size_m))
 
 
 def stands_out(
@@ -69,12 +66,14 @@ def stands_out(
     if not is_below_wheels(low_m, np.hypot(cells.x_m[:, None] - WHEELS_X_M, cells.y_m), config):
         return is_above_plane
     above = np.flatnonzero(is_above_plane)
-    x, y, z = xyz.take(above, axis=1)
-    ground_m = lowest_bound(low_m, config).ravel()[cells.of[above]]
+    x, y, z = some = xyz.take(above, axis=1)
+    bound_m, of = lowest_bound(low_m, config), cells.of.take(above)
+    ground_m = bound_m.ravel()[of]
     distance_m = np.hypot(x, y)
     least_m, is_far = field.min_height_m + field.min_height_slope * distance_m, distance_m > config.range_m
     if is_far.any():
-        z = np.where(is_far, level(xyz, box, 0.0, config)[2].take(above), z)
+        far = np.flatnonzero(is_far)
+        z[far] = heights_above(low_m, bound_m, replace(cells, of=of.take(far)), some.take(far, axis=1), config)
     is_obstacle = is_above_plane.copy()
     is_obstacle[above] = (z > np.where(is_far, 0.0, ground_m) + least_m) | np.isinf(ground_m)
     return is_obstacle
@@ -83,7 +82,7 @@ def stands_out(
 def is_below_wheels(low_m: Float64, distance_m: Float64, config: MeasuredGroundConfig) -> bool:
     """Whether the ground of cells (R, C) near the wheels, by their distance (R, C), is that on which they stand."""
     near = low_m[(distance_m <= config.wheels_m) & np.isfinite(low_m)]
-    return len(near) >= config.wheels_cells and abs(float(np.median(near))) <= config.wheels_tolerance_m
+    return len(near) >= config.wheels_cells and abs(median(near)) <= config.wheels_tolerance_m
 
 
 def lowest_bound(low_m: Float64, config: MeasuredGroundConfig) -> Float64:
@@ -99,24 +98,22 @@ def level(xyz: Float32, box: Box, share: float, config: MeasuredGroundConfig) ->
     """
     cells = cells_of(xyz, box, config.cell_m)
     low_m = cells.low_m(xyz[2], config.returns, share)
-    is_known = np.isfinite(low_m) & (low_m <= lowest_bound(low_m, config))
-    rows, columns = cells.shape
-    one, x, y = np.ones(cells.shape), *np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
-    products = [is_known * a * b for a, b in ((one, one), (one, x), (one, y), (x, x), (x, y), (y, y))]
-    heights = [np.where(is_known, low_m, 0.0) * a for a in (one, x, y)]
-    n, sx, sy, xx, xy, yy, z, zx, zy = window_sums(np.stack([*products, *heights]), config.plane_reach_cells)
-    plane, is_known = np.zeros((rows, columns, 3)), n >= config.plane_cells
-    normal = np.stack([n, sx, sy, sx, xx + RIDGE, xy, sy, xy, yy + RIDGE], axis=-1)[is_known].reshape(-1, 3, 3)
-    plane[is_known] = np.linalg.solve(normal, np.stack([z, zx, zy], axis=-1)[is_known][..., None])[..., 0]
-    at, bx, by = plane.reshape(-1, 3)[cells.of].T
-    row = (xyz[0] - cells.x_m[0]) / config.cell_m
-    column = (xyz[1] - cells.y_m[0]) / config.cell_m
-    return np.stack([xyz[0], xyz[1], xyz[2] - (at + bx * row + by * column)]).astype(np.float32)
+    return np.stack([xyz[0], xyz[1], heights_above(low_m, lowest_bound(low_m, config), cells, xyz, config)])
 
 
-def window_sums(layers: Float64, reach: int) -> Float64:
-    """Sum of each layer (L, R, C) over the square of cells within reach of each."""
-    width = 2 * reach + 1
-    total = np.cumsum(np.cumsum(np.pad(layers, ((0, 0), (reach + 1, reach), (reach + 1, reach))), axis=1), axis=2)
-    upper, lower = total[:, :-width], total[:, width:]
-    return lower[:, :, width:] - lower[:, :, :-width] - upper[:, :, width:] + upper[:, :, :-width]
+def heights_above(
+    low_m: Float64, bound_m: Float64, cells: Cells, xyz: Float32, config: MeasuredGroundConfig
+) -> Float32:  # fmt: skip
+    """Height (N,) of returns (3, N) above the planes through the low returns (R, C) of the cells around theirs.
+
+    Cells above the bound (R, C) do not count; where fewer than `plane_cells` do, the plane is z = 0.
+    """
+    sums = plane_sums(low_m, np.isfinite(low_m) & (low_m <= bound_m), config.plane_reach_cells).reshape(-1, 9)
+    is_found = np.zeros(len(sums), bool)
+    is_found[cells.of] = True
+    is_found &= sums[:, 0] >= config.plane_cells
+    found, planes = sums[is_found], np.zeros((len(sums), 3))
+    normal = found[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) + np.diag([0.0, RIDGE, RIDGE])
+    planes[is_found] = np.linalg.solve(normal, found[:, 6:, None])[..., 0]
+    middle_m = float(cells.x_m[0]), float(cells.y_m[0])
+    return heights_above_planes(xyz, cells.of, planes, middle_m, config.cell_m).astype(np.float32)

@@ -4,9 +4,12 @@ Low returns, near the height of the ground itself, count in two scans only. A ce
 beneath them, counts in three: a bird at 6 m/s is not in it for so long, a branch, a barrier or a load is.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-from geometry.arrays import Float64, Int64
+from geometry.arrays import Bool, Float64, Int64
+from geometry.ground_surface import lowest_of_cells
 
 MIN_FLOATING_RATIO = 0.75  # of a cell's returns: at the edges of a bird beams prove nothing
 BITS = 21  # per axis; with cells of 0.5 m ±500 km
@@ -18,26 +21,51 @@ def cell_keys(points_odom_m: Float64, cell_m: float) -> Int64:
     return np.asarray((cell[:, 0] << (2 * BITS)) | (cell[:, 1] << BITS) | cell[:, 2])
 
 
+class Returns(NamedTuple):
+    """Returns by cell: sorted cells (K,), the cell of each return (N,) as an index of these, and their numbers (K,)."""
+
+    cells: Int64
+    which: Int64
+    counts: Int64
+
+    def number(self, is_some: Bool) -> Float64:
+        """Number of some of the returns (N,) in each cell, (K,)."""
+        return np.asarray(np.bincount(self.which, is_some, len(self.cells)), np.float64)
+
+
+def by_cell(keys: Int64) -> Returns:
+    """Returns with cells (N,)."""
+    return Returns(*np.unique(keys, return_inverse=True, return_counts=True))
+
+
 def evaluate(
-    keys: Int64, is_high: np.ndarray, is_floating: np.ndarray, before: tuple[Int64, Int64], single: int, multiple: int
-) -> tuple[np.ndarray, Int64]:
+    returns: Returns, is_high: Bool, is_floating: Bool, before: tuple[Int64, Int64], single: int, multiple: int
+) -> tuple[Bool, Int64]:
     """Whether each point is a hit, (N,) bool, and the sorted cells with at least `multiple` returns, for the next scan.
 
     `single`: minimum of high returns in this scan alone; `is_high` and `is_floating` (N,) bool; `before`: cells of the
     previous scan and of the one before it.
     """
-    cells, which, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    was_seen, was_seen_twice = (np.isin(cells, some, assume_unique=True) for some in before)
+    cells, counts = returns.cells, returns.counts
+    was_seen, was_seen_twice = (is_among(cells, some) for some in before)
     in_two = was_seen & (counts >= multiple)
-    in_one = np.bincount(which, is_high, len(cells)) >= single
-    floats = np.bincount(which, is_floating, len(cells)) >= MIN_FLOATING_RATIO * counts
+    in_one = returns.number(is_high) >= single
+    floats = returns.number(is_floating) >= MIN_FLOATING_RATIO * counts
     is_hit = np.where(floats, in_two & was_seen_twice, in_one | in_two)
-    return is_hit[which], cells[counts >= multiple]
+    return is_hit[returns.which], cells[counts >= multiple]
+
+
+def is_among(cells: Int64, some: Int64) -> Bool:
+    """Which of the cells (K,) are among some, both sorted, (K,)."""
+    place = np.searchsorted(some, cells)
+    found = place < len(some)
+    found[found] = some[place[found]] == cells[found]
+    return found
 
 
 def thin(points_m: Float64, grid_m: float) -> Float64:
     """Lowest of the points (N, 3) per square of a horizontal grid, so that a wall costs no more than a post."""
-    points_m = points_m[np.argsort(points_m[:, 2], kind="stable")] if points_m.shape[1] > 2 else points_m
     square = np.floor(points_m[:, :2] / grid_m).astype(np.int64)
-    _, first = np.unique((square[:, 0] << BITS) + square[:, 1], return_index=True)
-    return points_m[first]
+    key = (square[:, 0] << BITS) + square[:, 1]
+    z = points_m[:, 2] if points_m.shape[1] > 2 else np.zeros(len(points_m))
+    return points_m[lowest_of_cells(np.argsort(key), key, np.ascontiguousarray(z))]

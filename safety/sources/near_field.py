@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.arrays import Float32, Float64
-from geometry.ground_surface import heights_above_ground, plant_heights
+from geometry.arrays import Float32, Float64, quantile
+from geometry.ground_surface import heights_above_ground, plant_heights, stand_out_of_cell
 from safety.config import NearFieldConfig, VegetationConfig
 from safety.sources.ground_filter import WHEELS_X_M
 from safety.zones.footprint import Box, Footprint
@@ -50,9 +50,10 @@ def mark_low_obstacles(
     is_obstacle, is_plant = np.zeros(xyz.shape[1], bool), np.zeros(xyz.shape[1], bool)
     if len(inside) == 0:
         return NearField(is_obstacle, is_plant, config.min_height_m, 0.0)
+    near_xyz = xyz.take(inside, axis=1)
     shape = (cells(x_high - x_low, config.cell_m), cells(y_high - y_low, config.cell_m))
     height_m, (top_z_m, tops_m, ground_tops_m) = heights_above_ground(
-        np.ascontiguousarray(xyz[:, inside]), (x_low, y_low), shape, config.cell_m, config.ground_quantile,
+        near_xyz, (x_low, y_low), shape, config.cell_m, config.ground_quantile,
         config.max_slope, config.max_residual_slope, config.max_roughness_m,
     )  # fmt: skip
     x_m, y_m = (low + config.cell_m * (np.arange(n) + 0.5) for low, n in ((x_low, shape[0]), (y_low, shape[1])))
@@ -63,22 +64,15 @@ def mark_low_obstacles(
     is_ground = (plants_m == 0.0) | (even_m == 0.0)  # a few cells may be rough ground just as well
     rough_m = quantile_of(ground_tops_m[is_ground], config.roughness_quantile)
     min_height_m = max(config.min_height_m, config.roughness_factor * rough_m)
-    is_above = height_m > min_height_m
-    is_dense = height_m > max(config.min_height_m, config.dense_factor * rough_m)
-    if is_dense.any() or plants_m.any():
-        row, column = (
-            np.minimum((xyz[k, inside] - low) // config.cell_m, shape[k] - 1) for k, low in enumerate((x_low, y_low))
-        )
-        cell = (row * shape[1] + column).astype(np.int64)
-        plant_m = plants_m.ravel()[cell]
-        is_plant[inside] = (plant_m > 0.0) & (height_m <= plant_m + vegetation.margin_m)
-        is_above = np.where(plant_m > 0.0, ~is_plant[inside], is_above)
-        count = np.bincount(cell)[cell]
-        is_above &= np.bincount(cell, is_above)[cell] >= config.min_share * count
-        many = np.bincount(cell, is_dense & (plant_m == 0.0))[cell]
-        is_dense &= (plant_m == 0.0) & (many >= np.maximum(config.dense_returns, config.dense_share * count))
-        is_above |= is_dense
-    is_obstacle[inside] = is_above
+    dense_m = max(config.min_height_m, config.dense_factor * rough_m)
+    if (height_m > dense_m).any() or plants_m.any():
+        limits_m = min_height_m, dense_m, vegetation.margin_m
+        is_obstacle[inside], is_plant[inside] = stand_out_of_cell(
+            near_xyz, height_m, plants_m, (x_low, y_low), config.cell_m, limits_m,
+            (config.min_share, config.dense_share), config.dense_returns,
+        )  # fmt: skip
+    else:
+        is_obstacle[inside] = height_m > min_height_m
     return NearField(is_obstacle, is_plant, min_height_m, even_m)
 
 
@@ -122,7 +116,7 @@ def cells(length_m: float, cell_m: float) -> int:
     return max(MIN_CELLS, int(np.ceil(length_m / cell_m)))
 
 
-def quantile_of(tops_m: Float64, quantile: float) -> float:
+def quantile_of(tops_m: Float64, share: float) -> float:
     """Quantile of the heights to which cells reach, but infinite ones; 0 without any."""
     known = tops_m[np.isfinite(tops_m)]
-    return float(np.quantile(known, quantile)) if len(known) else 0.0
+    return quantile(known, share) if len(known) else 0.0

@@ -5,7 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from geometry.ground_surface import envelope, heights_above_ground, low_levels, plant_heights
+from geometry.ground_surface import (
+    above_cells,
+    cells_in_grid,
+    envelope,
+    heights_above_ground,
+    heights_above_planes,
+    low_levels,
+    lowest_of_cells,
+    plane_sums,
+    plant_heights,
+    stand_out_of_cell,
+)
 
 SHAPE, CELL_M = (16, 24), 0.5
 
@@ -104,3 +115,67 @@ def test_plants_are_as_high_as_many_cells_around() -> None:
     assert (found[:, 9:] == 0.0).all()
     assert (plant_heights(tops, 3, 0.15, 0.25, 0.4) == 0.0).all()
     assert (plant_heights(np.full((4, 4), np.inf), 3, 0.15, 0.4, 0.4) == 0.0).all()
+
+
+def test_cells_of_returns_and_of_those_beyond_the_grid() -> None:
+    xyz = np.array([[2.1, 3.9, -7.0, 90.0], [-1.9, 0.1, 90.0, -7.0], [0.0] * 4], np.float32)
+    assert cells_in_grid(xyz, (1.0, -1.0), (3, 4), 2.0).tolist() == [0, 1, 3, 8]
+
+
+def test_sums_of_known_cells_over_a_square() -> None:
+    random = np.random.default_rng(7)
+    low, is_known = random.normal(0.0, 1.0, (6, 5)), random.random((6, 5)) < 0.7
+    low[~is_known] = np.inf
+    found = plane_sums(low, is_known, 1)
+    for row, column in np.ndindex(low.shape):
+        terms = [
+            (1.0, i, j, i * i, i * j, j * j, low[i, j], low[i, j] * i, low[i, j] * j)
+            for i in range(max(row - 1, 0), min(row + 2, 6))
+            for j in range(max(column - 1, 0), min(column + 2, 5))
+            if is_known[i, j]
+        ]
+        assert found[row, column] == pytest.approx(np.sum([[0.0] * 9, *terms], axis=0))
+
+
+def test_heights_above_the_planes_of_cells() -> None:
+    planes = np.array([[0.5, 0.1, -0.2], [1.0, 0.0, 0.0]])
+    xyz = np.array([[3.0, 3.0], [-4.0, 9.0], [2.0, 2.0]], np.float32)
+    found = heights_above_planes(xyz, np.array([0, 1]), planes, (1.0, -1.0), 2.0)
+    assert found == pytest.approx([2.0 - (0.5 + 0.1 * 1.0 - 0.2 * -1.5), 1.0])
+
+
+@pytest.mark.parametrize(
+    ("heights", "plant_m", "counts"),
+    [
+        ([0.2, 0.1, 0.0, 0.0], 0.0, [True, False, False, False]),
+        ([0.2] + [0.0] * 30, 0.0, [False] * 31),  # a share of 0.05 is needed
+        ([0.12, 0.12, 0.0], 0.0, [True, True, False]),  # below the least height, but two of three
+        ([0.12] + [0.0] * 2, 0.0, [False] * 3),  # one is not many
+        ([0.3, 0.5, 0.39, 0.12, 0.12], 0.35, [False, True, False, False, False]),  # above the plants and the margin
+    ],
+)
+def test_returns_stand_out_with_others_of_their_cell(heights: list[float], plant_m: float, counts: list[bool]) -> None:
+    n = len(heights)
+    xyz, plants_m = np.zeros((3, n + 1), np.float32), np.zeros((2, 2))
+    xyz[0, :n], xyz[1, :n], plants_m[1, 0] = 1.7, 0.2, plant_m
+    height_m = np.array([*heights, 0.3])  # the last one is alone in its cell, without plants
+    is_above, is_plant = stand_out_of_cell(
+        xyz, height_m, plants_m, (0.0, -0.1), 1.0, (0.15, 0.11, 0.05), (0.05, 0.5), 2
+    )
+    assert is_above.tolist() == [*counts, True]
+    assert is_plant.tolist() == [plant_m > 0.0 and h <= plant_m + 0.05 for h in heights] + [False]
+
+
+def test_lowest_of_each_cell_is_the_first_of_equal_ones() -> None:
+    random = np.random.default_rng(8)
+    cell, z = random.integers(-5, 5, 200), random.integers(0, 4, 200).astype(float)
+    found = lowest_of_cells(np.argsort(cell), cell, z)
+    assert found.tolist() == [min(np.flatnonzero(cell == here), key=lambda k: z[k]) for here in np.unique(cell)]
+    assert len(lowest_of_cells(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))) == 0
+
+
+def test_returns_above_the_ground_of_their_cells() -> None:
+    xyz = np.array([[3.0] * 4, [4.0] * 4, [0.4, 0.3, 1.4, 1.3]], np.float32)  # 5 m away
+    ground_m = np.array([0.0, 1.0], np.float32)
+    found = above_cells(xyz, np.array([0, 0, 1, 1]), ground_m, np.float32(0.25), np.float32(0.02))
+    assert found.tolist() == [True, False, True, False]

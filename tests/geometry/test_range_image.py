@@ -7,6 +7,7 @@ import pytest
 
 from configs.vehicle import Lidar
 from geometry.range_image import chance_neighbours, clear_beneath, floating, isolated, range_image, scattered
+from geometry.range_image import points_of as returns_of
 from tests.perception.lidar_scenes import FRONT, VEHICLE, box, cast
 
 SIDE = VEHICLE.sensors.lidar["front_left"]
@@ -36,6 +37,16 @@ def floating_share(scan, lidar: Lidar, corners):
     return float(found.mean()) if len(found) else 0.0, len(found)
 
 
+def test_points_of_an_image() -> None:
+    mm = np.array([[0, 2000], [5000, 1000]], np.uint16)
+    elevation, azimuth = np.radians([-30.0, 0.0]), np.radians([90.0, 0.0])
+    found = returns_of(mm, elevation, azimuth)
+    expected = [(2.0 * math.cos(math.radians(30.0)), 0.0, -1.0), (0.0, 5.0, 0.0), (1.0, 0.0, 0.0)]
+    assert found == pytest.approx(np.array(expected), abs=1e-6)
+    with pytest.raises(ValueError, match="2 elevations and 3 azimuths"):
+        returns_of(mm, elevation, np.zeros(3))
+
+
 def dust(share: float):
     """Isolated returns 0.8 to 8 m off on a share of the beams."""
 
@@ -56,7 +67,7 @@ def test_dust_is_isolated(lidar: Lidar, share: float, left: float) -> None:
     is_dust = np.flatnonzero(dusty.ranges_mm.ravel() != clean.ranges_mm.ravel())
     above = is_dust[np.isin(is_dust, dusty.pixels[points_of(dusty, lidar)[:, 2] > 0.3])]
     assert len(above) > 3
-    assert isolated(image_of(dusty), above)[0].mean() >= 1.0 - left
+    assert isolated(image_of(dusty), above).mean() >= 1.0 - left
 
 
 def fog(share: float):
@@ -124,7 +135,7 @@ def test_bodies_in_dust_are_not_isolated(name: str, corners: np.ndarray) -> None
     scan = cast([corners], extra=dust(0.01))
     own = within(scan, FRONT, corners)
     assert len(own) >= 3
-    assert isolated(image_of(scan), own)[0].mean() <= 0.34, name
+    assert isolated(image_of(scan), own).mean() <= 0.34, name
 
 
 def test_three_returns_next_to_each_other_are_no_dust() -> None:
@@ -134,11 +145,11 @@ def test_three_returns_next_to_each_other_are_no_dust() -> None:
         mm[row, column] = 3000 + 20 * k
     image = range_image(mm, np.radians([-3.0, -2.0, -1.0, 0.0]), np.radians(np.linspace(-4, 4, 8)))
     places = np.array([row * 8 + column for row, column in chain])
-    assert not isolated(image, places)[0].any()
+    assert not isolated(image, places).any()
     mm[2, 5] = 0
-    assert isolated(image, places[:2])[0].all()  # two are isolated
+    assert isolated(image, places[:2]).all()  # two are isolated
     mm[2, 5] = 4500
-    assert isolated(image, places)[0].all()  # the third is at another distance
+    assert isolated(image, places).all()  # the third is at another distance
 
 
 def test_first_and_last_column_of_a_full_turn_are_neighbours() -> None:
@@ -148,7 +159,7 @@ def test_first_and_last_column_of_a_full_turn_are_neighbours() -> None:
         mm = np.zeros((3, columns), np.uint16)
         mm[1, [0, 1, columns - 1]] = 2000
         image = range_image(mm, np.radians([-1.0, 0.0, 1.0]), azimuth)
-        assert isolated(image, np.array([2 * columns - 1]))[0][0] == expected
+        assert isolated(image, np.array([2 * columns - 1]))[0] == expected
 
 
 BIRD = (0.4, 1.2, 0.15)  # length, width and height of body and wings

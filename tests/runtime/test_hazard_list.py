@@ -11,7 +11,17 @@ from configs.mission import Mission
 from configs.strict import find, load, parse, read_yaml
 from messages.errors import ConfigError, HeadlandError
 from runtime.hazards import campaign
-from runtime.hazards.cases import CORE, FILE, HazardList, drives_of, load_list, scenario_of, with_plant
+from runtime.hazards.cases import (
+    CORE,
+    FILE,
+    HazardList,
+    draws_of,
+    drives_of,
+    load_list,
+    scenario_of,
+    with_plant,
+    without,
+)
 from runtime.hazards.pairwise import pairs_of, possible_pairs, rows_of
 from simulation.scenario import Scenario
 from tests.runtime.written_file import after_file
@@ -64,6 +74,23 @@ def test_plant_of_a_drive():
     assert parse(Scenario, drive.scenario, "as listed").plant == "nominal"
 
 
+def test_drive_without_a_sensor():
+    drive = without(drives_of(HAZARDS, 1, True)[0], "lidar/front")
+    (fault,) = parse(Scenario, drive.scenario, "without").faults
+    assert (fault.topic, fault.kind, fault.is_on(0)) == ("lidar/front", "off", True)
+    assert drive.name == "lying_adult-1-without-lidar_front"
+
+
+def test_random_draws_are_possible_rows_that_depend_on_the_seed_alone():
+    drives = draws_of(HAZARDS, range(10_001, 10_201))
+    assert [one.seed for one in drives] == list(range(10_001, 10_201))
+    assert drives[57] == draws_of(HAZARDS, range(10_058, 10_059))[0]
+    rows = [tuple(one.labels.values()) for one in drives]
+    assert all(HAZARDS.is_possible(dict(enumerate(row))) for row in rows)
+    assert len(set(rows)) > 195
+    assert all(len({row[k] for row in rows}) >= 10 for k in range(4))
+
+
 @pytest.mark.parametrize("number", range(0, len(HAZARDS.drives), 7))
 def test_rows_are_valid_scenarios(number):
     row = HAZARDS.drives[number]
@@ -105,6 +132,8 @@ def options(folder, **more):
         "only": None,
         "scheduler": None,
         "json": True,
+        "draws": None,
+        "without": None,
         "out": folder,
     }
     return SimpleNamespace(**(values | more))
@@ -113,6 +142,8 @@ def options(folder, **more):
 def test_unknown_name_is_refused(tmp_path):
     with pytest.raises(HeadlandError, match="no drive has such a name"):
         campaign.main(options(tmp_path, only="^unicorn$"))
+    with pytest.raises(HeadlandError, match=r"'lidar/unicorn': not one of lidar/front, "):
+        campaign.main(options(tmp_path, without="lidar/unicorn"))
 
 
 @pytest.mark.slow

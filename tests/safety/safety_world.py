@@ -26,6 +26,7 @@ from safety.rules.situation import Situation
 from safety.supervisor import Supervisor
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.protective_field import Clearance
+from safety.zones.standing_bodies import NO_STANDING_BODY
 from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT
 
 ROOT = File(__file__).parents[2]
@@ -449,7 +450,7 @@ def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
         now_ns=START_NS, config=config, rule_limits=config.rules, inputs=inputs, machine=machine_state(START_NS),
         vehicle=vehicle, max_speed_mps=8.0, allowance_m=2.1, timed_out_topics=(), frozen=(), faults=(),
         clearance=Clearance(math.inf, math.inf, np.empty((0, 3))), critical_object=NO_CRITICAL_OBJECT,
-        detection_range_m=40.0, blind=(),
+        standing_body=NO_STANDING_BODY, detection_range_m=40.0, blind=(),
         geofence_distance_m=math.inf, is_foldable=False, clock_step_s=0.0, brake_test=Phase.PASSED, sensor_failures=(),
         is_departure_unresolved=False, lidar_failures=(), vegetation_m=0.0, consent=None,
         is_docking=False, is_under_roof=False, wall_distance_m=math.inf,

@@ -123,6 +123,7 @@ def make(
             lidar_hits_odom_m=np.array([(8.0, 2.0)]), forget_held=Spy(None),
         )  # fmt: skip
         collision_monitor.departure = SimpleNamespace(is_unresolved=False, update=Spy(None), forget=Spy(None))
+        collision_monitor.standing_bodies = SimpleNamespace(update=Spy(None))
         return collision_monitor
 
     return made
@@ -292,12 +293,13 @@ def test_clearance_and_critical_object_on_swept_field(make: Any, config: SafetyC
     assert parts.nearest_critical_object.asked[1:] == ([], pose_odom, predicted_s, config.tracked)
 
 
-def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, parts: Any) -> None:
-    def person(number: int, x: float) -> Track:
-        at = to_frame(POSE_ODOM, np.array([(x, 6.0)]))[0]
-        return Track(number, ObstacleClass.PERSON, 0.9, np.array([*at, 0.8]), np.zeros(3), np.eye(4),
-                     np.array([0.5, 0.5, 1.7]), 0.0, 0, 1, True, ())  # fmt: skip
+def person(number: int, x: float) -> Track:
+    at = to_frame(POSE_ODOM, np.array([(x, 6.0)]))[0]
+    return Track(number, ObstacleClass.PERSON, 0.9, np.array([*at, 0.8]), np.zeros(3), np.eye(4),
+                 np.array([0.5, 0.5, 1.7]), 0.0, 0, 1, True, ())  # fmt: skip
 
+
+def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, parts: Any) -> None:
     ahead, beside, stands = person(1, 9.0), person(2, -1.5), person(3, -1.5)
     collision_monitor = make()
     parts.tracks_near.answer = [(ahead, True), (beside, True), (stands, False)]
@@ -314,6 +316,21 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
     look(collision_monitor, config, replace(SEEN, tracks=Tracks(START_NS + 1, ())))
     assert collision_monitor.critical_object().id == 4
     assert parts.nearest_critical_object.asked[1] == [(ahead, True)]
+
+
+def test_standing_bodies_are_sought_inside_the_geofence(make: Any, config: SafetyConfig, parts: Any) -> None:
+    base = np.array([(-40.0, 6.0), (-40.0, -40.0), (40.0, -40.0), (40.0, 6.0)])
+    inside = Geofence((to_frame(POSE_MAP, base),)).contains
+    collision_monitor = make(geofence=SimpleNamespace(contains=inside, contains_box=Spy(True)))
+    look(collision_monitor, config)
+    near, area, pose_odom, braking, now_ns, is_inside = collision_monitor.standing_bodies.update.asked
+    assert (near, area) == ([], collision_monitor.swept_field.main)
+    assert pose_odom == pytest.approx(POSE_ODOM)
+    assert (braking, now_ns) == (config.braking.flat, START_NS)
+    assert is_inside(to_frame(POSE_ODOM, np.array([(1.0, 5.9), (1.0, 6.1)]))).tolist() == [True, False]
+    unknown = make(geofence=None)
+    look(unknown, config)
+    assert unknown.standing_bodies.update.asked[-1] is None
 
 
 def test_distances_shrink_by_distance_driven(make: Any, config: SafetyConfig, parts: Any) -> None:

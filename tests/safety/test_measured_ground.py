@@ -11,7 +11,7 @@ from configs.vehicle import Lidar, MountedImplement, Vehicle
 from messages.sensors import LidarScan
 from safety.sources.ground_filter import Motion, mark_obstacles
 from safety.sources.lidar import LidarSource
-from safety.sources.measured_ground import is_below_wheels, level, lowest_bound, stands_out, window_sums
+from safety.sources.measured_ground import is_below_wheels, level, lowest_bound, stands_out
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.footprint import Box as Area
 from safety.zones.footprint import footprint_of
@@ -240,15 +240,6 @@ def test_level(config: SupervisorConfig) -> None:
         assert (found[2, is_body].mean() - found[2, ~is_body].mean()) == pytest.approx(0.25, abs=0.05)
     few = np.array([[5.0, 5.1], [1.0, 1.1], [0.7, 0.8]], np.float32)
     assert (level(few, AREA, 0.1, measured) == few).all()
-
-
-def test_window_sums() -> None:
-    layers = np.arange(2 * 5 * 6, dtype=float).reshape(2, 5, 6)
-    found = window_sums(layers, 1)
-    for row in range(5):
-        for column in range(6):
-            part = layers[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-            assert found[:, row, column] == pytest.approx(part.sum(axis=(1, 2)))
 
 
 def test_a_wall_does_not_tilt_the_level(config: SupervisorConfig) -> None:

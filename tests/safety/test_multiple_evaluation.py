@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from safety.sources.multiple_evaluation import cell_keys, evaluate, thin
+from safety.sources.multiple_evaluation import by_cell, cell_keys, evaluate, thin
 
 NONE = np.empty(0, np.int64)
 
@@ -28,7 +28,7 @@ def test_cell_keys() -> None:
 def test_evaluate() -> None:
     keys = np.array([9, 5, 9, 7, 9, 9, 5, 4])
     high = np.ones(len(keys), bool)
-    hits, cells = evaluate(keys, high, stands(keys), before(4, 5, 11), 4, 2)
+    hits, cells = evaluate(by_cell(keys), high, stands(keys), before(4, 5, 11), 4, 2)
     assert hits.tolist() == [True, True, True, False, True, True, True, False]
     assert cells.tolist() == [5, 9]
 
@@ -36,11 +36,11 @@ def test_evaluate() -> None:
 def test_low_returns_need_two_scans() -> None:
     keys = np.full(6, 9)
     low, mixed = np.zeros(6, bool), np.array([True, True, True, False, False, False])
-    hits, cells = evaluate(keys, low, stands(keys), before(), 4, 2)
+    hits, cells = evaluate(by_cell(keys), low, stands(keys), before(), 4, 2)
     assert not hits.any()
-    assert evaluate(keys, low, stands(keys), (cells, NONE), 4, 2)[0].all()
-    assert not evaluate(keys, mixed, stands(keys), before(7), 4, 2)[0].any()
-    assert evaluate(keys, mixed, stands(keys), before(7), 3, 2)[0].all()
+    assert evaluate(by_cell(keys), low, stands(keys), (cells, NONE), 4, 2)[0].all()
+    assert not evaluate(by_cell(keys), mixed, stands(keys), before(7), 4, 2)[0].any()
+    assert evaluate(by_cell(keys), mixed, stands(keys), before(7), 3, 2)[0].all()
 
 
 def test_floating_returns_need_three_scans() -> None:
@@ -48,7 +48,8 @@ def test_floating_returns_need_three_scans() -> None:
     for floats, states in ((8, (False, False, True)), (6, (False, False, True)), (5, (True, True, True))):
         is_floating = np.arange(8) < floats
         found = [
-            evaluate(keys, high, is_floating, seen, 4, 2)[0] for seen in ((NONE, cells), (cells, NONE), (cells, cells))
+            evaluate(by_cell(keys), high, is_floating, seen, 4, 2)[0]
+            for seen in ((NONE, cells), (cells, NONE), (cells, cells))
         ]
         assert [one.all() for one in found] == [one.any() for one in found] == list(states), floats
 
@@ -63,16 +64,16 @@ def test_thin_keeps_the_lowest() -> None:
 def test_min_returns_per_cell() -> None:
     for count in range(1, 8):
         keys = cell_keys(np.tile([[10.1, 0.1, 0.6]], (count, 1)), 0.5)
-        hits, cells = evaluate(keys, np.ones(count, bool), stands(keys), before(), 4, 2)
+        hits, cells = evaluate(by_cell(keys), np.ones(count, bool), stands(keys), before(), 4, 2)
         assert hits.all() == (count >= 4)
         assert len(cells) == (1 if count >= 2 else 0)
-        again, _ = evaluate(keys, np.ones(count, bool), stands(keys), (cells, NONE), 4, 2)
+        again, _ = evaluate(by_cell(keys), np.ones(count, bool), stands(keys), (cells, NONE), 4, 2)
         assert again.all() == (count >= 2)
     apart = [[10.1, 0.1, 0.6], [10.6, 0.1, 0.6], [10.1, 0.6, 0.6], [10.1, 0.1, 1.1], [-0.1, 0, 0]]
     spread = cell_keys(np.array(apart), 0.5)
     assert len(set(spread.tolist())) == 5
-    assert not evaluate(spread, np.ones(5, bool), stands(spread), before(), 2, 2)[0].any()
-    hits, cells = evaluate(NONE, np.empty(0, bool), stands(NONE), before(), 4, 2)
+    assert not evaluate(by_cell(spread), np.ones(5, bool), stands(spread), before(), 2, 2)[0].any()
+    hits, cells = evaluate(by_cell(NONE), np.empty(0, bool), stands(NONE), before(), 4, 2)
     assert len(hits) == len(cells) == 0
 
 

@@ -19,6 +19,7 @@ from safety.rules.rule import Effect
 from safety.stopping_distance import highest_speed, stopping_distance
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.protective_field import Clearance
+from safety.zones.standing_bodies import StandingBody
 from safety.zones.tracked_obstacles import CriticalObject
 from tests.clause import clause
 from tests.safety.safety_world import START_NS, around, machine_state, situation_of
@@ -34,7 +35,8 @@ NO_OBJECTION = {
     "brake": "brake.weak", "overspeed": "overspeed",
     "localization": "localization", "tilt": "tilt", "geofence": "geofence", "implement_fold": "implement_fold",
     "protective_field": "protective_field",
-    "tracked_obstacle": "tracked_obstacle", "detection_range": "detection_range.limit", "sensor_loss": "sensor_loss",
+    "tracked_obstacle": "tracked_obstacle", "standing_body": "standing_body",
+    "detection_range": "detection_range.limit", "sensor_loss": "sensor_loss",
     "vegetation": "vegetation", "wall_clearance": "wall_clearance",
     "speed_limit": "speed_limit",
 }  # fmt: skip
@@ -294,6 +296,14 @@ def test_tracked_obstacle(config: SupervisorConfig) -> None:
         "tracked_obstacle", config, speed_mps=0.0, critical_object=CriticalObject(0.5, ObstacleClass.PERSON, 3)
     )
     assert standing == (LIMIT, "tracked_obstacle", 0.0)
+
+
+@clause("BD-5.2.4", rule="standing_body")
+def test_standing_body(config: SupervisorConfig) -> None:
+    deer = StandingBody(1.2, 2.5, ObstacleClass.ANIMAL)
+    assert ask("standing_body", config, standing_body=deer) == (LIMIT, "standing_body", 1.2)
+    assert ask("standing_body", config, standing_body=deer, is_docking=True)[0] is NONE
+    assert ask("standing_body", config)[0] is NONE
 
 
 @clause("BD-5.2.4", rule="detection_range")

@@ -31,6 +31,7 @@ from safety.zones.footprint import footprints_of
 from safety.zones.geofence import Geofence
 from safety.zones.known_structure import KnownStructure
 from safety.zones.protective_field import Clearance
+from safety.zones.standing_bodies import NO_STANDING_BODY
 from safety.zones.tracked_obstacles import CriticalObject
 from tests.safety.safety_world import START_NS, SyntheticInbox, machine_state
 from tests.safety.test_collision_monitor import CONTROL_COMMAND, SEEN, Spy
@@ -91,7 +92,7 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
         vehicle_monitor=SimpleNamespace(update=Spy(measured(config))),
         monitor=SimpleNamespace(
             config=config.docked, update=Spy(None), clearance=Spy(GAP), critical_object=Spy(THREAT),
-            geofence_distance_m=Spy(8.0),
+            standing_bodies=SimpleNamespace(slowest=NO_STANDING_BODY), geofence_distance_m=Spy(8.0),
             wall_distance_m=Spy(6.0), is_docking=True, is_under_roof=False,
             departure=SimpleNamespace(is_unresolved=True), confirm_clear=Spy(None),
             bystanders=SimpleNamespace(bars_pto=Spy(True)),
@@ -205,7 +206,9 @@ def test_situation(among: Any, parts: Any, inbox: Any, machine: Vehicle, config:
         max_speed_mps=min(machine.max_speed_kmh, config.limits.speed_kmh) / 3.6,
         allowance_m=allowance_m(config.docked.field, 0.07, 0.03), timed_out_topics=("odom",), frozen=("lidar/rear",),
         faults=parts.mode_machine.fault_memory.active,
-        clearance=GAP, critical_object=THREAT, detection_range_m=30.0, blind=("lidar/side",), geofence_distance_m=8.0,
+        clearance=GAP, critical_object=THREAT, standing_body=NO_STANDING_BODY,
+        detection_range_m=30.0, blind=("lidar/side",),
+        geofence_distance_m=8.0,
         is_foldable=True, clock_step_s=0.0, brake_test="phase", sensor_failures=("lost",),
         is_departure_unresolved=True, lidar_failures=("wrong",), vegetation_m=0.3,
         consent=CONSENT, is_docking=True, is_under_roof=False, wall_distance_m=6.0,

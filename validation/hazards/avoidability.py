@@ -5,7 +5,7 @@ the path, or heads into it at its present velocity. From then on the closed form
 along the true path while the object moves as it did. Crop, dust, fog and the machine itself hide nothing.
 
 there before the machine set off, and does not move or is in reach? ──yes──► avoidable
-known in time for the closed form to stop before contact? ──yes──► avoidable
+known in time for the closed form to stop before contact? ──yes──► avoidable, unless the PTO still runs down
 hidden by something solid until then, and a stop possible from a lower speed, at least 3 km/h? ──yes──► avoidable
 contact faster than the closed form? ──yes──► avoidable        else ──► unavoidable
 """
@@ -19,7 +19,7 @@ import shapely
 from geometry.arrays import Float64
 from geometry.pose2 import to_frame
 from geometry.prism import Solids
-from validation.hazards.braking import MIN_SPEED_MPS, speed_after, stopping_time, travel_after
+from validation.hazards.braking import MIN_SPEED_MPS, PTO_S, speed_after, stopping_time, travel_after
 from validation.hazards.contacts import TOUCH_M, Contact
 from validation.hazards.tracks import Drive, MachineState, ObjectTrack
 from validation.obstacle_stop.visibility import MIN_SHARE, SolidBox, View, visible_share
@@ -62,6 +62,8 @@ def avoidability_of(drive: Drive, one: ObjectTrack, contact: Contact) -> Avoidab
     was_hidden = any(not sees.visible(t) for t in before.tolist())
     top_mps = abs(drive.machine.at(known_s).speed_mps)
     impact = closed_form_contact_mps(drive, one, known_s, top_mps)
+    if impact is None and meets_pto_as_it_runs_down(drive, one, contact, times, sees):
+        return Avoidability(True, "entered a PTO that could not stand yet", known_s)
     if impact is None:
         return Avoidability(False, "visible in time to stop", known_s)
     if was_hidden:
@@ -74,13 +76,25 @@ def avoidability_of(drive: Drive, one: ObjectTrack, contact: Contact) -> Avoidab
     return Avoidability(True, reason, known_s, impact)
 
 
-def is_critical(drive: Drive, one: ObjectTrack, t_s: float) -> bool:
+def meets_pto_as_it_runs_down(
+    drive: Drive, one: ObjectTrack, contact: Contact, times: Float64, sees: "Eyes"
+) -> bool:  # fmt: skip
+    """Whether only the PTO moves at contact, and would not stand if stopped when the object headed for the machine."""
+    k = drive.machine.index(contact.t_s)
+    if drive.machine.is_driving[k] or not drive.machine.is_running[k]:
+        return False
+    least_s = PTO_S + BEYOND_S
+    known_s = next((t for t in times.tolist() if is_critical(drive, one, t, least_s) and sees.visible(t)), contact.t_s)
+    return contact.t_s < known_s + PTO_S
+
+
+def is_critical(drive: Drive, one: ObjectTrack, t_s: float, least_s: float = 0.0) -> bool:
     """Whether the object is in the path that the machine sweeps within its stopping distance, or heads into it.
 
-    The path goes on for another `BEYOND_S`; the object keeps its velocity over the same time.
+    The path goes on for another `BEYOND_S`; the object keeps its velocity over the same time, at least `least_s`.
     """
     speed = abs(drive.machine.at(t_s).speed_mps)
-    seconds = stopping_time(speed) + BEYOND_S
+    seconds = max(stopping_time(speed) + BEYOND_S, least_s)
     reach = travel_after(speed, seconds) + speed * BEYOND_S
     shape = one.shape_at(t_s)
     shift = one.velocity_at(t_s) * seconds

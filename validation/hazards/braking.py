@@ -5,6 +5,7 @@ import math
 from validation.obstacle_stop.conditions import BrakingValues
 
 BRAKING = BrakingValues(reaction_s=0.6, build_up_s=0.4, deceleration_mps2=2.5, dead_time_s=0.3)
+PTO_S = BRAKING.reaction_s + 2.4  # until the PTO stands: it runs down from 540 1/min with a lag of 0.5 s
 MIN_SPEED_MPS = 3.0 / 3.6  # past an occlusion, slower is not demanded
 
 

@@ -19,7 +19,7 @@ NEAR_MISS_M = 0.5
 class Contact:
     """First contact: time, part, point in `map`, speed of both against each other and of the machine alone.
 
-    `is_walked_into`: wheels, hitch and PTO stood still.
+    `is_walked_into`: the part stood still: wheels, hitch and PTO, or the wheels and it is none of the implement's.
     """
 
     t_s: float
@@ -48,12 +48,15 @@ class Approach:
 
 
 def approach_of(drive: Drive, one: ObjectTrack) -> Approach:
-    """Smallest distances and first contacts of an object over the drive."""
+    """Smallest distances and first contacts of an object over the drive.
+
+    Who has walked into a part that stands still is held up by it: scripted objects go on through the machine.
+    """
     machine = drive.machine
     t, end = (float(machine.t_s[0] if one.is_static else max(machine.t_s[0], one.t_s[0]))), float(machine.t_s[-1])
     best, best_s, part, moving_m = math.inf, t, "", math.inf
     contact = walked = None
-    before = t
+    before, is_held = t, False
     while t <= end and one.is_present(t):
         state = machine.at(t)
         found, speed = _gap(drive, one, state)
@@ -62,23 +65,26 @@ def approach_of(drive: Drive, one: ObjectTrack) -> Approach:
         if found.distance_m < best:
             best, best_s, part = found.distance_m, t, found.part
         moving_m = min(moving_m, moving)
-        if found.distance_m <= TOUCH_M:
-            if machine.is_moving[k]:
-                contact = _contact(drive, one, _first_touch(drive, one, before, t))
-                break
-            walked = walked or _contact(drive, one, _first_touch(drive, one, before, t))
+        if moving <= TOUCH_M and (machine.is_driving[k] or not is_held):
+            contact = _contact(drive, one, (before, t), not machine.is_driving[k])
+            break
+        is_held = found.distance_m <= TOUCH_M
+        if is_held:
+            walked = walked or _contact(drive, one, (before, t), False, is_walked_into=True)
         before = t
         t += float(np.clip(0.5 * found.distance_m / max(speed, 0.1), MIN_STEP_S, MAX_STEP_S))
     return Approach(best, best_s, part, moving_m, contact, walked)
 
 
-def _gap(drive: Drive, one: ObjectTrack, state: MachineState) -> tuple[Nearest, float]:
+def _gap(
+    drive: Drive, one: ObjectTrack, state: MachineState, only_implement: bool = False
+) -> tuple[Nearest, float]:  # fmt: skip
     """Distance now, and a bound of the speed at which it can shrink."""
     shape = _near(one.shape_at(state.t_s), state) if one.is_static else one.shape_at(state.t_s)
     speed = abs(state.speed_mps) + 4.0 * abs(state.yaw_rate_radps) + float(np.hypot(*one.velocity_at(state.t_s)))
     if not len(shape.polygons):
         return Nearest(REACH_M - 4.0, "", (math.nan,) * 3), speed
-    return drive.gap(state, shape), speed
+    return drive.gap(state, shape, only_implement), speed
 
 
 def _near(shape: Solids, state: MachineState) -> Solids:
@@ -94,29 +100,26 @@ def _moving_gap(drive: Drive, one: ObjectTrack, state: MachineState, k: int, fou
     machine = drive.machine
     if machine.is_driving[k] or found.distance_m > NEAR_MISS_M:
         return found.distance_m if machine.is_driving[k] else math.inf
-    if not machine.is_moving[k]:
-        return math.inf
-    shape = _near(one.shape_at(state.t_s), state) if one.is_static else one.shape_at(state.t_s)
-    return drive.gap(state, shape, only_implement=True).distance_m
+    return _gap(drive, one, state, only_implement=True)[0].distance_m if machine.is_moving[k] else math.inf
 
 
-def _first_touch(drive: Drive, one: ObjectTrack, free_s: float, touch_s: float) -> float:
-    """Time of the first touch between a moment without and one with contact."""
+def _contact(
+    drive: Drive, one: ObjectTrack, between_s: tuple[float, float], only_implement: bool, is_walked_into: bool = False
+) -> Contact:  # fmt: skip
+    """First contact, of the implement alone or of any part, between a moment without and one with it."""
+    free_s, touch_s = between_s
+
+    def gap(t_s: float) -> Nearest:
+        return _gap(drive, one, drive.machine.at(t_s), only_implement)[0]
+
     while touch_s - free_s > RESOLUTION_S:
         middle = 0.5 * (free_s + touch_s)
-        if _gap(drive, one, drive.machine.at(middle))[0].distance_m <= TOUCH_M:
+        if gap(middle).distance_m <= TOUCH_M:
             touch_s = middle
         else:
             free_s = middle
-    return touch_s
-
-
-def _contact(drive: Drive, one: ObjectTrack, t_s: float) -> Contact:
-    state = drive.machine.at(t_s)
-    found = _gap(drive, one, state)[0]
+    state, found = drive.machine.at(touch_s), gap(touch_s)
     own = drive.velocity_of_point(state, found.point_m)
-    relative = float(np.hypot(*(own - one.velocity_at(t_s))))
-    is_moving = bool(drive.machine.is_moving[drive.machine.index(t_s)])
-    return Contact(
-        t_s, found.part, to_map(state, found.point_m), relative, abs(state.speed_mps), not is_moving
-    )  # fmt: skip
+    relative = float(np.hypot(*(own - one.velocity_at(touch_s))))
+    at_m = to_map(state, found.point_m)
+    return Contact(touch_s, found.part, at_m, relative, abs(state.speed_mps), is_walked_into)

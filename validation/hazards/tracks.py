@@ -119,9 +119,13 @@ class MachineTrack:
         )  # fmt: skip
 
     def set_off_s(self, t_s: float) -> float:
-        """Time at which the drive that is under way at `t_s` began: the last time that the wheels stood before."""
+        """Time at which the drive that is under way at `t_s` began: the last time that the wheels stood before.
+
+        While they stand, the last time that no part moved.
+        """
         k = self.index(t_s)
-        stood = np.flatnonzero(~self.is_driving[: k + 1])
+        moves = self.is_driving if self.is_driving[k] else self.is_moving
+        stood = np.flatnonzero(~moves[: k + 1])
         return float(self.t_s[stood[-1]]) if len(stood) else float(self.t_s[0])
 
 

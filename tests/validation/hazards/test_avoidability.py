@@ -5,7 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.validation.hazards.scripts import FRONT_M, HALF_M, drive, machine, moving_object, still_object, wall
+from tests.validation.hazards.scripts import (
+    FRONT_M,
+    HALF_M,
+    TOOL_HALF_M,
+    drive,
+    machine,
+    moving_object,
+    still_object,
+    wall,
+)
 from validation.hazards.avoidability import avoidability_of
 from validation.hazards.braking import BRAKING, speed_after, stopping_time, travel_after
 from validation.hazards.contacts import approach_of
@@ -119,6 +128,20 @@ def test_in_reach_before_the_machine_set_off():
     one = moving_object([(3.2, FRONT_M + 1.5, 2.0), (3.9, FRONT_M + 1.5, 0.0)])
     track = machine(lambda t: 0.0 if t < 3.0 else min(1.5, 1.5 * (t - 3.0)))
     assert judged(track, one)[1].reason == "in reach before the machine set off"
+
+
+@pytest.mark.parametrize(("speed", "reason"), [
+    (1.25, "entered a PTO that could not stand yet"),
+    (0.75, "visible in time to stop"),
+])  # fmt: skip
+def test_walks_into_a_running_pto_at_a_standing_machine(speed, reason):
+    """3 m to the wing take 2.4 or 4 s from the start of the walk; a PTO that is stopped then stands after 3.0 s."""
+    side_m = TOOL_HALF_M + 0.25
+    one = moving_object([(3.6, 0.0, side_m + 3.0), (3.6 + 3.5 / speed, 0.0, side_m - 0.5)], seconds=12.0)
+    track = machine(lambda t: 1.0 if 0.0 < t < 1.65 else 0.0, seconds=12.0, hitch=0.0, pto=50.0)
+    contact, found = judged(track, one)
+    assert (contact.machine_mps, contact.t_s) == (0.0, pytest.approx(3.6 + 3.0 / speed, abs=0.02))
+    assert (found.is_unavoidable, found.reason) == (reason != "visible in time to stop", reason)
 
 
 def test_stop_before_an_object_is_justified():

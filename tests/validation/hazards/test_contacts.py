@@ -85,6 +85,17 @@ def test_speed_of_a_wing_in_a_turn():
     assert contact.relative_mps == pytest.approx(0.4 * (radius + 3.0), abs=0.15)
 
 
+@pytest.mark.parametrize(("back_m", "part"), [(-3.0, None), (FRONT_M + 2.0, "wing_left")])
+def test_hood_of_a_standing_machine_whose_pto_runs_is_walked_into(back_m, part):
+    """From ahead to the hood; then on through the machine, which holds it up, or away and round it to the implement."""
+    round_it = [(3.5, FRONT_M + 2.0, 5.0), (4.5, -1.7, 5.0), (6.0, -1.7, 2.0)]
+    to_hood = [(0.0, FRONT_M + 2.0, 0.0), (1.0, FRONT_M, 0.0), (3.0, back_m, 0.0)]
+    one = moving_object([*to_hood, *(round_it if part else ())])
+    found = approach_of(drive(machine(0.0, pto=50.0), one), one)
+    assert (found.walked_into.part, found.walked_into.is_walked_into) == ("body", True)
+    assert (found.contact and found.contact.part) == part
+
+
 def test_standing_machine_that_is_walked_into_is_no_contact():
     one = moving_object([(0.0, 9.0, 0.0), (6.0, 3.0, 0.0)])
     found = approach_of(drive(machine(0.0), one), one)

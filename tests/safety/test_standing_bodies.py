@@ -1,0 +1,108 @@
+"""Standing bodies: how fast the machine passes a person or animal that stands beside its path."""
+
+import math
+
+import numpy as np
+import pytest
+
+from configs.vehicle import MountedImplement, Vehicle
+from messages.perception import ObstacleClass
+from safety.stopping_distance import Braking, stopping_distance, stopping_time
+from safety.supervisor_config import SupervisorConfig
+from safety.zones.standing_bodies import NO_STANDING_BODY, StandingBodies
+from tests.clause import clause
+from tests.safety.safety_world import START_NS, around
+from tests.safety.test_bystanders import HERE, WING_Y, person, swept
+
+TOP_MPS = 10.0 / 3.6
+BRAKING = Braking(0.6, 0.4, 2.5)
+
+
+@pytest.fixture
+def slowest(vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig):
+    """Slowest body after one update with these tracks, each with whether it moves."""
+    area = swept(vehicle, implement, config, 0.0)
+    bodies = StandingBodies(config.standing_body)
+
+    def update(*tracks, pose=HERE, now_ns=START_NS, braking=BRAKING, is_inside=None):
+        bodies.update([(t, bool(t.velocity_mps.any())) for t in tracks], area, pose, braking, now_ns, is_inside)
+        return bodies.slowest
+
+    return update
+
+
+@clause("BD-5.2.4", rule="standing_body")
+@pytest.mark.parametrize("gap_m", [0.5, 2.0, 3.5, 4.5, 6.0])
+def test_who_sets_off_meets_a_standing_machine(slowest, config: SupervisorConfig, gap_m: float) -> None:
+    """Abeam of the wing: the machine stands before the body has crossed the gap, or is at its lowest speed."""
+    found = slowest(person(-1.7, WING_Y + gap_m + 0.2, size=(0.4, 0.4, 1.7)))
+    assert found.gap_m == pytest.approx(gap_m)
+    needed_s = config.standing_body.notice_s + stopping_time(found.speed_mps, BRAKING)
+    crosses_s = gap_m / config.standing_body.walk_mps
+    if found.speed_mps > config.standing_body.min_mps:
+        assert needed_s == pytest.approx(crosses_s)
+    else:
+        assert found.speed_mps == config.standing_body.min_mps
+        assert needed_s >= crosses_s
+    assert (found.speed_mps >= TOP_MPS) == (gap_m >= 5.0)
+
+
+def test_approach_allows_a_stop_short_of_the_place(slowest, config: SupervisorConfig) -> None:
+    speeds = []
+    for ahead_m in np.arange(0.0, 11.0, 0.5):
+        found = slowest(person(4.0 + ahead_m, WING_Y + 1.0))
+        at_wing_m = ahead_m + 4.0 + 1.7 - 0.65 - 0.25  # before its front edge is abeam of that of the wing
+        needed_m = config.standing_body.notice_s * found.speed_mps + stopping_distance(found.speed_mps, BRAKING)
+        assert found.speed_mps == config.standing_body.min_mps or needed_m <= at_wing_m + 0.1
+        speeds.append(found.speed_mps)
+    assert speeds == sorted(speeds)
+    assert speeds[0] < 2.0
+    assert speeds[-1] > TOP_MPS
+
+
+@pytest.mark.parametrize("changes", [
+    {"label": ObstacleClass.VEHICLE}, {"label": ObstacleClass.UNKNOWN}, {"vy": -1.0}, {"age_s": 0.9}, {"y": 12.0},
+])  # fmt: skip
+def test_who_does_not_slow_the_machine(slowest, changes: dict) -> None:
+    found = slowest(person(-1.7, **{"y": WING_Y + 2.0} | changes))
+    assert found.speed_mps > TOP_MPS
+    assert math.isfinite(found.speed_mps) == ("y" in changes)
+
+
+def test_who_is_lost_from_view_stays_for_a_time(slowest, config: SupervisorConfig) -> None:
+    first = slowest(person(1.0, WING_Y + 2.0))
+    assert first.speed_mps < TOP_MPS
+    for late_s in around(config.standing_body.hold_s, 0.01, 2):
+        slowest(person(1.0, WING_Y + 2.0))
+        kept = slowest(now_ns=START_NS + round(late_s * 1e9))
+        assert kept == (first if late_s <= config.standing_body.hold_s else NO_STANDING_BODY), late_s
+
+
+def test_class_that_changes_and_body_that_sets_off(slowest) -> None:
+    first = slowest(person(1.0, WING_Y + 2.0))
+    assert slowest(person(1.0, WING_Y + 2.0, label=ObstacleClass.MOUND)) == first
+    assert slowest(person(1.0, WING_Y + 2.0, vy=-1.0)) is NO_STANDING_BODY  # left to `tracked_obstacles`
+
+
+def test_passed_body_no_longer_slows_the_machine(slowest) -> None:
+    body = person(1.0, WING_Y + 1.0)
+    speeds = [slowest(body, pose=np.array([x, 0.0, 0.0])).speed_mps for x in (-15.0, 0.0, 2.0, 12.0)]
+    assert speeds[1] == speeds[2] == min(speeds)
+    assert speeds[0] > TOP_MPS
+    assert speeds[3] > TOP_MPS
+
+
+@pytest.mark.parametrize("edge_m", around(WING_Y + 2.2, 0.01, 2))
+def test_outside_of_the_geofence_nobody_stands(slowest, edge_m: float) -> None:
+    found = slowest(person(1.0, WING_Y + 2.0), is_inside=lambda points: points[:, 1] < edge_m)
+    assert (found is NO_STANDING_BODY) == (edge_m <= WING_Y + 2.2)
+
+
+def test_the_slowest_of_several_counts(slowest) -> None:
+    near, far = person(-1.7, WING_Y + 3.7, id=1), person(-1.7, -WING_Y - 4.7, id=2, label=ObstacleClass.ANIMAL)
+    assert slowest(far).label is ObstacleClass.ANIMAL
+    assert slowest(far, near).label is ObstacleClass.PERSON
+
+
+def test_without_brakes_only_the_lowest_speed(slowest, config: SupervisorConfig) -> None:
+    assert slowest(person(4.0, WING_Y + 1.0), braking=Braking(0.6, 0.4, 0.0)).speed_mps == config.standing_body.min_mps
