@@ -106,6 +106,13 @@ def test_set_up_at_first_start_only(project: Project) -> None:
     assert project.calls() == [VERB]
 
 
+def test_compiled_modules_are_kept_where_the_system_keeps_none(project: Project) -> None:
+    project.put("venv-python", 'echo "$*: ${PYTHONDONTWRITEBYTECODE-kept}" >>"$CALLS"')
+    assert project.run("run", PYTHONDONTWRITEBYTECODE="1")[0] == 0
+    lines = [line for line in project.calls_file.read_text().splitlines() if line.startswith("-m")]
+    assert lines == ["-m runtime.commands.warm_up: kept", "-m runtime run: kept"]
+
+
 def test_changed_lock_in_place_update(project: Project) -> None:
     project.run("run")
     project.calls()
@@ -177,7 +184,7 @@ def test_checks_in_full_test_run_only(project: Project) -> None:
     headlines = [line for line in out.splitlines() if line.startswith("== ")]
     checks = [f"== {name}" for name in ("ruff check", "ruff format --check", "mypy")]
     failed = [line for name in checks for line in (name, f"{name}: FAILED")]
-    assert headlines == ["== pytest, every branch of safety/", "== pytest", *failed]
+    assert headlines == ["== pytest, every branch of safety/ without a drive", "== pytest", *failed]
     assert out.count("FAILED") == 3
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.replay.simulated_crossing import crossing
+from tests.replay.simulated_crossing import crossing_of_session
 
 
 @pytest.fixture(scope="session")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return crossing(tmp_path_factory.mktemp("crossing") / "log.mcap")
+    return crossing_of_session(tmp_path_factory)

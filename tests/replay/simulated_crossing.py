@@ -1,6 +1,9 @@
 """Log of a short simulated drive with a person who crosses the path."""
 
+import fcntl
 from pathlib import Path
+
+import pytest
 
 from configs.strict import parse
 from datasets.log import LogWriter
@@ -12,11 +15,11 @@ from runtime.setup import load_setup
 from simulation.scenario import Scenario
 from tests.scenarios.straight import on_a_line
 
-SECONDS = 27.0
+SECONDS = 24.5
 SCENARIO = parse(
     Scenario,
     {
-        "name": "crossing", "operator_commands": [{"at_s": 3.0, "command": "start", "expires_s": 5.0}],
+        "name": "crossing", "operator_commands": [{"at_s": 0.5, "command": "start", "expires_s": 5.0}],
         "encounters": [{
             "kind": "crossing", "name": "person", "actor": "person", "expected_stops": 1,
             "swath_fraction": [0.72, 0.74], "start_lateral_m": [4.0, 4.1], "skew_deg": [0.0, 1.0],
@@ -46,4 +49,16 @@ def crossing(path: Path) -> Path:
         end_ns = executor.now_ns + round(SECONDS * 1e9)
         executor.run(lambda: executor.now_ns >= end_ns)
     assert not failures, failures[0].message
+    return path
+
+
+def crossing_of_session(factory: pytest.TempPathFactory) -> Path:
+    """The log, driven once for all workers and folders of the test session."""
+    top = factory.getbasetemp()
+    top = top.parent if top.name.startswith("popen-") else top  # a worker's own folder
+    path = top / "crossing.mcap"
+    with (top / "crossing.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.exists():
+            crossing(top / "incomplete.mcap").rename(path)
     return path

@@ -1,6 +1,7 @@
 """Fixtures: configuration of the supervisor, machines, closed loops."""
 
 import inspect
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +13,16 @@ from safety.supervisor_config import SupervisorConfig
 from safety.zones.geofence import Geofence
 from tests.safety.safety_world import ROOT, World, straight_path, tractor
 
+FOLDER = Path(__file__).parent
 DRIVES = {"world", "seeing", "shed_world", "sparse", "lidar_world"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the tests that drive a machine in a closed loop, which a mutation run leaves out."""
+    """Marks the tests that drive a machine in a closed loop, which runs for coverage and mutation leave out."""
     for item in items:
+        if not item.path.is_relative_to(FOLDER):
+            continue
+        item.add_marker("safety")
         if isinstance(item, pytest.Function) and DRIVES & inspect.signature(item.function).parameters.keys():
             item.add_marker("drive")
 

@@ -71,6 +71,13 @@ def came(**what: Any) -> SourceData:
     return SourceData(what.get("scans", {}), what.get("radars", {}), what.get("echoes", {}))
 
 
+def test_hits_of_all_lidars(sources: ObstacleSources) -> None:
+    assert sources.lidar_hits_odom_m.shape == (0, 2)
+    for k, source in enumerate(sources.lidars):
+        source.hits_odom_m = np.array([(1.0 + k, 2.0, 0.5)])
+    assert sources.lidar_hits_odom_m.tolist() == [[1.0, 2.0], [2.0, 2.0]]
+
+
 def test_one_source_per_sensor(sources: ObstacleSources) -> None:
     assert [source.name for source in sources.lidars] == ["front", "rear"]
     assert [radar.name for radar in sources.radars] == ["front"]

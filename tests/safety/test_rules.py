@@ -113,6 +113,13 @@ def fault(response: Response, code: str = "x.y") -> Fault:
     return Fault(START_NS, code, "part", Severity.ALARM, False, response, True, "broken", "kaputt")
 
 
+@clause("BD-5.2.4", "BD-5.5.2d", rule="lidar_agreement")
+def test_first_lidar_that_contradicts_the_others(config: SupervisorConfig) -> None:
+    failures = tuple(SensorFailure("lidar", f"lidar/{name}.contradicted", name) for name in ("front", "rear"))
+    result = RULES["lidar_agreement"](situation_of(config, lidar_failures=failures))
+    assert (result.response, result.code, result.text) == (STOP, "lidar/front.contradicted", "front")
+
+
 @pytest.mark.parametrize("response", list(Response))
 @clause(rule="reported_fault")
 def test_reported_faults(config: SupervisorConfig, response: Response) -> None:

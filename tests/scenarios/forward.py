@@ -15,6 +15,13 @@ from simulation.scenario import Scenario
 M = TypeVar("M", bound=Message)
 
 
+def starting_early(name: str) -> Scenario:
+    """A scenario with its first start after half a second, when the localizer is ready, instead of three."""
+    found = load(Scenario, find("scenarios", name))
+    commands = tuple(command.model_copy(update={"at_s": 0.5}) for command in found.operator_commands)
+    return found.model_copy(update={"operator_commands": commands})
+
+
 class Drive:
     """Sink of a drive; `newest` holds the last message of each topic."""
 

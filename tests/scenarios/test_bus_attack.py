@@ -6,7 +6,6 @@ from typing import Any
 import can
 import pytest
 
-from configs.strict import find, load
 from interfaces.isobus import guidance, speed
 from interfaces.isobus.frame import encode_identifier
 from messages.command import Mode, SignedOrder, SupervisorState
@@ -16,7 +15,7 @@ from messages.truth import TrueMachine
 from runtime import assembly
 from runtime.executor import Executor
 from runtime.setup import load_setup
-from simulation.scenario import Scenario
+from tests.scenarios.forward import starting_early
 
 CHANNEL = 910_000
 FAST_MPS = 1.5
@@ -65,11 +64,9 @@ class Attack:
 def test_foreign_frames_while_driving(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(assembly, "_CHANNELS", itertools.count(CHANNEL))
     setup = load_setup("line", None, None, None, 1)
-    scenario = load(Scenario, find("scenarios", "empty"))
-    start = replace_start(scenario)
     with (
         can.Bus(interface="virtual", channel=f"headland-{CHANNEL}") as bus,
-        assembly.assemble(setup, start) as (world, nodes),
+        assembly.assemble(setup, starting_early("empty")) as (world, nodes),
     ):
         attack = Attack(bus)
         Executor(world, nodes, [attack]).run(attack.is_over)
@@ -82,9 +79,3 @@ def test_foreign_frames_while_driving(monkeypatch: pytest.MonkeyPatch) -> None:
     assert travel_m <= attack.allowed_m
     assert attack.fastest_mps < FAST_MPS + 0.3
     assert len(attack.orders) == 2  # confirmation and start
-
-
-def replace_start(scenario: Scenario) -> Scenario:
-    """The scenario with its start after half a second."""
-    commands = tuple(command.model_copy(update={"at_s": 0.5}) for command in scenario.operator_commands)
-    return scenario.model_copy(update={"operator_commands": commands})

@@ -13,7 +13,7 @@ from messages.truth import TrueMachine
 from runtime.setup import Setup, load_scenario, load_setup
 from runtime.simulated_drive import drive_into_log
 from simulation.faults.config import FaultKind, InjectedFault
-from tests.scenarios.forward import Drive, forward
+from tests.scenarios.forward import Drive, forward, starting_early
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,6 +32,7 @@ def test_yard_exit_after_start_warning(setup: Setup) -> None:
         setup,
         lambda d: "control_command" in d.newest and d.last("control_command", ControlCommand).path_s_m > 12.0,
         25.0,
+        starting_early("empty"),
     )
     assert drive.modes == ["standby", "start_warning", "automatic"]
     truth, control_command = drive.last("truth_machine", TrueMachine), drive.last("control_command", ControlCommand)
@@ -55,8 +56,8 @@ def test_failure_stop_and_reason(setup: Setup, topic: str, kind: FaultKind, reas
         is_stopped = "safe_command" in d.newest and d.last("safe_command", SafeCommand).mode is Mode.FAULT_STOP
         return is_stopped and abs(speed(d)) < 0.02
 
-    faults = (InjectedFault(topic=topic, kind=kind, from_s=8.0, for_s=60.0),)
-    drive = forward(setup, stands, 20.0, faults=faults)
+    faults = (InjectedFault(topic=topic, kind=kind, from_s=5.5, for_s=60.0),)
+    drive = forward(setup, stands, 17.5, starting_early("empty"), faults=faults)
     assert "automatic" in drive.modes
     assert drive.last("safe_command", SafeCommand).reason == reason
 
@@ -65,37 +66,37 @@ DIGEST = """
 import sys
 sys.path.insert(0, {root!r})
 from pathlib import Path
-from tests.scenarios.forward import forward
+from tests.scenarios.forward import forward, starting_early
 from datasets.log import LogWriter
 from runtime.setup import load_setup
-setup = load_setup("yard", None, None, None, {seed})
-with LogWriter(Path(sys.argv[1]), {{}}, setup.stack.datasets.log, None) as log:
-    forward(setup, lambda d: "lidar/front" in d.newest, 1.0, sinks=(log.write,))
-    print(log.digest())
-    if {is_driving}:
-        forward(
-            setup, lambda d: "control_command" in d.newest and d.newest["control_command"].path_s_m > 2.0, 20.0,
-            sinks=(log.write,),
-        )
+for seed, is_driving in {drives}:
+    setup = load_setup("yard", None, None, None, seed)
+    with LogWriter(Path(sys.argv[1]) / f"{{seed}}-{{is_driving}}.mcap", {{}}, setup.stack.datasets.log, None) as log:
+        if is_driving:
+            forward(
+                setup, lambda d: "control_command" in d.newest and d.newest["control_command"].path_s_m > 2.0, 20.0,
+                starting_early("empty"), sinks=(log.write,),
+            )
+        else:
+            forward(setup, lambda d: "lidar/front" in d.newest, 1.0, sinks=(log.write,))
         print(log.digest())
 """
 
 
-def digests_of(seed: int, folder: Path, name: str, is_driving: bool) -> list[str]:
-    """Digest up to the first scan, and after driving."""
-    program = DIGEST.format(root=str(ROOT), seed=seed, is_driving=is_driving)
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(folder / name)], capture_output=True, text=True, check=True
-    )
+def digests_of(folder: Path, *drives: tuple[int, bool]) -> list[str]:
+    """Digests of drives in a new process: the seed of each, and whether it drives or ends with the first scan."""
+    folder.mkdir()
+    program = DIGEST.format(root=str(ROOT), drives=drives)
+    done = subprocess.run([sys.executable, "-c", program, str(folder)], capture_output=True, text=True, check=True)
     return done.stdout.split()
 
 
 def test_digest_by_seed_across_processes(tmp_path: Path) -> None:
-    first, again = (digests_of(1, tmp_path, f"{k}.mcap", True) for k in range(2))
-    (other,) = digests_of(2, tmp_path, "other.mcap", False)
-    assert [len(digest) for digest in first] == [32, 32]
+    one, other, first = digests_of(tmp_path / "first", (1, False), (2, False), (1, True))
+    (again,) = digests_of(tmp_path / "again", (1, True))
+    assert [len(digest) for digest in (one, other, first)] == [32, 32, 32]
     assert first == again
-    assert first[0] != other
+    assert one != other
 
 
 @pytest.mark.parametrize(

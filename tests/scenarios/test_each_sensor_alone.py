@@ -23,7 +23,7 @@ def walker(kind: str) -> Scenario:
     return parse(
         Scenario,
         {
-            "name": kind, "operator_commands": [{"at_s": 3.0, "command": "start", "expires_s": 5.0}],
+            "name": kind, "operator_commands": [{"at_s": 0.5, "command": "start", "expires_s": 5.0}],
             "encounters": [{
                 "kind": "crossing", "name": "person", "actor": "person", "expected_stops": 1, "visible_to": [kind],
                 "swath_fraction": [0.65, 0.66], "start_lateral_m": [3.0, 3.1], "skew_deg": [0.0, 1.0],
