@@ -129,7 +129,7 @@ class LidarSource:
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
         near = near[~is_machine & is_body[near]]  # before deskewing: the machine moves with the sensor
         near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
-        is_obstacle, is_high = self._mark(near_xyz, area, near_field)
+        is_obstacle, is_high, is_dense = self._mark(near_xyz, area, near_field)
         marked = np.flatnonzero(is_obstacle)
         is_dust, is_floating, is_standing = self._in_air(scan, near[marked])
         marked, is_floating, is_standing = (some[~is_dust] for some in (marked, is_floating, is_standing))
@@ -140,7 +140,7 @@ class LidarSource:
         is_hit, cells = evaluate(
             returns,
             is_high[marked],
-            is_floating,
+            is_floating | is_dense[marked],
             self._cells,
             field.min_returns_single_scan,
             field.min_returns_multiple_scan,
@@ -148,27 +148,30 @@ class LidarSource:
         self._cells = (cells, self._cells[0])
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
 
-    def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray]:
-        """Which returns (3, N) are obstacles, and which of them are high, (N,) bool."""
+    def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which returns (3, N) are obstacles, and which of them are high, or hardly stand out, (N,) bool."""
         config = self._config
         is_above_plane = mark_obstacles(xyz, area, config.field)
         is_high = stands_out(xyz, is_above_plane, area, config.field, config.measured_ground)
+        none = np.zeros_like(is_high)
         if near_field is None:
-            return is_high, is_high
+            return is_high, is_high, none
         plants = config.vegetation, self._consented_m
         near = mark_low_obstacles(xyz, near_field, config.near_field, *plants)
         is_high &= ~near.is_plant
         if not self._looks_down:
-            return is_high, is_high
+            return is_high, is_high, none
         self.vegetation_m = near.vegetation_m
-        is_low, is_hidden = near.is_obstacle, is_above_plane & ~is_high
+        is_low, is_dense, is_hidden = near.is_obstacle, near.is_dense, is_above_plane & ~is_high
         if near.min_height_m > config.field.min_height_m:
             is_hidden[:] = True  # on such ground the near field misses what the plane may not reach
         if is_hidden.any():
             level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
             level_near = mark_low_obstacles(level_xyz, near_field, self._on_slopes, *plants)
-            is_low |= is_hidden & level_near.is_obstacle & ~near.is_plant
-        return is_high | is_low, is_high
+            is_more = is_hidden & level_near.is_obstacle & ~near.is_plant
+            is_dense = np.where(is_low, is_dense, is_more & level_near.is_dense)
+            is_low |= is_more
+        return is_high | is_low, is_high, is_dense & ~is_high
 
     def _is_scattered(self, scan: LidarScan) -> np.ndarray:
         """Which returns of a scan are of fog or rain, (N,) bool; of a list of points none."""

@@ -1,7 +1,8 @@
 """Multiple evaluation (IEC 61496-3): a cell is hit by enough returns in one scan, or by some in each of two scans.
 
 Low returns, near the height of the ground itself, count in two scans only. A cell whose returns float, with clear space
-beneath them, counts in three: a bird at 6 m/s is not in it for so long, a branch, a barrier or a load is.
+beneath them, counts in three: a bird at 6 m/s is not in it for so long, a branch, a barrier or a load is. So does one
+of returns that hardly stand out of rough ground: plants that the machine passes look like a body in two scans.
 """
 
 from typing import NamedTuple
@@ -11,7 +12,7 @@ import numpy as np
 from geometry.arrays import Bool, Float64, Int64
 from geometry.ground_surface import lowest_of_cells
 
-MIN_FLOATING_RATIO = 0.75  # of a cell's returns: at the edges of a bird beams prove nothing
+MIN_DOUBTFUL_RATIO = 0.75  # of a cell's returns: at the edges of a bird beams prove nothing
 BITS = 21  # per axis; with cells of 0.5 m ±500 km
 
 
@@ -39,19 +40,19 @@ def by_cell(keys: Int64) -> Returns:
 
 
 def evaluate(
-    returns: Returns, is_high: Bool, is_floating: Bool, before: tuple[Int64, Int64], single: int, multiple: int
+    returns: Returns, is_high: Bool, is_doubtful: Bool, before: tuple[Int64, Int64], single: int, multiple: int
 ) -> tuple[Bool, Int64]:
     """Whether each point is a hit, (N,) bool, and the sorted cells with at least `multiple` returns, for the next scan.
 
-    `single`: minimum of high returns in this scan alone; `is_high` and `is_floating` (N,) bool; `before`: cells of the
-    previous scan and of the one before it.
+    `single`: minimum of high returns in this scan alone; `is_high` and `is_doubtful` (N,) bool: floats, or hardly
+    stands out; `before`: cells of the previous scan and of the one before it.
     """
     cells, counts = returns.cells, returns.counts
     was_seen, was_seen_twice = (is_among(cells, some) for some in before)
     in_two = was_seen & (counts >= multiple)
     in_one = returns.number(is_high) >= single
-    floats = returns.number(is_floating) >= MIN_FLOATING_RATIO * counts
-    is_hit = np.where(floats, in_two & was_seen_twice, in_one | in_two)
+    is_cell_doubtful = returns.number(is_doubtful) >= MIN_DOUBTFUL_RATIO * counts
+    is_hit = np.where(is_cell_doubtful, in_two & was_seen_twice, in_one | in_two)
     return is_hit[returns.which], cells[counts >= multiple]
 
 
