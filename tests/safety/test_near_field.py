@@ -78,6 +78,10 @@ def test_a_low_body_among_rows_of_crop(config: SupervisorConfig) -> None:
         assert found.min_height_m > 0.17
         assert np.count_nonzero(found.is_obstacle & is_body) >= 5
         assert not found.is_obstacle[~is_body].any()
+        assert np.count_nonzero(found.is_dense & is_body) >= 5
+        assert not (found.is_dense & ~found.is_obstacle).any()
+        put_body(xyz, 0.2, (1.1, 0.45))
+        assert not (marked(xyz, AREA, config).is_dense & is_body).any()  # high enough for itself
 
 
 def test_few_returns_of_a_cell_are_a_plant(config: SupervisorConfig) -> None:
