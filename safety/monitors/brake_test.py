@@ -3,6 +3,8 @@
 CREEP ──test speed──► BRAKE ──standstill within S──► PASSED
   ▲                     │ └──────────beyond S──────► FAILED (emergency stop; repeated after a reset)
   └──end of automatic───┘
+
+Until the brake acts the machine gains speed towards that of the test: S is that of the highest speed up to this one.
 """
 
 from enum import IntEnum
@@ -28,8 +30,8 @@ class BrakeTest:
     def __init__(self, config: SafetyConfig) -> None:
         self.phase = Phase.CREEP
         self._config = config
-        self._brake_mps = kmh(config.brake_test.brake_kmh)
-        self._allowed_m = 0.0
+        self._brake_mps, self._test_mps = kmh(config.brake_test.brake_kmh), kmh(config.brake_test.speed_kmh)
+        self._highest_mps = 0.0
         self._started_at_m = 0.0
 
     def update(self, mode: Mode, speed_mps: float | None, driven_m: float) -> Phase:
@@ -39,13 +41,13 @@ class BrakeTest:
         if mode is not Mode.AUTOMATIC:
             self.phase = Phase.CREEP
         elif self.phase is Phase.CREEP and abs(speed_mps) >= self._brake_mps:
-            self.phase, self._started_at_m = Phase.BRAKE, driven_m
-            self._allowed_m = stopping_distance(abs(speed_mps), self._config.braking.flat)
+            self.phase, self._started_at_m, self._highest_mps = Phase.BRAKE, driven_m, abs(speed_mps)
         elif self.phase is Phase.BRAKE:
             self.phase = self._result(abs(speed_mps), driven_m - self._started_at_m)
         return self.phase
 
     def _result(self, speed_mps: float, distance_m: float) -> Phase:
-        if distance_m > self._allowed_m:
+        self._highest_mps = max(self._highest_mps, min(speed_mps, self._test_mps))
+        if distance_m > stopping_distance(self._highest_mps, self._config.braking.flat):
             return Phase.FAILED
         return Phase.PASSED if speed_mps <= self._config.modes.standstill_mps else Phase.BRAKE

@@ -66,6 +66,19 @@ def test_failed_brake_test_and_retry(world: World) -> None:
     assert world.supervisor._brake_test.phase is Phase.CREEP
 
 
+def test_brake_test_of_a_machine_that_gains_speed_until_the_brake_acts(config: SupervisorConfig) -> None:
+    """The limit is that of the highest speed after the order, and at most that of the test speed."""
+    order_mps, test_mps = config.brake_test.brake_kmh / 3.6, config.brake_test.speed_kmh / 3.6
+    for highest in (order_mps, 0.5 * (order_mps + test_mps), test_mps, 2.0 * test_mps):
+        limit_m = stopping_distance(min(highest, test_mps), config.braking.flat)
+        for at_m in around(limit_m, 1e-3, 2):
+            test = BrakeTest(config)
+            test.update(Mode.AUTOMATIC, order_mps, 0.0)
+            test.update(Mode.AUTOMATIC, highest, 0.0)
+            found = test.update(Mode.AUTOMATIC, 0.0, at_m)
+            assert found is (Phase.PASSED if at_m <= limit_m + 1e-12 else Phase.FAILED), (highest, at_m)
+
+
 def test_brake_test_limit(config: SupervisorConfig) -> None:
     way_m = stopping_distance(0.45, config.braking.flat)
     for left in around(way_m, 1e-3):
