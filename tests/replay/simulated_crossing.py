@@ -15,7 +15,7 @@ from runtime.setup import load_setup
 from simulation.scenario import Scenario
 from tests.scenarios.straight import on_a_line
 
-SECONDS = 24.5
+SECONDS = 33.0
 SCENARIO = parse(
     Scenario,
     {

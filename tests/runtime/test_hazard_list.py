@@ -148,8 +148,8 @@ def test_unknown_name_is_refused(tmp_path):
 
 @pytest.mark.slow
 def test_named_contact_is_reported_after_a_kill_and_not_driven_again(tmp_path, capsys):
-    """Quad that comes out from behind a parked car beside the machine."""
-    arguments = options(tmp_path / "campaign" / "out", only="^054-1$")
+    """Child that lies in the path in fog of 60 m, in which only who stands is promised."""
+    arguments = options(tmp_path / "campaign" / "out", only="^027-1$")
     wait = after_file(VERBS["campaign"].main, 0.5)
     assert kill("campaign", tmp_path, tmp_path / "campaign", wait, is_run_again=False) == ""
     assert campaign.main(arguments) == 1
@@ -158,14 +158,14 @@ def test_named_contact_is_reported_after_a_kill_and_not_driven_again(tmp_path, c
     assert (result["unavoidable_share"], result["unavoidable"]) == (0.0, [])
     rows = parquet.read_table(arguments.out / "objects.parquet").to_pylist()
     (row,) = (one for one in rows if one["is_contact"])
-    assert row["is_promised"]
-    assert row["part"] == "wing_left"
+    assert not row["is_promised"]
+    assert row["part"] == "wheel_front_left"
     assert row["impact_mps"] > 1.0
     summary = (arguments.out / "summary.md").read_text()
     assert summary.startswith("drives 1, contacts 1, avoidable contacts 1, ")
-    assert "- 054-1: " in summary
+    assert "- 027-1: " in summary
     page = (arguments.out / "table.html").read_text()
-    assert "./headland run --mission line" in page
+    assert "./headland run --mission line_turn" in page
     assert "data:image/png" in page
     assert (tmp_path / "campaign" / "mine.txt").read_text() == "mine"
     assert (arguments.out / "notes.txt").read_text() == "mine"
