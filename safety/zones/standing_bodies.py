@@ -72,7 +72,8 @@ class StandingBodies:
     ) -> StandingBody:
         """Speed now with which the machine stops short of each place of the sweep, or passes it slowly enough."""
         config, points = self._config, from_frame(pose_odom, box_odom_m)
-        gaps_m = np.array([distance_to_bodies_m(points, area, np.full(len(points), s)).min() for s in area.s_m])
+        at_each, travel_m = np.tile(points, (len(area.s_m), 1)), np.repeat(area.s_m, len(points))
+        gaps_m = distance_to_bodies_m(at_each, area, travel_m).reshape(-1, len(points)).min(axis=1)
         dead_s, a = config.notice_s + braking.reaction_s + 0.5 * braking.build_up_s, braking.deceleration_mps2
         passing_mps = np.maximum(config.min_mps, a * (gaps_m / config.walk_mps - dead_s))
         stopping_mps = np.sqrt((a * dead_s) ** 2 + 2.0 * a * area.s_m) - a * dead_s

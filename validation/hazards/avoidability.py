@@ -57,14 +57,14 @@ def avoidability_of(drive: Drive, one: ObjectTrack, contact: Contact) -> Avoidab
     since_s = max(set_off_s, float(one.t_s[0]))
     times = np.arange(since_s, contact.t_s, STEP_S)
     sees = Eyes(drive, one)
-    known_s = next((t for t in times.tolist() if is_critical(drive, one, t) and sees.visible(t)), contact.t_s)
+    known_s = known_from_s(drive, one, contact, times, sees)
     before = times[(times >= known_s - HIDDEN_BEFORE_S) & (times < known_s)]
     was_hidden = any(not sees.visible(t) for t in before.tolist())
     top_mps = abs(drive.machine.at(known_s).speed_mps)
     impact = closed_form_contact_mps(drive, one, known_s, top_mps)
-    if impact is None and meets_pto_as_it_runs_down(drive, one, contact, times, sees):
-        return Avoidability(True, "entered a PTO that could not stand yet", known_s)
     if impact is None:
+        if meets_pto_as_it_runs_down(drive, one, contact, times, sees):
+            return Avoidability(True, "entered a PTO that could not stand yet", known_s)
         return Avoidability(False, "visible in time to stop", known_s)
     if was_hidden:
         impact = closed_form_contact_mps(drive, one, known_s, min(top_mps, MIN_SPEED_MPS))
@@ -83,9 +83,15 @@ def meets_pto_as_it_runs_down(
     k = drive.machine.index(contact.t_s)
     if drive.machine.is_driving[k] or not drive.machine.is_running[k]:
         return False
-    least_s = PTO_S + BEYOND_S
-    known_s = next((t for t in times.tolist() if is_critical(drive, one, t, least_s) and sees.visible(t)), contact.t_s)
-    return contact.t_s < known_s + PTO_S
+    return contact.t_s < known_from_s(drive, one, contact, times, sees, PTO_S + BEYOND_S) + PTO_S
+
+
+def known_from_s(
+    drive: Drive, one: ObjectTrack, contact: Contact, times: Float64, sees: "Eyes", least_s: float = 0.0
+) -> float:  # fmt: skip
+    """First of the times at which the object is critical (`least_s` as there) and visible, else that of the contact."""
+    known = (t for t in times.tolist() if is_critical(drive, one, t, least_s) and sees.visible(t))
+    return next(known, contact.t_s)
 
 
 def is_critical(drive: Drive, one: ObjectTrack, t_s: float, least_s: float = 0.0) -> bool:

@@ -98,9 +98,11 @@ def _near(shape: Solids, state: MachineState) -> Solids:
 def _moving_gap(drive: Drive, one: ObjectTrack, state: MachineState, k: int, found: Nearest) -> float:
     """Distance to a moving part: all of them while driving, the implement while only it moves."""
     machine = drive.machine
-    if machine.is_driving[k] or found.distance_m > NEAR_MISS_M:
-        return found.distance_m if machine.is_driving[k] else math.inf
-    return _gap(drive, one, state, only_implement=True)[0].distance_m if machine.is_moving[k] else math.inf
+    if machine.is_driving[k]:
+        return found.distance_m
+    if not machine.is_moving[k] or found.distance_m > NEAR_MISS_M:
+        return math.inf
+    return _gap(drive, one, state, only_implement=True)[0].distance_m
 
 
 def _contact(
