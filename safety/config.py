@@ -142,6 +142,14 @@ class AirborneConfig(Config):
     clear_m: Metres = Field(description="height of the clear space beneath a return that floats")
 
 
+class NegativeObstacleConfig(Config):
+    """Ditches and edges where the ground falls away."""
+
+    depth_m: Metres = Field(description="least depth of a return below the ground around it; plants add their height")
+    beneath_m: Metres = Field(description="least run of its beam beneath the ground: furrows and wheel tracks are narrower")
+    fall: float = Field(ge=0.0, le=1.0, description="grade at which it falls away, more than the ground on both sides")
+
+
 class DepartureConfig(Config):
     """Following what blocked the path until it has left."""
 
@@ -346,6 +354,7 @@ class SafetyConfig(Config):
     near_field: NearFieldConfig
     vegetation: VegetationConfig
     airborne: AirborneConfig
+    negative_obstacle: NegativeObstacleConfig
     departure: DepartureConfig
     detection_range: DetectionRangeConfig
     lidar_agreement: LidarAgreementConfig

@@ -81,6 +81,16 @@ class Ditch(Config):
     heading_deg: Angle = (0.0, 0.0)
 
 
+class Bank(Config):
+    """A step down of the ground along a straight edge through a point in `map`; the ground to its right is lower."""
+
+    height_m: Height
+    width_m: FeatureWidth = Field(default=(0.3, 0.3), description="of the face")
+    x_m: Coordinate
+    y_m: Coordinate
+    heading_deg: Angle = Field(default=(0.0, 0.0), description="of the edge, counter-clockwise from east")
+
+
 class Ground(Config):
     """Shape of the ground besides that of the simulation's configuration; shed and yard stay level."""
 
@@ -90,6 +100,7 @@ class Ground(Config):
     ruts: Ruts | None = None
     clods: Clods | None = None
     ditch: Ditch | None = None
+    bank: Bank | None = None
     side_slope_deg: SideSlope = Field(default=(0.0, 0.0), description="of the field, rising from the edge at the start")
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from configs.vehicle import Lidar
-from geometry.arrays import Float32, Float64, Int64
+from geometry.arrays import Bool, Float32, Float64, Int64
 from geometry.ground_surface import (
     above_cells,
     cells_in_grid,
@@ -20,6 +20,7 @@ from geometry.ground_surface import (
     plant_heights,
     stand_out_of_cell,
 )
+from geometry.negative_obstacle import negative_obstacles
 from geometry.pose2 import from_frame, to_frame
 from geometry.range_image import RangeImage, clear_beneath, dust, floating, points_of, range_image, scattered
 from messages.sensors import LidarScan
@@ -42,6 +43,7 @@ from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
 NO_CELLS: tuple[Int64, Int64] = (np.empty(0, np.int64), np.empty(0, np.int64))
+BEYOND_EDGE_M = 8.0  # in which returns show that the ground at the edge of the area falls away
 CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a millisecond
 
 
@@ -125,12 +127,16 @@ class LidarSource:
         needs_near_field = self._looks_down or self._consented_m > 0.0
         near_field = near_box(self.footprint, self._config.near_field) if needs_near_field else None
         area = box if near_field is None or not self._looks_down else enclosing(box, near_field)
-        near = crop(xyz, area, self.footprint.height_m + field.overhead_margin_m)
+        top_m = self.footprint.height_m + field.overhead_margin_m
+        near = crop(xyz, area.enlarged(BEYOND_EDGE_M), top_m)
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
         near = near[~is_machine & is_body[near]]  # before deskewing: the machine moves with the sensor
-        near_xyz = deskew(xyz.take(near, axis=1), scan.point_offset_s.take(near), motion)
+        near_xyz, is_hole = self._at_edge_of_hole(scan, near, xyz.take(near, axis=1))
+        inside = crop(near_xyz, area, top_m)
+        near, near_xyz, is_hole = near[inside], near_xyz.take(inside, axis=1), is_hole[inside]
+        near_xyz = deskew(near_xyz, scan.point_offset_s.take(near), motion)
         is_obstacle, is_high, is_dense = self._mark(near_xyz, area, near_field)
-        marked = np.flatnonzero(is_obstacle)
+        marked = np.flatnonzero(is_obstacle | is_hole)
         is_dust, is_floating, is_standing = self._in_air(scan, near[marked])
         marked, is_floating, is_standing = (some[~is_dust] for some in (marked, is_floating, is_standing))
         obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
@@ -172,6 +178,32 @@ class LidarSource:
             is_dense = np.where(is_low, is_dense, is_more & level_near.is_dense)
             is_low |= is_more
         return is_high | is_low, is_high, is_dense & ~is_high
+
+    def _at_edge_of_hole(self, scan: LidarScan, which: Int64, xyz: Float32) -> tuple[Float32, Bool]:
+        """Returns `which` (K,) of a scan at xyz (3, K), those of negative obstacles moved to where their beams enter the
+        ground; and which are such, (K,).
+
+        Lidars that do not look down have no ground before a hole, and lists of points no beams.
+        """
+        image, config = self._image, self._config.negative_obstacle
+        if image is None or not self._looks_down:
+            return xyz, np.zeros(len(which), bool)
+        x_m, y_m, z_m = self._T_base_sensor[:3, 3]
+        row, column = np.divmod(scan.pixels[which], image.ranges_mm.shape[1])
+        order = np.argsort(column * len(image.rows) + image.rank[row])
+        run_m = np.hypot(xyz[0] - x_m, xyz[1] - y_m)
+        beneath_m = np.empty(len(which))
+        beneath_m[order] = negative_obstacles(
+            column[order], run_m[order].astype(np.float64), xyz[2][order].astype(np.float64), z_m,
+            config.depth_m + self.vegetation_m, config.beneath_m, config.fall,
+        )  # fmt: skip
+        is_hole = beneath_m > 0.0
+        if is_hole.any():
+            share = (beneath_m[is_hole] / run_m[is_hole]).astype(np.float32)
+            xyz[0, is_hole] -= share * (xyz[0, is_hole] - np.float32(x_m))
+            xyz[1, is_hole] -= share * (xyz[1, is_hole] - np.float32(y_m))
+            xyz[2, is_hole] = 0.0
+        return xyz, is_hole
 
     def _is_scattered(self, scan: LidarScan) -> np.ndarray:
         """Which returns of a scan are of fog or rain, (N,) bool; of a list of points none."""

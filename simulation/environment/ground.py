@@ -13,7 +13,7 @@ from scipy.special import j1
 
 from configs.strict import Config
 from geometry.arrays import Float64
-from simulation.environment.ground_kernels import COLUMNS, CREST, FURROWS, RUTS, SLOPE, WAVES
+from simulation.environment.ground_kernels import BANK, COLUMNS, CREST, FURROWS, RUTS, SLOPE, WAVES
 from simulation.randomness import generator
 from simulation.scenario_environment import Ground
 from simulation.scenario_values import draw
@@ -49,7 +49,7 @@ def draw_features(ground: Ground, field: Float64, axis_rad: float, start: tuple[
     if ground.waves is not None:
         for k in range(ground.waves.count):
             drawn.wave(k, drawn.values(f"wave/{k}", ground.waves))
-    for name in ("crest", "ditch", "furrows", "ruts", "clods"):
+    for name in ("crest", "ditch", "bank", "furrows", "ruts", "clods"):
         section = getattr(ground, name)
         if section is not None:
             getattr(drawn, name)(drawn.values(name, section))
@@ -88,6 +88,13 @@ class _Drawn:
     def ditch(self, v: dict[str, float]) -> None:
         """A narrow hollow."""
         self.crest(v | {"height_m": -v["depth_m"], "length_m": v["width_m"]})
+        self._resolve(v["width_m"])
+
+    def bank(self, v: dict[str, float]) -> None:
+        """The ground from the edge on."""
+        right = math.radians(v["heading_deg"]) - 0.5 * math.pi
+        self._add(BANK, (v["x_m"], v["y_m"]), right, v["height_m"], v["width_m"])
+        self._resolve(2.0 * v["width_m"])
 
     def furrows(self, v: dict[str, float]) -> None:
         """What tyres follow; the rest is added to the mesh."""
@@ -120,6 +127,10 @@ class _Drawn:
     def _left_rad(self) -> float:
         """Direction across the longest edge."""
         return self._axis_rad + 0.5 * math.pi
+
+    def _resolve(self, length_m: float) -> None:
+        """Cells in both directions that resolve a length."""
+        self.along_m, self.across_m = (min(m, _cell(length_m)) for m in (self.along_m, self.across_m))
 
     def _add(self, kind: float, at: tuple[float, float], across_rad: float, height_m: float, *numbers: float) -> None:
         row = [kind, *at, math.cos(across_rad), math.sin(across_rad), height_m, *numbers]

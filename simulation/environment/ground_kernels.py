@@ -6,7 +6,7 @@ from geometry.arrays import Float64
 from geometry.jit import kernel
 
 # columns of a feature: kind, a point and the unit vector across it, height, and three numbers of the kind
-WAVES, CREST, SLOPE, FURROWS, RUTS = 0.0, 1.0, 2.0, 3.0, 4.0
+WAVES, CREST, SLOPE, FURROWS, RUTS, BANK = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 COLUMNS = 9
 EDGE_M = 2.0  # furrows and ruts begin gradually at the edge of the field
 BEND_M = 8.0  # a side slope begins gradually
@@ -17,7 +17,7 @@ def feature_height(x: float, y: float, features: Float64, field: Float64) -> flo
     """Sum of the features (N, COLUMNS) at a point; `field` (K, 2): corners of the field.
 
     WAVES: length, phase. CREST: length from foot to foot. SLOPE: tangent as height. FURROWS: spacing. RUTS: width,
-    track, spacing of the pairs.
+    track, spacing of the pairs. BANK: width of its face.
     """
     z = 0.0
     for i in range(features.shape[0]):
@@ -33,6 +33,8 @@ def feature_height(x: float, y: float, features: Float64, field: Float64) -> flo
                 z += a * (s * s / (2.0 * BEND_M) if s < BEND_M else s - 0.5 * BEND_M)
         elif kind == FURROWS:
             z += a * within(x, y, field) * math.sin(2.0 * math.pi / p * s)
+        elif kind == BANK:
+            z -= 0.5 * a * (1.0 - math.cos(math.pi * min(max(s / p, 0.0), 1.0)))
         else:
             off = abs(abs(s - r * math.floor(s / r + 0.5)) - 0.5 * q)
             if off < 0.5 * p:
