@@ -27,7 +27,7 @@ ABOVE_M = 0.1  # what rises more above the ground before it is no ground
 def negative_obstacles(
     columns: Int64, run_m: Float64, z_m: Float64, sensor_z_m: float, depth_m: float, beneath_m: float, fall: float
 ) -> Float64:
-    """Run beneath the ground of each return (N,), 0 where it is none of a negative obstacle.
+    """Horizontal distance of the last return of the ground before each return (N,) of a negative obstacle; else 0.
 
     `columns` (N,): column of each, ascending; within one, returns are ordered from the lowest beam to the highest.
     `run_m` (N,): horizontal distance from the sensor; `z_m` (N,): height in base. `depth_m`, `beneath_m`: least depth
@@ -58,7 +58,7 @@ def negative_obstacles(
             steepness = (sensor_z_m - z) / x
             is_below = fallen_m >= max(depth_m, beneath_m * steepness)
             if is_below and (fallen_m >= fall * gap_m or _rises_behind(i, end, run_m, z_m, depth_m)):
-                out[i] = fallen_m / steepness
+                out[i] = run_m[last]
             else:
                 ground[known] = i
                 known += 1

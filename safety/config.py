@@ -146,7 +146,9 @@ class NegativeObstacleConfig(Config):
     """Ditches and edges where the ground falls away."""
 
     depth_m: Metres = Field(description="least depth of a return below the ground around it; plants add their height")
-    beneath_m: Metres = Field(description="least run of its beam beneath the ground: furrows and wheel tracks are narrower")
+    beneath_m: Metres = Field(
+        description="least run of its beam beneath the ground: furrows and wheel tracks are narrower"
+    )
     fall: float = Field(ge=0.0, le=1.0, description="grade at which it falls away, more than the ground on both sides")
 
 

@@ -30,15 +30,20 @@ STATIC_KINDS = ("fence", "gate", "trees")  # pieces that are solid; those of the
 
 
 def shapes_text(
-    vehicle: Vehicle, implement: MountedImplement | TrailedImplement, site: Site, pieces: Sequence[Piece], seed: int
-) -> str:
-    """JSON with the prisms of machine (`base`), lowered implement (about its origin) and static solids (`map`)."""
+    vehicle: Vehicle, implement: MountedImplement | TrailedImplement, site: Site, pieces: Sequence[Piece],
+    negative: Sequence[tuple[str, Polygon]], seed: int,
+) -> str:  # fmt: skip
+    """JSON with the prisms of machine (`base`), lowered implement (about its origin) and static solids (`map`).
+
+    `negative`: kind and area of ditches and banks, which count at all heights.
+    """
     machine = [p for name, mesh in machine_parts(vehicle).items() for p in _slabs(name, mesh)]
     attached = [piece for name, mesh in implement_parts(implement, 0.0).items()
                 for p in _slabs(name, mesh) for piece in _across(p)]  # fmt: skip
     shed = [] if site.shed is None else shed_solids(site.shed, seed)
     static = [Prism(s.kind, np.asarray(s.ground.exterior.coords)[:-1], 0.0, s.top_m) for s in shed]
     static += [p for one in pieces if one.name in STATIC_KINDS for p in _components(one)]
+    static += [Prism(kind, np.asarray(area.exterior.coords)[:-1], -TALL_M, TALL_M) for kind, area in negative]
     origin_m = implement.hitch_m if isinstance(implement, TrailedImplement) else 0.0
     values = {
         "machine": [_as_dict(p) for p in machine],

@@ -202,7 +202,10 @@ class SimulationWorld(World):
 
     def shapes_text(self) -> str:
         """True shapes of machine, implement and static solids (simulation/true_shapes.py)."""
-        return shapes_text(self._vehicle, self._implement, self._site, self._scene.pieces, self._seed)
+        negative = self._terrain.features.negative
+        return shapes_text(
+            self._vehicle, self._implement, self._site, self._scene.pieces, negative, self._seed
+        )  # fmt: skip
 
     def close(self) -> None:
         """Closes the bus."""

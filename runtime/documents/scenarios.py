@@ -13,11 +13,11 @@ from runtime.run_folder import ROOT
 from simulation.objects.catalogue import CATALOGUE, solid_of
 from simulation.scenario import Bystander, CameraEpisode, Crossing, GnssEpisode, Parked, Scenario, ScenarioCommand
 from simulation.scenario_environment import (
+    Bank,
     Birds,
     Boundary,
     Clods,
     Crest,
-    Bank,
     Ditch,
     Dust,
     Environment,

@@ -134,8 +134,9 @@ def _drawn_row(hazards: HazardList, seed: int) -> Row:
 
 
 def drives_of(hazards: HazardList, seeds: int, is_core: bool) -> list[HazardDrive]:
-    """Named drives, then the rows with seeds 1 to `seeds`; with `is_core` the first `CORE` of them with one seed."""
-    named = [_named(one, seed) for one in hazards.named for seed in one.seeds]
+    """Named drives, also with seeds of their own, then rows, with seeds 1 to `seeds`; or the first `CORE` with one."""
+    some = 1 if is_core else seeds
+    named = [_named(one, seed) for one in hazards.named for seed in sorted({*one.seeds, *range(1, some + 1)})]
     if is_core:
         rows = [_row(hazards, number, 1) for number in range(1, CORE - len(named) + 1)]
         return [*named, *rows]

@@ -180,28 +180,28 @@ class LidarSource:
         return is_high | is_low, is_high, is_dense & ~is_high
 
     def _at_edge_of_hole(self, scan: LidarScan, which: Int64, xyz: Float32) -> tuple[Float32, Bool]:
-        """Returns `which` (K,) of a scan at xyz (3, K), those of negative obstacles moved to where their beams enter the
-        ground; and which are such, (K,).
-
-        Lidars that do not look down have no ground before a hole, and lists of points no beams.
+        """Returns `which` (K,) of a scan at xyz (3, K), and which are of negative obstacles, (K,): these are moved to
+        where the ground ends before them. Lists of points show none.
         """
         image, config = self._image, self._config.negative_obstacle
-        if image is None or not self._looks_down:
+        if image is None:
             return xyz, np.zeros(len(which), bool)
         x_m, y_m, z_m = self._T_base_sensor[:3, 3]
         row, column = np.divmod(scan.pixels[which], image.ranges_mm.shape[1])
         order = np.argsort(column * len(image.rows) + image.rank[row])
         run_m = np.hypot(xyz[0] - x_m, xyz[1] - y_m)
-        beneath_m = np.empty(len(which))
-        beneath_m[order] = negative_obstacles(
+        edge_m = np.empty(len(which))
+        edge_m[order] = negative_obstacles(
             column[order], run_m[order].astype(np.float64), xyz[2][order].astype(np.float64), z_m,
             config.depth_m + self.vegetation_m, config.beneath_m, config.fall,
         )  # fmt: skip
-        is_hole = beneath_m > 0.0
+        is_hole = edge_m > 0.0
         if is_hole.any():
-            share = (beneath_m[is_hole] / run_m[is_hole]).astype(np.float32)
-            xyz[0, is_hole] -= share * (xyz[0, is_hole] - np.float32(x_m))
-            xyz[1, is_hole] -= share * (xyz[1, is_hole] - np.float32(y_m))
+            share = edge_m[is_hole] / run_m[is_hole]
+            xyz[0, is_hole], xyz[1, is_hole] = (
+                x_m + share * (xyz[0, is_hole] - x_m),
+                y_m + share * (xyz[1, is_hole] - y_m),
+            )
             xyz[2, is_hole] = 0.0
         return xyz, is_hole
 

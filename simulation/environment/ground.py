@@ -9,7 +9,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from scipy.special import j1
+from shapely import Polygon
+from shapely.affinity import affine_transform
 
 from configs.strict import Config
 from geometry.arrays import Float64
@@ -18,6 +21,8 @@ from simulation.randomness import generator
 from simulation.scenario_environment import Ground
 from simulation.scenario_values import draw
 
+FAR_M = 200.0  # to which an edge reaches
+EDGE_DEPTH_M = 0.1  # from which on the ground is that of a ditch or below a bank
 PATCH_RADIUS_M = 0.25  # a tractor's rear tyre on soil: 0.5 m long and wide (assumed)
 
 
@@ -26,12 +31,14 @@ class Features:
     """`rows` (N, COLUMNS) under the tyres; `furrow_m`: depth and spacing, and their share that tyres bridge.
 
     `clod`: largest height and number per m². `cells_m`: mesh cells along and across the longest edge that resolve it.
+    `negative`: kind and area of what a machine must not drive into.
     """
 
     rows: Float64
     furrow_m: tuple[float, float, float] | None
     clod: tuple[float, float] | None
     cells_m: tuple[float, float]
+    negative: tuple[tuple[str, Polygon], ...] = ()
 
 
 NO_FEATURES = Features(np.zeros((0, COLUMNS)), None, None, (math.inf, math.inf))
@@ -55,7 +62,8 @@ def draw_features(ground: Ground, field: Float64, axis_rad: float, start: tuple[
             getattr(drawn, name)(drawn.values(name, section))
     drawn.side_slope(drawn.values("slope", ground))
     rows = np.array(drawn.rows).reshape(-1, COLUMNS)
-    return Features(rows, drawn.furrow_m, drawn.clod, (drawn.along_m, min(drawn.along_m, drawn.across_m)))
+    return Features(rows, drawn.furrow_m, drawn.clod, (drawn.along_m, min(drawn.along_m, drawn.across_m)),
+                    tuple(drawn.negative))  # fmt: skip
 
 
 class _Drawn:
@@ -67,6 +75,7 @@ class _Drawn:
         self.furrow_m: tuple[float, float, float] | None = None
         self.clod: tuple[float, float] | None = None
         self.along_m = self.across_m = math.inf
+        self.negative: list[tuple[str, Polygon]] = []
 
     def values(self, name: str, section: Config) -> dict[str, float]:
         """Values of a section, by a generator of its own."""
@@ -89,12 +98,18 @@ class _Drawn:
         """A narrow hollow."""
         self.crest(v | {"height_m": -v["depth_m"], "length_m": v["width_m"]})
         self._resolve(v["width_m"])
+        across_rad = math.radians(v["heading_deg"]) + 0.5 * math.pi
+        depth_share = min(EDGE_DEPTH_M / v["depth_m"], 1.0)
+        half_m = v["width_m"] / (2.0 * math.pi) * math.acos(2.0 * depth_share - 1.0)
+        self._add_negative("ditch", v, across_rad, -half_m, half_m)
 
     def bank(self, v: dict[str, float]) -> None:
         """The ground from the edge on."""
         right = math.radians(v["heading_deg"]) - 0.5 * math.pi
         self._add(BANK, (v["x_m"], v["y_m"]), right, v["height_m"], v["width_m"])
         self._resolve(2.0 * v["width_m"])
+        depth_share = min(EDGE_DEPTH_M / v["height_m"], 1.0)
+        self._add_negative("bank", v, right, v["width_m"] / math.pi * math.acos(1.0 - 2.0 * depth_share), FAR_M)
 
     def furrows(self, v: dict[str, float]) -> None:
         """What tyres follow; the rest is added to the mesh."""
@@ -127,6 +142,12 @@ class _Drawn:
     def _left_rad(self) -> float:
         """Direction across the longest edge."""
         return self._axis_rad + 0.5 * math.pi
+
+    def _add_negative(self, kind: str, v: dict[str, float], across_rad: float, low_m: float, high_m: float) -> None:
+        """Area between two distances across a line through a point."""
+        c, s = math.cos(across_rad), math.sin(across_rad)
+        area = shapely.box(low_m, -FAR_M, high_m, FAR_M)
+        self.negative.append((kind, affine_transform(area, (c, -s, s, c, v["x_m"], v["y_m"]))))
 
     def _resolve(self, length_m: float) -> None:
         """Cells in both directions that resolve a length."""

@@ -18,9 +18,9 @@ from tests.simulation.simulated_farm import CONFIG, IMPLEMENT, SITE, Farm, machi
 DEMO_FENCE_M = 0.8
 
 
-def values():
+def values(negative=()):
     pieces = build_scenery(SITE, Terrain(SITE, CONFIG.terrain, 1), CONFIG.scenery, 1)
-    return json.loads(shapes_text(machine_file(), IMPLEMENT, SITE, pieces, 1))
+    return json.loads(shapes_text(machine_file(), IMPLEMENT, SITE, pieces, negative, 1))
 
 
 def union(parts):

@@ -11,11 +11,12 @@ BEYOND_M = 4.0  # of the stopping distance, ahead of the front
 BEFORE_S = 1.0  # what was there so long before counts
 STEP_M = 0.5
 STANDING_REACH_M = 4.0
+NEGATIVE = ("ditch", "bank")  # what is no solid of the site, beside which paths are planned
 
 
 def is_justified(drive: Drive, stop_s: float) -> bool:
     """Whether a solid that must be avoided was near the machine's path, or would soon be, at a stop or before it."""
-    solid = [one for one in drive.objects if one.must_avoid and not one.is_static]
+    solid = [one for one in drive.objects if one.must_avoid and (not one.is_static or one.kind in NEGATIVE)]
     times = [max(float(drive.machine.t_s[0]), stop_s - before) for before in (0.0, 0.5 * BEFORE_S, BEFORE_S)]
     return any(_is_cause(drive, one, t) for t in times for one in solid if one.is_present(t))
 
