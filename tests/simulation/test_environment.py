@@ -107,11 +107,11 @@ def test_ditch_ruts_furrows_side_slope():
     ditch = terrain_of(ditch={"depth_m": 0.6, "width_m": 1.5, "x_m": 40.0, "y_m": 0.0, "heading_deg": 90.0})
     assert [ditch.height_m(x, 9.0) for x in (40.0, 40.375, 40.75)] == pytest.approx([-0.6, -0.3, 0.0])
     ((kind, area),) = ditch.features.negative
-    assert (kind, *area.bounds[::2]) == ("ditch", pytest.approx(39.35, abs=0.05), pytest.approx(40.65, abs=0.05))
+    assert (kind, *area.bounds[::2]) == ("ditch", pytest.approx(39.45, abs=0.01), pytest.approx(40.55, abs=0.01))
     bank = terrain_of(bank={"height_m": 1.0, "width_m": 0.4, "x_m": 40.0, "y_m": 0.0, "heading_deg": 90.0})
     assert [bank.height_m(x, 9.0) for x in (39.9, 40.2, 40.4, 70.0)] == pytest.approx([0.0, -0.5, -1.0, -1.0])
     ((kind, area),) = bank.features.negative
-    assert kind == "bank" and area.bounds[0] == pytest.approx(40.1, abs=0.05) and area.bounds[2] > 200.0
+    assert (kind, area.bounds[0]) == ("bank", pytest.approx(40.1, abs=0.05))
     ruts = terrain_of(ruts={"depth_m": 0.1, "width_m": 0.4})  # the middle of the field is at y = 0
     assert [ruts.height_m(40.0, y) for y in (0.95, -0.95, 1.05, 0.0, 12.95)] == pytest.approx(
         [-0.1, -0.1, -0.05, 0.0, -0.1]
