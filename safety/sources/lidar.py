@@ -146,7 +146,7 @@ class LidarSource:
         is_hit, cells = evaluate(
             returns,
             is_high[marked],
-            is_floating | is_dense[marked],
+            is_floating | (is_dense | is_hole)[marked],
             self._cells,
             field.min_returns_single_scan,
             field.min_returns_multiple_scan,
@@ -181,10 +181,11 @@ class LidarSource:
 
     def _at_edge_of_hole(self, scan: LidarScan, which: Int64, xyz: Float32) -> tuple[Float32, Bool]:
         """Returns `which` (K,) of a scan at xyz (3, K), and which are of negative obstacles, (K,): these are moved to
-        where the ground ends before them. Lists of points show none.
+        where the ground ends before them. Lists of points show none, and lidars that do not look down have rings too
+        far apart.
         """
         image, config = self._image, self._config.negative_obstacle
-        if image is None:
+        if image is None or not self._looks_down:
             return xyz, np.zeros(len(which), bool)
         x_m, y_m, z_m = self._T_base_sensor[:3, 3]
         row, column = np.divmod(scan.pixels[which], image.ranges_mm.shape[1])
