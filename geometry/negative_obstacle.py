@@ -20,7 +20,7 @@ REACH_M = 2.5  # from a return, in which others show the grade of the ground
 MIN_SPAN_M = 0.5  # that they cover
 STEEPEST = 0.3  # of the ground, against the plane through the wheels
 FAR_SIDE_M = 2.0  # from a return, in which the far side of a ditch is seen
-ABOVE_M = 0.1  # what rises more above the ground before it is no ground
+ABOVE_M = 0.05  # what rises more above such ground before it is none: the foot of a wall
 
 
 @kernel
@@ -44,16 +44,16 @@ def negative_obstacles(
         for i in range(k, end):
             x, z = run_m[i], z_m[i]
             if known == 0:
-                if abs(z) <= ABOVE_M + STEEPEST * x:
+                if abs(z) <= STEEPEST * x + ABOVE_M:
                     ground[0], known = i, 1
                 continue
             last = ground[known - 1]
             gap_m = x - run_m[last]
             if gap_m <= 0.0:
                 continue
-            grade = _grade_before(ground[:known], run_m, z_m)
-            if z > z_m[last] + grade * gap_m + ABOVE_M:
+            if z > z_m[last] + STEEPEST * gap_m + ABOVE_M:
                 continue
+            grade = _grade_before(ground[:known], run_m, z_m)
             fallen_m = z_m[last] + min(grade, _grade_behind(i, end, run_m, z_m)) * gap_m - z
             steepness = (sensor_z_m - z) / x
             is_below = fallen_m >= max(depth_m, beneath_m * steepness)

@@ -76,6 +76,12 @@ def wheel_track(depth_m: float, heading_deg: float) -> Ground:
     return height_m
 
 
+def wall(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Low and 1 m thick: rings climb it, and the ground behind is lower."""
+    s = across(x, y, 15.0)
+    return np.where((s > 0.0) & (s < 1.0), 0.5, 0.0)
+
+
 def rows_of_crop(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Strips of plants 0.12 m high, 0.1 m wide, 0.5 m apart, as opaque as a wall."""
     return np.where(across(x, y, 20.0) % 0.5 < 0.1, 0.12, 0.0)
@@ -124,7 +130,7 @@ EVEN = {
     "waves": waves(1), "other waves": waves(2), "crest": crest(0.5, 8.0), "hollow": crest(-0.4, 10.0),
     "furrows across": furrows(0.2, 0.5, 0.0), "furrows askew": furrows(0.2, 1.0, 20.0),
     "wheel track across": wheel_track(0.2, 0.0), "wheel track askew": wheel_track(0.2, 60.0),
-    "wheel track along": wheel_track(0.2, 90.0), "rows of crop": rows_of_crop,
+    "wheel track along": wheel_track(0.2, 90.0), "rows of crop": rows_of_crop, "wall": wall,
 }  # fmt: skip
 
 
