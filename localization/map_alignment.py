@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from geometry.arrays import Float64
-from geometry.transforms import invert
+from geometry.transforms import invert, planar, yaw_of
 from localization.config import MapAlignmentConfig
 from localization.dead_reckoning.dead_reckoning import Calibration
 from localization.dead_reckoning.wheel_track import WheelTrack
@@ -328,7 +328,7 @@ class MapAlignment:
         arm_m = self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m
         rates = odometry.track.between(stamp_ns - SWING_NS, stamp_ns + SWING_NS).rate_radps
         turn = np.cross(rates.mean(axis=0) - odometry.dead_reckoning.calibration.gyro_bias_radps, arm_m)
-        R = (self._T_map_odom @ odom)[:2, :3]
+        R = (planar(0.0, 0.0, yaw_of(self._T_map_odom)) @ odom)[:2, :3]  # the tilt of `odom` never steps
         noise = odometry.plausibility.imu.noise[1] / math.sqrt(len(rates))
         return Swing(R @ arm_m, R @ turn, noise * float(np.linalg.norm(arm_m)))
 

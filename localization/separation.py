@@ -189,6 +189,7 @@ class _Keyframe:
     velocity_mps: Float64
     columns: Float64
     heading_rad: float
+    rate_radps: float
     yaw_map_odom_rad: float
     yaw_variance: float
     gyro_sigma_radps: float
@@ -215,11 +216,13 @@ class OdometrySeparation:
     def add(self, fix: Position, base_m: Float64, state: State, T_map_odom: Float64) -> None:
         """Takes a fix propagated to the newest keyframe, and the position of base that follows from it."""
         heading_slow = fix.heading_slow_rad if math.isfinite(fix.heading_slow_rad) else 0.0
-        heading, last = yaw_of(state.T_map_body), self._rows.newest
+        heading, rate_radps, last = yaw_of(state.T_map_body), 0.0, self._rows.newest
         if last is not None:
             heading = last.heading_rad + wrap(heading - last.heading_rad)
+            rate_radps = (heading - last.heading_rad) / max(1e-3, (state.stamp_ns - last.stamp_ns) * 1e-9)
         row = _Keyframe(
-            state.stamp_ns, base_m[:2], _sigma_m(fix), state.velocity_mps[:2], self._columns, heading, yaw_of(T_map_odom),
+            state.stamp_ns, base_m[:2], _sigma_m(fix), state.velocity_mps[:2], self._columns, heading, rate_radps,
+            yaw_of(T_map_odom),
             float(state.covariance[2, 2]) + heading_slow**2, float(state.sigmas[14]), state.slip, state.sigmas[15:19],
         )  # fmt: skip
         self._rows.add(row)
@@ -243,7 +246,7 @@ class OdometrySeparation:
         across = np.array([-moved_m[1], moved_m[0]])
         turned = last.heading_rad - first.heading_rad
         yaw = first.yaw_variance + self._gyro**2 * age_s / 3.0 + (first.gyro_sigma_radps * age_s) ** 2 / 3.0
-        yaw += (cfg.gyro_scale * turned) ** 2
+        yaw += (cfg.gyro_scale * turned) ** 2 + (cfg.stamp_s * first.rate_radps) ** 2
         turned_m = cfg.stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
         white = first.sigma_m**2 + last.sigma_m**2 + self._density**2 * age_s + turned_m**2 + cfg.tilt_m**2
         white += (2.0 * math.sin(0.5 * turned) * cfg.lever_arm_m) ** 2
