@@ -19,7 +19,7 @@ from pydantic import Field
 from configs.strict import Config
 from geometry.arrays import Float64
 from localization.gnss_gate import Position
-from localization.separation import OdometrySeparation, Separation, SeparationConfig, VelocitySeparation
+from localization.separation import OdometrySeparation, Separation, SeparationConfig, Swing, VelocitySeparation
 
 VELOCITY, ODOMETRY, REFUSED = "gnss.contradicts_velocity", "gnss.contradicts_odometry", "gnss.refused"
 
@@ -84,9 +84,9 @@ class GnssMonitor:
         self._refused, self._level_m = 0, 0.0
         self.suspicion, self.is_slipping = "", False
 
-    def add(self, fix: Position) -> None:
+    def add(self, fix: Position, swing: Swing) -> None:
         """Takes every fix that passed the checks of form, whether or not it is used."""
-        self._velocity.add(fix)
+        self._velocity.add(fix, swing)
 
     def level_m(self, stamp_ns: int, speed_mps: float) -> float:
         """Largest error by the hypotheses, in addition to that of the fault-free case."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from geometry.arrays import Float64
-from geometry.transforms import invert
+from geometry.transforms import invert, planar, yaw_of
 from localization.config import MapAlignmentConfig
 from localization.dead_reckoning.dead_reckoning import Calibration
 from localization.dead_reckoning.wheel_track import WheelTrack
@@ -28,9 +28,11 @@ from localization.integrity import (
 from localization.lidar.odometry_spans import OdometrySpans, motion_between
 from localization.lidar.pose_measurement import PoseMeasurements
 from localization.odometry import OdometryEstimator
+from localization.separation import Swing
 from messages.motion import MapPose, PositionSource
 from messages.sensors import GnssSolution
 
+SWING_NS = 10_000_000  # two samples of 100 Hz: a body on its tyres turns evenly in that time
 SEARCH_NS = 5_000_000_000  # standstill without an answer of the lidars, after which it is reported as missing
 
 
@@ -86,7 +88,6 @@ class MapAlignment:
         if position.stamp_ns <= newest:
             self.late += 1
             return
-        self.monitor.add(position)
         self._queue.append(position)
 
     def _newest_ns(self) -> int:
@@ -248,12 +249,13 @@ class MapAlignment:
         before, range_gate = self.state, self.keyframes.range_gate
         T_body_base = invert(self.keyframes.lever_arms.T_base_body)
         batch = range_gate.take(stamp_ns, odometry.history, T_body_base) if range_gate is not None else None
+        found = self.pose_measurements.take(stamp_ns, odometry.history)
         try:
             propagated = [self._propagate(fix, stamp_ns) for fix in fixes]
             used = [] if self.monitor.suspicion else propagated
             reasons = self.keyframes.add(
                 stamp_ns, odometry.track, odometry.wheels, used, batch,
-                self.pose_measurements.take(stamp_ns, odometry.history), self._needs_ranges(stamp_ns),
+                () if self._is_fixed(stamp_ns) else found, self._needs_ranges(stamp_ns),
             )  # fmt: skip
         except SmootherFailure as failure:
             self._recover(stamp_ns, before, str(failure))
@@ -264,6 +266,10 @@ class MapAlignment:
         reasons = reasons if used else [RejectionReason.SUSPECTED] * len(fixes)
         for fix, reason in zip(fixes, reasons, strict=True):
             self._count(fix, reason)
+        for fix in fixes:
+            swing = self._swing(fix.stamp_ns)
+            if swing is not None:
+                self.monitor.add(fix, swing)
         if before is not None:
             self._monitor(before, propagated, RejectionReason.OUTLIER in reasons)
 
@@ -287,11 +293,19 @@ class MapAlignment:
 
     def _needs_ranges(self, stamp_ns: int) -> bool:
         """Whether ranges justify their unknowns: far from the shed they add nothing to fixed ambiguities."""
-        fix, state, outage_ns = self._accepted, self.state, self._config.integrity.outage_s * 1e9
-        is_fixed = fix is not None and fix.solution is GnssSolution.RTK_FIXED and not self.is_rejecting
-        if not is_fixed or state is None or stamp_ns - self._accepted_ns > outage_ns:
-            return True
-        return self._dock_prior.is_near_shed(state.T_map_body[:3, 3])
+        state = self.state
+        is_near = state is None or self._dock_prior.is_near_shed(state.T_map_body[:3, 3])
+        return is_near or not self._is_fixed(stamp_ns)
+
+    def _is_fixed(self, stamp_ns: int) -> bool:
+        """Whether fixed ambiguities give the position.
+
+        The lidar map does not then: survey, mounts and antenna are centimetres off, which would tilt the machine.
+        """
+        fix, outage_ns = self._accepted, self._config.integrity.outage_s * 1e9
+        is_fixed = fix is not None and fix.solution is GnssSolution.RTK_FIXED
+        is_used = not self.is_rejecting and not self.monitor.suspicion
+        return is_fixed and is_used and stamp_ns - self._accepted_ns <= outage_ns
 
     def _is_uwb_active(self, stamp_ns: int) -> bool:
         """Whether UWB constrains the position."""
@@ -305,6 +319,18 @@ class MapAlignment:
             return fix
         antenna = self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m
         return propagate(fix, then, now, antenna, self._T_map_odom)
+
+    def _swing(self, stamp_ns: int) -> Swing | None:
+        """Motion of the antenna about base at a fix, by the samples beside it."""
+        odometry, odom = self._odometry, self._odometry.history.at(stamp_ns)
+        if odom is None or odometry.dead_reckoning is None:
+            return None
+        arm_m = self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m
+        rates = odometry.track.between(stamp_ns - SWING_NS, stamp_ns + SWING_NS).rate_radps
+        turn = np.cross(rates.mean(axis=0) - odometry.dead_reckoning.calibration.gyro_bias_radps, arm_m)
+        R = (planar(0.0, 0.0, yaw_of(self._T_map_odom)) @ odom)[:2, :3]  # the tilt of `odom` never steps
+        noise = odometry.plausibility.imu.noise[1] / math.sqrt(len(rates))
+        return Swing(R @ arm_m, R @ turn, noise * float(np.linalg.norm(arm_m)))
 
     def _recover(self, stamp_ns: int, before: State | None, reason: str) -> None:
         """Restarts a failed graph at the pose by dead reckoning; a second failure within the lag loses the position."""

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from configs.strict import Config
+from geometry.angles import wrap
 from geometry.arrays import Float64
 from geometry.transforms import yaw_of
 from localization.gnss_gate import Position
@@ -33,6 +34,8 @@ class SeparationConfig(Config):
     slip_change: float = Field(ge=0.0, le=0.5, description="sigma of a change of slip at once: load, soil")
     gnss_gap_s: float = Field(gt=0.0, le=5.0, description="a longer time between fixes ends the integration")
     tilt_m: float = Field(ge=0.0, le=1.0, description="lever arm of the antenna times the error of roll and pitch")
+    lever_arm_m: float = Field(ge=0.0, le=1.0, description="error of that lever arm, which turns with the machine")
+    gyro_scale: float = Field(ge=0.0, le=0.1, description="sigma of the scale error of the gyro")
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ class _Rows(Generic[R]):
 
 @dataclass(frozen=True)
 class _Fix:
-    """A fix with the integral of the velocity so far, and its variance."""
+    """Base by a fix, with the integral of the velocity so far and its variance."""
 
     stamp_ns: int
     p_map_m: Float64
@@ -118,8 +121,21 @@ class _Fix:
     variance_m2: float
 
 
+@dataclass(frozen=True)
+class Swing:
+    """Motion of the antenna about base in `map`: position (2,), velocity (2,) by the gyro and its sigma."""
+
+    arm_m: Float64
+    velocity_mps: Float64
+    sigma_mps: float
+
+
 class VelocitySeparation:
-    """Positions of the antenna against the integral of its Doppler velocity."""
+    """Positions of base against the integral of its Doppler velocity.
+
+    Both are those of the antenna less its swing: at the rate of fixes the velocity of an antenna on a body that shakes
+    on its tyres is aliased. An error of the lever arm cancels.
+    """
 
     def __init__(self, config: SeparationConfig) -> None:
         self._config = config
@@ -129,9 +145,9 @@ class VelocitySeparation:
         """Drops all fixes."""
         self._rows.clear()
 
-    def add(self, fix: Position) -> None:
+    def add(self, fix: Position, swing: Swing) -> None:
         """Takes the next fix; one without velocity, or after a gap, starts a new integral."""
-        velocity, last = fix.velocity_mps[:2], self._rows.newest
+        velocity, last = fix.velocity_mps[:2] - swing.velocity_mps, self._rows.newest
         if not np.isfinite(velocity).all():
             self.clear()
             return
@@ -141,10 +157,11 @@ class VelocitySeparation:
             if 0.0 < dt_s <= self._config.gnss_gap_s:
                 path_m = last.path_m + 0.5 * dt_s * (last.velocity_mps + velocity)
                 sigma = max(self._config.velocity_sigma_mps, fix.velocity_sigma_mps)  # NaN: unknown
-                variance_m2 = last.variance_m2 + (sigma * dt_s) ** 2
+                variance_m2 = last.variance_m2 + (sigma**2 + swing.sigma_mps**2) * dt_s**2
             else:
                 self.clear()
-        self._rows.add(_Fix(fix.stamp_ns, fix.p_map_m[:2], _sigma_m(fix), velocity, path_m, variance_m2))
+        p_map_m = fix.p_map_m[:2] - swing.arm_m
+        self._rows.add(_Fix(fix.stamp_ns, p_map_m, _sigma_m(fix), velocity, path_m, variance_m2))
 
     def since(self, stamp_ns: int) -> Separation | None:
         """Separation of the newest fix since a time; None when fixes do not reach back to it."""
@@ -163,7 +180,7 @@ class VelocitySeparation:
 class _Keyframe:
     """A keyframe with a fix: position of base by that fix, and all that predicts later ones.
 
-    `columns` (2, 4) is the displacement per slip parameter since the start, in `odom`.
+    `columns` (2, 4) is the displacement per slip parameter since the start, in `odom`; `heading_rad` counts turns.
     """
 
     stamp_ns: int
@@ -171,6 +188,8 @@ class _Keyframe:
     sigma_m: float
     velocity_mps: Float64
     columns: Float64
+    heading_rad: float
+    rate_radps: float
     yaw_map_odom_rad: float
     yaw_variance: float
     gyro_sigma_radps: float
@@ -197,8 +216,13 @@ class OdometrySeparation:
     def add(self, fix: Position, base_m: Float64, state: State, T_map_odom: Float64) -> None:
         """Takes a fix propagated to the newest keyframe, and the position of base that follows from it."""
         heading_slow = fix.heading_slow_rad if math.isfinite(fix.heading_slow_rad) else 0.0
+        heading, rate_radps, last = yaw_of(state.T_map_body), 0.0, self._rows.newest
+        if last is not None:
+            heading = last.heading_rad + wrap(heading - last.heading_rad)
+            rate_radps = (heading - last.heading_rad) / max(1e-3, (state.stamp_ns - last.stamp_ns) * 1e-9)
         row = _Keyframe(
-            state.stamp_ns, base_m[:2], _sigma_m(fix), state.velocity_mps[:2], self._columns, yaw_of(T_map_odom),
+            state.stamp_ns, base_m[:2], _sigma_m(fix), state.velocity_mps[:2], self._columns, heading, rate_radps,
+            yaw_of(T_map_odom),
             float(state.covariance[2, 2]) + heading_slow**2, float(state.sigmas[14]), state.slip, state.sigmas[15:19],
         )  # fmt: skip
         self._rows.add(row)
@@ -220,9 +244,12 @@ class OdometrySeparation:
         slip = first.slip_sigma**2 + self._slip_walk**2 * age_s / 3.0
         slip[0] += cfg.slip_change**2
         across = np.array([-moved_m[1], moved_m[0]])
+        turned = last.heading_rad - first.heading_rad
         yaw = first.yaw_variance + self._gyro**2 * age_s / 3.0 + (first.gyro_sigma_radps * age_s) ** 2 / 3.0
+        yaw += (cfg.gyro_scale * turned) ** 2 + (cfg.stamp_s * first.rate_radps) ** 2
         turned_m = cfg.stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
         white = first.sigma_m**2 + last.sigma_m**2 + self._density**2 * age_s + turned_m**2 + cfg.tilt_m**2
+        white += (2.0 * math.sin(0.5 * turned) * cfg.lever_arm_m) ** 2
         covariance = columns @ np.diag(slip) @ columns.T + yaw * np.outer(across, across) + white * np.eye(2)
         return Separation(age_s, last.p_map_m - first.p_map_m - moved_m, covariance, columns[:, 0])
 

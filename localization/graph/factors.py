@@ -129,9 +129,9 @@ def wheel_factor(start: int, end: int, columns: Float64, arm_m: Float64, sigma_m
     return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [before, after, slip], error)
 
 
-def standstill_factor(start: int, end: int, sigma_rad: float, sigma_m: float) -> gtsam.BetweenFactorPose3:
-    """No motion between two keyframes, which also makes the gyro bias observable."""
-    model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([sigma_rad, sigma_m], 3))
+def standstill_factor(start: int, end: int, sigma_rad: Float64, sigma_m: Float64) -> gtsam.BetweenFactorPose3:
+    """No motion between two keyframes, with sigmas (3,) by axis; it makes the gyro bias observable too."""
+    model = gtsam.noiseModel.Diagonal.Sigmas(np.concatenate([sigma_rad, sigma_m]))
     return gtsam.BetweenFactorPose3(X(start), X(end), gtsam.Pose3(), model)
 
 

@@ -275,13 +275,22 @@ class KeyframeBuilder:
         density = np.array([along, cfg.lateral_m_per_rts, cfg.vertical_m_per_rts])
         dt_s = (stamp_ns - last.stamp_ns) * 1e-9
         if is_standstill:
-            return [standstill_factor(key - 1, key, cfg.standstill_rad, cfg.standstill_m)]
+            return [standstill_factor(key - 1, key, *self._standstill_sigmas(steps, last.bias[3:]))]
         sigma = density * math.sqrt(dt_s)
         slip_mps, max_slip_mps = self._slip_mps(last, guess, columns, dt_s), cfg.max_slip_mps
         max_slip_mps += 3.0 * accelerometer_density * math.sqrt(dt_s)
         if self.gnss_gate.is_recent(stamp_ns) and slip_mps > max_slip_mps:
             sigma[0] = slip_mps * dt_s
         return [wheel_factor(key - 1, key, columns, self.lever_arms.base_m, sigma)]
+
+    def _standstill_sigmas(self, steps: Steps, gyro_bias_radps: Float64) -> tuple[Float64, Float64]:
+        """Sigmas of rotation and translation (3,): the body swings on its tyres while the wheels stand."""
+        swing = np.abs(((steps.rate_radps - gyro_bias_radps) * steps.dt_s[:, None]).sum(axis=0))[:2]
+        height_m, turn = abs(float(self.lever_arms.base_m[2])), np.full(3, self._wheels.standstill_rad)
+        moved_m = np.full(3, self._wheels.standstill_m)
+        turn[:2] = np.hypot(turn[:2], swing)
+        moved_m[:2] = np.hypot(moved_m[:2], height_m * swing[::-1])
+        return turn, moved_m
 
     def _slip_mps(self, last: State, guess: State, columns: Float64, dt_s: float) -> float:
         """Difference of the speeds by the wheels and by the IMU from the last keyframe."""

@@ -240,7 +240,7 @@ class MotionStart:
     def _motion_factor(self, key: int, interval: Interval) -> gtsam.NonlinearFactor:
         model = self._model
         if interval.is_standstill:
-            return standstill_factor(key - 1, key, model.standstill_rad, model.standstill_m)
+            return standstill_factor(key - 1, key, np.full(3, model.standstill_rad), np.full(3, model.standstill_m))
         if interval.columns is not None:
             sigma = model.wheel_density * math.sqrt(interval.dt_s)
             return wheel_factor(key - 1, key, interval.columns, model.base_m, sigma)
