@@ -185,7 +185,8 @@ class LidarAgreementConfig(Config):
     max_difference_m: Metres = Field(description="of the median height over the cells")
     max_height_m: Metres = Field(description="of the median over all cells, above or below the wheels")
     max_interval_s: Seconds = Field(description="between the scans that are compared")
-    hold_s: Seconds = Field(description="time for which a lidar must contradict the others")
+    hold_s: Seconds = Field(description="time for which a lidar must contradict the others by the limit")
+    min_hold_s: Seconds = Field(description="the same for any larger contradiction; between, in inverse proportion")
 
 
 class TrackedConfig(Config):
@@ -312,6 +313,7 @@ class LimitsConfig(Config):
     driver_torque_nm: float = Field(gt=0.0, le=50.0, description="torque on the hand wheel that counts as forced")
     curvature_error_radpm: float = Field(gt=0.0, le=1.0)
     curvature_delay_s: Seconds = Field(description="time within which the steering follows its command")
+    curvature_memory_s: Seconds = Field(description="in which the durations of deviations are summed")
     overspeed_mps: float = Field(gt=0.0, le=5.0, description="speed above what was commanded that is a fault")
     min_slowing_mps2: Acceleration = Field(
         description="deceleration expected of the machine when its command is lowered"
