@@ -185,8 +185,7 @@ class LidarAgreementConfig(Config):
     max_difference_m: Metres = Field(description="of the median height over the cells")
     max_height_m: Metres = Field(description="of the median over all cells, above or below the wheels")
     max_interval_s: Seconds = Field(description="between the scans that are compared")
-    hold_s: Seconds = Field(description="time for which a lidar must contradict the others by the limit")
-    min_hold_s: Seconds = Field(description="the same for any larger contradiction; between, in inverse proportion")
+    hold_s: Seconds = Field(description="time for which a lidar must contradict the others")
 
 
 class TrackedConfig(Config):

@@ -220,13 +220,12 @@ def run_cell(drive: Drive, cell: Cell) -> Outcome:
 
 def _pass_right_messages(drive: Drive, cell: Cell) -> None:
     """Runs until the last right message of a fault that begins with one: what is recorded first is not wrong yet."""
-    monitor, replay_s = drive.monitor, drive.config.plausible.replay_s
-    before = monitor.newest.get(cell.topic)
+    monitor, passed, replay_s = drive.monitor, drive.injection.faulty_items, drive.config.plausible.replay_s
     monitor.reset()
     if cell.kind is FaultKind.REPLAY:
         drive.executor.run(lambda: monitor.seconds >= replay_s)
-    elif cell.kind in BEGINS_RIGHT and before is not None:
-        drive.executor.run(lambda: monitor.newest.get(cell.topic) is not before or monitor.seconds >= replay_s)
+    elif cell.kind in BEGINS_RIGHT:
+        drive.executor.run(lambda: passed[cell.topic] > 0 or monitor.seconds >= replay_s)
 
 
 def _run_until(drive: Drive, is_decided: Callable[[], bool]) -> None:

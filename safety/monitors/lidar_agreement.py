@@ -2,8 +2,7 @@
 
 Lidars that see the same place at the same time find its ground at the same height, whatever the shape of the ground.
 The lowest return of each cell is compared: plants, dust and objects change single cells, not the median over them. The
-wheels stand on the ground too: no lidar may find it far above or below them. A contradiction of twice the limit counts
-after half the time: what is far off needs no second look, but more than one scan.
+wheels stand on the ground too: no lidar may find it far above or below them.
 """
 
 from collections.abc import Sequence
@@ -16,35 +15,30 @@ from safety.config import LidarAgreementConfig
 from safety.monitors.sensors import SensorFailure
 from safety.sources.lidar import LidarSource
 
-ROUNDING_S = 1e-9
-
 
 class LidarAgreement:
     """Compares the ground heights of every two lidars; call `update` after each new scan."""
 
     def __init__(self, config: LidarAgreementConfig) -> None:
         self._config = config
-        self._evidence_s: dict[str, float] = {}  # time of contradiction, weighted with its size
+        self._since_ns: dict[str, int] = {}
         self._now_ns = 0
 
     def update(self, lidars: Sequence[LidarSource]) -> None:
         """Compares the last scans of all lidars."""
-        sizes = {one.name: self._above_wheels(one) for one in lidars}
+        agreed = {one.name: [False] * self._is_far_from_wheels(one) for one in lidars}
         for one, other in combinations(lidars, 2):
-            if (size := self._difference(one, other)) is not None:
-                sizes[one.name].append(size)
-                sizes[other.name].append(size)
-        before_ns, self._now_ns = self._now_ns, max((one.stamp_ns or 0 for one in lidars), default=0)
-        interval_s = max(0, self._now_ns - before_ns) * 1e-9
-        before, self._evidence_s = self._evidence_s, {}
-        for name, found in sizes.items():
-            if (size := _contradiction(found)) > 1.0:
-                weight = min(size, self._config.hold_s / self._config.min_hold_s)
-                self._evidence_s[name] = before[name] + weight * interval_s if name in before else 0.0
+            if (found := self._do_agree(one, other)) is not None:
+                agreed[one.name].append(found)
+                agreed[other.name].append(found)
+        self._now_ns = max((one.stamp_ns for one in lidars if one.stamp_ns is not None), default=0)
+        contradicted = [name for name, found in agreed.items() if found.count(False) > found.count(True)]
+        self._since_ns = {name: self._since_ns.get(name, self._now_ns) for name in contradicted}
 
     def failures(self, lidars: Sequence[LidarSource], direction: int) -> tuple[SensorFailure, ...]:
         """Failures of the lidars that cover a direction of travel."""
-        contradicted = [name for name, held_s in self._evidence_s.items() if held_s >= self._config.hold_s - ROUNDING_S]
+        hold_ns = round(self._config.hold_s * 1e9)
+        contradicted = [name for name, ns in self._since_ns.items() if self._now_ns - ns >= hold_ns]
         names = ", ".join(f"lidar/{name}" for name in contradicted)
         failures = []
         for one in lidars:
@@ -59,14 +53,12 @@ class LidarAgreement:
                 failures.append(SensorFailure("lidar", f"{topic}.contradicted", text))
         return tuple(failures)
 
-    def _above_wheels(self, one: LidarSource) -> list[float]:
-        """Distance of the ground from the wheels over the limit, where it is above it: nearer says nothing."""
+    def _is_far_from_wheels(self, one: LidarSource) -> bool:
         height_m = one.ground.height_m
-        size = abs(median(height_m)) / self._config.max_height_m if len(height_m) >= self._config.min_cells else 0.0
-        return [size] if size > 1.0 else []
+        return len(height_m) >= self._config.min_cells and abs(median(height_m)) > self._config.max_height_m
 
-    def _difference(self, one: LidarSource, other: LidarSource) -> float | None:
-        """Difference of two grounds over the limit; None without enough common cells of the same time."""
+    def _do_agree(self, one: LidarSource, other: LidarSource) -> bool | None:
+        """Whether the grounds of two lidars agree; None without enough common cells of the same time."""
         config = self._config
         if one.stamp_ns is None or other.stamp_ns is None:
             return None
@@ -78,10 +70,4 @@ class LidarAgreement:
         if len(common) < config.min_cells:
             return None
         difference_m = median(one.ground.height_m[first] - other.ground.height_m[second])
-        return abs(difference_m) / config.max_difference_m
-
-
-def _contradiction(sizes: list[float]) -> float:
-    """The smallest of the differences above 1 if they are the most, else 0."""
-    above = [size for size in sizes if size > 1.0]
-    return min(above) if 2 * len(above) > len(sizes) else 0.0
+        return abs(difference_m) <= config.max_difference_m

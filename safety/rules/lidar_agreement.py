@@ -29,7 +29,6 @@ RULE = Rule(
         "lidar_agreement.max_height_m",
         "lidar_agreement.max_interval_s",
         "lidar_agreement.hold_s",
-        "lidar_agreement.min_hold_s",
     ),
     texts_zh={"*.contradicted": "{} 所测地面与其他激光雷达不一致", "*.foreign": "{} 线数与配置不符"},
 )

@@ -129,27 +129,14 @@ def test_right_lidars_agree_on_any_ground(rig: Rig, ground: Ground) -> None:
         assert rig.run(4, ground=ground) == []
 
 
-def scans_of(seconds: float) -> int:
-    return round(seconds * 1e9 / PERIOD_NS)
-
-
 @pytest.mark.parametrize("name", FRONT)
 @pytest.mark.parametrize("kind", WRONG)
-def test_wrong_lidar_is_named_within_the_hold_time(rig: Rig, name: str, kind: str, config: SafetyConfig) -> None:
-    limits = config.lidar_agreement
+def test_wrong_lidar_is_named_after_the_hold_time(rig: Rig, name: str, kind: str, config: SafetyConfig) -> None:
     assert rig.run(3) == []
-    assert rig.run(scans_of(limits.min_hold_s), {name: WRONG[kind]}) == []
-    assert rig.run(scans_of(limits.hold_s) + 2, {name: WRONG[kind]}) == [f"lidar/{name}.contradicted"]
+    scans = round(config.lidar_agreement.hold_s * 1e9 / PERIOD_NS)
+    assert rig.run(scans - 1, {name: WRONG[kind]}) == []
+    assert rig.run(3, {name: WRONG[kind]}) == [f"lidar/{name}.contradicted"]
     assert rig.run(1) == []
-
-
-@pytest.mark.parametrize(
-    ("kind", "least_s", "most_s"), [("scale", 0.5, 0.9), ("offset", 0.2, 0.6), ("garbage", 0.2, 0.3)]
-)
-def test_larger_contradictions_count_sooner(rig: Rig, kind: str, least_s: float, most_s: float) -> None:
-    rig.run(3)
-    assert rig.run(scans_of(least_s), {"front": WRONG[kind]}) == []
-    assert rig.run(scans_of(most_s - least_s), {"front": WRONG[kind]}) == ["lidar/front.contradicted"]
 
 
 @pytest.mark.parametrize("ground", [waves, crest, side_slope, furrows])
@@ -160,11 +147,8 @@ def test_wrong_lidar_is_named_on_any_ground(rig: Rig, ground: Ground) -> None:
 
 def test_brief_contradictions_do_not_add_up(rig: Rig) -> None:
     for _ in range(5):
-        assert rig.run(6, {"front": WRONG["scale"]}) == []
+        assert rig.run(2, {"front": WRONG["offset"]}) == []
         rig.run(1)
-    for kind in ("offset", "garbage"):
-        assert rig.run(1, {"front": WRONG[kind]}) == []
-        assert rig.run(1) == []
 
 
 def test_two_lidars_accuse_each_other(shipped: Vehicle, implement, config: SafetyConfig) -> None:
