@@ -24,7 +24,7 @@ class TopicSpec:
 
 
 TOPICS: dict[str, TopicSpec] = {
-    "lidar": TopicSpec(sensors.LidarScan, 0.1, 0.35),
+    "lidar": TopicSpec(sensors.LidarScan, 0.1, 0.3),
     "camera": TopicSpec(sensors.CameraImage, 0.5, 1.5),
     "radar": TopicSpec(sensors.RadarScan, 0.05, 0.25),
     "ultrasonic": TopicSpec(sensors.UltrasonicRange, 0.1, 0.35),

@@ -40,7 +40,7 @@ from simulation.faults.injection import FaultInjection
 from simulation.scenario import Scenario
 from simulation.world import Rendering
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.stopping import stopping_distance_m
+from validation.obstacle_stop.stopping import on_grade, stopping_distance_m
 
 NOT_INJECTED = ("order/operator", "truth_machine", "truth_objects", "truth_shapes")
 BEGINS_RIGHT = (FaultKind.FROZEN, FaultKind.REPEATED, FaultKind.SLOW)  # with a message that is still right
@@ -120,7 +120,7 @@ def drive_to(
     scenario = scenario.model_copy(update={"plant": "slow_brake"})
     config = load(FaultsConfig, CONFIGS / "faults.yaml")
     injection = FaultInjection((), config, setup.stack.simulation.start_stamp_ns, SEED)
-    monitor, recorded = DriveMonitor(), list[Envelope]()
+    monitor, recorded = DriveMonitor(load_conditions(None).braking.reaction_s), list[Envelope]()
     with assemble(setup, scenario, injection=injection, rendering=Rendering.IN_STEP) as (world, nodes):
         executor = Executor(world, nodes, (monitor, injection), injection)
         drive = Drive(setup, world, nodes, executor, injection, monitor, config, recorded)
@@ -207,13 +207,13 @@ def run_cell(drive: Drive, cell: Cell) -> Outcome:
     travel_m, end_speed_mps = monitor.travel_m, max(monitor.speeds_mps, default=0.0)
     if demanded.is_named:  # a fault may be named after the stop
         _run_until(drive, lambda: named_after_s(monitor.alarms, own) is not None)
-    now, braking = monitor.truth, load_conditions(None).braking
+    now, braking = monitor.truth, on_grade(load_conditions(None).braking, monitor.steepest)
     assert now is not None
-    speed_mps = abs(truth.speed_mps)
+    highest_mps = max(abs(truth.speed_mps), monitor.fastest_mps)
+    allowed_m = stopping_distance_m(highest_mps, braking.reaction_s, braking)
     measured = MeasuredReaction(
-        speed_mps, stopping_distance_m(speed_mps, braking.reaction_s, braking), travel_m, stopped_s, end_speed_mps,
-        monitor.path_error_m, now.contacts - truth.contacts, now.zone_exits - truth.zone_exits, monitor.reason,
-        dict(monitor.alarms),
+        abs(truth.speed_mps), allowed_m, travel_m, stopped_s, end_speed_mps, monitor.path_error_m,
+        now.contacts - truth.contacts, now.zone_exits - truth.zone_exits, monitor.reason, dict(monitor.alarms),
     )  # fmt: skip
     return evaluate(cell, measured, config, demanded, own, others)
 

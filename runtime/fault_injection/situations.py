@@ -20,11 +20,18 @@ MODE_NAMES = tuple(str(mode) for mode in Mode)
 
 @dataclass
 class DriveMonitor:
-    """Sink: newest message of each topic; since the last `reset` motion, and texts of alarms with their first time."""
+    """Sink: newest message of each topic; since the last `reset` motion, and texts of alarms with their first time.
 
+    `fastest_mps` is the highest speed within the first `reaction_s`, until which the machine may still gain speed;
+    `steepest` the steepest downhill grade (sine) in the direction of travel.
+    """
+
+    reaction_s: float = math.inf
     newest: dict[str, Message] = field(default_factory=dict)
     seconds: float = 0.0  # since the reset, counted in true machine messages: clocks may be faulty
     travel_m: float = 0.0
+    fastest_mps: float = 0.0
+    steepest: float = 0.0
     standstill_s: float = 0.0
     path_error_m: float = 0.0
     speeds_mps: deque[float] = field(default_factory=lambda: deque(maxlen=round(1.0 / PERIOD_S)))
@@ -34,6 +41,7 @@ class DriveMonitor:
     def reset(self) -> None:
         """Clears motion, alarms and reasons."""
         self.seconds = self.travel_m = self.standstill_s = self.path_error_m = 0.0
+        self.fastest_mps = self.steepest = 0.0
         self.alarms, self.reasons = {}, []
         self.speeds_mps.clear()
 
@@ -53,6 +61,10 @@ class DriveMonitor:
             return
         self.seconds += PERIOD_S
         self.speeds_mps.append(abs(now.speed_mps))
+        if self.seconds <= self.reaction_s:
+            self.fastest_mps = max(self.fastest_mps, abs(now.speed_mps))
+        if self.standstill_s == 0.0:
+            self.steepest = max(self.steepest, -math.copysign(1.0, now.speed_mps) * float(now.T_map_base[2, 0]))
         self.travel_m += math.dist(before.T_map_base[:2, 3], now.T_map_base[:2, 3])
         self.standstill_s = self.standstill_s + PERIOD_S if abs(now.speed_mps) < STANDING_MPS else 0.0
         path = self.newest.get("path")

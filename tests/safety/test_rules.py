@@ -153,9 +153,9 @@ def test_message_timeout(config: SupervisorConfig) -> None:
 @pytest.mark.parametrize("group", ["heartbeat", "motion", "steering", "cab"])
 @clause("BD-5.5.1a", "BD-5.5.2d", rule="message_timeout")
 def test_timeout_of_a_machine_state_group(config: SupervisorConfig, group: str) -> None:
-    for age_ms in around(350, 1):
+    for age_ms in around(300, 1):
         changes = {f"{group}_stamp_ns": START_NS - round(age_ms * 1e6)}
-        expected = (STOP, f"machine.{group}.silent") if age_ms > 350 else (NONE, "message_timeout")
+        expected = (STOP, f"machine.{group}.silent") if age_ms > 300 else (NONE, "message_timeout")
         assert ask("message_timeout", config, **with_machine(**changes))[:2] == expected, age_ms
 
 
