@@ -116,7 +116,7 @@ def drive_to(
 ) -> None:
     """Drives a mission and runs the cells of each situation; raises HeadlandError if a situation is not reached."""
     setup = with_model(load_setup(mission, None, None, None, SEED), arguments.model)
-    scenario = load(Scenario, find("scenarios", "empty" if mission == "dock" else "faults"))
+    scenario = load(Scenario, find("scenarios", "faults" if mission == "demo" else "empty"))
     scenario = scenario.model_copy(update={"plant": "slow_brake"})
     config = load(FaultsConfig, CONFIGS / "faults.yaml")
     injection = FaultInjection((), config, setup.stack.simulation.start_stamp_ns, SEED)

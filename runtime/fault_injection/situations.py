@@ -14,7 +14,7 @@ from messages.plan import MissionStatus, Path, PathSectionType
 from messages.truth import TrueMachine
 from safety.rules import speed_limit
 
-STANDING_MPS, PERIOD_S = 0.02, 0.05  # the truth's period
+STANDING_MPS, STEADY_MPS, PERIOD_S = 0.02, 0.05, 0.05  # the truth's period
 MODE_NAMES = tuple(str(mode) for mode in Mode)
 
 
@@ -114,8 +114,10 @@ def in_turn(monitor: DriveMonitor) -> bool:
 
 
 def on_swath(monitor: DriveMonitor) -> bool:
-    """On a swath at full speed with the implement working."""
-    return _on(monitor, PathSectionType.SWATH) and monitor.truth.is_working and monitor.truth.speed_mps > 2.5  # type: ignore[union-attr]
+    """On a swath at full speed, which it has kept for a second, with the implement working."""
+    if not _on(monitor, PathSectionType.SWATH) or not monitor.truth.is_working:  # type: ignore[union-attr]
+        return False
+    return min(monitor.speeds_mps) > 2.5 and max(monitor.speeds_mps) - min(monitor.speeds_mps) < STEADY_MPS
 
 
 def before_obstacle(monitor: DriveMonitor) -> bool:
@@ -138,8 +140,9 @@ def _on(monitor: DriveMonitor, section_type: PathSectionType) -> bool:
     return is_on and monitor.state is not None and monitor.state.mode is Mode.AUTOMATIC
 
 
-# by mission, in the order of occurrence
+# by mission, in the order of occurrence; the line is at full speed after a few seconds
 SITUATIONS = {
-    "demo": {"turn": in_turn, "swath": on_swath, "obstacle": before_obstacle},
+    "line": {"swath": on_swath},
+    "demo": {"turn": in_turn, "obstacle": before_obstacle},
     "dock": {"docking": docking},
 }
