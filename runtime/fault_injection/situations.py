@@ -117,7 +117,9 @@ def on_swath(monitor: DriveMonitor) -> bool:
     """On a swath at full speed, which it has kept for a second, with the implement working."""
     if not _on(monitor, PathSectionType.SWATH) or not monitor.truth.is_working:  # type: ignore[union-attr]
         return False
-    return min(monitor.speeds_mps) > 2.5 and max(monitor.speeds_mps) - min(monitor.speeds_mps) < STEADY_MPS
+    speeds_mps = monitor.speeds_mps
+    is_steady = len(speeds_mps) == speeds_mps.maxlen and max(speeds_mps) - min(speeds_mps) < STEADY_MPS
+    return is_steady and min(speeds_mps) > 2.5
 
 
 def before_obstacle(monitor: DriveMonitor) -> bool:
