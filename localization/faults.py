@@ -25,6 +25,7 @@ FAULTS = {
         FaultType("gnss.no_heading", *STOP, "No GNSS heading: start needs motion", "无卫星航向:启动需要移动"),
         FaultType("localization.awaits", *STOP, "Position not found yet", "尚未确定位置"),
         FaultType("localization.not_docked", *STOP, "Position at the dock not confirmed", "停靠位置未确认"),
+        FaultType("lidar_odometry.silent", *WARNING, "Lidar odometry: no data", "激光里程计无数据"),
         FaultType("uwb.refused", *WARNING, "UWB ranges rejected", "UWB测距数据被拒绝"),
         FaultType("localization.lost", *STOP, "Position lost: stand still to recover", "定位丢失:请保持静止以恢复"),
         FaultType("localization.rebuilt", *NOTICE, "Position graph rebuilt", "定位因子图已重建"),

@@ -27,6 +27,7 @@ from messages.fault_reporter import FaultReporter
 from messages.motion import LidarLocalization, LidarOdometry
 from messages.node import All, Every, Inbox, Node, Output, Read
 from messages.sensors import GnssFix, ImuSample, UwbRanges, WheelSample
+from messages.topics import spec_of
 
 IMU, WHEEL = "imu", "wheel"
 LONG_AGO_NS = -(2**62)
@@ -87,6 +88,7 @@ class Localizer(Node):
         self._now_ns: int | None = None
         self._first_ns = 0  # silence before the first sample counts from here
         self._gnss_ns: int | None = None
+        self._lidar_odometry_ns: int | None = None
         self._pose_ns: int | None = None
         self._gap_s: float | None = None
         self._was_initialized = False
@@ -112,7 +114,7 @@ class Localizer(Node):
         gap_s = max(0.1, (now_ns - previous) * 1e-9)
         self._faults.report_event(FAULTS["clock.jumped"], f"{(now_ns - previous) * 1e-9:+.3f} s")
         self._clear_samples(gap_s)
-        self._gnss_ns = self._pose_ns = None
+        self._gnss_ns = self._pose_ns = self._lidar_odometry_ns = None
         self._first_ns = LONG_AGO_NS
 
     def _clear_samples(self, gap_s: float) -> None:
@@ -130,6 +132,7 @@ class Localizer(Node):
             self.dropped += not (self._is_timely(fix.stamp_ns, now_ns) and self._add_fix(fix))
         if self._lidar_odometry in self.reads:
             for motion in inbox.all(self._lidar_odometry, LidarOdometry):
+                self._lidar_odometry_ns = now_ns
                 self._map_alignment.odometry_spans.add(motion)
         if LIDAR_LOCALIZATION in self.reads:
             for pose in inbox.all(LIDAR_LOCALIZATION, LidarLocalization):
@@ -205,6 +208,9 @@ class Localizer(Node):
             faults.set(FAULTS[code], is_suspected, "" if suspicion is None else suspicion.detail)
         gnss_ns = self._gnss_ns if self._gnss_ns is not None else self._first_ns
         faults.set(FAULTS["gnss.silent"], now_ns - gnss_ns > self._config.gnss_timeout_s * 1e9)
+        lidar_ns = now_ns if self._lidar_odometry_ns is None else self._lidar_odometry_ns
+        lidar_gap_s = 2.0 * spec_of(self._lidar_odometry).max_age_s  # lidars at 2.5 Hz may lose a scan
+        faults.set(FAULTS["lidar_odometry.silent"], abs(now_ns - lidar_ns) > lidar_gap_s * 1e9)
         faults.set(FAULTS["gnss.refused"], alignment.is_refusing, "contradict the prediction")
         for code in (VELOCITY, ODOMETRY):
             faults.set(FAULTS[code], alignment.monitor.suspicion == code, alignment.monitor.detail)

@@ -24,7 +24,7 @@ class TopicSpec:
 
 
 TOPICS: dict[str, TopicSpec] = {
-    "lidar": TopicSpec(sensors.LidarScan, 0.1, 0.35),
+    "lidar": TopicSpec(sensors.LidarScan, 0.1, 0.3),
     "camera": TopicSpec(sensors.CameraImage, 0.5, 1.5),
     "radar": TopicSpec(sensors.RadarScan, 0.05, 0.25),
     "ultrasonic": TopicSpec(sensors.UltrasonicRange, 0.1, 0.35),
@@ -48,7 +48,7 @@ TOPICS: dict[str, TopicSpec] = {
     "safe_command": TopicSpec(command.SafeCommand, 0.02, 0.1),
     "supervisor": TopicSpec(command.SupervisorState, 0.1, 0.3),
     "order": TopicSpec(command.SignedOrder, 0.0, NEVER_STALE_S),
-    "order_status": TopicSpec(command.OrderStatus, 0.1, 0.4),
+    "order_status": TopicSpec(command.OrderStatus, 0.1, 0.3),
     "operator_command": TopicSpec(command.OperatorCommand, 0.0, NEVER_STALE_S),
     "fault": TopicSpec(faults.Fault, 0.0, NEVER_STALE_S),
     "truth_machine": TopicSpec(truth.TrueMachine, 0.05, NEVER_STALE_S),

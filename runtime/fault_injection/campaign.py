@@ -28,21 +28,22 @@ from messages.message import Envelope
 from messages.node import Node, World
 from runtime.assembly import assemble
 from runtime.executor import Executor
-from runtime.fault_injection.evaluation import Cell, MeasuredReaction, Outcome, evaluate
+from runtime.fault_injection.evaluation import Cell, MeasuredReaction, Outcome, evaluate, named_after_s
 from runtime.fault_injection.situations import SITUATIONS, DriveMonitor
 from runtime.fault_injection.table import summary, totals, write_tables
 from runtime.processes import begin_worker
 from runtime.run_folder import RunFolder, named_errors
 from runtime.setup import Setup, load_setup, sensors_without_detector, with_model
 from safety.monitors.sensors import monitored_sensors
-from simulation.faults.config import Demanded, FaultKind, FaultsConfig, InjectedFault, fault_kinds_of
+from simulation.faults.config import Demand, Demanded, FaultKind, FaultsConfig, InjectedFault, fault_kinds_of
 from simulation.faults.injection import FaultInjection
 from simulation.scenario import Scenario
 from simulation.world import Rendering
 from validation.obstacle_stop.conditions import load_conditions
-from validation.obstacle_stop.stopping import stopping_distance_m
+from validation.obstacle_stop.stopping import on_grade, stopping_distance_m
 
 NOT_INJECTED = ("order/operator", "truth_machine", "truth_objects", "truth_shapes")
+BEGINS_RIGHT = (FaultKind.FROZEN, FaultKind.REPEATED, FaultKind.SLOW)  # with a message that is still right
 LIMIT_S = 600.0  # simulated time to reach a situation
 CELL_LIMIT_S = 900.0  # wall time
 SEED = 1
@@ -115,11 +116,11 @@ def drive_to(
 ) -> None:
     """Drives a mission and runs the cells of each situation; raises HeadlandError if a situation is not reached."""
     setup = with_model(load_setup(mission, None, None, None, SEED), arguments.model)
-    scenario = load(Scenario, find("scenarios", "empty" if mission == "dock" else "faults"))
+    scenario = load(Scenario, find("scenarios", "faults" if mission == "demo" else "empty"))
     scenario = scenario.model_copy(update={"plant": "slow_brake"})
     config = load(FaultsConfig, CONFIGS / "faults.yaml")
     injection = FaultInjection((), config, setup.stack.simulation.start_stamp_ns, SEED)
-    monitor, recorded = DriveMonitor(), list[Envelope]()
+    monitor, recorded = DriveMonitor(load_conditions(None).braking.reaction_s), list[Envelope]()
     with assemble(setup, scenario, injection=injection, rendering=Rendering.IN_STEP) as (world, nodes):
         executor = Executor(world, nodes, (monitor, injection), injection)
         drive = Drive(setup, world, nodes, executor, injection, monitor, config, recorded)
@@ -132,9 +133,14 @@ def drive_to(
             executor.run(lambda reached=is_reached: reached(monitor) or monitor.seconds > LIMIT_S)  # type: ignore[misc]
             if not is_reached(monitor):
                 raise HeadlandError(f"situation {situation!r} was not reached within {LIMIT_S:.0f} s of {mission!r}")
-            for cell in missing:
-                drive.demanded(cell)  # a cell without demand is refused before any runs
+            # a cell without demand is refused before any runs; what demands most runs first
+            missing.sort(key=lambda cell: _order(drive.demanded(cell)))
             _fork_all(drive, missing, folder, arguments.jobs)
+
+
+def _order(demanded: Demanded) -> tuple[bool, bool]:
+    """Sorts what demands a stop or a limit before what demands a name alone, and that before the rest."""
+    return demanded.demand is Demand.CONTINUE, not demanded.is_named
 
 
 def cells(drive: Drive, situation: str, only: str | None) -> list[Cell]:
@@ -191,34 +197,55 @@ def run_cell(drive: Drive, cell: Cell) -> Outcome:
     elapsed_s = (drive.executor.now_ns - drive.setup.stack.simulation.start_stamp_ns) * 1e-9
     injection.add_fault(InjectedFault(topic=cell.topic, kind=cell.kind, from_s=elapsed_s, for_s=1e6))
     drive.executor.add_sink(drive.recorded.append)
-    if cell.kind is FaultKind.REPLAY:  # what is recorded first is not wrong yet
-        monitor.reset()
-        drive.executor.run(lambda: monitor.seconds >= drive.config.plausible.replay_s)
+    _pass_right_messages(drive, cell)
     monitor.reset()
     truth = monitor.truth
     assert truth is not None
-    with contextlib.suppress(LogError):  # of a full disk, after the stop
-        drive.executor.run(
-            lambda: monitor.standstill_s >= config.standstill_s or monitor.seconds >= config.observation_s
-        )
-    now, braking = monitor.truth, load_conditions(None).braking
-    assert now is not None
+    own, others = _identifiers(drive, cell)
+    _run_until(drive, lambda: monitor.standstill_s >= config.standstill_s)
     stopped_s = monitor.seconds - monitor.standstill_s if monitor.standstill_s >= config.standstill_s else None
-    speed_mps = abs(truth.speed_mps)
+    travel_m, end_speed_mps = monitor.travel_m, max(monitor.speeds_mps, default=0.0)
+    if demanded.is_named:  # a fault may be named after the stop
+        _run_until(drive, lambda: named_after_s(monitor.alarms, own) is not None)
+    now, braking = monitor.truth, on_grade(load_conditions(None).braking, monitor.steepest)
+    assert now is not None
+    highest_mps = max(abs(truth.speed_mps), monitor.fastest_mps)
+    allowed_m = stopping_distance_m(highest_mps, braking.reaction_s, braking)
     measured = MeasuredReaction(
-        speed_mps, stopping_distance_m(speed_mps, braking.reaction_s, braking), monitor.travel_m, stopped_s,
-        max(monitor.speeds_mps, default=0.0), monitor.path_error_m, now.contacts - truth.contacts,
-        now.zone_exits - truth.zone_exits, monitor.reason, dict(monitor.alarms),
+        abs(truth.speed_mps), allowed_m, travel_m, stopped_s, end_speed_mps, monitor.path_error_m,
+        now.contacts - truth.contacts, now.zone_exits - truth.zone_exits, monitor.reason, dict(monitor.alarms),
     )  # fmt: skip
+    return evaluate(cell, measured, config, demanded, own, others)
+
+
+def _pass_right_messages(drive: Drive, cell: Cell) -> None:
+    """Runs until the last right message of a fault that begins with one: what is recorded first is not wrong yet."""
+    monitor, passed, replay_s = drive.monitor, drive.injection.faulty_items, drive.config.plausible.replay_s
+    monitor.reset()
+    if cell.kind is FaultKind.REPLAY:
+        drive.executor.run(lambda: monitor.seconds >= replay_s)
+    elif cell.kind in BEGINS_RIGHT:
+        drive.executor.run(lambda: passed[cell.topic] > 0 or monitor.seconds >= replay_s)
+
+
+def _run_until(drive: Drive, is_decided: Callable[[], bool]) -> None:
+    """Continues until a condition holds, at most to the end of the observation."""
+    observation_s = drive.config.campaign.observation_s
+    with contextlib.suppress(LogError):  # of a full disk, after the stop
+        drive.executor.run(lambda: is_decided() or drive.monitor.seconds >= observation_s)
+
+
+def _identifiers(drive: Drive, cell: Cell) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
+    """Texts that name the device of a cell, and by topic those of the other devices."""
     writes = {node.name: node.writes for node, _ in drive.nodes}
     identifiers = {
-        topic: Cell(cell.situation, topic, cell.kind).identifiers(config, writes) for topic in drive.topics()
+        topic: Cell(cell.situation, topic, cell.kind).identifiers(drive.config.campaign, writes)
+        for topic in drive.topics()
     }
     own = identifiers.pop(cell.topic)
     if cell.kind is FaultKind.SWAPPED:  # either of the two names the fault
-        own += identifiers.pop(injection.partner_of(cell.topic) or cell.topic)
-    devices = {topic: texts for topic, texts in identifiers.items() if not topic.startswith("node/")}
-    return evaluate(cell, measured, config, demanded, own, devices)
+        own += identifiers.pop(drive.injection.partner_of(cell.topic) or cell.topic)
+    return own, {topic: texts for topic, texts in identifiers.items() if not topic.startswith("node/")}
 
 
 def _write_log(drive: Drive, path: Path) -> None:

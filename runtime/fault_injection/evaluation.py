@@ -90,6 +90,11 @@ class MeasuredReaction:
     alarms: Mapping[str, float]
 
 
+def named_after_s(alarms: Mapping[str, float], identifiers: tuple[str, ...]) -> float | None:
+    """Time (s) of the first alarm that names the device, None without one."""
+    return min((at_s for text, at_s in alarms.items() if any(name in text for name in identifiers)), default=None)
+
+
 def evaluate(
     cell: Cell, measured: MeasuredReaction, config: CampaignConfig, demanded: Demanded, identifiers: tuple[str, ...],
     others: dict[str, tuple[str, ...]],
@@ -97,8 +102,7 @@ def evaluate(
     """Outcome of a cell; `others` are the identifiers of all other devices."""
     must_stop, has_stopped = demanded.demand is Demand.STOP, measured.stopped_s is not None
     allowed_m = measured.stopping_distance_m if must_stop else None
-    times = [at_s for text, at_s in measured.alarms.items() if any(name in text for name in identifiers)]
-    named_s = min(times, default=None)
+    named_s = named_after_s(measured.alarms, identifiers)
     accused = [topic for topic, texts in others.items() if any(name in measured.reason for name in texts)]
     is_misattributed = bool(accused) and named_s is None
     is_obstacle_stop = measured.reason.startswith(OBSTACLE_REASONS)

@@ -14,17 +14,24 @@ from messages.plan import MissionStatus, Path, PathSectionType
 from messages.truth import TrueMachine
 from safety.rules import speed_limit
 
-STANDING_MPS, PERIOD_S = 0.02, 0.05  # the truth's period
+STANDING_MPS, STEADY_MPS, PERIOD_S = 0.02, 0.05, 0.05  # the truth's period
 MODE_NAMES = tuple(str(mode) for mode in Mode)
 
 
 @dataclass
 class DriveMonitor:
-    """Sink: newest message of each topic; since the last `reset` motion, and texts of alarms with their first time."""
+    """Sink: newest message of each topic; since the last `reset` motion, and texts of alarms with their first time.
 
+    `fastest_mps` is the highest speed within the first `reaction_s`, until which the machine may still gain speed;
+    `steepest` the steepest downhill grade (sine) in the direction of travel.
+    """
+
+    reaction_s: float = math.inf
     newest: dict[str, Message] = field(default_factory=dict)
     seconds: float = 0.0  # since the reset, counted in true machine messages: clocks may be faulty
     travel_m: float = 0.0
+    fastest_mps: float = 0.0
+    steepest: float = 0.0
     standstill_s: float = 0.0
     path_error_m: float = 0.0
     speeds_mps: deque[float] = field(default_factory=lambda: deque(maxlen=round(1.0 / PERIOD_S)))
@@ -34,6 +41,7 @@ class DriveMonitor:
     def reset(self) -> None:
         """Clears motion, alarms and reasons."""
         self.seconds = self.travel_m = self.standstill_s = self.path_error_m = 0.0
+        self.fastest_mps = self.steepest = 0.0
         self.alarms, self.reasons = {}, []
         self.speeds_mps.clear()
 
@@ -53,6 +61,10 @@ class DriveMonitor:
             return
         self.seconds += PERIOD_S
         self.speeds_mps.append(abs(now.speed_mps))
+        if self.seconds <= self.reaction_s:
+            self.fastest_mps = max(self.fastest_mps, abs(now.speed_mps))
+        if self.standstill_s == 0.0:
+            self.steepest = max(self.steepest, -math.copysign(1.0, now.speed_mps) * float(now.T_map_base[2, 0]))
         self.travel_m += math.dist(before.T_map_base[:2, 3], now.T_map_base[:2, 3])
         self.standstill_s = self.standstill_s + PERIOD_S if abs(now.speed_mps) < STANDING_MPS else 0.0
         path = self.newest.get("path")
@@ -102,8 +114,12 @@ def in_turn(monitor: DriveMonitor) -> bool:
 
 
 def on_swath(monitor: DriveMonitor) -> bool:
-    """On a swath at full speed with the implement working."""
-    return _on(monitor, PathSectionType.SWATH) and monitor.truth.is_working and monitor.truth.speed_mps > 2.5  # type: ignore[union-attr]
+    """On a swath at full speed, which it has kept for a second, with the implement working."""
+    if not _on(monitor, PathSectionType.SWATH) or not monitor.truth.is_working:  # type: ignore[union-attr]
+        return False
+    speeds_mps = monitor.speeds_mps
+    is_steady = len(speeds_mps) == speeds_mps.maxlen and max(speeds_mps) - min(speeds_mps) < STEADY_MPS
+    return is_steady and min(speeds_mps) > 2.5
 
 
 def before_obstacle(monitor: DriveMonitor) -> bool:
@@ -126,8 +142,9 @@ def _on(monitor: DriveMonitor, section_type: PathSectionType) -> bool:
     return is_on and monitor.state is not None and monitor.state.mode is Mode.AUTOMATIC
 
 
-# by mission, in the order of occurrence
+# by mission, in the order of occurrence; the line is at full speed after a few seconds
 SITUATIONS = {
-    "demo": {"turn": in_turn, "swath": on_swath, "obstacle": before_obstacle},
+    "line": {"swath": on_swath},
+    "demo": {"turn": in_turn, "obstacle": before_obstacle},
     "dock": {"docking": docking},
 }

@@ -27,6 +27,28 @@ class DebounceTimer:
         return (now_ns - self._since_ns) * 1e-9
 
 
+class RecentDuration:
+    """Seconds for which a condition has held in the last `length_s`, with interruptions; cleared while not watched."""
+
+    def __init__(self, length_s: float) -> None:
+        self._length_ns = round(length_s * 1e9)
+        self._held: deque[tuple[int, int]] = deque()  # from, to
+        self._since_ns: int | None = None
+
+    def update(self, now_ns: int, is_watched: bool, holds: bool) -> float:
+        """Takes the condition now, which holds until the next update; returns the sum of its durations."""
+        if not is_watched:
+            self._held.clear()
+            self._since_ns = None
+            return 0.0
+        if self._since_ns is not None and now_ns > self._since_ns:
+            self._held.append((self._since_ns, now_ns))
+        self._since_ns = now_ns if holds else None
+        while self._held and not 0 <= now_ns - self._held[0][1] < self._length_ns:
+            self._held.popleft()
+        return sum(end_ns - begin_ns for begin_ns, end_ns in self._held) * 1e-9
+
+
 class RecentRange:
     """Range of a value over the last `length_s`."""
 

@@ -8,7 +8,7 @@ from messages.motion import MapPose, Odometry
 from messages.plan import Path
 from safety.config import SafetyConfig
 from safety.modes import WATCHED
-from safety.monitors.memory import DebounceTimer, RecentRange
+from safety.monitors.memory import DebounceTimer, RecentDuration, RecentRange
 from safety.pose_history import tilt_of
 from safety.stopping_distance import Braking, on_grade
 
@@ -53,7 +53,7 @@ class VehicleMonitor:
         self._override, self._ineffective = DebounceTimer(), DebounceTimer()
         self._overspeed = DebounceTimer()
         self._expected_mps, self._expected_ns = 0.0, 0
-        self._deviation, self._unavailable = DebounceTimer(), DebounceTimer()
+        self._deviation, self._unavailable = RecentDuration(config.limits.curvature_memory_s), DebounceTimer()
 
     def update(
         self,
@@ -82,7 +82,7 @@ class VehicleMonitor:
             on_grade(flat, self._direction * self._pitch_rad, min_mps2),
             position_sigma_m(map_pose),
             self._override.update(now_ns, is_forced(machine, self._config.limits.driver_torque_nm)),
-            self._deviation.update(now_ns, is_watched and self._steering_deviates(now_ns, machine, command)),
+            self._deviation.update(now_ns, is_watched, self._steering_deviates(now_ns, machine, command)),
             self._unavailable.update(now_ns, is_watched and self._steering_unavailable(machine)),
             self._ineffective.update(now_ns, self._brake_ineffective(odom, command)),
             self._overspeed.update(now_ns, self._is_overspeed(now_ns, is_watched, command)),

@@ -7,7 +7,7 @@ from safety.rules.results import emergency, no_objection
 from safety.rules.rule import Effect, Rule
 from safety.rules.situation import Situation
 
-CODE = "overspeed"
+CODE, CONTRADICTED = "overspeed", "speeds.contradicted"
 
 
 class OverspeedLimits(Config):
@@ -17,10 +17,15 @@ class OverspeedLimits(Config):
 
 
 def evaluate(situation: Situation, limits: OverspeedLimits) -> RuleResult:
-    """Emergency stop: drive or bus no longer obey the supervisor."""
-    if situation.vehicle.overspeed_s > limits.debounce_s:
-        return emergency(CODE, "the machine is faster than commanded")
-    return no_objection(CODE)
+    """Emergency stop: drive or bus no longer obey the supervisor, or one of the two speeds is wrong."""
+    if situation.vehicle.overspeed_s <= limits.debounce_s:
+        return no_objection(CODE)
+    machine, odom = situation.machine, situation.inputs.odom
+    if machine is not None and odom is not None:
+        sent_mps, measured_mps = abs(machine.speed_mps), abs(odom.speed_mps)
+        if abs(sent_mps - measured_mps) > 0.5 * situation.config.limits.overspeed_mps:  # at most one can be right
+            return emergency(CONTRADICTED, f"{sent_mps:.1f} m/s on the bus, {measured_mps:.1f} m/s by odometry")
+    return emergency(CODE, "the machine is faster than commanded")
 
 
 RULE = Rule(
@@ -30,5 +35,5 @@ RULE = Rule(
     evaluate=evaluate,
     limits=OverspeedLimits,
     config_keys=("limits.overspeed_mps", "limits.min_slowing_mps2"),
-    texts_zh={CODE: "车速高于指令"},
+    texts_zh={CODE: "车速高于指令", CONTRADICTED: "总线车速与里程计车速不一致"},
 )

@@ -35,6 +35,6 @@ RULE = Rule(
     effect=Effect.FAULT,
     evaluate=evaluate,
     limits=SteeringLimits,
-    config_keys=("limits.curvature_error_radpm", "limits.curvature_delay_s"),
+    config_keys=("limits.curvature_error_radpm", "limits.curvature_delay_s", "limits.curvature_memory_s"),
     texts_zh={NOT_READY: "转向系统未就绪", NOT_FOLLOWING: "转向不跟随指令"},
 )

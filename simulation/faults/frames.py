@@ -51,6 +51,7 @@ class FaultyBus:
         if not kinds:
             self._ready.append(frame)
             return
+        self._injection.faulty_items[PREFIX + message.name] += 1
         group = frame.data[0] if message.is_multiplexed() and frame.data else 0  # each group has its own counter
         key = (frame.arbitration_id << 8 | group, kinds[0])
         if key not in self._streams:

@@ -1,5 +1,6 @@
 """Faults of a run, applied to messages between writer and readers."""
 
+from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
@@ -21,7 +22,7 @@ MAX_AGE_NS = 1_000_000_000  # of topics sent on event
 class FaultInjection:
     """Changes the messages of faulty devices; `now_ns` is the time of the last message.
 
-    As a sink it simulates a full disk.
+    `faulty_items` counts the messages and frames of each faulty device. As a sink it simulates a full disk.
     """
 
     def __init__(self, faults: Iterable[InjectedFault], config: FaultsConfig, start_ns: int, seed: int) -> None:
@@ -32,6 +33,7 @@ class FaultInjection:
         self._later: list[tuple[int, int, Output]] = []
         self._held = 0
         self._topics: tuple[str, ...] = ()
+        self.faulty_items = Counter[str]()
         for fault in faults:
             self.add_fault(fault)
 
@@ -94,6 +96,7 @@ class FaultInjection:
         for written, message in outputs:
             topic = self._swapped(written)
             kinds = [kind for kind in self.active_kinds(topic) if kind is not FaultKind.SWAPPED]
+            self.faulty_items[topic] += bool(kinds)
             for due_ns, changed in (
                 self._stream(topic, kinds[0]).apply(now_ns, message) if kinds else [(now_ns, message)]
             ):

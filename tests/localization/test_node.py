@@ -13,7 +13,7 @@ from localization.graph.smoother import Smoother
 from localization.localizer import Localizer
 from messages.errors import ConfigError
 from messages.faults import Response
-from messages.motion import PositionSource
+from messages.motion import LidarOdometry, PositionSource
 from messages.sensors import GnssSolution
 from tests.localization.harness import Run, configuration, errors, run
 from tests.localization.synthetic_drive import DATUM, START_NS, SensorErrors, drive, tractor
@@ -217,6 +217,18 @@ def test_start_without_fault_unless_a_sensor_stays_silent(topic):
     silent = [f for f in result.faults if f.code.endswith(".silent")]
     assert [f.code for f in silent] == ([] if topic is None else [f"{topic.partition('/')[0]}.silent"])
     assert all(f.stamp_ns < at(1.2) for f in silent)
+
+
+def test_silent_lidar_odometry_is_named():
+    def motion(k):
+        stamp_ns = at(0.1 * k)
+        lost = LidarOdometry(stamp_ns, stamp_ns - 100_000_000, np.eye(4), np.eye(6), False, "degenerate", 0)
+        return stamp_ns + 60_000_000, "lidar_odometry/front", lost
+
+    motions = [motion(k) for k in (*range(10, 40), *range(60, 80))]
+    result = run(sorted([*short_truth().messages, *motions], key=lambda entry: entry[0]), seconds=8)
+    silent = [(round((f.stamp_ns - at(0)) * 1e-9, 1), f.is_active) for f in result.faults if "lidar" in f.code]
+    assert silent == [(5.0, True), (6.1, False)]
 
 
 @pytest.mark.parametrize("hours", [-1, 1])

@@ -3,13 +3,19 @@
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from configs.strict import CONFIGS, load
 from messages.errors import ConfigError
+from messages.message import Envelope
+from messages.truth import TrueMachine
 from runtime.fault_injection.evaluation import Cell, MeasuredReaction, evaluate
+from runtime.fault_injection.situations import DriveMonitor
 from runtime.fault_injection.table import summary, totals
 from simulation.faults.config import Demand, Demanded, FaultKind, FaultsConfig, fault_kinds_of
+from validation.obstacle_stop.conditions import load_conditions
+from validation.obstacle_stop.stopping import on_grade, stopping_distance_m
 
 CONFIG = load(FaultsConfig, CONFIGS / "faults.yaml").campaign
 CELL = Cell("turn", "imu", FaultKind.OFF)
@@ -58,7 +64,10 @@ def test_limit_of_a_demand() -> None:
      ("radar/front", "sign", "continue", False), ("node/health_radar_front", "hangs", "continue", True),
      ("imu", "nan", "stop", True), ("wheel", "sign", "continue", True), ("gnss/main", "drift", "continue", True),
      ("can/CabState", "off", "stop", True), ("can/CabState", "frozen", "continue", False),
-     ("can/HeartbeatTractor", "frozen", "stop", True), ("node/lidar_map", "hangs", "continue", True),
+     ("can/HeartbeatTractor", "frozen", "stop", True), ("node/lidar_map", "hangs", "continue", False),
+     ("node/lidar_map", "raises", "continue", True), ("node/lidar_odometry_front", "hangs", "continue", True),
+     ("can/GuidanceMachineStatus", "frozen", "continue", True), ("can/WheelBasedSpeed", "noisy", "continue", True),
+     ("can/WheelBasedSpeed", "garbage", "stop", True),
      ("node/mission", "hangs", "stop", True), ("clock", "ahead", "stop", True), ("log", "full", "stop", True)],
 )  # fmt: skip
 def test_demand_on_a_used_device(target: str, kind: str, demand: str, is_named: bool) -> None:
@@ -121,6 +130,33 @@ def test_totals() -> None:
     assert (values["named_median_s"], values["named_worst_s"], values["never_named"]) == (0.15, 0.15, ["imu off"])
     assert "1 of 2 demanded stops" in totals(rows)
     assert values["cells"] == 3
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_monitor_of_a_stop_on_a_grade(direction: int) -> None:
+    """Speed gained within the reaction time counts, later speed does not; downhill in the direction of travel."""
+    monitor = DriveMonitor(reaction_s=0.6)
+    T = np.eye(4)
+    T[2, 0] = -0.07 * direction
+    for k in range(31):
+        speed_mps = direction * (2.0 + 0.05 * k)
+        machine = TrueMachine(
+            k * 50_000_000, T.copy(), speed_mps, 0.0, 0.0, 0.0, np.zeros(3), 0.0, 0.0, False, 0, 0
+        )  # fmt: skip
+        monitor(Envelope("truth_machine", k, machine.stamp_ns, machine))
+    assert monitor.fastest_mps == pytest.approx(2.6)
+    assert monitor.steepest == pytest.approx(0.07)
+    monitor.reset()
+    assert (monitor.fastest_mps, monitor.steepest) == (0.0, 0.0)
+
+
+def test_stopping_distance_on_a_grade() -> None:
+    flat = load_conditions(None).braking
+    for uphill in (0.0, -0.07):
+        assert on_grade(flat, uphill) == flat
+    downhill = on_grade(flat, 0.07)
+    assert downhill.deceleration_mps2 == pytest.approx(flat.deceleration_mps2 - 0.686, abs=1e-3)
+    assert stopping_distance_m(2.5, 0.6, downhill) > 1.1 * stopping_distance_m(2.5, 0.6, flat)
 
 
 def test_every_demand_is_the_first_for_some_fault() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from configs.strict import parse, read_yaml
 from messages.errors import ConfigError
+from messages.topics import TOPICS
 from safety.supervisor_config import SupervisorConfig
 from tests.safety.safety_world import ROOT
 
@@ -55,3 +56,13 @@ def test_no_value_has_a_default(path: tuple[str, ...]) -> None:
 def test_error_names_the_key(path: tuple[str, ...], bad: Any) -> None:
     with pytest.raises(ConfigError, match=path[-1]):
         parse(SupervisorConfig, changed(path, bad), "stack/safety.yaml")
+
+
+def test_what_is_lost_is_noticed_within_the_reaction_time() -> None:
+    """The brake's dead time and the longest wait for what stops the machine are within τ."""
+    config = parse(SupervisorConfig, values(), "stack/safety.yaml")
+    decision_s = config.braking.reaction_s - config.braking.dead_time_s + 1e-9
+    own = ("lidar", "imu", "wheel", "machine", "odom", "control_command", "supervisor", "order_status")
+    assert [kind for kind in own if TOPICS[kind].max_age_s > decision_s] == []
+    assert config.limits.max_group_age_s <= decision_s
+    assert TOPICS["lidar"].period_s + config.lidar_agreement.hold_s <= decision_s

@@ -153,9 +153,9 @@ def test_message_timeout(config: SupervisorConfig) -> None:
 @pytest.mark.parametrize("group", ["heartbeat", "motion", "steering", "cab"])
 @clause("BD-5.5.1a", "BD-5.5.2d", rule="message_timeout")
 def test_timeout_of_a_machine_state_group(config: SupervisorConfig, group: str) -> None:
-    for age_ms in around(350, 1):
+    for age_ms in around(300, 1):
         changes = {f"{group}_stamp_ns": START_NS - round(age_ms * 1e6)}
-        expected = (STOP, f"machine.{group}.silent") if age_ms > 350 else (NONE, "message_timeout")
+        expected = (STOP, f"machine.{group}.silent") if age_ms > 300 else (NONE, "message_timeout")
         assert ask("message_timeout", config, **with_machine(**changes))[:2] == expected, age_ms
 
 
@@ -199,7 +199,15 @@ def test_brake(config: SupervisorConfig) -> None:
 @clause("BD-5.2.5a", rule="overspeed")
 def test_overspeed(config: SupervisorConfig) -> None:
     for held in around(0.1, 0.02):
-        assert ask("overspeed", config, overspeed_s=held)[:2] == (EMERGENCY if held > 0.1 else NONE, "overspeed"), held
+        changes = {"overspeed_s": held, **with_machine(speed_mps=2.0)}
+        assert ask("overspeed", config, **changes)[:2] == (EMERGENCY if held > 0.1 else NONE, "overspeed"), held
+    for difference in around(0.25, 0.01):
+        for sign in (1, -1):
+            changes = {"overspeed_s": 0.2, **with_machine(speed_mps=2.0 + sign * difference)}
+            code = "speeds.contradicted" if difference > 0.25 else "overspeed"
+            assert ask("overspeed", config, **changes)[:2] == (EMERGENCY, code), difference
+    for missing in ({"machine": None}, {"odom": None}):
+        assert ask("overspeed", config, overspeed_s=0.2, **missing)[:2] == (EMERGENCY, "overspeed")
 
 
 @clause("BD-5.3d", "BD-5.2.6a", rule="localization")

@@ -112,7 +112,8 @@ def test_driver_override_duration(bench: Bench) -> None:
 
 def test_steering_deviation(bench: Bench) -> None:
     for error in around(0.04, 0.001):
-        bench.show(machine={"curvature_radpm": 0.0})
+        bench.show(mode=Mode.STANDBY)
+        bench.show(mode=Mode.AUTOMATIC, machine={"curvature_radpm": 0.0})
         bench.show(machine={"curvature_radpm": error})
         assert (bench.show(0.5).steering_deviation_s > 0.0) == (error > 0.04), error
     assert bench.show(machine={"curvature_radpm": -0.1}).steering_deviation_s > 0.5
@@ -120,7 +121,19 @@ def test_steering_deviation(bench: Bench) -> None:
     assert bench.show(mode=Mode.STANDBY).steering_deviation_s == 0.0
     bench.show(mode=Mode.AUTOMATIC, machine={"curvature_radpm": math.nan})
     assert bench.show(1.0).steering_deviation_s == 1.0
-    assert bench.show(machine=None).steering_deviation_s == 0.0
+    assert bench.show(machine=None).steering_deviation_s > 0.0
+    assert bench.show(2.1).steering_deviation_s == 0.0
+
+
+def test_interrupted_steering_deviation(bench: Bench) -> None:
+    """Noise on the angle deviates from time to time; a single wrong value is forgotten."""
+    for _ in range(5):
+        bench.show(0.2, machine={"curvature_radpm": 0.0})
+        bench.show(0.2, machine={"curvature_radpm": 0.1})
+    assert bench.show(0.1, machine={"curvature_radpm": 0.0}).steering_deviation_s == pytest.approx(0.9)
+    assert bench.show(2.1).steering_deviation_s == 0.0
+    bench.show(-0.5, machine={"curvature_radpm": 0.1})
+    assert bench.show(0.1).steering_deviation_s == pytest.approx(0.1)
 
 
 def test_steering_delay(bench: Bench) -> None:

@@ -230,6 +230,7 @@ def test_frame_faults_only_in_interval(name: str, kind: FaultKind) -> None:
         rig.close()
     after = rig.received[4:]
     assert len(after) == {FaultKind.OFF: 0, FaultKind.DELAYED: 14, FaultKind.SLOW: 3}.get(kind, 20)
+    assert rig.injection.faulty_items == {f"can/{name}": 20}
     if kind is FaultKind.NAN and name != "HeartbeatTractor":
         fresh = {"WheelBasedSpeed": rig.receiver.motion_ns, "GuidanceMachineStatus": rig.receiver.steering_ns,
                  "RearHitchStatus": rig.receiver.hitch_ns, "RearPtoStatus": rig.receiver.pto_ns,

@@ -4,6 +4,8 @@ import math
 
 from validation.obstacle_stop.conditions import BrakingValues
 
+GRAVITY_MPS2 = 9.80665
+
 
 def stopping_distance_m(speed_mps: float, reaction_s: float, braking: BrakingValues) -> float:
     """S (m) at a speed, with `reaction_s` until the brake begins to act."""
@@ -11,6 +13,12 @@ def stopping_distance_m(speed_mps: float, reaction_s: float, braking: BrakingVal
     if v < 0.5 * a * t_b:
         return v * reaction_s + (2.0 / 3.0) * v * math.sqrt(2.0 * v * t_b / a)
     return v * reaction_s + v * t_b - a * t_b**2 / 6.0 + (v - 0.5 * a * t_b) ** 2 / (2.0 * a)
+
+
+def on_grade(braking: BrakingValues, downhill: float) -> BrakingValues:
+    """Braking where the ground falls by the sine `downhill` in the direction of travel; uphill adds nothing."""
+    a_mps2 = braking.deceleration_mps2 - GRAVITY_MPS2 * max(0.0, downhill)
+    return BrakingValues.model_validate(braking.model_dump() | {"deceleration_mps2": a_mps2})
 
 
 def safe_speed_mps(range_m: float, factor: float, braking: BrakingValues) -> float:
