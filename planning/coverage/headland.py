@@ -1,11 +1,11 @@
 """Headland passes: closed paths along the field edge, displaced inwards where a body would leave the field.
 
 A pass starts as the field outline moved inwards, with all corners rounded to the turning radius, and is displaced by no
-more than the bodies need (`pass_shape.py`). Where that fails the pass is cut: what remains are open passes. With
+more than the bodies need (`pass_shape.py`). Where that fails the pass is cut: what remains are open passes. Parts of
+the field too narrow for a closed pass have open ones along their edges, driven in either direction. With
 reversing a rounded corner is filled: the rig reverses straight into it from behind its arc, and works out of it again.
 """
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,16 +20,15 @@ from geometry.polyline import arc_length, curvatures, headings, resample, smooth
 from geometry.rectangle import Rectangle
 from planning.coverage.pass_shape import STEP_M, displaced, is_undrivable
 from planning.field.drivable_area import DrivableArea
-from planning.rig import Rig
+from planning.rig import Rig, corner_reach_m
 from planning.turns.free_space import FreeSpace
 
 MIN_RING_M2 = 1.0
 ROUNDING = (1.0, 1.3)  # of the turning radius; with the larger one passes end farther from the end of a narrow part
 MIN_OPEN_M = 8.0
-OPEN_COUNT = 1
 NEAR_WIDTHS = 0.3  # of another pass
-SLIM = 0.5
-SHARP = 2.0
+SLIM = 0.5  # of the bodies: where they are not free either, a line is cut before it is displaced
+SHARP = 2.0  # of the curvature of the turning radius: a line is cut in such a corner
 STRAIGHT_RADPM, MAX_JOINT_RADPM = 0.004, 0.03
 MIN_FILL_RAD = 0.7
 MAX_FILL_RAD = 2.6
@@ -54,7 +53,7 @@ class CornerFill:
 class HeadlandPass:
     """Path of `base` in driving order, points 0.1 m apart; a closed one repeats its first point at the end.
 
-    `number` counts from the edge, from 0.
+    `number` counts from the edge, from 0. One that `is_two_way` is drivable in the opposite direction too.
     """
 
     number: int
@@ -77,10 +76,9 @@ def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: 
     found: list[HeadlandPass] = []
     for k in range(count):
         shape = shrink(drivable.free, depth_m(drivable, rig, overlap_m, k))
-        closed = [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, space, rig, k)]
-        found += closed
-        if k < OPEN_COUNT:
-            found += _passes_beside(shape, closed, space, rig, k)
+        found += [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, space, rig, k)]
+        if k == 0:
+            found += _passes_beside(shape, found, space, rig)
     if rig.has_reverse:
         found = _all_filled(found, drivable, space, rig)
     return sorted(found, key=lambda r: (r.is_around_obstacle, r.number))
@@ -144,29 +142,35 @@ def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[H
     return best[1]
 
 
-def _passes_beside(
-    shape: BaseGeometry, others: list[HeadlandPass], space: FreeSpace, rig: Rig, number: int
-) -> list[HeadlandPass]:
-    """Open passes along the outline of a shape where `others` are not: in parts too narrow to turn in."""
+def _passes_beside(shape: BaseGeometry, others: list[HeadlandPass], space: FreeSpace, rig: Rig) -> list[HeadlandPass]:
+    """Open passes along the outline of a shape where `others` are not: in parts too narrow for them.
+
+    They are drivable in both directions. Their ends are far enough from the edges for a turn.
+    """
     taken = shapely.union_all([LineString(r.points_m).buffer(NEAR_WIDTHS * rig.working_width_m) for r in others])
     shapely.prepare(taken)
-    gap_m = rig.config.stop_gap_m
-    both = replace(space, bodies=tuple(
-        Rectangle(rear - gap_m, front + gap_m, b.width_m) for b in space.bodies for rear, front in ((b.rear_m, b.front_m), (-b.front_m, -b.rear_m))))
-    swing = max(math.hypot(rig.radius_m + b.half_width_m, max(-b.rear_m, b.front_m)) for b in space.bodies) - rig.radius_m - rig.width_m / 2.0
     slim = replace(space, bodies=tuple(replace(b, width_m=SLIM * b.width_m) for b in space.bodies))
+    both, swing_m = _both_ways(space, rig.config.stop_gap_m), corner_reach_m(rig) - rig.radius_m - rig.width_m / 2.0
     found = list[HeadlandPass]()
     for part in parts(close_by(shape, rig.radius_m).simplify(ARC_ERROR_M), MIN_RING_M2):
         for k, ring in enumerate(ring_points(part)):
             line = smooth(resample(ring, STEP_M), rig.config.smoothing_m, is_closed=True)
             heading = headings(line, is_closed=True)
-            bend = np.abs(curvatures(heading, arc_length(line)))
-            is_kept = ~(shapely.contains_xy(taken, *line.T) | slim.touching(line, heading)) & (bend < SHARP / rig.radius_m)
-            for run in _runs(is_kept, True):
+            is_out = shapely.contains_xy(taken, *line.T) | slim.touching(line, heading)
+            is_sharp = np.abs(curvatures(heading, arc_length(line))) > SHARP / rig.radius_m
+            for run in _runs(~(is_out | is_sharp), True):
                 if len(run) > MIN_OPEN_M / STEP_M:
-                    points, heading = displaced(line[run], both, swing)
-                    found += _cut(HeadlandPass(number, points, heading, k > 0, False, is_two_way=True), is_undrivable(points, heading, both))
+                    points, heading = displaced(line[run], both, swing_m)
+                    open_pass = HeadlandPass(0, points, heading, k > 0, False, is_two_way=True)
+                    found += _cut(open_pass, is_undrivable(points, heading, both))
     return found
+
+
+def _both_ways(space: FreeSpace, gap_m: float) -> FreeSpace:
+    """Free space of the bodies in both directions on a line, and `gap_m` ahead and behind."""
+    ends = [((b.rear_m, b.front_m), (-b.front_m, -b.rear_m)) for b in space.bodies]
+    bodies = [Rectangle(r - gap_m, f + gap_m, b.width_m) for b, e in zip(space.bodies, ends, strict=True) for r, f in e]
+    return replace(space, bodies=tuple(bodies))
 
 
 def _straight_on(space: FreeSpace, run_out_m: float) -> FreeSpace:
@@ -188,7 +192,7 @@ def _cut(ring: HeadlandPass, outside: Bool) -> list[HeadlandPass]:
 
 
 def _runs(is_kept: Bool, is_closed: bool) -> list[Int64]:
-    """Indices of each run of kept points of a line, those of a closed one around its end; it repeats its first point."""
+    """Indices of each run of kept points of a line; of a closed one, which repeats its first point, around its end."""
     if not is_closed or is_kept.all():
         return [np.arange(a, b + 1) for a, b in runs_of(is_kept)]
     n = len(is_kept) - 1

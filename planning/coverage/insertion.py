@@ -147,9 +147,9 @@ def _reached(
     is_thorough: bool = False,
 ) -> Stop | None:  # fmt: skip
     pose, behind_m = tour.place(at)
-    ends, length_m = line.ends(is_reversed), line.straight_m(is_reversed)
-    assert ends is not None
-    request = connector.request(ends[1], pose, length_m) if is_inwards else connector.request(pose, ends[0], behind_m, length_m)
+    (first, last), length_m = _ends(line, is_reversed), line.straight_m(is_reversed)
+    onto, off = connector.request(pose, first, behind_m, length_m), connector.request(last, pose, length_m)
+    request = off if is_inwards else onto
     way = connector.find(request) if is_thorough else connector.turn(request)
     return None if way is None else Stop(line, is_reversed, way, is_inwards=is_inwards)
 

@@ -23,7 +23,7 @@ from planning.turns.free_space import CELL_M, FreeSpace, edge_grid, edges_of
 STEP_M = 0.1
 KNOT = 5  # points of the base line between two knots, 0.5 m
 ROUNDS, PATIENCE = 24, 5  # at most, and without progress
-BEYOND, ENDS = 3, 9  # knots by which an open line is prolonged, and of its ends
+BEYOND, ENDS = 12, 6  # knots by which an open line is prolonged, for the way back to it, and of each of its ends
 WINDOW = 40  # knots before and after a place without clearance: a pass leaves an edge slowly
 NEAR_M = 0.8  # clearance beyond it is not constrained
 SLACK_M = 0.002  # clearance asked for, doubled at places still outside: between knots a body may be nearer
@@ -67,7 +67,7 @@ def displaced(line_m: Float64, space: FreeSpace, ends_m: float | None = None) ->
     is_inner, is_end = np.ones(size, np.bool_), np.zeros(size, np.bool_)
     if ends_m is not None:
         is_inner[:BEYOND] = is_inner[-BEYOND:] = False
-        is_end[:ENDS] = is_end[-ENDS:] = True
+        is_end[BEYOND : BEYOND + ENDS] = is_end[-BEYOND - ENDS : -BEYOND] = True
         slack_m[is_end] = ends_m
     near = _Surroundings(space)
     best, best_round = (size + 1, points, heading), 0
@@ -79,7 +79,7 @@ def displaced(line_m: Float64, space: FreeSpace, ends_m: float | None = None) ->
             best, best_round = (wrong, points, heading), number
         if (wrong == 0 and (is_closed or number > 0)) or number - best_round > PATIENCE:
             break
-        contacts = near.contacts(points[:-1:KNOT], heading[:-1:KNOT])
+        contacts = near.contacts(points[:-1:KNOT], heading[:-1:KNOT], is_inner)
         s = arc_length(points)
         bend, step_m = curvatures(heading, s)[:-1:KNOT], KNOT * np.gradient(s)[:-1:KNOT]
         is_wrong = is_out | is_bent | (is_end & (number == 0))
@@ -133,11 +133,14 @@ class _Surroundings:
         self._space = space
         self._grid = edge_grid(edges_of(space.allowed), space.reach_m + NEAR_M)
 
-    def contacts(self, p_map_m: Float64, heading_rad: Float64) -> _Contacts:
-        """Contacts of the corners of each body with edges, and of its sides with the nearest vertex."""
+    def contacts(self, p_map_m: Float64, heading_rad: Float64, is_used: Bool) -> _Contacts:
+        """Contacts of the corners of each body with edges, and of its sides with the nearest vertex, at knots used."""
+        used = np.flatnonzero(is_used)
+        p_map_m, heading_rad = p_map_m[used], heading_rad[used]
         found = [self._of_corners(body.corners_m, p_map_m, heading_rad) for body in self._space.bodies]
         found += [self._of_sides(body, p_map_m, heading_rad) for body in self._space.bodies]
-        return _Contacts(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        knot, *columns = (np.concatenate(column) for column in zip(*found, strict=True))
+        return _Contacts(used[knot], *columns)
 
     def _of_corners(
         self, corners_m: Float64, p_map_m: Float64, heading_rad: Float64

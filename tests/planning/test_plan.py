@@ -231,6 +231,21 @@ def test_dead_end(
     assert plan.planned_area.intersection(arm).area > 0.7 * arm.area
 
 
+def test_bent_strip_too_narrow_for_a_closed_pass(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """Open passes follow both sides, which swaths would leave bare beside the bends."""
+    middle = LineString([(60, 20), (20, 20), (-40, 28), (-95, 45), (-140, 70)])
+    boundary = tuple(shapely.get_coordinates(middle.buffer(6.5, cap_style="flat").exterior)[:-1].tolist())
+    narrow = harrow.model_copy(update={"working_width_m": 3.0, "width_m": 3.0})
+    work = mission.work.model_copy(update={"turns": "reverse"})
+    outline = FieldOutline("strip", site.datum, Polygon(boundary))
+    plan = plan_field(site_within(outline, vehicle, narrow, work), vehicle, narrow, work, planning.planner, 0)
+    assert plan.planned_share > 0.94
+    open_passes = [p for p in plan.headland_passes if p.is_two_way]
+    assert sum(len(p.points_m) for p in open_passes) > 2000
+
+
 def test_two_parts_joined_by_a_narrow_way(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
@@ -244,13 +259,17 @@ def test_two_parts_joined_by_a_narrow_way(
     assert driven == {s.number for s in plan.swaths}
 
 
-def test_excursion_ends_where_it_began() -> None:
-    way = Connection((straight(Pose2(0, 0, 0), Pose2(8, 0, 0)),), 5.0)
-    line = WorkLine(PathSectionType.SWATH, 3, (straight(Pose2(8, 0, 0), Pose2(20, 0, 0)), None), Swath(3, None, None))
-    tour = Tour(Pose2(0, 0, 0), [Stop(line, False, way, is_excursion=True)])
+@pytest.mark.parametrize("is_inwards", [False, True])
+def test_excursion_ends_where_it_began(is_inwards: bool) -> None:
+    """Works and reverses out, or reverses in and works out, along the same way."""
+    start, near, far = (Pose2(x, 0, math.pi if is_inwards else 0.0) for x in (0, 8, 20))
+    way = Connection((straight(near, start) if is_inwards else straight(start, near),), 5.0)
+    leg = straight(far, near) if is_inwards else straight(near, far)
+    line = WorkLine(PathSectionType.SWATH, 3, (leg, None), Swath(3, None, None))
+    tour = Tour(start, [Stop(line, False, way, is_excursion=True, is_inwards=is_inwards)])
     legs = [piece.leg for piece in tour.pieces]
-    assert [leg.direction for leg in legs] == [1, 1, -1, -1]
-    assert [piece.is_working for piece in tour.pieces] == [False, True, False, False]
+    assert [leg.direction for leg in legs] == ([-1, -1, 1, 1] if is_inwards else [1, 1, -1, -1])
+    assert [piece.is_working for piece in tour.pieces] == [False, not is_inwards, is_inwards, False]
     assert legs[-1].pose(-1) == legs[0].pose(0) == tour.place(1)[0]
     for a, b in pairwise(legs):
         assert a.pose(-1) == pytest.approx(b.pose(0))
