@@ -66,8 +66,8 @@ def displaced(line_m: Float64, space: FreeSpace, ends_m: float | None = None) ->
     limit_radpm = np.full(size, 1.0 / space.radius_m)
     is_inner, is_end = np.ones(size, np.bool_), np.zeros(size, np.bool_)
     if ends_m is not None:
-        is_inner[:BEYOND] = is_inner[-BEYOND:] = False
-        is_end[BEYOND : BEYOND + ENDS] = is_end[-BEYOND - ENDS : -BEYOND] = True
+        is_inner[:BEYOND] = is_inner[-BEYOND + 1 :] = False
+        is_end[BEYOND : BEYOND + ENDS] = is_end[-BEYOND - ENDS + 1 : -BEYOND + 1] = True
         slack_m[is_end] = ends_m
     near = _Surroundings(space)
     best, best_round = (size + 1, points, heading), 0
