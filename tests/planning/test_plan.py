@@ -24,7 +24,7 @@ from planning.drawing import draw_plan
 from planning.export.geojson import plan_to_geojson
 from planning.field.field import FieldOutline
 from planning.field.site_generation import site_of, site_within
-from planning.plan import NARROW_PASSAGE, Plan, plan_field
+from planning.plan import NARROW_PART, NARROW_PASSAGE, Plan, plan_field
 from planning.turns.free_space import FreeSpace
 from planning.turns.sampling import sampled_connection
 from planning.turns.search import Connection, ConnectionRequest, straight
@@ -244,6 +244,18 @@ def test_bent_strip_too_narrow_for_a_closed_pass(
     assert plan.planned_share > 0.94
     open_passes = [p for p in plan.headland_passes if p.is_two_way]
     assert sum(len(p.points_m) for p in open_passes) > 2000
+
+
+def test_tail_narrower_than_the_rig(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    tail = box(60, 20, 80, 24.5)
+    field = as_polygon(shapely.union_all([box(0, 0, 60, 45), tail]))
+    plan = plan_field(
+        site_within(FieldOutline("tail", site.datum, field), vehicle, harrow, mission.work), vehicle, harrow,
+        mission.work, planning.planner, 0,
+    )  # fmt: skip
+    assert plan.uncovered_m2[NARROW_PART] == pytest.approx(tail.area, rel=0.1)
 
 
 def test_two_parts_joined_by_a_narrow_way(
