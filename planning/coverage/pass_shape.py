@@ -75,9 +75,10 @@ def displaced(line_m: Float64, space: FreeSpace, ends_m: float | None = None) ->
         is_out = _near_knots(_is_out(points, heading, space)) & is_inner
         is_bent = _near_knots(_is_too_bent(points, heading, space)) & is_inner
         wrong = int((is_out | is_bent).sum())
-        if wrong < best[0]:
+        is_shaped = is_closed or number > 0  # an open line first leaves the edge at its ends
+        if wrong < best[0] and is_shaped:
             best, best_round = (wrong, points, heading), number
-        if (wrong == 0 and (is_closed or number > 0)) or number - best_round > PATIENCE:
+        if (wrong == 0 and is_shaped) or number - best_round > PATIENCE:
             break
         contacts = near.contacts(points[:-1:KNOT], heading[:-1:KNOT], is_inner)
         s = arc_length(points)
