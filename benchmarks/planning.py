@@ -37,7 +37,7 @@ from planning.config import PlanningConfig
 from planning.drawing import draw_plan
 from planning.field.field import FieldOutline
 from planning.field.site_generation import site_within
-from planning.plan import plan_field
+from planning.plan import NARROW_PART, plan_field
 
 LEAST_PLANNED_SHARE = 0.95
 WALL = 30.0  # wall time to processor time that is waited
@@ -94,7 +94,8 @@ def run(case: Case, picture: Path | None) -> dict[str, Any]:
     found = check(paths, polygon, free, vehicle, implement)
     return {
         "state": "planned" if plan.planned_share >= LEAST_PLANNED_SHARE else "below share",
-        "share": plan.planned_share, "coverage": found.coverage, "outside_m": found.outside_m, "gap_m": found.gap_m,
+        "share": plan.planned_share, "narrow_share": plan.uncovered_m2.get(NARROW_PART, 0.0) / plan.field_area_m2,
+        "coverage": found.coverage, "outside_m": found.outside_m, "gap_m": found.gap_m,
         "curvature_radpm": found.curvature_radpm, "length_m": found.length_m, "working_m": found.working_m,
         "reverse_m": found.reverse_m, "cusps": found.cusps, "cpu_s": cpu_s,
         "time_s": sum(float((np.diff(p.s_m) / np.maximum(p.speed_mps[:-1], 0.05)).sum()) for p in paths),

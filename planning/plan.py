@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from shapely.geometry import Polygon
+from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from configs.mission import Line, Mission, Work
@@ -13,7 +13,7 @@ from configs.site import PoseConfig, Site
 from configs.vehicle import Implement, Vehicle
 from geometry.arrays import runs_of
 from geometry.footprint import corners_of, worked
-from geometry.polygon import parts, place_of, shrink
+from geometry.polygon import grow, open_by, parts, place_of, shrink
 from messages.errors import FieldError
 from messages.plan import Path
 from planning.config import PlannerConfig, PlanningConfig
@@ -33,7 +33,10 @@ PROOF_SLACK_M = 0.005  # margin added in planning over the one verified
 MIN_UNCOVERED_M2 = 0.25
 Report = Callable[[str], object]
 EDGE_MARGIN, TIGHT_CORNER = "edge margin", "corner too tight to turn in"  # reasons of uncovered areas
+NARROW_PART = "narrower than the rig"
 NARROW_PASSAGE = "behind a passage narrower than the rig"
+NARROW_SLACK_M = 0.05
+NARROW_SQUARES = 0.25  # of the squared width: smaller parts that no disc as wide as the rig reaches are corners
 
 
 def ignore(stage: str) -> None:
@@ -225,10 +228,19 @@ def _uncovered(
     free = shapely.union_all([r.free for r in regions if r is regions[0] or r.free.intersects(area)])
     rim = free.difference(shrink(free, complete.margin_m + rig.width_m - rig.working_width_m + 0.1))
     missed = free.difference(area)
+    narrow = narrow_parts(free, complete.margin_m, rig.width_m)
+    elsewhere = missed.difference(narrow)
     shapes = {
-        EDGE_MARGIN: missed.intersection(rim),
-        TIGHT_CORNER: missed.difference(rim),
+        EDGE_MARGIN: elsewhere.intersection(rim),
+        TIGHT_CORNER: elsewhere.difference(rim),
+        NARROW_PART: missed.intersection(narrow),
         NARROW_PASSAGE: complete.free.difference(free).difference(area),
     }
     found = [(reason, p) for reason, shape in shapes.items() for p in parts(shape, MIN_UNCOVERED_M2)]
     return tuple(Uncovered(reason, p.area, place_of(p), p) for reason, p in found)
+
+
+def narrow_parts(free: BaseGeometry, margin_m: float, width_m: float) -> BaseGeometry:
+    """Parts of an area, less its margin, that are narrower than `width_m`; corners are none."""
+    beyond = free.difference(grow(open_by(shrink(free, margin_m), width_m / 2.0), margin_m + NARROW_SLACK_M))
+    return MultiPolygon(parts(beyond, NARROW_SQUARES * width_m**2))

@@ -1,7 +1,8 @@
 """Headland passes: closed paths along the field edge, displaced inwards where a body would leave the field.
 
 A pass starts as the field outline moved inwards, with all corners rounded to the turning radius, and is displaced by no
-more than the bodies need (`pass_shape.py`). Where that fails the pass is cut: what remains are open passes. With
+more than the bodies need (`pass_shape.py`). Where that fails the pass is cut: what remains are open passes. Parts of
+the field too narrow for a closed pass have open ones along their edges, driven in either direction. With
 reversing a rounded corner is filled: the rig reverses straight into it from behind its arc, and works out of it again.
 """
 
@@ -9,21 +10,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from shapely.geometry import Polygon
+from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geometry.arrays import Bool, Float64, Int64
+from geometry.arrays import Bool, Float64, Int64, runs_of
 from geometry.footprint import worked
-from geometry.polygon import parts, ring_points, rounded, shrink
-from geometry.polyline import arc_length, curvatures, resample, smooth
+from geometry.polygon import ARC_ERROR_M, close_by, parts, ring_points, rounded, shrink
+from geometry.polyline import arc_length, curvatures, headings, resample, smooth
+from geometry.rectangle import Rectangle
 from planning.coverage.pass_shape import STEP_M, displaced, is_undrivable
 from planning.field.drivable_area import DrivableArea
-from planning.rig import Rig
+from planning.rig import Rig, corner_reach_m
 from planning.turns.free_space import FreeSpace
 
 MIN_RING_M2 = 1.0
 ROUNDING = (1.0, 1.3)  # of the turning radius; with the larger one passes end farther from the end of a narrow part
 MIN_OPEN_M = 8.0
+NEAR_WIDTHS = 0.3  # of another pass
+SLIM = 0.5  # of the bodies: where they are not free either, a line is cut before it is displaced
+SHARP = 2.0  # of the curvature of the turning radius: a line is cut in such a corner
 STRAIGHT_RADPM, MAX_JOINT_RADPM = 0.004, 0.03
 MIN_FILL_RAD = 0.7
 MAX_FILL_RAD = 2.6
@@ -48,7 +53,7 @@ class CornerFill:
 class HeadlandPass:
     """Path of `base` in driving order, points 0.1 m apart; a closed one repeats its first point at the end.
 
-    `number` counts from the edge, from 0.
+    `number` counts from the edge, from 0. One that `is_two_way` is drivable in the opposite direction too.
     """
 
     number: int
@@ -57,6 +62,7 @@ class HeadlandPass:
     is_around_obstacle: bool
     is_closed: bool
     fills: tuple[CornerFill, ...] = ()
+    is_two_way: bool = False
 
     @property
     def curvature_radpm(self) -> Float64:
@@ -71,6 +77,8 @@ def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: 
     for k in range(count):
         shape = shrink(drivable.free, depth_m(drivable, rig, overlap_m, k))
         found += [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, space, rig, k)]
+        if k == 0:
+            found += _passes_beside(shape, found, space, rig)
     if rig.has_reverse:
         found = _all_filled(found, drivable, space, rig)
     return sorted(found, key=lambda r: (r.is_around_obstacle, r.number))
@@ -134,26 +142,62 @@ def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[H
     return best[1]
 
 
+def _passes_beside(shape: BaseGeometry, others: list[HeadlandPass], space: FreeSpace, rig: Rig) -> list[HeadlandPass]:
+    """Open passes along the outline of a shape where `others` are not: in parts too narrow for them.
+
+    They are drivable in both directions. Their ends are far enough from the edges for a turn.
+    """
+    taken = shapely.union_all([LineString(r.points_m).buffer(NEAR_WIDTHS * rig.working_width_m) for r in others])
+    shapely.prepare(taken)
+    slim = replace(space, bodies=tuple(replace(b, width_m=SLIM * b.width_m) for b in space.bodies))
+    both, swing_m = _both_ways(space, rig.config.stop_gap_m), corner_reach_m(rig) - rig.radius_m - rig.width_m / 2.0
+    found = list[HeadlandPass]()
+    for part in parts(close_by(shape, rig.radius_m).simplify(ARC_ERROR_M), MIN_RING_M2):
+        for k, ring in enumerate(ring_points(part)):
+            line = smooth(resample(ring, STEP_M), rig.config.smoothing_m, is_closed=True)
+            heading = headings(line, is_closed=True)
+            is_out = shapely.contains_xy(taken, *line.T) | slim.touching(line, heading)
+            is_sharp = np.abs(curvatures(heading, arc_length(line))) > SHARP / rig.radius_m
+            for run in _runs(~(is_out | is_sharp), True):
+                if len(run) > MIN_OPEN_M / STEP_M:
+                    points, heading = displaced(line[run], both, swing_m)
+                    open_pass = HeadlandPass(0, points, heading, k > 0, False, is_two_way=True)
+                    found += _cut(open_pass, is_undrivable(points, heading, both))
+    return found
+
+
+def _both_ways(space: FreeSpace, gap_m: float) -> FreeSpace:
+    """Free space of the bodies in both directions on a line, and `gap_m` ahead and behind."""
+    ends = [((b.rear_m, b.front_m), (-b.front_m, -b.rear_m)) for b in space.bodies]
+    bodies = [Rectangle(r - gap_m, f + gap_m, b.width_m) for b, e in zip(space.bodies, ends, strict=True) for r, f in e]
+    return replace(space, bodies=tuple(bodies))
+
+
 def _straight_on(space: FreeSpace, run_out_m: float) -> FreeSpace:
     """Free space of bodies that reach `run_out_m` ahead: a pass around an obstacle can be left straight on."""
     return replace(space, bodies=tuple(replace(b, front_m=max(b.front_m, run_out_m)) for b in space.bodies))
 
 
 def _cut(ring: HeadlandPass, outside: Bool) -> list[HeadlandPass]:
-    """The drivable parts of a closed pass."""
-    if not outside.any():
+    """The drivable parts of a pass."""
+    if ring.is_closed and not outside.any():
         return [ring]
-    n = len(outside) - 1
-    first = int(np.argmax(outside[:-1]))
-    order = (first + np.arange(n)) % n
-    runs = np.split(order, np.flatnonzero(np.diff(outside[order].astype(int))) + 1)
     least, bend = int(MIN_OPEN_M / STEP_M), np.abs(ring.curvature_radpm)
-    kept = [_trimmed(run, bend[run] < MAX_JOINT_RADPM) for run in runs if not outside[run[0]]]
-    kept = [run for run in kept if len(run) > least]
+    kept = [_trimmed(run, bend[run] < MAX_JOINT_RADPM) for run in _runs(~outside, ring.is_closed)]
     return [
-        HeadlandPass(ring.number, ring.points_m[run], np.unwrap(ring.heading_rad[run]), ring.is_around_obstacle, False)
+        replace(ring, points_m=ring.points_m[run], heading_rad=np.unwrap(ring.heading_rad[run]), is_closed=False)
         for run in kept
+        if len(run) > least
     ]
+
+
+def _runs(is_kept: Bool, is_closed: bool) -> list[Int64]:
+    """Indices of each run of kept points of a line; of a closed one, which repeats its first point, around its end."""
+    if not is_closed or is_kept.all():
+        return [np.arange(a, b + 1) for a, b in runs_of(is_kept)]
+    n = len(is_kept) - 1
+    first = int(np.argmin(is_kept[:-1]))
+    return [(first + np.arange(a, b + 1)) % n for a, b in runs_of(np.roll(is_kept[:-1], -first))]
 
 
 def _trimmed(run: Int64, is_level: Bool) -> Int64:

@@ -1,7 +1,7 @@
 """Lines that a tour left out, put into it where a turn leads to them.
 
 A line goes between two lines of the tour where it costs least. With reversing, one that cannot be left forwards is an
-excursion: the rig works it and reverses over it and over the turn that led to it.
+excursion: the rig works it and reverses over it and over the turn that led to it, or reverses into it and works out.
 """
 
 from collections.abc import Sequence
@@ -21,12 +21,16 @@ TRIED_ALONG, MIN_ALONG_M = 3, 10.0  # to which a way along the headland passes i
 
 @dataclass(frozen=True)
 class Stop:
-    """A line of a tour in one direction with the way to it; after an excursion the rig is where that way began."""
+    """A line of a tour in one direction with the way to it; after an excursion the rig is where that way began.
+
+    Of an excursion `is_inwards` the way leads from the line to where the rig was before.
+    """
 
     line: WorkLine
     is_reversed: bool
     way: Connection
     is_excursion: bool = False
+    is_inwards: bool = False
 
     @property
     def leg(self) -> Leg:
@@ -39,11 +43,13 @@ class Stop:
     def pieces(self) -> list[RoutePiece]:
         """Way and line, and the way back of an excursion."""
         line, way = self.line, self.way.legs
-        back = [backwards(leg) for leg in (*way, self.leg)][::-1] if self.is_excursion else []
-        return [
-            *turn_pieces(self.way, line.number), RoutePiece(line.section_type, line.number, self.leg, True),
-            *turn_pieces(Connection(tuple(back), 0.0), line.number),
-        ]  # fmt: skip
+        work = RoutePiece(line.section_type, line.number, self.leg, True)
+        back = [backwards(leg) for leg in ((self.leg, *way) if self.is_inwards else (*way, self.leg))][::-1]
+        before, after = (back, way) if self.is_inwards else (way, back if self.is_excursion else ())
+        return [*self._turns(before), work, *self._turns(after)]
+
+    def _turns(self, legs: Sequence[Leg]) -> list[RoutePiece]:
+        return turn_pieces(Connection(tuple(legs), 0.0), self.line.number)
 
 
 @dataclass(frozen=True)
@@ -120,16 +126,16 @@ def _between(connector: PathConnector, tour: Tour, home: Pose2 | None, line: Wor
 
 
 def _excursion(connector: PathConnector, tour: Tour, line: WorkLine) -> Tour | None:
-    """The tour with a line that is left the way it was reached."""
+    """The tour with a line that is left the way it was reached, forwards out of it or into it."""
     if not connector.rig.has_reverse:
         return None
     places = [k for k in range(len(tour.stops) + 1) if k == len(tour.stops) or not tour.stops[k].is_excursion]
-    options = [(at, r) for at in places for r in (False, True) if line.legs[r] is not None]
+    options = [(at, r, i) for at in places for r in (False, True) if line.legs[r] is not None for i in (False, True)]
     near = _nearest(connector, tour, line, options)
     is_long = max(len(leg.p_map_m) for leg in line.legs if leg is not None) * STEP_M > MIN_ALONG_M
-    for is_thorough, tried in ((False, near[:TRIED]), (True, near[: TRIED_ALONG * is_long])):
-        for at, is_reversed in tried:
-            stop = _reached(connector, tour, line, at, is_reversed, is_thorough)
+    for is_thorough, tried in ((False, near[: 2 * TRIED]), (True, near[: 2 * TRIED_ALONG * is_long])):
+        for at, is_reversed, is_inwards in tried:
+            stop = _reached(connector, tour, line, at, is_reversed, is_inwards, is_thorough)
             if stop is not None:
                 stops = [*tour.stops[:at], replace(stop, is_excursion=True), *tour.stops[at:]]
                 return Tour(tour.start, stops)
@@ -137,14 +143,15 @@ def _excursion(connector: PathConnector, tour: Tour, line: WorkLine) -> Tour | N
 
 
 def _reached(
-    connector: PathConnector, tour: Tour, line: WorkLine, at: int, is_reversed: bool, is_thorough: bool = False
-) -> Stop | None:
+    connector: PathConnector, tour: Tour, line: WorkLine, at: int, is_reversed: bool, is_inwards: bool = False,
+    is_thorough: bool = False,
+) -> Stop | None:  # fmt: skip
     pose, behind_m = tour.place(at)
-    ends = line.ends(is_reversed)
-    assert ends is not None
-    request = connector.request(pose, ends[0], behind_m, line.straight_m(is_reversed))
+    (first, last), length_m = _ends(line, is_reversed), line.straight_m(is_reversed)
+    onto, off = connector.request(pose, first, behind_m, length_m), connector.request(last, pose, length_m)
+    request = off if is_inwards else onto
     way = connector.find(request) if is_thorough else connector.turn(request)
-    return None if way is None else Stop(line, is_reversed, way)
+    return None if way is None else Stop(line, is_reversed, way, is_inwards=is_inwards)
 
 
 def _request(connector: PathConnector, start: Pose2, stop: Stop, behind_m: float) -> ConnectionRequest:
@@ -152,14 +159,15 @@ def _request(connector: PathConnector, start: Pose2, stop: Stop, behind_m: float
 
 
 def _nearest(
-    connector: PathConnector, tour: Tour, line: WorkLine, options: list[tuple[int, bool]]
-) -> list[tuple[int, bool]]:
-    """Places of the tour and directions of a line, those of least time to the line first."""
+    connector: PathConnector, tour: Tour, line: WorkLine, options: list[tuple[int, bool, bool]]
+) -> list[tuple[int, bool, bool]]:
+    """Places of the tour, directions of a line and of the excursion, those of the shortest ways first."""
     rig, config = connector.rig, connector.rig.config
-    places = [tour.place(at)[0] for at, _ in options]
-    starts = [_ends(line, r)[0] for r in (False, True)]
-    bound = bounds_s(places, starts, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
-    time = [bound[k, int(r)] for k, (_, r) in enumerate(options)]
+    places = [tour.place(at)[0] for at, _, _ in options]
+    starts, ends = ([_ends(line, r)[k] for r in (False, True)] for k in (0, 1))
+    onto = bounds_s(places, starts, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
+    off = bounds_s(ends, places, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
+    time = [off[int(r), k] if i else onto[k, int(r)] for k, (_, r, i) in enumerate(options)]
     return [options[k] for k in np.argsort(time, kind="stable")]
 
 

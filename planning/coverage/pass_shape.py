@@ -16,13 +16,14 @@ from scipy.sparse import coo_array, csr_array, vstack
 from geometry.arrays import Bool, Float64, Int32, Int64, runs_of
 from geometry.footprint import place
 from geometry.jit import kernel
-from geometry.polyline import arc_length, at_length, curvatures, headings
+from geometry.polyline import arc_length, at_length, curvatures, extend, headings
 from geometry.rectangle import Rectangle
 from planning.turns.free_space import CELL_M, FreeSpace, edge_grid, edges_of
 
 STEP_M = 0.1
 KNOT = 5  # points of the base line between two knots, 0.5 m
 ROUNDS, PATIENCE = 24, 5  # at most, and without progress
+BEYOND, ENDS = 12, 6  # knots by which an open line is prolonged, for the way back to it, and of each of its ends
 WINDOW = 40  # knots before and after a place without clearance: a pass leaves an edge slowly
 NEAR_M = 0.8  # clearance beyond it is not constrained
 SLACK_M = 0.002  # clearance asked for, doubled at places still outside: between knots a body may be nearer
@@ -47,42 +48,54 @@ class _Contacts:
     by_slope: Float64
 
 
-def displaced(line_m: Float64, space: FreeSpace) -> tuple[Float64, Float64]:
-    """Points (N, 2) and headings (N,) of the pass on a closed line, about 0.1 m apart, with the interior to its left.
+def displaced(line_m: Float64, space: FreeSpace, ends_m: float | None = None) -> tuple[Float64, Float64]:
+    """Points (N, 2) and headings (N,) of the pass on a line, about 0.1 m apart, with the interior to its left.
 
+    The line is closed, or with `ends_m` open: there the bodies come that far from the edges at both ends.
     Where there is no way past an edge some poses of it are not drivable.
     """
+    is_closed = ends_m is None
+    if not is_closed:
+        line_m = extend(line_m, KNOT * STEP_M * BEYOND, KNOT * STEP_M * BEYOND)
     total = float(arc_length(line_m)[-1])
     size = max(8, math.ceil(total / (KNOT * STEP_M)))
     base = at_length(line_m, np.linspace(0.0, total, KNOT * size + 1))
-    points, heading = base, headings(base, is_closed=True)
+    points, heading = base, headings(base, is_closed)
     normal = np.column_stack([-np.sin(heading), np.cos(heading)])
     d, slack_m = np.zeros(size), np.full(size, SLACK_M)
     limit_radpm = np.full(size, 1.0 / space.radius_m)
+    is_inner, is_end = np.ones(size, np.bool_), np.zeros(size, np.bool_)
+    if ends_m is not None:
+        is_inner[:BEYOND] = is_inner[-BEYOND + 1 :] = False
+        is_end[BEYOND : BEYOND + ENDS] = is_end[-BEYOND - ENDS + 1 : -BEYOND + 1] = True
+        slack_m[is_end] = ends_m
     near = _Surroundings(space)
     best, best_round = (size + 1, points, heading), 0
     for number in range(ROUNDS):
-        is_out = _near_knots(_is_out(points, heading, space))
-        is_bent = _near_knots(_is_too_bent(points, heading, space))
+        is_out = _near_knots(_is_out(points, heading, space)) & is_inner
+        is_bent = _near_knots(_is_too_bent(points, heading, space)) & is_inner
         wrong = int((is_out | is_bent).sum())
-        if wrong < best[0]:
+        is_shaped = is_closed or number > 0  # an open line first leaves the edge at its ends
+        if wrong < best[0] and is_shaped:
             best, best_round = (wrong, points, heading), number
-        if wrong == 0 or number - best_round > PATIENCE:
+        if (wrong == 0 and is_shaped) or number - best_round > PATIENCE:
             break
-        contacts = near.contacts(points[:-1:KNOT], heading[:-1:KNOT])
+        contacts = near.contacts(points[:-1:KNOT], heading[:-1:KNOT], is_inner)
         s = arc_length(points)
         bend, step_m = curvatures(heading, s)[:-1:KNOT], KNOT * np.gradient(s)[:-1:KNOT]
-        for window in _windows(is_out | is_bent, WINDOW):
+        is_wrong = is_out | is_bent | (is_end & (number == 0))
+        for window in _windows(is_wrong, WINDOW, is_closed):
             d[window] += _increments(window, d, contacts, bend, step_m, slack_m, limit_radpm)
-        slack_m[is_out] = np.minimum(2.0 * slack_m[is_out], MOST_SLACK_M)
+        slack_m[is_out] = np.maximum(slack_m[is_out], np.minimum(2.0 * slack_m[is_out], MOST_SLACK_M))
         limit_radpm[is_bent] *= LESS_BENT
         points = base + _between(d)[:, None] * normal
-        heading = headings(points, is_closed=True)
-    return best[1], best[2]
+        heading = headings(points, is_closed)
+    kept = slice(None) if is_closed else slice(BEYOND * KNOT, -BEYOND * KNOT)
+    return best[1][kept], best[2][kept]
 
 
 def _near_knots(is_wrong: Bool) -> Bool:
-    """Knots before or after the marked points of a closed pass."""
+    """Knots before or after the marked points of a pass."""
     is_after = is_wrong[:-1].reshape(-1, KNOT).any(axis=1)
     return np.asarray(is_after | np.roll(is_after, 1), np.bool_)
 
@@ -96,7 +109,7 @@ def _between(d: Float64) -> Float64:
 
 
 def is_undrivable(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
-    """Poses of a closed pass, (N,), at which a body is outside or the curvature is too high."""
+    """Poses of a pass, (N,), at which a body is outside or the curvature is too high."""
     return _is_out(points_m, heading_rad, space) | _is_too_bent(points_m, heading_rad, space)
 
 
@@ -121,11 +134,14 @@ class _Surroundings:
         self._space = space
         self._grid = edge_grid(edges_of(space.allowed), space.reach_m + NEAR_M)
 
-    def contacts(self, p_map_m: Float64, heading_rad: Float64) -> _Contacts:
-        """Contacts of the corners of each body with edges, and of its sides with the nearest vertex."""
+    def contacts(self, p_map_m: Float64, heading_rad: Float64, is_used: Bool) -> _Contacts:
+        """Contacts of the corners of each body with edges, and of its sides with the nearest vertex, at knots used."""
+        used = np.flatnonzero(is_used)
+        p_map_m, heading_rad = p_map_m[used], heading_rad[used]
         found = [self._of_corners(body.corners_m, p_map_m, heading_rad) for body in self._space.bodies]
         found += [self._of_sides(body, p_map_m, heading_rad) for body in self._space.bodies]
-        return _Contacts(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        knot, *columns = (np.concatenate(column) for column in zip(*found, strict=True))
+        return _Contacts(used[knot], *columns)
 
     def _of_corners(
         self, corners_m: Float64, p_map_m: Float64, heading_rad: Float64
@@ -201,12 +217,12 @@ def _from_edges(
     return found
 
 
-def _windows(is_outside: Bool, margin: int) -> list[Int64]:
-    """Runs of knots of a closed pass with `margin` knots before and after each place outside."""
+def _windows(is_outside: Bool, margin: int, is_closed: bool) -> list[Int64]:
+    """Runs of knots of a pass with `margin` knots before and after each place outside; those at open ends stay."""
     n = len(is_outside)
-    reach = np.arange(-margin, margin + 1)
+    at = (np.flatnonzero(is_outside)[:, None] + np.arange(-margin, margin + 1)).ravel()
     wanted = np.zeros(n, np.bool_)
-    wanted[(np.flatnonzero(is_outside)[:, None] + reach).ravel() % n] = True
+    wanted[at % n if is_closed else at[(at > 0) & (at < n - 1)]] = True
     if wanted.all():
         return [np.arange(n)]
     first = int(np.argmin(wanted))

@@ -33,6 +33,7 @@ from planning.turns.search import STEP_M, Connection, ConnectionRequest, Leg, st
 from planning.turns.transport import TransportWays
 
 CENTRE_ERROR_M = 0.1
+FILLINGS = 3  # times that what a tour leaves bare gets swaths, at most
 
 
 @dataclass(frozen=True)
@@ -84,9 +85,13 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number
     tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
     if connector.rig.has_reverse:
-        legs = [stop.leg for stop in tour.stops]
-        more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, number)
-        tour = inserted(connector, tour, home, lines_of(more, (), -connector.rig.working_x_m))
+        for _ in range(FILLINGS):
+            legs = [stop.leg for stop in tour.stops]
+            more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, number)
+            count, number = len(tour.stops), number + len(more)
+            tour = inserted(connector, tour, home, lines_of(more, (), -connector.rig.working_x_m))
+            if len(tour.stops) == count:
+                break
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
     swaths = [s for s in sources if isinstance(s, Swath)]

@@ -45,5 +45,5 @@ def lines_of(swaths: Sequence[Swath], passes: Sequence[HeadlandPass], lead_m: fl
         found.append(WorkLine(PathSectionType.SWATH, swath.number, (legs[0], legs[1]), swath))
     for p in passes:
         leg = Leg(1, p.points_m, p.heading_rad, p.curvature_radpm)
-        found.append(WorkLine(PathSectionType.HEADLAND, p.number, (leg, None), p))
+        found.append(WorkLine(PathSectionType.HEADLAND, p.number, (leg, leg.back if p.is_two_way else None), p))
     return found

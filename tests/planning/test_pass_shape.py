@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import Polygon, box
+from shapely.geometry import LineString, Polygon, box
 
 from benchmarks.planning_check import check
 from benchmarks.planning_fields import random_fields
@@ -85,6 +85,19 @@ def test_pass_around_a_small_obstacle() -> None:
     points, heading = displaced(line, space)
     assert shapely.covers(area, footprints(space.bodies, points, heading)).all()
     assert Polygon(points).area < 1.4 * Polygon(line).area
+
+
+def test_open_pass_leaves_the_edge_at_both_ends() -> None:
+    middle = LineString([(0, 0), (50, 0), (95, 8), (140, 30)])
+    area, bodies = as_polygon(middle.buffer(6.5, cap_style="flat")), bodies_of(3.0)
+    line = np.asarray(resample(np.asarray(middle.offset_curve(-5.0 + SLACK_M, join_style="mitre").coords), 0.1))
+    line = smooth(line, RAMP_M)[60:-60]
+    points, heading = displaced(line, FreeSpace(area, bodies, RADIUS_M, RAMP_M), 0.4)
+    shapes = footprints(bodies, points, heading)
+    assert shapely.covers(area, shapes).all()
+    distance = shapely.distance(area.exterior, shapes).min(axis=1)
+    assert distance[[0, -1]].min() > 0.38
+    assert np.median(distance) < 0.02
 
 
 def test_rectangle_with_corners_filled(vehicle: Vehicle, harrow: MountedImplement, planning: PlanningConfig) -> None:

@@ -24,7 +24,7 @@ from planning.drawing import draw_plan
 from planning.export.geojson import plan_to_geojson
 from planning.field.field import FieldOutline
 from planning.field.site_generation import site_of, site_within
-from planning.plan import NARROW_PASSAGE, Plan, plan_field
+from planning.plan import NARROW_PART, NARROW_PASSAGE, Plan, plan_field
 from planning.turns.free_space import FreeSpace
 from planning.turns.sampling import sampled_connection
 from planning.turns.search import Connection, ConnectionRequest, straight
@@ -231,6 +231,33 @@ def test_dead_end(
     assert plan.planned_area.intersection(arm).area > 0.7 * arm.area
 
 
+def test_bent_strip_too_narrow_for_a_closed_pass(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """Open passes follow both sides, which swaths would leave bare beside the bends."""
+    middle = LineString([(60, 20), (20, 20), (-40, 28), (-95, 45), (-140, 70)])
+    boundary = tuple(shapely.get_coordinates(middle.buffer(6.5, cap_style="flat").exterior)[:-1].tolist())
+    narrow = harrow.model_copy(update={"working_width_m": 3.0, "width_m": 3.0})
+    work = mission.work.model_copy(update={"turns": "reverse"})
+    outline = FieldOutline("strip", site.datum, Polygon(boundary))
+    plan = plan_field(site_within(outline, vehicle, narrow, work), vehicle, narrow, work, planning.planner, 0)
+    assert plan.planned_share > 0.94
+    open_passes = [p for p in plan.headland_passes if p.is_two_way]
+    assert sum(len(p.points_m) for p in open_passes) > 2000
+
+
+def test_tail_narrower_than_the_rig(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    tail = box(60, 20, 80, 24.5)
+    field = as_polygon(shapely.union_all([box(0, 0, 60, 45), tail]))
+    plan = plan_field(
+        site_within(FieldOutline("tail", site.datum, field), vehicle, harrow, mission.work), vehicle, harrow,
+        mission.work, planning.planner, 0,
+    )  # fmt: skip
+    assert plan.uncovered_m2[NARROW_PART] == pytest.approx(tail.area, rel=0.1)
+
+
 def test_two_parts_joined_by_a_narrow_way(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
@@ -244,13 +271,17 @@ def test_two_parts_joined_by_a_narrow_way(
     assert driven == {s.number for s in plan.swaths}
 
 
-def test_excursion_ends_where_it_began() -> None:
-    way = Connection((straight(Pose2(0, 0, 0), Pose2(8, 0, 0)),), 5.0)
-    line = WorkLine(PathSectionType.SWATH, 3, (straight(Pose2(8, 0, 0), Pose2(20, 0, 0)), None), Swath(3, None, None))
-    tour = Tour(Pose2(0, 0, 0), [Stop(line, False, way, is_excursion=True)])
+@pytest.mark.parametrize("is_inwards", [False, True])
+def test_excursion_ends_where_it_began(is_inwards: bool) -> None:
+    """Works and reverses out, or reverses in and works out, along the same way."""
+    start, near, far = (Pose2(x, 0, math.pi if is_inwards else 0.0) for x in (0, 8, 20))
+    way = Connection((straight(near, start) if is_inwards else straight(start, near),), 5.0)
+    leg = straight(far, near) if is_inwards else straight(near, far)
+    line = WorkLine(PathSectionType.SWATH, 3, (leg, None), Swath(3, None, None))
+    tour = Tour(start, [Stop(line, False, way, is_excursion=True, is_inwards=is_inwards)])
     legs = [piece.leg for piece in tour.pieces]
-    assert [leg.direction for leg in legs] == [1, 1, -1, -1]
-    assert [piece.is_working for piece in tour.pieces] == [False, True, False, False]
+    assert [leg.direction for leg in legs] == ([-1, -1, 1, 1] if is_inwards else [1, 1, -1, -1])
+    assert [piece.is_working for piece in tour.pieces] == [False, not is_inwards, is_inwards, False]
     assert legs[-1].pose(-1) == legs[0].pose(0) == tour.place(1)[0]
     for a, b in pairwise(legs):
         assert a.pose(-1) == pytest.approx(b.pose(0))
