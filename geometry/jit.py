@@ -20,12 +20,12 @@ def kernel(function: F) -> F:
 
     Division by zero gives infinity, as in numpy: a loop that can raise is not vectorised.
     """
-    return _cached(numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast(F, _cached(numba.njit(cache=True, nogil=True, error_model="numpy")(function)))
 
 
 def inline_kernel(function: F) -> F:
     """Compiles a function into each calling kernel: a call would pass every array as seven values."""
-    return _cached(numba.njit(cache=True, error_model="numpy", inline="always")(function))
+    return cast(F, _cached(numba.njit(cache=True, error_model="numpy", inline="always")(function)))
 
 
 def _cached(compiled: Any) -> Any:
@@ -34,22 +34,24 @@ def _cached(compiled: Any) -> Any:
     return compiled
 
 
-class _Index(IndexDataCacheFile):  # type: ignore[misc]
-    """Index of the compiled forms of a kernel, valid for the sources of all kernels that it may call."""
+class _Index(IndexDataCacheFile):
+    """Index of the compiled forms of a kernel, valid for the sources of all kernels that it may call.
 
-    def __init__(self, cache_path: str, filename_base: str, names: dict[str, Any]) -> None:
-        super().__init__(cache_path, filename_base, names)
+    Sources and constants are found when they are first needed: by then all modules are loaded.
+    """
+
+    _names: dict[str, Any]
+    _stamp: list[Any] | None
 
     @property
     def _source_stamp(self) -> list[Any]:
-        """Sources and constants, found when they are first needed: by then all modules are loaded."""
         if self._stamp is None:
             self._stamp = _sources(self._names)
         return self._stamp
 
     @_source_stamp.setter
     def _source_stamp(self, names: dict[str, Any]) -> None:
-        self._names, self._stamp = names, cast(list[Any] | None, None)
+        self._names, self._stamp = names, None
 
 
 def _sources(names: dict[str, Any]) -> list[Any]:
