@@ -30,7 +30,8 @@ def inline_kernel(function: F) -> F:
 
 def _cached(compiled: Any) -> Any:
     cache = compiled._cache
-    cache._cache_file = _Index(cache.cache_path, cache._impl.filename_base, compiled.py_func.__globals__)
+    index = cast(Any, _Index)  # numba has no types
+    cache._cache_file = index(cache.cache_path, cache._impl.filename_base, compiled.py_func.__globals__)
     return compiled
 
 
