@@ -41,13 +41,15 @@ class OrderSender:
         self._sequence = -1
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
-    def send(self, order: str, status: OrderStatus, now_ns: int, valid_s: float) -> SentOrder:
-        """Sends an order to the machine of this status, void `valid_s` after now; raises OSError."""
+    def send(
+        self, order: str, status: OrderStatus, now_ns: int, valid_s: float, left_m: float | None = None
+    ) -> SentOrder:
+        """Sends an order to the machine of this status, void `valid_s` after now (`left_m`: nudge); raises OSError."""
         self._sequence = max(now_ns, self._sequence + 1)
         content = {
             "machine": status.machine, "session": status.session, "authority": self._authority,
             "sequence": self._sequence, "order": order, "expires_ns": now_ns + round(valid_s * 1e9),
-        }  # fmt: skip
+        } | ({} if left_m is None else {"left_m": left_m})  # fmt: skip
         payload = json.dumps(content).encode()
         self._socket.sendto(self._key.sign(payload) + public_key_of(self._key) + payload, ("127.0.0.1", self._port))
         return SentOrder(order, self._sequence, now_ns, {one.reason: one.count for one in status.refused})

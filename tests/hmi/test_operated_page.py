@@ -14,7 +14,14 @@ from tests.hmi.browser import Browser, PageProcess, add_user, log_in, needs_brow
 
 pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.drive]
 PASSWORD = "correct horse"
-MISSION = ("--mission", "line", "--scenario", "empty", "--stop-port", "0")
+ROW = """
+name: row
+site: demo
+machine: tractor_e
+implement: harrow_6m
+start: {x_m: 14.0, y_m: 25.0, heading_deg: 0.0}
+line: {speed_kmh: 3, legs: [{length_m: 52.0, is_working: true}]}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +29,9 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
     folder = tmp_path_factory.mktemp("page")
     for user in ("anna:operate", "bo:operate", "cem:view"):
         add_user(folder, user, PASSWORD)
-    with page_process(folder, *MISSION) as found:
+    (folder / "row.yaml").write_text(ROW, encoding="utf-8")
+    mission = ("--mission", str(folder / "row.yaml"), "--scenario", "empty", "--stop-port", "0")
+    with page_process(folder, *mission) as found:
         assert found.password == ""  # users are set up
         yield found
 
@@ -67,8 +76,21 @@ def test_orders_need_control_and_say_why_they_are_not_available(anna: Any) -> No
     anna.click("[data-hl=seat-button]")
     wait_for(anna, "[data-hl=seat]", "You have control")
     why(anna, "pause", "not in automatic operation")
+    why(anna, "nudge_left", "No row is driven")
     why(anna, "resume", "has not begun|Not ready")
     assert small_targets(anna) == low_contrasts(anna) == []
+
+
+def test_the_mode_switch_changes_the_mode(anna: Any) -> None:
+    """BD-5.8.1: manual and automatic; in manual mode nothing is started."""
+    press(anna, "manual")
+    wait_for(anna, "[data-hl=answer]", "Manual: accepted")
+    wait_for(anna, "#mode", "Manual")
+    why(anna, "start", "Select Automatic first")
+    why(anna, "manual", "is in manual mode")
+    press(anna, "automatic")
+    wait_for(anna, "#mode", "Standby")
+    why(anna, "automatic", "not in manual mode")
 
 
 def test_start_needs_a_confirmation_then_drives(anna: Any) -> None:
@@ -95,6 +117,22 @@ def test_a_second_operator_and_a_viewer_give_no_orders(browser: Browser, process
         button = page.locator("[data-hl=seat-button]")
         assert button.count() == 0 if name == "cem" else button.is_disabled()
         page.context.close()
+
+
+def test_a_driven_row_is_shifted_in_steps(anna: Any) -> None:
+    """BD-4.1f: row-joining nudge; the machine refuses a shift above its limit."""
+    for pressed, shown in (("left", "1.cm left"), ("left", "2.cm left"), ("right", "1.cm left"), ("right", "0.cm")):
+        press(anna, f"nudge_{pressed}")
+        wait_for(anna, "[data-hl=answer]", "Shift of the row: accepted")
+        wait_for(anna, "#rows-work [data-key=shift] dd", f"^{shown}")
+    for _ in range(10):
+        press(anna, "nudge_right")
+        anna.wait_for_timeout(400.0)
+    wait_for(anna, "#rows-work [data-key=shift] dd", "^10.cm right")
+    press(anna, "nudge_right")
+    wait_for(anna, "[data-hl=answer]", "refused .largest shift")
+    wait_for(anna, "#rows-motion [data-key=xte] dd", r"^[0-2]\.\d")
+    assert anna.text_content("#mode") == "Automatic"
 
 
 def test_pause_and_resume(anna: Any) -> None:

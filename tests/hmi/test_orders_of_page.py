@@ -33,7 +33,7 @@ class Machine:
         config = OrdersConfig(keys={"page": known}, max_per_s=5, max_validity_s=60.0, report_s=0.5)
         self.port = OrderPort(0)
         verifier = OrderVerifier("tractor-1", session, config, SequenceStore(None))
-        self.gate = OrderGate("tractor-1", session, verifier, 0.5, self.port)
+        self.gate = OrderGate("tractor-1", session, verifier, 0.5, 0.1, self.port)
         self.state = PageState(demo_scene(), 0.25)
         self.sender = OrderSender(key, "operator", self.port.number)
         self.step(NOW_NS)

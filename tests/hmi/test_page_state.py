@@ -10,7 +10,7 @@ from shapely import Polygon
 from geometry.pose2 import Pose2
 from hmi.coverage import Coverage
 from hmi.drive_view.alarms import alarm_rows
-from hmi.drive_view.controls import ORDERS, unavailable
+from hmi.drive_view.controls import CONTROLS, ORDERS, unavailable
 from hmi.drive_view.machine import machine_rows
 from hmi.drive_view.motion import compass_deg, motion_rows, work_rows
 from hmi.drive_view.standing import standing
@@ -20,7 +20,7 @@ from messages.command import Mode
 from messages.faults import Severity
 from messages.message import Envelope
 from messages.perception import ObstacleClass
-from messages.plan import MissionState
+from messages.plan import MissionState, PathSectionType
 from tests.hmi.drive_messages import (
     NOW_NS,
     SECOND_NS,
@@ -89,7 +89,7 @@ def test_old_messages_are_not_shown_as_present() -> None:
     assert (found.mode, found.level) == ("No data", "alarm")
     assert "nothing for 2" in found.cause
     assert motion_rows(state, EN)[0].value == "–"
-    assert set(unavailable(state, EN)) == set(ORDERS)
+    assert set(unavailable(state, EN)) == set(CONTROLS)
 
 
 def test_before_the_first_message_everything_is_unknown() -> None:
@@ -160,6 +160,17 @@ def available(mode: Mode, reason: str, mission_state: MissionState, **values: ob
 )
 def test_orders_available_by_mode(mode: Mode, reason: str, mission_state: MissionState, expected: set[str]) -> None:
     assert available(mode, reason, mission_state) == expected | {"forbid"}
+
+
+@pytest.mark.parametrize("section", PathSectionType)
+@pytest.mark.parametrize("mode", [Mode.AUTOMATIC, Mode.OBSTACLE_STOP, Mode.STANDBY])
+def test_a_row_is_shifted_while_it_is_driven(mode: Mode, section: PathSectionType) -> None:
+    driven = replace(mission(MissionState.DRIVING), section_type=section, shift_left_m=-0.03)
+    state = state_of(("supervisor", supervisor(mode, str(mode))), ("order_status", status()), ("mission", driven))
+    is_possible = mode is Mode.AUTOMATIC and section is PathSectionType.SWATH
+    assert {"nudge_left", "nudge_right"}.isdisjoint(unavailable(state, EN)) is is_possible
+    (shown,) = (row.value for row in work_rows(state, EN) if row.key == "shift")
+    assert shown == ("3\u202fcm right" if section is PathSectionType.SWATH else "–")
 
 
 def test_while_operation_is_forbidden_it_is_not_started_and_the_state_says_so() -> None:
