@@ -154,7 +154,8 @@ class RefusedOrders(MessagePart):
 class OrderStatus(Message):
     """What an order must be signed for (`machine`, nonce `session` of this start), and how many came since then.
 
-    `is_forbidden`: a person has forbidden automatic operation, no start is accepted.
+    `is_forbidden`: a person has forbidden automatic operation, no start is accepted. `checked`: number of the last
+    order that was verified as a self-test only (-1: none).
     """
 
     machine: str
@@ -162,6 +163,7 @@ class OrderStatus(Message):
     accepted: int
     refused: tuple[RefusedOrders, ...]
     is_forbidden: bool = False
+    checked: int = -1
 
 
 @dataclass(frozen=True)

@@ -145,5 +145,7 @@ class OrderGate(Node):
 
     def _newest_status(self, now_ns: int) -> OrderStatus:
         refused = tuple(RefusedOrders(reason.value, count) for reason, count in sorted(self._refused.items()))
-        is_forbidden = self._verifier.is_forbidden
-        return OrderStatus(now_ns, self._machine, self._session, self._accepted, refused, is_forbidden)
+        verifier = self._verifier
+        return OrderStatus(
+            now_ns, self._machine, self._session, self._accepted, refused, verifier.is_forbidden, verifier.checked
+        )

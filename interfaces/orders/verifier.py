@@ -54,7 +54,7 @@ class Refusal(Exception):
 
 
 class Payload(Config):
-    """What is signed; `left_m` is the parameter of a nudge, of which no other order has one."""
+    """What is signed; `left_m` is the parameter of a nudge, `is_check` asks for the verification of an order alone."""
 
     machine: str = Field(max_length=80)
     session: str = Field(max_length=80)
@@ -63,6 +63,8 @@ class Payload(Config):
     order: str = Field(max_length=40)
     expires_ns: int = Field(ge=0, lt=1 << 63, strict=True)
     left_m: float | None = Field(default=None, ge=-MAX_STEP_M, le=MAX_STEP_M, allow_inf_nan=False)
+
+    is_check: bool = Field(default=False, strict=True)
 
     @model_validator(mode="after")
     def _has_its_parameter(self) -> Self:
@@ -86,6 +88,7 @@ class OrderVerifier:
     def __init__(self, machine: str, session: str, config: OrdersConfig, store: SequenceStore) -> None:
         self._machine, self._session, self._config, self._store = machine, session, config, store
         self.attendance = Attendance()
+        self.checked = -1  # number of the last order that was only checked
         self._senders = {
             bytes.fromhex(key.public_key): _Sender(
                 key, Ed25519PublicKey.from_public_bytes(bytes.fromhex(key.public_key)), deque(maxlen=REMEMBERED)
@@ -94,7 +97,7 @@ class OrderVerifier:
         }
 
     def command(self, now_ns: int, order: SignedOrder) -> OperatorCommand | None:
-        """The command of an order, None for `present`; raises Refusal."""
+        """The command of an order, None for `present` and for a check; raises Refusal."""
         sender = self._senders.get(order.public_key)
         if sender is None:
             raise Refusal(Reason.UNKNOWN_KEY, order.public_key.hex()[:16])
@@ -103,14 +106,17 @@ class OrderVerifier:
         self._check_time(now_ns, payload)
         self._check_sequence(now_ns, sender, payload)
         try:
-            if payload.order == FORBID:
+            if payload.order == FORBID and not payload.is_check:
                 self._store.set_forbidden(True)
             self._store.advance(sender.key.public_key, payload.sequence)
-            if payload.order == PERMIT:
+            if payload.order == PERMIT and not payload.is_check:
                 self._store.set_forbidden(False)
         except HeadlandError as error:
             raise Refusal(Reason.NOT_STORED, str(error)) from error
         sender.accepted.append((payload.sequence, now_ns))
+        if payload.is_check:
+            self.checked = payload.sequence
+            return None
         kind = ORDERS.get(payload.order)
         if kind in STARTS and self.is_forbidden:  # its number is used up: it cannot be repeated after the permission
             raise Refusal(Reason.FORBIDDEN, payload.order)

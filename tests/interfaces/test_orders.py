@@ -469,3 +469,23 @@ def test_a_nudge_is_accepted_on_a_swath_within_the_largest_shift(
         assert bench.refused == {reason: 1}
         bench.mode, bench.mission = Mode.AUTOMATIC, mission(MissionState.DRIVING)
         assert bench.give(order) == []  # its number is used up
+
+
+@pytest.mark.parametrize("name", [name for name in ORDERS if name != "emergency_stop"])
+def test_a_check_is_verified_and_has_no_effect(bench: Bench, name: str) -> None:
+    """Self-test of a control: its number is used up, nothing else is changed."""
+    bench.mode, bench.mission = Mode.AUTOMATIC, mission(MissionState.DRIVING)
+    order = signed(order=name, left_m=0.01 if name == "nudge" else None, is_check=True, sequence=11)
+    assert bench.give(order) == []
+    (status,) = bench.of(OrderStatus)
+    assert (status.checked, status.accepted, status.is_forbidden, status.refused) == (11, 0, False, ())
+    assert bench.give(order) == []
+    assert bench.refused == {"replayed": 1}
+    assert bench.give(signed(RADIO, authority="remote", order="start", is_check=True)) == []
+    assert bench.refused["not_permitted"] == 1
+    assert not bench.gate._verifier.attendance.is_lost(bench.now_ns + 3600 * S)  # a check starts no attendance
+
+
+def test_an_emergency_stop_is_no_check(bench: Bench) -> None:
+    """Whatever is beside it in the payload."""
+    assert bench.give(signed(order="emergency_stop", is_check=True)) == [OperatorCommandKind.EMERGENCY_STOP]
