@@ -89,6 +89,7 @@ class PageApp:
         self.alarms.take(self.state.new_faults, time.time())
         self.topics.take(feed.counts, now_s)
         self.bus.take(envelopes)
+        self.parts.desk.follow(self.state)
         if now_s - self._stored_s >= STORE_S:
             self._stored_s = now_s
             self.store_statistics()

@@ -17,8 +17,10 @@ from hmi.refusal import Refused
 from hmi.scene import Scene
 from hmi.view import View
 
+AREAS = (("no_go", "plan.no_go"), ("gate", "plan.gate_place"), ("remove_areas", "plan.remove_areas"))
 MAX_VALUE = 200  # characters
 HEADINGS = range(0, 180, 5)
+SIDES = ("left", "right", "middle")  # of the implement, along the edge of a field that is recorded
 COLUMNS = ("name", "stored_at", "author", "", "", "", "")
 
 
@@ -28,6 +30,7 @@ class PlanPage(View):
     NAME = "plan"
     _mapped: object = None
     _moment: Moment | None = None
+    _side = "left"
 
     def build_main(self) -> None:
         """Builds the map, the controls, and the table of missions."""
@@ -52,7 +55,7 @@ class PlanPage(View):
         error = texts("plan.error", error=desk.error) if desk.error else ""
         answer = self.answer or error or moment.drive_error or self.parts.progress_error
         self.send(moment, {
-            "draft": desk.points_m if desk.is_drawing else None,
+            "draft": desk.drawing.points_m if desk.drawing.kind else None,
             "texts": {
                 "why": barred, "answer": answer, "hint": self._hint(), "progress": self._progress(),
             },
@@ -64,11 +67,11 @@ class PlanPage(View):
     def _map(self, scene: Scene) -> dict[str, Any]:
         """What the map shows, if it is another than before: the plan, else the outline, else the present site."""
         desk = self.parts.desk
-        source = desk.plan or desk.outline or scene
+        source = desk.plan or desk.outline or scene  # a changed outline is another object
         if source is self._mapped:
             return {}
         self._mapped = source
-        still = desk.outline or static_map(scene) if desk.plan is None else desk.plan.map
+        still = desk.shown_outline or static_map(scene) if desk.plan is None else desk.plan.map
         return {"still": still}
 
     async def act(self, action: str, values: Mapping[str, Any]) -> None:
@@ -77,13 +80,21 @@ class PlanPage(View):
         value = value[:MAX_VALUE] if isinstance(value, str) else ""
         match action:
             case "draw":
-                desk.draw()
+                desk.draw("outline")
+            case "drive":
+                desk.draw("driven", self._side)
+            case "side" if value in SIDES:
+                self._side = value
+            case "no_go" | "gate":
+                desk.draw(action)  # type: ignore[arg-type]
+            case "remove_areas":
+                desk.remove_areas()
             case "corner":
                 desk.add_point(_number(values.get("x")), _number(values.get("y")))
             case "undo":
                 desk.remove_point()
             case "close":
-                await desk.close_outline(self.parts.drive.scene.site.datum, self.texts("plan.drawn_name"))
+                await desk.close_drawing(self.parts.drive.scene.site.datum, self.texts("plan.drawn_name"))
             case "feature":
                 await desk.choose(value)
             case "machine" | "implement" | "headland_passes" | "turns" | "heading_deg":
@@ -116,8 +127,8 @@ class PlanPage(View):
 
     def _hint(self) -> str:
         desk = self.parts.desk
-        if desk.is_drawing:
-            return self.texts("plan.hint_draw", number=len(desk.points_m))
+        if desk.drawing.kind:
+            return self.texts(f"plan.hint_{desk.drawing.kind}", number=len(desk.drawing.points_m))
         return self.texts("plan.hint_site" if desk.outline is None else "plan.hint_field", name=desk.name)
 
     def _progress(self) -> str:
@@ -147,8 +158,12 @@ class PlanPage(View):
         found["feature"]["hidden"] = len(desk.features) < 2
         found |= {
             "field-file": {"off": is_off}, "draw": {"off": is_off},
-            "undo": {"off": is_off, "hidden": not desk.is_drawing},
-            "close": {"off": is_off or len(desk.points_m) < 3, "hidden": not desk.is_drawing},
+            "drive": {"off": is_off},
+            "side": {"off": is_off, "value": self._side, "choices": [[n, self.texts(f"edge.{n}")] for n in SIDES]},
+            "no_go": {"off": is_off or desk.outline is None}, "gate": {"off": is_off or desk.outline is None},
+            "remove_areas": {"off": is_off, "hidden": not desk.no_go_m and desk.gate_m is None},
+            "undo": {"off": is_off, "hidden": desk.drawing.kind in ("", "gate")},
+            "close": {"off": is_off or len(desk.drawing.points_m) < 3, "hidden": desk.drawing.kind in ("", "gate")},
             "plan": {"off": is_off or desk.outline is None},
             "cancel": {"off": bool(barred), "hidden": desk.job is None},
             "mission-name": {"off": is_off or desk.plan is None or desk.stored is not None},
@@ -225,8 +240,11 @@ class PlanPage(View):
         buttons = (
             self.button("draw", "plan.draw") + self.button("undo", "plan.undo") + self.button("close", "plan.close")
         )
+        areas = "".join(self.button(*one) for one in AREAS)
+        drive = self.button("drive", "plan.drive") + self.select("side", "plan.side")
         note = f'<p class="hl-note">{escape(texts("plan.formats"))}</p>'
-        return self.card("field", f'{upload}{note}{select}<div class="hl-pair">{buttons}</div>')
+        pairs = "".join(f'<div class="hl-pair">{one}</div>' for one in (buttons, drive, areas))
+        return self.card("field", f"{upload}{note}{select}{pairs}")
 
     def _options_card(self) -> str:
         names = ("machine", "implement", "headland_passes", "turns", "heading_deg")

@@ -142,6 +142,33 @@ def test_a_field_is_drawn_by_clicks(anna: Any) -> None:
     planned(anna)
 
 
+def test_no_go_area_and_gate_are_placed_by_clicks(anna: Any, folder: Path) -> None:
+    """On the field of a file; the plan leaves the area out and begins at the gate."""
+    load(anna, folder / "field.geojson")
+    wait_for(anna, "#hint", "^corner field$")
+    planned(anna)
+    swaths = anna.text_content("#rows-plan [data-key=share] dd")
+    anna.click("#no_go:not([disabled])")
+    wait_for(anna, "#hint", "no-go area.*0 so far")
+    box = anna.locator("#map").bounding_box()
+    for k, (x, y) in enumerate(((0.60, 0.35), (0.70, 0.35), (0.70, 0.45), (0.60, 0.45))):
+        anna.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        wait_for(anna, "#hint", f"{k + 1} so far")
+    anna.wait_for_selector("#rows-plan [data-key=length]")
+    anna.click("#close")
+    anna.wait_for_selector("#rows-plan [data-key=length]", state="detached")  # the plan without it is void
+    anna.click("#gate:not([disabled])")
+    wait_for(anna, "#hint", "place of the gate")
+    anna.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.97 * box["height"])
+    wait_for(anna, "#hint", "^corner field$")
+    planned(anna)
+    assert wait_for(anna, "#rows-plan [data-key=gate]", ".*[Gg]ate")
+    assert anna.text_content("#rows-plan [data-key=share] dd") != swaths
+    anna.click("#remove_areas:not([disabled])")
+    anna.wait_for_selector("#rows-plan [data-key=length]", state="detached")
+    anna.wait_for_selector("#remove_areas", state="hidden")
+
+
 def test_a_plan_goes_on_while_the_page_is_loaded_again_and_can_be_cancelled(anna: Any, folder: Path) -> None:
     load(anna, folder / "large.geojson")
     wait_for(anna, "#hint", "^large$")
