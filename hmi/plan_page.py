@@ -11,7 +11,7 @@ from hmi.drive_view.controls import check_standing
 from hmi.drive_view.map_view import static_map
 from hmi.drive_view.row import Row, number
 from hmi.parts import Moment
-from hmi.plan_view.options import MAX_PASSES, choices
+from hmi.plan_view.options import HEIGHTS_CM, MAX_PASSES, choices
 from hmi.plan_view.progress import Progress, read_progress
 from hmi.refusal import Refused
 from hmi.scene import Scene
@@ -58,6 +58,7 @@ class PlanPage(View):
             "draft": desk.drawing.points_m if desk.drawing.kind else None,
             "texts": {
                 "why": barred, "answer": answer, "hint": self._hint(), "progress": self._progress(),
+                "consent": self._consent(),
             },
             "controls": self._controls(barred),
             "rows.plan": [[r.key, r.label, r.value, texts(f"level.{r.level}"), r.level] for r in self._rows()],
@@ -97,8 +98,8 @@ class PlanPage(View):
                 await desk.close_drawing(self.parts.drive.scene.site.datum, self.texts("plan.drawn_name"))
             case "feature":
                 await desk.choose(value)
-            case "machine" | "implement" | "headland_passes" | "turns" | "heading_deg":
-                desk.set_option(action, value)
+            case "machine" | "implement" | "headland_passes" | "turns" | "heading_deg" | "vegetation_cm":
+                desk.set_option(action, value, self.session.name)
             case "plan":
                 await desk.make_plan()
             case "cancel":
@@ -131,6 +132,14 @@ class PlanPage(View):
             return self.texts(f"plan.hint_{desk.drawing.kind}", number=len(desk.drawing.points_m))
         return self.texts("plan.hint_site" if desk.outline is None else "plan.hint_field", name=desk.name)
 
+    def _consent(self) -> str:
+        """Who has consented to which height of plants."""
+        consent = self.parts.desk.options.consent
+        if consent is None:
+            return ""
+        height = number(100.0 * consent.vegetation_m, 0, "cm")
+        return self.texts("plan.consent", height=height, name=consent.by)
+
     def _progress(self) -> str:
         job = self.parts.desk.job
         if job is None:
@@ -144,12 +153,15 @@ class PlanPage(View):
         is_off = bool(barred) or desk.job is not None
         heading = "" if options.heading_deg is None else f"{options.heading_deg:g}"
         headings = sorted({f"{h}" for h in HEADINGS} | {heading} - {""}, key=float)
+        height = "" if options.consent is None else f"{100.0 * options.consent.vegetation_m:.0f}"
+        heights = [["", self.texts("plan.no_consent")], *([f"{h}", f"{h}\u202fcm"] for h in HEIGHTS_CM)]
         values: dict[str, tuple[str, list[list[str]]]] = {
             "feature": (desk.feature or "", [["", self.texts("plan.choose")], *([k, n] for k, n in desk.features)]),
             "machine": (options.machine, [[n, n] for n in choices()["machine"]]),
             "implement": (options.implement, [[n, n] for n in choices()["implement"]]),
             "turns": (options.turns, [[n, self.texts(f"turns.{n}")] for n in choices()["turns"]]),
             "headland_passes": (str(options.headland_passes), [[str(n), str(n)] for n in range(1, MAX_PASSES + 1)]),
+            "vegetation_cm": (height, heights),
             "heading_deg": (heading, [["", self.texts("plan.auto")], *([h, f"{h}°"] for h in headings)]),
         }  # fmt: skip
         found: dict[str, Any] = {
@@ -247,8 +259,9 @@ class PlanPage(View):
         return self.card("field", f"{upload}{note}{select}{pairs}")
 
     def _options_card(self) -> str:
-        names = ("machine", "implement", "headland_passes", "turns", "heading_deg")
-        return self.card("options", "".join(self.select(name, f"plan.{name}") for name in names))
+        names = ("machine", "implement", "headland_passes", "turns", "heading_deg", "vegetation_cm")
+        note = f'<p class="hl-note">{escape(self.texts("plan.consent_note"))}</p><p id="consent"></p>'
+        return self.card("options", "".join(self.select(name, f"plan.{name}") for name in names) + note)
 
     def _plan_card(self) -> str:
         texts = self.texts

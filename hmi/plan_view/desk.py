@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,8 @@ class PlanDesk:
         self.drawing = Drawing()
 
     def _clear(self) -> None:
-        """Without field and plan; the draft of another one is removed."""
+        """Without field, plan and consent; the draft of another one is removed."""
+        self.options = replace(self.options, consent=None)
         if self.draft is not None:
             self.store.remove_draft(self.draft)
         self.draft = None
@@ -149,10 +151,10 @@ class PlanDesk:
         gates = [[self.gate_m, self.gate_m]] if self.gate_m is not None else outline["gates"]
         return outline | {"no_go": [*outline["no_go"], *self.no_go_m], "gates": gates}
 
-    def set_option(self, name: str, value: str) -> None:
-        """Changes an option; a plan with other ones is void."""
+    def set_option(self, name: str, value: str, by: str) -> None:
+        """Changes an option, by a person; a plan with other ones is void."""
         self._check_free()
-        changed = self.options.changed(name, value)
+        changed = self.options.changed(name, value, by)
         if changed != self.options:
             self.options, self.plan, self.stored = changed, None, None
 

@@ -53,7 +53,10 @@ def test_a_field_is_read_planned_stored_and_opened_again(tmp_path: Path) -> None
         assert (desk.name, desk.notes, desk.error) == ("north", ["a note"], "")
         with pytest.raises(Refused, match="no_plan"):
             desk.store_mission("x", "anna")
-        desk.set_option("headland_passes", "3")
+        desk.set_option("vegetation_cm", "30", "anna")
+        await desk.load({"a.kml": b"ok"})
+        assert desk.options.consent is None  # that for another field
+        desk.set_option("headland_passes", "3", "anna")
         await desk.make_plan()
         assert desk.plan is not None
         stored = desk.store_mission(" my <b>mission</b> ", "anna")
@@ -61,14 +64,14 @@ def test_a_field_is_read_planned_stored_and_opened_again(tmp_path: Path) -> None
         assert stored.about.name == "my <b>mission</b>"
         desk.draw("outline")
         assert desk.outline is desk.plan is None
-        desk.set_option("headland_passes", "1")
+        desk.set_option("headland_passes", "1", "anna")
         desk.reopen(stored.id)
         assert desk.options.headland_passes == 3
         assert desk.stored == stored
         assert desk.plan is not None
         assert desk.outline is not None
         assert desk.outline["boundary"] == desk.plan.map["boundary"]
-        desk.set_option("turns", "reverse")
+        desk.set_option("turns", "reverse", "anna")
         assert desk.plan is desk.stored is None
         assert stored.folder.is_dir()
 
@@ -80,7 +83,7 @@ def test_the_same_planner_as_that_of_the_command_line(tmp_path: Path) -> None:
 
     async def drive() -> None:
         desk = desk_in(tmp_path, PLANNER)
-        desk.set_option("implement", "harrow_6m")
+        desk.set_option("implement", "harrow_6m", "anna")
         await desk.load({"corner.geojson": geojson()})
         assert desk.error == ""
         assert desk.outline is not None
@@ -307,7 +310,11 @@ def test_while_the_planner_works_nothing_changes_but_it_can_be_cancelled(tmp_pat
             await asyncio.sleep(0.02)
         process = desk.job._process
         assert process is not None
-        for change in (desk.draw, lambda: desk.set_option("turns", "reverse"), lambda: desk.reopen("x")):
+        for change in (
+            lambda: desk.draw("outline"),
+            lambda: desk.set_option("turns", "reverse", "anna"),
+            lambda: desk.reopen("x"),
+        ):
             with pytest.raises(Refused, match="busy"):
                 change()
         for later in (desk.load({"b.kml": b"ok"}), desk.make_plan(), desk.choose("1")):
@@ -381,13 +388,14 @@ def test_a_stored_mission_whose_plan_is_damaged_is_refused(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("name", "value"),
     [("machine", "../../etc"), ("implement", ""), ("turns", "jump"), ("headland_passes", "0"), ("headland_passes", "x"),
-     ("heading_deg", "360"), ("heading_deg", "-1"), ("heading_deg", "²"), ("_FOLDERS", "a"), ("__class__", "x")],
+     ("heading_deg", "360"), ("heading_deg", "-1"), ("heading_deg", "²"), ("_FOLDERS", "a"), ("__class__", "x"),
+     ("vegetation_cm", "36"), ("vegetation_cm", "9")],
 )  # fmt: skip
 def test_an_option_that_does_not_exist_names_the_value(tmp_path: Path, name: str, value: str) -> None:
     desk = desk_in(tmp_path)
     before = desk.options
     with pytest.raises(ConfigError, match=name):
-        desk.set_option(name, value)
+        desk.set_option(name, value, "anna")
     assert desk.options == before
 
 
@@ -396,9 +404,10 @@ def test_options_come_back_from_their_mission_file(tmp_path: Path, heading: str)
     from hmi.plan_view.options import write_mission
 
     desk = desk_in(tmp_path)
-    desk.set_option("heading_deg", heading)
+    desk.set_option("heading_deg", heading, "anna")
+    desk.set_option("vegetation_cm", "30" if heading else "", "anna")
     for name in ("machine", "implement", "turns"):
-        desk.set_option(name, choices()[name][-1])
+        desk.set_option(name, choices()[name][-1], "anna")
     write_mission(desk.options.mission("name: [x", default_work()), tmp_path / "m.yaml")
     assert options_of(*read_mission(tmp_path / "m.yaml")) == desk.options
 
@@ -406,7 +415,7 @@ def test_options_come_back_from_their_mission_file(tmp_path: Path, heading: str)
 def test_direction_is_a_compass_heading(tmp_path: Path) -> None:
     desk = desk_in(tmp_path)
     for heading, yaw in (("0", 90.0), ("90", 0.0), ("45", 45.0), ("135", -45.0)):
-        desk.set_option("heading_deg", heading)
+        desk.set_option("heading_deg", heading, "anna")
         work = desk.options.mission("x", default_work()).work
         assert work is not None
         assert work.swath_direction_deg == pytest.approx(yaw)

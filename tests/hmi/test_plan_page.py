@@ -1,5 +1,6 @@
 """Plan, diagnosis and statistics in Chromium: a field is loaded or drawn, planned, stored, driven, counted."""
 
+import re
 import signal
 import sqlite3
 import time
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from tests.hmi.accessibility import low_contrasts, small_targets
 from tests.hmi.browser import SIZES, Browser, PageProcess, add_user, log_in, needs_browser, page_process, view, wait_for
@@ -167,6 +169,27 @@ def test_no_go_area_and_gate_are_placed_by_clicks(anna: Any, folder: Path) -> No
     anna.click("#remove_areas:not([disabled])")
     anna.wait_for_selector("#rows-plan [data-key=length]", state="detached")
     anna.wait_for_selector("#remove_areas", state="hidden")
+
+
+def test_consent_for_plants_is_given_by_name_and_stored(anna: Any, folder: Path) -> None:
+    """It is part of the mission that is stored, and is taken back."""
+    load(anna, folder / "field.geojson")
+    wait_for(anna, "#hint", "^corner field$")
+    assert anna.text_content("#consent") == ""
+    anna.select_option("#vegetation_cm", "30")
+    assert re.search(r"anna consents .*30.cm", wait_for(anna, "#consent", "anna"))
+    planned(anna)
+    anna.fill("#mission-name", "in crop")
+    anna.click("#store")
+    stored(anna, "in crop").wait_for()
+    missions = (folder / "state" / "missions").glob("2*")
+    found = [yaml.safe_load((one / "mission.yaml").read_text(encoding="utf-8")).get("consent") for one in missions]
+    assert {"by": "anna", "vegetation_m": 0.3} in found
+    anna.select_option("#vegetation_cm", "")
+    wait_for(anna, "#consent", "^$")
+    stored(anna, "in crop").get_by_text("Open").click()
+    wait_for(anna, "#consent", "anna consents")
+    anna.select_option("#vegetation_cm", "")
 
 
 def test_a_plan_goes_on_while_the_page_is_loaded_again_and_can_be_cancelled(anna: Any, folder: Path) -> None:
