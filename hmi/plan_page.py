@@ -87,7 +87,7 @@ class PlanPage(View):
             case "side" if value in SIDES:
                 self._side = value
             case "no_go" | "gate":
-                desk.draw(action)  # type: ignore[arg-type]
+                desk.draw(action)
             case "remove_areas":
                 desk.remove_areas()
             case "corner":

@@ -67,7 +67,7 @@ class View(ABC):
     def send(self, moment: Moment, sections: dict[str, Any], news: Mapping[str, Any] = MappingProxyType({})) -> None:
         """Sends the sections that have changed, and `news`; an empty update shows the browser that the page lives."""
         changes: dict[str, Any] = dict(news)
-        for name, value in (sections | self._alarm(moment.alarms)).items():
+        for name, value in (sections | self._signals(moment.alarms)).items():
             text = json.dumps(value)
             if self._sent.get(name) != text:
                 self._sent[name] = text
@@ -78,7 +78,7 @@ class View(ABC):
                     changes[name] = value
         self.client.run_javascript(f"headland.update({json.dumps(changes, ensure_ascii=False)})")
 
-    def _alarm(self, alarms: AlarmLog) -> dict[str, Any]:
+    def _signals(self, alarms: AlarmLog) -> dict[str, Any]:
         """Sound and flashing text of what waits to be acknowledged; none in a replay."""
         if self.parts.drive.feed.playback is not None:
             return {}
