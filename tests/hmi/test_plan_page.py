@@ -66,7 +66,7 @@ def load(page: Any, path: Path) -> None:
 def planned(page: Any) -> None:
     """Plans and waits for the result."""
     page.click("#plan:not([disabled])")
-    page.wait_for_selector("#rows-plan [data-key=length]")
+    page.wait_for_selector("#rows-plan [data-key=length]", timeout=300_000.0)
 
 
 def stored(page: Any, name: str) -> Any:
