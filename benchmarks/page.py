@@ -56,7 +56,6 @@ class Machine:
     """The page with its simulation: addresses, ring of messages, and the operator of this program."""
 
     def __init__(self, folder: Path) -> None:
-        before = set(Path("/dev/shm").glob(f"{RINGS_PREFIX}*"))
         (folder / "row.yaml").write_text(ROW, encoding="utf-8")
         env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
         command = [sys.executable, "-m", "runtime", "page", *COMMAND]
@@ -70,8 +69,8 @@ class Machine:
         self.url, self.stop_url = (_found(rf"^{name}: (\S+)$", text) for name in ("page", "emergency stop"))
         self.password = _found(r"password (\S+)", text)
         self.children = descendants(self.process.pid)
-        (ring,) = {path for path in set(Path("/dev/shm").glob(f"{RINGS_PREFIX}*")) - before}
-        self._reader = RingReader(ring / "simulation")
+        (ring,) = {path for pid in self.children for path in rings_of(pid)}
+        self._reader = RingReader(ring)
         self.port = next(port for pid in self.children for port in ports_of(pid) if asked(port) is not None)
         self._sender = OrderSender(read_key(folder / "state" / "order_key.pem"), "operator", self.port)
         self.mode: Mode | None = None
@@ -274,6 +273,12 @@ def ports_of(pid: int) -> list[int]:
     inodes = {link[8:-1] for link in links if link.startswith("socket:[")}
     rows = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
     return [int(row[1].split(":")[1], 16) for row in rows if row[9] in inodes and row[1].startswith("0100007F")]
+
+
+def rings_of(pid: int) -> set[Path]:
+    """Rings of messages that a process has in its memory."""
+    words = (line.split() for line in Path(f"/proc/{pid}/maps").read_text().splitlines())
+    return {Path(word[-1]) for word in words if RINGS_PREFIX in word[-1]}
 
 
 def asked(port: int) -> dict[str, Any] | None:
