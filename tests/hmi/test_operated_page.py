@@ -125,10 +125,11 @@ def test_a_driven_row_is_shifted_in_steps(anna: Any) -> None:
         press(anna, f"nudge_{pressed}")
         wait_for(anna, "[data-hl=answer]", "Shift of the row: accepted")
         wait_for(anna, "#rows-work [data-key=shift] dd", f"^{shown}")
-    for _ in range(10):
+        anna.wait_for_timeout(1500.0)  # a slow simulation takes fewer orders in a second
+    for number in range(1, 11):
         press(anna, "nudge_right")
-        anna.wait_for_timeout(400.0)
-    wait_for(anna, "#rows-work [data-key=shift] dd", "^10.cm right")
+        wait_for(anna, "#rows-work [data-key=shift] dd", f"^{number}.cm right")
+        anna.wait_for_timeout(1500.0)
     press(anna, "nudge_right")
     wait_for(anna, "[data-hl=answer]", "refused .largest shift")
     wait_for(anna, "#rows-motion [data-key=xte] dd", r"^[0-2]\.\d")
