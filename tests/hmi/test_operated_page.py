@@ -124,7 +124,7 @@ def test_a_second_operator_and_a_viewer_give_no_orders(browser: Browser, process
 
 
 def shift(page: Any, side: str, shown: str) -> None:
-    """Shifts the row by a step until it is shown; a slow simulation takes fewer orders in a second, so it may refuse."""
+    """Shifts the row by a step until it is shown; a slow simulation takes fewer orders in a second of the clock."""
     for _ in range(8):
         press(page, f"nudge_{side}")
         with suppress(Exception):  # Playwright is loaded late, so its TimeoutError has no name here
