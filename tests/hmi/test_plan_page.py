@@ -146,8 +146,9 @@ def test_a_field_is_drawn_by_clicks(anna: Any) -> None:
 
 def test_no_go_area_and_gate_are_placed_by_clicks(anna: Any, folder: Path) -> None:
     """On the field of a file; the plan leaves the area out and begins at the gate."""
-    load(anna, folder / "field.geojson")
-    wait_for(anna, "#hint", "^corner field$")
+    (folder / "areas.geojson").write_bytes(geojson(name="field with areas"))
+    load(anna, folder / "areas.geojson")
+    wait_for(anna, "#hint", "^field with areas$")
     planned(anna)
     swaths = anna.text_content("#rows-plan [data-key=share] dd")
     anna.click("#no_go:not([disabled])")
@@ -162,7 +163,7 @@ def test_no_go_area_and_gate_are_placed_by_clicks(anna: Any, folder: Path) -> No
     anna.click("#gate:not([disabled])")
     wait_for(anna, "#hint", "place of the gate")
     anna.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.97 * box["height"])
-    wait_for(anna, "#hint", "^corner field$")
+    wait_for(anna, "#hint", "^field with areas$")
     planned(anna)
     assert wait_for(anna, "#rows-plan [data-key=gate]", ".*[Gg]ate")
     assert anna.text_content("#rows-plan [data-key=share] dd") != swaths
@@ -173,8 +174,9 @@ def test_no_go_area_and_gate_are_placed_by_clicks(anna: Any, folder: Path) -> No
 
 def test_consent_for_plants_is_given_by_name_and_stored(anna: Any, folder: Path) -> None:
     """It is part of the mission that is stored, and is taken back."""
-    load(anna, folder / "field.geojson")
-    wait_for(anna, "#hint", "^corner field$")
+    (folder / "crop.geojson").write_bytes(geojson(name="field in crop"))
+    load(anna, folder / "crop.geojson")
+    wait_for(anna, "#hint", "^field in crop$")
     assert anna.text_content("#consent") == ""
     anna.select_option("#vegetation_cm", "30")
     assert re.search(r"anna consents .*30.cm", wait_for(anna, "#consent", "anna"))
