@@ -24,7 +24,7 @@ site: demo
 machine: tractor_e
 implement: harrow_6m
 start: {x_m: 14.0, y_m: 25.0, heading_deg: 0.0}
-line: {speed_kmh: 3, legs: [{length_m: 52.0, is_working: true}]}
+line: {speed_kmh: 1.5, legs: [{length_m: 52.0, is_working: true}]}
 """
 
 
