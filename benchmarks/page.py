@@ -48,7 +48,7 @@ line: {speed_kmh: 1, legs: [{length_m: 52.0, is_working: true}]}
 """
 COMMAND = ("--mission", "row.yaml", "--scenario", "empty", "--port", "0", "--stop-port", "0", "--state", "state")
 WAIT_S = 120.0
-PRESENT_S = 1.0
+PRESENT_S, AGAIN_S = 1.0, 5.0
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -108,11 +108,18 @@ class Machine:
             time.sleep(0.01)
 
     def reach(self, mode: Mode, *orders: str) -> None:
-        """Gives orders until a mode is reached."""
-        for order in orders:
-            self.order(order)
-            time.sleep(0.3)
-        self.until(lambda: self.mode is mode)
+        """Gives orders, again after a time, until a mode is reached; a moving machine is not released."""
+        end_s = time.monotonic() + WAIT_S
+        while self.mode is not mode and time.monotonic() < end_s:
+            for order in orders:
+                self.order(order)
+                time.sleep(0.3)
+            again_s = time.monotonic() + AGAIN_S
+            while self.mode is not mode and time.monotonic() < again_s:
+                for _ in self.records():
+                    pass
+                time.sleep(0.01)
+        self.until(lambda: self.mode is mode, 0.0)
 
     def press(self) -> float:
         """Presses the emergency stop; seconds until the frames of the gateway that follow the command."""
