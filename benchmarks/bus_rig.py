@@ -150,7 +150,7 @@ class OrderRig:
         config = load_stack().interfaces.orders.model_copy(update={"keys": {"remote": key}})
         verifier = OrderVerifier("bench-1", self._session, OrdersConfig.model_validate(config), SequenceStore(folder))
         self._port = OrderPort(0)
-        self._gate = OrderGate("bench-1", self._session, verifier, config.report_s, self._port)
+        self._gate = OrderGate("bench-1", self._session, verifier, config.report_s, 0.0, self._port)
         self.port, self.now_ns, self._sequence = self._port.number, 10**18, 0
         self._sent: list[bytes] = []
         self.accepted = self.refused = 0

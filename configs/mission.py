@@ -21,6 +21,12 @@ class Work(Config):
     guidance: str | None = Field(
         default=None, description="name or number of an AB or A+ line of the field file: sets direction and point"
     )
+    no_go_m: tuple[Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=3, max_length=500)], ...] = (
+        Field(default=(), max_length=100, description="areas to keep out of, besides those of the field file, in `map`")
+    )
+    gate_m: tuple[Coordinate, Coordinate] | None = Field(
+        default=None, description="point in `map`: the gate is on the edge of the field file next to it"
+    )
     overlap_m: float = Field(ge=0.0, le=2.0)
     work_speed_kmh: Kmh
     turn_speed_kmh: Kmh

@@ -17,7 +17,7 @@ from geometry.pose2 import Pose2
 from messages.command import ControlCommand, MachineState, Mode, SafeCommand
 from messages.motion import MapPose, Odometry
 from messages.node import Every, Inbox, Latest, Node, Output
-from messages.plan import Path
+from messages.plan import MissionStatus, Path
 
 PERIOD_NS = 20_000_000
 NO_PATH = -1
@@ -37,11 +37,14 @@ class ControlConfig(Config):
 
 
 class Controller(Node):
-    """Follows each new path from its beginning to standstill at its end; commands standstill without path or pose."""
+    """Follows each new path from its beginning to standstill at its end; commands standstill without path or pose.
+
+    A shift of the line by the operator is a shift of the pose against it, at the rate of its smoothing.
+    """
 
     def __init__(self, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, config: ControlConfig) -> None:
         self.name = "controller"
-        self.reads = {k: Latest() for k in ("path", "odom", "map_pose", "machine", "safe_command")}
+        self.reads = {k: Latest() for k in ("path", "odom", "map_pose", "machine", "safe_command", "mission")}
         self.writes = ("control_command",)
         self.runs = Every(PERIOD_NS)
         self._config, self._vehicle = config, vehicle
@@ -75,6 +78,9 @@ class Controller(Node):
             return None
         is_standing = abs(odom.speed_mps) < STANDING_MPS and self._commanded_mps == 0.0
         T_map_odom, T_odom_base = Pose2.of(map_pose.T_map_odom), Pose2.of(odom.T_odom_base)
+        mission = inbox.latest("mission", MissionStatus)
+        if mission is not None:  # the line is shifted to the left: the machine is more to the right of it
+            T_map_odom = Pose2(-mission.shift_x_m, -mission.shift_y_m, 0.0) @ T_map_odom
         pose = self._pose_smoothing.update(T_map_odom, T_odom_base, elapsed_s, is_standing)
         return VehicleSample(odom.stamp_ns, pose, odom.speed_mps, odom.yaw_rate_radps, odom.curvature_radpm)
 

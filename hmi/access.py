@@ -17,9 +17,11 @@ from configs.strict import Config, load
 from hmi.config import SessionConfig
 from messages.errors import HeadlandError
 
-Role = Literal["view", "operate", "setup"]
-ROLES: tuple[Role, ...] = ("view", "operate", "setup")
-OPERATORS = ("operate", "setup")  # roles that may have control; `setup` alone changes the setup of the machine
+Role = Literal["view", "operate", "setup", "service"]
+ROLES: tuple[Role, ...] = ("view", "operate", "setup", "service")
+OPERATORS = ("operate", "setup", "service")  # roles that may have control
+SETTERS = ("setup", "service")  # that change the setup of the machine and calibrate it
+SERVICE = "service"  # sees the frames of the bus too
 MIN_PASSWORD = 8
 HASHER = PasswordHasher()
 UNKNOWN = HASHER.hash(secrets.token_hex(16))  # of unknown names: an answer takes as long as for known ones

@@ -17,6 +17,7 @@ from nicegui import ui
 from hmi.calibration_page import CalibrationPage
 from hmi.certificate import Certificate
 from hmi.diagnosis.alarm_log import AlarmLog, clock_text
+from hmi.diagnosis.bus_table import BusTable
 from hmi.diagnosis.topic_table import TopicTable
 from hmi.diagnosis_page import DiagnosisPage
 from hmi.drive_page import DrivePage
@@ -53,7 +54,7 @@ class PageApp:
     def __init__(self, parts: PageParts) -> None:
         self.parts = parts
         self.state = PageState(parts.drive.scene, parts.config.cell_m)
-        self.alarms, self.topics = AlarmLog(), TopicTable()
+        self.alarms, self.topics, self.bus = AlarmLog(), TopicTable(), BusTable()
         self.pages: dict[str, View] = {}
         self._drive_error = ""
         self._stored: Totals | None = None
@@ -87,6 +88,8 @@ class PageApp:
         self.state.take(feed.now_ns, envelopes)
         self.alarms.take(self.state.new_faults, time.time())
         self.topics.take(feed.counts, now_s)
+        self.bus.take(envelopes)
+        self.parts.desk.follow(self.state)
         if now_s - self._stored_s >= STORE_S:
             self._stored_s = now_s
             self.store_statistics()
@@ -94,7 +97,7 @@ class PageApp:
             self.report(False)
         self._send_presence(now_s)
         self._notify(now_s)
-        moment = Moment(self.parts, self.state, self.alarms, self.topics, is_restarted, self._drive_error)
+        moment = Moment(self.parts, self.state, self.alarms, self.topics, self.bus, is_restarted, self._drive_error)
         for key, page in list(self.pages.items()):
             try:
                 page.update(moment)
@@ -136,7 +139,7 @@ class PageApp:
             self.parts.calibration.end()
             self.parts.setup.show(found.setup, found.setup_number)
         self._keeper = None if found.stored is None else ProgressKeeper(found.stored)
-        self.topics = TopicTable()
+        self.topics, self.bus = TopicTable(), BusTable()
         return True
 
     def _end_alarms(self) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from calibration.result import CalibrationResult, Estimate
+from hmi.access import SETTERS
 from hmi.calibration_view.desk import CalibrationDesk
 from hmi.drive_view.controls import check_standing
 from hmi.drive_view.row import number
@@ -74,7 +75,7 @@ class CalibrationPage(View):
         value = value[:MAX_VALUE] if isinstance(value, str) else ""
         if desk is None or self._moment is None:
             raise Refused("no_machine")
-        if self.session.role != "setup":
+        if self.session.role not in SETTERS:
             raise Refused("no_role")
         match action:
             case "wizard":
@@ -103,7 +104,7 @@ class CalibrationPage(View):
         barred = self.seat.update()
         if self.parts.calibration is None:
             return self.texts("why.replay")
-        return barred or ("" if self.session.role == "setup" else self.texts("refused.no_role"))
+        return barred or ("" if self.session.role in SETTERS else self.texts("refused.no_role"))
 
     def wizard_name(self, name: str) -> str:
         """Name of a calibration."""

@@ -2,22 +2,30 @@
 
 import time
 from collections.abc import Mapping
+from html import escape
 from typing import Any
 
 from nicegui import ui
+from nicegui.client import Client
 
+from hmi.access import SERVICE, Session
 from hmi.diagnosis.alarm_log import Alarm, AlarmLog, clock_text
 from hmi.diagnosis.audit import audit_rows
 from hmi.diagnosis.remedy import remedy
+from hmi.diagnosis.self_test import SelfTest
 from hmi.drive_view.alarms import LEVELS
 from hmi.drive_view.row import number
 from hmi.drive_view.standing import fault_text
-from hmi.parts import Moment
+from hmi.page_state import PageState
+from hmi.parts import Moment, PageParts
+from hmi.texts import Texts
 from hmi.view import View
 from messages.faults import Severity
 
 ALARMS = ("began", "device", "cause", "remedy", "response", "ended", "count", "acknowledged")
 AUDIT = ("order", "number")
+SELF_TEST = ("control", "state")
+BUS = ("direction", "identifier", "frame", "number", "values")
 TOPICS = ("topic", "rate", "expected", "age", "state")
 RUNS = ("run", "command", "complete", "files")
 SHOWN_ALARMS = 100
@@ -28,6 +36,11 @@ class DiagnosisPage(View):
 
     NAME = "diagnosis"
     _alarms: AlarmLog | None = None
+    _state: PageState | None = None
+
+    def __init__(self, parts: PageParts, client: Client, session: Session, token: str, texts: Texts) -> None:
+        super().__init__(parts, client, session, token, texts)
+        self._self_test = SelfTest()
 
     def build_main(self) -> None:
         """Builds the tables."""
@@ -37,13 +50,19 @@ class DiagnosisPage(View):
                 ui.html(
                     '<p id="why" class="hl-note"></p><p id="answer" class="hl-answer" role="alert"></p>', sanitize=False
                 )
-            tables = (("alarm_log", ALARMS), ("audit", AUDIT), ("topics", TOPICS), ("runs", RUNS))
-            ui.html("".join(self.table_card(name, columns) for name, columns in tables), sanitize=False)
+            tables = [("alarm_log", ALARMS), ("audit", AUDIT), ("topics", TOPICS), ("runs", RUNS)]
+            if self.session.role == SERVICE:
+                tables.insert(3, ("bus", BUS))
+            cards = "".join(self.table_card(name, columns) for name, columns in tables)
+            ui.html(self._test_card() + cards, sanitize=False)
 
     def update(self, moment: Moment) -> None:
         """Sends what has changed."""
         self._alarms = moment.alarms
         barred = self.seat.update()
+        self._step_test(moment.state)
+        cannot_test = barred or ("" if self.parts.sender is not None else self.texts("why.no_key"))
+        bus = {"tables.bus": self._bus(moment)} if self.session.role == SERVICE else {}
         entries = sorted(moment.alarms.entries, key=_urgency)[:SHOWN_ALARMS]
         self.send(moment, {
             "texts": {"why": barred, "answer": self.answer or self._unsent()},
@@ -51,13 +70,49 @@ class DiagnosisPage(View):
             "tables.audit": audit_rows(moment.state, self.texts),
             "tables.topics": self._topics(moment),
             "tables.runs": self._runs(),
-        })  # fmt: skip
+            "controls": {"self_test": {"off": bool(cannot_test)}},
+            "tables.self_test": self._test_rows(),
+        } | bus)  # fmt: skip
 
     async def act(self, action: str, values: Mapping[str, Any]) -> None:
-        """Acknowledges an alarm."""
+        """Acknowledges an alarm, or begins the self-test of the controls."""
+        if action == "self_test":
+            self._self_test.begin()
         number_text = str(values.get("value", ""))
         if self._alarms is not None and action == "acknowledge" and number_text.isdecimal() and len(number_text) < 10:
             self._alarms.acknowledge(int(number_text), self.session.name)
+
+    def _test_card(self) -> str:
+        """Button and results of the self-test; that of the emergency stop is shown by its own process."""
+        button = self.button("self_test", "diagnosis.self_test")
+        note = f'<p class="hl-note">{escape(self.texts("diagnosis.self_test_note"))}</p>'
+        return self.table_card("self_test", SELF_TEST, note + button)
+
+    def _step_test(self, state: PageState) -> None:
+        sender = self.parts.sender
+        if sender is not None and not self.parts.is_switching:
+            self._self_test.step(state, sender, self.parts.config.order_valid_s)
+
+    def _test_rows(self) -> list[list[Any]]:
+        texts, rows = self.texts, []
+        for order, found in self._self_test.results.items():
+            if found in ("", "accepted", "unanswered"):
+                text = texts(f"self_test.{found or 'waits'}")
+            else:
+                text = texts("self_test.refused", reason=texts(f"refusal.{found}"))
+            level = {"": "plain", "accepted": "good"}.get(found, "alarm")
+            rows.append(
+                [texts(f"order.{order}"), {"text": f"{texts(f'level.{level}')} {text}".strip(), "level": level}]
+            )
+        return rows
+
+    def _bus(self, moment: Moment) -> list[list[Any]]:
+        texts = self.texts
+        return [
+            [texts("bus.sent" if one.is_sent else "bus.received"), f"{one.identifier:08X}",
+             one.name or texts("bus.unknown"), str(one.count), one.values]
+            for one in moment.bus.rows()
+        ]  # fmt: skip
 
     def _unsent(self) -> str:
         error = self.parts.notification_error

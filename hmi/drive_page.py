@@ -8,7 +8,7 @@ from nicegui import ui
 from nicegui.client import Client
 
 from hmi.access import Session
-from hmi.drive_view.controls import ORDERS
+from hmi.drive_view.controls import CONTROLS, NUDGES
 from hmi.drive_view.map_view import static_map
 from hmi.orders import SentOrder, outcome
 from hmi.page_state import PageState
@@ -100,7 +100,7 @@ class DrivePage(View):
                 return
             self.seat.build()
             with ui.element("div").classes("hl-orders"):
-                for order in ORDERS:
+                for order in CONTROLS:
                     self._build_order(order)
             self._answer_label = ui.label("").classes("hl-answer").props('role="status" data-hl="answer"')
 
@@ -110,6 +110,7 @@ class DrivePage(View):
             button.classes("hl-button" + (" hl-go" if order in GO else ""))
             note = ui.label("").classes("hl-note").props(f'data-hl="why-{order}"')
             button.props(f'unelevated no-caps data-hl="order-{order}" aria-describedby="{note.html_id}"')
+        button.set_enabled(False)  # until the first update: a press before it would be lost
         self._buttons[order] = button, note
 
     def _press(self, order: str) -> None:
@@ -124,7 +125,8 @@ class DrivePage(View):
         if self.parts.is_switching or sender is None or state is None or status is None:
             return
         valid_s = config.confirmation_valid_s if order == "confirm_clear" else config.order_valid_s
-        self._order = sender.send(order, status, state.now_ns, valid_s)
+        kind = "nudge" if order in NUDGES else order
+        self._order = sender.send(kind, status, state.now_ns, valid_s, NUDGES.get(order))
         self._answer_s = time.monotonic()
         self._answer_label.set_text(self.texts("order.sent", order=self.texts(f"order.{order}")))
 

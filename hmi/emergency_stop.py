@@ -99,8 +99,11 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = REQUEST_S  # a slow client does not hold a thread for longer
 
     def do_GET(self) -> None:
-        """The form."""
-        self._answer(200, "")
+        """The form; at /check with whether the machine answers, which moves and stops nothing."""
+        is_check = urlsplit(self.path).path == "/check"
+        answers = is_check and self.server.sender.accepted() is not None  # type: ignore[attr-defined]
+        key = "stop.works" if answers else "stop.unanswered"
+        self._answer(200, self._texts(key, time=time.strftime("%H:%M:%S")) if is_check else "")
 
     def do_POST(self) -> None:
         """Sends the stop, unless the form is on a page of another server."""

@@ -25,12 +25,16 @@ ANSWER_NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class SentOrder:
-    """An order that was sent: its number, the time of the machine, and the refusals until then by reason."""
+    """An order that was sent: its number, the time of the machine, and the refusals until then by reason.
+
+    `is_check`: the machine verifies it and does nothing.
+    """
 
     order: str
     sequence: int
     sent_ns: int
     refused: dict[str, int]
+    is_check: bool = False
 
 
 class OrderSender:
@@ -41,24 +45,32 @@ class OrderSender:
         self._sequence = -1
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
-    def send(self, order: str, status: OrderStatus, now_ns: int, valid_s: float) -> SentOrder:
-        """Sends an order to the machine of this status, void `valid_s` after now; raises OSError."""
+    def send(
+        self, order: str, status: OrderStatus, now_ns: int, valid_s: float, left_m: float | None = None,
+        is_check: bool = False,
+    ) -> SentOrder:  # fmt: skip
+        """Sends an order to the machine of this status, void `valid_s` after now (`left_m`: nudge); raises OSError."""
         self._sequence = max(now_ns, self._sequence + 1)
         content = {
             "machine": status.machine, "session": status.session, "authority": self._authority,
             "sequence": self._sequence, "order": order, "expires_ns": now_ns + round(valid_s * 1e9),
         }  # fmt: skip
-        payload = json.dumps(content).encode()
+        more = ({} if left_m is None else {"left_m": left_m}) | ({"is_check": True} if is_check else {})
+        payload = json.dumps(content | more).encode()
         self._socket.sendto(self._key.sign(payload) + public_key_of(self._key) + payload, ("127.0.0.1", self._port))
-        return SentOrder(order, self._sequence, now_ns, {one.reason: one.count for one in status.refused})
+        refused = {one.reason: one.count for one in status.refused}
+        return SentOrder(order, self._sequence, now_ns, refused, is_check)
 
 
 def outcome(sent: SentOrder, state: PageState) -> str | None:
     """`accepted`, `unanswered` after a second, or the reason of a refusal; None while the answer is awaited."""
-    command = state.newest("operator_command", OperatorCommand)
-    if command is not None and command.sequence >= sent.sequence:
+    command, status = state.newest("operator_command", OperatorCommand), state.newest("order_status", OrderStatus)
+    if sent.is_check:
+        done = -1 if status is None else status.checked
+    else:
+        done = -1 if command is None else command.sequence
+    if done >= sent.sequence:
         return "accepted"
-    status = state.newest("order_status", OrderStatus)
     for one in status.refused if status is not None else ():
         if one.count > sent.refused.get(one.reason, 0):
             return one.reason

@@ -8,12 +8,14 @@ import numpy as np
 
 from geometry.pose2 import Pose2
 from hmi.coverage import Coverage, Trail
+from hmi.drive_view.corrections import CorrectionWatch
 from hmi.scene import Scene
 from messages.command import MachineState, Mode, SupervisorState
 from messages.faults import Fault
 from messages.message import Envelope, Message
 from messages.motion import MapPose, Odometry
 from messages.plan import MissionState, MissionStatus, Path
+from messages.sensors import GnssFix
 from messages.topics import spec_of
 
 M = TypeVar("M", bound=Message)
@@ -37,6 +39,7 @@ class PageState:
         self.distance_m = 0.0
         self.stops = 0  # of automatic operation, by obstacles, faults and emergencies
         self.new_faults: list[Fault] = []  # of the last messages
+        self.corrections = CorrectionWatch(scene.max_correction_age_s)
         self._counted_odom_m: tuple[float, float] | None = None
         self._mode: Mode | None = None
         self._newest: dict[str, Message] = {}
@@ -59,6 +62,9 @@ class PageState:
                 self.stops += self._mode is Mode.AUTOMATIC and message.mode in STOPPED
                 self._mode = message.mode
         self.now_ns = now_ns
+        fixes = [fix for topic in self.topics("gnss") if (fix := self.fresh(topic, GnssFix)) is not None]
+        for fault in self.corrections.take(now_ns, fixes):
+            self._take_fault(fault)
 
     def newest(self, topic: str, kind: type[M]) -> M | None:
         """Newest message of a topic, of any age."""

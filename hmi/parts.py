@@ -13,6 +13,7 @@ from hmi.access import Access
 from hmi.calibration_view.desk import CalibrationDesk
 from hmi.config import PageConfig
 from hmi.diagnosis.alarm_log import AlarmLog
+from hmi.diagnosis.bus_table import BusTable
 from hmi.diagnosis.run_files import Run, runs_of
 from hmi.diagnosis.topic_table import TopicTable
 from hmi.drive_view.standing import RuleText
@@ -128,6 +129,7 @@ class Moment:
     state: PageState
     alarms: AlarmLog
     topics: TopicTable
+    bus: BusTable
     is_restarted: bool
     drive_error: str = ""
     _shown: dict[str, dict[str, Any]] = field(default_factory=dict)

@@ -11,14 +11,16 @@ from hmi.drive_view.controls import check_standing
 from hmi.drive_view.map_view import static_map
 from hmi.drive_view.row import Row, number
 from hmi.parts import Moment
-from hmi.plan_view.options import MAX_PASSES, choices
+from hmi.plan_view.options import HEIGHTS_CM, MAX_PASSES, choices
 from hmi.plan_view.progress import Progress, read_progress
 from hmi.refusal import Refused
 from hmi.scene import Scene
 from hmi.view import View
 
+AREAS = (("no_go", "plan.no_go"), ("gate", "plan.gate_place"), ("remove_areas", "plan.remove_areas"))
 MAX_VALUE = 200  # characters
 HEADINGS = range(0, 180, 5)
+SIDES = ("left", "right", "middle")  # of the implement, along the edge of a field that is recorded
 COLUMNS = ("name", "stored_at", "author", "", "", "", "")
 
 
@@ -28,6 +30,7 @@ class PlanPage(View):
     NAME = "plan"
     _mapped: object = None
     _moment: Moment | None = None
+    _side = "left"
 
     def build_main(self) -> None:
         """Builds the map, the controls, and the table of missions."""
@@ -52,9 +55,10 @@ class PlanPage(View):
         error = texts("plan.error", error=desk.error) if desk.error else ""
         answer = self.answer or error or moment.drive_error or self.parts.progress_error
         self.send(moment, {
-            "draft": desk.points_m if desk.is_drawing else None,
+            "draft": desk.drawing.points_m if desk.drawing.kind else None,
             "texts": {
                 "why": barred, "answer": answer, "hint": self._hint(), "progress": self._progress(),
+                "consent": self._consent(),
             },
             "controls": self._controls(barred),
             "rows.plan": [[r.key, r.label, r.value, texts(f"level.{r.level}"), r.level] for r in self._rows()],
@@ -64,11 +68,11 @@ class PlanPage(View):
     def _map(self, scene: Scene) -> dict[str, Any]:
         """What the map shows, if it is another than before: the plan, else the outline, else the present site."""
         desk = self.parts.desk
-        source = desk.plan or desk.outline or scene
+        source = desk.plan or desk.outline or scene  # a changed outline is another object
         if source is self._mapped:
             return {}
         self._mapped = source
-        still = desk.outline or static_map(scene) if desk.plan is None else desk.plan.map
+        still = desk.shown_outline or static_map(scene) if desk.plan is None else desk.plan.map
         return {"still": still}
 
     async def act(self, action: str, values: Mapping[str, Any]) -> None:
@@ -77,17 +81,25 @@ class PlanPage(View):
         value = value[:MAX_VALUE] if isinstance(value, str) else ""
         match action:
             case "draw":
-                desk.draw()
+                desk.draw("outline")
+            case "drive":
+                desk.draw("driven", self._side)
+            case "side" if value in SIDES:
+                self._side = value
+            case "no_go" | "gate":
+                desk.draw(action)
+            case "remove_areas":
+                desk.remove_areas()
             case "corner":
                 desk.add_point(_number(values.get("x")), _number(values.get("y")))
             case "undo":
                 desk.remove_point()
             case "close":
-                await desk.close_outline(self.parts.drive.scene.site.datum, self.texts("plan.drawn_name"))
+                await desk.close_drawing(self.parts.drive.scene.site.datum, self.texts("plan.drawn_name"))
             case "feature":
                 await desk.choose(value)
-            case "machine" | "implement" | "headland_passes" | "turns" | "heading_deg":
-                desk.set_option(action, value)
+            case "machine" | "implement" | "headland_passes" | "turns" | "heading_deg" | "vegetation_cm":
+                desk.set_option(action, value, self.session.name)
             case "plan":
                 await desk.make_plan()
             case "cancel":
@@ -116,9 +128,17 @@ class PlanPage(View):
 
     def _hint(self) -> str:
         desk = self.parts.desk
-        if desk.is_drawing:
-            return self.texts("plan.hint_draw", number=len(desk.points_m))
+        if desk.drawing.kind:
+            return self.texts(f"plan.hint_{desk.drawing.kind}", number=len(desk.drawing.points_m))
         return self.texts("plan.hint_site" if desk.outline is None else "plan.hint_field", name=desk.name)
+
+    def _consent(self) -> str:
+        """Who has consented to which height of plants."""
+        consent = self.parts.desk.options.consent
+        if consent is None:
+            return ""
+        height = number(100.0 * consent.vegetation_m, 0, "cm")
+        return self.texts("plan.consent", height=height, name=consent.by)
 
     def _progress(self) -> str:
         job = self.parts.desk.job
@@ -133,12 +153,15 @@ class PlanPage(View):
         is_off = bool(barred) or desk.job is not None
         heading = "" if options.heading_deg is None else f"{options.heading_deg:g}"
         headings = sorted({f"{h}" for h in HEADINGS} | {heading} - {""}, key=float)
+        height = "" if options.consent is None else f"{100.0 * options.consent.vegetation_m:.0f}"
+        heights = [["", self.texts("plan.no_consent")], *([f"{h}", f"{h}\u202fcm"] for h in HEIGHTS_CM)]
         values: dict[str, tuple[str, list[list[str]]]] = {
             "feature": (desk.feature or "", [["", self.texts("plan.choose")], *([k, n] for k, n in desk.features)]),
             "machine": (options.machine, [[n, n] for n in choices()["machine"]]),
             "implement": (options.implement, [[n, n] for n in choices()["implement"]]),
             "turns": (options.turns, [[n, self.texts(f"turns.{n}")] for n in choices()["turns"]]),
             "headland_passes": (str(options.headland_passes), [[str(n), str(n)] for n in range(1, MAX_PASSES + 1)]),
+            "vegetation_cm": (height, heights),
             "heading_deg": (heading, [["", self.texts("plan.auto")], *([h, f"{h}°"] for h in headings)]),
         }  # fmt: skip
         found: dict[str, Any] = {
@@ -147,8 +170,12 @@ class PlanPage(View):
         found["feature"]["hidden"] = len(desk.features) < 2
         found |= {
             "field-file": {"off": is_off}, "draw": {"off": is_off},
-            "undo": {"off": is_off, "hidden": not desk.is_drawing},
-            "close": {"off": is_off or len(desk.points_m) < 3, "hidden": not desk.is_drawing},
+            "drive": {"off": is_off},
+            "side": {"off": is_off, "value": self._side, "choices": [[n, self.texts(f"edge.{n}")] for n in SIDES]},
+            "no_go": {"off": is_off or desk.outline is None}, "gate": {"off": is_off or desk.outline is None},
+            "remove_areas": {"off": is_off, "hidden": not desk.no_go_m and desk.gate_m is None},
+            "undo": {"off": is_off, "hidden": desk.drawing.kind in ("", "gate")},
+            "close": {"off": is_off or len(desk.drawing.points_m) < 3, "hidden": desk.drawing.kind in ("", "gate")},
             "plan": {"off": is_off or desk.outline is None},
             "cancel": {"off": bool(barred), "hidden": desk.job is None},
             "mission-name": {"off": is_off or desk.plan is None or desk.stored is not None},
@@ -225,12 +252,16 @@ class PlanPage(View):
         buttons = (
             self.button("draw", "plan.draw") + self.button("undo", "plan.undo") + self.button("close", "plan.close")
         )
+        areas = "".join(self.button(*one) for one in AREAS)
+        drive = self.button("drive", "plan.drive") + self.select("side", "plan.side")
         note = f'<p class="hl-note">{escape(texts("plan.formats"))}</p>'
-        return self.card("field", f'{upload}{note}{select}<div class="hl-pair">{buttons}</div>')
+        pairs = "".join(f'<div class="hl-pair">{one}</div>' for one in (buttons, drive, areas))
+        return self.card("field", f"{upload}{note}{select}{pairs}")
 
     def _options_card(self) -> str:
-        names = ("machine", "implement", "headland_passes", "turns", "heading_deg")
-        return self.card("options", "".join(self.select(name, f"plan.{name}") for name in names))
+        names = ("machine", "implement", "headland_passes", "turns", "heading_deg", "vegetation_cm")
+        note = f'<p class="hl-note">{escape(self.texts("plan.consent_note"))}</p><p id="consent"></p>'
+        return self.card("options", "".join(self.select(name, f"plan.{name}") for name in names) + note)
 
     def _plan_card(self) -> str:
         texts = self.texts

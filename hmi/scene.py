@@ -1,5 +1,6 @@
 """Scene: what does not move, and the dimensions of machine and implement, from the resolved configuration of a run."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -24,12 +25,16 @@ class _Sections(Config):
 
 @dataclass(frozen=True)
 class Scene:
-    """Site, machine and implement of a run, and the planned lines, each (N, 2) in `map`, where they are known."""
+    """Site, machine and implement of a run, and the planned lines, each (N, 2) in `map`, where they are known.
+
+    Corrections older than `max_correction_age_s` are not used.
+    """
 
     site: Site
     vehicle: Vehicle
     implement: Implement
     planned_map_m: tuple[Float64, ...] = ()
+    max_correction_age_s: float = math.inf
 
     @property
     def working_point_m(self) -> float:
@@ -51,4 +56,8 @@ def scene_of(text: str, where: str, planned_map_m: tuple[Float64, ...] = ()) -> 
     if not isinstance(values, dict) or not _Sections.model_fields.keys() <= values.keys():
         raise ConfigError(f"{where}: has no site, machine and implement; a log of `headland run` or `live` is needed")
     found = parse(_Sections, {name: values[name] for name in _Sections.model_fields}, where)
-    return Scene(found.site, found.machine, found.implement, planned_map_m)
+    try:
+        age_s = float(values["stack"]["localization"]["map_alignment"]["gnss"]["max_correction_age_s"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{where}: has no stack.localization.map_alignment.gnss.max_correction_age_s") from error
+    return Scene(found.site, found.machine, found.implement, planned_map_m, age_s)

@@ -5,6 +5,7 @@ from typing import Any
 
 from nicegui import ui
 
+from hmi.access import SETTERS
 from hmi.drive_view.controls import check_standing
 from hmi.parts import Moment
 from hmi.refusal import Refused
@@ -80,7 +81,7 @@ class SetupPage(View):
             return
         if desk is None:
             raise Refused("no_machine")
-        if self.session.role != "setup":
+        if self.session.role not in SETTERS:
             raise Refused("no_role")
         match action:
             case "edit":
@@ -108,7 +109,7 @@ class SetupPage(View):
         barred = self.seat.update()
         if self.parts.setup is None:
             return self.texts("why.replay")
-        return barred or ("" if self.session.role == "setup" else self.texts("refused.no_role"))
+        return barred or ("" if self.session.role in SETTERS else self.texts("refused.no_role"))
 
     def _state(self, desk: SetupDesk) -> str:
         """Machine, and whether it drives with the newest version."""

@@ -13,6 +13,8 @@ from nicegui.client import Client
 from nicegui.events import GenericEventArguments
 
 from hmi.access import Session
+from hmi.diagnosis.alarm_log import AlarmLog
+from hmi.drive_view.standing import fault_text
 from hmi.log_in import stop_frame
 from hmi.parts import Moment, PageParts
 from hmi.refusal import Refused
@@ -45,6 +47,7 @@ class View(ABC):
         ui.html(self._head(), sanitize=False)
         lost = escape(self.texts("page.lost"))
         ui.html(f'<div id="lost" class="hl-lost" role="alert" hidden>{lost}</div>', sanitize=False)
+        ui.html('<div id="light" class="hl-light" role="alert" hidden></div>', sanitize=False)
         with ui.element("main").classes(f"hl-main hl-view-{self.NAME}"):
             self.build_main()
         ui.html(stop_frame(self.parts.stop_url, self.texts), sanitize=False)
@@ -64,8 +67,7 @@ class View(ABC):
     def send(self, moment: Moment, sections: dict[str, Any], news: Mapping[str, Any] = MappingProxyType({})) -> None:
         """Sends the sections that have changed, and `news`; an empty update shows the browser that the page lives."""
         changes: dict[str, Any] = dict(news)
-        sound = {"sound": moment.alarms.sound_number} if self.parts.drive.feed.playback is None else {}
-        for name, value in (sections | sound).items():
+        for name, value in (sections | self._signals(moment.alarms)).items():
             text = json.dumps(value)
             if self._sent.get(name) != text:
                 self._sent[name] = text
@@ -75,6 +77,13 @@ class View(ABC):
                 else:
                     changes[name] = value
         self.client.run_javascript(f"headland.update({json.dumps(changes, ensure_ascii=False)})")
+
+    def _signals(self, alarms: AlarmLog) -> dict[str, Any]:
+        """Sound and flashing text of what waits to be acknowledged; none in a replay."""
+        if self.parts.drive.feed.playback is not None:
+            return {}
+        waiting = alarms.waiting
+        return {"sound": alarms.sound_number, "light": fault_text(waiting.fault, self.texts) if waiting else ""}
 
     def is_sure(self, key: str) -> bool:
         """Whether this press of a control repeats the one before it within `SURE_S`."""
@@ -127,13 +136,14 @@ class View(ABC):
         live = ' role="log" aria-live="polite"' if name == "alarms" else ""
         return self.card(name, f'<dl class="hl-rows" id="rows-{name}"{live}></dl>', more)
 
-    def table_card(self, name: str, columns: tuple[str, ...]) -> str:
-        """Card with a table, its rows are sent under `tables.NAME`."""
+    def table_card(self, name: str, columns: tuple[str, ...], before: str = "") -> str:
+        """Card with a table below `before`, its rows are sent under `tables.NAME`."""
         heads = "".join(f'<th scope="col">{escape(self.texts(f"column.{one}") if one else "")}</th>' for one in columns)
         empty = escape(self.texts(f"empty.{name}"))
         return self.card(
             name,
-            f'<div class="hl-scroll"><table id="table-{name}"><thead><tr>{heads}</tr></thead><tbody></tbody></table>'
+            f'{before}<div class="hl-scroll">'
+            f'<table id="table-{name}"><thead><tr>{heads}</tr></thead><tbody></tbody></table>'
             "</div>"
             f'<p id="empty-{name}">{empty}</p>',
         )

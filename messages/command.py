@@ -100,7 +100,10 @@ class SupervisorState(Message):
 
 
 class OperatorCommandKind(IntEnum):
-    """Commands of an operator; `CONFIRM_CLEAR`: nobody is near the machine where its sensors have not looked."""
+    """Commands of an operator; `CONFIRM_CLEAR`: nobody is near the machine where its sensors have not looked.
+
+    `NUDGE` shifts the driven line sideways (row joining).
+    """
 
     START = 0
     PAUSE = 1
@@ -110,6 +113,7 @@ class OperatorCommandKind(IntEnum):
     MANUAL = 5
     AUTOMATIC = 6
     CONFIRM_CLEAR = 7
+    NUDGE = 8
 
 
 @dataclass(frozen=True)
@@ -126,12 +130,16 @@ class SignedOrder(Message):
 
 @dataclass(frozen=True)
 class OperatorCommand(Message):
-    """Verified order of an operator; invalid after `expires_ns` or when `sequence` does not increase."""
+    """Verified order of an operator; invalid after `expires_ns` or when `sequence` does not increase.
+
+    `left_m`: step of a nudge, to the left of the machine; 0 for other commands.
+    """
 
     kind: OperatorCommandKind
     authority: str
     sequence: int
     expires_ns: int
+    left_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -146,7 +154,8 @@ class RefusedOrders(MessagePart):
 class OrderStatus(Message):
     """What an order must be signed for (`machine`, nonce `session` of this start), and how many came since then.
 
-    `is_forbidden`: a person has forbidden automatic operation, no start is accepted.
+    `is_forbidden`: a person has forbidden automatic operation, no start is accepted. `checked`: number of the last
+    order that was verified as a self-test only (-1: none).
     """
 
     machine: str
@@ -154,6 +163,7 @@ class OrderStatus(Message):
     accepted: int
     refused: tuple[RefusedOrders, ...]
     is_forbidden: bool = False
+    checked: int = -1
 
 
 @dataclass(frozen=True)

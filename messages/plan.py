@@ -73,7 +73,11 @@ class UncoveredArea(MessagePart):
 
 @dataclass(frozen=True)
 class MissionStatus(Message):
-    """State of the mission; `path_s_m` is the position on path `path_id`, `uncovered_areas` will not be worked."""
+    """State of the mission; `path_s_m` is the position on path `path_id`, `uncovered_areas` will not be worked.
+
+    The driven line is the path shifted by (`shift_x_m`, `shift_y_m`) in `map`; `shift_left_m` is the part to the left
+    of the machine.
+    """
 
     state: MissionState
     section_type: PathSectionType
@@ -84,3 +88,6 @@ class MissionStatus(Message):
     total_m: float
     text: str
     uncovered_areas: tuple[UncoveredArea, ...]
+    shift_x_m: float = 0.0
+    shift_y_m: float = 0.0
+    shift_left_m: float = 0.0

@@ -51,6 +51,7 @@ class MissionConfig(Config):
     reverse_kmh: Kmh
     max_detours: int = Field(ge=0, le=100)
     min_remaining_m: float = Field(ge=0.0, le=100.0, description="no reversing for a shorter remainder of a line")
+    max_shift_m: float = Field(ge=0.0, le=0.3, description="largest sideways shift of the driven line by the operator")
 
 
 class DockingConfig(Config):

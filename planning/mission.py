@@ -17,6 +17,7 @@ from messages.plan import MissionState, MissionStatus, Path, PathSectionType, Un
 from planning.config import MissionConfig
 from planning.docking.dock import Docking, plan_docking
 from planning.docking.dock_approach import plan_approach, uwb_unavailable_reason
+from planning.line_shift import LineShift, section_at
 from planning.path import rest_of
 from planning.plan import Plan
 from planning.recovery.detour import area_without_obstacles
@@ -63,6 +64,7 @@ class MissionNode(Node):
         self._path: Path | None = None
         self._s_m, self._driven_m, self._total_m = 0.0, 0.0, plan.length_m
         self._command_sequence = -1
+        self._line_shift = LineShift(config.max_shift_m)
         self._last_id = max(p.path_id for p in plan.paths)
         self._blocked_ns: int | None = None
         self._retry_ns = 0  # earliest next search for another path into the dock
@@ -74,23 +76,34 @@ class MissionNode(Node):
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """Publishes the status in each step and a path when it is new."""
         before = self._path
-        if self._state is MissionState.WAITING and self._is_started(now_ns, inbox):
+        commands = self._new_commands(now_ns, inbox)
+        if self._state is MissionState.WAITING and any(c.kind is OperatorCommandKind.START for c in commands):
             self._state, self._path_ended_ns = MissionState.DRIVING, now_ns
             self._start_next(now_ns, inbox)
         elif self._state in (MissionState.DRIVING, MissionState.REPLANNING):
             self._follow(now_ns, inbox)
+        self._shift_line(commands)
         outputs: list[Output] = [("mission", self._status(now_ns))]
         if self._path is not None and self._path is not before:
             outputs.append(("path", replace(self._path, stamp_ns=now_ns)))
         return outputs
 
-    def _is_started(self, now_ns: int, inbox: Inbox) -> bool:
-        is_started = False
+    def _new_commands(self, now_ns: int, inbox: Inbox) -> list[OperatorCommand]:
+        """Commands with a rising number that have not expired."""
+        found = []
         for command in inbox.all("operator_command", OperatorCommand):
-            is_new = command.sequence > self._command_sequence and now_ns <= command.expires_ns
+            if command.sequence > self._command_sequence and now_ns <= command.expires_ns:
+                found.append(command)
             self._command_sequence = max(self._command_sequence, command.sequence)
-            is_started = is_started or (is_new and command.kind is OperatorCommandKind.START)
-        return is_started
+        return found
+
+    def _shift_line(self, commands: list[OperatorCommand]) -> None:
+        """Takes nudges of the operator; the end of the mission ends the shift."""
+        for command in commands:
+            if command.kind is OperatorCommandKind.NUDGE and self._path is not None:
+                self._line_shift.nudge(command.left_m, self._path, self._s_m)
+        if self._state in (MissionState.FINISHED, MissionState.ABORTED):
+            self._line_shift.reset()
 
     def _follow(self, now_ns: int, inbox: Inbox) -> None:
         if self._path_ended_ns is not None:
@@ -296,13 +309,12 @@ class MissionNode(Node):
         return self._last_id
 
     def _status(self, now_ns: int) -> MissionStatus:
-        section_type, line, path_id = PathSectionType.LANE, -1, -1
+        section_type, line, path_id, shift = PathSectionType.LANE, -1, -1, (0.0, 0.0, 0.0)
         if self._path is not None:
-            path_id = self._path.path_id
-            k = min(int(np.searchsorted(self._path.s_m, self._s_m)), len(self._path.s_m) - 1)
-            section = self._path.sections[int(self._path.section_index[k])]
+            path_id, shift = self._path.path_id, self._line_shift.at(self._path, self._s_m)
+            section = section_at(self._path, self._s_m)
             section_type, line = section.section_type, section.line
         return MissionStatus(
             now_ns, self._state, section_type, line, path_id, self._s_m, self._driven_m + self._s_m, self._total_m,
-            self._text, self._uncovered,
+            self._text, self._uncovered, *shift,
         )  # fmt: skip

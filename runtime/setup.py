@@ -17,7 +17,7 @@ from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, V
 from datasets.viewer import Viewer
 from interfaces.orders.config import ORDERS, OrderKey
 from messages.errors import ConfigError
-from planning.field.field import FieldOutline, read_field
+from planning.field.field import FieldOutline, read_field, with_no_go
 from planning.field.site_generation import site_of, site_of_original
 from planning.guidance.recorded import choose_line, straight_in_map
 from planning.plan import Plan, Report, check_within, ignore, plan_mission
@@ -182,7 +182,8 @@ def _outline(mission: Mission, field: str | None, feature: str | None) -> FieldO
         return None
     if mission.work is None:
         raise ConfigError(f"mission {mission.name!r} has no field work for {field}; select another mission")
-    return read_field(Path(field), feature)
+    outline = read_field(Path(field), feature)
+    return outline if mission.work is None else with_no_go(outline, mission.work.no_go_m)
 
 
 def _with_guidance(mission: Mission, outline: FieldOutline | None, guidance: str | None) -> Mission:
@@ -204,9 +205,12 @@ def _site(
     vehicle: Vehicle,
     implement: MountedImplement | TrailedImplement,
 ) -> Site:
-    if outline is None or mission.work is None:
+    work = mission.work
+    if outline is None or work is None:
+        if work is not None and (work.no_go_m or work.gate_m is not None):
+            raise ConfigError("no_go_m, gate_m: belong to a field file; give the file by --field")
         return load(Site, find("sites", mission.site))
-    return site_of(outline, vehicle, implement, mission.work)
+    return site_of(outline, vehicle, implement, work)
 
 
 def with_implement_sensors(vehicle: Vehicle, implement: MountedImplement | TrailedImplement) -> Vehicle:

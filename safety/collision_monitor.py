@@ -60,7 +60,10 @@ HIT_TO_TRACK_M = 1.0  # a hit this near to the circle about a track's box belong
 
 @dataclass(frozen=True)
 class MonitorInputs:
-    """Messages of one step; None: missing or stale. `health` by sensor label such as `lidar_front`."""
+    """Messages of one step; None: missing or stale. `health` by sensor label such as `lidar_front`.
+
+    The machine drives on the path shifted by `line_shift_m` (x, y in map).
+    """
 
     odom: Odometry | None
     map_pose: MapPose | None
@@ -71,6 +74,7 @@ class MonitorInputs:
     hitch: float
     source_data: SourceData
     health: Mapping[str, SensorHealth | None]
+    line_shift_m: tuple[float, float] = (0.0, 0.0)
 
 
 class CollisionMonitor:
@@ -120,7 +124,8 @@ class CollisionMonitor:
         pose_map = pose_in_map(inputs.map_pose, odom)
         position = position_on_path(inputs.path, inputs.control_command)
         self._select_field(position, pose_map)
-        swept_field = self.lay_field(odom, position, pose_map, direction, speed_mps, braking, allowance_m)
+        pose_on_path = None if pose_map is None else pose_map - (*inputs.line_shift_m, 0.0)
+        swept_field = self.lay_field(odom, position, pose_on_path, direction, speed_mps, braking, allowance_m)
         self.swept_field = swept_field
         self._update_lidars(inputs, odom, swept_field, new, is_new_footprint)
         self._update_distances(inputs, odom, swept_field, pose_map, speed_mps, braking)

@@ -9,7 +9,7 @@ from messages.message import Message
 from messages.motion import MapPose, Odometry
 from messages.node import Inbox, Latest, Read
 from messages.perception import Obstacles, SensorHealth, Tracks
-from messages.plan import Path
+from messages.plan import MissionStatus, Path
 from messages.sensors import LidarScan, RadarScan, UltrasonicRange
 from messages.topics import spec_of
 from safety.collision_monitor import CollisionMonitor, MonitorInputs
@@ -52,6 +52,7 @@ class SupervisorInputs:
             {one.name: inbox.latest(one.topic, RadarScan) for one in self._of("radar")},
             {one.name: inbox.latest(one.topic, UltrasonicRange) for one in self._of("ultrasonic")},
         )
+        mission = inbox.latest("mission", MissionStatus)
         return MonitorInputs(
             valid_odometry(inbox.latest("odom", Odometry)),
             valid_map_pose(inbox.latest("map_pose", MapPose)),
@@ -62,6 +63,7 @@ class SupervisorInputs:
             hitch_of(machine, self._config.limits.max_group_age_s),
             measurements,
             {name: inbox.latest(topic, SensorHealth) for name, topic in self._health.items()},
+            (0.0, 0.0) if mission is None else (mission.shift_x_m, mission.shift_y_m),
         )
 
     def _of(self, kind: str) -> list[MonitoredSensor]:

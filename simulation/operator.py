@@ -18,13 +18,13 @@ class SimulatedOperator:
         self._machine, self._session = machine, session
         self._key, self._sequence = operator_key(seed), -1
 
-    def order(self, now_ns: int, kind: OperatorCommandKind, valid_s: float) -> SignedOrder:
+    def order(self, now_ns: int, kind: OperatorCommandKind, valid_s: float, left_m: float | None = None) -> SignedOrder:
         """The signed order; its number is the time, which rises over restarts too, or the next one."""
         self._sequence = max(now_ns, self._sequence + 1)
         content = {
             "machine": self._machine, "session": self._session, "authority": AUTHORITY, "sequence": self._sequence,
             "order": kind.name.lower(), "expires_ns": now_ns + round(valid_s * 1e9),
-        }  # fmt: skip
+        } | ({} if left_m is None else {"left_m": left_m})  # fmt: skip
         payload = json.dumps(content).encode()
         return SignedOrder(now_ns, public_bytes(self._key), self._key.sign(payload), payload)
 

@@ -13,7 +13,9 @@ from simulation.scenario_objects import ScenarioObject, check_objects
 from simulation.scenario_values import ALL_SENSORS, KindName, Range
 
 PlantKind = Literal["nominal", "drawn", "worst", "slow_brake"]
-CommandName = Literal["start", "pause", "resume", "emergency_stop", "reset", "manual", "automatic", "confirm_clear"]
+CommandName = Literal[
+    "start", "pause", "resume", "emergency_stop", "reset", "manual", "automatic", "confirm_clear", "nudge"
+]
 
 
 class ScenarioCommand(Config):
@@ -23,6 +25,13 @@ class ScenarioCommand(Config):
     command: CommandName
     expires_s: float = Field(gt=0.0, le=600.0)
     is_confirmed: bool = Field(default=True, description="start and resume: the operator confirms that nobody is near")
+    left_m: float | None = Field(default=None, ge=-1.0, le=1.0, description="nudge: shift of the line to the left")
+
+    @model_validator(mode="after")
+    def _has_its_parameter(self) -> Self:
+        if (self.left_m is not None) != (self.command == "nudge"):
+            raise ValueError("left_m belongs to a nudge, and to no other command")
+        return self
 
     @property
     def kinds(self) -> tuple[OperatorCommandKind, ...]:

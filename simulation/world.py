@@ -266,7 +266,9 @@ class SimulationWorld(World):
         for command in self._scenario.operator_commands:
             if elapsed_ns - TICK_NS < command.at_s * 1e9 <= elapsed_ns:
                 for kind in command.kinds:
-                    self._put(now_ns, ORDERS_TOPIC, self._operator.order(now_ns, kind, command.expires_s))
+                    self._put(
+                        now_ns, ORDERS_TOPIC, self._operator.order(now_ns, kind, command.expires_s, command.left_m)
+                    )
 
     def _publish_truth(self, now_ns: int, elapsed_ns: int) -> None:
         due = [topic for topic in self._truth if elapsed_ns % round(TOPICS[topic].period_s * 1e9) == 0]

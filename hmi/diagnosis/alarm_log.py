@@ -61,9 +61,13 @@ class AlarmLog:
     @property
     def is_sounding(self) -> bool:
         """Whether an active alarm waits to be acknowledged: its sound is repeated."""
-        return any(
-            a.ended_s is None and not a.acknowledged_by and a.fault.severity is Severity.ALARM for a in self.entries
-        )
+        return self.waiting is not None
+
+    @property
+    def waiting(self) -> Alarm | None:
+        """The newest active alarm that waits to be acknowledged: it sounds, and its text flashes."""
+        active = (a for a in reversed(self.entries) if a.ended_s is None and a.fault.severity is Severity.ALARM)
+        return next((a for a in active if not a.acknowledged_by), None)
 
     def _take(self, fault: Fault, now_s: float) -> None:
         key = (fault.source, fault.code)

@@ -6,8 +6,11 @@ from hmi.refusal import Refused
 from hmi.texts import Texts
 from messages.command import MachineState, Mode, OrderStatus, SupervisorState
 from messages.motion import Odometry
+from messages.plan import MissionStatus, PathSectionType
 
 ORDERS = ("confirm_clear", "start", "resume", "pause", "forbid", "permit", "reset", "manual", "automatic")
+NUDGES = {"nudge_left": 0.01, "nudge_right": -0.01}  # step of the driven line to the left of the machine, m
+CONTROLS = (*ORDERS, *NUDGES)
 ENGAGED = (Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP)
 STOPPED = (Mode.FAULT_STOP, Mode.EMERGENCY_STOP)
 STANDING_MPS = 0.05
@@ -17,14 +20,16 @@ def unavailable(state: PageState, texts: Texts) -> dict[str, str]:
     """Reason by order that the machine would not take now; the supervisor decides in any case."""
     supervisor, status = state.fresh("supervisor", SupervisorState), state.fresh("order_status", OrderStatus)
     if supervisor is None or status is None:
-        return dict.fromkeys(ORDERS, texts("why.no_data"))
-    found = {order: _why_not(order, supervisor, status, state) for order in ORDERS}
+        return dict.fromkeys(CONTROLS, texts("why.no_data"))
+    found = {order: _why_not(order, supervisor, status, state) for order in CONTROLS}
     return {order: texts(f"why.{key}") for order, key in found.items() if key}
 
 
 def _why_not(order: str, supervisor: SupervisorState, status: OrderStatus, state: PageState) -> str:
     """Key of the reason, "" for an order that is available."""
     mode = supervisor.mode
+    if order in NUDGES:
+        return "" if mode is Mode.AUTOMATIC and driven_swath(state) is not None else "not_on_swath"
     if order in ("forbid", "permit"):
         if status.is_forbidden == (order == "permit"):
             return ""
@@ -62,6 +67,12 @@ def _why_no_start(order: str, supervisor: SupervisorState, state: PageState) -> 
     if order == "start":
         return "begun" if state.is_begun else ""
     return "" if state.is_begun else "not_begun"
+
+
+def driven_swath(state: PageState) -> MissionStatus | None:
+    """State of a mission that drives along a swath, None elsewhere."""
+    mission = state.fresh("mission", MissionStatus)
+    return mission if mission is not None and mission.section_type is PathSectionType.SWATH else None
 
 
 def check_standing(state: PageState) -> None:

@@ -7,7 +7,7 @@ from hmi.page_state import PageState
 from hmi.texts import Texts
 from messages.command import ControlCommand, MachineState, Mode, SupervisorState
 from messages.motion import Odometry
-from messages.plan import MissionStatus
+from messages.plan import MissionStatus, PathSectionType
 
 MIN_ENGAGED_S = 20.0  # before it the mean speed says nothing
 
@@ -27,7 +27,7 @@ def motion_rows(state: PageState, texts: Texts) -> list[Row]:
 
 
 def work_rows(state: PageState, texts: Texts) -> list[Row]:
-    """Section and row, worked area with its share of the field, driven part of the plan and time left."""
+    """Section and row, worked area with its share of the field, driven part of the plan, time left, shift."""
     mission = state.fresh("mission", MissionStatus)
     field_m2, area_m2 = state.scene.field.area, state.coverage.area_m2
     values = {"row": UNKNOWN, "area": f"{number(area_m2 * 1e-4, 3, 'ha')} ({area_m2 / field_m2:.0%})"}
@@ -36,6 +36,8 @@ def work_rows(state: PageState, texts: Texts) -> list[Row]:
         values["row"] = section if mission.line < 0 else f"{section} {mission.line + 1}"
         values["driven"] = f"{number(mission.driven_m, 0, 'm')} / {number(mission.total_m, 0, 'm')}"
         values["time_left"] = _time_left(state, mission)
+        is_swath = mission.section_type is PathSectionType.SWATH
+        values["shift"] = _sided(100.0 * mission.shift_left_m, 0, "cm", texts) if is_swath else UNKNOWN
     return [Row(key, texts(f"work.{key}"), value) for key, value in values.items()]
 
 

@@ -1,5 +1,6 @@
 """GNSS reception, corrections, source and protection level of the position."""
 
+from hmi.drive_view.corrections import Link, link_of
 from hmi.drive_view.row import UNKNOWN, Level, Row, number
 from hmi.page_state import PageState
 from hmi.texts import Texts
@@ -10,6 +11,8 @@ SOLUTION_LEVELS: dict[GnssSolution, Level] = {GnssSolution.RTK_FIXED: "good", Gn
 SOURCE_LEVELS: dict[PositionSource, Level] = {
     PositionSource.RTK_FIXED: "good", PositionSource.UWB: "good", PositionSource.NONE: "alarm",
 }  # fmt: skip
+
+LINK_LEVELS: dict[Link, Level] = {"received": "good", "old": "alarm", "none": "warning"}
 
 
 def position_rows(state: PageState, texts: Texts) -> list[Row]:
@@ -26,12 +29,14 @@ def _receiver(state: PageState, topic: str, texts: Texts) -> list[Row]:
     fix = state.fresh(topic, GnssFix)
     if fix is None:
         return [_row("solution", texts, texts("position.silent"), "alarm")]
+    link = link_of(fix, state.corrections.max_age_s)
     satellites = UNKNOWN if fix.satellites is None else str(fix.satellites)
     constellations = f" ({fix.constellations})" if fix.constellations else ""
     return [
         _row("solution", texts, texts(f"solution.{fix.solution.name.lower()}"),
              SOLUTION_LEVELS.get(fix.solution, "warning")),
         _row("satellites", texts, satellites + constellations),
+        _row("link", texts, texts(f"link.{link}"), LINK_LEVELS[link]),
         _row("correction_age", texts, number(fix.correction_age_s, 1, "s")),
     ]  # fmt: skip
 

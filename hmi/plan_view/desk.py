@@ -4,11 +4,14 @@ import asyncio
 import json
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from configs.mission import Work
 from configs.site import DatumConfig
+from hmi.page_state import PageState
+from hmi.plan_view.drawing import Drawing, Kind, Point, Ring
 from hmi.plan_view.field_job import FieldJob, Task
 from hmi.plan_view.mission_store import MISSION, PLAN, MissionStore, StoredMission, file_name, plain_name
 from hmi.plan_view.options import PlanOptions, default_work, options_of, read_mission, write_mission
@@ -16,7 +19,6 @@ from hmi.plan_view.plan_result import PlanResult, read_result
 from hmi.refusal import Refused
 from messages.errors import ConfigError, HeadlandError
 
-MAX_POINTS = 500
 MIN_CORNERS = 3
 MAX_FIELD_BYTES = 20_000_000
 MAX_FILES = 20
@@ -35,11 +37,11 @@ class PlanDesk:
         self.error = ""
         self.draft: Path | None = None
         self._clear()
-        self.points_m: list[tuple[float, float]] = []
-        self.is_drawing = False
+        self.drawing = Drawing()
 
     def _clear(self) -> None:
-        """Without field and plan; the draft of another one is removed."""
+        """Without field, plan and consent; the draft of another one is removed."""
+        self.options = replace(self.options, consent=None)
         if self.draft is not None:
             self.store.remove_draft(self.draft)
         self.draft = None
@@ -48,6 +50,8 @@ class PlanDesk:
         self.feature: str | None = None
         self.notes: list[str] = []
         self.outline: dict[str, Any] | None = None
+        self.no_go_m: tuple[Ring, ...] = ()  # besides those of the file
+        self.gate_m: Point | None = None
         self.plan: PlanResult | None = None
         self.stored: StoredMission | None = None
 
@@ -58,7 +62,7 @@ class PlanDesk:
         if not files or len(set(names)) < len(names):
             raise Refused("same_name" if files else "no_file")
         self._clear()
-        self.is_drawing, self.points_m, self.error = False, [], ""
+        self.drawing, self.error = Drawing(), ""
         try:
             self.draft = self.store.new_draft()
             for name, data in zip(names, files.values(), strict=True):
@@ -76,43 +80,81 @@ class PlanDesk:
         self.feature, self.plan, self.stored, self.error = key, None, None, ""
         await self._read()
 
-    def draw(self) -> None:
-        """Begins a new outline, whose corners follow."""
+    def draw(self, kind: Kind, side: str = "") -> None:
+        """Begins what is drawn by clicks, or by driving along the edge of the field with one side of the implement."""
         self._check_free()
-        self._clear()
-        self.is_drawing, self.points_m, self.error = True, [], ""
+        if kind in ("no_go", "gate"):
+            if self.outline is None:
+                raise Refused("no_field")
+        else:
+            self._clear()
+        self.drawing, self.error = Drawing(kind, side), ""
 
     def add_point(self, x_m: float, y_m: float) -> None:
-        """A corner of the outline in `map` of the shown site."""
+        """A corner in the shown `map`; the point of a gate ends its drawing."""
         if not (math.isfinite(x_m) and math.isfinite(y_m) and max(abs(x_m), abs(y_m)) <= MAX_AT_M):
             raise Refused("outside_map", x=f"{x_m:g}", y=f"{y_m:g}")
-        if self.is_drawing and len(self.points_m) < MAX_POINTS:
-            self.points_m.append((round(x_m, 2), round(y_m, 2)))
+        if self.drawing.kind == "gate":
+            self._check_free()
+            self.drawing = Drawing()
+            self._change(self.no_go_m, (round(x_m, 2), round(y_m, 2)))
+        elif self.drawing.kind != "driven":
+            self.drawing.add(x_m, y_m)
+
+    def follow(self, state: PageState) -> None:
+        """Takes the edge along which the machine drives."""
+        if self.job is None:
+            self.drawing.follow(state)
 
     def remove_point(self) -> None:
         """Removes the last corner."""
-        if self.is_drawing and self.points_m:
-            self.points_m.pop()
+        if self.drawing.points_m:
+            self.drawing.points_m.pop()
 
-    async def close_outline(self, datum: DatumConfig, name: str) -> None:
-        """The drawn corners become a field file."""
+    def remove_areas(self) -> None:
+        """Removes the drawn no-go areas and the chosen gate."""
         self._check_free()
-        if len(self.points_m) < MIN_CORNERS:
-            raise Refused("few_corners", number=len(self.points_m), least=MIN_CORNERS)
-        corners, ring = self.points_m, []
-        for x_m, y_m in (*corners, corners[0]):
+        self._change((), None)
+
+    async def close_drawing(self, datum: DatumConfig, name: str) -> None:
+        """The drawn corners become a field file, or an area to keep out of."""
+        self._check_free()
+        drawing = self.drawing
+        if len(drawing.points_m) < MIN_CORNERS:
+            raise Refused("few_corners", number=len(drawing.points_m), least=MIN_CORNERS)
+        if drawing.kind == "no_go":
+            self.drawing = Drawing()
+            self._change((*self.no_go_m, tuple(drawing.points_m)), self.gate_m)
+            return
+        ring = []
+        for x_m, y_m in (*drawing.points_m, drawing.points_m[0]):
             latitude, longitude, _ = datum.datum.to_ellipsoid(x_m, y_m, 0.0)
             ring.append([round(math.degrees(longitude), 9), round(math.degrees(latitude), 9)])
         geometry = {"type": "Polygon", "coordinates": [ring]}
         feature = {"type": "Feature", "properties": {"name": name}, "geometry": geometry}
         await self.load({"drawn.geojson": json.dumps(feature).encode()})
         if self.error:  # the corners can be corrected
-            self.is_drawing, self.points_m = True, corners
+            self.drawing = drawing
 
-    def set_option(self, name: str, value: str) -> None:
-        """Changes an option; a plan with other ones is void."""
+    def _change(self, no_go_m: tuple[Ring, ...], gate_m: Point | None) -> None:
+        """Takes areas and gate; a plan without them is void."""
+        self.no_go_m, self.gate_m, self.plan, self.stored = no_go_m, gate_m, None, None
+        if self.outline is not None:
+            self.outline = dict(self.outline)  # another one than was shown
+
+    @property
+    def shown_outline(self) -> dict[str, Any] | None:
+        """Outline for the map, with the drawn areas, and the gate as a point."""
+        outline = self.outline
+        if outline is None:
+            return None
+        gates = [[self.gate_m, self.gate_m]] if self.gate_m is not None else outline["gates"]
+        return outline | {"no_go": [*outline["no_go"], *self.no_go_m], "gates": gates}
+
+    def set_option(self, name: str, value: str, by: str) -> None:
+        """Changes an option, by a person; a plan with other ones is void."""
         self._check_free()
-        changed = self.options.changed(name, value)
+        changed = self.options.changed(name, value, by)
         if changed != self.options:
             self.options, self.plan, self.stored = changed, None, None
 
@@ -123,7 +165,8 @@ class PlanDesk:
             raise Refused("no_field")
         self.plan, self.stored, self.error = None, None, ""
         (self.draft / PLAN).unlink(missing_ok=True)
-        write_mission(self.options.mission(self.name, self.work()), self.draft / MISSION)
+        work = self.work().model_copy(update={"no_go_m": self.no_go_m, "gate_m": self.gate_m})
+        write_mission(self.options.mission(self.name, work), self.draft / MISSION)
         draft = self.draft
         if await self._run("plan", draft) is not None:
             self.plan = await asyncio.to_thread(read_result, draft / PLAN)
@@ -158,7 +201,7 @@ class PlanDesk:
             raise Refused("damaged") from error
         draft = self.store.reopen(stored)
         self._clear()
-        self.draft, self.is_drawing, self.points_m, self.error = draft, False, [], ""
+        self.draft, self.drawing, self.error = draft, Drawing(), ""
         self._show(stored)
 
     def delete(self, mission_id: str) -> None:
@@ -176,6 +219,9 @@ class PlanDesk:
         self.options = options_of(mission, work)
         self.plan = read_result(stored.folder / PLAN)
         self.outline = {name: lines for name, lines in self.plan.map.items() if name != "sections"}
+        self.no_go_m, self.gate_m = work.no_go_m, work.gate_m
+        drawn = len(work.no_go_m)  # the last areas of the site; they are drawn from the mission
+        self.outline["no_go"] = self.outline["no_go"][: len(self.outline["no_go"]) - drawn]
         self.stored = stored
         self.features, self.notes = [], []
         assert stored.about is not None

@@ -1,4 +1,4 @@
-"""Choices of a plan: machine, implement, headland passes, turns and swath direction, as a mission file."""
+"""Choices of a plan: machine, implement, headland passes, turns, direction and consent, as a mission file."""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,12 +8,13 @@ from typing import Any, Literal
 
 import yaml
 
-from configs.mission import Mission, Work
+from configs.mission import Consent, Mission, Work
 from configs.strict import CONFIGS, load
 from configs.vehicle import ImplementFile, Vehicle
 from messages.errors import ConfigError
 
 MAX_PASSES = 10
+HEIGHTS_CM = (10, 15, 20, 25, 30, 35)  # of plants, for which consent can be given
 Turns = Literal["forward", "reverse"]
 TURNS: tuple[Turns, ...] = ("forward", "reverse")
 AUTO = ""  # the planner finds the direction
@@ -21,16 +22,24 @@ AUTO = ""  # the planner finds the direction
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What is chosen; `heading_deg` is clockwise from north, None: found by the planner."""
+    """What is chosen; `heading_deg` is clockwise from north, None: found by the planner.
+
+    `consent` of the person who has chosen a height of plants, None: no work where plants hide whoever lies there.
+    """
 
     machine: str
     implement: str
     headland_passes: int
     turns: Turns
     heading_deg: float | None = None
+    consent: Consent | None = None
 
-    def changed(self, name: str, value: str) -> "PlanOptions":
-        """Options with one changed; raises ConfigError that names the value."""
+    def changed(self, name: str, value: str, by: str) -> "PlanOptions":
+        """Options with one changed, by a person; raises ConfigError that names the value."""
+        if name == "vegetation_cm":
+            low, high = HEIGHTS_CM[0], HEIGHTS_CM[-1]
+            consent = None if value == "" else Consent(by=by, vegetation_m=_whole(name, value, low, high) / 100.0)
+            return replace(self, consent=consent)
         if name == "headland_passes":
             return replace(self, headland_passes=_whole(name, value, 1, MAX_PASSES))
         if name == "heading_deg":
@@ -48,7 +57,7 @@ class PlanOptions:
         }  # fmt: skip
         return Mission(
             name=name, site="field", machine=self.machine, implement=self.implement,
-            work=work.model_copy(update=changes),
+            work=work.model_copy(update=changes), consent=self.consent,
         )  # fmt: skip
 
 
@@ -56,7 +65,7 @@ def options_of(mission: Mission, work: Work) -> PlanOptions:
     """Options that give this mission."""
     yaw = work.swath_direction_deg
     heading = None if yaw is None else round((90.0 - yaw) % 360.0, 1)
-    return PlanOptions(mission.machine, mission.implement, work.headland_passes, work.turns, heading)
+    return PlanOptions(mission.machine, mission.implement, work.headland_passes, work.turns, heading, mission.consent)
 
 
 @cache

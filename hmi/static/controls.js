@@ -126,6 +126,12 @@ window.headlandControls = (() => {
       return;
     }
     const from = byId(control.dataset.from || "");
+    const frame = document.querySelector("iframe.hl-stop");
+    if (control.dataset.action === "self_test" && frame) { // by the process of the emergency stop alone
+      const address = new URL(frame.src);
+      address.pathname = "/check";
+      frame.src = address.href;
+    }
     send({action: control.dataset.action, value: from ? from.value : control.dataset.value || ""});
   });
   document.addEventListener("change", (event) => {
@@ -170,6 +176,11 @@ window.headlandControls = (() => {
     Object.entries(shown.tables || {}).forEach(([name, rows]) => showTable(name, rows));
     Object.entries(shown.controls || {}).forEach(([id, state]) => showControl(id, state));
     Object.entries(shown.texts || {}).forEach(([id, text]) => setText(byId(id), text));
+    if (shown.light !== undefined) {
+      const light = byId("light");
+      setText(light, shown.light ? "⚠ " + shown.light : "");
+      light.hidden = !shown.light;
+    }
     if (shown.sound !== undefined) {
       if (soundNumber !== null && shown.sound !== soundNumber && isSoundOn()) beep();
       soundNumber = shown.sound;

@@ -5,10 +5,19 @@ from collections.abc import Iterable
 
 from interfaces.orders.port import OrderPort
 from interfaces.orders.verifier import OrderVerifier, Reason, Refusal, unsigned_stop
-from messages.command import Mode, OperatorCommand, OrderStatus, RefusedOrders, SignedOrder, SupervisorState
+from messages.command import (
+    Mode,
+    OperatorCommand,
+    OperatorCommandKind,
+    OrderStatus,
+    RefusedOrders,
+    SignedOrder,
+    SupervisorState,
+)
 from messages.fault_reporter import FaultReporter, FaultType
 from messages.faults import Response, Severity
 from messages.node import All, Every, Inbox, Latest, Node, Output, Read
+from messages.plan import MissionStatus, PathSectionType
 
 PERIOD_NS = 10_000_000
 STATUS_NS = 100_000_000
@@ -30,6 +39,11 @@ TEXTS = {
     Reason.TOO_FREQUENT: ("Orders refused: too many", "指令被拒绝:过于频繁"),
     Reason.NOT_STORED: ("Order refused: its number cannot be stored", "指令被拒绝:无法保存序号"),
     Reason.FORBIDDEN: ("Order refused: operation is forbidden", "指令被拒绝:已禁止作业"),
+    Reason.NOT_ON_SWATH: (
+        "Nudge refused: no row is driven in automatic operation",
+        "微调被拒绝:未在自动模式下沿作业行行驶",
+    ),
+    Reason.OUT_OF_RANGE: ("Nudge refused: largest shift of the line reached", "微调被拒绝:已达最大横移量"),
 }
 FAULTS = {
     reason: FaultType(f"orders.{reason}", Severity.WARNING, Response.NONE, *texts) for reason, texts in TEXTS.items()
@@ -47,14 +61,16 @@ class OrderGate(Node):
     """
 
     def __init__(
-        self, machine: str, session: str, verifier: OrderVerifier, report_s: float, port: OrderPort | None = None
-    ) -> None:
+        self, machine: str, session: str, verifier: OrderVerifier, report_s: float, max_shift_m: float,
+        port: OrderPort | None = None,
+    ) -> None:  # fmt: skip
         self.name = "orders"
-        self.reads: dict[str, Read] = {TOPIC: All(MAX_ORDERS), "supervisor": Latest()}
+        self.reads: dict[str, Read] = {TOPIC: All(MAX_ORDERS), "supervisor": Latest(), "mission": Latest()}
         self.writes = ("operator_command", "order_status", "fault/orders")
         self.runs = Every(PERIOD_NS)
         self._machine, self._session = machine, session
         self._verifier, self._port = verifier, port
+        self._max_shift_m = max_shift_m
         self._report_ns = round(report_s * 1e9)
         self._faults = FaultReporter(self.name)
         self._accepted = 0
@@ -75,7 +91,7 @@ class OrderGate(Node):
                 others.append(order)
             else:
                 stops.append(stop)
-        commands = [*stops[:1], *(c for order in others[:MAX_VERIFIED] if (c := self._verified(now_ns, order)))]
+        commands = [*stops[:1], *(c for order in others[:MAX_VERIFIED] if (c := self._verified(now_ns, order, inbox)))]
         if others[MAX_VERIFIED:]:
             self._refuse(now_ns, Reason.TOO_FREQUENT, f"{len(others)} at once", len(others) - MAX_VERIFIED)
         self._watch_operator(now_ns, inbox)
@@ -83,12 +99,24 @@ class OrderGate(Node):
         outputs: list[Output] = [("operator_command", command) for command in commands]
         return outputs + self._reports(now_ns)
 
-    def _verified(self, now_ns: int, order: SignedOrder) -> OperatorCommand | None:
+    def _verified(self, now_ns: int, order: SignedOrder, inbox: Inbox) -> OperatorCommand | None:
         try:
-            return self._verifier.command(now_ns, order)
+            command = self._verifier.command(now_ns, order)
+            if command is not None and command.kind is OperatorCommandKind.NUDGE:
+                self._check_nudge(command, inbox)
         except Refusal as refusal:
             self._refuse(now_ns, refusal.reason, str(refusal))
             return None
+        return command
+
+    def _check_nudge(self, command: OperatorCommand, inbox: Inbox) -> None:
+        """Raises Refusal unless a swath is driven and its line stays within the largest shift."""
+        supervisor, mission = inbox.latest("supervisor", SupervisorState), inbox.latest("mission", MissionStatus)
+        is_driven = supervisor is not None and supervisor.mode is Mode.AUTOMATIC
+        if mission is None or not is_driven or mission.section_type is not PathSectionType.SWATH:
+            raise Refusal(Reason.NOT_ON_SWATH, f"{command.left_m:+.3f} m")
+        if abs(mission.shift_left_m + command.left_m) > self._max_shift_m + 1e-6:
+            raise Refusal(Reason.OUT_OF_RANGE, f"{mission.shift_left_m:+.3f} {command.left_m:+.3f} m")
 
     def _watch_operator(self, now_ns: int, inbox: Inbox) -> None:
         """Reports a lost operator while the machine is in automatic operation, until an order comes again."""
@@ -117,5 +145,7 @@ class OrderGate(Node):
 
     def _newest_status(self, now_ns: int) -> OrderStatus:
         refused = tuple(RefusedOrders(reason.value, count) for reason, count in sorted(self._refused.items()))
-        is_forbidden = self._verifier.is_forbidden
-        return OrderStatus(now_ns, self._machine, self._session, self._accepted, refused, is_forbidden)
+        verifier = self._verifier
+        return OrderStatus(
+            now_ns, self._machine, self._session, self._accepted, refused, verifier.is_forbidden, verifier.checked
+        )

@@ -4,11 +4,11 @@ import json
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, Self
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from configs.strict import Config
 from interfaces.orders.attendance import Attendance
@@ -21,7 +21,8 @@ SECOND_NS = 1_000_000_000
 REMEMBERED = 64  # accepted numbers that are recognized as repeated
 ANYONE = "anyone"
 MAX_BYTES = 1024
-STOP = "emergency_stop"
+STOP, NUDGE = "emergency_stop", "nudge"
+MAX_STEP_M = 0.05  # of one nudge
 STARTS = (OperatorCommandKind.START, OperatorCommandKind.RESUME)
 
 
@@ -40,6 +41,8 @@ class Reason(StrEnum):
     TOO_FREQUENT = "too_frequent"
     NOT_STORED = "not_stored"
     FORBIDDEN = "forbidden"
+    NOT_ON_SWATH = "not_on_swath"
+    OUT_OF_RANGE = "out_of_range"
 
 
 class Refusal(Exception):
@@ -51,7 +54,7 @@ class Refusal(Exception):
 
 
 class Payload(Config):
-    """What is signed. The orders of today have no parameters; a parameter would be a key here."""
+    """What is signed; `left_m` is the parameter of a nudge, `is_check` asks for the verification of an order alone."""
 
     machine: str = Field(max_length=80)
     session: str = Field(max_length=80)
@@ -59,6 +62,15 @@ class Payload(Config):
     sequence: int = Field(ge=0, lt=1 << 63, strict=True)
     order: str = Field(max_length=40)
     expires_ns: int = Field(ge=0, lt=1 << 63, strict=True)
+    left_m: float | None = Field(default=None, ge=-MAX_STEP_M, le=MAX_STEP_M, allow_inf_nan=False)
+
+    is_check: bool = Field(default=False, strict=True)
+
+    @model_validator(mode="after")
+    def _has_its_parameter(self) -> Self:
+        if (self.left_m is not None) != (self.order == NUDGE):
+            raise ValueError("left_m belongs to a nudge, and to no other order")
+        return self
 
 
 @dataclass
@@ -76,6 +88,7 @@ class OrderVerifier:
     def __init__(self, machine: str, session: str, config: OrdersConfig, store: SequenceStore) -> None:
         self._machine, self._session, self._config, self._store = machine, session, config, store
         self.attendance = Attendance()
+        self.checked = -1  # number of the last order that was only checked
         self._senders = {
             bytes.fromhex(key.public_key): _Sender(
                 key, Ed25519PublicKey.from_public_bytes(bytes.fromhex(key.public_key)), deque(maxlen=REMEMBERED)
@@ -84,7 +97,7 @@ class OrderVerifier:
         }
 
     def command(self, now_ns: int, order: SignedOrder) -> OperatorCommand | None:
-        """The command of an order, None for `present`; raises Refusal."""
+        """The command of an order, None for `present` and for a check; raises Refusal."""
         sender = self._senders.get(order.public_key)
         if sender is None:
             raise Refusal(Reason.UNKNOWN_KEY, order.public_key.hex()[:16])
@@ -93,21 +106,26 @@ class OrderVerifier:
         self._check_time(now_ns, payload)
         self._check_sequence(now_ns, sender, payload)
         try:
-            if payload.order == FORBID:
+            if payload.order == FORBID and not payload.is_check:
                 self._store.set_forbidden(True)
             self._store.advance(sender.key.public_key, payload.sequence)
-            if payload.order == PERMIT:
+            if payload.order == PERMIT and not payload.is_check:
                 self._store.set_forbidden(False)
         except HeadlandError as error:
             raise Refusal(Reason.NOT_STORED, str(error)) from error
         sender.accepted.append((payload.sequence, now_ns))
+        if payload.is_check:
+            self.checked = payload.sequence
+            return None
         kind = ORDERS.get(payload.order)
         if kind in STARTS and self.is_forbidden:  # its number is used up: it cannot be repeated after the permission
             raise Refusal(Reason.FORBIDDEN, payload.order)
         self.attendance.take(now_ns, sender.key, payload.order)
         if kind is None:
             return None
-        return OperatorCommand(now_ns, kind, payload.authority, payload.sequence, payload.expires_ns)
+        return OperatorCommand(
+            now_ns, kind, payload.authority, payload.sequence, payload.expires_ns, payload.left_m or 0.0
+        )
 
     @property
     def is_forbidden(self) -> bool:

@@ -1,7 +1,8 @@
 """Reader of one field from a file; each error names value and position."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ MIN_AREA_M2 = 100.0
 MAX_EXTENT_M = 5000.0
 MAX_POINTS = 200_000
 SAME_POINT_M = 0.002
+MIN_NO_GO_M2 = 0.1
 OBSTACLE_M = 1.0  # kept clear around obstacles without area
 
 
@@ -64,6 +66,23 @@ def outline_of(contents: FieldFile, path: Path, feature: str | None = None) -> F
     return FieldOutline(
         choice.name or path.stem, datum, polygon, original, no_go, lines, (*contents.notes, *_notes(original, polygon))
     )
+
+
+def with_no_go(outline: FieldOutline, rings_m: Sequence[Sequence[tuple[float, float]]]) -> FieldOutline:
+    """Outline with further areas to keep out of, in `map`; raises FieldError for one that is no area of the field."""
+    areas = []
+    for number, ring in enumerate(rings_m, 1):
+        area = Polygon(ring)
+        if not area.is_valid or area.area < MIN_NO_GO_M2:
+            raise FieldError(f"no-go area {number} crosses itself or has less than {MIN_NO_GO_M2:g} m²; draw it again")
+        if not area.intersects(outline.polygon):
+            raise FieldError(f"no-go area {number} is outside the field")
+        areas.append((f"drawn no-go area {number}", area))
+    no_go = (*outline.no_go, *areas)
+    left_m2 = outline.polygon.difference(shapely.union_all([area for _, area in no_go])).area
+    if left_m2 < MIN_AREA_M2:
+        raise FieldError(f"the no-go areas leave {left_m2:.1f} m² of the field (at least {MIN_AREA_M2:g} m²)")
+    return replace(outline, no_go=no_go)
 
 
 def _notes(original: Polygon, polygon: Polygon) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """Site of a bare field: gate, lane and yard outside its longest suitable edge, or a start within the field."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import shapely
@@ -30,10 +31,14 @@ EDGE_SHARES = (0.5, 0.35, 0.65, 0.2, 0.8)
 def site_of(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
     """Site of a bare field: with a gate where an edge has room for it, else the machine starts within the field.
 
-    It starts where it is furthest from all edges, parallel to the longest one. Raises FieldError when it has no place.
+    It starts where it is furthest from all edges, parallel to the longest one. Raises FieldError when it has no place,
+    and when a chosen gate has none.
     """
     if (site := site_around(outline, vehicle, implement, work)) is not None:
         return site
+    if work.gate_m is not None:
+        x, y = work.gate_m
+        raise FieldError(f"field {outline.name!r}: no room for gate and yard at the edge next to x {x:.1f}, y {y:.1f}")
     return _site_at_centre(outline, vehicle, implement, work) or site_within(outline, vehicle, implement, work)
 
 
@@ -64,15 +69,29 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
     widest = max(vehicle.body.width_m, implement.width_m)
     gate_m = widest + 2.0 * work.boundary_margin_m + GATE_SPARE_M
     room = _room(outline, _extent(vehicle, implement)[2], work)
-    for a, b in _edges(outline.polygon):
-        for share in EDGE_SHARES:
-            if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
-                continue
-            site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m)
-            is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1]))
-            if is_in and _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
-                return site
+    for a, b, share in _gate_places(outline.polygon, work.gate_m, gate_m):
+        if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
+            continue
+        site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m)
+        is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1]))
+        if is_in and _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
+            return site
     return None
+
+
+def _gate_places(
+    polygon: Polygon, chosen_m: tuple[float, float] | None, gate_m: float
+) -> Iterator[tuple[Float64, Float64, float]]:
+    """Edges (a, b) with the share of the middle of a gate: all possible ones, or that next to a point."""
+    edges = _edges(polygon)
+    if chosen_m is None:
+        yield from ((a, b, share) for a, b in edges for share in EDGE_SHARES)
+        return
+    point = shapely.Point(chosen_m)
+    a, b = min(edges, key=lambda edge: LineString(edge).distance(point))
+    length = float(np.hypot(*(b - a)))
+    at = float(LineString((a, b)).project(point))
+    yield a, b, min(max(at, gate_m + 1e-6), max(length - gate_m - 1e-6, 0.0)) / length  # not over a corner
 
 
 def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:

@@ -130,9 +130,9 @@ def regex(text: str) -> str:
 def user(text: str) -> tuple[str, str]:
     """Type of a user of the page, NAME:ROLE."""
     name, _, role = text.partition(":")
-    if not re.fullmatch(r"[\w.-]{1,40}", name) or role not in ("view", "operate", "setup"):
+    if not re.fullmatch(r"[\w.-]{1,40}", name) or role not in ("view", "operate", "setup", "service"):
         raise argparse.ArgumentTypeError(
-            f"{text}: NAME:ROLE with ROLE view, operate or setup, NAME of letters and digits"
+            f"{text}: NAME:ROLE with ROLE view, operate, setup or service, NAME of letters and digits"
         )
     return name, role
 

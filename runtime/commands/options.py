@@ -127,7 +127,7 @@ COMMANDS = (
         _option("--listen", type=address, metavar="ADDRESS",
                 help="IP address of this computer at which other devices reach the page, by TLS (default: loopback)"),
         _option("--add-user", type=user, metavar="NAME:ROLE",
-                help="add or replace a user (view, operate or setup) with the password from standard input, and end"),
+                help="add or replace a user (view, operate, setup or service); password from standard input"),
         _option("--state", type=folder, metavar="FOLDER",
                 help="users, key, missions and statistics (default state/page)"),
         _out("page"),

@@ -36,7 +36,9 @@ class LiveFeed(Feed):
                 is_needed = self.is_recording and is_whole and is_recorded(topic)
                 if is_shown(topic) or is_needed:
                     self._sequence += 1
-                    is_each = is_event(topic) or (is_needed and not topic.startswith("lidar/"))
+                    is_each = (
+                        is_event(topic) or topic.startswith("can/") or (is_needed and not topic.startswith("lidar/"))
+                    )
                     key = (topic, self._sequence if is_each else 0)
                     wanted.pop(key, None)
                     wanted[key] = record

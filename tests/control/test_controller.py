@@ -10,8 +10,9 @@ from configs.strict import parse
 from control.controller import NO_PATH, ControlConfig, Controller
 from messages.command import ControlCommand
 from messages.errors import ConfigError
+from messages.plan import MissionState, MissionStatus, PathSectionType
 from messages.topics import spec_of
-from tests.control.plant import CONFIG, IMPLEMENT, VEHICLE, Inbox, Plant, path_along
+from tests.control.plant import CONFIG, IMPLEMENT, VEHICLE, Inbox, Plant, SensorNoise, path_along
 
 
 def test_topics_in_topic_table():
@@ -70,6 +71,31 @@ def test_error_signs_forward_and_reverse():
         control_command = plant.control()
         assert control_command.xte_m == pytest.approx(0.2, abs=0.03)
         assert control_command.heading_error_rad == pytest.approx(math.radians(3.0), abs=0.005)
+
+
+def shifted(y_m, now_ns=0):
+    return MissionStatus(
+        now_ns, MissionState.DRIVING, PathSectionType.SWATH, 0, 1, 0.0, 0.0, 1.0, "", (), 0.0, y_m, y_m
+    )
+
+
+@pytest.mark.parametrize("left_m", [0.05, -0.05])
+def test_a_shift_of_the_line_is_driven_at_a_bounded_rate(left_m):
+    path = path_along(np.zeros(1200), 2.0)
+    plant = Plant(noise=SensorNoise(map_m=0.0), seed=2)
+    plant.run(path, until_s=20.0)
+    began = len(plant.track.y_m)
+    plant.inbox.messages["mission"] = shifted(left_m)
+    plant.run(path, until_s=15.0)
+    y = np.array(plant.track.y_m[began:]) - plant.track.y_m[began - 1]
+    commands = np.array([w.xte_m for w in plant.track.commands[began:]])
+    assert y[-1] == pytest.approx(left_m, abs=0.01)
+    assert np.abs(y[: round(1.0 / 0.02)]).max() < 0.06  # 0.05 m/s
+    assert np.abs(commands).max() < 0.06  # the error is that against the driven line
+    assert (y * np.sign(left_m)).max() < 0.07  # overshoot
+    plant.inbox.messages.pop("mission")
+    plant.run(path, until_s=15.0)
+    assert plant.track.y_m[-1] - plant.track.y_m[began - 1] == pytest.approx(0.0, abs=0.01)
 
 
 def test_determinism():

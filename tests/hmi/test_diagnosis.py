@@ -7,11 +7,14 @@ import pytest
 
 from hmi.config import LANGUAGES
 from hmi.diagnosis.alarm_log import MAX_ENTRIES, REPEATED_S, SOUND_S, AlarmLog
+from hmi.diagnosis.bus_table import MAX_IDENTIFIERS, BusTable
 from hmi.diagnosis.remedy import remedy
 from hmi.diagnosis.topic_table import TopicTable
 from hmi.texts import texts_of
 from interfaces.orders.verifier import Reason
+from messages.command import CanFrame, CanFrames
 from messages.faults import Severity
+from messages.message import Envelope
 from safety.rules import RULES
 from safety.supervisor import texts_of as codes_of
 from tests.hmi.drive_messages import fault
@@ -148,3 +151,24 @@ def test_every_code_of_the_machine_has_a_remedy(language: str) -> None:
     assert len(codes) > 70
     assert not {code for code in codes if remedy(code, texts) == texts("remedy.other")}
     assert remedy("something.new", texts) == texts("remedy.other")
+
+
+def test_frames_are_decoded_by_identifier_and_group() -> None:
+    table = BusTable()
+    speed = CanFrame(1, 0x0CFE48F0, bytes((0xE8, 3, 0, 0, 0, 0, 0, 0)))
+    other_source = CanFrame(2, 0x0CFE4801, bytes((0xD0, 7, 0, 0, 0, 0, 0, 0)))
+    unknown, cut = CanFrame(3, 0x18FF1234, b"\x01\xab"), CanFrame(4, 0x0CFE48F0, b"\x01")
+    frames = CanFrames(5, "machine", (speed, speed, other_source, unknown))
+    table.take([Envelope("can/rx", 0, 5, frames), Envelope("can/tx", 0, 5, CanFrames(5, "machine", (unknown,)))])
+    rows = {(row.is_sent, row.identifier): row for row in table.rows()}
+    assert rows[False, speed.identifier].count == 2
+    for frame, value in ((speed, "Speed 1 m/s"), (other_source, "Speed 2 m/s")):
+        assert rows[False, frame.identifier].name == "WheelBasedSpeed"
+        assert value in rows[False, frame.identifier].values
+    assert (rows[False, unknown.identifier].name, rows[False, unknown.identifier].values) == ("", "01 ab")
+    assert rows[True, unknown.identifier].count == 1
+    table.take([Envelope("can/rx", 0, 5, CanFrames(5, "machine", (cut,)))])
+    assert [row.values for row in table.rows() if row.identifier == cut.identifier] == ["01"]
+    flood = tuple(CanFrame(6, 0x18000000 + k, b"") for k in range(1000))
+    table.take([Envelope("can/rx", 0, 6, CanFrames(6, "machine", flood))])
+    assert len(table.rows()) == MAX_IDENTIFIERS

@@ -26,7 +26,7 @@ class Machine:
     def __init__(self) -> None:
         self.port = OrderPort(0)
         verifier = OrderVerifier("tractor-1", "session", CONFIG, SequenceStore(None))
-        self._gate = OrderGate("tractor-1", "session", verifier, CONFIG.report_s, self.port)
+        self._gate = OrderGate("tractor-1", "session", verifier, CONFIG.report_s, 0.1, self.port)
         self.commands: list[tuple[float, OperatorCommand]] = []
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run)

@@ -1,5 +1,6 @@
 """Orders from the page in Chromium to a simulated machine: the whole stack in one process, in simulated time."""
 
+import re
 import signal
 import time
 from collections.abc import Iterator
@@ -14,7 +15,17 @@ from tests.hmi.browser import Browser, PageProcess, add_user, log_in, needs_brow
 
 pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.drive]
 PASSWORD = "correct horse"
-MISSION = ("--mission", "line", "--scenario", "empty", "--stop-port", "0")
+SHOWN_SHIFT = """
+shown => new RegExp(shown).test(document.querySelector("#rows-work [data-key=shift] dd")?.textContent || "")
+"""
+ROW = """
+name: row
+site: demo
+machine: tractor_e
+implement: harrow_6m
+start: {x_m: 14.0, y_m: 25.0, heading_deg: 0.0}
+line: {speed_kmh: 1.5, legs: [{length_m: 52.0, is_working: true}]}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +33,9 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
     folder = tmp_path_factory.mktemp("page")
     for user in ("anna:operate", "bo:operate", "cem:view"):
         add_user(folder, user, PASSWORD)
-    with page_process(folder, *MISSION) as found:
+    (folder / "row.yaml").write_text(ROW, encoding="utf-8")
+    mission = ("--mission", str(folder / "row.yaml"), "--scenario", "empty", "--stop-port", "0")
+    with page_process(folder, *mission) as found:
         assert found.password == ""  # users are set up
         yield found
 
@@ -67,8 +80,21 @@ def test_orders_need_control_and_say_why_they_are_not_available(anna: Any) -> No
     anna.click("[data-hl=seat-button]")
     wait_for(anna, "[data-hl=seat]", "You have control")
     why(anna, "pause", "not in automatic operation")
+    why(anna, "nudge_left", "No row is driven")
     why(anna, "resume", "has not begun|Not ready")
     assert small_targets(anna) == low_contrasts(anna) == []
+
+
+def test_the_mode_switch_changes_the_mode(anna: Any) -> None:
+    """BD-5.8.1: manual and automatic; in manual mode nothing is started."""
+    press(anna, "manual")
+    wait_for(anna, "[data-hl=answer]", "Manual: accepted")
+    wait_for(anna, "#mode", "Manual")
+    why(anna, "start", "Select Automatic first")
+    why(anna, "manual", "is in manual mode")
+    press(anna, "automatic")
+    wait_for(anna, "#mode", "Standby")
+    why(anna, "automatic", "not in manual mode")
 
 
 def test_start_needs_a_confirmation_then_drives(anna: Any) -> None:
@@ -95,6 +121,32 @@ def test_a_second_operator_and_a_viewer_give_no_orders(browser: Browser, process
         button = page.locator("[data-hl=seat-button]")
         assert button.count() == 0 if name == "cem" else button.is_disabled()
         page.context.close()
+
+
+def shift(page: Any, side: str, shown: str) -> None:
+    """Shifts the row by a step until it is shown; a slow simulation takes fewer orders in a second of the clock."""
+    for _ in range(8):
+        press(page, f"nudge_{side}")
+        with suppress(Exception):  # Playwright is loaded late, so its TimeoutError has no name here
+            page.wait_for_function(SHOWN_SHIFT, arg=shown, timeout=8_000.0)
+            page.wait_for_timeout(1_000.0)
+            return
+    raise AssertionError([shown, page.text_content("[data-hl=answer]"), row(page, "work", "shift")])
+
+
+def test_a_driven_row_is_shifted_in_steps(anna: Any) -> None:
+    """BD-4.1f: row-joining nudge; the machine refuses a shift above its limit."""
+    for side, shown in (("left", "1.cm left"), ("left", "2.cm left"), ("right", "1.cm left"), ("right", "0.cm")):
+        shift(anna, side, f"^{shown}")
+    assert re.search("accepted", anna.text_content("[data-hl=answer]"))
+    for number in range(1, 11):
+        shift(anna, "right", f"^{number}.cm right")
+    anna.wait_for_timeout(4_000.0)
+    press(anna, "nudge_right")
+    wait_for(anna, "[data-hl=answer]", "refused .largest shift")
+    assert "10" in row(anna, "work", "shift")
+    wait_for(anna, "#rows-motion [data-key=xte] dd", r"^[0-2]\.\d")
+    assert anna.text_content("#mode") == "Automatic"
 
 
 def test_pause_and_resume(anna: Any) -> None:

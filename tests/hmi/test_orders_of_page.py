@@ -9,6 +9,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from hmi.diagnosis.audit import audit_rows
+from hmi.diagnosis.self_test import TESTED, SelfTest
 from hmi.orders import OrderSender, SentOrder, outcome, own_key, public_key_of, read_key
 from hmi.page_state import PageState
 from hmi.texts import texts_of
@@ -33,7 +34,7 @@ class Machine:
         config = OrdersConfig(keys={"page": known}, max_per_s=5, max_validity_s=60.0, report_s=0.5)
         self.port = OrderPort(0)
         verifier = OrderVerifier("tractor-1", session, config, SequenceStore(None))
-        self.gate = OrderGate("tractor-1", session, verifier, 0.5, self.port)
+        self.gate = OrderGate("tractor-1", session, verifier, 0.5, 0.1, self.port)
         self.state = PageState(demo_scene(), 0.25)
         self.sender = OrderSender(key, "operator", self.port.number)
         self.step(NOW_NS)
@@ -145,3 +146,28 @@ def test_a_thousand_forged_orders_are_counted_and_shown(key: Ed25519PrivateKey) 
     counts = {cell if isinstance(cell, str) else cell["text"]: int(number) for cell, number in rows}
     assert counts["Accepted"] == 1
     assert counts["Refused: signature wrong"] == counts["Refused: key not known to the machine"] == 500
+
+
+def test_self_test_tells_of_each_control_whether_the_machine_takes_it(key: Ed25519PrivateKey) -> None:
+    """This key may start and pause; a gate that takes five orders in a second refuses none for their number."""
+    machine, test = Machine(key), SelfTest()
+    test.begin()
+    for k in range(1, 80):
+        test.step(machine.state, machine.sender, 5.0)
+        machine.step(NOW_NS + k * 100_000_000)
+    expected = {order: "accepted" if order in ("start", "pause") else "not_permitted" for order in TESTED}
+    assert test.results == expected
+    status = machine.state.newest("order_status", OrderStatus)
+    assert status is not None
+    assert status.accepted == 0
+    machine.port.close()
+
+
+def test_self_test_of_a_silent_machine_has_no_answer(key: Ed25519PrivateKey) -> None:
+    machine, test = Machine(key), SelfTest()
+    machine.state.take(NOW_NS + 10_000_000_000, [])
+    test.begin()
+    for _ in TESTED:
+        test.step(machine.state, machine.sender, 5.0)
+    assert set(test.results.values()) == {"unanswered"}
+    machine.port.close()

@@ -10,17 +10,20 @@ from shapely import Polygon
 from geometry.pose2 import Pose2
 from hmi.coverage import Coverage
 from hmi.drive_view.alarms import alarm_rows
-from hmi.drive_view.controls import ORDERS, unavailable
+from hmi.drive_view.controls import CONTROLS, ORDERS, unavailable
 from hmi.drive_view.machine import machine_rows
 from hmi.drive_view.motion import compass_deg, motion_rows, work_rows
+from hmi.drive_view.position import position_rows
 from hmi.drive_view.standing import standing
+from hmi.page_state import PageState
 from hmi.shown import shown_of
 from hmi.texts import texts_of
 from messages.command import Mode
 from messages.faults import Severity
 from messages.message import Envelope
 from messages.perception import ObstacleClass
-from messages.plan import MissionState
+from messages.plan import MissionState, PathSectionType
+from messages.sensors import GnssFix, GnssSolution
 from tests.hmi.drive_messages import (
     NOW_NS,
     SECOND_NS,
@@ -89,7 +92,7 @@ def test_old_messages_are_not_shown_as_present() -> None:
     assert (found.mode, found.level) == ("No data", "alarm")
     assert "nothing for 2" in found.cause
     assert motion_rows(state, EN)[0].value == "–"
-    assert set(unavailable(state, EN)) == set(ORDERS)
+    assert set(unavailable(state, EN)) == set(CONTROLS)
 
 
 def test_before_the_first_message_everything_is_unknown() -> None:
@@ -162,6 +165,17 @@ def test_orders_available_by_mode(mode: Mode, reason: str, mission_state: Missio
     assert available(mode, reason, mission_state) == expected | {"forbid"}
 
 
+@pytest.mark.parametrize("section", PathSectionType)
+@pytest.mark.parametrize("mode", [Mode.AUTOMATIC, Mode.OBSTACLE_STOP, Mode.STANDBY])
+def test_a_row_is_shifted_while_it_is_driven(mode: Mode, section: PathSectionType) -> None:
+    driven = replace(mission(MissionState.DRIVING), section_type=section, shift_left_m=-0.03)
+    state = state_of(("supervisor", supervisor(mode, str(mode))), ("order_status", status()), ("mission", driven))
+    is_possible = mode is Mode.AUTOMATIC and section is PathSectionType.SWATH
+    assert {"nudge_left", "nudge_right"}.isdisjoint(unavailable(state, EN)) is is_possible
+    (shown,) = (row.value for row in work_rows(state, EN) if row.key == "shift")
+    assert shown == ("3\u202fcm right" if section is PathSectionType.SWATH else "–")
+
+
 def test_while_operation_is_forbidden_it_is_not_started_and_the_state_says_so() -> None:
     forbidden = replace(status(), is_forbidden=True)
     for mode in (Mode.STANDBY, Mode.AUTOMATIC, Mode.EMERGENCY_STOP):
@@ -230,3 +244,34 @@ def test_worked_area_of_a_turn_about_a_point_within_the_working_width() -> None:
     for angle in np.linspace(0.0, math.pi, 400):
         coverage.update(Pose2(2.0 * math.sin(angle), -2.0 * math.cos(angle), float(angle)), True)
     assert coverage.area_m2 == pytest.approx(0.5 * math.pi * (8.0**2 + 4.0**2), rel=0.02)
+
+
+def gnss(stamp_ns: int, age_s: float, solution: GnssSolution = GnssSolution.RTK_FIXED) -> GnssFix:
+    return GnssFix(
+        stamp_ns, 0.9, 0.1, 50.0, np.ones(3), np.zeros(3), math.nan, math.nan, math.nan, solution, 20, 0.6, age_s, "BDS"
+    )
+
+
+def test_failed_corrections_are_an_alarm_after_they_were_received() -> None:
+    """By any receiver; too old or none, for longer than 2 s; it ends when they return."""
+    scene = replace(demo_scene(), max_correction_age_s=20.0)
+    state = PageState(scene, 0.25)
+
+    def after(seconds: float, age_s: float, name: str = "main") -> tuple[set[str], str]:
+        now_ns = NOW_NS + round(seconds * 1e9)
+        state.take(now_ns, [Envelope(f"gnss/{name}", 0, now_ns, gnss(now_ns, age_s))])
+        links = [one.value for one in position_rows(state, EN) if one.key == "link"]
+        return {code for _, code in state.faults}, links[0]
+
+    lost = {"corrections.lost"}
+    assert after(0.0, math.nan) == (set(), "none")  # never received: nothing has failed
+    assert after(60.0, 1.0) == (set(), "receiving")
+    assert after(61.0, 21.0) == (set(), "too old, not used")
+    assert after(63.0, 23.0)[0] == lost
+    assert after(64.0, math.nan) == (lost, "none")
+    assert after(65.0, 0.5) == (set(), "receiving")
+    state.take(NOW_NS + 80 * SECOND_NS, [])
+    assert {code for _, code in state.faults} == lost  # the receiver is silent
+    assert after(81.0, 0.5)[0] == set()
+    assert after(84.0, 0.5, "second")[0] == set()
+    assert after(84.5, 30.0)[0] == set()  # the second one has them

@@ -7,18 +7,23 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import shapely
 
 from configs.site import DatumConfig
+from hmi.page_state import PageState
 from hmi.plan_view.mission_store import MISSION, PLAN
 from hmi.plan_view.options import choices, default_work, options_of, read_mission
 from hmi.refusal import Refused
 from messages.errors import ConfigError, HeadlandError
-from tests.hmi.planned import PLANNER, desk_in, geojson
+from messages.message import Envelope
+from tests.hmi.drive_messages import NOW_NS, demo_scene, map_pose, odometry
+from tests.hmi.planned import PLANNER, corner_field, desk_in, geojson
 from tests.recordings import ROOT
 
 PLANNING = """
@@ -48,22 +53,25 @@ def test_a_field_is_read_planned_stored_and_opened_again(tmp_path: Path) -> None
         assert (desk.name, desk.notes, desk.error) == ("north", ["a note"], "")
         with pytest.raises(Refused, match="no_plan"):
             desk.store_mission("x", "anna")
-        desk.set_option("headland_passes", "3")
+        desk.set_option("vegetation_cm", "30", "anna")
+        await desk.load({"a.kml": b"ok"})
+        assert desk.options.consent is None  # that for another field
+        desk.set_option("headland_passes", "3", "anna")
         await desk.make_plan()
         assert desk.plan is not None
         stored = desk.store_mission(" my <b>mission</b> ", "anna")
         assert stored.about is not None
         assert stored.about.name == "my <b>mission</b>"
-        desk.draw()
+        desk.draw("outline")
         assert desk.outline is desk.plan is None
-        desk.set_option("headland_passes", "1")
+        desk.set_option("headland_passes", "1", "anna")
         desk.reopen(stored.id)
         assert desk.options.headland_passes == 3
         assert desk.stored == stored
         assert desk.plan is not None
         assert desk.outline is not None
         assert desk.outline["boundary"] == desk.plan.map["boundary"]
-        desk.set_option("turns", "reverse")
+        desk.set_option("turns", "reverse", "anna")
         assert desk.plan is desk.stored is None
         assert stored.folder.is_dir()
 
@@ -75,7 +83,7 @@ def test_the_same_planner_as_that_of_the_command_line(tmp_path: Path) -> None:
 
     async def drive() -> None:
         desk = desk_in(tmp_path, PLANNER)
-        desk.set_option("implement", "harrow_6m")
+        desk.set_option("implement", "harrow_6m", "anna")
         await desk.load({"corner.geojson": geojson()})
         assert desk.error == ""
         assert desk.outline is not None
@@ -140,17 +148,17 @@ def test_drawn_corners_become_a_field_at_the_same_place(tmp_path: Path) -> None:
 
     async def drive() -> None:
         desk = desk_in(tmp_path, PLANNER)
-        desk.draw()
+        desk.draw("outline")
         for corner in corners[:2]:
             desk.add_point(*corner)
         desk.add_point(0.0, 0.0)
         desk.remove_point()
         with pytest.raises(Refused, match="few_corners"):
-            await desk.close_outline(DATUM, "drawn")
+            await desk.close_drawing(DATUM, "drawn")
         for corner in corners[2:]:
             desk.add_point(*corner)
-        await desk.close_outline(DATUM, "drawn")
-        assert (desk.error, desk.name, desk.is_drawing) == ("", "drawn", False)
+        await desk.close_drawing(DATUM, "drawn")
+        assert (desk.error, desk.name, desk.drawing.kind) == ("", "drawn", "")
         assert desk.outline is not None
         shape = shapely.Polygon(desk.outline["boundary"])
         assert shape.area == pytest.approx(8000.0, rel=1e-4)
@@ -164,16 +172,115 @@ def test_drawn_corners_become_a_field_at_the_same_place(tmp_path: Path) -> None:
     asyncio.run(drive())
 
 
+def test_no_go_areas_and_gate_belong_to_the_mission(tmp_path: Path) -> None:
+    """They are drawn on the field of a file, planned, stored and opened again; a change makes the plan void."""
+    area = ((40.0, 60.0), (55.0, 60.0), (55.0, 75.0), (40.0, 75.0))
+
+    async def drive() -> None:
+        desk = desk_in(tmp_path, PLANNER)
+        with pytest.raises(Refused, match="no_field"):
+            desk.draw("no_go")
+        await desk.load({"a.geojson": geojson(corner_field(160.0))})
+        desk.draw("no_go")
+        for corner in area:
+            desk.add_point(*corner)
+        await desk.close_drawing(DATUM, "not a field")
+        desk.draw("gate")
+        desk.add_point(80.0, -3.0)
+        assert (desk.no_go_m, desk.gate_m, desk.drawing.kind) == ((area,), (80.0, -3.0), "")
+        shown = desk.shown_outline
+        assert shown is not None
+        assert shown["no_go"] == [area]
+        await desk.make_plan()
+        assert desk.error == ""
+        assert desk.plan is not None
+        swept = shapely.MultiLineString([line for _, line in desk.plan.map["sections"]])
+        assert swept.distance(shapely.Polygon(area).centroid) > 7.5
+        (gate,) = desk.plan.map["gates"]
+        assert [sum(p[k] for p in gate) / 2.0 for k in range(2)] == pytest.approx([80.0, -0.5], abs=0.6)
+        stored = desk.store_mission("with areas", "anna")
+        desk.remove_areas()
+        assert desk.plan is None
+        assert desk.shown_outline == desk.outline
+        assert desk.outline is not None
+        desk.reopen(stored.id)
+        assert (desk.no_go_m, desk.gate_m) == ((area,), (80.0, -3.0))
+        shown = desk.shown_outline
+        assert shown is not None
+        assert len(shown["no_go"]) == 1
+
+    asyncio.run(drive())
+
+
+@pytest.mark.parametrize(
+    ("ring", "words"),
+    [
+        (((0.0, 0.0), (50.0, 50.0), (50.0, 0.0), (0.0, 50.0)), "no-go area 1 crosses itself"),
+        (((-90.0, 0.0), (-80.0, 0.0), (-80.0, 9.0)), "outside the field"),
+        (((-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)), "leave 0.0 m² of the field"),
+    ],
+)
+def test_a_no_go_area_that_is_none_is_refused_in_words(
+    tmp_path: Path, ring: tuple[tuple[float, float], ...], words: str
+) -> None:
+    async def drive() -> None:
+        desk = desk_in(tmp_path, PLANNER)
+        await desk.load({"a.geojson": geojson(corner_field(160.0))})
+        desk.draw("no_go")
+        for corner in ring:
+            desk.add_point(*corner)
+        await desk.close_drawing(DATUM, "")
+        await desk.make_plan()
+        assert words in desk.error
+        desk.remove_areas()
+        assert desk.error == "" or desk.plan is None
+
+    asyncio.run(drive())
+
+
+def drive_to(state: PageState, x_m: float, y_m: float, yaw_rad: float, level_m: float = 0.2) -> PageState:
+    position = replace(map_pose(x_m, y_m, yaw_rad), protection_level_m=level_m)
+    messages = (("map_pose", position), ("odom", odometry(0.0, 0.0)))
+    state.take(NOW_NS, [Envelope(topic, 0, NOW_NS, message) for topic, message in messages])
+    return state
+
+
+@pytest.mark.parametrize(("side", "away_m"), [("left", -1.0), ("right", 1.0), ("middle", 0.0)])
+def test_a_field_is_recorded_along_its_edge(tmp_path: Path, side: str, away_m: float) -> None:
+    """The outer end of the implement follows the edge; straight sides need few points, and jumps of 0.1 m none."""
+    desk = desk_in(tmp_path, PLANNER)
+    desk.draw("driven", side)
+    desk.add_point(5.0, 5.0)  # a click is no point of the edge
+    curvature, step_m = ((100.0, 0.0), (0.5 * math.pi * 12.0, 1.0 / 12.0), (60.0, 0.0)), 0.2  # length and curvature
+    state = PageState(demo_scene(), 5.0)
+    x = y = yaw = 0.0
+    driven = []
+    for length_m, bend_radpm in (*curvature[:2], curvature[2], curvature[1]) * 2:
+        for _ in range(round(length_m / step_m)):
+            yaw += step_m * bend_radpm
+            x, y = x + step_m * math.cos(yaw), y + step_m * math.sin(yaw)
+            driven.append((x, y))
+            desk.follow(drive_to(state, x, y, yaw))
+            desk.follow(drive_to(state, 500.0, 500.0, 0.0, 0.6))  # a position that is too uncertain
+    half_m = 0.5 * demo_scene().implement.width_m
+    shape, path = shapely.Polygon(desk.drawing.points_m), shapely.Polygon(driven)
+    distances = [path.exterior.distance(shapely.Point(p)) for p in desk.drawing.points_m]
+    assert shape.is_valid
+    assert len(desk.drawing.points_m) < 90
+    assert np.median(distances) == pytest.approx(abs(away_m) * half_m, abs=0.2)
+    assert (shape.area - path.area) / path.length == pytest.approx(away_m * half_m, abs=0.3)
+
+
 def test_corners_of_a_crossing_outline_can_be_corrected(tmp_path: Path) -> None:
     async def drive() -> None:
         desk = desk_in(tmp_path, PLANNER)
-        desk.draw()
+        desk.draw("outline")
         for corner in ((0.0, 0.0), (100.0, 100.0), (100.0, 0.0), (0.0, 100.0)):
             desk.add_point(*corner)
-        await desk.close_outline(DATUM, "drawn")
+        await desk.close_drawing(DATUM, "drawn")
         assert "crosses itself" in desk.error
-        assert desk.is_drawing
-        assert len(desk.points_m) == 4
+        assert desk.drawing.kind == "outline"
+        assert len(desk.drawing.points_m) == 4
 
     asyncio.run(drive())
 
@@ -181,18 +288,18 @@ def test_corners_of_a_crossing_outline_can_be_corrected(tmp_path: Path) -> None:
 @pytest.mark.parametrize("corner", [(math.nan, 0.0), (0.0, math.inf), (1e9, 0.0)])
 def test_a_corner_outside_the_map_is_refused(tmp_path: Path, corner: tuple[float, float]) -> None:
     desk = desk_in(tmp_path)
-    desk.draw()
+    desk.draw("outline")
     with pytest.raises(Refused, match="outside_map"):
         desk.add_point(*corner)
-    assert desk.points_m == []
+    assert desk.drawing.points_m == []
 
 
 def test_corners_are_limited(tmp_path: Path) -> None:
     desk = desk_in(tmp_path)
-    desk.draw()
+    desk.draw("outline")
     for k in range(1000):
         desk.add_point(float(k), 0.0)
-    assert len(desk.points_m) == 500
+    assert len(desk.drawing.points_m) == 500
 
 
 def test_while_the_planner_works_nothing_changes_but_it_can_be_cancelled(tmp_path: Path) -> None:
@@ -203,7 +310,11 @@ def test_while_the_planner_works_nothing_changes_but_it_can_be_cancelled(tmp_pat
             await asyncio.sleep(0.02)
         process = desk.job._process
         assert process is not None
-        for change in (desk.draw, lambda: desk.set_option("turns", "reverse"), lambda: desk.reopen("x")):
+        for change in (
+            lambda: desk.draw("outline"),
+            lambda: desk.set_option("turns", "reverse", "anna"),
+            lambda: desk.reopen("x"),
+        ):
             with pytest.raises(Refused, match="busy"):
                 change()
         for later in (desk.load({"b.kml": b"ok"}), desk.make_plan(), desk.choose("1")):
@@ -277,13 +388,14 @@ def test_a_stored_mission_whose_plan_is_damaged_is_refused(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("name", "value"),
     [("machine", "../../etc"), ("implement", ""), ("turns", "jump"), ("headland_passes", "0"), ("headland_passes", "x"),
-     ("heading_deg", "360"), ("heading_deg", "-1"), ("heading_deg", "²"), ("_FOLDERS", "a"), ("__class__", "x")],
+     ("heading_deg", "360"), ("heading_deg", "-1"), ("heading_deg", "²"), ("_FOLDERS", "a"), ("__class__", "x"),
+     ("vegetation_cm", "36"), ("vegetation_cm", "9")],
 )  # fmt: skip
 def test_an_option_that_does_not_exist_names_the_value(tmp_path: Path, name: str, value: str) -> None:
     desk = desk_in(tmp_path)
     before = desk.options
     with pytest.raises(ConfigError, match=name):
-        desk.set_option(name, value)
+        desk.set_option(name, value, "anna")
     assert desk.options == before
 
 
@@ -292,9 +404,10 @@ def test_options_come_back_from_their_mission_file(tmp_path: Path, heading: str)
     from hmi.plan_view.options import write_mission
 
     desk = desk_in(tmp_path)
-    desk.set_option("heading_deg", heading)
+    desk.set_option("heading_deg", heading, "anna")
+    desk.set_option("vegetation_cm", "30" if heading else "", "anna")
     for name in ("machine", "implement", "turns"):
-        desk.set_option(name, choices()[name][-1])
+        desk.set_option(name, choices()[name][-1], "anna")
     write_mission(desk.options.mission("name: [x", default_work()), tmp_path / "m.yaml")
     assert options_of(*read_mission(tmp_path / "m.yaml")) == desk.options
 
@@ -302,7 +415,7 @@ def test_options_come_back_from_their_mission_file(tmp_path: Path, heading: str)
 def test_direction_is_a_compass_heading(tmp_path: Path) -> None:
     desk = desk_in(tmp_path)
     for heading, yaw in (("0", 90.0), ("90", 0.0), ("45", 45.0), ("135", -45.0)):
-        desk.set_option("heading_deg", heading)
+        desk.set_option("heading_deg", heading, "anna")
         work = desk.options.mission("x", default_work()).work
         assert work is not None
         assert work.swath_direction_deg == pytest.approx(yaw)

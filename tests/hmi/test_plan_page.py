@@ -1,5 +1,6 @@
 """Plan, diagnosis and statistics in Chromium: a field is loaded or drawn, planned, stored, driven, counted."""
 
+import re
 import signal
 import sqlite3
 import time
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from tests.hmi.accessibility import low_contrasts, small_targets
 from tests.hmi.browser import SIZES, Browser, PageProcess, add_user, log_in, needs_browser, page_process, view, wait_for
@@ -64,7 +66,7 @@ def load(page: Any, path: Path) -> None:
 def planned(page: Any) -> None:
     """Plans and waits for the result."""
     page.click("#plan:not([disabled])")
-    page.wait_for_selector("#rows-plan [data-key=length]")
+    page.wait_for_selector("#rows-plan [data-key=length]", timeout=300_000.0)
 
 
 def stored(page: Any, name: str) -> Any:
@@ -140,6 +142,56 @@ def test_a_field_is_drawn_by_clicks(anna: Any) -> None:
     anna.click("#close")
     wait_for(anna, "#hint", "^Drawn field$")
     planned(anna)
+
+
+def test_no_go_area_and_gate_are_placed_by_clicks(anna: Any, folder: Path) -> None:
+    """On the field of a file; the plan leaves the area out and begins at the gate."""
+    (folder / "areas.geojson").write_bytes(geojson(name="field with areas"))
+    load(anna, folder / "areas.geojson")
+    wait_for(anna, "#hint", "^field with areas$")
+    planned(anna)
+    swaths = anna.text_content("#rows-plan [data-key=share] dd")
+    anna.click("#no_go:not([disabled])")
+    wait_for(anna, "#hint", "no-go area.*0 so far")
+    box = anna.locator("#map").bounding_box()
+    for k, (x, y) in enumerate(((0.60, 0.35), (0.70, 0.35), (0.70, 0.45), (0.60, 0.45))):
+        anna.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        wait_for(anna, "#hint", f"{k + 1} so far")
+    anna.wait_for_selector("#rows-plan [data-key=length]")
+    anna.click("#close")
+    anna.wait_for_selector("#rows-plan [data-key=length]", state="detached")  # the plan without it is void
+    anna.click("#gate:not([disabled])")
+    wait_for(anna, "#hint", "place of the gate")
+    anna.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.97 * box["height"])
+    wait_for(anna, "#hint", "^field with areas$")
+    planned(anna)
+    assert wait_for(anna, "#rows-plan [data-key=gate]", ".*[Gg]ate")
+    assert anna.text_content("#rows-plan [data-key=share] dd") != swaths
+    anna.click("#remove_areas:not([disabled])")
+    anna.wait_for_selector("#rows-plan [data-key=length]", state="detached")
+    anna.wait_for_selector("#remove_areas", state="hidden")
+
+
+def test_consent_for_plants_is_given_by_name_and_stored(anna: Any, folder: Path) -> None:
+    """It is part of the mission that is stored, and is taken back."""
+    (folder / "crop.geojson").write_bytes(geojson(name="field in crop"))
+    load(anna, folder / "crop.geojson")
+    wait_for(anna, "#hint", "^field in crop$")
+    assert anna.text_content("#consent") == ""
+    anna.select_option("#vegetation_cm", "30")
+    assert re.search(r"anna consents .*30.cm", wait_for(anna, "#consent", "anna"))
+    planned(anna)
+    anna.fill("#mission-name", "in crop")
+    anna.click("#store")
+    stored(anna, "in crop").wait_for()
+    missions = (folder / "state" / "missions").glob("2*")
+    found = [yaml.safe_load((one / "mission.yaml").read_text(encoding="utf-8")).get("consent") for one in missions]
+    assert {"by": "anna", "vegetation_m": 0.3} in found
+    anna.select_option("#vegetation_cm", "")
+    wait_for(anna, "#consent", "^$")
+    stored(anna, "in crop").get_by_text("Open").click()
+    wait_for(anna, "#consent", "anna consents")
+    anna.select_option("#vegetation_cm", "")
 
 
 def test_a_plan_goes_on_while_the_page_is_loaded_again_and_can_be_cancelled(anna: Any, folder: Path) -> None:

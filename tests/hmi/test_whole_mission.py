@@ -69,7 +69,8 @@ def wait_in_drive(page: Any, selector: str, pattern: str) -> str:
             found = wait_for(page, selector, pattern)
         except Exception:  # Playwright is loaded late, so its TimeoutError has no name here
             if time.monotonic() > until_s:
-                raise
+                shown = [page.text_content(one) for one in ("#mode", "#cause", "#rows-work")]
+                raise AssertionError(f"not {pattern} in time: {shown}") from None
             if "out of view" in (page.text_content("#cause") or ""):
                 order(page, "confirm_clear")
         else:

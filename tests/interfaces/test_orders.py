@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,9 @@ from interfaces.orders.verifier import OrderVerifier, Reason
 from messages.command import Mode, OperatorCommand, OperatorCommandKind, OrderStatus, SignedOrder, SupervisorState
 from messages.errors import ConfigError, HeadlandError
 from messages.faults import Fault, Response
+from messages.plan import MissionState, MissionStatus, PathSectionType
 from simulation.operator import SimulatedOperator, operator_key, public_bytes
-from tests.hmi.drive_messages import supervisor
+from tests.hmi.drive_messages import mission, supervisor
 
 NOW = 1_700_000_000_000_000_000
 S = 1_000_000_000
@@ -56,16 +58,19 @@ class Bench:
 
     def __init__(self, folder: Path | None = None, session: str = "abc", port: OrderPort | None = None) -> None:
         verifier = OrderVerifier("tractor-1", session, CONFIG, SequenceStore(folder))
-        self.gate = OrderGate("tractor-1", session, verifier, CONFIG.report_s, port)
+        self.gate = OrderGate("tractor-1", session, verifier, CONFIG.report_s, 0.1, port)
         self.now_ns, self.orders = NOW, ()
         self.mode: Mode | None = None
+        self.mission: MissionStatus | None = None
         self.outputs: list[Any] = []
 
     def all(self, topic: str, kind: type[SignedOrder]) -> tuple[SignedOrder, ...]:
         assert topic == "order/operator"
         return self.orders
 
-    def latest(self, topic: str, kind: type[SupervisorState]) -> SupervisorState | None:
+    def latest(self, topic: str, kind: type[Any]) -> SupervisorState | MissionStatus | None:
+        if topic == "mission":
+            return self.mission
         assert topic == "supervisor"
         return None if self.mode is None else supervisor(self.mode)
 
@@ -91,7 +96,8 @@ def bench() -> Bench:
 
 @pytest.mark.parametrize("name", ORDERS)
 def test_signed_order_becomes_a_command(bench: Bench, name: str) -> None:
-    assert bench.give(signed(order=name)) == [ORDERS[name]]
+    bench.mode, bench.mission = Mode.AUTOMATIC, mission(MissionState.DRIVING)
+    assert bench.give(signed(order=name, left_m=0.02 if name == "nudge" else None)) == [ORDERS[name]]
     (command,) = bench.of(OperatorCommand)
     if name != "emergency_stop":
         assert (command.authority, command.sequence, command.expires_ns) == ("operator", 10, NOW + 5 * S)
@@ -113,6 +119,10 @@ REFUSED = {
     "text for a number": (signed(sequence="11"), Reason.MALFORMED),
     "number beyond 63 bits": (signed(sequence=1 << 63), Reason.MALFORMED),
     "unknown parameter": (signed(speed_mps=9.0), Reason.MALFORMED),
+    "parameter of another order": (signed(left_m=0.01), Reason.MALFORMED),
+    "nudge without its step": (signed(order="nudge"), Reason.MALFORMED),
+    "step of a nudge too long": (signed(order="nudge", left_m=0.06), Reason.MALFORMED),
+    "step of a nudge not finite": (signed(order="nudge", left_m=float("nan")), Reason.MALFORMED),
     "no object": (signed_bytes(b"[]"), Reason.MALFORMED),
     "no JSON": (signed_bytes(b"\xff\x00"), Reason.MALFORMED),
     "empty": (signed_bytes(b""), Reason.MALFORMED),
@@ -431,3 +441,51 @@ def test_no_presence_keeps_a_forbidden_start_alive(bench: Bench) -> None:
     bench.give(signed(order="forbid"), signed(sequence=11))
     bench.give(after_s=60.0)
     assert lost(bench) == []
+
+
+@pytest.mark.parametrize(
+    ("mode", "section", "shift_m", "step_m", "reason"),
+    [
+        (Mode.AUTOMATIC, PathSectionType.SWATH, 0.09, 0.01, None),
+        (Mode.AUTOMATIC, PathSectionType.SWATH, 0.10, 0.01, "out_of_range"),
+        (Mode.AUTOMATIC, PathSectionType.SWATH, -0.10, -0.01, "out_of_range"),
+        (Mode.AUTOMATIC, PathSectionType.SWATH, 0.10, -0.05, None),
+        (Mode.AUTOMATIC, PathSectionType.TURN, 0.0, 0.01, "not_on_swath"),
+        (Mode.AUTOMATIC, PathSectionType.HEADLAND, 0.0, 0.01, "not_on_swath"),
+        (Mode.STANDBY, PathSectionType.SWATH, 0.0, 0.01, "not_on_swath"),
+        (Mode.OBSTACLE_STOP, PathSectionType.SWATH, 0.0, 0.01, "not_on_swath"),
+    ],
+)
+def test_a_nudge_is_accepted_on_a_swath_within_the_largest_shift(
+    bench: Bench, mode: Mode, section: PathSectionType, shift_m: float, step_m: float, reason: str | None
+) -> None:
+    bench.mode = mode
+    bench.mission = replace(mission(MissionState.DRIVING), section_type=section, shift_left_m=shift_m)
+    order = signed(order="nudge", left_m=step_m)
+    assert bench.give(order) == ([] if reason else [OperatorCommandKind.NUDGE])
+    if reason is None:
+        assert bench.of(OperatorCommand)[0].left_m == step_m
+    else:
+        assert bench.refused == {reason: 1}
+        bench.mode, bench.mission = Mode.AUTOMATIC, mission(MissionState.DRIVING)
+        assert bench.give(order) == []  # its number is used up
+
+
+@pytest.mark.parametrize("name", [name for name in ORDERS if name != "emergency_stop"])
+def test_a_check_is_verified_and_has_no_effect(bench: Bench, name: str) -> None:
+    """Self-test of a control: its number is used up, nothing else is changed."""
+    bench.mode, bench.mission = Mode.AUTOMATIC, mission(MissionState.DRIVING)
+    order = signed(order=name, left_m=0.01 if name == "nudge" else None, is_check=True, sequence=11)
+    assert bench.give(order) == []
+    (status,) = bench.of(OrderStatus)
+    assert (status.checked, status.accepted, status.is_forbidden, status.refused) == (11, 0, False, ())
+    assert bench.give(order) == []
+    assert bench.refused == {"replayed": 1}
+    assert bench.give(signed(RADIO, authority="remote", order="start", is_check=True)) == []
+    assert bench.refused["not_permitted"] == 1
+    assert not bench.gate._verifier.attendance.is_lost(bench.now_ns + 3600 * S)  # a check starts no attendance
+
+
+def test_an_emergency_stop_is_no_check(bench: Bench) -> None:
+    """Whatever is beside it in the payload."""
+    assert bench.give(signed(order="emergency_stop", is_check=True)) == [OperatorCommandKind.EMERGENCY_STOP]

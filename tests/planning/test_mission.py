@@ -55,6 +55,38 @@ def test_no_start_on_other_commands_or_old_sequence(plan: Plan, config: MissionC
     assert status_of(node.step(now, Box({}, (late,))))[0].state is MissionState.WAITING
 
 
+def nudge(now: int, sequence: int, left_m: float, expires_s: float = 1.0) -> OperatorCommand:
+    return OperatorCommand(now, OperatorCommandKind.NUDGE, "page", sequence, now + round(expires_s * 1e9), left_m)
+
+
+def test_a_nudge_shifts_all_swaths_by_the_same_vector(plan: Plan, config: MissionConfig) -> None:
+    """Left on the first swath is right on the way back; the end of the mission resets it."""
+    drive = Ideal(plan, MissionNode(plan, config, 0))
+    shifts: dict[tuple[str, int], set[tuple[float, ...]]] = {}
+    is_nudged = False
+    for _ in range(500):
+        drive.run(3)
+        status = drive.status
+        assert status is not None
+        shift = status.shift_x_m, status.shift_y_m, status.shift_left_m
+        if status.section_type is PathSectionType.SWATH:
+            if not is_nudged:
+                now, steps = drive.now_ns, ((2, 0.03), (2, 0.03), (3, -0.01), (4, 0.09))  # repeated; above the limit
+                box = Box(drive._messages(now), tuple(nudge(now, *step) for step in steps))
+                is_nudged = bool(drive.node.step(now, box))
+            elif any(shift):
+                shifts.setdefault((status.section_type, status.line), set()).add(tuple(round(v, 4) for v in shift))
+        elif any(shift):  # shortly before a swath
+            assert status.section_type is PathSectionType.TURN
+    assert status.state is MissionState.FINISHED
+    assert (status.shift_x_m, status.shift_y_m, status.shift_left_m) == (0.0, 0.0, 0.0)
+    vectors = {values[:2] for found in shifts.values() for values in found}
+    assert len(vectors) == 1
+    assert np.hypot(*next(iter(vectors))) == pytest.approx(0.02, abs=1e-4)
+    assert {values[2] > 0 for found in shifts.values() for values in found} == {True, False}
+    assert max(abs(values[2]) for found in shifts.values() for values in found) == pytest.approx(0.02, abs=1e-4)
+
+
 def test_plan_completion(plan: Plan, config: MissionConfig) -> None:
     drive = Ideal(plan, MissionNode(plan, config, 0))
     drive.run(1200)

@@ -1,12 +1,17 @@
 """Geofence: polygons, boxes, and the zones of a site."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from configs.site import Area, Bay, DatumConfig, Gate, Lane, PoseConfig, Shed, Site
-from safety.zones.footprint import Box, bounding_box
+from configs.vehicle import MountedImplement, Vehicle
+from geometry.transforms import planar
+from safety.collision_monitor import CollisionMonitor
+from safety.config import SafetyConfig
+from safety.zones.footprint import Box, bounding_box, footprints_of
 from safety.zones.geofence import (
     Geofence,
     Ring,
@@ -19,6 +24,7 @@ from safety.zones.geofence import (
     lane_rings,
 )
 from tests.safety.safety_world import around
+from tests.safety.test_collision_monitor import SEEN, odometry, pose
 
 L_SHAPE = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 4.0), (4.0, 4.0), (4.0, 10.0), (0.0, 10.0)])
 
@@ -135,3 +141,21 @@ def test_geofence_contains_box() -> None:
     gate = np.array([[2.0, 2.0], [2.4, 2.0], [2.4, 4.0], [2.0, 4.0]])  # another ring's side crosses the box
     assert Geofence((gate, L_SHAPE)).contains_box(Box((2.1, 2.6), (2.1, 3.0)))
     assert not Geofence((gate,)).contains_box(Box((2.1, 2.6), (2.1, 3.0)))
+
+
+@pytest.mark.parametrize(("left_m", "is_inside"), [(0.0, True), (-0.1, True), (0.1, False), (math.nan, True)])
+def test_the_geofence_is_held_on_the_shifted_line(
+    full: Vehicle, implement: MountedImplement, config: SafetyConfig, left_m: float, is_inside: bool
+) -> None:
+    """A machine on its path beside the edge: the distance to where it will be outside on the line that is driven."""
+    edge = Geofence((np.array([(-50.0, -50.0), (200.0, -50.0), (200.0, 3.06), (-50.0, 3.06)]),))
+    collision_monitor = CollisionMonitor(footprints_of(full, implement), full.sensors, edge, None, config)
+    here = replace(odometry(), T_odom_base=planar(3.0, 0.0, 0.0), curvature_radpm=0.0)
+    there = replace(pose(), T_map_odom=np.eye(4), T_map_base=planar(3.0, 0.0, 0.0))
+    seen = replace(SEEN, odom=here, map_pose=there, line_shift_m=(0.0, left_m))
+    collision_monitor.update(seen, 1, 2.0, config.braking.flat, 2.1)
+    distance_m, swept_field = collision_monitor.geofence_distance_m(), collision_monitor.swept_field
+    assert distance_m is not None
+    assert swept_field is not None
+    assert math.isinf(distance_m) if is_inside else 0.0 <= distance_m < config.field.blend_m
+    assert swept_field.is_planned is not math.isnan(left_m)  # else the arc of the measured steering

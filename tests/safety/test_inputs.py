@@ -14,6 +14,7 @@ from messages.message import Message
 from messages.motion import MapPose, Odometry, PositionSource
 from messages.node import Latest
 from messages.perception import HealthState, ObstacleClass, Track, Tracks
+from messages.plan import MissionState, MissionStatus, PathSectionType
 from messages.sensors import RadarScan, UltrasonicRange
 from messages.topics import spec_of
 from safety.collision_monitor import MonitorInputs
@@ -100,6 +101,10 @@ def test_read(inputs: SupervisorInputs) -> None:
          "camera_front": came["health/camera_front"], "ultrasonic_left": None, "ultrasonic_right": None,
          "ultrasonic_rear": None},
     )  # fmt: skip
+    inbox.messages["mission"] = MissionStatus(
+        NOW_NS, MissionState.DRIVING, PathSectionType.SWATH, 0, 1, 0.0, 0.0, 1.0, "", (), 0.03, -0.04, 0.05
+    )
+    assert inputs.read(inbox, machine) == replace(seen, line_shift_m=(0.03, -0.04))
     inbox.messages["odom"] = odometry(speed_mps=math.nan)
     inbox.messages["map_pose"] = replace(pose, T_map_odom=np.full((4, 4), math.nan))
     broken = inputs.read(inbox, replace(machine, implement_stamp_ns=0))

@@ -44,6 +44,7 @@ def _facts(result: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("planned share of the field", f"{100 * result['planned_share']:.1f} %"),
         ("coverage of the planned area", f"{100 * result['coverage']:.2f} %"),
         ("cross-track error on the swaths (σ, mean, max)", ", ".join(f"{100 * v:.1f} cm" for v in xte.values()) or "—"),
+        ("largest shift of the line by the operator", f"{100 * result['line_shift_m']:.0f} cm"),
         ("dock error", dock),
         ("contacts, zone exits, false stops", f"{result['contacts']}, {result['zone_exits']}, {result['false_stops']}"),
     ]

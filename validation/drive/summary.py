@@ -34,7 +34,7 @@ class Planned:
 
 @dataclass(frozen=True)
 class Summary:
-    """Measures of one drive."""
+    """Measures of one drive; `line_shift_m` is the largest sideways shift of the line by the operator."""
 
     outcome: str
     distance_m: float
@@ -48,6 +48,7 @@ class Summary:
     zone_exits: int
     simulated_s: float
     in_plants_m: float
+    line_shift_m: float
     docking: Docking | None = None
 
     @property
@@ -58,6 +59,7 @@ class Summary:
             "simulated_s": round(self.simulated_s, 2),
             "distance_m": round(self.distance_m, 2),
             "in_plants_m": round(self.in_plants_m, 2),
+            "line_shift_m": round(self.line_shift_m, 3),
             "worked_m2": round(self.coverage.worked_m2, 1),
             "planned_share": round(self.planned_share, 4),
             "coverage": round(self.coverage.share, 5),
@@ -125,6 +127,7 @@ def summarize(record: DriveRecord, planned: Planned) -> Summary:
         zone_exits=truth[-1].zone_exits if truth else 0,
         simulated_s=record.seconds,
         in_plants_m=float(driven_m[is_in_plants(record)].sum()),
+        line_shift_m=max((math.hypot(m.shift_x_m, m.shift_y_m) for m in mission), default=0.0),
         docking=measure_docking(record, planned.bay),
     )
 

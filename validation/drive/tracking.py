@@ -41,8 +41,9 @@ def lateral_offset(path: Path, x_m: float, y_m: float, s_m: float) -> float:
 
 
 def measure_cross_track(record: DriveRecord) -> CrossTrack:
-    """Error of every true pose with a control command on a known path, at most 0.1 s old."""
-    truth, control_commands, paths = record.truth, record.control_commands, record.paths
+    """Error of every true pose with a control command on a known path, at most 0.1 s old, against the driven line."""
+    truth, control_commands, paths, mission = record.truth, record.control_commands, record.paths, record.mission
+    mission_stamps = stamps_of(mission)
     poses = true_poses(truth)
     index = np.searchsorted(stamps_of(control_commands), stamps_of(truth), side="right") - 1
     rows: list[tuple[int, float, PathSectionType, float]] = []
@@ -51,9 +52,11 @@ def measure_cross_track(record: DriveRecord) -> CrossTrack:
         path = paths.get(control_command.path_id) if control_command else None
         if control_command is None or path is None or machine.stamp_ns - control_command.stamp_ns > 100_000_000:
             continue
+        m = int(np.searchsorted(mission_stamps, machine.stamp_ns, side="right")) - 1
+        dx, dy = (mission[m].shift_x_m, mission[m].shift_y_m) if m >= 0 else (0.0, 0.0)
         at = min(int(np.searchsorted(path.s_m, control_command.path_s_m)), len(path.s_m) - 1)
         section_type = path.sections[path.section_index[at]].section_type
-        xte = lateral_offset(path, poses[k, 0], poses[k, 1], control_command.path_s_m)
+        xte = lateral_offset(path, poses[k, 0] - dx, poses[k, 1] - dy, control_command.path_s_m)
         is_working = path.is_working[at] and machine.is_working and abs(machine.speed_mps) > STANDSTILL_MPS
         rows.append((machine.stamp_ns, xte, section_type, float(is_working)))
     stamps, errors, section_types, work = zip(*rows, strict=True) if rows else ((), (), (), ())
