@@ -288,7 +288,7 @@ def test_detection_range_of_covering_lidars(sources: ObstacleSources) -> None:
         )
         health: Any = {"lidar_front": said, "lidar_rear": healthy(now_ns, "lidar_rear")}
         assert sources.detection_range_m(now_ns, 1, health) == {"lidar/front": detection_range}, edge
-    for age_ns, proves in ((350_000_000, True), (350_000_001, False)):
+    for age_ns, proves in ((300_000_000, True), (300_000_001, False)):
         front.stamp_ns = now_ns - age_ns
         assert (sources.detection_range_m(now_ns, 1, {}) != {}) == proves, age_ns
 
