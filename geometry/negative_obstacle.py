@@ -19,7 +19,7 @@ from geometry.jit import inline_kernel, kernel
 REACH_M = 2.5  # from a return, in which others show the grade of the ground
 MIN_SPAN_M = 0.5  # that they cover
 STEEPEST = 0.3  # of the ground, against the plane through the wheels
-FAR_SIDE_M = 2.0  # from a return, in which the far side of a ditch is seen
+FAR_SIDE_M = 2.0  # before and behind a return, in which both sides of a ditch are seen
 ABOVE_M = 0.05  # what rises more above such ground before it is none: the foot of a wall
 
 
@@ -57,7 +57,8 @@ def negative_obstacles(
             fallen_m = z_m[last] + min(grade, _grade_behind(i, end, run_m, z_m)) * gap_m - z
             steepness = (sensor_z_m - z) / x
             is_below = fallen_m >= max(depth_m, beneath_m * steepness)
-            if is_below and (fallen_m >= fall * gap_m or _rises_behind(i, end, run_m, z_m, depth_m)):
+            is_ditch = gap_m <= FAR_SIDE_M and _rises_behind(i, end, run_m, z_m, depth_m)
+            if is_below and (is_ditch or fallen_m >= fall * gap_m):
                 out[i] = run_m[last]
             else:
                 ground[known] = i

@@ -157,7 +157,7 @@ def test_install_command_without_permission(project: Project) -> None:
     project.put("apt-get", "exit 1")
     code, _, err = project.run("run")
     assert code == 1
-    assert "sudo apt-get install -y --no-install-recommends libegl1 libgl1 libx11-6" in err
+    assert "sudo apt-get -o DPkg::Lock::Timeout=600 install -y --no-install-recommends libegl1 libgl1 libx11-6" in err
     assert project.calls() == []
 
 
@@ -166,7 +166,9 @@ def test_install_of_missing_packages_as_root(project: Project) -> None:
     project.put("id", "echo 0")
     project.put("apt-get", 'echo "$*" >>"$(dirname "$0")/installed"')
     assert project.run("run")[0] == 0
-    assert (project.bin / "installed").read_text() == "update\ninstall -y --no-install-recommends libegl1\n"
+    assert (project.bin / "installed").read_text() == (
+        "update\n-o DPkg::Lock::Timeout=600 install -y --no-install-recommends libegl1\n"
+    )
 
 
 def test_unsupported_python(project: Project) -> None:

@@ -58,7 +58,7 @@ def mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StoredMission:
 
     async def stored() -> StoredMission:
         desk = desk_in(tmp_path, PLANNER)
-        desk.set_option("implement", "harrow_6m")
+        desk.set_option("implement", "harrow_6m", "anna")
         await desk.load({"corner.geojson": geojson()})
         await desk.make_plan()
         return desk.store_mission("corner", "anna")
