@@ -319,6 +319,7 @@ def warm(T_base_sensor: Float64) -> None:
     scattered(image, pixels)
     floating(image, pixels, T_base_sensor, 0.0, 0.0, 1.0)
     clear_beneath(image, np.zeros((1, 3)), T_base_sensor, 0.0, 0.0)
+    negative_obstacles(np.zeros(1, np.int64), np.ones(1), np.zeros(1), 1.0, 1.0, 1.0, 1.0)
     low_levels(np.zeros(1, np.int64), np.zeros(1, np.int32), (1, 1), 1, 0.0)
     lowest_of_cells(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1))
     envelope(np.zeros((1, 1)), 0.0, 1)
