@@ -31,8 +31,8 @@ def inline_kernel(function: F) -> F:
 def _cached(compiled: Any) -> Any:
     if not isinstance(compiled, Dispatcher):  # NUMBA_DISABLE_JIT
         return compiled
-    cache = compiled._cache
-    index = cast(Any, _Index)  # numba has no types
+    cache = cast(Any, compiled)._cache  # numba has no types
+    index = cast(Any, _Index)
     cache._cache_file = index(cache.cache_path, cache._impl.filename_base, compiled.py_func.__globals__)
     return compiled
 
