@@ -13,6 +13,7 @@ from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., object])
+_FOUND: dict[str, list[Any]] = {}  # sources by module
 
 
 def kernel(function: F) -> F:
@@ -29,11 +30,9 @@ def inline_kernel(function: F) -> F:
 
 
 def _cached(compiled: Any) -> Any:
-    if not isinstance(compiled, Dispatcher):  # NUMBA_DISABLE_JIT
-        return compiled
-    cache = cast(Any, compiled)._cache  # numba has no types
-    index = cast(Any, _Index)
-    cache._cache_file = index(cache.cache_path, cache._impl.filename_base, compiled.py_func.__globals__)
+    if not cast(Any, numba.config).DISABLE_JIT:
+        cache, index = compiled._cache, cast(Any, _Index)  # numba has no types
+        cache._cache_file = index(cache.cache_path, cache._impl.filename_base, compiled.py_func.__globals__)
     return compiled
 
 
@@ -44,17 +43,17 @@ class _Index(IndexDataCacheFile):
     """
 
     _names: dict[str, Any]
-    _stamp: list[Any] | None
 
     @property
     def _source_stamp(self) -> list[Any]:
-        if self._stamp is None:
-            self._stamp = _sources(self._names)
-        return self._stamp
+        name = self._names["__name__"]
+        if name not in _FOUND:
+            _FOUND[name] = _sources(self._names)
+        return _FOUND[name]
 
     @_source_stamp.setter
     def _source_stamp(self, names: dict[str, Any]) -> None:
-        self._names, self._stamp = names, None
+        self._names = names
 
 
 def _sources(names: dict[str, Any]) -> list[Any]:

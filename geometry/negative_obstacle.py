@@ -49,16 +49,15 @@ def negative_obstacles(
                 continue
             last = ground[known - 1]
             gap_m = x - run_m[last]
-            if gap_m <= 0.0:
-                continue
-            if z > z_m[last] + STEEPEST * gap_m + ABOVE_M:
+            if gap_m <= 0.0 or z > z_m[last] + STEEPEST * gap_m + ABOVE_M:
                 continue
             grade = _grade_before(ground[:known], run_m, z_m)
             fallen_m = z_m[last] + min(grade, _grade_behind(i, end, run_m, z_m)) * gap_m - z
             steepness = (sensor_z_m - z) / x
-            is_below = fallen_m >= max(depth_m, beneath_m * steepness)
-            is_ditch = gap_m <= FAR_SIDE_M and _rises_behind(i, end, run_m, z_m, depth_m)
-            if is_below and (is_ditch or fallen_m >= fall * gap_m):
+            is_hole = fallen_m >= max(depth_m, beneath_m * steepness)
+            if is_hole and fallen_m < fall * gap_m:
+                is_hole = gap_m <= FAR_SIDE_M and _rises_behind(i, end, run_m, z_m, depth_m)
+            if is_hole:
                 out[i] = run_m[last]
             else:
                 ground[known] = i

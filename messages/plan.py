@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
+import numpy as np
+
 from geometry.arrays import Float64, Int32, UInt8
 from messages.message import Message, MessagePart
 
@@ -50,6 +52,14 @@ class Path(Message):
     section_index: Int32
     is_last: bool
     is_transport: bool = False
+
+    def index_at(self, s_m: float) -> int:
+        """First point at or beyond an arc length; the last one beyond the end."""
+        return min(int(np.searchsorted(self.s_m, s_m)), len(self.s_m) - 1)
+
+    def section_at(self, s_m: float) -> PathSection:
+        """Section at an arc length; the last one beyond the end."""
+        return self.sections[int(self.section_index[self.index_at(s_m)])]
 
 
 class MissionState(IntEnum):

@@ -2,9 +2,7 @@
 
 import math
 
-import numpy as np
-
-from messages.plan import Path, PathSection, PathSectionType
+from messages.plan import Path, PathSectionType
 
 LEAD_M = 6.0  # before a swath the shift is in force, so that control has reached it where work begins
 
@@ -20,7 +18,7 @@ class LineShift:
         """Adds a step to the left of the machine; no effect off a swath, and where the sum were above the limit."""
         yaw = _heading(path, s_m)
         x_m, y_m = self._x_m - left_m * math.sin(yaw), self._y_m + left_m * math.cos(yaw)
-        is_on_swath = section_at(path, s_m).section_type is PathSectionType.SWATH
+        is_on_swath = path.section_at(s_m).section_type is PathSectionType.SWATH
         if is_on_swath and math.hypot(x_m, y_m) <= self._max_m + 1e-6:
             self._x_m, self._y_m = x_m, y_m
 
@@ -30,21 +28,12 @@ class LineShift:
 
     def at(self, path: Path, s_m: float) -> tuple[float, float, float]:
         """Shift at a position (m): x and y in `map`, and the part to the left of the machine; 0 off the swaths."""
-        near = section_at(path, s_m), section_at(path, s_m + LEAD_M)
+        near = path.section_at(s_m), path.section_at(s_m + LEAD_M)
         if not any(section.section_type is PathSectionType.SWATH for section in near):
             return 0.0, 0.0, 0.0
         yaw = _heading(path, s_m)
         return self._x_m, self._y_m, self._y_m * math.cos(yaw) - self._x_m * math.sin(yaw)
 
 
-def section_at(path: Path, s_m: float) -> PathSection:
-    """Section of a path at an arc length; the last one beyond the end."""
-    return path.sections[int(path.section_index[_index(path, s_m)])]
-
-
 def _heading(path: Path, s_m: float) -> float:
-    return float(path.heading_rad[_index(path, s_m)])
-
-
-def _index(path: Path, s_m: float) -> int:
-    return min(int(np.searchsorted(path.s_m, s_m)), len(path.s_m) - 1)
+    return float(path.heading_rad[path.index_at(s_m)])

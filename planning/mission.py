@@ -17,7 +17,7 @@ from messages.plan import MissionState, MissionStatus, Path, PathSectionType, Un
 from planning.config import MissionConfig
 from planning.docking.dock import Docking, plan_docking
 from planning.docking.dock_approach import plan_approach, uwb_unavailable_reason
-from planning.line_shift import LineShift, section_at
+from planning.line_shift import LineShift
 from planning.path import rest_of
 from planning.plan import Plan
 from planning.recovery.detour import area_without_obstacles
@@ -312,7 +312,7 @@ class MissionNode(Node):
         section_type, line, path_id, shift = PathSectionType.LANE, -1, -1, (0.0, 0.0, 0.0)
         if self._path is not None:
             path_id, shift = self._path.path_id, self._line_shift.at(self._path, self._s_m)
-            section = section_at(self._path, self._s_m)
+            section = self._path.section_at(self._s_m)
             section_type, line = section.section_type, section.line
         return MissionStatus(
             now_ns, self._state, section_type, line, path_id, self._s_m, self._driven_m + self._s_m, self._total_m,

@@ -63,7 +63,6 @@ class Payload(Config):
     order: str = Field(max_length=40)
     expires_ns: int = Field(ge=0, lt=1 << 63, strict=True)
     left_m: float | None = Field(default=None, ge=-MAX_STEP_M, le=MAX_STEP_M, allow_inf_nan=False)
-
     is_check: bool = Field(default=False, strict=True)
 
     @model_validator(mode="after")

@@ -183,7 +183,7 @@ def _bypass(blockage: Blockage, allowed: BaseGeometry, plan: Plan, config: Missi
     """Leaves the rest of the line out: reverse, and any connection to the start of one of the next sections."""
     path, line_start_m, rig = blockage.active.path, blockage.active.line_start_m, plan.rig
     space = FreeSpace(allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-    here = int(path.section_index[min(int(np.searchsorted(path.s_m, blockage.s_m)), len(path.s_m) - 1)])
+    here = int(path.section_index[path.index_at(blockage.s_m)])
     _, past, _, _ = extent_m(path, blockage.s_m, blockage.cause.outline, rig.width_m)
     ahead = [
         t

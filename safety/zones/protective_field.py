@@ -66,18 +66,14 @@ def position_on_path(path: Path | None, control_command: ControlCommand | None) 
 
 def section_type_at(position: PathPosition) -> PathSectionType:
     """Type of the path section at a position."""
-    path = position.path
-    index = min(int(np.searchsorted(path.s_m, position.s_m)), len(path.s_m) - 1)
-    section_type: PathSectionType = path.sections[int(path.section_index[index])].section_type
-    return section_type
+    return position.path.section_at(position.s_m).section_type
 
 
 def is_at(position: PathPosition, pose_map: Float64, config: FieldConfig) -> bool:
     """Whether the pose lies within the configured deviation (distance and heading) of the position."""
     path, s = position.path, position.s_m
     x, y = np.interp(s, path.s_m, path.p_map_m[:, 0]), np.interp(s, path.s_m, path.p_map_m[:, 1])
-    index = min(int(np.searchsorted(path.s_m, s)), len(path.s_m) - 1)
-    turn = math.remainder(float(path.heading_rad[index]) - float(pose_map[2]), 2.0 * math.pi)
+    turn = math.remainder(float(path.heading_rad[path.index_at(s)]) - float(pose_map[2]), 2.0 * math.pi)
     is_near = math.hypot(x - pose_map[0], y - pose_map[1]) <= config.max_path_deviation_m
     return is_near and abs(turn) <= math.radians(config.max_path_deviation_deg)
 

@@ -5,11 +5,11 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
 
+from benchmarks.page import descendants, is_running
 from tests.hmi.accessibility import low_contrasts, small_targets
 from tests.hmi.browser import Browser, PageProcess, add_user, log_in, needs_browser, page_process, row, wait_for
 
@@ -251,21 +251,3 @@ def test_a_killed_page_leaves_no_process(process: PageProcess, anna: Any, browse
     anna.wait_for_selector("#lost:not([hidden])")
     assert browser.requested == {"127.0.0.1"}
     assert browser.errors == []
-
-
-def descendants(pid: int) -> list[int]:
-    """Child processes and theirs."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):
-            if int(path.read_text().rpartition(")")[2].split()[1]) == pid:
-                child = int(path.parent.name)
-                found += [child, *descendants(child)]
-    return found
-
-
-def is_running(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False

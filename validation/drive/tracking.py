@@ -54,7 +54,7 @@ def measure_cross_track(record: DriveRecord) -> CrossTrack:
             continue
         m = int(np.searchsorted(mission_stamps, machine.stamp_ns, side="right")) - 1
         dx, dy = (mission[m].shift_x_m, mission[m].shift_y_m) if m >= 0 else (0.0, 0.0)
-        at = min(int(np.searchsorted(path.s_m, control_command.path_s_m)), len(path.s_m) - 1)
+        at = path.index_at(control_command.path_s_m)
         section_type = path.sections[path.section_index[at]].section_type
         xte = lateral_offset(path, poses[k, 0] - dx, poses[k, 1] - dy, control_command.path_s_m)
         is_working = path.is_working[at] and machine.is_working and abs(machine.speed_mps) > STANDSTILL_MPS
