@@ -36,7 +36,8 @@ class PlausibilityConfig(Config):
     """Limits that working sensors never exceed."""
 
     frozen_samples: int = Field(ge=2, le=100, description="equal samples in a row; noise never repeats")
-    samples: int = Field(ge=5, le=200, description="for noise and gravity")
+    samples: int = Field(ge=5, le=200, description="for noise")
+    gravity_samples: int = Field(ge=5, le=500, description="for gravity; a bump changes its mean by speed over time")
     max_noise_mps2: float = Field(gt=0.0, le=50.0, description="sigma between samples, per axis")
     max_noise_radps: float = Field(gt=0.0, le=10.0)
     max_gravity_error_mps2: float = Field(gt=0.0, le=10.0, description="mean specific force against gravity")
@@ -60,7 +61,7 @@ class ImuCheck:
 
     def __init__(self, config: PlausibilityConfig) -> None:
         self._config = config
-        self._values: deque[Float64] = deque(maxlen=config.samples)
+        self._values: deque[Float64] = deque(maxlen=max(config.samples, config.gravity_samples))
         self._equal_count = 1
         self.noise = (0.0, 0.0)
 
@@ -83,12 +84,14 @@ class ImuCheck:
         if len(self._values) < cfg.samples:
             return None
         values = np.array(self._values)
-        specific, rate = np.sqrt(0.5 * np.mean(np.diff(values, axis=0).reshape(-1, 2, 3) ** 2, axis=(0, 2))).tolist()
+        steps = np.diff(values[-cfg.samples :], axis=0)
+        specific, rate = np.sqrt(0.5 * np.mean(steps.reshape(-1, 2, 3) ** 2, axis=(0, 2))).tolist()
         self.noise = (specific, rate)
         if not (specific <= cfg.max_noise_mps2 and rate <= cfg.max_noise_radps):
             return Suspicion("imu.noisy", f"{specific:.1f} m/s², {rate:.2f} rad/s")
-        gravity = math.hypot(*values[:, :3].mean(axis=0).tolist())
-        if not abs(gravity - STANDARD_GRAVITY_MPS2) <= cfg.max_gravity_error_mps2:
+        gravity = math.hypot(*values[-cfg.gravity_samples :, :3].mean(axis=0).tolist())
+        is_known = len(values) >= cfg.gravity_samples
+        if is_known and not abs(gravity - STANDARD_GRAVITY_MPS2) <= cfg.max_gravity_error_mps2:
             return Suspicion("imu.implausible", f"gravity of {gravity:.1f} m/s²")
         return None
 

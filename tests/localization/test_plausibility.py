@@ -33,7 +33,7 @@ def around(limit, step):
 def shaken(amplitude, axes=slice(0, 6), rest=REST):
     """Suspicion after alternating samples of an amplitude: sigma is √2 times it."""
     check = ImuCheck(CONFIG)
-    for k in range(2 * CONFIG.samples):
+    for k in range(2 * max(CONFIG.samples, CONFIG.gravity_samples)):
         value = rest.copy()
         value[axes] += amplitude * (-1) ** k
         value += 1e-9 * k  # noise never repeats
@@ -66,6 +66,17 @@ def test_gravity_error_limits(sign):
     for error in around(CONFIG.max_gravity_error_mps2, 1e-3):
         rest = REST + sign * np.array([0.0, 0.0, error, 0.0, 0.0, 0.0])
         assert shaken(1e-6, rest=rest) == ("imu.implausible" if error > CONFIG.max_gravity_error_mps2 else None)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_fall_into_a_rut_is_no_error_of_gravity(sign):
+    check = ImuCheck(CONFIG)
+    for k in range(3 * CONFIG.gravity_samples):
+        value = REST + 1e-9 * k
+        if 0 <= k - 1.5 * CONFIG.gravity_samples < 20:
+            value[2] += sign * 7.5  # 0.2 s at 100 Hz: 1.5 m/s
+        check.add(value)
+        assert check.suspicion() is None
 
 
 def cross_check(first, second, reference=None, seconds=2.0, path=0.0, begins_s=0.0, noise=0.0):
