@@ -83,6 +83,20 @@ def base_positions(recording: Recording, vehicle: Vehicle) -> Float64:
     ])  # fmt: skip
 
 
+def fix_steps(recording: Recording, motion: Motion) -> Float64:
+    """Steps between fixes with a heading, (N, 6): end and duration (s), turned angle (left positive), distance by the
+    wheels and of the antenna along the heading (m), and heading in the middle (rad)."""
+    fixes = recording.gnss[np.isfinite(recording.gnss[:, 6])]
+    if len(motion.t_s) == 0 or len(fixes) < 2:
+        return np.zeros((0, 6))
+    yaw_rad = np.concatenate([[0.0], np.cumsum(motion.yaw_rate_radps[1:] * np.diff(motion.t_s))])
+    turned, wheels_m = (np.diff(np.interp(fixes[:, 0], motion.t_s, values)) for values in (yaw_rad, motion.distance_m))
+    heading = np.unwrap(fixes[:, 6])
+    middle, way = 0.5 * (heading[1:] + heading[:-1]), np.diff(fixes[:, 1:3], axis=0)
+    antenna_m = way[:, 0] * np.cos(middle) + way[:, 1] * np.sin(middle)
+    return np.column_stack([fixes[1:, 0], np.diff(fixes[:, 0]), turned, wheels_m, antenna_m, middle])
+
+
 def antenna_of(vehicle: Vehicle) -> Mount:
     """Mount of the first antenna."""
     return next(iter(vehicle.sensors.gnss.values())).mount

@@ -294,6 +294,7 @@ class _Implement(Config):
     lift_s: Seconds
     lower_s: Seconds
     uses_pto: bool
+    pto_stop_s: Seconds = Field(default=5.0, description="run-down of the PTO after its command; 5: not measured")
 
     @model_validator(mode="after")
     def _width_covers_working_width(self) -> "_Implement":

@@ -87,7 +87,8 @@ class CollisionMonitor:
         self.sources = ObstacleSources(sensors, footprints.working, config, consented_m)
         self.swept_field: SweptField | None = None
         self.pose_history = PoseHistory()
-        self.departure, self.bystanders = Departure(config.departure), Bystanders(config.bystanders, config.tracked)
+        self.departure = Departure(config.departure)
+        self.bystanders = Bystanders(config.bystanders, config.tracked, footprints.pto_stop_s)
         self.standing_bodies = StandingBodies(config.standing_body)
         self.is_docking, self.is_under_roof = False, False
         self._footprints, self._footprint = footprints, footprints.working

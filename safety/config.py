@@ -228,9 +228,8 @@ class BystanderConfig(Config):
     follow_m: Metres = Field(description="a track this near to the last place of a lost one continues it")
     away_m: Metres = Field(description="distance from machine and implement at which a bystander seen there has left")
     lost_m: Metres = Field(description="the same for one that is no longer seen")
-    pto_off_m: Metres = Field(
-        description="distance from machine and implement within which a moving body stops the PTO"
-    )
+    pto_walk_mps: float = Field(ge=0.0, le=10.0, description="speed of who walks to a PTO while it runs down")
+    pto_margin_m: Metres = Field(description="distance that is left to them")
     pto_hold_s: Seconds = Field(description="time for which the PTO stays off after that")
 
 

@@ -34,10 +34,14 @@ class Place:
 
 
 class Bystanders:
-    """Follows by track number those who came; `coming` is one that reaches the machine within the prediction."""
+    """Follows by track number those who came; `coming` is one that reaches the machine within the prediction.
 
-    def __init__(self, config: BystanderConfig, tracked: TrackedConfig) -> None:
+    `pto_off_m`: distance from machine and implement within which a moving body stops the PTO.
+    """
+
+    def __init__(self, config: BystanderConfig, tracked: TrackedConfig, pto_stop_s: float) -> None:
         self._config, self._tracked = config, tracked
+        self.pto_off_m = config.pto_walk_mps * pto_stop_s + config.pto_margin_m
         self._places: dict[int, Place] = {}
         self.coming: CriticalObject | None = None
         self._close_ns: int | None = None
@@ -50,7 +54,7 @@ class Bystanders:
     def note_close(self, moving: Iterable[Track], area: SweptArea, pose_odom: Float64, now_ns: int) -> None:
         """Takes all moving tracks, ahead too; one near a body stops the PTO."""
         settled = [place_of(track) for track in moving if self._is_settled(track)]
-        if any(_gap_m(place, area, pose_odom) <= self._config.pto_off_m for place in settled):
+        if any(_gap_m(place, area, pose_odom) <= self.pto_off_m for place in settled):
             self._close_ns = now_ns
 
     def bars_pto(self, now_ns: int) -> bool:

@@ -117,10 +117,14 @@ def footprint_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplemen
 
 @dataclass(frozen=True)
 class FootprintSet:
-    """Footprints with the implement in working and in transport width; the same object when it does not fold."""
+    """Footprints with the implement in working and in transport width; the same object when it does not fold.
+
+    `pto_stop_s` is the run-down of the implement's PTO.
+    """
 
     working: Footprint
     transport: Footprint
+    pto_stop_s: float
 
     @property
     def is_foldable(self) -> bool:
@@ -136,7 +140,8 @@ def footprints_of(vehicle: Vehicle, implement: MountedImplement | TrailedImpleme
     """Both footprints of a vehicle with its implement."""
     working = footprint_of(vehicle, implement)
     transport = working if implement is None else footprint_of(vehicle, implement.folded)
-    return FootprintSet(working, working if transport == working else transport)
+    pto_stop_s = implement.pto_stop_s if implement is not None and implement.uses_pto else 0.0
+    return FootprintSet(working, working if transport == working else transport, pto_stop_s)
 
 
 def fold_of(machine: MachineState | None, max_group_age_s: float) -> float | None:

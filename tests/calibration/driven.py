@@ -15,7 +15,7 @@ from messages.message import Envelope
 from planning.plan import plan_mission
 from runtime.stack import load_stack
 from simulation.plant import Plant
-from tests.simulation.simulated_farm import CONFIG, EMPTY, IMPLEMENT, Farm, machine_file
+from tests.simulation.simulated_farm import CONFIG, EMPTY, IMPLEMENT, SITE, Farm, machine_file
 
 AHEAD_M = 3.0
 STANDS_S = 8.0  # before it drives off
@@ -24,12 +24,14 @@ DRAWN = EMPTY.model_copy(update={"operator_commands": (), "plant": "drawn"})
 
 @dataclass(frozen=True)
 class Trial:
-    """Recording of a drive, configured vehicle, plant, and the true zero error of the angle sensor (degrees)."""
+    """Recording of a drive, configured vehicle, plant, true zero error of the angle sensor (degrees), and radius of the
+    wider of two circles at the stops."""
 
     recording: Recording
     vehicle: Vehicle
     plant: Plant
     angle_zero_deg: float
+    smallest_radius_m: float = math.nan
 
 
 def trial(seed: int, kinds: tuple[str, ...] = ("gnss", "imu", "wheels"), limit_s: float = 200.0) -> Trial:
@@ -56,7 +58,7 @@ def trial(seed: int, kinds: tuple[str, ...] = ("gnss", "imu", "wheels"), limit_s
         farm.speed_mps = min(float(path.speed_mps[at + 1 : at + 2].sum()), 0.5 * left_m) if left_m > 0.3 else 0.0
         farm.brake_mps2 = 0.0 if left_m > 0.3 else 1.0
         farm.curvature_radpm = max(-0.2, min(0.2, 2.0 * float(side) / float(goal @ goal)))
-        farm.is_lowered = bool(path.is_working[at])
+        farm.is_lowered = farm.is_pto_on = bool(path.is_working[at])
         if (farm.now_ns - farm.start_ns) % 20_000_000 == 0:
             states = (("machine", _state(farm)), ("safe_command", _command(farm)))
             recorder.take(Envelope(topic, 0, farm.now_ns, message) for topic, message in states)
@@ -73,15 +75,47 @@ def trial(seed: int, kinds: tuple[str, ...] = ("gnss", "imu", "wheels"), limit_s
     return found
 
 
+def circles_at_the_stops(seed: int) -> Trial:
+    """A driver turns slowly with the wheels at the left stop, then at the right one."""
+    vehicle = machine_file("tractor_e", ("gnss", "imu", "wheels"))
+    farm = Farm(vehicle, CONFIG, DRAWN, seed=seed)
+    recorder = Recorder(SITE.datum.datum)
+    settled = list[float]()
+
+    def note(farm: Farm) -> None:
+        settled.append(abs(farm.machine.speed_mps / (farm.machine.yaw_rate_radps or 1.0)))
+
+    radii = list[float]()
+    for speed_mps, curvature, seconds in ((0.0, 0.0, 3.0), (1.0, 0.31, 14.0), (1.0, -0.31, 14.0)):
+        farm.is_drive_enabled, farm.speed_mps, farm.curvature_radpm = speed_mps > 0.0, speed_mps, curvature
+        out = farm.drive(seconds, note)
+        recorder.take(Envelope(topic, 0, message.stamp_ns, message) for topic, message in out)
+        radii.append(float(np.mean(settled[-500:])))
+    farm.close()
+    angle_zero_deg = math.degrees(farm.machine.angle_offset_rad)
+    return Trial(recorder.recording(), vehicle, farm.plant, angle_zero_deg, max(radii[1:]))
+
+
 def _state(farm: Farm) -> MachineState:
     hitch = round(farm.machine.attached.hitch * 250) / 250  # resolution of the bus
     return MachineState(
-        farm.now_ns, 0, 0, farm.now_ns, 0, 0, farm.machine.speed_mps, 0.0, True, 0, 0, hitch, hitch < 0.1, 0.0, False,
-        False, False, False, 0.0, 0.0, 0.0, 0.0, False, False, 13.0, 0,
+        farm.now_ns, 0, 0, farm.now_ns, 0, 0, farm.machine.speed_mps, 0.0, True, 0, 0, hitch, hitch < 0.1,
+        farm.machine.attached.pto_radps, False, False, False, False, 0.0, 0.0, 0.0, 0.0, False, False, 13.0, 0,
     )  # fmt: skip
 
 
 def _command(farm: Farm) -> SafeCommand:
     return SafeCommand(
-        farm.now_ns, Mode.AUTOMATIC, True, farm.speed_mps, 0.0, 0.0, farm.is_lowered, False, False, False, False, ""
+        farm.now_ns,
+        Mode.AUTOMATIC,
+        True,
+        farm.speed_mps,
+        0.0,
+        0.0,
+        farm.is_lowered,
+        farm.is_pto_on,
+        False,
+        False,
+        False,
+        "",
     )

@@ -9,12 +9,13 @@ import pytest
 from calibration.recording import Recording
 from calibration.result import CalibrationResult, NotEnough
 from calibration.wizards import calibrate
-from tests.calibration.driven import Trial, trial
+from tests.calibration.driven import Trial, circles_at_the_stops, trial
 from tests.simulation.simulated_farm import IMPLEMENT, machine_file
 
 SEEDS = (1, 2, 3)
 LIMITS = {  # largest standard deviation at which a value is worth to be stored
     "wheel_radius": 0.006, "steering_zero": 0.03, "imu_level": 0.08, "hitch_time": 0.03,
+    "antenna_side": 0.03, "pto_time": 0.05,
 }  # fmt: skip
 SIGMAS = 3.5
 
@@ -35,9 +36,17 @@ def truth_of(found: Trial) -> dict[str, float]:
         "vehicle.sensors.wheels.angle_zero_deg": found.angle_zero_deg,
         "vehicle.sensors.imu.mount.rpy_deg.0": vehicle.sensors.imu.mount.rpy_deg[0],
         "vehicle.sensors.imu.mount.rpy_deg.1": vehicle.sensors.imu.mount.rpy_deg[1],
+        "vehicle.sensors.gnss.main.mount.xyz_m.1": vehicle.sensors.gnss["main"].mount.xyz_m[1],
+        "implement.pto_stop_s": run_down_s(found),
         "implement.lower_s": found.plant.implement.lower_s,
         "implement.lift_s": found.plant.implement.lift_s,
     }
+
+
+def run_down_s(found: Trial) -> float:
+    """Time in which a shaft that follows with a lag falls to 5 rpm, after a command that is sent every 0.1 s."""
+    implement = found.plant.models.machine.implement
+    return 0.05 + implement.pto_lag_s * math.log(implement.pto_rpm / 5.0)
 
 
 def result_of(name: str, found: Trial, recording: Recording | None = None) -> CalibrationResult:
@@ -60,7 +69,7 @@ def test_all_seeds_together_are_nearer_to_the_truth_than_the_tape_measure() -> N
     for seed in (4, 5, 6):
         found = trial(seed)
         truth = truth_of(found)
-        for name in LIMITS:
+        for name in ("wheel_radius", "steering_zero", "imu_level", "hitch_time"):
             for one in result_of(name, found).estimates:
                 before.setdefault(one.key, []).append(one.present - truth[one.key])
                 after.setdefault(one.key, []).append(one.value - truth[one.key])
@@ -68,9 +77,23 @@ def test_all_seeds_together_are_nearer_to_the_truth_than_the_tape_measure() -> N
         assert np.hypot.reduce(after[key]) < 0.7 * np.hypot.reduce(errors), key
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_circles_at_both_stops_give_the_smallest_radius(seed: int) -> None:
+    found = circles_at_the_stops(seed)
+    result = result_of("steering_range", found)
+    (one,) = result.estimates
+    assert result.is_verified, result.ratio
+    assert abs(one.value - found.smallest_radius_m) < 0.04, (one, found.smallest_radius_m)
+    assert one.sigma < 0.02
+    one_side = replace(found.recording, wheel=found.recording.wheel[found.recording.wheel[:, 0] < 16.0])
+    with pytest.raises(NotEnough, match="at_both_stops_deg"):
+        result_of("steering_range", found, one_side)
+
+
 def test_a_zero_that_changes_in_the_trial_is_not_verified(driven: Trial) -> None:
     wheel = driven.recording.wheel.copy()
-    back = wheel[:, 0] > wheel[-1, 0] - 25.0  # half of the way back
+    way_m = np.cumsum(0.02 * wheel[:, 1])
+    back = way_m > way_m[-1] - 22.0  # half of the way back
     wheel[back, 2] += math.radians(0.3)
     assert not result_of("steering_zero", driven, replace(driven.recording, wheel=wheel)).is_verified
 
@@ -79,12 +102,12 @@ def test_one_direction_is_not_enough(driven: Trial) -> None:
     at = 40.0  # on the way there
     arrays = {name: getattr(driven.recording, name) for name in ("imu", "wheel", "gnss", "machine", "command")}
     there = Recording(**{name: array[array[:, 0] < at] for name, array in arrays.items()}, scans={})
-    for name in ("steering_zero", "imu_level"):
+    for name in ("steering_zero", "imu_level", "antenna_side", "pto_time"):
         with pytest.raises(NotEnough):
             result_of(name, driven, there)
 
 
-@pytest.mark.parametrize("name", [*LIMITS, "lidar_mount.front"])
+@pytest.mark.parametrize("name", [*LIMITS, "steering_range", "lidar_mount.front"])
 def test_an_empty_recording_is_not_enough(name: str) -> None:
     empty = Recording(*(np.zeros((0, width)) for width in (7, 3, 8, 3, 3)), scans={})
     with pytest.raises(NotEnough):

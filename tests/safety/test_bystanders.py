@@ -19,6 +19,7 @@ from tests.safety.safety_world import START_NS, WAGON, World, around
 
 HERE = np.zeros(3)
 WING_X, WING_Y = -1.7, 3.05  # on the left wing of the harrow, 6.1 m wide
+PTO_STOP_S = 2.4
 
 
 def person(
@@ -43,7 +44,7 @@ def swept(vehicle: Vehicle, implement, config: SupervisorConfig, curvature: floa
 
 @pytest.fixture
 def bystanders(config: SupervisorConfig) -> Bystanders:
-    return Bystanders(config.bystanders, config.tracked)
+    return Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
 
 
 def see(bystanders: Bystanders, area: SweptArea, *tracks: Track, speed_mps: float = 0.0, pose: Float64 = HERE) -> bool:
@@ -86,7 +87,7 @@ def test_comes_from_every_side(
     assert bystanders.is_near
     assert bystanders.coming is not None
     assert (bystanders.coming.clearance_m, bystanders.coming.id) == (0.0, 1)
-    other = Bystanders(bystanders._config, bystanders._tracked)
+    other = Bystanders(bystanders._config, bystanders._tracked, PTO_STOP_S)
     assert not see(other, area, person(x, y, -vx, -vy))  # goes away
     assert not see(other, area, person(x, y, vy, -vx))  # passes by
     assert not other.is_near
@@ -113,10 +114,10 @@ def test_who_follows_the_wing_in_a_turn(
     """At a constant velocity the wing, which moves on, is passed behind."""
     area, cyclist = swept(vehicle, implement, config, -0.2), person(-1.6, 5.4, vx=1.7, vy=-2.1)
     straight = config.bystanders.model_copy(update={"manoeuvre_mps2": 0.0})
-    assert see(Bystanders(config.bystanders, config.tracked), area, cyclist, speed_mps=2.2)
-    assert not see(Bystanders(straight, config.tracked), area, cyclist, speed_mps=2.2)
+    assert see(Bystanders(config.bystanders, config.tracked, PTO_STOP_S), area, cyclist, speed_mps=2.2)
+    assert not see(Bystanders(straight, config.tracked, PTO_STOP_S), area, cyclist, speed_mps=2.2)
     away = person(-1.6, 5.4, vx=1.7, vy=0.3)
-    assert not see(Bystanders(config.bystanders, config.tracked), area, away, speed_mps=2.2)
+    assert not see(Bystanders(config.bystanders, config.tracked, PTO_STOP_S), area, away, speed_mps=2.2)
 
 
 def test_own_implement_is_no_bystander(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
@@ -204,10 +205,10 @@ def test_confirmation_keeps_who_is_seen(bystanders: Bystanders, area: SweptArea)
 def test_a_body_that_moves_near_the_machine_bars_the_pto(
     bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
 ) -> None:
-    near_m, hold_ns = config.bystanders.pto_off_m, round(config.bystanders.pto_hold_s * 1e9)
+    near_m, hold_ns = 1.5 * PTO_STOP_S + 0.4, round(config.bystanders.pto_hold_s * 1e9)
     assert not bystanders.bars_pto(START_NS)
     for y in around(WING_Y + near_m + 0.2, 0.02):  # half of the box
-        one = Bystanders(config.bystanders, config.tracked)
+        one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
         one.note_close([person(WING_X, y, vx=1.0)], area, HERE, START_NS)
         assert one.bars_pto(START_NS) == (y <= WING_Y + near_m + 0.2 + 1e-9), y
     clutter = person(WING_X, 4.0, vx=1.0, label=ObstacleClass.UNKNOWN, age_s=0.9)
