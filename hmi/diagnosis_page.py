@@ -11,6 +11,7 @@ from nicegui.client import Client
 from hmi.access import SERVICE, Session
 from hmi.diagnosis.alarm_log import Alarm, AlarmLog, clock_text
 from hmi.diagnosis.audit import audit_rows
+from hmi.diagnosis.node_table import node_rows
 from hmi.diagnosis.remedy import remedy
 from hmi.diagnosis.self_test import SelfTest
 from hmi.drive_view.alarms import LEVELS
@@ -27,6 +28,7 @@ AUDIT = ("order", "number")
 SELF_TEST = ("control", "state")
 BUS = ("direction", "identifier", "frame", "number", "values")
 TOPICS = ("topic", "rate", "expected", "age", "state")
+NODES = ("node", "steps", "mean", "longest")
 RUNS = ("run", "command", "complete", "files")
 SHOWN_ALARMS = 100
 
@@ -50,7 +52,7 @@ class DiagnosisPage(View):
                 ui.html(
                     '<p id="why" class="hl-note"></p><p id="answer" class="hl-answer" role="alert"></p>', sanitize=False
                 )
-            tables = [("alarm_log", ALARMS), ("audit", AUDIT), ("topics", TOPICS), ("runs", RUNS)]
+            tables = [("alarm_log", ALARMS), ("audit", AUDIT), ("topics", TOPICS), ("nodes", NODES), ("runs", RUNS)]
             if self.session.role == SERVICE:
                 tables.insert(3, ("bus", BUS))
             cards = "".join(self.table_card(name, columns) for name, columns in tables)
@@ -69,6 +71,7 @@ class DiagnosisPage(View):
             "tables.alarm_log": [self._alarm(one, barred) for one in entries],
             "tables.audit": audit_rows(moment.state, self.texts),
             "tables.topics": self._topics(moment),
+            "tables.nodes": node_rows(moment.state),
             "tables.runs": self._runs(),
             "controls": {"self_test": {"off": bool(cannot_test)}},
             "tables.self_test": self._test_rows(),

@@ -12,7 +12,7 @@ TOPICS = (
     "supervisor", "safe_command", "control_command", "operator_command", "order_status", "machine", "odom", "map_pose",
     "mission", "path", "tracks", "wheel",
 )  # fmt: skip
-KINDS = ("health", "gnss", "fault", "can")
+KINDS = ("health", "gnss", "fault", "can", "node_timing")
 EVENTS = ("path", "fault", "operator_command")  # every message of these counts, of the others the newest one
 MIN_RATE, MAX_RATE = 1.0, 20.0
 

@@ -6,7 +6,7 @@ A topic is a kind, or a kind and an instance name: `lidar/front` is of kind `lid
 import math
 from dataclasses import dataclass
 
-from messages import command, faults, motion, perception, plan, sensors, truth
+from messages import command, faults, motion, perception, plan, sensors, timing, truth
 from messages.errors import WiringError
 from messages.message import Message
 
@@ -51,6 +51,7 @@ TOPICS: dict[str, TopicSpec] = {
     "order_status": TopicSpec(command.OrderStatus, 0.1, 0.3),
     "operator_command": TopicSpec(command.OperatorCommand, 0.0, NEVER_STALE_S),
     "fault": TopicSpec(faults.Fault, 0.0, NEVER_STALE_S),
+    "node_timing": TopicSpec(timing.NodeTiming, 1.0, NEVER_STALE_S),
     "truth_machine": TopicSpec(truth.TrueMachine, 0.05, NEVER_STALE_S),
     "truth_objects": TopicSpec(truth.TrueObjects, 0.1, NEVER_STALE_S),
     "truth_shapes": TopicSpec(truth.TrueShapes, 0.1, NEVER_STALE_S),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from messages.faults import Fault
 from messages.node import Node, On, Output, World
+from messages.timing import NodeTiming
 from runtime.bus import Sink
 from runtime.executor import FAULT_TOPIC, Executor, stopping_fault
 from runtime.live.clock import Clock
@@ -13,6 +14,7 @@ from runtime.live.ring import RingReader, RingWriter
 from runtime.live.serialization import pack, unpack
 
 POLL_S = 0.001
+TIMING_NS = 1_000_000_000
 
 
 class NoWorld(World):
@@ -39,7 +41,10 @@ class ProcessLinks:
 
 
 class LiveExecutor(Executor):
-    """Executor of one process of the live stack; `reads_all` is for the log, which records every topic."""
+    """Executor of one process of the live stack; `reads_all` is for the log, which records every topic.
+
+    It writes the latency of its nodes once a second.
+    """
 
     def __init__(
         self, world: World, nodes: Sequence[Node], sinks: Iterable[Sink], clock: Clock, links: ProcessLinks,
@@ -49,7 +54,8 @@ class LiveExecutor(Executor):
         self._clock, self._links = clock, links
         self._topics = None if reads_all else frozenset(topic for node in nodes for topic in topics_read_by(node))
         self._timed_out: set[str] = set()
-        self._started_ns = self.now_ns = clock()
+        self._latencies_ns: dict[str, list[int]] = {node.name: [] for node in nodes}
+        self._started_ns = self.now_ns = self._timed_ns = clock()
         for scheduled in self._nodes:
             scheduled.reset(self.now_ns)
 
@@ -62,6 +68,7 @@ class LiveExecutor(Executor):
             self._advance_world()
             self._check_heartbeats()
             self._step_due()
+            self._write_timing()
             self._sleep()
         if self._bus.sink_errors:
             raise self._bus.sink_errors[0]
@@ -88,8 +95,19 @@ class LiveExecutor(Executor):
                 while self._deliveries:
                     self._deliver(self._next_delivery())
                 self.now_ns = self._clock()
+                self._latencies_ns[scheduled.node.name].append(self.now_ns - due_ns)
         while self._deliveries:
             self._deliver(self._next_delivery())
+
+    def _write_timing(self) -> None:
+        if self.now_ns - self._timed_ns < TIMING_NS:
+            return
+        self._timed_ns = self.now_ns
+        for name, found in self._latencies_ns.items():
+            if found:
+                timing = NodeTiming(self.now_ns, len(found), 1e-9 * sum(found) / len(found), 1e-9 * max(found))
+                self._deliver([(f"node_timing/{name}", timing)])
+                found.clear()
 
     def _deliver(self, outputs: list[Output]) -> None:
         """Writes messages to the ring and delivers them to the nodes of this process."""

@@ -8,6 +8,7 @@ import pytest
 from hmi.config import LANGUAGES
 from hmi.diagnosis.alarm_log import MAX_ENTRIES, REPEATED_S, SOUND_S, AlarmLog
 from hmi.diagnosis.bus_table import MAX_IDENTIFIERS, BusTable
+from hmi.diagnosis.node_table import node_rows
 from hmi.diagnosis.remedy import remedy
 from hmi.diagnosis.topic_table import TopicTable
 from hmi.texts import texts_of
@@ -15,9 +16,10 @@ from interfaces.orders.verifier import Reason
 from messages.command import CanFrame, CanFrames
 from messages.faults import Severity
 from messages.message import Envelope
+from messages.timing import NodeTiming
 from safety.rules import RULES
 from safety.supervisor import texts_of as codes_of
-from tests.hmi.drive_messages import fault
+from tests.hmi.drive_messages import NOW_NS, fault, state_of
 from tests.recordings import ROOT
 
 FAULT_TYPE = re.compile(r'FaultType\(\s*"([a-z_.]+)"')
@@ -138,6 +140,16 @@ def test_rates_and_ages_of_topics() -> None:
 
 def test_a_table_without_messages_is_empty() -> None:
     assert TopicTable().rows(1.0) == []
+
+
+def test_nodes_with_the_longest_latency_come_first() -> None:
+    state = state_of(
+        ("node_timing/tracker", NodeTiming(NOW_NS, 10, 0.012, 0.0314)),
+        ("node_timing/supervisor", NodeTiming(NOW_NS, 50, 0.004, 0.1)),
+    )
+    rows = [["supervisor", "50", "4.0 ms", "100.0 ms"], ["tracker", "10", "12.0 ms", "31.4 ms"]]
+    assert [[cell.replace("\u202f", " ") for cell in row] for row in node_rows(state)] == rows
+    assert node_rows(state_of()) == []
 
 
 @pytest.mark.parametrize("language", LANGUAGES)

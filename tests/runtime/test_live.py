@@ -17,6 +17,7 @@ from messages.faults import Fault
 from messages.message import Envelope
 from messages.node import Every, Latest, Node
 from messages.sensors import LidarScan, WheelSample
+from messages.timing import NodeTiming
 from runtime.live.can_bus import LOOPBACK, named_bus, open_bus
 from runtime.live.clock import Clock
 from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
@@ -107,13 +108,18 @@ def test_message_exchange_and_heartbeat_timeout(tmp_path: Path) -> None:
     outside = RingReader(tmp_path / "own")
     other.write(pack(("wheel", WheelSample(clock(), 2.5, 0.0))))
     other.beat(clock())
-    until_ns = clock() + 200_000_000
+    until_ns = clock() + 1_200_000_000
     executor.run(lambda: clock() > until_ns)
     assert 2.5 in node.speeds
     faults = [e.message for e in received if isinstance(e.message, Fault)]
     assert [(f.code, f.source) for f in faults] == [("process.silent", "other")]
     sent = [unpack(record, None) for record in outside.records()]
     assert [message.code for _, message in sent if isinstance(message, Fault)] == ["process.silent"]  # type: ignore[misc]
+    ((topic, timing),) = [output for output in sent if output is not None and isinstance(output[1], NodeTiming)]
+    assert topic == "node_timing/echo"
+    assert isinstance(timing, NodeTiming)
+    assert 2 <= timing.steps <= 240  # it is due every 5 ms, and skips what it was late for
+    assert 0.0 < timing.mean_s <= timing.longest_s < 1.3
 
 
 def frame(k: int) -> can.Message:
