@@ -82,7 +82,8 @@ class Controller(Node):
         if mission is not None:  # the line is shifted to the left: the machine is more to the right of it
             T_map_odom = Pose2(-mission.shift_x_m, -mission.shift_y_m, 0.0) @ T_map_odom
         pose = self._pose_smoothing.update(T_map_odom, T_odom_base, elapsed_s, is_standing)
-        return VehicleSample(odom.stamp_ns, pose, odom.speed_mps, odom.yaw_rate_radps, odom.curvature_radpm)
+        rise = float(odom.T_odom_base[2, 0])
+        return VehicleSample(odom.stamp_ns, pose, odom.speed_mps, odom.yaw_rate_radps, odom.curvature_radpm, rise)
 
     def _start(self, path: Path, sample: VehicleSample) -> None:
         self._path = path
@@ -101,7 +102,9 @@ class Controller(Node):
         target_mps = self._longitudinal.target_mps(self._plan, s_m, forward_mps, steering.offset_m)
         if self._start_conditions.is_held(sample, steering.curvature_radpm, is_steering, elapsed_s):
             target_mps = 0.0
-        commanded_mps, acceleration_mps2 = self._longitudinal.command(target_mps, forward_mps, elapsed_s, is_followed)
+        commanded_mps, acceleration_mps2 = self._longitudinal.command(
+            target_mps, forward_mps, elapsed_s, is_followed, -path.direction * sample.rise
+        )
         self._control_implement(now_ns, s_m, forward_mps, inbox)
         self._commanded_mps, self._braking_mps2 = path.direction * commanded_mps, -acceleration_mps2
         self._curvature_radpm = steering.curvature_radpm

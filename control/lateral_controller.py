@@ -15,13 +15,17 @@ from geometry.pose2 import Pose2
 
 @dataclass(frozen=True)
 class VehicleSample:
-    """Measured motion at `stamp_ns`: pose in map, signed speed, yaw rate, curvature of the wheel angle."""
+    """Measured motion at `stamp_ns`: pose in map, signed speed, yaw rate, curvature of the wheel angle.
+
+    `rise` is the sine of the angle by which the nose is raised.
+    """
 
     stamp_ns: int
     pose: Pose2
     speed_mps: float
     yaw_rate_radps: float
     curvature_radpm: float
+    rise: float = 0.0
 
 
 @dataclass(frozen=True)

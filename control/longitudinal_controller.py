@@ -14,6 +14,7 @@ from control.scalars import as_floats, clamp
 from geometry.arrays import Float64
 from messages.plan import Path
 
+GRAVITY_MPS2 = 9.80665
 STANDING_MPS = 0.03
 MIN_LEARNING_MPS = 0.2
 STUCK_SHARE = 0.8  # of the target in the model while the machine stands
@@ -30,7 +31,7 @@ class SpeedConfig(Config):
     integral_max_mps: float = Field(ge=0.0, le=1.0)
     model_lag_s: float = Field(gt=0.0, le=5.0, description="time constant of the tractor's speed loop")
     overspeed_mps: float = Field(gt=0.0, le=2.0, description="above the target, from which the brakes are applied")
-    overspeed_per_s: float = Field(gt=0.0, le=10.0, description="deceleration per overspeed")
+    overspeed_per_s: float = Field(gt=0.0, le=10.0, description="deceleration per overspeed, beyond the downhill force")
     max_braking_mps2: float = Field(gt=0.0, le=6.0)
     holding_mps2: float = Field(gt=0.0, le=6.0, description="brake demand at standstill")
     end_decay_s: float = Field(gt=0.05, le=5.0, description="time constant of the final approach")
@@ -102,6 +103,7 @@ class LongitudinalController:
         self._config = config
         self._integral_mps = 0.0
         self._model_mps = 0.0
+        self._is_slowed = False
         self.is_arrived = False
 
     def start(self) -> None:
@@ -121,12 +123,14 @@ class LongitudinalController:
         far = config.far_mps if abs(offset_m) > config.far_offset_m else math.inf
         return min(limit, ending, far)
 
-    def command(self, target_mps: float, speed_mps: float, elapsed_s: float, is_followed: bool) -> tuple[float, float]:
-        """Commanded speed and acceleration (< 0: brakes) for target and measured speed."""
+    def command(
+        self, target_mps: float, speed_mps: float, elapsed_s: float, is_followed: bool, descent: float = 0.0
+    ) -> tuple[float, float]:
+        """Commanded speed and acceleration (< 0: brakes) for target and measured speed on a slope of sine `descent`."""
         self._learn(target_mps, speed_mps, elapsed_s, is_followed)
         min_mps = min(target_mps, self._config.creep_mps)  # a negative integral must not stop the machine
         commanded_mps = max(min_mps, target_mps + self._integral_mps) if target_mps > 0.0 else 0.0
-        return commanded_mps, -self._braking_mps2(target_mps, speed_mps)
+        return commanded_mps, -self._braking_mps2(target_mps, speed_mps, descent)
 
     def _learn(self, target_mps: float, speed_mps: float, elapsed_s: float, is_followed: bool) -> None:
         """Integrates the error once the model has reached the target, so that changes of target have no effect."""
@@ -143,10 +147,17 @@ class LongitudinalController:
             change = config.integral_per_s * (target_mps - speed_mps) * elapsed_s
             self._integral_mps = clamp(self._integral_mps + change, config.integral_max_mps)
 
-    def _braking_mps2(self, target_mps: float, speed_mps: float) -> float:
-        """Brake demand: against overspeed, and holding at standstill."""
+    def _braking_mps2(self, target_mps: float, speed_mps: float, descent: float) -> float:
+        """Brake demand: against overspeed until the target is reached, and holding at standstill.
+
+        While the brakes act the drive does not: they hold the machine on the slope too.
+        """
         config = self._config
         if target_mps == 0.0:
+            self._is_slowed = False
             return min(max(config.overspeed_per_s * speed_mps, config.holding_mps2), config.max_braking_mps2)
-        excess = speed_mps - max(target_mps, self._model_mps) - config.overspeed_mps
-        return min(max(config.overspeed_per_s * excess, 0.0), config.max_braking_mps2)
+        excess_mps = speed_mps - max(target_mps, self._model_mps)
+        self._is_slowed = excess_mps > (0.0 if self._is_slowed else config.overspeed_mps)
+        if not self._is_slowed:
+            return 0.0
+        return min(config.overspeed_per_s * excess_mps + GRAVITY_MPS2 * max(descent, 0.0), config.max_braking_mps2)

@@ -94,6 +94,23 @@ def test_brake_demand_on_overspeed_only(speed_mps):
     assert control.command(0.0, speed_mps, 0.02, True) == (0.0, pytest.approx(-braking_to_stand(speed_mps)))
 
 
+@pytest.mark.parametrize("grade", [0.0, 0.04, 0.08])
+def test_brakes_slow_the_machine_downhill(grade):
+    """A machine that rolls freely with 0.4 m/s too much is at its speed within 4 s, and is not slowed below it."""
+    control, speed_mps, braking_mps2, speeds = LongitudinalController(CONFIG.speed), 2.4, 0.0, []
+    for _ in range(500):
+        _, acceleration = control.command(2.0, speed_mps, 0.02, True, grade)
+        braking_mps2 += (-acceleration - braking_mps2) * 0.02 / 0.3
+        rolls = (
+            9.81 * grade - braking_mps2 if acceleration < 0.0 else 1.5 * (2.0 - speed_mps)
+        )  # the drive holds it then
+        speed_mps += 0.02 * rolls
+        speeds.append(speed_mps)
+    assert max(speeds) < 2.5
+    assert max(speeds[200:]) < 2.05
+    assert min(speeds) > 1.85
+
+
 def braking_to_stand(speed_mps):
     speed = CONFIG.speed
     return min(max(speed.overspeed_per_s * speed_mps, speed.holding_mps2), speed.max_braking_mps2)
