@@ -133,7 +133,7 @@ class Localizer(Node):
         if self._lidar_odometry in self.reads:
             for motion in inbox.all(self._lidar_odometry, LidarOdometry):
                 self._lidar_odometry_ns = now_ns
-                self._map_alignment.odometry_spans.add(motion)
+                self._map_alignment.add_lidar_odometry(motion)
         if LIDAR_LOCALIZATION in self.reads:
             for pose in inbox.all(LIDAR_LOCALIZATION, LidarLocalization):
                 self._map_alignment.pose_measurements.add(pose)

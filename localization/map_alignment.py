@@ -29,7 +29,7 @@ from localization.lidar.odometry_spans import OdometrySpans, motion_between
 from localization.lidar.pose_measurement import PoseMeasurements
 from localization.odometry import OdometryEstimator
 from localization.separation import Swing
-from messages.motion import MapPose, PositionSource
+from messages.motion import LidarOdometry, MapPose, PositionSource
 from messages.sensors import GnssSolution
 
 SWING_NS = 10_000_000  # two samples of 100 Hz: a body on its tyres turns evenly in that time
@@ -72,6 +72,11 @@ class MapAlignment:
     def is_rejecting(self) -> bool:
         """Whether the newest fixes have been rejected."""
         return self._rejected_since_ns is not None
+
+    def add_lidar_odometry(self, motion: LidarOdometry) -> None:
+        """Takes a motion between two scans."""
+        self.odometry_spans.add(motion)
+        self.monitor.odometry.lidar.add(motion, self._odometry.history)
 
     def add(self, position: Position) -> None:
         """Queues a fix until IMU samples reach its stamp; ignores fixes beside the shed while UWB is available.
@@ -155,7 +160,7 @@ class MapAlignment:
             return False
         range_gate.start(stamp_ns, batch, T)
         self.pose_measurements.clear()
-        self._align(self.keyframes.start_at(stamp_ns, tilt, T, sigmas))
+        self._align(self.keyframes.start_at(stamp_ns, tilt, T, np.diag(sigmas**2)))
         return True
 
     def _start_from_gnss(self) -> bool:
@@ -285,7 +290,10 @@ class MapAlignment:
         T_base_body, arm_m = self.keyframes.lever_arms.T_base_body, self.keyframes.lever_arms.antenna_m
         R = state.T_map_body[:3, :3]
         base_m = fixes[-1].p_map_m - R @ (arm_m + T_base_body[:3, 3])
-        self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom)
+        T_odom_base = self._odometry.history.at(state.stamp_ns)
+        assert T_odom_base is not None, "poses reach from the keyframe before to the newest sample"
+        late_rad = self.keyframes.late_rad
+        self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, late_rad)
         finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
         if finding is not None:
             reference_m = base_m[:2] - finding.separation.d_m
@@ -423,8 +431,9 @@ class MapAlignment:
         source = position_source(self._accepted, age_s, self._is_uwb_active(stamp_ns), self._config.integrity.outage_s)
         covariance = self._covariance(state, T, stamp_ns, source)
         accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
-        if source in BY_GNSS or self.monitor.suspicion:
-            level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns, self._odometry.speed_mps))
+        level_m += self._config.gnss.stamp_s * abs(self._odometry.speed_mps) if source in BY_GNSS else 0.0
+        if source in BY_GNSS or self.is_rejecting:
+            level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns))
         if self.is_rejecting and self._wheels is None:  # nothing separates fixes from inertial motion: either is right
             level_m = max(level_m, accuracy_m + self._refused_m(stamp_ns))
         range_gate = self.keyframes.range_gate

@@ -29,7 +29,7 @@ class OdometryEstimator:
         if imu is None:
             raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.imu")
         self._config = config
-        self.track = ImuTrack(imu, config.imu.tyre_force_time_s)
+        self.track = ImuTrack(imu, config.imu)
         self.wheels = WheelTrack(config.wheels.max_speed_mps)
         self.standstill = Standstill(initial_alignment)
         self.steering_offset = SteeringOffset(config.steering_offset, vehicle.drivetrain.wheelbase_m)
