@@ -56,6 +56,7 @@ class MapAlignment:
         self._accepted_ns = self._rejected_ns = 0
         self._rejected_since_ns: int | None = None
         self._failed_ns: int | None = None
+        self._taken_ns: int | None = None  # newest fix since the start
         self.is_initialized = False
         self.failures: list[str] = []
         self.dock_rejection, self._was_initialized = "", False
@@ -81,6 +82,7 @@ class MapAlignment:
     def add(self, position: Position) -> None:
         """Queues a fix until IMU samples reach its stamp; ignores fixes beside the shed while UWB is available.
 
+        One that is older than the newest keyframe waits for the next; one that is not newer than the last is dropped.
         Before the start, and while fixes are rejected, they go to the window of a start in motion.
         """
         if not self.is_initialized or self.is_rejecting:
@@ -89,10 +91,10 @@ class MapAlignment:
             return
         if self._is_uwb_active(position.stamp_ns) and self._dock_prior.has_sky_obstruction(position.p_map_m):
             return
-        newest = max((fix.stamp_ns for fix in (*self._pending, *self._queue)), default=self._newest_ns())
-        if position.stamp_ns <= newest:
+        if self._taken_ns is not None and position.stamp_ns <= self._taken_ns:
             self.late += 1
             return
+        self._taken_ns = position.stamp_ns
         self._queue.append(position)
 
     def _newest_ns(self) -> int:
@@ -103,6 +105,7 @@ class MapAlignment:
         """Drops queued measurements after a gap or clock jump."""
         self._queue.clear()
         self._pending.clear()
+        self._taken_ns = None
         self.odometry_spans.clear()
         self.pose_measurements.clear()
         self.monitor.clear()
@@ -129,6 +132,7 @@ class MapAlignment:
         self.monitor.clear()
         if self.is_initialized:
             self.motion_start.clear()
+            self._taken_ns = self._newest_ns()
         self._was_initialized |= self.is_initialized
         return self.is_initialized
 
@@ -235,6 +239,9 @@ class MapAlignment:
         period_ns = round(cfg.period_s * 1e9)
         while self._queue and self._queue[0].stamp_ns <= end_ns:
             fix = self._queue.popleft()
+            if self._odometry.history.at(fix.stamp_ns) is None:  # from before a gap
+                self.late += 1
+                continue
             self._fill(fix.stamp_ns - period_ns // 2)
             self._pending.append(fix)
             if fix.stamp_ns - self._newest_ns() >= 0.9 * period_ns:
@@ -321,12 +328,14 @@ class MapAlignment:
         return self.is_initialized and range_gate is not None and range_gate.is_active(stamp_ns)
 
     def _propagate(self, fix: Position, stamp_ns: int) -> Position:
-        """Propagates a fix to a keyframe by dead reckoning, over a fraction of a second."""
+        """Propagates a fix to a keyframe by dead reckoning, over a fraction of a second, with the error of its path."""
         then, now = self._odometry.history.at(fix.stamp_ns), self._odometry.history.at(stamp_ns)
-        if then is None or now is None:
-            return fix
+        assert then is not None and now is not None, "checked when the fix left the queue"
         antenna = self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m
-        return propagate(fix, then, now, antenna, self._T_map_odom)
+        moved = propagate(fix, then, now, antenna, self._T_map_odom)
+        slip_sigma = 0.0 if self.state is None else float(np.linalg.norm(self.state.sigmas[15:17]))
+        path_m = float(np.linalg.norm(moved.p_map_m - fix.p_map_m))
+        return replace(moved, sigma_m=np.hypot(fix.sigma_m, slip_sigma * path_m))
 
     def _swing(self, stamp_ns: int) -> Swing | None:
         """Motion of the antenna about base at a fix, by the samples beside it."""
