@@ -37,7 +37,7 @@ class SeparationConfig(Config):
     velocity_stamp_s: float = Field(ge=0.0, le=0.5, description="between the times of position and velocity")
     slip_change: float = Field(ge=0.0, le=0.5, description="sigma of a change of slip at once: load, soil")
     gnss_gap_s: float = Field(gt=0.0, le=5.0, description="a longer time between fixes ends the integration")
-    tilt_m: float = Field(ge=0.0, le=1.0, description="lever arm of the antenna times the error of roll and pitch")
+    tilt_m: float = Field(ge=0.0, le=1.0, description="the same of roll and pitch, times the height of the antenna")
     lever_arm_m: float = Field(ge=0.0, le=1.0, description="error of that lever arm, which turns with the machine")
     gyro_scale: float = Field(ge=0.0, le=0.1, description="sigma of the scale error of the gyro")
     lidar_m: float = Field(gt=0.0, le=1.0, description="error of a lidar pose in its local map")
@@ -187,12 +187,13 @@ class _Keyframe:
     """A keyframe with a fix: position of base by that fix, and all that predicts later ones.
 
     `columns` (2, 4) is the displacement per slip parameter since the start and `odom_m` (2,) the position,
-    both in `odom`; `heading_rad` counts turns.
+    both in `odom`; `heading_rad` counts turns; `tilt_m` is what errors of roll and pitch do to base.
     """
 
     stamp_ns: int
     p_map_m: Float64
     sigma_m: float
+    tilt_m: float
     velocity_mps: Float64
     columns: Float64
     odom_m: Float64
@@ -278,10 +279,12 @@ class OdometrySeparation:
         """
         heading_slow = fix.heading_slow_rad if math.isfinite(fix.heading_slow_rad) else 0.0
         heading, last = yaw_of(state.T_map_body), self._rows.newest
+        height_m = float((fix.p_map_m - base_m)[2])
+        tilt_m = math.hypot(self._config.tilt_m, height_m * math.sqrt(float(np.max(np.diag(state.covariance)[:2]))))
         if last is not None:
             heading = last.heading_rad + wrap(heading - last.heading_rad)
         row = _Keyframe(
-            state.stamp_ns, base_m[:2], _sigma_m(fix), state.velocity_mps[:2], self._columns,
+            state.stamp_ns, base_m[:2], _sigma_m(fix), tilt_m, state.velocity_mps[:2], self._columns,
             T_odom_base[:2, 3].copy(), heading, yaw_of(T_map_odom),
             float(state.covariance[2, 2]) + heading_slow**2 + late_rad**2, float(state.sigmas[14]), state.slip,
             state.sigmas[15:19],
@@ -329,7 +332,7 @@ class OdometrySeparation:
         yaw = first.yaw_variance + self._gyro**2 * age_s / 3.0 + (first.gyro_sigma_radps * age_s) ** 2 / 3.0
         yaw += (cfg.gyro_scale * turned) ** 2
         turned_m = self._stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
-        white = first.sigma_m**2 + last.sigma_m**2 + turned_m**2 + cfg.tilt_m**2
+        white = first.sigma_m**2 + last.sigma_m**2 + turned_m**2 + first.tilt_m**2
         white += (2.0 * math.sin(0.5 * turned) * cfg.lever_arm_m) ** 2
         return np.asarray(yaw * np.outer(across, across) + white * np.eye(2))
 

@@ -61,7 +61,7 @@ def test_lever_arm_and_gyro_scale_do_not_contradict_the_wheels_after_a_half_turn
             np.eye(6) * 1e-7, sigmas,
         )  # fmt: skip
         base_m = p_m + 0.03 * np.array([-math.sin(yaw), math.cos(yaw)])
-        separation.add(fix(state.stamp_ns * 1e-9, base_m), base_m, state, np.eye(4), np.eye(4), 0.0)
+        separation.add(fix(state.stamp_ns * 1e-9, base_m), np.array([*base_m, 0.0]), state, np.eye(4), np.eye(4), 0.0)
     ratio = separation.since(round(2.0e9)).ratio
     assert (ratio < DETECTED) is is_known
 
