@@ -116,21 +116,17 @@ class GnssMonitor:
             return None
         velocity = self._by_window(self._velocity.since, stamp_ns)
         odometry = self._by_window(self.odometry.since, stamp_ns)
-        lidar = self._agreeing(self._by_window(self.odometry.by_lidar_since, stamp_ns), odometry)
+        cfg = self._config
+        lidar = {
+            w: s for w, s in self._by_window(self.odometry.by_lidar_since, stamp_ns).items()
+            if w in odometry and _apart(s, odometry[w]).ratio_beside_slip([odometry[w].wheel_m]) <= cfg.seen_sigmas
+        }  # fmt: skip  # else the lidar may be lost itself
         self._level_m = self._bound_m(stamp_ns, velocity, odometry, lidar)
         return self._suspect(stamp_ns, velocity, odometry, lidar)
 
     def _by_window(self, since: Callable[[int], Separation | None], stamp_ns: int) -> ByWindow:
         found = {w: since(stamp_ns - round(w.window_s * 1e9)) for w in self._config.windows}
         return {w: separation for w, separation in found.items() if separation is not None}
-
-    def _agreeing(self, lidar: ByWindow, odometry: ByWindow) -> ByWindow:
-        """Separations from lidar odometry where the wheels agree with it, slip apart: else it may be lost itself."""
-        return {
-            w: s for w, s in lidar.items()
-            if w in odometry and replace(odometry[w], d_m=s.d_m - odometry[w].d_m).ratio_beside_slip(
-                [odometry[w].wheel_m]) <= self._config.seen_sigmas
-        }  # fmt: skip
 
     def _bound_m(self, stamp_ns: int, velocity: ByWindow, odometry: ByWindow, lidar: ByWindow) -> float:
         bounds_m = [0.0]
@@ -166,7 +162,10 @@ class GnssMonitor:
         ratios = {w: s.ratio_beside_slip(parts_m[: k + 1]) for k, (w, s) in enumerate(odometry.items())}
         if self.is_slipping and max(ratios.values()) > limit:
             return self._begin(ODOMETRY, stamp_ns, ratios)
-        ratios = {w: s.ratio for w, s in lidar.items()}
+        ratios = {
+            w: s.ratio for w, s in lidar.items()
+            if _apart(s, odometry[w]).ratio <= max(1.0, odometry[w].ratio)
+        }  # fmt: skip  # wheels are nearer to the lidar
         if max(ratios.values(), default=0.0) > limit:
             return self._begin(ODOMETRY, stamp_ns, ratios)
         if self._refused >= self._config.refused_fixes and not self.is_slipping:
@@ -214,3 +213,8 @@ class GnssMonitor:
     def _agrees(self, reference: Separation) -> bool:
         distance_m = float(np.linalg.norm(reference.d_m))
         return distance_m <= self._config.agree_floor_m or reference.ratio <= self._config.agree_sigmas
+
+
+def _apart(lidar: Separation, wheels: Separation) -> Separation:
+    """Separation of wheels from lidar odometry over the same window."""
+    return replace(wheels, d_m=lidar.d_m - wheels.d_m)

@@ -13,7 +13,7 @@ from localization.dead_reckoning.dead_reckoning import Calibration
 from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.dock_prior import DockPrior
 from localization.gnss_gate import Position, RejectionReason, propagate
-from localization.gnss_monitor import GnssMonitor
+from localization.gnss_monitor import VELOCITY, GnssMonitor
 from localization.graph.keyframes import KeyframeBuilder
 from localization.graph.motion_start import MotionStart
 from localization.graph.smoother import SmootherFailure, State
@@ -57,6 +57,7 @@ class MapAlignment:
         self._rejected_since_ns: int | None = None
         self._failed_ns: int | None = None
         self._taken_ns: int | None = None  # newest fix since the start
+        self._apart_m = 0.0  # of base from the position by the newest fix
         self.is_initialized = False
         self.failures: list[str] = []
         self.dock_rejection, self._was_initialized = "", False
@@ -301,6 +302,7 @@ class MapAlignment:
         assert T_odom_base is not None, "poses reach from the keyframe before to the newest sample"
         late_rad = self.keyframes.late_rad
         self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, late_rad)
+        self._apart_m = float(np.linalg.norm((base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]))
         finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
         if finding is not None:
             reference_m = base_m[:2] - finding.separation.d_m
@@ -330,7 +332,8 @@ class MapAlignment:
     def _propagate(self, fix: Position, stamp_ns: int) -> Position:
         """Propagates a fix to a keyframe by dead reckoning, over a fraction of a second, with the error of its path."""
         then, now = self._odometry.history.at(fix.stamp_ns), self._odometry.history.at(stamp_ns)
-        assert then is not None and now is not None, "checked when the fix left the queue"
+        assert then is not None, "checked when the fix left the queue"
+        assert now is not None, "poses reach to the newest sample"
         antenna = self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m
         moved = propagate(fix, then, now, antenna, self._T_map_odom)
         slip_sigma = 0.0 if self.state is None else float(np.linalg.norm(self.state.sigmas[15:17]))
@@ -443,6 +446,8 @@ class MapAlignment:
         level_m += self._config.gnss.stamp_s * abs(self._odometry.speed_mps) if source in BY_GNSS else 0.0
         if source in BY_GNSS or self.is_rejecting:
             level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns))
+        if self.is_rejecting and self.monitor.suspicion != VELOCITY:  # the refused fixes may be right
+            level_m = max(level_m, accuracy_m + self._apart_m)
         if self.is_rejecting and self._wheels is None:  # nothing separates fixes from inertial motion: either is right
             level_m = max(level_m, accuracy_m + self._refused_m(stamp_ns))
         range_gate = self.keyframes.range_gate

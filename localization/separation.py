@@ -26,6 +26,7 @@ from localization.lidar.odometry_spans import is_sane
 from messages.motion import LidarOdometry
 
 KEEP_S = 150.0
+SCANS_S = 1.0  # lidar odometry that ends earlier says nothing of the present
 SLIP_SIGMA = 0.3  # wheels that spin (1) are 3.3 sigma, and such that turn against the motion (2) more than any limit
 
 
@@ -206,16 +207,19 @@ class _Keyframe:
 
 
 class LidarPath:
-    """What lidar odometry adds to positions in `odom`: each motion, from its pose there, ends beside the next one."""
+    """What lidar odometry adds to positions in `odom`: each motion, from its pose there, ends beside the next one.
+
+    With its variance, as if the errors of motions were independent: those of matching against one map are smaller.
+    """
 
     def __init__(self) -> None:
         self._stamps: deque[int] = deque()
-        self._added_m: deque[Float64] = deque()
+        self._rows: deque[Float64] = deque()
 
     def clear(self) -> None:
         """Drops all motions."""
         self._stamps.clear()
-        self._added_m.clear()
+        self._rows.clear()
 
     @property
     def last_ns(self) -> int:
@@ -231,22 +235,23 @@ class LidarPath:
         if motion.from_stamp_ns != self.last_ns:
             self.clear()
             self._stamps.append(motion.from_stamp_ns)
-            self._added_m.append(np.zeros(2))
+            self._rows.append(np.zeros(3))
         ends_m = before[:3, 3] + before[:3, :3] @ motion.T_from_to[:3, 3]
+        variance_m2 = float(np.max(np.diag(motion.covariance)[3:5]))
         self._stamps.append(motion.stamp_ns)
-        self._added_m.append(self._added_m[-1] + (ends_m - after[:3, 3])[:2])
+        self._rows.append(self._rows[-1] + [*(ends_m - after[:3, 3])[:2], variance_m2])
         while self._stamps[-1] - self._stamps[0] > KEEP_S * 1e9:
             self._stamps.popleft()
-            self._added_m.popleft()
+            self._rows.popleft()
 
     def at(self, stamp_ns: int) -> Float64 | None:
-        """What is added (2,) at a time, None where the path does not reach."""
+        """What is added (x, y) at a time and its variance, (3,); None where the path does not reach."""
         if not self._stamps or not self._stamps[0] <= stamp_ns <= self._stamps[-1]:
             return None
         k = min(bisect_right(self._stamps, stamp_ns), len(self._stamps) - 1)
         first, last = self._stamps[k - 1], self._stamps[k]
         share = (stamp_ns - first) / (last - first)
-        return np.asarray((1.0 - share) * self._added_m[k - 1] + share * self._added_m[k])
+        return np.asarray((1.0 - share) * self._rows[k - 1] + share * self._rows[k])
 
 
 class OdometrySeparation:
@@ -312,14 +317,16 @@ class OdometrySeparation:
 
     def by_lidar_since(self, stamp_ns: int) -> Separation | None:
         """Separation from lidar odometry since a time, of the newest keyframe that scans reach; None without them."""
-        first, last, cfg = self._rows.at(stamp_ns), self._rows.at(self.lidar.last_ns), self._config
-        if first is None or last is None or last.stamp_ns <= first.stamp_ns:
+        newest, cfg = self._rows.newest, self._config
+        first, last = self._rows.at(stamp_ns), self._rows.at(self.lidar.last_ns)
+        if newest is None or first is None or last is None or last.stamp_ns <= first.stamp_ns:
             return None
-        begin_m, end_m = self.lidar.at(first.stamp_ns), self.lidar.at(last.stamp_ns)
-        if begin_m is None or end_m is None:
+        begin, end = self.lidar.at(first.stamp_ns), self.lidar.at(last.stamp_ns)
+        if begin is None or end is None or newest.stamp_ns - last.stamp_ns > SCANS_S * 1e9:
             return None
-        moved_m = _turn(first.yaw_map_odom_rad) @ (last.odom_m + end_m - first.odom_m - begin_m)
-        white = 2.0 * cfg.lidar_m**2 + cfg.lidar_share**2 * float(moved_m @ moved_m)
+        added = end - begin
+        moved_m = _turn(first.yaw_map_odom_rad) @ (last.odom_m - first.odom_m + added[:2])
+        white = 2.0 * cfg.lidar_m**2 + cfg.lidar_share**2 * float(moved_m @ moved_m) + float(added[2])
         covariance = white * np.eye(2) + self._common(first, last, moved_m)
         age_s = (last.stamp_ns - first.stamp_ns) * 1e-9
         return Separation(age_s, last.p_map_m - first.p_map_m - moved_m, covariance, np.zeros(2))
