@@ -424,11 +424,17 @@ class MapAlignment:
         calibration = Calibration(state.bias[3:], self.keyframes.slip if is_code else state.slip)
         if odometry.inertial is not None:
             calibration = Calibration(state.bias[3:], np.array([1.0, state.slip[1], 0.0, 0.0]))
-            R, arm_m = state.T_map_body[:3, :3], self.keyframes.lever_arms.base_m
-            turn = odometry.track.at(state.stamp_ns)[3:6] - state.bias[3:]
-            forward_mps = float((R.T @ state.velocity_mps + np.cross(turn, arm_m))[0])
-            odometry.inertial.correct(state.stamp_ns, forward_mps, float(state.bias[0]))
+            odometry.inertial.correct(state.stamp_ns, self._forward_mps(state), float(state.bias[0]))
+        elif self.keyframes.is_slipping:
+            scale = odometry.scale_at(state.stamp_ns, self._forward_mps(state), calibration)
+            calibration = Calibration(state.bias[3:], np.array([scale, *calibration.slip[1:]]))
         odometry.dead_reckoning.correct(calibration, state.T_map_body[2, :3], odom)
+
+    def _forward_mps(self, state: State) -> float:
+        """Forward speed of base by the graph."""
+        turn = self._odometry.track.at(state.stamp_ns)[3:6] - state.bias[3:]
+        at_base = np.cross(turn, self.keyframes.lever_arms.base_m)
+        return float((state.T_map_body[:3, :3].T @ state.velocity_mps + at_base)[0])
 
     def pose(self) -> MapPose:
         """Builds the MapPose message at the time of the newest `odom`."""

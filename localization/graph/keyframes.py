@@ -77,7 +77,8 @@ class KeyframeBuilder:
     """Builds keyframes from IMU steps, wheels, fixes, UWB ranges and lidar measurements.
 
     `columns` (3, 4): displacement per slip parameter before the newest keyframe, None without wheels.
-    `late_rad`: error of the heading there if the stamps of fixes are as wrong as configured.
+    `late_rad`: error of the heading there if the stamps of fixes are as wrong as configured. `is_slipping`: whether the
+    wheels contradicted the IMU before it.
     """
 
     def __init__(
@@ -103,7 +104,7 @@ class KeyframeBuilder:
         self._pending_factors: list[gtsam.NonlinearFactor] = []
         self.range_gate, self._pose_measurement = range_gate, pose_measurement
         self.columns: Float64 | None = None
-        self.late_rad = 0.0
+        self.late_rad, self.is_slipping = 0.0, False
         self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
         self._fix_errors = FixErrors(gnss.estimated_white_share)
 
@@ -274,6 +275,7 @@ class KeyframeBuilder:
         self, key: int, last: State, guess: State, steps: Steps, wheels: WheelTrack, accelerometer_density: float
     ) -> list[gtsam.NonlinearFactor]:
         cfg, self.columns, stamp_ns = self._wheels, None, guess.stamp_ns
+        self.is_slipping = False
         if not self._has_wheels:
             rate_radps = (steps.rate_radps * steps.dt_s[:, None]).sum(axis=0) / float(steps.dt_s.sum())
             return [no_sideslip_factor(key, rate_radps, self.lever_arms.base_m, cfg.sideslip_mps)]
@@ -290,7 +292,8 @@ class KeyframeBuilder:
         sigma = density * math.sqrt(dt_s)
         slip_mps, max_slip_mps = self._slip_mps(last, guess, columns, dt_s), cfg.max_slip_mps
         max_slip_mps += 3.0 * accelerometer_density * math.sqrt(dt_s)
-        if self.gnss_gate.is_recent(stamp_ns) and slip_mps > max_slip_mps:
+        self.is_slipping = self.gnss_gate.is_recent(stamp_ns) and slip_mps > max_slip_mps
+        if self.is_slipping:
             sigma[0] = slip_mps * dt_s
         return [wheel_factor(key - 1, key, columns, self.lever_arms.base_m, sigma)]
 
