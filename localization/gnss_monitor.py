@@ -143,13 +143,14 @@ class GnssMonitor:
         return max(bounds_m)
 
     def _bounds_m(self, window: WindowConfig, separation: Separation | None, sigmas: float) -> list[float]:
-        """The bound of a window, if it sees well enough or if it sees an error.
+        """The bound of a window, if it sees well enough or if it sees an error, which wheels do when that is certain.
 
         Wheels bound nothing over longer windows than `slip_s`: in turns and in reverse slip explains decimetres there.
         """
-        if separation is None or (window.window_s > self._config.slip_s and separation.wheel_m.any()):
+        cfg, has_wheels = self._config, separation is not None and bool(separation.wheel_m.any())
+        if separation is None or (window.window_s > cfg.slip_s and has_wheels):
             return []
-        is_seen = separation.ratio > self._config.seen_sigmas
+        is_seen = separation.ratio > (cfg.detect_sigmas if has_wheels else cfg.seen_sigmas)
         return [separation.bound_m(sigmas)] if is_seen or sigmas * separation.sigma_m <= self._config.cover_m else []
 
     def _suspect(self, stamp_ns: int, velocity: ByWindow, odometry: ByWindow, lidar: ByWindow) -> Finding | None:
