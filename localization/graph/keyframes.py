@@ -187,7 +187,7 @@ class KeyframeBuilder:
         guess, key = self._predict(last, stamp_ns, preintegrated), self.smoother.next_key
         factors, self._pending_factors = self._pending_factors, []
         factors += self._wheel_factors(key, last, guess, steps, wheels, density)
-        antenna = self._antenna(guess, dt_s)
+        antenna = self._antenna(guess, dt_s, density)
         reasons = [self.gnss_gate.evaluate(position, *antenna) for position in positions]
         used = [p for p, reason in zip(positions, reasons, strict=True) if reason is RejectionReason.NONE]
         factors += self._fix_errors.factors(key, stamp_ns, used)
@@ -247,11 +247,12 @@ class KeyframeBuilder:
             last, stamp_ns=stamp_ns, T_map_body=np.asarray(end.pose().matrix()), velocity_mps=np.asarray(end.velocity())
         )
 
-    def _antenna(self, guess: State, dt_s: float) -> tuple[Float64, Float64]:
-        """Predicted antenna position and its covariance (3, 3) in `map`."""
+    def _antenna(self, guess: State, dt_s: float, density: float) -> tuple[Float64, Float64]:
+        """Predicted antenna position and its covariance (3, 3) in `map`; `density` of the accelerometer's noise."""
         R = guess.T_map_body[:3, :3]
         J = R @ np.hstack([-skew(self.lever_arms.antenna_m), np.eye(3)])
-        growth = (self._initial_alignment.velocity_sigma_mps * dt_s) ** 2 * np.eye(3)
+        velocity_mps = math.hypot(self._initial_alignment.velocity_sigma_mps, float(np.max(guess.sigmas[6:9])))
+        growth = ((velocity_mps * dt_s) ** 2 + density**2 * dt_s**3 / 3.0) * np.eye(3)
         p = guess.T_map_body[:3, 3] + R @ self.lever_arms.antenna_m
         return p, J @ guess.covariance @ J.T + growth
 
