@@ -19,6 +19,7 @@ from geometry.angles import wrap
 from geometry.arrays import Float64
 from localization.dead_reckoning.imu_track import STANDARD_GRAVITY_MPS2
 
+MEAN_SIGMAS = 4.0  # of the noise of samples in their mean
 CODES = ("imu.frozen", "imu.noisy", "imu.implausible", "wheel.implausible", "imu_or_wheel.implausible")
 
 
@@ -88,7 +89,8 @@ class ImuCheck:
         if not (specific <= cfg.max_noise_mps2 and rate <= cfg.max_noise_radps):
             return Suspicion("imu.noisy", f"{specific:.1f} m/s², {rate:.2f} rad/s")
         gravity = math.hypot(*values[:, :3].mean(axis=0).tolist())
-        if not abs(gravity - STANDARD_GRAVITY_MPS2) <= cfg.max_gravity_error_mps2:
+        of_mean_mps2 = MEAN_SIGMAS * specific / math.sqrt(len(values))
+        if not abs(gravity - STANDARD_GRAVITY_MPS2) <= cfg.max_gravity_error_mps2 + of_mean_mps2:
             return Suspicion("imu.implausible", f"gravity of {gravity:.1f} m/s²")
         return None
 
