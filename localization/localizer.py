@@ -214,6 +214,8 @@ class Localizer(Node):
         faults.set(FAULTS["gnss.refused"], alignment.is_refusing, "contradict the prediction")
         for code in (VELOCITY, ODOMETRY):
             faults.set(FAULTS[code], alignment.monitor.suspicion == code, alignment.monitor.detail)
+        is_turned = alignment.keyframes.headings_refused >= self._config.map_alignment.gnss_monitor.refused_fixes
+        faults.set(FAULTS["gnss.heading_refused"], alignment.is_initialized and is_turned)
         faults.set(FAULTS["wheel.slipping"], alignment.monitor.is_slipping)
         faults.set(FAULTS["localization.lost"], self._was_initialized and not alignment.is_initialized)
         # far from the shed few ranges are received, and beside good fixes they are not needed

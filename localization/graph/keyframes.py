@@ -78,7 +78,7 @@ class KeyframeBuilder:
 
     `columns` (3, 4): displacement per slip parameter before the newest keyframe, None without wheels.
     `late_rad`: error of the heading there if the stamps of fixes are as wrong as configured. `is_slipping`: whether the
-    wheels contradicted the IMU before it.
+    wheels contradicted the IMU before it. `headings_refused`: of the newest fixes in a row.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class KeyframeBuilder:
         self._pending_factors: list[gtsam.NonlinearFactor] = []
         self.range_gate, self._pose_measurement = range_gate, pose_measurement
         self.columns: Float64 | None = None
-        self.late_rad, self.is_slipping = 0.0, False
+        self.late_rad, self.is_slipping, self.headings_refused = 0.0, False, 0
         self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
         self._fix_errors = FixErrors(gnss.estimated_white_share)
 
@@ -157,7 +157,7 @@ class KeyframeBuilder:
     def restart(self, state: State) -> State:
         """Restarts the graph at a known state."""
         self._pending_factors.clear()
-        self._calibrated = None
+        self._calibrated, self.headings_refused = None, 0
         self._fix_errors.clear()
         self.smoother.start(state)
         return state
@@ -270,6 +270,9 @@ class KeyframeBuilder:
             gate = max(self._gnss.heading_gate_sigma * sigma, math.radians(self._gnss.heading_floor_deg))
             if abs(error) <= gate + self.late_rad:
                 factors.append(heading_factor(key, position.heading_rad, position.heading_sigma_rad))
+                self.headings_refused = 0
+            else:
+                self.headings_refused += 1
         return factors
 
     def _wheel_factors(

@@ -148,3 +148,11 @@ def test_antennas_that_are_exchanged_are_noticed_in_the_first_metres():
     row, _ = driven("heading 180° from start", 0.0, math.inf, 20.0)
     assert row.detect_s is not None
     assert max(row.misleading_s) < 3.5  # at rest nothing shows it: base is off by twice the lever arm of the antenna
+
+
+def test_a_wrong_compass_is_named_and_not_followed():
+    row, faults = driven("heading 5° 30 s", 14.0, 10.0, 30.0)
+    assert ("gnss.heading_refused", True) in faults
+    assert ("gnss.heading_refused", False) in faults
+    assert row.max_error_m < 0.05
+    assert row.false_alarms == 0
