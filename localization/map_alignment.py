@@ -288,8 +288,10 @@ class MapAlignment:
 
     def _monitor(self, before: State, fixes: list[Position], is_outlier: bool) -> None:
         """Compares fixes at the newest keyframe with their references; excludes wrong ones from the graph."""
-        state, columns, T_odom_before = self.state, self.keyframes.columns, self._odometry.history.at(before.stamp_ns)
-        if state is None or columns is None or T_odom_before is None:
+        state, columns, history = self.state, self.keyframes.columns, self._odometry.history
+        T_odom_before = history.at(before.stamp_ns)
+        T_odom_base = None if state is None else history.at(state.stamp_ns)
+        if state is None or columns is None or T_odom_before is None or T_odom_base is None:
             self.monitor.odometry.clear()
             return
         self.monitor.odometry.advance(T_odom_before, columns)
@@ -298,10 +300,7 @@ class MapAlignment:
         T_base_body, arm_m = self.keyframes.lever_arms.T_base_body, self.keyframes.lever_arms.antenna_m
         R = state.T_map_body[:3, :3]
         base_m = fixes[-1].p_map_m - R @ (arm_m + T_base_body[:3, 3])
-        T_odom_base = self._odometry.history.at(state.stamp_ns)
-        assert T_odom_base is not None, "poses reach from the keyframe before to the newest sample"
-        late_rad = self.keyframes.late_rad
-        self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, late_rad)
+        self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, self.keyframes.late_rad)
         self._apart_m = float(np.linalg.norm((base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]))
         finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
         if finding is not None:
@@ -430,6 +429,11 @@ class MapAlignment:
             calibration = Calibration(state.bias[3:], np.array([scale, *calibration.slip[1:]]))
         odometry.dead_reckoning.correct(calibration, state.T_map_body[2, :3], odom)
 
+    def _is_disputed(self, stamp_ns: int) -> bool:
+        """Whether fixes are suspected, or refused now: a single one before an outage is no dispute for good."""
+        is_refused = self.is_rejecting and stamp_ns - self._rejected_ns <= self._config.integrity.outage_s * 1e9
+        return is_refused or bool(self.monitor.suspicion)
+
     def _forward_mps(self, state: State) -> float:
         """Forward speed of base by the graph."""
         turn = self._odometry.track.at(state.stamp_ns)[3:6] - state.bias[3:]
@@ -450,9 +454,10 @@ class MapAlignment:
         covariance = self._covariance(state, T, stamp_ns, source)
         accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
         level_m += self._config.gnss.stamp_s * abs(self._odometry.speed_mps) if source in BY_GNSS else 0.0
-        if source in BY_GNSS or self.is_rejecting:
+        is_disputed = self._is_disputed(stamp_ns)
+        if source in BY_GNSS or is_disputed:
             level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns))
-        if self.is_rejecting and self.monitor.suspicion != VELOCITY:  # the refused fixes may be right
+        if is_disputed and self.monitor.suspicion != VELOCITY:  # the refused fixes may be right
             level_m = max(level_m, accuracy_m + self._apart_m)
         if self.is_rejecting and self._wheels is None:  # nothing separates fixes from inertial motion: either is right
             level_m = max(level_m, accuracy_m + self._refused_m(stamp_ns))

@@ -38,7 +38,9 @@ class SeparationConfig(Config):
     velocity_stamp_s: float = Field(ge=0.0, le=0.5, description="between the times of position and velocity")
     slip_change: float = Field(ge=0.0, le=0.5, description="sigma of a change of slip at once: load, soil")
     gnss_gap_s: float = Field(gt=0.0, le=5.0, description="a longer time between fixes ends the integration")
-    tilt_m: float = Field(ge=0.0, le=1.0, description="the same of roll and pitch, times the height of the antenna")
+    tilt_m: float = Field(
+        ge=0.0, le=1.0, description="error of the mounts in roll and pitch, times the height of the antenna"
+    )
     lever_arm_m: float = Field(ge=0.0, le=1.0, description="error of that lever arm, which turns with the machine")
     gyro_scale: float = Field(ge=0.0, le=0.1, description="sigma of the scale error of the gyro")
     lidar_m: float = Field(gt=0.0, le=1.0, description="error of a lidar pose in its local map")
