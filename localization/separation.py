@@ -211,7 +211,7 @@ class _Keyframe:
 class LidarPath:
     """What lidar odometry adds to positions in `odom`: each motion, from its pose there, ends beside the next one.
 
-    With its variance, as if the errors of motions were independent: those of matching against one map are smaller.
+    With the variance of matching at that time: errors of matching against one map do not accumulate.
     """
 
     def __init__(self) -> None:
@@ -237,11 +237,11 @@ class LidarPath:
         if motion.from_stamp_ns != self.last_ns:
             self.clear()
             self._stamps.append(motion.from_stamp_ns)
-            self._rows.append(np.zeros(3))
+            self._rows.append(np.array([0.0, 0.0, float(np.max(np.diag(motion.covariance)[3:5]))]))
         ends_m = before[:3, 3] + before[:3, :3] @ motion.T_from_to[:3, 3]
-        variance_m2 = float(np.max(np.diag(motion.covariance)[3:5]))
+        added_m = self._rows[-1][:2] + (ends_m - after[:3, 3])[:2]
         self._stamps.append(motion.stamp_ns)
-        self._rows.append(self._rows[-1] + [*(ends_m - after[:3, 3])[:2], variance_m2])
+        self._rows.append(np.array([*added_m, float(np.max(np.diag(motion.covariance)[3:5]))]))
         while self._stamps[-1] - self._stamps[0] > KEEP_S * 1e9:
             self._stamps.popleft()
             self._rows.popleft()
@@ -326,9 +326,8 @@ class OdometrySeparation:
         begin, end = self.lidar.at(first.stamp_ns), self.lidar.at(last.stamp_ns)
         if begin is None or end is None or newest.stamp_ns - last.stamp_ns > SCANS_S * 1e9:
             return None
-        added = end - begin
-        moved_m = _turn(first.yaw_map_odom_rad) @ (last.odom_m - first.odom_m + added[:2])
-        white = 2.0 * cfg.lidar_m**2 + cfg.lidar_share**2 * float(moved_m @ moved_m) + float(added[2])
+        moved_m = _turn(first.yaw_map_odom_rad) @ (last.odom_m - first.odom_m + (end - begin)[:2])
+        white = 2.0 * cfg.lidar_m**2 + cfg.lidar_share**2 * float(moved_m @ moved_m) + float(begin[2] + end[2])
         covariance = white * np.eye(2) + self._common(first, last, moved_m)
         age_s = (last.stamp_ns - first.stamp_ns) * 1e-9
         return Separation(age_s, last.p_map_m - first.p_map_m - moved_m, covariance, np.zeros(2))
