@@ -48,6 +48,7 @@ class GnssConfig(Config):
     estimated_white_share: float = Field(
         gt=0.0, le=1.0, description="white part of the sigma beside an estimated error"
     )
+    stamp_s: float = Field(ge=0.0, le=0.5, description="error of the stamps of fixes, for good")
     min_satellites: int = Field(ge=4, le=30)
     max_correction_age_s: float = Field(gt=0.0, le=600.0)
     unknown_sigma_factor: float = Field(ge=1.0, le=10.0, description="of a solution's accuracy, for unknown sigmas")

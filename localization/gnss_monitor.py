@@ -11,7 +11,8 @@ A fault that began within a window shows as separation of that window; what does
 """
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -48,6 +49,9 @@ class GnssMonitorConfig(Config):
     return_sigmas: float = Field(ge=0.0, le=10.0, description="of the bound at the return")
     seen_sigmas: float = Field(gt=0.0, le=10.0, description="separations above may be the begin of an error")
     hold_s: float = Field(ge=0.0, le=600.0, description="longest multipath: for which those bounds are held")
+
+
+ByWindow = dict[WindowConfig, Separation]
 
 
 @dataclass(frozen=True)
@@ -88,12 +92,12 @@ class GnssMonitor:
         """Takes every fix that passed the checks of form, whether or not it is used."""
         self._velocity.add(fix, swing)
 
-    def level_m(self, stamp_ns: int, speed_mps: float) -> float:
-        """Largest error by the hypotheses, in addition to that of the fault-free case."""
+    def level_m(self, stamp_ns: int) -> float:
+        """Largest error by the hypotheses of wrong positions, in addition to that of the fault-free case."""
         while self._held and self._held[0][0] <= stamp_ns:
             self._held.popleft()
         held_m = self._held[0][1] if self._held else 0.0
-        return max(self._level_m, held_m, self._config.separation.stamp_s * abs(speed_mps))
+        return max(self._level_m, held_m)
 
     def _hold(self, stamp_ns: int, bound_m: float) -> None:
         """Holds a bound: an error that a window has shown lasts when the window has passed its begin."""
@@ -110,43 +114,46 @@ class GnssMonitor:
         if self.suspicion:
             self._follow(stamp_ns)
             return None
-        velocity, odometry = self._by_window(self._velocity, stamp_ns), self._by_window(self.odometry, stamp_ns)
-        self._level_m = self._bound_m(stamp_ns, velocity, odometry)
-        return self._suspect(stamp_ns, velocity, odometry)
+        velocity = self._by_window(self._velocity.since, stamp_ns)
+        odometry = self._by_window(self.odometry.since, stamp_ns)
+        cfg = self._config
+        lidar = {
+            w: s for w, s in self._by_window(self.odometry.by_lidar_since, stamp_ns).items()
+            if w in odometry and _apart(s, odometry[w]).ratio_beside_slip([odometry[w].wheel_m]) <= cfg.seen_sigmas
+        }  # fmt: skip  # else the lidar may be lost itself
+        self._level_m = self._bound_m(stamp_ns, velocity, odometry, lidar)
+        return self._suspect(stamp_ns, velocity, odometry, lidar)
 
-    def _by_window(
-        self, source: VelocitySeparation | OdometrySeparation, stamp_ns: int
-    ) -> dict[WindowConfig, Separation]:
-        found = {w: source.since(stamp_ns - round(w.window_s * 1e9)) for w in self._config.windows}
+    def _by_window(self, since: Callable[[int], Separation | None], stamp_ns: int) -> ByWindow:
+        found = {w: since(stamp_ns - round(w.window_s * 1e9)) for w in self._config.windows}
         return {w: separation for w, separation in found.items() if separation is not None}
 
-    def _bound_m(
-        self, stamp_ns: int, velocity: dict[WindowConfig, Separation], odometry: dict[WindowConfig, Separation]
-    ) -> float:
+    def _bound_m(self, stamp_ns: int, velocity: ByWindow, odometry: ByWindow, lidar: ByWindow) -> float:
         bounds_m = [0.0]
         for w in self._config.windows:
-            both = [s for s in (velocity.get(w), odometry.get(w)) if s is not None]
-            best = min(both, key=lambda s: s.bound_m(w.wrong_fix_sigmas), default=None)
+            by_motion = [s for s in (odometry.get(w), lidar.get(w)) if s is not None]
+            every = [*by_motion, *(s for s in (velocity.get(w),) if s is not None)]
+            best = min(every, key=lambda s: s.bound_m(w.wrong_fix_sigmas), default=None)
             wrong_fix_m = self._bounds_m(w, best, w.wrong_fix_sigmas)
             if best is not None and best.ratio > self._config.seen_sigmas:
                 for bound_m in wrong_fix_m:
                     self._hold(stamp_ns, bound_m)
-            bounds_m += wrong_fix_m + self._bounds_m(w, odometry.get(w), w.spoofing_sigmas)
+            unspoofed = min(by_motion, key=lambda s: s.bound_m(w.spoofing_sigmas), default=None)
+            bounds_m += wrong_fix_m + self._bounds_m(w, unspoofed, w.spoofing_sigmas)
         return max(bounds_m)
 
     def _bounds_m(self, window: WindowConfig, separation: Separation | None, sigmas: float) -> list[float]:
-        """The bound of a window, if it sees well enough or if it sees an error.
+        """The bound of a window, if it sees well enough or if it sees an error, which wheels do when that is certain.
 
         Wheels bound nothing over longer windows than `slip_s`: in turns and in reverse slip explains decimetres there.
         """
-        if separation is None or (window.window_s > self._config.slip_s and separation.wheel_m.any()):
+        cfg, has_wheels = self._config, separation is not None and bool(separation.wheel_m.any())
+        if separation is None or (window.window_s > cfg.slip_s and has_wheels):
             return []
-        is_seen = separation.ratio > self._config.detect_sigmas and window.window_s <= self._config.slip_s
+        is_seen = separation.ratio > (cfg.detect_sigmas if has_wheels else cfg.seen_sigmas)
         return [separation.bound_m(sigmas)] if is_seen or sigmas * separation.sigma_m <= self._config.cover_m else []
 
-    def _suspect(
-        self, stamp_ns: int, velocity: dict[WindowConfig, Separation], odometry: dict[WindowConfig, Separation]
-    ) -> Finding | None:
+    def _suspect(self, stamp_ns: int, velocity: ByWindow, odometry: ByWindow, lidar: ByWindow) -> Finding | None:
         limit = self._config.detect_sigmas
         ratios = {w: s.ratio for w, s in velocity.items()}
         if max(ratios.values(), default=0.0) > limit:
@@ -155,6 +162,12 @@ class GnssMonitor:
         parts_m = [s.wheel_m for s in odometry.values()]  # shortest first; slip may begin or end within a window
         ratios = {w: s.ratio_beside_slip(parts_m[: k + 1]) for k, (w, s) in enumerate(odometry.items())}
         if self.is_slipping and max(ratios.values()) > limit:
+            return self._begin(ODOMETRY, stamp_ns, ratios)
+        ratios = {
+            w: s.ratio for w, s in lidar.items()
+            if _apart(s, odometry[w]).ratio <= max(1.0, odometry[w].ratio)
+        }  # fmt: skip  # wheels are nearer to the lidar
+        if max(ratios.values(), default=0.0) > limit:
             return self._begin(ODOMETRY, stamp_ns, ratios)
         if self._refused >= self._config.refused_fixes and not self.is_slipping:
             return self._begin(REFUSED, stamp_ns, dict.fromkeys(odometry, 0.0))
@@ -178,9 +191,10 @@ class GnssMonitor:
     def _reference(self) -> Separation | None:
         """Separation since the anchor from the best reference that the suspicion leaves."""
         assert self._anchor_ns is not None, "called while a suspicion lasts"
-        odometry = self.odometry.since(self._anchor_ns)
-        velocity = None if self.suspicion == ODOMETRY else self._velocity.since(self._anchor_ns)
-        return min((s for s in (odometry, velocity) if s is not None), key=lambda s: s.sigma_m, default=None)
+        found = [self.odometry.since(self._anchor_ns), self.odometry.by_lidar_since(self._anchor_ns)]
+        if self.suspicion != ODOMETRY:
+            found.append(self._velocity.since(self._anchor_ns))
+        return min((s for s in found if s is not None), key=lambda s: s.sigma_m, default=None)
 
     def _follow(self, stamp_ns: int) -> None:
         """Ends the suspicion when the receiver has agreed with the reference for the configured time."""
@@ -200,3 +214,8 @@ class GnssMonitor:
     def _agrees(self, reference: Separation) -> bool:
         distance_m = float(np.linalg.norm(reference.d_m))
         return distance_m <= self._config.agree_floor_m or reference.ratio <= self._config.agree_sigmas
+
+
+def _apart(lidar: Separation, wheels: Separation) -> Separation:
+    """Separation of wheels from lidar odometry over the same window."""
+    return replace(wheels, d_m=lidar.d_m - wheels.d_m)

@@ -133,7 +133,7 @@ class Localizer(Node):
         if self._lidar_odometry in self.reads:
             for motion in inbox.all(self._lidar_odometry, LidarOdometry):
                 self._lidar_odometry_ns = now_ns
-                self._map_alignment.odometry_spans.add(motion)
+                self._map_alignment.add_lidar_odometry(motion)
         if LIDAR_LOCALIZATION in self.reads:
             for pose in inbox.all(LIDAR_LOCALIZATION, LidarLocalization):
                 self._map_alignment.pose_measurements.add(pose)
@@ -214,6 +214,8 @@ class Localizer(Node):
         faults.set(FAULTS["gnss.refused"], alignment.is_refusing, "contradict the prediction")
         for code in (VELOCITY, ODOMETRY):
             faults.set(FAULTS[code], alignment.monitor.suspicion == code, alignment.monitor.detail)
+        is_turned = alignment.keyframes.headings_refused >= self._config.map_alignment.gnss_monitor.refused_fixes
+        faults.set(FAULTS["gnss.heading_refused"], alignment.is_initialized and is_turned)
         faults.set(FAULTS["wheel.slipping"], alignment.monitor.is_slipping)
         faults.set(FAULTS["localization.lost"], self._was_initialized and not alignment.is_initialized)
         # far from the shed few ranges are received, and beside good fixes they are not needed

@@ -13,7 +13,7 @@ from localization.dead_reckoning.dead_reckoning import Calibration
 from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.dock_prior import DockPrior
 from localization.gnss_gate import Position, RejectionReason, propagate
-from localization.gnss_monitor import GnssMonitor
+from localization.gnss_monitor import VELOCITY, GnssMonitor
 from localization.graph.keyframes import KeyframeBuilder
 from localization.graph.motion_start import MotionStart
 from localization.graph.smoother import SmootherFailure, State
@@ -29,7 +29,7 @@ from localization.lidar.odometry_spans import OdometrySpans, motion_between
 from localization.lidar.pose_measurement import PoseMeasurements
 from localization.odometry import OdometryEstimator
 from localization.separation import Swing
-from messages.motion import MapPose, PositionSource
+from messages.motion import LidarOdometry, MapPose, PositionSource
 from messages.sensors import GnssSolution
 
 SWING_NS = 10_000_000  # two samples of 100 Hz: a body on its tyres turns evenly in that time
@@ -56,6 +56,8 @@ class MapAlignment:
         self._accepted_ns = self._rejected_ns = 0
         self._rejected_since_ns: int | None = None
         self._failed_ns: int | None = None
+        self._taken_ns: int | None = None  # newest fix since the start
+        self._apart_m = 0.0  # of base from the position by the newest fix
         self.is_initialized = False
         self.failures: list[str] = []
         self.dock_rejection, self._was_initialized = "", False
@@ -73,9 +75,15 @@ class MapAlignment:
         """Whether the newest fixes have been rejected."""
         return self._rejected_since_ns is not None
 
+    def add_lidar_odometry(self, motion: LidarOdometry) -> None:
+        """Takes a motion between two scans."""
+        self.odometry_spans.add(motion)
+        self.monitor.odometry.lidar.add(motion, self._odometry.history)
+
     def add(self, position: Position) -> None:
         """Queues a fix until IMU samples reach its stamp; ignores fixes beside the shed while UWB is available.
 
+        One that is older than the newest keyframe waits for the next; one that is not newer than the last is dropped.
         Before the start, and while fixes are rejected, they go to the window of a start in motion.
         """
         if not self.is_initialized or self.is_rejecting:
@@ -84,10 +92,10 @@ class MapAlignment:
             return
         if self._is_uwb_active(position.stamp_ns) and self._dock_prior.has_sky_obstruction(position.p_map_m):
             return
-        newest = max((fix.stamp_ns for fix in (*self._pending, *self._queue)), default=self._newest_ns())
-        if position.stamp_ns <= newest:
+        if self._taken_ns is not None and position.stamp_ns <= self._taken_ns:
             self.late += 1
             return
+        self._taken_ns = position.stamp_ns
         self._queue.append(position)
 
     def _newest_ns(self) -> int:
@@ -98,6 +106,7 @@ class MapAlignment:
         """Drops queued measurements after a gap or clock jump."""
         self._queue.clear()
         self._pending.clear()
+        self._taken_ns = None
         self.odometry_spans.clear()
         self.pose_measurements.clear()
         self.monitor.clear()
@@ -124,6 +133,7 @@ class MapAlignment:
         self.monitor.clear()
         if self.is_initialized:
             self.motion_start.clear()
+            self._taken_ns = self._newest_ns()
         self._was_initialized |= self.is_initialized
         return self.is_initialized
 
@@ -155,7 +165,7 @@ class MapAlignment:
             return False
         range_gate.start(stamp_ns, batch, T)
         self.pose_measurements.clear()
-        self._align(self.keyframes.start_at(stamp_ns, tilt, T, sigmas))
+        self._align(self.keyframes.start_at(stamp_ns, tilt, T, np.diag(sigmas**2)))
         return True
 
     def _start_from_gnss(self) -> bool:
@@ -230,6 +240,9 @@ class MapAlignment:
         period_ns = round(cfg.period_s * 1e9)
         while self._queue and self._queue[0].stamp_ns <= end_ns:
             fix = self._queue.popleft()
+            if self._odometry.history.at(fix.stamp_ns) is None:  # from before a gap
+                self.late += 1
+                continue
             self._fill(fix.stamp_ns - period_ns // 2)
             self._pending.append(fix)
             if fix.stamp_ns - self._newest_ns() >= 0.9 * period_ns:
@@ -275,8 +288,10 @@ class MapAlignment:
 
     def _monitor(self, before: State, fixes: list[Position], is_outlier: bool) -> None:
         """Compares fixes at the newest keyframe with their references; excludes wrong ones from the graph."""
-        state, columns, T_odom_before = self.state, self.keyframes.columns, self._odometry.history.at(before.stamp_ns)
-        if state is None or columns is None or T_odom_before is None:
+        state, columns, history = self.state, self.keyframes.columns, self._odometry.history
+        T_odom_before = history.at(before.stamp_ns)
+        T_odom_base = None if state is None else history.at(state.stamp_ns)
+        if state is None or columns is None or T_odom_before is None or T_odom_base is None:
             self.monitor.odometry.clear()
             return
         self.monitor.odometry.advance(T_odom_before, columns)
@@ -285,7 +300,8 @@ class MapAlignment:
         T_base_body, arm_m = self.keyframes.lever_arms.T_base_body, self.keyframes.lever_arms.antenna_m
         R = state.T_map_body[:3, :3]
         base_m = fixes[-1].p_map_m - R @ (arm_m + T_base_body[:3, 3])
-        self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom)
+        self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, self.keyframes.late_rad)
+        self._apart_m = float(np.linalg.norm((base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]))
         finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
         if finding is not None:
             reference_m = base_m[:2] - finding.separation.d_m
@@ -313,12 +329,15 @@ class MapAlignment:
         return self.is_initialized and range_gate is not None and range_gate.is_active(stamp_ns)
 
     def _propagate(self, fix: Position, stamp_ns: int) -> Position:
-        """Propagates a fix to a keyframe by dead reckoning, over a fraction of a second."""
+        """Propagates a fix to a keyframe by dead reckoning, over a fraction of a second, with the error of its path."""
         then, now = self._odometry.history.at(fix.stamp_ns), self._odometry.history.at(stamp_ns)
-        if then is None or now is None:
-            return fix
+        assert then is not None, "checked when the fix left the queue"
+        assert now is not None, "poses reach to the newest sample"
         antenna = self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m
-        return propagate(fix, then, now, antenna, self._T_map_odom)
+        moved = propagate(fix, then, now, antenna, self._T_map_odom)
+        slip_sigma = 0.0 if self.state is None else float(np.linalg.norm(self.state.sigmas[15:17]))
+        path_m = float(np.linalg.norm(moved.p_map_m - fix.p_map_m))
+        return replace(moved, sigma_m=np.hypot(fix.sigma_m, slip_sigma * path_m))
 
     def _swing(self, stamp_ns: int) -> Swing | None:
         """Motion of the antenna about base at a fix, by the samples beside it."""
@@ -404,11 +423,22 @@ class MapAlignment:
         calibration = Calibration(state.bias[3:], self.keyframes.slip if is_code else state.slip)
         if odometry.inertial is not None:
             calibration = Calibration(state.bias[3:], np.array([1.0, state.slip[1], 0.0, 0.0]))
-            R, arm_m = state.T_map_body[:3, :3], self.keyframes.lever_arms.base_m
-            turn = odometry.track.at(state.stamp_ns)[3:6] - state.bias[3:]
-            forward_mps = float((R.T @ state.velocity_mps + np.cross(turn, arm_m))[0])
-            odometry.inertial.correct(state.stamp_ns, forward_mps, float(state.bias[0]))
+            odometry.inertial.correct(state.stamp_ns, self._forward_mps(state), float(state.bias[0]))
+        elif self.keyframes.is_slipping:
+            scale = odometry.scale_at(state.stamp_ns, self._forward_mps(state), calibration)
+            calibration = Calibration(state.bias[3:], np.array([scale, *calibration.slip[1:]]))
         odometry.dead_reckoning.correct(calibration, state.T_map_body[2, :3], odom)
+
+    def _is_disputed(self, stamp_ns: int) -> bool:
+        """Whether fixes are suspected, or refused now: a single one before an outage is no dispute for good."""
+        is_refused = self.is_rejecting and stamp_ns - self._rejected_ns <= self._config.integrity.outage_s * 1e9
+        return is_refused or bool(self.monitor.suspicion)
+
+    def _forward_mps(self, state: State) -> float:
+        """Forward speed of base by the graph."""
+        turn = self._odometry.track.at(state.stamp_ns)[3:6] - state.bias[3:]
+        at_base = np.cross(turn, self.keyframes.lever_arms.base_m)
+        return float((state.T_map_body[:3, :3].T @ state.velocity_mps + at_base)[0])
 
     def pose(self) -> MapPose:
         """Builds the MapPose message at the time of the newest `odom`."""
@@ -423,8 +453,12 @@ class MapAlignment:
         source = position_source(self._accepted, age_s, self._is_uwb_active(stamp_ns), self._config.integrity.outage_s)
         covariance = self._covariance(state, T, stamp_ns, source)
         accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
-        if source in BY_GNSS or self.monitor.suspicion:
-            level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns, self._odometry.speed_mps))
+        level_m += self._config.gnss.stamp_s * abs(self._odometry.speed_mps) if source in BY_GNSS else 0.0
+        is_disputed = self._is_disputed(stamp_ns)
+        if source in BY_GNSS or is_disputed:
+            level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns))
+        if is_disputed and self.monitor.suspicion != VELOCITY:  # the refused fixes may be right
+            level_m = max(level_m, accuracy_m + self._apart_m)
         if self.is_rejecting and self._wheels is None:  # nothing separates fixes from inertial motion: either is right
             level_m = max(level_m, accuracy_m + self._refused_m(stamp_ns))
         range_gate = self.keyframes.range_gate

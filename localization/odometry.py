@@ -20,6 +20,8 @@ from messages.errors import ConfigError
 from messages.motion import Odometry
 from messages.sensors import ImuSample, WheelSample
 
+MIN_SPEED_MPS = 0.3  # of wheels, below which their noise hides their scale
+
 
 class OdometryEstimator:
     """Dead reckoning with its measurement buffers, plausibility checks and pose history."""
@@ -29,7 +31,7 @@ class OdometryEstimator:
         if imu is None:
             raise ConfigError(f"vehicle {vehicle.name!r}: the localizer needs sensors.imu")
         self._config = config
-        self.track = ImuTrack(imu, config.imu.tyre_force_time_s)
+        self.track = ImuTrack(imu, config.imu)
         self.wheels = WheelTrack(config.wheels.max_speed_mps)
         self.standstill = Standstill(initial_alignment)
         self.steering_offset = SteeringOffset(config.steering_offset, vehicle.drivetrain.wheelbase_m)
@@ -54,6 +56,13 @@ class OdometryEstimator:
         if self.dead_reckoning is None or not len(self.track):
             return self._speed, 0.0
         return self.dead_reckoning.calibration.velocity(self._speed, self.track.last[6:])
+
+    def scale_at(self, stamp_ns: int, forward_mps: float, calibration: Calibration) -> float:
+        """Scale of the wheels with which they give a forward speed at a time; that of the calibration at rest."""
+        speed_mps = float(self.wheels.speed_at(np.zeros(1), stamp_ns)[0])
+        if abs(speed_mps) < MIN_SPEED_MPS:
+            return float(calibration.slip[0])
+        return forward_mps / speed_mps + float(calibration.slip[2] * self.track.at(stamp_ns)[6])
 
     def add_imu(self, sample: ImuSample) -> bool:
         """Takes a sample; False when it was dropped."""

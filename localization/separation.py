@@ -1,11 +1,13 @@
 """Solution separation: displacement by GNSS positions over a window against displacements that do not use them.
 
-Two references: the receiver's own Doppler velocity, which wrong ambiguities and multipath of the position leave right;
-and wheels with gyro at the calibration of the window's begin, which no GNSS signal reaches. Both are horizontal.
+Three references, all horizontal: the receiver's own Doppler velocity, which wrong ambiguities and multipath of the
+position leave right; wheels with gyro at the calibration of the window's begin, and lidar odometry with gyro, which no
+GNSS signal reaches.
 """
 
 import math
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
@@ -17,11 +19,15 @@ from configs.strict import Config
 from geometry.angles import wrap
 from geometry.arrays import Float64
 from geometry.transforms import yaw_of
+from localization.dead_reckoning.dead_reckoning import PoseHistory
 from localization.gnss_gate import Position
 from localization.graph.smoother import State
+from localization.lidar.odometry_spans import is_sane
+from messages.motion import LidarOdometry
 
 KEEP_S = 150.0
-SLIP_SIGMA = 0.4
+SCANS_S = 1.0  # lidar odometry that ends earlier says nothing of the present
+SLIP_SIGMA = 0.3  # wheels that spin (1) are 3.3 sigma, and such that turn against the motion (2) more than any limit
 
 
 class SeparationConfig(Config):
@@ -30,12 +36,15 @@ class SeparationConfig(Config):
     velocity_sigma_mps: float = Field(gt=0.0, le=1.0, description="lower bound of the Doppler velocity's sigma")
     velocity_bias_mps: float = Field(ge=0.0, le=0.1, description="part of its error that does not average out")
     velocity_stamp_s: float = Field(ge=0.0, le=0.5, description="between the times of position and velocity")
-    stamp_s: float = Field(ge=0.0, le=0.5, description="error of the stamps of fixes")
     slip_change: float = Field(ge=0.0, le=0.5, description="sigma of a change of slip at once: load, soil")
     gnss_gap_s: float = Field(gt=0.0, le=5.0, description="a longer time between fixes ends the integration")
-    tilt_m: float = Field(ge=0.0, le=1.0, description="lever arm of the antenna times the error of roll and pitch")
+    tilt_m: float = Field(
+        ge=0.0, le=1.0, description="error of the mounts in roll and pitch, times the height of the antenna"
+    )
     lever_arm_m: float = Field(ge=0.0, le=1.0, description="error of that lever arm, which turns with the machine")
     gyro_scale: float = Field(ge=0.0, le=0.1, description="sigma of the scale error of the gyro")
+    lidar_m: float = Field(gt=0.0, le=1.0, description="error of a lidar pose in its local map")
+    lidar_share: float = Field(ge=0.0, le=0.5, description="drift of lidar odometry per path")
 
 
 @dataclass(frozen=True)
@@ -180,16 +189,18 @@ class VelocitySeparation:
 class _Keyframe:
     """A keyframe with a fix: position of base by that fix, and all that predicts later ones.
 
-    `columns` (2, 4) is the displacement per slip parameter since the start, in `odom`; `heading_rad` counts turns.
+    `columns` (2, 4) is the displacement per slip parameter since the start and `odom_m` (2,) the position,
+    both in `odom`; `heading_rad` counts turns; `tilt_m` is what errors of roll and pitch do to base.
     """
 
     stamp_ns: int
     p_map_m: Float64
     sigma_m: float
+    tilt_m: float
     velocity_mps: Float64
     columns: Float64
+    odom_m: Float64
     heading_rad: float
-    rate_radps: float
     yaw_map_odom_rad: float
     yaw_variance: float
     gyro_sigma_radps: float
@@ -197,13 +208,65 @@ class _Keyframe:
     slip_sigma: Float64
 
 
-class OdometrySeparation:
-    """Positions of base against wheels and gyro, at the calibration of the window's begin."""
+class LidarPath:
+    """What lidar odometry adds to positions in `odom`: each motion, from its pose there, ends beside the next one.
 
-    def __init__(self, config: SeparationConfig, slip_walk: Float64, density_m_per_rts: float, gyro: float) -> None:
+    With the variance of matching at that time: errors of matching against one map do not accumulate.
+    """
+
+    def __init__(self) -> None:
+        self._stamps: deque[int] = deque()
+        self._rows: deque[Float64] = deque()
+
+    def clear(self) -> None:
+        """Drops all motions."""
+        self._stamps.clear()
+        self._rows.clear()
+
+    @property
+    def last_ns(self) -> int:
+        """End of the newest motion; long ago without one."""
+        return self._stamps[-1] if self._stamps else -(2**62)
+
+    def add(self, motion: LidarOdometry, history: PoseHistory) -> None:
+        """Takes the next motion; one that does not follow, or is not valid, begins a new path."""
+        before, after = history.at(motion.from_stamp_ns), history.at(motion.stamp_ns)
+        if not is_sane(motion) or before is None or after is None:
+            self.clear()
+            return
+        if motion.from_stamp_ns != self.last_ns:
+            self.clear()
+            self._stamps.append(motion.from_stamp_ns)
+            self._rows.append(np.array([0.0, 0.0, float(np.max(np.diag(motion.covariance)[3:5]))]))
+        ends_m = before[:3, 3] + before[:3, :3] @ motion.T_from_to[:3, 3]
+        added_m = self._rows[-1][:2] + (ends_m - after[:3, 3])[:2]
+        self._stamps.append(motion.stamp_ns)
+        self._rows.append(np.array([*added_m, float(np.max(np.diag(motion.covariance)[3:5]))]))
+        while self._stamps[-1] - self._stamps[0] > KEEP_S * 1e9:
+            self._stamps.popleft()
+            self._rows.popleft()
+
+    def at(self, stamp_ns: int) -> Float64 | None:
+        """What is added (x, y) at a time and its variance, (3,); None where the path does not reach."""
+        if not self._stamps or not self._stamps[0] <= stamp_ns <= self._stamps[-1]:
+            return None
+        k = min(bisect_right(self._stamps, stamp_ns), len(self._stamps) - 1)
+        first, last = self._stamps[k - 1], self._stamps[k]
+        share = (stamp_ns - first) / (last - first)
+        return np.asarray((1.0 - share) * self._rows[k - 1] + share * self._rows[k])
+
+
+class OdometrySeparation:
+    """Positions of base against wheels at the calibration of the window's begin, or lidar odometry, both with gyro."""
+
+    def __init__(
+        self, config: SeparationConfig, slip_walk: Float64, density_m_per_rts: float, gyro: float, stamp_s: float
+    ) -> None:
         self._config, self._slip_walk, self._density, self._gyro = config, slip_walk, density_m_per_rts, gyro
+        self._stamp_s = stamp_s
         self._rows: _Rows[_Keyframe] = _Rows()
         self._columns = np.zeros((2, 4))
+        self.lidar = LidarPath()
 
     def clear(self) -> None:
         """Drops all keyframes."""
@@ -213,17 +276,25 @@ class OdometrySeparation:
         """Adds the displacement between two keyframes: `columns` (3, 4) in base at the first one, which is given."""
         self._columns = self._columns + (T_odom_base[:3, :3] @ columns)[:2]
 
-    def add(self, fix: Position, base_m: Float64, state: State, T_map_odom: Float64) -> None:
-        """Takes a fix propagated to the newest keyframe, and the position of base that follows from it."""
+    def add(
+        self, fix: Position, base_m: Float64, state: State, T_map_odom: Float64, T_odom_base: Float64,
+        late_rad: float,
+    ) -> None:  # fmt: skip
+        """Takes a fix propagated to the newest keyframe, and the position of base that follows from it.
+
+        `late_rad`: error of the heading there by late fixes.
+        """
         heading_slow = fix.heading_slow_rad if math.isfinite(fix.heading_slow_rad) else 0.0
-        heading, rate_radps, last = yaw_of(state.T_map_body), 0.0, self._rows.newest
+        heading, last = yaw_of(state.T_map_body), self._rows.newest
+        height_m = float((fix.p_map_m - base_m)[2])
+        tilt_m = math.hypot(self._config.tilt_m, height_m * math.sqrt(float(np.max(np.diag(state.covariance)[:2]))))
         if last is not None:
             heading = last.heading_rad + wrap(heading - last.heading_rad)
-            rate_radps = (heading - last.heading_rad) / max(1e-3, (state.stamp_ns - last.stamp_ns) * 1e-9)
         row = _Keyframe(
-            state.stamp_ns, base_m[:2], _sigma_m(fix), state.velocity_mps[:2], self._columns, heading, rate_radps,
-            yaw_of(T_map_odom),
-            float(state.covariance[2, 2]) + heading_slow**2, float(state.sigmas[14]), state.slip, state.sigmas[15:19],
+            state.stamp_ns, base_m[:2], _sigma_m(fix), tilt_m, state.velocity_mps[:2], self._columns,
+            T_odom_base[:2, 3].copy(), heading, yaw_of(T_map_odom),
+            float(state.covariance[2, 2]) + heading_slow**2 + late_rad**2, float(state.sigmas[14]), state.slip,
+            state.sigmas[15:19],
         )  # fmt: skip
         self._rows.add(row)
 
@@ -233,25 +304,50 @@ class OdometrySeparation:
         return None if row is None else (row.slip, row.slip_sigma)
 
     def since(self, stamp_ns: int) -> Separation | None:
-        """Separation of the newest keyframe since a time; None when keyframes do not reach back to it."""
+        """Separation of the newest keyframe from wheels since a time; None when keyframes do not reach back to it."""
         first, last, cfg = self._rows.at(stamp_ns), self._rows.newest, self._config
         if first is None or last is None or last.stamp_ns <= stamp_ns:
             return None
         age_s = (last.stamp_ns - first.stamp_ns) * 1e-9
-        c, s = math.cos(first.yaw_map_odom_rad), math.sin(first.yaw_map_odom_rad)
-        columns = np.array([[c, -s], [s, c]]) @ (last.columns - first.columns)
+        columns = _turn(first.yaw_map_odom_rad) @ (last.columns - first.columns)
         moved_m = columns @ first.slip
         slip = first.slip_sigma**2 + self._slip_walk**2 * age_s / 3.0
         slip[0] += cfg.slip_change**2
+        covariance = columns @ np.diag(slip) @ columns.T + self._density**2 * age_s * np.eye(2)
+        covariance += self._common(first, last, moved_m)
+        return Separation(age_s, last.p_map_m - first.p_map_m - moved_m, covariance, columns[:, 0])
+
+    def by_lidar_since(self, stamp_ns: int) -> Separation | None:
+        """Separation from lidar odometry since a time, of the newest keyframe that scans reach; None without them."""
+        newest, cfg = self._rows.newest, self._config
+        first, last = self._rows.at(stamp_ns), self._rows.at(self.lidar.last_ns)
+        if newest is None or first is None or last is None or last.stamp_ns <= first.stamp_ns:
+            return None
+        begin, end = self.lidar.at(first.stamp_ns), self.lidar.at(last.stamp_ns)
+        if begin is None or end is None or newest.stamp_ns - last.stamp_ns > SCANS_S * 1e9:
+            return None
+        moved_m = _turn(first.yaw_map_odom_rad) @ (last.odom_m - first.odom_m + (end - begin)[:2])
+        white = 2.0 * cfg.lidar_m**2 + cfg.lidar_share**2 * float(moved_m @ moved_m) + float(begin[2] + end[2])
+        covariance = white * np.eye(2) + self._common(first, last, moved_m)
+        age_s = (last.stamp_ns - first.stamp_ns) * 1e-9
+        return Separation(age_s, last.p_map_m - first.p_map_m - moved_m, covariance, np.zeros(2))
+
+    def _common(self, first: _Keyframe, last: _Keyframe, moved_m: Float64) -> Float64:
+        """Covariance (2, 2) by fixes, gyro and mounting, whatever measures the path `moved_m` (2,)."""
+        cfg, age_s = self._config, (last.stamp_ns - first.stamp_ns) * 1e-9
         across = np.array([-moved_m[1], moved_m[0]])
         turned = last.heading_rad - first.heading_rad
         yaw = first.yaw_variance + self._gyro**2 * age_s / 3.0 + (first.gyro_sigma_radps * age_s) ** 2 / 3.0
-        yaw += (cfg.gyro_scale * turned) ** 2 + (cfg.stamp_s * first.rate_radps) ** 2
-        turned_m = cfg.stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
-        white = first.sigma_m**2 + last.sigma_m**2 + self._density**2 * age_s + turned_m**2 + cfg.tilt_m**2
+        yaw += (cfg.gyro_scale * turned) ** 2
+        turned_m = self._stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
+        white = first.sigma_m**2 + last.sigma_m**2 + turned_m**2 + first.tilt_m**2
         white += (2.0 * math.sin(0.5 * turned) * cfg.lever_arm_m) ** 2
-        covariance = columns @ np.diag(slip) @ columns.T + yaw * np.outer(across, across) + white * np.eye(2)
-        return Separation(age_s, last.p_map_m - first.p_map_m - moved_m, covariance, columns[:, 0])
+        return np.asarray(yaw * np.outer(across, across) + white * np.eye(2))
+
+
+def _turn(yaw_rad: float) -> Float64:
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s], [s, c]])
 
 
 def _sigma_m(fix: Position) -> float:

@@ -3,6 +3,7 @@
 A sample is the mean over the interval that ends at its stamp, as of IMUs that output increments.
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from messages.sensors import ImuSample
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 KEEP = 800
+VIBRATION_S = 2.0  # over which the noise of samples is determined
 
 
 class ImuTrackConfig(Config):
@@ -25,6 +27,7 @@ class ImuTrackConfig(Config):
     accelerometer_noise_factor: float = Field(ge=1.0, le=1000.0)
     bias_time_s: float = Field(gt=0.0, le=10000.0, description="time in which a bias changes by its instability")
     tyre_force_time_s: float = Field(gt=0.0, le=5.0, description="smoothing of the tyre force")
+    tyre_force_sigma: float = Field(gt=0.0, le=1.0, description="typical tyre force over weight: what is no vibration")
     max_gap_s: float = Field(gt=0.0, le=1.0, description="a longer gap ends dead reckoning")
 
 
@@ -32,7 +35,8 @@ class ImuTrackConfig(Config):
 class Steps:
     """An interval in n steps: duration and middle from its start (n,), mean specific force and rate (n, 3).
 
-    `tyre_force` (n, 2) is the smoothed longitudinal and lateral specific force (forward, left) over gravity.
+    `tyre_force` (n, 2) is the longitudinal and lateral specific force (forward, left) over gravity, smoothed, as
+    expected beside the vibration.
     """
 
     dt_s: Float64
@@ -45,10 +49,11 @@ class Steps:
 class ImuTrack:
     """Samples of the last seconds in time order, rotated to `base` axes; the origin stays at the IMU."""
 
-    def __init__(self, imu: Imu, tyre_force_time_s: float) -> None:
+    def __init__(self, imu: Imu, config: ImuTrackConfig) -> None:
         self._rotation = np.kron(np.eye(2), imu.mount.T_base_sensor[:3, :3])
         self._limit = np.repeat([imu.accelerometer_range_g * STANDARD_GRAVITY_MPS2, np.radians(imu.gyro_range_dps)], 3)
-        self._tyre_force, self._tyre_force_time_s = np.zeros(2), tyre_force_time_s
+        self._config, self._force, self._newest, self._change2 = config, np.zeros(2), np.zeros(2), np.zeros(2)
+        self._tyre_force = np.zeros(2)
         self._stamps: deque[int] = deque(maxlen=KEEP)
         self._values: deque[Float64] = deque(maxlen=KEEP)
 
@@ -95,8 +100,19 @@ class ImuTrack:
         return True
 
     def _smooth(self, force: Float64, stamp_ns: int) -> None:
-        share = (stamp_ns - self._stamps[-1]) * 1e-9 / self._tyre_force_time_s if self._stamps else 1.0
-        self._tyre_force = self._tyre_force + min(1.0, share) * (force - self._tyre_force)
+        """Mean of the last forces, times the share of its variance that is no vibration.
+
+        The noise of samples follows from their changes. Without that share it would hide the slip per force.
+        """
+        cfg, dt_s = self._config, (stamp_ns - self._stamps[-1]) * 1e-9 if self._stamps else math.inf
+        share = min(1.0, dt_s / cfg.tyre_force_time_s)
+        self._force = self._force + share * (force - self._force)
+        if self._stamps:
+            slow = min(1.0, dt_s / VIBRATION_S)
+            self._change2 = self._change2 + slow * ((force - self._newest) ** 2 - self._change2)
+        self._newest = force
+        noise2 = 0.5 * self._change2 * share / (2.0 - share)
+        self._tyre_force = self._force * cfg.tyre_force_sigma**2 / (cfg.tyre_force_sigma**2 + noise2)
 
     def between(self, start_ns: int, end_ns: int) -> Steps:
         """The steps from `start_ns` to `end_ns`; the newest sample is held beyond its stamp."""

@@ -19,6 +19,7 @@ from geometry.angles import wrap
 from geometry.arrays import Float64
 from localization.dead_reckoning.imu_track import STANDARD_GRAVITY_MPS2
 
+MEAN_SIGMAS = 4.0  # of the noise of samples in their mean
 CODES = ("imu.frozen", "imu.noisy", "imu.implausible", "wheel.implausible", "imu_or_wheel.implausible")
 
 
@@ -89,9 +90,10 @@ class ImuCheck:
         self.noise = (specific, rate)
         if not (specific <= cfg.max_noise_mps2 and rate <= cfg.max_noise_radps):
             return Suspicion("imu.noisy", f"{specific:.1f} m/s², {rate:.2f} rad/s")
+        of_mean_mps2 = MEAN_SIGMAS * specific / math.sqrt(cfg.gravity_samples)
         gravity = math.hypot(*values[-cfg.gravity_samples :, :3].mean(axis=0).tolist())
         is_known = len(values) >= cfg.gravity_samples
-        if is_known and not abs(gravity - STANDARD_GRAVITY_MPS2) <= cfg.max_gravity_error_mps2:
+        if is_known and not abs(gravity - STANDARD_GRAVITY_MPS2) <= cfg.max_gravity_error_mps2 + of_mean_mps2:
             return Suspicion("imu.implausible", f"gravity of {gravity:.1f} m/s²")
         return None
 

@@ -54,6 +54,7 @@ from localization.separation import OdometrySeparation, SeparationConfig
 from localization.uwb.range_gate import RangeBatch, RangeGate
 
 GRAVITY_SIGMA_MPS2 = 0.02
+FOLLOW_S = 1.0  # in which the heading follows that of fixes after a turn: half the lag
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,8 @@ class KeyframeBuilder:
     """Builds keyframes from IMU steps, wheels, fixes, UWB ranges and lidar measurements.
 
     `columns` (3, 4): displacement per slip parameter before the newest keyframe, None without wheels.
+    `late_rad`: error of the heading there if the stamps of fixes are as wrong as configured. `is_slipping`: whether the
+    wheels contradicted the IMU before it. `headings_refused`: of the newest fixes in a row.
     """
 
     def __init__(
@@ -101,6 +104,7 @@ class KeyframeBuilder:
         self._pending_factors: list[gtsam.NonlinearFactor] = []
         self.range_gate, self._pose_measurement = range_gate, pose_measurement
         self.columns: Float64 | None = None
+        self.late_rad, self.is_slipping, self.headings_refused = 0.0, False, 0
         self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
         self._fix_errors = FixErrors(gnss.estimated_white_share)
 
@@ -108,26 +112,31 @@ class KeyframeBuilder:
         """Separation of fixes from wheels and gyro, with the errors that the graph assumes."""
         wheels = self._wheels
         density = math.hypot(self._wheel_density, wheels.longitudinal_m_per_rts, wheels.lateral_m_per_rts)
-        return OdometrySeparation(config, wheels.walk, density, self._gyro_density)
+        return OdometrySeparation(config, wheels.walk, density, self._gyro_density, self._gnss.stamp_s)
 
     def start(self, stamp_ns: int, tilt: TiltEstimate, position: InitialPosition) -> State:
         """Starts the graph at standstill, at the position of the fixes."""
-        cfg = self._initial_alignment
+        cfg, arm_m = self._initial_alignment, self.lever_arms.antenna_m
         heading_sigma = math.radians(cfg.heading_sigma_deg)
         tilt_sigma = math.hypot(math.radians(cfg.tilt_sigma_deg), tilt.sigma_rad)
-        pose_sigma = np.concatenate([[tilt_sigma, tilt_sigma, heading_sigma], position.sigma_m])
-        return self.start_at(stamp_ns, tilt, initial_pose(tilt, position, self.lever_arms.antenna_m), pose_sigma)
+        T = initial_pose(tilt, position, arm_m)
+        J = np.eye(6)  # the antenna is known, and the body below it turns about it
+        J[3:, :3], J[3:, 3:] = skew(arm_m), T[:3, :3].T
+        sigmas = np.concatenate([[tilt_sigma, tilt_sigma, heading_sigma], position.sigma_m])
+        return self.start_at(stamp_ns, tilt, T, J @ np.diag(sigmas**2) @ J.T)
 
-    def start_at(self, stamp_ns: int, tilt: TiltEstimate, T_map_body: Float64, pose_sigma: Float64) -> State:
-        """Starts the graph at standstill, at a pose with sigmas (6,), rotation then translation."""
+    def start_at(self, stamp_ns: int, tilt: TiltEstimate, T_map_body: Float64, covariance: Float64) -> State:
+        """Starts the graph at standstill, at a pose with covariance (6, 6), rotation then translation in the body."""
         cfg = self._initial_alignment
         accelerometer, gyro = self._bias_sigmas
         gyro = math.hypot(gyro, self._gyro_density / math.sqrt(cfg.window_s))  # drift, and noise of the mean
-        bias_sigma = np.repeat([math.hypot(accelerometer, GRAVITY_SIGMA_MPS2), gyro], 3)
+        gravity_sigma = math.hypot(GRAVITY_SIGMA_MPS2, tilt.sigma_rad * tilt.gravity_mps2)  # vibration is in its mean
+        bias_sigma = np.repeat([math.hypot(accelerometer, gravity_sigma), gyro], 3)
         bias_sigma[:2] = accelerometer
         bias = np.concatenate([[0.0, 0.0, tilt.gravity_mps2 - self._gravity], tilt.gyro_bias_radps])
+        pose_sigma = np.sqrt(np.diag(covariance))
         sigmas = np.concatenate([pose_sigma, np.full(3, cfg.velocity_sigma_mps), bias_sigma, self._slip_sigma])
-        state = State(stamp_ns, T_map_body, np.zeros(3), bias, self.slip, np.diag(pose_sigma**2), sigmas)
+        state = State(stamp_ns, T_map_body, np.zeros(3), bias, self.slip, covariance, sigmas)
         return self.restart(state)
 
     def motion_start(self, config: MotionStartConfig, imu: Imu, imu_track: ImuTrackConfig) -> MotionStart:
@@ -148,7 +157,7 @@ class KeyframeBuilder:
     def restart(self, state: State) -> State:
         """Restarts the graph at a known state."""
         self._pending_factors.clear()
-        self._calibrated = None
+        self._calibrated, self.headings_refused = None, 0
         self._fix_errors.clear()
         self.smoother.start(state)
         return state
@@ -170,13 +179,15 @@ class KeyframeBuilder:
         """
         last = self.smoother.state
         assert last is not None, "start comes first"
-        steps = track.between(last.stamp_ns, stamp_ns)
+        steps, dt_s = track.between(last.stamp_ns, stamp_ns), (stamp_ns - last.stamp_ns) * 1e-9
+        turned_rad = abs(float(steps.rate_radps[:, 2] @ steps.dt_s))
+        self.late_rad = max(self._gnss.stamp_s * turned_rad / dt_s, self.late_rad * math.exp(-dt_s / FOLLOW_S))
         density = max(self._accelerometer_density, vibration_density(steps))
         preintegrated = preintegrate(self._parameters, last.bias, steps, density)
         guess, key = self._predict(last, stamp_ns, preintegrated), self.smoother.next_key
         factors, self._pending_factors = self._pending_factors, []
         factors += self._wheel_factors(key, last, guess, steps, wheels, density)
-        antenna = self._antenna(guess, (stamp_ns - last.stamp_ns) * 1e-9)
+        antenna = self._antenna(guess, dt_s, density)
         reasons = [self.gnss_gate.evaluate(position, *antenna) for position in positions]
         used = [p for p, reason in zip(positions, reasons, strict=True) if reason is RejectionReason.NONE]
         factors += self._fix_errors.factors(key, stamp_ns, used)
@@ -185,7 +196,7 @@ class KeyframeBuilder:
         factors += self._pose_factors(key, guess, pose_measurements)
         range_factors = self._range_factors(key, guess, batch, needs_ranges) if batch is not None else []
         imu_factor = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), preintegrated)
-        root = math.sqrt((stamp_ns - last.stamp_ns) * 1e-9)
+        root = math.sqrt(dt_s)
         fix_error = self._fix_errors.guess
         if not range_factors or self.range_gate is None:
             self.smoother.add(guess, imu_factor, root * self._wheels.walk, factors, fix_error=fix_error)
@@ -236,11 +247,12 @@ class KeyframeBuilder:
             last, stamp_ns=stamp_ns, T_map_body=np.asarray(end.pose().matrix()), velocity_mps=np.asarray(end.velocity())
         )
 
-    def _antenna(self, guess: State, dt_s: float) -> tuple[Float64, Float64]:
-        """Predicted antenna position and its covariance (3, 3) in `map`."""
+    def _antenna(self, guess: State, dt_s: float, density: float) -> tuple[Float64, Float64]:
+        """Predicted antenna position and its covariance (3, 3) in `map`; `density` of the accelerometer's noise."""
         R = guess.T_map_body[:3, :3]
         J = R @ np.hstack([-skew(self.lever_arms.antenna_m), np.eye(3)])
-        growth = (self._initial_alignment.velocity_sigma_mps * dt_s) ** 2 * np.eye(3)
+        velocity_mps = math.hypot(self._initial_alignment.velocity_sigma_mps, float(np.max(guess.sigmas[6:9])))
+        growth = ((velocity_mps * dt_s) ** 2 + density**2 * dt_s**3 / 3.0) * np.eye(3)
         p = guess.T_map_body[:3, 3] + R @ self.lever_arms.antenna_m
         return p, J @ guess.covariance @ J.T + growth
 
@@ -255,14 +267,19 @@ class KeyframeBuilder:
             R = guess.T_map_body
             error = wrap(position.heading_rad - math.atan2(R[1, 0], R[0, 0]))
             sigma = math.hypot(position.heading_sigma_rad, math.sqrt(guess.covariance[2, 2]))
-            if abs(error) <= max(self._gnss.heading_gate_sigma * sigma, math.radians(self._gnss.heading_floor_deg)):
+            gate = max(self._gnss.heading_gate_sigma * sigma, math.radians(self._gnss.heading_floor_deg))
+            if abs(error) <= gate + self.late_rad:
                 factors.append(heading_factor(key, position.heading_rad, position.heading_sigma_rad))
+                self.headings_refused = 0
+            else:
+                self.headings_refused += 1
         return factors
 
     def _wheel_factors(
         self, key: int, last: State, guess: State, steps: Steps, wheels: WheelTrack, accelerometer_density: float
     ) -> list[gtsam.NonlinearFactor]:
         cfg, self.columns, stamp_ns = self._wheels, None, guess.stamp_ns
+        self.is_slipping = False
         if not self._has_wheels:
             rate_radps = (steps.rate_radps * steps.dt_s[:, None]).sum(axis=0) / float(steps.dt_s.sum())
             return [no_sideslip_factor(key, rate_radps, self.lever_arms.base_m, cfg.sideslip_mps)]
@@ -279,7 +296,8 @@ class KeyframeBuilder:
         sigma = density * math.sqrt(dt_s)
         slip_mps, max_slip_mps = self._slip_mps(last, guess, columns, dt_s), cfg.max_slip_mps
         max_slip_mps += 3.0 * accelerometer_density * math.sqrt(dt_s)
-        if self.gnss_gate.is_recent(stamp_ns) and slip_mps > max_slip_mps:
+        self.is_slipping = self.gnss_gate.is_recent(stamp_ns) and slip_mps > max_slip_mps
+        if self.is_slipping:
             sigma[0] = slip_mps * dt_s
         return [wheel_factor(key - 1, key, columns, self.lever_arms.base_m, sigma)]
 

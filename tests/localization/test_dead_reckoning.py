@@ -111,7 +111,7 @@ def test_pose_history_limits():
 
 
 def test_imu_track_rejects_invalid_samples():
-    track = ImuTrack(tractor().sensors.imu, 0.2)
+    track = ImuTrack(tractor().sensors.imu, configuration().odometry.imu)
     good = ImuSample(10, np.array([0, 0, 9.81]), np.zeros(3))
     assert track.add(good)
     assert not track.add(good)
@@ -121,7 +121,7 @@ def test_imu_track_rejects_invalid_samples():
 
 
 def test_imu_steps_cover_any_interval():
-    track = ImuTrack(tractor().sensors.imu, 0.2)
+    track = ImuTrack(tractor().sensors.imu, configuration().odometry.imu)
     for k in range(10):
         track.add(ImuSample(k * 10, np.array([0, 0, 9.81]), np.array([0.01 * k, 0, 0])))
     for start in range(0, 60, 7):

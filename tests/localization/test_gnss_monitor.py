@@ -6,11 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.localization_faults import CASES, Case, Draw, edited
+from benchmarks.localization_faults import CASES, Case, Draw, edited, lidar_motions
 from benchmarks.localization_robustness import judged, measured
+from geometry.angles import wrap
+from geometry.transforms import yaw_of
 from localization.separation import Separation
 from tests.localization.harness import run
-from tests.localization.synthetic_drive import SensorErrors, drive
+from tests.localization.synthetic_drive import START_NS, SensorErrors, drive
 
 BY_NAME = {case.name: case for case in CASES}
 
@@ -88,3 +90,69 @@ def test_slip_explains_only_what_lies_along_the_wheels():
     assert along.ratio == pytest.approx(10.0)
     assert along.ratio_beside_slip([along.wheel_m]) < 0.5
     assert across.ratio_beside_slip([across.wheel_m]) == pytest.approx(10.0)
+
+
+def with_lidar(name: str, drift_mps: tuple[float, float, float]):
+    """Row and codes of a drive with lidar odometry, which drifts from the begin of the fault."""
+    case = dataclasses.replace(BY_NAME[name], from_s=14.0, for_s=14.0)
+    draw = Draw(2)
+    draw.delay_s = 0.0
+    truth = drive(36.0, legs=[(4.0, 0.0, 0.0), (100.0, 2.5, 0.0)], sensor_errors=SensorErrors(seed=2))
+    motions = []
+    for arrival_ns, topic, motion in lidar_motions(truth, 2, 36.0):
+        T, is_late = motion.T_from_to.copy(), motion.stamp_ns > START_NS + 14_000_000_000
+        T[:3, 3] += 0.2 * np.array(drift_mps) * is_late
+        motions.append((arrival_ns, topic, dataclasses.replace(motion, T_from_to=T)))
+    result = run(sorted(edited(truth, case, draw) + motions, key=lambda m: m[0]))
+    return judged(case, "lidar", 2, result, truth, draw, 0.0), {f.code for f in result.faults if f.is_active}
+
+
+def test_lidar_odometry_shows_what_slip_of_the_wheels_hides():
+    row, codes = with_lidar("spoofed ramp 0.05 m/s 30 s", (0.0, 0.0, 0.0))
+    assert "gnss.contradicts_odometry" in codes
+    assert row.max_excess_m < 0.0
+
+
+def test_lidar_odometry_that_the_wheels_contradict_is_not_believed_against_gnss():
+    row, codes = with_lidar("clean", (0.0, 0.3, 0.0))
+    assert not {c for c in codes if c.startswith("gnss.")}
+    assert row.max_error_m < 0.05
+
+
+def test_lidar_odometry_that_is_wrong_by_as_much_as_wheels_slip_is_covered():
+    row, _ = with_lidar("clean", (0.5, 0.0, 0.0))
+    assert row.max_excess_m < 0.0
+
+
+def test_vibration_that_hides_the_tilt_is_in_the_level_and_teaches_no_slip():
+    row, faults = driven("vibration 5 m/s²", 0.0, math.inf, 30.0)
+    assert row.start_s is not None
+    assert row.max_excess_m < 0.0
+    assert not any(code.startswith("gnss.contradicts") for code, _ in faults)
+
+
+@pytest.mark.parametrize("name", ["gnss stamps -50 ms", "gnss stamps +50 ms"])
+def test_headings_that_are_late_in_a_turn_are_used_again_after_it(name):
+    case, draw = BY_NAME[name], Draw(2)
+    legs = [(4.0, 0.0, 0.0), (8.0, 2.5, 0.0), (math.pi * 6.0 / 1.6, 1.6, 1 / 6.0), (100.0, 2.5, 0.0)]
+    truth = drive(33.0, legs=legs, sensor_errors=SensorErrors(seed=2))
+    result = run(edited(truth, case, draw))
+    row = judged(case, "open", 2, result, truth, draw, 0.0)
+    assert row.max_excess_m < 0.0
+    pose = result.poses[-1]
+    off_rad = wrap(yaw_of(pose.T_map_base) - yaw_of(truth.at(pose.stamp_ns)))
+    assert abs(math.degrees(off_rad)) < 0.1
+
+
+def test_antennas_that_are_exchanged_are_noticed_in_the_first_metres():
+    row, _ = driven("heading 180° from start", 0.0, math.inf, 20.0)
+    assert row.detect_s is not None
+    assert max(row.misleading_s) < 3.5  # at rest nothing shows it: base is off by twice the lever arm of the antenna
+
+
+def test_a_wrong_compass_is_named_and_not_followed():
+    row, faults = driven("heading 5° 30 s", 14.0, 10.0, 30.0)
+    assert ("gnss.heading_refused", True) in faults
+    assert ("gnss.heading_refused", False) in faults
+    assert row.max_error_m < 0.05
+    assert row.false_alarms == 0

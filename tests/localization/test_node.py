@@ -307,3 +307,16 @@ def test_lidar_sensor_from_configuration():
     rear = config.model_copy(update={"lidar_odometry": config.lidar_odometry.model_copy(update={"sensor": "rear"})})
     assert "lidar_odometry/front" in Localizer(tractor(), DATUM, config).reads
     assert "lidar_odometry/rear" in Localizer(tractor(), DATUM, rear).reads
+
+
+@pytest.mark.parametrize("latency_s", [0.05, 0.45])
+def test_late_and_repeated_fixes_are_used_once(latency_s):
+    truth = drive(25.0, sensor_errors=SensorErrors(seed=3, gnss_latency_s=latency_s))
+    again = [(a + 30_000_000, topic, m) for a, topic, m in truth.messages if topic == "gnss/main"]
+    result = run(sorted([*truth.messages, *again], key=lambda m: m[0]), seconds=24.0)
+    placed = [p for p in result.poses if p.is_initialized]
+    assert {p.source for p in placed} == {PositionSource.RTK_FIXED}
+    gaps_m = [np.linalg.norm((p.T_map_base - truth.at(p.stamp_ns))[:2, 3]) for p in placed]
+    assert max(gaps_m) < 0.05
+    assert all(p.protection_level_m > gap_m for p, gap_m in zip(placed, gaps_m, strict=True))
+    assert result.localizer._map_alignment.late > 200

@@ -46,7 +46,7 @@ def test_lever_arm_and_gyro_scale_do_not_contradict_the_wheels_after_a_half_turn
     config = CONFIG.separation
     if not is_known:
         config = config.model_copy(update={"lever_arm_m": 0.0, "gyro_scale": 0.0})
-    separation = OdometrySeparation(config, np.full(4, 1e-4), 0.002, 1e-5)
+    separation = OdometrySeparation(config, np.full(4, 1e-4), 0.002, 1e-5, 0.05)
     p_m, yaw, dt_s = np.zeros(2), 0.0, 0.2
     for k in range(120):
         speed, rate = (1.6, 1.6 / 6.0) if 20 <= k < 79 else (2.5 if 79 <= k < 115 else 0.0, 0.0)
@@ -61,7 +61,7 @@ def test_lever_arm_and_gyro_scale_do_not_contradict_the_wheels_after_a_half_turn
             np.eye(6) * 1e-7, sigmas,
         )  # fmt: skip
         base_m = p_m + 0.03 * np.array([-math.sin(yaw), math.cos(yaw)])
-        separation.add(fix(state.stamp_ns * 1e-9, base_m), base_m, state, np.eye(4))
+        separation.add(fix(state.stamp_ns * 1e-9, base_m), np.array([*base_m, 0.0]), state, np.eye(4), np.eye(4), 0.0)
     ratio = separation.since(round(2.0e9)).ratio
     assert (ratio < DETECTED) is is_known
 
