@@ -10,6 +10,7 @@ from configs.vehicle import Implement, Lidar, Vehicle
 from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.ground_surface import plant_heights
 from geometry.jit import kernel
+from geometry.range_image import beam_grid
 from messages.command import MachineState
 from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
@@ -141,6 +142,7 @@ class Pipeline:
         )  # fmt: skip
         self._cell_grid = new_cell_grid(config.clusters)
         self._beams = beams_of(lidar)
+        self._beam_grid = beam_grid(np.radians(np.array(lidar.elevation_deg)), self._beams.column_rad)
         self.coverages = tuple(nominal_coverage(lidar, own, config.health) for own in self._own)
 
     def warm(self) -> None:
@@ -160,7 +162,7 @@ class Pipeline:
         own, nominal = self._own[is_folded], self.coverages[is_folded]
         T = self._mount.at_hitch(hitch)
         points, usable = to_base(scan.points_m, scan.point_offset_s, T, motion_of(odom), own)
-        usable[is_scattered(scan)] = 0
+        usable[is_scattered(scan, self._beam_grid)] = 0
         ground = find_ground(points, usable, self._center, self._grid, self.config.ground)
         point_class = np.empty(len(points), np.uint8)
         is_obstacle_point = np.empty(len(points), np.uint8)

@@ -22,7 +22,7 @@ from geometry.ground_surface import (
 )
 from geometry.negative_obstacle import negative_obstacles
 from geometry.pose2 import from_frame, to_frame
-from geometry.range_image import RangeImage, clear_beneath, dust, floating, points_of, range_image, scattered
+from geometry.range_image import RangeImage, beam_grid, clear_beneath, dust, floating, points_of, range_image, scattered
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -74,6 +74,8 @@ class LidarSource:
         self._T_base_sensor = lidar.mount.T_base_sensor
         self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_density(lidar, config.detection_range)
+        column_rad = math.radians(lidar.field_of_view_deg) / lidar.columns
+        self._beam_grid = beam_grid(np.radians(np.array(lidar.elevation_deg)), column_rad)
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
         self._edges = sector_edges(config.detection_range.sectors)
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
@@ -207,8 +209,10 @@ class LidarSource:
         return xyz, is_hole
 
     def _is_scattered(self, scan: LidarScan) -> np.ndarray:
-        """Which returns of a scan are of fog or rain, (N,) bool; of a list of points none."""
-        return np.zeros(len(scan.points_m), bool) if self._image is None else scattered(self._image, scan.pixels)
+        """Which returns of a scan are of fog, rain or dense dust, (N,) bool."""
+        if self._image is None:
+            return scattered(*self._beam_grid.place(scan.points_m))
+        return scattered(self._image, scan.pixels)
 
     def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which of the obstacle returns `which` (K,) of a scan are dust, which float, and which stand, (K,) bool.
