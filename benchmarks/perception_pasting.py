@@ -78,7 +78,7 @@ def pastes(
         number = int(rng.integers(0, FRAMES))
         cut = cuts()[rng.integers(len(cuts()))]
         r, a = rng.uniform(*range_m), rng.uniform(-np.pi, np.pi)
-        ground = _free_ground(frame(number), r, a)
+        ground = free_ground(frame(number), r, a)
         own = rng.random(len(cut.points_m)) < (cut.seen_m / r) ** 2
         if ground is None or own.sum() < 10:
             continue
@@ -106,7 +106,7 @@ def _insert(number: int, cut: Cut, own: Bool, scale: float, ground_m: float, r: 
     )  # fmt: skip
 
 
-def _free_ground(points: Float32, r: float, a: float) -> float | None:
+def free_ground(points: Float32, r: float, a: float) -> float | None:
     """Height of the ground at a free and visible position, else None."""
     at = r * np.array([np.cos(a), np.sin(a)])
     about = points[np.hypot(*(points[:, :2] - at).T) < CLEAR_M + 0.5]

@@ -210,6 +210,17 @@ def track(numbers: Sequence[int], results: Sequence[Result]) -> Drive:
     return Drive(tuple(numbers), tuple(results), tuple(published), tuple(walls))
 
 
+def track_still(results: Sequence[Result]) -> Tracks:
+    """Tracks after the results of a machine that stands."""
+    tracker, out = Tracker([OBSTACLES], configs()[1]), None
+    for result in results:
+        stamp = result.obstacles.stamp_ns
+        odom = Odometry(stamp, np.eye(4), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
+        out = dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odom)))["tracks"]
+    assert isinstance(out, Tracks)
+    return out
+
+
 def latencies(run: Drive) -> dict[int, tuple[int, float]]:
     """By object: frame of the first scan with ten returns, and seconds from it until a confirmed track."""
     first: dict[int, int] = {}

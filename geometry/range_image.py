@@ -25,6 +25,8 @@ NEAR_M, NEAR_SLOPE = 0.1, 2.0  # greatest difference of range of neighbours: noi
 BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same body
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
 SAMPLE, SCATTERED = 16_000, 32  # returns by which scatter is found; its fewest returns without a neighbour
+KEPT_BESIDE = 2
+SIGNIFICANT = 3.0  # sigmas by which fewer have one neighbour than none
 DENSEST, DENSE_SLACK = 2.0, 1.5  # greatest mean of neighbours by chance; returns with two over those by chance
 BY_CHANCE = 0.5  # random returns of a scan and band that are left over, on average
 SLACK_RAD = 1e-6  # for rounding
@@ -132,6 +134,8 @@ def scattered(image: RangeImage, pixels: Int64) -> Bool:
         _mark_scattered(image.ranges_mm, *beams, pixels, np.append(most, 0), out)
         rest = image.ranges_mm.copy()
         rest.ravel()[pixels[out]] = 0
+        _keep_beside(image.ranges_mm, rest, *beams, pixels, out)
+        rest.ravel()[pixels[~out]] = image.ranges_mm.ravel()[pixels[~out]]
         left = np.flatnonzero(~out & (np.append(most, 0)[_bands(image, pixels)] > 0))
         out[left] = isolated(replace(image, ranges_mm=rest), pixels[left])
     return out
@@ -149,16 +153,18 @@ def _most_by_chance(image: RangeImage, sample: Int64, every: int) -> Int64:
     """
     counts = np.zeros((3, len(BANDS_M) + 1), np.int64)
     _count_few(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), sample, counts)
-    limits = [_limit(*(every * n for n in band)) for band in counts[:, :-1].T.tolist()]
-    has_gaps = every * counts[0, :-1] >= SCATTERED  # where there is scatter, the isolated returns of other bands are of it
-    return np.where(has_gaps & (np.max(limits) > 0), np.maximum(limits, 1), limits)
+    bands = counts[:, :-1].T.tolist()
+    if not any(none - one >= SIGNIFICANT * math.sqrt(none + one) > 0.0 for none, one, _ in bands):
+        return np.zeros(len(bands), np.int64)
+    return np.array([_limit(*(every * n for n in band)) for band in bands], np.int64)
 
 
 def _limit(none: int, one: int, two: int) -> int:
-    """Greatest number of neighbours by chance, from the numbers of returns of a band with 0, 1 and 2; 0: no scatter."""
+    """Greatest number of neighbours by chance in a scan with scatter, from the numbers of returns of a band with 0, 1
+    and 2: 1 where bodies with gaps prevail, so that only isolated returns are of scatter."""
     mean = one / max(none, 1)
     is_random = one < none or (mean <= DENSEST and 2.0 * two <= DENSE_SLACK * mean * one)
-    return chance_neighbours(none, mean) if none >= SCATTERED and is_random else 0
+    return 0 if none < SCATTERED else chance_neighbours(none, mean) if is_random else 1
 
 
 def chance_neighbours(none: int, mean: float) -> int:
@@ -268,14 +274,14 @@ def _slants(rows: Int64, elevation: Float64, column_rad: float) -> Float64:
 
 @inline_kernel
 def _near(
-    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int, most: int
+    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int, own_mm: int, most: int
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Number of returns next to one of a ring (by `rank`) and column, at a like range, counted up to `most`.
+    """Number of returns next to one of a ring (by `rank`) and column, at a range like its own, counted up to `most`.
 
     And rank and column of the first.
     """
     count, first, at, columns = 0, rank, column, ranges.shape[1]
-    own = 1e-3 * ranges[rows[rank], column]
+    own = 1e-3 * own_mm
     for a in range(max(rank - 1, 0), min(rank + 2, ranges.shape[0])):
         for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
             c = column + d
@@ -303,9 +309,9 @@ def _mark_isolated(
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         ring, column = rank[pixels[k] // columns], pixels[k] % columns
-        count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, 2)
+        count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, ranges[rows[ring], column], 2)
         if count == 1:  # the third may be next to the second
-            count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, 2)
+            count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, ranges[rows[ring], column], 2)
         out[k] = count < 2
 
 
@@ -322,10 +328,28 @@ def _mark_scattered(
             band += 1
         limit = most[band]
         if limit > 0:
-            count, ring, at = _near(ranges, rows, slants, is_closed, rank[row], column, limit + 1)
+            count, ring, at = _near(
+                ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], limit + 1
+            )
             if limit == 1 and count == 1:
-                count, ring, at = _near(ranges, rows, slants, is_closed, ring, at, 2)
+                count, ring, at = _near(ranges, rows, slants, is_closed, ring, at, ranges[rows[ring], at], 2)
             out[k] = count <= limit
+
+
+@kernel
+def _keep_beside(
+    ranges: UInt16, rest: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool,
+    pixels: Int64, out: Bool,
+) -> None:  # fmt: skip
+    """Takes back the marks of returns next to `KEPT_BESIDE` others that are not marked: the edge of a body."""
+    columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
+    for k in range(pixels.shape[0]):
+        if out[k]:
+            row, column = pixels[k] // columns, pixels[k] % columns
+            count, _, _ = _near(
+                rest, rows, slants, is_closed, rank[row], column, ranges[row, column], KEPT_BESIDE
+            )
+            out[k] = count < KEPT_BESIDE
 
 
 @kernel
@@ -337,7 +361,7 @@ def _count_few(
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         row, column, band = pixels[k] // columns, pixels[k] % columns, 0
-        count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, 3)
+        count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], 3)
         if count < 3:
             while band < len(BANDS_M) and 1e-3 * ranges[row, column] > BANDS_M[band]:
                 band += 1
