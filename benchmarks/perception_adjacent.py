@@ -128,29 +128,27 @@ def scans_of(
     """Four scans, and the place of the person; it stands before the face or, one time in three, beside its end."""
     boxes, depth_m = STRUCTURES[structure]
     end_m = max(high for _, (_, high), _ in boxes)
-    half_m = 0.2
-    if rng.random() < 1.0 / 3.0:
-        at = (-half_m, end_m + gap_m + half_m)
-    else:
-        at = (gap_m + half_m, rng.uniform(-0.6, 0.6) * end_m)
-    c, s = np.cos(scene.turn_rad), np.sin(scene.turn_rad)
-    place = scene.face_m + (c * at[0] - s * at[1], s * at[0] + c * at[1], 0.0)
     pedestrians = [cut for cut in cuts() if cut.name == "Pedestrian"]
     cut = pedestrians[int(rng.integers(len(pedestrians)))]
-    away, azimuth = float(np.hypot(*place[:2])), float(np.arctan2(place[1], place[0]))
+    is_beside, aside = rng.random() < 1.0 / 3.0, rng.uniform(-0.6, 0.6) * end_m
+    c, s = np.cos(scene.turn_rad), np.sin(scene.turn_rad)
+    to_scene = np.array([[c, s], [-s, c]])
+    azimuth = float(np.arctan2(scene.face_m[1], scene.face_m[0]))
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    level = cut.points_m[:, :2] @ np.array([[c, s], [-s, c]])
+    reach_x, reach_y = -(level @ to_scene.T).min(axis=0) if is_cut else (0.2, 0.2)  # of the person, to the structure
+    at = (-0.2, end_m + gap_m + reach_y) if is_beside else (gap_m + reach_x, aside)
+    place = scene.face_m + np.append(np.array(at) @ to_scene, 0.0)
+    away = float(np.hypot(*place[:2]))
     scans = []
     for _ in range(SCANS):
         ranges = np.minimum(scene.ranges_m, box_ranges(scene, boxes, depth_m, rng))
-        own = np.zeros((0, 3))
+        body, own = body_ranges(scene, at), np.zeros((0, 3))
         if is_cut:
             kept = rng.random(len(cut.points_m)) < (cut.seen_m / away) ** 2
-            c, s = np.cos(azimuth), np.sin(azimuth)
-            level = cut.points_m[kept, :2] @ np.array([[c, s], [-s, c]]) + place[:2]
-            own = np.column_stack([level, cut.points_m[kept, 2] + place[2]])
-            hidden = body_ranges(scene, at) < ranges
-            ranges = np.where(hidden, np.inf, ranges)
-        else:
-            ranges = np.minimum(ranges, body_ranges(scene, at))
+            own = np.column_stack([level[kept] + place[:2], cut.points_m[kept, 2] + place[2]])
+            ranges = np.where(body < ranges, np.inf, ranges)
+        ranges = ranges if is_cut else np.minimum(ranges, body)
         seen = ranges < sensor().range_m[1]
         points = scene.directions[seen] * (ranges[seen] + rng.normal(0.0, NOISE_M, seen.sum()))[:, None]
         scans.append(np.concatenate([points, own]).astype(np.float32))
