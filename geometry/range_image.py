@@ -24,7 +24,7 @@ COLUMNS_ASIDE = 2  # neighbours of a return: three rings by five columns
 NEAR_M, NEAR_SLOPE = 0.1, 2.0  # greatest difference of range of neighbours: noise, and per metre across: 63° of slant
 BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same body
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
-SAMPLE, SCATTERED = 16_000, 32  # returns by which scatter is found; its fewest returns without a neighbour
+SAMPLE, SCATTERED = 10_000, 32  # returns by which scatter is found; its fewest returns without a neighbour
 KEPT_BESIDE = 2
 SIGNIFICANT = 3.0  # sigmas by which fewer have one neighbour than none
 DENSEST, DENSE_SLACK = 2.0, 1.5  # greatest mean of neighbours by chance; returns with two over those by chance
@@ -151,9 +151,9 @@ def _most_by_chance(image: RangeImage, sample: Int64, every: int) -> Int64:
     Of random returns with a mean of m neighbours, m times as many have one as have none, and m²/2 times as many have
     two: bodies with gaps have more with one, and still more with two.
     """
-    counts = np.zeros((3, len(BANDS_M) + 1), np.int64)
+    counts = np.zeros((3, len(BANDS_M)), np.int64)
     _count_few(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), sample, counts)
-    bands = counts[:, :-1].T.tolist()
+    bands = counts.T.tolist()
     if not any(none - one >= SIGNIFICANT * math.sqrt(none + one) > 0.0 for none, one, _ in bands):
         return np.zeros(len(bands), np.int64)
     return np.array([_limit(*(every * n for n in band)) for band in bands], np.int64)
@@ -323,10 +323,8 @@ def _mark_scattered(
     """Marks the returns with no more than `most` (B + 1,) others next to them by band; where that is 1, the isolated."""
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
-        row, column, band = pixels[k] // columns, pixels[k] % columns, 0
-        while band < len(BANDS_M) and 1e-3 * ranges[row, column] > BANDS_M[band]:
-            band += 1
-        limit = most[band]
+        row, column = pixels[k] // columns, pixels[k] % columns
+        limit = most[_band(ranges[row, column])]
         if limit > 0:
             count, ring, at = _near(
                 ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], limit + 1
@@ -357,15 +355,23 @@ def _count_few(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
     counts: Int64,
 ) -> None:  # fmt: skip
-    """Counts the returns with none, one and two others next to them, by band of range, (3, B + 1)."""
+    """Counts the returns with none, one and two others next to them, by band of range, (3, B)."""
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
-        row, column, band = pixels[k] // columns, pixels[k] % columns, 0
-        count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], 3)
-        if count < 3:
-            while band < len(BANDS_M) and 1e-3 * ranges[row, column] > BANDS_M[band]:
-                band += 1
-            counts[count, band] += 1
+        row, column = pixels[k] // columns, pixels[k] % columns
+        band = _band(ranges[row, column])
+        if band < len(BANDS_M):
+            count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], 3)
+            if count < 3:
+                counts[count, band] += 1
+
+
+@inline_kernel
+def _band(range_mm: int) -> int:
+    band = 0
+    while band < len(BANDS_M) and 1e-3 * range_mm > BANDS_M[band]:
+        band += 1
+    return band
 
 
 @kernel

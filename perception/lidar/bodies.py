@@ -3,7 +3,7 @@
 Clusters join over gaps in which a sparse or partly hidden body would fall apart, so that a person 0.2 m from a wall, a
 car or a hedge belongs to its cluster. Above the knees, returns of one body lie closer to each other than that: parts of
 a cluster that are joined over little more than a column of beams, and have the size of a person, are clusters of their
-own. What is left of the cluster stays one.
+own. What is left of the cluster stays one; a rider is not taken off a bicycle, which has few returns.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.arrays import Float32, Float64, Int32, UInt8
-from geometry.jit import kernel
+from geometry.jit import inline_kernel, kernel
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid
 from perception.lidar.grid import take_rows
 
@@ -30,6 +30,7 @@ class BodyConfig(Config):
     max_length_m: float = Field(gt=0.0, le=3.0, description="along x and y of base")
     min_height_m: float = Field(gt=0.0, le=2.0, description="from the lowest to the highest return above the knees")
     top_m: tuple[float, float] = Field(description="least and greatest height above the ground")
+    min_rest: float = Field(ge=0.0, le=10.0, description="returns of the rest of its cluster over those of a body")
 
 
 class BodySplitter:
@@ -53,17 +54,17 @@ class BodySplitter:
         """
         config = self._config
         limits = config.range_m, config.knee_m, config.max_length_m, config.min_returns
-        some = _candidates(
+        some, cluster = _candidates(
             clusters.offsets, clusters.indices, points_base_m, above_m, point_class, center_m, *limits
         )  # fmt: skip
         if len(some) == 0:
             return clusters
         every = np.full(len(some), 2, np.uint8)
         parts = find_clusters(take_rows(points_base_m, some), every, center_m, self._joining, self._cell_grid)
-        size = config.max_length_m, config.min_height_m, *config.top_m
+        size = config.max_length_m, config.min_height_m, *config.top_m, config.min_rest
         offsets, indices = _separate(
-            clusters.offsets, clusters.indices, parts.offsets, some[parts.indices], points_base_m, above_m,
-            config.knee_m, *size,
+            clusters.offsets, clusters.indices, parts.offsets, some[parts.indices], cluster[parts.indices],
+            points_base_m, above_m, config.knee_m, *size,
         )  # fmt: skip
         return Clusters(offsets, indices)
 
@@ -72,73 +73,101 @@ class BodySplitter:
 def _candidates(
     offsets: Int32, indices: Int32, points: Float32, above: Float32, point_class: UInt8, center: Float64,
     range_m: float, knee_m: float, length_m: float, least: int,
-) -> Int32:  # fmt: skip
-    """Obstacle returns above the knees of the clusters that are larger than a body and come within the range."""
-    out, n = np.empty(indices.shape[0] + 1, np.int32), 0
+) -> tuple[Int32, Int32]:  # fmt: skip
+    """Obstacle returns above the knees of the clusters that are larger than a body and come within the range, and the
+    cluster of each."""
+    out, cluster, n = np.empty(indices.shape[0] + 1, np.int32), np.empty(indices.shape[0] + 1, np.int32), 0
     for k in range(offsets.shape[0] - 1):
-        start, nearest = n, np.inf
+        start = n
         x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
         for i in indices[offsets[k] : offsets[k + 1]]:
             x, y = points[i, 0], points[i, 1]
             away = (x - center[0]) ** 2 + (y - center[1]) ** 2
             if point_class[i] >= 2 and above[i] >= knee_m and away < range_m * range_m:
-                x0, x1, y0, y1, nearest = min(x0, x), max(x1, x), min(y0, y), max(y1, y), min(nearest, away)
-                out[n] = i
+                x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
+                out[n], cluster[n] = i, k
                 n += 1
         if n - start < 2 * least or max(x1 - x0, y1 - y0) < 0.8 * length_m:
             n = start
-    return out[:n]
+    return out[:n], cluster[:n]
 
 
 @kernel
 def _separate(
-    offsets: Int32, indices: Int32, part_offsets: Int32, part_indices: Int32, points: Float32, above: Float32,
-    knee_m: float, length_m: float, height_m: float, lowest_m: float, highest_m: float,
+    offsets: Int32, indices: Int32, part_offsets: Int32, part_indices: Int32, cluster: Int32, points: Float32,
+    above: Float32,
+    knee_m: float, length_m: float, height_m: float, lowest_m: float, highest_m: float, min_rest: float,
 ) -> tuple[Int32, Int32]:  # fmt: skip
-    """Offsets and indices of the clusters without the parts that are bodies, followed by these."""
+    """Offsets and indices of the clusters without the parts that are bodies, followed by these.
+
+    `cluster`: that of each of `part_indices`.
+    """
     clusters, parts = offsets.shape[0] - 1, part_offsets.shape[0] - 1
-    label = np.full(points.shape[0], -1, np.int32)  # of its cluster, or of its body
-    for k in range(clusters):
-        label[indices[offsets[k] : offsets[k + 1]]] = k
-    box, first = np.empty((parts, 4)), np.full(clusters + parts, -1, np.int32)
-    following, count = np.full(parts, -1, np.int32), 0
+    own, box, is_body = np.empty(parts, np.int32), np.empty((parts, 4)), np.zeros(parts, np.bool_)
     for p in range(parts):
+        own[p] = cluster[part_offsets[p]]
         x0, x1, y0, y1, z0, z1, top = np.inf, -np.inf, np.inf, -np.inf, np.inf, -np.inf, -np.inf
         for i in part_indices[part_offsets[p] : part_offsets[p + 1]]:
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             x0, x1, y0, y1, z0, z1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y), min(z0, z), max(z1, z)
             top = max(top, above[i])
-        is_body = max(x1 - x0, y1 - y0) <= length_m and z1 - z0 >= height_m and lowest_m <= top <= highest_m
-        if not is_body:
-            continue
-        own = label[part_indices[part_offsets[p]]]
-        following[count], first[own] = first[own], count
-        box[count] = x0 - FOOT_M, x1 + FOOT_M, y0 - FOOT_M, y1 + FOOT_M
-        for i in part_indices[part_offsets[p] : part_offsets[p + 1]]:
-            label[i] = clusters + count
-        count += 1
+        is_body[p] = max(x1 - x0, y1 - y0) <= length_m and z1 - z0 >= height_m and lowest_m <= top <= highest_m
+        box[p] = x0, x1, y0, y1
+    body, first = np.full(points.shape[0], -1, np.int32), np.full(clusters, -1, np.int32)
+    following, count = np.full(parts, -1, np.int32), 0
+    for p in range(parts):
+        if is_body[p] and _has_rest(p, own, box, part_offsets, length_m, min_rest):
+            following[p], first[own[p]] = first[own[p]], p
+            body[part_indices[part_offsets[p] : part_offsets[p + 1]]] = p
+            count += 1
     if count == 0:
         return offsets, indices
-    size = np.zeros(clusters + count, np.int32)
-    for i in indices:
-        k = label[i]
-        if k < clusters and above[i] < knee_m:  # feet
-            b = first[k]
-            while b >= 0:
-                x, y = points[i, 0], points[i, 1]
-                if box[b, 0] <= x <= box[b, 1] and box[b, 2] <= y <= box[b, 3]:
-                    label[i] = clusters + b
-                    break
-                b = following[b]
-        size[label[i]] += 1
-    starts, n = np.zeros(clusters + count + 1, np.int32), 0  # of the clusters that are left
-    fill, out = np.zeros(clusters + count, np.int32), np.empty(indices.shape[0], np.int32)
-    for k in range(clusters + count):
-        if size[k] > 0:
-            fill[k] = starts[n]
-            starts[n + 1] = starts[n] + size[k]
-            n += 1
-    for i in indices:
-        out[fill[label[i]]] = i
-        fill[label[i]] += 1
-    return starts[: n + 1].copy(), out
+    starts, out = np.zeros(clusters + count + 1, np.int32), np.empty(indices.shape[0], np.int32)
+    n = k = 0
+    for c in range(clusters):
+        if first[c] < 0:
+            m = n + offsets[c + 1] - offsets[c]
+            out[n:m] = indices[offsets[c] : offsets[c + 1]]
+            n = m
+        else:
+            for i in indices[offsets[c] : offsets[c + 1]]:
+                if body[i] < 0 and above[i] < knee_m:
+                    body[i] = _feet_of(points[i, 0], points[i, 1], first[c], following, box)
+                if body[i] < 0:
+                    out[n] = i
+                    n += 1
+        k += 1
+        starts[k] = n
+    for c in range(clusters):
+        p = first[c]
+        while p >= 0:
+            for i in indices[offsets[c] : offsets[c + 1]]:
+                if body[i] == p:
+                    out[n] = i
+                    n += 1
+            k += 1
+            starts[k] = n
+            p = following[p]
+    return starts, out
+
+
+@inline_kernel
+def _feet_of(x: float, y: float, first: int, following: Int32, box: Float64) -> int:
+    """The body of a list of parts near which a return lies, else -1."""
+    p = first
+    while p >= 0:
+        if box[p, 0] - FOOT_M <= x <= box[p, 1] + FOOT_M and box[p, 2] - FOOT_M <= y <= box[p, 3] + FOOT_M:
+            break
+        p = following[p]
+    return p
+
+
+@inline_kernel
+def _has_rest(p: int, own: Int32, box: Float64, part_offsets: Int32, length_m: float, min_rest: float) -> bool:
+    """Whether the other parts of the cluster of part `p` are together larger than a body, and have enough returns."""
+    x0, x1, y0, y1, n = np.inf, -np.inf, np.inf, -np.inf, 0
+    for q in range(own.shape[0]):
+        if q != p and own[q] == own[p]:
+            x0, x1, y0, y1 = min(x0, box[q, 0]), max(x1, box[q, 1]), min(y0, box[q, 2]), max(y1, box[q, 3])
+            n += part_offsets[q + 1] - part_offsets[q]
+    return max(x1 - x0, y1 - y0) > length_m and n >= min_rest * (part_offsets[p + 1] - part_offsets[p])
