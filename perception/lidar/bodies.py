@@ -6,6 +6,8 @@ a cluster that are joined over little more than a column of beams, and have the 
 own. What is left of the cluster stays one; a rider is not taken off a bicycle, which has few returns.
 """
 
+import math
+
 import numpy as np
 from pydantic import Field
 
@@ -13,6 +15,7 @@ from configs.strict import Config
 from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.jit import inline_kernel, kernel
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid
+from perception.lidar.expected_points import Beams
 from perception.lidar.grid import take_rows
 
 FOOT_M = 0.15  # by which feet stand out of a body
@@ -27,6 +30,8 @@ class BodyConfig(Config):
     join_columns: float = Field(ge=0.0, le=10.0, description="added, in columns at the distance of the returns")
     knee_m: float = Field(ge=0.0, le=1.0, description="lower returns join nothing")
     min_returns: int = Field(ge=3, le=100)
+    min_fill: float = Field(ge=0.0, le=1.0, description="returns over beams that cross the outline: not a part in a gap")
+    sufficient_returns: int = Field(ge=3, le=1000, description="number from which `min_fill` is not required")
     max_length_m: float = Field(gt=0.0, le=3.0, description="along x and y of base")
     min_height_m: float = Field(gt=0.0, le=2.0, description="from the lowest to the highest return above the knees")
     top_m: tuple[float, float] = Field(description="least and greatest height above the ground")
@@ -36,8 +41,10 @@ class BodyConfig(Config):
 class BodySplitter:
     """Holds only values derived from configuration, and a buffer."""
 
-    def __init__(self, config: BodyConfig, clusters: ClusterConfig, column_rad: float) -> None:
-        self._config = config
+    def __init__(self, config: BodyConfig, clusters: ClusterConfig, beams: Beams) -> None:
+        self._config, column_rad = config, beams.column_rad
+        ring_rad = float(np.median(np.diff(np.arctan(beams.tangents)))) if len(beams.tangents) > 1 else math.pi
+        self._beam_rad2 = column_rad * ring_rad
         joining = {
             "cell_m": config.cell_m, "max_range_m": config.range_m, "min_returns": config.min_returns,
             "join_distance_m": config.join_distance_m, "join_growth": config.join_columns * column_rad,
@@ -62,9 +69,10 @@ class BodySplitter:
         every = np.full(len(some), 2, np.uint8)
         parts = find_clusters(take_rows(points_base_m, some), every, center_m, self._joining, self._cell_grid)
         size = config.max_length_m, config.min_height_m, *config.top_m, config.min_rest
+        fill = config.min_fill / self._beam_rad2, config.sufficient_returns
         offsets, indices = _separate(
             clusters.offsets, clusters.indices, parts.offsets, some[parts.indices], cluster[parts.indices],
-            points_base_m, above_m, config.knee_m, *size,
+            points_base_m, above_m, center_m, config.knee_m, *size, *fill,
         )  # fmt: skip
         return Clusters(offsets, indices)
 
@@ -95,8 +103,9 @@ def _candidates(
 @kernel
 def _separate(
     offsets: Int32, indices: Int32, part_offsets: Int32, part_indices: Int32, cluster: Int32, points: Float32,
-    above: Float32,
+    above: Float32, center: Float64,
     knee_m: float, length_m: float, height_m: float, lowest_m: float, highest_m: float, min_rest: float,
+    per_rad2: float, sufficient: int,
 ) -> tuple[Int32, Int32]:  # fmt: skip
     """Offsets and indices of the clusters without the parts that are bodies, followed by these.
 
@@ -113,6 +122,11 @@ def _separate(
             top = max(top, above[i])
         is_body[p] = max(x1 - x0, y1 - y0) <= length_m and z1 - z0 >= height_m and lowest_m <= top <= highest_m
         box[p] = x0, x1, y0, y1
+        x, y = (x0 + x1) / 2.0 - center[0], (y0 + y1) / 2.0 - center[1]
+        away2 = max(x * x + y * y, 0.25)
+        across = (abs(y) * (x1 - x0) + abs(x) * (y1 - y0)) / math.sqrt(away2)
+        n = part_offsets[p + 1] - part_offsets[p]
+        is_body[p] &= n >= sufficient or n >= per_rad2 * across * (z1 - z0) / away2
     body, first = np.full(points.shape[0], -1, np.int32), np.full(clusters, -1, np.int32)
     following, count = np.full(parts, -1, np.int32), 0
     for p in range(parts):
