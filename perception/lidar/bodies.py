@@ -19,6 +19,7 @@ from perception.lidar.expected_points import Beams
 from perception.lidar.grid import take_rows
 
 FOOT_M = 0.15  # by which feet stand out of a body
+MIN_JOINS = 1.5  # joining distances of the extent of a body: single columns of a slanted face have less
 
 
 class BodyConfig(Config):
@@ -33,6 +34,7 @@ class BodyConfig(Config):
     min_fill: float = Field(ge=0.0, le=1.0, description="returns over beams that cross the outline: not a part in a gap")
     sufficient_returns: int = Field(ge=3, le=1000, description="number from which `min_fill` is not required")
     max_length_m: float = Field(gt=0.0, le=3.0, description="along x and y of base")
+    max_bodies: int = Field(ge=1, le=100, description="of a cluster; one of more parts falls apart: a slanted face")
     min_height_m: float = Field(gt=0.0, le=2.0, description="from the lowest to the highest return above the knees")
     top_m: tuple[float, float] = Field(description="least and greatest height above the ground")
     min_rest: float = Field(ge=0.0, le=10.0, description="returns of the rest of its cluster over those of a body")
@@ -70,9 +72,10 @@ class BodySplitter:
         parts = find_clusters(take_rows(points_base_m, some), every, center_m, self._joining, self._cell_grid)
         size = config.max_length_m, config.min_height_m, *config.top_m, config.min_rest
         fill = config.min_fill / self._beam_rad2, config.sufficient_returns
+        apart = MIN_JOINS * self._joining.join_distance_m, MIN_JOINS * self._joining.join_growth, config.max_bodies
         offsets, indices = _separate(
             clusters.offsets, clusters.indices, parts.offsets, some[parts.indices], cluster[parts.indices],
-            points_base_m, above_m, center_m, config.knee_m, *size, *fill,
+            points_base_m, above_m, center_m, config.knee_m, *size, *fill, *apart,
         )  # fmt: skip
         return Clusters(offsets, indices)
 
@@ -105,7 +108,7 @@ def _separate(
     offsets: Int32, indices: Int32, part_offsets: Int32, part_indices: Int32, cluster: Int32, points: Float32,
     above: Float32, center: Float64,
     knee_m: float, length_m: float, height_m: float, lowest_m: float, highest_m: float, min_rest: float,
-    per_rad2: float, sufficient: int,
+    per_rad2: float, sufficient: int, least_m: float, growth: float, most: int,
 ) -> tuple[Int32, Int32]:  # fmt: skip
     """Offsets and indices of the clusters without the parts that are bodies, followed by these.
 
@@ -127,10 +130,15 @@ def _separate(
         across = (abs(y) * (x1 - x0) + abs(x) * (y1 - y0)) / math.sqrt(away2)
         n = part_offsets[p + 1] - part_offsets[p]
         is_body[p] &= n >= sufficient or n >= per_rad2 * across * (z1 - z0) / away2
+        is_body[p] &= max(x1 - x0, y1 - y0) >= least_m + growth * math.sqrt(away2)
+    bodies = np.zeros(clusters, np.int32)
+    for p in range(parts):
+        is_body[p] = is_body[p] and _has_rest(p, own, box, part_offsets, length_m, min_rest)
+        bodies[own[p]] += is_body[p]
     body, first = np.full(points.shape[0], -1, np.int32), np.full(clusters, -1, np.int32)
     following, count = np.full(parts, -1, np.int32), 0
     for p in range(parts):
-        if is_body[p] and _has_rest(p, own, box, part_offsets, length_m, min_rest):
+        if is_body[p] and bodies[own[p]] <= most:
             following[p], first[own[p]] = first[own[p]], p
             body[part_indices[part_offsets[p] : part_offsets[p + 1]]] = p
             count += 1
