@@ -3,7 +3,7 @@
 Clusters join over gaps in which a sparse or partly hidden body would fall apart, so that a person 0.2 m from a wall, a
 car or a hedge belongs to its cluster. Above the knees, returns of one body lie closer to each other than that: parts of
 a cluster that are joined over little more than a column of beams, and have the size of a person, are clusters of their
-own. What is left of the cluster stays one; a rider is not taken off a bicycle, which has few returns.
+own. What is left of the cluster stays one; a rider is not taken off a bicycle.
 """
 
 import math
@@ -19,6 +19,7 @@ from perception.lidar.expected_points import Beams
 from perception.lidar.grid import take_rows
 
 FOOT_M = 0.15  # by which feet stand out of a body
+BICYCLE_M = (2.2, 1.15)  # length, and height without the rider
 MIN_JOINS = 1.5  # joining distances of the extent of a body: single columns of a slanted face have less
 
 
@@ -115,7 +116,7 @@ def _separate(
     `cluster`: that of each of `part_indices`.
     """
     clusters, parts = offsets.shape[0] - 1, part_offsets.shape[0] - 1
-    own, box, is_body = np.empty(parts, np.int32), np.empty((parts, 4)), np.zeros(parts, np.bool_)
+    own, box, is_body = np.empty(parts, np.int32), np.empty((parts, 5)), np.zeros(parts, np.bool_)
     for p in range(parts):
         own[p] = cluster[part_offsets[p]]
         x0, x1, y0, y1, z0, z1, top = np.inf, -np.inf, np.inf, -np.inf, np.inf, -np.inf, -np.inf
@@ -124,7 +125,7 @@ def _separate(
             x0, x1, y0, y1, z0, z1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y), min(z0, z), max(z1, z)
             top = max(top, above[i])
         is_body[p] = max(x1 - x0, y1 - y0) <= length_m and z1 - z0 >= height_m and lowest_m <= top <= highest_m
-        box[p] = x0, x1, y0, y1
+        box[p] = x0, x1, y0, y1, top
         x, y = (x0 + x1) / 2.0 - center[0], (y0 + y1) / 2.0 - center[1]
         away2 = max(x * x + y * y, 0.25)
         across = (abs(y) * (x1 - x0) + abs(x) * (y1 - y0)) / math.sqrt(away2)
@@ -187,9 +188,12 @@ def _feet_of(x: float, y: float, first: int, following: Int32, box: Float64) -> 
 @inline_kernel
 def _has_rest(p: int, own: Int32, box: Float64, part_offsets: Int32, length_m: float, min_rest: float) -> bool:
     """Whether the other parts of the cluster of part `p` are together larger than a body, and have enough returns."""
-    x0, x1, y0, y1, n = np.inf, -np.inf, np.inf, -np.inf, 0
+    x0, x1, y0, y1, top, n = np.inf, -np.inf, np.inf, -np.inf, 0.0, 0
     for q in range(own.shape[0]):
         if q != p and own[q] == own[p]:
             x0, x1, y0, y1 = min(x0, box[q, 0]), max(x1, box[q, 1]), min(y0, box[q, 2]), max(y1, box[q, 3])
+            top = max(top, box[q, 4])
             n += part_offsets[q + 1] - part_offsets[q]
-    return max(x1 - x0, y1 - y0) > length_m and n >= min_rest * (part_offsets[p + 1] - part_offsets[p])
+    rest_m = max(x1 - x0, y1 - y0)
+    is_larger = rest_m > BICYCLE_M[0] or (rest_m > length_m and top > BICYCLE_M[1])
+    return is_larger and n >= min_rest * (part_offsets[p + 1] - part_offsets[p])
