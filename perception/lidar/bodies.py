@@ -63,7 +63,7 @@ class BodySplitter:
         `above_m` (N,): height above the ground; `point_class` as in `find_clusters`.
         """
         config = self._config
-        limits = config.range_m, config.knee_m, config.max_length_m, config.min_returns
+        limits = config.range_m, config.knee_m, config.max_length_m, config.min_returns, config.top_m[0]
         some, cluster = _candidates(
             clusters.offsets, clusters.indices, points_base_m, above_m, point_class, center_m, *limits
         )  # fmt: skip
@@ -84,22 +84,23 @@ class BodySplitter:
 @kernel
 def _candidates(
     offsets: Int32, indices: Int32, points: Float32, above: Float32, point_class: UInt8, center: Float64,
-    range_m: float, knee_m: float, length_m: float, least: int,
+    range_m: float, knee_m: float, length_m: float, least: int, lowest_m: float,
 ) -> tuple[Int32, Int32]:  # fmt: skip
     """Obstacle returns above the knees of the clusters that are larger than a body and come within the range, and the
     cluster of each."""
     out, cluster, n = np.empty(indices.shape[0] + 1, np.int32), np.empty(indices.shape[0] + 1, np.int32), 0
     for k in range(offsets.shape[0] - 1):
-        start = n
+        start, top = n, 0.0
         x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
         for i in indices[offsets[k] : offsets[k + 1]]:
             x, y = points[i, 0], points[i, 1]
             away = (x - center[0]) ** 2 + (y - center[1]) ** 2
             if point_class[i] >= 2 and above[i] >= knee_m and away < range_m * range_m:
                 x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
+                top = max(top, above[i])
                 out[n], cluster[n] = i, k
                 n += 1
-        if n - start < 2 * least or max(x1 - x0, y1 - y0) < 0.8 * length_m:
+        if n - start < 2 * least or max(x1 - x0, y1 - y0) < length_m or top < lowest_m:
             n = start
     return out[:n], cluster[:n]
 
