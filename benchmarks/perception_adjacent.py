@@ -39,9 +39,10 @@ LONGEST_M = 1.5
 RANGE_M = (5.0, 20.0)
 POSSIBLY = (ObstacleClass.PERSON, ObstacleClass.UNKNOWN, ObstacleClass.ANIMAL)
 # level boxes about the middle of the face that a person stands before: x out of the face, y along it (m)
-WALL = (((-0.2, 0.0), (-3.0, 3.0), (0.0, 2.2)),)
-CAR = (((-1.75, 0.0), (-2.15, 2.15), (0.25, 0.85)), ((-1.65, -0.15), (-1.2, 1.0), (0.85, 1.45)))
-HEDGE = (((-0.9, 0.0), (-3.0, 3.0), (0.0, 1.6)),)
+Boxes = tuple[tuple[tuple[float, float], ...], ...]
+WALL: Boxes = (((-0.2, 0.0), (-3.0, 3.0), (0.0, 2.2)),)
+CAR: Boxes = (((-1.75, 0.0), (-2.15, 2.15), (0.25, 0.85)), ((-1.65, -0.15), (-1.2, 1.0), (0.85, 1.45)))
+HEDGE: Boxes = (((-0.9, 0.0), (-3.0, 3.0), (0.0, 1.6)),)
 STRUCTURES = {"wall": (WALL, 0.0), "car": (CAR, 0.0), "hedge": (HEDGE, 0.12)}  # boxes, mean depth of a return
 # cylinders of a person: place across (m), from and to height, radius
 BODY = ((-0.1, 0.0, 0.85, 0.08), (0.1, 0.0, 0.85, 0.08), (0.0, 0.8, 1.45, 0.2), (0.0, 1.48, 1.75, 0.1))
@@ -58,7 +59,7 @@ class Scene:
     turn_rad: float
 
 
-def box_ranges(scene: Scene, boxes: tuple, depth_m: float, rng: np.random.Generator) -> Float64:
+def box_ranges(scene: Scene, boxes: Boxes, depth_m: float, rng: np.random.Generator) -> Float64:
     """Range (N,) of the structure, infinite where a beam misses it."""
     d, o = _local(scene)
     nearest = np.full(len(d), np.inf)

@@ -102,7 +102,8 @@ def reflectivity(number: int) -> Float32:
 
 
 def _arrays(number: int) -> Mapping[str, Any]:
-    return np.load(DATA / "kitti-seq-pcd" / "frames" / f"{number:06d}.npz")
+    arrays: Mapping[str, Any] = np.load(DATA / "kitti-seq-pcd" / "frames" / f"{number:06d}.npz")
+    return arrays
 
 
 @dataclass(frozen=True)

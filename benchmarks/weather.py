@@ -1,13 +1,13 @@
 """Published models of bad weather, applied to the returns of a recorded scan.
 
 Fog, two models. Hahner et al. 2021 ("Fog simulation on real lidar point clouds", with its parameters): the power of a
-return falls by exp(-2 alpha R), alpha = ln 20 / visibility; where the fog before it gives more, the return is the fog's,
-at the range of the greatest response times 2^u, u uniform in ±1. Rasshofer et al. 2011 as in
-`simulation.environment.air`: each beam, also those that met nothing, has a fog return of exponential strength.
-Rain: the first drop of a beam that the lidar can detect; drops by Marshall and Palmer 1948, the power of one by Kilic et
-al. 2021 (LISA): the share of the beam that it covers over r². Dust: beams end at uniform ranges.
-The model of Hahner et al. loses no return; in the other a return below the detection limit of the lidar is lost: that of
-10 % reflectivity at 50 m (HDL-64E manual).
+return falls by exp(-2 alpha R), alpha = ln 20 / visibility; where the fog before it gives more, the return is that of
+the fog, at the range of the greatest response times 2^u, u uniform in ±1 (its noise variant v2). Rasshofer et al. 2011
+as in `simulation.environment.air`: each beam, also those that met nothing, has a fog return of exponential strength.
+Rain: a drop in the beam that the lidar can detect; drops by Marshall and Palmer 1948, the power of one by Kilic et al.
+2021 (LISA): the share of the beam that it covers over r². Dust: beams end at uniform ranges.
+The model of Hahner et al. loses no return; in the other a return below the detection limit of the lidar is lost: that
+of 10 % reflectivity at 50 m (HDL-64E manual).
 """
 
 from collections.abc import Callable

@@ -60,8 +60,10 @@ def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64)
 
 @dataclass(frozen=True)
 class BeamGrid:
-    """Beams of a lidar to which the returns of a list are assigned: `elevation_rad` (rings,) from the lowest on, columns
-    of a whole turn, and ring by steps of the slope."""
+    """Beams of a lidar to which the returns of a list are assigned.
+
+    `elevation_rad` (rings,) from the lowest on; `columns` of a whole turn; `ring_table`: ring by steps of the slope.
+    """
 
     elevation_rad: Float64
     columns: int
@@ -72,8 +74,11 @@ class BeamGrid:
 
         The elevations of a real lidar differ from its table: the nearest of several returns in a place is in the image.
         """
-        azimuth = (np.arange(self.columns) + 0.5) * (2.0 * np.pi / self.columns) - np.pi
-        ranges_mm, pixels = np.zeros((len(self.elevation_rad), self.columns), np.uint16), np.empty(len(points_m), np.int64)
+        azimuth = np.asarray((np.arange(self.columns) + 0.5) * (2.0 * np.pi / self.columns) - np.pi, np.float64)
+        ranges_mm, pixels = (
+            np.zeros((len(self.elevation_rad), self.columns), np.uint16),
+            np.empty(len(points_m), np.int64),
+        )
         _place(np.ascontiguousarray(points_m, np.float32), self.ring_table, self.columns, ranges_mm.reshape(-1), pixels)
         return range_image(ranges_mm, self.elevation_rad, azimuth), pixels
 
@@ -320,15 +325,13 @@ def _mark_scattered(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
     most: Int64, out: Bool,
 ) -> None:  # fmt: skip
-    """Marks the returns with no more than `most` (B + 1,) others next to them by band; where that is 1, the isolated."""
+    """Marks returns with no more than `most` (B + 1,) others next to them, by band; where that is 1, isolated ones."""
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         row, column = pixels[k] // columns, pixels[k] % columns
         limit = most[_band(ranges[row, column])]
         if limit > 0:
-            count, ring, at = _near(
-                ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], limit + 1
-            )
+            count, ring, at = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], limit + 1)
             if limit == 1 and count == 1:
                 count, ring, at = _near(ranges, rows, slants, is_closed, ring, at, ranges[rows[ring], at], 2)
             out[k] = count <= limit
@@ -344,9 +347,7 @@ def _keep_beside(
     for k in range(pixels.shape[0]):
         if out[k]:
             row, column = pixels[k] // columns, pixels[k] % columns
-            count, _, _ = _near(
-                rest, rows, slants, is_closed, rank[row], column, ranges[row, column], KEPT_BESIDE
-            )
+            count, _, _ = _near(rest, rows, slants, is_closed, rank[row], column, ranges[row, column], KEPT_BESIDE)
             out[k] = count < KEPT_BESIDE
 
 

@@ -28,7 +28,9 @@ def update(
 ) -> None:
     """Corrects tracks in place by their matched detections; `lidars` are the bits of lidars in `sensors`."""
     x, P, size = table.x[tracks], table.P[tracks], detections.size_m[rows]
-    is_piece = is_of(table.class_evidence[tracks], VEHICLE) & (size[:, 0] < FRAGMENT_LENGTH_RATIO * table.size_m[tracks, 0])
+    is_piece = is_of(table.class_evidence[tracks], VEHICLE) & (
+        size[:, 0] < FRAGMENT_LENGTH_RATIO * table.size_m[tracks, 0]
+    )
     fixed = ~is_piece & _is_structure(size, config) if detections.is_lidar else np.zeros(len(rows), np.bool_)
     was_lost = detections.stamp_ns - table.last_ns[tracks] > nanoseconds(config.lost_s)
     if fixed.any() or was_lost.any():

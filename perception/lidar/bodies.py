@@ -32,7 +32,9 @@ class BodyConfig(Config):
     join_columns: float = Field(ge=0.0, le=10.0, description="added, in columns at the distance of the returns")
     knee_m: float = Field(ge=0.0, le=1.0, description="lower returns join nothing")
     min_returns: int = Field(ge=3, le=100)
-    min_fill: float = Field(ge=0.0, le=1.0, description="returns over beams that cross the outline: not a part in a gap")
+    min_fill: float = Field(
+        ge=0.0, le=1.0, description="returns over beams that cross the outline: not a part in a gap"
+    )
     sufficient_returns: int = Field(ge=3, le=1000, description="number from which `min_fill` is not required")
     max_length_m: float = Field(gt=0.0, le=3.0, description="along x and y of base")
     max_bodies: int = Field(ge=1, le=100, description="of a cluster; one of more parts falls apart: a slanted face")
@@ -71,9 +73,10 @@ class BodySplitter:
             return clusters
         every = np.full(len(some), 2, np.uint8)
         parts = find_clusters(take_rows(points_base_m, some), every, center_m, self._joining, self._cell_grid)
+        joining = self._joining
         size = config.max_length_m, config.min_height_m, *config.top_m, config.min_rest
-        fill = config.min_fill / self._beam_rad2, config.sufficient_returns
-        apart = MIN_JOINS * self._joining.join_distance_m, MIN_JOINS * self._joining.join_growth, config.max_bodies
+        fill = config.min_fill / self._beam_rad2, float(config.sufficient_returns)
+        apart = MIN_JOINS * joining.join_distance_m, MIN_JOINS * joining.join_growth, float(config.max_bodies)
         offsets, indices = _separate(
             clusters.offsets, clusters.indices, parts.offsets, some[parts.indices], cluster[parts.indices],
             points_base_m, above_m, center_m, config.knee_m, *size, *fill, *apart,
@@ -110,7 +113,7 @@ def _separate(
     offsets: Int32, indices: Int32, part_offsets: Int32, part_indices: Int32, cluster: Int32, points: Float32,
     above: Float32, center: Float64,
     knee_m: float, length_m: float, height_m: float, lowest_m: float, highest_m: float, min_rest: float,
-    per_rad2: float, sufficient: int, least_m: float, growth: float, most: int,
+    per_rad2: float, sufficient: float, least_m: float, growth: float, most: float,
 ) -> tuple[Int32, Int32]:  # fmt: skip
     """Offsets and indices of the clusters without the parts that are bodies, followed by these.
 
