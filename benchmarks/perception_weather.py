@@ -37,7 +37,7 @@ from benchmarks.perception_kitti_data import (
     sensor,
 )  # fmt: skip
 from benchmarks.perception_pasting import pastes
-from benchmarks.perception_scoring import perceive, poses, strict, track
+from benchmarks.perception_scoring import Result, perceive, poses, strict, track
 from benchmarks.recordings import DATA
 from benchmarks.weather import WEATHERS, Scan, Weather, recorded
 from configs.strict import CONFIGS, parse, read_yaml
@@ -78,8 +78,10 @@ class Row:
 def row_of(name: str, weather: Weather, inserted: int) -> Row:
     """All measures of one weather."""
     scans = [_degraded(weather, recorded(frame(n), reflectivity(n)), n) for n in range(FRAMES)]
-    near, far = ([s for edge, s in _recall(scans) if low <= edge < high] for low, high in ((0, 20), (20, 30)))
-    stops, tracks = _clutter_tracks(scans)
+    results = [perceive(scan.points_m, START_NS + k * PERIOD_NS) for k, scan in enumerate(scans)]
+    near, far = ([s for edge, s in _recall(results) if low <= edge < high] for low, high in ((0, 20), (20, 30)))
+    stops, tracks = _clutter_tracks(scans, results)
+    raw_stops, ranges = _supervisor(scans)
     stated, found, total, missed = [], np.zeros((2, len(BINS_M) - 1), int), 0, 0
     for k, pasted in enumerate(pastes(inserted, seed=7, range_m=(BINS_M[0], BINS_M[-1]))):
         scan = _degraded(weather, recorded(pasted.points_m, pasted.reflectivity), 100 + k)
@@ -92,8 +94,8 @@ def row_of(name: str, weather: Weather, inserted: int) -> Row:
         total += pasted.range_m <= stated_m
         missed += pasted.range_m <= stated_m and not is_found
     return Row(
-        name, (sum(near), len(near)), (sum(far), len(far)), stops, tracks, _clutter_hits(scans),
-        float(np.median(stated)), float(np.median(_supervisor_ranges(scans))), (missed, total), *found.tolist(),
+        name, (sum(near), len(near)), (sum(far), len(far)), stops, tracks, raw_stops,
+        float(np.median(stated)), float(np.median(ranges)), (missed, total), *found.tolist(),
     )  # fmt: skip
 
 
@@ -101,20 +103,22 @@ def _degraded(weather: Weather, scan: Scan, seed: int) -> Scan:
     return weather(scan, sensor(), np.random.default_rng(seed))
 
 
-def _recall(scans: list[Scan]) -> Iterator[tuple[float, bool]]:
+def _recall(results: list[Result]) -> Iterator[tuple[float, bool]]:
     """Range of the nearest recorded return of each label, and whether it counts."""
-    for number, scan in enumerate(scans):
-        obstacles = perceive(scan.points_m).obstacles
+    for number, result in enumerate(results):
         for label in labels().get(number, ()):
             own = frame(number)[label.contains(frame(number))]
             if len(own) >= LEAST_RETURNS:
-                yield float(np.hypot(own[:, 0], own[:, 1]).min()), strict(scan.points_m, obstacles, label).counts
+                yield (
+                    float(np.hypot(own[:, 0], own[:, 1]).min()),
+                    strict(result.points_m, result.obstacles, label).counts,
+                )
 
 
-def _clutter_tracks(scans: list[Scan]) -> tuple[int, int]:
+def _clutter_tracks(scans: list[Scan], results: list[Result]) -> tuple[int, int]:
     """Scans of a drive with a confirmed track in the tube whose cluster is mostly clutter; number of all such tracks
     within reach."""
-    run = track(range(len(scans)), [perceive(one.points_m, START_NS + k * PERIOD_NS) for k, one in enumerate(scans)])
+    run = track(range(len(scans)), results)
     stops, wrong = 0, set()
     for number, scan, result, tracks in zip(run.numbers, scans, run.results, run.tracks, strict=True):
         o, T = result.obstacles, poses()[number]
@@ -137,32 +141,25 @@ def _clutter_tracks(scans: list[Scan]) -> tuple[int, int]:
     return stops, len(wrong)
 
 
-def _clutter_hits(scans: list[Scan]) -> int:
-    """Scans of a drive with a confirmed return of the supervisor in the tube that is clutter."""
-    source, stops = _source(), 0
+def _supervisor(scans: list[Scan]) -> tuple[int, list[float]]:
+    """Scans of a drive with a confirmed return of the supervisor in the tube that is clutter; its detection ranges."""
+    source, stops, ranges = _source(), 0, []
     for k, scan in enumerate(scans):
         pose = _update(source, scan.points_m, k)
+        ranges.append(source.detection_range_m(1))
         hits = np.column_stack([from_frame(pose, source.hits_odom_m[:, :2]), source.hits_odom_m[:, 2]])
         hits = hits[_is_in_tube(hits)]
         clutter, real = (KDTree(scan.points_m[which] + LIDAR_XYZ_M) if which.any() else None
                          for which in (scan.is_clutter, ~scan.is_clutter))  # fmt: skip
         if len(hits) and clutter is not None and real is not None:
             stops += bool((clutter.query(hits)[0] < np.minimum(real.query(hits)[0], MATCH_M)).any())
-    return stops
+    return stops, ranges
 
 
 def _is_in_tube(points_m: np.ndarray) -> Bool:
     """Which points (N, 3) of base lie ahead of the car."""
     ahead = points_m[:, 0] - _front_m()
     return np.asarray((ahead > 0.0) & (ahead < TUBE_M) & (np.abs(points_m[:, 1]) < HALF_WIDTH_M))
-
-
-def _supervisor_ranges(scans: list[Scan]) -> list[float]:
-    source, found = _source(), []
-    for k, scan in enumerate(scans):
-        _update(source, scan.points_m, k)
-        found.append(source.detection_range_m(1))
-    return found
 
 
 def _source() -> LidarSource:
