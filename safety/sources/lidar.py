@@ -48,7 +48,8 @@ CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a milliseco
 
 
 class LidarSource:
-    """Processes the scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground.
+    """Processes the scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground;
+    `holes_odom_m` (H, 2) are those of them that are edges of negative obstacles in the last scan.
 
     `footprint` is that of the self mask, set on a change of fold position; `hitch` moves a lidar on the implement.
     `consented_m`: height of plants up to which the mission consents to objects that they hide; `vegetation_m` is that
@@ -65,6 +66,7 @@ class LidarSource:
         self._image: RangeImage | None = None
         self._pose_odom: Float64 = np.zeros(3)
         self.hits_odom_m: Float64 = np.empty((0, 3))
+        self.holes_odom_m: Float64 = np.empty((0, 2))
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
         self.footprint, self._config, self._consented_m = footprint, config, consented_m
         least_m = config.measured_ground.near_min_height_m
@@ -154,6 +156,7 @@ class LidarSource:
             field.min_returns_multiple_scan,
         )
         self._cells = (cells, self._cells[0])
+        self.holes_odom_m = points_odom[is_hit & is_hole[marked], :2]
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
 
     def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
