@@ -26,7 +26,7 @@ BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same 
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
 SAMPLE, SCATTERED = 10_000, 32  # returns by which scatter is found; its fewest returns without a neighbour
 KEPT_BESIDE = 2
-SIGNIFICANT = 3.0  # sigmas by which fewer have one neighbour than none
+SUGGESTIVE, SIGNIFICANT = 1.0, 3.0  # sigmas by which fewer have one neighbour than none, in a sample and of all
 DENSEST, DENSE_SLACK = 2.0, 1.5  # greatest mean of neighbours by chance; returns with two over those by chance
 BY_CHANCE = 0.5  # random returns of a scan and band that are left over, on average
 SLACK_RAD = 1e-6  # for rounding
@@ -131,8 +131,7 @@ def scattered(image: RangeImage, pixels: Int64) -> Bool:
     one than none, while of plants and other bodies more have. Those with no more than chance gives are scattered, and
     those that are isolated without them.
     """
-    every = max(1, len(pixels) // SAMPLE)
-    most = _most_by_chance(image, pixels[::every], every)
+    most = _most_by_chance(image, pixels)
     out = np.zeros(len(pixels), np.bool_)
     if most.any():
         beams = image.rows, image.rank, image.elevation_rad, *_columns(image)
@@ -150,18 +149,23 @@ def _bands(image: RangeImage, pixels: Int64) -> Int64:
     return np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[pixels])
 
 
-def _most_by_chance(image: RangeImage, sample: Int64, every: int) -> Int64:
-    """Greatest number of neighbours by chance in each band (B,), 0 without scatter; `sample`: every so many returns.
+def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
+    """Greatest number of neighbours by chance in each band (B,), 0 without scatter.
 
     Of random returns with a mean of m neighbours, m times as many have one as have none, and m²/2 times as many have
-    two: bodies with gaps have more with one, and still more with two.
+    two: bodies with gaps have more with one, and still more with two. A sample shows where all must be counted.
     """
-    counts = np.zeros((3, len(BANDS_M)), np.int64)
-    _count_few(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), sample, counts)
-    bands = counts.T.tolist()
-    if not any(none - one >= SIGNIFICANT * math.sqrt(none + one) > 0.0 for none, one, _ in bands):
-        return np.zeros(len(bands), np.int64)
-    return np.array([_limit(*(every * n for n in band)) for band in bands], np.int64)
+    beams = image.rows, image.rank, image.elevation_rad, *_columns(image)
+    every, sigmas = max(1, len(pixels) // SAMPLE), SUGGESTIVE
+    while True:
+        counts = np.zeros((3, len(BANDS_M)), np.int64)
+        _count_few(image.ranges_mm, *beams, pixels[::every], counts)
+        none, one, _ = counts
+        if not ((every * none >= SCATTERED) & (none - one >= sigmas * np.sqrt(none + one))).any():
+            return np.zeros(len(BANDS_M), np.int64)
+        if every == 1 and sigmas == SIGNIFICANT:
+            return np.array([_limit(*band) for band in counts.T.tolist()], np.int64)
+        every, sigmas = 1, SIGNIFICANT
 
 
 def _limit(none: int, one: int, two: int) -> int:
