@@ -27,6 +27,7 @@ class BodyConfig(Config):
     """Joining distance within a cluster, and the size of a body."""
 
     range_m: float = Field(ge=10.0, le=60.0, description="from the sensor, within which clusters are examined")
+    min_share: float = Field(ge=0.0, le=1.0, description="of the beams that return; gaps of a thinner scan are none")
     cell_m: float = Field(ge=0.05, le=0.5)
     join_distance_m: float = Field(gt=0.0, le=0.5)
     join_columns: float = Field(ge=0.0, le=10.0, description="added, in columns at the distance of the returns")
@@ -46,7 +47,8 @@ class BodyConfig(Config):
 class BodySplitter:
     """Holds only values derived from configuration, and a buffer."""
 
-    def __init__(self, config: BodyConfig, clusters: ClusterConfig, beams: Beams) -> None:
+    def __init__(self, config: BodyConfig, clusters: ClusterConfig, beams: Beams, columns: int) -> None:
+        self._least_returns = config.min_share * len(beams.tangents) * columns
         self._config, column_rad = config, beams.column_rad
         ring_rad = float(np.median(np.diff(np.arctan(beams.tangents)))) if len(beams.tangents) > 1 else math.pi
         self._beam_rad2 = column_rad * ring_rad
@@ -65,6 +67,8 @@ class BodySplitter:
         `above_m` (N,): height above the ground; `point_class` as in `find_clusters`.
         """
         config = self._config
+        if len(points_base_m) < self._least_returns:
+            return clusters
         limits = config.range_m, config.knee_m, config.max_length_m, config.min_returns, config.top_m[0]
         some, cluster = _candidates(
             clusters.offsets, clusters.indices, points_base_m, above_m, point_class, center_m, *limits

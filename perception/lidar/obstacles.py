@@ -144,7 +144,7 @@ class Pipeline:
         )  # fmt: skip
         self._cell_grid = new_cell_grid(config.clusters)
         self._beams = beams_of(lidar)
-        self._splitter = BodySplitter(config.bodies, config.clusters, self._beams)
+        self._splitter = BodySplitter(config.bodies, config.clusters, self._beams, lidar.columns)
         self._beam_grid = beam_grid(np.radians(np.array(lidar.elevation_deg)), self._beams.column_rad)
         self.coverages = tuple(nominal_coverage(lidar, own, config.health) for own in self._own)
 
