@@ -5,6 +5,7 @@
 The stack's own configuration with the recording car's sensor model and mount. Each line ends with its bar.
 """
 
+import argparse
 import os
 import sys
 
@@ -172,6 +173,7 @@ def _others() -> Callable[[Float32], object] | None:
 
 def main() -> None:
     """Prints all results, one line each."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     if not has_frames():
         raise SystemExit(f"no recording under {DATA}; set HEADLAND_DATA to its folder")
     show_recall()

@@ -4,9 +4,11 @@ Labels stand in rectified camera coordinates (y down); they are taken over the c
 what the camera saw is labelled, so that nothing outside ±40° can be called false.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -89,8 +91,19 @@ def has_frames() -> bool:
 @cache
 def frame(number: int) -> Float32:
     """Returns of one scan in the lidar's frame, (N, 3)."""
-    raw = np.load(DATA / "kitti-seq-pcd" / "frames" / f"{number:06d}.npz")["xyz_5mm"]
+    raw = _arrays(number)["xyz_5mm"]
     return np.asarray(raw.astype(np.float32) * np.float32(0.005), np.float32)
+
+
+@cache
+def reflectivity(number: int) -> Float32:
+    """Intensity of the returns of one scan from 0 to 1, (N,)."""
+    return np.asarray(_arrays(number)["intensity"].astype(np.float32) / np.float32(255.0), np.float32)
+
+
+def _arrays(number: int) -> Mapping[str, Any]:
+    arrays: Mapping[str, Any] = np.load(DATA / "kitti-seq-pcd" / "frames" / f"{number:06d}.npz")
+    return arrays
 
 
 @dataclass(frozen=True)

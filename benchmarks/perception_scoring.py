@@ -28,7 +28,7 @@ from geometry.arrays import Float32, Float64
 from geometry.transforms import invert
 from messages.message import Message
 from messages.motion import Odometry
-from messages.perception import LidarGround, Obstacles, Track, Tracks
+from messages.perception import LidarGround, Obstacles, SensorHealth, Track, Tracks
 from perception.fusion.tracker import Tracker
 from perception.lidar.obstacles import LidarObstacles
 
@@ -69,6 +69,7 @@ class Result:
     points_m: Float32
     obstacles: Obstacles
     ground: LidarGround
+    health: SensorHealth
 
 
 @cache
@@ -80,8 +81,8 @@ def new_node() -> LidarObstacles:
 def perceive(points_m: Float32, stamp_ns: int = START_NS) -> Result:
     """Processes one scan by the node's pipeline."""
     node, scan = new_node(), scan_of(points_m, stamp_ns)
-    ground, obstacles, _ = node._pipeline.run(scan, None, node.name, 0)
-    return Result(scan.points_m, obstacles, ground)
+    ground, obstacles, health = node._pipeline.run(scan, None, node.name, 0)
+    return Result(scan.points_m, obstacles, ground, health)
 
 
 @dataclass(frozen=True)
@@ -190,21 +191,34 @@ class Drive:
 
 def drive(numbers: Sequence[int], change: Callable[[int, Float32], Float32] = lambda _, p: p) -> Drive:
     """Processes frames in order, after `change`, by node and tracker at the times of the frames."""
+    return track(numbers, [perceive(change(n, frame(n)), START_NS + n * PERIOD_NS) for n in numbers])
+
+
+def track(numbers: Sequence[int], results: Sequence[Result]) -> Drive:
+    """Tracks the results of frames in order."""
     tracker = Tracker([OBSTACLES], configs()[1])
-    results: list[Result] = []
     published: list[Tracks] = []
     walls: list[float] = []
-    for number in numbers:
+    for number, result in zip(numbers, results, strict=True):
         stamp = START_NS + number * PERIOD_NS
-        result = perceive(change(number, frame(number)), stamp)
         odom = Odometry(stamp, poses()[number], 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
         start = perf_counter()
         out = dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odom)))["tracks"]
         walls.append(perf_counter() - start)
         assert isinstance(out, Tracks)
         published.append(out)
-        results.append(result)
     return Drive(tuple(numbers), tuple(results), tuple(published), tuple(walls))
+
+
+def track_still(results: Sequence[Result]) -> Tracks:
+    """Tracks after the results of a machine that stands."""
+    tracker, out = Tracker([OBSTACLES], configs()[1]), None
+    for result in results:
+        stamp = result.obstacles.stamp_ns
+        odom = Odometry(stamp, np.eye(4), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(6))
+        out = dict(tracker.step(stamp, Feed(obstacles__lidar_top=result.obstacles, odom=odom)))["tracks"]
+    assert isinstance(out, Tracks)
+    return out
 
 
 def latencies(run: Drive) -> dict[int, tuple[int, float]]:

@@ -16,16 +16,21 @@ from functools import cached_property
 
 import numpy as np
 
-from geometry.arrays import Bool, Float32, Float64, Int64, UInt16
+from geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt16
+from geometry.fast_angle import azimuth_of
 from geometry.jit import inline_kernel, kernel
 
 COLUMNS_ASIDE = 2  # neighbours of a return: three rings by five columns
 NEAR_M, NEAR_SLOPE = 0.1, 2.0  # greatest difference of range of neighbours: noise, and per metre across: 63° of slant
 BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same body
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
-SAMPLE, SCATTERED = 4000, 32  # returns by which scatter is found; its fewest returns without a neighbour
+SAMPLE, SCATTERED = 10_000, 32  # returns by which scatter is found; its fewest returns without a neighbour
+KEPT_BESIDE = 2
+SUGGESTIVE, SIGNIFICANT = 1.0, 3.0  # sigmas by which fewer have one neighbour than none, in a sample and of all
+DENSEST, DENSE_SLACK = 2.0, 1.5  # greatest mean of neighbours by chance; returns with two over those by chance
 BY_CHANCE = 0.5  # random returns of a scan and band that are left over, on average
 SLACK_RAD = 1e-6  # for rounding
+STEEPEST, SLOPE_STEPS = 8.0, 2000.0  # greatest slope of the table of rings (83 degrees), and its steps per unit
 CLOSED_RAD = 6.2  # field of view whose first and last column are neighbours
 
 
@@ -51,6 +56,39 @@ def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64)
     """Range image of a scan whose azimuths are equally spaced."""
     rows = np.argsort(elevation_rad, kind="stable")
     return RangeImage(ranges_mm, rows, np.argsort(rows, kind="stable"), elevation_rad, azimuth_rad)
+
+
+@dataclass(frozen=True)
+class BeamGrid:
+    """Beams of a lidar to which the returns of a list are assigned.
+
+    `elevation_rad` (rings,) from the lowest on; `columns` of a whole turn; `ring_table`: ring by steps of the slope.
+    """
+
+    elevation_rad: Float64
+    columns: int
+    ring_table: Int32
+
+    def place(self, points_m: Float32) -> tuple[RangeImage, Int64]:
+        """Range image of returns (N, 3) in the sensor frame, and the place of each in it, flattened, (N,).
+
+        The elevations of a real lidar differ from its table: the nearest of several returns in a place is in the image.
+        """
+        azimuth = np.asarray((np.arange(self.columns) + 0.5) * (2.0 * np.pi / self.columns) - np.pi, np.float64)
+        ranges_mm, pixels = (
+            np.zeros((len(self.elevation_rad), self.columns), np.uint16),
+            np.empty(len(points_m), np.int64),
+        )
+        _place(np.ascontiguousarray(points_m, np.float32), self.ring_table, self.columns, ranges_mm.reshape(-1), pixels)
+        return range_image(ranges_mm, self.elevation_rad, azimuth), pixels
+
+
+def beam_grid(elevation_rad: Float64, column_rad: float) -> BeamGrid:
+    """Grid of a lidar with these elevations (rings,) and this angle between columns."""
+    order = np.sort(elevation_rad)
+    slopes, steps = np.tan(order), np.arange(-STEEPEST, STEEPEST, 1.0 / SLOPE_STEPS) + 0.5 / SLOPE_STEPS
+    table = np.searchsorted((slopes[:-1] + slopes[1:]) / 2.0, steps).astype(np.int32)
+    return BeamGrid(order, max(1, round(2.0 * math.pi / column_rad)), table)
 
 
 def points_of(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64) -> Float32:
@@ -93,31 +131,49 @@ def scattered(image: RangeImage, pixels: Int64) -> Bool:
     one than none, while of plants and other bodies more have. Those with no more than chance gives are scattered, and
     those that are isolated without them.
     """
-    every = max(1, len(pixels) // SAMPLE)
-    most = _most_by_chance(image, pixels[::every], every)
-    if not most.any():
-        return np.zeros(len(pixels), np.bool_)
-    beside = np.empty(len(pixels), np.int64)
-    _count_beside(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), pixels, beside)
-    band = np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[pixels])
-    limit = np.append(most, 0)[band]
-    found = np.where(limit > 1, beside <= limit, isolated(image, pixels) & (limit == 1))
-    rest = image.ranges_mm.copy()
-    rest.ravel()[pixels[found]] = 0
-    left = np.flatnonzero(~found & (limit > 0))
-    found[left] = isolated(replace(image, ranges_mm=rest), pixels[left])
-    return found
+    most = _most_by_chance(image, pixels)
+    out = np.zeros(len(pixels), np.bool_)
+    if most.any():
+        beams = image.rows, image.rank, image.elevation_rad, *_columns(image)
+        _mark_scattered(image.ranges_mm, *beams, pixels, np.append(most, 0), out)
+        rest = image.ranges_mm.copy()
+        rest.ravel()[pixels[out]] = 0
+        _keep_beside(image.ranges_mm, rest, *beams, pixels, out)
+        rest.ravel()[pixels[~out]] = image.ranges_mm.ravel()[pixels[~out]]
+        left = np.flatnonzero(~out & (np.append(most, 0)[_bands(image, pixels)] > 0))
+        out[left] = isolated(replace(image, ranges_mm=rest), pixels[left])
+    return out
 
 
-def _most_by_chance(image: RangeImage, sample: Int64, every: int) -> Int64:
-    """Greatest number of neighbours by chance in each band (B,), 0 without scatter; `sample`: every so many returns."""
-    counts = np.zeros((2, len(BANDS_M) + 1), np.int64)
-    _count_single(image.ranges_mm, image.rows, image.rank, image.elevation_rad, *_columns(image), sample, counts)
-    none, one = every * counts[:, :-1]
-    if one.sum() >= none.sum():
-        return np.zeros(len(BANDS_M), np.int64)
-    pairs = zip(none.tolist(), one.tolist(), strict=True)  # where one > none there is also a body with gaps
-    return np.array([chance_neighbours(n, min(k / n, 1.0)) if n >= SCATTERED else 0 for n, k in pairs], np.int64)
+def _bands(image: RangeImage, pixels: Int64) -> Int64:
+    return np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[pixels])
+
+
+def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
+    """Greatest number of neighbours by chance in each band (B,), 0 without scatter.
+
+    Of random returns with a mean of m neighbours, m times as many have one as have none, and m²/2 times as many have
+    two: bodies with gaps have more with one, and still more with two. A sample shows where all must be counted.
+    """
+    beams = image.rows, image.rank, image.elevation_rad, *_columns(image)
+    every, sigmas = max(1, len(pixels) // SAMPLE), SUGGESTIVE
+    while True:
+        counts = np.zeros((3, len(BANDS_M)), np.int64)
+        _count_few(image.ranges_mm, *beams, pixels[::every], counts)
+        none, one, _ = counts
+        if not ((every * none >= SCATTERED) & (none - one >= sigmas * np.sqrt(none + one))).any():
+            return np.zeros(len(BANDS_M), np.int64)
+        if every == 1 and sigmas == SIGNIFICANT:
+            return np.array([_limit(*band) for band in counts.T.tolist()], np.int64)
+        every, sigmas = 1, SIGNIFICANT
+
+
+def _limit(none: int, one: int, two: int) -> int:
+    """Greatest number of neighbours by chance in a scan with scatter, from the numbers of returns of a band with 0, 1
+    and 2: 1 where bodies with gaps prevail, so that only isolated returns are of scatter."""
+    mean = one / max(none, 1)
+    is_random = one < none or (mean <= DENSEST and 2.0 * two <= DENSE_SLACK * mean * one)
+    return 0 if none < SCATTERED else chance_neighbours(none, mean) if is_random else 1
 
 
 def chance_neighbours(none: int, mean: float) -> int:
@@ -187,6 +243,31 @@ def _fill_points(
                 k += 1
 
 
+@kernel
+def _place(points: Float32, ring_table: Int32, columns: int, ranges: UInt16, pixels: Int64) -> None:
+    """Loops without branches are vectorized."""
+    n, row = points.shape[0], points.reshape(-1)
+    turn, slope, range_mm = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    scale = np.float32(columns / (2.0 * np.pi))
+    for i in range(n):
+        x, y, z = row[3 * i], row[3 * i + 1], row[3 * i + 2]
+        turn[i] = azimuth_of(x, y) * scale
+        slope[i] = z / (np.sqrt(x * x + y * y) + np.float32(1e-6))
+        range_mm[i] = np.float32(1e3) * np.sqrt(x * x + y * y + z * z)
+    steps, end = np.float32(SLOPE_STEPS), np.float32(STEEPEST)
+    last = ring_table.shape[0] - 1
+    for i in range(n):
+        if not range_mm[i] < np.float32(1e9) or not abs(slope[i]) < np.float32(1e9):  # not finite
+            pixels[i] = 0
+            continue
+        ring = ring_table[min(int((min(max(slope[i], -end), end) + end) * steps), last)]
+        k = np.int64(ring) * columns + min(max(int(turn[i]), 0), columns - 1)
+        pixels[i] = k
+        mm = np.uint16(min(max(range_mm[i], np.float32(1.0)), np.float32(65535.0)))
+        if ranges[k] == 0 or mm < ranges[k]:
+            ranges[k] = mm
+
+
 @inline_kernel
 def _slants(rows: Int64, elevation: Float64, column_rad: float) -> Float64:
     """Difference of range per metre of range up to which the neighbours of each ring by rank, (rings, 3, columns), are
@@ -202,14 +283,14 @@ def _slants(rows: Int64, elevation: Float64, column_rad: float) -> Float64:
 
 @inline_kernel
 def _near(
-    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int, most: int
+    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int, own_mm: int, most: int
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Number of returns next to one of a ring (by `rank`) and column, at a like range, counted up to `most`.
+    """Number of returns next to one of a ring (by `rank`) and column, at a range like its own, counted up to `most`.
 
     And rank and column of the first.
     """
     count, first, at, columns = 0, rank, column, ranges.shape[1]
-    own = 1e-3 * ranges[rows[rank], column]
+    own = 1e-3 * own_mm
     for a in range(max(rank - 1, 0), min(rank + 2, ranges.shape[0])):
         for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
             c = column + d
@@ -237,38 +318,65 @@ def _mark_isolated(
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         ring, column = rank[pixels[k] // columns], pixels[k] % columns
-        count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, 2)
+        count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, ranges[rows[ring], column], 2)
         if count == 1:  # the third may be next to the second
-            count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, 2)
+            count, ring, column = _near(ranges, rows, slants, is_closed, ring, column, ranges[rows[ring], column], 2)
         out[k] = count < 2
 
 
 @kernel
-def _count_beside(
+def _mark_scattered(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
-    beside: Int64,
+    most: Int64, out: Bool,
 ) -> None:  # fmt: skip
-    """Number of returns next to each, (K,)."""
+    """Marks returns with no more than `most` (B + 1,) others next to them, by band; where that is 1, isolated ones."""
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
-        ring, column = rank[pixels[k] // columns], pixels[k] % columns
-        beside[k], _, _ = _near(ranges, rows, slants, is_closed, ring, column, -1)
+        row, column = pixels[k] // columns, pixels[k] % columns
+        limit = most[_band(ranges[row, column])]
+        if limit > 0:
+            count, ring, at = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], limit + 1)
+            if limit == 1 and count == 1:
+                count, ring, at = _near(ranges, rows, slants, is_closed, ring, at, ranges[rows[ring], at], 2)
+            out[k] = count <= limit
 
 
 @kernel
-def _count_single(
+def _keep_beside(
+    ranges: UInt16, rest: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool,
+    pixels: Int64, out: Bool,
+) -> None:  # fmt: skip
+    """Takes back the marks of returns next to `KEPT_BESIDE` others that are not marked: the edge of a body."""
+    columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
+    for k in range(pixels.shape[0]):
+        if out[k]:
+            row, column = pixels[k] // columns, pixels[k] % columns
+            count, _, _ = _near(rest, rows, slants, is_closed, rank[row], column, ranges[row, column], KEPT_BESIDE)
+            out[k] = count < KEPT_BESIDE
+
+
+@kernel
+def _count_few(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
     counts: Int64,
 ) -> None:  # fmt: skip
-    """Counts the returns without another next to them, and with one, by band of range, (2, B + 1)."""
+    """Counts the returns with none, one and two others next to them, by band of range, (3, B)."""
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
-        row, column, band = pixels[k] // columns, pixels[k] % columns, 0
-        count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, 2)
-        if count < 2:
-            while band < len(BANDS_M) and 1e-3 * ranges[row, column] > BANDS_M[band]:
-                band += 1
-            counts[count, band] += 1
+        row, column = pixels[k] // columns, pixels[k] % columns
+        band = _band(ranges[row, column])
+        if band < len(BANDS_M):
+            count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], 3)
+            if count < 3:
+                counts[count, band] += 1
+
+
+@inline_kernel
+def _band(range_mm: int) -> int:
+    band = 0
+    while band < len(BANDS_M) and 1e-3 * range_mm > BANDS_M[band]:
+        band += 1
+    return band
 
 
 @kernel

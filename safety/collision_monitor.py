@@ -26,7 +26,7 @@ from safety.sources.lidar import LidarSource
 from safety.sources.multiple_evaluation import thin
 from safety.stopping_distance import Braking, stopping_distance, stopping_time
 from safety.zones.bystanders import Bystanders
-from safety.zones.departure import Departure
+from safety.zones.departure import Departure, is_near
 from safety.zones.footprint import FootprintSet
 from safety.zones.geofence import Geofence, distance_inside_m
 from safety.zones.known_structure import KnownStructure
@@ -164,12 +164,16 @@ class CollisionMonitor:
         return max(0.0, self._wall_distance_m - self._driven_m)
 
     def obstacle_class(self, odom: Odometry | None, tracks: Tracks | None) -> ObstacleClass:
-        """Class of the track at the triggering points, else that of the critical object."""
+        """Class of the track at the triggering points, ditch at the edge of a negative obstacle, else the class of the
+        critical object."""
         points = None if self._clearance is None else self._clearance.triggering_points_base_m
         if points is not None and len(points) and odom is not None and tracks is not None:
-            found = class_at(to_frame(planar_pose(odom.T_odom_base), points[:, :2]), tracks)
+            points_odom = to_frame(planar_pose(odom.T_odom_base), points[:, :2])
+            found = class_at(points_odom, tracks)
             if found is not ObstacleClass.UNKNOWN:
                 return found
+            if is_near(self.sources.holes_odom_m, points_odom, HIT_TO_TRACK_M).any():
+                return ObstacleClass.DITCH
         return self._critical_object.label
 
     @property

@@ -75,6 +75,11 @@ class ObstacleSources:
         return np.concatenate([np.empty((0, 2)), *(source.hits_odom_m[:, :2] for source in self.lidars)])
 
     @property
+    def holes_odom_m(self) -> Float64:
+        """Confirmed edges (H, 2) of negative obstacles of all lidars."""
+        return np.concatenate([np.empty((0, 2)), *(source.holes_odom_m for source in self.lidars)])
+
+    @property
     def vegetation_m(self) -> float:
         """Height of the plants around the machine, the greatest that any lidar measures; 0 without."""
         return max((source.vegetation_m for source in self.lidars), default=0.0)

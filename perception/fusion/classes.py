@@ -16,6 +16,8 @@ CLASS_SPEEDS_MPS = {
 }
 MAX_SPEED_MPS = np.array([CLASS_SPEEDS_MPS.get(label, np.inf) for label in CLASSES])
 # length, width and height of bicycle and rider (m), and their speed (m/s): zero below, one from, one to, zero above
+YOUNG_NS = 500_000_000  # a track that is younger has no speed yet
+CYCLIST_SPEED_MPS = 4.0
 CYCLIST = ((1.3, 1.55, 1.95, 2.2), (0.2, 0.4, 0.9, 1.1), (1.2, 1.45, 2.0, 2.3), (1.5, 2.5, 10.0, 14.0))
 
 
@@ -30,7 +32,8 @@ def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
     share = np.exp(log)
     share *= np.where(speed[:, None] > MAX_SPEED_MPS, 0.01, 1.0)
     share /= share.sum(axis=1, keepdims=True)
-    cyclist = cyclist_probability(table.size_m, speed)
+    is_young = table.last_ns - table.first_ns < YOUNG_NS
+    cyclist = cyclist_probability(table.size_m, np.where(is_young, CYCLIST_SPEED_MPS, speed))
     share *= 1.0 - cyclist[:, None]
     share[:, PERSON] += cyclist
     best = share.argmax(axis=1).astype(np.int64)

@@ -1,6 +1,7 @@
 """Fragments: detections and tracks that belong to the box of an existing track and get no track of their own.
 
-lidar   a vehicle at close range is detected in pieces: pieces inside its box are fragments
+lidar   a vehicle at close range is detected in pieces: pieces inside its box are fragments; but of one that is detected
+        as a whole nothing with the shape of a person is, who may stand beside it
 others  their position is less accurate: a detection that may lie within the box of a lidar track is a fragment of it,
         unless its velocity differs or the box is too large for its body
 """
@@ -29,18 +30,20 @@ class FragmentsConfig(Config):
 
 def is_fragment(
     p_m: Float64, S: Float64, velocity_mps: Float64, body_length_m: Float64, size_m: Float64, is_lidar: Bool,
-    parents: "ParentTracks",
+    is_person: Bool, parents: "ParentTracks",
     config: FragmentsConfig,
 ) -> Bool:  # fmt: skip
     """Whether each of K detections or tracks is a fragment of each of H parents, (K, H).
 
     Only the first two columns of the positions `p_m` (K, ..) and the first block of their covariances `S` are used;
-    `velocity_mps` (K, 2) and `body_length_m` (K,) are NaN where unknown; `is_lidar` (K,) selects the rule.
+    `velocity_mps` (K, 2) and `body_length_m` (K,) are NaN where unknown; `is_lidar` (K,) selects the rule;
+    `is_person` (K,): that is the most likely class.
     """
     found = np.empty((len(p_m), len(parents.row)), np.bool_)
     _find_fragments(
-        p_m, S, velocity_mps, body_length_m, size_m, is_lidar,
+        p_m, S, velocity_mps, body_length_m, size_m, is_lidar, is_person,
         parents.p_m, parents.size_m, parents.cosine, parents.sine, parents.velocity_mps, parents.is_vehicle,
+        parents.is_whole,
         config.margin_m, config.gate_sigma, config.agree_mps, config.max_size_ratio, found,
     )  # fmt: skip
     return found
@@ -48,9 +51,9 @@ def is_fragment(
 
 @kernel
 def _find_fragments(
-    p: Float64, S: Float64, velocity: Float64, body: Float64, size: Float64, is_lidar: Bool,
+    p: Float64, S: Float64, velocity: Float64, body: Float64, size: Float64, is_lidar: Bool, is_person: Bool,
     parents_p: Float64, parents_size: Float64, cosine: Float64, sine: Float64, parents_velocity: Float64,
-    is_vehicle: Bool,
+    is_vehicle: Bool, is_whole: Bool,
     margin: float, gate: float, agree: float, max_size_ratio: float, found: Bool,
 ) -> None:  # fmt: skip
     for i in range(found.shape[0]):
@@ -62,6 +65,7 @@ def _find_fragments(
             half, broad = 0.5 * parents_size[j, 0], 0.5 * parents_size[j, 1]
             if is_lidar[i]:
                 inside = along <= half + margin and across <= broad + margin
+                inside = inside and not (is_person[i] and is_whole[j])
                 found[i, j] = inside and is_vehicle[j] and size[i, 0] < parents_size[j, 0]
                 continue
             # sigmas of the position along and across the box
@@ -83,11 +87,15 @@ def shift_center(center_m: Float64, p_m: Float64, free_m: Float64, yaw_rad: Floa
 
 
 class ParentTracks:
-    """Lidar tracks as boxes, H rows: `row` in the table, position, size, yaw, velocity, and which are vehicles."""
+    """Lidar tracks as boxes, H rows: `row` in the table, position, size, yaw, velocity, and which are vehicles.
+
+    `is_whole`: the last detection was no piece of the body.
+    """
 
     def __init__(
-        self, row: Int64, p_m: Float64, size_m: Float64, yaw_rad: Float64, velocity_mps: Float64, is_vehicle: Bool
-    ) -> None:
+        self, row: Int64, p_m: Float64, size_m: Float64, yaw_rad: Float64, velocity_mps: Float64, is_vehicle: Bool,
+        is_whole: Bool,
+    ) -> None:  # fmt: skip
         self.row, self.p_m, self.size_m = row, p_m, size_m
         self.cosine, self.sine = np.cos(yaw_rad), np.sin(yaw_rad)
-        self.velocity_mps, self.is_vehicle = velocity_mps, is_vehicle
+        self.velocity_mps, self.is_vehicle, self.is_whole = velocity_mps, is_vehicle, is_whole

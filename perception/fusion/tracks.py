@@ -17,7 +17,7 @@ from perception.fusion.static_occupancy import StaticOccupancy, StaticOccupancyC
 
 CLASSES = tuple(ObstacleClass)
 MOVING_CLASSES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE))
-UNKNOWN, POLE = CLASSES.index(ObstacleClass.UNKNOWN), CLASSES.index(ObstacleClass.POLE)
+UNKNOWN, PERSON, POLE = (CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE))
 SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
 GATED_COST = 1e9
 
@@ -195,9 +195,9 @@ def nanoseconds(seconds: float) -> int:
     return round(seconds * 1e9)
 
 
-def is_vehicle(class_evidence: Float64) -> Bool:
-    """Whether the most likely class is a vehicle, (T,), from class evidence (T, 8)."""
-    return np.asarray(class_evidence.argmax(axis=1) == VEHICLE) if len(class_evidence) else np.zeros(0, np.bool_)
+def is_of(class_evidence: Float64, label: int) -> Bool:
+    """Whether the most likely class is the one with index `label`, (T,), from class evidence (T, 8)."""
+    return np.asarray(class_evidence.argmax(axis=1) == label) if len(class_evidence) else np.zeros(0, np.bool_)
 
 
 def is_moving_class(class_evidence: Float64) -> Bool:
@@ -217,7 +217,7 @@ def parent_tracks(table: TrackTable, lidars: int, config: TrackerConfig) -> Pare
     row = np.flatnonzero((table.is_confirmed > 0) & measured_by_lidar(table, lidars, config)).astype(np.int64)
     return ParentTracks(
         row, table.x[row], table.size_m[row], table.yaw_rad[row], velocities(table, config)[0][row],
-        is_vehicle(table.class_evidence[row]),
+        is_of(table.class_evidence[row], VEHICLE), table.recent_ns[row, -1] == table.last_ns[row],
     )  # fmt: skip
 
 
@@ -232,7 +232,8 @@ def drop_fragments(detections: Detections, rows: Int64, parents: ParentTracks, c
     found = is_fragment(
         detections.p_m[rows], detections.R[rows], detections.velocity_mps[rows], detections.body_length_m[rows],
         detections.size_m[rows],
-        np.full(len(rows), detections.is_lidar), parents, config.fragments,
+        np.full(len(rows), detections.is_lidar), is_of(detections.class_log_scores[rows], PERSON), parents,
+        config.fragments,
     )  # fmt: skip
     return rows[~found.any(axis=1)]
 
@@ -244,7 +245,10 @@ def merge_fragments(
     velocity = np.where((table.P[:, 2, 2] + table.P[:, 3, 3] < 1.0)[:, None], table.x[:, 2:], np.nan)
     body = np.where(table.sensors & cameras != 0, table.size_m[:, 0], np.nan)
     is_lidar = measured_by_lidar(table, lidars, config)
-    found = is_fragment(table.x, table.P, velocity, body, table.size_m, is_lidar, parents, config.fragments)
+    found = is_fragment(
+        table.x, table.P, velocity, body, table.size_m, is_lidar, is_of(table.class_evidence, PERSON), parents,
+        config.fragments,
+    )  # fmt: skip
     found[parents.row, np.arange(len(parents.row))] = False
     fragment, parent = np.nonzero(found)
     np.bitwise_or.at(table.sensors, parents.row[parent], table.sensors[fragment])

@@ -5,10 +5,10 @@ import numpy as np
 from geometry.arrays import Bool, Float64, Int64
 from perception.fusion.detections import Detections
 from perception.fusion.fitted_motion import remember
-from perception.fusion.fragments import shift_center
+from perception.fusion.fragments import VEHICLE, shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.static_occupancy import StaticOccupancy
-from perception.fusion.tracks import TrackerConfig, TrackTable, is_moving, is_vehicle, nanoseconds
+from perception.fusion.tracks import TrackerConfig, TrackTable, is_moving, is_of, nanoseconds
 
 FRAGMENT_LENGTH_RATIO = 0.6  # a shorter detection of a vehicle is a fragment of it
 FRAGMENT_GAIN = 0.01  # of a fragment on the size of its vehicle
@@ -28,7 +28,9 @@ def update(
 ) -> None:
     """Corrects tracks in place by their matched detections; `lidars` are the bits of lidars in `sensors`."""
     x, P, size = table.x[tracks], table.P[tracks], detections.size_m[rows]
-    is_piece = is_vehicle(table.class_evidence[tracks]) & (size[:, 0] < FRAGMENT_LENGTH_RATIO * table.size_m[tracks, 0])
+    is_piece = is_of(table.class_evidence[tracks], VEHICLE) & (
+        size[:, 0] < FRAGMENT_LENGTH_RATIO * table.size_m[tracks, 0]
+    )
     fixed = ~is_piece & _is_structure(size, config) if detections.is_lidar else np.zeros(len(rows), np.bool_)
     was_lost = detections.stamp_ns - table.last_ns[tracks] > nanoseconds(config.lost_s)
     if fixed.any() or was_lost.any():

@@ -5,7 +5,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.arrays import Bool, Float64, UInt8
-from geometry.range_image import dust, floating, range_image, scattered
+from geometry.range_image import BeamGrid, dust, floating, range_image, scattered
 from messages.sensors import LidarScan
 
 UNUSED, LOW, OBSTACLE, FLOATING = range(4)  # classes of returns
@@ -23,10 +23,10 @@ class AirborneConfig(Config):
     min_share: float = Field(gt=0.0, le=1.0, description="of floating returns in a cluster that floats")
 
 
-def is_scattered(scan: LidarScan) -> Bool:
-    """Which returns (N,) are of fog or rain; of a list of points none."""
+def is_scattered(scan: LidarScan, grid: BeamGrid) -> Bool:
+    """Which returns (N,) are of fog, rain or dense dust; `grid`: beams of the lidar, for a list of points."""
     if scan.ranges_mm.size == 0:
-        return np.zeros(len(scan.points_m), np.bool_)
+        return scattered(*grid.place(scan.points_m))
     return scattered(range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels)
 
 

@@ -7,20 +7,22 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Lidar, Vehicle
-from geometry.arrays import Float32, Float64, Int32, UInt8
+from geometry.arrays import Float32, Float64, UInt8
 from geometry.ground_surface import plant_heights
 from geometry.jit import kernel
+from geometry.range_image import beam_grid
 from messages.command import MachineState
 from messages.motion import Odometry
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
 from messages.sensors import LidarScan
 from perception.lidar.airborne import FLOATING, LOW, OBSTACLE, AirborneConfig, is_scattered, mark_airborne
+from perception.lidar.bodies import BodyConfig, BodySplitter
 from perception.lidar.boxes import fit_boxes
 from perception.lidar.classes import class_scores
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid, select
 from perception.lidar.expected_points import beams_of, expected_points
-from perception.lidar.grid import Grid, build_grid
+from perception.lidar.grid import Grid, build_grid, take_rows
 from perception.lidar.ground import Ground, GroundConfig, find_ground, fit_plane
 from perception.lidar.health import (
     HealthConfig,
@@ -46,6 +48,7 @@ class LidarConfig(Config):
     ground: GroundConfig
     airborne: AirborneConfig
     clusters: ClusterConfig
+    bodies: BodyConfig
     health: HealthConfig
     plane_radius_m: float = Field(ge=3.0, le=50.0)
 
@@ -141,6 +144,8 @@ class Pipeline:
         )  # fmt: skip
         self._cell_grid = new_cell_grid(config.clusters)
         self._beams = beams_of(lidar)
+        self._splitter = BodySplitter(config.bodies, config.clusters, self._beams, lidar.columns)
+        self._beam_grid = beam_grid(np.radians(np.array(lidar.elevation_deg)), self._beams.column_rad)
         self.coverages = tuple(nominal_coverage(lidar, own, config.health) for own in self._own)
 
     def warm(self) -> None:
@@ -160,7 +165,7 @@ class Pipeline:
         own, nominal = self._own[is_folded], self.coverages[is_folded]
         T = self._mount.at_hitch(hitch)
         points, usable = to_base(scan.points_m, scan.point_offset_s, T, motion_of(odom), own)
-        usable[is_scattered(scan)] = 0
+        usable[is_scattered(scan, self._beam_grid)] = 0
         ground = find_ground(points, usable, self._center, self._grid, self.config.ground)
         point_class = np.empty(len(points), np.uint8)
         is_obstacle_point = np.empty(len(points), np.uint8)
@@ -170,6 +175,7 @@ class Pipeline:
             is_obstacle_point[ground.is_plant] = 0
         mark_airborne(scan, point_class, T, self.config.airborne)
         clusters = find_clusters(points, point_class, self._center, self.config.clusters, self._cell_grid)
+        clusters = self._splitter.split(clusters, points, ground.height_m, point_class, self._center)
         plane = fit_plane(ground, self._center, self._grid, self.config.plane_radius_m)
         return (
             LidarGround(scan.stamp_ns, scan.stamp_ns, is_obstacle_point, plane),
@@ -191,7 +197,7 @@ class Pipeline:
         return Obstacles(
             stamp_ns, sensor, stamp_ns, boxes.center_m[high], size, yaw, boxes.nearest_m[high],
             np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high], is_floating), kept.offsets,
-            kept.indices, _take_rows(points, kept.indices),
+            kept.indices, take_rows(points, kept.indices),
         )  # fmt: skip
 
     def _health(
@@ -215,16 +221,6 @@ def floating_share(clusters: Clusters, point_class: UInt8) -> Float64:
         np.add.reduceat(found >= one, clusters.offsets[:-1], dtype=np.float64) for one in (FLOATING, OBSTACLE)
     )
     return np.asarray(floats / obstacles)
-
-
-@kernel
-def _take_rows(points: Float32, indices: Int32) -> Float32:
-    """`points[indices]`, row by row: numpy takes five times as long on column-major points."""
-    out = np.empty((indices.shape[0], 3), np.float32)
-    for n in range(indices.shape[0]):
-        i = indices[n]
-        out[n, 0], out[n, 1], out[n, 2] = points[i, 0], points[i, 1], points[i, 2]
-    return out
 
 
 @kernel

@@ -22,7 +22,7 @@ from geometry.ground_surface import (
 )
 from geometry.negative_obstacle import negative_obstacles
 from geometry.pose2 import from_frame, to_frame
-from geometry.range_image import RangeImage, clear_beneath, dust, floating, points_of, range_image, scattered
+from geometry.range_image import RangeImage, beam_grid, clear_beneath, dust, floating, points_of, range_image, scattered
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -48,7 +48,8 @@ CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a milliseco
 
 
 class LidarSource:
-    """Processes the scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground.
+    """Processes the scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground;
+    `holes_odom_m` (H, 2) are those of them that are edges of negative obstacles in the last scan.
 
     `footprint` is that of the self mask, set on a change of fold position; `hitch` moves a lidar on the implement.
     `consented_m`: height of plants up to which the mission consents to objects that they hide; `vegetation_m` is that
@@ -65,6 +66,7 @@ class LidarSource:
         self._image: RangeImage | None = None
         self._pose_odom: Float64 = np.zeros(3)
         self.hits_odom_m: Float64 = np.empty((0, 3))
+        self.holes_odom_m: Float64 = np.empty((0, 2))
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
         self.footprint, self._config, self._consented_m = footprint, config, consented_m
         least_m = config.measured_ground.near_min_height_m
@@ -74,6 +76,8 @@ class LidarSource:
         self._T_base_sensor = lidar.mount.T_base_sensor
         self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_density(lidar, config.detection_range)
+        column_rad = math.radians(lidar.field_of_view_deg) / lidar.columns
+        self._beam_grid = beam_grid(np.radians(np.array(lidar.elevation_deg)), column_rad)
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
         self._edges = sector_edges(config.detection_range.sectors)
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
@@ -152,6 +156,7 @@ class LidarSource:
             field.min_returns_multiple_scan,
         )
         self._cells = (cells, self._cells[0])
+        self.holes_odom_m = points_odom[is_hit & is_hole[marked], :2]
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
 
     def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -207,8 +212,10 @@ class LidarSource:
         return xyz, is_hole
 
     def _is_scattered(self, scan: LidarScan) -> np.ndarray:
-        """Which returns of a scan are of fog or rain, (N,) bool; of a list of points none."""
-        return np.zeros(len(scan.points_m), bool) if self._image is None else scattered(self._image, scan.pixels)
+        """Which returns of a scan are of fog, rain or dense dust, (N,) bool."""
+        if self._image is None:
+            return scattered(*self._beam_grid.place(scan.points_m))
+        return scattered(self._image, scan.pixels)
 
     def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which of the obstacle returns `which` (K,) of a scan are dust, which float, and which stand, (K,) bool.

@@ -120,7 +120,7 @@ def make(
         collision_monitor.sources = SimpleNamespace(
             update=Spy(False), with_new_scan=Spy([]), set_footprint=Spy(None), set_hitch=Spy(None),
             update_lidars=Spy(None), clearance=Spy(Clearance(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
-            lidar_hits_odom_m=np.array([(8.0, 2.0)]), forget_held=Spy(None),
+            lidar_hits_odom_m=np.array([(8.0, 2.0)]), holes_odom_m=np.empty((0, 2)), forget_held=Spy(None),
         )  # fmt: skip
         collision_monitor.departure = SimpleNamespace(is_unresolved=False, update=Spy(None), forget=Spy(None))
         collision_monitor.standing_bodies = SimpleNamespace(update=Spy(None))
@@ -513,6 +513,11 @@ def test_obstacle_class_source(make: Any, config: SafetyConfig) -> None:
     assert collision_monitor.obstacle_class(odom, tracks) is ObstacleClass.ANIMAL
     for one, some in ((None, tracks), (odom, None), (odom, Tracks(START_NS, ()))):
         assert collision_monitor.obstacle_class(one, some) is ObstacleClass.PERSON
+    collision_monitor.sources.holes_odom_m = np.array([(x, y)])
+    assert collision_monitor.obstacle_class(odom, tracks) is ObstacleClass.ANIMAL
+    assert collision_monitor.obstacle_class(odom, Tracks(START_NS, ())) is ObstacleClass.DITCH
+    collision_monitor.sources.holes_odom_m = np.array([(x, y + 1.5)])
+    assert collision_monitor.obstacle_class(odom, Tracks(START_NS, ())) is ObstacleClass.PERSON
     collision_monitor._clearance = Clearance(math.inf, math.inf, np.empty((0, 3)))
     assert collision_monitor.obstacle_class(odom, tracks) is ObstacleClass.PERSON
 

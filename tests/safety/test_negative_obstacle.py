@@ -109,15 +109,15 @@ def scan_over(ground: Ground, lidar: Lidar, stamp_ns: int, x_m: float, rng: np.r
     return LidarScan(stamp_ns, ranges_mm, el, az, np.empty((0, 3), np.float32), NO_BYTES, np.empty(0, np.float32))
 
 
-def hits_of(ground: Ground, config: SupervisorConfig) -> np.ndarray:
-    """Hits (N, 3) of four scans of a machine that comes nearer to within `EDGE_M`."""
+def source_over(ground: Ground, config: SupervisorConfig) -> LidarSource:
+    """A source after four scans of a machine that comes nearer to within `EDGE_M`."""
     source = LidarSource("front_left", AHEAD, footprint_of(MACHINE, None), config)
     rng = np.random.default_rng(1)
     for k in range(4):
         x_m, stamp_ns = 0.28 * (k - 3), START_NS + k * 100_000_000
         scan = scan_over(ground, AHEAD, stamp_ns, x_m, rng)
         source.update(scan, np.array([x_m, 0.0, 0.0]), Motion(2.8, 0.0), 0.0, Box((-1.0, 12.0), (-4.0, 4.0)))
-    return source.hits_odom_m
+    return source
 
 
 NEGATIVE = {  # with the heading of the edge
@@ -138,7 +138,10 @@ EVEN = {
 @pytest.mark.parametrize("name", NEGATIVE)
 def test_a_negative_obstacle_is_a_hit_at_its_near_edge(config: SupervisorConfig, name: str) -> None:
     ground, heading_deg = NEGATIVE[name]
-    hits = hits_of(ground, config)
+    source = source_over(ground, config)
+    hits = source.hits_odom_m
+    assert np.isin(source.holes_odom_m[:, 0], hits[:, 0]).all()
+    assert len(source.holes_odom_m) >= 2
     before = hits[np.abs(hits[:, 1]) < 2.0]
     assert len(before) >= 2
     beyond_m = across(before[:, 0], before[:, 1], heading_deg)
@@ -152,4 +155,6 @@ def test_even_ground_is_no_negative_obstacle(config: SupervisorConfig, name: str
     without = config.model_copy(
         update={"negative_obstacle": config.negative_obstacle.model_copy(update={"depth_m": 1e3})}
     )
-    assert np.array_equal(hits_of(EVEN[name], config), hits_of(EVEN[name], without))
+    source = source_over(EVEN[name], config)
+    assert np.array_equal(source.hits_odom_m, source_over(EVEN[name], without).hits_odom_m)
+    assert len(source.holes_odom_m) == 0
