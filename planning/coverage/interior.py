@@ -1,6 +1,6 @@
 """Swaths over what the headland passes leave: the area inside them, gaps between them, narrow necks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,20 +38,21 @@ def swaths_inside(drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPas
     return [replace(s, number=k) for k, s in enumerate(found)]
 
 
-def swaths_left_bare(
-    drivable: DrivableArea, rig: Rig, work: Work, passes: Sequence[HeadlandPass], legs: Sequence[Leg], first: int
-) -> list[Swath]:
-    """Swaths over what passes and `legs` of lines leave bare, numbered from `first`."""
-    shapes = [*(pass_coverage(p, rig) for p in passes), *(_strip(leg, rig) for leg in legs)]
-    covered = shapely.union_all(shapes)
+def fill_bare(
+    drivable: DrivableArea, rig: Rig, work: Work, passes: Sequence[HeadlandPass], legs: Sequence[Leg],
+    insert: Callable[[Sequence[Swath]], int],
+) -> None:  # fmt: skip
+    """Inserts swaths over what passes and `legs` of lines leave bare into a tour; `insert` returns how many it took."""
+    covered = shapely.union_all([*(pass_coverage(p, rig) for p in passes), *(_strip(leg, rig) for leg in legs)])
     left = _workable(drivable, rig).difference(covered)
     found = swaths_over(open_by(left, WIDE * rig.working_width_m / 2.0), drivable, rig, work)
+    insert(found)
     strips = shapely.union_all([strip_of(s, rig.working_width_m) for s in found])
     share = shapely.union_all([covered, strips]).intersection(drivable.free).area / drivable.free.area
     space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     remains = open_by(left.difference(strips), REMAINS_M / 2.0)
-    found += swaths_over_remains(remains, rig, space, worth_of(rig, share < rig.config.small_remains_share))
-    return [replace(s, number=first + k) for k, s in enumerate(found)]
+    worth = worth_of(rig, share < rig.config.small_remains_share)
+    swaths_over_remains(remains, rig, space, worth, lambda swath: insert([swath]) > 0)
 
 
 def _strip(leg: Leg, rig: Rig) -> BaseGeometry:

@@ -21,7 +21,7 @@ from messages.errors import FieldError
 from messages.plan import PathSectionType
 from planning.coverage.headland import HeadlandPass
 from planning.coverage.insertion import Tour, inserted
-from planning.coverage.interior import swaths_left_bare
+from planning.coverage.interior import fill_bare
 from planning.coverage.line_route import drive_lines
 from planning.coverage.pass_route import drive_passes, opened, turn_pieces
 from planning.coverage.swath import Swath, directions_of
@@ -87,15 +87,35 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number
     if connector.rig.has_reverse:
         for _ in range(FILLINGS):
             legs = [stop.leg for stop in tour.stops]
-            more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, number)
-            count, number = len(tour.stops), number + len(more)
-            tour = inserted(connector, tour, home, lines_of(more, (), -connector.rig.working_x_m))
-            if len(tour.stops) == count:
+            filled = _Filled(connector, home, tour, number)
+            fill_bare(connector.drivable, connector.rig, work, closed, legs, filled.insert)
+            if len(filled.tour.stops) == len(tour.stops):
                 break
+            tour, number = filled.tour, filled.number
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
     swaths = [s for s in sources if isinstance(s, Swath)]
     return tour, Route([*headland.pieces, *tour.pieces], swaths, passes)
+
+
+@dataclass
+class _Filled:
+    """A tour into which swaths are put; they are numbered from `number`."""
+
+    connector: PathConnector
+    home: Pose2 | None
+    tour: Tour
+    number: int
+
+    def insert(self, swaths: Sequence[Swath]) -> int:
+        """Puts swaths into the tour to which a turn is found; returns how many."""
+        numbered = [replace(s, number=self.number + k) for k, s in enumerate(swaths)]
+        before = len(self.tour.stops)
+        lines = lines_of(numbered, (), -self.connector.rig.working_x_m)
+        self.tour = inserted(self.connector, self.tour, self.home, lines)
+        taken = len(self.tour.stops) - before
+        self.number += len(swaths) if taken else 0
+        return taken
 
 
 def _visit(region: Region, ways: TransportWays, work: Work, number: int) -> Route | None:
