@@ -35,6 +35,7 @@ MAX_FILL_RAD = 2.6
 LEVEL = 15  # points
 FILL_RUN_M = (1.0, 16.0)  # straight behind the arc before reversing
 MIN_REVERSE_M = 1.0
+FILL_STEP_M, FILL_ENOUGH = 0.4, 0.97  # a fill ends where it works this share of all that it could
 
 
 @dataclass(frozen=True)
@@ -86,17 +87,27 @@ def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: 
 
 def _all_filled(passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig) -> list[HeadlandPass]:
     """The passes with the fills that each work at least `corner_fill_m2` of what else stays bare."""
-    covered = shapely.union_all([pass_coverage(p, rig) for p in passes])
+    bare = drivable.free.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
     found = []
     for ring in passes:
         kept: list[CornerFill] = []
-        for fill in _fills(ring, space, rig) if ring.is_closed else ():
-            gain = _fill_area(ring, fill, rig).intersection(drivable.free).difference(covered)
-            if gain.area >= rig.config.corner_fill_m2:
+        for longest in _fills(ring, space, rig) if ring.is_closed else ():
+            fill, gain_m2 = _as_long_as_needed(longest, ring, bare, rig)
+            if gain_m2 >= rig.config.corner_fill_m2:
                 kept.append(fill)
-                covered = shapely.union_all([covered, gain])
+                bare = bare.difference(_fill_area(ring, fill, rig))
         found.append(replace(ring, fills=tuple(kept)))
     return found
+
+
+def _as_long_as_needed(fill: CornerFill, ring: HeadlandPass, bare: BaseGeometry, rig: Rig) -> tuple[CornerFill, float]:
+    """A fill without its end where it works next to nothing of the bare area, and what it works of it, m²."""
+    count = max(1, round(abs(fill.by_m) / FILL_STEP_M))
+    lengths = np.linspace(0.0, fill.by_m, count + 1)[1:]
+    strip = _fill_area(ring, fill, rig).intersection(bare)
+    gains = np.array([strip.intersection(_fill_area(ring, replace(fill, by_m=m), rig)).area for m in lengths])
+    k = int(np.argmax(gains >= FILL_ENOUGH * gains[-1]))
+    return replace(fill, by_m=float(lengths[k])), float(gains[k])
 
 
 def depth_m(drivable: DrivableArea, rig: Rig, overlap_m: float, number: int) -> float:

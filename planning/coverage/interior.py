@@ -1,5 +1,6 @@
 """Swaths over what the headland passes leave: the area inside them, gaps between them, narrow necks."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -26,33 +27,32 @@ REMAINS_M = 1.0  # thinner remains of evenly spaced swaths
 
 
 def swaths_inside(drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], work: Work) -> list[Swath]:
-    """Swaths over all that the passes leave bare, numbered; with reversing also over what even spacing leaves bare."""
+    """Swaths over all that the passes leave bare, numbered."""
     bare = _workable(drivable, rig)
     if passes:
         bare = bare.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
     found = swaths_over(bare, drivable, rig, work)
-    if rig.has_reverse:  # tips and tails are dead ends
-        space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-        left = bare.difference(shapely.union_all([strip_of(s, rig.working_width_m) for s in found]))
-        found += swaths_over_remains(open_by(left, REMAINS_M / 2.0), rig, space, worth_of(rig, False))
     return [replace(s, number=k) for k, s in enumerate(found)]
 
 
 def fill_bare(
     drivable: DrivableArea, rig: Rig, work: Work, passes: Sequence[HeadlandPass], legs: Sequence[Leg],
-    insert: Callable[[Sequence[Swath]], int],
+    insert: Callable[[Sequence[Swath], float], bool],
 ) -> None:  # fmt: skip
-    """Inserts swaths over what passes and `legs` of lines leave bare into a tour; `insert` returns how many it took."""
+    """Inserts swaths over what passes and `legs` of lines leave bare into a tour.
+
+    `insert` returns whether it took any of some swaths, for at most a time of ways to them.
+    """
     covered = shapely.union_all([*(pass_coverage(p, rig) for p in passes), *(_strip(leg, rig) for leg in legs)])
     left = _workable(drivable, rig).difference(covered)
     found = swaths_over(open_by(left, WIDE * rig.working_width_m / 2.0), drivable, rig, work)
-    insert(found)
+    insert(found, math.inf)
     strips = shapely.union_all([strip_of(s, rig.working_width_m) for s in found])
     share = shapely.union_all([covered, strips]).intersection(drivable.free).area / drivable.free.area
     space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     remains = open_by(left.difference(strips), REMAINS_M / 2.0)
     worth = worth_of(rig, share < rig.config.small_remains_share)
-    swaths_over_remains(remains, rig, space, worth, lambda swath: insert([swath]) > 0)
+    swaths_over_remains(remains, rig, space, worth, lambda swath, most_s: insert([swath], most_s))
 
 
 def _strip(leg: Leg, rig: Rig) -> BaseGeometry:

@@ -26,8 +26,8 @@ OFFSETS = 6.0  # per working width
 FLUSH_M, FLUSH_GAIN = 0.01, 1.1
 MAX_EDGES, MIN_EDGE_M = 6, 1.0  # edges beside which lines are tried
 OFF_EDGE_M = (0.0, 0.05, 0.15, 0.4, 0.8)  # from the line along an edge: its neighbours may reach further inwards
-ENOUGH = 4.0, 0.1, 0.2  # least area in m² and in squared working widths, least share of the worked area
-SHORT = 2.0, 0.03, 0.08
+ENOUGH = 4.0, 0.1, 0.2, 10.0  # least area in m² and in squared working widths, share of what is worked; most s for 1 m²
+SHORT = 2.0, 0.03, 0.08, 30.0
 MAX_SWATHS = 6  # over one part
 MAX_OFFERS, DIFFERING_M = 6, 0.08
 SIMPLER_M = 0.02
@@ -35,22 +35,23 @@ SIMPLER_M = 0.02
 
 @dataclass(frozen=True)
 class Worth:
-    """Least bare area that a swath works, m² and share of all that it works."""
+    """Least bare area that a swath works, m² and share of all that it works, and most time for each m² of it."""
 
     least_m2: float
     least_share: float
+    most_s_per_m2: float
 
 
 def worth_of(rig: Rig, is_short: bool) -> Worth:
     """What is worth a swath; less where the field is short of its share."""
-    least_m2, per_square, share = SHORT if is_short else ENOUGH
-    return Worth(max(least_m2, per_square * rig.working_width_m**2), share)
+    least_m2, per_square, share, most_s_per_m2 = SHORT if is_short else ENOUGH
+    return Worth(max(least_m2, per_square * rig.working_width_m**2), share, most_s_per_m2)
 
 
 def swaths_over_remains(
-    area: BaseGeometry, rig: Rig, space: FreeSpace, worth: Worth, is_taken: Callable[[Swath], bool] = lambda _: True
+    area: BaseGeometry, rig: Rig, space: FreeSpace, worth: Worth, is_taken: Callable[[Swath, float], bool]
 ) -> list[Swath]:
-    """Swaths over the area that are each worth it and are taken; numbers are left 0.
+    """Swaths over the area that are each worth it and are taken for the most time of each; numbers are left 0.
 
     Of those that differ, the next best is offered where one is not taken, up to `MAX_OFFERS`.
     """
@@ -59,7 +60,7 @@ def swaths_over_remains(
         left: BaseGeometry = part
         for _ in range(MAX_SWATHS):
             offers = islice(_differing(_best_first(left, part, rig, space, worth)), MAX_OFFERS)
-            taken = next((swath for swath in offers if is_taken(swath)), None)
+            taken = next((s for s, gain_m2 in offers if is_taken(s, worth.most_s_per_m2 * gain_m2)), None)
             if taken is None:
                 break
             found.append(taken)
@@ -83,8 +84,8 @@ def _area_of(ends_m: Float64, width_m: float) -> Polygon:
 
 def _best_first(
     left: BaseGeometry, part: Polygon, rig: Rig, space: FreeSpace, worth: Worth
-) -> Iterator[Swath]:
-    """Swaths that work most of an area, those first that work more; what a whole strip works bounds each of its swaths."""
+) -> Iterator[tuple[Swath, float]]:
+    """Swaths with what they work of an area, m², most first: what a whole strip works bounds each of its swaths."""
     width_m = rig.working_width_m
     strips = [strip for angle_rad in directions_of(part) for strip in _strips(left, width_m, angle_rad)]
     strips += [(strip, FLUSH_GAIN) for strip in _beside_edges(left, rig, space)]
@@ -96,9 +97,9 @@ def _best_first(
     heapify(queue)
     count = len(strips)
     while queue:
-        _, k, swath = heappop(queue)
+        gain_m2, k, swath = heappop(queue)
         if swath is not None:
-            yield swath
+            yield swath, -gain_m2
             continue
         strip, more = strips[k]
         for near in _swaths_near(strip, rig, space):
@@ -109,17 +110,17 @@ def _best_first(
                 count += 1
 
 
-def _differing(swaths: Iterable[Swath]) -> Iterator[Swath]:
+def _differing(offers: Iterable[tuple[Swath, float]]) -> Iterator[tuple[Swath, float]]:
     """Those that differ from each before in direction or by some distance."""
     seen = list[Float64]()
-    for swath in swaths:
+    for swath, gain_m2 in offers:
         ends = swath.onwards_m if swath.onwards_m is not None else swath.back_m
         assert ends is not None
         along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
         across = np.array([-along[1], along[0]])
         if not any(np.abs((other - ends[0]) @ across).max() < DIFFERING_M for other in seen):
             seen.append(ends)
-            yield swath
+            yield swath, gain_m2
 
 
 def _beside_edges(left: BaseGeometry, rig: Rig, space: FreeSpace) -> list[Float64]:

@@ -107,15 +107,15 @@ class _Filled:
     tour: Tour
     number: int
 
-    def insert(self, swaths: Sequence[Swath]) -> int:
-        """Puts swaths into the tour to which a turn is found; returns how many."""
+    def insert(self, swaths: Sequence[Swath], most_s: float) -> bool:
+        """Puts swaths into the tour to which turns are found that take at most some time; returns whether any."""
         numbered = [replace(s, number=self.number + k) for k, s in enumerate(swaths)]
-        before = len(self.tour.stops)
         lines = lines_of(numbered, (), -self.connector.rig.working_x_m)
-        self.tour = inserted(self.connector, self.tour, self.home, lines)
-        taken = len(self.tour.stops) - before
-        self.number += len(swaths) if taken else 0
-        return taken
+        tour = inserted(self.connector, self.tour, self.home, lines)
+        if len(tour.stops) == len(self.tour.stops) or tour.turns_s > self.tour.turns_s + most_s:
+            return False
+        self.tour, self.number = tour, self.number + len(swaths)
+        return True
 
 
 def _visit(region: Region, ways: TransportWays, work: Work, number: int) -> Route | None:
