@@ -35,6 +35,7 @@ MAX_FILL_RAD = 2.6
 LEVEL = 15  # points
 FILL_RUN_M = (1.0, 16.0)  # straight behind the arc before reversing
 MIN_REVERSE_M = 1.0
+BEYOND_M = 3.0  # an arc begins and ends gently
 FILL_STEP_M, FILL_ENOUGH = 0.4, 0.97  # a fill ends where it works this share of all that it could
 
 
@@ -228,7 +229,7 @@ def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[CornerFill]:
         turn = float(curvature[(start + np.arange(length + 1)) % n].sum()) * STEP_M
         if turn < MIN_FILL_RAD:
             continue
-        corner_m = reach * np.tan(min(turn, MAX_FILL_RAD) / 2.0)  # from the ends of the arc
+        corner_m = reach * np.tan(min(turn, MAX_FILL_RAD) / 2.0) + BEYOND_M  # from the ends of the arc, at most
         for ends, sign in ((start + length, 1), (start, -1)):
             index = _straight_near(curvature, int(ends), sign)
             if index is not None:
