@@ -219,16 +219,11 @@ def _trimmed(run: Int64, is_level: Bool) -> Int64:
 
 
 def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[CornerFill]:
-    """Possible fills at the convex corners of a closed pass: behind each, then before each."""
+    """Possible fills at the corners of a closed pass, to either side: behind each, then before each."""
     curvature = ring.curvature_radpm[:-1]
-    bends = curvature > 0.5 / rig.radius_m
-    n, behind, before = len(bends), list[CornerFill](), list[CornerFill]()
+    n, behind, before = len(curvature), list[CornerFill](), list[CornerFill]()
     reach = rig.radius_m + rig.working_width_m / 2.0
-    for start in np.flatnonzero(~bends & np.roll(bends, -1)):
-        length = int(np.argmin(np.roll(bends, -start - 1))) + 1
-        turn = float(curvature[(start + np.arange(length + 1)) % n].sum()) * STEP_M
-        if turn < MIN_FILL_RAD:
-            continue
+    for start, length, turn in [*_bends(curvature, 0.5 / rig.radius_m), *_bends(-curvature, 0.5 / rig.radius_m)]:
         corner_m = reach * np.tan(min(turn, MAX_FILL_RAD) / 2.0) + BEYOND_M  # from the ends of the arc, at most
         for ends, sign in ((start + length, 1), (start, -1)):
             index = _straight_near(curvature, int(ends), sign)
@@ -239,6 +234,18 @@ def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[CornerFill]:
                 if free > gap_m + MIN_REVERSE_M:
                     (behind if sign > 0 else before).append(CornerFill(index, -sign * free))
     return [*behind, *before]
+
+
+def _bends(curvature_radpm: Float64, least_radpm: float) -> list[tuple[int, int, float]]:
+    """First index, number of points and angle of each bend to the left of a closed pass that turns far."""
+    is_bent, n = curvature_radpm > least_radpm, len(curvature_radpm)
+    found = []
+    for start in np.flatnonzero(~is_bent & np.roll(is_bent, -1)):
+        length = int(np.argmin(np.roll(is_bent, -start - 1))) + 1
+        turn = float(curvature_radpm[(start + np.arange(length + 1)) % n].sum()) * STEP_M
+        if turn > MIN_FILL_RAD:
+            found.append((int(start), length, turn))
+    return found
 
 
 def _straight_near(curvature: Float64, end: int, sign: int) -> int | None:
