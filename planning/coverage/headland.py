@@ -6,6 +6,7 @@ the field too narrow for a closed pass have open ones along their edges, driven 
 reversing a rounded corner is filled: the rig reverses straight into it from behind its arc, and works out of it again.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +25,7 @@ from planning.rig import Rig, corner_reach_m
 from planning.turns.free_space import FreeSpace
 
 MIN_RING_M2 = 1.0
+MORE_OVERLAP, MUCH_BARE = (0.0, 0.1), 0.003  # of the working width; of the field, between the passes
 ROUNDING = (1.0, 1.3)  # of the turning radius; with the larger one passes end farther from the end of a narrow part
 MIN_OPEN_M = 8.0
 NEAR_WIDTHS = 0.3  # of another pass
@@ -73,17 +75,35 @@ class HeadlandPass:
 
 
 def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: float) -> list[HeadlandPass]:
-    """All passes from the edge inwards; none where the field is too narrow for them."""
+    """All passes from the edge inwards; none where the field is too narrow for them.
+
+    They overlap more than `overlap_m` where much stays bare between them: a pass does not follow each bend of the
+    one before.
+    """
+    if count == 0:
+        return []
     space = FreeSpace(drivable.inner, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-    found: list[HeadlandPass] = []
-    for k in range(count):
-        shape = shrink(drivable.free, depth_m(drivable, rig, overlap_m, k))
-        found += [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, space, rig, k)]
-        if k == 0:
-            found += _passes_beside(shape, found, space, rig)
-    if rig.has_reverse:
-        found = _all_filled(found, drivable, space, rig)
-    return sorted(found, key=lambda r: (r.is_around_obstacle, r.number))
+    shape = shrink(drivable.free, depth_m(drivable, rig, overlap_m, 0))
+    outer = _passes_around(shape, space, rig, 0)
+    outer += _passes_beside(shape, outer, space, rig)
+    best: tuple[float, list[HeadlandPass]] = (math.inf, [])
+    for more in MORE_OVERLAP if count > 1 else MORE_OVERLAP[:1]:
+        depths = [depth_m(drivable, rig, overlap_m + more * rig.working_width_m, k) for k in range(count)]
+        found = list(outer)
+        for k, depth in enumerate(depths[1:], 1):
+            found += _passes_around(shrink(drivable.free, depth), space, rig, k)
+        if rig.has_reverse:
+            found = _all_filled(found, drivable, space, rig)
+        between = shape.difference(shrink(drivable.free, depths[-1]))
+        bare_m2 = round(between.difference(shapely.union_all([pass_coverage(p, rig) for p in found])).area, 3)
+        best = min(best, (bare_m2, found), key=lambda b: b[0])
+        if bare_m2 <= MUCH_BARE * drivable.free.area:
+            break
+    return sorted(best[1], key=lambda r: (r.is_around_obstacle, r.number))
+
+
+def _passes_around(shape: BaseGeometry, space: FreeSpace, rig: Rig, number: int) -> list[HeadlandPass]:
+    return [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, space, rig, number)]
 
 
 def _all_filled(passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig) -> list[HeadlandPass]:

@@ -127,7 +127,7 @@ def _beside_edges(left: BaseGeometry, rig: Rig, space: FreeSpace) -> list[Float6
     """Lines (2, 2) parallel to the longest edges of the allowed area around an area, as long as it, beside the edge."""
     half_m = 0.5 * rig.width_m
     edges = space.grid.edges_m
-    ends = shapely.linestrings(edges.reshape(-1, 2, 2))
+    ends = np.asarray(shapely.linestrings(edges.reshape(-1, 2, 2)))
     near = np.flatnonzero((shapely.distance(ends, left) < half_m) & (shapely.length(ends) > MIN_EDGE_M))
     longest = near[np.argsort(-shapely.length(ends[near]).round(3), kind="stable")[:MAX_EDGES]]
     points, found = shapely.get_coordinates(left), []
