@@ -77,8 +77,8 @@ class HeadlandPass:
 def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: float) -> list[HeadlandPass]:
     """All passes from the edge inwards; none where the field is too narrow for them.
 
-    They overlap more than `overlap_m` where much stays bare between them: a pass does not follow each bend of the
-    one before.
+    With reversing they overlap more than `overlap_m` where much stays bare between them, corners apart: a pass does
+    not follow each bend of the one before.
     """
     if count == 0:
         return []
@@ -87,7 +87,7 @@ def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: 
     outer = _passes_around(shape, space, rig, 0)
     outer += _passes_beside(shape, outer, space, rig)
     best: tuple[float, list[HeadlandPass]] = (math.inf, [])
-    for more in MORE_OVERLAP if count > 1 else MORE_OVERLAP[:1]:
+    for more in MORE_OVERLAP if count > 1 and rig.has_reverse else MORE_OVERLAP[:1]:
         depths = [depth_m(drivable, rig, overlap_m + more * rig.working_width_m, k) for k in range(count)]
         found = list(outer)
         for k, depth in enumerate(depths[1:], 1):
