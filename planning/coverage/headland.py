@@ -15,7 +15,7 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Bool, Float64, Int64, runs_of
-from geometry.footprint import worked
+from geometry.footprint import corners_of, worked
 from geometry.polygon import ARC_ERROR_M, close_by, parts, ring_points, rounded, shrink
 from geometry.polyline import arc_length, curvatures, headings, resample, smooth
 from geometry.rectangle import Rectangle
@@ -87,15 +87,14 @@ def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: 
     outer = _passes_around(shape, space, rig, 0)
     outer += _passes_beside(shape, outer, space, rig)
     best: tuple[float, list[HeadlandPass]] = (math.inf, [])
-    for more in MORE_OVERLAP if count > 1 and rig.has_reverse else MORE_OVERLAP[:1]:
+    for more in MORE_OVERLAP if rig.has_reverse and count > 1 else MORE_OVERLAP[:1]:
         depths = [depth_m(drivable, rig, overlap_m + more * rig.working_width_m, k) for k in range(count)]
-        found = list(outer)
+        found, bare_m2 = list(outer), 0.0
         for k, depth in enumerate(depths[1:], 1):
             found += _passes_around(shrink(drivable.free, depth), space, rig, k)
         if rig.has_reverse:
-            found = _all_filled(found, drivable, space, rig)
-        between = shape.difference(shrink(drivable.free, depths[-1]))
-        bare_m2 = round(between.difference(shapely.union_all([pass_coverage(p, rig) for p in found])).area, 3)
+            found, bare = _all_filled(found, drivable, space, rig)
+            bare_m2 = round(bare.intersection(shape.difference(shrink(drivable.free, depths[-1]))).area, 3)
         best = min(best, (bare_m2, found), key=lambda b: b[0])
         if bare_m2 <= MUCH_BARE * drivable.free.area:
             break
@@ -106,8 +105,10 @@ def _passes_around(shape: BaseGeometry, space: FreeSpace, rig: Rig, number: int)
     return [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, space, rig, number)]
 
 
-def _all_filled(passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig) -> list[HeadlandPass]:
-    """The passes with the fills that each work at least `corner_fill_m2` of what else stays bare."""
+def _all_filled(
+    passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig
+) -> tuple[list[HeadlandPass], BaseGeometry]:
+    """The passes with the fills that each work at least `corner_fill_m2` of what else stays bare, and the rest of it."""
     bare = drivable.free.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
     found = []
     for ring in passes:
@@ -118,7 +119,7 @@ def _all_filled(passes: list[HeadlandPass], drivable: DrivableArea, space: FreeS
                 kept.append(fill)
                 bare = bare.difference(_fill_area(ring, fill, rig))
         found.append(replace(ring, fills=tuple(kept)))
-    return found
+    return found, bare
 
 
 def _as_long_as_needed(fill: CornerFill, ring: HeadlandPass, bare: BaseGeometry, rig: Rig) -> tuple[CornerFill, float]:
@@ -140,7 +141,7 @@ def depth_m(drivable: DrivableArea, rig: Rig, overlap_m: float, number: int) -> 
 def pass_coverage(ring: HeadlandPass, rig: Rig) -> BaseGeometry:
     """Area worked by a pass and its fills."""
     left, right = rig.working_edges(ring.points_m, ring.heading_rad)
-    keep = np.unique(np.append(np.arange(0, len(ring.points_m), 4), len(ring.points_m) - 1))
+    keep = corners_of(np.unwrap(ring.heading_rad))
     shapes = [worked(left[keep], right[keep])]
     return shapely.union_all([*shapes, *(_fill_area(ring, fill, rig) for fill in ring.fills)]).buffer(0.01)
 

@@ -19,7 +19,7 @@ from geometry.polyline import arc_length, curvatures, headings, polyline, resamp
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import PathSectionType
-from planning.coverage.headland import HeadlandPass
+from planning.coverage.headland import HeadlandPass, pass_coverage
 from planning.coverage.insertion import Tour, inserted
 from planning.coverage.interior import fill_bare
 from planning.coverage.line_route import drive_lines
@@ -85,10 +85,11 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number
     tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
     if connector.rig.has_reverse:
+        rig, around = connector.rig, shapely.union_all([pass_coverage(p, connector.rig) for p in closed])
         for _ in range(FILLINGS):
             legs = [stop.leg for stop in tour.stops]
             filled = _Filled(connector, home, tour, number)
-            fill_bare(connector.drivable, connector.rig, work, closed, legs, filled.insert)
+            fill_bare(connector.drivable, rig, work, connector.space, around, legs, filled.insert)
             if len(filled.tour.stops) == len(tour.stops):
                 break
             tour, number = filled.tour, filled.number
