@@ -15,7 +15,7 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Bool, Float64, Int64, runs_of
-from geometry.footprint import corners_of, worked
+from geometry.footprint import worked
 from geometry.polygon import ARC_ERROR_M, close_by, parts, ring_points, rounded, shrink
 from geometry.polyline import arc_length, curvatures, headings, resample, smooth
 from geometry.rectangle import Rectangle
@@ -108,7 +108,7 @@ def _passes_around(shape: BaseGeometry, space: FreeSpace, rig: Rig, number: int)
 def _all_filled(
     passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig
 ) -> tuple[list[HeadlandPass], BaseGeometry]:
-    """The passes with the fills that each work at least `corner_fill_m2` of what else stays bare, and the rest of it."""
+    """The passes with the fills that each work `corner_fill_m2` or more of what else stays bare, and what then is."""
     bare = drivable.free.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
     found = []
     for ring in passes:
@@ -141,7 +141,7 @@ def depth_m(drivable: DrivableArea, rig: Rig, overlap_m: float, number: int) -> 
 def pass_coverage(ring: HeadlandPass, rig: Rig) -> BaseGeometry:
     """Area worked by a pass and its fills."""
     left, right = rig.working_edges(ring.points_m, ring.heading_rad)
-    keep = corners_of(np.unwrap(ring.heading_rad))
+    keep = np.unique(np.append(np.arange(0, len(ring.points_m), 4), len(ring.points_m) - 1))
     shapes = [worked(left[keep], right[keep])]
     return shapely.union_all([*shapes, *(_fill_area(ring, fill, rig) for fill in ring.fills)]).buffer(0.01)
 
