@@ -7,6 +7,7 @@ reversing a rounded corner is filled: the rig reverses straight into it from beh
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,7 @@ LEVEL = 15  # points
 FILL_RUN_M = (1.0, 16.0)  # straight behind the arc before reversing
 MIN_REVERSE_M = 1.0
 BEYOND_M = 3.0  # an arc begins and ends gently
+APART = 10  # points
 FILL_STEP_M, FILL_ENOUGH = 0.4, 0.97  # a fill ends where it works this share of all that it could
 
 
@@ -115,11 +117,17 @@ def _all_filled(
         kept: list[CornerFill] = []
         for longest in _fills(ring, space, rig) if ring.is_closed else ():
             fill, gain_m2 = _as_long_as_needed(longest, ring, bare, rig)
-            if gain_m2 >= rig.config.corner_fill_m2:
+            if gain_m2 >= rig.config.corner_fill_m2 and _is_apart(fill, kept, len(ring.points_m) - 1):
                 kept.append(fill)
                 bare = bare.difference(_fill_area(ring, fill, rig))
         found.append(replace(ring, fills=tuple(kept)))
     return found, bare
+
+
+def _is_apart(fill: CornerFill, others: Sequence[CornerFill], count: int) -> bool:
+    """Whether on a pass of `count` points none of the fills behind a corner follows right after one before a corner."""
+    behind, before = ([f.index for f in (fill, *others) if f.by_m * sign > 0.0] for sign in (-1.0, 1.0))
+    return all((b - a) % count > APART for a in before for b in behind)
 
 
 def _as_long_as_needed(fill: CornerFill, ring: HeadlandPass, bare: BaseGeometry, rig: Rig) -> tuple[CornerFill, float]:
