@@ -125,9 +125,9 @@ def _all_filled(
 
 
 def _is_apart(fill: CornerFill, others: Sequence[CornerFill], count: int) -> bool:
-    """Whether on a pass of `count` points none of the fills behind a corner follows right after one before a corner."""
+    """Whether on a pass of `count` points no fill behind a corner begins shortly beyond one before a corner."""
     behind, before = ([f.index for f in (fill, *others) if f.by_m * sign > 0.0] for sign in (-1.0, 1.0))
-    return all((b - a) % count > APART for a in before for b in behind)
+    return not any(0 < (b - a) % count <= APART for a in before for b in behind)
 
 
 def _as_long_as_needed(fill: CornerFill, ring: HeadlandPass, bare: BaseGeometry, rig: Rig) -> tuple[CornerFill, float]:

@@ -91,22 +91,22 @@ def _best_first(
     strips += [(strip, FLUSH_GAIN) for strip in _beside_edges(left, rig, space)]
     areas = np.array([_area_of(strip, width_m) for strip, _ in strips])
     bounds = shapely.area(shapely.intersection(areas, left)) / np.array([more for _, more in strips])
-    queue: list[tuple[float, int, Swath | None]] = [
-        (-float(bound), k, None) for k, bound in enumerate(bounds.round(3)) if bound > worth.least_m2
+    queue: list[tuple[float, int, Swath | None, float]] = [
+        (-float(bound), k, None, 0.0) for k, bound in enumerate(bounds.round(3)) if bound > worth.least_m2
     ]
     heapify(queue)
     count = len(strips)
     while queue:
-        gain_m2, k, swath = heappop(queue)
+        _, k, swath, gain_m2 = heappop(queue)
         if swath is not None:
-            yield swath, -gain_m2
+            yield swath, gain_m2
             continue
         strip, more = strips[k]
         for near in _swaths_near(strip, rig, space):
             worked = strip_of(near, width_m)
-            gain = float(left.intersection(worked).area)
-            if gain > more * worth.least_m2 and gain > worth.least_share * worked.area:
-                heappush(queue, (-round(gain / more, 3), count, near))
+            gain_m2 = float(left.intersection(worked).area)
+            if gain_m2 > more * worth.least_m2 and gain_m2 > worth.least_share * worked.area:
+                heappush(queue, (-round(gain_m2 / more, 3), count, near, gain_m2))
                 count += 1
 
 
