@@ -145,7 +145,7 @@ def plan_field(
     regions = list[Region]()
     for region, around in zip(areas, passes, strict=True):
         first = sum(len(r.swaths) for r in regions)
-        swaths = [replace(s, number=first + s.number) for s in swaths_inside(region, rig, around, work)]
+        swaths = [replace(s, number=first + s.number) for s in swaths_inside(region, rig, around, work, space)]
         regions.append(Region(PathConnector(region, rig, around, seed, space), swaths))
     if not any(passes) and not any(r.swaths for r in regions):
         x, y = drivable.field.centroid.coords[0]

@@ -6,6 +6,8 @@ the field too narrow for a closed pass have open ones along their edges, driven 
 reversing a rounded corner is filled: the rig reverses straight into it from behind its arc, and works out of it again.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +26,7 @@ from planning.rig import Rig, corner_reach_m
 from planning.turns.free_space import FreeSpace
 
 MIN_RING_M2 = 1.0
+MORE_OVERLAP, MUCH_BARE = (0.0, 0.1), 0.003  # of the working width; of the field, between the passes
 ROUNDING = (1.0, 1.3)  # of the turning radius; with the larger one passes end farther from the end of a narrow part
 MIN_OPEN_M = 8.0
 NEAR_WIDTHS = 0.3  # of another pass
@@ -35,6 +38,9 @@ MAX_FILL_RAD = 2.6
 LEVEL = 15  # points
 FILL_RUN_M = (1.0, 16.0)  # straight behind the arc before reversing
 MIN_REVERSE_M = 1.0
+BEYOND_M = 3.0  # an arc begins and ends gently
+APART = 10  # points
+FILL_STEP_M, FILL_ENOUGH = 0.4, 0.97  # a fill ends where it works this share of all that it could
 
 
 @dataclass(frozen=True)
@@ -71,32 +77,67 @@ class HeadlandPass:
 
 
 def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: float) -> list[HeadlandPass]:
-    """All passes from the edge inwards; none where the field is too narrow for them."""
+    """All passes from the edge inwards; none where the field is too narrow for them.
+
+    With reversing they overlap more than `overlap_m` where much stays bare between them, corners apart: a pass does
+    not follow each bend of the one before.
+    """
+    if count == 0:
+        return []
     space = FreeSpace(drivable.inner, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-    found: list[HeadlandPass] = []
-    for k in range(count):
-        shape = shrink(drivable.free, depth_m(drivable, rig, overlap_m, k))
-        found += [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, space, rig, k)]
-        if k == 0:
-            found += _passes_beside(shape, found, space, rig)
-    if rig.has_reverse:
-        found = _all_filled(found, drivable, space, rig)
-    return sorted(found, key=lambda r: (r.is_around_obstacle, r.number))
+    shape = shrink(drivable.free, depth_m(drivable, rig, overlap_m, 0))
+    outer = _passes_around(shape, space, rig, 0)
+    outer += _passes_beside(shape, outer, space, rig)
+    best: tuple[float, list[HeadlandPass]] = (math.inf, [])
+    for more in MORE_OVERLAP if rig.has_reverse and count > 1 else MORE_OVERLAP[:1]:
+        depths = [depth_m(drivable, rig, overlap_m + more * rig.working_width_m, k) for k in range(count)]
+        found, bare_m2 = list(outer), 0.0
+        for k, depth in enumerate(depths[1:], 1):
+            found += _passes_around(shrink(drivable.free, depth), space, rig, k)
+        if rig.has_reverse:
+            found, bare = _all_filled(found, drivable, space, rig)
+            bare_m2 = round(bare.intersection(shape.difference(shrink(drivable.free, depths[-1]))).area, 3)
+        best = min(best, (bare_m2, found), key=lambda b: b[0])
+        if bare_m2 <= MUCH_BARE * drivable.free.area:
+            break
+    return sorted(best[1], key=lambda r: (r.is_around_obstacle, r.number))
 
 
-def _all_filled(passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig) -> list[HeadlandPass]:
-    """The passes with the fills that each work at least `corner_fill_m2` of what else stays bare."""
-    covered = shapely.union_all([pass_coverage(p, rig) for p in passes])
+def _passes_around(shape: BaseGeometry, space: FreeSpace, rig: Rig, number: int) -> list[HeadlandPass]:
+    return [r for part in parts(shape, MIN_RING_M2) for r in _passes_in(part, space, rig, number)]
+
+
+def _all_filled(
+    passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig
+) -> tuple[list[HeadlandPass], BaseGeometry]:
+    """The passes with the fills that each work `corner_fill_m2` or more of what else stays bare, and what then is."""
+    bare = drivable.free.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
     found = []
     for ring in passes:
         kept: list[CornerFill] = []
-        for fill in _fills(ring, space, rig) if ring.is_closed else ():
-            gain = _fill_area(ring, fill, rig).intersection(drivable.free).difference(covered)
-            if gain.area >= rig.config.corner_fill_m2:
+        for longest in _fills(ring, space, rig) if ring.is_closed else ():
+            fill, gain_m2 = _as_long_as_needed(longest, ring, bare, rig)
+            if gain_m2 >= rig.config.corner_fill_m2 and _is_apart(fill, kept, len(ring.points_m) - 1):
                 kept.append(fill)
-                covered = shapely.union_all([covered, gain])
+                bare = bare.difference(_fill_area(ring, fill, rig))
         found.append(replace(ring, fills=tuple(kept)))
-    return found
+    return found, bare
+
+
+def _is_apart(fill: CornerFill, others: Sequence[CornerFill], count: int) -> bool:
+    """Whether on a pass of `count` points no fill behind a corner begins shortly beyond one before a corner."""
+    behind, before = ([f.index for f in (fill, *others) if f.by_m * sign > 0.0] for sign in (-1.0, 1.0))
+    return not any(0 < (b - a) % count <= APART for a in before for b in behind)
+
+
+def _as_long_as_needed(fill: CornerFill, ring: HeadlandPass, bare: BaseGeometry, rig: Rig) -> tuple[CornerFill, float]:
+    """A fill without its end where it works next to nothing of the bare area, and what it works of it, m²."""
+    count = max(1, round(abs(fill.by_m) / FILL_STEP_M))
+    lengths = np.linspace(0.0, fill.by_m, count + 1)[1:]
+    strip = _fill_area(ring, fill, rig).intersection(bare)
+    gains = np.array([strip.intersection(_fill_area(ring, replace(fill, by_m=m), rig)).area for m in lengths])
+    k = int(np.argmax(gains >= FILL_ENOUGH * gains[-1]))
+    return replace(fill, by_m=float(lengths[k])), float(gains[k])
 
 
 def depth_m(drivable: DrivableArea, rig: Rig, overlap_m: float, number: int) -> float:
@@ -207,17 +248,12 @@ def _trimmed(run: Int64, is_level: Bool) -> Int64:
 
 
 def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[CornerFill]:
-    """Possible fills at the convex corners of a closed pass: behind each, then before each."""
+    """Possible fills at the corners of a closed pass, to either side: behind each, then before each."""
     curvature = ring.curvature_radpm[:-1]
-    bends = curvature > 0.5 / rig.radius_m
-    n, behind, before = len(bends), list[CornerFill](), list[CornerFill]()
+    n, behind, before = len(curvature), list[CornerFill](), list[CornerFill]()
     reach = rig.radius_m + rig.working_width_m / 2.0
-    for start in np.flatnonzero(~bends & np.roll(bends, -1)):
-        length = int(np.argmin(np.roll(bends, -start - 1))) + 1
-        turn = float(curvature[(start + np.arange(length + 1)) % n].sum()) * STEP_M
-        if turn < MIN_FILL_RAD:
-            continue
-        corner_m = reach * np.tan(min(turn, MAX_FILL_RAD) / 2.0)  # from the ends of the arc
+    for start, length, turn in [*_bends(curvature, 0.5 / rig.radius_m), *_bends(-curvature, 0.5 / rig.radius_m)]:
+        corner_m = reach * np.tan(min(turn, MAX_FILL_RAD) / 2.0) + BEYOND_M  # from the ends of the arc, at most
         for ends, sign in ((start + length, 1), (start, -1)):
             index = _straight_near(curvature, int(ends), sign)
             if index is not None:
@@ -227,6 +263,18 @@ def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[CornerFill]:
                 if free > gap_m + MIN_REVERSE_M:
                     (behind if sign > 0 else before).append(CornerFill(index, -sign * free))
     return [*behind, *before]
+
+
+def _bends(curvature_radpm: Float64, least_radpm: float) -> list[tuple[int, int, float]]:
+    """First index, number of points and angle of each bend to the left of a closed pass that turns far."""
+    is_bent, n = curvature_radpm > least_radpm, len(curvature_radpm)
+    found = []
+    for start in np.flatnonzero(~is_bent & np.roll(is_bent, -1)):
+        length = int(np.argmin(np.roll(is_bent, -start - 1))) + 1
+        turn = float(curvature_radpm[(start + np.arange(length + 1)) % n].sum()) * STEP_M
+        if turn > MIN_FILL_RAD:
+            found.append((int(start), length, turn))
+    return found
 
 
 def _straight_near(curvature: Float64, end: int, sign: int) -> int | None:

@@ -77,8 +77,8 @@ class Tour:
 
     @property
     def turns_s(self) -> float:
-        """Time of the ways between lines."""
-        return sum(stop.way.time_s for stop in self.stops)
+        """Time of the ways between lines; that of an excursion is driven twice."""
+        return sum(stop.way.time_s * (1 + stop.is_excursion) for stop in self.stops)
 
 
 def backwards(leg: Leg) -> Leg:

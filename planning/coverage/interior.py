@@ -1,6 +1,7 @@
 """Swaths over what the headland passes leave: the area inside them, gaps between them, narrow necks."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,33 +26,34 @@ GROWN_M = 0.05
 REMAINS_M = 1.0  # thinner remains of evenly spaced swaths
 
 
-def swaths_inside(drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], work: Work) -> list[Swath]:
-    """Swaths over all that the passes leave bare, numbered; with reversing also over what even spacing leaves bare."""
+def swaths_inside(
+    drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], work: Work, space: FreeSpace
+) -> list[Swath]:
+    """Swaths over all that the passes leave bare, numbered; `space` is the free space of the rig."""
     bare = _workable(drivable, rig)
     if passes:
         bare = bare.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
-    found = swaths_over(bare, drivable, rig, work)
-    if rig.has_reverse:  # tips and tails are dead ends
-        space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
-        left = bare.difference(shapely.union_all([strip_of(s, rig.working_width_m) for s in found]))
-        found += swaths_over_remains(open_by(left, REMAINS_M / 2.0), rig, space, worth_of(rig, False))
+    found = swaths_over(bare, rig, work, space)
     return [replace(s, number=k) for k, s in enumerate(found)]
 
 
-def swaths_left_bare(
-    drivable: DrivableArea, rig: Rig, work: Work, passes: Sequence[HeadlandPass], legs: Sequence[Leg], first: int
-) -> list[Swath]:
-    """Swaths over what passes and `legs` of lines leave bare, numbered from `first`."""
-    shapes = [*(pass_coverage(p, rig) for p in passes), *(_strip(leg, rig) for leg in legs)]
-    covered = shapely.union_all(shapes)
+def fill_bare(
+    drivable: DrivableArea, rig: Rig, work: Work, space: FreeSpace, around: BaseGeometry, legs: Sequence[Leg],
+    insert: Callable[[Sequence[Swath], float], bool],
+) -> None:  # fmt: skip
+    """Inserts swaths over what passes, which work the area `around`, and `legs` of lines leave bare into a tour.
+
+    `insert` returns whether it took any of some swaths, for at most a time of ways to them.
+    """
+    covered = shapely.union_all([around, *(_strip(leg, rig) for leg in legs)])
     left = _workable(drivable, rig).difference(covered)
-    found = swaths_over(open_by(left, WIDE * rig.working_width_m / 2.0), drivable, rig, work)
+    found = swaths_over(open_by(left, WIDE * rig.working_width_m / 2.0), rig, work, space)
+    insert(found, math.inf)
     strips = shapely.union_all([strip_of(s, rig.working_width_m) for s in found])
     share = shapely.union_all([covered, strips]).intersection(drivable.free).area / drivable.free.area
-    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     remains = open_by(left.difference(strips), REMAINS_M / 2.0)
-    found += swaths_over_remains(remains, rig, space, worth_of(rig, share < rig.config.small_remains_share))
-    return [replace(s, number=first + k) for k, s in enumerate(found)]
+    worth = worth_of(rig, share < rig.config.small_remains_share)
+    swaths_over_remains(remains, rig, space, worth, lambda swath, most_s: insert([swath], most_s))
 
 
 def _strip(leg: Leg, rig: Rig) -> BaseGeometry:
@@ -65,11 +67,10 @@ def _workable(drivable: DrivableArea, rig: Rig) -> BaseGeometry:
     return shrink(drivable.free, drivable.margin_m + rig.width_m / 2.0 - rig.working_width_m / 2.0)
 
 
-def swaths_over(bare: BaseGeometry, drivable: DrivableArea, rig: Rig, work: Work) -> list[Swath]:
+def swaths_over(bare: BaseGeometry, rig: Rig, work: Work, space: FreeSpace) -> list[Swath]:
     """Swaths over an area, in the direction of the mission or the cheapest of each part."""
     area = polygon_of(open_by(bare, SLIVER_M / 2.0))
     direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
-    space = FreeSpace(drivable.allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
     min_m = rig.config.min_swath_m
     found = []
     for part in parts(area, worth_of(rig, False).least_m2):

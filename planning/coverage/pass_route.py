@@ -7,8 +7,7 @@ from shapely.geometry import LineString
 
 from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
-from planning.coverage.headland import HeadlandPass
-from planning.coverage.pass_shape import STEP_M
+from planning.coverage.headland import APART, HeadlandPass
 from planning.turns.connector import PathConnector, RoutePiece
 from planning.turns.search import Connection, Leg, bounds_s, straight
 
@@ -132,7 +131,7 @@ def turn_pieces(connection: Connection, line: int) -> list[RoutePiece]:
 
 
 def _entries(ring: HeadlandPass, radius_m: float) -> list[int]:
-    """Points where a pass is straight for some metres, and those before its corners; else those of least curvature."""
+    """Points where a pass is straight for some metres and before corners, apart from fills; else the straightest."""
     n = len(ring.points_m) - 1
     curvature = ring.curvature_radpm[:-1]
     around = np.max([np.roll(np.abs(curvature), k) for k in range(-AROUND, AROUND + 1, 2)], axis=0)
@@ -144,6 +143,7 @@ def _entries(ring: HeadlandPass, radius_m: float) -> list[int]:
         level = np.abs(curvature[before]) < STRAIGHT_RADPM
         if level.any():
             flat.append(int(before[int(np.argmax(level))]))
+    flat = [k for k in flat if all(APART < (f.index - k) % n < n - APART for f in ring.fills)] or flat
     return flat or [int(k) for k in candidates[np.argsort(around[candidates], kind="stable")[:3]]]
 
 
@@ -163,10 +163,9 @@ def _loop(ring: HeadlandPass, first: int) -> list[RoutePiece]:
 
     pieces, done = [], 0
     for offset, by_m in sorted(((f.index - first) % n, f.by_m) for f in ring.fills):
-        if offset - done < 1.0 / STEP_M or n - offset < 1.0 / STEP_M:
-            continue
         corner = Pose2(*map(float, (*ring.points_m[index[offset]], heading[offset])))
-        pieces.append(piece(done, offset))
+        if offset > done:
+            pieces.append(piece(done, offset))
         for leg in (straight(corner, corner.ahead(by_m)), straight(corner.ahead(by_m), corner)):
             is_working = leg.direction > 0
             section = PathSectionType.HEADLAND if is_working else PathSectionType.TURN

@@ -19,9 +19,9 @@ from geometry.polyline import arc_length, curvatures, headings, polyline, resamp
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import PathSectionType
-from planning.coverage.headland import HeadlandPass
+from planning.coverage.headland import HeadlandPass, pass_coverage
 from planning.coverage.insertion import Tour, inserted
-from planning.coverage.interior import swaths_left_bare
+from planning.coverage.interior import fill_bare
 from planning.coverage.line_route import drive_lines
 from planning.coverage.pass_route import drive_passes, opened, turn_pieces
 from planning.coverage.swath import Swath, directions_of
@@ -85,17 +85,38 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number
     tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
     if connector.rig.has_reverse:
+        rig, around = connector.rig, shapely.union_all([pass_coverage(p, connector.rig) for p in closed])
         for _ in range(FILLINGS):
             legs = [stop.leg for stop in tour.stops]
-            more = swaths_left_bare(connector.drivable, connector.rig, work, closed, legs, number)
-            count, number = len(tour.stops), number + len(more)
-            tour = inserted(connector, tour, home, lines_of(more, (), -connector.rig.working_x_m))
-            if len(tour.stops) == count:
+            filled = _Filled(connector, home, tour, number)
+            fill_bare(connector.drivable, rig, work, connector.space, around, legs, filled.insert)
+            if len(filled.tour.stops) == len(tour.stops):
                 break
+            tour, number = filled.tour, filled.number
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
     swaths = [s for s in sources if isinstance(s, Swath)]
     return tour, Route([*headland.pieces, *tour.pieces], swaths, passes)
+
+
+@dataclass
+class _Filled:
+    """A tour into which swaths are put; they are numbered from `number`."""
+
+    connector: PathConnector
+    home: Pose2 | None
+    tour: Tour
+    number: int
+
+    def insert(self, swaths: Sequence[Swath], most_s: float) -> bool:
+        """Puts swaths into the tour to which turns are found that take at most some time; returns whether any."""
+        numbered = [replace(s, number=self.number + k) for k, s in enumerate(swaths)]
+        lines = lines_of(numbered, (), -self.connector.rig.working_x_m)
+        tour = inserted(self.connector, self.tour, self.home, lines)
+        if len(tour.stops) == len(self.tour.stops) or tour.turns_s > self.tour.turns_s + most_s:
+            return False
+        self.tour, self.number = tour, self.number + len(swaths)
+        return True
 
 
 def _visit(region: Region, ways: TransportWays, work: Work, number: int) -> Route | None:

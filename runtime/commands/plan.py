@@ -22,6 +22,7 @@ def main(arguments: argparse.Namespace) -> int:
         from planning.export.geojson import write_geojson
         from planning.export.isoxml import write_isoxml
         from planning.export.kml import write_kml
+        from planning.field.drivable_area import describe
         from runtime.setup import setup_from
 
         setup = setup_from(arguments)
@@ -62,5 +63,7 @@ def main(arguments: argparse.Namespace) -> int:
         return 0
     sys.stderr.write(f"warning: {plan.planned_share:.1%} of the field planned, less than {least:.1%}:\n")
     for reason, area_m2 in plan.uncovered_m2.items():
-        sys.stderr.write(f"  {area_m2:.0f} m² {reason}\n")
+        largest = max((u for u in plan.uncovered if u.reason == reason), key=lambda u: u.area_m2)
+        where = describe(setup.site, *largest.place_map_m)
+        sys.stderr.write(f"  {area_m2:.0f} m² {reason}, the largest part at {where}\n")
     return 1
