@@ -26,6 +26,7 @@ BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same 
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
 SAMPLE, SCATTERED = 10_000, 32  # returns by which scatter is found; its fewest returns without a neighbour
 KEPT_BESIDE = 2
+IN_RING = 4 / 14  # of the places next to a return
 SUGGESTIVE, SIGNIFICANT = 1.0, 3.0  # sigmas by which fewer have one neighbour than none, in a sample and of all
 DENSEST, DENSE_SLACK = 2.0, 1.5  # greatest mean of neighbours by chance; returns with two over those by chance
 BY_CHANCE = 0.5  # random returns of a scan and band that are left over, on average
@@ -128,19 +129,20 @@ def scattered(image: RangeImage, pixels: Int64) -> Bool:
     dust, (K,).
 
     Returns that lie in the air at random have a Poisson number of others next to them: in a band of ranges fewer have
-    one than none, while of plants and other bodies more have. Those with no more than chance gives are scattered, and
-    those that are isolated without them.
+    one than none, while of plants and other bodies more have. Those with no more than chance gives, in all and in their
+    ring, are scattered, and those that are isolated without them. The ground between rings that are far apart has
+    others in its ring alone.
     """
     most = _most_by_chance(image, pixels)
     out = np.zeros(len(pixels), np.bool_)
     if most.any():
         beams = image.rows, image.rank, image.elevation_rad, *_columns(image)
-        _mark_scattered(image.ranges_mm, *beams, pixels, np.append(most, 0), out)
+        _mark_scattered(image.ranges_mm, *beams, pixels, most, out)
         rest = image.ranges_mm.copy()
         rest.ravel()[pixels[out]] = 0
         _keep_beside(image.ranges_mm, rest, *beams, pixels, out)
         rest.ravel()[pixels[~out]] = image.ranges_mm.ravel()[pixels[~out]]
-        left = np.flatnonzero(~out & (np.append(most, 0)[_bands(image, pixels)] > 0))
+        left = np.flatnonzero(~out & (most[_bands(image, pixels), 0] > 0))
         out[left] = isolated(replace(image, ranges_mm=rest), pixels[left])
     return out
 
@@ -150,7 +152,8 @@ def _bands(image: RangeImage, pixels: Int64) -> Int64:
 
 
 def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
-    """Greatest number of neighbours by chance in each band (B,), 0 without scatter.
+    """Greatest number of neighbours by chance in each band and beyond, in all and in the ring, (B + 1, 2), 0 without
+    scatter.
 
     Of random returns with a mean of m neighbours, m times as many have one as have none, and m²/2 times as many have
     two: bodies with gaps have more with one, and still more with two. A sample shows where all must be counted.
@@ -162,18 +165,20 @@ def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
         _count_few(image.ranges_mm, *beams, pixels[::every], counts)
         none, one, _ = counts
         if not ((every * none >= SCATTERED) & (none - one >= sigmas * np.sqrt(none + one))).any():
-            return np.zeros(len(BANDS_M), np.int64)
+            return np.zeros((len(BANDS_M) + 1, 2), np.int64)
         if every == 1 and sigmas == SIGNIFICANT:
-            return np.array([_limit(*band) for band in counts.T.tolist()], np.int64)
+            return np.array([*(_limits(*band) for band in counts.T.tolist()), (0, 0)], np.int64)
         every, sigmas = 1, SIGNIFICANT
 
 
-def _limit(none: int, one: int, two: int) -> int:
-    """Greatest number of neighbours by chance in a scan with scatter, from the numbers of returns of a band with 0, 1
-    and 2: 1 where bodies with gaps prevail, so that only isolated returns are of scatter."""
+def _limits(none: int, one: int, two: int) -> tuple[int, int]:
+    """Greatest number of neighbours by chance in a scan with scatter, in all and in the ring, from the numbers of those
+    of a band with 0, 1 and 2: 1 where bodies with gaps prevail, so that only isolated returns are of scatter."""
     mean = one / max(none, 1)
     is_random = one < none or (mean <= DENSEST and 2.0 * two <= DENSE_SLACK * mean * one)
-    return 0 if none < SCATTERED else chance_neighbours(none, mean) if is_random else 1
+    if none < SCATTERED:
+        return 0, 0
+    return (chance_neighbours(none, mean), chance_neighbours(none, mean * IN_RING)) if is_random else (1, 1)
 
 
 def chance_neighbours(none: int, mean: float) -> int:
@@ -329,16 +334,34 @@ def _mark_scattered(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
     most: Int64, out: Bool,
 ) -> None:  # fmt: skip
-    """Marks returns with no more than `most` (B + 1,) others next to them, by band; where that is 1, isolated ones."""
+    """Marks returns with no more than `most` (B + 1, 2) others next to them, in all and in the ring, by band; where it
+    is 1, isolated ones."""
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         row, column = pixels[k] // columns, pixels[k] % columns
-        limit = most[_band(ranges[row, column])]
+        limit, in_ring = most[_band(ranges[row, column])]
         if limit > 0:
             count, ring, at = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], limit + 1)
             if limit == 1 and count == 1:
                 count, ring, at = _near(ranges, rows, slants, is_closed, ring, at, ranges[rows[ring], at], 2)
             out[k] = count <= limit
+            if out[k] and count > in_ring:
+                out[k] = _beside(ranges, slants, is_closed, row, rank[row], column) <= in_ring
+
+
+@inline_kernel
+def _beside(ranges: UInt16, slants: Float64, is_closed: bool, row: int, rank: int, column: int) -> int:
+    """Number of returns next to one in its ring, at a range like its own."""
+    count, columns, own = 0, ranges.shape[1], 1e-3 * ranges[row, column]
+    for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
+        c = column + d
+        if c < 0 or c >= columns:
+            if not is_closed:
+                continue
+            c %= columns
+        if d != 0 and ranges[row, c] != 0:
+            count += abs(1e-3 * ranges[row, c] - own) <= NEAR_M + slants[rank, 1, d + COLUMNS_ASIDE] * own
+    return count
 
 
 @kernel

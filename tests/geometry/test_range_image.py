@@ -106,6 +106,20 @@ def test_a_body_beside_a_fence_in_fog_is_not_scattered() -> None:
     assert found[own].mean() < 0.2
 
 
+def test_the_ground_of_rings_that_are_far_apart_is_not_scattered() -> None:
+    """Each of its returns has others in its ring alone, four at most: as many as fog gives by chance."""
+    rear = VEHICLE.sensors.lidar["rear"]
+    for seed in range(5):
+        clean, foggy = (cast(lidar=rear, noise_m=0.0, extra=extra, seed=seed) for extra in (None, fog(0.25)))
+        found = scattered(image_of(foggy), foggy.pixels)
+        is_same = foggy.ranges_mm.ravel()[foggy.pixels] == clean.ranges_mm.ravel()[foggy.pixels]
+        range_m = 1e-3 * foggy.ranges_mm.ravel()[foggy.pixels]
+        assert found[~is_same & (range_m < 7.0)].mean() > 0.85
+        for low_m, high_m in ((3.0, 5.0), (5.0, 7.0), (7.0, 10.0), (10.0, 14.0)):
+            own = is_same & (range_m > low_m) & (range_m < high_m)
+            assert own.sum() == 0 or found[own].mean() < 0.2, (low_m, found[own].mean())
+
+
 def test_returns_of_plants_are_not_scattered() -> None:
     """Leaves and stems next to each other return from like ranges, with gaps between them."""
     rng = np.random.default_rng(4)
