@@ -43,6 +43,7 @@ class Bystanders:
         self._config, self._tracked = config, tracked
         self.pto_off_m = config.pto_walk_mps * pto_stop_s + config.pto_margin_m
         self._places: dict[int, Place] = {}
+        self._coming_since_ns: dict[int, int] = {}
         self.coming: CriticalObject | None = None
         self._close_ns: int | None = None
 
@@ -71,7 +72,8 @@ class Bystanders:
     ) -> None:  # fmt: skip
         """Takes the moving tracks and all tracks, for base at `pose_odom` (3,) in odom with a speed along the area."""
         times_s = np.linspace(0.0, predicted_s, self._tracked.steps)
-        coming = [track for track in moving if self._is_coming(track, area, pose_odom, speed_mps, times_s)]
+        found = [track for track in moving if self._is_coming(track, area, pose_odom, speed_mps, times_s)]
+        coming = self._lasting(found, 0 if tracks is None else tracks.stamp_ns)
         self.coming = CriticalObject(0.0, coming[0].label, coming[0].id) if coming else None
         seen = {} if tracks is None else {track.id: track for track in tracks.tracks if track.is_confirmed}
         followed = dict(self._followed(seen))
@@ -94,6 +96,17 @@ class Bystanders:
         is_closing = float(gaps_m.min()) < gaps_m[0] - self._config.closing_m
         reached_m = 0.5 * self._config.manoeuvre_mps2 * times_s**2
         return not is_own and is_closing and float((gaps_m - reached_m).min()) <= self._tracked.lateral_m
+
+    def _lasting(self, coming: list[Track], stamp_ns: int) -> list[Track]:
+        """Those with a class, and those that come for some time: edges of walls appear to for a moment."""
+        since_ns = {track.id: self._coming_since_ns.get(track.id, stamp_ns) for track in coming}
+        self._coming_since_ns = since_ns
+        min_ns = self._config.min_unclassified_coming_s * 1e9
+        return [
+            track
+            for track in coming
+            if track.label is not ObstacleClass.UNKNOWN or stamp_ns - since_ns[track.id] >= min_ns
+        ]
 
     def _is_settled(self, track: Track) -> bool:
         """Whether the motion of a moving track counts: it has a class, or is old enough."""
