@@ -32,7 +32,7 @@ def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
     share = np.exp(log)
     share *= np.where(speed[:, None] > MAX_SPEED_MPS, 0.01, 1.0)
     share /= share.sum(axis=1, keepdims=True)
-    is_young = table.last_ns - table.first_ns < YOUNG_NS
+    is_young = (table.last_ns - table.first_ns < YOUNG_NS) & (table.size_m[:, 1] > CYCLIST[1][1])
     cyclist = cyclist_probability(table.size_m, np.where(is_young, CYCLIST_SPEED_MPS, speed))
     share *= 1.0 - cyclist[:, None]
     share[:, PERSON] += cyclist

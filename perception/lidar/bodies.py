@@ -18,6 +18,7 @@ from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, ne
 from perception.lidar.expected_points import Beams
 from perception.lidar.grid import take_rows
 
+FLAT_M2 = (0.01, 0.0025)  # variances along and across of a piece of a fence or wall: 0.35 m long and more, 0.05 m deep
 FOOT_M = 0.15  # by which feet stand out of a body
 BICYCLE_M = (2.2, 1.15)  # length, and height without the rider
 MIN_JOINS = 1.5  # joining distances of the extent of a body: single columns of a slanted face have less
@@ -128,16 +129,20 @@ def _separate(
     for p in range(parts):
         own[p] = cluster[part_offsets[p]]
         x0, x1, y0, y1, z0, z1, top = np.inf, -np.inf, np.inf, -np.inf, np.inf, -np.inf, -np.inf
+        n, sx, sy, xx, xy, yy = part_offsets[p + 1] - part_offsets[p], 0.0, 0.0, 0.0, 0.0, 0.0
         for i in part_indices[part_offsets[p] : part_offsets[p + 1]]:
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            sx, sy, xx, xy, yy = sx + x, sy + y, xx + x * x, xy + x * y, yy + y * y
             x0, x1, y0, y1, z0, z1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y), min(z0, z), max(z1, z)
             top = max(top, above[i])
         is_body[p] = max(x1 - x0, y1 - y0) <= length_m and z1 - z0 >= height_m and lowest_m <= top <= highest_m
         box[p] = x0, x1, y0, y1, top
+        xx, xy, yy = (xx - sx * sx / n) / n, (xy - sx * sy / n) / n, (yy - sy * sy / n) / n
+        half, root = (xx + yy) / 2.0, math.hypot((xx - yy) / 2.0, xy)
+        is_body[p] &= half + root < FLAT_M2[0] or half - root > FLAT_M2[1]
         x, y = (x0 + x1) / 2.0 - center[0], (y0 + y1) / 2.0 - center[1]
         away2 = max(x * x + y * y, 0.25)
         across = (abs(y) * (x1 - x0) + abs(x) * (y1 - y0)) / math.sqrt(away2)
-        n = part_offsets[p + 1] - part_offsets[p]
         is_body[p] &= n >= sufficient or n >= per_rad2 * across * (z1 - z0) / away2
         is_body[p] &= max(x1 - x0, y1 - y0) >= least_m + growth * math.sqrt(away2)
     bodies = np.zeros(clusters, np.int32)

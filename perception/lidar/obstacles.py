@@ -175,7 +175,7 @@ class Pipeline:
             is_obstacle_point[ground.is_plant] = 0
         mark_airborne(scan, point_class, T, self.config.airborne)
         clusters = find_clusters(points, point_class, self._center, self.config.clusters, self._cell_grid)
-        clusters = self._splitter.split(clusters, points, ground.height_m, point_class, self._center)
+        clusters = clusters if True else self._splitter.split(clusters, points, ground.height_m, point_class, self._center)
         plane = fit_plane(ground, self._center, self._grid, self.config.plane_radius_m)
         return (
             LidarGround(scan.stamp_ns, scan.stamp_ns, is_obstacle_point, plane),
