@@ -17,7 +17,6 @@ from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
 from messages.sensors import LidarScan
 from perception.lidar.airborne import FLOATING, LOW, OBSTACLE, AirborneConfig, is_scattered, mark_airborne
-from perception.lidar.bodies import BodyConfig, BodySplitter
 from perception.lidar.boxes import fit_boxes
 from perception.lidar.classes import class_scores
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid, select
@@ -48,7 +47,6 @@ class LidarConfig(Config):
     ground: GroundConfig
     airborne: AirborneConfig
     clusters: ClusterConfig
-    bodies: BodyConfig
     health: HealthConfig
     plane_radius_m: float = Field(ge=3.0, le=50.0)
 
@@ -144,7 +142,6 @@ class Pipeline:
         )  # fmt: skip
         self._cell_grid = new_cell_grid(config.clusters)
         self._beams = beams_of(lidar)
-        self._splitter = BodySplitter(config.bodies, config.clusters, self._beams, lidar.columns)
         self._beam_grid = beam_grid(np.radians(np.array(lidar.elevation_deg)), self._beams.column_rad)
         self.coverages = tuple(nominal_coverage(lidar, own, config.health) for own in self._own)
 
@@ -175,7 +172,6 @@ class Pipeline:
             is_obstacle_point[ground.is_plant] = 0
         mark_airborne(scan, point_class, T, self.config.airborne)
         clusters = find_clusters(points, point_class, self._center, self.config.clusters, self._cell_grid)
-        clusters = clusters if True else self._splitter.split(clusters, points, ground.height_m, point_class, self._center)
         plane = fit_plane(ground, self._center, self._grid, self.config.plane_radius_m)
         return (
             LidarGround(scan.stamp_ns, scan.stamp_ns, is_obstacle_point, plane),
