@@ -109,8 +109,9 @@ def with_lidar(name: str, drift_mps: tuple[float, float, float]):
 
 def test_lidar_odometry_shows_what_slip_of_the_wheels_hides():
     row, codes = with_lidar("spoofed ramp 0.05 m/s 30 s", (0.0, 0.0, 0.0))
-    assert "gnss.contradicts_odometry" in codes
-    assert row.max_excess_m < 0.0
+    assert codes & {"gnss.contradicts_odometry", "gnss.contradicts_velocity"}
+    assert row.misleading_s == [0.0] * 4
+    assert row.max_excess_m < 0.02
 
 
 def test_lidar_odometry_that_the_wheels_contradict_is_not_believed_against_gnss():

@@ -148,24 +148,25 @@ def test_unknown_name_is_refused(tmp_path):
 
 @pytest.mark.slow
 def test_named_contact_is_reported_after_a_kill_and_not_driven_again(tmp_path, capsys):
-    """Child that lies in the path in fog of 60 m, in which only who stands is promised."""
-    arguments = options(tmp_path / "campaign" / "out", only="^027-1$")
+    """Adult who lies beside the wing of a machine that begins to dock among plants, nearer than promised."""
+    arguments = options(tmp_path / "campaign" / "out", only="^090-1-worst$", plant="worst")
     wait = after_file(VERBS["campaign"].main, 0.5)
     assert kill("campaign", tmp_path, tmp_path / "campaign", wait, is_run_again=False) == ""
     assert campaign.main(arguments) == 1
     result = json.loads(capsys.readouterr().out)
-    assert (result["drives"], result["contacts"], result["avoidable_contacts"]) == (1, 1, 1)
-    assert (result["unavoidable_share"], result["unavoidable"]) == (0.0, [])
+    assert (result["drives"], result["contacts"], result["avoidable_contacts"]) == (1, 1, 0)
+    assert result["unavoidable_share"] == 1.0
+    assert [one["reason"] for one in result["unavoidable"]] == ["entered the path too near"]
     rows = parquet.read_table(arguments.out / "objects.parquet").to_pylist()
     (row,) = (one for one in rows if one["is_contact"])
     assert not row["is_promised"]
-    assert row["part"] == "wheel_front_left"
-    assert row["impact_mps"] > 1.0
+    assert row["part"] == "wheel_rear_right"
+    assert 0.0 < row["impact_mps"] < 0.5
     summary = (arguments.out / "summary.md").read_text()
-    assert summary.startswith("drives 1, contacts 1, avoidable contacts 1, ")
-    assert "- 027-1: " in summary
+    assert summary.startswith("drives 1, contacts 1, avoidable contacts 0, ")
+    assert "- 090-1-worst: " in summary
     page = (arguments.out / "table.html").read_text()
-    assert "./headland run --mission line_turn" in page
+    assert "./headland run --mission dock" in page
     assert "data:image/png" in page
     assert (tmp_path / "campaign" / "mine.txt").read_text() == "mine"
     assert (arguments.out / "notes.txt").read_text() == "mine"

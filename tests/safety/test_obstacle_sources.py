@@ -71,6 +71,13 @@ def came(**what: Any) -> SourceData:
     return SourceData(what.get("scans", {}), what.get("radars", {}), what.get("echoes", {}))
 
 
+def test_edges_of_all_lidars(sources: ObstacleSources) -> None:
+    assert sources.holes_odom_m.shape == (0, 2)
+    sources.lidars[0].holes_odom_m = np.array([(1.0, 2.0)])
+    sources.lidars[-1].holes_odom_m = np.array([(3.0, 4.0)])
+    assert sources.holes_odom_m.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+
+
 def test_hits_of_all_lidars(sources: ObstacleSources) -> None:
     assert sources.lidar_hits_odom_m.shape == (0, 2)
     for k, source in enumerate(sources.lidars):

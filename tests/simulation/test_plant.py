@@ -45,7 +45,7 @@ def leaves(value, name=""):
 def is_same_by_design(name):
     plain = name.split("[")[0]
     # heights and parts of the coverage and of the stack: the simulation has its own
-    if plain.startswith("body.solids.") or plain in ("height_m", "lift_m") or plain.endswith(".sinks_m"):
+    if plain.startswith("body.solids.") or plain in ("height_m", "lift_m", "pto_stop_s") or plain.endswith(".sinks_m"):
         return True
     return any(plain == key or plain.endswith(f".{key}") for key in SAME if SAME[key])
 
