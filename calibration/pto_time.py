@@ -36,7 +36,7 @@ def _stops(recording: Recording) -> list[tuple[float, float]]:
     command, machine, found = recording.command, recording.machine, []
     for at in command[np.flatnonzero(np.diff(command[:, 2]) == -1.0) + 1, 0].tolist():
         on_again = command[(command[:, 0] > at) & (command[:, 2] == 1.0), 0]
-        end = min(at + WAIT_S, *on_again[:1].tolist(), np.inf)
+        end = min([at + WAIT_S, *on_again[:1].tolist()])
         part: Float64 = machine[(machine[:, 0] >= at) & (machine[:, 0] <= end)]
         stands = np.flatnonzero(part[:, 2] < STANDS_RADPS)
         if len(stands) and part[0, 2] > RUNS_RADPS:

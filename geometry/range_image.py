@@ -25,7 +25,7 @@ NEAR_M, NEAR_SLOPE = 0.1, 2.0  # greatest difference of range of neighbours: noi
 BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same body
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
 SAMPLE, SCATTERED = 10_000, 32  # returns by which scatter is found; its fewest returns without a neighbour
-KEPT_BESIDE = 2
+KEPT_BESIDE = 2  # returns of a body, next to which a scattered one is its edge
 IN_RING = 4 / 14  # of the places next to a return
 SUGGESTIVE, SIGNIFICANT = 1.0, 3.0  # sigmas by which fewer have one neighbour than none, in a sample and of all
 DENSEST, DENSE_SLACK = 2.0, 1.5  # greatest mean of neighbours by chance; returns with two over those by chance
@@ -288,15 +288,16 @@ def _slants(rows: Int64, elevation: Float64, column_rad: float) -> Float64:
 
 @inline_kernel
 def _near(
-    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int, own_mm: int, most: int
+    ranges: UInt16, rows: Int64, slants: Float64, is_closed: bool, rank: int, column: int, own_mm: int, most: int,
+    rings_aside: int = 1,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Number of returns next to one of a ring (by `rank`) and column, at a range like its own, counted up to `most`.
 
-    And rank and column of the first.
+    And rank and column of the first. `rings_aside` 0: those in its ring alone.
     """
     count, first, at, columns = 0, rank, column, ranges.shape[1]
     own = 1e-3 * own_mm
-    for a in range(max(rank - 1, 0), min(rank + 2, ranges.shape[0])):
+    for a in range(max(rank - rings_aside, 0), min(rank + rings_aside + 1, ranges.shape[0])):
         for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
             c = column + d
             if c < 0 or c >= columns:
@@ -346,22 +347,8 @@ def _mark_scattered(
                 count, ring, at = _near(ranges, rows, slants, is_closed, ring, at, ranges[rows[ring], at], 2)
             out[k] = count <= limit
             if out[k] and count > in_ring:
-                out[k] = _beside(ranges, slants, is_closed, row, rank[row], column) <= in_ring
-
-
-@inline_kernel
-def _beside(ranges: UInt16, slants: Float64, is_closed: bool, row: int, rank: int, column: int) -> int:
-    """Number of returns next to one in its ring, at a range like its own."""
-    count, columns, own = 0, ranges.shape[1], 1e-3 * ranges[row, column]
-    for d in range(-COLUMNS_ASIDE, COLUMNS_ASIDE + 1):
-        c = column + d
-        if c < 0 or c >= columns:
-            if not is_closed:
-                continue
-            c %= columns
-        if d != 0 and ranges[row, c] != 0:
-            count += abs(1e-3 * ranges[row, c] - own) <= NEAR_M + slants[rank, 1, d + COLUMNS_ASIDE] * own
-    return count
+                own_mm, most_here = ranges[row, column], in_ring + 1
+                out[k] = _near(ranges, rows, slants, is_closed, rank[row], column, own_mm, most_here, 0)[0] <= in_ring
 
 
 @kernel

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Lidar, Vehicle
-from geometry.arrays import Float32, Float64, UInt8
+from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.ground_surface import plant_heights
 from geometry.jit import kernel
 from geometry.range_image import beam_grid
@@ -21,7 +21,7 @@ from perception.lidar.boxes import fit_boxes
 from perception.lidar.classes import class_scores
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid, select
 from perception.lidar.expected_points import beams_of, expected_points
-from perception.lidar.grid import Grid, build_grid, take_rows
+from perception.lidar.grid import Grid, build_grid
 from perception.lidar.ground import Ground, GroundConfig, find_ground, fit_plane
 from perception.lidar.health import (
     HealthConfig,
@@ -193,7 +193,7 @@ class Pipeline:
         return Obstacles(
             stamp_ns, sensor, stamp_ns, boxes.center_m[high], size, yaw, boxes.nearest_m[high],
             np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high], is_floating), kept.offsets,
-            kept.indices, take_rows(points, kept.indices),
+            kept.indices, _take_rows(points, kept.indices),
         )  # fmt: skip
 
     def _health(
@@ -217,6 +217,16 @@ def floating_share(clusters: Clusters, point_class: UInt8) -> Float64:
         np.add.reduceat(found >= one, clusters.offsets[:-1], dtype=np.float64) for one in (FLOATING, OBSTACLE)
     )
     return np.asarray(floats / obstacles)
+
+
+@kernel
+def _take_rows(points: Float32, indices: Int32) -> Float32:
+    """`points[indices]`, row by row: numpy takes five times as long on column-major points."""
+    out = np.empty((indices.shape[0], 3), np.float32)
+    for n in range(indices.shape[0]):
+        i = indices[n]
+        out[n, 0], out[n, 1], out[n, 2] = points[i, 0], points[i, 1], points[i, 2]
+    return out
 
 
 @kernel
