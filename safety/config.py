@@ -322,6 +322,7 @@ class LimitsConfig(Config):
     driver_torque_nm: float = Field(gt=0.0, le=50.0, description="torque on the hand wheel that counts as forced")
     curvature_error_radpm: float = Field(gt=0.0, le=1.0)
     curvature_delay_s: Seconds = Field(description="time within which the steering follows its command")
+    protection_alert_s: Seconds = Field(description="for which a level above the limit makes a fault; speed 0 at once")
     curvature_memory_s: Seconds = Field(description="in which the durations of deviations are summed")
     overspeed_mps: float = Field(gt=0.0, le=5.0, description="speed above what was commanded that is a fault")
     min_slowing_mps2: Acceleration = Field(

@@ -1,5 +1,6 @@
 """Memory of conditions: how long they have held, the range of recent values, faults reported by other nodes."""
 
+import math
 from collections import deque
 from collections.abc import Iterable
 
@@ -64,6 +65,11 @@ class RecentRange:
         while now_ns - self._stamps[0] > self._length_ns:
             self._stamps.popleft()
             self._values.popleft()
+
+    @property
+    def lowest(self) -> float:
+        """The lowest value; infinite without values."""
+        return min(self._values, default=math.inf)
 
     def distance(self, value: float) -> float:
         """Distance of a value from the range; 0 inside, and without values."""

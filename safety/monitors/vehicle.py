@@ -24,7 +24,8 @@ DIRECTION_MPS = 0.1
 class VehicleState:
     """Signed speed (None: unknown), highest speed of any source, direction, braking on this grade, condition durations.
 
-    Durations in seconds, 0 while the condition does not hold. `has_driver`: the seat is occupied, with an off-delay.
+    Durations in seconds, 0 while the condition does not hold. `lasting_level_m`: lowest protection level in the
+    last `protection_alert_s`. `has_driver`: the seat is occupied, with an off-delay.
     """
 
     speed_mps: float | None
@@ -32,6 +33,7 @@ class VehicleState:
     direction: int
     braking: Braking
     position_sigma_m: float
+    lasting_level_m: float
     driver_override_s: float
     steering_deviation_s: float
     steering_unavailable_s: float
@@ -49,6 +51,7 @@ class VehicleMonitor:
         self._fastest_mps = 0.0
         self._pitch_rad = 0.0
         self._curvatures = RecentRange(config.limits.curvature_delay_s)
+        self._levels = RecentRange(config.limits.protection_alert_s)
         self._has_driver, self._seat_empty = False, DebounceTimer()
         self._override, self._ineffective = DebounceTimer(), DebounceTimer()
         self._overspeed = DebounceTimer()
@@ -81,6 +84,7 @@ class VehicleMonitor:
             self._direction,
             on_grade(flat, self._direction * self._pitch_rad, min_mps2),
             position_sigma_m(map_pose),
+            self._lasting_level_m(now_ns, map_pose),
             self._override.update(now_ns, is_forced(machine, self._config.limits.driver_torque_nm)),
             self._deviation.update(now_ns, is_watched, self._steering_deviates(now_ns, machine, command)),
             self._unavailable.update(now_ns, is_watched and self._steering_unavailable(machine)),
@@ -88,6 +92,12 @@ class VehicleMonitor:
             self._overspeed.update(now_ns, self._is_overspeed(now_ns, is_watched, command)),
             self._driver_present(now_ns, machine),
         )
+
+    def _lasting_level_m(self, now_ns: int, map_pose: MapPose | None) -> float:
+        if map_pose is not None:
+            level_m = map_pose.protection_level_m
+            self._levels.add(now_ns, math.inf if math.isnan(level_m) else level_m)
+        return self._levels.lowest
 
     def _driver_present(self, now_ns: int, machine: MachineState | None) -> bool:
         """Whether a driver is present; unchanged without a machine state."""

@@ -28,8 +28,8 @@ class LocalizationLimits(Config):
 
 
 def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
-    """Advisory at once without fixes, stop after a time without them; slow above one protection level, stop above
-    the other.
+    """Advisory at once without fixes, stop after a time without them; slow above one protection level, speed 0 above
+    the other, and a fault when it stays above.
 
     Under the roof GNSS is not received: the position comes from UWB, as on leaving it, and the protection level is
     that of docking.
@@ -45,7 +45,9 @@ def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
         return stop(UWB_LOST, f"no UWB range for {pose.uwb_age_s:.1f} s in the shed")
     stop_m = docking.protection_stop_m if situation.is_under_roof else limits.protection_stop_m
     if not pose.protection_level_m <= stop_m:
-        return stop(PROTECTION, f"position only within {pose.protection_level_m:.2f} m")
+        text = f"position only within {pose.protection_level_m:.2f} m"
+        is_lasting = not situation.vehicle.lasting_level_m <= stop_m
+        return stop(PROTECTION, text) if is_lasting else limit(CODE, 0.0, text)
     if pose.protection_level_m > limits.protection_slow_m:
         reduced_mps = kmh(situation.config.limits.reduced_kmh)
         return limit(CODE, reduced_mps, f"position only within {pose.protection_level_m:.2f} m")
@@ -65,7 +67,12 @@ RULE = Rule(
     effect=Effect.FAULT,
     evaluate=evaluate,
     limits=LocalizationLimits,
-    config_keys=("limits.reduced_kmh", "docking.protection_stop_m", "docking.max_uwb_age_s"),
+    config_keys=(
+        "limits.reduced_kmh",
+        "limits.protection_alert_s",
+        "docking.protection_stop_m",
+        "docking.max_uwb_age_s",
+    ),
     texts_zh={
         CODE: "定位精度下降，减速",
         NONE: "无定位",

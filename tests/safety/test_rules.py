@@ -215,6 +215,9 @@ def test_localization(config: SupervisorConfig) -> None:
     for level in around(0.5, 0.01):
         expected = (STOP, "localization.protection") if level > 0.5 else (LIMIT, "localization")
         assert ask("localization", config, pose={"protection_level_m": level})[:2] == expected, level
+        brief = ask("localization", config, pose={"protection_level_m": level}, lasting_level_m=0.5)
+        assert brief[:2] == (LIMIT, "localization"), level
+        assert (brief[2] == 0.0) == (level > 0.5), level
     for level in around(0.3, 0.01):
         expected = LIMIT if level > 0.3 else NONE
         assert ask("localization", config, pose={"protection_level_m": level})[0] is expected, level

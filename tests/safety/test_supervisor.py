@@ -404,6 +404,22 @@ def test_insufficient_position(world: World, changes: dict[str, Any], reason: st
     assert world.speed_mps == 0.0
 
 
+@pytest.mark.parametrize(("seconds", "mode"), [(0.44, Mode.AUTOMATIC), (0.6, Mode.FAULT_STOP)])
+def test_a_brief_protection_level_slows_at_once_and_is_no_fault(world: World, seconds: float, mode: Mode) -> None:
+    driving(world)
+    before_mps = world.speed_mps
+    world.pose_changes = {"protection_level_m": 0.6}
+    world.run(0.1)
+    assert world.command.speed_mps == 0.0
+    assert world.command.reason.startswith("localization")
+    world.run(seconds - 0.1)
+    assert world.speed_mps < before_mps - 0.1
+    world.pose_changes = {"protection_level_m": 0.1}
+    world.run(2.0)
+    assert world.mode == mode
+    assert (world.speed_mps > 0.0) == (mode is Mode.AUTOMATIC)
+
+
 def test_alarm_without_stop_on_lost_fixes(world: World) -> None:
     driving(world)
     world.pose_changes = {"gnss_age_s": 1.5}

@@ -67,6 +67,19 @@ def test_faster_speed_source(bench: Bench) -> None:
     assert (sensor_failures.speed_mps, sensor_failures.fastest_mps) == (None, 1.0)  # as it was
 
 
+def test_lowest_protection_level_of_the_last_half_second(bench: Bench, config: SafetyConfig) -> None:
+    def shown(level_m: float, after_s: float) -> float:
+        pose = MapPose(START_NS, np.eye(4), np.eye(4), np.eye(6), PositionSource.RTK_FIXED, level_m, 0.1, True)
+        return bench.show(after_s, map_pose=pose).lasting_level_m
+
+    assert bench.show().lasting_level_m == math.inf
+    assert shown(0.2, 0.0) == shown(0.7, config.limits.protection_alert_s) == 0.2
+    assert shown(math.nan, 0.02) == 0.7
+    assert shown(math.nan, config.limits.protection_alert_s + 0.02) == math.inf
+    assert bench.show(map_pose=None).lasting_level_m == math.inf
+    assert shown(0.3, 0.02) == 0.3
+
+
 def test_direction_kept_without_data(bench: Bench) -> None:
     back = bench.show(odom=odometry(-1.0), machine={"speed_mps": -1.0})
     assert back.direction == -1
