@@ -17,11 +17,14 @@ class LiveConfig(Config):
     ring_mib: dict[str, Annotated[int, Field(ge=1, le=1024)]]
     timeout_s: dict[str, Seconds]
     startup_s: Seconds
+    nice: dict[str, Annotated[int, Field(ge=-20, le=19)]] = Field(
+        description="nice values of processes, added to that of the start; those below 0 need root or CAP_SYS_NICE"
+    )
     thinned_log: ThinnedLogConfig
     order_folder: str = Field(min_length=1, description="sequence numbers of the orders, in the project's folder")
 
     @model_validator(mode="after")
     def _has_every_process(self) -> "LiveConfig":
-        if set(self.ring_mib) != set(ROLES) or not set(self.timeout_s) <= set(ROLES):
-            raise ValueError(f"ring_mib must name {', '.join(ROLES)}, and timeout_s some of them")
+        if set(self.ring_mib) != set(ROLES) or not set(self.timeout_s) | set(self.nice) <= set(ROLES):
+            raise ValueError(f"ring_mib must name {', '.join(ROLES)}, timeout_s and nice some of them")
         return self

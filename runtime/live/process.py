@@ -1,12 +1,13 @@
 """Processes of `headland live`: world, nodes and sinks of each role."""
 
 import gc
+import os
 import secrets
 import signal
 import sys
 import traceback
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
@@ -70,6 +71,8 @@ def run_process(start: Start) -> None:
 def _run(start: Start) -> None:
     others = {name: RingReader(path) for name, path in start.rings.items() if name != start.role}
     timeouts = start.config.timeout_s if start.role == "safety" else {}
+    with suppress(PermissionError):
+        os.nice(start.config.nice.get(start.role, 0))
     links = ProcessLinks(RingWriter(start.rings[start.role]), others, timeouts)
     with _parts(start) as (world, nodes, sinks):
         gc.collect()

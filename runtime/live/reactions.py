@@ -21,6 +21,13 @@ MIN_BRAKING_MPS2 = 1.0  # requested of the brakes: more than for any curve
 AHEAD_M = 3.5  # inside the stopping distance at work speed, and more than the machine then needs
 
 
+def requested_mps2(identifier: int, data: bytes | bytearray) -> float:
+    """Deceleration that a frame requests of the brakes; 0 for other frames."""
+    if identifier >> 16 & 0xFF != BRAKE_GROUP or len(data) != 8:
+        return 0.0
+    return FULL_SCALE_MPS2 - int.from_bytes(data[:2], "little") / PER_MPS2
+
+
 class ReactionTrials(World):
     """Simulated world with a person who pops up repeatedly; writes one line per reaction to `reactions.jsonl`."""
 
@@ -56,10 +63,7 @@ class ReactionTrials(World):
         return outputs
 
     def _on_frame(self, frame: can.Message) -> None:
-        if self._appeared is None or frame.arbitration_id >> 16 & 0xFF != BRAKE_GROUP or len(frame.data) != 8:
-            return
-        requested_mps2 = FULL_SCALE_MPS2 - int.from_bytes(frame.data[:2], "little") / PER_MPS2
-        if requested_mps2 < MIN_BRAKING_MPS2:
+        if self._appeared is None or requested_mps2(frame.arbitration_id, frame.data) < MIN_BRAKING_MPS2:
             return
         scan_to_frame_s = None if self._scanned is None else frame.timestamp - self._scanned
         row = {"appeared_to_frame_s": frame.timestamp - self._appeared, "scan_to_frame_s": scan_to_frame_s}

@@ -46,6 +46,7 @@ AUTHORITY = "operator"
 USERS, KEY, MISSIONS = "users.yaml", "order_key.pem", "missions"  # of the state folder
 STATISTICS, UPLOAD, SETUP = "statistics.db", "upload.db", "setup.db"
 PLANNER = (sys.executable, "-m", "runtime.page.field_process")
+NICE = 10  # of web server and planner: a log-in alone takes both cores for 0.2 s, and machine and simulation come first
 UNANSWERED = 3  # checks of the emergency stop, then the machine is gone
 
 
@@ -119,6 +120,7 @@ def _serve(
     setups: SetupStore | None = None,
 ) -> int:  # fmt: skip
     """Serves until SIGINT or SIGTERM."""
+    os.nice(NICE)  # processes that were forked before keep their priority
     from hmi.app import make_app, serve
 
     users, texts = read_users(state / USERS), texts_of(RULES)
