@@ -61,7 +61,7 @@ async def hours(machine: Machine, folder: Path, duration_s: float, pause_s: floa
     """Operates the machine; memory, log and share of automatic operation. Writes each sample to `memory.jsonl`."""
     page = Page()
     await page.open(machine, await log_in(machine))
-    machine.reach(Mode.AUTOMATIC, "confirm_clear", "start")
+    machine.reach(Mode.AUTOMATIC, "reset", "confirm_clear", "start")
     processes = [machine.process.pid, *machine.children]
     samples: list[tuple[float, list[list[float]]]] = []
     began_s = pause_from_s = time.monotonic()

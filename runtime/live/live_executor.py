@@ -80,6 +80,7 @@ class LiveExecutor(Executor):
                 output = unpack(record, self._topics)
                 if output is not None:
                     self._distribute([output])
+                    self._links.ring.beat(self._clock())
 
     def _advance_world(self) -> None:
         """Steps the world up to now."""
