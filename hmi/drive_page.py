@@ -89,7 +89,7 @@ class DrivePage(View):
         trail, edges = state.trail.points, state.coverage.edges
         sent_trail, sent_edges = self._sent_points
         self._sent_points = len(trail), len(edges)
-        found = {"trail": trail[sent_trail:], "edges": edges[sent_edges:]}
+        found = {"trail": trail.since(sent_trail), "edges": edges.since(sent_edges)}
         return {name: points for name, points in found.items() if points}
 
     def _build_orders(self) -> None:
