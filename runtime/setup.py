@@ -58,10 +58,9 @@ class Setup:
         """Name and serial number of the machine, for which orders are signed."""
         return f"{self.vehicle.name}-{self.stack.interfaces.gateway.name_identity}"
 
-    def viewer(self, image_s: float | None = None) -> Viewer:
-        """Converter to the topics of common log viewers, with one image in `image_s` instead of the configured."""
-        config = self.stack.datasets.viewer
-        config = config if image_s is None else config.model_copy(update={"image_s": image_s})
+    def viewer(self, **periods_s: float) -> Viewer:
+        """Converter to the topics of common log viewers; `periods_s` replaces values of its configuration."""
+        config = self.stack.datasets.viewer.model_copy(update=periods_s)
         return Viewer(config, self.vehicle, self.implement, self.site)
 
 

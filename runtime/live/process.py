@@ -100,7 +100,8 @@ def _parts(start: Start) -> Iterator[tuple[World, list[Node], list[Any]]]:
         config = start.setup.stack.datasets.log
         thinned = start.config.thinned_log
         metadata = start.metadata | {THINNED: {"left_out": ", ".join(thinned.left_out)}}
-        viewer, event_viewer = start.setup.viewer(thinned.image_s), start.setup.viewer(NO_IMAGES_S)
+        viewer = start.setup.viewer(image_s=thinned.image_s, cloud_s=thinned.cloud_s)
+        event_viewer = start.setup.viewer(image_s=NO_IMAGES_S)
         with (
             LogWriter(start.folder / "log.mcap", metadata, config, viewer, rotates=True) as log,
             closing(ThinnedLog(log, start.folder / "events", thinned, config, event_viewer)) as sink,

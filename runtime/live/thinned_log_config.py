@@ -17,6 +17,7 @@ class ThinnedLogConfig(Config):
     period_s: dict[str, Annotated[float, Field(gt=0.0, le=60.0)]]
     mb_per_s: float = Field(gt=0.0, le=1000.0)
     image_s: float = Field(gt=0.0, le=60.0)
+    cloud_s: float = Field(gt=0.0, le=60.0)
     before_s: float = Field(ge=0.0, le=60.0)
     after_s: float = Field(ge=0.0, le=60.0)
     event_mb: float = Field(ge=1.0, le=1000.0)
