@@ -24,6 +24,7 @@ COLUMNS_ASIDE = 2  # neighbours of a return: three rings by five columns
 NEAR_M, NEAR_SLOPE = 0.1, 2.0  # greatest difference of range of neighbours: noise, and per metre across: 63° of slant
 BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same body
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
+SECTORS, LOCAL = 24, 0.25  # of a field of view; share of the mean of isolated returns from which on one has scatter
 SAMPLE, SCATTERED = 10_000, 32  # returns by which scatter is found; its fewest returns without a neighbour
 KEPT_BESIDE = 2  # returns of a body, next to which a scattered one is its edge
 IN_RING = 4 / 14  # of the places next to a return
@@ -130,8 +131,8 @@ def scattered(image: RangeImage, pixels: Int64) -> Bool:
 
     Returns that lie in the air at random have a Poisson number of others next to them: in a band of ranges fewer have
     one than none, while of plants and other bodies more have. Those with no more than chance gives, in all and in their
-    ring, are scattered, and those that are isolated without them. The ground between rings that are far apart has
-    others in its ring alone.
+    ring, are scattered, and those that are isolated without them, in the sectors of the field of view that have
+    isolated returns. The ground between rings that are far apart has others in its ring alone.
     """
     most = _most_by_chance(image, pixels)
     out = np.zeros(len(pixels), np.bool_)
@@ -142,7 +143,7 @@ def scattered(image: RangeImage, pixels: Int64) -> Bool:
         rest.ravel()[pixels[out]] = 0
         _keep_beside(image.ranges_mm, rest, *beams, pixels, out)
         rest.ravel()[pixels[~out]] = image.ranges_mm.ravel()[pixels[~out]]
-        left = np.flatnonzero(~out & (most[_bands(image, pixels), 0] > 0))
+        left = np.flatnonzero(~out & (most[_sectors(image, pixels), _bands(image, pixels), 0] > 0))
         out[left] = isolated(replace(image, ranges_mm=rest), pixels[left])
     return out
 
@@ -151,9 +152,14 @@ def _bands(image: RangeImage, pixels: Int64) -> Int64:
     return np.searchsorted(BANDS_M, 1e-3 * image.ranges_mm.ravel()[pixels])
 
 
+def _sectors(image: RangeImage, pixels: Int64) -> Int64:
+    columns = image.ranges_mm.shape[1]
+    return pixels % columns * SECTORS // columns
+
+
 def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
-    """Greatest number of neighbours by chance in each band and beyond, in all and in the ring, (B + 1, 2), 0 without
-    scatter.
+    """Greatest number of neighbours by chance in each sector, band and beyond, in all and in the ring, (S, B + 1, 2), 0
+    without scatter.
 
     Of random returns with a mean of m neighbours, m times as many have one as have none, and m²/2 times as many have
     two: bodies with gaps have more with one, and still more with two. A sample shows where all must be counted.
@@ -161,14 +167,19 @@ def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
     beams = image.rows, image.rank, image.elevation_rad, *_columns(image)
     every, sigmas = max(1, len(pixels) // SAMPLE), SUGGESTIVE
     while True:
-        counts = np.zeros((3, len(BANDS_M)), np.int64)
+        counts = np.zeros((3, len(BANDS_M), SECTORS), np.int64)
         _count_few(image.ranges_mm, *beams, pixels[::every], counts)
-        none, one, _ = counts
-        if not ((every * none >= SCATTERED) & (none - one >= sigmas * np.sqrt(none + one))).any():
-            return np.zeros((len(BANDS_M) + 1, 2), np.int64)
-        if every == 1 and sigmas == SIGNIFICANT:
-            return np.array([*(_limits(*band) for band in counts.T.tolist()), (0, 0)], np.int64)
+        none, one, _ = counts.sum(axis=2)
+        is_scatter = ((every * none >= SCATTERED) & (none - one >= sigmas * np.sqrt(none + one))).any()
+        if not is_scatter or (every == 1 and sigmas == SIGNIFICANT):
+            break
         every, sigmas = 1, SIGNIFICANT
+    most = np.zeros((SECTORS, len(BANDS_M) + 1, 2), np.int64)
+    for band in range(len(BANDS_M) if is_scatter else 0):
+        isolated_here = counts[0, band]
+        has_scatter = isolated_here >= LOCAL * isolated_here.mean()
+        most[has_scatter, band] = _limits(*counts[:, band, has_scatter].sum(axis=1).tolist())
+    return most
 
 
 def _limits(none: int, one: int, two: int) -> tuple[int, int]:
@@ -335,12 +346,12 @@ def _mark_scattered(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
     most: Int64, out: Bool,
 ) -> None:  # fmt: skip
-    """Marks returns with no more than `most` (B + 1, 2) others next to them, in all and in the ring, by band; where it
-    is 1, isolated ones."""
+    """Marks returns with no more than `most` (S, B + 1, 2) others next to them, in all and in the ring, by sector and
+    band; where it is 1, isolated ones."""
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         row, column = pixels[k] // columns, pixels[k] % columns
-        limit, in_ring = most[_band(ranges[row, column])]
+        limit, in_ring = most[column * SECTORS // columns, _band(ranges[row, column])]
         if limit > 0:
             count, ring, at = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], limit + 1)
             if limit == 1 and count == 1:
@@ -370,7 +381,7 @@ def _count_few(
     ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
     counts: Int64,
 ) -> None:  # fmt: skip
-    """Counts the returns with none, one and two others next to them, by band of range, (3, B)."""
+    """Counts the returns with none, one and two others next to them, by band of range and sector, (3, B, S)."""
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         row, column = pixels[k] // columns, pixels[k] % columns
@@ -378,7 +389,7 @@ def _count_few(
         if band < len(BANDS_M):
             count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], 3)
             if count < 3:
-                counts[count, band] += 1
+                counts[count, band, column * SECTORS // columns] += 1
 
 
 @inline_kernel

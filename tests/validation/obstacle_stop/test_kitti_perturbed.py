@@ -212,7 +212,6 @@ def test_dust_before_the_bumper_is_no_false_stop() -> None:
     assert result["false_stop_scans"]["count"] == 0
 
 
-@pytest.mark.xfail(strict=True, reason="returns of a parked car go with the dust, and its pieces seem to move")
 def test_dust_beside_the_path_is_no_false_stop() -> None:
     assert margins(replayed(dust((3.9, 5.0, 0.3), (4.9, 7.0, 1.5))))[1] > 0.0
 
