@@ -97,6 +97,7 @@ class PageApp:
             self.report(False)
         self._send_presence(now_s)
         self._notify(now_s)
+        self._show_views(is_restarted)
         moment = Moment(self.parts, self.state, self.alarms, self.topics, self.bus, is_restarted, self._drive_error)
         for key, page in list(self.pages.items()):
             try:
@@ -121,6 +122,18 @@ class PageApp:
             now = standing(self.state, texts_of(config.language), self.parts.rule_text_zh)
             self.notifications.put(notification_of(drive.scene.vehicle.name, clock_text(time.time()), now))
         self.parts.notification_error = self.notifications.error
+
+    def _show_views(self, is_restarted: bool) -> None:
+        """Gives the viewer topics to the Foxglove server; an error there does not reach the pages."""
+        server, feed = self.parts.foxglove, self.parts.drive.feed
+        if server is None:
+            return
+        try:
+            if is_restarted:
+                server.forget()
+            server.put(feed.views(server.read), feed.now_ns)
+        except Exception:
+            LOG.exception("the viewer topics are not sent")
 
     def _take_drive(self) -> bool:
         """Shows a drive that has begun; whether there is one."""
@@ -235,6 +248,9 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     for kind in (DrivePage, PlanPage, SetupPage, CalibrationPage, DiagnosisPage, StatisticsPage):
         add_page(kind)
     nicegui_app.on_startup(lambda: asyncio.create_task(page_app.run()))
+    server = parts.foxglove
+    if server is not None:
+        nicegui_app.on_startup(lambda: asyncio.create_task(server.run()))
     nicegui_app.on_shutdown(page_app.store_statistics)
     nicegui_app.on_shutdown(lambda: page_app.report(True))
     ui.run_with(
